@@ -1,0 +1,1 @@
+"""Error models: retract, discretize and observe for the error state of each frame."""

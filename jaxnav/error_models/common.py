@@ -1,0 +1,41 @@
+"""What the error models of all frames share: attitude and bias feedback, and the discrete model from 3x3 blocks."""
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav import linalg, rotations
+from jaxnav.error_models.states import A, B, G, V
+from jaxnav.types import Drive, Nav, Noise
+
+
+def retract_common(nav: Nav, x: jax.Array) -> Nav:
+    """Remove the attitude and bias errors, which are alike in every frame."""
+    nav = nav._replace(q=rotations.normalize(rotations.multiply(rotations.exp(-x[A]), nav.q)))
+    if x.shape[0] <= 9:
+        return nav
+    return nav._replace(b_g=nav.b_g - x[G], b_a=nav.b_a - x[B])
+
+
+def discretize_blocks(
+    blocks: dict, C: jax.Array, noise: Noise, bias: tuple[jax.Array, jax.Array], T: jax.Array, u: Drive, n: int
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Phi, Q, d over T from the kinematic blocks, with sensor noise through ``C`` and Gauss-Markov biases.
+
+    Navigation holds the estimated bias constant while a Gauss-Markov bias decays, so that the error of a bias
+    estimate b grows by b / tau: that is part of d.
+    """
+    psd = lambda sd: jnp.broadcast_to(sd, (3,)) ** 2  # noqa: E731
+    rate = lambda tau: 1 / jnp.broadcast_to(tau, (3,))  # noqa: E731
+    decay_g, decay_a = rate(noise.gyro_tau), rate(noise.accel_tau)
+    F = linalg.assemble(blocks | {(G, G): -jnp.diag(decay_g), (B, B): -jnp.diag(decay_a)}, n)
+    Q = linalg.assemble(
+        {
+            (V, V): (C * psd(noise.accel)) @ C.T,
+            (A, A): (C * psd(noise.gyro)) @ C.T,
+            (G, G): jnp.diag(psd(noise.gyro_bias)),
+            (B, B): jnp.diag(psd(noise.accel_bias)),
+        },
+        n,
+    )
+    b = jnp.concatenate([jnp.zeros(3), u.accel, u.omega, decay_g * bias[0], decay_a * bias[1]])[:n]
+    return linalg.discretize(F, Q, b, T)

@@ -1,0 +1,98 @@
+"""Errors of local level navigation: x = (dp ENU m, dv ENU, phi ENU[, b_g, b_a body]), C_est = exp([phi x]) C_true.
+
+Full form: every first-order term of the mechanization (Groves 2013, section 14.2.4, in ENU and with the attitude
+error to the left). Simplified form: the GPID paper's eqs. 9-13, that is the specific force, the levelling by velocity
+and the kinematics only.
+"""
+
+from functools import cache
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav import earth, rotations
+from jaxnav.error_models.common import discretize_blocks, retract_common
+from jaxnav.error_models.states import A, B, G, P, V, prior_sd
+from jaxnav.filters.core import ErrorModel
+from jaxnav.measurements import GNSS, Kinematics, Measurement, stack
+from jaxnav.types import Drive, Nav, Noise, Path, Prior
+
+
+def retract(nav: Nav, x: jax.Array) -> Nav:
+    """The truth, if ``x`` (n,) is the error of ``nav``."""
+    nav = retract_common(nav, x)
+    return nav._replace(pos=earth.move(nav.pos, -x[P]), vel=nav.vel - x[V])
+
+
+def absorb(nav: Nav, drive: Drive) -> Nav:
+    """Feed a constant model error (rates and accelerations in ENU) to the sensors as bias in body axes.
+
+    An estimate that accelerates too much by ``drive.accel`` has an accelerometer bias too small by that much.
+    """
+    C = rotations.to_dcm(nav.q)
+    return nav._replace(b_g=nav.b_g + C.T @ drive.omega, b_a=nav.b_a + C.T @ drive.accel)
+
+
+def dynamics(point: Path, form: Literal["full", "simple"]) -> dict[tuple[slice, slice], jax.Array]:
+    """The 3x3 blocks of F in x' = F x, at one point of the path."""
+    lat, h = point.nav.pos[0], point.nav.pos[2]
+    ve, vn, vu = vel = point.nav.vel
+    meridian, prime = earth.radii(lat)
+    rn, re, tan = meridian + h, prime + h, jnp.tan(lat)
+    zero = jnp.zeros_like(lat)
+
+    def block(*rows):
+        return jnp.stack([jnp.stack([jnp.asarray(e, lat.dtype) for e in row]) for row in rows])
+
+    level = block((0, 1 / rn, 0), (-1 / re, 0, 0), (-tan / re, 0, 0))  # minus d(w_en)/dv
+    blocks = {
+        (P, V): jnp.eye(3, dtype=lat.dtype),
+        (V, A): -rotations.skew(point.force),
+        (A, V): level,
+        (V, B): -point.C,
+        (A, G): -point.C,
+    }
+    if form == "simple":
+        return blocks
+    w_ie, w_en = earth.earth_rate(lat), earth.transport_rate(lat, h, vel)
+    # how the rates change with position, per metre north and per metre up
+    ie_north = earth.RATE / rn * jnp.stack([zero, -jnp.sin(lat), jnp.cos(lat)])
+    en_north = jnp.stack([zero, zero, ve / (re * rn) * (1 + tan**2)])
+    en_up = jnp.stack([vn / rn**2, -ve / re**2, -ve * tan / re**2])
+    columns = lambda north, up: jnp.stack([jnp.zeros(3, lat.dtype), north, up], axis=1)  # noqa: E731
+    gravity = block((0, 0, 0), (0, 0, 0), (0, 0, 2 * earth.gravity(lat, 0.0) / earth.A))
+    return blocks | {
+        (P, P): block(
+            (vu / re - vn * tan / rn, ve * tan / rn, -ve / re), (0, vu / rn, -vn / rn), (0, 0, 0)
+        ),
+        (V, P): rotations.skew(vel) @ columns(2 * ie_north + en_north, en_up) + gravity,
+        (V, V): -rotations.skew(2 * w_ie + w_en) - rotations.skew(vel) @ level,
+        (A, P): -columns(ie_north + en_north, en_up),
+        (A, A): -rotations.skew(w_ie + w_en),
+    }
+
+
+def kinematics(nav: Nav, n: int) -> Kinematics:
+    """Position, velocity and attitude in ENU, and how the error state moves them."""
+    eye = jnp.eye(n, dtype=nav.vel.dtype)
+    return Kinematics(nav.pos, nav.vel, rotations.to_dcm(nav.q), eye[P], eye[V], eye[A])
+
+
+@cache
+def error_model(
+    n_states: int = 15, form: Literal["full", "simple"] = "full", measurements: tuple[Measurement, ...] = GNSS
+) -> ErrorModel:
+    """The local level error model with 9 or 15 states, observed through ``measurements``."""
+    if n_states not in (9, 15) or form not in ("full", "simple"):
+        raise ValueError(f"n_states is 9 or 15 and form 'full' or 'simple', got {n_states} and {form!r}")
+
+    def covariance(prior: Prior, nav: Nav) -> jax.Array:
+        return jnp.diag(prior_sd(prior, n_states) ** 2)
+
+    def discretize(noise: Noise, point: Path, T: jax.Array, u: Drive):
+        bias = (point.nav.b_g, point.nav.b_a)
+        return discretize_blocks(dynamics(point, form), point.C, noise, bias, T, u, n_states)
+
+    observe, n_channels = stack(measurements, lambda nav: kinematics(nav, n_states))
+    return ErrorModel(n_states, n_channels, retract, absorb, covariance, discretize, observe)

@@ -1,0 +1,200 @@
+"""The one predict/correct path: filter = mechanization x error model x rule x feedback. Names no paper.
+
+An epoch is the IMU samples since the last fix and the fix that ends them. `predict` moves the navigation state through
+its samples, makes the error dynamics along that path in one vectorised pass, and moves x and P by a short scan;
+`correct` forms the innovation, lets the rule correct, and feeds back. Splitting it so is exact, because between two
+fixes navigation does not depend on P.
+"""
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxnav.types import Drive, Epoch, Fix, Imu, Info, Nav, Params, Path
+
+REST = Drive(np.zeros(3), np.zeros(3))  # numpy: nothing of jax is created at import
+
+
+class ErrorModel(NamedTuple):
+    """The error state of one frame, x = estimate - truth."""
+
+    n_states: int
+    n_channels: int
+    retract: Callable[[Nav, jax.Array], Nav]  # truth = retract(estimate, x (n,))
+    absorb: Callable[[Nav, Drive], Nav]  # a constant model error becomes sensor bias
+    covariance: Callable[..., jax.Array]  # (prior, nav) -> P (n, n)
+    discretize: Callable[..., Any]  # (noise, point: Path of one point, T, Drive) -> Phi (n, n), Q (n, n), d (n,)
+    observe: Callable[..., Any]  # (noise, mounting, past: Nav (w, ...), fix) -> y (m,), H (m, n), R (m, m)
+
+
+class Innovation(NamedTuple):
+    """What a rule sees of a fix; the rows of missing channels are zero in nu and H, and identity in R."""
+
+    nu: jax.Array  # (m,) y - H x
+    H: jax.Array  # (m, n)
+    R: jax.Array  # (m, m)
+    P: jax.Array  # (n, n) predicted covariance
+    valid: jax.Array  # (m,) bool
+    T: jax.Array  # () s, length of this epoch
+    age: jax.Array  # (m,) s since each channel was last used
+
+
+class Correction(NamedTuple):
+    """What a rule answers."""
+
+    delta: jax.Array  # (n,) change of x
+    P: jax.Array  # (n, n) covariance after the correction
+    memory: Any  # the rule's own state
+    used: jax.Array  # (m,) bool, channels that it accepted
+    fade: Any = 1.0  # () or (n,): fade P fade is carried on to the next prediction
+    drive: Drive = REST  # a model error for the sensors to absorb
+
+
+class Rule(NamedTuple):
+    """What a paper changes. Must be finite with H = 0 and T = 0: its answer is discarded where nothing is valid."""
+
+    init: Callable[[int, int], Any]  # (n, m) -> memory
+    correct: Callable[[Any, Any, Innovation], Correction]  # (theta, memory, innovation)
+    # (theta, memory, x after the last feedback, predicted x) -> x, memory; every epoch, with a fix or without
+    extrapolate: Callable[..., Any] = lambda theta, memory, x0, x: (x, memory)
+
+
+class FilterState(NamedTuple):
+    """What the next step needs."""
+
+    past: Nav  # (w, ...) the last w samples of navigation, newest last: what delayed measurements are compared with
+    x: jax.Array  # (n,) error state that is not fed back
+    P: jax.Array  # (n, n)
+    u: Drive  # observer feedback in force
+    memory: Any  # the rule's
+    x0: jax.Array  # (n,) x after the last feedback
+    T: jax.Array  # () s since then
+    age: jax.Array  # (m,) s from each channel's last use to then
+    ok: jax.Array  # () bool: everything has been finite so far; the state is frozen from the first failure on
+
+
+class Filter(NamedTuple):
+    """Pure functions; `step` is `correct` after `predict`, which also stream sample by sample."""
+
+    init: Callable[[Params, Nav], FilterState]
+    predict: Callable[[Params, FilterState, Imu], FilterState]
+    correct: Callable[[Params, FilterState, Fix], tuple[FilterState, Info]]
+    step: Callable[[Params, FilterState, Epoch], tuple[FilterState, Info]]
+    model: ErrorModel
+
+
+def idle(z: Innovation, memory: Any) -> Correction:
+    """The correction that changes nothing."""
+    return Correction(jnp.zeros(z.P.shape[0]), z.P, memory, jnp.zeros_like(z.valid))
+
+
+def select(flag: jax.Array, a: Any, b: Any) -> Any:
+    """``a`` where the scalar flag is true, else ``b``, leaf by leaf."""
+    return jax.tree.map(partial(jnp.where, flag), a, b)
+
+
+def masked(y: jax.Array, H: jax.Array, R: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Make missing channels exact no-ops: zero residual and row of H, identity in R."""
+    both = valid[:, None] & valid
+    return jnp.where(valid, y, 0.0), jnp.where(valid[:, None], H, 0.0), jnp.where(both, R, jnp.eye(valid.shape[0]))
+
+
+def thin(path: Path, dt: jax.Array, stride: int) -> tuple[Path, jax.Array]:
+    """Time-weighted means of the path over blocks of ``stride`` samples, and the blocks' lengths.
+
+    Padding weighs nothing. The inputs of the error dynamics are averaged, and the dynamics built once per block.
+    """
+    if dt.size % stride:
+        raise ValueError(f"cov_stride must divide the samples of an epoch, got {stride} and {dt.size}")
+    dt = dt.reshape(-1, stride)
+    T = dt.sum(1)
+    some = T[:, None] > 0
+    w = jnp.where(some, dt / jnp.where(some, T[:, None], 1.0), 1.0 / stride)
+    return jax.tree.map(lambda a: jnp.einsum("bs,bs...->b...", w, a.reshape(w.shape + a.shape[1:])), path), T
+
+
+def shift(past: Nav, path: Nav, dt: jax.Array) -> Nav:
+    """The last w real samples of ``past`` (w, ...) followed by ``path`` (k, ...), whose padding is at its end."""
+    n = jnp.sum(dt > 0)
+    w = past.t.shape[0]
+    both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), past, path)
+    return jax.tree.map(lambda a: lax.dynamic_slice_in_dim(a, n, w), both)
+
+
+@cache
+def make_filter(
+    propagate: Callable, model: ErrorModel, rule: Rule, feedback: Callable, cov_stride: int = 1, history: int = 2
+) -> Filter:
+    """Compose a filter.
+
+    ``cov_stride``: the covariance moves every so many IMU samples (navigation moves at every sample); 10 instead of 1
+    costs millimetres at 100 Hz. ``history``: how many samples of navigation are kept for measurements that are older
+    than the end of the epoch; cover the largest latency, beyond it the oldest two are extended in a straight line.
+    """
+    if history < 2:
+        raise ValueError(f"history must be at least 2 samples, got {history}")
+
+    def init(params: Params, nav: Nav) -> FilterState:
+        x = jnp.zeros(model.n_states)
+        past = jax.tree.map(lambda a: jnp.broadcast_to(a, (history, *jnp.shape(a))), nav)
+        memory = rule.init(model.n_states, model.n_channels)
+        P = model.covariance(params.prior, nav)
+        zeros = jax.tree.map(jnp.asarray, REST)
+        return FilterState(past, x, P, zeros, memory, x, jnp.zeros(()), jnp.zeros(model.n_channels), jnp.array(True))
+
+    def predict(params: Params, state: FilterState, imu: Imu) -> FilterState:
+        nav = jax.tree.map(lambda a: a[-1], state.past)
+        nav, path = propagate(nav, state.u, imu)
+        points, T = thin(path, imu.dt, cov_stride)
+        blocks = jax.vmap(model.discretize, (None, 0, 0, None))(params.noise, points, T, state.u)
+
+        def block(xP, b):
+            (x, P), (Phi, Q, d) = xP, b
+            return (Phi @ x + d, Phi @ P @ Phi.T + Q), None
+
+        (x, P), _ = lax.scan(block, (state.x, state.P), blocks)
+        return state._replace(past=shift(state.past, path.nav, imu.dt), x=x, P=P, T=state.T + imu.dt.sum())
+
+    def correct(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info]:
+        nav, age = jax.tree.map(lambda a: a[-1], state.past), state.age + state.T
+        x, memory = rule.extrapolate(params.rule, state.memory, state.x0, state.x)
+        y, H, R = masked(*model.observe(params.noise, params.mounting, state.past, fix), fix.valid)
+        z = Innovation(y - H @ x, H, R, state.P, fix.valid, state.T, age)
+        c = select(fix.valid.any(), rule.correct(params.rule, memory, z), idle(z, memory))
+        x = x + c.delta
+        S = H @ state.P @ H.T + R
+        nis = z.nu @ jnp.linalg.solve(S, z.nu)
+        feed = partial(feedback, params.feedback, model.retract)
+        after, x_after, u = jax.vmap(feed, (0, None, None), (0, None, None))(
+            jax.vmap(model.absorb, (0, None))(state.past, c.drive), x, state.T
+        )
+        f = jnp.broadcast_to(c.fade, x.shape)
+        age = jnp.where(c.used, 0.0, age)
+        new = FilterState(
+            after, x_after, f[:, None] * c.P * f, u, c.memory, x_after, jnp.zeros(()), age, jnp.array(True)
+        )
+        ok = state.ok & finite(new) & jnp.all(jnp.diag(c.P) >= 0)
+        return new._replace(ok=ok), Info(model.retract(nav, x), c.P, x, z.nu, S, c.used, nis, ok)
+
+    def step(params: Params, state: FilterState, epoch: Epoch) -> tuple[FilterState, Info]:
+        new, info = correct(params, predict(params, state, epoch.imu), epoch.fix)
+        # a run that fails freezes at its last good state, so that the others of a batch go on and nothing is nan
+        frozen = state._replace(ok=jnp.array(False))
+        nav = jax.tree.map(lambda a: a[-1], state.past)
+        still = Info(
+            nav, state.P, state.x, jnp.zeros_like(info.nu), jnp.eye(model.n_channels), jnp.zeros_like(info.used),
+            jnp.zeros(()), info.ok,
+        )  # fmt: skip
+        return select(info.ok, new, frozen), select(info.ok, info, still)
+
+    return Filter(init, predict, correct, step, model)
+
+
+def finite(tree: Any) -> jax.Array:
+    """() bool: every leaf is finite."""
+    return jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree)]).all()

@@ -1,0 +1,47 @@
+"""What is done with the corrected error state: (theta, retract, nav, x, T) -> nav, x, u."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav.error_models.states import A, P, V
+from jaxnav.filters.core import REST
+from jaxnav.types import Drive
+
+
+def _rest() -> Drive:
+    return jax.tree.map(jnp.asarray, REST)
+
+
+def reset(theta, retract, nav, x, T):
+    """Closed loop: the error is removed from navigation and its estimate starts again from zero."""
+    return retract(nav, x), jnp.zeros_like(x), _rest()
+
+
+def open_loop(theta, retract, nav, x, T):
+    """Navigation runs free and the filter carries the whole error: only while that stays small enough to be linear."""
+    return nav, x, _rest()
+
+
+class Poles(NamedTuple):
+    """Time constants of the observer."""
+
+    attitude: jax.Array  # () s
+    position: jax.Array  # () s, both poles of position and velocity
+
+
+def observer(theta: Poles, retract, nav, x, T):
+    """Continuous correction (FWEKF paper, eqs. 17-20): rates and accelerations drive the error to zero.
+
+    The paper's gains 1/tau, 1/tau^2, 2/tau are for continuous time and unstable for T >= tau; these put the poles of
+    the sampled system at exp(-T/tau), whatever T, and tend to the paper's for T << tau. Biases are reset, having no
+    drive of their own.
+    """
+    T = jnp.where(T > 0, T, 1.0)
+    spin = -jnp.expm1(-T / theta.attitude) / T
+    rho = jnp.exp(-T / theta.position)
+    stiffness, damping = (1 - rho) ** 2 / T**2, (3 - 2 * rho - rho**2) / (2 * T)
+    u = Drive(-spin * x[A], -stiffness * x[P] - damping * x[V])
+    biases = jnp.where(jnp.arange(x.size) >= 9, x, 0.0)
+    return retract(nav, biases), x - biases, u

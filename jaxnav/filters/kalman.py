@@ -1,0 +1,18 @@
+"""The Kalman filter's rule: with the error models of this package, an extended Kalman filter."""
+
+from functools import cache
+
+from jaxnav import linalg
+from jaxnav.filters.core import Correction, Innovation, Rule
+
+
+def correct(theta, memory, z: Innovation) -> Correction:
+    """Optimal gain, Joseph form; no parameters of its own."""
+    K = linalg.gain(z.P, z.H, z.H @ z.P @ z.H.T + z.R)
+    return Correction(K @ z.nu, linalg.joseph(z.P, K, z.H, z.R), memory, z.valid)
+
+
+@cache
+def kalman() -> Rule:
+    """Without memory."""
+    return Rule(lambda n, m: (), correct)

@@ -1,0 +1,43 @@
+"""The small linear algebra that every filter shares."""
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_factor, cho_solve
+
+
+def gain(P: jax.Array, H: jax.Array, S: jax.Array) -> jax.Array:
+    """Kalman gain P H' S^-1, (n, m), by Cholesky of S; nan where S is not positive definite."""
+    return cho_solve(cho_factor(S, lower=True), H @ P).T
+
+
+def joseph(P: jax.Array, K: jax.Array, H: jax.Array, R: jax.Array) -> jax.Array:
+    """Covariance after a correction with any gain K, (I - K H) P (I - K H)' + K R K', kept symmetric.
+
+    The short form (I - K H) P loses definiteness to rounding (and is only right for the optimal gain).
+    """
+    A = jnp.eye(P.shape[0], dtype=P.dtype) - K @ H
+    P = A @ P @ A.T + K @ R @ K.T
+    return 0.5 * (P + P.T)
+
+
+def discretize(F: jax.Array, G: jax.Array, b: jax.Array, T: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """x' = F x + b + noise of PSD G over T seconds -> Phi, Q, d with x(T) = Phi x + d + noise of covariance Q.
+
+    Phi to second order in F T, d to third, Q by the trapezoid T/2 (Phi G Phi' + G), which is positive semidefinite
+    whatever T.
+    """
+    FT = F * T
+    eye = jnp.eye(F.shape[0], dtype=F.dtype)
+    Phi = eye + FT + 0.5 * FT @ FT
+    Fb = FT @ b
+    d = T * (b + Fb / 2 + FT @ Fb / 6)
+    return Phi, 0.5 * T * (Phi @ G @ Phi.T + G), d
+
+
+def assemble(blocks: dict[tuple[slice, slice], jax.Array], n: int) -> jax.Array:
+    """A (n, n) matrix from 3x3 blocks at named slices; zero elsewhere. Blocks beyond n are left out."""
+    M = jnp.zeros((n, n))
+    for (row, column), block in blocks.items():
+        if row.stop <= n and column.stop <= n:
+            M = M.at[row, column].set(block)
+    return M

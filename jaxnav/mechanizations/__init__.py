@@ -1,0 +1,1 @@
+"""Mechanizations: ``propagate(nav, u, imu) -> nav, path``, one module per frame."""

@@ -1,0 +1,73 @@
+"""Strapdown navigation in the local level frame: ENU axes, geodetic position (GPID paper, section 3; Savage 1998).
+
+    C' = C [w_ib x] - [(w_ie + w_en) x] C
+    v' = C f - (2 w_ie + w_en) x v + g
+    lat' = v_N / (R_M + h),  lon' = v_E / ((R_N + h) cos lat),  h' = v_U
+
+Second order in the sample time. Not for the poles, where longitude and the transport rate are singular.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxnav import earth, rotations
+from jaxnav.mechanizations.increments import increments
+from jaxnav.types import Drive, Imu, Nav, Path
+
+
+def propagate(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
+    """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, zero without one.
+
+    ``pos`` is (lat rad, lon rad, h m), ``vel`` is ENU m/s, ``q`` takes body FRD to ENU. A sample of dt = 0 changes
+    nothing.
+    """
+    inc = increments(nav, imu)
+    spin, push = jnp.asarray(u.omega), jnp.asarray(u.accel)
+
+    def sample(carry, x):
+        q, v, (lat, lon, h) = carry
+        dt, theta, dv_b = x
+        s, c = jnp.sin(lat), jnp.cos(lat)
+        w2 = 1 - earth.E2 * s * s
+        root = jnp.sqrt(w2)
+        prime = earth.A / root
+        east_radius, north_radius = prime + h, prime * (1 - earth.E2) / w2 + h
+        g = earth.GE * (1 + earth.SOMIGLIANA * s * s) / root * (1 - 2 * h / earth.A)
+        w_ie = earth.RATE * jnp.stack([jnp.zeros_like(s), c, s])
+        down = jnp.stack([jnp.zeros_like(g), jnp.zeros_like(g), -g])
+
+        def transport(v):
+            rate = v[0] / east_radius
+            return jnp.stack([-v[1] / north_radius, rate, rate * s / c])
+
+        thrust = rotations.to_dcm(q) @ dv_b
+        mid = v + 0.5 * (thrust + dt * (down - jnp.cross(2 * w_ie + transport(v), v)))  # velocity half-way
+        w_en = transport(mid)
+        turn = (w_ie + w_en) * dt  # how far ENU turns under the vehicle
+        dv = (
+            thrust
+            - 0.5 * jnp.cross(turn, thrust)
+            + dt * (down - jnp.cross(2 * w_ie + w_en, mid) + push)
+        )
+        mean = v + 0.5 * dv
+        dlat = mean[1] * dt / (north_radius + 0.5 * mean[2] * dt)
+        dlon = mean[0] * dt / ((east_radius + 0.5 * mean[2] * dt) * (c - 0.5 * s * dlat))
+        pos = jnp.stack([lat + dlat, lon + dlon, h + mean[2] * dt])
+        q = rotations.normalize(
+            rotations.multiply(rotations.exp(spin * dt - turn), rotations.multiply(q, rotations.exp(theta)))
+        )
+        out = (q, v + dv, pos)
+        return out, out
+
+    start = (nav.q, nav.vel, nav.pos)
+    _, (q, vel, pos) = lax.scan(sample, start, (inc.dt, inc.theta, inc.dv))
+    k = imu.dt.shape[0]
+    path = Nav(
+        nav.t + jnp.cumsum(inc.dt), pos, vel, q,
+        jnp.broadcast_to(nav.b_g, (k, 3)), jnp.broadcast_to(nav.b_a, (k, 3)), inc.omega, inc.force,
+    )  # fmt: skip
+    before = jnp.concatenate([nav.q[None], q[:-1]])
+    C = 0.5 * (jax.vmap(rotations.to_dcm)(before) + jax.vmap(rotations.to_dcm)(q))
+    force = jax.vmap(jnp.matmul)(C, inc.force)
+    return jax.tree.map(lambda a: a[-1], path), Path(path, C, force)

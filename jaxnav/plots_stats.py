@@ -1,0 +1,223 @@
+"""Figures over windows, methods and tuning steps: outage drift, its growth, error distribution, tuning history.
+
+Same rules as `jaxnav.plots`, which also has `save`: host numpy arrays in, a Figure out. A dict gives one curve a name,
+in its order; nan is a missing value.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxnav.plots import BLACK, BLUE, COLORS, GREEN, VERMILION, Array, dress, figure, legend, panels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DASHES = ("-", "--", "-.", ":")  # for more methods than colours, and for grey print
+
+
+def _known(name: str, errors: Mapping[str, Array]) -> dict[str, Array]:
+    """The finite values of each curve, or an error that names a curve without any."""
+    known = {k: np.asarray(v, float).ravel() for k, v in errors.items()}
+    known = {k: v[np.isfinite(v)] for k, v in known.items()}
+    empty = [k for k, v in known.items() if not v.size]
+    if empty or not known:
+        raise ValueError(f"{name} has no finite value in {', '.join(map(repr, empty)) or 'any curve'}")
+    return known
+
+
+def _style(i: int) -> dict[str, Any]:
+    return {"color": COLORS[i % len(COLORS)], "linestyle": DASHES[(i // len(COLORS) + i) % len(DASHES)]}
+
+
+def _log(ax: "Axes", which: str, values: Array, least: float) -> bool:
+    """Make the axis ``which`` log, with plain numbers on it, if the values are positive and spread over ``least``."""
+    from matplotlib import ticker
+
+    values = values[np.isfinite(values)]
+    if not values.size or values.min() <= 0.0 or values.max() <= least * values.min():
+        return False
+    ratio = float(values.max() / values.min())
+    ax.set(**{f"{which}scale": "log"})
+    axis = ax.xaxis if which == "x" else ax.yaxis
+    if ratio < 8.0:
+        axis.set_major_locator(ticker.MaxNLocator(4, steps=[1, 2, 5, 10]))
+    else:
+        axis.set_major_locator(ticker.LogLocator(subs=(1.0,) if ratio > 300.0 else (1.0, 2.0, 5.0), numticks=7))
+    axis.set_major_formatter(ticker.FuncFormatter(lambda v, _: f"{v:g}"))
+    axis.set_minor_formatter(ticker.NullFormatter())
+    return True
+
+
+def _steps(ax: "Axes", values: Array, label: str, style: dict[str, Any]) -> None:
+    """The share of values at or below x, in percent."""
+    x = np.sort(values)
+    share = 100.0 * np.arange(x.size + 1) / x.size
+    ax.plot(np.concatenate([x[:1], x]), share, drawstyle="steps-post", linewidth=1.4, label=label, **style)
+
+
+def outage_drift(drift: Mapping[str, Array], labels: Mapping[str, str] | None = None) -> "Figure":
+    """Horizontal errors (W,) m at the end of each outage window, by method; ``labels`` renames methods.
+
+    Left the share of windows below x. Right, of two methods, one point a window (they must come in the same order);
+    otherwise a box for each method.
+    """
+    known = _known("drift", drift)
+    labels = {k: (labels or {}).get(k, k) for k in known}
+    fig = figure(10.0, 4.8)
+    left, right = fig.subplots(1, 2)
+    dress(left, "", "Horizontal error at the end of the outage (m)", "Share of windows below (%)")
+    for i, (name, v) in enumerate(known.items()):
+        summary = f"RMS {np.sqrt(np.mean(v**2)):.3g} m, median {np.median(v):.3g} m, {v.size} windows"
+        _steps(left, v, f"{labels[name]}: {summary}", _style(i))
+    left.set_ylim(0.0, 102.0)
+    if not _log(left, "x", np.concatenate(list(known.values())), 10.0):
+        left.set_xlim(left=0.0)
+    if len(known) == 2:
+        _paired(right, [np.asarray(drift[k], float) for k in known], list(labels.values()))
+    else:
+        _boxes(right, list(known.values()), list(labels.values()))
+    legend(fig, 1 if len(known) < 4 else 2)
+    return fig
+
+
+def _paired(ax: "Axes", pair: Sequence[Array], names: Sequence[str]) -> None:
+    before, after = pair
+    if before.shape != after.shape:
+        raise ValueError(f"drift of two methods must be over the same windows, got {before.shape} and {after.shape}")
+    both = np.isfinite(before) & np.isfinite(after)
+    title = f"{names[1]} is smaller in {int((after < before)[both].sum())} of {int(both.sum())} windows"
+    dress(ax, title, f"{names[0]} (m)", f"{names[1]} (m)")
+    ax.set_aspect("equal")
+    ax.plot(before[both], after[both], "o", color=BLUE, alpha=0.6, markersize=5, markeredgewidth=0)
+    shown = np.concatenate([before[both], after[both]])
+    log = _log(ax, "x", shown, 10.0) and _log(ax, "y", shown, 10.0)
+    lo, hi = (shown.min() / 1.3, shown.max() * 1.3) if log else (0.0, 1.08 * shown.max() or 1.0)
+    ax.plot([lo, hi], [lo, hi], color=BLACK, linewidth=0.9, linestyle="--", label="equal")
+    ax.set_xlim(lo, hi)
+    ax.set_ylim(lo, hi)
+
+
+def _boxes(ax: "Axes", values: Sequence[Array], names: Sequence[str]) -> None:
+    dress(ax, "box: quartiles and median; whiskers: 5 to 95 %", "", "Horizontal error (m)")
+    parts = ax.boxplot(list(values), whis=(5, 95), widths=0.5, showfliers=False, patch_artist=True)
+    for i, (box, median) in enumerate(zip(parts["boxes"], parts["medians"])):
+        box.set(facecolor=COLORS[i % len(COLORS)], alpha=0.35)
+        median.set(color=BLACK, linewidth=1.4)
+    for i, v in enumerate(values):
+        x = i + 1 + 0.36 * (np.arange(v.size) / max(1, v.size - 1) - 0.5)
+        ax.plot(x, v, ".", color=COLORS[i % len(COLORS)], markersize=4, alpha=0.7, markeredgewidth=0)
+    crowded = len(names) * max(map(len, names)) > 45
+    ax.set_xticks(range(1, len(names) + 1), names, rotation=25 if crowded else 0, ha="right" if crowded else "center")
+    ax.grid(False, axis="x")
+    if not _log(ax, "y", np.concatenate(list(values)), 10.0):
+        ax.set_ylim(bottom=0.0)
+
+
+def drift_growth(tau: Array, curves: Mapping[str, Array]) -> "Figure":
+    """Horizontal error (W, T) m of each window at tau (T,) s after the last fix: median and 5-95 % band by method."""
+    tau = np.asarray(tau, float)
+    fig = figure(7.5, 4.8)
+    ax = fig.subplots()
+    dress(ax, "", "Time since the last fix (s)", "Horizontal error (m)")
+    for i, (name, curve) in enumerate(curves.items()):
+        curve = np.asarray(curve, float)
+        if curve.ndim != 2 or curve.shape[1] != tau.size:
+            raise ValueError(f"curves[{name!r}] must be (W, {tau.size}), got {curve.shape}")
+        some = np.isfinite(curve).any(axis=0)
+        low, median, high = np.full((3, tau.size), np.nan)
+        low[some], median[some], high[some] = np.nanquantile(curve[:, some], (0.05, 0.5, 0.95), axis=0)
+        ax.fill_between(tau, low, high, color=COLORS[i % len(COLORS)], alpha=0.18, linewidth=0)
+        ax.plot(tau, median, linewidth=1.6, label=f"{name} ({curve.shape[0]} windows)", **_style(i))
+    ax.plot([], [], color="0.5", alpha=0.4, linewidth=7, label="5 to 95 % of windows (line: median)")
+    ax.set_xlim(tau.min(), tau.max())
+    ax.set_ylim(bottom=0.0)
+    legend(fig, 2)
+    return fig
+
+
+def cdf(errors: Mapping[str, Array]) -> "Figure":
+    """Distribution of horizontal errors (N,) m by method, with CEP50 (half are below) and R95 (95 % are below)."""
+    known = _known("errors", errors)
+    fig = figure(7.5, 4.8)
+    ax = fig.subplots()
+    dress(ax, "", "Horizontal error (m)", "Share of errors below (%)")
+    for i, (name, v) in enumerate(known.items()):
+        cep, r95 = np.quantile(v, (0.5, 0.95))
+        _steps(ax, v, f"{name}: CEP50 {cep:.3g} m, R95 {r95:.3g} m", _style(i))
+        ax.plot([cep], [50.0], "o", color=COLORS[i % len(COLORS)], markersize=6)
+        ax.plot([r95], [95.0], "s", color=COLORS[i % len(COLORS)], markersize=6)
+    ax.plot([], [], "o", color="0.4", label="CEP50")
+    ax.plot([], [], "s", color="0.4", label="R95")
+    for share in (50.0, 95.0):
+        ax.axhline(share, color="0.5", linewidth=0.8, linestyle=":")
+    ax.set_yticks([0.0, 25.0, 50.0, 75.0, 95.0])
+    ax.set_ylim(0.0, 102.0)
+    everything = np.concatenate(list(known.values()))
+    if not _log(ax, "x", np.quantile(everything, (0.02, 0.98)), 10.0):
+        ax.set_xlim(left=0.0)
+    legend(fig, 2)
+    return fig
+
+
+def _column(history: Sequence[Mapping[str, Any]], key: str) -> Array:
+    """One number a step, nan where the key is missing or None."""
+    return np.array([np.nan if row.get(key) is None else float(row[key]) for row in history])
+
+
+def tuning(history: Sequence[Mapping[str, Any]], truth: Mapping[str, Any] | None = None) -> "Figure":
+    """Loss, gradient norm and every parameter against the step; ``truth`` gives true values by name of parameter.
+
+    A row of history has step, loss, grad_norm, params (name -> number or array, the unit in the name) and may have
+    validation. Best is the step of the least validation loss, or of the least loss where there is no validation.
+    """
+    if not history:
+        raise ValueError("history is empty")
+    step, loss, held_out = (_column(history, key) for key in ("step", "loss", "validation"))
+    gradient = _column(history, "grad_norm")
+    score = held_out if np.isfinite(held_out).any() else loss
+    best = int(np.nanargmin(score)) if np.isfinite(score).any() else None
+    names = list(history[0]["params"])
+    rows = -(-len(names) // 4)
+    fig = figure(11.0, 3.6 + 1.9 * rows)
+    top, bottom = fig.subfigures(2, 1, height_ratios=(2.6, 1.9 * rows)) if rows else (fig, None)
+    losses, gradients = top.subplots(1, 2, sharex=True)
+    dress(losses, "", "Step", "Loss (–)")
+    losses.plot(step, loss, color=BLUE, linewidth=1.2, label="training loss")
+    if np.isfinite(held_out).any():
+        seen = np.isfinite(held_out)
+        losses.plot(step[seen], held_out[seen], ".-", color=VERMILION, linewidth=1.2, label="validation loss")
+    _log(losses, "y", np.concatenate([loss, held_out]), 30.0)
+    dress(gradients, "", "Step", "Gradient norm (–)")
+    gradients.plot(step, np.where(gradient > 0.0, gradient, np.nan), color=BLUE, linewidth=1.2)
+    gradients.set_yscale("log")
+    grid = [losses, gradients]
+    if bottom is not None:
+        small = panels(bottom, len(names), 4, "Step")
+        for ax, name in zip(small, names):
+            values = np.array([np.asarray(row["params"][name], float).ravel() for row in history])
+            true = None if truth is None or name not in truth else np.asarray(truth[name], float).ravel()
+            _parameter(ax, name, step, values, true, best)
+        grid += small
+    for ax in grid:
+        if best is not None:
+            ax.axvline(step[best], color="0.5", linewidth=0.9, linestyle=":", label="best step")
+    legend(fig)
+    return fig
+
+
+def _parameter(ax: "Axes", name: str, step: Array, values: Array, truth: Array | None, best: int | None) -> None:
+    """One parameter, (steps, components)."""
+    ax.set_title(name, fontsize=8.5)
+    everything = values if truth is None else np.concatenate([values.ravel(), truth])
+    for i, v in enumerate(values.T):
+        ax.plot(step, v, color=COLORS[i % len(COLORS)], linewidth=1.2)
+        ax.plot(step[:1], v[:1], "o", color=BLACK, markerfacecolor="white", markersize=4.5, label="start")
+        if best is not None:
+            ax.plot(step[best], v[best], "*", color=VERMILION, markersize=8, label="best")
+    for i, v in enumerate([] if truth is None else truth):
+        color = GREEN if len(truth) == 1 else COLORS[i % len(COLORS)]
+        ax.axhline(v, color=color, linewidth=1.1, linestyle="--", label="true value")
+    _log(ax, "y", everything, 1.5)

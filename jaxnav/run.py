@@ -1,0 +1,71 @@
+"""Run a filter over epochs: one nested scan, pure, to be jitted, vmapped and differentiated."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxnav import rotations
+from jaxnav.errors import DataError
+from jaxnav.filters.core import Filter
+from jaxnav.types import Epoch, Info, Nav, Params, Track
+
+
+def enable_x64() -> None:
+    """Switch jax to float64 for the whole process; importing jaxnav changes no flag of jax."""
+    jax.config.update("jax_enable_x64", True)
+
+
+def require_x64(*trees: Any) -> None:
+    """Refuse float32: latitude in float32 steps by 0.4 m.
+
+    Raises:
+        DataError: some leaf is a float of less than 64 bits.
+    """
+    for leaf in jax.tree.leaves(trees):
+        dtype = jnp.result_type(leaf)
+        if jnp.issubdtype(dtype, jnp.floating) and dtype != jnp.float64:
+            raise DataError(f"positions need float64, got {dtype}: call jaxnav.enable_x64() before anything else")
+
+
+def run(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info:
+    """Filter all epochs (fields (E, ...)) from ``nav``; Info has a leading axis E.
+
+    Rematerialised per epoch: a gradient keeps one state an epoch instead of every sample's.
+
+    Raises:
+        DataError: float32 input (at trace time).
+    """
+    require_x64(nav.pos, epochs.imu)
+    step = jax.checkpoint(partial(filt.step, params))
+    return lax.scan(step, filt.init(params, nav), epochs)[1]
+
+
+run_jit = jax.jit(run, static_argnums=0)
+"""`run`, compiled once for a filter and shapes."""
+
+
+def initial_nav(lla: Any, vel: Any = (0.0, 0.0, 0.0), rph: Any = (0.0, 0.0, 0.0), t: float = 0.0) -> Nav:
+    """Local level start: (lat rad, lon rad, h m), ENU m/s, roll pitch heading rad, s; biases zero."""
+    lla, vel, rph = (jnp.asarray(v, float) for v in (lla, vel, rph))
+    q = rotations.from_dcm(rotations.from_rph(rph))
+    zero = jnp.zeros(3)
+    return Nav(jnp.asarray(t, float), lla, vel, q, zero, zero, zero, zero)
+
+
+def track(nav: Nav) -> Track:
+    """A local level solution (E, ...) on the host."""
+    rph = jax.vmap(lambda q: rotations.to_rph(rotations.to_dcm(q)))(nav.q)
+    return Track(*(np.asarray(a) for a in (nav.t, nav.pos, nav.vel, rph)))
+
+
+def first_failure(info: Info, t: np.ndarray) -> str | None:
+    """Where a run stopped being finite, in words, or None; ``t`` (E,) are the epochs' times."""
+    ok = np.asarray(info.ok)
+    if ok.all():
+        return None
+    i = int(np.argmin(ok))
+    return f"the filter stopped being finite at t = {t[i]:.3f} s (epoch {i} of {ok.size})"

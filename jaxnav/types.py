@@ -1,0 +1,182 @@
+"""The data of the package: NamedTuples with shape, unit and frame on every field, no logic.
+
+Two kinds. *Traced* types hold jax arrays and flow through jit, vmap and grad (`Imu`, `Fix`, `Epoch`, `Nav`,
+`Noise`, `Mounting`, `Prior`, `Params`, `Info`). *Host* types hold numpy arrays and are what readers return
+(`ImuLog`, `Samples`, `Track`, `Recording`); `jaxnav.epochs.pack` turns them into epochs.
+
+Frames: ``n`` local level ENU, ``b`` body FRD (forward, right, down). A specific force at rest is (0, 0, -g) in b.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+# ---------------------------------------------------------------------------- traced: what a filter consumes
+
+
+class Imu(NamedTuple):
+    """IMU samples: means over each sample's interval, which is increments divided by dt. Leading axis k or none."""
+
+    dt: jax.Array  # (k,) s; 0 marks padding
+    gyro: jax.Array  # (k, 3) rad/s, body FRD with respect to inertial space
+    accel: jax.Array  # (k, 3) m/s^2, specific force, body FRD
+
+
+class Fix(NamedTuple):
+    """Measurements at the end of one epoch, all channels side by side in the order the error model was made with.
+
+    Always finite, ``sd > 0``; a missing channel is ``valid = False`` with any finite value.
+    """
+
+    value: jax.Array  # (m,) rad, m, m/s, rad/s: see `jaxnav.measurements`
+    sd: jax.Array  # (m,) standard deviation: ENU m or m/s for GNSS
+    corr: jax.Array  # (m,) correlation of channel i with the next channel of its block of three (cyclic: EN, NU, UE)
+    valid: jax.Array  # (m,) bool
+
+
+class Epoch(NamedTuple):
+    """IMU samples since the last fix, and the fix that ends them."""
+
+    imu: Imu  # (k, ...)
+    fix: Fix  # (m,)
+
+
+class Nav(NamedTuple):
+    """Navigation state; one type for every mechanization, which says what ``pos``, ``vel`` and ``q`` mean.
+
+    Local level: pos = (lat rad, lon rad, h m), vel ENU m/s, q body -> ENU.
+    """
+
+    t: jax.Array  # () s since the start of the run
+    pos: jax.Array  # (3,) units of the frame
+    vel: jax.Array  # (3,) m/s
+    q: jax.Array  # (4,) unit quaternion, scalar first, body -> axes of the frame
+    b_g: jax.Array  # (3,) rad/s, gyro bias, body: what is subtracted from the gyro
+    b_a: jax.Array  # (3,) m/s^2, accelerometer bias, body
+    omega: jax.Array  # (3,) rad/s, last bias-free body rate
+    force: jax.Array  # (3,) m/s^2, last bias-free specific force, body
+
+
+class Path(NamedTuple):
+    """What a mechanization did over its samples, for the error dynamics and for measurements inside the epoch."""
+
+    nav: Nav  # (k, ...) after each sample
+    C: jax.Array  # (k, 3, 3) body -> axes of the frame, at the sample's middle
+    force: jax.Array  # (k, 3) m/s^2, mean specific force in the axes of the frame
+
+
+class Drive(NamedTuple):
+    """A rate and an acceleration in the axes of the error state: observer feedback, or a model error to absorb."""
+
+    omega: jax.Array | np.ndarray  # (3,) rad/s
+    accel: jax.Array | np.ndarray  # (3,) m/s^2
+
+
+# ---------------------------------------------------------------------------- traced: parameters
+
+
+class Noise(NamedTuple):
+    """Noise of sensors and measurements; every leaf broadcasts to its axes, so a scalar means all axes alike."""
+
+    gyro: jax.Array  # () or (3,) rad/s/sqrt(Hz), angular random walk (root PSD), body
+    accel: jax.Array  # () or (3,) m/s^2/sqrt(Hz), velocity random walk (root PSD), body
+    gyro_bias: jax.Array  # () or (3,) rad/s/sqrt(s), root PSD that drives the gyro bias
+    accel_bias: jax.Array  # () or (3,) m/s^2/sqrt(s)
+    gyro_tau: jax.Array  # () or (3,) s, Gauss-Markov time of the gyro bias; inf is a random walk
+    accel_tau: jax.Array  # () or (3,) s
+    position_scale: jax.Array  # () or (3,) factor on the fix's own position sd, ENU
+    velocity_scale: jax.Array  # () or (3,) factor on the fix's own velocity sd, ENU
+    zero_velocity: jax.Array  # () m/s, sd of a zero-velocity update
+    zero_rate: jax.Array  # () rad/s, sd of a zero-rate update
+    nonholonomic: jax.Array  # () or (2,) m/s, sd of lateral and vertical velocity of the vehicle
+    speed: jax.Array  # () factor on the wheel speed's own sd
+
+
+class Mounting(NamedTuple):
+    """Geometry and timing of the installation: tunable like any other parameter."""
+
+    lever_arm: jax.Array  # (3,) m, IMU -> GNSS antenna, body FRD
+    time_offset: jax.Array  # () s, GNSS time = IMU stamp + time_offset
+    position_latency: jax.Array  # () s, age of the position when it is stamped
+    velocity_latency: jax.Array  # () s, age of the velocity when it is stamped
+    vehicle: jax.Array  # (2,) rad, pitch and yaw of the vehicle's axes in the body's: its nose is not the IMU's
+    wheel_arm: jax.Array  # (3,) m, IMU -> point where nonholonomic and wheel speed hold, body FRD
+    speed_scale: jax.Array  # () wheel speed scale error; 0 is none
+
+
+class Prior(NamedTuple):
+    """Standard deviations at the start, by name of state; each leaf broadcasts to its axes."""
+
+    position: jax.Array  # () or (3,) m, ENU
+    velocity: jax.Array  # () or (3,) m/s, ENU
+    attitude: jax.Array  # () or (3,) rad, rotation about E, N (tilts) and U (heading)
+    gyro_bias: jax.Array  # () or (3,) rad/s, body
+    accel_bias: jax.Array  # () or (3,) m/s^2, body
+
+
+class Params(NamedTuple):
+    """Everything a tuner may change, one pytree."""
+
+    noise: Noise
+    prior: Prior
+    mounting: Mounting
+    rule: Any = ()  # theta of the rule, its own NamedTuple
+    feedback: Any = ()  # theta of the feedback
+
+
+# ---------------------------------------------------------------------------- traced: what a filter returns
+
+
+class Info(NamedTuple):
+    """The corrected solution and the innovation statistics, one row an epoch."""
+
+    nav: Nav  # (E, ...) corrected: retract(nav, x), at the end of the epoch
+    P: jax.Array  # (E, n, n) covariance after the correction
+    x: jax.Array  # (E, n) error state after the correction, before feedback
+    nu: jax.Array  # (E, m) innovation, 0 on missing channels
+    S: jax.Array  # (E, m, m) its covariance; identity rows on missing channels
+    used: jax.Array  # (E, m) bool, channels the rule accepted
+    nis: jax.Array  # (E,) nu' S^-1 nu over the valid channels
+    ok: jax.Array  # (E,) bool; False from the first epoch that was not finite on: the state is frozen there
+
+
+# ---------------------------------------------------------------------------- host: what readers return
+
+
+class ImuLog(NamedTuple):
+    """A recorded or simulated IMU stream: means over (t - dt, t]."""
+
+    t: np.ndarray  # (N,) s, end of each sample's interval
+    dt: np.ndarray  # (N,) s, length of the interval
+    gyro: np.ndarray  # (N, 3) rad/s, body FRD
+    accel: np.ndarray  # (N, 3) m/s^2, specific force, body FRD
+
+
+class Samples(NamedTuple):
+    """One stream of measurements of a named kind (see `jaxnav.measurements.MEASUREMENTS`)."""
+
+    t: np.ndarray  # (K,) s, strictly increasing
+    value: np.ndarray  # (K, s)
+    sd: np.ndarray  # (K, s), > 0
+    corr: np.ndarray  # (K, s), see `Fix.corr`; zeros where the axes are independent
+
+
+class Track(NamedTuple):
+    """A trajectory on the border between host and device: truth, or a solution."""
+
+    t: np.ndarray  # (N,) s
+    lla: np.ndarray  # (N, 3) lat rad, lon rad, height m
+    vel: np.ndarray  # (N, 3) m/s, ENU
+    rph: np.ndarray  # (N, 3) rad, roll, pitch, heading of FRD against NED; nan where not known
+
+
+class Recording(NamedTuple):
+    """One drive, flight or simulated run."""
+
+    name: str
+    imu: ImuLog
+    aiding: dict[str, Samples]  # by measurement name: "position", "velocity", "speed", ...
+    truth: Track | None
+    lever_arm: np.ndarray  # (3,) m, IMU -> antenna, body FRD
+    notes: str = ""

@@ -1,0 +1,17 @@
+"""Datasheet units in SI, for the border (files, scenarios, command line, plots); inside everything is SI and radians.
+
+``0.2 * DEG_PER_SQRT_HOUR`` is an angular random walk in rad/sqrt(s); divide to go back.
+"""
+
+import math
+
+DEG = math.pi / 180.0  # rad
+HOUR = 3600.0  # s
+DEG_PER_HOUR = DEG / HOUR  # rad/s
+DEG_PER_SQRT_HOUR = DEG / math.sqrt(HOUR)  # rad/sqrt(s), a root PSD of rate
+G0 = 9.80665  # m/s^2, standard gravity: the unit g of datasheets, not the local gravity
+MG = 1e-3 * G0  # m/s^2
+UG = 1e-6 * G0  # m/s^2; UG per sqrt(Hz) is a root PSD in m/s^2/sqrt(Hz)
+MGAL = 1e-5  # m/s^2
+MPS_PER_SQRT_HOUR = 1.0 / math.sqrt(HOUR)  # m/s/sqrt(s)
+PPM = 1e-6

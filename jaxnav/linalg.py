@@ -32,12 +32,3 @@ def discretize(F: jax.Array, G: jax.Array, b: jax.Array, T: jax.Array) -> tuple[
     Fb = FT @ b
     d = T * (b + Fb / 2 + FT @ Fb / 6)
     return Phi, 0.5 * T * (Phi @ G @ Phi.T + G), d
-
-
-def assemble(blocks: dict[tuple[slice, slice], jax.Array], n: int) -> jax.Array:
-    """A (n, n) matrix from 3x3 blocks at named slices; zero elsewhere. Blocks beyond n are left out."""
-    M = jnp.zeros((n, n))
-    for (row, column), block in blocks.items():
-        if row.stop <= n and column.stop <= n:
-            M = M.at[row, column].set(block)
-    return M

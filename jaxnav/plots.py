@@ -1,25 +1,24 @@
-"""Figures of one run over time: trajectory, errors, innovations, NIS and sensor biases.
+"""Figures of one run: trajectory, errors and sensor biases; and what all figures share.
 
 Host numpy arrays in, a `matplotlib.figure.Figure` out, written by `save`; no pyplot, so no display and no global
 state. Angles and biases are drawn in deg, deg/h (or deg/s) and mg, errors in the order north, east, down. Every figure
 shades the outages ``[(t0, t1), ...]``, and samples that would flatten a panel are triangles at its edge ("off scale").
-Figures over windows, methods and tuning steps are in `jaxnav.plots_stats`.
+Innovations, and figures over windows, methods and tuning steps, are in `jaxnav.plots_stats`.
 """
 
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from jaxnav import units
 from jaxnav.types import Samples, Track
 
 if TYPE_CHECKING:  # 0.8 s of import: only when something is drawn
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, FigureBase
 
 Array = np.ndarray
 Outages = Sequence[tuple[float, float]]
@@ -58,13 +57,14 @@ def dress(ax: "Axes", title: str = "", xlabel: str = "", ylabel: str = "") -> No
     ax.set_xlabel(xlabel, fontsize=9)
     ax.set_ylabel(ylabel, fontsize=9)
     ax.tick_params(labelsize=8)
+    ax.ticklabel_format(useOffset=False)
     ax.grid(True, color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
 
 
-def panels(fig: "Figure", n: int, columns: int, xlabel: str) -> "list[Axes]":
-    """n panels that share x, row by row, with the x axis labelled on the lowest panel of every column."""
+def panels(fig: "FigureBase", n: int, columns: int, xlabel: str) -> "list[Axes]":
+    """Panels, n of them, that share x, row by row, with the x axis labelled on the lowest panel of every column."""
     grid = fig.subplots(-(-n // columns), columns, squeeze=False, sharex=True).ravel()
     for spare in grid[n:]:
         spare.remove()
@@ -76,19 +76,18 @@ def panels(fig: "Figure", n: int, columns: int, xlabel: str) -> "list[Axes]":
 
 def legend(fig: "Figure", columns: int = 6) -> None:
     """One legend below the panels, each label once, so that it never covers data."""
-    entries = {}
+    entries: dict[str, Any] = {}
     for ax in fig.axes:
         for handle, label in zip(*ax.get_legend_handles_labels()):
             entries.setdefault(label, handle)
-    if entries:
-        fig.legend(
-            list(entries.values()),
-            list(entries),
-            loc="outside lower center",
-            ncols=min(columns, len(entries)),
-            fontsize=8.5,
-            frameon=False,
-        )
+    if not entries:
+        return
+    columns = min(columns, len(entries))
+    look: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "fontsize": 8.5, "frameon": False}
+    box = fig.legend(list(entries.values()), list(entries), **look)
+    for drawn in box.legend_handles:
+        if drawn is not None and getattr(drawn, "get_marker", str)() == ".":
+            drawn.set(markersize=8, alpha=1.0)  # dots are too small to tell their colour
 
 
 def time_axis(ax: "Axes", t: Array, outages: Outages) -> None:
@@ -104,23 +103,24 @@ def time_axis(ax: "Axes", t: Array, outages: Outages) -> None:
 
 
 def reach(values: Array, envelope: Array | None = None) -> float:
-    """Half the height of a panel: all of |values|, unless 0.5 % of them are over three times the rest.
+    """How far from 0 a panel must reach: all of |values|, unless 0.5 % of them are over three times the rest.
 
     The envelope is shown wherever it is usual, and at its peaks only as far as that does not flatten the values.
     """
     a = np.sort(np.abs(values[np.isfinite(values)]), axis=None)
     if not a.size:
-        return 1.0
+        return 0.0
     rest = a[-1 - max(1, a.size // 200)] if a.size >= 20 else a[-1]
     top = 1.5 * rest if a[-1] > 3.0 * rest > 0.0 else a[-1]
     if envelope is not None and np.isfinite(envelope).any():
         e = np.abs(envelope[np.isfinite(envelope)])
         top = max(top, float(np.quantile(e, 0.9)), min(float(e.max()), 2.5 * top))
-    return 1.1 * float(top) or 1.0
+    return 1.1 * float(top)
 
 
 def limit(ax: "Axes", t: Array, values: Array, lo: float, hi: float) -> None:
     """Set the y limits and put a triangle at the edge for every sample beyond them."""
+    lo, hi = (lo, hi) if hi > lo else (lo - 1.0, hi + 1.0)
     ax.set_ylim(lo, hi)
     for beyond, edge, marker in ((values > hi, hi, "^"), (values < lo, lo, "v")):
         if beyond.any():
@@ -171,10 +171,17 @@ def trajectory(
         raise ValueError("track.lla has no finite position")
     origin = track.lla[known.argmax()]
     east, north = _east_north(track.lla, origin)
-    fig = figure(7.5, 6.5)
+    curves = [np.stack([east, north])]
+    if truth is not None:
+        curves.append(np.stack(_east_north(truth.lla, origin)))
+    lo, hi = (f(np.concatenate(curves, axis=1), axis=1) for f in (np.nanmin, np.nanmax))  # a stray fix is left out
+    extent = np.maximum(hi - lo, 0.4 * max(2.0, float((hi - lo).max())))
+    fig = figure(7.5, 7.5 * float(np.clip(extent[1] / extent[0], 0.45, 1.2)) + 0.4)
     ax = fig.subplots()
     dress(ax, xlabel="East (m)", ylabel="North (m)")
-    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_aspect("equal")
+    low, high = 0.5 * (lo + hi) - 0.56 * extent, 0.5 * (lo + hi) + 0.56 * extent
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
     lost = np.zeros(t.size, bool)
     for start, end in outages:
@@ -184,20 +191,12 @@ def trajectory(
         ax.plot(x, y, color=ORANGE, alpha=0.4, linewidth=9, solid_capstyle="round", label="GNSS outage", zorder=1.5)
     if fixes is not None:
         x, y = _east_north(fixes.value, origin)
-        ax.plot(x, y, ".", color=GREEN, alpha=0.6, markersize=3.5, markeredgewidth=0, label="GNSS", zorder=2)
+        ax.plot(x, y, ".", color=GREEN, markersize=6, markeredgewidth=0, label="GNSS", zorder=2)
     ax.plot(east, north, color=BLUE, linewidth=1.3, label="estimated", zorder=3)
-    spread = [np.stack([east, north], axis=1)]
     if truth is not None:
-        x, y = _east_north(truth.lla, origin)
-        ax.plot(x, y, color=BLACK, linewidth=0.8, linestyle=(0, (5, 3)), label="truth", zorder=4)
-        spread.append(np.stack([x, y], axis=1))
+        ax.plot(*curves[1], color=BLACK, linewidth=0.8, linestyle=(0, (5, 3)), label="truth", zorder=4)
     ax.plot(east[known][:1], north[known][:1], "o", color=BLACK, markersize=5, label="start", zorder=5)
     ax.plot(east[known][-1:], north[known][-1:], "s", color=BLACK, markersize=5, label="end", zorder=5)
-
-    lo, hi = np.nanmin(np.concatenate(spread), axis=0), np.nanmax(np.concatenate(spread), axis=0)
-    margin = max(1.0, 0.06 * float((hi - lo).max()))  # a stray fix may lie outside
-    ax.set_xlim(lo[0] - margin, hi[0] + margin)
-    ax.set_ylim(lo[1] - margin, hi[1] + margin)
     legend(fig)
     return fig
 
@@ -254,92 +253,6 @@ def _error_panel(ax: "Axes", name: str, t: Array, error: Array, sd: Array) -> No
     limit(ax, t, error, -top, top)
 
 
-def innovations(
-    t: Array,
-    nu: Array,
-    S: Array,
-    valid: Array,
-    names: Sequence[str],
-    outages: Outages = (),
-    at_most: int | None = 6,
-) -> "Figure":
-    """Innovations nu (N, m) over the root of the diagonal of S (N, m, m), for the channels that are ever valid (N, m).
-
-    A consistent filter gives an RMS of 1 and 99.7 % inside +-3. ``at_most=None`` shows every channel.
-    """
-    t = times(t)
-    m = len(names)
-    nu, valid = table("nu", nu, (t.size, m)), table("valid", valid, (t.size, m)) > 0.0
-    ever = [i for i in range(m) if valid[:, i].any()]
-    shown = ever[:at_most]
-    if not shown:
-        raise ValueError(f"valid has no measurement in any of the {m} channels")
-    variance = np.diagonal(table("S", S, (t.size, m, m)), axis1=1, axis2=2)
-    columns = min(3, len(shown))
-    fig = figure(1.0 + 3.4 * columns, 0.8 + 2.2 * -(-len(shown) // columns))
-    if len(shown) < len(ever):
-        fig.suptitle(f"first {len(shown)} of {len(ever)} channels", fontsize=9)
-    for j, (ax, i) in enumerate(zip(panels(fig, len(shown), columns, "Time (s)"), shown)):
-        z = np.where(valid[:, i], nu[:, i], np.nan) / np.sqrt(variance[:, i])
-        known = z[np.isfinite(z)]
-        rms = float(np.sqrt(np.mean(known**2))) if known.size else np.nan
-        ax.set_title(f"{names[i]}: RMS {rms:.2f}, {percent(np.abs(known) <= 3.0)} inside ±3", fontsize=9)
-        if j % columns == 0:
-            ax.set_ylabel("Innovation / its sd (–)", fontsize=9)
-        for bound in (-3.0, 3.0):
-            ax.axhline(bound, color=BLACK, linewidth=0.9, linestyle="--", label="±3")
-        ax.plot(t, z, ".", color=BLUE, markersize=2.5, markeredgewidth=0, label="innovation / its sd")
-        top = max(4.0, reach(z))
-        limit(ax, t, z, -top, top)
-        time_axis(ax, t, outages)
-    legend(fig)
-    return fig
-
-
-def nis(t: Array, nis: Array, dof: Array, outages: Outages = (), window: int = 50) -> "Figure":
-    """NIS (N,) of dof (N,) channels, 0 where there is no fix, against two-sided 95 % chi-square bounds.
-
-    Below, the sum of NIS over the sum of dof of the last ``window`` fixes, with the bounds of that mean: they hold if
-    the innovations are white.
-    """
-    t = times(t)
-    nis, dof = table("nis", nis, t.shape), table("dof", dof, t.shape)
-    fix = (dof > 0.0) & np.isfinite(nis)
-    if not fix.any():
-        raise ValueError("dof is 0 (no fix) at every epoch")
-    w = max(1, min(window, int(fix.sum())))
-    fig = figure(9.0, 5.6)
-    above, below = panels(fig, 2, 1, "Time (s)")
-
-    lo, hi = (chi2.ppf(p, np.where(fix, dof, np.nan)) for p in (0.025, 0.975))
-    inside = (nis >= lo) & (nis <= hi)
-    dress(above, f"each fix: {percent(inside[fix])} inside the 95 % bounds", ylabel="NIS (–)")
-    above.set_yscale("log")
-    above.plot(t[fix], nis[fix], ".", color=BLUE, markersize=3, markeredgewidth=0, label="NIS")
-    _bounds(above, t, lo, hi)
-    bottom = 0.1 * float(np.nanmin(lo))
-    limit(above, t[fix], nis[fix], bottom, 2.0 * max(float(nis[fix].max()), float(np.nanmax(hi))))
-
-    total, freedom = (np.convolve(a[fix], np.ones(w), "valid") for a in (nis, dof))
-    mean, lo, hi = total / freedom, chi2.ppf(0.025, freedom) / freedom, chi2.ppf(0.975, freedom) / freedom
-    title = f"mean of the last {w} fixes: {percent((mean >= lo) & (mean <= hi))} inside its 95 % bounds"
-    dress(below, title, "Time (s)", "NIS / dof (–)")
-    below.axhline(1.0, color="0.6", linewidth=0.8)
-    below.plot(t[fix][w - 1 :], mean, color=VERMILION, linewidth=1.0, label="running mean of NIS / dof")
-    _bounds(below, t[fix][w - 1 :], lo, hi)
-    top = reach(np.concatenate([mean, hi]))
-    limit(below, t[fix][w - 1 :], mean, 0.0, top)
-    for ax in (above, below):
-        time_axis(ax, t, outages)
-    legend(fig)
-    return fig
-
-
-def _bounds(ax: "Axes", t: Array, lo: Array, hi: Array) -> None:
-    for bound in (lo, hi):
-        ax.plot(t, bound, color=BLACK, linewidth=0.9, linestyle="--", label="95 % chi-square bounds")
-
-
 def biases(
     t: Array,
     b_g: Array,
@@ -386,5 +299,7 @@ def _bias_panel(ax: "Axes", t: Array, bias: Array, sd: Array, truth: Array) -> N
     if np.isfinite(bias).any():
         centre = float(np.nanmedian(bias))
         both = np.concatenate([bias, truth]) - centre
-        top = reach(both, np.abs(bias - centre) + 3.0 * sd)
-        limit(ax, t, bias, centre - top, centre + top)
+        up = reach(np.maximum(both, 0.0), np.maximum(bias - centre + 3.0 * sd, 0.0))
+        down = reach(np.maximum(-both, 0.0), np.maximum(centre - bias + 3.0 * sd, 0.0))
+        margin = 0.05 * (up + down)
+        limit(ax, t, bias, centre - down - margin, centre + up + margin)

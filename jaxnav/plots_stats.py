@@ -1,4 +1,4 @@
-"""Figures over windows, methods and tuning steps: outage drift, its growth, error distribution, tuning history.
+"""Figures of statistics: innovations, NIS, outage drift and its growth, error distribution, tuning history.
 
 Same rules as `jaxnav.plots`, which also has `save`: host numpy arrays in, a Figure out. A dict gives one curve a name,
 in its order; nan is a missing value.
@@ -8,8 +8,27 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.stats import chi2
 
-from jaxnav.plots import BLACK, BLUE, COLORS, GREEN, VERMILION, Array, dress, figure, legend, panels
+from jaxnav.plots import (
+    BLACK,
+    BLUE,
+    COLORS,
+    GREEN,
+    VERMILION,
+    Array,
+    Outages,
+    dress,
+    figure,
+    legend,
+    limit,
+    panels,
+    percent,
+    reach,
+    table,
+    time_axis,
+    times,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +61,7 @@ def _log(ax: "Axes", which: str, values: Array, least: float) -> bool:
     ratio = float(values.max() / values.min())
     ax.set(**{f"{which}scale": "log"})
     axis = ax.xaxis if which == "x" else ax.yaxis
-    if ratio < 8.0:
+    if ratio < 4.0:
         axis.set_major_locator(ticker.MaxNLocator(4, steps=[1, 2, 5, 10]))
     else:
         axis.set_major_locator(ticker.LogLocator(subs=(1.0,) if ratio > 300.0 else (1.0, 2.0, 5.0), numticks=7))
@@ -51,11 +70,101 @@ def _log(ax: "Axes", which: str, values: Array, least: float) -> bool:
     return True
 
 
+def _metres(value: Any) -> str:
+    return f"{value:#.3g}".rstrip(".") + " m"
+
+
 def _steps(ax: "Axes", values: Array, label: str, style: dict[str, Any]) -> None:
     """The share of values at or below x, in percent."""
     x = np.sort(values)
     share = 100.0 * np.arange(x.size + 1) / x.size
     ax.plot(np.concatenate([x[:1], x]), share, drawstyle="steps-post", linewidth=1.4, label=label, **style)
+
+
+def innovations(
+    t: Array,
+    nu: Array,
+    S: Array,
+    valid: Array,
+    names: Sequence[str],
+    outages: Outages = (),
+    at_most: int | None = 6,
+) -> "Figure":
+    """Innovations nu (N, m) over the root of the diagonal of S (N, m, m), for the channels that are ever valid (N, m).
+
+    A consistent filter gives an RMS of 1 and 99.7 % inside +-3. ``at_most=None`` shows every channel.
+    """
+    t = times(t)
+    m = len(names)
+    nu, valid = table("nu", nu, (t.size, m)), table("valid", valid, (t.size, m)) > 0.0
+    ever = [i for i in range(m) if valid[:, i].any()]
+    shown = ever[:at_most]
+    if not shown:
+        raise ValueError(f"valid has no measurement in any of the {m} channels")
+    variance = np.diagonal(table("S", S, (t.size, m, m)), axis1=1, axis2=2)
+    columns = min(3, len(shown))
+    fig = figure(1.0 + 3.4 * columns, 0.8 + 2.2 * -(-len(shown) // columns))
+    if len(shown) < len(ever):
+        fig.suptitle(f"first {len(shown)} of {len(ever)} channels", fontsize=9)
+    for j, (ax, i) in enumerate(zip(panels(fig, len(shown), columns, "Time (s)"), shown)):
+        z = nu[:, i] / np.sqrt(np.where(valid[:, i] & (variance[:, i] > 0.0), variance[:, i], np.nan))
+        known = z[np.isfinite(z)]
+        rms = float(np.sqrt(np.mean(known**2))) if known.size else np.nan
+        ax.set_title(f"{names[i]}: RMS {rms:.2f}, {percent(np.abs(known) <= 3.0)} inside ±3", fontsize=9)
+        if j % columns == 0:
+            ax.set_ylabel("Innovation / its sd (–)", fontsize=9)
+        for bound in (-3.0, 3.0):
+            ax.axhline(bound, color=BLACK, linewidth=0.9, linestyle="--", label="±3")
+        ax.plot(t, z, ".", color=BLUE, markersize=2.5, markeredgewidth=0, label="innovation / its sd")
+        top = max(4.6, reach(z))
+        limit(ax, t, z, -top, top)
+        time_axis(ax, t, outages)
+    legend(fig)
+    return fig
+
+
+def nis(t: Array, nis: Array, dof: Array, outages: Outages = (), window: int = 50) -> "Figure":
+    """NIS (N,) of dof (N,) channels, 0 where there is no fix, against two-sided 95 % chi-square bounds.
+
+    Below, the sum of NIS over the sum of dof of the last ``window`` fixes, with the bounds of that mean: they hold if
+    the innovations are white.
+    """
+    t = times(t)
+    nis, dof = table("nis", nis, t.shape), table("dof", dof, t.shape)
+    fix = (dof > 0.0) & np.isfinite(nis)
+    if not fix.any():
+        raise ValueError("dof is 0 (no fix) at every epoch")
+    w = max(1, min(window, int(fix.sum())))
+    fig = figure(9.0, 5.6)
+    above, below = panels(fig, 2, 1, "Time (s)")
+
+    at, value, freedom = t[fix], nis[fix], dof[fix]
+    lo, hi = chi2.ppf(0.025, freedom), chi2.ppf(0.975, freedom)
+    share = percent((value >= lo) & (value <= hi))
+    dress(above, f"each fix: {share} inside the 95 % bounds", ylabel="NIS (–)")
+    above.set_yscale("log")
+    above.plot(at, value, ".", color=BLUE, markersize=3.5, markeredgewidth=0, label="NIS")
+    _bounds(above, at, lo, hi)
+    limit(above, at, value, 0.1 * float(lo.min()), 2.0 * float(max(value.max(), hi.max())))
+
+    at = at[w - 1 :]
+    total, freedom = (np.convolve(a, np.ones(w), "valid") for a in (value, freedom))
+    mean, lo, hi = total / freedom, chi2.ppf(0.025, freedom) / freedom, chi2.ppf(0.975, freedom) / freedom
+    title = f"mean of the last {w} fixes: {percent((mean >= lo) & (mean <= hi))} inside its 95 % bounds"
+    dress(below, title, "Time (s)", "NIS / dof (–)")
+    below.axhline(1.0, color="0.6", linewidth=0.8)
+    below.plot(at, mean, color=VERMILION, linewidth=1.0, label="running mean of NIS / dof")
+    _bounds(below, at, lo, hi)
+    _log(below, "y", np.concatenate([mean, lo, hi]), 1.0)
+    for ax in (above, below):
+        time_axis(ax, t, outages)
+    legend(fig)
+    return fig
+
+
+def _bounds(ax: "Axes", t: Array, lo: Array, hi: Array) -> None:
+    for bound in (lo, hi):
+        ax.plot(t, bound, color=BLACK, linewidth=0.9, linestyle="--", label="95 % chi-square bounds")
 
 
 def outage_drift(drift: Mapping[str, Array], labels: Mapping[str, str] | None = None) -> "Figure":
@@ -67,10 +176,10 @@ def outage_drift(drift: Mapping[str, Array], labels: Mapping[str, str] | None = 
     known = _known("drift", drift)
     labels = {k: (labels or {}).get(k, k) for k in known}
     fig = figure(10.0, 4.8)
-    left, right = fig.subplots(1, 2)
+    left, right = fig.subplots(1, 2, width_ratios=(1.2, 1.0))
     dress(left, "", "Horizontal error at the end of the outage (m)", "Share of windows below (%)")
     for i, (name, v) in enumerate(known.items()):
-        summary = f"RMS {np.sqrt(np.mean(v**2)):.3g} m, median {np.median(v):.3g} m, {v.size} windows"
+        summary = f"RMS {_metres(np.sqrt(np.mean(v**2)))}, median {_metres(np.median(v))}, {v.size} windows"
         _steps(left, v, f"{labels[name]}: {summary}", _style(i))
     left.set_ylim(0.0, 102.0)
     if not _log(left, "x", np.concatenate(list(known.values())), 10.0):
@@ -129,8 +238,10 @@ def drift_growth(tau: Array, curves: Mapping[str, Array]) -> "Figure":
         some = np.isfinite(curve).any(axis=0)
         low, median, high = np.full((3, tau.size), np.nan)
         low[some], median[some], high[some] = np.nanquantile(curve[:, some], (0.05, 0.5, 0.95), axis=0)
-        ax.fill_between(tau, low, high, color=COLORS[i % len(COLORS)], alpha=0.18, linewidth=0)
-        ax.plot(tau, median, linewidth=1.6, label=f"{name} ({curve.shape[0]} windows)", **_style(i))
+        ax.fill_between(tau, low, high, color=COLORS[i % len(COLORS)], alpha=0.12, linewidth=0)
+        for edge in (low, high):
+            ax.plot(tau, edge, linewidth=0.7, alpha=0.8, **_style(i))
+        ax.plot(tau, median, linewidth=2.0, label=f"{name} ({curve.shape[0]} windows)", **_style(i))
     ax.plot([], [], color="0.5", alpha=0.4, linewidth=7, label="5 to 95 % of windows (line: median)")
     ax.set_xlim(tau.min(), tau.max())
     ax.set_ylim(bottom=0.0)
@@ -146,18 +257,22 @@ def cdf(errors: Mapping[str, Array]) -> "Figure":
     dress(ax, "", "Horizontal error (m)", "Share of errors below (%)")
     for i, (name, v) in enumerate(known.items()):
         cep, r95 = np.quantile(v, (0.5, 0.95))
-        _steps(ax, v, f"{name}: CEP50 {cep:.3g} m, R95 {r95:.3g} m", _style(i))
+        _steps(ax, v, f"{name}: CEP50 {_metres(cep)}, R95 {_metres(r95)}", _style(i))
         ax.plot([cep], [50.0], "o", color=COLORS[i % len(COLORS)], markersize=6)
         ax.plot([r95], [95.0], "s", color=COLORS[i % len(COLORS)], markersize=6)
     ax.plot([], [], "o", color="0.4", label="CEP50")
     ax.plot([], [], "s", color="0.4", label="R95")
     for share in (50.0, 95.0):
         ax.axhline(share, color="0.5", linewidth=0.8, linestyle=":")
-    ax.set_yticks([0.0, 25.0, 50.0, 75.0, 95.0])
+    ax.set_yticks([0.0, 25.0, 50.0, 75.0, 95.0, 100.0])
     ax.set_ylim(0.0, 102.0)
-    everything = np.concatenate(list(known.values()))
-    if not _log(ax, "x", np.quantile(everything, (0.02, 0.98)), 10.0):
+    marks = np.array([np.quantile(v, (0.5, 0.95)) for v in known.values()])
+    if _log(ax, "x", marks, 20.0):
+        ax.set_xlim(left=0.1 * marks.min())
+    else:
         ax.set_xlim(left=0.0)
+    tail = max(float(min(v.max(), 3.0 * r95)) for v, (_, r95) in zip(known.values(), marks))
+    ax.set_xlim(right=1.05 * tail or 1.0)
     legend(fig, 2)
     return fig
 
@@ -182,8 +297,8 @@ def tuning(history: Sequence[Mapping[str, Any]], truth: Mapping[str, Any] | None
     names = list(history[0]["params"])
     rows = -(-len(names) // 4)
     fig = figure(11.0, 3.6 + 1.9 * rows)
-    top, bottom = fig.subfigures(2, 1, height_ratios=(2.6, 1.9 * rows)) if rows else (fig, None)
-    losses, gradients = top.subplots(1, 2, sharex=True)
+    parts: Any = fig.subfigures(2, 1, height_ratios=(2.6, 1.9 * max(1, rows))) if rows else (fig, fig)
+    losses, gradients = parts[0].subplots(1, 2, sharex=True)
     dress(losses, "", "Step", "Loss (–)")
     losses.plot(step, loss, color=BLUE, linewidth=1.2, label="training loss")
     if np.isfinite(held_out).any():
@@ -194,14 +309,15 @@ def tuning(history: Sequence[Mapping[str, Any]], truth: Mapping[str, Any] | None
     gradients.plot(step, np.where(gradient > 0.0, gradient, np.nan), color=BLUE, linewidth=1.2)
     gradients.set_yscale("log")
     grid = [losses, gradients]
-    if bottom is not None:
-        small = panels(bottom, len(names), 4, "Step")
+    if names:
+        small = panels(parts[1], len(names), 4, "Step")
         for ax, name in zip(small, names):
             values = np.array([np.asarray(row["params"][name], float).ravel() for row in history])
             true = None if truth is None or name not in truth else np.asarray(truth[name], float).ravel()
             _parameter(ax, name, step, values, true, best)
         grid += small
     for ax in grid:
+        ax.xaxis.get_major_locator().set_params(integer=True)
         if best is not None:
             ax.axvline(step[best], color="0.5", linewidth=0.9, linestyle=":", label="best step")
     legend(fig)
@@ -212,12 +328,14 @@ def _parameter(ax: "Axes", name: str, step: Array, values: Array, truth: Array |
     """One parameter, (steps, components)."""
     ax.set_title(name, fontsize=8.5)
     everything = values if truth is None else np.concatenate([values.ravel(), truth])
+    single = values.shape[1] == 1
     for i, v in enumerate(values.T):
-        ax.plot(step, v, color=COLORS[i % len(COLORS)], linewidth=1.2)
-        ax.plot(step[:1], v[:1], "o", color=BLACK, markerfacecolor="white", markersize=4.5, label="start")
+        label = "" if single else f"component {i + 1}"
+        ax.plot(step, v, color=COLORS[i % len(COLORS)], linewidth=1.2, label=label)
         if best is not None:
-            ax.plot(step[best], v[best], "*", color=VERMILION, markersize=8, label="best")
-    for i, v in enumerate([] if truth is None else truth):
-        color = GREEN if len(truth) == 1 else COLORS[i % len(COLORS)]
+            ax.plot(step[best], v[best], "*", color=VERMILION, markersize=9, label="best", zorder=4)
+        ax.plot(step[:1], v[:1], "o", color=BLACK, markerfacecolor="none", markersize=5, label="start", zorder=5)
+    for i, v in enumerate(() if truth is None else truth):
+        color = GREEN if single else COLORS[i % len(COLORS)]
         ax.axhline(v, color=color, linewidth=1.1, linestyle="--", label="true value")
     _log(ax, "y", everything, 1.5)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav import linalg, rotations
-from jaxnav.error_models.states import A, B, G, V
+from jaxnav.error_models.states import STATES, A, B, G
 from jaxnav.types import Drive, Nav, Noise
 
 
@@ -16,8 +16,15 @@ def retract_common(nav: Nav, x: jax.Array) -> Nav:
     return nav._replace(b_g=nav.b_g - x[G], b_a=nav.b_a - x[B])
 
 
+def assemble(blocks: dict[tuple[str, str], jax.Array], n: int) -> jax.Array:
+    """A (n, n) matrix from 3x3 blocks by (row, column) names of states; zero elsewhere, those beyond n left out."""
+    zero = jnp.zeros((3, 3))
+    names = list(STATES)[: n // 3]
+    return jnp.block([[blocks.get((row, column), zero) for column in names] for row in names])
+
+
 def discretize_blocks(
-    blocks: dict, C: jax.Array, noise: Noise, bias: tuple[jax.Array, jax.Array], T: jax.Array, u: Drive, n: int
+    blocks: dict[tuple[str, str], jax.Array], C: jax.Array, noise: Noise, bias: tuple[jax.Array, jax.Array], T: jax.Array, u: Drive, n: int
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Phi, Q, d over T from the kinematic blocks, with sensor noise through ``C`` and Gauss-Markov biases.
 
@@ -27,13 +34,13 @@ def discretize_blocks(
     psd = lambda sd: jnp.broadcast_to(sd, (3,)) ** 2  # noqa: E731
     rate = lambda tau: 1 / jnp.broadcast_to(tau, (3,))  # noqa: E731
     decay_g, decay_a = rate(noise.gyro_tau), rate(noise.accel_tau)
-    F = linalg.assemble(blocks | {(G, G): -jnp.diag(decay_g), (B, B): -jnp.diag(decay_a)}, n)
-    Q = linalg.assemble(
+    F = assemble(blocks | {("gyro_bias", "gyro_bias"): -jnp.diag(decay_g), ("accel_bias", "accel_bias"): -jnp.diag(decay_a)}, n)
+    Q = assemble(
         {
-            (V, V): (C * psd(noise.accel)) @ C.T,
-            (A, A): (C * psd(noise.gyro)) @ C.T,
-            (G, G): jnp.diag(psd(noise.gyro_bias)),
-            (B, B): jnp.diag(psd(noise.accel_bias)),
+            ("velocity", "velocity"): (C * psd(noise.accel)) @ C.T,
+            ("attitude", "attitude"): (C * psd(noise.gyro)) @ C.T,
+            ("gyro_bias", "gyro_bias"): jnp.diag(psd(noise.gyro_bias)),
+            ("accel_bias", "accel_bias"): jnp.diag(psd(noise.accel_bias)),
         },
         n,
     )

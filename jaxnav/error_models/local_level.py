@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from jaxnav import earth, rotations
 from jaxnav.error_models.common import discretize_blocks, retract_common
-from jaxnav.error_models.states import A, B, G, P, V, prior_sd
+from jaxnav.error_models.states import A, P, V, prior_sd
 from jaxnav.filters.core import ErrorModel
 from jaxnav.measurements import GNSS, Kinematics, Measurement, stack
 from jaxnav.types import Drive, Nav, Noise, Path, Prior
@@ -34,7 +34,7 @@ def absorb(nav: Nav, drive: Drive) -> Nav:
     return nav._replace(b_g=nav.b_g + C.T @ drive.omega, b_a=nav.b_a + C.T @ drive.accel)
 
 
-def dynamics(point: Path, form: Literal["full", "simple"]) -> dict[tuple[slice, slice], jax.Array]:
+def dynamics(point: Path, form: Literal["full", "simple"]) -> dict[tuple[str, str], jax.Array]:
     """The 3x3 blocks of F in x' = F x, at one point of the path."""
     lat, h = point.nav.pos[0], point.nav.pos[2]
     ve, vn, vu = vel = point.nav.vel
@@ -47,11 +47,11 @@ def dynamics(point: Path, form: Literal["full", "simple"]) -> dict[tuple[slice, 
 
     level = block((0, 1 / rn, 0), (-1 / re, 0, 0), (-tan / re, 0, 0))  # minus d(w_en)/dv
     blocks = {
-        (P, V): jnp.eye(3, dtype=lat.dtype),
-        (V, A): -rotations.skew(point.force),
-        (A, V): level,
-        (V, B): -point.C,
-        (A, G): -point.C,
+        ("position", "velocity"): jnp.eye(3, dtype=lat.dtype),
+        ("velocity", "attitude"): -rotations.skew(point.force),
+        ("attitude", "velocity"): level,
+        ("velocity", "accel_bias"): -point.C,
+        ("attitude", "gyro_bias"): -point.C,
     }
     if form == "simple":
         return blocks
@@ -63,13 +63,13 @@ def dynamics(point: Path, form: Literal["full", "simple"]) -> dict[tuple[slice, 
     columns = lambda north, up: jnp.stack([jnp.zeros(3, lat.dtype), north, up], axis=1)  # noqa: E731
     gravity = block((0, 0, 0), (0, 0, 0), (0, 0, 2 * earth.gravity(lat, 0.0) / earth.A))
     return blocks | {
-        (P, P): block(
+        ("position", "position"): block(
             (vu / re - vn * tan / rn, ve * tan / rn, -ve / re), (0, vu / rn, -vn / rn), (0, 0, 0)
         ),
-        (V, P): rotations.skew(vel) @ columns(2 * ie_north + en_north, en_up) + gravity,
-        (V, V): -rotations.skew(2 * w_ie + w_en) - rotations.skew(vel) @ level,
-        (A, P): -columns(ie_north + en_north, en_up),
-        (A, A): -rotations.skew(w_ie + w_en),
+        ("velocity", "position"): rotations.skew(vel) @ columns(2 * ie_north + en_north, en_up) + gravity,
+        ("velocity", "velocity"): -rotations.skew(2 * w_ie + w_en) - rotations.skew(vel) @ level,
+        ("attitude", "position"): -columns(ie_north + en_north, en_up),
+        ("attitude", "attitude"): -rotations.skew(w_ie + w_en),
     }
 
 

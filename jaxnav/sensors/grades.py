@@ -1,0 +1,78 @@
+"""IMU and GNSS grades by name, and the filter parameters that their datasheets give."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav import units
+from jaxnav.types import Mounting, Noise, Params, Prior
+
+
+class Grade(NamedTuple):
+    """An IMU in SI; root PSDs of white noise, sd and Gauss-Markov time of the biases."""
+
+    arw: float  # rad/s/sqrt(Hz)
+    vrw: float  # m/s^2/sqrt(Hz)
+    gyro_turn_on: float  # rad/s, sd of the constant bias at switch-on
+    accel_turn_on: float  # m/s^2
+    gyro_instability: float  # rad/s, sd of the drifting part
+    accel_instability: float  # m/s^2
+    tau: float  # s, Gauss-Markov time of the drifting part
+    source: str
+
+
+_d, _h = units.DEG_PER_SQRT_HOUR, units.DEG_PER_HOUR
+GRADES: dict[str, Grade] = {
+    "consumer": Grade(
+        0.23 * _d, 70 * units.UG, 0.5 * units.DEG, 20 * units.MG, 20 * _h, 0.1 * units.MG, 1000.0,
+        "rtklibexplorer/GNSS_IMU drive log: noise figures of its consumer MEMS",
+    ),
+    "adis16465": Grade(
+        0.1 * _d, 0.1 * units.MPS_PER_SQRT_HOUR, 0.1 * units.DEG, 5 * units.MG, 25 * _h, 200 * units.MGAL, 3600.0,
+        "tuned values of awesome-gins-datasets (i2Nav, Wuhan University)",
+    ),
+    "adis16488": Grade(
+        0.3 * _d, 0.029 * units.MPS_PER_SQRT_HOUR, 0.2 * units.DEG, 16 * units.MG, 6.5 * _h, 0.1 * units.MG, 100.0,
+        "NaveGo 1.4 synthetic data set, which follows the ADIS16488 datasheet",
+    ),
+    "tactical": Grade(
+        0.001 * _d, 0.03 * units.MPS_PER_SQRT_HOUR, 0.01 * _h, 50 * units.UG, 0.0, 0.0, 3600.0,
+        "Ansari et al. 2024, Table 1",
+    ),
+}  # fmt: skip
+
+
+def mounting(lever_arm=(0.0, 0.0, 0.0), time_offset=0.0, position_latency=0.0, velocity_latency=0.0) -> Mounting:
+    """An installation: antenna lever arm in body FRD m, times in s; vehicle axes along the body's."""
+    values = (lever_arm, time_offset, position_latency, velocity_latency, np.zeros(2), np.zeros(3), 0.0)
+    return Mounting(*(jnp.asarray(v, float) for v in values))
+
+
+def datasheet_params(
+    grade: Grade,
+    position_sd=(3.0, 3.0, 5.0),
+    velocity_sd=(0.1, 0.1, 0.1),
+    tilt_sd: float = 1 * units.DEG,
+    heading_sd: float = 5 * units.DEG,
+    install: Mounting | None = None,
+    rule=(),
+    feedback=(),
+) -> Params:
+    """Filter parameters straight from a datasheet: what an engineer starts with.
+
+    Prior: position (m) and velocity (m/s) sd in ENU, tilt and heading in rad, biases by their turn-on sd. The
+    drifting bias of sd s and time tau drives with root PSD s sqrt(2 / tau).
+    """
+    drive = np.sqrt(2 / grade.tau)
+    noise = Noise(
+        gyro=grade.arw, accel=grade.vrw,
+        gyro_bias=grade.gyro_instability * drive, accel_bias=grade.accel_instability * drive,
+        gyro_tau=np.inf, accel_tau=np.inf,  # the turn-on bias does not decay
+        position_scale=np.ones(3), velocity_scale=np.ones(3),
+        zero_velocity=0.02, zero_rate=0.1 * units.DEG, nonholonomic=np.array([0.1, 0.1]), speed=1.0,
+    )  # fmt: skip
+    prior = Prior(position_sd, velocity_sd, (tilt_sd, tilt_sd, heading_sd), grade.gyro_turn_on, grade.accel_turn_on)
+    # strongly typed arrays: parameters from Python floats would compile every train step twice
+    strong = lambda part: type(part)(*(jnp.asarray(leaf, float) for leaf in part))  # noqa: E731
+    return Params(strong(noise), strong(prior), mounting() if install is None else install, rule, feedback)

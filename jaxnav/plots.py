@@ -33,8 +33,9 @@ COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 def figure(width: float, height: float) -> "Figure":
     """An empty figure in inches, laid out so that no label is clipped."""
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    return Figure(figsize=(width, height), layout="constrained")
+    return Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.07, h_pad=0.06))
 
 
 def save(fig: "Figure", path: str | os.PathLike[str]) -> Path:
@@ -58,6 +59,7 @@ def dress(ax: "Axes", title: str = "", xlabel: str = "", ylabel: str = "") -> No
     ax.set_ylabel(ylabel, fontsize=9)
     ax.tick_params(labelsize=8)
     ax.ticklabel_format(useOffset=False)
+    ax.yaxis.get_offset_text().set_fontsize(8)
     ax.grid(True, color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
@@ -144,6 +146,12 @@ def table(name: str, values: Array, shape: tuple[int, ...]) -> Array:
     return out
 
 
+def remark(ax: "Axes", text: str) -> None:
+    """Say in an empty panel why it is empty."""
+    ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", color="0.4", fontsize=9)
+    ax.set_yticks([])
+
+
 def percent(inside: Array) -> str:
     """The share of true values, "98.7 %"."""
     return f"{100.0 * np.mean(inside):.1f} %"
@@ -191,7 +199,7 @@ def trajectory(
         ax.plot(x, y, color=ORANGE, alpha=0.4, linewidth=9, solid_capstyle="round", label="GNSS outage", zorder=1.5)
     if fixes is not None:
         x, y = _east_north(fixes.value, origin)
-        ax.plot(x, y, ".", color=GREEN, markersize=6, markeredgewidth=0, label="GNSS", zorder=2)
+        ax.plot(x, y, ".", color=GREEN, markersize=4.5, markeredgewidth=0, label="GNSS", zorder=2)
     ax.plot(east, north, color=BLUE, linewidth=1.3, label="estimated", zorder=3)
     if truth is not None:
         ax.plot(*curves[1], color=BLACK, linewidth=0.8, linestyle=(0, (5, 3)), label="truth", zorder=4)
@@ -236,13 +244,12 @@ def errors(
 
 
 def _error_panel(ax: "Axes", name: str, t: Array, error: Array, sd: Array) -> None:
-    known = np.isfinite(error)
+    known = ~np.isnan(error)  # an infinite error is outside
     if not known.any():
         ax.set_title(name, fontsize=9)
-        ax.text(0.5, 0.5, "no truth", transform=ax.transAxes, ha="center", va="center", color="0.4", fontsize=9)
-        ax.set_yticks([])
+        remark(ax, "no truth")
         return
-    both = known & np.isfinite(sd)
+    both = known & ~np.isnan(sd)
     inside = np.abs(error[both]) <= 3.0 * sd[both]
     ax.set_title(f"{name}: {percent(inside)} inside ±3σ" if both.any() else name, fontsize=9)
     if np.isfinite(sd).any():

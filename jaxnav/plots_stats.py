@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from jaxnav.plots import (
     BLACK,
@@ -25,6 +25,7 @@ from jaxnav.plots import (
     panels,
     percent,
     reach,
+    remark,
     table,
     time_axis,
     times,
@@ -64,7 +65,8 @@ def _log(ax: "Axes", which: str, values: Array, least: float) -> bool:
     if ratio < 4.0:
         axis.set_major_locator(ticker.MaxNLocator(4, steps=[1, 2, 5, 10]))
     else:
-        axis.set_major_locator(ticker.LogLocator(subs=(1.0,) if ratio > 300.0 else (1.0, 2.0, 5.0), numticks=7))
+        subs = (1.0, 2.0, 3.0, 4.0, 6.0) if ratio < 10.0 else (1.0, 2.0, 5.0) if ratio < 300.0 else (1.0,)
+        axis.set_major_locator(ticker.LogLocator(subs=subs, numticks=7))
     axis.set_major_formatter(ticker.FuncFormatter(lambda v, _: f"{v:g}"))
     axis.set_minor_formatter(ticker.NullFormatter())
     return True
@@ -102,13 +104,13 @@ def innovations(
     if not shown:
         raise ValueError(f"valid has no measurement in any of the {m} channels")
     variance = np.diagonal(table("S", S, (t.size, m, m)), axis1=1, axis2=2)
-    columns = min(3, len(shown))
+    columns = 2 if len(shown) in (2, 4) else min(3, len(shown))
     fig = figure(1.0 + 3.4 * columns, 0.8 + 2.2 * -(-len(shown) // columns))
     if len(shown) < len(ever):
         fig.suptitle(f"first {len(shown)} of {len(ever)} channels", fontsize=9)
     for j, (ax, i) in enumerate(zip(panels(fig, len(shown), columns, "Time (s)"), shown)):
         z = nu[:, i] / np.sqrt(np.where(valid[:, i] & (variance[:, i] > 0.0), variance[:, i], np.nan))
-        known = z[np.isfinite(z)]
+        known = z[~np.isnan(z)]
         rms = float(np.sqrt(np.mean(known**2))) if known.size else np.nan
         ax.set_title(f"{names[i]}: RMS {rms:.2f}, {percent(np.abs(known) <= 3.0)} inside ±3", fontsize=9)
         if j % columns == 0:
@@ -131,7 +133,7 @@ def nis(t: Array, nis: Array, dof: Array, outages: Outages = (), window: int = 5
     """
     t = times(t)
     nis, dof = table("nis", nis, t.shape), table("dof", dof, t.shape)
-    fix = (dof > 0.0) & np.isfinite(nis)
+    fix = (dof > 0.0) & ~np.isnan(nis)
     if not fix.any():
         raise ValueError("dof is 0 (no fix) at every epoch")
     w = max(1, min(window, int(fix.sum())))
@@ -139,17 +141,19 @@ def nis(t: Array, nis: Array, dof: Array, outages: Outages = (), window: int = 5
     above, below = panels(fig, 2, 1, "Time (s)")
 
     at, value, freedom = t[fix], nis[fix], dof[fix]
-    lo, hi = chi2.ppf(0.025, freedom), chi2.ppf(0.975, freedom)
+    lo, hi = chdtri(freedom, 0.975), chdtri(freedom, 0.025)  # by the upper tail
     share = percent((value >= lo) & (value <= hi))
     dress(above, f"each fix: {share} inside the 95 % bounds", ylabel="NIS (–)")
     above.set_yscale("log")
     above.plot(at, value, ".", color=BLUE, markersize=3.5, markeredgewidth=0, label="NIS")
     _bounds(above, at, lo, hi)
-    limit(above, at, value, 0.1 * float(lo.min()), 2.0 * float(max(value.max(), hi.max())))
+    limit(
+        above, at, value, 0.1 * float(lo.min()), 2.0 * float(np.max(value, where=np.isfinite(value), initial=hi.max()))
+    )
 
     at = at[w - 1 :]
     total, freedom = (np.convolve(a, np.ones(w), "valid") for a in (value, freedom))
-    mean, lo, hi = total / freedom, chi2.ppf(0.025, freedom) / freedom, chi2.ppf(0.975, freedom) / freedom
+    mean, lo, hi = total / freedom, chdtri(freedom, 0.975) / freedom, chdtri(freedom, 0.025) / freedom
     title = f"mean of the last {w} fixes: {percent((mean >= lo) & (mean <= hi))} inside its 95 % bounds"
     dress(below, title, "Time (s)", "NIS / dof (–)")
     below.axhline(1.0, color="0.6", linewidth=0.8)
@@ -203,7 +207,7 @@ def _paired(ax: "Axes", pair: Sequence[Array], names: Sequence[str]) -> None:
     ax.plot(before[both], after[both], "o", color=BLUE, alpha=0.6, markersize=5, markeredgewidth=0)
     shown = np.concatenate([before[both], after[both]])
     log = _log(ax, "x", shown, 10.0) and _log(ax, "y", shown, 10.0)
-    lo, hi = (shown.min() / 1.3, shown.max() * 1.3) if log else (0.0, 1.08 * shown.max() or 1.0)
+    lo, hi = (shown.min() / 1.3, shown.max() * 1.3) if log else (0.0, 1.08 * shown.max(initial=0.0) or 1.0)
     ax.plot([lo, hi], [lo, hi], color=BLACK, linewidth=0.9, linestyle="--", label="equal")
     ax.set_xlim(lo, hi)
     ax.set_ylim(lo, hi)
@@ -243,7 +247,7 @@ def drift_growth(tau: Array, curves: Mapping[str, Array]) -> "Figure":
             ax.plot(tau, edge, linewidth=0.7, alpha=0.8, **_style(i))
         ax.plot(tau, median, linewidth=2.0, label=f"{name} ({curve.shape[0]} windows)", **_style(i))
     ax.plot([], [], color="0.5", alpha=0.4, linewidth=7, label="5 to 95 % of windows (line: median)")
-    ax.set_xlim(tau.min(), tau.max())
+    ax.set_xlim(min(0.0, tau.min()), tau.max())
     ax.set_ylim(bottom=0.0)
     legend(fig, 2)
     return fig
@@ -295,18 +299,19 @@ def tuning(history: Sequence[Mapping[str, Any]], truth: Mapping[str, Any] | None
     score = held_out if np.isfinite(held_out).any() else loss
     best = int(np.nanargmin(score)) if np.isfinite(score).any() else None
     names = list(history[0]["params"])
-    rows = -(-len(names) // 4)
+    rows, span = -(-len(names) // 4), max(step[-1] - step[0], 20.0)
     fig = figure(11.0, 3.6 + 1.9 * rows)
     parts: Any = fig.subfigures(2, 1, height_ratios=(2.6, 1.9 * max(1, rows))) if rows else (fig, fig)
     losses, gradients = parts[0].subplots(1, 2, sharex=True)
     dress(losses, "", "Step", "Loss (–)")
-    losses.plot(step, loss, color=BLUE, linewidth=1.2, label="training loss")
+    line: dict[str, Any] = {"color": BLUE, "linewidth": 1.2, "marker": "o" if len(history) == 1 else ""}
+    losses.plot(step, loss, label="training loss", **line)
     if np.isfinite(held_out).any():
         seen = np.isfinite(held_out)
         losses.plot(step[seen], held_out[seen], ".-", color=VERMILION, linewidth=1.2, label="validation loss")
     _log(losses, "y", np.concatenate([loss, held_out]), 30.0)
     dress(gradients, "", "Step", "Gradient norm (–)")
-    gradients.plot(step, np.where(gradient > 0.0, gradient, np.nan), color=BLUE, linewidth=1.2)
+    gradients.plot(step, np.where(gradient > 0.0, gradient, np.nan), **line)
     gradients.set_yscale("log")
     grid = [losses, gradients]
     if names:
@@ -318,6 +323,7 @@ def tuning(history: Sequence[Mapping[str, Any]], truth: Mapping[str, Any] | None
         grid += small
     for ax in grid:
         ax.xaxis.get_major_locator().set_params(integer=True)
+        ax.set_xlim(step[0] - 0.03 * span, step[-1] + 0.03 * span)
         if best is not None:
             ax.axvline(step[best], color="0.5", linewidth=0.9, linestyle=":", label="best step")
     legend(fig)
@@ -338,4 +344,6 @@ def _parameter(ax: "Axes", name: str, step: Array, values: Array, truth: Array |
     for i, v in enumerate(() if truth is None else truth):
         color = GREEN if single else COLORS[i % len(COLORS)]
         ax.axhline(v, color=color, linewidth=1.1, linestyle="--", label="true value")
+    if not np.isfinite(values).any():
+        remark(ax, f"always {values.flat[0]:g}")  # tau = inf is a random walk
     _log(ax, "y", everything, 1.5)

@@ -136,7 +136,9 @@ class Info(NamedTuple):
     x: jax.Array  # (E, n) error state after the correction, before feedback
     nu: jax.Array  # (E, m) innovation, 0 on missing channels
     S: jax.Array  # (E, m, m) its covariance; identity rows on missing channels
-    used: jax.Array  # (E, m) bool, channels the rule accepted
+    residual: jax.Array  # (E, m) estimate minus measurement before the correction, of hidden measurements too
+    valid: jax.Array  # (E, m) bool, channels that had a measurement
+    used: jax.Array  # (E, m) bool, those the rule accepted
     nis: jax.Array  # (E,) nu' S^-1 nu over the valid channels
     ok: jax.Array  # (E,) bool; False from the first epoch that was not finite on: the state is frozen there
 

@@ -1,0 +1,1 @@
+"""Tuning of filter parameters by gradient: objectives, transforms, training, validation."""

@@ -163,7 +163,9 @@ def make_filter(
     def correct(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info]:
         nav, age = jax.tree.map(lambda a: a[-1], state.past), state.age + state.T
         x, memory = rule.extrapolate(params.rule, state.memory, state.x0, state.x)
-        y, H, R = masked(*model.observe(params.noise, params.mounting, state.past, fix), fix.valid)
+        y, H, R = model.observe(params.noise, params.mounting, state.past, fix)
+        residual = y - H @ x
+        y, H, R = masked(y, H, R, fix.valid)
         z = Innovation(y - H @ x, H, R, state.P, fix.valid, state.T, age)
         c = select(fix.valid.any(), rule.correct(params.rule, memory, z), idle(z, memory))
         x = x + c.delta
@@ -179,7 +181,7 @@ def make_filter(
             after, x_after, f[:, None] * c.P * f, u, c.memory, x_after, jnp.zeros(()), age, jnp.array(True)
         )
         ok = state.ok & finite(new) & jnp.all(jnp.diag(c.P) >= 0)
-        return new._replace(ok=ok), Info(model.retract(nav, x), c.P, x, z.nu, S, c.used, nis, ok)
+        return new._replace(ok=ok), Info(model.retract(nav, x), c.P, x, z.nu, S, residual, fix.valid, c.used, nis, ok)
 
     def step(params: Params, state: FilterState, epoch: Epoch) -> tuple[FilterState, Info]:
         new, info = correct(params, predict(params, state, epoch.imu), epoch.fix)
@@ -187,8 +189,8 @@ def make_filter(
         frozen = state._replace(ok=jnp.array(False))
         nav = jax.tree.map(lambda a: a[-1], state.past)
         still = Info(
-            nav, state.P, state.x, jnp.zeros_like(info.nu), jnp.eye(model.n_channels), jnp.zeros_like(info.used),
-            jnp.zeros(()), info.ok,
+            nav, state.P, state.x, jnp.zeros_like(info.nu), jnp.eye(model.n_channels),
+            jnp.zeros_like(info.nu),            jnp.zeros_like(info.valid), jnp.zeros_like(info.used), jnp.zeros(()), info.ok,
         )  # fmt: skip
         return select(info.ok, new, frozen), select(info.ok, info, still)
 

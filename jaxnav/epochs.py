@@ -25,6 +25,13 @@ class Packed(NamedTuple):
     start: float  # s, where navigation starts
 
 
+def from_instantaneous(imu: ImuLog) -> ImuLog:
+    """Read samples as instantaneous values at ``t`` and not as means before it: means by the trapezoid, one row less."""
+    return ImuLog(
+        imu.t[1:], imu.dt[1:], 0.5 * (imu.gyro[1:] + imu.gyro[:-1]), 0.5 * (imu.accel[1:] + imu.accel[:-1])
+    )
+
+
 def cut_times(
     imu: ImuLog, aiding: dict[str, Samples], interval: float, start: float | None = None, stop: float | None = None
 ) -> np.ndarray:

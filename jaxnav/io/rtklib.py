@@ -11,6 +11,7 @@ import numpy as np
 from jaxnav.errors import DataError
 from jaxnav.io.checks import check_imu, check_recording, check_samples, check_time, steps
 from jaxnav.io.files import FilePath, Source, Table, atomic_write, parse_numbers, read_bytes, read_columns, read_lines
+from jaxnav.sensors import polling
 from jaxnav.types import ImuLog, Recording, Samples, Track
 from jaxnav.units import DEG, G0
 
@@ -82,13 +83,20 @@ def write_pos(
 
 
 def read_imu_csv(
-    path: FilePath, tag_path: FilePath, rotation: np.ndarray, delay: float = DRIVE_IMU_DELAY, origin: float = 0.0
+    path: FilePath,
+    tag_path: FilePath,
+    rotation: np.ndarray,
+    delay: float = DRIVE_IMU_DELAY,
+    origin: float = 0.0,
+    repair: bool = True,
 ) -> ImuLog:
     """The drive's IMU log: rates in deg/s and g in sensor axes with a tick in ms, and the RTKLIB tag that dates it.
 
     ``rotation`` (3, 3) takes sensor axes to body FRD; ``t`` counts from ``origin`` (s since 1970, GPST). The first and
     last row are dropped: the logger cuts them. The ticks are stretched to the last pair of the tag, whose clock is the
-    computer's, and ``delay`` s is added. DataError names file and line.
+    computer's, and ``delay`` s is added. ``repair``: the logger polled a sensor that runs 0.5 % faster than it: mend the
+    repeated and lost samples and give them the sensor's even clock (`jaxnav.sensors.polling`); False takes the rows as
+    they stand. DataError names file and line.
     """
     table = read_columns(path, 7, ",")
     if len(table.values) < 4:
@@ -99,16 +107,29 @@ def read_imu_csv(
     start, last = _read_tag(tag_path)
     tick = check_time(values[:, 6] / 1000.0, source, "imu")
     t = (start - origin) + (tick - tick[0]) * (last / (tick[-1] - tick[0])) + delay
-    imu = ImuLog(t, steps(t, source), values[:, 3:6] * DEG @ rotation.T, values[:, :3] * G0 @ rotation.T)
-    return check_imu(imu, source)
+    dt, readings = steps(t, source), values[:, :6]
+    check_imu(_body_imu(t, dt, readings, rotation), source)  # before mending, while a row still is a line of the file
+    if repair:
+        mended = polling.repair(readings)
+        index, read = np.arange(mended.lost.size), ~mended.lost
+        rate, first = np.polyfit(index[read], t[mended.poll[read]], 1)
+        t, readings = first + rate * index, mended.values
+        dt = np.full(t.size, rate)
+    return check_imu(_body_imu(t, dt, readings, rotation), Source(table.source.file, None))
 
 
-def read_drive(folder: FilePath, imu_delay: float = DRIVE_IMU_DELAY) -> Recording:
+def _body_imu(t: np.ndarray, dt: np.ndarray, readings: np.ndarray, rotation: np.ndarray) -> ImuLog:
+    """Rows of force in g and rate in deg/s, sensor axes."""
+    return ImuLog(t, dt, readings[:, 3:6] * DEG @ rotation.T, readings[:, :3] * G0 @ rotation.T)
+
+
+def read_drive(folder: FilePath, imu_delay: float = DRIVE_IMU_DELAY, repair: bool = True) -> Recording:
     """The rtkexplorer drive of 2025-07-08; t = 0 at the first GNSS row, truth is the RTK itself, without attitude.
 
     The velocity is stamped as in the file. It is the position difference over the preceding 0.25 s, so it is 0.125 s
     old at its stamp: give the filter ``velocity_latency = 0.125``; it is not independent of the position. The true
-    delay of the IMU lies between -0.19 s (against position) and -0.06 s (against velocity as stamped).
+    delay of the IMU lies between -0.19 s (against position) and -0.06 s (against velocity as stamped). ``repair``: see
+    `read_imu_csv`.
     """
     folder = Path(folder)
     pos = read_pos(folder / "gnss_1934_sf.pos")
@@ -116,8 +137,9 @@ def read_drive(folder: FilePath, imu_delay: float = DRIVE_IMU_DELAY) -> Recordin
         raise DataError(f"{pos.source.file}: expected velocity columns {', '.join(_VELOCITY)}")
     origin = float(pos.aiding["position"].t[0])
     imu = read_imu_csv(
-        folder / "imu_1934.csv", folder / "imu_1934.csv.tag", drive_rotation(), delay=imu_delay, origin=origin
-    )
+        folder / "imu_1934.csv", folder / "imu_1934.csv.tag", drive_rotation(), delay=imu_delay, origin=origin,
+        repair=repair,
+    )  # fmt: skip
     aiding = {name: stream._replace(t=stream.t - origin) for name, stream in pos.aiding.items()}
     position, velocity = aiding["position"], aiding["velocity"]
     truth = Track(position.t, position.value, velocity.value, np.full((len(position.t), 3), np.nan))

@@ -1,0 +1,32 @@
+"""``python -m benchmarks NAME [options]``: every published figure of the project comes from one of these."""
+
+import importlib
+import sys
+
+NAMES = {
+    "navego": "NaveGo's synthetic data against the figures of an independent filter",
+    "drive": "a real drive: hidden GNSS windows, datasheet against tuned, held out",
+    "umn": "a fixed-wing flight from an unknown heading, against the onboard filter",
+}
+
+
+def main(argv: list[str]) -> int:
+    """Run one benchmark; a wrong name lists them all."""
+    if not argv or argv[0] not in NAMES:
+        print("usage: python -m benchmarks NAME [--quick] [--seed S] [--json F]\n", file=sys.stderr)
+        for name, what in NAMES.items():
+            print(f"  {name:10} {what}", file=sys.stderr)
+        return 2
+    from jaxnav.errors import DataError
+    from jaxnav.run import enable_x64
+
+    enable_x64()
+    try:
+        return importlib.import_module(f"benchmarks.{argv[0]}").main(argv[1:]) or 0
+    except DataError as error:
+        print(f"benchmarks {argv[0]}: {error}", file=sys.stderr)
+        return 3
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,95 @@
+"""Float64 for every test, no compilation cache on disk, and one small simulated drive that many tests share."""
+
+import os
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+with warnings.catch_warnings():  # the compiler warns of the oracle's escape sequences when it is first imported
+    warnings.simplefilter("ignore")
+    from pyins import filters as _filters  # noqa: F401
+    from pyins import sim
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_enable_compilation_cache", False)
+
+from jaxnav.epochs import Packed, pack  # noqa: E402
+from jaxnav.run import initial_nav  # noqa: E402
+from jaxnav.sensors.grades import Grade, datasheet_params  # noqa: E402
+from jaxnav.types import ImuLog, Nav, Params, Samples, Track  # noqa: E402
+from jaxnav.units import DEG  # noqa: E402
+
+GRADE = Grade(2e-4, 2e-3, 1e-3, 2e-2, 1e-4, 2e-3, 100.0, "made up for tests: a good MEMS unit")
+
+
+class Case(NamedTuple):
+    """A drive without sensor errors, and what a filter needs to run on it."""
+
+    imu: ImuLog  # noise free, 20 Hz
+    truth: Track  # at the start and after every sample
+    aiding: dict[str, Samples]  # position and velocity with noise of a seed, 1 Hz
+    packed: Packed
+    nav: Nav  # at the true start
+    params: Params  # 15 states, matched to GRADE
+
+
+def simulate_drive(duration: float = 60.0, rate: float = 20.0, lla0=(50.0, 12.0, 200.0)) -> tuple[ImuLog, Track]:
+    """An accelerating and turning drive by python-ins, an independent simulator: exact increments, truth."""
+    t = np.arange(round(duration * rate) + 1) / rate
+    speed = 12 + 6 * np.sin(2 * np.pi * t / 25)
+    heading = 0.5 + 1.2 * np.sin(2 * np.pi * t / 40) + 0.02 * t
+    ned = np.stack([speed * np.cos(heading), speed * np.sin(heading), 0.3 * np.sin(2 * np.pi * t / 17)], 1)
+    rph = np.stack([0.05 * np.sin(2 * np.pi * t / 9), 0.03 * np.sin(2 * np.pi * t / 13), heading], 1)
+    frame, imu = sim.generate_imu(t, lla0, np.rad2deg(rph), ned, sensor_type="increment")
+    dt = np.diff(t)
+    readings = imu.to_numpy()[1:] / dt[:, None]
+    values = frame[["lat", "lon", "alt"]].to_numpy() * [DEG, DEG, 1.0]
+    return ImuLog(t[1:], dt, readings[:, :3], readings[:, 3:]), Track(t, values, ned[:, [1, 0, 2]] * [1, 1, -1], rph)
+
+
+def gnss(truth: Track, every: int, rng: np.random.Generator) -> dict[str, Samples]:
+    """Position (2, 2, 3 m) and velocity (0.1 m/s) at the antenna, which here is the IMU."""
+    at = slice(every, None, every)
+    K = truth.t[at].size
+    sd, sdv = np.tile([2.0, 2.0, 3.0], (K, 1)), np.full((K, 3), 0.1)
+    metres = np.stack([1 / (6.39e6 * np.cos(truth.lla[at, 0])), np.full(K, 1 / 6.38e6), np.ones(K)], 1)
+    error = rng.normal(size=(K, 3)) * sd * metres
+    zero = np.zeros((K, 3))
+    return {
+        "position": Samples(truth.t[at], truth.lla[at] + error[:, [1, 0, 2]], sd, zero),
+        "velocity": Samples(truth.t[at], truth.vel[at] + rng.normal(size=(K, 3)) * sdv, sdv, zero),
+    }
+
+
+def start(truth: Track) -> Nav:
+    return initial_nav(truth.lla[0], truth.vel[0], truth.rph[0])
+
+
+@pytest.fixture(scope="session")
+def case() -> Case:
+    imu, truth = simulate_drive()
+    aiding = gnss(truth, 20, np.random.default_rng(3))
+    return Case(imu, truth, aiding, pack(imu, aiding, 1.0), start(truth), datasheet_params(GRADE))
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of recorded data sets; tests that need it are skipped where it is not."""
+    folder = os.environ.get("JAXNAV_DATA_DIR")
+    if not folder or not Path(folder).is_dir():
+        pytest.skip("recorded data not found: set JAXNAV_DATA_DIR to the folder that holds the data sets")
+    return Path(folder)
+
+
+def leaves_equal(a, b, atol: float = 0.0) -> None:
+    """Every leaf of two trees agrees within atol; 0 means bit for bit."""
+    jax.tree.map(lambda x, y: np.testing.assert_allclose(np.asarray(x), np.asarray(y), rtol=0, atol=atol), a, b)
+
+
+def all_finite(tree) -> bool:
+    return all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(tree))

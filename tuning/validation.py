@@ -1,0 +1,44 @@
+"""Before and after on data that tuning never saw, with intervals."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class PairedGain(NamedTuple):
+    """How much smaller an error became; every figure follows from the paired errors alone."""
+
+    gain: float  # before_rms / after_rms: 1.10 is 10 % better, below 1 is worse
+    low: float  # 95 % interval of the gain, percentiles of the bootstrap
+    high: float
+    before_rms: float
+    after_rms: float
+
+
+def paired_gain(
+    before: np.ndarray, after: np.ndarray, blocks: np.ndarray | None = None, seed: int = 0, draws: int = 10_000
+) -> PairedGain:
+    """Ratio of RMS errors of the same windows or runs (W,) before and after, with a block-bootstrap interval.
+
+    ``blocks`` (W,) names what is drawn together: windows that overlap in time are not independent, so resampling them
+    one by one would make the interval too narrow. None draws each on its own.
+
+    Raises:
+        ValueError: shapes differ, fewer than two blocks, or an error that is not finite.
+    """
+    before, after = np.asarray(before, float), np.asarray(after, float)
+    if before.shape != after.shape or before.ndim != 1:
+        raise ValueError(f"before and after must be two vectors of one length, got {before.shape} and {after.shape}")
+    if not (np.isfinite(before).all() and np.isfinite(after).all()):
+        raise ValueError("before and after must be finite: leave out, and report, the runs that failed")
+    labels = np.arange(before.size) if blocks is None else np.asarray(blocks)
+    names = np.unique(labels)
+    if names.size < 2:
+        raise ValueError(f"an interval needs two blocks or more, got {names.size}")
+    member = labels[None] == names[:, None]
+    sums = np.stack([member @ before**2, member @ after**2, member.sum(1)])  # the RMS of a draw follows from these
+    pick = np.random.default_rng(seed).integers(names.size, size=(draws, names.size))
+    b, a, n = sums[:, pick].sum(-1)
+    low, high = np.percentile(np.sqrt(b / a), [2.5, 97.5])
+    rms = lambda e: float(np.sqrt(np.mean(e**2)))  # noqa: E731
+    return PairedGain(rms(before) / rms(after), float(low), float(high), rms(before), rms(after))

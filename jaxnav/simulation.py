@@ -17,7 +17,7 @@ from jaxnav.sensors.grades import GRADES, datasheet_params, mounting
 from jaxnav.trajectories import travel, urban
 from jaxnav.types import Epoch, Imu, ImuLog, Nav, Params, Recording, Samples, Track
 
-DRIVE, SENSOR, RECEIVER, OUTAGES, START = range(5)  # what is folded into the key
+DRIVE, SENSOR, RECEIVER, OUTAGES, START = range(5)  # the purposes that are folded into the key
 
 
 class Simulated(NamedTuple):
@@ -73,7 +73,7 @@ def simulate(scenario: Scenario, key: jax.Array) -> Simulated:
         DataError: float32.
     """
     E, k = sizes(scenario)
-    keys = [jax.random.fold_in(key, purpose) for purpose in (DRIVE, SENSOR, RECEIVER, OUTAGES, START)]
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(key, np.arange(5))
     dt = 1 / scenario.imu_rate_hz
     lat, lon, h = scenario.start_deg_m
     lla = jnp.asarray([lat * units.DEG, lon * units.DEG, h], float)

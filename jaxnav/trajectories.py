@@ -179,7 +179,7 @@ def join_pieces(
 
 def profile(pieces: Pieces, t: jax.Array) -> Profile:
     """Distance, speed and heading at one time; after the last piece the vehicle goes on straight at constant speed."""
-    i = jnp.clip(jnp.searchsorted(pieces.t, t, side="right") - 1, 0)
+    i = jnp.maximum(jnp.sum(pieces.t <= t) - 1, 0)  # the last that has begun
     p = Pieces(*(a[i] for a in pieces))
     T = jnp.where(p.T > 0, p.T, 1.0)
     u = jnp.clip((t - p.t) / T, 0, 1)
@@ -218,16 +218,18 @@ PITCH_GAIN = 0.25 * units.DEG  # rad per m/s^2, nose up when the car speeds up
 ROLL_GAIN = 0.3 * units.DEG  # rad per m/s^2, the car leans out of a turn
 
 
-def _legs(key: jax.Array, n: int, speed_max: float) -> tuple[jax.Array, ...]:
-    """Random pieces of n streets, each left by a crossing: T, end speed, dip, turn, bow, (n, 7) each.
+def _legs(uniform: jax.Array, speed_max: float) -> tuple[jax.Array, ...]:
+    """Pieces of n streets, each left by a crossing, from random numbers (`DRAWS`, n) in [0, 1).
+
+    Gives duration, end speed, dip, turn and bow, (n, 7) each.
 
     Pieces of a street: pull away, cruise along a bending road, change lane, brake, wait, start again, turn.
     """
-    uniform = iter(jax.random.uniform(key, (DRAWS, n), float))
-    draw = lambda low, high: low + (high - low) * next(uniform)  # noqa: E731
-    chance = lambda p: next(uniform) < p  # noqa: E731
+    rows = iter(uniform)
+    draw = lambda low, high: low + (high - low) * next(rows)  # noqa: E731
+    chance = lambda p: next(rows) < p  # noqa: E731
     sign = lambda: jnp.where(chance(0.5), 1.0, -1.0)  # noqa: E731
-    zero = jnp.zeros(n)
+    zero = jnp.zeros_like(uniform[0])
 
     cruise = speed_max * draw(0.45, 1.0)
     lateral = draw(2.0, 3.0)  # m/s^2 in the turn
@@ -252,14 +254,14 @@ def _legs(key: jax.Array, n: int, speed_max: float) -> tuple[jax.Array, ...]:
     swing = draw(-1.0, 1.0) * jnp.minimum(10 * units.DEG, easy / BUMP_PEAK)
     lane = sign() * 3.3 / (cruise * jnp.maximum(T_lane, 1.0) * BUMP_MEAN)  # rad, for 3.3 m to the side
     dip = draw(0.0, 1.0) * jnp.minimum(0.3 * cruise, 1.2 * T_cruise / BUMP_PEAK)
-    rows = (
+    pieces = (
         (T_pull, T_cruise, T_lane, T_brake, T_wait, T_start, T_turn),
         (cruise, cruise, cruise, enter, enter, corner, corner),
         (zero, dip, zero, zero, zero, zero, zero),
         (zero, bend, zero, zero, zero, zero, angle),
         (zero, swing, lane, zero, zero, zero, zero),
     )
-    return tuple(jnp.stack(row, 1) for row in rows)
+    return tuple(jnp.stack(piece, 1) for piece in pieces)
 
 
 def urban(key: jax.Array, duration: float, standstill: float = 0.0, speed_max: float = 20.0) -> Shape:
@@ -268,22 +270,24 @@ def urban(key: jax.Array, duration: float, standstill: float = 0.0, speed_max: f
     Accelerates by at most 1.8 and brakes by at most 2.5 m/s^2, a little more across grade changes; turns with at most
     3 m/s^2 across. Stands for the first ``standstill`` s. Pitch and roll follow the road and the springs.
     """
-    streets, rest = (jax.random.fold_in(key, i) for i in range(2))
-    table = [jnp.pad(a.ravel(), (1, 0)) for a in _legs(streets, int(np.ceil(duration / SHORTEST_LEG)), speed_max)]
+    # all random numbers by one call: each costs compile time
+    M, n = 6, int(np.ceil(duration / SHORTEST_LEG))
+    uniform = jax.random.uniform(key, (8 * M + 1 + DRAWS * n,), float)
+    road, first, streets = uniform[: 8 * M].reshape(4, 2, M), uniform[8 * M], uniform[8 * M + 1 :].reshape(DRAWS, n)
+    table = [jnp.pad(a.ravel(), (1, 0)) for a in _legs(streets, speed_max)]
     table[0] = table[0].at[0].set(standstill)
-    uniform = jax.random.uniform(rest, (5, 2, 6), float)
-    pieces = join_pieces(2 * np.pi * uniform[0, 0, 0], *table)
-    hills = waves(uniform[1], 1.0 * units.DEG, 150.0, 600.0)
-    ripple = waves(uniform[2], 0.3 * units.DEG, 20.0, 80.0)
-    camber = waves(uniform[3], 0.4 * units.DEG, 30.0, 200.0)
-    wander = waves(uniform[4], 0.3 * units.DEG, 60.0, 200.0)  # of the heading: nobody drives a ruler's line
+    pieces = join_pieces(2 * np.pi * first, *table)
+    hills = waves(road[0], 1.0 * units.DEG, 150.0, 600.0)
+    ripple = waves(road[1], 0.3 * units.DEG, 20.0, 80.0)
+    camber = waves(road[2], 0.4 * units.DEG, 30.0, 200.0)
+    wander = waves(road[3], 0.3 * units.DEG, 60.0, 200.0)  # of the heading: nobody drives a ruler's line
 
-    def road(t: jax.Array) -> Profile:
+    def along_road(t: jax.Array) -> Profile:
         at = profile(pieces, t)
         return at._replace(heading=at.heading + wander(at.distance))
 
     def shape(t: jax.Array) -> Motion:
-        (s, v, heading), rate = jax.jvp(road, (t,), (jnp.ones_like(t),))
+        (s, v, heading), rate = jax.jvp(along_road, (t,), (jnp.ones_like(t),))
         grade = hills(s)
         along, up = v * jnp.cos(grade), v * jnp.sin(grade)
         vel = jnp.stack([along * jnp.sin(heading), along * jnp.cos(heading), up])

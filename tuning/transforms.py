@@ -8,6 +8,7 @@ A spec is a dict from the dotted name of a leaf of `Params` to a `Transform`; wh
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -28,11 +29,13 @@ LOG = Transform(jnp.exp, jnp.log)
 IDENTITY = Transform(lambda raw: raw, lambda value: value)
 
 
+@cache
 def scaled(unit: float) -> Transform:
     """Any sign; a raw step of 1 is worth ``unit``, so that one learning rate suits all leaves."""
     return Transform(lambda raw: raw * unit, lambda value: value / unit)
 
 
+@cache
 def interval(low: float, high: float) -> Transform:
     """Strictly between two bounds, by a logistic function."""
 

@@ -29,8 +29,8 @@ def fixes(
     value is that of a receiver that works, so that the end of an outage can be scored.
     """
     lla, vel = jax.vmap(antenna, (0, None))(truth, lever_arm)
-    e_position, e_velocity = (jax.random.normal(jax.random.fold_in(key, i), vel.shape, float) for i in range(2))
-    value = jnp.concatenate([jax.vmap(earth.move)(lla, position_sd * e_position), vel + velocity_sd * e_velocity], 1)
+    e = jax.random.normal(key, (*vel.shape[:-1], 6), float)
+    value = jnp.concatenate([jax.vmap(earth.move)(lla, position_sd * e[:, :3]), vel + velocity_sd * e[:, 3:]], 1)
     sd = jnp.broadcast_to(jnp.concatenate([position_sd, velocity_sd]), value.shape)
     return Fix(value, sd, jnp.zeros_like(value), jnp.broadcast_to(~hidden[:, None], value.shape))
 
@@ -50,7 +50,7 @@ def random_outages(key: jax.Array, count: int, start: float, stop: float, length
     part = (stop - start) / max(count, 1)
     if length[1] > part:
         raise ValueError(f"{count} outages of up to {length[1]:g} s do not fit between {start:g} and {stop:g} s")
-    how_long, where = (jax.random.fold_in(key, i) for i in range(2))
-    lasts = jax.random.uniform(how_long, (count,), float, *length)
-    begin = start + part * np.arange(count) + (part - lasts) * jax.random.uniform(where, (count,), float)
+    how_long, where = jax.random.uniform(key, (2, count), float)
+    lasts = length[0] + (length[1] - length[0]) * how_long
+    begin = start + part * np.arange(count) + (part - lasts) * where
     return jnp.stack([begin, begin + lasts], 1)

@@ -1,6 +1,6 @@
 """The IMU of a trajectory, free of errors and independent of any mechanization, and the errors of a grade on top.
 
-The errors come from a key, every sort of them from its own, so that a change of one leaves the others as they are.
+The errors come from a key; the size of one changes nothing of the others.
 """
 
 import jax
@@ -68,9 +68,8 @@ def corrupt(
     subtracted leave only scale error and white noise.
     """
     n = imu.dt.shape[0]
-    constant, drift, white, factor = (
-        jax.random.normal(jax.random.fold_in(key, i), (m, 2, 3), float) for i, m in enumerate((1, n, n, 1))
-    )  # axis 1: gyro, accelerometer
+    normal = jax.random.normal(key, (2 + 2 * n, 2, 3), float)  # axis 1: gyro, accelerometer
+    constant, factor, drift, white = normal[0], normal[1], normal[2 : 2 + n], normal[2 + n :]
     sd = lambda gyro, accel: np.array([[gyro], [accel]])  # noqa: E731
     bias = sd(grade.gyro_turn_on, grade.accel_turn_on) * constant
     bias = bias + sd(grade.gyro_instability, grade.accel_instability) * gauss_markov(drift, dt, grade.tau)

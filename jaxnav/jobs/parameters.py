@@ -1,0 +1,127 @@
+"""Filter parameters in a user's units, and names of what is free in tuning."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav import config, units
+from jaxnav.errors import ConfigError
+from jaxnav.filters.catalogue import FILTERS
+from jaxnav.measurements import Measurement
+from jaxnav.types import Params
+from tuning.transforms import LOG, TRANSFORMS, Spec, Transform, get, put, scaled
+
+
+class Unit(NamedTuple):
+    """What a user's parameter is inside."""
+
+    leaf: str  # dotted name in `Params`
+    factor: float  # user's unit in SI
+    shape: tuple[int, ...]  # of one value an axis
+    step: Transform = LOG  # for tuning
+
+
+UNITS: dict[str, Unit] = {
+    "gyro_deg_per_sqrt_hour": Unit("noise.gyro", units.DEG_PER_SQRT_HOUR, (3,)),
+    "accel_ug_per_sqrt_hz": Unit("noise.accel", units.UG, (3,)),
+    "gyro_bias_deg_per_hour_per_sqrt_s": Unit("noise.gyro_bias", units.DEG_PER_HOUR, (3,)),
+    "accel_bias_ug_per_sqrt_s": Unit("noise.accel_bias", units.UG, (3,)),
+    "gyro_tau_s": Unit("noise.gyro_tau", 1.0, (3,)),
+    "accel_tau_s": Unit("noise.accel_tau", 1.0, (3,)),
+    "position_scale": Unit("noise.position_scale", 1.0, (3,)),
+    "velocity_scale": Unit("noise.velocity_scale", 1.0, (3,)),
+    "zero_velocity_mps": Unit("noise.zero_velocity", 1.0, ()),
+    "zero_rate_deg_per_s": Unit("noise.zero_rate", units.DEG, ()),
+    "nonholonomic_mps": Unit("noise.nonholonomic", 1.0, (2,)),
+    "speed_sd_scale": Unit("noise.speed", 1.0, ()),
+    "prior_gyro_bias_deg_per_hour": Unit("prior.gyro_bias", units.DEG_PER_HOUR, (3,)),
+    "prior_accel_bias_mg": Unit("prior.accel_bias", units.MG, (3,)),
+    "lever_arm_m": Unit("mounting.lever_arm", 1.0, (3,), scaled(0.2)),
+    "time_offset_s": Unit("mounting.time_offset", 1.0, (), scaled(0.1)),
+    "position_latency_s": Unit("mounting.position_latency", 1.0, (), scaled(0.1)),
+    "velocity_latency_s": Unit("mounting.velocity_latency", 1.0, (), scaled(0.1)),
+    "vehicle_deg": Unit("mounting.vehicle", units.DEG, (2,), scaled(1.0 * units.DEG)),
+    "wheel_arm_m": Unit("mounting.wheel_arm", 1.0, (3,), scaled(0.2)),
+    "speed_scale": Unit("mounting.speed_scale", 1.0, (), scaled(0.02)),
+    "ki": Unit("rule.ki", 1.0, ()),
+    "kd": Unit("rule.kd", 1.0, ()),
+}
+"""The keys of [params]."""
+
+NAMES = {unit.leaf: name for name, unit in UNITS.items()}
+
+
+def override(params: Params, section: config.Params) -> Params:
+    """``params`` with what [params] states, in SI.
+
+    Raises:
+        ConfigError: a wrong number of axes, a value out of range, or a parameter the filter's rule has not.
+    """
+    for name, unit in UNITS.items():
+        value = getattr(section, name)
+        if value is None:
+            continue
+        if np.shape(value) not in ((), unit.shape):
+            expected = f"one number or {unit.shape[0]}" if unit.shape else "one number"
+            raise ConfigError(f"params.{name} must be {expected}, got {value!r}")
+        if unit.step is LOG and not np.all(np.asarray(value) > 0):
+            raise ConfigError(f"params.{name} must be > 0, got {value!r}")
+        if not hasattr(params.rule, unit.leaf.split(".")[1]) and unit.leaf.startswith("rule."):
+            raise ConfigError(f"params.{name}: this filter has no such parameter")
+        old = jnp.shape(get(params, unit.leaf))
+        shape = np.shape(value) or (unit.shape if old else ())
+        params = put(params, unit.leaf, jnp.broadcast_to(jnp.asarray(value, float) * unit.factor, shape))
+    return params
+
+
+def in_user_units(params: Params, leaves: list[str]) -> dict[str, Any]:
+    """The named leaves as keys and values of [params]; axes that agree are one number."""
+    return {NAMES[leaf]: user_value(leaf, get(params, leaf)) for leaf in leaves}
+
+
+def user_value(leaf: str, value: Any) -> Any:
+    """A leaf's value in a user's units, as plain numbers."""
+    value = np.asarray(value, float) / UNITS[NAMES[leaf]].factor
+    same = value.ndim and np.all(value == value.flat[0]) and leaf.startswith("noise.")
+    return float(value.flat[0]) if same else value.tolist()
+
+
+def groups(name: str, measurements: tuple[Measurement, ...]) -> dict[str, list[str]]:
+    """What the short names in ``tune.free`` stand for, with a filter and its measurements."""
+    used = {m.name for m in measurements}
+    entry = FILTERS[name]
+    biases = ["noise.gyro_bias", "noise.accel_bias"] if entry.n_states > 9 else []
+    vehicle = bool(used & {"nonholonomic", "speed"})
+    pseudo = [f"noise.{n}" for n in ("zero_velocity", "zero_rate", "nonholonomic", "speed") if n in used]
+    return {
+        "noise": ["noise.gyro", "noise.accel", *biases, *pseudo],
+        "fixes": ["noise.position_scale", "noise.velocity_scale"],
+        "timing": ["mounting.position_latency", "mounting.velocity_latency"],
+        "lever_arm": ["mounting.lever_arm"],
+        "vehicle": ["mounting.vehicle", "mounting.wheel_arm"] if vehicle else [],
+        "prior": ["prior.gyro_bias", "prior.accel_bias"] if entry.n_states > 9 else [],
+        "rule": [f"rule.{leaf}" for leaf in entry.tunable],
+    }
+
+
+def free_spec(free: tuple[str, ...], filter_name: str, measurements: tuple[Measurement, ...]) -> Spec:
+    """The transforms of what ``tune.free`` names: groups, dotted leaves, or keys of [params].
+
+    Raises:
+        ConfigError: an unknown name, or nothing is free.
+    """
+    short, spec = groups(filter_name, measurements), {}
+    for name in free:
+        leaves = short[name] if name in short else [UNITS[name].leaf if name in UNITS else name]
+        for leaf in leaves:
+            if leaf not in NAMES:
+                raise ConfigError(f"tune.free: no parameter {leaf}: {config.nearest(leaf, [*short, *NAMES])}")
+            tunable = FILTERS[filter_name].tunable
+            if leaf.startswith("rule.") and leaf.removeprefix("rule.") not in tunable:
+                raise ConfigError(f"tune.free: filter {filter_name} has no {leaf}")
+            rule = tunable.get(leaf.removeprefix("rule."))
+            spec[leaf] = TRANSFORMS[rule] if leaf.startswith("rule.") and rule else UNITS[NAMES[leaf]].step
+    if not spec:
+        raise ConfigError("tune.free: nothing is free")
+    return spec

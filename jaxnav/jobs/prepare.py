@@ -1,0 +1,343 @@
+"""From a configuration to what a filter runs on: recording, start, parameters, epochs."""
+
+import math
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav import alignment, earth, io, rotations
+from jaxnav import epochs as ep
+from jaxnav.config import Config, nearest
+from jaxnav.errors import ConfigError, DataError
+from jaxnav.filters import core
+from jaxnav.filters.catalogue import FILTERS, build
+from jaxnav.jobs.parameters import override
+from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
+from jaxnav.run import initial_nav
+from jaxnav.scenarios import SCENARIOS, Scenario
+from jaxnav.sensors.grades import GRADES, Grade, datasheet_params, mounting
+from jaxnav.sensors.imu import corrupt
+from jaxnav.simulation import Simulated, simulate, to_recording
+from jaxnav.types import Imu, Nav, Params, Prior, Recording, Samples
+from jaxnav.units import DEG
+
+TRAIN, VALIDATION, TEST, SINGLE = range(4)  # folded into the seed: runs of one kind never meet those of another
+CONSTRAINTS = ("zero_velocity", "zero_rate", "nonholonomic", "speed")
+REACH = 0.25  # s, latency that tuning may reach
+
+
+class Case(NamedTuple):
+    """One recording, ready to run."""
+
+    recording: Recording
+    filter: core.Filter
+    measurements: tuple[Measurement, ...]
+    params: Params
+    packed: ep.Packed  # nothing hidden
+    navs: Nav  # (B, ...) the start, or one for each hypothesis of the heading
+    bias_truth: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None  # t, gyro rad/s, accelerometer m/s^2
+
+
+# ---------------------------------------------------------------------------- data
+
+
+def key_of(seed: int, kind: int, run: int) -> jax.Array:
+    """The key of a simulated run: of its seed, kind and number only."""
+    return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), kind), run)
+
+
+def scenario_of(config: Config) -> Scenario | None:
+    """The scenario that [data] names, with its options; None if the source is none.
+
+    Raises:
+        ConfigError: an unknown option, or one of the wrong type.
+    """
+    data = config.data
+    if data.source not in SCENARIOS:
+        return None
+    scenario = SCENARIOS[data.source]
+    for key, value in data.options.items():
+        if key not in scenario._fields or key == "name":
+            raise ConfigError(f"data.options.{key}: unknown for a scenario: {nearest(key, scenario._fields[1:])}")
+        scenario = scenario._replace(**{key: _like(f"data.options.{key}", value, getattr(scenario, key))})
+    if scenario.grade not in GRADES:
+        raise ConfigError(f"data.options.grade: no IMU grade {scenario.grade!r}: {nearest(scenario.grade, GRADES)}")
+    return scenario
+
+
+def _like(name: str, value: Any, default: Any) -> Any:
+    """``value`` with the type of ``default``: numbers, text, or tuples of them."""
+    if isinstance(default, tuple) and isinstance(value, (list, tuple)):
+        inner = default[0] if default else 0.0
+        if isinstance(inner, tuple) or len(value) == len(default):
+            return tuple(_like(name, v, inner) for v in value)
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if isinstance(default, float) and number:
+        return float(value)
+    if type(default) is type(value) and not isinstance(default, tuple):
+        return value
+    raise ConfigError(f"{name} must be like {default!r}, got {value!r}")
+
+
+def simulated(config: Config, scenario: Scenario, keys: jax.Array) -> Simulated:
+    """Runs of the scenario (leading axis of ``keys``), with [data]'s latency and IMU factor put in.
+
+    Raises:
+        ConfigError: a scenario that does not fit together.
+    """
+    latency, k = config.data.gnss_latency_s, round(scenario.imu_rate_hz / scenario.gnss_rate_hz)
+    late = round(latency * scenario.imu_rate_hz)
+    if abs(late - latency * scenario.imu_rate_hz) > 1e-6 or late >= k:
+        raise ConfigError(f"data.gnss_latency_s must be whole IMU samples and less than an epoch, got {latency:g}")
+    part = math.gcd(k, late)  # simulate fixes so often that one is exactly so old
+    fast = scenario._replace(gnss_rate_hz=scenario.imu_rate_hz / part)
+    try:
+        return _simulated(fast, k // part, late // part, config.data.imu_worse_by, keys)
+    except DataError:
+        raise
+    except ValueError as error:
+        raise ConfigError(f"data.options: {error}") from error
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2, 3))
+def _simulated(fast: Scenario, every: int, by: int, factor: float, keys: jax.Array) -> Simulated:
+    def one(key):
+        sim = delay(simulate(fast, key), every, by)
+        return worsen(jax.random.fold_in(key, 99), sim, GRADES[fast.grade], factor, 1 / fast.imu_rate_hz)
+
+    return jax.vmap(one)(keys)
+
+
+def delay(sim: Simulated, every: int, by: int) -> Simulated:
+    """Every so many epochs as one, ended by the fix of ``by`` short epochs before."""
+    if every == 1:
+        return sim
+    imu = Imu(*(a.reshape(-1, every * a.shape[1], *a.shape[2:]) for a in sim.epochs.imu))
+    ends = slice(every - 1, None, every)
+    fix = jax.tree.map(lambda a: a[every - 1 - by :: every], sim.epochs.fix)
+    hidden = sim.hidden[ends]
+    fix = fix._replace(valid=jnp.broadcast_to(~hidden[:, None], fix.valid.shape))
+    truth = jax.tree.map(lambda a: a[ends], sim.truth)
+    return sim._replace(epochs=sim.epochs._replace(imu=imu, fix=fix), truth=truth, hidden=hidden)
+
+
+def worsen(key: jax.Array, sim: Simulated, grade: Grade, factor: float, dt: float) -> Simulated:
+    """Add noise and drift until both have ``factor`` times the grade's sd; the turn-on biases stay."""
+    if factor == 1.0:
+        return sim
+    more = math.sqrt(factor**2 - 1)
+    extra = Grade(*(more * v for v in grade[:2]), 0.0, 0.0, *(more * v for v in grade[4:6]), grade.tau, "")
+    E, k = sim.epochs.imu.dt.shape
+    flat = Imu(*(a.reshape(E * k, *a.shape[2:]) for a in sim.epochs.imu))
+    flat, b_g, b_a = corrupt(key, flat, dt, extra)
+    imu = Imu(*(a.reshape(E, k, *a.shape[1:]) for a in flat))
+    last = np.arange(1, E + 1) * k - 1
+    truth = sim.truth._replace(b_g=sim.truth.b_g + b_g[last], b_a=sim.truth.b_a + b_a[last])
+    return sim._replace(epochs=sim.epochs._replace(imu=imu), truth=truth)
+
+
+def load(config: Config) -> tuple[Recording, Simulated | None]:
+    """The recording that [data] names, read or simulated.
+
+    Raises:
+        DataError: it is not there, or cannot be used.
+    """
+    data, scenario = config.data, scenario_of(config)
+    if scenario is not None:
+        sims = simulated(config, scenario, key_of(config.seed, SINGLE, 0)[None])
+        sim = jax.tree.map(lambda a: a[0], sims)
+        return to_recording(sim, scenario), sim
+    if data.source in io.DATASETS:
+        try:
+            return io.load(data.source, **data.options), None
+        except TypeError as error:
+            raise ConfigError(f"data.options: {error}") from error
+    if Path(data.source).exists():
+        if data.options:
+            raise ConfigError(f"data.options: {data.source} is a recording and takes none, got {', '.join(data.options)}")
+        return io.read_recording(data.source), None
+    names = [*SCENARIOS, *io.DATASETS]
+    raise DataError(f"{data.source}: no such file, scenario or data set: {nearest(data.source, names)}")
+
+
+# ---------------------------------------------------------------------------- filter and parameters
+
+
+def filter_name(config: Config) -> str:
+    """The filter's name, known.
+
+    Raises:
+        ConfigError: it is not in FILTERS.
+    """
+    name = config.filter.name
+    if name not in FILTERS:
+        raise ConfigError(f"filter.name: no filter {name!r}: {nearest(name, FILTERS)}")
+    return name
+
+
+def grade_of(config: Config, scenario: Scenario | None) -> Grade:
+    """The IMU's datasheet.
+
+    Raises:
+        ConfigError: it is not in GRADES.
+    """
+    name = config.filter.grade or (scenario.grade if scenario else "consumer")
+    if name not in GRADES:
+        raise ConfigError(f"filter.grade: no IMU grade {name!r}: {nearest(name, GRADES)}")
+    return GRADES[name]
+
+
+def measurements_of(config: Config) -> tuple[Measurement, ...]:
+    """Position, velocity and the constraints that are on."""
+    return (*GNSS, *(MEASUREMENTS[name] for name in CONSTRAINTS if getattr(config.filter, name)))
+
+
+def history_of(config: Config, rate_hz: float, tuned: bool) -> int:
+    """IMU samples of history: to cover the latencies stated, and those that tuning may reach."""
+    if config.filter.history:
+        return max(2, config.filter.history)
+    p = config.params
+    largest = (p.time_offset_s or 0.0) + max(p.position_latency_s or 0.0, p.velocity_latency_s or 0.0)
+    largest = max(largest, REACH) if tuned else largest
+    return 2 + math.ceil(max(largest, 0.0) * rate_hz + 1e-6) if largest > 0 else 2
+
+
+def base_params(config: Config, grade: Grade, lever_arm: np.ndarray, position_sd: Any, velocity_sd: Any) -> Params:
+    """The datasheet's parameters under the overrides of [params]; the prior of the start by [start]."""
+    start, entry = config.start, FILTERS[filter_name(config)]
+    heading_sd = 360.0 / start.hypotheses if start.heading == "unknown" else start.heading_sd_deg
+    params = datasheet_params(
+        grade, position_sd, velocity_sd, start.tilt_sd_deg * DEG, heading_sd * DEG,
+        mounting(lever_arm), entry.theta(),
+    )  # fmt: skip
+    return override(params, config.params)
+
+
+def prepare(config: Config, tuned: bool = False) -> Case:
+    """Read or simulate, align, and pack; nothing hidden yet.
+
+    Raises:
+        DataError: data that cannot be used. ConfigError: names that are not known.
+    """
+    name, scenario = filter_name(config), scenario_of(config)
+    grade, measurements = grade_of(config, scenario), measurements_of(config)
+    rec, sim = load(config)
+    first, prior = start_of(config, rec)
+    params = base_params(config, grade, rec.lever_arm, prior.position, prior.velocity)
+    interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
+    packed = pack(config, rec, measurements, float(np.ravel(first.t)[0]), interval)
+    rate = 1 / float(np.median(rec.imu.dt))
+    filt = build(name, measurements, config.filter.cov_stride, history_of(config, rate, tuned))
+    biases = None if sim is None else tuple(np.asarray(a) for a in (sim.truth.t, sim.truth.b_g, sim.truth.b_a))
+    return Case(rec, filt, measurements, params, packed, first, biases)
+
+
+def pack(
+    config: Config, rec: Recording, measurements: tuple[Measurement, ...], start: float, interval: float
+) -> ep.Packed:
+    """Epochs from ``start`` on, with the constraints that are on."""
+    f, stop = config.filter, config.data.stop
+    wanted = {"position", "velocity"} | ({"speed"} if f.speed else set())
+    if f.speed and "speed" not in rec.aiding:
+        raise DataError(f"{rec.name}: has no stream speed, which filter.speed asks for")
+    aiding = {name: s for name, s in rec.aiding.items() if name in wanted}
+    cuts = ep.cut_times(rec.imu, aiding, interval, start, stop)
+    standing = None
+    if f.zero_velocity or f.zero_rate:
+        standing = ep.stationary(
+            rec.imu, cuts, f.standing_window_s, f.standing_accel_sd_mps2, f.standing_gyro_sd_deg_per_s * DEG
+        )
+    made = ep.constraint_samples(
+        rec.imu, cuts, nonholonomic=f.nonholonomic, standing=standing, window=f.standing_window_s
+    )
+    aiding |= {k: v for k, v in made.items() if getattr(f, k)}
+    return ep.pack(rec.imu, aiding, interval, measurements, start, stop, cuts, f.cov_stride)
+
+
+# ---------------------------------------------------------------------------- the start
+
+
+def start_of(config: Config, rec: Recording) -> tuple[Nav, Prior]:
+    """Navigation states (B, ...) at the start, and the sd of position and velocity there.
+
+    Raises:
+        DataError: no position, never fast enough for a course, no truth with attitude where it is asked for.
+        ConfigError: a heading that is none.
+    """
+    start, position = config.start, rec.aiding.get("position")
+    if position is None or position.t.size < 2:
+        raise DataError(f"{rec.name}: needs a stream of positions to start from")
+    heading = start.heading
+    if isinstance(heading, str) and heading not in ("course", "unknown", "truth"):
+        raise ConfigError(f'start.heading must be "course", "unknown", "truth" or degrees, got {heading!r}')
+    begin = max(rec.imu.t[0], -math.inf if config.data.start is None else config.data.start)
+    velocity = rec.aiding.get("velocity") or _differences(position)
+    roll, pitch = _level(rec, velocity, begin)
+    angle = 0.0
+    if heading == "course":
+        begin, angle = alignment.course(velocity, start.course_speed_mps, begin)
+    elif heading == "truth":
+        begin, roll, pitch, angle = _true_attitude(rec, begin)
+    elif not isinstance(heading, str):
+        angle = heading * DEG
+    t, lla, vel, prior = _first_fix(config, position, velocity, begin)
+    if heading == "truth":
+        roll, pitch, angle = _interpolated(rec, t)
+    nav = initial_nav(lla, vel, (roll, pitch, angle))
+    arm = rotations.to_dcm(nav.q) @ jnp.asarray(rec.lever_arm, float)
+    nav = nav._replace(pos=earth.move(nav.pos, -arm), t=jnp.asarray(t, float))
+    angles = 2 * np.pi * np.arange(start.hypotheses) / start.hypotheses if heading == "unknown" else np.array([angle])
+    return alignment.with_headings(nav, angles), prior
+
+
+def _differences(position: Samples) -> Samples:
+    """Velocity from consecutive positions, (K - 1): good enough for a course."""
+    lla = jnp.asarray(position.value)
+    dt = np.diff(position.t)[:, None]
+    value = np.asarray(jax.vmap(earth.enu_difference)(lla[1:], lla[:-1])) / dt
+    return Samples(position.t[1:], value, 1.5 * position.sd[1:] / dt, np.zeros_like(value))
+
+
+def _level(rec: Recording, velocity: Samples, begin: float) -> tuple[float, float]:
+    """Roll and pitch (rad) from the standstill at the start, or flat where there is none of 2 s."""
+    after = velocity.t >= begin
+    moving = after & (np.hypot(velocity.value[:, 0], velocity.value[:, 1]) > 0.5)
+    until = velocity.t[np.argmax(moving)] if moving.any() else velocity.t[-1]
+    until = min(until - 0.5, begin + 30.0)
+    return alignment.level(rec.imu, begin, until) if until - begin >= 2.0 else (0.0, 0.0)
+
+
+def _interpolated(rec: Recording, t: float) -> np.ndarray:
+    truth = rec.truth
+    assert truth is not None
+    return np.array([np.interp(t, truth.t, np.unwrap(c)) for c in truth.rph.T])
+
+
+def _true_attitude(rec: Recording, begin: float) -> tuple[float, float, float, float]:
+    """Time from which the truth has an attitude, and roll, pitch, heading there."""
+    known = np.isfinite(rec.truth.rph).all(1) if rec.truth is not None else np.zeros(0, bool)
+    if rec.truth is None or not known.all():
+        raise DataError(f'{rec.name}: has no true attitude, which start.heading = "truth" asks for')
+    begin = max(begin, rec.truth.t[0])
+    return (begin, *_interpolated(rec, begin))
+
+
+def _first_fix(
+    config: Config, position: Samples, velocity: Samples, begin: float
+) -> tuple[float, np.ndarray, np.ndarray, Prior]:
+    """Time, position, velocity and their sd at the first fix from ``begin`` on."""
+    i = int(np.searchsorted(position.t, begin - ep.TICK))
+    if i >= position.t.size - 1:
+        raise DataError(f"position: no fix after {begin:.3f} s to start from")
+    t = float(position.t[i])
+    j = int(np.argmin(np.abs(velocity.t - t)))
+    start = config.start
+    position_sd = np.hypot(position.sd[i], 0.5) if start.position_sd_m is None else start.position_sd_m
+    velocity_sd = np.hypot(velocity.sd[j], 0.3) if start.velocity_sd_mps is None else start.velocity_sd_mps
+    zero = jnp.zeros(())
+    prior = Prior(jnp.asarray(position_sd, float), jnp.asarray(velocity_sd, float), zero, zero, zero)
+    return t, position.value[i], velocity.value[j], prior

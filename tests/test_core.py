@@ -1,0 +1,368 @@
+"""The filter core: exact no-ops, equivalent ways to run it, and consistency on a matched simulation."""
+
+from functools import partial
+from typing import NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnav import earth, linalg, metrics, rotations
+from jaxnav.epochs import pack
+from jaxnav.error_models.local_level import error_model
+from jaxnav.errors import DataError
+from jaxnav.filters.catalogue import FILTERS, build
+from jaxnav.filters.core import REST, Correction, Innovation, Rule, make_filter
+from jaxnav.filters.feedback import Poles, observer, open_loop, reset
+from jaxnav.filters.gpid import literal_params
+from jaxnav.filters.kalman import correct as kalman_correct
+from jaxnav.mechanizations import local_level
+from jaxnav.run import first_failure, run, run_jit
+from jaxnav.sensors.grades import datasheet_params
+from jaxnav.types import Epoch, Imu
+from jaxnav.units import DEG
+from tests.conftest import GRADE, all_finite, gnss, leaves_equal
+
+RUNS = 16
+
+
+@pytest.fixture(scope="module")
+def info(case):
+    return run_jit(build("ekf15"), case.params, case.nav, case.packed.epochs)
+
+
+def apart(a, b):
+    """Largest distance of two solutions, m, m/s, rad."""
+    position = np.abs(jax.vmap(earth.enu_difference)(a.pos, b.pos)).max()
+    return position, np.abs(a.vel - b.vel).max(), np.abs(a.q - b.q).max()
+
+
+def blind(epochs: Epoch) -> Epoch:
+    return epochs._replace(fix=epochs.fix._replace(valid=jnp.zeros_like(epochs.fix.valid)))
+
+
+def test_the_drive_is_followed(case, info):
+    error = np.asarray(jax.vmap(earth.enu_difference)(info.nav.pos, case.truth.lla[20::20]))
+    assert (metrics.rms(error[10:]) < [1.0, 1.0, 1.5]).all()  # of 2, 2, 3 m that the fixes have
+    assert np.asarray(info.ok).all() and np.asarray(info.used).all()
+    np.testing.assert_allclose(info.nav.t, case.packed.t, rtol=0, atol=1e-12)
+
+
+def test_padding_changes_nothing(case, info):
+    padded = pack(case.imu, case.aiding, 1.0, multiple=27).epochs
+    assert padded.imu.dt.shape == (60, 27)
+    other = run_jit(build("ekf15"), case.params, case.nav, padded)
+    position, velocity, attitude = apart(info.nav, other.nav)
+    assert position < 2e-8 and velocity < 1e-9 and attitude < 1e-11
+    np.testing.assert_allclose(other.P, info.P, rtol=1e-7, atol=1e-14)
+
+
+def test_without_fixes_it_is_pure_inertial_navigation(case):
+    info = run_jit(build("ekf15"), case.params, case.nav, blind(case.packed.epochs))
+    alone = jax.jit(local_level.propagate)(case.nav, REST, Imu(case.imu.dt, case.imu.gyro, case.imu.accel))[1].nav
+    position, velocity, attitude = apart(info.nav, jax.tree.map(lambda a: a[19::20], alone))
+    assert position < 1e-8 and velocity < 1e-11 and attitude < 1e-13  # latitude itself steps by 7e-10 m
+    assert not info.nu.any() and not info.used.any() and not info.x.any()
+    np.testing.assert_array_equal(info.S, np.broadcast_to(np.eye(6), (60, 6, 6)))
+
+
+def test_a_missing_channel_is_an_exact_no_op(case):
+    """Whatever stands in it, and its own statistics are those of nothing."""
+    fix = case.packed.epochs.fix
+    valid = fix.valid.at[:, 3:].set(False).at[7:30].set(False)
+    results = []
+    for value, sd in ((fix.value, fix.sd), (fix.value.at[:, 4].set(1e9), fix.sd.at[:, 5].set(1e-9))):
+        epochs = case.packed.epochs._replace(fix=fix._replace(value=value, sd=sd, valid=valid))
+        results.append(run_jit(build("ekf15"), case.params, case.nav, epochs))
+    a, b = results
+    leaves_equal(a._replace(residual=b.residual), b)
+    assert not a.nu[:, 3:].any() and not a.used[:, 3:].any() and not a.used[7:30].any() and a.used[31, :3].all()
+    np.testing.assert_array_equal(a.S[3, 3:, 3:], np.eye(3))
+    assert a.residual[10, 0] != 0  # a hidden fix still has a residual
+
+
+def test_correlated_fixes_change_the_innovation_covariance(case, info):
+    corr = jnp.array([0.5, -0.3, 0.2, -0.6, 0.1, 0.4])
+    fix = case.packed.epochs.fix
+    other = run_jit(
+        build("ekf15"), case.params, case.nav,
+        case.packed.epochs._replace(fix=fix._replace(corr=jnp.broadcast_to(corr, (60, 6)))),
+    )  # fmt: skip
+    change = np.asarray(other.S[0] - info.S[0])
+    expected = np.zeros((6, 6))
+    for block, c in ((0, corr[:3]), (3, corr[3:])):
+        for i, j, r in ((0, 1, c[0]), (1, 2, c[1]), (2, 0, c[2])):
+            i, j = i + block, j + block
+            expected[i, j] = expected[j, i] = float(r * fix.sd[0, i] * fix.sd[0, j])
+    np.testing.assert_allclose(change, expected, rtol=0, atol=1e-12)
+    nu, S = np.asarray(other.nu[0]), np.asarray(other.S[0])
+    assert other.nis[0] == pytest.approx(nu @ np.linalg.inv(S) @ nu)
+
+
+def test_streaming_sample_by_sample_is_the_same(case, info):
+    filt = build("ekf15")
+    predict, correct = jax.jit(filt.predict), jax.jit(filt.correct)
+    state = filt.init(case.params, case.nav)
+    for e in range(12):
+        imu, fix = jax.tree.map(lambda a: a[e], (case.packed.epochs.imu, case.packed.epochs.fix))
+        for k in range(20):
+            state = predict(case.params, state, jax.tree.map(lambda a: a[k : k + 1], imu))  # noqa: B023
+        state, row = correct(case.params, state, fix)
+        batch = jax.tree.map(lambda a: a[e], info)  # noqa: B023
+        assert np.abs(earth.enu_difference(row.nav.pos, batch.nav.pos)).max() < 1e-8
+        leaves_equal((row.nav.vel, row.nav.q, row.nav.b_g, row.nav.b_a), (batch.nav.vel, batch.nav.q, batch.nav.b_g, batch.nav.b_a), 1e-9)  # noqa: E501
+        np.testing.assert_allclose(row.P, batch.P, rtol=1e-7, atol=1e-13)
+
+
+def test_covariance_stride_costs_millimetres(case, info):
+    thin = run_jit(build("ekf15", cov_stride=5), case.params, case.nav, case.packed.epochs)
+    position, velocity, attitude = apart(info.nav, thin.nav)
+    assert 0 < position < 0.03 and velocity < 3e-3 and attitude < 2e-4
+    np.testing.assert_allclose(jnp.diagonal(thin.P, axis1=1, axis2=2) / jnp.diagonal(info.P, axis1=1, axis2=2), 1, atol=0.03)
+    with pytest.raises(ValueError, match="cov_stride must divide"):
+        jax.eval_shape(partial(run, build("ekf15", cov_stride=7)), case.params, case.nav, case.packed.epochs)
+
+
+# ------------------------------------------------------------------------------------------------ feedback
+
+
+def test_open_loop_is_reset_while_errors_are_small(case, info):
+    free = run_jit(build("ekf15", feedback=open_loop), case.params, case.nav, case.packed.epochs)
+    assert np.abs(free.x[:, :3]).max() > 0.3  # the error is carried, not fed back
+    position, velocity, attitude = apart(info.nav, free.nav)
+    moved = np.abs(jax.vmap(earth.enu_difference)(info.nav.pos, case.truth.lla[20::20])).max()
+    assert position < 0.02 * moved and velocity < 0.01 and attitude < 1e-3
+
+
+@pytest.mark.parametrize("tau", [0.4, 4.0])
+def test_observer_is_stable_for_any_epoch_length(case, info, tau):
+    """Epochs of 1 s with time constants on either side of it; the paper's own gains fail for tau < 1 s."""
+    poles = Poles(jnp.asarray(tau), jnp.asarray(tau))
+    params = case.params._replace(feedback=poles)
+    seen = run_jit(build("ekf15", feedback=observer), params, case.nav, case.packed.epochs)
+    assert seen.ok.all()
+    position, velocity, attitude = apart(info.nav, seen.nav)
+    assert position < 0.1 and velocity < 0.03 and attitude < 2e-3
+
+
+@pytest.mark.parametrize("tau", [0.3, 1.0, 5.0])
+def test_observer_places_the_poles(case, tau):
+    """Position and velocity errors of a double integrator, sampled: both poles at exp(-T / tau)."""
+    T = 1.0
+    gains = [observer(Poles(jnp.asarray(tau), jnp.asarray(tau)), lambda nav, x: nav, (), e, T)[2] for e in jnp.eye(9)]
+    k, c, spin = gains[0].accel[0], gains[3].accel[0], gains[6].omega[0]
+    M = np.array([[1 + k * T**2 / 2, T + c * T**2 / 2], [k * T, 1 + c * T]])
+    # a double pole splits by the root of rounding
+    np.testing.assert_allclose(np.linalg.eigvals(M), np.exp(-T / tau), atol=1e-6)
+    assert 1 + spin * T == pytest.approx(np.exp(-T / tau))
+
+
+# ------------------------------------------------------------------------------------------------ rules
+
+
+def test_gpid_without_gains_is_the_kalman_filter_exactly(case):
+    theta = literal_params(0.0, 0.0)
+    plain = run_jit(build("kf9_simple"), case.params, case.nav, case.packed.epochs)
+    pid = run_jit(build("gpid_literal"), case.params._replace(rule=theta), case.nav, case.packed.epochs)
+    leaves_equal(plain, pid)
+
+
+class Seen(NamedTuple):
+    age: jax.Array
+    T: jax.Array
+
+
+def test_a_rule_sees_ages_and_its_fade_and_drive_are_obeyed(case):
+    drive = jnp.array([0.1, 0.2, -0.3])
+
+    def watching(theta, memory, z: Innovation) -> Correction:
+        c = kalman_correct((), (), z)
+        used = z.valid.at[3:].set(False)
+        return c._replace(memory=Seen(z.age, z.T), used=used, fade=1.25, drive=REST._replace(accel=drive))
+
+    rule = Rule(lambda n, m: Seen(jnp.zeros(m), jnp.zeros(())), watching)
+    filt = make_filter(local_level.propagate, error_model(9), rule, reset)
+    step, state = jax.jit(filt.step), filt.init(case.params, case.nav)
+    epochs = case.packed.epochs._replace(
+        fix=case.packed.epochs.fix._replace(valid=case.packed.epochs.fix.valid.at[1].set(False))
+    )
+    rows = []
+    for e in range(3):
+        before = state
+        state, info = step(case.params, state, jax.tree.map(lambda a: a[e], epochs))  # noqa: B023
+        rows.append((state, info, before))
+    (s0, i0, b0), (s1, i1, _), (s2, _, _) = rows
+    np.testing.assert_allclose(s0.memory.age, 1.0)
+    np.testing.assert_allclose(s2.memory.age, [2.0] * 3 + [3.0] * 3)  # no fix in between, velocity never accepted
+    assert s2.memory.T == pytest.approx(1.0)
+    leaves_equal(s1.memory, s0.memory)  # where nothing is valid the rule's answer is discarded
+    np.testing.assert_allclose(s0.P, 1.25**2 * i0.P, rtol=1e-14)
+    np.testing.assert_array_equal(s1.P, i1.P)
+    C = rotations.to_dcm(b0.past.q[-1])
+    assert np.abs(C @ (s0.past.b_a[-1] - b0.past.b_a[-1]) - drive).max() < 0.05  # the attitude has moved by an epoch
+    np.testing.assert_array_equal(s1.past.b_a[-1], s0.past.b_a[-1])
+
+
+# ------------------------------------------------------------------------------------------------ batches
+
+
+class Batch(NamedTuple):
+    params: object
+    nav: object  # (B, ...)
+    epochs: Epoch  # (B, E, ...)
+    info: object
+
+
+run_batch = jax.jit(jax.vmap(run, (None, None, 0, 0)), static_argnums=0)
+
+
+@pytest.fixture(scope="module")
+def batch(case):
+    """Runs whose sensors, fixes and start are drawn from exactly what the filter believes."""
+    rng = np.random.default_rng(11)
+    params = datasheet_params(GRADE, tilt_sd=0.2 * DEG, heading_sd=0.7 * DEG)
+    E, k = case.packed.epochs.imu.dt.shape
+    dt = 1 / 20
+    navs, epochs = [], []
+    model = error_model(15)
+    sd = np.sqrt(np.diag(model.covariance(params.prior, case.nav)))
+    retract = jax.jit(model.retract)
+    for _ in range(RUNS):
+        x = rng.normal(size=15) * sd
+        navs.append(retract(case.nav, -x)._replace(b_g=jnp.zeros(3), b_a=jnp.zeros(3)))
+        draw = lambda root_psd: np.cumsum(rng.normal(size=(E * k, 3)), 0) * np.sqrt(dt) * float(root_psd)  # noqa: E731
+        gyro = draw(params.noise.gyro_bias) + rng.normal(size=(E * k, 3)) * GRADE.arw / np.sqrt(dt) - x[9:12]
+        accel = draw(params.noise.accel_bias) + rng.normal(size=(E * k, 3)) * GRADE.vrw / np.sqrt(dt) - x[12:15]
+        imu = case.imu._replace(gyro=case.imu.gyro + gyro, accel=case.imu.accel + accel)
+        epochs.append(pack(imu, gnss(case.truth, 20, rng), 1.0).epochs)
+    stack = lambda trees: jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)  # noqa: E731
+    nav, epochs = stack(navs), stack(epochs)
+    return Batch(params, nav, epochs, run_batch(build("ekf15"), params, nav, epochs))
+
+
+def test_a_batch_is_its_runs_one_by_one(batch):
+    for i in (0, 5):
+        nav, epochs, expected = jax.tree.map(lambda a: a[i], (batch.nav, batch.epochs, batch.info))  # noqa: B023
+        alone = run_jit(build("ekf15"), batch.params, nav, epochs)
+        position, velocity, attitude = apart(alone.nav, expected.nav)
+        assert position < 2e-8 and velocity < 1e-9 and attitude < 1e-10
+        np.testing.assert_allclose(alone.P, expected.P, rtol=1e-7, atol=1e-13)
+
+
+def test_a_matched_filter_is_consistent(case, batch):
+    """NIS over all fixes, NEES over the runs at their end: inside the two-sided 99 % bounds of chi-square."""
+    E = batch.info.nis.shape[1]
+    low, high = metrics.chi2_bounds(6, RUNS * E, 0.99)
+    assert low < float(batch.info.nis.mean()) < high
+    z = metrics.normalized_innovations(batch.info)
+    np.testing.assert_allclose(metrics.rms(z.reshape(-1, 6)), 1.0, atol=0.08)
+    truth = jnp.asarray(case.truth.lla[-1]), jnp.asarray(case.truth.vel[-1])
+    end = jax.tree.map(lambda a: a[:, -1], batch.info)
+    x = np.concatenate([jax.vmap(lambda p: earth.enu_difference(p, truth[0]))(end.nav.pos), end.nav.vel - truth[1]], 1)
+    values = [float(metrics.nees(jnp.asarray(e), P[:6, :6])) for e, P in zip(x, end.P, strict=True)]
+    low, high = metrics.chi2_bounds(6, RUNS, 0.99)
+    assert low < np.mean(values) < high
+
+
+def test_a_nan_freezes_its_run_and_no_other(case, batch):
+    bad, epoch = 3, 20
+    gyro = batch.epochs.imu.gyro.at[bad, epoch, 5, 1].set(jnp.nan)
+    info = run_batch(build("ekf15"), batch.params, batch.nav, batch.epochs._replace(imu=batch.epochs.imu._replace(gyro=gyro)))
+    assert all_finite(info)
+    ok = np.ones((RUNS, 60), bool)
+    ok[bad, epoch:] = False
+    np.testing.assert_array_equal(info.ok, ok)
+    others = np.arange(RUNS) != bad
+    leaves_equal(jax.tree.map(lambda a: a[others], info), jax.tree.map(lambda a: a[others], batch.info))
+    one, was = (jax.tree.map(lambda a: a[bad], i) for i in (info, batch.info))
+    leaves_equal(jax.tree.map(lambda a: a[:epoch], one), jax.tree.map(lambda a: a[:epoch], was))
+    for e in (epoch, 59):
+        leaves_equal(jax.tree.map(lambda a: a[e], one.nav), jax.tree.map(lambda a: a[epoch - 1], was.nav), 1e-15)
+    assert not one.used[epoch:].any()
+    text = first_failure(one, case.packed.t)
+    assert "t = 21.000 s" in text and "epoch 20 of 60" in text
+    assert first_failure(was, case.packed.t) is None
+
+
+# ------------------------------------------------------------------------------------------------ entry
+
+
+def test_one_trace_serves_all_values(case):
+    jitted = jax.jit(chex.assert_max_traces(run, n=1), static_argnums=0)
+    epochs = jax.tree.map(lambda a: a[:3], case.packed.epochs)
+    for scale in (1.0, 1.1):
+        params = datasheet_params(GRADE, tilt_sd=scale * DEG)
+        jitted(build("kf9_simple"), params, case.nav, epochs)  # built anew: the same object
+    assert build("kf9_simple") is build("kf9_simple") and set(FILTERS) > {"ekf15", "gpid"}
+
+
+def test_float32_is_refused(case):
+    small = case.nav._replace(pos=case.nav.pos.astype(jnp.float32))
+    with pytest.raises(DataError, match="float64, got float32"):
+        run(build("ekf15"), case.params, small, case.packed.epochs)
+    imu = jax.tree.map(lambda a: a.astype(jnp.float32), case.packed.epochs.imu)
+    with pytest.raises(DataError, match="enable_x64"):
+        run_jit(build("ekf15"), case.params, case.nav, case.packed.epochs._replace(imu=imu))
+
+
+def test_names_and_options_that_are_not_there():
+    with pytest.raises(ValueError, match="no filter 'ekf99'; known are ekf15"):
+        build("ekf99")
+    with pytest.raises(ValueError, match="history must be at least 2"):
+        build("ekf15", history=1)
+
+
+# ------------------------------------------------------------------------------------------------ linear algebra
+
+
+def test_joseph_keeps_the_covariance_definite():
+    """Ten thousand precise fixes of a huge prior: the short form goes indefinite on the way, this one never."""
+    rng = np.random.default_rng(5)
+    H = jnp.asarray(rng.normal(size=(3, 9)))
+    Phi = jnp.eye(9) + 0.01 * jnp.asarray(rng.normal(size=(9, 9)))
+    Phi = Phi / jnp.linalg.norm(Phi, 2)
+    R = 1e-8 * jnp.eye(3)
+
+    def step(P, _, short):
+        K = linalg.gain(P, H, H @ P @ H.T + R)
+        P = (jnp.eye(9) - K @ H) @ P if short else linalg.joseph(P, K, H, R)
+        return Phi @ P @ Phi.T + 1e-12 * jnp.eye(9), jnp.stack([jnp.linalg.eigvalsh(0.5 * (P + P.T))[0], jnp.abs(P - P.T).max()])
+
+    P0 = jnp.diag(10.0 ** jnp.linspace(-4, 8, 9))
+    P, (least, skew) = jax.jit(lambda: (lambda p, s: (p, s.T))(*jax.lax.scan(partial(step, short=False), P0, length=10_000)))()
+    assert least.min() > 0 and not skew.any() and all_finite(P)
+    short = jax.jit(lambda: jax.lax.scan(partial(step, short=True), P0, length=100)[1])()
+    assert not (short[:, 0].min() > 0)
+
+
+def test_gain_is_the_kalman_gain_and_nan_where_there_is_none():
+    rng = np.random.default_rng(6)
+    A, H = rng.normal(size=(6, 6)), rng.normal(size=(2, 6))
+    P, R = A @ A.T, np.diag([0.5, 2.0])
+    S = H @ P @ H.T + R
+    K = linalg.gain(*map(jnp.asarray, (P, H, S)))
+    np.testing.assert_allclose(K, P @ H.T @ np.linalg.inv(S), rtol=1e-12)
+    np.testing.assert_allclose(linalg.joseph(*map(jnp.asarray, (P, K, H, R))), (np.eye(6) - K @ H) @ P, atol=1e-10)
+    assert np.isnan(np.asarray(linalg.gain(jnp.asarray(P), jnp.asarray(H), -jnp.asarray(S)))).all()
+
+
+def test_discretize_to_the_stated_order():
+    from scipy.linalg import expm
+
+    rng = np.random.default_rng(7)
+    F, b = rng.normal(size=(5, 5)), rng.normal(size=5)
+    G = np.diag(rng.uniform(0.5, 2, 5))
+
+    def error(T):
+        Phi, Q, d = linalg.discretize(*map(jnp.asarray, (F, G, b, T)))
+        n = 5
+        loan = expm(np.block([[-F, G], [np.zeros((n, n)), F.T]]) * T)  # Van Loan
+        exact = loan[n:, n:].T
+        affine = expm(np.block([[F, b[:, None]], [np.zeros((1, 6))]]) * T)[:n, n]
+        assert np.linalg.eigvalsh(Q).min() > 0
+        return [np.abs(a - e).max() for a, e in ((Phi, exact), (Q, exact @ loan[:n, n:]), (d, affine))]
+
+    ratios = np.array(error(0.02)) / np.array(error(0.01))
+    np.testing.assert_allclose(ratios, [8, 8, 16], rtol=0.15)  # local errors of third, third and fourth order

@@ -17,6 +17,7 @@ with warnings.catch_warnings():  # the compiler warns of the oracle's escape seq
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_enable_compilation_cache", False)
+jax.config.update("jax_disable_most_optimizations", True)  # the suite's time is compilation
 
 from jaxnav.epochs import Packed, pack  # noqa: E402
 from jaxnav.run import initial_nav  # noqa: E402

@@ -1,0 +1,31 @@
+# `make demo` and `make test` do all the set-up on a fresh machine: uv if it is there, else venv and pip.
+PYTHON ?= python3
+VENV ?= .venv
+BIN = $(VENV)/bin
+EXTRAS ?= dev,oracle
+
+.PHONY: demo test slow lint lock
+demo: $(VENV)/ready
+	$(BIN)/jaxnav demo
+
+test: $(VENV)/ready
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+
+slow: $(VENV)/ready
+	$(BIN)/python -m pytest -m slow
+
+lint: $(VENV)/ready
+	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
+
+$(VENV)/ready: pyproject.toml requirements.lock.txt
+	@if command -v uv >/dev/null 2>&1; then \
+	  uv venv -q --allow-existing --python $(PYTHON) $(VENV) && \
+	  uv pip install -q --python $(BIN)/python -c requirements.lock.txt -e '.[$(EXTRAS)]'; \
+	else \
+	  $(PYTHON) -m venv $(VENV) && $(BIN)/python -m pip install -q -c requirements.lock.txt -e '.[$(EXTRAS)]'; \
+	fi
+	@touch $@
+
+lock:
+	uv pip compile -q --universal --python-version 3.11 --extra dev --extra oracle pyproject.toml \
+	  --no-header --no-annotate --no-emit-index-url -o requirements.lock.txt

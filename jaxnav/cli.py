@@ -1,0 +1,210 @@
+"""The command line: ``jaxnav demo | simulate | filter | tune | info | data``.
+
+Exit codes: 0 done, 1 a check failed (the filter stopped being finite), 2 usage or configuration, 3 data that cannot be
+used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and errors on stderr. jax is imported only
+by the work itself.
+"""
+
+import argparse
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxnav import config as configuration
+from jaxnav.errors import ConfigError, DataError
+
+if TYPE_CHECKING:
+    from jaxnav.jobs.results import Outcome
+
+CACHE = "JAXNAV_CACHE_DIR"  # environment: folder of compiled programs; empty turns the cache off
+VERBS = {
+    "demo": "simulate, tune by gradient and draw the figures: no data, no network, about a minute",
+    "simulate": "write a simulated recording and its truth",
+    "filter": "run a filter over a recording: solution, metrics, figures",
+    "tune": "tune a filter's parameters by gradient and show the gain on data kept aside",
+    "info": "versions, devices, filters, data sets",
+    "data": "list, fetch or check public data sets",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb; returns the exit code."""
+    parser = make_parser()
+    try:
+        args = parser.parse_args(argv)
+    except SystemExit as stop:  # --help, --version, usage
+        return int(stop.code or 0)
+    try:
+        return _main(args)
+    except KeyboardInterrupt:
+        print("jaxnav: stopped", file=sys.stderr)
+        return 130
+    except (ConfigError, DataError) as error:
+        return _fail(args, error, 2 if isinstance(error, ConfigError) else 3)
+    except BrokenPipeError:  # `jaxnav info | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 0
+    except Exception as error:
+        from jaxnav.jobs.results import FailedCheck
+
+        if not isinstance(error, FailedCheck):
+            raise
+        return _fail(args, error, 1)
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The arguments of every verb."""
+    shared = argparse.ArgumentParser(add_help=False)
+    shared.add_argument("--config", metavar="FILE", help="TOML, or the run.json of an earlier run")
+    shared.add_argument("--set", metavar="A.B=C", action="append", default=[], help="one setting; may be repeated")
+    shared.add_argument("--seed", type=int, help="of everything random")
+    shared.add_argument("--out", metavar="DIR", type=Path, help="folder of the results (default out/VERB)")
+    shared.add_argument("--json", action="store_true", help="the result as JSON on stdout, and nothing else there")
+    shared.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    shared.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
+    parser = argparse.ArgumentParser(
+        prog="jaxnav", description="INS/GNSS navigation, differentiable: simulate, filter, tune.",
+        epilog="Exit codes: 0 done, 1 failed check, 2 usage or configuration, 3 bad data, 130 stopped by Ctrl-C.",
+    )  # fmt: skip
+    parser.add_argument("--version", action="version", version=f"jaxnav {_version()}")
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    for verb, text in VERBS.items():
+        sub = verbs.add_parser(verb, help=text, description=text, parents=[shared])
+        if verb in ("simulate", "filter", "tune"):
+            sub.add_argument("--data", metavar="NAME|PATH", help="scenario, data set or recording ([data] source)")
+        if verb in ("filter", "tune", "demo"):
+            sub.add_argument("--filter", metavar="NAME", help="see `jaxnav info` ([filter] name)")
+            sub.add_argument("--params", metavar="FILE", help="[params] of this file, such as an earlier tuned.toml")
+        if verb == "data":
+            sub.add_argument("action", choices=("list", "fetch", "check"))
+            sub.add_argument("name", nargs="?", help="of the data set; check also takes a path")
+    return parser
+
+
+def _main(args: argparse.Namespace) -> int:
+    config = resolve(args)
+    if args.verb == "data" and args.action != "list" and not args.name:
+        raise ConfigError(f"data {args.action} needs the name of a data set")
+    if args.verb != "data" or args.action == "check":
+        _start_jax()
+    if args.verb in ("info", "data"):
+        return _report(args, _look(args), None)
+    from jaxnav.jobs import results
+
+    out = args.out or Path("out") / args.verb
+    with results.staged(out) as folder:
+        outcome = _work(args, config, folder)
+        results.write_run(folder, args.verb, config, outcome)
+    return _report(args, outcome, out)
+
+
+def resolve(args: argparse.Namespace) -> configuration.Config:
+    """The configuration: the verb's own, the file, --params, the flags, then --set."""
+    layers: list[tuple[str, dict[str, Any]]] = []
+    if args.verb == "demo":
+        layers.append(("demo", DEMO))
+    if args.config:
+        layers.append((args.config, configuration.read(args.config)))
+    if getattr(args, "params", None):
+        layers.append((args.params, configuration.read_params(args.params)))
+    if args.seed is not None:
+        layers.append(("--seed", {"seed": args.seed}))
+    if getattr(args, "data", None):
+        layers.append(("--data", {"data": {"source": args.data}}))
+    if getattr(args, "filter", None):
+        layers.append(("--filter", {"filter": {"name": args.filter}}))
+    layers += [(f"--set {setting}", configuration.parse_set(setting)) for setting in args.set]
+    return configuration.resolve(layers)
+
+
+DEMO: dict[str, Any] = {
+    "data": {"source": "urban", "imu_worse_by": 3.0, "gnss_latency_s": 0.1},
+    "filter": {"cov_stride": 10},
+    "tune": {"steps": 30, "rate": 0.15, "free": ["noise", "timing"]},
+}
+"""The demo's own settings: an IMU three times noisier than its datasheet, and fixes 0.1 s late that nobody told of."""
+
+
+def _look(args: argparse.Namespace) -> "Outcome":
+    from jaxnav.jobs import info
+
+    if args.verb == "data":
+        return info.data(args.action, args.name)
+    return info.info(cache_dir())
+
+
+def _work(args: argparse.Namespace, config: configuration.Config, folder: Path) -> "Outcome":
+    progress = not (args.quiet or args.json)
+    if args.verb in ("simulate", "filter"):
+        from jaxnav.jobs import filtering
+
+        return getattr(filtering, args.verb)(config, folder)
+    from jaxnav.jobs import tune
+
+    return tune.tune(config, folder, progress)
+
+
+def _report(args: argparse.Namespace, outcome: "Outcome", out: Path | None) -> int:
+    from jaxnav.jobs.results import to_json
+
+    code = 130 if outcome.stopped else 0
+    if args.json:
+        about = {"verb": args.verb, "out": None if out is None else str(out), "stopped": outcome.stopped or None}
+        print(to_json(about | {"seconds": outcome.seconds, "metrics": outcome.metrics}))
+    elif not args.quiet:
+        print(outcome.text)
+        if out is not None:
+            figures = sorted(p.name for p in out.glob("*.png"))
+            print(f"\nresults in {out}" + (f", figures {', '.join(figures)}" if figures else ""))
+    if outcome.stopped:
+        print(f"jaxnav: stopped: {outcome.stopped}", file=sys.stderr)
+    sys.stdout.flush()
+    return code
+
+
+def _fail(args: argparse.Namespace, error: Exception, code: int) -> int:
+    if args.debug:
+        traceback.print_exception(error)
+    print(f"jaxnav: error: {' '.join(str(error).split())}", file=sys.stderr)
+    return code
+
+
+def cache_dir() -> str | None:
+    """The folder of compiled programs, or None where it is turned off."""
+    if CACHE in os.environ:
+        return os.environ[CACHE] or None
+    if sys.platform == "win32":
+        home = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        home = Path.home() / "Library" / "Caches"
+    else:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return str(home / "jaxnav" / "compiled")
+
+
+def _start_jax() -> None:
+    """Float64, and compiled programs kept for the next start."""
+    import jax
+
+    from jaxnav.run import enable_x64
+
+    enable_x64()
+    folder = cache_dir()
+    if folder:
+        jax.config.update("jax_compilation_cache_dir", folder)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+def _version() -> str:
+    try:
+        return metadata.version("jaxnav")
+    except metadata.PackageNotFoundError:
+        return "(not installed)"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

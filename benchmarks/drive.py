@@ -33,7 +33,9 @@ AUTHOR = {  # the data author's own filter on this protocol: horizontal RMS, med
     "without constraints": (6.30, 2.49, 27.3, 0.60),
     "with constraints": (5.40, 2.12, 26.5, 1.19),
 }
-WIDEN = 10.0  # tuning starts from noise this much above the datasheet's: gradients of a filter that is too sure are wild
+WIDEN = (
+    10.0  # tuning starts from noise this much above the datasheet's: gradients of a filter that is too sure are wild
+)
 OUTAGE, EVERY, FIRST, LAST = 15.0, 45.0, 60.0, 30.0  # s
 PHASES = np.arange(0.0, 45.0, 5.0)
 INTERVAL = 0.25  # s, of the fixes
@@ -106,7 +108,7 @@ def phase_windows(data: Data, last_fix: float) -> tuple[np.ndarray, np.ndarray, 
 
 
 def masks(data: Data, hidden: np.ndarray, constraints: bool) -> jax.Array:
-    """valid (..., E, m) with the receiver's channels of the hidden epochs (..., E) taken out."""
+    """Valid (..., E, m) with the receiver's channels of the hidden epochs (..., E) taken out."""
     chosen = measurements(constraints)
     return jnp.stack([epochs.hide(data.epochs, h, chosen).fix.valid for h in hidden])
 
@@ -274,7 +276,9 @@ def main(argv: list[str]) -> None:
     folder = io.verify("rtkexplorer_drive")
     rec = io.read_drive(folder, imu_delay=EARLY)
     last_fix = float(rec.aiding["position"].t[-1])
-    header = f"  {'':38} {'H rms':>6} {'median':>7} {'max':>7} {'V rms':>7} {'outside':>8} {'NIS/dof':>7}   m, 15 s hidden"
+    header = (
+        f"  {'':38} {'H rms':>6} {'median':>7} {'max':>7} {'V rms':>7} {'outside':>8} {'NIS/dof':>7}   m, 15 s hidden"
+    )
     result: dict = {"seed": args.seed, "author": AUTHOR, "steps": args.steps}
     print("What brought how much, untuned\n" + header)
     result["steps_taken"] = steps_taken(folder, last_fix)

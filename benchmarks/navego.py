@@ -5,15 +5,14 @@ reading the IMU samples as instantaneous values; the data hold means over each s
 this package and gives a better heading. The headline figures use the reference's reading, the others stand beside it.
 """
 
-import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
 from jaxnav import epochs, io, metrics
 from jaxnav.filters.catalogue import build
 from jaxnav.run import initial_nav, run_jit, track
-from jaxnav.sensors.grades import mounting
-from jaxnav.types import Noise, Params, Prior, Recording
+from jaxnav.sensors.grades import mounting, noise, prior
+from jaxnav.types import Params, Recording
 
 KEYS = ("north_m", "east_m", "down_m", "vn_mps", "ve_mps", "vd_mps", "roll_deg", "pitch_deg", "heading_deg")
 REFERENCE = dict(zip(KEYS, (0.2306, 0.3606, 0.5134, 0.01659, 0.01215, 0.006586, 0.01743, 0.03459, 0.1271), strict=True))
@@ -23,13 +22,10 @@ SETTLED = 60.0  # s
 def parameters(folder, imu: str) -> Params:
     """The noise that made the data: start at truth with sd 5 m, 0.1 m/s and the alignment error of the data set."""
     sheet = io.read_navego_datasheet(folder, imu)
-    noise = Noise(
-        sheet.arw, sheet.vrw, sheet.gb_dyn * np.sqrt(2 / sheet.gb_corr), sheet.ab_dyn * np.sqrt(2 / sheet.ab_corr),
-        np.inf, np.inf, np.ones(3), np.ones(3), 0.02, 1e-3, 0.1, 1.0,
-    )  # fmt: skip
-    prior = Prior(5.0, 0.1, sheet.ini_align_err, sheet.gb_sta, sheet.ab_sta)
-    strong = lambda part: type(part)(*(jnp.asarray(leaf, float) for leaf in part))  # noqa: E731
-    return Params(strong(noise), strong(prior), mounting())
+    white = noise(
+        sheet.arw, sheet.vrw, sheet.gb_dyn * np.sqrt(2 / sheet.gb_corr), sheet.ab_dyn * np.sqrt(2 / sheet.ab_corr)
+    )
+    return Params(white, prior(5.0, 0.1, sheet.ini_align_err, sheet.gb_sta, sheet.ab_sta), mounting())
 
 
 def solve(rec: Recording, params: Params, instantaneous: bool) -> tuple[dict, list]:

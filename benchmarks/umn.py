@@ -67,7 +67,9 @@ def main(argv: list[str]) -> None:
     gone = not bool(info.ok.all()) or diverged(np.asarray(error.position), sd, packed.t)
     innovation = metrics.rms(metrics.normalized_innovations(info)[airborne])
     print(f"UMN flight 75, {packed.t[-1] - start:.0f} s from the first fix ({folder.name})")
-    print(f"  chosen start heading {np.rad2deg(headings[best]):.0f} deg, probability {float(bank.probability[best]):.4f}")
+    print(
+        f"  chosen start heading {np.rad2deg(headings[best]):.0f} deg, probability {float(bank.probability[best]):.4f}"
+    )
     print("  airborne RMS against the onboard filter: roll {:.2f}, pitch {:.2f}, heading {:.2f} deg".format(*attitude))
     ned = metrics.rms(np.asarray(error.position)[airborne])[[1, 0, 2]]
     print("  position N {:.2f} E {:.2f} D {:.2f} m; diverged: {}".format(*ned, gone))
@@ -76,5 +78,3 @@ def main(argv: list[str]) -> None:
     result |= {"diverged": gone, "position_rms_m": ned.tolist(), "start_heading_deg": float(np.rad2deg(headings[best]))}
     result |= {"heading_probability": bank.probability.tolist(), "innovation_rms": innovation.tolist()}
     common.write_json(args.json, result)
-
-

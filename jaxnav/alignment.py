@@ -67,7 +67,6 @@ def heading_bank(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> Bank
 
 def with_headings(nav: Nav, headings: np.ndarray) -> Nav:
     """A level start (local level frame) turned to each heading (B,), rad: Nav with a leading axis B."""
-
     roll_pitch = rotations.to_rph(rotations.to_dcm(nav.q))[:2]
 
     def turned(heading):

@@ -1,7 +1,7 @@
 """Configuration of the command line: TOML, or the run.json of an earlier run, into frozen dataclasses.
 
-Layers, the later wins: defaults, the preset of a data set, the file, ``--params``, flags, ``--set a.b=c``. Values are in
-a user's units, the unit in the name. Imports no jax.
+Layers, the later wins: defaults, the preset of a data set, the file, ``--params``, flags, ``--set a.b=c``. Values are
+in a user's units, the unit in the name. Imports no jax.
 """
 
 import dataclasses

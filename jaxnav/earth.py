@@ -81,7 +81,7 @@ def lla_to_ecef(lla: jax.Array) -> jax.Array:
 
 
 def ecef_to_lla(r: jax.Array) -> jax.Array:
-    """ECEF m -> (lat, lon, h), (3,): Bowring's formula and two of its own iterations, better than 1e-9 m near the ground.
+    """ECEF m -> (lat, lon, h), (3,): Bowring's formula, iterated: better than 1e-9 m near the ground.
 
     Not defined on the Earth's axis, where longitude has no meaning.
     """

@@ -26,10 +26,8 @@ class Packed(NamedTuple):
 
 
 def from_instantaneous(imu: ImuLog) -> ImuLog:
-    """Read samples as instantaneous values at ``t`` and not as means before it: means by the trapezoid, one row less."""
-    return ImuLog(
-        imu.t[1:], imu.dt[1:], 0.5 * (imu.gyro[1:] + imu.gyro[:-1]), 0.5 * (imu.accel[1:] + imu.accel[:-1])
-    )
+    """Means by the trapezoid from samples that are instantaneous values at ``t``; one row less."""
+    return ImuLog(imu.t[1:], imu.dt[1:], 0.5 * (imu.gyro[1:] + imu.gyro[:-1]), 0.5 * (imu.accel[1:] + imu.accel[:-1]))
 
 
 def cut_times(
@@ -138,10 +136,10 @@ def hide(epochs: Epoch, hidden: np.ndarray, measurements: tuple[Measurement, ...
 
 def outage_windows(t: np.ndarray, starts: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
     """Windows start < t <= start + length: hidden (E,) bool, and each window's last epoch (W,)."""
-    inside = (t[None] > starts[:, None] + TICK) & (t[None] <= starts[:, None] + length + TICK)
+    inside: np.ndarray = (t[None] > starts[:, None] + TICK) & (t[None] <= starts[:, None] + length + TICK)
     if not inside.any(1).all():
         raise DataError(f"no epoch in the outage that starts at {starts[~inside.any(1)][0]:.3f} s")
-    return inside.any(0), t.size - 1 - inside[:, ::-1].argmax(1)
+    return np.any(inside, axis=0), t.size - 1 - inside[:, ::-1].argmax(1)
 
 
 def stationary(imu: ImuLog, t: np.ndarray, window: float, accel_sd: float, gyro_sd: float) -> np.ndarray:

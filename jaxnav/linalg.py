@@ -21,7 +21,7 @@ def joseph(P: jax.Array, K: jax.Array, H: jax.Array, R: jax.Array) -> jax.Array:
 
 
 def discretize(F: jax.Array, G: jax.Array, b: jax.Array, T: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """x' = F x + b + noise of PSD G over T seconds -> Phi, Q, d with x(T) = Phi x + d + noise of covariance Q.
+    """From x' = F x + b + noise of PSD G over T s to Phi, Q, d: x(T) = Phi x + d + noise of covariance Q.
 
     Phi to second order in F T, d to third, Q by the trapezoid T/2 (Phi G Phi' + G), which is positive semidefinite
     whatever T.

@@ -40,13 +40,13 @@ def negative_log_likelihood(info: Info) -> jax.Array:
 
 
 def normalized_innovations(info: Info) -> np.ndarray:
-    """nu / sqrt(diag S), (E, m); of unit variance if the filter is consistent; nan where a channel was not used."""
+    """Innovations over the roots of diag S, (E, m), nan on unused channels; of unit variance if all is consistent."""
     sd = np.sqrt(np.asarray(jnp.diagonal(info.S, axis1=-2, axis2=-1)))
     return np.where(np.asarray(info.used), np.asarray(info.nu) / sd, np.nan)
 
 
 def nees(x: jax.Array, P: jax.Array) -> jax.Array:
-    """x' P^-1 x for one error (n,) and covariance (n, n): chi-square of n if the filter is consistent."""
+    """Normalised error squared, x' P^-1 x, of one error (n,): chi-square of n degrees if the filter is consistent."""
     return x @ jnp.linalg.solve(P, x)
 
 

@@ -13,9 +13,7 @@ ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # NED 
 def skew(v: jax.Array) -> jax.Array:
     """[v x], (3, 3): ``skew(a) @ b = a x b``."""
     zero = jnp.zeros_like(v[0])
-    return jnp.stack(
-        [jnp.stack([zero, -v[2], v[1]]), jnp.stack([v[2], zero, -v[0]]), jnp.stack([-v[1], v[0], zero])]
-    )
+    return jnp.stack([jnp.stack([zero, -v[2], v[1]]), jnp.stack([v[2], zero, -v[0]]), jnp.stack([-v[1], v[0], zero])])
 
 
 def multiply(p: jax.Array, q: jax.Array) -> jax.Array:
@@ -104,7 +102,7 @@ def from_rph(rph: jax.Array) -> jax.Array:
             jnp.stack([-sp, sr * cp, cr * cp]),
         ]
     )
-    return ENU_NED @ ned
+    return jnp.asarray(ENU_NED) @ ned
 
 
 def to_rph(C: jax.Array) -> jax.Array:

@@ -112,7 +112,11 @@ def test_streaming_sample_by_sample_is_the_same(case, info):
         state, row = correct(case.params, state, fix)
         batch = jax.tree.map(lambda a: a[e], info)  # noqa: B023
         assert np.abs(earth.enu_difference(row.nav.pos, batch.nav.pos)).max() < 1e-8
-        leaves_equal((row.nav.vel, row.nav.q, row.nav.b_g, row.nav.b_a), (batch.nav.vel, batch.nav.q, batch.nav.b_g, batch.nav.b_a), 1e-9)  # noqa: E501
+        leaves_equal(
+            (row.nav.vel, row.nav.q, row.nav.b_g, row.nav.b_a),
+            (batch.nav.vel, batch.nav.q, batch.nav.b_g, batch.nav.b_a),
+            1e-9,
+        )  # noqa: E501
         np.testing.assert_allclose(row.P, batch.P, rtol=1e-7, atol=1e-13)
 
 
@@ -120,7 +124,9 @@ def test_covariance_stride_costs_millimetres(case, info):
     thin = run_jit(build("ekf15", cov_stride=5), case.params, case.nav, case.packed.epochs)
     position, velocity, attitude = apart(info.nav, thin.nav)
     assert 0 < position < 0.03 and velocity < 3e-3 and attitude < 2e-4
-    np.testing.assert_allclose(jnp.diagonal(thin.P, axis1=1, axis2=2) / jnp.diagonal(info.P, axis1=1, axis2=2), 1, atol=0.03)
+    np.testing.assert_allclose(
+        jnp.diagonal(thin.P, axis1=1, axis2=2) / jnp.diagonal(info.P, axis1=1, axis2=2), 1, atol=0.03
+    )
     with pytest.raises(ValueError, match="cov_stride must divide"):
         jax.eval_shape(partial(run, build("ekf15", cov_stride=7)), case.params, case.nav, case.packed.epochs)
 
@@ -271,7 +277,9 @@ def test_a_matched_filter_is_consistent(case, batch):
 def test_a_nan_freezes_its_run_and_no_other(case, batch):
     bad, epoch = 3, 20
     gyro = batch.epochs.imu.gyro.at[bad, epoch, 5, 1].set(jnp.nan)
-    info = run_batch(build("ekf15"), batch.params, batch.nav, batch.epochs._replace(imu=batch.epochs.imu._replace(gyro=gyro)))
+    info = run_batch(
+        build("ekf15"), batch.params, batch.nav, batch.epochs._replace(imu=batch.epochs.imu._replace(gyro=gyro))
+    )
     assert all_finite(info)
     ok = np.ones((RUNS, 60), bool)
     ok[bad, epoch:] = False
@@ -329,10 +337,14 @@ def test_joseph_keeps_the_covariance_definite():
     def step(P, _, short):
         K = linalg.gain(P, H, H @ P @ H.T + R)
         P = (jnp.eye(9) - K @ H) @ P if short else linalg.joseph(P, K, H, R)
-        return Phi @ P @ Phi.T + 1e-12 * jnp.eye(9), jnp.stack([jnp.linalg.eigvalsh(0.5 * (P + P.T))[0], jnp.abs(P - P.T).max()])
+        return Phi @ P @ Phi.T + 1e-12 * jnp.eye(9), jnp.stack(
+            [jnp.linalg.eigvalsh(0.5 * (P + P.T))[0], jnp.abs(P - P.T).max()]
+        )
 
     P0 = jnp.diag(10.0 ** jnp.linspace(-4, 8, 9))
-    P, (least, skew) = jax.jit(lambda: (lambda p, s: (p, s.T))(*jax.lax.scan(partial(step, short=False), P0, length=10_000)))()
+    P, (least, skew) = jax.jit(
+        lambda: (lambda p, s: (p, s.T))(*jax.lax.scan(partial(step, short=False), P0, length=10_000))
+    )()
     assert least.min() > 0 and not skew.any() and all_finite(P)
     short = jax.jit(lambda: jax.lax.scan(partial(step, short=True), P0, length=100)[1])()
     assert not (short[:, 0].min() > 0)

@@ -24,7 +24,13 @@ def assemble(blocks: dict[tuple[str, str], jax.Array], n: int) -> jax.Array:
 
 
 def discretize_blocks(
-    blocks: dict[tuple[str, str], jax.Array], C: jax.Array, noise: Noise, bias: tuple[jax.Array, jax.Array], T: jax.Array, u: Drive, n: int
+    blocks: dict[tuple[str, str], jax.Array],
+    C: jax.Array,
+    noise: Noise,
+    bias: tuple[jax.Array, jax.Array],
+    T: jax.Array,
+    u: Drive,
+    n: int,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Phi, Q, d over T from the kinematic blocks, with sensor noise through ``C`` and Gauss-Markov biases.
 
@@ -34,7 +40,9 @@ def discretize_blocks(
     psd = lambda sd: jnp.broadcast_to(sd, (3,)) ** 2  # noqa: E731
     rate = lambda tau: 1 / jnp.broadcast_to(tau, (3,))  # noqa: E731
     decay_g, decay_a = rate(noise.gyro_tau), rate(noise.accel_tau)
-    F = assemble(blocks | {("gyro_bias", "gyro_bias"): -jnp.diag(decay_g), ("accel_bias", "accel_bias"): -jnp.diag(decay_a)}, n)
+    F = assemble(
+        blocks | {("gyro_bias", "gyro_bias"): -jnp.diag(decay_g), ("accel_bias", "accel_bias"): -jnp.diag(decay_a)}, n
+    )
     Q = assemble(
         {
             ("velocity", "velocity"): (C * psd(noise.accel)) @ C.T,

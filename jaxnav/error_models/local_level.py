@@ -61,7 +61,7 @@ def dynamics(point: Path, form: Literal["full", "simple"]) -> dict[tuple[str, st
     en_north = jnp.stack([zero, zero, ve / (re * rn) * (1 + tan**2)])
     en_up = jnp.stack([vn / rn**2, -ve / re**2, -ve * tan / re**2])
     columns = lambda north, up: jnp.stack([jnp.zeros(3, lat.dtype), north, up], axis=1)  # noqa: E731
-    gravity = block((0, 0, 0), (0, 0, 0), (0, 0, 2 * earth.gravity(lat, 0.0) / earth.A))
+    gravity = block((0, 0, 0), (0, 0, 0), (0, 0, 2 * earth.gravity(lat, zero) / earth.A))
     return blocks | {
         ("position", "position"): block(
             (vu / re - vn * tan / rn, ve * tan / rn, -ve / re), (0, vu / rn, -vn / rn), (0, 0, 0)

@@ -3,10 +3,8 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-import numpy as np
-
 from jaxnav.error_models import local_level as local_level_errors
+from jaxnav.filters.combinators import only
 from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.feedback import reset
 from jaxnav.filters.gpid import gpid, gpid_params, literal_params
@@ -49,11 +47,19 @@ def build(
 ) -> Filter:
     """The named filter in the local level frame (see `jaxnav.filters.core.make_filter` for the options).
 
+    A paper's rule sees the receiver's channels; constraints get a plain Kalman update after it.
+
     Raises:
-        ValueError: no such filter.
+        ValueError: no such filter, or a constraint before a receiver's measurement.
     """
     if name not in FILTERS:
         raise ValueError(f"no filter {name!r}; known are {', '.join(FILTERS)}")
     entry = FILTERS[name]
     model = local_level_errors.error_model(entry.n_states, entry.form, measurements)
-    return make_filter(local_level.propagate, model, entry.rule(), feedback, cov_stride, history)
+    rule = entry.rule()
+    pseudo = [each.pseudo for each in measurements]
+    if pseudo != sorted(pseudo):
+        raise ValueError(f"constraints come after the receiver's: {[each.name for each in measurements]}")
+    if any(pseudo) and rule is not kalman():
+        rule = only(rule, sum(each.size for each in measurements if not each.pseudo))
+    return make_filter(local_level.propagate, model, rule, feedback, cov_stride, history)

@@ -187,12 +187,19 @@ def make_filter(
         new, info = correct(params, predict(params, state, epoch.imu), epoch.fix)
         # a run that fails freezes at its last good state, so that the others of a batch go on and nothing is nan
         frozen = state._replace(ok=jnp.array(False))
-        nav = jax.tree.map(lambda a: a[-1], state.past)
-        still = Info(
-            nav, state.P, state.x, jnp.zeros_like(info.nu), jnp.eye(model.n_channels),
-            jnp.zeros_like(info.nu),            jnp.zeros_like(info.valid), jnp.zeros_like(info.used), jnp.zeros(()), info.ok,
-        )  # fmt: skip
-        return select(info.ok, new, frozen), select(info.ok, info, still)
+        quiet = Info(
+            nav=jax.tree.map(lambda a: a[-1], state.past),
+            P=state.P,
+            x=state.x,
+            nu=jnp.zeros_like(info.nu),
+            S=jnp.eye(model.n_channels),
+            residual=jnp.zeros_like(info.nu),
+            valid=jnp.zeros_like(info.valid),
+            used=jnp.zeros_like(info.used),
+            nis=jnp.zeros(()),
+            ok=info.ok,
+        )
+        return select(info.ok, new, frozen), select(info.ok, info, quiet)
 
     return Filter(init, predict, correct, step, model)
 

@@ -58,9 +58,7 @@ def correct(theta: Gpid, memory: Memory, z: Innovation) -> Correction:
     derivative = theta.states * (K @ (theta.kd * (memory.last - memory.before)))
     delta = K @ z.nu + integral + derivative
     residual = z.nu - z.H @ delta
-    memory = Memory(
-        integral, jnp.where(z.valid, residual, memory.last), jnp.where(z.valid, memory.last, memory.before)
-    )
+    memory = Memory(integral, jnp.where(z.valid, residual, memory.last), jnp.where(z.valid, memory.last, memory.before))
     return Correction(delta, linalg.joseph(z.P, K, z.H, z.R), memory, z.valid)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxnav import metrics, plots, plots_stats
 from jaxnav.measurements import Measurement, layout
 from jaxnav.run import track
-from jaxnav.types import Info, Params, Recording, Track
+from jaxnav.types import Info, Params, Samples, Track
 from jaxnav.units import DEG
 
 if TYPE_CHECKING:
@@ -115,17 +115,17 @@ def innovation_metrics(info: Info, measurements: tuple[Measurement, ...]) -> dic
 
 def figures(
     sol: Solution,
-    rec: Recording,
+    truth: Track | None,
+    fixes: Samples | None,
     measurements: tuple[Measurement, ...],
     outages: Outages,
     bias_truth: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
 ) -> "dict[str, Figure]":
     """The figures of one run, by name of file."""
     t, info = sol.track.t, sol.info
-    fixes = rec.aiding.get("position")
-    found = {"trajectory": plots.trajectory(sol.track, rec.truth, fixes, outages)}
-    if rec.truth is not None:
-        error, sd = ned_errors(sol, rec.truth)
+    found = {"trajectory": plots.trajectory(sol.track, truth, fixes, outages)}
+    if truth is not None:
+        error, sd = ned_errors(sol, truth)
         found["errors"] = plots.errors(t, error, sd, outages)
     order, names, sign = channels(measurements)
     nu, S = info.nu[:, order] * sign, info.S[:, order][:, :, order]
@@ -135,7 +135,9 @@ def figures(
     if info.P.shape[-1] > 9:
         sd = np.sqrt(np.diagonal(info.P, axis1=1, axis2=2))
         true_g, true_a = (None, None) if bias_truth is None else (_at(t, bias_truth[0], b) for b in bias_truth[1:])
-        found["biases"] = plots.biases(t, info.nav.b_g, info.nav.b_a, sd[:, 9:12], sd[:, 12:15], true_g, true_a, outages)
+        found["biases"] = plots.biases(
+            t, info.nav.b_g, info.nav.b_a, sd[:, 9:12], sd[:, 12:15], true_g, true_a, outages
+        )
     return found
 
 

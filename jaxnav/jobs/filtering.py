@@ -75,7 +75,11 @@ def filter(config: Config, folder: Path) -> Outcome:
     write_json(folder / "metrics.json", found)
     if config.out.figures:
         outages = shaded(config, case)
-        for name, fig in evaluate.figures(sol, case.recording, case.measurements, outages, case.bias_truth).items():
+        rec = case.recording
+        found_figures = evaluate.figures(
+            sol, rec.truth, rec.aiding["position"], case.measurements, outages, case.bias_truth
+        )
+        for name, fig in found_figures.items():
             plots.save(fig, folder / f"{name}.png")
     seconds["write"] = time.perf_counter() - begin
     return Outcome(found, summary(found, config.filter.name, case.recording.name), seconds)
@@ -124,20 +128,31 @@ def shaded(config: Config, case: Case) -> evaluate.Outages:
 def metrics_of(case: Case, sol: evaluate.Solution, hidden: np.ndarray, config: Config) -> dict[str, Any]:
     """Errors where there is a truth, innovations, and the error at the end of each outage."""
     found: dict[str, Any] = {}
-    truth, t = case.recording.truth, case.packed.t
+    truth = case.recording.truth
     hidden = hidden | ~np.asarray(case.packed.epochs.fix.valid)[:, :3].all(1)
     if truth is not None:
         error, sd = evaluate.ned_errors(sol, truth)
         found["errors"] = evaluate.error_metrics(error, sd, hidden)
     found |= evaluate.innovation_metrics(sol.info, case.measurements)
-    ends = []
-    for start, end in config.filter.outages:
-        i = int(np.searchsorted(t, end + TICK)) - 1
-        if i >= 0 and t[i] > start and np.asarray(case.packed.epochs.fix.valid)[i, :2].all():
-            ends.append({"start_s": start, "end_s": end, "horizontal_m": float(np.hypot(*sol.info.residual[i, :2]))})
-    if ends:
-        found["outages"] = ends
-    return found
+    ends = [
+        {"start_s": start, "end_s": end, "horizontal_m": at_end}
+        for start, end in shaded(config, case)
+        if np.isfinite(at_end := end_error(case, sol, start, end))
+    ]
+    return found | ({"outages": ends} if ends else {})
+
+
+def end_error(case: Case, sol: evaluate.Solution, start: float, end: float) -> float:
+    """Horizontal error (m) at the last epoch without a fix of an outage; nan where nothing tells it."""
+    t, valid = case.packed.t, np.asarray(case.packed.epochs.fix.valid)[:, :2].all(1)
+    used = np.asarray(sol.info.valid)[:, :2].all(1)
+    lost = np.flatnonzero((t > start + TICK) & (t <= end + TICK) & ~used)
+    if not lost.size:
+        return float("nan")
+    i = int(lost[-1])
+    if case.recording.truth is not None:
+        return float(np.hypot(*evaluate.ned_errors(sol, case.recording.truth)[0][i, :2]))
+    return float(np.hypot(*sol.info.residual[i, :2])) if valid[i] else float("nan")
 
 
 def write_solution(config: Config, folder: Path, sol: evaluate.Solution, case: Case) -> None:
@@ -170,12 +185,12 @@ def summary(found: dict[str, Any], name: str, run: str) -> str:
     if rows:
         lines.append(table(["innovation / its sd", "RMS"], rows))
     share = 100 * found["nis_share_inside_95"]
-    lines.append(f"NIS / dof {found['nis_per_dof']:.3g}, {share:.1f} % of fixes inside the 95 % bounds")
+    lines.append(f"NIS / dof {found['nis_per_dof']:.2f}, {share:.1f} % of fixes inside the 95 % bounds")
     for outage in found.get("outages", []):
-        lines.append(f"outage {outage['start_s']:g} to {outage['end_s']:g} s: {outage['horizontal_m']:.2f} m at its end")
+        lines.append(
+            f"outage {outage['start_s']:g} to {outage['end_s']:g} s: {outage['horizontal_m']:.2f} m at its end"
+        )
     if "heading_bank" in found:
         bank = found["heading_bank"]
         lines.append(f"heading unknown: {bank['start_heading_deg']:g} deg at the start is the most probable")
     return "\n".join(lines)
-
-

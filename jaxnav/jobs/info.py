@@ -20,7 +20,7 @@ def info(cache: str | None) -> Outcome:
         "versions": versions(),
         "git": git_hash(),
         "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],
-        "x64": bool(jax.config.jax_enable_x64),
+        "x64": bool(jax.config.read("jax_enable_x64")),
         "compilation_cache": cache,
         "filters": {name: entry.citation for name, entry in FILTERS.items()},
         "scenarios": list(SCENARIOS),
@@ -31,7 +31,12 @@ def info(cache: str | None) -> Outcome:
     lines += [f"git {found['git'] or 'none: an installed package'}", f"devices {', '.join(found['devices'])}"]
     lines += [f"float64 {'on' if found['x64'] else 'off'}", f"compilation cache {cache or 'off'}", ""]
     lines += [table(["filter", "of"], list(found["filters"].items())), ""]
-    lines += [f"scenarios {', '.join(SCENARIOS)}", f"IMU grades {', '.join(GRADES)}", "", _data_table(found["data_sets"])]
+    lines += [
+        f"scenarios {', '.join(SCENARIOS)}",
+        f"IMU grades {', '.join(GRADES)}",
+        "",
+        _data_table(found["data_sets"]),
+    ]
     return Outcome(found, "\n".join(lines), {})
 
 

@@ -158,7 +158,9 @@ def load(config: Config) -> tuple[Recording, Simulated | None]:
             raise ConfigError(f"data.options: {error}") from error
     if Path(data.source).exists():
         if data.options:
-            raise ConfigError(f"data.options: {data.source} is a recording and takes none, got {', '.join(data.options)}")
+            raise ConfigError(
+                f"data.options: {data.source} is a recording and takes none, got {', '.join(data.options)}"
+            )
         return io.read_recording(data.source), None
     names = [*SCENARIOS, *io.DATASETS]
     raise DataError(f"{data.source}: no such file, scenario or data set: {nearest(data.source, names)}")

@@ -73,7 +73,7 @@ def _listed(run: Path) -> list[str]:
 
 
 def write_run(folder: Path, verb: str, config: Config, outcome: Outcome) -> None:
-    """Write run.json: the resolved configuration, versions, device, seed, wall times, metrics and the files beside it."""
+    """Write run.json: resolved configuration, versions, device, seed, wall times, metrics, and the files beside it."""
     files = sorted(p.name for p in folder.iterdir())
     about = {
         "verb": verb, "config": as_dict(config), "seed": config.seed, "versions": versions(), "git": git_hash(),
@@ -139,10 +139,12 @@ def git_hash() -> str | None:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Text columns, the first to the left and the others to the right."""
+    """Text columns; those with numbers to the right."""
     cells = [[str(h) for h in head], *[[cell(v) for v in row] for row in rows]]
     width = [max(len(r[i]) for r in cells) for i in range(len(head))]
-    lines = ["  ".join(c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(r, width))) for r in cells]
+    right = [any(isinstance(row[i], (int, float)) for row in rows) for i in range(len(head))]
+    pad = [str.rjust if r else str.ljust for r in right]
+    lines = ["  ".join(p(c, w) for p, c, w in zip(pad, r, width)).rstrip() for r in cells]
     return "\n".join([lines[0], "  ".join("-" * w for w in width), *lines[1:]])
 
 

@@ -1,9 +1,10 @@
 """IMU and GNSS grades by name, and the filter parameters that their datasheets give."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxnav import units
 from jaxnav.types import Mounting, Noise, Params, Prior
@@ -43,7 +44,39 @@ GRADES: dict[str, Grade] = {
 }  # fmt: skip
 
 
-def mounting(lever_arm=(0.0, 0.0, 0.0), time_offset=0.0, position_latency=0.0, velocity_latency=0.0) -> Mounting:
+def noise(
+    gyro: ArrayLike,
+    accel: ArrayLike,
+    gyro_bias: ArrayLike,
+    accel_bias: ArrayLike,
+    gyro_tau: ArrayLike = np.inf,
+    accel_tau: ArrayLike = np.inf,
+    position_scale: ArrayLike = (1.0, 1.0, 1.0),
+    velocity_scale: ArrayLike = (1.0, 1.0, 1.0),
+    zero_velocity: ArrayLike = 0.02,
+    zero_rate: ArrayLike = 0.1 * units.DEG,
+    nonholonomic: ArrayLike = (0.1, 0.1),
+    speed: ArrayLike = 1.0,
+) -> Noise:
+    """`Noise` from plain numbers in SI, as strongly typed arrays: Python floats would compile every train step twice."""
+    values = (gyro, accel, gyro_bias, accel_bias, gyro_tau, accel_tau, position_scale, velocity_scale, zero_velocity,
+              zero_rate, nonholonomic, speed)  # fmt: skip
+    return Noise(*(jnp.asarray(v, float) for v in values))
+
+
+def prior(
+    position: ArrayLike, velocity: ArrayLike, attitude: ArrayLike, gyro_bias: ArrayLike, accel_bias: ArrayLike
+) -> Prior:
+    """`Prior` from plain numbers: m, m/s and rad in ENU, rad/s and m/s^2 in body."""
+    return Prior(*(jnp.asarray(v, float) for v in (position, velocity, attitude, gyro_bias, accel_bias)))
+
+
+def mounting(
+    lever_arm: ArrayLike = (0.0, 0.0, 0.0),
+    time_offset: float = 0.0,
+    position_latency: float = 0.0,
+    velocity_latency: float = 0.0,
+) -> Mounting:
     """An installation: antenna lever arm in body FRD m, times in s; vehicle axes along the body's."""
     values = (lever_arm, time_offset, position_latency, velocity_latency, np.zeros(2), np.zeros(3), 0.0)
     return Mounting(*(jnp.asarray(v, float) for v in values))
@@ -51,28 +84,21 @@ def mounting(lever_arm=(0.0, 0.0, 0.0), time_offset=0.0, position_latency=0.0, v
 
 def datasheet_params(
     grade: Grade,
-    position_sd=(3.0, 3.0, 5.0),
-    velocity_sd=(0.1, 0.1, 0.1),
+    position_sd: ArrayLike = (3.0, 3.0, 5.0),
+    velocity_sd: ArrayLike = (0.1, 0.1, 0.1),
     tilt_sd: float = 1 * units.DEG,
     heading_sd: float = 5 * units.DEG,
     install: Mounting | None = None,
-    rule=(),
-    feedback=(),
+    rule: Any = (),
+    feedback: Any = (),
 ) -> Params:
     """Filter parameters straight from a datasheet: what an engineer starts with.
 
     Prior: position (m) and velocity (m/s) sd in ENU, tilt and heading in rad, biases by their turn-on sd. The
-    drifting bias of sd s and time tau drives with root PSD s sqrt(2 / tau).
+    drifting bias of sd s and time tau drives with root PSD s sqrt(2 / tau), as a random walk, since the turn-on bias,
+    which is the same state, does not decay.
     """
     drive = np.sqrt(2 / grade.tau)
-    noise = Noise(
-        gyro=grade.arw, accel=grade.vrw,
-        gyro_bias=grade.gyro_instability * drive, accel_bias=grade.accel_instability * drive,
-        gyro_tau=np.inf, accel_tau=np.inf,  # the turn-on bias does not decay
-        position_scale=np.ones(3), velocity_scale=np.ones(3),
-        zero_velocity=0.02, zero_rate=0.1 * units.DEG, nonholonomic=np.array([0.1, 0.1]), speed=1.0,
-    )  # fmt: skip
-    prior = Prior(position_sd, velocity_sd, (tilt_sd, tilt_sd, heading_sd), grade.gyro_turn_on, grade.accel_turn_on)
-    # strongly typed arrays: parameters from Python floats would compile every train step twice
-    strong = lambda part: type(part)(*(jnp.asarray(leaf, float) for leaf in part))  # noqa: E731
-    return Params(strong(noise), strong(prior), mounting() if install is None else install, rule, feedback)
+    white = noise(grade.arw, grade.vrw, grade.gyro_instability * drive, grade.accel_instability * drive)
+    start = prior(position_sd, velocity_sd, (tilt_sd, tilt_sd, heading_sd), grade.gyro_turn_on, grade.accel_turn_on)
+    return Params(white, start, mounting() if install is None else install, rule, feedback)

@@ -1,0 +1,193 @@
+"""What tuning runs on: batches of runs with hidden windows, for training, validation and the test kept aside."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav import epochs as ep
+from jaxnav.config import Config
+from jaxnav.errors import ConfigError, DataError
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.core import Filter
+from jaxnav.jobs import prepare as pre
+from jaxnav.measurements import Measurement
+from jaxnav.scenarios import Scenario
+from jaxnav.simulation import Simulated
+from jaxnav.types import Epoch, Nav, Params, Recording
+
+
+class Batch(NamedTuple):
+    """B runs of E epochs with up to W hidden windows each; arrays of jax."""
+
+    nav: Nav  # (B, ...) starts
+    epochs: Epoch  # (B, E, ...)
+    ends: jax.Array  # (B, W) int, last epoch of each window
+    count: jax.Array  # (B, W) bool, windows that are scored here
+    keep: jax.Array  # (B, E) bool, epochs whose innovations and errors count
+    lla: jax.Array | None  # (B, E, 3) true position, for the supervised objective
+
+
+class Material(NamedTuple):
+    """Everything a tuning job needs."""
+
+    filter: Filter
+    measurements: tuple[Measurement, ...]
+    params: Params  # the start
+    train: Batch
+    validation: Batch
+    test: Batch
+    blocks: np.ndarray  # (windows of the test that count,) what is drawn together
+    names: list[str]  # (B of the test,) of its runs
+    t: np.ndarray  # (E of the test,) s
+    recording: Recording | None  # where the runs are of one
+    truth: Nav | None  # (B, E, ...) of the test, where simulated
+    outages: list[tuple[float, float]]  # of the first run of the test
+    about: str  # how the data was split, in words
+    known: dict[str, float]  # leaves whose true value is known
+
+
+# ---------------------------------------------------------------------------- simulated
+
+
+def from_scenario(config: Config, scenario: Scenario) -> Material:
+    """Runs of a scenario; train, validation and test keys never meet.
+
+    Raises:
+        ConfigError: a scenario without outages, constraints that need a recorded IMU stream, or wrong names.
+    """
+    if pre.measurements_of(config) != pre.GNSS:
+        raise ConfigError(
+            "filter: constraints cannot be tuned on a scenario yet: simulate it and tune on the recording"
+        )
+    t = config.tune
+    counts = (t.runs, t.validation_runs, t.test_runs)
+    keys = [pre.key_of(config.seed, kind, i) for kind, n in enumerate(counts) for i in range(n)]
+    sims = pre.simulated(config, scenario, jnp.stack(keys))
+    if sims.outages.shape[1] == 0:
+        raise ConfigError(f"data.options.outages_s: tuning scores outages, scenario {scenario.name} has none")
+    if config.start.heading == "unknown":
+        raise ConfigError('start.heading = "unknown" cannot be tuned: give degrees, "course" or "truth"')
+    stride = max(d for d in range(1, config.filter.cov_stride + 1) if sims.epochs.imu.dt.shape[2] % d == 0)
+    history = pre.history_of(config, scenario.imu_rate_hz, tuned=True)
+    filt = build(pre.filter_name(config), pre.GNSS, stride, history)
+    start = config.start
+    sd = start.position_sd_m or scenario.prior_position_sd_m, start.velocity_sd_mps or scenario.prior_velocity_sd_mps
+    params = pre.base_params(config, pre.grade_of(config, scenario), np.array(scenario.lever_arm_m), *sd)
+    if scenario.prior_tilt_sd_deg > start.tilt_sd_deg or scenario.prior_heading_sd_deg > start.heading_sd_deg:
+        raise ConfigError("start: tilt_sd_deg and heading_sd_deg must not be below the scenario's own")
+    edges = np.cumsum((0, *counts))
+    parts = [jax.tree.map(lambda a, s=slice(a, b): a[s], sims) for a, b in zip(edges[:-1], edges[1:])]
+    batches = [_batch(part) for part in parts]
+    test = parts[2]
+    about = f"simulated runs of {scenario.name}: {counts[0]} to train, {counts[1]} to validate, {counts[2]} kept aside"
+    late = config.data.gnss_latency_s
+    return Material(
+        filt, pre.GNSS, params, batches[0], batches[1], batches[2], np.repeat(np.arange(counts[2]), sims.outages.shape[1]),
+        [f"test run {i}" for i in range(counts[2])], np.asarray(test.truth.t[0]), None, test.truth,
+        [(float(a), float(b)) for a, b in test.outages[0]], about,
+        {"mounting.position_latency": late, "mounting.velocity_latency": late},
+    )  # fmt: skip
+
+
+def _batch(sims: Simulated) -> Batch:
+    """Simulated runs (B, ...) with the windows of their outages."""
+    t = sims.truth.t[:, None]
+    ends = jnp.sum(t <= sims.outages[:, :, 1:] + ep.TICK, axis=-1) - 1
+    return Batch(sims.initial, sims.epochs, ends, ends >= 0, ~sims.hidden, sims.truth.pos)
+
+
+# ---------------------------------------------------------------------------- recorded
+
+
+class Split(NamedTuple):
+    """Where the parts of a recording end, s: train, then validation, then the test."""
+
+    start: float
+    train: float
+    validation: float
+    stop: float
+
+
+def from_recording(config: Config) -> Material:
+    """One recording in contiguous parts of time; each phase is a run with its own hidden windows.
+
+    A run for training stops where the training part ends, one for validation where that ends: nothing later can enter
+    an objective. The test runs over everything and scores the windows of the last part.
+
+    Raises:
+        DataError: too short for windows in every part.
+    """
+    if config.start.heading == "unknown":
+        raise ConfigError('start.heading = "unknown" cannot be tuned: give degrees, "course" or "truth"')
+    tune, case = config.tune, pre.prepare(config, tuned=True)
+    if tune.train + tune.validation > 0.95:
+        raise ConfigError("tune.train + tune.validation must leave 0.05 or more to test on")
+    if tune.outage_every_s <= tune.outage_s:
+        raise ConfigError("tune.outage_every_s must be longer than tune.outage_s")
+    t, start = case.packed.t, case.packed.start
+    span = float(t[-1]) - start
+    split = Split(start, start + tune.train * span, start + (tune.train + tune.validation) * span, float(t[-1]))
+    edges = (start + tune.settle_s, split.train, split.validation, split.stop)
+    batches, labels = [], np.empty(0)
+    for part in range(3):
+        batch, label = _phases(config, case, edges[part], edges[part + 1])
+        batches.append(batch)
+        labels = label if part == 2 else labels
+    about = (
+        f"{case.recording.name}: train {split.start:.0f} to {split.train:.0f} s, validate to {split.validation:.0f} s, "
+        f"kept aside to {split.stop:.0f} s; windows of {tune.outage_s:g} s in {tune.phases} runs, "
+        f"{', '.join(str(int(b.count.sum())) for b in batches)} of them"
+    )
+    hidden = np.asarray(batches[2].keep[0])
+    return Material(
+        case.filter, case.measurements, case.params, batches[0], batches[1], batches[2], labels,
+        [f"phase {p}" for p in range(tune.phases)], t, case.recording, None, _spans(t, ~hidden), about, {},
+    )  # fmt: skip
+
+
+def _phases(config: Config, case: pre.Case, begin: float, end: float) -> tuple[Batch, np.ndarray]:
+    """Runs up to ``end`` with windows all along, those between begin and end scored; their blocks of time."""
+    tune, t = config.tune, case.packed.t
+    E = int(np.searchsorted(t, end + ep.TICK))
+    t = t[:E]
+    cut = jax.tree.map(lambda a: a[:E], case.packed.epochs)
+    rows = []
+    for phase in range(tune.phases):
+        first = case.packed.start + tune.settle_s + phase * tune.outage_every_s / tune.phases
+        starts = np.arange(first, t[-1] - tune.outage_s, tune.outage_every_s)
+        fits = (starts >= begin - ep.TICK) & (starts + tune.outage_s <= end)
+        hidden, ends = ep.outage_windows(t, starts, tune.outage_s) if starts.size else (np.zeros(E, bool), starts)
+        measured = np.asarray(cut.fix.valid)[ends.astype(int), :2].all(1)  # without a fix there is nothing to score by
+        rows.append((hidden, starts, ends.astype(int), fits & measured))
+    most = max(row[1].size for row in rows)
+    pad = lambda a, fill: np.concatenate([a, np.full(most - a.size, fill, a.dtype)])  # noqa: E731
+    hidden = np.stack([row[0] for row in rows])
+    starts, ends, count = (np.stack([pad(row[i], 0) for row in rows]) for i in (1, 2, 3))
+    if not count.any():
+        raise DataError(
+            f"{case.recording.name}: no window of {tune.outage_s:g} s with a fix at its end between {begin:.0f} and "
+            f"{end:.0f} s; change tune.train, tune.validation or tune.outage_s"
+        )
+    many = lambda a: jnp.broadcast_to(a, (tune.phases, *a.shape))  # noqa: E731
+    runs = jax.vmap(lambda e, h: ep.hide(e, h, case.measurements))(jax.tree.map(many, cut), jnp.asarray(hidden))
+    nav = jax.tree.map(lambda a: many(a[0]), case.navs)
+    # windows that start within one spacing of each other overlap in time, or nearly
+    blocks = np.floor((starts - begin) / tune.outage_every_s)[count]
+    return Batch(nav, runs, jnp.asarray(ends), jnp.asarray(count), jnp.asarray(~hidden), _truth(case, t)), blocks
+
+
+def _truth(case: pre.Case, t: np.ndarray) -> jax.Array | None:
+    """True positions (B of 1, E, 3), or None."""
+    truth = case.recording.truth
+    if truth is None:
+        return None
+    return jnp.asarray(np.stack([np.interp(t, truth.t, c) for c in truth.lla.T], 1))[None]
+
+
+def _spans(t: np.ndarray, hidden: np.ndarray) -> list[tuple[float, float]]:
+    """The hidden epochs as (start, end) s."""
+    change = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(int)))
+    edges = np.concatenate([t[:1], t])  # an epoch starts where the one before ends
+    return [(float(edges[a]), float(edges[b])) for a, b in change.reshape(-1, 2)]

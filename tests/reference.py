@@ -1,0 +1,181 @@
+"""Naive numpy loops of strapdown, Kalman filter and GPID, written from the equations and not from the package.
+
+Rotations are matrices (Rodrigues), epochs are loops, the full error dynamics are complex-step derivatives of the
+nonlinear equations. States (dp ENU, dv ENU, phi ENU[, b_g, b_a]), x = estimate - truth; closed loop with reset.
+"""
+
+import numpy as np
+
+A, F, RATE = 6378137.0, 1 / 298.257223563, 7.292115e-5
+E2 = F * (2 - F)
+GE, GP = 9.7803253359, 9.8321849378
+
+
+def cross_matrix(v):
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def rotation(v):
+    """Rodrigues' formula."""
+    n = np.linalg.norm(v)
+    if n < 1e-12:
+        return np.eye(3) + cross_matrix(v)
+    K = cross_matrix(v / n)
+    return np.eye(3) + np.sin(n) * K + (1 - np.cos(n)) * K @ K
+
+
+def radii(lat):
+    w2 = 1 - E2 * np.sin(lat) ** 2
+    return A * (1 - E2) / w2**1.5, A / np.sqrt(w2)
+
+
+def gravity(lat, h):
+    s2 = np.sin(lat) ** 2
+    k = (A * (1 - F) * GP) / (A * GE) - 1
+    return GE * (1 + k * s2) / np.sqrt(1 - E2 * s2) * (1 - 2 * h / A)
+
+
+def earth_rate(lat):
+    return RATE * np.array([0 * lat, np.cos(lat), np.sin(lat)])
+
+
+def transport(lat, h, v):
+    m, n = radii(lat)
+    return np.array([-v[1] / (m + h), v[0] / (n + h), v[0] * np.tan(lat) / (n + h)])
+
+
+def metres(lla):
+    """East, north, up for a change of lat, lon, h: matrix."""
+    m, n = radii(lla[0])
+    return np.array([[0, (n + lla[2]) * np.cos(lla[0]), 0], [m + lla[2], 0, 0], [0, 0, 1.0]])
+
+
+class Strapdown:
+    """Local level navigation: C body to ENU, v ENU, lla."""
+
+    def __init__(self, lla, v, C, n):
+        self.lla, self.v, self.C = np.array(lla, float), np.array(v, float), np.array(C, float)
+        self.b_g, self.b_a, self.n = np.zeros(3), np.zeros(3), n
+        self.w0, self.f0 = np.zeros(3), np.zeros(3)
+
+    def advance(self, dt, gyro, accel):
+        """One sample; returns mean C and mean specific force in ENU."""
+        w, f = gyro - self.b_g, accel - self.b_a
+        turn = w * dt + np.cross(self.w0, w) * dt**2 / 12  # coning
+        dv = f * dt + np.cross(w, f) * dt**2 / 2 + np.cross(w, np.cross(w, f)) * dt**3 / 6
+        dv = dv + (np.cross(self.w0, f) + np.cross(self.f0, w)) * dt**2 / 12  # sculling
+        self.w0, self.f0 = w, f
+        lat, lon, h = self.lla
+        g, ie = np.array([0, 0, -gravity(lat, h)]), earth_rate(lat)
+
+        def change(v, push, level_turn):
+            turned = push - np.cross(level_turn, push) / 2
+            return turned + dt * (g - np.cross(2 * ie + transport(lat, h, v), v))
+
+        push = self.C @ dv
+        half = self.v + 0.5 * change(self.v, push, dt * (ie + transport(lat, h, self.v)))
+        level = dt * (ie + transport(lat, h, half))
+        dv_n = change(half, push, level) + np.cross(level, np.cross(level, push)) / 12
+        mean = self.v + dv_n / 2
+        m, n = radii(lat)
+        h_mid = h + mean[2] * dt / 2
+        dlat = mean[1] * dt / (m + h_mid)
+        dlon = mean[0] * dt / ((n + h_mid) * (np.cos(lat) - np.sin(lat) * dlat / 2))
+        before = self.C
+        self.C = rotation(-level) @ self.C @ rotation(turn)
+        self.v, self.lla = self.v + dv_n, self.lla + [dlat, dlon, mean[2] * dt]
+        C = (before + self.C) / 2
+        return C, C @ f
+
+    def remove(self, x):
+        """Take the estimated error out."""
+        self.lla = self.lla - np.linalg.solve(metres(self.lla), x[:3])
+        self.v = self.v - x[3:6]
+        self.C = rotation(-x[6:9]) @ self.C
+        if self.n == 15:
+            self.b_g, self.b_a = self.b_g - x[9:12], self.b_a - x[12:15]
+
+
+def simple_dynamics(lla, v, C, f, n):
+    """Paper, eqs. 9-13: dp' = dv, dv' = -f x phi, and levelling by velocity; biases enter through C."""
+    lat, _, h = lla
+    m, p = radii(lat)
+    M = np.zeros((15, 15))
+    M[0:3, 3:6] = np.eye(3)
+    M[3:6, 6:9] = -cross_matrix(f)
+    M[6:9, 3:6] = [[0, 1 / (m + h), 0], [-1 / (p + h), 0, 0], [-np.tan(lat) / (p + h), 0, 0]]
+    M[6:9, 9:12] = M[3:6, 12:15] = -C
+    return M[:n, :n]
+
+
+def full_dynamics(lla, v, C, f, n):
+    """Complex-step derivative of x' = d/dt (estimate - truth) by x, of the nonlinear equations themselves."""
+    lat, _, h = lla
+
+    def velocity_rate(lla, v, f_n):
+        w = 2 * earth_rate(lla[0]) + transport(lla[0], lla[2], v)
+        return f_n - np.cross(w, v) + np.array([0, 0, -gravity(lla[0], lla[2])])
+
+    def position_rate(lla, v):
+        m, p = radii(lla[0])
+        return np.array([v[1] / (m + lla[2]), v[0] / ((p + lla[2]) * np.cos(lla[0])), v[2]])
+
+    M, rate = metres(lla), position_rate(lla, v)
+    M_rate = metres(lla + 1e-30j * rate).imag / 1e-30
+    w_in = earth_rate(lat) + transport(lat, h, v)
+    columns = []
+    for i in range(15):
+        x = np.zeros(15, complex)
+        x[i] = 1e-30j
+        d_lla = np.linalg.solve(M, x[:3])
+        t_lla, t_v = lla - d_lla, v - x[3:6]
+        # truth: C_t = exp(-phi) C, with the sensors' true specific force f - b_a error: C_t (f_b + x_ba)
+        turn = np.eye(3) - np.array(cross_matrix(x[6:9]))
+        t_f = turn @ (f + C @ x[12:15])
+        dp = M @ (rate - position_rate(t_lla, t_v)) + M_rate @ d_lla
+        dv = velocity_rate(lla, v, f) - velocity_rate(t_lla, t_v, t_f)
+        t_in = earth_rate(t_lla[0]) + transport(t_lla[0], t_lla[2], t_v)
+        phi = -(w_in - t_in) - np.cross(w_in, x[6:9]) - C @ x[9:12]
+        columns.append(np.concatenate([dp, dv, phi, np.zeros(6)]).imag / 1e-30)
+    return np.stack(columns, 1)[:n, :n]
+
+
+def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd=0.0, states=None):
+    """Navigate, predict and correct; ``imu`` (dt, gyro, accel) of (E, k, ...), ``fixes`` (lla, sd, vel, sd, valid (E,)).
+
+    ``states`` (n,): where integral and derivative act. Returns lists of (lla, v, C, x, P) after each epoch.
+    """
+    n = prior_sd.size
+    nav = Strapdown(*start, n)
+    P = np.diag(prior_sd**2)
+    H = np.eye(6, n)
+    states = np.ones(n) if states is None else states
+    x_I, last, before = np.zeros(n), np.zeros(6), np.zeros(6)
+    out = []
+    for e in range(len(imu[0])):
+        for dt, gyro, accel in zip(imu[0][e], imu[1][e], imu[2][e], strict=True):
+            C, f = nav.advance(dt, gyro, accel)
+            Fx = dynamics(nav.lla, nav.v, C, f, n)
+            Phi = np.eye(n) + Fx * dt + Fx @ Fx * dt**2 / 2
+            G = np.zeros((n, n))
+            G[3:6, 3:6] = C @ np.diag(noise["accel"] ** 2) @ C.T
+            G[6:9, 6:9] = C @ np.diag(noise["gyro"] ** 2) @ C.T
+            if n == 15:
+                G[9:12, 9:12] = noise["gyro_bias"] ** 2 * np.eye(3)
+                G[12:15, 12:15] = noise["accel_bias"] ** 2 * np.eye(3)
+            P = Phi @ P @ Phi.T + dt / 2 * (Phi @ G @ Phi.T + G)
+        lla, sd, vel, sdv, valid = (a[e] for a in fixes)
+        x = np.zeros(n)
+        if valid:
+            y = np.concatenate([metres(nav.lla) @ (nav.lla - lla), nav.v - vel])
+            R = np.diag(np.concatenate([sd, sdv]) ** 2)
+            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+            x_I = x_I + states * (ki * (K @ last))
+            x_D = states * (kd * (K @ (last - before)))
+            x = K @ y + x_I + x_D
+            last, before = y - H @ x, last
+            J = np.eye(n) - K @ H
+            P = J @ P @ J.T + K @ R @ K.T
+            nav.remove(x)
+        out.append((nav.lla.copy(), nav.v.copy(), nav.C.copy(), x, P.copy()))
+    return [np.stack(column) for column in zip(*out, strict=True)]

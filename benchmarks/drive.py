@@ -50,7 +50,7 @@ BLOCKS = np.array([136.0, 272.0, 406.0])  # s, edges of the four blocks
 PIECES = np.array([10.0, 146.0, 280.0, 414.0])  # s, starts of the stretches to tune on
 PIECE = 118.0  # s
 TRAIN = ((30.0, 75.0), (45.0, 90.0), (60.0, 102.0))  # s into a stretch: windows of each training run
-ACCEL_SPREAD, GYRO_SPREAD = 0.2, 3.5 * units.DEG  # a car that stands with its engine on
+STILL, ACCEL_SPREAD, GYRO_SPREAD = 2.0, 0.15, 3.5 * units.DEG  # s; a car that stands with its engine on
 
 
 class Data(NamedTuple):
@@ -85,8 +85,8 @@ def start_at(rec: Recording, time: float) -> Nav:
 def cut(rec: Recording, constraints: bool, start: float, stop: float | None = None, nav: Nav | None = None) -> Data:
     """Epochs from ``start`` with the pseudo-measurements at their ends."""
     cuts = epochs.cut_times(rec.imu, rec.aiding, INTERVAL, start, stop)
-    standing = epochs.stationary(rec.imu, cuts, 1.0, ACCEL_SPREAD, GYRO_SPREAD)
-    made = epochs.constraint_samples(rec.imu, cuts, nonholonomic=constraints, standing=standing)
+    standing = epochs.stationary(rec.imu, cuts, STILL, ACCEL_SPREAD, GYRO_SPREAD)
+    made = epochs.constraint_samples(rec.imu, cuts, nonholonomic=constraints, standing=standing, window=STILL)
     chosen = measurements(constraints)
     packed = epochs.pack(rec.imu, rec.aiding | made, INTERVAL, chosen, start=start, cuts=cuts, multiple=30)
     filt = build("ekf15", chosen, cov_stride=packed.epochs.imu.dt.shape[1], history=HISTORY)

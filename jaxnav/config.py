@@ -99,7 +99,7 @@ class Tune:
     """What is tuned, for what, on what."""
 
     free: tuple[str, ...] = ("noise", "timing", "rule")  # groups, or dotted names such as noise.gyro
-    objective: dict[str, float] = dataclasses.field(default_factory=lambda: {"log_drift": 1.0})  # name -> weight
+    objective: dict[str, float] = dataclasses.field(default_factory=lambda: {"log_drift": 1.0, "nll": 1.0})  # name -> weight
     steps: int = 60
     rate: float = 0.1
     runs: int = 8  # simulated: for training
@@ -338,8 +338,8 @@ def _convert(value: Any, hint: Any) -> tuple[bool, Any]:
         return all(ok for ok, _ in parts), tuple(v for _, v in parts)
     if origin is dict:
         good = isinstance(value, Mapping)
-        parts = [(k, *_convert(v, args[1])) for k, v in value.items()] if good else []
-        return good and all(ok for _, ok, _ in parts), {k: v for k, _, v in parts}
+        table = {k: _convert(v, args[1]) for k, v in value.items()} if good else {}
+        return good and all(ok for ok, _ in table.values()), {k: v for k, (_, v) in table.items()}
     if hint is Any:
         return True, value
     return (value is None) if hint is type(None) else isinstance(value, hint), value

@@ -79,6 +79,14 @@ def case() -> Case:
 
 
 @pytest.fixture(scope="session")
+def fine_case() -> Case:
+    """The same drive near latitude and longitude zero, where a float resolves 1e-11 m and not 1e-9 m."""
+    imu, truth = simulate_drive(lla0=(1.0, 0.5, 200.0))
+    aiding = gnss(truth, 20, np.random.default_rng(4))
+    return Case(imu, truth, aiding, pack(imu, aiding, 1.0), start(truth), datasheet_params(GRADE))
+
+
+@pytest.fixture(scope="session")
 def data_dir() -> Path:
     """The folder of recorded data sets; tests that need it are skipped where it is not."""
     folder = os.environ.get("JAXNAV_DATA_DIR")

@@ -141,7 +141,7 @@ def full_dynamics(lla, v, C, f, n):
 
 
 def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd=0.0, states=None):
-    """Navigate, predict and correct; ``imu`` (dt, gyro, accel) of (E, k, ...), ``fixes`` (lla, sd, vel, sd, valid (E,)).
+    """Navigate, predict, correct; ``imu`` (dt, gyro, accel) of (E, k, ...), ``fixes`` (lla, sd, vel, sd, valid (E,)).
 
     ``states`` (n,): where integral and derivative act. Returns lists of (lla, v, C, x, P) after each epoch.
     """

@@ -39,6 +39,10 @@ def apart(a, b):
     return position, np.abs(a.vel - b.vel).max(), np.abs(a.q - b.q).max()
 
 
+def take(tree, index):
+    return jax.tree.map(lambda a: a[index], tree)
+
+
 def blind(epochs: Epoch) -> Epoch:
     return epochs._replace(fix=epochs.fix._replace(valid=jnp.zeros_like(epochs.fix.valid)))
 
@@ -62,7 +66,7 @@ def test_padding_changes_nothing(case, info):
 def test_without_fixes_it_is_pure_inertial_navigation(case):
     info = run_jit(build("ekf15"), case.params, case.nav, blind(case.packed.epochs))
     alone = jax.jit(local_level.propagate)(case.nav, REST, Imu(case.imu.dt, case.imu.gyro, case.imu.accel))[1].nav
-    position, velocity, attitude = apart(info.nav, jax.tree.map(lambda a: a[19::20], alone))
+    position, velocity, attitude = apart(info.nav, take(alone, slice(19, None, 20)))
     assert position < 1e-8 and velocity < 1e-11 and attitude < 1e-13  # latitude itself steps by 7e-10 m
     assert not info.nu.any() and not info.used.any() and not info.x.any()
     np.testing.assert_array_equal(info.S, np.broadcast_to(np.eye(6), (60, 6, 6)))
@@ -106,11 +110,11 @@ def test_streaming_sample_by_sample_is_the_same(case, info):
     predict, correct = jax.jit(filt.predict), jax.jit(filt.correct)
     state = filt.init(case.params, case.nav)
     for e in range(12):
-        imu, fix = jax.tree.map(lambda a: a[e], (case.packed.epochs.imu, case.packed.epochs.fix))
+        imu, fix = take((case.packed.epochs.imu, case.packed.epochs.fix), e)
         for k in range(20):
-            state = predict(case.params, state, jax.tree.map(lambda a: a[k : k + 1], imu))  # noqa: B023
+            state = predict(case.params, state, take(imu, slice(k, k + 1)))
         state, row = correct(case.params, state, fix)
-        batch = jax.tree.map(lambda a: a[e], info)  # noqa: B023
+        batch = take(info, e)
         assert np.abs(earth.enu_difference(row.nav.pos, batch.nav.pos)).max() < 1e-8
         leaves_equal(
             (row.nav.vel, row.nav.q, row.nav.b_g, row.nav.b_a),
@@ -199,7 +203,7 @@ def test_a_rule_sees_ages_and_its_fade_and_drive_are_obeyed(case):
     rows = []
     for e in range(3):
         before = state
-        state, info = step(case.params, state, jax.tree.map(lambda a: a[e], epochs))  # noqa: B023
+        state, info = step(case.params, state, take(epochs, e))
         rows.append((state, info, before))
     (s0, i0, b0), (s1, i1, _), (s2, _, _) = rows
     np.testing.assert_allclose(s0.memory.age, 1.0)
@@ -252,7 +256,7 @@ def batch(case):
 
 def test_a_batch_is_its_runs_one_by_one(batch):
     for i in (0, 5):
-        nav, epochs, expected = jax.tree.map(lambda a: a[i], (batch.nav, batch.epochs, batch.info))  # noqa: B023
+        nav, epochs, expected = take((batch.nav, batch.epochs, batch.info), i)
         alone = run_jit(build("ekf15"), batch.params, nav, epochs)
         position, velocity, attitude = apart(alone.nav, expected.nav)
         assert position < 2e-8 and velocity < 1e-9 and attitude < 1e-10
@@ -267,7 +271,7 @@ def test_a_matched_filter_is_consistent(case, batch):
     z = metrics.normalized_innovations(batch.info)
     np.testing.assert_allclose(metrics.rms(z.reshape(-1, 6)), 1.0, atol=0.08)
     truth = jnp.asarray(case.truth.lla[-1]), jnp.asarray(case.truth.vel[-1])
-    end = jax.tree.map(lambda a: a[:, -1], batch.info)
+    end = take(batch.info, (slice(None), -1))
     x = np.concatenate([jax.vmap(lambda p: earth.enu_difference(p, truth[0]))(end.nav.pos), end.nav.vel - truth[1]], 1)
     values = [float(metrics.nees(jnp.asarray(e), P[:6, :6])) for e, P in zip(x, end.P, strict=True)]
     low, high = metrics.chi2_bounds(6, RUNS, 0.99)
@@ -285,11 +289,11 @@ def test_a_nan_freezes_its_run_and_no_other(case, batch):
     ok[bad, epoch:] = False
     np.testing.assert_array_equal(info.ok, ok)
     others = np.arange(RUNS) != bad
-    leaves_equal(jax.tree.map(lambda a: a[others], info), jax.tree.map(lambda a: a[others], batch.info))
-    one, was = (jax.tree.map(lambda a: a[bad], i) for i in (info, batch.info))
-    leaves_equal(jax.tree.map(lambda a: a[:epoch], one), jax.tree.map(lambda a: a[:epoch], was))
+    leaves_equal(take(info, others), take(batch.info, others))
+    one, was = (take(i, bad) for i in (info, batch.info))
+    leaves_equal(take(one, slice(epoch)), take(was, slice(epoch)))
     for e in (epoch, 59):
-        leaves_equal(jax.tree.map(lambda a: a[e], one.nav), jax.tree.map(lambda a: a[epoch - 1], was.nav), 1e-15)
+        leaves_equal(take(one.nav, e), take(was.nav, epoch - 1), 1e-15)
     assert not one.used[epoch:].any()
     text = first_failure(one, case.packed.t)
     assert "t = 21.000 s" in text and "epoch 20 of 60" in text

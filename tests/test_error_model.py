@@ -17,9 +17,11 @@ from jaxnav.sensors.grades import GRADES, datasheet_params
 from jaxnav.types import Drive, Fix, Imu
 from tests.conftest import leaves_equal
 
+propagate = jax.jit(local_level.propagate)
 ALL = tuple(MEASUREMENTS.values())
 MODEL = error_model(15, "full", ALL)
 SLICES = layout(ALL)
+observe, discretize, retract = jax.jit(MODEL.observe), jax.jit(MODEL.discretize), jax.jit(MODEL.retract)
 PARAMS = datasheet_params(GRADES["adis16465"])
 #: sizes of error whose third order is negligible and whose first order stands clear of rounding in latitude
 SIZES = np.repeat([10.0, 1.0, 1e-3, 1e-4, 1e-2], 3)
@@ -30,6 +32,9 @@ def difference(estimate, truth):
     phi = rotations.log(rotations.multiply(estimate.q, rotations.conjugate(truth.q)))
     dp = earth.enu_difference(estimate.pos, truth.pos)
     return jnp.concatenate([dp, estimate.vel - truth.vel, phi, estimate.b_g - truth.b_g, estimate.b_a - truth.b_a])
+
+
+difference_jit = jax.jit(difference)
 
 
 def a_nav(seed=0):
@@ -49,8 +54,8 @@ def an_imu(k, T, seed=1):
 
 def test_retract_removes_what_difference_measures():
     nav, x = a_nav(), jnp.asarray(SIZES * np.random.default_rng(2).normal(size=15))
-    truth = MODEL.retract(nav, x)
-    np.testing.assert_allclose(np.asarray(difference(nav, truth)) / SIZES, x / SIZES, rtol=0, atol=1e-9)
+    truth = retract(nav, x)
+    np.testing.assert_allclose(np.asarray(difference_jit(nav, truth)) / SIZES, x / SIZES, rtol=0, atol=1e-9)
     # C_est = exp([phi x]) C_true
     turned = rotations.multiply(rotations.exp(x[A]), truth.q)
     np.testing.assert_allclose(turned, nav.q, atol=1e-15)
@@ -62,7 +67,6 @@ def test_retract_removes_what_difference_measures():
 def transitions(T, seed):
     """The derivative of the error after T s by its start, by central differences through the mechanization."""
     nav, imu = a_nav(seed), an_imu(10, T, seed + 1)
-    propagate = jax.jit(local_level.propagate)
     end, path = propagate(nav, REST, imu)
 
     @jax.jit
@@ -74,7 +78,7 @@ def transitions(T, seed):
     point = jax.tree.map(lambda a: a[0], points)
     np.testing.assert_allclose(length, [T], rtol=1e-14)
     return np.stack(columns, 1), {
-        form: np.asarray(error_model(15, form).discretize(PARAMS.noise, point, length[0], REST)[0])
+        form: np.asarray(jax.jit(error_model(15, form).discretize)(PARAMS.noise, point, length[0], REST)[0])
         for form in ("full", "simple")
     }
 
@@ -118,19 +122,19 @@ def test_full_form_has_the_terms_of_position(transition):
 
 def test_nine_states_are_the_first_of_fifteen():
     nav, imu = a_nav(), an_imu(4, 0.2)
-    point = jax.tree.map(lambda a: a[2], local_level.propagate(nav, REST, imu)[1])
+    point = jax.tree.map(lambda a: a[2], propagate(nav, REST, imu)[1])
     for form in ("full", "simple"):
-        nine, fifteen = (error_model(n, form).discretize(PARAMS.noise, point, 0.2, REST) for n in (9, 15))
+        nine, fifteen = (jax.jit(error_model(n, form).discretize)(PARAMS.noise, point, 0.2, REST) for n in (9, 15))
         np.testing.assert_allclose(nine[0], fifteen[0][:9, :9], rtol=0, atol=1e-15)
         np.testing.assert_allclose(nine[1][V, V], fifteen[1][V, V], rtol=1e-2)
 
 
 def test_noise_enters_as_root_psd_in_body_axes():
     nav, imu, T = a_nav(), an_imu(4, 0.02), 0.02
-    point = jax.tree.map(lambda a: a[2], local_level.propagate(nav, REST, imu)[1])
+    point = jax.tree.map(lambda a: a[2], propagate(nav, REST, imu)[1])
     C = np.asarray(rotations.to_dcm(point.nav.q))
     noise = PARAMS.noise._replace(accel=jnp.array([1.0, 2.0, 3.0]), gyro=jnp.array([0.1, 0.2, 0.3]))
-    Q = np.asarray(MODEL.discretize(noise, point, T, REST)[1])
+    Q = np.asarray(discretize(noise, point, T, REST)[1])
     np.testing.assert_allclose(Q[V, V], T * C @ np.diag([1.0, 4.0, 9.0]) @ C.T, rtol=0, atol=0.01 * T)
     np.testing.assert_allclose(Q[A, A], T * C @ np.diag([0.01, 0.04, 0.09]) @ C.T, rtol=0, atol=1e-4 * T)
     np.testing.assert_allclose(np.diag(Q)[G], T * float(noise.gyro_bias) ** 2, rtol=1e-4)
@@ -142,20 +146,20 @@ def test_drive_moves_the_error_as_it_moves_navigation():
     """The observer drives the estimate, not the truth: their difference responds by d."""
     nav, imu = a_nav(3), an_imu(10, 1.0)
     u = Drive(jnp.array([1e-3, -2e-3, 3e-3]), jnp.array([0.1, 0.2, -0.3]))
-    driven, free = (local_level.propagate(nav, drive, imu) for drive in (u, REST))
+    driven, free = (propagate(nav, drive, imu) for drive in (u, REST))
     points, T = thin(driven[1], imu.dt, 10)
     point = jax.tree.map(lambda a: a[0], points)
     still = point._replace(nav=point.nav._replace(b_g=jnp.zeros(3), b_a=jnp.zeros(3)))
-    d = MODEL.discretize(PARAMS.noise, still, T[0], u)[2]
-    np.testing.assert_allclose(difference(driven[0], free[0])[:9], d[:9], rtol=0, atol=1e-3)
+    d = discretize(PARAMS.noise, still, T[0], u)[2]
+    np.testing.assert_allclose(difference_jit(driven[0], free[0])[:9], d[:9], rtol=0, atol=1e-3)
     assert abs(d[0]) > 0.04 and abs(d[6]) > 9e-4
 
 
 def test_absorb_feeds_a_model_error_to_the_sensors():
     nav, imu = a_nav(5), an_imu(10, 0.1)
     drive = Drive(jnp.array([1e-3, 2e-3, 0.0]), jnp.array([0.1, -0.2, 0.3]))
-    before, after = (local_level.propagate(n, REST, imu)[0] for n in (nav, MODEL.absorb(nav, drive)))
-    x = difference(before, after)
+    before, after = (propagate(n, REST, imu)[0] for n in (nav, MODEL.absorb(nav, drive)))
+    x = difference_jit(before, after)
     np.testing.assert_allclose(x[V], 0.1 * drive.accel, atol=2e-3)
     np.testing.assert_allclose(x[A], 0.1 * drive.omega, atol=2e-6)
 
@@ -168,7 +172,7 @@ def history(latency):
     imu = an_imu(12, 0.6, 7)
     imu = imu._replace(gyro=imu.gyro + 0.3 * jnp.sin(jnp.arange(12.0))[:, None] * jnp.array([0.2, -0.1, 1.0]))
     nav = a_nav(6)
-    past = local_level.propagate(nav, REST, imu)[1].nav
+    past = propagate(nav, REST, imu)[1].nav
     times = dict(time_offset=0.4, position_latency=0.5, velocity_latency=-0.3) if latency else {}
     install = PARAMS.mounting._replace(
         lever_arm=jnp.array([1.0, -2.0, -1.5]), vehicle=jnp.array([0.03, -0.05]), wheel_arm=jnp.array([-1.0, 0.7, 1.2]),
@@ -191,13 +195,17 @@ def shifted(past, x):
     return jax.vmap(one)(past)
 
 
+@jax.jit
+def residual_jacobian(install, past, fix):
+    return jax.jacfwd(lambda x: MODEL.observe(PARAMS.noise, install, shifted(past, x), fix)[0])(jnp.zeros(15))
+
+
 @pytest.mark.parametrize("latency", [0.0, 0.2])
 def test_observe_is_the_derivative_of_the_residual(latency):
     _, _, past, install, fix = history(latency)
-    observe = jax.jit(lambda past: MODEL.observe(PARAMS.noise, install, past, fix))
-    y, H, _ = observe(past)
+    _, H, _ = observe(PARAMS.noise, install, past, fix)
     # the residual of the estimate minus that of the truth is H x
-    J = -jax.jit(jax.jacfwd(lambda x: MODEL.observe(PARAMS.noise, install, shifted(past, x), fix)[0]))(jnp.zeros(15))
+    J = -residual_jacobian(install, past, fix)
     assert J.shape == H.shape == (15, 15)
     for name, s in SLICES.items():
         error = np.abs(np.asarray(H - J)[s] * SIZES).max() / np.abs(np.asarray(J)[s] * SIZES).max()
@@ -217,10 +225,10 @@ def test_observe_is_the_derivative_through_the_mechanization():
         return MODEL.observe(PARAMS.noise, install, path.nav, fix)[0], end
 
     y, end = residual(jnp.zeros(15))
-    _, H, _ = MODEL.observe(PARAMS.noise, install, past, fix)
+    _, H, _ = observe(PARAMS.noise, install, past, fix)
     x0 = jnp.asarray(SIZES * np.random.default_rng(9).normal(size=15)) * 0.1
     (above, high), (below, low) = residual(x0), residual(-x0)
-    x = 0.5 * (difference(end, high) - difference(end, low))
+    x = 0.5 * (difference_jit(end, high) - difference_jit(end, low))
     predicted, seen = H @ x, 0.5 * (below - above)
     f = 15.0  # m/s^2, no less than the specific force
     late = {"position": 0.18, "velocity": 0.02}
@@ -239,7 +247,7 @@ def test_observe_compares_with_the_state_at_the_fix_s_own_time():
         moved = install._replace(position_latency=jnp.asarray(latency), lever_arm=jnp.zeros(3))
         then = at(past, past.t[-1] - latency)
         there = fix._replace(value=fix.value.at[:3].set(then.pos))
-        y = MODEL.observe(PARAMS.noise, moved, past, there)[0]
+        y = observe(PARAMS.noise, moved, past, there)[0]
         np.testing.assert_allclose(y[:3], 0, atol=2e-9)
     # linear interpolation of a path whose acceleration is a is wrong by a dt^2 / 8
     exact = past.pos[-1] - (past.pos[-1] - past.pos[-3]) * 0.75
@@ -262,7 +270,7 @@ def test_residuals_have_the_sign_estimate_minus_measurement():
     value = jnp.concatenate(
         [earth.move(nav.pos, jnp.array([1.0, 2.0, 3.0])), nav.vel + 1, jnp.zeros(8), jnp.array([5.0])]
     )
-    y = MODEL.observe(PARAMS.noise, install, past, Fix(value, jnp.ones(15), jnp.zeros(15), jnp.ones(15, bool)))[0]
+    y = observe(PARAMS.noise, install, past, Fix(value, jnp.ones(15), jnp.zeros(15), jnp.ones(15, bool)))[0]
     np.testing.assert_allclose(y[SLICES["position"]], [-1, -2, -3], atol=1e-6)
     np.testing.assert_allclose(y[SLICES["velocity"]], -1)
     np.testing.assert_allclose(y[SLICES["zero_velocity"]], [3, 4, 0], atol=1e-12)
@@ -278,7 +286,7 @@ def test_correlations_make_the_covariance_of_the_fix():
     corr = jnp.zeros(15).at[:6].set(jnp.array([0.5, -0.3, 0.2, -0.6, 0.1, 0.4]))
     noise = PARAMS.noise._replace(position_scale=jnp.array([2.0, 1.0, 3.0]))
     fix = fix._replace(sd=sd, corr=corr)
-    R = np.asarray(MODEL.observe(noise, install, past, fix)[2])
+    R = np.asarray(observe(noise, install, past, fix)[2])
     s = np.asarray(sd[:3]) * [2, 1, 3]
     expected = np.array([[1, 0.5, 0.2], [0.5, 1, -0.3], [0.2, -0.3, 1]]) * np.outer(s, s)
     np.testing.assert_allclose(R[:3, :3], expected, rtol=1e-14)
@@ -287,7 +295,7 @@ def test_correlations_make_the_covariance_of_the_fix():
     )
     assert np.linalg.eigvalsh(R).min() > 0 and np.array_equal(R, R.T) and not R[:3, 3:].any()
     # the north channel is missing: its two correlations go, the third stays
-    R = np.asarray(MODEL.observe(noise, install, past, fix._replace(valid=fix.valid.at[1].set(False)))[2])
+    R = np.asarray(observe(noise, install, past, fix._replace(valid=fix.valid.at[1].set(False)))[2])
     assert R[0, 1] == R[1, 2] == 0 and R[0, 2] == pytest.approx(expected[0, 2]) and R[1, 1] == pytest.approx(s[1] ** 2)
 
 
@@ -320,7 +328,7 @@ def test_a_gauss_markov_bias_decays_while_no_fix_comes(case):
     np.testing.assert_allclose(info.nav.b_a, b_a * np.exp(-t / tau / 2)[:, None], rtol=0, atol=1e-3 * 0.03)
     imu, decay = case.imu, lambda tau: np.exp(-(case.imu.t - case.imu.dt / 2) / tau)[:, None]
     clean = Imu(imu.dt, imu.gyro - b_g * decay(tau), imu.accel - b_a * decay(2 * tau))
-    exact = jax.jit(local_level.propagate)(case.nav, REST, clean)[1].nav
+    exact = propagate(case.nav, REST, clean)[1].nav
     x = np.asarray(jax.jit(jax.vmap(difference))(info.nav, jax.tree.map(lambda a: a[19::20], exact)))
     assert np.abs(x[-1, A]).max() < 5e-5  # of 40 mrad that the biases turn
     assert np.abs(x[-1, P]).max() < 0.3  # of more than 100 m

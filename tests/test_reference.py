@@ -6,23 +6,20 @@ import numpy as np
 import pytest
 
 from jaxnav import rotations
-from jaxnav.epochs import pack
 from jaxnav.error_models.states import mask
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.gpid import gpid_params, literal_params
 from jaxnav.run import run_jit
 from jaxnav.sensors.grades import datasheet_params
 from tests import reference
-from tests.conftest import GRADE, gnss, simulate_drive, start
+from tests.conftest import GRADE
 
 
 @pytest.fixture(scope="module")
-def near_origin():
-    """The drive near latitude and longitude zero, where a radian is finely resolved; two fixes are missing."""
-    imu, truth = simulate_drive(lla0=(1.0, 0.5, 200.0))
-    packed = pack(imu, gnss(truth, 20, np.random.default_rng(4)), 1.0)
-    fix = packed.epochs.fix._replace(valid=packed.epochs.fix.valid.at[8:10].set(False))
-    return start(truth), packed.epochs._replace(fix=fix)
+def near_origin(fine_case):
+    """Start and epochs, of which two have no fix."""
+    epochs = fine_case.packed.epochs
+    return fine_case.nav, epochs._replace(fix=epochs.fix._replace(valid=epochs.fix.valid.at[8:10].set(False)))
 
 
 def loop(nav, epochs, params, n, **options):

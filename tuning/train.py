@@ -34,7 +34,7 @@ def _step(loss, free, optimizer, raw, state, params, arguments):
     """One update; static are the loss, the spec as a tuple of items, and the optimiser."""
     value, grad = jax.value_and_grad(lambda r: loss(join(dict(free), r, params), *arguments))(raw)
     updates, state = optimizer.update(grad, state, raw)
-    return optax.apply_updates(raw, updates), state, value, optax.global_norm(grad)
+    return optax.apply_updates(raw, updates), state, value, optax.tree.norm(grad)
 
 
 @partial(jax.jit, static_argnums=(0, 1))

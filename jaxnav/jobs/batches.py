@@ -14,6 +14,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.jobs import prepare as pre
 from jaxnav.measurements import Measurement
 from jaxnav.scenarios import Scenario
+from jaxnav.sensors.grades import GRADES
 from jaxnav.simulation import Simulated
 from jaxnav.types import Epoch, Nav, Params, Recording
 
@@ -24,7 +25,7 @@ class Batch(NamedTuple):
     nav: Nav  # (B, ...) starts
     epochs: Epoch  # (B, E, ...)
     ends: jax.Array  # (B, W) int, last epoch of each window
-    count: jax.Array  # (B, W) bool, windows that are scored here
+    scored: jax.Array  # (B, W) bool, windows that count here
     keep: jax.Array  # (B, E) bool, epochs whose innovations and errors count
     lla: jax.Array | None  # (B, E, 3) true position, for the supervised objective
 
@@ -82,13 +83,24 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     batches = [_batch(part) for part in parts]
     test = parts[2]
     about = f"simulated runs of {scenario.name}: {counts[0]} to train, {counts[1]} to validate, {counts[2]} kept aside"
-    late = config.data.gnss_latency_s
+    windows = sims.outages.shape[1]
     return Material(
-        filt, pre.GNSS, params, batches[0], batches[1], batches[2], np.repeat(np.arange(counts[2]), sims.outages.shape[1]),
+        filt, pre.GNSS, params, batches[0], batches[1], batches[2], np.repeat(np.arange(counts[2]), windows),
         [f"test run {i}" for i in range(counts[2])], np.asarray(test.truth.t[0]), None, test.truth,
         [(float(a), float(b)) for a, b in test.outages[0]], about,
-        {"mounting.position_latency": late, "mounting.velocity_latency": late},
+        _known(config, scenario),
     )  # fmt: skip
+
+
+def _known(config: Config, scenario: Scenario) -> dict[str, float]:
+    """True values of parameters by dotted name: what was simulated."""
+    late, grade, factor = config.data.gnss_latency_s, GRADES[scenario.grade], config.data.imu_worse_by
+    drive = factor * np.sqrt(2 / grade.tau)
+    return {
+        "noise.gyro": factor * grade.arw, "noise.accel": factor * grade.vrw,
+        "noise.gyro_bias": drive * grade.gyro_instability, "noise.accel_bias": drive * grade.accel_instability,
+        "mounting.position_latency": late, "mounting.velocity_latency": late,
+    }  # fmt: skip
 
 
 def _batch(sims: Simulated) -> Batch:
@@ -138,7 +150,7 @@ def from_recording(config: Config) -> Material:
     about = (
         f"{case.recording.name}: train {split.start:.0f} to {split.train:.0f} s, validate to {split.validation:.0f} s, "
         f"kept aside to {split.stop:.0f} s; windows of {tune.outage_s:g} s in {tune.phases} runs, "
-        f"{', '.join(str(int(b.count.sum())) for b in batches)} of them"
+        f"{', '.join(str(int(b.scored.sum())) for b in batches)} of them"
     )
     hidden = np.asarray(batches[2].keep[0])
     return Material(

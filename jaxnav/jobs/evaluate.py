@@ -123,21 +123,21 @@ def figures(
 ) -> "dict[str, Figure]":
     """The figures of one run, by name of file."""
     t, info = sol.track.t, sol.info
+    valid, P = np.asarray(info.valid), np.asarray(info.P)
     found = {"trajectory": plots.trajectory(sol.track, truth, fixes, outages)}
     if truth is not None:
         error, sd = ned_errors(sol, truth)
         found["errors"] = plots.errors(t, error, sd, outages)
     order, names, sign = channels(measurements)
-    nu, S = info.nu[:, order] * sign, info.S[:, order][:, :, order]
-    if info.valid.any():
-        found["innovations"] = plots_stats.innovations(t, nu, S, info.valid[:, order], names, outages, None)
-        found["nis"] = plots_stats.nis(t, info.nis, info.valid.sum(1), outages)
-    if info.P.shape[-1] > 9:
-        sd = np.sqrt(np.diagonal(info.P, axis1=1, axis2=2))
+    nu, S = np.asarray(info.nu)[:, order] * sign, np.asarray(info.S)[:, order][:, :, order]
+    if valid.any():
+        found["innovations"] = plots_stats.innovations(t, nu, S, valid[:, order], names, outages, None)
+        found["nis"] = plots_stats.nis(t, np.asarray(info.nis), valid.sum(1), outages)
+    if P.shape[-1] > 9:
+        b_g, b_a = np.asarray(info.nav.b_g), np.asarray(info.nav.b_a)
+        sd = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
         true_g, true_a = (None, None) if bias_truth is None else (_at(t, bias_truth[0], b) for b in bias_truth[1:])
-        found["biases"] = plots.biases(
-            t, info.nav.b_g, info.nav.b_a, sd[:, 9:12], sd[:, 12:15], true_g, true_a, outages
-        )
+        found["biases"] = plots.biases(t, b_g, b_a, sd[:, 9:12], sd[:, 12:15], true_g, true_a, outages)
     return found
 
 

@@ -130,7 +130,10 @@ def worsen(key: jax.Array, sim: Simulated, grade: Grade, factor: float, dt: floa
     if factor == 1.0:
         return sim
     more = math.sqrt(factor**2 - 1)
-    extra = Grade(*(more * v for v in grade[:2]), 0.0, 0.0, *(more * v for v in grade[4:6]), grade.tau, "")
+    extra = grade._replace(
+        arw=more * grade.arw, vrw=more * grade.vrw, gyro_turn_on=0.0, accel_turn_on=0.0,
+        gyro_instability=more * grade.gyro_instability, accel_instability=more * grade.accel_instability,
+    )  # fmt: skip
     E, k = sim.epochs.imu.dt.shape
     flat = Imu(*(a.reshape(E * k, *a.shape[2:]) for a in sim.epochs.imu))
     flat, b_g, b_a = corrupt(key, flat, dt, extra)
@@ -234,7 +237,7 @@ def prepare(config: Config, tuned: bool = False) -> Case:
     packed = pack(config, rec, measurements, float(np.ravel(first.t)[0]), interval)
     rate = 1 / float(np.median(rec.imu.dt))
     filt = build(name, measurements, config.filter.cov_stride, history_of(config, rate, tuned))
-    biases = None if sim is None else tuple(np.asarray(a) for a in (sim.truth.t, sim.truth.b_g, sim.truth.b_a))
+    biases = None if sim is None else jax.tree.map(np.asarray, (sim.truth.t, sim.truth.b_g, sim.truth.b_a))
     return Case(rec, filt, measurements, params, packed, first, biases)
 
 

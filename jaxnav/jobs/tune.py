@@ -40,11 +40,11 @@ class Scores(NamedTuple):
 
 
 def _drift(infos: Info, batch: Batch) -> jax.Array:
-    return 0.5 * jnp.log(objectives.masked_mean(_window_errors(infos, batch) ** 2, batch.count) + 1e-6)
+    return 0.5 * jnp.log(objectives.masked_mean(_window_errors(infos, batch) ** 2, batch.scored) + 1e-6)
 
 
 def _log_drift(infos: Info, batch: Batch) -> jax.Array:
-    return objectives.masked_mean(0.5 * jnp.log(_window_errors(infos, batch) ** 2 + 1e-2), batch.count)
+    return objectives.masked_mean(0.5 * jnp.log(_window_errors(infos, batch) ** 2 + 1e-2), batch.scored)
 
 
 def _window_errors(infos: Info, batch: Batch) -> jax.Array:
@@ -152,7 +152,7 @@ def score(material: Material, params: Params) -> Scores:
         failure = first_failure(jax.tree.map(lambda a, i=i: a[i], info), material.t)
         if failure:
             raise FailedCheck(f"{name}: {failure}")
-    errors = np.asarray(jax.vmap(objectives.outage_error)(info, batch.ends))[np.asarray(batch.count)]
+    errors = np.asarray(jax.vmap(objectives.outage_error)(info, batch.ends))[np.asarray(batch.scored)]
     flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), info)
     consistency = evaluate.innovation_metrics(flat, material.measurements)
     with_fix = np.asarray(batch.keep) & info.valid[..., :2].all(-1)
@@ -210,7 +210,7 @@ def text(result: dict[str, Any], config: Config) -> str:
     else:
         verdict = "better" if gain["low"] > 1 else "worse" if gain["high"] < 1 else "not proven"
         lines.append(
-            f"RMS {gain['gain']:.2f} times smaller, paired 95 % interval {gain['low']:.2f} to {gain['high']:.2f}: {verdict}"
+            f"RMS {gain['gain']:.2f} times smaller, 95 % interval {gain['low']:.2f} to {gain['high']:.2f}: {verdict}"
         )
     names = result["params_before"]
     known = result["known"]

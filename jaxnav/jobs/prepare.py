@@ -19,6 +19,7 @@ from jaxnav.jobs.parameters import override
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.run import initial_nav
 from jaxnav.scenarios import SCENARIOS, Scenario
+from jaxnav.sensors.gnss import antenna
 from jaxnav.sensors.grades import GRADES, Grade, datasheet_params, mounting
 from jaxnav.sensors.imu import corrupt
 from jaxnav.simulation import Simulated, simulate, to_recording
@@ -106,10 +107,18 @@ def simulated(config: Config, scenario: Scenario, keys: jax.Array) -> Simulated:
 @partial(jax.jit, static_argnums=(0, 1, 2, 3))
 def _simulated(fast: Scenario, every: int, by: int, factor: float, keys: jax.Array) -> Simulated:
     def one(key):
-        sim = delay(simulate(fast, key), every, by)
+        sim = delay(reveal(simulate(fast, key), fast), every, by)
         return worsen(jax.random.fold_in(key, 99), sim, GRADES[fast.grade], factor, 1 / fast.imu_rate_hz)
 
     return jax.vmap(one)(keys)
+
+
+def reveal(sim: Simulated, scenario: Scenario) -> Simulated:
+    """Put the true position of the antenna in place of the fixes that an outage hides: what its end is scored by."""
+    lla, _ = jax.vmap(antenna, (0, None))(sim.truth, jnp.asarray(scenario.lever_arm_m, float))
+    fix = sim.epochs.fix
+    value = fix.value.at[:, :3].set(jnp.where(sim.hidden[:, None], lla, fix.value[:, :3]))
+    return sim._replace(epochs=sim.epochs._replace(fix=fix._replace(value=value)))
 
 
 def delay(sim: Simulated, every: int, by: int) -> Simulated:

@@ -99,8 +99,10 @@ class Tune:
     """What is tuned, for what, on what."""
 
     free: tuple[str, ...] = ("noise", "timing", "rule")  # groups, or dotted names such as noise.gyro
-    objective: dict[str, float] = dataclasses.field(default_factory=lambda: {"log_drift": 1.0, "nll": 1.0})  # name -> weight
-    steps: int = 60
+    objective: dict[str, float] = dataclasses.field(
+        default_factory=lambda: {"log_drift": 1.0, "nll": 1.0}
+    )  # name -> weight
+    steps: int = 40
     rate: float = 0.1
     runs: int = 8  # simulated: for training
     validation_runs: int = 4

@@ -267,14 +267,14 @@ def _legs(uniform: jax.Array, speed_max: float) -> tuple[jax.Array, ...]:
 def urban(key: jax.Array, duration: float, standstill: float = 0.0, speed_max: float = 20.0) -> Shape:
     """A random drive in town: streets and crossings, stops, turns of 40 to 110 deg, bends, lane changes, hills.
 
-    Accelerates by at most 1.8 and brakes by at most 2.5 m/s^2, a little more across grade changes; turns with at most
-    3 m/s^2 across. Stands for the first ``standstill`` s. Pitch and roll follow the road and the springs.
+    Accelerates by at most 1.8 and brakes by at most 2.5 m/s^2, turns with about 3 m/s^2 across at most. Stands for the
+    first ``standstill`` s. Pitch and roll follow the road and the springs.
     """
     # all random numbers by one call: each costs compile time
     M, n = 6, int(np.ceil(duration / SHORTEST_LEG))
     uniform = jax.random.uniform(key, (8 * M + 1 + DRAWS * n,), float)
-    road, first, streets = uniform[: 8 * M].reshape(4, 2, M), uniform[8 * M], uniform[8 * M + 1 :].reshape(DRAWS, n)
-    table = [jnp.pad(a.ravel(), (1, 0)) for a in _legs(streets, speed_max)]
+    road, first, streets = uniform[: 8 * M].reshape(4, 2, M), uniform[8 * M], uniform[8 * M + 1 :].reshape(n, DRAWS)
+    table = [jnp.pad(a.ravel(), (1, 0)) for a in _legs(streets.T, speed_max)]
     table[0] = table[0].at[0].set(standstill)
     pieces = join_pieces(2 * np.pi * first, *table)
     hills = waves(road[0], 1.0 * units.DEG, 150.0, 600.0)

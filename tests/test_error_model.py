@@ -176,7 +176,7 @@ def history(latency):
     times = dict(time_offset=0.4, position_latency=0.5, velocity_latency=-0.3) if latency else {}
     install = PARAMS.mounting._replace(
         lever_arm=jnp.array([1.0, -2.0, -1.5]), vehicle=jnp.array([0.03, -0.05]), wheel_arm=jnp.array([-1.0, 0.7, 1.2]),
-        speed_scale=jnp.asarray(0.02), **{k: jnp.asarray(v * latency) for k, v in times.items()},
+        speed_scale=jnp.asarray(0.02, float), **{k: jnp.asarray(v * latency, float) for k, v in times.items()},
     )  # fmt: skip
     rng = np.random.default_rng(8)
     value = np.concatenate([past.pos[-1] + rng.normal(size=3) * [1e-6, 1e-6, 1], rng.normal(size=12)])
@@ -318,7 +318,7 @@ def test_priors_and_masks_are_by_name():
 def test_a_gauss_markov_bias_decays_while_no_fix_comes(case):
     """Closed loop without fixes: the bias estimate is b exp(-t / tau), and attitude feels the decaying bias."""
     tau, b_g, b_a = 20.0, np.array([1e-3, -2e-3, 0.5e-3]), np.array([0.03, 0.01, -0.02])
-    noise = case.params.noise._replace(gyro_tau=jnp.asarray(tau), accel_tau=jnp.asarray(2 * tau))
+    noise = case.params.noise._replace(gyro_tau=jnp.asarray(tau, float), accel_tau=jnp.asarray(2 * tau, float))
     epochs = case.packed.epochs
     blind = epochs._replace(fix=epochs.fix._replace(valid=jnp.zeros_like(epochs.fix.valid)))
     nav = case.nav._replace(b_g=jnp.asarray(b_g), b_a=jnp.asarray(b_a))

@@ -47,7 +47,7 @@ def setting(fine_case):
     params = datasheet_params(GRADE, tilt_sd=0.01, heading_sd=0.05, install=install, rule=gpid_params(0.02, 0.1, 15))
     # distinct values on each axis, so that every component has a derivative of its own
     params = put(params, "noise.gyro", jnp.array([2e-3, 3e-3, 4e-3]))
-    params = put(params, "noise.accel", jnp.asarray(2e-2))
+    params = put(params, "noise.accel", jnp.asarray(2e-2, float))
     # a start with errors, for the priors to matter
     lla = earth.move(case.nav.pos, jnp.array([2.0, -3.0, 2.0]))
     nav = case.nav._replace(pos=lla, vel=case.nav.vel + jnp.array([0.1, -0.1, 0.05]))
@@ -88,7 +88,7 @@ def test_gradient_of_a_whole_run(setting, gradients, name):
 
 
 def test_gradients_are_finite_at_singular_points(setting):
-    """No lever arm, no gains, no rotation, padded epochs, missing fixes: where the norm is zero, and where 0 * nan would show."""
+    """No lever arm, gain or rotation, padded epochs, missing fixes: norms of zero, and where 0 * nan would show."""
     params, epochs = setting.params, setting.epochs
     for name in ("mounting.lever_arm", "mounting.time_offset", "rule.ki", "rule.kd"):
         params = put(params, name, jnp.zeros_like(get(params, name)))

@@ -144,15 +144,15 @@ def metrics_of(case: Case, sol: evaluate.Solution, hidden: np.ndarray, config: C
 
 def end_error(case: Case, sol: evaluate.Solution, start: float, end: float) -> float:
     """Horizontal error (m) at the last epoch without a fix of an outage; nan where nothing tells it."""
-    t, valid = case.packed.t, np.asarray(case.packed.epochs.fix.valid)[:, :2].all(1)
-    used = np.asarray(sol.info.valid)[:, :2].all(1)
-    lost = np.flatnonzero((t > start + TICK) & (t <= end + TICK) & np.logical_not(used))
+    t, valid = case.packed.t, np.asarray(case.packed.epochs.fix.valid)[:, :2]
+    used = np.asarray(sol.info.valid)[:, :2]
+    lost = np.flatnonzero((t > start + TICK) & (t <= end + TICK) & ~used.all(axis=1))
     if not lost.size:
         return float("nan")
     i = int(lost[-1])
     if case.recording.truth is not None:
         return float(np.hypot(*evaluate.ned_errors(sol, case.recording.truth)[0][i, :2]))
-    return float(np.hypot(*np.asarray(sol.info.residual)[i, :2])) if valid[i] else float("nan")
+    return float(np.hypot(*np.asarray(sol.info.residual)[i, :2])) if valid[i].all() else float("nan")
 
 
 def write_solution(config: Config, folder: Path, sol: evaluate.Solution, case: Case) -> None:

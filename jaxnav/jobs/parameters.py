@@ -97,7 +97,8 @@ def groups(name: str, measurements: tuple[Measurement, ...]) -> dict[str, list[s
     return {
         "noise": ["noise.gyro", "noise.accel", *biases, *pseudo],
         "fixes": ["noise.position_scale", "noise.velocity_scale"],
-        "timing": ["mounting.position_latency", "mounting.velocity_latency"],
+        "timing": ["mounting.time_offset", "mounting.velocity_latency"],  # of clocks: the IMU's is off
+        "latency": ["mounting.position_latency", "mounting.velocity_latency"],  # of the receiver: its fixes are old
         "lever_arm": ["mounting.lever_arm"],
         "vehicle": ["mounting.vehicle", "mounting.wheel_arm"] if vehicle else [],
         "prior": ["prior.gyro_bias", "prior.accel_bias"] if entry.n_states > 9 else [],

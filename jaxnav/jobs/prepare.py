@@ -17,12 +17,12 @@ from jaxnav.filters import core
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.jobs.parameters import override
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
-from jaxnav.run import initial_nav
+from jaxnav.run import initial_nav, require_x64
 from jaxnav.scenarios import SCENARIOS, Scenario
 from jaxnav.sensors.gnss import antenna
 from jaxnav.sensors.grades import GRADES, Grade, datasheet_params, mounting
 from jaxnav.sensors.imu import corrupt
-from jaxnav.simulation import Simulated, simulate, to_recording
+from jaxnav.simulation import Simulated, simulate, sizes, to_recording
 from jaxnav.types import Imu, Nav, Params, Prior, Recording, Samples
 from jaxnav.units import DEG
 
@@ -90,15 +90,16 @@ def simulated(config: Config, scenario: Scenario, keys: jax.Array) -> Simulated:
     Raises:
         ConfigError: a scenario that does not fit together.
     """
-    latency, k = config.data.gnss_latency_s, round(scenario.imu_rate_hz / scenario.gnss_rate_hz)
-    late = round(latency * scenario.imu_rate_hz)
-    if abs(late - latency * scenario.imu_rate_hz) > 1e-6 or late >= k:
-        raise ConfigError(f"data.gnss_latency_s must be whole IMU samples and less than an epoch, got {latency:g}")
-    part = math.gcd(k, late)  # simulate fixes so often that one is exactly so old
-    fast = scenario._replace(gnss_rate_hz=scenario.imu_rate_hz / part)
     try:
+        _, k = sizes(scenario)
+        latency = config.data.gnss_latency_s
+        late = round(latency * scenario.imu_rate_hz)
+        if abs(late - latency * scenario.imu_rate_hz) > 1e-6 or late >= k:
+            raise ConfigError(f"data.gnss_latency_s must be whole IMU samples and less than an epoch, got {latency:g}")
+        part = math.gcd(k, late)  # simulate fixes so often that one is exactly so old
+        fast = scenario._replace(gnss_rate_hz=scenario.imu_rate_hz / part)
         return _simulated(fast, k // part, late // part, config.data.imu_worse_by, keys)
-    except DataError:
+    except (ConfigError, DataError):
         raise
     except ValueError as error:
         raise ConfigError(f"data.options: {error}") from error
@@ -159,6 +160,7 @@ def load(config: Config) -> tuple[Recording, Simulated | None]:
         DataError: it is not there, or cannot be used.
     """
     data, scenario = config.data, scenario_of(config)
+    require_x64(jnp.zeros((), float))
     if scenario is not None:
         sims = simulated(config, scenario, key_of(config.seed, SINGLE, 0)[None])
         sim = jax.tree.map(lambda a: a[0], sims)

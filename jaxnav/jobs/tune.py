@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,16 +14,18 @@ from jaxnav import config as configuration
 from jaxnav import metrics, plots, plots_stats
 from jaxnav.config import Config
 from jaxnav.errors import ConfigError
+from jaxnav.filters.core import Filter
 from jaxnav.io import atomic_write
 from jaxnav.jobs import evaluate
 from jaxnav.jobs.batches import Batch, Material, from_recording, from_scenario
 from jaxnav.jobs.parameters import NAMES, UNITS, free_spec, in_user_units, user_value
-from jaxnav.jobs.prepare import scenario_of
+from jaxnav.jobs.prepare import filter_name, measurements_of, scenario_of
 from jaxnav.jobs.results import FailedCheck, Outcome, stderr, table, to_json, write_json
 from jaxnav.run import first_failure, run, track
 from jaxnav.types import Info, Params, Samples, Track
 from tuning import objectives
 from tuning.train import Fit, default_optimizer, fit
+from tuning.transforms import Spec
 from tuning.validation import PairedGain, paired_gain
 
 runs_jit = jax.jit(jax.vmap(run, (None, None, 0, 0)), static_argnums=0)
@@ -67,23 +70,24 @@ OBJECTIVES: dict[str, Callable[[Info, Batch], jax.Array]] = {
 """Log RMS and mean log of the error at the ends of hidden windows; innovation likelihood; position RMSE in m."""
 
 
-def objective(material: Material, weights: dict[str, float]) -> Callable[[Params, Batch], jax.Array]:
-    """The weighted sum of objectives of a batch; inf where a run stopped being finite.
-
-    Raises:
-        ConfigError: an unknown objective, or one that needs a truth that is not there.
-    """
+def check_objective(weights: dict[str, float], truth: bool = True) -> None:
+    """Raise ConfigError for an unknown objective, one that needs a truth that is not there, or none at all."""
     for name in weights:
         if name not in OBJECTIVES:
             raise ConfigError(f"tune.objective: no objective {name!r}: {configuration.nearest(name, OBJECTIVES)}")
     if not any(weights.values()):
         raise ConfigError("tune.objective: every weight is zero")
-    if weights.get("rmse") and material.train.lla is None:
+    if weights.get("rmse") and not truth:
         raise ConfigError("tune.objective: rmse needs a truth, and the recording has none")
 
+
+@cache
+def objective(filt: Filter, weights: tuple[tuple[str, float], ...]) -> Callable[[Params, Batch], jax.Array]:
+    """The weighted sum of objectives of a batch; inf where a run stopped being finite. One function per setting."""
+
     def loss(params: Params, batch: Batch) -> jax.Array:
-        infos = jax.vmap(run, (None, None, 0, 0))(material.filter, params, batch.nav, batch.epochs)
-        total = sum((w * OBJECTIVES[name](infos, batch) for name, w in weights.items() if w), jnp.zeros(()))
+        infos = jax.vmap(run, (None, None, 0, 0))(filt, params, batch.nav, batch.epochs)
+        total = sum((w * OBJECTIVES[name](infos, batch) for name, w in weights if w), jnp.zeros(()))
         return jnp.where(infos.ok.all(), total, jnp.inf)
 
     return loss
@@ -99,15 +103,17 @@ def tune(config: Config, folder: Path, progress: bool = False) -> Outcome:
         FailedCheck: the starting filter stops being finite.
     """
     seconds, begin = {}, time.perf_counter()
-    scenario = scenario_of(config)
+    scenario, names = scenario_of(config), config.tune.objective
+    check_objective(names)
+    spec = free_spec(config.tune.free, filter_name(config), measurements_of(config))
     material = from_scenario(config, scenario) if scenario is not None else from_recording(config)
-    spec = free_spec(config.tune.free, config.filter.name, material.measurements)
+    check_objective(names, material.train.lla is not None)
     if progress:
         stderr(f"{material.about}\nfree: {', '.join(spec)}")
     seconds["prepare"], begin = time.perf_counter() - begin, time.perf_counter()
     before = score(material, material.params)
     seconds["before"], begin = time.perf_counter() - begin, time.perf_counter()
-    found = search(config, material, progress)
+    found = search(config, material, spec, progress)
     seconds["tune"], begin = time.perf_counter() - begin, time.perf_counter()
     after = score(material, found.params)
     gain = compare(before, after, material, config.seed)
@@ -121,15 +127,14 @@ def tune(config: Config, folder: Path, progress: bool = False) -> Outcome:
     return Outcome(result, text(result, config), seconds, stopped)
 
 
-def search(config: Config, material: Material, progress: bool) -> Fit:
+def search(config: Config, material: Material, spec: Spec, progress: bool) -> Fit:
     """The best parameters by validation.
 
     Raises:
         FailedCheck: the objective of the start is not finite.
     """
     t = config.tune
-    loss = objective(material, dict(t.objective))
-    spec = free_spec(t.free, config.filter.name, material.measurements)
+    loss = objective(material.filter, tuple(sorted(t.objective.items())))
     optimizer = default_optimizer(t.steps, t.rate)
     try:
         return fit(

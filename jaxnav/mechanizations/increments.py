@@ -26,7 +26,8 @@ def increments(nav: Nav, imu: Imu) -> Increments:
 
     Rate and force are taken as linear in time through this sample and the one before it (Savage 1998, two-sample
     forms): theta = w dt + (w0 x w) dt^2 / 12 and dv = f dt + (w dt) x (f dt) / 2 + (w0 x f + f0 x w) dt^2 / 12, where
-    the subscript 0 marks the sample before. The first sample of a run has none and gets no such correction.
+    the subscript 0 marks the sample before. The first sample of a run has none and gets no such correction. The third
+    order of the rotation, w x (w x f) dt^3 / 6, is kept as well: in a steady turn it is what adds up.
     """
     omega, force = imu.gyro - nav.b_g, imu.accel - nav.b_a
     # the state carries the rates before this epoch's bias correction: one sample in an epoch sees that difference
@@ -36,5 +37,6 @@ def increments(nav: Nav, imu: Imu) -> Increments:
     coning = jnp.cross(omega0, omega) * dt**2 / 12
     sculling = (jnp.cross(omega0, force) + jnp.cross(force0, omega)) * dt**2 / 12
     theta = omega * dt + coning
-    dv = force * dt + jnp.cross(omega, force) * dt**2 / 2 + sculling
+    turn = jnp.cross(omega, force)
+    dv = force * dt + turn * dt**2 / 2 + jnp.cross(omega, turn) * dt**3 / 6 + sculling
     return Increments(imu.dt, theta, dv, omega, force)

@@ -281,8 +281,8 @@ def main(argv: list[str]) -> None:
     """Print the tables, write the JSON."""
     parser = common.options("drive", __doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=30, help="steps of tuning for each block, default 30")
-    parser.add_argument("--objective", choices=("likelihood", "drift"), default="likelihood",
-                        help="of tuning: innovations (no truth, no windows), or drift at the ends of hidden windows")  # fmt: skip
+    what = "of tuning: innovations (no truth, no windows), or drift at the ends of hidden windows"
+    parser.add_argument("--objective", choices=("likelihood", "drift"), default="likelihood", help=what)
     args = parser.parse_args(argv)
     folder = io.verify("rtkexplorer_drive")
     rec = io.read_drive(folder, imu_delay=EARLY)

@@ -312,7 +312,8 @@ def tuning(history: Sequence[Mapping[str, Any]], truth: Mapping[str, Any] | None
     _log(losses, "y", np.concatenate([loss, held_out]), 30.0)
     dress(gradients, "", "Step", "Gradient norm (–)")
     gradients.plot(step, np.where(gradient > 0.0, gradient, np.nan), **line)
-    gradients.set_yscale("log")
+    if not _log(gradients, "y", gradient[gradient > 0.0], 1.0):
+        gradients.set_yscale("log")
     grid = [losses, gradients]
     if names:
         small = panels(parts[1], len(names), 4, "Step")

@@ -10,7 +10,7 @@ import pytest
 
 from jaxnav import cli, config
 from jaxnav.io import read_recording, write_recording
-from jaxnav.jobs import batches, filtering, prepare, tune
+from jaxnav.jobs import batches, filtering, prepare, sources, tune
 from jaxnav.jobs.results import FailedCheck, cell, staged, table, to_json
 
 SMALL = ["--set", "data.options.standstill_s=4", "--set", "filter.cov_stride=25", "--set", "out.figures=false"]
@@ -111,15 +111,15 @@ def test_filter_writes_everything_and_json_parses(drive, tmp_path, capsys):
 
 
 def test_seed_reproduces_and_matters(drive):
-    scenario = prepare.scenario_of(config.resolve([("", {"data": {"source": "urban_short"}})]))
+    scenario = sources.scenario_of(config.resolve([("", {"data": {"source": "urban_short"}})]))
     c = config.resolve([("", {"data": {"source": "urban_short", "options": {"standstill_s": 4.0}}, "seed": 3})])
-    again, _ = prepare.load(c)
+    again, _ = sources.load(c)
     rec = read_recording(drive)
     np.testing.assert_array_equal(again.imu.gyro, rec.imu.gyro)
-    other, _ = prepare.load(config.resolve([("", config.as_dict(c)), ("", {"seed": 4})]))
+    other, _ = sources.load(config.resolve([("", config.as_dict(c)), ("", {"seed": 4})]))
     assert not np.allclose(other.imu.gyro, rec.imu.gyro)
     keys = {
-        jax.random.key_data(prepare.key_of(seed, kind, run)).tobytes()
+        jax.random.key_data(sources.key_of(seed, kind, run)).tobytes()
         for seed in (0, 1) for kind in range(4) for run in range(50)
     }  # fmt: skip
     assert len(keys) == 400 and scenario.name == "urban_short"
@@ -252,16 +252,8 @@ def test_staged_never_deletes_outside(tmp_path):
 
 
 def test_tune_scenario_then_filter_with_its_parameters(capsys):
-    argv = [
-        "tune",
-        "--data",
-        "urban_short",
-        "--json",
-        *SMALL[:4],
-        *TINY,
-        "--set",
-        "tune.objective={drift = 1, nll = 0.1}",
-    ]
+    what = ["--set", "tune.objective={drift = 1, nll = 0.1}", "--set", "tune.free=['noise', 'latency']"]
+    argv = ["tune", "--data", "urban_short", "--json", *SMALL[:4], *TINY, *what]
     assert cli.main([*argv, "--out", "t", "--set", "data.gnss_latency_s=0.2"]) == 0
     metrics = json.loads(capsys.readouterr().out)["metrics"]
     assert metrics["steps"] == 2 and metrics["known"]["position_latency_s"] == 0.2

@@ -12,7 +12,8 @@ from jaxnav.errors import ConfigError, DataError
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
 from jaxnav.jobs import prepare as pre
-from jaxnav.measurements import Measurement
+from jaxnav.jobs.sources import key_of, simulated
+from jaxnav.measurements import GNSS, Measurement
 from jaxnav.scenarios import Scenario
 from jaxnav.sensors.grades import GRADES
 from jaxnav.simulation import Simulated
@@ -58,38 +59,40 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     Raises:
         ConfigError: a scenario without outages, constraints that need a recorded IMU stream, or wrong names.
     """
-    if pre.measurements_of(config) != pre.GNSS:
-        raise ConfigError(
-            "filter: constraints cannot be tuned on a scenario yet: simulate it and tune on the recording"
-        )
+    _check(config, scenario)
     t = config.tune
     counts = (t.runs, t.validation_runs, t.test_runs)
-    keys = [pre.key_of(config.seed, kind, i) for kind, n in enumerate(counts) for i in range(n)]
-    sims = pre.simulated(config, scenario, jnp.stack(keys))
-    if sims.outages.shape[1] == 0:
+    keys = [key_of(config.seed, kind, i) for kind, n in enumerate(counts) for i in range(n)]
+    sims = simulated(config, scenario, jnp.stack(keys))
+    windows, samples = sims.outages.shape[1], sims.epochs.imu.dt.shape[2]
+    if not windows:
         raise ConfigError(f"data.options.outages_s: tuning scores outages, scenario {scenario.name} has none")
-    if config.start.heading == "unknown":
-        raise ConfigError('start.heading = "unknown" cannot be tuned: give degrees, "course" or "truth"')
-    stride = max(d for d in range(1, config.filter.cov_stride + 1) if sims.epochs.imu.dt.shape[2] % d == 0)
-    history = pre.history_of(config, scenario.imu_rate_hz, tuned=True)
-    filt = build(pre.filter_name(config), pre.GNSS, stride, history)
+    stride = max(d for d in range(1, config.filter.cov_stride + 1) if samples % d == 0)
+    filt = build(pre.filter_name(config), GNSS, stride, pre.history_of(config, scenario.imu_rate_hz, tuned=True))
     start = config.start
     sd = start.position_sd_m or scenario.prior_position_sd_m, start.velocity_sd_mps or scenario.prior_velocity_sd_mps
     params = pre.base_params(config, pre.grade_of(config, scenario), np.array(scenario.lever_arm_m), *sd)
-    if scenario.prior_tilt_sd_deg > start.tilt_sd_deg or scenario.prior_heading_sd_deg > start.heading_sd_deg:
-        raise ConfigError("start: tilt_sd_deg and heading_sd_deg must not be below the scenario's own")
     edges = np.cumsum((0, *counts))
     parts = [jax.tree.map(lambda a, s=slice(a, b): a[s], sims) for a, b in zip(edges[:-1], edges[1:])]
     batches = [_batch(part) for part in parts]
     test = parts[2]
     about = f"simulated runs of {scenario.name}: {counts[0]} to train, {counts[1]} to validate, {counts[2]} kept aside"
-    windows = sims.outages.shape[1]
     return Material(
-        filt, pre.GNSS, params, batches[0], batches[1], batches[2], np.repeat(np.arange(counts[2]), windows),
+        filt, GNSS, params, batches[0], batches[1], batches[2], np.repeat(np.arange(counts[2]), windows),
         [f"test run {i}" for i in range(counts[2])], np.asarray(test.truth.t[0]), None, test.truth,
         [(float(a), float(b)) for a, b in test.outages[0]], about,
         _known(config, scenario),
     )  # fmt: skip
+
+
+def _check(config: Config, scenario: Scenario) -> None:
+    if pre.measurements_of(config) != GNSS:
+        raise ConfigError("filter: constraints are tuned on recordings: simulate one, and tune with --data FOLDER")
+    if config.start.heading == "unknown":
+        raise ConfigError('start.heading = "unknown" cannot be tuned: give degrees, "course" or "truth"')
+    start = config.start
+    if scenario.prior_tilt_sd_deg > start.tilt_sd_deg or scenario.prior_heading_sd_deg > start.heading_sd_deg:
+        raise ConfigError("start: tilt_sd_deg and heading_sd_deg must not be below the scenario's own")
 
 
 def _known(config: Config, scenario: Scenario) -> dict[str, float]:

@@ -12,8 +12,9 @@ from jaxnav.config import Config
 from jaxnav.epochs import TICK, hide
 from jaxnav.errors import ConfigError
 from jaxnav.jobs import evaluate
-from jaxnav.jobs.prepare import Case, load, prepare, scenario_of
+from jaxnav.jobs.prepare import Case, prepare
 from jaxnav.jobs.results import FailedCheck, Outcome, table, write_json
+from jaxnav.jobs.sources import load, scenario_of
 from jaxnav.run import first_failure, run_jit
 from jaxnav.types import Info
 

@@ -19,8 +19,9 @@ from jaxnav.io import atomic_write
 from jaxnav.jobs import evaluate
 from jaxnav.jobs.batches import Batch, Material, from_recording, from_scenario
 from jaxnav.jobs.parameters import NAMES, UNITS, free_spec, in_user_units, user_value
-from jaxnav.jobs.prepare import filter_name, measurements_of, scenario_of
+from jaxnav.jobs.prepare import filter_name, measurements_of
 from jaxnav.jobs.results import FailedCheck, Outcome, stderr, table, to_json, write_json
+from jaxnav.jobs.sources import scenario_of
 from jaxnav.run import first_failure, run, track
 from jaxnav.types import Info, Params, Samples, Track
 from tuning import objectives

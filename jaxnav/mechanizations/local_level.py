@@ -45,7 +45,10 @@ def propagate(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
         mid = v + 0.5 * (thrust + dt * (down - jnp.cross(2 * w_ie + transport(v), v)))  # velocity half-way
         w_en = transport(mid)
         turn = (w_ie + w_en) * dt  # how far ENU turns under the vehicle
-        dv = thrust - 0.5 * jnp.cross(turn, thrust) + dt * (down - jnp.cross(2 * w_ie + w_en, mid) + push)
+        lag = jnp.cross(turn, thrust)
+        # the last term meets the third order of the body's own rotation: at rest the two turn together and cancel
+        thrust = thrust - lag / 2 + jnp.cross(turn, lag) / 12
+        dv = thrust + dt * (down - jnp.cross(2 * w_ie + w_en, mid) + push)
         mean = v + 0.5 * dv
         dlat = mean[1] * dt / (north_radius + 0.5 * mean[2] * dt)
         dlon = mean[0] * dt / ((east_radius + 0.5 * mean[2] * dt) * (c - 0.5 * s * dlat))

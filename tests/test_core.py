@@ -14,7 +14,7 @@ from jaxnav.epochs import pack
 from jaxnav.error_models.local_level import error_model
 from jaxnav.errors import DataError
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.core import REST, Correction, Innovation, Rule, make_filter
+from jaxnav.filters.core import REST, Correction, Innovation, Rule, make_filter, shift, thin
 from jaxnav.filters.feedback import Poles, observer, open_loop, reset
 from jaxnav.filters.gpid import literal_params
 from jaxnav.filters.kalman import correct as kalman_correct
@@ -113,6 +113,7 @@ def test_streaming_sample_by_sample_is_the_same(case, info):
         imu, fix = take((case.packed.epochs.imu, case.packed.epochs.fix), e)
         for k in range(20):
             state = predict(case.params, state, take(imu, slice(k, k + 1)))
+        assert state.T == pytest.approx(1.0)
         state, row = correct(case.params, state, fix)
         batch = take(info, e)
         assert np.abs(earth.enu_difference(row.nav.pos, batch.nav.pos)).max() < 1e-8
@@ -133,6 +134,21 @@ def test_covariance_stride_costs_millimetres(case, info):
     )
     with pytest.raises(ValueError, match="cov_stride must divide"):
         jax.eval_shape(partial(run, build("ekf15", cov_stride=7)), case.params, case.nav, case.packed.epochs)
+
+
+def test_thin_weighs_by_time_and_padding_not_at_all():
+    dt = jnp.array([0.1, 0.3, 0.2, 0.0, 0.0, 0.0])
+    value, T = thin(jnp.array([1.0, 5.0, 2.0, 99.0, 3.0, 3.0])[:, None], dt, 2)
+    np.testing.assert_allclose(T, [0.4, 0.2, 0.0])
+    np.testing.assert_allclose(value[:, 0], [4.0, 2.0, 3.0])  # a block of padding keeps its own value, finite
+
+
+def test_shift_keeps_the_last_real_samples(case):
+    at = lambda t: jax.tree.map(lambda a: jnp.broadcast_to(a, (len(t), *a.shape)), case.nav)._replace(t=jnp.array(t))  # noqa: E731, E501
+    past, path = at([1.0, 2.0, 3.0, 4.0]), at([5.0, 6.0, 6.0, 6.0])
+    np.testing.assert_array_equal(shift(past, path, jnp.array([1.0, 1.0, 0.0, 0.0])).t, [3.0, 4.0, 5.0, 6.0])
+    np.testing.assert_array_equal(shift(past, path, jnp.zeros(4)).t, past.t)
+    np.testing.assert_array_equal(shift(past, path, jnp.ones(4)).t, path.t)
 
 
 # ------------------------------------------------------------------------------------------------ feedback

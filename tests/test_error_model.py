@@ -258,6 +258,10 @@ def test_at_extends_beyond_the_samples_and_needs_no_gap():
     nav = a_nav()
     past = jax.tree.map(lambda a: jnp.stack([a, a]), nav)  # a run's first epoch: the same state twice
     assert np.isfinite(np.asarray(at(past, nav.t - 0.3).pos)).all()
+    bent = jax.tree.map(lambda a: jnp.stack([a] * 4), nav)
+    bent = bent._replace(t=jnp.arange(4.0), b_a=jnp.arange(4.0)[:, None] ** 2 * jnp.ones(3))
+    for t, expected in ((0.5, 0.5), (1.0, 1.0), (1.5, 2.5), (2.75, 7.75), (3.0, 9.0), (4.0, 14.0), (-1.0, -1.0)):
+        np.testing.assert_allclose(at(bent, t).b_a, expected, rtol=1e-14)
     past = past._replace(t=jnp.array([1.0, 2.0]), vel=jnp.array([[0.0, 1, 2], [1.0, 1, 0]]))
     np.testing.assert_allclose(at(past, 2.5).vel, [1.5, 1, -1])
     np.testing.assert_allclose(at(past, 0.5).vel, [-0.5, 1, 3])
@@ -278,6 +282,19 @@ def test_residuals_have_the_sign_estimate_minus_measurement():
     np.testing.assert_allclose(y[SLICES["speed"]], 0.5, atol=1e-12)  # 5 m/s that the wheel shows as 5, scale 1.1
     w = rotations.to_dcm(nav.q).T @ earth.earth_rate(nav.pos[0])
     np.testing.assert_allclose(y[SLICES["zero_rate"]], -w, atol=1e-18)
+
+
+@pytest.mark.parametrize("pitch, yaw", [(0.2, 0.0), (0.0, 0.3)])
+def test_the_vehicle_drives_where_its_own_nose_points(pitch, yaw):
+    """A nose up by pitch or to the right by yaw in the axes of the IMU: driving along it, wheels do not slip."""
+    nav = initial_nav([0.5, 0.1, 10.0], rph=[0.1, -0.2, 1.0])
+    nose = np.array([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)])
+    past = jax.tree.map(lambda a: jnp.stack([a, a]), nav._replace(vel=7.0 * rotations.to_dcm(nav.q) @ nose))
+    install = PARAMS.mounting._replace(vehicle=jnp.array([pitch, yaw]))
+    fix = Fix(jnp.zeros(15), jnp.ones(15), jnp.zeros(15), jnp.ones(15, bool))
+    y = observe(PARAMS.noise, install, past, fix)[0]
+    np.testing.assert_allclose(y[SLICES["nonholonomic"]], 0, atol=1e-14)
+    np.testing.assert_allclose(y[SLICES["speed"]], 7.0, rtol=1e-14)
 
 
 def test_correlations_make_the_covariance_of_the_fix():

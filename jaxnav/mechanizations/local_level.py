@@ -41,13 +41,14 @@ def propagate(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
             rate = v[0] / east_radius
             return jnp.stack([-v[1] / north_radius, rate, rate * s / c])
 
+        start = transport(v)
         thrust = rotations.to_dcm(q) @ dv_b
-        mid = v + 0.5 * (thrust + dt * (down - jnp.cross(2 * w_ie + transport(v), v)))  # velocity half-way
-        w_en = transport(mid)
-        turn = (w_ie + w_en) * dt  # how far ENU turns under the vehicle
-        lag = jnp.cross(turn, thrust)
+        lag = jnp.cross((w_ie + start) * dt, thrust)  # ENU turns under the thrust
         # the last term meets the third order of the body's own rotation: at rest the two turn together and cancel
-        thrust = thrust - lag / 2 + jnp.cross(turn, lag) / 12
+        thrust = thrust - lag / 2 + jnp.cross((w_ie + start) * dt, lag) / 12
+        mid = v + 0.5 * (thrust + dt * (down - jnp.cross(2 * w_ie + start, v)))  # velocity half-way
+        w_en = transport(mid)
+        turn = (w_ie + w_en) * dt
         dv = thrust + dt * (down - jnp.cross(2 * w_ie + w_en, mid) + push)
         mean = v + 0.5 * dv
         dlat = mean[1] * dt / (north_radius + 0.5 * mean[2] * dt)

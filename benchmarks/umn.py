@@ -12,16 +12,11 @@ from benchmarks import common
 from jaxnav import alignment, epochs, io, metrics, units
 from jaxnav.filters.catalogue import build
 from jaxnav.run import initial_nav, track
-from jaxnav.sensors.grades import Grade, datasheet_params, mounting
+from jaxnav.sensors.grades import GRADES, datasheet_params, mounting
 from jaxnav.types import Params
 
 AIRBORNE = (212.0, 578.0)  # s
 HEADINGS = 12
-# white noise well above the sensor's own: the airframe vibrates, and the filter knows neither scale nor misalignment
-ADIS1640X = Grade(
-    3.0 * units.DEG_PER_SQRT_HOUR, 0.03, 1.0 * units.DEG, 30 * units.MG, 0.02 * units.DEG, 5 * units.MG, 300.0,
-    "ADIS1640x datasheet figures widened for a small airframe",
-)  # fmt: skip
 # what the innovations' likelihood prefers to the nominal 2/2/4 m, 0.2 m/s and no delay: 6.6 instead of 10.0 per fix;
 # the onboard filter had no part in it
 POSITION_SCALE, VELOCITY_SCALE, TIME_OFFSET = 0.5, 2.0, 0.1  # of the nominal sd; s
@@ -31,7 +26,10 @@ DIVERGED = (5.0, 10.0)  # sd, s: an error above the one for as long as the other
 def parameters() -> Params:
     """The widened datasheet, with a heading prior of the spacing of the hypotheses."""
     params = datasheet_params(
-        ADIS1640X, tilt_sd=3 * units.DEG, heading_sd=1.5 * np.pi / HEADINGS, install=mounting(time_offset=TIME_OFFSET)
+        GRADES["adis1640x_airframe"],
+        tilt_sd=3 * units.DEG,
+        heading_sd=1.5 * np.pi / HEADINGS,
+        install=mounting(time_offset=TIME_OFFSET),
     )
     scales = {"position_scale": jnp.full(3, POSITION_SCALE), "velocity_scale": jnp.full(3, VELOCITY_SCALE)}
     return params._replace(noise=params.noise._replace(**scales))

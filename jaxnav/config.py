@@ -138,10 +138,19 @@ class Config:
 
 PRESETS: dict[str, dict[str, Any]] = {
     "rtkexplorer_drive": {
-        "filter": {"grade": "consumer", "standing_gyro_sd_deg_per_s": 6.0, "standing_accel_sd_mps2": 0.4},
+        "filter": {
+            "grade": "consumer",
+            "standing_window_s": 2.0,
+            "standing_gyro_sd_deg_per_s": 3.5,
+            "standing_accel_sd_mps2": 0.15,
+        },
         "params": {"velocity_latency_s": 0.125},
     },
-    "umn_thor75": {"filter": {"grade": "consumer"}, "start": {"heading": "unknown"}},
+    "umn_thor75": {
+        "filter": {"grade": "adis1640x_airframe"},
+        "start": {"heading": "unknown", "tilt_sd_deg": 3.0},
+        "params": {"position_scale": 0.5, "velocity_scale": 2.0, "time_offset_s": 0.1},
+    },
     "navego_synthetic": {"filter": {"grade": "adis16488"}, "start": {"heading": "truth", "heading_sd_deg": 1.0}},
     "kth_gnss_ins": {"filter": {"grade": "consumer"}, "start": {"heading": 320.0, "heading_sd_deg": 10.0}},
 }

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri  # the inverse chi-square law without the second that scipy.stats takes to load
 
 from jaxnav import earth
 from jaxnav.types import Info, Nav, Track
@@ -53,7 +53,7 @@ def nees(x: jax.Array, P: jax.Array) -> jax.Array:
 def chi2_bounds(dof: float, runs: int = 1, probability: float = 0.95) -> tuple[float, float]:
     """Two-sided bounds for the mean of ``runs`` independent chi-square values of ``dof`` degrees of freedom."""
     tail = (1 - probability) / 2
-    return chi2.ppf(tail, dof * runs) / runs, chi2.ppf(1 - tail, dof * runs) / runs
+    return chdtri(dof * runs, 1 - tail) / runs, chdtri(dof * runs, tail) / runs
 
 
 def rms(a: np.ndarray, axis: int | None = 0) -> np.ndarray:

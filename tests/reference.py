@@ -68,14 +68,15 @@ class Strapdown:
         lat, lon, h = self.lla
         g, ie = np.array([0, 0, -gravity(lat, h)]), earth_rate(lat)
 
-        def change(v, push, level_turn):
-            turned = push - np.cross(level_turn, push) / 2
-            return turned + dt * (g - np.cross(2 * ie + transport(lat, h, v), v))
+        def fall(v):
+            return dt * (g - np.cross(2 * ie + transport(lat, h, v), v))
 
+        level0 = dt * (ie + transport(lat, h, self.v))
         push = self.C @ dv
-        half = self.v + 0.5 * change(self.v, push, dt * (ie + transport(lat, h, self.v)))
+        push = push - np.cross(level0, push) / 2 + np.cross(level0, np.cross(level0, push)) / 12
+        half = self.v + 0.5 * (push + fall(self.v))
         level = dt * (ie + transport(lat, h, half))
-        dv_n = change(half, push, level) + np.cross(level, np.cross(level, push)) / 12
+        dv_n = push + fall(half)
         mean = self.v + dv_n / 2
         m, n = radii(lat)
         h_mid = h + mean[2] * dt / 2
@@ -141,7 +142,7 @@ def full_dynamics(lla, v, C, f, n):
 
 
 def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd=0.0, states=None):
-    """Navigate, predict, correct; ``imu`` (dt, gyro, accel) of (E, k, ...), ``fixes`` (lla, sd, vel, sd, valid (E,)).
+    """Navigate, predict, correct; ``imu`` (dt, gyro, accel) of (E, k, ...), ``fixes`` (lla, sd, vel, sd, valid (E, 6)).
 
     ``states`` (n,): where integral and derivative act. Returns lists of (lla, v, C, x, P) after each epoch.
     """
@@ -166,15 +167,17 @@ def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd
             P = Phi @ P @ Phi.T + dt / 2 * (Phi @ G @ Phi.T + G)
         lla, sd, vel, sdv, valid = (a[e] for a in fixes)
         x = np.zeros(n)
-        if valid:
+        if valid.any():
             y = np.concatenate([metres(nav.lla) @ (nav.lla - lla), nav.v - vel])
             R = np.diag(np.concatenate([sd, sdv]) ** 2)
-            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-            x_I = x_I + states * (ki * (K @ last))
-            x_D = states * (kd * (K @ (last - before)))
+            y, h, R = y[valid], H[valid], R[np.ix_(valid, valid)]  # a missing channel is not there at all
+            K = P @ h.T @ np.linalg.inv(h @ P @ h.T + R)
+            x_I = x_I + states * (ki * (K @ last[valid]))
+            x_D = states * (kd * (K @ (last - before)[valid]))
             x = K @ y + x_I + x_D
-            last, before = y - H @ x, last
-            J = np.eye(n) - K @ H
+            before[valid] = last[valid]
+            last[valid] = y - h @ x
+            J = np.eye(n) - K @ h
             P = J @ P @ J.T + K @ R @ K.T
             nav.remove(x)
         out.append((nav.lla.copy(), nav.v.copy(), nav.C.copy(), x, P.copy()))

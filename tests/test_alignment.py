@@ -36,6 +36,9 @@ def test_level_averages_between_the_times():
     assert level(shaken, 0.0, 1.0) == level(imu, 0.0, 1.0)
     roll, _ = level(resting(0.0, 0.0, bias=np.array([0.0, 9.81e-3, 0.0])), 0.0, 10.0)
     assert roll == pytest.approx(-1e-3, abs=1e-8)  # 1 mrad for 1 mg
+    uneven = imu._replace(accel=np.tile([0.0, 0.0, -9.81], (200, 1)), dt=np.where(np.arange(200) < 100, 0.001, 0.009))
+    uneven.accel[:100, 1] = -1.0  # a tenth of the time
+    assert level(uneven, 0.0, 10.0)[0] == pytest.approx(np.arctan2(0.1, 9.81), rel=1e-12)
     with pytest.raises(DataError, match="no sample in 50.000 to 60.000 s to level with"):
         level(imu, 50.0, 60.0)
 

@@ -78,6 +78,15 @@ def test_fixes_stand_at_the_end_of_their_epoch():
     assert np.isfinite(fix.value).all() and (fix.sd > 0).all()
 
 
+def test_a_fix_within_a_tick_of_a_sample_makes_no_sliver():
+    imu = stream()
+    packed = pack(imu, {"position": fixes(imu.t[[40, 80]] + [4e-7, -4e-7])}, 1.0)
+    dt = np.asarray(packed.epochs.imu.dt)
+    assert dt[dt > 0].min() > 0.01
+    assert dt.sum() == pytest.approx(imu.t[-1] - packed.start, abs=1e-9)
+    assert np.asarray(packed.epochs.fix.valid).sum() == 6
+
+
 def test_an_outage_is_cut_into_epochs_of_the_nominal_interval():
     imu = stream(400, 50.0)
     cuts = cut_times(imu, {"position": fixes([100.5, 101.5, 105.2])}, 1.0)

@@ -17,15 +17,17 @@ from tests.conftest import GRADE
 
 @pytest.fixture(scope="module")
 def near_origin(fine_case):
-    """Start and epochs, of which two have no fix."""
+    """Start and epochs, of which two have no fix, three no velocity and one only heights."""
     epochs = fine_case.packed.epochs
-    return fine_case.nav, epochs._replace(fix=epochs.fix._replace(valid=epochs.fix.valid.at[8:10].set(False)))
+    valid = epochs.fix.valid.at[8:10].set(False).at[20:23, 3:].set(False)
+    valid = valid.at[30, np.array([0, 1, 3, 4, 5])].set(False)
+    return fine_case.nav, epochs._replace(fix=epochs.fix._replace(valid=valid))
 
 
 def loop(nav, epochs, params, n, **options):
     imu = [np.asarray(a) for a in epochs.imu]
     value, sd, valid = (np.asarray(a) for a in (epochs.fix.value, epochs.fix.sd, epochs.fix.valid))
-    fixes = (value[:, :3], sd[:, :3], value[:, 3:], sd[:, 3:], valid.all(1))
+    fixes = (value[:, :3], sd[:, :3], value[:, 3:], sd[:, 3:], valid)
     noise = {k: np.broadcast_to(np.asarray(v), 3) for k, v in params.noise._asdict().items() if np.size(v) in (1, 3)}
     prior = np.concatenate([np.broadcast_to(sd, 3) for sd in params.prior])[:n]
     begin = nav.pos, nav.vel, rotations.to_dcm(nav.q)

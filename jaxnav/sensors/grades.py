@@ -37,6 +37,10 @@ GRADES: dict[str, Grade] = {
         0.3 * _d, 0.029 * units.MPS_PER_SQRT_HOUR, 0.2 * units.DEG, 16 * units.MG, 6.5 * _h, 0.1 * units.MG, 100.0,
         "NaveGo 1.4 synthetic data set, which follows the ADIS16488 datasheet",
     ),
+    "adis1640x_airframe": Grade(
+        3.0 * _d, 0.03, 1.0 * units.DEG, 30 * units.MG, 0.02 * units.DEG, 5 * units.MG, 300.0,
+        "ADIS1640x; white noise and drift widened for a small airframe that vibrates (UMN flight 75)",
+    ),
     "tactical": Grade(
         0.001 * _d, 0.03 * units.MPS_PER_SQRT_HOUR, 0.01 * _h, 50 * units.UG, 0.0, 0.0, 3600.0,
         "Ansari et al. 2024, Table 1",

@@ -62,7 +62,7 @@ def noise(
     nonholonomic: ArrayLike = (0.1, 0.1),
     speed: ArrayLike = 1.0,
 ) -> Noise:
-    """`Noise` from plain numbers in SI, as strongly typed arrays: Python floats would compile every train step twice."""
+    """`Noise` from plain numbers in SI, strongly typed: from Python floats every train step would compile twice."""
     values = (gyro, accel, gyro_bias, accel_bias, gyro_tau, accel_tau, position_scale, velocity_scale, zero_velocity,
               zero_rate, nonholonomic, speed)  # fmt: skip
     return Noise(*(jnp.asarray(v, float) for v in values))

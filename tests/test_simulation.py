@@ -70,16 +70,16 @@ def drift(way: Travel, merge: int = 1):
 
 
 def test_noise_free_imu_navigates_back():
-    way = quick(jax.vmap(lambda key: travel(urban(key, 600.0, 20.0), START, 0.02, 500, 60)))
+    way = quick(jax.vmap(lambda key: travel(urban(key, 300.0, 20.0), START, 0.01, 500, 60)))
     ways = way(jax.random.split(jax.random.key(5), 4))
 
     def rms(merge):
-        error = jax.jit(jax.vmap(lambda points: drift(Travel(points, 0.02), merge)))(ways.points)
+        error = jax.jit(jax.vmap(lambda points: drift(Travel(points, 0.01), merge)))(ways.points)
         return float(jnp.sqrt(jnp.mean(jnp.sum(error[..., :2] ** 2, -1))))
 
-    slow, fast = rms(2), rms(1)
-    assert fast < 0.05  # m, 50 Hz
-    assert slow / fast >= 3.5
+    slow, fast = rms(4), rms(1)
+    assert fast < 0.002  # m, 100 Hz
+    assert slow / fast >= 3.5**2  # second order at least: two doublings
 
 
 def test_noise_free_imu_at_rest_stays():

@@ -109,8 +109,8 @@ def read_imu_csv(
     t = (start - origin) + (tick - tick[0]) * (last / (tick[-1] - tick[0])) + delay
     dt, readings = steps(t, source), values[:, :6]
     check_imu(_body_imu(t, dt, readings, rotation), source)  # before mending, while a row still is a line of the file
-    if repair:
-        mended = polling.repair(readings)
+    mended = polling.repair(readings)
+    if repair and mended.lost.any():
         index, read = np.arange(mended.lost.size), ~mended.lost
         rate, first = np.polyfit(index[read], t[mended.poll[read]], 1)
         t, readings = first + rate * index, mended.values

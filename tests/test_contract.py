@@ -5,7 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav import FILTERS, GNSS, NONHOLONOMIC, build, metrics, run
+from jaxnav import FILTERS, GNSS, NONHOLONOMIC, build, make_filter, metrics, run
+from jaxnav.error_models.local_level import error_model
+from jaxnav.filters.combinators import only
+from jaxnav.filters.feedback import reset
+from jaxnav.filters.kalman import kalman
+from jaxnav.mechanizations import local_level
 from jaxnav.scenarios import SCENARIOS
 from jaxnav.simulation import matched_params, simulate_jit
 from jaxnav.types import Epoch, Fix
@@ -48,6 +53,20 @@ def test_contract(name, drive):
     more = solve(build(name, (*GNSS, NONHOLONOMIC), cov_stride=25))(wider(drive.epochs))
     np.testing.assert_allclose(more.nav.pos, info.nav.pos, rtol=0, atol=1e-13)
     np.testing.assert_allclose(more.P, info.P, rtol=0, atol=1e-9)
+
+
+def test_a_kalman_rule_on_its_own_channels_is_the_joint_update(drive):
+    chosen = (*GNSS, NONHOLONOMIC)
+    params = matched_params(SCENARIO)
+    epochs = wider(drive.epochs)
+    valid = epochs.fix.valid.at[::2, 6:].set(True)  # with fixes, without, and without any receiver in the outage
+    epochs = epochs._replace(fix=epochs.fix._replace(valid=valid))
+    joint = build("ekf15", chosen, cov_stride=25)
+    split = make_filter(local_level.propagate, error_model(15, "full", chosen), only(kalman(), 6), reset, 25)
+    a, b = (jax.jit(run, static_argnums=0)(f, params, drive.initial, epochs) for f in (joint, split))
+    np.testing.assert_allclose(a.nav.pos, b.nav.pos, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(a.P, b.P, rtol=1e-7, atol=1e-10)
+    assert np.array_equal(a.used, b.used) and bool(a.used[:, 6:].any())
 
 
 def test_constraint_before_the_receiver_is_refused():

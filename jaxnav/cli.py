@@ -1,8 +1,7 @@
 """The command line: ``jaxnav demo | simulate | filter | tune | info | data``.
 
 Exit codes: 0 done, 1 a check failed (the filter stopped being finite), 2 usage or configuration, 3 data that cannot be
-used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and errors on stderr. jax is imported only
-by the work itself.
+used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and errors on stderr.
 """
 
 import argparse

@@ -138,13 +138,17 @@ class Config:
 
 PRESETS: dict[str, dict[str, Any]] = {
     "rtkexplorer_drive": {
+        # read early, so that the offset of the IMU's clock is positive: fixes meet navigation that is already there
+        "data": {"options": {"imu_delay": -0.3}},
         "filter": {
             "grade": "consumer",
+            "zero_velocity": True,
+            "zero_rate": True,
             "standing_window_s": 2.0,
             "standing_gyro_sd_deg_per_s": 3.5,
             "standing_accel_sd_mps2": 0.15,
         },
-        "params": {"velocity_latency_s": 0.125},
+        "params": {"velocity_latency_s": 0.125, "time_offset_s": 0.175},
     },
     "umn_thor75": {
         "filter": {"grade": "adis1640x_airframe"},

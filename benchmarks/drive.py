@@ -33,9 +33,7 @@ AUTHOR = {  # the data author's own filter on this protocol: horizontal RMS, med
     "without constraints": (6.30, 2.49, 27.3, 0.60),
     "with constraints": (5.40, 2.12, 26.5, 1.19),
 }
-WIDEN = (
-    10.0  # tuning starts from noise this much above the datasheet's: gradients of a filter that is too sure are wild
-)
+WIDEN = 10.0  # tuning starts from white noise this much above the datasheet's: a filter that is too sure is wild
 OUTAGE, EVERY, FIRST, LAST = 15.0, 45.0, 60.0, 30.0  # s
 PHASES = np.arange(0.0, 45.0, 5.0)
 INTERVAL = 0.25  # s, of the fixes
@@ -46,7 +44,7 @@ EARLY = -0.30
 AUTHOR_DELAY = -0.125  # s, the delay of the IMU log that the author of the data found by hand
 HISTORY = 34  # samples: the offset and the 0.125 s of the velocity fit in
 SETTLED = 30.0  # s into a stretch: innovations count from then on
-SETTLE = 8  # fixes after a window that do not count as outside of it
+RECOVERY = 8  # fixes after a window that do not count as outside of it
 BLOCKS = np.array([136.0, 272.0, 406.0])  # s, edges of the four blocks
 PIECES = np.array([10.0, 146.0, 280.0, 414.0])  # s, starts of the stretches to tune on
 PIECE = 118.0  # s
@@ -232,7 +230,7 @@ def evaluate(data: Data, constraints: bool, by_block: dict[int, Params], last_fi
     block = np.searchsorted(BLOCKS, begin + OUTAGE / 2)
     epoch_block = np.searchsorted(BLOCKS, data.t)
     valid = masks(data, hidden, constraints)
-    settling = np.array([[h[max(0, i - SETTLE) : i + 1].any() for i in range(h.size)] for h in hidden])
+    settling = np.array([[h[max(0, i - RECOVERY) : i + 1].any() for i in range(h.size)] for h in hidden])
     error = np.full((begin.size, 3), np.nan)
     outside, nis, dof = [], [], []
     done: dict[int, tuple] = {}

@@ -440,3 +440,12 @@ def test_fuzzed_binary_files(tmp_path, kind):
         reads_or_refuses(reader, file)
 
     run()
+
+
+def test_float32_arrays_are_refused(tmp_path):
+    io.write_recording(tmp_path / "rec.npz", recording())
+    arrays = dict(np.load(tmp_path / "rec.npz"))
+    arrays["aiding/position/value"] = arrays["aiding/position/value"].astype(np.float32)
+    np.savez(tmp_path / "small.npz", **arrays)
+    with pytest.raises(DataError, match=r"small\.npz: aiding/position/value\.npy: expected float64, got float32"):
+        io.read_recording(tmp_path / "small.npz")

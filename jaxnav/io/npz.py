@@ -68,6 +68,8 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, file: str) -> np.n
         shape, _, dtype = read[version](stream)
         if dtype.kind not in "fU" or math.prod(shape) * dtype.itemsize > member.file_size:
             raise DataError(f"{file}: {member.filename}: expected floats or text, got {dtype} of shape {shape}")
+        if dtype.kind == "f" and dtype.itemsize < 8:  # 0.4 m of latitude, and of time 0.06 s after a week
+            raise DataError(f"{file}: {member.filename}: expected float64, got {dtype}: the digits are already lost")
     with archive.open(member) as stream:
         array = np.lib.format.read_array(stream, allow_pickle=False)
     # one byte order and one precision from here on

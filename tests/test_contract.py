@@ -9,6 +9,7 @@ from jaxnav import FILTERS, GNSS, NONHOLONOMIC, build, make_filter, metrics, run
 from jaxnav.error_models.local_level import error_model
 from jaxnav.filters.combinators import only
 from jaxnav.filters.feedback import reset
+from jaxnav.filters.gpid import gpid_params
 from jaxnav.filters.kalman import kalman
 from jaxnav.mechanizations import local_level
 from jaxnav.scenarios import SCENARIOS
@@ -77,3 +78,8 @@ def test_constraint_before_the_receiver_is_refused():
 def test_unknown_filter_lists_the_known():
     with pytest.raises(ValueError, match="ekf15"):
         build("ekf16")
+
+
+def test_gains_on_states_that_are_not_there_are_refused():
+    with pytest.raises(ValueError, match="9 states has no gyro_bias"):
+        gpid_params(1.0, 0.0, 9, states=("position", "gyro_bias"))

@@ -26,6 +26,8 @@ def mask(*names: str, n_states: int = 15) -> np.ndarray:
         raise ValueError(f"unknown states {sorted(unknown)}; known are {list(STATES)}")
     m = np.zeros(n_states)
     for name in names:
+        if STATES[name].stop > n_states:
+            raise ValueError(f"a model of {n_states} states has no {name}")
         m[STATES[name]] = 1.0
     return m
 

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav import linalg
-from jaxnav.error_models.states import mask
+from jaxnav.error_models.states import STATES, mask
 from jaxnav.filters.core import Correction, Innovation, Rule
 
 
@@ -45,10 +45,7 @@ def gpid_params(ki: float, kd: float, n_states: int = 9, states: tuple[str, ...]
 
 def literal_params(ki: float, kd: float, n_states: int = 9) -> Gpid:
     """The paper's printed form: integral and derivative act on every state."""
-    return Gpid(*(jnp.asarray(v, float) for v in (ki, kd, mask(*_ALL)[:n_states], 1.0)))
-
-
-_ALL = ("position", "velocity", "attitude", "gyro_bias", "accel_bias")
+    return gpid_params(ki, kd, n_states, tuple(STATES)[: n_states // 3])
 
 
 def correct(theta: Gpid, memory: Memory, z: Innovation) -> Correction:

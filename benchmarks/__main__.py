@@ -13,7 +13,7 @@ NAMES = {
 def main(argv: list[str]) -> int:
     """Run one benchmark; a wrong name lists them all."""
     if not argv or argv[0] not in NAMES:
-        print("usage: python -m benchmarks NAME [--quick] [--seed S] [--json F]\n", file=sys.stderr)
+        print("usage: python -m benchmarks NAME [--json F] [options]\n", file=sys.stderr)
         for name, what in NAMES.items():
             print(f"  {name:10} {what}", file=sys.stderr)
         return 2

@@ -11,11 +11,9 @@ import numpy as np
 from jaxnav.io import atomic_write
 
 
-def options(name: str, description: str, seed: int = 0) -> argparse.ArgumentParser:
-    """The options that every benchmark has."""
+def options(name: str, description: str) -> argparse.ArgumentParser:
+    """The option that every benchmark has; those that draw random numbers or have a short form add theirs."""
     parser = argparse.ArgumentParser(prog=f"python -m benchmarks {name}", description=description)
-    parser.add_argument("--quick", action="store_true", help="a short form of the study")
-    parser.add_argument("--seed", type=int, default=seed, help=f"default {seed}")
     parser.add_argument("--json", type=Path, metavar="F", help="write every figure, and what it came from, to F")
     return parser
 

@@ -278,6 +278,8 @@ def steps_taken(folder, last_fix: float) -> dict:
 def main(argv: list[str]) -> None:
     """Print the tables, write the JSON."""
     parser = common.options("drive", __doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="3 steps of tuning")
+    parser.add_argument("--seed", type=int, default=0, help="of the bootstrap, default 0")
     parser.add_argument("--steps", type=int, default=30, help="steps of tuning for each block, default 30")
     what = "of tuning: innovations (no truth, no windows), or drift at the ends of hidden windows"
     parser.add_argument("--objective", choices=("likelihood", "drift"), default="likelihood", help=what)

@@ -11,7 +11,7 @@ from jax import lax
 from jaxnav import rotations
 from jaxnav.errors import DataError
 from jaxnav.filters.core import Filter
-from jaxnav.types import Epoch, Info, Nav, Params, Track
+from jaxnav.types import Epoch, Info, Nav, Origin, Params, Track
 
 
 def enable_x64() -> None:
@@ -48,12 +48,17 @@ run_jit = jax.jit(run, static_argnums=0)
 """`run`, compiled once for a filter and shapes."""
 
 
-def initial_nav(lla: Any, vel: Any = (0.0, 0.0, 0.0), rph: Any = (0.0, 0.0, 0.0), t: float = 0.0) -> Nav:
-    """Local level start: (lat rad, lon rad, h m), ENU m/s, roll pitch heading rad, s; biases zero."""
-    lla, vel, rph = (jnp.asarray(v, float) for v in (lla, vel, rph))
+def initial_nav(
+    lla: Any, vel: Any = (0.0, 0.0, 0.0), rph: Any = (0.0, 0.0, 0.0), t: Any = 0.0, azimuth: Any = 0.0
+) -> Nav:
+    """Local level start: (lat rad, lon rad, h m), ENU m/s, roll pitch heading rad, s; biases zero.
+
+    Frames that do not travel along have their origin there and then, and their first axis at ``azimuth`` (rad).
+    """
+    lla, vel, rph, t, azimuth = (jnp.asarray(v, float) for v in (lla, vel, rph, t, azimuth))
     q = rotations.from_dcm(rotations.from_rph(rph))
     zero = jnp.zeros(3)
-    return Nav(jnp.asarray(t, float), lla, vel, q, zero, zero, zero, zero)
+    return Nav(t, lla, vel, q, zero, zero, zero, zero, Origin(lla, azimuth, t))
 
 
 def track(nav: Nav) -> Track:

@@ -15,7 +15,7 @@ from jaxnav.scenarios import Scenario
 from jaxnav.sensors import gnss, imu
 from jaxnav.sensors.grades import GRADES, datasheet_params, mounting
 from jaxnav.trajectories import travel, urban
-from jaxnav.types import Epoch, Imu, ImuLog, Nav, Params, Recording, Samples, Track
+from jaxnav.types import Epoch, Imu, ImuLog, Nav, Origin, Params, Recording, Samples, Track
 
 DRIVE, SENSOR, RECEIVER, OUTAGES, START = range(5)  # the purposes that are folded into the key
 
@@ -86,7 +86,8 @@ def simulate(scenario: Scenario, key: jax.Array) -> Simulated:
     samples, b_g, b_a = imu.corrupt(keys[SENSOR], perfect, dt, GRADES[scenario.grade], *scales)
     last = np.maximum(np.arange(E + 1) * k - 1, 0)  # the sample that ends at each of these times
     q = jax.vmap(lambda rph: rotations.from_dcm(rotations.from_rph(rph)))(way.ends.rph)
-    navs = Nav(way.ends.t, way.ends.lla, way.ends.vel, q, b_g[last], b_a[last], omega, force)
+    origin = jax.tree.map(lambda a: jnp.broadcast_to(a, (E + 1, *a.shape)), Origin(lla, jnp.zeros(()), jnp.zeros(())))
+    navs = Nav(way.ends.t, way.ends.lla, way.ends.vel, q, b_g[last], b_a[last], omega, force, origin)
     start, truth = (jax.tree.map(lambda a, s=s: a[s], navs) for s in (0, slice(1, None)))
 
     outages = jnp.asarray(scenario.outages_s, float).reshape(-1, 2)

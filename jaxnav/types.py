@@ -42,10 +42,19 @@ class Epoch(NamedTuple):
     fix: Fix  # (m,)
 
 
+class Origin(NamedTuple):
+    """Where and when a frame that does not travel along was fixed; local level navigation only hands it on."""
+
+    lla: jax.Array  # (3,) lat rad, lon rad, h m
+    azimuth: jax.Array  # () rad, of the frame's horizontal first axis, clockwise from north
+    t: jax.Array  # () s
+
+
 class Nav(NamedTuple):
     """Navigation state; one type for every mechanization, which says what ``pos``, ``vel`` and ``q`` mean.
 
-    Local level: pos = (lat rad, lon rad, h m), vel ENU m/s, q body -> ENU.
+    Local level: pos = (lat rad, lon rad, h m), vel ENU m/s, q body -> ENU. That is what a filter is started with and
+    what it reports, whatever frame it works in.
     """
 
     t: jax.Array  # () s since the start of the run
@@ -56,6 +65,7 @@ class Nav(NamedTuple):
     b_a: jax.Array  # (3,) m/s^2, accelerometer bias, body
     omega: jax.Array  # (3,) rad/s, last bias-free body rate
     force: jax.Array  # (3,) m/s^2, last bias-free specific force, body
+    origin: Origin
 
 
 class Path(NamedTuple):
@@ -129,11 +139,11 @@ class Params(NamedTuple):
 
 
 class Info(NamedTuple):
-    """The corrected solution and the innovation statistics, one row an epoch."""
+    """The corrected solution and the innovation statistics, one row an epoch; local level, whatever the frame."""
 
     nav: Nav  # (E, ...) corrected: retract(nav, x), at the end of the epoch
-    P: jax.Array  # (E, n, n) covariance after the correction
-    x: jax.Array  # (E, n) error state after the correction, before feedback
+    P: jax.Array  # (E, n, n) covariance after the correction, of position, velocity and attitude errors in ENU
+    x: jax.Array  # (E, n) error state after the correction, before feedback; likewise
     nu: jax.Array  # (E, m) innovation, 0 on missing channels
     S: jax.Array  # (E, m, m) its covariance; identity rows on missing channels
     residual: jax.Array  # (E, m) estimate minus measurement before the correction, of hidden measurements too

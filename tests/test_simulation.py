@@ -22,7 +22,7 @@ from jaxnav.sensors import gnss, imu
 from jaxnav.sensors.grades import GRADES, Grade
 from jaxnav.simulation import matched_params, simulate, sizes, to_recording
 from jaxnav.trajectories import NODES, Motion, Travel, _integrate, travel, urban
-from jaxnav.types import Imu, Nav
+from jaxnav.types import Imu, Nav, Origin
 
 enable_x64()
 START = np.array([48.0 * units.DEG, 11.0 * units.DEG, 500.0])
@@ -55,7 +55,8 @@ def drift(way: Travel, merge: int = 1):
     samples, omega, force = imu.ideal(way)
     ends, zero, E = way.ends, jnp.zeros(3), way.points.t.shape[0] - 1
     q = rotations.from_dcm(rotations.from_rph(ends.rph[0]))
-    nav = Nav(ends.t[0], ends.lla[0], ends.vel[0], q, zero, zero, omega[0], force[0])
+    origin = Origin(ends.lla[0], jnp.zeros(()), ends.t[0])
+    nav = Nav(ends.t[0], ends.lla[0], ends.vel[0], q, zero, zero, omega[0], force[0], origin)
     mean = Imu(*(a.reshape(E, -1, merge, *a.shape[1:]).mean(2) for a in samples))  # half the rate: the mean of two
 
     def epoch(nav, samples):
@@ -246,7 +247,8 @@ def test_antenna_swings_on_its_arm():
         way = travel(flying, START, dt, 1, 40)
         _, omega, force = imu.ideal(way)
         q = jax.vmap(lambda rph: rotations.from_dcm(rotations.from_rph(rph)))(way.ends.rph)
-        nav = Nav(way.ends.t, way.ends.lla, way.ends.vel, q, force, force, omega, force)
+        origin = Origin(way.ends.lla, way.ends.t, way.ends.t)
+        nav = Nav(way.ends.t, way.ends.lla, way.ends.vel, q, force, force, omega, force, origin)
         lla, vel = jax.vmap(gnss.antenna, (0, None))(nav, jnp.array([1.0, -2.0, 3.0]))
         return jax.vmap(earth.enu_difference)(lla, nav.pos), vel - nav.vel
 

@@ -5,12 +5,24 @@ from typing import Any, NamedTuple
 
 from jaxnav.error_models import local_level as local_level_errors
 from jaxnav.filters.combinators import only
-from jaxnav.filters.core import Filter, make_filter
+from jaxnav.filters.core import ErrorModel, Filter, make_filter
 from jaxnav.filters.feedback import reset
 from jaxnav.filters.gpid import gpid, gpid_params, literal_params
 from jaxnav.filters.kalman import kalman
 from jaxnav.measurements import GNSS, Measurement
 from jaxnav.mechanizations import local_level
+
+
+class Frame(NamedTuple):
+    """Where a filter navigates: a mechanization and its error model."""
+
+    propagate: Callable
+    error_model: Callable[..., ErrorModel]  # (n_states, form, measurements)
+
+
+FRAMES: dict[str, Frame] = {
+    "local_level": Frame(local_level.propagate, local_level_errors.error_model),
+}
 
 
 class Entry(NamedTuple):
@@ -22,6 +34,9 @@ class Entry(NamedTuple):
     tunable: dict[str, str]  # leaves of theta worth tuning -> name of their transform in `tuning.transforms`
     citation: str
     form: str = "full"  # of the error model
+    frame: str = "local_level"  # the paper's own, of FRAMES
+    feedback: Callable[..., Any] = reset
+    feedback_theta: Callable[[], Any] = lambda: ()  # default parameters of the feedback
 
 
 _ANSARI = "Ansari et al. 2024, IJE 37(06) 1127-1135"
@@ -43,23 +58,33 @@ FILTERS: dict[str, Entry] = {
 
 
 def build(
-    name: str, measurements: tuple[Measurement, ...] = GNSS, cov_stride: int = 1, history: int = 2, feedback=reset
+    name: str,
+    measurements: tuple[Measurement, ...] = GNSS,
+    cov_stride: int = 1,
+    history: int = 2,
+    feedback: Callable[..., Any] | None = None,
+    frame: str = "",
 ) -> Filter:
-    """The named filter in the local level frame (see `jaxnav.filters.core.make_filter` for the options).
+    """The named filter (see `jaxnav.filters.core.make_filter` for the options).
+
+    ``frame`` and ``feedback`` replace the filter's own; a feedback with parameters finds them in `Params.feedback`.
 
     A paper's rule sees the receiver's channels; constraints get a plain Kalman update after it.
 
     Raises:
-        ValueError: no such filter, or a constraint before a receiver's measurement.
+        ValueError: no such filter or frame, or a constraint before a receiver's measurement.
     """
     if name not in FILTERS:
         raise ValueError(f"no filter {name!r}; known are {', '.join(FILTERS)}")
     entry = FILTERS[name]
-    model = local_level_errors.error_model(entry.n_states, entry.form, measurements)
+    frame = frame or entry.frame
+    if frame not in FRAMES:
+        raise ValueError(f"no frame {frame!r}; known are {', '.join(FRAMES)}")
+    model = FRAMES[frame].error_model(entry.n_states, entry.form, measurements)
     rule = entry.rule()
     pseudo = [each.pseudo for each in measurements]
     if pseudo != sorted(pseudo):
         raise ValueError(f"constraints come after the receiver's: {[each.name for each in measurements]}")
     if any(pseudo) and rule is not kalman():
         rule = only(rule, sum(each.size for each in measurements if not each.pseudo))
-    return make_filter(local_level.propagate, model, rule, feedback, cov_stride, history)
+    return make_filter(FRAMES[frame].propagate, model, rule, feedback or entry.feedback, cov_stride, history)

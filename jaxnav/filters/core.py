@@ -30,6 +30,8 @@ class ErrorModel(NamedTuple):
     covariance: Callable[..., jax.Array]  # (prior, nav) -> P (n, n)
     discretize: Callable[..., Any]  # (noise, point: Path of one point, T, Drive) -> Phi (n, n), Q (n, n), d (n,)
     observe: Callable[..., Any]  # (noise, mounting, past: Nav (w, ...), fix) -> y (m,), H (m, n), R (m, m)
+    enter: Callable[[Nav], Nav] = lambda nav: nav  # local level navigation -> the frame's
+    report: Callable[..., Any] = lambda nav, x, P: (nav, x, P)  # all three of the frame -> of local level
 
 
 class Innovation(NamedTuple):
@@ -140,7 +142,7 @@ def make_filter(
         raise ValueError(f"history must be at least 2 samples, got {history}")
 
     def init(params: Params, nav: Nav) -> FilterState:
-        x = jnp.zeros(model.n_states)
+        x, nav = jnp.zeros(model.n_states), model.enter(nav)
         past = jax.tree.map(lambda a: jnp.broadcast_to(a, (history, *jnp.shape(a))), nav)
         memory = rule.init(model.n_states, model.n_channels)
         P = model.covariance(params.prior, nav)
@@ -181,16 +183,18 @@ def make_filter(
             after, x_after, f[:, None] * c.P * f, u, c.memory, x_after, jnp.zeros(()), age, jnp.array(True)
         )
         ok = state.ok & finite(new) & jnp.all(jnp.diag(c.P) >= 0)
-        return new._replace(ok=ok), Info(model.retract(nav, x), c.P, x, z.nu, S, residual, fix.valid, c.used, nis, ok)
+        corrected, x_enu, P_enu = model.report(model.retract(nav, x), x, c.P)
+        return new._replace(ok=ok), Info(corrected, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok)
 
     def step(params: Params, state: FilterState, epoch: Epoch) -> tuple[FilterState, Info]:
         new, info = correct(params, predict(params, state, epoch.imu), epoch.fix)
         # a run that fails freezes at its last good state, so that the others of a batch go on and nothing is nan
         frozen = state._replace(ok=jnp.array(False))
+        last, x, P = model.report(jax.tree.map(lambda a: a[-1], state.past), state.x, state.P)
         quiet = Info(
-            nav=jax.tree.map(lambda a: a[-1], state.past),
-            P=state.P,
-            x=state.x,
+            nav=last,
+            P=P,
+            x=x,
             nu=jnp.zeros_like(info.nu),
             S=jnp.eye(model.n_channels),
             residual=jnp.zeros_like(info.nu),

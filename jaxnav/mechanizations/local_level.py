@@ -66,6 +66,7 @@ def propagate(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
     path = Nav(
         nav.t + jnp.cumsum(inc.dt), pos, vel, q,
         jnp.broadcast_to(nav.b_g, (k, 3)), jnp.broadcast_to(nav.b_a, (k, 3)), inc.omega, inc.force,
+        jax.tree.map(lambda a: jnp.broadcast_to(a, (k, *a.shape)), nav.origin),
     )  # fmt: skip
     before = jnp.concatenate([nav.q[None], q[:-1]])
     C = 0.5 * (jax.vmap(rotations.to_dcm)(before) + jax.vmap(rotations.to_dcm)(q))

@@ -26,8 +26,14 @@ def level(imu: ImuLog, start: float, stop: float) -> tuple[float, float]:
     inside = (imu.t > start) & (imu.t <= stop)
     if not inside.any():
         raise DataError(f"imu: no sample in {start:.3f} to {stop:.3f} s to level with")
-    fx, fy, fz = np.average(imu.accel[inside], axis=0, weights=imu.dt[inside])
-    return float(np.arctan2(-fy, -fz)), float(np.arctan2(fx, np.hypot(fy, fz)))
+    roll, pitch = levelled(jnp.asarray(np.average(imu.accel[inside], axis=0, weights=imu.dt[inside])))
+    return float(roll), float(pitch)
+
+
+def levelled(force: jax.Array) -> jax.Array:
+    """Roll and pitch (2,) rad that a mean specific force (3,) m/s^2, body FRD, shows at rest."""
+    fx, fy, fz = force
+    return jnp.stack([jnp.arctan2(-fy, -fz), jnp.arctan2(fx, jnp.hypot(fy, fz))])
 
 
 def course(velocity: Samples, min_speed: float, after: float = -np.inf) -> tuple[float, float]:

@@ -15,3 +15,4 @@ UG = 1e-6 * G0  # m/s^2; UG per sqrt(Hz) is a root PSD in m/s^2/sqrt(Hz)
 MGAL = 1e-5  # m/s^2
 MPS_PER_SQRT_HOUR = 1.0 / math.sqrt(HOUR)  # m/s/sqrt(s)
 PPM = 1e-6
+MRAD = 1e-3

@@ -1,15 +1,27 @@
-"""Minimise an objective over the free parameters with optax; keep the best."""
+"""Minimise an objective over the free parameters with optax; keep the best; go on where it stopped."""
 
-from collections.abc import Callable
-from functools import cache, partial
+import json
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optax
+from jax.sharding import Mesh
 from tqdm import tqdm
 
+from tuning import checkpoint, distributed
+from tuning.batch import Aggregate, Data, Problem, evaluate, mean, strict
+from tuning.optimizers import adam as default_optimizer
 from tuning.transforms import Spec, join, split
+
+__all__ = ["Fit", "default_optimizer", "fit"]
+
+LAST, HISTORY = "last.npz", "history.jsonl"
 
 
 class Fit(NamedTuple):
@@ -19,39 +31,70 @@ class Fit(NamedTuple):
     loss: float  # their loss, or their validation score
     history: list[dict]  # one row a step: step, loss, grad_norm, validation, params {name: value}
     stopped: str  # "done", or why it ended early
+    aside: tuple[dict, ...] = ()  # runs that failed: run, the first step at which it did, why
 
 
-@cache
-def default_optimizer(steps: int, rate: float = 0.05, clip: float = 1.0) -> optax.GradientTransformation:
-    """Adam on a cosine schedule, clipped by global norm; a non-finite gradient skips its step."""
-    schedule = optax.cosine_decay_schedule(rate, max(steps, 1), alpha=0.05)
-    chain = optax.chain(optax.clip_by_global_norm(clip), optax.adam(schedule))
-    return optax.apply_if_finite(chain, max_consecutive_errors=5)
+class Standing(NamedTuple):
+    """Where training stands before a step: all that a checkpoint holds."""
+
+    raw: Any  # unconstrained parameters, with a leading axis of starts where there are several
+    state: Any  # of the optimiser
+    best: Any  # like raw, without starts
+    score: float  # of the best
+    failed: int  # runs that failed with the best: fewer is better than any score
+    since: int  # step of the best
+    step: int  # the next one
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
-def _step(loss, free, optimizer, raw, state, params, arguments):
-    """One update; static are the loss, the spec as a tuple of items, and the optimiser."""
-    value, grad = jax.value_and_grad(lambda r: loss(join(dict(free), r, params), *arguments))(raw)
-    updates, state = optimizer.update(grad, state, raw)
-    return optax.apply_updates(raw, updates), state, value, optax.tree.norm(grad)
+def _step(problem: Problem, optimizer: Any, many: bool, raw, state, data: Data):
+    """One update of every start: new raw, new state, and loss, gradient norm, good runs at the old raw."""
+    optimizer = optax.with_extra_args_support(optimizer)
+
+    def one(raw, state):
+        e = evaluate(problem, raw, data)
+        # a line search takes the runs that are good here, and refuses points where one of those fails
+        line = data._replace(weight=jnp.where(e.good, data.weight, 0.0))
+        updates, new = optimizer.update(
+            e.grad, state, raw, value=e.value, grad=e.grad, value_fn=lambda r: strict(problem, r, line)
+        )
+        return optax.apply_updates(raw, updates), new, e.value, optax.tree.norm(e.grad), e.good
+
+    return jax.vmap(one)(raw, state) if many else one(raw, state)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _score(loss, free, raw, params, arguments):
-    return loss(join(dict(free), raw, params), *arguments)
+def _score(problem: Problem, many: bool, raw, data: Data):
+    """Value and good runs of every start."""
+    one = lambda r: evaluate(problem, r, data, slopes=False)  # noqa: E731
+    e = jax.vmap(one)(raw) if many else one(raw)
+    return e.value, e.good
 
 
 def fit(
-    loss: Callable[..., jax.Array],
+    loss: Callable[..., jax.Array] | Sequence[Callable[..., jax.Array]],
     spec: Spec,
     params: Any,
     steps: int,
     optimizer: optax.GradientTransformation | None = None,
     arguments: tuple = (),
-    validation: Callable[..., jax.Array] | None = None,
+    validation: Callable[..., jax.Array] | Sequence[Callable[..., jax.Array]] | None = None,
     validation_arguments: tuple = (),
     progress: bool = False,
+    *,
+    cases: Sequence[Any] | None = None,
+    validation_cases: Sequence[Any] | None = None,
+    names: Sequence[str] = (),
+    explain: Callable[[Any, int], str] | None = None,
+    aggregate: Aggregate = mean,
+    clip: float | None = None,
+    believe: float = 1.0,
+    starts: Sequence[Any] = (),
+    patience: int | None = None,
+    folder: str | Path | None = None,
+    resume: bool = False,
+    identity: str = "",
+    mesh: Mesh | None = None,
 ) -> Fit:
     """Minimise ``loss(params, *arguments) -> ()`` over the leaves that ``spec`` frees, by ``steps`` updates.
 
@@ -59,33 +102,137 @@ def fit(
     ``validation(params, *validation_arguments)`` if there is one, else by the loss itself, and the start counts.
     Ctrl-C ends the run with what it has.
 
+    With ``cases``, a list of groups each with a leading axis of runs, the loss is of one run,
+    ``loss(params, case, *arguments)`` (one for all groups, or a list of one a group), likewise the validation with
+    ``validation_cases``; the runs are put together by ``aggregate``. A run that is not finite is left out of the step
+    and named in `Fit.aside`; parameters that fail fewer runs are better than any that fail more. ``names`` are of the
+    runs of all groups; ``explain(params, run)`` says what went wrong.
+
+    ``clip``: largest gradient norm of one run. ``believe``: weight of the spec's beliefs, 1 / (epochs) beside a
+    likelihood per epoch. ``starts``: more starting parameters, searched side by side. ``patience``: stop after so many
+    steps without a better one. ``folder``: history.jsonl and a checkpoint after every step; ``resume`` goes on from it
+    bit for bit, if it is of the same ``identity``. ``mesh``: devices to share the runs among.
+
     Raises:
-        ValueError: the loss of the start is not finite.
+        ValueError: the loss of the start is not finite. CheckpointError: nothing usable to resume from.
     """
     optimizer = default_optimizer(steps) if optimizer is None else optimizer
-    free = tuple(spec.items())
-    raw = split(spec, params)
-    state = optimizer.init(raw)
-    history: list[dict] = []
-    best, best_score, stopped = raw, np.inf, "done"
-    bar = tqdm(range(steps + 1), disable=None if progress else True, unit="step")
+    train = _job(loss, spec, params, arguments, cases, aggregate, clip, believe, mesh)
+    judge = train
+    if validation is not None:
+        judge = _job(validation, spec, params, validation_arguments, validation_cases, aggregate, None, believe, mesh)
+    many = bool(starts)
+    raws = [split(spec, p) for p in (params, *starts)]
+    raw = jax.tree.map(lambda *a: jnp.stack(a), *raws) if many else raws[0]
+    state = jax.vmap(optimizer.init)(raw) if many else optimizer.init(raw)
+    at = Standing(raw, state, raws[0], math.inf, np.iinfo(int).max, 0, 0)
+    book = _Book(folder, identity, list(names), explain, spec, params)
+    if resume:
+        at = book.reopen(at)
+    at = at._replace(raw=distributed.replicate(at.raw, mesh), state=distributed.replicate(at.state, mesh))
+    stopped = "done"
+    bar = tqdm(total=steps + 1, initial=at.step, disable=None if progress else True, unit="step")
     try:
-        for i in bar:
-            new, new_state, value, norm = _step(loss, free, optimizer, raw, state, params, arguments)
-            judged = value if validation is None else _score(validation, free, raw, params, validation_arguments)
-            if i == 0 and not np.isfinite(value):
-                raise ValueError(f"the loss of the starting parameters is {float(value)}")
-            row = {"step": i, "loss": float(value), "grad_norm": float(norm)}
-            if validation is not None:
-                row["validation"] = float(judged)
-            row["params"] = {name: np.asarray(t.forward(raw[name])).tolist() for name, t in spec.items()}
-            history.append(row)
-            bar.set_postfix(loss=f"{row['loss']:.4g}", grad=f"{row['grad_norm']:.3g}")
-            if float(judged) < best_score:
-                best, best_score = raw, float(judged)
-            raw, state = new, new_state
+        while at.step <= steps:
+            at = _advance(at, train, judge, validation is not None, optimizer, many, book, bar)
+            if patience is not None and at.step - 1 - at.since >= patience:
+                stopped = f"no better for {patience} steps"
+                break
     except KeyboardInterrupt:
-        stopped = f"interrupted at step {len(history)}"
+        stopped = f"interrupted at step {at.step}"
     finally:
         bar.close()
-    return Fit(join(spec, best, params), best_score, history, stopped)
+    return Fit(join(spec, at.best, params), at.score, book.rows, stopped, tuple(book.aside))
+
+
+def _job(loss, spec, params, arguments, cases, aggregate, clip, believe, mesh) -> tuple[Problem, Data]:
+    """The static part and the arrays of a loss."""
+    losses = (loss,) if callable(loss) else tuple(loss)
+    items = tuple(spec.items())
+    if cases is None:
+        return Problem(losses, items, (), aggregate, clip, believe), Data(params, arguments, (), jnp.ones(1))
+    counts = tuple(len(jax.tree.leaves(group)[0]) for group in cases)
+    losses = losses * len(counts) if len(losses) == 1 else losses
+    if len(losses) != len(counts):
+        raise ValueError(f"{len(losses)} losses for {len(counts)} groups of runs")
+    problem = Problem(losses, items, counts, aggregate, clip, believe, mesh)
+    shared = tuple(distributed.share(group, mesh) for group in cases)
+    params, arguments, weight = distributed.replicate((params, arguments, jnp.ones(sum(counts))), mesh)
+    return problem, Data(params, arguments, shared, weight)
+
+
+def _advance(at: Standing, train, judge, judged_apart: bool, optimizer, many: bool, book: "_Book", bar) -> Standing:
+    """One step: evaluate, note, keep the best, update, save."""
+    raw, state, value, norm, good = _step(train[0], optimizer, many, at.raw, at.state, train[1])
+    score, fine = _score(judge[0], many, at.raw, judge[1]) if judged_apart else (value, good)
+    value, norm, score = (np.atleast_1d(np.asarray(a)) for a in (value, norm, score))
+    good, fine = (np.asarray(a).reshape(len(value), -1) for a in (good, fine))
+    if at.step == 0 and not np.isfinite(value).any():
+        raise ValueError(f"the loss of the starting parameters is {float(value[0])}")
+    failed = (~good).sum(1) + ((~fine).sum(1) if judged_apart else 0)
+    ranked = np.where(np.isfinite(score) & np.isfinite(value), score, np.inf)
+    first = int(np.lexsort((ranked, failed))[0])  # fewest failures, then the best score
+    mine = jax.tree.map(lambda a: np.asarray(a)[first], at.raw) if many else jax.tree.map(np.asarray, at.raw)
+    row = {"step": at.step, "loss": float(value[first]), "grad_norm": float(norm[first])}
+    if judged_apart:
+        row["validation"] = float(score[first])
+    if many:
+        row["losses"] = value.tolist()
+    if at.step == 0 or (failed[first], ranked[first]) < (at.failed, at.score):
+        at = at._replace(best=mine, score=float(ranked[first]), failed=int(failed[first]), since=at.step)
+    book.note(row, mine, good[first])
+    bar.set_postfix(loss=f"{row['loss']:.4g}", grad=f"{row['grad_norm']:.3g}", failed=int(failed[first]), refresh=False)
+    bar.update()
+    at = at._replace(raw=raw, state=state, step=at.step + 1)
+    book.save(at)
+    return at
+
+
+class _Book:
+    """The history in memory and on disk, the checkpoint, and which runs failed."""
+
+    def __init__(self, folder, identity: str, names: list[str], explain, spec: Spec, params: Any):
+        self.folder = None if folder is None else Path(folder)
+        self.identity, self.names, self.explain, self.spec, self.params = identity, names, explain, spec, params
+        self.rows: list[dict] = []
+        self.aside: list[dict] = []
+
+    def note(self, row: dict, raw: Any, good: np.ndarray) -> None:
+        """Complete the row of a step and write it."""
+        known = {entry["index"] for entry in self.aside}
+        for i in np.flatnonzero(~good).tolist() if good.size > 1 else []:
+            if i not in known:
+                name = self.names[i] if i < len(self.names) else f"run {i}"
+                why = self.explain(join(self.spec, raw, self.params), i) if self.explain else "not finite"
+                self.aside.append({"index": i, "run": name, "step": row["step"], "why": why})
+        if good.size > 1 and not good.all():
+            row["failed"] = int((~good).sum())
+        row["params"] = {name: np.asarray(t.forward(jnp.asarray(raw[name]))).tolist() for name, t in self.spec.items()}
+        self.rows.append(row)
+        if self.folder is not None and distributed.writes():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with open(self.folder / HISTORY, "a" if row["step"] else "w", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+
+    def save(self, at: Standing) -> None:
+        """Write the checkpoint after a step."""
+        if self.folder is not None and distributed.writes():
+            head = {"score": at.score, "failed": at.failed, "since": at.since, "step": at.step, "aside": self.aside}
+            checkpoint.save(self.folder / LAST, (at.raw, at.state, at.best), head, self.identity)
+
+    def reopen(self, at: Standing) -> Standing:
+        """The saved standing; rows of the history that are later than it are dropped."""
+        if self.folder is None:
+            raise ValueError("resume needs a folder")
+        found = checkpoint.load(self.folder / LAST, (at.raw, at.state, at.best), self.identity)
+        head, step = found.head, found.head["step"]
+        path = self.folder / HISTORY
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        self.rows = [json.loads(line) for line in lines[:step]]
+        if len(self.rows) < step or any(row["step"] != i for i, row in enumerate(self.rows)):
+            raise checkpoint.CheckpointError(f"{path}: does not have the {step} steps of {LAST}")
+        if distributed.writes():
+            path.write_text("".join(line + "\n" for line in lines[:step]), encoding="utf-8")
+        self.aside = head["aside"]
+        raw, state, best = found.tree
+        return Standing(raw, state, best, head["score"], head["failed"], head["since"], step)

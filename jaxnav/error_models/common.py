@@ -16,6 +16,15 @@ def retract_common(nav: Nav, x: jax.Array) -> Nav:
     return nav._replace(b_g=nav.b_g - x[G], b_a=nav.b_a - x[B])
 
 
+def absorb(nav: Nav, drive: Drive) -> Nav:
+    """Feed a constant model error (in the axes of the frame) to the sensors as bias in body axes.
+
+    An estimate that accelerates too much by ``drive.accel`` has an accelerometer bias too small by that much.
+    """
+    C = rotations.to_dcm(nav.q)
+    return nav._replace(b_g=nav.b_g + C.T @ drive.omega, b_a=nav.b_a + C.T @ drive.accel)
+
+
 def assemble(blocks: dict[tuple[str, str], jax.Array], n: int) -> jax.Array:
     """A (n, n) matrix from 3x3 blocks by (row, column) names of states; zero elsewhere, those beyond n left out."""
     zero = jnp.zeros((3, 3))
@@ -31,13 +40,17 @@ def discretize_blocks(
     T: jax.Array,
     u: Drive,
     n: int,
+    C_attitude: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Phi, Q, d over T from the kinematic blocks, with sensor noise through ``C`` and Gauss-Markov biases.
+
+    ``C_attitude`` takes body to the axes of the attitude error, where those are not the velocity's.
 
     Navigation holds the estimated bias constant while a Gauss-Markov bias decays, so that the error of a bias
     estimate b grows by b / tau: that is part of d.
     """
     psd = lambda sd: jnp.broadcast_to(sd, (3,)) ** 2  # noqa: E731
+    C_attitude = C if C_attitude is None else C_attitude
     rate = lambda tau: 1 / jnp.broadcast_to(tau, (3,))  # noqa: E731
     decay_g, decay_a = rate(noise.gyro_tau), rate(noise.accel_tau)
     F = assemble(
@@ -46,7 +59,7 @@ def discretize_blocks(
     Q = assemble(
         {
             ("velocity", "velocity"): (C * psd(noise.accel)) @ C.T,
-            ("attitude", "attitude"): (C * psd(noise.gyro)) @ C.T,
+            ("attitude", "attitude"): (C_attitude * psd(noise.gyro)) @ C_attitude.T,
             ("gyro_bias", "gyro_bias"): jnp.diag(psd(noise.gyro_bias)),
             ("accel_bias", "accel_bias"): jnp.diag(psd(noise.accel_bias)),
         },

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav import earth, rotations
-from jaxnav.error_models.common import discretize_blocks, retract_common
+from jaxnav.error_models.common import absorb, discretize_blocks, retract_common
 from jaxnav.error_models.states import A, P, V, prior_sd
 from jaxnav.filters.core import ErrorModel
 from jaxnav.measurements import GNSS, Kinematics, Measurement, stack
@@ -23,15 +23,6 @@ def retract(nav: Nav, x: jax.Array) -> Nav:
     """The truth, if ``x`` (n,) is the error of ``nav``."""
     nav = retract_common(nav, x)
     return nav._replace(pos=earth.move(nav.pos, -x[P]), vel=nav.vel - x[V])
-
-
-def absorb(nav: Nav, drive: Drive) -> Nav:
-    """Feed a constant model error (rates and accelerations in ENU) to the sensors as bias in body axes.
-
-    An estimate that accelerates too much by ``drive.accel`` has an accelerometer bias too small by that much.
-    """
-    C = rotations.to_dcm(nav.q)
-    return nav._replace(b_g=nav.b_g + C.T @ drive.omega, b_a=nav.b_a + C.T @ drive.accel)
 
 
 def dynamics(point: Path, form: Literal["full", "simple"]) -> dict[tuple[str, str], jax.Array]:

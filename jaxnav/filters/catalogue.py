@@ -3,14 +3,18 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from jaxnav.error_models import inertial as inertial_errors
 from jaxnav.error_models import local_level as local_level_errors
+from jaxnav.error_models import tangent_frame as tangent_frame_errors
 from jaxnav.filters.combinators import only
 from jaxnav.filters.core import ErrorModel, Filter, make_filter
-from jaxnav.filters.feedback import reset
+from jaxnav.filters.feedback import observer, open_loop, poles, reset
+from jaxnav.filters.fwekf import fwekf, fwekf_literal, fwekf_params
+from jaxnav.filters.gip_kf import gip_kf, gip_kf_params, literal
 from jaxnav.filters.gpid import gpid, gpid_params, literal_params
 from jaxnav.filters.kalman import kalman
 from jaxnav.measurements import GNSS, Measurement
-from jaxnav.mechanizations import local_level
+from jaxnav.mechanizations import inertial_quaternion, local_level, tangent_frame
 
 
 class Frame(NamedTuple):
@@ -22,6 +26,8 @@ class Frame(NamedTuple):
 
 FRAMES: dict[str, Frame] = {
     "local_level": Frame(local_level.propagate, local_level_errors.error_model),
+    "tangent": Frame(tangent_frame.propagate, tangent_frame_errors.error_model),
+    "inertial": Frame(inertial_quaternion.propagate, inertial_errors.error_model),
 }
 
 
@@ -39,7 +45,11 @@ class Entry(NamedTuple):
     feedback_theta: Callable[[], Any] = lambda: ()  # default parameters of the feedback
 
 
+_FUZZY = {"system.centres": "identity", "system.widths": "identity", "system.consequents": "identity"}
+_FWEKF = "Fuzzy weighted EKF for GPS/INS, eqs. 1-33"
 _ANSARI = "Ansari et al. 2024, IJE 37(06) 1127-1135"
+_GIP_KF = "Journal of Control (English Edition) 1(1), 2022, 49-57"
+_GIP_TUNABLE = {"log_rl": "identity", "log_rm": "identity", "rl_lower": "identity", "rm_lower": "identity"}
 FILTERS: dict[str, Entry] = {
     "ekf15": Entry(15, kalman, lambda: (), {}, "Groves 2013, chapter 14"),
     "ekf9": Entry(9, kalman, lambda: (), {}, "Groves 2013, chapter 14, without bias states"),
@@ -53,6 +63,27 @@ FILTERS: dict[str, Entry] = {
     "gpid_literal": Entry(
         9, gpid, lambda: literal_params(1.0, 0.0), {"ki": "log", "kd": "log"}, f"{_ANSARI}, scheme 1 as printed",
         "simple",
+    ),
+    "gipkf": Entry(
+        9, gip_kf, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, model error to the accelerometers", "simple", "tangent"
+    ),
+    "gipkf_mix": Entry(
+        9, gip_kf, lambda: gip_kf_params(kappa=0.01), _GIP_TUNABLE | {"kappa": "log"},
+        f"{_GIP_KF}, and attitude corrections to the gyros", "simple", "tangent",
+    ),
+    "gipkf_literal": Entry(
+        9, literal, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, open loop", "simple", "tangent", open_loop
+    ),
+    "gipkf_literal_shift": Entry(
+        9, literal, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, both past states shifted at a reset",
+        "simple", "tangent",
+    ),
+    "fwekf": Entry(9, fwekf, fwekf_params, _FUZZY, _FWEKF, "full", "inertial", observer, poles),
+    "fwekf15": Entry(
+        15, fwekf, fwekf_params, _FUZZY, f"{_FWEKF}, with bias states", "full", "inertial", observer, poles
+    ),
+    "fwekf_literal": Entry(
+        9, fwekf_literal, fwekf_params, _FUZZY, f"{_FWEKF}, weights as printed", "full", "inertial", observer, poles
     ),
 }  # fmt: skip
 

@@ -31,6 +31,11 @@ class Poles(NamedTuple):
     position: jax.Array  # () s, both poles of position and velocity
 
 
+def poles(attitude: float = 1.0, position: float = 1.0) -> Poles:
+    """`Poles` from plain numbers."""
+    return Poles(jnp.asarray(attitude, float), jnp.asarray(position, float))
+
+
 def observer(theta: Poles, retract, nav, x, T):
     """Continuous correction (FWEKF paper, eqs. 17-20): rates and accelerations drive the error to zero.
 

@@ -63,15 +63,15 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     t = config.tune
     counts = (t.runs, t.validation_runs, t.test_runs)
     keys = [key_of(config.seed, kind, i) for kind, n in enumerate(counts) for i in range(n)]
-    sims = simulated(config, scenario, jnp.stack(keys))
+    sims = simulated(scenario, jnp.stack(keys))
     windows, samples = sims.outages.shape[1], sims.epochs.imu.dt.shape[2]
     if not windows:
         raise ConfigError(f"data.options.outages_s: tuning scores outages, scenario {scenario.name} has none")
     stride = max(d for d in range(1, config.filter.cov_stride + 1) if samples % d == 0)
     filt = build(pre.filter_name(config), GNSS, stride, pre.history_of(config, scenario.imu_rate_hz, tuned=True))
-    start = config.start
-    sd = start.position_sd_m or scenario.prior_position_sd_m, start.velocity_sd_mps or scenario.prior_velocity_sd_mps
-    params = pre.base_params(config, pre.grade_of(config, scenario), np.array(scenario.lever_arm_m), *sd)
+    start, own = config.start, scenario.start
+    sd = start.position_sd_m or own.prior_position_sd_m, start.velocity_sd_mps or own.prior_velocity_sd_mps
+    params = pre.base_params(config, pre.grade_of(config, scenario), np.array(scenario.gnss.lever_arm_m), *sd)
     edges = np.cumsum((0, *counts))
     parts = [jax.tree.map(lambda a, s=slice(a, b): a[s], sims) for a, b in zip(edges[:-1], edges[1:])]
     batches = [_batch(part) for part in parts]
@@ -81,7 +81,7 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
         filt, GNSS, params, batches[0], batches[1], batches[2], np.repeat(np.arange(counts[2]), windows),
         [f"test run {i}" for i in range(counts[2])], np.asarray(test.truth.t[0]), None, test.truth,
         [(float(a), float(b)) for a, b in test.outages[0]], about,
-        _known(config, scenario),
+        _known(scenario),
     )  # fmt: skip
 
 
@@ -90,14 +90,14 @@ def _check(config: Config, scenario: Scenario) -> None:
         raise ConfigError("filter: constraints are tuned on recordings: simulate one, and tune with --data FOLDER")
     if config.start.heading == "unknown":
         raise ConfigError('start.heading = "unknown" cannot be tuned: give degrees, "course" or "truth"')
-    start = config.start
-    if scenario.prior_tilt_sd_deg > start.tilt_sd_deg or scenario.prior_heading_sd_deg > start.heading_sd_deg:
+    start, own = config.start, scenario.start
+    if own.prior_tilt_sd_deg > start.tilt_sd_deg or own.prior_heading_sd_deg > start.heading_sd_deg:
         raise ConfigError("start: tilt_sd_deg and heading_sd_deg must not be below the scenario's own")
 
 
-def _known(config: Config, scenario: Scenario) -> dict[str, float]:
+def _known(scenario: Scenario) -> dict[str, float]:
     """True values of parameters by dotted name: what was simulated."""
-    late, grade, factor = config.data.gnss_latency_s, GRADES[scenario.grade], config.data.imu_worse_by
+    late, grade, factor = scenario.gnss.latency_s, GRADES[scenario.imu.grade], scenario.imu.imu_noise_factor
     drive = factor * np.sqrt(2 / grade.tau)
     return {
         "noise.gyro": factor * grade.arw, "noise.accel": factor * grade.vrw,

@@ -59,7 +59,7 @@ def grade_of(config: Config, scenario: Scenario | None) -> Grade:
     Raises:
         ConfigError: it is not in GRADES.
     """
-    name = config.filter.grade or (scenario.grade if scenario else "consumer")
+    name = config.filter.grade or (scenario.imu.grade if scenario else "consumer")
     if name not in GRADES:
         raise ConfigError(f"filter.grade: no IMU grade {name!r}: {nearest(name, GRADES)}")
     return GRADES[name]

@@ -28,12 +28,14 @@ def propagate(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
     def sample(carry, x):
         q, v, (lat, lon, h) = carry
         dt, theta, dv_b = x
-        s, c = jnp.sin(lat), jnp.cos(lat)
+        # the Earth's shape, rate and gravity half-way, in first order; a mean radius is near enough for that
+        lat_mid, h_mid = lat + 0.5 * dt * v[1] / earth.A, h + 0.5 * dt * v[2]
+        s, c = jnp.sin(lat_mid), jnp.cos(lat_mid)
         w2 = 1 - earth.E2 * s * s
         root = jnp.sqrt(w2)
         prime = earth.A / root
-        east_radius, north_radius = prime + h, prime * (1 - earth.E2) / w2 + h
-        g = earth.GE * (1 + earth.SOMIGLIANA * s * s) / root * (1 - 2 * h / earth.A)
+        east_radius, north_radius = prime + h_mid, prime * (1 - earth.E2) / w2 + h_mid
+        g = earth.GE * (1 + earth.SOMIGLIANA * s * s) / root * (1 - 2 * h_mid / earth.A)
         w_ie = earth.RATE * jnp.stack([jnp.zeros_like(s), c, s])
         down = jnp.stack([jnp.zeros_like(g), jnp.zeros_like(g), -g])
 
@@ -51,8 +53,7 @@ def propagate(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
         turn = (w_ie + w_en) * dt
         dv = thrust + dt * (down - jnp.cross(2 * w_ie + w_en, mid) + push)
         mean = v + 0.5 * dv
-        dlat = mean[1] * dt / (north_radius + 0.5 * mean[2] * dt)
-        dlon = mean[0] * dt / ((east_radius + 0.5 * mean[2] * dt) * (c - 0.5 * s * dlat))
+        dlat, dlon = mean[1] * dt / north_radius, mean[0] * dt / (east_radius * c)
         pos = jnp.stack([lat + dlat, lon + dlon, h + mean[2] * dt])
         q = rotations.normalize(
             rotations.multiply(rotations.exp(spin * dt - turn), rotations.multiply(q, rotations.exp(theta)))

@@ -1,4 +1,6 @@
-"""A GNSS receiver on a trajectory: position and velocity of the antenna with noise, and when there is none."""
+"""A GNSS receiver on a trajectory: position and velocity of the antenna with its errors, and when there is none."""
+
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +8,27 @@ import numpy as np
 
 from jaxnav import earth, rotations
 from jaxnav.epochs import TICK
+from jaxnav.sensors import faults as fault
+from jaxnav.sensors.processes import gauss_markov
 from jaxnav.types import Fix, Nav
+
+
+class Receiver(NamedTuple):
+    """A receiver, its antenna, and when it sees no satellites."""
+
+    position_sd_m: tuple[float, float, float] = (2.0, 2.0, 4.0)  # ENU, as it states them
+    velocity_sd_mps: tuple[float, float, float] = (0.1, 0.1, 0.15)  # ENU
+    gnss_noise_factor: float = 1.0  # real noise against stated
+    correlated_share: float = 0.0  # of the noise's variance: first-order Gauss-Markov, the rest is white
+    correlation_s: float = 60.0
+    outlier_probability: float = 0.0  # of a fix
+    outlier_factor: float = 10.0  # sd of an outlier, in sd of the receiver
+    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # IMU -> antenna, body FRD
+    latency_s: float = 0.0  # a fix tells where the antenna was so long before its stamp; less than a fix interval
+    outages_s: tuple[tuple[float, float], ...] = ()  # start < t <= end
+    outage_shift_s: float = 0.0  # each of them is moved to later by a random time up to this
+    random_outages: int = 0  # this many more from the key, after the standstill
+    random_outage_s: tuple[float, float] = (10.0, 20.0)  # shortest and longest
 
 
 def antenna(nav: Nav, lever_arm: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -20,18 +42,45 @@ def antenna(nav: Nav, lever_arm: jax.Array) -> tuple[jax.Array, jax.Array]:
     return earth.move(nav.pos, arm), nav.vel + jnp.cross(turning, arm)
 
 
-def fixes(
-    key: jax.Array, truth: Nav, lever_arm: jax.Array, position_sd: jax.Array, velocity_sd: jax.Array, hidden: jax.Array
-) -> Fix:
-    """Fixes (E, 6) for `jaxnav.measurements.GNSS` at the times of ``truth`` (E, ...), with white noise.
+def _noise(key: jax.Array, n: int, interval: float, receiver: Receiver) -> jax.Array:
+    """Noise and outliers of n fixes, (n, 6) ENU m and m/s; outliers not yet in the first, (noise, outliers)."""
+    sd = np.array([*receiver.position_sd_m, *receiver.velocity_sd_mps])
+    noise = jax.random.normal(key, (n, 6), float)
+    if receiver.correlated_share:
+        slow = gauss_markov(jax.random.normal(jax.random.fold_in(key, 1), (n, 6), float), interval, receiver.correlation_s)
+        noise = np.sqrt(1 - receiver.correlated_share) * noise + np.sqrt(receiver.correlated_share) * slow
+    noise = receiver.gnss_noise_factor * sd * noise
+    if receiver.outlier_probability:
+        where, size = jax.random.split(jax.random.fold_in(key, 2))
+        hit = jax.random.uniform(where, (n, 1), float) < receiver.outlier_probability
+        noise = noise + jnp.where(hit, receiver.outlier_factor * sd * jax.random.normal(size, (n, 6), float), 0.0)
+    return noise
 
-    ``position_sd`` (3,) m and ``velocity_sd`` (3,) m/s, ENU; ``hidden`` (E,) bool: there the fix is not valid, but its
-    value is that of a receiver that works, so that the end of an outage can be scored.
+
+def fixes(
+    key: jax.Array,
+    seen: Nav,
+    t: jax.Array,
+    interval: float,
+    hidden: jax.Array,
+    receiver: Receiver,
+    faults: tuple[Any, ...] = (),
+) -> Fix:
+    """Fixes (E, 6) for `jaxnav.measurements.GNSS`, stamped ``t`` (E,) s every ``interval`` s.
+
+    ``seen`` (E, ...): the truth that they tell, that of ``latency_s`` before ``t``. ``hidden`` (E,) bool: there the fix
+    is not valid and its value is the antenna's without any error, so that the end of an outage can be scored by it.
+
+    Raises:
+        ValueError: a fault that is none.
     """
-    lla, vel = jax.vmap(antenna, (0, None))(truth, lever_arm)
-    e = jax.random.normal(key, (*vel.shape[:-1], 6), float)
-    value = jnp.concatenate([jax.vmap(earth.move)(lla, position_sd * e[:, :3]), vel + velocity_sd * e[:, 3:]], 1)
-    sd = jnp.broadcast_to(jnp.concatenate([position_sd, velocity_sd]), value.shape)
+    lla, vel = jax.vmap(antenna, (0, None))(seen, jnp.asarray(receiver.lever_arm_m, float))
+    error = _noise(key, t.shape[0], interval, receiver)
+    error = error + fault.offsets(faults, jax.random.fold_in(key, 3), t, error)
+    error = jnp.where(hidden[:, None], 0.0, error)
+    value = jnp.concatenate([jax.vmap(earth.move)(lla, error[:, :3]), vel + error[:, 3:]], 1)
+    sd = jnp.asarray([*receiver.position_sd_m, *receiver.velocity_sd_mps], float)
+    sd = jnp.broadcast_to(sd, value.shape)
     return Fix(value, sd, jnp.zeros_like(value), jnp.broadcast_to(~hidden[:, None], value.shape))
 
 
@@ -39,6 +88,22 @@ def inside(t: jax.Array, windows: jax.Array) -> jax.Array:
     """Is each of t (E,) in a window (W, 2) s, start < t <= end? (E,) bool."""
     t = t[:, None]
     return jnp.any((t > windows[:, 0] + TICK) & (t <= windows[:, 1] + TICK), axis=1)
+
+
+def outages(key: jax.Array, receiver: Receiver, start: float, stop: float) -> jax.Array:
+    """All outages of a run (W, 2) s; the random ones lie between ``start`` and ``stop``.
+
+    Raises:
+        ValueError: they do not fit.
+    """
+    fixed = jnp.asarray(receiver.outages_s, float).reshape(-1, 2)
+    if receiver.outage_shift_s:
+        shift = jax.random.uniform(jax.random.fold_in(key, 1), (fixed.shape[0], 1), float)
+        fixed = fixed + receiver.outage_shift_s * shift
+    if not receiver.random_outages:
+        return fixed
+    more = random_outages(key, receiver.random_outages, start, stop, receiver.random_outage_s)
+    return jnp.concatenate([fixed, more])
 
 
 def random_outages(key: jax.Array, count: int, start: float, stop: float, length: tuple[float, float]) -> jax.Array:

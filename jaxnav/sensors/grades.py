@@ -21,6 +21,8 @@ class Grade(NamedTuple):
     accel_instability: float  # m/s^2
     tau: float  # s, Gauss-Markov time of the drifting part
     source: str
+    gyro_walk: float = 0.0  # rad/s/sqrt(s), root PSD of a random walk of the bias, from zero at switch-on
+    accel_walk: float = 0.0  # m/s^2/sqrt(s)
 
 
 _d, _h = units.DEG_PER_SQRT_HOUR, units.DEG_PER_HOUR
@@ -100,9 +102,11 @@ def datasheet_params(
 
     Prior: position (m) and velocity (m/s) sd in ENU, tilt and heading in rad, biases by their turn-on sd. The
     drifting bias of sd s and time tau drives with root PSD s sqrt(2 / tau), as a random walk, since the turn-on bias,
-    which is the same state, does not decay.
+    which is the same state, does not decay; a walk of the grade's own comes on top.
     """
     drive = np.sqrt(2 / grade.tau)
-    white = noise(grade.arw, grade.vrw, grade.gyro_instability * drive, grade.accel_instability * drive)
+    walk = (np.hypot(grade.gyro_instability * drive, grade.gyro_walk),
+            np.hypot(grade.accel_instability * drive, grade.accel_walk))  # fmt: skip
+    white = noise(grade.arw, grade.vrw, *walk)
     start = prior(position_sd, velocity_sd, (tilt_sd, tilt_sd, heading_sd), grade.gyro_turn_on, grade.accel_turn_on)
     return Params(white, start, mounting() if install is None else install, rule, feedback)

@@ -1,0 +1,122 @@
+"""Incremental predictive Kalman filter GIP-KF (Journal of Control, English Edition, 01(01), July 2022, pp. 49-57).
+
+The paper's error model has an unknown input m, x(k+1) = F x(k) + m(k) + w (23), whose increment is what makes the
+residual small at least cost (32-34), nu = y - H (the prediction without it):
+
+    dm = G nu,  G = (H' R_l H + R_m)^-1 H' R_l,    x- = x_predicted + dm,    x+ = x- + K (y - H x-)         (33, 35, 36)
+
+K and P are those of the Kalman filter: they know nothing of m. "Gain" in eq. 34 is the whole of dm, and "equation
+(29)" before eq. 35 means eq. 33.
+
+`literal` is the recursion as printed, x_predicted = (I + F_k) x_k - F_k-1 x_k-1 = F x_k + m, where m = x_k - F x_k-1 is
+all that the last correction left unexplained, the Kalman correction included. In open loop (`gipkf_literal`) x carries
+the whole error; under reset (`gipkf_literal_shift`) both past states are shifted by what navigation was corrected by,
+which leaves m as it is. A tilt and the m that balances it cannot be told apart in an earth-fixed frame, so that m walks.
+
+`gip_kf` works: both past states start from zero after a correction, and of dm the velocity part becomes accelerometer
+bias, dm_v / T in body axes, which turns with the vehicle and holds through an outage. With diagonal weights dm has no
+attitude part, so no gyro bias can come from it; ``kappa`` (not in the paper) adds one, kappa (x+ - F x)_attitude / T.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import cho_factor, cho_solve
+
+from jaxnav import linalg
+from jaxnav.error_models.states import A, V
+from jaxnav.filters.core import Correction, Innovation, Rule
+from jaxnav.types import Drive
+
+
+class GipKf(NamedTuple):
+    """Parameters: weights L diag(exp(log)) L' with L unit lower triangular, positive definite whatever the numbers."""
+
+    log_rl: jax.Array  # (m,) of the residual, per channel: log of 1/m^2, s^2/m^2 in ENU
+    rl_lower: jax.Array  # (m (m - 1) / 2,) couplings, row by row below the diagonal of L; 0 is a diagonal weight
+    log_rm: jax.Array  # (n,) of the increment, per state: log of 1/m^2, s^2/m^2, 1/rad^2 in the axes of the frame
+    rm_lower: jax.Array  # (n (n - 1) / 2,)
+    kappa: jax.Array  # () or (3,) share of the attitude correction that becomes gyro bias; 0 is the paper's
+
+
+def gip_kf_params(
+    position: float = 0.003, velocity: float = 0.02, kappa: float = 0.0, n_states: int = 9, channels: int = 6
+) -> GipKf:
+    """Diagonal weights that take these shares of a position and a velocity residual for model error.
+
+    Only the six ratios R_l / R_m of a channel and its state matter: R_l is 1 here. A lever arm lets a position residual
+    turn the attitude too; the weight of the other states is large enough that it does not.
+
+    Raises:
+        ValueError: a share outside of 0 to 1.
+    """
+    for name, share in (("position", position), ("velocity", velocity)):
+        if not 0 < share < 1:
+            raise ValueError(f"{name}: a share lies between 0 and 1, got {share:g}")
+    odds = lambda share: np.log(1 / share - 1)  # noqa: E731
+    log_rm = np.full(n_states, np.log(1e6))
+    log_rm[:3], log_rm[3:6] = odds(position), odds(velocity)
+    pairs = lambda n: np.zeros(n * (n - 1) // 2)  # noqa: E731
+    values = np.zeros(channels), pairs(channels), log_rm, pairs(n_states), kappa
+    return GipKf(*(jnp.asarray(v, float) for v in values))
+
+
+def weight(log: jax.Array, lower: jax.Array) -> jax.Array:
+    """L diag(exp(log)) L', (n, n), from (n,) and the couplings (n (n - 1) / 2,)."""
+    n = log.shape[0]
+    L = jnp.eye(n, dtype=log.dtype).at[np.tril_indices(n, -1)].set(lower)
+    return (L * jnp.exp(log)) @ L.T
+
+
+def gain(theta: GipKf, H: jax.Array, valid: jax.Array) -> jax.Array:
+    """G of eq. 34, (n, m); its columns of missing channels are zero.
+
+    Raises:
+        ValueError: weights of other sizes than H (m, n).
+    """
+    if (theta.log_rl.shape[0], theta.log_rm.shape[0]) != H.shape:
+        raise ValueError(f"rule.log_rl and rule.log_rm have {theta.log_rl.shape[0]} and {theta.log_rm.shape[0]} "
+                         f"entries for {H.shape[0]} channels and {H.shape[1]} states")  # fmt: skip
+    R_l = jnp.where(valid[:, None] & valid, weight(theta.log_rl, theta.rl_lower), 0.0)
+    HR = H.T @ R_l
+    return cho_solve(cho_factor(HR @ H + weight(theta.log_rm, theta.rm_lower), lower=True), HR)
+
+
+def _update(theta: GipKf, z: Innovation) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """dm (n,), x+ minus the prediction without dm (n,), and P."""
+    dm = gain(theta, z.H, z.valid) @ z.nu
+    K = linalg.gain(z.P, z.H, z.H @ z.P @ z.H.T + z.R)
+    return dm, dm + K @ (z.nu - z.H @ dm), linalg.joseph(z.P, K, z.H, z.R)
+
+
+def correct(theta: GipKf, memory, z: Innovation) -> Correction:
+    """The working form; needs the feedback `reset`."""
+    dm, delta, P = _update(theta, z)
+    T = jnp.where(z.T > 0, z.T, 1.0)
+    return Correction(delta, P, memory, z.valid, drive=Drive(theta.kappa * delta[A] / T, dm[V] / T))
+
+
+def extrapolate_literal(theta: GipKf, m: jax.Array, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Eq. 29 without the increment, F x_k + m; in an outage m (n,) stays."""
+    return x + m, m
+
+
+def correct_literal(theta: GipKf, m: jax.Array, z: Innovation) -> Correction:
+    """Eqs. 33-36; the model error is then x+ - F x, the Kalman correction included."""
+    _, delta, P = _update(theta, z)
+    return Correction(delta, P, m + delta, z.valid)
+
+
+@cache
+def gip_kf() -> Rule:
+    """The working form, without memory: what it learns is in the sensors' biases."""
+    return Rule(lambda n, m: (), correct)
+
+
+@cache
+def literal() -> Rule:
+    """The recursion as printed, from x = m = 0."""
+    return Rule(lambda n, m: jnp.zeros(n), correct_literal, extrapolate_literal)

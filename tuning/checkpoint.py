@@ -1,0 +1,114 @@
+"""The state of a long job in one file: whole or not at all, checked before it is used, without pickle.
+
+An ``.npz`` with the leaves and a JSON head that has their names, shapes, dtypes and a digest over everything. It is
+written beside its place, flushed to the disk and then renamed, so that a crash at any moment leaves the old one.
+"""
+
+import hashlib
+import io
+import json
+import os
+import zipfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxnav.errors import DataError
+
+MAX_BYTES = 1 << 30  # of what is unpacked
+
+
+class CheckpointError(DataError):
+    """A checkpoint that cannot be used: damaged, or of another job."""
+
+
+class Checkpoint(NamedTuple):
+    """What was saved."""
+
+    tree: Any
+    head: dict[str, Any]
+
+
+def save(path: str | os.PathLike[str], tree: Any, head: dict[str, Any], identity: str = "") -> None:
+    """Write the leaves of ``tree`` and the plain values of ``head`` (JSON; floats come back bit for bit).
+
+    ``identity`` says what job it is of; `load` asks for the same.
+    """
+    path = Path(path)
+    leaves = {_name(i): np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(tree))}
+    about = {"identity": identity, "tree": str(jax.tree.structure(tree)), "head": head}
+    text = json.dumps(about | {"digest": _digest(about, leaves)}, sort_keys=True)
+    buffer = io.BytesIO()
+    np.savez(buffer, about=np.frombuffer(text.encode(), np.uint8), **leaves)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with open(temporary, "wb") as file:
+        file.write(buffer.getbuffer())
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+    folder = os.open(path.parent, os.O_RDONLY) if hasattr(os, "O_DIRECTORY") else None
+    if folder is not None:  # the rename too
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def load(path: str | os.PathLike[str], like: Any, identity: str = "") -> Checkpoint:
+    """Read what `save` wrote for a tree of the structure, shapes and dtypes of ``like``.
+
+    Raises:
+        CheckpointError: absent, damaged in any way, or of another job.
+    """
+    path = Path(path)
+    try:
+        about, leaves = _read(path)
+        digest = about.pop("digest")
+        if digest != _digest(about, leaves):
+            raise ValueError("digest differs")
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # zip, json, numpy and zlib each have their own
+        raise CheckpointError(f"{path}: damaged checkpoint ({error}); start without --resume") from error
+    if about["identity"] != identity:
+        raise CheckpointError(f"{path}: of another job: saved {about['identity']!r}, this is {identity!r}")
+    flat, structure = jax.tree.flatten(like)
+    fits = about["tree"] == str(structure) and len(leaves) == len(flat)
+    ordered = [leaves[_name(i)] for i in range(len(flat))] if fits else []
+    if not fits or any((a.shape, a.dtype) != _kind(b) for a, b in zip(ordered, flat, strict=True)):
+        raise CheckpointError(f"{path}: holds another optimiser or other parameters than this job")
+    return Checkpoint(jax.tree.unflatten(structure, ordered), about["head"])
+
+
+def _kind(leaf: Any) -> tuple[tuple[int, ...], np.dtype]:
+    leaf = np.asarray(leaf)
+    return leaf.shape, leaf.dtype
+
+
+def _name(i: int) -> str:
+    return f"leaf{i}"
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    data = path.read_bytes()
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        if sum(info.file_size for info in archive.infolist()) > MAX_BYTES:
+            raise ValueError("too large")
+    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+        leaves = {name: archive[name] for name in archive.files}
+    about = json.loads(leaves.pop("about").tobytes().decode())
+    if not isinstance(about, dict) or not {"identity", "tree", "head", "digest"} <= set(about):
+        raise ValueError("no head")
+    return about, leaves
+
+
+def _digest(about: dict[str, Any], leaves: dict[str, np.ndarray]) -> str:
+    total = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
+    for name in sorted(leaves):
+        a = leaves[name]
+        total.update(f"{name} {a.dtype.str} {a.shape}".encode())
+        total.update(np.ascontiguousarray(a).tobytes())
+    return total.hexdigest()

@@ -1,0 +1,183 @@
+"""What the data say of each free parameter: intervals, and which combinations they cannot tell apart.
+
+A filter's innovations are independent and Gaussian where its model holds, so their likelihood has the expected
+information of a Gaussian whose mean and covariance both depend on the parameters (Kay 1993, eq. 3.31):
+
+    F_jk = sum_t  tr(S^-1 dS_j S^-1 dS_k) / 2 + dnu_j' S^-1 dnu_k
+
+It needs first derivatives only, by forward differentiation of one run, and is never negative. The scores of blocks of
+time or of runs give the sandwich F^-1 (sum_b g_b g_b') F^-1, which holds where the model does not (White 1982).
+Everything is in the unconstrained numbers of `tuning.transforms`, where a Gaussian is a fair approximation.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from scipy.special import ndtri, stdtrit
+
+from jaxnav.types import Info
+from tuning.transforms import Spec, labels
+
+VAGUE = 1.0  # sd of an unconstrained number beyond which it is not determined: a factor e where it is a logarithm
+
+
+class Information(NamedTuple):
+    """Likelihood of innovations about one point, sums over the epochs that count; P free numbers."""
+
+    nll: jax.Array  # () negative log-likelihood
+    score: jax.Array  # (P,) its gradient
+    fisher: jax.Array  # (P, P) expected information
+    blocks: jax.Array  # (K, P) the score by blocks
+
+
+def information(
+    solve: Callable[[jax.Array], Info], raw: jax.Array, keep: jax.Array, block: jax.Array, count: int
+) -> Information:
+    """The information in the innovations of ``solve(raw (P,)) -> Info (E, ...)``.
+
+    ``keep`` (E,) bool: epochs that count. ``block`` (E,) int in [0, count): what is drawn together in the sandwich.
+    """
+
+    def innovations(r):
+        info = solve(r)
+        return info.nu, info.S, info.valid
+
+    directions = jnp.eye(raw.size)
+    push = lambda v: jax.jvp(innovations, (raw,), (v,))  # noqa: E731
+    (nu, S, valid), (dnu, dS, _) = jax.vmap(push, out_axes=(None, 0))(directions)
+    one = jax.vmap(_epoch, (0, 0, 0, 1, 1))
+    nll, score, fisher = one(nu, S, valid, dnu, dS)
+    counts = keep & valid.any(-1)
+    weigh = lambda a: jnp.where(counts.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0)  # noqa: E731
+    score = weigh(score)
+    blocks = jnp.zeros((count, raw.size)).at[block].add(score)
+    return Information(weigh(nll).sum(), score.sum(0), weigh(fisher).sum(0), blocks)
+
+
+def _epoch(nu, S, valid, dnu, dS):
+    """NLL (), score (P,) and information (P, P) of one epoch: nu (m,), S (m, m), dnu (P, m), dS (P, m, m)."""
+    factor = jax.scipy.linalg.cho_factor(S, lower=True)
+    solve = lambda b: jax.scipy.linalg.cho_solve(factor, b)  # noqa: E731
+    z = solve(nu)
+    A = jax.vmap(solve)(dS)  # S^-1 dS
+    W = solve(dnu.T)  # (m, P)
+    nll = 0.5 * (nu @ z + valid.sum() * jnp.log(2 * jnp.pi)) + jnp.log(jnp.diag(factor[0])).sum()
+    score = 0.5 * jnp.trace(A, axis1=1, axis2=2) - 0.5 * jnp.einsum("i,pij,j->p", z, dS, z) + dnu @ z
+    return nll, score, 0.5 * jnp.einsum("pij,qji->pq", A, A) + dnu @ W
+
+
+def total(parts: Information) -> Information:
+    """The information of independent runs (leading axis) together; their blocks stay apart."""
+    nll, score, fisher = (a.sum(0) for a in parts[:3])
+    return Information(nll, score, fisher, parts.blocks.reshape(-1, parts.blocks.shape[-1]))
+
+
+def with_belief(info: Information, spec: Spec, raw: dict[str, jax.Array]) -> Information:
+    """With the beliefs of the spec: the likelihood becomes a posterior density."""
+    from tuning.transforms import penalty
+
+    flat, back = ravel_pytree(raw)
+    value, slope = jax.value_and_grad(lambda r: penalty(spec, back(r)))(flat)
+    curve = jnp.concatenate([jnp.full(jnp.size(raw[n]), spec[n].belief.sd ** -2 if spec[n].belief else 0.0)
+                             for n in sorted(spec)])  # fmt: skip
+    return Information(info.nll + value, info.score + slope, info.fisher + jnp.diag(curve), info.blocks)
+
+
+# ---------------------------------------------------------------------------- intervals
+
+
+class Covariance(NamedTuple):
+    """Of the unconstrained estimates, numpy."""
+
+    model: np.ndarray  # (P, P) inverse information: if the model holds
+    sandwich: np.ndarray  # (P, P) from the spread of the blocks' scores
+    blocks: int  # that it came from
+
+
+def covariance(bread: np.ndarray, blocks: np.ndarray) -> Covariance:
+    """From information or Hessian (P, P) and the blocks' scores (K, P), both of the same sum.
+
+    A direction that the data say nothing of gets an sd of 1e6, so that it is seen for what it is.
+    """
+    bread, blocks = np.asarray(bread, float), np.asarray(blocks, float)
+    value, vector = np.linalg.eigh(0.5 * (bread + bread.T))
+    inverse = (vector / np.maximum(value, 1e-12)) @ vector.T
+    used = blocks[np.any(blocks != 0, axis=1)]
+    centred = used - used.mean(0) if len(used) else used
+    meat = centred.T @ centred * (len(used) / max(len(used) - 1, 1))
+    return Covariance(inverse, inverse @ meat @ inverse, len(used))
+
+
+class Interval(NamedTuple):
+    """One free number with its 95 % interval, in SI."""
+
+    name: str  # of the leaf, with its index where it has several free numbers
+    value: float
+    low: float
+    high: float
+    sd: float  # of the unconstrained number: 0.1 is 10 % for a logarithm
+    identified: bool  # sd below VAGUE
+
+
+def intervals(spec: Spec, raw: dict[str, jax.Array], cov: Covariance, level: float = 0.95) -> list[Interval]:
+    """Intervals of every free number, by the larger of the two sd: the model's, or the sandwich's.
+
+    The sandwich of K blocks takes Student's quantile of K - 1 degrees of freedom; with fewer than P + 10 blocks it is
+    left out, since it is then too small more often than not.
+    """
+    flat, _ = ravel_pytree(raw)
+    names, flat = labels(spec, raw), np.asarray(flat)
+    quantile = float(ndtri(0.5 + level / 2))
+    half = quantile * np.sqrt(np.diag(cov.model))
+    if cov.blocks >= flat.size + 10:
+        wide = float(stdtrit(cov.blocks - 1, 0.5 + level / 2)) * np.sqrt(np.diag(cov.sandwich))
+        half = np.maximum(half, wide)
+    out = []
+    for name, middle, h in zip(names, flat, half, strict=True):
+        forward = spec[name.partition("[")[0]].forward
+        # beyond e^200 nothing is known anyway, and an exponential would overflow
+        low, value, high = (float(forward(jnp.asarray(r))) for r in np.clip(middle + np.array([-h, 0, h]), -200, 200))
+        out.append(Interval(name, value, low, high, float(h / quantile), bool(h / quantile < VAGUE)))
+    return out
+
+
+def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = VAGUE) -> list[str]:
+    """In words, which parameters or combinations of them the data do not determine; empty where they do all.
+
+    One sentence for each principal axis of the covariance (P, P) whose sd exceeds ``vague``.
+    """
+    value, vector = np.linalg.eigh(np.asarray(cov, float))
+    out = []
+    for variance, axis in sorted(zip(value, vector.T, strict=True), key=lambda pair: -pair[0]):
+        sd = float(np.sqrt(max(variance, 0.0)))
+        if sd < vague:
+            break
+        part = [i for i in np.argsort(-np.abs(axis)) if abs(axis[i]) > 0.3]
+        size = f"a factor {np.exp(sd):.3g}" if sd < np.log(1e3) else "any amount"
+        if len(part) == 1:
+            out.append(f"{names[part[0]]} is not determined by these data: one sd is {size}")
+            continue
+        up = [names[i] for i in part if axis[i] * axis[part[0]] > 0]
+        down = [names[i] for i in part if axis[i] * axis[part[0]] < 0]
+        how = f"{_and(up)} may rise" + (f" while {_and(down)} fall" if down else " together")
+        out.append(f"{_and([names[i] for i in part])} cannot be told apart: {how}, one sd along it is {size}")
+    return out
+
+
+def _and(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def hessian(gradient: Callable[[Any], jax.Array], raw: dict[str, jax.Array], step: float = 1e-3) -> np.ndarray:
+    """Central differences of a gradient (P,) about ``raw``, symmetric (P, P).
+
+    For objectives that are no likelihood: 2 P gradients that are compiled already instead of a second derivative.
+    """
+    flat, back = ravel_pytree(raw)
+    rows = [np.asarray(gradient(back(flat + step * e)) - gradient(back(flat - step * e))) for e in np.eye(flat.size)]
+    H = np.stack(rows) / (2 * step)
+    return 0.5 * (H + H.T)

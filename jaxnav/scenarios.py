@@ -11,6 +11,7 @@ from jaxnav.sensors.faults import Burst, Constant, Fault, GaussMarkov, Ramp, Whi
 from jaxnav.sensors.gnss import Receiver
 from jaxnav.sensors.imu import ImuErrors
 from jaxnav.trajectories import Circle, LaunchMove, Urban
+from jaxnav.units import DEG_PER_HOUR, MG
 
 
 class Start(NamedTuple):
@@ -89,8 +90,57 @@ _GPID = [
     if faults != base.faults
 ]
 
+# ---------------------------------------------------------------------------- GIP-KF paper: outages of 10, 11 and 22 s
+
+GIPKF = Scenario(
+    name="gipkf_urban", duration_s=420.0, start_deg_m=(35.7, 51.4, 1200.0), imu_rate_hz=10.0,
+    motion=Urban(standstill_s=45.0),  # 30 s of alignment and 15 s of the run
+    imu=ImuErrors("adis16488a", gyro_scale_sd_ppm=2000.0, accel_scale_sd_ppm=1000.0),
+    gnss=Receiver(
+        position_sd_m=(3.0, 3.0, 5.0), velocity_sd_mps=(0.1, 0.1, 0.2),
+        outages_s=((150.0, 160.0), (230.0, 241.0), (310.0, 332.0)), outage_shift_s=55.0,
+    ),
+    # 16 mg at rest tilt by 0.92 deg
+    start=Start((3.0, 3.0, 5.0), (0.05, 0.05, 0.05), prior_tilt_sd_deg=0.92, prior_heading_sd_deg=2.0,
+                alignment_s=30.0, calibrate_gyro=True),
+)  # fmt: skip
+_UNCALIBRATED = GIPKF._replace(name="gipkf_urban_uncalibrated", start=GIPKF.start._replace(calibrate_gyro=False))
+_STRESS = GIPKF._replace(
+    name="gipkf_urban_stress",
+    imu=GIPKF.imu._replace(gyro_scale_sd_ppm=10000.0, accel_scale_sd_ppm=5000.0),
+    gnss=GIPKF.gnss._replace(
+        correlated_share=0.7, correlation_s=60.0, lever_arm_m=(1.5, 0.0, 0.0), latency_s=0.15
+    ),
+)  # fmt: skip
+
+# ---------------------------------------------------------------------------- FWEKF paper: alignment and launch
+
+FWEKF = Scenario(
+    name="fwekf", duration_s=40.0, imu_rate_hz=100.0, gnss_rate_hz=10.0, start_deg_m=(37.5, 127.0, 50.0),
+    motion=LaunchMove(), imu=ImuErrors("fwekf"),
+    gnss=Receiver(position_sd_m=(10.0, 10.0, 10.0), velocity_sd_mps=(0.2, 0.2, 0.2)),
+    start=Start((10.0, 10.0, 10.0), (0.2, 0.2, 0.2), prior_tilt_sd_deg=1.0, prior_heading_sd_deg=1.0),
+)  # fmt: skip
+_SIDEWAYS = (30.0, 30.0, 0.0)  # m, E and N
+_BIAS = {"gyro_bias_sd_deg_per_hour": 3e-4 / DEG_PER_HOUR, "accel_bias_sd_mg": 3e-3 / MG}
+_FWEKF = [
+    FWEKF._replace(
+        name="fwekf_noise_free", imu=FWEKF.imu._replace(imu_noise_factor=0.0),
+        gnss=FWEKF.gnss._replace(gnss_noise_factor=0.0), start=FWEKF.start._replace(fixed_errors=True),
+    ),
+    FWEKF._replace(name="fwekf_jump", faults=(Constant(25.0, 28.0, _SIDEWAYS),)),
+    FWEKF._replace(name="fwekf_step", faults=(Constant(30.0, math.inf, _SIDEWAYS),)),
+    FWEKF._replace(
+        name="fwekf_attitude", start=FWEKF.start._replace(prior_tilt_sd_deg=5.0, prior_heading_sd_deg=5.0)
+    ),
+    FWEKF._replace(name="fwekf_bias", imu=FWEKF.imu._replace(**_BIAS)),
+    FWEKF._replace(name="fwekf_bias_10", imu=FWEKF.imu._replace(**{k: 10 * v for k, v in _BIAS.items()})),
+    FWEKF._replace(name="fwekf_burst", faults=(Burst(25.0, 32.0, 5.0),)),
+]  # fmt: skip
+
 SCENARIOS: dict[str, Scenario] = {
-    s.name: s for s in (URBAN, URBAN_SHORT, TRAFFIC, CIRCLE, REPRO, *_GPID)
+    s.name: s
+    for s in (URBAN, URBAN_SHORT, TRAFFIC, CIRCLE, REPRO, *_GPID, GIPKF, _UNCALIBRATED, _STRESS, FWEKF, *_FWEKF)
 }
 
 

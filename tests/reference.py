@@ -65,7 +65,7 @@ class Strapdown:
         dv = f * dt + np.cross(w, f) * dt**2 / 2 + np.cross(w, np.cross(w, f)) * dt**3 / 6
         dv = dv + (np.cross(self.w0, f) + np.cross(self.f0, w)) * dt**2 / 12  # sculling
         self.w0, self.f0 = w, f
-        lat, lon, h = self.lla
+        lat, h = self.lla[0] + 0.5 * dt * self.v[1] / A, self.lla[2] + 0.5 * dt * self.v[2]  # half-way
         g, ie = np.array([0, 0, -gravity(lat, h)]), earth_rate(lat)
 
         def fall(v):
@@ -79,9 +79,7 @@ class Strapdown:
         dv_n = push + fall(half)
         mean = self.v + dv_n / 2
         m, n = radii(lat)
-        h_mid = h + mean[2] * dt / 2
-        dlat = mean[1] * dt / (m + h_mid)
-        dlon = mean[0] * dt / ((n + h_mid) * (np.cos(lat) - np.sin(lat) * dlat / 2))
+        dlat, dlon = mean[1] * dt / (m + h), mean[0] * dt / ((n + h) * np.cos(lat))
         before = self.C
         self.C = rotation(-level) @ self.C @ rotation(turn)
         self.v, self.lla = self.v + dv_n, self.lla + [dlat, dlon, mean[2] * dt]
@@ -144,14 +142,15 @@ def full_dynamics(lla, v, C, f, n):
 def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd=0.0, states=None):
     """Navigate, predict, correct; ``imu`` (dt, gyro, accel) of (E, k, ...), ``fixes`` (lla, sd, vel, sd, valid (E, 6)).
 
-    ``states`` (n,): where integral and derivative act. Returns lists of (lla, v, C, x, P) after each epoch.
+    ``states`` (n,): where integral and derivative act; of the integral only what came from channels that are there, by
+    their gain and sd. Returns lists of (lla, v, C, x, P) after each epoch.
     """
     n = prior_sd.size
     nav = Strapdown(*start, n)
     P = np.diag(prior_sd**2)
     H = np.eye(6, n)
     states = np.ones(n) if states is None else states
-    x_I, last, before = np.zeros(n), np.zeros(6), np.zeros(6)
+    x_I, last, before, adds = np.zeros(n), np.zeros(6), np.zeros(6), np.zeros((n, 6))
     out = []
     for e in range(len(imu[0])):
         for dt, gyro, accel in zip(imu[0][e], imu[1][e], imu[2][e], strict=True):
@@ -164,7 +163,8 @@ def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd
             if n == 15:
                 G[9:12, 9:12] = noise["gyro_bias"] ** 2 * np.eye(3)
                 G[12:15, 12:15] = noise["accel_bias"] ** 2 * np.eye(3)
-            P = Phi @ P @ Phi.T + dt / 2 * (Phi @ G @ Phi.T + G)
+            Q = dt * G if dynamics is simple_dynamics else dt / 2 * (Phi @ G @ Phi.T + G)  # eq. 29 has W = G dt
+            P = Phi @ P @ Phi.T + Q
         lla, sd, vel, sdv, valid = (a[e] for a in fixes)
         x = np.zeros(n)
         if valid.any():
@@ -172,9 +172,13 @@ def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd
             R = np.diag(np.concatenate([sd, sdv]) ** 2)
             y, h, R = y[valid], H[valid], R[np.ix_(valid, valid)]  # a missing channel is not there at all
             K = P @ h.T @ np.linalg.inv(h @ P @ h.T + R)
-            x_I = x_I + states * (ki * (K @ last[valid]))
+            adds[:, valid] = np.abs(K) * ki * np.sqrt(np.diag(R))
+            total = adds.sum(1)
+            part = np.where(total > 0, adds[:, valid].sum(1) / np.where(total > 0, total, 1), 1.0)  # that acts
+            rest, x_I = (1 - part) * x_I, part * x_I + states * (ki * (K @ last[valid]))
             x_D = states * (kd * (K @ (last - before)[valid]))
             x = K @ y + x_I + x_D
+            x_I = x_I + rest
             before[valid] = last[valid]
             last[valid] = y - h @ x
             J = np.eye(n) - K @ h

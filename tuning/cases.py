@@ -19,7 +19,7 @@ from tuning.transforms import Spec, join, split
 
 
 def clip(grads: Any, norm: float = 1.0) -> Any:
-    """A tree whose leaves have a leading axis of cases, each case's global norm at most ``norm``; zero if not finite."""
+    """Gradients with a leading axis of cases, each case's global norm at most ``norm``; zero where it is not finite."""
 
     def one(grad):
         size = optax.tree.norm(grad)

@@ -41,10 +41,12 @@ def discretize_blocks(
     u: Drive,
     n: int,
     C_attitude: jax.Array | None = None,
+    lumped: bool = False,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Phi, Q, d over T from the kinematic blocks, with sensor noise through ``C`` and Gauss-Markov biases.
 
-    ``C_attitude`` takes body to the axes of the attitude error, where those are not the velocity's.
+    ``C_attitude`` takes body to the axes of the attitude error, where those are not the velocity's. ``lumped``: see
+    `jaxnav.linalg.discretize`.
 
     Navigation holds the estimated bias constant while a Gauss-Markov bias decays, so that the error of a bias
     estimate b grows by b / tau: that is part of d.
@@ -66,4 +68,4 @@ def discretize_blocks(
         n,
     )
     b = jnp.concatenate([jnp.zeros(3), u.accel, u.omega, decay_g * bias[0], decay_a * bias[1]])[:n]
-    return linalg.discretize(F, Q, b, T)
+    return linalg.discretize(F, Q, b, T, lumped)

@@ -2,7 +2,7 @@
 
 Full form: every first-order term of the mechanization (Groves 2013, section 14.2.4, in ENU and with the attitude
 error to the left). Simplified form: the GPID paper's eqs. 9-13, that is the specific force, the levelling by velocity
-and the kinematics only.
+and the kinematics only, with all noise of a block at its end (eq. 29).
 """
 
 from functools import cache
@@ -83,7 +83,8 @@ def error_model(
 
     def discretize(noise: Noise, point: Path, T: jax.Array, u: Drive):
         bias = (point.nav.b_g, point.nav.b_a)
-        return discretize_blocks(dynamics(point, form), point.C, noise, bias, T, u, n_states)
+        lumped = form == "simple"  # W in eq. 29: over an epoch of a second it changes the gains of the attitude
+        return discretize_blocks(dynamics(point, form), point.C, noise, bias, T, u, n_states, lumped=lumped)
 
     observe, n_channels = stack(measurements, lambda nav: kinematics(nav, n_states))
     return ErrorModel(n_states, n_channels, retract, absorb, covariance, discretize, observe)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from jaxnav.error_models import inertial as inertial_errors
 from jaxnav.error_models import local_level as local_level_errors
 from jaxnav.error_models import tangent_frame as tangent_frame_errors
+from jaxnav.filters.adaptive import fading, fading_params, iae, iae_params, sage_husa, sage_husa_params
 from jaxnav.filters.combinators import only
 from jaxnav.filters.core import ErrorModel, Filter, make_filter
 from jaxnav.filters.feedback import observer, open_loop, poles, reset
@@ -13,6 +14,7 @@ from jaxnav.filters.fwekf import fwekf, fwekf_literal, fwekf_params
 from jaxnav.filters.gip_kf import gip_kf, gip_kf_params, literal
 from jaxnav.filters.gpid import gpid, gpid_params, literal_params
 from jaxnav.filters.kalman import kalman
+from jaxnav.filters.robust import gate, gate_params, huber, huber_params, student_t, student_t_params
 from jaxnav.measurements import GNSS, Measurement
 from jaxnav.mechanizations import inertial_quaternion, local_level, tangent_frame
 
@@ -47,6 +49,23 @@ class Entry(NamedTuple):
 
 _FUZZY = {"system.centres": "identity", "system.widths": "identity", "system.consequents": "identity"}
 _FWEKF = "Fuzzy weighted EKF for GPS/INS, eqs. 1-33"
+ROBUST: dict[str, tuple[Callable[..., Any], Callable[..., Any], dict[str, str], str]] = {
+    "gate": (gate, gate_params, {}, "chi-square gate by block, with recovery; Groves 2013, section 17.3"),
+    "huber": (huber, huber_params, {"knee": "log"}, "Huber 1964, per channel"),
+    "student": (student_t, student_t_params, {"dof": "log"}, "Agamennoni et al. 2012, by block"),
+    "sage_husa": (sage_husa, sage_husa_params, {}, "Sage & Husa 1969, R only, positive form"),
+    "iae": (iae, iae_params, {"floor": "log"}, "Mohamed & Schwarz 1999, R only"),
+    "fading": (fading, fading_params, {"tau": "log"}, "Sorenson & Sacks 1971"),
+}
+"""Rules made of a rule: constructor, default parameters, what is worth tuning of them, citation."""
+
+
+def _robust(n_states: int, name: str) -> Entry:
+    """A robust Kalman filter."""
+    make, theta, tunable, citation = ROBUST[name]
+    return Entry(n_states, lambda: make(kalman()), theta, tunable, citation)
+
+
 _ANSARI = "Ansari et al. 2024, IJE 37(06) 1127-1135"
 _GIP_KF = "Journal of Control (English Edition) 1(1), 2022, 49-57"
 _GIP_TUNABLE = {"log_rl": "identity", "log_rm": "identity", "rl_lower": "identity", "rm_lower": "identity"}
@@ -85,6 +104,7 @@ FILTERS: dict[str, Entry] = {
     "fwekf_literal": Entry(
         9, fwekf_literal, fwekf_params, _FUZZY, f"{_FWEKF}, weights as printed", "full", "inertial", observer, poles
     ),
+    **{f"ekf{n}_{name}": _robust(n, name) for n in (9, 15) for name in ROBUST},
 }  # fmt: skip
 
 

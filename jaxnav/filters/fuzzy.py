@@ -89,9 +89,7 @@ def log_memberships(theta: System, shape: tuple[int, ...], x: jax.Array) -> list
 def firing(theta: System, shape: tuple[int, ...], x: jax.Array, conjunction: Conjunction = product) -> jax.Array:
     """Share of each rule in the answer, of the table's shape; they add up to 1."""
     axes = np.eye(len(shape), dtype=int)
-    spread = [
-        jnp.reshape(mu, np.where(axes[i] == 1, -1, 1)) for i, mu in enumerate(log_memberships(theta, shape, x))
-    ]
+    spread = [jnp.reshape(mu, np.where(axes[i] == 1, -1, 1)) for i, mu in enumerate(log_memberships(theta, shape, x))]
     return jax.nn.softmax(reduce(conjunction, spread), axis=tuple(range(len(shape))))
 
 

@@ -9,9 +9,9 @@ K and P are those of the Kalman filter: they know nothing of m. "Gain" in eq. 34
 (29)" before eq. 35 means eq. 33.
 
 `literal` is the recursion as printed, x_predicted = (I + F_k) x_k - F_k-1 x_k-1 = F x_k + m, where m = x_k - F x_k-1 is
-all that the last correction left unexplained, the Kalman correction included. In open loop (`gipkf_literal`) x carries
-the whole error; under reset (`gipkf_literal_shift`) both past states are shifted by what navigation was corrected by,
-which leaves m as it is. A tilt and the m that balances it cannot be told apart in an earth-fixed frame, so that m walks.
+all that the model left unexplained, the Kalman correction included. In open loop (`gipkf_literal`) x carries the whole
+error; under reset (`gipkf_literal_shift`) both past states are shifted by what navigation was corrected by, which
+leaves m as it is. A tilt and the m that balances it cannot be told apart in an earth-fixed frame, so that m walks.
 
 `gip_kf` works: both past states start from zero after a correction, and of dm the velocity part becomes accelerometer
 bias, dm_v / T in body axes, which turns with the vehicle and holds through an outage. With diagonal weights dm has no
@@ -86,7 +86,7 @@ def gain(theta: GipKf, H: jax.Array, valid: jax.Array) -> jax.Array:
 
 
 def _update(theta: GipKf, z: Innovation) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """dm (n,), x+ minus the prediction without dm (n,), and P."""
+    """The increment dm (n,), x+ minus the prediction without it (n,), and P."""
     dm = gain(theta, z.H, z.valid) @ z.nu
     K = linalg.gain(z.P, z.H, z.H @ z.P @ z.H.T + z.R)
     return dm, dm + K @ (z.nu - z.H @ dm), linalg.joseph(z.P, K, z.H, z.R)

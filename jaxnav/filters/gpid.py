@@ -8,6 +8,10 @@
 K is the Kalman gain, whose covariance recursion (28-33) the integral and derivative leave alone. The paper's form has
 M = I and leak = 1: `literal`, which diverges on the paper's own circle for both printed gain pairs (a double integrator
 on the weakly observable heading). The default acts on the position states only, which is stable.
+
+Anti-windup, of which the paper has nothing: where channels are missing, or a gate has rejected them, the part of x_I
+that came from them stands still and is not applied. Applied at every fix, it would push a position that nothing
+corrects. With all channels there the equations are the paper's.
 """
 
 from functools import cache
@@ -15,6 +19,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
 
 from jaxnav import linalg
 from jaxnav.error_models.states import STATES, mask
@@ -27,7 +33,8 @@ class Gpid(NamedTuple):
     ki: jax.Array  # () or (m,) integral gain per channel
     kd: jax.Array  # () or (m,) derivative gain per channel
     states: jax.Array  # (n,) 1 where integral and derivative act
-    leak: jax.Array  # () what the integral keeps from one fix to the next; 1 is a pure integral
+    leak: jax.Array  # () what the integral keeps from one fix to the next; 1 is a pure integral, 0 none
+    reset: jax.Array  # () s; what a channel has left behind is forgotten when it has not been used for longer
 
 
 class Memory(NamedTuple):
@@ -36,30 +43,57 @@ class Memory(NamedTuple):
     integral: jax.Array  # (n,)
     last: jax.Array  # (m,)
     before: jax.Array  # (m,)
+    weight: jax.Array  # (n, m) how much each channel adds to the integral, by its gain and sd
 
 
-def gpid_params(ki: float, kd: float, n_states: int = 9, states: tuple[str, ...] = ("position",), leak=1.0) -> Gpid:
+def gpid_params(
+    ki: ArrayLike,
+    kd: ArrayLike,
+    n_states: int = 9,
+    states: tuple[str, ...] = ("position",),
+    leak: float = 1.0,
+    reset: float = np.inf,
+) -> Gpid:
     """Parameters from plain numbers; ``states`` names where integral and derivative act."""
-    return Gpid(*(jnp.asarray(v, float) for v in (ki, kd, mask(*states, n_states=n_states), leak)))
+    return Gpid(*(jnp.asarray(v, float) for v in (ki, kd, mask(*states, n_states=n_states), leak, reset)))
 
 
-def literal_params(ki: float, kd: float, n_states: int = 9) -> Gpid:
+def literal_params(ki: ArrayLike, kd: ArrayLike, n_states: int = 9) -> Gpid:
     """The paper's printed form: integral and derivative act on every state."""
     return gpid_params(ki, kd, n_states, tuple(STATES)[: n_states // 3])
 
 
+def share(weight: jax.Array, channels: jax.Array) -> jax.Array:
+    """The part of each state's integral (n,) that came from ``channels`` (m,) bool; 1 where there is none."""
+    total = weight.sum(1)
+    some = total > 0
+    return jnp.where(some, jnp.where(channels, weight, 0.0).sum(1) / jnp.where(some, total, 1.0), 1.0)
+
+
+def forgotten(memory: Memory, stale: jax.Array) -> Memory:
+    """The memory without what the ``stale`` (m,) channels have left in it."""
+    drop = lambda a: jnp.where(stale, 0.0, a)  # noqa: E731
+    rest = memory.integral * share(memory.weight, ~stale)
+    return Memory(rest, drop(memory.last), drop(memory.before), drop(memory.weight))
+
+
 def correct(theta: Gpid, memory: Memory, z: Innovation) -> Correction:
-    """One correction. The integral stands still while its channels are missing: their columns of K are zero."""
+    """One correction; missing channels have columns of zeros in K, and add nothing to the integral."""
+    memory = forgotten(memory, z.age > theta.reset)
     K = linalg.gain(z.P, z.H, z.H @ z.P @ z.H.T + z.R)
-    integral = theta.leak * memory.integral + theta.states * (K @ (theta.ki * memory.last))
+    weight = jnp.where(z.valid, jnp.abs(K) * theta.ki * jnp.sqrt(jnp.diag(z.R)), memory.weight)
+    acting = share(weight, z.valid)
+    moving, still = acting * memory.integral, (1 - acting) * memory.integral
+    applied = theta.leak * moving + theta.states * (K @ (theta.ki * memory.last))
     derivative = theta.states * (K @ (theta.kd * (memory.last - memory.before)))
-    delta = K @ z.nu + integral + derivative
+    delta = K @ z.nu + applied + derivative
     residual = z.nu - z.H @ delta
-    memory = Memory(integral, jnp.where(z.valid, residual, memory.last), jnp.where(z.valid, memory.last, memory.before))
+    last, before = jnp.where(z.valid, residual, memory.last), jnp.where(z.valid, memory.last, memory.before)
+    memory = Memory(applied + still, last, before, weight)
     return Correction(delta, linalg.joseph(z.P, K, z.H, z.R), memory, z.valid)
 
 
 @cache
 def gpid() -> Rule:
     """Memory starts at zero (eqs. 19, 20)."""
-    return Rule(lambda n, m: Memory(jnp.zeros(n), jnp.zeros(m), jnp.zeros(m)), correct)
+    return Rule(lambda n, m: Memory(jnp.zeros(n), jnp.zeros(m), jnp.zeros(m), jnp.zeros((n, m))), correct)

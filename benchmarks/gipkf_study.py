@@ -1,0 +1,139 @@
+"""The outage study: simulated drives whose GNSS is hidden by masks, scoring at the ends of outages, tuning by gradient.
+
+A drive is simulated once with every fix. Where outages lie is drawn anew for every step of training, and once for the
+drives that are scored. All filters are scored by the distance of the IMU's true position at the end of an outage.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from jaxnav import metrics
+from jaxnav.filters.core import Filter
+from jaxnav.run import run
+from jaxnav.scenarios import Scenario
+from jaxnav.sensors import gnss
+from jaxnav.simulation import simulate
+from jaxnav.types import Epoch, Info, Nav, Params
+from tuning.transforms import Spec, join, split
+
+LENGTHS = (10.0, 11.0, 22.0)  # s
+EARLIEST, LATEST = np.array([150.0, 230.0, 310.0]), np.array([205.0, 285.0, 370.0])  # s, of an outage's start
+SETTLED = 60.0  # s after the start: errors outside of outages count from then on
+OUTSIDE = 0.3  # weight of the error outside of outages in training
+BATCH, LAST = 12, 20  # drives of a training step; iterates whose mean is the result
+
+
+class Drives(NamedTuple):
+    """Simulated drives side by side."""
+
+    initial: Nav  # (B, ...)
+    epochs: Epoch  # (B, E, k, ...), every fix there
+    truth: Nav  # (B, E, ...)
+
+
+@partial(jax.jit, static_argnums=0)
+def drive(scenario: Scenario, keys: jax.Array) -> Drives:
+    """One drive a key (B,); one after the other, so that a quadrature's memory is that of one."""
+
+    def one(key):
+        sim = simulate(scenario, key)
+        return Drives(sim.initial, sim.epochs, sim.truth)
+
+    return jax.lax.map(one, keys)
+
+
+def draw(key: jax.Array, count: int) -> jax.Array:
+    """Random outages of ``count`` drives, (count, 3, 2) s; on whole seconds, where the fixes are."""
+    begin = jnp.floor(EARLIEST + (LATEST - EARLIEST + 1) * jax.random.uniform(key, (count, 3), float))
+    return jnp.stack([begin, begin + np.array(LENGTHS)], -1)
+
+
+def horizontal(nav: Nav, truth: Nav) -> jax.Array:
+    """Error of position squared in the horizontal, m^2, ()."""
+    return jnp.sum(metrics.position_error(nav, truth.pos)[:2] ** 2)
+
+
+def hide(epochs: Epoch, t: jax.Array, windows: jax.Array) -> tuple[Epoch, jax.Array, jax.Array]:
+    """One drive with the fixes of its windows (W, 2) hidden; which epochs are (E,), and the last of each window (W,)."""
+    hidden = gnss.inside(t, windows)
+    fix = epochs.fix._replace(valid=epochs.fix.valid & ~hidden[:, None])
+    last = jax.vmap(lambda w: jnp.sum(t <= w[1] + 1e-6) - 1)(windows)
+    return epochs._replace(fix=fix), hidden, last
+
+
+def loss(filt: Filter, params: Params, drives: Drives, windows: jax.Array) -> jax.Array:
+    """Mean over the lengths of the log RMS error at the end, and a share of that outside of outages, ()."""
+
+    def one(initial, epochs, truth, windows):
+        epochs, hidden, last = hide(epochs, truth.t, windows)
+        error = jax.vmap(horizontal)(run(filt, params, initial, epochs).nav, truth)
+        outside = ~hidden & (truth.t > truth.t[0] + SETTLED)
+        return error[last], jnp.sum(jnp.where(outside, error, 0.0)) / jnp.sum(outside)
+
+    ends, outside = jax.vmap(one)(*drives, windows)
+    return 0.5 * (jnp.mean(jnp.log(ends.mean(0) + 1e-2)) + OUTSIDE * jnp.log(outside.mean() + 1e-2))
+
+
+@partial(jax.jit, static_argnums=0)
+def slope(filt: Filter, params: Params, drives: Drives, key: jax.Array) -> tuple[jax.Array, Params]:
+    """`loss` of a random minibatch with random outages, and its gradient by all parameters."""
+    pick, where = jax.random.split(key)
+    chosen = jax.random.choice(pick, drives.truth.t.shape[0], (min(BATCH, drives.truth.t.shape[0]),), replace=False)
+    drives = jax.tree.map(lambda a: a[chosen], drives)
+    return jax.value_and_grad(loss, 1)(filt, params, drives, draw(where, chosen.size))
+
+
+def tune(filt: Filter, params: Params, spec: Spec, drives: Drives, key: jax.Array, steps: int, rate: float = 0.15) -> Any:
+    """Adam on minibatches with outages drawn anew; the mean of the last iterates, and the losses met."""
+    optimizer = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05)))
+    optimizer = optax.apply_if_finite(optimizer, 5)
+    raw = split(spec, params)
+    state, tail, losses = optimizer.init(raw), [], []
+    for i in range(steps):
+        here, back = jax.vjp(lambda r: join(spec, r, params), raw)
+        value, gradient = slope(filt, here, drives, jax.random.fold_in(key, i))
+        updates, state = optimizer.update(back(gradient)[0], state)
+        raw = optax.apply_updates(raw, updates)
+        tail, losses = [*tail, raw][-LAST:], [*losses, float(value)]
+    return join(spec, jax.tree.map(lambda *a: jnp.mean(jnp.stack(a), 0), *tail), params), losses
+
+
+class Scores(NamedTuple):
+    """What the drives gave, (B, ...)."""
+
+    ends: jax.Array  # (B, 3, 3) m, error at the end of each outage, ENU
+    outside: jax.Array  # (B,) m, RMS of the horizontal error outside of outages
+    nees: jax.Array  # (B, 3) at the fix before each outage
+    ok: jax.Array  # (B,) bool
+
+
+@partial(jax.jit, static_argnums=0)
+def score(filt: Filter, params: Params, drives: Drives, windows: jax.Array) -> Scores:
+    """Score one filter on drives with given outages (B, 3, 2)."""
+
+    def one(initial, epochs, truth, windows):
+        epochs, hidden, last = hide(epochs, truth.t, windows)
+        info = run(filt, params, initial, epochs)
+        error = jax.vmap(metrics.position_error)(info.nav, truth.pos)
+        outside = ~hidden & (truth.t > truth.t[0] + SETTLED)
+        squares = jnp.where(outside, jnp.sum(error[:, :2] ** 2, 1), 0.0)
+        before = last - np.array(LENGTHS, int)
+        nees = jax.vmap(consistency)(*jax.tree.map(lambda a: a[before], (info, truth)))
+        return Scores(error[last], jnp.sqrt(squares.sum() / outside.sum()), nees, info.ok[-1])
+
+    return jax.vmap(one)(*drives, windows)
+
+
+def consistency(info: Info, truth: Nav) -> jax.Array:
+    """Normalised error squared of all states of one epoch, ()."""
+    from jaxnav import rotations
+
+    phi = rotations.log(rotations.multiply(info.nav.q, rotations.conjugate(truth.q)))
+    parts = (metrics.position_error(info.nav, truth.pos), info.nav.vel - truth.vel, phi,
+             info.nav.b_g - truth.b_g, info.nav.b_a - truth.b_a)  # fmt: skip
+    return metrics.nees(jnp.concatenate(parts)[: info.P.shape[0]], info.P)

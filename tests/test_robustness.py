@@ -1,0 +1,208 @@
+"""Stability of the GPID filter: closed forms, the paper's slips, and growth along the paper's circle three ways."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from jaxnav import robustness
+from jaxnav.filters import gpid
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.core import Filter, Innovation
+from jaxnav.sensors.grades import GRADES, datasheet_params
+from jaxnav.trajectories import Circle, circle
+from jaxnav.types import Epoch, Nav, Params
+from jaxnav.units import DEG
+
+ONE = jnp.eye(1)
+PERIOD = 126.0
+PRINTED = {"G1": (1.0, 0.0), "G2": (1.5, 3.0)}
+GAINS = [0.01, 0.1, 0.2, 0.5, 0.9]
+
+
+def scalar(K):
+    return jnp.full((1, 1), K)
+
+
+# ---------------------------------------------------------------------------- closed forms
+
+
+@pytest.mark.parametrize("K", GAINS)
+@pytest.mark.parametrize("ki", [0.5, 1.0, 1.5])
+def test_paper_matrix_of_one_state(K, ki):
+    """|lambda|^2 = 1 - K (1 - ki): the analysed ki = 1 is marginal, the printed 1.5 unstable for every gain."""
+    M = np.asarray(robustness.paper_matrix(ONE, scalar(K), ONE, ki))
+    values = np.linalg.eigvals(M)
+    assert abs(values[0].imag) > 0  # K < 4 ki
+    np.testing.assert_allclose(np.abs(values) ** 2, 1 - K * (1 - ki), rtol=1e-12)
+    assert (robustness.spectral_radius(M) > 1 + 1e-9) == (ki > 1)
+
+
+@pytest.mark.parametrize("K", GAINS[:4])
+def test_exact_matrix_without_derivative(K):
+    """What the filter does with ki = 1: |lambda|^2 = 1 - K, stable where the paper's matrix is marginal."""
+    M = robustness.exact_matrix(ONE, scalar(K), ONE, 1.0, 0.0, np.ones(1))
+    values = np.sort_complex(np.linalg.eigvals(np.asarray(M)))
+    pair = values[np.abs(values.imag) > 1e-9]
+    np.testing.assert_allclose(np.abs(pair) ** 2, 1 - K, rtol=1e-9)
+    assert pair.size == 2 and robustness.spectral_radius(M) < 1
+
+
+@pytest.mark.parametrize("ki, kd", [(1.5, 3.0), (1.0, 2.0), (0.1, 5.0)])
+def test_derivative_bounds_the_gain(ki, kd):
+    """Stable below K = 2 / (1 + ki/2 + 2 kd), 0.258 for the paper's second pair, and not above."""
+    bound = 2 / (1 + ki / 2 + 2 * kd)
+    radius = lambda K: robustness.spectral_radius(robustness.exact_matrix(ONE, scalar(K), ONE, ki, kd, np.ones(1)))  # noqa: E731
+    assert radius(0.999 * bound) < 1 < radius(1.001 * bound)
+    if (ki, kd) == PRINTED["G2"]:
+        assert bound == pytest.approx(0.258, abs=5e-4)
+
+
+# ---------------------------------------------------------------------------- the matrix against the rule itself
+
+A4 = np.eye(4) + np.array([[0.0, 1, 0.1, 0], [0, 0, -0.3, 0.2], [0.05, 0, 0, 0], [0, -0.02, 0, -0.1]])
+H4 = jnp.asarray(np.array([[1.0, 0, 0, 0], [0, 1, 0.2, 0]]))
+MASK = np.array([1.0, 1.0, 0.0, 1.0])
+THETA = gpid.gpid_params([0.3, 0.1], [0.2, 0.05], leak=0.97)._replace(states=jnp.asarray(MASK))
+
+
+def linear_run(theta, A, H, P, R, e0, bias, steps):
+    """The rule in closed loop on x+ = A x, y = H x + bias: what is left of x, and the rule's memory, after each fix."""
+    n, m = H.shape[1], H.shape[0]
+
+    def step(carry, _):
+        e, memory = carry
+        x = A @ e
+        z = Innovation(H @ x + bias, H, R, P, jnp.ones(m, bool), jnp.array(1.0), jnp.zeros(m))
+        c = gpid.correct(theta, memory, z)
+        return (x - c.delta, c.memory), jnp.concatenate([x - c.delta, *c.memory[:3]])
+
+    first = (e0, gpid.gpid().init(n, m))
+    return jax.jit(lambda first: lax.scan(step, first, None, steps)[1])(first)
+
+
+def test_exact_matrix_is_the_rule():
+    """Gains per channel, a mask and a leak included, from an error that has a memory."""
+    P, R = jnp.diag(jnp.array([1.0, 0.5, 0.1, 0.2])), jnp.diag(jnp.array([1.0, 2.0]))
+    K = P @ H4.T @ jnp.linalg.inv(H4 @ P @ H4.T + R)
+    M = np.asarray(robustness.exact_matrix(jnp.asarray(A4), K, H4, *THETA[:4]))
+    s = np.asarray(linear_run(THETA, jnp.asarray(A4), H4, P, R, jnp.array([1.0, -2.0, 0.5, 3.0]), 0.0, 30))
+    np.testing.assert_allclose(s[:-1] @ M.T, s[1:], rtol=0, atol=1e-11 * np.abs(s).max())
+
+
+def test_integral_follows_a_constant_measurement_error():
+    """The paper's (42) loses K_I w_m and concludes that it is rejected; the filter ends at H e = -b."""
+    P, R, bias = jnp.diag(jnp.array([0.2, 0.1])), jnp.eye(2), jnp.array([3.0, -1.0])
+    s = linear_run(gpid.gpid_params(0.3, 0.0, 9)._replace(states=jnp.ones(2)), jnp.eye(2), jnp.eye(2), P, R,
+                   jnp.zeros(2), bias, 600)  # fmt: skip
+    np.testing.assert_allclose(s[-1, :2], -bias, atol=1e-8)
+    K = P @ jnp.linalg.inv(P + R)
+    assert robustness.spectral_radius(robustness.paper_matrix(jnp.eye(2), K, jnp.eye(2), 0.3)) < 1  # says e -> 0
+
+
+def test_multipliers_leave_out_what_no_error_reaches():
+    """A counter and a masked integral have an eigenvalue 1 of their own; a reached integrator counts."""
+    alone = np.array([[[0.5, 0.3], [0.0, 1.0]]])
+    np.testing.assert_allclose(robustness.multipliers(alone, 1), [0.5])
+    reached = np.array([[[0.5, 0.0], [0.1, 1.0]]])
+    np.testing.assert_allclose(robustness.multipliers(reached, 1), [1.0, 0.5])
+    later = np.array([[[0.5, 0.0], [0.0, 1.0]], [[0.5, 0.0], [0.1, 1.0]]])  # linked in the second step only
+    np.testing.assert_allclose(robustness.multipliers(later, 1), [1.0, 0.25])
+
+
+# ---------------------------------------------------------------------------- the paper's circle
+
+
+class Round(NamedTuple):
+    """One round of the circle, a filter on it and its covariance after three hours of rounds."""
+
+    filter: Filter
+    params: Params
+    navs: Nav
+    epochs: Epoch
+    P: jax.Array
+
+
+def start(frame="", k=5, epochs=126, rounds=86, period=PERIOD) -> Round:
+    """The paper's simple error model with its Table 1; after 86 rounds the gain on the heading still falls slowly."""
+    filt = build("gpid_literal", cov_stride=k, frame=frame)
+    navs, perfect = robustness.perfect(circle(Circle(10.0, period)), (30 * DEG, 0.0, 0.0), epochs, k=k)
+    params = datasheet_params(
+        GRADES["tactical"], (5.0, 5.0, 5.0), (0.1, 0.1, 0.1), 0.05 * DEG, 0.3 * DEG, rule=gpid.literal_params(0.0, 0.0)
+    )
+    return Round(filt, params, navs, perfect, robustness.settle(filt, params, navs, perfect, rounds=rounds))
+
+
+@pytest.fixture(scope="module")
+def round_() -> Round:
+    return start()
+
+
+def with_gains(r: Round, theta) -> tuple:
+    return r.filter, r.params._replace(rule=theta), r.navs, r.epochs, r.P
+
+
+def explicit_rate(r: Round, theta) -> float:
+    """Growth from the filter's own A, K and H by the closed form."""
+    A, K, H = robustness.linear_model(*with_gains(r, theta))
+    M = jax.vmap(lambda A, K, H: robustness.exact_matrix(A, K, H, *theta[:4]))(A, K, H)
+    return float(np.log(np.abs(robustness.multipliers(M, 9)[0])) / PERIOD)
+
+
+LITERAL_RATES = {"G1": 4.5e-3, "G2": 7.3e-3}
+
+
+@pytest.mark.parametrize("gains", PRINTED)
+def test_printed_gains_on_the_circle(round_, gains):
+    """On all states they diverge, on the position states they are as stable as the Kalman filter."""
+    literal, position = gpid.literal_params(*PRINTED[gains]), gpid.gpid_params(*PRINTED[gains])
+    rate = robustness.growth_rate(*with_gains(round_, literal))
+    assert rate == pytest.approx(LITERAL_RATES[gains], rel=0.25)
+    assert rate == pytest.approx(explicit_rate(round_, literal), rel=5e-3)
+    rate = robustness.growth_rate(*with_gains(round_, position))
+    kalman = robustness.growth_rate(*with_gains(round_, gpid.literal_params(0.0, 0.0)))
+    assert kalman < rate < 0.7 * kalman < 0
+    assert rate == pytest.approx(explicit_rate(round_, position), abs=3e-6)
+
+
+def simulated_errors(r: Round, theta, rounds: int) -> np.ndarray:
+    """Heading error (rad) at the end of every round of two runs that start 1e-6 rad apart."""
+    filt, params, navs, epochs, P = with_gains(r, theta)
+
+    @jax.jit
+    def run(nav):
+        def once(state, _):
+            state, info = lax.scan(lambda s, e: filt.step(params, s, e), state, epochs)
+            return state, info.nav.q[-1]
+
+        return lax.scan(once, filt.init(params, nav)._replace(P=P), None, rounds)[1]
+
+    nav = jax.tree.map(lambda a: a[0], navs)
+    off = filt.model.retract(nav, jnp.zeros(9).at[8].set(-1e-6))
+    a, b = np.asarray(run(nav)), np.asarray(run(off))
+    return 2 * (b[:, 3] * a[:, 0] - b[:, 0] * a[:, 3])  # the nose points north
+
+
+@pytest.mark.parametrize("gains, states, window", [("G1", "literal", 9), ("G2", "literal", 5), ("G1", "position", 20)])
+def test_growth_of_a_small_simulated_error(round_, gains, states, window):
+    """The nonlinear filter: RMS of the heading error over rounds 6 to 5 + w against w rounds later."""
+    make = gpid.literal_params if states == "literal" else gpid.gpid_params
+    theta = make(*PRINTED[gains])
+    error = simulated_errors(round_, theta, 5 + 2 * window)[5:].reshape(2, window)
+    rms = np.sqrt(np.mean(error**2, axis=1))
+    predicted = robustness.growth_rate(*with_gains(round_, theta))
+    assert np.log(rms[1] / rms[0]) / (window * PERIOD) == pytest.approx(predicted, rel=0.1)
+    assert np.abs(error).max() < 0.05  # still small
+
+
+def test_rate_is_the_same_in_every_frame():
+    """The error that grows is a physical one; an arc of a tight circle, gone through again and again."""
+    theta = gpid.literal_params(1.0, 0.0)
+    rates = []
+    for frame in ("local_level", "tangent", "inertial"):
+        r = start(frame, k=2, epochs=16, rounds=20, period=16.0)
+        rates.append(robustness.growth_rate(*with_gains(r, theta)))
+    np.testing.assert_allclose(rates, rates[0], rtol=0.01)

@@ -1,0 +1,171 @@
+"""Intervals and identifiability against closed forms; the method of scoring against the estimates it must find."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+from jax.flatten_util import ravel_pytree
+
+from tuning import scoring, uncertainty
+from tuning.transforms import IDENTITY, LOG, believed, join, split, tied
+
+
+class Innovations(NamedTuple):
+    """The fields of an Info that a likelihood needs."""
+
+    nu: jax.Array
+    S: jax.Array
+    valid: jax.Array
+
+
+def white(y):
+    """Independent samples of unknown log sd r[0] and mean r[1]."""
+
+    def solve(r):
+        S = jnp.broadcast_to(jnp.exp(2 * r[0]), (y.size, 1, 1))
+        return Innovations((y - r[1])[:, None], S, jnp.ones((y.size, 1), bool))
+
+    return solve
+
+
+def local_level(y):
+    """Random walk of log sd r[0] seen with noise of log sd r[1]; the scalar Kalman filter."""
+
+    def solve(r):
+        q, v = jnp.exp(2 * r)
+
+        def step(xP, yi):
+            x, P = xP
+            P = P + q
+            S = P + v
+            nu = yi - x
+            return (x + P / S * nu, P * v / S), (nu[None], S[None, None])
+
+        _, (nu, S) = lax.scan(step, (jnp.zeros(()), jnp.zeros(())), y)
+        return Innovations(nu, S, jnp.ones((y.size, 1), bool))
+
+    return solve
+
+
+def draw(key, n, q, v):
+    a, b = jax.random.normal(key, (2, n), float)
+    return jnp.cumsum(q * a) + v * b
+
+
+def inform(solve, raw, n, per=10):
+    return uncertainty.information(solve, raw, jnp.ones(n, bool), jnp.arange(n) // per, n // per)
+
+
+def test_white_noise_has_the_textbook_information():
+    n, y = 200, jnp.asarray(np.random.default_rng(0).normal(0.3, 2.0, 200))
+    raw = jnp.array([0.5, 0.1])
+    got = inform(white(y), raw, n)
+    z = (np.asarray(y) - 0.1) / np.exp(0.5)
+    np.testing.assert_allclose(got.nll, 0.5 * np.sum(z**2 + 2 * 0.5 + np.log(2 * np.pi)), rtol=1e-12)
+    np.testing.assert_allclose(got.score, [np.sum(1 - z**2), -np.sum(z) / np.exp(0.5)], rtol=1e-10)
+    np.testing.assert_allclose(got.fisher, [[2 * n, 0], [0, n / np.exp(1.0)]], atol=1e-9)
+    np.testing.assert_allclose(got.blocks.sum(0), got.score, rtol=1e-10)
+    half = uncertainty.information(white(y), raw, jnp.arange(n) < 100, jnp.arange(n) // 10, 20)
+    assert half.fisher[0, 0] == pytest.approx(n) and not np.any(half.blocks[10:])
+
+
+def test_score_is_the_gradient_and_information_its_expected_square():
+    n, raw = 60, jnp.log(jnp.array([0.5, 1.0]))
+    keys = jax.random.split(jax.random.key(1), 3000)
+
+    @jax.jit
+    @jax.vmap
+    def many(key):
+        return inform(local_level(draw(key, n, 0.5, 1.0)), raw, n)
+
+    def nll(r, y):
+        info = local_level(y)(r)
+        return 0.5 * jnp.sum(info.nu[:, 0] ** 2 / info.S[:, 0, 0] + jnp.log(2 * jnp.pi * info.S[:, 0, 0]))
+
+    got = many(keys)
+    y = draw(keys[0], n, 0.5, 1.0)
+    np.testing.assert_allclose(got.score[0], jax.grad(nll)(raw, y), rtol=1e-9)
+    square = np.einsum("ki,kj->ij", got.score, got.score) / len(keys)
+    np.testing.assert_allclose(square, got.fisher.mean(0), rtol=0.12, atol=1.5)
+
+
+def test_scoring_finds_the_estimate_and_intervals_cover_the_truth():
+    n, truth = 300, np.log([0.4, 1.0])
+    y = jax.vmap(lambda k: draw(k, n, 0.4, 1.0))(jax.random.split(jax.random.key(2), 200))
+    many = jax.jit(jax.vmap(lambda r, y: inform(local_level(y), r, n)))
+    found = scoring.maximise(lambda r: many(r, y), jnp.tile(truth + np.log(10.0), (200, 1)))
+    assert np.abs(found.best.score).max() < 0.5  # against an information of hundreds
+    cov = [uncertainty.covariance(f, b) for f, b in zip(found.best.fisher, found.best.blocks, strict=True)]
+    spec = {"noise": LOG}
+    inside = [
+        [i.low <= t <= i.high for i, t in zip(uncertainty.intervals(spec, {"noise": r}, c), [0.4, 1.0], strict=True)]
+        for r, c in zip(found.raw, cov, strict=True)
+    ]
+    share = np.mean(inside, axis=0)
+    assert (share > 0.92).all() and (share < 0.995).all()
+
+
+def test_sandwich_sees_tails_that_the_model_does_not():
+    rng, n = np.random.default_rng(3), 20_000
+    y = rng.laplace(size=n)  # kurtosis 6: the variance of a log sd is (6 - 1) / 4n, not 1 / 2n
+    raw = jnp.array([0.5 * np.log(np.mean(y**2)), 0.0])
+    got = inform(white(jnp.asarray(y)), raw, n)
+    cov = uncertainty.covariance(got.fisher, got.blocks)
+    assert cov.model[0, 0] == pytest.approx(1 / (2 * n)) and cov.blocks == n // 10
+    assert cov.sandwich[0, 0] == pytest.approx(5 / (4 * n), rel=0.2)
+    wide = uncertainty.intervals({"a": IDENTITY}, {"a": raw}, cov)[0]
+    assert wide.sd == pytest.approx(np.sqrt(5 / (4 * n)), rel=0.1)
+    few = uncertainty.intervals({"a": IDENTITY}, {"a": raw}, cov._replace(blocks=11))[0]
+    assert few.sd == pytest.approx(np.sqrt(1 / (2 * n)))  # too few blocks for a sandwich of two numbers
+
+
+def test_combinations_that_the_data_cannot_tell_apart_are_named():
+    y = jnp.asarray(np.random.default_rng(4).normal(size=100))
+    spec, only_sum = {"a": LOG, "b": LOG}, lambda r: white(y)(jnp.array([r[0] + r[1], 0.0]))
+    got = inform(only_sum, jnp.zeros(2), 100)
+    cov = uncertainty.covariance(got.fisher, got.blocks)
+    (text,) = uncertainty.identifiability(["a", "b"], cov.model)
+    assert "cannot be told apart" in text and "while" in text and "any amount" in text
+    found = uncertainty.intervals(spec, {"a": jnp.zeros(()), "b": jnp.zeros(())}, cov)
+    assert not any(i.identified for i in found)
+    idle = inform(lambda r: white(y)(r[:1].repeat(2) * jnp.array([1.0, 0.0])), jnp.zeros(2), 100)
+    (text,) = uncertainty.identifiability(["a", "b"], uncertainty.covariance(idle.fisher, idle.blocks).model)
+    assert text.startswith("b is not determined")
+    assert uncertainty.identifiability(["a"], np.array([[0.01]])) == []
+
+
+def test_a_belief_determines_what_the_data_do_not():
+    y = jnp.asarray(np.random.default_rng(5).normal(size=100))
+    spec = {"a": LOG, "b": believed(LOG, 3.0, 0.5)}
+    raw = {"a": jnp.zeros(()), "b": jnp.log(3.0) + 1.0}
+    flat, _ = ravel_pytree(raw)
+    plain = inform(lambda r: white(y)(r * jnp.array([1.0, 0.0])), flat, 100)
+    got = uncertainty.with_belief(plain, spec, raw)
+    assert got.score[1] == pytest.approx(1.0 / 0.25) and got.nll - plain.nll == pytest.approx(2.0)
+    sd = [i.sd for i in uncertainty.intervals(spec, raw, uncertainty.covariance(got.fisher, got.blocks))]
+    assert sd == pytest.approx([np.sqrt(1 / 200), 0.5], rel=1e-3)
+    assert plain.fisher[0, 0] == got.fisher[0, 0]
+
+
+def test_hessian_by_differences_of_the_gradient():
+    A = np.array([[2.0, 0.5], [0.5, 1.0]])
+    H = uncertainty.hessian(lambda r: A @ r["a"] + r["a"] ** 3, {"a": jnp.array([0.3, -0.2])})
+    np.testing.assert_allclose(H, A + np.diag([3 * 0.09, 3 * 0.04]), atol=1e-5)
+
+
+def test_ties_and_beliefs_in_a_spec():
+    class Leaves(NamedTuple):
+        scale: jax.Array
+        tau: jax.Array
+        other: jax.Array
+
+    start = Leaves(jnp.array([1.0, 4.0, 9.0]), jnp.array(5.0), jnp.array(7.0))
+    spec = {"scale": tied(LOG, (0, 0, 1)), "tau": tied(LOG, (), ("other",))}
+    raw = split(spec, start)
+    assert raw["scale"].shape == (2,) and raw["tau"].shape == ()
+    after = join(spec, raw, start)
+    np.testing.assert_allclose(after.scale, [2, 2, 9])  # the mean of logarithms
+    assert float(after.other) == float(after.tau) == pytest.approx(5.0)

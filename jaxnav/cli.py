@@ -1,4 +1,4 @@
-"""The command line: ``jaxnav demo | simulate | filter | tune | info | data``.
+"""The command line: ``jaxnav demo | simulate | filter | tune | allan | info | data``.
 
 Exit codes: 0 done, 1 a check failed (the filter stopped being finite), 2 usage or configuration, 3 data that cannot be
 used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and errors on stderr.
@@ -25,6 +25,7 @@ VERBS = {
     "simulate": "write a simulated recording and its truth",
     "filter": "run a filter over a recording: solution, metrics, figures",
     "tune": "tune a filter's parameters by gradient and show the gain on data kept aside",
+    "allan": "Allan deviation of a resting IMU: white noise, bias instability, random walk, Gauss-Markov",
     "info": "versions, devices, filters, data sets",
     "data": "list, fetch or check public data sets",
 }
@@ -73,7 +74,10 @@ def make_parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for verb, text in VERBS.items():
         sub = verbs.add_parser(verb, help=text, description=text, parents=[shared])
-        if verb in ("simulate", "filter", "tune"):
+        if verb == "allan":
+            sub.add_argument("--start", metavar="S", type=float, help="s, use the recording from here ([data] start)")
+            sub.add_argument("--stop", metavar="S", type=float, help="s, to here ([data] stop)")
+        if verb in ("simulate", "filter", "tune", "allan"):
             sub.add_argument("--data", metavar="NAME|PATH", help="scenario, data set or recording ([data] source)")
         if verb in ("filter", "tune", "demo"):
             sub.add_argument("--filter", metavar="NAME", help="see `jaxnav info` ([filter] name)")
@@ -114,6 +118,9 @@ def resolve(args: argparse.Namespace) -> configuration.Config:
         layers.append(("--seed", {"seed": args.seed}))
     if getattr(args, "data", None):
         layers.append(("--data", {"data": {"source": args.data}}))
+    span = {key: getattr(args, key) for key in ("start", "stop") if getattr(args, key, None) is not None}
+    if span:
+        layers.append(("--start, --stop", {"data": span}))
     if getattr(args, "filter", None):
         layers.append(("--filter", {"filter": {"name": args.filter}}))
     layers += [(f"--set {setting}", configuration.parse_set(setting)) for setting in args.set]
@@ -142,6 +149,10 @@ def _work(args: argparse.Namespace, config: configuration.Config, folder: Path) 
         from jaxnav.jobs import filtering
 
         return getattr(filtering, args.verb)(config, folder)
+    if args.verb == "allan":
+        from jaxnav.jobs import allan
+
+        return allan.allan(config, folder)
     from jaxnav.jobs import tune
 
     return tune.tune(config, folder, progress)

@@ -102,8 +102,24 @@ class Tune:
     objective: dict[str, float] = dataclasses.field(
         default_factory=lambda: {"log_drift": 1.0, "nll": 1.0}
     )  # name -> weight
+    frozen: tuple[str, ...] = ()  # taken out of ``free`` again
+    tied: tuple[str, ...] = ()  # one number for all axes
+    prior: dict[str, float] = dataclasses.field(default_factory=dict)  # name -> one sd about the datasheet: a factor
+    #   for what is positive (2 is "within a factor 2"), else in the parameter's own unit
+    over_runs: str = "mean"  # how runs are put together: mean, or tail (the worst ones)
+    tail: float = 0.25  # share of the runs that count as the worst; 0: the worst alone
+    method: str = "adam"  # adam, sgd, lbfgs; scoring, for the objective nll alone
     steps: int = 40
     rate: float = 0.1
+    warmup: float = 0.0  # share of the steps in which the rate rises
+    clip: float = 0.0  # largest gradient norm of one run; 0: none
+    patience: int = 0  # stop after so many steps without a better one; 0: never
+    starts: int = 1  # starting points side by side, the others drawn about the first
+    spread: float = 3.0  # factor that one sd of them is worth
+    redraw: bool = False  # new windows, or new simulated runs, at every step
+    more: tuple[str, ...] = ()  # further sources to tune on together, as [data] source
+    intervals: bool = True  # say how well the innovations determine what was tuned
+    posterior: int = 0  # draws from the posterior by NUTS, needs the extra `bayes`
     runs: int = 8  # simulated: for training
     validation_runs: int = 4
     test_runs: int = 8
@@ -173,6 +189,13 @@ LIMITS: dict[str, tuple[float, float]] = {
     "start.hypotheses": (2, 360),
     "tune.steps": (0, 1_000_000),
     "tune.rate": (1e-9, 10.0),
+    "tune.tail": (0.0, 1.0),
+    "tune.warmup": (0.0, 0.9),
+    "tune.clip": (0.0, 1e12),
+    "tune.patience": (0, 1_000_000),
+    "tune.starts": (1, 1000),
+    "tune.spread": (1.001, 1e3),
+    "tune.posterior": (0, 1_000_000),
     "tune.runs": (1, 1_000_000),
     "tune.validation_runs": (1, 1_000_000),
     "tune.test_runs": (1, 1_000_000),
@@ -260,10 +283,10 @@ def parse_set(setting: str) -> dict[str, Any]:
 
 
 def merge(a: Mapping[str, Any], b: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    """``b`` over ``a``, section by section; the objective is replaced as a whole."""
+    """``b`` over ``a``, section by section; objective and prior are replaced as a whole."""
     out = dict(a)
     for key, value in b.items():
-        deep = isinstance(value, Mapping) and isinstance(out.get(key), Mapping) and path + key != "tune.objective"
+        deep = isinstance(value, Mapping) and isinstance(out.get(key), Mapping) and path + key not in ("tune.objective", "tune.prior")
         out[key] = merge(out[key], value, f"{path}{key}.") if deep else value
     return out
 

@@ -71,8 +71,8 @@ READINGS: dict[str, tuple[Fault, ...]] = {
 """Ways to read the GNSS fault of Ansari et al. 2024, section 5 and Table 2."""
 
 CIRCLE = Scenario(
-    name="gpid_circle", duration_s=3600.0, imu_rate_hz=10.0, start_deg_m=(30.0, 50.0, 1000.0), motion=Circle(10.0, 126.0),
-    imu=ImuErrors("tactical", fixed_bias=True),
+    name="gpid_circle", duration_s=3600.0, imu_rate_hz=10.0, start_deg_m=(30.0, 50.0, 1000.0),
+    motion=Circle(10.0, 126.0), imu=ImuErrors("tactical", fixed_bias=True),
     gnss=Receiver(position_sd_m=(5.0, 5.0, 5.0), velocity_sd_mps=(0.1, 0.1, 0.1)),
     faults=READINGS["constant"],
     # what levelling and gyrocompassing with these sensors give
@@ -122,7 +122,14 @@ FWEKF = Scenario(
     start=Start((10.0, 10.0, 10.0), (0.2, 0.2, 0.2), prior_tilt_sd_deg=1.0, prior_heading_sd_deg=1.0),
 )  # fmt: skip
 _SIDEWAYS = (30.0, 30.0, 0.0)  # m, E and N
-_BIAS = {"gyro_bias_sd_deg_per_hour": 3e-4 / DEG_PER_HOUR, "accel_bias_sd_mg": 3e-3 / MG}
+
+
+def _biased(factor: float) -> ImuErrors:
+    """With constant biases as large as the noise of a sample, times a factor."""
+    gyro, accel = factor * 3e-4 / DEG_PER_HOUR, factor * 3e-3 / MG
+    return FWEKF.imu._replace(gyro_bias_sd_deg_per_hour=gyro, accel_bias_sd_mg=accel)
+
+
 _FWEKF = [
     FWEKF._replace(
         name="fwekf_noise_free", imu=FWEKF.imu._replace(imu_noise_factor=0.0),
@@ -133,8 +140,8 @@ _FWEKF = [
     FWEKF._replace(
         name="fwekf_attitude", start=FWEKF.start._replace(prior_tilt_sd_deg=5.0, prior_heading_sd_deg=5.0)
     ),
-    FWEKF._replace(name="fwekf_bias", imu=FWEKF.imu._replace(**_BIAS)),
-    FWEKF._replace(name="fwekf_bias_10", imu=FWEKF.imu._replace(**{k: 10 * v for k, v in _BIAS.items()})),
+    FWEKF._replace(name="fwekf_bias", imu=_biased(1.0)),
+    FWEKF._replace(name="fwekf_bias_10", imu=_biased(10.0)),
     FWEKF._replace(name="fwekf_burst", faults=(Burst(25.0, 32.0, 5.0),)),
 ]  # fmt: skip
 
@@ -146,7 +153,7 @@ SCENARIOS: dict[str, Scenario] = {
 
 def describe(scenario: Scenario) -> str:
     """The scenario in lines of ``field = value``, a line for every field of a group."""
-    lines = {}
+    lines: dict[str, Any] = {}
     for name, value in scenario._asdict().items():
         if hasattr(value, "_asdict"):
             kind = type(value).__name__

@@ -44,7 +44,7 @@ def sizes(scenario: Scenario) -> tuple[int, int]:
     if abs(E - round(E)) > 1e-9 or round(E) < 1:
         raise ValueError(f"duration_s must hold whole epochs of {1 / rate:g} s, got {scenario.duration_s:g}")
     if abs(before - round(before)) > 1e-9 or not 0 <= round(before) < round(E):
-        raise ValueError(f"alignment_s must hold whole epochs of {1 / rate:g} s and end before the run, got {aligned:g}")
+        raise ValueError(f"alignment_s must be whole epochs of {1 / rate:g} s and less than the run, got {aligned:g}")
     if scenario.start.calibrate_gyro and not aligned:
         raise ValueError("calibrate_gyro needs an alignment_s")
     if grade not in GRADES:
@@ -72,7 +72,7 @@ def perturb(key: jax.Array, nav: Nav, start: Start) -> Nav:
 
 
 def _align(nav: Nav, still: Imu, start: Start) -> Nav:
-    """Give a perturbed start what the samples (n, ...) of a standstill tell: roll, pitch and perhaps the gyro's bias."""
+    """Give a perturbed start what samples (n, ...) at rest tell: roll, pitch and, if wanted, the gyro's bias."""
     heading = rotations.to_rph(rotations.to_dcm(nav.q))[2]
     C = rotations.from_rph(jnp.stack([*alignment.levelled(still.accel.mean(0)), heading]))
     bias = still.gyro.mean(0) - C.T @ earth.earth_rate(nav.pos[0])
@@ -113,13 +113,14 @@ def simulate_shape(scenario: Scenario, shape: Shape, key: jax.Array) -> Simulate
 
     way = travel(shape, lla, dt, k, before + E, imu.sense, receiver.latency_s)
     flat = [a.reshape(-1, 3) for a in way.means]
-    samples, *biases = imu.corrupt(
+    samples, b_g, b_a = imu.corrupt(
         keys[SENSOR], Imu(jnp.full(flat[0].shape[0], dt, float), *flat), dt, GRADES[scenario.imu.grade], scenario.imu
     )
-    at_end = [b[k - 1 :: k] for b in biases]
-    zero = jnp.zeros(())
-    first = _nav(way.start, biases[0][0], biases[1][0], Origin(lla, zero, zero))
-    truth, seen = (jax.vmap(_nav, (0, 0, 0, None))(w, *at_end, first.origin) for w in (way.ends, way.late))
+    zero, ends = jnp.zeros(()), slice(k - 1, None, k)
+    first = _nav(way.start, b_g[0], b_a[0], Origin(lla, zero, zero))
+    truth, seen = (
+        jax.vmap(_nav, (0, 0, 0, None))(points, b_g[ends], b_a[ends], first.origin) for points in (way.ends, way.late)
+    )
 
     start = jax.tree.map(lambda a: a[before - 1], truth) if before else first
     start = start._replace(origin=Origin(start.pos, zero, start.t))

@@ -85,6 +85,71 @@ def test_outage_error_and_drift(info):
     ).all()
 
 
+def test_consistency_is_a_chi_square_value_of_one_degree_a_channel():
+    rng, n, runs = np.random.default_rng(1), 400, 300
+    S = np.diag([4.0, 0.25])
+
+    def score(nu):
+        info = made(nu, np.broadcast_to(S, (n, 2, 2)))
+        return objectives.consistency(info, jnp.ones(n, bool))
+
+    nu = rng.normal(size=(runs, n, 2)) * np.sqrt(np.diag(S))
+    scores = np.asarray(jax.vmap(score)(jnp.asarray(nu))) * n / 2 * 2  # two channels
+    assert scores.mean() == pytest.approx(2.0, rel=0.25) and scores.var() == pytest.approx(4.0, rel=0.5)
+    assert score(jnp.asarray(3 * nu[0])) == pytest.approx(np.log(9) ** 2, rel=0.1)
+    ratio, count = objectives.channel_nis(made(jnp.asarray(nu[0]), np.broadcast_to(S, (n, 2, 2))), jnp.arange(n) < 100)
+    np.testing.assert_allclose(ratio, (nu[0, :100] ** 2 / np.diag(S)).mean(0))
+    np.testing.assert_array_equal(count, [100, 100])
+
+
+def made(nu, S, valid=None):
+    valid = jnp.ones(nu.shape, bool) if valid is None else valid
+    empty = jnp.zeros(nu.shape[0])
+    return Info(empty, empty, empty, nu, jnp.asarray(S), nu, valid, valid, empty, jnp.ones(nu.shape[0], bool))
+
+
+def test_whiteness_of_white_and_of_an_autoregression():
+    rng, n = np.random.default_rng(2), 3000
+    e = rng.normal(size=n)
+    ar = np.zeros(n)
+    for i in range(1, n):
+        ar[i] = 0.6 * ar[i - 1] + e[i]
+    S = np.broadcast_to(np.eye(1) * 9, (n, 1, 1))
+    keep = jnp.ones(n, bool)
+    white, coloured = (objectives.whiteness(made(jnp.asarray(a)[:, None], S), keep) for a in (e, ar))
+    assert white == pytest.approx(1 / n, rel=1.5)
+    assert coloured == pytest.approx(np.mean(0.36 ** np.arange(1, 6)), rel=0.1)
+    half = jnp.asarray((np.arange(n) % 2 == 0)[:, None])  # every other epoch only: lags 2 and 4 are left
+    gaps = objectives.whiteness(made(jnp.where(half, jnp.asarray(ar)[:, None], 0.0), S, half), keep)
+    assert gaps == pytest.approx((0.36**2 + 0.36**4) / 5, rel=0.15)
+    g = jax.grad(lambda nu: objectives.whiteness(made(nu, S), keep))(jnp.zeros((n, 1)))
+    assert np.isfinite(g).all()
+
+
+def test_error_consistency_needs_errors_of_the_size_that_P_says():
+    rng, n = np.random.default_rng(3), 4000
+    A = rng.normal(size=(3, 3))
+    P = A @ A.T
+    error = rng.normal(size=(n, 3)) @ A.T
+    many = jnp.broadcast_to(jnp.asarray(P), (n, 3, 3))
+    keep = jnp.ones(n, bool)
+    assert objectives.error_consistency(jnp.asarray(error), many, keep) < 0.01
+    assert objectives.error_consistency(jnp.asarray(2 * error), many, keep) == pytest.approx(np.log(4) ** 2, rel=0.1)
+
+
+def test_tail_is_the_mean_of_the_worst():
+    values = jnp.array([3.0, 1.0, 10.0, 7.0, 5.0, 1e9])
+    weight = jnp.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])  # the last was set aside
+    assert objectives.tail(0.4)(values, weight) == pytest.approx((10 + 7) / 2)
+    assert objectives.tail(0.5)(values, weight) == pytest.approx((10 + 7 + 0.5 * 5) / 2.5)
+    assert objectives.tail(0.0)(values, weight) == 10.0
+    assert objectives.tail(1.0)(values, weight) == pytest.approx(26 / 5)
+    np.testing.assert_allclose(jax.grad(objectives.tail(0.4))(values, weight), [0, 0, 0.5, 0.5, 0, 0])
+    assert objectives.log_mean(values, weight) == pytest.approx(np.log(values[:5]).mean())
+    with pytest.raises(ValueError, match="share"):
+        objectives.tail(1.5)
+
+
 # ------------------------------------------------------------------------------------------------ training
 
 

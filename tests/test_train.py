@@ -9,8 +9,9 @@ import numpy as np
 import optax
 import pytest
 
+from tuning import optimizers
 from tuning.train import default_optimizer, fit
-from tuning.transforms import LOG, scaled
+from tuning.transforms import LOG, believed, scaled
 
 
 class Two(NamedTuple):
@@ -72,3 +73,85 @@ def test_ctrl_c_returns_the_best_so_far(monkeypatch):
     result = fit(bowl, SPEC, START, 150, default_optimizer(150, 0.1, 10.0), arguments=(jnp.array(2.0),))
     assert result.stopped == "interrupted at step 3" and len(result.history) == 3
     assert result.loss == min(row["loss"] for row in result.history)
+
+
+# ------------------------------------------------------------------------------------------------ runs
+
+
+def of_run(p, centre):
+    return jnp.log(p.width / centre) ** 2 + (p.shift + 0.2) ** 2 * 10
+
+
+RUNS = jnp.array([1.5, 2.0, 3.0])
+
+
+def test_a_run_that_fails_is_named_and_changes_no_other():
+    bad = jnp.array([1.5, jnp.nan, 2.0, 3.0])
+    explain = lambda p, i: f"stopped at t = {i} s, width {float(p.width):.1f}"  # noqa: E731
+    alone = fit(of_run, SPEC, START, 20, optax.adam(0.1), cases=[RUNS])
+    found = fit(of_run, SPEC, START, 20, optax.adam(0.1), cases=[bad], names=["a", "b", "c", "d"], explain=explain)
+    assert found.loss == alone.loss and found.params == alone.params
+    assert found.aside == ({"index": 1, "run": "b", "step": 0, "why": "stopped at t = 1 s, width 5.0"},)
+    assert all(row["failed"] == 1 for row in found.history) and alone.aside == ()
+
+
+def test_a_run_that_fails_later_is_left_out_and_no_better_for_it():
+    def edge(p, centre):  # the third run fails where the mean would be least
+        return jnp.where((centre > 2.5) & (p.width < 3.5), jnp.nan, of_run(p, centre))
+
+    found = fit(edge, SPEC, START, 40, optax.adam(0.1), cases=[RUNS])
+    assert float(found.params.width) >= 3.5 and len(found.aside) == 1 and found.aside[0]["run"] == "run 2"
+    assert np.isfinite(found.loss)
+
+
+def test_runs_of_several_groups_and_their_clip():
+    wide = lambda p, case: jnp.log(p.width / case[0]) ** 2 + 0 * case[1]  # noqa: E731
+    both = fit([of_run, wide], SPEC, START, 60, optax.adam(0.1), cases=[RUNS, (jnp.array([8.0]), jnp.zeros(1))])
+    assert float(both.params.width) == pytest.approx((1.5 * 2 * 3 * 8) ** 0.25, rel=2e-2)
+    steep = lambda p, a: a * p.shift  # noqa: E731
+    row = fit(steep, {"shift": scaled(1.0)}, START, 0, cases=[jnp.array([1e6, 0.5])], clip=1.0).history[0]
+    assert row["grad_norm"] == pytest.approx((1.0 + 0.5) / 2)
+
+
+def test_new_runs_at_every_step_and_the_same_after_a_stop(tmp_path):
+    draw = lambda step: [2.0 + jax.random.normal(jax.random.key(step), (4,), float) ** 2]  # noqa: E731
+    whole = fit(of_run, SPEC, START, 8, optax.adam(0.1), cases=draw)
+    fit(of_run, SPEC, START, 3, optax.adam(0.1), cases=draw, folder=tmp_path)
+    again = fit(of_run, SPEC, START, 8, optax.adam(0.1), cases=draw, folder=tmp_path, resume=True)
+    assert again.history == whole.history
+    assert len({row["loss"] for row in whole.history}) == 9
+
+
+def test_starts_side_by_side_find_the_better_valley():
+    double = lambda p: (p.shift**2 - 1) ** 2 + 0.3 * p.shift  # noqa: E731
+    spec = {"shift": scaled(1.0)}
+    one = fit(double, spec, START._replace(shift=jnp.array(0.8)), 40, optax.adam(0.1))
+    more = [START._replace(shift=jnp.array(s)) for s in (-0.7, 2.0)]
+    best = fit(double, spec, START._replace(shift=jnp.array(0.8)), 40, optax.adam(0.1), starts=more)
+    assert float(one.params.shift) > 0.8 and float(best.params.shift) == pytest.approx(-1.03, abs=0.05)
+    assert best.loss < one.loss and len(best.history[0]["losses"]) == 3
+    np.testing.assert_allclose(best.history[-1]["losses"][0], one.history[-1]["loss"], rtol=1e-9)
+
+
+def test_stops_when_nothing_gets_better():
+    found = fit(of_run, SPEC, START, 300, optax.adam(0.2), arguments=(jnp.array(2.0),), patience=10)
+    assert found.stopped == "no better for 10 steps" and len(found.history) < 300
+
+
+def test_lbfgs_needs_few_steps_and_keeps_out_of_what_fails():
+    def rosenbrock(p, shift):
+        return (1 - p.shift) ** 2 + 100 * (jnp.log(p.width) - p.shift**2) ** 2 + shift
+
+    spec = {"width": LOG, "shift": scaled(1.0)}
+    found = fit(rosenbrock, spec, START, 40, optimizers.lbfgs(40), cases=[jnp.zeros(2)])
+    assert found.loss < 1e-8
+    fenced = lambda p, s: jnp.where(p.shift > 0.9, jnp.nan, rosenbrock(p, s))  # noqa: E731
+    inside = fit(fenced, spec, START, 40, optimizers.lbfgs(40), cases=[jnp.zeros(2)])
+    assert np.isfinite(inside.loss) and inside.loss < 0.05
+
+
+def test_a_belief_pulls_towards_its_centre():
+    spec = {"width": believed(LOG, 4.0, 0.5)}
+    found = fit(lambda p: 2.0 * jnp.log(p.width) ** 2, spec, START, 100, optax.adam(0.1), believe=1.0)
+    # 2 r^2 + (r - log 4)^2 / 0.5 is least at a half of log 4
+    assert float(found.params.width) == pytest.approx(2.0, rel=1e-2)

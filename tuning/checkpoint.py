@@ -41,7 +41,8 @@ def save(path: str | os.PathLike[str], tree: Any, head: dict[str, Any], identity
     about = {"identity": identity, "tree": str(jax.tree.structure(tree)), "head": head}
     text = json.dumps(about | {"digest": _digest(about, leaves)}, sort_keys=True)
     buffer = io.BytesIO()
-    np.savez(buffer, about=np.frombuffer(text.encode(), np.uint8), **leaves)
+    arrays: dict[str, Any] = {"about": np.frombuffer(text.encode(), np.uint8)} | leaves
+    np.savez(buffer, **arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with open(temporary, "wb") as file:

@@ -1,4 +1,10 @@
-"""What tuning minimises: scalars of an `Info` (fields (E, ...)), smooth, finite, with data to leave out as masks."""
+"""What tuning minimises: scalars of an `Info` (fields (E, ...)), smooth, finite, with data to leave out as masks.
+
+Those of one run come first, and need no truth unless they say so; then what puts the scores of many runs together.
+"""
+
+from collections.abc import Callable
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -46,3 +52,81 @@ def drift(info: Info, ends: jax.Array, keep: jax.Array) -> jax.Array:
 def log_mean_drift(info: Info, ends: jax.Array, keep: jax.Array) -> jax.Array:
     """Mean log end-of-outage error over the windows where ``keep`` (W,): every window counts alike, not the worst."""
     return masked_mean(0.5 * jnp.log(outage_error(info, ends) ** 2 + 1e-2), keep)
+
+
+# ---------------------------------------------------------------------------- consistency
+
+
+def channel_nis(info: Info, keep: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Mean squared normalised innovation of each channel, (m,), 1 if consistent, and how many there were, (m,)."""
+    used = keep[:, None] & info.valid
+    square = info.nu**2 / jnp.diagonal(info.S, axis1=1, axis2=2)
+    count = used.sum(0)
+    return jnp.sum(jnp.where(used, square, 0.0), 0) / jnp.maximum(count, 1), count
+
+
+def consistency(info: Info, keep: jax.Array) -> jax.Array:
+    """Mean over channels of log² of the normalised innovation squared: 0 where all are consistent, ().
+
+    Times half the epochs it is near a chi-square value of one degree of freedom a channel, since the logarithm of a
+    mean of n such values has variance 2 / n. By itself it is bought by inflating R: use it beside a likelihood.
+    """
+    ratio, count = channel_nis(info, keep)
+    some = (count > 0) & (ratio > 0)
+    return masked_mean(jnp.log(jnp.where(some, ratio, 1.0)) ** 2, some)
+
+
+def whiteness(info: Info, keep: jax.Array, lags: int = 5) -> jax.Array:
+    """Mean squared autocorrelation of the normalised innovations over channels and lags, (): 1 / epochs if white.
+
+    Lags count epochs; pairs of which one has no measurement are left out.
+    """
+    used = keep[:, None] & info.valid
+    z = jnp.where(used, info.nu / jnp.sqrt(jnp.diagonal(info.S, axis1=1, axis2=2)), 0.0)
+    return masked_mean(_autocorrelation(z, used, lags) ** 2, jnp.broadcast_to(used.any(0), (lags, z.shape[1])))
+
+
+def _autocorrelation(z: jax.Array, used: jax.Array, lags: int) -> jax.Array:
+    """Of z (E, m), zero where not used, at lags 1 ..: (lags, m)."""
+    power = jnp.sum(z**2, 0) / jnp.maximum(used.sum(0), 1)
+    power = jnp.where(power > 0, power, 1.0)
+    pairs = [jnp.sum(used[d:] & used[:-d], 0) for d in range(1, lags + 1)]
+    products = [jnp.sum(z[d:] * z[:-d], 0) for d in range(1, lags + 1)]
+    return jnp.stack([a / (jnp.maximum(n, 1) * power) for a, n in zip(products, pairs, strict=True)])
+
+
+def error_consistency(error: jax.Array, P: jax.Array, keep: jax.Array) -> jax.Array:
+    """log² of the normalised estimation error squared per degree of freedom, 0 if consistent, (): needs the truth.
+
+    ``error`` (E, a) and the covariance ``P`` (E, a, a) that the filter states for it.
+    """
+    nees = masked_mean(jax.vmap(metrics.nees)(error, P), keep) / error.shape[1]
+    return jnp.log(jnp.where(nees > 0, nees, 1.0)) ** 2
+
+
+# ---------------------------------------------------------------------------- over runs
+
+
+@cache
+def tail(share: float) -> Callable[[jax.Array, jax.Array], jax.Array]:
+    """An aggregate: the mean over the worst ``share`` of the runs, CVaR; 0 is the worst run alone.
+
+    Of values (B,) with weights (B,); for `tuning.train.fit`. Runs of weight zero do not enter.
+    """
+    if not 0 <= share <= 1:
+        raise ValueError(f"the share of the worst runs must be in [0, 1], got {share}")
+
+    def aggregate(values: jax.Array, weight: jax.Array) -> jax.Array:
+        order = jnp.argsort(jnp.where(weight > 0, -values, jnp.inf))
+        w = weight[order]
+        most = jnp.maximum(share * w.sum(), w[0])
+        taken = jnp.clip(most - (jnp.cumsum(w) - w), 0.0, w)  # the last run enters in part
+        return jnp.sum(jax.lax.stop_gradient(taken) * values[order]) / most
+
+    return aggregate
+
+
+def log_mean(values: jax.Array, weight: jax.Array) -> jax.Array:
+    """An aggregate: mean of the logarithms of positive values, so that easy and hard scenarios count alike."""
+    some = weight > 0
+    return jnp.sum(jnp.where(some, weight * jnp.log(jnp.where(some, values, 1.0)), 0.0)) / weight.sum()

@@ -82,7 +82,7 @@ def fit(
     validation_arguments: tuple = (),
     progress: bool = False,
     *,
-    cases: Sequence[Any] | None = None,
+    cases: Sequence[Any] | Callable[[int], Sequence[Any]] | None = None,
     validation_cases: Sequence[Any] | None = None,
     names: Sequence[str] = (),
     explain: Callable[[Any, int], str] | None = None,
@@ -104,9 +104,11 @@ def fit(
 
     With ``cases``, a list of groups each with a leading axis of runs, the loss is of one run,
     ``loss(params, case, *arguments)`` (one for all groups, or a list of one a group), likewise the validation with
-    ``validation_cases``; the runs are put together by ``aggregate``. A run that is not finite is left out of the step
-    and named in `Fit.aside`; parameters that fail fewer runs are better than any that fail more. ``names`` are of the
-    runs of all groups; ``explain(params, run)`` says what went wrong.
+    ``validation_cases``. A function of the step that makes such a list draws new runs, noise or windows for every
+    step, of the same shapes and of the step's number alone, so that a resumed job sees the same. The runs are put
+    together by ``aggregate``. A run that is not finite is left out of the step and named in `Fit.aside`; parameters
+    that fail fewer runs are better than any that fail more. ``names`` are of the runs of all groups;
+    ``explain(params, run)`` says what went wrong.
 
     ``clip``: largest gradient norm of one run. ``believe``: weight of the spec's beliefs, 1 / (epochs) beside a
     likelihood per epoch. ``starts``: more starting parameters, searched side by side. ``patience``: stop after so many
@@ -117,7 +119,9 @@ def fit(
         ValueError: the loss of the start is not finite. CheckpointError: nothing usable to resume from.
     """
     optimizer = default_optimizer(steps) if optimizer is None else optimizer
-    train = _job(loss, spec, params, arguments, cases, aggregate, clip, believe, mesh)
+    drawn = cases if callable(cases) else None
+    first = drawn(0) if drawn is not None else cases
+    train = _job(loss, spec, params, arguments, first, aggregate, clip, believe, mesh)
     judge = train
     if validation is not None:
         judge = _job(validation, spec, params, validation_arguments, validation_cases, aggregate, None, believe, mesh)
@@ -134,6 +138,10 @@ def fit(
     bar = tqdm(total=steps + 1, initial=at.step, disable=None if progress else True, unit="step")
     try:
         while at.step <= steps:
+            if drawn is not None:
+                groups = tuple(distributed.share(group, mesh) for group in drawn(at.step))
+                train = (train[0], train[1]._replace(cases=groups))
+                judge = judge if validation is not None else train
             at = _advance(at, train, judge, validation is not None, optimizer, many, book, bar)
             if patience is not None and at.step - 1 - at.since >= patience:
                 stopped = f"no better for {patience} steps"

@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.special import ndtri, stdtrit
 
 from jaxnav.types import Info
-from tuning.transforms import Spec, labels
+from tuning.transforms import Spec, labels, penalty
 
 VAGUE = 1.0  # sd of an unconstrained number beyond which it is not determined: a factor e where it is a logarithm
 
@@ -78,12 +78,10 @@ def total(parts: Information) -> Information:
 
 def with_belief(info: Information, spec: Spec, raw: dict[str, jax.Array]) -> Information:
     """With the beliefs of the spec: the likelihood becomes a posterior density."""
-    from tuning.transforms import penalty
-
     flat, back = ravel_pytree(raw)
     value, slope = jax.value_and_grad(lambda r: penalty(spec, back(r)))(flat)
-    curve = jnp.concatenate([jnp.full(jnp.size(raw[n]), spec[n].belief.sd ** -2 if spec[n].belief else 0.0)
-                             for n in sorted(spec)])  # fmt: skip
+    stiff = [0.0 if (belief := spec[name].belief) is None else belief.sd**-2 for name in sorted(spec)]
+    curve = jnp.concatenate([jnp.full(jnp.size(raw[name]), k) for name, k in zip(sorted(spec), stiff, strict=True)])
     return Information(info.nll + value, info.score + slope, info.fisher + jnp.diag(curve), info.blocks)
 
 
@@ -129,8 +127,7 @@ def intervals(spec: Spec, raw: dict[str, jax.Array], cov: Covariance, level: flo
     The sandwich of K blocks takes Student's quantile of K - 1 degrees of freedom; with fewer than P + 10 blocks it is
     left out, since it is then too small more often than not.
     """
-    flat, _ = ravel_pytree(raw)
-    names, flat = labels(spec, raw), np.asarray(flat)
+    names, flat = labels(spec, raw), np.asarray(ravel_pytree(raw)[0])
     quantile = float(ndtri(0.5 + level / 2))
     half = quantile * np.sqrt(np.diag(cov.model))
     if cov.blocks >= flat.size + 10:

@@ -1,5 +1,6 @@
 """Filter parameters in a user's units, and names of what is free in tuning."""
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ from jaxnav.errors import ConfigError
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.measurements import Measurement
 from jaxnav.types import Params
-from tuning.transforms import LOG, TRANSFORMS, Spec, Transform, get, put, scaled
+from tuning.transforms import LOG, TRANSFORMS, Spec, Transform, believed, get, put, scaled, tied
 
 
 class Unit(NamedTuple):
@@ -20,29 +21,30 @@ class Unit(NamedTuple):
     factor: float  # user's unit in SI
     shape: tuple[int, ...]  # of one value an axis
     step: Transform = LOG  # for tuning
+    text: str = ""  # the user's unit in words; empty: a plain number
 
 
 UNITS: dict[str, Unit] = {
-    "gyro_deg_per_sqrt_hour": Unit("noise.gyro", units.DEG_PER_SQRT_HOUR, (3,)),
-    "accel_ug_per_sqrt_hz": Unit("noise.accel", units.UG, (3,)),
-    "gyro_bias_deg_per_hour_per_sqrt_s": Unit("noise.gyro_bias", units.DEG_PER_HOUR, (3,)),
-    "accel_bias_ug_per_sqrt_s": Unit("noise.accel_bias", units.UG, (3,)),
-    "gyro_tau_s": Unit("noise.gyro_tau", 1.0, (3,)),
-    "accel_tau_s": Unit("noise.accel_tau", 1.0, (3,)),
+    "gyro_deg_per_sqrt_hour": Unit("noise.gyro", units.DEG_PER_SQRT_HOUR, (3,), text="deg/sqrt(h)"),
+    "accel_ug_per_sqrt_hz": Unit("noise.accel", units.UG, (3,), text="ug/sqrt(Hz)"),
+    "gyro_bias_deg_per_hour_per_sqrt_s": Unit("noise.gyro_bias", units.DEG_PER_HOUR, (3,), text="deg/h/sqrt(s)"),
+    "accel_bias_ug_per_sqrt_s": Unit("noise.accel_bias", units.UG, (3,), text="ug/sqrt(s)"),
+    "gyro_tau_s": Unit("noise.gyro_tau", 1.0, (3,), text="s"),
+    "accel_tau_s": Unit("noise.accel_tau", 1.0, (3,), text="s"),
     "position_scale": Unit("noise.position_scale", 1.0, (3,)),
     "velocity_scale": Unit("noise.velocity_scale", 1.0, (3,)),
-    "zero_velocity_mps": Unit("noise.zero_velocity", 1.0, ()),
-    "zero_rate_deg_per_s": Unit("noise.zero_rate", units.DEG, ()),
-    "nonholonomic_mps": Unit("noise.nonholonomic", 1.0, (2,)),
+    "zero_velocity_mps": Unit("noise.zero_velocity", 1.0, (), text="m/s"),
+    "zero_rate_deg_per_s": Unit("noise.zero_rate", units.DEG, (), text="deg/s"),
+    "nonholonomic_mps": Unit("noise.nonholonomic", 1.0, (2,), text="m/s"),
     "speed_sd_scale": Unit("noise.speed", 1.0, ()),
-    "prior_gyro_bias_deg_per_hour": Unit("prior.gyro_bias", units.DEG_PER_HOUR, (3,)),
-    "prior_accel_bias_mg": Unit("prior.accel_bias", units.MG, (3,)),
-    "lever_arm_m": Unit("mounting.lever_arm", 1.0, (3,), scaled(0.2)),
-    "time_offset_s": Unit("mounting.time_offset", 1.0, (), scaled(0.1)),
-    "position_latency_s": Unit("mounting.position_latency", 1.0, (), scaled(0.1)),
-    "velocity_latency_s": Unit("mounting.velocity_latency", 1.0, (), scaled(0.1)),
-    "vehicle_deg": Unit("mounting.vehicle", units.DEG, (2,), scaled(1.0 * units.DEG)),
-    "wheel_arm_m": Unit("mounting.wheel_arm", 1.0, (3,), scaled(0.2)),
+    "prior_gyro_bias_deg_per_hour": Unit("prior.gyro_bias", units.DEG_PER_HOUR, (3,), text="deg/h"),
+    "prior_accel_bias_mg": Unit("prior.accel_bias", units.MG, (3,), text="mg"),
+    "lever_arm_m": Unit("mounting.lever_arm", 1.0, (3,), scaled(0.2), text="m"),
+    "time_offset_s": Unit("mounting.time_offset", 1.0, (), scaled(0.1), text="s"),
+    "position_latency_s": Unit("mounting.position_latency", 1.0, (), scaled(0.1), text="s"),
+    "velocity_latency_s": Unit("mounting.velocity_latency", 1.0, (), scaled(0.1), text="s"),
+    "vehicle_deg": Unit("mounting.vehicle", units.DEG, (2,), scaled(1.0 * units.DEG), text="deg"),
+    "wheel_arm_m": Unit("mounting.wheel_arm", 1.0, (3,), scaled(0.2), text="m"),
     "speed_scale": Unit("mounting.speed_scale", 1.0, (), scaled(0.02)),
     "ki": Unit("rule.ki", 1.0, ()),
     "kd": Unit("rule.kd", 1.0, ()),
@@ -112,17 +114,62 @@ def free_spec(free: tuple[str, ...], filter_name: str, measurements: tuple[Measu
     Raises:
         ConfigError: an unknown name, or nothing is free.
     """
-    short, spec = groups(filter_name, measurements), {}
-    for name in free:
-        leaves = short[name] if name in short else [UNITS[name].leaf if name in UNITS else name]
-        for leaf in leaves:
-            if leaf not in NAMES:
-                raise ConfigError(f"tune.free: no parameter {leaf}: {config.nearest(leaf, [*short, *NAMES])}")
-            tunable = FILTERS[filter_name].tunable
-            if leaf.startswith("rule.") and leaf.removeprefix("rule.") not in tunable:
-                raise ConfigError(f"tune.free: filter {filter_name} has no {leaf}")
-            rule = tunable.get(leaf.removeprefix("rule."))
-            spec[leaf] = TRANSFORMS[rule] if leaf.startswith("rule.") and rule else UNITS[NAMES[leaf]].step
+    spec = {}
+    for leaf in leaves_of("tune.free", free, filter_name, measurements):
+        tunable = FILTERS[filter_name].tunable
+        if leaf.startswith("rule.") and leaf.removeprefix("rule.") not in tunable:
+            raise ConfigError(f"tune.free: filter {filter_name} has no {leaf}")
+        rule = tunable.get(leaf.removeprefix("rule."))
+        spec[leaf] = TRANSFORMS[rule] if leaf.startswith("rule.") and rule else UNITS[NAMES[leaf]].step
     if not spec:
         raise ConfigError("tune.free: nothing is free")
     return spec
+
+
+def leaves_of(key: str, names: Iterable[str], filter_name: str, measurements: tuple[Measurement, ...]) -> list[str]:
+    """The dotted leaves that groups, leaves and keys of [params] name; ``key`` is the setting, for messages."""
+    short = groups(filter_name, measurements)
+    leaves: list[str] = []
+    for name in names:
+        for leaf in short[name] if name in short else [UNITS[name].leaf if name in UNITS else name]:
+            if leaf not in NAMES:
+                raise ConfigError(f"{key}: no parameter {leaf}: {config.nearest(leaf, [*short, *NAMES])}")
+            leaves.append(leaf)
+    return list(dict.fromkeys(leaves))
+
+
+def tune_spec(tune: config.Tune, filter_name: str, measurements: tuple[Measurement, ...], sheet: Params) -> Spec:
+    """What [tune] frees, with its ties, and its beliefs about the datasheet's values ``sheet``.
+
+    Raises:
+        ConfigError: a name that is unknown or not free, or an sd that is none.
+    """
+    which = lambda key, names: leaves_of(f"tune.{key}", names, filter_name, measurements)  # noqa: E731
+    frozen = set(which("frozen", tune.frozen))
+    spec = {k: v for k, v in free_spec(tune.free, filter_name, measurements).items() if k not in frozen}
+    if not spec:
+        raise ConfigError("tune.frozen: nothing is left free")
+    for leaf in which("tied", tune.tied):
+        if leaf in spec:
+            spec[leaf] = tied(spec[leaf])
+    for name, sd in tune.prior.items():
+        for leaf in which("prior", [name]):
+            if leaf in spec:
+                spec[leaf] = believed(spec[leaf], get(sheet, leaf), _sd(name, leaf, sd))
+    return spec
+
+
+def _sd(name: str, leaf: str, sd: float) -> float:
+    """One sd of a belief in the unconstrained space: a factor where the parameter is positive, else the user's unit."""
+    unit = UNITS[NAMES[leaf]]
+    positive = unit.step is LOG
+    if not sd > (1.0 if positive else 0.0):
+        what = "a factor above 1" if positive else "above 0"
+        raise ConfigError(f"tune.prior.{name}: one sd must be {what}, got {sd:g}")
+    return float(np.log(sd)) if positive else float(unit.step.inverse(jnp.asarray(sd * unit.factor)))
+
+
+def component(label: str) -> str:
+    """``noise.gyro[1]`` by the key of [params]: ``gyro_deg_per_sqrt_hour[1]``."""
+    leaf, bracket, index = label.partition("[")
+    return NAMES.get(leaf, leaf) + bracket + index

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxnav.epochs import TICK
 from jaxnav.sensors.processes import gauss_markov
@@ -67,8 +66,8 @@ class Burst(NamedTuple):
 Fault = Constant | Ramp | White | GaussMarkov | Burst
 
 
-def _size(position: Axes, velocity: Axes) -> np.ndarray:
-    return np.array([*position, *velocity], float)
+def _size(position: Axes, velocity: Axes) -> jax.Array:
+    return jnp.asarray([*position, *velocity], float)
 
 
 def _signs(key: jax.Array, random: bool) -> jax.Array | float:

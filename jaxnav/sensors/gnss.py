@@ -42,13 +42,12 @@ def antenna(nav: Nav, lever_arm: jax.Array) -> tuple[jax.Array, jax.Array]:
     return earth.move(nav.pos, arm), nav.vel + jnp.cross(turning, arm)
 
 
-def _noise(key: jax.Array, n: int, interval: float, receiver: Receiver) -> jax.Array:
-    """Noise and outliers of n fixes, (n, 6) ENU m and m/s; outliers not yet in the first, (noise, outliers)."""
-    sd = np.array([*receiver.position_sd_m, *receiver.velocity_sd_mps])
-    noise = jax.random.normal(key, (n, 6), float)
-    if receiver.correlated_share:
-        slow = gauss_markov(jax.random.normal(jax.random.fold_in(key, 1), (n, 6), float), interval, receiver.correlation_s)
-        noise = np.sqrt(1 - receiver.correlated_share) * noise + np.sqrt(receiver.correlated_share) * slow
+def _noise(key: jax.Array, n: int, interval: float, sd: jax.Array, receiver: Receiver) -> jax.Array:
+    """Noise and outliers of n fixes, (n, 6) ENU m and m/s."""
+    noise, share = jax.random.normal(key, (n, 6), float), receiver.correlated_share
+    if share:
+        slow = jax.random.normal(jax.random.fold_in(key, 1), (n, 6), float)
+        noise = np.sqrt(1 - share) * noise + np.sqrt(share) * gauss_markov(slow, interval, receiver.correlation_s)
     noise = receiver.gnss_noise_factor * sd * noise
     if receiver.outlier_probability:
         where, size = jax.random.split(jax.random.fold_in(key, 2))
@@ -75,13 +74,13 @@ def fixes(
         ValueError: a fault that is none.
     """
     lla, vel = jax.vmap(antenna, (0, None))(seen, jnp.asarray(receiver.lever_arm_m, float))
-    error = _noise(key, t.shape[0], interval, receiver)
+    sd = jnp.asarray([*receiver.position_sd_m, *receiver.velocity_sd_mps], float)
+    error = _noise(key, t.shape[0], interval, sd, receiver)
     error = error + fault.offsets(faults, jax.random.fold_in(key, 3), t, error)
     error = jnp.where(hidden[:, None], 0.0, error)
     value = jnp.concatenate([jax.vmap(earth.move)(lla, error[:, :3]), vel + error[:, 3:]], 1)
-    sd = jnp.asarray([*receiver.position_sd_m, *receiver.velocity_sd_mps], float)
-    sd = jnp.broadcast_to(sd, value.shape)
-    return Fix(value, sd, jnp.zeros_like(value), jnp.broadcast_to(~hidden[:, None], value.shape))
+    valid = jnp.broadcast_to(~hidden[:, None], value.shape)
+    return Fix(value, jnp.broadcast_to(sd, value.shape), jnp.zeros_like(value), valid)
 
 
 def inside(t: jax.Array, windows: jax.Array) -> jax.Array:

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 
 from jaxnav import earth, rotations, units
 from jaxnav.sensors.grades import Grade
@@ -58,9 +59,9 @@ def sense(point: Point) -> tuple[jax.Array, jax.Array]:
     return omega, C.T @ (accel + 2 * jnp.cross(SPIN, vel) + earth.gravity(point.lla[0], point.lla[2]) * up)
 
 
-def _pair(gyro: object, accel: object) -> np.ndarray:
-    """A size of the gyro and one of the accelerometer, in SI, against (2, 3)."""
-    return np.stack([np.broadcast_to(np.asarray(a, float), (3,)) for a in (gyro, accel)])
+def _pair(gyro: ArrayLike, accel: ArrayLike) -> jax.Array:
+    """A size of the gyro and one of the accelerometer, each one number or one an axis, as (2, 3)."""
+    return jnp.stack([jnp.broadcast_to(jnp.asarray(a, float), (3,)) for a in (gyro, accel)])
 
 
 def _biases(key: jax.Array, first: jax.Array, drift: jax.Array, dt: float, grade: Grade, e: ImuErrors) -> jax.Array:
@@ -77,7 +78,7 @@ def _biases(key: jax.Array, first: jax.Array, drift: jax.Array, dt: float, grade
 
 
 def _deform(key: jax.Array, factor: jax.Array, e: ImuErrors) -> jax.Array:
-    """Scale errors and angles between the axes as matrices, (2, 3, 3), from unit normal numbers (2, 3) for the first."""
+    """Scale errors and angles between axes as matrices, (2, 3, 3), from unit normal numbers (2, 3) for the scale."""
     angles = units.MRAD * _pair(e.gyro_misalignment_sd_mrad, e.accel_misalignment_sd_mrad)[..., None]
     apart = angles * jax.random.normal(jax.random.fold_in(key, 3), (2, 3, 3), float) * (1 - np.eye(3))
     scale = 1 + units.PPM * _pair(e.gyro_scale_sd_ppm, e.accel_scale_sd_ppm) * factor
@@ -86,16 +87,16 @@ def _deform(key: jax.Array, factor: jax.Array, e: ImuErrors) -> jax.Array:
 
 def _vibration(key: jax.Array, n: int, dt: float, e: ImuErrors) -> jax.Array:
     """Means over n samples of the sines, (n, 2, 3): at and above the sampling rate they are aliased, as in a sensor."""
-    amplitude = _pair(np.array(e.gyro_vibration_deg_per_s) * units.DEG, e.accel_vibration_mps2)
+    amplitude = _pair(np.array(e.gyro_vibration_deg_per_s) * units.DEG, np.array(e.accel_vibration_mps2))
     phase = 2 * np.pi * jax.random.uniform(jax.random.fold_in(key, 4), (2, 3), float)
     middle = dt * (np.arange(n)[:, None, None] + 0.5)
     return amplitude * np.sinc(e.vibration_hz * dt) * jnp.sin(2 * np.pi * e.vibration_hz * middle + phase)
 
 
-def _quantise(value: jax.Array, step: np.ndarray) -> jax.Array:
-    """To whole steps; the derivative is that of the value."""
-    size = np.where(step > 0, step, 1.0)
-    return value + np.where(step > 0, 1.0, 0.0) * lax.stop_gradient(size * jnp.round(value / size) - value)
+def _quantise(value: jax.Array, step: jax.Array) -> jax.Array:
+    """To whole steps, where they are not zero; the derivative is that of the value."""
+    size = jnp.where(step > 0, step, 1.0)
+    return value + jnp.where(step > 0, lax.stop_gradient(size * jnp.round(value / size) - value), 0.0)
 
 
 def corrupt(

@@ -65,9 +65,9 @@ def recorded(t: np.ndarray, lla: np.ndarray, sd_m: ArrayLike = 0.02, rph: np.nda
     t = t - t[0]
     lla = np.concatenate([lla[:, :1], np.unwrap(lla[:, 1:2], axis=0), lla[:, 2:]], 1)
     scale = np.asarray(earth.metres_per_radian(jnp.asarray(lla[0])))
-    sd = np.broadcast_to(np.asarray(sd_m, float).reshape(-1, 1) if np.ndim(sd_m) == 1 else sd_m, lla.shape)[:, [1, 0, 2]]
+    sd = np.maximum(np.broadcast_to(np.reshape(sd_m, (-1, 1)) if np.ndim(sd_m) == 1 else sd_m, lla.shape), 1e-6)
     metres = (lla - lla[0]) * scale  # N, E, U
-    fits = [BSpline(*splrep(t, metres[:, i], w=1 / np.maximum(sd[:, i], 1e-6), k=5, s=t.size)) for i in range(3)]
+    fits = [BSpline(*splrep(t, metres[:, i], w=1 / sd[:, j], k=5, s=t.size)) for i, j in enumerate((1, 0, 2))]
     speed = np.stack([fit.derivative()(t) for fit in fits], 1)
     attitude = from_scipy(_smooth(t, _along(t, speed) if rph is None else np.unwrap(np.asarray(rph, float), axis=0)))
     offsets = [from_scipy(fit) for fit in fits]
@@ -81,4 +81,5 @@ def recorded(t: np.ndarray, lla: np.ndarray, sd_m: ArrayLike = 0.02, rph: np.nda
         north, east, up = rate * earth.metres_per_radian(here)
         return Motion(jnp.stack([east, north, up]), attitude(t))
 
-    return Recorded(shape, (start[0] / DEG, start[1] / DEG, start[2]), float(t[-1]))
+    lat, lon, h = start.tolist()
+    return Recorded(shape, (lat / DEG, lon / DEG, h), float(t[-1]))

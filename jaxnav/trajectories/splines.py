@@ -1,11 +1,12 @@
 """Piecewise polynomials: made on the host by scipy, evaluated in jax."""
 
+import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import BSpline, PPoly
+from scipy.interpolate import BSpline
 
 
 class Spline(NamedTuple):
@@ -27,8 +28,8 @@ class Spline(NamedTuple):
 
 
 def from_scipy(spline: BSpline) -> Spline:
-    """A scipy B-spline with values (c,) as a table of polynomials."""
-    pieces = PPoly.from_spline(spline)
-    real = np.diff(pieces.x) > 0  # repeated knots at the ends are no pieces
-    c = pieces.c.reshape(*pieces.c.shape[:2], -1)[:, real]
-    return Spline(pieces.x[:-1][real], np.moveaxis(c, 1, 0), float(pieces.x[1:][real][-1]))
+    """A scipy B-spline with values (c,) or () as a table of polynomials: Taylor's at the start of every piece."""
+    inner = np.unique(spline.t[spline.k : spline.c.shape[0] + 1])
+    starts = inner[:-1]
+    taylor = [spline.derivative(d)(starts) / math.factorial(d) for d in range(spline.k, 0, -1)] + [spline(starts)]
+    return Spline(starts, np.stack([a.reshape(starts.size, -1) for a in taylor], 1), float(inner[-1]))

@@ -6,6 +6,8 @@ import sys
 NAMES = {
     "navego": "NaveGo's synthetic data against the figures of an independent filter",
     "drive": "a real drive: hidden GNSS windows, datasheet against tuned, held out",
+    "fwekf": "the FWEKF paper's launch: its figures, twelve cases by a dozen methods, rules tuned by gradient",
+    "gpid": "the GPID paper: its tables, figures and claim, against robust and tuned filters",
     "umn": "a fixed-wing flight from an unknown heading, against the onboard filter",
 }
 

@@ -7,202 +7,170 @@ the mean of its runs. The parameters of the tuned rules come from gradients on s
 the other cases they have seen nothing.
 """
 
+import argparse
+import json
 import math
-from functools import cache, partial
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common, fwekf_figures
-from jaxnav import earth, rotations
-from jaxnav.filters import adaptive, fuzzy, robust
-from jaxnav.filters.catalogue import FRAMES
-from jaxnav.filters.core import Filter, Rule, make_filter
-from jaxnav.filters.feedback import observer, poles
+from benchmarks.fwekf_study import (
+    CASES,
+    QUICK,
+    TRAIN,
+    UNSEEN,
+    Runs,
+    draw,
+    gradient_errors,
+    methods,
+    navigate_first,
+    navigator,
+    parameters,
+    scores,
+    tune,
+)  # fmt: skip
+from jaxnav.filters.core import Filter
 from jaxnav.filters.fuzzy_combined import combined_params, fuzzy_combined
-from jaxnav.filters.fwekf import fwekf, fwekf_params, limits, Fwekf
-from jaxnav.filters.kalman import kalman
-from jaxnav.run import run
-from jaxnav.scenarios import SCENARIOS
-from jaxnav.simulation import Simulated, matched_params, simulate
-from jaxnav.types import Params
-from tuning.cases import fit_cases
-from tuning.transforms import IDENTITY
+from jaxnav.filters.fwekf import fwekf, fwekf_params
 
-PRINTED = math.sqrt(0.001)  # "R in all sensors was selected as 0.001", read as a variance
-
-
-class Case(NamedTuple):
-    """A scenario, and the standard deviations that the filter is told."""
-
-    scenario: str
-    position_sd_m: float
-    velocity_sd_mps: float
-    what: str
-
-
-CASES = {
-    "C1": Case("fwekf_noise_free", PRINTED, PRINTED, "the paper's first: no noise, R = 0.001"),
-    "C2": Case("fwekf", PRINTED, PRINTED, "the paper's second: noise, R = 0.001"),
-    "C2m": Case("fwekf", 10.0, 0.2, "noise, R matched"),
-    "C3": Case("fwekf", 100.0, 2.0, "R a hundred times too large"),
-    "C4": Case("fwekf_jump", 10.0, 0.2, "fixes 30 m off east and north for 3 s"),
-    "C4b": Case("fwekf_jump", PRINTED, PRINTED, "the same, R = 0.001"),
-    "C4c": Case("fwekf_step", 10.0, 0.2, "fixes 30 m off from 30 s on"),
-    "C5": Case("fwekf_attitude", 10.0, 0.2, "start 5 deg off, told 1 deg"),
-    "C5b": Case("fwekf_attitude", PRINTED, PRINTED, "the same, R = 0.001"),
-    "C6": Case("fwekf_bias", 10.0, 0.2, "IMU biases of 3e-4 rad/s and 3e-3 m/s^2"),
-    "C6b": Case("fwekf_bias_10", 10.0, 0.2, "ten times these"),
-    "C7": Case("fwekf_burst", 10.0, 0.2, "noise of the fixes times five for 7 s"),
+TUNED = Path(__file__).with_name("fwekf_tuned.json")  # what a full run found
+PAPER = {"position_below_0.005_m_s": 10.0, "velocity_below_0.02_mps_s": 10.0, "position_with_noise_after_20_s_m": 0.5}
+RECIPES = {  # name -> rule, parameters to start from, the systems that are tuned
+    "fwekf_0.9_tuned": (fwekf, lambda: fwekf_params(0.9), ("system",)),
+    "fwekf_1.0_tuned": (fwekf, lambda: fwekf_params(1.0), ("system",)),
+    "fuzzy_combined_tuned": (fuzzy_combined, combined_params, ("fade", "adapt")),
 }
-TRAIN = ("C2", "C2m", "C3", "C4", "C6b", "C7")
-UNSEEN = ("C4b", "C4c", "C5", "C5b", "C6")  # case types that no tuning saw
-QUICK = ("C2", "C2m", "C3", "C4", "C4b")
-PAPER_CLAIMS = {"position_5mm_s": 10.0, "velocity_20mmps_s": 10.0, "position_with_noise_m": 0.5}
-MOVING = slice(200, None)  # epochs after the alignment
-ONE = ((0,),)  # the table of a constant weight
+SHOWN = ("ekf", "fwekf_hand", "fwekf_1.0_tuned")  # in the figures
 
 
-class Runs(NamedTuple):
-    """One case: what a filter gets and what it is judged by, (S, ...), and the sd it is told."""
-
-    sim: Simulated
-    position_sd: jax.Array  # ()
-    velocity_sd: jax.Array  # ()
+def geomean(cases: dict[str, dict[str, float]], names: tuple[str, ...]) -> dict[str, float]:
+    """Geometric mean over the named cases that were run, for each method."""
+    chosen = [cases[name] for name in names if name in cases]
+    return {m: float(np.exp(np.mean([np.log(row[m]) for row in chosen]))) for m in chosen[0]}
 
 
-class Errors(NamedTuple):
-    """Of the corrected INS unless it says filter; ENU, (E, 3)."""
+def paired(per_seed: dict[str, dict[str, list[float]]], to: str = "ekf") -> dict:
+    """For each case and method the geometric mean factor by which it beats ``to``, and its standard error."""
 
-    position: jax.Array  # m
-    velocity: jax.Array  # m/s
-    attitude: jax.Array  # rad
-    filter_position: jax.Array  # m
+    def factor(row, method):
+        d = np.log(row[to]) - np.log(row[method])
+        return {"factor": float(np.exp(d.mean())), "se": float(np.exp(d.mean()) * d.std(ddof=1) / math.sqrt(d.size))}
 
-
-@cache
-def _simulator(scenario: str):
-    return jax.jit(jax.vmap(partial(simulate, SCENARIOS[scenario])))
+    return {case: {m: factor(row, m) for m in row if m != to} for case, row in per_seed.items()}
 
 
-def draw(names: tuple[str, ...], key: jax.Array, runs: int) -> dict[str, Runs]:
-    """``runs`` runs of each case; cases of one scenario share them, and all scenarios share their noise."""
-    keys = jax.random.split(key, runs)
-    made = {s: _simulator(s)(keys) for s in {CASES[name].scenario for name in names}}
-    told = lambda name: (jnp.asarray(sd, float) for sd in CASES[name][1:3])  # noqa: E731
-    return {name: Runs(made[CASES[name].scenario], *told(name)) for name in names}
+def settles(size: np.ndarray, t: np.ndarray, bound: float) -> float:
+    """Time from which on the error stays below a bound, s; inf if never."""
+    above = np.flatnonzero(size >= bound)
+    if above.size == 0:
+        return float(t[0])
+    return float(t[above[-1] + 1]) if above[-1] + 1 < t.size else math.inf
 
 
-@cache
-def navigator(rule: Rule, n_states: int = 9) -> Filter:
-    """The paper's strapdown and observer around a rule."""
-    frame = FRAMES["inertial"]
-    return make_filter(frame.propagate, frame.error_model(n_states), rule, observer, 10)
+def convergence(test: dict[str, Runs], found: dict[str, tuple[Filter, Any]]) -> dict:
+    """What the paper's text says of convergence, for the noise-free case by the plain filter and by the weighted."""
+    result = {}
+    for method in ("ekf", "fwekf_hand"):
+        filt, theta = found[method]
+        e, _ = navigate_first(test["C1"], filt, theta)
+        t = np.asarray(test["C1"].sim.truth.t[0])
+        position, velocity = (np.linalg.norm(v, axis=1) for v in (e.position, e.velocity))
+        result[method] = {
+            "velocity_below_0.02_mps_from_s": settles(velocity, t, 0.02),
+            "position_below_0.005_m_from_s": settles(position, t, 0.005),
+            "position_at_10_s_m": float(position[99]), "velocity_at_10_s_mps": float(velocity[99]),
+        }  # fmt: skip
+    return result | {"paper": PAPER}
 
 
-def parameters(theta: Any) -> Params:
-    """Noise and prior are those of the launch without faults, in every case; the observer's poles are at 1 s."""
-    return matched_params(SCENARIOS["fwekf"], theta, poles())
+def tune_all(key: jax.Array, runs: int, steps: int, progress: bool) -> tuple[dict[str, Any], dict[str, list[float]]]:
+    """The tuned rules and the histories of their losses, on ``runs`` runs of each training case."""
+    train = draw(TRAIN, jax.random.fold_in(key, 0), runs)
+    tuned, losses = {}, {}
+    for i, (name, (rule, start, systems)) in enumerate(RECIPES.items()):
+        own = jax.random.fold_in(key, i + 2)
+        tuned[name], losses[name] = tune(navigator(rule()), start(), systems, train, own, steps, progress)
+    return tuned, losses
 
 
-def told(params: Params, runs: Runs) -> Params:
-    """The parameters with what the filter is told of the fixes."""
-    true = SCENARIOS["fwekf"].gnss
-    scales = runs.position_sd / true.position_sd_m[0], runs.velocity_sd / true.velocity_sd_mps[0]
-    return params._replace(noise=params.noise._replace(position_scale=scales[0], velocity_scale=scales[1]))
+def stored() -> dict[str, Any]:
+    """The tuned rules that a full run found, from the file beside this one."""
+    raw = json.loads(TUNED.read_text())
+    return {name: plain_tree(start(), raw[name]) for name, (_, start, _) in RECIPES.items()}
 
 
-def navigate(filt: Filter, params: Params, sim: Simulated) -> tuple[Errors, jax.Array]:
-    """Errors of one run, and R's factor or the weight if the rule reports one: the innovations (E, m)."""
-    info = run(filt, params, sim.initial, sim.epochs)
-    left = info.x
-    filter_position = jax.vmap(earth.enu_difference)(info.nav.pos, sim.truth.pos)
-    q = jax.vmap(lambda x, q, true: rotations.multiply(rotations.multiply(rotations.exp(x), q), rotations.conjugate(true)))(
-        left[:, 6:9], info.nav.q, sim.truth.q
-    )
-    velocity = info.nav.vel + left[:, 3:6] - sim.truth.vel
-    return Errors(filter_position + left[:, :3], velocity, jax.vmap(rotations.log)(q), filter_position), info.nu
+def plain_tree(like: Any, raw: Any) -> Any:
+    """A tree like ``like`` from nested dicts of numbers."""
+    if hasattr(like, "_fields"):
+        return type(like)(*(plain_tree(getattr(like, f), raw[f]) for f in like._fields))
+    return jnp.asarray(raw, float)
 
 
-def rms(position: jax.Array) -> jax.Array:
-    """Root mean square of the 3-D position error (E, 3) over the motion, m."""
-    return jnp.sqrt(jnp.mean(jnp.sum(position[MOVING] ** 2, axis=1)))
+def as_dict(theta: Any) -> Any:
+    """The reverse."""
+    if hasattr(theta, "_fields"):
+        return {f: as_dict(getattr(theta, f)) for f in theta._fields}
+    return np.asarray(theta).tolist()
 
 
-@partial(jax.jit, static_argnums=0)
-def scores(filt: Filter, params: Params, runs: Runs) -> jax.Array:
-    """RMS of each run, corrected INS and filter, (S, 2) m."""
-
-    def one(sim):
-        e = navigate(filt, told(params, runs), sim)[0]
-        return jnp.stack([rms(e.position), rms(e.filter_position)])
-
-    return jax.vmap(one)(runs.sim)
-
-
-navigate_jit = jax.jit(navigate, static_argnums=0)
+def evaluate(test: dict[str, Runs], table: dict[str, tuple[Filter, Any]]) -> tuple[dict, dict]:
+    """Per case and method the RMS of every run, of the corrected INS and of the filter."""
+    both: tuple[dict, dict] = ({}, {})
+    for case, runs in test.items():
+        found = {m: np.asarray(scores(filt, parameters(theta), runs)) for m, (filt, theta) in table.items()}
+        for i, result in enumerate(both):
+            result[case] = {m: v[:, i].tolist() for m, v in found.items()}
+    return both
 
 
-@cache
-def objective(filt: Filter, runs: int):
-    """Mean over ``runs`` runs, chosen by the key, of log RMS."""
-
-    def loss(params: Params, case: Runs, key: jax.Array) -> jax.Array:
-        count = case.sim.hidden.shape[0]
-        chosen = jax.random.choice(key, count, (min(runs, count),), replace=False)
-        some = jax.tree.map(lambda a: a[chosen], case.sim)
-        one = lambda sim: jnp.log(rms(navigate(filt, told(params, case), sim)[0].position))  # noqa: E731
-        return jnp.mean(jax.vmap(one)(some))
-
-    return loss
+def show(cases: dict[str, dict[str, float]], extra: dict[str, dict[str, float]]) -> None:
+    """The table of methods by cases."""
+    names = list(cases)
+    print(f"{'':22}" + "".join(f"{n:>8}" for n in names) + "".join(f"{k:>10}" for k in extra))
+    for method in cases[names[0]]:
+        row = "".join(f"{cases[n][method]:8.3f}" for n in names) + "".join(f"{v[method]:10.3f}" for v in extra.values())
+        print(f"{method:22}{row}")
 
 
-def leaves(*systems: str) -> dict:
-    """The spec that frees the memberships and consequents of these systems."""
-    return {f"rule.{s}.{leaf}": IDENTITY for s in systems for leaf in ("centres", "widths", "consequents")}
+def options() -> argparse.ArgumentParser:
+    """The options of this benchmark."""
+    parser = common.options("fwekf", __doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="5 cases, 8 runs each, stored parameters, no figures")
+    parser.add_argument("--seed", type=int, default=0, help="of all runs (default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=140, help="of tuning; 0 takes the stored parameters")
+    parser.add_argument("--progress", action="store_true", help="show the tuning's progress")
+    parser.add_argument("--figures", type=Path, metavar="DIR", help="folder for figures (default: beside the JSON)")
+    return parser
 
 
-def tune(filt: Filter, theta: Any, systems: tuple[str, ...], train: dict[str, Runs], key, steps: int, progress: bool):
-    """The rule's parameters after ``steps`` steps on the training cases, and the history of the loss."""
-    cases = jax.tree.map(lambda *a: jnp.stack(a), *train.values())
-    fit = fit_cases(
-        objective(filt, 8), leaves(*systems), parameters(theta), cases, key, steps,
-        validation=objective(filt, 16), every=20, progress=progress,
-    )  # fmt: skip
-    return fit.params.rule, [row["loss"] for row in fit.history]
-
-
-def constant(a: float) -> Fwekf:
-    """A weight that never changes."""
-    system = fuzzy.system(((0.0,), (0.0,)), ((1.0,), (1.0,)), (1.5,), (1.0, 2.0))
-    return Fwekf(system._replace(bounds=jnp.asarray((a, a), float)), limits())
-
-
-def methods(tuned: dict[str, Any], quick: bool) -> dict[str, tuple[Filter, Any]]:
-    """Name -> filter and the parameters of its rule."""
-    weighted, plain = navigator(fwekf()), kalman()
-    table = {
-        "ekf": (navigator(plain), ()),
-        "fwekf_hand": (weighted, fwekf_params()),
-        "fwekf_0.9_hand": (weighted, fwekf_params(0.9)),
-        "fwekf_0.9_tuned": (weighted, tuned["fwekf_0.9_tuned"]),
-        "fwekf_1.0_tuned": (weighted, tuned["fwekf_1.0_tuned"]),
-        "fuzzy_combined_hand": (navigator(fuzzy_combined()), combined_params()),
-        "fuzzy_combined_tuned": (navigator(fuzzy_combined()), tuned["fuzzy_combined_tuned"]),
-    }
-    if quick:
-        return table
-    best = tuned["fwekf_1.0_tuned"]
-    return table | {
-        "fixed_1.02": (navigator(fwekf(50, ONE)), constant(1.02)),
-        "fixed_1.005": (navigator(fwekf(50, ONE)), constant(1.005)),
-        "sage_husa": (navigator(adaptive.sage_husa(plain)), adaptive.sage_husa_params(floor=1e-3)),
-        "iae": (navigator(adaptive.iae(plain)), adaptive.iae_params(floor=1e-3)),
-        "gate": (navigator(robust.gate(plain)), robust.gate_params(timeout=5.0)),
-        "huber": (navigator(robust.huber(plain)), robust.huber_params()),
-        "sage_husa+fwekf": (navigator(adaptive.sage_husa(fwekf())), adaptive.sage_husa_params(floor=1e-3, rule=best)),
-        "iae+fwekf": (navigator(adaptive.iae(fwekf())), adaptive.iae_params(floor=1e-3, rule=best)),
-        "gate+fwekf": (navigator(robust.gate(fwekf())), robust.gate_params(timeout=5.0, rule=best)),
-    }
+def main(argv: list[str]) -> None:
+    """Print the table, write the JSON and the figures."""
+    args = options().parse_args(argv)
+    key = jax.random.key(args.seed)
+    steps = 0 if args.quick else args.steps
+    tuned, losses = tune_all(key, 64, steps, args.progress) if steps else (stored(), {})
+    test = draw(QUICK if args.quick else tuple(CASES), jax.random.fold_in(key, 1), 8 if args.quick else 64)
+    table = methods(tuned, args.quick)
+    per_seed, per_seed_filter = evaluate(test, table)
+    mean = lambda runs: {c: {m: float(np.mean(v)) for m, v in row.items()} for c, row in runs.items()}  # noqa: E731
+    cases = mean(per_seed)
+    groups = {"geomean_train": geomean(cases, TRAIN), "geomean_unseen": geomean(cases, UNSEEN)}
+    print("RMS of position over the motion, corrected INS, m")
+    show(cases, groups)
+    result = {"seed": args.seed, "quick": args.quick, "description": {n: CASES[n]._asdict() for n in test}}
+    result |= {"cases": cases, **groups, "paired_to_ekf": paired(per_seed), "cases_filter": mean(per_seed_filter)}
+    result |= {"per_seed": per_seed, "per_seed_filter": per_seed_filter, "loss": losses}
+    result |= {"tuned": {name: as_dict(theta) for name, theta in tuned.items()}}
+    if not args.quick:
+        result |= {"convergence": convergence(test, table), "gradient_rel_error": gradient_errors(test)}
+        for name in ("convergence", "gradient_rel_error"):
+            print(name, json.dumps(result[name], indent=1))
+        folder = args.figures or (args.json.with_suffix("") if args.json else None)
+        if folder:
+            data = {c: {m: navigate_first(test[c], *table[m]) for m in SHOWN} for c in ("C1", "C2", "C2m")}
+            result["figures"] = fwekf_figures.draw(folder, test["C1"].sim, data, tuned)
+    common.write_json(args.json, result)

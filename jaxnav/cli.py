@@ -7,6 +7,7 @@ used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and
 import argparse
 import os
 import sys
+import tempfile
 import traceback
 from collections.abc import Sequence
 from importlib import metadata
@@ -82,6 +83,12 @@ def make_parser() -> argparse.ArgumentParser:
         if verb in ("filter", "tune", "demo"):
             sub.add_argument("--filter", metavar="NAME", help="see `jaxnav info` ([filter] name)")
             sub.add_argument("--params", metavar="FILE", help="[params] of this file, such as an earlier tuned.toml")
+        if verb == "tune":
+            sub.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out, bit for bit")
+            sub.add_argument("--devices", metavar="N", type=int, default=1, help="share runs among N, 0: all there")
+            sub.add_argument("--coordinator", metavar="HOST:PORT", help="of several processes, private networks only")
+            sub.add_argument("--processes", metavar="N", type=int, help="how many; under Slurm or MPI all is found")
+            sub.add_argument("--process", metavar="I", type=int, help="number of this one, from 0")
         if verb == "data":
             sub.add_argument("action", choices=("list", "fetch", "check"))
             sub.add_argument("name", nargs="?", help="of the data set; check also takes a path")
@@ -93,14 +100,18 @@ def _main(args: argparse.Namespace) -> int:
     if args.verb == "data" and args.action != "list" and not args.name:
         raise ConfigError(f"data {args.action} needs the name of a data set")
     if args.verb != "data" or args.action == "check":
-        _start_jax()
+        _start_jax(args)
     if args.verb in ("info", "data"):
         return _report(args, _look(args), None)
     from jaxnav.jobs import results
 
     out = args.out or Path("out") / args.verb
+    if not _first():  # of several processes one writes
+        with tempfile.TemporaryDirectory() as folder:
+            _work(args, config, Path(folder), out)
+        return 0
     with results.staged(out) as folder:
-        outcome = _work(args, config, folder)
+        outcome = _work(args, config, folder, out)
         results.write_run(folder, args.verb, config, outcome)
     return _report(args, outcome, out)
 
@@ -143,8 +154,8 @@ def _look(args: argparse.Namespace) -> "Outcome":
     return info.info(cache_dir())
 
 
-def _work(args: argparse.Namespace, config: configuration.Config, folder: Path) -> "Outcome":
-    progress = not (args.quiet or args.json)
+def _work(args: argparse.Namespace, config: configuration.Config, folder: Path, out: Path) -> "Outcome":
+    progress = not (args.quiet or args.json) and _first()
     if args.verb in ("simulate", "filter"):
         from jaxnav.jobs import filtering
 
@@ -153,9 +164,19 @@ def _work(args: argparse.Namespace, config: configuration.Config, folder: Path) 
         from jaxnav.jobs import allan
 
         return allan.allan(config, folder)
+    import jax
+
     from jaxnav.jobs import tune
 
-    return tune.tune(config, folder, progress)
+    devices = 0 if jax.process_count() > 1 else getattr(args, "devices", 1)
+    return tune.tune(config, folder, progress, tune.Long(out / "checkpoint", getattr(args, "resume", False), devices))
+
+
+def _first() -> bool:
+    """Is this the only process, or number 0?"""
+    import jax
+
+    return jax.process_index() == 0
 
 
 def _report(args: argparse.Namespace, outcome: "Outcome", out: Path | None) -> int:
@@ -196,13 +217,19 @@ def cache_dir() -> str | None:
     return str(home / "jaxnav" / "compiled")
 
 
-def _start_jax() -> None:
-    """Float64, and compiled programs kept for the next start."""
+def _start_jax(args: argparse.Namespace) -> None:
+    """Float64, compiled programs kept for the next start, and the devices and processes that tuning asks for."""
     import jax
 
     from jaxnav.run import enable_x64
 
     enable_x64()
+    if args.verb == "tune":
+        from tuning import distributed
+
+        if args.devices > 1 and args.processes is None:
+            distributed.use_cpu_devices(args.devices)
+        distributed.start(args.coordinator, args.processes, args.process)
     folder = cache_dir()
     if folder:
         jax.config.update("jax_compilation_cache_dir", folder)

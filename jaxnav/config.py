@@ -286,7 +286,8 @@ def merge(a: Mapping[str, Any], b: Mapping[str, Any], path: str = "") -> dict[st
     """``b`` over ``a``, section by section; objective and prior are replaced as a whole."""
     out = dict(a)
     for key, value in b.items():
-        deep = isinstance(value, Mapping) and isinstance(out.get(key), Mapping) and path + key not in ("tune.objective", "tune.prior")
+        whole = path + key in ("tune.objective", "tune.prior")
+        deep = isinstance(value, Mapping) and isinstance(out.get(key), Mapping) and not whole
         out[key] = merge(out[key], value, f"{path}{key}.") if deep else value
     return out
 

@@ -23,6 +23,8 @@ TINY = [
     "tune.test_runs=2",
     "--set",
     "tune.steps=1",
+    "--set",
+    "tune.intervals=false",
     "--filter",
     "kf9_simple",
 ]
@@ -195,7 +197,7 @@ def test_absent_data_and_fetched_data_exit_3(monkeypatch, tmp_path, capsys):
 
 
 def test_float32_exits_3(drive, monkeypatch, capsys):
-    monkeypatch.setattr(cli, "_start_jax", lambda: None)
+    monkeypatch.setattr(cli, "_start_jax", lambda args: None)
     with jax.enable_x64(False):
         fails(capsys, ["filter", "--data", str(drive)], 3, "float64", "float32")
 
@@ -273,7 +275,7 @@ def test_tune_scenario_then_filter_with_its_parameters(capsys):
 
 
 def test_ctrl_c_in_tuning_keeps_the_best(monkeypatch, capsys):
-    def interrupted(loss, spec, params, *rest):
+    def interrupted(loss, spec, params, *rest, **more):
         row = {"step": 0, "loss": 1.0, "grad_norm": 1.0, "params": {"noise.gyro": 1e-4}}
         return tune.Fit(params, 1.0, [row], "interrupted at step 1")
 

@@ -30,11 +30,11 @@ def constant(a):
 
 @pytest.fixture(scope="module")
 def solve(case):
-    """Run a rule on the shared drive with 9 states and the observer, in the inertial frame."""
+    """Run a rule on the shared drive with 9 states and the observer, in the frame that compiles soonest."""
 
-    def make(rule, n=9):
-        model = FRAMES["inertial"].error_model(n)
-        filt = make_filter(FRAMES["inertial"].propagate, model, rule, observer, 20)
+    def make(rule):
+        frame = FRAMES["local_level"]
+        filt = make_filter(frame.propagate, frame.error_model(9), rule, observer, 20)
         params = case.params._replace(feedback=poles())
         return jax.jit(lambda theta: run(filt, params._replace(rule=theta), case.nav, case.packed.epochs))
 
@@ -121,9 +121,11 @@ def test_inputs_see_a_bias_and_a_size():
     rng = np.random.default_rng(2)
     expected = np.sqrt(np.linspace(1.0, 2.0, 9)[:6] ** 2 + 1)  # of the residuals, see `innovation`
     inputs = jax.jit(fwekf.inputs)
+    _, z = window_of(np.ones((1, 6)))
     for n in (20, 50):
-        white = [inputs(*window_of(expected * rng.normal(size=(n, 6)), n=n)) for _ in range(4)]
-        np.testing.assert_allclose(np.mean(white, 0), [1 / np.sqrt(n), np.log10(2)], rtol=0.15)
+        white = jnp.asarray(expected * rng.normal(size=(200, n, 6)))
+        x = jax.vmap(lambda r, n=n: inputs(fwekf.Window(r, jnp.ones((n, 6), bool)), z))(white)
+        np.testing.assert_allclose([np.sqrt((x[:, 0] ** 2).mean()), x[:, 1].mean()], [n**-0.5, np.log10(2)], rtol=0.04)
     np.testing.assert_allclose(inputs(*window_of(np.tile(3 * expected, (9, 1)))), [1, 1], rtol=1e-6)  # log10(1 + 9)
     np.testing.assert_allclose(inputs(*window_of(np.tile(1e9 * expected, (9, 1)))), [1, 6], rtol=1e-6)
     quiet = inputs(*window_of(np.zeros((3, 6))))
@@ -133,10 +135,10 @@ def test_inputs_see_a_bias_and_a_size():
 def test_fading_ends_at_the_limit_and_nowhere_jumps():
     limit, fading = fwekf.limits(), jax.jit(fwekf.fading)
     top = np.asarray(prior_sd(limit, 15))
-    for a in (1.001, 1.2, 2.0):
-        start = np.logspace(-6, 0.5, 15)
+    for a in (1.01, 1.2, 2.0):
+        start = np.logspace(-3, 0.5, 15)
         sd = top * start
-        for _ in range(3000):
+        for _ in range(1000):
             sd = sd * np.asarray(fading(limit, jnp.asarray(a), jnp.diag(sd**2)))
         below = start < 1
         assert (sd[below] <= top[below]).all() and (sd > 0.5 * top).all()
@@ -182,15 +184,14 @@ def test_heading_at_rest_does_not_wind_up(case):
     np.testing.assert_allclose(held[-1, P, P], free[-1, P, P], rtol=0, atol=0.1 * free[-1, 0, 0])
 
 
-@pytest.mark.parametrize("frame", FRAMES)
-@pytest.mark.parametrize("name", ["fwekf", "fwekf15"])
-def test_it_runs_in_every_frame(case, frame, name):
-    filt = build(name, cov_stride=20, frame=frame)
+@pytest.mark.parametrize("frame", ["local_level", "tangent"])
+def test_it_runs_in_frames_that_are_not_its_own(case, frame):
+    filt = build("fwekf15", cov_stride=20, frame=frame)
     params = case.params._replace(rule=fwekf.fwekf_params(), feedback=poles())
-    info = jax.jit(lambda: run(filt, params, case.nav, case.packed.epochs))()
+    info = jax.jit(run, static_argnums=0)(filt, params, case.nav, case.packed.epochs)
     assert bool(info.ok.all())
-    east = np.asarray(info.nav.vel)[-20:] - case.truth.vel[20::20][-20:]
-    assert np.sqrt((east**2).mean()) < 0.3
+    error = np.asarray(info.nav.vel)[-20:] - case.truth.vel[20::20][-20:]
+    assert np.sqrt((error**2).mean()) < 0.1
 
 
 def test_gradient_of_a_run_in_memberships_and_consequents(case, solve):

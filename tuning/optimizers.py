@@ -5,7 +5,8 @@ from functools import cache
 
 import optax
 
-Make = Callable[[int, float, float], optax.GradientTransformation]
+Make = Callable[[int, float, float, float], optax.GradientTransformation]
+"""(steps, rate, clip, warmup) -> optimiser."""
 
 
 def schedule(steps: int, rate: float, warmup: float = 0.0, end: float = 0.05) -> optax.Schedule:
@@ -25,9 +26,9 @@ def adam(steps: int, rate: float = 0.05, clip: float = 1.0, warmup: float = 0.0)
 
 
 @cache
-def lbfgs(steps: int, rate: float = 0.0, clip: float = 0.0) -> optax.GradientTransformation:
+def lbfgs(steps: int, rate: float = 0.0, clip: float = 0.0, warmup: float = 0.0) -> optax.GradientTransformation:
     """L-BFGS with a zoom line search: few steps of several evaluations each, for losses without noise."""
-    del steps, rate, clip  # the line search finds its own
+    del steps, rate, clip, warmup  # the line search finds its own
     search = optax.scale_by_zoom_linesearch(
         max_linesearch_steps=10, max_learning_rate=1.0, initial_guess_strategy="one"
     )
@@ -35,9 +36,9 @@ def lbfgs(steps: int, rate: float = 0.0, clip: float = 0.0) -> optax.GradientTra
 
 
 @cache
-def sgd(steps: int, rate: float = 0.05, clip: float = 1.0) -> optax.GradientTransformation:
+def sgd(steps: int, rate: float = 0.05, clip: float = 1.0, warmup: float = 0.0) -> optax.GradientTransformation:
     """Gradient descent with momentum, same schedule and guards as Adam."""
-    chain = optax.chain(optax.clip_by_global_norm(clip), optax.sgd(schedule(steps, rate), momentum=0.9))
+    chain = optax.chain(optax.clip_by_global_norm(clip), optax.sgd(schedule(steps, rate, warmup), momentum=0.9))
     return optax.apply_if_finite(chain, max_consecutive_errors=5)
 
 

@@ -77,8 +77,10 @@ def iae_params(floor: float = 0.25, rule: Any = ()) -> Iae:
 
 @cache
 def iae(rule: Rule, window: int = 20) -> Rule:
-    """Innovation-based adaptive estimation: R is the mean of nu nu' - H P H' over the last ``window`` fixes, this one
-    included (Mehra 1970; Mohamed & Schwarz 1999), never below the floor; the window starts out full of the fixes' own R.
+    """Innovation-based adaptive estimation: R is the mean of nu nu' - H P H' over the last ``window`` fixes.
+
+    This one included, and never below the floor (Mehra 1970; Mohamed & Schwarz 1999). The window starts out full of the
+    fixes' own R.
     """
 
     def correct(theta: Iae, memory: Memory, z: Innovation) -> Correction:

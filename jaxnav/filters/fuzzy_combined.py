@@ -11,8 +11,8 @@ with a block being a receiver's position or velocity. A mean that all blocks see
 has is the receiver's. Two Takagi-Sugeno systems answer: from m and the largest e_b, the fading a (as in `fwekf`); from
 m and e_b, how far R of that block goes this time towards what the window says it is, in logarithms.
 
-What is expected is judged by R as it now is, so that a = 1 again once R is right. It counts for `Combined.doubt` fixes in every mean: while
-the window fills, the filter is held to be right.
+What is expected is judged by R as it now is, so that a = 1 again once R is right. It counts for `Combined.doubt` fixes
+in every mean: while the window fills, the filter is held to be right.
 """
 
 from functools import cache

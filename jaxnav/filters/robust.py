@@ -21,11 +21,15 @@ def by_block(a: jax.Array) -> jax.Array:
     return a.reshape(-1, BLOCK)
 
 
+def own_blocks(S: jax.Array) -> jax.Array:
+    """The blocks on the diagonal of S (m, m), as (m / 3, 3, 3)."""
+    i = jnp.arange(S.shape[0] // BLOCK)
+    return S.reshape(i.size, BLOCK, i.size, BLOCK)[i, :, i, :]
+
+
 def squared_by_block(v: jax.Array, S: jax.Array) -> jax.Array:
-    """v' S^-1 v of every block alone, (m / 3,), from v (m,) and S (m, m)."""
-    i = jnp.arange(v.size // BLOCK)
-    own = S.reshape(i.size, BLOCK, i.size, BLOCK)[i, :, i, :]
-    return jnp.sum(by_block(v) * jnp.linalg.solve(own, by_block(v)[:, :, None])[:, :, 0], axis=1)
+    """Every block's own v' S^-1 v, (m / 3,), from v (m,) and S (m, m)."""
+    return jnp.sum(by_block(v) * jnp.linalg.solve(own_blocks(S), by_block(v)[:, :, None])[:, :, 0], axis=1)
 
 
 def inflated(R: jax.Array, factor: jax.Array) -> jax.Array:
@@ -63,14 +67,31 @@ def gate_params(threshold: float = 16.27, timeout: float = 30.0, rule: Any = ())
     return Gate(jnp.asarray(threshold, float), jnp.asarray(timeout, float), rule)
 
 
+def jumped(z: Innovation, S: jax.Array, factor: jax.Array) -> jax.Array:
+    """P (n, n) after each block's measured quantity has jumped, S (m, m) of that block becoming S times its factor.
+
+    ``factor`` (m / 3,) >= 1. The jump is independent of all that P knows, and lies in the states that would be
+    responsible were their errors independent: for a position, in position.
+    """
+    P = z.P
+    D = jnp.diag(P)[:, None]  # so that a lever arm's attitude counts in metres
+    H, own = z.H.reshape(-1, BLOCK, P.shape[0]), own_blocks(S)
+    for b in range(H.shape[0]):
+        missing = jnp.diag(1.0 - by_block(z.valid)[b])
+        G = D * H[b].T @ jnp.linalg.inv(H[b] @ (D * H[b].T) + missing)
+        P = P + (factor[b] - 1) * G @ own[b] @ G.T
+    return P
+
+
 @cache
 def gate(rule: Rule) -> Rule:
     """``rule`` sees only the blocks whose innovation is likely; the others are missing for it.
 
     Recovery: receivers' faults end, while a filter that has drifted off by more than its P never comes back by itself.
-    So after ``timeout`` the filter is held to be wrong: the block is accepted, with P times nu' S^-1 nu over its
-    channels, which makes the innovation likely again and lets the filter converge anew from what it is told. A larger
-    R in place of P would move it by a fraction once every ``timeout``, and be no recovery.
+    So after ``timeout`` the filter is held to be wrong, and the block is accepted with P widened by a jump
+    (see `jumped`) that makes the innovation likely again: nu' S^-1 nu is then its number of channels. A plain
+    acceptance moves a filter that is too sure of itself by little, and the next fix is rejected again; R in place of P
+    would move it even less. Inflating all of P lets a lasting fault turn the attitude through its correlations.
 
     The time counts only fixes that were rejected, not outages: a fix after a tunnel is tested like any other.
     """
@@ -80,17 +101,18 @@ def gate(rule: Rule) -> Rule:
         return GateMemory(jnp.zeros(m // BLOCK), rule.init(n, m))
 
     def correct(theta: Gate, memory: GateMemory, z: Innovation) -> Correction:
-        here = by_block(z.valid).any(1)
-        d2 = squared_by_block(z.nu, z.H @ z.P @ z.H.T + z.R)
-        far = here & (d2 > theta.threshold)
+        count = by_block(z.valid).sum(1)
+        S = z.H @ z.P @ z.H.T + z.R
+        d2 = squared_by_block(z.nu, S)
+        far = (count > 0) & (d2 > theta.threshold)
         late = far & (memory.rejected >= theta.timeout)
         out = far & ~late
-        scale = jnp.max(jnp.where(late, d2 / jnp.maximum(by_block(z.valid).sum(1), 1), 1.0), initial=1.0)
+        P = jumped(z, S, jnp.where(late, jnp.maximum(d2 / jnp.maximum(count, 1), 1.0), 1.0))
         keep = z.valid & ~jnp.repeat(out, BLOCK)
         nu, H, R = masked(z.nu, z.H, z.R, keep)
-        seen = z._replace(nu=nu, H=H, R=R, P=z.P * scale, valid=keep)
+        seen = z._replace(nu=nu, H=H, R=R, P=P, valid=keep)
         c = select(keep.any(), rule.correct(theta.rule, memory.rule, seen), idle(seen, memory.rule))
-        rejected = jnp.where(out, memory.rejected + z.T, jnp.where(here, 0.0, memory.rejected))
+        rejected = jnp.where(out, memory.rejected + z.T, jnp.where(count > 0, 0.0, memory.rejected))
         return c._replace(memory=GateMemory(rejected, c.memory))
 
     def extrapolate(theta: Gate, memory: GateMemory, x0: jax.Array, x: jax.Array):

@@ -1,5 +1,7 @@
 """What tuning runs on: batches of runs with hidden windows, for training, validation and the test kept aside."""
 
+import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -12,7 +14,8 @@ from jaxnav.errors import ConfigError, DataError
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
 from jaxnav.jobs import prepare as pre
-from jaxnav.jobs.sources import key_of, simulated
+from jaxnav.jobs.parameters import UNITS
+from jaxnav.jobs.sources import REDRAWN, key_of, simulated
 from jaxnav.measurements import GNSS, Measurement
 from jaxnav.scenarios import Scenario
 from jaxnav.sensors.grades import GRADES
@@ -31,17 +34,32 @@ class Batch(NamedTuple):
     lla: jax.Array | None  # (B, E, 3) true position, for the supervised objective
 
 
+class Likelihood(NamedTuple):
+    """What the innovations say of the parameters is read off here: the training data, every fix of it once."""
+
+    nav: Nav  # (B, ...)
+    epochs: Epoch  # (B, E, ...)
+    keep: jax.Array  # (B, E) bool
+    block: jax.Array  # (B, E) int, runs or stretches of time that are drawn together
+    blocks: int  # that there are
+
+
 class Material(NamedTuple):
     """Everything a tuning job needs."""
 
     filter: Filter
     measurements: tuple[Measurement, ...]
     params: Params  # the start
+    sheet: Params  # the same by the datasheet, without what [params] says of noise
     train: Batch
     validation: Batch
     test: Batch
     blocks: np.ndarray  # (windows of the test that count,) what is drawn together
     names: list[str]  # (B of the test,) of its runs
+    train_names: list[str]  # (B of the training,)
+    t_train: np.ndarray  # (E of the training,) s
+    whole: Likelihood
+    redraw: Callable[[int], Batch]  # another training batch of the same shapes for a step
     t: np.ndarray  # (E of the test,) s
     recording: Recording | None  # where the runs are of one
     truth: Nav | None  # (B, E, ...) of the test, where simulated
@@ -72,14 +90,25 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     start, own = config.start, scenario.start
     sd = start.position_sd_m or own.prior_position_sd_m, start.velocity_sd_mps or own.prior_velocity_sd_mps
     params = pre.base_params(config, pre.grade_of(config, scenario), np.array(scenario.gnss.lever_arm_m), *sd)
+    place = np.array(scenario.gnss.lever_arm_m)
+    sheet = pre.base_params(datasheet_only(config), pre.grade_of(config, scenario), place, *sd)
     edges = np.cumsum((0, *counts))
     parts = [jax.tree.map(lambda a, s=slice(a, b): a[s], sims) for a, b in zip(edges[:-1], edges[1:])]
     batches = [_batch(part) for part in parts]
-    test = parts[2]
+    train, test = batches[0], parts[2]
+
+    def redraw(step: int) -> Batch:
+        return _batch(simulated(scenario, jnp.stack([key_of(config.seed, REDRAWN, step * t.runs + i)
+                                                      for i in range(t.runs)])))  # fmt: skip
+
+    runs = jnp.broadcast_to(jnp.arange(t.runs)[:, None], train.keep.shape)
     about = f"simulated runs of {scenario.name}: {counts[0]} to train, {counts[1]} to validate, {counts[2]} kept aside"
     return Material(
-        filt, GNSS, params, batches[0], batches[1], batches[2], np.repeat(np.arange(counts[2]), windows),
-        [f"test run {i}" for i in range(counts[2])], np.asarray(test.truth.t[0]), None, test.truth,
+        filt, GNSS, params, sheet, batches[0], batches[1], batches[2], np.repeat(np.arange(counts[2]), windows),
+        [f"test run {i}" for i in range(counts[2])],
+        [f"{scenario.name}, training run {i} of seed {config.seed}" for i in range(counts[0])],
+        np.asarray(parts[0].truth.t[0]), Likelihood(train.nav, train.epochs, train.keep, runs, t.runs), redraw,
+        np.asarray(test.truth.t[0]), None, test.truth,
         [(float(a), float(b)) for a, b in test.outages[0]], about,
         _known(scenario),
     )  # fmt: skip
@@ -156,27 +185,58 @@ def from_recording(config: Config) -> Material:
         f"{', '.join(str(int(b.scored.sum())) for b in batches)} of them"
     )
     hidden = np.asarray(batches[2].keep[0])
+    own, grade = case.params.prior, pre.grade_of(config, pre.scenario_of(config))
+    lever_arm = case.recording.lever_arm
+    sheet = pre.base_params(datasheet_only(config), grade, lever_arm, own.position, own.velocity)
+
+    def redraw(step: int) -> Batch:
+        shift = np.random.default_rng((config.seed, step)).uniform(0, tune.outage_every_s)
+        return _phases(config, case, edges[0], edges[1], shift)[0]
+
+    phases = [f"{case.recording.name}, phase {p}" for p in range(tune.phases)]
     return Material(
-        case.filter, case.measurements, case.params, batches[0], batches[1], batches[2], labels,
-        [f"phase {p}" for p in range(tune.phases)], t, case.recording, None, _spans(t, ~hidden), about, {},
+        case.filter, case.measurements, case.params, sheet, batches[0], batches[1], batches[2], labels,
+        phases, phases, t[: batches[0].keep.shape[1]],
+        _whole(config, case, split), redraw, t, case.recording, None, _spans(t, ~hidden), about, {},
     )  # fmt: skip
 
 
-def _phases(config: Config, case: pre.Case, begin: float, end: float) -> tuple[Batch, np.ndarray]:
-    """Runs up to ``end`` with windows all along, those between begin and end scored; their blocks of time."""
+def _whole(config: Config, case: pre.Case, split: Split) -> Likelihood:
+    """One run over the training part with nothing hidden; blocks as long as the windows are apart."""
+    t = case.packed.t
+    E = int(np.searchsorted(t, split.train + ep.TICK))
+    block = ((t[:E] - split.start) // config.tune.outage_every_s).astype(int)
+    epochs = jax.tree.map(lambda a: jnp.asarray(a[:E])[None], case.packed.epochs)
+    nav = jax.tree.map(lambda a: a[:1], case.navs)
+    keep = jnp.asarray(t[:E] >= split.start + config.tune.settle_s)
+    return Likelihood(nav, epochs, keep[None], jnp.asarray(block)[None], int(block.max()) + 1)
+
+
+def datasheet_only(config: Config) -> Config:
+    """Without what [params] says of noise and priors: the datasheet's, where the mounting is as stated."""
+    of_noise = {name: None for name, unit in UNITS.items() if unit.leaf.partition(".")[0] in ("noise", "prior")}
+    return dataclasses.replace(config, params=dataclasses.replace(config.params, **of_noise))
+
+
+def _phases(config: Config, case: pre.Case, begin: float, end: float, shift: float = 0.0) -> tuple[Batch, np.ndarray]:
+    """Runs up to ``end`` with windows all along, those between begin and end scored; their blocks of time.
+
+    ``shift`` (s) moves all windows alike, those that leave the end come in at the start.
+    """
     tune, t = config.tune, case.packed.t
     E = int(np.searchsorted(t, end + ep.TICK))
     t = t[:E]
     cut = jax.tree.map(lambda a: a[:E], case.packed.epochs)
     rows = []
     for phase in range(tune.phases):
-        first = case.packed.start + tune.settle_s + phase * tune.outage_every_s / tune.phases
+        turn = (shift + phase * tune.outage_every_s / tune.phases) % tune.outage_every_s
+        first = case.packed.start + tune.settle_s + turn
         starts = np.arange(first, t[-1] - tune.outage_s, tune.outage_every_s)
         fits = (starts >= begin - ep.TICK) & (starts + tune.outage_s <= end)
         hidden, ends = ep.outage_windows(t, starts, tune.outage_s) if starts.size else (np.zeros(E, bool), starts)
         measured = np.asarray(cut.fix.valid)[ends.astype(int), :2].all(1)  # without a fix there is nothing to score by
         rows.append((hidden, starts, ends.astype(int), fits & measured))
-    most = max(row[1].size for row in rows)
+    most = int((t[-1] - case.packed.start) // tune.outage_every_s) + 1  # the same for every shift
     pad = lambda a, fill: np.concatenate([a, np.full(most - a.size, fill, a.dtype)])  # noqa: E731
     hidden = np.stack([row[0] for row in rows])
     starts, ends, count = (np.stack([pad(row[i], 0) for row in rows]) for i in (1, 2, 3))
@@ -186,19 +246,22 @@ def _phases(config: Config, case: pre.Case, begin: float, end: float) -> tuple[B
             f"{end:.0f} s; change tune.train, tune.validation or tune.outage_s"
         )
     many = lambda a: jnp.broadcast_to(a, (tune.phases, *a.shape))  # noqa: E731
+    truth = _truth(case, t)
     runs = jax.vmap(lambda e, h: ep.hide(e, h, case.measurements))(jax.tree.map(many, cut), jnp.asarray(hidden))
     nav = jax.tree.map(lambda a: many(a[0]), case.navs)
     # windows that start within one spacing of each other overlap in time, or nearly
     blocks = np.floor((starts - begin) / tune.outage_every_s)[count]
-    return Batch(nav, runs, jnp.asarray(ends), jnp.asarray(count), jnp.asarray(~hidden), _truth(case, t)), blocks
+    return Batch(
+        nav, runs, jnp.asarray(ends), jnp.asarray(count), jnp.asarray(~hidden), None if truth is None else many(truth)
+    ), blocks
 
 
 def _truth(case: pre.Case, t: np.ndarray) -> jax.Array | None:
-    """True positions (B of 1, E, 3), or None."""
+    """True positions (E, 3), or None."""
     truth = case.recording.truth
     if truth is None:
         return None
-    return jnp.asarray(np.stack([np.interp(t, truth.t, c) for c in truth.lla.T], 1))[None]
+    return jnp.asarray(np.stack([np.interp(t, truth.t, c) for c in truth.lla.T], 1))
 
 
 def _spans(t: np.ndarray, hidden: np.ndarray) -> list[tuple[float, float]]:

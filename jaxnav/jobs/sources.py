@@ -16,7 +16,8 @@ from jaxnav.sensors.grades import GRADES
 from jaxnav.simulation import Simulated, simulate, to_recording
 from jaxnav.types import Recording
 
-TRAIN, VALIDATION, TEST, SINGLE = range(4)  # folded into the seed: runs of one kind never meet those of another
+# folded into the seed: runs of one kind never meet those of another
+TRAIN, VALIDATION, TEST, SINGLE, REDRAWN = range(5)
 
 
 def key_of(seed: int, kind: int, run: int) -> jax.Array:

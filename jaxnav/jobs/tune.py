@@ -1,8 +1,9 @@
 """`jaxnav tune` and `jaxnav demo`: tune on some data by gradient, show the gain on data kept aside."""
 
+import dataclasses
+import hashlib
+import json
 import time
-from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,270 +11,247 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav import config as configuration
-from jaxnav import metrics, plots, plots_stats
-from jaxnav.config import Config
-from jaxnav.errors import ConfigError
-from jaxnav.filters.core import Filter
-from jaxnav.io import atomic_write
-from jaxnav.jobs import evaluate
-from jaxnav.jobs.batches import Batch, Material, from_recording, from_scenario
-from jaxnav.jobs.parameters import NAMES, UNITS, free_spec, in_user_units, user_value
-from jaxnav.jobs.prepare import filter_name, measurements_of
-from jaxnav.jobs.results import FailedCheck, Outcome, stderr, table, to_json, write_json
+from jaxnav.config import Config, as_dict, nearest
+from jaxnav.errors import ConfigError, DataError
+from jaxnav.jobs import evaluate, likelihood, tune_report
+from jaxnav.jobs.batches import Material, from_recording, from_scenario
+from jaxnav.jobs.objectives import LOST, Case, aggregate, check_objective, leaves, merged, objective
+from jaxnav.jobs.parameters import tune_spec
+from jaxnav.jobs.prepare import base_params, filter_name, grade_of, measurements_of
+from jaxnav.jobs.results import FailedCheck, Outcome, stderr, versions
 from jaxnav.jobs.sources import scenario_of
-from jaxnav.run import first_failure, run, track
-from jaxnav.types import Info, Params, Samples, Track
-from tuning import objectives
-from tuning.train import Fit, default_optimizer, fit
-from tuning.transforms import Spec
+from jaxnav.run import first_failure, run
+from jaxnav.types import Info, Params
+from tuning import distributed, objectives
+from tuning.optimizers import OPTIMIZERS
+from tuning.train import Fit, fit
+from tuning.transforms import LOG, Spec, join, split
 from tuning.validation import PairedGain, paired_gain
 
 runs_jit = jax.jit(jax.vmap(run, (None, None, 0, 0)), static_argnums=0)
+METHODS = (*OPTIMIZERS, "scoring")
+
+
+class Long(NamedTuple):
+    """How a long job is kept and shared."""
+
+    keep: Path | None = None  # folder of checkpoints
+    resume: bool = False
+    devices: int = 1  # 0: all
 
 
 class Scores(NamedTuple):
-    """The test before and after."""
+    """The test before and after, of all materials."""
 
     errors: np.ndarray  # (windows,) m, horizontal, at the end of each window
-    info: Info  # (B, E, ...) numpy
+    blocks: np.ndarray  # (windows,) what is drawn together
+    info: Info  # (B, E, ...) numpy, of the first material
     summary: dict[str, float]
 
 
-# ---------------------------------------------------------------------------- objectives
-
-
-def _drift(infos: Info, batch: Batch) -> jax.Array:
-    return 0.5 * jnp.log(objectives.masked_mean(_window_errors(infos, batch) ** 2, batch.scored) + 1e-6)
-
-
-def _log_drift(infos: Info, batch: Batch) -> jax.Array:
-    return objectives.masked_mean(0.5 * jnp.log(_window_errors(infos, batch) ** 2 + 1e-2), batch.scored)
-
-
-def _window_errors(infos: Info, batch: Batch) -> jax.Array:
-    return jax.vmap(objectives.outage_error)(infos, batch.ends)
-
-
-def _nll(infos: Info, batch: Batch) -> jax.Array:
-    return jnp.mean(jax.vmap(objectives.innovation_nll)(infos, batch.keep))
-
-
-def _rmse(infos: Info, batch: Batch) -> jax.Array:
-    assert batch.lla is not None  # `objective` saw to it
-    error = jax.vmap(jax.vmap(metrics.position_error))(infos.nav, jnp.broadcast_to(batch.lla, infos.nav.pos.shape))
-    return jnp.mean(jax.vmap(objectives.rmse)(error, jnp.ones_like(batch.keep)))
-
-
-OBJECTIVES: dict[str, Callable[[Info, Batch], jax.Array]] = {
-    "drift": _drift, "log_drift": _log_drift, "nll": _nll, "rmse": _rmse,
-}  # fmt: skip
-"""Log RMS and mean log of the error at the ends of hidden windows; innovation likelihood; position RMSE in m."""
-
-
-def check_objective(weights: dict[str, float], truth: bool = True) -> None:
-    """Raise ConfigError for an unknown objective, one that needs a truth that is not there, or none at all."""
-    for name in weights:
-        if name not in OBJECTIVES:
-            raise ConfigError(f"tune.objective: no objective {name!r}: {configuration.nearest(name, OBJECTIVES)}")
-    if not any(weights.values()):
-        raise ConfigError("tune.objective: every weight is zero")
-    if weights.get("rmse") and not truth:
-        raise ConfigError("tune.objective: rmse needs a truth, and the recording has none")
-
-
-@cache
-def objective(filt: Filter, weights: tuple[tuple[str, float], ...]) -> Callable[[Params, Batch], jax.Array]:
-    """The weighted sum of objectives of a batch; inf where a run stopped being finite. One function per setting."""
-
-    def loss(params: Params, batch: Batch) -> jax.Array:
-        infos = jax.vmap(run, (None, None, 0, 0))(filt, params, batch.nav, batch.epochs)
-        total = sum((w * OBJECTIVES[name](infos, batch) for name, w in weights if w), jnp.zeros(()))
-        return jnp.where(infos.ok.all(), total, jnp.inf)
-
-    return loss
-
-
-# ---------------------------------------------------------------------------- the job
-
-
-def tune(config: Config, folder: Path, progress: bool = False) -> Outcome:
+def tune(config: Config, folder: Path, progress: bool = False, long: Long | None = None) -> Outcome:
     """Tune, compare before and after on what was kept aside, write parameters, history and figures.
 
     Raises:
         FailedCheck: the starting filter stops being finite.
+        CheckpointError: nothing usable to resume from.
     """
+    long = Long() if long is None else long
     seconds, begin = {}, time.perf_counter()
-    scenario, names = scenario_of(config), config.tune.objective
-    check_objective(names)
-    spec = free_spec(config.tune.free, filter_name(config), measurements_of(config))
-    material = from_scenario(config, scenario) if scenario is not None else from_recording(config)
-    check_objective(names, material.train.lla is not None)
+    check(config)
+    materials = prepare(config)
+    main = materials[0]
+    spec = tune_spec(config.tune, filter_name(config), main.measurements, main.sheet)
     if progress:
-        stderr(f"{material.about}\nfree: {', '.join(spec)}")
+        stderr("\n".join([*(m.about for m in materials), f"free: {', '.join(spec)}"]))
     seconds["prepare"], begin = time.perf_counter() - begin, time.perf_counter()
-    before = score(material, material.params)
+    before = score(materials, main.params, ())
     seconds["before"], begin = time.perf_counter() - begin, time.perf_counter()
-    found = search(config, material, spec, progress)
+    surface = likelihood.surface(materials, spec, main.params)
+    found = search(config, materials, spec, surface, progress, long)
     seconds["tune"], begin = time.perf_counter() - begin, time.perf_counter()
-    after = score(material, found.params)
-    gain = compare(before, after, material, config.seed)
+    after = score(materials, found.params, leaves(spec))
+    gain = compare(before, after, config.seed)
     seconds["after"], begin = time.perf_counter() - begin, time.perf_counter()
-    result = report(material, found, list(spec), before, after, gain)
-    write(config, folder, material, found, list(spec), result)
+    about = likelihood.answers(surface, spec, found.params, main.sheet) if config.tune.intervals else {}
+    if config.tune.posterior:
+        about |= sample(config, surface, spec, found.params)
+    seconds["intervals"], begin = time.perf_counter() - begin, time.perf_counter()
+    result = tune_report.report(materials, found, list(spec), before, after, gain, about)
+    tune_report.write(folder, main, found, list(spec), result)
     if config.out.figures:
-        draw(folder, material, found, before, after)
+        tune_report.draw(folder, main, found, before, after)
     seconds["write"] = time.perf_counter() - begin
-    stopped = "" if found.stopped == "done" else found.stopped
-    return Outcome(result, text(result, config), seconds, stopped)
+    stopped = found.stopped if found.stopped.startswith("interrupted") else ""
+    return Outcome(result, tune_report.text(result, config), seconds, stopped)
 
 
-def search(config: Config, material: Material, spec: Spec, progress: bool) -> Fit:
-    """The best parameters by validation.
+def check(config: Config) -> None:
+    """Refuse settings that do not go together, before anything is read.
+
+    Raises:
+        ConfigError: names the setting.
+    """
+    t = config.tune
+    check_objective(t.objective)
+    aggregate(t)
+    if t.method not in METHODS:
+        raise ConfigError(f"tune.method: no method {t.method!r}: {nearest(t.method, METHODS)}")
+    if t.method == "scoring" and {name for name, w in t.objective.items() if w} != {"nll"}:
+        raise ConfigError('tune.method: scoring is for tune.objective = "nll" alone')
+    sheet = base_params(config, grade_of(config, scenario_of(config)), np.zeros(3), 1.0, 1.0)
+    tune_spec(t, filter_name(config), measurements_of(config), sheet)
+
+
+def prepare(config: Config) -> list[Material]:
+    """The material of [data] source and of every source of tune.more.
+
+    Raises:
+        DataError: data that cannot be used. ConfigError: see `check_objective`.
+    """
+    materials = []
+    for i, source in enumerate((config.data.source, *config.tune.more)):
+        own = (
+            config
+            if not i
+            else dataclasses.replace(
+                config, data=dataclasses.replace(config.data, source=source, options={}), seed=config.seed + i
+            )
+        )
+        scenario = scenario_of(own)
+        material = from_scenario(own, scenario) if scenario is not None else from_recording(own)
+        check_objective(config.tune.objective, material.train.lla is not None)
+        materials.append(material)
+    return materials
+
+
+# ---------------------------------------------------------------------------- search
+
+
+def search(
+    config: Config, materials: list[Material], spec: Spec, surface: likelihood.Surface, progress: bool, long: Long
+) -> Fit:
+    """The best parameters by validation, or by the likelihood of the training data where scoring is the method.
 
     Raises:
         FailedCheck: the objective of the start is not finite.
     """
-    t = config.tune
-    loss = objective(material.filter, tuple(sorted(t.objective.items())))
-    optimizer = default_optimizer(t.steps, t.rate)
+    t, start = config.tune, materials[0].params
+    note = (lambda row: stderr(f"  {row['step']:3d}  {row['loss']:.6g}")) if progress else (lambda row: None)
     try:
+        if t.method == "scoring":
+            return likelihood.maximise(surface, spec, start, t.steps, note)
+        free = leaves(spec)
+        weights = tuple(sorted(t.objective.items()))
+        losses = [objective(m.filter, weights, free) for m in materials]
+        groups = lambda batches: [Case(b, _many(m.params, b)) for m, b in zip(materials, batches, strict=True)]  # noqa: E731
+        train = groups([m.train for m in materials])
+        optimizer = OPTIMIZERS[t.method](t.steps, t.rate, 1.0, t.warmup)
         return fit(
-            loss, spec, material.params, t.steps, optimizer,
-            (material.train,), loss, (material.validation,), progress,
+            losses, spec, start, t.steps, optimizer, validation=losses, progress=progress,
+            cases=(lambda step: groups([m.redraw(step) for m in materials])) if t.redraw else train,
+            validation_cases=groups([m.validation for m in materials]),
+            names=[name for m in materials for name in m.train_names],
+            explain=lambda params, run: why(materials, params, free, run),
+            aggregate=aggregate(t), clip=t.clip or None, believe=1 / max(surface.epochs, 1),
+            starts=starts(config, spec, start), patience=t.patience or None,
+            folder=long.keep, resume=long.resume, identity=identity(config),
+            mesh=distributed.mesh(long.devices),
         )  # fmt: skip
+    except DataError:
+        raise
     except ValueError as error:
-        raise FailedCheck(f"{material.about}: {error}") from error
+        raise FailedCheck(f"{materials[0].about}: {error}") from error
 
 
-def score(material: Material, params: Params) -> Scores:
-    """The errors at the ends of the test's windows, and how the filter does outside of them.
+def _many(params: Params, runs: Any) -> Params:
+    """The parameters once for every run."""
+    count = runs.keep.shape[0]
+    return jax.tree.map(lambda a: jnp.broadcast_to(a, (count, *jnp.shape(a))), params)
+
+
+def starts(config: Config, spec: Spec, params: Params) -> list[Params]:
+    """More starting points, drawn about the first with an sd of the factor tune.spread (a unit's worth elsewhere)."""
+    rng, raw = np.random.default_rng(config.seed), split(spec, params)
+    found = []
+    for _ in range(config.tune.starts - 1):
+        moved = {}
+        for name, value in raw.items():
+            size = np.log(config.tune.spread) if spec[name].forward is LOG.forward else 1.0
+            moved[name] = value + size * rng.normal(size=np.shape(value))
+        found.append(join(spec, moved, params))
+    return found
+
+
+def why(materials: list[Material], params: Params, free: tuple[str, ...], index: int) -> str:
+    """What went wrong with a run of the training, counted over all materials."""
+    for m in materials:
+        if index < len(m.train_names):
+            break
+        index -= len(m.train_names)
+    one = lambda tree: jax.tree.map(lambda a: a[index : index + 1], tree)  # noqa: E731
+    info = runs_jit(m.filter, merged(params, m.params, free), one(m.train.nav), one(m.train.epochs))
+    info = jax.tree.map(lambda a: np.asarray(a[0]), info)
+    failure = first_failure(info, m.t_train)
+    if failure:
+        return failure
+    far = np.flatnonzero((np.abs(np.where(info.valid, info.residual, 0.0)) >= LOST).any(-1))
+    if far.size:
+        return f"further than {LOST:g} from a measurement at t = {m.t_train[far[0]]:.3f} s"
+    return "its gradient is not finite"
+
+
+def identity(config: Config) -> str:
+    """A short name of everything that a checkpoint depends on."""
+    tree = as_dict(config)
+    tree = {k: v for k, v in tree.items() if k != "out"} | {"versions": versions()}
+    return hashlib.sha256(json.dumps(tree, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def sample(config: Config, surface: likelihood.Surface, spec: Spec, params: Params) -> dict[str, Any]:
+    """Draws from the posterior, summarised; see `tuning.posterior`."""
+    raise ConfigError("tune.posterior: not available")
+
+
+# ---------------------------------------------------------------------------- before and after
+
+
+def score(materials: list[Material], params: Params, free: tuple[str, ...]) -> Scores:
+    """The errors at the ends of the tests' windows, and how the filter does outside of them.
 
     Raises:
         FailedCheck: a run stopped being finite; names run and time.
     """
-    batch = material.test
-    info = jax.tree.map(np.asarray, runs_jit(material.filter, params, batch.nav, batch.epochs))
-    for i, name in enumerate(material.names):
-        failure = first_failure(jax.tree.map(lambda a, i=i: a[i], info), material.t)
-        if failure:
-            raise FailedCheck(f"{name}: {failure}")
-    errors = np.asarray(jax.vmap(objectives.outage_error)(info, batch.ends))[np.asarray(batch.scored)]
-    flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), info)
-    consistency = evaluate.innovation_metrics(flat, material.measurements)
-    with_fix = np.asarray(batch.keep) & info.valid[..., :2].all(-1)
+    errors, blocks, infos, consistent, inside = [], [], [], [], []
+    for k, m in enumerate(materials):
+        batch = m.test
+        info = runs_jit(m.filter, merged(params, m.params, free), batch.nav, batch.epochs)
+        info = jax.tree.map(np.asarray, info)
+        for i, name in enumerate(m.names):
+            failure = first_failure(jax.tree.map(lambda a, i=i: a[i], info), m.t)
+            if failure:
+                raise FailedCheck(f"{name}: {failure}")
+        errors.append(np.asarray(jax.vmap(objectives.outage_error)(info, batch.ends))[np.asarray(batch.scored)])
+        blocks.append(m.blocks + 1e6 * k)  # of different sources, never drawn as one
+        flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), info)
+        consistent.append(evaluate.innovation_metrics(flat, m.measurements))
+        with_fix = np.asarray(batch.keep) & info.valid[..., :2].all(-1)
+        inside.append(np.sum(info.residual[with_fix][:, :2] ** 2, -1))
+        infos.append(info)
+    all_errors = np.concatenate(errors)
     summary = {
-        "outage_rms_m": float(np.sqrt(np.mean(errors**2))),
-        "outage_median_m": float(np.median(errors)),
-        "outage_max_m": float(errors.max()),
-        "nis_per_dof": consistency["nis_per_dof"],
-        "nis_share_inside_95": consistency["nis_share_inside_95"],
-        "innovation_horizontal_rms_m": float(np.sqrt(np.mean(np.sum(info.residual[with_fix][:, :2] ** 2, -1)))),
+        "outage_rms_m": float(np.sqrt(np.mean(all_errors**2))),
+        "outage_median_m": float(np.median(all_errors)),
+        "outage_max_m": float(all_errors.max()),
+        "nis_per_dof": float(np.mean([c["nis_per_dof"] for c in consistent])),
+        "nis_share_inside_95": float(np.mean([c["nis_share_inside_95"] for c in consistent])),
+        "innovation_horizontal_rms_m": float(np.sqrt(np.mean(np.concatenate(inside)))),
     }
-    return Scores(errors, info, summary)
+    return Scores(all_errors, np.concatenate(blocks), infos[0], summary)
 
 
-def compare(before: Scores, after: Scores, material: Material, seed: int) -> PairedGain | None:
+def compare(before: Scores, after: Scores, seed: int) -> PairedGain | None:
     """The paired gain, or None where there are fewer than two blocks to draw."""
-    if np.unique(material.blocks).size < 2:
+    if np.unique(before.blocks).size < 2:
         return None
-    return paired_gain(before.errors, after.errors, material.blocks, seed)
-
-
-def report(
-    material: Material, found: Fit, leaves: list[str], before: Scores, after: Scores, gain: PairedGain | None
-) -> dict[str, Any]:
-    """The metrics of a tuning job."""
-    return {
-        "about": material.about,
-        "before": before.summary,
-        "after": after.summary,
-        "paired_gain": None if gain is None else gain._asdict(),
-        "per_window": {"before_m": before.errors.tolist(), "after_m": after.errors.tolist(),
-                       "block": material.blocks.tolist()},
-        "params_before": in_user_units(material.params, leaves),
-        "params_after": in_user_units(found.params, leaves),
-        "known": {NAMES[leaf]: user_value(leaf, v) for leaf, v in material.known.items() if leaf in leaves},
-        "loss": found.loss,
-        "steps": len(found.history),
-        "stopped": found.stopped,
-    }  # fmt: skip
-
-
-def text(result: dict[str, Any], config: Config) -> str:
-    """The tables before and after for the terminal."""
-    before, after = result["before"], result["after"]
-    labels = {
-        "outage_rms_m": "horizontal error at the end of an outage, RMS (m)", "outage_median_m": "the same, median (m)",
-        "outage_max_m": "the same, largest (m)", "innovation_horizontal_rms_m": "horizontal innovation, RMS (m)",
-        "nis_per_dof": "NIS / dof (1 is consistent)",
-    }  # fmt: skip
-    rows = [[label, before[key], after[key]] for key, label in labels.items()]
-    lines = [result["about"], "", table([f"{config.filter.name} on data kept aside", "before", "after"], rows)]
-    gain = result["paired_gain"]
-    if gain is None:
-        lines.append("too few windows kept aside for an interval of the gain")
-    else:
-        verdict = "better" if gain["low"] > 1 else "worse" if gain["high"] < 1 else "not proven"
-        lines.append(
-            f"RMS {gain['gain']:.2f} times smaller, 95 % interval {gain['low']:.2f} to {gain['high']:.2f}: {verdict}"
-        )
-    names = result["params_before"]
-    known = result["known"]
-    rows = [[n, _short(v), _short(result["params_after"][n]), _short(known.get(n, ""))] for n, v in names.items()]
-    head = ["parameter", "before", "after", "simulated"]
-    lines += ["", table(head if known else head[:3], [row if known else row[:3] for row in rows])]
-    return "\n".join(lines)
-
-
-def _short(value: Any) -> Any:
-    if isinstance(value, list):
-        return "[" + ", ".join(f"{v:.3g}" for v in np.ravel(value)) + "]"
-    return value
-
-
-# ---------------------------------------------------------------------------- files
-
-
-def write(
-    config: Config, folder: Path, material: Material, found: Fit, leaves: list[str], result: dict[str, Any]
-) -> None:
-    """Write tuned.toml, history.jsonl and metrics.json."""
-    noise = [leaf for leaf in (u.leaf for u in UNITS.values()) if leaf.startswith("noise.") or leaf in leaves]
-    params = {"params": in_user_units(found.params, noise)}
-    head = f"# jaxnav tune: {material.about}\n# use: jaxnav filter --params tuned.toml\n"
-    atomic_write(folder / "tuned.toml", head + configuration.to_toml(params))
-    rows = [to_json(row) for row in user_history(found.history)]
-    atomic_write(folder / "history.jsonl", "\n".join(rows) + "\n" if rows else "")
-    write_json(folder / "metrics.json", result)
-
-
-def user_history(history: list[dict]) -> list[dict]:
-    """One row a step with the parameters in a user's units."""
-    name = {leaf: NAMES[leaf] for leaf in (history[0]["params"] if history else {})}
-    return [row | {"params": {name[leaf]: user_value(leaf, v) for leaf, v in row["params"].items()}} for row in history]
-
-
-def draw(folder: Path, material: Material, found: Fit, before: Scores, after: Scores) -> None:
-    """Write the figures: drift before and after, tuning curves, and the first test run with the tuned filter."""
-    drift = {"datasheet": before.errors, "tuned": after.errors}
-    plots.save(plots_stats.outage_drift(drift), folder / "outage_drift.png")
-    if found.history:
-        known = {NAMES[leaf]: user_value(leaf, v) for leaf, v in material.known.items()}
-        plots.save(plots_stats.tuning(user_history(found.history), known), folder / "tuning.png")
-    sol = evaluate.solution(jax.tree.map(lambda a: a[0], after.info), found.params)
-    truth, fixes, biases = truth_of(material)
-    figures = evaluate.figures(sol, truth, fixes, material.measurements, material.outages, biases)
-    for name, fig in figures.items():
-        plots.save(fig, folder / f"{name}.png")
-
-
-def truth_of(material: Material) -> tuple[Track | None, Any, Any]:
-    """Truth, position fixes and true biases of the first test run, as far as they are known."""
-    if material.recording is not None:
-        return material.recording.truth, material.recording.aiding["position"], None
-    nav = jax.tree.map(lambda a: a[0], material.truth)
-    fix = jax.tree.map(lambda a: np.asarray(a[0]), material.test.epochs.fix)
-    seen = fix.valid[:, :3].all(1)
-    fixes = Samples(material.t[seen], *(a[seen, :3] for a in (fix.value, fix.sd, fix.corr)))
-    return track(nav), fixes, (material.t, np.asarray(nav.b_g), np.asarray(nav.b_a))
+    return paired_gain(before.errors, after.errors, before.blocks, seed)

@@ -1,0 +1,98 @@
+"""Floating-point operations of one filter cycle: a covariance prediction and an update by the rule.
+
+By hand as in textbooks: dense matrices, (a, b) times (b, c) costs a c (2 b - 1), an inverse 2 n^3, every formula as it
+is printed. From the program: what the compiler counts in what is run here (Joseph's form, Cholesky), to which the
+factorisations and triangular solves are added by hand, because they are calls into LAPACK that it does not count.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav.filters.catalogue import FILTERS, FRAMES
+from jaxnav.filters.core import REST, Innovation
+from jaxnav.measurements import GNSS
+from jaxnav.run import initial_nav
+from jaxnav.sensors.grades import GRADES, datasheet_params
+from jaxnav.types import Params, Path
+
+PAPER = {"ekf15": 30800, "gipkf_literal": 15050}
+CHANNELS = 6
+
+
+def product(a: int, b: int, c: int) -> int:
+    """Of an (a, b) by a (b, c) matrix."""
+    return a * c * (2 * b - 1)
+
+
+def kalman_by_hand(n: int, m: int = CHANNELS) -> int:
+    """x and P predicted, K, x and P corrected (the short form of P)."""
+    predict = product(n, n, 1) + 2 * product(n, n, n) + n * n
+    gain = product(n, n, m) + product(m, n, m) + m * m + 2 * m**3 + product(n, m, m)
+    state = product(m, n, 1) + m + product(n, m, 1) + n
+    return predict + gain + state + product(n, m, n) + n * n + product(n, n, n)
+
+
+def increment_by_hand(n: int, m: int = CHANNELS) -> int:
+    """G of the GIP-KF as printed in eq. 34, with H' R_l twice, and dm = G nu."""
+    weighted = product(n, m, m)
+    return 2 * weighted + product(n, m, n) + n * n + 2 * n**3 + product(n, n, m) + product(n, m, 1)
+
+
+def literal_by_hand(n: int, m: int = CHANNELS) -> int:
+    """Eqs. 29 to 36: both past states, H (I + F) and H F, the increment, and the Kalman filter."""
+    state = n + 2 * product(n, n, 1) + 2 * n - product(n, n, 1)  # one F x is the Kalman filter's own
+    residual = 2 * product(m, n, n) + 2 * product(m, n, 1) + 2 * m
+    return kalman_by_hand(n, m) + state + residual + increment_by_hand(n, m)
+
+
+def working_by_hand(n: int, m: int = CHANNELS) -> int:
+    """From x = 0, so that nothing of the state is predicted; dm enters the residual and x."""
+    return kalman_by_hand(n, m) - product(n, n, 1) + increment_by_hand(n, m) + m + n
+
+
+BY_HAND = {"ekf15": kalman_by_hand(15), "ekf9": kalman_by_hand(9), "gipkf_literal": literal_by_hand(9),
+           "gipkf": working_by_hand(9), "gipkf_mix": working_by_hand(9) + 6}  # fmt: skip
+
+
+def solves(n: int, m: int = CHANNELS, increment: bool = False) -> int:
+    """Cholesky of S (m, m) and two triangular solves with n columns; of the increment's (n, n) with m columns too."""
+    one = lambda size, columns: size**3 // 3 + 2 * size * size * columns  # noqa: E731
+    return one(m, n) + (one(n, m) if increment else 0)
+
+
+def cycle(rule, theta, P, Phi, Q, H, R, y):
+    """Prediction of P and one correction, on matrices that are given: all dense."""
+    P = Phi @ P @ Phi.T + Q
+    memory = rule.init(P.shape[0], y.size)
+    x, memory = rule.extrapolate(theta, memory, P[0], P[1])
+    z = Innovation(y - H @ x, H, R, P, jnp.ones(y.size, bool), jnp.asarray(1.0), jnp.ones(y.size))
+    c = rule.correct(theta, memory, z)
+    return x + c.delta, c.P, c.memory, c.drive
+
+
+def count(function, *arguments) -> int:
+    """What the compiler counts in a function of these arguments."""
+    analysis = jax.jit(function).lower(*arguments).compile().cost_analysis()
+    return round((analysis[0] if isinstance(analysis, list) else analysis)["flops"])
+
+
+def of(name: str) -> dict:
+    """By hand, from the compiled program, and of the frame's Phi and Q beside it."""
+    entry = FILTERS[name]
+    n = entry.n_states
+    theta, rule = entry.theta(), entry.rule()
+    square, H = jnp.eye(n), jnp.zeros((CHANNELS, n))
+    compiled = count(partial(cycle, rule), theta, square, square, square, H, jnp.eye(CHANNELS), jnp.zeros(CHANNELS))
+    model = FRAMES["tangent"].error_model(n, entry.form, GNSS)
+    params: Params = datasheet_params(GRADES["adis16488a"])
+    nav = model.enter(initial_nav([0.6, 0.9, 1200.0]))
+    dynamics = count(model.discretize, params.noise, Path(nav, jnp.eye(3), jnp.zeros(3)), jnp.asarray(1.0), REST)
+    inside = compiled + solves(n, increment=name.startswith("gipkf"))
+    return {"hand": BY_HAND[name], "compiled": inside, "compiled_phi_and_q": dynamics, "paper": PAPER.get(name)}
+
+
+def table() -> dict:
+    """Of every filter of the outage study."""
+    return {name: of(name) for name in BY_HAND}

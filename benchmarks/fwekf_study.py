@@ -1,0 +1,235 @@
+"""The launch of the FWEKF paper in twelve cases: what each filter gets, what it is scored by, how it is tuned."""
+
+import math
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from jaxnav import earth, rotations
+from jaxnav.filters import adaptive, fuzzy, robust
+from jaxnav.filters.catalogue import FRAMES
+from jaxnav.filters.core import Filter, Rule, make_filter
+from jaxnav.filters.feedback import observer, poles
+from jaxnav.filters.fuzzy_combined import combined_params, fuzzy_combined
+from jaxnav.filters.fwekf import Fwekf, fwekf, fwekf_params, limits
+from jaxnav.filters.kalman import kalman
+from jaxnav.run import run
+from jaxnav.scenarios import SCENARIOS
+from jaxnav.simulation import Simulated, matched_params, simulate
+from jaxnav.types import Params
+from tuning.cases import fit_cases
+from tuning.transforms import IDENTITY
+
+PRINTED = math.sqrt(0.001)  # "R in all sensors was selected as 0.001", read as a variance
+
+
+class Case(NamedTuple):
+    """A scenario, and the standard deviations that the filter is told."""
+
+    scenario: str
+    position_sd_m: float
+    velocity_sd_mps: float
+    what: str
+
+
+CASES = {
+    "C1": Case("fwekf_noise_free", PRINTED, PRINTED, "the paper's first: no noise, R = 0.001"),
+    "C2": Case("fwekf", PRINTED, PRINTED, "the paper's second: noise, R = 0.001"),
+    "C2m": Case("fwekf", 10.0, 0.2, "noise, R matched"),
+    "C3": Case("fwekf", 100.0, 2.0, "R a hundred times too large"),
+    "C4": Case("fwekf_jump", 10.0, 0.2, "fixes 30 m off east and north for 3 s"),
+    "C4b": Case("fwekf_jump", PRINTED, PRINTED, "the same, R = 0.001"),
+    "C4c": Case("fwekf_step", 10.0, 0.2, "fixes 30 m off from 30 s on"),
+    "C5": Case("fwekf_attitude", 10.0, 0.2, "start 5 deg off, told 1 deg"),
+    "C5b": Case("fwekf_attitude", PRINTED, PRINTED, "the same, R = 0.001"),
+    "C6": Case("fwekf_bias", 10.0, 0.2, "IMU biases of 3e-4 rad/s and 3e-3 m/s^2"),
+    "C6b": Case("fwekf_bias_10", 10.0, 0.2, "ten times these"),
+    "C7": Case("fwekf_burst", 10.0, 0.2, "noise of the fixes times five for 7 s"),
+}
+TRAIN = ("C2", "C2m", "C3", "C4", "C6b", "C7")
+UNSEEN = ("C4b", "C4c", "C5", "C5b", "C6")  # case types that no tuning saw
+QUICK = ("C2", "C2m", "C3", "C4", "C4b")
+MOVING = slice(200, None)  # epochs after the alignment
+ONE = ((0,),)  # the table of a constant weight
+
+
+class Runs(NamedTuple):
+    """One case: what a filter gets and what it is judged by, (S, ...), and the sd it is told."""
+
+    sim: Simulated
+    position_sd: jax.Array  # ()
+    velocity_sd: jax.Array  # ()
+
+
+class Errors(NamedTuple):
+    """Of the corrected INS unless it says filter; ENU, (E, 3)."""
+
+    position: jax.Array  # m
+    velocity: jax.Array  # m/s
+    attitude: jax.Array  # rad
+    filter_position: jax.Array  # m
+
+
+@cache
+def _simulator(scenario: str):
+    return jax.jit(jax.vmap(partial(simulate, SCENARIOS[scenario])))
+
+
+def draw(names: tuple[str, ...], key: jax.Array, runs: int) -> dict[str, Runs]:
+    """``runs`` runs of each case; cases of one scenario share them, and all scenarios share their noise."""
+    keys = jax.random.split(key, runs)
+    made = {s: _simulator(s)(keys) for s in {CASES[name].scenario for name in names}}
+    told = lambda name: (jnp.asarray(sd, float) for sd in CASES[name][1:3])  # noqa: E731
+    return {name: Runs(made[CASES[name].scenario], *told(name)) for name in names}
+
+
+@cache
+def navigator(rule: Rule, n_states: int = 9) -> Filter:
+    """The paper's strapdown and observer around a rule."""
+    frame = FRAMES["inertial"]
+    return make_filter(frame.propagate, frame.error_model(n_states), rule, observer, 10)
+
+
+def parameters(theta: Any) -> Params:
+    """Noise and prior are those of the launch without faults, in every case; the observer's poles are at 1 s."""
+    return matched_params(SCENARIOS["fwekf"], theta, poles())
+
+
+def told(params: Params, runs: Runs) -> Params:
+    """The parameters with what the filter is told of the fixes."""
+    true = SCENARIOS["fwekf"].gnss
+    scales = runs.position_sd / true.position_sd_m[0], runs.velocity_sd / true.velocity_sd_mps[0]
+    return params._replace(noise=params.noise._replace(position_scale=scales[0], velocity_scale=scales[1]))
+
+
+def navigate(filt: Filter, params: Params, sim: Simulated) -> tuple[Errors, jax.Array]:
+    """Errors of one run and its innovations (E, 6)."""
+    info = run(filt, params, sim.initial, sim.epochs)
+    left = info.x
+    filter_position = jax.vmap(earth.enu_difference)(info.nav.pos, sim.truth.pos)
+    q = jax.vmap(
+        lambda x, q, true: rotations.multiply(rotations.multiply(rotations.exp(x), q), rotations.conjugate(true))
+    )(left[:, 6:9], info.nav.q, sim.truth.q)
+    velocity = info.nav.vel + left[:, 3:6] - sim.truth.vel
+    return Errors(filter_position + left[:, :3], velocity, jax.vmap(rotations.log)(q), filter_position), info.nu
+
+
+def rms(position: jax.Array) -> jax.Array:
+    """Root mean square of the 3-D position error (E, 3) over the motion, m."""
+    return jnp.sqrt(jnp.mean(jnp.sum(position[MOVING] ** 2, axis=1)))
+
+
+@partial(jax.jit, static_argnums=0)
+def scores(filt: Filter, params: Params, runs: Runs) -> jax.Array:
+    """RMS of each run, corrected INS and filter, (S, 2) m."""
+
+    def one(sim):
+        e = navigate(filt, told(params, runs), sim)[0]
+        return jnp.stack([rms(e.position), rms(e.filter_position)])
+
+    return jax.vmap(one)(runs.sim)
+
+
+navigate_jit = jax.jit(navigate, static_argnums=0)
+
+
+@cache
+def objective(filt: Filter, runs: int):
+    """Mean over ``runs`` runs, chosen by the key, of log RMS."""
+
+    def loss(params: Params, case: Runs, key: jax.Array) -> jax.Array:
+        count = case.sim.hidden.shape[0]
+        chosen = jax.random.choice(key, count, (min(runs, count),), replace=False)
+        some = jax.tree.map(lambda a: a[chosen], case.sim)
+        one = lambda sim: jnp.log(rms(navigate(filt, told(params, case), sim)[0].position))  # noqa: E731
+        return jnp.mean(jax.vmap(one)(some))
+
+    return loss
+
+
+def leaves(*systems: str) -> dict:
+    """The spec that frees the memberships and consequents of these systems."""
+    return {f"rule.{s}.{leaf}": IDENTITY for s in systems for leaf in ("centres", "widths", "consequents")}
+
+
+def tune(filt: Filter, theta: Any, systems: tuple[str, ...], train: dict[str, Runs], key, steps: int, progress: bool):
+    """The rule's parameters after ``steps`` steps on the training cases, and the history of the loss."""
+    cases = jax.tree.map(lambda *a: jnp.stack(a), *train.values())
+    fit = fit_cases(
+        objective(filt, 8), leaves(*systems), parameters(theta), cases, key, steps,
+        validation=objective(filt, 16), every=20, progress=progress,
+    )  # fmt: skip
+    return fit.params.rule, [row["loss"] for row in fit.history]
+
+
+def constant(a: float) -> Fwekf:
+    """A weight that never changes."""
+    system = fuzzy.system(((0.0,), (0.0,)), ((1.0,), (1.0,)), (1.5,), (1.0, 2.0))
+    return Fwekf(system._replace(bounds=jnp.asarray((a, a), float)), limits())
+
+
+def methods(tuned: dict[str, Any], quick: bool) -> dict[str, tuple[Filter, Any]]:
+    """Name -> filter and the parameters of its rule."""
+    weighted, plain = navigator(fwekf()), kalman()
+    table = {
+        "ekf": (navigator(plain), ()),
+        "fwekf_hand": (weighted, fwekf_params()),
+        "fwekf_0.9_hand": (weighted, fwekf_params(0.9)),
+        "fwekf_0.9_tuned": (weighted, tuned["fwekf_0.9_tuned"]),
+        "fwekf_1.0_tuned": (weighted, tuned["fwekf_1.0_tuned"]),
+        "fuzzy_combined_hand": (navigator(fuzzy_combined()), combined_params()),
+        "fuzzy_combined_tuned": (navigator(fuzzy_combined()), tuned["fuzzy_combined_tuned"]),
+    }
+    if quick:
+        return table
+    best = tuned["fwekf_1.0_tuned"]
+    return table | {
+        "fixed_1.02": (navigator(fwekf(50, ONE)), constant(1.02)),
+        "fixed_1.005": (navigator(fwekf(50, ONE)), constant(1.005)),
+        "sage_husa": (navigator(adaptive.sage_husa(plain)), adaptive.sage_husa_params(floor=1e-3)),
+        "iae": (navigator(adaptive.iae(plain)), adaptive.iae_params(floor=1e-3)),
+        "gate": (navigator(robust.gate(plain)), robust.gate_params(timeout=5.0)),
+        "huber": (navigator(robust.huber(plain)), robust.huber_params()),
+        "sage_husa+fwekf": (navigator(adaptive.sage_husa(fwekf())), adaptive.sage_husa_params(floor=1e-3, rule=best)),
+        "iae+fwekf": (navigator(adaptive.iae(fwekf())), adaptive.iae_params(floor=1e-3, rule=best)),
+        "gate+fwekf": (navigator(robust.gate(fwekf())), robust.gate_params(timeout=5.0, rule=best)),
+    }
+
+
+def navigate_first(runs: Runs, filt: Filter, theta: Any) -> tuple[Errors, jax.Array]:
+    """`navigate` the first run of a case."""
+    return navigate_jit(filt, told(parameters(theta), runs), jax.tree.map(lambda a: a[0], runs.sim))
+
+
+STEPS = (1e-4, 1e-5, 1e-6)  # of central differences
+
+
+@partial(jax.jit, static_argnums=0)
+def _gradients(filt: Filter, params: Params, runs: Runs) -> tuple[jax.Array, jax.Array]:
+    """Gradient of the first run's RMS in memberships and consequents: by AD (N,), by central differences (steps, N)."""
+    bounds = params.rule.system.bounds
+    flat, unravel = ravel_pytree(params.rule.system[:3])
+    first = jax.tree.map(lambda a: a[0], runs.sim)
+
+    def f(v):
+        rule = params.rule._replace(system=fuzzy.System(*unravel(v), bounds))
+        return rms(navigate(filt, told(params._replace(rule=rule), runs), first)[0].position)
+
+    eye = jnp.eye(flat.size)
+    ends = jnp.stack([flat + sign * h * eye for h in STEPS for sign in (1, -1)]).reshape(-1, flat.size)
+    up, down = jnp.moveaxis(jax.vmap(f)(ends).reshape(len(STEPS), 2, -1), 1, 0)
+    return jax.grad(f)(flat), (up - down) / (2 * np.array(STEPS)[:, None])
+
+
+def gradient_errors(test: dict[str, Runs]) -> dict[str, dict]:
+    """Relative error of the whole gradient against central differences, at the step that suits them best."""
+    result = {}
+    for name, runs in test.items():
+        exact, numeric = (np.asarray(a) for a in _gradients(navigator(fwekf()), parameters(fwekf_params(0.9)), runs))
+        size = np.linalg.norm(exact)
+        result[name] = {"norm": float(size), "by_step": (np.linalg.norm(numeric - exact, axis=1) / size).tolist()}
+    return result

@@ -1,0 +1,101 @@
+"""The innovations' likelihood of a tuning job: the method of scoring, intervals, and identifiability in words."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from jaxnav.jobs.batches import Material
+from jaxnav.jobs.objectives import leaves, merged
+from jaxnav.jobs.parameters import NAMES, UNITS, component
+from jaxnav.run import run
+from jaxnav.types import Params
+from tuning import scoring, uncertainty
+from tuning.train import Fit
+from tuning.transforms import Spec, get, join, labels, split
+from tuning.uncertainty import Information
+
+
+class Surface(NamedTuple):
+    """The posterior density of a job's parameters, up to a constant."""
+
+    inform: Callable[[jax.Array], Information]  # of the flat unconstrained numbers (P,), sums over all data
+    raw: dict[str, jax.Array]  # the start
+    epochs: int  # fixes that count
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _inform(filt, items, count: int, flat, like, params, own, whole) -> Information:
+    spec, (_, back) = dict(items), ravel_pytree(like)
+    free = leaves(spec)
+
+    def one(nav, epochs, keep, block):
+        def solve(r):
+            return run(filt, merged(join(spec, back(r), params), own, free), nav, epochs)
+
+        return uncertainty.information(solve, flat, keep, block, count)
+
+    parts = jax.vmap(one)(whole.nav, whole.epochs, whole.keep, whole.block)
+    return Information(*(a.sum(0) for a in parts))
+
+
+def surface(materials: list[Material], spec: Spec, params: Params) -> Surface:
+    """The likelihood of all materials together, with the spec's beliefs."""
+    raw = split(spec, params)
+    _, back = ravel_pytree(raw)
+    items = tuple(spec.items())
+
+    def inform(flat: jax.Array) -> Information:
+        parts = [
+            _inform(m.filter, items, m.whole.blocks, flat, raw, params, m.params, m.whole._replace(blocks=0))
+            for m in materials
+        ]
+        nll, score, fisher = (sum(p[i] for p in parts) for i in range(3))
+        whole = Information(nll, score, fisher, jnp.concatenate([p.blocks for p in parts]))
+        return uncertainty.with_belief(whole, spec, back(flat))
+
+    count = sum(int(np.sum(m.whole.keep & np.asarray(m.whole.epochs.fix.valid).any(-1))) for m in materials)
+    return Surface(inform, raw, count)
+
+
+def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Callable[[dict], None]) -> Fit:
+    """The most likely parameters by the method of scoring, one history row an evaluation."""
+    flat, back = ravel_pytree(found.raw)
+    history: list[dict] = []
+
+    def report(i: int, search: scoring.Search) -> None:
+        raw, best = back(search.raw), search.best
+        norm = float(np.linalg.norm(best.score) / found.epochs)
+        row: dict[str, Any] = {"step": i, "loss": float(best.nll) / found.epochs, "grad_norm": norm}
+        row["params"] = {name: np.asarray(t.forward(raw[name])).tolist() for name, t in spec.items()}
+        history.append(row)
+        note(row)
+
+    search = scoring.maximise(found.inform, flat, steps, report=report)
+    return Fit(join(spec, back(search.raw), params), float(search.best.nll) / found.epochs, history, "done")
+
+
+def answers(found: Surface, spec: Spec, params: Params, sheet: Params) -> dict[str, Any]:
+    """Every free number with its 95 % interval and ratio to the datasheet, and what cannot be told apart, in words."""
+    raw = split(spec, params)
+    info = found.inform(ravel_pytree(raw)[0])
+    cov = uncertainty.covariance(np.asarray(info.fisher), np.asarray(info.blocks))
+    names = labels(spec, raw)
+    rows = {}
+    for label, interval in zip(names, uncertainty.intervals(spec, raw, cov), strict=True):
+        leaf, _, index = label.partition("[")
+        unit = UNITS[NAMES[leaf]]
+        before = np.ravel(get(sheet, leaf))
+        datasheet = float(before[min(int(index.rstrip("]") or 0) if index else 0, before.size - 1)])
+        value, low, high = (v / unit.factor for v in (interval.value, interval.low, interval.high))
+        rows[component(label)] = {
+            "value": value, "low": low, "high": high, "datasheet": datasheet / unit.factor,
+            "ratio": interval.value / datasheet if datasheet else None, "unit": unit.text,
+            "identified": interval.identified,
+        }  # fmt: skip
+    words = uncertainty.identifiability([component(n) for n in names], cov.model)
+    return {"parameters": rows, "identifiability": words, "blocks": cov.blocks, "epochs": found.epochs}

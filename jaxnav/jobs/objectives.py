@@ -1,0 +1,145 @@
+"""What `jaxnav tune` minimises: scores of one run by name, put together by weights, and over runs."""
+
+import importlib
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav import config as configuration
+from jaxnav import metrics
+from jaxnav.errors import ConfigError
+from jaxnav.filters.core import Filter
+from jaxnav.jobs.batches import Batch
+from jaxnav.run import run
+from jaxnav.types import Info, Params
+from tuning import batch, objectives
+from tuning.transforms import Spec, get, put
+
+LOST = 1e5  # m: a run that is so far from a fix has diverged
+
+
+class Case(NamedTuple):
+    """One run, or many with a leading axis."""
+
+    batch: Batch
+    own: Params  # parameters of its source: start, mounting and what else is not tuned
+
+
+def _drift(info: Info, run: Batch) -> jax.Array:
+    return objectives.drift(info, run.ends, run.scored)
+
+
+def _log_drift(info: Info, run: Batch) -> jax.Array:
+    return objectives.log_mean_drift(info, run.ends, run.scored)
+
+
+def _nll(info: Info, run: Batch) -> jax.Array:
+    return objectives.innovation_nll(info, run.keep)
+
+
+def _rmse(info: Info, run: Batch) -> jax.Array:
+    assert run.lla is not None  # `check_objective` saw to it
+    error = jax.vmap(metrics.position_error)(info.nav, run.lla)
+    return jnp.mean(objectives.rmse(error, jnp.ones_like(run.keep)))
+
+
+def _consistency(info: Info, run: Batch) -> jax.Array:
+    return objectives.consistency(info, run.keep)
+
+
+def _whiteness(info: Info, run: Batch) -> jax.Array:
+    return objectives.whiteness(info, run.keep)
+
+
+def _nees(info: Info, run: Batch) -> jax.Array:
+    assert run.lla is not None
+    error = jax.vmap(metrics.position_error)(info.nav, run.lla)
+    return objectives.error_consistency(error, info.P[:, :3, :3], run.keep)
+
+
+Score = Callable[[Info, Batch], jax.Array]
+OBJECTIVES: dict[str, Score] = {
+    "drift": _drift, "log_drift": _log_drift, "nll": _nll, "consistency": _consistency, "whiteness": _whiteness,
+    "rmse": _rmse, "nees": _nees,
+}  # fmt: skip
+"""Of one run: log RMS and mean log of the error at the ends of hidden windows; innovation likelihood, normalised
+innovations against their law, their autocorrelation; with truth the position's RMSE in m and its normalised error."""
+NEED_TRUTH = ("rmse", "nees")
+
+
+def check_objective(weights: dict[str, float], truth: bool = True) -> None:
+    """Raise ConfigError for an unknown objective, one that needs a truth that is not there, or none at all."""
+    for name in weights:
+        score_of(name)
+    if not any(weights.values()):
+        raise ConfigError("tune.objective: every weight is zero")
+    for name in NEED_TRUTH:
+        if weights.get(name) and not truth:
+            raise ConfigError(f"tune.objective: {name} needs a truth, and the recording has none")
+
+
+@cache
+def score_of(name: str) -> Score:
+    """An objective by name, or a user's own ``module:function`` of (info, epochs, truth) -> ().
+
+    ``truth``: (E, 3) lat rad, lon rad, h m, or None.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if name in OBJECTIVES:
+        return OBJECTIVES[name]
+    module, colon, function = name.partition(":")
+    if not colon:
+        known = [*OBJECTIVES, "module:function"]
+        raise ConfigError(f"tune.objective: no objective {name!r}: {configuration.nearest(name, known)}")
+    try:
+        own = getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(f"tune.objective: {name!r} cannot be imported: {error}") from error
+    return lambda info, run: own(info, run.epochs, run.lla)
+
+
+@cache
+def objective(
+    filt: Filter, weights: tuple[tuple[str, float], ...], free: tuple[str, ...]
+) -> Callable[[Params, Case], jax.Array]:
+    """The weighted sum of objectives of one run; inf where it stopped being finite or got lost.
+
+    Of the parameters only the leaves in ``free`` are looked at; the rest is the case's own. One function per setting.
+    """
+
+    def loss(params: Params, case: Case) -> jax.Array:
+        info = run(filt, merged(params, case.own, free), case.batch.nav, case.batch.epochs)
+        total = sum((w * score_of(name)(info, case.batch) for name, w in weights if w), jnp.zeros(()))
+        found = jnp.all(jnp.where(info.valid, jnp.abs(info.residual), 0.0) < LOST)
+        return jnp.where(info.ok.all() & found, total, jnp.inf)
+
+    return loss
+
+
+def merged(params: Params, own: Params, free: tuple[str, ...]) -> Params:
+    """``own`` with the leaves in ``free`` from ``params``."""
+    for leaf in free:
+        own = put(own, leaf, get(params, leaf))
+    return own
+
+
+def leaves(spec: Spec) -> tuple[str, ...]:
+    """Every leaf that a spec moves, ties included."""
+    return tuple(leaf for name, transform in spec.items() for leaf in (name, *transform.also))
+
+
+def aggregate(tune: configuration.Tune) -> batch.Aggregate:
+    """How [tune] puts runs together.
+
+    Raises:
+        ConfigError: no such way.
+    """
+    ways: dict[str, Any] = {"mean": batch.mean, "tail": objectives.tail(tune.tail)}
+    if tune.over_runs not in ways:
+        raise ConfigError(f"tune.over_runs: no way {tune.over_runs!r}: {configuration.nearest(tune.over_runs, ways)}")
+    return ways[tune.over_runs]

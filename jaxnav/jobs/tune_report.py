@@ -1,0 +1,138 @@
+"""What a tuning job prints and writes: tables before and after, parameters, history, figures."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from jaxnav import config as configuration
+from jaxnav import plots, plots_stats
+from jaxnav.config import Config
+from jaxnav.io import atomic_write
+from jaxnav.jobs import evaluate
+from jaxnav.jobs.batches import Material
+from jaxnav.jobs.parameters import NAMES, UNITS, in_user_units, user_value
+from jaxnav.jobs.results import cell, table, to_json, write_json
+from jaxnav.run import track
+from jaxnav.types import Samples, Track
+from tuning.train import Fit
+from tuning.validation import PairedGain
+
+if TYPE_CHECKING:
+    from jaxnav.jobs.tune import Scores
+
+
+def report(
+    materials: list[Material],
+    found: Fit,
+    leaves: list[str],
+    before: "Scores",
+    after: "Scores",
+    gain: PairedGain | None,
+    about: dict[str, Any],
+) -> dict[str, Any]:
+    """The metrics of a tuning job; ``about`` is what the innovations say of the parameters."""
+    material = materials[0]
+    return {
+        "about": "; ".join(m.about for m in materials),
+        "before": before.summary,
+        "after": after.summary,
+        "paired_gain": None if gain is None else gain._asdict(),
+        "per_window": {"before_m": before.errors.tolist(), "after_m": after.errors.tolist(),
+                       "block": before.blocks.tolist()},
+        "params_before": in_user_units(material.params, leaves),
+        "params_after": in_user_units(found.params, leaves),
+        "known": {NAMES[leaf]: user_value(leaf, v) for leaf, v in material.known.items() if leaf in leaves},
+        "loss": found.loss,
+        "steps": len(found.history),
+        "stopped": found.stopped,
+        "aside": [{k: entry[k] for k in ("run", "step", "why")} for entry in found.aside],
+    } | about  # fmt: skip
+
+
+def text(result: dict[str, Any], config: Config) -> str:
+    """The tables before and after for the terminal."""
+    before, after = result["before"], result["after"]
+    labels = {
+        "outage_rms_m": "horizontal error at the end of an outage, RMS (m)", "outage_median_m": "the same, median (m)",
+        "outage_max_m": "the same, largest (m)", "innovation_horizontal_rms_m": "horizontal innovation, RMS (m)",
+        "nis_per_dof": "NIS / dof (1 is consistent)",
+    }  # fmt: skip
+    rows = [[label, before[key], after[key]] for key, label in labels.items()]
+    lines = [result["about"], "", table([f"{config.filter.name} on data kept aside", "before", "after"], rows)]
+    gain = result["paired_gain"]
+    if gain is None:
+        lines.append("too few windows kept aside for an interval of the gain")
+    else:
+        verdict = "better" if gain["low"] > 1 else "worse" if gain["high"] < 1 else "not proven"
+        lines.append(
+            f"RMS {gain['gain']:.2f} times smaller, 95 % interval {gain['low']:.2f} to {gain['high']:.2f}: {verdict}"
+        )
+    names = result["params_before"]
+    known = result["known"]
+    rows = [[n, _short(v), _short(result["params_after"][n]), _short(known.get(n, ""))] for n, v in names.items()]
+    head = ["parameter", "before", "after", "simulated"]
+    lines += ["", table(head if known else head[:3], [row if known else row[:3] for row in rows])]
+    if result.get("parameters"):
+        rows = [
+            [name, p["value"], f"{cell(p['low'])} to {cell(p['high'])}" if p["identified"] else "not determined",
+             p["unit"], p["ratio"] if p["ratio"] is not None else ""]
+            for name, p in result["parameters"].items()
+        ]  # fmt: skip
+        head = ["as the innovations see it", "value", "95 % interval", "unit", "of datasheet"]
+        lines += ["", table(head, rows), *result["identifiability"]]
+    for entry in result["aside"]:
+        lines.append(f"set aside from step {entry['step']}: {entry['run']}: {entry['why']}")
+    return "\n".join(lines)
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, list):
+        return "[" + ", ".join(f"{v:.3g}" for v in np.ravel(value)) + "]"
+    return value
+
+
+# ---------------------------------------------------------------------------- files
+
+
+def write(folder: Path, material: Material, found: Fit, leaves: list[str], result: dict[str, Any]) -> None:
+    """Write tuned.toml, history.jsonl and metrics.json."""
+    noise = [leaf for leaf in (u.leaf for u in UNITS.values()) if leaf.startswith("noise.") or leaf in leaves]
+    params = {"params": in_user_units(found.params, noise)}
+    head = f"# jaxnav tune: {material.about}\n# use: jaxnav filter --params tuned.toml\n"
+    atomic_write(folder / "tuned.toml", head + configuration.to_toml(params))
+    rows = [to_json(row) for row in user_history(found.history)]
+    atomic_write(folder / "history.jsonl", "\n".join(rows) + "\n" if rows else "")
+    write_json(folder / "metrics.json", result)
+
+
+def user_history(history: list[dict]) -> list[dict]:
+    """One row a step with the parameters in a user's units."""
+    name = {leaf: NAMES[leaf] for leaf in (history[0]["params"] if history else {})}
+    return [row | {"params": {name[leaf]: user_value(leaf, v) for leaf, v in row["params"].items()}} for row in history]
+
+
+def draw(folder: Path, material: Material, found: Fit, before: "Scores", after: "Scores") -> None:
+    """Write the figures: drift before and after, tuning curves, and the first test run with the tuned filter."""
+    drift = {"datasheet": before.errors, "tuned": after.errors}
+    plots.save(plots_stats.outage_drift(drift), folder / "outage_drift.png")
+    if found.history:
+        known = {NAMES[leaf]: user_value(leaf, v) for leaf, v in material.known.items()}
+        plots.save(plots_stats.tuning(user_history(found.history), known), folder / "tuning.png")
+    sol = evaluate.solution(jax.tree.map(lambda a: a[0], after.info), found.params)
+    truth, fixes, biases = truth_of(material)
+    figures = evaluate.figures(sol, truth, fixes, material.measurements, material.outages, biases)
+    for name, fig in figures.items():
+        plots.save(fig, folder / f"{name}.png")
+
+
+def truth_of(material: Material) -> tuple[Track | None, Any, Any]:
+    """Truth, position fixes and true biases of the first test run, as far as they are known."""
+    if material.recording is not None:
+        return material.recording.truth, material.recording.aiding["position"], None
+    nav = jax.tree.map(lambda a: a[0], material.truth)
+    fix = jax.tree.map(lambda a: np.asarray(a[0]), material.test.epochs.fix)
+    seen = fix.valid[:, :3].all(1)
+    fixes = Samples(material.t[seen], *(a[seen, :3] for a in (fix.value, fix.sd, fix.corr)))
+    return track(nav), fixes, (material.t, np.asarray(nav.b_g), np.asarray(nav.b_a))

@@ -27,7 +27,7 @@ def product(a: int, b: int, c: int) -> int:
 
 
 def kalman_by_hand(n: int, m: int = CHANNELS) -> int:
-    """x and P predicted, K, x and P corrected (the short form of P)."""
+    """A Kalman filter: x and P predicted, K, x and P corrected (the short form of P)."""
     predict = product(n, n, 1) + 2 * product(n, n, n) + n * n
     gain = product(n, n, m) + product(m, n, m) + m * m + 2 * m**3 + product(n, m, m)
     state = product(m, n, 1) + m + product(n, m, 1) + n
@@ -96,3 +96,10 @@ def of(name: str) -> dict:
 def table() -> dict:
     """Of every filter of the outage study."""
     return {name: of(name) for name in BY_HAND}
+
+
+def show(found: dict) -> None:
+    """Print the table."""
+    print("\nfloating-point operations of a cycle: by hand | compiled | Phi and Q | paper")
+    for name, r in found.items():
+        print(f"  {name:16} {r['hand']:8} | {r['compiled']:8} | {r['compiled_phi_and_q']:8} | {r['paper'] or '-'}")

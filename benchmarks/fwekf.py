@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks import common, fwekf_figures
+from benchmarks import common, fwekf_figures, fwekf_recorded
 from benchmarks.fwekf_study import (
     CASES,
     QUICK,
@@ -143,6 +143,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0, help="of all runs (default: %(default)s)")
     parser.add_argument("--steps", type=int, default=140, help="of tuning; 0 takes the stored parameters")
     parser.add_argument("--progress", action="store_true", help="show the tuning's progress")
+    parser.add_argument("--recorded", action="store_true", help="the drive and NaveGo's data too, with faults injected")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="folder for figures (default: beside the JSON)")
     return parser
 
@@ -169,6 +170,9 @@ def main(argv: list[str]) -> None:
         result |= {"convergence": convergence(test, table), "gradient_rel_error": gradient_errors(test)}
         for name in ("convergence", "gradient_rel_error"):
             print(name, json.dumps(result[name], indent=1))
+        if args.recorded:
+            result["recorded"] = fwekf_recorded.table(tuned)
+            fwekf_recorded.show(result["recorded"])
         folder = args.figures or (args.json.with_suffix("") if args.json else None)
         if folder:
             data = {c: {m: navigate_first(test[c], *table[m]) for m in SHOWN} for c in ("C1", "C2", "C2m")}

@@ -12,7 +12,7 @@ from jaxnav import epochs, io, metrics
 from jaxnav.filters.catalogue import build
 from jaxnav.run import initial_nav, run_jit, track
 from jaxnav.sensors.grades import mounting, noise, prior
-from jaxnav.types import Params, Recording
+from jaxnav.types import Nav, Params, Recording
 
 KEYS = ("north_m", "east_m", "down_m", "vn_mps", "ve_mps", "vd_mps", "roll_deg", "pitch_deg", "heading_deg")
 REFERENCE = dict(zip(KEYS, (0.2306, 0.3606, 0.5134, 0.01659, 0.01215, 0.006586, 0.01743, 0.03459, 0.1271), strict=True))
@@ -28,13 +28,18 @@ def parameters(folder, imu: str) -> Params:
     return Params(white, prior(5.0, 0.1, sheet.ini_align_err, sheet.gb_sta, sheet.ab_sta), mounting())
 
 
-def solve(rec: Recording, params: Params, instantaneous: bool) -> tuple[dict, list]:
-    """RMSE after 60 s by name, and the RMS of the normalised innovations of the six channels."""
+def cut(rec: Recording, instantaneous: bool) -> tuple[epochs.Packed, Nav]:
+    """The epochs of 0.2 s, and the start at truth."""
     imu = epochs.from_instantaneous(rec.imu) if instantaneous else rec.imu
     start = float(rec.aiding["position"].t[0])
-    packed = epochs.pack(imu, rec.aiding, 0.2, start=start)
     i = int(np.argmin(np.abs(rec.truth.t - start)))
     nav = initial_nav(rec.truth.lla[i], rec.truth.vel[i], rec.truth.rph[i], t=start)
+    return epochs.pack(imu, rec.aiding, 0.2, start=start), nav
+
+
+def solve(rec: Recording, params: Params, instantaneous: bool) -> tuple[dict, list]:
+    """RMSE after 60 s by name, and the RMS of the normalised innovations of the six channels."""
+    packed, nav = cut(rec, instantaneous)
     info = run_jit(build("ekf15"), params, nav, packed.epochs)
     error = metrics.errors(track(info.nav), rec.truth)
     late = packed.t > SETTLED

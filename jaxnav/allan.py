@@ -19,7 +19,8 @@ from jaxnav.errors import DataError
 from jaxnav.types import ImuLog
 
 FLAT = np.sqrt(2 * np.log(2) / np.pi)  # deviation of 1/f noise over B
-SLOPE = 0.12  # how far a local slope may be from that of its process
+# slope of a process -> how far a local slope may be from it: a walk shows at the far end, where slopes are uncertain
+SLOPES = {-0.5: 0.12, 0.0: 0.06, 0.5: 0.18}
 SPAN = 2.5  # least ratio of the cluster times that a process must show over
 EDF = 8.0  # least degrees of freedom of a point that counts: 25 % of the deviation
 
@@ -106,10 +107,10 @@ def read_off(allan: Allan, axis: int = 0) -> ReadOff:
     if tau.size < 5 or not (deviation > 0).all():
         return ReadOff(None, None, None, None)
     slope = _slopes(np.log(tau), np.log(deviation), edf)
-    # a random walk shows at the far end, where slopes are uncertain
-    runs = {s: _runs(np.abs(slope - s) < (1.5 if s > 0 else 1.0) * SLOPE) for s in (-0.5, 0.0, 0.5)}
+    runs = {s: _runs(np.abs(slope - s) < within) for s, within in SLOPES.items()}
     long = lambda run: tau[run.stop - 1] >= SPAN * tau[run.start]  # noqa: E731
-    white = next((run for run in runs[-0.5] if long(run)), None)  # the first: behind a hump comes another
+    falling = slope < -0.1  # behind a hump comes another slope of -1/2, which is not of white noise
+    white = next((run for run in runs[-0.5] if long(run) and falling[: run.start].all()), None)
     walk = next((run for run in reversed(runs[0.5]) if long(run)), None)
     bottom = int(np.argmin(deviation))
     flat = next((run for run in runs[0.0] if run.start <= bottom < run.stop), None)

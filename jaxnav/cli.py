@@ -1,4 +1,4 @@
-"""The command line: ``jaxnav demo | simulate | filter | tune | allan | info | data``.
+"""The command line: ``jaxnav demo | simulate | filter | tune | mc | allan | info | data``.
 
 Exit codes: 0 done, 1 a check failed (the filter stopped being finite), 2 usage or configuration, 3 data that cannot be
 used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and errors on stderr.
@@ -26,6 +26,7 @@ VERBS = {
     "simulate": "write a simulated recording and its truth",
     "filter": "run a filter over a recording: solution, metrics, figures",
     "tune": "tune a filter's parameters by gradient and show the gain on data kept aside",
+    "mc": "Monte Carlo: filters over many simulated runs, errors, consistency, divergence",
     "allan": "Allan deviation of a resting IMU: white noise, bias instability, random walk, Gauss-Markov",
     "info": "versions, devices, filters, data sets",
     "data": "list, fetch or check public data sets",
@@ -78,11 +79,13 @@ def make_parser() -> argparse.ArgumentParser:
         if verb == "allan":
             sub.add_argument("--start", metavar="S", type=float, help="s, use the recording from here ([data] start)")
             sub.add_argument("--stop", metavar="S", type=float, help="s, to here ([data] stop)")
-        if verb in ("simulate", "filter", "tune", "allan"):
+        if verb in ("simulate", "filter", "tune", "mc", "allan"):
             sub.add_argument("--data", metavar="NAME|PATH", help="scenario, data set or recording ([data] source)")
-        if verb in ("filter", "tune", "demo"):
+        if verb in ("filter", "tune", "mc", "demo"):
             sub.add_argument("--filter", metavar="NAME", help="see `jaxnav info` ([filter] name)")
             sub.add_argument("--params", metavar="FILE", help="[params] of this file, such as an earlier tuned.toml")
+        if verb == "mc":
+            sub.add_argument("--runs", metavar="N", type=int, help="how many ([mc] runs); --filter takes A,B,...")
         if verb == "tune":
             sub.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out, bit for bit")
             sub.add_argument("--devices", metavar="N", type=int, default=1, help="share runs among N, 0: all there")
@@ -134,6 +137,8 @@ def resolve(args: argparse.Namespace) -> configuration.Config:
         layers.append(("--start, --stop", {"data": span}))
     if getattr(args, "filter", None):
         layers.append(("--filter", {"filter": {"name": args.filter}}))
+    if getattr(args, "runs", None) is not None:
+        layers.append(("--runs", {"mc": {"runs": args.runs}}))
     layers += [(f"--set {setting}", configuration.parse_set(setting)) for setting in args.set]
     return configuration.resolve(layers)
 
@@ -160,6 +165,10 @@ def _work(args: argparse.Namespace, config: configuration.Config, folder: Path, 
         from jaxnav.jobs import filtering
 
         return getattr(filtering, args.verb)(config, folder)
+    if args.verb == "mc":
+        from jaxnav.jobs import mc
+
+        return mc.mc(config, folder, progress)
     if args.verb == "allan":
         from jaxnav.jobs import allan
 

@@ -132,6 +132,15 @@ class Tune:
 
 
 @dataclasses.dataclass(frozen=True)
+class Mc:
+    """Monte Carlo runs."""
+
+    runs: int = 100
+    chunk: int = 16  # that live at a time
+    limit_m: float = 1000.0  # a horizontal error above this is a divergence
+
+
+@dataclasses.dataclass(frozen=True)
 class Out:
     """What is written."""
 
@@ -149,6 +158,7 @@ class Config:
     start: Start = Start()
     params: Params = Params()
     tune: Tune = Tune()
+    mc: Mc = Mc()
     out: Out = Out()
 
 
@@ -205,6 +215,9 @@ LIMITS: dict[str, tuple[float, float]] = {
     "tune.outage_every_s": (0.2, 36000.0),
     "tune.settle_s": (0.0, 36000.0),
     "tune.phases": (1, 100),
+    "mc.runs": (1, 10_000_000),
+    "mc.chunk": (1, 10_000),
+    "mc.limit_m": (1e-3, math.inf),
 }
 """Smallest and largest value of numbers that would otherwise fail somewhere inside."""
 

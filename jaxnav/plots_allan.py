@@ -26,7 +26,6 @@ def allan(groups: Sequence[tuple[str, str, float, Allan, Sequence[ReadOff]]]) ->
             ax.set_title(f"{name} {'xyz'[i]}", fontsize=9)
             _panel(ax, curve.tau, curve.deviation[:, i] / si, curve.edf)
             _lines(ax, curve.tau, found, si)
-            ax.set_ylim(row[0].get_ylim() if i else None)
         low = min(ax.get_ylim()[0] for ax in row)
         high = max(ax.get_ylim()[1] for ax in row)
         for ax in row:

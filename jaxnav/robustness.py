@@ -7,14 +7,14 @@ the growth over that trajectory if it is gone through again and again: `multipli
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from numpy.typing import ArrayLike
+from jax.typing import ArrayLike
 
 from jaxnav import linalg
 from jaxnav.filters.core import ErrorModel, Filter, FilterState, masked
@@ -22,6 +22,10 @@ from jaxnav.run import initial_nav
 from jaxnav.sensors.imu import sense
 from jaxnav.trajectories import Shape, travel
 from jaxnav.types import Epoch, Fix, Imu, Nav, Params
+
+Array = jax.Array | np.ndarray
+
+TABLE_1 = (5.0, 5.0, 5.0, 0.1, 0.1, 0.1)  # m, m/s: the paper's receiver
 
 # ---------------------------------------------------------------------------- closed forms for the GPID filter
 
@@ -43,7 +47,7 @@ def paper_matrix(A: jax.Array, K: jax.Array, C: jax.Array, ki: ArrayLike) -> jax
     """
     n = A.shape[0]
     eye = jnp.eye(n)
-    return jnp.block([[A - K @ C, eye], [-(K * ki) @ C, eye]])
+    return jnp.block([[A - K @ C, eye], [-(K * jnp.asarray(ki)) @ C, eye]])
 
 
 def exact_matrix(
@@ -61,15 +65,15 @@ def exact_matrix(
     """
     n, m = K.shape
     MK = jnp.asarray(states)[:, None] * K
-    integral, derivative = MK * ki, MK * kd
-    still = leak * jnp.eye(n)
+    integral, derivative = MK * jnp.asarray(ki), MK * jnp.asarray(kd)
+    still = jnp.asarray(leak) * jnp.eye(n)
     error = jnp.concatenate([(jnp.eye(n) - K @ H) @ A, -still, -integral - derivative, derivative], axis=1)
     summed = jnp.concatenate([jnp.zeros((n, n)), still, integral, jnp.zeros((n, m))], axis=1)
     shifted = jnp.eye(m, 2 * n + 2 * m, 2 * n)
     return jnp.concatenate([error, summed, H @ error, shifted])
 
 
-def spectral_radius(M: ArrayLike) -> float:
+def spectral_radius(M: Array) -> float:
     """The largest absolute value of an eigenvalue of M (N, N): below 1 is stable."""
     return float(np.abs(np.linalg.eigvals(np.asarray(M))).max())
 
@@ -96,10 +100,9 @@ def _to_enu(model: ErrorModel, nav: Nav, P: jax.Array) -> jax.Array:
     return jax.jacfwd(lambda x: model.report(nav, x, P)[1])(jnp.zeros(model.n_states))
 
 
-def _displace(model: ErrorModel, state: FilterState, s: jax.Array) -> FilterState:
-    """The state with errors s (N,): of navigation, n in ENU, then `_parts`."""
-    e = jnp.linalg.solve(_to_enu(model, _last(state), state.P), s[: model.n_states])
-    past = jax.vmap(model.retract, (0, None))(state.past, -e)
+def _displace(model: ErrorModel, state: FilterState, s: jax.Array, back: jax.Array) -> FilterState:
+    """The state with errors s (N,): of navigation, n in ENU, which ``back`` (n, n) turns; then `_parts`."""
+    past = jax.vmap(model.retract, (0, None))(state.past, -back @ s[: model.n_states])
     leaves, tree = jax.tree.flatten((state.x, state.u, state.memory))
     at = model.n_states
     for i, a in enumerate(leaves):
@@ -110,44 +113,42 @@ def _displace(model: ErrorModel, state: FilterState, s: jax.Array) -> FilterStat
     return state._replace(past=past, x=x, u=u, memory=memory, x0=x)
 
 
-def _read(state: FilterState) -> tuple[jax.Array, list[jax.Array]]:
-    """What `_displace` has moved: of navigation the numbers at the end."""
-    return _numbers(_last(state)), _parts(state)
+def _read(state: FilterState) -> tuple[jax.Array, jax.Array]:
+    """What `_displace` has moved: the numbers of navigation at the end, and the rest."""
+    return _numbers(_last(state)), jnp.concatenate([a.ravel() for a in _parts(state)])
 
 
-def _errors(model: ErrorModel, state: FilterState, moved: tuple[jax.Array, list[jax.Array]]) -> jax.Array:
-    """The inverse of `_displace` to first order: s (N,) from a tangent of `_read`."""
+def _measure(model: ErrorModel, state: FilterState) -> jax.Array:
+    """The matrix from small changes of `_numbers` to the error in ENU that they are, (n, 16)."""
     nav = _last(state)
     J = jax.jacfwd(lambda e: _numbers(model.retract(nav, -e)))(jnp.zeros(model.n_states))
     size = jnp.sqrt((J * J).sum(0))  # radians of latitude beside metres per second
     J = J / size
-    e = jnp.linalg.solve(J.T @ J, J.T @ moved[0]) / size
-    return jnp.concatenate([_to_enu(model, nav, state.P) @ e, *(a.ravel() for a in moved[1])])
+    return _to_enu(model, nav, state.P) @ (jnp.linalg.inv(J.T @ J) @ J.T / size[:, None])
 
 
-def _along(filt: Filter, params: Params, navs: Nav, epochs: Epoch, P: jax.Array, look: Callable) -> tuple:
-    """The covariance (n, n), in ENU, after the epochs, and what ``look(state, epoch)`` finds at every truth."""
+def _along(filt: Filter, params: Params, navs: Nav, epochs: Epoch, P: jax.Array, step: Callable) -> tuple:
+    """The covariance (n, n), in ENU, after the epochs, and what ``step(state, epoch)`` finds from every truth."""
     model = filt.model
 
     def one(P, x):
         nav, epoch = x
         state = filt.init(params, nav)
         back = jnp.linalg.inv(_to_enu(model, _last(state), P))
-        state = state._replace(P=back @ P @ back.T)
-        new, _ = filt.step(params, state, epoch)
+        new, found = step(state._replace(P=back @ P @ back.T), epoch)
         turn = _to_enu(model, _last(new), P)
-        return turn @ new.P @ turn.T, look(state, epoch)
+        return turn @ new.P @ turn.T, found
 
     return lax.scan(one, P, (navs, epochs))
 
 
 def perfect(
-    shape: Shape, lla: ArrayLike, epochs: int, T: float = 1.0, k: int = 10, sd: ArrayLike = (5, 5, 5, 0.1, 0.1, 0.1)
+    shape: Shape, lla: Sequence[float], epochs: int, T: float = 1.0, k: int = 10, sd: Sequence[float] = TABLE_1
 ) -> tuple[Nav, Epoch]:
     """The truth at the start of every epoch, and epochs of T s without any error, from a trajectory: for `transitions`.
 
-    ``lla`` (lat rad, lon rad, h m) at the start; ``k`` IMU samples an epoch; ``sd`` (6,) of position (ENU m) and velocity
-    (ENU m/s), which the fixes claim.
+    ``lla`` (3,) lat rad, lon rad, h m at the start; ``k`` IMU samples an epoch; ``sd`` (6,) of position (ENU m) and
+    velocity (ENU m/s), which the fixes claim.
     """
     way = travel(shape, jnp.asarray(lla, float), T / k, k, epochs, sense)
     (first, *_), (ends, *_) = way.start, way.ends
@@ -173,7 +174,7 @@ def settle(
 
     def again(carry):
         P, _, i = carry
-        new, _ = _along(filt, params, navs, epochs, P, lambda state, epoch: None)
+        new, _ = _along(filt, params, navs, epochs, P, lambda state, epoch: (filt.step(params, state, epoch)[0], None))
         sd = jnp.sqrt(jnp.diag(new))
         return new, jnp.max(jnp.abs(new - P) / (sd[:, None] * sd)), i + 1
 
@@ -195,16 +196,19 @@ def transitions(filt: Filter, params: Params, navs: Nav, epochs: Epoch, P: jax.A
     """
     model = filt.model
 
-    def look(state: FilterState, epoch: Epoch):
+    def step(state: FilterState, epoch: Epoch):
+        back = jnp.linalg.inv(_to_enu(model, _last(state), state.P))
+
         def moved(s):
-            new, _ = filt.step(params, _displace(model, state, s), epoch)
+            before = filt.predict(params, _displace(model, state, s, back), epoch.imu)
+            new, _ = filt.correct(params, before._replace(P=lax.stop_gradient(before.P)), epoch.fix)
             return _read(new), new
 
         zero = jnp.zeros(model.n_states + sum(a.size for a in _parts(state)))
-        _, push, new = jax.linearize(moved, zero, has_aux=True)
-        return jax.vmap(lambda s: _errors(model, new, push(s)), out_axes=1)(jnp.eye(zero.size))
+        (nav, rest), new = jax.jacfwd(moved, has_aux=True)(zero)
+        return new, jnp.concatenate([_measure(model, new) @ nav, rest])
 
-    return _along(filt, params, navs, epochs, P, look)[1]
+    return _along(filt, params, navs, epochs, P, step)[1]
 
 
 @partial(jax.jit, static_argnums=0)
@@ -216,16 +220,21 @@ def linear_model(
     Arguments as for `transitions`; in the axes of the frame.
     """
 
-    def look(state: FilterState, epoch: Epoch):
-        A = jax.jacfwd(lambda x: filt.predict(params, state._replace(x=x), epoch.imu).x)(state.x)
-        before = filt.predict(params, state, epoch.imu)
-        _, H, R = masked(*filt.model.observe(params.noise, params.mounting, before.past, epoch.fix), epoch.fix.valid)
-        return A, linalg.gain(before.P, H, H @ before.P @ H.T + R), H
+    def step(state: FilterState, epoch: Epoch):
+        def predicted(x):
+            before = filt.predict(params, state._replace(x=x), epoch.imu)
+            return before.x, before
 
-    return _along(filt, params, navs, epochs, P, look)[1]
+        A, before = jax.jacfwd(predicted, has_aux=True)(state.x)
+        y, H, R = filt.model.observe(params.noise, params.mounting, before.past, epoch.fix)
+        _, H, R = masked(y, H, R, epoch.fix.valid)
+        K = linalg.gain(before.P, H, H @ before.P @ H.T + R)
+        return filt.correct(params, before, epoch.fix)[0], (A, K, H)
+
+    return _along(filt, params, navs, epochs, P, step)[1]
 
 
-def multipliers(matrices: ArrayLike, n: int) -> np.ndarray:
+def multipliers(matrices: Array, n: int) -> np.ndarray:
     """Eigenvalues of the product of matrices (E, N, N), the first one applied first; largest absolute value first.
 
     Only of those components that an error of the first ``n`` ever reaches: a counter, or an integral that a mask

@@ -142,15 +142,14 @@ def full_dynamics(lla, v, C, f, n):
 def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd=0.0, states=None):
     """Navigate, predict, correct; ``imu`` (dt, gyro, accel) of (E, k, ...), ``fixes`` (lla, sd, vel, sd, valid (E, 6)).
 
-    ``states`` (n,): where integral and derivative act; of the integral only what came from channels that are there, by
-    their gain and sd. Returns lists of (lla, v, C, x, P) after each epoch.
+    ``states`` (n,): where integral and derivative act, as far as the channels that observe a state are there. Returns lists of (lla, v, C, x, P) after each epoch.
     """
     n = prior_sd.size
     nav = Strapdown(*start, n)
     P = np.diag(prior_sd**2)
     H = np.eye(6, n)
     states = np.ones(n) if states is None else states
-    x_I, last, before, adds = np.zeros(n), np.zeros(6), np.zeros(6), np.zeros((n, 6))
+    x_I, last, before, loop = np.zeros(n), np.zeros(6), np.zeros(6), np.zeros((n, 6))
     out = []
     for e in range(len(imu[0])):
         for dt, gyro, accel in zip(imu[0][e], imu[1][e], imu[2][e], strict=True):
@@ -172,11 +171,11 @@ def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd
             R = np.diag(np.concatenate([sd, sdv]) ** 2)
             y, h, R = y[valid], H[valid], R[np.ix_(valid, valid)]  # a missing channel is not there at all
             K = P @ h.T @ np.linalg.inv(h @ P @ h.T + R)
-            adds[:, valid] = np.abs(K) * ki * np.sqrt(np.diag(R))
-            total = adds.sum(1)
-            part = np.where(total > 0, adds[:, valid].sum(1) / np.where(total > 0, total, 1), 1.0)  # that acts
-            rest, x_I = (1 - part) * x_I, part * x_I + states * (ki * (K @ last[valid]))
-            x_D = states * (kd * (K @ (last - before)[valid]))
+            loop[:, valid] = np.abs(K * h.T)
+            total = loop.sum(1)
+            acting = np.where(total > 0, loop[:, valid].sum(1) / np.where(total > 0, total, 1), 1.0)
+            rest, x_I = (1 - acting) * x_I, acting * (x_I + states * (ki * (K @ last[valid])))
+            x_D = acting * states * (kd * (K @ (last - before)[valid]))
             x = K @ y + x_I + x_D
             x_I = x_I + rest
             before[valid] = last[valid]

@@ -1,5 +1,7 @@
 """The fuzzy weighted filter: its limits, its printed form, and what its inputs and its fading do."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,6 +34,7 @@ def constant(a):
 def solve(case):
     """Run a rule on the shared drive with 9 states and the observer, in the frame that compiles soonest."""
 
+    @functools.cache
     def make(rule):
         frame = FRAMES["local_level"]
         filt = make_filter(frame.propagate, frame.error_model(9), rule, observer, 20)
@@ -57,9 +60,10 @@ def test_printed_weights_are_the_same_filter_while_a_is_constant(solve):
         k = np.arange(one.P.shape[0])[:, None, None]
         np.testing.assert_allclose(np.asarray(two.P) * a ** (2.0 * k), one.P, rtol=1e-6, atol=1e-12)
     # they part where a changes, and the printed form runs out of numbers: 1e8 a fix here, after 38 fixes
-    changing = fwekf.fwekf_params()._replace(limit=OFF)
-    apart = solve(fwekf.fwekf(5))(changing).nav.vel - solve(fwekf.fwekf_literal(5))(changing).nav.vel
-    assert np.abs(apart).max() > 1e-3
+    changing = constant(1.1)
+    system = changing.system._replace(bounds=jnp.array([1.0, 1.2]), consequents=jnp.array([[-2.0, 8.0, 0.0]]))
+    changing = changing._replace(system=system)
+    assert np.abs(recursive(changing).nav.vel - literal(changing).nav.vel).max() > 1e-3
     last = literal(constant(1e4))
     assert not bool(last.ok[-1]) and all_finite(last)
 
@@ -168,7 +172,7 @@ def standing(E):
 def test_heading_at_rest_does_not_wind_up(case):
     nav, epochs = standing(300)
     params = case.params._replace(feedback=poles(), prior=case.params.prior._replace(attitude=jnp.asarray(DEG)))
-    frame = FRAMES["inertial"]
+    frame = FRAMES["local_level"]
     filt = make_filter(frame.propagate, frame.error_model(9), fwekf.fwekf(5, ONE), observer, 2)
 
     @jax.jit
@@ -184,9 +188,8 @@ def test_heading_at_rest_does_not_wind_up(case):
     np.testing.assert_allclose(held[-1, P, P], free[-1, P, P], rtol=0, atol=0.1 * free[-1, 0, 0])
 
 
-@pytest.mark.parametrize("frame", ["local_level", "tangent"])
-def test_it_runs_in_frames_that_are_not_its_own(case, frame):
-    filt = build("fwekf15", cov_stride=20, frame=frame)
+def test_it_runs_with_biases_in_a_frame_that_is_not_its_own(case):
+    filt = build("fwekf15", cov_stride=20, frame="tangent")
     params = case.params._replace(rule=fwekf.fwekf_params(), feedback=poles())
     info = jax.jit(run, static_argnums=0)(filt, params, case.nav, case.packed.epochs)
     assert bool(info.ok.all())
@@ -194,20 +197,29 @@ def test_it_runs_in_frames_that_are_not_its_own(case, frame):
     assert np.sqrt((error**2).mean()) < 0.1
 
 
-def test_gradient_of_a_run_in_memberships_and_consequents(case, solve):
-    run_it = solve(fwekf.fwekf(10))
-    truth = jnp.asarray(case.truth.vel[20::20])
-    theta = fwekf.fwekf_params()
-    flat, unravel = ravel_pytree(theta.system)
+def test_gradient_of_a_run_in_memberships_and_consequents():
+    """Position and velocity tracked by a rule that is told too little noise; every parameter against differences."""
+    rule, theta = fwekf.fwekf(8), fwekf.fwekf_params(0.9)
+    y = jnp.asarray(np.random.default_rng(5).normal(size=(60, 1)) * 3)
+    Phi, Q, H = jnp.array([[1.0, 0.1], [0.0, 1.0]]), jnp.diag(jnp.array([1e-6, 1e-4])), jnp.array([[1.0, 0.0]])
+    flat, unravel = ravel_pytree(theta.system[:3])
 
     @jax.jit
     def rms(flat):
-        info = run_it(theta._replace(system=unravel(flat)))
-        return jnp.sqrt(((info.nav.vel - truth) ** 2).mean())
+        mine = theta._replace(system=fuzzy.System(*unravel(flat), theta.system.bounds))
 
-    grad = np.asarray(jax.jit(jax.grad(rms))(flat))
-    assert np.isfinite(grad).all() and (np.abs(grad[:-2]) > 0).sum() > 15
-    way, h = np.random.default_rng(5).normal(size=flat.size), 1e-4
-    way[-2:] = 0
-    numeric = (rms(flat + h * way) - rms(flat - h * way)) / (2 * h)
-    np.testing.assert_allclose(grad @ way, numeric, rtol=1e-5)
+        def step(state, y):
+            x, P, memory = state
+            x, P = Phi @ x, Phi @ P @ Phi.T + Q
+            z = Innovation(H @ x - y, H, jnp.eye(1), P, jnp.array([True]), *jnp.ones(2))
+            c = rule.correct(mine, memory, z)
+            x = x - c.delta
+            return (x, c.fade[:, None] * c.P * c.fade, c.memory), x
+
+        start = jnp.zeros(2), jnp.eye(2), rule.init(2, 1)
+        return jnp.sqrt((jax.lax.scan(step, start, y)[1][:, 0] ** 2).mean())
+
+    grad, h = np.asarray(jax.jit(jax.grad(rms))(flat)), 1e-5
+    numeric = np.array([(rms(flat + e) - rms(flat - e)) / (2 * h) for e in h * np.eye(flat.size)])
+    assert (np.abs(grad) > 1e-9).sum() > 20
+    np.testing.assert_allclose(grad, numeric, rtol=1e-5, atol=1e-9 * np.abs(grad).max())

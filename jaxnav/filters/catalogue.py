@@ -10,6 +10,7 @@ from jaxnav.filters.adaptive import fading, fading_params, iae, iae_params, sage
 from jaxnav.filters.combinators import only
 from jaxnav.filters.core import ErrorModel, Filter, make_filter
 from jaxnav.filters.feedback import observer, open_loop, poles, reset
+from jaxnav.filters.fuzzy_combined import combined_params, fuzzy_combined
 from jaxnav.filters.fwekf import fwekf, fwekf_literal, fwekf_params
 from jaxnav.filters.gip_kf import gip_kf, gip_kf_params, literal
 from jaxnav.filters.gpid import gpid, gpid_params, literal_params
@@ -48,6 +49,9 @@ class Entry(NamedTuple):
 
 
 _FUZZY = {"system.centres": "identity", "system.widths": "identity", "system.consequents": "identity"}
+_COMBINED = {
+    f"{part}.{leaf}": "identity" for part in ("fade", "adapt") for leaf in ("centres", "widths", "consequents")
+}
 _FWEKF = "Fuzzy weighted EKF for GPS/INS, eqs. 1-33"
 ROBUST: dict[str, tuple[Callable[..., Any], Callable[..., Any], dict[str, str], str]] = {
     "gate": (gate, gate_params, {}, "chi-square gate by block, with recovery; Groves 2013, section 17.3"),
@@ -103,6 +107,10 @@ FILTERS: dict[str, Entry] = {
     ),
     "fwekf_literal": Entry(
         9, fwekf_literal, fwekf_params, _FUZZY, f"{_FWEKF}, weights as printed", "full", "inertial", observer, poles
+    ),
+    "fwekf_combined": Entry(
+        9, fuzzy_combined, combined_params, _COMBINED, "this package: fading or a new R, by fuzzy rules", "full",
+        "inertial", observer, poles,
     ),
     **{f"ekf{n}_{name}": _robust(n, name) for n in (9, 15) for name in ROBUST},
 }  # fmt: skip

@@ -9,8 +9,8 @@ K is the Kalman gain, whose covariance recursion (28-33) the integral and deriva
 M = I and leak = 1: `literal`, which diverges on the paper's own circle for both printed gain pairs (a double integrator
 on the weakly observable heading). The default acts on the position states only, which is stable.
 
-Anti-windup, of which the paper has nothing: where channels are missing, or a gate has rejected them, the part of x_I
-that came from them stands still and is not applied. Applied at every fix, it would push a position that nothing
+Anti-windup, of which the paper has nothing: where the channels that observe a state are missing, or a gate has rejected
+them, its x_I stands still and is not applied, nor is its x_D. Added at every fix, it would push a position that nothing
 corrects. With all channels there the equations are the paper's.
 """
 
@@ -43,7 +43,7 @@ class Memory(NamedTuple):
     integral: jax.Array  # (n,)
     last: jax.Array  # (m,)
     before: jax.Array  # (m,)
-    weight: jax.Array  # (n, m) how much each channel adds to the integral, by its gain and sd
+    loop: jax.Array  # (n, m) how much of its own error each channel takes out of a state, the parts of diag(K H)
 
 
 def gpid_params(
@@ -63,33 +63,34 @@ def literal_params(ki: ArrayLike, kd: ArrayLike, n_states: int = 9) -> Gpid:
     return gpid_params(ki, kd, n_states, tuple(STATES)[: n_states // 3])
 
 
-def share(weight: jax.Array, channels: jax.Array) -> jax.Array:
-    """The part of each state's integral (n,) that came from ``channels`` (m,) bool; 1 where there is none."""
-    total = weight.sum(1)
+def share(loop: jax.Array, channels: jax.Array) -> jax.Array:
+    """The part of each state's feedback (n,) through ``channels`` (m,) bool; 1 where a state has none by itself."""
+    total = loop.sum(1)
     some = total > 0
-    return jnp.where(some, jnp.where(channels, weight, 0.0).sum(1) / jnp.where(some, total, 1.0), 1.0)
+    part = jnp.where(channels, loop, 0.0).sum(1) / jnp.where(some, total, 1.0)
+    return jnp.where(some, part, channels.any())
 
 
 def forgotten(memory: Memory, stale: jax.Array) -> Memory:
     """The memory without what the ``stale`` (m,) channels have left in it."""
     drop = lambda a: jnp.where(stale, 0.0, a)  # noqa: E731
-    rest = memory.integral * share(memory.weight, ~stale)
-    return Memory(rest, drop(memory.last), drop(memory.before), drop(memory.weight))
+    kept = memory.integral * share(memory.loop, ~stale)
+    return Memory(kept, drop(memory.last), drop(memory.before), drop(memory.loop))
 
 
 def correct(theta: Gpid, memory: Memory, z: Innovation) -> Correction:
     """One correction; missing channels have columns of zeros in K, and add nothing to the integral."""
     memory = forgotten(memory, z.age > theta.reset)
     K = linalg.gain(z.P, z.H, z.H @ z.P @ z.H.T + z.R)
-    weight = jnp.where(z.valid, jnp.abs(K) * theta.ki * jnp.sqrt(jnp.diag(z.R)), memory.weight)
-    acting = share(weight, z.valid)
-    moving, still = acting * memory.integral, (1 - acting) * memory.integral
-    applied = theta.leak * moving + theta.states * (K @ (theta.ki * memory.last))
-    derivative = theta.states * (K @ (theta.kd * (memory.last - memory.before)))
+    loop = jnp.where(z.valid, jnp.abs(K * z.H.T), memory.loop)
+    acting = share(loop, z.valid)
+    M = theta.states * acting
+    applied = theta.leak * acting * memory.integral + M * (K @ (theta.ki * memory.last))
+    derivative = M * (K @ (theta.kd * (memory.last - memory.before)))
     delta = K @ z.nu + applied + derivative
     residual = z.nu - z.H @ delta
     last, before = jnp.where(z.valid, residual, memory.last), jnp.where(z.valid, memory.last, memory.before)
-    memory = Memory(applied + still, last, before, weight)
+    memory = Memory(applied + (1 - acting) * memory.integral, last, before, loop)
     return Correction(delta, linalg.joseph(z.P, K, z.H, z.R), memory, z.valid)
 
 

@@ -1,5 +1,6 @@
 """`jaxnav allan`: the noise figures of an IMU at rest."""
 
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -102,15 +103,17 @@ def as_table(curve: Allan, unit: str, si: float) -> dict[str, Any]:
 def summary(found: dict[str, Any], rows: dict[str, list[dict[str, float | None]]]) -> str:
     """The tables for the terminal."""
     lines = [f"{found['name']}: {found['start_s']:.1f} to {found['stop_s']:.1f} s at {found['rate_hz']:.4g} Hz"]
-    if found.get("share_at_rest", 1.0) < 0.95:
+    if found.get("share_at_rest", 1.0) < 1.0:
         rest = found["longest_rest_s"]
         hint = f"; the longest rest is --start {rest[0]:.1f} --stop {rest[1]:.1f}" if rest else ""
-        lines.append(f"at rest {100 * found['share_at_rest']:.0f} % of this time only: the figures are of motion{hint}")
+        share = 100 * found["share_at_rest"]
+        lines.append(f"at rest {share:.0f} % of this time only, the figures are of motion too{hint}")
     heads = {
         "gyro": ["gyro", "N deg/√h", "B deg/h", "K deg/h/√s", "GM sd deg/h", "GM tau s"],
         "accel": ["accel", "N µg/√Hz", "B µg", "K µg/√s", "GM sd µg", "GM tau s"],
     }
     for kind, head in heads.items():
-        body = [[axis, *(float("nan") if v is None else v for v in row.values())] for axis, row in zip("xyz", rows[kind])]
+        known = [[math.nan if v is None else v for v in row.values()] for row in rows[kind]]
+        body = [[axis, *values] for axis, values in zip("xyz", known)]
         lines += ["", table(head, body)]
     return "\n".join(lines)

@@ -12,6 +12,7 @@ from jaxnav.config import Config
 from jaxnav.io import atomic_write
 from jaxnav.jobs import evaluate
 from jaxnav.jobs.batches import Material
+from jaxnav.jobs.export import kfgins_yaml, navego_fields
 from jaxnav.jobs.parameters import NAMES, UNITS, in_user_units, user_value
 from jaxnav.jobs.results import cell, table, to_json, write_json
 from jaxnav.run import track
@@ -97,11 +98,15 @@ def _short(value: Any) -> Any:
 
 
 def write(folder: Path, material: Material, found: Fit, leaves: list[str], result: dict[str, Any]) -> None:
-    """Write tuned.toml, history.jsonl and metrics.json."""
+    """Write tuned.toml, the same for other software, history.jsonl and metrics.json."""
     noise = [leaf for leaf in (u.leaf for u in UNITS.values()) if leaf.startswith("noise.") or leaf in leaves]
     params = {"params": in_user_units(found.params, noise)}
     head = f"# jaxnav tune: {material.about}\n# use: jaxnav filter --params tuned.toml\n"
     atomic_write(folder / "tuned.toml", head + configuration.to_toml(params))
+    atomic_write(folder / "tuned_kfgins.yaml", head.splitlines()[0] + "\n" + kfgins_yaml(found.params.noise))
+    atomic_write(
+        folder / "tuned_navego.m", head.splitlines()[0].replace("#", "%") + "\n" + navego_fields(found.params.noise)
+    )
     rows = [to_json(row) for row in user_history(found.history)]
     atomic_write(folder / "history.jsonl", "\n".join(rows) + "\n" if rows else "")
     write_json(folder / "metrics.json", result)

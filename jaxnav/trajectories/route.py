@@ -48,7 +48,8 @@ def waypoints(motion: Waypoints) -> Shape:
     """
     points, speeds, waits = _check(motion)
     chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    path = make_interp_spline(chords, points, k=5, bc_type="natural")
+    free = [(3, np.zeros(3)), (4, np.zeros(3))]  # third and fourth derivative at an end: natural, least jerk
+    path = make_interp_spline(chords, points, k=5, bc_type=(free, free))
     # chord parameter as a function of the distance along the path
     fine = np.unique(np.concatenate([np.linspace(a, b, 65) for a, b in zip(chords[:-1], chords[1:], strict=True)]))
     rate = lambda u: np.linalg.norm(path.derivative()(u), axis=-1)  # noqa: E731

@@ -1,0 +1,291 @@
+"""What tuning costs: a gradient against CMA-ES, coordinate search and random search, in filter-run equivalents.
+
+Five problems of 15 or more free parameters, each started anywhere within a decade of the datasheet. Every loss is a
+logarithm (of a likelihood per fix, of a drift, of an RMSE), so that within 1 % of the best loss seen by any method is
+within 0.01 of it. One evaluation costs the runs of the problem's batch; a gradient is charged what it was measured to
+take on the same batch, and the method of scoring, which only likelihoods have, likewise.
+"""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from benchmarks import common, drive, navego
+from jaxnav import io, metrics
+from jaxnav.filters.catalogue import FILTERS, build
+from jaxnav.filters.core import Filter
+from jaxnav.jobs.sources import simulated
+from jaxnav.run import run
+from jaxnav.scenarios import URBAN_SHORT
+from jaxnav.simulation import matched_params
+from jaxnav.types import Epoch, Nav, Params
+from tuning import objectives, rivals, scoring, uncertainty
+from tuning.batch import Data, Problem, evaluate, mean
+from tuning.optimizers import adam
+from tuning.train import _job, fit
+from tuning.transforms import LOG, TRANSFORMS, Spec, get, join, put, scaled, split
+
+CLOSE = 0.01  # of a logarithm: 1 %
+PER_PARAMETER = 200  # evaluations of a search without derivatives, for each parameter
+STEPS, RATE = 100, 0.3  # of Adam
+AXES = ("gyro", "accel", "gyro_bias", "accel_bias", "position_scale", "velocity_scale")
+
+
+class Runs(NamedTuple):
+    """A batch for every objective; leading axis B."""
+
+    nav: Nav
+    epochs: Epoch
+    keep: jax.Array  # (B, E) bool
+    ends: jax.Array  # (B, W) int, last epochs of hidden windows
+    lla: jax.Array  # (B, E, 3) truth, where it is used
+
+
+class Setup(NamedTuple):
+    """One tuning problem."""
+
+    filter: Filter
+    params: Params
+    spec: Spec
+    runs: Runs
+    loss: Callable[[Params, Runs], jax.Array]  # of one run
+    likelihood: bool  # whether the loss is one, per fix
+
+
+def per_axis(params: Params) -> Params:
+    """Noise with one number for every axis."""
+    for name in AXES:
+        params = put(params, f"noise.{name}", jnp.broadcast_to(get(params, f"noise.{name}"), (3,)))
+    return params
+
+
+def free(*more: tuple[str, Any], axes: tuple[str, ...] = AXES) -> Spec:
+    """Noise by axis, and what else is named."""
+    return {f"noise.{name}": LOG for name in axes} | dict(more)
+
+
+def nll(filt: Filter) -> Callable:
+    return lambda params, r: objectives.innovation_nll(run(filt, params, r.nav, r.epochs), r.keep)
+
+
+def log_drift(filt: Filter) -> Callable:
+    def loss(params, r):
+        info = run(filt, params, r.nav, r.epochs)
+        return objectives.log_mean_drift(info, r.ends, jnp.ones(r.ends.shape, bool))
+
+    return loss
+
+
+def log_rmse(filt: Filter) -> Callable:
+    def loss(params, r):
+        error = jax.vmap(metrics.position_error)(run(filt, params, r.nav, r.epochs).nav, r.lla)
+        return 0.5 * jnp.log(jnp.mean(error**2))
+
+    return loss
+
+
+# ---------------------------------------------------------------------------- problems
+
+
+def town(count: int, late: float = 0.0, seed: int = 0) -> tuple[Runs, Params, int]:
+    """Simulated drives in town with an outage each; fixes may be late."""
+    imu = URBAN_SHORT.imu._replace(imu_noise_factor=5.0)
+    what = URBAN_SHORT._replace(imu=imu, gnss=URBAN_SHORT.gnss._replace(latency_s=late))
+    sims = simulated(what, jax.random.split(jax.random.key(seed), count))
+    ends = jnp.sum(sims.truth.t[:, None] <= sims.outages[:, :, 1:] + 1e-6, axis=-1) - 1
+    runs = Runs(sims.initial, sims.epochs, ~sims.hidden, ends, sims.truth.pos)
+    return runs, per_axis(matched_params(what)), sims.epochs.imu.dt.shape[-1]
+
+
+def simulated_likelihood() -> Setup:
+    """15 states, simulated drives, likelihood of the innovations: 18 parameters."""
+    runs, params, k = town(4)
+    filt = build("ekf15", cov_stride=k)
+    return Setup(filt, params, free(), runs, nll(filt), True)
+
+
+def simulated_drift() -> Setup:
+    """GPID with bias states, simulated drives, drift at the ends of outages: 20 parameters and more."""
+    runs, params, k = town(4, seed=1)
+    filt = build("gpid15", cov_stride=k)
+    params = params._replace(rule=FILTERS["gpid15"].theta())
+    rule = [(f"rule.{name}", TRANSFORMS[kind]) for name, kind in FILTERS["gpid15"].tunable.items()]
+    return Setup(filt, params, free(*rule), runs, log_drift(filt), False)
+
+
+def simulated_rmse() -> Setup:
+    """9 states, fixes 0.2 s late, true position: noise, lever arm and latencies, 17 parameters."""
+    runs, params, k = town(4, 0.2, seed=2)
+    filt = build("ekf9", cov_stride=k, history=8)
+    place = [("mounting.lever_arm", scaled(0.2)), ("mounting.position_latency", scaled(0.1)),
+             ("mounting.velocity_latency", scaled(0.1))]  # fmt: skip
+    axes = ("gyro", "accel", "position_scale", "velocity_scale")
+    return Setup(filt, params, free(*place, axes=axes), runs, log_rmse(filt), False)
+
+
+def one(nav: Nav, data: Epoch, keep: np.ndarray) -> Runs:
+    """A recording as a batch of one."""
+    lead = lambda tree: jax.tree.map(lambda a: jnp.asarray(a)[None], tree)  # noqa: E731
+    E = keep.size
+    return Runs(lead(nav), lead(data), jnp.asarray(keep)[None], jnp.zeros((1, 1), int), jnp.zeros((1, E, 3)))
+
+
+def navego_likelihood() -> Setup:
+    """15 states, a minute and a half of NaveGo's imu2, likelihood: 18 parameters."""
+    folder = io.verify("navego_synthetic")
+    packed, nav = navego.cut(io.read_navego(folder, "imu2"), instantaneous=False)
+    E = int(np.searchsorted(packed.t, packed.t[0] + 90.0))
+    filt = build("ekf15", cov_stride=packed.epochs.imu.dt.shape[1])
+    data = jax.tree.map(lambda a: a[:E], packed.epochs)
+    return Setup(filt, per_axis(navego.parameters(folder, "imu2")), free(), one(nav, data, np.ones(E, bool)), nll(filt),
+                 True)  # fmt: skip
+
+
+def drive_likelihood() -> Setup:
+    """15 states and standstill updates, a stretch of the real drive, likelihood: noise, timing, lever arm, 25."""
+    rec = io.read_drive(io.verify("rtkexplorer_drive"), imu_delay=drive.EARLY)
+    data = drive.cut(rec, False, 146.0, 206.0)
+    more = [("noise.zero_velocity", LOG), ("noise.zero_rate", LOG), ("mounting.time_offset", scaled(0.1)),
+            ("mounting.velocity_latency", scaled(0.05)), ("mounting.lever_arm", scaled(0.2))]  # fmt: skip
+    runs = one(data.nav, data.epochs, data.t > 146.0 + 10.0)
+    return Setup(data.filt, per_axis(drive.parameters()), free(*more), runs, nll(data.filt), True)
+
+
+PROBLEMS: dict[str, Callable[[], Setup]] = {
+    "simulated_likelihood": simulated_likelihood, "simulated_drift": simulated_drift, "simulated_rmse": simulated_rmse,
+    "navego_likelihood": navego_likelihood, "drive_likelihood": drive_likelihood,
+}  # fmt: skip
+
+
+# ---------------------------------------------------------------------------- methods
+
+
+@partial(jax.jit, static_argnums=0)
+def _population(problem: Problem, candidates: Any, data: Data) -> jax.Array:
+    """Losses of many candidates, inf where a run fails, (N,)."""
+    one = jax.vmap(lambda r: evaluate(problem, r, data, slopes=False))(candidates)
+    return jnp.where(one.good.all(1), one.value, jnp.inf)
+
+
+@partial(jax.jit, static_argnums=0)
+def _gradient(problem: Problem, raw: Any, data: Data):
+    e = evaluate(problem, raw, data)
+    return e.value, e.grad
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _inform(filt: Filter, items: tuple, flat: jax.Array, like: Any, params: Params, runs: Runs):
+    spec, (_, back) = dict(items), ravel_pytree(like)
+
+    def one(r: Runs):
+        block = jnp.zeros(r.keep.shape, int)
+        solve = lambda f: run(filt, join(spec, back(f), params), r.nav, r.epochs)  # noqa: E731
+        return uncertainty.information(solve, flat, r.keep, block, 1)
+
+    parts = jax.vmap(one)(runs)
+    return uncertainty.Information(*(a.sum(0) for a in parts))
+
+
+def seconds(call: Callable[[], Any], times: int = 5) -> float:
+    """Least wall time of a call, after one to compile."""
+    jax.block_until_ready(call())
+    spent = []
+    for _ in range(times):
+        begin = time.perf_counter()
+        jax.block_until_ready(call())
+        spent.append(time.perf_counter() - begin)
+    return min(spent)
+
+
+def compare(name: str, setup: Setup, seed: int, per_parameter: int, steps: int) -> dict:
+    """All methods on one problem: loss against cost, and the cost to come close to the best of all."""
+    like = split(setup.spec, setup.params)
+    flat, back = ravel_pytree(like)
+    P = flat.size
+    flat = np.asarray(flat) + np.random.default_rng(seed).uniform(-1, 1, P) * rivals.DECADE * decades(setup.spec, like)
+    start = join(setup.spec, back(jnp.asarray(flat)), setup.params)
+    problem, data = _job(setup.loss, setup.spec, setup.params, (), [setup.runs], mean, None, 1.0, None)
+    many = lambda c: np.asarray(_population(problem, jax.vmap(back)(jnp.asarray(c)), data))  # noqa: E731
+    unit = seconds(lambda: _population(problem, jax.tree.map(lambda a: a[None], like), data))
+    charge = {"gradient": seconds(lambda: _gradient(problem, back(jnp.asarray(flat)), data)) / unit}
+    together = seconds(lambda: _population(problem, jax.vmap(back)(jnp.tile(flat, (12, 1))), data)) / 12 / unit
+    curves: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    budget = per_parameter * P
+    for rival in (rivals.cma, rivals.coordinate_search, rivals.random_search):
+        best = rival(many, flat, budget, seed)
+        curves[rival.__name__] = (np.arange(1, best.size + 1), best)
+    found = fit(setup.loss, setup.spec, start, steps, adam(steps, RATE, 10.0), cases=[setup.runs])
+    losses = np.array([row["loss"] for row in found.history])
+    curves["gradient"] = (charge["gradient"] * np.arange(1, losses.size + 1), np.minimum.accumulate(losses))
+    if setup.likelihood:
+        items = tuple(setup.spec.items())
+        inform = lambda f: _inform(setup.filter, items, f, like, setup.params, setup.runs)  # noqa: E731
+        charge["scoring"] = seconds(lambda: inform(jnp.asarray(flat)), 3) / unit
+        values: list[float] = [float(many(flat[None])[0])]
+        scoring.maximise(inform, jnp.asarray(flat), 40, report=lambda i, s: values.append(float(many(s.raw[None])[0])))
+        curves["scoring"] = (charge["scoring"] * np.arange(1, len(values) + 1), np.minimum.accumulate(values))
+    return verdict(name, P, curves, charge, unit, together)
+
+
+def decades(spec: Spec, like: Any) -> np.ndarray:
+    """How far a start is off: a decade where the parameter is positive, half of its unit elsewhere."""
+    sizes = {name: jnp.full(jnp.shape(like[name]), 1.0 if spec[name].forward is LOG.forward else 0.2) for name in spec}
+    return np.asarray(ravel_pytree(sizes)[0])
+
+
+def verdict(name: str, P: int, curves: dict, charge: dict, unit: float, together: float) -> dict:
+    """The cost of every method to come within CLOSE of the best loss of all, printed."""
+    best = min(float(loss[-1]) for _, loss in curves.values())
+    rows = {}
+    print(f"{name}: {P} parameters, best loss {best:.4f}; a gradient costs {charge['gradient']:.1f} evaluations, "
+          f"one of 12 side by side {together:.2f}", flush=True)  # fmt: skip
+    for method, (cost, loss) in curves.items():
+        near = np.flatnonzero(loss <= best + CLOSE)
+        reached = float(cost[near[0]]) if near.size else None
+        rows[method] = {"cost": reached, "spent": float(cost[-1]), "loss": float(loss[-1]), "start": float(loss[0]),
+                        "curve": [[float(c), float(v)] for c, v in zip(*thin(cost, loss), strict=True)]}  # fmt: skip
+        said = f"{reached:9.0f}" if reached is not None else f"  not in {cost[-1]:.0f}"
+        print(f"  {method:18} loss {loss[-1]:9.4f}   evaluations to within 1 %: {said}", flush=True)
+    return {"problem": name, "parameters": P, "best": best, "charge": charge, "seconds_an_evaluation": unit,
+            "side_by_side": together, "methods": rows}  # fmt: skip
+
+
+def thin(cost: np.ndarray, loss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Only where the curve falls."""
+    keep = np.concatenate([[True], np.diff(loss) < 0])
+    return cost[keep], loss[keep]
+
+
+def ratio(row: dict, rival: str) -> float | None:
+    """How many times a rival's cost is that of the best derivative method; a lower bound where it never came close."""
+    ours = [row["methods"][m]["cost"] for m in ("gradient", "scoring") if m in row["methods"]]
+    ours = [c for c in ours if c is not None]
+    theirs = row["methods"][rival]
+    if not ours:
+        return None
+    return (theirs["cost"] if theirs["cost"] is not None else theirs["spent"]) / min(ours)
+
+
+def main(argv: list[str]) -> None:
+    """Print the table of every problem, write the JSON."""
+    parser = common.options("budget", __doc__.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=0, help="of starts and searches, default 0")
+    parser.add_argument("--problem", choices=tuple(PROBLEMS), action="append", help="only this one; may be repeated")
+    parser.add_argument("--quick", action="store_true", help="5 evaluations a parameter, 5 steps")
+    args = parser.parse_args(argv)
+    per, steps = (5, 5) if args.quick else (PER_PARAMETER, STEPS)
+    rows = [compare(n, PROBLEMS[n](), args.seed, per, steps) for n in args.problem or PROBLEMS]
+    medians = {}
+    for rival in ("cma", "coordinate_search", "random_search"):
+        found = [r for r in (ratio(row, rival) for row in rows) if r is not None]
+        medians[rival] = float(np.median(found)) if found else None
+        if found:
+            print(f"{rival}: {medians[rival]:.1f} times the cost of the cheaper of gradient and scoring, median of "
+                  f"{len(found)} problems (from below where it never came close)")  # fmt: skip
+    common.write_json(args.json, {"seed": args.seed, "problems": rows, "median_ratio": medians})

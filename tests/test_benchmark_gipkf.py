@@ -1,0 +1,74 @@
+"""The outage study: where outages lie and what they hide, counts of operations, and (slow) its figures."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from benchmarks import flops, gipkf
+from benchmarks import gipkf_study as study
+from jaxnav.types import Epoch, Fix, Imu
+from tuning.transforms import get
+
+
+def test_outages_are_on_whole_seconds_and_in_their_places():
+    windows = np.asarray(study.draw(jax.random.key(1), 200))
+    np.testing.assert_array_equal(windows[..., 1] - windows[..., 0], np.tile(study.LENGTHS, (200, 1)))
+    np.testing.assert_array_equal(windows, np.round(windows))
+    assert (windows[..., 0].min(0) == study.EARLIEST).all() and (windows[..., 0].max(0) == study.LATEST).all()
+
+
+def test_hiding_takes_the_fixes_of_the_windows_and_no_others():
+    t = jnp.arange(31.0, 421.0)
+    fix = Fix(*(jnp.ones((390, 6)) for _ in range(3)), jnp.ones((390, 6), bool).at[5].set(False))
+    epochs = Epoch(Imu(jnp.ones((390, 1)), jnp.zeros((390, 1, 3)), jnp.zeros((390, 1, 3))), fix)
+    windows = jnp.array([[150.0, 160.0], [240.0, 251.0], [330.0, 352.0]])
+    shown, hidden, last = study.hide(epochs, t, windows)
+    assert [int(t[i]) for i in last] == [160, 251, 352]
+    assert int(hidden.sum()) == 10 + 11 + 22 and bool(hidden[last].all()) and not bool(hidden[last + 1].any())
+    np.testing.assert_array_equal(shown.fix.valid, fix.valid & ~np.asarray(hidden)[:, None])
+
+
+def test_operations_by_hand_are_the_papers():
+    assert flops.BY_HAND["gipkf_literal"] == pytest.approx(flops.PAPER["gipkf_literal"], rel=0.003)
+    assert flops.BY_HAND["ekf15"] == pytest.approx(flops.PAPER["ekf15"], rel=0.08)
+    assert flops.product(2, 3, 4) == 2 * 4 * (3 + 2)
+
+
+def test_operations_of_the_program():
+    square = jnp.ones((9, 9))
+    assert flops.count(lambda a: a @ a, square) == pytest.approx(flops.product(9, 9, 9), rel=0.07)
+    ekf, gip = flops.of("ekf15"), flops.of("gipkf")
+    assert gip["compiled"] < 0.6 * ekf["compiled"]
+    assert ekf["hand"] < ekf["compiled"] < 2 * ekf["hand"]  # Joseph's form is longer than the short one
+
+
+def test_tuned_parameters_are_there_for_every_set_and_method():
+    found = json.loads(gipkf.TUNED.read_text())
+    assert set(found) == set(gipkf.SETS)
+    for name in gipkf.SETS:
+        params = gipkf.tuned_params(name, jax.random.key(0), 0, 0)
+        assert set(params) == set(gipkf.ROWS)
+        for method, spec in gipkf.SPECS.items():
+            assert set(found[name][method]) == set(spec)
+            assert all(np.shape(get(params[method], leaf)) == np.shape(found[name][method][leaf]) for leaf in spec)
+
+
+@pytest.mark.slow
+def test_figures_of_the_study(tmp_path):
+    """On all held-out drives, with the parameters that a full run found."""
+    path = tmp_path / "gipkf.json"
+    gipkf.main(["--steps", "0", "--json", str(path)])
+    r = json.loads(path.read_text())
+    for length, reference in zip(("10", "11", "22"), (1.3, 1.3, 3.0), strict=True):
+        assert r["nominal"]["ekf15_datasheet"][length] == pytest.approx(reference, rel=0.3)
+    assert r["uncalibrated"]["gipkf_mix_tuned"]["22"] < 40.0
+    assert r["nominal"]["gipkf_body_dm_tuned"]["22"] < 0.25 * r["nominal"]["ekf9_tuned"]["22"]
+    low, high = r["nees"]["bounds"]
+    assert all(low < value < high for value in r["nees"]["ekf15_datasheet, white noise x2"])
+    for row in r["nominal"].values():
+        errors = np.array(row["per_seed"])
+        np.testing.assert_allclose([row["10"], row["11"], row["22"]], np.sqrt(np.mean(errors**2, axis=0)))
+    assert path.with_suffix(".png").stat().st_size > 50_000

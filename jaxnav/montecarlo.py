@@ -205,8 +205,8 @@ def monte_carlo(
     chunk is padded. A run whose horizontal error exceeds ``limit_m`` counts as diverged. Ctrl-C keeps the chunks that
     are finished.
 
-    Memory for an hour at 1 Hz: about 1 MB a run and candidate of the chunk, 25 MB a run of the chunk at 10 Hz of IMU, and
-    100 MB a candidate for the histograms.
+    Memory for an hour of IMU at 10 Hz and GNSS at 1 Hz: about 25 MB a run of the chunk, 1 MB more for each candidate,
+    and 100 MB a candidate for the histograms.
 
     Raises:
         ValueError: no runs, or a scenario that does not fit together.

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.filters import fuzzy
-from jaxnav.plots import BLACK, COLORS, dress, figure
+from jaxnav.plots import BLACK, COLORS, dress, figure, legend
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,13 +33,13 @@ def memberships(
             if system is None:
                 continue
             for j, (c, s) in enumerate(zip(*map(np.asarray, fuzzy.sets(system, shape)[i]), strict=True)):
-                name = labels[i][j] if system is theta else None
+                name = labels[i][j] if system is theta else f"{labels[i][j]}, before"
                 width = 1.0 if system is before else 1.6
                 ax.plot(x, np.exp(-0.5 * ((x - c) / s) ** 2), style, color=COLORS[j], lw=width, label=name)
         dress(ax, xlabel=names[i], ylabel="membership" if i == 0 else "")
         ax.set_ylim(0, 1.05)
         ax.set_xlim(*spans[i])
-        ax.legend(fontsize=8, loc="upper right", framealpha=0.9)
+    legend(fig)
     return fig
 
 
@@ -61,7 +61,9 @@ def surface(
     fig = figure(5.2, 3.9)
     ax = fig.subplots()
     filled = ax.contourf(axes[0], axes[1], np.asarray(y).reshape(points, points).T, levels=15, cmap="cividis")
-    fig.colorbar(filled, ax=ax).set_label(answer, fontsize=9)
+    bar = fig.colorbar(filled, ax=ax)
+    bar.set_label(answer, fontsize=9)
+    bar.ax.tick_params(labelsize=8)
     first, second = (np.asarray(c) for c, _ in fuzzy.sets(theta, np.shape(table)))
     for i, a in enumerate(first):
         for j, b in enumerate(second):

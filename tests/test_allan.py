@@ -143,6 +143,21 @@ def test_flicker_floor():
     assert found.B.value == pytest.approx(0.05, rel=0.05) and found.K is None and found.gauss_markov is None
 
 
+def test_slope_behind_a_hump_is_no_white_noise():
+    """Gauss-Markov noise alone falls with -1/2 far behind its hump; it would be read as N = sd sqrt(2 time)."""
+    tau = np.geomspace(0.1, 1000, 80)
+    found = read_off(Allan(tau, np.sqrt(gauss_markov_variance(tau, 0.5, 2.0))[:, None], 1e5 / tau))
+    assert found.N is None
+    assert found.gauss_markov == pytest.approx((0.5, 2.0), rel=1e-3)
+
+
+def test_record_that_ends_on_its_way_down_has_no_bottom():
+    """It levels out at the last points only."""
+    tau = np.geomspace(0.01, 100, 80)
+    bend = 0.1 / np.sqrt(np.minimum(tau, 55.0)) * tau**-0.01
+    assert read_off(Allan(tau, bend[:, None], 1e5 / tau)).B is None
+
+
 def test_what_is_not_in_the_data_is_none():
     """White noise alone has no bottom, no walk and no hump; an axis that puts out nothing has no figures."""
     curve = allan_deviation(np.random.default_rng(2).normal(size=(40_000, 3)), 0.1)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
+from jaxnav import plots_fuzzy
 from jaxnav.filters import fuzzy
 
 CENTRES, WIDTHS = ((0.25, 0.5, 0.9), (0.3, 3.0)), ((0.12, 0.2, 0.2), (0.4, 1.0))
@@ -116,3 +117,17 @@ def test_what_does_not_fit_is_refused():
     for table, message in ((((0, 1), (1, 2)), "centres and widths"), (((0, 1), (1, 4), (0, 3)), "consequents")):
         with pytest.raises(ValueError, match=message):
             fuzzy.check(SYSTEM, table)
+
+
+def test_figures_show_the_sets_and_the_surface():
+    span, names = ((0.0, 1.2), (0.0, 6.0)), ("x1", "x2")
+    fig = plots_fuzzy.memberships(SYSTEM, TABLE, span, names, (("a", "b", "c"), ("a", "b")), before=LINEAR)
+    curves = [line for line in fig.axes[1].lines if line.get_linestyle() == "-"]
+    assert [len(ax.lines) for ax in fig.axes] == [6, 4] and len(curves) == 2
+    for line, centre in zip(curves, CENTRES[1], strict=True):
+        x, y = line.get_data()
+        assert x[y.argmax()] == pytest.approx(centre, abs=0.01) and y.max() == pytest.approx(1, abs=1e-3)
+    fig = plots_fuzzy.surface(SYSTEM, TABLE, span, names, "y", points=7)
+    assert [t.get_text() for t in fig.axes[0].texts] == ["0", "1", "1", "2", "0", "3"]
+    with pytest.raises(ValueError, match="two inputs"):
+        plots_fuzzy.surface(fuzzy.system(((0.0,),), ((1.0,),), (1.1,), (1.0, 1.2)), (0,), span[:1], names, "y")

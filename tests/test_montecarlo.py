@@ -1,5 +1,7 @@
 """Monte Carlo: a run is its key's alone, its scores are those of a run by hand, and the statistics are right."""
 
+import json
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from jaxnav import build, metrics, montecarlo, rotations
+from jaxnav.cli import main
 from jaxnav.montecarlo import BINS, Course, monte_carlo, percentile, run_key, summary
 from jaxnav.plots_mc import figures
 from jaxnav.run import run_jit
@@ -43,7 +46,7 @@ def test_scores_are_those_of_a_run_by_hand(found):
     expected = dict(
         position=metrics.rms(position), horizontal=metrics.rms(horizontal), vertical=metrics.rms(position[:, 2]),
         velocity=metrics.rms(velocity), tilt=metrics.rms(np.hypot(*phi[:, :2].T)), yaw=metrics.rms(phi[:, 2]),
-        outage_ends=horizontal[[13, 29]], nees=nees.mean(), nis=np.asarray(info.nis)[np.asarray(info.valid).any(1)].mean(),
+        outage_ends=horizontal[[13, 29]], nees=nees.mean(), nis=info.nis.sum() / info.valid.any(1).sum(),
         dof=info.valid.sum(), nis_sum=info.nis.sum(), ok=True, failed=np.inf,
     )  # fmt: skip
     for name, value in expected.items():
@@ -51,35 +54,31 @@ def test_scores_are_those_of_a_run_by_hand(found):
 
 
 def test_a_run_depends_on_its_key_alone(found):
-    """Bit for bit whatever the others of its chunk are; other sizes of chunk round differently."""
+    """Bit for bit, whatever the others of its chunk are."""
     traces = montecarlo._chunk._cache_size()
     alone = monte_carlo(FILTER, SCENARIO, PARAMS, [9, 2], SEED, chunk=4)
     assert montecarlo._chunk._cache_size() == traces  # compiled once for all chunks, the last and its padding too
     leaves_equal(alone.scores, jax.tree.map(lambda a: a[[9, 2]], found.scores))
     np.testing.assert_array_equal(alone.runs, [9, 2])
-    other = monte_carlo(FILTER, SCENARIO, PARAMS, RUNS, SEED, chunk=10)
-    for a, b in zip(other.scores, found.scores, strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-9)
-    np.testing.assert_allclose(other.course.mean, found.course.mean, rtol=1e-9)
-    np.testing.assert_allclose(other.course.sd, found.course.sd, rtol=1e-6)
-    np.testing.assert_array_equal(other.course.runs, RUNS)
     assert len(set(found.scores.horizontal.tolist())) == RUNS
     assert monte_carlo(FILTER, SCENARIO, PARAMS, [9], SEED + 1, chunk=4).scores.horizontal != alone.scores.horizontal[0]
 
 
 def test_candidates_see_the_same_runs_and_a_failure_is_named(found):
-    """The second candidate cannot be used from the first epoch on; the first is as it is alone."""
+    """The second cannot be used from the first epoch on; the first is as alone, though chunks of another size round."""
     scale = jnp.array([1.0, jnp.nan, 2.0])
     many = jax.tree.map(lambda a: jnp.broadcast_to(jnp.asarray(a), (3, *jnp.shape(a))), PARAMS)
     many = many._replace(noise=many.noise._replace(accel=(many.noise.accel.T * scale).T))
-    three = monte_carlo(FILTER, SCENARIO, many, 5, SEED, candidates=True, chunk=4)
-    first = jax.tree.map(lambda a: a[0], three.scores)
-    for a, b in zip(first, jax.tree.map(lambda a: a[:5], found.scores), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-9)
+    three = monte_carlo(FILTER, SCENARIO, many, RUNS, SEED, candidates=True, chunk=5)
+    for a, b in zip(three.scores, found.scores, strict=True):
+        np.testing.assert_allclose(a[0], b, rtol=1e-12)
+    np.testing.assert_allclose(three.course.mean[0], found.course.mean, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(three.course.sd[0], found.course.sd, rtol=1e-9)
+    np.testing.assert_array_equal(three.course.counts[0], found.course.counts)
     assert not three.scores.ok[1].any() and (three.scores.failed[1] == 1.0).all()
     assert np.isfinite(three.scores.position).all() and three.course.runs[1].max() == 0
     assert (three.scores.horizontal[2] != three.scores.horizontal[0]).all()
-    assert three.course.mean.shape == (3, 40, 5) and three.scores.outage_ends.shape == (3, 5, 2)
+    assert three.course.mean.shape == (3, 40, 5) and three.scores.outage_ends.shape == (3, RUNS, 2)
 
 
 def test_a_run_beyond_the_limit_is_a_divergence(found):
@@ -166,3 +165,34 @@ def test_what_cannot_be_run_is_refused():
         monte_carlo(FILTER, SCENARIO, PARAMS, 0)
     with pytest.raises(ValueError, match="imu_rate_hz"):
         monte_carlo(FILTER, SCENARIO._replace(imu_rate_hz=2.5), PARAMS, 2)
+
+
+def test_the_verb(found, tmp_path, monkeypatch, capsys):
+    """The same runs by command, with a table, metrics, scores of every run and figures; and what it refuses."""
+    monkeypatch.setenv("JAXNAV_CACHE_DIR", "")
+    out = tmp_path / "mc"
+    options = ["duration_s=40.0", "imu_rate_hz=5.0", "outages_s=[[10.0, 14.0], [25.0, 30.0]]"]
+    line = [
+        "mc",
+        "--data",
+        "gpid_circle_no_fault",
+        "--filter",
+        "ekf9",
+        "--seed",
+        str(SEED),
+        "--out",
+        str(out),
+        "--quiet",
+    ]
+    line += [arg for option in options for arg in ("--set", f"data.options.{option}")] + ["--set", "mc.chunk=4"]
+    assert main([*line, "--runs", str(RUNS)]) == 0
+    about = json.loads((out / "metrics.json").read_text())["ekf9"]
+    assert about["runs"] == RUNS and about["diverged"] == []
+    assert about["scores"]["horizontal_m"]["mean"] == pytest.approx(found.scores.horizontal.mean(), rel=1e-9)
+    with np.load(out / "runs.npz") as saved:
+        np.testing.assert_allclose(saved["ekf9.nees"], found.scores.nees, rtol=1e-9)
+    assert {p.name for p in out.glob("*.png")} == {"mc_errors.png", "mc_consistency.png", "mc_spread.png"}
+    assert main([*line, "--runs", "4", "--set", "mc.limit_m=0.01"]) == 1
+    assert "every run of ekf9" in capsys.readouterr().err
+    assert main([*line, "--runs", "0"]) == 2 and main([*line, "--filter", "ekf9,ekf8"]) == 2
+    assert main(["mc", "--data", "kth_gnss_ins", "--quiet"]) == 2

@@ -105,7 +105,7 @@ def test_samples_are_means_and_memory_does_not_matter():
 
 
 def test_late_points_are_where_the_vehicle_was():
-    # 0.12 s before the end of epochs of 0.5 s, against a grid of 0.02 s, which hits these times; and 0.123 s against 0.001
+    # before the end of epochs of 0.5 s, against a grid that hits these times
     for lag, k in ((0.12, 25), (0.123, 500)):
         late = quick(lambda lag=lag: travel(flying, START, 0.05, 10, 4, where, lag))().late
         grid = quick(lambda k=k: travel(flying, START, 0.5 / k, 1, 4 * k, where))().ends[0]

@@ -9,14 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from jaxnav import metrics
 from jaxnav.jobs.batches import Material
 from jaxnav.jobs.objectives import leaves, merged
 from jaxnav.jobs.parameters import NAMES, UNITS, component
 from jaxnav.run import run
 from jaxnav.types import Params
 from tuning import scoring, uncertainty
+from tuning.posterior import sample
 from tuning.train import Fit
-from tuning.transforms import Spec, get, join, labels, split
+from tuning.transforms import Spec, get, join, labels, penalty, split
 from tuning.uncertainty import Information
 
 
@@ -77,6 +79,52 @@ def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Calla
 
     search = scoring.maximise(found.inform, flat, steps, report=report)
     return Fit(join(spec, back(search.raw), params), float(search.best.nll) / found.epochs, history, "done")
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _density(filt, items, flat, like, params, own, whole) -> jax.Array:
+    """Log-likelihood of one material."""
+    spec, (_, back) = dict(items), ravel_pytree(like)
+
+    def one(nav, epochs, keep):
+        info = run(filt, merged(join(spec, back(flat), params), own, leaves(spec)), nav, epochs)
+        each = jax.vmap(metrics.negative_log_likelihood)(info)
+        return jnp.sum(jnp.where(keep & info.valid.any(-1), each, 0.0))
+
+    return -jnp.sum(jax.vmap(one)(whole.nav, whole.epochs, whole.keep))
+
+
+def draw(
+    found: Surface, materials: list[Material], spec: Spec, params: Params, draws: int, seed: int
+) -> dict[str, Any]:
+    """Median and 95 % of every free number under the posterior, by NUTS.
+
+    Raises:
+        ConfigError: the extra bayes is not installed.
+    """
+    raw = split(spec, params)
+    flat, back = ravel_pytree(raw)
+    items = tuple(spec.items())
+
+    def log_density(r: jax.Array) -> jax.Array:
+        parts = [
+            _density(m.filter, items, r, raw, params, m.params, m.whole._replace(blocks=0)) for m in materials
+        ]  # fmt: skip
+        return sum(parts, jnp.zeros(())) - penalty(spec, back(r))
+
+    info = found.inform(flat)
+    cov = uncertainty.covariance(np.asarray(info.fisher), np.asarray(info.blocks)).model
+    got = sample(log_density, np.asarray(flat), cov, draws, jax.random.key(seed))
+    rows = {}
+    for label, values in zip(labels(spec, raw), got.raw.T, strict=True):
+        unit = UNITS[NAMES[label.partition("[")[0]]]
+        low, middle, high = (
+            float(spec[unit.leaf].forward(jnp.asarray(v))) / unit.factor
+            for v in np.quantile(values, [0.025, 0.5, 0.975])
+        )
+        rows[component(label)] = {"low": low, "median": middle, "high": high}
+    return {"posterior": {"parameters": rows, "draws": draws, "divergent": got.divergent,
+                          "acceptance": got.acceptance}}  # fmt: skip
 
 
 def answers(found: Surface, spec: Spec, params: Params, sheet: Params) -> dict[str, Any]:

@@ -75,7 +75,8 @@ def tune(config: Config, folder: Path, progress: bool = False, long: Long | None
     seconds["after"], begin = time.perf_counter() - begin, time.perf_counter()
     about = likelihood.answers(surface, spec, found.params, main.sheet) if config.tune.intervals else {}
     if config.tune.posterior:
-        about |= sample(config, surface, spec, found.params)
+        draws = config.tune.posterior
+        about |= likelihood.draw(surface, materials, spec, found.params, draws, config.seed)
     seconds["intervals"], begin = time.perf_counter() - begin, time.perf_counter()
     result = tune_report.report(materials, found, list(spec), before, after, gain, about)
     tune_report.write(folder, main, found, list(spec), result)
@@ -206,11 +207,6 @@ def identity(config: Config) -> str:
     tree = as_dict(config)
     tree = {k: v for k, v in tree.items() if k != "out"} | {"versions": versions()}
     return hashlib.sha256(json.dumps(tree, sort_keys=True, default=str).encode()).hexdigest()[:16]
-
-
-def sample(config: Config, surface: likelihood.Surface, spec: Spec, params: Params) -> dict[str, Any]:
-    """Draws from the posterior, summarised; see `tuning.posterior`."""
-    raise ConfigError("tune.posterior: not available")
 
 
 # ---------------------------------------------------------------------------- before and after

@@ -24,12 +24,13 @@ from jaxnav.sensors.grades import GRADES, datasheet_params
 from jaxnav.types import Epoch, Nav, Params
 
 FIRST, EVERY = 120.0, 60.0  # s: the first outage, and from one to the next
-METHODS = {"ekf15": 1.0, "ekf9": 10.0, "gipkf": 10.0}  # filter -> factor on white noise: nine states need more
+METHODS = {"ekf15": 1.0, "ekf9": 10.0, "gipkf": 10.0, "gipkf_mix": 10.0}  # -> factor on white noise, for the biases
 
 
 class Case(NamedTuple):
     """A recording cut to epochs, with a start and parameters of 15 states."""
 
+    interval: float  # s, of the fixes
     packed: Packed
     nav: Nav
     params: Params
@@ -49,7 +50,7 @@ def navego_case() -> Case:
     start = float(rec.aiding["position"].t[0])
     i = int(np.argmin(np.abs(rec.truth.t - start)))
     nav = initial_nav(rec.truth.lla[i], rec.truth.vel[i], rec.truth.rph[i], t=start)
-    return Case(_packed(rec, 0.2, start), nav, navego.parameters(folder, "imu2"))
+    return Case(0.2, _packed(rec, 0.2, start), nav, navego.parameters(folder, "imu2"))
 
 
 def drive_case() -> Case:
@@ -58,7 +59,7 @@ def drive_case() -> Case:
     params, wide = drive.parameters(-0.21), drive.WIDEN
     noise = params.noise._replace(gyro=wide * params.noise.gyro, accel=wide * params.noise.accel)
     nav = drive.start_at(rec, drive.START)
-    return Case(_packed(rec, 0.25, drive.START), nav, params._replace(noise=noise), history=drive.HISTORY)
+    return Case(0.25, _packed(rec, 0.25, drive.START), nav, params._replace(noise=noise), history=drive.HISTORY)
 
 
 def kth_case() -> Case:
@@ -69,7 +70,7 @@ def kth_case() -> Case:
     roll, pitch = alignment.level(rec.imu, start, start + 2.0)
     nav = initial_nav(position.value[position.t >= start][0], rph=(roll, pitch, np.deg2rad(320.0)), t=start)
     params = datasheet_params(GRADES["consumer"], heading_sd=10 * units.DEG)
-    return Case(_packed(rec, 1.0, start, (POSITION,)), nav, params, (POSITION,))
+    return Case(1.0, _packed(rec, 1.0, start, (POSITION,)), nav, params, (POSITION,))
 
 
 CASES = {"navego_synthetic imu2": navego_case, "rtkexplorer_drive": drive_case, "kth_gnss_ins": kth_case}
@@ -101,19 +102,25 @@ def residuals(filt: Filter, measurements, params: Params, nav: Nav, data: Epoch,
     return jax.lax.map(one, hidden)
 
 
+def rule_of(case: Case, method: str):
+    """Weights of the urban drives' 1 Hz, at the rate of these fixes: a push per second and per second of an epoch."""
+    if not method.startswith("gipkf"):
+        return ()
+    T, kappa = case.interval, 0.04 if method == "gipkf_mix" else 0.0
+    return gip_kf_params(0.001 * T, 0.03 * T**2, kappa * T, channels=3 * len(case.measurements))
+
+
 def evaluate(case: Case, method: str) -> dict:
     """RMS and errors at the ends of outages, by length."""
     k = case.packed.epochs.imu.dt.shape[1]
     filt = build(method, case.measurements, cov_stride=k, history=case.history, frame="tangent")
-    wide = METHODS[method]
-    noise = case.params.noise._replace(gyro=wide * case.params.noise.gyro, accel=wide * case.params.noise.accel)
-    rule = gip_kf_params(0.001, 0.03, channels=3 * len(case.measurements)) if method == "gipkf" else ()
-    hidden, ends = windows(case.packed.t, np.asarray(case.packed.epochs.fix.valid[:, 0]))
-    params = case.params._replace(noise=noise, rule=rule)
-    error = np.asarray(
-        residuals(filt, case.measurements, params, case.nav, case.packed.epochs, jnp.asarray(hidden))
-    )  # fmt: skip
-    out = {}
+    wide, noise = METHODS[method], case.params.noise
+    noise = noise._replace(gyro=wide * noise.gyro, accel=wide * noise.accel)
+    params = case.params._replace(noise=noise, rule=rule_of(case, method))
+    data = case.packed.epochs
+    hidden, ends = windows(case.packed.t, np.asarray(data.fix.valid[:, 0]))
+    error = np.asarray(residuals(filt, case.measurements, params, case.nav, data, jnp.asarray(hidden)))
+    out: dict = {}
     for i, length in enumerate(LENGTHS):
         e = np.concatenate([error[run][last[i]] for run, last in enumerate(ends)])
         out |= {f"{length:g}": float(metrics.rms(e)), f"per_window_{length:g}": e.tolist()}

@@ -32,7 +32,7 @@ from jaxnav.scenarios import CIRCLE, READINGS, REPRO, Scenario
 from jaxnav.sensors.faults import Constant, Fault, Ramp
 from jaxnav.simulation import matched_params
 from jaxnav.trajectories import shape_of
-from tuning.train import fit
+from tuning.train import default_optimizer, fit
 from tuning.transforms import LOG, interval
 
 SEEDS, TRAINING = 24, 6
@@ -140,7 +140,10 @@ def tuned_gains(seed: int, count: int, steps: int) -> dict:
     held_out = score(study(paper_filter(10), [*printed, best.params], hours(REPRO, test)).squares)
     calm = reading(CIRCLE, "no_fault")
     matched = matched_params(calm, gpid_params(0.1, 0.1))
-    quiet = fit(loss(paper_filter(2)), spec, matched, steps, arguments=(hours(coarse(calm), train),), progress=True)
+    quiet = fit(
+        loss(paper_filter(2)), spec, matched, steps, default_optimizer(steps, 0.3),
+        arguments=(hours(coarse(calm), train),), progress=True,
+    )  # fmt: skip
     zero = [matched._replace(rule=gpid_params(*g)) for g in ((0.1, 0.1), (0.0, 0.0))]
     calm_scores = score(study(paper_filter(10), [*zero, quiet.params], hours(calm, test)).squares)
     gains = lambda p: {"ki": float(p.rule.ki), "kd": float(p.rule.kd)}  # noqa: E731

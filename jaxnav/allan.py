@@ -114,7 +114,9 @@ def read_off(allan: Allan, axis: int = 0) -> ReadOff:
     walk = next((run for run in reversed(runs[0.5]) if long(run)), None)
     bottom = int(np.argmin(deviation))
     flat = next((run for run in runs[0.0] if run.start <= bottom < run.stop), None)
-    if flat is not None and flat.stop == tau.size and not long(flat):
+    if flat is None and edf[bottom] > 4 * EDF and slope[bottom:].max() > 0.2:
+        flat = slice(bottom, bottom + 1)  # a sharp bend
+    elif flat is not None and flat.stop == tau.size and not long(flat):
         flat = None  # the record ends before it shows that this is the bottom
 
     def line(run: slice | None, power: float, factor: float) -> Line | None:

@@ -45,11 +45,10 @@ def sample(
         raise ConfigError("draws from the posterior need the extra bayes: pip install 'jaxnav[bayes]'") from error
     value, vector = np.linalg.eigh(np.asarray(covariance))
     scale = jnp.asarray(vector * np.sqrt(np.clip(value, 1e-12, widest**2)))
-    centre = jnp.asarray(centre)
-    density = lambda z: log_density(centre + scale @ z)  # noqa: E731
+    density = lambda z: log_density(jnp.asarray(centre) + scale @ z)  # noqa: E731
     warm, go = jax.random.split(key)
     adapt = blackjax.window_adaptation(blackjax.nuts, density)
-    (state, parameters), _ = adapt.run(warm, jnp.zeros(centre.size), warmup)
+    (state, parameters), _ = adapt.run(warm, jnp.zeros(len(centre)), warmup)
     kernel = blackjax.nuts(density, **parameters)
 
     @jax.jit
@@ -61,5 +60,5 @@ def sample(
         return jax.lax.scan(step, state, keys)[1]
 
     z, accepted, divergent = chain(state, jax.random.split(go, draws))
-    raw = np.asarray(centre + z @ scale.T)
+    raw = centre + np.asarray(z @ scale.T)
     return Draws(raw, float(accepted.mean()), int(divergent.sum()))

@@ -12,14 +12,13 @@ width that is the widest at the very end, so clip an input to where its sets are
 The parameters are raw: any real numbers give ordered centres, positive widths and consequents within their bounds.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import reduce
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 Conjunction = Callable[[jax.Array, jax.Array], jax.Array]  # of two log memberships
 product: Conjunction = jnp.add
@@ -47,7 +46,7 @@ def _unsoftplus(y: np.ndarray) -> np.ndarray:
 def system(
     centres: tuple[tuple[float, ...], ...],
     widths: tuple[tuple[float, ...], ...],
-    consequents: ArrayLike,
+    consequents: Sequence[float] | np.ndarray,
     bounds: tuple[float, float],
 ) -> System:
     """Parameters from plain numbers: centres and widths for each input, a constant (L,) for each label, bounds.

@@ -30,7 +30,7 @@ _AXES_Q = np.array([0.5, 0.5, 0.5, 0.5])
 
 def earth_rate(origin: Origin) -> jax.Array:
     """Rotation of the Earth in N, rad/s, (3,): u of the paper."""
-    return AXES @ tangent_frame.earth_rate(origin)
+    return jnp.asarray(AXES) @ tangent_frame.earth_rate(origin)
 
 
 def turned(origin: Origin, t: jax.Array) -> jax.Array:
@@ -41,15 +41,15 @@ def turned(origin: Origin, t: jax.Array) -> jax.Array:
 def enter(nav: Nav) -> Nav:
     """Local level navigation in these frames, of its origin."""
     flat = tangent_frame.enter(nav)
-    q = rotations.multiply(_AXES_Q, flat.q)
+    axes, q = jnp.asarray(AXES), rotations.multiply(jnp.asarray(_AXES_Q), flat.q)
     q = rotations.multiply(rotations.conjugate(turned(nav.origin, nav.t)), q)
-    return flat._replace(pos=AXES @ flat.pos, vel=AXES @ flat.vel, q=q)
+    return flat._replace(pos=axes @ flat.pos, vel=axes @ flat.vel, q=q)
 
 
 def leave(nav: Nav) -> Nav:
     """As local level navigation, the inverse of `enter`."""
     q = rotations.multiply(turned(nav.origin, nav.t), nav.q)
-    q = rotations.multiply(rotations.conjugate(_AXES_Q), q)
+    q = rotations.multiply(rotations.conjugate(jnp.asarray(_AXES_Q)), q)
     return tangent_frame.leave(nav._replace(pos=nav.pos @ AXES, vel=nav.vel @ AXES, q=q))
 
 

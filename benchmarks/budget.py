@@ -300,7 +300,10 @@ def main(argv: list[str]) -> None:
     parser.add_argument("--quick", action="store_true", help="5 evaluations a parameter, 5 steps")
     args = parser.parse_args(argv)
     per, steps = (5, 5) if args.quick else (PER_PARAMETER, STEPS)
-    rows = [compare(n, PROBLEMS[n](), args.seed, per, steps) for n in args.problem or PROBLEMS]
+    rows = []
+    for name in args.problem or PROBLEMS:
+        rows.append(compare(name, PROBLEMS[name](), args.seed, per, steps))
+        common.write_json(args.json, {"seed": args.seed, "problems": rows})  # so far
     medians = {}
     for rival in ("cma", "coordinate_search", "random_search"):
         found = [r for r in (ratio(row, rival) for row in rows) if r is not None]

@@ -72,19 +72,23 @@ def settles(size: np.ndarray, t: np.ndarray, bound: float) -> float:
 
 
 def convergence(test: dict[str, Runs], found: dict[str, tuple[Filter, Any]]) -> dict:
-    """What the paper's text says of convergence, for the noise-free case by the plain filter and by the weighted."""
-    result = {}
+    """What the paper's text says of convergence: the noise-free case, and that with noise at its end.
+
+    Heading is not seen before the vehicle moves; what is left of its error then shows once more in position.
+    """
+    result: dict = {"paper": PAPER}
     for method in ("ekf", "fwekf_hand"):
-        filt, theta = found[method]
-        e, _ = navigate_first(test["C1"], filt, theta)
+        e, _ = navigate_first(test["C1"], *found[method])
         t = np.asarray(test["C1"].sim.truth.t[0])
         position, velocity = (np.linalg.norm(v, axis=1) for v in (e.position, e.velocity))
+        still = t <= 20.0
         result[method] = {
-            "velocity_below_0.02_mps_from_s": settles(velocity, t, 0.02),
-            "position_below_0.005_m_from_s": settles(position, t, 0.005),
+            "velocity_below_0.02_mps_from_s": settles(velocity[still], t[still], 0.02),
+            "position_below_0.005_m_from_s": settles(position[still], t[still], 0.005),
             "position_at_10_s_m": float(position[99]), "velocity_at_10_s_mps": float(velocity[99]),
+            "position_max_in_motion_m": float(position[~still].max()),
         }  # fmt: skip
-    return result | {"paper": PAPER}
+    return result
 
 
 def tune_all(key: jax.Array, runs: int, steps: int, progress: bool) -> tuple[dict[str, Any], dict[str, list[float]]]:
@@ -130,7 +134,7 @@ def evaluate(test: dict[str, Runs], table: dict[str, tuple[Filter, Any]]) -> tup
 def show(cases: dict[str, dict[str, float]], extra: dict[str, dict[str, float]]) -> None:
     """The table of methods by cases."""
     names = list(cases)
-    print(f"{'':22}" + "".join(f"{n:>8}" for n in names) + "".join(f"{k:>10}" for k in extra))
+    print(f"{'':22}" + "".join(f"{n:>8}" for n in names) + "".join(f"{k.removeprefix('geomean_'):>10}" for k in extra))
     for method in cases[names[0]]:
         row = "".join(f"{cases[n][method]:8.3f}" for n in names) + "".join(f"{v[method]:10.3f}" for v in extra.values())
         print(f"{method:22}{row}")
@@ -160,7 +164,7 @@ def main(argv: list[str]) -> None:
     mean = lambda runs: {c: {m: float(np.mean(v)) for m, v in row.items()} for c, row in runs.items()}  # noqa: E731
     cases = mean(per_seed)
     groups = {"geomean_train": geomean(cases, TRAIN), "geomean_unseen": geomean(cases, UNSEEN)}
-    print("RMS of position over the motion, corrected INS, m")
+    print("RMS of position over the motion, corrected INS, m; geometric means over cases tuned on and unseen")
     show(cases, groups)
     result = {"seed": args.seed, "quick": args.quick, "description": {n: CASES[n]._asdict() for n in test}}
     result |= {"cases": cases, **groups, "paired_to_ekf": paired(per_seed), "cases_filter": mean(per_seed_filter)}

@@ -10,7 +10,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "library.md"
 
 def test_library_page_runs_and_does_what_it_says(capsys):
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
-    assert len(blocks) == 4
+    assert len(blocks) == 6
     assert sum(bool(line.strip()) for line in blocks[1].splitlines()) <= 15
     assert len(blocks[2].splitlines()) <= 30
     space: dict = {}
@@ -26,3 +26,5 @@ def test_library_page_runs_and_does_what_it_says(capsys):
     params = space["params"]._replace(rule=space["Huber"](np_.array(1e9)))
     wide = jax.jit(space["jaxnav"].run, static_argnums=0)(space["robust"], params, space["nav"], space["packed"].epochs)
     np.testing.assert_allclose(wide.nav.pos, space["info"].nav.pos, rtol=0, atol=1e-14)
+    assert space["gated_params"].rule.rule.kd == 0.1
+    assert space["about"]["runs"] == 8 and space["band"].shape == space["found"].course.t.shape

@@ -113,10 +113,9 @@ def test_what_does_not_fit_is_refused():
     ):
         with pytest.raises(ValueError, match=message):
             fuzzy.system(**(good | change))
-    fuzzy.check(SYSTEM, TABLE)
     for table, message in ((((0, 1), (1, 2)), "centres and widths"), (((0, 1), (1, 4), (0, 3)), "consequents")):
         with pytest.raises(ValueError, match=message):
-            fuzzy.check(SYSTEM, table)
+            fuzzy.infer(SYSTEM, table, jnp.zeros(2))
 
 
 def test_figures_show_the_sets_and_the_surface():

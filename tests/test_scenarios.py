@@ -162,3 +162,14 @@ def test_fwekf_cases():
 
     assert SCENARIOS["fwekf_bias_10"].imu.gyro_bias_sd_deg_per_hour * units.DEG_PER_HOUR == pytest.approx(3e-3)
     assert SCENARIOS["fwekf_bias_10"].imu.accel_bias_sd_mg * units.MG == pytest.approx(3e-2)
+
+
+def test_kinds_of_faults_and_motions_are_told_apart():
+    """Tuples of the same numbers: as static arguments they must not share a compiled function."""
+    a, b = Constant(1.0, 2.0, (3.0, 0.0, 0.0)), Ramp(1.0, 2.0, (3.0, 0.0, 0.0))
+    assert tuple(a) == tuple(b) and a != b and (a,) != (b,) and not a == b
+    assert a == Constant(1.0, 2.0, (3.0, 0.0, 0.0)) and hash(a) == hash(a._replace())
+    offset = jax.jit(lambda f, t: faults.offsets((f,), jax.random.key(0), t, jnp.zeros((3, 6))), static_argnums=0)
+    t = jnp.array([1.2, 1.5, 2.0])
+    np.testing.assert_allclose(offset(a, t)[:, 0], 3.0)
+    np.testing.assert_allclose(offset(b, t)[:, 0], [0.6, 1.5, 3.0])

@@ -48,11 +48,11 @@ def inside_bounds(squares, dof_each=1):
 # ---------------------------------------------------------------------------- the one IMU stream serves every frame
 
 START = np.array([48.0 * units.DEG, 11.0 * units.DEG, 500.0])
-MOTIONS = (Static((2.0, -3.0, 40.0)), Circle(10.0, 126.0), SShape(10.0, 60.0, 60.0), Urban())
+MOTIONS = (Static((2.0, -3.0, 40.0)), Circle(10.0, 126.0), SShape(10.0, 60.0, 60.0))
 
 
 @cache
-def streams(seconds):
+def streams(seconds, *more):
     """For each motion: start, error-free samples at 100 Hz (s, 100, 3), true points (s, ...)."""
 
     def stream(motion):
@@ -62,7 +62,7 @@ def streams(seconds):
         q, zero = rotations.from_dcm(rotations.from_rph(p.rph)), jnp.zeros(3)
         return Nav(p.t, p.lla, p.vel, q, zero, zero, omega, force, Origin(p.lla, p.t, p.t)), way.means, way.ends[0]
 
-    return [stream(motion) for motion in MOTIONS]
+    return [stream(motion) for motion in MOTIONS + more]
 
 
 @partial(quick, static_argnums=(0, 1))
@@ -80,16 +80,16 @@ def navigate(frame, merge, nav, means, ends):
     return jnp.hypot(off[:, 0], off[:, 1]).max(), jnp.abs(off[:, 2]).max()
 
 
-def navigate_back(frame, seconds, merges):
+def navigate_back(frame, merges, seconds, *more):
     """`navigate` for the motions at the rates 100 Hz / merge: horizontal and vertical (rates, motions)."""
-    errors = [[navigate(frame, merge, *stream) for stream in streams(seconds)] for merge in merges]
+    errors = [[navigate(frame, merge, *stream) for stream in streams(seconds, *more)] for merge in merges]
     return np.moveaxis(np.array(errors, float), 2, 0)
 
 
 @pytest.mark.parametrize("frame", FRAMES)
 def test_noise_free_imu_navigates_back(frame):
-    horizontal, vertical = navigate_back(frame, 300, (2, 4))
-    assert horizontal[0, 0] < 1e-4 and horizontal[0, 1:].max() < 0.01  # 50 Hz; at rest rounding is all there is
+    horizontal, vertical = navigate_back(frame, (2, 4), 200)
+    assert horizontal[0, 0] < 1e-4 and horizontal[0, 1:].max() < 1e-3  # 50 Hz; at rest rounding is all there is
     assert (horizontal[1, 1:] / horizontal[0, 1:]).min() >= 3.5
     assert vertical.max() < 1e-2
 
@@ -97,7 +97,7 @@ def test_noise_free_imu_navigates_back(frame):
 @pytest.mark.slow
 @pytest.mark.parametrize("frame", FRAMES)
 def test_noise_free_imu_navigates_back_for_an_hour(frame, capsys):
-    horizontal, vertical = navigate_back(frame, 3600, (1, 2))
+    horizontal, vertical = navigate_back(frame, (1, 2), 3600, Urban())
     with capsys.disabled():
         print(f"\n{frame}, 1 h at 100 Hz, largest error in m: horizontal {horizontal[0]}, vertical {vertical[0]}")
     assert horizontal[0, 0] <= 1e-3 and horizontal[0, 1:].max() <= 0.1

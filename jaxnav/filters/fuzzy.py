@@ -92,23 +92,7 @@ def firing(theta: System, shape: tuple[int, ...], x: jax.Array, conjunction: Con
     return jax.nn.softmax(reduce(conjunction, spread), axis=tuple(range(len(shape))))
 
 
-def infer(theta: System, table: Any, x: jax.Array, conjunction: Conjunction = product) -> jax.Array:
-    """The answer y, (), to inputs ``x`` (I,); ``table`` is static, integers below L, (s_1, ..., s_I)."""
-    table = np.asarray(table)
-    share = firing(theta, table.shape, x, conjunction)
-    x = jnp.clip(x, -_FAR, _FAR)
-    low, high = theta.bounds
-    y = low + (high - low) * jax.nn.sigmoid(theta.consequents[:, 0] + theta.consequents[:, 1:] @ x)
-    return jnp.sum(share * y[table])
-
-
-def check(theta: System, table: Any) -> None:
-    """Refuse parameters that do not fit a table.
-
-    Raises:
-        ValueError: a number of sets, inputs or labels that does not fit.
-    """
-    table = np.asarray(table)
+def _check(theta: System, table: np.ndarray) -> None:
     total, labels = sum(table.shape), int(table.max()) + 1
     if theta.centres.shape[-1] != total or theta.widths.shape[-1] != total:
         raise ValueError(f"a table of {table.shape} needs {total} centres and widths, got {theta.centres.shape[-1]} "
@@ -116,3 +100,18 @@ def check(theta: System, table: Any) -> None:
     if theta.consequents.shape[-1] != 1 + table.ndim or theta.consequents.shape[-2] < labels or table.min() < 0:
         raise ValueError(f"a table of {table.ndim} inputs and {labels} labels needs ({labels}, {1 + table.ndim}) "
                          f"consequents, got {theta.consequents.shape}")  # fmt: skip
+
+
+def infer(theta: System, table: Any, x: jax.Array, conjunction: Conjunction = product) -> jax.Array:
+    """The answer y, (), to inputs ``x`` (I,); ``table`` is static, integers below L, (s_1, ..., s_I).
+
+    Raises:
+        ValueError: parameters for another number of sets, inputs or labels (at trace time).
+    """
+    table = np.asarray(table)
+    _check(theta, table)
+    share = firing(theta, table.shape, x, conjunction)
+    x = jnp.clip(x, -_FAR, _FAR)
+    low, high = theta.bounds
+    y = low + (high - low) * jax.nn.sigmoid(theta.consequents[:, 0] + theta.consequents[:, 1:] @ x)
+    return jnp.sum(share * y[table])

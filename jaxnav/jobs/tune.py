@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnav import metrics
 from jaxnav.config import Config, as_dict, nearest
 from jaxnav.errors import ConfigError, DataError
 from jaxnav.jobs import evaluate, likelihood, tune_report
@@ -46,7 +47,7 @@ class Scores(NamedTuple):
     errors: np.ndarray  # (windows,) m, horizontal, at the end of each window
     blocks: np.ndarray  # (windows,) what is drawn together
     info: Info  # (B, E, ...) numpy, of the first material
-    summary: dict[str, float]
+    summary: dict[str, Any]
 
 
 def tune(config: Config, folder: Path, progress: bool = False, long: Long | None = None) -> Outcome:
@@ -242,8 +243,20 @@ def score(materials: list[Material], params: Params, free: tuple[str, ...]) -> S
         "nis_per_dof": float(np.mean([c["nis_per_dof"] for c in consistent])),
         "nis_share_inside_95": float(np.mean([c["nis_share_inside_95"] for c in consistent])),
         "innovation_horizontal_rms_m": float(np.sqrt(np.mean(np.concatenate(inside)))),
-    }
+    } | channels(materials[0], infos[0])
     return Scores(all_errors, np.concatenate(blocks), infos[0], summary)
+
+
+def channels(material: Material, info: Info) -> dict[str, dict[str, float]]:
+    """Mean normalised innovation squared of every channel, 1 if consistent, and its autocorrelation at the next fix."""
+    order, names, _ = evaluate.channels(material.measurements)
+    runs = [jax.tree.map(lambda a, i=i: a[i], info) for i in range(len(material.names))]
+    z = np.stack([metrics.normalized_innovations(each)[:, order] for each in runs])
+    pairs = z[:, 1:] * z[:, :-1]
+    seen = [j for j in range(len(names)) if np.isfinite(pairs[..., j]).any()]
+    nis = {names[j]: float(np.nanmean(z[..., j] ** 2)) for j in seen}
+    lag = {names[j]: float(np.nanmean(pairs[..., j])) / nis[names[j]] for j in seen}
+    return {"nis_by_channel": nis, "autocorrelation": lag}
 
 
 def compare(before: Scores, after: Scores, seed: int) -> PairedGain | None:

@@ -1,5 +1,6 @@
 """What a tuning job prints and writes: tables before and after, parameters, history, figures."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,6 +63,13 @@ def text(result: dict[str, Any], config: Config) -> str:
     }  # fmt: skip
     rows = [[label, before[key], after[key]] for key, label in labels.items()]
     lines = [result["about"], "", table([f"{config.filter.name} on data kept aside", "before", "after"], rows)]
+    rows = [
+        [name, before["nis_by_channel"].get(name, math.nan), value, before["autocorrelation"].get(name, math.nan),
+         after["autocorrelation"][name]]
+        for name, value in after["nis_by_channel"].items()
+    ]  # fmt: skip
+    head = ["channel", "NIS before", "after (1)", "autocorrelation before", "after (0)"]
+    lines += ["", table(head, rows), ""]
     gain = result["paired_gain"]
     if gain is None:
         lines.append("too few windows kept aside for an interval of the gain")

@@ -11,11 +11,13 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.epochs import TICK
+from jaxnav.kinds import told_apart
 from jaxnav.sensors.processes import gauss_markov
 
 Axes = tuple[float, float, float]
 
 
+@told_apart
 class Constant(NamedTuple):
     """A constant offset; with a stop of inf, a jump that stays."""
 
@@ -26,6 +28,7 @@ class Constant(NamedTuple):
     random_sign: bool = False  # each axis of each has a sign of its own, from the key
 
 
+@told_apart
 class Ramp(NamedTuple):
     """An offset that grows from zero to these sizes."""
 
@@ -36,6 +39,7 @@ class Ramp(NamedTuple):
     random_sign: bool = False
 
 
+@told_apart
 class White(NamedTuple):
     """More white noise."""
 
@@ -45,6 +49,7 @@ class White(NamedTuple):
     velocity_sd_mps: Axes = (0.0, 0.0, 0.0)
 
 
+@told_apart
 class GaussMarkov(NamedTuple):
     """Time-correlated noise."""
 
@@ -55,6 +60,7 @@ class GaussMarkov(NamedTuple):
     tau_s: float = 60.0
 
 
+@told_apart
 class Burst(NamedTuple):
     """The receiver's own noise times a factor."""
 

@@ -7,15 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav import units
+from jaxnav.kinds import told_apart
 from jaxnav.trajectories.motion import Motion, Shape, level_motion
 
 
+@told_apart
 class Static(NamedTuple):
     """At rest."""
 
     rph_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # roll, pitch, heading
 
 
+@told_apart
 class Straight(NamedTuple):
     """Straight on at constant speed and heading (on the globe: along a rhumb line)."""
 
@@ -24,6 +27,7 @@ class Straight(NamedTuple):
     climb_deg: float = 0.0
 
 
+@told_apart
 class Circle(NamedTuple):
     """Round and round on the level, nose along the track; clockwise, or with a negative period anticlockwise."""
 
@@ -33,6 +37,7 @@ class Circle(NamedTuple):
     banked: bool = False  # lean into the turn, so that the specific force has no lateral part
 
 
+@told_apart
 class SShape(NamedTuple):
     """A snake on the level, nose along the track: the heading swings as a sine, at constant speed."""
 
@@ -43,6 +48,7 @@ class SShape(NamedTuple):
     banked: bool = False
 
 
+@told_apart
 class LaunchMove(NamedTuple):
     """At rest, then the FWEKF paper's eq. 33, level and nose ahead: 3 sin^2(tau / 2c) m/s^2 with c = 20 s / pi.
 

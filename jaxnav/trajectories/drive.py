@@ -7,10 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav import units
+from jaxnav.kinds import told_apart
 from jaxnav.trajectories.motion import Motion, Shape
 from jaxnav.trajectories.pieces import BUMP_MEAN, BUMP_PEAK, PEAK, Profile, join_pieces, profile
 
 
+@told_apart
 class Urban(NamedTuple):
     """A random drive in town: streets and crossings, stops, turns of 40 to 110 deg, bends, lane changes, hills."""
 

@@ -7,11 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from jaxnav.kinds import told_apart
 from jaxnav.trajectories.motion import Motion, Shape
 from jaxnav.trajectories.pieces import join_pieces, profile
 from jaxnav.trajectories.splines import from_scipy
 
 
+@told_apart
 class Waypoints(NamedTuple):
     """A smooth path through points, nose along the track; goes straight on after the last unless it stops there."""
 

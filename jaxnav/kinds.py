@@ -1,0 +1,26 @@
+"""Named tuples that stand for what a compiled function is made for."""
+
+from typing import TypeVar
+
+Class = TypeVar("Class", bound=type)
+
+
+def told_apart(cls: Class) -> Class:
+    """Make tuples of this class equal to tuples of this class only.
+
+    By themselves tuples are equal by their values alone: as a static argument a ramp would be taken for a constant
+    offset of the same numbers, and its compiled program used.
+    """
+
+    def same(self, other: object) -> bool:
+        return type(self) is type(other) and tuple.__eq__(self, other)
+
+    def differs(self, other: object) -> bool:
+        return not same(self, other)
+
+    def code(self) -> int:
+        return hash((cls.__name__, *self))
+
+    for name, method in (("__eq__", same), ("__ne__", differs), ("__hash__", code)):
+        setattr(cls, name, method)
+    return cls

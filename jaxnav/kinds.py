@@ -12,13 +12,13 @@ def told_apart(cls: Class) -> Class:
     offset of the same numbers, and its compiled program used.
     """
 
-    def same(self, other: object) -> bool:
-        return type(self) is type(other) and tuple.__eq__(self, other)
+    def same(self: tuple, other: object) -> bool:
+        return type(self) is type(other) and tuple(self) == tuple(other)  # type: ignore[arg-type]
 
-    def differs(self, other: object) -> bool:
+    def differs(self: tuple, other: object) -> bool:
         return not same(self, other)
 
-    def code(self) -> int:
+    def code(self: tuple) -> int:
         return hash((cls.__name__, *self))
 
     for name, method in (("__eq__", same), ("__ne__", differs), ("__hash__", code)):

@@ -13,6 +13,8 @@ from jaxnav.errors import ConfigError
 from jaxnav.jobs.sources import scenario_of
 from jaxnav.run import enable_x64
 from jaxnav.scenarios import GIPKF, PATTERN, READINGS, REPRO, SCENARIOS, describe
+from jaxnav.sensors import faults
+from jaxnav.sensors.faults import Constant, Ramp
 from jaxnav.sensors.gnss import Receiver
 from jaxnav.sensors.grades import GRADES
 from jaxnav.simulation import matched_params, simulate, sizes

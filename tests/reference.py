@@ -142,7 +142,8 @@ def full_dynamics(lla, v, C, f, n):
 def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd=0.0, states=None):
     """Navigate, predict, correct; ``imu`` (dt, gyro, accel) of (E, k, ...), ``fixes`` (lla, sd, vel, sd, valid (E, 6)).
 
-    ``states`` (n,): where integral and derivative act, as far as the channels that observe a state are there. Returns lists of (lla, v, C, x, P) after each epoch.
+    ``states`` (n,): where integral and derivative act, as far as the channels that observe a
+    state are there. Returns lists of (lla, v, C, x, P) after each epoch.
     """
     n = prior_sd.size
     nav = Strapdown(*start, n)

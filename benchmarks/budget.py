@@ -169,9 +169,10 @@ PROBLEMS: dict[str, Callable[[], Setup]] = {
 
 
 @partial(jax.jit, static_argnums=0)
-def _population(problem: Problem, candidates: Any, data: Data) -> jax.Array:
-    """Losses of many candidates, inf where a run fails, (N,)."""
-    one = jax.vmap(lambda r: evaluate(problem, r, data, slopes=False))(candidates)
+def _population(problem: Problem, candidates: jax.Array, like: Any, data: Data) -> jax.Array:
+    """Losses of many candidates (N, P), inf where a run fails, (N,)."""
+    back = ravel_pytree(like)[1]
+    one = jax.vmap(lambda r: evaluate(problem, back(r), data, slopes=False))(candidates)
     return jnp.where(one.good.all(1), one.value, jnp.inf)
 
 
@@ -218,17 +219,18 @@ def compare(name: str, setup: Setup, seed: int, per_parameter: int, steps: int) 
         """In one of two sizes, so that two programs serve every search."""
         n = len(candidates)
         filled = candidates if n == 1 else np.concatenate([candidates, np.repeat(candidates[-1:], TOGETHER - n, 0)])
-        return np.asarray(_population(problem, jax.vmap(back)(jnp.asarray(filled)), data))[:n]
+        return np.asarray(_population(problem, filled, like, data))[:n]
 
     unit = seconds(lambda: many(flat[None]))
-    charge = {"gradient": seconds(lambda: _gradient(problem, back(jnp.asarray(flat)), data)) / unit}
+    first = back(jnp.asarray(flat))
+    charge = {"gradient": seconds(lambda: _gradient(problem, first, data)) / unit}
     together = seconds(lambda: many(np.tile(flat, (TOGETHER, 1)))) / TOGETHER / unit
     curves: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     budget = per_parameter * P
     for rival in (rivals.cma, rivals.coordinate_search, rivals.random_search):
         best = rival(many, flat, budget, seed)
         curves[rival.__name__] = (np.arange(1, best.size + 1), best)
-    losses = descend(partial(_gradient, problem, data=data), back(jnp.asarray(flat)), steps)
+    losses = descend(partial(_gradient, problem, data=data), first, steps)
     curves["gradient"] = (charge["gradient"] * np.arange(1, losses.size + 1), np.minimum.accumulate(losses))
     if setup.likelihood:
         items = tuple(setup.spec.items())
@@ -282,14 +284,27 @@ def thin(cost: np.ndarray, loss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return cost[keep], loss[keep]
 
 
-def ratio(row: dict, rival: str) -> float | None:
-    """How many times a rival's cost is that of the best derivative method; a lower bound where it never came close."""
-    ours = [row["methods"][m]["cost"] for m in ("gradient", "scoring") if m in row["methods"]]
-    ours = [c for c in ours if c is not None]
+def ratio(row: dict, rival: str, ours: tuple[str, ...] = ("gradient",)) -> float | None:
+    """How many times a rival's cost is ours; from below where it never came close, None where we never did."""
+    costs = [row["methods"][m]["cost"] for m in ours if m in row["methods"]]
+    known = [c for c in costs if c is not None]
     theirs = row["methods"][rival]
-    if not ours:
+    if not known:
         return None
-    return (theirs["cost"] if theirs["cost"] is not None else theirs["spent"]) / min(ours)
+    return (theirs["cost"] if theirs["cost"] is not None else theirs["spent"]) / min(known)
+
+
+def medians(rows: list[dict]) -> dict:
+    """Of the ratios over the problems, printed: for the gradient, and where scoring may be taken where it applies."""
+    out: dict = {}
+    for label, ours in (("gradient", ("gradient",)), ("gradient or scoring", ("gradient", "scoring"))):
+        for rival in ("cma", "coordinate_search", "random_search"):
+            found = [r for r in (ratio(row, rival, ours) for row in rows) if r is not None]
+            out.setdefault(label, {})[rival] = {"median": float(np.median(found)) if found else None, "each": found}
+            if found:
+                print(f"{rival}: {np.median(found):.1f} times the cost of {label}, median of {len(found)} problems of "
+                      f"{len(rows)} (from below where it never came close)")  # fmt: skip
+    return out
 
 
 def main(argv: list[str]) -> None:
@@ -304,11 +319,4 @@ def main(argv: list[str]) -> None:
     for name in args.problem or PROBLEMS:
         rows.append(compare(name, PROBLEMS[name](), args.seed, per, steps))
         common.write_json(args.json, {"seed": args.seed, "problems": rows})  # so far
-    medians = {}
-    for rival in ("cma", "coordinate_search", "random_search"):
-        found = [r for r in (ratio(row, rival) for row in rows) if r is not None]
-        medians[rival] = float(np.median(found)) if found else None
-        if found:
-            print(f"{rival}: {medians[rival]:.1f} times the cost of the cheaper of gradient and scoring, median of "
-                  f"{len(found)} problems (from below where it never came close)")  # fmt: skip
-    common.write_json(args.json, {"seed": args.seed, "problems": rows, "median_ratio": medians})
+    common.write_json(args.json, {"seed": args.seed, "problems": rows, "ratios": medians(rows)})

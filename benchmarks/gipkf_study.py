@@ -5,7 +5,7 @@ drives that are scored. All filters are scored by the distance of the IMU's true
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -91,7 +91,7 @@ def slope(filt: Filter, params: Params, drives: Drives, key: jax.Array) -> tuple
 
 def tune(
     filt: Filter, params: Params, spec: Spec, drives: Drives, key: jax.Array, steps: int, rate: float = 0.1
-) -> Any:
+) -> tuple[Params, list[float]]:
     """Adam on minibatches with outages drawn anew; the mean of the last iterates, and the losses met."""
     optimizer = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05)))
     optimizer = optax.apply_if_finite(optimizer, 5)

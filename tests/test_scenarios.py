@@ -1,6 +1,8 @@
 """Scenarios: printable, hashable, checked, settable by name; the papers' cases hold what the papers say."""
 
+import re
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -175,3 +177,16 @@ def test_kinds_of_faults_and_motions_are_told_apart():
     t = jnp.array([1.2, 1.5, 2.0])
     np.testing.assert_allclose(offset(a, t)[:, 0], 3.0)
     np.testing.assert_allclose(offset(b, t)[:, 0], [0.6, 1.5, 3.0])
+
+
+def test_the_page_on_simulation_runs():
+    page = (Path(__file__).parents[1] / "docs" / "simulation.md").read_text()
+    space: dict = {}
+    for block in re.findall(r"```python\n(.*?)```", page, re.S):
+        exec(block, space)
+    north = space["sim"].truth.pos[-1, 0] - space["sim"].start.pos[0]
+    assert float(north) * 6.37e6 == pytest.approx(180, abs=2) and not np.abs(space["sim"].truth.vel[-1]).any()
+    assert float(jnp.abs(space["rolling"].truth.omega[:, 0]).max()) == pytest.approx(0.1, rel=0.01)
+    np.testing.assert_allclose(space["semi_synthetic"].truth.pos[-1, :2], space["lla"][-1, :2], atol=1e-8)
+    names = re.findall(r"`([a-z_]+)`", page.split("## Your own")[0].split("| scenario")[1])
+    assert {n for n in names if not n.startswith("_")} <= set(SCENARIOS)

@@ -13,7 +13,7 @@ from jaxnav.filters.core import REST, thin
 from jaxnav.mechanizations import local_level, tangent_frame
 from jaxnav.run import initial_nav, run
 from jaxnav.sensors.grades import GRADES, datasheet_params, mounting
-from jaxnav.sensors.imu import ideal
+from jaxnav.sensors.imu import sense
 from jaxnav.trajectories import Motion, travel
 from jaxnav.types import Imu, Origin
 from tests.conftest import leaves_equal, simulate_drive, start
@@ -129,12 +129,13 @@ def test_frames_agree_after_ten_minutes(latitude, climb):
     """To 10 mm and 1e-6 rad at 100 Hz (here: to micrometres), and nearer the truth by more than 3.5 at 200 Hz."""
     lla, found = jnp.array([np.deg2rad(latitude), 0.3, 200.0]), []
     for rate in (100, 200):
-        way = travel(winding(climb), lla, 1 / rate, rate, 600)
-        imu, omega, force = ideal(way)
-        first, last = (jax.tree.map(lambda a, i=i: a[i], way.ends) for i in (0, -1))
-        nav = initial_nav(first.lla, first.vel, first.rph, azimuth=0.6)._replace(omega=omega[0], force=force[0])
-        found.append(both(nav, imu, last.lla))
-        assert np.linalg.norm(earth.enu_difference(last.lla, lla)) > 5000.0
+        way = travel(winding(climb), lla, 1 / rate, rate, 600, sense)
+        gyro, accel = (a.reshape(-1, 3) for a in way.means)
+        first, (omega, force) = way.start
+        nav = initial_nav(first.lla, first.vel, first.rph, azimuth=0.6)._replace(omega=omega, force=force)
+        last = way.ends[0].lla[-1]
+        found.append(both(nav, Imu(jnp.full(gyro.shape[0], 1 / rate), gyro, accel), last))
+        assert np.linalg.norm(earth.enu_difference(last, lla)) > 5000.0
     (between, turn, coarse), (_, _, fine) = found
     assert np.abs(between[:2]).max() < 2e-6 and np.abs(turn).max() < 1e-11
     assert all(np.linalg.norm(coarse[i][:2]) > 3.5 * np.linalg.norm(fine[i][:2]) for i in (0, 1))

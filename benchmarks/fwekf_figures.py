@@ -110,7 +110,7 @@ def draw(folder: Path, sim: Simulated, data: dict[str, dict], tuned: dict[str, A
         figures[f"{name}_sets"] = plots_fuzzy.memberships(system, fwekf.TABLE, SPANS, NAMES, (SETS, SETS), hand)
         figures[f"{name}_surface"] = plots_fuzzy.surface(system, fwekf.TABLE, SPANS, NAMES, "weight a")
     combined, hand = tuned["fuzzy_combined_tuned"], fuzzy_combined.combined_params()
-    table, names = fuzzy_combined.TABLE, ("mean that all blocks have, m", "size of the residuals, e")
+    table, names = fuzzy_combined.TABLE, ("mean of the velocity residuals, m", "size of the residuals, e")
     spans = ((0.0, 1.0), (0.0, 5.0))
     for part, answer in (("fade", "weight a"), ("adapt", "share of the way to the new R")):
         system, before = getattr(combined, part), getattr(hand, part)

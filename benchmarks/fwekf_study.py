@@ -205,7 +205,7 @@ def navigate_first(runs: Runs, filt: Filter, theta: Any) -> tuple[Errors, jax.Ar
     return navigate_jit(filt, told(parameters(theta), runs), jax.tree.map(lambda a: a[0], runs.sim))
 
 
-STEPS = (1e-4, 1e-5, 1e-6)  # of central differences
+STEPS = (3e-2, 1e-2, 1e-3, 1e-5)  # of central differences; positions have a resolution of 1e-9 m, C2 is chaotic
 
 
 @partial(jax.jit, static_argnums=0)
@@ -219,10 +219,12 @@ def _gradients(filt: Filter, params: Params, runs: Runs) -> tuple[jax.Array, jax
         rule = params.rule._replace(system=fuzzy.System(*unravel(v), bounds))
         return rms(navigate(filt, told(params._replace(rule=rule), runs), first)[0].position)
 
-    eye = jnp.eye(flat.size)
-    ends = jnp.stack([flat + sign * h * eye for h in STEPS for sign in (1, -1)]).reshape(-1, flat.size)
-    up, down = jnp.moveaxis(jax.vmap(f)(ends).reshape(len(STEPS), 2, -1), 1, 0)
-    return jax.grad(f)(flat), (up - down) / (2 * np.array(STEPS)[:, None])
+    # central differences of fourth order, all of them in one batch
+    stencil, steps, eye = np.array([2.0, 1.0, -1.0, -2.0]), np.array(STEPS), np.eye(flat.size)
+    ends = flat + stencil[:, None, None, None] * steps[:, None, None] * eye
+    values = jax.vmap(f)(ends.reshape(-1, flat.size)).reshape(ends.shape[:3])
+    numeric = np.array([-1.0, 8.0, -8.0, 1.0]) @ values.reshape(4, -1) / 12
+    return jax.grad(f)(flat), numeric.reshape(steps.size, -1) / steps[:, None]
 
 
 def gradient_errors(test: dict[str, Runs]) -> dict[str, dict]:
@@ -231,5 +233,6 @@ def gradient_errors(test: dict[str, Runs]) -> dict[str, dict]:
     for name, runs in test.items():
         exact, numeric = (np.asarray(a) for a in _gradients(navigator(fwekf()), parameters(fwekf_params(0.9)), runs))
         size = np.linalg.norm(exact)
-        result[name] = {"norm": float(size), "by_step": (np.linalg.norm(numeric - exact, axis=1) / size).tolist()}
+        by_step = np.linalg.norm(numeric - exact, axis=1) / size
+        result[name] = {"norm": float(size), "best": float(by_step.min()), "by_step": by_step.tolist()}
     return result

@@ -15,7 +15,7 @@ from jaxnav.scenarios import PATTERN, Scenario, Start
 from jaxnav.sensors import gnss, imu
 from jaxnav.sensors.grades import GRADES, datasheet_params, mounting
 from jaxnav.trajectories import Point, Shape, shape_of, travel
-from jaxnav.types import Epoch, Imu, ImuLog, Nav, Origin, Params, Recording, Samples, Track
+from jaxnav.types import Epoch, Fix, Imu, ImuLog, Nav, Origin, Params, Recording, Samples, Track
 
 DRIVE, SENSOR, RECEIVER, OUTAGES, START = range(5)  # the purposes that are folded into the key
 
@@ -86,6 +86,16 @@ def _nav(seen: tuple[Point, tuple[jax.Array, jax.Array]], b_g: jax.Array, b_a: j
     return Nav(point.t, point.lla, point.vel, q, b_g, b_a, omega, force, origin)
 
 
+def _observe(keys: jax.Array, scenario: Scenario, seen: Nav, t: jax.Array) -> tuple[Fix, jax.Array, jax.Array]:
+    """Fixes (n, 6) at t (n,) s of the truth ``seen`` (n, ...), where they are hidden (n,), and the outages (W, 2)."""
+    standstill = max(scenario.start.alignment_s, getattr(scenario.motion, "standstill_s", 0.0))
+    outages = gnss.outages(keys[OUTAGES], scenario.gnss, standstill, scenario.duration_s)
+    hidden = gnss.inside(t, outages)
+    interval = 1 / scenario.gnss_rate_hz
+    fix = gnss.fixes(keys[RECEIVER], seen, t, interval, hidden, scenario.gnss, scenario.faults)
+    return fix, hidden, outages
+
+
 def simulate(scenario: Scenario, key: jax.Array) -> Simulated:
     """One run from a key; pure, to be jitted (scenario static) and vmapped over keys.
 
@@ -105,13 +115,13 @@ def simulate_shape(scenario: Scenario, shape: Shape, key: jax.Array) -> Simulate
     """
     E, k = sizes(scenario)
     keys = jax.vmap(jax.random.fold_in, (None, 0))(key, np.arange(5))
-    dt, interval, receiver = 1 / scenario.imu_rate_hz, 1 / scenario.gnss_rate_hz, scenario.gnss
-    before = round(scenario.start.alignment_s / interval)  # epochs of the alignment
+    dt = 1 / scenario.imu_rate_hz
+    before = round(scenario.start.alignment_s * scenario.gnss_rate_hz)  # epochs of the alignment
     lat, lon, h = scenario.start_deg_m
     lla = jnp.asarray([lat * units.DEG, lon * units.DEG, h], float)
     require_x64(lla)
 
-    way = travel(shape, lla, dt, k, before + E, imu.sense, receiver.latency_s)
+    way = travel(shape, lla, dt, k, before + E, imu.sense, scenario.gnss.latency_s)
     flat = [a.reshape(-1, 3) for a in way.means]
     samples, b_g, b_a = imu.corrupt(
         keys[SENSOR], Imu(jnp.full(flat[0].shape[0], dt, float), *flat), dt, GRADES[scenario.imu.grade], scenario.imu
@@ -125,13 +135,10 @@ def simulate_shape(scenario: Scenario, shape: Shape, key: jax.Array) -> Simulate
     start = jax.tree.map(lambda a: a[before - 1], truth) if before else first
     start = start._replace(origin=Origin(start.pos, zero, start.t))
     initial = perturb(keys[START], start, scenario.start)
-    if before:
+    if before:  # by the samples up to there
         initial = _align(initial, jax.tree.map(lambda a: a[: before * k], samples), scenario.start)
 
-    standstill = max(scenario.start.alignment_s, getattr(scenario.motion, "standstill_s", 0.0))
-    outages = gnss.outages(keys[OUTAGES], receiver, standstill, scenario.duration_s)
-    hidden = gnss.inside(truth.t, outages)
-    fix = gnss.fixes(keys[RECEIVER], seen, truth.t, interval, hidden, receiver, scenario.faults)
+    fix, hidden, outages = _observe(keys, scenario, seen, truth.t)
     epochs = Epoch(Imu(*(a.reshape(before + E, k, *a.shape[1:]) for a in samples)), fix)
     epochs, truth, hidden = jax.tree.map(lambda a: a[before:], (epochs, truth, hidden))
     origin = jax.tree.map(lambda a: jnp.broadcast_to(a, (E, *a.shape)), start.origin)

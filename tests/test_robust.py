@@ -342,6 +342,15 @@ def test_the_integral_stands_still_behind_a_gate():
     np.testing.assert_array_equal(held, np.broadcast_to(held[0], held.shape))
 
 
+def test_an_integral_survives_recoveries_from_a_lasting_fault():
+    """Accepted and rejected again and again; at a recovery the gain is near 1, where the printed gains are unstable."""
+    theta = gate_params(timeout=5.0, rule=gpid_params(1.5, 3.0))
+    fault = 40.0 * jax.random.normal(jax.random.key(8), (E, 6)) * jnp.array([1.0, 1, 1, 0, 0, 0]) * window(100, 300)
+    e, used, _ = navigate(gate(gpid()), theta, fault, *CALM[1:])
+    assert 0 < used[100:300, 0].mean() < 0.5  # some are accepted
+    assert rms(e, 100, 300) < 60 and rms(e, 330) < 10
+
+
 def test_a_state_is_a_kalman_filters_while_its_channels_are_missing():
     """Without positions, with a position integral and old residuals; half of the axes where half of them are there."""
     rule, theta = gpid(), gpid_params(0.3, 0.2)

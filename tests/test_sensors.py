@@ -149,6 +149,25 @@ def test_one_errors_size_changes_no_draw_of_another():
     np.testing.assert_allclose(no_walk.gyro - bias, plain.gyro - b_g, atol=1e-12)
 
 
+def test_errors_have_draws_of_their_own():
+    # one at a time, as unit white noise; no two agree at any shift
+    n = 2000
+    short = QUIET._replace(tau=1e-6)  # the drift then is white
+
+    def draws(grade, errors=ImuErrors()):
+        out, bias, _ = imu.corrupt(jax.random.key(4), still(n), DT, grade, errors)
+        return out.gyro - 1, bias
+
+    root = np.sqrt(DT)
+    white = draws(short._replace(arw=root))[0]
+    drift = draws(short._replace(gyro_instability=1.0))[1]
+    walk = np.diff(draws(short._replace(gyro_walk=1 / root))[1], axis=0)
+    found = [np.fft.fft(np.asarray(a)[: n - 1, i]) for a in (white, drift, walk) for i in range(3)]
+    for i, a in enumerate(found):
+        for b in found[i + 1 :]:
+            assert np.abs(np.fft.ifft(a * b.conj())).max() / n < 6 / np.sqrt(n)
+
+
 def test_every_grade_has_a_source_and_makes_parameters():
     for name, grade in GRADES.items():
         assert len(grade.source) > 10 and min(grade[:6]) >= 0 and grade.tau > 0, name

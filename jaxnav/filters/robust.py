@@ -91,7 +91,8 @@ def gate(rule: Rule) -> Rule:
     So after ``timeout`` the filter is held to be wrong, and the block is accepted with P widened by a jump
     (see `jumped`) that makes the innovation likely again: nu' S^-1 nu is then its number of channels. A plain
     acceptance moves a filter that is too sure of itself by little, and the next fix is rejected again; R in place of P
-    would move it even less. Inflating all of P lets a lasting fault turn the attitude through its correlations.
+    would move it even less. Inflating all of P lets a lasting fault turn the attitude through its correlations. The
+    inner rule starts anew, too: an integral of the filter that was wrong would be applied again at every recovery.
 
     The time counts only fixes that were rejected, not outages: a fix after a tunnel is tested like any other.
     """
@@ -111,7 +112,8 @@ def gate(rule: Rule) -> Rule:
         keep = z.valid & ~jnp.repeat(out, BLOCK)
         nu, H, R = masked(z.nu, z.H, z.R, keep)
         seen = z._replace(nu=nu, H=H, R=R, P=P, valid=keep)
-        c = select(keep.any(), rule.correct(theta.rule, memory.rule, seen), idle(seen, memory.rule))
+        inner = select(late.any(), rule.init(z.P.shape[0], z.nu.size), memory.rule)
+        c = select(keep.any(), rule.correct(theta.rule, inner, seen), idle(seen, inner))
         rejected = jnp.where(out, memory.rejected + z.T, jnp.where(count > 0, 0.0, memory.rejected))
         return c._replace(memory=GateMemory(rejected, c.memory))
 

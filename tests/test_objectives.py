@@ -109,7 +109,7 @@ def made(nu, S, valid=None):
 
 
 def test_whiteness_of_white_and_of_an_autoregression():
-    rng, n = np.random.default_rng(2), 3000
+    rng, n = np.random.default_rng(2), 30000
     e = rng.normal(size=n)
     ar = np.zeros(n)
     for i in range(1, n):

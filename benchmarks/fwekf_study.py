@@ -205,7 +205,7 @@ def navigate_first(runs: Runs, filt: Filter, theta: Any) -> tuple[Errors, jax.Ar
     return navigate_jit(filt, told(parameters(theta), runs), jax.tree.map(lambda a: a[0], runs.sim))
 
 
-STEPS = (3e-2, 1e-2, 1e-3, 1e-5)  # of central differences; positions have a resolution of 1e-9 m, C2 is chaotic
+STEPS = (3e-3, 1e-3, 3e-4, 1e-4, 1e-5)  # of central differences; positions have a resolution of 1e-9 m, C2 is chaotic
 
 
 @partial(jax.jit, static_argnums=0)

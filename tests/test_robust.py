@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from jaxnav import linalg
 from jaxnav.filters.adaptive import fading, fading_params, iae, iae_params, sage_husa, sage_husa_params
@@ -132,6 +133,15 @@ def test_a_rejected_block_is_a_missing_block(outlier):
     k = kalman_correct((), (), innovation([0.0, 0.0, 0.0, *outlier.nu[3:]], (False,) * 3 + (True,) * 3))
     leaves_equal((c.delta, c.P, c.used), (k.delta, k.P, k.used))
     np.testing.assert_array_equal(c.memory.rejected, [T, 0.0])
+
+
+def test_the_threshold_is_one_of_chi_square(outlier):
+    """Innovations just below and just above it, which 0.1 % of sound fixes of three channels are."""
+    assert gate_params().threshold == pytest.approx(chi2.ppf(0.999, 3), abs=5e-3)
+    d2 = squared_by_block(outlier.nu, outlier.H @ outlier.P @ outlier.H.T + outlier.R)[0]
+    for share, accepted in ((0.999, True), (1.001, False)):
+        z = outlier._replace(nu=outlier.nu.at[:3].multiply(jnp.sqrt(16.27 * share / d2)))
+        assert bool(answer(gate(kalman()), gate_params(), z).used[0]) is accepted
 
 
 def test_nothing_accepted_changes_nothing():
@@ -276,6 +286,13 @@ def test_measurement_noise_is_learnt(name, low, high):
     assert 0.8 < factor[150:300, 3:].mean() < 1.2 and 0.6 < factor[370:].mean() < 1.6
     plain = navigate(kalman(), (), CALM[0], noise, CALM[2])[0]
     assert rms(e, 100, 300) < 0.9 * rms(plain, 100, 300) and used.all()
+
+
+def test_sage_husa_takes_the_mean_noise_given_the_fix():
+    """P = 3 and R = 1: residual nu / 4, P+ = 3 / 4."""
+    for nu in (0.0, 2.0, -10.0):
+        c = answer(sage_husa(kalman()), sage_husa_params(0.9), one_axis(nu))
+        assert c.memory.learnt[0] == pytest.approx(0.9 + 0.1 * (nu**2 / 16 + 0.75))
 
 
 def test_a_floor_keeps_r_from_vanishing():

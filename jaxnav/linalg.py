@@ -18,19 +18,3 @@ def joseph(P: jax.Array, K: jax.Array, H: jax.Array, R: jax.Array) -> jax.Array:
     A = jnp.eye(P.shape[0], dtype=P.dtype) - K @ H
     P = A @ P @ A.T + K @ R @ K.T
     return 0.5 * (P + P.T)
-
-
-def discretize(
-    F: jax.Array, G: jax.Array, b: jax.Array, T: jax.Array, lumped: bool = False
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """From x' = F x + b + noise of PSD G over T s to Phi, Q, d: x(T) = Phi x + d + noise of covariance Q.
-
-    Phi to second order in F T, d to third, Q by the trapezoid T/2 (Phi G Phi' + G), which is positive semidefinite
-    whatever T. ``lumped``: all noise at the end of T, Q = G T, as textbook filters have it.
-    """
-    FT = F * T
-    eye = jnp.eye(F.shape[0], dtype=F.dtype)
-    Phi = eye + FT + 0.5 * FT @ FT
-    Fb = FT @ b
-    d = T * (b + Fb / 2 + FT @ Fb / 6)
-    return Phi, T * G if lumped else 0.5 * T * (Phi @ G @ Phi.T + G), d

@@ -5,6 +5,7 @@ nonlinear equations. States (dp ENU, dv ENU, phi ENU[, b_g, b_a]), x = estimate 
 """
 
 import numpy as np
+from scipy.linalg import expm
 
 A, F, RATE = 6378137.0, 1 / 298.257223563, 7.292115e-5
 E2 = F * (2 - F)
@@ -139,6 +140,39 @@ def full_dynamics(lla, v, C, f, n):
     return np.stack(columns, 1)[:n, :n]
 
 
+def predict(P, points, noise, dynamics):
+    """P over the samples (dt, C, f, lla, v) of an epoch: fast dynamics step by step, slow ones half before, half after.
+
+    White noise exactly (Van Loan 1978), with the simple dynamics after each sample (eq. 29); noise of the biases as if
+    attitude and specific force were constant.
+    """
+    n = len(P)
+    dts, Cs, fs, llas, vs = (np.array(a) for a in zip(*points, strict=True))
+    fast = np.zeros((15, 15))
+    fast[0:3, 3:6] = fast[3:6, 6:9] = fast[3:6, 12:15] = fast[6:9, 9:12] = 1
+    fast = fast[:n, :n]
+    mean = (np.average(a, axis=0, weights=dts) for a in (llas, vs, Cs, fs))
+    half = (1 - fast) * dynamics(*mean, n) * dts.sum() / 2
+    slow = np.eye(n) + half + half @ half / 2
+    P, Phi, lumped = slow @ P @ slow.T, np.eye(n), dynamics is simple_dynamics
+    for dt, C, f, lla, v in points:
+        F, G = fast * dynamics(lla, v, C, f, n), np.zeros((n, n))
+        G[3:6, 3:6] = C @ np.diag(noise["accel"] ** 2) @ C.T
+        G[6:9, 6:9] = C @ np.diag(noise["gyro"] ** 2) @ C.T
+        loan = expm(np.block([[-F, G], [0 * F, F.T]]) * dt)
+        step = loan[n:, n:].T
+        P, Phi = step @ P @ step.T + (dt * G if lumped else step @ loan[:n, n:]), step @ Phi
+    if n == 15:
+        for share in 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3):  # Gauss
+            for states, sd, orders in (
+                (slice(9, 12), "gyro_bias", [3, 2, 1, 0, 0]),
+                (slice(12, 15), "accel_bias", [2, 1, 1, 0, 0]),
+            ):
+                late = Phi[:, states] * share ** np.repeat(orders, 3)[:, None] * noise[sd]
+                P = P + late @ late.T * dts.sum() / 2
+    return slow @ P @ slow.T
+
+
 def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd=0.0, states=None):
     """Navigate, predict, correct; ``imu`` (dt, gyro, accel) of (E, k, ...), ``fixes`` (lla, sd, vel, sd, valid (E, 6)).
 
@@ -153,18 +187,10 @@ def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd
     x_I, last, before, loop = np.zeros(n), np.zeros(6), np.zeros(6), np.zeros((n, 6))
     out = []
     for e in range(len(imu[0])):
+        points = []
         for dt, gyro, accel in zip(imu[0][e], imu[1][e], imu[2][e], strict=True):
-            C, f = nav.advance(dt, gyro, accel)
-            Fx = dynamics(nav.lla, nav.v, C, f, n)
-            Phi = np.eye(n) + Fx * dt + Fx @ Fx * dt**2 / 2
-            G = np.zeros((n, n))
-            G[3:6, 3:6] = C @ np.diag(noise["accel"] ** 2) @ C.T
-            G[6:9, 6:9] = C @ np.diag(noise["gyro"] ** 2) @ C.T
-            if n == 15:
-                G[9:12, 9:12] = noise["gyro_bias"] ** 2 * np.eye(3)
-                G[12:15, 12:15] = noise["accel_bias"] ** 2 * np.eye(3)
-            Q = dt * G if dynamics is simple_dynamics else dt / 2 * (Phi @ G @ Phi.T + G)  # eq. 29 has W = G dt
-            P = Phi @ P @ Phi.T + Q
+            points.append((dt, *nav.advance(dt, gyro, accel), nav.lla, nav.v))
+        P = predict(P, points, noise, dynamics)
         lla, sd, vel, sdv, valid = (a[e] for a in fixes)
         x = np.zeros(n)
         if valid.any():

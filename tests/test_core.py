@@ -67,7 +67,7 @@ def test_without_fixes_it_is_pure_inertial_navigation(case):
     info = run_jit(build("ekf15"), case.params, case.nav, blind(case.packed.epochs))
     alone = jax.jit(local_level.propagate)(case.nav, REST, Imu(case.imu.dt, case.imu.gyro, case.imu.accel))[1].nav
     position, velocity, attitude = apart(info.nav, take(alone, slice(19, None, 20)))
-    assert position < 1e-8 and velocity < 1e-11 and attitude < 1e-13  # latitude itself steps by 7e-10 m
+    assert position < 1e-7 and velocity < 1e-9 and attitude < 1e-12  # blocks of 20 samples, and of 100
     assert not info.nu.any() and not info.used.any() and not info.x.any()
     np.testing.assert_array_equal(info.S, np.broadcast_to(np.eye(6), (60, 6, 6)))
 
@@ -116,13 +116,22 @@ def test_streaming_sample_by_sample_is_the_same(case, info):
         assert state.T == pytest.approx(1.0)
         state, row = correct(case.params, state, fix)
         batch = take(info, e)
-        assert np.abs(earth.enu_difference(row.nav.pos, batch.nav.pos)).max() < 1e-8
+        assert np.abs(earth.enu_difference(row.nav.pos, batch.nav.pos)).max() < 5e-6  # how an epoch is split
         leaves_equal(
             (row.nav.vel, row.nav.q, row.nav.b_g, row.nav.b_a),
             (batch.nav.vel, batch.nav.q, batch.nav.b_g, batch.nav.b_a),
-            1e-9,
-        )  # noqa: E501
-        np.testing.assert_allclose(row.P, batch.P, rtol=1e-7, atol=1e-13)
+            1e-6,
+        )
+        sd = np.sqrt(np.diag(batch.P))
+        np.testing.assert_allclose(row.P / np.outer(sd, sd), batch.P / np.outer(sd, sd), rtol=0, atol=1e-4)
+
+
+def test_all_samples_at_once_is_the_same(case, info):
+    block = run_jit(build("ekf15", block=True), case.params, case.nav, case.packed.epochs)
+    position, velocity, attitude = apart(info.nav, block.nav)
+    assert position < 1e-7 and velocity < 1e-9 and attitude < 1e-11
+    with pytest.raises(ValueError, match="'tangent' has no block form"):
+        build("ekf15", frame="tangent", block=True)
 
 
 def test_covariance_stride_costs_millimetres(case, info):
@@ -385,23 +394,3 @@ def test_gain_is_the_kalman_gain_and_nan_where_there_is_none():
     np.testing.assert_allclose(K, P @ H.T @ np.linalg.inv(S), rtol=1e-12)
     np.testing.assert_allclose(linalg.joseph(*map(jnp.asarray, (P, K, H, R))), (np.eye(6) - K @ H) @ P, atol=1e-10)
     assert np.isnan(np.asarray(linalg.gain(jnp.asarray(P), jnp.asarray(H), -jnp.asarray(S)))).all()
-
-
-def test_discretize_to_the_stated_order():
-    from scipy.linalg import expm
-
-    rng = np.random.default_rng(7)
-    F, b = rng.normal(size=(5, 5)), rng.normal(size=5)
-    G = np.diag(rng.uniform(0.5, 2, 5))
-
-    def error(T):
-        Phi, Q, d = linalg.discretize(*map(jnp.asarray, (F, G, b, T)))
-        n = 5
-        loan = expm(np.block([[-F, G], [np.zeros((n, n)), F.T]]) * T)  # Van Loan
-        exact = loan[n:, n:].T
-        affine = expm(np.block([[F, b[:, None]], [np.zeros((1, 6))]]) * T)[:n, n]
-        assert np.linalg.eigvalsh(Q).min() > 0
-        return [np.abs(a - e).max() for a, e in ((Phi, exact), (Q, exact @ loan[:n, n:]), (d, affine))]
-
-    ratios = np.array(error(0.02)) / np.array(error(0.01))
-    np.testing.assert_allclose(ratios, [8, 8, 16], rtol=0.15)  # local errors of third, third and fourth order

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 from pyins import sim
 from scipy.spatial.transform import Rotation
 
@@ -88,7 +89,7 @@ def test_coning_correction_cuts_the_drift():
         return (truth[-1].inv() * R).magnitude()
 
     assert drift(gyro * dt) > 1e-4
-    assert drift(gyro * dt) / drift(made.theta) > 50
+    assert drift(gyro * dt) / drift(np.stack(made.theta, 1)) > 50
 
 
 def test_sculling_correction_cuts_the_velocity_error():
@@ -106,8 +107,8 @@ def test_sculling_correction_cuts_the_velocity_error():
     push = lambda dv: np.mean(s * dv[:, 1] + c * dv[:, 2]) / dt  # noqa: E731
     rotated = accel[1:] * dt + 0.5 * np.cross(gyro[1:] * dt, accel[1:] * dt)
     assert abs(push(accel[1:] * dt) - exact) > 5e-4
-    assert abs(push(accel[1:] * dt) - exact) / abs(push(np.asarray(made.dv)) - exact) > 50
-    assert abs(push(rotated) - exact) / abs(push(np.asarray(made.dv)) - exact) > 10
+    assert abs(push(accel[1:] * dt) - exact) / abs(push(np.stack(made.dv, 1)) - exact) > 50
+    assert abs(push(rotated) - exact) / abs(push(np.stack(made.dv, 1)) - exact) > 10
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +147,7 @@ def test_observer_drive_has_the_stated_signs(resting):
     np.testing.assert_allclose(earth.enu_difference(pushed.pos, nav.pos), 50 * push, rtol=0, atol=10 * coriolis)
     spun = propagate(nav, Drive(spin, np.zeros(3)), imu)[0]
     turn = rotations.log(rotations.multiply(spun.q, rotations.conjugate(nav.q)))
-    np.testing.assert_allclose(turn, 10 * spin, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(turn, 10 * spin, rtol=0, atol=4e-6)  # its axes are those at the start
 
 
 def test_schuler_period():
@@ -189,3 +190,24 @@ def test_path_is_the_time_series_of_the_state(case):
     down = jnp.array([0, 0, -earth.gravity(lla[0], lla[2])])
     expected = (path.nav.vel[0] - case.nav.vel) / imu.dt[0] - down + jnp.cross(w, vel)
     np.testing.assert_allclose(path.force[0], expected, atol=2e-3)
+
+
+@pytest.mark.parametrize("lat, speed", [(0.6, 25.0), (np.deg2rad(85.0), 300.0)], ids=["car", "arctic_aircraft"])
+def test_blocks_and_sweeps_change_nothing(lat, speed):
+    """Samples one by one, with the Earth looked up for each, against a series over 100 of them and against sweeps."""
+    rng = np.random.default_rng(5)
+    n, dt = 250, 0.02
+    t = np.arange(n)[:, None] * dt
+    gyro = 0.3 * np.sin(3 * t + rng.uniform(0, 6, 3)) + 0.02 * rng.normal(size=(n, 3))
+    accel = np.array([0, 0, -9.8]) + 5 * np.sin(2 * t + rng.uniform(0, 6, 3)) + rng.normal(size=(n, 3))
+    imu = Imu(jnp.full(n, dt), jnp.asarray(gyro), jnp.asarray(accel))
+    nav = initial_nav([lat, 0.4, 5000.0], [0.6 * speed, 0.8 * speed, 3.0], [0.1, 0.2, 0.3])
+
+    one = lambda nav, sample: (local_level.propagate(nav, REST, jax.tree.map(lambda a: a[None], sample))[0], None)  # noqa: E731
+    exact = jax.jit(lambda nav: lax.scan(one, nav, imu)[0])(nav)
+    for form in (local_level.propagate, local_level.propagate_block):
+        end, path = jax.jit(form)(nav, REST, imu)
+        angle = rotations.log(rotations.multiply(end.q, rotations.conjugate(exact.q)))
+        assert np.abs(earth.enu_difference(end.pos, exact.pos)).max() < 1e-6
+        assert np.abs(end.vel - exact.vel).max() < 1e-9 and np.abs(angle).max() < 1e-11
+        assert path.nav.pos.shape == (n, 3) and path.C.shape == (n, 3, 3)

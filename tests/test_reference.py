@@ -59,7 +59,7 @@ def test_the_scan_is_the_loop(near_origin, name, theta, options):
     params = datasheet_params(GRADE, rule=theta)
     info = run_jit(build(name), params, nav, epochs)
     position, velocity, attitude, state, covariance = errors(info, loop(nav, epochs, params, 9, **options))
-    assert position < 1e-9 and velocity < 1e-9 and attitude < 1e-11
+    assert position < 3e-9 and velocity < 1e-9 and attitude < 1e-10
     assert state < 1e-9 and covariance < 1e-10
     assert np.abs(info.x[:, :3]).max() > 0.5  # and there was something to correct
     if options:

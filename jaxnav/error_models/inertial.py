@@ -17,7 +17,7 @@ Coriolis and centrifugal acceleration have become one term, which is why p is th
 has no gradient of gravitation, dg/dr + [u x]^2, which is 1.5e-6 / s^2 across and 3e-6 / s^2 along the vertical.
 """
 
-from functools import cache
+from functools import cache, partial
 from typing import Literal
 
 import jax
@@ -25,7 +25,7 @@ import jax.numpy as jnp
 
 from jaxnav import earth, rotations
 from jaxnav.error_models import tangent_frame as tangent_errors
-from jaxnav.error_models.common import discretize_blocks, retract_common
+from jaxnav.error_models.common import discretize, retract_common
 from jaxnav.error_models.states import A, P, V, prior_sd
 from jaxnav.filters.core import ErrorModel
 from jaxnav.measurements import GNSS, Kinematics, Measurement, stack
@@ -105,11 +105,8 @@ def error_model(
         root = jnp.linalg.solve(enu_rows(nav, leave(nav), n_states), jnp.diag(prior_sd(prior, n_states)))
         return root @ root.T
 
-    def discretize(noise: Noise, point: Path, T: jax.Array, u: Drive):
-        bias = (point.nav.b_g, point.nav.b_a)
-        to_n = rotations.to_dcm(turned(point.nav.origin, point.nav.t))
-        blocks = dynamics(point, form)
-        return discretize_blocks(blocks, to_n @ point.C, noise, bias, T, u, n_states, C_attitude=point.C)
+    def discretized(noise: Noise, points: Path, T: jax.Array, u: Drive):
+        return discretize(partial(dynamics, form=form), noise, points, T, u, n_states)
 
     observe, n_channels = stack(measurements, lambda nav: kinematics(nav, n_states))
-    return ErrorModel(n_states, n_channels, retract, absorb, covariance, discretize, observe, enter, report)
+    return ErrorModel(n_states, n_channels, retract, absorb, covariance, discretized, observe, enter, report)

@@ -5,14 +5,14 @@ error to the left). Simplified form: the GPID paper's eqs. 9-13, that is the spe
 and the kinematics only, with all noise of a block at its end (eq. 29).
 """
 
-from functools import cache
+from functools import cache, partial
 from typing import Literal
 
 import jax
 import jax.numpy as jnp
 
 from jaxnav import earth, rotations
-from jaxnav.error_models.common import absorb, discretize_blocks, retract_common
+from jaxnav.error_models.common import absorb, discretize, retract_common
 from jaxnav.error_models.states import A, P, V, prior_sd
 from jaxnav.filters.core import ErrorModel
 from jaxnav.measurements import GNSS, Kinematics, Measurement, stack
@@ -81,10 +81,9 @@ def error_model(
     def covariance(prior: Prior, nav: Nav) -> jax.Array:
         return jnp.diag(prior_sd(prior, n_states) ** 2)
 
-    def discretize(noise: Noise, point: Path, T: jax.Array, u: Drive):
-        bias = (point.nav.b_g, point.nav.b_a)
+    def discretized(noise: Noise, points: Path, T: jax.Array, u: Drive):
         lumped = form == "simple"  # W in eq. 29: over an epoch of a second it changes the gains of the attitude
-        return discretize_blocks(dynamics(point, form), point.C, noise, bias, T, u, n_states, lumped=lumped)
+        return discretize(partial(dynamics, form=form), noise, points, T, u, n_states, lumped)
 
     observe, n_channels = stack(measurements, lambda nav: kinematics(nav, n_states))
-    return ErrorModel(n_states, n_channels, retract, absorb, covariance, discretize, observe)
+    return ErrorModel(n_states, n_channels, retract, absorb, covariance, discretized, observe)

@@ -25,10 +25,11 @@ class Frame(NamedTuple):
 
     propagate: Callable
     error_model: Callable[..., ErrorModel]  # (n_states, form, measurements)
+    propagate_block: Callable | None = None  # the same for all samples of an epoch at once
 
 
 FRAMES: dict[str, Frame] = {
-    "local_level": Frame(local_level.propagate, local_level_errors.error_model),
+    "local_level": Frame(local_level.propagate, local_level_errors.error_model, local_level.propagate_block),
     "tangent": Frame(tangent_frame.propagate, tangent_frame_errors.error_model),
     "inertial": Frame(inertial_quaternion.propagate, inertial_errors.error_model),
 }
@@ -123,15 +124,19 @@ def build(
     history: int = 2,
     feedback: Callable[..., Any] | None = None,
     frame: str = "",
+    block: bool = False,
 ) -> Filter:
     """The named filter (see `jaxnav.filters.core.make_filter` for the options).
+
+    ``block``: navigate through all samples of an epoch at once, which is three times faster for a single run (and
+    slower in a batch), to the same result; in local level only.
 
     ``frame`` and ``feedback`` replace the filter's own; a feedback with parameters finds them in `Params.feedback`.
 
     A paper's rule sees the receiver's channels; constraints get a plain Kalman update after it.
 
     Raises:
-        ValueError: no such filter or frame, or a constraint before a receiver's measurement.
+        ValueError: no such filter or frame, no block form of it, or a constraint before a receiver's measurement.
     """
     if name not in FILTERS:
         raise ValueError(f"no filter {name!r}; known are {', '.join(FILTERS)}")
@@ -146,4 +151,7 @@ def build(
         raise ValueError(f"constraints come after the receiver's: {[each.name for each in measurements]}")
     if any(pseudo) and rule is not kalman():
         rule = only(rule, sum(each.size for each in measurements if not each.pseudo))
-    return make_filter(FRAMES[frame].propagate, model, rule, feedback or entry.feedback, cov_stride, history)
+    propagate = FRAMES[frame].propagate_block if block else FRAMES[frame].propagate
+    if propagate is None:
+        raise ValueError(f"frame {frame!r} has no block form")
+    return make_filter(propagate, model, rule, feedback or entry.feedback, cov_stride, history)

@@ -28,7 +28,7 @@ class ErrorModel(NamedTuple):
     retract: Callable[[Nav, jax.Array], Nav]  # truth = retract(estimate, x (n,))
     absorb: Callable[[Nav, Drive], Nav]  # a constant model error becomes sensor bias
     covariance: Callable[..., jax.Array]  # (prior, nav) -> P (n, n)
-    discretize: Callable[..., Any]  # (noise, point: Path of one point, T, Drive) -> Phi (n, n), Q (n, n), d (n,)
+    discretize: Callable[..., Any]  # (noise, points: Path (b, ...), T (b,), Drive) -> Phi (n, n), Q (n, n), d (n,)
     observe: Callable[..., Any]  # (noise, mounting, past: Nav (w, ...), fix) -> y (m,), H (m, n), R (m, m)
     enter: Callable[[Nav], Nav] = lambda nav: nav  # local level navigation -> the frame's
     report: Callable[..., Any] = lambda nav, x, P: (nav, x, P)  # all three of the frame -> of local level
@@ -153,13 +153,8 @@ def make_filter(
         nav = jax.tree.map(lambda a: a[-1], state.past)
         nav, path = propagate(nav, state.u, imu)
         points, T = thin(path, imu.dt, cov_stride)
-        blocks = jax.vmap(model.discretize, (None, 0, 0, None))(params.noise, points, T, state.u)
-
-        def block(xP, b):
-            (x, P), (Phi, Q, d) = xP, b
-            return (Phi @ x + d, Phi @ P @ Phi.T + Q), None
-
-        (x, P), _ = lax.scan(block, (state.x, state.P), blocks)
+        Phi, Q, d = model.discretize(params.noise, points, T, state.u)
+        x, P = Phi @ state.x + d, Phi @ state.P @ Phi.T + Q
         return state._replace(past=shift(state.past, path.nav, imu.dt), x=x, P=P, T=state.T + imu.dt.sum())
 
     def correct(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info]:

@@ -1,6 +1,7 @@
-"""From IMU samples to what strapdown integrates: bias-free rotation vectors and velocity increments.
+"""What every mechanization does before and after its scan, vectorised over samples because nothing here is sequential.
 
-Vectorised over the samples of an epoch, because nothing here is sequential; shared by every mechanization.
+Before: from IMU samples to what strapdown integrates, bias-free rotation vectors and velocity increments. After: the
+path, for the error dynamics and for measurements.
 """
 
 from typing import NamedTuple
@@ -8,17 +9,18 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxnav.types import Imu, Nav
+from jaxnav.mechanizations.components import Quaternion, Vector, add, before, cross, scale, split, to_dcm
+from jaxnav.types import Imu, Nav, Path
 
 
 class Increments(NamedTuple):
-    """Per sample, in body axes at the sample's start."""
+    """Per sample, in body axes at the sample's start; vectors as tuples of components (k,)."""
 
     dt: jax.Array  # (k,) s
-    theta: jax.Array  # (k, 3) rad, rotation vector over the sample
-    dv: jax.Array  # (k, 3) m/s, integral of specific force in the axes at the sample's start
-    omega: jax.Array  # (k, 3) rad/s, bias-free mean rate
-    force: jax.Array  # (k, 3) m/s^2, bias-free mean specific force
+    theta: Vector  # rad, rotation vector over the sample
+    dv: Vector  # m/s, integral of specific force in the axes at the sample's start
+    omega: Vector  # rad/s, bias-free mean rate
+    force: Vector  # m/s^2, bias-free mean specific force
 
 
 def increments(nav: Nav, imu: Imu) -> Increments:
@@ -29,14 +31,29 @@ def increments(nav: Nav, imu: Imu) -> Increments:
     the subscript 0 marks the sample before. The first sample of a run has none and gets no such correction. The third
     order of the rotation, w x (w x f) dt^3 / 6, is kept as well: in a steady turn it is what adds up.
     """
-    omega, force = imu.gyro - nav.b_g, imu.accel - nav.b_a
+    omega, force = split(imu.gyro - nav.b_g), split(imu.accel - nav.b_a)
     # the state carries the rates before this epoch's bias correction: one sample in an epoch sees that difference
-    omega0 = jnp.concatenate([nav.omega[None], omega[:-1]])
-    force0 = jnp.concatenate([nav.force[None], force[:-1]])
-    dt = imu.dt[:, None]
-    coning = jnp.cross(omega0, omega) * dt**2 / 12
-    sculling = (jnp.cross(omega0, force) + jnp.cross(force0, omega)) * dt**2 / 12
-    theta = omega * dt + coning
-    turn = jnp.cross(omega, force)
-    dv = force * dt + turn * dt**2 / 2 + jnp.cross(omega, turn) * dt**3 / 6 + sculling
-    return Increments(imu.dt, theta, dv, omega, force)
+    omega0 = tuple(before(a, b) for a, b in zip(nav.omega, omega, strict=True))
+    force0 = tuple(before(a, b) for a, b in zip(nav.force, force, strict=True))
+    dt = imu.dt
+    coning = scale(dt**2 / 12, cross(omega0, omega))
+    sculling = scale(dt**2 / 12, add(cross(omega0, force), cross(force0, omega)))
+    theta = add(scale(dt, omega), coning)
+    turn = cross(omega, force)
+    dv = add(scale(dt, force), scale(dt**2 / 2, turn), scale(dt**3 / 6, cross(omega, turn)), sculling)
+    return Increments(dt, theta, dv, omega, force)
+
+
+def trace(nav: Nav, inc: Increments, pos: Vector, vel: Vector, q: Quaternion) -> tuple[Nav, Path]:
+    """The last state and the path, from the components (k,) after each sample; ``q`` of unit length."""
+    k = inc.dt.shape[0]
+    stack = lambda v: jnp.stack(v, -1)  # noqa: E731
+    after = Nav(
+        nav.t + jnp.cumsum(inc.dt), stack(pos), stack(vel), stack(q),
+        jnp.broadcast_to(nav.b_g, (k, 3)), jnp.broadcast_to(nav.b_a, (k, 3)), stack(inc.omega), stack(inc.force),
+        jax.tree.map(lambda a: jnp.broadcast_to(a, (k, *a.shape)), nav.origin),
+    )  # fmt: skip
+    first = tuple(before(a, b) for a, b in zip(nav.q, q, strict=True))
+    C = 0.5 * (to_dcm(first) + to_dcm(q))
+    force = stack(tuple(sum(C[:, i, j] * inc.force[j] for j in range(3)) for i in range(3)))
+    return jax.tree.map(lambda a: a[-1], after), Path(after, C, force)

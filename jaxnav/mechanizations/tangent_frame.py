@@ -16,7 +16,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxnav import earth, rotations
-from jaxnav.mechanizations.increments import increments
+from jaxnav.mechanizations.components import split
+from jaxnav.mechanizations.increments import increments, trace
 from jaxnav.types import Drive, Imu, Nav, Origin, Path
 
 
@@ -103,13 +104,7 @@ def propagate(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
         out = (q, v + dv, r + dt * (v + 0.5 * dv))
         return out, out
 
-    _, (q, vel, pos) = lax.scan(sample, (nav.q, nav.vel, nav.pos), (inc.dt, inc.theta, inc.dv))
-    k = imu.dt.shape[0]
-    path = Nav(
-        nav.t + jnp.cumsum(inc.dt), pos, vel, q,
-        jnp.broadcast_to(nav.b_g, (k, 3)), jnp.broadcast_to(nav.b_a, (k, 3)), inc.omega, inc.force,
-        jax.tree.map(lambda a: jnp.broadcast_to(a, (k, *a.shape)), nav.origin),
-    )  # fmt: skip
-    before = jnp.concatenate([nav.q[None], q[:-1]])
-    C = 0.5 * (jax.vmap(rotations.to_dcm)(before) + jax.vmap(rotations.to_dcm)(q))
-    return jax.tree.map(lambda a: a[-1], path), Path(path, C, jax.vmap(jnp.matmul)(C, inc.force))
+    _, (q, vel, pos) = lax.scan(
+        sample, (nav.q, nav.vel, nav.pos), (inc.dt, jnp.stack(inc.theta, -1), jnp.stack(inc.dv, -1))
+    )
+    return trace(nav, inc, split(pos), split(vel), split(q))

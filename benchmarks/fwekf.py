@@ -24,6 +24,7 @@ from benchmarks.fwekf_study import (
     TRAIN,
     UNSEEN,
     Runs,
+    Scores,
     draw,
     gradient_errors,
     methods,
@@ -33,11 +34,12 @@ from benchmarks.fwekf_study import (
     scores,
     tune,
 )  # fmt: skip
+from jaxnav.errors import DataError
 from jaxnav.filters.core import Filter
 from jaxnav.filters.fuzzy_combined import combined_params, fuzzy_combined
 from jaxnav.filters.fwekf import fwekf, fwekf_params
 
-TUNED = Path(__file__).with_name("fwekf_tuned.json")  # what a full run found
+TUNED = Path(__file__).with_name("fwekf_tuned.json")  # what tuning found: "tuned" of its JSON
 PAPER = {"position_below_0.005_m_s": 10.0, "velocity_below_0.02_mps_s": 10.0, "position_with_noise_after_20_s_m": 0.5}
 RECIPES = {  # name -> rule, parameters to start from, the systems that are tuned
     "fwekf_0.9_tuned": (fwekf, lambda: fwekf_params(0.9), ("system",)),
@@ -71,8 +73,8 @@ def settles(size: np.ndarray, t: np.ndarray, bound: float) -> float:
     return float(t[above[-1] + 1]) if above[-1] + 1 < t.size else math.inf
 
 
-def convergence(test: dict[str, Runs], found: dict[str, tuple[Filter, Any]]) -> dict:
-    """What the paper's text says of convergence: the noise-free case, and that with noise at its end.
+def convergence(test: dict[str, Runs], found: dict[str, tuple[Filter, Any]], judged: dict) -> dict:
+    """What the paper's text says of convergence: the noise-free case, and those with noise after 20 and 40 s.
 
     Heading is not seen before the vehicle moves; what is left of its error then shows once more in position.
     """
@@ -88,6 +90,13 @@ def convergence(test: dict[str, Runs], found: dict[str, tuple[Filter, Any]]) -> 
             "position_at_10_s_m": float(position[99]), "velocity_at_10_s_mps": float(velocity[99]),
             "position_max_in_motion_m": float(position[~still].max()),
         }  # fmt: skip
+        for case in ("C2", "C2m"):
+            for name, e in (("after_20_s", judged[case][method].aligned), ("after_40_s", judged[case][method].end)):
+                distance = np.linalg.norm(e, axis=1)
+                result[method][f"{case}_{name}"] = {
+                    "rms_of_an_axis_m": float(np.sqrt(np.mean(np.square(e)))), "median_m": float(np.median(distance)),
+                    "share_below_0.5_m": float(np.mean(distance < 0.5)),
+                }  # fmt: skip
     return result
 
 
@@ -121,33 +130,51 @@ def as_dict(theta: Any) -> Any:
     return np.asarray(theta).tolist()
 
 
-def evaluate(test: dict[str, Runs], table: dict[str, tuple[Filter, Any]]) -> tuple[dict, dict]:
-    """Per case and method the RMS of every run, of the corrected INS and of the filter."""
-    both: tuple[dict, dict] = ({}, {})
-    for case, runs in test.items():
-        found = {m: np.asarray(scores(filt, parameters(theta), runs)) for m, (filt, theta) in table.items()}
-        for i, result in enumerate(both):
-            result[case] = {m: v[:, i].tolist() for m, v in found.items()}
-    return both
+def evaluate(test: dict[str, Runs], table: dict[str, tuple[Filter, Any]]) -> dict[str, dict[str, Scores]]:
+    """Scores of every run, by case and method."""
+    return {
+        case: {m: jax.tree.map(np.asarray, scores(filt, parameters(theta), runs)) for m, (filt, theta) in table.items()}
+        for case, runs in test.items()
+    }
 
 
 def show(cases: dict[str, dict[str, float]], extra: dict[str, dict[str, float]]) -> None:
     """The table of methods by cases."""
     names = list(cases)
-    print(f"{'':22}" + "".join(f"{n:>8}" for n in names) + "".join(f"{k.removeprefix('geomean_'):>10}" for k in extra))
+    print(f"{'':22}" + "".join(f"{n:>10}" for n in [*names, *(k.removeprefix("geomean_") for k in extra)]))
     for method in cases[names[0]]:
-        row = "".join(f"{cases[n][method]:8.3f}" for n in names) + "".join(f"{v[method]:10.3f}" for v in extra.values())
-        print(f"{method:22}{row}")
+        row = [cases[n][method] for n in names] + [v[method] for v in extra.values()]
+        print(f"{method:22}" + "".join(f"{v:10.4g}" for v in row))
+
+
+def show_paired(factors: dict[str, dict[str, dict[str, float]]]) -> None:
+    """The table of factors."""
+    print("\nTimes better than the EKF, paired over runs, geometric mean and its standard error in per cent")
+    print(f"{'':22}" + "".join(f"{n:>14}" for n in factors))
+    for method in next(iter(factors.values())):
+        cells = (row[method] for row in factors.values())
+        print(f"{method:22}" + "".join(f"{c['factor']:9.3g} {100 * c['se'] / c['factor']:4.1f}" for c in cells))
+
+
+def recorded(tuned: dict[str, Any]) -> dict:
+    """The table of recorded data, printed; empty without the data, which are no reason to lose the rest."""
+    try:
+        found = fwekf_recorded.table(tuned)
+    except DataError as error:
+        print(f"recorded data left out: {error}")
+        return {}
+    fwekf_recorded.show(found)
+    return found
 
 
 def options() -> argparse.ArgumentParser:
     """The options of this benchmark."""
     parser = common.options("fwekf", __doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="5 cases, 8 runs each, stored parameters, no figures")
+    parser.add_argument("--quick", action="store_true", help="6 cases, 8 runs each, nothing recorded")
     parser.add_argument("--seed", type=int, default=0, help="of all runs (default: %(default)s)")
-    parser.add_argument("--steps", type=int, default=140, help="of tuning; 0 takes the stored parameters")
+    what = "tune the rules anew in N steps (the stored ones took up to 140); without it the stored ones are judged"
+    parser.add_argument("--steps", type=int, default=0, metavar="N", help=what)
     parser.add_argument("--progress", action="store_true", help="show the tuning's progress")
-    parser.add_argument("--recorded", action="store_true", help="the drive and NaveGo's data too, with faults injected")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="folder for figures (default: beside the JSON)")
     return parser
 
@@ -155,30 +182,37 @@ def options() -> argparse.ArgumentParser:
 def main(argv: list[str]) -> None:
     """Print the table, write the JSON and the figures."""
     args = options().parse_args(argv)
-    key = jax.random.key(args.seed)
-    steps = 0 if args.quick else args.steps
-    tuned, losses = tune_all(key, 64, steps, args.progress) if steps else (stored(), {})
-    test = draw(QUICK if args.quick else tuple(CASES), jax.random.fold_in(key, 1), 8 if args.quick else 64)
+    key, count = jax.random.key(args.seed), 8 if args.quick else 64
+    if args.steps:
+        print(f"rules tuned anew: {args.steps} steps, 64 runs of {', '.join(TRAIN)}", flush=True)
+        tuned, losses = tune_all(key, 64, args.steps, args.progress)
+    else:
+        print(f"rules tuned before, from benchmarks/{TUNED.name}; --steps N tunes anew", flush=True)
+        tuned, losses = stored(), {}
+    test = draw(QUICK if args.quick else tuple(CASES), jax.random.fold_in(key, 1), count)
     table = methods(tuned, args.quick)
-    per_seed, per_seed_filter = evaluate(test, table)
+    judged = evaluate(test, table)
+    of = lambda part: {c: {m: getattr(v, part).tolist() for m, v in row.items()} for c, row in judged.items()}  # noqa: E731
     mean = lambda runs: {c: {m: float(np.mean(v)) for m, v in row.items()} for c, row in runs.items()}  # noqa: E731
-    cases = mean(per_seed)
+    per_seed, per_seed_filter = of("position"), of("filter_position")
+    cases, factors = mean(per_seed), paired(per_seed)
     groups = {"geomean_train": geomean(cases, TRAIN), "geomean_unseen": geomean(cases, UNSEEN)}
     print("RMS of position over the motion, corrected INS, m; geometric means over cases tuned on and unseen")
     show(cases, groups)
-    result = {"seed": args.seed, "quick": args.quick, "description": {n: CASES[n]._asdict() for n in test}}
-    result |= {"cases": cases, **groups, "paired_to_ekf": paired(per_seed), "cases_filter": mean(per_seed_filter)}
-    result |= {"per_seed": per_seed, "per_seed_filter": per_seed_filter, "loss": losses}
-    result |= {"tuned": {name: as_dict(theta) for name, theta in tuned.items()}}
+    show_paired(factors)
+    result = {"seed": args.seed, "quick": args.quick, "steps": args.steps}
+    result |= {"description": {n: CASES[n]._asdict() for n in test}, "cases": cases, **groups, "paired_to_ekf": factors}
+    result |= {"cases_filter": mean(per_seed_filter), "per_seed": per_seed, "per_seed_filter": per_seed_filter}
+    result |= {"loss": losses, "tuned": {name: as_dict(theta) for name, theta in tuned.items()}}
+    result["convergence"] = convergence(test, table, judged)
+    check = gradient_errors({"C2m": test["C2m"]} if args.quick else test)
+    result |= {"gradient_rel_error": {c: row["best"] for c, row in check.items()}, "gradient_check": check}
+    for name in ("convergence", "gradient_rel_error"):
+        print(name, json.dumps(result[name], indent=1))
     if not args.quick:
-        result |= {"convergence": convergence(test, table), "gradient_rel_error": gradient_errors(test)}
-        for name in ("convergence", "gradient_rel_error"):
-            print(name, json.dumps(result[name], indent=1))
-        if args.recorded:
-            result["recorded"] = fwekf_recorded.table(tuned)
-            fwekf_recorded.show(result["recorded"])
-        folder = args.figures or (args.json.with_suffix("") if args.json else None)
-        if folder:
-            data = {c: {m: navigate_first(test[c], *table[m]) for m in SHOWN} for c in ("C1", "C2", "C2m")}
-            result["figures"] = fwekf_figures.draw(folder, test["C1"].sim, data, tuned)
+        result["recorded"] = recorded(tuned)
+    folder = args.figures or (args.json.with_suffix("") if args.json else None)
+    if folder:
+        data = {c: {m: navigate_first(test[c], *table[m]) for m in SHOWN} for c in ("C1", "C2", "C2m")}
+        result["figures"] = fwekf_figures.draw(folder, test["C1"].sim, data, tuned, cases)
     common.write_json(args.json, result)

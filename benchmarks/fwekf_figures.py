@@ -13,9 +13,14 @@ from jaxnav.plots import COLORS, figure, legend, panels, save
 from jaxnav.simulation import Simulated
 
 SETS = ("zero", "small", "large")
-SPANS = ((0.0, 1.2), (0.0, 6.0))
+SPANS = ((0.0, 1.0), (0.0, 6.0))
+LABELS = ("Z", "S", "L", "NS")
 NAMES = ("mean of the residuals, x1", "size of the residuals, x2")
 AXES = ("east", "north", "up")
+SHOWN = {  # method -> what a reader calls it
+    "ekf": "EKF", "fwekf_hand": "FWEKF by hand", "fwekf_1.0_tuned": "FWEKF tuned, a ≥ 1",
+    "fwekf_0.9_tuned": "FWEKF tuned, a ≥ 0.9", "fuzzy_combined_tuned": "fading or a new R, tuned",
+}  # fmt: skip
 
 
 def _components(ax, t, values, names=AXES) -> None:
@@ -61,7 +66,9 @@ def attitude(t, columns: dict[str, Any]) -> Any:
     fig = figure(4.2 * len(columns), 3)
     axes = panels(fig, len(columns), len(columns), "t / s")
     for i, (ax, (title, e)) in enumerate(zip(axes, columns.items(), strict=True)):
-        _components(ax, t, np.asarray(e.attitude) / units.DEG)
+        angle = np.asarray(e.attitude) / units.DEG
+        turned = np.abs(np.diff(angle, axis=0, prepend=angle[:1])) > 180  # past half a turn: the line is broken
+        _components(ax, t, np.where(turned, np.nan, angle))
         ax.set_title(title, fontsize=9)
         if i == 0:
             ax.set_ylabel("attitude error / deg", fontsize=9)
@@ -88,32 +95,52 @@ def residuals(t, columns: dict[str, np.ndarray], n: int = 50) -> Any:
     return fig
 
 
-def draw(folder: Path, sim: Simulated, data: dict[str, dict], tuned: dict[str, Any]) -> list[str]:
+def by_case(cases: dict[str, dict[str, float]]) -> Any:
+    """RMS of position of every case but the noise-free one, a mark for each method."""
+    names = [n for n in cases if n != "C1"]
+    fig = figure(7.5, 3.4)
+    (ax,) = panels(fig, 1, 1, "case")
+    for j, (method, label) in enumerate(SHOWN.items()):
+        x = np.arange(len(names)) + 0.13 * (j - 2)
+        ax.plot(x, [cases[n][method] for n in names], "oDsv^"[j], color=COLORS[j], ms=5.5, label=label)
+    ax.set_yscale("log")
+    ax.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"], minor=False)
+    ax.set_yticks([], minor=True)
+    ax.set_ylabel("RMS of position / m", fontsize=9)
+    ax.set_xticks(np.arange(len(names)), names)
+    legend(fig, 3)
+    return fig
+
+
+def draw(
+    folder: Path, sim: Simulated, data: dict[str, dict], tuned: dict[str, Any], cases: dict[str, dict[str, float]]
+) -> list[str]:
     """Write all figures; ``data`` has, by case and method, the errors and innovations of one run."""
     folder.mkdir(parents=True, exist_ok=True)
     truth = jax.tree.map(lambda a: a[0], sim.truth)
     t = np.asarray(truth.t)
-    of = lambda method: {title: data[c][method][0] for c, title in (("C2", "R = 0.001"), ("C2m", "R matched"))}  # noqa: E731
-    nu = {title: data[c]["fwekf_hand"][1] for c, title in (("C2", "R = 0.001"), ("C2m", "R matched"))}
+    kinds = {"C2": "R = 0.001", "C2m": "R matched"}
+    of = lambda m, i=0: {f"{SHOWN[m]}, {kind}": data[c][m][i] for c, kind in kinds.items()}  # noqa: E731
     figures = {
         "figure_05_reference": reference(truth),
         "figure_06_ekf_noise_free": errors(t, {"EKF, no noise": data["C1"]["ekf"][0]}, (0.01, 0.02)),
         "figure_07_ekf": errors(t, of("ekf")),
         "figure_08_fwekf": errors(t, of("fwekf_hand")),
         "figure_08_fwekf_tuned": errors(t, of("fwekf_1.0_tuned")),
-        "figure_09_residuals": residuals(t, nu),
+        "figure_09_residuals": residuals(t, of("fwekf_hand", 1)),
         "figure_10_attitude_ekf": attitude(t, of("ekf")),
         "figure_11_attitude_fwekf": attitude(t, of("fwekf_hand")),
+        "cases": by_case(cases),
     }
     for name in ("fwekf_0.9_tuned", "fwekf_1.0_tuned"):
         system, hand = tuned[name].system, fwekf.fwekf_params().system
         figures[f"{name}_sets"] = plots_fuzzy.memberships(system, fwekf.TABLE, SPANS, NAMES, (SETS, SETS), hand)
-        figures[f"{name}_surface"] = plots_fuzzy.surface(system, fwekf.TABLE, SPANS, NAMES, "weight a")
-    combined, hand = tuned["fuzzy_combined_tuned"], fuzzy_combined.combined_params()
+        figures[f"{name}_surface"] = plots_fuzzy.surface(system, fwekf.TABLE, SPANS, NAMES, "weight a", labels=LABELS)
+    combined, start = tuned["fuzzy_combined_tuned"], fuzzy_combined.combined_params()
     table, names = fuzzy_combined.TABLE, ("mean of the velocity residuals, m", "size of the residuals, e")
-    spans = ((0.0, 1.0), (0.0, 5.0))
+    spans = ((0.0, 1.0), (0.0, 2.5))
     for part, answer in (("fade", "weight a"), ("adapt", "share of the way to the new R")):
-        system, before = getattr(combined, part), getattr(hand, part)
+        system, before = getattr(combined, part), getattr(start, part)
         figures[f"combined_{part}_sets"] = plots_fuzzy.memberships(system, table, spans, names, (SETS, SETS), before)
         figures[f"combined_{part}_surface"] = plots_fuzzy.surface(system, table, spans, names, answer)
-    return [save(fig, folder / f"{name}.png").name for name, fig in figures.items()]
+    return [str(save(fig, folder / f"{name}.png")) for name, fig in figures.items()]

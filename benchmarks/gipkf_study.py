@@ -114,7 +114,7 @@ class Scores(NamedTuple):
     ends: jax.Array  # (B, 3, 3) m, error at the end of each outage, ENU
     outside: jax.Array  # (B,) m, RMS of the horizontal error outside of outages
     whole: jax.Array  # (B,) m, of the whole drive
-    nees: jax.Array  # (B, 3) at the fix before each outage
+    nees: jax.Array  # (B, 2, 3) at the fix before each outage, and at its end
     ok: jax.Array  # (B,) bool
 
 
@@ -129,8 +129,8 @@ def score(filt: Filter, params: Params, drives: Drives, windows: jax.Array) -> S
         outside = ~hidden & (truth.t > truth.t[0] + SETTLED)
         squares = jnp.sum(error[:, :2] ** 2, 1)
         free = jnp.sqrt(jnp.sum(jnp.where(outside, squares, 0.0)) / outside.sum())
-        before = last - np.array(LENGTHS, int)
-        nees = jax.vmap(consistency)(*jax.tree.map(lambda a: a[before], (info, truth)))
+        looked = jnp.stack([last - np.array(LENGTHS, int), last])
+        nees = jax.vmap(jax.vmap(consistency))(*jax.tree.map(lambda a: a[looked], (info, truth)))
         return Scores(error[last], free, jnp.sqrt(squares.mean()), nees, info.ok[-1])
 
     return jax.vmap(one)(*drives, windows)
@@ -144,3 +144,31 @@ def consistency(info: Info, truth: Nav) -> jax.Array:
     phi = rotations.log(rotations.multiply(info.nav.q, rotations.conjugate(truth.q)))
     x = jnp.concatenate([metrics.position_error(info.nav, truth.pos), info.nav.vel - truth.vel, phi])
     return metrics.nees(x, info.P[:9, :9])
+
+
+def summary(scores: Scores, rival: np.ndarray | None) -> dict:
+    """The figures of one method on one set; ``rival`` (B, 3) m is who it wins or loses against, drive by drive."""
+    ends = np.asarray(scores.ends)
+    e = np.hypot(ends[..., 0], ends[..., 1])
+    out: dict = {f"{length:g}": float(value) for length, value in zip(LENGTHS, metrics.rms(e), strict=True)}
+    lengths = [f"{length:g}" for length in LENGTHS]
+    out |= {f"median_{k}": float(v) for k, v in zip(lengths, np.median(e, 0), strict=True)}
+    out |= {f"p90_{k}": float(v) for k, v in zip(lengths, np.quantile(e, 0.9, axis=0), strict=True)}
+    if rival is not None:
+        out["wins"] = float(np.mean(e < rival))
+        out |= {f"wins_{k}": float(v) for k, v in zip(lengths, np.mean(e < rival, 0), strict=True)}
+    out["axes_rms_ned"] = metrics.rms(ends)[:, [1, 0, 2]].tolist() if ends.ndim == 3 else None
+    out["outside_rms"] = float(metrics.rms(np.asarray(scores.outside)))
+    out["whole_rms"] = float(metrics.rms(np.asarray(scores.whole)))
+    out |= {"all_finite": bool(np.asarray(scores.ok).all()), "per_seed": e.tolist()}
+    return out
+
+
+def line(name: str, r: dict) -> str:
+    """One row of a table."""
+    wins = f"{100 * r['wins']:5.0f} %" if "wins" in r else "      -"
+    return (f"  {name:28} {r['10']:8.2f} {r['11']:8.2f} {r['22']:8.2f} {r['median_22']:8.2f} {r['p90_22']:8.2f}"
+            f" {r['outside_rms']:8.2f} {wins}")  # fmt: skip
+
+
+HEADER = f"  {'':28} {'10 s':>8} {'11 s':>8} {'22 s':>8} {'med 22':>8} {'p90 22':>8} {'outside':>8} {'wins':>7}"

@@ -2,7 +2,8 @@
 
 `--data navego`: NaveGo's synthetic recording, IMU samples read as means (which they are). `--data simulated`: many
 repeats of a short drive whose noise is known: how often the 95 % intervals hold the truth, and what the tuned filter
-does on drives that no repeat has seen, against the filter that knows the true noise.
+does on drives that no repeat has seen, against the filter that knows the true noise. `--data drive`: the real drive,
+see `benchmarks.recover_drive`.
 """
 
 from functools import partial
@@ -74,7 +75,7 @@ def recording(imu: str, factor: float) -> dict:
         a, b, c = (scores[name][0][key] for name in names)
         print(f"  {key:12} {a:11.5f} {b:11.5f} {c:11.5f}   {c / a:.3f}")
     print("  normalised innovations, tuned:", np.round(scores["tuned"][1], 3))
-    result = {f"rmse_{name}": rmse for name, (rmse, _) in scores.items()}
+    result: dict = {f"rmse_{name}": rmse for name, (rmse, _) in scores.items()}
     result |= {f"innovation_rms_{name}": rms for name, (_, rms) in scores.items()}
     return result | {"innovation_rms": scores["tuned"][1], "imu": imu, "factor": factor} | told(said)
 
@@ -222,13 +223,18 @@ def summary(names, rows, true: Params, reference, start, scores) -> dict:
 def main(argv: list[str]) -> None:
     """Print the tables, write the JSON."""
     parser = common.options("recover", __doc__.splitlines()[0])
-    parser.add_argument("--data", choices=("navego", "simulated"), default="navego")
+    parser.add_argument("--data", choices=("navego", "simulated", "drive"), default="navego")
     parser.add_argument("--imu", choices=("imu1", "imu2"), default="imu2", help="of NaveGo, default imu2")
     parser.add_argument("--factor", type=float, default=10.0, help="start so many times off, default 10")
     parser.add_argument("--quick", action="store_true", help=f"simulated: {QUICK.repeats} short repeats")
-    parser.add_argument("--seed", type=int, default=0, help="of the simulated data, default 0")
+    parser.add_argument("--steps", type=int, default=12, help="drive: of tuning by drift for each block, default 12")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulated data, or the bootstrap; default 0")
     args = parser.parse_args(argv)
-    if args.data == "navego":
+    if args.data == "drive":
+        from benchmarks import recover_drive
+
+        common.write_json(args.json, recover_drive.recover(args.steps, args.seed))
+    elif args.data == "navego":
         common.write_json(args.json, recording(args.imu, args.factor))
     else:
         common.write_json(args.json, simulated(QUICK if args.quick else FULL, args.factor, args.seed))

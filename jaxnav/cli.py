@@ -1,4 +1,4 @@
-"""The command line: ``jaxnav demo | simulate | filter | tune | mc | allan | info | data``.
+"""The command line: ``jaxnav demo | simulate | filter | tune | bakeoff | mc | allan | info | data``.
 
 Exit codes: 0 done, 1 a check failed (the filter stopped being finite), 2 usage or configuration, 3 data that cannot be
 used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and errors on stderr.
@@ -26,6 +26,7 @@ VERBS = {
     "simulate": "write a simulated recording and its truth",
     "filter": "run a filter over a recording: solution, metrics, figures",
     "tune": "tune a filter's parameters by gradient and show the gain on data kept aside",
+    "bakeoff": "filters tuned alike on the same scenarios, ranked on runs and scenarios that none has seen",
     "mc": "Monte Carlo: filters over many simulated runs, errors, consistency, divergence",
     "allan": "Allan deviation of a resting IMU: white noise, bias instability, random walk, Gauss-Markov",
     "info": "versions, devices, filters, data sets",
@@ -79,13 +80,17 @@ def make_parser() -> argparse.ArgumentParser:
         if verb == "allan":
             sub.add_argument("--start", metavar="S", type=float, help="s, use the recording from here ([data] start)")
             sub.add_argument("--stop", metavar="S", type=float, help="s, to here ([data] stop)")
-        if verb in ("simulate", "filter", "tune", "mc", "allan"):
+        if verb in ("simulate", "filter", "tune", "bakeoff", "mc", "allan"):
             sub.add_argument("--data", metavar="NAME|PATH", help="scenario, data set or recording ([data] source)")
-        if verb in ("filter", "tune", "mc", "demo"):
+        if verb in ("filter", "tune", "bakeoff", "mc", "demo"):
             sub.add_argument("--filter", metavar="NAME", help="see `jaxnav info` ([filter] name)")
             sub.add_argument("--params", metavar="FILE", help="[params] of this file, such as an earlier tuned.toml")
         if verb == "mc":
             sub.add_argument("--runs", metavar="N", type=int, help="how many ([mc] runs); --filter takes A,B,...")
+        if verb == "bakeoff":
+            sub.add_argument(
+                "--unseen", metavar="A,B", help="scenarios to test on only; --data, --filter take lists too"
+            )
         if verb == "tune":
             sub.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out, bit for bit")
             sub.add_argument("--devices", metavar="N", type=int, default=1, help="share runs among N, 0: all there")
@@ -122,8 +127,8 @@ def _main(args: argparse.Namespace) -> int:
 def resolve(args: argparse.Namespace) -> configuration.Config:
     """The configuration: the verb's own, the file, --params, the flags, then --set."""
     layers: list[tuple[str, dict[str, Any]]] = []
-    if args.verb == "demo":
-        layers.append(("demo", DEMO))
+    if args.verb in OWN:
+        layers.append((args.verb, OWN[args.verb]))
     if args.config:
         layers.append((args.config, configuration.read(args.config)))
     if getattr(args, "params", None):
@@ -139,6 +144,8 @@ def resolve(args: argparse.Namespace) -> configuration.Config:
         layers.append(("--filter", {"filter": {"name": args.filter}}))
     if getattr(args, "runs", None) is not None:
         layers.append(("--runs", {"mc": {"runs": args.runs}}))
+    if getattr(args, "unseen", None):
+        layers.append(("--unseen", {"bakeoff": {"unseen": [name.strip() for name in args.unseen.split(",")]}}))
     layers += [(f"--set {setting}", configuration.parse_set(setting)) for setting in args.set]
     return configuration.resolve(layers)
 
@@ -149,6 +156,16 @@ DEMO: dict[str, Any] = {
     "tune": {"steps": 24, "rate": 0.25, "runs": 6, "validation_runs": 8, "test_runs": 12, "free": ["noise", "latency"]},
 }
 """The demo's own settings: an IMU three times noisier than its datasheet, and fixes 0.1 s late that nobody told of."""
+
+BAKEOFF: dict[str, Any] = {
+    "data": {"source": "gipkf_urban"},
+    "filter": {"name": "gpid,gpid15,gipkf,fwekf,fwekf15,ekf15_gate,ekf15_huber", "cov_stride": 10},
+    "bakeoff": {"unseen": ["gipkf_urban_uncalibrated", "gipkf_urban_stress"]},
+    "tune": {"steps": 20, "rate": 0.2, "runs": 6, "validation_runs": 4, "test_runs": 16},
+}
+"""A bake-off of the papers' filters in outages, if nothing else is said."""
+
+OWN = {"demo": DEMO, "bakeoff": BAKEOFF}
 
 
 def _look(args: argparse.Namespace) -> "Outcome":
@@ -169,6 +186,10 @@ def _work(args: argparse.Namespace, config: configuration.Config, folder: Path, 
         from jaxnav.jobs import mc
 
         return mc.mc(config, folder, progress)
+    if args.verb == "bakeoff":
+        from jaxnav.jobs import bakeoff
+
+        return bakeoff.bakeoff(config, folder, progress)
     if args.verb == "allan":
         from jaxnav.jobs import allan
 

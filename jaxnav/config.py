@@ -106,7 +106,7 @@ class Tune:
     tied: tuple[str, ...] = ()  # one number for all axes
     prior: dict[str, float] = dataclasses.field(default_factory=dict)  # name -> one sd about the datasheet: a factor
     #   for what is positive (2 is "within a factor 2"), else in the parameter's own unit
-    over_runs: str = "mean"  # how runs are put together: mean, or tail (the worst ones)
+    over_runs: str = "mean"  # how runs are put together: mean, log_mean (scenarios alike), tail (the worst ones)
     tail: float = 0.25  # share of the runs that count as the worst; 0: the worst alone
     method: str = "adam"  # adam, sgd, lbfgs; scoring, for the objective nll alone
     steps: int = 40
@@ -141,6 +141,13 @@ class Mc:
 
 
 @dataclasses.dataclass(frozen=True)
+class Bakeoff:
+    """Filters against each other; [tune] has the budget (steps, rate, clip, runs), [mc] limit_m what diverged."""
+
+    unseen: tuple[str, ...] = ()  # scenarios to test on that no filter is tuned on, besides those of [data] source
+
+
+@dataclasses.dataclass(frozen=True)
 class Out:
     """What is written."""
 
@@ -159,6 +166,7 @@ class Config:
     params: Params = Params()
     tune: Tune = Tune()
     mc: Mc = Mc()
+    bakeoff: Bakeoff = Bakeoff()
     out: Out = Out()
 
 

@@ -51,8 +51,12 @@ def surface(
     answer: str,
     conjunction: fuzzy.Conjunction = fuzzy.product,
     points: int = 81,
+    labels: Sequence[str] | None = None,
 ) -> "Figure":
-    """The answer of a system of two inputs over their spans, with the centres of its rules and their labels."""
+    """The answer of a system of two inputs over their spans, with the centres of its rules and their consequents.
+
+    ``labels`` name the consequents, by default their numbers.
+    """
     if np.ndim(table) != 2:
         raise ValueError(f"a control surface has two inputs, the table has {np.ndim(table)}")
     axes = [np.linspace(*span, points) for span in spans]
@@ -69,7 +73,9 @@ def surface(
         for j, b in enumerate(second):
             if spans[0][0] <= a <= spans[0][1] and spans[1][0] <= b <= spans[1][1]:
                 ax.plot(a, b, "o", ms=13, mfc="white", mec=BLACK, mew=0.8)
-                ax.annotate(str(np.asarray(table)[i, j]), (a, b), ha="center", va="center", fontsize=8)
+                k = np.asarray(table)[i, j]
+                name = labels[k] if labels else str(k)
+                ax.annotate(name, (a, b), ha="center", va="center_baseline", fontsize=8)
     dress(ax, xlabel=names[0], ylabel=names[1])
     ax.grid(False)
     return fig

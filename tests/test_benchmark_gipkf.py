@@ -43,6 +43,8 @@ def test_operations_of_the_program():
     ekf, gip = flops.of("ekf15"), flops.of("gipkf")
     assert gip["compiled"] < 0.6 * ekf["compiled"]
     assert ekf["hand"] < ekf["compiled"] < 2 * ekf["hand"]  # Joseph's form is longer than the short one
+    nine, total = flops.of_nine(), lambda r: r["compiled"] + r["compiled_phi_and_q"]
+    assert nine["compiled"] < 0.25 * ekf["compiled"] and total(nine) < 0.6 * total(ekf)
 
 
 def test_tuned_parameters_are_there_for_every_set_and_method():
@@ -58,7 +60,7 @@ def test_tuned_parameters_are_there_for_every_set_and_method():
 
 @pytest.mark.slow
 def test_figures_of_the_study(tmp_path):
-    """On all held-out drives, with the parameters that a full run found."""
+    """On all held-out drives, with the parameters that tuning found."""
     path = tmp_path / "gipkf.json"
     gipkf.main(["--steps", "0", "--json", str(path)])
     r = json.loads(path.read_text())
@@ -66,8 +68,12 @@ def test_figures_of_the_study(tmp_path):
         assert r["nominal"]["ekf15_datasheet"][length] == pytest.approx(reference, rel=0.3)
     assert r["uncalibrated"]["gipkf_mix_tuned"]["22"] < 40.0
     assert r["nominal"]["gipkf_body_dm_tuned"]["22"] < 0.25 * r["nominal"]["ekf9_tuned"]["22"]
+    for name in gipkf.SETS:
+        nine, ekf = r[name]["nine_states_tuned"], r[name]["ekf15_tuned"]
+        assert all(nine[length] < 1.2 * ekf[length] for length in ("10", "11", "22"))
     low, high = r["nees"]["bounds"]
-    assert all(low < value < high for value in r["nees"]["ekf15_datasheet, white noise x2"])
+    assert all(low < value < high for value in r["nees"]["ekf15_datasheet"]["before"])
+    assert not low < r["nees"]["linear feedback, no scale error"]["before"][0] < high
     for row in r["nominal"].values():
         errors = np.array(row["per_seed"])
         np.testing.assert_allclose([row["10"], row["11"], row["22"]], np.sqrt(np.mean(errors**2, axis=0)))

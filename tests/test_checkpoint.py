@@ -1,5 +1,6 @@
 """A long job may end at any moment: what it left is whole, and it goes on bit for bit."""
 
+import hashlib
 import json
 import os
 import signal
@@ -57,10 +58,10 @@ def test_another_job_and_no_file_are_refused(tmp_path):
         checkpoint.load(tmp_path / "absent.npz", tree(), "job")
 
 
-def test_400_damaged_files_are_refused_or_whole(tmp_path):
+def test_400_damaged_files_are_refused(tmp_path):
     good = tmp_path / "good.npz"
     checkpoint.save(good, tree(), {"step": 3}, "job")
-    data, rng, refused = good.read_bytes(), np.random.default_rng(0), 0
+    data, rng = good.read_bytes(), np.random.default_rng(0)
     for i in range(400):
         bad = bytearray(data)
         if i % 4 == 0:
@@ -72,20 +73,15 @@ def test_400_damaged_files_are_refused_or_whole(tmp_path):
             bad[rng.integers(len(bad))] ^= 1 << rng.integers(8)
         path = tmp_path / "bad.npz"
         path.write_bytes(bytes(bad))
-        try:
-            found = checkpoint.load(path, tree(), "job")
-        except CheckpointError as error:
-            assert "bad.npz" in str(error)
-            refused += 1
-            continue
-        assert found.head == {"step": 3}  # flips of bytes that the zip does not use
-        jax.tree.map(np.testing.assert_array_equal, found.tree, tree())
-    assert refused > 300
+        with pytest.raises(CheckpointError, match="bad.npz: damaged"):
+            checkpoint.load(path, tree(), "job")
 
 
 def test_objects_are_never_unpickled(tmp_path):
     np.savez(tmp_path / "c.npz", about=np.array([{"a": 1}], object))
-    with pytest.raises(CheckpointError, match="damaged"):
+    data = (tmp_path / "c.npz").read_bytes()
+    (tmp_path / "c.npz").write_bytes(data + hashlib.sha256(data).digest())
+    with pytest.raises(CheckpointError, match="damaged.*allow_pickle"):
         checkpoint.load(tmp_path / "c.npz", tree(), "job")
 
 

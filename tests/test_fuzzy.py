@@ -128,5 +128,7 @@ def test_figures_show_the_sets_and_the_surface():
         assert x[y.argmax()] == pytest.approx(centre, abs=0.01) and y.max() == pytest.approx(1, abs=1e-3)
     fig = plots_fuzzy.surface(SYSTEM, TABLE, span, names, "y", points=7)
     assert [t.get_text() for t in fig.axes[0].texts] == ["0", "1", "1", "2", "0", "3"]
+    fig = plots_fuzzy.surface(SYSTEM, TABLE, span, names, "y", points=7, labels=("Z", "S", "L", "NS"))
+    assert [t.get_text() for t in fig.axes[0].texts] == ["Z", "S", "S", "L", "Z", "NS"]
     with pytest.raises(ValueError, match="two inputs"):
         plots_fuzzy.surface(fuzzy.system(((0.0,),), ((1.0,),), (1.1,), (1.0, 1.2)), (0,), span[:1], names, "y")

@@ -150,7 +150,11 @@ def test_fading_ends_at_the_limit_and_nowhere_jumps():
         small = fading(limit, jnp.asarray(a), jnp.diag((1e-4 * top) ** 2))
         np.testing.assert_allclose(small, a, rtol=1e-7)
         np.testing.assert_array_equal(fading(limit, jnp.asarray(a), jnp.diag((1.5 * top) ** 2)), 1.0)
-    np.testing.assert_allclose(fading(limit, jnp.asarray(0.97), jnp.diag(top**2)), 0.97, rtol=1e-14)  # sharpens always
+    # no kink where the weight crosses 1, at any P: the slope in a is the same on both sides
+    half = jax.jit(lambda a: fwekf.fading(limit, a, jnp.diag(0.5 * top**2)))
+    up, down = (np.asarray(half(jnp.asarray(1 + h)) - 1) for h in (1e-6, -1e-6))
+    np.testing.assert_allclose(up, -down, rtol=1e-5)
+    np.testing.assert_allclose(up, 0.25e-6, rtol=1e-5)
     slope = jax.jit(jax.vmap(jax.grad(lambda s: fwekf.fading(limit, 1.2, jnp.diag((s * top) ** 2)).sum())))
     steps = np.asarray(slope(jnp.linspace(0.5, 1.5, 2001)))
     assert np.abs(np.diff(steps)).max() < 0.05  # a slope without a jump

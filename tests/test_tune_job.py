@@ -101,6 +101,7 @@ def test_what_a_lost_run_and_a_users_own_objective_score(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     "changes, words",
     [({"method": "newton"}, "no method 'newton'"), ({"method": "scoring"}, "nll"), ({"over_runs": "median"}, "no way"),
+     ({"over_runs": "log_mean"}, "positive objectives"),
      ({"objective": "nothing:here"}, "cannot be imported"), ({"objective": "nl"}, "did you mean nll"),
      ({"frozen": ["noise", "timing", "rule"]}, "nothing is left"), ({"tied": ["gyr"]}, "tune.tied"),
      ({"prior": {"noise.gyro": 0.5}}, "factor above 1"), ({"prior": {"time_offset_s": 0.0}}, "above 0")],

@@ -42,3 +42,30 @@ def paired_gain(
     low, high = np.percentile(np.sqrt(b / a), [2.5, 97.5])
     rms = lambda e: float(np.sqrt(np.mean(e**2)))  # noqa: E731
     return PairedGain(rms(before) / rms(after), float(low), float(high), rms(before), rms(after))
+
+
+class PairedRatio(NamedTuple):
+    """How many times larger one error is than another of the same runs, in the geometric mean."""
+
+    ratio: float
+    low: float  # 95 % interval, percentiles of the bootstrap
+    high: float
+
+
+def paired_ratio(a: np.ndarray, b: np.ndarray, seed: int = 0, draws: int = 10_000) -> PairedRatio:
+    """Geometric mean of a / b over errors (K, S) of K kinds of S runs each, every kind counted alike.
+
+    Runs of one number share their random numbers over the kinds, so the bootstrap draws the S numbers.
+
+    Raises:
+        ValueError: shapes differ, fewer than two runs, or an error that is not positive and finite.
+    """
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    if a.shape != b.shape or a.ndim != 2 or a.shape[1] < 2:
+        raise ValueError(f"errors must be two tables (kinds, 2 runs or more) of one shape, got {a.shape} and {b.shape}")
+    if not all((np.isfinite(e) & (e > 0)).all() for e in (a, b)):
+        raise ValueError("errors must be positive and finite: leave out, and report, the runs that failed")
+    each = np.log(a / b).mean(0)  # of each number
+    pick = np.random.default_rng(seed).integers(each.size, size=(draws, each.size))
+    low, high = np.percentile(each[pick].mean(1), [2.5, 97.5])
+    return PairedRatio(*(float(np.exp(v)) for v in (each.mean(), low, high)))

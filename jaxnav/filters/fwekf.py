@@ -17,7 +17,8 @@ The printed weights R a^(-2(k+1)), Q a^(-2(k+1)) (eqs. 21, 22) are the same filt
 
 Fading lets the covariance of what no fix observes grow by a^2 each time, without end: heading at rest. It ends where a
 standard deviation reaches `Fwekf.limit`: 1 + (a^2 - 1) (1 - P_ii / limit_i^2)^2 multiplies state i instead of a^2, and
-1 beyond, so that with a <= 2 fading by itself takes no standard deviation past its limit.
+1 beyond, so that with a <= 2 fading by itself takes no standard deviation past its limit. It is the same for a < 1: a
+filter's answer then has no kink where its weight crosses 1.
 """
 
 from functools import cache
@@ -104,8 +105,7 @@ def inputs(past: Window, z: Innovation) -> jax.Array:
 def fading(limit: Prior, a: jax.Array, P: jax.Array) -> jax.Array:
     """Factor on each state, (n,), that carries ``P`` on: ``a``, and less where a state is near its limit."""
     full = jnp.maximum(1 - jnp.diag(P) / prior_sd(limit, P.shape[0]) ** 2, 0.0) ** 2
-    gain = a**2 - 1
-    return jnp.sqrt(1 + jnp.where(gain > 0, gain * full, gain))
+    return jnp.sqrt(1 + (a**2 - 1) * full)
 
 
 def weighted(z: Innovation, R: jax.Array) -> tuple[jax.Array, jax.Array]:

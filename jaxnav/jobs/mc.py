@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from jaxnav import montecarlo, plots, plots_mc
-from jaxnav.config import Config
+from jaxnav.config import Config, nearest
 from jaxnav.errors import ConfigError
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.jobs import prepare as pre
@@ -18,7 +18,7 @@ from jaxnav.jobs.results import FailedCheck, Outcome, table, write_json
 from jaxnav.jobs.sources import scenario_of
 from jaxnav.measurements import GNSS
 from jaxnav.montecarlo import MonteCarlo
-from jaxnav.scenarios import Scenario
+from jaxnav.scenarios import SCENARIOS, Scenario
 from jaxnav.simulation import matched_params, sizes
 
 
@@ -31,16 +31,12 @@ def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
         ConfigError: the source is no scenario, or names that are not known.
         FailedCheck: every run of every filter diverged.
     """
-    scenario = _scenario(config)
+    scenario = scenario_to_run(config)
     found, seconds, stopped = {}, {}, ""
     for each in _each(config):
         name, begin = pre.filter_name(each), time.perf_counter()
         entry = FILTERS[name]
-        known = scenario
-        if config.filter.grade:
-            pre.grade_of(each, scenario)
-            known = scenario._replace(imu=scenario.imu._replace(grade=config.filter.grade))
-        params = override(matched_params(known, entry.theta(), entry.feedback_theta()), config.params)
+        params = override(matched_params(told(each, scenario), entry.theta(), entry.feedback_theta()), config.params)
         samples = sizes(scenario)[1]
         stride = max(d for d in range(1, config.filter.cov_stride + 1) if samples % d == 0)
         filt = build(name, GNSS, stride, pre.history_of(config, scenario.imu_rate_hz, tuned=False))
@@ -69,17 +65,31 @@ def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
     return Outcome(about, _text(about, scenario), seconds, stopped)
 
 
-def _scenario(config: Config) -> Scenario:
+def scenario_to_run(config: Config) -> Scenario:
+    """The scenario that [data] names, fit to be simulated.
+
+    Raises:
+        ConfigError: there is none, or one that does not fit together.
+    """
     scenario = scenario_of(config)
     if scenario is None:
-        raise ConfigError(f"data.source: mc takes a scenario, got {config.data.source!r}")
+        known = nearest(config.data.source, SCENARIOS)
+        raise ConfigError(f"data.source: a scenario is needed, got {config.data.source!r}: {known}")
     if pre.measurements_of(config) != GNSS:
-        raise ConfigError("filter: mc has a receiver only, switch the constraints off")
+        raise ConfigError("filter: simulated runs have a receiver only, switch the constraints off")
     try:
         sizes(scenario)
     except ValueError as error:
         raise ConfigError(f"data.options: {error}") from error
     return scenario
+
+
+def told(config: Config, scenario: Scenario) -> Scenario:
+    """The scenario as the filters know it: with the grade of [filter], if one is named."""
+    if not config.filter.grade:
+        return scenario
+    pre.grade_of(config, scenario)
+    return scenario._replace(imu=scenario.imu._replace(grade=config.filter.grade))
 
 
 def _each(config: Config) -> list[Config]:

@@ -68,6 +68,7 @@ OBJECTIVES: dict[str, Score] = {
 """Of one run: log RMS and mean log of the error at the ends of hidden windows; innovation likelihood, normalised
 innovations against their law, their autocorrelation; with truth the position's RMSE in m and its normalised error."""
 NEED_TRUTH = ("rmse", "nees")
+SIGNED = ("nll", "drift", "log_drift")  # logarithms, so never averaged as one
 
 
 def check_objective(weights: dict[str, float], truth: bool = True) -> None:
@@ -139,7 +140,10 @@ def aggregate(tune: configuration.Tune) -> batch.Aggregate:
     Raises:
         ConfigError: no such way.
     """
-    ways: dict[str, Any] = {"mean": batch.mean, "tail": objectives.tail(tune.tail)}
+    ways: dict[str, Any] = {"mean": batch.mean, "tail": objectives.tail(tune.tail), "log_mean": objectives.log_mean}
     if tune.over_runs not in ways:
         raise ConfigError(f"tune.over_runs: no way {tune.over_runs!r}: {configuration.nearest(tune.over_runs, ways)}")
+    signed = [name for name, w in tune.objective.items() if w and name in SIGNED]
+    if tune.over_runs == "log_mean" and signed:
+        raise ConfigError(f'tune.over_runs: "log_mean" is for positive objectives, {signed[0]} is a logarithm already')
     return ways[tune.over_runs]

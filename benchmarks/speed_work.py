@@ -1,0 +1,175 @@
+"""The workload of the speed benchmark, the forms that are compared on it, and how they are timed.
+
+A drive in town at 100 Hz with a fix of position and velocity every second. The filter takes biases as random walks:
+that is what all rivals know.
+"""
+
+import inspect
+import statistics
+import time
+from collections.abc import Callable
+from functools import cache, lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks import speed_plain
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.core import Filter
+from jaxnav.run import initial_nav, run
+from jaxnav.scenarios import Scenario
+from jaxnav.simulation import Simulated, matched_params, simulate
+from jaxnav.types import Epoch, Fix, Imu, Info, Nav, Noise, Params
+from tuning.objectives import innovation_nll
+
+RATE = 100  # Hz
+SEED, DISTINCT = 0, 8  # batches repeat so many runs, or one where it is long: cost does not depend on the numbers
+SCENARIO = Scenario("speed", duration_s=60.0, imu_rate_hz=float(RATE))
+PARAMS: Callable[[], Params] = cache(lambda: matched_params(SCENARIO))
+
+
+class Form(NamedTuple):
+    """One way to write the filter: of a number of states, functions of (noise, nav, epochs)."""
+
+    label: str
+    forward: Callable[[int], Callable]  # n -> the solution of one run
+    loss: Callable[[int], Callable]  # n -> its innovation NLL
+    ours: bool = False
+    single: bool = False  # made for one run
+
+
+def forward(filt: Filter) -> Callable[[Noise, Nav, Epoch], Info]:
+    """One run of a filter of the package, with the noise as an argument."""
+    return lambda noise, nav, epochs: run(filt, PARAMS()._replace(noise=noise), nav, epochs)
+
+
+def likelihood(filt: Filter) -> Callable[[Noise, Nav, Epoch], jax.Array]:
+    """Innovation NLL of one run."""
+    one = forward(filt)
+    return lambda noise, nav, epochs: innovation_nll(one(noise, nav, epochs), jnp.ones(epochs.imu.dt.shape[0], bool))
+
+
+def _ours(label: str, **options: Any) -> Form:
+    make = lambda n: build(f"ekf{n}", **options)  # noqa: E731
+    return Form(label, lambda n: forward(make(n)), lambda n: likelihood(make(n)), True, "block" in options)
+
+
+def _nested(label: str, checkpoint: bool = False, order: int = 2) -> Form:
+    make = lambda n: speed_plain.nested(n, PARAMS(), checkpoint, order)  # noqa: E731
+    return Form(label, make, lambda n: speed_plain.likelihood(make(n)))
+
+
+NAIVE = Form("naive scan", lambda n: speed_plain.naive(n, PARAMS()), lambda n: None)
+NESTED, CHECKPOINT = _nested("nested scan"), _nested("nested, checkpoint", True)
+FIRST, FIRST_CHECKPOINT = _nested("first order", order=1), _nested("first order, checkpoint", True, 1)
+VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("stride 1", {"cov_stride": 1}),
+    ("stride 10", {"cov_stride": 10}),
+    ("stride 1, block", {"cov_stride": 1, "block": True}),
+    ("stride 10, block", {"cov_stride": 10, "block": True}),
+)
+"""Ours: label and options of `build`; those with an option that it does not take are left out."""
+OURS = tuple(_ours(k, **v) for k, v in VARIANTS if set(v) <= set(inspect.signature(build).parameters))
+
+
+# ---------------------------------------------------------------------------- data
+
+
+@lru_cache(maxsize=4)
+def drives(seconds: int) -> Simulated:
+    """The runs of which batches are made, fields (runs, ...)."""
+    keys = jax.random.split(jax.random.key(SEED), DISTINCT if seconds <= 60 else 1)
+    scenario = SCENARIO._replace(duration_s=float(seconds))
+    return jax.jit(jax.vmap(simulate, (None, 0)), static_argnums=0)(scenario, keys)
+
+
+@lru_cache(maxsize=4)
+def arguments(seconds: int, runs: int) -> tuple[Noise, Nav, Epoch]:
+    """What a form is called with; fields (runs, ...), or of one run without that axis."""
+    some = drives(seconds)
+    take = 0 if runs == 1 else np.arange(runs) % some.hidden.shape[0]
+    return PARAMS().noise, *jax.tree.map(lambda a: a[take], (some.initial, some.epochs))
+
+
+def still(seconds: int, runs: int) -> tuple[Noise, Nav, Epoch]:
+    """The same shapes at rest and free of errors, made without the simulator, which takes long to compile."""
+    shape = (seconds, RATE) if runs == 1 else (runs, seconds, RATE)
+    side = lambda value, *s: np.broadcast_to(np.asarray(value), s)  # noqa: E731
+    lead, lla = shape[:-1], (0.8, 0.3, 200.0)
+    imu = Imu(side(1 / RATE, *shape), side(np.zeros(3), *shape, 3), side([0.0, 0.0, -9.81], *shape, 3))
+    fix = Fix(side([*lla, 0.0, 0.0, 0.0], *lead, 6), side([2.0] * 3 + [0.1] * 3, *lead, 6), side(0.0, *lead, 6),
+              side(True, *lead, 6))  # fmt: skip
+    nav = jax.tree.map(lambda a: side(a, *lead[:-1], *a.shape), initial_nav(lla))
+    return PARAMS().noise, *jax.tree.map(jnp.asarray, (nav, Epoch(imu, fix)))
+
+
+# ---------------------------------------------------------------------------- timing
+
+
+class Executable(NamedTuple):
+    """A form, compiled."""
+
+    call: Callable
+    seconds: float  # processor time of tracing and compiling
+    temp: int  # bytes of temporary memory, as the compiler says
+
+
+def over_runs(one: Callable, runs: int) -> Callable:
+    """Of a function of one run (noise, nav, epochs) that of a batch; the function itself where a run is alone."""
+    return one if runs == 1 else jax.vmap(one, (None, 0, 0))
+
+
+def slope(loss: Callable, runs: int) -> Callable:
+    """Value and gradient in the noise of a likelihood, its mean over a batch."""
+    return jax.value_and_grad(lambda *arguments: jnp.mean(over_runs(loss, runs)(*arguments)))
+
+
+@cache
+def executable(form: Form, n: int, seconds: int, runs: int, gradient: bool = False) -> Executable:
+    """The form for these sizes, or its gradient; not run yet."""
+    function = slope(form.loss(n), runs) if gradient else over_runs(form.forward(n), runs)
+    start = time.process_time()
+    compiled = jax.jit(function).lower(*arguments(seconds, runs)).compile()
+    taken = time.process_time() - start
+    return Executable(compiled, taken, compiled.memory_analysis().temp_size_in_bytes)
+
+
+def interleaved(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
+    """Median processor seconds of each call; they take turns, so that a change of the machine's speed hits all."""
+    taken: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(repeats):
+        for name, call in calls.items():
+            start = time.process_time()
+            jax.block_until_ready(call())
+            taken[name].append(time.process_time() - start)
+    return {name: statistics.median(each) for name, each in taken.items()}
+
+
+def exponent(size: Any, cost: Any) -> float:
+    """The p of cost ~ size^p, by least squares in logarithms."""
+    return float(np.polyfit(np.log(size), np.log(cost), 1)[0])
+
+
+def metres(lla: Any, reference: Any) -> np.ndarray:
+    """East, north and up in m from a near reference, (..., 3), of positions (..., 3) rad and m."""
+    d, lat = np.asarray(lla) - np.asarray(reference), np.asarray(reference)[..., 0]
+    return np.stack([d[..., 1] * 6.38e6 * np.cos(lat), d[..., 0] * 6.37e6, d[..., 2]], -1)
+
+
+def distance(lla: Any, reference: Any) -> float:
+    """The largest distance between positions (E, 3), m."""
+    return float(np.linalg.norm(metres(lla, reference), axis=-1).max())
+
+
+def rms(lla: Any, reference: Any) -> list[float]:
+    """Root mean square error of positions (E, 3) in m: east, north, up."""
+    return np.sqrt(np.mean(metres(lla, reference) ** 2, axis=0)).tolist()
+
+
+def table(seconds: dict[str, float], steps: dict[str, int] | int, to: str) -> dict[str, dict]:
+    """Rows of a table: microseconds per IMU sample and run, and the ratio to one of them, less being faster."""
+    each = lambda name: steps if isinstance(steps, int) else steps[name]  # noqa: E731
+    us = {name: 1e6 * s / each(name) for name, s in seconds.items()}
+    return {name: {"us_per_step": v, "ratio_to": to, "ratio": v / us[to]} for name, v in us.items()}

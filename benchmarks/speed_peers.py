@@ -64,14 +64,33 @@ def error_dynamics(lla: np.ndarray, v: np.ndarray, C: np.ndarray, f: np.ndarray,
 
 
 def numpy_loop(n: int, params: Params, nav: Nav, epochs: Epoch) -> Callable[[], np.ndarray]:
-    """The loop that the package's tests compare with; positions at the epochs, (E, 3)."""
-    imu = tuple(np.asarray(a) for a in epochs.imu)
-    fix, ones = jax.tree.map(np.asarray, epochs.fix), np.ones(3)
-    fixes = (fix.value[:, :3], fix.sd[:, :3], fix.value[:, 3:], fix.sd[:, 3:], fix.valid)
+    """Sample by sample with dense matrices, like the nested scan; positions at the epochs, (E, 3)."""
+    imu, fix = (jax.tree.map(np.asarray, part) for part in (epochs.imu, epochs.fix))
     start = np.asarray(nav.pos), np.asarray(nav.vel), np.asarray(rotations.to_dcm(nav.q))
-    noise = {name: ones * np.asarray(sd) for name, sd in params.noise._asdict().items() if np.ndim(sd) == 0}
-    sd = np.asarray(prior_sd(params.prior, n))
-    return lambda: reference.run(imu, fixes, start, noise, sd, error_dynamics)[0]
+    noise, variance = params.noise, np.asarray(prior_sd(params.prior, n)) ** 2
+    sides = [0.0, noise.accel, noise.gyro, noise.gyro_bias, noise.accel_bias]
+    G = np.diag(np.concatenate([np.broadcast_to(np.asarray(sd), 3) ** 2 for sd in sides])[:n])
+    scale = np.concatenate([np.broadcast_to(np.asarray(a), 3) for a in (noise.position_scale, noise.velocity_scale)])
+    H, eye = np.eye(6, n), np.eye(n)
+
+    def call() -> np.ndarray:
+        state, P, out = reference.Strapdown(*start, n), np.diag(variance), []
+        for e in range(len(imu.dt)):
+            for dt, gyro, accel in zip(imu.dt[e], imu.gyro[e], imu.accel[e], strict=True):
+                C, f = state.advance(dt, gyro, accel)
+                FT = error_dynamics(state.lla, state.v, C, f, n) * dt
+                Phi = eye + FT + 0.5 * FT @ FT
+                P = Phi @ P @ Phi.T + G * dt
+            R, value = np.diag((scale * fix.sd[e]) ** 2), fix.value[e]
+            nu = np.concatenate([reference.metres(state.lla) @ (state.lla - value[:3]), state.v - value[3:]])
+            K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+            A = eye - K @ H
+            P = A @ P @ A.T + K @ R @ K.T
+            state.remove(K @ nu)
+            out.append(state.lla.copy())
+        return np.stack(out)
+
+    return call
 
 
 # ---------------------------------------------------------------------------- python-ins

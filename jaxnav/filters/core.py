@@ -1,9 +1,9 @@
 """The one predict/correct path: filter = mechanization x error model x rule x feedback. Names no paper.
 
 An epoch is the IMU samples since the last fix and the fix that ends them. `predict` moves the navigation state through
-its samples, makes the error dynamics along that path in one vectorised pass, and moves x and P by a short scan;
-`correct` forms the innovation, lets the rule correct, and feeds back. Splitting it so is exact, because between two
-fixes navigation does not depend on P.
+its samples, sums the error dynamics along that path up to one transition, and moves x and P once; `correct` forms the
+innovation, lets the rule correct, and feeds back. Splitting it so is exact, because between two fixes navigation does
+not depend on P.
 """
 
 from collections.abc import Callable
@@ -134,8 +134,8 @@ def make_filter(
 ) -> Filter:
     """Compose a filter.
 
-    ``cov_stride``: the covariance moves every so many IMU samples (navigation moves at every sample); 10 instead of 1
-    costs millimetres at 100 Hz. ``history``: how many samples of navigation are kept for measurements that are older
+    ``cov_stride``: the error dynamics see means over so many IMU samples (navigation moves at every sample); 10 instead
+    of 1 costs less than a millimetre at 100 Hz. ``history``: how many samples of navigation are kept for measurements that are older
     than the end of the epoch; cover the largest latency, beyond it the oldest two are extended in a straight line.
     """
     if history < 2:

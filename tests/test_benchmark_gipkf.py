@@ -43,8 +43,7 @@ def test_operations_of_the_program():
     ekf, gip = flops.of("ekf15"), flops.of("gipkf")
     assert gip["compiled"] < 0.6 * ekf["compiled"]
     assert ekf["hand"] < ekf["compiled"] < 2 * ekf["hand"]  # Joseph's form is longer than the short one
-    nine, total = flops.of_nine(), lambda r: r["compiled"] + r["compiled_phi_and_q"]
-    assert nine["compiled"] < 0.25 * ekf["compiled"] and total(nine) < 0.6 * total(ekf)
+    assert flops.of_nine()["compiled"] < 0.25 * ekf["compiled"]
 
 
 def test_tuned_parameters_are_there_for_every_set_and_method():

@@ -18,7 +18,7 @@ from jaxnav.filters.fuzzy_combined import combined_params, fuzzy_combined
 from jaxnav.filters.fwekf import Fwekf, fwekf, fwekf_params, limits
 from jaxnav.filters.kalman import kalman
 from jaxnav.run import run
-from jaxnav.scenarios import SCENARIOS, Scenario
+from jaxnav.scenarios import SCENARIOS
 from jaxnav.simulation import Simulated, matched_params, simulate
 from jaxnav.types import Params
 from tuning.cases import fit_cases
@@ -75,18 +75,14 @@ class Errors(NamedTuple):
 
 
 @cache
-def _simulator(scenario: Scenario):
-    return jax.jit(jax.vmap(partial(simulate, scenario)))
+def _simulator(scenario: str):
+    return jax.jit(jax.vmap(partial(simulate, SCENARIOS[scenario])))
 
 
-def draw(names: tuple[str, ...], key: jax.Array, runs: int, place: dict[str, Any] | None = None) -> dict[str, Runs]:
-    """``runs`` runs of each case; cases of one scenario share them, and all scenarios share their noise.
-
-    ``place``: fields of the scenarios to replace.
-    """
+def draw(names: tuple[str, ...], key: jax.Array, runs: int) -> dict[str, Runs]:
+    """``runs`` runs of each case; cases of one scenario share them, and all scenarios share their noise."""
     keys = jax.random.split(key, runs)
-    scenarios = {CASES[name].scenario for name in names}
-    made = {s: _simulator(SCENARIOS[s]._replace(**place or {}))(keys) for s in scenarios}
+    made = {s: _simulator(s)(keys) for s in {CASES[name].scenario for name in names}}
     told = lambda name: (jnp.asarray(sd, float) for sd in CASES[name][1:3])  # noqa: E731
     return {name: Runs(made[CASES[name].scenario], *told(name)) for name in names}
 
@@ -218,8 +214,7 @@ def navigate_first(runs: Runs, filt: Filter, theta: Any) -> tuple[Errors, jax.Ar
     return navigate_jit(filt, told(parameters(theta), runs), jax.tree.map(lambda a: a[0], runs.sim))
 
 
-STEPS = (2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 1e-4, 1e-5)  # of differences; C2 is chaotic
-FINE = {"start_deg_m": (1.0, 0.5, 200.0)}  # where latitude and longitude resolve 2e-11 m, not 1e-9 m
+STEPS = (2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 1e-4, 1e-5)  # of differences: positions resolve 1e-9 m, C2 is chaotic
 CENTRAL = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])  # derivative from 1 to 4 steps on each side, eighth order
 
 
@@ -237,12 +232,12 @@ _slope = jax.jit(jax.grad(_of_system, 3), static_argnums=0)
 _values = jax.jit(jax.vmap(_of_system, (None, None, None, 0)), static_argnums=0)
 
 
-def gradient_errors(names: tuple[str, ...], key: jax.Array) -> dict[str, dict]:
-    """Relative error of the whole gradient of a run of each case against differences, by their step."""
+def gradient_errors(test: dict[str, Runs]) -> dict[str, dict]:
+    """Relative error of the whole gradient of each case's first run against differences, by their step."""
     filt, params, result = navigator(fwekf()), parameters(fwekf_params(0.9)), {}
     raw = np.asarray(ravel_pytree(params.rule.system[:3])[0])
     steps_of = np.concatenate([np.arange(1, 5), -np.arange(1, 5)])[:, None, None] * np.eye(raw.size)
-    for name, runs in draw(names, key, 1, FINE).items():
+    for name, runs in test.items():
         one = runs._replace(sim=jax.tree.map(lambda a: a[0], runs.sim))
         exact = np.asarray(_slope(filt, params, one, raw))
         size, by_step = np.linalg.norm(exact), []

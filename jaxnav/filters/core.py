@@ -135,8 +135,9 @@ def make_filter(
     """Compose a filter.
 
     ``cov_stride``: the error dynamics see means over so many IMU samples (navigation moves at every sample); 10 instead
-    of 1 costs less than a millimetre at 100 Hz. ``history``: how many samples of navigation are kept for measurements that are older
-    than the end of the epoch; cover the largest latency, beyond it the oldest two are extended in a straight line.
+    of 1 costs less than a millimetre at 100 Hz. ``history``: how many samples of navigation are kept for measurements
+    that are older than the end of the epoch; cover the largest latency, beyond it the oldest two are extended in a
+    straight line.
     """
     if history < 2:
         raise ValueError(f"history must be at least 2 samples, got {history}")

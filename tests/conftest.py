@@ -1,5 +1,6 @@
 """Float64 for every test, no compilation cache on disk, and one small simulated drive that many tests share."""
 
+import gc
 import os
 import warnings
 from pathlib import Path
@@ -26,6 +27,18 @@ from jaxnav.types import ImuLog, Nav, Params, Samples, Track  # noqa: E402
 from jaxnav.units import DEG  # noqa: E402
 
 GRADE = Grade(2e-4, 2e-3, 1e-3, 2e-2, 1e-4, 2e-3, 100.0, "made up for tests: a good MEMS unit")
+
+
+MAPS = Path("/proc/self/maps")
+MOST_MAPS = 30_000  # every compiled function keeps a few; Linux allows a process 65,530 and then the compiler crashes
+
+
+def pytest_runtest_teardown(item, nextitem) -> None:
+    """Between modules, drop the compiled functions of a process that has collected many."""
+    changes = nextitem is None or nextitem.path != item.path
+    if changes and MAPS.exists() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 class Case(NamedTuple):

@@ -242,10 +242,9 @@ def compare(name: str, setup: Setup, seed: int, per_parameter: int, steps: int) 
         best = rival(many, flat, budget, seed)
         curves[rival.__name__] = (np.arange(1, best.size + 1), best)
     gradient = partial(_gradient, problem, data=data)
-    for method in (descend, quasi_newton):
+    for label, method in (("adam", descend), ("lbfgs", quasi_newton)):
         losses = method(gradient, first, steps)
-        name = "adam" if method is descend else "lbfgs"
-        curves[name] = (charge["gradient"] * np.arange(1, losses.size + 1), np.minimum.accumulate(losses))
+        curves[label] = (charge["gradient"] * np.arange(1, losses.size + 1), np.minimum.accumulate(losses))
     if setup.likelihood:
         items = tuple(setup.spec.items())
         inform = lambda f: _inform(setup.filter, items, f, like, setup.params, setup.runs)  # noqa: E731

@@ -141,6 +141,11 @@ def stack(trees: list):
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 
+def over_stretches(weight: jax.Array, values: jax.Array) -> jax.Array:
+    """The weighted mean over stretches (B,); those of weight zero may have failed."""
+    return weight @ jnp.where(weight > 0, values, 0.0) / weight.sum()
+
+
 @cache
 def _training_loss(filt: Filter, objective: str):
     """Loss of parameters over the stretches with weights: drift at the ends of hidden windows, or innovations."""
@@ -153,12 +158,12 @@ def _training_loss(filt: Filter, objective: str):
         return jax.vmap(objectives.outage_error)(info, ends) ** 2
 
     def likelihood(params, weight, nav, data, valid, ends, settled):
-        return weight @ jax.vmap(partial(nll, params))(nav, data, settled) / weight.sum()
+        return over_stretches(weight, jax.vmap(partial(nll, params))(nav, data, settled))
 
     def drift(params, weight, nav, data, valid, ends, settled):
         h2 = jax.vmap(partial(squares, params))(nav, data, valid, ends).reshape(weight.size, -1)
-        typical = weight @ jnp.mean(jnp.log(h2 + 0.01), axis=1) / weight.sum()  # every window counts alike
-        return 0.25 * jnp.log(weight @ jnp.mean(h2, axis=1) / weight.sum()) + 0.25 * typical
+        typical = over_stretches(weight, jnp.mean(jnp.log(h2 + 0.01), axis=1))  # every window counts alike
+        return 0.25 * jnp.log(over_stretches(weight, jnp.mean(h2, axis=1))) + 0.25 * typical
 
     return {"likelihood": likelihood, "drift": drift}[objective]
 

@@ -141,11 +141,11 @@ def tuned_gains(seed: int, count: int, steps: int) -> dict:
     printed = [fitted_params(*SCHEMES[s]) for s in ("scheme_1", "scheme_2")]
     best = fit(loss(paper_filter(2)), spec, printed[1], steps, arguments=(hours(coarse(REPRO), train),), progress=True)
     held_out = score(study(paper_filter(10), [*printed, best.params], hours(REPRO, test)).squares)
-    calm, rate = reading(CIRCLE, "no_fault"), default_optimizer(steps, 0.3)
+    calm, longer = reading(CIRCLE, "no_fault"), 3 * steps  # in logarithms a gain comes to zero slowly
     matched = matched_params(calm, gpid_params(0.1, 0.1, 15))
     quiet = fit(
-        loss(build("gpid15", cov_stride=2)), spec, matched, steps, rate, arguments=(hours(coarse(calm), train),),
-        progress=True,
+        loss(build("gpid15", cov_stride=2)), spec, matched, longer, default_optimizer(longer, 0.3),
+        arguments=(hours(coarse(calm), train),), progress=True,
     )  # fmt: skip
     kf = matched._replace(rule=gpid_params(0.0, 0.0, 15))
     calm_scores = score(study(build("gpid15", cov_stride=10), [matched, kf, quiet.params], hours(calm, test)).squares)

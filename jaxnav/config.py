@@ -19,6 +19,7 @@ from typing import Any
 from jaxnav.errors import ConfigError
 
 Numbers = float | tuple[float, ...]
+Root = Numbers | tuple[tuple[float, ...], ...]  # or a lower triangular matrix
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,16 +68,19 @@ class Start:
 
 @dataclasses.dataclass(frozen=True)
 class Params:
-    """Overrides of the datasheet, one number or one an axis; see `jaxnav.jobs.parameters.UNITS` for what each sets."""
+    """Overrides of the datasheet, one number or one an axis; see `jaxnav.jobs.parameters.UNITS` for what each sets.
 
-    gyro_deg_per_sqrt_hour: Numbers | None = None
-    accel_ug_per_sqrt_hz: Numbers | None = None
-    gyro_bias_deg_per_hour_per_sqrt_s: Numbers | None = None
-    accel_bias_ug_per_sqrt_s: Numbers | None = None
+    A `Root` may be a lower triangular 3 x 3 too, for noise that is correlated between the axes (`jaxnav.types.Noise`).
+    """
+
+    gyro_deg_per_sqrt_hour: Root | None = None
+    accel_ug_per_sqrt_hz: Root | None = None
+    gyro_bias_deg_per_hour_per_sqrt_s: Root | None = None
+    accel_bias_ug_per_sqrt_s: Root | None = None
     gyro_tau_s: Numbers | None = None
     accel_tau_s: Numbers | None = None
-    position_scale: Numbers | None = None
-    velocity_scale: Numbers | None = None
+    position_scale: Root | None = None
+    velocity_scale: Root | None = None
     zero_velocity_mps: float | None = None
     zero_rate_deg_per_s: float | None = None
     nonholonomic_mps: Numbers | None = None
@@ -104,6 +108,7 @@ class Tune:
     )  # name -> weight
     frozen: tuple[str, ...] = ()  # taken out of ``free`` again
     tied: tuple[str, ...] = ()  # one number for all axes
+    correlated: tuple[str, ...] = ()  # white and bias-driving noise, fixes: correlations between the axes too
     prior: dict[str, float] = dataclasses.field(default_factory=dict)  # name -> one sd about the datasheet: a factor
     #   for what is positive (2 is "within a factor 2"), else in the parameter's own unit
     over_runs: str = "mean"  # how runs are put together: mean, log_mean (scenarios alike), tail (the worst ones)

@@ -10,6 +10,11 @@ def gain(P: jax.Array, H: jax.Array, S: jax.Array) -> jax.Array:
     return cho_solve(cho_factor(S, lower=True), H @ P).T
 
 
+def times_root(M: jax.Array, leaf: jax.Array) -> jax.Array:
+    """M L, (..., m, 3), for a leaf of `Noise` that is a root L (3, 3) itself, or its diagonal () or (3,)."""
+    return M @ leaf if jnp.ndim(leaf) == 2 else M * leaf
+
+
 def joseph(P: jax.Array, K: jax.Array, H: jax.Array, R: jax.Array) -> jax.Array:
     """Covariance after a correction with any gain K, (I - K H) P (I - K H)' + K R K', kept symmetric.
 

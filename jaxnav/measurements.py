@@ -28,11 +28,12 @@ class Kinematics(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """Residual (estimate minus measurement), Jacobian, noise sd and latency of one measurement of size s."""
+    """Residual (estimate minus measurement), Jacobian and noise of one measurement of size s."""
 
     y: jax.Array  # (s,)
     H: jax.Array  # (s, n)
-    sd: jax.Array  # (s,)
+    sd: jax.Array  # (s,) of the noise
+    root: jax.Array | float = 1.0  # (), (s,) or lower triangular (s, s): what multiplies noise of that sd
 
 
 class Measurement(NamedTuple):
@@ -59,7 +60,7 @@ def _position(noise: Noise, mounting: Mounting, nav: Nav, kin: Kinematics, fix: 
     arm = kin.C @ mounting.lever_arm
     y = earth.enu_difference(kin.lla, fix.value) + arm
     H = kin.position - rotations.skew(arm) @ kin.attitude
-    return Observation(y, H, noise.position_scale * fix.sd)
+    return Observation(y, H, fix.sd, noise.position_scale)
 
 
 def _velocity(noise: Noise, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
@@ -68,7 +69,7 @@ def _velocity(noise: Noise, mounting: Mounting, nav: Nav, kin: Kinematics, fix: 
     y = kin.vel + swing - fix.value
     n = kin.velocity.shape[1]
     rate = _body_rate_rows(n, -kin.C @ rotations.skew(mounting.lever_arm))
-    return Observation(y, kin.velocity - rotations.skew(swing) @ kin.attitude + rate, noise.velocity_scale * fix.sd)
+    return Observation(y, kin.velocity - rotations.skew(swing) @ kin.attitude + rate, fix.sd, noise.velocity_scale)
 
 
 def _zero_velocity(noise: Noise, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
@@ -100,13 +101,13 @@ def _vehicle_velocity(mounting: Mounting, nav: Nav, kin: Kinematics) -> tuple[ja
 
 def _nonholonomic(noise: Noise, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
     v, H = _vehicle_velocity(mounting, nav, kin)
-    return Observation(v[1:], H[1:], noise.nonholonomic * fix.sd)
+    return Observation(v[1:], H[1:], fix.sd, noise.nonholonomic)
 
 
 def _speed(noise: Noise, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
     v, H = _vehicle_velocity(mounting, nav, kin)
-    return Observation(v[:1] * (1 + mounting.speed_scale) - fix.value, H[:1] * (1 + mounting.speed_scale),
-                       noise.speed * fix.sd)  # fmt: skip
+    scale = 1 + mounting.speed_scale
+    return Observation(v[:1] * scale - fix.value, H[:1] * scale, fix.sd, noise.speed)
 
 
 POSITION = Measurement("position", 3, _position, lambda m: m.time_offset + m.position_latency)
@@ -146,14 +147,33 @@ def at(past: Nav, t: jax.Array) -> Nav:
     return nav._replace(t=t, q=rotations.normalize(nav.q))
 
 
+def covariance(root: jax.Array | float, sd: jax.Array, corr: jax.Array, valid: jax.Array) -> jax.Array:
+    """R = L D C D L' (s, s) of a fix with its own ``sd`` D and correlations C (`Fix`); ``root`` is L or its diagonal.
+
+    The correlation of two channels of which one is missing is dropped. What a missing channel says of its sd means
+    nothing, so with a full L its share in another channel is taken at that channel's own sd: R of those that are there
+    does not depend on those that are not.
+    """
+    C = jnp.eye(sd.size)
+    if sd.size == 3:
+        i, j = np.arange(3), np.array([1, 2, 0])
+        c = jnp.where(valid & valid[j], corr, 0.0)
+        C = C.at[i, j].set(c).at[j, i].set(c)
+    if jnp.ndim(root) < 2:
+        sd = root * sd
+        return C * (sd[:, None] * sd)
+    M = root * jnp.where(valid, sd, sd[:, None])
+    R = M @ C @ M.T
+    return 0.5 * (R + R.T)
+
+
 def stack(
     measurements: tuple[Measurement, ...], kinematics: Callable[[Nav], Kinematics]
 ) -> tuple[Callable[[Noise, Mounting, Nav, Fix], tuple[jax.Array, jax.Array, jax.Array]], int]:
     """``observe(noise, mounting, past, fix) -> y (m,), H (m, n), R (m, m)`` for these measurements, and m.
 
     Each measurement is compared with the state at its own time, the end of ``past`` minus its latency; H refers to the
-    error at the end: a position then is off by less, dp(t - s) = dp(t) - s dv(t). R has the fix's correlations between
-    the three channels of a block; where one of a pair is missing that correlation is dropped.
+    error at the end: a position then is off by less, dp(t - s) = dp(t) - s dv(t). R is `covariance` of each.
     """
     slices = layout(measurements)
     m = sum(each.size for each in measurements)
@@ -168,13 +188,7 @@ def stack(
             kin = kinematics(nav)
             kin = kin._replace(position=kin.position - age * kin.velocity)
             o = each.observe(noise, mounting, nav, kin, own)
-            pair = own.valid & jnp.roll(own.valid, -1)
-            c = jnp.where(pair, own.corr, 0.0) * o.sd * jnp.roll(o.sd, -1)
-            R = jnp.diag(o.sd**2)
-            if each.size == 3:
-                i, j = np.arange(3), np.array([1, 2, 0])
-                R = R.at[i, j].set(c).at[j, i].set(c)
-            parts.append((o.y, o.H, R))
+            parts.append((o.y, o.H, covariance(o.root, o.sd, own.corr, own.valid)))
         R = jnp.zeros((m, m))
         for (_, _, block), s in zip(parts, slices.values(), strict=True):
             R = R.at[s, s].set(block)

@@ -318,7 +318,7 @@ def tuning(history: Sequence[Mapping[str, Any]], truth: Mapping[str, Any] | None
     if names:
         small = panels(parts[1], len(names), 4, "Step")
         for ax, name in zip(small, names):
-            values = np.array([np.asarray(row["params"][name], float).ravel() for row in history])
+            values = np.array([_components(row["params"][name]) for row in history])
             true = None if truth is None or name not in truth else np.asarray(truth[name], float).ravel()
             _parameter(ax, name, step, values, true, best)
         grid += small
@@ -329,6 +329,12 @@ def tuning(history: Sequence[Mapping[str, Any]], truth: Mapping[str, Any] | None
             ax.axvline(step[best], color="0.5", linewidth=0.9, linestyle=":", label="best step")
     legend(fig)
     return fig
+
+
+def _components(value: Any) -> Array:
+    """A parameter's numbers; of a lower triangular root those that are not always zero, row by row."""
+    value = np.asarray(value, float)
+    return value[np.tril_indices(len(value))] if value.ndim == 2 else value.ravel()
 
 
 def _parameter(ax: "Axes", name: str, step: Array, values: Array, truth: Array | None, best: int | None) -> None:

@@ -87,16 +87,21 @@ class Drive(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """Noise of sensors and measurements; every leaf broadcasts to its axes, so a scalar means all axes alike."""
+    """Noise of sensors and measurements; every leaf broadcasts to its axes, so a scalar means all axes alike.
 
-    gyro: jax.Array  # () or (3,) rad/s/sqrt(Hz), angular random walk (root PSD), body
-    accel: jax.Array  # () or (3,) m/s^2/sqrt(Hz), velocity random walk (root PSD), body
-    gyro_bias: jax.Array  # () or (3,) rad/s/sqrt(s), root PSD that drives the gyro bias
-    accel_bias: jax.Array  # () or (3,) m/s^2/sqrt(s)
+    Six leaves may also be a lower triangular root L (3, 3), for noise that is correlated between the axes; (3,) is its
+    diagonal, and the norms of its rows are the axes' own. Of the four of the sensors L L' is the spectral density. Of
+    the two scales the covariance of a fix is L D C D L', with its own sd D and correlations C.
+    """
+
+    gyro: jax.Array  # (), (3,) or (3, 3) rad/s/sqrt(Hz), angular random walk (root PSD), body
+    accel: jax.Array  # (), (3,) or (3, 3) m/s^2/sqrt(Hz), velocity random walk (root PSD), body
+    gyro_bias: jax.Array  # (), (3,) or (3, 3) rad/s/sqrt(s), root PSD that drives the gyro bias
+    accel_bias: jax.Array  # (), (3,) or (3, 3) m/s^2/sqrt(s)
     gyro_tau: jax.Array  # () or (3,) s, Gauss-Markov time of the gyro bias; inf is a random walk
     accel_tau: jax.Array  # () or (3,) s
-    position_scale: jax.Array  # () or (3,) factor on the fix's own position sd, ENU
-    velocity_scale: jax.Array  # () or (3,) factor on the fix's own velocity sd, ENU
+    position_scale: jax.Array  # (), (3,) or (3, 3) factor on the fix's own position sd, ENU
+    velocity_scale: jax.Array  # (), (3,) or (3, 3) factor on the fix's own velocity sd, ENU
     zero_velocity: jax.Array  # () m/s, sd of a zero-velocity update
     zero_rate: jax.Array  # () rad/s, sd of a zero-rate update
     nonholonomic: jax.Array  # () or (2,) m/s, sd of lateral and vertical velocity of the vehicle

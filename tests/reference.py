@@ -51,6 +51,11 @@ def metres(lla):
     return np.array([[0, (n + lla[2]) * np.cos(lla[0]), 0], [m + lla[2], 0, 0], [0, 0, 1.0]])
 
 
+def root(value):
+    """(3, 3) of a number, one an axis, or itself."""
+    return np.asarray(value) if np.ndim(value) == 2 else np.diag(np.broadcast_to(value, 3))
+
+
 class Strapdown:
     """Local level navigation: C body to ENU, v ENU, lla."""
 
@@ -157,8 +162,8 @@ def predict(P, points, noise, dynamics):
     P, Phi, lumped = slow @ P @ slow.T, np.eye(n), dynamics is simple_dynamics
     for dt, C, f, lla, v in points:
         F, G = fast * dynamics(lla, v, C, f, n), np.zeros((n, n))
-        G[3:6, 3:6] = C @ np.diag(noise["accel"] ** 2) @ C.T
-        G[6:9, 6:9] = C @ np.diag(noise["gyro"] ** 2) @ C.T
+        for s, L in ((slice(3, 6), C @ root(noise["accel"])), (slice(6, 9), C @ root(noise["gyro"]))):
+            G[s, s] = L @ L.T
         loan = expm(np.block([[-F, G], [0 * F, F.T]]) * dt)
         step = loan[n:, n:].T
         P, Phi = step @ P @ step.T + (dt * G if lumped else step @ loan[:n, n:]), step @ Phi
@@ -168,7 +173,7 @@ def predict(P, points, noise, dynamics):
                 (slice(9, 12), "gyro_bias", [3, 2, 1, 0, 0]),
                 (slice(12, 15), "accel_bias", [2, 1, 1, 0, 0]),
             ):
-                late = Phi[:, states] * share ** np.repeat(orders, 3)[:, None] * noise[sd]
+                late = Phi[:, states] * share ** np.repeat(orders, 3)[:, None] @ root(noise[sd])
                 P = P + late @ late.T * dts.sum() / 2
     return slow @ P @ slow.T
 

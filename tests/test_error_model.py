@@ -4,13 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from jaxnav import earth, rotations
-from jaxnav.error_models.local_level import error_model
+from jaxnav.error_models.common import assemble
+from jaxnav.error_models.local_level import dynamics, error_model
 from jaxnav.error_models.states import STATES, A, B, G, P, V, mask, prior_sd
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import REST
-from jaxnav.measurements import MEASUREMENTS, at, layout
+from jaxnav.measurements import MEASUREMENTS, at, covariance, layout
 from jaxnav.mechanizations import local_level
 from jaxnav.run import initial_nav, run_jit
 from jaxnav.sensors.grades import GRADES, datasheet_params
@@ -137,6 +139,26 @@ def test_noise_enters_as_root_psd_in_body_axes():
     np.testing.assert_allclose(np.diag(Q)[G], T * float(noise.gyro_bias) ** 2, rtol=1e-4)
     np.testing.assert_allclose(np.diag(Q)[B], T * float(noise.accel_bias) ** 2, rtol=1e-4)
     assert np.linalg.eigvalsh(Q / np.sqrt(np.outer(np.diag(Q), np.diag(Q)) + 1e-300)).min() > -1e-12
+
+
+def test_correlated_noise_is_van_loans_integral():
+    """Constant attitude and specific force, so that F is constant; every leaf a root of its own."""
+    rng, T = np.random.default_rng(11), 0.2
+    points = jax.tree.map(lambda a: a[:1], propagate(a_nav(), REST, an_imu(4, T))[1])
+    sizes = {"gyro": 3e-3, "accel": 2e-2, "gyro_bias": 1e-5, "accel_bias": 1e-4}
+    roots = {name: size * (np.eye(3) + np.tril(rng.normal(size=(3, 3)), -1)) for name, size in sizes.items()}
+    noise = PARAMS.noise._replace(**{name: jnp.asarray(L) for name, L in roots.items()})
+    Q = np.asarray(discretize(noise, points, jnp.array([T]), REST)[1])
+    F = np.asarray(assemble(dynamics(jax.tree.map(lambda a: a[0], points), "full"), 15))
+    C, G_c = np.asarray(points.C[0]), np.zeros((15, 15))
+    turned = ((V, C @ roots["accel"]), (A, C @ roots["gyro"]), (G, roots["gyro_bias"]), (B, roots["accel_bias"]))
+    for states, L in turned:
+        G_c[states, states] = L @ L.T
+    loan = expm(np.block([[-F, G_c], [0 * F, F.T]]) * T)
+    exact = loan[15:, 15:].T @ loan[:15, 15:]
+    sd = np.sqrt(np.diag(exact))
+    np.testing.assert_allclose(Q / np.outer(sd, sd), exact / np.outer(sd, sd), rtol=0, atol=2e-5)  # Strang
+    assert abs(exact[G, G][0, 1]) > 0.1 * sd[G][0] * sd[G][1]  # and there was something to correlate
 
 
 def test_drive_moves_the_error_as_it_moves_navigation():
@@ -310,6 +332,34 @@ def test_correlations_make_the_covariance_of_the_fix():
     # the north channel is missing: its two correlations go, the third stays
     R = np.asarray(observe(noise, install, past, fix._replace(valid=fix.valid.at[1].set(False)))[2])
     assert R[0, 1] == R[1, 2] == 0 and R[0, 2] == pytest.approx(expected[0, 2]) and R[1, 1] == pytest.approx(s[1] ** 2)
+
+
+def test_a_root_correlates_the_channels_of_a_fix():
+    _, _, past, install, fix = history(0.0)
+    sd, corr = jnp.array([1.0, 2.0, 3.0]), jnp.array([0.5, -0.3, 0.2])
+    L = np.array([[2.0, 0, 0], [0.7, 1.5, 0], [-0.4, 0.9, 3.0]])
+    C = np.array([[1, 0.5, 0.2], [0.5, 1, -0.3], [0.2, -0.3, 1]])
+    noise = PARAMS.noise._replace(position_scale=jnp.asarray(L), velocity_scale=jnp.asarray(2 * L))
+    fix = fix._replace(sd=fix.sd.at[:3].set(sd), corr=fix.corr.at[:3].set(corr))
+    R = np.asarray(observe(noise, install, past, fix)[2])
+    LD = L @ np.diag(sd)
+    np.testing.assert_allclose(R[:3, :3], LD @ C @ LD.T, rtol=1e-14)
+    np.testing.assert_allclose(R[3:6, 3:6], L @ L.T, rtol=1e-14)  # the sd is 0.5
+    assert np.array_equal(R, R.T) and not R[:3, 3:].any()
+    # a diagonal is the same in either form, also with channels missing
+    for gone in ((), (0,), (1,), (0, 2)):
+        valid = jnp.ones(3, bool).at[np.array(gone, int)].set(False)
+        a, b = (covariance(root, sd, corr, valid) for root in (jnp.diag(L), jnp.diag(jnp.diag(L))))
+        np.testing.assert_allclose(a, b, rtol=1e-15)
+    # what the missing channel says changes nothing in those that are there; up takes its share of it at its own sd
+    valid = jnp.array([True, False, True])
+    a = covariance(jnp.asarray(L), sd, corr, valid)
+    b = covariance(jnp.asarray(L), sd.at[1].set(77.0), corr.at[:2].set(0.9), valid)
+    there = np.ix_([0, 2], [0, 2])
+    np.testing.assert_array_equal(a[there], b[there])
+    east, up = np.array([2.0, 0, 0]), np.array([-0.4, 0.9 * 3.0, 3.0 * 3.0])
+    C = np.array([[1, 0, 0.2], [0, 1, 0], [0.2, 0, 1]])
+    np.testing.assert_allclose(a[there], [[east @ C @ east, east @ C @ up], [up @ C @ east, up @ C @ up]], rtol=1e-14)
 
 
 # ------------------------------------------------------------------------------------------------ states and priors

@@ -47,3 +47,16 @@ def test_navego_fields_are_si_and_north_east_down():
     np.testing.assert_allclose(got["imu.gb_dyn"], 2e-6)  # q sqrt(T / 2)
     assert np.isinf(got["imu.ab_corr"]).all() and got["imu.ab_dyn"][0] == pytest.approx(3e-6)
     np.testing.assert_allclose(got["gnss.stdm"], [2.0, 1.0, 3.0])
+
+
+def test_correlated_noise_is_told_by_axis_and_a_comment_says_so():
+    L = np.array([[3.0, 0, 0], [4.0, 3.0, 0], [0, 0, 2.0]])
+    made = noise(1e-4 * L, 1e-3, 2e-7, 3e-6, position_scale=L)
+    for text, mark in ((kfgins_yaml(made), "#"), (navego_fields(made), "%")):
+        first, _, rest = text.partition("\n")
+        names = "gyro, position_scale" if mark == "%" else "gyro"
+        assert first == f"{mark} correlations between the axes are left out of {names}"
+        sd = fields(rest)["arw" if mark == "#" else "imu.arw"] * (units.DEG_PER_SQRT_HOUR if mark == "#" else 1.0)
+        np.testing.assert_allclose(sd, [3e-4, 5e-4, 2e-4], rtol=1e-5)
+    np.testing.assert_allclose(fields(rest)["gnss.stdm"], [5.0, 3.0, 2.0])
+    assert "correlations" not in kfgins_yaml(noise(np.diag([1e-4, 2e-4, 3e-4]), 1e-3, 2e-7, 3e-6))

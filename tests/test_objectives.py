@@ -137,6 +137,41 @@ def test_error_consistency_needs_errors_of_the_size_that_P_says():
     assert objectives.error_consistency(jnp.asarray(2 * error), many, keep) == pytest.approx(np.log(4) ** 2, rel=0.1)
 
 
+FROZEN = {
+    "innovation_nll": lambda info, keep: objectives.innovation_nll(info, keep),
+    "drift": lambda info, keep: objectives.drift(info, jnp.arange(E), keep),
+    "log_mean_drift": lambda info, keep: objectives.log_mean_drift(info, jnp.arange(E), keep),
+    "channel_nis": lambda info, keep: objectives.channel_nis(info, keep)[0].sum(),
+    "consistency": lambda info, keep: objectives.consistency(info, keep),
+    "whiteness": lambda info, keep: objectives.whiteness(info, keep, 2),
+}
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_a_run_that_froze_is_never_better(info, name):
+    """Zero innovations of epochs that do not measure would look good; before the failure all is as it was."""
+    ok, score = jnp.arange(E) < 4, FROZEN[name]
+    still = lambda a: jnp.where(ok.reshape(-1, *[1] * (a.ndim - 1)), a, 0)  # noqa: E731
+    frozen = info._replace(nu=still(info.nu), residual=still(info.residual), nis=still(info.nis), ok=ok,
+                           S=jnp.where(ok[:, None, None], info.S, jnp.eye(M)), valid=still(info.valid) > 0)  # fmt: skip
+    assert np.isinf(score(frozen, jnp.ones(E, bool))) and np.isfinite(score(info, jnp.ones(E, bool)))
+    assert np.isinf(score(frozen, jnp.arange(E) > 3))  # nothing but frozen epochs
+    assert score(frozen, ok) == score(info, ok)
+    for keep in (ok, jnp.ones(E, bool)):
+        slopes = jax.grad(lambda nu, r, keep=keep: score(frozen._replace(nu=nu, residual=r), keep), (0, 1))(
+            frozen.nu, frozen.residual
+        )
+        assert all(np.isfinite(slope).all() for slope in slopes)
+
+
+def test_a_frozen_stretch_of_the_drive_counts_only_where_it_is_weighed():
+    from benchmarks.drive import over_stretches
+
+    values = jnp.array([1.0, jnp.inf, 3.0])
+    assert over_stretches(jnp.array([1.0, 0.0, 1.0]), values) == 2.0
+    assert np.isinf(over_stretches(jnp.ones(3), values))
+
+
 def test_tail_is_the_mean_of_the_worst():
     values = jnp.array([3.0, 1.0, 10.0, 7.0, 5.0, 1e9])
     weight = jnp.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])  # the last was set aside

@@ -28,7 +28,7 @@ def loop(nav, epochs, params, n, **options):
     imu = [np.asarray(a) for a in epochs.imu]
     value, sd, valid = (np.asarray(a) for a in (epochs.fix.value, epochs.fix.sd, epochs.fix.valid))
     fixes = (value[:, :3], sd[:, :3], value[:, 3:], sd[:, 3:], valid)
-    noise = {k: np.broadcast_to(np.asarray(v), 3) for k, v in params.noise._asdict().items() if np.size(v) in (1, 3)}
+    noise = {k: np.asarray(v) for k, v in params.noise._asdict().items()}
     prior = np.concatenate([np.broadcast_to(sd, 3) for sd in params.prior])[:n]
     begin = nav.pos, nav.vel, rotations.to_dcm(nav.q)
     return reference.run(imu, fixes, begin, noise, prior, **options)

@@ -4,11 +4,30 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 
 from jaxnav.filters.gpid import gpid_params
 from jaxnav.sensors.grades import GRADES, datasheet_params
 from tests.conftest import leaves_equal
-from tuning.transforms import IDENTITY, LOG, TRANSFORMS, get, interval, join, put, scaled, split
+from tuning.transforms import (
+    IDENTITY,
+    LOG,
+    TRANSFORMS,
+    believed,
+    cholesky,
+    factor,
+    get,
+    interval,
+    join,
+    labels,
+    penalty,
+    put,
+    scaled,
+    split,
+    tied,
+    told,
+    values,
+)
 
 PARAMS = datasheet_params(GRADES["adis16465"], rule=gpid_params(0.01, 0.1))
 
@@ -81,3 +100,45 @@ def test_names_that_are_not_there_are_explained():
         split({"mounting.lever_arm": LOG}, PARAMS)
     with pytest.raises(ValueError, match="rule.ki"):
         split({"rule.ki": interval(0.5, 1.0)}, PARAMS)
+
+
+ROOT = np.array([[2e-3, 0, 0], [-1.5e-3, 2e-3, 0], [4e-3, -3e-3, 1e-3]])
+SIGMA = ROOT @ ROOT.T
+SD = np.sqrt(np.diag(SIGMA))
+CORR = (SIGMA / np.outer(SD, SD))[np.tril_indices(3, -1)]
+
+
+def test_a_root_goes_by_logarithms_of_sd_and_partial_correlations():
+    raw = factor(3).inverse(jnp.asarray(ROOT))
+    np.testing.assert_allclose(factor(3).forward(raw), ROOT, rtol=1e-13)
+    np.testing.assert_allclose(raw[:3], np.log(SD), rtol=1e-13)
+    np.testing.assert_allclose(np.tanh(raw[3:5]), CORR[:2], rtol=1e-13)
+    partial = (CORR[2] - CORR[0] * CORR[1]) / np.sqrt((1 - CORR[0] ** 2) * (1 - CORR[1] ** 2))
+    assert np.tanh(raw[5]) == pytest.approx(partial)
+    other = jnp.array([0.3, -2.0, 5.0, -3.0, 0.4, 2.5])
+    np.testing.assert_allclose(factor(3).inverse(factor(3).forward(other)), other, rtol=1e-9)
+    units = np.array([1e3, 1e-4, 7.0])  # of the axes move the logarithms alone
+    moved = factor(3).inverse(jnp.asarray(units[:, None] * ROOT)) - raw
+    np.testing.assert_allclose(moved, [*np.log(units), 0, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(cholesky(3).forward(cholesky(3).inverse(jnp.asarray(SIGMA))), SIGMA, rtol=1e-12)
+
+
+def test_a_root_is_free_from_any_start_and_told_as_sd_and_correlations():
+    spec = {"noise.accel": LOG, "noise.gyro": factor(3)}
+    for start, L in ((2.0, 2 * np.eye(3)), ([1.0, 2.0, 3.0], np.diag([1.0, 2, 3])), (ROOT, ROOT)):
+        params = put(PARAMS, "noise.gyro", jnp.asarray(start))
+        raw = split(spec, params)
+        np.testing.assert_allclose(join(spec, raw, params).noise.gyro, L, atol=1e-15)
+        jac = jax.jacobian(lambda r, p=params: join(spec, r, p).noise.gyro)(raw)["noise.gyro"]
+        assert np.isfinite(jac).all() and np.linalg.matrix_rank(jac.reshape(9, 6) / np.abs(L).max()) == 6
+    names = [f"noise.gyro[{i}]" for i in ("0", "1", "2", "1,0", "2,0", "2,1")]
+    assert labels(spec, raw) == ["noise.accel", *names]
+    shown = values(spec, told(spec, raw))
+    np.testing.assert_allclose(ravel_pytree(shown)[0], [PARAMS.noise.accel, *SD, *CORR], rtol=1e-12)
+    # a belief has the datasheet's sd and no correlation, however the datasheet says it
+    for sheet in (2.0, np.full(3, 2.0), 2 * np.eye(3)):
+        cost = penalty({"noise.gyro": believed(factor(3), sheet, 0.5)}, raw)
+        z = np.append(np.log(SD / 2), raw["noise.gyro"][3:])
+        assert cost == pytest.approx(0.5 * np.sum((z / 0.5) ** 2))
+    with pytest.raises(ValueError, match="cannot be tied"):
+        tied(factor(3))

@@ -1,6 +1,7 @@
 """`jaxnav tune` beyond its defaults: scoring with intervals, several sources, resuming, settings that do not fit."""
 
 import json
+import tomllib
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,8 +11,10 @@ from jaxnav import cli, config
 from jaxnav.errors import ConfigError
 from jaxnav.jobs import batches, objectives, parameters, tune
 from jaxnav.jobs.sources import scenario_of
-from jaxnav.measurements import GNSS
+from jaxnav.measurements import GNSS, ZERO_RATE
 from jaxnav.sensors.grades import GRADES, datasheet_params
+from jaxnav.units import DEG_PER_SQRT_HOUR
+from tuning import uncertainty
 from tuning.transforms import LOG
 
 SETTINGS = {
@@ -37,15 +40,17 @@ def flags(**changes) -> list[str]:
     return ["tune", "--config", "job.toml", "--out", "t", "--json"]
 
 
-def test_scoring_says_how_well_each_parameter_is_known(tmp_path, capsys):
-    argv = flags(method="scoring", objective="nll", steps=12, intervals=True, more=["urban_short"],
+def test_scoring_says_how_well_each_parameter_is_known(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(uncertainty, "TOGETHER", 10)  # all directions at once compile once
+    argv = flags(method="scoring", objective="nll", steps=9, intervals=True, more=["urban_short"],
                  free=["noise", "fixes", "latency"], frozen=["velocity_latency_s"], tied=["position_scale"],
+                 correlated=["velocity_scale"],
                  prior={"accel_ug_per_sqrt_hz": 1.01, "position_latency_s": 1e-6})  # fmt: skip
     assert cli.main(argv) == 0
     found = json.loads(capsys.readouterr().out)["metrics"]
     rows = found["parameters"]
     assert set(rows) == {"gyro_deg_per_sqrt_hour", "accel_ug_per_sqrt_hz", "position_scale", "position_latency_s",
-                         "velocity_scale[0]", "velocity_scale[1]", "velocity_scale[2]"}  # fmt: skip
+                         *(f"velocity_scale[{i}]" for i in ("0", "1", "2", "1,0", "2,0", "2,1"))}  # fmt: skip
     for row in rows.values():
         assert row["low"] < row["value"] < row["high"]
     assert rows["accel_ug_per_sqrt_hz"]["unit"] == "ug/sqrt(Hz)"
@@ -57,8 +62,63 @@ def test_scoring_says_how_well_each_parameter_is_known(tmp_path, capsys):
     losses = [row["loss"] for row in map(json.loads, cli.Path("t/history.jsonl").read_text().splitlines())]
     assert losses == sorted(losses, reverse=True) and found["loss"] == losses[-1]
     assert found["per_window"]["block"] == [0.0, 1.0, 1e6, 1e6 + 1]  # of both sources
-    assert "imunoise:" in cli.Path("t/tuned_kfgins.yaml").read_text()
-    assert "imu.arw" in cli.Path("t/tuned_navego.m").read_text()
+    kfgins, navego = (cli.Path(f"t/tuned_{name}").read_text() for name in ("kfgins.yaml", "navego.m"))
+    assert "imunoise:" in kfgins and "correlations" not in kfgins
+    assert "imu.arw" in navego and "correlations between the axes are left out of velocity_scale" in navego
+    # a root is told as the axes' sd and the correlations, and what is written is what a filter runs with
+    L = np.array(found["params_after"]["velocity_scale"])
+    assert L.shape == (3, 3) and not np.triu(L, 1).any() and found["params_before"]["velocity_scale"] == 1.0
+    sd = np.linalg.norm(L, axis=1)
+    corr = (L @ L.T) / np.outer(sd, sd)
+    told = {"0": sd[0], "1": sd[1], "2": sd[2], "1,0": corr[1, 0], "2,0": corr[2, 0], "2,1": corr[2, 1]}
+    for index, value in told.items():
+        assert rows[f"velocity_scale[{index}]"]["value"] == pytest.approx(value, abs=1e-12)
+    of = rows["velocity_scale[2,1]"]
+    assert of["unit"] == "correlation" and of["datasheet"] == 0 and abs(of["value"]) > 1e-4
+    assert cli.main(["filter", "--config", "job.toml", "--params", "t/tuned.toml", "--out", "f", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["metrics"]["nis_per_dof"] > 0
+    ran = json.loads(cli.Path("f/run.json").read_text())["config"]["params"]
+    np.testing.assert_allclose(ran["velocity_scale"], L, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "changes, leaves",
+    [({"correlated": ["noise", "velocity_scale"]}, ["gyro", "accel", "gyro_bias", "accel_bias", "velocity_scale"]),
+     ({"correlated": ["fixes"], "tied": ["noise"]}, ["position_scale", "velocity_scale"]),
+     ({"correlated": ["noise.gyro", "accel_bias_ug_per_sqrt_s"], "frozen": ["noise.gyro"]}, ["accel_bias"])],
+)  # fmt: skip
+def test_correlated_takes_groups_leaves_and_keys(changes, leaves):
+    sheet = datasheet_params(GRADES["adis16465"])
+    t = resolved(free=["noise", "fixes"], prior={"noise": 2.0}, **changes).tune
+    spec = parameters.tune_spec(t, "ekf15", (*GNSS, ZERO_RATE), sheet)
+    assert [name for name, transform in spec.items() if transform.axes] == [f"noise.{leaf}" for leaf in leaves]
+    assert spec["noise.accel"].belief.sd == pytest.approx(np.log(2))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [[[1, 0, 0], [0, 1, 0]], [[1, 0], [0, 1], [0, 0]], [[1, 0, 0], [0, 1], [0, 0, 1]], [[]],
+     [[1, 0.1, 0], [0, 1, 0], [0, 0, 1]], [[1, 0, 0], [0.5, 0, 0], [0, 0, 1]], [[1, 0, 0], [0.5, -1, 0], [0, 0, 1]],
+     [[1, 0, 0], ["inf", 1, 0], [0, 0, 1]]],
+)  # fmt: skip
+def test_a_matrix_in_params_is_a_root(value):
+    sheet = datasheet_params(GRADES["adis16465"])
+    section = config.resolve([("", {"params": {"gyro_deg_per_sqrt_hour": value}})]).params
+    with pytest.raises(ConfigError, match="params.gyro_deg_per_sqrt_hour as a matrix must be lower triangular, 3 x 3"):
+        parameters.override(sheet, section)
+
+
+def test_a_root_in_params_is_in_users_units():
+    L = [[0.1, 0, 0], [-0.05, 0.2, 0], [0, 0.03, 0.3]]
+    c = config.resolve([("", {"params": {"gyro_deg_per_sqrt_hour": L}})])
+    params = parameters.override(datasheet_params(GRADES["adis16465"]), c.params)
+    np.testing.assert_allclose(params.noise.gyro, np.array(L) * DEG_PER_SQRT_HOUR, rtol=1e-15)
+    text = config.to_toml({"params": parameters.in_user_units(params, ["noise.gyro"])})
+    np.testing.assert_allclose(tomllib.loads(text)["params"]["gyro_deg_per_sqrt_hour"], L, rtol=1e-15)
+    with pytest.raises(ConfigError, match="params.gyro_tau_s must be a number or a list of numbers"):
+        config.resolve([("", {"params": {"gyro_tau_s": L}})])
+    with pytest.raises(ConfigError, match="position_scale must be .* a list of .a list of numbers"):
+        config.resolve([("", {"params": {"position_scale": [1, [2, 3]]}})])
 
 
 def test_a_finished_job_resumes_to_itself_and_another_is_refused(capsys):
@@ -104,7 +164,10 @@ def test_what_a_lost_run_and_a_users_own_objective_score(monkeypatch, tmp_path):
      ({"over_runs": "log_mean"}, "positive objectives"),
      ({"objective": "nothing:here"}, "cannot be imported"), ({"objective": "nl"}, "did you mean nll"),
      ({"frozen": ["noise", "timing", "rule"]}, "nothing is left"), ({"tied": ["gyr"]}, "tune.tied"),
-     ({"prior": {"noise.gyro": 0.5}}, "factor above 1"), ({"prior": {"time_offset_s": 0.0}}, "above 0")],
+     ({"prior": {"noise.gyro": 0.5}}, "factor above 1"), ({"prior": {"time_offset_s": 0.0}}, "above 0"),
+     ({"correlated": ["gyro_tau_s"]}, "tune.correlated: gyro_tau_s cannot be correlated, only gyro_deg_per_sqrt_hour"),
+     ({"correlated": ["timing"]}, "timing cannot be correlated"), ({"correlated": ["gyr"]}, "no parameter gyr"),
+     ({"correlated": ["noise"], "tied": ["noise.accel"]}, "tune.correlated: noise.accel is in tune.tied")],
 )  # fmt: skip
 def test_settings_that_do_not_fit_are_named(changes, words):
     with pytest.raises(ConfigError, match=words):

@@ -10,7 +10,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 
 from tuning import scoring, uncertainty
-from tuning.transforms import IDENTITY, LOG, believed, join, split, tied
+from tuning.transforms import IDENTITY, LOG, believed, factor, join, split, tied
 
 
 class Innovations(NamedTuple):
@@ -19,6 +19,7 @@ class Innovations(NamedTuple):
     nu: jax.Array
     S: jax.Array
     valid: jax.Array
+    ok: jax.Array
 
 
 def white(y):
@@ -26,7 +27,7 @@ def white(y):
 
     def solve(r):
         S = jnp.broadcast_to(jnp.exp(2 * r[0]), (y.size, 1, 1))
-        return Innovations((y - r[1])[:, None], S, jnp.ones((y.size, 1), bool))
+        return Innovations((y - r[1])[:, None], S, jnp.ones((y.size, 1), bool), jnp.ones(y.size, bool))
 
     return solve
 
@@ -45,7 +46,7 @@ def local_level(y):
             return (x + P / S * nu, P * v / S), (nu[None], S[None, None])
 
         _, (nu, S) = lax.scan(step, (jnp.zeros(()), jnp.zeros(())), y)
-        return Innovations(nu, S, jnp.ones((y.size, 1), bool))
+        return Innovations(nu, S, jnp.ones((y.size, 1), bool), jnp.ones(y.size, bool))
 
     return solve
 
@@ -120,6 +121,53 @@ def test_sandwich_sees_tails_that_the_model_does_not():
     assert wide.sd == pytest.approx(np.sqrt(5 / (4 * n)), rel=0.1)
     few = uncertainty.intervals({"a": IDENTITY}, {"a": raw}, cov._replace(blocks=11))[0]
     assert few.sd == pytest.approx(np.sqrt(1 / (2 * n)))  # too few blocks for a sandwich of two numbers
+
+
+def test_intervals_of_correlations_are_fishers():
+    """N samples of three axes: an sd is known to 1 / sqrt(2 N), the z of every correlation to 1 / sqrt(N)."""
+    n, spec = 400, {"noise": factor(3)}
+    L = np.array([[2.0, 0, 0], [3.0, 1.0, 0], [-0.5, 0.8, 0.3]])
+    nu = jnp.asarray(np.random.default_rng(6).normal(size=(n, 3)) @ L.T)
+
+    def solve(r):
+        root = factor(3).forward(r)
+        return Innovations(nu, jnp.broadcast_to(root @ root.T, (n, 3, 3)), jnp.ones((n, 3), bool), jnp.ones(n, bool))
+
+    raw = factor(3).inverse(jnp.asarray(L))
+    cov = uncertainty.covariance(jax.jit(lambda r: inform(solve, r, n).fisher)(raw), np.zeros((0, 6)))
+    found = uncertainty.intervals(spec, {"noise": raw}, cov)
+    np.testing.assert_allclose([i.sd for i in found], np.sqrt(np.repeat([1 / (2 * n), 1 / n], 3)), rtol=1e-9)
+    S = L @ L.T
+    assert found[5].name == "noise[2,1]" and found[5].value == pytest.approx(S[2, 1] / np.sqrt(S[1, 1] * S[2, 2]))
+    z = np.arctanh([found[5].low, found[5].value, found[5].high])
+    np.testing.assert_allclose(np.diff(z), 1.96 / np.sqrt(n), rtol=1e-3)
+    # the correlation of 2 and 1 given 0 is not that of 2 and 1: it moves with the one of 1 and 0
+    alone = uncertainty.Covariance(np.diag([0, 0, 0, 0.04, 0, 0.0]), np.zeros((6, 6)), 0)
+
+    def correlation(step):
+        S = (root := factor(3).forward(raw.at[3].add(step))) @ root.T
+        return np.arctanh(S[2, 1] / np.sqrt(S[1, 1] * S[2, 2]))
+
+    slope = abs(correlation(1e-5) - correlation(-1e-5)) / 2e-5
+    got = [i.sd for i in uncertainty.intervals(spec, {"noise": raw}, alone)]
+    np.testing.assert_allclose(got, [0, 0, 0, 0.2, 0, 0.2 * slope], rtol=1e-6, atol=1e-12)
+
+
+def test_a_frozen_run_is_no_likely_one():
+    """Epochs after a failure say nothing: fewer terms of a sum that is positive would look better."""
+    y = jnp.asarray(np.random.default_rng(7).normal(size=100))
+
+    def solve(r):  # fails at the sd that the data have
+        info, fine = white(y)(r), jnp.arange(100) < jnp.where(r[0] < 0.5, 30, 100)
+        return info._replace(nu=jnp.where(fine[:, None], info.nu, 0.0), valid=fine[:, None], ok=fine)
+
+    start, of = jnp.array([1.0, 0.0]), jax.jit(lambda r: inform(solve, r, 100))
+    assert np.isinf(of(jnp.zeros(2)).nll) and np.isfinite(of(start).nll)
+    keep, one = jnp.arange(100) < 20, jnp.zeros(100, int)
+    early = jax.jit(lambda r: uncertainty.information(solve, r, keep, one, 1))(jnp.zeros(2))
+    assert np.isfinite(early.nll)  # where nothing after the failure counts
+    found = scoring.maximise(of, start)
+    assert np.isfinite(found.best.nll) and found.raw[0] >= 0.5
 
 
 def test_combinations_that_the_data_cannot_tell_apart_are_named():

@@ -1,5 +1,9 @@
 """What tuning minimises: scalars of an `Info` (fields (E, ...)), smooth, finite, with data to leave out as masks.
 
+A run that stops being finite is frozen from there on and has no innovations any more, which would look like good ones:
+where an epoch that counts is frozen, what takes an `Info` is infinite. `tuning.train.fit` leaves such a run out of the
+step and names it; an objective of your own says so by `sound`.
+
 Those of one run come first, and need no truth unless they say so; then what puts the scores of many runs together.
 """
 
@@ -18,10 +22,15 @@ def masked_mean(values: jax.Array, keep: jax.Array) -> jax.Array:
     return jnp.sum(jnp.where(keep, values, 0.0)) / jnp.maximum(jnp.sum(keep), 1)
 
 
+def sound(info: Info, keep: jax.Array, value: jax.Array) -> jax.Array:
+    """``value``, of a run; inf where an epoch that counts, ``keep`` (E,) bool, is frozen."""
+    return jnp.where(jnp.any(keep & ~info.ok), jnp.inf, value)
+
+
 def innovation_nll(info: Info, keep: jax.Array) -> jax.Array:
     """Mean negative log-likelihood of the innovations per epoch; ``keep`` (E,) bool. Needs no truth."""
     measured = keep & info.valid.any(-1)
-    return masked_mean(jax.vmap(metrics.negative_log_likelihood)(info), measured)
+    return sound(info, keep, masked_mean(jax.vmap(metrics.negative_log_likelihood)(info), measured))
 
 
 def rmse(error: jax.Array, keep: jax.Array) -> jax.Array:
@@ -36,12 +45,13 @@ def rmse(error: jax.Array, keep: jax.Array) -> jax.Array:
 def outage_error(info: Info, ends: jax.Array) -> jax.Array:
     """Horizontal distance (m) from each hidden fix at ``ends`` (W,) int: what a receiver's return would show, (W,).
 
-    It compares at the fix's own time and at the antenna, through the same measurement model as an update.
+    It compares at the fix's own time and at the antenna, through the same measurement model as an update. inf at
+    epochs that are frozen.
     """
     east, north = info.residual[ends, 0], info.residual[ends, 1]
     d2 = east**2 + north**2
     some = d2 > 0
-    return jnp.where(some, jnp.sqrt(jnp.where(some, d2, 1.0)), 0.0)
+    return jnp.where(info.ok[ends], jnp.where(some, jnp.sqrt(jnp.where(some, d2, 1.0)), 0.0), jnp.inf)
 
 
 def drift(info: Info, ends: jax.Array, keep: jax.Array) -> jax.Array:
@@ -62,7 +72,7 @@ def channel_nis(info: Info, keep: jax.Array) -> tuple[jax.Array, jax.Array]:
     used = keep[:, None] & info.valid
     square = info.nu**2 / jnp.diagonal(info.S, axis1=1, axis2=2)
     count = used.sum(0)
-    return jnp.sum(jnp.where(used, square, 0.0), 0) / jnp.maximum(count, 1), count
+    return sound(info, keep, jnp.sum(jnp.where(used, square, 0.0), 0) / jnp.maximum(count, 1)), count
 
 
 def consistency(info: Info, keep: jax.Array) -> jax.Array:
@@ -73,7 +83,7 @@ def consistency(info: Info, keep: jax.Array) -> jax.Array:
     """
     ratio, count = channel_nis(info, keep)
     some = (count > 0) & (ratio > 0)
-    return masked_mean(jnp.log(jnp.where(some, ratio, 1.0)) ** 2, some)
+    return sound(info, keep, masked_mean(jnp.log(jnp.where(some, ratio, 1.0)) ** 2, some))
 
 
 def whiteness(info: Info, keep: jax.Array, lags: int = 5) -> jax.Array:
@@ -83,7 +93,8 @@ def whiteness(info: Info, keep: jax.Array, lags: int = 5) -> jax.Array:
     """
     used = keep[:, None] & info.valid
     z = jnp.where(used, info.nu / jnp.sqrt(jnp.diagonal(info.S, axis1=1, axis2=2)), 0.0)
-    return masked_mean(_autocorrelation(z, used, lags) ** 2, jnp.broadcast_to(used.any(0), (lags, z.shape[1])))
+    mean = masked_mean(_autocorrelation(z, used, lags) ** 2, jnp.broadcast_to(used.any(0), (lags, z.shape[1])))
+    return sound(info, keep, mean)
 
 
 def _autocorrelation(z: jax.Array, used: jax.Array, lags: int) -> jax.Array:

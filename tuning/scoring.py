@@ -30,12 +30,19 @@ class Search(NamedTuple):
 
 
 def propose(raw: jax.Array, info: Information, damping: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The next trial (P,) and the decrease that it promises."""
+    """The next trial (P,) and the decrease that it promises.
+
+    A step that is too long is cut number by number, so that one that the data do not tell holds up no other, or as a
+    whole, where that promises more: what is left of numbers that only make sense together may lead uphill.
+    """
     F = info.fisher
     A = F + damping * jnp.diag(jnp.diag(F)) + RIDGE * jnp.eye(raw.size)
     step = -jnp.linalg.solve(A, info.score)
-    step = jnp.clip(step, -LONGEST, LONGEST)
-    return raw + step, -(info.score @ step + 0.5 * step @ F @ step)
+    whole = step * (LONGEST / jnp.maximum(jnp.abs(step).max(), LONGEST))
+    steps = jnp.stack([jnp.clip(step, -LONGEST, LONGEST), whole])
+    gain = jax.vmap(lambda s: -(info.score @ s + 0.5 * s @ F @ s))(steps)
+    best = jnp.argmax(gain)
+    return raw + steps[best], gain[best]
 
 
 def begin(raw: jax.Array, info: Information) -> Search:

@@ -12,6 +12,7 @@ Axes that share a value, leaves that share one, and beliefs are part of a leaf's
         "noise.gyro": believed(LOG, datasheet, math.log(3)),  # within a factor 3 of the datasheet, one sd
         "noise.position_scale": tied(LOG, (0, 0, 1)),         # east and north alike
         "noise.gyro_tau": tied(LOG, also=("noise.accel_tau",)),
+        "noise.velocity_scale": factor(3),                    # correlated between the axes
     }
 """
 
@@ -34,13 +35,14 @@ class Belief(NamedTuple):
 
 
 class Transform(NamedTuple):
-    """A monotonic map from an unconstrained number to a parameter, and back."""
+    """An invertible map from unconstrained numbers to a parameter, monotonic number by number unless it has axes."""
 
     forward: Callable[[jax.Array], jax.Array]
     inverse: Callable[[jax.Array], jax.Array]
     tie: tuple[int, ...] | None = None  # which free number each axis of the leaf takes; () is one for all axes
     also: tuple[str, ...] = ()  # other leaves that take the same value
     belief: Belief | None = None
+    axes: int = 0  # n of a matrix (n, n), whose numbers are n sd and n (n - 1) / 2 correlations; 0 is no matrix
 
 
 LOG = Transform(jnp.exp, jnp.log)
@@ -70,6 +72,8 @@ def tied(transform: Transform, tie: tuple[int, ...] | None = (), also: tuple[str
 
     ``tie`` has the free number of each axis: (0, 0, 1) is two numbers for three axes, () one for them all.
     """
+    if tie is not None and transform.axes:
+        raise ValueError("axes that are correlated have a number each and cannot be tied")
     return transform._replace(tie=tie, also=also)
 
 
@@ -81,19 +85,51 @@ def believed(transform: Transform, centre: Any, sd: float) -> Transform:
 
 
 @cache
-def cholesky(n: int) -> Transform:
-    """A covariance (n, n) by the n (n + 1) / 2 numbers of its factor; the diagonal's logarithms come first."""
-    rows, columns = np.tril_indices(n, -1)
+def factor(n: int) -> Transform:
+    """A lower triangular root L (n, n) of a covariance or density L L'; may start from its diagonal () or (n,).
+
+    By n (n + 1) / 2 numbers. First the logarithms of the axes' sd, the norms of the rows of L: what `LOG` has for each.
+    Then the inverse hyperbolic tangents z of the partial correlations of axes i > j given those before j, which may be
+    any numbers (Lewandowski, Kurowicka & Joe 2009): row i of L is its sd times
+
+        tanh z_0,  tanh z_1 / cosh z_0,  ...,  1 / (cosh z_0 cosh z_1 ...)
+
+    One learning rate suits both and other logarithms: neither depends on the axes' units, and N samples tell them to
+    1 / sqrt(2 N) and 1 / sqrt(N) whatever their values (Fisher 1915).
+    """
+    lower = np.tril_indices(n, -1)
 
     def forward(raw):
-        L = jnp.diag(jnp.exp(raw[:n])).at[rows, columns].set(raw[n:])
-        return L @ L.T
+        Z = jnp.zeros((n, n)).at[lower].set(raw[n:])
+        rest = jnp.cumprod(jnp.concatenate([jnp.ones((n, 1)), 1 / jnp.cosh(Z[:, :-1])], 1), 1)
+        return jnp.exp(raw[:n, None]) * (jnp.tanh(Z) + jnp.eye(n)) * rest
 
     def inverse(value):
-        L = jnp.linalg.cholesky(value)
-        return jnp.concatenate([jnp.log(jnp.diag(L)), L[rows, columns]])
+        L = _matrix(value, n)
+        square = jnp.cumsum(L[:, ::-1] ** 2, 1)[:, ::-1]  # of what is left of a row from each column on
+        sinh = L[lower] / jnp.sqrt(square[lower[0], lower[1] + 1])
+        return jnp.concatenate([0.5 * jnp.log(square[:, 0]), jnp.arcsinh(sinh)])
 
-    return Transform(forward, inverse)
+    return Transform(forward, inverse, axes=n)
+
+
+def _matrix(value: jax.Array, n: int) -> jax.Array:
+    """(n, n) from itself, from its elements in a row, or from a diagonal (n,) or ()."""
+    return value.reshape(n, n) if value.size == n * n else jnp.diag(jnp.broadcast_to(value, (n,)))
+
+
+@cache
+def cholesky(n: int) -> Transform:
+    """A covariance (n, n) by the numbers of its root, see `factor`."""
+    L = factor(n)
+
+    def forward(raw):
+        return L.forward(raw) @ L.forward(raw).T
+
+    def inverse(value):
+        return L.inverse(jnp.linalg.cholesky(_matrix(value, n)))
+
+    return Transform(forward, inverse, axes=n)
 
 
 TRANSFORMS: dict[str, Transform] = {"log": LOG, "identity": IDENTITY}
@@ -172,9 +208,30 @@ def penalty(spec: Spec, raw: dict[str, jax.Array]) -> jax.Array:
 
 
 def labels(spec: Spec, raw: dict[str, jax.Array]) -> list[str]:
-    """The name of every free number in the order of `jax.flatten_util.ravel_pytree`: ``noise.gyro[2]``."""
+    """The name of every free number in the order of `jax.flatten_util.ravel_pytree`: ``noise.gyro[2]``.
+
+    ``noise.gyro[2,0]`` is of the correlation of the axes 2 and 0.
+    """
     names = []
     for name in sorted(spec):
-        shape = jnp.shape(raw[name])
-        names += [f"{name}[{i}]" for i in range(shape[0])] if shape else [name]
+        n, shape = spec[name].axes, jnp.shape(raw[name])
+        index = [f"{i}" for i in range(n or sum(shape))] + [f"{i},{j}" for i in range(n) for j in range(i)]
+        names += [f"{name}[{i}]" for i in index] if shape else [name]
     return names
+
+
+def told(spec: Spec, raw: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """The unconstrained numbers whose `values` a user is told, like ``raw``: of correlations not the partial ones."""
+
+    def one(n: int, r: jax.Array) -> jax.Array:
+        U = factor(n).forward(r.at[:n].set(0.0))
+        corr = (U @ U.T)[np.tril_indices(n, -1)]
+        return r.at[n:].set(jnp.arctanh(jnp.clip(corr, -1 + 1e-12, 1 - 1e-12)))
+
+    return {name: one(spec[name].axes, r) if spec[name].axes else r for name, r in raw.items()}
+
+
+def values(spec: Spec, told: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """The parameters, number by number, of what is `told`: of a matrix the axes' sd and the correlations."""
+    both = lambda n, t: jnp.concatenate([jnp.exp(t[:n]), jnp.tanh(t[n:])])  # noqa: E731
+    return {name: both(spec[name].axes, t) if spec[name].axes else spec[name].forward(t) for name, t in told.items()}

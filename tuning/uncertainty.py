@@ -21,7 +21,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.special import ndtri, stdtrit
 
 from jaxnav.types import Info
-from tuning.transforms import Spec, labels, penalty
+from tuning.transforms import Spec, labels, penalty, told, values
 
 VAGUE = 1.0  # sd of an unconstrained number beyond which it is not determined: a factor e where it is a logarithm
 
@@ -31,7 +31,7 @@ TOGETHER = 8  # directions that are differentiated side by side: more at once ta
 class Information(NamedTuple):
     """Likelihood of innovations about one point, sums over the epochs that count; P free numbers."""
 
-    nll: jax.Array  # () negative log-likelihood
+    nll: jax.Array  # () negative log-likelihood; inf where an epoch that counts is frozen
     score: jax.Array  # (P,) its gradient
     fisher: jax.Array  # (P, P) expected information
     blocks: jax.Array  # (K, P) the score by blocks
@@ -47,9 +47,9 @@ def information(
 
     def innovations(r):
         info = solve(r)
-        return info.nu, info.S, info.valid
+        return info.nu, info.S, info.valid, info.ok
 
-    nu, S, valid = innovations(raw)
+    nu, S, valid, ok = innovations(raw)
     push = lambda v: jax.jvp(lambda r: innovations(r)[:2], (raw,), (v,))[1]  # noqa: E731
     dnu, dS = lax.map(push, jnp.eye(raw.size), batch_size=TOGETHER)
     nll, score, fisher = jax.vmap(_epoch, (0, 0, 0, 1, 1))(nu, S, valid, dnu, dS)
@@ -57,7 +57,8 @@ def information(
     weigh = lambda a: jnp.where(counts.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0)  # noqa: E731
     score = weigh(score)
     blocks = jnp.zeros((count, raw.size)).at[block].add(score)
-    return Information(weigh(nll).sum(), score.sum(0), weigh(fisher).sum(0), blocks)
+    nll = jnp.where((keep & ~ok).any(), jnp.inf, weigh(nll).sum())
+    return Information(nll, score.sum(0), weigh(fisher).sum(0), blocks)
 
 
 def _epoch(nu, S, valid, dnu, dS):
@@ -116,7 +117,7 @@ def covariance(bread: np.ndarray, blocks: np.ndarray) -> Covariance:
 class Interval(NamedTuple):
     """One free number with its 95 % interval, in SI."""
 
-    name: str  # of the leaf, with its index where it has several free numbers
+    name: str  # of the leaf, with its index where it has several free numbers; of a correlation its axes
     value: float
     low: float
     high: float
@@ -127,22 +128,26 @@ class Interval(NamedTuple):
 def intervals(spec: Spec, raw: dict[str, jax.Array], cov: Covariance, level: float = 0.95) -> list[Interval]:
     """Intervals of every free number, by the larger of the two sd: the model's, or the sandwich's.
 
+    Of a matrix they are of the axes' sd and the correlations, by the derivative of `told`.
+
     The sandwich of K blocks takes Student's quantile of K - 1 degrees of freedom; with fewer than P + 10 blocks it is
     left out, since it is then too small more often than not.
     """
-    names, flat = labels(spec, raw), np.asarray(ravel_pytree(raw)[0])
+    flat, back = ravel_pytree(raw)
+    tell = lambda r: ravel_pytree(told(spec, back(r)))[0]  # noqa: E731
+    show = lambda t: np.asarray(ravel_pytree(values(spec, back(t)))[0])  # noqa: E731
+    J = np.asarray(jax.jacfwd(tell)(flat))
+    sd = lambda C: np.sqrt(np.diag(J @ C @ J.T))  # noqa: E731
     quantile = float(ndtri(0.5 + level / 2))
-    half = quantile * np.sqrt(np.diag(cov.model))
+    half = quantile * sd(cov.model)
     if cov.blocks >= flat.size + 10:
-        wide = float(stdtrit(cov.blocks - 1, 0.5 + level / 2)) * np.sqrt(np.diag(cov.sandwich))
+        wide = float(stdtrit(cov.blocks - 1, 0.5 + level / 2)) * sd(cov.sandwich)
         half = np.maximum(half, wide)
-    out = []
-    for name, middle, h in zip(names, flat, half, strict=True):
-        forward = spec[name.partition("[")[0]].forward
-        # beyond e^200 nothing is known anyway, and an exponential would overflow
-        low, value, high = (float(forward(jnp.asarray(r))) for r in np.clip(middle + np.array([-h, 0, h]), -200, 200))
-        out.append(Interval(name, value, low, high, float(h / quantile), bool(h / quantile < VAGUE)))
-    return out
+    # beyond e^200 nothing is known anyway, and an exponential would overflow
+    low, value, high = (show(jnp.clip(tell(flat) + h, -200, 200)).tolist() for h in (-half, 0.0, half))
+    size = (half / quantile).tolist()
+    rows = zip(labels(spec, raw), value, low, high, size, strict=True)
+    return [Interval(name, v, a, b, s, s < VAGUE) for name, v, a, b, s in rows]
 
 
 def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = VAGUE) -> list[str]:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav import rotations
+from jaxnav import linalg, rotations
 from jaxnav.error_models.states import STATES, A, B, G
 from jaxnav.types import Drive, Nav, Noise, Path
 
@@ -155,8 +155,8 @@ def _white(maps: Maps, C, f, T, noise: Noise, lumped: bool) -> jax.Array:
     alpha, pi = maps.A(later @ f), maps.A((later * (total - end + 0.5 * later)) @ f)
     column = lambda a: a[:, None, None]  # noqa: E731
     root = column(jnp.where(lengths > 0, jnp.sqrt(jnp.where(lengths > 0, lengths, 1.0)), 0.0))
-    g = maps.gyro @ C_then * (noise.gyro * jnp.ones(3)) * root
-    a = maps.accel @ C_then * (noise.accel * jnp.ones(3)) * root
+    g = linalg.times_root(maps.gyro @ C_then, noise.gyro) * root
+    a = linalg.times_root(maps.accel @ C_then, noise.accel) * root
     rows = [[pi @ g, column(total - moments) * a], [alpha @ g, a], [g, jnp.zeros_like(a)]]
     return jnp.moveaxis(jnp.block(rows), 0, 1).reshape(9, -1)
 
@@ -167,8 +167,9 @@ def _bias_noise(Phi: jax.Array, noise: Noise, total: jax.Array) -> jax.Array:
     Of what a bias does over the whole epoch, noise with the share s of it to come does s, s^2 and s^3, by how many
     integrals lie between.
     """
-    sd = jnp.concatenate([noise.gyro_bias * jnp.ones(3), noise.accel_bias * jnp.ones(3)])
+    drives = ((slice(9, 12), noise.gyro_bias), (slice(12, 15), noise.accel_bias))
+    driven = jnp.concatenate([linalg.times_root(Phi[:, s], leaf) for s, leaf in drives], 1)
     some = total > 0
     root = jnp.where(some, jnp.sqrt(jnp.where(some, 0.5 * total, 1.0)), 0.0)
     power = np.repeat(np.array([[3, 2], [2, 1], [1, 1], [0, 0], [0, 0]]), 3, 0).repeat(3, 1)  # (15, 6)
-    return jnp.concatenate([Phi[:, 9:] * sd * root * s**power for s in 0.5 + 0.5 * GAUSS2], 1)
+    return jnp.concatenate([driven * root * s**power for s in 0.5 + 0.5 * GAUSS2], 1)

@@ -73,7 +73,7 @@ def _robust(n_states: int, name: str) -> Entry:
 
 _ANSARI = "Ansari et al. 2024, IJE 37(06) 1127-1135"
 _GIP_KF = "Journal of Control (English Edition) 1(1), 2022, 49-57"
-_GIP_TUNABLE = {"log_rl": "identity", "log_rm": "identity", "rl_lower": "identity", "rm_lower": "identity"}
+_GIP_TUNABLE = {"log_rl": "identity"}  # only its ratios to R_m matter; couplings are for a spec of one's own
 FILTERS: dict[str, Entry] = {
     "ekf15": Entry(15, kalman, lambda: (), {}, "Groves 2013, chapter 14"),
     "ekf9": Entry(9, kalman, lambda: (), {}, "Groves 2013, chapter 14, without bias states"),

@@ -110,7 +110,7 @@ def datasheet(name: str) -> Params:
 
 def applied(params: Params, told: Params) -> Params:
     """What a scenario's filter runs with: the factors of ``params`` on what it was told."""
-    times = partial(jax.tree.map, jnp.multiply)
+    times = partial(jax.tree.map, lambda factor, told: (factor * told.T).T)  # the rows of a root, if it is one
     noise, prior = times(params.noise, told.noise), times(params.prior, told.prior)
     return Params(noise, prior, told.mounting, params.rule, params.feedback)
 

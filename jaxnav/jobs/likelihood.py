@@ -15,10 +15,10 @@ from jaxnav.jobs.objectives import leaves, merged
 from jaxnav.jobs.parameters import NAMES, UNITS, component
 from jaxnav.run import run
 from jaxnav.types import Params
-from tuning import scoring, uncertainty
+from tuning import objectives, scoring, uncertainty
 from tuning.posterior import sample
 from tuning.train import Fit
-from tuning.transforms import Spec, get, join, labels, penalty, split
+from tuning.transforms import Spec, get, join, labels, penalty, split, told, values
 from tuning.uncertainty import Information
 
 
@@ -89,7 +89,7 @@ def _density(filt, items, flat, like, params, own, whole) -> jax.Array:
     def one(nav, epochs, keep):
         info = run(filt, merged(join(spec, back(flat), params), own, leaves(spec)), nav, epochs)
         each = jax.vmap(metrics.negative_log_likelihood)(info)
-        return jnp.sum(jnp.where(keep & info.valid.any(-1), each, 0.0))
+        return objectives.sound(info, keep, jnp.sum(jnp.where(keep & info.valid.any(-1), each, 0.0)))
 
     return -jnp.sum(jax.vmap(one)(whole.nav, whole.epochs, whole.keep))
 
@@ -115,13 +115,12 @@ def draw(
     info = found.inform(flat)
     cov = uncertainty.covariance(np.asarray(info.fisher), np.asarray(info.blocks)).model
     got = sample(log_density, np.asarray(flat), cov, draws, jax.random.key(seed))
+    drawn = jax.vmap(lambda r: ravel_pytree(told(spec, back(r)))[0])(jnp.asarray(got.raw))
+    quantiles = jnp.quantile(drawn, jnp.array([0.025, 0.5, 0.975]), axis=0)
+    found_at = [np.asarray(ravel_pytree(values(spec, back(q)))[0]).tolist() for q in quantiles]
     rows = {}
-    for label, values in zip(labels(spec, raw), got.raw.T, strict=True):
-        unit = UNITS[NAMES[label.partition("[")[0]]]
-        low, middle, high = (
-            float(spec[unit.leaf].forward(jnp.asarray(v))) / unit.factor
-            for v in np.quantile(values, [0.025, 0.5, 0.975])
-        )
+    for label, *three in zip(labels(spec, raw), *found_at, strict=True):
+        low, middle, high = (v / _unit(label)[0] for v in three)
         rows[component(label)] = {"low": low, "median": middle, "high": high}
     return {"posterior": {"parameters": rows, "draws": draws, "divergent": got.divergent,
                           "acceptance": got.acceptance}}  # fmt: skip
@@ -135,15 +134,29 @@ def answers(found: Surface, spec: Spec, params: Params, sheet: Params) -> dict[s
     names = labels(spec, raw)
     rows = {}
     for label, interval in zip(names, uncertainty.intervals(spec, raw, cov), strict=True):
-        leaf, _, index = label.partition("[")
-        unit = UNITS[NAMES[leaf]]
-        before = np.ravel(get(sheet, leaf))
-        datasheet = float(before[min(int(index.rstrip("]") or 0) if index else 0, before.size - 1)])
-        value, low, high = (v / unit.factor for v in (interval.value, interval.low, interval.high))
+        factor, text = _unit(label)
+        datasheet = _stated(label, sheet)
+        value, low, high = (v / factor for v in (interval.value, interval.low, interval.high))
         rows[component(label)] = {
-            "value": value, "low": low, "high": high, "datasheet": datasheet / unit.factor,
-            "ratio": interval.value / datasheet if datasheet else None, "unit": unit.text,
+            "value": value, "low": low, "high": high, "datasheet": datasheet / factor,
+            "ratio": interval.value / datasheet if datasheet else None, "unit": text,
             "identified": interval.identified,
         }  # fmt: skip
     words = uncertainty.identifiability([component(n) for n in names], cov.model)
     return {"parameters": rows, "identifiability": words, "blocks": cov.blocks, "epochs": found.epochs}
+
+
+def _unit(label: str) -> tuple[float, str]:
+    """The user's unit of a free number in SI, and in words."""
+    leaf, _, index = label.partition("[")
+    unit = UNITS[NAMES[leaf]]
+    return (1.0, "correlation") if "," in index else (unit.factor, unit.text)
+
+
+def _stated(label: str, sheet: Params) -> float:
+    """What the datasheet says of a free number; it knows no correlations."""
+    leaf, _, index = label.partition("[")
+    if "," in index:
+        return 0.0
+    value = np.ravel(get(sheet, leaf))
+    return float(value[min(int(index.rstrip("]") or 0), value.size - 1)])

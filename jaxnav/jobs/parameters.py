@@ -11,7 +11,7 @@ from jaxnav.errors import ConfigError
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.measurements import Measurement
 from jaxnav.types import Params
-from tuning.transforms import LOG, TRANSFORMS, Spec, Transform, believed, get, put, scaled, tied
+from tuning.transforms import LOG, TRANSFORMS, Spec, Transform, believed, factor, get, put, scaled, tied
 
 
 class Unit(NamedTuple):
@@ -52,22 +52,29 @@ UNITS: dict[str, Unit] = {
 """The keys of [params]."""
 
 NAMES = {unit.leaf: name for name, unit in UNITS.items()}
+ROOTS = tuple(
+    f"noise.{leaf}" for leaf in ("gyro", "accel", "gyro_bias", "accel_bias", "position_scale", "velocity_scale")
+)
+"""Leaves that may be a lower triangular root, see `Noise`."""
 
 
 def override(params: Params, section: config.Params) -> Params:
     """``params`` with what [params] states, in SI.
 
     Raises:
-        ConfigError: a wrong number of axes, a value out of range, or a parameter the filter's rule has not.
+        ConfigError: a wrong number of axes, a value out of range, a matrix that is no root, or a parameter the filter's
+            rule has not.
     """
     for name, unit in UNITS.items():
         value = getattr(section, name)
         if value is None:
             continue
-        if np.shape(value) not in ((), unit.shape):
+        if isinstance(value, tuple) and any(isinstance(row, tuple) for row in value):
+            _check_root(name, value)
+        elif np.shape(value) not in ((), unit.shape):
             expected = f"one number or {unit.shape[0]}" if unit.shape else "one number"
             raise ConfigError(f"params.{name} must be {expected}, got {value!r}")
-        if unit.step is LOG and not np.all(np.asarray(value) > 0):
+        elif unit.step is LOG and not np.all(np.asarray(value) > 0):
             raise ConfigError(f"params.{name} must be > 0, got {value!r}")
         if not hasattr(params.rule, unit.leaf.split(".")[1]) and unit.leaf.startswith("rule."):
             raise ConfigError(f"params.{name}: this filter has no such parameter")
@@ -75,6 +82,16 @@ def override(params: Params, section: config.Params) -> Params:
         shape = np.shape(value) or (unit.shape if old else ())
         params = put(params, unit.leaf, jnp.broadcast_to(jnp.asarray(value, float) * unit.factor, shape))
     return params
+
+
+def _check_root(name: str, value: tuple) -> None:
+    """Raise ConfigError unless it is a lower triangular 3 x 3 with a positive diagonal."""
+    what = f"params.{name} as a matrix must be lower triangular, 3 x 3, with a positive diagonal, got {value!r}"
+    if [len(row) for row in value] != [3, 3, 3]:
+        raise ConfigError(what)
+    L = np.array(value)
+    if np.any(np.triu(L, 1)) or not np.all(np.diag(L) > 0) or not np.isfinite(L).all():
+        raise ConfigError(what)
 
 
 def in_user_units(params: Params, leaves: list[str]) -> dict[str, Any]:
@@ -139,10 +156,12 @@ def leaves_of(key: str, names: Iterable[str], filter_name: str, measurements: tu
 
 
 def tune_spec(tune: config.Tune, filter_name: str, measurements: tuple[Measurement, ...], sheet: Params) -> Spec:
-    """What [tune] frees, with its ties, and its beliefs about the datasheet's values ``sheet``.
+    """What [tune] frees, with its ties and correlations, and its beliefs about the datasheet's values ``sheet``.
+
+    Of a group that is to be correlated it is those leaves that can be.
 
     Raises:
-        ConfigError: a name that is unknown or not free, or an sd that is none.
+        ConfigError: a name that is unknown or not free, one that cannot be correlated or is tied, an sd that is none.
     """
     which = lambda key, names: leaves_of(f"tune.{key}", names, filter_name, measurements)  # noqa: E731
     frozen = set(which("frozen", tune.frozen))
@@ -152,6 +171,15 @@ def tune_spec(tune: config.Tune, filter_name: str, measurements: tuple[Measureme
     for leaf in which("tied", tune.tied):
         if leaf in spec:
             spec[leaf] = tied(spec[leaf])
+    for name in tune.correlated:
+        roots = [leaf for leaf in which("correlated", [name]) if leaf in ROOTS]
+        if not roots:
+            known = ", ".join(NAMES[leaf] for leaf in ROOTS)
+            raise ConfigError(f"tune.correlated: {name} cannot be correlated, only {known}")
+        for leaf in (leaf for leaf in roots if leaf in spec):
+            if spec[leaf].tie is not None:
+                raise ConfigError(f"tune.correlated: {leaf} is in tune.tied, where its axes share one number")
+            spec[leaf] = factor(3)
     for name, sd in tune.prior.items():
         for leaf in which("prior", [name]):
             if leaf in spec:

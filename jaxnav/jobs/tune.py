@@ -179,7 +179,8 @@ def starts(config: Config, spec: Spec, params: Params) -> list[Params]:
     for _ in range(config.tune.starts - 1):
         moved = {}
         for name, value in raw.items():
-            size = np.log(config.tune.spread) if spec[name].forward is LOG.forward else 1.0
+            logs = spec[name].forward is LOG.forward or spec[name].axes
+            size = np.log(config.tune.spread) if logs else 1.0
             moved[name] = value + size * rng.normal(size=np.shape(value))
         found.append(join(spec, moved, params))
     return found

@@ -97,6 +97,8 @@ def text(result: dict[str, Any], config: Config) -> str:
 
 
 def _short(value: Any) -> Any:
+    if isinstance(value, list) and isinstance(value[0], list):  # a root, without its zeros
+        return "[" + "; ".join(", ".join(f"{v:.3g}" for v in row[: i + 1]) for i, row in enumerate(value)) + "]"
     if isinstance(value, list):
         return "[" + ", ".join(f"{v:.3g}" for v in np.ravel(value)) + "]"
     return value

@@ -39,14 +39,17 @@ def levelled(force: jax.Array) -> jax.Array:
 def course(velocity: Samples, min_speed: float, after: float = -np.inf) -> tuple[float, float]:
     """Time (s) and course over ground (rad from north, clockwise) of the first velocity faster than ``min_speed``.
 
-    It is the heading of a vehicle that does not slip and drives forward.
+    And than three times its own sd. It is the heading of a vehicle that does not slip and drives forward.
 
     Raises:
         DataError: never that fast.
     """
-    fast = (np.hypot(velocity.value[:, 0], velocity.value[:, 1]) >= min_speed) & (velocity.t >= after)
+    speed, sd = np.hypot(velocity.value[:, 0], velocity.value[:, 1]), velocity.sd[:, :2].max(1)
+    fast = (speed >= min_speed) & (speed > 3 * sd) & (velocity.t >= after)
     if not fast.any():
-        raise DataError(f"velocity: never faster than {min_speed:g} m/s after {after:g} s, no course to start from")
+        raise DataError(
+            f"velocity: never faster than {min_speed:g} m/s and 3 sd after {after:g} s, no course to start from"
+        )
     i = int(np.argmax(fast))
     return float(velocity.t[i]), float(np.arctan2(velocity.value[i, 0], velocity.value[i, 1]))
 

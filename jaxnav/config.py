@@ -44,7 +44,7 @@ class Filter:
     zero_rate: bool = False
     nonholonomic: bool = False
     speed: bool = False
-    cov_stride: int = 5  # the covariance moves every so many IMU samples
+    cov_stride: int = 5  # the error dynamics see means over so many IMU samples
     history: int = 0  # IMU samples kept for late fixes; 0: enough for the latencies
     interval_s: float = 0.0  # nominal fix interval; 0: the median of the position's
     outages: tuple[tuple[float, ...], ...] = ()  # (start, end) s, fixes hidden from the filter
@@ -96,6 +96,7 @@ class Params:
     speed_scale: float | None = None
     ki: Numbers | None = None
     kd: Numbers | None = None
+    rule: dict[str, Any] = dataclasses.field(default_factory=dict)  # name -> value of what else the rule has
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,6 +206,9 @@ LIMITS: dict[str, tuple[float, float]] = {
     "data.gnss_latency_s": (0.0, 1.0),
     "filter.cov_stride": (1, 1000),
     "filter.history": (0, 100_000),
+    "filter.standing_window_s": (0.01, 3600.0),
+    "filter.standing_accel_sd_mps2": (0.0, 1e3),
+    "filter.standing_gyro_sd_deg_per_s": (0.0, 1e4),
     "filter.interval_s": (0.0, 60.0),
     "start.course_speed_mps": (0.1, 100.0),
     "start.tilt_sd_deg": (1e-6, 90.0),
@@ -255,6 +259,18 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
         if not low <= value <= high:
             raise ConfigError(f"{name} must be in [{low:g}, {high:g}], got {value:g}")
     return config
+
+
+def for_source(config: Config, source: str) -> Config:
+    """The same job on another source: with that source's presets, and without what belongs to the first one's data."""
+    plain, preset, tree = as_dict(Config()), PRESETS.get(config.data.source, {}), as_dict(config)
+    chosen = {
+        section: {k: v for k, v in fields.items() if v not in (plain[section].get(k), preset.get(section, {}).get(k))}
+        for section, fields in tree.items()
+        if isinstance(fields, Mapping)
+    }
+    data = {k: v for k, v in chosen["data"].items() if k not in ("options", "start", "stop")} | {"source": source}
+    return resolve([("tune.more", chosen | {"data": data})])
 
 
 def read(path: str | Path) -> dict[str, Any]:

@@ -3,14 +3,16 @@
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxnav import cli, config
 from jaxnav.io import read_recording, write_recording
-from jaxnav.jobs import batches, filtering, prepare, sources, tune
+from jaxnav.jobs import batches, filtering, objectives, prepare, sources, tune
 from jaxnav.jobs.results import FailedCheck, cell, staged, table, to_json
 
 SMALL = ["--set", "data.options.standstill_s=4", "--set", "filter.cov_stride=25", "--set", "out.figures=false"]
@@ -296,10 +298,18 @@ def test_recorded_split_keeps_the_test_out_of_every_objective(drive):
         ends, scored = np.asarray(batch.ends), np.asarray(batch.scored)
         lower = E[part - 1] if part else 0
         assert scored.any() and (ends[scored] >= lower).all() and (ends[scored] < E[part]).all()
-        valid = np.asarray(batch.epochs.fix.valid)
-        assert not valid[~np.asarray(batch.keep)].any()
-        assert not np.take_along_axis(np.asarray(batch.keep), ends, 1)[scored].any()
+        valid, keep, own = (np.asarray(a) for a in (batch.epochs.fix.valid, batch.keep, batch.part))
+        assert keep.any(1).all() and (keep <= own).all() and not valid[own & ~keep].any()
+        assert (np.flatnonzero(own.any(0)) >= lower).all()  # nothing counts that an earlier part has seen
+        assert not np.take_along_axis(keep, ends, 1)[scored].any()
     assert m.blocks.size == int(m.test.scored.sum())
+    # not even an error of before in the objective that knows the truth
+    run = jax.tree.map(lambda a: a[0], m.test)
+    first = int(np.argmax(np.asarray(run.part)))
+    nav = jax.tree.map(lambda a: jnp.broadcast_to(a, (E[2], *a.shape)), run.nav)
+    for i, counts in ((first - 1, False), (first, True)):
+        info = SimpleNamespace(nav=nav._replace(pos=run.lla.at[i, 2].add(100.0)))
+        assert (float(objectives.score_of("rmse")(info, run)) > 1.0) == counts
 
 
 def test_data_check_of_a_recording(drive, tmp_path, capsys):

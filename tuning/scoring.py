@@ -15,6 +15,7 @@ import numpy as np
 from tuning.uncertainty import Information
 
 LONGEST = 1.5  # of a step in any unconstrained number: a factor 4.5
+TOLERANCE = 1e-3  # gain in log-likelihood that is worth another evaluation
 RIDGE = 1e-3  # of the information: as if every number were known to 30 of its units
 
 
@@ -62,11 +63,16 @@ def advance(search: Search, info: Information) -> Search:
     return Search(raw, best, damping, trial, expected, search.steps + good)
 
 
+def converged(search: Search, tolerance: float = TOLERANCE) -> bool:
+    """Nothing more to be had: no trial promises that much, or none that promised it could be taken."""
+    return not np.any((np.asarray(search.expected) > tolerance) & (np.asarray(search.damping) < 1e5))
+
+
 def maximise(
     inform: Callable[[jax.Array], Information],
     raw: jax.Array,
     most: int = 40,
-    tolerance: float = 1e-3,
+    tolerance: float = TOLERANCE,
     report: Callable[[int, Search], None] = lambda i, search: None,
 ) -> Search:
     """Search until the promised gain in log-likelihood is below ``tolerance``, or ``most`` evaluations are spent.
@@ -84,7 +90,7 @@ def maximise(
         raise ValueError("the likelihood of the starting parameters is not finite")
     search = start(raw, first)
     for i in range(1, most):
-        if not np.any((np.asarray(search.expected) > tolerance) & (np.asarray(search.damping) < 1e5)):
+        if converged(search, tolerance):
             break
         search = step(search, inform(search.trial))
         report(i, search)

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,8 @@ class Batch(NamedTuple):
     epochs: Epoch  # (B, E, ...)
     ends: jax.Array  # (B, W) int, last epoch of each window
     scored: jax.Array  # (B, W) bool, windows that count here
-    keep: jax.Array  # (B, E) bool, epochs whose innovations and errors count
+    keep: jax.Array  # (B, E) bool, epochs whose innovations count
+    part: jax.Array  # (B, E) bool, epochs of this part of the data, hidden or not
     lla: jax.Array | None  # (B, E, 3) true position, for the supervised objective
 
 
@@ -139,7 +140,8 @@ def _batch(sims: Simulated) -> Batch:
     """Simulated runs (B, ...) with the windows of their outages."""
     t = sims.truth.t[:, None]
     ends = jnp.sum(t <= sims.outages[:, :, 1:] + ep.TICK, axis=-1) - 1
-    return Batch(sims.initial, sims.epochs, ends, ends >= 0, ~sims.hidden, sims.truth.pos)
+    keep = ~sims.hidden
+    return Batch(sims.initial, sims.epochs, ends, ends >= 0, keep, jnp.ones_like(keep), sims.truth.pos)
 
 
 # ---------------------------------------------------------------------------- recorded
@@ -158,7 +160,7 @@ def from_recording(config: Config) -> Material:
     """One recording in contiguous parts of time; each phase is a run with its own hidden windows.
 
     A run for training stops where the training part ends, one for validation where that ends: nothing later can enter
-    an objective. The test runs over everything and scores the windows of the last part.
+    an objective, nor can what an earlier part has seen. The test runs over everything, of which the last part counts.
 
     Raises:
         DataError: too short for windows in every part.
@@ -174,17 +176,13 @@ def from_recording(config: Config) -> Material:
     span = float(t[-1]) - start
     split = Split(start, start + tune.train * span, start + (tune.train + tune.validation) * span, float(t[-1]))
     edges = (start + tune.settle_s, split.train, split.validation, split.stop)
-    batches, labels = [], np.empty(0)
-    for part in range(3):
-        batch, label = _phases(config, case, edges[part], edges[part + 1])
-        batches.append(batch)
-        labels = label if part == 2 else labels
+    parts = [_phases(config, case, begin, end) for begin, end in zip(edges[:-1], edges[1:])]
+    batches, (_, labels, hidden) = [part[0] for part in parts], parts[2]
     about = (
         f"{case.recording.name}: train {split.start:.0f} to {split.train:.0f} s, validate to {split.validation:.0f} s, "
         f"kept aside to {split.stop:.0f} s; windows of {tune.outage_s:g} s in {tune.phases} runs, "
         f"{', '.join(str(int(b.scored.sum())) for b in batches)} of them"
     )
-    hidden = np.asarray(batches[2].keep[0])
     own, grade = case.params.prior, pre.grade_of(config, pre.scenario_of(config))
     lever_arm = case.recording.lever_arm
     sheet = pre.base_params(datasheet_only(config), grade, lever_arm, own.position, own.velocity)
@@ -197,7 +195,7 @@ def from_recording(config: Config) -> Material:
     return Material(
         case.filter, case.measurements, case.params, sheet, batches[0], batches[1], batches[2], labels,
         phases, phases, t[: batches[0].keep.shape[1]],
-        _whole(config, case, split), redraw, t, case.recording, None, _spans(t, ~hidden), about, {},
+        _whole(config, case, split), redraw, t, case.recording, None, _spans(t, hidden[0]), about, {},
     )  # fmt: skip
 
 
@@ -214,12 +212,18 @@ def _whole(config: Config, case: pre.Case, split: Split) -> Likelihood:
 
 def datasheet_only(config: Config) -> Config:
     """Without what [params] says of noise and priors: the datasheet's, where the mounting is as stated."""
-    of_noise = {name: None for name, unit in UNITS.items() if unit.leaf.partition(".")[0] in ("noise", "prior")}
+    of_noise: dict[str, Any] = {
+        name: None for name, unit in UNITS.items() if unit.leaf.partition(".")[0] in ("noise", "prior")
+    }
     return dataclasses.replace(config, params=dataclasses.replace(config.params, **of_noise))
 
 
-def _phases(config: Config, case: pre.Case, begin: float, end: float, shift: float = 0.0) -> tuple[Batch, np.ndarray]:
-    """Runs up to ``end`` with windows all along, those between begin and end scored; their blocks of time.
+def _phases(
+    config: Config, case: pre.Case, begin: float, end: float, shift: float = 0.0
+) -> tuple[Batch, np.ndarray, np.ndarray]:
+    """Runs up to ``end`` with windows all along, what is between begin and end counts; the windows' blocks of time.
+
+    And which epochs (phases, E) are hidden.
 
     ``shift`` (s) moves all windows alike, those that leave the end come in at the start.
     """
@@ -251,9 +255,12 @@ def _phases(config: Config, case: pre.Case, begin: float, end: float, shift: flo
     nav = jax.tree.map(lambda a: many(a[0]), case.navs)
     # windows that start within one spacing of each other overlap in time, or nearly
     blocks = np.floor((starts - begin) / tune.outage_every_s)[count]
-    return Batch(
-        nav, runs, jnp.asarray(ends), jnp.asarray(count), jnp.asarray(~hidden), None if truth is None else many(truth)
-    ), blocks
+    part = np.broadcast_to(t > begin, hidden.shape)
+    batch = Batch(
+        nav, runs, jnp.asarray(ends), jnp.asarray(count), jnp.asarray(part & ~hidden), jnp.asarray(part),
+        None if truth is None else many(truth),
+    )  # fmt: skip
+    return batch, blocks, hidden
 
 
 def _truth(case: pre.Case, t: np.ndarray) -> jax.Array | None:

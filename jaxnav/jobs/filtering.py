@@ -12,11 +12,13 @@ from jaxnav.config import Config
 from jaxnav.epochs import TICK, hide
 from jaxnav.errors import ConfigError
 from jaxnav.jobs import evaluate
-from jaxnav.jobs.prepare import Case, prepare
+from jaxnav.jobs.prepare import Case, grade_name, prepare
 from jaxnav.jobs.results import FailedCheck, Outcome, table, write_json
 from jaxnav.jobs.sources import load, scenario_of
 from jaxnav.run import first_failure, run_jit
 from jaxnav.types import Info
+
+CONSISTENT = (0.3, 3.0)  # of NIS / dof: outside, a user should hear of it
 
 
 def simulate(config: Config, folder: Path) -> Outcome:
@@ -128,7 +130,7 @@ def shaded(config: Config, case: Case) -> evaluate.Outages:
 
 def metrics_of(case: Case, sol: evaluate.Solution, hidden: np.ndarray, config: Config) -> dict[str, Any]:
     """Errors where there is a truth, innovations, and the error at the end of each outage."""
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = {"start_s": case.packed.start, "grade": grade_name(config, scenario_of(config))}
     truth = case.recording.truth
     hidden = hidden | ~np.asarray(case.packed.epochs.fix.valid)[:, :3].all(1)
     if truth is not None:
@@ -174,7 +176,7 @@ def write_solution(config: Config, folder: Path, sol: evaluate.Solution, case: C
 
 def summary(found: dict[str, Any], name: str, run: str) -> str:
     """The table of a run for the terminal."""
-    lines = [f"{name} on {run}"]
+    lines = [f"{name} on {run}, from t = {found['start_s']:.3f} s, IMU grade {found['grade']}"]
     errors = found.get("errors", {})
     rows = [
         [key, v["rms"], v["p95"], v["max"], f"{100 * v['inside_3sd']:.1f} %" if "inside_3sd" in v else ""]
@@ -187,6 +189,8 @@ def summary(found: dict[str, Any], name: str, run: str) -> str:
         lines.append(table(["innovation / its sd", "RMS"], rows))
     share = 100 * found["nis_share_inside_95"]
     lines.append(f"NIS / dof {found['nis_per_dof']:.2f}, {share:.1f} % of fixes inside the 95 % bounds")
+    if not CONSISTENT[0] < found["nis_per_dof"] < CONSISTENT[1]:
+        lines.append("far from 1: the noise that the filter is told, its start or the timing is wrong; see jaxnav tune")
     for outage in found.get("outages", []):
         lines.append(
             f"outage {outage['start_s']:g} to {outage['end_s']:g} s: {outage['horizontal_m']:.2f} m at its end"

@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jaxnav import metrics
 from jaxnav.jobs.batches import Material
 from jaxnav.jobs.objectives import leaves, merged
-from jaxnav.jobs.parameters import NAMES, UNITS, component
+from jaxnav.jobs.parameters import component, unit_of
 from jaxnav.run import run
 from jaxnav.types import Params
 from tuning import objectives, scoring, uncertainty
@@ -78,7 +78,8 @@ def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Calla
         note(row)
 
     search = scoring.maximise(found.inform, flat, steps, report=report)
-    return Fit(join(spec, back(search.raw), params), float(search.best.nll) / found.epochs, history, "done")
+    stopped = "done" if scoring.converged(search) else f"not converged in {steps} evaluations: raise tune.steps"
+    return Fit(join(spec, back(search.raw), params), float(search.best.nll) / found.epochs, history, stopped)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -149,7 +150,7 @@ def answers(found: Surface, spec: Spec, params: Params, sheet: Params) -> dict[s
 def _unit(label: str) -> tuple[float, str]:
     """The user's unit of a free number in SI, and in words."""
     leaf, _, index = label.partition("[")
-    unit = UNITS[NAMES[leaf]]
+    unit = unit_of(leaf)
     return (1.0, "correlation") if "," in index else (unit.factor, unit.text)
 
 

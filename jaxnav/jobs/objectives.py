@@ -1,6 +1,8 @@
 """What `jaxnav tune` minimises: scores of one run by name, put together by weights, and over runs."""
 
 import importlib
+import os
+import sys
 from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
@@ -43,7 +45,7 @@ def _nll(info: Info, run: Batch) -> jax.Array:
 def _rmse(info: Info, run: Batch) -> jax.Array:
     assert run.lla is not None  # `check_objective` saw to it
     error = jax.vmap(metrics.position_error)(info.nav, run.lla)
-    return jnp.mean(objectives.rmse(error, jnp.ones_like(run.keep)))
+    return jnp.mean(objectives.rmse(error, run.part))
 
 
 def _consistency(info: Info, run: Batch) -> jax.Array:
@@ -97,6 +99,8 @@ def score_of(name: str) -> Score:
     if not colon:
         known = [*OBJECTIVES, "module:function"]
         raise ConfigError(f"tune.objective: no objective {name!r}: {configuration.nearest(name, known)}")
+    if (here := os.getcwd()) not in sys.path:  # the console script's path has not the current folder
+        sys.path.append(here)
     try:
         own = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError) as error:

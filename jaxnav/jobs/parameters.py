@@ -11,7 +11,7 @@ from jaxnav.errors import ConfigError
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.measurements import Measurement
 from jaxnav.types import Params
-from tuning.transforms import LOG, TRANSFORMS, Spec, Transform, believed, factor, get, put, scaled, tied
+from tuning.transforms import IDENTITY, LOG, TRANSFORMS, Spec, Transform, believed, factor, get, put, scaled, tied
 
 
 class Unit(NamedTuple):
@@ -81,7 +81,21 @@ def override(params: Params, section: config.Params) -> Params:
         old = jnp.shape(get(params, unit.leaf))
         shape = np.shape(value) or (unit.shape if old else ())
         params = put(params, unit.leaf, jnp.broadcast_to(jnp.asarray(value, float) * unit.factor, shape))
+    for name, value in section.rule.items():
+        params = put(params, f"rule.{name}", _rule_value(params, name, value))
     return params
+
+
+def _rule_value(params: Params, name: str, value: Any) -> Any:
+    """What [params.rule] states, in the shape that the rule has it in."""
+    try:
+        old = get(params, f"rule.{name}")
+        new = np.asarray(value, float)
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f"params.rule.{name}: {error}") from error
+    if new.shape not in ((), jnp.shape(old)) or not np.isfinite(new).all():
+        raise ConfigError(f"params.rule.{name} must be finite, of shape {jnp.shape(old)}, got {value!r}")
+    return jnp.broadcast_to(jnp.asarray(new), jnp.shape(old))
 
 
 def _check_root(name: str, value: tuple) -> None:
@@ -96,12 +110,24 @@ def _check_root(name: str, value: tuple) -> None:
 
 def in_user_units(params: Params, leaves: list[str]) -> dict[str, Any]:
     """The named leaves as keys and values of [params]; axes that agree are one number."""
-    return {NAMES[leaf]: user_value(leaf, get(params, leaf)) for leaf in leaves}
+    found: dict[str, Any] = {NAMES[leaf]: user_value(leaf, get(params, leaf)) for leaf in leaves if leaf in NAMES}
+    rule = {leaf.removeprefix("rule."): user_value(leaf, get(params, leaf)) for leaf in leaves if leaf not in NAMES}
+    return found | ({"rule": rule} if rule else {})
+
+
+def unit_of(leaf: str) -> Unit:
+    """How a user states a leaf; a rule's own parameters have no unit."""
+    return UNITS[NAMES[leaf]] if leaf in NAMES else Unit(leaf, 1.0, (), IDENTITY)
+
+
+def name_of(leaf: str) -> str:
+    """The key of [params], or the dotted name of a rule's own parameter."""
+    return NAMES.get(leaf, leaf)
 
 
 def user_value(leaf: str, value: Any) -> Any:
     """A leaf's value in a user's units, as plain numbers."""
-    value = np.asarray(value, float) / UNITS[NAMES[leaf]].factor
+    value = np.asarray(value, float) / unit_of(leaf).factor
     same = value.ndim and np.all(value == value.flat[0]) and leaf.startswith("noise.")
     return float(value.flat[0]) if same else value.tolist()
 
@@ -121,8 +147,10 @@ def groups(name: str, measurements: tuple[Measurement, ...]) -> dict[str, list[s
         "lever_arm": ["mounting.lever_arm"],
         "vehicle": ["mounting.vehicle", "mounting.wheel_arm"] if vehicle else [],
         "prior": ["prior.gyro_bias", "prior.accel_bias"] if entry.n_states > 9 else [],
-        "rule": [f"rule.{leaf}" for leaf in entry.tunable],
-    }
+        # a gain of zero, such as the derivative's of the printed GPID, has no logarithm and stays what it is
+        "rule": [f"rule.{leaf}" for leaf, kind in entry.tunable.items()
+                 if np.isfinite(TRANSFORMS[kind].inverse(get(entry.theta(), leaf))).all()],
+    }  # fmt: skip
 
 
 def free_spec(free: tuple[str, ...], filter_name: str, measurements: tuple[Measurement, ...]) -> Spec:
@@ -133,14 +161,24 @@ def free_spec(free: tuple[str, ...], filter_name: str, measurements: tuple[Measu
     """
     spec = {}
     for leaf in leaves_of("tune.free", free, filter_name, measurements):
-        tunable = FILTERS[filter_name].tunable
-        if leaf.startswith("rule.") and leaf.removeprefix("rule.") not in tunable:
-            raise ConfigError(f"tune.free: filter {filter_name} has no {leaf}")
-        rule = tunable.get(leaf.removeprefix("rule."))
-        spec[leaf] = TRANSFORMS[rule] if leaf.startswith("rule.") and rule else UNITS[NAMES[leaf]].step
+        spec[leaf] = step_of(leaf, filter_name)
     if not spec:
         raise ConfigError("tune.free: nothing is free")
     return spec
+
+
+def step_of(leaf: str, filter_name: str) -> Transform:
+    """How a leaf is tuned.
+
+    Raises:
+        ConfigError: the filter's rule has no such parameter.
+    """
+    group, _, name = leaf.partition(".")
+    if group != "rule":
+        return UNITS[NAMES[leaf]].step
+    if name not in FILTERS[filter_name].tunable:
+        raise ConfigError(f"tune.free: filter {filter_name} has no {leaf}")
+    return TRANSFORMS[FILTERS[filter_name].tunable[name]]
 
 
 def leaves_of(key: str, names: Iterable[str], filter_name: str, measurements: tuple[Measurement, ...]) -> list[str]:
@@ -149,7 +187,7 @@ def leaves_of(key: str, names: Iterable[str], filter_name: str, measurements: tu
     leaves: list[str] = []
     for name in names:
         for leaf in short[name] if name in short else [UNITS[name].leaf if name in UNITS else name]:
-            if leaf not in NAMES:
+            if leaf not in NAMES and leaf.removeprefix("rule.") not in FILTERS[filter_name].tunable:
                 raise ConfigError(f"{key}: no parameter {leaf}: {config.nearest(leaf, [*short, *NAMES])}")
             leaves.append(leaf)
     return list(dict.fromkeys(leaves))
@@ -168,36 +206,42 @@ def tune_spec(tune: config.Tune, filter_name: str, measurements: tuple[Measureme
     spec = {k: v for k, v in free_spec(tune.free, filter_name, measurements).items() if k not in frozen}
     if not spec:
         raise ConfigError("tune.frozen: nothing is left free")
-    for leaf in which("tied", tune.tied):
-        if leaf in spec:
+
+    def free(key: str, name: str) -> list[str]:
+        """Those of a name's leaves that are free; of a group that may be some, otherwise it is a mistake."""
+        found = [leaf for leaf in which(key, [name]) if leaf in spec]
+        if not found and not set(which(key, [name])) & frozen:
+            raise ConfigError(f"tune.{key}: {name} is not in tune.free, where it would have to be")
+        return found
+
+    for name in tune.tied:
+        for leaf in free("tied", name):
             spec[leaf] = tied(spec[leaf])
     for name in tune.correlated:
         roots = [leaf for leaf in which("correlated", [name]) if leaf in ROOTS]
         if not roots:
             known = ", ".join(NAMES[leaf] for leaf in ROOTS)
             raise ConfigError(f"tune.correlated: {name} cannot be correlated, only {known}")
-        for leaf in (leaf for leaf in roots if leaf in spec):
+        for leaf in (leaf for leaf in free("correlated", name) if leaf in roots):
             if spec[leaf].tie is not None:
                 raise ConfigError(f"tune.correlated: {leaf} is in tune.tied, where its axes share one number")
             spec[leaf] = factor(3)
     for name, sd in tune.prior.items():
-        for leaf in which("prior", [name]):
-            if leaf in spec:
-                spec[leaf] = believed(spec[leaf], get(sheet, leaf), _sd(name, leaf, sd))
+        for leaf in free("prior", name):
+            spec[leaf] = believed(spec[leaf], get(sheet, leaf), _sd(name, leaf, step_of(leaf, filter_name), sd))
     return spec
 
 
-def _sd(name: str, leaf: str, sd: float) -> float:
+def _sd(name: str, leaf: str, step: Transform, sd: float) -> float:
     """One sd of a belief in the unconstrained space: a factor where the parameter is positive, else the user's unit."""
-    unit = UNITS[NAMES[leaf]]
-    positive = unit.step is LOG
+    positive = step is LOG
     if not sd > (1.0 if positive else 0.0):
         what = "a factor above 1" if positive else "above 0"
         raise ConfigError(f"tune.prior.{name}: one sd must be {what}, got {sd:g}")
-    return float(np.log(sd)) if positive else float(unit.step.inverse(jnp.asarray(sd * unit.factor)))
+    return float(np.log(sd)) if positive else float(step.inverse(jnp.asarray(sd * unit_of(leaf).factor)))
 
 
 def component(label: str) -> str:
     """``noise.gyro[1]`` by the key of [params]: ``gyro_deg_per_sqrt_hour[1]``."""
     leaf, bracket, index = label.partition("[")
-    return NAMES.get(leaf, leaf) + bracket + index
+    return name_of(leaf) + bracket + index

@@ -24,6 +24,7 @@ from jaxnav.units import DEG
 
 CONSTRAINTS = ("zero_velocity", "zero_rate", "nonholonomic", "speed")
 REACH = 0.25  # s, latency that tuning may reach
+CHORD = 4.0  # s, over which 3 m of noise are 1 m/s
 
 
 class Case(NamedTuple):
@@ -53,13 +54,18 @@ def filter_name(config: Config) -> str:
     return name
 
 
+def grade_name(config: Config, scenario: Scenario | None) -> str:
+    """What the configuration says, else the scenario, else a consumer's unit."""
+    return config.filter.grade or (scenario.imu.grade if scenario else "consumer")
+
+
 def grade_of(config: Config, scenario: Scenario | None) -> Grade:
     """The IMU's datasheet.
 
     Raises:
         ConfigError: it is not in GRADES.
     """
-    name = config.filter.grade or (scenario.imu.grade if scenario else "consumer")
+    name = grade_name(config, scenario)
     if name not in GRADES:
         raise ConfigError(f"filter.grade: no IMU grade {name!r}: {nearest(name, GRADES)}")
     return GRADES[name]
@@ -88,7 +94,7 @@ def base_params(config: Config, grade: Grade, lever_arm: np.ndarray, position_sd
         grade, position_sd, velocity_sd, start.tilt_sd_deg * DEG, heading_sd * DEG,
         mounting(lever_arm), entry.theta(),
     )  # fmt: skip
-    return override(params, config.params)
+    return override(params._replace(feedback=entry.feedback_theta()), config.params)
 
 
 def prepare(config: Config, tuned: bool = False) -> Case:
@@ -143,6 +149,10 @@ def start_of(config: Config, rec: Recording) -> tuple[Nav, Prior]:
         ConfigError: a heading that is none.
     """
     start, position = config.start, rec.aiding.get("position")
+    for key in ("position_sd_m", "velocity_sd_mps"):
+        sd = getattr(start, key)
+        if sd is not None and (np.shape(sd) not in ((), (3,)) or not np.all(np.asarray(sd) > 0)):
+            raise ConfigError(f"start.{key} must be one number or 3, > 0, got {sd!r}")
     if position is None or position.t.size < 2:
         raise DataError(f"{rec.name}: needs a stream of positions to start from")
     heading = start.heading
@@ -169,11 +179,12 @@ def start_of(config: Config, rec: Recording) -> tuple[Nav, Prior]:
 
 
 def _differences(position: Samples) -> Samples:
-    """Velocity from consecutive positions, (K - 1): good enough for a course."""
+    """Mean velocity over the last `CHORD` s of positions, whose noise would else pass for motion."""
+    n = max(1, min(round(CHORD / float(np.median(np.diff(position.t)))), position.t.size - 1))
     lla = jnp.asarray(position.value)
-    dt = np.diff(position.t)[:, None]
-    value = np.asarray(jax.vmap(earth.enu_difference)(lla[1:], lla[:-1])) / dt
-    return Samples(position.t[1:], value, 1.5 * position.sd[1:] / dt, np.zeros_like(value))
+    dt = (position.t[n:] - position.t[:-n])[:, None]
+    value = np.asarray(jax.vmap(earth.enu_difference)(lla[n:], lla[:-n])) / dt
+    return Samples(position.t[n:], value, 1.5 * position.sd[n:] / dt, np.zeros_like(value))
 
 
 def _level(rec: Recording, velocity: Samples, begin: float) -> tuple[float, float]:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav import metrics
-from jaxnav.config import Config, as_dict, nearest
+from jaxnav.config import Config, as_dict, for_source, nearest
 from jaxnav.errors import ConfigError, DataError
 from jaxnav.jobs import evaluate, likelihood, tune_report
 from jaxnav.jobs.batches import Material, from_recording, from_scenario
@@ -101,6 +101,10 @@ def check(config: Config) -> None:
         raise ConfigError(f"tune.method: no method {t.method!r}: {nearest(t.method, METHODS)}")
     if t.method == "scoring" and {name for name, w in t.objective.items() if w} != {"nll"}:
         raise ConfigError('tune.method: scoring is for tune.objective = "nll" alone')
+    plain = type(t)()
+    unused = [k for k in ("starts", "patience", "redraw", "over_runs", "clip") if getattr(t, k) != getattr(plain, k)]
+    if t.method == "scoring" and unused:
+        raise ConfigError(f"tune.{unused[0]}: scoring has no use for it: it climbs the likelihood of all training data")
     sheet = base_params(config, grade_of(config, scenario_of(config)), np.zeros(3), 1.0, 1.0)
     tune_spec(t, filter_name(config), measurements_of(config), sheet)
 
@@ -113,13 +117,7 @@ def prepare(config: Config) -> list[Material]:
     """
     materials = []
     for i, source in enumerate((config.data.source, *config.tune.more)):
-        own = (
-            config
-            if not i
-            else dataclasses.replace(
-                config, data=dataclasses.replace(config.data, source=source, options={}), seed=config.seed + i
-            )
-        )
+        own = dataclasses.replace(for_source(config, source), seed=config.seed + i) if i else config
         scenario = scenario_of(own)
         material = from_scenario(own, scenario) if scenario is not None else from_recording(own)
         check_objective(config.tune.objective, material.train.lla is not None)
@@ -142,6 +140,8 @@ def search(
     note = (lambda row: stderr(f"  {row['step']:3d}  {row['loss']:.6g}")) if progress else (lambda row: None)
     try:
         if t.method == "scoring":
+            if long.resume:
+                raise ConfigError("--resume: scoring keeps no checkpoints, it takes about ten evaluations")
             return likelihood.maximise(surface, spec, start, t.steps, note)
         free = leaves(spec)
         weights = tuple(sorted(t.objective.items()))
@@ -231,11 +231,12 @@ def score(materials: list[Material], params: Params, free: tuple[str, ...]) -> S
                 raise FailedCheck(f"{name}: {failure}")
         errors.append(np.asarray(jax.vmap(objectives.outage_error)(info, batch.ends))[np.asarray(batch.scored)])
         blocks.append(m.blocks + 1e6 * k)  # of different sources, never drawn as one
-        flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), info)
+        judged = info._replace(valid=info.valid & np.asarray(batch.part)[..., None])  # nothing that tuning has seen
+        flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), judged)
         consistent.append(evaluate.innovation_metrics(flat, m.measurements))
-        with_fix = np.asarray(batch.keep) & info.valid[..., :2].all(-1)
+        with_fix = judged.valid[..., :2].all(-1)
         inside.append(np.sum(info.residual[with_fix][:, :2] ** 2, -1))
-        infos.append(info)
+        infos.append((info, judged))
     all_errors = np.concatenate(errors)
     summary = {
         "outage_rms_m": float(np.sqrt(np.mean(all_errors**2))),
@@ -244,8 +245,8 @@ def score(materials: list[Material], params: Params, free: tuple[str, ...]) -> S
         "nis_per_dof": float(np.mean([c["nis_per_dof"] for c in consistent])),
         "nis_share_inside_95": float(np.mean([c["nis_share_inside_95"] for c in consistent])),
         "innovation_horizontal_rms_m": float(np.sqrt(np.mean(np.concatenate(inside)))),
-    } | channels(materials[0], infos[0])
-    return Scores(all_errors, np.concatenate(blocks), infos[0], summary)
+    } | channels(materials[0], infos[0][1])
+    return Scores(all_errors, np.concatenate(blocks), infos[0][0], summary)
 
 
 def channels(material: Material, info: Info) -> dict[str, dict[str, float]]:

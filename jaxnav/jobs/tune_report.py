@@ -14,7 +14,7 @@ from jaxnav.io import atomic_write
 from jaxnav.jobs import evaluate
 from jaxnav.jobs.batches import Material
 from jaxnav.jobs.export import kfgins_yaml, navego_fields
-from jaxnav.jobs.parameters import NAMES, UNITS, in_user_units, user_value
+from jaxnav.jobs.parameters import UNITS, in_user_units, name_of, user_value
 from jaxnav.jobs.results import cell, table, to_json, write_json
 from jaxnav.run import track
 from jaxnav.types import Samples, Track
@@ -45,7 +45,7 @@ def report(
                        "block": before.blocks.tolist()},
         "params_before": in_user_units(material.params, leaves),
         "params_after": in_user_units(found.params, leaves),
-        "known": {NAMES[leaf]: user_value(leaf, v) for leaf, v in material.known.items() if leaf in leaves},
+        "known": {name_of(leaf): user_value(leaf, v) for leaf, v in material.known.items() if leaf in leaves},
         "loss": found.loss,
         "steps": len(found.history),
         "stopped": found.stopped,
@@ -78,9 +78,8 @@ def text(result: dict[str, Any], config: Config) -> str:
         lines.append(
             f"RMS {gain['gain']:.2f} times smaller, 95 % interval {gain['low']:.2f} to {gain['high']:.2f}: {verdict}"
         )
-    names = result["params_before"]
-    known = result["known"]
-    rows = [[n, _short(v), _short(result["params_after"][n]), _short(known.get(n, ""))] for n, v in names.items()]
+    names, after, known = _flat(result["params_before"]), _flat(result["params_after"]), result["known"]
+    rows = [[n, _short(v), _short(after[n]), _short(known.get(n, ""))] for n, v in names.items()]
     head = ["parameter", "before", "after", "simulated"]
     lines += ["", table(head if known else head[:3], [row if known else row[:3] for row in rows])]
     if result.get("parameters"):
@@ -91,9 +90,17 @@ def text(result: dict[str, Any], config: Config) -> str:
         ]  # fmt: skip
         head = ["as the innovations see it", "value", "95 % interval", "unit", "of datasheet"]
         lines += ["", table(head, rows), *result["identifiability"]]
+    if result["stopped"].startswith("not converged"):
+        lines.append(result["stopped"])
     for entry in result["aside"]:
         lines.append(f"set aside from step {entry['step']}: {entry['run']}: {entry['why']}")
     return "\n".join(lines)
+
+
+def _flat(params: dict[str, Any]) -> dict[str, Any]:
+    """[params] with what is in [params.rule] beside the rest."""
+    rule = params.get("rule", {})
+    return {k: v for k, v in params.items() if k != "rule"} | {f"rule.{name}": v for name, v in rule.items()}
 
 
 def _short(value: Any) -> Any:
@@ -109,10 +116,12 @@ def _short(value: Any) -> Any:
 
 def write(folder: Path, material: Material, found: Fit, leaves: list[str], result: dict[str, Any]) -> None:
     """Write tuned.toml, the same for other software, history.jsonl and metrics.json."""
-    noise = [leaf for leaf in (u.leaf for u in UNITS.values()) if leaf.startswith("noise.") or leaf in leaves]
-    params = {"params": in_user_units(found.params, noise)}
+    noise = [u.leaf for u in UNITS.values() if u.leaf.startswith("noise.")]
+    params = {"params": in_user_units(found.params, list(dict.fromkeys([*noise, *leaves])))}
     head = f"# jaxnav tune: {material.about}\n# use: jaxnav filter --params tuned.toml\n"
-    atomic_write(folder / "tuned.toml", head + configuration.to_toml(params))
+    vague = [name for name, p in result.get("parameters", {}).items() if not p["identified"]]
+    doubt = f"# not determined by the data, any value near it will do: {', '.join(vague)}\n" if vague else ""
+    atomic_write(folder / "tuned.toml", head + doubt + configuration.to_toml(params))
     atomic_write(folder / "tuned_kfgins.yaml", head.splitlines()[0] + "\n" + kfgins_yaml(found.params.noise))
     atomic_write(
         folder / "tuned_navego.m", head.splitlines()[0].replace("#", "%") + "\n" + navego_fields(found.params.noise)
@@ -124,8 +133,8 @@ def write(folder: Path, material: Material, found: Fit, leaves: list[str], resul
 
 def user_history(history: list[dict]) -> list[dict]:
     """One row a step with the parameters in a user's units."""
-    name = {leaf: NAMES[leaf] for leaf in (history[0]["params"] if history else {})}
-    return [row | {"params": {name[leaf]: user_value(leaf, v) for leaf, v in row["params"].items()}} for row in history]
+    in_units = lambda row: {name_of(leaf): user_value(leaf, v) for leaf, v in row["params"].items()}  # noqa: E731
+    return [row | {"params": in_units(row)} for row in history]
 
 
 def draw(folder: Path, material: Material, found: Fit, before: "Scores", after: "Scores") -> None:
@@ -133,7 +142,7 @@ def draw(folder: Path, material: Material, found: Fit, before: "Scores", after: 
     drift = {"datasheet": before.errors, "tuned": after.errors}
     plots.save(plots_stats.outage_drift(drift), folder / "outage_drift.png")
     if found.history:
-        known = {NAMES[leaf]: user_value(leaf, v) for leaf, v in material.known.items()}
+        known = {name_of(leaf): user_value(leaf, v) for leaf, v in material.known.items()}
         plots.save(plots_stats.tuning(user_history(found.history), known), folder / "tuning.png")
     sol = evaluate.solution(jax.tree.map(lambda a: a[0], after.info), found.params)
     truth, fixes, biases = truth_of(material)

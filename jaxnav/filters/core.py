@@ -81,7 +81,10 @@ class FilterState(NamedTuple):
 
 
 class Filter(NamedTuple):
-    """Pure functions; `step` is `correct` after `predict`, which also stream sample by sample."""
+    """Pure functions; `step` is `correct` after `predict`, which also stream sample by sample.
+
+    `step` freezes a run that stops being finite; who streams looks at `Info.ok` after each `correct`.
+    """
 
     init: Callable[[Params, Nav], FilterState]
     predict: Callable[[Params, FilterState, Imu], FilterState]

@@ -75,9 +75,8 @@ def text(result: dict[str, Any], config: Config) -> str:
         lines.append("too few windows kept aside for an interval of the gain")
     else:
         verdict = "better" if gain["low"] > 1 else "worse" if gain["high"] < 1 else "not proven"
-        lines.append(
-            f"RMS {gain['gain']:.2f} times smaller, 95 % interval {gain['low']:.2f} to {gain['high']:.2f}: {verdict}"
-        )
+        span = f"95 % interval {gain['low']:.2f} to {gain['high']:.2f}"
+        lines.append(f"RMS before / RMS after {gain['gain']:.2f}, {span}: {verdict}")
     names, after, known = _flat(result["params_before"]), _flat(result["params_after"]), result["known"]
     rows = [[n, _short(v), _short(after[n]), _short(known.get(n, ""))] for n, v in names.items()]
     head = ["parameter", "before", "after", "simulated"]

@@ -334,7 +334,8 @@ def tuning(history: Sequence[Mapping[str, Any]], truth: Mapping[str, Any] | None
 def _components(value: Any) -> Array:
     """A parameter's numbers; of a lower triangular root those that are not always zero, row by row."""
     value = np.asarray(value, float)
-    return value[np.tril_indices(len(value))] if value.ndim == 2 else value.ravel()
+    root = value.ndim == 2 and value.shape[0] == value.shape[1] and not np.triu(value, 1).any()
+    return value[np.tril_indices(len(value))] if root else value.ravel()
 
 
 def _parameter(ax: "Axes", name: str, step: Array, values: Array, truth: Array | None, best: int | None) -> None:

@@ -6,14 +6,14 @@ import jax
 import numpy as np
 import pytest
 
-from jaxnav import alignment, cli, config
+from jaxnav import alignment, cli, config, plots_stats
 from jaxnav.errors import ConfigError, DataError
 from jaxnav.filters.catalogue import FILTERS
-from jaxnav.jobs import parameters, prepare
+from jaxnav.jobs import parameters, prepare, tune_report
 from jaxnav.measurements import GNSS
 from jaxnav.sensors.grades import GRADES
 from jaxnav.types import Samples
-from tuning.transforms import get, join, split
+from tuning.transforms import get, join, labels, split
 
 
 def resolved(**sections) -> config.Config:
@@ -32,11 +32,21 @@ def test_every_filter_has_its_parameters_and_tunes_them_by_default(name):
     leaves = {leaf for leaf in spec if leaf.startswith("rule.")}
     assert leaves == {f"rule.{leaf}" for leaf in entry.tunable} - ({"rule.kd"} if name == "gpid_literal" else set())
     # what tuning moves can be written, read back, and is what the filter then has
-    moved = join(spec, {leaf: raw + 0.1 for leaf, raw in split(spec, params).items()}, params)
+    raw = split(spec, params)
+    names = labels(spec, raw)
+    assert len(set(names)) == sum(np.size(value) for value in raw.values())
+    moved = join(spec, {leaf: value + 0.1 for leaf, value in raw.items()}, params)
     text = config.to_toml({"params": parameters.in_user_units(moved, list(spec)), "filter": {"name": name}})
     again = params_of(config.resolve([("", tomllib.loads(text))]))
     for leaf in spec:
         np.testing.assert_allclose(get(again, leaf), get(moved, leaf), rtol=1e-14)
+
+
+def test_a_table_is_shown_whole_and_a_root_without_its_zeros():
+    table, root = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0], [0.0, 1.0, 2.0]], [[1.0, 0.0], [2.0, 3.0]]
+    for value, text, n in ((table, "[1, 2, 3; 4, 5, 6; 7, 8, 9; 0, 1, 2]", 12), (root, "[1; 2, 3]", 3)):
+        assert tune_report._short(value) == text
+        assert plots_stats._components(value).size == n
 
 
 @pytest.mark.parametrize(

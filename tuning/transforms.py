@@ -16,6 +16,7 @@ Axes that share a value, leaves that share one, and beliefs are part of a leaf's
     }
 """
 
+import math
 from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
@@ -210,12 +211,12 @@ def penalty(spec: Spec, raw: dict[str, jax.Array]) -> jax.Array:
 def labels(spec: Spec, raw: dict[str, jax.Array]) -> list[str]:
     """The name of every free number in the order of `jax.flatten_util.ravel_pytree`: ``noise.gyro[2]``.
 
-    ``noise.gyro[2,0]`` is of the correlation of the axes 2 and 0.
+    ``noise.gyro[2,0]`` is of the correlation of the axes 2 and 0; the numbers of a table are counted row by row.
     """
     names = []
     for name in sorted(spec):
         n, shape = spec[name].axes, jnp.shape(raw[name])
-        index = [f"{i}" for i in range(n or sum(shape))] + [f"{i},{j}" for i in range(n) for j in range(i)]
+        index = [f"{i}" for i in range(n or math.prod(shape))] + [f"{i},{j}" for i in range(n) for j in range(i)]
         names += [f"{name}[{i}]" for i in index] if shape else [name]
     return names
 

@@ -103,8 +103,10 @@ def _flat(params: dict[str, Any]) -> dict[str, Any]:
 
 
 def _short(value: Any) -> Any:
-    if isinstance(value, list) and isinstance(value[0], list):  # a root, without its zeros
-        return "[" + "; ".join(", ".join(f"{v:.3g}" for v in row[: i + 1]) for i, row in enumerate(value)) + "]"
+    if isinstance(value, list) and isinstance(value[0], list):
+        root = not np.triu(value, 1).any()  # without its zeros
+        rows = [row[: i + 1] if root else row for i, row in enumerate(value)]
+        return "[" + "; ".join(", ".join(f"{v:.3g}" for v in row) for row in rows) + "]"
     if isinstance(value, list):
         return "[" + ", ".join(f"{v:.3g}" for v in np.ravel(value)) + "]"
     return value

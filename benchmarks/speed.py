@@ -113,7 +113,7 @@ def compiles_once() -> None:
 def main(argv: list[str]) -> int:
     """Print the tables and the bars, draw the growth, write the JSON, compare with the baseline."""
     parser = common.options("speed", __doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a minute and a half: 15 states, short runs, few forms")
+    parser.add_argument("--quick", action="store_true", help="three minutes: 15 states, short runs, few forms")
     parser.add_argument("--gate", action="store_true", help="fail where a ratio is 1.5 times the baseline's or more")
     parser.add_argument("--keep", action="store_true", help="make this run the baseline of its form, quick or full")
     parser.add_argument("--figures", type=Path, default=Path("out/speed"), metavar="DIR", help="default out/speed")

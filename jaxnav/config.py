@@ -8,15 +8,14 @@ import dataclasses
 import difflib
 import json
 import math
-import re
 import tomllib
-import types
 import typing
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from jaxnav.errors import ConfigError
+from jaxnav.toml import convert, describe, place, plain
 
 Numbers = float | tuple[float, ...]
 Root = Numbers | tuple[tuple[float, ...], ...]  # or a lower triangular matrix
@@ -336,20 +335,7 @@ def merge(a: Mapping[str, Any], b: Mapping[str, Any], path: str = "") -> dict[st
 
 def as_dict(config: Config) -> dict[str, Any]:
     """The resolved configuration as a tree for TOML or JSON; what is None is left out."""
-    return _plain(dataclasses.asdict(config))
-
-
-def to_toml(tree: Mapping[str, Any], section: str = "") -> str:
-    """A tree as TOML text."""
-    lines = [f"{_key(k)} = {_toml(v)}" for k, v in tree.items() if not isinstance(v, Mapping)]
-    if section and (lines or not tree):
-        lines = [f"[{section}]", *lines]
-    text = "\n".join(lines) + "\n" if lines else ""
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            name = f"{section}.{_key(key)}" if section else _key(key)
-            text += ("\n" if text else "") + to_toml(value, name)
-    return text
+    return plain(dataclasses.asdict(config))
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -365,21 +351,21 @@ def nearest(name: str, known: Iterable[str]) -> str:
 def _checked(kind: type, tree: Any, where: str, text: str = "", path: str = "") -> dict[str, Any]:
     """The tree with every key known and every value of its field's type."""
     if not isinstance(tree, Mapping):
-        raise ConfigError(f"{_place(where, text, path)}: [{path.rstrip('.')}] is a section, got {tree!r}")
+        raise ConfigError(f"{place(where, text, path)}: [{path.rstrip('.')}] is a section, got {tree!r}")
     hints, out = typing.get_type_hints(kind), {}
     for key, value in tree.items():
         name = path + key
         if key not in hints:
-            raise ConfigError(f"{_place(where, text, name)}: unknown key {name}: {_near_key(name, path, hints)}")
+            raise ConfigError(f"{place(where, text, name)}: unknown key {name}: {_near_key(name, path, hints)}")
         hint = hints[key]
         if dataclasses.is_dataclass(hint):
             out[key] = _checked(typing.cast(type, hint), value, where, text, f"{name}.")
             continue
         if name == "tune.objective" and isinstance(value, str):
             value = {value: 1.0}
-        ok, out[key] = _convert(value, hint)
+        ok, out[key] = convert(value, hint)
         if not ok:
-            raise ConfigError(f"{_place(where, text, name)}: {name} must be {_describe(hint)}, got {value!r}")
+            raise ConfigError(f"{place(where, text, name)}: {name} must be {describe(hint)}, got {value!r}")
     return out
 
 
@@ -400,80 +386,6 @@ def _sections() -> dict[str, Any]:
     return {k: c for k, c in typing.get_type_hints(Config).items() if dataclasses.is_dataclass(c)}
 
 
-def _convert(value: Any, hint: Any) -> tuple[bool, Any]:
-    """Whether the value is of the type, and the value in it: int to float, list to tuple."""
-    origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (typing.Union, types.UnionType):
-        tries = [_convert(value, arg) for arg in args]
-        return next((t for t in tries if t[0]), (False, value))
-    if hint is float:
-        value = math.inf if value == "inf" else value  # strict JSON has none
-        good = isinstance(value, (int, float)) and not isinstance(value, bool) and not math.isnan(value)
-        return good, float(value) if good else value
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool), value
-    if origin is tuple:
-        if not isinstance(value, (list, tuple)):
-            return False, value
-        parts = [_convert(v, args[0]) for v in value]
-        return all(ok for ok, _ in parts), tuple(v for _, v in parts)
-    if origin is dict:
-        good = isinstance(value, Mapping)
-        table = {k: _convert(v, args[1]) for k, v in value.items()} if good else {}
-        return good and all(ok for ok, _ in table.values()), {k: v for k, (_, v) in table.items()}
-    if hint is Any:
-        return True, value
-    return (value is None) if hint is type(None) else isinstance(value, hint), value
-
-
-def _describe(hint: Any) -> str:
-    origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (typing.Union, types.UnionType):
-        return " or ".join(_describe(a) for a in args if a is not type(None))
-    if origin is tuple:
-        return f"a list of ({_describe(args[0])})" if typing.get_origin(args[0]) else f"a list of {_plural(args[0])}"
-    if origin is dict:
-        return "a table" if args[1] is Any else f"a table of {_plural(args[1])}"
-    return {float: "a number", int: "a whole number", bool: "true or false", str: "text"}.get(hint, str(hint))
-
-
-def _plural(hint: Any) -> str:
-    return {float: "numbers", int: "whole numbers", str: "texts"}.get(hint, _describe(hint))
-
-
 def _build(tree: Mapping[str, Any]) -> Config:
     sections = _sections()
     return Config(**{k: sections[k](**v) if k in sections else v for k, v in tree.items()})
-
-
-def _place(where: str, text: str, name: str) -> str:
-    """``file: line 7`` where the key's line can be found in the text."""
-    section, _, key = name.rstrip(".").rpartition(".")
-    inside = not section
-    for i, line in enumerate(text.splitlines(), start=1):
-        head = re.match(r"\s*\[+\s*([^\]]+?)\s*\]", line)
-        if head:
-            inside = head[1] == section
-            if head[1] in (name, name.rstrip(".")):
-                return f"{where}: line {i}"
-        elif inside and re.match(rf'\s*"?{re.escape(key)}"?\s*[=.]', line):
-            return f"{where}: line {i}"
-    return where
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {k: _plain(v) for k, v in value.items() if v is not None}
-    return [_plain(v) for v in value] if isinstance(value, (list, tuple)) else value
-
-
-def _key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key)
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(_toml(v) for v in value)}]"
-    return json.dumps(value) if isinstance(value, str) else repr(value)

@@ -8,6 +8,7 @@ import pytest
 
 from jaxnav import config
 from jaxnav.errors import ConfigError
+from jaxnav.toml import to_toml
 
 
 def resolve(*settings, **tree):
@@ -85,7 +86,7 @@ def test_file_errors_name_file_and_line(tmp_path):
 def test_resolved_goes_through_toml_and_run_json(tmp_path):
     settings = ["filter.outages=[[1, 2]]", "params.gyro_tau_s=inf", "data.options.imu='imu1'", "start.heading=30"]
     c = resolve(*settings, "params.lever_arm_m=[0, 1, -2]", "tune.objective={nll = 1}")
-    assert config.resolve([("toml", tomllib.loads(config.to_toml(config.as_dict(c))))]) == c
+    assert config.resolve([("toml", tomllib.loads(to_toml(config.as_dict(c))))]) == c
     run = tmp_path / "run.json"
     run.write_text(json.dumps({"config": config.as_dict(c)}))
     assert config.resolve([("run", config.read(run))]) == c

@@ -12,6 +12,7 @@ from jaxnav.filters.catalogue import FILTERS
 from jaxnav.jobs import parameters, prepare, tune_report
 from jaxnav.measurements import GNSS
 from jaxnav.sensors.grades import GRADES
+from jaxnav.toml import to_toml
 from jaxnav.types import Samples
 from tuning.transforms import get, join, labels, split
 
@@ -36,7 +37,7 @@ def test_every_filter_has_its_parameters_and_tunes_them_by_default(name):
     names = labels(spec, raw)
     assert len(set(names)) == sum(np.size(value) for value in raw.values())
     moved = join(spec, {leaf: value + 0.1 for leaf, value in raw.items()}, params)
-    text = config.to_toml({"params": parameters.in_user_units(moved, list(spec)), "filter": {"name": name}})
+    text = to_toml({"params": parameters.in_user_units(moved, list(spec)), "filter": {"name": name}})
     again = params_of(config.resolve([("", tomllib.loads(text))]))
     for leaf in spec:
         np.testing.assert_allclose(get(again, leaf), get(moved, leaf), rtol=1e-14)
@@ -52,7 +53,8 @@ def test_a_table_is_shown_whole_and_a_root_without_its_zeros():
 @pytest.mark.parametrize(
     "name, rule, words",
     [("fwekf", {"system.centre": 1.0}, "'centre' is not one of"), ("ekf15", {"knee": 1.0}, "no parameter 'rule.knee'"),
-     ("ekf15_huber", {"knee": [1.0, 2.0]}, "of shape"), ("ekf15_huber", {"knee": "x"}, "params.rule.knee")],
+     ("ekf15_huber", {"knee": [1.0, 2.0]}, "of shape"), ("ekf15_huber", {"knee": "x"}, "params.rule.knee"),
+     ("ekf15_huber", {"knee": float("inf")}, "must be finite")],
 )  # fmt: skip
 def test_wrong_parameters_of_a_rule_are_named(name, rule, words):
     with pytest.raises(ConfigError, match=words):

@@ -13,6 +13,7 @@ from jaxnav.jobs import batches, objectives, parameters, tune
 from jaxnav.jobs.sources import scenario_of
 from jaxnav.measurements import GNSS, ZERO_RATE
 from jaxnav.sensors.grades import GRADES, datasheet_params
+from jaxnav.toml import to_toml
 from jaxnav.units import DEG_PER_SQRT_HOUR
 from tuning import uncertainty
 from tuning.transforms import LOG
@@ -36,7 +37,7 @@ def resolved(**changes) -> config.Config:
 
 
 def flags(**changes) -> list[str]:
-    (cli.Path("job.toml")).write_text(config.to_toml(config.merge(SETTINGS, {"tune": changes})))
+    (cli.Path("job.toml")).write_text(to_toml(config.merge(SETTINGS, {"tune": changes})))
     return ["tune", "--config", "job.toml", "--out", "t", "--json"]
 
 
@@ -113,7 +114,7 @@ def test_a_root_in_params_is_in_users_units():
     c = config.resolve([("", {"params": {"gyro_deg_per_sqrt_hour": L}})])
     params = parameters.override(datasheet_params(GRADES["adis16465"]), c.params)
     np.testing.assert_allclose(params.noise.gyro, np.array(L) * DEG_PER_SQRT_HOUR, rtol=1e-15)
-    text = config.to_toml({"params": parameters.in_user_units(params, ["noise.gyro"])})
+    text = to_toml({"params": parameters.in_user_units(params, ["noise.gyro"])})
     np.testing.assert_allclose(tomllib.loads(text)["params"]["gyro_deg_per_sqrt_hour"], L, rtol=1e-15)
     with pytest.raises(ConfigError, match="params.gyro_tau_s must be a number or a list of numbers"):
         config.resolve([("", {"params": {"gyro_tau_s": L}})])

@@ -20,6 +20,7 @@ from jaxnav import config as configuration
 from jaxnav import metrics, rotations, units
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter
+from jaxnav.jobs.parameters import groups, step_of
 from jaxnav.jobs.results import stderr
 from jaxnav.jobs.sources import TEST, TRAIN, VALIDATION, key_of, simulated
 from jaxnav.run import run
@@ -28,7 +29,7 @@ from jaxnav.simulation import matched_params, sizes
 from jaxnav.types import Epoch, Nav, Params
 from tuning.optimizers import adam
 from tuning.train import fit
-from tuning.transforms import LOG, TRANSFORMS, Spec, get, put, tied
+from tuning.transforms import LOG, Spec, put, tied
 
 REFERENCES = ("ekf9", "ekf15")  # always in: the Kalman filter without and with bias states
 CLIP = 1.0  # largest gradient norm of one run, where [tune] has none: a run of a chaotic filter must not drown the rest
@@ -91,11 +92,8 @@ def spec_of(name: str) -> Spec:
         factors += ["noise.gyro_bias", "noise.accel_bias", "prior.gyro_bias", "prior.accel_bias"]
     spec = dict.fromkeys(factors, LOG)
     spec |= dict.fromkeys(("noise.position_scale", "noise.velocity_scale"), tied(LOG, (0, 0, 1)))  # level, vertical
-    spec |= {f"rule.{leaf}": TRANSFORMS[kind] for leaf, kind in entry.tunable.items()}
-    spec |= {f"feedback.{leaf}": LOG for leaf in getattr(entry.feedback_theta(), "_fields", ())}
-    start = datasheet(name)
-    # a gain of zero, such as the derivative's of the printed GPID, has no logarithm and stays what it is
-    return {leaf: t for leaf, t in spec.items() if np.isfinite(t.inverse(get(start, leaf))).all()}
+    spec |= {leaf: step_of(leaf, name) for leaf in groups(name, ())["rule"]}
+    return spec | {f"feedback.{leaf}": LOG for leaf in getattr(entry.feedback_theta(), "_fields", ())}
 
 
 def datasheet(name: str) -> Params:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from jaxnav import config as configuration
 from jaxnav import plots, plots_stats
 from jaxnav.config import Config
 from jaxnav.io import atomic_write
@@ -17,6 +16,7 @@ from jaxnav.jobs.export import kfgins_yaml, navego_fields
 from jaxnav.jobs.parameters import UNITS, in_user_units, name_of, user_value
 from jaxnav.jobs.results import cell, table, to_json, write_json
 from jaxnav.run import track
+from jaxnav.toml import to_toml
 from jaxnav.types import Samples, Track
 from tuning.train import Fit
 from tuning.validation import PairedGain
@@ -122,7 +122,7 @@ def write(folder: Path, material: Material, found: Fit, leaves: list[str], resul
     head = f"# jaxnav tune: {material.about}\n# use: jaxnav filter --params tuned.toml\n"
     vague = [name for name, p in result.get("parameters", {}).items() if not p["identified"]]
     doubt = f"# not determined by the data, any value near it will do: {', '.join(vague)}\n" if vague else ""
-    atomic_write(folder / "tuned.toml", head + doubt + configuration.to_toml(params))
+    atomic_write(folder / "tuned.toml", head + doubt + to_toml(params))
     atomic_write(folder / "tuned_kfgins.yaml", head.splitlines()[0] + "\n" + kfgins_yaml(found.params.noise))
     atomic_write(
         folder / "tuned_navego.m", head.splitlines()[0].replace("#", "%") + "\n" + navego_fields(found.params.noise)

@@ -62,7 +62,7 @@ def agreement(sizes: Sizes) -> dict[str, dict]:
     rows, seconds = {}, sizes.lengths[0]
     given = arguments(seconds, 1)
     for n in sizes.states:
-        ours = np.asarray(executable(OURS[0], n, seconds, 1).call(*given).nav.pos)
+        ours = np.asarray(executable(OURS[0], n, seconds, 1).call(*given).lla)
         ends = {}
         for form in sizes.plain:
             out = executable(form, n, seconds, 1).call(*given)
@@ -83,7 +83,7 @@ def strides(seconds: int) -> dict[str, float]:
     """Stride 10 against stride 1, 15 states: largest distance in m, and of the gradients over their norm."""
     given = arguments(seconds, 1)
     pair = {f.label: f for f in OURS}
-    one, ten = (executable(pair[f"stride {s}"], 15, seconds, 1).call(*given).nav.pos for s in (1, 10))
+    one, ten = (executable(pair[f"stride {s}"], 15, seconds, 1).call(*given).lla for s in (1, 10))
     names = ("gyro", "accel", "gyro_bias", "accel_bias", "position_scale", "velocity_scale")
     slopes = []
     for s in (1, 10):

@@ -25,6 +25,7 @@ from benchmarks.speed_work import (
     executable,
     exponent,
     interleaved,
+    release,
     rms,
     table,
 )  # fmt: skip
@@ -77,6 +78,8 @@ def single(sizes: Sizes) -> dict[str, dict]:
             calls[f"floor, {n} states"] = own
         taken = interleaved(calls, sizes.repeats)
         rows |= table(taken, seconds * RATE, name_of(NESTED, n))
+    if sizes.full:
+        release()
     show(f"one run of {seconds} s", rows)
     return rows
 
@@ -97,6 +100,8 @@ def batch(sizes: Sizes) -> dict[str, dict]:
                 calls[f"floor, {n} states, {runs} runs"] = own
             taken = interleaved(calls, sizes.repeats if runs <= 256 else 3)
             rows |= table(taken, seconds * RATE * runs, name_of(NESTED, n, runs))
+            if sizes.full:
+                release()
             if seconds != sizes.seconds:
                 for name in taken:
                     rows[name]["note"] = f"  (on {seconds} s)"
@@ -122,6 +127,8 @@ def gradient(sizes: Sizes) -> dict[str, dict]:
             row |= {"by_forward": taken[name] / before[name], "temp_bytes_per_step": slopes[name].temp / steps}
         show(f"value and gradient, batch of {runs} on {seconds} s", new, ("by_forward", "temp_bytes_per_step"))
         rows |= new
+        if sizes.full:
+            release()
     if sizes.full and Path("/proc/self/statm").exists():
         hour = speed_child.ask("memory", "stride 10", n, sizes.lengths[-1], 8)
         name = "stride 10, 15 states, an hour of 8 runs"
@@ -221,7 +228,7 @@ def peers(sizes: Sizes) -> tuple[dict[str, dict], dict[str, dict]]:
     default = speed_peers.python_ins(params, given[1], begin, 0.1)
     if default is not None:
         found = default()  # its compiler warms up here
-        solution, truth = next(iter(ours.values()))().nav.pos, drives(seconds).truth.pos[0]
+        solution, truth = next(iter(ours.values()))().lla, drives(seconds).truth.pos[0]
         for name, lla in (("python-ins, default step", found), ("stride 1 at the same times", solution)):
             accuracy[name] = {"rms_m": rms(lla[: len(found)], truth[: len(found)])}
         begin = jax.tree.map(lambda a: a[: sizes.inertial[1]], given[2])

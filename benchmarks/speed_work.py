@@ -45,6 +45,16 @@ def forward(filt: Filter) -> Callable[[Noise, Nav, Epoch], Info]:
     return lambda noise, nav, epochs: run(filt, PARAMS()._replace(noise=noise), nav, epochs)
 
 
+def solution(filt: Filter) -> Callable[[Noise, Nav, Epoch], speed_plain.Solution]:
+    """What the plain forms give."""
+
+    def call(noise: Noise, nav: Nav, epochs: Epoch) -> speed_plain.Solution:
+        info = forward(filt)(noise, nav, epochs)
+        return speed_plain.Solution(info.nav.pos, info.nav.vel, info.nu, info.S)
+
+    return call
+
+
 def likelihood(filt: Filter) -> Callable[[Noise, Nav, Epoch], jax.Array]:
     """Innovation NLL of one run."""
     one = forward(filt)
@@ -53,7 +63,7 @@ def likelihood(filt: Filter) -> Callable[[Noise, Nav, Epoch], jax.Array]:
 
 def _ours(label: str, **options: Any) -> Form:
     make = lambda n: build(f"ekf{n}", **options)  # noqa: E731
-    return Form(label, lambda n: forward(make(n)), lambda n: likelihood(make(n)), True, "block" in options)
+    return Form(label, lambda n: solution(make(n)), lambda n: likelihood(make(n)), True, "block" in options)
 
 
 def _nested(label: str, checkpoint: bool = False, order: int = 2) -> Form:
@@ -114,6 +124,12 @@ class Executable(NamedTuple):
     call: Callable
     seconds: float  # processor time of tracing and compiling
     temp: int  # bytes of temporary memory, as the compiler says
+
+
+def release() -> None:
+    """Drop what was compiled: a process can map only so many functions, fewer than all tables need."""
+    executable.cache_clear()
+    jax.clear_caches()
 
 
 def over_runs(one: Callable, runs: int) -> Callable:

@@ -1,6 +1,5 @@
 """Run a filter over epochs: one nested scan, pure, to be jitted, vmapped and differentiated."""
 
-from functools import partial
 from typing import Any
 
 import jax
@@ -40,8 +39,13 @@ def run(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info:
         DataError: float32 input (at trace time).
     """
     require_x64(nav.pos, epochs.imu)
-    step = jax.checkpoint(partial(filt.step, params))
-    return lax.scan(step, filt.init(params, nav), epochs)[1]
+
+    @jax.checkpoint
+    def step(state, i):
+        # looked up rather than scanned over: a scan under vmap first copies all its data, time to the front
+        return filt.step(params, state, jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, keepdims=False), epochs))
+
+    return lax.scan(step, filt.init(params, nav), jnp.arange(epochs.imu.dt.shape[0]))[1]
 
 
 run_jit = jax.jit(run, static_argnums=0)

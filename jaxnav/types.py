@@ -69,11 +69,11 @@ class Nav(NamedTuple):
 
 
 class Path(NamedTuple):
-    """What a mechanization did over its samples, for the error dynamics and for measurements inside the epoch."""
+    """What a mechanization did, at b points that each stand for one sample or for the mean over several."""
 
-    nav: Nav  # (k, ...) after each sample
-    C: jax.Array  # (k, 3, 3) body -> axes of the frame, at the sample's middle
-    force: jax.Array  # (k, 3) m/s^2, mean specific force in the axes of the frame
+    nav: Nav  # (b, ...) when each has passed
+    C: jax.Array  # (b, 3, 3) body -> axes of the frame, at its middle
+    force: jax.Array  # (b, 3) m/s^2, mean specific force in the axes of the frame
 
 
 class Drive(NamedTuple):

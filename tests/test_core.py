@@ -14,11 +14,12 @@ from jaxnav.epochs import pack
 from jaxnav.error_models.local_level import error_model
 from jaxnav.errors import DataError
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.core import REST, Correction, Innovation, Rule, make_filter, shift, thin
+from jaxnav.filters.core import REST, Correction, Innovation, Rule, make_filter, shift
 from jaxnav.filters.feedback import Poles, observer, open_loop, reset
 from jaxnav.filters.gpid import literal_params
 from jaxnav.filters.kalman import correct as kalman_correct
 from jaxnav.mechanizations import local_level
+from jaxnav.mechanizations.increments import thin
 from jaxnav.run import first_failure, run, run_jit
 from jaxnav.sensors.grades import datasheet_params
 from jaxnav.types import Epoch, Imu
@@ -147,17 +148,20 @@ def test_covariance_stride_costs_millimetres(case, info):
 
 def test_thin_weighs_by_time_and_padding_not_at_all():
     dt = jnp.array([0.1, 0.3, 0.2, 0.0, 0.0, 0.0])
-    value, T = thin(jnp.array([1.0, 5.0, 2.0, 99.0, 3.0, 3.0])[:, None], dt, 2)
-    np.testing.assert_allclose(T, [0.4, 0.2, 0.0])
+    value = thin(jnp.array([1.0, 5.0, 2.0, 99.0, 3.0, 3.0])[:, None], dt, 2)
     np.testing.assert_allclose(value[:, 0], [4.0, 2.0, 3.0])  # a block of padding keeps its own value, finite
 
 
 def test_shift_keeps_the_last_real_samples(case):
     at = lambda t: jax.tree.map(lambda a: jnp.broadcast_to(a, (len(t), *a.shape)), case.nav)._replace(t=jnp.array(t))  # noqa: E731, E501
-    past, path = at([1.0, 2.0, 3.0, 4.0]), at([5.0, 6.0, 6.0, 6.0])
-    np.testing.assert_array_equal(shift(past, path, jnp.array([1.0, 1.0, 0.0, 0.0])).t, [3.0, 4.0, 5.0, 6.0])
-    np.testing.assert_array_equal(shift(past, path, jnp.zeros(4)).t, past.t)
-    np.testing.assert_array_equal(shift(past, path, jnp.ones(4)).t, path.t)
+    past = at([1.0, 2.0, 3.0, 4.0])
+    # after n samples at 5, 6, 7, 8, ... s the last four of them; where there are fewer, the first one stands in
+    for n, recent, expected in (
+        (0, [5.0, 5.0, 5.0, 5.0], [1.0, 2.0, 3.0, 4.0]),
+        (2, [5.0, 5.0, 5.0, 6.0], [3.0, 4.0, 5.0, 6.0]),
+        (6, [7.0, 8.0, 9.0, 10.0], [7.0, 8.0, 9.0, 10.0]),
+    ):
+        np.testing.assert_array_equal(shift(past, at(recent), jnp.array(n)).t, expected)
 
 
 # ------------------------------------------------------------------------------------------------ feedback

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from jaxnav import earth, rotations
 from jaxnav.filters.core import REST
 from jaxnav.mechanizations import local_level
-from jaxnav.mechanizations.increments import increments
+from jaxnav.mechanizations.increments import increments, thin
 from jaxnav.run import initial_nav, track
 from jaxnav.types import Drive, Imu
 from jaxnav.units import DEG
@@ -192,16 +192,26 @@ def test_path_is_the_time_series_of_the_state(case):
     np.testing.assert_allclose(path.force[0], expected, atol=2e-3)
 
 
-@pytest.mark.parametrize("lat, speed", [(0.6, 25.0), (np.deg2rad(85.0), 300.0)], ids=["car", "arctic_aircraft"])
-def test_blocks_and_sweeps_change_nothing(lat, speed):
-    """Samples one by one, with the Earth looked up for each, against a series over 100 of them and against sweeps."""
+def lively(n, dt, lat, speed):
+    """Start and IMU samples of a body that turns and shakes."""
     rng = np.random.default_rng(5)
-    n, dt = 250, 0.02
     t = np.arange(n)[:, None] * dt
     gyro = 0.3 * np.sin(3 * t + rng.uniform(0, 6, 3)) + 0.02 * rng.normal(size=(n, 3))
     accel = np.array([0, 0, -9.8]) + 5 * np.sin(2 * t + rng.uniform(0, 6, 3)) + rng.normal(size=(n, 3))
-    imu = Imu(jnp.full(n, dt), jnp.asarray(gyro), jnp.asarray(accel))
     nav = initial_nav([lat, 0.4, 5000.0], [0.6 * speed, 0.8 * speed, 3.0], [0.1, 0.2, 0.3])
+    return nav, Imu(jnp.full(n, dt), jnp.asarray(gyro), jnp.asarray(accel))
+
+
+ANYWHERE = pytest.mark.parametrize(
+    "lat, speed", [(0.6, 25.0), (np.deg2rad(85.0), 300.0)], ids=["car", "arctic_aircraft"]
+)
+
+
+@ANYWHERE
+def test_blocks_and_sweeps_change_nothing(lat, speed):
+    """Samples one by one, with the Earth looked up for each, against a series over 100 of them and against sweeps."""
+    n = 250
+    nav, imu = lively(n, 0.02, lat, speed)
 
     one = lambda nav, sample: (local_level.propagate(nav, REST, jax.tree.map(lambda a: a[None], sample))[0], None)  # noqa: E731
     exact = jax.jit(lambda nav: lax.scan(one, nav, imu)[0])(nav)
@@ -211,3 +221,37 @@ def test_blocks_and_sweeps_change_nothing(lat, speed):
         assert np.abs(earth.enu_difference(end.pos, exact.pos)).max() < 1e-6
         assert np.abs(end.vel - exact.vel).max() < 1e-9 and np.abs(angle).max() < 1e-11
         assert path.nav.pos.shape == (n, 3) and path.C.shape == (n, 3, 3)
+
+
+@ANYWHERE
+@pytest.mark.parametrize(
+    "form, n", [(local_level.propagate, 60), (local_level.propagate, 240), (local_level.propagate_block, 60)]
+)
+def test_intervals_of_samples_are_the_samples(form, n, lat, speed):
+    """Intervals of 10, the last one half full: states inside them, and the means."""
+    nav, imu = lively(n, 0.01, lat, speed)
+    imu = imu._replace(dt=imu.dt.at[n - 5 :].set(0.0))
+    u = Drive(np.array([1e-3, -2e-3, 1e-3]), np.array([0.01, 0.02, -0.01]))
+    keep = jnp.array([0, 9, 10, 33, n - 7, n - 6])
+    exact, path = propagate(nav, u, imu)
+    exact = jax.tree.map(lambda a: a[keep], path.nav)
+    some, coarse = jax.jit(form, static_argnums=3)(nav, u, imu, 10, keep)
+    position = np.abs(jax.vmap(earth.enu_difference)(some.pos, exact.pos)).max()
+    turn = jax.vmap(lambda a, b: rotations.log(rotations.multiply(a, rotations.conjugate(b))))(some.q, exact.q)
+    # transport and Coriolis see the mean velocity of 0.1 s: of second order in how fast ENU turns and velocity changes
+    bound = 1e-6 if speed < 100 else 1e-4
+    assert position < bound and np.abs(some.vel - exact.vel).max() < bound and np.abs(turn).max() < 1e-9
+    for leaf in ("t", "omega", "force"):
+        np.testing.assert_allclose(getattr(some, leaf), getattr(exact, leaf), rtol=1e-14)
+    means = thin(path, imu.dt, 10)
+    np.testing.assert_allclose(coarse.C, means.C, rtol=0, atol=2e-4)
+    np.testing.assert_allclose(coarse.force, means.force, rtol=0, atol=5e-3)
+
+
+def test_an_interval_of_padding_is_finite_and_at_rest():
+    nav, imu = lively(40, 0.01, 0.6, 25.0)
+    imu = imu._replace(dt=imu.dt.at[20:].set(0.0))
+    end, path = jax.jit(local_level.propagate, static_argnums=3)(nav, REST, imu, 10, jnp.array([19, 39]))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((end, path)))
+    still = end._replace(omega=end.t, force=end.t)  # but for the readings, which padding has too
+    jax.tree.map(lambda a: np.testing.assert_allclose(a[0], a[1], rtol=1e-15), still)

@@ -249,10 +249,11 @@ def test_a_filter_gives_the_same_solution_in_both_frames(case):
     )
     apart = jax.vmap(earth.enu_difference)(a.nav.pos, b.nav.pos)
     np.testing.assert_allclose(apart, 0, atol=2e-5)
-    np.testing.assert_allclose(a.nav.vel, b.nav.vel, rtol=0, atol=1e-5)
-    np.testing.assert_allclose(a.nav.q, b.nav.q, rtol=0, atol=1e-6)
+    # one in intervals of half a second, the other in samples
+    np.testing.assert_allclose(a.nav.vel, b.nav.vel, rtol=0, atol=5e-5)
+    np.testing.assert_allclose(a.nav.q, b.nav.q, rtol=0, atol=5e-6)
     sd = np.sqrt(np.einsum("eii->ei", a.P))
-    np.testing.assert_allclose((a.P - b.P) / (sd[:, :, None] * sd[:, None]), 0, atol=1e-4)
+    np.testing.assert_allclose((a.P - b.P) / (sd[:, :, None] * sd[:, None]), 0, atol=1e-3)
     np.testing.assert_allclose(a.nis, b.nis, rtol=1e-4)
 
 

@@ -87,12 +87,10 @@ def discretize(
     slow, d_slow = _slow({k: v for k, v in bare.items() if k not in FAST}, noise, point, 0.5 * total, n)
     Phi, d = _nilpotent(maps, points.C, points.force, T, u, n)
     W = _white(maps, points.C, points.force, T, noise, lumped)
-    Q = jnp.zeros((n, n)).at[:9, :9].set(W @ W.T)
+    W = slow[:, :9] @ W
     if n > 9:
-        K = _bias_noise(Phi, noise, total)
-        Q = Q + K @ K.T
-    Q = slow @ Q @ slow.T
-    return slow @ Phi @ slow, 0.5 * (Q + Q.T), slow @ (Phi @ d_slow + d) + d_slow
+        W = jnp.concatenate([W, slow @ _bias_noise(Phi, noise, total)], 1)
+    return slow @ Phi @ slow, W @ W.T, slow @ (Phi @ d_slow + d) + d_slow
 
 
 def _shares(T: jax.Array) -> jax.Array:

@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
-from jaxnav.types import Drive, Epoch, Fix, Imu, Info, Nav, Params, Path
+from jaxnav.types import Drive, Epoch, Fix, Imu, Info, Nav, Params
 
 REST = Drive(np.zeros(3), np.zeros(3))  # numpy: nothing of jax is created at import
 
@@ -99,8 +98,8 @@ def idle(z: Innovation, memory: Any) -> Correction:
 
 
 def select(flag: jax.Array, a: Any, b: Any) -> Any:
-    """``a`` where the scalar flag is true, else ``b``, leaf by leaf."""
-    return jax.tree.map(partial(jnp.where, flag), a, b)
+    """``a`` where the flag is true, else ``b``, leaf by leaf; the flag's axes, if any, are the first of each leaf."""
+    return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(flag, range(flag.ndim, jnp.ndim(a))), a, b), a, b)
 
 
 def masked(y: jax.Array, H: jax.Array, R: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -109,26 +108,11 @@ def masked(y: jax.Array, H: jax.Array, R: jax.Array, valid: jax.Array) -> tuple[
     return jnp.where(valid, y, 0.0), jnp.where(valid[:, None], H, 0.0), jnp.where(both, R, jnp.eye(valid.shape[0]))
 
 
-def thin(path: Path, dt: jax.Array, stride: int) -> tuple[Path, jax.Array]:
-    """Time-weighted means of the path over blocks of ``stride`` samples, and the blocks' lengths.
-
-    Padding weighs nothing. The inputs of the error dynamics are averaged, and the dynamics built once per block.
-    """
-    if dt.size % stride:
-        raise ValueError(f"cov_stride must divide the samples of an epoch, got {stride} and {dt.size}")
-    dt = dt.reshape(-1, stride)
-    T = dt.sum(1)
-    some = T[:, None] > 0
-    w = jnp.where(some, dt / jnp.where(some, T[:, None], 1.0), 1.0 / stride)
-    return jax.tree.map(lambda a: jnp.einsum("bs,bs...->b...", w, a.reshape(w.shape + a.shape[1:])), path), T
-
-
-def shift(past: Nav, path: Nav, dt: jax.Array) -> Nav:
-    """The last w real samples of ``past`` (w, ...) followed by ``path`` (k, ...), whose padding is at its end."""
-    n = jnp.sum(dt > 0)
-    w = past.t.shape[0]
-    both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), past, path)
-    return jax.tree.map(lambda a: lax.dynamic_slice_in_dim(a, n, w), both)
+def shift(past: Nav, recent: Nav, n: jax.Array) -> Nav:
+    """The last w of the samples ``past`` (w, ...) and n further ones, of which ``recent`` (w, ...) are the last w."""
+    i = n + jnp.arange(past.t.size)
+    old = jax.tree.map(lambda a: a[jnp.minimum(i, past.t.size - 1)], past)
+    return select(i < past.t.size, old, recent)
 
 
 @cache
@@ -137,10 +121,14 @@ def make_filter(
 ) -> Filter:
     """Compose a filter.
 
-    ``cov_stride``: the error dynamics see means over so many IMU samples (navigation moves at every sample); 10 instead
-    of 1 costs less than a millimetre at 100 Hz. ``history``: how many samples of navigation are kept for measurements
-    that are older than the end of the epoch; cover the largest latency, beyond it the oldest two are extended in a
-    straight line.
+    ``propagate``: (nav, u, imu, stride, keep) -> states after the samples ``keep``, path; see `mechanizations`.
+    ``cov_stride``: the error dynamics see means over so many IMU samples. From 2 to 10 local level navigation, too,
+    adds gravity and Coriolis after so many of them only, while it turns and pushes at each. 10 instead of 1 costs less
+    than a millimetre at 100 Hz. ``history``: how many samples of navigation are kept for measurements that are older
+    than the end of the epoch; cover the largest latency, beyond it the oldest two are extended in a straight line.
+
+    Raises:
+        ValueError: ``history`` below 2; when traced, ``cov_stride`` that does not divide the samples of an epoch.
     """
     if history < 2:
         raise ValueError(f"history must be at least 2 samples, got {history}")
@@ -155,11 +143,13 @@ def make_filter(
 
     def predict(params: Params, state: FilterState, imu: Imu) -> FilterState:
         nav = jax.tree.map(lambda a: a[-1], state.past)
-        nav, path = propagate(nav, state.u, imu)
-        points, T = thin(path, imu.dt, cov_stride)
+        n = jnp.sum(imu.dt > 0)
+        keep = jnp.maximum(n - history + jnp.arange(history), 0)
+        recent, points = propagate(nav, state.u, imu, cov_stride, keep)
+        T = imu.dt.reshape(-1, cov_stride).sum(1)
         Phi, Q, d = model.discretize(params.noise, points, T, state.u)
         x, P = Phi @ state.x + d, Phi @ state.P @ Phi.T + Q
-        return state._replace(past=shift(state.past, path.nav, imu.dt), x=x, P=P, T=state.T + imu.dt.sum())
+        return state._replace(past=shift(state.past, recent, n), x=x, P=P, T=state.T + imu.dt.sum())
 
     def correct(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info]:
         nav, age = jax.tree.map(lambda a: a[-1], state.past), state.age + state.T

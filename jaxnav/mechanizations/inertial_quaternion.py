@@ -54,11 +54,12 @@ def leave(nav: Nav) -> Nav:
     return tangent_frame.leave(nav._replace(pos=nav.pos @ AXES, vel=nav.vel @ AXES, q=q))
 
 
-def propagate(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
+def propagate(nav: Nav, u: Drive, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
     """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, zero without one.
 
-    A sample of dt = 0 changes nothing. Second order in the sample time; the rotation is exact but for coning. The
-    path's ``C`` and ``force`` are in I.
+    Returns the last state, or those after the samples ``keep`` (w,), and the path at every ``stride`` samples. A sample
+    of dt = 0 changes nothing. Second order in the sample time; the rotation is exact but for coning. The path's ``C``
+    and ``force`` are in I.
     """
     inc = increments(nav, imu)
     spin, push = jnp.asarray(u.omega), jnp.asarray(u.accel)
@@ -86,4 +87,4 @@ def propagate(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
     _, (q, vel, pos) = lax.scan(
         sample, (nav.q, nav.vel, nav.pos), (inc.dt, jnp.stack(inc.theta, -1), jnp.stack(inc.dv, -1), A)
     )
-    return trace(nav, inc, split(pos), split(vel), split(q))
+    return trace(nav, inc, split(pos), split(vel), split(q), stride, keep)

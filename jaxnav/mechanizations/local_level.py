@@ -6,11 +6,13 @@
 
 Second order in the sample time. Not for the poles, where longitude and the transport rate are singular.
 
-Only the body's rotation is truly sequential. With it, each sample's thrust is known in ENU as it stood at the first
-sample; what is left turns with the Earth and the way travelled, 1e-4 rad/s, and is integrated one sample after the
-other (`propagate`) or for all samples at once in a few sweeps (`propagate_block`), to the same result. The Earth is a
-series of second order about the first sample of a block, so that no transcendental is in the loop: while a block lasts
-ten seconds, that is wrong by less than 1e-9 rad/s up to latitude 85 degrees and 300 m/s.
+Only the body's rotation is truly sequential. With it, each interval's thrust is known in ENU as it stood at the first
+sample; what is left turns with the Earth and the way travelled, 1e-4 rad/s, and is integrated one interval after the
+other (`propagate`) or for all at once in a few sweeps (`propagate_block`), to the same result. An interval is one
+sample, or up to `INTERVAL` where the error dynamics see means over so many: then the fast half, `body`, still takes
+every sample, and only gravity, Coriolis and the way are added more slowly. The Earth is a series of second order about
+the first sample of a block, so that no transcendental is in the loop: while a block lasts ten seconds, that is wrong by
+less than 1e-9 rad/s up to latitude 85 degrees and 300 m/s.
 """
 
 from collections.abc import Callable
@@ -22,6 +24,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxnav import earth
+from jaxnav.mechanizations.body import Body, Readings, finish, one, over, readings, sums
 from jaxnav.mechanizations.components import (
     Vector,
     add,
@@ -33,10 +36,13 @@ from jaxnav.mechanizations.components import (
     rotate,
     scale,
     small,
+    split,
+    to_dcm,
 )  # fmt: skip
-from jaxnav.mechanizations.increments import increments, trace
+from jaxnav.mechanizations.increments import after, divides, thin
 from jaxnav.types import Drive, Imu, Nav, Path
 
+INTERVAL = 10  # samples, at most: a tenth of a second at 100 Hz
 BLOCK = 100  # samples at once; the Earth is looked up and ENU's turn is summed up anew for each block
 SWEEPS = 4  # of `propagate_block`; each takes the error down by how far ENU turns in an epoch, 1e-4 a second
 
@@ -49,6 +55,14 @@ class Level(NamedTuple):
     east: Any  # rad, longitude
     h: Any  # m
     turn: Vector  # rad, rotation of ENU
+
+
+class Thrust(NamedTuple):
+    """What the specific force does in an interval, in ENU of the block's first sample."""
+
+    t: Any  # s
+    dv: Vector  # m/s
+    gained: Vector  # m/s, mean over t of what had been added to the velocity by then; () is half of dv
 
 
 def surface(lat: jax.Array) -> tuple[jax.Array, ...]:
@@ -64,103 +78,170 @@ def series(f: Callable, x: jax.Array) -> list[tuple]:
     return [f(x), slope(x), scale(0.5, jax.jvp(slope, (x,), (jnp.ones_like(x),))[1])]
 
 
-def increment(ground: list[tuple], push: Vector, x: Level, sample: tuple[Any, Vector]) -> Level:
-    """The change over one sample (dt s, thrust m/s in ENU of the first one); ``ground``: `series` of `surface`."""
-    dt, thrust = sample
+def increment(ground: list[tuple], u: tuple[Vector, Vector], samples: int, x: Level, thrust: Thrust) -> Level:
+    """The change over an interval of some samples, its thrust in ENU of the block's first one.
+
+    ``ground``: `series` of `surface`; ``u``: feedback of an observer.
+    """
+    (spin, push), (t, dv, gained) = u, thrust
     # the Earth's shape, rate and gravity half-way, in first order; a mean radius is near enough for that
-    off, h = x.north + 0.5 * dt * x.vel[1] / earth.A, x.h + 0.5 * dt * x.vel[2]
+    off, h = x.north + 0.5 * t * x.vel[1] / earth.A, x.h + 0.5 * t * x.vel[2]
     meridian, prime, g, ie_north, ie_up, tan, sec = (a + off * (b + off * c) for a, b, c in zip(*ground, strict=True))
-    north_curve, east_curve = 1 / (meridian + h), 1 / (prime + h)
-    g = g * (1 - 2 / earth.A * h)
-    ie = (0.0, ie_north, ie_up)
+    north_curve, east_curve = t / (meridian + h), t / (prime + h)
+    pull = scale(t, add(push, (0.0, 0.0, -g * (1 - 2 / earth.A * h))))
+    ie = (0.0, t * ie_north, t * ie_up)
 
     def transport(v):
-        return -v[1] * north_curve, v[0] * east_curve, v[0] * east_curve * tan
+        east = v[0] * east_curve
+        return -v[1] * north_curve, east, east * tan
 
-    def fall(w_en, v):
-        return scale(-dt, add(cross(add(ie, ie, w_en), v), (0.0, 0.0, g)))
+    def fall(en, v):
+        return add(pull, cross(v, add(ie, ie, en)))
 
-    start = transport(x.vel)
-    lag = add(x.turn, scale(0.5 * dt, add(ie, start)))  # ENU turns under the thrust
-    late = cross(lag, thrust)
-    thrust = add(thrust, scale(-1.0, late), scale(0.5, cross(lag, late)))
-    mid = add(x.vel, scale(0.5, add(thrust, fall(start, x.vel))))  # velocity half-way
-    w_en = transport(mid)
-    dv = add(thrust, fall(w_en, mid), scale(dt, push))
-    mean = add(x.vel, scale(0.5, dv))
-    turn = scale(dt, add(ie, w_en))
+    def seen(v):  # in ENU as it has turned until the interval's start
+        late = cross(v, x.turn)
+        return add(v, late, scale(0.5, cross(late, x.turn)))
+
+    dv = seen(dv)
+    gained = seen(gained) if gained else scale(0.5, dv)
+    # of what grows in the interval the mean: half of it for one sample, of many the exact integral's shares
+    s = (1 - 1 / samples**2) / 6
+    en = transport(x.vel)
+    late = cross(add(dv, scale(-1.0, gained)), add(ie, en, scale(-t, spin)))  # ENU also turns inside the interval
+    first = fall(en, x.vel)
+    v = add(x.vel, gained, scale(0.5 - s, late), scale(0.5, first))  # mean velocity
+    en = transport(v)
+    fallen = fall(en, v)
+    mean = add(x.vel, gained, scale(0.5 - s, late), scale(s, first), scale(0.5 - s, fallen))
+    turn = add(ie, en)
     turn = add(turn, scale(0.5, cross(x.turn, turn)))  # two rotations in a row are not quite their sum
-    return Level(dv, mean[1] * dt * north_curve, mean[0] * dt * east_curve * sec, mean[2] * dt, turn)
+    return Level(add(dv, late, fallen), mean[1] * north_curve, mean[0] * east_curve * sec, t * mean[2], turn)
 
 
-def by_scan(change: Callable, start: Level, samples: tuple[jax.Array, Vector]) -> Level:
-    """After each sample, one after the other."""
+def by_scan(change: Callable, start: Level, thrust: Thrust) -> Level:
+    """After each interval, one after the other."""
 
-    def step(x, sample):
-        x = jax.tree.map(jnp.add, x, change(x, sample))
+    def step(x, thrust):
+        x = jax.tree.map(jnp.add, x, change(x, thrust))
         return x, x
 
-    return lax.scan(step, start, samples)[1]
+    return lax.scan(step, start, thrust)[1]
 
 
-def by_sweeps(change: Callable, start: Level, samples: tuple[jax.Array, Vector]) -> Level:
-    """After each sample, all at once: the fixed point of "add up what the path of the last sweep changes"."""
+def by_sweeps(change: Callable, start: Level, thrust: Thrust) -> Level:
+    """After each interval, all at once: the fixed point of "add up what the path of the last sweep changes"."""
     leaves, tree = jax.tree.flatten(start)
     first = jnp.stack(leaves)
-    ends = jnp.broadcast_to(first, (samples[0].size, first.size))
+    ends = jnp.broadcast_to(first, (thrust.t.size, first.size))
 
     def add_up(a, b):  # in a scan: the cheapest form of a cumulative sum on a processor
         return a + b, a + b
 
     def sweep(ends, _):
         starts = jnp.concatenate([first[None], ends[:-1]])
-        changes = jax.tree.leaves(change(jax.tree.unflatten(tree, starts.T), samples))
+        changes = jax.tree.leaves(change(jax.tree.unflatten(tree, starts.T), thrust))
         return lax.scan(add_up, first, jnp.stack(changes, -1))[1], None
 
     ends, _ = lax.scan(sweep, ends, length=SWEEPS)
     return jax.tree.unflatten(tree, ends.T)
 
 
-def _block(integrate: Callable, nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
-    inc = increments(nav, imu)
+def _block(integrate: Callable, nav: Nav, u: Drive, imu: Imu, m: int, keep: jax.Array | None) -> tuple[Nav, Path]:
+    x, last = readings(nav, imu, m)
+    ends_x = jax.tree.map(lambda a: a[-1], x)
+    if m == 1:
+        whole = one(ends_x, last)
+    else:
+        body = sums(x, last)
+        whole = finish(jax.tree.map(lambda a: a[-1], body), ends_x.dt)
 
-    def turn(q, dq):
-        q = multiply(q, dq)
-        return q, q
+    def turn(q, interval):
+        spun, dq, mean = interval
+        after = multiply(q, dq)
+        return after, (after, multiply(spun, multiply(q, mean)) if mean else ())
 
-    spin = exp(tuple(jnp.asarray(u.omega)[:, None] * jnp.cumsum(inc.dt)))  # about axes of the first sample
-    q = multiply(spin, lax.scan(turn, tuple(nav.q), exp(inc.theta))[1])
-    thrust = rotate(tuple(before(a, b) for a, b in zip(nav.q, q, strict=True)), inc.dv)
+    spin, push = tuple(jnp.asarray(u.omega)), tuple(jnp.asarray(u.accel))
+    t = jnp.cumsum(whole.t)
+    spun = exp(scale(t - whole.t, spin))  # about axes of the block's first sample
+    q_ends, q_means = lax.scan(turn, tuple(nav.q), (spun, whole.q, whole.mean))[1]
+    q_starts = multiply(spun, tuple(before(a, b) for a, b in zip(nav.q, q_ends, strict=True)))
     lat, lon, h = nav.pos
     zero = jnp.zeros_like(lat)
     # about a latitude that is taken as a constant: the derivative by it comes from the series' own variable
     centre = lax.stop_gradient(lat)
-    change = partial(increment, series(surface, centre), tuple(jnp.asarray(u.accel)))
-    ends = integrate(change, Level(tuple(nav.vel), lat - centre, zero, h, (zero, zero, zero)), (inc.dt, thrust))
-    q = normalize(multiply(small(scale(-1.0, ends.turn)), q))
-    return trace(nav, inc, (centre + ends.north, lon + ends.east, ends.h), ends.vel, q)
+    change = partial(increment, series(surface, centre), (spin, push), m)
+    start = Level(tuple(nav.vel), lat - centre, zero, h, (zero, zero, zero))
+
+    def thrust(q, body: Body) -> Thrust:
+        return Thrust(body.t, rotate(q, body.dv), rotate(q, over(body.t, body.way)) if body.way else ())
+
+    def state(level: Level, q, t, x: Readings) -> Nav:
+        q = normalize(multiply(small(scale(-1.0, level.turn)), q))
+        return after(nav, nav.t + t, (centre + level.north, lon + level.east, level.h), level.vel, q, x.omega, x.force)
+
+    thrusts = thrust(q_starts, whole)
+    ends = integrate(change, start, thrusts)
+    points = state(ends, multiply(exp(scale(t, spin)), q_ends), t, ends_x)
+    if m == 1:
+        q = tuple(before(a, b) for a, b in zip(nav.q, split(points.q), strict=True))
+        C = 0.5 * (to_dcm(q) + to_dcm(split(points.q)))
+        force = jnp.stack([sum(C[:, i, j] * ends_x.force[j] for j in range(3)) for i in range(3)], -1)
+        return jax.tree.map(lambda a: a[-1 if keep is None else keep], points), Path(points, C, force)
+    starts = jax.tree.map(before, start, ends)
+    middle = small(scale(-0.5, add(starts.turn, ends.turn)))
+    C = to_dcm(multiply(middle, normalize(q_means)))
+    path = Path(points, C, jnp.stack(rotate(middle, over(whole.t, thrusts.dv)), -1))
+    if keep is None:
+        return jax.tree.map(lambda a: a[-1], points), path
+    # what an interval does to its start, its first samples alone do as well
+    row, i = keep % m, keep // m
+    body, x = jax.tree.map(lambda a: a[row, i], (body, x))
+    body = finish(body, x.dt)
+    level, q, begin = jax.tree.map(lambda a: a[i], (starts, q_starts, t - whole.t))
+    # in a loop, where the compiler works out every number once: fused into its users each would be made many times
+    level = lax.map(lambda x: jax.tree.map(jnp.add, x[0], change(*x)), (level, thrust(q, body)))
+    q = multiply(small(scale(body.t, spin)), multiply(q, body.q))
+    return state(level, q, begin + body.t, x), path
 
 
-def _blocks(integrate: Callable, nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
-    """Block after block, the last one filled up with padding."""
+def _blocks(
+    integrate: Callable, most: int, nav: Nav, u: Drive, imu: Imu, stride: int, keep: jax.Array | None
+) -> tuple[Nav, Path]:
+    """Block after block, the last one filled up with padding, in intervals of at ``most`` so many samples."""
     k = imu.dt.shape[0]
-    if k <= BLOCK:
-        return _block(integrate, nav, u, imu)
-    fill = lambda a: jnp.pad(a, ((0, -k % BLOCK), *[(0, 0)] * (a.ndim - 1))).reshape(-1, BLOCK, *a.shape[1:])  # noqa: E731
-    _, path = lax.scan(lambda nav, imu: _block(integrate, nav, u, imu), nav, jax.tree.map(fill, imu))
-    path = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:k], path)
-    return jax.tree.map(lambda a: a[-1], path.nav), path
+    divides(stride, k)
+    m = stride if stride <= most else 1
+    size = m * (BLOCK // m)
+    if k <= size:
+        out, path = _block(integrate, nav, u, imu, m, keep)
+    else:
+        fill = lambda a: jnp.pad(a, ((0, -k % size), *[(0, 0)] * (a.ndim - 1))).reshape(-1, size, *a.shape[1:])  # noqa: E731
+        flat = lambda a: a.reshape(-1, *a.shape[2:])  # noqa: E731
+        every = None if keep is None else jnp.arange(size)
+
+        def block(nav, imu):
+            out, path = _block(integrate, nav, u, imu, m, every)
+            return jax.tree.map(lambda a: a[-1], path.nav), (out, path)
+
+        states, path = lax.scan(block, nav, jax.tree.map(fill, imu))[1]
+        path = jax.tree.map(lambda a: flat(a)[: k // m], path)
+        out = jax.tree.map(lambda a: a[-1], path.nav) if keep is None else jax.tree.map(lambda a: flat(a)[keep], states)
+    return out, thin(path, imu.dt.reshape(-1, m).sum(1), stride // m)
 
 
-def propagate(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
+def propagate(nav: Nav, u: Drive, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
     """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, zero without one.
 
-    ``pos`` is (lat rad, lon rad, h m), ``vel`` is ENU m/s, ``q`` takes body FRD to ENU. A sample of dt = 0 changes
-    nothing.
+    Returns the last state, or those after the samples ``keep`` (w,), and the path at every ``stride`` samples: where it
+    ends, and its means for the error dynamics. ``pos`` is (lat rad, lon rad, h m), ``vel`` is ENU m/s, ``q`` takes body
+    FRD to ENU. A sample of dt = 0 changes nothing.
+
+    Raises:
+        ValueError: ``stride`` does not divide k.
     """
-    return _blocks(by_scan, nav, u, imu)
+    return _blocks(by_scan, INTERVAL, nav, u, imu, stride, keep)
 
 
-def propagate_block(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
-    """`propagate` for all samples at once, to rounding; faster for one run and on accelerators, slower in a batch."""
-    return _blocks(by_sweeps, nav, u, imu)
+def propagate_block(nav: Nav, u: Drive, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
+    """`propagate` for all samples at once; faster for one run and on accelerators, slower in a batch."""
+    return _blocks(by_sweeps, 1, nav, u, imu, stride, keep)

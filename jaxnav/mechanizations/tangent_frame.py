@@ -78,10 +78,11 @@ def leave(nav: Nav) -> Nav:
     return nav._replace(pos=lla, vel=turn @ nav.vel, q=q)
 
 
-def propagate(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
+def propagate(nav: Nav, u: Drive, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
     """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, zero without one.
 
-    A sample of dt = 0 changes nothing. Second order in the sample time.
+    Returns the last state, or those after the samples ``keep`` (w,), and the path at every ``stride`` samples. A sample
+    of dt = 0 changes nothing. Second order in the sample time.
     """
     inc = increments(nav, imu)
     spin, push = jnp.asarray(u.omega), jnp.asarray(u.accel)
@@ -107,4 +108,4 @@ def propagate(nav: Nav, u: Drive, imu: Imu) -> tuple[Nav, Path]:
     _, (q, vel, pos) = lax.scan(
         sample, (nav.q, nav.vel, nav.pos), (inc.dt, jnp.stack(inc.theta, -1), jnp.stack(inc.dv, -1))
     )
-    return trace(nav, inc, split(pos), split(vel), split(q))
+    return trace(nav, inc, split(pos), split(vel), split(q), stride, keep)

@@ -1,5 +1,7 @@
 """Strapdown navigation against python-ins' exact increments and its own bars, and against closed forms."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxnav import earth, rotations
 from jaxnav.filters.core import REST
-from jaxnav.mechanizations import local_level
+from jaxnav.mechanizations import components, local_level
 from jaxnav.mechanizations.increments import increments, thin
 from jaxnav.run import initial_nav, track
 from jaxnav.types import Drive, Imu
@@ -255,3 +257,23 @@ def test_an_interval_of_padding_is_finite_and_at_rest():
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((end, path)))
     still = end._replace(omega=end.t, force=end.t)  # but for the readings, which padding has too
     jax.tree.map(lambda a: np.testing.assert_allclose(a[0], a[1], rtol=1e-15), still)
+
+
+def test_products_of_rotations_have_the_derivative_of_the_loop():
+    """In closed form against step by step, both ways; a change of length included."""
+    rng = np.random.default_rng(3)
+    unit = lambda *shape: tuple((q := rng.normal(size=(4, *shape))) / np.linalg.norm(q, axis=0))  # noqa: E731
+    given = unit(), unit(7)
+    d_given = jax.tree.map(lambda a: rng.normal(size=np.shape(a)), given)
+    weights = tuple(rng.normal(size=(4, 7)))
+
+    def loop(first, steps):
+        q, out = first, []
+        for i in range(7):
+            q = components.multiply(q, tuple(a[i] for a in steps))
+            out.append(q)
+        return tuple(jnp.stack(c) for c in zip(*out, strict=True))
+
+    close = partial(jax.tree.map, partial(np.testing.assert_allclose, rtol=0, atol=1e-13))
+    close(jax.jvp(components.products, given, d_given), jax.jvp(loop, given, d_given))
+    close(jax.vjp(components.products, *given)[1](weights), jax.vjp(loop, *given)[1](weights))

@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 Vector = tuple[Any, ...]  # of three
 Quaternion = tuple[Any, ...]  # of four
@@ -41,6 +42,36 @@ def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
         a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g,
         a * g - b * h + c * e + d * f, a * h + b * g - c * f + d * e,
     )  # fmt: skip
+
+
+@jax.custom_jvp
+def products(first: Quaternion, steps: Quaternion) -> Quaternion:
+    """After each of the rotations ``steps``, components (k,), from ``first`` on; all of unit length.
+
+    A scan, but its derivative is a sum: d q_k = (d first first* + sum_j q_(j-1) d step_j q_j*) q_k over j <= k, so that
+    a gradient walks back through no loop.
+    """
+
+    def turn(q, step):
+        q = multiply(q, step)
+        return q, q
+
+    return lax.scan(turn, first, steps)[1]
+
+
+@products.defjvp
+def _products_jvp(primals: tuple, tangents: tuple) -> tuple[Quaternion, Quaternion]:
+    (first, steps), (d_first, d_steps) = primals, tangents
+    q = products(first, steps)
+    start = tuple(before(a, b) for a, b in zip(first, q, strict=True))
+    turned = multiply(multiply(start, d_steps), conjugate(q))
+    begun = multiply(d_first, conjugate(first))
+    return q, multiply(tuple(a + jnp.cumsum(b) for a, b in zip(begun, turned, strict=True)), q)
+
+
+def conjugate(q: Quaternion) -> Quaternion:
+    """The inverse of a unit quaternion."""
+    return q[0], -q[1], -q[2], -q[3]
 
 
 def rotate(q: Quaternion, v: Vector) -> Vector:

@@ -33,6 +33,7 @@ from jaxnav.mechanizations.components import (
     exp,
     multiply,
     normalize,
+    products,
     rotate,
     scale,
     small,
@@ -158,12 +159,15 @@ def _block(integrate: Callable, nav: Nav, u: Drive, imu: Imu, m: int, keep: jax.
     def turn(q, interval):
         spun, dq, mean = interval
         after = multiply(q, dq)
-        return after, (after, multiply(spun, multiply(q, mean)) if mean else ())
+        return after, (after, multiply(spun, multiply(q, mean)))
 
     spin, push = tuple(jnp.asarray(u.omega)), tuple(jnp.asarray(u.accel))
     t = jnp.cumsum(whole.t)
     spun = exp(scale(t - whole.t, spin))  # about axes of the block's first sample
-    q_ends, q_means = lax.scan(turn, tuple(nav.q), (spun, whole.q, whole.mean))[1]
+    if m == 1:
+        q_ends = products(tuple(nav.q), whole.q)
+    else:
+        q_ends, q_means = lax.scan(turn, tuple(nav.q), (spun, whole.q, whole.mean))[1]
     q_starts = multiply(spun, tuple(before(a, b) for a, b in zip(nav.q, q_ends, strict=True)))
     lat, lon, h = nav.pos
     zero = jnp.zeros_like(lat)

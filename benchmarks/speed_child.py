@@ -5,7 +5,6 @@
 
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -91,25 +90,28 @@ def title(label: str, n: int, gradient: bool) -> str:
     return f"{n} states, {label}, {'gradient' if gradient else 'forward'}"
 
 
-def memory(label: str, n: str, seconds: str, runs: str) -> dict[str, float]:
-    """Peak memory of a gradient over what was there before it, bytes per IMU sample and run; at most, if rounded up.
+def resident(what: str) -> int:
+    """Bytes of this process: ``VmRSS`` now, ``VmHWM`` at most since `memory` began to count."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith(what))
 
-    The peak is that of the whole process so far: where compiling needed more than the run, it is that of compiling.
-    """
+
+def memory(label: str, n: str, seconds: str, runs: str) -> dict[str, float]:
+    """Peak memory of a gradient over what was there before it, compiling not counted; bytes per IMU sample and run."""
     import jax
 
     from benchmarks import speed_work as work
 
     arguments = work.still(int(seconds), int(runs))
     call = jax.jit(work.slope(form_of(label).loss(int(n)), int(runs))).lower(*arguments).compile()
-    page = os.sysconf("SC_PAGE_SIZE")
-    before = int(Path("/proc/self/statm").read_text().split()[1]) * page
+    Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
+    before = resident("VmRSS")
     start = time.process_time()
     jax.block_until_ready(call(*arguments))
     taken = time.process_time() - start
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    peak = resident("VmHWM") - before
     steps = int(seconds) * work.RATE * int(runs)
-    return {"bytes_per_step": (peak - before) / steps, "peak_bytes": peak - before, "us_per_step": 1e6 * taken / steps}
+    return {"bytes_per_step": peak / steps, "peak_bytes": peak, "us_per_step": 1e6 * taken / steps}
 
 
 def devices(label: str, n: str, seconds: str, runs: str, repeats: str) -> dict[str, float]:

@@ -176,8 +176,8 @@ def simulated(study: Study, factor: float, seed: int) -> dict:
     true = truth_of(what)
     make = jax.jit(jax.vmap(partial(simulate, what)))
     N, R = study.repeats, study.runs
-    keys = jax.random.split(jax.random.key(seed), N * R + study.held)
-    sims = jax.tree.map(lambda a: a.reshape(N, R, *a.shape[1:]), make(keys[: N * R]))
+    drives = make(jax.random.split(jax.random.key(seed), N * R + study.held))
+    sims = jax.tree.map(lambda a: a[: N * R].reshape(N, R, *a.shape[1:]), drives)
     filt = build("ekf15", cov_stride=sims.epochs.imu.dt.shape[-1])
     flat, back = ravel_pytree(split(SPEC, true))
     inform = lambda r: _of_repeats(filt, r, true, sims)  # noqa: E731
@@ -188,7 +188,7 @@ def simulated(study: Study, factor: float, seed: int) -> dict:
     for i in range(N):
         cov = uncertainty.covariance(np.asarray(found.best.fisher[i]), np.asarray(found.best.blocks[i]))
         rows.append(uncertainty.intervals(SPEC, back(found.raw[i]), cov))
-    held = make(keys[N * R :])
+    held = jax.tree.map(lambda a: a[N * R :], drives)
     reference = np.asarray(_rmse(filt, true, held))
     scores = np.array([np.asarray(_rmse(filt, join(SPEC, back(r), true), held)) for r in found.raw])
     begun = np.asarray(_rmse(filt, join(SPEC, back(start[0]), true), held))

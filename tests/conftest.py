@@ -41,6 +41,14 @@ def pytest_runtest_teardown(item, nextitem) -> None:
         gc.collect()
 
 
+@pytest.fixture(scope="module")
+def optimised():
+    """For a module that runs longer than it compiles."""
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", True)
+
+
 class Case(NamedTuple):
     """A drive without sensor errors, and what a filter needs to run on it."""
 

@@ -9,6 +9,8 @@ import pytest
 from benchmarks import navego, recover
 from tuning.transforms import split
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 
 def test_simulated_noise_comes_back_from_ten_times_too_much(tmp_path):
     path = tmp_path / "r.json"

@@ -18,6 +18,8 @@ from jaxnav.trajectories import Circle, circle
 from jaxnav.types import Epoch, Nav, Params
 from jaxnav.units import DEG
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 ONE = jnp.eye(1)
 PERIOD = 126.0
 PRINTED = {"G1": (1.0, 0.0), "G2": (1.5, 3.0)}

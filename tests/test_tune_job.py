@@ -18,6 +18,8 @@ from jaxnav.units import DEG_PER_SQRT_HOUR
 from tuning import uncertainty
 from tuning.transforms import LOG
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 SETTINGS = {
     "data": {"source": "urban_short"},
     "filter": {"name": "kf9_simple", "cov_stride": 25},

@@ -27,8 +27,9 @@ def retract(nav: Nav, x: jax.Array) -> Nav:
 
 def dynamics(point: Path, form: Literal["full", "simple"]) -> dict[tuple[str, str], jax.Array]:
     """The 3x3 blocks of F in x' = F x, at one point of the path."""
-    lat, h = point.nav.pos[0], point.nav.pos[2]
-    ve, vn, vu = vel = point.nav.vel
+    lat, _, h = jnp.unstack(point.nav.pos)
+    vel = point.nav.vel
+    ve, vn, vu = jnp.unstack(vel)
     meridian, prime = earth.radii(lat)
     rn, re, tan = meridian + h, prime + h, jnp.tan(lat)
     zero = jnp.zeros_like(lat)

@@ -14,9 +14,9 @@ Vector = tuple[Any, ...]  # of three
 Quaternion = tuple[Any, ...]  # of four
 
 
-def split(a: jax.Array) -> tuple[jax.Array, ...]:
+def split(a: Any) -> tuple[jax.Array, ...]:
     """The components along the last axis."""
-    return tuple(a[..., i] for i in range(a.shape[-1]))
+    return tuple(jnp.unstack(jnp.asarray(a), axis=-1))
 
 
 def add(*vectors: tuple) -> tuple:

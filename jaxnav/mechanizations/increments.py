@@ -81,6 +81,13 @@ def after(nav: Nav, t: jax.Array, pos: Vector, vel: Vector, q: Quaternion, omega
     )  # fmt: skip
 
 
+def sampled(nav: Nav, states: Nav, q: Quaternion, force: Vector) -> Path:
+    """The path of single samples, from the states (k,) after them, their attitudes and body forces (m/s^2)."""
+    C = to_dcm(tuple(jnp.concatenate([jnp.asarray(a)[None], b]) for a, b in zip(split(nav.q), q, strict=True)))
+    C = 0.5 * (C[:-1] + C[1:])
+    return Path(states, C, jnp.stack([sum(C[:, i, j] * force[j] for j in range(3)) for i in range(3)], -1))
+
+
 def trace(
     nav: Nav, inc: Increments, pos: Vector, vel: Vector, q: Quaternion, stride: int, keep: jax.Array | None
 ) -> tuple[Nav, Path]:
@@ -89,9 +96,6 @@ def trace(
     The last state or those after the samples ``keep`` (w,), and the path at every ``stride`` samples.
     """
     states = after(nav, nav.t + jnp.cumsum(inc.dt), pos, vel, q, inc.omega, inc.force)
-    first = tuple(before(a, b) for a, b in zip(nav.q, q, strict=True))
-    C = 0.5 * (to_dcm(first) + to_dcm(q))
-    force = jnp.stack(tuple(sum(C[:, i, j] * inc.force[j] for j in range(3)) for i in range(3)), -1)
-    out = jax.tree.map(lambda a: a[-1 if keep is None else keep], states)
     divides(stride, inc.dt.size)
-    return out, thin(Path(states, C, force), inc.dt, stride)
+    out = jax.tree.map(lambda a: a[-1 if keep is None else keep], states)
+    return out, thin(sampled(nav, states, q, inc.force), inc.dt, stride)

@@ -24,8 +24,9 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxnav import earth
-from jaxnav.mechanizations.body import Body, Readings, finish, one, over, readings, sums
+from jaxnav.mechanizations.body import Body, Readings, over, readings, singles, sums
 from jaxnav.mechanizations.components import (
+    Quaternion,
     Vector,
     add,
     before,
@@ -40,7 +41,7 @@ from jaxnav.mechanizations.components import (
     split,
     to_dcm,
 )  # fmt: skip
-from jaxnav.mechanizations.increments import after, divides, thin
+from jaxnav.mechanizations.increments import after, divides, sampled, thin
 from jaxnav.types import Drive, Imu, Nav, Path
 
 INTERVAL = 10  # samples, at most: a tenth of a second at 100 Hz
@@ -147,65 +148,80 @@ def by_sweeps(change: Callable, start: Level, thrust: Thrust) -> Level:
     return jax.tree.unflatten(tree, ends.T)
 
 
-def _block(integrate: Callable, nav: Nav, u: Drive, imu: Imu, m: int, keep: jax.Array | None) -> tuple[Nav, Path]:
-    x, last = readings(nav, imu, m)
-    ends_x = jax.tree.map(lambda a: a[-1], x)
-    if m == 1:
-        whole = one(ends_x, last)
-    else:
-        body = sums(x, last)
-        whole = finish(jax.tree.map(lambda a: a[-1], body), ends_x.dt)
+def attitudes(nav: Nav, spin: Vector, body: Body) -> tuple[Quaternion, Quaternion, Quaternion]:
+    """At the start and end of each interval (n,) and, of any length, its mean; about axes of the first sample.
+
+    The mean is () for intervals of one sample.
+    """
 
     def turn(q, interval):
         spun, dq, mean = interval
         after = multiply(q, dq)
         return after, (after, multiply(spun, multiply(q, mean)))
 
-    spin, push = tuple(jnp.asarray(u.omega)), tuple(jnp.asarray(u.accel))
-    t = jnp.cumsum(whole.t)
-    spun = exp(scale(t - whole.t, spin))  # about axes of the block's first sample
-    if m == 1:
-        q_ends = products(tuple(nav.q), whole.q)
+    t = jnp.cumsum(body.t)
+    spun = exp(scale(t - body.t, spin))
+    if body.mean:
+        ends, means = lax.scan(turn, split(nav.q), (spun, body.q, body.mean))[1]
     else:
-        q_ends, q_means = lax.scan(turn, tuple(nav.q), (spun, whole.q, whole.mean))[1]
-    q_starts = multiply(spun, tuple(before(a, b) for a, b in zip(nav.q, q_ends, strict=True)))
-    lat, lon, h = nav.pos
-    zero = jnp.zeros_like(lat)
+        ends, means = products(split(nav.q), body.q), ()
+    starts = multiply(spun, tuple(before(a, b) for a, b in zip(split(nav.q), ends, strict=True)))
+    ends = multiply(exp(scale(t, spin)), ends)
+    return starts, ends, means
+
+
+def thrust_of(q: Quaternion, body: Body) -> Thrust:
+    """What ``body`` does, from attitude ``q`` on."""
+    return Thrust(body.t, rotate(q, body.dv), rotate(q, over(body.t, body.way)) if body.way else ())
+
+
+def unit(nav: Nav) -> Nav:
+    """With a quaternion of length one; products of many wander off by a rounding error each."""
+    return nav._replace(q=jnp.stack(normalize(split(nav.q)), -1))
+
+
+def _block(
+    integrate: Callable, rows: int, nav: Nav, u: Drive, imu: Imu, m: int, keep: jax.Array | None
+) -> tuple[Nav, Path]:
+    x, last = readings(nav, imu, rows)
+    if m == 1:
+        ends_x, whole = jax.tree.map(lambda a: a.T.reshape(-1), (x, singles(x, last)))
+    else:
+        ends_x = jax.tree.map(lambda a: a[-1], x)
+        whole, body = sums(x, last)
+    spin, push = split(u.omega), split(u.accel)
+    q_starts, q_ends, q_means = attitudes(nav, spin, whole)
+    lat, lon, h = split(nav.pos)
+    zero, t = jnp.zeros_like(lat), jnp.cumsum(whole.t)
     # about a latitude that is taken as a constant: the derivative by it comes from the series' own variable
     centre = lax.stop_gradient(lat)
     change = partial(increment, series(surface, centre), (spin, push), m)
-    start = Level(tuple(nav.vel), lat - centre, zero, h, (zero, zero, zero))
-
-    def thrust(q, body: Body) -> Thrust:
-        return Thrust(body.t, rotate(q, body.dv), rotate(q, over(body.t, body.way)) if body.way else ())
+    start = Level(split(nav.vel), lat - centre, zero, h, (zero, zero, zero))
+    thrust = thrust_of(q_starts, whole)
+    ends = integrate(change, start, thrust)
 
     def state(level: Level, q, t, x: Readings) -> Nav:
-        q = normalize(multiply(small(scale(-1.0, level.turn)), q))
+        q = multiply(small(scale(-1.0, level.turn)), q)
         return after(nav, nav.t + t, (centre + level.north, lon + level.east, level.h), level.vel, q, x.omega, x.force)
 
-    thrusts = thrust(q_starts, whole)
-    ends = integrate(change, start, thrusts)
-    points = state(ends, multiply(exp(scale(t, spin)), q_ends), t, ends_x)
+    points = state(ends, q_ends, t, ends_x)
     if m == 1:
-        q = tuple(before(a, b) for a, b in zip(nav.q, split(points.q), strict=True))
-        C = 0.5 * (to_dcm(q) + to_dcm(split(points.q)))
-        force = jnp.stack([sum(C[:, i, j] * ends_x.force[j] for j in range(3)) for i in range(3)], -1)
-        return jax.tree.map(lambda a: a[-1 if keep is None else keep], points), Path(points, C, force)
+        out = jax.tree.map(lambda a: a[-1 if keep is None else keep], points)
+        return unit(out), sampled(nav, unit(points), split(points.q), ends_x.force)
     starts = jax.tree.map(before, start, ends)
     middle = small(scale(-0.5, add(starts.turn, ends.turn)))
     C = to_dcm(multiply(middle, normalize(q_means)))
-    path = Path(points, C, jnp.stack(rotate(middle, over(whole.t, thrusts.dv)), -1))
+    path = Path(unit(points), C, jnp.stack(rotate(middle, over(whole.t, thrust.dv)), -1))
     if keep is None:
-        return jax.tree.map(lambda a: a[-1], points), path
+        return unit(jax.tree.map(lambda a: a[-1], points)), path
     # what an interval does to its start, its first samples alone do as well
     row, i = keep % m, keep // m
     body, x = jax.tree.map(lambda a: a[row, i], (body, x))
-    body = finish(body, x.dt)
     level, q, begin = jax.tree.map(lambda a: a[i], (starts, q_starts, t - whole.t))
     # in a loop, where the compiler works out every number once: fused into its users each would be made many times
-    level = lax.map(lambda x: jax.tree.map(jnp.add, x[0], change(*x)), (level, thrust(q, body)))
+    level = lax.map(lambda x: jax.tree.map(jnp.add, x[0], change(*x)), (level, thrust_of(q, body)))
     q = multiply(small(scale(body.t, spin)), multiply(q, body.q))
-    return state(level, q, begin + body.t, x), path
+    return unit(state(level, q, begin + body.t, x)), path
 
 
 def _blocks(
@@ -216,15 +232,18 @@ def _blocks(
     divides(stride, k)
     m = stride if stride <= most else 1
     size = m * (BLOCK // m)
+    # single samples are corrected in a loop over so many rows of them, but all at once where kernels cost, not numbers
+    rows = m if m > 1 else max(d for d in range(1, most + 1) if min(k, size) % d == 0)
+    step = partial(_block, integrate, rows)
     if k <= size:
-        out, path = _block(integrate, nav, u, imu, m, keep)
+        out, path = step(nav, u, imu, m, keep)
     else:
         fill = lambda a: jnp.pad(a, ((0, -k % size), *[(0, 0)] * (a.ndim - 1))).reshape(-1, size, *a.shape[1:])  # noqa: E731
         flat = lambda a: a.reshape(-1, *a.shape[2:])  # noqa: E731
         every = None if keep is None else jnp.arange(size)
 
         def block(nav, imu):
-            out, path = _block(integrate, nav, u, imu, m, every)
+            out, path = step(nav, u, imu, m, every)
             return jax.tree.map(lambda a: a[-1], path.nav), (out, path)
 
         states, path = lax.scan(block, nav, jax.tree.map(fill, imu))[1]

@@ -31,7 +31,9 @@ from tuning.transforms import IDENTITY, LOG, Spec, get, put
 TUNED = Path(__file__).with_name("gipkf_tuned.json")  # what such runs found
 SETS = {"nominal": "gipkf_urban", "uncalibrated": "gipkf_urban_uncalibrated", "stress": "gipkf_urban_stress"}
 TRAIN, TEST, FIRST_TEST = 48, 64, 1000  # drives
-HEADING_WALK = 0.19  # rad/sqrt(s): by its turns the heading of these drives walks at random so fast
+# by its turns and brakes a drive's heading and its velocity along and across walk at random so fast, for up to 22 s
+HEADING_WALK = 0.19  # rad/sqrt(s)
+VELOCITY_WALK = np.array([1.9, 1.4, 0.0])  # m/s/sqrt(s), forward, right, down
 PAPER = {"gipkf": 15.15, "ekf": 79.63, "gipkf_22": 82.0, "ekf_22": 455.0}  # m: Table 1, and Fig. 7 after 22 s
 ROWS = {  # method -> filter of the catalogue
     "ekf15_datasheet": "ekf15", "ekf15_tuned": "ekf15", "ekf9_tuned": "ekf9", "gipkf_literal_open": "gipkf_literal",
@@ -96,14 +98,16 @@ def noise_figures(name: str) -> Params:
 
 
 def datasheet(name: str) -> Params:
-    """And the gyros' scale error of the nominal set, as the noise on the vertical axis that it makes of turns.
+    """And the scale errors of the nominal set, as the noise that they make of turns and brakes.
 
     Levelling ties the tilt to the accelerometers' bias, whose prior is then that of both: a prior of the tilt's own,
     here 5 times as wide, would count the same knowledge twice.
     """
     params = scaled(noise_figures(name), {"prior.attitude": np.array([5.0, 5.0, 1.0])})
-    arw, scale = params.noise.gyro, units.PPM * scenario("nominal").imu.gyro_scale_sd_ppm
-    return params._replace(noise=params.noise._replace(gyro=jnp.hypot(arw, scale * HEADING_WALK * np.array([0, 0, 1]))))
+    sheet, noise = scenario("nominal").imu, params.noise
+    gyro = units.PPM * sheet.gyro_scale_sd_ppm * HEADING_WALK * np.array([0, 0, 1])
+    accel = units.PPM * sheet.accel_scale_sd_ppm * VELOCITY_WALK
+    return params._replace(noise=noise._replace(gyro=jnp.hypot(noise.gyro, gyro), accel=jnp.hypot(noise.accel, accel)))
 
 
 def hand_set(name: str, kappa: float = 0.0) -> Params:

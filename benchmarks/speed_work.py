@@ -25,6 +25,7 @@ from jaxnav.types import Epoch, Fix, Imu, Info, Nav, Noise, Params
 from tuning.objectives import innovation_nll
 
 RATE = 100  # Hz
+TURN = 0.1  # s, that a call is repeated for at least in its turn
 SEED, DISTINCT = 0, 8  # batches repeat so many runs, or one where it is long: cost does not depend on the numbers
 SCENARIO = Scenario("speed", duration_s=60.0, imu_rate_hz=float(RATE))
 PARAMS: Callable[[], Params] = cache(lambda: matched_params(SCENARIO))
@@ -153,13 +154,18 @@ def executable(form: Form, n: int, seconds: int, runs: int, gradient: bool = Fal
 
 
 def interleaved(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
-    """Median processor seconds of each call; they take turns, so that a change of the machine's speed hits all."""
+    """Median processor seconds of each call; they take turns, so that a change of the machine's speed hits all.
+
+    A turn lasts a tenth of a second at least: a single call of milliseconds would find the caches as a rival left them.
+    """
     taken: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(repeats):
         for name, call in calls.items():
-            start = time.process_time()
-            jax.block_until_ready(call())
-            taken[name].append(time.process_time() - start)
+            start, spent, done = time.process_time(), 0.0, 0
+            while spent < TURN:
+                jax.block_until_ready(call())
+                spent, done = time.process_time() - start, done + 1
+            taken[name].append(spent / done)
     return {name: statistics.median(each) for name, each in taken.items()}
 
 

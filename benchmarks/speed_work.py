@@ -26,6 +26,7 @@ from tuning.objectives import innovation_nll
 
 RATE = 100  # Hz
 TURN = 0.1  # s, that a call is repeated for at least in its turn
+SIDE = 256  # runs
 SEED, DISTINCT = 0, 8  # batches repeat so many runs, or one where it is long: cost does not depend on the numbers
 SCENARIO = Scenario("speed", duration_s=60.0, imu_rate_hz=float(RATE))
 PARAMS: Callable[[], Params] = cache(lambda: matched_params(SCENARIO))
@@ -134,8 +135,15 @@ def release() -> None:
 
 
 def over_runs(one: Callable, runs: int) -> Callable:
-    """Of a function of one run (noise, nav, epochs) that of a batch; the function itself where a run is alone."""
-    return one if runs == 1 else jax.vmap(one, (None, 0, 0))
+    """Of a function of one run (noise, nav, epochs) that of a batch; the function itself where a run is alone.
+
+    Not more than `SIDE` runs go side by side: with more their states leave the processor's cache.
+    """
+    if runs == 1:
+        return one
+    if runs <= SIDE:
+        return jax.vmap(one, (None, 0, 0))
+    return lambda noise, *given: jax.lax.map(lambda run: one(noise, *run), given, batch_size=SIDE)
 
 
 def slope(loss: Callable, runs: int) -> Callable:

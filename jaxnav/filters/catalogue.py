@@ -128,7 +128,7 @@ def build(
 ) -> Filter:
     """The named filter (see `jaxnav.filters.core.make_filter` for the options).
 
-    ``block``: navigate through all samples of an epoch at once, which is three times faster for a single run (and
+    ``block``: navigate through all samples of an epoch at once, which is 2.5 times faster for a single run (and
     slower in a batch), to the same result; in local level only.
 
     ``frame`` and ``feedback`` replace the filter's own; a feedback with parameters finds them in `Params.feedback`.

@@ -26,7 +26,7 @@ from tuning.objectives import innovation_nll
 
 RATE = 100  # Hz
 TURN = 0.1  # s, that a call is repeated for at least in its turn
-SIDE = 256  # runs
+SIDE = 256  # runs side by side, at most
 SEED, DISTINCT = 0, 8  # batches repeat so many runs, or one where it is long: cost does not depend on the numbers
 SCENARIO = Scenario("speed", duration_s=60.0, imu_rate_hz=float(RATE))
 PARAMS: Callable[[], Params] = cache(lambda: matched_params(SCENARIO))

@@ -5,9 +5,14 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_factor, cho_solve
 
 
+def solve(S: jax.Array, b: jax.Array) -> jax.Array:
+    """S^-1 b by Cholesky; nan where S is not positive definite."""
+    return cho_solve(cho_factor(S, lower=True), b)
+
+
 def gain(P: jax.Array, H: jax.Array, S: jax.Array) -> jax.Array:
-    """Kalman gain P H' S^-1, (n, m), by Cholesky of S; nan where S is not positive definite."""
-    return cho_solve(cho_factor(S, lower=True), H @ P).T
+    """Kalman gain P H' S^-1, (n, m); nan where S is not positive definite."""
+    return solve(S, H @ P).T
 
 
 def times_root(M: jax.Array, leaf: jax.Array) -> jax.Array:

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_factor, cho_solve
 
+from jaxnav import linalg
 from jaxnav.types import Drive, Epoch, Fix, Imu, Info, Nav, Params
 
 REST = Drive(np.zeros(3), np.zeros(3))  # numpy: nothing of jax is created at import
@@ -162,7 +162,7 @@ def make_filter(
         c = select(fix.valid.any(), rule.correct(params.rule, memory, z), idle(z, memory))
         x = x + c.delta
         S = H @ state.P @ H.T + R
-        nis = z.nu @ cho_solve(cho_factor(S, lower=True), z.nu)
+        nis = z.nu @ linalg.solve(S, z.nu)
         feed = partial(feedback, params.feedback, model.retract)
         after, x_after, u = jax.vmap(feed, (0, None, None), (0, None, None))(
             jax.vmap(model.absorb, (0, None))(state.past, c.drive), x, state.T

@@ -24,7 +24,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_factor, cho_solve
 
 from jaxnav import linalg
 from jaxnav.error_models.states import A, V
@@ -82,7 +81,7 @@ def gain(theta: GipKf, H: jax.Array, valid: jax.Array) -> jax.Array:
                          f"entries for {H.shape[0]} channels and {H.shape[1]} states")  # fmt: skip
     R_l = jnp.where(valid[:, None] & valid, weight(theta.log_rl, theta.rl_lower), 0.0)
     HR = H.T @ R_l
-    return cho_solve(cho_factor(HR @ H + weight(theta.log_rm, theta.rm_lower), lower=True), HR)
+    return linalg.solve(HR @ H + weight(theta.log_rm, theta.rm_lower), HR)
 
 
 def _update(theta: GipKf, z: Innovation) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -39,14 +39,16 @@ def earth_rate(lat: jax.Array) -> jax.Array:
 def transport_rate(lat: jax.Array, h: jax.Array, vel: jax.Array) -> jax.Array:
     """Rotation of ENU with respect to the Earth at velocity ``vel`` (ENU m/s), rad/s, (3,); singular at the poles."""
     meridian, prime = radii(lat)
-    east = vel[0] / (prime + h)
-    return jnp.stack([-vel[1] / (meridian + h), east, east * jnp.tan(lat)])
+    ve, vn, _ = jnp.unstack(vel)
+    east = ve / (prime + h)
+    return jnp.stack([-vn / (meridian + h), east, east * jnp.tan(lat)])
 
 
 def metres_per_radian(lla: jax.Array) -> jax.Array:
     """What a change of (lat, lon, h) is worth in metres of (north, east, up), (3,): m/rad, m/rad, 1."""
-    meridian, prime = radii(lla[0])
-    return jnp.stack([meridian + lla[2], (prime + lla[2]) * jnp.cos(lla[0]), jnp.ones_like(lla[2])])
+    lat, _, h = jnp.unstack(lla)
+    meridian, prime = radii(lat)
+    return jnp.stack([meridian + h, (prime + h) * jnp.cos(lat), jnp.ones_like(h)])
 
 
 def enu_difference(lla: jax.Array, reference: jax.Array) -> jax.Array:
@@ -54,13 +56,14 @@ def enu_difference(lla: jax.Array, reference: jax.Array) -> jax.Array:
 
     First order in the distance: wrong by distance^2 / (2 radius) in height, 1 mm at 100 m.
     """
-    d = (lla - reference) * metres_per_radian(lla)
-    return jnp.stack([d[1], d[0], d[2]])
+    north, east, up = jnp.unstack((lla - reference) * metres_per_radian(lla))
+    return jnp.stack([east, north, up])
 
 
 def move(lla: jax.Array, enu: jax.Array) -> jax.Array:
     """The position a small ENU displacement (m) away, (3,) lat, lon, h: first order, inverse of `enu_difference`."""
-    return lla + jnp.stack([enu[1], enu[0], enu[2]]) / metres_per_radian(lla)
+    east, north, up = jnp.unstack(enu)
+    return lla + jnp.stack([north, east, up]) / metres_per_radian(lla)
 
 
 def axes(lat: jax.Array, lon: jax.Array) -> jax.Array:

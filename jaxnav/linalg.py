@@ -15,6 +15,28 @@ def gain(P: jax.Array, H: jax.Array, S: jax.Array) -> jax.Array:
     return solve(S, H @ P).T
 
 
+@jax.custom_jvp
+def update(P: jax.Array, H: jax.Array, R: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The Kalman gain, (n, m), and the covariance after a correction with it; P (n, n) symmetric."""
+    K = gain(P, H, H @ P @ H.T + R)
+    return K, joseph(P, K, H, R)
+
+
+@update.defjvp
+def _update_jvp(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
+    """In closed form: P after the correction does not change with the gain, which is the best one.
+
+    Parellier, Barrau and Bonnabel (2023) walk back through the filter so; transposed, this is their step.
+    """
+    (P, H, R), (dP, dH, dR) = primals, tangents
+    K, after = update(P, H, R)
+    A = jnp.eye(P.shape[0], dtype=P.dtype) - K @ H
+    AdP, KdR, KdH = A @ dP, K @ dR, K @ dH
+    dK = solve(H @ P @ H.T + R, (AdP @ H.T + after @ dH.T - KdR).T).T - KdH @ K
+    half = 0.5 * (AdP @ A.T + KdR @ K.T) - KdH @ after
+    return (K, after), (dK, half + half.T)
+
+
 def times_root(M: jax.Array, leaf: jax.Array) -> jax.Array:
     """M L, (..., m, 3), for a leaf of `Noise` that is a root L (3, 3) itself, or its diagonal () or (3,)."""
     return M @ leaf if jnp.ndim(leaf) == 2 else M * leaf

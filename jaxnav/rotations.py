@@ -12,14 +12,15 @@ ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # NED 
 
 def skew(v: jax.Array) -> jax.Array:
     """[v x], (3, 3): ``skew(a) @ b = a x b``."""
-    zero = jnp.zeros_like(v[0])
-    return jnp.stack([jnp.stack([zero, -v[2], v[1]]), jnp.stack([v[2], zero, -v[0]]), jnp.stack([-v[1], v[0], zero])])
+    x, y, z = jnp.unstack(v)
+    zero = jnp.zeros_like(x)
+    return jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
 
 
 def multiply(p: jax.Array, q: jax.Array) -> jax.Array:
     """Quaternion product: first q, then p."""
-    a, b, c, d = p
-    e, f, g, h = q
+    a, b, c, d = jnp.unstack(p)
+    e, f, g, h = jnp.unstack(q)
     return jnp.stack(
         [
             a * e - b * f - c * g - d * h,
@@ -63,7 +64,7 @@ def normalize(q: jax.Array) -> jax.Array:
 
 def to_dcm(q: jax.Array) -> jax.Array:
     """Unit quaternion q_ab -> C_ab, (3, 3): ``C_ab @ v_b = v_a``."""
-    w, x, y, z = q
+    w, x, y, z = jnp.unstack(q)
     return jnp.stack(
         [
             jnp.stack([w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)]),

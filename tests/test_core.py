@@ -398,3 +398,26 @@ def test_gain_is_the_kalman_gain_and_nan_where_there_is_none():
     np.testing.assert_allclose(K, P @ H.T @ np.linalg.inv(S), rtol=1e-12)
     np.testing.assert_allclose(linalg.joseph(*map(jnp.asarray, (P, K, H, R))), (np.eye(6) - K @ H) @ P, atol=1e-10)
     assert np.isnan(np.asarray(linalg.gain(jnp.asarray(P), jnp.asarray(H), -jnp.asarray(S)))).all()
+
+
+def test_derivatives_of_the_update_in_closed_form():
+    """First and second ones, against those of the same formulas step by step."""
+    rng = np.random.default_rng(7)
+    A, B, H = rng.normal(size=(5, 5)), rng.normal(size=(2, 2)), rng.normal(size=(2, 5))
+    P, R = A @ A.T + np.eye(5), B @ B.T + np.eye(2)
+    weights = rng.normal(size=(5, 2)), rng.normal(size=(5, 5))
+
+    def plain(P, H, R):
+        K = linalg.gain(P, H, H @ P @ H.T + R)
+        return K, linalg.joseph(P, K, H, R)
+
+    def slopes(form):
+        def loss(x):  # of all entries, P and R staying symmetric
+            x = [x[0] + x[0].T, x[1], x[2] + x[2].T]
+            return sum(jnp.sum(w * jnp.sin(a)) for w, a in zip(weights, form(*x), strict=True))
+
+        along = lambda x: jax.jvp(loss, (x,), (jax.tree.map(jnp.sin, x),))[1]  # noqa: E731
+        x = [0.5 * jnp.asarray(P), jnp.asarray(H), 0.5 * jnp.asarray(R)]
+        return jax.grad(loss)(x), along(x), jax.grad(along)(x)
+
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-12), slopes(linalg.update), slopes(plain))

@@ -110,8 +110,8 @@ def fading(limit: Prior, a: jax.Array, P: jax.Array) -> jax.Array:
 
 def weighted(z: Innovation, R: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Kalman update with ``R`` (m, m) in place of the fix's own: delta (n,), P (n, n)."""
-    K = linalg.gain(z.P, z.H, z.H @ z.P @ z.H.T + R)
-    return K @ z.nu, linalg.joseph(z.P, K, z.H, R)
+    K, P = linalg.update(z.P, z.H, R)
+    return K @ z.nu, P
 
 
 @cache

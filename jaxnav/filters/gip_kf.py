@@ -87,8 +87,8 @@ def gain(theta: GipKf, H: jax.Array, valid: jax.Array) -> jax.Array:
 def _update(theta: GipKf, z: Innovation) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The increment dm (n,), x+ minus the prediction without it (n,), and P."""
     dm = gain(theta, z.H, z.valid) @ z.nu
-    K = linalg.gain(z.P, z.H, z.H @ z.P @ z.H.T + z.R)
-    return dm, dm + K @ (z.nu - z.H @ dm), linalg.joseph(z.P, K, z.H, z.R)
+    K, P = linalg.update(z.P, z.H, z.R)
+    return dm, dm + K @ (z.nu - z.H @ dm), P
 
 
 def correct(theta: GipKf, memory, z: Innovation) -> Correction:
@@ -150,9 +150,7 @@ _PAIR, _UP, _FLAT = np.array([3, 4]), np.array([0.0, 1.0, 0.0]), np.array([1.0, 
 def correct_nine(theta: NineKf, memory: tuple[jax.Array, jax.Array], z: Innovation) -> Correction:
     """Kalman update of `KEPT` by the horizontal velocity; everything else by gains."""
     count, spread = memory
-    H, P = z.H[_PAIR][:, KEPT], z.P[np.ix_(KEPT, KEPT)]
-    R = z.R[np.ix_(_PAIR, _PAIR)]
-    K = linalg.gain(P, H, H @ P @ H.T + R)
+    K, kept = linalg.update(z.P[np.ix_(KEPT, KEPT)], z.H[_PAIR][:, KEPT], z.R[np.ix_(_PAIR, _PAIR)])
     delta = jnp.zeros(15).at[KEPT].set(K @ z.nu[_PAIR])
     T = jnp.where(z.T > 0, z.T, 1.0)
     spread = spread + theta.walk * (z.age[0] / T) ** 2  # as of a velocity that is off
@@ -164,7 +162,7 @@ def correct_nine(theta: NineKf, memory: tuple[jax.Array, jax.Array], z: Innovati
     learnt = theta.kappa + theta.early / (count + theta.delay)
     drive = Drive(learnt * _UP * delta[A] / T, bias * _UP * z.nu[5] / T)
     fade = jnp.ones(15).at[A].add(_UP * theta.fade * jnp.exp(-count / theta.fading))
-    P = jnp.zeros_like(z.P).at[np.ix_(KEPT, KEPT)].set(linalg.joseph(P, K, H, R))
+    P = jnp.zeros_like(z.P).at[np.ix_(KEPT, KEPT)].set(kept)
     return Correction(delta, P, (count + 1.0, (1 - share) * spread), z.valid, fade, drive)
 
 

@@ -81,7 +81,7 @@ def forgotten(memory: Memory, stale: jax.Array) -> Memory:
 def correct(theta: Gpid, memory: Memory, z: Innovation) -> Correction:
     """One correction; missing channels have columns of zeros in K, and add nothing to the integral."""
     memory = forgotten(memory, z.age > theta.reset)
-    K = linalg.gain(z.P, z.H, z.H @ z.P @ z.H.T + z.R)
+    K, P = linalg.update(z.P, z.H, z.R)
     loop = jnp.where(z.valid, jnp.abs(K * z.H.T), memory.loop)
     acting = share(loop, z.valid)
     M = theta.states * acting
@@ -91,7 +91,7 @@ def correct(theta: Gpid, memory: Memory, z: Innovation) -> Correction:
     residual = z.nu - z.H @ delta
     last, before = jnp.where(z.valid, residual, memory.last), jnp.where(z.valid, memory.last, memory.before)
     memory = Memory(applied + (1 - acting) * memory.integral, last, before, loop)
-    return Correction(delta, linalg.joseph(z.P, K, z.H, z.R), memory, z.valid)
+    return Correction(delta, P, memory, z.valid)
 
 
 @cache

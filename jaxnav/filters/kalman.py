@@ -8,8 +8,8 @@ from jaxnav.filters.core import Correction, Innovation, Rule
 
 def correct(theta, memory, z: Innovation) -> Correction:
     """Optimal gain, Joseph form; no parameters of its own."""
-    K = linalg.gain(z.P, z.H, z.H @ z.P @ z.H.T + z.R)
-    return Correction(K @ z.nu, linalg.joseph(z.P, K, z.H, z.R), memory, z.valid)
+    K, P = linalg.update(z.P, z.H, z.R)
+    return Correction(K @ z.nu, P, memory, z.valid)
 
 
 @cache

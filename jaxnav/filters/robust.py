@@ -181,8 +181,8 @@ def student_t(rule: Rule, iterations: int = 4) -> Rule:
         w = jnp.ones(d.shape)
         for _ in range(iterations):
             R = inflated(z.R, jnp.repeat(1 / w, BLOCK))
-            K = linalg.gain(z.P, z.H, z.H @ z.P @ z.H.T + R)
-            r, spread = z.nu - z.H @ (K @ z.nu), z.H @ linalg.joseph(z.P, K, z.H, R) @ z.H.T
+            K, P = linalg.update(z.P, z.H, R)
+            r, spread = z.nu - z.H @ (K @ z.nu), z.H @ P @ z.H.T
             expected = squared_by_block(r, z.R) + by_block(jnp.sum(spread * inverse, axis=1)).sum(1)
             w = (theta.dof + d) / (theta.dof + expected)
         return rule.correct(theta.rule, memory, z._replace(R=inflated(z.R, jnp.repeat(1 / w, BLOCK))))

@@ -141,11 +141,11 @@ def by_sweeps(change: Callable, start: Level, thrust: Thrust) -> Level:
 
     def sweep(ends, _):
         starts = jnp.concatenate([first[None], ends[:-1]])
-        changes = jax.tree.leaves(change(jax.tree.unflatten(tree, starts.T), thrust))
+        changes = jax.tree.leaves(change(jax.tree.unflatten(tree, split(starts)), thrust))
         return lax.scan(add_up, first, jnp.stack(changes, -1))[1], None
 
     ends, _ = lax.scan(sweep, ends, length=SWEEPS)
-    return jax.tree.unflatten(tree, ends.T)
+    return jax.tree.unflatten(tree, split(ends))
 
 
 def attitudes(nav: Nav, spin: Vector, body: Body) -> tuple[Quaternion, Quaternion, Quaternion]:

@@ -25,7 +25,7 @@ from jaxnav.types import Epoch, Fix, Imu, Info, Nav, Noise, Params
 from tuning.objectives import innovation_nll
 
 RATE = 100  # Hz
-TURN = 0.1  # s, that a call is repeated for at least in its turn
+TURN, LONG, PAUSE = 0.1, 1.0, 0.01  # s, see `turn`
 SIDE = 256  # runs side by side, at most
 SEED, DISTINCT = 0, 8  # batches repeat so many runs, or one where it is long: cost does not depend on the numbers
 SCENARIO = Scenario("speed", duration_s=60.0, imu_rate_hz=float(RATE))
@@ -161,19 +161,40 @@ def executable(form: Form, n: int, seconds: int, runs: int, gradient: bool = Fal
     return Executable(compiled, taken, compiled.memory_analysis().temp_size_in_bytes)
 
 
-def interleaved(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
-    """Median processor seconds of each call; they take turns, so that a change of the machine's speed hits all.
+def settled() -> float:
+    """Processor seconds of this process once it rests: what a call leaves behind is tidied up after its result."""
+    now = time.process_time()
+    for _ in range(100):
+        time.sleep(PAUSE)
+        before, now = now, time.process_time()
+        if now - before < 0.1 * PAUSE:
+            break
+    return now
 
-    A turn lasts a tenth of a second at least: a single call of milliseconds would find the caches as a rival left them.
+
+def turn(call: Callable[[], Any]) -> float:
+    """Processor seconds of a call, repeated for `TURN` seconds at least.
+
+    Unless a call takes `LONG`, one that is not counted goes ahead: after a rival's it takes up to ten times as long.
+    The turn ends when the process rests, for what a call leaves to be tidied up is its own.
     """
+    for counted in (False, True):
+        start, done = settled(), 0
+        while not done or (counted and time.process_time() - start < TURN):
+            jax.block_until_ready(call())
+            done += 1
+        spent = (settled() - start) / done
+        if spent > LONG:
+            break
+    return spent
+
+
+def interleaved(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
+    """Median processor seconds of each call; they take turns, so that a change of the machine's speed hits all."""
     taken: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(repeats):
         for name, call in calls.items():
-            start, spent, done = time.process_time(), 0.0, 0
-            while spent < TURN:
-                jax.block_until_ready(call())
-                spent, done = time.process_time() - start, done + 1
-            taken[name].append(spent / done)
+            taken[name].append(turn(call))
     return {name: statistics.median(each) for name, each in taken.items()}
 
 

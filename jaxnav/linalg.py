@@ -6,7 +6,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 
 
 def solve(S: jax.Array, b: jax.Array) -> jax.Array:
-    """S^-1 b by Cholesky; nan where S is not positive definite."""
+    """S^-1 b, shaped like b (m,) or (m, k), by Cholesky of S (m, m); nan where S is not positive definite."""
     return cho_solve(cho_factor(S, lower=True), b)
 
 
@@ -17,7 +17,10 @@ def gain(P: jax.Array, H: jax.Array, S: jax.Array) -> jax.Array:
 
 @jax.custom_jvp
 def update(P: jax.Array, H: jax.Array, R: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The Kalman gain, (n, m), and the covariance after a correction with it; P (n, n) symmetric."""
+    """The Kalman gain (n, m) and the covariance (n, n) after a correction with it, in Joseph form.
+
+    Of the covariances P (n, n) and R (m, m), symmetric, and H (m, n); nan where H P H' + R is not positive definite.
+    """
     K = gain(P, H, H @ P @ H.T + R)
     return K, joseph(P, K, H, R)
 

@@ -1,6 +1,8 @@
 """The speed benchmark's forms do the same work, and its arithmetic is right; nothing here is timed."""
 
 import json
+import threading
+import time
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import speed_floor, speed_gate, speed_peers, speed_plain
-from benchmarks.speed_work import PARAMS, distance, exponent, forward, table
+from benchmarks.speed_work import PARAMS, SIDE, distance, exponent, forward, over_runs, table, turn
 from jaxnav import earth
 from jaxnav.filters.catalogue import build
 from tests import reference
@@ -110,3 +112,26 @@ def test_bars_take_the_faster_of_our_forms_and_leave_out_what_was_not_measured()
     }
     (row,) = speed_gate.bars(result)
     assert row["value"] == pytest.approx(5.0) and row["met"]
+
+
+def test_more_runs_than_go_side_by_side_give_the_same():
+    """A number of runs that `SIDE` does not divide."""
+    runs = SIDE + 3
+    a, b = np.arange(runs, dtype=float), np.arange(2.0 * runs).reshape(runs, 2)
+    found = over_runs(lambda noise, a, b: noise * a + b.sum(), runs)(2.0, a, b)
+    np.testing.assert_array_equal(found, 2 * a + b.sum(1))
+
+
+def test_a_turn_pays_for_what_its_call_leaves_behind():
+    """Work of 50 ms that goes on in the background after each call has returned, and not that of a call before."""
+
+    def work(seconds):
+        start = time.thread_time()
+        while time.thread_time() - start < seconds:
+            pass
+
+    leave = threading.Thread(target=work, args=(0.2,))
+    leave.start()
+    assert turn(lambda: work(0.005)) == pytest.approx(0.005, abs=0.004)
+    leave.join()
+    assert turn(lambda: threading.Thread(target=work, args=(0.05,)).start()) > 0.045

@@ -183,6 +183,10 @@ def unit(nav: Nav) -> Nav:
 def _block(
     integrate: Callable, rows: int, nav: Nav, u: Drive, imu: Imu, m: int, keep: jax.Array | None
 ) -> tuple[Nav, Path]:
+    """The states that `propagate` returns, and the path, of samples (k,) in intervals of ``m``, which divides k.
+
+    Single samples, m = 1, are corrected ``rows`` (divides k) rows of them, one row after the other; else rows = m.
+    """
     x, last = readings(nav, imu, rows)
     if m == 1:
         ends_x, whole = jax.tree.map(lambda a: a.T.reshape(-1), (x, singles(x, last)))

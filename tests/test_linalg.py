@@ -1,0 +1,68 @@
+"""Gain, covariance and their derivatives: definite where the short form is not, and against plain formulas."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav import linalg
+from tests.conftest import all_finite
+
+
+def test_joseph_keeps_the_covariance_definite():
+    """Ten thousand precise fixes of a huge prior: the short form goes indefinite on the way, this one never."""
+    rng = np.random.default_rng(5)
+    H = jnp.asarray(rng.normal(size=(3, 9)))
+    Phi = jnp.eye(9) + 0.01 * jnp.asarray(rng.normal(size=(9, 9)))
+    Phi = Phi / jnp.linalg.norm(Phi, 2)
+    R = 1e-8 * jnp.eye(3)
+
+    def step(P, _, short):
+        K = linalg.gain(P, H, H @ P @ H.T + R)
+        P = (jnp.eye(9) - K @ H) @ P if short else linalg.joseph(P, K, H, R)
+        return Phi @ P @ Phi.T + 1e-12 * jnp.eye(9), jnp.stack(
+            [jnp.linalg.eigvalsh(0.5 * (P + P.T))[0], jnp.abs(P - P.T).max()]
+        )
+
+    P0 = jnp.diag(10.0 ** jnp.linspace(-4, 8, 9))
+    P, (least, skew) = jax.jit(
+        lambda: (lambda p, s: (p, s.T))(*jax.lax.scan(partial(step, short=False), P0, length=10_000))
+    )()
+    assert least.min() > 0 and not skew.any() and all_finite(P)
+    short = jax.jit(lambda: jax.lax.scan(partial(step, short=True), P0, length=100)[1])()
+    assert not (short[:, 0].min() > 0)
+
+
+def test_gain_is_the_kalman_gain_and_nan_where_there_is_none():
+    rng = np.random.default_rng(6)
+    A, H = rng.normal(size=(6, 6)), rng.normal(size=(2, 6))
+    P, R = A @ A.T, np.diag([0.5, 2.0])
+    S = H @ P @ H.T + R
+    K = linalg.gain(*map(jnp.asarray, (P, H, S)))
+    np.testing.assert_allclose(K, P @ H.T @ np.linalg.inv(S), rtol=1e-12)
+    np.testing.assert_allclose(linalg.joseph(*map(jnp.asarray, (P, K, H, R))), (np.eye(6) - K @ H) @ P, atol=1e-10)
+    assert np.isnan(np.asarray(linalg.gain(jnp.asarray(P), jnp.asarray(H), -jnp.asarray(S)))).all()
+
+
+def test_derivatives_of_the_update_in_closed_form():
+    """First and second ones, against those of the same formulas step by step."""
+    rng = np.random.default_rng(7)
+    A, B, H = rng.normal(size=(5, 5)), rng.normal(size=(2, 2)), rng.normal(size=(2, 5))
+    P, R = A @ A.T + np.eye(5), B @ B.T + np.eye(2)
+    weights = rng.normal(size=(5, 2)), rng.normal(size=(5, 5))
+
+    def plain(P, H, R):
+        K = linalg.gain(P, H, H @ P @ H.T + R)
+        return K, linalg.joseph(P, K, H, R)
+
+    def slopes(form):
+        def loss(x):  # of all entries, P and R staying symmetric
+            x = [x[0] + x[0].T, x[1], x[2] + x[2].T]
+            return sum(jnp.sum(w * jnp.sin(a)) for w, a in zip(weights, form(*x), strict=True))
+
+        along = lambda x: jax.jvp(loss, (x,), (jax.tree.map(jnp.sin, x),))[1]  # noqa: E731
+        x = [0.5 * jnp.asarray(P), jnp.asarray(H), 0.5 * jnp.asarray(R)]
+        return jax.grad(loss)(x), along(x), jax.grad(along)(x)
+
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-12), slopes(linalg.update), slopes(plain))

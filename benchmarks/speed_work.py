@@ -179,7 +179,7 @@ def turn(call: Callable[[], Any]) -> float:
     The turn ends when the process rests, for what a call leaves to be tidied up is its own.
     """
     for counted in (False, True):
-        start, done = settled(), 0
+        start, done = time.process_time(), 0
         while not done or (counted and time.process_time() - start < TURN):
             jax.block_until_ready(call())
             done += 1

@@ -177,7 +177,12 @@ def _look(args: argparse.Namespace) -> "Outcome":
 
 
 def _work(args: argparse.Namespace, config: configuration.Config, folder: Path, out: Path) -> "Outcome":
+    from jaxnav.jobs.unused import unused
+
     progress = not (args.quiet or args.json) and _first()
+    if not args.quiet and _first():
+        for line in unused(args.verb, config):
+            print(f"jaxnav: not used here: {line}", file=sys.stderr)
     if args.verb in ("simulate", "filter"):
         from jaxnav.jobs import filtering
 

@@ -8,6 +8,7 @@ import dataclasses
 import difflib
 import json
 import math
+import operator
 import tomllib
 import typing
 from collections.abc import Iterable, Mapping
@@ -201,6 +202,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 
 
 LIMITS: dict[str, tuple[float, float]] = {
+    "seed": (0, 2**32 - 1),
     "data.imu_worse_by": (1.0, 1e3),
     "data.gnss_latency_s": (0.0, 1.0),
     "filter.cov_stride": (1, 1000),
@@ -253,8 +255,7 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
         merged = merge(merged, tree)
     config = _build(merged)
     for name, (low, high) in LIMITS.items():
-        section, _, key = name.partition(".")
-        value = getattr(getattr(config, section), key)
+        value = operator.attrgetter(name)(config)
         if not low <= value <= high:
             raise ConfigError(f"{name} must be in [{low:g}, {high:g}], got {value:g}")
     return config

@@ -5,6 +5,7 @@ Latitude and longitude in rad, height in m above the ellipsoid, axes ENU unless 
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 A = 6378137.0  # m, equatorial radius
 F = 1 / 298.257223563  # flattening
@@ -54,9 +55,12 @@ def metres_per_radian(lla: jax.Array) -> jax.Array:
 def enu_difference(lla: jax.Array, reference: jax.Array) -> jax.Array:
     """Position minus a near reference in metres of ENU at ``lla``, (3,).
 
-    First order in the distance: wrong by distance^2 / (2 radius) in height, 1 mm at 100 m.
+    First order in the distance: wrong by distance^2 / (2 radius) in height, 1 mm at 100 m. Longitudes may be turns
+    apart.
     """
-    north, east, up = jnp.unstack((lla - reference) * metres_per_radian(lla))
+    off = lla - reference
+    off = off - 2 * jnp.pi * jnp.round(off / (2 * jnp.pi)) * np.array([0.0, 1.0, 0.0])
+    north, east, up = jnp.unstack(off * metres_per_radian(lla))
     return jnp.stack([east, north, up])
 
 
@@ -64,6 +68,11 @@ def move(lla: jax.Array, enu: jax.Array) -> jax.Array:
     """The position a small ENU displacement (m) away, (3,) lat, lon, h: first order, inverse of `enu_difference`."""
     east, north, up = jnp.unstack(enu)
     return lla + jnp.stack([north, east, up]) / metres_per_radian(lla)
+
+
+def continuous(lla: np.ndarray) -> np.ndarray:
+    """Positions (N, 3) along a path, the longitude carried on over the date line, fit to interpolate (host array)."""
+    return np.stack([lla[:, 0], np.unwrap(lla[:, 1]), lla[:, 2]], 1)
 
 
 def axes(lat: jax.Array, lon: jax.Array) -> jax.Array:

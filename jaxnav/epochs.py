@@ -45,8 +45,8 @@ def cut_times(
         raise DataError(f"the IMU covers {first:.3f} to {last:.3f} s, which does not hold {start:.3f} to {stop:.3f} s")
     times = np.concatenate([s.t for s in aiding.values()]) if aiding else np.empty(0)
     times = np.unique(times[(times > start + TICK) & (times <= stop + TICK)])
-    times = times[np.diff(times, prepend=-np.inf) > TICK]
-    edges = np.concatenate([[start], times, [stop] if times.size == 0 or stop - times[-1] > TICK else []])
+    times = times[np.diff(times, prepend=-np.inf) > 2 * TICK]  # a fix belongs to a cut within that
+    edges = np.concatenate([[start], times, [stop] if times.size == 0 or stop - times[-1] > 2 * TICK else []])
     cuts = []
     for a, b in zip(edges[:-1], edges[1:], strict=True):
         n = max(1, int(np.ceil((b - a) / interval - 1e-3)))  # a fix 0.1 % late starts no epoch of its own
@@ -72,7 +72,8 @@ def pack(
     ``max_gap``: s; a hole in the IMU stream up to this long is bridged by the mean of its two sides.
 
     Raises:
-        DataError: a stream that no measurement takes, or an IMU gap longer than ``max_gap``.
+        DataError: a stream that no measurement takes, a fix between the given ``cuts``, or an IMU gap longer than
+            ``max_gap``.
     """
     slices = layout(measurements)
     unknown = set(aiding) - set(slices)
@@ -85,7 +86,7 @@ def pack(
     cuts = cut_times(imu, aiding, interval, start, stop) if cuts is None else cuts
     begin = float(imu.t[0] - imu.dt[0] if start is None else start)
     samples = _cut_imu(imu, begin, cuts, multiple)
-    fix = _align_fixes(aiding, slices, sum(m.size for m in measurements), cuts)
+    fix = _align_fixes(aiding, slices, sum(m.size for m in measurements), begin, cuts)
     epochs = Epoch(Imu(*(jnp.asarray(a, float) for a in samples)), fix)
     return Packed(epochs, cuts, begin)
 
@@ -113,13 +114,16 @@ def _cut_imu(imu: ImuLog, start: float, cuts: np.ndarray, multiple: int) -> tupl
     return np.where(real, dt[index], 0.0), gyro[index], accel[index]
 
 
-def _align_fixes(aiding: dict[str, Samples], slices: dict[str, slice], m: int, cuts: np.ndarray) -> Fix:
+def _align_fixes(aiding: dict[str, Samples], slices: dict[str, slice], m: int, start: float, cuts: np.ndarray) -> Fix:
     E = cuts.size
     value, sd = np.zeros((E, m)), np.ones((E, m))
     corr, valid = np.zeros((E, m)), np.zeros((E, m), bool)
     for name, s in aiding.items():
         where = np.searchsorted(cuts, s.t - 2 * TICK)
-        hit = (where < E) & (np.abs(cuts[np.minimum(where, E - 1)] - s.t) < 2 * TICK)
+        hit = (where < E) & (np.abs(cuts[np.minimum(where, E - 1)] - s.t) <= 2 * TICK)
+        lost = (s.t > start + TICK) & (s.t < cuts[-1]) & ~hit
+        if lost.any():
+            raise DataError(f"{name}: the fix at t = {s.t[lost][0]:.6f} s is not at the end of an epoch: cut there")
         rows = where[hit]
         for field, data in ((value, s.value), (sd, s.sd), (corr, s.corr)):
             field[rows, slices[name]] = data[hit]
@@ -159,7 +163,9 @@ def stationary(imu: ImuLog, t: np.ndarray, window: float, accel_sd: float, gyro_
         var = (sums(a**2)[last] - sums(a**2)[first]) / n - mean**2
         return np.sqrt(np.maximum(var, 0).sum(1))
 
-    covered = (t - window >= imu.t[0] - imu.dt[0] - TICK) & (last - first >= 2)
+    time = np.concatenate([[0.0], np.cumsum(imu.dt)])
+    # all but a sample's length at either end; a hole in the stream may hold anything
+    covered = (time[last] - time[first] >= window - 2 * float(np.median(imu.dt))) & (last - first >= 2)
     return covered & (spread(imu.accel) < accel_sd) & (spread(imu.gyro) < gyro_sd)
 
 

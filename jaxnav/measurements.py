@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from jaxnav import earth, rotations
 from jaxnav.error_models.states import G
@@ -136,15 +137,18 @@ def layout(measurements: tuple[Measurement, ...]) -> dict[str, slice]:
 def at(past: Nav, t: jax.Array) -> Nav:
     """The navigation state at time ``t`` by linear interpolation between the samples of ``past`` (w, ...).
 
-    Outside of them the nearest two are extended. Biases and rates are interpolated alike.
+    Outside of them the nearest two are extended, but rate and specific force are held: they are noisy.
     """
     w = past.t.shape[0]
-    i = jnp.clip(jnp.sum(past.t <= t) - 1, 0, w - 2)
-    a, b = jax.tree.map(lambda leaf: leaf[i], past), jax.tree.map(lambda leaf: leaf[i + 1], past)
-    gap = b.t - a.t
-    share = jnp.where(gap > 0, (t - a.t) / jnp.where(gap > 0, gap, 1.0), 1.0)
-    nav = jax.tree.map(lambda x, y: x + share * (y - x), a, b)
-    return nav._replace(t=t, q=rotations.normalize(nav.q))
+    if w > 2:
+        i = jnp.clip(jnp.sum(past.t <= t) - 1, 0, w - 2)
+        past = jax.tree.map(lambda leaf: lax.dynamic_slice_in_dim(leaf, i, 2), past)
+    before, after = jax.tree.map(lambda leaf: leaf[0], past), jax.tree.map(lambda leaf: leaf[1], past)
+    gap = after.t - before.t
+    share = jnp.where(gap > 0, (t - before.t) / jnp.where(gap > 0, gap, 1.0), 1.0)
+    blend = lambda share: jax.tree.map(lambda a, b: a + share * (b - a), before, after)  # noqa: E731
+    nav, held = blend(share), blend(jnp.clip(share, 0.0, 1.0))
+    return nav._replace(t=t, q=rotations.normalize(nav.q), omega=held.omega, force=held.force)
 
 
 def covariance(root: jax.Array | float, sd: jax.Array, corr: jax.Array, valid: jax.Array) -> jax.Array:

@@ -23,7 +23,7 @@ def errors(solution: Track, truth: Track) -> Errors:
     """Errors of a solution at its own times against a truth that is interpolated linearly to them (host arrays)."""
     unwrapped = np.where(np.isfinite(truth.rph), np.unwrap(np.nan_to_num(truth.rph), axis=0), np.nan)
     at = lambda a: np.stack([np.interp(solution.t, truth.t, c) for c in a.T], axis=1)  # noqa: E731
-    position = jax.vmap(earth.enu_difference)(jnp.asarray(solution.lla), jnp.asarray(at(truth.lla)))
+    position = jax.vmap(earth.enu_difference)(jnp.asarray(solution.lla), jnp.asarray(at(earth.continuous(truth.lla))))
     turn = solution.rph - at(unwrapped)
     return Errors(position, solution.vel - at(truth.vel), np.remainder(turn + np.pi, 2 * np.pi) - np.pi)
 

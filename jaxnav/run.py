@@ -38,7 +38,7 @@ def run(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info:
     Raises:
         DataError: float32 input (at trace time).
     """
-    require_x64(nav.pos, epochs.imu)
+    require_x64(params, nav, epochs)
 
     @jax.checkpoint
     def step(state, i):

@@ -244,6 +244,12 @@ def test_unwritable_out_exits_3(drive, capsys):
     assert "cannot be written" in capsys.readouterr().err
 
 
+def test_the_current_folder_can_be_the_output():
+    with staged(cli.Path(".")) as folder:
+        (folder / "run.json").write_text("{}")
+    assert cli.Path("run.json").exists()
+
+
 def test_staged_never_deletes_outside(tmp_path):
     (tmp_path / "precious").write_text("x")
     out = tmp_path / "out"
@@ -308,7 +314,7 @@ def test_recorded_split_keeps_the_test_out_of_every_objective(drive):
     first = int(np.argmax(np.asarray(run.part)))
     nav = jax.tree.map(lambda a: jnp.broadcast_to(a, (E[2], *a.shape)), run.nav)
     for i, counts in ((first - 1, False), (first, True)):
-        info = SimpleNamespace(nav=nav._replace(pos=run.lla.at[i, 2].add(100.0)))
+        info = SimpleNamespace(nav=nav._replace(pos=run.truth.lla.at[i, 2].add(100.0)))
         assert (float(objectives.score_of("rmse")(info, run)) > 1.0) == counts
 
 

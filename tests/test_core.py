@@ -188,6 +188,23 @@ def test_observer_is_stable_for_any_epoch_length(case, info, tau):
     assert position < 0.1 and velocity < 0.03 and attitude < 2e-3
 
 
+def test_an_observer_reckons_with_the_time_between_fixes_of_a_kind(case):
+    """Velocity 20 ms after position, every 2 s: what velocity corrects has to last until the next position."""
+    filt = build("ekf15", feedback=observer)
+    params = case.params._replace(feedback=Poles(jnp.asarray(1.0), jnp.asarray(1.0)))
+    fix = jax.tree.map(lambda a: a[0], case.packed.epochs.fix)
+    fix = fix._replace(valid=jnp.arange(6) >= 3, value=fix.value + 0.1)
+
+    @jax.jit
+    def drive(T, age):
+        state = filt.init(params, case.nav)._replace(T=T, age=jnp.full(6, age))
+        return filt.correct(params, state, fix)[0].u
+
+    short, long = drive(0.02, 1.98), drive(2.0, 0.0)
+    assert np.abs(long.accel).max() > 1e-3
+    leaves_equal(short, long, 1e-12)
+
+
 @pytest.mark.parametrize("tau", [0.3, 1.0, 5.0])
 def test_observer_places_the_poles(case, tau):
     """Position and velocity errors of a double integrator, sampled: both poles at exp(-T / tau)."""
@@ -353,6 +370,9 @@ def test_float32_is_refused(case):
     imu = jax.tree.map(lambda a: a.astype(jnp.float32), case.packed.epochs.imu)
     with pytest.raises(DataError, match="enable_x64"):
         run_jit(build("ekf15"), case.params, case.nav, case.packed.epochs._replace(imu=imu))
+    made_too_early = jax.tree.map(lambda a: jnp.asarray(a).astype(jnp.float32), case.params)
+    with pytest.raises(DataError, match="enable_x64"):
+        run_jit(build("ekf15"), made_too_early, case.nav, case.packed.epochs)
 
 
 def test_names_and_options_that_are_not_there():

@@ -7,6 +7,8 @@ import pytest
 from pyins import earth as pyins_earth
 
 from jaxnav import earth
+from jaxnav.metrics import errors
+from jaxnav.types import Track
 from jaxnav.units import DEG
 
 POINTS = np.array(
@@ -99,6 +101,17 @@ def test_move_is_the_inverse_of_enu_difference():
     np.testing.assert_allclose(difference(here, move(here, -d)), d, rtol=0, atol=2e-9)
     # seen from the other end it is second order in the distance
     np.testing.assert_allclose(difference(move(here, d), here), d, rtol=0, atol=50.0**2 / 3e6)
+
+
+def test_the_date_line_is_no_distance():
+    here, there = np.array([-0.3, np.pi - 1e-6, 5.0]), np.array([-0.3, -np.pi + 2e-6, 1.0])
+    np.testing.assert_allclose(difference(here, there), difference(here, there + [0, 2 * np.pi, 0]), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(difference(here + [0, 4 * np.pi, 0], there)[0], -3e-6 * 6.1e6, rtol=1e-2)
+    # nor between the samples of a truth
+    t, zero = np.arange(2.0), np.zeros((2, 3))
+    truth = Track(t, np.stack([here, there]), zero, zero)
+    middle = Track(np.array([0.5]), np.array([[-0.3, -np.pi + 5e-7, 3.0]]), zero[:1], zero[:1])
+    np.testing.assert_allclose(errors(middle, truth).position, 0, rtol=0, atol=1e-8)
 
 
 def test_rates_are_pyins():

@@ -130,6 +130,16 @@ def test_what_cannot_be_packed_is_named():
         pack(imu, {}, 1.0, start=99.0)
     with pytest.raises(DataError, match="which does not hold 102.000 to 101.000"):
         cut_times(imu, {}, 1.0, start=102.0, stop=101.0)
+    with pytest.raises(DataError, match=r"velocity: the fix at t = 101.300000 s is not at the end of an epoch"):
+        pack(imu, {"velocity": fixes([101.0, 101.3])}, 1.0, cuts=np.array([101.0, 102.0]))
+
+
+@pytest.mark.parametrize("apart", [1.2e-6, 1.9e-6, 2.5e-6])
+def test_fixes_microseconds_apart_at_the_end(apart):
+    t = np.array([101.0, 102.0])
+    packed = pack(stream(), {"position": fixes(t), "velocity": fixes(t + apart)}, 1.0, stop=102.0 + apart)
+    assert np.asarray(packed.epochs.fix.valid).sum() == 12  # none is lost
+    assert packed.epochs.imu.dt.sum() == pytest.approx(102.0 + apart - packed.start, abs=3e-6)
 
 
 def test_instantaneous_samples_become_means():
@@ -182,6 +192,10 @@ def test_stationary_looks_back_only():
         True,
     ]  # bias is no turn; first: not covered
     np.testing.assert_array_equal(stationary(imu, at, 1.0, 0.05, 0.005), expected)
+    # what nobody has seen is no standstill: a hole in the stream, and time after its end
+    holed = ImuLog(*(a[(t <= 2.0) | (t > 2.9)] for a in imu))
+    np.testing.assert_array_equal(stationary(holed, np.array([1.9, 2.95, 4.0]), 1.0, 0.05, 0.005), [True, False, True])
+    assert not stationary(imu, np.array([20.5]), 1.0, 0.05, 0.005).any()
     # either sensor alone may object
     assert not stationary(imu._replace(gyro=gyro * 20), at, 1.0, 0.05, 0.005).any()
     assert not stationary(imu, at, 1.0, 0.01, 0.005).any()

@@ -94,6 +94,18 @@ def worst(Phi, exact):
     return error / np.maximum(change, 1e-7), error
 
 
+@pytest.mark.parametrize("tau", [0.05, 0.3, 3.0])
+def test_biases_that_forget_within_an_epoch_decay(tau):
+    nav, imu = a_nav(), an_imu(10, 1.0)
+    _, path = propagate(nav, REST, imu)
+    noise = PARAMS.noise._replace(gyro_tau=jnp.asarray(tau), accel_tau=jnp.full(3, 2 * tau))
+    Phi, Q, d = discretize(noise, path, imu.dt, REST)
+    np.testing.assert_allclose(np.diag(Phi)[G], np.exp(-1 / tau), rtol=1e-9)
+    np.testing.assert_allclose(np.diag(Phi)[B], np.exp(-0.5 / tau), rtol=1e-9)
+    np.testing.assert_allclose(d[G], -np.expm1(-1 / tau) * nav.b_g, rtol=1e-9)
+    assert (np.diag(Q)[G] < 1.01 * noise.gyro_bias**2 * tau / 2).all()  # never above the bias's own variance
+
+
 def test_discretize_is_the_derivative_of_the_mechanization(transition):
     T, exact, Phi = transition
     full, simple = worst(Phi["full"], exact)[1], worst(Phi["simple"], exact)[1]
@@ -282,6 +294,10 @@ def test_at_extends_beyond_the_samples_and_needs_no_gap():
         np.testing.assert_allclose(at(bent, t).b_a, expected, rtol=1e-14)
     past = past._replace(t=jnp.array([1.0, 2.0]), vel=jnp.array([[0.0, 1, 2], [1.0, 1, 0]]))
     np.testing.assert_allclose(at(past, 2.5).vel, [1.5, 1, -1])
+    noisy = past._replace(omega=past.vel, force=10 * past.vel)  # held, where position and velocity are extended
+    for t, i in ((2.5, -1), (0.5, 0)):
+        np.testing.assert_allclose(at(noisy, t).omega, past.vel[i], rtol=1e-14)
+        np.testing.assert_allclose(at(noisy, t).force, 10 * past.vel[i], rtol=1e-14)
     np.testing.assert_allclose(at(past, 0.5).vel, [-0.5, 1, 3])
 
 

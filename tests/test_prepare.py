@@ -1,20 +1,26 @@
 """From a configuration to parameters and a start: for every filter, and where it is easily wrong."""
 
 import tomllib
+from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav import alignment, cli, config, plots_stats
+from jaxnav import alignment, cli, config, earth, plots_stats
 from jaxnav.errors import ConfigError, DataError
 from jaxnav.filters.catalogue import FILTERS
-from jaxnav.jobs import parameters, prepare, tune_report
+from jaxnav.jobs import batches, objectives, parameters, prepare, tune_report
+from jaxnav.jobs.unused import unused
 from jaxnav.measurements import GNSS
-from jaxnav.sensors.grades import GRADES
+from jaxnav.run import initial_nav
+from jaxnav.scenarios import SCENARIOS
+from jaxnav.sensors.grades import GRADES, mounting
+from jaxnav.simulation import matched_params
 from jaxnav.toml import to_toml
-from jaxnav.types import Samples
-from tuning.transforms import get, join, labels, split
+from jaxnav.types import ImuLog, Recording, Samples, Track
+from tuning.transforms import get, join, labels, put, split
 
 
 def resolved(**sections) -> config.Config:
@@ -110,3 +116,88 @@ def test_sd_of_the_start_are_one_or_three_positive_numbers(tmp_path, monkeypatch
     setting = f"start.position_sd_m={sd}"
     assert cli.main(["filter", "--data", "urban_short", "--out", "f", "--set", setting]) == 2
     assert "start.position_sd_m must be one number or 3, > 0" in capsys.readouterr().err
+
+
+def northward(late: float = 0.0) -> Recording:
+    """A minute north at 12 m/s and 10 Hz, fixes and truth at 1 Hz; ``late``: age of a fix at its stamp, in IMU time."""
+    t, k = np.arange(0.1, 60.05, 0.1), np.arange(1.0, 60.0)
+    track = lambda t: np.stack([0.8 + 12.0 * t / 6.37e6, 0.2 + 0 * t, 100.0 + 0 * t], 1)  # noqa: E731
+    level, three = np.tile([0, 0, -9.81], (t.size, 1)), np.zeros((k.size, 3))
+    position = Samples(k, track(k - late), np.full((k.size, 3), 1.0), three)
+    velocity = Samples(k, np.tile([0, 12.0, 0], (k.size, 1)), np.full((k.size, 3), 0.1), three)
+    truth = Track(k, track(k), velocity.value, three)
+    imu = ImuLog(t, np.full(t.size, 0.1), 0 * level, level)
+    return Recording("northward", imu, {"position": position, "velocity": velocity}, truth, np.zeros(3))
+
+
+def test_navigation_starts_where_the_vehicle_is_by_then():
+    c = resolved(params={"time_offset_s": 0.1, "position_latency_s": 0.3})
+    nav, _ = prepare.start_of(c, northward(0.4))
+    on_time, _ = prepare.start_of(resolved(), northward())
+    assert float(nav.t[0]) == 1.0
+    np.testing.assert_allclose(earth.enu_difference(nav.pos[0], on_time.pos[0]), 0, atol=0.02)
+
+
+def test_a_start_without_a_velocity_beside_it_is_refused():
+    rec = northward()
+    velocity = Samples(*(a[20:] for a in rec.aiding["velocity"]))
+    with pytest.raises(DataError, match=r"velocity: none within 2 s of the first position, at 1.000 s: set data.start"):
+        prepare.start_of(resolved(start={"heading": 0.0}), rec._replace(aiding=rec.aiding | {"velocity": velocity}))
+
+
+def test_the_truth_of_a_tuning_run_is_at_the_time_that_the_clocks_give():
+    rec, t = northward(), np.array([0.2, 10.0, 30.5, 70.0])
+    case = SimpleNamespace(recording=rec, params=params_of(resolved(params={"time_offset_s": 0.25})))
+    truth = batches._truth(case, t)
+    np.testing.assert_array_equal(truth.known, [False, True, True, False])
+    north = (np.asarray(truth.lla)[1:3, 0] - 0.8) * 6.37e6
+    np.testing.assert_allclose(north, 12.0 * (t[1:3] + 0.25), rtol=1e-9)
+    np.testing.assert_allclose(np.asarray(truth.rate)[1:3, 0] * 6.37e6, 12.0, rtol=1e-6)
+    late = rec._replace(truth=Track(*(a[-1:] + 1e3 * (i == 0) for i, a in enumerate(rec.truth))))
+    assert batches._truth(SimpleNamespace(recording=late, params=case.params), t) is None
+
+
+def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):
+    """Navigation is right; the truth is met where the offset is, by value and by slope."""
+    offset, true = 0.1, 0.35
+    t, params = np.arange(5.0, 55.0), params_of(resolved(params={"time_offset_s": offset}))
+    truth = batches._truth(SimpleNamespace(recording=northward(), params=params), t)
+    pos = jnp.stack([0.8 + 12.0 * (t + true) / 6.37e6, 0.2 + 0 * t, 100.0 + 0 * t], 1)
+    nav = jax.vmap(initial_nav)(pos)
+    none = jnp.zeros((1, 1))
+    info = SimpleNamespace(nav=nav, valid=none > 0, residual=none, ok=jnp.array([True]))
+    monkeypatch.setattr(objectives, "run", lambda *_: info)
+    batch = batches.Batch((), (), (), (), (), jnp.ones(t.size, bool), truth)
+    loss = objectives.objective(None, (("rmse", 1.0),), ("mounting.time_offset",))
+    at = lambda s: float(loss(put(params, "mounting.time_offset", s), objectives.Case(batch, params)))  # noqa: E731
+    assert at(offset) == pytest.approx(12.0 * (true - offset) / 3, rel=1e-3) and at(true) < 1e-3
+
+
+def test_history_covers_what_is_known_and_what_tuning_adds():
+    stress = matched_params(SCENARIOS["gipkf_urban_stress"]).mounting  # 0.15 s late
+    assert prepare.history_of(resolved(), stress, 10.0, False) == 4
+    assert prepare.history_of(resolved(), stress, 100.0, False) >= 17
+    assert prepare.history_of(resolved(), stress, 100.0, True) >= 2 + 100 * (0.15 + prepare.REACH)
+    assert prepare.history_of(resolved(), mounting(time_offset=-1.0), 100.0, False) == 2
+    assert prepare.history_of(resolved(filter={"history": 9}), stress, 100.0, True) == 9
+
+
+@pytest.mark.parametrize("verb, tree, keys", [
+    ("filter", {"data": {"source": "rtkexplorer_drive", "imu_worse_by": 2.0}}, ["data.imu_worse_by"]),
+    ("filter", {"filter": {"outages": [[1.0, 2.0]]}, "data": {"imu_worse_by": 2.0, "stop": 9.0}}, []),
+    ("tune", {"filter": {"outages": [[1.0, 2.0]]}, "data": {"stop": 9.0}}, ["filter.outages", "data.stop"]),
+    ("tune", {"tune": {"method": "lbfgs", "rate": 0.3}, "start": {"heading": 3.0}}, ["tune.rate"]),
+    ("mc", {"data": {"source": "gipkf_urban"}, "start": {"heading": 3.0}}, ["start.heading"]),
+    ("tune", {"data": {"source": "umn_thor75"}}, []),
+])  # fmt: skip
+def test_settings_without_effect_are_said(verb, tree, keys):
+    assert [line.partition(":")[0] for line in unused(verb, resolved(**tree))] == keys
+
+
+@pytest.mark.parametrize("key", ["gyro_deg_per_sqrt_hour", "lever_arm_m", "time_offset_s", "ki"])
+def test_parameters_are_finite(key):
+    value = [0.0, np.inf, 0.0] if key == "lever_arm_m" else np.inf
+    with pytest.raises(ConfigError, match=f"params.{key} must be finite"):
+        params_of(resolved(filter={"name": "gpid"}, params={key: value}))
+    walk = params_of(resolved(params={"gyro_tau_s": np.inf}))
+    assert np.isinf(walk.noise.gyro_tau).all()

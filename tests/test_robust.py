@@ -295,6 +295,17 @@ def test_sage_husa_takes_the_mean_noise_given_the_fix():
         assert c.memory.learnt[0] == pytest.approx(0.9 + 0.1 * (nu**2 / 16 + 0.75))
 
 
+def test_what_the_inner_rule_rejects_is_not_learnt_from():
+    z = innovation([3e3, -4e3, 5e3, 0.1, -0.1, 0.05])
+    # the R of iae holds this fix already, so that only a gate that takes nothing rejects it
+    for make, theta, threshold in ((sage_husa, sage_husa_params(), 3.0), (iae, iae_params(), 1e-6)):
+        rule = make(gate(kalman()))
+        c = answer(rule, theta._replace(rule=gate_params(threshold, timeout=np.inf)), z)
+        rejected = ~np.asarray(c.used)
+        assert rejected[:3].all()
+        np.testing.assert_array_equal(c.memory.learnt[..., rejected], 1.0)
+
+
 def test_a_floor_keeps_r_from_vanishing():
     noise = 1e-3 * CALM[1]
     for make, theta in ((sage_husa, sage_husa_params(floor=0.3)), (iae, iae_params(floor=0.3))):

@@ -100,14 +100,13 @@ def _shares(T: jax.Array) -> jax.Array:
 
 
 def _slow(blocks: dict, noise: Noise, point: Path, h: jax.Array, n: int) -> tuple[jax.Array, jax.Array]:
-    """exp(S h) to second order, (n, n), and what the decaying biases add, (n,)."""
-    rate = lambda tau: 1 / jnp.broadcast_to(tau, (3,))  # noqa: E731
-    decay_g, decay_a = rate(noise.gyro_tau), rate(noise.accel_tau)
-    blocks = {k: v for k, v in blocks.items() if k != ("position", "velocity")}
-    blocks |= {("gyro_bias", "gyro_bias"): -jnp.diag(decay_g), ("accel_bias", "accel_bias"): -jnp.diag(decay_a)}
-    S = assemble(blocks, n) * h
-    b = jnp.concatenate([jnp.zeros(9), decay_g * point.nav.b_g, decay_a * point.nav.b_a])[:n] * h
-    return jnp.eye(n) + S + 0.5 * S @ S, b + 0.5 * S @ b
+    """exp(S h), (n, n), to second order but for the biases' decay, and what that adds, (n,)."""
+    S = assemble({k: v for k, v in blocks.items() if k != ("position", "velocity")}, n) * h
+    tau = jnp.concatenate([jnp.broadcast_to(tau, (3,)) for tau in (noise.gyro_tau, noise.accel_tau)])
+    # no other slow block has to do with them
+    lost = jnp.concatenate([jnp.zeros(9), jnp.expm1(-h / tau)])[:n]
+    b = jnp.concatenate([jnp.zeros(9), point.nav.b_g, point.nav.b_a])[:n]
+    return jnp.eye(n) + S + 0.5 * S @ S + jnp.diag(lost), -lost * b
 
 
 def _nilpotent(maps: Maps, C, f, T, u: Drive, n: int) -> tuple[jax.Array, jax.Array]:

@@ -1,7 +1,7 @@
 """Rules that learn how good the fixes are, or forget old ones, each made of another rule: Sage-Husa, IAE, fading.
 
 R is learnt as a factor per channel on the R that comes with the fix, so that a receiver's own sd keeps its say. A
-missing channel teaches nothing: its memory stands still.
+channel that is missing, or that the inner rule rejects, teaches nothing: its memory stands still.
 """
 
 from functools import cache
@@ -58,7 +58,7 @@ def sage_husa(rule: Rule) -> Rule:
         r = z.nu - z.H @ c.delta
         now = (r**2 + jnp.diag(z.H @ c.P @ z.H.T)) / jnp.diag(z.R)
         learnt = theta.forget * memory.learnt + (1 - theta.forget) * now
-        return c._replace(memory=Memory(jnp.where(z.valid, learnt, memory.learnt), c.memory))
+        return c._replace(memory=Memory(jnp.where(c.used, learnt, memory.learnt), c.memory))
 
     return Rule(lambda n, m: Memory(jnp.ones(m), rule.init(n, m)), correct, _passed_on(rule))
 
@@ -88,7 +88,7 @@ def iae(rule: Rule, window: int = 20) -> Rule:
         learnt = jnp.where(z.valid, jnp.concatenate([memory.learnt[1:], now[None]]), memory.learnt)
         factor = jnp.where(z.valid, jnp.maximum(learnt.mean(0), theta.floor), 1.0)
         c = rule.correct(theta.rule, memory.rule, z._replace(R=inflated(z.R, factor)))
-        return c._replace(memory=Memory(learnt, c.memory))
+        return c._replace(memory=Memory(jnp.where(c.used, learnt, memory.learnt), c.memory))
 
     return Rule(lambda n, m: Memory(jnp.ones((window, m)), rule.init(n, m)), correct, _passed_on(rule))
 

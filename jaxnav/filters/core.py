@@ -163,9 +163,11 @@ def make_filter(
         x = x + c.delta
         S = H @ state.P @ H.T + R
         nis = z.nu @ linalg.solve(S, z.nu)
+        # how long an observer's drive may have to last: with two streams a short epoch can come before a long one
+        until = jnp.maximum(state.T, jnp.max(jnp.where(c.used, age, 0.0)))
         feed = partial(feedback, params.feedback, model.retract)
         after, x_after, u = jax.vmap(feed, (0, None, None), (0, None, None))(
-            jax.vmap(model.absorb, (0, None))(state.past, c.drive), x, state.T
+            jax.vmap(model.absorb, (0, None))(state.past, c.drive), x, until
         )
         f = jnp.broadcast_to(c.fade, x.shape)
         age = jnp.where(c.used, 0.0, age)

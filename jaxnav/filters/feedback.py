@@ -1,4 +1,7 @@
-"""What is done with the corrected error state: (theta, retract, nav, x, T) -> nav, x, u."""
+"""What is done with the corrected error state: (theta, retract, nav, x, T) -> nav, x, u.
+
+T is the length of the epoch, or the time between fixes of one kind where that is longer.
+"""
 
 from typing import NamedTuple
 
@@ -40,8 +43,8 @@ def observer(theta: Poles, retract, nav, x, T):
     """Continuous correction (FWEKF paper, eqs. 17-20): rates and accelerations drive the error to zero.
 
     The paper's gains 1/tau, 1/tau^2, 2/tau are for continuous time and unstable for T >= tau; these put the poles of
-    the sampled system at exp(-T/tau), whatever T, and tend to the paper's for T << tau. Biases are reset, having no
-    drive of their own.
+    the sampled system at exp(-T/tau), whatever T, and tend to the paper's for T << tau. The next epoch must not be
+    several times longer than T. Biases are reset, having no drive of their own.
     """
     T = jnp.where(T > 0, T, 1.0)
     spin = -jnp.expm1(-T / theta.attitude) / T

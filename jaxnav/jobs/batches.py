@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnav import earth
 from jaxnav import epochs as ep
 from jaxnav.config import Config
 from jaxnav.errors import ConfigError, DataError
@@ -22,6 +23,16 @@ from jaxnav.sensors.grades import GRADES
 from jaxnav.simulation import Simulated
 from jaxnav.types import Epoch, Nav, Params, Recording
 
+SLOPE = 0.05  # s, half of what a true velocity is taken over
+
+
+class Truth(NamedTuple):
+    """True positions at the epochs' GNSS time, which the time offset that tuning starts from gives them."""
+
+    lla: jax.Array  # (B, E, 3) rad, rad, m
+    rate: jax.Array  # (B, E, 3) of it, per s
+    known: jax.Array  # (B, E) bool; where not, lla is that of the nearest epoch
+
 
 class Batch(NamedTuple):
     """B runs of E epochs with up to W hidden windows each; arrays of jax."""
@@ -32,7 +43,7 @@ class Batch(NamedTuple):
     scored: jax.Array  # (B, W) bool, windows that count here
     keep: jax.Array  # (B, E) bool, epochs whose innovations count
     part: jax.Array  # (B, E) bool, epochs of this part of the data, hidden or not
-    lla: jax.Array | None  # (B, E, 3) true position, for the supervised objective
+    truth: Truth | None  # for the supervised objectives
 
 
 class Likelihood(NamedTuple):
@@ -87,20 +98,22 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     if not windows:
         raise ConfigError(f"data.options.outages_s: tuning scores outages, scenario {scenario.name} has none")
     stride = max(d for d in range(1, config.filter.cov_stride + 1) if samples % d == 0)
-    filt = build(pre.filter_name(config), GNSS, stride, pre.history_of(config, scenario.imu_rate_hz, tuned=True))
     start, own = config.start, scenario.start
     sd = start.position_sd_m or own.prior_position_sd_m, start.velocity_sd_mps or own.prior_velocity_sd_mps
     params = pre.base_params(config, pre.grade_of(config, scenario), np.array(scenario.gnss.lever_arm_m), *sd)
+    history = pre.history_of(config, params.mounting, scenario.imu_rate_hz, tuned=True)
+    filt = build(pre.filter_name(config), GNSS, stride, history)
     place = np.array(scenario.gnss.lever_arm_m)
     sheet = pre.base_params(datasheet_only(config), pre.grade_of(config, scenario), place, *sd)
     edges = np.cumsum((0, *counts))
     parts = [jax.tree.map(lambda a, s=slice(a, b): a[s], sims) for a, b in zip(edges[:-1], edges[1:])]
-    batches = [_batch(part) for part in parts]
+    offset = float(params.mounting.time_offset)
+    batches = [_batch(part, offset) for part in parts]
     train, test = batches[0], parts[2]
 
     def redraw(step: int) -> Batch:
-        return _batch(simulated(scenario, jnp.stack([key_of(config.seed, REDRAWN, step * t.runs + i)
-                                                      for i in range(t.runs)])))  # fmt: skip
+        keys = jnp.stack([key_of(config.seed, REDRAWN, step * t.runs + i) for i in range(t.runs)])
+        return _batch(simulated(scenario, keys), offset)
 
     runs = jnp.broadcast_to(jnp.arange(t.runs)[:, None], train.keep.shape)
     about = f"simulated runs of {scenario.name}: {counts[0]} to train, {counts[1]} to validate, {counts[2]} kept aside"
@@ -136,12 +149,15 @@ def _known(scenario: Scenario) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _batch(sims: Simulated) -> Batch:
-    """Simulated runs (B, ...) with the windows of their outages."""
+def _batch(sims: Simulated, offset: float) -> Batch:
+    """Simulated runs (B, ...) with the windows of their outages; ``offset`` s of the clocks, as the filter has it."""
     t = sims.truth.t[:, None]
     ends = jnp.sum(t <= sims.outages[:, :, 1:] + ep.TICK, axis=-1) - 1
     keep = ~sims.hidden
-    return Batch(sims.initial, sims.epochs, ends, ends >= 0, keep, jnp.ones_like(keep), sims.truth.pos)
+    own, all_of_it = sims.truth, jnp.ones_like(keep)
+    rate = jax.vmap(jax.vmap(lambda pos, vel: earth.move(pos, vel) - pos))(own.pos, own.vel)
+    return Batch(sims.initial, sims.epochs, ends, ends >= 0, keep, all_of_it,
+                 Truth(own.pos + offset * rate, rate, all_of_it))  # fmt: skip
 
 
 # ---------------------------------------------------------------------------- recorded
@@ -258,17 +274,22 @@ def _phases(
     part = np.broadcast_to(t > begin, hidden.shape)
     batch = Batch(
         nav, runs, jnp.asarray(ends), jnp.asarray(count), jnp.asarray(part & ~hidden), jnp.asarray(part),
-        None if truth is None else many(truth),
+        None if truth is None else jax.tree.map(many, truth),
     )  # fmt: skip
     return batch, blocks, hidden
 
 
-def _truth(case: pre.Case, t: np.ndarray) -> jax.Array | None:
-    """True positions (E, 3), or None."""
-    truth = case.recording.truth
+def _truth(case: pre.Case, t: np.ndarray) -> Truth | None:
+    """Of one run's epochs (E, ...) that end at IMU time ``t``; None without a truth that knows any of them."""
+    truth, t = case.recording.truth, t + float(case.params.mounting.time_offset)
     if truth is None:
         return None
-    return jnp.asarray(np.stack([np.interp(t, truth.t, c) for c in truth.lla.T], 1))
+    known = (t >= truth.t[0] - ep.TICK) & (t <= truth.t[-1] + ep.TICK)
+    if not known.any():
+        return None
+    at = lambda t: np.stack([np.interp(t, truth.t, c) for c in earth.continuous(truth.lla).T], 1)  # noqa: E731
+    rate = (at(t + SLOPE) - at(t - SLOPE)) / (2 * SLOPE)
+    return Truth(jnp.asarray(at(t)), jnp.asarray(rate), jnp.asarray(known))
 
 
 def _spans(t: np.ndarray, hidden: np.ndarray) -> list[tuple[float, float]]:

@@ -21,6 +21,7 @@ from jaxnav import metrics, rotations, units
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter
 from jaxnav.jobs.parameters import groups, step_of
+from jaxnav.jobs.prepare import covering
 from jaxnav.jobs.results import stderr
 from jaxnav.jobs.sources import TEST, TRAIN, VALIDATION, key_of, simulated
 from jaxnav.run import run
@@ -220,12 +221,8 @@ def filter_for(name: str, plan: Plan) -> Filter:
     kinds = (*plan.trained, *plan.unseen)
     samples = math.gcd(*(sizes(kind.scenario)[1] for kind in kinds))
     stride = max(d for d in range(1, plan.cov_stride + 1) if samples % d == 0)
-    late = [
-        float(max(k.told.mounting.position_latency, k.told.mounting.velocity_latency) + k.told.mounting.time_offset)
-        * k.scenario.imu_rate_hz
-        for k in kinds
-    ]
-    return build(name, cov_stride=stride, history=2 + math.ceil(max(late) + 1e-6 if max(late) > 0 else 0))
+    history = max(covering(k.told.mounting, k.scenario.imu_rate_hz) for k in kinds)
+    return build(name, cov_stride=stride, history=history)
 
 
 def together(cases: list[Case]) -> tuple[list[Case], list[int]]:

@@ -39,7 +39,7 @@ def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
         params = override(matched_params(told(each, scenario), entry.theta(), entry.feedback_theta()), config.params)
         samples = sizes(scenario)[1]
         stride = max(d for d in range(1, config.filter.cov_stride + 1) if samples % d == 0)
-        filt = build(name, GNSS, stride, pre.history_of(config, scenario.imu_rate_hz, tuned=False))
+        filt = build(name, GNSS, stride, pre.history_of(config, params.mounting, scenario.imu_rate_hz, tuned=False))
         try:
             found[name] = montecarlo.monte_carlo(
                 filt, scenario, params, config.mc.runs, config.seed, chunk=config.mc.chunk,

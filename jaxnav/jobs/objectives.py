@@ -43,9 +43,9 @@ def _nll(info: Info, run: Batch) -> jax.Array:
 
 
 def _rmse(info: Info, run: Batch) -> jax.Array:
-    assert run.lla is not None  # `check_objective` saw to it
-    error = jax.vmap(metrics.position_error)(info.nav, run.lla)
-    return jnp.mean(objectives.rmse(error, run.part))
+    assert run.truth is not None  # `check_objective` saw to it
+    error = jax.vmap(metrics.position_error)(info.nav, run.truth.lla)
+    return jnp.mean(objectives.rmse(error, run.part & run.truth.known))
 
 
 def _consistency(info: Info, run: Batch) -> jax.Array:
@@ -57,9 +57,9 @@ def _whiteness(info: Info, run: Batch) -> jax.Array:
 
 
 def _nees(info: Info, run: Batch) -> jax.Array:
-    assert run.lla is not None
-    error = jax.vmap(metrics.position_error)(info.nav, run.lla)
-    return objectives.error_consistency(error, info.P[:, :3, :3], run.keep)
+    assert run.truth is not None
+    error = jax.vmap(metrics.position_error)(info.nav, run.truth.lla)
+    return objectives.error_consistency(error, info.P[:, :3, :3], run.keep & run.truth.known)
 
 
 Score = Callable[[Info, Batch], jax.Array]
@@ -88,7 +88,7 @@ def check_objective(weights: dict[str, float], truth: bool = True) -> None:
 def score_of(name: str) -> Score:
     """An objective by name, or a user's own ``module:function`` of (info, epochs, truth) -> ().
 
-    ``truth``: (E, 3) lat rad, lon rad, h m, or None.
+    ``truth``: (E, 3) lat rad, lon rad, h m, or None; its nearest position at epochs that it does not cover.
 
     Raises:
         ConfigError: there is none.
@@ -105,7 +105,7 @@ def score_of(name: str) -> Score:
         own = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError) as error:
         raise ConfigError(f"tune.objective: {name!r} cannot be imported: {error}") from error
-    return lambda info, run: own(info, run.epochs, run.lla)
+    return lambda info, run: own(info, run.epochs, None if run.truth is None else run.truth.lla)
 
 
 @cache
@@ -118,8 +118,12 @@ def objective(
     """
 
     def loss(params: Params, case: Case) -> jax.Array:
-        info = run(filt, merged(params, case.own, free), case.batch.nav, case.batch.epochs)
-        total = sum((w * score_of(name)(info, case.batch) for name, w in weights if w), jnp.zeros(()))
+        params, batch = merged(params, case.own, free), case.batch
+        info = run(filt, params, batch.nav, batch.epochs)
+        if batch.truth is not None:  # where navigation was by then, if the clocks are further apart than at the start
+            later = params.mounting.time_offset - case.own.mounting.time_offset
+            batch = batch._replace(truth=batch.truth._replace(lla=batch.truth.lla + later * batch.truth.rate))
+        total = sum((w * score_of(name)(info, batch) for name, w in weights if w), jnp.zeros(()))
         found = jnp.all(jnp.where(info.valid, jnp.abs(info.residual), 0.0) < LOST)
         return jnp.where(info.ok.all() & found, total, jnp.inf)
 

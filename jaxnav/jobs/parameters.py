@@ -52,6 +52,7 @@ UNITS: dict[str, Unit] = {
 """The keys of [params]."""
 
 NAMES = {unit.leaf: name for name, unit in UNITS.items()}
+ENDLESS = ("gyro_tau_s", "accel_tau_s")  # may be inf: a random walk
 ROOTS = tuple(
     f"noise.{leaf}" for leaf in ("gyro", "accel", "gyro_bias", "accel_bias", "position_scale", "velocity_scale")
 )
@@ -76,6 +77,8 @@ def override(params: Params, section: config.Params) -> Params:
             raise ConfigError(f"params.{name} must be {expected}, got {value!r}")
         elif unit.step is LOG and not np.all(np.asarray(value) > 0):
             raise ConfigError(f"params.{name} must be > 0, got {value!r}")
+        elif not np.isfinite(value).all() and not (name in ENDLESS and not np.isnan(value).any()):
+            raise ConfigError(f"params.{name} must be finite, got {value!r}")
         if not hasattr(params.rule, unit.leaf.split(".")[1]) and unit.leaf.startswith("rule."):
             raise ConfigError(f"params.{name}: this filter has no such parameter")
         old = jnp.shape(get(params, unit.leaf))

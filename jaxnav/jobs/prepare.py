@@ -19,11 +19,12 @@ from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.run import initial_nav
 from jaxnav.scenarios import Scenario
 from jaxnav.sensors.grades import GRADES, Grade, datasheet_params, mounting
-from jaxnav.types import Nav, Params, Prior, Recording, Samples
+from jaxnav.types import Mounting, Nav, Params, Prior, Recording, Samples
 from jaxnav.units import DEG
 
 CONSTRAINTS = ("zero_velocity", "zero_rate", "nonholonomic", "speed")
-REACH = 0.25  # s, latency that tuning may reach
+REACH = 0.25  # s, latency that tuning may add
+APART = 2.0  # s, at most, from the first position to the velocity beside it
 CHORD = 4.0  # s, over which 3 m of noise are 1 m/s
 
 
@@ -76,14 +77,17 @@ def measurements_of(config: Config) -> tuple[Measurement, ...]:
     return (*GNSS, *(MEASUREMENTS[name] for name in CONSTRAINTS if getattr(config.filter, name)))
 
 
-def history_of(config: Config, rate_hz: float, tuned: bool) -> int:
-    """IMU samples of history: to cover the latencies stated, and those that tuning may reach."""
+def history_of(config: Config, known: Mounting, rate_hz: float, tuned: bool) -> int:
+    """IMU samples of history: to cover the latencies that are known, and what tuning may add to them."""
     if config.filter.history:
         return max(2, config.filter.history)
-    p = config.params
-    largest = (p.time_offset_s or 0.0) + max(p.position_latency_s or 0.0, p.velocity_latency_s or 0.0)
-    largest = max(largest, REACH) if tuned else largest
-    return 2 + math.ceil(max(largest, 0.0) * rate_hz + 1e-6) if largest > 0 else 2
+    return covering(known, rate_hz, REACH if tuned else 0.0)
+
+
+def covering(known: Mounting, rate_hz: float, more: float = 0.0) -> int:
+    """IMU samples of history that reach back as far as the latest fix, and ``more`` s."""
+    late = float(known.time_offset) + max(float(known.position_latency), float(known.velocity_latency)) + more
+    return 2 + math.ceil(late * rate_hz + 1e-6) if late > 0 else 2
 
 
 def base_params(config: Config, grade: Grade, lever_arm: np.ndarray, position_sd: Any, velocity_sd: Any) -> Params:
@@ -111,7 +115,7 @@ def prepare(config: Config, tuned: bool = False) -> Case:
     interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
     packed = pack(config, rec, measurements, float(np.ravel(first.t)[0]), interval)
     rate = 1 / float(np.median(rec.imu.dt))
-    filt = build(name, measurements, config.filter.cov_stride, history_of(config, rate, tuned))
+    filt = build(name, measurements, config.filter.cov_stride, history_of(config, params.mounting, rate, tuned))
     biases = None if sim is None else jax.tree.map(np.asarray, (sim.truth.t, sim.truth.b_g, sim.truth.b_a))
     return Case(rec, filt, measurements, params, packed, first, biases)
 
@@ -159,7 +163,8 @@ def start_of(config: Config, rec: Recording) -> tuple[Nav, Prior]:
     if isinstance(heading, str) and heading not in ("course", "unknown", "truth"):
         raise ConfigError(f'start.heading must be "course", "unknown", "truth" or degrees, got {heading!r}')
     begin = max(rec.imu.t[0], -math.inf if config.data.start is None else config.data.start)
-    velocity = rec.aiding.get("velocity") or _differences(position)
+    own = rec.aiding.get("velocity")
+    velocity = own or _differences(position)
     roll, pitch = _level(rec, velocity, begin)
     angle = 0.0
     if heading == "course":
@@ -169,8 +174,10 @@ def start_of(config: Config, rec: Recording) -> tuple[Nav, Prior]:
     elif not isinstance(heading, str):
         angle = heading * DEG
     t, lla, vel, prior = _first_fix(config, position, velocity, begin)
+    if own is not None and np.abs(own.t - t).min() > APART:
+        raise DataError(f"velocity: none within {APART:g} s of the first position, at {t:.3f} s: set data.start")
     if heading == "truth":
-        roll, pitch, angle = _interpolated(rec, t)
+        roll, pitch, angle = _interpolated(rec, t + (config.params.time_offset_s or 0.0))
     nav = initial_nav(lla, vel, (roll, pitch, angle))
     arm = rotations.to_dcm(nav.q) @ jnp.asarray(rec.lever_arm, float)
     nav = nav._replace(pos=earth.move(nav.pos, -arm), t=jnp.asarray(t, float))
@@ -214,15 +221,17 @@ def _true_attitude(rec: Recording, begin: float) -> tuple[float, float, float, f
 def _first_fix(
     config: Config, position: Samples, velocity: Samples, begin: float
 ) -> tuple[float, np.ndarray, np.ndarray, Prior]:
-    """Time, position, velocity and their sd at the first fix from ``begin`` on."""
+    """Time, position, velocity and their sd at the first fix from ``begin`` on; moved on by the position's latency."""
     i = int(np.searchsorted(position.t, begin - ep.TICK))
     if i >= position.t.size - 1:
         raise DataError(f"position: no fix after {begin:.3f} s to start from")
     t = float(position.t[i])
     j = int(np.argmin(np.abs(velocity.t - t)))
-    start = config.start
+    start, known = config.start, config.params
+    late = (known.time_offset_s or 0.0) + (known.position_latency_s or 0.0)
+    lla = earth.move(jnp.asarray(position.value[i]), late * jnp.asarray(velocity.value[j]))
     position_sd = np.hypot(position.sd[i], 0.5) if start.position_sd_m is None else start.position_sd_m
     velocity_sd = np.hypot(velocity.sd[j], 0.3) if start.velocity_sd_mps is None else start.velocity_sd_mps
     zero = jnp.zeros(())
     prior = Prior(jnp.asarray(position_sd, float), jnp.asarray(velocity_sd, float), zero, zero, zero)
-    return t, position.value[i], velocity.value[j], prior
+    return t, np.asarray(lla), velocity.value[j], prior

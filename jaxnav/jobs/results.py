@@ -44,7 +44,7 @@ def staged(out: Path) -> Iterator[Path]:
     Raises:
         DataError: the folder cannot be written.
     """
-    out = Path(out)
+    out = Path(out).resolve()
     temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
     try:
         temporary.mkdir(parents=True)

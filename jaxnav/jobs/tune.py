@@ -120,7 +120,7 @@ def prepare(config: Config) -> list[Material]:
         own = dataclasses.replace(for_source(config, source), seed=config.seed + i) if i else config
         scenario = scenario_of(own)
         material = from_scenario(own, scenario) if scenario is not None else from_recording(own)
-        check_objective(config.tune.objective, material.train.lla is not None)
+        check_objective(config.tune.objective, material.train.truth is not None)
         materials.append(material)
     return materials
 

@@ -146,9 +146,10 @@ def at(past: Nav, t: jax.Array) -> Nav:
     before, after = jax.tree.map(lambda leaf: leaf[0], past), jax.tree.map(lambda leaf: leaf[1], past)
     gap = after.t - before.t
     share = jnp.where(gap > 0, (t - before.t) / jnp.where(gap > 0, gap, 1.0), 1.0)
-    blend = lambda share: jax.tree.map(lambda a, b: a + share * (b - a), before, after)  # noqa: E731
-    nav, held = blend(share), blend(jnp.clip(share, 0.0, 1.0))
-    return nav._replace(t=t, q=rotations.normalize(nav.q), omega=held.omega, force=held.force)
+    blend = lambda share, a, b: jax.tree.map(lambda a, b: a + share * (b - a), a, b)  # noqa: E731
+    rates = lambda nav: {"omega": nav.omega, "force": nav.force}  # noqa: E731
+    nav, held = blend(share, before, after), blend(jnp.clip(share, 0.0, 1.0), rates(before), rates(after))
+    return nav._replace(t=t, q=rotations.normalize(nav.q), **held)
 
 
 def covariance(root: jax.Array | float, sd: jax.Array, corr: jax.Array, valid: jax.Array) -> jax.Array:

@@ -1,6 +1,6 @@
 """`python -m jaxnav` is the command line."""
 
-from jaxnav.cli import main
+from jaxnav.cli import console
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    console()

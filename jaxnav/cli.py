@@ -4,15 +4,17 @@ Exit codes: 0 done, 1 a check failed (the filter stopped being finite), 2 usage 
 used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and errors on stderr.
 """
 
+import _thread
 import argparse
 import os
 import sys
 import tempfile
+import threading
 import traceback
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxnav import config as configuration
 from jaxnav.errors import ConfigError, DataError
@@ -20,6 +22,7 @@ from jaxnav.errors import ConfigError, DataError
 if TYPE_CHECKING:
     from jaxnav.jobs.results import Outcome
 
+INTERRUPTED = 130  # exit code
 CACHE = "JAXNAV_CACHE_DIR"  # environment: folder of compiled programs; empty turns the cache off
 VERBS = {
     "demo": "simulate, tune by gradient and draw the figures: no data, no network, about a minute",
@@ -45,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _main(args)
     except KeyboardInterrupt:
         print("jaxnav: stopped", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     except (ConfigError, DataError) as error:
         return _fail(args, error, 2 if isinstance(error, ConfigError) else 3)
     except BrokenPipeError:  # `jaxnav info | head`
@@ -57,6 +60,28 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not isinstance(error, FailedCheck):
             raise
         return _fail(args, error, 1)
+
+
+def console() -> NoReturn:
+    """`main` as a process, which Ctrl-C ends at any time."""
+
+    def swallowed(what: "sys.UnraisableHookArgs") -> None:
+        # jax hears of garbage collection; an interrupt that falls into such a callback would be printed and lost
+        if what.exc_type is KeyboardInterrupt:
+            threading.Timer(0.05, _thread.interrupt_main).start()  # not now: it would be lost in here as well
+        else:
+            sys.__unraisablehook__(what)
+
+    sys.unraisablehook = swallowed
+    try:
+        code = main()
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if code == INTERRUPTED:  # the compiler's threads may still be at work, and crash an orderly end
+        os._exit(code)
+    raise SystemExit(code)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -118,7 +143,7 @@ def _main(args: argparse.Namespace) -> int:
         with tempfile.TemporaryDirectory() as folder:
             _work(args, config, Path(folder), out)
         return 0
-    with results.staged(out) as folder:
+    with results.staged(out, alone=args.verb == "simulate") as folder:
         outcome = _work(args, config, folder, out)
         results.write_run(folder, args.verb, config, outcome)
     return _report(args, outcome, out)
@@ -129,22 +154,22 @@ def resolve(args: argparse.Namespace) -> configuration.Config:
     layers: list[tuple[str, dict[str, Any]]] = []
     if args.verb in OWN:
         layers.append((args.verb, OWN[args.verb]))
-    if args.config:
+    if args.config is not None:
         layers.append((args.config, configuration.read(args.config)))
-    if getattr(args, "params", None):
+    if getattr(args, "params", None) is not None:
         layers.append((args.params, configuration.read_params(args.params)))
     if args.seed is not None:
         layers.append(("--seed", {"seed": args.seed}))
-    if getattr(args, "data", None):
+    if getattr(args, "data", None) is not None:
         layers.append(("--data", {"data": {"source": args.data}}))
     span = {key: getattr(args, key) for key in ("start", "stop") if getattr(args, key, None) is not None}
     if span:
         layers.append(("--start, --stop", {"data": span}))
-    if getattr(args, "filter", None):
+    if getattr(args, "filter", None) is not None:
         layers.append(("--filter", {"filter": {"name": args.filter}}))
     if getattr(args, "runs", None) is not None:
         layers.append(("--runs", {"mc": {"runs": args.runs}}))
-    if getattr(args, "unseen", None):
+    if getattr(args, "unseen", None) is not None:
         layers.append(("--unseen", {"bakeoff": {"unseen": [name.strip() for name in args.unseen.split(",")]}}))
     layers += [(f"--set {setting}", configuration.parse_set(setting)) for setting in args.set]
     return configuration.resolve(layers)
@@ -217,7 +242,7 @@ def _first() -> bool:
 def _report(args: argparse.Namespace, outcome: "Outcome", out: Path | None) -> int:
     from jaxnav.jobs.results import to_json
 
-    code = 130 if outcome.stopped else 0
+    code = INTERRUPTED if outcome.stopped else 0
     if args.json:
         about = {"verb": args.verb, "out": None if out is None else str(out), "stopped": outcome.stopped or None}
         print(to_json(about | {"seconds": outcome.seconds, "metrics": outcome.metrics}))
@@ -262,6 +287,8 @@ def _start_jax(args: argparse.Namespace) -> None:
     if args.verb == "tune":
         from tuning import distributed
 
+        if args.devices < 0:
+            raise ConfigError(f"--devices must be 0 (all) or more, got {args.devices}")
         if args.devices > 1 and args.processes is None:
             distributed.use_cpu_devices(args.devices)
         distributed.start(args.coordinator, args.processes, args.process)
@@ -279,4 +306,4 @@ def _version() -> str:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    console()

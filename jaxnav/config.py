@@ -215,6 +215,9 @@ LIMITS: dict[str, tuple[float, float]] = {
     "start.tilt_sd_deg": (1e-6, 90.0),
     "start.heading_sd_deg": (1e-6, 180.0),
     "start.hypotheses": (2, 360),
+    "params.time_offset_s": (-10.0, 10.0),
+    "params.position_latency_s": (-10.0, 10.0),
+    "params.velocity_latency_s": (-10.0, 10.0),
     "tune.steps": (0, 1_000_000),
     "tune.rate": (1e-9, 10.0),
     "tune.tail": (0.0, 1.0),
@@ -256,7 +259,7 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
     config = _build(merged)
     for name, (low, high) in LIMITS.items():
         value = operator.attrgetter(name)(config)
-        if not low <= value <= high:
+        if value is not None and not low <= value <= high:
             raise ConfigError(f"{name} must be in [{low:g}, {high:g}], got {value:g}")
     return config
 

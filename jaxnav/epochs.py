@@ -169,6 +169,17 @@ def stationary(imu: ImuLog, t: np.ndarray, window: float, accel_sd: float, gyro_
     return covered & (spread(imu.accel) < accel_sd) & (spread(imu.gyro) < gyro_sd)
 
 
+def driving(velocity: Samples, t: np.ndarray) -> np.ndarray:
+    """Does the receiver say at the times ``t`` (E,) that the vehicle moves: over 0.5 m/s and 3 sd; bool (E,).
+
+    By the velocity nearest in time, within a second.
+    """
+    after = np.clip(np.searchsorted(velocity.t, t), 1, max(velocity.t.size - 1, 1)) % velocity.t.size
+    near = np.where(np.abs(velocity.t[after] - t) < np.abs(velocity.t[after - 1] - t), after, after - 1)
+    speed = np.hypot(velocity.value[near, 0], velocity.value[near, 1])
+    return (np.abs(velocity.t[near] - t) <= 1.0) & (speed > 0.5 + 3 * velocity.sd[near, :2].max(1))
+
+
 def mean_rate(imu: ImuLog, t: np.ndarray, window: float) -> np.ndarray:
     """Mean raw gyro rate over the ``window`` s before each of ``t``, (E, 3) rad/s: the value of a zero-rate update."""
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(imu.gyro, 0)])

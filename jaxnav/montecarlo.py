@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from tqdm import tqdm
 
 from jaxnav import metrics, rotations
 from jaxnav.epochs import TICK
 from jaxnav.filters.core import Filter
+from jaxnav.progress import bar as progress_bar
 from jaxnav.scenarios import Scenario
 from jaxnav.simulation import Simulated, simulate, sizes
 from jaxnav.types import Info, Nav, Params
@@ -219,7 +219,7 @@ def monte_carlo(
     keys = jax.vmap(partial(run_key, seed))(np.resize(numbers, -(-numbers.size // chunk) * chunk))
     limit, scores, stopped = jnp.asarray(limit_m, float), [], False
     sums: _Sums | None = None
-    bar = tqdm(total=numbers.size, disable=None if progress else True, unit="run")
+    bar = progress_bar(numbers.size, "run", progress)
     try:
         for begin in range(0, numbers.size, chunk):
             out = jax.device_get(_chunk(filt, scenario, candidates, params, limit, keys[begin : begin + chunk]))

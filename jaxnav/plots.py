@@ -58,7 +58,8 @@ def dress(ax: "Axes", title: str = "", xlabel: str = "", ylabel: str = "") -> No
     ax.set_xlabel(xlabel, fontsize=9)
     ax.set_ylabel(ylabel, fontsize=9)
     ax.tick_params(labelsize=8)
-    ax.ticklabel_format(useOffset=False)
+    ax.ticklabel_format(axis="y", useOffset=False)
+    ax.xaxis.get_offset_text().set_fontsize(8)  # of seconds since 1970
     ax.yaxis.get_offset_text().set_fontsize(8)
     ax.grid(True, color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)

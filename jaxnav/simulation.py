@@ -38,6 +38,9 @@ def sizes(scenario: Scenario) -> tuple[int, int]:
         ValueError: rates or times that do not divide, an unknown grade, or an sd of zero.
     """
     rate, grade, aligned = scenario.gnss_rate_hz, scenario.imu.grade, scenario.start.alignment_s
+    for name in ("imu_rate_hz", "gnss_rate_hz", "duration_s"):
+        if not 0 < (own := getattr(scenario, name)) < np.inf:
+            raise ValueError(f"{name} must be positive and finite, got {own:g}")
     k, E, before = scenario.imu_rate_hz / rate, scenario.duration_s * rate, aligned * rate
     if abs(k - round(k)) > 1e-9 or round(k) < 1:
         raise ValueError(f"imu_rate_hz must be a multiple of gnss_rate_hz, got {scenario.imu_rate_hz:g} and {rate:g}")

@@ -145,6 +145,14 @@ def test_seed_reproduces_and_matters(drive):
         (["filter", "--config", "none.toml"], ["none.toml: cannot be read"]),
         (["filter", "--params", "none.toml"], ["none.toml: cannot be read"]),
         (["data", "fetch"], ["needs the name"]),
+        (["filter", "--filter", ""], ["no filter ''"]),
+        (["filter", "--config", ""], ["cannot be read"]),
+        (["filter", "--set", "params.position_latency_s=100"], ["params.position_latency_s must be in [-10, 10]"]),
+        (["filter", "--set", "filter.outages=[[200, 300]]"], ["filter.outages: [200.0, 300.0] holds no epoch"]),
+        (["simulate", "--set", "data.options.duration_s=inf"], ["duration_s must be positive and finite, got inf"]),
+        (["tune", "--devices", "-1"], ["--devices must be 0 (all) or more, got -1"]),
+        (["tune", "--set", "tune.objective={'os:sep' = 1.0}"], ["'os:sep' is no function"]),
+        (["tune", "--set", "tune.objective={':f' = 1.0}"], ["cannot be imported"]),
     ],
 )
 def test_configuration_errors_exit_2(argv, words, capsys):
@@ -186,6 +194,20 @@ def cells(line, at, value):
 )
 def test_bad_data_exits_3(drive, tmp_path, capsys, file, change, words):
     fails(capsys, ["filter", "--data", edit(drive, tmp_path, file, change)], 3, *words)
+
+
+def test_no_name_is_no_scenario(capsys):
+    fails(capsys, ["filter", "--data", ""], 3, "imu.csv")
+
+
+def test_files_that_nobody_reads_are_named(drive, tmp_path, capsys):
+    folder = copy(drive, tmp_path / "bad")
+    (folder / "position.csv").rename(folder / "gnss.csv")
+    fails(capsys, ["filter", "--data", str(folder)], 3, "no position.csv, and gnss.csv is not read")
+    (folder / "gnss.csv").rename(folder / "position.csv")
+    text = (folder / "velocity.csv").read_text()
+    (folder / "velocity.csv").write_text(text.replace("corr_en", "corr_ne"))
+    fails(capsys, ["filter", "--data", str(folder)], 3, "velocity.csv: no column corr_ne is known", "corr_en")
 
 
 def test_absent_data_and_fetched_data_exit_3(monkeypatch, tmp_path, capsys):
@@ -242,6 +264,20 @@ def test_unwritable_out_exits_3(drive, capsys):
     cli.Path("file").write_text("")
     assert cli.main(["simulate", "--data", "urban_short", "--out", "file/r", "--set", "out.figures=false"]) == 3
     assert "cannot be written" in capsys.readouterr().err
+
+
+def test_results_do_not_mix_with_files_of_others(drive, tmp_path, capsys):
+    (tmp_path / "speed.csv").write_text("mine")
+    fails_as = ["simulate", "--data", "urban_short", *SMALL, "--out", str(tmp_path)]
+    assert cli.main(fails_as) == 3 and "holds speed.csv" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    assert cli.main(["filter", "--data", str(drive), "--out", str(tmp_path / "file")]) == 3
+    assert "is a file" in capsys.readouterr().err
+    with staged(tmp_path / "again", alone=True) as folder:
+        (folder / "run.json").write_text('{"files": ["imu.csv"]}')
+        (folder / "imu.csv").write_text("")
+    with staged(tmp_path / "again", alone=True) as folder:  # its own may be written over
+        (folder / "run.json").write_text("{}")
 
 
 def test_the_current_folder_can_be_the_output():
@@ -343,6 +379,19 @@ def test_process_has_no_traceback():
     done = subprocess.run(argv, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr == "jaxnav: error: --set filter.nam=3: unknown key filter.nam: did you mean filter.name?\n"
+
+
+@pytest.mark.parametrize("where", ["in a callback of the garbage collector", "anywhere"])
+def test_ctrl_c_ends_the_process_with_130(where):
+    """In such a callback python prints the interrupt and goes on, unless told."""
+    interrupt = "callback()" if where == "anywhere" else "gc.callbacks.append(callback); gc.collect()"
+    done = python(
+        "import gc, os, signal, time; from jaxnav import cli\n"
+        "def callback(*_): gc.callbacks.clear(); os.kill(os.getpid(), signal.SIGINT); time.sleep(0.1)\n"
+        f"def main(): {interrupt}; time.sleep(20); return 0\n"
+        "cli.main = main; cli.console()"
+    )
+    assert done.returncode == 130 and done.stderr == ""
 
 
 def test_command_line_itself_needs_no_jax():

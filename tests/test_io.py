@@ -347,6 +347,15 @@ def test_solution_as_pos_and_nav(tmp_path):
     np.testing.assert_allclose(io.read_kfgins_nav(tmp_path / "a.nav").lla, track.lla, atol=1e-6)
 
 
+@pytest.mark.parametrize("t0, date", [(0.0, 315964800.0), (1.6e9, 0.0)])
+def test_a_pos_solution_has_the_date_of_its_time(tmp_path, t0, date):
+    """Seconds that are no date of GPS time count from its start; those that are one are kept."""
+    t, zero = t0 + np.arange(3.0), np.zeros((3, 3))
+    track = Track(t, np.tile([0.6, 0.2, 50.0], (3, 1)), zero, zero)
+    io.write_solution(tmp_path / "s.pos", track, "pos", np.ones((3, 9)))
+    np.testing.assert_allclose(io.read_pos(tmp_path / "s.pos").aiding["position"].t, t + date, rtol=0, atol=1e-3)
+
+
 def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     io.atomic_write(tmp_path / "a.txt", "old")
 

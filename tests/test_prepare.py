@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav import alignment, cli, config, earth, plots_stats
+from jaxnav import alignment, cli, config, earth, epochs, plots_stats
 from jaxnav.errors import ConfigError, DataError
 from jaxnav.filters.catalogue import FILTERS
-from jaxnav.jobs import batches, objectives, parameters, prepare, tune_report
+from jaxnav.jobs import batches, filtering, objectives, parameters, prepare, tune_report
 from jaxnav.jobs.unused import unused
 from jaxnav.measurements import GNSS
 from jaxnav.run import initial_nav
@@ -143,6 +143,32 @@ def test_a_start_without_a_velocity_beside_it_is_refused():
     velocity = Samples(*(a[20:] for a in rec.aiding["velocity"]))
     with pytest.raises(DataError, match=r"velocity: none within 2 s of the first position, at 1.000 s: set data.start"):
         prepare.start_of(resolved(start={"heading": 0.0}), rec._replace(aiding=rec.aiding | {"velocity": velocity}))
+
+
+def test_what_drives_by_the_receiver_is_no_standstill():
+    rec, t = northward(), np.array([0.2, 10.0, 30.5, 70.0])
+    np.testing.assert_array_equal(epochs.driving(rec.aiding["velocity"], t), [True, True, True, False])  # the last: far
+    slow = rec.aiding["velocity"]._replace(value=np.full((59, 3), 0.3))
+    assert not epochs.driving(slow, t).any()
+    c = resolved(filter={"zero_velocity": True}, start={"heading": 0.0})  # a drive without any vibration
+    with pytest.raises(ConfigError, match=r"standing_gyro_sd_deg_per_s: 59 of 60 epochs .* the first at 1.000 s"):
+        prepare.pack(c, rec, prepare.measurements_of(c), 0.0, 1.0)
+    prepare.pack(c, rec._replace(aiding=rec.aiding | {"velocity": slow}), prepare.measurements_of(c), 0.0, 1.0)
+
+
+def test_z_up_is_refused_where_nothing_levels():
+    rec = northward()
+    upside = rec._replace(imu=rec.imu._replace(accel=-rec.imu.accel))
+    with pytest.raises(DataError, match=r"imu: z of specific force is \+9.8"):
+        prepare.start_of(resolved(), upside)
+
+
+def test_an_outage_lasts_to_the_end_of_the_data():
+    rec = northward()
+    short = rec._replace(aiding={k: Samples(*(a[:40] for a in s)) for k, s in rec.aiding.items()})
+    case = SimpleNamespace(recording=short, packed=SimpleNamespace(t=np.arange(1.0, 61.0)))
+    assert filtering.shaded(resolved(), case) == [(40.0, 60.0)]
+    assert filtering.shaded(resolved(), SimpleNamespace(recording=rec, packed=case.packed)) == []
 
 
 def test_the_truth_of_a_tuning_run_is_at_the_time_that_the_clocks_give():

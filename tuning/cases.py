@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from tqdm import tqdm
 
+from jaxnav.progress import bar as progress_bar
 from tuning.train import Fit, default_optimizer
 from tuning.transforms import Spec, join, split
 
@@ -78,9 +78,9 @@ def fit_cases(
     state = optimizer.init(raw)
     history: list[dict] = []
     best, best_score, stopped = raw, (count + 1, np.inf), "done"
-    bar = tqdm(range(steps + 1), disable=None if progress else True, unit="step")
+    bar = progress_bar(steps + 1, "step", progress)
     try:
-        for i in bar:
+        for i in range(steps + 1):
             if i % every == 0 or i == steps:
                 judged = np.asarray(_score(validation, free, raw, params, cases, held))
                 sound = np.isfinite(judged)
@@ -93,7 +93,8 @@ def fit_cases(
             raw, state, values, norms = _step(loss, free, optimizer, raw, state, params, cases, keys)
             row = {"step": i, "loss": float(values.mean()), "validation": score[1], "failed": score[0]}
             history.append(row | {"cases": np.asarray(values).tolist(), "grad_norm": np.asarray(norms).tolist()})
-            bar.set_postfix(loss=f"{row['loss']:.4g}", validation=f"{row['validation']:.4g}")
+            bar.set_postfix(loss=f"{row['loss']:.4g}", validation=f"{row['validation']:.4g}", refresh=False)
+            bar.update()
     except KeyboardInterrupt:
         stopped = f"interrupted at step {len(history)}"
     finally:

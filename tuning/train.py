@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from jax.sharding import Mesh
-from tqdm import tqdm
 
+from jaxnav.progress import bar as progress_bar
 from tuning import checkpoint, distributed
 from tuning.batch import Aggregate, Data, Problem, evaluate, mean, strict
 from tuning.optimizers import adam as default_optimizer
@@ -135,7 +135,7 @@ def fit(
         at = book.reopen(at)
     at = at._replace(raw=distributed.replicate(at.raw, mesh), state=distributed.replicate(at.state, mesh))
     stopped = "done"
-    bar = tqdm(total=steps + 1, initial=at.step, disable=None if progress else True, unit="step")
+    bar = progress_bar(steps + 1, "step", progress, at.step)
     try:
         while at.step <= steps:
             if drawn is not None:

@@ -42,6 +42,7 @@ STREAMS: dict[str, tuple[tuple[Column, ...], tuple[Column, ...], tuple[Column, .
     "velocity": (VELOCITY, tuple(((f"sd_{a}_mps", 1.0),) for a in "enu"), CORR),
     "speed": (((("speed_mps", 1.0),),), ((("sd_mps", 1.0),),), ()),
 }
+KNOWN = f"imu.csv, {', '.join(f'{name}.csv' for name in STREAMS)}, truth.csv or aiding_NAME.csv"
 _OPTIONAL_NAN = frozenset(name for column in RPH for name, _ in column)
 
 
@@ -54,6 +55,9 @@ def read_recording(path: FilePath) -> Recording:
     known = [f"{name}.csv" for name in (*STREAMS, "truth")]
     files = {Path(name).stem: path / name for name in known if (path / name).exists()}
     files |= {file.stem.removeprefix("aiding_"): file for file in sorted(path.glob("aiding_*.csv"))}
+    others = {file.name for file in path.glob("*.csv")} - {file.name for file in files.values()} - {"imu.csv"}
+    if "position" not in files and others:
+        raise DataError(f"{path}: no position.csv, and {', '.join(sorted(others))} is not read: expected {KNOWN}")
     truth = files.pop("truth", None)
     about = _read_about(path / "recording.json")
     return read_files(
@@ -153,6 +157,10 @@ def _read_stream(path: FilePath, key: str) -> tuple[Samples, Source]:
     value, sd, corr = _stream_columns(key, width)
     if not value:
         raise DataError(f"{table.source.file}: expected columns value_0, sd_0, ..., got {', '.join(table.names)}")
+    own = {name for column in (*value, *sd, *corr) for name, _ in column}
+    wrong = [name for name in table.names if name.startswith(("sd_", "corr_")) and name not in own]
+    if wrong:
+        raise DataError(f"{table.source.file}: no column {wrong[0]} is known: expected {', '.join(sorted(own))}")
     values = _columns(table, value)
     zeros = np.zeros_like(values)
     correlations = _columns(table, corr) if _has_any(table, corr) else zeros

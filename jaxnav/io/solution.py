@@ -36,7 +36,8 @@ def write_solution(path: FilePath, track: Track, format: str, sd: np.ndarray | N
         sd = _check_sd(path, track, sd)
         none = np.zeros_like(track.vel)
         streams = Samples(track.t, track.lla, sd[:, :3], none), Samples(track.t, track.vel, sd[:, 3:6], none)
-        write_pos(path, *streams, t0=GPS_EPOCH)  # no earlier time can be written in GPST
+        # no earlier time can be written in GPST: seconds that are no date count from its start
+        write_pos(path, *streams, t0=0.0 if track.t[0] >= GPS_EPOCH else GPS_EPOCH)
     else:
         raise DataError(f"{os.fspath(path)}: format must be one of {', '.join(FORMATS)}, got {format!r}")
 

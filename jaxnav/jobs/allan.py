@@ -10,11 +10,11 @@ import numpy as np
 from jaxnav import plots, plots_allan
 from jaxnav.allan import Allan, ReadOff, allan_deviation, read_off, regular
 from jaxnav.config import Config
-from jaxnav.epochs import TICK, stationary
+from jaxnav.epochs import TICK, driving, stationary
 from jaxnav.errors import DataError
 from jaxnav.jobs.results import Outcome, table, write_json
 from jaxnav.jobs.sources import load
-from jaxnav.types import ImuLog
+from jaxnav.types import ImuLog, Samples
 from jaxnav.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, UG
 
 SHORTEST = 100  # samples
@@ -38,7 +38,7 @@ def allan(config: Config, folder: Path) -> Outcome:
     imu = span(rec.imu, config.data.start, config.data.stop)
     gyro, accel, dt = regular(imu)
     found: dict[str, Any] = {"name": rec.name, "start_s": float(imu.t[0] - imu.dt[0]), "stop_s": float(imu.t[-1]),
-                             "rate_hz": 1 / dt} | standing(config, imu)  # fmt: skip
+                             "rate_hz": 1 / dt} | standing(config, imu, rec.aiding.get("velocity"))  # fmt: skip
     groups, rows = [], {}
     for kind, data in (("gyro", gyro), ("accel", accel)):
         unit, si, _ = KINDS[kind]
@@ -71,14 +71,16 @@ def span(imu: ImuLog, start: float | None, stop: float | None) -> ImuLog:
     return ImuLog(*(a[inside] for a in imu))
 
 
-def standing(config: Config, imu: ImuLog) -> dict[str, Any]:
-    """The share of time at rest by the detector of [filter], and the longest rest (s)."""
+def standing(config: Config, imu: ImuLog, velocity: Samples | None = None) -> dict[str, Any]:
+    """The share of time at rest by the detector of [filter], and by the receiver if there; the longest rest (s)."""
     f = config.filter
     window = f.standing_window_s
     t = np.arange(imu.t[0] - imu.dt[0] + window, imu.t[-1] + TICK, window)
     if not t.size:
         return {}
     rest = stationary(imu, t, window, f.standing_accel_sd_mps2, f.standing_gyro_sd_deg_per_s * DEG)
+    if velocity is not None:
+        rest &= ~driving(velocity, t - window / 2) & ~driving(velocity, t)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], rest.astype(int), [0]]))).reshape(-1, 2)
     if not edges.size:
         return {"share_at_rest": 0.0, "longest_rest_s": None}

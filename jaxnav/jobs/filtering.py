@@ -74,6 +74,8 @@ def filter(config: Config, folder: Path) -> Outcome:
     check(info, case.packed.t, case.recording.name)
     sol = evaluate.solution(info, case.params)
     found = metrics_of(case, sol, hidden, config) | heading
+    unused = sorted(set(case.recording.aiding) - {m.name for m in case.measurements})
+    found |= {"unused_streams": unused} if unused else {}
     write_solution(config, folder, sol, case)
     write_json(folder / "metrics.json", found)
     if config.out.figures:
@@ -92,13 +94,16 @@ def hidden_epochs(config: Config, t: np.ndarray) -> np.ndarray:
     """Epochs (E,) whose fixes [filter] outages hide.
 
     Raises:
-        ConfigError: an outage that is not (start, end).
+        ConfigError: an outage that is not (start, end), or in which no epoch ends.
     """
     hidden = np.zeros(t.size, bool)
     for window in config.filter.outages:
         if len(window) != 2 or not window[1] > window[0]:
             raise ConfigError(f"filter.outages: expected [start, end] with start < end, got {list(window)}")
-        hidden |= (t > window[0] + TICK) & (t <= window[1] + TICK)
+        inside = (t > window[0] + TICK) & (t <= window[1] + TICK)
+        if not inside.any():
+            raise ConfigError(f"filter.outages: {list(window)} holds no epoch, they end from {t[0]:g} to {t[-1]:g} s")
+        hidden |= inside
     return hidden
 
 
@@ -122,9 +127,14 @@ def check(info: Info, t: np.ndarray, name: str) -> None:
 
 
 def shaded(config: Config, case: Case) -> evaluate.Outages:
-    """Outages for the figures: those of the configuration, and gaps of the position of over 5 intervals and 3 s."""
+    """Outages for the figures: those of the configuration, and gaps of the position of over 5 intervals and 3 s.
+
+    The end of the data is where a last gap ends.
+    """
     t = case.recording.aiding["position"].t
-    gaps = np.flatnonzero(np.diff(t) > max(5 * float(np.median(np.diff(t))), 3.0))
+    long = max(5 * float(np.median(np.diff(t))), 3.0)
+    t = np.append(t, max(t[-1], case.packed.t[-1]))
+    gaps = np.flatnonzero(np.diff(t) > long)
     return sorted([(float(t[i]), float(t[i + 1])) for i in gaps] + [(w[0], w[1]) for w in config.filter.outages])
 
 
@@ -195,6 +205,8 @@ def summary(found: dict[str, Any], name: str, run: str) -> str:
         lines.append(
             f"outage {outage['start_s']:g} to {outage['end_s']:g} s: {outage['horizontal_m']:.2f} m at its end"
         )
+    if "unused_streams" in found:
+        lines.append(f"not used of the recording: {', '.join(found['unused_streams'])} (see filter.speed)")
     if "heading_bank" in found:
         bank = found["heading_bank"]
         lines.append(f"heading unknown: {bank['start_heading_deg']:g} deg at the start is the most probable")

@@ -103,9 +103,18 @@ def score_of(name: str) -> Score:
         sys.path.append(here)
     try:
         own = getattr(importlib.import_module(module), function)
-    except (ImportError, AttributeError) as error:
-        raise ConfigError(f"tune.objective: {name!r} cannot be imported: {error}") from error
-    return lambda info, run: own(info, run.epochs, None if run.truth is None else run.truth.lla)
+    except Exception as error:  # whatever a user's module does when it is imported
+        raise ConfigError(f"tune.objective: {name!r} cannot be imported: {type(error).__name__}: {error}") from error
+    if not callable(own):
+        raise ConfigError(f"tune.objective: {name!r} is no function: {own!r}")
+
+    def score(info: Info, run: Batch) -> jax.Array:
+        value = own(info, run.epochs, None if run.truth is None else run.truth.lla)
+        if jnp.shape(value) != ():
+            raise ConfigError(f"tune.objective: {name!r} must give one number, got shape {jnp.shape(value)}")
+        return value
+
+    return score
 
 
 @cache

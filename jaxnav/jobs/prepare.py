@@ -24,6 +24,7 @@ from jaxnav.units import DEG
 
 CONSTRAINTS = ("zero_velocity", "zero_rate", "nonholonomic", "speed")
 REACH = 0.25  # s, latency that tuning may add
+FALSE = 0.1  # of the epochs at rest by the detector, at most, that are in motion by the receiver
 APART = 2.0  # s, at most, from the first position to the velocity beside it
 CHORD = 4.0  # s, over which 3 m of noise are 1 m/s
 
@@ -135,11 +136,27 @@ def pack(
         standing = ep.stationary(
             rec.imu, cuts, f.standing_window_s, f.standing_accel_sd_mps2, f.standing_gyro_sd_deg_per_s * DEG
         )
+        _check_standing(rec, cuts[standing])
     made = ep.constraint_samples(
         rec.imu, cuts, nonholonomic=f.nonholonomic, standing=standing, window=f.standing_window_s
     )
     aiding |= {k: v for k, v in made.items() if getattr(f, k)}
     return ep.pack(rec.imu, aiding, interval, measurements, start, stop, cuts, f.cov_stride)
+
+
+def _check_standing(rec: Recording, t: np.ndarray) -> None:
+    """Raise ConfigError where the detector of [filter] takes a smooth drive for a standstill.
+
+    One in `FALSE` is let pass: which epochs these are must not be known where fixes are hidden.
+    """
+    if "velocity" not in rec.aiding or not t.size:
+        return
+    moving = ep.driving(rec.aiding["velocity"], t)
+    if moving.mean() > FALSE:
+        raise ConfigError(
+            f"filter.standing_accel_sd_mps2, standing_gyro_sd_deg_per_s: {moving.sum()} of {t.size} epochs that these "
+            f"take for rest have a velocity of over 0.5 m/s, the first at {t[moving][0]:.3f} s: lower them"
+        )
 
 
 # ---------------------------------------------------------------------------- the start
@@ -195,12 +212,21 @@ def _differences(position: Samples) -> Samples:
 
 
 def _level(rec: Recording, velocity: Samples, begin: float) -> tuple[float, float]:
-    """Roll and pitch (rad) from the standstill at the start, or flat where there is none of 2 s."""
+    """Roll and pitch (rad) from the standstill at the start, or flat where there is none of 2 s.
+
+    Raises:
+        DataError: nothing to level by, and specific force that points down: z is up.
+    """
     after = velocity.t >= begin
     moving = after & (np.hypot(velocity.value[:, 0], velocity.value[:, 1]) > 0.5)
     until = velocity.t[np.argmax(moving)] if moving.any() else velocity.t[-1]
     until = min(until - 0.5, begin + 30.0)
-    return alignment.level(rec.imu, begin, until) if until - begin >= 2.0 else (0.0, 0.0)
+    if until - begin >= 2.0:
+        return alignment.level(rec.imu, begin, until)
+    down = float(rec.imu.accel[(rec.imu.t > begin) & (rec.imu.t <= begin + 30.0), 2].mean())
+    if down > 0:
+        raise DataError(f"imu: z of specific force is {down:+.1f} m/s^2 on average: body axes are forward, right, down")
+    return 0.0, 0.0
 
 
 def _interpolated(rec: Recording, t: float) -> np.ndarray:

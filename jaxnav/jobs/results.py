@@ -36,15 +36,21 @@ class Outcome(NamedTuple):
 
 
 @contextlib.contextmanager
-def staged(out: Path) -> Iterator[Path]:
+def staged(out: Path, alone: bool = False) -> Iterator[Path]:
     """A folder to write into beside ``out``; what it holds moves there when all went well, run.json last.
 
-    A failure leaves ``out`` as it was. Files of an earlier run that the new one has not are removed.
+    A failure leaves ``out`` as it was. Files of an earlier run that the new one has not are removed. ``alone``: no CSV
+    file of anybody else may be there, which a reader would take for a part of the result.
 
     Raises:
-        DataError: the folder cannot be written.
+        DataError: the folder cannot be written, is a file, or has others' files.
     """
     out = Path(out).resolve()
+    if out.exists() and not out.is_dir():
+        raise DataError(f"{out}: is a file, expected a folder or nothing")
+    strangers = sorted({p.name for p in out.glob("*.csv")} - set(_listed(out / RUN))) if alone else []
+    if strangers:
+        raise DataError(f"{out}: holds {', '.join(strangers)}, which would mix with the result")
     temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
     try:
         temporary.mkdir(parents=True)

@@ -13,7 +13,7 @@ from jaxnav.errors import ConfigError, DataError
 from jaxnav.run import require_x64
 from jaxnav.scenarios import SCENARIOS, Scenario
 from jaxnav.sensors.grades import GRADES
-from jaxnav.simulation import Simulated, simulate, to_recording
+from jaxnav.simulation import Simulated, simulate, sizes, to_recording
 from jaxnav.types import Recording
 
 # folded into the seed: runs of one kind never meet those of another
@@ -87,6 +87,7 @@ def simulated(scenario: Scenario, keys: jax.Array) -> Simulated:
         ConfigError: a scenario that does not fit together.
     """
     try:
+        sizes(scenario)
         return _simulated(scenario, keys)
     except DataError:
         raise

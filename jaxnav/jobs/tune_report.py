@@ -77,6 +77,8 @@ def text(result: dict[str, Any], config: Config) -> str:
         verdict = "better" if gain["low"] > 1 else "worse" if gain["high"] < 1 else "not proven"
         span = f"95 % interval {gain['low']:.2f} to {gain['high']:.2f}"
         lines.append(f"RMS before / RMS after {gain['gain']:.2f}, {span}: {verdict}")
+    if result["params_after"] == result["params_before"]:
+        lines.append("no step was better than the start on the validation data: the start is kept")
     names, after, known = _flat(result["params_before"]), _flat(result["params_after"]), result["known"]
     rows = [[n, _short(v), _short(after[n]), _short(known.get(n, ""))] for n, v in names.items()]
     head = ["parameter", "before", "after", "simulated"]

@@ -199,6 +199,16 @@ def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):
     assert at(offset) == pytest.approx(12.0 * (true - offset) / 3, rel=1e-3) and at(true) < 1e-3
 
 
+def vector(info, epochs, truth):
+    return jnp.ones(2)
+
+
+def test_an_objective_gives_one_number():
+    score = objectives.score_of("tests.test_prepare:vector")
+    with pytest.raises(ConfigError, match=r"'tests.test_prepare:vector' must give one number, got shape \(2,\)"):
+        score((), SimpleNamespace(epochs=(), truth=None))
+
+
 def test_history_covers_what_is_known_and_what_tuning_adds():
     stress = matched_params(SCENARIOS["gipkf_urban_stress"]).mounting  # 0.15 s late
     assert prepare.history_of(resolved(), stress, 10.0, False) == 4
@@ -220,7 +230,7 @@ def test_settings_without_effect_are_said(verb, tree, keys):
     assert [line.partition(":")[0] for line in unused(verb, resolved(**tree))] == keys
 
 
-@pytest.mark.parametrize("key", ["gyro_deg_per_sqrt_hour", "lever_arm_m", "time_offset_s", "ki"])
+@pytest.mark.parametrize("key", ["gyro_deg_per_sqrt_hour", "lever_arm_m", "speed_scale", "ki"])
 def test_parameters_are_finite(key):
     value = [0.0, np.inf, 0.0] if key == "lever_arm_m" else np.inf
     with pytest.raises(ConfigError, match=f"params.{key} must be finite"):

@@ -157,15 +157,16 @@ def _read_stream(path: FilePath, key: str) -> tuple[Samples, Source]:
     value, sd, corr = _stream_columns(key, width)
     if not value:
         raise DataError(f"{table.source.file}: expected columns value_0, sd_0, ..., got {', '.join(table.names)}")
-    own = {name for column in (*value, *sd, *corr) for name, _ in column}
-    wrong = [name for name in table.names if name.startswith(("sd_", "corr_")) and name not in own]
-    if wrong:
-        raise DataError(f"{table.source.file}: no column {wrong[0]} is known: expected {', '.join(sorted(own))}")
     values = _columns(table, value)
     zeros = np.zeros_like(values)
     correlations = _columns(table, corr) if _has_any(table, corr) else zeros
     t = _columns(table, ((("t_s", 1.0),),))[:, 0]
-    return Samples(t, values, _columns(table, sd), correlations), table.source
+    samples = Samples(t, values, _columns(table, sd), correlations)
+    own = {name for column in (*value, *sd, *corr) for name, _ in column}
+    wrong = [name for name in table.names if name.startswith(("sd_", "corr_")) and name not in own]
+    if wrong:
+        raise DataError(f"{table.source.file}: no column {wrong[0]} is known: expected {', '.join(sorted(own))}")
+    return samples, table.source
 
 
 def _stream_columns(key: str, width: int) -> tuple[tuple[Column, ...], tuple[Column, ...], tuple[Column, ...]]:

@@ -222,7 +222,7 @@ def _block(
         return unit(jax.tree.map(lambda a: a[-1], points)), path
     # what an interval does to its start, its first samples alone do as well
     row, i = keep % m, keep // m
-    body, x = jax.tree.map(lambda a: a[row, i], (body, x))
+    body, x = jax.tree.map(lambda a: a.ravel()[row * t.size + i], (body, x))
     level, q, begin = jax.tree.map(lambda a: a[i], (starts, q_starts, t - whole.t))
     # in a loop, where the compiler works out every number once: fused into its users each would be made many times
     level = lax.map(lambda x: jax.tree.map(jnp.add, x[0], change(*x)), (level, thrust_of(q, body)))

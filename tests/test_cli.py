@@ -206,7 +206,7 @@ def test_files_that_nobody_reads_are_named(drive, tmp_path, capsys):
     fails(capsys, ["filter", "--data", str(folder)], 3, "no position.csv, and gnss.csv is not read")
     (folder / "gnss.csv").rename(folder / "position.csv")
     text = (folder / "velocity.csv").read_text()
-    (folder / "velocity.csv").write_text(text.replace("corr_en", "corr_ne"))
+    (folder / "velocity.csv").write_text(text.replace("corr_en,corr_nu,corr_ue", "corr_ne,corr_un,corr_eu"))
     fails(capsys, ["filter", "--data", str(folder)], 3, "velocity.csv: no column corr_ne is known", "corr_en")
 
 

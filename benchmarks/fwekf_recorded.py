@@ -22,6 +22,7 @@ from jaxnav.filters.fuzzy_combined import fuzzy_combined
 from jaxnav.filters.fwekf import fwekf
 from jaxnav.filters.kalman import kalman
 from jaxnav.filters.robust import gate, gate_params, huber, huber_params
+from jaxnav.metrics import columns_at
 from jaxnav.run import initial_nav, run
 from jaxnav.sensors.faults import Constant, White, offsets
 from jaxnav.types import Epoch, Nav, Params
@@ -73,7 +74,7 @@ def load() -> dict[str, Recorded]:
     packed = epochs.pack(rec.imu, rec.aiding, 0.2, start=start)
     i = int(np.argmin(np.abs(rec.truth.t - start)))
     nav = initial_nav(rec.truth.lla[i], rec.truth.vel[i], rec.truth.rph[i], t=start)
-    lla = np.stack([np.interp(packed.t, rec.truth.t, rec.truth.lla[:, j]) for j in range(3)], axis=1)
+    lla = columns_at(packed.t, rec.truth.t, rec.truth.lla)
     params = navego.parameters(folder, "imu2")
     return made | {"navego": Recorded(nav, params, packed.epochs, packed.t, ms.GNSS, 2, lla)}
 

@@ -260,7 +260,7 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
     for name, (low, high) in LIMITS.items():
         value = operator.attrgetter(name)(config)
         if value is not None and not low <= value <= high:
-            raise ConfigError(f"{name} must be in [{low:g}, {high:g}], got {value:g}")
+            raise ConfigError(f"{name} must be in [{low:.12g}, {high:.12g}], got {value:.12g}")
     return config
 
 

@@ -19,10 +19,15 @@ class Errors(NamedTuple):
     attitude: jax.Array  # (..., 3) rad, roll, pitch, heading, each in (-pi, pi]; nan where the truth has none
 
 
+def columns_at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Columns of ``values`` (N, a), known at ``times`` (N,), linearly at ``t`` (E,): (E, a); held beyond the ends."""
+    return np.stack([np.interp(t, times, c) for c in values.T], 1)
+
+
 def errors(solution: Track, truth: Track) -> Errors:
     """Errors of a solution at its own times against a truth that is interpolated linearly to them (host arrays)."""
     unwrapped = np.where(np.isfinite(truth.rph), np.unwrap(np.nan_to_num(truth.rph), axis=0), np.nan)
-    at = lambda a: np.stack([np.interp(solution.t, truth.t, c) for c in a.T], axis=1)  # noqa: E731
+    at = lambda a: columns_at(solution.t, truth.t, a)  # noqa: E731
     position = jax.vmap(earth.enu_difference)(jnp.asarray(solution.lla), jnp.asarray(at(earth.continuous(truth.lla))))
     turn = solution.rph - at(unwrapped)
     return Errors(position, solution.vel - at(truth.vel), np.remainder(turn + np.pi, 2 * np.pi) - np.pi)

@@ -58,7 +58,7 @@ def test_set_takes_toml_values_and_types(setting, value):
         ("tune.steps=true", "tune.steps must be a whole number, got True"),
         ("start.tilt_sd_deg=nan", "start.tilt_sd_deg must be a number"),
         ("filter=3", r"\[filter\] is a section"),
-        ("seed=-1", r"seed must be in \[0, 4.29497e\+09\], got -1"),
+        ("seed=-1", r"seed must be in \[0, 4294967295\], got -1"),
         ("filter.cov_stride=0", r"filter.cov_stride must be in \[1, 1000\], got 0"),
         ("filter.name", "--set takes a.b=value"),
         (".=1", "--set takes a.b=value"),

@@ -18,6 +18,7 @@ from jaxnav.jobs import prepare as pre
 from jaxnav.jobs.parameters import UNITS
 from jaxnav.jobs.sources import REDRAWN, key_of, simulated
 from jaxnav.measurements import GNSS, Measurement
+from jaxnav.metrics import columns_at
 from jaxnav.scenarios import Scenario
 from jaxnav.sensors.grades import GRADES
 from jaxnav.simulation import Simulated
@@ -287,7 +288,7 @@ def _truth(case: pre.Case, t: np.ndarray) -> Truth | None:
     known = (t >= truth.t[0] - ep.TICK) & (t <= truth.t[-1] + ep.TICK)
     if not known.any():
         return None
-    at = lambda t: np.stack([np.interp(t, truth.t, c) for c in earth.continuous(truth.lla).T], 1)  # noqa: E731
+    at = lambda t: columns_at(t, truth.t, earth.continuous(truth.lla))  # noqa: E731
     rate = (at(t + SLOPE) - at(t - SLOPE)) / (2 * SLOPE)
     return Truth(jnp.asarray(at(t)), jnp.asarray(rate), jnp.asarray(known))
 

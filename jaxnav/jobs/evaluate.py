@@ -136,10 +136,8 @@ def figures(
     if P.shape[-1] > 9:
         b_g, b_a = np.asarray(info.nav.b_g), np.asarray(info.nav.b_a)
         sd = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
-        true_g, true_a = (None, None) if bias_truth is None else (_at(t, bias_truth[0], b) for b in bias_truth[1:])
+        true_g, true_a = (
+            (None, None) if bias_truth is None else (metrics.columns_at(t, bias_truth[0], b) for b in bias_truth[1:])
+        )
         found["biases"] = plots.biases(t, b_g, b_a, sd[:, 9:12], sd[:, 12:15], true_g, true_a, outages)
     return found
-
-
-def _at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return np.stack([np.interp(t, times, c) for c in values.T], 1)

@@ -62,10 +62,10 @@ def agreement(sizes: Sizes) -> dict[str, dict]:
     rows, seconds = {}, sizes.lengths[0]
     given = arguments(seconds, 1)
     for n in sizes.states:
-        ours = np.asarray(executable(OURS[0], n, seconds, 1).call(*given).lla)
+        ours = np.asarray(executable(OURS[0], n, seconds, 1).call().lla)
         ends = {}
         for form in sizes.plain:
-            out = executable(form, n, seconds, 1).call(*given)
+            out = executable(form, n, seconds, 1).call()
             ends[form.label] = out[-1] if form is NAIVE else out.lla[-1]
         if (call := floor(n, 1, PARAMS(), *jax.tree.map(lambda a: a[None], given[1:]))) is not None:
             ends["floor"] = call()[0, -1, :3]
@@ -83,16 +83,17 @@ def strides(seconds: int) -> dict[str, float]:
     """Stride 10 against stride 1, 15 states: largest distance in m, and of the gradients over their norm."""
     given = arguments(seconds, 1)
     pair = {f.label: f for f in OURS}
-    one, ten = (executable(pair[f"stride {s}"], 15, seconds, 1).call(*given).lla for s in (1, 10))
+    one, ten, ready = (executable(pair[f"stride {s}"], 15, seconds, 1).call().lla for s in (1, 10, "10, prepared"))
     names = ("gyro", "accel", "gyro_bias", "accel_bias", "position_scale", "velocity_scale")
     slopes = []
     for s in (1, 10):
-        slope = executable(pair[f"stride {s}"], 15, seconds, 1, True).call(*given)[1]
+        slope = executable(pair[f"stride {s}"], 15, seconds, 1, True).call()[1]
         # by the logarithm of each: the units do not matter
         slopes.append(np.concatenate([np.ravel(getattr(slope, k) * getattr(given[0], k)) for k in names]))
     apart = float(np.linalg.norm(slopes[1] - slopes[0]) / np.linalg.norm(slopes[0]))
-    result = {"m": distance(ten, one), "gradient": apart}
+    result = {"m": distance(ten, one), "prepared_m": distance(ready, one), "gradient": apart}
     print(f"stride 10 against stride 1 on {seconds} s: {1e3 * result['m']:.2g} mm, gradient {100 * apart:.2g} %")
+    print(f"the same of prepared epochs: {1e3 * result['prepared_m']:.2g} mm")
     return result
 
 

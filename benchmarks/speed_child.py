@@ -75,9 +75,10 @@ def first_calls(names: str) -> dict[str, float]:
 
     from benchmarks import speed_work as work
 
-    result, arguments = {}, work.still(10, 1)
+    result = {}
     for label, n, gradient in json.loads(names):
         form = form_of(label)
+        arguments = work.inputs(form, n, *work.still(10, 1))
         function = jax.jit(work.slope(form.loss(n), 1) if gradient else form.forward(n))
         start = time.process_time()
         jax.block_until_ready(function(*arguments))

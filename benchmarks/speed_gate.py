@@ -52,10 +52,14 @@ def upper(result: Result) -> Iterator[tuple[str, float, float]]:
         name = min(fast(10, f"15 states, {runs} runs"), key=lambda row: us(result, "gradient", row))
         cost = number(result, "gradient", name, "by_forward")
         yield f"value and gradient / forward, stride 10, {runs} runs", cost, 5.0
+        cost = number(result, "gradient", f"stride 10, prepared, 15 states, {runs} runs", "by_forward")
+        yield f"value and gradient / forward, stride 10, prepared, {runs} runs", cost, 5.0
     memory = number(result, "gradient", "stride 10, 15 states, an hour of 8 runs", "bytes_per_step")
     yield "peak memory of the gradient, bytes per sample and run", memory, 500.0
     apart = 1e3 * number(result, "accuracy", "stride 10", "m")
     yield "stride 10 against stride 1 over the hour, position, mm", apart, 10.0
+    apart = 1e3 * number(result, "accuracy", "stride 10", "prepared_m")
+    yield "stride 10, prepared, against stride 1 over the hour, position, mm", apart, 10.0
     apart = 100 * number(result, "accuracy", "stride 10", "gradient")
     yield "stride 10 against stride 1 over the hour, gradient, %", apart, 1.0
     for name, row in result["scaling"].items():
@@ -72,6 +76,8 @@ def lower(result: Result) -> Iterator[tuple[str, float, float]]:
         many = f"{n} states, 256 runs"
         nested = us(result, "batch", f"nested scan, {many}")
         yield f"nested scan / stride 10, 256 runs, {n} states", nested / us(result, "batch", *fast(10, many)), at10
+        ready = nested / us(result, "batch", f"stride 10, prepared, {many}")
+        yield f"nested scan / stride 10, prepared, 256 runs, {n} states", ready, at10
         yield f"nested scan / stride 1, 256 runs, {n} states", nested / us(result, "batch", *fast(1, many)), at1
     for step, stride, limit in (("IMU", 1, 1500.0), ("default", 10, 600.0)):
         gap = us(result, "peers", f"python-ins, {step} step") / us(result, "peers", *fast(stride, "15 states"))

@@ -29,6 +29,7 @@ from benchmarks.speed_work import (
     rms,
     table,
 )  # fmt: skip
+from jaxnav.run import prepare
 
 
 class Sizes(NamedTuple):
@@ -71,8 +72,7 @@ def single(sizes: Sizes) -> dict[str, dict]:
     seconds, rows = sizes.lengths[-1], {}
     for n in sizes.states:
         given = arguments(seconds, 1)
-        runs = {name_of(f, n): executable(f, n, seconds, 1).call for f in (*sizes.plain, *OURS)}
-        calls = {name: partial(call, *given) for name, call in runs.items()}
+        calls = {name_of(f, n): executable(f, n, seconds, 1).call for f in (*sizes.plain, *OURS)}
         lone = jax.tree.map(lambda a: a[None], given[1:])
         if (own := floor(n, 1, PARAMS(), *lone)) is not None:
             calls[f"floor, {n} states"] = own
@@ -94,8 +94,10 @@ def batch(sizes: Sizes) -> dict[str, dict]:
         forms = (*plain, *(f for f in OURS if runs == 1 or not f.single))
         for n in sizes.states:
             given = arguments(seconds, runs)
-            ready = {name_of(f, n, runs): executable(f, n, seconds, runs).call for f in forms}
-            calls = {name: partial(call, *given) for name, call in ready.items()}
+            calls = {name_of(f, n, runs): executable(f, n, seconds, runs).call for f in forms}
+            calls |= {
+                name_of(f, n, runs) + ": preparing": partial(prepare, f.ready(n), given[2]) for f in forms if f.ready
+            }
             if runs % 8 == 0 and (own := floor(n, 8, PARAMS(), *given[1:])) is not None:
                 calls[f"floor, {n} states, {runs} runs"] = own
             taken = interleaved(calls, sizes.repeats if runs <= 256 else 3)
@@ -105,7 +107,7 @@ def batch(sizes: Sizes) -> dict[str, dict]:
             if seconds != sizes.seconds:
                 for name in taken:
                     rows[name]["note"] = f"  (on {seconds} s)"
-        show(f"batch of {runs}", {name: row for name, row in rows.items() if name.endswith(f" {runs} runs")})
+        show(f"batch of {runs}", {name: row for name, row in rows.items() if f" {runs} runs" in name})
     return rows
 
 
@@ -114,14 +116,14 @@ def gradient(sizes: Sizes) -> dict[str, dict]:
     rows, n = {}, 15
     for runs in sizes.gradients:
         seconds = sizes.seconds
-        given, steps = arguments(seconds, runs), seconds * RATE * runs
+        steps = seconds * RATE * runs
         ours = [f for f in OURS if (runs == 1 or not f.single) and (sizes.full or "stride 10" in f.label)]
         forms = {CHECKPOINT: NESTED, FIRST_CHECKPOINT: FIRST} if FIRST in sizes.plain else {CHECKPOINT: NESTED}
         forms |= {f: f for f in ours}
         slopes = {name_of(f, n, runs): executable(f, n, seconds, runs, True) for f in forms}
         values = {name_of(f, n, runs): executable(f2, n, seconds, runs) for f, f2 in forms.items()}
-        taken = interleaved({k: partial(e.call, *given) for k, e in slopes.items()}, min(sizes.repeats, 3))
-        before = interleaved({k: partial(e.call, *given) for k, e in values.items()}, sizes.repeats)
+        taken = interleaved({k: e.call for k, e in slopes.items()}, min(sizes.repeats, 3))
+        before = interleaved({k: e.call for k, e in values.items()}, sizes.repeats)
         new = table(taken, steps, name_of(CHECKPOINT, n, runs))
         for name, row in new.items():
             row |= {"by_forward": taken[name] / before[name], "temp_bytes_per_step": slopes[name].temp / steps}
@@ -170,10 +172,10 @@ def compiling(sizes: Sizes) -> dict[str, dict]:
 def scaling(sizes: Sizes, batches: dict[str, dict], devices: bool) -> tuple[dict[str, dict], dict]:
     """Exponents of cost in run length, batch and states, and two devices; also the curves."""
     curves: dict[str, dict[str, list[list[float]]]] = {"run length, s": {}, "batch": {}}
-    pair = [f for f in OURS if not f.single]
+    pair = [f for f in OURS if not f.single and not f.ready]
     tolerance = {"run length, s": 0.03, "batch": 0.05} if sizes.full else {}
     if sizes.full:
-        calls = {(f, s): partial(executable(f, 15, s, 1).call, *arguments(s, 1)) for f in pair for s in sizes.lengths}
+        calls = {(f, s): executable(f, 15, s, 1).call for f in pair for s in sizes.lengths}
         taken = interleaved({f"{f.label} {s}": call for (f, s), call in calls.items()}, sizes.repeats)
         for f in pair:
             points = [[float(s), taken[f"{f.label} {s}"]] for s in sizes.lengths]
@@ -212,7 +214,7 @@ def peers(sizes: Sizes) -> tuple[dict[str, dict], dict[str, dict]]:
     """Other packages on one run, 15 states; and how accurate python-ins and we are on it."""
     seconds, n, params = sizes.seconds, 15, PARAMS()
     given = arguments(seconds, 1)
-    ours = {name_of(f, n): partial(executable(f, n, seconds, 1).call, *given) for f in OURS}
+    ours = {name_of(f, n): executable(f, n, seconds, 1).call for f in OURS}
     work = speed_peers.given(n, params, *given[1:])
     filters = {f"{k}, Kalman filter alone": make(work) for k, make in speed_peers.KALMAN.items()}
     loop = {"numpy loop": speed_peers.numpy_loop(n, params, *given[1:])}

@@ -38,7 +38,7 @@ class Fix(NamedTuple):
 class Epoch(NamedTuple):
     """IMU samples since the last fix, and the fix that ends them."""
 
-    imu: Imu  # (k, ...)
+    imu: Any  # Imu (k, ...), or what `jaxnav.run.prepare` made of it for a filter
     fix: Fix  # (m,)
 
 

@@ -19,7 +19,7 @@ from jaxnav.scenarios import SCENARIOS
 from jaxnav.sensors.grades import GRADES, mounting
 from jaxnav.simulation import matched_params
 from jaxnav.toml import to_toml
-from jaxnav.types import ImuLog, Recording, Samples, Track
+from jaxnav.types import Epoch, ImuLog, Recording, Samples, Track
 from tuning.transforms import get, join, labels, put, split
 
 
@@ -193,7 +193,7 @@ def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):
     none = jnp.zeros((1, 1))
     info = SimpleNamespace(nav=nav, valid=none > 0, residual=none, ok=jnp.array([True]))
     monkeypatch.setattr(objectives, "run", lambda *_: info)
-    batch = batches.Batch((), (), (), (), (), jnp.ones(t.size, bool), truth)
+    batch = batches.Batch((), Epoch((), ()), (), (), (), (), jnp.ones(t.size, bool), truth)
     loss = objectives.objective(None, (("rmse", 1.0),), ("mounting.time_offset",))
     at = lambda s: float(loss(put(params, "mounting.time_offset", s), objectives.Case(batch, params)))  # noqa: E731
     assert at(offset) == pytest.approx(12.0 * (true - offset) / 3, rel=1e-3) and at(true) < 1e-3

@@ -26,10 +26,13 @@ class Frame(NamedTuple):
     propagate: Callable
     error_model: Callable[..., ErrorModel]  # (n_states, form, measurements)
     propagate_block: Callable | None = None  # the same for all samples of an epoch at once
+    preintegrate: Callable | None = None  # what `propagate` can do before it knows the state
 
 
 FRAMES: dict[str, Frame] = {
-    "local_level": Frame(local_level.propagate, local_level_errors.error_model, local_level.propagate_block),
+    "local_level": Frame(
+        local_level.propagate, local_level_errors.error_model, local_level.propagate_block, local_level.preintegrate
+    ),
     "tangent": Frame(tangent_frame.propagate, tangent_frame_errors.error_model),
     "inertial": Frame(inertial_quaternion.propagate, inertial_errors.error_model),
 }
@@ -151,7 +154,8 @@ def build(
         raise ValueError(f"constraints come after the receiver's: {[each.name for each in measurements]}")
     if any(pseudo) and rule is not kalman():
         rule = only(rule, sum(each.size for each in measurements if not each.pseudo))
-    propagate = FRAMES[frame].propagate_block if block else FRAMES[frame].propagate
-    if propagate is None:
+    home = FRAMES[frame]
+    if block and home.propagate_block is None:
         raise ValueError(f"frame {frame!r} has no block form")
-    return make_filter(propagate, model, rule, feedback or entry.feedback, cov_stride, history)
+    mechanize, preintegrate = (home.propagate_block, None) if block else (home.propagate, home.preintegrate)
+    return make_filter(mechanize, model, rule, feedback or entry.feedback, cov_stride, history, preintegrate)

@@ -13,8 +13,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from jaxnav import linalg
+from jaxnav.mechanizations.increments import divides
 from jaxnav.types import Drive, Epoch, Fix, Imu, Info, Nav, Params
 
 REST = Drive(np.zeros(3), np.zeros(3))  # numpy: nothing of jax is created at import
@@ -66,6 +68,15 @@ class Rule(NamedTuple):
     extrapolate: Callable[..., Any] = lambda theta, memory, x0, x: (x, memory)
 
 
+class Prepared(NamedTuple):
+    """The samples of an epoch, and what needs no state of them: worked out once for all runs of a filter."""
+
+    n: jax.Array  # () int, samples that are not padding
+    keep: jax.Array  # (w,) int, the last of them
+    T: jax.Array  # (b,) s, of each point of the path
+    samples: Any  # what `propagate` takes
+
+
 class FilterState(NamedTuple):
     """What the next step needs."""
 
@@ -87,10 +98,12 @@ class Filter(NamedTuple):
     """
 
     init: Callable[[Params, Nav], FilterState]
-    predict: Callable[[Params, FilterState, Imu], FilterState]
+    predict: Callable[[Params, FilterState, Imu | Prepared], FilterState]
     correct: Callable[[Params, FilterState, Fix], tuple[FilterState, Info]]
     step: Callable[[Params, FilterState, Epoch], tuple[FilterState, Info]]
     model: ErrorModel
+    # epochs (E, ...) of one run -> the same with `Prepared` samples
+    prepare: Callable[[Epoch], Epoch] = lambda epochs: epochs
 
 
 def idle(z: Innovation, memory: Any) -> Correction:
@@ -118,7 +131,13 @@ def shift(past: Nav, recent: Nav, n: jax.Array) -> Nav:
 
 @cache
 def make_filter(
-    propagate: Callable, model: ErrorModel, rule: Rule, feedback: Callable, cov_stride: int = 1, history: int = 2
+    propagate: Callable,
+    model: ErrorModel,
+    rule: Rule,
+    feedback: Callable,
+    cov_stride: int = 1,
+    history: int = 2,
+    preintegrate: Callable | None = None,
 ) -> Filter:
     """Compose a filter.
 
@@ -127,6 +146,7 @@ def make_filter(
     adds gravity and Coriolis after so many of them only, while it turns and pushes at each. 10 instead of 1 costs less
     than a millimetre at 100 Hz. ``history``: how many samples of navigation are kept for measurements that are older
     than the end of the epoch; cover the largest latency, beyond it the oldest two are extended in a straight line.
+    ``preintegrate``: (imu, rate and force before, stride, keep) -> what ``propagate`` may be given for the samples.
 
     Raises:
         ValueError: ``history`` below 2; when traced, ``cov_stride`` that does not divide the samples of an epoch.
@@ -142,15 +162,33 @@ def make_filter(
         zeros = jax.tree.map(jnp.asarray, REST)
         return FilterState(past, x, P, zeros, memory, x, jnp.zeros(()), jnp.zeros(model.n_channels), jnp.array(True))
 
-    def predict(params: Params, state: FilterState, imu: Imu) -> FilterState:
-        nav = jax.tree.map(lambda a: a[-1], state.past)
+    def counted(imu: Imu) -> Prepared:
+        divides(cov_stride, imu.dt.size)
         n = jnp.sum(imu.dt > 0)
         keep = jnp.maximum(n - history + jnp.arange(history), 0)
-        recent, points = propagate(nav, state.u, imu, cov_stride, keep)
-        T = imu.dt.reshape(-1, cov_stride).sum(1)
+        return Prepared(n, keep, imu.dt.reshape(-1, cov_stride).sum(1), imu)
+
+    def prepare(epochs: Epoch) -> Epoch:
+        def one(imu: Imu, last: tuple[jax.Array, jax.Array]) -> Prepared:
+            given = counted(imu)
+            return given._replace(samples=preintegrate(imu, last, cov_stride, given.keep)) if preintegrate else given
+
+        # an epoch's padding repeats its last sample; the first sample of all is taken for the one before it
+        before = lambda a: jnp.concatenate([a[:1, 0], a[:-1, -1]])  # noqa: E731
+        last = before(epochs.imu.gyro), before(epochs.imu.accel)
+        return epochs._replace(imu=lax.map(lambda x: one(*x), (epochs.imu, last)))
+
+    def predict(params: Params, state: FilterState, imu: Imu | Prepared) -> FilterState:
+        nav = jax.tree.map(lambda a: a[-1], state.past)
+        n, keep, T, samples = imu if isinstance(imu, Prepared) else counted(imu)
+        if keep.shape != (history,):
+            raise ValueError(
+                f"the epochs were prepared for a history of {keep.size} samples, the filter keeps {history}"
+            )
+        recent, points = propagate(nav, state.u, samples, cov_stride, keep)
         Phi, Q, d = model.discretize(params.noise, points, T, state.u)
         x, P = Phi @ state.x + d, Phi @ state.P @ Phi.T + Q
-        return state._replace(past=shift(state.past, recent, n), x=x, P=P, T=state.T + imu.dt.sum())
+        return state._replace(past=shift(state.past, recent, n), x=x, P=P, T=state.T + T.sum())
 
     def correct(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info]:
         nav, age = jax.tree.map(lambda a: a[-1], state.past), state.age + state.T
@@ -197,7 +235,7 @@ def make_filter(
         )
         return select(info.ok, new, frozen), select(info.ok, info, quiet)
 
-    return Filter(init, predict, correct, step, model)
+    return Filter(init, predict, correct, step, model, prepare)
 
 
 def finite(tree: Any) -> jax.Array:

@@ -13,12 +13,13 @@ from jaxnav import epochs as ep
 from jaxnav.config import Config
 from jaxnav.errors import ConfigError, DataError
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.core import Filter
+from jaxnav.filters.core import Filter, Prepared
 from jaxnav.jobs import prepare as pre
 from jaxnav.jobs.parameters import UNITS
 from jaxnav.jobs.sources import REDRAWN, key_of, simulated
 from jaxnav.measurements import GNSS, Measurement
 from jaxnav.metrics import columns_at
+from jaxnav.run import prepare
 from jaxnav.scenarios import Scenario
 from jaxnav.sensors.grades import GRADES
 from jaxnav.simulation import Simulated
@@ -40,6 +41,7 @@ class Batch(NamedTuple):
 
     nav: Nav  # (B, ...) starts
     epochs: Epoch  # (B, E, ...)
+    samples: Prepared  # (B, E, ...) of the same epochs, prepared for the filter
     ends: jax.Array  # (B, W) int, last epoch of each window
     scored: jax.Array  # (B, W) bool, windows that count here
     keep: jax.Array  # (B, E) bool, epochs whose innovations count
@@ -51,7 +53,7 @@ class Likelihood(NamedTuple):
     """What the innovations say of the parameters is read off here: the training data, every fix of it once."""
 
     nav: Nav  # (B, ...)
-    epochs: Epoch  # (B, E, ...)
+    epochs: Epoch  # (B, E, ...), prepared for the filter
     keep: jax.Array  # (B, E) bool
     block: jax.Array  # (B, E) int, runs or stretches of time that are drawn together
     blocks: int  # that there are
@@ -79,6 +81,11 @@ class Material(NamedTuple):
     outages: list[tuple[float, float]]  # of the first run of the test
     about: str  # how the data was split, in words
     known: dict[str, float]  # leaves whose true value is known
+
+
+def ready(batch: Batch) -> Epoch:
+    """The epochs with their prepared samples."""
+    return batch.epochs._replace(imu=batch.samples)
 
 
 # ---------------------------------------------------------------------------- simulated
@@ -109,12 +116,12 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     edges = np.cumsum((0, *counts))
     parts = [jax.tree.map(lambda a, s=slice(a, b): a[s], sims) for a, b in zip(edges[:-1], edges[1:])]
     offset = float(params.mounting.time_offset)
-    batches = [_batch(part, offset) for part in parts]
+    batches = [_batch(filt, part, offset) for part in parts]
     train, test = batches[0], parts[2]
 
     def redraw(step: int) -> Batch:
         keys = jnp.stack([key_of(config.seed, REDRAWN, step * t.runs + i) for i in range(t.runs)])
-        return _batch(simulated(scenario, keys), offset)
+        return _batch(filt, simulated(scenario, keys), offset)
 
     runs = jnp.broadcast_to(jnp.arange(t.runs)[:, None], train.keep.shape)
     about = f"simulated runs of {scenario.name}: {counts[0]} to train, {counts[1]} to validate, {counts[2]} kept aside"
@@ -122,7 +129,7 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
         filt, GNSS, params, sheet, batches[0], batches[1], batches[2], np.repeat(np.arange(counts[2]), windows),
         [f"test run {i}" for i in range(counts[2])],
         [f"{scenario.name}, training run {i} of seed {config.seed}" for i in range(counts[0])],
-        np.asarray(parts[0].truth.t[0]), Likelihood(train.nav, train.epochs, train.keep, runs, t.runs), redraw,
+        np.asarray(parts[0].truth.t[0]), Likelihood(train.nav, ready(train), train.keep, runs, t.runs), redraw,
         np.asarray(test.truth.t[0]), None, test.truth,
         [(float(a), float(b)) for a, b in test.outages[0]], about,
         _known(scenario),
@@ -150,15 +157,15 @@ def _known(scenario: Scenario) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _batch(sims: Simulated, offset: float) -> Batch:
+def _batch(filt: Filter, sims: Simulated, offset: float) -> Batch:
     """Simulated runs (B, ...) with the windows of their outages; ``offset`` s of the clocks, as the filter has it."""
     t = sims.truth.t[:, None]
     ends = jnp.sum(t <= sims.outages[:, :, 1:] + ep.TICK, axis=-1) - 1
     keep = ~sims.hidden
     own, all_of_it = sims.truth, jnp.ones_like(keep)
     rate = jax.vmap(jax.vmap(lambda pos, vel: earth.move(pos, vel) - pos))(own.pos, own.vel)
-    return Batch(sims.initial, sims.epochs, ends, ends >= 0, keep, all_of_it,
-                 Truth(own.pos + offset * rate, rate, all_of_it))  # fmt: skip
+    return Batch(sims.initial, sims.epochs, prepare(filt, sims.epochs).imu, ends, ends >= 0, keep,
+                 all_of_it, Truth(own.pos + offset * rate, rate, all_of_it))  # fmt: skip
 
 
 # ---------------------------------------------------------------------------- recorded
@@ -193,7 +200,8 @@ def from_recording(config: Config) -> Material:
     span = float(t[-1]) - start
     split = Split(start, start + tune.train * span, start + (tune.train + tune.validation) * span, float(t[-1]))
     edges = (start + tune.settle_s, split.train, split.validation, split.stop)
-    parts = [_phases(config, case, begin, end) for begin, end in zip(edges[:-1], edges[1:])]
+    prepared = prepare(case.filter, case.packed.epochs)
+    parts = [_phases(config, case, prepared, begin, end) for begin, end in zip(edges[:-1], edges[1:])]
     batches, (_, labels, hidden) = [part[0] for part in parts], parts[2]
     about = (
         f"{case.recording.name}: train {split.start:.0f} to {split.train:.0f} s, validate to {split.validation:.0f} s, "
@@ -206,22 +214,22 @@ def from_recording(config: Config) -> Material:
 
     def redraw(step: int) -> Batch:
         shift = np.random.default_rng((config.seed, step)).uniform(0, tune.outage_every_s)
-        return _phases(config, case, edges[0], edges[1], shift)[0]
+        return _phases(config, case, prepared, edges[0], edges[1], shift)[0]
 
     phases = [f"{case.recording.name}, phase {p}" for p in range(tune.phases)]
     return Material(
         case.filter, case.measurements, case.params, sheet, batches[0], batches[1], batches[2], labels,
         phases, phases, t[: batches[0].keep.shape[1]],
-        _whole(config, case, split), redraw, t, case.recording, None, _spans(t, hidden[0]), about, {},
+        _whole(config, case, prepared, split), redraw, t, case.recording, None, _spans(t, hidden[0]), about, {},
     )  # fmt: skip
 
 
-def _whole(config: Config, case: pre.Case, split: Split) -> Likelihood:
+def _whole(config: Config, case: pre.Case, prepared: Epoch, split: Split) -> Likelihood:
     """One run over the training part with nothing hidden; blocks as long as the windows are apart."""
     t = case.packed.t
     E = int(np.searchsorted(t, split.train + ep.TICK))
     block = ((t[:E] - split.start) // config.tune.outage_every_s).astype(int)
-    epochs = jax.tree.map(lambda a: jnp.asarray(a[:E])[None], case.packed.epochs)
+    epochs = jax.tree.map(lambda a: jnp.asarray(a[:E])[None], prepared)
     nav = jax.tree.map(lambda a: a[:1], case.navs)
     keep = jnp.asarray(t[:E] >= split.start + config.tune.settle_s)
     return Likelihood(nav, epochs, keep[None], jnp.asarray(block)[None], int(block.max()) + 1)
@@ -236,7 +244,7 @@ def datasheet_only(config: Config) -> Config:
 
 
 def _phases(
-    config: Config, case: pre.Case, begin: float, end: float, shift: float = 0.0
+    config: Config, case: pre.Case, prepared: Epoch, begin: float, end: float, shift: float = 0.0
 ) -> tuple[Batch, np.ndarray, np.ndarray]:
     """Runs up to ``end`` with windows all along, what is between begin and end counts; the windows' blocks of time.
 
@@ -247,7 +255,7 @@ def _phases(
     tune, t = config.tune, case.packed.t
     E = int(np.searchsorted(t, end + ep.TICK))
     t = t[:E]
-    cut = jax.tree.map(lambda a: a[:E], case.packed.epochs)
+    cut, samples = jax.tree.map(lambda a: a[:E], (case.packed.epochs, prepared.imu))
     rows = []
     for phase in range(tune.phases):
         turn = (shift + phase * tune.outage_every_s / tune.phases) % tune.outage_every_s
@@ -274,8 +282,8 @@ def _phases(
     blocks = np.floor((starts - begin) / tune.outage_every_s)[count]
     part = np.broadcast_to(t > begin, hidden.shape)
     batch = Batch(
-        nav, runs, jnp.asarray(ends), jnp.asarray(count), jnp.asarray(part & ~hidden), jnp.asarray(part),
-        None if truth is None else jax.tree.map(many, truth),
+        nav, runs, jax.tree.map(many, samples), jnp.asarray(ends), jnp.asarray(count),
+        jnp.asarray(part & ~hidden), jnp.asarray(part), None if truth is None else jax.tree.map(many, truth),
     )  # fmt: skip
     return batch, blocks, hidden
 

@@ -24,7 +24,7 @@ from jaxnav.jobs.parameters import groups, step_of
 from jaxnav.jobs.prepare import covering
 from jaxnav.jobs.results import stderr
 from jaxnav.jobs.sources import TEST, TRAIN, VALIDATION, key_of, simulated
-from jaxnav.run import run
+from jaxnav.run import prepare, run
 from jaxnav.scenarios import Scenario
 from jaxnav.simulation import matched_params, sizes
 from jaxnav.types import Epoch, Nav, Params
@@ -198,13 +198,14 @@ def _enter(name: str, plan: Plan, runs: Runs, progress: bool) -> Entrant | None:
     filt, spec, start = filter_for(name, plan), spec_of(name), datasheet(name)
     before = marks(filt, start, runs.test, plan.limit_m)
     named = [f"{kind.scenario.name}, run {i}" for kind in plan.trained for i in range(b.runs)]
+    ready = lambda cases: [case._replace(epochs=prepare(filt, case.epochs)) for case in cases]  # noqa: E731
     groups, order = together(runs.train)
     tuned, note = start, ""
     aside: tuple[dict, ...] = ()
     try:
         done = fit(
             loss_of(filt), spec, start, b.steps, adam(b.steps, b.rate, 10.0), validation=loss_of(filt),
-            cases=groups, validation_cases=together(runs.validation)[0], names=[named[i] for i in order],
+            cases=ready(groups), validation_cases=ready(together(runs.validation)[0]), names=[named[i] for i in order],
             clip=b.clip or CLIP, progress=progress,
         )  # fmt: skip
         if done.stopped != "done":

@@ -14,7 +14,7 @@ from jaxnav import config as configuration
 from jaxnav import metrics
 from jaxnav.errors import ConfigError
 from jaxnav.filters.core import Filter
-from jaxnav.jobs.batches import Batch
+from jaxnav.jobs.batches import Batch, ready
 from jaxnav.run import run
 from jaxnav.types import Info, Params
 from tuning import batch, objectives
@@ -128,7 +128,7 @@ def objective(
 
     def loss(params: Params, case: Case) -> jax.Array:
         params, batch = merged(params, case.own, free), case.batch
-        info = run(filt, params, batch.nav, batch.epochs)
+        info = run(filt, params, batch.nav, ready(batch))
         if batch.truth is not None:  # where navigation was by then, if the clocks are further apart than at the start
             later = params.mounting.time_offset - case.own.mounting.time_offset
             batch = batch._replace(truth=batch.truth._replace(lla=batch.truth.lla + later * batch.truth.rate))

@@ -4,19 +4,33 @@ Savage (1998) integrates rotation and specific force at the rate of the sensors,
 slowly. All intervals of an epoch are summed up at once, sample by sample: m steps on n numbers, components (m, n).
 """
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxnav.mechanizations.components import Quaternion, Vector, add, before, exp, multiply, rotate, scale, split
+from jaxnav.mechanizations.components import (
+    Quaternion,
+    Vector,
+    add,
+    before,
+    cross,
+    exp,
+    multiply,
+    normalize,
+    rotate,
+    scale,
+    small,
+    split,
+)  # fmt: skip
 from jaxnav.mechanizations.increments import corrected
-from jaxnav.types import Imu, Nav
+from jaxnav.types import Imu
 
 
 class Readings(NamedTuple):
-    """Bias-free samples; components of one shape."""
+    """Samples; components of one shape."""
 
     dt: Any  # s
     omega: Vector  # rad/s
@@ -33,13 +47,30 @@ class Body(NamedTuple):
     mean: Quaternion  # s, integral of q; () for a single sample
 
 
-def readings(nav: Nav, imu: Imu, m: int) -> tuple[Readings, Readings]:
-    """The samples (k,) in intervals of m, (m, n), and the one before each interval, (n,)."""
+class Interval(NamedTuple):
+    """Intervals, or the first samples of some."""
+
+    body: Body
+    omega: Vector  # rad/s, of the last sample
+    force: Vector  # m/s^2
+
+
+class Increments(NamedTuple):
+    """The intervals of an epoch as the sensors saw them, with the biases in it; rows are the leaves of `Interval`."""
+
+    whole: jax.Array  # (21, n)
+    parts: jax.Array  # (21, w) first samples of intervals, up to those that are kept
+    place: jax.Array  # (w,) int, which intervals
+
+
+def readings(imu: Imu, omega: jax.Array, force: jax.Array, m: int) -> tuple[Readings, Readings]:
+    """The samples (k,) in intervals of m, (m, n), and the one before each interval, (n,).
+
+    ``omega`` (rad/s) and ``force`` (m/s^2), (3,), are those before the first sample.
+    """
     rows = lambda a: a.reshape(-1, m).T  # noqa: E731
-    free = lambda a, b: tuple(rows(a[:, i] - b) for i, b in enumerate(split(b)))  # noqa: E731
-    all_of_them = Readings(rows(imu.dt), free(imu.gyro, nav.b_g), free(imu.accel, nav.b_a))
-    # the state carries the rates before this epoch's bias correction: one sample in an epoch sees that difference
-    start = Readings(jnp.zeros_like(imu.dt[0]), split(nav.omega), split(nav.force))
+    all_of_them = Readings(rows(imu.dt), *(tuple(rows(a[:, i]) for i in range(3)) for a in (imu.gyro, imu.accel)))
+    start = Readings(jnp.zeros_like(imu.dt[0]), split(omega), split(force))
     return all_of_them, jax.tree.map(lambda a, b: before(a, b[-1]), start, all_of_them)
 
 
@@ -53,8 +84,12 @@ def singles(x: Readings, last: Readings) -> Body:
     return lax.scan(single, last, x)[1]
 
 
-def sums(x: Readings, last: Readings) -> tuple[Body, Body]:
-    """Of whole intervals (n,), and from their starts to the end of each of their samples (m, n), that without mean."""
+def sums(imu: Imu, omega: jax.Array, force: jax.Array, m: int, keep: jax.Array) -> tuple[Interval, Interval, jax.Array]:
+    """Of the samples (k,) in intervals of m (n,); and from their starts to the samples ``keep`` (w,), and in which.
+
+    ``omega`` (rad/s) and ``force`` (m/s^2), (3,), are those before the first sample.
+    """
+    x, first = readings(imu, omega, force, m)
 
     def step(body, x):
         dt, dq, dv, _, _ = x
@@ -63,13 +98,40 @@ def sums(x: Readings, last: Readings) -> tuple[Body, Body]:
             body.t + dt, q, add(body.dv, dv),
             add(body.way, scale(dt, add(body.dv, scale(0.5, dv)))), add(body.mean, scale(0.5 * dt, add(body.q, q))),
         )  # fmt: skip
-        return body, body._replace(mean=())
+        return body, body
 
-    zero = jnp.zeros_like(last.dt)
+    zero = jnp.zeros_like(first.dt)
     start = Body(zero, (zero + 1, zero, zero, zero), (zero,) * 3, (zero,) * 3, (zero,) * 4)
-    whole, parts = lax.scan(step, start, singles(x, last))
+    whole, parts = lax.scan(step, start, singles(x, first))
     # the mean rotation of nothing is none
-    return whole._replace(mean=add(whole.mean, (jnp.where(whole.t > 0, 0.0, 1.0), 0.0, 0.0, 0.0))), parts
+    whole = whole._replace(mean=add(whole.mean, (jnp.where(whole.t > 0, 0.0, 1.0), 0.0, 0.0, 0.0)))
+    place, at = keep // m, keep % m * first.dt.size + keep // m
+    kept = jax.tree.map(lambda a: a.ravel()[at], Interval(parts, *x[1:]))
+    return Interval(whole, *jax.tree.map(lambda a: a[-1], x[1:])), kept, place
+
+
+def unbiased(rows: jax.Array, b_g: Vector, b_a: Vector) -> Interval:
+    """What sensors without the biases b_g (rad/s) and b_a (m/s^2) would have seen, of rows of `Increments`.
+
+    A bias of the rate turns by t C b_g, C the mean rotation, and specific force with it, of which the integral of t f
+    is t dv - way. First order in the biases: the square of what 100 deg/h turn in 0.1 s is left out, 1e-9 of the
+    thrust.
+    """
+    t, *v = jnp.unstack(rows)
+    q, dv, way, mean, omega, force = (tuple(v[a:b]) for a, b in pairwise((0, 4, 7, 10, 14, 17, 20)))
+    q, mean = ((jnp.where(t > 0, q[0], 1.0), *q[1:]) for q in (q, mean))  # padding does not turn
+    half = normalize(mean)
+    drift = rotate(half, b_g)
+    back = small(scale(-0.5 * t, drift))
+    push = rotate(multiply(back, half), b_a)
+    body = Body(
+        t,
+        multiply(multiply(back, back), q),
+        add(dv, cross(drift, add(way, scale(-t, dv))), scale(-t, push)),
+        add(way, cross(drift, scale(-t / 3, way)), scale(-0.5 * t * t, push)),
+        multiply(back, mean),
+    )
+    return Interval(body, *(add(a, scale(-1.0, b)) for a, b in ((omega, b_g), (force, b_a))))
 
 
 def over(t: Any, v: tuple) -> tuple:

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxnav import earth
-from jaxnav.mechanizations.body import Body, Readings, over, readings, singles, sums
+from jaxnav.mechanizations.body import Body, Increments, Interval, over, readings, singles, sums, unbiased
 from jaxnav.mechanizations.components import (
     Quaternion,
     Vector,
@@ -182,19 +182,9 @@ def unit(nav: Nav) -> Nav:
     return nav._replace(q=jnp.stack(normalize(split(nav.q)), -1))
 
 
-def _block(
-    integrate: Callable, rows: int, nav: Nav, u: Drive, imu: Imu, m: int, keep: jax.Array | None
-) -> tuple[Nav, Path]:
-    """The states that `propagate` returns, and the path, of samples (k,) in intervals of ``m``, which divides k.
-
-    Single samples, m = 1, are corrected ``rows`` (divides k) rows of them, one row after the other; else rows = m.
-    """
-    x, last = readings(nav, imu, rows)
-    if m == 1:
-        ends_x, whole = jax.tree.map(lambda a: a.T.reshape(-1), (x, singles(x, last)))
-    else:
-        ends_x = jax.tree.map(lambda a: a[-1], x)
-        whole, body = sums(x, last)
+def _block(integrate: Callable, m: int, nav: Nav, u: Drive, given: Interval) -> tuple[Nav, Path, Callable]:
+    """The states after all intervals (n,) of m samples, the path, and the function that has those inside them."""
+    whole, omega, force = given
     spin, push = split(u.omega), split(u.accel)
     q_starts, q_ends, q_means = attitudes(nav, spin, whole)
     lat, lon, h = split(nav.pos)
@@ -206,71 +196,140 @@ def _block(
     thrust = thrust_of(q_starts, whole)
     ends = integrate(change, start, thrust)
 
-    def state(level: Level, q, t, x: Readings) -> Nav:
+    def state(level: Level, q, t, omega, force) -> Nav:
         q = multiply(small(scale(-1.0, level.turn)), q)
-        return after(nav, nav.t + t, (centre + level.north, lon + level.east, level.h), level.vel, q, x.omega, x.force)
+        return after(nav, nav.t + t, (centre + level.north, lon + level.east, level.h), level.vel, q, omega, force)
 
-    points = state(ends, q_ends, t, ends_x)
-    if m == 1:
-        out = jax.tree.map(lambda a: a[-1 if keep is None else keep], points)
-        return unit(out), sampled(nav, unit(points), split(points.q), ends_x.force)
+    points = state(ends, q_ends, t, omega, force)
     starts = jax.tree.map(before, start, ends)
+
+    def inside(i: jax.Array, part: Interval) -> Nav:
+        """After the first samples, ``part``, of the intervals i (w,)."""
+        level, q, begin = jax.tree.map(lambda a: a[i], (starts, q_starts, t - whole.t))
+        # in a loop, where the compiler works out every number once: fused into its users each would be made many times
+        thrust = thrust_of(q, part.body)
+        level = lax.map(lambda x: jax.tree.map(jnp.add, x[0], change(*x)), (level, thrust))
+        q = multiply(small(scale(part.body.t, spin)), multiply(q, part.body.q))
+        return unit(state(level, q, begin + part.body.t, part.omega, part.force))
+
+    if m == 1:
+        return points, sampled(nav, unit(points), split(points.q), force), inside
     middle = small(scale(-0.5, add(starts.turn, ends.turn)))
     C = to_dcm(multiply(middle, normalize(q_means)))
     path = Path(unit(points), C, jnp.stack(rotate(middle, over(whole.t, thrust.dv)), -1))
-    if keep is None:
-        return unit(jax.tree.map(lambda a: a[-1], points)), path
-    # what an interval does to its start, its first samples alone do as well
-    row, i = keep % m, keep // m
-    body, x = jax.tree.map(lambda a: a.ravel()[row * t.size + i], (body, x))
-    level, q, begin = jax.tree.map(lambda a: a[i], (starts, q_starts, t - whole.t))
-    # in a loop, where the compiler works out every number once: fused into its users each would be made many times
-    level = lax.map(lambda x: jax.tree.map(jnp.add, x[0], change(*x)), (level, thrust_of(q, body)))
-    q = multiply(small(scale(body.t, spin)), multiply(q, body.q))
-    return unit(state(level, q, begin + body.t, x)), path
+    return points, path, inside
 
 
-def _blocks(
-    integrate: Callable, most: int, nav: Nav, u: Drive, imu: Imu, stride: int, keep: jax.Array | None
+def _samples(
+    integrate: Callable, most: int, nav: Nav, u: Drive, imu: Imu, stride: int, keep: jax.Array
 ) -> tuple[Nav, Path]:
-    """Block after block, the last one filled up with padding, in intervals of at ``most`` so many samples."""
-    k = imu.dt.shape[0]
-    divides(stride, k)
-    m = stride if stride <= most else 1
-    size = m * (BLOCK // m)
-    # single samples are corrected in a loop over so many rows of them, but all at once where kernels cost, not numbers
-    rows = m if m > 1 else max(d for d in range(1, most + 1) if min(k, size) % d == 0)
-    step = partial(_block, integrate, rows)
-    if k <= size:
-        out, path = step(nav, u, imu, m, keep)
+    """The states after the samples ``keep`` (w,) and the path, by intervals of one sample.
+
+    They are corrected in a loop over up to ``most`` rows of them, but all at once where kernels cost and not numbers.
+    """
+    k, flat = imu.dt.size, lambda a: a.reshape(-1, *a.shape[2:])
+
+    def block(nav, imu):
+        rows = max(d for d in range(1, most + 1) if imu.dt.size % d == 0)
+        # the state carries the rates before this epoch's bias correction: one sample in an epoch sees that difference
+        x, last = readings(free(nav, imu), nav.omega, nav.force, rows)
+        x, whole = jax.tree.map(lambda a: a.T.reshape(-1), (x, singles(x, last)))
+        points, path, _ = _block(integrate, 1, nav, u, Interval(whole, x.omega, x.force))
+        return unit(jax.tree.map(lambda a: a[-1], points)), (points, path)
+
+    if k <= BLOCK:
+        points, path = block(nav, imu)[1]
     else:
-        fill = lambda a: jnp.pad(a, ((0, -k % size), *[(0, 0)] * (a.ndim - 1))).reshape(-1, size, *a.shape[1:])  # noqa: E731
-        flat = lambda a: a.reshape(-1, *a.shape[2:])  # noqa: E731
-        every = None if keep is None else jnp.arange(size)
-
-        def block(nav, imu):
-            out, path = step(nav, u, imu, m, every)
-            return jax.tree.map(lambda a: a[-1], path.nav), (out, path)
-
-        states, path = lax.scan(block, nav, jax.tree.map(fill, imu))[1]
-        path = jax.tree.map(lambda a: flat(a)[: k // m], path)
-        out = jax.tree.map(lambda a: a[-1], path.nav) if keep is None else jax.tree.map(lambda a: flat(a)[keep], states)
-    return out, thin(path, imu.dt.reshape(-1, m).sum(1), stride // m)
+        blocks = jax.tree.map(lambda a: filled(a, BLOCK).reshape(-1, BLOCK, *a.shape[1:]), imu)
+        points, path = jax.tree.map(flat, lax.scan(block, nav, blocks)[1])
+    path = thin(jax.tree.map(lambda a: a[:k], path), imu.dt, stride)
+    return unit(jax.tree.map(lambda a: a[keep], points)), path
 
 
-def propagate(nav: Nav, u: Drive, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
+def free(nav: Nav, imu: Imu) -> Imu:
+    """Samples without the biases."""
+    return imu._replace(gyro=imu.gyro - nav.b_g, accel=imu.accel - nav.b_a)
+
+
+def filled(a: jax.Array, size: int) -> jax.Array:
+    """(k, ...) up to a multiple of ``size`` by zeros, which are padding; as it is where one block holds all."""
+    k = a.shape[0]
+    return a if k <= size else jnp.pad(a, ((0, -k % size), *[(0, 0)] * (a.ndim - 1)))
+
+
+def _intervals(m: int, nav: Nav, u: Drive, whole: Interval, parts: Interval, place: jax.Array) -> tuple[Nav, Path]:
+    """The states after the first samples, ``parts`` (w,), of the intervals ``place``, and the path of all (n,).
+
+    More intervals than a block holds are a multiple of that.
+    """
+    n, size = whole.body.t.size, BLOCK // m
+
+    def block(nav, whole, i):
+        _, path, inside = _block(by_scan, m, nav, u, whole)
+        return jax.tree.map(lambda a: a[-1], path.nav), path, inside(jnp.clip(i, 0, whole.body.t.size - 1), parts)
+
+    if n <= size:
+        _, path, kept = block(nav, whole, place)
+        return kept, path
+
+    def one(carry, whole):
+        nav, kept, i = carry
+        nav, path, here = block(nav, whole, i)
+        mine = (i >= 0) & (i < size)
+        kept = jax.tree.map(lambda a, b: jnp.where(mine.reshape(-1, *[1] * (a.ndim - 1)), a, b), here, kept)
+        return (nav, kept, i - size), path
+
+    kept = jax.tree.map(lambda a: jnp.broadcast_to(a, (place.size, *a.shape)), nav)
+    blocks = jax.tree.map(lambda a: a.reshape(-1, size), whole)
+    (_, kept, _), path = lax.scan(one, (nav, kept, place), blocks)
+    return kept, jax.tree.map(lambda a: a.reshape(n, *a.shape[2:]), path)
+
+
+def preintegrate(imu: Imu, last: tuple[Any, Any], stride: int, keep: jax.Array) -> Imu | Increments:
+    """What `propagate` can do with samples (k,) before it knows the state; ``last``: rate and force before them.
+
+    For a stride of 2 to 10, the sums over intervals of so many samples, and up to the samples ``keep`` (w,). They have
+    the biases in them, which are taken out in first order. Else the samples themselves.
+    """
+    if not 2 <= stride <= INTERVAL:
+        return imu
+    whole, parts, place = sums(imu, *last, stride, keep)
+    return Increments(jnp.stack(jax.tree.leaves(whole)), jnp.stack(jax.tree.leaves(parts)), place)
+
+
+def propagate(
+    nav: Nav, u: Drive, imu: Imu | Increments, stride: int = 1, keep: jax.Array | None = None
+) -> tuple[Nav, Path]:
     """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, zero without one.
 
     Returns the last state, or those after the samples ``keep`` (w,), and the path at every ``stride`` samples: where it
     ends, and its means for the error dynamics. ``pos`` is (lat rad, lon rad, h m), ``vel`` is ENU m/s, ``q`` takes body
-    FRD to ENU. A sample of dt = 0 changes nothing.
+    FRD to ENU. A sample of dt = 0 changes nothing. ``imu`` may be what `preintegrate` made of the samples.
 
     Raises:
         ValueError: ``stride`` does not divide k.
     """
-    return _blocks(by_scan, INTERVAL, nav, u, imu, stride, keep)
+    size = BLOCK // stride if stride <= INTERVAL else 1
+    if isinstance(imu, Increments):
+        n = imu.whole.shape[1]
+        biases = split(nav.b_g), split(nav.b_a)
+        given = unbiased(filled(imu.whole.T, size).T, *biases), unbiased(imu.parts, *biases), imu.place
+        out, path = _intervals(stride, nav, u, *given)
+        return out, jax.tree.map(lambda a: a[:n], path)
+    k = imu.dt.size
+    divides(stride, k)
+    at = jnp.array([k - 1]) if keep is None else keep
+    if 2 <= stride <= INTERVAL:
+        samples = jax.tree.map(lambda a: filled(a, size * stride), free(nav, imu))
+        out, path = _intervals(stride, nav, u, *sums(samples, nav.omega, nav.force, stride, at))
+        path = jax.tree.map(lambda a: a[: k // stride], path)
+    else:
+        out, path = _samples(by_scan, INTERVAL, nav, u, imu, stride, at)
+    return jax.tree.map(lambda a: a[0], out) if keep is None else out, path
 
 
 def propagate_block(nav: Nav, u: Drive, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
     """`propagate` for all samples at once; faster for one run and on accelerators, slower in a batch."""
-    return _blocks(by_sweeps, 1, nav, u, imu, stride, keep)
+    divides(stride, imu.dt.size)
+    out, path = _samples(by_sweeps, 1, nav, u, imu, stride, jnp.array([imu.dt.size - 1]) if keep is None else keep)
+    return jax.tree.map(lambda a: a[0], out) if keep is None else out, path

@@ -23,7 +23,7 @@ from jaxnav.errors import ConfigError, DataError
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Correction, Filter, Innovation, Rule, make_filter
 from jaxnav.measurements import GNSS, MEASUREMENTS, NONHOLONOMIC, POSITION, SPEED, VELOCITY, ZERO_RATE, ZERO_VELOCITY
-from jaxnav.run import enable_x64, initial_nav, require_x64, run, run_jit, track
+from jaxnav.run import enable_x64, initial_nav, prepare, require_x64, run, run_jit, track
 from jaxnav.sensors.grades import GRADES, Grade, datasheet_params, mounting
 from jaxnav.types import Epoch, Fix, Imu, ImuLog, Info, Mounting, Nav, Noise, Params, Prior, Recording, Samples, Track
 
@@ -34,6 +34,6 @@ __all__ = [
     "ZERO_VELOCITY", "ConfigError", "Correction", "DataError", "Epoch", "Filter", "Fix", "Grade", "Imu", "ImuLog",
     "Info", "Innovation", "Mounting", "Nav", "Noise", "Packed", "Params", "Prior", "Recording", "Rule", "Samples",
     "Track", "build", "constraint_samples", "course", "cut_times", "datasheet_params", "enable_x64", "heading_bank",
-    "hide", "initial_nav", "level", "make_filter", "mounting", "outage_windows", "pack", "require_x64", "run",
-    "run_jit", "stationary", "track", "with_headings",
+    "hide", "initial_nav", "level", "make_filter", "mounting", "outage_windows", "pack", "prepare", "require_x64",
+    "run", "run_jit", "stationary", "track", "with_headings",
 ]  # fmt: skip

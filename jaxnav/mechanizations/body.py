@@ -2,6 +2,9 @@
 
 Savage (1998) integrates rotation and specific force at the rate of the sensors, and what turns with the Earth more
 slowly. All intervals of an epoch are summed up at once, sample by sample: m steps on n numbers, components (m, n).
+
+The sums need nothing of the state but the biases, and those enter so weakly that the first order will do (as in
+preintegration: Forster et al. 2017): sums made with the biases in are good for many runs on the same samples.
 """
 
 from itertools import pairwise

@@ -153,6 +153,15 @@ def test_noise_enters_as_root_psd_in_body_axes():
     assert np.linalg.eigvalsh(Q / np.sqrt(np.outer(np.diag(Q), np.diag(Q)) + 1e-300)).min() > -1e-12
 
 
+def test_no_noise_is_lost_where_rounding_moves_the_ends_of_points():
+    """Of ten points one ends at the middle, where a third of the noise is integrated, or by rounding just beside."""
+    points = jax.tree.map(lambda a: jnp.repeat(a[:1], 10, 0), propagate(a_nav(), REST, an_imu(4, 0.2))[1])
+    noise = PARAMS.noise._replace(accel=jnp.array(1.0), gyro=jnp.array(0.0))
+    T = np.stack([np.full(10, np.full(10, 1 / rate).sum()) for rate in range(50, 401)])  # sums of ten samples
+    Q = jax.jit(jax.vmap(lambda T: discretize(noise, points, T, REST)[1]))(T)
+    np.testing.assert_allclose(jnp.diagonal(Q[:, V, V], axis1=1, axis2=2) / T.sum(1)[:, None], 1.0, atol=0.01)
+
+
 def test_correlated_noise_is_van_loans_integral():
     """Constant attitude and specific force, so that F is constant; every leaf a root of its own."""
     rng, T = np.random.default_rng(11), 0.2

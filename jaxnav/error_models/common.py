@@ -147,7 +147,9 @@ def _white(maps: Maps, C, f, T, noise: Noise, lumped: bool) -> jax.Array:
         moments, lengths, C_then = end, T, C
     else:  # Gauss' points, which integrate polynomials up to the fifth order
         moments, lengths = total * (0.5 + 0.5 * GAUSS3), total * np.array([5, 8, 5]) / 18
-        C_then = jnp.tensordot(((end - T <= moments[:, None]) & (moments[:, None] < end)).astype(T.dtype), C, 1)
+        # a start is the end before it, bit for bit: else rounding can put a moment into no point, or into two
+        start = jnp.concatenate([jnp.zeros(1), end[:-1]])
+        C_then = jnp.tensordot(((start <= moments[:, None]) & (moments[:, None] < end)).astype(T.dtype), C, 1)
     later = jnp.clip(end - moments[:, None], 0.0, T)  # how much of each point comes after each moment
     alpha, pi = maps.A(later @ f), maps.A((later * (total - end + 0.5 * later)) @ f)
     column = lambda a: a[:, None, None]  # noqa: E731

@@ -42,7 +42,7 @@ def test_biases_are_taken_out_of_the_sums(n, lat, speed):
     leaves_equal(without, samples, 1e-15)  # the same sums
     (exact, path), (found, coarse) = propagate(known, u, imu, 10, keep), propagate(known, u, sums, 10)
     for error, bias in zip(difference(found, exact), difference(exact, samples), strict=True):
-        assert np.abs(error).max() < 1e-4 * np.abs(bias).max()
+        assert np.abs(error).max() < 3e-3 * np.abs(bias).max()
     for leaf in ("t", "omega", "force"):
         np.testing.assert_allclose(getattr(found, leaf), getattr(exact, leaf), rtol=0, atol=1e-14)
     np.testing.assert_allclose(coarse.C, path.C, rtol=0, atol=1e-6)
@@ -71,7 +71,7 @@ def test_prepared_epochs_are_run_like_the_samples(case, biased):
 
     (samples, nll), (sums, ready_nll) = along(biased), along(ready)
     assert np.abs(samples.b_g[-1]).min() > 1e-4  # the biases are found, so that there was something to take out
-    for error, bound in zip(difference(sums, samples), (1e-4, 1e-5, 1e-6), strict=True):  # m, m/s, rad
+    for error, bound in zip(difference(sums, samples), (1e-3, 1e-4, 1e-5), strict=True):  # m, m/s, rad
         assert np.abs(error).max() < bound
     assert float(ready_nll) == pytest.approx(float(nll), rel=1e-4)
 

@@ -124,21 +124,14 @@ def unbiased(rows: jax.Array, b_g: Vector, b_a: Vector) -> Interval:
     q, dv, way, mean, omega, force = (tuple(v[a:b]) for a, b in pairwise((0, 4, 7, 10, 14, 17, 20)))
     q, mean = ((jnp.where(t > 0, q[0], 1.0), *q[1:]) for q in (q, mean))  # padding does not turn
     half = normalize(mean)
-    quarter = half[1:]  # of the rotation vector
-
-    def over_time(q, b):  # the mean of a turning vector is shorter than the vector half-way
-        b = rotate(q, b)
-        return add(b, scale(2 / 3, cross(quarter, cross(quarter, b))))
-
-    drift = over_time(half, b_g)
+    drift = rotate(half, b_g)
     back = small(scale(-0.5 * t, drift))
-    push = over_time(multiply(back, half), b_a)
+    push = rotate(multiply(back, half), b_a)
     body = Body(
         t,
         multiply(multiply(back, back), q),
-        # the last terms: what turns early has turned less than half-way
-        add(dv, cross(drift, add(way, scale(-t, dv))), scale(-t, push), scale(t / 3, cross(cross(quarter, drift), dv))),
-        add(way, cross(drift, scale(-t / 3, way)), scale(-0.5 * t * t, push), scale(t * t / 3, cross(quarter, push))),
+        add(dv, cross(drift, add(way, scale(-t, dv))), scale(-t, push)),
+        add(way, cross(drift, scale(-t / 3, way)), scale(-0.5 * t * t, push)),
         multiply(back, mean),
     )
     return Interval(body, *(add(a, scale(-1.0, b)) for a, b in ((omega, b_g), (force, b_a))))

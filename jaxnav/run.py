@@ -48,7 +48,7 @@ def run(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info:
 
     Raises:
         DataError: float32 input (at trace time).
-        ValueError: epochs that were prepared for a filter with another history (at trace time).
+        ValueError: epochs that were prepared for a filter with another stride or history (at trace time).
     """
     require_x64(params, nav, epochs)
 

@@ -91,7 +91,8 @@ def test_what_cannot_be_summed_up_is_handed_on(case, biased):
     leaves_equal(preintegrate(third, last, 5, one.imu.keep[3]), jax.tree.map(lambda a: a[3], one.imu.samples), 1e-12)
 
 
-def test_epochs_prepared_for_another_history_are_refused(case, biased):
+@pytest.mark.parametrize("options", [{"history": 3, "cov_stride": 5}, {"cov_stride": 10}, {}])
+def test_epochs_prepared_for_another_filter_are_refused(case, biased, options):
     ready = prepare(build("ekf9", cov_stride=5), biased)
-    with pytest.raises(ValueError, match="prepared for a history of 2 samples, the filter keeps 3"):
-        jax.eval_shape(lambda e: run(build("ekf9", cov_stride=5, history=3), case.params, case.nav, e), ready)
+    with pytest.raises(ValueError, match=r"prepared for a stride and history of \(5, 2\) samples, the filter has"):
+        jax.eval_shape(lambda e: run(build("ekf9", **options), case.params, case.nav, e), ready)

@@ -75,6 +75,7 @@ class Prepared(NamedTuple):
     keep: jax.Array  # (w,) int, the last of them
     T: jax.Array  # (b,) s, of each point of the path
     samples: Any  # what `propagate` takes
+    made_for: jax.Array  # (stride, history, 0): holds nothing, its shape says which filters take it
 
 
 class FilterState(NamedTuple):
@@ -149,7 +150,8 @@ def make_filter(
     ``preintegrate``: (imu, rate and force before, stride, keep) -> what ``propagate`` may be given for the samples.
 
     Raises:
-        ValueError: ``history`` below 2; when traced, ``cov_stride`` that does not divide the samples of an epoch.
+        ValueError: ``history`` below 2; when traced, ``cov_stride`` that does not divide the samples of an epoch, or
+            epochs that were prepared for a filter with another stride or history.
     """
     if history < 2:
         raise ValueError(f"history must be at least 2 samples, got {history}")
@@ -166,7 +168,7 @@ def make_filter(
         divides(cov_stride, imu.dt.size)
         n = jnp.sum(imu.dt > 0)
         keep = jnp.maximum(n - history + jnp.arange(history), 0)
-        return Prepared(n, keep, imu.dt.reshape(-1, cov_stride).sum(1), imu)
+        return Prepared(n, keep, imu.dt.reshape(-1, cov_stride).sum(1), imu, jnp.zeros((cov_stride, history, 0)))
 
     def prepare(epochs: Epoch) -> Epoch:
         def one(imu: Imu, last: tuple[jax.Array, jax.Array]) -> Prepared:
@@ -180,10 +182,11 @@ def make_filter(
 
     def predict(params: Params, state: FilterState, imu: Imu | Prepared) -> FilterState:
         nav = jax.tree.map(lambda a: a[-1], state.past)
-        n, keep, T, samples = imu if isinstance(imu, Prepared) else counted(imu)
-        if keep.shape != (history,):
+        n, keep, T, samples, made_for = imu if isinstance(imu, Prepared) else counted(imu)
+        if made_for.shape != (cov_stride, history, 0):
             raise ValueError(
-                f"the epochs were prepared for a history of {keep.size} samples, the filter keeps {history}"
+                f"the epochs were prepared for a stride and history of {made_for.shape[:2]} samples, "
+                f"the filter has {cov_stride, history}"
             )
         recent, points = propagate(nav, state.u, samples, cov_stride, keep)
         Phi, Q, d = model.discretize(params.noise, points, T, state.u)

@@ -89,6 +89,7 @@ class Params:
     prior_accel_bias_mg: Numbers | None = None
     lever_arm_m: tuple[float, ...] | None = None
     time_offset_s: float | None = None
+    clock_drift_ppm: float | None = None
     position_latency_s: float | None = None
     velocity_latency_s: float | None = None
     vehicle_deg: tuple[float, ...] | None = None
@@ -216,6 +217,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "start.heading_sd_deg": (1e-6, 180.0),
     "start.hypotheses": (2, 360),
     "params.time_offset_s": (-10.0, 10.0),
+    "params.clock_drift_ppm": (-1e5, 1e5),
     "params.position_latency_s": (-10.0, 10.0),
     "params.velocity_latency_s": (-10.0, 10.0),
     "tune.steps": (0, 1_000_000),

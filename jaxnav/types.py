@@ -112,7 +112,8 @@ class Mounting(NamedTuple):
     """Geometry and timing of the installation: tunable like any other parameter."""
 
     lever_arm: jax.Array  # (3,) m, IMU -> GNSS antenna, body FRD
-    time_offset: jax.Array  # () s, GNSS time = IMU stamp + time_offset
+    time_offset: jax.Array  # () s, GNSS time = IMU stamp + time_offset at the stamp origin.t of `Nav`
+    clock_drift: jax.Array  # () s/s, by which that offset grows from then on
     position_latency: jax.Array  # () s, age of the position when it is stamped
     velocity_latency: jax.Array  # () s, age of the velocity when it is stamped
     vehicle: jax.Array  # (2,) rad, pitch and yaw of the vehicle's axes in the body's: its nose is not the IMU's

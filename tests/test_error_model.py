@@ -12,7 +12,7 @@ from jaxnav.error_models.local_level import dynamics, error_model
 from jaxnav.error_models.states import STATES, A, B, G, P, V, mask, prior_sd
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import REST
-from jaxnav.measurements import MEASUREMENTS, at, covariance, layout
+from jaxnav.measurements import MEASUREMENTS, at, counted_from, covariance, layout
 from jaxnav.mechanizations import local_level
 from jaxnav.run import initial_nav, run_jit
 from jaxnav.sensors.grades import GRADES, datasheet_params
@@ -291,6 +291,17 @@ def test_observe_compares_with_the_state_at_the_fix_s_own_time():
     # linear interpolation of a path whose acceleration is a is wrong by a dt^2 / 8
     exact = past.pos[-1] - (past.pos[-1] - past.pos[-3]) * 0.75
     assert np.abs(earth.enu_difference(at(past, past.t[-1] - 0.075).pos, exact)).max() < 15 * 0.05**2
+
+
+@pytest.mark.parametrize("origin", [0.0, 420.0])
+def test_a_clock_that_drifts_is_off_by_the_time_since_its_origin(origin):
+    _, _, past, install, fix = history(0.2)
+    past = counted_from(past._replace(t=past.t + 300.0), origin)
+    drifting = install._replace(clock_drift=jnp.asarray(3e-4))
+    late = install._replace(time_offset=install.time_offset + 3e-4 * (past.t[-1] - origin))
+    seen, expected, without = (observe(PARAMS.noise, each, past, fix) for each in (drifting, late, install))
+    leaves_equal(seen, expected)
+    assert np.abs(seen[0] - without[0]).max() > 0.1
 
 
 def test_at_extends_beyond_the_samples_and_needs_no_gap():

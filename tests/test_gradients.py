@@ -11,6 +11,7 @@ import pytest
 from jaxnav import earth
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.gpid import gpid_params
+from jaxnav.metrics import columns_at
 from jaxnav.run import run
 from jaxnav.sensors.grades import datasheet_params, mounting
 from jaxnav.types import Epoch, Params
@@ -29,6 +30,7 @@ STEPS = {
     "rule.ki": 1e-3,
     "rule.kd": 3e-3,
     "mounting.time_offset": 1e-3,
+    "mounting.clock_drift": 1e-4,
     "mounting.lever_arm": 1e-2,
 }
 
@@ -90,7 +92,7 @@ def test_gradient_of_a_whole_run(setting, gradients, name):
 def test_gradients_are_finite_at_singular_points(setting):
     """No lever arm, gain or rotation, padded epochs, missing fixes: norms of zero, and where 0 * nan would show."""
     params, epochs = setting.params, setting.epochs
-    for name in ("mounting.lever_arm", "mounting.time_offset", "rule.ki", "rule.kd"):
+    for name in ("mounting.lever_arm", "mounting.time_offset", "mounting.clock_drift", "rule.ki", "rule.kd"):
         params = put(params, name, jnp.zeros_like(get(params, name)))
     fix, dt = epochs.fix, epochs.imu.dt
     broken = epochs._replace(
@@ -102,3 +104,24 @@ def test_gradients_are_finite_at_singular_points(setting):
         assert all_finite(gradient)  # of infinite time constants too
         for name in STEPS:
             assert np.abs(get(gradient, name)).max() > 0, name
+
+
+@pytest.mark.parametrize("true", [4e-3, -2e-3])
+def test_innovations_know_the_drift_of_a_clock(setting, fine_case, true):
+    """Fixes without noise, of a receiver whose time gains on the IMU's: the likelihood is greatest at that drift."""
+    params, fix = setting.params, setting.epochs.fix
+    for name, value in (("lever_arm", jnp.zeros(3)), ("time_offset", 0.02), ("clock_drift", true)):
+        params = put(params, f"mounting.{name}", jnp.asarray(value))
+    for name in ("noise.position_scale", "noise.velocity_scale"):
+        params = put(params, name, jnp.full_like(get(params, name), 0.05))
+    stamp, truth = np.arange(1.0, EPOCHS + 1), fine_case.truth
+    then = stamp - 0.02 - true * stamp
+    seen = np.hstack([columns_at(then, truth.t, a) for a in (truth.lla, truth.vel)])
+    epochs = setting.epochs._replace(fix=fix._replace(value=jnp.asarray(seen)))
+    h = 2e-3
+    low, mid, high = (
+        setting.scores(put(params, "mounting.clock_drift", jnp.asarray(true + d)), epochs)[0] for d in (-h, 0.0, h)
+    )
+    assert low > mid < high
+    lowest = true + 0.5 * h * (low - high) / (low - 2 * mid + high)
+    assert lowest == pytest.approx(true, abs=2e-5)

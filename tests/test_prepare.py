@@ -13,7 +13,7 @@ from jaxnav.errors import ConfigError, DataError
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.jobs import batches, filtering, objectives, parameters, prepare, tune_report
 from jaxnav.jobs.unused import unused
-from jaxnav.measurements import GNSS
+from jaxnav.measurements import GNSS, counted_from
 from jaxnav.run import initial_nav
 from jaxnav.scenarios import SCENARIOS
 from jaxnav.sensors.grades import GRADES, mounting
@@ -130,8 +130,14 @@ def northward(late: float = 0.0) -> Recording:
     return Recording("northward", imu, {"position": position, "velocity": velocity}, truth, np.zeros(3))
 
 
+def starts(origin: float):
+    """The starts of a case whose clock is counted from ``origin``."""
+    return jax.tree.map(lambda a: a[None], initial_nav(jnp.zeros(3), t=origin))
+
+
 def test_navigation_starts_where_the_vehicle_is_by_then():
-    c = resolved(params={"time_offset_s": 0.1, "position_latency_s": 0.3})
+    # its clock drifts by 1 %, so that where the run starts, 29 s before half-time, it is 0.29 s early
+    c = resolved(params={"time_offset_s": 0.39, "clock_drift_ppm": 1e4, "position_latency_s": 0.3})
     nav, _ = prepare.start_of(c, northward(0.4))
     on_time, _ = prepare.start_of(resolved(), northward())
     assert float(nav.t[0]) == 1.0
@@ -172,24 +178,24 @@ def test_an_outage_lasts_to_the_end_of_the_data():
 
 
 def test_the_truth_of_a_tuning_run_is_at_the_time_that_the_clocks_give():
-    rec, t = northward(), np.array([0.2, 10.0, 30.5, 70.0])
-    case = SimpleNamespace(recording=rec, params=params_of(resolved(params={"time_offset_s": 0.25})))
+    rec, t, known = northward(), np.array([0.2, 10.0, 30.5, 70.0]), {"time_offset_s": 0.25, "clock_drift_ppm": 1e4}
+    case = SimpleNamespace(recording=rec, params=params_of(resolved(params=known)), navs=starts(30.0))
     truth = batches._truth(case, t)
     np.testing.assert_array_equal(truth.known, [False, True, True, False])
     north = (np.asarray(truth.lla)[1:3, 0] - 0.8) * 6.37e6
-    np.testing.assert_allclose(north, 12.0 * (t[1:3] + 0.25), rtol=1e-9)
+    np.testing.assert_allclose(north, 12.0 * (t[1:3] + 0.25 + 0.01 * (t[1:3] - 30.0)), rtol=1e-9)
     np.testing.assert_allclose(np.asarray(truth.rate)[1:3, 0] * 6.37e6, 12.0, rtol=1e-6)
     late = rec._replace(truth=Track(*(a[-1:] + 1e3 * (i == 0) for i, a in enumerate(rec.truth))))
-    assert batches._truth(SimpleNamespace(recording=late, params=case.params), t) is None
+    assert batches._truth(SimpleNamespace(recording=late, params=case.params, navs=case.navs), t) is None
 
 
 def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):
     """Navigation is right; the truth is met where the offset is, by value and by slope."""
     offset, true = 0.1, 0.35
     t, params = np.arange(5.0, 55.0), params_of(resolved(params={"time_offset_s": offset}))
-    truth = batches._truth(SimpleNamespace(recording=northward(), params=params), t)
+    truth = batches._truth(SimpleNamespace(recording=northward(), params=params, navs=starts(30.0)), t)
     pos = jnp.stack([0.8 + 12.0 * (t + true) / 6.37e6, 0.2 + 0 * t, 100.0 + 0 * t], 1)
-    nav = jax.vmap(initial_nav)(pos)
+    nav = counted_from(jax.vmap(initial_nav)(pos)._replace(t=jnp.asarray(t)), 30.0)
     none = jnp.zeros((1, 1))
     info = SimpleNamespace(nav=nav, valid=none > 0, residual=none, ok=jnp.array([True]))
     monkeypatch.setattr(objectives, "run", lambda *_: info)
@@ -197,6 +203,10 @@ def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):
     loss = objectives.objective(None, (("rmse", 1.0),), ("mounting.time_offset",))
     at = lambda s: float(loss(put(params, "mounting.time_offset", s), objectives.Case(batch, params)))  # noqa: E731
     assert at(offset) == pytest.approx(12.0 * (true - offset) / 3, rel=1e-3) and at(true) < 1e-3
+    loss = objectives.objective(None, (("rmse", 1.0),), ("mounting.time_offset", "mounting.clock_drift"))
+    drifting = put(put(params, "mounting.time_offset", true), "mounting.clock_drift", 1e-3)
+    error = 12.0 * 1e-3 * np.sqrt(np.mean((t - 30.0) ** 2)) / 3
+    assert float(loss(drifting, objectives.Case(batch, params))) == pytest.approx(error, rel=1e-3)
 
 
 def vector(info, epochs, truth):
@@ -211,11 +221,12 @@ def test_an_objective_gives_one_number():
 
 def test_history_covers_what_is_known_and_what_tuning_adds():
     stress = matched_params(SCENARIOS["gipkf_urban_stress"]).mounting  # 0.15 s late
-    assert prepare.history_of(resolved(), stress, 10.0, False) == 4
-    assert prepare.history_of(resolved(), stress, 100.0, False) >= 17
-    assert prepare.history_of(resolved(), stress, 100.0, True) >= 2 + 100 * (0.15 + prepare.REACH)
-    assert prepare.history_of(resolved(), mounting(time_offset=-1.0), 100.0, False) == 2
-    assert prepare.history_of(resolved(filter={"history": 9}), stress, 100.0, True) == 9
+    assert prepare.history_of(resolved(), stress, 10.0, 60.0, False) == 4
+    assert prepare.history_of(resolved(), stress, 100.0, 60.0, False) >= 17
+    assert prepare.history_of(resolved(), stress, 100.0, 60.0, True) >= 2 + 100 * (0.15 + prepare.REACH)
+    assert prepare.history_of(resolved(), mounting(time_offset=-1.0), 100.0, 60.0, False) == 2
+    assert prepare.history_of(resolved(), mounting(clock_drift=-1e-3), 100.0, 60.0, False) >= 2 + 100 * 0.03
+    assert prepare.history_of(resolved(filter={"history": 9}), stress, 100.0, 60.0, True) == 9
 
 
 @pytest.mark.parametrize("verb, tree, keys", [

@@ -17,19 +17,19 @@ from jaxnav.filters.core import Filter, Prepared
 from jaxnav.jobs import prepare as pre
 from jaxnav.jobs.parameters import UNITS
 from jaxnav.jobs.sources import REDRAWN, key_of, simulated
-from jaxnav.measurements import GNSS, Measurement
+from jaxnav.measurements import GNSS, Measurement, clock_offset, counted_from
 from jaxnav.metrics import columns_at
 from jaxnav.run import prepare
 from jaxnav.scenarios import Scenario
 from jaxnav.sensors.grades import GRADES
 from jaxnav.simulation import Simulated
-from jaxnav.types import Epoch, Nav, Params, Recording
+from jaxnav.types import Epoch, Mounting, Nav, Params, Recording
 
 SLOPE = 0.05  # s, half of what a true velocity is taken over
 
 
 class Truth(NamedTuple):
-    """True positions at the epochs' GNSS time, which the time offset that tuning starts from gives them."""
+    """True positions at the epochs' GNSS time, which the clocks that tuning starts from give them."""
 
     lla: jax.Array  # (B, E, 3) rad, rad, m
     rate: jax.Array  # (B, E, 3) of it, per s
@@ -109,19 +109,18 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     start, own = config.start, scenario.start
     sd = start.position_sd_m or own.prior_position_sd_m, start.velocity_sd_mps or own.prior_velocity_sd_mps
     params = pre.base_params(config, pre.grade_of(config, scenario), np.array(scenario.gnss.lever_arm_m), *sd)
-    history = pre.history_of(config, params.mounting, scenario.imu_rate_hz, tuned=True)
+    history = pre.history_of(config, params.mounting, scenario.imu_rate_hz, scenario.duration_s, tuned=True)
     filt = build(pre.filter_name(config), GNSS, stride, history)
     place = np.array(scenario.gnss.lever_arm_m)
     sheet = pre.base_params(datasheet_only(config), pre.grade_of(config, scenario), place, *sd)
     edges = np.cumsum((0, *counts))
     parts = [jax.tree.map(lambda a, s=slice(a, b): a[s], sims) for a, b in zip(edges[:-1], edges[1:])]
-    offset = float(params.mounting.time_offset)
-    batches = [_batch(filt, part, offset) for part in parts]
+    batches = [_batch(filt, part, params.mounting) for part in parts]
     train, test = batches[0], parts[2]
 
     def redraw(step: int) -> Batch:
         keys = jnp.stack([key_of(config.seed, REDRAWN, step * t.runs + i) for i in range(t.runs)])
-        return _batch(filt, simulated(scenario, keys), offset)
+        return _batch(filt, simulated(scenario, keys), params.mounting)
 
     runs = jnp.broadcast_to(jnp.arange(t.runs)[:, None], train.keep.shape)
     about = f"simulated runs of {scenario.name}: {counts[0]} to train, {counts[1]} to validate, {counts[2]} kept aside"
@@ -157,14 +156,16 @@ def _known(scenario: Scenario) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _batch(filt: Filter, sims: Simulated, offset: float) -> Batch:
-    """Simulated runs (B, ...) with the windows of their outages; ``offset`` s of the clocks, as the filter has it."""
+def _batch(filt: Filter, sims: Simulated, install: Mounting) -> Batch:
+    """Simulated runs (B, ...) with the windows of their outages; ``install``: the clocks as the filter has them."""
     t = sims.truth.t[:, None]
     ends = jnp.sum(t <= sims.outages[:, :, 1:] + ep.TICK, axis=-1) - 1
     keep = ~sims.hidden
-    own, all_of_it = sims.truth, jnp.ones_like(keep)
+    halfway = 0.5 * sims.truth.t[:, -1:]  # as of a recording, see `jaxnav.jobs.prepare.halfway`
+    nav, own = counted_from(sims.initial, halfway[:, 0]), counted_from(sims.truth, halfway)
+    all_of_it, offset = jnp.ones_like(keep), clock_offset(install, own)[..., None]
     rate = jax.vmap(jax.vmap(lambda pos, vel: earth.move(pos, vel) - pos))(own.pos, own.vel)
-    return Batch(sims.initial, sims.epochs, prepare(filt, sims.epochs).imu, ends, ends >= 0, keep,
+    return Batch(nav, sims.epochs, prepare(filt, sims.epochs).imu, ends, ends >= 0, keep,
                  all_of_it, Truth(own.pos + offset * rate, rate, all_of_it))  # fmt: skip
 
 
@@ -290,7 +291,8 @@ def _phases(
 
 def _truth(case: pre.Case, t: np.ndarray) -> Truth | None:
     """Of one run's epochs (E, ...) that end at IMU time ``t``; None without a truth that knows any of them."""
-    truth, t = case.recording.truth, t + float(case.params.mounting.time_offset)
+    start, truth = jax.tree.map(lambda a: a[0], case.navs), case.recording.truth
+    t = t + np.asarray(clock_offset(case.params.mounting, start._replace(t=t)))
     if truth is None:
         return None
     known = (t >= truth.t[0] - ep.TICK) & (t <= truth.t[-1] + ep.TICK)

@@ -222,7 +222,7 @@ def filter_for(name: str, plan: Plan) -> Filter:
     kinds = (*plan.trained, *plan.unseen)
     samples = math.gcd(*(sizes(kind.scenario)[1] for kind in kinds))
     stride = max(d for d in range(1, plan.cov_stride + 1) if samples % d == 0)
-    history = max(covering(k.told.mounting, k.scenario.imu_rate_hz) for k in kinds)
+    history = max(covering(k.told.mounting, k.scenario.imu_rate_hz, k.scenario.duration_s) for k in kinds)
     return build(name, cov_stride=stride, history=history)
 
 

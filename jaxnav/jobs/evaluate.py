@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from jaxnav import metrics, plots, plots_stats
-from jaxnav.measurements import Measurement, layout
+from jaxnav.measurements import Measurement, clock_offset, layout
 from jaxnav.run import track
 from jaxnav.types import Info, Params, Samples, Track
 from jaxnav.units import DEG
@@ -49,7 +49,7 @@ def solution(info: Info, params: Params) -> Solution:
     right = np.stack([np.cos(heading), -np.sin(heading), zero], 1)
     about = lambda axis: np.sqrt(np.einsum("ei,eij,ej->e", axis, attitude, axis))  # noqa: E731
     sd_rph = np.stack([about(forward), about(right), np.sqrt(attitude[:, 2, 2])], 1)
-    found = found._replace(t=found.t + float(params.mounting.time_offset))
+    found = found._replace(t=found.t + np.asarray(clock_offset(params.mounting, info.nav)))
     return Solution(found, np.sqrt(variance[:, :9]), sd_rph, info)
 
 

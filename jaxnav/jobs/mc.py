@@ -39,7 +39,8 @@ def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
         params = override(matched_params(told(each, scenario), entry.theta(), entry.feedback_theta()), config.params)
         samples = sizes(scenario)[1]
         stride = max(d for d in range(1, config.filter.cov_stride + 1) if samples % d == 0)
-        filt = build(name, GNSS, stride, pre.history_of(config, params.mounting, scenario.imu_rate_hz, tuned=False))
+        rate, span = scenario.imu_rate_hz, scenario.duration_s
+        filt = build(name, GNSS, stride, pre.history_of(config, params.mounting, rate, span, tuned=False))
         try:
             found[name] = montecarlo.monte_carlo(
                 filt, scenario, params, config.mc.runs, config.seed, chunk=config.mc.chunk,

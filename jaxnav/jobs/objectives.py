@@ -15,6 +15,7 @@ from jaxnav import metrics
 from jaxnav.errors import ConfigError
 from jaxnav.filters.core import Filter
 from jaxnav.jobs.batches import Batch, ready
+from jaxnav.measurements import clock_offset
 from jaxnav.run import run
 from jaxnav.types import Info, Params
 from tuning import batch, objectives
@@ -130,8 +131,9 @@ def objective(
         params, batch = merged(params, case.own, free), case.batch
         info = run(filt, params, batch.nav, ready(batch))
         if batch.truth is not None:  # where navigation was by then, if the clocks are further apart than at the start
-            later = params.mounting.time_offset - case.own.mounting.time_offset
-            batch = batch._replace(truth=batch.truth._replace(lla=batch.truth.lla + later * batch.truth.rate))
+            later = clock_offset(params.mounting, info.nav) - clock_offset(case.own.mounting, info.nav)
+            lla = batch.truth.lla + later[:, None] * batch.truth.rate
+            batch = batch._replace(truth=batch.truth._replace(lla=lla))
         total = sum((w * score_of(name)(info, batch) for name, w in weights if w), jnp.zeros(()))
         found = jnp.all(jnp.where(info.valid, jnp.abs(info.residual), 0.0) < LOST)
         return jnp.where(info.ok.all() & found, total, jnp.inf)

@@ -41,6 +41,7 @@ UNITS: dict[str, Unit] = {
     "prior_accel_bias_mg": Unit("prior.accel_bias", units.MG, (3,), text="mg"),
     "lever_arm_m": Unit("mounting.lever_arm", 1.0, (3,), scaled(0.2), text="m"),
     "time_offset_s": Unit("mounting.time_offset", 1.0, (), scaled(0.1), text="s"),
+    "clock_drift_ppm": Unit("mounting.clock_drift", units.PPM, (), scaled(300 * units.PPM), text="ppm"),
     "position_latency_s": Unit("mounting.position_latency", 1.0, (), scaled(0.1), text="s"),
     "velocity_latency_s": Unit("mounting.velocity_latency", 1.0, (), scaled(0.1), text="s"),
     "vehicle_deg": Unit("mounting.vehicle", units.DEG, (2,), scaled(1.0 * units.DEG), text="deg"),
@@ -145,7 +146,7 @@ def groups(name: str, measurements: tuple[Measurement, ...]) -> dict[str, list[s
     return {
         "noise": ["noise.gyro", "noise.accel", *biases, *pseudo],
         "fixes": ["noise.position_scale", "noise.velocity_scale"],
-        "timing": ["mounting.time_offset", "mounting.velocity_latency"],  # of clocks: the IMU's is off
+        "timing": ["mounting.time_offset", "mounting.clock_drift", "mounting.velocity_latency"],  # of the IMU's
         "latency": ["mounting.position_latency", "mounting.velocity_latency"],  # of the receiver: its fixes are old
         "lever_arm": ["mounting.lever_arm"],
         "vehicle": ["mounting.vehicle", "mounting.wheel_arm"] if vehicle else [],

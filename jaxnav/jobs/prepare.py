@@ -20,7 +20,7 @@ from jaxnav.run import initial_nav
 from jaxnav.scenarios import Scenario
 from jaxnav.sensors.grades import GRADES, Grade, datasheet_params, mounting
 from jaxnav.types import Mounting, Nav, Params, Prior, Recording, Samples
-from jaxnav.units import DEG
+from jaxnav.units import DEG, PPM
 
 CONSTRAINTS = ("zero_velocity", "zero_rate", "nonholonomic", "speed")
 REACH = 0.25  # s, latency that tuning may add
@@ -78,16 +78,17 @@ def measurements_of(config: Config) -> tuple[Measurement, ...]:
     return (*GNSS, *(MEASUREMENTS[name] for name in CONSTRAINTS if getattr(config.filter, name)))
 
 
-def history_of(config: Config, known: Mounting, rate_hz: float, tuned: bool) -> int:
+def history_of(config: Config, known: Mounting, rate_hz: float, span: float, tuned: bool) -> int:
     """IMU samples of history: to cover the latencies that are known, and what tuning may add to them."""
     if config.filter.history:
         return max(2, config.filter.history)
-    return covering(known, rate_hz, REACH if tuned else 0.0)
+    return covering(known, rate_hz, span, REACH if tuned else 0.0)
 
 
-def covering(known: Mounting, rate_hz: float, more: float = 0.0) -> int:
-    """IMU samples of history that reach back as far as the latest fix, and ``more`` s."""
-    late = float(known.time_offset) + max(float(known.position_latency), float(known.velocity_latency)) + more
+def covering(known: Mounting, rate_hz: float, span: float, more: float = 0.0) -> int:
+    """IMU samples of history that reach back as far as the latest fix in ``span`` s of data, and ``more`` s."""
+    offset = float(known.time_offset) + abs(float(known.clock_drift)) * span
+    late = offset + max(float(known.position_latency), float(known.velocity_latency)) + more
     return 2 + math.ceil(late * rate_hz + 1e-6) if late > 0 else 2
 
 
@@ -116,7 +117,12 @@ def prepare(config: Config, tuned: bool = False) -> Case:
     interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
     packed = pack(config, rec, measurements, float(np.ravel(first.t)[0]), interval)
     rate = 1 / float(np.median(rec.imu.dt))
-    filt = build(name, measurements, config.filter.cov_stride, history_of(config, params.mounting, rate, tuned))
+    filt = build(
+        name,
+        measurements,
+        config.filter.cov_stride,
+        history_of(config, params.mounting, rate, np.ptp(rec.imu.t), tuned),
+    )
     biases = None if sim is None else jax.tree.map(np.asarray, (sim.truth.t, sim.truth.b_g, sim.truth.b_a))
     return Case(rec, filt, measurements, params, packed, first, biases)
 
@@ -190,12 +196,12 @@ def start_of(config: Config, rec: Recording) -> tuple[Nav, Prior]:
         begin, roll, pitch, angle = _true_attitude(rec, begin)
     elif not isinstance(heading, str):
         angle = heading * DEG
-    t, lla, vel, prior = _first_fix(config, position, velocity, begin)
+    t, lla, vel, prior = _first_fix(config, rec, position, velocity, begin)
     if own is not None and np.abs(own.t - t).min() > APART:
         raise DataError(f"velocity: none within {APART:g} s of the first position, at {t:.3f} s: set data.start")
     if heading == "truth":
-        roll, pitch, angle = _interpolated(rec, t + (config.params.time_offset_s or 0.0))
-    nav = initial_nav(lla, vel, (roll, pitch, angle))
+        roll, pitch, angle = _interpolated(rec, t + _clock_offset(config, rec, t))
+    nav = initial_nav(lla, vel, (roll, pitch, angle), halfway(rec))
     arm = rotations.to_dcm(nav.q) @ jnp.asarray(rec.lever_arm, float)
     nav = nav._replace(pos=earth.move(nav.pos, -arm), t=jnp.asarray(t, float))
     angles = 2 * np.pi * np.arange(start.hypotheses) / start.hypotheses if heading == "unknown" else np.array([angle])
@@ -244,8 +250,19 @@ def _true_attitude(rec: Recording, begin: float) -> tuple[float, float, float, f
     return (begin, *_interpolated(rec, begin))
 
 
+def halfway(rec: Recording) -> float:
+    """Stamp, s, that drift of the clock is counted from, wherever a run starts: its offset there is the mean one."""
+    return 0.5 * float(rec.imu.t[0] + rec.imu.t[-1])
+
+
+def _clock_offset(config: Config, rec: Recording, t: float) -> float:
+    """What is known of GNSS time minus the IMU's stamp ``t``, s."""
+    known = config.params
+    return (known.time_offset_s or 0.0) + (known.clock_drift_ppm or 0.0) * PPM * (t - halfway(rec))
+
+
 def _first_fix(
-    config: Config, position: Samples, velocity: Samples, begin: float
+    config: Config, rec: Recording, position: Samples, velocity: Samples, begin: float
 ) -> tuple[float, np.ndarray, np.ndarray, Prior]:
     """Time, position, velocity and their sd at the first fix from ``begin`` on; moved on by the position's latency."""
     i = int(np.searchsorted(position.t, begin - ep.TICK))
@@ -254,7 +271,7 @@ def _first_fix(
     t = float(position.t[i])
     j = int(np.argmin(np.abs(velocity.t - t)))
     start, known = config.start, config.params
-    late = (known.time_offset_s or 0.0) + (known.position_latency_s or 0.0)
+    late = _clock_offset(config, rec, t) + (known.position_latency_s or 0.0)
     lla = earth.move(jnp.asarray(position.value[i]), late * jnp.asarray(velocity.value[j]))
     position_sd = np.hypot(position.sd[i], 0.5) if start.position_sd_m is None else start.position_sd_m
     velocity_sd = np.hypot(velocity.sd[j], 0.3) if start.velocity_sd_mps is None else start.velocity_sd_mps

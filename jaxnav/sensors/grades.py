@@ -99,9 +99,10 @@ def mounting(
     time_offset: float = 0.0,
     position_latency: float = 0.0,
     velocity_latency: float = 0.0,
+    clock_drift: float = 0.0,
 ) -> Mounting:
-    """An installation: antenna lever arm in body FRD m, times in s; vehicle axes along the body's."""
-    values = (lever_arm, time_offset, position_latency, velocity_latency, np.zeros(2), np.zeros(3), 0.0)
+    """An installation: antenna lever arm in body FRD m, times in s, drift in s/s; vehicle axes along the body's."""
+    values = (lever_arm, time_offset, clock_drift, position_latency, velocity_latency, np.zeros(2), np.zeros(3), 0.0)
     return Mounting(*(jnp.asarray(v, float) for v in values))
 
 

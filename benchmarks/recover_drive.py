@@ -29,7 +29,8 @@ from tuning.validation import paired_gain
 SPEC: Spec = {
     "noise.gyro": tied(LOG), "noise.accel": tied(LOG), "noise.gyro_bias": tied(LOG), "noise.accel_bias": tied(LOG),
     "noise.position_scale": LOG, "noise.velocity_scale": LOG,  # by axis
-    "mounting.time_offset": scaled(0.1), "mounting.velocity_latency": scaled(0.05),
+    "mounting.time_offset": scaled(0.1), "mounting.clock_drift": scaled(300 * units.PPM),
+    "mounting.velocity_latency": scaled(0.05),
 }  # fmt: skip
 CHUNK = 5.0  # s that are drawn together in the sandwich
 LAGS = 5  # fixes
@@ -141,11 +142,11 @@ def recover(steps: int, seed: int) -> dict:
         component(first.name): {"unit": unit_of(first).text, "without_each_block": [told(of[j]) for of in intervals]}
         for j, first in enumerate(intervals[0])
     }
-    for name in ("time_offset_s", "velocity_latency_s"):
+    for name in ("time_offset_s", "clock_drift_ppm", "velocity_latency_s"):
         each = result["parameters"][name]["without_each_block"]
-        said = ", ".join(f"{p['value']:.4f} ({p['low']:.4f} to {p['high']:.4f})" for p in each)
+        said = ", ".join(f"{p['value']:#.4g} ({p['low']:#.4g} to {p['high']:#.4g})" for p in each)
         print(f"{name}, without each block in turn: {said}")
-    print(f"(the log is read {-drive.EARLY:g} s early: the offset itself is less by that)")
+    print(f"(the log is read {-drive.EARLY:g} s early: the offset, of half-time, is less by that)")
     return result
 
 

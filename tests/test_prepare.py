@@ -11,7 +11,7 @@ import pytest
 from jaxnav import alignment, cli, config, earth, epochs, plots_stats
 from jaxnav.errors import ConfigError, DataError
 from jaxnav.filters.catalogue import FILTERS
-from jaxnav.jobs import batches, filtering, objectives, parameters, prepare, tune_report
+from jaxnav.jobs import batches, evaluate, filtering, objectives, parameters, prepare, tune_report
 from jaxnav.jobs.unused import unused
 from jaxnav.measurements import GNSS, counted_from
 from jaxnav.run import initial_nav
@@ -19,7 +19,7 @@ from jaxnav.scenarios import SCENARIOS
 from jaxnav.sensors.grades import GRADES, mounting
 from jaxnav.simulation import matched_params
 from jaxnav.toml import to_toml
-from jaxnav.types import Epoch, ImuLog, Recording, Samples, Track
+from jaxnav.types import Epoch, ImuLog, Info, Recording, Samples, Track
 from tuning.transforms import get, join, labels, put, split
 
 
@@ -140,7 +140,7 @@ def test_navigation_starts_where_the_vehicle_is_by_then():
     c = resolved(params={"time_offset_s": 0.39, "clock_drift_ppm": 1e4, "position_latency_s": 0.3})
     nav, _ = prepare.start_of(c, northward(0.4))
     on_time, _ = prepare.start_of(resolved(), northward())
-    assert float(nav.t[0]) == 1.0
+    assert float(nav.t[0]) == 1.0 and float(nav.origin.t[0]) == pytest.approx(30.05)
     np.testing.assert_allclose(earth.enu_difference(nav.pos[0], on_time.pos[0]), 0, atol=0.02)
 
 
@@ -207,6 +207,14 @@ def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):
     drifting = put(put(params, "mounting.time_offset", true), "mounting.clock_drift", 1e-3)
     error = 12.0 * 1e-3 * np.sqrt(np.mean((t - 30.0) ** 2)) / 3
     assert float(loss(drifting, objectives.Case(batch, params))) == pytest.approx(error, rel=1e-3)
+
+
+def test_a_solution_is_told_at_gnss_time():
+    t, none = np.array([10.0, 30.0, 50.0]), jnp.zeros(3)
+    nav = counted_from(jax.vmap(initial_nav)(jnp.zeros((3, 3)))._replace(t=jnp.asarray(t)), 30.0)
+    info = Info(nav, jnp.zeros((3, 9, 9)), *[none] * 8)
+    params = params_of(resolved(params={"time_offset_s": 0.25, "clock_drift_ppm": 1e4}))
+    np.testing.assert_allclose(evaluate.solution(info, params).track.t, t + [0.05, 0.25, 0.45], rtol=1e-12)
 
 
 def vector(info, epochs, truth):

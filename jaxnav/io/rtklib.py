@@ -93,10 +93,11 @@ def read_imu_csv(
     """The drive's IMU log: rates in deg/s and g in sensor axes with a tick in ms, and the RTKLIB tag that dates it.
 
     ``rotation`` (3, 3) takes sensor axes to body FRD; ``t`` counts from ``origin`` (s since 1970, GPST). The first and
-    last row are dropped: the logger cuts them. The ticks are stretched to the last pair of the tag, whose clock is the
-    computer's, and ``delay`` s is added. ``repair``: the logger polled a sensor that runs 0.5 % faster than it; mend
-    the repeated and lost samples and give them the sensor's even clock (`jaxnav.sensors.polling`). False takes the rows
-    as they stand. DataError names file and line.
+    last row are dropped: the logger cuts them. The ticks are stretched to the last pair of the tag, as the author does,
+    and ``delay`` s is added; the innovations say that this stretch, 290 ppm, is wrong, and `Mounting.clock_drift` takes
+    it back. ``repair``: the logger polled a sensor that runs 0.5 % faster than it; mend the repeated and lost samples
+    and give them the sensor's even clock (`jaxnav.sensors.polling`). False takes the rows as they stand. DataError names
+    file and line.
     """
     table = read_columns(path, 7, ",")
     if len(table.values) < 4:

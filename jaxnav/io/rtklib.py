@@ -96,7 +96,7 @@ def read_imu_csv(
     last row are dropped: the logger cuts them. The ticks are stretched to the last pair of the tag, as the author does,
     and ``delay`` s is added; the innovations say that this stretch, 290 ppm, is wrong, and `Mounting.clock_drift` takes
     it back. ``repair``: the logger polled a sensor that runs 0.5 % faster than it; mend the repeated and lost samples
-    and give them the sensor's even clock (`jaxnav.sensors.polling`). False takes the rows as they stand. DataError names
+    and give them the sensor's even clock (`jaxnav.sensors.polling`). False takes the rows as they are. DataError names
     file and line.
     """
     table = read_columns(path, 7, ",")

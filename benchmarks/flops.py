@@ -54,8 +54,10 @@ def working_by_hand(n: int, m: int = CHANNELS) -> int:
     return kalman_by_hand(n, m) - product(n, n, 1) + increment_by_hand(n, m) + m + n
 
 
+LEARNING = 9 + 18  # R_m's growth, and the noise of velocity and attitude
 BY_HAND = {"ekf15": kalman_by_hand(15), "ekf9": kalman_by_hand(9), "gipkf_literal": literal_by_hand(9),
-           "gipkf": working_by_hand(9), "gipkf_mix": working_by_hand(9) + 6}  # fmt: skip
+           "gipkf": working_by_hand(9), "gipkf_learning": working_by_hand(9) + LEARNING,
+           "gipkf_mix": working_by_hand(9) + 6}  # fmt: skip
 NINE_GAINS = 60  # of `nine_states`: two scalars, ten products with the residuals, the drive and the fade
 
 

@@ -37,17 +37,19 @@ VELOCITY_WALK = np.array([1.9, 1.4, 0.0])  # m/s/sqrt(s), forward, right, down
 PAPER = {"gipkf": 15.15, "ekf": 79.63, "gipkf_22": 82.0, "ekf_22": 455.0}  # m: Table 1, and Fig. 7 after 22 s
 ROWS = {  # method -> filter of the catalogue
     "ekf15_datasheet": "ekf15", "ekf15_tuned": "ekf15", "ekf9_tuned": "ekf9", "gipkf_literal_open": "gipkf_literal",
-    "gipkf_literal_shift": "gipkf_literal_shift", "gipkf_body_dm_hand": "gipkf", "gipkf_body_dm_tuned": "gipkf",
-    "gipkf_mix_tuned": "gipkf_mix", "nine_states_tuned": "",
+    "gipkf_literal_shift": "gipkf_literal_shift", "gipkf_body_dm_hand": "gipkf", "gipkf_constant_tuned": "gipkf",
+    "gipkf_body_dm_tuned": "gipkf_learning", "gipkf_mix_tuned": "gipkf_mix", "nine_states_tuned": "",
 }  # fmt: skip
 _WHITE: Spec = {f"noise.{name}": LOG for name in ("gyro", "accel", "position_scale", "velocity_scale")}
 _EKF9: Spec = _WHITE | {"prior.attitude": LOG}
+_GIP_KF: Spec = _EKF9 | {"rule.log_rl": IDENTITY}
 _BIAS = ("noise.gyro_bias", "noise.accel_bias", "prior.gyro_bias", "prior.accel_bias")
 SPECS: dict[str, Spec] = {
     "ekf15_tuned": _EKF9 | dict.fromkeys(_BIAS, LOG),
     "ekf9_tuned": _EKF9,
-    "gipkf_body_dm_tuned": _EKF9 | {"rule.log_rl": IDENTITY},
-    "gipkf_mix_tuned": _EKF9 | {"rule.log_rl": IDENTITY, "rule.kappa": LOG},
+    "gipkf_constant_tuned": _GIP_KF,
+    "gipkf_body_dm_tuned": _GIP_KF | {"rule.growth": LOG, "rule.unlearnt": LOG},
+    "gipkf_mix_tuned": _GIP_KF | {"rule.kappa": LOG},
     "nine_states_tuned": {f"noise.{name}": LOG for name in ("gyro", "accel", "velocity_scale")}
     | dict.fromkeys(("prior.attitude", *_BIAS), LOG)
     | {f"rule.{name}": LOG for name in ("walk", "lag", "vertical", "kappa", "early", "delay", "fade")},
@@ -111,13 +113,19 @@ def datasheet(name: str) -> Params:
 
 
 def hand_set(name: str, kappa: float = 0.0) -> Params:
-    """For nine states: white noise wide enough to stand for the biases, small shares of model error."""
+    """For nine states: white noise wide enough to stand for the biases, small and constant shares of model error."""
     gyro = 20.0 if name == "uncalibrated" and kappa else 8.0
     noise = {"noise.gyro": gyro * np.ones(3), "noise.accel": 10.0 * np.ones(3)}
     params = scaled(noise_figures(name), noise)
     scales = jnp.array([1.5, 1.5, 0.8]), jnp.array([1.7, 1.7, 0.6])
     noise_of = params.noise._replace(position_scale=scales[0], velocity_scale=scales[1])
     return params._replace(noise=noise_of, rule=gip_kf_params(0.001, 0.03, kappa))
+
+
+def learning(params: Params) -> Params:
+    """Shares and noise for the biases that fall as these are learnt; of `hand_set`'s noise the rest stays."""
+    rule = params.rule._replace(growth=jnp.asarray(0.02), unlearnt=jnp.repeat(jnp.array([0.02, 1e-3]), 3))
+    return scaled(params, {"noise.gyro": 0.25})._replace(rule=rule)
 
 
 def nine_set(name: str) -> Params:
@@ -134,8 +142,10 @@ def start_of(method: str, name: str) -> Params:
         return nine_set(name)
     if method == "gipkf_mix_tuned":
         return hand_set(name, 0.04 if name == "uncalibrated" else 0.002)
-    if method.startswith("gipkf_body"):
+    if method in ("gipkf_body_dm_hand", "gipkf_constant_tuned"):
         return hand_set(name)
+    if method == "gipkf_body_dm_tuned":
+        return learning(hand_set(name))
     params = datasheet(name) if ROWS[method] == "ekf15" else noise_figures(name)
     return params._replace(rule=FILTERS[ROWS[method]].theta())
 

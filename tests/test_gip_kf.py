@@ -94,7 +94,7 @@ def test_diagonal_weights_take_a_share_of_position_and_velocity_and_nothing_of_a
 def test_only_the_ratios_of_the_weights_matter():
     theta, z = gip_kf_params(0.1, 0.3), an_innovation()
     theta = theta._replace(log_rl=jnp.linspace(-1.0, 1.0, 6))
-    gradient = jax.grad(lambda t: jnp.sum(jnp.sin(gip_kf.correct(t, (), z).delta)))(theta)
+    gradient = jax.grad(lambda t: jnp.sum(jnp.sin(gip_kf.correct(t, 0.0, z).delta)))(theta)
     np.testing.assert_allclose(gradient.log_rl + gradient.log_rm[:6], 0, atol=1e-15)
     assert np.abs(gradient.log_rl).min() > 1e-4
     assert not gradient.log_rm[A].any()
@@ -146,7 +146,7 @@ def test_literal_recursion_is_the_papers():
 
 def test_working_form_feeds_the_increment_to_the_sensors():
     theta, z = random_theta(kappa=0.2), an_innovation()
-    c = jax.jit(gip_kf.gip_kf().correct)(theta, (), z)
+    c = jax.jit(gip_kf.gip_kf().correct)(theta, 50.0, z)
     nu, H, cov = (np.asarray(a) for a in (z.nu, z.H, z.P))
     dm = numpy_gain(jax.tree.map(np.asarray, theta), H, np.ones(6, bool)) @ nu
     K = cov @ H.T @ np.linalg.inv(H @ cov @ H.T + np.asarray(z.R))
@@ -154,7 +154,23 @@ def test_working_form_feeds_the_increment_to_the_sensors():
     np.testing.assert_allclose(c.P, (np.eye(9) - K @ H) @ cov, atol=1e-11)
     np.testing.assert_allclose(c.drive.accel, dm[V] / 0.5, atol=1e-11)
     np.testing.assert_allclose(c.drive.omega, 0.2 * c.delta[A] / 0.5, atol=1e-15)
-    assert all_finite(gip_kf.correct(theta, (), an_innovation(valid=[0] * 6)._replace(T=jnp.zeros(()))))
+    assert all_finite(gip_kf.correct(theta, 0.0, an_innovation(valid=[0] * 6)._replace(T=jnp.zeros(()))))
+
+
+def test_weights_change_as_biases_are_learnt():
+    """After t s with fixes the increment is that of R_m (1 + growth t), and less noise is added to the attitude."""
+    theta, z = gip_kf_params(0.01, 0.2, growth=0.05, unlearnt=(0.2, 0.3)), an_innovation()
+    rule = gip_kf.gip_kf()
+    for t, grown in ((0.0, 1.0), (40.0, 3.0), (gip_kf.LEARNT, 31.0), (2 * gip_kf.LEARNT, 31.0)):
+        c = jax.jit(rule.correct)(theta, t, z)
+        share = 1 / (1 + grown * (1 / 0.2 - 1))
+        np.testing.assert_allclose(c.drive.accel, share * z.nu[V] / 0.5, rtol=1e-12)
+        K = z.P @ H3.T @ np.linalg.inv(H3 @ z.P @ H3.T + z.R)
+        extra = np.diag([0.0] * 3 + [(0.2 / grown) ** 2 * 0.5] * 3 + [(0.3 / grown) ** 2 * 0.5] * 3)
+        np.testing.assert_allclose(c.P, (np.eye(9) - K @ H3) @ z.P + extra, atol=1e-11)
+        assert c.memory == t + 0.5
+    still = z._replace(valid=jnp.zeros(6, bool))
+    assert select(still.valid.any(), rule.correct(theta, 40.0, still), idle(still, 40.0)).memory == 40.0
 
 
 def test_nine_states_are_a_kalman_filter_of_the_horizontal_velocity_and_gains():
@@ -206,7 +222,8 @@ def test_an_accelerometer_bias_is_found_in_body_axes(case):
 
 #: leaves, and steps large enough for central differences; the EKF's noise, prior and R, and both weights of the paper
 STEPS = {"noise.accel": 1e-4, "noise.position_scale": 1e-3, "prior.attitude": 1e-5, "rule.log_rl": 1e-3,
-         "rule.log_rm": 1e-3, "rule.rm_lower": 1e-3, "rule.kappa": 1e-5}  # fmt: skip
+         "rule.log_rm": 1e-3, "rule.rm_lower": 1e-3, "rule.kappa": 1e-5, "rule.growth": 1e-4,
+         "rule.unlearnt": 1e-6}  # fmt: skip
 
 
 class Setting(NamedTuple):
@@ -219,7 +236,8 @@ class Setting(NamedTuple):
 @pytest.fixture(scope="module")
 def setting(fine_case):
     case = fine_case
-    params = datasheet_params(GRADE, tilt_sd=0.01, heading_sd=0.05, rule=gip_kf_params(0.01, 0.05, kappa=0.02))
+    params = datasheet_params(GRADE, tilt_sd=0.01, heading_sd=0.05,
+                              rule=gip_kf_params(0.01, 0.05, 0.02, growth=0.05, unlearnt=(1e-2, 1e-3)))  # fmt: skip
     params = put(params, "noise.accel", jnp.array([2e-2, 3e-2, 4e-2]))
     params = put(params, "noise.gyro", jnp.asarray(3e-3))
     pos = earth.move(case.nav.pos, jnp.array([2.0, -3.0, 2.0]))
@@ -270,5 +288,5 @@ def test_balanced_feedback_keeps_tilt_and_bias_in_balance(case):
 
 def test_forms_of_the_paper_are_in_the_catalogue():
     assert FILTERS["gipkf_literal"].rule() is FILTERS["gipkf_literal_shift"].rule() is gip_kf.literal()
-    assert FILTERS["gipkf"].rule() is gip_kf.gip_kf()
+    assert FILTERS["gipkf"].rule() is FILTERS["gipkf_learning"].rule() is gip_kf.gip_kf()
     assert {FILTERS[name].frame for name in FILTERS if name.startswith("gipkf")} == {"tangent"}

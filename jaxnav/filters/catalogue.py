@@ -98,6 +98,11 @@ FILTERS: dict[str, Entry] = {
         9, gip_kf, lambda: gip_kf_params(kappa=0.01), _GIP_TUNABLE | {"kappa": "log"},
         f"{_GIP_KF}, and attitude corrections to the gyros", "simple", "tangent",
     ),
+    "gipkf_learning": Entry(
+        9, gip_kf, lambda: gip_kf_params(growth=0.02, unlearnt=(0.02, 1e-3)),
+        _GIP_TUNABLE | {"growth": "log", "unlearnt": "log"}, f"{_GIP_KF}, weights that change as biases are learnt",
+        "simple", "tangent",
+    ),
     "gipkf_literal": Entry(
         9, literal, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, open loop", "simple", "tangent", open_loop
     ),

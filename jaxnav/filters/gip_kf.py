@@ -16,6 +16,10 @@ leaves m as it is. A tilt and the m that balances it cannot be told apart in an 
 `gip_kf` works: both past states start from zero after a correction, and of dm the velocity part becomes accelerometer
 bias, dm_v / T in body axes, which turns with the vehicle and holds through an outage. With diagonal weights dm has no
 attitude part, so no gyro bias can come from it; ``kappa`` (not in the paper) adds one, kappa (x+ - F x)_attitude / T.
+
+R_m and Q have an index k in print (32, 35), and the biases that they stand for are learnt once: after t seconds with
+fixes R_m is (1 + growth t) times what it was at the start, and the part ``unlearnt`` of the process noise is
+1 / (1 + growth t) of it. With both zero the weights are constant.
 """
 
 from functools import cache
@@ -30,6 +34,8 @@ from jaxnav.error_models.states import A, V
 from jaxnav.filters.core import Correction, Innovation, Rule
 from jaxnav.types import Drive
 
+LEARNT = 600.0  # s after which weights stay as they are: biases drift
+
 
 class GipKf(NamedTuple):
     """Parameters: weights L diag(exp(log)) L' with L unit lower triangular, positive definite whatever the numbers."""
@@ -39,15 +45,20 @@ class GipKf(NamedTuple):
     log_rm: jax.Array  # (n,) of the increment, per state: log of 1/m^2, s^2/m^2, 1/rad^2 in the axes of the frame
     rm_lower: jax.Array  # (n (n - 1) / 2,)
     kappa: jax.Array  # () or (3,) share of the attitude correction that becomes gyro bias; 0 is the paper's
+    growth: jax.Array  # () 1/s, of R_m with the time that there were fixes
+    # (6,) m/s/sqrt(s), rad/sqrt(s): noise of velocity and attitude on top of Q at the start, which falls as R_m grows
+    unlearnt: jax.Array
 
 
 def gip_kf_params(
-    position: float = 0.003, velocity: float = 0.02, kappa: float = 0.0, n_states: int = 9, channels: int = 6
-) -> GipKf:
-    """Diagonal weights that take these shares of a position and a velocity residual for model error.
+    position: float = 0.003, velocity: float = 0.02, kappa: float = 0.0, n_states: int = 9, channels: int = 6,
+    growth: float = 0.0, unlearnt: tuple[float, float] = (0.0, 0.0),
+) -> GipKf:  # fmt: skip
+    """Diagonal weights that take these shares of a position and a velocity residual for model error, at the start.
 
     Only the six ratios R_l / R_m of a channel and its state matter: R_l is 1 here. A lever arm lets a position residual
-    turn the attitude too; the weight of the other states is large enough that it does not.
+    turn the attitude too; the weight of the other states is large enough that it does not. ``unlearnt`` is of velocity
+    and of attitude, on all axes.
 
     Raises:
         ValueError: a share outside of 0 to 1.
@@ -59,7 +70,7 @@ def gip_kf_params(
     log_rm = np.full(n_states, np.log(1e6))
     log_rm[:3], log_rm[3:6] = odds(position), odds(velocity)
     pairs = lambda n: np.zeros(n * (n - 1) // 2)  # noqa: E731
-    values = np.zeros(channels), pairs(channels), log_rm, pairs(n_states), kappa
+    values = np.zeros(channels), pairs(channels), log_rm, pairs(n_states), kappa, growth, np.repeat(unlearnt, 3)
     return GipKf(*(jnp.asarray(v, float) for v in values))
 
 
@@ -91,11 +102,13 @@ def _update(theta: GipKf, z: Innovation) -> tuple[jax.Array, jax.Array, jax.Arra
     return dm, dm + K @ (z.nu - z.H @ dm), P
 
 
-def correct(theta: GipKf, memory, z: Innovation) -> Correction:
-    """The working form; needs the feedback `reset`."""
-    dm, delta, P = _update(theta, z)
+def correct(theta: GipKf, t: jax.Array, z: Innovation) -> Correction:
+    """The working form; needs the feedback `reset`. ``t`` () s: how long there were fixes."""
+    grown = 1 + theta.growth * jnp.minimum(t, LEARNT)
+    dm, delta, P = _update(theta._replace(log_rm=theta.log_rm + jnp.log(grown)), z)
     T = jnp.where(z.T > 0, z.T, 1.0)
-    return Correction(delta, P, memory, z.valid, drive=Drive(theta.kappa * delta[A] / T, dm[V] / T))
+    P = P.at[3:9, 3:9].add(jnp.diag((theta.unlearnt / grown) ** 2 * T))
+    return Correction(delta, P, t + T, z.valid, drive=Drive(theta.kappa * delta[A] / T, dm[V] / T))
 
 
 def extrapolate_literal(theta: GipKf, m: jax.Array, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -111,8 +124,8 @@ def correct_literal(theta: GipKf, m: jax.Array, z: Innovation) -> Correction:
 
 @cache
 def gip_kf() -> Rule:
-    """The working form, without memory: what it learns is in the sensors' biases."""
-    return Rule(lambda n, m: (), correct)
+    """The working form; it remembers how long it learnt, what it learnt is in the sensors' biases."""
+    return Rule(lambda n, m: jnp.zeros(()), correct)
 
 
 @cache

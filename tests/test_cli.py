@@ -370,6 +370,7 @@ def test_ctrl_c_ends_the_process_with_130(where):
     interrupt = "callback()" if where == "anywhere" else "gc.callbacks.append(callback); gc.collect()"
     done = python(
         "import gc, os, signal, time; from jaxnav import cli\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a script's background job ignores it
         "def callback(*_): gc.callbacks.clear(); os.kill(os.getpid(), signal.SIGINT); time.sleep(0.1)\n"
         f"def main(): {interrupt}; time.sleep(20); return 0\n"
         "cli.main = main; cli.console()"

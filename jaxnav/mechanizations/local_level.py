@@ -46,6 +46,8 @@ from jaxnav.types import Drive, Imu, Nav, Path
 
 INTERVAL = 10  # samples, at most: a tenth of a second at 100 Hz
 BLOCK = 100  # samples at once; the Earth is looked up and ENU's turn is summed up anew for each block
+again = partial(jax.checkpoint, prevent_cse=False)
+"""Of a loop's step: a gradient works it out once more, which costs less than to keep every number in it."""
 SWEEPS = 4  # of `propagate_block`; each takes the error down by how far ENU turns in an epoch, 1e-4 a second
 
 
@@ -123,6 +125,7 @@ def increment(ground: list[tuple], u: tuple[Vector, Vector], samples: int, x: Le
 def by_scan(change: Callable, start: Level, thrust: Thrust) -> Level:
     """After each interval, one after the other."""
 
+    @again
     def step(x, thrust):
         x = jax.tree.map(jnp.add, x, change(x, thrust))
         return x, x
@@ -156,6 +159,7 @@ def attitudes(nav: Nav, spin: Vector, body: Body) -> tuple[Quaternion, Quaternio
     The mean is () for intervals of one sample.
     """
 
+    @again
     def turn(q, interval):
         spun, dq, mean = interval
         after = multiply(q, dq)
@@ -208,7 +212,7 @@ def _block(integrate: Callable, m: int, nav: Nav, u: Drive, given: Interval) -> 
         level, q, begin = jax.tree.map(lambda a: a[i], (starts, q_starts, t - whole.t))
         # in a loop, where the compiler works out every number once: fused into its users each would be made many times
         thrust = thrust_of(q, part.body)
-        level = lax.map(lambda x: jax.tree.map(jnp.add, x[0], change(*x)), (level, thrust))
+        level = lax.map(again(lambda x: jax.tree.map(jnp.add, x[0], change(*x))), (level, thrust))
         q = multiply(small(scale(part.body.t, spin)), multiply(q, part.body.q))
         return unit(state(level, q, begin + part.body.t, part.omega, part.force))
 

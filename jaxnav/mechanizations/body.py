@@ -18,6 +18,7 @@ from jaxnav.mechanizations.components import (
     Quaternion,
     Vector,
     add,
+    again,
     before,
     cross,
     exp,
@@ -80,6 +81,7 @@ def readings(imu: Imu, omega: jax.Array, force: jax.Array, m: int) -> tuple[Read
 def singles(x: Readings, last: Readings) -> Body:
     """Of each sample (m, n) by itself; row by row, for the compiler works out every number of a loop but once."""
 
+    @again
     def single(last, x):
         theta, dv = corrected(x.dt, last.omega, last.force, x.omega, x.force)
         return x, Body(x.dt, exp(theta), dv, (), ())
@@ -94,6 +96,7 @@ def sums(imu: Imu, omega: jax.Array, force: jax.Array, m: int, keep: jax.Array) 
     """
     x, first = readings(imu, omega, force, m)
 
+    @again
     def step(body, x):
         dt, dq, dv, _, _ = x
         q, dv = multiply(body.q, dq), rotate(body.q, dv)

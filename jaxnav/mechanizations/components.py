@@ -4,6 +4,7 @@ A scan whose carry is made of scalars is what `vmap` turns into long loops over 
 arrays of three; and an array over samples is one loop for each component. No function here is transcendental.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -12,6 +13,9 @@ from jax import lax
 
 Vector = tuple[Any, ...]  # of three
 Quaternion = tuple[Any, ...]  # of four
+
+again = partial(jax.checkpoint, prevent_cse=False)
+"""Of a loop's step: a gradient works its inside out once more, which takes less time than to keep all of it."""
 
 
 def split(a: Any) -> tuple[jax.Array, ...]:

@@ -29,6 +29,7 @@ from jaxnav.mechanizations.components import (
     Quaternion,
     Vector,
     add,
+    again,
     before,
     cross,
     exp,
@@ -46,8 +47,6 @@ from jaxnav.types import Drive, Imu, Nav, Path
 
 INTERVAL = 10  # samples, at most: a tenth of a second at 100 Hz
 BLOCK = 100  # samples at once; the Earth is looked up and ENU's turn is summed up anew for each block
-again = partial(jax.checkpoint, prevent_cse=False)
-"""Of a loop's step: a gradient works it out once more, which costs less than to keep every number in it."""
 SWEEPS = 4  # of `propagate_block`; each takes the error down by how far ENU turns in an epoch, 1e-4 a second
 
 

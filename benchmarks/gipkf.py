@@ -124,7 +124,8 @@ def hand_set(name: str, kappa: float = 0.0) -> Params:
 
 def learning(params: Params) -> Params:
     """Shares and noise for the biases that fall as these are learnt; of `hand_set`'s noise the rest stays."""
-    rule = params.rule._replace(growth=jnp.asarray(0.02), unlearnt=jnp.repeat(jnp.array([0.02, 1e-3]), 3))
+    known = FILTERS["gipkf_learning"].theta()
+    rule = params.rule._replace(growth=known.growth, unlearnt=known.unlearnt)
     return scaled(params, {"noise.gyro": 0.25})._replace(rule=rule)
 
 

@@ -169,6 +169,9 @@ def test_weights_change_as_biases_are_learnt():
         extra = np.diag([0.0] * 3 + [(0.2 / grown) ** 2 * 0.5] * 3 + [(0.3 / grown) ** 2 * 0.5] * 3)
         np.testing.assert_allclose(c.P, (np.eye(9) - K @ H3) @ z.P + extra, atol=1e-11)
         assert c.memory == t + 0.5
+    second, least = (rule.correct(theta, 40.0, z._replace(T=jnp.asarray(T))) for T in (0.0, 1e-12))
+    assert second.memory == 40.0  # another fix of the same moment
+    np.testing.assert_allclose(second.P, least.P, atol=1e-11)
     still = z._replace(valid=jnp.zeros(6, bool))
     assert select(still.valid.any(), rule.correct(theta, 40.0, still), idle(still, 40.0)).memory == 40.0
 
@@ -201,6 +204,8 @@ def test_weights_of_another_size_are_refused():
         gip_kf.gain(gip_kf_params(), jnp.zeros((6, 15)), jnp.ones(6, bool))
     with pytest.raises(ValueError, match="position.*between 0 and 1"):
         gip_kf_params(position=1.0)
+    with pytest.raises(ValueError, match="growth.*-0.1"):
+        gip_kf_params(growth=-0.1)
 
 
 # ------------------------------------------------------------------------------------------------ whole runs

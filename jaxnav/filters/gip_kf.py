@@ -58,14 +58,16 @@ def gip_kf_params(
 
     Only the six ratios R_l / R_m of a channel and its state matter: R_l is 1 here. A lever arm lets a position residual
     turn the attitude too; the weight of the other states is large enough that it does not. ``unlearnt`` is of velocity
-    and of attitude, on all axes.
+    and of attitude, on all axes; units as in `GipKf`.
 
     Raises:
-        ValueError: a share outside of 0 to 1.
+        ValueError: a share outside of 0 to 1, or a negative growth.
     """
     for name, share in (("position", position), ("velocity", velocity)):
         if not 0 < share < 1:
             raise ValueError(f"{name}: a share lies between 0 and 1, got {share:g}")
+    if growth < 0:
+        raise ValueError(f"growth: R_m cannot shrink below zero, got {growth:g} 1/s")
     odds = lambda share: np.log(1 / share - 1)  # noqa: E731
     log_rm = np.full(n_states, np.log(1e6))
     log_rm[:3], log_rm[3:6] = odds(position), odds(velocity)
@@ -107,8 +109,8 @@ def correct(theta: GipKf, t: jax.Array, z: Innovation) -> Correction:
     grown = 1 + theta.growth * jnp.minimum(t, LEARNT)
     dm, delta, P = _update(theta._replace(log_rm=theta.log_rm + jnp.log(grown)), z)
     T = jnp.where(z.T > 0, z.T, 1.0)
-    P = P.at[3:9, 3:9].add(jnp.diag((theta.unlearnt / grown) ** 2 * T))
-    return Correction(delta, P, t + T, z.valid, drive=Drive(theta.kappa * delta[A] / T, dm[V] / T))
+    P = P.at[3:9, 3:9].add(jnp.diag((theta.unlearnt / grown) ** 2 * z.T))
+    return Correction(delta, P, t + z.T, z.valid, drive=Drive(theta.kappa * delta[A] / T, dm[V] / T))
 
 
 def extrapolate_literal(theta: GipKf, m: jax.Array, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -37,7 +37,7 @@ class Sizes(NamedTuple):
 
     states: tuple[int, ...] = (9, 15)
     lengths: tuple[int, ...] = (60, 600, 3600)  # s, of one run; the last is the single run's
-    batches: tuple[int, ...] = (1, 16, 64, 256, 1024, 4096)
+    batches: tuple[int, ...] = (1, 64, 256, 1024, 4096)
     seconds: int = 60  # of a batch
     large: tuple[int, int] = (4096, 20)  # from so many runs on so many seconds
     gradients: tuple[int, ...] = (1, 64)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.filters.catalogue import FILTERS, FRAMES
-from jaxnav.filters.core import REST, Innovation
+from jaxnav.filters.core import Innovation
 from jaxnav.filters.gip_kf import KEPT, correct_nine, nine_params
 from jaxnav.measurements import GNSS
 from jaxnav.run import initial_nav
@@ -94,7 +94,7 @@ def of(name: str) -> dict:
     params: Params = datasheet_params(GRADES["adis16488a"])
     nav = model.enter(initial_nav([0.6, 0.9, 1200.0]))
     point = jax.tree.map(lambda a: a[None], Path(nav, jnp.eye(3), jnp.zeros(3)))
-    dynamics = count(model.discretize, params.noise, point, jnp.ones(1), REST)
+    dynamics = count(model.discretize, params.noise, point, jnp.ones(1), None)
     inside = compiled + solves(n, increment=name.startswith("gipkf"))
     return {"hand": BY_HAND[name], "compiled": inside, "compiled_phi_and_q": dynamics, "paper": PAPER.get(name)}
 

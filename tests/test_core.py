@@ -14,7 +14,7 @@ from jaxnav.epochs import pack
 from jaxnav.error_models.local_level import error_model
 from jaxnav.errors import DataError
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.core import REST, Correction, Innovation, Rule, make_filter, shift
+from jaxnav.filters.core import Correction, Innovation, Rule, make_filter, shift
 from jaxnav.filters.feedback import Poles, observer, open_loop, reset
 from jaxnav.filters.gpid import literal_params
 from jaxnav.filters.kalman import correct as kalman_correct
@@ -22,7 +22,7 @@ from jaxnav.mechanizations import local_level
 from jaxnav.mechanizations.increments import thin
 from jaxnav.run import first_failure, run, run_jit
 from jaxnav.sensors.grades import datasheet_params
-from jaxnav.types import Epoch, Imu
+from jaxnav.types import Drive, Epoch, Imu
 from jaxnav.units import DEG
 from tests.conftest import GRADE, all_finite, gnss, leaves_equal
 
@@ -66,7 +66,7 @@ def test_padding_changes_nothing(case, info):
 
 def test_without_fixes_it_is_pure_inertial_navigation(case):
     info = run_jit(build("ekf15"), case.params, case.nav, blind(case.packed.epochs))
-    alone = jax.jit(local_level.propagate)(case.nav, REST, Imu(case.imu.dt, case.imu.gyro, case.imu.accel))[1].nav
+    alone = jax.jit(local_level.propagate)(case.nav, None, Imu(case.imu.dt, case.imu.gyro, case.imu.accel))[1].nav
     position, velocity, attitude = apart(info.nav, take(alone, slice(19, None, 20)))
     assert position < 1e-7 and velocity < 1e-9 and attitude < 1e-12  # blocks of 20 samples, and of 100
     assert not info.nu.any() and not info.used.any() and not info.x.any()
@@ -238,7 +238,7 @@ def test_a_rule_sees_ages_and_its_fade_and_drive_are_obeyed(case):
     def watching(theta, memory, z: Innovation) -> Correction:
         c = kalman_correct((), (), z)
         used = z.valid.at[3:].set(False)
-        return c._replace(memory=Seen(z.age, z.T), used=used, fade=1.25, drive=REST._replace(accel=drive))
+        return c._replace(memory=Seen(z.age, z.T), used=used, fade=1.25, drive=Drive(jnp.zeros(3), drive))
 
     rule = Rule(lambda n, m: Seen(jnp.zeros(m), jnp.zeros(())), watching)
     filt = make_filter(local_level.propagate, error_model(9, "simple"), rule, reset)

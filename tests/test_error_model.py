@@ -11,7 +11,6 @@ from jaxnav.error_models.common import assemble
 from jaxnav.error_models.local_level import dynamics, error_model
 from jaxnav.error_models.states import STATES, A, B, G, P, V, mask, prior_sd
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.core import REST
 from jaxnav.measurements import MEASUREMENTS, at, counted_from, covariance, layout
 from jaxnav.mechanizations import local_level
 from jaxnav.run import initial_nav, run_jit
@@ -69,15 +68,15 @@ def test_retract_removes_what_difference_measures():
 def transitions(T, seed):
     """The derivative of the error after T s by its start, by central differences through the mechanization."""
     nav, imu = a_nav(seed), an_imu(10, T, seed + 1)
-    end, path = propagate(nav, REST, imu)
+    end, path = propagate(nav, None, imu)
 
     @jax.jit
     def after(x):
-        return difference(end, local_level.propagate(MODEL.retract(nav, x), REST, imu)[0])
+        return difference(end, local_level.propagate(MODEL.retract(nav, x), None, imu)[0])
 
     columns = [(after(s * e) - after(-s * e)) / (2 * s) for s, e in zip(SIZES, np.eye(15), strict=True)]
     return np.stack(columns, 1), {
-        form: np.asarray(jax.jit(error_model(15, form).discretize)(PARAMS.noise, path, imu.dt, REST)[0])
+        form: np.asarray(jax.jit(error_model(15, form).discretize)(PARAMS.noise, path, imu.dt, None)[0])
         for form in ("full", "simple")
     }
 
@@ -97,9 +96,9 @@ def worst(Phi, exact):
 @pytest.mark.parametrize("tau", [0.05, 0.3, 3.0])
 def test_biases_that_forget_within_an_epoch_decay(tau):
     nav, imu = a_nav(), an_imu(10, 1.0)
-    _, path = propagate(nav, REST, imu)
+    _, path = propagate(nav, None, imu)
     noise = PARAMS.noise._replace(gyro_tau=jnp.asarray(tau), accel_tau=jnp.full(3, 2 * tau))
-    Phi, Q, d = discretize(noise, path, imu.dt, REST)
+    Phi, Q, d = discretize(noise, path, imu.dt, None)
     np.testing.assert_allclose(np.diag(Phi)[G], np.exp(-1 / tau), rtol=1e-9)
     np.testing.assert_allclose(np.diag(Phi)[B], np.exp(-0.5 / tau), rtol=1e-9)
     np.testing.assert_allclose(d[G], -np.expm1(-1 / tau) * nav.b_g, rtol=1e-9)
@@ -133,19 +132,19 @@ def test_full_form_has_the_terms_of_position(transition):
 
 def test_nine_states_are_the_first_of_fifteen():
     nav, imu = a_nav(), an_imu(4, 0.2)
-    points = propagate(nav, REST, imu)[1]
+    points = propagate(nav, None, imu)[1]
     for form in ("full", "simple"):
-        nine, fifteen = (jax.jit(error_model(n, form).discretize)(PARAMS.noise, points, imu.dt, REST) for n in (9, 15))
+        nine, fifteen = (jax.jit(error_model(n, form).discretize)(PARAMS.noise, points, imu.dt, None) for n in (9, 15))
         np.testing.assert_allclose(nine[0], fifteen[0][:9, :9], rtol=0, atol=1e-15)
         np.testing.assert_allclose(nine[1][V, V], fifteen[1][V, V], rtol=1e-2)
 
 
 def test_noise_enters_as_root_psd_in_body_axes():
     nav, imu, T = a_nav(), an_imu(4, 0.02), 0.02
-    points = propagate(nav, REST, imu)[1]
+    points = propagate(nav, None, imu)[1]
     C = np.asarray(points.C.mean(0))
     noise = PARAMS.noise._replace(accel=jnp.array([1.0, 2.0, 3.0]), gyro=jnp.array([0.1, 0.2, 0.3]))
-    Q = np.asarray(discretize(noise, points, imu.dt, REST)[1])
+    Q = np.asarray(discretize(noise, points, imu.dt, None)[1])
     np.testing.assert_allclose(Q[V, V], T * C @ np.diag([1.0, 4.0, 9.0]) @ C.T, rtol=0, atol=0.01 * T)
     np.testing.assert_allclose(Q[A, A], T * C @ np.diag([0.01, 0.04, 0.09]) @ C.T, rtol=0, atol=1e-4 * T)
     np.testing.assert_allclose(np.diag(Q)[G], T * float(noise.gyro_bias) ** 2, rtol=1e-4)
@@ -155,21 +154,21 @@ def test_noise_enters_as_root_psd_in_body_axes():
 
 def test_no_noise_is_lost_where_rounding_moves_the_ends_of_points():
     """Of ten points one ends at the middle, where a third of the noise is integrated, or by rounding just beside."""
-    points = jax.tree.map(lambda a: jnp.repeat(a[:1], 10, 0), propagate(a_nav(), REST, an_imu(4, 0.2))[1])
+    points = jax.tree.map(lambda a: jnp.repeat(a[:1], 10, 0), propagate(a_nav(), None, an_imu(4, 0.2))[1])
     noise = PARAMS.noise._replace(accel=jnp.array(1.0), gyro=jnp.array(0.0))
     T = np.stack([np.full(10, np.full(10, 1 / rate).sum()) for rate in range(50, 401)])  # sums of ten samples
-    Q = jax.jit(jax.vmap(lambda T: discretize(noise, points, T, REST)[1]))(T)
+    Q = jax.jit(jax.vmap(lambda T: discretize(noise, points, T, None)[1]))(T)
     np.testing.assert_allclose(jnp.diagonal(Q[:, V, V], axis1=1, axis2=2) / T.sum(1)[:, None], 1.0, atol=0.01)
 
 
 def test_correlated_noise_is_van_loans_integral():
     """Constant attitude and specific force, so that F is constant; every leaf a root of its own."""
     rng, T = np.random.default_rng(11), 0.2
-    points = jax.tree.map(lambda a: a[:1], propagate(a_nav(), REST, an_imu(4, T))[1])
+    points = jax.tree.map(lambda a: a[:1], propagate(a_nav(), None, an_imu(4, T))[1])
     sizes = {"gyro": 3e-3, "accel": 2e-2, "gyro_bias": 1e-5, "accel_bias": 1e-4}
     roots = {name: size * (np.eye(3) + np.tril(rng.normal(size=(3, 3)), -1)) for name, size in sizes.items()}
     noise = PARAMS.noise._replace(**{name: jnp.asarray(L) for name, L in roots.items()})
-    Q = np.asarray(discretize(noise, points, jnp.array([T]), REST)[1])
+    Q = np.asarray(discretize(noise, points, jnp.array([T]), None)[1])
     F = np.asarray(assemble(dynamics(jax.tree.map(lambda a: a[0], points), "full"), 15))
     C, G_c = np.asarray(points.C[0]), np.zeros((15, 15))
     turned = ((V, C @ roots["accel"]), (A, C @ roots["gyro"]), (G, roots["gyro_bias"]), (B, roots["accel_bias"]))
@@ -186,7 +185,7 @@ def test_drive_moves_the_error_as_it_moves_navigation():
     """The observer drives the estimate, not the truth: their difference responds by d."""
     nav, imu = a_nav(3), an_imu(10, 1.0)
     u = Drive(jnp.array([1e-3, -2e-3, 3e-3]), jnp.array([0.1, 0.2, -0.3]))
-    driven, free = (propagate(nav, drive, imu) for drive in (u, REST))
+    driven, free = (propagate(nav, drive, imu) for drive in (u, None))
     path = driven[1]
     still = path._replace(nav=path.nav._replace(b_g=0 * path.nav.b_g, b_a=0 * path.nav.b_a))
     d = discretize(PARAMS.noise, still, imu.dt, u)[2]
@@ -197,7 +196,7 @@ def test_drive_moves_the_error_as_it_moves_navigation():
 def test_absorb_feeds_a_model_error_to_the_sensors():
     nav, imu = a_nav(5), an_imu(10, 0.1)
     drive = Drive(jnp.array([1e-3, 2e-3, 0.0]), jnp.array([0.1, -0.2, 0.3]))
-    before, after = (propagate(n, REST, imu)[0] for n in (nav, MODEL.absorb(nav, drive)))
+    before, after = (propagate(n, None, imu)[0] for n in (nav, MODEL.absorb(nav, drive)))
     x = difference_jit(before, after)
     np.testing.assert_allclose(x[V], 0.1 * drive.accel, atol=2e-3)
     np.testing.assert_allclose(x[A], 0.1 * drive.omega, atol=2e-6)
@@ -211,7 +210,7 @@ def history(latency):
     imu = an_imu(12, 0.6, 7)
     imu = imu._replace(gyro=imu.gyro + 0.3 * jnp.sin(jnp.arange(12.0))[:, None] * jnp.array([0.2, -0.1, 1.0]))
     nav = a_nav(6)
-    past = propagate(nav, REST, imu)[1].nav
+    past = propagate(nav, None, imu)[1].nav
     times = dict(time_offset=0.4, position_latency=0.5, velocity_latency=-0.3) if latency else {}
     install = PARAMS.mounting._replace(
         lever_arm=jnp.array([1.0, -2.0, -1.5]), vehicle=jnp.array([0.03, -0.05]), wheel_arm=jnp.array([-1.0, 0.7, 1.2]),
@@ -260,7 +259,7 @@ def test_observe_is_the_derivative_through_the_mechanization():
 
     @jax.jit
     def residual(x):
-        end, path = local_level.propagate(MODEL.retract(nav, x), REST, imu)
+        end, path = local_level.propagate(MODEL.retract(nav, x), None, imu)
         return MODEL.observe(PARAMS.noise, install, path.nav, fix)[0], end
 
     y, end = residual(jnp.zeros(15))
@@ -427,7 +426,7 @@ def test_a_gauss_markov_bias_decays_while_no_fix_comes(case):
     np.testing.assert_allclose(info.nav.b_a, b_a * np.exp(-t / tau / 2)[:, None], rtol=0, atol=1e-3 * 0.03)
     imu, decay = case.imu, lambda tau: np.exp(-(case.imu.t - case.imu.dt / 2) / tau)[:, None]
     clean = Imu(imu.dt, imu.gyro - b_g * decay(tau), imu.accel - b_a * decay(2 * tau))
-    exact = propagate(case.nav, REST, clean)[1].nav
+    exact = propagate(case.nav, None, clean)[1].nav
     x = np.asarray(jax.jit(jax.vmap(difference))(info.nav, jax.tree.map(lambda a: a[19::20], exact)))
     assert np.abs(x[-1, A]).max() < 5e-5  # of 40 mrad that the biases turn
     assert np.abs(x[-1, P]).max() < 0.3  # of more than 100 m

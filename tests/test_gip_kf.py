@@ -12,7 +12,7 @@ from jaxnav.error_models.states import A, B, P, V
 from jaxnav.error_models.tangent_frame import reset_balanced, retract
 from jaxnav.filters import gip_kf
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.core import Innovation, idle, select
+from jaxnav.filters.core import Innovation, only_if
 from jaxnav.filters.gip_kf import gip_kf_params
 from jaxnav.mechanizations.tangent_frame import enter
 from jaxnav.run import run
@@ -120,7 +120,7 @@ def our_literal(theta):
         H = jnp.where(valid[:, None], H3, 0.0)
         nu = jnp.where(valid, y, 0.0) - H @ x
         z = Innovation(nu, H, jnp.asarray(R), cov, valid, jnp.asarray(0.5), jnp.zeros(6))
-        c = select(valid.any(), rule.correct(theta, memory, z), idle(z, memory))
+        c = only_if(valid.any(), rule.correct(theta, memory, z), z, memory)
         x, cov, memory = x + c.delta, c.P, c.memory
         out.append(x)
     return np.array(out)
@@ -173,7 +173,7 @@ def test_weights_change_as_biases_are_learnt():
     assert second.memory == 40.0  # another fix of the same moment
     np.testing.assert_allclose(second.P, least.P, atol=1e-11)
     still = z._replace(valid=jnp.zeros(6, bool))
-    assert select(still.valid.any(), rule.correct(theta, 40.0, still), idle(still, 40.0)).memory == 40.0
+    assert only_if(still.valid.any(), rule.correct(theta, 40.0, still), still, 40.0).memory == 40.0
 
 
 def test_nine_states_are_a_kalman_filter_of_the_horizontal_velocity_and_gains():

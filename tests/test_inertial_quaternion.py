@@ -8,7 +8,6 @@ import pytest
 from jaxnav import earth, rotations
 from jaxnav.error_models import inertial
 from jaxnav.error_models.states import A, B, G, P, V, prior_sd
-from jaxnav.filters.core import REST
 from jaxnav.mechanizations import inertial_quaternion, local_level, tangent_frame
 from jaxnav.run import initial_nav
 from jaxnav.sensors.grades import GRADES, datasheet_params
@@ -65,7 +64,7 @@ def launched():
 
 def test_inertial_navigation_of_the_launch(launched):
     nav, imu = launched
-    path = propagate(enter(nav), REST, imu)[1].nav
+    path = propagate(enter(nav), None, imu)[1].nav
     r, v, _ = launch(np.asarray(path.t))
     assert np.abs(path.pos - r).max() < 1e-4
     assert np.abs(path.vel - v).max() < 1e-5
@@ -76,9 +75,9 @@ def test_inertial_navigation_of_the_launch(launched):
 
 def test_frames_agree_on_the_same_samples(launched):
     nav, imu = launched
-    ours = jax.jit(jax.vmap(leave))(propagate(enter(nav), REST, imu)[1].nav)
+    ours = jax.jit(jax.vmap(leave))(propagate(enter(nav), None, imu)[1].nav)
     for other in (local_level, tangent_frame):
-        theirs = jax.jit(other.propagate)(getattr(other, "enter", lambda n: n)(nav), REST, imu)[1].nav
+        theirs = jax.jit(other.propagate)(getattr(other, "enter", lambda n: n)(nav), None, imu)[1].nav
         theirs = jax.vmap(getattr(other, "leave", lambda n: n))(theirs)
         apart = jax.vmap(earth.enu_difference)(ours.pos, theirs.pos)
         assert np.abs(apart).max() < 1e-3
@@ -138,17 +137,17 @@ def test_retract_removes_what_difference_measures():
 @pytest.mark.parametrize("T", [0.1, 1.0])
 def test_discretize_is_the_derivative_of_the_mechanization(T):
     nav, imu = enter(a_nav(3)), an_imu(10, T, 4)
-    end, path = propagate(nav, REST, imu)
+    end, path = propagate(nav, None, imu)
 
     @jax.jit
     @jax.vmap
     def after(x):
-        return difference(end, inertial_quaternion.propagate(MODEL.retract(nav, x), REST, imu)[0])
+        return difference(end, inertial_quaternion.propagate(MODEL.retract(nav, x), None, imu)[0])
 
     steps = jnp.asarray(np.diag(SIZES))
     exact = np.asarray((after(steps) - after(-steps)) / (2 * SIZES[:, None])).T
     full, simple = (
-        np.asarray(jax.jit(inertial.error_model(15, form).discretize)(PARAMS.noise, path, imu.dt, REST)[0])
+        np.asarray(jax.jit(inertial.error_model(15, form).discretize)(PARAMS.noise, path, imu.dt, None)[0])
         for form in ("full", "simple")
     )
     change = np.abs(exact - np.eye(15))
@@ -194,9 +193,9 @@ def test_priors_are_in_enu_and_noise_in_body_axes():
         P_enu = model.report(nav, jnp.zeros(n), model.covariance(prior, nav))[2]
         np.testing.assert_allclose(np.sqrt(np.diag(P_enu)), prior_sd(prior, n), rtol=1e-12)
     imu, T = an_imu(4, 0.02), 0.02
-    path = propagate(nav, REST, imu)[1]
+    path = propagate(nav, None, imu)[1]
     noise = PARAMS.noise._replace(accel=jnp.array([1.0, 2.0, 3.0]), gyro=jnp.array([0.1, 0.2, 0.3]))
-    Q = np.asarray(MODEL.discretize(noise, path, imu.dt, REST)[1])
+    Q = np.asarray(MODEL.discretize(noise, path, imu.dt, None)[1])
     C = np.asarray(path.C.mean(0))
     to_n = np.asarray(rotations.to_dcm(inertial_quaternion.turned(nav.origin, nav.t)))
     assert np.abs(to_n - np.eye(3)).max() > 0.1
@@ -207,7 +206,7 @@ def test_priors_are_in_enu_and_noise_in_body_axes():
 def test_absorb_feeds_a_model_error_to_the_sensors():
     nav, imu = enter(a_nav(5)), an_imu(10, 0.1)
     drive = Drive(jnp.array([1e-3, 2e-3, 0.0]), jnp.array([0.1, -0.2, 0.3]))
-    x = difference(propagate(nav, REST, imu)[0], propagate(MODEL.absorb(nav, drive), REST, imu)[0])
+    x = difference(propagate(nav, None, imu)[0], propagate(MODEL.absorb(nav, drive), None, imu)[0])
     np.testing.assert_allclose(x[V], 0.1 * drive.accel, atol=2e-3)
     np.testing.assert_allclose(x[A], 0.1 * drive.omega, atol=2e-6)
 

@@ -11,7 +11,6 @@ from pyins import sim
 from scipy.spatial.transform import Rotation
 
 from jaxnav import earth, rotations
-from jaxnav.filters.core import REST
 from jaxnav.mechanizations import components, local_level
 from jaxnav.mechanizations.increments import increments, thin
 from jaxnav.run import initial_nav, track
@@ -29,7 +28,7 @@ def navigate(frame, imu):
     dt = np.diff(frame.index)
     readings = imu.to_numpy()[1:] / dt[:, None]
     nav = initial_nav(lla[0], ned[0, [1, 0, 2]] * [1, 1, -1], rph[0])
-    path = propagate(nav, REST, Imu(dt, readings[:, :3], readings[:, 3:]))[1].nav
+    path = propagate(nav, None, Imu(dt, readings[:, :3], readings[:, 3:]))[1].nav
     solution = track(path)
     position = np.asarray(jax.vmap(earth.enu_difference)(path.pos, lla[1:]))
     turn = np.remainder(solution.rph - rph[1:] + np.pi, 2 * np.pi) - np.pi
@@ -59,7 +58,7 @@ def test_the_block_form_has_the_derivative_of_the_scan():
     def end(form, x):
         nav = start(truth)
         nav = nav._replace(vel=nav.vel + 200.0 + x[:3], b_g=x[3:6], b_a=x[6:])
-        last = form(nav, REST, imu)[0]
+        last = form(nav, None, imu)[0]
         return jnp.concatenate([last.vel, last.q])
 
     scan, block = (jax.jit(jax.jacrev(partial(end, form)))(jnp.zeros(9))
@@ -78,7 +77,7 @@ def test_an_hour_at_rest_within_the_bars_of_pyins():
 def test_halving_the_step_cuts_the_error_fourfold():
     def error(rate):
         imu, truth = simulate_drive(20.0, rate)
-        nav = propagate(start(truth), REST, Imu(imu.dt, imu.gyro, imu.accel))[0]
+        nav = propagate(start(truth), None, Imu(imu.dt, imu.gyro, imu.accel))[0]
         return np.linalg.norm(earth.enu_difference(nav.pos, truth.lla[-1])), np.linalg.norm(nav.vel - truth.vel[-1])
 
     coarse, fine = error(10.0), error(20.0)
@@ -147,7 +146,7 @@ def samples(gyro, accel, dt, n):
 def test_at_rest_stays_at_rest_and_biases_are_subtracted(resting):
     nav, gyro, accel = resting
     b_g, b_a = jnp.array([1e-3, -2e-3, 3e-3]), jnp.array([0.1, 0.2, -0.3])
-    out = propagate(nav._replace(b_g=b_g, b_a=b_a), REST, samples(gyro + b_g, accel + b_a, 0.1, 100))[0]
+    out = propagate(nav._replace(b_g=b_g, b_a=b_a), None, samples(gyro + b_g, accel + b_a, 0.1, 100))[0]
     np.testing.assert_allclose(out.vel, 0, atol=1e-8)
     np.testing.assert_allclose(out.pos, nav.pos, atol=1e-8)
     np.testing.assert_allclose(out.q, nav.q, atol=1e-11)
@@ -175,7 +174,7 @@ def test_schuler_period():
     C = rotations.to_dcm(nav.q)
     g = earth.gravity(0.0, 0.0)
     imu = samples(C.T @ earth.earth_rate(jnp.array(0.0)), C.T @ jnp.array([0, 0, g]), 1.0, 5000)
-    path = propagate(nav, REST, imu)[1].nav
+    path = propagate(nav, None, imu)[1].nav
     v, t = np.asarray(path.vel[:, 1]), np.asarray(path.t)
     i = np.flatnonzero(np.diff(np.sign(v)))
     crossings = t[i] + v[i] / (v[i] - v[i + 1])
@@ -199,9 +198,9 @@ def test_padding_changes_nothing(case):
 
 def test_path_is_the_time_series_of_the_state(case):
     imu = jax.tree.map(lambda a: a[0], case.packed.epochs.imu)
-    nav, path = propagate(case.nav, REST, imu)
+    nav, path = propagate(case.nav, None, imu)
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a, b[-1]), nav, path.nav)
-    first = propagate(case.nav, REST, jax.tree.map(lambda a: a[:7], imu))[0]
+    first = propagate(case.nav, None, jax.tree.map(lambda a: a[:7], imu))[0]
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b[6], rtol=1e-14, atol=1e-15), first, path.nav)
     # the specific force in ENU is what changes the velocity, with gravity and Coriolis
     lla, vel = path.nav.pos[0], 0.5 * (case.nav.vel + path.nav.vel[0])
@@ -232,10 +231,10 @@ def test_blocks_and_sweeps_change_nothing(lat, speed):
     n = 250
     nav, imu = lively(n, 0.02, lat, speed)
 
-    one = lambda nav, sample: (local_level.propagate(nav, REST, jax.tree.map(lambda a: a[None], sample))[0], None)  # noqa: E731
+    one = lambda nav, sample: (local_level.propagate(nav, None, jax.tree.map(lambda a: a[None], sample))[0], None)  # noqa: E731
     exact = jax.jit(lambda nav: lax.scan(one, nav, imu)[0])(nav)
     for form in (local_level.propagate, local_level.propagate_block):
-        end, path = jax.jit(form)(nav, REST, imu)
+        end, path = jax.jit(form)(nav, None, imu)
         angle = rotations.log(rotations.multiply(end.q, rotations.conjugate(exact.q)))
         assert np.abs(earth.enu_difference(end.pos, exact.pos)).max() < 1e-6
         assert np.abs(end.vel - exact.vel).max() < 1e-9 and np.abs(angle).max() < 1e-11
@@ -270,7 +269,7 @@ def test_intervals_of_samples_are_the_samples(form, n, lat, speed):
 def test_an_interval_of_padding_is_finite_and_at_rest():
     nav, imu = lively(40, 0.01, 0.6, 25.0)
     imu = imu._replace(dt=imu.dt.at[20:].set(0.0))
-    end, path = jax.jit(local_level.propagate, static_argnums=3)(nav, REST, imu, 10, jnp.array([19, 39]))
+    end, path = jax.jit(local_level.propagate, static_argnums=3)(nav, None, imu, 10, jnp.array([19, 39]))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((end, path)))
     still = end._replace(omega=end.t, force=end.t)  # but for the readings, which padding has too
     jax.tree.map(lambda a: np.testing.assert_allclose(a[0], a[1], rtol=1e-15), still)

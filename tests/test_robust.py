@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from jaxnav import linalg
 from jaxnav.filters.adaptive import fading, fading_params, iae, iae_params, sage_husa, sage_husa_params
-from jaxnav.filters.core import Innovation, idle, masked, select
+from jaxnav.filters.core import Innovation, masked
 from jaxnav.filters.gpid import gpid, gpid_params
 from jaxnav.filters.kalman import correct as kalman_correct
 from jaxnav.filters.kalman import kalman
@@ -147,8 +147,7 @@ def test_the_threshold_is_one_of_chi_square(outlier):
 def test_nothing_accepted_changes_nothing():
     z = innovation([90.0, 0.0, 0.0, 9.0, 0.0, 0.0])
     c = answer(gate(gpid()), gate_params(rule=gpid_params(0.1, 0.2)), z)
-    still = idle(z, gpid().init(9, 6))
-    leaves_equal((c.delta, c.P, c.used, c.memory.rule), (still.delta, still.P, still.used, still.memory))
+    leaves_equal((c.delta, c.P, c.used, c.memory.rule), (jnp.zeros(9), z.P, jnp.zeros(6, bool), gpid().init(9, 6)))
 
 
 def test_after_the_timeout_a_block_is_accepted(outlier):
@@ -254,7 +253,7 @@ def navigate(rule, theta, fault, noise, push):
         nu = H @ e - fault - noise * jax.random.normal(b, (6,))
         age = age + T
         z = Innovation(nu, jnp.asarray(H), R, P, jnp.ones(6, bool), jnp.asarray(T), age)
-        c = select(jnp.array(True), rule.correct(theta, memory, z), idle(z, memory))
+        c = rule.correct(theta, memory, z)
         e = e - c.delta
         f = jnp.broadcast_to(c.fade, (9,))
         return (e, f[:, None] * c.P * f, c.memory, jnp.where(c.used, 0.0, age)), (e, c.used, c.memory)

@@ -12,7 +12,6 @@ from jax import lax
 from jaxnav import earth, rotations, units
 from jaxnav.epochs import pack
 from jaxnav.filters.catalogue import FRAMES, build
-from jaxnav.filters.core import REST
 from jaxnav.measurements import GNSS, layout
 from jaxnav.metrics import chi2_bounds, nees
 from jaxnav.run import enable_x64, run
@@ -72,7 +71,7 @@ def navigate(frame, merge, nav, means, ends):
     gyro, accel = (a.reshape(a.shape[0], -1, merge, 3).mean(2) for a in means)
 
     def epoch(nav, samples):
-        nav = FRAMES[frame].propagate(nav, REST, Imu(jnp.full(100 // merge, 0.01 * merge), *samples))[0]
+        nav = FRAMES[frame].propagate(nav, None, Imu(jnp.full(100 // merge, 0.01 * merge), *samples))[0]
         return nav, model.report(nav, jnp.zeros(9), jnp.eye(9))[0].pos
 
     _, pos = lax.scan(epoch, model.enter(nav), (gyro, accel))

@@ -9,7 +9,6 @@ from jaxnav import earth, rotations
 from jaxnav.error_models.states import A, B, G, P, V
 from jaxnav.error_models.tangent_frame import dynamics, enu_rows, error_model
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.core import REST
 from jaxnav.mechanizations import local_level, tangent_frame
 from jaxnav.run import initial_nav, run
 from jaxnav.sensors.grades import GRADES, datasheet_params, mounting
@@ -105,7 +104,7 @@ def winding(climb):
 
 def both(nav, imu, truth):
     """Both mechanizations on one stream: ENU m and rad between them, and ENU m of each to the true position."""
-    level, tangent = navigate_enu(nav, REST, imu)[0], leave(propagate(enter(nav), REST, imu)[0])
+    level, tangent = navigate_enu(nav, None, imu)[0], leave(propagate(enter(nav), None, imu)[0])
     turn = rotations.log(rotations.multiply(tangent.q, rotations.conjugate(level.q)))
     off = [np.asarray(earth.enu_difference(n.pos, truth)) for n in (level, tangent)]
     return off[1] - off[0], np.asarray(turn), off
@@ -148,7 +147,7 @@ def test_at_rest_stays_at_rest_away_from_the_origin():
     gyro = C.T @ earth.earth_rate(nav.pos[0])
     accel = C.T @ jnp.array([0.0, 0.0, 1.0]) * earth.gravity(nav.pos[0], nav.pos[2])
     imu = Imu(jnp.full(100, 0.1), jnp.tile(gyro, (100, 1)), jnp.tile(accel, (100, 1)))
-    out = leave(propagate(enter(nav), REST, imu)[0])
+    out = leave(propagate(enter(nav), None, imu)[0])
     np.testing.assert_allclose(out.vel, 0, atol=1e-8)
     np.testing.assert_allclose(earth.enu_difference(out.pos, nav.pos), 0, atol=1e-7)
     np.testing.assert_allclose(out.q, nav.q, atol=1e-11)
@@ -158,8 +157,8 @@ def test_padding_changes_nothing(case):
     imu = jax.tree.map(lambda a: a[4], case.packed.epochs.imu)
     pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1], (7, *a.shape[1:]))])  # noqa: E731
     padded = Imu(jnp.concatenate([imu.dt, jnp.zeros(7)]), pad(imu.gyro), pad(imu.accel))
-    nav = propagate(enter(case.nav), REST, jax.tree.map(lambda a: a[3], case.packed.epochs.imu))[0]
-    plain, filled = propagate(nav, REST, imu)[0], propagate(nav, REST, padded)[0]
+    nav = propagate(enter(case.nav), None, jax.tree.map(lambda a: a[3], case.packed.epochs.imu))[0]
+    plain, filled = propagate(nav, None, imu)[0], propagate(nav, None, padded)[0]
     leaves_equal(plain._replace(q=nav.q), filled._replace(q=nav.q))
     np.testing.assert_allclose(plain.q, filled.q, rtol=0, atol=2.3e-16)
 
@@ -185,10 +184,10 @@ def test_discretize_is_the_derivative_of_the_mechanization(T, seed):
     gyro, accel = rng.normal(size=3) * 0.02, rng.normal(size=3) * 2 - [0, 0, 9.8]
     imu = Imu(jnp.full(10, T / 10), jnp.tile(gyro, (10, 1)), jnp.tile(accel, (10, 1)))
     nav = enter(a_nav(seed))
-    end, path = propagate(nav, REST, imu)
-    exact = central(jax.jit(lambda x: difference(end, tangent_frame.propagate(MODEL.retract(nav, x), REST, imu)[0])))
+    end, path = propagate(nav, None, imu)
+    exact = central(jax.jit(lambda x: difference(end, tangent_frame.propagate(MODEL.retract(nav, x), None, imu)[0])))
     full, simple = (
-        np.asarray(jax.jit(error_model(15, form).discretize)(PARAMS.noise, path, imu.dt, REST)[0])
+        np.asarray(jax.jit(error_model(15, form).discretize)(PARAMS.noise, path, imu.dt, None)[0])
         for form in ("full", "simple")
     )
     bound = 3e-5 if T < 0.5 else 2e-4
@@ -206,7 +205,7 @@ def test_discretize_is_the_derivative_of_the_mechanization(T, seed):
 def test_simple_form_is_equation_22():
     nav = enter(a_nav())
     imu = Imu(jnp.full(2, 0.1), jnp.full((2, 3), 0.02), jnp.tile(jnp.array([1.0, 2.0, -9.0]), (2, 1)))
-    point = jax.tree.map(lambda a: a[1], tangent_frame.propagate(nav, REST, imu)[1])
+    point = jax.tree.map(lambda a: a[1], tangent_frame.propagate(nav, None, imu)[1])
     blocks = dynamics(point, "simple")
     w = tangent_frame.earth_rate(nav.origin)
     np.testing.assert_array_equal(blocks["velocity", "velocity"], -2 * rotations.skew(w))

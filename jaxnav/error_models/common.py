@@ -60,7 +60,7 @@ def discretize(
     noise: Noise,
     points: Path,
     T: jax.Array,
-    u: Drive,
+    u: Drive | None,
     n: int,
     lumped: bool = False,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -109,16 +109,18 @@ def _slow(blocks: dict, noise: Noise, point: Path, h: jax.Array, n: int) -> tupl
     return jnp.eye(n) + S + 0.5 * S @ S + jnp.diag(lost), -lost * b
 
 
-def _nilpotent(maps: Maps, C, f, T, u: Drive, n: int) -> tuple[jax.Array, jax.Array]:
+def _nilpotent(maps: Maps, C, f, T, u: Drive | None, n: int) -> tuple[jax.Array, jax.Array]:
     """Phi (n, n) and d (n,) of p' = v, v' = A(f) phi + B b_a + u, phi' = G b_g + u, exactly for piecewise constants."""
     total, start = T.sum(), jnp.cumsum(T) - T
     w = T * (total - start - 0.5 * T)  # what an acceleration over each point does to the position
     weights = jnp.stack([w, T])
     A_w, A_T = maps.A(weights @ f)
-    # u.omega turns phi by u.omega t: the integrals of A(f) t; within a point the mean of t s is 1/12 T^2 off
-    at = (weights * (start + 0.5 * T)).at[0].add(-(T**3) / 12)
-    u_w, u_T = maps.A(at @ f) @ u.omega
-    d = [u_w + 0.5 * total**2 * u.accel, u_T + total * u.accel, total * u.omega, jnp.zeros(n - 9)]
+    d = [jnp.zeros(n)]
+    if u:
+        # u.omega turns phi by u.omega t: the integrals of A(f) t; within a point the mean of t s is 1/12 T^2 off
+        at = (weights * (start + 0.5 * T)).at[0].add(-(T**3) / 12)
+        u_w, u_T = maps.A(at @ f) @ u.omega
+        d = [u_w + 0.5 * total**2 * u.accel, u_T + total * u.accel, total * u.omega, jnp.zeros(n - 9)]
     eye, zero = jnp.eye(3), jnp.zeros((3, 3))
     rows = [[eye, total * eye, A_w], [zero, eye, A_T], [zero, zero, eye]]
     if n > 9:

@@ -105,7 +105,7 @@ def error_model(
         root = jnp.linalg.solve(enu_rows(nav, leave(nav), n_states), jnp.diag(prior_sd(prior, n_states)))
         return root @ root.T
 
-    def discretized(noise: Noise, points: Path, T: jax.Array, u: Drive):
+    def discretized(noise: Noise, points: Path, T: jax.Array, u: Drive | None):
         return discretize(partial(dynamics, form=form), noise, points, T, u, n_states)
 
     observe, n_channels = stack(measurements, lambda nav: kinematics(nav, n_states))

@@ -82,7 +82,7 @@ def error_model(
     def covariance(prior: Prior, nav: Nav) -> jax.Array:
         return jnp.diag(prior_sd(prior, n_states) ** 2)
 
-    def discretized(noise: Noise, points: Path, T: jax.Array, u: Drive):
+    def discretized(noise: Noise, points: Path, T: jax.Array, u: Drive | None):
         lumped = form == "simple"  # W in eq. 29: over an epoch of a second it changes the gains of the attitude
         return discretize(partial(dynamics, form=form), noise, points, T, u, n_states, lumped)
 

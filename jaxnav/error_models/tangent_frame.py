@@ -38,8 +38,7 @@ def reset_balanced(theta, retract, nav: Nav, x: jax.Array, T: jax.Array):
     up = jnp.zeros(3).at[1].set(earth.gravity(nav.origin.lla[0], nav.origin.lla[2]))  # what holds the IMU up
     bend = rotations.to_dcm(rotations.exp(x[A])) @ up - up - jnp.cross(x[A], up)
     after = retract(nav, x)
-    still = Drive(jnp.zeros(3), jnp.zeros(3))
-    return after._replace(b_a=after.b_a - rotations.to_dcm(nav.q).T @ bend), jnp.zeros_like(x), still
+    return after._replace(b_a=after.b_a - rotations.to_dcm(nav.q).T @ bend), jnp.zeros_like(x), None
 
 
 def dynamics(point: Path, form: Literal["full", "simple"]) -> dict[tuple[str, str], jax.Array]:
@@ -104,7 +103,7 @@ def error_model(
         root = jnp.linalg.solve(enu_rows(leave(nav), n_states), jnp.diag(prior_sd(prior, n_states)))
         return root @ root.T
 
-    def discretized(noise: Noise, points: Path, T: jax.Array, u: Drive):
+    def discretized(noise: Noise, points: Path, T: jax.Array, u: Drive | None):
         return discretize(partial(dynamics, form=form), noise, points, T, u, n_states)
 
     observe, n_channels = stack(measurements, lambda nav: kinematics(nav, n_states))

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.filters import kalman
-from jaxnav.filters.core import Correction, Innovation, Rule, idle, select
+from jaxnav.filters.core import Correction, Innovation, Rule, only_if
 
 
 @cache
@@ -20,7 +20,7 @@ def only(rule: Rule, channels: int) -> Rule:
     def correct(theta, memory, z: Innovation) -> Correction:
         own, other = slice(0, channels), slice(channels, None)
         part = z._replace(nu=z.nu[own], H=z.H[own], R=z.R[own, own], valid=z.valid[own], age=z.age[own])
-        c = select(part.valid.any(), rule.correct(theta, memory, part), idle(part, memory))
+        c = only_if(part.valid.any(), rule.correct(theta, memory, part), part, memory)
         rest = z._replace(nu=z.nu[other] - z.H[other] @ c.delta, H=z.H[other], R=z.R[other, other], P=c.P)
         k = kalman.correct((), (), rest._replace(valid=z.valid[other]))
         return c._replace(delta=c.delta + k.delta, P=k.P, used=jnp.concatenate([c.used, k.used]))

@@ -12,14 +12,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from jaxnav import linalg
 from jaxnav.mechanizations.increments import divides
 from jaxnav.types import Drive, Epoch, Fix, Imu, Info, Nav, Params
-
-REST = Drive(np.zeros(3), np.zeros(3))  # numpy: nothing of jax is created at import
 
 
 class ErrorModel(NamedTuple):
@@ -30,7 +27,7 @@ class ErrorModel(NamedTuple):
     retract: Callable[[Nav, jax.Array], Nav]  # truth = retract(estimate, x (n,))
     absorb: Callable[[Nav, Drive], Nav]  # a constant model error becomes sensor bias
     covariance: Callable[..., jax.Array]  # (prior, nav) -> P (n, n)
-    discretize: Callable[..., Any]  # (noise, points: Path (b, ...), T (b,), Drive) -> Phi (n, n), Q (n, n), d (n,)
+    discretize: Callable[..., Any]  # (noise, points: Path (b, ...), T (b,), u: Drive | None) -> Phi, Q (n, n), d (n,)
     observe: Callable[..., Any]  # (noise, mounting, past: Nav (w, ...), fix) -> y (m,), H (m, n), R (m, m)
     enter: Callable[[Nav], Nav] = lambda nav: nav  # local level navigation -> the frame's
     report: Callable[..., Any] = lambda nav, x, P: (nav, x, P)  # all three of the frame -> of local level
@@ -56,7 +53,7 @@ class Correction(NamedTuple):
     memory: Any  # the rule's own state
     used: jax.Array  # (m,) bool, channels that it accepted
     fade: Any = 1.0  # () or (n,): fade P fade is carried on to the next prediction
-    drive: Drive = REST  # a model error for the sensors to absorb
+    drive: Drive | None = None  # a model error for the sensors to absorb
 
 
 class Rule(NamedTuple):
@@ -84,7 +81,7 @@ class FilterState(NamedTuple):
     past: Nav  # (w, ...) the last w samples of navigation, newest last: what delayed measurements are compared with
     x: jax.Array  # (n,) error state that is not fed back
     P: jax.Array  # (n, n)
-    u: Drive  # observer feedback in force
+    u: Drive | None  # feedback in force, of an observer
     memory: Any  # the rule's
     x0: jax.Array  # (n,) x after the last feedback
     T: jax.Array  # () s since then
@@ -107,9 +104,10 @@ class Filter(NamedTuple):
     prepare: Callable[[Epoch], Epoch] = lambda epochs: epochs
 
 
-def idle(z: Innovation, memory: Any) -> Correction:
-    """The correction that changes nothing."""
-    return Correction(jnp.zeros(z.P.shape[0]), z.P, memory, jnp.zeros_like(z.valid))
+def only_if(flag: jax.Array, c: Correction, z: Innovation, memory: Any) -> Correction:
+    """The correction where the flag is true, else one that changes nothing."""
+    nothing = jax.tree.map(jnp.zeros_like, c.drive)
+    return select(flag, c, Correction(jnp.zeros(z.P.shape[0]), z.P, memory, jnp.zeros_like(z.valid), drive=nothing))
 
 
 def select(flag: jax.Array, a: Any, b: Any) -> Any:
@@ -161,8 +159,9 @@ def make_filter(
         past = jax.tree.map(lambda a: jnp.broadcast_to(a, (history, *jnp.shape(a))), nav)
         memory = rule.init(model.n_states, model.n_channels)
         P = model.covariance(params.prior, nav)
-        zeros = jax.tree.map(jnp.asarray, REST)
-        return FilterState(past, x, P, zeros, memory, x, jnp.zeros(()), jnp.zeros(model.n_channels), jnp.array(True))
+        T = jnp.zeros(())
+        u = feedback(params.feedback, model.retract, nav, x, T)[2]  # what no error asks for
+        return FilterState(past, x, P, u, memory, x, T, jnp.zeros(model.n_channels), jnp.array(True))
 
     def counted(imu: Imu) -> Prepared:
         divides(cov_stride, imu.dt.size)
@@ -200,16 +199,15 @@ def make_filter(
         residual = y - H @ x
         y, H, R = masked(y, H, R, fix.valid)
         z = Innovation(y - H @ x, H, R, state.P, fix.valid, state.T, age)
-        c = select(fix.valid.any(), rule.correct(params.rule, memory, z), idle(z, memory))
+        c = only_if(fix.valid.any(), rule.correct(params.rule, memory, z), z, memory)
         x = x + c.delta
         S = H @ state.P @ H.T + R
         nis = z.nu @ linalg.solve(S, z.nu)
         # how long an observer's drive may have to last: with two streams a short epoch can come before a long one
         until = jnp.maximum(state.T, jnp.max(jnp.where(c.used, age, 0.0)))
         feed = partial(feedback, params.feedback, model.retract)
-        after, x_after, u = jax.vmap(feed, (0, None, None), (0, None, None))(
-            jax.vmap(model.absorb, (0, None))(state.past, c.drive), x, until
-        )
+        past = jax.vmap(model.absorb, (0, None))(state.past, c.drive) if c.drive else state.past
+        after, x_after, u = jax.vmap(feed, (0, None, None), (0, None, None))(past, x, until)
         f = jnp.broadcast_to(c.fade, x.shape)
         age = jnp.where(c.used, 0.0, age)
         new = FilterState(

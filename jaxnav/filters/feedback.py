@@ -9,22 +9,17 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.error_models.states import A, P, V
-from jaxnav.filters.core import REST
 from jaxnav.types import Drive
-
-
-def _rest() -> Drive:
-    return jax.tree.map(jnp.asarray, REST)
 
 
 def reset(theta, retract, nav, x, T):
     """Closed loop: the error is removed from navigation and its estimate starts again from zero."""
-    return retract(nav, x), jnp.zeros_like(x), _rest()
+    return retract(nav, x), jnp.zeros_like(x), None
 
 
 def open_loop(theta, retract, nav, x, T):
     """Navigation runs free and the filter carries the whole error: only while that stays small enough to be linear."""
-    return nav, x, _rest()
+    return nav, x, None
 
 
 class Poles(NamedTuple):

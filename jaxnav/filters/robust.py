@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav import linalg
-from jaxnav.filters.core import Correction, Innovation, Rule, idle, masked, select
+from jaxnav.filters.core import Correction, Innovation, Rule, masked, only_if, select
 
 BLOCK = 3  # channels of a receiver's measurement
 
@@ -113,7 +113,7 @@ def gate(rule: Rule) -> Rule:
         nu, H, R = masked(z.nu, z.H, z.R, keep)
         seen = z._replace(nu=nu, H=H, R=R, P=P, valid=keep)
         inner = select(late.any(), rule.init(z.P.shape[0], z.nu.size), memory.rule)
-        c = select(keep.any(), rule.correct(theta.rule, inner, seen), idle(seen, inner))
+        c = only_if(keep.any(), rule.correct(theta.rule, inner, seen), seen, inner)
         rejected = jnp.where(out, memory.rejected + z.T, jnp.where(count > 0, 0.0, memory.rejected))
         return c._replace(memory=GateMemory(rejected, c.memory))
 

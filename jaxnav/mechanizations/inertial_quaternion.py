@@ -54,15 +54,14 @@ def leave(nav: Nav) -> Nav:
     return tangent_frame.leave(nav._replace(pos=nav.pos @ AXES, vel=nav.vel @ AXES, q=q))
 
 
-def propagate(nav: Nav, u: Drive, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
-    """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, zero without one.
+def propagate(nav: Nav, u: Drive | None, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
+    """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, None without one.
 
     Returns the last state, or those after the samples ``keep`` (w,), and the path at every ``stride`` samples. A sample
     of dt = 0 changes nothing. Second order in the sample time; the rotation is exact but for coning. The path's ``C``
     and ``force`` are in I.
     """
     inc = increments(nav, imu)
-    spin, push = jnp.asarray(u.omega), jnp.asarray(u.accel)
     w, C_en = earth_rate(nav.origin), tangent_frame.from_ecef(nav.origin).T @ AXES.T
     start = earth.lla_to_ecef(nav.origin.lla)
     t = nav.t + jnp.cumsum(inc.dt)
@@ -77,10 +76,9 @@ def propagate(nav: Nav, u: Drive, imu: Imu, stride: int = 1, keep: jax.Array | N
         thrust = thrust - lag / 2 + jnp.cross(turn, lag) / 12
         g = tangent_frame.gravity(start + C_en @ (r + 0.5 * dt * v)) @ C_en
         mid = v + 0.5 * (thrust + dt * (g - jnp.cross(2 * w, v)))
-        dv = thrust + dt * (g - jnp.cross(2 * w, mid) + push)
-        q = rotations.normalize(
-            rotations.multiply(rotations.exp(spin * dt), rotations.multiply(q, rotations.exp(theta)))
-        )
+        dv = thrust + dt * (g - jnp.cross(2 * w, mid) + (u.accel if u else 0.0))
+        q = rotations.multiply(q, rotations.exp(theta))
+        q = rotations.normalize(rotations.multiply(rotations.exp(u.omega * dt), q) if u else q)
         out = (q, v + dv, r + dt * (v + 0.5 * dv))
         return out, out
 

@@ -84,14 +84,15 @@ def series(f: Callable, x: jax.Array) -> list[tuple]:
 def increment(ground: list[tuple], u: tuple[Vector, Vector], samples: int, x: Level, thrust: Thrust) -> Level:
     """The change over an interval of some samples, its thrust in ENU of the block's first one.
 
-    ``ground``: `series` of `surface`; ``u``: feedback of an observer.
+    ``ground``: `series` of `surface`; ``u``: feedback of an observer, () without one.
     """
     (spin, push), (t, dv, gained) = u, thrust
     # the Earth's shape, rate and gravity half-way, in first order; a mean radius is near enough for that
     off, h = x.north + 0.5 * t * x.vel[1] / earth.A, x.h + 0.5 * t * x.vel[2]
     meridian, prime, g, ie_north, ie_up, tan, sec = (a + off * (b + off * c) for a, b, c in zip(*ground, strict=True))
     north_curve, east_curve = t / (meridian + h), t / (prime + h)
-    pull = scale(t, add(push, (0.0, 0.0, -g * (1 - 2 / earth.A * h))))
+    weight = (0.0, 0.0, -t * g * (1 - 2 / earth.A * h))
+    pull = add(scale(t, push), weight) if push else weight
     ie = (0.0, t * ie_north, t * ie_up)
 
     def transport(v):
@@ -110,7 +111,8 @@ def increment(ground: list[tuple], u: tuple[Vector, Vector], samples: int, x: Le
     # of what grows in the interval the mean: half of it for one sample, of many the exact integral's shares
     s = (1 - 1 / samples**2) / 6
     en = transport(x.vel)
-    late = cross(add(dv, scale(-1.0, gained)), add(ie, en, scale(-t, spin)))  # ENU also turns inside the interval
+    turn = add(ie, en, scale(-t, spin)) if spin else add(ie, en)
+    late = cross(add(dv, scale(-1.0, gained)), turn)  # ENU also turns inside the interval
     first = fall(en, x.vel)
     v = add(x.vel, gained, scale(0.5 - s, late), scale(0.5, first))  # mean velocity
     en = transport(v)
@@ -160,19 +162,20 @@ def attitudes(nav: Nav, spin: Vector, body: Body) -> tuple[Quaternion, Quaternio
 
     @again
     def turn(q, interval):
-        spun, dq, mean = interval
+        dq, mean = interval
         after = multiply(q, dq)
-        return after, (after, multiply(spun, multiply(q, mean)))
+        return after, (after, multiply(q, mean))
 
-    t = jnp.cumsum(body.t)
-    spun = exp(scale(t - body.t, spin))
     if body.mean:
-        ends, means = lax.scan(turn, split(nav.q), (spun, body.q, body.mean))[1]
+        ends, means = lax.scan(turn, split(nav.q), (body.q, body.mean))[1]
     else:
         ends, means = products(split(nav.q), body.q), ()
-    starts = multiply(spun, tuple(before(a, b) for a, b in zip(split(nav.q), ends, strict=True)))
-    ends = multiply(exp(scale(t, spin)), ends)
-    return starts, ends, means
+    starts = tuple(before(a, b) for a, b in zip(split(nav.q), ends, strict=True))
+    if not spin:
+        return starts, ends, means
+    t = jnp.cumsum(body.t)
+    spun = exp(scale(t - body.t, spin))
+    return multiply(spun, starts), multiply(exp(scale(t, spin)), ends), means and multiply(spun, means)
 
 
 def thrust_of(q: Quaternion, body: Body) -> Thrust:
@@ -185,10 +188,10 @@ def unit(nav: Nav) -> Nav:
     return nav._replace(q=jnp.stack(normalize(split(nav.q)), -1))
 
 
-def _block(integrate: Callable, m: int, nav: Nav, u: Drive, given: Interval) -> tuple[Nav, Path, Callable]:
+def _block(integrate: Callable, m: int, nav: Nav, u: Drive | None, given: Interval) -> tuple[Nav, Path, Callable]:
     """The states after all intervals (n,) of m samples, the path, and the function that has those inside them."""
     whole, omega, force = given
-    spin, push = split(u.omega), split(u.accel)
+    spin, push = map(split, u) if u else ((), ())
     q_starts, q_ends, q_means = attitudes(nav, spin, whole)
     lat, lon, h = split(nav.pos)
     zero, t = jnp.zeros_like(lat), jnp.cumsum(whole.t)
@@ -212,7 +215,8 @@ def _block(integrate: Callable, m: int, nav: Nav, u: Drive, given: Interval) -> 
         # in a loop, where the compiler works out every number once: fused into its users each would be made many times
         thrust = thrust_of(q, part.body)
         level = lax.map(again(lambda x: jax.tree.map(jnp.add, x[0], change(*x))), (level, thrust))
-        q = multiply(small(scale(part.body.t, spin)), multiply(q, part.body.q))
+        q = multiply(q, part.body.q)
+        q = multiply(small(scale(part.body.t, spin)), q) if spin else q
         return unit(state(level, q, begin + part.body.t, part.omega, part.force))
 
     if m == 1:
@@ -224,7 +228,7 @@ def _block(integrate: Callable, m: int, nav: Nav, u: Drive, given: Interval) -> 
 
 
 def _samples(
-    integrate: Callable, most: int, nav: Nav, u: Drive, imu: Imu, stride: int, keep: jax.Array
+    integrate: Callable, most: int, nav: Nav, u: Drive | None, imu: Imu, stride: int, keep: jax.Array
 ) -> tuple[Nav, Path]:
     """The states after the samples ``keep`` (w,) and the path, by intervals of one sample.
 
@@ -260,7 +264,9 @@ def filled(a: jax.Array, size: int) -> jax.Array:
     return a if k <= size else jnp.pad(a, ((0, -k % size), *[(0, 0)] * (a.ndim - 1)))
 
 
-def _intervals(m: int, nav: Nav, u: Drive, whole: Interval, parts: Interval, place: jax.Array) -> tuple[Nav, Path]:
+def _intervals(
+    m: int, nav: Nav, u: Drive | None, whole: Interval, parts: Interval, place: jax.Array
+) -> tuple[Nav, Path]:
     """The states after the first samples, ``parts`` (w,), of the intervals ``place``, and the path of all (n,).
 
     More intervals than a block holds are a multiple of that.
@@ -301,9 +307,9 @@ def preintegrate(imu: Imu, last: tuple[Any, Any], stride: int, keep: jax.Array) 
 
 
 def propagate(
-    nav: Nav, u: Drive, imu: Imu | Increments, stride: int = 1, keep: jax.Array | None = None
+    nav: Nav, u: Drive | None, imu: Imu | Increments, stride: int = 1, keep: jax.Array | None = None
 ) -> tuple[Nav, Path]:
-    """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, zero without one.
+    """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, None without one.
 
     Returns the last state, or those after the samples ``keep`` (w,), and the path at every ``stride`` samples: where it
     ends, and its means for the error dynamics. ``pos`` is (lat rad, lon rad, h m), ``vel`` is ENU m/s, ``q`` takes body
@@ -331,7 +337,9 @@ def propagate(
     return jax.tree.map(lambda a: a[0], out) if keep is None else out, path
 
 
-def propagate_block(nav: Nav, u: Drive, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
+def propagate_block(
+    nav: Nav, u: Drive | None, imu: Imu, stride: int = 1, keep: jax.Array | None = None
+) -> tuple[Nav, Path]:
     """`propagate` for all samples at once; faster for one run and on accelerators, slower in a batch."""
     divides(stride, imu.dt.size)
     out, path = _samples(by_sweeps, 1, nav, u, imu, stride, jnp.array([imu.dt.size - 1]) if keep is None else keep)

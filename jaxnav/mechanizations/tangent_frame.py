@@ -78,14 +78,14 @@ def leave(nav: Nav) -> Nav:
     return nav._replace(pos=lla, vel=turn @ nav.vel, q=q)
 
 
-def propagate(nav: Nav, u: Drive, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
-    """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, zero without one.
+def propagate(nav: Nav, u: Drive | None, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
+    """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, None without one.
 
     Returns the last state, or those after the samples ``keep`` (w,), and the path at every ``stride`` samples. A sample
     of dt = 0 changes nothing. Second order in the sample time.
     """
     inc = increments(nav, imu)
-    spin, push = jnp.asarray(u.omega), jnp.asarray(u.accel)
+    spin, push = u or (0.0, 0.0)
     C_et, start, w = from_ecef(nav.origin), earth.lla_to_ecef(nav.origin.lla), earth_rate(nav.origin)
 
     def sample(carry, x):

@@ -227,6 +227,14 @@ def test_gpid_without_gains_is_the_kalman_filter_exactly(case):
     leaves_equal(plain, pid)
 
 
+def test_only_an_observer_carries_a_drive(case):
+    """Without one nothing is turned or pushed, in place of by zero at every sample."""
+    for name, entry in FILTERS.items():
+        params = case.params._replace(rule=entry.theta(), feedback=entry.feedback_theta())
+        u = jax.eval_shape(build(name).init, params, case.nav).u
+        assert (u is not None) is (entry.feedback is observer), name
+
+
 class Seen(NamedTuple):
     age: jax.Array
     T: jax.Array

@@ -1,6 +1,6 @@
 """What is done with the corrected error state: (theta, retract, nav, x, T) -> nav, x, u.
 
-T is the length of the epoch, or the time between fixes of one kind where that is longer.
+u is None but for an observer. T is the length of the epoch, or the time between fixes of one kind where that is longer.
 """
 
 from typing import NamedTuple

@@ -3,8 +3,10 @@
 ``python -m benchmarks.speed_child TASK [ARGUMENT...]`` prints one line of JSON; `ask` starts it.
 """
 
+import gc
 import json
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -49,14 +51,18 @@ def ask(*task: Any, **environment: str) -> Any:
 
 
 def compile_times(names: list[tuple[str, int, bool]]) -> dict[str, dict[str, float]]:
-    """First calls without and with a persistent cache on disk, s; of (label, states, gradient)."""
+    """First calls without and with a persistent cache on disk, s; of (label, states, gradient).
+
+    With it, medians of three processes: they take a few seconds each, in which a busy machine can be slow throughout.
+    """
     with tempfile.TemporaryDirectory() as folder:
         task = partial(
             ask, "first_calls", json.dumps(names), JAX_COMPILATION_CACHE_DIR=folder,
             JAX_ENABLE_COMPILATION_CACHE="true", JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0",
             JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES="0",
         )  # fmt: skip
-        return {"cold": task(), "warm": task()}
+        cold, warm = task(), [task() for _ in range(3)]
+    return {"cold": cold, "warm": {name: statistics.median(each[name] for each in warm) for name in cold}}
 
 
 # ---------------------------------------------------------------------------- in the new process
@@ -70,7 +76,7 @@ def form_of(label: str):
 
 
 def first_calls(names: str) -> dict[str, float]:
-    """Processor seconds of the first call of each on 10 s of one run."""
+    """Processor seconds of the first call of each on 10 s of one run, as if nothing had been called before."""
     import jax
 
     from benchmarks import speed_work as work
@@ -79,6 +85,8 @@ def first_calls(names: str) -> dict[str, float]:
     for label, n, gradient in json.loads(names):
         form = form_of(label)
         arguments = work.inputs(form, n, *work.still(10, 1))
+        jax.clear_caches()
+        gc.collect()  # or what the forms before left is looked through again and again while this one is traced
         function = jax.jit(work.slope(form.loss(n), 1) if gradient else form.forward(n))
         start = time.process_time()
         jax.block_until_ready(function(*arguments))
@@ -115,11 +123,9 @@ def memory(label: str, n: str, seconds: str, runs: str) -> dict[str, float]:
     return {"bytes_per_step": peak / steps, "peak_bytes": peak, "us_per_step": 1e6 * taken / steps}
 
 
-def devices(label: str, n: str, seconds: str, runs: str, repeats: str) -> dict[str, float]:
-    """Wall seconds of a batch on one device and shared between two, each with a processor; medians in turn."""
+def devices(label: str, n: str, seconds: str, runs: str, repeats: str) -> dict[str, list[float]]:
+    """Wall seconds of a batch on one device and shared between two, each with a processor; in turns, of each round."""
     keep_to(cpus()[:2])
-    import statistics
-
     import jax
     from jax.sharding import PartitionSpec
 
@@ -144,7 +150,7 @@ def devices(label: str, n: str, seconds: str, runs: str, repeats: str) -> dict[s
             start = time.perf_counter()
             jax.block_until_ready(call(*arguments))
             taken[name].append(time.perf_counter() - start)
-    return {name: statistics.median(each[1:]) for name, each in taken.items()}
+    return {name: each[1:] for name, each in taken.items()}
 
 
 def main(task: str, *arguments: str) -> None:

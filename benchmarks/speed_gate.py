@@ -15,9 +15,9 @@ WORSE = 1.5  # times the baseline's ratio
 Result = dict[str, dict[str, dict]]  # tables of rows
 
 
-def us(result: Result, of: str, *names: str) -> float:
-    """Microseconds per sample of the fastest of these rows of a table; nan where none was measured."""
-    rows = [result[of][name]["us_per_step"] for name in names if name in result[of]]
+def cost(result: Result, of: str, *names: str) -> float:
+    """The fastest of these rows of a table, by their ratio to what all rows are compared with; nan without any."""
+    rows = [result[of][name]["ratio"] for name in names if name in result[of]]
     return min(rows, default=float("nan"))
 
 
@@ -44,16 +44,16 @@ def upper(result: Result) -> Iterator[tuple[str, float, float]]:
     """Text, value and what it may be at most."""
     for n, limit in ((9, 6.0), (15, 4.0)):
         one, many = f"{n} states", f"{n} states, 256 runs"
-        gap = us(result, "single", *fast(1, one)) / us(result, "single", f"floor, {one}")
+        gap = cost(result, "single", *fast(1, one)) / cost(result, "single", f"floor, {one}")
         yield f"stride 1 / scalar floor, one run, {n} states", gap, limit
-        gap = us(result, "batch", *fast(1, many)) / us(result, "batch", f"floor, {many}")
+        gap = cost(result, "batch", *fast(1, many)) / cost(result, "batch", f"floor, {many}")
         yield f"stride 1 / 8-lane floor, 256 runs, {n} states", gap, limit
     for runs in (1, 64):
-        name = min(fast(10, f"15 states, {runs} runs"), key=lambda row: us(result, "gradient", row))
-        cost = number(result, "gradient", name, "by_forward")
-        yield f"value and gradient / forward, stride 10, {runs} runs", cost, 5.0
-        cost = number(result, "gradient", f"stride 10, prepared, 15 states, {runs} runs", "by_forward")
-        yield f"value and gradient / forward, stride 10, prepared, {runs} runs", cost, 5.0
+        name = min(fast(10, f"15 states, {runs} runs"), key=lambda row: cost(result, "gradient", row))
+        by_forward = number(result, "gradient", name, "by_forward")
+        yield f"value and gradient / forward, stride 10, {runs} runs", by_forward, 5.0
+        by_forward = number(result, "gradient", f"stride 10, prepared, 15 states, {runs} runs", "by_forward")
+        yield f"value and gradient / forward, stride 10, prepared, {runs} runs", by_forward, 5.0
     memory = number(result, "gradient", "stride 10, 15 states, an hour of 8 runs", "bytes_per_step")
     yield "peak memory of the gradient, bytes per sample and run", memory, 500.0
     apart = 1e3 * number(result, "accuracy", "stride 10", "m")
@@ -74,17 +74,17 @@ def lower(result: Result) -> Iterator[tuple[str, float, float]]:
     """Text, value and what it must be at least."""
     for n, at10, at1 in ((9, 8.0, 2.4), (15, 7.0, 1.8)):
         many = f"{n} states, 256 runs"
-        nested = us(result, "batch", f"nested scan, {many}")
-        yield f"nested scan / stride 10, 256 runs, {n} states", nested / us(result, "batch", *fast(10, many)), at10
-        ready = nested / us(result, "batch", f"stride 10, prepared, {many}")
+        nested = cost(result, "batch", f"nested scan, {many}")
+        yield f"nested scan / stride 10, 256 runs, {n} states", nested / cost(result, "batch", *fast(10, many)), at10
+        ready = nested / cost(result, "batch", f"stride 10, prepared, {many}")
         yield f"nested scan / stride 10, prepared, 256 runs, {n} states", ready, at10
-        yield f"nested scan / stride 1, 256 runs, {n} states", nested / us(result, "batch", *fast(1, many)), at1
+        yield f"nested scan / stride 1, 256 runs, {n} states", nested / cost(result, "batch", *fast(1, many)), at1
     for step, stride, limit in (("IMU", 1, 1500.0), ("default", 10, 600.0)):
-        gap = us(result, "peers", f"python-ins, {step} step") / us(result, "peers", *fast(stride, "15 states"))
+        gap = cost(result, "peers", f"python-ins, {step} step") / cost(result, "peers", *fast(stride, "15 states"))
         yield f"python-ins, {step} step / stride {stride}", gap, limit
     for runs in (1, 64):
         many = f"15 states, {runs} runs"
-        gap = us(result, "gradient", f"nested, checkpoint, {many}") / us(result, "gradient", *fast(10, many))
+        gap = cost(result, "gradient", f"nested, checkpoint, {many}") / cost(result, "gradient", *fast(10, many))
         yield f"gradient: nested, checkpoint / stride 10, {runs} runs", gap, 4.0
     for name, row in result["scaling"].items():
         if name.startswith("2 devices"):

@@ -3,6 +3,7 @@
 import os
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import NamedTuple
 
 import jax
@@ -25,6 +26,7 @@ from benchmarks.speed_work import (
     executable,
     exponent,
     interleaved,
+    quotient,
     release,
     rms,
     table,
@@ -42,7 +44,7 @@ class Sizes(NamedTuple):
     large: tuple[int, int] = (4096, 20)  # from so many runs on so many seconds
     gradients: tuple[int, ...] = (1, 64)
     inertial: tuple[int, int] = (60, 20)  # s: python-ins as it comes, and at the IMU step
-    repeats: int = 5
+    repeats: int = 7
     plain: tuple[Form, ...] = (NAIVE, NESTED, FIRST)
     full: bool = True
 
@@ -122,11 +124,12 @@ def gradient(sizes: Sizes) -> dict[str, dict]:
         forms |= {f: f for f in ours}
         slopes = {name_of(f, n, runs): executable(f, n, seconds, runs, True) for f in forms}
         values = {name_of(f, n, runs): executable(f2, n, seconds, runs) for f, f2 in forms.items()}
-        taken = interleaved({k: e.call for k, e in slopes.items()}, min(sizes.repeats, 3))
-        before = interleaved({k: e.call for k, e in values.items()}, sizes.repeats)
-        new = table(taken, steps, name_of(CHECKPOINT, n, runs))
+        calls = {k: e.call for k, e in slopes.items()} | {f"{k}: forward": e.call for k, e in values.items()}
+        taken = interleaved(calls, sizes.repeats)
+        new = table({k: taken[k] for k in slopes}, steps, name_of(CHECKPOINT, n, runs))
         for name, row in new.items():
-            row |= {"by_forward": taken[name] / before[name], "temp_bytes_per_step": slopes[name].temp / steps}
+            row["by_forward"] = quotient(taken[name], taken[f"{name}: forward"])
+            row["temp_bytes_per_step"] = slopes[name].temp / steps
         show(f"value and gradient, batch of {runs} on {seconds} s", new, ("by_forward", "temp_bytes_per_step"))
         rows |= new
         if sizes.full:
@@ -172,13 +175,16 @@ def compiling(sizes: Sizes) -> dict[str, dict]:
 def scaling(sizes: Sizes, batches: dict[str, dict], devices: bool) -> tuple[dict[str, dict], dict]:
     """Exponents of cost in run length, batch and states, and two devices; also the curves."""
     curves: dict[str, dict[str, list[list[float]]]] = {"run length, s": {}, "batch": {}}
+    by_round = {}  # exponents of run length
     pair = [f for f in OURS if not f.single and not f.ready]
     tolerance = {"run length, s": 0.03, "batch": 0.05} if sizes.full else {}
     if sizes.full:
         calls = {(f, s): executable(f, 15, s, 1).call for f in pair for s in sizes.lengths}
-        taken = interleaved({f"{f.label} {s}": call for (f, s), call in calls.items()}, sizes.repeats)
+        taken = interleaved({f"{f.label} {s}": call for (f, s), call in calls.items()}, 2 * sizes.repeats)
         for f in pair:
-            points = [[float(s), taken[f"{f.label} {s}"]] for s in sizes.lengths]
+            seconds = [taken[f"{f.label} {s}"] for s in sizes.lengths]
+            by_round[name_of(f, 15)] = median(exponent(sizes.lengths, each) for each in zip(*seconds, strict=True))
+            points = [[float(s), median(each)] for s, each in zip(sizes.lengths, seconds, strict=True)]
             curves["run length, s"][name_of(f, 15)] = points
     for f in pair:
         for n in sizes.states:
@@ -191,7 +197,8 @@ def scaling(sizes: Sizes, batches: dict[str, dict], devices: bool) -> tuple[dict
     rows = {}
     for quantity, lines in curves.items():
         for name, points in lines.items():
-            row = {"seconds": points[-1][1], "ratio_to": "exponent 1", "ratio": exponent(*zip(*points, strict=True))}
+            found = by_round[name] if quantity == "run length, s" else exponent(*zip(*points, strict=True))
+            row = {"seconds": points[-1][1], "ratio_to": "exponent 1", "ratio": found}
             limit = {"tolerance": tolerance[quantity]} if quantity in tolerance else {}
             rows[f"{quantity.split(',')[0]}, {name}"] = row | limit | {"points": points}
     if len(sizes.states) > 1:
@@ -202,9 +209,9 @@ def scaling(sizes: Sizes, batches: dict[str, dict], devices: bool) -> tuple[dict
                     "us_per_step": cost[-1], "ratio_to": "exponent 1", "ratio": exponent(sizes.states, cost),
                 }  # fmt: skip
     if devices:
-        t = speed_child.ask("devices", "stride 10", 15, sizes.seconds, 1024, 3, JAX_NUM_CPU_DEVICES="2")
+        t = speed_child.ask("devices", "stride 10", 15, sizes.seconds, 1024, sizes.repeats, JAX_NUM_CPU_DEVICES="2")
         rows["2 devices, stride 10, 15 states, 1024 runs"] = {
-            "seconds": t["2"], "ratio_to": "1 device, wall time", "ratio": t["2"] / t["1"],
+            "seconds": median(t["2"]), "ratio_to": "1 device, wall time", "ratio": quotient(t["2"], t["1"]),
         }  # fmt: skip
     show("growth: cost ~ size ^ exponent", rows)
     return rows, curves

@@ -122,6 +122,9 @@ def still(seconds: int, runs: int) -> tuple[Noise, Nav, Epoch]:
 # ---------------------------------------------------------------------------- timing
 
 
+Rounds = dict[str, list[float]]  # seconds of each call, one of every round
+
+
 class Executable(NamedTuple):
     """A form, compiled for some arguments and ready to be called with them."""
 
@@ -197,13 +200,18 @@ def turn(call: Callable[[], Any]) -> float:
     return spent
 
 
-def interleaved(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
-    """Median processor seconds of each call; they take turns, so that a change of the machine's speed hits all."""
-    taken: dict[str, list[float]] = {name: [] for name in calls}
+def interleaved(calls: dict[str, Callable[[], Any]], repeats: int) -> Rounds:
+    """Processor seconds of each call, round by round; they take turns, so that a change of speed hits all alike."""
+    taken: Rounds = {name: [] for name in calls}
     for _ in range(repeats):
         for name, call in calls.items():
             taken[name].append(turn(call))
-    return {name: statistics.median(each) for name, each in taken.items()}
+    return taken
+
+
+def quotient(a: list[float], b: list[float]) -> float:
+    """Median over the rounds of a / b: a machine that now runs at full speed and now at half favours neither."""
+    return statistics.median(x / y for x, y in zip(a, b, strict=True))
 
 
 def exponent(size: Any, cost: Any) -> float:
@@ -227,8 +235,14 @@ def rms(lla: Any, reference: Any) -> list[float]:
     return np.sqrt(np.mean(metres(lla, reference) ** 2, axis=0)).tolist()
 
 
-def table(seconds: dict[str, float], steps: dict[str, int] | int, to: str) -> dict[str, dict]:
-    """Rows of a table: microseconds per IMU sample and run, and the ratio to one of them, less being faster."""
+def table(taken: Rounds, steps: dict[str, int] | int, to: str) -> dict[str, dict]:
+    """Rows of a table: microseconds per IMU sample and run, and the ratio to one of them, less being faster.
+
+    Both are medians over the rounds, the ratio that of what was measured in the same round.
+    """
     each = lambda name: steps if isinstance(steps, int) else steps[name]  # noqa: E731
-    us = {name: 1e6 * s / each(name) for name, s in seconds.items()}
-    return {name: {"us_per_step": v, "ratio_to": to, "ratio": v / us[to]} for name, v in us.items()}
+    us = {name: [1e6 * s / each(name) for s in seconds] for name, seconds in taken.items()}
+    return {
+        name: {"us_per_step": statistics.median(v), "ratio_to": to, "ratio": quotient(v, us[to])}
+        for name, v in us.items()
+    }

@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxnav import linalg, rotations
 from jaxnav.error_models.states import STATES, A, B, G
+from jaxnav.mechanizations.components import running
 from jaxnav.types import Drive, Nav, Noise, Path
 
 
@@ -111,7 +112,7 @@ def _slow(blocks: dict, noise: Noise, point: Path, h: jax.Array, n: int) -> tupl
 
 def _nilpotent(maps: Maps, C, f, T, u: Drive | None, n: int) -> tuple[jax.Array, jax.Array]:
     """Phi (n, n) and d (n,) of p' = v, v' = A(f) phi + B b_a + u, phi' = G b_g + u, exactly for piecewise constants."""
-    total, start = T.sum(), jnp.cumsum(T) - T
+    total, start = T.sum(), running(T) - T
     w = T * (total - start - 0.5 * T)  # what an acceleration over each point does to the position
     weights = jnp.stack([w, T])
     A_w, A_T = maps.A(weights @ f)
@@ -125,7 +126,7 @@ def _nilpotent(maps: Maps, C, f, T, u: Drive | None, n: int) -> tuple[jax.Array,
     rows = [[eye, total * eye, A_w], [zero, eye, A_T], [zero, zero, eye]]
     if n > 9:
         flat = C.reshape(-1, 9)
-        turned = jnp.cumsum(T[:, None] * flat, 0)
+        turned = running(T[:, None] * flat)
         middle = turned - 0.5 * T[:, None] * flat
         both = jnp.concatenate([weights[:, :, None] * f, (-(T**3) / 12)[None, :, None] * f])  # (3, b, 3)
         w_AG, T_AG = jnp.einsum("sba,bc->sac", both[:2], middle)
@@ -144,14 +145,12 @@ def _nilpotent(maps: Maps, C, f, T, u: Drive | None, n: int) -> tuple[jax.Array,
 
 def _white(maps: Maps, C, f, T, noise: Noise, lumped: bool) -> jax.Array:
     """(9, 6 moments): what white noise of gyros and accelerometers at some moments does at the epoch's end."""
-    total, end = T.sum(), jnp.cumsum(T)
+    total, end = T.sum(), running(T)
     if lumped:
         moments, lengths, C_then = end, T, C
     else:  # Gauss' points, which integrate polynomials up to the fifth order
         moments, lengths = total * (0.5 + 0.5 * GAUSS3), total * np.array([5, 8, 5]) / 18
-        # a start is the end before it, bit for bit: else rounding can put a moment into no point, or into two
-        start = jnp.concatenate([jnp.zeros(1), end[:-1]])
-        C_then = jnp.tensordot(((start <= moments[:, None]) & (moments[:, None] < end)).astype(T.dtype), C, 1)
+        C_then = C[jnp.minimum((end <= moments[:, None]).sum(1), end.size - 1)]
     later = jnp.clip(end - moments[:, None], 0.0, T)  # how much of each point comes after each moment
     alpha, pi = maps.A(later @ f), maps.A((later * (total - end + 0.5 * later)) @ f)
     column = lambda a: a[:, None, None]  # noqa: E731

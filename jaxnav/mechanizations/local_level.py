@@ -37,6 +37,7 @@ from jaxnav.mechanizations.components import (
     normalize,
     products,
     rotate,
+    running,
     scale,
     small,
     split,
@@ -173,7 +174,7 @@ def attitudes(nav: Nav, spin: Vector, body: Body) -> tuple[Quaternion, Quaternio
     starts = tuple(before(a, b) for a, b in zip(split(nav.q), ends, strict=True))
     if not spin:
         return starts, ends, means
-    t = jnp.cumsum(body.t)
+    t = running(body.t)
     spun = exp(scale(t - body.t, spin))
     return multiply(spun, starts), multiply(exp(scale(t, spin)), ends), means and multiply(spun, means)
 
@@ -194,7 +195,7 @@ def _block(integrate: Callable, m: int, nav: Nav, u: Drive | None, given: Interv
     spin, push = map(split, u) if u else ((), ())
     q_starts, q_ends, q_means = attitudes(nav, spin, whole)
     lat, lon, h = split(nav.pos)
-    zero, t = jnp.zeros_like(lat), jnp.cumsum(whole.t)
+    zero, t = jnp.zeros_like(lat), running(whole.t)
     # about a latitude that is taken as a constant: the derivative by it comes from the series' own variable
     centre = lax.stop_gradient(lat)
     change = partial(increment, series(surface, centre), (spin, push), m)

@@ -150,6 +150,7 @@ def _white(maps: Maps, C, f, T, noise: Noise, lumped: bool) -> jax.Array:
         moments, lengths, C_then = end, T, C
     else:  # Gauss' points, which integrate polynomials up to the fifth order
         moments, lengths = total * (0.5 + 0.5 * GAUSS3), total * np.array([5, 8, 5]) / 18
+        # the first point that ends after a moment; the last one where rounding or an empty epoch leaves none
         C_then = C[jnp.minimum((end <= moments[:, None]).sum(1), end.size - 1)]
     later = jnp.clip(end - moments[:, None], 0.0, T)  # how much of each point comes after each moment
     alpha, pi = maps.A(later @ f), maps.A((later * (total - end + 0.5 * later)) @ f)

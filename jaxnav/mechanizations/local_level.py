@@ -141,13 +141,10 @@ def by_sweeps(change: Callable, start: Level, thrust: Thrust) -> Level:
     first = jnp.stack(leaves)
     ends = jnp.broadcast_to(first, (thrust.t.size, first.size))
 
-    def add_up(a, b):  # in a scan: the cheapest form of a cumulative sum on a processor
-        return a + b, a + b
-
     def sweep(ends, _):
         starts = jnp.concatenate([first[None], ends[:-1]])
         changes = jax.tree.leaves(change(jax.tree.unflatten(tree, split(starts)), thrust))
-        return lax.scan(add_up, first, jnp.stack(changes, -1))[1], None
+        return first + running(jnp.stack(changes, -1)), None
 
     # a sweep forgets all but 1e-4 of where it starts: two of them have the derivative, too
     ends = lax.stop_gradient(lax.scan(sweep, ends, length=SWEEPS - 2)[0])

@@ -152,6 +152,16 @@ def test_noise_enters_as_root_psd_in_body_axes():
     assert np.linalg.eigvalsh(Q / np.sqrt(np.outer(np.diag(Q), np.diag(Q)) + 1e-300)).min() > -1e-12
 
 
+def test_noise_follows_a_body_that_turns_within_an_epoch():
+    """A gyro noisy about one axis, one radian in a second: the integral of C diag C' over the samples."""
+    k = 100
+    points = jax.tree.map(lambda a: jnp.repeat(a[:1], k, 0), propagate(a_nav(), None, an_imu(4, 0.2))[1])
+    C = jax.vmap(lambda a: rotations.to_dcm(rotations.exp(a * jnp.array([0.0, 0.0, 1.0]))))((jnp.arange(k) + 0.5) / k)
+    noise = PARAMS.noise._replace(gyro=jnp.array([1.0, 0.0, 0.0]), gyro_bias=jnp.array(0.0))
+    Q = np.asarray(discretize(noise, points._replace(C=C), jnp.full(k, 1 / k), None)[1])
+    np.testing.assert_allclose(Q[A, A], np.einsum("ki,kj->ij", C[..., 0], C[..., 0]) / k, rtol=0, atol=0.01)
+
+
 def test_no_noise_is_lost_where_rounding_moves_the_ends_of_points():
     """Of ten points one ends at the middle, where a third of the noise is integrated, or by rounding just beside."""
     points = jax.tree.map(lambda a: jnp.repeat(a[:1], 10, 0), propagate(a_nav(), None, an_imu(4, 0.2))[1])

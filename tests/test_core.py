@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.custom_derivatives import SymbolicZero
 
 from jaxnav import earth, metrics, rotations
 from jaxnav.epochs import pack
@@ -369,6 +370,33 @@ def test_one_trace_serves_all_values(case):
         params = datasheet_params(GRADE, tilt_sd=scale * DEG)
         jitted.trace(build("kf9_simple"), params, case.nav, case.packed.epochs)  # built anew: the same object
     assert build("kf9_simple") is build("kf9_simple") and set(FILTERS) > {"ekf15", "gpid"}
+
+
+@pytest.mark.parametrize("feedback", [reset, observer])
+def test_a_gradient_differentiates_an_epoch_once(case, feedback):
+    """What depends on the parameters is known from the start; else the scan begins again until it is."""
+    tried = []
+
+    @jax.custom_jvp
+    def seen(nav, rate):
+        return nav
+
+    def rule(primals, tangents):  # called for every set of derivatives that the scan tries
+        tried.append([type(t) is not SymbolicZero for t in jax.tree.leaves(tangents)])
+        return primals[0], jax.tree.map(lambda t: jnp.zeros(t.shape) if isinstance(t, SymbolicZero) else t, tangents[0])
+
+    seen.defjvp(rule, symbolic_zeros=True)
+
+    def loss(noise):
+        def propagate(nav, *rest):
+            return local_level.propagate(seen(nav, noise.gyro), *rest)
+
+        filt = make_filter.__wrapped__(propagate, error_model(), Rule(lambda n, m: None, kalman_correct), feedback)
+        params = case.params._replace(noise=noise, feedback=Poles(1.0, 1.0))
+        return jnp.sum(run(filt, params, case.nav, case.packed.epochs).nu ** 2)
+
+    jax.jit(jax.grad(loss)).trace(case.params.noise)
+    assert len(tried) == 1, tried
 
 
 def test_float32_is_refused(case):

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import speed_floor, speed_gate, speed_peers, speed_plain
+from benchmarks import speed_floor, speed_gate, speed_peers, speed_plain, speed_tables
 from benchmarks.speed_work import PARAMS, SIDE, distance, exponent, forward, over_runs, table, turn
 from jaxnav import earth
 from jaxnav.filters.catalogue import build
@@ -115,11 +115,23 @@ def test_gate_fails_where_a_ratio_of_ours_is_worse(tmp_path, capsys):
 def test_bars_take_the_faster_of_our_forms_and_leave_out_what_was_not_measured():
     result = empty()
     result["single"] = {
-        name: {"ratio": ratio}
-        for name, ratio in (("floor, 9 states", 0.2), ("stride 1, 9 states", 2.0), ("stride 1, block, 9 states", 1.0))
+        name: {"ratio": ratio} | beside
+        for name, ratio, beside in (
+            ("floor, 9 states", 0.2, {}),
+            ("stride 1, 9 states", 2.0, {"by_floor": 11.0}),
+            ("stride 1, block, 9 states", 1.0, {"by_floor": 5.5}),
+        )
     }
     (row,) = speed_gate.bars(result)
-    assert row["value"] == pytest.approx(5.0) and row["met"]
+    assert row["value"] == 5.5 and row["met"]
+
+
+def test_a_floor_is_compared_with_our_rows_turn_by_turn():
+    """Where the machine's speed halves for a turn, and for the two of them alike, the ratio stays."""
+    taken = {"floor, 9 states": [1.0, 2.0, 1.0], "stride 1, 9 states": [5.0, 10.0, 5.5], "nested": [9.0, 9.0, 9.0]}
+    rows = {name: {} for name in taken}
+    speed_tables.beside_floor(rows, taken, "floor, 9 states")
+    assert rows == {"floor, 9 states": {}, "stride 1, 9 states": {"by_floor": 5.0}, "nested": {}}
 
 
 def test_more_runs_than_go_side_by_side_give_the_same():

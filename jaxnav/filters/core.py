@@ -115,6 +115,22 @@ def select(flag: jax.Array, a: Any, b: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(flag, range(flag.ndim, jnp.ndim(a))), a, b), a, b)
 
 
+@jax.custom_jvp
+def depending(params: Params, a: jax.Array) -> jax.Array:
+    """``a``, with a derivative in all parameters: one of zero, but that cannot be told while it is traced.
+
+    A scan differentiates its body again and again until it knows which parts of its carry have a derivative. Where the
+    same parts of its start have one it knows at once, and a gradient takes an eighth to a quarter less time to trace.
+    """
+    return a
+
+
+@depending.defjvp
+def _depending_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    leaves = [t.sum() for t in jax.tree.leaves(tangents[0]) if t.dtype != jax.dtypes.float0]
+    return primals[1], tangents[1] + jnp.where(False, sum(leaves), 0.0)
+
+
 def masked(y: jax.Array, H: jax.Array, R: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Make missing channels exact no-ops: zero residual and row of H, identity in R."""
     both = valid[:, None] & valid
@@ -155,12 +171,14 @@ def make_filter(
         raise ValueError(f"history must be at least 2 samples, got {history}")
 
     def init(params: Params, nav: Nav) -> FilterState:
-        x, nav = jnp.zeros(model.n_states), model.enter(nav)
-        past = jax.tree.map(lambda a: jnp.broadcast_to(a, (history, *jnp.shape(a))), nav)
+        nav, T = model.enter(nav), jnp.zeros(())
+        P = depending(params, model.covariance(params.prior, nav))
+        # feeding back an error of zero changes nothing, but gives u and a derivative to all that an error reaches
+        x = depending(params, jnp.zeros(model.n_states))
+        start, x, u = feedback(params.feedback, model.retract, nav, x, T)
+        start = start._replace(omega=nav.omega + (nav.b_g - start.b_g), force=nav.force + (nav.b_a - start.b_a))
+        past = jax.tree.map(lambda a: jnp.broadcast_to(a, (history, *jnp.shape(a))), start)
         memory = rule.init(model.n_states, model.n_channels)
-        P = model.covariance(params.prior, nav)
-        T = jnp.zeros(())
-        u = feedback(params.feedback, model.retract, nav, x, T)[2]  # what no error asks for
         return FilterState(past, x, P, u, memory, x, T, jnp.zeros(model.n_channels), jnp.array(True))
 
     def counted(imu: Imu) -> Prepared:

@@ -4,31 +4,27 @@ import json
 import math
 import sys
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 BASELINE = Path(__file__).parent / "results" / "speed_baseline.json"
 TABLES = ("single", "batch", "gradient", "compile", "scaling", "peers")
+SLOPES = ("stride 10", "stride 10, block", "stride 10, prepared")  # forms whose gradient has bars
 WORSE = 1.5  # times the baseline's ratio
 
 
 Result = dict[str, dict[str, dict]]  # tables of rows
 
 
-def cost(result: Result, of: str, *names: str) -> float:
-    """The fastest of these rows of a table, by their ratio to what all rows are compared with; nan without any."""
-    rows = [result[of][name]["ratio"] for name in names if name in result[of]]
-    return min(rows, default=float("nan"))
+def least(result: Result, of: str, *names: str, key: str = "ratio") -> float:
+    """The least number under ``key`` in these rows of a table; nan where none has it."""
+    return min((result[of][name][key] for name in names if key in result[of].get(name, {})), default=float("nan"))
 
 
 def fast(stride: int, tail: str) -> tuple[str, str]:
     """Names of our rows at a stride, of which the faster one counts."""
     return f"stride {stride}, {tail}", f"stride {stride}, block, {tail}"
-
-
-def number(result: Result, of: str, name: str, key: str) -> float:
-    """One of a row's numbers, nan where it was not measured."""
-    return result[of].get(name, {}).get(key, float("nan"))
 
 
 def bars(result: Result) -> list[dict[str, Any]]:
@@ -44,23 +40,18 @@ def upper(result: Result) -> Iterator[tuple[str, float, float]]:
     """Text, value and what it may be at most."""
     for n, limit in ((9, 6.0), (15, 4.0)):
         one, many = f"{n} states", f"{n} states, 256 runs"
-        gap = cost(result, "single", *fast(1, one)) / cost(result, "single", f"floor, {one}")
-        yield f"stride 1 / scalar floor, one run, {n} states", gap, limit
-        gap = cost(result, "batch", *fast(1, many)) / cost(result, "batch", f"floor, {many}")
-        yield f"stride 1 / 8-lane floor, 256 runs, {n} states", gap, limit
-    for runs in (1, 64):
-        name = min(fast(10, f"15 states, {runs} runs"), key=lambda row: cost(result, "gradient", row))
-        by_forward = number(result, "gradient", name, "by_forward")
-        yield f"value and gradient / forward, stride 10, {runs} runs", by_forward, 5.0
-        by_forward = number(result, "gradient", f"stride 10, prepared, 15 states, {runs} runs", "by_forward")
-        yield f"value and gradient / forward, stride 10, prepared, {runs} runs", by_forward, 5.0
-    memory = number(result, "gradient", "stride 10, 15 states, an hour of 8 runs", "bytes_per_step")
+        for table, name, what in (("single", one, "scalar floor, one run"), ("batch", many, "8-lane floor, 256 runs")):
+            yield f"stride 1 / {what}, {n} states", least(result, table, *fast(1, name), key="by_floor"), limit
+    for form, runs in product(SLOPES, (1, 64)):
+        by_forward = least(result, "gradient", f"{form}, 15 states, {runs} runs", key="by_forward")
+        yield f"value and gradient / forward, {form}, {runs} runs", by_forward, 5.0
+    memory = least(result, "gradient", "stride 10, 15 states, an hour of 8 runs", key="bytes_per_step")
     yield "peak memory of the gradient, bytes per sample and run", memory, 500.0
-    apart = 1e3 * number(result, "accuracy", "stride 10", "m")
+    apart = 1e3 * least(result, "accuracy", "stride 10", key="m")
     yield "stride 10 against stride 1 over the hour, position, mm", apart, 10.0
-    apart = 1e3 * number(result, "accuracy", "stride 10", "prepared_m")
+    apart = 1e3 * least(result, "accuracy", "stride 10", key="prepared_m")
     yield "stride 10, prepared, against stride 1 over the hour, position, mm", apart, 10.0
-    apart = 100 * number(result, "accuracy", "stride 10", "gradient")
+    apart = 100 * least(result, "accuracy", "stride 10", key="gradient")
     yield "stride 10 against stride 1 over the hour, gradient, %", apart, 1.0
     for name, row in result["scaling"].items():
         if "tolerance" in row:
@@ -74,18 +65,18 @@ def lower(result: Result) -> Iterator[tuple[str, float, float]]:
     """Text, value and what it must be at least."""
     for n, at10, at1 in ((9, 8.0, 2.4), (15, 7.0, 1.8)):
         many = f"{n} states, 256 runs"
-        nested = cost(result, "batch", f"nested scan, {many}")
-        yield f"nested scan / stride 10, 256 runs, {n} states", nested / cost(result, "batch", *fast(10, many)), at10
-        ready = nested / cost(result, "batch", f"stride 10, prepared, {many}")
+        nested = least(result, "batch", f"nested scan, {many}")
+        yield f"nested scan / stride 10, 256 runs, {n} states", nested / least(result, "batch", *fast(10, many)), at10
+        ready = nested / least(result, "batch", f"stride 10, prepared, {many}")
         yield f"nested scan / stride 10, prepared, 256 runs, {n} states", ready, at10
-        yield f"nested scan / stride 1, 256 runs, {n} states", nested / cost(result, "batch", *fast(1, many)), at1
+        yield f"nested scan / stride 1, 256 runs, {n} states", nested / least(result, "batch", *fast(1, many)), at1
     for step, stride, limit in (("IMU", 1, 1500.0), ("default", 10, 600.0)):
-        gap = cost(result, "peers", f"python-ins, {step} step") / cost(result, "peers", *fast(stride, "15 states"))
+        gap = least(result, "peers", f"python-ins, {step} step") / least(result, "peers", *fast(stride, "15 states"))
         yield f"python-ins, {step} step / stride {stride}", gap, limit
-    for runs in (1, 64):
+    for form, runs in product(SLOPES, (1, 64)):
         many = f"15 states, {runs} runs"
-        gap = cost(result, "gradient", f"nested, checkpoint, {many}") / cost(result, "gradient", *fast(10, many))
-        yield f"gradient: nested, checkpoint / stride 10, {runs} runs", gap, 4.0
+        gap = least(result, "gradient", f"nested, checkpoint, {many}") / least(result, "gradient", f"{form}, {many}")
+        yield f"gradient: nested, checkpoint / {form}, {runs} runs", gap, 4.0
     for name, row in result["scaling"].items():
         if name.startswith("2 devices"):
             yield f"speedup of {name}", 1 / row["ratio"], 1.7

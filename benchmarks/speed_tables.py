@@ -2,6 +2,7 @@
 
 import os
 from functools import partial
+from itertools import product
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -21,6 +22,7 @@ from benchmarks.speed_work import (
     PARAMS,
     RATE,
     Form,
+    Rounds,
     arguments,
     drives,
     executable,
@@ -66,6 +68,13 @@ def show(title: str, rows: dict[str, dict], others: tuple[str, ...] = ()) -> Non
         print(f"  {name:48} {cost}  {row['ratio']:9.3g} x {row['ratio_to']}{extra}{row.get('note', '')}")
 
 
+def beside_floor(rows: dict[str, dict], taken: Rounds, floor: str) -> None:
+    """Add to our rows how many times as long as the floor they take, in the same turn."""
+    for name, row in rows.items():
+        if floor in taken and name.startswith("stride"):
+            row["by_floor"] = quotient(taken[name], taken[floor])
+
+
 # ---------------------------------------------------------------------------- tables
 
 
@@ -79,10 +88,12 @@ def single(sizes: Sizes) -> dict[str, dict]:
         if (own := floor(n, 1, PARAMS(), *lone)) is not None:
             calls[f"floor, {n} states"] = own
         taken = interleaved(calls, sizes.repeats)
-        rows |= table(taken, seconds * RATE, name_of(NESTED, n))
+        new = table(taken, seconds * RATE, name_of(NESTED, n))
+        beside_floor(new, taken, f"floor, {n} states")
+        rows |= new
     if sizes.full:
         release()
-    show(f"one run of {seconds} s", rows)
+    show(f"one run of {seconds} s", rows, ("by_floor",))
     return rows
 
 
@@ -103,13 +114,15 @@ def batch(sizes: Sizes) -> dict[str, dict]:
             if runs % 8 == 0 and (own := floor(n, 8, PARAMS(), *given[1:])) is not None:
                 calls[f"floor, {n} states, {runs} runs"] = own
             taken = interleaved(calls, sizes.repeats if runs <= 256 else 3)
-            rows |= table(taken, seconds * RATE * runs, name_of(NESTED, n, runs))
+            new = table(taken, seconds * RATE * runs, name_of(NESTED, n, runs))
+            beside_floor(new, taken, f"floor, {n} states, {runs} runs")
+            rows |= new
             if sizes.full:
                 release()
             if seconds != sizes.seconds:
                 for name in taken:
                     rows[name]["note"] = f"  (on {seconds} s)"
-        show(f"batch of {runs}", {name: row for name, row in rows.items() if f" {runs} runs" in name})
+        show(f"batch of {runs}", {k: row for k, row in rows.items() if f" {runs} runs" in k}, ("by_floor",))
     return rows
 
 
@@ -155,19 +168,15 @@ def compiling(sizes: Sizes) -> dict[str, dict]:
         for row in rows.values():
             row["ratio"] = row["seconds"] / rows[row["ratio_to"]]["seconds"]
     else:
-        names = [
-            (f.label, n, g) for n in sizes.states for g, forms in ((False, forward), (True, backward)) for f in forms
-        ]
-        times = speed_child.compile_times(names)
-        for label, n, g in names:
-            name, first = (speed_child.title(k, n, g) for k in (label, (backward if g else forward)[0].label))
-            cold, warm = times["cold"][name], times["warm"][name]
-            rows[f"{name}, cold"] = {
-                "seconds": cold,
-                "ratio_to": f"{first}, cold",
-                "ratio": cold / times["cold"][first],
-            }
-            rows[f"{name}, warm"] = {"seconds": warm, "ratio_to": "cold", "ratio": warm / cold}
+        for n, gradient in product(sizes.states, (False, True)):
+            names = [(f.label, n, gradient) for f in (backward if gradient else forward)]
+            times = speed_child.compile_times(names)
+            titles = [speed_child.title(*name) for name in names]
+            for name in titles:
+                cold, warm = times["cold"][name], times["warm"][name]
+                ratio = cold / times["cold"][titles[0]]
+                rows[f"{name}, cold"] = {"seconds": cold, "ratio_to": f"{titles[0]}, cold", "ratio": ratio}
+                rows[f"{name}, warm"] = {"seconds": warm, "ratio_to": "cold", "ratio": warm / cold}
     show("first call", rows)
     return rows
 

@@ -82,12 +82,19 @@ def discretize(
     total = T.sum()
     point = jax.tree.map(lambda a: jnp.tensordot(_shares(T), a, 1), points)
     eye = jnp.eye(3)
-    bare = dynamics(point._replace(C=eye))
-    pushes = jax.vmap(lambda f: dynamics(point._replace(force=f))["velocity", "attitude"])(eye)
+
+    def at(force):
+        blocks = dynamics(point._replace(C=eye, force=force))
+        return blocks.pop(("velocity", "attitude")), blocks
+
+    pushes, bare = jax.vmap(at, out_axes=(0, None))(eye)  # no other block depends on specific force
     maps = Maps(pushes, bare["velocity", "accel_bias"], bare["attitude", "gyro_bias"])
     slow, d_slow = _slow({k: v for k, v in bare.items() if k not in FAST}, noise, point, 0.5 * total, n)
-    Phi, d = _nilpotent(maps, points.C, points.force, T, u, n)
-    W = _white(maps, points.C, points.force, T, noise, lumped)
+    end = running(T)
+    weights = jnp.stack([T * (total - end + 0.5 * T), T])  # what an acceleration does to the position and the velocity
+    done = running(weights.T[:, :, None] * points.force[:, None])  # (b, 2, 3)
+    Phi, d = _nilpotent(maps, points.C, points.force, T, end, weights, done[-1], u, n)
+    W = _white(maps, points.C, points.force, T, end, done, noise, lumped)
     W = slow[:, :9] @ W
     if n > 9:
         W = jnp.concatenate([W, slow @ _bias_noise(Phi, noise, total)], 1)
@@ -110,16 +117,17 @@ def _slow(blocks: dict, noise: Noise, point: Path, h: jax.Array, n: int) -> tupl
     return jnp.eye(n) + S + 0.5 * S @ S + jnp.diag(lost), -lost * b
 
 
-def _nilpotent(maps: Maps, C, f, T, u: Drive | None, n: int) -> tuple[jax.Array, jax.Array]:
-    """Phi (n, n) and d (n,) of p' = v, v' = A(f) phi + B b_a + u, phi' = G b_g + u, exactly for piecewise constants."""
-    total, start = T.sum(), running(T) - T
-    w = T * (total - start - 0.5 * T)  # what an acceleration over each point does to the position
-    weights = jnp.stack([w, T])
-    A_w, A_T = maps.A(weights @ f)
+def _nilpotent(maps: Maps, C, f, T, end, weights, done, u: Drive | None, n: int) -> tuple[jax.Array, jax.Array]:
+    """Phi (n, n) and d (n,) of p' = v, v' = A(f) phi + B b_a + u, phi' = G b_g + u, exactly for piecewise constants.
+
+    ``done``: (2, 3), the sum over the points (b,) of ``weights`` (2, b) times the specific force f.
+    """
+    total = end[-1]
+    A_w, A_T = maps.A(done)
     d = [jnp.zeros(n)]
     if u:
         # u.omega turns phi by u.omega t: the integrals of A(f) t; within a point the mean of t s is 1/12 T^2 off
-        at = (weights * (start + 0.5 * T)).at[0].add(-(T**3) / 12)
+        at = (weights * (end - 0.5 * T)).at[0].add(-(T**3) / 12)
         u_w, u_T = maps.A(at @ f) @ u.omega
         d = [u_w + 0.5 * total**2 * u.accel, u_T + total * u.accel, total * u.omega, jnp.zeros(n - 9)]
     eye, zero = jnp.eye(3), jnp.zeros((3, 3))
@@ -143,17 +151,22 @@ def _nilpotent(maps: Maps, C, f, T, u: Drive | None, n: int) -> tuple[jax.Array,
     return jnp.block(rows), jnp.concatenate(d)
 
 
-def _white(maps: Maps, C, f, T, noise: Noise, lumped: bool) -> jax.Array:
-    """(9, 6 moments): what white noise of gyros and accelerometers at some moments does at the epoch's end."""
-    total, end = T.sum(), running(T)
+def _white(maps: Maps, C, f, T, end, done, noise: Noise, lumped: bool) -> jax.Array:
+    """(9, 6 moments): what white noise of gyros and accelerometers at some moments does at the epoch's end.
+
+    ``done`` (b, 2, 3): the integrals of specific force from the epoch's start to the end of each point.
+    """
+    total = end[-1]
     if lumped:
-        moments, lengths, C_then = end, T, C
+        moments, lengths, C_then, to_come = end, T, C, done[-1] - done
     else:  # Gauss' points, which integrate polynomials up to the fifth order
         moments, lengths = total * (0.5 + 0.5 * GAUSS3), total * np.array([5, 8, 5]) / 18
         # the first point that ends after a moment; the last one where rounding or an empty epoch leaves none
-        C_then = C[jnp.minimum((end <= moments[:, None]).sum(1), end.size - 1)]
-    later = jnp.clip(end - moments[:, None], 0.0, T)  # how much of each point comes after each moment
-    alpha, pi = maps.A(later @ f), maps.A((later * (total - end + 0.5 * later)) @ f)
+        i = jnp.minimum((end <= moments[:, None]).sum(1), end.size - 1)
+        rest = jnp.maximum(end[i] - moments, 0.0)  # how much of that point comes after the moment
+        part = jnp.stack([rest * (total - end[i] + 0.5 * rest), rest], 1)
+        C_then, to_come = C[i], done[-1] - done[i] + part[:, :, None] * f[i][:, None]
+    alpha, pi = maps.A(to_come[:, 1]), maps.A(to_come[:, 0])
     column = lambda a: a[:, None, None]  # noqa: E731
     root = column(jnp.where(lengths > 0, jnp.sqrt(jnp.where(lengths > 0, lengths, 1.0)), 0.0))
     g = linalg.times_root(maps.gyro @ C_then, noise.gyro) * root

@@ -78,8 +78,9 @@ def surface(lat: jax.Array) -> tuple[jax.Array, ...]:
 
 def series(f: Callable, x: jax.Array) -> list[tuple]:
     """Taylor coefficients of ``f``, a scalar to a tuple, at x: to second order."""
-    slope = lambda x: jax.jvp(f, (x,), (jnp.ones_like(x),))[1]  # noqa: E731
-    return [f(x), slope(x), scale(0.5, jax.jvp(slope, (x,), (jnp.ones_like(x),))[1])]
+    one = (jnp.ones_like(x),)
+    (value, slope), (_, curve) = jax.jvp(lambda x: jax.jvp(f, (x,), one), (x,), one)
+    return [value, slope, scale(0.5, curve)]
 
 
 def increment(ground: list[tuple], u: tuple[Vector, Vector], samples: int, x: Level, thrust: Thrust) -> Level:

@@ -56,6 +56,17 @@ class Maps(NamedTuple):
         return jnp.tensordot(f, self.force, 1)
 
 
+class Course(NamedTuple):
+    """The points of an epoch, piecewise constants, and what adds up along them."""
+
+    C: jax.Array  # (b, 3, 3)
+    force: jax.Array  # (b, 3) m/s^2
+    T: jax.Array  # (b,) s
+    end: jax.Array  # (b,) s, of each point since the epoch's start
+    weights: jax.Array  # (b, 2), see `_weights`
+    done: jax.Array  # (b, 2, 3) m, m/s: what specific force has done by then to the position and velocity at the end
+
+
 def discretize(
     dynamics: Callable[[Path], dict[tuple[str, str], jax.Array]],
     noise: Noise,
@@ -91,10 +102,11 @@ def discretize(
     maps = Maps(pushes, bare["velocity", "accel_bias"], bare["attitude", "gyro_bias"])
     slow, d_slow = _slow({k: v for k, v in bare.items() if k not in FAST}, noise, point, 0.5 * total, n)
     end = running(T)
-    weights = jnp.stack([T * (total - end + 0.5 * T), T])  # what an acceleration does to the position and the velocity
-    done = running(weights.T[:, :, None] * points.force[:, None])  # (b, 2, 3)
-    Phi, d = _nilpotent(maps, points.C, points.force, T, end, weights, done[-1], u, n)
-    W = _white(maps, points.C, points.force, T, end, done, noise, lumped)
+    weights = _weights(T, total - end)
+    done = running(weights[:, :, None] * points.force[:, None])
+    course = Course(points.C, points.force, T, end, weights, done)
+    Phi, d = _nilpotent(maps, course, u, n)
+    W = _white(maps, course, noise, lumped)
     W = slow[:, :9] @ W
     if n > 9:
         W = jnp.concatenate([W, slow @ _bias_noise(Phi, noise, total)], 1)
@@ -107,6 +119,11 @@ def _shares(T: jax.Array) -> jax.Array:
     return jnp.where(total > 0, T / jnp.where(total > 0, total, 1.0), 1.0 / T.shape[-1])
 
 
+def _weights(T: jax.Array, left: jax.Array) -> jax.Array:
+    """(b, 2): what an acceleration over T (b,) s does to position and velocity ``left`` (b,) s after that."""
+    return jnp.stack([T * (left + 0.5 * T), T], -1)
+
+
 def _slow(blocks: dict, noise: Noise, point: Path, h: jax.Array, n: int) -> tuple[jax.Array, jax.Array]:
     """exp(S h), (n, n), to second order but for the biases' decay, and what that adds, (n,)."""
     S = assemble({k: v for k, v in blocks.items() if k != ("position", "velocity")}, n) * h
@@ -117,13 +134,11 @@ def _slow(blocks: dict, noise: Noise, point: Path, h: jax.Array, n: int) -> tupl
     return jnp.eye(n) + S + 0.5 * S @ S + jnp.diag(lost), -lost * b
 
 
-def _nilpotent(maps: Maps, C, f, T, end, weights, done, u: Drive | None, n: int) -> tuple[jax.Array, jax.Array]:
-    """Phi (n, n) and d (n,) of p' = v, v' = A(f) phi + B b_a + u, phi' = G b_g + u, exactly for piecewise constants.
-
-    ``done``: (2, 3), the sum over the points (b,) of ``weights`` (2, b) times the specific force f.
-    """
-    total = end[-1]
-    A_w, A_T = maps.A(done)
+def _nilpotent(maps: Maps, course: Course, u: Drive | None, n: int) -> tuple[jax.Array, jax.Array]:
+    """Phi (n, n) and d (n,) of p' = v, v' = A(f) phi + B b_a + u, phi' = G b_g + u, exactly for piecewise constants."""
+    C, f, T, end, weights, done = course
+    total, weights = end[-1], weights.T
+    A_w, A_T = maps.A(done[-1])
     d = [jnp.zeros(n)]
     if u:
         # u.omega turns phi by u.omega t: the integrals of A(f) t; within a point the mean of t s is 1/12 T^2 off
@@ -151,11 +166,9 @@ def _nilpotent(maps: Maps, C, f, T, end, weights, done, u: Drive | None, n: int)
     return jnp.block(rows), jnp.concatenate(d)
 
 
-def _white(maps: Maps, C, f, T, end, done, noise: Noise, lumped: bool) -> jax.Array:
-    """(9, 6 moments): what white noise of gyros and accelerometers at some moments does at the epoch's end.
-
-    ``done`` (b, 2, 3): the integrals of specific force from the epoch's start to the end of each point.
-    """
+def _white(maps: Maps, course: Course, noise: Noise, lumped: bool) -> jax.Array:
+    """(9, 6 moments): what white noise of gyros and accelerometers at some moments does at the epoch's end."""
+    C, f, T, end, _, done = course
     total = end[-1]
     if lumped:
         moments, lengths, C_then, to_come = end, T, C, done[-1] - done
@@ -164,9 +177,9 @@ def _white(maps: Maps, C, f, T, end, done, noise: Noise, lumped: bool) -> jax.Ar
         # the first point that ends after a moment; the last one where rounding or an empty epoch leaves none
         i = jnp.minimum((end <= moments[:, None]).sum(1), end.size - 1)
         rest = jnp.maximum(end[i] - moments, 0.0)  # how much of that point comes after the moment
-        part = jnp.stack([rest * (total - end[i] + 0.5 * rest), rest], 1)
-        C_then, to_come = C[i], done[-1] - done[i] + part[:, :, None] * f[i][:, None]
-    alpha, pi = maps.A(to_come[:, 1]), maps.A(to_come[:, 0])
+        part = _weights(rest, total - end[i])[:, :, None] * f[i][:, None]
+        C_then, to_come = C[i], done[-1] - done[i] + part
+    pi, alpha = maps.A(to_come[:, 0]), maps.A(to_come[:, 1])
     column = lambda a: a[:, None, None]  # noqa: E731
     root = column(jnp.where(lengths > 0, jnp.sqrt(jnp.where(lengths > 0, lengths, 1.0)), 0.0))
     g = linalg.times_root(maps.gyro @ C_then, noise.gyro) * root

@@ -2,12 +2,74 @@
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jax.scipy.linalg import cho_factor, cho_solve
+
+
+def _with_rows(A: jax.Array, B: jax.Array) -> jax.Array:
+    """A B'; a gradient multiplies by B as it lies in memory."""
+    return lax.dot_general(A, B, (((1,), (1,)), ((), ())))
+
+
+def _applied(A: jax.Array, B: jax.Array) -> jax.Array:
+    """A B; a gradient multiplies by A' laid out anew: in a batch XLA is slow at products over the first axis of both."""
+    return lax.dot_general(A.T, B, (((0,), (0,)), ((), ())))
+
+
+@jax.custom_jvp
+def times(A: jax.Array, B: jax.Array) -> jax.Array:
+    """A B, (n, m); in a batch its gradient takes half the time that of ``A @ B`` does."""
+    return A @ B
+
+
+@times.defjvp
+def _times_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    (A, B), (dA, dB) = primals, tangents
+    return A @ B, dA @ B + _applied(A, dB)
+
+
+@jax.custom_jvp
+def sandwich(A: jax.Array, P: jax.Array) -> jax.Array:
+    """A P A', (m, m), of A (m, n) and a symmetric P (n, n); its gradient takes fewer products than that of the two."""
+    return A @ P @ A.T
+
+
+@sandwich.defjvp
+def _sandwich_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    (A, P), (dA, dP) = primals, tangents
+    AP = A @ P
+    half = _with_rows(dA, AP)
+    return AP @ A.T, half + half.T + _applied(A, _with_rows(dP, A))
+
+
+@jax.custom_jvp
+def square(W: jax.Array) -> jax.Array:
+    """W W', (n, n), of a root W (n, k)."""
+    return W @ W.T
+
+
+@square.defjvp
+def _square_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    half = _with_rows(*tangents, *primals)
+    return square(*primals), half + half.T
 
 
 def solve(S: jax.Array, b: jax.Array) -> jax.Array:
     """S^-1 b, shaped like b (m,) or (m, k), by Cholesky of S (m, m); nan where S is not positive definite."""
     return cho_solve(cho_factor(S, lower=True), b)
+
+
+@jax.custom_jvp
+def normalized(v: jax.Array, S: jax.Array) -> jax.Array:
+    """The square of v (m,) in units of its covariance S (m, m), v' S^-1 v, (): the NIS of an innovation."""
+    return v @ solve(S, v)
+
+
+@normalized.defjvp
+def _normalized_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    (v, S), (dv, dS) = primals, tangents
+    w = solve(S, v)  # closed form: nothing goes through the factorisation
+    return v @ w, w @ (2 * dv - dS @ w)
 
 
 def gain(P: jax.Array, H: jax.Array, S: jax.Array) -> jax.Array:
@@ -21,7 +83,7 @@ def update(P: jax.Array, H: jax.Array, R: jax.Array) -> tuple[jax.Array, jax.Arr
 
     Of the covariances P (n, n) and R (m, m), symmetric, and H (m, n); nan where H P H' + R is not positive definite.
     """
-    K = gain(P, H, H @ P @ H.T + R)
+    K = gain(P, H, sandwich(H, P) + R)
     return K, joseph(P, K, H, R)
 
 
@@ -34,9 +96,9 @@ def _update_jvp(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
     (P, H, R), (dP, dH, dR) = primals, tangents
     K, after = update(P, H, R)
     A = jnp.eye(P.shape[0], dtype=P.dtype) - K @ H
-    AdP, KdR, KdH = A @ dP, K @ dR, K @ dH
-    dK = solve(H @ P @ H.T + R, (AdP @ H.T + after @ dH.T - KdR).T).T - KdH @ K
-    half = 0.5 * (AdP @ A.T + KdR @ K.T) - KdH @ after
+    AdP, KdR, dHP = _applied(A, dP), _applied(K, dR), dH @ after
+    dK = solve(sandwich(H, P) + R, (_with_rows(AdP, H) - KdR).T + dHP).T - _applied(K, dH @ K)
+    half = 0.5 * (_with_rows(AdP, A) + _with_rows(KdR, K)) - _applied(K, dHP)
     return (K, after), (dK, half + half.T)
 
 

@@ -5,6 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxnav import linalg
 from tests.conftest import all_finite
@@ -45,24 +46,42 @@ def test_gain_is_the_kalman_gain_and_nan_where_there_is_none():
     assert np.isnan(np.asarray(linalg.gain(jnp.asarray(P), jnp.asarray(H), -jnp.asarray(S)))).all()
 
 
-def test_derivatives_of_the_update_in_closed_form():
-    """First and second ones, against those of the same formulas step by step."""
-    rng = np.random.default_rng(7)
-    A, B, H = rng.normal(size=(5, 5)), rng.normal(size=(2, 2)), rng.normal(size=(2, 5))
-    P, R = A @ A.T + np.eye(5), B @ B.T + np.eye(2)
-    weights = rng.normal(size=(5, 2)), rng.normal(size=(5, 5))
+def stepwise(P, H, R):
+    K = linalg.gain(P, H, H @ P @ H.T + R)
+    return K, linalg.joseph(P, K, H, R)
 
-    def plain(P, H, R):
-        K = linalg.gain(P, H, H @ P @ H.T + R)
-        return K, linalg.joseph(P, K, H, R)
+
+PLAIN = {
+    linalg.update: stepwise,
+    linalg.times: lambda A, B: A @ B,
+    linalg.sandwich: lambda A, P: A @ P @ A.T,
+    linalg.square: lambda W: W @ W.T,
+    linalg.normalized: lambda v, S: v @ linalg.solve(S, v),
+}
+SHAPES = {
+    linalg.update: [(5, 5), (2, 5), (2, 2)],
+    linalg.times: [(2, 5), (5, 3)],
+    linalg.sandwich: [(2, 5), (5, 5)],
+    linalg.square: [(3, 5)],
+    linalg.normalized: [(3,), (3, 3)],
+}
+
+
+@pytest.mark.parametrize("form", PLAIN, ids=lambda form: form.__name__)
+def test_derivatives_in_closed_form(form):
+    """First and second ones, backward and forward, against those of the plain formulas step by step."""
+    rng = np.random.default_rng(7)
+    x = [jnp.asarray(rng.normal(size=shape)) for shape in SHAPES[form]]
+
+    def symmetric(a):  # those that are square stay covariances
+        return a @ a.T + jnp.eye(len(a)) if a.ndim == 2 and a.shape[0] == a.shape[1] else a
 
     def slopes(form):
-        def loss(x):  # of all entries, P and R staying symmetric
-            x = [x[0] + x[0].T, x[1], x[2] + x[2].T]
-            return sum(jnp.sum(w * jnp.sin(a)) for w, a in zip(weights, form(*x), strict=True))
+        def loss(x):
+            leaves = jax.tree.leaves(form(*map(symmetric, x)))
+            return sum(jnp.sum(jnp.sin(a) * jnp.arange(1.0, 1 + a.size).reshape(a.shape)) for a in leaves)
 
         along = lambda x: jax.jvp(loss, (x,), (jax.tree.map(jnp.sin, x),))[1]  # noqa: E731
-        x = [0.5 * jnp.asarray(P), jnp.asarray(H), 0.5 * jnp.asarray(R)]
-        return jax.grad(loss)(x), along(x), jax.grad(along)(x)
+        return loss(x), jax.grad(loss)(x), along(x), jax.grad(along)(x)
 
-    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-12), slopes(linalg.update), slopes(plain))
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-9), slopes(form), slopes(PLAIN[form]))

@@ -107,10 +107,10 @@ def discretize(
     course = Course(points.C, points.force, T, end, weights, done)
     Phi, d = _nilpotent(maps, course, u, n)
     W = _white(maps, course, noise, lumped)
-    W = slow[:, :9] @ W
+    W = linalg.times(slow[:, :9], W)
     if n > 9:
-        W = jnp.concatenate([W, slow @ _bias_noise(Phi, noise, total)], 1)
-    return slow @ Phi @ slow, W @ W.T, slow @ (Phi @ d_slow + d) + d_slow
+        W = jnp.concatenate([W, linalg.times(slow, _bias_noise(Phi, noise, total))], 1)
+    return linalg.times(linalg.times(slow, Phi), slow), linalg.square(W), slow @ (Phi @ d_slow + d) + d_slow
 
 
 def _shares(T: jax.Array) -> jax.Array:
@@ -131,7 +131,7 @@ def _slow(blocks: dict, noise: Noise, point: Path, h: jax.Array, n: int) -> tupl
     # no other slow block has to do with them
     lost = jnp.concatenate([jnp.zeros(9), jnp.expm1(-h / tau)])[:n]
     b = jnp.concatenate([jnp.zeros(9), point.nav.b_g, point.nav.b_a])[:n]
-    return jnp.eye(n) + S + 0.5 * S @ S + jnp.diag(lost), -lost * b
+    return jnp.eye(n) + S + linalg.times(0.5 * S, S) + jnp.diag(lost), -lost * b
 
 
 def _nilpotent(maps: Maps, course: Course, u: Drive | None, n: int) -> tuple[jax.Array, jax.Array]:

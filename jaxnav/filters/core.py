@@ -207,7 +207,7 @@ def make_filter(
             )
         recent, points = propagate(nav, state.u, samples, cov_stride, keep)
         Phi, Q, d = model.discretize(params.noise, points, T, state.u)
-        x, P = Phi @ state.x + d, Phi @ state.P @ Phi.T + Q
+        x, P = Phi @ state.x + d, linalg.sandwich(Phi, state.P) + Q
         return state._replace(past=shift(state.past, recent, n), x=x, P=P, T=state.T + T.sum())
 
     def correct(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info]:
@@ -219,8 +219,8 @@ def make_filter(
         z = Innovation(y - H @ x, H, R, state.P, fix.valid, state.T, age)
         c = only_if(fix.valid.any(), rule.correct(params.rule, memory, z), z, memory)
         x = x + c.delta
-        S = H @ state.P @ H.T + R
-        nis = z.nu @ linalg.solve(S, z.nu)
+        S = linalg.sandwich(H, state.P) + R
+        nis = linalg.normalized(z.nu, S)
         # how long an observer's drive may have to last: with two streams a short epoch can come before a long one
         until = jnp.maximum(state.T, jnp.max(jnp.where(c.used, age, 0.0)))
         feed = partial(feedback, params.feedback, model.retract)

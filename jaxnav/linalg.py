@@ -12,7 +12,7 @@ def _with_rows(A: jax.Array, B: jax.Array) -> jax.Array:
 
 
 def _applied(A: jax.Array, B: jax.Array) -> jax.Array:
-    """A B; a gradient multiplies by A' laid out anew: in a batch XLA is slow at products over the first axis of both."""
+    """A B; a gradient multiplies by A' laid out anew: a batch is slow at products over the first axis of both."""
     return lax.dot_general(A.T, B, (((0,), (0,)), ((), ())))
 
 

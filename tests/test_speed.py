@@ -135,7 +135,7 @@ def test_a_floor_is_compared_with_our_rows_turn_by_turn():
 
 
 def test_more_runs_than_go_side_by_side_give_the_same():
-    """A number of runs that `SIDE` does not divide."""
+    """A number of runs that `TURNS` does not divide."""
     runs = SIDE + 3
     a, b = np.arange(runs, dtype=float), np.arange(2.0 * runs).reshape(runs, 2)
     found = over_runs(lambda noise, a, b: noise * a + b.sum(), runs)(2.0, a, b)

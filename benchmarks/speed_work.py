@@ -25,7 +25,7 @@ from tuning.objectives import innovation_nll
 
 RATE = 100  # Hz
 TURN, LONG, PAUSE = 0.1, 1.0, 0.01  # s, see `turn`
-SIDE, TURNS = 256, 128  # runs side by side, at most; of larger batches, in turns: half as many
+SIDE, TURNS = 256, 64  # runs side by side, at most; of larger batches, in turns
 SEED, DISTINCT = 0, 8  # batches repeat so many runs, or one where it is long: cost does not depend on the numbers
 SCENARIO = Scenario("speed", duration_s=60.0, imu_rate_hz=float(RATE))
 PARAMS: Callable[[], Params] = cache(lambda: matched_params(SCENARIO))
@@ -143,7 +143,7 @@ def over_runs(one: Callable, runs: int) -> Callable:
     """Of a function of one run (noise, nav, epochs) that of a batch; the function itself where a run is alone.
 
     Not more than `SIDE` runs go side by side, for with more their states leave the processor's cache; of more, `TURNS`
-    at a time, for processors share the next cache and two of them with 256 runs each are in each other's way.
+    at a time, for processors share the next cache and two of them with more runs each are in each other's way.
     """
     if runs == 1:
         return one

@@ -1,5 +1,6 @@
 """``python -m benchmarks NAME [options]``: every published figure of the project comes from one of these."""
 
+import gc
 import importlib
 import sys
 
@@ -24,10 +25,12 @@ def main(argv: list[str]) -> int:
         for name, what in NAMES.items():
             print(f"  {name:10} {what}", file=sys.stderr)
         return 2
+    from jaxnav.cli import COLLECT
     from jaxnav.errors import DataError
     from jaxnav.run import enable_x64
 
     enable_x64()
+    gc.set_threshold(COLLECT)
     try:
         return importlib.import_module(f"benchmarks.{argv[0]}").main(argv[1:]) or 0
     except DataError as error:

@@ -6,6 +6,7 @@ used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and
 
 import _thread
 import argparse
+import gc
 import os
 import sys
 import tempfile
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130  # exit code
 CACHE = "JAXNAV_CACHE_DIR"  # environment: folder of compiled programs; empty turns the cache off
+COLLECT = 20_000  # new objects until the garbage collector looks; at Python's 700 it takes a third of tracing
 VERBS = {
     "demo": "simulate, tune by gradient and draw the figures: no data, no network, about a minute",
     "simulate": "write a simulated recording and its truth",
@@ -284,6 +286,7 @@ def _start_jax(args: argparse.Namespace) -> None:
     from jaxnav.run import enable_x64
 
     enable_x64()
+    gc.set_threshold(COLLECT)
     if args.verb == "tune":
         from tuning import distributed
 

@@ -1,5 +1,6 @@
 """The command line: exit codes, messages, whole results or none, and runs that can be repeated."""
 
+import gc
 import json
 import subprocess
 import sys
@@ -348,6 +349,7 @@ def test_data_check_of_a_recording(drive, tmp_path, capsys):
 def test_info(capsys):
     assert cli.main(["info", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["metrics"]
+    assert gc.get_threshold()[0] == cli.COLLECT
     assert found["x64"] is True and "ekf15" in found["filters"] and found["compilation_cache"] is None
     assert cli.main(["info"]) == 0
     assert "rtkexplorer_drive" in capsys.readouterr().out

@@ -8,8 +8,9 @@ EXTRAS ?= dev,oracle
 demo: $(VENV)/ready
 	$(BIN)/jaxnav demo
 
+# `loadfile`: the tests of a module share compiled functions, so that each module stays in one process
 test: $(VENV)/ready
-	$(BIN)/python -m pytest -n 2 -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
 
 slow: $(VENV)/ready
 	$(BIN)/python -m pytest -m slow

@@ -243,6 +243,8 @@ def test_history_covers_what_is_known_and_what_tuning_adds():
     ("tune", {"filter": {"outages": [[1.0, 2.0]]}, "data": {"stop": 9.0}}, ["filter.outages", "data.stop"]),
     ("tune", {"tune": {"method": "lbfgs", "rate": 0.3}, "start": {"heading": 3.0}}, ["tune.rate"]),
     ("mc", {"data": {"source": "gipkf_urban"}, "start": {"heading": 3.0}}, ["start.heading"]),
+    ("mc", {"data": {"source": "gipkf_urban"}, "filter": {"cov_stride": 7}}, ["filter.cov_stride"]),
+    ("bakeoff", {"data": {"source": "urban,gipkf_urban"}, "filter": {"cov_stride": 10}}, []),
     ("tune", {"data": {"source": "umn_thor75"}}, []),
 ])  # fmt: skip
 def test_settings_without_effect_are_said(verb, tree, keys):

@@ -22,7 +22,7 @@ from jaxnav.metrics import columns_at
 from jaxnav.run import prepare
 from jaxnav.scenarios import Scenario
 from jaxnav.sensors.grades import GRADES
-from jaxnav.simulation import Simulated
+from jaxnav.simulation import Simulated, stride_within
 from jaxnav.types import Epoch, Mounting, Nav, Params, Recording
 
 SLOPE = 0.05  # s, half of what a true velocity is taken over
@@ -102,10 +102,10 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     counts = (t.runs, t.validation_runs, t.test_runs)
     keys = [key_of(config.seed, kind, i) for kind, n in enumerate(counts) for i in range(n)]
     sims = simulated(scenario, jnp.stack(keys))
-    windows, samples = sims.outages.shape[1], sims.epochs.imu.dt.shape[2]
+    windows = sims.outages.shape[1]
     if not windows:
         raise ConfigError(f"data.options.outages_s: tuning scores outages, scenario {scenario.name} has none")
-    stride = max(d for d in range(1, config.filter.cov_stride + 1) if samples % d == 0)
+    stride = stride_within(config.filter.cov_stride, scenario)
     start, own = config.start, scenario.start
     sd = start.position_sd_m or own.prior_position_sd_m, start.velocity_sd_mps or own.prior_velocity_sd_mps
     params = pre.base_params(config, pre.grade_of(config, scenario), np.array(scenario.gnss.lever_arm_m), *sd)

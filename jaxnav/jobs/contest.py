@@ -6,7 +6,6 @@ sensors, and what the filter's rule and feedback have of their own. What is mini
 position's RMS error over the runs: scenarios that are hard count no more than those that are easy.
 """
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from functools import cache, partial
@@ -26,7 +25,7 @@ from jaxnav.jobs.results import stderr
 from jaxnav.jobs.sources import TEST, TRAIN, VALIDATION, key_of, simulated
 from jaxnav.run import prepare, run
 from jaxnav.scenarios import Scenario
-from jaxnav.simulation import matched_params, sizes
+from jaxnav.simulation import matched_params, stride_within
 from jaxnav.types import Epoch, Nav, Params
 from tuning.optimizers import adam
 from tuning.train import fit
@@ -220,8 +219,7 @@ def _enter(name: str, plan: Plan, runs: Runs, progress: bool) -> Entrant | None:
 def filter_for(name: str, plan: Plan) -> Filter:
     """The filter that serves all scenarios of the plan: its stride divides their samples, its history covers them."""
     kinds = (*plan.trained, *plan.unseen)
-    samples = math.gcd(*(sizes(kind.scenario)[1] for kind in kinds))
-    stride = max(d for d in range(1, plan.cov_stride + 1) if samples % d == 0)
+    stride = stride_within(plan.cov_stride, *(kind.scenario for kind in kinds))
     history = max(covering(k.told.mounting, k.scenario.imu_rate_hz, k.scenario.duration_s) for k in kinds)
     return build(name, cov_stride=stride, history=history)
 

@@ -19,7 +19,7 @@ from jaxnav.jobs.sources import scenario_of
 from jaxnav.measurements import GNSS
 from jaxnav.montecarlo import MonteCarlo
 from jaxnav.scenarios import SCENARIOS, Scenario
-from jaxnav.simulation import matched_params, sizes
+from jaxnav.simulation import matched_params, sizes, stride_within
 
 
 def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
@@ -37,8 +37,7 @@ def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
         name, begin = pre.filter_name(each), time.perf_counter()
         entry = FILTERS[name]
         params = override(matched_params(told(each, scenario), entry.theta(), entry.feedback_theta()), config.params)
-        samples = sizes(scenario)[1]
-        stride = max(d for d in range(1, config.filter.cov_stride + 1) if samples % d == 0)
+        stride = stride_within(config.filter.cov_stride, scenario)
         rate, span = scenario.imu_rate_hz, scenario.duration_s
         filt = build(name, GNSS, stride, pre.history_of(config, params.mounting, rate, span, tuned=False))
         try:

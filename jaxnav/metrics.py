@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtri  # the inverse chi-square law without the second that scipy.stats takes to load
 
-from jaxnav import earth
+from jaxnav import earth, linalg
 from jaxnav.types import Info, Nav, Track
 
 
@@ -41,7 +41,7 @@ def position_error(nav: Nav, lla: jax.Array) -> jax.Array:
 def negative_log_likelihood(info: Info) -> jax.Array:
     """-log N(nu; 0, S) of one epoch's valid channels, (): what truth-free tuning minimises."""
     # missing channels have nu = 0 and an identity row in S: they add nothing
-    return 0.5 * (info.nis + jnp.linalg.slogdet(info.S)[1] + info.valid.sum() * jnp.log(2 * jnp.pi))
+    return 0.5 * (info.nis + linalg.log_determinant(info.S) + info.valid.sum() * jnp.log(2 * jnp.pi))
 
 
 def normalized_innovations(info: Info) -> np.ndarray:
@@ -52,7 +52,7 @@ def normalized_innovations(info: Info) -> np.ndarray:
 
 def nees(x: jax.Array, P: jax.Array) -> jax.Array:
     """Normalised error squared, x' P^-1 x, of one error (n,): chi-square of n degrees if the filter is consistent."""
-    return x @ jnp.linalg.solve(P, x)
+    return linalg.normalized(x, P)
 
 
 def chi2_bounds(dof: float, runs: int = 1, probability: float = 0.95) -> tuple[float, float]:

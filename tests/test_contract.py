@@ -101,6 +101,14 @@ def test_contract(name, drive):
     assert row.x.shape == (entry.n_states,) and row.nu.shape == (8,)
 
 
+@pytest.mark.parametrize("names", dict.fromkeys(map(alike, FILTERS.values())), ids=lambda names: names[0])
+def test_no_filter_calls_lapack(names, drive):
+    """Of two calls at the same time on two processors, in batches, neither ended: see `jaxnav.linalg`."""
+    theta = jnp.array(0), tuple(FILTERS[name].theta() for name in names)
+    params = matched_params(SCENARIO, rule=theta, feedback=FILTERS[names[0]].feedback_theta())
+    assert "lapack" not in program(names).lower(params, drive.initial, drive.epochs).as_text()
+
+
 @pytest.mark.parametrize("name", alike(FILTERS["ekf15"]))
 def test_a_channel_that_is_never_there_changes_nothing(name, drive):
     """Whatever the rule; and a constraint never reaches a paper's rule."""

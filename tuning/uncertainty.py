@@ -20,6 +20,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from scipy.special import ndtri, stdtrit
 
+from jaxnav import linalg
 from jaxnav.types import Info
 from tuning.transforms import Spec, labels, penalty, told, values
 
@@ -63,15 +64,11 @@ def information(
 
 def _epoch(nu, S, valid, dnu, dS):
     """NLL (), score (P,) and information (P, P) of one epoch: nu (m,), S (m, m), dnu (P, m), dS (P, m, m)."""
-    n = S.shape[0]
-    L = jnp.linalg.cholesky(S)
-    half = jax.scipy.linalg.solve_triangular(L, jnp.eye(n), lower=True)  # one solve; the rest is products
-    w = half @ nu
-    A = (half @ dS @ half.T).reshape(-1, n * n)  # whitened, symmetric
-    V = dnu @ half.T
-    nll = 0.5 * (w @ w + valid.sum() * jnp.log(2 * jnp.pi)) + jnp.log(jnp.diag(L)).sum()
-    score = 0.5 * A @ (jnp.eye(n) - jnp.outer(w, w)).reshape(-1) + V @ w
-    return nll, score, 0.5 * A @ A.T + V @ V.T
+    inv = linalg.inverse(S)
+    w, A = inv @ nu, inv @ dS
+    nll = 0.5 * (nu @ w + valid.sum() * jnp.log(2 * jnp.pi) + linalg.log_determinant(S))
+    score = 0.5 * (jnp.trace(A, axis1=1, axis2=2) - (dS @ w) @ w) + dnu @ w
+    return nll, score, 0.5 * jnp.einsum("iab,jba->ij", A, A) + dnu @ inv @ dnu.T
 
 
 def total(parts: Information) -> Information:

@@ -102,7 +102,7 @@ def error_model(
         raise ValueError(f"n_states is 9 or 15 and form 'full' or 'simple', got {n_states} and {form!r}")
 
     def covariance(prior: Prior, nav: Nav) -> jax.Array:
-        root = jnp.linalg.solve(enu_rows(nav, leave(nav), n_states), jnp.diag(prior_sd(prior, n_states)))
+        root = tangent_errors.inverse_rows(enu_rows(nav, leave(nav), n_states)) * prior_sd(prior, n_states)
         return root @ root.T
 
     def discretized(noise: Noise, points: Path, T: jax.Array, u: Drive | None):

@@ -12,6 +12,7 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxnav import earth, rotations
 from jaxnav.error_models.common import absorb, discretize, retract_common
@@ -76,6 +77,13 @@ def enu_rows(local: Nav, n: int) -> jax.Array:
     return J.at[V, P].set(rotations.skew(local.vel) @ Theta @ C).at[A, P].set(-Theta @ C)
 
 
+def inverse_rows(J: jax.Array) -> jax.Array:
+    """J^-1 (n, n) of `enu_rows`: rotations on the diagonal, and off it only what position does to the others."""
+    own = np.kron(np.eye(J.shape[0] // 3), np.ones((3, 3)))
+    turn = (own * J).T
+    return turn - turn @ ((1 - own) * J) @ turn
+
+
 def report(nav: Nav, x: jax.Array, P: jax.Array) -> tuple[Nav, jax.Array, jax.Array]:
     """Corrected navigation, x (n,) and P (n, n) as those of local level."""
     local = leave(nav)
@@ -100,7 +108,7 @@ def error_model(
         raise ValueError(f"n_states is 9 or 15 and form 'full' or 'simple', got {n_states} and {form!r}")
 
     def covariance(prior: Prior, nav: Nav) -> jax.Array:
-        root = jnp.linalg.solve(enu_rows(leave(nav), n_states), jnp.diag(prior_sd(prior, n_states)))
+        root = inverse_rows(enu_rows(leave(nav), n_states)) * prior_sd(prior, n_states)
         return root @ root.T
 
     def discretized(noise: Noise, points: Path, T: jax.Array, u: Drive | None):

@@ -29,7 +29,7 @@ def own_blocks(S: jax.Array) -> jax.Array:
 
 def squared_by_block(v: jax.Array, S: jax.Array) -> jax.Array:
     """Every block's own v' S^-1 v, (m / 3,), from v (m,) and S (m, m)."""
-    return jnp.sum(by_block(v) * jnp.linalg.solve(own_blocks(S), by_block(v)[:, :, None])[:, :, 0], axis=1)
+    return jax.vmap(linalg.normalized)(by_block(v), own_blocks(S))
 
 
 def inflated(R: jax.Array, factor: jax.Array) -> jax.Array:
@@ -78,7 +78,7 @@ def jumped(z: Innovation, S: jax.Array, factor: jax.Array) -> jax.Array:
     H, own = z.H.reshape(-1, BLOCK, P.shape[0]), own_blocks(S)
     for b in range(H.shape[0]):
         missing = jnp.diag(1.0 - by_block(z.valid)[b])
-        G = D * H[b].T @ jnp.linalg.inv(H[b] @ (D * H[b].T) + missing)
+        G = D * H[b].T @ linalg.inverse(H[b] @ (D * H[b].T) + missing)
         P = P + (factor[b] - 1) * G @ own[b] @ G.T
     return P
 
@@ -177,7 +177,7 @@ def student_t(rule: Rule, iterations: int = 4) -> Rule:
 
     def correct(theta: StudentT, memory: Any, z: Innovation) -> Correction:
         d = by_block(z.valid).sum(1)
-        inverse = jnp.linalg.inv(z.R)
+        inverse = linalg.inverse(z.R)
         w = jnp.ones(d.shape)
         for _ in range(iterations):
             R = inflated(z.R, jnp.repeat(1 / w, BLOCK))

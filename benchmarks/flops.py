@@ -1,8 +1,8 @@
 """Floating-point operations of one filter cycle: a covariance prediction and an update by the rule.
 
 By hand as in textbooks: dense matrices, (a, b) times (b, c) costs a c (2 b - 1), an inverse 2 n^3, every formula as it
-is printed. From the program: what the compiler counts in what is run here (Joseph's form), but an inverse at 2 n^3, which
-is what its sweeps take: the compiler also counts choices as operations, and works values out again for each user.
+is printed. From the program: what the compiler counts in what is run here (Joseph's form), but with an inverse at
+2 n^3, which is what its sweeps take: the compiler also counts choices, and works values out again for each user.
 """
 
 from functools import partial

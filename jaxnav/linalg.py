@@ -54,11 +54,12 @@ def _square_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
     return square(*primals), half + half.T
 
 
+@jax.custom_jvp
 def _swept(S: jax.Array) -> tuple[jax.Array, jax.Array]:
     """S^-1 (m, m) and log |S| () of a covariance, by sweeping one row after the other (Goodnight 1979).
 
     In plain operations, which a batch does side by side. LAPACK's are run by as many threads as there are; two at the
-    same time wait for each other for ever on a machine of two processors (jaxlib 0.10).
+    same time may wait for each other for ever on a machine of two processors (jaxlib 0.10).
     """
     m, log_det = S.shape[0], jnp.zeros((), S.dtype)
     for k in range(m):
@@ -71,29 +72,21 @@ def _swept(S: jax.Array) -> tuple[jax.Array, jax.Array]:
     return -S, log_det
 
 
-@jax.custom_jvp
+@_swept.defjvp
+def _swept_jvp(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
+    (S,), (dS,) = primals, tangents
+    inv, log_det = _swept(S)
+    return (inv, log_det), (-_applied(inv, _with_rows(dS, inv)), jnp.sum(inv * dS))
+
+
 def inverse(S: jax.Array) -> jax.Array:
     """S^-1 of a covariance S (m, m), symmetric; nan where S is not positive definite."""
     return _swept(S)[0]
 
 
-@inverse.defjvp
-def _inverse_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
-    (S,), (dS,) = primals, tangents
-    inv = inverse(S)
-    return inv, -_applied(inv, _with_rows(dS, inv))
-
-
-@jax.custom_jvp
 def log_determinant(S: jax.Array) -> jax.Array:
     """Logarithm of |S|, (), of a covariance S (m, m), symmetric; nan where S is not positive definite."""
     return _swept(S)[1]
-
-
-@log_determinant.defjvp
-def _log_determinant_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
-    (S,), (dS,) = primals, tangents
-    return log_determinant(S), jnp.sum(inverse(S) * dS)
 
 
 def solve(S: jax.Array, b: jax.Array) -> jax.Array:

@@ -145,10 +145,28 @@ def _main(args: argparse.Namespace) -> int:
         with tempfile.TemporaryDirectory() as folder:
             _work(args, config, Path(folder), out)
         return 0
-    with results.staged(out, alone=args.verb == "simulate") as folder:
+    with results.staged(out, args.verb, _inputs(args, config)) as folder:
         outcome = _work(args, config, folder, out)
         results.write_run(folder, args.verb, config, outcome)
     return _report(args, outcome, out)
+
+
+def _inputs(args: argparse.Namespace, config: configuration.Config) -> list[str]:
+    """The files and folders that a run reads, which its results must not touch."""
+    from jaxnav.scenarios import SCENARIOS
+
+    recordings = [source for source in (config.data.source, *config.tune.more) if source not in SCENARIOS]
+    named = [args.config, getattr(args, "params", None), *recordings]
+    return [path for path in named if path and Path(path).exists()]
+
+
+def _inputs(args: argparse.Namespace, config: configuration.Config) -> list[str]:
+    """The files and folders that a run reads, which its results must not touch."""
+    from jaxnav.scenarios import SCENARIOS
+
+    recordings = [source for source in (config.data.source, *config.tune.more) if source not in SCENARIOS]
+    named = [args.config, getattr(args, "params", None), *recordings]
+    return [path for path in named if path and Path(path).exists()]
 
 
 def resolve(args: argparse.Namespace) -> configuration.Config:

@@ -242,7 +242,7 @@ def test_filter_that_fails_exits_1_with_run_and_time(drive, monkeypatch, capsys)
 def test_a_failure_leaves_the_old_results(drive, monkeypatch, capsys):
     out = cli.Path("kept")
     out.mkdir()
-    (out / "run.json").write_text('{"files": ["run.json"]}')
+    (out / "run.json").write_text('{"verb": "filter", "files": ["run.json"]}')
     monkeypatch.setattr(filtering, "summary", lambda *a: (_ for _ in ()).throw(FailedCheck("late")))
     argv = ["filter", "--data", str(drive), "--out", str(out), "--set", "filter.cov_stride=25", *SMALL[-2:]]
     assert cli.main(argv) == 1
@@ -270,15 +270,33 @@ def test_unwritable_out_exits_3(drive, capsys):
 def test_results_do_not_mix_with_files_of_others(drive, tmp_path, capsys):
     (tmp_path / "speed.csv").write_text("mine")
     fails_as = ["simulate", "--data", "urban_short", *SMALL, "--out", str(tmp_path)]
-    assert cli.main(fails_as) == 3 and "holds speed.csv" in capsys.readouterr().err
+    assert cli.main(fails_as) == 3 and "speed.csv" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
     assert cli.main(["filter", "--data", str(drive), "--out", str(tmp_path / "file")]) == 3
     assert "is a file" in capsys.readouterr().err
-    with staged(tmp_path / "again", alone=True) as folder:
-        (folder / "run.json").write_text('{"files": ["imu.csv"]}')
+    with staged(tmp_path / "again", "simulate") as folder:
+        (folder / "run.json").write_text('{"verb": "simulate", "files": ["imu.csv"]}')
         (folder / "imu.csv").write_text("")
-    with staged(tmp_path / "again", alone=True) as folder:  # its own may be written over
+    with staged(tmp_path / "again", "simulate") as folder:  # its own may be written over
         (folder / "run.json").write_text("{}")
+
+
+def test_an_output_folder_that_holds_the_input_is_refused(drive, tmp_path, capsys):
+    """As it was, `filter --data D --out D` removed every file that `simulate` had listed, with exit code 0."""
+    before = {p.name: p.read_bytes() for p in drive.iterdir()}
+    assert cli.main(["filter", "--data", str(drive), "--out", str(drive)]) == 3
+    assert "holds the result of jaxnav simulate" in capsys.readouterr().err
+    mine = copy(drive, tmp_path / "mine")  # without a run.json
+    assert cli.main(["filter", "--data", str(mine), "--out", str(mine)]) == 3
+    assert "choose a folder of its own" in capsys.readouterr().err
+    assert {p.name: p.read_bytes() for p in drive.iterdir()} == before
+    tuned = tmp_path / "tuned"
+    tuned.mkdir()
+    (tuned / "run.json").write_text('{"verb": "filter", "files": ["tuned.toml", "run.json"]}')
+    (tuned / "tuned.toml").write_text("[params]\n")
+    argv = ["filter", "--data", str(drive), "--params", str(tuned / "tuned.toml"), "--out", str(tuned)]
+    assert cli.main(argv) == 3 and "is read by this run" in capsys.readouterr().err
+    assert (tuned / "tuned.toml").exists()
 
 
 def test_tune_scenario_then_filter_with_its_parameters(capsys):

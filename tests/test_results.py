@@ -10,7 +10,7 @@ from jaxnav.jobs.results import cell, staged, table, to_json
 
 def test_the_current_folder_can_be_the_output(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with staged(Path(".")) as folder:
+    with staged(Path("."), "filter") as folder:
         (folder / "run.json").write_text("{}")
     assert Path("run.json").exists()
 
@@ -19,11 +19,21 @@ def test_staged_never_deletes_outside(tmp_path):
     (tmp_path / "precious").write_text("x")
     out = tmp_path / "out"
     out.mkdir()
-    (out / "run.json").write_text(json.dumps({"files": ["../precious", "old.csv", "run.json", 3, ".."]}))
+    (out / "run.json").write_text(json.dumps({"verb": "filter", "files": ["../precious", "old.csv", "run.json", 3, ".."]}))
     (out / "old.csv").write_text("")
-    with staged(out) as folder:
+    with staged(out, "filter") as folder:
         (folder / "run.json").write_text("{}")
     assert (tmp_path / "precious").exists() and [p.name for p in out.iterdir()] == ["run.json"]
+
+
+def test_a_file_that_appears_during_the_run_is_kept(tmp_path):
+    out = tmp_path / "out"
+    with staged(out, "filter") as folder:
+        (folder / "solution.csv").write_text("ours")
+        (folder / "run.json").write_text("{}")
+        out.mkdir()
+        (out / "solution.csv").write_text("theirs")
+    assert (out / "solution.csv").read_text() == "ours" and (out / "solution.csv.kept").read_text() == "theirs"
 
 
 def test_json_is_strict_and_tables_align():

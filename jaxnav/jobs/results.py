@@ -1,6 +1,7 @@
 """What a job leaves: a folder that is whole or not there, run.json written last, and tables for the terminal."""
 
 import contextlib
+import itertools
 import json
 import math
 import os
@@ -36,21 +37,18 @@ class Outcome(NamedTuple):
 
 
 @contextlib.contextmanager
-def staged(out: Path, alone: bool = False) -> Iterator[Path]:
+def staged(out: Path, verb: str, inputs: Sequence[str | Path] = ()) -> Iterator[Path]:
     """A folder to write into beside ``out``; what it holds moves there when all went well, run.json last.
 
-    A failure leaves ``out`` as it was. Files of an earlier run that the new one has not are removed. ``alone``: no CSV
-    file of anybody else may be there, which a reader would take for a part of the result.
+    A failure leaves ``out`` as it was. Files that an earlier run of the same verb left and the new one has not are
+    removed; nothing else is: an ``out`` that holds anybody else's files, or one of the ``inputs``, is refused before
+    the work begins, and a file that appeared there meanwhile is kept under another name.
 
     Raises:
-        DataError: the folder cannot be written, is a file, or has others' files.
+        DataError: the folder cannot be written, is a file, belongs to another verb, or has others' files or an input.
     """
     out = Path(out).resolve()
-    if out.exists() and not out.is_dir():
-        raise DataError(f"{out}: is a file, expected a folder or nothing")
-    strangers = sorted({p.name for p in out.glob("*.csv")} - set(_listed(out / RUN))) if alone else []
-    if strangers:
-        raise DataError(f"{out}: holds {', '.join(strangers)}, which would mix with the result")
+    _refuse_others(out, verb, inputs)
     temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
     try:
         temporary.mkdir(parents=True)
@@ -60,6 +58,8 @@ def staged(out: Path, alone: bool = False) -> Iterator[Path]:
         old = _listed(out / RUN)
         (out / RUN).unlink(missing_ok=True)
         for name in sorted(names, key=lambda n: n == RUN):
+            if name not in (*old, RUN) and (out / name).exists():
+                _keep(out / name)
             os.replace(temporary / name, out / name)
         for name in set(old) - set(names):
             (out / name).unlink(missing_ok=True)
@@ -69,13 +69,43 @@ def staged(out: Path, alone: bool = False) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+def _refuse_others(out: Path, verb: str, inputs: Sequence[str | Path]) -> None:
+    """Raise DataError unless ``out`` is new, empty, or holds an earlier result of ``verb`` and none of the inputs."""
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise DataError(f"{out}: is a file, expected a folder or nothing")
+    files = sorted(p.name for p in out.iterdir() if p.is_file())
+    about = _about(out / RUN)
+    if about is not None and about.get("verb") != verb:
+        raise DataError(f"{out}: holds the result of jaxnav {about.get('verb')}: choose another --out for {verb}")
+    if files and about is None:
+        some = ", ".join(files[:3]) + (", ..." if len(files) > 3 else "")
+        raise DataError(f"{out}: holds {some}, which no jaxnav {verb} wrote: choose a folder of its own for --out")
+    for path in (Path(p).resolve() for p in inputs):
+        if path == out or (path.parent == out and path.name != RUN):  # run.json is re-run where it lies
+            raise DataError(f"{path}: is read by this run and lies in its --out: choose another folder")
+
+
+def _keep(path: Path) -> None:
+    """Move a file that is not ours out of the way, to the first free name."""
+    free = (path.with_name(f"{path.name}.kept{i or ''}") for i in itertools.count())
+    os.rename(path, next(p for p in free if not p.exists()))
+
+
+def _about(run: Path) -> dict[str, Any] | None:
+    """What a run.json says, None where there is none that can be read."""
+    try:
+        about = json.loads(run.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return about if isinstance(about, dict) and isinstance(about.get("files"), list) else None
+
+
 def _listed(run: Path) -> list[str]:
     """The files that a run.json says are its own; only names, never paths."""
-    try:
-        files = json.loads(run.read_text())["files"]
-        return [f for f in files if isinstance(f, str) and f == Path(f).name and f not in ("", ".", "..")]
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
+    files = (_about(run) or {"files": []})["files"]
+    return [f for f in files if isinstance(f, str) and f == Path(f).name and f not in ("", ".", "..")]
 
 
 def write_run(folder: Path, verb: str, config: Config, outcome: Outcome) -> None:

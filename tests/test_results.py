@@ -19,7 +19,8 @@ def test_staged_never_deletes_outside(tmp_path):
     (tmp_path / "precious").write_text("x")
     out = tmp_path / "out"
     out.mkdir()
-    (out / "run.json").write_text(json.dumps({"verb": "filter", "files": ["../precious", "old.csv", "run.json", 3, ".."]}))
+    files = ["../precious", "old.csv", "run.json", 3, ".."]
+    (out / "run.json").write_text(json.dumps({"verb": "filter", "files": files}))
     (out / "old.csv").write_text("")
     with staged(out, "filter") as folder:
         (folder / "run.json").write_text("{}")

@@ -25,9 +25,9 @@ def main(argv: list[str]) -> int:
         for name, what in NAMES.items():
             print(f"  {name:10} {what}", file=sys.stderr)
         return 2
-    from jaxnav.cli import COLLECT
-    from jaxnav.errors import DataError
-    from jaxnav.run import enable_x64
+    from jaxnav.app.cli import COLLECT
+    from jaxnav.filters.run import enable_x64
+    from jaxnav.types import DataError
 
     enable_x64()
     gc.set_threshold(COLLECT)

@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks import common
-from jaxnav.config import Tune
-from jaxnav.jobs import bakeoff_report
-from jaxnav.jobs.bakeoff import filters
-from jaxnav.jobs.contest import Kind, Plan, contest
-from jaxnav.jobs.results import table
-from jaxnav.scenarios import CIRCLE, FWEKF, GIPKF, READINGS, SCENARIOS, Scenario
-from jaxnav.simulation import matched_params
-from jaxnav.trajectories import Urban
+from jaxnav.app import bakeoff_report
+from jaxnav.app.config import Tune
+from jaxnav.app.contest import Kind, Plan, contest
+from jaxnav.app.results import table
+from jaxnav.app.verbs.bakeoff import filters
+from jaxnav.simulate.scenarios import CIRCLE, FWEKF, GIPKF, READINGS, SCENARIOS, Scenario
+from jaxnav.simulate.simulation import matched_params
+from jaxnav.simulate.trajectories import Urban
 
 FIXES = 400  # of every run
 SHORT = 0.1  # of the hour on the circle, and of its faults

@@ -19,13 +19,14 @@ from jax.flatten_util import ravel_pytree
 from scipy import optimize
 
 from benchmarks import common, drive, navego
-from jaxnav import io, metrics
+from jaxnav import data as io
+from jaxnav.analysis import metrics
+from jaxnav.app.sources import simulated
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter
-from jaxnav.jobs.sources import simulated
-from jaxnav.run import run
-from jaxnav.scenarios import URBAN_SHORT
-from jaxnav.simulation import matched_params
+from jaxnav.filters.run import run
+from jaxnav.simulate.scenarios import URBAN_SHORT
+from jaxnav.simulate.simulation import matched_params
 from jaxnav.types import Epoch, Info, Nav, Params
 from tuning import objectives, rivals, scoring, uncertainty
 from tuning.batch import Data, Problem, evaluate, mean

@@ -17,12 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
-from jaxnav import alignment, epochs, io, units
+from jaxnav import data as io
 from jaxnav import measurements as ms
+from jaxnav.data import epochs
+from jaxnav.data import start as alignment
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
-from jaxnav.run import initial_nav, run
-from jaxnav.sensors.grades import GRADES, datasheet_params, mounting, prior
+from jaxnav.filters.run import initial_nav, run
+from jaxnav.maths import units
+from jaxnav.states.grades import GRADES, datasheet_params, mounting, prior
 from jaxnav.types import Epoch, Nav, Params, Recording
 from tuning import objectives
 from tuning.train import default_optimizer, fit

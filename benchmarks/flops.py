@@ -11,13 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav import linalg
 from jaxnav.filters.catalogue import FILTERS, FRAMES
 from jaxnav.filters.core import Innovation
-from jaxnav.filters.gip_kf import KEPT, correct_nine, nine_params
+from jaxnav.filters.papers.gip_kf import KEPT, correct_nine, nine_params
+from jaxnav.filters.run import initial_nav
+from jaxnav.maths import linalg
 from jaxnav.measurements import GNSS
-from jaxnav.run import initial_nav
-from jaxnav.sensors.grades import GRADES, datasheet_params
+from jaxnav.states.grades import GRADES, datasheet_params
 from jaxnav.types import Params, Path
 
 PAPER = {"ekf15": 30800, "gipkf_literal": 15050}

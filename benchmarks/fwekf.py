@@ -34,10 +34,10 @@ from benchmarks.fwekf_study import (
     scores,
     tune,
 )  # fmt: skip
-from jaxnav.errors import DataError
 from jaxnav.filters.core import Filter
-from jaxnav.filters.fuzzy_combined import combined_params, fuzzy_combined
-from jaxnav.filters.fwekf import fwekf, fwekf_params
+from jaxnav.filters.papers.fuzzy_combined import combined_params, fuzzy_combined
+from jaxnav.filters.papers.fwekf import fwekf, fwekf_params
+from jaxnav.types import DataError
 
 TUNED = Path(__file__).with_name("fwekf_tuned.json")  # what tuning found: "tuned" of its JSON
 PAPER = {"position_below_0.005_m_s": 10.0, "velocity_below_0.02_mps_s": 10.0, "position_with_noise_after_20_s_m": 0.5}

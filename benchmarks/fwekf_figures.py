@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav import plots_fuzzy, rotations, units
-from jaxnav.filters import fuzzy_combined, fwekf
-from jaxnav.plots import COLORS, figure, legend, panels, save
-from jaxnav.simulation import Simulated
+from jaxnav.analysis.plots import fuzzy as plots_fuzzy
+from jaxnav.analysis.plots.base import COLORS, figure, legend, panels, save
+from jaxnav.filters.papers import fuzzy_combined, fwekf
+from jaxnav.maths import rotations, units
+from jaxnav.simulate.simulation import Simulated
 
 SETS = ("zero", "small", "large")
 SPANS = ((0.0, 1.0), (0.0, 6.0))

@@ -12,19 +12,22 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import drive, navego
-from jaxnav import earth, epochs, io, metrics
+from jaxnav import data as io
 from jaxnav import measurements as ms
+from jaxnav.analysis import metrics
+from jaxnav.analysis.metrics import columns_at
+from jaxnav.data import epochs
 from jaxnav.filters.catalogue import FRAMES
-from jaxnav.filters.combinators import only
 from jaxnav.filters.core import Filter, Rule, make_filter
 from jaxnav.filters.feedback import reset
-from jaxnav.filters.fuzzy_combined import fuzzy_combined
-from jaxnav.filters.fwekf import fwekf
-from jaxnav.filters.kalman import kalman
-from jaxnav.filters.robust import gate, gate_params, huber, huber_params
-from jaxnav.metrics import columns_at
-from jaxnav.run import initial_nav, run
-from jaxnav.sensors.faults import Constant, White, offsets
+from jaxnav.filters.papers.fuzzy_combined import fuzzy_combined
+from jaxnav.filters.papers.fwekf import fwekf
+from jaxnav.filters.rules.combinators import only
+from jaxnav.filters.rules.kalman import kalman
+from jaxnav.filters.rules.robust import gate, gate_params, huber, huber_params
+from jaxnav.filters.run import initial_nav, run
+from jaxnav.maths import earth
+from jaxnav.simulate.faults import Constant, White, offsets
 from jaxnav.types import Epoch, Nav, Params
 
 SETTLED = 60.0  # s

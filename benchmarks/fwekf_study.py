@@ -9,17 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxnav import earth, rotations
-from jaxnav.filters import adaptive, fuzzy, robust
 from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.core import Filter, Rule, make_filter
 from jaxnav.filters.feedback import observer, poles
-from jaxnav.filters.fuzzy_combined import combined_params, fuzzy_combined
-from jaxnav.filters.fwekf import Fwekf, fwekf, fwekf_params, limits
-from jaxnav.filters.kalman import kalman
-from jaxnav.run import run
-from jaxnav.scenarios import SCENARIOS
-from jaxnav.simulation import Simulated, matched_params, simulate
+from jaxnav.filters.papers.fuzzy_combined import combined_params, fuzzy_combined
+from jaxnav.filters.papers.fwekf import Fwekf, fwekf, fwekf_params, limits
+from jaxnav.filters.rules import adaptive, fuzzy, robust
+from jaxnav.filters.rules.kalman import kalman
+from jaxnav.filters.run import run
+from jaxnav.maths import earth, rotations
+from jaxnav.simulate.scenarios import SCENARIOS
+from jaxnav.simulate.simulation import Simulated, matched_params, simulate
 from jaxnav.types import Params
 from tuning.cases import fit_cases
 from tuning.transforms import IDENTITY

@@ -16,15 +16,16 @@ import numpy as np
 
 from benchmarks import common, flops, gipkf_figures, gipkf_recorded
 from benchmarks import gipkf_study as study
-from jaxnav import metrics, units
-from jaxnav.error_models import tangent_frame
+from jaxnav.analysis import metrics
 from jaxnav.filters.catalogue import FILTERS, FRAMES, build
 from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.feedback import reset
-from jaxnav.filters.gip_kf import gip_kf_params, nine_params, nine_states
-from jaxnav.scenarios import SCENARIOS, Scenario
-from jaxnav.sensors.grades import mounting
-from jaxnav.simulation import matched_params
+from jaxnav.filters.papers.gip_kf import gip_kf_params, nine_params, nine_states
+from jaxnav.maths import units
+from jaxnav.simulate.scenarios import SCENARIOS, Scenario
+from jaxnav.simulate.simulation import matched_params
+from jaxnav.states.frames import tangent_frame
+from jaxnav.states.grades import mounting
 from jaxnav.types import Params
 from tuning.transforms import IDENTITY, LOG, Spec, get, put
 

@@ -6,9 +6,10 @@ import jax
 import numpy as np
 
 from benchmarks import gipkf_study as study
-from jaxnav import metrics, rotations, units
+from jaxnav.analysis import metrics
 from jaxnav.filters.core import Filter
-from jaxnav.run import run_jit
+from jaxnav.filters.run import run_jit
+from jaxnav.maths import rotations, units
 from jaxnav.types import Info, Params
 
 

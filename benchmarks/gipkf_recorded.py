@@ -12,16 +12,19 @@ import numpy as np
 
 from benchmarks import drive, navego
 from benchmarks.gipkf_study import LENGTHS
-from jaxnav import alignment, epochs, io, metrics, units
-from jaxnav.epochs import Packed
-from jaxnav.errors import DataError
+from jaxnav import data as io
+from jaxnav.analysis import metrics
+from jaxnav.data import epochs
+from jaxnav.data import start as alignment
+from jaxnav.data.epochs import Packed
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
-from jaxnav.filters.gip_kf import gip_kf_params
+from jaxnav.filters.papers.gip_kf import gip_kf_params
+from jaxnav.filters.run import initial_nav, run
+from jaxnav.maths import units
 from jaxnav.measurements import GNSS, POSITION, Measurement
-from jaxnav.run import initial_nav, run
-from jaxnav.sensors.grades import GRADES, datasheet_params
-from jaxnav.types import Epoch, Nav, Params
+from jaxnav.states.grades import GRADES, datasheet_params
+from jaxnav.types import DataError, Epoch, Nav, Params
 
 FIRST, EVERY = 120.0, 60.0  # s: the first outage, and from one to the next
 METHODS = {"ekf15": 1.0, "ekf9": 10.0, "gipkf": 10.0, "gipkf_mix": 10.0}  # -> factor on white noise, for the biases

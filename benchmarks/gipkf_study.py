@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from jaxnav import metrics, rotations
+from jaxnav.analysis import metrics
 from jaxnav.filters.core import Filter
-from jaxnav.run import run
-from jaxnav.scenarios import Scenario
-from jaxnav.sensors import gnss
-from jaxnav.simulation import simulate
+from jaxnav.filters.run import run
+from jaxnav.maths import rotations
+from jaxnav.simulate import gnss
+from jaxnav.simulate.scenarios import Scenario
+from jaxnav.simulate.simulation import simulate
 from jaxnav.types import Epoch, Info, Nav, Params
 from tuning.transforms import Spec, join, split
 

@@ -25,13 +25,13 @@ from benchmarks.gpid_study import (
     score,
     study,
 )  # fmt: skip
-from jaxnav import robustness
+from jaxnav.analysis import stability as robustness
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.gpid import gpid_params, literal_params
-from jaxnav.scenarios import CIRCLE, READINGS, REPRO, Scenario
-from jaxnav.sensors.faults import Constant, Fault, Ramp
-from jaxnav.simulation import matched_params
-from jaxnav.trajectories import shape_of
+from jaxnav.filters.papers.gpid import gpid_params, literal_params
+from jaxnav.simulate.faults import Constant, Fault, Ramp
+from jaxnav.simulate.scenarios import CIRCLE, READINGS, REPRO, Scenario
+from jaxnav.simulate.simulation import matched_params
+from jaxnav.simulate.trajectories import shape_of
 from tuning.train import default_optimizer, fit
 from tuning.transforms import LOG, interval
 

@@ -8,16 +8,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav import earth, rotations, units
-from jaxnav.error_models.local_level import error_model
 from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.feedback import reset
-from jaxnav.filters.gpid import gpid, gpid_params
-from jaxnav.mechanizations import local_level
-from jaxnav.run import run
-from jaxnav.scenarios import Scenario
-from jaxnav.sensors.grades import mounting, noise, prior
-from jaxnav.simulation import Simulated, simulate
+from jaxnav.filters.papers.gpid import gpid, gpid_params
+from jaxnav.filters.run import run
+from jaxnav.maths import earth, rotations, units
+from jaxnav.simulate.scenarios import Scenario
+from jaxnav.simulate.simulation import Simulated, simulate
+from jaxnav.states.frames.local_level import error_model
+from jaxnav.states.grades import mounting, noise, prior
+from jaxnav.strapdown.fast import local_level
 from jaxnav.types import Info, Nav, Params
 
 PARTS = {"before": (0, 600), "in": (600, 1100), "after": (1100, 1600), "rest": (1600, 3600)}  # s, fixes of 1 Hz

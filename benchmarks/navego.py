@@ -8,10 +8,12 @@ this package and gives a better heading. The headline figures use the reference'
 import numpy as np
 
 from benchmarks import common
-from jaxnav import epochs, io, metrics
+from jaxnav import data as io
+from jaxnav.analysis import metrics
+from jaxnav.data import epochs
 from jaxnav.filters.catalogue import build
-from jaxnav.run import initial_nav, run_jit, track
-from jaxnav.sensors.grades import mounting, noise, prior
+from jaxnav.filters.run import initial_nav, run_jit, track
+from jaxnav.states.grades import mounting, noise, prior
 from jaxnav.types import Nav, Params, Recording
 
 KEYS = ("north_m", "east_m", "down_m", "vn_mps", "ve_mps", "vd_mps", "roll_deg", "pitch_deg", "heading_deg")

@@ -15,14 +15,15 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from benchmarks import common, navego
-from jaxnav import io, metrics
+from jaxnav import data as io
+from jaxnav.analysis import metrics
+from jaxnav.app.likelihood import Surface, answers
+from jaxnav.app.parameters import component
 from jaxnav.filters.catalogue import build
-from jaxnav.jobs.likelihood import Surface, answers
-from jaxnav.jobs.parameters import component
-from jaxnav.run import run
-from jaxnav.scenarios import URBAN_SHORT, Scenario
-from jaxnav.sensors.grades import GRADES
-from jaxnav.simulation import matched_params, simulate
+from jaxnav.filters.run import run
+from jaxnav.simulate.scenarios import URBAN_SHORT, Scenario
+from jaxnav.simulate.simulation import matched_params, simulate
+from jaxnav.states.grades import GRADES
 from jaxnav.types import Params
 from tuning import scoring, uncertainty
 from tuning.transforms import LOG, Spec, get, join, labels, split, tied

@@ -13,13 +13,15 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from benchmarks import drive
-from jaxnav import io, metrics, units
-from jaxnav.jobs.evaluate import channels
-from jaxnav.jobs.parameters import NAMES, UNITS, Unit, component
-from jaxnav.jobs.results import table
+from jaxnav import data as io
+from jaxnav.analysis import metrics
+from jaxnav.app.evaluate import channels
+from jaxnav.app.parameters import NAMES, UNITS, Unit, component
+from jaxnav.app.results import table
+from jaxnav.filters.run import run, run_jit
+from jaxnav.maths import units
 from jaxnav.measurements import GNSS
-from jaxnav.run import run, run_jit
-from jaxnav.sensors.grades import prior
+from jaxnav.states.grades import prior
 from jaxnav.types import Params
 from tuning import scoring, uncertainty
 from tuning.transforms import LOG, Spec, join, put, scaled, split, tied

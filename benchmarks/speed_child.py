@@ -156,8 +156,8 @@ def devices(label: str, n: str, seconds: str, runs: str, repeats: str) -> dict[s
 def main(task: str, *arguments: str) -> None:
     """Run one of the tasks."""
     keep_to(cpus()[-1:])
-    from jaxnav.cli import COLLECT
-    from jaxnav.run import enable_x64
+    from jaxnav.app.cli import COLLECT
+    from jaxnav.filters.run import enable_x64
 
     enable_x64()
     gc.set_threshold(COLLECT)  # as the command line does

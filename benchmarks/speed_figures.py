@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.speed_work import exponent
-from jaxnav import plots
+from jaxnav.analysis.plots import base as plots
 
 
 def growth(curves: dict[str, dict[str, list[list[float]]]], path: Path) -> None:

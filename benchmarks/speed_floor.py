@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnav.error_models.states import prior_sd
+from jaxnav.states.names import prior_sd
 from jaxnav.types import Epoch, Nav, Params
 
 SOURCE = Path(__file__).parent / "floor.cpp"

@@ -16,9 +16,9 @@ import numpy as np
 from jax import lax
 
 from benchmarks import speed_plain
-from jaxnav import rotations, units
-from jaxnav.error_models.states import prior_sd
-from jaxnav.run import track
+from jaxnav.filters.run import track
+from jaxnav.maths import rotations, units
+from jaxnav.states.names import prior_sd
 from jaxnav.types import Epoch, Nav, Params
 from tests import reference
 

@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxnav import earth, rotations
-from jaxnav.error_models.states import prior_sd
+from jaxnav.maths import earth, rotations
+from jaxnav.states.names import prior_sd
 from jaxnav.types import Epoch, Fix, Imu, Nav, Noise, Params
 
 

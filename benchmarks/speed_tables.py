@@ -33,7 +33,7 @@ from benchmarks.speed_work import (
     rms,
     table,
 )  # fmt: skip
-from jaxnav.run import prepare
+from jaxnav.filters.run import prepare
 
 
 class Sizes(NamedTuple):

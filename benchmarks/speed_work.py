@@ -17,9 +17,9 @@ import numpy as np
 from benchmarks import speed_plain
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
-from jaxnav.run import initial_nav, prepare, run
-from jaxnav.scenarios import Scenario
-from jaxnav.simulation import Simulated, matched_params, simulate
+from jaxnav.filters.run import initial_nav, prepare, run
+from jaxnav.simulate.scenarios import Scenario
+from jaxnav.simulate.simulation import Simulated, matched_params, simulate
 from jaxnav.types import Epoch, Fix, Imu, Info, Nav, Noise, Params
 from tuning.objectives import innovation_nll
 

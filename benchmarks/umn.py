@@ -9,10 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
-from jaxnav import alignment, epochs, io, metrics, units
+from jaxnav import data as io
+from jaxnav.analysis import metrics
+from jaxnav.data import epochs
+from jaxnav.data import start as alignment
 from jaxnav.filters.catalogue import build
-from jaxnav.run import initial_nav, track
-from jaxnav.sensors.grades import GRADES, datasheet_params, mounting
+from jaxnav.filters.run import initial_nav, track
+from jaxnav.maths import units
+from jaxnav.states.grades import GRADES, datasheet_params, mounting
 from jaxnav.types import Params
 
 AIRBORNE = (212.0, 578.0)  # s

@@ -5,7 +5,7 @@ Glossary
 Frames: ``e`` ECEF, ``n`` local level ENU (east, north, up), ``b`` body FRD (forward, right, down), ``i`` inertial.
 ``C_nb`` and ``q_nb`` (scalar first) take b to n; a suffix names the axes: ``v_n``, ``f_b``, ``w_ie_n``.
 Units: SI and radians; degrees, deg/h, mg only in files, plots and the command line, with the unit in the name
-(`jaxnav.units`). Time in seconds. Noise as sd or root PSD, never as variance.
+(`jaxnav.maths.units`). Time in seconds. Noise as sd or root PSD, never as variance.
 Specific force: what an accelerometer senses; at rest (0, 0, -g) in FRD.
 Error state: x = estimate - truth; ``truth = retract(estimate, x)``; C_est = exp([phi x]) C_true.
 Epoch: the IMU samples since the last fix, and the fix that ends them. Innovation: y - H x. NIS, NEES: innovation and
@@ -17,15 +17,30 @@ can be vmapped over seeds and candidates and differentiated; the package ``tunin
 setting of jax: call `enable_x64()` first.
 """
 
-from jaxnav.alignment import course, heading_bank, level, with_headings
-from jaxnav.epochs import Packed, constraint_samples, cut_times, hide, outage_windows, pack, stationary
-from jaxnav.errors import ConfigError, DataError
+from jaxnav.data.epochs import Packed, constraint_samples, cut_times, hide, outage_windows, pack, stationary
+from jaxnav.data.start import course, heading_bank, level, with_headings
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Correction, Filter, Innovation, Rule, make_filter
+from jaxnav.filters.run import enable_x64, initial_nav, prepare, require_x64, run, run_jit, track
 from jaxnav.measurements import GNSS, MEASUREMENTS, NONHOLONOMIC, POSITION, SPEED, VELOCITY, ZERO_RATE, ZERO_VELOCITY
-from jaxnav.run import enable_x64, initial_nav, prepare, require_x64, run, run_jit, track
-from jaxnav.sensors.grades import GRADES, Grade, datasheet_params, mounting
-from jaxnav.types import Epoch, Fix, Imu, ImuLog, Info, Mounting, Nav, Noise, Params, Prior, Recording, Samples, Track
+from jaxnav.states.grades import GRADES, Grade, datasheet_params, mounting
+from jaxnav.types import (
+    ConfigError,
+    DataError,
+    Epoch,
+    Fix,
+    Imu,
+    ImuLog,
+    Info,
+    Mounting,
+    Nav,
+    Noise,
+    Params,
+    Prior,
+    Recording,
+    Samples,
+    Track,
+)
 
 __version__ = "0.1.0"
 

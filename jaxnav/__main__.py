@@ -1,6 +1,6 @@
 """`python -m jaxnav` is the command line."""
 
-from jaxnav.cli import console
+from jaxnav.app.cli import console
 
 if __name__ == "__main__":
     console()

@@ -2,7 +2,7 @@
 
 Two kinds. *Traced* types hold jax arrays and flow through jit, vmap and grad (`Imu`, `Fix`, `Epoch`, `Nav`,
 `Noise`, `Mounting`, `Prior`, `Params`, `Info`). *Host* types hold numpy arrays and are what readers return
-(`ImuLog`, `Samples`, `Track`, `Recording`); `jaxnav.epochs.pack` turns them into epochs.
+(`ImuLog`, `Samples`, `Track`, `Recording`); `jaxnav.data.epochs.pack` turns them into epochs.
 
 Frames: ``n`` local level ENU, ``b`` body FRD (forward, right, down). A specific force at rest is (0, 0, -g) in b.
 """
@@ -11,6 +11,17 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+
+# ---------------------------------------------------------------------------- errors that a user can act on
+
+
+class DataError(ValueError):
+    """Input that cannot be used: names the file and line, field, or run and time (exit code 3)."""
+
+
+class ConfigError(ValueError):
+    """A configuration that cannot be used: names the key and the nearest known one (exit code 2)."""
+
 
 # ---------------------------------------------------------------------------- traced: what a filter consumes
 
@@ -38,7 +49,7 @@ class Fix(NamedTuple):
 class Epoch(NamedTuple):
     """IMU samples since the last fix, and the fix that ends them."""
 
-    imu: Any  # Imu (k, ...), or what `jaxnav.run.prepare` made of it for a filter
+    imu: Any  # Imu (k, ...), or what `jaxnav.filters.run.prepare` made of it for a filter
     fix: Fix  # (m,)
 
 

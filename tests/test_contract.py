@@ -7,13 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav import FILTERS, GNSS, NONHOLONOMIC, build, make_filter, metrics, run
+from jaxnav import FILTERS, GNSS, NONHOLONOMIC, build, make_filter
+from jaxnav.analysis import metrics
+from jaxnav.filters import run
 from jaxnav.filters.catalogue import FRAMES, Entry
-from jaxnav.filters.combinators import only
 from jaxnav.filters.core import Innovation, Rule
-from jaxnav.filters.gpid import gpid_params
-from jaxnav.scenarios import SCENARIOS
-from jaxnav.simulation import matched_params, simulate_jit
+from jaxnav.filters.papers.gpid import gpid_params
+from jaxnav.filters.rules.combinators import only
+from jaxnav.simulate.scenarios import SCENARIOS
+from jaxnav.simulate.simulation import matched_params, simulate_jit
 from jaxnav.types import Drive, Epoch, Fix
 
 SCENARIO = SCENARIOS["urban_short"]
@@ -103,7 +105,7 @@ def test_contract(name, drive):
 
 @pytest.mark.parametrize("names", dict.fromkeys(map(alike, FILTERS.values())), ids=lambda names: names[0])
 def test_no_filter_calls_lapack(names, drive):
-    """Of two calls at the same time on two processors, in batches, neither ended: see `jaxnav.linalg`."""
+    """Of two calls at the same time on two processors, in batches, neither ended: see `jaxnav.maths.linalg`."""
     theta = jnp.array(0), tuple(FILTERS[name].theta() for name in names)
     params = matched_params(SCENARIO, rule=theta, feedback=FILTERS[names[0]].feedback_theta())
     assert "lapack" not in program(names).lower(params, drive.initial, drive.epochs).as_text()

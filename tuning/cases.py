@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from jaxnav.progress import bar as progress_bar
+from jaxnav.analysis.progress import bar as progress_bar
 from tuning.train import Fit, default_optimizer
 from tuning.transforms import Spec, join, split
 

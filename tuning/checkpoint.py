@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxnav.errors import DataError
+from jaxnav.types import DataError
 
 MAX_BYTES = 1 << 30  # of what is unpacked
 DIGEST = hashlib.sha256().digest_size

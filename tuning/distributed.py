@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxnav.errors import ConfigError
+from jaxnav.types import ConfigError
 from tuning.batch import RUNS
 
 

@@ -13,7 +13,7 @@ from functools import cache
 import jax
 import jax.numpy as jnp
 
-from jaxnav import metrics
+from jaxnav.analysis import metrics
 from jaxnav.types import Info
 
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.errors import ConfigError
+from jaxnav.types import ConfigError
 
 
 class Draws(NamedTuple):

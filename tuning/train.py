@@ -13,7 +13,7 @@ import numpy as np
 import optax
 from jax.sharding import Mesh
 
-from jaxnav.progress import bar as progress_bar
+from jaxnav.analysis.progress import bar as progress_bar
 from tuning import checkpoint, distributed
 from tuning.batch import Aggregate, Data, Problem, evaluate, mean, strict
 from tuning.optimizers import adam as default_optimizer

@@ -20,7 +20,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from scipy.special import ndtri, stdtrit
 
-from jaxnav import linalg
+from jaxnav.maths import linalg
 from jaxnav.types import Info
 from tuning.transforms import Spec, labels, penalty, told, values
 

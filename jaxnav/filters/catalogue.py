@@ -3,21 +3,22 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from jaxnav.error_models import inertial as inertial_errors
-from jaxnav.error_models import local_level as local_level_errors
-from jaxnav.error_models import tangent_frame as tangent_frame_errors
-from jaxnav.filters.adaptive import fading, fading_params, iae, iae_params, sage_husa, sage_husa_params
-from jaxnav.filters.combinators import only
 from jaxnav.filters.core import ErrorModel, Filter, make_filter
 from jaxnav.filters.feedback import observer, open_loop, poles, reset
-from jaxnav.filters.fuzzy_combined import combined_params, fuzzy_combined
-from jaxnav.filters.fwekf import fwekf, fwekf_literal, fwekf_params
-from jaxnav.filters.gip_kf import gip_kf, gip_kf_params, literal
-from jaxnav.filters.gpid import gpid, gpid_params, literal_params
-from jaxnav.filters.kalman import kalman
-from jaxnav.filters.robust import gate, gate_params, huber, huber_params, student_t, student_t_params
+from jaxnav.filters.papers.fuzzy_combined import combined_params, fuzzy_combined
+from jaxnav.filters.papers.fwekf import fwekf, fwekf_literal, fwekf_params
+from jaxnav.filters.papers.gip_kf import gip_kf, gip_kf_params, literal
+from jaxnav.filters.papers.gpid import gpid, gpid_params, literal_params
+from jaxnav.filters.rules.adaptive import fading, fading_params, iae, iae_params, sage_husa, sage_husa_params
+from jaxnav.filters.rules.combinators import only
+from jaxnav.filters.rules.kalman import kalman
+from jaxnav.filters.rules.robust import gate, gate_params, huber, huber_params, student_t, student_t_params
 from jaxnav.measurements import GNSS, Measurement
-from jaxnav.mechanizations import inertial_quaternion, local_level, tangent_frame
+from jaxnav.states.frames import inertial_quaternion as inertial_errors
+from jaxnav.states.frames import local_level as local_level_errors
+from jaxnav.states.frames import tangent_frame as tangent_frame_errors
+from jaxnav.strapdown import inertial_quaternion, tangent_frame
+from jaxnav.strapdown.fast import local_level
 
 
 class Frame(NamedTuple):

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxnav import linalg
-from jaxnav.mechanizations.increments import divides
+from jaxnav.maths import linalg
+from jaxnav.strapdown.increments import divides
 from jaxnav.types import Drive, Epoch, Fix, Imu, Info, Nav, Params
 
 

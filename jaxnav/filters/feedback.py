@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxnav.error_models.states import A, P, V
+from jaxnav.states.names import A, P, V
 from jaxnav.types import Drive
 
 

@@ -1,0 +1,66 @@
+"""Errors of a solution and consistency of a filter, per epoch; reduce over time and runs as you need."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import chdtri  # the inverse chi-square law without the second that scipy.stats takes to load
+
+from jaxnav.maths import earth, linalg
+from jaxnav.types import Info, Nav, Track
+
+
+class Errors(NamedTuple):
+    """Estimate minus truth; ENU on the device, NED and degrees only on the border."""
+
+    position: jax.Array  # (..., 3) m, ENU
+    velocity: jax.Array  # (..., 3) m/s, ENU
+    attitude: jax.Array  # (..., 3) rad, roll, pitch, heading, each in (-pi, pi]; nan where the truth has none
+
+
+def columns_at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Columns of ``values`` (N, a), known at ``times`` (N,), linearly at ``t`` (E,): (E, a); held beyond the ends."""
+    return np.stack([np.interp(t, times, c) for c in values.T], 1)
+
+
+def errors(solution: Track, truth: Track) -> Errors:
+    """Errors of a solution at its own times against a truth that is interpolated linearly to them (host arrays)."""
+    unwrapped = np.where(np.isfinite(truth.rph), np.unwrap(np.nan_to_num(truth.rph), axis=0), np.nan)
+    at = lambda a: columns_at(solution.t, truth.t, a)  # noqa: E731
+    position = jax.vmap(earth.enu_difference)(jnp.asarray(solution.lla), jnp.asarray(at(earth.continuous(truth.lla))))
+    turn = solution.rph - at(unwrapped)
+    return Errors(position, solution.vel - at(truth.vel), np.remainder(turn + np.pi, 2 * np.pi) - np.pi)
+
+
+def position_error(nav: Nav, lla: jax.Array) -> jax.Array:
+    """ENU error in m of local level navigation against a true position, (3,); differentiable."""
+    return earth.enu_difference(nav.pos, lla)
+
+
+def negative_log_likelihood(info: Info) -> jax.Array:
+    """-log N(nu; 0, S) of one epoch's valid channels, (): what truth-free tuning minimises."""
+    # missing channels have nu = 0 and an identity row in S: they add nothing
+    return 0.5 * (info.nis + linalg.log_determinant(info.S) + info.valid.sum() * jnp.log(2 * jnp.pi))
+
+
+def normalized_innovations(info: Info) -> np.ndarray:
+    """Innovations over the roots of diag S, (E, m), nan on unused channels; of unit variance if all is consistent."""
+    sd = np.sqrt(np.asarray(jnp.diagonal(info.S, axis1=-2, axis2=-1)))
+    return np.where(np.asarray(info.used), np.asarray(info.nu) / sd, np.nan)
+
+
+def nees(x: jax.Array, P: jax.Array) -> jax.Array:
+    """Normalised error squared, x' P^-1 x, of one error (n,): chi-square of n degrees if the filter is consistent."""
+    return linalg.normalized(x, P)
+
+
+def chi2_bounds(dof: float, runs: int = 1, probability: float = 0.95) -> tuple[float, float]:
+    """Two-sided bounds for the mean of ``runs`` independent chi-square values of ``dof`` degrees of freedom."""
+    tail = (1 - probability) / 2
+    return chdtri(dof * runs, 1 - tail) / runs, chdtri(dof * runs, tail) / runs
+
+
+def rms(a: np.ndarray, axis: int | None = 0) -> np.ndarray:
+    """Root mean square over an axis, nan left out."""
+    return np.sqrt(np.nanmean(np.asarray(a) ** 2, axis=axis))

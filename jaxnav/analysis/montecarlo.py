@@ -1,0 +1,297 @@
+"""Monte Carlo: many simulated runs of a filter, in chunks of bounded memory, and what they say together.
+
+A run is simulated, filtered and scored inside the compiled function from its own key, so that only a few live at a
+time, and its result depends on nothing else: not on how many others there are, nor on their order.
+"""
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxnav.analysis import metrics
+from jaxnav.analysis.progress import bar as progress_bar
+from jaxnav.data.epochs import TICK
+from jaxnav.filters.core import Filter
+from jaxnav.maths import rotations
+from jaxnav.simulate.scenarios import Scenario
+from jaxnav.simulate.simulation import Simulated, simulate, sizes
+from jaxnav.types import Info, Nav, Params
+
+QUANTITIES = ("horizontal", "vertical", "velocity", "tilt", "yaw")
+"""Absolute errors whose course in time is kept: m, m, m/s, rad, rad; tilt is about both level axes."""
+BINS = np.logspace(-8, 6, 14 * 24 + 1)  # of their histogram: 10 % wide
+
+
+class Row(NamedTuple):
+    """One epoch of one run."""
+
+    position: jax.Array  # (3,) m, ENU, estimate minus truth
+    velocity: jax.Array  # (3,) m/s, ENU
+    attitude: jax.Array  # (3,) rad, rotation about E, N (tilts) and U (yaw)
+    nees: jax.Array  # () of these nine
+    nis: jax.Array  # ()
+    dof: jax.Array  # () channels of the fix
+    ok: jax.Array  # () bool
+
+
+class Scores(NamedTuple):
+    """What is kept of each run: arrays, leading axes (runs,) or (candidates, runs); errors over its finite epochs."""
+
+    position: Any  # (..., 3) m RMS, ENU
+    horizontal: Any  # (...,) m RMS
+    vertical: Any  # (...,) m RMS
+    velocity: Any  # (..., 3) m/s RMS, ENU
+    tilt: Any  # (...,) rad RMS, about both level axes together
+    yaw: Any  # (...,) rad RMS
+    outage_ends: Any  # (..., outages) m, horizontal error at the end of each outage
+    nees: Any  # (...,) mean over the epochs, of 9 degrees of freedom
+    nis: Any  # (...,) mean over the fixes
+    dof: Any  # (...,) channels in all fixes together
+    nis_sum: Any  # (...,) NIS of all fixes together
+    ok: Any  # (...,) bool: finite to the end, and never farther off than the limit
+    failed: Any  # (...,) s, when it was not first; inf where never
+
+
+class Course(NamedTuple):
+    """Over the runs at each epoch, leading axes (E,) or (candidates, E); of finite runs."""
+
+    t: np.ndarray  # (E,) s
+    runs: np.ndarray  # (..., E) finite ones
+    mean: np.ndarray  # (..., E, 5) of `QUANTITIES`
+    sd: np.ndarray  # (..., E, 5)
+    counts: np.ndarray  # (..., E, 5, bins) histogram over `BINS`, what is outside counted in the outermost
+    nees: np.ndarray  # (..., E) mean
+    nis: np.ndarray  # (..., E) mean over the runs with a fix
+    dof: np.ndarray  # (..., E) mean of those
+    fixes: np.ndarray  # (..., E) how many they are
+
+
+class MonteCarlo(NamedTuple):
+    """What `monte_carlo` returns."""
+
+    runs: np.ndarray  # (N,) numbers of the finished runs
+    scores: Scores
+    course: Course
+    stopped: bool  # by Ctrl-C, before all were finished
+
+
+def run_key(seed: int, run: Any) -> jax.Array:
+    """The key of a run: of the seed and its number only."""
+    return jax.random.fold_in(jax.random.key(seed), run)
+
+
+# ---------------------------------------------------------------------------- one run, compiled
+
+
+def _row(info: Info, truth: Nav) -> Row:
+    nav = info.nav
+    position = metrics.position_error(nav, truth.pos)
+    velocity = nav.vel - truth.vel
+    phi = rotations.log(rotations.multiply(nav.q, rotations.conjugate(truth.q)))
+    nees = metrics.nees(jnp.concatenate([position, velocity, phi]), info.P[:9, :9])
+    return Row(position, velocity, phi, nees, info.nis, info.valid.sum(), info.ok)
+
+
+def _filtered(filt: Filter, sim: Simulated, params: Params) -> Row:
+    """Rows (E, ...) of a simulated run; of `Info` nothing is kept."""
+
+    def step(state, inputs):
+        epoch, truth = inputs
+        state, info = filt.step(params, state, epoch)
+        return state, _row(info, truth)
+
+    return lax.scan(step, filt.init(params, sim.initial), (sim.epochs, sim.truth))[1]
+
+
+def _magnitudes(rows: Row) -> jax.Array:
+    """The `QUANTITIES` (..., 5)."""
+    p, v, a = rows.position, rows.velocity, rows.attitude
+    level = [jnp.linalg.norm(x[..., :2], axis=-1) for x in (p, a)]
+    return jnp.stack([level[0], abs(p[..., 2]), jnp.linalg.norm(v, axis=-1), level[1], abs(a[..., 2])], axis=-1)
+
+
+def _scores(rows: Row, sim: Simulated, limit: jax.Array) -> Scores:
+    """The scores of rows (E, ...) of one run."""
+    t, size, ok = sim.truth.t, _magnitudes(rows), rows.ok
+    count = jnp.maximum(ok.sum(), 1)
+    mean = lambda a: jnp.where(ok.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0).sum(0) / count  # noqa: E731
+    root = lambda a: jnp.sqrt(mean(a**2))  # noqa: E731
+    ends = jnp.maximum(jnp.sum(t[:, None] <= sim.outages[:, 1] + TICK, axis=0) - 1, 0)
+    bad = ~ok | (size[:, 0] > limit)
+    fixes, nis, dof = jnp.sum(rows.dof > 0), rows.nis.sum(), rows.dof.sum()
+    overall = root(size)
+    return Scores(
+        root(rows.position), overall[0], overall[1], root(rows.velocity), overall[3], overall[4], size[ends, 0],
+        mean(rows.nees), nis / jnp.maximum(fixes, 1), dof, nis, ~bad.any(),
+        jnp.where(bad.any(), t[jnp.argmax(bad)], jnp.inf),
+    )  # fmt: skip
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _chunk(filt: Filter, scenario: Scenario, many: bool, params: Params, limit: jax.Array, keys: jax.Array):
+    """Scores, what the course is made of, and times, of the runs with these keys (chunk,)."""
+
+    def one(key):
+        sim = simulate(scenario, key)
+
+        def candidate(params):
+            rows = _filtered(filt, sim, params)
+            return _scores(rows, sim, limit), (_magnitudes(rows), rows.nees, rows.nis, rows.dof, rows.ok)
+
+        return *(jax.vmap(candidate)(params) if many else candidate(params)), sim.truth.t
+
+    return jax.vmap(one)(keys)
+
+
+# ---------------------------------------------------------------------------- all runs, on the host
+
+
+class _Sums(NamedTuple):
+    """What adds up over the runs, (C, E, ...)."""
+
+    runs: np.ndarray
+    first: np.ndarray  # (C, E, 5)
+    second: np.ndarray
+    counts: np.ndarray  # (C, E, 5, bins)
+    nees: np.ndarray
+    nis: np.ndarray
+    dof: np.ndarray
+    fixes: np.ndarray
+
+
+def _sums(rows: tuple[np.ndarray, ...]) -> _Sums:
+    """Sums over rows (N, C, E, ...)."""
+    size, nees, nis, dof, ok = rows
+    N, C, E, _ = size.shape
+    kept = np.where(ok[..., None], size, 0.0)
+    cell = np.clip(np.searchsorted(BINS, size, side="right") - 1, 0, BINS.size - 2)
+    place = np.arange(C * E * 5).reshape(C, E, 5) * (BINS.size - 1) + cell
+    shape = (C, E, 5, BINS.size - 1)
+    counts = np.bincount(place[ok].ravel(), minlength=int(np.prod(shape))).reshape(shape).astype(np.int32)
+    return _Sums(
+        ok.sum(0), kept.sum(0), (kept**2).sum(0), counts, np.where(ok, nees, 0.0).sum(0), nis.sum(0), dof.sum(0),
+        (dof > 0).sum(0),
+    )  # fmt: skip
+
+
+def _course(t: np.ndarray, s: _Sums) -> Course:
+    count, fixes = np.maximum(s.runs, 1), np.maximum(s.fixes, 1)
+    mean = s.first / count[..., None]
+    variance = s.second / count[..., None] - mean**2
+    sd = np.sqrt(np.maximum(variance, 0.0) * (count / np.maximum(count - 1, 1))[..., None])
+    return Course(t, s.runs, mean, sd, s.counts, s.nees / count, s.nis / fixes, s.dof / fixes, s.fixes)
+
+
+def monte_carlo(
+    filt: Filter,
+    scenario: Scenario,
+    params: Params,
+    runs: int | Iterable[int],
+    seed: int = 0,
+    *,
+    candidates: bool = False,
+    chunk: int = 16,
+    limit_m: float = np.inf,
+    progress: bool = False,
+) -> MonteCarlo:
+    """Simulate, filter and score runs of a scenario (for the channels of `jaxnav.measurements.GNSS`).
+
+    ``runs``: how many, or their numbers; run i has `run_key` (seed, i). ``candidates``: every leaf of ``params`` has a
+    leading axis of candidates, which all see the same runs. ``chunk`` runs live at a time, side by side; the last
+    chunk is padded. A run whose horizontal error exceeds ``limit_m`` counts as diverged. Ctrl-C keeps the chunks that
+    are finished.
+
+    Memory for an hour of IMU at 10 Hz and GNSS at 1 Hz: about 25 MB a run of the chunk, 1 MB more for each candidate,
+    and 100 MB a candidate for the histograms.
+
+    Raises:
+        ValueError: no runs, or a scenario that does not fit together.
+        KeyboardInterrupt: before the first chunk was finished.
+    """
+    numbers = np.arange(runs) if isinstance(runs, int) else np.asarray(list(runs), int)
+    if not numbers.size or chunk < 1:
+        raise ValueError(f"runs and chunk must be at least 1, got {numbers.size} and {chunk}")
+    sizes(scenario)
+    keys = jax.vmap(partial(run_key, seed))(np.resize(numbers, -(-numbers.size // chunk) * chunk))
+    limit, scores, stopped = jnp.asarray(limit_m, float), [], False
+    sums: _Sums | None = None
+    bar = progress_bar(numbers.size, "run", progress)
+    try:
+        for begin in range(0, numbers.size, chunk):
+            out = jax.device_get(_chunk(filt, scenario, candidates, params, limit, keys[begin : begin + chunk]))
+            score, rows, (t, *_) = jax.tree.map(lambda a: a[: numbers.size - begin], out)  # noqa: B023
+            if not candidates:
+                score, rows = jax.tree.map(lambda a: a[:, None], (score, rows))
+            more = _sums(rows)
+            sums = more if sums is None else _Sums(*map(np.add, sums, more))
+            scores.append(score)
+            bar.update(len(score.ok))
+    except KeyboardInterrupt:
+        if not scores:
+            raise
+        stopped = True
+    bar.close()
+    assert sums is not None  # at least one chunk is finished
+    found = jax.tree.map(lambda *a: np.moveaxis(np.concatenate(a), 0, 1), *scores)
+    course = _course(t, sums)
+    if not candidates:
+        found = jax.tree.map(lambda a: a[0], found)
+        course = Course(course.t, *(a[0] for a in course[1:]))
+    return MonteCarlo(numbers[: found.ok.shape[-1]], found, course, stopped)
+
+
+# ---------------------------------------------------------------------------- what they say together
+
+
+def percentile(course: Course, q: float) -> np.ndarray:
+    """Percentile q of each of `QUANTITIES` at each epoch, (..., E, 5), within a bin of the histogram (10 %)."""
+    share = np.cumsum(course.counts, axis=-1)
+    rank = q / 100 * share[..., -1:]
+    cell = np.argmax(share >= np.maximum(rank, 1e-9), axis=-1)[..., None]
+    inside = np.take_along_axis(course.counts, cell, -1)
+    part = 1 - (np.take_along_axis(share, cell, -1) - rank) / np.maximum(inside, 1)
+    return (BINS[cell] * (BINS[cell + 1] / BINS[cell]) ** part)[..., 0]
+
+
+def summary(found: MonteCarlo, probability: float = 0.95) -> dict[str, Any]:
+    """Plain numbers of one candidate: each score over the runs, who diverged, and consistency with chi-square bounds.
+
+    Statistics are over the runs that did not diverge, percentiles of them exact. Angles in degrees. ``anees`` is per
+    degree of freedom, at the last epoch and as the share of epochs whose mean over the runs is inside its bounds: in
+    time NEES is correlated, so that its mean over time has none. ``anis`` is of all fixes, white if all is consistent.
+    """
+    s, c = found.scores, found.course
+    good = s.ok
+    columns = {
+        "horizontal_m": s.horizontal, "vertical_m": s.vertical, "velocity_mps": np.linalg.norm(s.velocity, axis=-1),
+        "tilt_deg": np.degrees(s.tilt), "yaw_deg": np.degrees(s.yaw),
+        **{f"outage_{i}_end_m": a for i, a in enumerate(s.outage_ends.T)},
+    }  # fmt: skip
+    diverged = [{"run": int(r), "t_s": float(t)} for r, t in zip(found.runs[~good], s.failed[~good], strict=True)]
+    N, dof = int(good.sum()), int(s.dof[good].sum())
+    about: dict[str, Any] = {"runs": int(good.size), "diverged": diverged}
+    if not N:
+        return about
+    about["scores"] = {name: _statistics(a[good]) for name, a in columns.items()}
+    all_of = lambda n: np.array(metrics.chi2_bounds(9 * n, 1, probability)) / (9 * n)  # noqa: E731
+    bounds = {n: all_of(int(n)) for n in np.unique(c.runs[c.runs > 0])}
+    inside = [bounds[n][0] <= m / 9 <= bounds[n][1] for n, m in zip(c.runs, c.nees) if n]
+    about["anees"] = {
+        "last": float(c.nees[-1] / 9), "bounds": bounds[c.runs[-1]].tolist() if c.runs[-1] else None,
+        "mean": float(s.nees[good].mean() / 9), "share_inside": float(np.mean(inside)),
+    }  # fmt: skip
+    if dof:
+        low, high = metrics.chi2_bounds(dof, 1, probability)
+        about["anis"] = {"mean": float(s.nis_sum[good].sum() / dof), "bounds": [low / dof, high / dof]}
+    return about
+
+
+def _statistics(a: np.ndarray) -> dict[str, float]:
+    q = np.percentile(a, [5, 50, 95])
+    sd = float(a.std(ddof=1)) if a.size > 1 else float("nan")
+    return {"mean": float(a.mean()), "sd": sd, "p5": float(q[0]), "median": float(q[1]), "p95": float(q[2])}

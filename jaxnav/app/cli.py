@@ -1,0 +1,321 @@
+"""The command line: ``jaxnav demo | simulate | filter | tune | bakeoff | mc | allan | info | data``.
+
+Exit codes: 0 done, 1 a check failed (the filter stopped being finite), 2 usage or configuration, 3 data that cannot be
+used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and errors on stderr.
+"""
+
+import _thread
+import argparse
+import gc
+import os
+import sys
+import tempfile
+import threading
+import traceback
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from jaxnav.app import config as configuration
+from jaxnav.types import ConfigError, DataError
+
+if TYPE_CHECKING:
+    from jaxnav.app.results import Outcome
+
+INTERRUPTED = 130  # exit code
+CACHE = "JAXNAV_CACHE_DIR"  # environment: folder of compiled programs; empty turns the cache off
+COLLECT = 20_000  # new objects until the garbage collector looks; at Python's 700 it takes a third of tracing
+VERBS = {
+    "demo": "simulate, tune by gradient and draw the figures: no data, no network, about a minute",
+    "simulate": "write a simulated recording and its truth",
+    "filter": "run a filter over a recording: solution, metrics, figures",
+    "tune": "tune a filter's parameters by gradient and show the gain on data kept aside",
+    "bakeoff": "filters tuned alike on the same scenarios, ranked on runs and scenarios that none has seen",
+    "mc": "Monte Carlo: filters over many simulated runs, errors, consistency, divergence",
+    "allan": "Allan deviation of a resting IMU: white noise, bias instability, random walk, Gauss-Markov",
+    "info": "versions, devices, filters, data sets",
+    "data": "list, fetch or check public data sets",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb; returns the exit code."""
+    parser = make_parser()
+    try:
+        args = parser.parse_args(argv)
+    except SystemExit as stop:  # --help, --version, usage
+        return int(stop.code or 0)
+    try:
+        return _main(args)
+    except KeyboardInterrupt:
+        print("jaxnav: stopped", file=sys.stderr)
+        return INTERRUPTED
+    except (ConfigError, DataError) as error:
+        return _fail(args, error, 2 if isinstance(error, ConfigError) else 3)
+    except BrokenPipeError:  # `jaxnav info | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 0
+    except Exception as error:
+        from jaxnav.app.results import FailedCheck
+
+        if not isinstance(error, FailedCheck):
+            raise
+        return _fail(args, error, 1)
+
+
+def console() -> NoReturn:
+    """`main` as a process, which Ctrl-C ends at any time."""
+
+    def swallowed(what: "sys.UnraisableHookArgs") -> None:
+        # jax hears of garbage collection; an interrupt that falls into such a callback would be printed and lost
+        if what.exc_type is KeyboardInterrupt:
+            threading.Timer(0.05, _thread.interrupt_main).start()  # not now: it would be lost in here as well
+        else:
+            sys.__unraisablehook__(what)
+
+    sys.unraisablehook = swallowed
+    try:
+        code = main()
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if code == INTERRUPTED:  # the compiler's threads may still be at work, and crash an orderly end
+        os._exit(code)
+    raise SystemExit(code)
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The arguments of every verb."""
+    shared = argparse.ArgumentParser(add_help=False)
+    shared.add_argument("--config", metavar="FILE", help="TOML, or the run.json of an earlier run")
+    shared.add_argument("--set", metavar="A.B=C", action="append", default=[], help="one setting; may be repeated")
+    shared.add_argument("--seed", type=int, help="of everything random")
+    shared.add_argument("--out", metavar="DIR", type=Path, help="folder of the results (default out/VERB)")
+    shared.add_argument("--json", action="store_true", help="the result as JSON on stdout, and nothing else there")
+    shared.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    shared.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
+    parser = argparse.ArgumentParser(
+        prog="jaxnav", description="INS/GNSS navigation, differentiable: simulate, filter, tune.",
+        epilog="Exit codes: 0 done, 1 failed check, 2 usage or configuration, 3 bad data, 130 stopped by Ctrl-C.",
+    )  # fmt: skip
+    parser.add_argument("--version", action="version", version=f"jaxnav {_version()}")
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    for verb, text in VERBS.items():
+        sub = verbs.add_parser(verb, help=text, description=text, parents=[shared])
+        if verb == "allan":
+            sub.add_argument("--start", metavar="S", type=float, help="s, use the recording from here ([data] start)")
+            sub.add_argument("--stop", metavar="S", type=float, help="s, to here ([data] stop)")
+        if verb in ("simulate", "filter", "tune", "bakeoff", "mc", "allan"):
+            sub.add_argument("--data", metavar="NAME|PATH", help="scenario, data set or recording ([data] source)")
+        if verb in ("filter", "tune", "bakeoff", "mc", "demo"):
+            sub.add_argument("--filter", metavar="NAME", help="see `jaxnav info` ([filter] name)")
+            sub.add_argument("--params", metavar="FILE", help="[params] of this file, such as an earlier tuned.toml")
+        if verb == "mc":
+            sub.add_argument("--runs", metavar="N", type=int, help="how many ([mc] runs); --filter takes A,B,...")
+        if verb == "bakeoff":
+            sub.add_argument(
+                "--unseen", metavar="A,B", help="scenarios to test on only; --data, --filter take lists too"
+            )
+        if verb == "tune":
+            sub.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out, bit for bit")
+            sub.add_argument("--devices", metavar="N", type=int, default=1, help="share runs among N, 0: all there")
+            sub.add_argument("--coordinator", metavar="HOST:PORT", help="of several processes, private networks only")
+            sub.add_argument("--processes", metavar="N", type=int, help="how many; under Slurm or MPI all is found")
+            sub.add_argument("--process", metavar="I", type=int, help="number of this one, from 0")
+        if verb == "data":
+            sub.add_argument("action", choices=("list", "fetch", "check"))
+            sub.add_argument("name", nargs="?", help="of the data set; check also takes a path")
+    return parser
+
+
+def _main(args: argparse.Namespace) -> int:
+    config = resolve(args)
+    if args.verb == "data" and args.action != "list" and not args.name:
+        raise ConfigError(f"data {args.action} needs the name of a data set")
+    if args.verb != "data" or args.action == "check":
+        _start_jax(args)
+    if args.verb in ("info", "data"):
+        return _report(args, _look(args), None)
+    from jaxnav.app import results
+
+    out = args.out or Path("out") / args.verb
+    if not _first():  # of several processes one writes
+        with tempfile.TemporaryDirectory() as folder:
+            _work(args, config, Path(folder), out)
+        return 0
+    with results.staged(out, args.verb, _inputs(args, config)) as folder:
+        outcome = _work(args, config, folder, out)
+        results.write_run(folder, args.verb, config, outcome)
+    return _report(args, outcome, out)
+
+
+def _inputs(args: argparse.Namespace, config: configuration.Config) -> list[str]:
+    """The files and folders that a run reads, which its results must not touch."""
+    from jaxnav.simulate.scenarios import SCENARIOS
+
+    recordings = [source for source in (config.data.source, *config.tune.more) if source not in SCENARIOS]
+    named = [args.config, getattr(args, "params", None), *recordings]
+    return [path for path in named if path and Path(path).exists()]
+
+
+def resolve(args: argparse.Namespace) -> configuration.Config:
+    """The configuration: the verb's own, the file, --params, the flags, then --set."""
+    layers: list[tuple[str, dict[str, Any]]] = []
+    if args.verb in OWN:
+        layers.append((args.verb, OWN[args.verb]))
+    if args.config is not None:
+        layers.append((args.config, configuration.read(args.config)))
+    if getattr(args, "params", None) is not None:
+        layers.append((args.params, configuration.read_params(args.params)))
+    if args.seed is not None:
+        layers.append(("--seed", {"seed": args.seed}))
+    if getattr(args, "data", None) is not None:
+        layers.append(("--data", {"data": {"source": args.data}}))
+    span = {key: getattr(args, key) for key in ("start", "stop") if getattr(args, key, None) is not None}
+    if span:
+        layers.append(("--start, --stop", {"data": span}))
+    if getattr(args, "filter", None) is not None:
+        layers.append(("--filter", {"filter": {"name": args.filter}}))
+    if getattr(args, "runs", None) is not None:
+        layers.append(("--runs", {"mc": {"runs": args.runs}}))
+    if getattr(args, "unseen", None) is not None:
+        layers.append(("--unseen", {"bakeoff": {"unseen": [name.strip() for name in args.unseen.split(",")]}}))
+    layers += [(f"--set {setting}", configuration.parse_set(setting)) for setting in args.set]
+    return configuration.resolve(layers)
+
+
+DEMO: dict[str, Any] = {
+    "data": {"source": "urban", "imu_worse_by": 3.0, "gnss_latency_s": 0.1},
+    "filter": {"cov_stride": 10},
+    "tune": {"steps": 24, "rate": 0.25, "runs": 6, "validation_runs": 8, "test_runs": 12, "free": ["noise", "latency"]},
+}
+"""The demo's own settings: an IMU three times noisier than its datasheet, and fixes 0.1 s late that nobody told of."""
+
+BAKEOFF: dict[str, Any] = {
+    "data": {"source": "gipkf_urban"},
+    "filter": {"name": "gpid,gpid15,gipkf,fwekf,fwekf15,ekf15_gate,ekf15_huber", "cov_stride": 10},
+    "bakeoff": {"unseen": ["gipkf_urban_uncalibrated", "gipkf_urban_stress"]},
+    "tune": {"steps": 20, "rate": 0.2, "runs": 6, "validation_runs": 4, "test_runs": 16},
+}
+"""A bake-off of the papers' filters in outages, if nothing else is said."""
+
+OWN = {"demo": DEMO, "bakeoff": BAKEOFF}
+
+
+def _look(args: argparse.Namespace) -> "Outcome":
+    from jaxnav.app.verbs import info
+
+    if args.verb == "data":
+        return info.data(args.action, args.name)
+    return info.info(cache_dir())
+
+
+def _work(args: argparse.Namespace, config: configuration.Config, folder: Path, out: Path) -> "Outcome":
+    from jaxnav.app.unused import unused
+
+    progress = not (args.quiet or args.json) and _first()
+    if not args.quiet and _first():
+        for line in unused(args.verb, config):
+            print(f"jaxnav: not used here: {line}", file=sys.stderr)
+    if args.verb in ("simulate", "filter"):
+        from jaxnav.app.verbs import filtering
+
+        return getattr(filtering, args.verb)(config, folder)
+    if args.verb == "mc":
+        from jaxnav.app.verbs import mc
+
+        return mc.mc(config, folder, progress)
+    if args.verb == "bakeoff":
+        from jaxnav.app.verbs import bakeoff
+
+        return bakeoff.bakeoff(config, folder, progress)
+    if args.verb == "allan":
+        from jaxnav.app.verbs import allan
+
+        return allan.allan(config, folder)
+    import jax
+
+    from jaxnav.app.verbs import tune
+
+    devices = 0 if jax.process_count() > 1 else getattr(args, "devices", 1)
+    return tune.tune(config, folder, progress, tune.Long(out / "checkpoint", getattr(args, "resume", False), devices))
+
+
+def _first() -> bool:
+    """Is this the only process, or number 0?"""
+    import jax
+
+    return jax.process_index() == 0
+
+
+def _report(args: argparse.Namespace, outcome: "Outcome", out: Path | None) -> int:
+    from jaxnav.app.results import to_json
+
+    code = INTERRUPTED if outcome.stopped else 0
+    if args.json:
+        about = {"verb": args.verb, "out": None if out is None else str(out), "stopped": outcome.stopped or None}
+        print(to_json(about | {"seconds": outcome.seconds, "metrics": outcome.metrics}))
+    elif not args.quiet:
+        print(outcome.text)
+        if out is not None:
+            figures = sorted(p.name for p in out.glob("*.png"))
+            print(f"\nresults in {out}" + (f", figures {', '.join(figures)}" if figures else ""))
+    if outcome.stopped:
+        print(f"jaxnav: stopped: {outcome.stopped}", file=sys.stderr)
+    sys.stdout.flush()
+    return code
+
+
+def _fail(args: argparse.Namespace, error: Exception, code: int) -> int:
+    if args.debug:
+        traceback.print_exception(error)
+    print(f"jaxnav: error: {' '.join(str(error).split())}", file=sys.stderr)
+    return code
+
+
+def cache_dir() -> str | None:
+    """The folder of compiled programs, or None where it is turned off."""
+    if CACHE in os.environ:
+        return os.environ[CACHE] or None
+    if sys.platform == "win32":
+        home = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        home = Path.home() / "Library" / "Caches"
+    else:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return str(home / "jaxnav" / "compiled")
+
+
+def _start_jax(args: argparse.Namespace) -> None:
+    """Float64, compiled programs kept for the next start, and the devices and processes that tuning asks for."""
+    import jax
+
+    from jaxnav.filters.run import enable_x64
+
+    enable_x64()
+    gc.set_threshold(COLLECT)
+    if args.verb == "tune":
+        from tuning import distributed
+
+        if args.devices < 0:
+            raise ConfigError(f"--devices must be 0 (all) or more, got {args.devices}")
+        if args.devices > 1 and args.processes is None:
+            distributed.use_cpu_devices(args.devices)
+        distributed.start(args.coordinator, args.processes, args.process)
+    folder = cache_dir()
+    if folder:
+        jax.config.update("jax_compilation_cache_dir", folder)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+def _version() -> str:
+    try:
+        return metadata.version("jaxnav")
+    except metadata.PackageNotFoundError:
+        return "(not installed)"
+
+
+if __name__ == "__main__":
+    console()

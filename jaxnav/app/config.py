@@ -1,0 +1,397 @@
+"""Configuration of the command line: TOML, or the run.json of an earlier run, into frozen dataclasses.
+
+Layers, the later wins: defaults, the preset of a data set, the file, ``--params``, flags, ``--set a.b=c``. Values are
+in a user's units, the unit in the name. Imports no jax.
+"""
+
+import dataclasses
+import difflib
+import json
+import math
+import operator
+import tomllib
+import typing
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxnav.app.toml import convert, describe, place, plain
+from jaxnav.types import ConfigError
+
+Numbers = float | tuple[float, ...]
+Root = Numbers | tuple[tuple[float, ...], ...]  # or a lower triangular matrix
+
+
+@dataclasses.dataclass(frozen=True)
+class Data:
+    """What is read or simulated."""
+
+    source: str = "urban"  # a scenario, a data set of `jaxnav data list`, or a path to a canonical recording
+    start: float | None = None  # s, use the recording from here
+    stop: float | None = None  # s, to here
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)  # of the reader, or fields of the scenario
+    imu_worse_by: float = 1.0  # simulated: the IMU's noise and drift are its datasheet's times this
+    gnss_latency_s: float = 0.0  # simulated: age of a fix at its stamp
+
+
+@dataclasses.dataclass(frozen=True)
+class Filter:
+    """Which filter runs, and on what."""
+
+    name: str = "ekf15"
+    grade: str = ""  # IMU datasheet; empty: the scenario's, else consumer
+    zero_velocity: bool = False
+    zero_rate: bool = False
+    nonholonomic: bool = False
+    speed: bool = False
+    cov_stride: int = 5  # the error dynamics see means over so many IMU samples
+    history: int = 0  # IMU samples kept for late fixes; 0: enough for the latencies
+    interval_s: float = 0.0  # nominal fix interval; 0: the median of the position's
+    outages: tuple[tuple[float, ...], ...] = ()  # (start, end) s, fixes hidden from the filter
+    standing_window_s: float = 1.0  # of the standstill detector: both sd, root sum square of axes, below these
+    standing_accel_sd_mps2: float = 0.2
+    standing_gyro_sd_deg_per_s: float = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Start:
+    """Where navigation starts: position and velocity from the first fix, level from standing, heading as said."""
+
+    heading: float | str = "course"  # "course", "unknown", "truth" or degrees
+    course_speed_mps: float = 5.0  # least speed for a course
+    position_sd_m: Numbers | None = None  # None: the fix's own sd, and 0.5 m
+    velocity_sd_mps: Numbers | None = None  # None: the fix's own sd, and 0.3 m/s
+    tilt_sd_deg: float = 2.0
+    heading_sd_deg: float = 5.0
+    hypotheses: int = 12  # of an unknown heading, each with an sd of their spacing
+
+
+@dataclasses.dataclass(frozen=True)
+class Params:
+    """Overrides of the datasheet, one number or one an axis; see `jaxnav.app.parameters.UNITS` for what each sets.
+
+    A `Root` may be a lower triangular 3 x 3 too, for noise that is correlated between the axes (`jaxnav.types.Noise`).
+    """
+
+    gyro_deg_per_sqrt_hour: Root | None = None
+    accel_ug_per_sqrt_hz: Root | None = None
+    gyro_bias_deg_per_hour_per_sqrt_s: Root | None = None
+    accel_bias_ug_per_sqrt_s: Root | None = None
+    gyro_tau_s: Numbers | None = None
+    accel_tau_s: Numbers | None = None
+    position_scale: Root | None = None
+    velocity_scale: Root | None = None
+    zero_velocity_mps: float | None = None
+    zero_rate_deg_per_s: float | None = None
+    nonholonomic_mps: Numbers | None = None
+    speed_sd_scale: float | None = None
+    prior_gyro_bias_deg_per_hour: Numbers | None = None
+    prior_accel_bias_mg: Numbers | None = None
+    lever_arm_m: tuple[float, ...] | None = None
+    time_offset_s: float | None = None
+    clock_drift_ppm: float | None = None
+    position_latency_s: float | None = None
+    velocity_latency_s: float | None = None
+    vehicle_deg: tuple[float, ...] | None = None
+    wheel_arm_m: tuple[float, ...] | None = None
+    speed_scale: float | None = None
+    ki: Numbers | None = None
+    kd: Numbers | None = None
+    rule: dict[str, Any] = dataclasses.field(default_factory=dict)  # name -> value of what else the rule has
+
+
+@dataclasses.dataclass(frozen=True)
+class Tune:
+    """What is tuned, for what, on what."""
+
+    free: tuple[str, ...] = ("noise", "timing", "rule")  # groups, or dotted names such as noise.gyro
+    objective: dict[str, float] = dataclasses.field(
+        default_factory=lambda: {"log_drift": 1.0, "nll": 1.0}
+    )  # name -> weight
+    frozen: tuple[str, ...] = ()  # taken out of ``free`` again
+    tied: tuple[str, ...] = ()  # one number for all axes
+    correlated: tuple[str, ...] = ()  # white and bias-driving noise, fixes: correlations between the axes too
+    prior: dict[str, float] = dataclasses.field(default_factory=dict)  # name -> one sd about the datasheet: a factor
+    #   for what is positive (2 is "within a factor 2"), else in the parameter's own unit
+    over_runs: str = "mean"  # how runs are put together: mean, log_mean (scenarios alike), tail (the worst ones)
+    tail: float = 0.25  # share of the runs that count as the worst; 0: the worst alone
+    method: str = "adam"  # adam, sgd, lbfgs; scoring, for the objective nll alone
+    steps: int = 40
+    rate: float = 0.1
+    warmup: float = 0.0  # share of the steps in which the rate rises
+    clip: float = 0.0  # largest gradient norm of one run; 0: none
+    patience: int = 0  # stop after so many steps without a better one; 0: never
+    starts: int = 1  # starting points side by side, the others drawn about the first
+    spread: float = 3.0  # factor that one sd of them is worth
+    redraw: bool = False  # new windows, or new simulated runs, at every step
+    more: tuple[str, ...] = ()  # further sources to tune on together, as [data] source
+    intervals: bool = True  # say how well the innovations determine what was tuned
+    posterior: int = 0  # draws from the posterior by NUTS, needs the extra `bayes`
+    runs: int = 8  # simulated: for training
+    validation_runs: int = 4
+    test_runs: int = 8
+    train: float = 0.5  # recorded: share of time for training, from the start
+    validation: float = 0.15  # then this share; the rest is held out
+    outage_s: float = 15.0  # recorded: length of hidden windows
+    outage_every_s: float = 45.0
+    settle_s: float = 30.0  # no window before this long after the start
+    phases: int = 5  # runs, each with its windows shifted by an equal part of outage_every_s
+
+
+@dataclasses.dataclass(frozen=True)
+class Mc:
+    """Monte Carlo runs."""
+
+    runs: int = 100
+    chunk: int = 16  # that live at a time
+    limit_m: float = 1000.0  # a horizontal error above this is a divergence
+
+
+@dataclasses.dataclass(frozen=True)
+class Bakeoff:
+    """Filters against each other; [tune] has the budget (steps, rate, clip, runs), [mc] limit_m what diverged."""
+
+    unseen: tuple[str, ...] = ()  # scenarios to test on that no filter is tuned on, besides those of [data] source
+
+
+@dataclasses.dataclass(frozen=True)
+class Out:
+    """What is written."""
+
+    formats: tuple[str, ...] = ("csv",)  # of the solution: csv, kml, pos, nav
+    figures: bool = True
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """One job, resolved."""
+
+    seed: int = 0
+    data: Data = Data()
+    filter: Filter = Filter()
+    start: Start = Start()
+    params: Params = Params()
+    tune: Tune = Tune()
+    mc: Mc = Mc()
+    bakeoff: Bakeoff = Bakeoff()
+    out: Out = Out()
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "rtkexplorer_drive": {
+        # read early, so that the offset of the IMU's clock is positive: fixes meet navigation that is already there
+        "data": {"options": {"imu_delay": -0.3}},
+        "filter": {
+            "grade": "consumer",
+            "zero_velocity": True,
+            "zero_rate": True,
+            "standing_window_s": 2.0,
+            "standing_gyro_sd_deg_per_s": 3.5,
+            "standing_accel_sd_mps2": 0.15,
+        },
+        "params": {"velocity_latency_s": 0.125, "time_offset_s": 0.175},
+    },
+    "umn_thor75": {
+        "filter": {"grade": "adis1640x_airframe"},
+        "start": {"heading": "unknown", "tilt_sd_deg": 3.0},
+        "params": {"position_scale": 0.5, "velocity_scale": 2.0, "time_offset_s": 0.1},
+    },
+    "navego_synthetic": {"filter": {"grade": "adis16488"}, "start": {"heading": "truth", "heading_sd_deg": 1.0}},
+    "kth_gnss_ins": {"filter": {"grade": "consumer"}, "start": {"heading": 320.0, "heading_sd_deg": 10.0}},
+}
+"""What a data set needs that its files do not say; under the user's own settings."""
+
+
+LIMITS: dict[str, tuple[float, float]] = {
+    "seed": (0, 2**32 - 1),
+    "data.imu_worse_by": (1.0, 1e3),
+    "data.gnss_latency_s": (0.0, 1.0),
+    "filter.cov_stride": (1, 1000),
+    "filter.history": (0, 100_000),
+    "filter.standing_window_s": (0.01, 3600.0),
+    "filter.standing_accel_sd_mps2": (0.0, 1e3),
+    "filter.standing_gyro_sd_deg_per_s": (0.0, 1e4),
+    "filter.interval_s": (0.0, 60.0),
+    "start.course_speed_mps": (0.1, 100.0),
+    "start.tilt_sd_deg": (1e-6, 90.0),
+    "start.heading_sd_deg": (1e-6, 180.0),
+    "start.hypotheses": (2, 360),
+    "params.time_offset_s": (-10.0, 10.0),
+    "params.clock_drift_ppm": (-1e5, 1e5),
+    "params.position_latency_s": (-10.0, 10.0),
+    "params.velocity_latency_s": (-10.0, 10.0),
+    "tune.steps": (0, 1_000_000),
+    "tune.rate": (1e-9, 10.0),
+    "tune.tail": (0.0, 1.0),
+    "tune.warmup": (0.0, 0.9),
+    "tune.clip": (0.0, 1e12),
+    "tune.patience": (0, 1_000_000),
+    "tune.starts": (1, 1000),
+    "tune.spread": (1.001, 1e3),
+    "tune.posterior": (0, 1_000_000),
+    "tune.runs": (1, 1_000_000),
+    "tune.validation_runs": (1, 1_000_000),
+    "tune.test_runs": (1, 1_000_000),
+    "tune.train": (0.05, 0.9),
+    "tune.validation": (0.05, 0.9),
+    "tune.outage_s": (0.1, 3600.0),
+    "tune.outage_every_s": (0.2, 36000.0),
+    "tune.settle_s": (0.0, 36000.0),
+    "tune.phases": (1, 100),
+    "mc.runs": (1, 10_000_000),
+    "mc.chunk": (1, 10_000),
+    "mc.limit_m": (1e-3, math.inf),
+}
+"""Smallest and largest value of numbers that would otherwise fail somewhere inside."""
+
+
+def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
+    """Merge ``(where, tree)`` layers over the defaults; ``where`` names the origin in messages.
+
+    Raises:
+        ConfigError: an unknown key, or a value of the wrong type or out of its limits.
+    """
+    layers = [(where, _checked(Config, tree, where)) for where, tree in layers]
+    source = Data.source
+    for _, tree in layers:
+        source = tree.get("data", {}).get("source", source)
+    merged: dict[str, Any] = _checked(Config, PRESETS.get(source, {}), "preset")
+    for _, tree in layers:
+        merged = merge(merged, tree)
+    config = _build(merged)
+    for name, (low, high) in LIMITS.items():
+        value = operator.attrgetter(name)(config)
+        if value is not None and not low <= value <= high:
+            raise ConfigError(f"{name} must be in [{low:.12g}, {high:.12g}], got {value:.12g}")
+    return config
+
+
+def for_source(config: Config, source: str) -> Config:
+    """The same job on another source: with that source's presets, and without what belongs to the first one's data."""
+    plain, preset, tree = as_dict(Config()), PRESETS.get(config.data.source, {}), as_dict(config)
+    chosen = {
+        section: {k: v for k, v in fields.items() if v not in (plain[section].get(k), preset.get(section, {}).get(k))}
+        for section, fields in tree.items()
+        if isinstance(fields, Mapping)
+    }
+    data = {k: v for k, v in chosen["data"].items() if k not in ("options", "start", "stop")} | {"source": source}
+    return resolve([("tune.more", chosen | {"data": data})])
+
+
+def read(path: str | Path) -> dict[str, Any]:
+    """The tree of a TOML file, or of the configuration in a run.json.
+
+    Raises:
+        ConfigError: not readable, not TOML or JSON, unknown key, wrong type; names the file and line.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    try:
+        tree = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: {error}") from error
+    if path.suffix == ".json":
+        tree = tree.get("config") if isinstance(tree, dict) else None
+        if not isinstance(tree, dict):
+            raise ConfigError(f'{path}: expected an object with a "config", as jaxnav writes it in run.json')
+    _checked(Config, tree, str(path), text)
+    return tree
+
+
+def read_params(path: str | Path) -> dict[str, Any]:
+    """The [params] of a file such as tuned.toml, as a layer."""
+    tree = read(path)
+    if "params" not in tree:
+        raise ConfigError(f"{path}: has no [params]")
+    return {"params": tree["params"]}
+
+
+def parse_set(setting: str) -> dict[str, Any]:
+    """``a.b=c`` as a tree; the value is TOML, and text where it is none.
+
+    Raises:
+        ConfigError: no ``=``.
+    """
+    key, equals, text = setting.partition("=")
+    names = [name.strip() for name in key.split(".")]
+    if not equals or not all(names):
+        raise ConfigError(f"--set takes a.b=value, got {setting!r}")
+    try:
+        value = tomllib.loads(f"v = {text}")["v"] if "\n" not in text else text
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    tree: dict[str, Any] = {names[-1]: value}
+    for name in reversed(names[:-1]):
+        tree = {name: tree}
+    return tree
+
+
+def merge(a: Mapping[str, Any], b: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """``b`` over ``a``, section by section; objective and prior are replaced as a whole."""
+    out = dict(a)
+    for key, value in b.items():
+        whole = path + key in ("tune.objective", "tune.prior")
+        deep = isinstance(value, Mapping) and isinstance(out.get(key), Mapping) and not whole
+        out[key] = merge(out[key], value, f"{path}{key}.") if deep else value
+    return out
+
+
+def as_dict(config: Config) -> dict[str, Any]:
+    """The resolved configuration as a tree for TOML or JSON; what is None is left out."""
+    return plain(dataclasses.asdict(config))
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """``did you mean X?``, or the list of what there is."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
+
+
+# ---------------------------------------------------------------------------- details
+
+
+def _checked(kind: type, tree: Any, where: str, text: str = "", path: str = "") -> dict[str, Any]:
+    """The tree with every key known and every value of its field's type."""
+    if not isinstance(tree, Mapping):
+        raise ConfigError(f"{place(where, text, path)}: [{path.rstrip('.')}] is a section, got {tree!r}")
+    hints, out = typing.get_type_hints(kind), {}
+    for key, value in tree.items():
+        name = path + key
+        if key not in hints:
+            raise ConfigError(f"{place(where, text, name)}: unknown key {name}: {_near_key(name, path, hints)}")
+        hint = hints[key]
+        if dataclasses.is_dataclass(hint):
+            out[key] = _checked(typing.cast(type, hint), value, where, text, f"{name}.")
+            continue
+        if name == "tune.objective" and isinstance(value, str):
+            value = {value: 1.0}
+        ok, out[key] = convert(value, hint)
+        if not ok:
+            raise ConfigError(f"{place(where, text, name)}: {name} must be {describe(hint)}, got {value!r}")
+    return out
+
+
+def _near_key(name: str, path: str, hints: Mapping[str, Any]) -> str:
+    """The nearest key in the section, or in any section."""
+    here = [path + k for k in hints]
+    if difflib.get_close_matches(name, here, n=1, cutoff=0.7):
+        return nearest(name, here)
+    last = name.rpartition(".")[2]
+    every = [f"{s}.{f.name}" for s, c in _sections().items() for f in dataclasses.fields(c)]
+    close = difflib.get_close_matches(last, [k.rpartition(".")[2] for k in every], n=1, cutoff=0.8)
+    if close:
+        return f"did you mean {next(k for k in every if k.endswith('.' + close[0]))}?"
+    return nearest(name, here)
+
+
+def _sections() -> dict[str, Any]:
+    return {k: c for k, c in typing.get_type_hints(Config).items() if dataclasses.is_dataclass(c)}
+
+
+def _build(tree: Mapping[str, Any]) -> Config:
+    sections = _sections()
+    return Config(**{k: sections[k](**v) if k in sections else v for k, v in tree.items()})

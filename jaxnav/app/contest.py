@@ -1,0 +1,245 @@
+"""Filters tuned alike on the same simulated runs and scored on others.
+
+Every filter starts from the datasheet and has the same steps of the same optimiser on the same runs. Free are factors
+on the noise and the prior that each scenario's datasheet gives, so that one tuning serves scenarios with different
+sensors, and what the filter's rule and feedback have of their own. What is minimised is the mean logarithm of the
+position's RMS error over the runs: scenarios that are hard count no more than those that are easy.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from functools import cache, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.analysis import metrics
+from jaxnav.app import config as configuration
+from jaxnav.app.parameters import groups, step_of
+from jaxnav.app.prepare import covering
+from jaxnav.app.results import stderr
+from jaxnav.app.sources import TEST, TRAIN, VALIDATION, key_of, simulated
+from jaxnav.filters.catalogue import FILTERS, build
+from jaxnav.filters.core import Filter
+from jaxnav.filters.run import prepare, run
+from jaxnav.maths import rotations, units
+from jaxnav.simulate.scenarios import Scenario
+from jaxnav.simulate.simulation import matched_params, stride_within
+from jaxnav.types import Epoch, Nav, Params
+from tuning.optimizers import adam
+from tuning.train import fit
+from tuning.transforms import LOG, Spec, put, tied
+
+REFERENCES = ("ekf9", "ekf15")  # always in: the Kalman filter without and with bias states
+CLIP = 1.0  # largest gradient norm of one run, where [tune] has none: a run of a chaotic filter must not drown the rest
+
+
+class Kind(NamedTuple):
+    """A type of scenario."""
+
+    scenario: Scenario
+    told: Params  # what every filter is told: datasheet, start, installation
+
+
+class Plan(NamedTuple):
+    """What every filter gets alike."""
+
+    trained: tuple[Kind, ...]
+    unseen: tuple[Kind, ...]
+    budget: configuration.Tune  # of it steps, rate, clip and the numbers of runs
+    seed: int = 0
+    limit_m: float = 1000.0  # a horizontal error above this is a divergence, and counts as this
+    cov_stride: int = 5
+
+
+class Case(NamedTuple):
+    """One run, or many with a leading axis."""
+
+    told: Params
+    start: Nav
+    epochs: Epoch  # (E, ...)
+    truth: Nav  # (E, ...)
+
+
+class Marks(NamedTuple):
+    """What a filter does on the test: K kinds, those trained on first, of S runs each; the same for all filters."""
+
+    rms: np.ndarray  # (K, S, 3) position m, velocity m/s, attitude deg; the limit where it diverged
+    ok: np.ndarray  # (K, S) bool
+
+
+class Entrant(NamedTuple):
+    """One filter of the bake-off."""
+
+    spec: Spec
+    params: Params  # factors of noise and prior; rule and feedback as they are
+    before: Marks
+    after: Marks
+    note: str  # why it was not tuned, or empty
+    aside: tuple[dict, ...]  # runs that failed while tuning
+    seconds: float
+
+
+# ---------------------------------------------------------------------------- what is free, and what it does
+
+
+def spec_of(name: str) -> Spec:
+    """What a filter has to tune: its factors, and the leaves of its rule and feedback, dotted names of `Params`."""
+    entry = FILTERS[name]
+    factors = ["noise.gyro", "noise.accel", "prior.attitude"]
+    if entry.n_states > 9:
+        factors += ["noise.gyro_bias", "noise.accel_bias", "prior.gyro_bias", "prior.accel_bias"]
+    spec = dict.fromkeys(factors, LOG)
+    spec |= dict.fromkeys(("noise.position_scale", "noise.velocity_scale"), tied(LOG, (0, 0, 1)))  # level, vertical
+    spec |= {leaf: step_of(leaf, name) for leaf in groups(name, ())["rule"]}
+    return spec | {f"feedback.{leaf}": LOG for leaf in getattr(entry.feedback_theta(), "_fields", ())}
+
+
+def datasheet(name: str) -> Params:
+    """The start: every factor one, rule and feedback as they come."""
+    entry, one = FILTERS[name], jnp.ones(())
+    told = matched_params(Scenario())
+    params = jax.tree.map(lambda _: one, told)
+    for leaf in ("noise.position_scale", "noise.velocity_scale"):
+        params = put(params, leaf, jnp.ones(3))
+    return params._replace(rule=entry.theta(), feedback=entry.feedback_theta())
+
+
+def applied(params: Params, told: Params) -> Params:
+    """What a scenario's filter runs with: the factors of ``params`` on what it was told."""
+    times = partial(jax.tree.map, lambda factor, told: (factor * told.T).T)  # the rows of a root, if it is one
+    noise, prior = times(params.noise, told.noise), times(params.prior, told.prior)
+    return Params(noise, prior, told.mounting, params.rule, params.feedback)
+
+
+@cache
+def loss_of(filt: Filter) -> Callable[[Params, Case], jax.Array]:
+    """Log of one run's RMS position error, inf where it stops being finite; one function for a filter."""
+
+    def loss(params: Params, case: Case) -> jax.Array:
+        info = run(filt, applied(params, case.told), case.start, case.epochs)
+        error = jax.vmap(metrics.position_error)(info.nav, case.truth.pos)
+        return jnp.where(info.ok.all(), 0.5 * jnp.log(jnp.mean(jnp.sum(error**2, axis=1)) + 1e-12), jnp.inf)
+
+    return loss
+
+
+@partial(jax.jit, static_argnums=0)
+def _errors(filt: Filter, params: Params, cases: Case) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """RMS of position m, velocity m/s and attitude deg (S, 3), the largest horizontal error (S,), finite (S,)."""
+
+    def one(case: Case):
+        info = run(filt, applied(params, case.told), case.start, case.epochs)
+        position = jax.vmap(metrics.position_error)(info.nav, case.truth.pos)
+        turn = jax.vmap(lambda a, b: rotations.log(rotations.multiply(a, rotations.conjugate(b))))
+        errors = (position, info.nav.vel - case.truth.vel, turn(info.nav.q, case.truth.q) / units.DEG)
+        size = jnp.stack([jnp.sqrt(jnp.mean(jnp.sum(e**2, axis=1))) for e in errors])
+        return size, jnp.max(jnp.hypot(position[:, 0], position[:, 1])), info.ok.all()
+
+    return jax.vmap(one)(cases)
+
+
+# ---------------------------------------------------------------------------- the contest
+
+
+def contest(names: Sequence[str], plan: Plan, progress: bool = False) -> tuple[dict[str, Entrant], str]:
+    """Tune and score one filter after the other; also why it ended early, or an empty text.
+
+    Raises:
+        KeyboardInterrupt: before the first filter was finished.
+    """
+    runs = draw(plan)
+    found: dict[str, Entrant] = {}
+    for i, name in enumerate(names):
+        if progress:
+            stderr(f"{name}, {i + 1} of {len(names)}")
+        try:
+            entrant = _enter(name, plan, runs, progress)
+        except KeyboardInterrupt:
+            entrant = None
+        if entrant is None:
+            if not found:
+                raise KeyboardInterrupt
+            return found, f"after {len(found)} of {len(names)} filters"
+        found[name] = entrant
+    return found, ""
+
+
+class Runs(NamedTuple):
+    """What filters are tuned and ranked on, a case with S runs for every kind."""
+
+    train: list[Case]
+    validation: list[Case]
+    test: list[Case]  # of the kinds trained on first, then of the unseen
+
+
+def draw(plan: Plan) -> Runs:
+    """Simulate all runs; those of the same number share their random numbers over the kinds."""
+    b, runs = plan.budget, Runs([], [], [])
+    for i, kind in enumerate((*plan.trained, *plan.unseen)):
+        counts = {TRAIN: b.runs, VALIDATION: b.validation_runs} if i < len(plan.trained) else {}
+        counts[TEST] = b.test_runs
+        keys = jnp.stack([key_of(plan.seed, part, j) for part, n in counts.items() for j in range(n)])
+        sims = simulated(kind.scenario, keys)  # all at once, since a scenario takes longer to compile than to run
+        told = jax.tree.map(lambda a, n=len(keys): jnp.broadcast_to(a, (n, *jnp.shape(a))), kind.told)
+        case, first = Case(told, sims.initial, sims.epochs, sims.truth), 0
+        for part, n in counts.items():
+            own = jax.tree.map(lambda a, first=first, n=n: a[first : first + n], case)
+            {TRAIN: runs.train, VALIDATION: runs.validation, TEST: runs.test}[part].append(own)
+            first += n
+    return runs
+
+
+def _enter(name: str, plan: Plan, runs: Runs, progress: bool) -> Entrant | None:
+    """One filter tuned and scored; None where Ctrl-C cut its tuning short, which would not be the same budget."""
+    begin, b = time.perf_counter(), plan.budget
+    filt, spec, start = filter_for(name, plan), spec_of(name), datasheet(name)
+    before = marks(filt, start, runs.test, plan.limit_m)
+    named = [f"{kind.scenario.name}, run {i}" for kind in plan.trained for i in range(b.runs)]
+    ready = lambda cases: [case._replace(epochs=prepare(filt, case.epochs)) for case in cases]  # noqa: E731
+    groups, order = together(runs.train)
+    tuned, note = start, ""
+    aside: tuple[dict, ...] = ()
+    try:
+        done = fit(
+            loss_of(filt), spec, start, b.steps, adam(b.steps, b.rate, 10.0), validation=loss_of(filt),
+            cases=ready(groups), validation_cases=ready(together(runs.validation)[0]), names=[named[i] for i in order],
+            clip=b.clip or CLIP, progress=progress,
+        )  # fmt: skip
+        if done.stopped != "done":
+            return None
+        tuned, aside = done.params, done.aside
+    except ValueError as error:  # every run of the start fails: it competes as it is
+        note = f"not tuned: {error}"
+    after = before if note else marks(filt, tuned, runs.test, plan.limit_m)
+    return Entrant(spec, tuned, before, after, note, aside, time.perf_counter() - begin)
+
+
+def filter_for(name: str, plan: Plan) -> Filter:
+    """The filter that serves all scenarios of the plan: its stride divides their samples, its history covers them."""
+    kinds = (*plan.trained, *plan.unseen)
+    stride = stride_within(plan.cov_stride, *(kind.scenario for kind in kinds))
+    history = max(covering(k.told.mounting, k.scenario.imu_rate_hz, k.scenario.duration_s) for k in kinds)
+    return build(name, cov_stride=stride, history=history)
+
+
+def together(cases: list[Case]) -> tuple[list[Case], list[int]]:
+    """Cases of equal shapes side by side, so that they share a program, and which run went where."""
+    groups: dict[tuple, list[tuple[int, Case]]] = {}
+    first = 0
+    for case in cases:
+        shapes = tuple(np.shape(a)[1:] for a in jax.tree.leaves(case))
+        groups.setdefault(shapes, []).append((first, case))
+        first += case.start.t.shape[0]
+    order = [at + i for group in groups.values() for at, case in group for i in range(case.start.t.shape[0])]
+    return [jax.tree.map(lambda *a: jnp.concatenate(a), *(c for _, c in group)) for group in groups.values()], order
+
+
+def marks(filt: Filter, params: Params, test: list[Case], limit_m: float) -> Marks:
+    """The errors of the test's runs; one that diverged counts as the limit."""
+    scored = [jax.device_get(_errors(filt, params, case)) for case in test]
+    rms, largest, finite = (np.stack(a) for a in zip(*scored, strict=True))
+    ok = finite & np.isfinite(rms).all(-1) & (largest < limit_m)
+    return Marks(np.where(ok[..., None], np.minimum(rms, limit_m), limit_m), ok)

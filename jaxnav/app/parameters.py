@@ -1,0 +1,251 @@
+"""Filter parameters in a user's units, and names of what is free in tuning."""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.app import config
+from jaxnav.filters.catalogue import FILTERS
+from jaxnav.maths import units
+from jaxnav.measurements import Measurement
+from jaxnav.types import ConfigError, Params
+from tuning.transforms import IDENTITY, LOG, TRANSFORMS, Spec, Transform, believed, factor, get, put, scaled, tied
+
+
+class Unit(NamedTuple):
+    """What a user's parameter is inside."""
+
+    leaf: str  # dotted name in `Params`
+    factor: float  # user's unit in SI
+    shape: tuple[int, ...]  # of one value an axis
+    step: Transform = LOG  # for tuning
+    text: str = ""  # the user's unit in words; empty: a plain number
+
+
+UNITS: dict[str, Unit] = {
+    "gyro_deg_per_sqrt_hour": Unit("noise.gyro", units.DEG_PER_SQRT_HOUR, (3,), text="deg/sqrt(h)"),
+    "accel_ug_per_sqrt_hz": Unit("noise.accel", units.UG, (3,), text="ug/sqrt(Hz)"),
+    "gyro_bias_deg_per_hour_per_sqrt_s": Unit("noise.gyro_bias", units.DEG_PER_HOUR, (3,), text="deg/h/sqrt(s)"),
+    "accel_bias_ug_per_sqrt_s": Unit("noise.accel_bias", units.UG, (3,), text="ug/sqrt(s)"),
+    "gyro_tau_s": Unit("noise.gyro_tau", 1.0, (3,), text="s"),
+    "accel_tau_s": Unit("noise.accel_tau", 1.0, (3,), text="s"),
+    "position_scale": Unit("noise.position_scale", 1.0, (3,)),
+    "velocity_scale": Unit("noise.velocity_scale", 1.0, (3,)),
+    "zero_velocity_mps": Unit("noise.zero_velocity", 1.0, (), text="m/s"),
+    "zero_rate_deg_per_s": Unit("noise.zero_rate", units.DEG, (), text="deg/s"),
+    "nonholonomic_mps": Unit("noise.nonholonomic", 1.0, (2,), text="m/s"),
+    "speed_sd_scale": Unit("noise.speed", 1.0, ()),
+    "prior_gyro_bias_deg_per_hour": Unit("prior.gyro_bias", units.DEG_PER_HOUR, (3,), text="deg/h"),
+    "prior_accel_bias_mg": Unit("prior.accel_bias", units.MG, (3,), text="mg"),
+    "lever_arm_m": Unit("mounting.lever_arm", 1.0, (3,), scaled(0.2), text="m"),
+    "time_offset_s": Unit("mounting.time_offset", 1.0, (), scaled(0.1), text="s"),
+    "clock_drift_ppm": Unit("mounting.clock_drift", units.PPM, (), scaled(300 * units.PPM), text="ppm"),
+    "position_latency_s": Unit("mounting.position_latency", 1.0, (), scaled(0.1), text="s"),
+    "velocity_latency_s": Unit("mounting.velocity_latency", 1.0, (), scaled(0.1), text="s"),
+    "vehicle_deg": Unit("mounting.vehicle", units.DEG, (2,), scaled(1.0 * units.DEG), text="deg"),
+    "wheel_arm_m": Unit("mounting.wheel_arm", 1.0, (3,), scaled(0.2), text="m"),
+    "speed_scale": Unit("mounting.speed_scale", 1.0, (), scaled(0.02)),
+    "ki": Unit("rule.ki", 1.0, ()),
+    "kd": Unit("rule.kd", 1.0, ()),
+}
+"""The keys of [params]."""
+
+NAMES = {unit.leaf: name for name, unit in UNITS.items()}
+ENDLESS = ("gyro_tau_s", "accel_tau_s")  # may be inf: a random walk
+ROOTS = tuple(
+    f"noise.{leaf}" for leaf in ("gyro", "accel", "gyro_bias", "accel_bias", "position_scale", "velocity_scale")
+)
+"""Leaves that may be a lower triangular root, see `Noise`."""
+
+
+def override(params: Params, section: config.Params) -> Params:
+    """``params`` with what [params] states, in SI.
+
+    Raises:
+        ConfigError: a wrong number of axes, a value out of range, a matrix that is no root, or a parameter the filter's
+            rule has not.
+    """
+    for name, unit in UNITS.items():
+        value = getattr(section, name)
+        if value is None:
+            continue
+        if isinstance(value, tuple) and any(isinstance(row, tuple) for row in value):
+            _check_root(name, value)
+        elif np.shape(value) not in ((), unit.shape):
+            expected = f"one number or {unit.shape[0]}" if unit.shape else "one number"
+            raise ConfigError(f"params.{name} must be {expected}, got {value!r}")
+        elif unit.step is LOG and not np.all(np.asarray(value) > 0):
+            raise ConfigError(f"params.{name} must be > 0, got {value!r}")
+        elif not np.isfinite(value).all() and not (name in ENDLESS and not np.isnan(value).any()):
+            raise ConfigError(f"params.{name} must be finite, got {value!r}")
+        if not hasattr(params.rule, unit.leaf.split(".")[1]) and unit.leaf.startswith("rule."):
+            raise ConfigError(f"params.{name}: this filter has no such parameter")
+        old = jnp.shape(get(params, unit.leaf))
+        shape = np.shape(value) or (unit.shape if old else ())
+        params = put(params, unit.leaf, jnp.broadcast_to(jnp.asarray(value, float) * unit.factor, shape))
+    for name, value in section.rule.items():
+        params = put(params, f"rule.{name}", _rule_value(params, name, value))
+    return params
+
+
+def _rule_value(params: Params, name: str, value: Any) -> Any:
+    """What [params.rule] states, in the shape that the rule has it in."""
+    try:
+        old = get(params, f"rule.{name}")
+        new = np.asarray(value, float)
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f"params.rule.{name}: {error}") from error
+    if new.shape not in ((), jnp.shape(old)) or not np.isfinite(new).all():
+        raise ConfigError(f"params.rule.{name} must be finite, of shape {jnp.shape(old)}, got {value!r}")
+    return jnp.broadcast_to(jnp.asarray(new), jnp.shape(old))
+
+
+def _check_root(name: str, value: tuple) -> None:
+    """Raise ConfigError unless it is a lower triangular 3 x 3 with a positive diagonal."""
+    what = f"params.{name} as a matrix must be lower triangular, 3 x 3, with a positive diagonal, got {value!r}"
+    if [len(row) for row in value] != [3, 3, 3]:
+        raise ConfigError(what)
+    L = np.array(value)
+    if np.any(np.triu(L, 1)) or not np.all(np.diag(L) > 0) or not np.isfinite(L).all():
+        raise ConfigError(what)
+
+
+def in_user_units(params: Params, leaves: list[str]) -> dict[str, Any]:
+    """The named leaves as keys and values of [params]; axes that agree are one number."""
+    found: dict[str, Any] = {NAMES[leaf]: user_value(leaf, get(params, leaf)) for leaf in leaves if leaf in NAMES}
+    rule = {leaf.removeprefix("rule."): user_value(leaf, get(params, leaf)) for leaf in leaves if leaf not in NAMES}
+    return found | ({"rule": rule} if rule else {})
+
+
+def unit_of(leaf: str) -> Unit:
+    """How a user states a leaf; a rule's own parameters have no unit."""
+    return UNITS[NAMES[leaf]] if leaf in NAMES else Unit(leaf, 1.0, (), IDENTITY)
+
+
+def name_of(leaf: str) -> str:
+    """The key of [params], or the dotted name of a rule's own parameter."""
+    return NAMES.get(leaf, leaf)
+
+
+def user_value(leaf: str, value: Any) -> Any:
+    """A leaf's value in a user's units, as plain numbers."""
+    value = np.asarray(value, float) / unit_of(leaf).factor
+    same = value.ndim and np.all(value == value.flat[0]) and leaf.startswith("noise.")
+    return float(value.flat[0]) if same else value.tolist()
+
+
+def groups(name: str, measurements: tuple[Measurement, ...]) -> dict[str, list[str]]:
+    """What the short names in ``tune.free`` stand for, with a filter and its measurements."""
+    used = {m.name for m in measurements}
+    entry = FILTERS[name]
+    biases = ["noise.gyro_bias", "noise.accel_bias"] if entry.n_states > 9 else []
+    vehicle = bool(used & {"nonholonomic", "speed"})
+    pseudo = [f"noise.{n}" for n in ("zero_velocity", "zero_rate", "nonholonomic", "speed") if n in used]
+    return {
+        "noise": ["noise.gyro", "noise.accel", *biases, *pseudo],
+        "fixes": ["noise.position_scale", "noise.velocity_scale"],
+        "timing": ["mounting.time_offset", "mounting.clock_drift", "mounting.velocity_latency"],  # of the IMU's
+        "latency": ["mounting.position_latency", "mounting.velocity_latency"],  # of the receiver: its fixes are old
+        "lever_arm": ["mounting.lever_arm"],
+        "vehicle": ["mounting.vehicle", "mounting.wheel_arm"] if vehicle else [],
+        "prior": ["prior.gyro_bias", "prior.accel_bias"] if entry.n_states > 9 else [],
+        # a gain of zero, such as the derivative's of the printed GPID, has no logarithm and stays what it is
+        "rule": [f"rule.{leaf}" for leaf, kind in entry.tunable.items()
+                 if np.isfinite(TRANSFORMS[kind].inverse(get(entry.theta(), leaf))).all()],
+    }  # fmt: skip
+
+
+def free_spec(free: tuple[str, ...], filter_name: str, measurements: tuple[Measurement, ...]) -> Spec:
+    """The transforms of what ``tune.free`` names: groups, dotted leaves, or keys of [params].
+
+    Raises:
+        ConfigError: an unknown name, or nothing is free.
+    """
+    spec = {}
+    for leaf in leaves_of("tune.free", free, filter_name, measurements):
+        spec[leaf] = step_of(leaf, filter_name)
+    if not spec:
+        raise ConfigError("tune.free: nothing is free")
+    return spec
+
+
+def step_of(leaf: str, filter_name: str) -> Transform:
+    """How a leaf is tuned.
+
+    Raises:
+        ConfigError: the filter's rule has no such parameter.
+    """
+    group, _, name = leaf.partition(".")
+    if group != "rule":
+        return UNITS[NAMES[leaf]].step
+    if name not in FILTERS[filter_name].tunable:
+        raise ConfigError(f"tune.free: filter {filter_name} has no {leaf}")
+    return TRANSFORMS[FILTERS[filter_name].tunable[name]]
+
+
+def leaves_of(key: str, names: Iterable[str], filter_name: str, measurements: tuple[Measurement, ...]) -> list[str]:
+    """The dotted leaves that groups, leaves and keys of [params] name; ``key`` is the setting, for messages."""
+    short = groups(filter_name, measurements)
+    leaves: list[str] = []
+    for name in names:
+        for leaf in short[name] if name in short else [UNITS[name].leaf if name in UNITS else name]:
+            if leaf not in NAMES and leaf.removeprefix("rule.") not in FILTERS[filter_name].tunable:
+                raise ConfigError(f"{key}: no parameter {leaf}: {config.nearest(leaf, [*short, *NAMES])}")
+            leaves.append(leaf)
+    return list(dict.fromkeys(leaves))
+
+
+def tune_spec(tune: config.Tune, filter_name: str, measurements: tuple[Measurement, ...], sheet: Params) -> Spec:
+    """What [tune] frees, with its ties and correlations, and its beliefs about the datasheet's values ``sheet``.
+
+    Of a group that is to be correlated it is those leaves that can be.
+
+    Raises:
+        ConfigError: a name that is unknown or not free, one that cannot be correlated or is tied, an sd that is none.
+    """
+    which = lambda key, names: leaves_of(f"tune.{key}", names, filter_name, measurements)  # noqa: E731
+    frozen = set(which("frozen", tune.frozen))
+    spec = {k: v for k, v in free_spec(tune.free, filter_name, measurements).items() if k not in frozen}
+    if not spec:
+        raise ConfigError("tune.frozen: nothing is left free")
+
+    def free(key: str, name: str) -> list[str]:
+        """Those of a name's leaves that are free; of a group that may be some, otherwise it is a mistake."""
+        found = [leaf for leaf in which(key, [name]) if leaf in spec]
+        if not found and not set(which(key, [name])) & frozen:
+            raise ConfigError(f"tune.{key}: {name} is not in tune.free, where it would have to be")
+        return found
+
+    for name in tune.tied:
+        for leaf in free("tied", name):
+            spec[leaf] = tied(spec[leaf])
+    for name in tune.correlated:
+        roots = [leaf for leaf in which("correlated", [name]) if leaf in ROOTS]
+        if not roots:
+            known = ", ".join(NAMES[leaf] for leaf in ROOTS)
+            raise ConfigError(f"tune.correlated: {name} cannot be correlated, only {known}")
+        for leaf in (leaf for leaf in free("correlated", name) if leaf in roots):
+            if spec[leaf].tie is not None:
+                raise ConfigError(f"tune.correlated: {leaf} is in tune.tied, where its axes share one number")
+            spec[leaf] = factor(3)
+    for name, sd in tune.prior.items():
+        for leaf in free("prior", name):
+            spec[leaf] = believed(spec[leaf], get(sheet, leaf), _sd(name, leaf, step_of(leaf, filter_name), sd))
+    return spec
+
+
+def _sd(name: str, leaf: str, step: Transform, sd: float) -> float:
+    """One sd of a belief in the unconstrained space: a factor where the parameter is positive, else the user's unit."""
+    positive = step is LOG
+    if not sd > (1.0 if positive else 0.0):
+        what = "a factor above 1" if positive else "above 0"
+        raise ConfigError(f"tune.prior.{name}: one sd must be {what}, got {sd:g}")
+    return float(np.log(sd)) if positive else float(step.inverse(jnp.asarray(sd * unit_of(leaf).factor)))
+
+
+def component(label: str) -> str:
+    """``noise.gyro[1]`` by the key of [params]: ``gyro_deg_per_sqrt_hour[1]``."""
+    leaf, bracket, index = label.partition("[")
+    return name_of(leaf) + bracket + index

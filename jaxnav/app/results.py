@@ -1,0 +1,196 @@
+"""What a job leaves: a folder that is whole or not there, run.json written last, and tables for the terminal."""
+
+import contextlib
+import itertools
+import json
+import math
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxnav.app.config import Config, as_dict
+from jaxnav.data import atomic_write
+from jaxnav.types import DataError
+
+RUN = "run.json"
+
+
+class FailedCheck(Exception):
+    """A result that must not be used, such as a filter that stopped being finite (exit code 1)."""
+
+
+class Outcome(NamedTuple):
+    """What a verb hands to the command line."""
+
+    metrics: dict[str, Any]
+    text: str  # for the terminal
+    seconds: dict[str, float]  # wall time by part
+    stopped: str = ""  # why it ended early
+
+
+@contextlib.contextmanager
+def staged(out: Path, verb: str, inputs: Sequence[str | Path] = ()) -> Iterator[Path]:
+    """A folder to write into beside ``out``; what it holds moves there when all went well, run.json last.
+
+    A failure leaves ``out`` as it was. Files that an earlier run of the same verb left and the new one has not are
+    removed; nothing else is: an ``out`` that holds anybody else's files, or one of the ``inputs``, is refused before
+    the work begins, and a file that appeared there meanwhile is kept under another name.
+
+    Raises:
+        DataError: the folder cannot be written, is a file, belongs to another verb, or has others' files or an input.
+    """
+    out = Path(out).resolve()
+    _refuse_others(out, verb, inputs)
+    temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
+        out.mkdir(exist_ok=True)
+        names = sorted(p.name for p in temporary.iterdir())
+        old = _listed(out / RUN)
+        (out / RUN).unlink(missing_ok=True)
+        for name in sorted(names, key=lambda n: n == RUN):
+            if name not in (*old, RUN) and (out / name).exists():
+                _keep(out / name)
+            os.replace(temporary / name, out / name)
+        for name in set(old) - set(names):
+            (out / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _refuse_others(out: Path, verb: str, inputs: Sequence[str | Path]) -> None:
+    """Raise DataError unless ``out`` is new, empty, or holds an earlier result of ``verb`` and none of the inputs."""
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise DataError(f"{out}: is a file, expected a folder or nothing")
+    files = sorted(p.name for p in out.iterdir() if p.is_file())
+    about = _about(out / RUN)
+    if about is not None and about.get("verb") != verb:
+        raise DataError(f"{out}: holds the result of jaxnav {about.get('verb')}: choose another --out for {verb}")
+    if files and about is None:
+        some = ", ".join(files[:3]) + (", ..." if len(files) > 3 else "")
+        raise DataError(f"{out}: holds {some}, which no jaxnav {verb} wrote: choose a folder of its own for --out")
+    for path in (Path(p).resolve() for p in inputs):
+        if path == out or (path.parent == out and path.name != RUN):  # run.json is re-run where it lies
+            raise DataError(f"{path}: is read by this run and lies in its --out: choose another folder")
+
+
+def _keep(path: Path) -> None:
+    """Move a file that is not ours out of the way, to the first free name."""
+    free = (path.with_name(f"{path.name}.kept{i or ''}") for i in itertools.count())
+    os.rename(path, next(p for p in free if not p.exists()))
+
+
+def _about(run: Path) -> dict[str, Any] | None:
+    """What a run.json says, None where there is none that can be read."""
+    try:
+        about = json.loads(run.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return about if isinstance(about, dict) and isinstance(about.get("files"), list) else None
+
+
+def _listed(run: Path) -> list[str]:
+    """The files that a run.json says are its own; only names, never paths."""
+    files = (_about(run) or {"files": []})["files"]
+    return [f for f in files if isinstance(f, str) and f == Path(f).name and f not in ("", ".", "..")]
+
+
+def write_run(folder: Path, verb: str, config: Config, outcome: Outcome) -> None:
+    """Write run.json: resolved configuration, versions, device, seed, wall times, metrics, and the files beside it."""
+    files = sorted(p.name for p in folder.iterdir())
+    about = {
+        "verb": verb, "config": as_dict(config), "seed": config.seed, "versions": versions(), "git": git_hash(),
+        "device": device(), "seconds": outcome.seconds, "stopped": outcome.stopped or None,
+        "metrics": outcome.metrics, "files": [*files, RUN],
+    }  # fmt: skip
+    write_json(folder / RUN, about)
+
+
+def write_json(path: Path, tree: Any) -> None:
+    """Write strict JSON."""
+    atomic_write(path, to_json(tree, indent=1) + "\n")
+
+
+def to_json(tree: Any, indent: int | None = None) -> str:
+    """Strict JSON: arrays as lists, nan as null, infinities as text."""
+    return json.dumps(plain(tree), indent=indent, allow_nan=False)
+
+
+def plain(tree: Any) -> Any:
+    """A tree of what JSON knows."""
+    if isinstance(tree, Mapping):
+        return {str(k): plain(v) for k, v in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return [plain(v) for v in tree]
+    if hasattr(tree, "tolist"):
+        return plain(np.asarray(tree).tolist())
+    if isinstance(tree, float) and not math.isfinite(tree):
+        return None if math.isnan(tree) else ("inf" if tree > 0 else "-inf")
+    return tree
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the numbers depend on."""
+    names = ("jaxnav", "jax", "jaxlib", "numpy", "scipy", "optax")
+    found = {"python": platform.python_version()}
+    for name in names:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
+def device() -> str:
+    """The device that jax computes on, in words."""
+    import jax
+
+    first = jax.devices()[0]
+    return f"{first.platform}: {first.device_kind}, {jax.device_count()} device(s), {os.cpu_count()} CPU cores"
+
+
+def git_hash() -> str | None:
+    """The commit of a source checkout; None for an installed package."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True, timeout=5, check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Text columns; those with numbers to the right."""
+    cells = [[str(h) for h in head], *[[cell(v) for v in row] for row in rows]]
+    width = [max(len(r[i]) for r in cells) for i in range(len(head))]
+    right = [any(isinstance(row[i], (int, float)) for row in rows) for i in range(len(head))]
+    pad = [str.rjust if r else str.ljust for r in right]
+    lines = ["  ".join(p(c, w) for p, c, w in zip(pad, r, width)).rstrip() for r in cells]
+    return "\n".join([lines[0], "  ".join("-" * w for w in width), *lines[1:]])
+
+
+def cell(value: Any) -> str:
+    """A number with three significant digits, anything else as it is."""
+    if isinstance(value, float):
+        return "-" if math.isnan(value) else f"{value:#.3g}".rstrip(".") if 1e-3 <= abs(value) < 1e4 else f"{value:.3g}"
+    return str(value)
+
+
+def stderr(text: str) -> None:
+    """A line of progress, apart from the results."""
+    print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,126 @@
+"""Where data comes from: simulated runs, public data sets, recordings at a path."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav import data as io
+from jaxnav.app.config import Config, nearest
+from jaxnav.filters.run import require_x64
+from jaxnav.simulate.scenarios import SCENARIOS, Scenario
+from jaxnav.simulate.simulation import Simulated, simulate, sizes, to_recording
+from jaxnav.states.grades import GRADES
+from jaxnav.types import ConfigError, DataError, Recording
+
+# folded into the seed: runs of one kind never meet those of another
+TRAIN, VALIDATION, TEST, SINGLE, REDRAWN = range(5)
+
+
+def key_of(seed: int, kind: int, run: int) -> jax.Array:
+    """The key of a simulated run: of its seed, kind and number only."""
+    return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), kind), run)
+
+
+def scenario_of(config: Config) -> Scenario | None:
+    """The scenario that [data] names, with its options; None if the source is none.
+
+    Raises:
+        ConfigError: an unknown option, or one of the wrong type.
+    """
+    data = config.data
+    if data.source not in SCENARIOS:
+        return None
+    scenario = SCENARIOS[data.source]
+    for key, value in data.options.items():
+        scenario = _with(scenario, key, value)
+    if scenario.imu.grade not in GRADES:
+        raise ConfigError(
+            f"data.options.grade: no IMU grade {scenario.imu.grade!r}: {nearest(scenario.imu.grade, GRADES)}"
+        )
+    worse, late = data.imu_worse_by, data.gnss_latency_s
+    if worse != 1.0:
+        scenario = scenario._replace(imu=scenario.imu._replace(imu_noise_factor=worse))
+    if late != 0.0:
+        scenario = scenario._replace(gnss=scenario.gnss._replace(latency_s=late))
+    return scenario
+
+
+def _with(scenario: Scenario, key: str, value: Any) -> Scenario:
+    """The scenario with one option, a field of its own or of one of its groups."""
+    name, groups = f"data.options.{key}", [g for g in scenario._fields if hasattr(getattr(scenario, g), "_fields")]
+    owners = {field: group for group in groups for field in getattr(scenario, group)._fields}
+    plain = [field for field in scenario._fields if field not in groups and field not in ("name", "faults")]
+    if key == "faults" and value == []:
+        return scenario._replace(faults=())
+    if key == "faults":
+        raise ConfigError(f"{name} can only be emptied, []: faults come with the named scenarios")
+    if key in plain:
+        return scenario._replace(**{key: _like(name, value, getattr(scenario, key))})
+    if key not in owners:
+        raise ConfigError(f"{name}: unknown for a scenario: {nearest(key, [*plain, *owners])}")
+    group = getattr(scenario, owners[key])
+    return scenario._replace(**{owners[key]: group._replace(**{key: _like(name, value, getattr(group, key))})})
+
+
+def _like(name: str, value: Any, default: Any) -> Any:
+    """``value`` with the type of ``default``: numbers, text, or tuples of them."""
+    if isinstance(default, tuple) and isinstance(value, (list, tuple)):
+        inner = default[0] if default else (0.0, 0.0)  # what may be empty are windows of time
+        if isinstance(inner, tuple) or len(value) == len(default):
+            return tuple(_like(name, v, inner) for v in value)
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if isinstance(default, float) and number:
+        return float(value)
+    if type(default) is type(value) and not isinstance(default, tuple):
+        return value
+    raise ConfigError(f"{name} must be like {default!r}, got {value!r}")
+
+
+def simulated(scenario: Scenario, keys: jax.Array) -> Simulated:
+    """Runs of the scenario (leading axis of ``keys``).
+
+    Raises:
+        ConfigError: a scenario that does not fit together.
+    """
+    try:
+        sizes(scenario)
+        return _simulated(scenario, keys)
+    except DataError:
+        raise
+    except ValueError as error:
+        raise ConfigError(f"data.options: {error}") from error
+
+
+@partial(jax.jit, static_argnums=0)
+def _simulated(scenario: Scenario, keys: jax.Array) -> Simulated:
+    return jax.vmap(partial(simulate, scenario))(keys)
+
+
+def load(config: Config) -> tuple[Recording, Simulated | None]:
+    """The recording that [data] names, read or simulated.
+
+    Raises:
+        DataError: it is not there, or cannot be used.
+    """
+    data, scenario = config.data, scenario_of(config)
+    require_x64(jnp.zeros((), float))
+    if scenario is not None:
+        sims = simulated(scenario, key_of(config.seed, SINGLE, 0)[None])
+        sim = jax.tree.map(lambda a: a[0], sims)
+        return to_recording(sim, scenario), sim
+    if data.source in io.DATASETS:
+        try:
+            return io.load(data.source, **data.options), None
+        except TypeError as error:
+            raise ConfigError(f"data.options: {error}") from error
+    if Path(data.source).exists():
+        if data.options:
+            raise ConfigError(
+                f"data.options: {data.source} is a recording and takes none, got {', '.join(data.options)}"
+            )
+        return io.read_recording(data.source), None
+    names = [*SCENARIOS, *io.DATASETS]
+    raise DataError(f"{data.source}: no such file, scenario or data set: {nearest(data.source, names)}")

@@ -1,0 +1,214 @@
+"""`jaxnav simulate` and `jaxnav filter`."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxnav import data as io
+from jaxnav.analysis.plots import base as plots
+from jaxnav.app import evaluate
+from jaxnav.app.config import Config
+from jaxnav.app.prepare import Case, grade_name, prepare
+from jaxnav.app.results import FailedCheck, Outcome, table, write_json
+from jaxnav.app.sources import load, scenario_of
+from jaxnav.data import start as alignment
+from jaxnav.data.epochs import TICK, hide
+from jaxnav.filters.run import first_failure, run_jit
+from jaxnav.types import ConfigError, Info
+
+CONSISTENT = (0.3, 3.0)  # of NIS / dof: outside, a user should hear of it
+
+
+def simulate(config: Config, folder: Path) -> Outcome:
+    """Write a simulated run as a canonical recording with its truth.
+
+    Raises:
+        ConfigError: the source is no scenario.
+    """
+    if scenario_of(config) is None:
+        raise ConfigError(f"data.source: simulate takes a scenario, got {config.data.source!r}")
+    begin = time.perf_counter()
+    rec, _ = load(config)
+    io.write_recording(folder / "recording", rec)
+    for file in (folder / "recording").iterdir():
+        file.rename(folder / file.name)
+    (folder / "recording").rmdir()
+    about = describe(rec)
+    return Outcome({"recording": about}, describe_text(about), {"simulate": time.perf_counter() - begin})
+
+
+def describe(rec: Any) -> dict[str, Any]:
+    """What a recording holds."""
+    streams = {"imu": rec.imu.t, **{name: s.t for name, s in rec.aiding.items()}}
+    if rec.truth is not None:
+        streams["truth"] = rec.truth.t
+    rows = {
+        name: {"rows": t.size, "start_s": float(t[0]), "end_s": float(t[-1]),
+               "rate_hz": float(1 / np.median(np.diff(t))) if t.size > 1 else float("nan")}
+        for name, t in streams.items()
+    }  # fmt: skip
+    return {"name": rec.name, "streams": rows, "lever_arm_m": rec.lever_arm.tolist(), "notes": rec.notes}
+
+
+def describe_text(about: dict[str, Any]) -> str:
+    """`describe` as a table."""
+    rows = [[name, s["rows"], s["start_s"], s["end_s"], s["rate_hz"]] for name, s in about["streams"].items()]
+    return f"{about['name']}\n" + table(["stream", "rows", "start (s)", "end (s)", "rate (Hz)"], rows)
+
+
+def filter(config: Config, folder: Path) -> Outcome:
+    """Run the filter over the recording and write solution, metrics and figures.
+
+    Raises:
+        FailedCheck: the filter stopped being finite.
+    """
+    seconds, begin = {}, time.perf_counter()
+    case = prepare(config)
+    hidden = hidden_epochs(config, case.packed.t)
+    seconds["prepare"], begin = time.perf_counter() - begin, time.perf_counter()
+    info, heading = execute(case, hidden)
+    jax.block_until_ready(info)
+    seconds["filter"], begin = time.perf_counter() - begin, time.perf_counter()
+    check(info, case.packed.t, case.recording.name)
+    sol = evaluate.solution(info, case.params)
+    found = metrics_of(case, sol, hidden, config) | heading
+    unused = sorted(set(case.recording.aiding) - {m.name for m in case.measurements})
+    found |= {"unused_streams": unused} if unused else {}
+    write_solution(config, folder, sol, case)
+    write_json(folder / "metrics.json", found)
+    if config.out.figures:
+        outages = shaded(config, case)
+        rec = case.recording
+        found_figures = evaluate.figures(
+            sol, rec.truth, rec.aiding["position"], case.measurements, outages, case.bias_truth
+        )
+        for name, fig in found_figures.items():
+            plots.save(fig, folder / f"{name}.png")
+    seconds["write"] = time.perf_counter() - begin
+    return Outcome(found, summary(found, config.filter.name, case.recording.name), seconds)
+
+
+def hidden_epochs(config: Config, t: np.ndarray) -> np.ndarray:
+    """Epochs (E,) whose fixes [filter] outages hide.
+
+    Raises:
+        ConfigError: an outage that is not (start, end), or in which no epoch ends.
+    """
+    hidden = np.zeros(t.size, bool)
+    for window in config.filter.outages:
+        if len(window) != 2 or not window[1] > window[0]:
+            raise ConfigError(f"filter.outages: expected [start, end] with start < end, got {list(window)}")
+        inside = (t > window[0] + TICK) & (t <= window[1] + TICK)
+        if not inside.any():
+            raise ConfigError(f"filter.outages: {list(window)} holds no epoch, they end from {t[0]:g} to {t[-1]:g} s")
+        hidden |= inside
+    return hidden
+
+
+def execute(case: Case, hidden: np.ndarray) -> tuple[Info, dict[str, Any]]:
+    """The run; of an unknown heading the most probable one, and what the bank says."""
+    epochs = hide(case.packed.epochs, hidden, case.measurements)
+    if case.navs.t.shape[0] == 1:
+        return run_jit(case.filter, case.params, jax.tree.map(lambda a: a[0], case.navs), epochs), {}
+    bank = jax.jit(alignment.heading_bank, static_argnums=0)(case.filter, case.params, case.navs, epochs)
+    best = int(bank.best)
+    start = 360.0 * best / case.navs.t.shape[0]
+    about = {"start_heading_deg": start, "start_heading_probability": float(bank.probability[best])}
+    return jax.tree.map(lambda a: a[best], bank.info), {"heading_bank": about}
+
+
+def check(info: Info, t: np.ndarray, name: str) -> None:
+    """Raise FailedCheck where a run stopped being finite, with run and time."""
+    failure = first_failure(info, t)
+    if failure:
+        raise FailedCheck(f"run {name}: {failure}")
+
+
+def shaded(config: Config, case: Case) -> evaluate.Outages:
+    """Outages for the figures: those of the configuration, and gaps of the position of over 5 intervals and 3 s.
+
+    The end of the data is where a last gap ends.
+    """
+    t = case.recording.aiding["position"].t
+    long = max(5 * float(np.median(np.diff(t))), 3.0)
+    t = np.append(t, max(t[-1], case.packed.t[-1]))
+    gaps = np.flatnonzero(np.diff(t) > long)
+    return sorted([(float(t[i]), float(t[i + 1])) for i in gaps] + [(w[0], w[1]) for w in config.filter.outages])
+
+
+def metrics_of(case: Case, sol: evaluate.Solution, hidden: np.ndarray, config: Config) -> dict[str, Any]:
+    """Errors where there is a truth, innovations, and the error at the end of each outage."""
+    found: dict[str, Any] = {"start_s": case.packed.start, "grade": grade_name(config, scenario_of(config))}
+    truth = case.recording.truth
+    hidden = hidden | ~np.asarray(case.packed.epochs.fix.valid)[:, :3].all(1)
+    if truth is not None:
+        error, sd = evaluate.ned_errors(sol, truth)
+        found["errors"] = evaluate.error_metrics(error, sd, hidden)
+    found |= evaluate.innovation_metrics(sol.info, case.measurements)
+    ends = [
+        {"start_s": start, "end_s": end, "horizontal_m": at_end}
+        for start, end in shaded(config, case)
+        if np.isfinite(at_end := end_error(case, sol, start, end))
+    ]
+    return found | ({"outages": ends} if ends else {})
+
+
+def end_error(case: Case, sol: evaluate.Solution, start: float, end: float) -> float:
+    """Horizontal error (m) at the last epoch without a fix of an outage; nan where nothing tells it."""
+    t, valid = case.packed.t, np.asarray(case.packed.epochs.fix.valid)[:, :2]
+    used = np.asarray(sol.info.valid)[:, :2]
+    lost = np.flatnonzero((t > start + TICK) & (t <= end + TICK) & ~used.all(axis=1))
+    if not lost.size:
+        return float("nan")
+    i = int(lost[-1])
+    if case.recording.truth is not None:
+        return float(np.hypot(*evaluate.ned_errors(sol, case.recording.truth)[0][i, :2]))
+    return float(np.hypot(*np.asarray(sol.info.residual)[i, :2])) if valid[i].all() else float("nan")
+
+
+def write_solution(config: Config, folder: Path, sol: evaluate.Solution, case: Case) -> None:
+    """Write the solution in each of [out] formats.
+
+    Raises:
+        ConfigError: an unknown format.
+    """
+    for kind in config.out.formats:
+        if kind not in ("csv", "kml", "pos", "nav"):
+            raise ConfigError(f"out.formats: expected csv, kml, pos or nav, got {kind!r}")
+        path = folder / f"solution.{kind}"
+        if kind == "kml":
+            io.write_kml(path, sol.track, case.recording.aiding["position"], case.recording.name)
+        else:
+            io.write_solution(path, sol.track, kind, sol.sd)
+
+
+def summary(found: dict[str, Any], name: str, run: str) -> str:
+    """The table of a run for the terminal."""
+    lines = [f"{name} on {run}, from t = {found['start_s']:.3f} s, IMU grade {found['grade']}"]
+    errors = found.get("errors", {})
+    rows = [
+        [key, v["rms"], v["p95"], v["max"], f"{100 * v['inside_3sd']:.1f} %" if "inside_3sd" in v else ""]
+        for key, v in errors.items()
+    ]
+    if rows:
+        lines += [table(["error", "RMS", "95 %", "max", "inside 3 sd"], rows), ""]
+    rows = [[key, value] for key, value in found["innovation_rms"].items()]
+    if rows:
+        lines.append(table(["innovation / its sd", "RMS"], rows))
+    share = 100 * found["nis_share_inside_95"]
+    lines.append(f"NIS / dof {found['nis_per_dof']:.2f}, {share:.1f} % of fixes inside the 95 % bounds")
+    if not CONSISTENT[0] < found["nis_per_dof"] < CONSISTENT[1]:
+        lines.append("far from 1: the noise that the filter is told, its start or the timing is wrong; see jaxnav tune")
+    for outage in found.get("outages", []):
+        lines.append(
+            f"outage {outage['start_s']:g} to {outage['end_s']:g} s: {outage['horizontal_m']:.2f} m at its end"
+        )
+    if "unused_streams" in found:
+        lines.append(f"not used of the recording: {', '.join(found['unused_streams'])} (see filter.speed)")
+    if "heading_bank" in found:
+        bank = found["heading_bank"]
+        lines.append(f"heading unknown: {bank['start_heading_deg']:g} deg at the start is the most probable")
+    return "\n".join(lines)

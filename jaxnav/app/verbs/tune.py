@@ -1,0 +1,267 @@
+"""`jaxnav tune` and `jaxnav demo`: tune on some data by gradient, show the gain on data kept aside."""
+
+import dataclasses
+import hashlib
+import json
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.analysis import metrics
+from jaxnav.app import evaluate, likelihood, tune_report
+from jaxnav.app.batches import Material, from_recording, from_scenario
+from jaxnav.app.config import Config, as_dict, for_source, nearest
+from jaxnav.app.objectives import LOST, Case, aggregate, check_objective, leaves, merged, objective
+from jaxnav.app.parameters import tune_spec
+from jaxnav.app.prepare import base_params, filter_name, grade_of, measurements_of
+from jaxnav.app.results import FailedCheck, Outcome, stderr, versions
+from jaxnav.app.sources import scenario_of
+from jaxnav.filters.run import first_failure, run
+from jaxnav.types import ConfigError, DataError, Info, Params
+from tuning import distributed, objectives
+from tuning.optimizers import OPTIMIZERS
+from tuning.train import Fit, fit
+from tuning.transforms import LOG, Spec, join, split
+from tuning.validation import PairedGain, paired_gain
+
+runs_jit = jax.jit(jax.vmap(run, (None, None, 0, 0)), static_argnums=0)
+METHODS = (*OPTIMIZERS, "scoring")
+
+
+class Long(NamedTuple):
+    """How a long job is kept and shared."""
+
+    keep: Path | None = None  # folder of checkpoints
+    resume: bool = False
+    devices: int = 1  # 0: all
+
+
+class Scores(NamedTuple):
+    """The test before and after, of all materials."""
+
+    errors: np.ndarray  # (windows,) m, horizontal, at the end of each window
+    blocks: np.ndarray  # (windows,) what is drawn together
+    info: Info  # (B, E, ...) numpy, of the first material
+    summary: dict[str, Any]
+
+
+def tune(config: Config, folder: Path, progress: bool = False, long: Long | None = None) -> Outcome:
+    """Tune, compare before and after on what was kept aside, write parameters, history and figures.
+
+    Raises:
+        FailedCheck: the starting filter stops being finite.
+        CheckpointError: nothing usable to resume from.
+    """
+    long = Long() if long is None else long
+    seconds, begin = {}, time.perf_counter()
+    check(config)
+    materials = prepare(config)
+    main = materials[0]
+    spec = tune_spec(config.tune, filter_name(config), main.measurements, main.sheet)
+    if progress:
+        stderr("\n".join([*(m.about for m in materials), f"free: {', '.join(spec)}"]))
+    seconds["prepare"], begin = time.perf_counter() - begin, time.perf_counter()
+    before = score(materials, main.params, ())
+    seconds["before"], begin = time.perf_counter() - begin, time.perf_counter()
+    surface = likelihood.surface(materials, spec, main.params)
+    found = search(config, materials, spec, surface, progress, long)
+    seconds["tune"], begin = time.perf_counter() - begin, time.perf_counter()
+    after = score(materials, found.params, leaves(spec))
+    gain = compare(before, after, config.seed)
+    seconds["after"], begin = time.perf_counter() - begin, time.perf_counter()
+    about = likelihood.answers(surface, spec, found.params, main.sheet) if config.tune.intervals else {}
+    if config.tune.posterior:
+        draws = config.tune.posterior
+        about |= likelihood.draw(surface, materials, spec, found.params, draws, config.seed)
+    seconds["intervals"], begin = time.perf_counter() - begin, time.perf_counter()
+    result = tune_report.report(materials, found, list(spec), before, after, gain, about)
+    tune_report.write(folder, main, found, list(spec), result)
+    if config.out.figures:
+        tune_report.draw(folder, main, found, before, after)
+    seconds["write"] = time.perf_counter() - begin
+    stopped = found.stopped if found.stopped.startswith("interrupted") else ""
+    return Outcome(result, tune_report.text(result, config), seconds, stopped)
+
+
+def check(config: Config) -> None:
+    """Refuse settings that do not go together, before anything is read.
+
+    Raises:
+        ConfigError: names the setting.
+    """
+    t = config.tune
+    check_objective(t.objective)
+    aggregate(t)
+    if t.method not in METHODS:
+        raise ConfigError(f"tune.method: no method {t.method!r}: {nearest(t.method, METHODS)}")
+    if t.method == "scoring" and {name for name, w in t.objective.items() if w} != {"nll"}:
+        raise ConfigError('tune.method: scoring is for tune.objective = "nll" alone')
+    plain = type(t)()
+    unused = [k for k in ("starts", "patience", "redraw", "over_runs", "clip") if getattr(t, k) != getattr(plain, k)]
+    if t.method == "scoring" and unused:
+        raise ConfigError(f"tune.{unused[0]}: scoring has no use for it: it climbs the likelihood of all training data")
+    sheet = base_params(config, grade_of(config, scenario_of(config)), np.zeros(3), 1.0, 1.0)
+    tune_spec(t, filter_name(config), measurements_of(config), sheet)
+
+
+def prepare(config: Config) -> list[Material]:
+    """The material of [data] source and of every source of tune.more.
+
+    Raises:
+        DataError: data that cannot be used. ConfigError: see `check_objective`.
+    """
+    materials = []
+    for i, source in enumerate((config.data.source, *config.tune.more)):
+        own = dataclasses.replace(for_source(config, source), seed=config.seed + i) if i else config
+        scenario = scenario_of(own)
+        material = from_scenario(own, scenario) if scenario is not None else from_recording(own)
+        check_objective(config.tune.objective, material.train.truth is not None)
+        materials.append(material)
+    return materials
+
+
+# ---------------------------------------------------------------------------- search
+
+
+def search(
+    config: Config, materials: list[Material], spec: Spec, surface: likelihood.Surface, progress: bool, long: Long
+) -> Fit:
+    """The best parameters by validation, or by the likelihood of the training data where scoring is the method.
+
+    Raises:
+        FailedCheck: the objective of the start is not finite.
+    """
+    t, start = config.tune, materials[0].params
+    note = (lambda row: stderr(f"  {row['step']:3d}  {row['loss']:.6g}")) if progress else (lambda row: None)
+    try:
+        if t.method == "scoring":
+            if long.resume:
+                raise ConfigError("--resume: scoring keeps no checkpoints, it takes about ten evaluations")
+            return likelihood.maximise(surface, spec, start, t.steps, note)
+        free = leaves(spec)
+        weights = tuple(sorted(t.objective.items()))
+        losses = [objective(m.filter, weights, free) for m in materials]
+        groups = lambda batches: [Case(b, _many(m.params, b)) for m, b in zip(materials, batches, strict=True)]  # noqa: E731
+        train = groups([m.train for m in materials])
+        optimizer = OPTIMIZERS[t.method](t.steps, t.rate, 1.0, t.warmup)
+        return fit(
+            losses, spec, start, t.steps, optimizer, validation=losses, progress=progress,
+            cases=(lambda step: groups([m.redraw(step) for m in materials])) if t.redraw else train,
+            validation_cases=groups([m.validation for m in materials]),
+            names=[name for m in materials for name in m.train_names],
+            explain=lambda params, run: why(materials, params, free, run),
+            aggregate=aggregate(t), clip=t.clip or None, believe=1 / max(surface.epochs, 1),
+            starts=starts(config, spec, start), patience=t.patience or None,
+            folder=long.keep, resume=long.resume, identity=identity(config),
+            mesh=distributed.mesh(long.devices),
+        )  # fmt: skip
+    except DataError:
+        raise
+    except ValueError as error:
+        raise FailedCheck(f"{materials[0].about}: {error}") from error
+
+
+def _many(params: Params, runs: Any) -> Params:
+    """The parameters once for every run."""
+    count = runs.keep.shape[0]
+    return jax.tree.map(lambda a: jnp.broadcast_to(a, (count, *jnp.shape(a))), params)
+
+
+def starts(config: Config, spec: Spec, params: Params) -> list[Params]:
+    """More starting points, drawn about the first with an sd of the factor tune.spread (a unit's worth elsewhere)."""
+    rng, raw = np.random.default_rng(config.seed), split(spec, params)
+    found = []
+    for _ in range(config.tune.starts - 1):
+        moved = {}
+        for name, value in raw.items():
+            logs = spec[name].forward is LOG.forward or spec[name].axes
+            size = np.log(config.tune.spread) if logs else 1.0
+            moved[name] = value + size * rng.normal(size=np.shape(value))
+        found.append(join(spec, moved, params))
+    return found
+
+
+def why(materials: list[Material], params: Params, free: tuple[str, ...], index: int) -> str:
+    """What went wrong with a run of the training, counted over all materials."""
+    for m in materials:
+        if index < len(m.train_names):
+            break
+        index -= len(m.train_names)
+    one = lambda tree: jax.tree.map(lambda a: a[index : index + 1], tree)  # noqa: E731
+    info = runs_jit(m.filter, merged(params, m.params, free), one(m.train.nav), one(m.train.epochs))
+    info = jax.tree.map(lambda a: np.asarray(a[0]), info)
+    failure = first_failure(info, m.t_train)
+    if failure:
+        return failure
+    far = np.flatnonzero((np.abs(np.where(info.valid, info.residual, 0.0)) >= LOST).any(-1))
+    if far.size:
+        return f"further than {LOST:g} from a measurement at t = {m.t_train[far[0]]:.3f} s"
+    return "its gradient is not finite"
+
+
+def identity(config: Config) -> str:
+    """A short name of everything that a checkpoint depends on."""
+    tree = as_dict(config)
+    tree = {k: v for k, v in tree.items() if k != "out"} | {"versions": versions()}
+    return hashlib.sha256(json.dumps(tree, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+# ---------------------------------------------------------------------------- before and after
+
+
+def score(materials: list[Material], params: Params, free: tuple[str, ...]) -> Scores:
+    """The errors at the ends of the tests' windows, and how the filter does outside of them.
+
+    Raises:
+        FailedCheck: a run stopped being finite; names run and time.
+    """
+    errors, blocks, infos, consistent, inside = [], [], [], [], []
+    for k, m in enumerate(materials):
+        batch = m.test
+        info = runs_jit(m.filter, merged(params, m.params, free), batch.nav, batch.epochs)
+        info = jax.tree.map(np.asarray, info)
+        for i, name in enumerate(m.names):
+            failure = first_failure(jax.tree.map(lambda a, i=i: a[i], info), m.t)
+            if failure:
+                raise FailedCheck(f"{name}: {failure}")
+        errors.append(np.asarray(jax.vmap(objectives.outage_error)(info, batch.ends))[np.asarray(batch.scored)])
+        blocks.append(m.blocks + 1e6 * k)  # of different sources, never drawn as one
+        judged = info._replace(valid=info.valid & np.asarray(batch.part)[..., None])  # nothing that tuning has seen
+        flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), judged)
+        consistent.append(evaluate.innovation_metrics(flat, m.measurements))
+        with_fix = judged.valid[..., :2].all(-1)
+        inside.append(np.sum(info.residual[with_fix][:, :2] ** 2, -1))
+        infos.append((info, judged))
+    all_errors = np.concatenate(errors)
+    summary = {
+        "outage_rms_m": float(np.sqrt(np.mean(all_errors**2))),
+        "outage_median_m": float(np.median(all_errors)),
+        "outage_max_m": float(all_errors.max()),
+        "nis_per_dof": float(np.mean([c["nis_per_dof"] for c in consistent])),
+        "nis_share_inside_95": float(np.mean([c["nis_share_inside_95"] for c in consistent])),
+        "innovation_horizontal_rms_m": float(np.sqrt(np.mean(np.concatenate(inside)))),
+    } | channels(materials[0], infos[0][1])
+    return Scores(all_errors, np.concatenate(blocks), infos[0][0], summary)
+
+
+def channels(material: Material, info: Info) -> dict[str, dict[str, float]]:
+    """Mean normalised innovation squared of every channel, 1 if consistent, and its autocorrelation at the next fix."""
+    order, names, _ = evaluate.channels(material.measurements)
+    runs = [jax.tree.map(lambda a, i=i: a[i], info) for i in range(len(material.names))]
+    z = np.stack([metrics.normalized_innovations(each)[:, order] for each in runs])
+    pairs = z[:, 1:] * z[:, :-1]
+    seen = [j for j in range(len(names)) if np.isfinite(pairs[..., j]).any()]
+    nis = {names[j]: float(np.nanmean(z[..., j] ** 2)) for j in seen}
+    lag = {names[j]: float(np.nanmean(pairs[..., j])) / nis[names[j]] for j in seen}
+    return {"nis_by_channel": nis, "autocorrelation": lag}
+
+
+def compare(before: Scores, after: Scores, seed: int) -> PairedGain | None:
+    """The paired gain, or None where there are fewer than two blocks to draw."""
+    if np.unique(before.blocks).size < 2:
+        return None
+    return paired_gain(before.errors, after.errors, before.blocks, seed)

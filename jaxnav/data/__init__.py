@@ -1,0 +1,53 @@
+"""Readers and writers: each reader returns host types in SI, checked; each writer leaves a whole file or none."""
+
+from jaxnav.data.canonical import read_files, read_imu, read_recording, read_truth, write_recording
+from jaxnav.data.checks import check_imu, check_recording, check_samples, check_track
+from jaxnav.data.datasets import DATASETS, fetch, load, locate, verify
+from jaxnav.data.files import atomic_write
+from jaxnav.data.formats.kfgins import (
+    read_kfgins_gnss,
+    read_kfgins_imu,
+    read_kfgins_nav,
+    read_rtk_track,
+    write_kfgins_nav,
+)
+from jaxnav.data.formats.kth import read_kth
+from jaxnav.data.formats.navego import read_navego, read_navego_datasheet
+from jaxnav.data.formats.rtklib import PosFile, read_drive, read_imu_csv, read_pos, write_pos
+from jaxnav.data.formats.umn import read_umn
+from jaxnav.data.solution import write_csv, write_kml, write_solution
+
+__all__ = [
+    "DATASETS",
+    "PosFile",
+    "atomic_write",
+    "check_imu",
+    "check_recording",
+    "check_samples",
+    "check_track",
+    "fetch",
+    "load",
+    "locate",
+    "read_drive",
+    "read_files",
+    "read_imu",
+    "read_imu_csv",
+    "read_kfgins_gnss",
+    "read_kfgins_imu",
+    "read_kfgins_nav",
+    "read_kth",
+    "read_navego",
+    "read_navego_datasheet",
+    "read_pos",
+    "read_recording",
+    "read_rtk_track",
+    "read_truth",
+    "read_umn",
+    "verify",
+    "write_csv",
+    "write_kfgins_nav",
+    "write_kml",
+    "write_pos",
+    "write_recording",
+    "write_solution",
+]

@@ -1,0 +1,212 @@
+"""From recorded streams to epochs: host numpy, once per recording.
+
+The IMU stream is cut at the time of every fix. A sample that a fix falls into is split there; epochs are padded to
+equal length with samples of dt = 0; an outage is cut into epochs of the nominal interval without a valid channel.
+Regular, irregular, late and missing fixes then have one shape, and hiding a fix is an edit of a mask.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.measurements import GNSS, Measurement, layout
+from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Samples
+
+TICK = 1e-6  # s: times closer than this are one
+
+
+class Packed(NamedTuple):
+    """Epochs for a filter, and what the host needs to know of them."""
+
+    epochs: Epoch  # fields (E, k, ...) and (E, m), jax
+    t: np.ndarray  # (E,) s, end of each epoch
+    start: float  # s, where navigation starts
+
+
+def from_instantaneous(imu: ImuLog) -> ImuLog:
+    """Means by the trapezoid from samples that are instantaneous values at ``t``; one row less."""
+    return ImuLog(imu.t[1:], imu.dt[1:], 0.5 * (imu.gyro[1:] + imu.gyro[:-1]), 0.5 * (imu.accel[1:] + imu.accel[:-1]))
+
+
+def cut_times(
+    imu: ImuLog, aiding: dict[str, Samples], interval: float, start: float | None = None, stop: float | None = None
+) -> np.ndarray:
+    """Ends of epochs, (E,) s: every fix between start and stop, and every ``interval`` seconds where there is none.
+
+    Raises:
+        DataError: the IMU does not cover the span, or no time is left.
+    """
+    first, last = imu.t[0] - imu.dt[0], imu.t[-1]
+    start = first if start is None else start
+    stop = last if stop is None else min(stop, last)
+    if start < first - TICK or start >= stop:
+        raise DataError(f"the IMU covers {first:.3f} to {last:.3f} s, which does not hold {start:.3f} to {stop:.3f} s")
+    times = np.concatenate([s.t for s in aiding.values()]) if aiding else np.empty(0)
+    times = np.unique(times[(times > start + TICK) & (times <= stop + TICK)])
+    times = times[np.diff(times, prepend=-np.inf) > 2 * TICK]  # a fix belongs to a cut within that
+    edges = np.concatenate([[start], times, [stop] if times.size == 0 or stop - times[-1] > 2 * TICK else []])
+    cuts = []
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        n = max(1, int(np.ceil((b - a) / interval - 1e-3)))  # a fix 0.1 % late starts no epoch of its own
+        cuts.append(np.concatenate([a + interval * np.arange(1, n), [b]]))
+    return np.concatenate(cuts)
+
+
+def pack(
+    imu: ImuLog,
+    aiding: dict[str, Samples],
+    interval: float,
+    measurements: tuple[Measurement, ...] = GNSS,
+    start: float | None = None,
+    stop: float | None = None,
+    cuts: np.ndarray | None = None,
+    multiple: int = 1,
+    max_gap: float = 1.0,
+) -> Packed:
+    """Cut a recording into epochs for a filter made with ``measurements``.
+
+    ``interval``: s, nominal fix interval, the length of epochs without a fix. ``cuts``: the ends of epochs where they
+    are already known (`cut_times`). ``multiple``: the padded samples of an epoch are a multiple of this (cov_stride).
+    ``max_gap``: s; a hole in the IMU stream up to this long is bridged by the mean of its two sides.
+
+    Raises:
+        DataError: a stream that no measurement takes, a fix between the given ``cuts``, or an IMU gap longer than
+            ``max_gap``.
+    """
+    slices = layout(measurements)
+    unknown = set(aiding) - set(slices)
+    if unknown:
+        raise DataError(f"no measurement of the filter takes {sorted(unknown)}; it has {list(slices)}")
+    gaps = imu.t[1:] - imu.dt[1:] - imu.t[:-1]
+    if gaps.size and gaps.max() > max_gap:
+        i = int(gaps.argmax())
+        raise DataError(f"imu: gap of {gaps[i]:.3f} s at t = {imu.t[i]:.3f} s, longer than max_gap = {max_gap} s")
+    cuts = cut_times(imu, aiding, interval, start, stop) if cuts is None else cuts
+    begin = float(imu.t[0] - imu.dt[0] if start is None else start)
+    samples = _cut_imu(imu, begin, cuts, multiple)
+    fix = _align_fixes(aiding, slices, sum(m.size for m in measurements), begin, cuts)
+    epochs = Epoch(Imu(*(jnp.asarray(a, float) for a in samples)), fix)
+    return Packed(epochs, cuts, begin)
+
+
+def _cut_imu(imu: ImuLog, start: float, cuts: np.ndarray, multiple: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Split the stream at every cut and pad: dt (E, k), gyro (E, k, 3), accel (E, k, 3)."""
+    edges = np.union1d(imu.t, np.concatenate([[start], cuts]))
+    edges = edges[(edges >= start - TICK) & (edges <= cuts[-1] + TICK)]
+    keep = np.diff(edges, append=np.inf) > TICK  # of two edges that are one time, the later stays
+    edges = edges[keep]
+    ends, dt = edges[1:], np.diff(edges)
+    mid = ends - dt / 2
+    source = np.clip(np.searchsorted(imu.t, mid), 0, imu.t.size - 1)
+    hole = mid < (imu.t - imu.dt)[source] - TICK  # before the sample's own interval: a gap in the stream
+    before = np.where(hole, np.maximum(source - 1, 0), source)
+    gyro = 0.5 * (imu.gyro[source] + imu.gyro[before])
+    accel = 0.5 * (imu.accel[source] + imu.accel[before])
+    epoch = np.searchsorted(cuts, ends - 2 * TICK)
+    counts = np.bincount(epoch, minlength=cuts.size)
+    k = -(-int(counts.max()) // multiple) * multiple
+    first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    index = first[:, None] + np.arange(k)
+    real = np.arange(k) < counts[:, None]
+    index = np.where(real, index, (first + np.maximum(counts - 1, 0))[:, None])  # padding repeats the last sample
+    return np.where(real, dt[index], 0.0), gyro[index], accel[index]
+
+
+def _align_fixes(aiding: dict[str, Samples], slices: dict[str, slice], m: int, start: float, cuts: np.ndarray) -> Fix:
+    E = cuts.size
+    value, sd = np.zeros((E, m)), np.ones((E, m))
+    corr, valid = np.zeros((E, m)), np.zeros((E, m), bool)
+    for name, s in aiding.items():
+        where = np.searchsorted(cuts, s.t - 2 * TICK)
+        hit = (where < E) & (np.abs(cuts[np.minimum(where, E - 1)] - s.t) <= 2 * TICK)
+        lost = (s.t > start + TICK) & (s.t < cuts[-1]) & ~hit
+        if lost.any():
+            raise DataError(f"{name}: the fix at t = {s.t[lost][0]:.6f} s is not at the end of an epoch: cut there")
+        rows = where[hit]
+        for field, data in ((value, s.value), (sd, s.sd), (corr, s.corr)):
+            field[rows, slices[name]] = data[hit]
+        valid[rows, slices[name]] = True
+    return Fix(jnp.asarray(value, float), jnp.asarray(sd, float), jnp.asarray(corr, float), jnp.asarray(valid))
+
+
+def hide(epochs: Epoch, hidden: np.ndarray, measurements: tuple[Measurement, ...] = GNSS) -> Epoch:
+    """Take the receiver's channels out of the epochs where ``hidden`` (E,); constraints stay."""
+    receiver = np.concatenate([np.full(m.size, not m.pseudo) for m in measurements])
+    valid = epochs.fix.valid & ~(jnp.asarray(hidden)[..., None] & receiver)
+    return epochs._replace(fix=epochs.fix._replace(valid=valid))
+
+
+def outage_windows(t: np.ndarray, starts: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Windows start < t <= start + length: hidden (E,) bool, and each window's last epoch (W,)."""
+    inside: np.ndarray = (t[None] > starts[:, None] + TICK) & (t[None] <= starts[:, None] + length + TICK)
+    if not inside.any(1).all():
+        raise DataError(f"no epoch in the outage that starts at {starts[~inside.any(1)][0]:.3f} s")
+    return np.any(inside, axis=0), t.size - 1 - inside[:, ::-1].argmax(1)
+
+
+def stationary(imu: ImuLog, t: np.ndarray, window: float, accel_sd: float, gyro_sd: float) -> np.ndarray:
+    """Causal detector: does the vehicle stand at each of ``t`` (E,)? From the samples of the ``window`` s before.
+
+    True where the standard deviations of specific force (m/s^2) and rate (rad/s) over the window, each the root sum of
+    squares of the axes, are below the thresholds and the whole window is covered by data.
+    """
+    sums = lambda a: np.concatenate([np.zeros((1, 3)), np.cumsum(a, 0)])  # noqa: E731
+    last = np.searchsorted(imu.t, t + TICK)
+    first = np.searchsorted(imu.t, t - window + TICK)
+    n = np.maximum(last - first, 1)[:, None]
+
+    def spread(a):
+        a = a - a.mean(0)
+        mean = (sums(a)[last] - sums(a)[first]) / n
+        var = (sums(a**2)[last] - sums(a**2)[first]) / n - mean**2
+        return np.sqrt(np.maximum(var, 0).sum(1))
+
+    time = np.concatenate([[0.0], np.cumsum(imu.dt)])
+    # all but a sample's length at either end; a hole in the stream may hold anything
+    covered = (time[last] - time[first] >= window - 2 * float(np.median(imu.dt))) & (last - first >= 2)
+    return covered & (spread(imu.accel) < accel_sd) & (spread(imu.gyro) < gyro_sd)
+
+
+def driving(velocity: Samples, t: np.ndarray) -> np.ndarray:
+    """Does the receiver say at the times ``t`` (E,) that the vehicle moves: over 0.5 m/s and 3 sd; bool (E,).
+
+    By the velocity nearest in time, within a second.
+    """
+    after = np.clip(np.searchsorted(velocity.t, t), 1, max(velocity.t.size - 1, 1)) % velocity.t.size
+    near = np.where(np.abs(velocity.t[after] - t) < np.abs(velocity.t[after - 1] - t), after, after - 1)
+    speed = np.hypot(velocity.value[near, 0], velocity.value[near, 1])
+    return (np.abs(velocity.t[near] - t) <= 1.0) & (speed > 0.5 + 3 * velocity.sd[near, :2].max(1))
+
+
+def mean_rate(imu: ImuLog, t: np.ndarray, window: float) -> np.ndarray:
+    """Mean raw gyro rate over the ``window`` s before each of ``t``, (E, 3) rad/s: the value of a zero-rate update."""
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(imu.gyro, 0)])
+    last, first = np.searchsorted(imu.t, t + TICK), np.searchsorted(imu.t, t - window + TICK)
+    return (total[last] - total[first]) / np.maximum(last - first, 1)[:, None]
+
+
+def constraint_samples(
+    imu: ImuLog,
+    cuts: np.ndarray,
+    *,
+    nonholonomic: bool = False,
+    standing: np.ndarray | None = None,
+    window: float = 1.0,
+) -> dict[str, Samples]:
+    """Pseudo-measurements at the ends of epochs, for `pack` with ``cuts``.
+
+    ``nonholonomic``: one at every end. ``standing`` (E,) bool (`stationary`): zero velocity and zero rate there.
+    """
+
+    def samples(t, value):
+        return Samples(t, value, np.ones_like(value), np.zeros_like(value))
+
+    made = {}
+    if nonholonomic:
+        made["nonholonomic"] = samples(cuts, np.zeros((cuts.size, 2)))
+    if standing is not None:
+        t = cuts[standing]
+        made["zero_velocity"] = samples(t, np.zeros((t.size, 3)))
+        made["zero_rate"] = samples(t, mean_rate(imu, t, window))
+    return made

@@ -1,0 +1,150 @@
+"""Reading text strictly and writing files whole: what every format here is built on."""
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.types import DataError
+
+FilePath = str | os.PathLike[str]
+
+MAX_BYTES = 2 << 30  # larger inputs are refused before they are read
+MAX_VALUE = 1e15  # larger numbers are no measurement of anything here, and squares of them may overflow
+
+
+class Source(NamedTuple):
+    """Where rows came from, for messages."""
+
+    file: str
+    lines: np.ndarray | None = None  # (N,) line of each row, counted from 1; None where the file has no lines
+
+
+class Table(NamedTuple):
+    """A table of numbers with the line of every row."""
+
+    names: tuple[str, ...]  # of the columns; empty where the format has no header
+    values: np.ndarray  # (N, c)
+    source: Source
+
+
+def place(source: Source, row: int, stream: str = "") -> str:
+    """``file: line 7`` where lines are known, else ``file: imu row 6`` (rows counted from 0)."""
+    if source.lines is not None:
+        return f"{source.file}: line {int(source.lines[row])}"
+    return f"{source.file}: {stream} row {row}" if stream else f"{source.file}: row {row}"
+
+
+def read_bytes(path: FilePath) -> bytes:
+    """The bytes of a file; DataError where it is absent, unreadable, a folder or too large."""
+    try:
+        size = os.stat(path).st_size
+        if size > MAX_BYTES:
+            raise DataError(f"{os.fspath(path)}: {size} bytes, expected at most {MAX_BYTES}")
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise DataError(f"{os.fspath(path)}: cannot be read: {error.strerror or error}") from error
+
+
+def read_lines(path: FilePath) -> list[tuple[int, str]]:
+    """The lines of a UTF-8 text that are not blank, each with its number from 1; a cut last line is a DataError."""
+    data = read_bytes(path)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise DataError(f"{os.fspath(path)}: line {line}: expected UTF-8 text, got binary data") from error
+    # str.splitlines would also split at form feeds and the like, and the line numbers would be no editor's
+    lines = [(i, line.rstrip("\r")) for i, line in enumerate(text.split("\n"), start=1)]
+    if lines[-1][1].strip():
+        raise DataError(f"{os.fspath(path)}: line {lines[-1][0]}: has no line end; the file looks cut short")
+    return [(i, line) for i, line in lines if line.strip()]
+
+
+def parse_numbers(
+    rows: list[tuple[int, list[str]]],
+    width: int,
+    path: FilePath,
+    names: tuple[str, ...] = (),
+    nan: frozenset = frozenset(),
+) -> Table:
+    """Cells of text to a table of ``width`` columns; ``nan`` names the columns where nan is allowed."""
+    file, values = os.fspath(path), []
+    if not rows:
+        raise DataError(f"{file}: has no rows")
+    for line, cells in rows:
+        if len(cells) != width:
+            raise DataError(f"{file}: line {line}: expected {width} columns, got {len(cells)}")
+        try:
+            values.append([_number(cell) for cell in cells])
+        except ValueError:
+            bad = next(i for i, cell in enumerate(cells) if not _is_number(cell))
+            raise DataError(
+                f"{file}: line {line}: {_column(names, bad)}: expected a number, got {cells[bad]!r}"
+            ) from None
+    array = np.array(values)
+    allowed = np.array([name in nan for name in names] if names else [False] * width)
+    ok = (np.abs(array) < MAX_VALUE) | (np.isnan(array) & allowed)
+    if not ok.all():
+        i, j = (int(k[0]) for k in np.nonzero(~ok))
+        raise DataError(f"{file}: line {rows[i][0]}: {_column(names, j)}: expected a finite number, got {array[i, j]}")
+    return Table(names, array, Source(file, np.array([line for line, _ in rows])))
+
+
+def read_columns(path: FilePath, width: int, delimiter: str | None = None) -> Table:
+    """A table without a header: ``width`` numbers a line; delimiter None is white space."""
+    return parse_numbers([(i, line.split(delimiter)) for i, line in read_lines(path)], width, path)
+
+
+def read_csv(path: FilePath, nan: frozenset = frozenset()) -> Table:
+    """A comma-separated table whose first line names the columns."""
+    lines = read_lines(path)
+    if not lines:
+        raise DataError(f"{os.fspath(path)}: is empty, expected a header line")
+    names = tuple(name.strip() for name in lines[0][1].split(","))
+    if len(set(names)) != len(names):
+        raise DataError(f"{os.fspath(path)}: line {lines[0][0]}: a column name stands twice in {', '.join(names)}")
+    if all(_is_number(name) for name in names):
+        raise DataError(f"{os.fspath(path)}: line {lines[0][0]}: expected a header of column names, got numbers")
+    return parse_numbers([(i, line.split(",")) for i, line in lines[1:]], len(names), path, names, nan)
+
+
+def atomic_write(path: FilePath, data: str | bytes) -> None:
+    """Write a whole file or nothing: a temporary file in the same folder takes the place of the old one at the end."""
+    target = Path(path)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data.encode() if isinstance(data, str) else data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, target)
+    except OSError as error:
+        raise DataError(f"{os.fspath(path)}: cannot be written: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def format_csv(names: list[str], columns: np.ndarray) -> str:
+    """A header and rows of the shortest text that reads back to the same float64."""
+    rows = [",".join(names)] + [",".join(map(repr, row)) for row in np.asarray(columns, dtype=np.float64).tolist()]
+    return "\n".join(rows) + "\n"
+
+
+def _number(cell: str) -> float:
+    if "_" in cell:  # Python's own digit grouping, which no file format means
+        raise ValueError(cell)
+    return float(cell)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        _number(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _column(names: tuple[str, ...], i: int) -> str:
+    return f"column {names[i]}" if names else f"column {i + 1}"

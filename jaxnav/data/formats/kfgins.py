@@ -1,0 +1,57 @@
+"""KF-GINS text files: IMU increments, GNSS positions, navigation results; white space, no header."""
+
+import os
+
+import numpy as np
+
+from jaxnav.data.checks import check_imu, check_samples, check_track, increments_to_means, ned_to_enu, steps
+from jaxnav.data.files import FilePath, atomic_write, read_columns
+from jaxnav.maths.units import DEG
+from jaxnav.types import DataError, ImuLog, Samples, Track
+
+
+def read_kfgins_imu(path: FilePath) -> ImuLog:
+    """Seconds of week, dtheta (3) rad, dvel (3) m/s over the step, FRD, to means; t in seconds of week.
+
+    DataError names file and line.
+    """
+    table = read_columns(path, 7)
+    t = table.values[:, 0]
+    dt = steps(t, table.source)
+    gyro, accel = (increments_to_means(table.values[:, i : i + 3], dt) for i in (1, 4))
+    return check_imu(ImuLog(t, dt, gyro, accel), table.source)
+
+
+def read_kfgins_gnss(path: FilePath) -> Samples:
+    """Seconds of week, lat, lon deg, h m, sd N, E, D m to a "position" stream; t in seconds of week."""
+    table = read_columns(path, 7)
+    t, lla, ned = table.values[:, 0], table.values[:, 1:4], table.values[:, 4:]
+    samples = Samples(t, lla * np.array([DEG, DEG, 1.0]), ned[:, [1, 0, 2]], np.zeros((len(t), 3)))
+    return check_samples("position", samples, table.source)
+
+
+def read_rtk_track(path: FilePath) -> Samples:
+    """The hour-long RTK track of KF-GINS's data (``GNSS-RTK.txt``): the format of `read_kfgins_gnss`, no IMU."""
+    return read_kfgins_gnss(path)
+
+
+def read_kfgins_nav(path: FilePath) -> Track:
+    """Week, seconds of week, lat, lon deg, h m, v N, E, D m/s, roll, pitch, yaw deg.
+
+    t in seconds of the first row's week; DataError names file and line.
+    """
+    table = read_columns(path, 11)
+    x = table.values
+    t = (x[:, 0] - x[0, 0]) * 604800.0 + x[:, 1]
+    track = Track(t, x[:, 2:5] * np.array([DEG, DEG, 1.0]), ned_to_enu(x[:, 5:8]), x[:, 8:] * DEG)
+    return check_track(track, table.source)
+
+
+def write_kfgins_nav(path: FilePath, track: Track, week: int = 0) -> None:
+    """Write a solution in the columns of `read_kfgins_nav`; it must have an attitude, since the format has no gap."""
+    if np.isnan(track.rph).any():
+        raise DataError(f"{os.fspath(path)}: a KF-GINS solution needs roll, pitch and heading, got nan")
+    lla, rph = track.lla / np.array([DEG, DEG, 1.0]), track.rph / DEG
+    columns = np.hstack([track.t[:, None], lla, ned_to_enu(track.vel), rph]).tolist()
+    template = f"{week:d} %.9f %.12f %.12f %.6f %.7f %.7f %.7f %.9f %.9f %.9f"
+    atomic_write(path, "".join(template % tuple(row) + "\n" for row in columns))

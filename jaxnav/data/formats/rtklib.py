@@ -1,0 +1,255 @@
+"""RTKLIB solutions (``.pos``), and the drive of the rtkexplorer: its IMU log, time tag and RTK solution."""
+
+import datetime
+import os
+import struct
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.data import polling
+from jaxnav.data.checks import check_imu, check_recording, check_samples, check_time, steps
+from jaxnav.data.files import FilePath, Source, Table, atomic_write, parse_numbers, read_bytes, read_columns, read_lines
+from jaxnav.maths.units import DEG, G0
+from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
+
+GPS_EPOCH = 315964800.0  # s from 1970-01-01 to 1980-01-06
+WEEK = 604800.0  # s
+DRIVE_RPH = np.array([180.0, -6.79, 185.35]) * DEG  # rad, roll, pitch, yaw of the body's axes to the sensor's
+DRIVE_LEVER_ARM = np.array([0.0, -0.05, 0.0])  # m, IMU -> antenna, body FRD
+DRIVE_IMU_DELAY = -0.125  # s, what the author of the data adds to the stamps of the logger
+
+_POSITION = ("latitude", "longitude", "height", "sdn", "sde", "sdu", "sdne", "sdeu", "sdun")
+_VELOCITY = ("vn", "ve", "vu", "sdvn", "sdve", "sdvu", "sdvne", "sdveu", "sdvun")
+_UNITS = {"latitude": "deg", "longitude": "deg", "height": "m"}
+
+
+class PosFile(NamedTuple):
+    """What a ``.pos`` file holds."""
+
+    aiding: dict[str, Samples]  # "position", and "velocity" where the file has one
+    quality: np.ndarray  # (K,) Q: 1 fixed, 2 float, 3 SBAS, 4 DGPS, 5 single, 6 PPP
+    satellites: np.ndarray  # (K,)
+    source: Source
+
+
+def read_pos(path: FilePath) -> PosFile:
+    """A geodetic RTKLIB solution in degrees and GPST; t in seconds since 1970-01-01 in GPST, no leap seconds.
+
+    Columns are found by the names in the header. RTKLIB stores a covariance c as sign(c) sqrt(|c|); here it becomes a
+    correlation, shrunk where the file's rounding makes the matrix singular. DataError names file and line.
+    """
+    table, t = _read_table(path)
+    check_time(t, table.source, "position")
+    column = dict(zip(table.names, table.values.T))
+    missing = [name for name in (*_POSITION, "Q", "ns") if name not in column]
+    if missing:
+        raise DataError(f"{table.source.file}: expected a column {missing[0]}, got {', '.join(table.names)}")
+    value = np.stack([column["latitude"] * DEG, column["longitude"] * DEG, column["height"]], axis=1)
+    aiding = {"position": _samples("position", t, value, [column[name] for name in _POSITION[3:]], table.source)}
+    if all(name in column for name in _VELOCITY) and any(column[name].any() for name in _VELOCITY[3:6]):
+        value = np.stack([column["ve"], column["vn"], column["vu"]], axis=1)
+        aiding["velocity"] = _samples("velocity", t, value, [column[name] for name in _VELOCITY[3:]], table.source)
+    return PosFile(aiding, column["Q"].astype(int), column["ns"].astype(int), table.source)
+
+
+def write_pos(
+    path: FilePath,
+    position: Samples,
+    velocity: Samples | None = None,
+    quality: int = 5,
+    satellites: int = 0,
+    t0: float = 0.0,
+) -> None:
+    """Write a ``.pos`` file in GPST; ``t0`` s since 1970 is added to the times, which both streams must share."""
+    if velocity is not None and not np.array_equal(position.t, velocity.t):
+        raise DataError(f"{os.fspath(path)}: position and velocity must have the same times")
+    ned = position.value[:, [0, 1]] / DEG
+    blocks = [ned, position.value[:, 2:], np.full((len(ned), 2), [quality, satellites]), _signed_roots(position)]
+    names = ["latitude(deg)", "longitude(deg)", "height(m)", "Q", "ns"]
+    names += ["sdn(m)", "sde(m)", "sdu(m)", "sdne(m)", "sdeu(m)", "sdun(m)", "age(s)", "ratio"]
+    formats = ["%.11f", "%.11f", "%.6f", "%d", "%d"] + ["%.7f"] * 6 + ["%.2f", "%.1f"]
+    blocks.append(np.zeros((len(ned), 2)))
+    if velocity is not None:
+        names += ["vn(m/s)", "ve(m/s)", "vu(m/s)", "sdvn", "sdve", "sdvu", "sdvne", "sdveu", "sdvun"]
+        formats += ["%.7f"] * 9
+        blocks += [velocity.value[:, [1, 0, 2]], _signed_roots(velocity)]
+    template = " ".join(formats)
+    lines = ["%  GPST " + " ".join(names)]
+    lines += [f"{_stamp(t + t0)} {template % tuple(row)}" for t, row in zip(position.t, np.hstack(blocks).tolist())]
+    atomic_write(path, "\n".join(lines) + "\n")
+
+
+def read_imu_csv(
+    path: FilePath,
+    tag_path: FilePath,
+    rotation: np.ndarray,
+    delay: float = DRIVE_IMU_DELAY,
+    origin: float = 0.0,
+    repair: bool = True,
+) -> ImuLog:
+    """The drive's IMU log: rates in deg/s and g in sensor axes with a tick in ms, and the RTKLIB tag that dates it.
+
+    ``rotation`` (3, 3) takes sensor axes to body FRD; ``t`` counts from ``origin`` (s since 1970, GPST). The first and
+    last row are dropped: the logger cuts them. The ticks are stretched to the last pair of the tag, as the author does,
+    and ``delay`` s is added; the innovations say that this stretch, 290 ppm, is wrong, and `Mounting.clock_drift` takes
+    it back. ``repair``: the logger polled a sensor that runs 0.5 % faster than it; mend the repeated and lost samples
+    and give them the sensor's even clock (`jaxnav.data.polling`). False takes the rows as they are. DataError names
+    file and line.
+    """
+    table = read_columns(path, 7, ",")
+    if len(table.values) < 4:
+        raise DataError(f"{table.source.file}: expected four rows or more, got {len(table.values)}")
+    lines = table.source.lines
+    source = Source(table.source.file, None if lines is None else lines[1:-1])
+    values = table.values[1:-1]
+    start, last = _read_tag(tag_path)
+    tick = check_time(values[:, 6] / 1000.0, source, "imu")
+    t = (start - origin) + (tick - tick[0]) * (last / (tick[-1] - tick[0])) + delay
+    dt, readings = steps(t, source), values[:, :6]
+    check_imu(_body_imu(t, dt, readings, rotation), source)  # before mending, while a row still is a line of the file
+    mended = polling.repair(readings)
+    if repair and mended.lost.any():
+        index, read = np.arange(mended.lost.size), ~mended.lost
+        rate, first = np.polyfit(index[read], t[mended.poll[read]], 1)
+        t, readings = first + rate * index, mended.values
+        dt = np.full(t.size, rate)
+    return check_imu(_body_imu(t, dt, readings, rotation), Source(table.source.file, None))
+
+
+def _body_imu(t: np.ndarray, dt: np.ndarray, readings: np.ndarray, rotation: np.ndarray) -> ImuLog:
+    """Rows of force in g and rate in deg/s, sensor axes."""
+    return ImuLog(t, dt, readings[:, 3:6] * DEG @ rotation.T, readings[:, :3] * G0 @ rotation.T)
+
+
+def read_drive(folder: FilePath, imu_delay: float = DRIVE_IMU_DELAY, repair: bool = True) -> Recording:
+    """The rtkexplorer drive of 2025-07-08; t = 0 at the first GNSS row, truth is the RTK itself, without attitude.
+
+    The velocity is stamped as in the file. It is the position difference over the preceding 0.25 s, so it is 0.125 s
+    old at its stamp: give the filter ``velocity_latency = 0.125``; it is not independent of the position. The true
+    delay of the IMU lies between -0.19 s (against position) and -0.06 s (against velocity as stamped). ``repair``: see
+    `read_imu_csv`.
+    """
+    folder = Path(folder)
+    pos = read_pos(folder / "gnss_1934_sf.pos")
+    if "velocity" not in pos.aiding:
+        raise DataError(f"{pos.source.file}: expected velocity columns {', '.join(_VELOCITY)}")
+    origin = float(pos.aiding["position"].t[0])
+    imu = read_imu_csv(
+        folder / "imu_1934.csv", folder / "imu_1934.csv.tag", drive_rotation(), delay=imu_delay, origin=origin,
+        repair=repair,
+    )  # fmt: skip
+    aiding = {name: stream._replace(t=stream.t - origin) for name, stream in pos.aiding.items()}
+    position, velocity = aiding["position"], aiding["velocity"]
+    truth = Track(position.t, position.value, velocity.value, np.full((len(position.t), 3), np.nan))
+    notes = "t = 0 at the first GNSS row; velocity is a position difference, 0.125 s old at its stamp; truth is the RTK"
+    rec = Recording("rtkexplorer_drive", imu, aiding, truth, DRIVE_LEVER_ARM.copy(), notes)
+    return check_recording(rec, {"position": pos.source, "velocity": pos.source, "truth": pos.source})
+
+
+def drive_rotation(rph: np.ndarray = DRIVE_RPH) -> np.ndarray:
+    """(3, 3) sensor -> body FRD for the mounting angles roll, pitch, yaw in rad.
+
+    The rotation matrix of Euler angles that resolves reference axes along turned axes (Groves 2013, eq. 2.22), here
+    from the sensor's axes to the body's.
+    """
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rph), np.cos(rph)
+    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, sr], [0.0, -sr, cr]])
+    pitch = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
+    yaw = np.array([[cy, sy, 0.0], [-sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    return roll @ pitch @ yaw
+
+
+def _read_table(path: FilePath) -> tuple[Table, np.ndarray]:
+    """The numeric columns of a ``.pos`` file, names without units, and the times in s since 1970 in GPST."""
+    file, header, rows = os.fspath(path), "", []
+    for i, line in read_lines(path):
+        if line.startswith("%"):
+            header = line if "Q" in line.split() else header
+        else:
+            rows.append((i, line.split()))
+    words = header.lstrip("%").split()
+    if not words:
+        raise DataError(f"{file}: expected a header line with column names (GPST latitude(deg) ... Q ...)")
+    if words[0] != "GPST":
+        raise DataError(f"{file}: expected times in GPST, got {words[0]}")
+    units = dict(word.rstrip(")").split("(", 1) for word in words[1:] if "(" in word)
+    for name, unit in _UNITS.items():
+        if units.get(name) != unit:
+            raise DataError(f"{file}: expected a column {name}({unit}), got {' '.join(words)}")
+    names = tuple(word.split("(")[0] for word in words[1:])
+    if len(set(names)) != len(names):
+        raise DataError(f"{file}: a column name stands twice in {' '.join(words)}")
+    table = parse_numbers([(i, cells[2:]) for i, cells in rows], len(names), path, names)
+    return table, np.array([_seconds(cells, f"{file}: line {i}") for i, cells in rows])
+
+
+def _seconds(cells: list[str], where: str) -> float:
+    """Date and time, or week and time of week, in GPST to s since 1970."""
+    try:
+        if "/" not in cells[0]:
+            week, tow = int(cells[0]), float(cells[1])
+            if not (0 <= week < 10000 and 0.0 <= tow < WEEK):
+                raise ValueError
+            return GPS_EPOCH + week * WEEK + tow
+        clock, _, fraction = cells[1].partition(".")
+        moment = datetime.datetime.strptime(f"{cells[0]} {clock}", "%Y/%m/%d %H:%M:%S").replace(tzinfo=datetime.UTC)
+        return moment.timestamp() + float(f"0.{fraction or 0}")
+    except (ValueError, IndexError):
+        raise DataError(
+            f"{where}: expected a time like 2025/07/08 19:34:18.499 or week and seconds, got {' '.join(cells[:2])!r}"
+        ) from None
+
+
+def _stamp(seconds: float) -> str:
+    whole, micro = divmod(round(seconds * 1e6), 1_000_000)
+    moment = datetime.datetime(1970, 1, 1) + datetime.timedelta(seconds=whole)
+    return f"{moment:%Y/%m/%d %H:%M:%S}.{micro:06d}"
+
+
+def _samples(name: str, t: np.ndarray, value: np.ndarray, columns: list[np.ndarray], source: Source) -> Samples:
+    """Columns sdn, sde, sdu, sdne, sdeu, sdun to sd in ENU and correlations (EN, NU, UE)."""
+    n, e, u, ne, eu, un = columns
+    sd = np.stack([e, n, u], axis=1)
+    check_samples(name, Samples(t, value, sd, np.zeros_like(sd)), source)  # before dividing by it
+    roots = np.stack([ne, un, eu], axis=1)
+    corr = np.sign(roots) * np.square(roots) / (sd * np.roll(sd, -1, axis=1))
+    if (np.abs(corr) > 1.5).any():
+        line = int(np.nonzero(np.abs(corr) > 1.5)[0][0])
+        at = source.lines[line] if source.lines is not None else line
+        raise DataError(
+            f"{source.file}: line {at}: {name}: expected a covariance below the variances, got {roots[line]}"
+        )
+    return Samples(t, value, sd, _shrink(corr))
+
+
+def _shrink(corr: np.ndarray, floor: float = 1e-3) -> np.ndarray:
+    """Correlations (K, 3) scaled down in the rows whose matrix has an eigenvalue below ``floor``."""
+    matrix = np.zeros((len(corr), 3, 3))
+    for k, (i, j) in enumerate(((0, 1), (1, 2), (2, 0))):
+        matrix[:, i, j] = matrix[:, j, i] = corr[:, k]
+    lowest = np.linalg.eigvalsh(matrix)[:, 0]  # of the off-diagonal part: the correlation matrix has one more
+    return corr * np.where(lowest < floor - 1.0, (1.0 - floor) / np.maximum(-lowest, 1e-9), 1.0)[:, None]
+
+
+def _signed_roots(samples: Samples) -> np.ndarray:
+    """(K, 6) sdn, sde, sdu, sdne, sdeu, sdun of a stream in ENU."""
+    cov = samples.corr * samples.sd * np.roll(samples.sd, -1, axis=1)
+    roots = np.sign(cov) * np.sqrt(np.abs(cov))  # en, nu, ue
+    return np.hstack([samples.sd[:, [1, 0, 2]], roots[:, [0, 2, 1]]])
+
+
+def _read_tag(path: FilePath) -> tuple[float, float]:
+    """Start of the log (s since 1970, GPST) and the last tick (s since the start) of an RTKLIB time tag."""
+    data = read_bytes(path)
+    file = os.fspath(path)
+    if not data.startswith(b"TIMETAG RTKLIB"):
+        raise DataError(f"{file}: byte 0: expected an RTKLIB time tag")
+    if len(data) < 84 or (len(data) - 76) % 8:
+        raise DataError(f"{file}: byte {len(data)}: expected whole pairs of tick and offset after byte 76; cut short?")
+    whole, fraction = struct.unpack_from("<Id", data, 64)
+    ticks = np.frombuffer(data, "<u4", offset=76)[::2]
+    if not 0.0 <= fraction < 1.0 or (np.diff(ticks.astype(np.int64)) < 0).any() or not ticks[-1]:
+        raise DataError(f"{file}: byte 64: expected a start time and ticks that increase")
+    return whole + fraction, float(ticks[-1]) / 1000.0

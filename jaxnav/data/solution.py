@@ -1,0 +1,76 @@
+"""Writers of a solution: degrees and north, east, down on this side of the border; whole files or nothing."""
+
+import os
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from jaxnav.data.checks import ned_to_enu
+from jaxnav.data.files import FilePath, atomic_write, format_csv
+from jaxnav.data.formats.kfgins import write_kfgins_nav
+from jaxnav.data.formats.rtklib import GPS_EPOCH, write_pos
+from jaxnav.maths.units import DEG
+from jaxnav.types import DataError, Samples, Track
+
+FORMATS = ("csv", "kml", "pos", "nav")
+
+_COLUMNS = "t_s lat_deg lon_deg h_m vn_mps ve_mps vd_mps roll_deg pitch_deg heading_deg".split()
+_SD_COLUMNS = "sd_n_m sd_e_m sd_d_m sd_vn_mps sd_ve_mps sd_vd_mps sd_tilt_n_deg sd_tilt_e_deg sd_heading_deg".split()
+
+
+def write_solution(path: FilePath, track: Track, format: str, sd: np.ndarray | None = None) -> None:
+    """Write a track as "csv", "kml", "pos" (RTKLIB, which needs ``sd``) or "nav" (KF-GINS).
+
+    ``sd`` (N, 9): position m, velocity m/s, attitude rad, each about or along E, N, U: the roots of the diagonal of P.
+    """
+    if format == "csv":
+        write_csv(path, track, sd)
+    elif format == "kml":
+        write_kml(path, track)
+    elif format == "nav":
+        write_kfgins_nav(path, track)
+    elif format == "pos":
+        if sd is None:
+            raise DataError(f"{os.fspath(path)}: a .pos solution needs standard deviations, got none")
+        sd = _check_sd(path, track, sd)
+        none = np.zeros_like(track.vel)
+        streams = Samples(track.t, track.lla, sd[:, :3], none), Samples(track.t, track.vel, sd[:, 3:6], none)
+        # no earlier time can be written in GPST: seconds that are no date count from its start
+        write_pos(path, *streams, t0=0.0 if track.t[0] >= GPS_EPOCH else GPS_EPOCH)
+    else:
+        raise DataError(f"{os.fspath(path)}: format must be one of {', '.join(FORMATS)}, got {format!r}")
+
+
+def write_csv(path: FilePath, track: Track, sd: np.ndarray | None = None) -> None:
+    """Time, position, velocity, attitude, then their sd if given (as in `write_solution`), every float to the last bit.
+
+    The attitude's sd are rotations about north, east and down. Unknown angles are written as nan.
+    """
+    lla, vel = track.lla / np.array([DEG, DEG, 1.0]), ned_to_enu(track.vel)
+    blocks, names = [track.t[:, None], lla, vel, track.rph / DEG], list(_COLUMNS)
+    if sd is not None:
+        blocks.append(_check_sd(path, track, sd)[:, [1, 0, 2, 4, 3, 5, 7, 6, 8]] / np.array([1.0] * 6 + [DEG] * 3))
+        names += _SD_COLUMNS
+    atomic_write(path, format_csv(names, np.hstack(blocks)))
+
+
+def write_kml(path: FilePath, track: Track, fixes: Samples | None = None, name: str = "solution") -> None:
+    """A KML line of the track, and if given the position fixes as points."""
+    places = [f"<Placemark><name>{escape(name)}</name><LineString><altitudeMode>absolute</altitudeMode>"]
+    places += ["<coordinates>", *_coordinates(track.lla), "</coordinates></LineString></Placemark>"]
+    if fixes is not None:
+        places.append("<Placemark><name>fixes</name><MultiGeometry>")
+        places += [f"<Point><coordinates>{point}</coordinates></Point>" for point in _coordinates(fixes.value)]
+        places.append("</MultiGeometry></Placemark>")
+    head = '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>\n'
+    atomic_write(path, head + "\n".join(places) + "\n</Document></kml>\n")
+
+
+def _coordinates(lla: np.ndarray) -> list[str]:
+    return [f"{lon / DEG:.9f},{lat / DEG:.9f},{h:.3f}" for lat, lon, h in lla.tolist()]
+
+
+def _check_sd(path: FilePath, track: Track, sd: np.ndarray) -> np.ndarray:
+    if np.shape(sd) != (len(track.t), 9):
+        raise DataError(f"{os.fspath(path)}: sd must have shape {(len(track.t), 9)}, got {np.shape(sd)}")
+    return np.asarray(sd)

@@ -1,0 +1,1 @@
+"""The rules of the three papers, and one made of their parts."""

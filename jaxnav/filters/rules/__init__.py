@@ -1,0 +1,1 @@
+"""Rules of correction: Kalman, robust, adaptive, fuzzy."""

@@ -1,0 +1,119 @@
+"""Rules that learn how good the fixes are, or forget old ones, each made of another rule: Sage-Husa, IAE, fading.
+
+R is learnt as a factor per channel on the R that comes with the fix, so that a receiver's own sd keeps its say. A
+channel that is missing, or that the inner rule rejects, teaches nothing: its memory stands still.
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav.filters.core import Correction, Innovation, Rule
+from jaxnav.filters.rules.robust import inflated
+
+
+class Memory(NamedTuple):
+    """What has been learnt, and the inner rule's memory."""
+
+    learnt: jax.Array  # (m,) or (window, m) variance over the R of the fix
+    rule: Any
+
+
+def _passed_on(rule: Rule):
+    """Extrapolation is the inner rule's."""
+
+    def extrapolate(theta: Any, memory: Memory, x0: jax.Array, x: jax.Array):
+        x, inner = rule.extrapolate(theta.rule, memory.rule, x0, x)
+        return x, memory._replace(rule=inner)
+
+    return extrapolate
+
+
+class SageHusa(NamedTuple):
+    """Parameters of `sage_husa`."""
+
+    forget: jax.Array  # () share of the old estimate that is kept at every fix
+    floor: jax.Array  # () least factor on R
+    rule: Any = ()  # parameters of the inner rule
+
+
+def sage_husa_params(forget: float = 0.97, floor: float = 0.25, rule: Any = ()) -> SageHusa:
+    """Parameters from plain numbers."""
+    return SageHusa(jnp.asarray(forget, float), jnp.asarray(floor, float), rule)
+
+
+@cache
+def sage_husa(rule: Rule) -> Rule:
+    """R by exponential forgetting: R <- forget R + (1 - forget) diag(r r' + H P+ H') after the correction.
+
+    r r' + H P+ H' is the mean of v v' given the fix, the E-step of maximum likelihood: positive by construction, where
+    the original nu nu' - H P H' is not (Sage & Husa 1969). Used from the next fix on.
+    """
+
+    def correct(theta: SageHusa, memory: Memory, z: Innovation) -> Correction:
+        factor = jnp.maximum(memory.learnt, theta.floor)
+        c = rule.correct(theta.rule, memory.rule, z._replace(R=inflated(z.R, factor)))
+        r = z.nu - z.H @ c.delta
+        now = (r**2 + jnp.diag(z.H @ c.P @ z.H.T)) / jnp.diag(z.R)
+        learnt = theta.forget * memory.learnt + (1 - theta.forget) * now
+        return c._replace(memory=Memory(jnp.where(c.used, learnt, memory.learnt), c.memory))
+
+    return Rule(lambda n, m: Memory(jnp.ones(m), rule.init(n, m)), correct, _passed_on(rule))
+
+
+class Iae(NamedTuple):
+    """Parameters of `iae`."""
+
+    floor: jax.Array  # () least factor on R
+    rule: Any = ()  # parameters of the inner rule
+
+
+def iae_params(floor: float = 0.25, rule: Any = ()) -> Iae:
+    """Parameters from plain numbers."""
+    return Iae(jnp.asarray(floor, float), rule)
+
+
+@cache
+def iae(rule: Rule, window: int = 20) -> Rule:
+    """Innovation-based adaptive estimation: R is the mean of nu nu' - H P H' over the last ``window`` fixes.
+
+    This one included, and never below the floor (Mehra 1970; Mohamed & Schwarz 1999). The window starts out full of the
+    fixes' own R.
+    """
+
+    def correct(theta: Iae, memory: Memory, z: Innovation) -> Correction:
+        now = (z.nu**2 - jnp.diag(z.H @ z.P @ z.H.T)) / jnp.diag(z.R)
+        learnt = jnp.where(z.valid, jnp.concatenate([memory.learnt[1:], now[None]]), memory.learnt)
+        factor = jnp.where(z.valid, jnp.maximum(learnt.mean(0), theta.floor), 1.0)
+        c = rule.correct(theta.rule, memory.rule, z._replace(R=inflated(z.R, factor)))
+        return c._replace(memory=Memory(jnp.where(c.used, learnt, memory.learnt), c.memory))
+
+    return Rule(lambda n, m: Memory(jnp.ones((window, m)), rule.init(n, m)), correct, _passed_on(rule))
+
+
+class Fading(NamedTuple):
+    """Parameters of `fading`."""
+
+    tau: jax.Array  # () s, age at which a fix has lost 63 % of its weight; inf forgets nothing
+    rule: Any = ()  # parameters of the inner rule
+
+
+def fading_params(tau: float = 300.0, rule: Any = ()) -> Fading:
+    """Parameters from plain numbers."""
+    return Fading(jnp.asarray(tau, float), rule)
+
+
+@cache
+def fading(rule: Rule) -> Rule:
+    """P carried on from a fix is P exp(T / tau), which ages old fixes at a fixed rate (Sorenson & Sacks 1971).
+
+    What the fixes do not observe loses its memory too: heading, at rest.
+    """
+
+    def correct(theta: Fading, memory: Any, z: Innovation) -> Correction:
+        c = rule.correct(theta.rule, memory, z)
+        return c._replace(fade=c.fade * jnp.exp(0.5 * z.T / theta.tau))
+
+    return Rule(rule.init, correct, lambda theta, memory, x0, x: rule.extrapolate(theta.rule, memory, x0, x))

@@ -1,0 +1,18 @@
+"""The Kalman filter's rule: with the error models of this package, an extended Kalman filter."""
+
+from functools import cache
+
+from jaxnav.filters.core import Correction, Innovation, Rule
+from jaxnav.maths import linalg
+
+
+def correct(theta, memory, z: Innovation) -> Correction:
+    """Optimal gain, Joseph form; no parameters of its own."""
+    K, P = linalg.update(z.P, z.H, z.R)
+    return Correction(K @ z.nu, P, memory, z.valid)
+
+
+@cache
+def kalman() -> Rule:
+    """Without memory."""
+    return Rule(lambda n, m: (), correct)

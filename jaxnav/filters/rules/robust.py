@@ -1,0 +1,194 @@
+"""Rules that bear faulty fixes, each made of another rule: gate, Huber and Student-t weights.
+
+They change what the inner rule sees of a fix (which channels, what R), so that each goes with any paper's rule. A block
+is three consecutive channels: a receiver's position, its velocity.
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav.filters.core import Correction, Innovation, Rule, masked, only_if, select
+from jaxnav.maths import linalg
+
+BLOCK = 3  # channels of a receiver's measurement
+
+
+def by_block(a: jax.Array) -> jax.Array:
+    """Values per channel (m,) as (m / 3, 3)."""
+    return a.reshape(-1, BLOCK)
+
+
+def own_blocks(S: jax.Array) -> jax.Array:
+    """The blocks on the diagonal of S (m, m), as (m / 3, 3, 3)."""
+    i = jnp.arange(S.shape[0] // BLOCK)
+    return S.reshape(i.size, BLOCK, i.size, BLOCK)[i, :, i, :]
+
+
+def squared_by_block(v: jax.Array, S: jax.Array) -> jax.Array:
+    """Every block's own v' S^-1 v, (m / 3,), from v (m,) and S (m, m)."""
+    return jax.vmap(linalg.normalized)(by_block(v), own_blocks(S))
+
+
+def inflated(R: jax.Array, factor: jax.Array) -> jax.Array:
+    """R with variances times ``factor`` (m,) > 0, correlations kept."""
+    root = jnp.sqrt(factor)
+    return root[:, None] * R * root
+
+
+def require_blocks(m: int) -> None:
+    """Raise ValueError where the channels are not blocks of three."""
+    if m % BLOCK:
+        raise ValueError(f"a rule on blocks of {BLOCK} channels needs a multiple of them, the filter has {m}")
+
+
+# ---------------------------------------------------------------------------- chi-square gate
+
+
+class Gate(NamedTuple):
+    """Parameters of `gate`."""
+
+    threshold: jax.Array  # () largest nu' S^-1 nu of a block
+    timeout: jax.Array  # () s of rejected fixes after which a block is accepted again; inf is never
+    rule: Any = ()  # parameters of the inner rule
+
+
+class GateMemory(NamedTuple):
+    """How long each block has been rejected without a break."""
+
+    rejected: jax.Array  # (m / 3,) s, epochs without a fix not counted
+    rule: Any
+
+
+def gate_params(threshold: float = 16.27, timeout: float = 30.0, rule: Any = ()) -> Gate:
+    """Parameters from plain numbers; the default threshold is passed by 99.9 % of sound fixes of three channels."""
+    return Gate(jnp.asarray(threshold, float), jnp.asarray(timeout, float), rule)
+
+
+def jumped(z: Innovation, S: jax.Array, factor: jax.Array) -> jax.Array:
+    """P (n, n) after each block's measured quantity has jumped, S (m, m) of that block becoming S times its factor.
+
+    ``factor`` (m / 3,) >= 1. The jump is independent of all that P knows, and lies in the states that would be
+    responsible were their errors independent: for a position, in position.
+    """
+    P = z.P
+    D = jnp.diag(P)[:, None]  # so that a lever arm's attitude counts in metres
+    H, own = z.H.reshape(-1, BLOCK, P.shape[0]), own_blocks(S)
+    for b in range(H.shape[0]):
+        missing = jnp.diag(1.0 - by_block(z.valid)[b])
+        G = D * H[b].T @ linalg.inverse(H[b] @ (D * H[b].T) + missing)
+        P = P + (factor[b] - 1) * G @ own[b] @ G.T
+    return P
+
+
+@cache
+def gate(rule: Rule) -> Rule:
+    """``rule`` sees only the blocks whose innovation is likely; the others are missing for it.
+
+    Recovery: receivers' faults end, while a filter that has drifted off by more than its P never comes back by itself.
+    So after ``timeout`` the filter is held to be wrong, and the block is accepted with P widened by a jump
+    (see `jumped`) that makes the innovation likely again: nu' S^-1 nu is then its number of channels. A plain
+    acceptance moves a filter that is too sure of itself by little, and the next fix is rejected again; R in place of P
+    would move it even less. Inflating all of P lets a lasting fault turn the attitude through its correlations. The
+    inner rule starts anew, too: an integral of the filter that was wrong would be applied again at every recovery.
+
+    The time counts only fixes that were rejected, not outages: a fix after a tunnel is tested like any other.
+    """
+
+    def init(n: int, m: int) -> GateMemory:
+        require_blocks(m)
+        return GateMemory(jnp.zeros(m // BLOCK), rule.init(n, m))
+
+    def correct(theta: Gate, memory: GateMemory, z: Innovation) -> Correction:
+        count = by_block(z.valid).sum(1)
+        S = z.H @ z.P @ z.H.T + z.R
+        d2 = squared_by_block(z.nu, S)
+        far = (count > 0) & (d2 > theta.threshold)
+        late = far & (memory.rejected >= theta.timeout)
+        out = far & ~late
+        P = jumped(z, S, jnp.where(late, jnp.maximum(d2 / jnp.maximum(count, 1), 1.0), 1.0))
+        keep = z.valid & ~jnp.repeat(out, BLOCK)
+        nu, H, R = masked(z.nu, z.H, z.R, keep)
+        seen = z._replace(nu=nu, H=H, R=R, P=P, valid=keep)
+        inner = select(late.any(), rule.init(z.P.shape[0], z.nu.size), memory.rule)
+        c = only_if(keep.any(), rule.correct(theta.rule, inner, seen), seen, inner)
+        rejected = jnp.where(out, memory.rejected + z.T, jnp.where(count > 0, 0.0, memory.rejected))
+        return c._replace(memory=GateMemory(rejected, c.memory))
+
+    def extrapolate(theta: Gate, memory: GateMemory, x0: jax.Array, x: jax.Array):
+        x, inner = rule.extrapolate(theta.rule, memory.rule, x0, x)
+        return x, memory._replace(rule=inner)
+
+    return Rule(init, correct, extrapolate)
+
+
+# ---------------------------------------------------------------------------- weights
+
+
+class Huber(NamedTuple):
+    """Parameters of `huber`."""
+
+    knee: jax.Array  # () sd of the innovation beyond which a channel loses weight
+    rule: Any = ()  # parameters of the inner rule
+
+
+def huber_params(knee: float = 1.5, rule: Any = ()) -> Huber:
+    """Parameters from plain numbers."""
+    return Huber(jnp.asarray(knee, float), rule)
+
+
+@cache
+def huber(rule: Rule) -> Rule:
+    """Huber's M-estimator in one step: R of a channel over its weight min(1, knee / |innovation in sd|).
+
+    The correction by a channel is then bounded however far off it is (Huber 1964; Karlgaard & Schaub 2007 iterate it).
+    """
+
+    def correct(theta: Huber, memory: Any, z: Innovation) -> Correction:
+        sd = jnp.sqrt(jnp.diag(z.H @ z.P @ z.H.T + z.R))
+        excess = jnp.maximum(jnp.abs(z.nu) / (theta.knee * sd), 1.0)
+        return rule.correct(theta.rule, memory, z._replace(R=inflated(z.R, excess)))
+
+    return Rule(rule.init, correct, lambda theta, memory, x0, x: rule.extrapolate(theta.rule, memory, x0, x))
+
+
+class StudentT(NamedTuple):
+    """Parameters of `student_t`."""
+
+    dof: jax.Array  # () degrees of freedom: few are heavy tails, many a Gaussian
+    rule: Any = ()  # parameters of the inner rule
+
+
+def student_t_params(dof: float = 4.0, rule: Any = ()) -> StudentT:
+    """Parameters from plain numbers."""
+    return StudentT(jnp.asarray(dof, float), rule)
+
+
+@cache
+def student_t(rule: Rule, iterations: int = 4) -> Rule:
+    """Measurement noise of a block is Student-t: R over a weight found by variational Bayes.
+
+    With d channels of a block there, each iteration takes the weight w = (dof + d) / (dof + E[r' R^-1 r]) with
+    E = r' R^-1 r + tr(H P+ H' R^-1), r and P+ after the correction with R / w (Agamennoni et al. 2012, eqs. 12-15).
+    Sound fixes have w near 1.
+    """
+
+    def correct(theta: StudentT, memory: Any, z: Innovation) -> Correction:
+        d = by_block(z.valid).sum(1)
+        inverse = linalg.inverse(z.R)
+        w = jnp.ones(d.shape)
+        for _ in range(iterations):
+            R = inflated(z.R, jnp.repeat(1 / w, BLOCK))
+            K, P = linalg.update(z.P, z.H, R)
+            r, spread = z.nu - z.H @ (K @ z.nu), z.H @ P @ z.H.T
+            expected = squared_by_block(r, z.R) + by_block(jnp.sum(spread * inverse, axis=1)).sum(1)
+            w = (theta.dof + d) / (theta.dof + expected)
+        return rule.correct(theta.rule, memory, z._replace(R=inflated(z.R, jnp.repeat(1 / w, BLOCK))))
+
+    def init(n: int, m: int):
+        require_blocks(m)
+        return rule.init(n, m)
+
+    return Rule(init, correct, lambda theta, memory, x0, x: rule.extrapolate(theta.rule, memory, x0, x))

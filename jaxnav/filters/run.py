@@ -1,0 +1,91 @@
+"""Run a filter over epochs: one nested scan, pure, to be jitted, vmapped and differentiated."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxnav.filters.core import Filter
+from jaxnav.maths import rotations
+from jaxnav.types import DataError, Epoch, Info, Nav, Origin, Params, Track
+
+
+def enable_x64() -> None:
+    """Switch jax to float64 for the whole process; importing jaxnav changes no flag of jax."""
+    jax.config.update("jax_enable_x64", True)
+
+
+def require_x64(*trees: Any) -> None:
+    """Refuse float32: latitude in float32 steps by 0.4 m.
+
+    Raises:
+        DataError: some leaf is a float of less than 64 bits.
+    """
+    for leaf in jax.tree.leaves(trees):
+        dtype = jnp.result_type(leaf)
+        if jnp.issubdtype(dtype, jnp.floating) and dtype != jnp.float64:
+            raise DataError(f"positions need float64, got {dtype}: call jaxnav.enable_x64() before anything else")
+
+
+@partial(jax.jit, static_argnums=0)
+def prepare(filt: Filter, epochs: Epoch) -> Epoch:
+    """Epochs of one run (E, ...) or of many (B, E, ...) for many runs of this filter: what needs no state is done once.
+
+    In local level, at a stride of 2 to 10, that is most of what is done at every sample; then biases enter in first
+    order (`jaxnav.strapdown.fast.local_level.preintegrate`). Only filters of the same stride and history take them.
+    """
+    return filt.prepare(epochs) if epochs.fix.valid.ndim == 2 else jax.vmap(filt.prepare)(epochs)
+
+
+def run(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info:
+    """Filter all epochs (fields (E, ...)) from ``nav``, as they come or by `prepare`; Info has a leading axis E.
+
+    Rematerialised per epoch: a gradient keeps one state an epoch instead of every sample's.
+
+    Raises:
+        DataError: float32 input (at trace time).
+        ValueError: epochs that were prepared for a filter with another stride or history (at trace time).
+    """
+    require_x64(params, nav, epochs)
+
+    @jax.checkpoint
+    def step(state, i):
+        # looked up rather than scanned over: a scan under vmap first copies all its data, time to the front
+        return filt.step(params, state, jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, keepdims=False), epochs))
+
+    return lax.scan(step, filt.init(params, nav), jnp.arange(epochs.fix.sd.shape[0]))[1]
+
+
+run_jit = jax.jit(run, static_argnums=0)
+"""`run`, compiled once for a filter and shapes."""
+
+
+def initial_nav(
+    lla: Any, vel: Any = (0.0, 0.0, 0.0), rph: Any = (0.0, 0.0, 0.0), t: Any = 0.0, azimuth: Any = 0.0
+) -> Nav:
+    """Local level start: (lat rad, lon rad, h m), ENU m/s, roll pitch heading rad, s; biases zero.
+
+    Frames that do not travel along have their origin there and then, and their first axis at ``azimuth`` (rad).
+    """
+    lla, vel, rph, t, azimuth = (jnp.asarray(v, float) for v in (lla, vel, rph, t, azimuth))
+    q = rotations.from_dcm(rotations.from_rph(rph))
+    zero = jnp.zeros(3)
+    return Nav(t, lla, vel, q, zero, zero, zero, zero, Origin(lla, azimuth, t))
+
+
+def track(nav: Nav) -> Track:
+    """A local level solution (E, ...) on the host."""
+    rph = jax.vmap(lambda q: rotations.to_rph(rotations.to_dcm(q)))(nav.q)
+    return Track(*(np.asarray(a) for a in (nav.t, nav.pos, nav.vel, rph)))
+
+
+def first_failure(info: Info, t: np.ndarray) -> str | None:
+    """Where a run stopped being finite, in words, or None; ``t`` (E,) are the epochs' times."""
+    ok = np.asarray(info.ok)
+    if ok.all():
+        return None
+    i = int(np.argmin(ok))
+    return f"the filter stopped being finite at t = {t[i]:.3f} s (epoch {i} of {ok.size})"

@@ -1,1 +1,0 @@
-"""The work behind the verbs of the command line: plain functions of a `jaxnav.config.Config`."""

@@ -1,0 +1,1 @@
+"""Earth, rotations, small matrices, units: what knows nothing of navigation."""

@@ -1,0 +1,1 @@
+"""Simulated trajectories, sensors, faults and runs."""

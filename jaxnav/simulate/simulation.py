@@ -1,0 +1,204 @@
+"""A truth, its IMU and GNSS with errors, and a start for a filter, from a scenario and a key; vmap over keys.
+
+Each purpose has its own key folded in: another GNSS noise, IMU or start does not change the drive.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.data import start as alignment
+from jaxnav.filters.run import require_x64, track
+from jaxnav.maths import earth, rotations, units
+from jaxnav.simulate import gnss, imu
+from jaxnav.simulate.scenarios import PATTERN, Scenario, Start
+from jaxnav.simulate.trajectories import Point, Shape, shape_of, travel
+from jaxnav.states.grades import GRADES, datasheet_params, mounting
+from jaxnav.types import Epoch, Fix, Imu, ImuLog, Nav, Origin, Params, Recording, Samples, Track
+
+DRIVE, SENSOR, RECEIVER, OUTAGES, START = range(5)  # the purposes that are folded into the key
+
+
+class Simulated(NamedTuple):
+    """One run, or many with a leading axis; E epochs of k samples, fixes for `jaxnav.measurements.GNSS`."""
+
+    epochs: Epoch  # (E, k, ...) and (E, 6); in an outage not valid, but with the antenna's values free of error
+    truth: Nav  # (E, ...) at the end of each epoch; biases are what the IMU's really were
+    start: Nav  # () the truth where the run starts: t = 0, or the end of the alignment
+    initial: Nav  # () the start for a filter
+    hidden: jax.Array  # (E,) bool, in an outage
+    outages: jax.Array  # (W, 2) s, start < t <= end
+
+
+def sizes(scenario: Scenario) -> tuple[int, int]:
+    """Epochs of a run, without those of the alignment, and IMU samples of an epoch.
+
+    Raises:
+        ValueError: rates or times that do not divide, an unknown grade, or an sd of zero.
+    """
+    rate, grade, aligned = scenario.gnss_rate_hz, scenario.imu.grade, scenario.start.alignment_s
+    for name in ("imu_rate_hz", "gnss_rate_hz", "duration_s"):
+        if not 0 < (own := getattr(scenario, name)) < np.inf:
+            raise ValueError(f"{name} must be positive and finite, got {own:g}")
+    k, E, before = scenario.imu_rate_hz / rate, scenario.duration_s * rate, aligned * rate
+    if abs(k - round(k)) > 1e-9 or round(k) < 1:
+        raise ValueError(f"imu_rate_hz must be a multiple of gnss_rate_hz, got {scenario.imu_rate_hz:g} and {rate:g}")
+    if abs(E - round(E)) > 1e-9 or round(E) < 1:
+        raise ValueError(f"duration_s must hold whole epochs of {1 / rate:g} s, got {scenario.duration_s:g}")
+    if abs(before - round(before)) > 1e-9 or not 0 <= round(before) < round(E):
+        raise ValueError(f"alignment_s must be whole epochs of {1 / rate:g} s and less than the run, got {aligned:g}")
+    if scenario.start.calibrate_gyro and not aligned:
+        raise ValueError("calibrate_gyro needs an alignment_s")
+    if grade not in GRADES:
+        raise ValueError(f"no IMU grade {grade!r}; known are {', '.join(GRADES)}")
+    for name in ("position_sd_m", "velocity_sd_mps"):
+        if not min(getattr(scenario.gnss, name)) > 0:
+            raise ValueError(f"{name} must be positive, got {getattr(scenario.gnss, name)}: see gnss_noise_factor")
+    return round(E) - round(before), round(k)
+
+
+def stride_within(most: int, *scenarios: Scenario) -> int:
+    """The greatest ``cov_stride`` up to ``most`` that divides the IMU samples of these scenarios' epochs.
+
+    Raises:
+        ValueError: see `sizes`.
+    """
+    samples = math.gcd(*(sizes(scenario)[1] for scenario in scenarios))
+    return max(d for d in range(1, most + 1) if samples % d == 0)
+
+
+def perturb(key: jax.Array, nav: Nav, start: Start) -> Nav:
+    """A start with errors drawn from its prior, or by the pattern; biases zero, their errors the true biases."""
+    drawn = jax.random.normal(key, (3, 3), float)
+    e_pos, e_vel, e_att = jnp.tile(jnp.asarray(PATTERN, float), (3, 1)) if start.fixed_errors else drawn
+    tilt, heading = start.prior_tilt_sd_deg, start.prior_heading_sd_deg
+    phi = units.DEG * np.array([tilt, tilt, heading]) * e_att
+    zero = jnp.zeros(3)
+    return nav._replace(
+        pos=earth.move(nav.pos, np.array(start.prior_position_sd_m) * e_pos),
+        vel=nav.vel + np.array(start.prior_velocity_sd_mps) * e_vel,
+        q=rotations.multiply(rotations.exp(phi), nav.q),
+        b_g=zero,
+        b_a=zero,
+    )
+
+
+def _align(nav: Nav, still: Imu, start: Start) -> Nav:
+    """Give a perturbed start what samples (n, ...) at rest tell: roll, pitch and, if wanted, the gyro's bias."""
+    heading = rotations.to_rph(rotations.to_dcm(nav.q))[2]
+    C = rotations.from_rph(jnp.stack([*alignment.levelled(still.accel.mean(0)), heading]))
+    bias = still.gyro.mean(0) - C.T @ earth.earth_rate(nav.pos[0])
+    return nav._replace(q=rotations.from_dcm(C), b_g=bias if start.calibrate_gyro else nav.b_g)
+
+
+def _nav(seen: tuple[Point, tuple[jax.Array, jax.Array]], b_g: jax.Array, b_a: jax.Array, origin: Origin) -> Nav:
+    """Truth (...,) of points and what the IMU feels there."""
+    point, (omega, force) = seen
+    q = rotations.from_dcm(rotations.from_rph(point.rph))
+    return Nav(point.t, point.lla, point.vel, q, b_g, b_a, omega, force, origin)
+
+
+def _observe(keys: jax.Array, scenario: Scenario, seen: Nav, t: jax.Array) -> tuple[Fix, jax.Array, jax.Array]:
+    """Fixes (n, 6) at t (n,) s of the truth ``seen`` (n, ...), where they are hidden (n,), and the outages (W, 2)."""
+    standstill = max(scenario.start.alignment_s, getattr(scenario.motion, "standstill_s", 0.0))
+    outages = gnss.outages(keys[OUTAGES], scenario.gnss, standstill, scenario.duration_s)
+    hidden = gnss.inside(t, outages)
+    interval = 1 / scenario.gnss_rate_hz
+    fix = gnss.fixes(keys[RECEIVER], seen, t, interval, hidden, scenario.gnss, scenario.faults)
+    return fix, hidden, outages
+
+
+def simulate(scenario: Scenario, key: jax.Array) -> Simulated:
+    """One run from a key; pure, to be jitted (scenario static) and vmapped over keys.
+
+    Raises:
+        ValueError: a scenario that does not fit together (at trace time).
+        DataError: float32.
+    """
+    shape = shape_of(scenario.motion, jax.random.fold_in(key, DRIVE), scenario.duration_s)
+    return simulate_shape(scenario, shape, key)
+
+
+def simulate_shape(scenario: Scenario, shape: Shape, key: jax.Array) -> Simulated:
+    """`simulate` on any shape, the scenario's motion aside: one of your own, or of a recorded track.
+
+    Raises:
+        ValueError, DataError: as `simulate`.
+    """
+    E, k = sizes(scenario)
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(key, np.arange(5))
+    dt = 1 / scenario.imu_rate_hz
+    before = round(scenario.start.alignment_s * scenario.gnss_rate_hz)  # epochs of the alignment
+    lat, lon, h = scenario.start_deg_m
+    lla = jnp.asarray([lat * units.DEG, lon * units.DEG, h], float)
+    require_x64(lla)
+
+    way = travel(shape, lla, dt, k, before + E, imu.sense, scenario.gnss.latency_s)
+    flat = [a.reshape(-1, 3) for a in way.means]
+    samples, b_g, b_a = imu.corrupt(
+        keys[SENSOR], Imu(jnp.full(flat[0].shape[0], dt, float), *flat), dt, GRADES[scenario.imu.grade], scenario.imu
+    )
+    zero, ends = jnp.zeros(()), slice(k - 1, None, k)
+    first = _nav(way.start, b_g[0], b_a[0], Origin(lla, zero, zero))
+    truth, seen = (
+        jax.vmap(_nav, (0, 0, 0, None))(points, b_g[ends], b_a[ends], first.origin) for points in (way.ends, way.late)
+    )
+
+    start = jax.tree.map(lambda a: a[before - 1], truth) if before else first
+    start = start._replace(origin=Origin(start.pos, zero, start.t))
+    initial = perturb(keys[START], start, scenario.start)
+    if before:  # by the samples up to there
+        initial = _align(initial, jax.tree.map(lambda a: a[: before * k], samples), scenario.start)
+
+    fix, hidden, outages = _observe(keys, scenario, seen, truth.t)
+    epochs = Epoch(Imu(*(a.reshape(before + E, k, *a.shape[1:]) for a in samples)), fix)
+    epochs, truth, hidden = jax.tree.map(lambda a: a[before:], (epochs, truth, hidden))
+    origin = jax.tree.map(lambda a: jnp.broadcast_to(a, (E, *a.shape)), start.origin)
+    return Simulated(epochs, truth._replace(origin=origin), start, initial, hidden, outages)
+
+
+simulate_jit = jax.jit(simulate, static_argnums=0)
+"""`simulate`, compiled once for a scenario."""
+simulate_shape_jit = jax.jit(simulate_shape, static_argnums=(0, 1))
+"""`simulate_shape`, compiled once for a scenario and a shape."""
+
+
+def matched_params(scenario: Scenario, rule=(), feedback=()) -> Params:
+    """The parameters that know what was simulated: the grade's datasheet, and the scenario's prior and installation.
+
+    Of the errors beyond a grade's datasheet they know nothing, nor of faults and correlated noise.
+    """
+    grade, start, receiver = GRADES[scenario.imu.grade], scenario.start, scenario.gnss
+    params = datasheet_params(
+        grade,
+        start.prior_position_sd_m,
+        start.prior_velocity_sd_mps,
+        start.prior_tilt_sd_deg * units.DEG,
+        start.prior_heading_sd_deg * units.DEG,
+        mounting(receiver.lever_arm_m, 0.0, receiver.latency_s, receiver.latency_s),
+        rule,
+        feedback,
+    )
+    if not start.calibrate_gyro:
+        return params
+    left = np.hypot(grade.arw / np.sqrt(start.alignment_s), grade.gyro_instability)
+    return params._replace(prior=params.prior._replace(gyro_bias=jnp.asarray(left, float)))
+
+
+def to_recording(sim: Simulated, scenario: Scenario, t0: float = 0.0) -> Recording:
+    """One run as streams on the host, like a recorded one, ``t0`` s later; fixes in outages are left out."""
+    host = jax.tree.map(np.asarray, sim)
+    flat = [a.reshape(-1, *a.shape[2:]) for a in host.epochs.imu]
+    log = ImuLog(t0 + host.start.t + np.arange(1, flat[0].size + 1) / scenario.imu_rate_hz, *flat)
+    fix, t = host.epochs.fix, t0 + host.truth.t
+    aiding = {}
+    for name, s in (("position", slice(0, 3)), ("velocity", slice(3, 6))):
+        seen = fix.valid[:, s].all(1)
+        aiding[name] = Samples(t[seen], fix.value[seen, s], fix.sd[seen, s], fix.corr[seen, s])
+    navs = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), sim.start, sim.truth)
+    truth = track(navs)
+    truth = Track(t0 + truth.t, *truth[1:])
+    return Recording(scenario.name, log, aiding, truth, np.array(scenario.gnss.lever_arm_m, float), "simulated")

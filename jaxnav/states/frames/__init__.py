@@ -1,0 +1,1 @@
+"""Errors of position, velocity and attitude, one module per frame."""

@@ -1,0 +1,130 @@
+"""IMU and GNSS grades by name, and the filter parameters that their datasheets give."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxnav.maths import units
+from jaxnav.types import Mounting, Noise, Params, Prior
+
+
+class Grade(NamedTuple):
+    """An IMU in SI; root PSDs of white noise, sd and Gauss-Markov time of the biases."""
+
+    arw: float  # rad/s/sqrt(Hz)
+    vrw: float  # m/s^2/sqrt(Hz)
+    gyro_turn_on: float  # rad/s, sd of the constant bias at switch-on
+    accel_turn_on: float  # m/s^2
+    gyro_instability: float  # rad/s, sd of the drifting part
+    accel_instability: float  # m/s^2
+    tau: float  # s, Gauss-Markov time of the drifting part
+    source: str
+    gyro_walk: float = 0.0  # rad/s/sqrt(s), root PSD of a random walk of the bias, from zero at switch-on
+    accel_walk: float = 0.0  # m/s^2/sqrt(s)
+
+
+_d, _h = units.DEG_PER_SQRT_HOUR, units.DEG_PER_HOUR
+GRADES: dict[str, Grade] = {
+    "consumer": Grade(
+        0.23 * _d, 70 * units.UG, 0.5 * units.DEG, 20 * units.MG, 20 * _h, 0.1 * units.MG, 1000.0,
+        "rtklibexplorer/GNSS_IMU drive log: noise figures of its consumer MEMS",
+    ),
+    "adis16465": Grade(
+        0.1 * _d, 0.1 * units.MPS_PER_SQRT_HOUR, 0.1 * units.DEG, 5 * units.MG, 25 * _h, 200 * units.MGAL, 3600.0,
+        "tuned values of awesome-gins-datasets (i2Nav, Wuhan University)",
+    ),
+    "adis16488": Grade(
+        0.3 * _d, 0.029 * units.MPS_PER_SQRT_HOUR, 0.2 * units.DEG, 16 * units.MG, 6.5 * _h, 0.1 * units.MG, 100.0,
+        "NaveGo 1.4 synthetic data set, which follows the ADIS16488 datasheet",
+    ),
+    "adis16488a": Grade(
+        0.26 * _d, 0.029 * units.MPS_PER_SQRT_HOUR, 0.2 * units.DEG, 16 * units.MG, 5.1 * _h, 0.07 * units.MG, 300.0,
+        "ADIS16488A datasheet (Analog Devices): random walks, bias repeatability, in-run stability; its time assumed",
+    ),
+    "icm20602": Grade(
+        0.2 * _d, 0.2 * units.MPS_PER_SQRT_HOUR, 1.0 * units.DEG, 25 * units.MG, 200 * _h, 1000 * units.MGAL, 3600.0,
+        "tuned values of awesome-gins-datasets (i2Nav, Wuhan University); biases at switch-on assumed",
+    ),
+    "adis1640x_airframe": Grade(
+        3.0 * _d, 0.03, 1.0 * units.DEG, 30 * units.MG, 0.02 * units.DEG, 5 * units.MG, 300.0,
+        "ADIS1640x; white noise and drift widened for a small airframe that vibrates (UMN flight 75)",
+    ),
+    "tactical": Grade(
+        0.001 * _d, 0.03 * units.MPS_PER_SQRT_HOUR, 0.01 * _h, 50 * units.UG, 0.0, 0.0, 3600.0,
+        "Ansari et al. 2024, Table 1",
+    ),
+    "hg9900": Grade(
+        0.002 * _d, 10 * units.UG, 0.0035 * _h, 25 * units.UG, 0.0, 0.0, 3600.0,
+        "navigation grade: Honeywell HG9900 brochure N61-1638, which states no velocity random walk: 10 ug/sqrt(Hz)"
+        " assumed",
+    ),
+    "fwekf": Grade(
+        3e-5, 3e-4, 0.0, 0.0, 0.0, 0.0, 3600.0,
+        "FWEKF paper, section 5: 3e-4 rad/s and 3e-3 m/s^2, read as the sd of a sample at 100 Hz",
+    ),
+}  # fmt: skip
+
+
+def noise(
+    gyro: ArrayLike,
+    accel: ArrayLike,
+    gyro_bias: ArrayLike,
+    accel_bias: ArrayLike,
+    gyro_tau: ArrayLike = np.inf,
+    accel_tau: ArrayLike = np.inf,
+    position_scale: ArrayLike = (1.0, 1.0, 1.0),
+    velocity_scale: ArrayLike = (1.0, 1.0, 1.0),
+    zero_velocity: ArrayLike = 0.02,
+    zero_rate: ArrayLike = 0.1 * units.DEG,
+    nonholonomic: ArrayLike = (0.1, 0.1),
+    speed: ArrayLike = 1.0,
+) -> Noise:
+    """`Noise` from plain numbers in SI, strongly typed: from Python floats every train step would compile twice."""
+    values = (gyro, accel, gyro_bias, accel_bias, gyro_tau, accel_tau, position_scale, velocity_scale, zero_velocity,
+              zero_rate, nonholonomic, speed)  # fmt: skip
+    return Noise(*(jnp.asarray(v, float) for v in values))
+
+
+def prior(
+    position: ArrayLike, velocity: ArrayLike, attitude: ArrayLike, gyro_bias: ArrayLike, accel_bias: ArrayLike
+) -> Prior:
+    """`Prior` from plain numbers: m, m/s and rad in ENU, rad/s and m/s^2 in body."""
+    return Prior(*(jnp.asarray(v, float) for v in (position, velocity, attitude, gyro_bias, accel_bias)))
+
+
+def mounting(
+    lever_arm: ArrayLike = (0.0, 0.0, 0.0),
+    time_offset: float = 0.0,
+    position_latency: float = 0.0,
+    velocity_latency: float = 0.0,
+    clock_drift: float = 0.0,
+) -> Mounting:
+    """An installation: antenna lever arm in body FRD m, times in s, drift in s/s; vehicle axes along the body's."""
+    values = (lever_arm, time_offset, clock_drift, position_latency, velocity_latency, np.zeros(2), np.zeros(3), 0.0)
+    return Mounting(*(jnp.asarray(v, float) for v in values))
+
+
+def datasheet_params(
+    grade: Grade,
+    position_sd: ArrayLike = (3.0, 3.0, 5.0),
+    velocity_sd: ArrayLike = (0.1, 0.1, 0.1),
+    tilt_sd: float = 1 * units.DEG,
+    heading_sd: float = 5 * units.DEG,
+    install: Mounting | None = None,
+    rule: Any = (),
+    feedback: Any = (),
+) -> Params:
+    """Filter parameters straight from a datasheet: what an engineer starts with.
+
+    Prior: position (m) and velocity (m/s) sd in ENU, tilt and heading in rad, biases by their turn-on sd. The
+    drifting bias of sd s and time tau drives with root PSD s sqrt(2 / tau), as a random walk, since the turn-on bias,
+    which is the same state, does not decay; a walk of the grade's own comes on top.
+    """
+    drive = np.sqrt(2 / grade.tau)
+    walk = (np.hypot(grade.gyro_instability * drive, grade.gyro_walk),
+            np.hypot(grade.accel_instability * drive, grade.accel_walk))  # fmt: skip
+    white = noise(grade.arw, grade.vrw, *walk)
+    start = prior(position_sd, velocity_sd, (tilt_sd, tilt_sd, heading_sd), grade.gyro_turn_on, grade.accel_turn_on)
+    return Params(white, start, mounting() if install is None else install, rule, feedback)

@@ -1,0 +1,1 @@
+"""Strapdown navigation in three frames: ``propagate(nav, u, imu) -> nav, path``, one module per frame."""

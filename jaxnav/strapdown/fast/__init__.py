@@ -1,0 +1,1 @@
+"""Fast forms of strapdown, equal to the plain ones by test."""

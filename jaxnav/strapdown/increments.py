@@ -1,0 +1,101 @@
+"""What mechanizations do before and after their scans, vectorised over samples because nothing here is sequential.
+
+Before: from IMU samples to what strapdown integrates, bias-free rotation vectors and velocity increments. After: the
+states that measurements are compared with, and the path for the error dynamics.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav.maths.components import Quaternion, Vector, add, before, cross, scale, split, to_dcm
+from jaxnav.types import Imu, Nav, Path
+
+
+class Increments(NamedTuple):
+    """Per sample, in body axes at the sample's start; vectors as tuples of components (k,)."""
+
+    dt: jax.Array  # (k,) s
+    theta: Vector  # rad, rotation vector over the sample
+    dv: Vector  # m/s, integral of specific force in the axes at the sample's start
+    omega: Vector  # rad/s, bias-free mean rate
+    force: Vector  # m/s^2, bias-free mean specific force
+
+
+def divides(stride: int, k: int) -> None:
+    """Refuse a stride that does not divide the k samples of an epoch.
+
+    Raises:
+        ValueError: it does not.
+    """
+    if k % stride:
+        raise ValueError(f"cov_stride must divide the samples of an epoch, got {stride} and {k}")
+
+
+def thin(path: Path, T: jax.Array, stride: int) -> Path:
+    """Time-weighted means of a path over blocks of ``stride`` of its points, which last ``T`` s each.
+
+    Padding weighs nothing. The inputs of the error dynamics are averaged, and the dynamics built once per block.
+    """
+    if stride == 1:
+        return path
+    T = T.reshape(-1, stride)
+    total = T.sum(1, keepdims=True)
+    w = jnp.where(total > 0, T / jnp.where(total > 0, total, 1.0), 1.0 / stride)
+    return jax.tree.map(lambda a: jnp.einsum("bs,bs...->b...", w, a.reshape(w.shape + a.shape[1:])), path)
+
+
+def corrected(dt: Any, omega0: Vector, force0: Vector, omega: Vector, force: Vector) -> tuple[Vector, Vector]:
+    """Rotation vector (rad) and velocity increment (m/s) of a sample, in body axes at its start.
+
+    Rate and force are taken as linear in time through this sample and the one before it (Savage 1998, two-sample
+    forms): theta = w dt + (w0 x w) dt^2 / 12 and dv = f dt + (w dt) x (f dt) / 2 + (w0 x f + f0 x w) dt^2 / 12, where
+    the subscript 0 marks the sample before. The first sample of a run has none and gets no such correction. The third
+    order of the rotation, w x (w x f) dt^3 / 6, is kept as well: in a steady turn it is what adds up.
+    """
+    turn = cross(omega, force)
+    sculling = scale(dt**2 / 12, add(cross(omega0, force), cross(force0, omega)))
+    theta = add(scale(dt, omega), scale(dt**2 / 12, cross(omega0, omega)))
+    dv = add(scale(dt, force), scale(dt**2 / 2, turn), scale(dt**3 / 6, cross(omega, turn)), sculling)
+    return theta, dv
+
+
+def increments(nav: Nav, imu: Imu) -> Increments:
+    """Remove biases, then correct for coning, sculling and rotation within the sample."""
+    omega, force = split(imu.gyro - nav.b_g), split(imu.accel - nav.b_a)
+    # the state carries the rates before this epoch's bias correction: one sample in an epoch sees that difference
+    omega0 = tuple(before(a, b) for a, b in zip(nav.omega, omega, strict=True))
+    force0 = tuple(before(a, b) for a, b in zip(nav.force, force, strict=True))
+    return Increments(imu.dt, *corrected(imu.dt, omega0, force0, omega, force), omega, force)
+
+
+def after(nav: Nav, t: jax.Array, pos: Vector, vel: Vector, q: Quaternion, omega: Vector, force: Vector) -> Nav:
+    """Navigation states at times t (w,), from components (w,)."""
+    w = t.shape[0]
+    stack = lambda v: jnp.stack(v, -1)  # noqa: E731
+    return Nav(
+        t, stack(pos), stack(vel), stack(q),
+        jnp.broadcast_to(nav.b_g, (w, 3)), jnp.broadcast_to(nav.b_a, (w, 3)), stack(omega), stack(force),
+        jax.tree.map(lambda a: jnp.broadcast_to(a, (w, *a.shape)), nav.origin),
+    )  # fmt: skip
+
+
+def sampled(nav: Nav, states: Nav, q: Quaternion, force: Vector) -> Path:
+    """The path of single samples, from the states (k,) after them, their attitudes and body forces (m/s^2)."""
+    C = to_dcm(tuple(jnp.concatenate([jnp.asarray(a)[None], b]) for a, b in zip(split(nav.q), q, strict=True)))
+    C = 0.5 * (C[:-1] + C[1:])
+    return Path(states, C, jnp.stack([sum(C[:, i, j] * force[j] for j in range(3)) for i in range(3)], -1))
+
+
+def trace(
+    nav: Nav, inc: Increments, pos: Vector, vel: Vector, q: Quaternion, stride: int, keep: jax.Array | None
+) -> tuple[Nav, Path]:
+    """What a mechanization returns, from the components (k,) after each sample; ``q`` of unit length.
+
+    The last state or those after the samples ``keep`` (w,), and the path at every ``stride`` samples.
+    """
+    states = after(nav, nav.t + jnp.cumsum(inc.dt), pos, vel, q, inc.omega, inc.force)
+    divides(stride, inc.dt.size)
+    out = jax.tree.map(lambda a: a[-1 if keep is None else keep], states)
+    return out, thin(sampled(nav, states, q, inc.force), inc.dt, stride)

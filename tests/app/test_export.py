@@ -1,0 +1,62 @@
+"""Tuned noise in the words of other software comes back to the numbers that it was."""
+
+import re
+
+import numpy as np
+import pytest
+
+from jaxnav.app.export import kfgins_yaml, navego_fields
+from jaxnav.maths import units
+from jaxnav.states.grades import GRADES, noise
+
+GRADE = GRADES["adis16465"]
+
+
+def fields(text: str) -> dict[str, np.ndarray]:
+    """Numbers by name of every line that has some."""
+    lines = [re.split(r"[:=]", line.partition("#")[0], maxsplit=1) for line in text.splitlines()]
+    numbers = {line[0].strip(): re.findall(r"Inf|[-+\d.]+(?:e[-+]?\d+)?", line[1].split("[")[-1]) for line in lines}
+    return {name: np.array([float(v) for v in values]) for name, values in numbers.items() if values}
+
+
+def test_kfgins_block_has_the_tuned_datasheet_of_the_grade():
+    """The grade's own figures are 0.1 deg/sqrt(h), 0.1 m/s/sqrt(h), 25 deg/h, 200 mGal, 1 h."""
+    drive = np.sqrt(2 / GRADE.tau)
+    made = noise(GRADE.arw, np.full(3, GRADE.vrw), GRADE.gyro_instability * drive, GRADE.accel_instability * drive,
+                 gyro_tau=3600.0)  # fmt: skip
+    got = fields(kfgins_yaml(made, (300.0, 200.0)))
+    expected = {"arw": 0.1, "vrw": 0.1, "gbstd": 25.0, "abstd": 200.0, "gsstd": 300.0, "asstd": 200.0, "corrtime": 1.0}
+    assert list(got) == list(expected)
+    for name, value in expected.items():
+        np.testing.assert_allclose(got[name], value, rtol=1e-5)
+
+
+def test_a_random_walk_keeps_its_drive():
+    got = fields(kfgins_yaml(noise(1e-4, 1e-3, 2e-7, 3e-6)))
+    T = float(got["corrtime"][0]) * units.HOUR
+    np.testing.assert_allclose(got["gbstd"] * units.DEG_PER_HOUR * np.sqrt(2 / T), 2e-7, rtol=1e-5)
+    np.testing.assert_allclose(got["abstd"] * units.MGAL * np.sqrt(2 / T), 3e-6, rtol=1e-5)
+
+
+def test_navego_fields_are_si_and_north_east_down():
+    made = noise([1e-4, 2e-4, 3e-4], 1e-3, 2e-7, 3e-6, gyro_tau=200.0, position_scale=[1.0, 2.0, 3.0])
+    text = navego_fields(made)
+    got = fields(text)
+    np.testing.assert_allclose(got["imu.arw"], [1e-4, 2e-4, 3e-4])
+    np.testing.assert_allclose(got["imu.gb_psd"], 2e-7)
+    np.testing.assert_allclose(got["imu.gb_dyn"], 2e-6)  # q sqrt(T / 2)
+    assert np.isinf(got["imu.ab_corr"]).all() and got["imu.ab_dyn"][0] == pytest.approx(3e-6)
+    np.testing.assert_allclose(got["gnss.stdm"], [2.0, 1.0, 3.0])
+
+
+def test_correlated_noise_is_told_by_axis_and_a_comment_says_so():
+    L = np.array([[3.0, 0, 0], [4.0, 3.0, 0], [0, 0, 2.0]])
+    made = noise(1e-4 * L, 1e-3, 2e-7, 3e-6, position_scale=L)
+    for text, mark in ((kfgins_yaml(made), "#"), (navego_fields(made), "%")):
+        first, _, rest = text.partition("\n")
+        names = "gyro, position_scale" if mark == "%" else "gyro"
+        assert first == f"{mark} correlations between the axes are left out of {names}"
+        sd = fields(rest)["arw" if mark == "#" else "imu.arw"] * (units.DEG_PER_SQRT_HOUR if mark == "#" else 1.0)
+        np.testing.assert_allclose(sd, [3e-4, 5e-4, 2e-4], rtol=1e-5)
+    np.testing.assert_allclose(fields(rest)["gnss.stdm"], [5.0, 3.0, 2.0])
+    assert "correlations" not in kfgins_yaml(noise(np.diag([1e-4, 2e-4, 3e-4]), 1e-3, 2e-7, 3e-6))

@@ -1,0 +1,263 @@
+"""From a configuration to parameters and a start: for every filter, and where it is easily wrong."""
+
+import tomllib
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnav.analysis.plots import stats as plots_stats
+from jaxnav.app import batches, cli, config, evaluate, objectives, parameters, prepare, tune_report
+from jaxnav.app.toml import to_toml
+from jaxnav.app.unused import unused
+from jaxnav.app.verbs import filtering
+from jaxnav.data import epochs
+from jaxnav.data import start as alignment
+from jaxnav.filters.catalogue import FILTERS
+from jaxnav.filters.run import initial_nav
+from jaxnav.maths import earth
+from jaxnav.measurements import GNSS, counted_from
+from jaxnav.simulate.scenarios import SCENARIOS
+from jaxnav.simulate.simulation import matched_params
+from jaxnav.states.grades import GRADES, mounting
+from jaxnav.types import ConfigError, DataError, Epoch, ImuLog, Info, Recording, Samples, Track
+from tuning.transforms import get, join, labels, put, split
+
+
+def resolved(**sections) -> config.Config:
+    return config.resolve([("", sections)])
+
+
+def params_of(c: config.Config):
+    return prepare.base_params(c, GRADES["adis16465"], np.zeros(3), 1.0, 0.1)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_every_filter_has_its_parameters_and_tunes_them_by_default(name):
+    params, entry = params_of(resolved(filter={"name": name})), FILTERS[name]
+    assert jax.tree.structure(params.feedback) == jax.tree.structure(entry.feedback_theta())
+    spec = parameters.tune_spec(resolved().tune, name, GNSS, params)
+    leaves = {leaf for leaf in spec if leaf.startswith("rule.")}
+    assert leaves == {f"rule.{leaf}" for leaf in entry.tunable} - ({"rule.kd"} if name == "gpid_literal" else set())
+    # what tuning moves can be written, read back, and is what the filter then has
+    raw = split(spec, params)
+    names = labels(spec, raw)
+    assert len(set(names)) == sum(np.size(value) for value in raw.values())
+    moved = join(spec, {leaf: value + 0.1 for leaf, value in raw.items()}, params)
+    text = to_toml({"params": parameters.in_user_units(moved, list(spec)), "filter": {"name": name}})
+    again = params_of(config.resolve([("", tomllib.loads(text))]))
+    for leaf in spec:
+        np.testing.assert_allclose(get(again, leaf), get(moved, leaf), rtol=1e-14)
+
+
+def test_a_table_is_shown_whole_and_a_root_without_its_zeros():
+    table, root = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0], [0.0, 1.0, 2.0]], [[1.0, 0.0], [2.0, 3.0]]
+    for value, text, n in ((table, "[1, 2, 3; 4, 5, 6; 7, 8, 9; 0, 1, 2]", 12), (root, "[1; 2, 3]", 3)):
+        assert tune_report._short(value) == text
+        assert plots_stats._components(value).size == n
+
+
+@pytest.mark.parametrize(
+    "name, rule, words",
+    [("fwekf", {"system.centre": 1.0}, "'centre' is not one of"), ("ekf15", {"knee": 1.0}, "no parameter 'rule.knee'"),
+     ("ekf15_huber", {"knee": [1.0, 2.0]}, "of shape"), ("ekf15_huber", {"knee": "x"}, "params.rule.knee"),
+     ("ekf15_huber", {"knee": float("inf")}, "must be finite")],
+)  # fmt: skip
+def test_wrong_parameters_of_a_rule_are_named(name, rule, words):
+    with pytest.raises(ConfigError, match=words):
+        params_of(resolved(filter={"name": name}, params={"rule": rule}))
+
+
+@pytest.mark.parametrize("key", ["tied", "correlated", "prior"])
+def test_what_is_not_free_cannot_be_tied_correlated_or_believed(key):
+    value = {"velocity_scale": 2.0} if key == "prior" else ["velocity_scale"]
+    tune = resolved(tune={"free": ["noise"], key: value}).tune
+    with pytest.raises(ConfigError, match=f"tune.{key}: velocity_scale is not in tune.free"):
+        parameters.tune_spec(tune, "ekf15", GNSS, params_of(resolved()))
+
+
+def test_a_filter_with_an_observer_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    flags = ["--set", "out.figures=false", "--set", "data.options.duration_s=30", "--json"]
+    assert cli.main(["filter", "--data", "urban_short", "--filter", "fwekf", "--out", "f", *flags]) == 0
+    assert "nis_per_dof" in capsys.readouterr().out
+
+
+def test_a_further_source_has_its_own_presets_and_the_users_settings():
+    drive = {"source": "rtkexplorer_drive", "stop": 300.0}
+    first = resolved(data=drive, start={"tilt_sd_deg": 7.0}, params={"gyro_deg_per_sqrt_hour": 0.4})
+    assert first.filter.zero_velocity and first.params.time_offset_s == 0.175
+    town = config.for_source(first, "urban")
+    assert town.data == config.Data(source="urban") and not town.filter.zero_velocity and not town.filter.grade
+    assert town.params.time_offset_s is None
+    assert town.params.gyro_deg_per_sqrt_hour == 0.4 and town.start.tilt_sd_deg == 7.0
+    back = config.for_source(town, "rtkexplorer_drive")
+    assert back.data.options == {"imu_delay": -0.3} and back.filter.zero_velocity and back.start.tilt_sd_deg == 7.0
+
+
+def positions(moves_at: float) -> Samples:
+    """200 s at 1 Hz with 3 m of noise: stands, then drives north at 12 m/s."""
+    rng, t = np.random.default_rng(0), np.arange(200.0)
+    noise = rng.normal(size=(2, 200)) * 3.0
+    north = np.where(t > moves_at, 12.0 * (t - moves_at), 0.0)
+    lla = np.stack([0.8 + (north + noise[0]) / 6.37e6, 0.2 + noise[1] / 4.4e6, 0 * t], 1)
+    return Samples(t, lla, np.full((200, 3), 3.0), np.zeros((200, 3)))
+
+
+def test_noise_of_positions_is_no_course():
+    begin, heading = alignment.course(prepare._differences(positions(120.0)), 5.0)
+    assert 120 < begin < 126 and abs(heading) < 0.5
+    with pytest.raises(DataError, match="3 sd"):
+        alignment.course(prepare._differences(positions(1e9)), 5.0)
+
+
+@pytest.mark.parametrize("sd", [[1.0, 2.0], -1.0, [1.0, 0.0, 1.0]])
+def test_sd_of_the_start_are_one_or_three_positive_numbers(tmp_path, monkeypatch, capsys, sd):
+    monkeypatch.chdir(tmp_path)
+    setting = f"start.position_sd_m={sd}"
+    assert cli.main(["filter", "--data", "urban_short", "--out", "f", "--set", setting]) == 2
+    assert "start.position_sd_m must be one number or 3, > 0" in capsys.readouterr().err
+
+
+def northward(late: float = 0.0) -> Recording:
+    """A minute north at 12 m/s and 10 Hz, fixes and truth at 1 Hz; ``late``: age of a fix at its stamp, in IMU time."""
+    t, k = np.arange(0.1, 60.05, 0.1), np.arange(1.0, 60.0)
+    track = lambda t: np.stack([0.8 + 12.0 * t / 6.37e6, 0.2 + 0 * t, 100.0 + 0 * t], 1)  # noqa: E731
+    level, three = np.tile([0, 0, -9.81], (t.size, 1)), np.zeros((k.size, 3))
+    position = Samples(k, track(k - late), np.full((k.size, 3), 1.0), three)
+    velocity = Samples(k, np.tile([0, 12.0, 0], (k.size, 1)), np.full((k.size, 3), 0.1), three)
+    truth = Track(k, track(k), velocity.value, three)
+    imu = ImuLog(t, np.full(t.size, 0.1), 0 * level, level)
+    return Recording("northward", imu, {"position": position, "velocity": velocity}, truth, np.zeros(3))
+
+
+def starts(origin: float):
+    """The starts of a case whose clock is counted from ``origin``."""
+    return jax.tree.map(lambda a: a[None], initial_nav(jnp.zeros(3), t=origin))
+
+
+def test_navigation_starts_where_the_vehicle_is_by_then():
+    # its clock drifts by 1 %, so that where the run starts, 29 s before half-time, it is 0.29 s early
+    c = resolved(params={"time_offset_s": 0.39, "clock_drift_ppm": 1e4, "position_latency_s": 0.3})
+    nav, _ = prepare.start_of(c, northward(0.4))
+    on_time, _ = prepare.start_of(resolved(), northward())
+    assert float(nav.t[0]) == 1.0 and float(nav.origin.t[0]) == pytest.approx(30.05)
+    np.testing.assert_allclose(earth.enu_difference(nav.pos[0], on_time.pos[0]), 0, atol=0.02)
+
+
+def test_a_start_without_a_velocity_beside_it_is_refused():
+    rec = northward()
+    velocity = Samples(*(a[20:] for a in rec.aiding["velocity"]))
+    with pytest.raises(DataError, match=r"velocity: none within 2 s of the first position, at 1.000 s: set data.start"):
+        prepare.start_of(resolved(start={"heading": 0.0}), rec._replace(aiding=rec.aiding | {"velocity": velocity}))
+
+
+def test_what_drives_by_the_receiver_is_no_standstill():
+    rec, t = northward(), np.array([0.2, 10.0, 30.5, 70.0])
+    np.testing.assert_array_equal(epochs.driving(rec.aiding["velocity"], t), [True, True, True, False])  # the last: far
+    slow = rec.aiding["velocity"]._replace(value=np.full((59, 3), 0.3))
+    assert not epochs.driving(slow, t).any()
+    c = resolved(filter={"zero_velocity": True}, start={"heading": 0.0})  # a drive without any vibration
+    with pytest.raises(ConfigError, match=r"standing_gyro_sd_deg_per_s: 59 of 60 epochs .* the first at 1.000 s"):
+        prepare.pack(c, rec, prepare.measurements_of(c), 0.0, 1.0)
+    prepare.pack(c, rec._replace(aiding=rec.aiding | {"velocity": slow}), prepare.measurements_of(c), 0.0, 1.0)
+
+
+def test_z_up_is_refused_where_nothing_levels():
+    rec = northward()
+    upside = rec._replace(imu=rec.imu._replace(accel=-rec.imu.accel))
+    with pytest.raises(DataError, match=r"imu: z of specific force is \+9.8"):
+        prepare.start_of(resolved(), upside)
+
+
+def test_an_outage_lasts_to_the_end_of_the_data():
+    rec = northward()
+    short = rec._replace(aiding={k: Samples(*(a[:40] for a in s)) for k, s in rec.aiding.items()})
+    case = SimpleNamespace(recording=short, packed=SimpleNamespace(t=np.arange(1.0, 61.0)))
+    assert filtering.shaded(resolved(), case) == [(40.0, 60.0)]
+    assert filtering.shaded(resolved(), SimpleNamespace(recording=rec, packed=case.packed)) == []
+
+
+def test_the_truth_of_a_tuning_run_is_at_the_time_that_the_clocks_give():
+    rec, t, known = northward(), np.array([0.2, 10.0, 30.5, 70.0]), {"time_offset_s": 0.25, "clock_drift_ppm": 1e4}
+    case = SimpleNamespace(recording=rec, params=params_of(resolved(params=known)), navs=starts(30.0))
+    truth = batches._truth(case, t)
+    np.testing.assert_array_equal(truth.known, [False, True, True, False])
+    north = (np.asarray(truth.lla)[1:3, 0] - 0.8) * 6.37e6
+    np.testing.assert_allclose(north, 12.0 * (t[1:3] + 0.25 + 0.01 * (t[1:3] - 30.0)), rtol=1e-9)
+    np.testing.assert_allclose(np.asarray(truth.rate)[1:3, 0] * 6.37e6, 12.0, rtol=1e-6)
+    late = rec._replace(truth=Track(*(a[-1:] + 1e3 * (i == 0) for i, a in enumerate(rec.truth))))
+    assert batches._truth(SimpleNamespace(recording=late, params=case.params, navs=case.navs), t) is None
+
+
+def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):
+    """Navigation is right; the truth is met where the offset is, by value and by slope."""
+    offset, true = 0.1, 0.35
+    t, params = np.arange(5.0, 55.0), params_of(resolved(params={"time_offset_s": offset}))
+    truth = batches._truth(SimpleNamespace(recording=northward(), params=params, navs=starts(30.0)), t)
+    pos = jnp.stack([0.8 + 12.0 * (t + true) / 6.37e6, 0.2 + 0 * t, 100.0 + 0 * t], 1)
+    nav = counted_from(jax.vmap(initial_nav)(pos)._replace(t=jnp.asarray(t)), 30.0)
+    none = jnp.zeros((1, 1))
+    info = SimpleNamespace(nav=nav, valid=none > 0, residual=none, ok=jnp.array([True]))
+    monkeypatch.setattr(objectives, "run", lambda *_: info)
+    batch = batches.Batch((), Epoch((), ()), (), (), (), (), jnp.ones(t.size, bool), truth)
+    loss = objectives.objective(None, (("rmse", 1.0),), ("mounting.time_offset",))
+    at = lambda s: float(loss(put(params, "mounting.time_offset", s), objectives.Case(batch, params)))  # noqa: E731
+    assert at(offset) == pytest.approx(12.0 * (true - offset) / 3, rel=1e-3) and at(true) < 1e-3
+    loss = objectives.objective(None, (("rmse", 1.0),), ("mounting.time_offset", "mounting.clock_drift"))
+    drifting = put(put(params, "mounting.time_offset", true), "mounting.clock_drift", 1e-3)
+    error = 12.0 * 1e-3 * np.sqrt(np.mean((t - 30.0) ** 2)) / 3
+    assert float(loss(drifting, objectives.Case(batch, params))) == pytest.approx(error, rel=1e-3)
+
+
+def test_a_solution_is_told_at_gnss_time():
+    t, none = np.array([10.0, 30.0, 50.0]), jnp.zeros(3)
+    nav = counted_from(jax.vmap(initial_nav)(jnp.zeros((3, 3)))._replace(t=jnp.asarray(t)), 30.0)
+    info = Info(nav, jnp.zeros((3, 9, 9)), *[none] * 8)
+    params = params_of(resolved(params={"time_offset_s": 0.25, "clock_drift_ppm": 1e4}))
+    np.testing.assert_allclose(evaluate.solution(info, params).track.t, t + [0.05, 0.25, 0.45], rtol=1e-12)
+
+
+def vector(info, epochs, truth):
+    return jnp.ones(2)
+
+
+def test_an_objective_gives_one_number():
+    score = objectives.score_of("tests.app.test_prepare:vector")
+    with pytest.raises(ConfigError, match=r"'tests.app.test_prepare:vector' must give one number, got shape \(2,\)"):
+        score((), SimpleNamespace(epochs=(), truth=None))
+
+
+def test_history_covers_what_is_known_and_what_tuning_adds():
+    stress = matched_params(SCENARIOS["gipkf_urban_stress"]).mounting  # 0.15 s late
+    assert prepare.history_of(resolved(), stress, 10.0, 60.0, False) == 4
+    assert prepare.history_of(resolved(), stress, 100.0, 60.0, False) >= 17
+    assert prepare.history_of(resolved(), stress, 100.0, 60.0, True) >= 2 + 100 * (0.15 + prepare.REACH)
+    assert prepare.history_of(resolved(), mounting(time_offset=-1.0), 100.0, 60.0, False) == 2
+    assert prepare.history_of(resolved(), mounting(clock_drift=-1e-3), 100.0, 60.0, False) >= 2 + 100 * 0.03
+    assert prepare.history_of(resolved(filter={"history": 9}), stress, 100.0, 60.0, True) == 9
+
+
+@pytest.mark.parametrize("verb, tree, keys", [
+    ("filter", {"data": {"source": "rtkexplorer_drive", "imu_worse_by": 2.0}}, ["data.imu_worse_by"]),
+    ("filter", {"filter": {"outages": [[1.0, 2.0]]}, "data": {"imu_worse_by": 2.0, "stop": 9.0}}, []),
+    ("tune", {"filter": {"outages": [[1.0, 2.0]]}, "data": {"stop": 9.0}}, ["filter.outages", "data.stop"]),
+    ("tune", {"tune": {"method": "lbfgs", "rate": 0.3}, "start": {"heading": 3.0}}, ["tune.rate"]),
+    ("mc", {"data": {"source": "gipkf_urban"}, "start": {"heading": 3.0}}, ["start.heading"]),
+    ("mc", {"data": {"source": "gipkf_urban"}, "filter": {"cov_stride": 7}}, ["filter.cov_stride"]),
+    ("bakeoff", {"data": {"source": "urban,gipkf_urban"}, "filter": {"cov_stride": 10}}, []),
+    ("tune", {"data": {"source": "umn_thor75"}}, []),
+])  # fmt: skip
+def test_settings_without_effect_are_said(verb, tree, keys):
+    assert [line.partition(":")[0] for line in unused(verb, resolved(**tree))] == keys
+
+
+@pytest.mark.parametrize("key", ["gyro_deg_per_sqrt_hour", "lever_arm_m", "speed_scale", "ki"])
+def test_parameters_are_finite(key):
+    value = [0.0, np.inf, 0.0] if key == "lever_arm_m" else np.inf
+    with pytest.raises(ConfigError, match=f"params.{key} must be finite"):
+        params_of(resolved(filter={"name": "gpid"}, params={key: value}))
+    walk = params_of(resolved(params={"gyro_tau_s": np.inf}))
+    assert np.isinf(walk.noise.gyro_tau).all()

@@ -1,0 +1,46 @@
+"""What a job leaves: a folder that is whole or not there, and text that others can read."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from jaxnav.app.results import cell, staged, table, to_json
+
+
+def test_the_current_folder_can_be_the_output(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with staged(Path("."), "filter") as folder:
+        (folder / "run.json").write_text("{}")
+    assert Path("run.json").exists()
+
+
+def test_staged_never_deletes_outside(tmp_path):
+    (tmp_path / "precious").write_text("x")
+    out = tmp_path / "out"
+    out.mkdir()
+    files = ["../precious", "old.csv", "run.json", 3, ".."]
+    (out / "run.json").write_text(json.dumps({"verb": "filter", "files": files}))
+    (out / "old.csv").write_text("")
+    with staged(out, "filter") as folder:
+        (folder / "run.json").write_text("{}")
+    assert (tmp_path / "precious").exists() and [p.name for p in out.iterdir()] == ["run.json"]
+
+
+def test_a_file_that_appears_during_the_run_is_kept(tmp_path):
+    out = tmp_path / "out"
+    with staged(out, "filter") as folder:
+        (folder / "solution.csv").write_text("ours")
+        (folder / "run.json").write_text("{}")
+        out.mkdir()
+        (out / "solution.csv").write_text("theirs")
+    assert (out / "solution.csv").read_text() == "ours" and (out / "solution.csv.kept").read_text() == "theirs"
+
+
+def test_json_is_strict_and_tables_align():
+    assert (
+        to_json({"a": float("nan"), "b": np.float64("inf"), "c": np.arange(2)})
+        == '{"a": null, "b": "inf", "c": [0, 1]}'
+    )
+    assert cell(1234.5) == "1.23e+03" or cell(1234.5) == "1230"
+    assert len({len(line) for line in table(["a", "b"], [["x", 1.0], ["long", 22.25]]).splitlines()[1:]}) == 1

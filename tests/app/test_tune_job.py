@@ -1,0 +1,198 @@
+"""`jaxnav tune` beyond its defaults: scoring with intervals, several sources, resuming, settings that do not fit."""
+
+import json
+import tomllib
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnav.app import batches, cli, config, objectives, parameters
+from jaxnav.app.sources import scenario_of
+from jaxnav.app.toml import to_toml
+from jaxnav.app.verbs import tune
+from jaxnav.maths.units import DEG_PER_SQRT_HOUR
+from jaxnav.measurements import GNSS, ZERO_RATE
+from jaxnav.states.grades import GRADES, datasheet_params
+from jaxnav.types import ConfigError
+from tuning import uncertainty
+from tuning.transforms import LOG
+
+pytestmark = pytest.mark.usefixtures("optimised")
+
+SETTINGS = {
+    "data": {"source": "urban_short"},
+    "filter": {"name": "kf9_simple", "cov_stride": 25},
+    "tune": {"runs": 2, "validation_runs": 1, "test_runs": 2, "steps": 2, "intervals": False},
+    "out": {"figures": False},
+}
+
+
+@pytest.fixture(autouse=True)
+def no_cache_no_cwd(monkeypatch, tmp_path):
+    monkeypatch.setenv(cli.CACHE, "")
+    monkeypatch.chdir(tmp_path)
+
+
+def resolved(**changes) -> config.Config:
+    return config.resolve([("", SETTINGS), ("test", {"tune": changes})])
+
+
+def flags(**changes) -> list[str]:
+    (cli.Path("job.toml")).write_text(to_toml(config.merge(SETTINGS, {"tune": changes})))
+    return ["tune", "--config", "job.toml", "--out", "t", "--json"]
+
+
+def test_scoring_says_how_well_each_parameter_is_known(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(uncertainty, "TOGETHER", 10)  # all directions at once compile once
+    argv = flags(method="scoring", objective="nll", steps=9, intervals=True, more=["urban_short"],
+                 free=["noise", "fixes", "latency"], frozen=["velocity_latency_s"], tied=["position_scale"],
+                 correlated=["velocity_scale"],
+                 prior={"accel_ug_per_sqrt_hz": 1.01, "position_latency_s": 1e-6})  # fmt: skip
+    assert cli.main(argv) == 0
+    found = json.loads(capsys.readouterr().out)["metrics"]
+    rows = found["parameters"]
+    assert set(rows) == {"gyro_deg_per_sqrt_hour", "accel_ug_per_sqrt_hz", "position_scale", "position_latency_s",
+                         *(f"velocity_scale[{i}]" for i in ("0", "1", "2", "1,0", "2,0", "2,1"))}  # fmt: skip
+    for row in rows.values():
+        assert row["low"] < row["value"] < row["high"]
+    assert rows["accel_ug_per_sqrt_hz"]["unit"] == "ug/sqrt(Hz)"
+    # a strong belief holds a parameter at the datasheet, and its interval is the belief's
+    assert rows["accel_ug_per_sqrt_hz"]["ratio"] == pytest.approx(1.0, rel=0.02)
+    assert rows["position_latency_s"]["high"] - rows["position_latency_s"]["low"] == pytest.approx(2 * 1.96e-6, rel=0.1)
+    assert 0.5 < rows["position_scale"]["value"] < 2.0 and rows["position_scale"]["identified"]
+    assert all(isinstance(text, str) for text in found["identifiability"]) and found["aside"] == []
+    losses = [row["loss"] for row in map(json.loads, cli.Path("t/history.jsonl").read_text().splitlines())]
+    assert losses == sorted(losses, reverse=True) and found["loss"] == losses[-1]
+    assert found["per_window"]["block"] == [0.0, 1.0, 1e6, 1e6 + 1]  # of both sources
+    kfgins, navego = (cli.Path(f"t/tuned_{name}").read_text() for name in ("kfgins.yaml", "navego.m"))
+    assert "imunoise:" in kfgins and "correlations" not in kfgins
+    assert "imu.arw" in navego and "correlations between the axes are left out of velocity_scale" in navego
+    # a root is told as the axes' sd and the correlations, and what is written is what a filter runs with
+    L = np.array(found["params_after"]["velocity_scale"])
+    assert L.shape == (3, 3) and not np.triu(L, 1).any() and found["params_before"]["velocity_scale"] == 1.0
+    sd = np.linalg.norm(L, axis=1)
+    corr = (L @ L.T) / np.outer(sd, sd)
+    told = {"0": sd[0], "1": sd[1], "2": sd[2], "1,0": corr[1, 0], "2,0": corr[2, 0], "2,1": corr[2, 1]}
+    for index, value in told.items():
+        assert rows[f"velocity_scale[{index}]"]["value"] == pytest.approx(value, abs=1e-12)
+    of = rows["velocity_scale[2,1]"]
+    assert of["unit"] == "correlation" and of["datasheet"] == 0 and abs(of["value"]) > 1e-4
+    assert cli.main(["filter", "--config", "job.toml", "--params", "t/tuned.toml", "--out", "f", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["metrics"]["nis_per_dof"] > 0
+    ran = json.loads(cli.Path("f/run.json").read_text())["config"]["params"]
+    np.testing.assert_allclose(ran["velocity_scale"], L, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "changes, leaves",
+    [({"correlated": ["noise", "velocity_scale"]}, ["gyro", "accel", "gyro_bias", "accel_bias", "velocity_scale"]),
+     ({"correlated": ["fixes"], "tied": ["noise"]}, ["position_scale", "velocity_scale"]),
+     ({"correlated": ["noise.gyro", "accel_bias_ug_per_sqrt_s"], "frozen": ["noise.gyro"]}, ["accel_bias"])],
+)  # fmt: skip
+def test_correlated_takes_groups_leaves_and_keys(changes, leaves):
+    sheet = datasheet_params(GRADES["adis16465"])
+    t = resolved(free=["noise", "fixes"], prior={"noise": 2.0}, **changes).tune
+    spec = parameters.tune_spec(t, "ekf15", (*GNSS, ZERO_RATE), sheet)
+    assert [name for name, transform in spec.items() if transform.axes] == [f"noise.{leaf}" for leaf in leaves]
+    assert spec["noise.accel"].belief.sd == pytest.approx(np.log(2))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [[[1, 0, 0], [0, 1, 0]], [[1, 0], [0, 1], [0, 0]], [[1, 0, 0], [0, 1], [0, 0, 1]], [[]],
+     [[1, 0.1, 0], [0, 1, 0], [0, 0, 1]], [[1, 0, 0], [0.5, 0, 0], [0, 0, 1]], [[1, 0, 0], [0.5, -1, 0], [0, 0, 1]],
+     [[1, 0, 0], ["inf", 1, 0], [0, 0, 1]]],
+)  # fmt: skip
+def test_a_matrix_in_params_is_a_root(value):
+    sheet = datasheet_params(GRADES["adis16465"])
+    section = config.resolve([("", {"params": {"gyro_deg_per_sqrt_hour": value}})]).params
+    with pytest.raises(ConfigError, match="params.gyro_deg_per_sqrt_hour as a matrix must be lower triangular, 3 x 3"):
+        parameters.override(sheet, section)
+
+
+def test_a_root_in_params_is_in_users_units():
+    L = [[0.1, 0, 0], [-0.05, 0.2, 0], [0, 0.03, 0.3]]
+    c = config.resolve([("", {"params": {"gyro_deg_per_sqrt_hour": L}})])
+    params = parameters.override(datasheet_params(GRADES["adis16465"]), c.params)
+    np.testing.assert_allclose(params.noise.gyro, np.array(L) * DEG_PER_SQRT_HOUR, rtol=1e-15)
+    text = to_toml({"params": parameters.in_user_units(params, ["noise.gyro"])})
+    np.testing.assert_allclose(tomllib.loads(text)["params"]["gyro_deg_per_sqrt_hour"], L, rtol=1e-15)
+    with pytest.raises(ConfigError, match="params.gyro_tau_s must be a number or a list of numbers"):
+        config.resolve([("", {"params": {"gyro_tau_s": L}})])
+    with pytest.raises(ConfigError, match="position_scale must be .* a list of .a list of numbers"):
+        config.resolve([("", {"params": {"position_scale": [1, [2, 3]]}})])
+
+
+def test_a_finished_job_resumes_to_itself_and_another_is_refused(capsys):
+    assert cli.main(flags(objective="nll", patience=5)) == 0
+    first = json.loads(capsys.readouterr().out)["metrics"]
+    assert {p.name for p in cli.Path("t/checkpoint").iterdir()} == {"last.npz", "history.jsonl"}
+    assert cli.main([*flags(objective="nll", patience=5), "--resume"]) == 0
+    assert json.loads(capsys.readouterr().out)["metrics"] == first
+    assert cli.main([*flags(objective="nll", patience=6), "--resume"]) == 3
+    assert "another job" in capsys.readouterr().err
+
+
+def test_what_a_lost_run_and_a_users_own_objective_score(monkeypatch, tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "def score(info, epochs, truth):\n    return (info.nu**2).sum() + 0 * epochs.fix.sd.sum() + 0 * truth.sum()\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    c = resolved()
+    m = batches.from_scenario(c, scenario_of(c))
+    case = objectives.Case(m.train, tune._many(m.params, m.train))
+    one = lambda tree: tune.jax.tree.map(lambda a: a[0], tree)  # noqa: E731
+    loss = objectives.objective(m.filter, (("mine:score", 2.0),), ("noise.gyro",))
+    assert float(loss(m.params, one(case))) > 0
+    far = m.train._replace(epochs=m.train.epochs._replace(
+        fix=m.train.epochs.fix._replace(value=m.train.epochs.fix.value.at[0, 40, 0].add(0.1))))  # fmt: skip
+    lost = objectives.Case(far, case.own)
+    assert np.isinf(float(loss(m.params, one(lost))))
+    text = tune.why([m._replace(train=far)], m.params, (), 0)
+    assert text.startswith("further than") and f"t = {m.t_train[40]:.3f} s" in text
+    # parameters of the source are its own but for what is free
+    other = m.params._replace(noise=m.params.noise._replace(gyro=jnp.array(1.0), accel=jnp.array(1.0)))
+    both = objectives.merged(other, m.params, ("noise.gyro",))
+    assert float(both.noise.gyro) == 1.0 and both.noise.accel is m.params.noise.accel
+    again = [m.redraw(step) for step in (3, 3, 4)]
+    np.testing.assert_array_equal(again[0].epochs.fix.value, again[1].epochs.fix.value)
+    assert not np.array_equal(again[0].epochs.fix.value, again[2].epochs.fix.value)
+    assert not np.array_equal(again[0].epochs.fix.value, m.train.epochs.fix.value)
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [({"method": "newton"}, "no method 'newton'"), ({"method": "scoring"}, "nll"), ({"over_runs": "median"}, "no way"),
+     ({"over_runs": "log_mean"}, "positive objectives"),
+     ({"objective": "nothing:here"}, "cannot be imported"), ({"objective": "nl"}, "did you mean nll"),
+     ({"frozen": ["noise", "timing", "rule"]}, "nothing is left"), ({"tied": ["gyr"]}, "tune.tied"),
+     ({"prior": {"noise.gyro": 0.5}}, "factor above 1"), ({"prior": {"time_offset_s": 0.0}}, "above 0"),
+     ({"correlated": ["gyro_tau_s"]}, "tune.correlated: gyro_tau_s cannot be correlated, only gyro_deg_per_sqrt_hour"),
+     ({"correlated": ["timing"]}, "timing cannot be correlated"), ({"correlated": ["gyr"]}, "no parameter gyr"),
+     ({"correlated": ["noise"], "tied": ["noise.accel"]}, "tune.correlated: noise.accel is in tune.tied")],
+)  # fmt: skip
+def test_settings_that_do_not_fit_are_named(changes, words):
+    with pytest.raises(ConfigError, match=words):
+        tune.check(resolved(**changes))
+
+
+def test_beliefs_and_ties_in_users_units():
+    sheet = datasheet_params(GRADES["adis16465"])
+    t = resolved(prior={"noise.gyro": 2.0, "time_offset_s": 0.05}, tied=["velocity_scale"],
+                 free=["noise", "fixes", "timing"]).tune  # fmt: skip
+    spec = parameters.tune_spec(t, "ekf15", GNSS, sheet)
+    assert spec["noise.gyro"].belief.sd == pytest.approx(np.log(2)) and spec["noise.gyro"].forward is LOG.forward
+    assert spec["noise.gyro"].belief.centre == (pytest.approx(GRADES["adis16465"].arw),)
+    assert spec["mounting.time_offset"].belief.sd == pytest.approx(0.5)  # its raw unit is 0.1 s
+    assert spec["noise.velocity_scale"].tie == () and spec["noise.position_scale"].tie is None
+
+
+def test_starts_are_spread_and_the_same_for_a_seed():
+    c = resolved(starts=4, spread=2.0)
+    params = datasheet_params(GRADES["adis16465"])
+    spec = parameters.free_spec(("noise",), "ekf15", GNSS)
+    found, again = (tune.starts(c, spec, params) for _ in range(2))
+    ratios = np.log([float(p.noise.gyro / params.noise.gyro) for p in found])
+    assert len(found) == 3 and 0 < np.abs(ratios).max() < 4 * np.log(2)
+    np.testing.assert_array_equal(ratios, np.log([float(p.noise.gyro / params.noise.gyro) for p in again]))

@@ -17,7 +17,7 @@ from jaxnav.data.datasets import DATA_DIR, DataFile, Dataset
 from jaxnav.maths.units import DEG, G0
 from jaxnav.types import DataError
 
-from .test_io import data, recording
+from .test_formats import data, recording
 
 POS_HEAD = (
     "%  GPST latitude(deg) longitude(deg) height(m) Q ns sdn(m) sde(m) sdu(m) sdne(m) sdeu(m) sdun(m) age(s) ratio\n"

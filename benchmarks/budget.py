@@ -24,6 +24,7 @@ from jaxnav.analysis import metrics
 from jaxnav.app.sources import simulated
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter
+from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import matched_params
@@ -32,7 +33,7 @@ from tuning import objectives, rivals, scoring, uncertainty
 from tuning.batch import Data, Problem, evaluate, mean
 from tuning.optimizers import adam
 from tuning.train import _job
-from tuning.transforms import LOG, TRANSFORMS, Spec, get, join, put, scaled, split
+from tuning.transforms import LOG, TRANSFORMS, Spec, join, scaled, split
 
 CLOSE = 0.01  # of a logarithm: 1 %
 PER_PARAMETER = 200  # evaluations of a search without derivatives, for each parameter

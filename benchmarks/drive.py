@@ -23,13 +23,14 @@ from jaxnav.data import epochs
 from jaxnav.data import start as alignment
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
+from jaxnav.filters.parameters import get
 from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import units
 from jaxnav.states.grades import GRADES, datasheet_params, mounting, prior
 from jaxnav.types import Epoch, Nav, Params, Recording
 from tuning import objectives
 from tuning.train import default_optimizer, fit
-from tuning.transforms import LOG, get, scaled
+from tuning.transforms import LOG, scaled
 from tuning.validation import paired_gain
 
 AUTHOR = {  # the data author's own filter on this protocol: horizontal RMS, median, max, vertical RMS in m

@@ -21,13 +21,14 @@ from jaxnav.filters.catalogue import FILTERS, FRAMES, build
 from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.feedback import reset
 from jaxnav.filters.papers.gip_kf import gip_kf_params, nine_params, nine_states
+from jaxnav.filters.parameters import get, put
 from jaxnav.maths import units
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params
-from jaxnav.states.frames import tangent_frame
 from jaxnav.states.grades import mounting
+from jaxnav.strapdown.errors import tangent_frame
 from jaxnav.types import Params
-from tuning.transforms import IDENTITY, LOG, Spec, get, put
+from tuning.transforms import IDENTITY, LOG, Spec
 
 TUNED = Path(__file__).with_name("gipkf_tuned.json")  # what such runs found
 SETS = {"nominal": "gipkf_urban", "uncalibrated": "gipkf_urban_uncalibrated", "stress": "gipkf_urban_stress"}

@@ -15,8 +15,8 @@ from jaxnav.filters.run import run
 from jaxnav.maths import earth, rotations, units
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate
-from jaxnav.states.frames.local_level import error_model
 from jaxnav.states.grades import mounting, noise, prior
+from jaxnav.strapdown.errors.local_level import error_model
 from jaxnav.strapdown.fast import local_level
 from jaxnav.types import Info, Nav, Params
 

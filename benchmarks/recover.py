@@ -20,13 +20,14 @@ from jaxnav.analysis import metrics
 from jaxnav.app.likelihood import Surface, answers
 from jaxnav.app.parameters import component
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.parameters import get
 from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import URBAN_SHORT, Scenario
 from jaxnav.simulate.simulation import matched_params, simulate
 from jaxnav.states.grades import GRADES
 from jaxnav.types import Params
 from tuning import scoring, uncertainty
-from tuning.transforms import LOG, Spec, get, join, labels, split, tied
+from tuning.transforms import LOG, Spec, join, labels, split, tied
 from tuning.uncertainty import Information
 
 SPEC: Spec = {

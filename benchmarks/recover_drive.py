@@ -18,13 +18,14 @@ from jaxnav.analysis import metrics
 from jaxnav.app.evaluate import channels
 from jaxnav.app.parameters import NAMES, UNITS, Unit, component
 from jaxnav.app.results import table
+from jaxnav.filters.parameters import put
 from jaxnav.filters.run import run, run_jit
 from jaxnav.maths import units
 from jaxnav.measurements import GNSS
 from jaxnav.states.grades import prior
 from jaxnav.types import Params
 from tuning import scoring, uncertainty
-from tuning.transforms import LOG, Spec, join, put, scaled, split, tied
+from tuning.transforms import LOG, Spec, join, scaled, split, tied
 from tuning.uncertainty import Information
 from tuning.validation import paired_gain
 

@@ -21,9 +21,11 @@ from jaxnav.data.epochs import Packed, constraint_samples, cut_times, hide, outa
 from jaxnav.data.start import course, heading_bank, level, with_headings
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Correction, Filter, Innovation, Rule, make_filter
+from jaxnav.filters.parameters import datasheet_params, mounting
 from jaxnav.filters.run import enable_x64, initial_nav, prepare, require_x64, run, run_jit, track
 from jaxnav.measurements import GNSS, MEASUREMENTS, NONHOLONOMIC, POSITION, SPEED, VELOCITY, ZERO_RATE, ZERO_VELOCITY
-from jaxnav.states.grades import GRADES, Grade, datasheet_params, mounting
+from jaxnav.states import STATES, State
+from jaxnav.states.grades import GRADES, Grade
 from jaxnav.types import (
     ConfigError,
     DataError,
@@ -39,6 +41,7 @@ from jaxnav.types import (
     Prior,
     Recording,
     Samples,
+    StateParams,
     Track,
 )
 
@@ -47,7 +50,8 @@ __version__ = "0.1.0"
 __all__ = [
     "FILTERS", "GNSS", "GRADES", "MEASUREMENTS", "NONHOLONOMIC", "POSITION", "SPEED", "VELOCITY", "ZERO_RATE",
     "ZERO_VELOCITY", "ConfigError", "Correction", "DataError", "Epoch", "Filter", "Fix", "Grade", "Imu", "ImuLog",
-    "Info", "Innovation", "Mounting", "Nav", "Noise", "Packed", "Params", "Prior", "Recording", "Rule", "Samples",
+    "Info", "Innovation", "Mounting", "Nav", "Noise", "Packed", "Params", "Prior", "Recording", "Rule", "STATES",
+    "Samples", "State", "StateParams",
     "Track", "build", "constraint_samples", "course", "cut_times", "datasheet_params", "enable_x64", "heading_bank",
     "hide", "initial_nav", "level", "make_filter", "mounting", "outage_windows", "pack", "prepare", "require_x64",
     "run", "run_jit", "stationary", "track", "with_headings",

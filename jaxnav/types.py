@@ -7,7 +7,9 @@ Two kinds. *Traced* types hold jax arrays and flow through jit, vmap and grad (`
 Frames: ``n`` local level ENU, ``b`` body FRD (forward, right, down). A specific force at rest is (0, 0, -g) in b.
 """
 
-from typing import Any, NamedTuple
+import difflib
+from collections.abc import Iterable
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -21,6 +23,13 @@ class DataError(ValueError):
 
 class ConfigError(ValueError):
     """A configuration that cannot be used: names the key and the nearest known one (exit code 2)."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """``did you mean X?``, or the list of what there is."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
 
 
 # ---------------------------------------------------------------------------- traced: what a filter consumes
@@ -72,22 +81,23 @@ class Nav(NamedTuple):
     pos: jax.Array  # (3,) units of the frame
     vel: jax.Array  # (3,) m/s
     q: jax.Array  # (4,) unit quaternion, scalar first, body -> axes of the frame
-    b_g: jax.Array  # (3,) rad/s, gyro bias, body: what is subtracted from the gyro
-    b_a: jax.Array  # (3,) m/s^2, accelerometer bias, body
-    omega: jax.Array  # (3,) rad/s, last bias-free body rate
-    force: jax.Array  # (3,) m/s^2, last bias-free specific force, body
+    omega: jax.Array  # (3,) rad/s, last body rate, the sensors' errors taken out
+    force: jax.Array  # (3,) m/s^2, last specific force, body, likewise
     origin: Origin
+    errors: dict[str, jax.Array]  # (size,) estimates by name of `jaxnav.states.STATES`: sensors read so much too much
 
 
-class Path(NamedTuple):
-    """What a mechanization did, at b points that each stand for one sample or for the mean over several."""
+class ErrorInputs(NamedTuple):
+    """What the error dynamics see of an epoch: b points, each one sample or the mean over several."""
 
     nav: Nav  # (b, ...) when each has passed
     C: jax.Array  # (b, 3, 3) body -> axes of the frame, at its middle
     force: jax.Array  # (b, 3) m/s^2, mean specific force in the axes of the frame
+    gyro: jax.Array  # (b, 3) rad/s, mean body rate, the sensors' errors taken out
+    accel: jax.Array  # (b, 3) m/s^2, mean specific force, body, likewise
 
 
-class Drive(NamedTuple):
+class Forcing(NamedTuple):
     """A rate and an acceleration in the axes of the error state: observer feedback, or a model error to absorb."""
 
     omega: jax.Array | np.ndarray  # (3,) rad/s
@@ -96,50 +106,48 @@ class Drive(NamedTuple):
 
 # ---------------------------------------------------------------------------- traced: parameters
 
+Leaf: TypeAlias = Any
+"""A parameter: an array, and in a row of a table the plain number or the `jaxnav.maths.units.Unit` of one."""
+
 
 class Noise(NamedTuple):
-    """Noise of sensors and measurements; every leaf broadcasts to its axes, so a scalar means all axes alike.
+    """White noise of the inertial sensors, root PSD, body.
 
-    Six leaves may also be a lower triangular root L (3, 3), for noise that is correlated between the axes; (3,) is its
-    diagonal, and the norms of its rows are the axes' own. Of the four of the sensors L L' is the spectral density. Of
-    the two scales the covariance of a fix is L D C D L', with its own sd D and correlations C.
+    One number for all axes, or one an axis, or a lower triangular root L (3, 3) for noise that is correlated between
+    the axes: L L' is then the spectral density, and the norms of the rows of L are the axes' own.
     """
 
-    gyro: jax.Array  # (), (3,) or (3, 3) rad/s/sqrt(Hz), angular random walk (root PSD), body
-    accel: jax.Array  # (), (3,) or (3, 3) m/s^2/sqrt(Hz), velocity random walk (root PSD), body
-    gyro_bias: jax.Array  # (), (3,) or (3, 3) rad/s/sqrt(s), root PSD that drives the gyro bias
-    accel_bias: jax.Array  # (), (3,) or (3, 3) m/s^2/sqrt(s)
-    gyro_tau: jax.Array  # () or (3,) s, Gauss-Markov time of the gyro bias; inf is a random walk
-    accel_tau: jax.Array  # () or (3,) s
-    position_scale: jax.Array  # (), (3,) or (3, 3) factor on the fix's own position sd, ENU
-    velocity_scale: jax.Array  # (), (3,) or (3, 3) factor on the fix's own velocity sd, ENU
-    zero_velocity: jax.Array  # () m/s, sd of a zero-velocity update
-    zero_rate: jax.Array  # () rad/s, sd of a zero-rate update
-    nonholonomic: jax.Array  # () or (2,) m/s, sd of lateral and vertical velocity of the vehicle
-    speed: jax.Array  # () factor on the wheel speed's own sd
+    gyro: Leaf  # (), (3,) or (3, 3) rad/s/sqrt(Hz), angular random walk
+    accel: Leaf  # (), (3,) or (3, 3) m/s^2/sqrt(Hz), velocity random walk
+
+
+class StateParams(NamedTuple):
+    """What is known of one of `jaxnav.states.STATES`: a first-order Gauss-Markov process, in units of the state.
+
+    Each leaf broadcasts to the state's axes. ``tau = inf`` is a random walk, ``drive = 0`` a constant.
+    """
+
+    sd: Leaf  # () or (size,) at the start
+    drive: Leaf  # (), (size,) or a root (size, size) as in `Noise`; per sqrt(s), root PSD of what drives it
+    tau: Leaf  # () or (size,) s
 
 
 class Mounting(NamedTuple):
     """Geometry and timing of the installation: tunable like any other parameter."""
 
-    lever_arm: jax.Array  # (3,) m, IMU -> GNSS antenna, body FRD
-    time_offset: jax.Array  # () s, GNSS time = IMU stamp + time_offset at the stamp origin.t of `Nav`
-    clock_drift: jax.Array  # () s/s, by which that offset grows from then on
-    position_latency: jax.Array  # () s, age of the position when it is stamped
-    velocity_latency: jax.Array  # () s, age of the velocity when it is stamped
-    vehicle: jax.Array  # (2,) rad, pitch and yaw of the vehicle's axes in the body's: its nose is not the IMU's
-    wheel_arm: jax.Array  # (3,) m, IMU -> point where nonholonomic and wheel speed hold, body FRD
-    speed_scale: jax.Array  # () wheel speed scale error; 0 is none
+    lever_arm: Leaf  # (3,) m, IMU -> GNSS antenna, body FRD
+    time_offset: Leaf  # () s, GNSS time = IMU stamp + time_offset at the stamp origin.t of `Nav`
+    clock_drift: Leaf  # () s/s, by which that offset grows from then on
+    vehicle: Leaf  # (2,) rad, pitch and yaw of the vehicle's axes in the body's: its nose is not the IMU's
+    wheel_arm: Leaf  # (3,) m, IMU -> point where nonholonomic and wheel speed hold, body FRD
 
 
 class Prior(NamedTuple):
-    """Standard deviations at the start, by name of state; each leaf broadcasts to its axes."""
+    """Standard deviations at the start; each leaf broadcasts to its axes."""
 
-    position: jax.Array  # () or (3,) m, ENU
-    velocity: jax.Array  # () or (3,) m/s, ENU
-    attitude: jax.Array  # () or (3,) rad, rotation about E, N (tilts) and U (heading)
-    gyro_bias: jax.Array  # () or (3,) rad/s, body
-    accel_bias: jax.Array  # () or (3,) m/s^2, body
+    position: Leaf  # () or (3,) m, ENU
+    velocity: Leaf  # () or (3,) m/s, ENU
+    attitude: Leaf  # () or (3,) rad, rotation about E, N (tilts) and U (heading)
 
 
 class Params(NamedTuple):
@@ -147,6 +155,8 @@ class Params(NamedTuple):
 
     noise: Noise
     prior: Prior
+    states: dict[str, StateParams]  # of each optional state of the filter, by name
+    measurements: dict[str, Any]  # of each of its measurements, by name: that measurement's own NamedTuple
     mounting: Mounting
     rule: Any = ()  # theta of the rule, its own NamedTuple
     feedback: Any = ()  # theta of the feedback
@@ -159,7 +169,7 @@ class Info(NamedTuple):
     """The corrected solution and the innovation statistics, one row an epoch; local level, whatever the frame."""
 
     nav: Nav  # (E, ...) corrected: retract(nav, x), at the end of the epoch
-    P: jax.Array  # (E, n, n) covariance after the correction, of position, velocity and attitude errors in ENU
+    P: jax.Array  # (E, n, n) covariance after the correction; position, velocity and attitude errors in ENU
     x: jax.Array  # (E, n) error state after the correction, before feedback; likewise
     nu: jax.Array  # (E, m) innovation, 0 on missing channels
     S: jax.Array  # (E, m, m) its covariance; identity rows on missing channels

@@ -10,9 +10,9 @@ Axes that share a value, leaves that share one, and beliefs are part of a leaf's
 
     spec = {
         "noise.gyro": believed(LOG, datasheet, math.log(3)),  # within a factor 3 of the datasheet, one sd
-        "noise.position_scale": tied(LOG, (0, 0, 1)),         # east and north alike
-        "noise.gyro_tau": tied(LOG, also=("noise.accel_tau",)),
-        "noise.velocity_scale": factor(3),                    # correlated between the axes
+        "measurements.position.scale": tied(LOG, (0, 0, 1)),  # east and north alike
+        "states.gyro_bias.tau": tied(LOG, also=("states.accel_bias.tau",)),
+        "measurements.velocity.scale": factor(3),             # correlated between the axes
     }
 """
 
@@ -24,6 +24,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from jaxnav.filters.parameters import get, put
 
 Spec = dict[str, "Transform"]
 
@@ -134,28 +136,6 @@ def cholesky(n: int) -> Transform:
 
 
 TRANSFORMS: dict[str, Transform] = {"log": LOG, "identity": IDENTITY}
-
-
-def get(tree: Any, name: str) -> Any:
-    """The leaf at a dotted name.
-
-    Raises:
-        ValueError: no such name; the message lists what there is.
-    """
-    for part in name.split("."):
-        fields = getattr(tree, "_fields", ())
-        if part not in fields:
-            known = ", ".join(fields) or "nothing"
-            raise ValueError(f"no parameter {name!r}: {part!r} is not one of {known}")
-        tree = getattr(tree, part)
-    return tree
-
-
-def put(tree: Any, name: str, value: Any) -> Any:
-    """The tree with the leaf at a dotted name replaced."""
-    first, _, rest = name.partition(".")
-    get(tree, first)
-    return tree._replace(**{first: put(getattr(tree, first), rest, value) if rest else value})
 
 
 def split(spec: Spec, params: Any) -> dict[str, jax.Array]:

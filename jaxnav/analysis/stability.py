@@ -92,7 +92,7 @@ def _last(state: FilterState) -> Nav:
 
 
 def _numbers(nav: Nav) -> jax.Array:
-    return jnp.concatenate([nav.pos, nav.vel, nav.q, nav.b_g, nav.b_a])
+    return jnp.concatenate([nav.pos, nav.vel, nav.q, *jax.tree.leaves(nav.errors)])
 
 
 def _to_enu(model: ErrorModel, nav: Nav, P: jax.Array) -> jax.Array:
@@ -226,7 +226,7 @@ def linear_model(
             return before.x, before
 
         A, before = jax.jacfwd(predicted, has_aux=True)(state.x)
-        y, H, R = filt.model.observe(params.noise, params.mounting, before.past, epoch.fix)
+        y, H, R = filt.model.observe(params, before.past, epoch.fix)
         _, H, R = masked(y, H, R, epoch.fix.valid)
         K = linalg.gain(before.P, H, H @ before.P @ H.T + R)
         return filt.correct(params, before, epoch.fix)[0], (A, K, H)

@@ -12,7 +12,8 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.app.contest import REFERENCES, Entrant, Marks, Plan
 from jaxnav.app.results import cell, table, write_json
-from tuning.transforms import get, labels, split
+from jaxnav.filters.parameters import get
+from tuning.transforms import labels, split
 from tuning.validation import paired_ratio
 
 GROUPS = ("trained", "unseen")

@@ -11,11 +11,11 @@ import numpy as np
 from jaxnav.analysis.metrics import columns_at
 from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config
-from jaxnav.app.parameters import UNITS
 from jaxnav.app.sources import REDRAWN, key_of, simulated
 from jaxnav.data import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Prepared
+from jaxnav.filters.parameters import UNITS
 from jaxnav.filters.run import prepare
 from jaxnav.maths import earth
 from jaxnav.measurements import GNSS, Measurement, clock_offset, counted_from
@@ -108,8 +108,8 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     start, own = config.start, scenario.start
     sd = start.position_sd_m or own.prior_position_sd_m, start.velocity_sd_mps or own.prior_velocity_sd_mps
     params = pre.base_params(config, pre.grade_of(config, scenario), np.array(scenario.gnss.lever_arm_m), *sd)
-    history = pre.history_of(config, params.mounting, scenario.imu_rate_hz, scenario.duration_s, tuned=True)
-    filt = build(pre.filter_name(config), GNSS, stride, history)
+    history = pre.history_of(config, params, scenario.imu_rate_hz, scenario.duration_s, tuned=True)
+    filt = build(pre.filter_name(config), GNSS, stride, history, states=config.filter.states)
     place = np.array(scenario.gnss.lever_arm_m)
     sheet = pre.base_params(datasheet_only(config), pre.grade_of(config, scenario), place, *sd)
     edges = np.cumsum((0, *counts))
@@ -150,8 +150,9 @@ def _known(scenario: Scenario) -> dict[str, float]:
     drive = factor * np.sqrt(2 / grade.tau)
     return {
         "noise.gyro": factor * grade.arw, "noise.accel": factor * grade.vrw,
-        "noise.gyro_bias": drive * grade.gyro_instability, "noise.accel_bias": drive * grade.accel_instability,
-        "mounting.position_latency": late, "mounting.velocity_latency": late,
+        "states.gyro_bias.drive": drive * grade.gyro_instability,
+        "states.accel_bias.drive": drive * grade.accel_instability,
+        "measurements.position.latency": late, "measurements.velocity.latency": late,
     }  # fmt: skip
 
 
@@ -237,9 +238,7 @@ def _whole(config: Config, case: pre.Case, prepared: Epoch, split: Split) -> Lik
 
 def datasheet_only(config: Config) -> Config:
     """Without what [params] says of noise and priors: the datasheet's, where the mounting is as stated."""
-    of_noise: dict[str, Any] = {
-        name: None for name, unit in UNITS.items() if unit.leaf.partition(".")[0] in ("noise", "prior")
-    }
+    of_noise: dict[str, Any] = {unit.key: None for unit in UNITS.values() if unit.step is None}
     return dataclasses.replace(config, params=dataclasses.replace(config.params, **of_noise))
 
 

@@ -1,7 +1,7 @@
 """Configuration of the command line: TOML, or the run.json of an earlier run, into frozen dataclasses.
 
 Layers, the later wins: defaults, the preset of a data set, the file, ``--params``, flags, ``--set a.b=c``. Values are
-in a user's units, the unit in the name. Imports no jax.
+in a user's units, the unit in the name.
 """
 
 import dataclasses
@@ -16,7 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from jaxnav.app.toml import convert, describe, place, plain
-from jaxnav.types import ConfigError
+from jaxnav.filters.parameters import UNITS
+from jaxnav.maths.units import Unit
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.types import ConfigError, nearest
 
 Numbers = float | tuple[float, ...]
 Root = Numbers | tuple[tuple[float, ...], ...]  # or a lower triangular matrix
@@ -35,15 +38,12 @@ class Data:
 
 
 @dataclasses.dataclass(frozen=True)
-class Filter:
-    """Which filter runs, and on what."""
+class _Filter:
+    """Which filter runs, and on what; beside these, true or false for every measurement that is no receiver's."""
 
     name: str = "ekf15"
     grade: str = ""  # IMU datasheet; empty: the scenario's, else consumer
-    zero_velocity: bool = False
-    zero_rate: bool = False
-    nonholonomic: bool = False
-    speed: bool = False
+    states: tuple[str, ...] = ()  # optional error states on top of the filter's own, see `jaxnav.states.STATES`
     cov_stride: int = 5  # the error dynamics see means over so many IMU samples
     history: int = 0  # IMU samples kept for late fixes; 0: enough for the latencies
     interval_s: float = 0.0  # nominal fix interval; 0: the median of the position's
@@ -51,6 +51,10 @@ class Filter:
     standing_window_s: float = 1.0  # of the standstill detector: both sd, root sum square of axes, below these
     standing_accel_sd_mps2: float = 0.2
     standing_gyro_sd_deg_per_s: float = 1.0
+
+    def uses(self, measurement: str) -> bool:
+        """Whether a measurement that is no receiver's is on."""
+        return getattr(self, measurement)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,37 +71,51 @@ class Start:
 
 
 @dataclasses.dataclass(frozen=True)
-class Params:
-    """Overrides of the datasheet, one number or one an axis; see `jaxnav.app.parameters.UNITS` for what each sets.
+class _Params:
+    """Overrides of the datasheet: one number or one an axis for each of `jaxnav.filters.parameters.UNITS`.
 
-    A `Root` may be a lower triangular 3 x 3 too, for noise that is correlated between the axes (`jaxnav.types.Noise`).
+    Noise may be a lower triangular 3 x 3 too, for what is correlated between the axes (`jaxnav.types.Noise`).
     """
 
-    gyro_deg_per_sqrt_hour: Root | None = None
-    accel_ug_per_sqrt_hz: Root | None = None
-    gyro_bias_deg_per_hour_per_sqrt_s: Root | None = None
-    accel_bias_ug_per_sqrt_s: Root | None = None
-    gyro_tau_s: Numbers | None = None
-    accel_tau_s: Numbers | None = None
-    position_scale: Root | None = None
-    velocity_scale: Root | None = None
-    zero_velocity_mps: float | None = None
-    zero_rate_deg_per_s: float | None = None
-    nonholonomic_mps: Numbers | None = None
-    speed_sd_scale: float | None = None
-    prior_gyro_bias_deg_per_hour: Numbers | None = None
-    prior_accel_bias_mg: Numbers | None = None
-    lever_arm_m: tuple[float, ...] | None = None
-    time_offset_s: float | None = None
-    clock_drift_ppm: float | None = None
-    position_latency_s: float | None = None
-    velocity_latency_s: float | None = None
-    vehicle_deg: tuple[float, ...] | None = None
-    wheel_arm_m: tuple[float, ...] | None = None
-    speed_scale: float | None = None
-    ki: Numbers | None = None
-    kd: Numbers | None = None
-    rule: dict[str, Any] = dataclasses.field(default_factory=dict)  # name -> value of what else the rule has
+    rule: dict[str, Any] = dataclasses.field(default_factory=dict)  # name -> value of what the filter's rule has
+
+    def value(self, key: str) -> Any:
+        """What is stated for a key, or None."""
+        return getattr(self, key)
+
+    def number(self, key: str) -> float:
+        """What is stated for a key that is one number, or 0."""
+        return getattr(self, key) or 0.0
+
+
+def _type_of(unit: Unit) -> Any:
+    """What a key takes."""
+    return float if not unit.shape else Root if unit.root else Numbers
+
+
+if typing.TYPE_CHECKING:
+
+    class Filter(_Filter):
+        """`_Filter` and what the rows bring."""
+
+    class Params(_Params):
+        """`_Params` and what the rows bring."""
+
+else:  # the rows of the tables bring their own settings
+    Filter = dataclasses.make_dataclass(
+        "Filter",
+        [(m.name, bool, False) for m in MEASUREMENTS.values() if not m.receiver],
+        bases=(_Filter,),
+        frozen=True,
+        namespace={"__doc__": _Filter.__doc__},
+    )
+    Params = dataclasses.make_dataclass(
+        "Params",
+        [(unit.key, _type_of(unit) | None, None) for unit in UNITS.values()],
+        bases=(_Params,),
+        frozen=True,
+        namespace={"__doc__": _Params.__doc__},
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -342,13 +360,6 @@ def merge(a: Mapping[str, Any], b: Mapping[str, Any], path: str = "") -> dict[st
 def as_dict(config: Config) -> dict[str, Any]:
     """The resolved configuration as a tree for TOML or JSON; what is None is left out."""
     return plain(dataclasses.asdict(config))
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """``did you mean X?``, or the list of what there is."""
-    known = list(known)
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
 
 
 # ---------------------------------------------------------------------------- details

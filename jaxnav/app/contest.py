@@ -23,6 +23,7 @@ from jaxnav.app.results import stderr
 from jaxnav.app.sources import TEST, TRAIN, VALIDATION, key_of, simulated
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter
+from jaxnav.filters.parameters import put
 from jaxnav.filters.run import prepare, run
 from jaxnav.maths import rotations, units
 from jaxnav.simulate.scenarios import Scenario
@@ -30,9 +31,10 @@ from jaxnav.simulate.simulation import matched_params, stride_within
 from jaxnav.types import Epoch, Nav, Params
 from tuning.optimizers import adam
 from tuning.train import fit
-from tuning.transforms import LOG, Spec, put, tied
+from tuning.transforms import LOG, Spec, tied
 
 REFERENCES = ("ekf9", "ekf15")  # always in: the Kalman filter without and with bias states
+SCALES = ("measurements.position.scale", "measurements.velocity.scale")
 CLIP = 1.0  # largest gradient norm of one run, where [tune] has none: a run of a chaotic filter must not drown the rest
 
 
@@ -89,10 +91,9 @@ def spec_of(name: str) -> Spec:
     """What a filter has to tune: its factors, and the leaves of its rule and feedback, dotted names of `Params`."""
     entry = FILTERS[name]
     factors = ["noise.gyro", "noise.accel", "prior.attitude"]
-    if entry.n_states > 9:
-        factors += ["noise.gyro_bias", "noise.accel_bias", "prior.gyro_bias", "prior.accel_bias"]
+    factors += [f"states.{state}.{leaf}" for leaf in ("drive", "sd") for state in entry.states]
     spec = dict.fromkeys(factors, LOG)
-    spec |= dict.fromkeys(("noise.position_scale", "noise.velocity_scale"), tied(LOG, (0, 0, 1)))  # level, vertical
+    spec |= dict.fromkeys(SCALES, tied(LOG, (0, 0, 1)))  # level, vertical
     spec |= {leaf: step_of(leaf, name) for leaf in groups(name, ())["rule"]}
     return spec | {f"feedback.{leaf}": LOG for leaf in getattr(entry.feedback_theta(), "_fields", ())}
 
@@ -102,7 +103,7 @@ def datasheet(name: str) -> Params:
     entry, one = FILTERS[name], jnp.ones(())
     told = matched_params(Scenario())
     params = jax.tree.map(lambda _: one, told)
-    for leaf in ("noise.position_scale", "noise.velocity_scale"):
+    for leaf in SCALES:
         params = put(params, leaf, jnp.ones(3))
     return params._replace(rule=entry.theta(), feedback=entry.feedback_theta())
 
@@ -110,8 +111,10 @@ def datasheet(name: str) -> Params:
 def applied(params: Params, told: Params) -> Params:
     """What a scenario's filter runs with: the factors of ``params`` on what it was told."""
     times = partial(jax.tree.map, lambda factor, told: (factor * told.T).T)  # the rows of a root, if it is one
-    noise, prior = times(params.noise, told.noise), times(params.prior, told.prior)
-    return Params(noise, prior, told.mounting, params.rule, params.feedback)
+    scaled = {
+        part: times(getattr(params, part), getattr(told, part)) for part in ("noise", "prior", "states", "measurements")
+    }
+    return told._replace(**scaled, rule=params.rule, feedback=params.feedback)
 
 
 @cache
@@ -221,7 +224,7 @@ def filter_for(name: str, plan: Plan) -> Filter:
     """The filter that serves all scenarios of the plan: its stride divides their samples, its history covers them."""
     kinds = (*plan.trained, *plan.unseen)
     stride = stride_within(plan.cov_stride, *(kind.scenario for kind in kinds))
-    history = max(covering(k.told.mounting, k.scenario.imu_rate_hz, k.scenario.duration_s) for k in kinds)
+    history = max(covering(k.told, k.scenario.imu_rate_hz, k.scenario.duration_s) for k in kinds)
     return build(name, cov_stride=stride, history=history)
 
 

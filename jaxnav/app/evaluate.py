@@ -11,6 +11,7 @@ from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.filters.run import track
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import Measurement, clock_offset, layout
+from jaxnav.states.table import BIASES
 from jaxnav.types import Info, Params, Samples, Track
 
 if TYPE_CHECKING:
@@ -21,12 +22,6 @@ SIGN = np.array([1.0, 1.0, -1.0])
 ERRORS = (
     "north_m", "east_m", "down_m", "vn_mps", "ve_mps", "vd_mps", "roll_deg", "pitch_deg", "heading_deg",
 )  # fmt: skip
-AXES = {
-    "position": ("north", "east", "down"), "velocity": ("north", "east", "down"),
-    "zero_velocity": ("north", "east", "down"), "zero_rate": ("forward", "right", "down"),
-    "nonholonomic": ("right", "down"), "speed": ("forward",),
-}  # fmt: skip
-
 Outages = list[tuple[float, float]]
 
 
@@ -89,15 +84,15 @@ def _spread(a: np.ndarray) -> dict[str, float]:
 def channels(measurements: tuple[Measurement, ...]) -> tuple[list[int], list[str], np.ndarray]:
     """Order of channels in reports (north, east, down), their names and the sign of each."""
     order, names, sign = [], [], []
-    for name, s in layout(measurements).items():
+    for m, s in zip(measurements, layout(measurements).values(), strict=True):
         own = np.arange(s.start, s.stop)
-        if AXES[name][0] == "north":
+        if m.reported:
             own = own[NED]
             sign += [1.0, 1.0, -1.0]
         else:
             sign += [1.0] * own.size
         order += own.tolist()
-        names += [f"{name.replace('_', ' ')} {axis}" for axis in AXES[name]]
+        names += [f"{m.name.replace('_', ' ')} {axis}" for axis in m.reported or m.channels]
     return order, names, np.array(sign)
 
 
@@ -135,8 +130,8 @@ def figures(
     if valid.any():
         found["innovations"] = plots_stats.innovations(t, nu, S, valid[:, order], names, outages, None)
         found["nis"] = plots_stats.nis(t, np.asarray(info.nis), valid.sum(1), outages)
-    if P.shape[-1] > 9:
-        b_g, b_a = np.asarray(info.nav.b_g), np.asarray(info.nav.b_a)
+    if P.shape[-1] >= 15 and set(BIASES) <= set(info.nav.errors):
+        b_g, b_a = (np.asarray(info.nav.errors[name]) for name in BIASES)
         sd = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
         true_g, true_a = (
             (None, None) if bias_truth is None else (metrics.columns_at(t, bias_truth[0], b) for b in bias_truth[1:])

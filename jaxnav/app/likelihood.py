@@ -13,12 +13,13 @@ from jaxnav.analysis import metrics
 from jaxnav.app.batches import Material
 from jaxnav.app.objectives import leaves, merged
 from jaxnav.app.parameters import component, unit_of
+from jaxnav.filters.parameters import get
 from jaxnav.filters.run import run
 from jaxnav.types import Params
 from tuning import objectives, scoring, uncertainty
 from tuning.posterior import sample
 from tuning.train import Fit
-from tuning.transforms import Spec, get, join, labels, penalty, split, told, values
+from tuning.transforms import Spec, join, labels, penalty, split, told, values
 from tuning.uncertainty import Information
 
 

@@ -14,11 +14,12 @@ from jaxnav.analysis import metrics
 from jaxnav.app import config as configuration
 from jaxnav.app.batches import Batch, ready
 from jaxnav.filters.core import Filter
+from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import run
 from jaxnav.measurements import clock_offset
 from jaxnav.types import ConfigError, Info, Params
 from tuning import batch, objectives
-from tuning.transforms import Spec, get, put
+from tuning.transforms import Spec
 
 LOST = 1e5  # m: a run that is so far from a fix has diverged
 

@@ -1,63 +1,29 @@
 """Filter parameters in a user's units, and names of what is free in tuning."""
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.app import config
 from jaxnav.filters.catalogue import FILTERS
-from jaxnav.maths import units
+from jaxnav.filters.parameters import UNITS, get, has, put
+from jaxnav.maths.units import Unit
 from jaxnav.measurements import Measurement
-from jaxnav.types import ConfigError, Params
-from tuning.transforms import IDENTITY, LOG, TRANSFORMS, Spec, Transform, believed, factor, get, put, scaled, tied
+from jaxnav.types import ConfigError, Params, nearest
+from tuning.transforms import LOG, TRANSFORMS, Spec, Transform, believed, factor, scaled, tied
+
+KEYS = {unit.key: leaf for leaf, unit in UNITS.items()}
+"""The keys of [params]: dotted names in `Params`."""
+NAMES = {leaf: unit.key for leaf, unit in UNITS.items()}
+ROOTS = tuple(leaf for leaf, unit in UNITS.items() if unit.root and not leaf.endswith(".sd"))
+"""Leaves that may be a lower triangular root, see `jaxnav.types.Noise`."""
 
 
-class Unit(NamedTuple):
-    """What a user's parameter is inside."""
-
-    leaf: str  # dotted name in `Params`
-    factor: float  # user's unit in SI
-    shape: tuple[int, ...]  # of one value an axis
-    step: Transform = LOG  # for tuning
-    text: str = ""  # the user's unit in words; empty: a plain number
-
-
-UNITS: dict[str, Unit] = {
-    "gyro_deg_per_sqrt_hour": Unit("noise.gyro", units.DEG_PER_SQRT_HOUR, (3,), text="deg/sqrt(h)"),
-    "accel_ug_per_sqrt_hz": Unit("noise.accel", units.UG, (3,), text="ug/sqrt(Hz)"),
-    "gyro_bias_deg_per_hour_per_sqrt_s": Unit("noise.gyro_bias", units.DEG_PER_HOUR, (3,), text="deg/h/sqrt(s)"),
-    "accel_bias_ug_per_sqrt_s": Unit("noise.accel_bias", units.UG, (3,), text="ug/sqrt(s)"),
-    "gyro_tau_s": Unit("noise.gyro_tau", 1.0, (3,), text="s"),
-    "accel_tau_s": Unit("noise.accel_tau", 1.0, (3,), text="s"),
-    "position_scale": Unit("noise.position_scale", 1.0, (3,)),
-    "velocity_scale": Unit("noise.velocity_scale", 1.0, (3,)),
-    "zero_velocity_mps": Unit("noise.zero_velocity", 1.0, (), text="m/s"),
-    "zero_rate_deg_per_s": Unit("noise.zero_rate", units.DEG, (), text="deg/s"),
-    "nonholonomic_mps": Unit("noise.nonholonomic", 1.0, (2,), text="m/s"),
-    "speed_sd_scale": Unit("noise.speed", 1.0, ()),
-    "prior_gyro_bias_deg_per_hour": Unit("prior.gyro_bias", units.DEG_PER_HOUR, (3,), text="deg/h"),
-    "prior_accel_bias_mg": Unit("prior.accel_bias", units.MG, (3,), text="mg"),
-    "lever_arm_m": Unit("mounting.lever_arm", 1.0, (3,), scaled(0.2), text="m"),
-    "time_offset_s": Unit("mounting.time_offset", 1.0, (), scaled(0.1), text="s"),
-    "clock_drift_ppm": Unit("mounting.clock_drift", units.PPM, (), scaled(300 * units.PPM), text="ppm"),
-    "position_latency_s": Unit("mounting.position_latency", 1.0, (), scaled(0.1), text="s"),
-    "velocity_latency_s": Unit("mounting.velocity_latency", 1.0, (), scaled(0.1), text="s"),
-    "vehicle_deg": Unit("mounting.vehicle", units.DEG, (2,), scaled(1.0 * units.DEG), text="deg"),
-    "wheel_arm_m": Unit("mounting.wheel_arm", 1.0, (3,), scaled(0.2), text="m"),
-    "speed_scale": Unit("mounting.speed_scale", 1.0, (), scaled(0.02)),
-    "ki": Unit("rule.ki", 1.0, ()),
-    "kd": Unit("rule.kd", 1.0, ()),
-}
-"""The keys of [params]."""
-
-NAMES = {unit.leaf: name for name, unit in UNITS.items()}
-ENDLESS = ("gyro_tau_s", "accel_tau_s")  # may be inf: a random walk
-ROOTS = tuple(
-    f"noise.{leaf}" for leaf in ("gyro", "accel", "gyro_bias", "accel_bias", "position_scale", "velocity_scale")
-)
-"""Leaves that may be a lower triangular root, see `Noise`."""
+def transform_of(unit: Unit) -> Transform:
+    """How a parameter is tuned."""
+    return LOG if unit.step is None else scaled(unit.step)
 
 
 def override(params: Params, section: config.Params) -> Params:
@@ -67,24 +33,24 @@ def override(params: Params, section: config.Params) -> Params:
         ConfigError: a wrong number of axes, a value out of range, a matrix that is no root, or a parameter the filter's
             rule has not.
     """
-    for name, unit in UNITS.items():
-        value = getattr(section, name)
+    for leaf, unit in UNITS.items():
+        name, value = unit.key, section.value(unit.key)
         if value is None:
             continue
+        if not has(params, leaf):
+            continue  # of a state that this filter lacks: see `jaxnav.app.unused`
         if isinstance(value, tuple) and any(isinstance(row, tuple) for row in value):
             _check_root(name, value)
         elif np.shape(value) not in ((), unit.shape):
             expected = f"one number or {unit.shape[0]}" if unit.shape else "one number"
             raise ConfigError(f"params.{name} must be {expected}, got {value!r}")
-        elif unit.step is LOG and not np.all(np.asarray(value) > 0):
+        elif unit.step is None and not np.all(np.asarray(value) > 0):
             raise ConfigError(f"params.{name} must be > 0, got {value!r}")
-        elif not np.isfinite(value).all() and not (name in ENDLESS and not np.isnan(value).any()):
+        elif not np.isfinite(value).all() and not (unit.endless and not np.isnan(value).any()):
             raise ConfigError(f"params.{name} must be finite, got {value!r}")
-        if not hasattr(params.rule, unit.leaf.split(".")[1]) and unit.leaf.startswith("rule."):
-            raise ConfigError(f"params.{name}: this filter has no such parameter")
-        old = jnp.shape(get(params, unit.leaf))
+        old = jnp.shape(get(params, leaf))
         shape = np.shape(value) or (unit.shape if old else ())
-        params = put(params, unit.leaf, jnp.broadcast_to(jnp.asarray(value, float) * unit.factor, shape))
+        params = put(params, leaf, jnp.broadcast_to(jnp.asarray(value, float) * unit.factor, shape))
     for name, value in section.rule.items():
         params = put(params, f"rule.{name}", _rule_value(params, name, value))
     return params
@@ -121,7 +87,7 @@ def in_user_units(params: Params, leaves: list[str]) -> dict[str, Any]:
 
 def unit_of(leaf: str) -> Unit:
     """How a user states a leaf; a rule's own parameters have no unit."""
-    return UNITS[NAMES[leaf]] if leaf in NAMES else Unit(leaf, 1.0, (), IDENTITY)
+    return UNITS[leaf] if leaf in UNITS else Unit(leaf, step=1.0)
 
 
 def name_of(leaf: str) -> str:
@@ -132,25 +98,28 @@ def name_of(leaf: str) -> str:
 def user_value(leaf: str, value: Any) -> Any:
     """A leaf's value in a user's units, as plain numbers."""
     value = np.asarray(value, float) / unit_of(leaf).factor
-    same = value.ndim and np.all(value == value.flat[0]) and leaf.startswith("noise.")
+    same = value.ndim and np.all(value == value.flat[0]) and leaf in UNITS and UNITS[leaf].step is None
     return float(value.flat[0]) if same else value.tolist()
 
 
-def groups(name: str, measurements: tuple[Measurement, ...]) -> dict[str, list[str]]:
-    """What the short names in ``tune.free`` stand for, with a filter and its measurements."""
+def groups(name: str, measurements: tuple[Measurement, ...], states: tuple[str, ...] = ()) -> dict[str, list[str]]:
+    """What the short names in ``tune.free`` stand for, with a filter, its measurements and its further states."""
     used = {m.name for m in measurements}
     entry = FILTERS[name]
-    biases = ["noise.gyro_bias", "noise.accel_bias"] if entry.n_states > 9 else []
+    own = (*entry.states, *states)
     vehicle = bool(used & {"nonholonomic", "speed"})
-    pseudo = [f"noise.{n}" for n in ("zero_velocity", "zero_rate", "nonholonomic", "speed") if n in used]
+    others = [f"measurements.{m.name}.{leaf}" for m in measurements if not m.receiver
+              for leaf, unit in m.units._asdict().items() if unit.step is None]  # fmt: skip
     return {
-        "noise": ["noise.gyro", "noise.accel", *biases, *pseudo],
-        "fixes": ["noise.position_scale", "noise.velocity_scale"],
-        "timing": ["mounting.time_offset", "mounting.clock_drift", "mounting.velocity_latency"],  # of the IMU's
-        "latency": ["mounting.position_latency", "mounting.velocity_latency"],  # of the receiver: its fixes are old
+        "noise": ["noise.gyro", "noise.accel", *(f"states.{state}.drive" for state in own), *others],
+        "fixes": ["measurements.position.scale", "measurements.velocity.scale"],
+        # of the IMU's
+        "timing": ["mounting.time_offset", "mounting.clock_drift", "measurements.velocity.latency"],
+        # of the receiver: its fixes are old
+        "latency": ["measurements.position.latency", "measurements.velocity.latency"],
         "lever_arm": ["mounting.lever_arm"],
         "vehicle": ["mounting.vehicle", "mounting.wheel_arm"] if vehicle else [],
-        "prior": ["prior.gyro_bias", "prior.accel_bias"] if entry.n_states > 9 else [],
+        "prior": [f"states.{state}.sd" for state in own],
         # a gain of zero, such as the derivative's of the printed GPID, has no logarithm and stays what it is
         "rule": [f"rule.{leaf}" for leaf, kind in entry.tunable.items()
                  if np.isfinite(TRANSFORMS[kind].inverse(get(entry.theta(), leaf))).all()],
@@ -179,7 +148,7 @@ def step_of(leaf: str, filter_name: str) -> Transform:
     """
     group, _, name = leaf.partition(".")
     if group != "rule":
-        return UNITS[NAMES[leaf]].step
+        return transform_of(UNITS[leaf])
     if name not in FILTERS[filter_name].tunable:
         raise ConfigError(f"tune.free: filter {filter_name} has no {leaf}")
     return TRANSFORMS[FILTERS[filter_name].tunable[name]]
@@ -190,9 +159,9 @@ def leaves_of(key: str, names: Iterable[str], filter_name: str, measurements: tu
     short = groups(filter_name, measurements)
     leaves: list[str] = []
     for name in names:
-        for leaf in short[name] if name in short else [UNITS[name].leaf if name in UNITS else name]:
+        for leaf in short[name] if name in short else [KEYS.get(name, name)]:
             if leaf not in NAMES and leaf.removeprefix("rule.") not in FILTERS[filter_name].tunable:
-                raise ConfigError(f"{key}: no parameter {leaf}: {config.nearest(leaf, [*short, *NAMES])}")
+                raise ConfigError(f"{key}: no parameter {leaf}: {nearest(leaf, [*short, *NAMES])}")
             leaves.append(leaf)
     return list(dict.fromkeys(leaves))
 

@@ -7,22 +7,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.app.config import Config, nearest
+from jaxnav.app.config import Config
 from jaxnav.app.parameters import override
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data import epochs as ep
 from jaxnav.data import start as alignment
 from jaxnav.filters import core
 from jaxnav.filters.catalogue import FILTERS, build
+from jaxnav.filters.parameters import datasheet_params, mounting
 from jaxnav.filters.run import initial_nav
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG, PPM
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.simulate.scenarios import Scenario
-from jaxnav.states.grades import GRADES, Grade, datasheet_params, mounting
-from jaxnav.types import ConfigError, DataError, Mounting, Nav, Params, Prior, Recording, Samples
+from jaxnav.states.grades import GRADES, Grade
+from jaxnav.types import ConfigError, DataError, Nav, Params, Prior, Recording, Samples, nearest
 
-CONSTRAINTS = ("zero_velocity", "zero_rate", "nonholonomic", "speed")
 REACH = 0.25  # s, latency that tuning may add
 FALSE = 0.1  # of the epochs at rest by the detector, at most, that are in motion by the receiver
 APART = 2.0  # s, at most, from the first position to the velocity beside it
@@ -75,20 +75,21 @@ def grade_of(config: Config, scenario: Scenario | None) -> Grade:
 
 def measurements_of(config: Config) -> tuple[Measurement, ...]:
     """Position, velocity and the constraints that are on."""
-    return (*GNSS, *(MEASUREMENTS[name] for name in CONSTRAINTS if getattr(config.filter, name)))
+    return (*GNSS, *(m for m in MEASUREMENTS.values() if not m.receiver and config.filter.uses(m.name)))
 
 
-def history_of(config: Config, known: Mounting, rate_hz: float, span: float, tuned: bool) -> int:
+def history_of(config: Config, known: Params, rate_hz: float, span: float, tuned: bool) -> int:
     """IMU samples of history: to cover the latencies that are known, and what tuning may add to them."""
     if config.filter.history:
         return max(2, config.filter.history)
     return covering(known, rate_hz, span, REACH if tuned else 0.0)
 
 
-def covering(known: Mounting, rate_hz: float, span: float, more: float = 0.0) -> int:
+def covering(known: Params, rate_hz: float, span: float, more: float = 0.0) -> int:
     """IMU samples of history that reach back as far as the latest fix in ``span`` s of data, and ``more`` s."""
-    offset = float(known.time_offset) + abs(float(known.clock_drift)) * span
-    late = offset + max(float(known.position_latency), float(known.velocity_latency)) + more
+    offset = float(known.mounting.time_offset) + abs(float(known.mounting.clock_drift)) * span
+    ages = [float(theta.latency) for theta in known.measurements.values() if hasattr(theta, "latency")]
+    late = offset + max(ages, default=0.0) + more
     return 2 + math.ceil(late * rate_hz + 1e-6) if late > 0 else 2
 
 
@@ -98,7 +99,7 @@ def base_params(config: Config, grade: Grade, lever_arm: np.ndarray, position_sd
     heading_sd = 360.0 / start.hypotheses if start.heading == "unknown" else start.heading_sd_deg
     params = datasheet_params(
         grade, position_sd, velocity_sd, start.tilt_sd_deg * DEG, heading_sd * DEG,
-        mounting(lever_arm), entry.theta(),
+        mounting(lever_arm), entry.theta(), states=(*entry.states, *config.filter.states),
     )  # fmt: skip
     return override(params._replace(feedback=entry.feedback_theta()), config.params)
 
@@ -121,9 +122,14 @@ def prepare(config: Config, tuned: bool = False) -> Case:
         name,
         measurements,
         config.filter.cov_stride,
-        history_of(config, params.mounting, rate, np.ptp(rec.imu.t), tuned),
+        history_of(config, params, rate, np.ptp(rec.imu.t), tuned),
+        states=config.filter.states,
     )
-    biases = None if sim is None else jax.tree.map(np.asarray, (sim.truth.t, sim.truth.b_g, sim.truth.b_a))
+    biases = (
+        None
+        if sim is None
+        else jax.tree.map(np.asarray, (sim.truth.t, sim.truth.errors["gyro_bias"], sim.truth.errors["accel_bias"]))
+    )
     return Case(rec, filt, measurements, params, packed, first, biases)
 
 
@@ -132,21 +138,21 @@ def pack(
 ) -> ep.Packed:
     """Epochs from ``start`` on, with the constraints that are on."""
     f, stop = config.filter, config.data.stop
-    wanted = {"position", "velocity"} | ({"speed"} if f.speed else set())
-    if f.speed and "speed" not in rec.aiding:
-        raise DataError(f"{rec.name}: has no stream speed, which filter.speed asks for")
+    wanted = {m.name for m in measurements if m.columns}
+    for name in wanted - set(rec.aiding) - {"velocity"}:
+        raise DataError(f"{rec.name}: has no stream {name}, which filter.{name} asks for")
     aiding = {name: s for name, s in rec.aiding.items() if name in wanted}
     cuts = ep.cut_times(rec.imu, aiding, interval, start, stop)
     standing = None
-    if f.zero_velocity or f.zero_rate:
+    if f.uses("zero_velocity") or f.uses("zero_rate"):
         standing = ep.stationary(
             rec.imu, cuts, f.standing_window_s, f.standing_accel_sd_mps2, f.standing_gyro_sd_deg_per_s * DEG
         )
         _check_standing(rec, cuts[standing])
     made = ep.constraint_samples(
-        rec.imu, cuts, nonholonomic=f.nonholonomic, standing=standing, window=f.standing_window_s
+        rec.imu, cuts, nonholonomic=f.uses("nonholonomic"), standing=standing, window=f.standing_window_s
     )
-    aiding |= {k: v for k, v in made.items() if getattr(f, k)}
+    aiding |= {k: v for k, v in made.items() if f.uses(k)}
     return ep.pack(rec.imu, aiding, interval, measurements, start, stop, cuts, f.cov_stride)
 
 
@@ -258,7 +264,7 @@ def halfway(rec: Recording) -> float:
 def _clock_offset(config: Config, rec: Recording, t: float) -> float:
     """What is known of GNSS time minus the IMU's stamp ``t``, s."""
     known = config.params
-    return (known.time_offset_s or 0.0) + (known.clock_drift_ppm or 0.0) * PPM * (t - halfway(rec))
+    return known.number("time_offset_s") + known.number("clock_drift_ppm") * PPM * (t - halfway(rec))
 
 
 def _first_fix(
@@ -271,10 +277,9 @@ def _first_fix(
     t = float(position.t[i])
     j = int(np.argmin(np.abs(velocity.t - t)))
     start, known = config.start, config.params
-    late = _clock_offset(config, rec, t) + (known.position_latency_s or 0.0)
+    late = _clock_offset(config, rec, t) + known.number("position_latency_s")
     lla = earth.move(jnp.asarray(position.value[i]), late * jnp.asarray(velocity.value[j]))
     position_sd = np.hypot(position.sd[i], 0.5) if start.position_sd_m is None else start.position_sd_m
     velocity_sd = np.hypot(velocity.sd[j], 0.3) if start.velocity_sd_mps is None else start.velocity_sd_mps
-    zero = jnp.zeros(())
-    prior = Prior(jnp.asarray(position_sd, float), jnp.asarray(velocity_sd, float), zero, zero, zero)
+    prior = Prior(jnp.asarray(position_sd, float), jnp.asarray(velocity_sd, float), jnp.zeros(()))
     return t, np.asarray(lla), velocity.value[j], prior

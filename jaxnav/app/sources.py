@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav import data as io
-from jaxnav.app.config import Config, nearest
+from jaxnav.app.config import Config
 from jaxnav.filters.run import require_x64
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import Simulated, simulate, sizes, to_recording
 from jaxnav.states.grades import GRADES
-from jaxnav.types import ConfigError, DataError, Recording
+from jaxnav.types import ConfigError, DataError, Recording, nearest
 
 # folded into the seed: runs of one kind never meet those of another
 TRAIN, VALIDATION, TEST, SINGLE, REDRAWN = range(5)

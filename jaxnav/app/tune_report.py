@@ -13,10 +13,11 @@ from jaxnav.app import evaluate
 from jaxnav.app.batches import Material
 from jaxnav.app.config import Config
 from jaxnav.app.export import kfgins_yaml, navego_fields
-from jaxnav.app.parameters import UNITS, in_user_units, name_of, user_value
+from jaxnav.app.parameters import in_user_units, name_of, user_value
 from jaxnav.app.results import cell, table, to_json, write_json
 from jaxnav.app.toml import to_toml
 from jaxnav.data import atomic_write
+from jaxnav.filters.parameters import UNITS, has
 from jaxnav.filters.run import track
 from jaxnav.types import Samples, Track
 from tuning.train import Fit
@@ -120,16 +121,15 @@ def _short(value: Any) -> Any:
 
 def write(folder: Path, material: Material, found: Fit, leaves: list[str], result: dict[str, Any]) -> None:
     """Write tuned.toml, the same for other software, history.jsonl and metrics.json."""
-    noise = [u.leaf for u in UNITS.values() if u.leaf.startswith("noise.")]
+    prior = lambda leaf: leaf.startswith("states.") and leaf.endswith(".sd")  # noqa: E731
+    noise = [k for k, unit in UNITS.items() if unit.step is None and not prior(k) and has(found.params, k)]
     params = {"params": in_user_units(found.params, list(dict.fromkeys([*noise, *leaves])))}
     head = f"# jaxnav tune: {material.about}\n# use: jaxnav filter --params tuned.toml\n"
     vague = [name for name, p in result.get("parameters", {}).items() if not p["identified"]]
     doubt = f"# not determined by the data, any value near it will do: {', '.join(vague)}\n" if vague else ""
     atomic_write(folder / "tuned.toml", head + doubt + to_toml(params))
-    atomic_write(folder / "tuned_kfgins.yaml", head.splitlines()[0] + "\n" + kfgins_yaml(found.params.noise))
-    atomic_write(
-        folder / "tuned_navego.m", head.splitlines()[0].replace("#", "%") + "\n" + navego_fields(found.params.noise)
-    )
+    atomic_write(folder / "tuned_kfgins.yaml", head.splitlines()[0] + "\n" + kfgins_yaml(found.params))
+    atomic_write(folder / "tuned_navego.m", head.splitlines()[0].replace("#", "%") + "\n" + navego_fields(found.params))
     rows = [to_json(row) for row in user_history(found.history)]
     atomic_write(folder / "history.jsonl", "\n".join(rows) + "\n" if rows else "")
     write_json(folder / "metrics.json", result)

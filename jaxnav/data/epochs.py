@@ -132,7 +132,7 @@ def _align_fixes(aiding: dict[str, Samples], slices: dict[str, slice], m: int, s
 
 def hide(epochs: Epoch, hidden: np.ndarray, measurements: tuple[Measurement, ...] = GNSS) -> Epoch:
     """Take the receiver's channels out of the epochs where ``hidden`` (E,); constraints stay."""
-    receiver = np.concatenate([np.full(m.size, not m.pseudo) for m in measurements])
+    receiver = np.concatenate([np.full(m.size, m.receiver) for m in measurements])
     valid = epochs.fix.valid & ~(jnp.asarray(hidden)[..., None] & receiver)
     return epochs._replace(fix=epochs.fix._replace(valid=valid))
 

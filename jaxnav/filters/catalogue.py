@@ -1,48 +1,48 @@
 """FILTERS: every filter by name; tests, benchmarks, the command line and the docs iterate this one table."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
-from jaxnav.filters.core import ErrorModel, Filter, make_filter
+from jaxnav.filters.core import Filter, make_filter
+from jaxnav.filters.error_model import ErrorModel, error_model
 from jaxnav.filters.feedback import observer, open_loop, poles, reset
 from jaxnav.filters.papers.fuzzy_combined import combined_params, fuzzy_combined
 from jaxnav.filters.papers.fwekf import fwekf, fwekf_literal, fwekf_params
 from jaxnav.filters.papers.gip_kf import gip_kf, gip_kf_params, literal
 from jaxnav.filters.papers.gpid import gpid, gpid_params, literal_params
+from jaxnav.filters.parameters import datasheet_params, grade_of
 from jaxnav.filters.rules.adaptive import fading, fading_params, iae, iae_params, sage_husa, sage_husa_params
 from jaxnav.filters.rules.combinators import only
 from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.rules.robust import gate, gate_params, huber, huber_params, student_t, student_t_params
-from jaxnav.measurements import GNSS, Measurement
-from jaxnav.states.frames import inertial_quaternion as inertial_errors
-from jaxnav.states.frames import local_level as local_level_errors
-from jaxnav.states.frames import tangent_frame as tangent_frame_errors
+from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
+from jaxnav.states.grades import Grade
+from jaxnav.states.table import BIASES
 from jaxnav.strapdown import inertial_quaternion, tangent_frame
 from jaxnav.strapdown.fast import local_level
+from jaxnav.types import Params, nearest
 
 
 class Frame(NamedTuple):
-    """Where a filter navigates: a mechanization and its error model."""
+    """How a filter navigates; its error model has the same name."""
 
     propagate: Callable
-    error_model: Callable[..., ErrorModel]  # (n_states, form, measurements)
     propagate_block: Callable | None = None  # the same for all samples of an epoch at once
     preintegrate: Callable | None = None  # what `propagate` can do before it knows the state
 
 
 FRAMES: dict[str, Frame] = {
-    "local_level": Frame(
-        local_level.propagate, local_level_errors.error_model, local_level.propagate_block, local_level.preintegrate
-    ),
-    "tangent": Frame(tangent_frame.propagate, tangent_frame_errors.error_model),
-    "inertial": Frame(inertial_quaternion.propagate, inertial_errors.error_model),
+    "local_level": Frame(local_level.propagate, local_level.propagate_block, local_level.preintegrate),
+    "tangent": Frame(tangent_frame.propagate),
+    "inertial": Frame(inertial_quaternion.propagate),
 }
 
 
 class Entry(NamedTuple):
     """One filter of the catalogue."""
 
-    n_states: int
+    states: tuple[str, ...]  # optional ones that it has by itself
     rule: Callable[[], Any]
     theta: Callable[[], Any]  # default parameters of the rule
     tunable: dict[str, str]  # leaves of theta worth tuning -> name of their transform in `tuning.transforms`
@@ -51,6 +51,7 @@ class Entry(NamedTuple):
     frame: str = "local_level"  # the paper's own, of FRAMES
     feedback: Callable[..., Any] = reset
     feedback_theta: Callable[[], Any] = lambda: ()  # default parameters of the feedback
+    more: bool = False  # may have further states: a paper's rule knows its own alone
 
 
 _FUZZY = {"system.centres": "identity", "system.widths": "identity", "system.consequents": "identity"}
@@ -69,99 +70,134 @@ ROBUST: dict[str, tuple[Callable[..., Any], Callable[..., Any], dict[str, str], 
 """Rules made of a rule: constructor, default parameters, what is worth tuning of them, citation."""
 
 
-def _robust(n_states: int, name: str) -> Entry:
+def _robust(states: tuple[str, ...], name: str) -> Entry:
     """A robust Kalman filter."""
     make, theta, tunable, citation = ROBUST[name]
-    return Entry(n_states, lambda: make(kalman()), theta, tunable, citation)
+    return Entry(states, lambda: make(kalman()), theta, tunable, citation, more=True)
 
 
 _ANSARI = "Ansari et al. 2024, IJE 37(06) 1127-1135"
 _GIP_KF = "Journal of Control (English Edition) 1(1), 2022, 49-57"
 _GIP_TUNABLE = {"log_rl": "identity"}  # only its ratios to R_m matter; couplings are for a spec of one's own
 FILTERS: dict[str, Entry] = {
-    "ekf15": Entry(15, kalman, lambda: (), {}, "Groves 2013, chapter 14"),
-    "ekf9": Entry(9, kalman, lambda: (), {}, "Groves 2013, chapter 14, without bias states"),
-    "kf9_simple": Entry(9, kalman, lambda: (), {}, f"{_ANSARI}, eqs. 9-15, the paper's standard KF", "simple"),
+    "ekf15": Entry(BIASES, kalman, lambda: (), {}, "Groves 2013, chapter 14", more=True),
+    "ekf9": Entry((), kalman, lambda: (), {}, "Groves 2013, chapter 14, without bias states", more=True),
+    "kf9_simple": Entry((), kalman, lambda: (), {}, f"{_ANSARI}, eqs. 9-15, the paper's standard KF", "simple"),
     "gpid": Entry(
-        9, gpid, lambda: gpid_params(0.003, 0.1), {"ki": "log", "kd": "log"}, f"{_ANSARI}, on position states"
+        (), gpid, lambda: gpid_params(0.003, 0.1), {"ki": "log", "kd": "log"}, f"{_ANSARI}, on position states"
     ),
     "gpid15": Entry(
-        15, gpid, lambda: gpid_params(0.003, 0.1, 15), {"ki": "log", "kd": "log"}, f"{_ANSARI}, with bias states"
+        BIASES, gpid, lambda: gpid_params(0.003, 0.1, 15), {"ki": "log", "kd": "log"}, f"{_ANSARI}, with bias states"
     ),
     "gpid_literal": Entry(
-        9, gpid, lambda: literal_params(1.0, 0.0), {"ki": "log", "kd": "log"}, f"{_ANSARI}, scheme 1 as printed",
+        (), gpid, lambda: literal_params(1.0, 0.0), {"ki": "log", "kd": "log"}, f"{_ANSARI}, scheme 1 as printed",
         "simple",
     ),
     "gipkf": Entry(
-        9, gip_kf, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, model error to the accelerometers", "simple", "tangent"
+        (), gip_kf, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, model error to the accelerometers", "simple", "tangent"
     ),
     "gipkf_mix": Entry(
-        9, gip_kf, lambda: gip_kf_params(kappa=0.01), _GIP_TUNABLE | {"kappa": "log"},
+        (), gip_kf, lambda: gip_kf_params(kappa=0.01), _GIP_TUNABLE | {"kappa": "log"},
         f"{_GIP_KF}, and attitude corrections to the gyros", "simple", "tangent",
     ),
     "gipkf_learning": Entry(
-        9, gip_kf, lambda: gip_kf_params(growth=0.02, unlearnt=(0.02, 1e-3)),
+        (), gip_kf, lambda: gip_kf_params(growth=0.02, unlearnt=(0.02, 1e-3)),
         _GIP_TUNABLE | {"growth": "log", "unlearnt": "log"}, f"{_GIP_KF}, weights that change as biases are learnt",
         "simple", "tangent",
     ),
     "gipkf_literal": Entry(
-        9, literal, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, open loop", "simple", "tangent", open_loop
+        (), literal, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, open loop", "simple", "tangent", open_loop
     ),
     "gipkf_literal_shift": Entry(
-        9, literal, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, both past states shifted at a reset",
+        (), literal, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, both past states shifted at a reset",
         "simple", "tangent",
     ),
-    "fwekf": Entry(9, fwekf, fwekf_params, _FUZZY, _FWEKF, "full", "inertial", observer, poles),
+    "fwekf": Entry((), fwekf, fwekf_params, _FUZZY, _FWEKF, "full", "inertial", observer, poles),
     "fwekf15": Entry(
-        15, fwekf, fwekf_params, _FUZZY, f"{_FWEKF}, with bias states", "full", "inertial", observer, poles
+        BIASES, fwekf, fwekf_params, _FUZZY, f"{_FWEKF}, with bias states", "full", "inertial", observer, poles
     ),
     "fwekf_literal": Entry(
-        9, fwekf_literal, fwekf_params, _FUZZY, f"{_FWEKF}, weights as printed", "full", "inertial", observer, poles
+        (), fwekf_literal, fwekf_params, _FUZZY, f"{_FWEKF}, weights as printed", "full", "inertial", observer, poles
     ),
     "fwekf_combined": Entry(
-        9, fuzzy_combined, combined_params, _COMBINED, "this package: fading or a new R, by fuzzy rules", "full",
+        (), fuzzy_combined, combined_params, _COMBINED, "this package: fading or a new R, by fuzzy rules", "full",
         "inertial", observer, poles,
     ),
-    **{f"ekf{n}_{name}": _robust(n, name) for n in (9, 15) for name in ROBUST},
+    **{f"ekf{n}_{name}": _robust(own, name) for n, own in ((9, ()), (15, BIASES)) for name in ROBUST},
 }  # fmt: skip
 
 
 def build(
     name: str,
-    measurements: tuple[Measurement, ...] = GNSS,
+    measurements: Sequence[Measurement | str] = GNSS,
     cov_stride: int = 1,
     history: int = 2,
     feedback: Callable[..., Any] | None = None,
     frame: str = "",
     block: bool = False,
+    states: Sequence[str] = (),
 ) -> Filter:
     """The named filter (see `jaxnav.filters.core.make_filter` for the options).
+
+    ``measurements``: rows of `MEASUREMENTS` or their names, the receiver's first. ``states``: names of optional states
+    on top of the filter's own, rows of `jaxnav.states.STATES`.
 
     ``block``: navigate through all samples of an epoch at once, which is 2.5 times faster for a single run (and
     slower in a batch), to the same result; in local level only.
 
     ``frame`` and ``feedback`` replace the filter's own; a feedback with parameters finds them in `Params.feedback`.
 
-    A paper's rule sees the receiver's channels; constraints get a plain Kalman update after it.
+    A paper's rule sees the receiver's channels; the others get a plain Kalman update after it.
 
     Raises:
-        ValueError: no such filter or frame, no block form of it, or a constraint before a receiver's measurement.
+        ValueError: no such filter, frame, state or measurement, no block form of it, a receiver's measurement that does
+            not come first, states for a paper's rule, or a state that nothing of the filter sees.
     """
     if name not in FILTERS:
-        raise ValueError(f"no filter {name!r}; known are {', '.join(FILTERS)}")
+        raise ValueError(f"no filter {name!r}: {nearest(name, FILTERS)}; known are {', '.join(FILTERS)}")
     entry = FILTERS[name]
     frame = frame or entry.frame
     if frame not in FRAMES:
         raise ValueError(f"no frame {frame!r}; known are {', '.join(FRAMES)}")
-    model = FRAMES[frame].error_model(entry.n_states, entry.form, measurements)
-    rule = entry.rule()
-    pseudo = [each.pseudo for each in measurements]
-    if pseudo != sorted(pseudo):
-        raise ValueError(f"constraints come after the receiver's: {[each.name for each in measurements]}")
-    if any(pseudo) and rule is not kalman():
-        rule = only(rule, sum(each.size for each in measurements if not each.pseudo))
+    chosen, rule = rows(measurements), entry.rule()
+    if states and not entry.more:
+        raise ValueError(f"the rule of {name} knows its own states alone, not {', '.join(states)}: see ekf9 or ekf15")
+    others = [not each.receiver for each in chosen]
+    if others != sorted(others):
+        raise ValueError(f"constraints come after the receiver's: {[each.name for each in chosen]}")
+    model = error_model(frame, (*entry.states, *states), entry.form, chosen)
+    if any(others) and rule is not kalman():
+        rule = only(rule, sum(each.size for each in chosen if each.receiver))
     home = FRAMES[frame]
     if block and home.propagate_block is None:
         raise ValueError(f"frame {frame!r} has no block form")
     mechanize, preintegrate = (home.propagate_block, None) if block else (home.propagate, home.preintegrate)
-    return make_filter(mechanize, model, rule, feedback or entry.feedback, cov_stride, history, preintegrate)
+    built = make_filter(mechanize, model, rule, feedback or entry.feedback, cov_stride, history, preintegrate)
+    return built._replace(params=_params(name, model))
+
+
+@cache
+def _params(name: str, model: ErrorModel) -> Callable[..., Params]:
+    """`Filter.params` of a filter of the catalogue."""
+    entry = FILTERS[name]
+
+    def params(grade: str | Grade = "consumer", **known: Any) -> Params:
+        given = {"rule": entry.theta(), "feedback": entry.feedback_theta()} | known
+        return datasheet_params(grade_of(grade), states=model.states, measurements=model.measurements, **given)
+
+    return params
+
+
+def rows(measurements: Sequence[Measurement | str]) -> tuple[Measurement, ...]:
+    """The measurements themselves, of which some are given by name.
+
+    Raises:
+        ValueError: a name that is not in `MEASUREMENTS`, or a measurement that comes twice.
+    """
+    for each in measurements:
+        if isinstance(each, str) and each not in MEASUREMENTS:
+            raise ValueError(f"no measurement {each!r}: {nearest(each, MEASUREMENTS)}")
+    found = tuple(MEASUREMENTS[each] if isinstance(each, str) else each for each in measurements)
+    if len({each.name for each in found}) < len(found):
+        raise ValueError(f"a measurement comes twice in {[each.name for each in found]}")
+    return found

@@ -14,23 +14,11 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxnav.filters.error_model import ErrorModel
+from jaxnav.filters.parameters import datasheet_params
 from jaxnav.maths import linalg
-from jaxnav.strapdown.increments import divides
-from jaxnav.types import Drive, Epoch, Fix, Imu, Info, Nav, Params
-
-
-class ErrorModel(NamedTuple):
-    """The error state of one frame, x = estimate - truth."""
-
-    n_states: int
-    n_channels: int
-    retract: Callable[[Nav, jax.Array], Nav]  # truth = retract(estimate, x (n,))
-    absorb: Callable[[Nav, Drive], Nav]  # a constant model error becomes sensor bias
-    covariance: Callable[..., jax.Array]  # (prior, nav) -> P (n, n)
-    discretize: Callable[..., Any]  # (noise, points: Path (b, ...), T (b,), u: Drive | None) -> Phi, Q (n, n), d (n,)
-    observe: Callable[..., Any]  # (noise, mounting, past: Nav (w, ...), fix) -> y (m,), H (m, n), R (m, m)
-    enter: Callable[[Nav], Nav] = lambda nav: nav  # local level navigation -> the frame's
-    report: Callable[..., Any] = lambda nav, x, P: (nav, x, P)  # all three of the frame -> of local level
+from jaxnav.states.table import chosen, zeros
+from jaxnav.types import Epoch, Fix, Forcing, Imu, Info, Nav, Params
 
 
 class Innovation(NamedTuple):
@@ -53,7 +41,7 @@ class Correction(NamedTuple):
     memory: Any  # the rule's own state
     used: jax.Array  # (m,) bool, channels that it accepted
     fade: Any = 1.0  # () or (n,): fade P fade is carried on to the next prediction
-    drive: Drive | None = None  # a model error for the sensors to absorb
+    drive: Forcing | None = None  # a model error for the sensors to absorb
 
 
 class Rule(NamedTuple):
@@ -63,6 +51,7 @@ class Rule(NamedTuple):
     correct: Callable[[Any, Any, Innovation], Correction]  # (theta, memory, innovation)
     # (theta, memory, x after the last feedback, predicted x) -> x, memory; every epoch, with a fix or without
     extrapolate: Callable[..., Any] = lambda theta, memory, x0, x: (x, memory)
+    estimates: tuple[str, ...] = ()  # optional states that it moves by itself, without their being in x
 
 
 class Prepared(NamedTuple):
@@ -81,12 +70,30 @@ class FilterState(NamedTuple):
     past: Nav  # (w, ...) the last w samples of navigation, newest last: what delayed measurements are compared with
     x: jax.Array  # (n,) error state that is not fed back
     P: jax.Array  # (n, n)
-    u: Drive | None  # feedback in force, of an observer
+    u: Forcing | None  # feedback in force, of an observer
     memory: Any  # the rule's
     x0: jax.Array  # (n,) x after the last feedback
     T: jax.Array  # () s since then
     age: jax.Array  # (m,) s from each channel's last use to then
     ok: jax.Array  # () bool: everything has been finite so far; the state is frozen from the first failure on
+
+
+class Transition(NamedTuple):
+    """How the error state moved over an epoch: x -> Phi x + d, with noise of covariance Q."""
+
+    Phi: jax.Array  # (n, n)
+    Q: jax.Array  # (n, n)
+    d: jax.Array  # (n,)
+
+
+class Step(NamedTuple):
+    """One epoch: what `jaxnav.filters.run.run` may keep a record of."""
+
+    before: FilterState
+    predicted: FilterState
+    transition: Transition
+    after: FilterState
+    info: Info
 
 
 class Filter(NamedTuple):
@@ -100,8 +107,11 @@ class Filter(NamedTuple):
     correct: Callable[[Params, FilterState, Fix], tuple[FilterState, Info]]
     step: Callable[[Params, FilterState, Epoch], tuple[FilterState, Info]]
     model: ErrorModel
-    # epochs (E, ...) of one run -> the same with `Prepared` samples
-    prepare: Callable[[Epoch], Epoch] = lambda epochs: epochs
+    prepare: Callable[[Epoch], Epoch]  # epochs (E, ...) of one run -> the same with `Prepared` samples
+    transition: Callable[[Params, FilterState, Imu | Prepared], tuple[FilterState, "Transition"]]
+    advance: Callable[[Params, FilterState, Epoch], "Step"]  # `step`, with what lies between
+    # (grade or its name, **what `jaxnav.filters.parameters.datasheet_params` takes) -> parameters for this filter
+    params: Callable[..., Params] = datasheet_params
 
 
 def only_if(flag: jax.Array, c: Correction, z: Innovation, memory: Any) -> Correction:
@@ -137,6 +147,15 @@ def masked(y: jax.Array, H: jax.Array, R: jax.Array, valid: jax.Array) -> tuple[
     return jnp.where(valid, y, 0.0), jnp.where(valid[:, None], H, 0.0), jnp.where(both, R, jnp.eye(valid.shape[0]))
 
 
+def padded(imu: Imu, stride: int) -> Imu:
+    """Samples (k,) up to a multiple of ``stride``: padding repeats the last one and lasts no time."""
+    more = -imu.dt.shape[0] % stride
+    if not more:
+        return imu
+    held = lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], more, 0)])  # noqa: E731
+    return Imu(jnp.concatenate([imu.dt, jnp.zeros(more, imu.dt.dtype)]), held(imu.gyro), held(imu.accel))
+
+
 def shift(past: Nav, recent: Nav, n: jax.Array) -> Nav:
     """The last w of the samples ``past`` (w, ...) and n further ones, of which ``recent`` (w, ...) are the last w."""
     i = n + jnp.arange(past.t.size)
@@ -164,40 +183,59 @@ def make_filter(
     ``preintegrate``: (imu, rate and force before, stride, keep) -> what ``propagate`` may be given for the samples.
 
     Raises:
-        ValueError: ``history`` below 2; when traced, ``cov_stride`` that does not divide the samples of an epoch, or
-            epochs that were prepared for a filter with another stride or history.
+        ValueError: ``history`` below 2; when traced, epochs that were prepared for a filter with another stride or
+            history.
     """
     if history < 2:
         raise ValueError(f"history must be at least 2 samples, got {history}")
 
+    def estimates(given: dict[str, jax.Array]) -> dict[str, jax.Array]:
+        """Zero of what the filter estimates, and what is known at the start."""
+        own = zeros((*model.states, *(name for name in rule.estimates if name not in model.states)))
+        for state in chosen(given):
+            if jnp.shape(given[state.name]) != (state.size,):
+                raise ValueError(
+                    f"{state.name} of the start has shape {jnp.shape(given[state.name])}, not ({state.size},)"
+                )
+        return own | given
+
     def init(params: Params, nav: Nav) -> FilterState:
-        nav, T = model.enter(nav), jnp.zeros(())
-        P = depending(params, model.covariance(params.prior, nav))
+        nav, T = model.enter(nav._replace(errors=estimates(nav.errors))), jnp.zeros(())
+        P = depending(params, model.covariance(params, nav))
         # feeding back an error of zero changes nothing, but gives u and a derivative to all that an error reaches
         x = depending(params, jnp.zeros(model.n_states))
         start, x, u = feedback(params.feedback, model.retract, nav, x, T)
-        start = start._replace(omega=nav.omega + (nav.b_g - start.b_g), force=nav.force + (nav.b_a - start.b_a))
+        moved = {
+            sensor: sum(
+                (nav.errors[s.name] - start.errors[s.name]).sum() for s in chosen(model.states) if s.enters == sensor
+            )
+            for sensor in ("gyro", "accel")
+        }
+        start = start._replace(omega=nav.omega + moved["gyro"], force=nav.force + moved["accel"])
         past = jax.tree.map(lambda a: jnp.broadcast_to(a, (history, *jnp.shape(a))), start)
         memory = rule.init(model.n_states, model.n_channels)
         return FilterState(past, x, P, u, memory, x, T, jnp.zeros(model.n_channels), jnp.array(True))
 
     def counted(imu: Imu) -> Prepared:
-        divides(cov_stride, imu.dt.size)
-        n = jnp.sum(imu.dt > 0)
+        n, imu = jnp.sum(imu.dt > 0), padded(imu, cov_stride)
         keep = jnp.maximum(n - history + jnp.arange(history), 0)
         return Prepared(n, keep, imu.dt.reshape(-1, cov_stride).sum(1), imu, jnp.zeros((cov_stride, history, 0)))
 
     def prepare(epochs: Epoch) -> Epoch:
         def one(imu: Imu, last: tuple[jax.Array, jax.Array]) -> Prepared:
             given = counted(imu)
-            return given._replace(samples=preintegrate(imu, last, cov_stride, given.keep)) if preintegrate else given
+            return (
+                given._replace(samples=preintegrate(given.samples, last, cov_stride, given.keep))
+                if preintegrate
+                else given
+            )
 
         # an epoch's padding repeats its last sample; the first sample of all is taken for the one before it
         before = lambda a: jnp.concatenate([a[:1, 0], a[:-1, -1]])  # noqa: E731
         last = before(epochs.imu.gyro), before(epochs.imu.accel)
         return epochs._replace(imu=lax.map(lambda x: one(*x), (epochs.imu, last)))
 
-    def predict(params: Params, state: FilterState, imu: Imu | Prepared) -> FilterState:
+    def transition(params: Params, state: FilterState, imu: Imu | Prepared) -> tuple[FilterState, Transition]:
         nav = jax.tree.map(lambda a: a[-1], state.past)
         n, keep, T, samples, made_for = imu if isinstance(imu, Prepared) else counted(imu)
         if made_for.shape != (cov_stride, history, 0):
@@ -206,14 +244,18 @@ def make_filter(
                 f"the filter has {cov_stride, history}"
             )
         recent, points = propagate(nav, state.u, samples, cov_stride, keep)
-        Phi, Q, d = model.discretize(params.noise, points, T, state.u)
+        Phi, Q, d = model.discretize(params, points, T, state.u)
         x, P = Phi @ state.x + d, linalg.sandwich(Phi, state.P) + Q
-        return state._replace(past=shift(state.past, recent, n), x=x, P=P, T=state.T + T.sum())
+        predicted = state._replace(past=shift(state.past, recent, n), x=x, P=P, T=state.T + T.sum())
+        return predicted, Transition(Phi, Q, d)
+
+    def predict(params: Params, state: FilterState, imu: Imu | Prepared) -> FilterState:
+        return transition(params, state, imu)[0]
 
     def correct(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info]:
         nav, age = jax.tree.map(lambda a: a[-1], state.past), state.age + state.T
         x, memory = rule.extrapolate(params.rule, state.memory, state.x0, state.x)
-        y, H, R = model.observe(params.noise, params.mounting, state.past, fix)
+        y, H, R = model.observe(params, state.past, fix)
         residual = y - H @ x
         y, H, R = masked(y, H, R, fix.valid)
         z = Innovation(y - H @ x, H, R, state.P, fix.valid, state.T, age)
@@ -235,8 +277,9 @@ def make_filter(
         corrected, x_enu, P_enu = model.report(model.retract(nav, x), x, c.P)
         return new._replace(ok=ok), Info(corrected, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok)
 
-    def step(params: Params, state: FilterState, epoch: Epoch) -> tuple[FilterState, Info]:
-        new, info = correct(params, predict(params, state, epoch.imu), epoch.fix)
+    def advance(params: Params, state: FilterState, epoch: Epoch) -> Step:
+        predicted, moved = transition(params, state, epoch.imu)
+        new, info = correct(params, predicted, epoch.fix)
         # a run that fails freezes at its last good state, so that the others of a batch go on and nothing is nan
         frozen = state._replace(ok=jnp.array(False))
         last, x, P = model.report(jax.tree.map(lambda a: a[-1], state.past), state.x, state.P)
@@ -252,9 +295,13 @@ def make_filter(
             nis=jnp.zeros(()),
             ok=info.ok,
         )
-        return select(info.ok, new, frozen), select(info.ok, info, quiet)
+        return Step(state, predicted, moved, select(info.ok, new, frozen), select(info.ok, info, quiet))
 
-    return Filter(init, predict, correct, step, model, prepare)
+    def step(params: Params, state: FilterState, epoch: Epoch) -> tuple[FilterState, Info]:
+        new = advance(params, state, epoch)
+        return new.after, new.info
+
+    return Filter(init, predict, correct, step, model, prepare, transition, advance)
 
 
 def finite(tree: Any) -> jax.Array:

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxnav.states.names import A, P, V
-from jaxnav.types import Drive
+from jaxnav.states.motion import A, P, V
+from jaxnav.types import Forcing
 
 
 def reset(theta, retract, nav, x, T):
@@ -45,6 +45,6 @@ def observer(theta: Poles, retract, nav, x, T):
     spin = -jnp.expm1(-T / theta.attitude) / T
     rho = jnp.exp(-T / theta.position)
     stiffness, damping = (1 - rho) ** 2 / T**2, (3 - 2 * rho - rho**2) / (2 * T)
-    u = Drive(-spin * x[A], -stiffness * x[P] - damping * x[V])
+    u = Forcing(-spin * x[A], -stiffness * x[P] - damping * x[V])
     biases = jnp.where(jnp.arange(x.size) >= 9, x, 0.0)
     return retract(nav, biases), x - biases, u

@@ -1,5 +1,6 @@
 """Run a filter over epochs: one nested scan, pure, to be jitted, vmapped and differentiated."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -8,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxnav.filters.core import Filter
+from jaxnav.filters.core import Filter, Step
 from jaxnav.maths import rotations
 from jaxnav.types import DataError, Epoch, Info, Nav, Origin, Params, Track
 
@@ -40,10 +41,24 @@ def prepare(filt: Filter, epochs: Epoch) -> Epoch:
     return filt.prepare(epochs) if epochs.fix.valid.ndim == 2 else jax.vmap(filt.prepare)(epochs)
 
 
-def run(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info:
-    """Filter all epochs (fields (E, ...)) from ``nav``, as they come or by `prepare`; Info has a leading axis E.
+def keep_info(step: Step, beside: Any) -> Info:
+    """The record of a plain run."""
+    return step.info
 
-    Rematerialised per epoch: a gradient keeps one state an epoch instead of every sample's.
+
+def run(
+    filt: Filter,
+    params: Params,
+    nav: Nav,
+    epochs: Epoch,
+    record: Callable[[Step, Any], Any] = keep_info,
+    along: Any = None,
+) -> Any:
+    """Filter all epochs (fields (E, ...)) from ``nav``, as they come or by `prepare`.
+
+    Returns the records of the epochs, with a leading axis E: `Info`, or what ``record(step, beside)`` keeps of each,
+    where ``beside`` is that epoch's part of ``along``, a tree of arrays (E, ...), such as the truth. Rematerialised per
+    epoch: a gradient keeps one state an epoch instead of every sample's.
 
     Raises:
         DataError: float32 input (at trace time).
@@ -52,28 +67,30 @@ def run(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info:
     require_x64(params, nav, epochs)
 
     @jax.checkpoint
-    def step(state, i):
+    def one(state, i):
         # looked up rather than scanned over: a scan under vmap first copies all its data, time to the front
-        return filt.step(params, state, jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, keepdims=False), epochs))
+        epoch, beside = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, keepdims=False), (epochs, along))
+        step = filt.advance(params, state, epoch)
+        return step.after, record(step, beside)
 
-    return lax.scan(step, filt.init(params, nav), jnp.arange(epochs.fix.sd.shape[0]))[1]
+    return lax.scan(one, filt.init(params, nav), jnp.arange(epochs.fix.sd.shape[0]))[1]
 
 
-run_jit = jax.jit(run, static_argnums=0)
+run_jit = jax.jit(run, static_argnums=(0, 4))
 """`run`, compiled once for a filter and shapes."""
 
 
 def initial_nav(
     lla: Any, vel: Any = (0.0, 0.0, 0.0), rph: Any = (0.0, 0.0, 0.0), t: Any = 0.0, azimuth: Any = 0.0
 ) -> Nav:
-    """Local level start: (lat rad, lon rad, h m), ENU m/s, roll pitch heading rad, s; biases zero.
+    """Local level start: (lat rad, lon rad, h m), ENU m/s, roll pitch heading rad, s; nothing known of sensor errors.
 
     Frames that do not travel along have their origin there and then, and their first axis at ``azimuth`` (rad).
     """
     lla, vel, rph, t, azimuth = (jnp.asarray(v, float) for v in (lla, vel, rph, t, azimuth))
     q = rotations.from_dcm(rotations.from_rph(rph))
     zero = jnp.zeros(3)
-    return Nav(t, lla, vel, q, zero, zero, zero, zero, Origin(lla, azimuth, t))
+    return Nav(t, lla, vel, q, zero, zero, Origin(lla, azimuth, t), {})
 
 
 def track(nav: Nav) -> Track:

@@ -4,6 +4,7 @@
 """
 
 import math
+from typing import NamedTuple
 
 DEG = math.pi / 180.0  # rad
 HOUR = 3600.0  # s
@@ -16,3 +17,15 @@ MGAL = 1e-5  # m/s^2
 MPS_PER_SQRT_HOUR = 1.0 / math.sqrt(HOUR)  # m/s/sqrt(s)
 PPM = 1e-6
 MRAD = 1e-3
+
+
+class Unit(NamedTuple):
+    """How a parameter is stated at the border: in configurations, tuned.toml and reports."""
+
+    key: str  # its name there, the unit in it
+    factor: float = 1.0  # the user's unit in SI
+    shape: tuple[int, ...] = ()  # of one value an axis
+    text: str = ""  # the unit in words; empty: a plain number
+    step: float | None = None  # SI, what a tuner's step of 1 is worth; None: positive, a step is a factor e
+    root: bool = False  # may also be a lower triangular matrix, for noise that is correlated between the axes
+    endless: bool = False  # may be inf

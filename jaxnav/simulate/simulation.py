@@ -11,12 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.data import start as alignment
+from jaxnav.filters.parameters import datasheet_params, late, mounting
 from jaxnav.filters.run import require_x64, track
 from jaxnav.maths import earth, rotations, units
 from jaxnav.simulate import gnss, imu
 from jaxnav.simulate.scenarios import PATTERN, Scenario, Start
 from jaxnav.simulate.trajectories import Point, Shape, shape_of, travel
-from jaxnav.states.grades import GRADES, datasheet_params, mounting
+from jaxnav.states.grades import GRADES
 from jaxnav.types import Epoch, Fix, Imu, ImuLog, Nav, Origin, Params, Recording, Samples, Track
 
 DRIVE, SENSOR, RECEIVER, OUTAGES, START = range(5)  # the purposes that are folded into the key
@@ -71,18 +72,16 @@ def stride_within(most: int, *scenarios: Scenario) -> int:
 
 
 def perturb(key: jax.Array, nav: Nav, start: Start) -> Nav:
-    """A start with errors drawn from its prior, or by the pattern; biases zero, their errors the true biases."""
+    """A start with errors drawn from its prior, or by the pattern; nothing known of the sensors' errors."""
     drawn = jax.random.normal(key, (3, 3), float)
     e_pos, e_vel, e_att = jnp.tile(jnp.asarray(PATTERN, float), (3, 1)) if start.fixed_errors else drawn
     tilt, heading = start.prior_tilt_sd_deg, start.prior_heading_sd_deg
     phi = units.DEG * np.array([tilt, tilt, heading]) * e_att
-    zero = jnp.zeros(3)
     return nav._replace(
         pos=earth.move(nav.pos, np.array(start.prior_position_sd_m) * e_pos),
         vel=nav.vel + np.array(start.prior_velocity_sd_mps) * e_vel,
         q=rotations.multiply(rotations.exp(phi), nav.q),
-        b_g=zero,
-        b_a=zero,
+        errors={},
     )
 
 
@@ -91,14 +90,14 @@ def _align(nav: Nav, still: Imu, start: Start) -> Nav:
     heading = rotations.to_rph(rotations.to_dcm(nav.q))[2]
     C = rotations.from_rph(jnp.stack([*alignment.levelled(still.accel.mean(0)), heading]))
     bias = still.gyro.mean(0) - C.T @ earth.earth_rate(nav.pos[0])
-    return nav._replace(q=rotations.from_dcm(C), b_g=bias if start.calibrate_gyro else nav.b_g)
+    return nav._replace(q=rotations.from_dcm(C), errors={"gyro_bias": bias} if start.calibrate_gyro else {})
 
 
 def _nav(seen: tuple[Point, tuple[jax.Array, jax.Array]], b_g: jax.Array, b_a: jax.Array, origin: Origin) -> Nav:
     """Truth (...,) of points and what the IMU feels there."""
     point, (omega, force) = seen
     q = rotations.from_dcm(rotations.from_rph(point.rph))
-    return Nav(point.t, point.lla, point.vel, q, b_g, b_a, omega, force, origin)
+    return Nav(point.t, point.lla, point.vel, q, omega, force, origin, {"gyro_bias": b_g, "accel_bias": b_a})
 
 
 def _observe(keys: jax.Array, scenario: Scenario, seen: Nav, t: jax.Array) -> tuple[Fix, jax.Array, jax.Array]:
@@ -178,14 +177,16 @@ def matched_params(scenario: Scenario, rule=(), feedback=()) -> Params:
         start.prior_velocity_sd_mps,
         start.prior_tilt_sd_deg * units.DEG,
         start.prior_heading_sd_deg * units.DEG,
-        mounting(receiver.lever_arm_m, 0.0, receiver.latency_s, receiver.latency_s),
+        mounting(receiver.lever_arm_m),
         rule,
         feedback,
     )
+    params = late(params, receiver.latency_s, receiver.latency_s)
     if not start.calibrate_gyro:
         return params
     left = np.hypot(grade.arw / np.sqrt(start.alignment_s), grade.gyro_instability)
-    return params._replace(prior=params.prior._replace(gyro_bias=jnp.asarray(left, float)))
+    known = params.states["gyro_bias"]._replace(sd=jnp.asarray(left, float))
+    return params._replace(states=params.states | {"gyro_bias": known})
 
 
 def to_recording(sim: Simulated, scenario: Scenario, t0: float = 0.0) -> Recording:

@@ -1,13 +1,8 @@
-"""IMU and GNSS grades by name, and the filter parameters that their datasheets give."""
+"""IMU grades by name, from their datasheets."""
 
-from typing import Any, NamedTuple
-
-import jax.numpy as jnp
-import numpy as np
-from numpy.typing import ArrayLike
+from typing import NamedTuple
 
 from jaxnav.maths import units
-from jaxnav.types import Mounting, Noise, Params, Prior
 
 
 class Grade(NamedTuple):
@@ -65,66 +60,3 @@ GRADES: dict[str, Grade] = {
         "FWEKF paper, section 5: 3e-4 rad/s and 3e-3 m/s^2, read as the sd of a sample at 100 Hz",
     ),
 }  # fmt: skip
-
-
-def noise(
-    gyro: ArrayLike,
-    accel: ArrayLike,
-    gyro_bias: ArrayLike,
-    accel_bias: ArrayLike,
-    gyro_tau: ArrayLike = np.inf,
-    accel_tau: ArrayLike = np.inf,
-    position_scale: ArrayLike = (1.0, 1.0, 1.0),
-    velocity_scale: ArrayLike = (1.0, 1.0, 1.0),
-    zero_velocity: ArrayLike = 0.02,
-    zero_rate: ArrayLike = 0.1 * units.DEG,
-    nonholonomic: ArrayLike = (0.1, 0.1),
-    speed: ArrayLike = 1.0,
-) -> Noise:
-    """`Noise` from plain numbers in SI, strongly typed: from Python floats every train step would compile twice."""
-    values = (gyro, accel, gyro_bias, accel_bias, gyro_tau, accel_tau, position_scale, velocity_scale, zero_velocity,
-              zero_rate, nonholonomic, speed)  # fmt: skip
-    return Noise(*(jnp.asarray(v, float) for v in values))
-
-
-def prior(
-    position: ArrayLike, velocity: ArrayLike, attitude: ArrayLike, gyro_bias: ArrayLike, accel_bias: ArrayLike
-) -> Prior:
-    """`Prior` from plain numbers: m, m/s and rad in ENU, rad/s and m/s^2 in body."""
-    return Prior(*(jnp.asarray(v, float) for v in (position, velocity, attitude, gyro_bias, accel_bias)))
-
-
-def mounting(
-    lever_arm: ArrayLike = (0.0, 0.0, 0.0),
-    time_offset: float = 0.0,
-    position_latency: float = 0.0,
-    velocity_latency: float = 0.0,
-    clock_drift: float = 0.0,
-) -> Mounting:
-    """An installation: antenna lever arm in body FRD m, times in s, drift in s/s; vehicle axes along the body's."""
-    values = (lever_arm, time_offset, clock_drift, position_latency, velocity_latency, np.zeros(2), np.zeros(3), 0.0)
-    return Mounting(*(jnp.asarray(v, float) for v in values))
-
-
-def datasheet_params(
-    grade: Grade,
-    position_sd: ArrayLike = (3.0, 3.0, 5.0),
-    velocity_sd: ArrayLike = (0.1, 0.1, 0.1),
-    tilt_sd: float = 1 * units.DEG,
-    heading_sd: float = 5 * units.DEG,
-    install: Mounting | None = None,
-    rule: Any = (),
-    feedback: Any = (),
-) -> Params:
-    """Filter parameters straight from a datasheet: what an engineer starts with.
-
-    Prior: position (m) and velocity (m/s) sd in ENU, tilt and heading in rad, biases by their turn-on sd. The
-    drifting bias of sd s and time tau drives with root PSD s sqrt(2 / tau), as a random walk, since the turn-on bias,
-    which is the same state, does not decay; a walk of the grade's own comes on top.
-    """
-    drive = np.sqrt(2 / grade.tau)
-    walk = (np.hypot(grade.gyro_instability * drive, grade.gyro_walk),
-            np.hypot(grade.accel_instability * drive, grade.accel_walk))  # fmt: skip
-    white = noise(grade.arw, grade.vrw, *walk)
-    start = prior(position_sd, velocity_sd, (tilt_sd, tilt_sd, heading_sd), grade.gyro_turn_on, grade.accel_turn_on)
-    return Params(white, start, mounting() if install is None else install, rule, feedback)

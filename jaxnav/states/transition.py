@@ -1,51 +1,52 @@
-"""What the error models of all frames share: attitude and bias feedback, and the discrete model from 3x3 blocks."""
+"""How the error state moves over an epoch: Phi, Q and d from 3x3 blocks of its dynamics; docs/theory.md derives it.
 
-from collections.abc import Callable
+    p' = v,   v' = A(f) phi + B C M_a(f_b) s + u_a,   phi' = G C M_g(w_b) s + u_g,   s' = -s / tau + white noise
+
+and the slow rest (Coriolis, transport, gravity). f is specific force in the axes of the frame, C takes the body to
+them, s are the optional states (`jaxnav.states.STATES`), M their effect on what the sensors read, u an observer's
+forcing. B and G stand before C in the frame's blocks: -1, but for the inertial frame's axes.
+"""
+
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.maths import linalg, rotations
+from jaxnav.maths import linalg
 from jaxnav.maths.components import running
-from jaxnav.states.names import STATES, A, B, G
-from jaxnav.types import Drive, Nav, Noise, Path
+from jaxnav.states.motion import MOTION
+from jaxnav.states.state import State
+from jaxnav.types import ErrorInputs, Forcing, Noise, Params, StateParams
 
+Blocks = dict[tuple[str, str], jax.Array]
+"""3x3 blocks by (row, column); rows and columns are of `MOTION`, a column may also be "gyro" or "accel"."""
 
-def retract_common(nav: Nav, x: jax.Array) -> Nav:
-    """Remove the attitude and bias errors, which are alike in every frame."""
-    nav = nav._replace(q=rotations.normalize(rotations.multiply(rotations.exp(-x[A]), nav.q)))
-    if x.shape[0] <= 9:
-        return nav
-    return nav._replace(b_g=nav.b_g - x[G], b_a=nav.b_a - x[B])
-
-
-def absorb(nav: Nav, drive: Drive) -> Nav:
-    """Feed a constant model error (in the axes of the frame) to the sensors as bias in body axes.
-
-    An estimate that accelerates too much by ``drive.accel`` has an accelerometer bias too small by that much.
-    """
-    C = rotations.to_dcm(nav.q)
-    return nav._replace(b_g=nav.b_g + C.T @ drive.omega, b_a=nav.b_a + C.T @ drive.accel)
-
-
-def assemble(blocks: dict[tuple[str, str], jax.Array], n: int) -> jax.Array:
-    """A (n, n) matrix from 3x3 blocks by (row, column) names of states; zero elsewhere, those beyond n left out."""
-    zero = jnp.zeros((3, 3))
-    names = list(STATES)[: n // 3]
-    return jnp.block([[blocks.get((row, column), zero) for column in names] for row in names])
-
-
-FAST = {("velocity", "attitude"), ("velocity", "accel_bias"), ("attitude", "gyro_bias")}
+FAST = (("velocity", "attitude"), ("velocity", "accel"), ("attitude", "gyro"))
 """Blocks that follow specific force and attitude from sample to sample, and must be linear in ``force`` (the first) or
 ``C`` (the others); all other blocks change over minutes."""
 
 GAUSS3, GAUSS2 = np.array([-1, 0, 1]) * np.sqrt(3 / 5), np.array([-1, 1]) / np.sqrt(3)
+INTEGRALS = {"gyro": (3, 2, 1), "accel": (2, 1, 0), None: (0, 0, 0)}
+"""Integrals in time from a state that enters a sensor to position, velocity and attitude."""
+
+
+def assemble(blocks: Blocks) -> jax.Array:
+    """A (9, 9) matrix from 3x3 blocks by (row, column) names of `MOTION`; zero elsewhere.
+
+    Raises:
+        ValueError: a block of another name.
+    """
+    unknown = {name for pair in blocks for name in pair} - set(MOTION)
+    if unknown:
+        raise ValueError(f"no states {sorted(unknown)}; known are {list(MOTION)}")
+    zero = jnp.zeros((3, 3))
+    return jnp.block([[blocks.get((row, column), zero) for column in MOTION] for row in MOTION])
 
 
 class Maps(NamedTuple):
-    """The fast blocks: A(f) = sum f_i force[i], and what stands before C."""
+    """The fast blocks: A(f) = sum f_i force[i], and B and G, what stands before C."""
 
     force: jax.Array  # (3, 3, 3)
     accel: jax.Array  # (3, 3)
@@ -68,49 +69,70 @@ class Course(NamedTuple):
 
 
 def discretize(
-    dynamics: Callable[[Path], dict[tuple[str, str], jax.Array]],
-    noise: Noise,
-    points: Path,
+    dynamics: Callable[[ErrorInputs], Blocks],
+    params: Params,
+    states: Sequence[State],
+    points: ErrorInputs,
     T: jax.Array,
-    u: Drive | None,
-    n: int,
+    u: Forcing | None,
     lumped: bool = False,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Phi (n, n), Q (n, n), d (n,) of a whole epoch: x -> Phi x + d, with noise of covariance Q.
 
-    ``dynamics`` gives the 3x3 blocks of F at one point, ``points`` are b of them (constant over ``T`` (b,) s each; 0
-    marks padding). The blocks of `FAST` and p' = v are nilpotent: their part is summed over the points in closed form,
-    without error. The slow rest (Coriolis, transport, gravity, decay of biases) is taken at the epoch's mean point,
-    half of it before and half after (Strang 1968): the error is of third order in the epoch's length, 1e-7 of an
+    ``dynamics`` gives the blocks of F at one point, ``points`` are b of them (constant over ``T`` (b,) s each; 0 marks
+    padding). The blocks of `FAST` and p' = v are nilpotent: their part N, and E that takes the optional states into
+    motion, are summed over the points in closed form, without error. The slow rest S is taken at the epoch's mean
+    point, half of it before and half after (Strang 1968): the error is of third order in the epoch's length, 1e-7 of an
     entry after a second. That is what lets the covariance move once an epoch instead of at every sample.
 
-    The noise is integrated by Gauss' rule, of the sensors with three points and of the biases with two. ``lumped``: the
-    sensors' enters at the end of each point, Q = G T, as textbook filters have it.
+    White noise is integrated by Gauss' rule with three points, what drives the states with two. ``lumped``: white noise
+    enters at the end of each point, Q = G T, as textbook filters have it.
 
-    Navigation holds the estimated bias constant while a Gauss-Markov bias decays, so that the error of a bias estimate
-    b grows by b / tau: that is part of d.
+    Navigation holds an estimate constant while a Gauss-Markov state decays, so that the error of an estimate b grows by
+    b / tau: that is part of d.
     """
     total = T.sum()
     point = jax.tree.map(lambda a: jnp.tensordot(_shares(T), a, 1), points)
+    maps, slow_blocks = _blocks(dynamics, point)
+    slow = _exponential(assemble(slow_blocks) * (0.5 * total))
+    end = running(T)
+    weights = _weights(T, total - end)
+    course = Course(
+        points.C, points.force, T, end, weights, running(weights[:, :, None] * points.force[:, None])
+    )  # fmt: skip
+    N, d = _nilpotent(maps, course, u)
+    W = linalg.times(slow, _white(maps, course, params.noise, lumped))
+    Phi, d = linalg.times(linalg.times(slow, N), slow), slow @ d
+    if not states:
+        return Phi, linalg.square(W), d
+    each = [params.states[s.name] for s in states]
+    tau = jnp.concatenate([jnp.broadcast_to(p.tau, (s.size,)) for p, s in zip(each, states, strict=True)])
+    lost = -jnp.expm1(-0.5 * total / tau)  # in half an epoch
+    kept, forgotten = 1 - lost, lost * jnp.concatenate([point.nav.errors[s.name] for s in states])
+    E = _entered(maps, course, points, states)
+    slow_E, own = linalg.times(slow, E), jnp.zeros((kept.size, W.shape[1]))
+    moved, driven = _driven(E, kept, each, states, total)
+    W = jnp.block([[W, *(linalg.times(slow, root) for root in moved)], [own, *(driven for _ in moved)]])
+    Phi = jnp.block([[Phi, slow_E * kept], [jnp.zeros((kept.size, 9)), jnp.diag(kept * kept)]])
+    return Phi, linalg.square(W), jnp.concatenate([d + slow_E @ forgotten, (1 + kept) * forgotten])
+
+
+def _blocks(dynamics: Callable[[ErrorInputs], Blocks], point: ErrorInputs) -> tuple[Maps, Blocks]:
+    """The fast blocks as maps and the slow ones, at one point; none but A depends on specific force."""
     eye = jnp.eye(3)
 
     def at(force):
         blocks = dynamics(point._replace(C=eye, force=force))
         return blocks.pop(("velocity", "attitude")), blocks
 
-    pushes, bare = jax.vmap(at, out_axes=(0, None))(eye)  # no other block depends on specific force
-    maps = Maps(pushes, bare["velocity", "accel_bias"], bare["attitude", "gyro_bias"])
-    slow, d_slow = _slow({k: v for k, v in bare.items() if k not in FAST}, noise, point, 0.5 * total, n)
-    end = running(T)
-    weights = _weights(T, total - end)
-    done = running(weights[:, :, None] * points.force[:, None])
-    course = Course(points.C, points.force, T, end, weights, done)
-    Phi, d = _nilpotent(maps, course, u, n)
-    W = _white(maps, course, noise, lumped)
-    W = linalg.times(slow[:, :9], W)
-    if n > 9:
-        W = jnp.concatenate([W, linalg.times(slow, _bias_noise(Phi, noise, total))], 1)
-    return linalg.times(linalg.times(slow, Phi), slow), linalg.square(W), slow @ (Phi @ d_slow + d) + d_slow
+    pushes, bare = jax.vmap(at, out_axes=(0, None))(eye)
+    slow = {k: v for k, v in bare.items() if k not in FAST and k != ("position", "velocity")}
+    return Maps(pushes, bare["velocity", "accel"], bare["attitude", "gyro"]), slow
+
+
+def _exponential(S: jax.Array) -> jax.Array:
+    """exp(S) to second order, (9, 9)."""
+    return jnp.eye(9) + S + linalg.times(0.5 * S, S)
 
 
 def _shares(T: jax.Array) -> jax.Array:
@@ -124,46 +146,53 @@ def _weights(T: jax.Array, left: jax.Array) -> jax.Array:
     return jnp.stack([T * (left + 0.5 * T), T], -1)
 
 
-def _slow(blocks: dict, noise: Noise, point: Path, h: jax.Array, n: int) -> tuple[jax.Array, jax.Array]:
-    """exp(S h), (n, n), to second order but for the biases' decay, and what that adds, (n,)."""
-    S = assemble({k: v for k, v in blocks.items() if k != ("position", "velocity")}, n) * h
-    tau = jnp.concatenate([jnp.broadcast_to(tau, (3,)) for tau in (noise.gyro_tau, noise.accel_tau)])
-    # no other slow block has to do with them
-    lost = jnp.concatenate([jnp.zeros(9), jnp.expm1(-h / tau)])[:n]
-    b = jnp.concatenate([jnp.zeros(9), point.nav.b_g, point.nav.b_a])[:n]
-    return jnp.eye(n) + S + linalg.times(0.5 * S, S) + jnp.diag(lost), -lost * b
-
-
-def _nilpotent(maps: Maps, course: Course, u: Drive | None, n: int) -> tuple[jax.Array, jax.Array]:
-    """Phi (n, n) and d (n,) of p' = v, v' = A(f) phi + B b_a + u, phi' = G b_g + u, exactly for piecewise constants."""
-    C, f, T, end, weights, done = course
-    total, weights = end[-1], weights.T
+def _nilpotent(maps: Maps, course: Course, u: Forcing | None) -> tuple[jax.Array, jax.Array]:
+    """N (9, 9) and d (9,) of p' = v, v' = A(f) phi + u, phi' = u, exactly for piecewise constants."""
+    _, f, T, end, weights, done = course
+    total = end[-1]
     A_w, A_T = maps.A(done[-1])
-    d = [jnp.zeros(n)]
+    d = jnp.zeros(9)
     if u:
         # u.omega turns phi by u.omega t: the integrals of A(f) t; within a point the mean of t s is 1/12 T^2 off
-        at = (weights * (end - 0.5 * T)).at[0].add(-(T**3) / 12)
+        at = (weights.T * (end - 0.5 * T)).at[0].add(-(T**3) / 12)
         u_w, u_T = maps.A(at @ f) @ u.omega
-        d = [u_w + 0.5 * total**2 * u.accel, u_T + total * u.accel, total * u.omega, jnp.zeros(n - 9)]
+        d = jnp.concatenate([u_w + 0.5 * total**2 * u.accel, u_T + total * u.accel, total * u.omega])
     eye, zero = jnp.eye(3), jnp.zeros((3, 3))
-    rows = [[eye, total * eye, A_w], [zero, eye, A_T], [zero, zero, eye]]
-    if n > 9:
-        flat = C.reshape(-1, 9)
-        turned = running(T[:, None] * flat)
-        middle = turned - 0.5 * T[:, None] * flat
-        both = jnp.concatenate([weights[:, :, None] * f, (-(T**3) / 12)[None, :, None] * f])  # (3, b, 3)
-        w_AG, T_AG = jnp.einsum("sba,bc->sac", both[:2], middle)
-        w_AG = w_AG + both[2].T @ flat
-        AG = lambda M: jnp.einsum("aij,jk,akl->il", maps.force, maps.gyro, M.reshape(3, 3, 3))  # noqa: E731
-        B_w, B_T = maps.accel @ (weights @ flat).reshape(2, 3, 3)
-        rows = [
-            [*rows[0], AG(w_AG), B_w],
-            [*rows[1], AG(T_AG), B_T],
-            [*rows[2], maps.gyro @ turned[-1].reshape(3, 3), zero],
-            [zero, zero, zero, eye, zero],
-            [zero, zero, zero, zero, eye],
-        ]
-    return jnp.block(rows), jnp.concatenate(d)
+    return jnp.block([[eye, total * eye, A_w], [zero, eye, A_T], [zero, zero, eye]]), d
+
+
+def _entered(maps: Maps, course: Course, points: ErrorInputs, states: Sequence[State]) -> jax.Array:
+    """E (9, k): what constant optional states do to motion over the epoch, by their columns C M."""
+    parts: dict[str, jax.Array] = {s.name: jnp.zeros((9, s.size)) for s in states}
+    for sensor, reading, integrals in (("gyro", points.gyro, _turns), ("accel", points.accel, _pushes)):
+        own = [s for s in states if s.enters == sensor]
+        if own:
+            CM = jnp.concatenate([course.C if s.effect is None else course.C @ s.effect(reading) for s in own], -1)
+            columns = jnp.split(integrals(maps, course, CM), np.cumsum([s.size for s in own])[:-1], 1)
+            parts |= dict(zip((s.name for s in own), columns, strict=True))
+    return jnp.concatenate([parts[s.name] for s in states], 1)
+
+
+def _turns(maps: Maps, course: Course, CM: jax.Array) -> jax.Array:
+    """(9, k): what a rate CM (b, 3, k), in the axes of the frame, does to position, velocity and attitude."""
+    _, f, T, _, weights, _ = course
+    b, _, k = CM.shape
+    flat = CM.reshape(b, -1)
+    turned = running(T[:, None] * flat)
+    middle = turned - 0.5 * T[:, None] * flat
+    # A(f) times the turn so far; within a point the mean of t s is 1/12 T^2 off
+    by = jnp.concatenate([weights.T[:, :, None] * f, (-(T**3) / 12)[None, :, None] * f])  # (3, b, 3)
+    to_position, to_velocity = jnp.einsum("sba,bc->sac", by[:2], middle)
+    to_position = to_position + by[2].T @ flat
+    AG = lambda M: jnp.einsum("aij,jk,akl->il", maps.force, maps.gyro, M.reshape(3, 3, k))  # noqa: E731
+    return jnp.concatenate([AG(to_position), AG(to_velocity), maps.gyro @ turned[-1].reshape(3, k)])
+
+
+def _pushes(maps: Maps, course: Course, CM: jax.Array) -> jax.Array:
+    """(9, k): what an acceleration CM (b, 3, k), in the axes of the frame, does to position, velocity and attitude."""
+    b, _, k = CM.shape
+    to_position, to_velocity = maps.accel @ (course.weights.T @ CM.reshape(b, -1)).reshape(2, 3, k)
+    return jnp.concatenate([to_position, to_velocity, jnp.zeros((3, k))])
 
 
 def _white(maps: Maps, course: Course, noise: Noise, lumped: bool) -> jax.Array:
@@ -181,22 +210,33 @@ def _white(maps: Maps, course: Course, noise: Noise, lumped: bool) -> jax.Array:
         C_then, to_come = C[i], done[-1] - done[i] + part
     pi, alpha = maps.A(to_come[:, 0]), maps.A(to_come[:, 1])
     column = lambda a: a[:, None, None]  # noqa: E731
-    root = column(jnp.where(lengths > 0, jnp.sqrt(jnp.where(lengths > 0, lengths, 1.0)), 0.0))
+    root = column(_root(lengths))
     g = linalg.times_root(maps.gyro @ C_then, noise.gyro) * root
     a = linalg.times_root(maps.accel @ C_then, noise.accel) * root
     rows = [[pi @ g, column(total - moments) * a], [alpha @ g, a], [g, jnp.zeros_like(a)]]
     return jnp.moveaxis(jnp.block(rows), 0, 1).reshape(9, -1)
 
 
-def _bias_noise(Phi: jax.Array, noise: Noise, total: jax.Array) -> jax.Array:
-    """(15, 12): what unit noise that drives the biases does, at the points of Gauss; exact while C and f are constant.
+def _driven(
+    E: jax.Array, kept: jax.Array, each: Sequence[StateParams], states: Sequence[State], total: jax.Array
+) -> tuple[list[jax.Array], jax.Array]:
+    """What unit noise that drives the states does at Gauss' two points: to motion, each (9, k), and to them, (k, k).
 
-    Of what a bias does over the whole epoch, noise with the share s of it to come does s, s^2 and s^3, by how many
-    integrals lie between.
+    Of what a state does over the whole epoch, noise with the share s of it to come does s, s^2 or s^3, by how many
+    integrals lie between: exact while C and f are constant.
     """
-    drives = ((slice(9, 12), noise.gyro_bias), (slice(12, 15), noise.accel_bias))
-    driven = jnp.concatenate([linalg.times_root(Phi[:, s], leaf) for s, leaf in drives], 1)
-    some = total > 0
-    root = jnp.where(some, jnp.sqrt(jnp.where(some, 0.5 * total, 1.0)), 0.0)
-    power = np.repeat(np.array([[3, 2], [2, 1], [1, 1], [0, 0], [0, 0]]), 3, 0).repeat(3, 1)  # (15, 6)
-    return jnp.concatenate([driven * root * s**power for s in 0.5 + 0.5 * GAUSS2], 1)
+    starts = np.cumsum([0, *(s.size for s in states)])
+    part = lambda M, i: M[:, starts[i] : starts[i + 1]]  # noqa: E731
+    root = _root(0.5 * total)
+    by_drive = lambda M: jnp.concatenate(  # noqa: E731
+        [linalg.times_root(part(M, i), p.drive) for i, p in enumerate(each)], 1
+    )
+    E_L = by_drive(E) * root
+    power = np.concatenate([np.tile(np.repeat(INTEGRALS[s.enters], 3)[:, None], s.size) for s in states], 1)
+    return [E_L * share**power for share in 0.5 + 0.5 * GAUSS2], by_drive(jnp.diag(kept)) * root
+
+
+def _root(length: jax.Array) -> jax.Array:
+    """Square root of a time that may be zero."""
+    some = length > 0
+    return jnp.where(some, jnp.sqrt(jnp.where(some, length, 1.0)), 0.0)

@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.maths.components import Quaternion, Vector, add, before, cross, scale, split, to_dcm
-from jaxnav.types import Imu, Nav, Path
+from jaxnav.states.sensors import corrected
+from jaxnav.types import ErrorInputs, Imu, Nav
 
 
 class Increments(NamedTuple):
@@ -33,7 +34,7 @@ def divides(stride: int, k: int) -> None:
         raise ValueError(f"cov_stride must divide the samples of an epoch, got {stride} and {k}")
 
 
-def thin(path: Path, T: jax.Array, stride: int) -> Path:
+def thin(path: ErrorInputs, T: jax.Array, stride: int) -> ErrorInputs:
     """Time-weighted means of a path over blocks of ``stride`` of its points, which last ``T`` s each.
 
     Padding weighs nothing. The inputs of the error dynamics are averaged, and the dynamics built once per block.
@@ -46,7 +47,7 @@ def thin(path: Path, T: jax.Array, stride: int) -> Path:
     return jax.tree.map(lambda a: jnp.einsum("bs,bs...->b...", w, a.reshape(w.shape + a.shape[1:])), path)
 
 
-def corrected(dt: Any, omega0: Vector, force0: Vector, omega: Vector, force: Vector) -> tuple[Vector, Vector]:
+def coned(dt: Any, omega0: Vector, force0: Vector, omega: Vector, force: Vector) -> tuple[Vector, Vector]:
     """Rotation vector (rad) and velocity increment (m/s) of a sample, in body axes at its start.
 
     Rate and force are taken as linear in time through this sample and the one before it (Savage 1998, two-sample
@@ -63,11 +64,12 @@ def corrected(dt: Any, omega0: Vector, force0: Vector, omega: Vector, force: Vec
 
 def increments(nav: Nav, imu: Imu) -> Increments:
     """Remove biases, then correct for coning, sculling and rotation within the sample."""
-    omega, force = split(imu.gyro - nav.b_g), split(imu.accel - nav.b_a)
+    clean = corrected(imu, nav.errors)
+    omega, force = split(clean.gyro), split(clean.accel)
     # the state carries the rates before this epoch's bias correction: one sample in an epoch sees that difference
     omega0 = tuple(before(a, b) for a, b in zip(nav.omega, omega, strict=True))
     force0 = tuple(before(a, b) for a, b in zip(nav.force, force, strict=True))
-    return Increments(imu.dt, *corrected(imu.dt, omega0, force0, omega, force), omega, force)
+    return Increments(imu.dt, *coned(imu.dt, omega0, force0, omega, force), omega, force)
 
 
 def after(nav: Nav, t: jax.Array, pos: Vector, vel: Vector, q: Quaternion, omega: Vector, force: Vector) -> Nav:
@@ -75,22 +77,22 @@ def after(nav: Nav, t: jax.Array, pos: Vector, vel: Vector, q: Quaternion, omega
     w = t.shape[0]
     stack = lambda v: jnp.stack(v, -1)  # noqa: E731
     return Nav(
-        t, stack(pos), stack(vel), stack(q),
-        jnp.broadcast_to(nav.b_g, (w, 3)), jnp.broadcast_to(nav.b_a, (w, 3)), stack(omega), stack(force),
-        jax.tree.map(lambda a: jnp.broadcast_to(a, (w, *a.shape)), nav.origin),
+        t, stack(pos), stack(vel), stack(q), stack(omega), stack(force),
+        *jax.tree.map(lambda a: jnp.broadcast_to(a, (w, *a.shape)), (nav.origin, nav.errors)),
     )  # fmt: skip
 
 
-def sampled(nav: Nav, states: Nav, q: Quaternion, force: Vector) -> Path:
+def sampled(nav: Nav, states: Nav, q: Quaternion, force: Vector) -> ErrorInputs:
     """The path of single samples, from the states (k,) after them, their attitudes and body forces (m/s^2)."""
     C = to_dcm(tuple(jnp.concatenate([jnp.asarray(a)[None], b]) for a, b in zip(split(nav.q), q, strict=True)))
     C = 0.5 * (C[:-1] + C[1:])
-    return Path(states, C, jnp.stack([sum(C[:, i, j] * force[j] for j in range(3)) for i in range(3)], -1))
+    turned = jnp.stack([sum(C[:, i, j] * force[j] for j in range(3)) for i in range(3)], -1)
+    return ErrorInputs(states, C, turned, states.omega, states.force)
 
 
 def trace(
     nav: Nav, inc: Increments, pos: Vector, vel: Vector, q: Quaternion, stride: int, keep: jax.Array | None
-) -> tuple[Nav, Path]:
+) -> tuple[Nav, ErrorInputs]:
     """What a mechanization returns, from the components (k,) after each sample; ``q`` of unit length.
 
     The last state or those after the samples ``keep`` (w,), and the path at every ``stride`` samples.

@@ -23,7 +23,7 @@ from jaxnav.maths import earth, rotations
 from jaxnav.maths.components import split
 from jaxnav.strapdown import tangent_frame
 from jaxnav.strapdown.increments import increments, trace
-from jaxnav.types import Drive, Imu, Nav, Origin, Path
+from jaxnav.types import ErrorInputs, Forcing, Imu, Nav, Origin
 
 AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # tangent frame (along, up, right) -> N
 _AXES_Q = np.array([0.5, 0.5, 0.5, 0.5])
@@ -54,7 +54,9 @@ def leave(nav: Nav) -> Nav:
     return tangent_frame.leave(nav._replace(pos=nav.pos @ AXES, vel=nav.vel @ AXES, q=q))
 
 
-def propagate(nav: Nav, u: Drive | None, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
+def propagate(
+    nav: Nav, u: Forcing | None, imu: Imu, stride: int = 1, keep: jax.Array | None = None
+) -> tuple[Nav, ErrorInputs]:
     """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, None without one.
 
     Returns the last state, or those after the samples ``keep`` (w,), and the path at every ``stride`` samples. A sample

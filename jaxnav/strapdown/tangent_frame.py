@@ -18,7 +18,7 @@ from jax import lax
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.components import split
 from jaxnav.strapdown.increments import increments, trace
-from jaxnav.types import Drive, Imu, Nav, Origin, Path
+from jaxnav.types import ErrorInputs, Forcing, Imu, Nav, Origin
 
 
 def from_enu(azimuth: jax.Array) -> jax.Array:
@@ -78,7 +78,9 @@ def leave(nav: Nav) -> Nav:
     return nav._replace(pos=lla, vel=turn @ nav.vel, q=q)
 
 
-def propagate(nav: Nav, u: Drive | None, imu: Imu, stride: int = 1, keep: jax.Array | None = None) -> tuple[Nav, Path]:
+def propagate(
+    nav: Nav, u: Forcing | None, imu: Imu, stride: int = 1, keep: jax.Array | None = None
+) -> tuple[Nav, ErrorInputs]:
     """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, None without one.
 
     Returns the last state, or those after the samples ``keep`` (w,), and the path at every ``stride`` samples. A sample

@@ -16,6 +16,7 @@ from jaxnav.app.verbs import filtering
 from jaxnav.data import epochs
 from jaxnav.data import start as alignment
 from jaxnav.filters.catalogue import FILTERS
+from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import initial_nav
 from jaxnav.maths import earth
 from jaxnav.measurements import GNSS, counted_from
@@ -23,7 +24,7 @@ from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.states.grades import GRADES, mounting
 from jaxnav.types import ConfigError, DataError, Epoch, ImuLog, Info, Recording, Samples, Track
-from tuning.transforms import get, join, labels, put, split
+from tuning.transforms import join, labels, split
 
 
 def resolved(**sections) -> config.Config:

@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks import flops, gipkf
 from benchmarks import gipkf_study as study
+from jaxnav.filters.parameters import get
 from jaxnav.types import Epoch, Fix, Imu
-from tuning.transforms import get
 
 
 def test_outages_are_on_whole_seconds_and_in_their_places():

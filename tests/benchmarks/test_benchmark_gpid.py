@@ -7,9 +7,9 @@ import pytest
 from benchmarks import gpid
 from benchmarks.gpid_study import SCHEMES, fitted_params, hours, keys_of, loss, paper_filter, rms, score, study
 from jaxnav.filters.papers.gpid import gpid_params
+from jaxnav.filters.parameters import get, put
 from jaxnav.simulate.scenarios import CIRCLE, REPRO
 from jaxnav.simulate.simulation import matched_params
-from tuning.transforms import get, put
 
 
 @pytest.fixture(scope="module")

@@ -20,8 +20,8 @@ from jaxnav.filters.rules.kalman import correct as kalman_correct
 from jaxnav.filters.run import first_failure, run, run_jit
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
-from jaxnav.states.frames.local_level import error_model
 from jaxnav.states.grades import datasheet_params
+from jaxnav.strapdown.errors.local_level import error_model
 from jaxnav.strapdown.fast import local_level
 from jaxnav.strapdown.increments import thin
 from jaxnav.types import DataError, Drive, Epoch, Imu

@@ -6,20 +6,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxnav.states.names import A, B, P, V
 
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Innovation, only_if
 from jaxnav.filters.papers import gip_kf
 from jaxnav.filters.papers.gip_kf import gip_kf_params
+from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import run
 from jaxnav.maths import earth, rotations
-from jaxnav.states.frames.tangent_frame import reset_balanced, retract
 from jaxnav.states.grades import datasheet_params, prior
-from jaxnav.states.names import A, B, P, V
+from jaxnav.strapdown.errors.tangent_frame import reset_balanced, retract
 from jaxnav.strapdown.tangent_frame import enter
 from jaxnav.types import Epoch, Params
 from tests.conftest import GRADE, all_finite, leaves_equal
-from tuning.transforms import get, put
 
 H3 = np.concatenate([np.eye(6), np.zeros((6, 3))], axis=1)
 

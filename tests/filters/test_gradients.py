@@ -11,13 +11,13 @@ import pytest
 from jaxnav.analysis.metrics import columns_at
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.papers.gpid import gpid_params
+from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import run
 from jaxnav.maths import earth
 from jaxnav.states.grades import datasheet_params, mounting
 from jaxnav.types import Epoch, Params
 from tests.conftest import GRADE, all_finite
 from tuning.objectives import innovation_nll
-from tuning.transforms import get, put
 
 EPOCHS = 15
 #: leaves and steps; even near the origin a step must move positions by far more than 1e-11 m, what latitude resolves

@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxnav.states.names import mask
 
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.papers.gpid import gpid_params, literal_params
 from jaxnav.filters.run import run_jit
 from jaxnav.maths import rotations
 from jaxnav.states.grades import datasheet_params
-from jaxnav.states.names import mask
 from tests import reference
 from tests.conftest import GRADE
 
@@ -82,8 +82,8 @@ def test_the_full_form_is_the_derivative_of_the_equations(near_origin):
 def test_the_dynamics_block_by_block():
     """The package's full F against the complex step, each block relative to its own size."""
     from jaxnav.filters.run import initial_nav
-    from jaxnav.states.frames.local_level import dynamics
     from jaxnav.states.transition import assemble
+    from jaxnav.strapdown.errors.local_level import dynamics
     from jaxnav.types import Path
 
     nav = initial_nav([0.8, -1.3, 900.0], [60.0, -45.0, 5.0], [0.2, -0.3, 2.0])

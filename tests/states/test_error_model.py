@@ -4,16 +4,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxnav.states.names import STATES, A, B, G, P, V, mask, prior_sd
 from scipy.linalg import expm
 
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.run import initial_nav, run_jit
 from jaxnav.maths import earth, rotations
 from jaxnav.measurements import MEASUREMENTS, at, counted_from, covariance, layout
-from jaxnav.states.frames.local_level import dynamics, error_model
 from jaxnav.states.grades import GRADES, datasheet_params
-from jaxnav.states.names import STATES, A, B, G, P, V, mask, prior_sd
 from jaxnav.states.transition import assemble
+from jaxnav.strapdown.errors.local_level import dynamics, error_model
 from jaxnav.strapdown.fast import local_level
 from jaxnav.types import Drive, Fix, Imu
 from tests.conftest import leaves_equal

@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxnav.states.names import A, B, G, P, V, prior_sd
 
 from jaxnav.filters.run import initial_nav
 from jaxnav.maths import earth, rotations
-from jaxnav.states.frames import inertial_quaternion as inertial
 from jaxnav.states.grades import GRADES, datasheet_params
-from jaxnav.states.names import A, B, G, P, V, prior_sd
 from jaxnav.strapdown import inertial_quaternion, tangent_frame
+from jaxnav.strapdown.errors import inertial_quaternion as inertial
 from jaxnav.strapdown.fast import local_level
 from jaxnav.types import Drive, Imu
 

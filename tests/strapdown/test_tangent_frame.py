@@ -4,16 +4,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxnav.states.names import A, B, G, P, V
 
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import earth, rotations
 from jaxnav.simulate.imu import sense
 from jaxnav.simulate.trajectories import Motion, travel
-from jaxnav.states.frames.tangent_frame import dynamics, enu_rows, error_model
 from jaxnav.states.grades import GRADES, datasheet_params, mounting
-from jaxnav.states.names import A, B, G, P, V
 from jaxnav.strapdown import tangent_frame
+from jaxnav.strapdown.errors.tangent_frame import dynamics, enu_rows, error_model
 from jaxnav.strapdown.fast import local_level
 from jaxnav.types import Imu, Origin
 from tests.conftest import leaves_equal, simulate_drive, start

@@ -8,12 +8,13 @@ from jax.flatten_util import ravel_pytree
 
 from jaxnav.data.epochs import pack
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.parameters import put
 from jaxnav.filters.run import run
 from jaxnav.states.grades import datasheet_params
 from tests.conftest import GRADE, gnss, simulate_drive, start
 from tuning import scoring, uncertainty
 from tuning.objectives import innovation_nll
-from tuning.transforms import factor, join, put, split
+from tuning.transforms import factor, join, split
 
 pytestmark = pytest.mark.usefixtures("optimised")
 

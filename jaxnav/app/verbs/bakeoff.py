@@ -5,14 +5,14 @@ import time
 from pathlib import Path
 
 from jaxnav.app import bakeoff_report
-from jaxnav.app.config import Config, nearest
+from jaxnav.app.config import Config
 from jaxnav.app.contest import REFERENCES, Kind, Plan, contest
 from jaxnav.app.parameters import override
 from jaxnav.app.results import Outcome
 from jaxnav.app.verbs import mc
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.simulate.simulation import matched_params
-from jaxnav.types import ConfigError
+from jaxnav.types import ConfigError, nearest
 
 
 def bakeoff(config: Config, folder: Path, progress: bool = False) -> Outcome:

@@ -13,7 +13,7 @@ from jaxnav.analysis.montecarlo import MonteCarlo
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import montecarlo as plots_mc
 from jaxnav.app import prepare as pre
-from jaxnav.app.config import Config, nearest
+from jaxnav.app.config import Config
 from jaxnav.app.parameters import override
 from jaxnav.app.results import FailedCheck, Outcome, table, write_json
 from jaxnav.app.sources import scenario_of
@@ -21,7 +21,7 @@ from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params, sizes, stride_within
-from jaxnav.types import ConfigError
+from jaxnav.types import ConfigError, nearest
 
 
 def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
@@ -41,7 +41,7 @@ def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
         params = override(matched_params(told(each, scenario), entry.theta(), entry.feedback_theta()), config.params)
         stride = stride_within(config.filter.cov_stride, scenario)
         rate, span = scenario.imu_rate_hz, scenario.duration_s
-        filt = build(name, GNSS, stride, pre.history_of(config, params.mounting, rate, span, tuned=False))
+        filt = build(name, GNSS, stride, pre.history_of(config, params, rate, span, tuned=False))
         try:
             found[name] = montecarlo.monte_carlo(
                 filt, scenario, params, config.mc.runs, config.seed, chunk=config.mc.chunk,

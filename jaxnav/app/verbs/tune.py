@@ -14,14 +14,14 @@ import numpy as np
 from jaxnav.analysis import metrics
 from jaxnav.app import evaluate, likelihood, tune_report
 from jaxnav.app.batches import Material, from_recording, from_scenario
-from jaxnav.app.config import Config, as_dict, for_source, nearest
+from jaxnav.app.config import Config, as_dict, for_source
 from jaxnav.app.objectives import LOST, Case, aggregate, check_objective, leaves, merged, objective
 from jaxnav.app.parameters import tune_spec
 from jaxnav.app.prepare import base_params, filter_name, grade_of, measurements_of
 from jaxnav.app.results import FailedCheck, Outcome, stderr, versions
 from jaxnav.app.sources import scenario_of
 from jaxnav.filters.run import first_failure, run
-from jaxnav.types import ConfigError, DataError, Info, Params
+from jaxnav.types import ConfigError, DataError, Info, Params, nearest
 from tuning import distributed, objectives
 from tuning.optimizers import OPTIMIZERS
 from tuning.train import Fit, fit

@@ -24,10 +24,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.filters.core import Correction, Innovation, Rule
-from jaxnav.filters.papers.fwekf import Window, fading, limits, push, weighted, window
+from jaxnav.filters.papers.fwekf import Limits, Window, fading, limits, push, weighted, window
 from jaxnav.filters.rules import fuzzy
 from jaxnav.filters.rules.robust import BLOCK, by_block, inflated, require_blocks
-from jaxnav.types import Prior
 
 TABLE = ((0, 1, 2), (3, 4, 5), (6, 7, 8))
 """Each rule has a consequent of its own; rows by the mean, columns by the size; zero, small, large."""
@@ -38,7 +37,7 @@ class Combined(NamedTuple):
 
     fade: fuzzy.System  # inputs m, the largest e_b; answer a
     adapt: fuzzy.System  # inputs m, e_b; answer the share of the way to R's estimate
-    limit: Prior  # standard deviations at which fading ends
+    limit: Limits  # standard deviations at which fading ends
     doubt: jax.Array  # () fixes that the expectation counts for
     bounds: jax.Array  # (2,) least and largest factor on the fix's own R
     floor: jax.Array  # () least share of the residuals' mean square that R has
@@ -51,7 +50,7 @@ class Memory(NamedTuple):
     log_factor: jax.Array  # (m / 3,)
 
 
-def combined_params(low: float = 1.0, high: float = 1.2, limit: Prior | None = None) -> Combined:
+def combined_params(low: float = 1.0, high: float = 1.2, limit: Limits | None = None) -> Combined:
     """Hand-set parameters: fade if the witness has a mean, adapt R if it has none."""
     centres, widths = ((0.1, 0.4, 0.8), (0.1, 0.3, 1.0)), ((0.12, 0.12, 0.2), (0.08, 0.1, 0.4))
     fades = np.clip((1.0, 1.0, 1.01, 1.0, 1.005, 1.03, 1.02, 1.03, 1.06), low + 3e-4, high - 3e-4)

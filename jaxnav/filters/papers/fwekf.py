@@ -30,8 +30,6 @@ import jax.numpy as jnp
 from jaxnav.filters.core import Correction, Innovation, Rule
 from jaxnav.filters.rules import fuzzy
 from jaxnav.maths import linalg, units
-from jaxnav.states.names import prior_sd
-from jaxnav.types import Prior
 
 Z, S, L, NS = range(4)
 TABLE = ((Z, S, S), (S, L, S), (Z, NS, NS))
@@ -42,7 +40,17 @@ class Fwekf(NamedTuple):
     """Parameters of the rule."""
 
     system: fuzzy.System  # inputs x1, x2; answer a
-    limit: Prior  # standard deviations at which fading ends, by name of state
+    limit: "Limits"  # where fading ends
+
+
+class Limits(NamedTuple):
+    """Standard deviations at which fading ends; each leaf broadcasts to its axes."""
+
+    position: jax.Array  # m
+    velocity: jax.Array  # m/s
+    attitude: jax.Array  # rad
+    gyro_bias: jax.Array  # rad/s
+    accel_bias: jax.Array  # m/s^2
 
 
 class Window(NamedTuple):
@@ -58,12 +66,12 @@ def limits(
     attitude: float = 10 * units.DEG,
     gyro_bias: float = 1 * units.DEG,
     accel_bias: float = 1.0,
-) -> Prior:
+) -> Limits:
     """Where fading ends: m, m/s, rad, rad/s, m/s^2."""
-    return Prior(*(jnp.asarray(v, float) for v in (position, velocity, attitude, gyro_bias, accel_bias)))
+    return Limits(*(jnp.asarray(v, float) for v in (position, velocity, attitude, gyro_bias, accel_bias)))
 
 
-def fwekf_params(low: float = 1.0, high: float = 1.2, limit: Prior | None = None) -> Fwekf:
+def fwekf_params(low: float = 1.0, high: float = 1.2, limit: Limits | None = None) -> Fwekf:
     """Hand-set parameters: a between ``low`` and ``high``; the sets are zero, small, large for x1, then x2.
 
     The consequents are a = 1, 1.02, 1.05 and 0.98 for Z, S, L and NS, or as near to them as the bounds allow. A memory
@@ -102,9 +110,14 @@ def inputs(past: Window, z: Innovation) -> jax.Array:
     return jnp.stack([x1, jnp.clip(x2, 0.0, 6.0)])
 
 
-def fading(limit: Prior, a: jax.Array, P: jax.Array) -> jax.Array:
+def fading(limit: Limits, a: jax.Array, P: jax.Array) -> jax.Array:
     """Factor on each state, (n,), that carries ``P`` on: ``a``, and less where a state is near its limit."""
-    full = jnp.maximum(1 - jnp.diag(P) / prior_sd(limit, P.shape[0]) ** 2, 0.0) ** 2
+    full = (
+        jnp.maximum(
+            1 - jnp.diag(P) / jnp.concatenate([jnp.broadcast_to(sd, (3,)) for sd in limit])[: P.shape[0]] ** 2, 0.0
+        )
+        ** 2
+    )
     return jnp.sqrt(1 + (a**2 - 1) * full)
 
 

@@ -31,8 +31,9 @@ import numpy as np
 
 from jaxnav.filters.core import Correction, Innovation, Rule
 from jaxnav.maths import linalg
-from jaxnav.states.names import A, V
-from jaxnav.types import Drive
+from jaxnav.states.motion import A, V
+from jaxnav.states.table import BIASES
+from jaxnav.types import Forcing
 
 LEARNT = 600.0  # s after which weights stay as they are: biases drift
 
@@ -110,7 +111,7 @@ def correct(theta: GipKf, t: jax.Array, z: Innovation) -> Correction:
     dm, delta, P = _update(theta._replace(log_rm=theta.log_rm + jnp.log(grown)), z)
     T = jnp.where(z.T > 0, z.T, 1.0)
     P = P.at[3:9, 3:9].add(jnp.diag((theta.unlearnt / grown) ** 2 * z.T))
-    return Correction(delta, P, t + z.T, z.valid, drive=Drive(theta.kappa * delta[A] / T, dm[V] / T))
+    return Correction(delta, P, t + z.T, z.valid, drive=Forcing(theta.kappa * delta[A] / T, dm[V] / T))
 
 
 def extrapolate_literal(theta: GipKf, m: jax.Array, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -127,7 +128,7 @@ def correct_literal(theta: GipKf, m: jax.Array, z: Innovation) -> Correction:
 @cache
 def gip_kf() -> Rule:
     """The working form; it remembers how long it learnt, what it learnt is in the sensors' biases."""
-    return Rule(lambda n, m: jnp.zeros(()), correct)
+    return Rule(lambda n, m: jnp.zeros(()), correct, estimates=BIASES)
 
 
 @cache
@@ -175,7 +176,7 @@ def correct_nine(theta: NineKf, memory: tuple[jax.Array, jax.Array], z: Innovati
     delta = delta.at[:3].set(z.H[:3, :3].T @ (jnp.stack([share, share, up]) * z.nu[:3]) + gap * _FLAT * delta[V])
     delta = delta.at[V].add(_UP * climb * z.nu[5])
     learnt = theta.kappa + theta.early / (count + theta.delay)
-    drive = Drive(learnt * _UP * delta[A] / T, bias * _UP * z.nu[5] / T)
+    drive = Forcing(learnt * _UP * delta[A] / T, bias * _UP * z.nu[5] / T)
     fade = jnp.ones(15).at[A].add(_UP * theta.fade * jnp.exp(-count / theta.fading))
     P = jnp.zeros_like(z.P).at[np.ix_(KEPT, KEPT)].set(kept)
     return Correction(delta, P, (count + 1.0, (1 - share) * spread), z.valid, fade, drive)
@@ -189,4 +190,4 @@ def nine_states() -> Rule:
     other biases are states. For the model of 15 states, GNSS position and velocity, and no lever arm; of P only the
     rows and columns of `KEPT` have a meaning.
     """
-    return Rule(lambda n, m: (jnp.zeros(()), jnp.ones(())), correct_nine)
+    return Rule(lambda n, m: (jnp.zeros(()), jnp.ones(())), correct_nine, estimates=BIASES)

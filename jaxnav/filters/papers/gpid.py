@@ -24,7 +24,8 @@ from jax.typing import ArrayLike
 
 from jaxnav.filters.core import Correction, Innovation, Rule
 from jaxnav.maths import linalg
-from jaxnav.states.names import STATES, mask
+from jaxnav.states.motion import MOTION
+from jaxnav.states.table import BIASES, mask
 
 
 class Gpid(NamedTuple):
@@ -55,12 +56,14 @@ def gpid_params(
     reset: float = np.inf,
 ) -> Gpid:
     """Parameters from plain numbers; ``states`` names where integral and derivative act."""
-    return Gpid(*(jnp.asarray(v, float) for v in (ki, kd, mask(*states, n_states=n_states), leak, reset)))
+    return Gpid(
+        *(jnp.asarray(v, float) for v in (ki, kd, mask(*states, states=BIASES if n_states > 9 else ()), leak, reset))
+    )
 
 
 def literal_params(ki: ArrayLike, kd: ArrayLike, n_states: int = 9) -> Gpid:
     """The paper's printed form: integral and derivative act on every state."""
-    return gpid_params(ki, kd, n_states, tuple(STATES)[: n_states // 3])
+    return gpid_params(ki, kd, n_states, (*MOTION, *BIASES)[: n_states // 3])
 
 
 def share(loop: jax.Array, channels: jax.Array) -> jax.Array:

@@ -60,7 +60,7 @@ def sage_husa(rule: Rule) -> Rule:
         learnt = theta.forget * memory.learnt + (1 - theta.forget) * now
         return c._replace(memory=Memory(jnp.where(c.used, learnt, memory.learnt), c.memory))
 
-    return Rule(lambda n, m: Memory(jnp.ones(m), rule.init(n, m)), correct, _passed_on(rule))
+    return Rule(lambda n, m: Memory(jnp.ones(m), rule.init(n, m)), correct, _passed_on(rule), rule.estimates)
 
 
 class Iae(NamedTuple):
@@ -90,7 +90,7 @@ def iae(rule: Rule, window: int = 20) -> Rule:
         c = rule.correct(theta.rule, memory.rule, z._replace(R=inflated(z.R, factor)))
         return c._replace(memory=Memory(jnp.where(c.used, learnt, memory.learnt), c.memory))
 
-    return Rule(lambda n, m: Memory(jnp.ones((window, m)), rule.init(n, m)), correct, _passed_on(rule))
+    return Rule(lambda n, m: Memory(jnp.ones((window, m)), rule.init(n, m)), correct, _passed_on(rule), rule.estimates)
 
 
 class Fading(NamedTuple):
@@ -116,4 +116,6 @@ def fading(rule: Rule) -> Rule:
         c = rule.correct(theta.rule, memory, z)
         return c._replace(fade=c.fade * jnp.exp(0.5 * z.T / theta.tau))
 
-    return Rule(rule.init, correct, lambda theta, memory, x0, x: rule.extrapolate(theta.rule, memory, x0, x))
+    return rule._replace(
+        correct=correct, extrapolate=lambda theta, memory, x0, x: rule.extrapolate(theta.rule, memory, x0, x)
+    )

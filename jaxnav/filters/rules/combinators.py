@@ -33,4 +33,4 @@ def only(rule: Rule, channels: int) -> Rule:
     def extrapolate(theta, memory, x0: jax.Array, x: jax.Array):
         return rule.extrapolate(theta, memory, x0, x)
 
-    return Rule(init, correct, extrapolate)
+    return Rule(init, correct, extrapolate, rule.estimates)

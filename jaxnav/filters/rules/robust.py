@@ -121,7 +121,7 @@ def gate(rule: Rule) -> Rule:
         x, inner = rule.extrapolate(theta.rule, memory.rule, x0, x)
         return x, memory._replace(rule=inner)
 
-    return Rule(init, correct, extrapolate)
+    return Rule(init, correct, extrapolate, rule.estimates)
 
 
 # ---------------------------------------------------------------------------- weights
@@ -151,7 +151,9 @@ def huber(rule: Rule) -> Rule:
         excess = jnp.maximum(jnp.abs(z.nu) / (theta.knee * sd), 1.0)
         return rule.correct(theta.rule, memory, z._replace(R=inflated(z.R, excess)))
 
-    return Rule(rule.init, correct, lambda theta, memory, x0, x: rule.extrapolate(theta.rule, memory, x0, x))
+    return rule._replace(
+        correct=correct, extrapolate=lambda theta, memory, x0, x: rule.extrapolate(theta.rule, memory, x0, x)
+    )
 
 
 class StudentT(NamedTuple):
@@ -191,4 +193,6 @@ def student_t(rule: Rule, iterations: int = 4) -> Rule:
         require_blocks(m)
         return rule.init(n, m)
 
-    return Rule(init, correct, lambda theta, memory, x0, x: rule.extrapolate(theta.rule, memory, x0, x))
+    return rule._replace(
+        init=init, correct=correct, extrapolate=lambda theta, memory, x0, x: rule.extrapolate(theta.rule, memory, x0, x)
+    )

@@ -7,6 +7,7 @@ The sums need nothing of the state but the biases, and those enter so weakly tha
 preintegration: Forster et al. 2017): sums made with the biases in are good for many runs on the same samples.
 """
 
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from jaxnav.maths.components import (
     add,
     again,
     before,
+    conjugate,
     cross,
     exp,
     multiply,
@@ -29,7 +31,9 @@ from jaxnav.maths.components import (
     small,
     split,
 )  # fmt: skip
-from jaxnav.strapdown.increments import corrected
+from jaxnav.states.sensors import corrected_reading
+from jaxnav.states.table import STATES
+from jaxnav.strapdown.increments import coned
 from jaxnav.types import Imu
 
 
@@ -83,7 +87,7 @@ def singles(x: Readings, last: Readings) -> Body:
 
     @again
     def single(last, x):
-        theta, dv = corrected(x.dt, last.omega, last.force, x.omega, x.force)
+        theta, dv = coned(x.dt, last.omega, last.force, x.omega, x.force)
         return x, Body(x.dt, exp(theta), dv, (), ())
 
     return lax.scan(single, last, x)[1]
@@ -138,6 +142,27 @@ def unbiased(rows: jax.Array, b_g: Vector, b_a: Vector) -> Interval:
         multiply(back, mean),
     )
     return Interval(body, *(add(a, scale(-1.0, b)) for a, b in ((omega, b_g), (force, b_a))))
+
+
+def as_biases(rows: jax.Array, errors: Mapping[str, jax.Array]) -> tuple[Vector, Vector]:
+    """What gyro (rad/s) and accelerometer (m/s^2) read too much over each interval, of rows of `Increments`.
+
+    Biases as they are; errors that depend on the reading at the interval's mean, so that 3,000 ppm of scale cost 2 mm
+    after a minute at 0.2 rad/s, and centimetres at 1 rad/s.
+    """
+    t, *v = jnp.unstack(rows)
+    q, dv, mean = tuple(v[:4]), tuple(v[4:7]), tuple(v[10:14])
+    half = normalize((jnp.where(t > 0, mean[0], 1.0), *mean[1:]))
+    means = {"gyro": over(t, scale(2.0, q[1:])), "accel": over(t, rotate(conjugate(half), dv))}
+
+    def excess(sensor: str) -> Vector:
+        own = [name for name in errors if STATES[name].enters == sensor]
+        if all(STATES[name].effect is None for name in own):
+            return split(sum((errors[name] for name in own), jnp.zeros(3)))
+        raw = jnp.stack(means[sensor], -1)
+        return split(raw - corrected_reading(raw, sensor, errors))
+
+    return excess("gyro"), excess("accel")
 
 
 def over(t: Any, v: tuple) -> tuple:

@@ -30,6 +30,7 @@ from jaxnav.maths.components import (
     add,
     again,
     before,
+    conjugate,
     cross,
     exp,
     multiply,
@@ -42,9 +43,10 @@ from jaxnav.maths.components import (
     split,
     to_dcm,
 )  # fmt: skip
-from jaxnav.strapdown.fast.body import Body, Increments, Interval, over, readings, singles, sums, unbiased
+from jaxnav.states.sensors import corrected
+from jaxnav.strapdown.fast.body import Body, Increments, Interval, as_biases, over, readings, singles, sums, unbiased
 from jaxnav.strapdown.increments import after, divides, sampled, thin
-from jaxnav.types import Drive, Imu, Nav, Path
+from jaxnav.types import ErrorInputs, Forcing, Imu, Nav
 
 INTERVAL = 10  # samples, at most: a tenth of a second at 100 Hz
 BLOCK = 100  # samples at once; the Earth is looked up and ENU's turn is summed up anew for each block
@@ -187,7 +189,9 @@ def unit(nav: Nav) -> Nav:
     return nav._replace(q=jnp.stack(normalize(split(nav.q)), -1))
 
 
-def _block(integrate: Callable, m: int, nav: Nav, u: Drive | None, given: Interval) -> tuple[Nav, Path, Callable]:
+def _block(
+    integrate: Callable, m: int, nav: Nav, u: Forcing | None, given: Interval
+) -> tuple[Nav, ErrorInputs, Callable]:
     """The states after all intervals (n,) of m samples, the path, and the function that has those inside them."""
     whole, omega, force = given
     spin, push = map(split, u) if u else ((), ())
@@ -222,13 +226,17 @@ def _block(integrate: Callable, m: int, nav: Nav, u: Drive | None, given: Interv
         return points, sampled(nav, unit(points), split(points.q), force), inside
     middle = small(scale(-0.5, add(starts.turn, ends.turn)))
     C = to_dcm(multiply(middle, normalize(q_means)))
-    path = Path(unit(points), C, jnp.stack(rotate(middle, over(whole.t, thrust.dv)), -1))
+    half = normalize(whole.mean)
+    gyro = over(whole.t, scale(2.0, whole.q[1:]))
+    accel = over(whole.t, rotate(conjugate(half), whole.dv))
+    force = rotate(middle, over(whole.t, thrust.dv))
+    path = ErrorInputs(unit(points), C, *(jnp.stack(v, -1) for v in (force, gyro, accel)))
     return points, path, inside
 
 
 def _samples(
-    integrate: Callable, most: int, nav: Nav, u: Drive | None, imu: Imu, stride: int, keep: jax.Array
-) -> tuple[Nav, Path]:
+    integrate: Callable, most: int, nav: Nav, u: Forcing | None, imu: Imu, stride: int, keep: jax.Array
+) -> tuple[Nav, ErrorInputs]:
     """The states after the samples ``keep`` (w,) and the path, by intervals of one sample.
 
     They are corrected in a loop over up to ``most`` rows of them, but all at once where kernels cost and not numbers.
@@ -253,8 +261,8 @@ def _samples(
 
 
 def free(nav: Nav, imu: Imu) -> Imu:
-    """Samples without the biases."""
-    return imu._replace(gyro=imu.gyro - nav.b_g, accel=imu.accel - nav.b_a)
+    """Samples without the errors of the sensors."""
+    return corrected(imu, nav.errors)
 
 
 def filled(a: jax.Array, size: int) -> jax.Array:
@@ -264,8 +272,8 @@ def filled(a: jax.Array, size: int) -> jax.Array:
 
 
 def _intervals(
-    m: int, nav: Nav, u: Drive | None, whole: Interval, parts: Interval, place: jax.Array
-) -> tuple[Nav, Path]:
+    m: int, nav: Nav, u: Forcing | None, whole: Interval, parts: Interval, place: jax.Array
+) -> tuple[Nav, ErrorInputs]:
     """The states after the first samples, ``parts`` (w,), of the intervals ``place``, and the path of all (n,).
 
     More intervals than a block holds are a multiple of that.
@@ -306,8 +314,8 @@ def preintegrate(imu: Imu, last: tuple[Any, Any], stride: int, keep: jax.Array) 
 
 
 def propagate(
-    nav: Nav, u: Drive | None, imu: Imu | Increments, stride: int = 1, keep: jax.Array | None = None
-) -> tuple[Nav, Path]:
+    nav: Nav, u: Forcing | None, imu: Imu | Increments, stride: int = 1, keep: jax.Array | None = None
+) -> tuple[Nav, ErrorInputs]:
     """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, None without one.
 
     Returns the last state, or those after the samples ``keep`` (w,), and the path at every ``stride`` samples: where it
@@ -320,9 +328,9 @@ def propagate(
     size = BLOCK // stride if stride <= INTERVAL else 1
     if isinstance(imu, Increments):
         n = imu.whole.shape[1]
-        biases = split(nav.b_g), split(nav.b_a)
-        given = unbiased(filled(imu.whole.T, size).T, *biases), unbiased(imu.parts, *biases), imu.place
-        out, path = _intervals(stride, nav, u, *given)
+        whole = filled(imu.whole.T, size).T
+        clean = [unbiased(rows, *as_biases(rows, nav.errors)) for rows in (whole, imu.parts)]
+        out, path = _intervals(stride, nav, u, clean[0], clean[1], imu.place)
         return out, jax.tree.map(lambda a: a[:n], path)
     k = imu.dt.size
     divides(stride, k)
@@ -337,8 +345,8 @@ def propagate(
 
 
 def propagate_block(
-    nav: Nav, u: Drive | None, imu: Imu, stride: int = 1, keep: jax.Array | None = None
-) -> tuple[Nav, Path]:
+    nav: Nav, u: Forcing | None, imu: Imu, stride: int = 1, keep: jax.Array | None = None
+) -> tuple[Nav, ErrorInputs]:
     """`propagate` for all samples at once; faster for one run and on accelerators, slower in a batch."""
     divides(stride, imu.dt.size)
     out, path = _samples(by_sweeps, 1, nav, u, imu, stride, jnp.array([imu.dt.size - 1]) if keep is None else keep)

@@ -1,31 +1,27 @@
-"""Errors of local level navigation: x = (dp ENU m, dv ENU, phi ENU[, b_g, b_a body]), C_est = exp([phi x]) C_true.
+"""Errors of local level navigation: x = (dp ENU m, dv ENU, phi ENU, ...), C_est = exp([phi x]) C_true.
 
 Full form: every first-order term of the mechanization (Groves 2013, section 14.2.4, in ENU and with the attitude
 error to the left). Simplified form: the GPID paper's eqs. 9-13, that is the specific force, the levelling by velocity
 and the kinematics only, with all noise of a block at its end (eq. 29).
 """
 
-from functools import cache, partial
 from typing import Literal
 
 import jax
 import jax.numpy as jnp
 
-from jaxnav.filters.core import ErrorModel
 from jaxnav.maths import earth, rotations
-from jaxnav.measurements import GNSS, Kinematics, Measurement, stack
-from jaxnav.states.names import A, P, V, prior_sd
-from jaxnav.states.transition import absorb, discretize, retract_common
-from jaxnav.types import Drive, Nav, Noise, Path, Prior
+from jaxnav.states.motion import P, V
+from jaxnav.states.transition import Blocks
+from jaxnav.types import ErrorInputs, Nav
 
 
 def retract(nav: Nav, x: jax.Array) -> Nav:
-    """The truth, if ``x`` (n,) is the error of ``nav``."""
-    nav = retract_common(nav, x)
+    """Position and velocity of the truth, if ``x`` (n,) is the error of ``nav``."""
     return nav._replace(pos=earth.move(nav.pos, -x[P]), vel=nav.vel - x[V])
 
 
-def dynamics(point: Path, form: Literal["full", "simple"]) -> dict[tuple[str, str], jax.Array]:
+def dynamics(point: ErrorInputs, form: Literal["full", "simple"]) -> Blocks:
     """The 3x3 blocks of F in x' = F x, at one point of the path."""
     lat, _, h = jnp.unstack(point.nav.pos)
     vel = point.nav.vel
@@ -42,8 +38,8 @@ def dynamics(point: Path, form: Literal["full", "simple"]) -> dict[tuple[str, st
         ("position", "velocity"): jnp.eye(3, dtype=lat.dtype),
         ("velocity", "attitude"): -rotations.skew(point.force),
         ("attitude", "velocity"): level,
-        ("velocity", "accel_bias"): -point.C,
-        ("attitude", "gyro_bias"): -point.C,
+        ("velocity", "accel"): -point.C,
+        ("attitude", "gyro"): -point.C,
     }
     if form == "simple":
         return blocks
@@ -63,28 +59,3 @@ def dynamics(point: Path, form: Literal["full", "simple"]) -> dict[tuple[str, st
         ("attitude", "position"): -columns(ie_north + en_north, en_up),
         ("attitude", "attitude"): -rotations.skew(w_ie + w_en),
     }
-
-
-def kinematics(nav: Nav, n: int) -> Kinematics:
-    """Position, velocity and attitude in ENU, and how the error state moves them."""
-    eye = jnp.eye(n, dtype=nav.vel.dtype)
-    return Kinematics(nav.pos, nav.vel, rotations.to_dcm(nav.q), eye[P], eye[V], eye[A])
-
-
-@cache
-def error_model(
-    n_states: int = 15, form: Literal["full", "simple"] = "full", measurements: tuple[Measurement, ...] = GNSS
-) -> ErrorModel:
-    """The local level error model with 9 or 15 states, observed through ``measurements``."""
-    if n_states not in (9, 15) or form not in ("full", "simple"):
-        raise ValueError(f"n_states is 9 or 15 and form 'full' or 'simple', got {n_states} and {form!r}")
-
-    def covariance(prior: Prior, nav: Nav) -> jax.Array:
-        return jnp.diag(prior_sd(prior, n_states) ** 2)
-
-    def discretized(noise: Noise, points: Path, T: jax.Array, u: Drive | None):
-        lumped = form == "simple"  # W in eq. 29: over an epoch of a second it changes the gains of the attitude
-        return discretize(partial(dynamics, form=form), noise, points, T, u, n_states, lumped)
-
-    observe, n_channels = stack(measurements, lambda nav: kinematics(nav, n_states))
-    return ErrorModel(n_states, n_channels, retract, absorb, covariance, discretized, observe)

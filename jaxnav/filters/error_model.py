@@ -1,0 +1,159 @@
+"""The error state of a filter put together: a frame's motion, the optional states and what the measurements see."""
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.maths import rotations
+from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
+from jaxnav.measurements.measurement import stack
+from jaxnav.states import table
+from jaxnav.states.motion import A, prior_sd
+from jaxnav.states.state import State
+from jaxnav.states.table import BIASES
+from jaxnav.states.transition import Blocks, discretize
+from jaxnav.strapdown import inertial_quaternion, tangent_frame
+from jaxnav.strapdown.errors import inertial_quaternion as inertial_errors
+from jaxnav.strapdown.errors import local_level as local_level_errors
+from jaxnav.strapdown.errors import tangent_frame as tangent_errors
+from jaxnav.types import ErrorInputs, Fix, Forcing, Nav, Params, nearest
+
+
+class MotionErrors(NamedTuple):
+    """Errors of position, velocity and attitude in one frame; no conversions where that is local level."""
+
+    retract: Callable[[Nav, jax.Array], Nav]  # of position and velocity
+    dynamics: Callable[..., Blocks]  # (point: ErrorInputs, form)
+    enter: Callable[[Nav], Nav] | None = None  # local level navigation -> the frame's
+    leave: Callable[[Nav], Nav] | None = None  # the inverse
+    enu_rows: Callable[[Nav, Nav], jax.Array] | None = None  # (nav, the same in local level) -> d(ENU error)/dx (9, 9)
+    velocity_axes: Callable[[Nav], jax.Array] | None = None  # axes of attitude -> those of velocity, (3, 3)
+
+
+MOTION_ERRORS: dict[str, MotionErrors] = {
+    "local_level": MotionErrors(local_level_errors.retract, local_level_errors.dynamics),
+    "tangent": MotionErrors(
+        tangent_errors.retract,
+        tangent_errors.dynamics,
+        tangent_frame.enter,
+        tangent_frame.leave,
+        lambda nav, local: tangent_errors.enu_rows(local),
+    ),
+    "inertial": MotionErrors(
+        inertial_errors.retract,
+        inertial_errors.dynamics,
+        inertial_quaternion.enter,
+        inertial_quaternion.leave,
+        inertial_errors.enu_rows,
+        inertial_errors.velocity_axes,
+    ),
+}
+
+
+class ErrorModel(NamedTuple):
+    """The error state of a filter, x = estimate - truth; a NamedTuple of functions."""
+
+    states: tuple[str, ...]  # the optional ones, behind position, velocity and attitude
+    measurements: tuple[str, ...]
+    n_states: int
+    n_channels: int
+    retract: Callable[[Nav, jax.Array], Nav]  # truth = retract(estimate, x (n,))
+    absorb: Callable[[Nav, Forcing], Nav]  # a constant model error becomes sensor bias
+    covariance: Callable[[Params, Nav], jax.Array]  # P (n, n) at the start
+    # (params, points (b, ...), T (b,) s, forcing) -> Phi (n, n), Q (n, n), d (n,)
+    discretize: Callable[[Params, ErrorInputs, jax.Array, Forcing | None], tuple[jax.Array, jax.Array, jax.Array]]
+    # (params, past (w, ...), fix) -> y (m,), H (m, n), R (m, m)
+    observe: Callable[[Params, Nav, Fix], tuple[jax.Array, jax.Array, jax.Array]]
+    enter: Callable[[Nav], Nav]  # local level navigation -> the frame's
+    report: Callable[..., tuple[Nav, jax.Array, jax.Array]]  # (nav, x, P) of the frame -> of local level
+
+
+def _same(nav: Nav) -> Nav:
+    return nav
+
+
+def inverse_rows(J: jax.Array) -> jax.Array:
+    """J^-1 (9, 9) of `MotionErrors.enu_rows`: rotations on the diagonal, off it only what position does to others."""
+    own = np.kron(np.eye(3), np.ones((3, 3)))
+    turn = (own * J).T
+    return turn - turn @ ((1 - own) * J) @ turn
+
+
+@cache
+def error_model(
+    frame: str = "local_level",
+    states: tuple[str, ...] = BIASES,
+    form: Literal["full", "simple"] = "full",
+    measurements: tuple[Measurement, ...] = GNSS,
+) -> ErrorModel:
+    """The error model of a frame with these optional states, observed through ``measurements``.
+
+    ``form``: "simple" has the terms of the papers' models alone.
+
+    Raises:
+        ValueError: an unknown frame, state or form, or a state that no sensor and none of the measurements sees.
+    """
+    if frame not in MOTION_ERRORS:
+        raise ValueError(f"no frame {frame!r}: {nearest(frame, MOTION_ERRORS)}")
+    if form not in ("full", "simple"):
+        raise ValueError(f"form is 'full' or 'simple', got {form!r}")
+    own, motion = table.chosen(states), MOTION_ERRORS[frame]
+    _check_seen(own, measurements)
+    n = 9 + sum(s.size for s in own)
+    slices = table.layout(own)
+
+    def retract(nav: Nav, x: jax.Array) -> Nav:
+        q = rotations.normalize(rotations.multiply(rotations.exp(-x[A]), nav.q))
+        errors = nav.errors | {name: nav.errors[name] - x[s] for name, s in slices.items()}
+        return motion.retract(nav, x)._replace(q=q, errors=errors)
+
+    def absorb(nav: Nav, forcing: Forcing) -> Nav:
+        """An estimate that accelerates too much by ``forcing.accel`` has an accelerometer bias too small by that."""
+        C = rotations.to_dcm(nav.q)
+        accel = motion.velocity_axes(nav).T @ forcing.accel if motion.velocity_axes else forcing.accel
+        moved = {"gyro_bias": C.T @ forcing.omega, "accel_bias": C.T @ accel}
+        return nav._replace(errors=nav.errors | {name: nav.errors[name] + b for name, b in moved.items()})
+
+    def covariance(params: Params, nav: Nav) -> jax.Array:
+        sd = prior_sd(params.prior)
+        optional = [jnp.broadcast_to(params.states[s.name].sd, (s.size,)) for s in own]
+        if motion.leave is None or motion.enu_rows is None:
+            return jnp.diag(jnp.concatenate([sd, *optional]) ** 2)
+        root = inverse_rows(motion.enu_rows(nav, motion.leave(nav))) * sd
+        P = jnp.diag(jnp.concatenate([jnp.zeros(9), *optional]) ** 2)
+        return P.at[:9, :9].set(root @ root.T)
+
+    def transition(params: Params, points: ErrorInputs, T: jax.Array, u: Forcing | None):
+        # W in GPID eq. 29 is lumped: over an epoch of a second it changes the gains of the attitude
+        lumped = form == "simple" and frame == "local_level"
+        return discretize(partial(motion.dynamics, form=form), params, own, points, T, u, lumped)
+
+    def report(nav: Nav, x: jax.Array, P: jax.Array) -> tuple[Nav, jax.Array, jax.Array]:
+        if motion.leave is None or motion.enu_rows is None:
+            return nav, x, P
+        local = motion.leave(nav)
+        J = jnp.eye(n).at[:9, :9].set(motion.enu_rows(nav, local))
+        P = J @ P @ J.T
+        return local, J @ x, 0.5 * (P + P.T)
+
+    return ErrorModel(
+        states, tuple(m.name for m in measurements), n, sum(m.size for m in measurements),
+        retract, absorb, covariance, transition, stack(measurements, own, motion.leave, motion.enu_rows),
+        motion.enter or _same, report,
+    )  # fmt: skip
+
+
+def _check_seen(states: tuple[State, ...], measurements: tuple[Measurement, ...]) -> None:
+    """Raise ValueError for a state that nothing of the filter sees."""
+    seen = {name for m in measurements for name in m.states}
+    for state in states:
+        if state.enters is None and state.name not in seen:
+            by = [m.name for m in MEASUREMENTS.values() if state.name in m.states]
+            raise ValueError(
+                f"state {state.name!r} is seen by no sensor and none of {[m.name for m in measurements]}: "
+                f"add a measurement that sees it, {' or '.join(by) or 'of which there is none'}"
+            )

@@ -1,0 +1,175 @@
+"""A filter's parameters: from a datasheet, and how each is stated in a user's units."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxnav.maths import units
+from jaxnav.maths.units import Unit
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.states.grades import GRADES, Grade
+from jaxnav.states.table import BIASES, STATES, chosen
+from jaxnav.types import Mounting, Noise, Params, Prior, StateParams, nearest
+
+NOISE_UNITS = Noise(
+    Unit("gyro_deg_per_sqrt_hour", units.DEG_PER_SQRT_HOUR, (3,), "deg/sqrt(h)", root=True),
+    Unit("accel_ug_per_sqrt_hz", units.UG, (3,), "ug/sqrt(Hz)", root=True),
+)
+MOUNTING_UNITS = Mounting(
+    Unit("lever_arm_m", 1.0, (3,), "m", step=0.2),
+    Unit("time_offset_s", text="s", step=0.1),
+    Unit("clock_drift_ppm", units.PPM, text="ppm", step=300 * units.PPM),
+    Unit("vehicle_deg", units.DEG, (2,), "deg", step=1.0 * units.DEG),
+    Unit("wheel_arm_m", 1.0, (3,), "m", step=0.2),
+)
+
+
+def get(tree: Any, name: str) -> Any:
+    """The leaf at a dotted name.
+
+    Raises:
+        ValueError: no such name; the message lists what there is.
+    """
+    for part in name.split("."):
+        fields = _fields(tree)
+        if part not in fields:
+            raise ValueError(f"no parameter {name!r}: {part!r} is not one of {', '.join(fields) or 'nothing'}")
+        tree = fields[part]
+    return tree
+
+
+def has(tree: Any, name: str) -> bool:
+    """Whether there is a leaf or branch of a dotted name."""
+    first, _, rest = name.partition(".")
+    fields = _fields(tree)
+    return first in fields and (not rest or has(fields[first], rest))
+
+
+def _fields(tree: Any) -> dict[str, Any]:
+    """The branches of a node, by name."""
+    return tree if isinstance(tree, dict) else tree._asdict() if hasattr(tree, "_asdict") else {}
+
+
+def put(tree: Any, name: str, value: Any) -> Any:
+    """The tree with the leaf at a dotted name replaced."""
+    first, _, rest = name.partition(".")
+    new = {first: put(get(tree, first), rest, value) if rest else value}
+    return tree | new if isinstance(tree, dict) else tree._replace(**new)
+
+
+def change(params: Params, values: Mapping[str, ArrayLike]) -> Params:
+    """The parameters with these values by dotted name, in SI: ``change(params, {"states.gyro_bias.tau": 100.0})``.
+
+    Raises:
+        ValueError: a name that is not there.
+    """
+    for name, value in values.items():
+        params = put(params, name, jnp.asarray(value, float))
+    return params
+
+
+def parameter_units() -> dict[str, Unit]:
+    """Every parameter that has a unit at the border, by its dotted name in `Params`: collected from the rows."""
+    found: dict[str, Any] = {"noise": NOISE_UNITS, "mounting": MOUNTING_UNITS}
+    found |= {f"states.{name}": state.units for name, state in STATES.items()}
+    found |= {f"measurements.{name}": each.units for name, each in MEASUREMENTS.items()}
+    return {
+        f"{group}.{leaf}": unit
+        for group, own in found.items()
+        for leaf, unit in own._asdict().items()
+        if isinstance(unit, Unit)
+    }
+
+
+UNITS: dict[str, Unit] = parameter_units()
+"""Every parameter that has a unit at the border, by its dotted name in `Params`."""
+
+
+def strong(tree: Any) -> Any:
+    """The tree's numbers as strongly typed arrays: from Python floats every train step would compile twice."""
+    return jax.tree.map(lambda v: jnp.asarray(v, float), tree, is_leaf=lambda v: isinstance(v, tuple) and _plain(v))
+
+
+def _plain(v: tuple) -> bool:
+    return not hasattr(v, "_fields") and all(isinstance(x, (int, float, tuple)) for x in v) and len(v) > 0
+
+
+def prior(position: ArrayLike, velocity: ArrayLike, attitude: ArrayLike) -> Prior:
+    """`Prior` from plain numbers: m, m/s and rad in ENU."""
+    return Prior(*(jnp.asarray(v, float) for v in (position, velocity, attitude)))
+
+
+def mounting(
+    lever_arm: ArrayLike = (0.0, 0.0, 0.0),
+    time_offset: float = 0.0,
+    clock_drift: float = 0.0,
+    vehicle: ArrayLike = (0.0, 0.0),
+    wheel_arm: ArrayLike = (0.0, 0.0, 0.0),
+) -> Mounting:
+    """An installation: arms in body FRD m, time in s, drift in s/s, the vehicle's axes in the body's in rad."""
+    return Mounting(*(jnp.asarray(v, float) for v in (lever_arm, time_offset, clock_drift, vehicle, wheel_arm)))
+
+
+def late(params: Params, position: ArrayLike, velocity: ArrayLike) -> Params:
+    """The parameters with a receiver's position and velocity so old, s, when they are stamped."""
+    old = {"position": position, "velocity": velocity}
+    moved = {name: params.measurements[name]._replace(latency=jnp.asarray(age, float)) for name, age in old.items()}
+    return params._replace(measurements=params.measurements | moved)
+
+
+def grade_of(grade: str | Grade) -> Grade:
+    """The grade itself, or that of a name.
+
+    Raises:
+        ValueError: a name that is not in `jaxnav.states.grades.GRADES`.
+    """
+    if isinstance(grade, Grade):
+        return grade
+    if grade not in GRADES:
+        raise ValueError(f"no IMU grade {grade!r}: {nearest(grade, GRADES)}")
+    return GRADES[grade]
+
+
+def datasheet_states(grade: Grade, names: Iterable[str]) -> dict[str, StateParams]:
+    """What a datasheet says of these states, and the rows' own defaults where it is silent.
+
+    A drifting bias of sd s and time tau drives with root PSD s sqrt(2 / tau), as a random walk, since the turn-on bias,
+    which is the same state, does not decay; a walk of the grade's own comes on top.
+    """
+    drive = np.sqrt(2 / grade.tau)
+    told = {
+        "gyro_bias": (grade.gyro_turn_on, np.hypot(grade.gyro_instability * drive, grade.gyro_walk), np.inf),
+        "accel_bias": (grade.accel_turn_on, np.hypot(grade.accel_instability * drive, grade.accel_walk), np.inf),
+    }
+    return {s.name: strong(StateParams(*told.get(s.name, s.defaults))) for s in chosen(names)}
+
+
+def datasheet_params(
+    grade: Grade,
+    position_sd: ArrayLike = (3.0, 3.0, 5.0),
+    velocity_sd: ArrayLike = (0.1, 0.1, 0.1),
+    tilt_sd: float = 1 * units.DEG,
+    heading_sd: float = 5 * units.DEG,
+    install: Mounting | None = None,
+    rule: Any = (),
+    feedback: Any = (),
+    states: Iterable[str] = BIASES,
+    measurements: Iterable[str] = tuple(MEASUREMENTS),
+) -> Params:
+    """Filter parameters straight from a datasheet: what an engineer starts with.
+
+    Prior: position (m) and velocity (m/s) sd in ENU, tilt and heading in rad; the states' by `datasheet_states`.
+    """
+    return Params(
+        Noise(jnp.asarray(grade.arw, float), jnp.asarray(grade.vrw, float)),
+        prior(position_sd, velocity_sd, (tilt_sd, tilt_sd, heading_sd)),
+        datasheet_states(grade, states),
+        {name: strong(MEASUREMENTS[name].defaults) for name in measurements},
+        mounting() if install is None else install,
+        rule,
+        feedback,
+    )

@@ -1,0 +1,53 @@
+"""GNSS position and velocity of the antenna."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jaxnav.maths import earth, rotations
+from jaxnav.maths.units import Unit
+from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
+from jaxnav.types import Fix, Leaf, Mounting, Nav
+
+
+class FixParams(NamedTuple):
+    """Of a receiver's position or velocity; as a root L the covariance of a fix is L D C D L' (`Fix`)."""
+
+    scale: Leaf  # (), (3,) or a lower triangular root (3, 3): factor on the fix's own sd, ENU
+    latency: Leaf  # () s, its age when it is stamped
+
+
+def observe_position(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """P + C l - y."""
+    arm = kin.C @ mounting.lever_arm
+    y = earth.enu_difference(kin.lla, fix.value) + arm
+    return Observation(y, {"position": jnp.eye(3), "attitude": -rotations.skew(arm)}, fix.sd, theta.scale)
+
+
+def observe_velocity(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """V + C (w x l) - y; the Earth's own rate times an arm is below 1e-4 m/s."""
+    swing = kin.C @ jnp.cross(nav.omega, mounting.lever_arm)
+    rows = {
+        "velocity": jnp.eye(3),
+        "attitude": -rotations.skew(swing),
+        "gyro": -kin.C @ rotations.skew(mounting.lever_arm),
+    }
+    return Observation(kin.vel + swing - fix.value, rows, fix.sd, theta.scale)
+
+
+def _units(name: str) -> FixParams:
+    scale, latency = Unit(f"{name}_scale", shape=(3,), root=True), Unit(f"{name}_latency_s", text="s", step=0.1)
+    return FixParams(scale, latency)
+
+
+ENU, NED = ("east", "north", "up"), ("north", "east", "down")
+POSITION = Measurement(
+    "position", ENU, observe_position, FixParams((1.0, 1.0, 1.0), 0.0), _units("position"), receiver=True,
+    columns=("lat_deg", "lon_deg", "height_m"), reported=NED,
+)  # fmt: skip
+"""GNSS position: value (lat rad, lon rad, h m) of the antenna, sd and correlations in ENU m."""
+VELOCITY = Measurement(
+    "velocity", ENU, observe_velocity, FixParams((1.0, 1.0, 1.0), 0.0), _units("velocity"), receiver=True,
+    columns=("vn_mps", "ve_mps", "vd_mps"), reported=NED,
+)  # fmt: skip
+"""GNSS velocity of the antenna: value, sd in ENU m/s."""

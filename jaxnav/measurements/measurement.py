@@ -1,0 +1,185 @@
+"""Measurement models, written once for every frame: a residual and its rows by state, channels, parameters, columns.
+
+A filter is made with a tuple of these, and a `Fix` then carries their channels side by side. Each works on
+`Kinematics`, a navigation state in ENU; x = estimate - truth, residual y = H x + noise.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+
+from jaxnav.maths import rotations
+from jaxnav.states.motion import MOTION
+from jaxnav.states.state import State
+from jaxnav.types import Fix, Mounting, Nav, Params
+
+
+class Kinematics(NamedTuple):
+    """A navigation state in ENU."""
+
+    lla: jax.Array  # (3,) rad, rad, m
+    vel: jax.Array  # (3,) m/s ENU
+    C: jax.Array  # (3, 3) body -> ENU
+
+
+class Observation(NamedTuple):
+    """Residual (estimate minus measurement), its derivative and its noise, of one measurement of size s.
+
+    ``rows`` has d y / d error, (s, k), by what is in error: "position" m, "velocity" m/s and "attitude" rad in ENU,
+    "gyro" or "accel" for the body rate or specific force that navigation goes by, or an optional state by its name.
+    """
+
+    y: jax.Array  # (s,)
+    rows: dict[str, jax.Array]
+    sd: jax.Array  # (s,) of the noise
+    root: jax.Array | float = 1.0  # (), (s,) or lower triangular (s, s): what multiplies noise of that sd
+
+
+class Observe(Protocol):
+    """The model of one measurement."""
+
+    def __call__(self, theta: Any, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+        """``theta``: its own parameters. ``nav``, ``kin``: the estimate at its time. ``fix``: its own channels (s,)."""
+
+
+class Measurement(NamedTuple):
+    """A named kind of measurement: a row of `jaxnav.measurements.MEASUREMENTS`."""
+
+    name: str
+    channels: tuple[str, ...]  # their names, in the order of a `Fix`
+    observe: Observe
+    defaults: Any  # its own NamedTuple of plain numbers; a leaf ``latency`` (s) is its age when it is stamped
+    units: Any  # the same of `Unit`
+    receiver: bool = False  # comes of a GNSS receiver: what a paper's rule sees, and what an outage hides
+    states: tuple[str, ...] = ()  # optional states that its rows may name
+    columns: tuple[str, ...] = ()  # of its values in a canonical CSV file; () for what carries no data
+    reported: tuple[str, ...] = ()  # names of its channels in reports, in their order; () is as ``channels``
+
+    @property
+    def size(self) -> int:
+        """How many channels it has."""
+        return len(self.channels)
+
+
+def clock_offset(mounting: Mounting, nav: Nav) -> jax.Array:
+    """GNSS time minus the IMU's stamps ``nav.t``, s, of their shape.
+
+    What passes between two fixes is still measured by the IMU's clock: of the way without fixes the share
+    ``clock_drift`` is lost, 1 m in 10 km at 100 ppm.
+    """
+    return mounting.time_offset + mounting.clock_drift * (nav.t - nav.origin.t)
+
+
+def counted_from(nav: Nav, t: ArrayLike) -> Nav:
+    """Navigation whose clock has drifted nothing at stamp ``t`` s: halfway, offset and drift are least correlated."""
+    return nav._replace(origin=nav.origin._replace(t=jnp.broadcast_to(jnp.asarray(t, float), nav.origin.t.shape)))
+
+
+def layout(measurements: Iterable[Measurement]) -> dict[str, slice]:
+    """Name -> its channels in a `Fix` of these measurements."""
+    measurements = tuple(measurements)
+    stops = np.cumsum([m.size for m in measurements]).tolist()
+    return {m.name: slice(stop - m.size, stop) for m, stop in zip(measurements, stops, strict=True)}
+
+
+def at(past: Nav, t: jax.Array) -> Nav:
+    """The navigation state at time ``t`` by linear interpolation between the samples of ``past`` (w, ...).
+
+    Outside of them the nearest two are extended, but rate and specific force are held: they are noisy.
+    """
+    w = past.t.shape[0]
+    if w > 2:
+        i = jnp.clip(jnp.sum(past.t <= t) - 1, 0, w - 2)
+        past = jax.tree.map(lambda leaf: lax.dynamic_slice_in_dim(leaf, i, 2), past)
+    before, after = jax.tree.map(lambda leaf: leaf[0], past), jax.tree.map(lambda leaf: leaf[1], past)
+    gap = after.t - before.t
+    share = jnp.where(gap > 0, (t - before.t) / jnp.where(gap > 0, gap, 1.0), 1.0)
+    blend = lambda share, a, b: jax.tree.map(lambda a, b: a + share * (b - a), a, b)  # noqa: E731
+    rates = lambda nav: {"omega": nav.omega, "force": nav.force}  # noqa: E731
+    nav, held = blend(share, before, after), blend(jnp.clip(share, 0.0, 1.0), rates(before), rates(after))
+    return nav._replace(t=t, q=rotations.normalize(nav.q), **held)
+
+
+def covariance(root: jax.Array | float, sd: jax.Array, corr: jax.Array, valid: jax.Array) -> jax.Array:
+    """R = L D C D L' (s, s) of a fix with its own ``sd`` D and correlations C (`Fix`); ``root`` is L or its diagonal.
+
+    The correlation of two channels of which one is missing is dropped. What a missing channel says of its sd means
+    nothing, so with a full L its share in another channel is taken at that channel's own sd: R of those that are there
+    does not depend on those that are not.
+    """
+    C = jnp.eye(sd.size)
+    if sd.size == 3:
+        i, j = np.arange(3), np.array([1, 2, 0])
+        c = jnp.where(valid & valid[j], corr, 0.0)
+        C = C.at[i, j].set(c).at[j, i].set(c)
+    if jnp.ndim(root) < 2:
+        sd = root * sd
+        return C * (sd[:, None] * sd)
+    M = root * jnp.where(valid, sd, sd[:, None])
+    R = M @ C @ M.T
+    return 0.5 * (R + R.T)
+
+
+def rows_of(o: Observation, nav: Nav, states: Sequence[State]) -> jax.Array:
+    """H (s, n) of an observation, its motion in ENU; rows of states that the filter lacks are dropped.
+
+    A state that enters the gyro or the accelerometer lowers what navigation goes by, d w / d s = -M(w).
+    """
+    s = o.y.shape[0]
+    blocks = [o.rows.get(name, jnp.zeros((s, 3))) for name in MOTION]
+    readings = {"gyro": nav.omega, "accel": nav.force}
+    for state in states:
+        row = o.rows.get(state.name, jnp.zeros((s, state.size)))
+        if state.enters in o.rows:
+            through = o.rows[state.enters]
+            row = row - (through if state.effect is None else through @ state.effect(readings[state.enters]))
+        blocks.append(row)
+    return jnp.concatenate(blocks, 1)
+
+
+def stack(
+    measurements: tuple[Measurement, ...],
+    states: tuple[State, ...],
+    leave: Callable[[Nav], Nav] | None = None,
+    enu_rows: Callable[[Nav, Nav], jax.Array] | None = None,
+) -> Callable[[Params, Nav, Fix], tuple[jax.Array, jax.Array, jax.Array]]:
+    """``observe(params, past, fix) -> y (m,), H (m, n), R (m, m)`` for these measurements.
+
+    ``leave`` has a frame's navigation in local level, ``enu_rows`` (navigation, the same in local level) how the
+    frame's errors of motion are seen there, (9, 9); None in local level itself. Each measurement is compared with the
+    state at its own time, the end of ``past`` minus its latency; H refers to the error at the end: a position then is
+    off by less, dp(t - s) = dp(t) - s dv(t). R is `covariance` of each.
+    """
+    slices = layout(measurements)
+    m = sum(each.size for each in measurements)
+
+    def observe(params: Params, past: Nav, fix: Fix):
+        parts, now = [], jax.tree.map(lambda a: a[-1], past)
+        offset = clock_offset(params.mounting, now)
+        mounting = params.mounting._replace(time_offset=offset)
+        for each in measurements:
+            theta = params.measurements[each.name]
+            own = Fix(*(leaf[slices[each.name]] for leaf in fix))
+            age = offset + getattr(theta, "latency", 0.0)
+            nav = at(past, now.t - age)
+            local = leave(nav) if leave else nav
+            kin = Kinematics(local.pos, local.vel, rotations.to_dcm(local.q))
+            o = each.observe(theta, mounting, nav, kin, own)
+            if "position" in o.rows:
+                later = o.rows.get("velocity", 0.0) - age * o.rows["position"]
+                o = o._replace(rows=o.rows | {"velocity": later})
+            H = rows_of(o, nav, states)
+            if enu_rows:
+                H = jnp.concatenate([H[:, :9] @ enu_rows(nav, local), H[:, 9:]], 1)
+            parts.append((o.y, H, covariance(o.root, o.sd, own.corr, own.valid)))
+        R = jnp.zeros((m, m))
+        for (_, _, block), s in zip(parts, slices.values(), strict=True):
+            R = R.at[s, s].set(block)
+        return jnp.concatenate([p[0] for p in parts]), jnp.concatenate([p[1] for p in parts]), R
+
+    return observe

@@ -1,0 +1,42 @@
+"""What is known of a vehicle that stands: it does not move and does not turn."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jaxnav.maths import earth, rotations
+from jaxnav.maths.units import DEG, Unit
+from jaxnav.measurements.gnss import ENU, NED
+from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
+from jaxnav.states.sensors import corrected_reading
+from jaxnav.states.state import BODY
+from jaxnav.types import Fix, Leaf, Mounting, Nav
+
+
+class Sd(NamedTuple):
+    """Noise of a constraint."""
+
+    sd: Leaf  # () m/s or rad/s
+
+
+def observe_zero_velocity(theta: Sd, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """V = 0."""
+    return Observation(kin.vel, {"velocity": jnp.eye(3)}, jnp.broadcast_to(theta.sd, (3,)))
+
+
+def observe_zero_rate(theta: Sd, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """What the gyros read is the Earth's rate and their errors: value is their mean over the standstill."""
+    w_ie = earth.earth_rate(kin.lla[0])
+    y = corrected_reading(fix.value, "gyro", nav.errors) - kin.C.T @ w_ie
+    rows = {"gyro": jnp.eye(3), "attitude": -kin.C.T @ rotations.skew(w_ie)}
+    return Observation(y, rows, jnp.broadcast_to(theta.sd, (3,)))
+
+
+ZERO_VELOCITY = Measurement(
+    "zero_velocity", ENU, observe_zero_velocity, Sd(0.02), Sd(Unit("zero_velocity_mps", text="m/s")), reported=NED
+)  # fmt: skip
+"""The vehicle stands: no value; sd from its parameters."""
+ZERO_RATE = Measurement(
+    "zero_rate", BODY, observe_zero_rate, Sd(0.1 * DEG), Sd(Unit("zero_rate_deg_per_s", DEG, text="deg/s"))
+)  # fmt: skip
+"""The vehicle does not turn: value = mean raw gyro rate, rad/s, body; sd from its parameters."""

@@ -1,1 +1,0 @@
-"""Errors of position, velocity and attitude, one module per frame."""

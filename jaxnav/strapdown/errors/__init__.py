@@ -1,0 +1,1 @@
+"""How errors of position, velocity and attitude grow, one module per mechanization."""

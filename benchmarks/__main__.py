@@ -14,6 +14,7 @@ NAMES = {
     "budget": "the cost of tuning by gradient, CMA-ES, coordinate and random search",
     "recover": "noise parameters back from innovations alone, started 10 times off",
     "speed": "speed beside a C++ floor, plain JAX, numpy and other packages; gradients, compilation, growth",
+    "states": "optional error states: consistent with them, not without",
     "umn": "a fixed-wing flight from an unknown heading, against the onboard filter",
 }
 

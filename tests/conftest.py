@@ -23,7 +23,8 @@ jax.config.update("jax_disable_most_optimizations", True)  # the suite's time is
 from jaxnav.data.epochs import Packed, pack  # noqa: E402
 from jaxnav.filters.run import initial_nav  # noqa: E402
 from jaxnav.maths.units import DEG  # noqa: E402
-from jaxnav.states.grades import Grade, datasheet_params  # noqa: E402
+from jaxnav.filters.parameters import datasheet_params  # noqa: E402
+from jaxnav.states.grades import Grade  # noqa: E402
 from jaxnav.types import ImuLog, Nav, Params, Samples, Track  # noqa: E402
 
 GRADE = Grade(2e-4, 2e-3, 1e-3, 2e-2, 1e-4, 2e-3, 100.0, "made up for tests: a good MEMS unit")

@@ -1,5 +1,6 @@
 """Errors of a solution and consistency of a filter, per epoch; reduce over time and runs as you need."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import jax
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtri  # the inverse chi-square law without the second that scipy.stats takes to load
 
-from jaxnav.maths import earth, linalg
+from jaxnav.maths import earth, linalg, rotations
 from jaxnav.types import Info, Nav, Track
 
 
@@ -36,6 +37,16 @@ def errors(solution: Track, truth: Track) -> Errors:
 def position_error(nav: Nav, lla: jax.Array) -> jax.Array:
     """ENU error in m of local level navigation against a true position, (3,); differentiable."""
     return earth.enu_difference(nav.pos, lla)
+
+
+def state_error(nav: Nav, truth: Nav, states: Iterable[str] = ()) -> jax.Array:
+    """X = estimate - truth, (9 + size of the states,), of local level navigation: ENU, and the states in their order.
+
+    Motion by the error model's own definition, C_est = exp([phi x]) C_true.
+    """
+    phi = rotations.log(rotations.multiply(nav.q, rotations.conjugate(truth.q)))
+    optional = [nav.errors[name] - truth.errors[name] for name in states]
+    return jnp.concatenate([position_error(nav, truth.pos), nav.vel - truth.vel, phi, *optional])
 
 
 def negative_log_likelihood(info: Info) -> jax.Array:

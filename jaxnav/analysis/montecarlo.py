@@ -11,16 +11,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from jaxnav.analysis import metrics
 from jaxnav.analysis.progress import bar as progress_bar
 from jaxnav.data.epochs import TICK
-from jaxnav.filters.core import Filter
-from jaxnav.maths import rotations
+from jaxnav.filters.core import Filter, Step
+from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate, sizes
-from jaxnav.types import Info, Nav, Params
+from jaxnav.states.motion import A, P, V
+from jaxnav.types import Nav, Params
 
 QUANTITIES = ("horizontal", "vertical", "velocity", "tilt", "yaw")
 """Absolute errors whose course in time is kept: m, m, m/s, rad, rad; tilt is about both level axes."""
@@ -88,24 +88,10 @@ def run_key(seed: int, run: Any) -> jax.Array:
 # ---------------------------------------------------------------------------- one run, compiled
 
 
-def _row(info: Info, truth: Nav) -> Row:
-    nav = info.nav
-    position = metrics.position_error(nav, truth.pos)
-    velocity = nav.vel - truth.vel
-    phi = rotations.log(rotations.multiply(nav.q, rotations.conjugate(truth.q)))
-    nees = metrics.nees(jnp.concatenate([position, velocity, phi]), info.P[:9, :9])
-    return Row(position, velocity, phi, nees, info.nis, info.valid.sum(), info.ok)
-
-
-def _filtered(filt: Filter, sim: Simulated, params: Params) -> Row:
-    """Rows (E, ...) of a simulated run; of `Info` nothing is kept."""
-
-    def step(state, inputs):
-        epoch, truth = inputs
-        state, info = filt.step(params, state, epoch)
-        return state, _row(info, truth)
-
-    return lax.scan(step, filt.init(params, sim.initial), (sim.epochs, sim.truth))[1]
+def _row(step: Step, truth: Nav) -> Row:
+    info = step.info
+    x = metrics.state_error(info.nav, truth)
+    return Row(x[P], x[V], x[A], metrics.nees(x, info.P[:9, :9]), info.nis, info.valid.sum(), info.ok)
 
 
 def _magnitudes(rows: Row) -> jax.Array:
@@ -140,7 +126,7 @@ def _chunk(filt: Filter, scenario: Scenario, many: bool, params: Params, limit: 
         sim = simulate(scenario, key)
 
         def candidate(params):
-            rows = _filtered(filt, sim, params)
+            rows = run(filt, params, sim.initial, sim.epochs, _row, sim.truth)
             return _scores(rows, sim, limit), (_magnitudes(rows), rows.nees, rows.nis, rows.dof, rows.ok)
 
         return *(jax.vmap(candidate)(params) if many else candidate(params)), sim.truth.t

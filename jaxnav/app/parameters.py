@@ -11,6 +11,7 @@ from jaxnav.filters.catalogue import FILTERS
 from jaxnav.filters.parameters import UNITS, get, has, put
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import Measurement
+from jaxnav.states.table import STATES
 from jaxnav.types import ConfigError, Params, nearest
 from tuning.transforms import LOG, TRANSFORMS, Spec, Transform, believed, factor, scaled, tied
 
@@ -107,11 +108,12 @@ def groups(name: str, measurements: tuple[Measurement, ...], states: tuple[str, 
     used = {m.name for m in measurements}
     entry = FILTERS[name]
     own = (*entry.states, *states)
+    driven = [state for state in own if STATES[state].defaults.drive > 0]  # of a constant there is no logarithm
     vehicle = bool(used & {"nonholonomic", "speed"})
     others = [f"measurements.{m.name}.{leaf}" for m in measurements if not m.receiver
               for leaf, unit in m.units._asdict().items() if unit.step is None]  # fmt: skip
     return {
-        "noise": ["noise.gyro", "noise.accel", *(f"states.{state}.drive" for state in own), *others],
+        "noise": ["noise.gyro", "noise.accel", *(f"states.{state}.drive" for state in driven), *others],
         "fixes": ["measurements.position.scale", "measurements.velocity.scale"],
         # of the IMU's
         "timing": ["mounting.time_offset", "mounting.clock_drift", "measurements.velocity.latency"],

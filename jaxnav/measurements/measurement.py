@@ -38,6 +38,7 @@ class Observation(NamedTuple):
     rows: dict[str, jax.Array]
     sd: jax.Array  # (s,) of the noise
     root: jax.Array | float = 1.0  # (), (s,) or lower triangular (s, s): what multiplies noise of that sd
+    reading: jax.Array | None = None  # (3,) true reading that "gyro" or "accel" means; None: navigation's own last one
 
 
 class Observe(Protocol):
@@ -137,7 +138,8 @@ def rows_of(o: Observation, nav: Nav, states: Sequence[State]) -> jax.Array:
         row = o.rows.get(state.name, jnp.zeros((s, state.size)))
         if state.enters in o.rows:
             through = o.rows[state.enters]
-            row = row - (through if state.effect is None else through @ state.effect(readings[state.enters]))
+            w = readings[state.enters] if o.reading is None else o.reading
+            row = row - (through if state.effect is None else through @ state.effect(w))
         blocks.append(row)
     return jnp.concatenate(blocks, 1)
 

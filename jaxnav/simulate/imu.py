@@ -101,12 +101,12 @@ def _quantise(value: jax.Array, step: jax.Array) -> jax.Array:
 
 def corrupt(
     key: jax.Array, imu: Imu, dt: float, grade: Grade, errors: ImuErrors = ImuErrors()
-) -> tuple[Imu, jax.Array, jax.Array]:
+) -> tuple[Imu, dict[str, jax.Array]]:
     """Put the errors of a grade, and more, on regular samples (n, ...); ``errors.grade`` is not looked up.
 
-    Returns what the IMU puts out and its true biases (n, 3), gyro (rad/s) and accelerometer (m/s^2): those that
-    subtracted leave scale error, misalignment, vibration, quantisation and white noise. Vibration is felt by the
-    sensors only, the truth does not shake.
+    Returns what the IMU puts out and its true errors (n, size) by name of `jaxnav.states.STATES`: taken out they leave
+    misalignment, vibration, quantisation and white noise. Vibration is felt by the sensors only, the truth does not
+    shake.
     """
     n = imu.dt.shape[0]
     normal = jax.random.normal(key, (2 + 2 * n, 2, 3), float)  # axis 1: gyro, accelerometer
@@ -114,9 +114,12 @@ def corrupt(
     # a root PSD becomes the sd of a mean over dt
     noise = errors.imu_noise_factor * _pair(grade.arw, grade.vrw) / np.sqrt(dt) * normal[2 + n :]
     signal = jnp.stack([imu.gyro, imu.accel], 1)
-    out = jnp.einsum("sij,nsj->nsi", _deform(key, normal[1], errors), signal) + bias + noise
+    deformed = _deform(key, normal[1], errors)
+    out = jnp.einsum("sij,nsj->nsi", deformed, signal) + bias + noise
     if errors.vibration_hz:
         out = out + _vibration(key, n, dt, errors)
     if errors.gyro_step_deg_per_s or errors.accel_step_mg:
         out = _quantise(out, _pair(errors.gyro_step_deg_per_s * units.DEG, errors.accel_step_mg * units.MG))
-    return Imu(imu.dt, out[:, 0], out[:, 1]), bias[:, 0], bias[:, 1]
+    scale = jnp.broadcast_to(jnp.diagonal(deformed, axis1=1, axis2=2) - 1, bias.shape)
+    true = {"gyro_bias": bias[:, 0], "accel_bias": bias[:, 1], "gyro_scale": scale[:, 0], "accel_scale": scale[:, 1]}
+    return Imu(imu.dt, out[:, 0], out[:, 1]), true

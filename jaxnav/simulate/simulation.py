@@ -27,7 +27,7 @@ class Simulated(NamedTuple):
     """One run, or many with a leading axis; E epochs of k samples, fixes for `jaxnav.measurements.GNSS`."""
 
     epochs: Epoch  # (E, k, ...) and (E, 6); in an outage not valid, but with the antenna's values free of error
-    truth: Nav  # (E, ...) at the end of each epoch; biases are what the IMU's really were
+    truth: Nav  # (E, ...) at the end of each epoch; errors are what the IMU's really were
     start: Nav  # () the truth where the run starts: t = 0, or the end of the alignment
     initial: Nav  # () the start for a filter
     hidden: jax.Array  # (E,) bool, in an outage
@@ -93,11 +93,11 @@ def _align(nav: Nav, still: Imu, start: Start) -> Nav:
     return nav._replace(q=rotations.from_dcm(C), errors={"gyro_bias": bias} if start.calibrate_gyro else {})
 
 
-def _nav(seen: tuple[Point, tuple[jax.Array, jax.Array]], b_g: jax.Array, b_a: jax.Array, origin: Origin) -> Nav:
+def _nav(seen: tuple[Point, tuple[jax.Array, jax.Array]], errors: dict[str, jax.Array], origin: Origin) -> Nav:
     """Truth (...,) of points and what the IMU feels there."""
     point, (omega, force) = seen
     q = rotations.from_dcm(rotations.from_rph(point.rph))
-    return Nav(point.t, point.lla, point.vel, q, omega, force, origin, {"gyro_bias": b_g, "accel_bias": b_a})
+    return Nav(point.t, point.lla, point.vel, q, omega, force, origin, errors)
 
 
 def _observe(keys: jax.Array, scenario: Scenario, seen: Nav, t: jax.Array) -> tuple[Fix, jax.Array, jax.Array]:
@@ -137,14 +137,13 @@ def simulate_shape(scenario: Scenario, shape: Shape, key: jax.Array) -> Simulate
 
     way = travel(shape, lla, dt, k, before + E, imu.sense, scenario.gnss.latency_s)
     flat = [a.reshape(-1, 3) for a in way.means]
-    samples, b_g, b_a = imu.corrupt(
+    samples, errors = imu.corrupt(
         keys[SENSOR], Imu(jnp.full(flat[0].shape[0], dt, float), *flat), dt, GRADES[scenario.imu.grade], scenario.imu
     )
     zero, ends = jnp.zeros(()), slice(k - 1, None, k)
-    first = _nav(way.start, b_g[0], b_a[0], Origin(lla, zero, zero))
-    truth, seen = (
-        jax.vmap(_nav, (0, 0, 0, None))(points, b_g[ends], b_a[ends], first.origin) for points in (way.ends, way.late)
-    )
+    at = lambda i: jax.tree.map(lambda a: a[i], errors)  # noqa: E731
+    first = _nav(way.start, at(0), Origin(lla, zero, zero))
+    truth, seen = (jax.vmap(_nav, (0, 0, None))(points, at(ends), first.origin) for points in (way.ends, way.late))
 
     start = jax.tree.map(lambda a: a[before - 1], truth) if before else first
     start = start._replace(origin=Origin(start.pos, zero, start.t))

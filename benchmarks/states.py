@@ -1,0 +1,116 @@
+"""Optional error states: is a filter that has them consistent, and one that lacks them not?
+
+Simulated urban drives whose sensors have the errors; NEES of all states at the last epoch, over runs that are
+independent, so that the mean has chi-square bounds. Errors of a state are pooled over runs and axes.
+"""
+
+import argparse
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import ndtri
+
+from benchmarks.common import options, write_json
+from jaxnav.analysis import metrics
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.core import Filter, Step
+from jaxnav.filters.parameters import datasheet_states
+from jaxnav.filters.run import run
+from jaxnav.simulate.scenarios import SCENARIOS, Scenario
+from jaxnav.simulate.simulation import matched_params, simulate
+from jaxnav.states.grades import GRADES
+from jaxnav.types import Nav, Params
+
+STRIDE, CHUNK = 10, 32
+
+
+class Final(NamedTuple):
+    """The end of one run."""
+
+    nees: jax.Array  # () of all states
+    error: jax.Array  # (n,) estimate minus truth
+    sd: jax.Array  # (n,)
+    ok: jax.Array  # () bool
+
+
+def knowing(params: Params, scenario: Scenario, filt: Filter) -> Params:
+    """The parameters with what the rows of `STATES` believe of the filter's further states."""
+    names = [name for name in filt.model.states if name not in params.states]
+    return params._replace(states=params.states | datasheet_states(GRADES[scenario.imu.grade], names))
+
+
+def final(filt: Filter, step: Step, truth: Nav) -> Final:
+    """Of an epoch's record: error and consistency of every state of the filter."""
+    info = step.info
+    x = metrics.state_error(info.nav, truth, filt.model.states)
+    return Final(metrics.nees(x, info.P), x, jnp.sqrt(jnp.diag(info.P)), info.ok)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def runs_of(filt: Filter, scenario: Scenario, params: Params, keys: jax.Array) -> Final:
+    """The ends of the runs with these keys."""
+
+    def one(key):
+        sim = simulate(scenario, key)
+        rows = run(filt, params, sim.initial, sim.epochs, partial(final, filt), sim.truth)
+        return jax.tree.map(lambda a: a[-1], rows)
+
+    return jax.vmap(one)(keys)
+
+
+def scored(filt: Filter, scenario: Scenario, runs: int, seed: int) -> Final:
+    """All runs, some at a time."""
+    params = knowing(matched_params(scenario), scenario, filt)
+    keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(np.arange(runs))
+    parts = [jax.device_get(runs_of(filt, scenario, params, keys[i : i + CHUNK])) for i in range(0, runs, CHUNK)]
+    found = jax.tree.map(lambda *a: np.concatenate(a), *parts)
+    if not found.ok.all():
+        raise SystemExit(f"{(~found.ok).sum()} of {runs} runs stopped being finite")
+    return found
+
+
+def anees(found: Final) -> float:
+    """Mean NEES per degree of freedom."""
+    return float(found.nees.mean() / found.error.shape[1])
+
+
+def bounds(n: int, runs: int) -> list[float]:
+    """95 % bounds of `anees`."""
+    return (np.array(metrics.chi2_bounds(n, runs)) / n).tolist()
+
+
+def inside(found: Final, columns: slice) -> float:
+    """Share of errors inside their own 95 % interval, pooled over runs and axes."""
+    return float(np.mean(np.abs(found.error[:, columns]) <= ndtri(0.975) * found.sd[:, columns]))
+
+
+def scale(runs: int, seed: int) -> dict[str, Any]:
+    """Scale errors of 3,000 ppm: 21 states against 15."""
+    urban = SCENARIOS["urban"]
+    scenario = urban._replace(imu=urban.imu._replace(gyro_scale_sd_ppm=3000.0, accel_scale_sd_ppm=3000.0))
+    with_them = scored(build("ekf15", cov_stride=STRIDE, states=("gyro_scale", "accel_scale")), scenario, runs, seed)
+    without = scored(build("ekf15", cov_stride=STRIDE), scenario, runs, seed)
+    return {
+        "anees_21": anees(with_them), "anees_15": anees(without), "bounds": bounds(21, runs),
+        "inside": inside(with_them, slice(15, 21)), "per_run_21": with_them.nees, "per_run_15": without.nees,
+    }  # fmt: skip
+
+
+STUDIES = {"scale": scale}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Every study, a line each."""
+    parser = options("states", __doc__ or "")
+    parser.add_argument("--runs", type=int, default=128, help="default 128")
+    parser.add_argument("--seed", type=int, default=0, help="default 0")
+    args: argparse.Namespace = parser.parse_args(argv)
+    found = {name: study(args.runs, args.seed) for name, study in STUDIES.items()}
+    for name, row in found.items():
+        print(name, {k: np.round(v, 3).tolist() for k, v in row.items() if not k.startswith("per_run")})
+    write_json(args.json, {"runs": args.runs, "seed": args.seed} | found)
+    return 0

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxnav.states.biases import ACCEL_BIAS, GYRO_BIAS
 from jaxnav.states.motion import MOTION
+from jaxnav.states.scale_factors import ACCEL_SCALE, GYRO_SCALE
 from jaxnav.states.state import State
 from jaxnav.types import nearest
 
@@ -16,6 +17,8 @@ STATES: dict[str, State] = {
     for state in (
         GYRO_BIAS,
         ACCEL_BIAS,
+        GYRO_SCALE,
+        ACCEL_SCALE,
     )
 }
 BIASES = ("gyro_bias", "accel_bias")

@@ -1,5 +1,6 @@
 """MEASUREMENTS: every kind of measurement by name; a new one is a file beside this and a line here."""
 
+from jaxnav.measurements.barometer import BAROMETER
 from jaxnav.measurements.gnss import POSITION, VELOCITY
 from jaxnav.measurements.measurement import Measurement, clock_offset, counted_from, layout
 from jaxnav.measurements.standstill import ZERO_RATE, ZERO_VELOCITY
@@ -14,11 +15,12 @@ MEASUREMENTS: dict[str, Measurement] = {
         ZERO_RATE,
         NONHOLONOMIC,
         SPEED,
+        BAROMETER,
     )
 }
 GNSS = (POSITION, VELOCITY)
 
 __all__ = [
-    "GNSS", "MEASUREMENTS", "NONHOLONOMIC", "POSITION", "SPEED", "VELOCITY", "ZERO_RATE", "ZERO_VELOCITY",
+    "BAROMETER", "GNSS", "MEASUREMENTS", "NONHOLONOMIC", "POSITION", "SPEED", "VELOCITY", "ZERO_RATE", "ZERO_VELOCITY",
     "Measurement", "clock_offset", "counted_from", "layout",
 ]  # fmt: skip

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnav.states.barometer_bias import BAROMETER_BIAS
 from jaxnav.states.biases import ACCEL_BIAS, GYRO_BIAS
 from jaxnav.states.motion import MOTION
 from jaxnav.states.scale_factors import ACCEL_SCALE, GYRO_SCALE
@@ -19,6 +20,7 @@ STATES: dict[str, State] = {
         ACCEL_BIAS,
         GYRO_SCALE,
         ACCEL_SCALE,
+        BAROMETER_BIAS,
     )
 }
 BIASES = ("gyro_bias", "accel_bias")

@@ -1,0 +1,31 @@
+"""Barometric height, which is off by the state ``barometer_bias``."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jaxnav.maths.units import Unit
+from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
+from jaxnav.types import Fix, Leaf, Mounting, Nav
+
+
+class BarometerParams(NamedTuple):
+    """Of a barometer."""
+
+    sd_scale: Leaf  # () factor on its own sd
+    latency: Leaf  # () s, its age when it is stamped
+
+
+def observe_barometer(theta: BarometerParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """H + b - y."""
+    bias = nav.errors.get("barometer_bias", jnp.zeros(1))
+    rows = {"position": jnp.array([[0.0, 0.0, 1.0]]), "barometer_bias": jnp.ones((1, 1))}
+    return Observation(kin.lla[2:] + bias - fix.value, rows, fix.sd, theta.sd_scale)
+
+
+BAROMETER = Measurement(
+    "barometer", ("up",), observe_barometer, BarometerParams(1.0, 0.0),
+    BarometerParams(Unit("barometer_sd_scale"), Unit("barometer_latency_s", text="s", step=0.1)),
+    states=("barometer_bias",), columns=("height_m",),
+)  # fmt: skip
+"""Height by air pressure: value m above the ellipsoid but for its bias, its own sd."""

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.analysis import metrics
+from jaxnav.filters.run import negative_log_likelihood
 from jaxnav.types import Info
 
 
@@ -30,7 +31,7 @@ def sound(info: Info, keep: jax.Array, value: jax.Array) -> jax.Array:
 def innovation_nll(info: Info, keep: jax.Array) -> jax.Array:
     """Mean negative log-likelihood of the innovations per epoch; ``keep`` (E,) bool. Needs no truth."""
     measured = keep & info.valid.any(-1)
-    return sound(info, keep, masked_mean(jax.vmap(metrics.negative_log_likelihood)(info), measured))
+    return sound(info, keep, masked_mean(jax.vmap(negative_log_likelihood)(info), measured))
 
 
 def rmse(error: jax.Array, keep: jax.Array) -> jax.Array:

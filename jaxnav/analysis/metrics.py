@@ -49,12 +49,6 @@ def state_error(nav: Nav, truth: Nav, states: Iterable[str] = ()) -> jax.Array:
     return jnp.concatenate([position_error(nav, truth.pos), nav.vel - truth.vel, phi, *optional])
 
 
-def negative_log_likelihood(info: Info) -> jax.Array:
-    """-log N(nu; 0, S) of one epoch's valid channels, (): what truth-free tuning minimises."""
-    # missing channels have nu = 0 and an identity row in S: they add nothing
-    return 0.5 * (info.nis + linalg.log_determinant(info.S) + info.valid.sum() * jnp.log(2 * jnp.pi))
-
-
 def normalized_innovations(info: Info) -> np.ndarray:
     """Innovations over the roots of diag S, (E, m), nan on unused channels; of unit variance if all is consistent."""
     sd = np.sqrt(np.asarray(jnp.diagonal(info.S, axis1=-2, axis2=-1)))

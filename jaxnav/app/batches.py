@@ -20,7 +20,7 @@ from jaxnav.filters.run import prepare
 from jaxnav.maths import earth
 from jaxnav.measurements import GNSS, Measurement, clock_offset, counted_from
 from jaxnav.simulate.scenarios import Scenario
-from jaxnav.simulate.simulation import Simulated, stride_within
+from jaxnav.simulate.simulation import Simulated
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError, DataError, Epoch, Mounting, Nav, Params, Recording
 
@@ -104,12 +104,11 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     windows = sims.outages.shape[1]
     if not windows:
         raise ConfigError(f"data.options.outages_s: tuning scores outages, scenario {scenario.name} has none")
-    stride = stride_within(config.filter.cov_stride, scenario)
     start, own = config.start, scenario.start
     sd = start.position_sd_m or own.prior_position_sd_m, start.velocity_sd_mps or own.prior_velocity_sd_mps
     params = pre.base_params(config, pre.grade_of(config, scenario), np.array(scenario.gnss.lever_arm_m), *sd)
     history = pre.history_of(config, params, scenario.imu_rate_hz, scenario.duration_s, tuned=True)
-    filt = build(pre.filter_name(config), GNSS, stride, history, states=config.filter.states)
+    filt = build(pre.filter_name(config), GNSS, config.filter.cov_stride, history, states=config.filter.states)
     place = np.array(scenario.gnss.lever_arm_m)
     sheet = pre.base_params(datasheet_only(config), pre.grade_of(config, scenario), place, *sd)
     edges = np.cumsum((0, *counts))

@@ -27,7 +27,7 @@ from jaxnav.filters.parameters import put
 from jaxnav.filters.run import prepare, run
 from jaxnav.maths import rotations, units
 from jaxnav.simulate.scenarios import Scenario
-from jaxnav.simulate.simulation import matched_params, stride_within
+from jaxnav.simulate.simulation import matched_params
 from jaxnav.types import Epoch, Nav, Params
 from tuning.optimizers import adam
 from tuning.train import fit
@@ -221,11 +221,10 @@ def _enter(name: str, plan: Plan, runs: Runs, progress: bool) -> Entrant | None:
 
 
 def filter_for(name: str, plan: Plan) -> Filter:
-    """The filter that serves all scenarios of the plan: its stride divides their samples, its history covers them."""
+    """The filter that serves all scenarios of the plan: its history covers them."""
     kinds = (*plan.trained, *plan.unseen)
-    stride = stride_within(plan.cov_stride, *(kind.scenario for kind in kinds))
     history = max(covering(k.told, k.scenario.imu_rate_hz, k.scenario.duration_s) for k in kinds)
-    return build(name, cov_stride=stride, history=history)
+    return build(name, cov_stride=plan.cov_stride, history=history)
 
 
 def together(cases: list[Case]) -> tuple[list[Case], list[int]]:

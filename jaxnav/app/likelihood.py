@@ -9,12 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxnav.analysis import metrics
 from jaxnav.app.batches import Material
 from jaxnav.app.objectives import leaves, merged
 from jaxnav.app.parameters import component, unit_of
 from jaxnav.filters.parameters import get
-from jaxnav.filters.run import run
+from jaxnav.filters.run import negative_log_likelihood, run
 from jaxnav.types import Params
 from tuning import objectives, scoring, uncertainty
 from tuning.posterior import sample
@@ -90,7 +89,7 @@ def _density(filt, items, flat, like, params, own, whole) -> jax.Array:
 
     def one(nav, epochs, keep):
         info = run(filt, merged(join(spec, back(flat), params), own, leaves(spec)), nav, epochs)
-        each = jax.vmap(metrics.negative_log_likelihood)(info)
+        each = jax.vmap(negative_log_likelihood)(info)
         return objectives.sound(info, keep, jnp.sum(jnp.where(keep & info.valid.any(-1), each, 0.0)))
 
     return -jnp.sum(jax.vmap(one)(whole.nav, whole.epochs, whole.keep))

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.measurements import GNSS, Measurement, layout
-from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Samples
+from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Samples, nearest
 
 TICK = 1e-6  # s: times closer than this are one
+MOST_EPOCHS = 10_000_000  # of a recording: ten minutes a microsecond apart, or a year at 0.3 Hz
 
 
 class Packed(NamedTuple):
@@ -46,6 +47,8 @@ def cut_times(
     times = np.unique(times[(times > start + TICK) & (times <= stop + TICK)])
     times = times[np.diff(times, prepend=-np.inf) > 2 * TICK]  # a fix belongs to a cut within that
     edges = np.concatenate([[start], times, [stop] if times.size == 0 or stop - times[-1] > 2 * TICK else []])
+    if (stop - start) / interval > MOST_EPOCHS:
+        raise DataError(f"interval = {interval:g} s cuts {stop - start:g} s into more than {MOST_EPOCHS:,} epochs")
     cuts = []
     for a, b in zip(edges[:-1], edges[1:], strict=True):
         n = max(1, int(np.ceil((b - a) / interval - 1e-3)))  # a fix 0.1 % late starts no epoch of its own
@@ -61,36 +64,77 @@ def pack(
     start: float | None = None,
     stop: float | None = None,
     cuts: np.ndarray | None = None,
-    multiple: int = 1,
     max_gap: float = 1.0,
 ) -> Packed:
     """Cut a recording into epochs for a filter made with ``measurements``.
 
     ``interval``: s, nominal fix interval, the length of epochs without a fix. ``cuts``: the ends of epochs where they
-    are already known (`cut_times`). ``multiple``: the padded samples of an epoch are a multiple of this (cov_stride).
-    ``max_gap``: s; a hole in the IMU stream up to this long is bridged by the mean of its two sides.
+    are already known (`cut_times`). ``max_gap``: s; a hole in the IMU stream up to this long is bridged by the mean of
+    its two sides.
 
     Raises:
-        DataError: a stream that no measurement takes, a fix between the given ``cuts``, or an IMU gap longer than
-            ``max_gap``.
+        DataError: a stream that no measurement takes, of another shape, unsorted, not finite, with an sd <= 0 or in
+            degrees; a fix between the given ``cuts``; an IMU gap longer than ``max_gap``; or epochs without end.
     """
     slices = layout(measurements)
-    unknown = set(aiding) - set(slices)
-    if unknown:
-        raise DataError(f"no measurement of the filter takes {sorted(unknown)}; it has {list(slices)}")
+    for name in aiding:
+        if name not in slices:
+            raise DataError(f"no measurement of the filter takes {name!r}: {nearest(name, slices)}")
+    _check_imu(imu)
+    for name, stream in aiding.items():
+        _check_samples(name, stream, slices[name].stop - slices[name].start)
+    if not (np.isfinite(interval) and interval > 0):
+        raise DataError(f"interval must be positive, got {interval} s")
     gaps = imu.t[1:] - imu.dt[1:] - imu.t[:-1]
     if gaps.size and gaps.max() > max_gap:
         i = int(gaps.argmax())
         raise DataError(f"imu: gap of {gaps[i]:.3f} s at t = {imu.t[i]:.3f} s, longer than max_gap = {max_gap} s")
     cuts = cut_times(imu, aiding, interval, start, stop) if cuts is None else cuts
     begin = float(imu.t[0] - imu.dt[0] if start is None else start)
-    samples = _cut_imu(imu, begin, cuts, multiple)
+    samples = _cut_imu(imu, begin, cuts)
     fix = _align_fixes(aiding, slices, sum(m.size for m in measurements), begin, cuts)
     epochs = Epoch(Imu(*(jnp.asarray(a, float) for a in samples)), fix)
     return Packed(epochs, cuts, begin)
 
 
-def _cut_imu(imu: ImuLog, start: float, cuts: np.ndarray, multiple: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _check_imu(imu: ImuLog) -> None:
+    """Raise DataError for a log that is not sorted, finite and of one length."""
+    n = np.shape(imu.t)[0] if np.ndim(imu.t) == 1 else 0
+    if not n:
+        raise DataError(f"imu: t must be (N,) with N > 0, got {np.shape(imu.t)}")
+    for name, shape in (("dt", (n,)), ("gyro", (n, 3)), ("accel", (n, 3))):
+        if np.shape(getattr(imu, name)) != shape:
+            raise DataError(f"imu: {name} must be {shape}, as t says, got {np.shape(getattr(imu, name))}")
+    _check_rows("imu", imu.t, *imu[1:])
+    if not np.all(imu.dt > 0):
+        raise DataError(f"imu: dt must be > 0, is {imu.dt.min():g} at t = {imu.t[int(imu.dt.argmin())]:.3f} s")
+
+
+def _check_samples(name: str, s: Samples, size: int) -> None:
+    """Raise DataError for a stream that a filter cannot use."""
+    K = np.shape(s.t)[0] if np.ndim(s.t) == 1 else -1
+    for field in ("value", "sd", "corr"):
+        if np.shape(getattr(s, field)) != (K, size):
+            raise DataError(f"{name}: {field} must be {(K, size)}, got {np.shape(getattr(s, field))}")
+    _check_rows(name, s.t, *s[1:])
+    if not np.all(s.sd > 0):
+        raise DataError(f"{name}: sd must be > 0, is {s.sd.min():g} at t = {s.t[int(s.sd.min(1).argmin())]:.3f} s")
+    if name == "position" and K and np.abs(s.value[:, :2]).max() > 2 * np.pi:
+        raise DataError("position: latitude and longitude are in radians, these look like degrees")
+
+
+def _check_rows(name: str, t: np.ndarray, *columns: np.ndarray) -> None:
+    """Raise DataError where times do not increase or a number is not finite."""
+    for a in (t, *columns):
+        bad = ~np.isfinite(a).reshape(len(t), -1).all(1) if len(t) else np.zeros(0, bool)
+        if bad.any():
+            raise DataError(f"{name}: row {int(bad.argmax())} has a value that is not finite")
+    if np.any(np.diff(t) <= 0):
+        i = int(np.argmax(np.diff(t) <= 0))
+        raise DataError(f"{name}: times must increase, row {i + 1} is {t[i + 1]:.6f} s after {t[i]:.6f} s")
+
+
+def _cut_imu(imu: ImuLog, start: float, cuts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Split the stream at every cut and pad: dt (E, k), gyro (E, k, 3), accel (E, k, 3)."""
     edges = np.union1d(imu.t, np.concatenate([[start], cuts]))
     edges = edges[(edges >= start - TICK) & (edges <= cuts[-1] + TICK)]
@@ -105,7 +149,7 @@ def _cut_imu(imu: ImuLog, start: float, cuts: np.ndarray, multiple: int) -> tupl
     accel = 0.5 * (imu.accel[source] + imu.accel[before])
     epoch = np.searchsorted(cuts, ends - 2 * TICK)
     counts = np.bincount(epoch, minlength=cuts.size)
-    k = -(-int(counts.max()) // multiple) * multiple
+    k = int(counts.max())
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
     index = first[:, None] + np.arange(k)
     real = np.arange(k) < counts[:, None]

@@ -7,6 +7,7 @@ not depend on P.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -54,14 +55,16 @@ class Rule(NamedTuple):
     estimates: tuple[str, ...] = ()  # optional states that it moves by itself, without their being in x
 
 
-class Prepared(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Prepared:
     """The samples of an epoch, and what needs no state of them: worked out once for all runs of a filter."""
 
     n: jax.Array  # () int, samples that are not padding
     keep: jax.Array  # (w,) int, the last of them
     T: jax.Array  # (b,) s, of each point of the path
     samples: Any  # what `propagate` takes
-    made_for: jax.Array  # (stride, history, 0): holds nothing, its shape says which filters take it
+    stride: int = field(metadata={"static": True})  # samples of a point: only filters of the same take it
 
 
 class FilterState(NamedTuple):
@@ -219,13 +222,13 @@ def make_filter(
     def counted(imu: Imu) -> Prepared:
         n, imu = jnp.sum(imu.dt > 0), padded(imu, cov_stride)
         keep = jnp.maximum(n - history + jnp.arange(history), 0)
-        return Prepared(n, keep, imu.dt.reshape(-1, cov_stride).sum(1), imu, jnp.zeros((cov_stride, history, 0)))
+        return Prepared(n, keep, imu.dt.reshape(-1, cov_stride).sum(1), imu, cov_stride)
 
     def prepare(epochs: Epoch) -> Epoch:
         def one(imu: Imu, last: tuple[jax.Array, jax.Array]) -> Prepared:
             given = counted(imu)
             return (
-                given._replace(samples=preintegrate(given.samples, last, cov_stride, given.keep))
+                replace(given, samples=preintegrate(given.samples, last, cov_stride, given.keep))
                 if preintegrate
                 else given
             )
@@ -237,16 +240,16 @@ def make_filter(
 
     def transition(params: Params, state: FilterState, imu: Imu | Prepared) -> tuple[FilterState, Transition]:
         nav = jax.tree.map(lambda a: a[-1], state.past)
-        n, keep, T, samples, made_for = imu if isinstance(imu, Prepared) else counted(imu)
-        if made_for.shape != (cov_stride, history, 0):
+        given = imu if isinstance(imu, Prepared) else counted(imu)
+        if (given.stride, given.keep.size) != (cov_stride, history):
             raise ValueError(
-                f"the epochs were prepared for a stride and history of {made_for.shape[:2]} samples, "
+                f"the epochs were prepared for a stride and history of {given.stride, given.keep.size} samples, "
                 f"the filter has {cov_stride, history}"
             )
-        recent, points = propagate(nav, state.u, samples, cov_stride, keep)
-        Phi, Q, d = model.discretize(params, points, T, state.u)
+        recent, points = propagate(nav, state.u, given.samples, cov_stride, given.keep)
+        Phi, Q, d = model.discretize(params, points, given.T, state.u)
         x, P = Phi @ state.x + d, linalg.sandwich(Phi, state.P) + Q
-        predicted = state._replace(past=shift(state.past, recent, n), x=x, P=P, T=state.T + T.sum())
+        predicted = state._replace(past=shift(state.past, recent, given.n), x=x, P=P, T=state.T + given.T.sum())
         return predicted, Transition(Phi, Q, d)
 
     def predict(params: Params, state: FilterState, imu: Imu | Prepared) -> FilterState:

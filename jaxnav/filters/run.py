@@ -10,7 +10,7 @@ import numpy as np
 from jax import lax
 
 from jaxnav.filters.core import Filter, Step
-from jaxnav.maths import rotations
+from jaxnav.maths import linalg, rotations
 from jaxnav.types import DataError, Epoch, Info, Nav, Origin, Params, Track
 
 
@@ -106,3 +106,9 @@ def first_failure(info: Info, t: np.ndarray) -> str | None:
         return None
     i = int(np.argmin(ok))
     return f"the filter stopped being finite at t = {t[i]:.3f} s (epoch {i} of {ok.size})"
+
+
+def negative_log_likelihood(info: Info) -> jax.Array:
+    """-log N(nu; 0, S) of one epoch's valid channels, (): what truth-free tuning minimises."""
+    # missing channels have nu = 0 and an identity row in S: they add nothing
+    return 0.5 * (info.nis + linalg.log_determinant(info.S) + info.valid.sum() * jnp.log(2 * jnp.pi))

@@ -3,7 +3,6 @@
 Each purpose has its own key folded in: another GNSS noise, IMU or start does not change the drive.
 """
 
-import math
 from typing import NamedTuple
 
 import jax
@@ -59,16 +58,6 @@ def sizes(scenario: Scenario) -> tuple[int, int]:
         if not min(getattr(scenario.gnss, name)) > 0:
             raise ValueError(f"{name} must be positive, got {getattr(scenario.gnss, name)}: see gnss_noise_factor")
     return round(E) - round(before), round(k)
-
-
-def stride_within(most: int, *scenarios: Scenario) -> int:
-    """The greatest ``cov_stride`` up to ``most`` that divides the IMU samples of these scenarios' epochs.
-
-    Raises:
-        ValueError: see `sizes`.
-    """
-    samples = math.gcd(*(sizes(scenario)[1] for scenario in scenarios))
-    return max(d for d in range(1, most + 1) if samples % d == 0)
 
 
 def perturb(key: jax.Array, nav: Nav, start: Start) -> Nav:

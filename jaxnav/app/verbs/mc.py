@@ -20,7 +20,7 @@ from jaxnav.app.sources import scenario_of
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
-from jaxnav.simulate.simulation import matched_params, sizes, stride_within
+from jaxnav.simulate.simulation import matched_params, sizes
 from jaxnav.types import ConfigError, nearest
 
 
@@ -39,9 +39,8 @@ def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
         name, begin = pre.filter_name(each), time.perf_counter()
         entry = FILTERS[name]
         params = override(matched_params(told(each, scenario), entry.theta(), entry.feedback_theta()), config.params)
-        stride = stride_within(config.filter.cov_stride, scenario)
         rate, span = scenario.imu_rate_hz, scenario.duration_s
-        filt = build(name, GNSS, stride, pre.history_of(config, params, rate, span, tuned=False))
+        filt = build(name, GNSS, config.filter.cov_stride, pre.history_of(config, params, rate, span, tuned=False))
         try:
             found[name] = montecarlo.monte_carlo(
                 filt, scenario, params, config.mc.runs, config.seed, chunk=config.mc.chunk,

@@ -138,8 +138,8 @@ def simulated_rmse() -> Setup:
     """9 states, fixes 0.2 s late, true position: noise, lever arm and latencies, 17 parameters."""
     runs, params, k = town(4, 0.2, seed=2)
     filt = build("ekf9", cov_stride=k, history=8)
-    place = [("mounting.lever_arm", scaled(0.2)), ("mounting.position_latency", scaled(0.1)),
-             ("mounting.velocity_latency", scaled(0.1))]  # fmt: skip
+    place = [("mounting.lever_arm", scaled(0.2)), ("measurements.position.latency", scaled(0.1)),
+             ("measurements.velocity.latency", scaled(0.1))]  # fmt: skip
     axes = ("gyro", "accel", "position_scale", "velocity_scale")
     return Setup(filt, params, free(*place, axes=axes), runs, log_rmse(filt), False)
 
@@ -166,8 +166,9 @@ def drive_likelihood() -> Setup:
     """15 states and standstill updates, a stretch of the real drive, likelihood: noise, timing, lever arm, 25."""
     rec = io.read_drive(io.verify("rtkexplorer_drive"), imu_delay=drive.EARLY)
     data = drive.cut(rec, False, 146.0, 196.0)
-    more = [("noise.zero_velocity", LOG), ("noise.zero_rate", LOG), ("mounting.time_offset", scaled(0.1)),
-            ("mounting.velocity_latency", scaled(0.05)), ("mounting.lever_arm", scaled(0.2))]  # fmt: skip
+    more = [("measurements.zero_velocity.sd", LOG), ("measurements.zero_rate.sd", LOG),
+            ("mounting.time_offset", scaled(0.1)),
+            ("measurements.velocity.latency", scaled(0.05)), ("mounting.lever_arm", scaled(0.2))]  # fmt: skip
     runs = one(data.nav, data.epochs, data.t > 146.0 + 10.0)
     return Setup(data.filt, per_axis(drive.parameters()), free(*more), runs, nll(data.filt), True)
 

@@ -23,10 +23,10 @@ from jaxnav.data import epochs
 from jaxnav.data import start as alignment
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
-from jaxnav.filters.parameters import get
+from jaxnav.filters.parameters import datasheet_params, get, mounting, prior
 from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import units
-from jaxnav.states.grades import GRADES, datasheet_params, mounting, prior
+from jaxnav.states.grades import GRADES
 from jaxnav.types import Epoch, Nav, Params, Recording
 from tuning import objectives
 from tuning.train import default_optimizer, fit
@@ -137,10 +137,14 @@ def spec(constraints: bool) -> dict:
     Bias instabilities stay at the datasheet's: two minutes tell nothing of a drift over ten.
     """
     free = {f"noise.{name}": LOG for name in ("gyro", "accel", "position_scale", "velocity_scale")}
-    free |= {"mounting.time_offset": scaled(0.1), "mounting.velocity_latency": scaled(0.05)}
+    free |= {"mounting.time_offset": scaled(0.1), "measurements.velocity.latency": scaled(0.05)}
     free |= {"mounting.clock_drift": scaled(300 * units.PPM)}
     if constraints:
-        free |= {"noise.nonholonomic": LOG, "mounting.vehicle": scaled(0.02), "mounting.wheel_arm": scaled(0.3)}
+        free |= {
+            "measurements.nonholonomic.sd": LOG,
+            "mounting.vehicle": scaled(0.02),
+            "mounting.wheel_arm": scaled(0.3),
+        }
     return free
 
 

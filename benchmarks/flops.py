@@ -14,11 +14,12 @@ import numpy as np
 from jaxnav.filters.catalogue import FILTERS, FRAMES
 from jaxnav.filters.core import Innovation
 from jaxnav.filters.papers.gip_kf import KEPT, correct_nine, nine_params
+from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import initial_nav
 from jaxnav.maths import linalg
 from jaxnav.measurements import GNSS
-from jaxnav.states.grades import GRADES, datasheet_params
-from jaxnav.types import Params, Path
+from jaxnav.states.grades import GRADES
+from jaxnav.types import Params
 
 PAPER = {"ekf15": 30800, "gipkf_literal": 15050}
 CHANNELS = 6
@@ -93,7 +94,7 @@ def of(name: str) -> dict:
     model = FRAMES["tangent"].error_model(n, entry.form, GNSS)
     params: Params = datasheet_params(GRADES["adis16488a"])
     nav = model.enter(initial_nav([0.6, 0.9, 1200.0]))
-    point = jax.tree.map(lambda a: a[None], Path(nav, jnp.eye(3), jnp.zeros(3)))
+    point = jax.tree.map(lambda a: a[None], ErrorInputs(nav, jnp.eye(3), *(jnp.zeros(3),) * 3))
     dynamics = count(model.discretize, params.noise, point, jnp.ones(1), None)
     inside = by_sweeps(compiled, CHANNELS, *([n] if name.startswith("gipkf") else []))
     return {"hand": BY_HAND[name], "compiled": inside, "compiled_phi_and_q": dynamics, "paper": PAPER.get(name)}

@@ -21,11 +21,10 @@ from jaxnav.filters.catalogue import FILTERS, FRAMES, build
 from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.feedback import reset
 from jaxnav.filters.papers.gip_kf import gip_kf_params, nine_params, nine_states
-from jaxnav.filters.parameters import get, put
+from jaxnav.filters.parameters import get, mounting, put
 from jaxnav.maths import units
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params
-from jaxnav.states.grades import mounting
 from jaxnav.strapdown.errors import tangent_frame
 from jaxnav.types import Params
 from tuning.transforms import IDENTITY, LOG, Spec
@@ -45,7 +44,7 @@ ROWS = {  # method -> filter of the catalogue
 _WHITE: Spec = {f"noise.{name}": LOG for name in ("gyro", "accel", "position_scale", "velocity_scale")}
 _EKF9: Spec = _WHITE | {"prior.attitude": LOG}
 _GIP_KF: Spec = _EKF9 | {"rule.log_rl": IDENTITY}
-_BIAS = ("noise.gyro_bias", "noise.accel_bias", "prior.gyro_bias", "prior.accel_bias")
+_BIAS = ("states.gyro_bias.drive", "states.accel_bias.drive", "states.gyro_bias.sd", "states.accel_bias.sd")
 SPECS: dict[str, Spec] = {
     "ekf15_tuned": _EKF9 | dict.fromkeys(_BIAS, LOG),
     "ekf9_tuned": _EKF9,
@@ -57,11 +56,11 @@ SPECS: dict[str, Spec] = {
     | {f"rule.{name}": LOG for name in ("walk", "lag", "vertical", "kappa", "early", "delay", "fade")},
 }
 CRIPPLED = {  # of the datasheet's 15-state filter: names of leaves -> factor
-    "bias prior x0.01": {"prior.gyro_bias": 0.01, "prior.accel_bias": 0.01},
+    "bias prior x0.01": {"states.gyro_bias.sd": 0.01, "states.accel_bias.sd": 0.01},
     "biases frozen": dict.fromkeys(_BIAS, 0.0),
-    "accelerometer bias frozen": {"noise.accel_bias": 0.0, "prior.accel_bias": 0.0},
+    "accelerometer bias frozen": {"states.accel_bias.drive": 0.0, "states.accel_bias.sd": 0.0},
     "process noise x100": {"noise.gyro": 100.0, "noise.accel": 100.0},
-    "measurement sd x100": {"noise.position_scale": 100.0, "noise.velocity_scale": 100.0},
+    "measurement sd x100": {"measurements.position.scale": 100.0, "measurements.velocity.scale": 100.0},
 }
 
 

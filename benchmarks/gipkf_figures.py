@@ -48,7 +48,7 @@ def draw(path: Path, infos: dict[str, Info], truth, windows: np.ndarray) -> None
         position.plot(t, np.hypot(*(found - true)[:, :2].T), color, label=name)
         velocity.plot(t, np.hypot(*np.asarray(info.nav.vel - truth.vel)[:, :2].T), color, label=name)
         for axis, style in enumerate(("-", "--", ":")):
-            error = np.asarray(info.nav.b_a - truth.b_a)[:, axis] / units.MG
+            error = np.asarray(info.nav.errors["accel_bias"] - truth.errors["accel_bias"])[:, axis] / units.MG
             bias.plot(t, error, color + style, lw=1, label=f"{name}, {'xyz'[axis]}")
         attitude.plot(t, (angles(info.nav.q) - angles(truth.q))[:, 2], color, label=f"{name}, heading")
         attitude.plot(t, (angles(info.nav.q) - angles(truth.q))[:, 1], color + "--", lw=1, label=f"{name}, pitch")

@@ -20,10 +20,11 @@ from jaxnav.data.epochs import Packed
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
 from jaxnav.filters.papers.gip_kf import gip_kf_params
+from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import units
 from jaxnav.measurements import GNSS, POSITION, Measurement
-from jaxnav.states.grades import GRADES, datasheet_params
+from jaxnav.states.grades import GRADES
 from jaxnav.types import DataError, Epoch, Nav, Params
 
 FIRST, EVERY = 120.0, 60.0  # s: the first outage, and from one to the next

@@ -57,7 +57,7 @@ REGIMES: dict[str, tuple[Fault, ...]] = {
     "velocity ramp to 0.5 m/s": (Ramp(600.0, 1100.0, velocity_mps=(0.5,) * 3),),
 }
 """Faults that a gate hardly sees and an integral should be good for."""
-NOISE = {"noise.gyro": LOG, "noise.accel": LOG, "noise.position_scale": LOG, "noise.velocity_scale": LOG}
+NOISE = {"noise.gyro": LOG, "noise.accel": LOG, "measurements.position.scale": LOG, "measurements.velocity.scale": LOG}
 
 
 def coarse(scenario: Scenario) -> Scenario:

@@ -11,11 +11,11 @@ import numpy as np
 from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.feedback import reset
 from jaxnav.filters.papers.gpid import gpid, gpid_params
+from jaxnav.filters.parameters import mounting, noise, prior
 from jaxnav.filters.run import run
 from jaxnav.maths import earth, rotations, units
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate
-from jaxnav.states.grades import mounting, noise, prior
 from jaxnav.strapdown.errors.local_level import error_model
 from jaxnav.strapdown.fast import local_level
 from jaxnav.types import Info, Nav, Params

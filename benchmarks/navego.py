@@ -12,8 +12,8 @@ from jaxnav import data as io
 from jaxnav.analysis import metrics
 from jaxnav.data import epochs
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.parameters import mounting, noise, prior
 from jaxnav.filters.run import initial_nav, run_jit, track
-from jaxnav.states.grades import mounting, noise, prior
 from jaxnav.types import Nav, Params, Recording
 
 KEYS = ("north_m", "east_m", "down_m", "vn_mps", "ve_mps", "vd_mps", "roll_deg", "pitch_deg", "heading_deg")

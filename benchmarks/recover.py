@@ -31,8 +31,9 @@ from tuning.transforms import LOG, Spec, join, labels, split, tied
 from tuning.uncertainty import Information
 
 SPEC: Spec = {
-    "noise.gyro": tied(LOG), "noise.accel": tied(LOG), "noise.gyro_bias": tied(LOG), "noise.accel_bias": tied(LOG),
-    "noise.position_scale": tied(LOG, (0, 0, 1)), "noise.velocity_scale": tied(LOG, (0, 0, 1)),
+    "noise.gyro": tied(LOG), "noise.accel": tied(LOG),
+    "states.gyro_bias.drive": tied(LOG), "states.accel_bias.drive": tied(LOG),
+    "measurements.position.scale": tied(LOG, (0, 0, 1)), "measurements.velocity.scale": tied(LOG, (0, 0, 1)),
 }  # fmt: skip
 WELL = ("gyro_deg_per_sqrt_hour", "accel_ug_per_sqrt_hz", "position_scale", "velocity_scale")  # ARW, VRW, GNSS sd
 BLOCK = 10.0  # s of a recording that are drawn together

@@ -15,14 +15,13 @@ from jax.flatten_util import ravel_pytree
 from benchmarks import drive
 from jaxnav import data as io
 from jaxnav.analysis import metrics
-from jaxnav.app.evaluate import channels
+from jaxnav.analysis.evaluate import channels
 from jaxnav.app.parameters import NAMES, UNITS, Unit, component
 from jaxnav.app.results import table
-from jaxnav.filters.parameters import put
+from jaxnav.filters.parameters import prior, put
 from jaxnav.filters.run import run, run_jit
 from jaxnav.maths import units
 from jaxnav.measurements import GNSS
-from jaxnav.states.grades import prior
 from jaxnav.types import Params
 from tuning import scoring, uncertainty
 from tuning.transforms import LOG, Spec, join, scaled, split, tied
@@ -30,10 +29,11 @@ from tuning.uncertainty import Information
 from tuning.validation import paired_gain
 
 SPEC: Spec = {
-    "noise.gyro": tied(LOG), "noise.accel": tied(LOG), "noise.gyro_bias": tied(LOG), "noise.accel_bias": tied(LOG),
-    "noise.position_scale": LOG, "noise.velocity_scale": LOG,  # by axis
+    "noise.gyro": tied(LOG), "noise.accel": tied(LOG),
+    "states.gyro_bias.drive": tied(LOG), "states.accel_bias.drive": tied(LOG),
+    "measurements.position.scale": LOG, "measurements.velocity.scale": LOG,  # by axis
     "mounting.time_offset": scaled(0.1), "mounting.clock_drift": scaled(300 * units.PPM),
-    "mounting.velocity_latency": scaled(0.05),
+    "measurements.velocity.latency": scaled(0.05),
 }  # fmt: skip
 CHUNK = 5.0  # s that are drawn together in the sandwich
 LAGS = 5  # fixes
@@ -42,7 +42,7 @@ LAGS = 5  # fixes
 def start() -> Params:
     """The datasheet and the author's timing, with one factor for every axis of the fixes."""
     params = drive.parameters()
-    for name in ("noise.position_scale", "noise.velocity_scale"):
+    for name in ("measurements.position.scale", "measurements.velocity.scale"):
         params = put(params, name, jnp.ones(3))
     return params
 

@@ -10,8 +10,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-
 from jaxnav.states.names import prior_sd
+
 from jaxnav.types import Epoch, Nav, Params
 
 SOURCE = Path(__file__).parent / "floor.cpp"

@@ -14,11 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxnav.states.names import prior_sd
 
 from benchmarks import speed_plain
 from jaxnav.filters.run import track
 from jaxnav.maths import rotations, units
-from jaxnav.states.names import prior_sd
 from jaxnav.types import Epoch, Nav, Params
 from tests import reference
 

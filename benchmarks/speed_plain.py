@@ -11,9 +11,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxnav.states.names import prior_sd
 
 from jaxnav.maths import earth, rotations
-from jaxnav.states.names import prior_sd
 from jaxnav.types import Epoch, Fix, Imu, Nav, Noise, Params
 
 

@@ -14,9 +14,10 @@ from jaxnav.analysis import metrics
 from jaxnav.data import epochs
 from jaxnav.data import start as alignment
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.parameters import datasheet_params, mounting
 from jaxnav.filters.run import initial_nav, track
 from jaxnav.maths import units
-from jaxnav.states.grades import GRADES, datasheet_params, mounting
+from jaxnav.states.grades import GRADES
 from jaxnav.types import Params
 
 AIRBORNE = (212.0, 578.0)  # s

@@ -17,8 +17,10 @@ can be vmapped over seeds and candidates and differentiated; the package ``tunin
 setting of jax: call `enable_x64()` first.
 """
 
+from jaxnav.analysis.navigate import Solution, navigate
 from jaxnav.data.epochs import Packed, constraint_samples, cut_times, hide, outage_windows, pack, stationary
-from jaxnav.data.start import course, heading_bank, level, with_headings
+from jaxnav.data.recording import recording
+from jaxnav.data.start import course, heading_bank, level, start, with_headings
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Correction, Filter, Innovation, Rule, make_filter
 from jaxnav.filters.parameters import datasheet_params, mounting
@@ -48,11 +50,11 @@ from jaxnav.types import (
 __version__ = "0.1.0"
 
 __all__ = [
-    "FILTERS", "GNSS", "GRADES", "MEASUREMENTS", "NONHOLONOMIC", "POSITION", "SPEED", "VELOCITY", "ZERO_RATE",
-    "ZERO_VELOCITY", "ConfigError", "Correction", "DataError", "Epoch", "Filter", "Fix", "Grade", "Imu", "ImuLog",
-    "Info", "Innovation", "Mounting", "Nav", "Noise", "Packed", "Params", "Prior", "Recording", "Rule", "STATES",
-    "Samples", "State", "StateParams",
-    "Track", "build", "constraint_samples", "course", "cut_times", "datasheet_params", "enable_x64", "heading_bank",
-    "hide", "initial_nav", "level", "make_filter", "mounting", "outage_windows", "pack", "prepare", "require_x64",
-    "run", "run_jit", "stationary", "track", "with_headings",
+    "ConfigError", "Correction", "DataError", "Epoch", "FILTERS", "Filter", "Fix", "GNSS", "GRADES", "Grade", "Imu",
+    "ImuLog", "Info", "Innovation", "MEASUREMENTS", "Mounting", "NONHOLONOMIC", "Nav", "Noise", "POSITION", "Packed",
+    "Params", "Prior", "Recording", "Rule", "SPEED", "STATES", "Samples", "Solution", "State", "StateParams",
+    "Track", "VELOCITY", "ZERO_RATE", "ZERO_VELOCITY", "build", "constraint_samples", "course", "cut_times",
+    "datasheet_params", "enable_x64", "heading_bank", "hide", "initial_nav", "level", "make_filter", "mounting",
+    "navigate", "outage_windows", "pack", "prepare", "recording", "require_x64", "run", "run_jit", "start",
+    "stationary", "track", "with_headings",
 ]  # fmt: skip

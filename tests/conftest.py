@@ -21,10 +21,11 @@ jax.config.update("jax_enable_compilation_cache", False)
 jax.config.update("jax_disable_most_optimizations", True)  # the suite's time is compilation
 
 from jaxnav.data.epochs import Packed, pack  # noqa: E402
+from jaxnav.filters.parameters import change, datasheet_params  # noqa: E402
 from jaxnav.filters.run import initial_nav  # noqa: E402
 from jaxnav.maths.units import DEG  # noqa: E402
-from jaxnav.filters.parameters import datasheet_params  # noqa: E402
 from jaxnav.states.grades import Grade  # noqa: E402
+from jaxnav.states.transition import assemble  # noqa: E402
 from jaxnav.types import ImuLog, Nav, Params, Samples, Track  # noqa: E402
 
 GRADE = Grade(2e-4, 2e-3, 1e-3, 2e-2, 1e-4, 2e-3, 100.0, "made up for tests: a good MEMS unit")
@@ -124,3 +125,32 @@ def leaves_equal(a, b, atol: float = 0.0) -> None:
 
 def all_finite(tree) -> bool:
     return all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(tree))
+
+
+#: short names of parameters, for `told`
+LEAVES = {
+    "gyro": "noise.gyro", "accel": "noise.accel", "gyro_bias": "states.gyro_bias.drive",
+    "accel_bias": "states.accel_bias.drive", "gyro_tau": "states.gyro_bias.tau", "accel_tau": "states.accel_bias.tau",
+    "gyro_bias_sd": "states.gyro_bias.sd", "accel_bias_sd": "states.accel_bias.sd",
+    "position_scale": "measurements.position.scale", "velocity_scale": "measurements.velocity.scale",
+    "position_latency": "measurements.position.latency", "velocity_latency": "measurements.velocity.latency",
+    "zero_velocity": "measurements.zero_velocity.sd", "zero_rate": "measurements.zero_rate.sd",
+    "nonholonomic": "measurements.nonholonomic.sd", "speed": "measurements.speed.sd_scale",
+    "speed_scale": "measurements.speed.scale",
+    **{name: f"mounting.{name}" for name in ("lever_arm", "time_offset", "clock_drift", "vehicle", "wheel_arm")},
+    **{f"{name}_sd": f"prior.{name}" for name in ("position", "velocity", "attitude")},
+}  # fmt: skip
+
+
+def told(params: Params, **values) -> Params:
+    """The parameters with these values, in SI, by short name."""
+    return change(params, {LEAVES[name]: value for name, value in values.items()})
+
+
+def dynamics_15(blocks) -> np.ndarray:
+    """F (15, 15) of a frame's blocks with both biases as random walks."""
+    F = np.zeros((15, 15))
+    motion = {k: v for k, v in blocks.items() if k[1] not in ("gyro", "accel")}
+    F[:9, :9] = assemble(motion)
+    F[3:6, 12:15], F[6:9, 9:12] = blocks["velocity", "accel"], blocks["attitude", "gyro"]
+    return F

@@ -16,7 +16,7 @@ from jaxnav.filters.papers.gpid import gpid_params
 from jaxnav.filters.rules.combinators import only
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate_jit
-from jaxnav.types import Drive, Epoch, Fix
+from jaxnav.types import Epoch, Fix, Forcing
 
 SCENARIO = SCENARIOS["urban_short"]
 SCENARIO = SCENARIO._replace(imu=SCENARIO.imu._replace(grade="tactical"))  # of which 9 states are enough
@@ -46,7 +46,7 @@ def one_of(rules: tuple[Rule, ...]) -> Rule:
             c = rule.correct(theta[1][i], memories[i], z)
             memory = (*memories[:i], c.memory, *memories[i + 1 :])
             fade = jnp.broadcast_to(c.fade, c.delta.shape)
-            return c._replace(memory=memory, fade=fade, drive=c.drive or Drive(jnp.zeros(3), jnp.zeros(3)))
+            return c._replace(memory=memory, fade=fade, drive=c.drive or Forcing(jnp.zeros(3), jnp.zeros(3)))
 
         return jax.lax.switch(theta[0], [partial(branch, i, rule) for i, rule in enumerate(rules)])
 

@@ -18,7 +18,6 @@ from jaxnav.measurements.measurement import layout
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate_jit
 from jaxnav.states.grades import GRADES
-from jaxnav.states.motion import P, V
 from jaxnav.states.table import BIASES, chosen, zeros
 from jaxnav.types import Epoch, Fix, Imu, Nav, Params
 from tuning.objectives import innovation_nll
@@ -104,7 +103,7 @@ def test_gradients_are_finite_and_values_do_not_compile_again(frame, drive):
         return jax.grad(lambda p: innovation_nll(run(filt, p, nav, epochs), jnp.ones(EPOCHS, bool)))(params)
 
     for factor in (1.0, 1.3):
-        scaled = jax.tree.map(lambda a: factor * a, params)
+        scaled = jax.tree.map(lambda a, f=factor: f * a, params)
         found = slope(scaled, start, epochs)
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
     for name in EVERY:

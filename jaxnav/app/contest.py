@@ -18,12 +18,11 @@ import numpy as np
 from jaxnav.analysis import metrics
 from jaxnav.app import config as configuration
 from jaxnav.app.parameters import groups, step_of
-from jaxnav.app.prepare import covering
 from jaxnav.app.results import stderr
 from jaxnav.app.sources import TEST, TRAIN, VALIDATION, key_of, simulated
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter
-from jaxnav.filters.parameters import put
+from jaxnav.filters.parameters import history_for, put
 from jaxnav.filters.run import prepare, run
 from jaxnav.maths import rotations, units
 from jaxnav.simulate.scenarios import Scenario
@@ -223,7 +222,7 @@ def _enter(name: str, plan: Plan, runs: Runs, progress: bool) -> Entrant | None:
 def filter_for(name: str, plan: Plan) -> Filter:
     """The filter that serves all scenarios of the plan: its history covers them."""
     kinds = (*plan.trained, *plan.unseen)
-    history = max(covering(k.told, k.scenario.imu_rate_hz, k.scenario.duration_s) for k in kinds)
+    history = max(history_for(k.told, k.scenario.imu_rate_hz, k.scenario.duration_s) for k in kinds)
     return build(name, cov_stride=plan.cov_stride, history=history)
 
 

@@ -1,7 +1,6 @@
 """From a configuration to what a filter runs on: start, parameters, epochs."""
 
 import dataclasses
-import math
 from typing import Any, NamedTuple
 
 import jax
@@ -14,15 +13,14 @@ from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start, start
 from jaxnav.filters import core
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.parameters import datasheet_params, mounting
+from jaxnav.filters.parameters import datasheet_params, history_for, mounting
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.states.grades import GRADES, Grade
-from jaxnav.types import ConfigError, DataError, Nav, Params, Recording, nearest
+from jaxnav.types import ConfigError, Nav, Params, Recording, nearest
 
 REACH = 0.25  # s, latency that tuning may add
-FALSE = 0.1  # of the epochs at rest by the detector, at most, that are in motion by the receiver
 
 
 class Case(NamedTuple):
@@ -78,15 +76,7 @@ def history_of(config: Config, known: Params, rate_hz: float, span: float, tuned
     """IMU samples of history: to cover the latencies that are known, and what tuning may add to them."""
     if config.filter.history:
         return max(2, config.filter.history)
-    return covering(known, rate_hz, span, REACH if tuned else 0.0)
-
-
-def covering(known: Params, rate_hz: float, span: float, more: float = 0.0) -> int:
-    """IMU samples of history that reach back as far as the latest fix in ``span`` s of data, and ``more`` s."""
-    offset = float(known.mounting.time_offset) + abs(float(known.mounting.clock_drift)) * span
-    ages = [float(theta.latency) for theta in known.measurements.values() if hasattr(theta, "latency")]
-    late = offset + max(ages, default=0.0) + more
-    return 2 + math.ceil(late * rate_hz + 1e-6) if late > 0 else 2
+    return history_for(known, rate_hz, span, REACH if tuned else 0.0)
 
 
 def base_params(
@@ -115,7 +105,7 @@ def prepare(config: Config, tuned: bool = False) -> Case:
     begun = start_of(config, rec, params)
     params, first = params._replace(prior=begun.prior), begun.navs
     interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
-    packed = pack(config, rec, measurements, float(np.ravel(first.t)[0]), interval)
+    packed = ep.pack_recording(rec, measurements, begun.t, interval, config.data.stop, standing_of(config))
     rate = 1 / float(np.median(rec.imu.dt))
     filt = build(
         name,
@@ -132,42 +122,10 @@ def prepare(config: Config, tuned: bool = False) -> Case:
     return Case(rec, filt, measurements, params, packed, first, biases)
 
 
-def pack(
-    config: Config, rec: Recording, measurements: tuple[Measurement, ...], start: float, interval: float
-) -> ep.Packed:
-    """Epochs from ``start`` on, with the constraints that are on."""
-    f, stop = config.filter, config.data.stop
-    wanted = {m.name for m in measurements if m.columns}
-    for name in wanted - set(rec.aiding) - {"velocity"}:
-        raise DataError(f"{rec.name}: has no stream {name}, which filter.{name} asks for")
-    aiding = {name: s for name, s in rec.aiding.items() if name in wanted}
-    cuts = ep.cut_times(rec.imu, aiding, interval, start, stop)
-    standing = None
-    if f.uses("zero_velocity") or f.uses("zero_rate"):
-        standing = ep.stationary(
-            rec.imu, cuts, f.standing_window_s, f.standing_accel_sd_mps2, f.standing_gyro_sd_deg_per_s * DEG
-        )
-        _check_standing(rec, cuts[standing])
-    made = ep.constraint_samples(
-        rec.imu, cuts, nonholonomic=f.uses("nonholonomic"), standing=standing, window=f.standing_window_s
-    )
-    aiding |= {k: v for k, v in made.items() if f.uses(k)}
-    return ep.pack(rec.imu, aiding, interval, measurements, start, stop, cuts)
-
-
-def _check_standing(rec: Recording, t: np.ndarray) -> None:
-    """Raise ConfigError where the detector of [filter] takes a smooth drive for a standstill.
-
-    One in `FALSE` is let pass: which epochs these are must not be known where fixes are hidden.
-    """
-    if "velocity" not in rec.aiding or not t.size:
-        return
-    moving = ep.driving(rec.aiding["velocity"], t)
-    if moving.mean() > FALSE:
-        raise ConfigError(
-            f"filter.standing_accel_sd_mps2, standing_gyro_sd_deg_per_s: {moving.sum()} of {t.size} epochs that these "
-            f"take for rest have a velocity of over 0.5 m/s, the first at {t[moving][0]:.3f} s: lower them"
-        )
+def standing_of(config: Config) -> ep.Standing:
+    """The detector of standstills that [filter] states."""
+    f = config.filter
+    return ep.Standing(f.standing_window_s, f.standing_accel_sd_mps2, f.standing_gyro_sd_deg_per_s * DEG)
 
 
 def start_of(config: Config, rec: Recording, params: Params) -> Start:

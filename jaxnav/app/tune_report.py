@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from jaxnav.analysis import evaluate
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
-from jaxnav.app import evaluate
 from jaxnav.app.batches import Material
 from jaxnav.app.config import Config
 from jaxnav.app.export import kfgins_yaml, navego_fields
@@ -148,7 +148,7 @@ def draw(folder: Path, material: Material, found: Fit, before: "Scores", after: 
     if found.history:
         known = {name_of(leaf): user_value(leaf, v) for leaf, v in material.known.items()}
         plots.save(plots_stats.tuning(user_history(found.history), known), folder / "tuning.png")
-    sol = evaluate.solution(jax.tree.map(lambda a: a[0], after.info), found.params)
+    sol = evaluate.trace(jax.tree.map(lambda a: a[0], after.info), found.params)
     truth, fixes, biases = truth_of(material)
     figures = evaluate.figures(sol, truth, fixes, material.measurements, material.outages, biases)
     for name, fig in figures.items():

@@ -5,13 +5,15 @@ equal length with samples of dt = 0; an outage is cut into epochs of the nominal
 Regular, irregular, late and missing fixes then have one shape, and hiding a fix is an edit of a mask.
 """
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.measurements import GNSS, Measurement, layout
-from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Samples, nearest
+from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Recording, Samples, nearest
 
 TICK = 1e-6  # s: times closer than this are one
 MOST_EPOCHS = 10_000_000  # of a recording: ten minutes a microsecond apart, or a year at 0.3 Hz
@@ -254,3 +256,84 @@ def constraint_samples(
         made["zero_velocity"] = samples(t, np.zeros((t.size, 3)))
         made["zero_rate"] = samples(t, mean_rate(imu, t, window))
     return made
+
+
+# ---------------------------------------------------------------------------- a whole recording
+
+
+class Standing(NamedTuple):
+    """When a vehicle stands: both sd over the window, each the root sum square of the axes, are below these."""
+
+    window: float = 1.0  # s
+    accel_sd: float = 0.2  # m/s^2
+    gyro_sd: float = math.radians(1.0)  # rad/s
+
+
+FALSE = 0.1  # of the epochs at rest by the detector, at most, that are in motion by the receiver
+
+
+def pack_recording(
+    rec: Recording,
+    measurements: tuple[Measurement, ...],
+    start: float,
+    interval: float = 0.0,
+    stop: float | None = None,
+    standing: Standing = Standing(),
+    max_gap: float = 1.0,
+) -> Packed:
+    """Epochs of a recording from ``start`` s on, with the constraints that are among the filter's ``measurements``.
+
+    ``interval``: s, of epochs without a fix; 0 is the median of the position's. ``max_gap`` as in `pack`.
+
+    Raises:
+        DataError: a measurement whose stream the recording lacks, or as in `pack`.
+        ConfigError: a detector of standstills that takes a drive for one.
+    """
+    names = {m.name for m in measurements}
+    carried = {m.name for m in measurements if m.columns}
+    for name in sorted(carried - set(rec.aiding) - {"velocity"}):
+        raise DataError(f"{rec.name}: has no stream {name}, which the filter takes")
+    aiding = {name: s for name, s in rec.aiding.items() if name in carried}
+    interval = interval or float(np.median(np.diff(rec.aiding["position"].t)))
+    cuts = cut_times(rec.imu, aiding, interval, start, stop)
+    still = None
+    if names & {"zero_velocity", "zero_rate"}:
+        still = stationary(rec.imu, cuts, *standing)
+        _check_standing(rec, cuts[still])
+    made = constraint_samples(
+        rec.imu, cuts, nonholonomic="nonholonomic" in names, standing=still, window=standing.window
+    )
+    aiding |= {name: s for name, s in made.items() if name in names}
+    return pack(rec.imu, aiding, interval, measurements, start, stop, cuts, max_gap)
+
+
+def _check_standing(rec: Recording, t: np.ndarray) -> None:
+    """Raise ConfigError where the detector takes a smooth drive for a standstill.
+
+    One in `FALSE` is let pass: which epochs these are must not be known where fixes are hidden.
+    """
+    if "velocity" not in rec.aiding or not t.size:
+        return
+    moving = driving(rec.aiding["velocity"], t)
+    if moving.mean() > FALSE:
+        raise ConfigError(
+            f"filter.standing_accel_sd_mps2, standing_gyro_sd_deg_per_s: {moving.sum()} of {t.size} epochs that these "
+            f"take for rest have a velocity of over 0.5 m/s, the first at {t[moving][0]:.3f} s: lower them"
+        )
+
+
+def in_windows(t: np.ndarray, windows: Sequence[Sequence[float]]) -> np.ndarray:
+    """Epochs, ending at t (E,) s, in any of the windows start < t <= end, bool (E,).
+
+    Raises:
+        ConfigError: a window that is not (start, end), or in which no epoch ends.
+    """
+    found = np.zeros(t.size, bool)
+    for window in windows:
+        if len(window) != 2 or not window[1] > window[0]:
+            raise ConfigError(f"filter.outages: expected [start, end] with start < end, got {list(window)}")
+        inside = (t > window[0] + TICK) & (t <= window[1] + TICK)
+        if not inside.any():
+            raise ConfigError(f"filter.outages: {list(window)} holds no epoch, they end from {t[0]:g} to {t[-1]:g} s")
+        found |= inside
+    return found

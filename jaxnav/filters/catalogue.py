@@ -154,7 +154,7 @@ def build(
             not come first, states for a paper's rule, or a state that nothing of the filter sees.
     """
     if name not in FILTERS:
-        raise ValueError(f"no filter {name!r}: {nearest(name, FILTERS)}; known are {', '.join(FILTERS)}")
+        raise ValueError(f"no filter {name!r}: {nearest(name, FILTERS)}")
     entry = FILTERS[name]
     frame = frame or entry.frame
     if frame not in FRAMES:
@@ -173,7 +173,15 @@ def build(
         raise ValueError(f"frame {frame!r} has no block form")
     mechanize, preintegrate = (home.propagate_block, None) if block else (home.propagate, home.preintegrate)
     built = make_filter(mechanize, model, rule, feedback or entry.feedback, cov_stride, history, preintegrate)
-    return built._replace(params=_params(name, model))
+    return _named(built, name)
+
+
+@cache
+def _named(built: Filter, name: str) -> Filter:
+    """The filter with the catalogue's parameters, whatever history it keeps."""
+    keeping = built.keeping
+    assert keeping is not None  # make_filter gives it
+    return built._replace(params=_params(name, built.model), keeping=lambda samples: _named(keeping(samples), name))
 
 
 @cache

@@ -18,7 +18,7 @@ from jax import lax
 from jaxnav.filters.error_model import ErrorModel
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.maths import linalg
-from jaxnav.states.table import chosen, zeros
+from jaxnav.states.table import BIASES, chosen, zeros
 from jaxnav.types import Epoch, Fix, Forcing, Imu, Info, Nav, Params
 
 
@@ -115,6 +115,7 @@ class Filter(NamedTuple):
     advance: Callable[[Params, FilterState, Epoch], "Step"]  # `step`, with what lies between
     # (grade or its name, **what `jaxnav.filters.parameters.datasheet_params` takes) -> parameters for this filter
     params: Callable[..., Params] = datasheet_params
+    keeping: Callable[[int], "Filter"] | None = None  # the same filter with another ``history``
 
 
 def only_if(flag: jax.Array, c: Correction, z: Innovation, memory: Any) -> Correction:
@@ -269,6 +270,8 @@ def make_filter(
         # how long an observer's drive may have to last: with two streams a short epoch can come before a long one
         until = jnp.maximum(state.T, jnp.max(jnp.where(c.used, age, 0.0)))
         feed = partial(feedback, params.feedback, model.retract)
+        if c.drive and not set(BIASES) <= set(state.past.errors):
+            raise ValueError(f"a rule whose drive the sensors absorb needs Rule(..., estimates={BIASES})")
         past = jax.vmap(model.absorb, (0, None))(state.past, c.drive) if c.drive else state.past
         after, x_after, u = jax.vmap(feed, (0, None, None), (0, None, None))(past, x, until)
         f = jnp.broadcast_to(c.fade, x.shape)
@@ -304,7 +307,10 @@ def make_filter(
         new = advance(params, state, epoch)
         return new.after, new.info
 
-    return Filter(init, predict, correct, step, model, prepare, transition, advance)
+    def keeping(samples: int) -> Filter:
+        return make_filter(propagate, model, rule, feedback, cov_stride, samples, preintegrate)
+
+    return Filter(init, predict, correct, step, model, prepare, transition, advance, keeping=keeping)
 
 
 def finite(tree: Any) -> jax.Array:

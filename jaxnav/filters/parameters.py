@@ -1,5 +1,6 @@
 """A filter's parameters: from a datasheet, and how each is stated in a user's units."""
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -173,3 +174,11 @@ def datasheet_params(
         rule,
         feedback,
     )
+
+
+def history_for(known: Params, rate_hz: float, span: float, more: float = 0.0) -> int:
+    """IMU samples of history that reach back as far as the latest fix in ``span`` s of data, and ``more`` s."""
+    offset = float(known.mounting.time_offset) + abs(float(known.mounting.clock_drift)) * span
+    ages = [float(theta.latency) for theta in known.measurements.values() if hasattr(theta, "latency")]
+    late = offset + max(ages, default=0.0) + more
+    return 2 + math.ceil(late * rate_hz + 1e-6) if late > 0 else 2

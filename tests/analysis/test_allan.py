@@ -20,7 +20,7 @@ def simulated(grade: Grade, n: int, dt: float, seed: int) -> tuple[np.ndarray, n
     """Gyro and accelerometer (n, 3) of an IMU that rests level."""
     force = jnp.tile(jnp.array([0.0, 0.0, -G0]), (n, 1))
     still = Imu(jnp.full(n, dt), jnp.zeros((n, 3)), force)
-    out, _, _ = jax.jit(lambda key: corrupt(key, still, dt, grade))(jax.random.key(seed))
+    out, _ = jax.jit(lambda key: corrupt(key, still, dt, grade))(jax.random.key(seed))
     return np.asarray(out.gyro), np.asarray(out.accel)
 
 

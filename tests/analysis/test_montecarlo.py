@@ -17,7 +17,7 @@ from jaxnav.filters.run import run_jit
 from jaxnav.maths import rotations
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate_jit
-from tests.conftest import leaves_equal
+from tests.conftest import leaves_equal, told
 
 SCENARIO = SCENARIOS["gpid_circle_no_fault"]
 SCENARIO = SCENARIO._replace(
@@ -107,9 +107,7 @@ def test_consistency_bounds(found):
     low, high = metrics.chi2_bounds(dof, 1, 0.999)
     assert low / dof < about["anis"]["mean"] < high / dof
     assert about["anees"]["share_inside"] > 0.8 and 0.7 < about["anees"]["mean"] < 1.3
-    n = PARAMS.noise
-    n = n._replace(velocity_scale=0.5 * n.velocity_scale, position_scale=0.5 * n.position_scale)
-    sure = PARAMS._replace(noise=n)
+    sure = told(PARAMS, velocity_scale=0.5, position_scale=0.5)
     about = summary(monte_carlo(FILTER, SCENARIO, sure, RUNS, SEED, chunk=4))
     assert about["anis"]["mean"] > 2 * about["anis"]["bounds"][1] and about["anees"]["share_inside"] < 0.5
 

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -124,12 +125,12 @@ def test_drawing_is_lazy_and_without_pyplot(tmp_path):
     code = f"""
 import sys
 import numpy as np
-from jaxnav import plots, plots_stats
+from jaxnav.analysis.plots import base, stats
 assert "matplotlib" not in sys.modules and "scipy.stats" not in sys.modules
-plots.save(plots_stats.cdf({{"a": np.arange(5.0)}}), {str(tmp_path / "a.png")!r})
+base.save(stats.cdf({{"a": np.arange(5.0)}}), {str(tmp_path / "a.png")!r})
 assert "matplotlib.pyplot" not in sys.modules
 """
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=os.path.dirname(os.path.dirname(__file__)))
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 

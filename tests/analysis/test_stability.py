@@ -13,10 +13,11 @@ from jaxnav.analysis import stability as robustness
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Innovation
 from jaxnav.filters.papers import gpid
+from jaxnav.filters.parameters import datasheet_params
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
 from jaxnav.simulate.trajectories import Circle, circle
-from jaxnav.states.grades import GRADES, datasheet_params
+from jaxnav.states.grades import GRADES
 from jaxnav.types import Epoch, Nav, Params
 
 pytestmark = pytest.mark.usefixtures("optimised")

@@ -19,6 +19,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.run import initial_nav
 from jaxnav.simulate.scenarios import CIRCLE, GIPKF, SCENARIOS
 from jaxnav.simulate.simulation import matched_params
+from jaxnav.states.table import BIASES
 from jaxnav.types import Epoch, Fix, Imu, Info
 from tuning.train import Fit
 from tuning.transforms import labels, split
@@ -166,8 +167,8 @@ def test_every_filter_has_something_to_tune_and_starts_at_the_datasheet():
     for name, entry in FILTERS.items():
         spec, start = contest.spec_of(name), contest.datasheet(name)
         raw = split(spec, start)  # nothing that cannot start
-        assert len(labels(spec, raw)) >= 7 + 4 * (entry.n_states > 9)
-        assert ("noise.gyro_bias" in spec) == (entry.n_states > 9)
+        assert len(labels(spec, raw)) >= 7 + 4 * (entry.states == BIASES)
+        assert ("states.gyro_bias.drive" in spec) == (entry.states == BIASES)
         same = contest.applied(start, told)
         jax.tree.map(np.testing.assert_array_equal, (same.noise, same.prior), (told.noise, told.prior))
     assert "rule.kd" not in contest.spec_of("gpid_literal") and "feedback.position" in contest.spec_of("fwekf")

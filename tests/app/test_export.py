@@ -6,10 +6,18 @@ import numpy as np
 import pytest
 
 from jaxnav.app.export import kfgins_yaml, navego_fields
+from jaxnav.filters.parameters import datasheet_params
 from jaxnav.maths import units
-from jaxnav.states.grades import GRADES, noise
+from jaxnav.states.grades import GRADES
+from tests.conftest import told
 
 GRADE = GRADES["adis16465"]
+
+
+def noise(gyro, accel, gyro_bias, accel_bias, **others):
+    """Parameters of these densities, biases that walk."""
+    both = {"gyro_tau": np.inf, "accel_tau": np.inf} | others
+    return told(datasheet_params(GRADE), gyro=gyro, accel=accel, gyro_bias=gyro_bias, accel_bias=accel_bias, **both)
 
 
 def fields(text: str) -> dict[str, np.ndarray]:

@@ -11,9 +11,10 @@ from jaxnav.app import batches, cli, config, objectives, parameters
 from jaxnav.app.sources import scenario_of
 from jaxnav.app.toml import to_toml
 from jaxnav.app.verbs import tune
+from jaxnav.filters.parameters import datasheet_params
 from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS, ZERO_RATE
-from jaxnav.states.grades import GRADES, datasheet_params
+from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError
 from tuning import uncertainty
 from tuning.transforms import LOG
@@ -185,7 +186,7 @@ def test_beliefs_and_ties_in_users_units():
     assert spec["noise.gyro"].belief.sd == pytest.approx(np.log(2)) and spec["noise.gyro"].forward is LOG.forward
     assert spec["noise.gyro"].belief.centre == (pytest.approx(GRADES["adis16465"].arw),)
     assert spec["mounting.time_offset"].belief.sd == pytest.approx(0.5)  # its raw unit is 0.1 s
-    assert spec["noise.velocity_scale"].tie == () and spec["noise.position_scale"].tie is None
+    assert spec["measurements.velocity.scale"].tie == () and spec["measurements.position.scale"].tie is None
 
 
 def test_starts_are_spread_and_the_same_for_a_seed():

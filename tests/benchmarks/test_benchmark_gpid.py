@@ -41,7 +41,7 @@ def test_a_part_of_the_hour_and_the_parts_together(fitted):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["rule.ki", "rule.kd", "noise.gyro", "noise.accel", "noise.position_scale"])
+@pytest.mark.parametrize("name", ["rule.ki", "rule.kd", "noise.gyro", "noise.accel", "measurements.position.scale"])
 def test_gradient_through_the_whole_hour(name):
     calm = CIRCLE._replace(faults=())
     params = matched_params(calm, gpid_params(0.003, 0.1))

@@ -64,7 +64,8 @@ def test_descents_fall_and_go_around_what_fails(method):
 
 
 def test_problems_have_fifteen_parameters_or_more():
-    from jaxnav.states.grades import GRADES, datasheet_params
+    from jaxnav.filters.parameters import datasheet_params
+    from jaxnav.states.grades import GRADES
     from tuning.transforms import labels, split
 
     params = budget.per_axis(datasheet_params(GRADES["consumer"]))

@@ -7,10 +7,10 @@ import pytest
 
 from jaxnav.data.start import course, heading_bank, level, with_headings
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import track
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
-from jaxnav.states.grades import datasheet_params
 from jaxnav.types import DataError, ImuLog, Samples
 from tests.conftest import GRADE
 

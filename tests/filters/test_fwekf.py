@@ -10,6 +10,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxnav.filters.catalogue import FRAMES, build
 from jaxnav.filters.core import Innovation, make_filter
+from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import observer, poles
 from jaxnav.filters.papers import fwekf
 from jaxnav.filters.rules import fuzzy
@@ -17,7 +18,7 @@ from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
-from jaxnav.states.names import P, prior_sd
+from jaxnav.states.motion import P
 from jaxnav.types import Epoch, Fix, Imu
 from tests.conftest import all_finite, leaves_equal
 
@@ -38,7 +39,7 @@ def solve(case):
     @functools.cache
     def make(rule):
         frame = FRAMES["local_level"]
-        filt = make_filter(frame.propagate, frame.error_model(9), rule, observer, 20)
+        filt = make_filter(frame.propagate, error_model(states=()), rule, observer, 20)
         params = case.params._replace(feedback=poles())
         return jax.jit(lambda theta: run(filt, params._replace(rule=theta), case.nav, case.packed.epochs))
 
@@ -139,7 +140,7 @@ def test_inputs_see_a_bias_and_a_size():
 
 def test_fading_ends_at_the_limit_and_nowhere_jumps():
     limit, fading = fwekf.limits(), jax.jit(fwekf.fading)
-    top = np.asarray(prior_sd(limit, 15))
+    top = np.repeat(np.asarray(limit), 3)
     for a in (1.01, 1.2, 2.0):
         start = np.logspace(-3, 0.5, 15)
         sd = top * start
@@ -178,7 +179,7 @@ def test_heading_at_rest_does_not_wind_up(case):
     nav, epochs = standing(300)
     params = case.params._replace(feedback=poles(), prior=case.params.prior._replace(attitude=jnp.asarray(DEG)))
     frame = FRAMES["local_level"]
-    filt = make_filter(frame.propagate, frame.error_model(9), fwekf.fwekf(5, ONE), observer, 2)
+    filt = make_filter(frame.propagate, error_model(states=()), fwekf.fwekf(5, ONE), observer, 2)
 
     @jax.jit
     @jax.vmap

@@ -6,17 +6,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxnav.states.names import A, B, P, V
 
+from benchmarks.gipkf_study import reset_balanced
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Innovation, only_if
+from jaxnav.filters.error_model import error_model
 from jaxnav.filters.papers import gip_kf
 from jaxnav.filters.papers.gip_kf import gip_kf_params
-from jaxnav.filters.parameters import get, put
+from jaxnav.filters.parameters import datasheet_params, get, prior, put
 from jaxnav.filters.run import run
 from jaxnav.maths import earth, rotations
-from jaxnav.states.grades import datasheet_params, prior
-from jaxnav.strapdown.errors.tangent_frame import reset_balanced, retract
+from jaxnav.states.motion import A, P, V
+from jaxnav.states.table import BIASES, zeros
 from jaxnav.strapdown.tangent_frame import enter
 from jaxnav.types import Epoch, Params
 from tests.conftest import GRADE, all_finite, leaves_equal
@@ -219,14 +220,14 @@ def test_an_accelerometer_bias_is_found_in_body_axes(case):
     bias = np.array([0.05, -0.04, 0.06])
     epochs = case.packed.epochs
     epochs = epochs._replace(imu=epochs.imu._replace(accel=epochs.imu.accel + bias))
-    params = case.params._replace(rule=gip_kf_params(0.002, 0.05), prior=prior(2.0, 0.1, 0.005, 0.0, 0.0))
+    params = case.params._replace(rule=gip_kf_params(0.002, 0.05), prior=prior(2.0, 0.1, 0.005))
     info = jax.jit(lambda e: run(build("gipkf", cov_stride=20), params, case.nav, e))(epochs)
-    assert np.abs(info.nav.b_a[-1] - bias)[[0, 2]].max() < 0.012
-    assert not np.asarray(info.nav.b_g).any()
+    assert np.abs(info.nav.errors["accel_bias"][-1] - bias)[[0, 2]].max() < 0.012
+    assert not np.asarray(info.nav.errors["gyro_bias"]).any()
 
 
 #: leaves, and steps large enough for central differences; the EKF's noise, prior and R, and both weights of the paper
-STEPS = {"noise.accel": 1e-4, "noise.position_scale": 1e-3, "prior.attitude": 1e-5, "rule.log_rl": 1e-3,
+STEPS = {"noise.accel": 1e-4, "measurements.position.scale": 1e-3, "prior.attitude": 1e-5, "rule.log_rl": 1e-3,
          "rule.log_rm": 1e-3, "rule.rm_lower": 1e-3, "rule.kappa": 1e-5, "rule.growth": 1e-4,
          "rule.unlearnt": 1e-6}  # fmt: skip
 
@@ -277,18 +278,18 @@ def test_gradients_of_an_outages_end(setting):
 
 def test_balanced_feedback_keeps_tilt_and_bias_in_balance(case):
     """Of a start that was levelled with 0.3 m/s^2 of bias; for small errors it is the plain reset."""
-    nav = enter(case.nav)
+    nav, retract = enter(case.nav)._replace(errors=zeros(BIASES)), error_model("tangent").retract
     up, C = np.array([0.0, earth.gravity(nav.origin.lla[0], nav.origin.lla[2]), 0.0]), rotations.to_dcm(nav.q)
     phi = np.array([0.03, 0.05, -0.02])
-    x = jnp.zeros(15).at[A].set(phi).at[B].set(C.T @ np.cross(phi, up))  # the linear balance
+    x = jnp.zeros(15).at[A].set(phi).at[12:15].set(C.T @ np.cross(phi, up))  # the linear balance
     both = jax.jit(lambda x: (reset_balanced((), retract, nav, x, 1.0)[0], retract(nav, x)))
-    felt = lambda nav: np.asarray(rotations.to_dcm(nav.q).T @ up + nav.b_a)  # noqa: E731
+    felt = lambda nav: np.asarray(rotations.to_dcm(nav.q).T @ up + nav.errors["accel_bias"])  # noqa: E731
     balanced, linear = both(x)
     np.testing.assert_allclose(felt(balanced), felt(nav), rtol=0, atol=1e-12)
     assert np.linalg.norm(felt(linear) - felt(nav)) > 4e-3
     balanced, linear = both(1e-4 * x)
-    np.testing.assert_allclose(balanced.b_a, linear.b_a, rtol=0, atol=1e-9)
-    leaves_equal(balanced._replace(b_a=linear.b_a), linear, atol=0)
+    np.testing.assert_allclose(balanced.errors["accel_bias"], linear.errors["accel_bias"], rtol=0, atol=1e-9)
+    leaves_equal(balanced._replace(errors=linear.errors), linear, atol=0)
 
 
 def test_forms_of_the_paper_are_in_the_catalogue():

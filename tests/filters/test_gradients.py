@@ -11,10 +11,9 @@ import pytest
 from jaxnav.analysis.metrics import columns_at
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.papers.gpid import gpid_params
-from jaxnav.filters.parameters import get, put
+from jaxnav.filters.parameters import datasheet_params, get, mounting, put
 from jaxnav.filters.run import run
 from jaxnav.maths import earth
-from jaxnav.states.grades import datasheet_params, mounting
 from jaxnav.types import Epoch, Params
 from tests.conftest import GRADE, all_finite
 from tuning.objectives import innovation_nll
@@ -24,7 +23,7 @@ EPOCHS = 15
 STEPS = {
     "noise.gyro": 6e-5,
     "noise.accel": 6e-4,
-    "noise.position_scale": 1e-2,
+    "measurements.position.scale": 1e-2,
     "prior.position": 1e-2,
     "prior.attitude": 1e-4,
     "rule.ki": 1e-3,
@@ -112,7 +111,7 @@ def test_innovations_know_the_drift_of_a_clock(setting, fine_case, true):
     params, fix = setting.params, setting.epochs.fix
     for name, value in (("lever_arm", jnp.zeros(3)), ("time_offset", 0.02), ("clock_drift", true)):
         params = put(params, f"mounting.{name}", jnp.asarray(value))
-    for name in ("noise.position_scale", "noise.velocity_scale"):
+    for name in ("measurements.position.scale", "measurements.velocity.scale"):
         params = put(params, name, jnp.full_like(get(params, name), 0.05))
     stamp, truth = np.arange(1.0, EPOCHS + 1), fine_case.truth
     then = stamp - 0.02 - true * stamp

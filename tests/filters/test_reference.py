@@ -4,15 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxnav.states.names import mask
 
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.papers.gpid import gpid_params, literal_params
+from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import run_jit
 from jaxnav.maths import rotations
-from jaxnav.states.grades import datasheet_params
+from jaxnav.states.table import BIASES, mask
 from tests import reference
-from tests.conftest import GRADE
+from tests.conftest import GRADE, dynamics_15
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +28,11 @@ def loop(nav, epochs, params, n, **options):
     imu = [np.asarray(a) for a in epochs.imu]
     value, sd, valid = (np.asarray(a) for a in (epochs.fix.value, epochs.fix.sd, epochs.fix.valid))
     fixes = (value[:, :3], sd[:, :3], value[:, 3:], sd[:, 3:], valid)
+    biases = [params.states[name] for name in BIASES]
     noise = {k: np.asarray(v) for k, v in params.noise._asdict().items()}
-    prior = np.concatenate([np.broadcast_to(sd, 3) for sd in params.prior])[:n]
+    noise |= {name: np.asarray(p.drive) for name, p in zip(BIASES, biases, strict=True)}
+    noise |= {"gyro_tau": np.asarray(biases[0].tau), "accel_tau": np.asarray(biases[1].tau)}
+    prior = np.concatenate([np.broadcast_to(sd, 3) for sd in (*params.prior, *(p.sd for p in biases))])[:n]
     begin = nav.pos, nav.vel, rotations.to_dcm(nav.q)
     return reference.run(imu, fixes, begin, noise, prior, **options)
 
@@ -50,7 +53,7 @@ def errors(info, expected):
     [
         ("kf9_simple", (), {}),
         ("gpid_literal", literal_params(0.05, 0.1), dict(ki=0.05, kd=0.1)),
-        ("gpid_literal", gpid_params(0.05, 0.3), dict(ki=0.05, kd=0.3, states=mask("position", n_states=9))),
+        ("gpid_literal", gpid_params(0.05, 0.3), dict(ki=0.05, kd=0.3, states=mask("position"))),
     ],
     ids=["kf", "gpid_literal", "gpid_position"],
 )
@@ -82,13 +85,12 @@ def test_the_full_form_is_the_derivative_of_the_equations(near_origin):
 def test_the_dynamics_block_by_block():
     """The package's full F against the complex step, each block relative to its own size."""
     from jaxnav.filters.run import initial_nav
-    from jaxnav.states.transition import assemble
     from jaxnav.strapdown.errors.local_level import dynamics
-    from jaxnav.types import Path
+    from jaxnav.types import ErrorInputs
 
     nav = initial_nav([0.8, -1.3, 900.0], [60.0, -45.0, 5.0], [0.2, -0.3, 2.0])
     C, f = rotations.to_dcm(nav.q), jnp.array([1.0, -2.0, 10.0])
-    ours = np.asarray(jax.jit(lambda nav: assemble(dynamics(Path(nav, C, f), "full"), 15))(nav))
+    ours = dynamics_15(jax.jit(lambda nav: dynamics(ErrorInputs(nav, C, f, f, f), "full"))(nav))
     exact = reference.full_dynamics(*(np.asarray(a) for a in (nav.pos, nav.vel, C, f)), 15)
     for i in range(5):
         for j in range(5):

@@ -118,8 +118,8 @@ def test_the_circle_of_ansari_2024():
     speed = np.linalg.norm(sim.truth.vel, axis=-1)
     np.testing.assert_allclose(speed, 10.0)
     table1 = GRADES["tactical"]
-    np.testing.assert_allclose(np.abs(sim.truth.b_g), table1.gyro_turn_on, rtol=1e-12)
-    np.testing.assert_allclose(np.abs(sim.truth.b_a), table1.accel_turn_on, rtol=1e-12)
+    np.testing.assert_allclose(np.abs(sim.truth.errors["gyro_bias"]), table1.gyro_turn_on, rtol=1e-12)
+    np.testing.assert_allclose(np.abs(sim.truth.errors["accel_bias"]), table1.accel_turn_on, rtol=1e-12)
     fault = np.asarray(sim.epochs.fix.value[..., 3:] - sim.truth.vel)
     assert (
         np.allclose(fault[:, 600:1100].mean((0, 1)), 0.5, atol=0.01)
@@ -138,12 +138,12 @@ def test_gipkf_starts_aligned_at_rest():
     tilt = angles(sim.initial.q, sim.start.q)
     # levelled on the raw accelerometer: a tilt of bias / g, heading with its own error
     C = jax.vmap(rotations.to_dcm)(sim.start.q)
-    felt = np.asarray(jnp.einsum("nij,nj->ni", C, sim.start.b_a)) / 9.8 / units.DEG
+    felt = np.asarray(jnp.einsum("nij,nj->ni", C, sim.start.errors["accel_bias"])) / 9.8 / units.DEG
     np.testing.assert_allclose(tilt[:, 0], felt[:, 1], atol=0.15)  # second order: 2 deg of heading turn 4 deg of tilt
     np.testing.assert_allclose(tilt[:, 1], -felt[:, 0], atol=0.15)
     assert 1.3 < tilt[:, 2].std() < 2.8
-    left = np.asarray(sim.initial.b_g - sim.start.b_g) / units.DEG_PER_HOUR
-    assert np.abs(sim.start.b_g).max() > 0.2 * units.DEG
+    left = np.asarray(sim.initial.errors["gyro_bias"] - sim.start.errors["gyro_bias"]) / units.DEG_PER_HOUR
+    assert np.abs(sim.start.errors["gyro_bias"]).max() > 0.2 * units.DEG
     # noise of the mean over 30 s, drift, and the Earth's rate through tilt and heading
     assert left.std() < 2 * np.hypot(0.26 * 60 / np.sqrt(30), 5.1 / 3)
     prior = matched_params(GIPKF).prior
@@ -159,7 +159,7 @@ def test_fwekf_cases():
     assert float(sim.truth.vel[0, -1, 1]) == pytest.approx(30.0) and not sim.truth.vel[0, :200].any()
     value, truth = sim.epochs.fix.value, sim.truth
     np.testing.assert_allclose(value[..., :3], truth.pos, rtol=0, atol=1e-13)
-    assert not sim.truth.b_g.any() and (sim.epochs.fix.sd[0, 0] == np.array([10] * 3 + [0.2] * 3)).all()
+    assert not sim.truth.errors["gyro_bias"].any() and (sim.epochs.fix.sd[0, 0] == np.array([10] * 3 + [0.2] * 3)).all()
     off = jax.vmap(earth.enu_difference)(sim.initial.pos, sim.start.pos)
     np.testing.assert_allclose(off, np.tile(10 * np.array(PATTERN), (2, 1)), rtol=1e-5)
     np.testing.assert_allclose(angles(sim.initial.q, sim.start.q), np.tile(PATTERN, (2, 1)), atol=1e-9)
@@ -180,7 +180,7 @@ def test_kinds_of_faults_and_motions_are_told_apart():
 
 
 def test_the_page_on_simulation_runs():
-    page = (Path(__file__).parents[1] / "docs" / "simulation.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "simulation.md").read_text()
     space: dict = {}
     for block in re.findall(r"```python\n(.*?)```", page, re.S):
         exec(block, space)

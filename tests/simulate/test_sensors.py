@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from jaxnav.analysis.metrics import chi2_bounds
+from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import enable_x64
 from jaxnav.maths import earth, rotations, units
 from jaxnav.simulate import faults, gnss, imu
@@ -17,7 +18,7 @@ from jaxnav.simulate.gnss import Receiver
 from jaxnav.simulate.imu import ImuErrors
 from jaxnav.simulate.processes import gauss_markov
 from jaxnav.simulate.trajectories import Motion, travel
-from jaxnav.states.grades import GRADES, Grade, datasheet_params
+from jaxnav.states.grades import GRADES, Grade
 from jaxnav.types import Imu, Nav, Origin
 
 enable_x64()
@@ -44,7 +45,13 @@ def still(n, gyro=(1.0, 1.0, 1.0), accel=(1.0, 1.0, 1.0)):
 def many(grade, samples, errors, runs=600, seed=1):
     """`imu.corrupt` over many keys."""
     keys = jax.random.split(jax.random.key(seed), runs)
-    return jax.jit(jax.vmap(lambda k: imu.corrupt(k, samples, DT, grade, errors)))(keys)
+    return jax.jit(jax.vmap(lambda k: corrupt(k, samples, DT, grade, errors)))(keys)
+
+
+def corrupt(*arguments):
+    """What the IMU puts out, and its true biases."""
+    out, true = imu.corrupt(*arguments)
+    return out, true["gyro_bias"], true["accel_bias"]
 
 
 # ---------------------------------------------------------------------------- IMU
@@ -52,7 +59,7 @@ def many(grade, samples, errors, runs=600, seed=1):
 
 def test_white_noise_has_the_datasheets_density():
     grade, n = GRADES["consumer"], 4000
-    out, b_g, b_a = imu.corrupt(jax.random.key(0), still(n), DT, grade)
+    out, b_g, b_a = corrupt(jax.random.key(0), still(n), DT, grade)
     # an increment over dt has the variance arw^2 dt
     assert inside_bounds(((out.gyro - 1 - b_g) * DT) ** 2 / (grade.arw**2 * DT))
     assert inside_bounds(((out.accel - 1 - b_a) * DT) ** 2 / (grade.vrw**2 * DT))
@@ -121,7 +128,7 @@ def test_vibration_is_a_mean_over_each_sample():
 def test_quantisation_rounds_and_keeps_the_derivative():
     coarse = ImuErrors(gyro_step_deg_per_s=0.5, accel_step_mg=3.0)
     values = Imu(jnp.full(400, DT), *jax.random.normal(jax.random.key(0), (2, 400, 3), float))
-    out, _, _ = imu.corrupt(jax.random.key(1), values, DT, QUIET, coarse)
+    out, _, _ = corrupt(jax.random.key(1), values, DT, QUIET, coarse)
     for a, b, step in ((out.gyro, values.gyro, 0.5 * units.DEG), (out.accel, values.accel, 3 * units.MG)):
         np.testing.assert_allclose(a / step, np.round(a / step), atol=1e-6)
         assert 0.45 * step < np.abs(a - b).max() <= 0.5 * step * (1 + 1e-9)
@@ -133,7 +140,7 @@ def test_quantisation_rounds_and_keeps_the_derivative():
 
 def test_one_errors_size_changes_no_draw_of_another():
     grade = GRADES["consumer"]._replace(gyro_walk=1e-5, accel_walk=1e-4)
-    run = lambda g, e: imu.corrupt(jax.random.key(4), still(50), DT, g, e)  # noqa: E731
+    run = lambda g, e: corrupt(jax.random.key(4), still(50), DT, g, e)  # noqa: E731
     everything = LOUD._replace(fixed_bias=True, gyro_bias_sd_deg_per_hour=9.0, accel_bias_sd_mg=2.0)
     plain, b_g, b_a = run(grade, ImuErrors())
     _, B_g, _ = run(grade, everything)
@@ -155,7 +162,7 @@ def test_errors_have_draws_of_their_own():
     short = QUIET._replace(tau=1e-6)  # the drift then is white
 
     def draws(grade, errors=ImuErrors()):
-        out, bias, _ = imu.corrupt(jax.random.key(4), still(n), DT, grade, errors)
+        out, bias, _ = corrupt(jax.random.key(4), still(n), DT, grade, errors)
         return out.gyro - 1, bias
 
     root = np.sqrt(DT)
@@ -193,7 +200,7 @@ def parked(n=N):
     wide = lambda a: jnp.broadcast_to(jnp.asarray(a, float), (n, *jnp.shape(a)))  # noqa: E731
     rest = earth.RATE * np.array([np.cos(AT[0]), 0, -np.sin(AT[0])])
     origin = Origin(wide(AT), wide(0.0), wide(0.0))
-    return Nav(wide(0.0), wide(AT), wide(np.zeros(3)), wide(q), *(wide(np.zeros(3)),) * 2, wide(rest), wide(AT), origin)
+    return Nav(wide(0.0), wide(AT), wide(np.zeros(3)), wide(q), wide(rest), wide(AT), origin, {})
 
 
 def errors(receiver, fault=(), seed=0, hidden=None, runs=1):
@@ -328,7 +335,7 @@ def test_antenna_swings_on_its_arm():
     def both():
         point, (omega, force) = travel(flying, AT, dt, 1, 40, imu.sense).ends
         q = jax.vmap(lambda rph: rotations.from_dcm(rotations.from_rph(rph)))(point.rph)
-        nav = Nav(point.t, point.lla, point.vel, q, force, force, omega, force, Origin(point.lla, point.t, point.t))
+        nav = Nav(point.t, point.lla, point.vel, q, omega, force, Origin(point.lla, point.t, point.t), {})
         lla, vel = jax.vmap(gnss.antenna, (0, None))(nav, jnp.array([1.0, -2.0, 3.0]))
         return jax.vmap(earth.enu_difference)(lla, nav.pos), vel - nav.vel
 

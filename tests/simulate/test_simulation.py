@@ -12,6 +12,7 @@ from jax import lax
 from jaxnav.analysis.metrics import chi2_bounds, nees
 from jaxnav.data.epochs import pack
 from jaxnav.filters.catalogue import FRAMES, build
+from jaxnav.filters.error_model import error_model
 from jaxnav.filters.run import enable_x64, run
 from jaxnav.maths import earth, rotations, units
 from jaxnav.measurements import GNSS, layout
@@ -58,8 +59,8 @@ def streams(seconds, *more):
         shape = shape_of(motion, jax.random.key(0), seconds)
         way = quick(lambda: travel(shape, START, 0.01, 100, seconds, imu.sense))()
         p, (omega, force) = way.start
-        q, zero = rotations.from_dcm(rotations.from_rph(p.rph)), jnp.zeros(3)
-        return Nav(p.t, p.lla, p.vel, q, zero, zero, omega, force, Origin(p.lla, p.t, p.t)), way.means, way.ends[0]
+        q = rotations.from_dcm(rotations.from_rph(p.rph))
+        return Nav(p.t, p.lla, p.vel, q, omega, force, Origin(p.lla, p.t, p.t), {}), way.means, way.ends[0]
 
     return [stream(motion) for motion in MOTIONS + more]
 
@@ -67,7 +68,7 @@ def streams(seconds, *more):
 @partial(quick, static_argnums=(0, 1))
 def navigate(frame, merge, nav, means, ends):
     """Largest horizontal and vertical error, m, of error-free samples navigated back, ``merge`` of them as one."""
-    model = FRAMES[frame].error_model(9, "full", GNSS)
+    model = error_model(frame, ())
     gyro, accel = (a.reshape(a.shape[0], -1, merge, 3).mean(2) for a in means)
 
     def epoch(nav, samples):
@@ -161,10 +162,16 @@ def drifting():
 def test_truth_biases_are_those_of_the_imu(drifting):
     # without white noise, the last sample of a standing epoch minus its bias is what the truth feels
     still, samples, truth = slice(0, 5), drifting.epochs.imu, drifting.truth
-    np.testing.assert_allclose(samples.gyro[still, -1] - truth.b_g[still], truth.omega[still], atol=1e-12)
-    np.testing.assert_allclose(samples.accel[still, -1] - truth.b_a[still], truth.force[still], atol=1e-9)
-    assert np.abs(np.diff(truth.b_g, axis=0)).max() > 1e-3
-    np.testing.assert_allclose(samples.gyro[0, 0] - drifting.start.b_g, drifting.start.omega, atol=1e-12)
+    np.testing.assert_allclose(
+        samples.gyro[still, -1] - truth.errors["gyro_bias"][still], truth.omega[still], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        samples.accel[still, -1] - truth.errors["accel_bias"][still], truth.force[still], atol=1e-9
+    )
+    assert np.abs(np.diff(truth.errors["gyro_bias"], axis=0)).max() > 1e-3
+    np.testing.assert_allclose(
+        samples.gyro[0, 0] - drifting.start.errors["gyro_bias"], drifting.start.omega, atol=1e-12
+    )
 
 
 def test_batch_is_a_loop_and_a_key_is_a_run(batch):
@@ -193,7 +200,9 @@ def test_purposes_do_not_mix(batch, drifting):
 def test_purposes_are_independent(batch):
     # what would come out alike if two of them shared a key: the first numbers of each
     grade, truth, start = GRADES[SHORT.imu.grade], batch.truth, batch.start
-    bias = np.concatenate([start.b_g / grade.gyro_turn_on, start.b_a / grade.accel_turn_on], 1)
+    bias = np.concatenate(
+        [start.errors["gyro_bias"] / grade.gyro_turn_on, start.errors["accel_bias"] / grade.accel_turn_on], 1
+    )
     off = jax.vmap(earth.enu_difference)(batch.initial.pos, start.pos) / np.array(START_OF.prior_position_sd_m)
     off = np.concatenate([off, (batch.initial.vel - start.vel) / np.array(START_OF.prior_velocity_sd_mps)], 1)
     fix = np.asarray(batch.epochs.fix.value[:, 0, 3:] - truth.vel[:, 0]) / ROOF.velocity_sd_mps
@@ -210,7 +219,7 @@ def test_start_is_off_by_the_prior(batch):
     turn = lambda a, b: rotations.log(rotations.multiply(a, rotations.conjugate(b)))  # noqa: E731
     sd = np.array([START_OF.prior_tilt_sd_deg, START_OF.prior_tilt_sd_deg, START_OF.prior_heading_sd_deg]) * units.DEG
     assert inside_bounds((jax.vmap(turn)(initial.q, start.q) / sd) ** 2)
-    assert not initial.b_g.any() and not initial.b_a.any()
+    assert initial.errors == {}
 
 
 ROUND = SHORT._replace(  # cheap to compile
@@ -224,8 +233,8 @@ def test_a_late_fix_tells_where_the_antenna_was():
     np.testing.assert_allclose(once.epochs.fix.value, often.epochs.fix.value[3::5], rtol=0, atol=1e-9)
     np.testing.assert_allclose(once.truth.pos, often.truth.pos[4::5], rtol=0, atol=1e-9)
     np.testing.assert_array_equal(once.epochs.fix.valid[:, 0], ~((np.arange(1, 21) > 12) & (np.arange(1, 21) <= 15)))
-    mounted = matched_params(late).mounting
-    assert mounted.position_latency == mounted.velocity_latency == 0.2
+    known = matched_params(late).measurements
+    assert known["position"].latency == known["velocity"].latency == 0.2
     with pytest.raises(ValueError, match="less than an epoch"):
         simulate(ROUND._replace(gnss=ROUND.gnss._replace(latency_s=1.0)), KEYS[0])
 

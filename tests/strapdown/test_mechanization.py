@@ -15,7 +15,7 @@ from jaxnav.maths import components, earth, rotations
 from jaxnav.maths.units import DEG
 from jaxnav.strapdown.fast import local_level
 from jaxnav.strapdown.increments import increments, thin
-from jaxnav.types import Drive, Imu
+from jaxnav.types import Forcing, Imu
 from tests.conftest import simulate_drive, start
 
 propagate = jax.jit(local_level.propagate)
@@ -57,7 +57,7 @@ def test_the_block_form_has_the_derivative_of_the_scan():
 
     def end(form, x):
         nav = start(truth)
-        nav = nav._replace(vel=nav.vel + 200.0 + x[:3], b_g=x[3:6], b_a=x[6:])
+        nav = nav._replace(vel=nav.vel + 200.0 + x[:3], errors={"gyro_bias": x[3:6], "accel_bias": x[6:]})
         last = form(nav, None, imu)[0]
         return jnp.concatenate([last.vel, last.q])
 
@@ -146,7 +146,9 @@ def samples(gyro, accel, dt, n):
 def test_at_rest_stays_at_rest_and_biases_are_subtracted(resting):
     nav, gyro, accel = resting
     b_g, b_a = jnp.array([1e-3, -2e-3, 3e-3]), jnp.array([0.1, 0.2, -0.3])
-    out = propagate(nav._replace(b_g=b_g, b_a=b_a), None, samples(gyro + b_g, accel + b_a, 0.1, 100))[0]
+    out = propagate(
+        nav._replace(errors={"gyro_bias": b_g, "accel_bias": b_a}), None, samples(gyro + b_g, accel + b_a, 0.1, 100)
+    )[0]
     np.testing.assert_allclose(out.vel, 0, atol=1e-8)
     np.testing.assert_allclose(out.pos, nav.pos, atol=1e-8)
     np.testing.assert_allclose(out.q, nav.q, atol=1e-11)
@@ -159,11 +161,11 @@ def test_observer_drive_has_the_stated_signs(resting):
     nav, gyro, accel = resting
     imu = samples(gyro, accel, 0.1, 100)
     spin, push = np.array([1e-4, -2e-4, 3e-4]), np.array([1e-3, 2e-3, -3e-3])
-    pushed = propagate(nav, Drive(np.zeros(3), push), imu)[0]
+    pushed = propagate(nav, Forcing(np.zeros(3), push), imu)[0]
     coriolis = 2 * earth.RATE * 0.04 * 10 / 2
     np.testing.assert_allclose(pushed.vel, 10 * push, rtol=0, atol=coriolis)
     np.testing.assert_allclose(earth.enu_difference(pushed.pos, nav.pos), 50 * push, rtol=0, atol=10 * coriolis)
-    spun = propagate(nav, Drive(spin, np.zeros(3)), imu)[0]
+    spun = propagate(nav, Forcing(spin, np.zeros(3)), imu)[0]
     turn = rotations.log(rotations.multiply(spun.q, rotations.conjugate(nav.q)))
     np.testing.assert_allclose(turn, 10 * spin, rtol=0, atol=4e-6)  # its axes are those at the start
 
@@ -187,7 +189,7 @@ def test_padding_changes_nothing(case):
     imu = jax.tree.map(lambda a: a[4], case.packed.epochs.imu)
     pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1], (27, *a.shape[1:]))])  # noqa: E731
     padded = Imu(jnp.concatenate([imu.dt, jnp.zeros(27)]), pad(imu.gyro), pad(imu.accel))
-    u = Drive(np.array([1e-5, 0, 2e-5]), np.array([1e-3, 0, 0]))
+    u = Forcing(np.array([1e-5, 0, 2e-5]), np.array([1e-3, 0, 0]))
     # start past the first sample of a run: its rates are in the state, as within a run
     nav = propagate(case.nav, u, jax.tree.map(lambda a: a[3], case.packed.epochs.imu))[0]
     plain, filled = propagate(nav, u, imu)[0], propagate(nav, u, padded)[0]
@@ -249,7 +251,7 @@ def test_intervals_of_samples_are_the_samples(form, n, lat, speed):
     """Intervals of 10, the last one half full: states inside them, and the means."""
     nav, imu = lively(n, 0.01, lat, speed)
     imu = imu._replace(dt=imu.dt.at[n - 5 :].set(0.0))
-    u = Drive(np.array([1e-3, -2e-3, 1e-3]), np.array([0.01, 0.02, -0.01]))
+    u = Forcing(np.array([1e-3, -2e-3, 1e-3]), np.array([0.01, 0.02, -0.01]))
     keep = jnp.array([0, 9, 10, 33, n - 7, n - 6])
     exact, path = propagate(nav, u, imu)
     exact = jax.tree.map(lambda a: a[keep], path.nav)

@@ -7,11 +7,12 @@ import pytest
 
 from jaxnav.data.epochs import hide, pack
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.core import padded
 from jaxnav.filters.run import prepare, run, run_jit
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
 from jaxnav.strapdown.fast import local_level
-from jaxnav.types import Drive
+from jaxnav.types import Forcing
 from tests.conftest import leaves_equal
 from tests.strapdown.test_mechanization import ANYWHERE, lively
 from tuning.objectives import innovation_nll
@@ -32,10 +33,10 @@ def test_biases_are_taken_out_of_the_sums(n, lat, speed):
     """200 deg/h and 5 mg on a body that turns and shakes; states inside intervals, the last of which is half full."""
     nav, imu = lively(n, 0.01, lat, speed)
     imu = imu._replace(dt=imu.dt.at[n - 5 :].set(0.0))
-    u = Drive(np.array([1e-3, -2e-3, 1e-3]), np.array([0.01, 0.02, -0.01]))
+    u = Forcing(np.array([1e-3, -2e-3, 1e-3]), np.array([0.01, 0.02, -0.01]))
     keep = jnp.array([0, 9, 10, 33, n - 7, n - 6])
     b_g, b_a = 200 * DEG / 3600 * np.array([0.6, -0.7, 0.4]), 0.05 * np.array([0.5, -0.6, 0.6])
-    known = nav._replace(b_g=jnp.asarray(b_g), b_a=jnp.asarray(b_a))
+    known = nav._replace(errors={"gyro_bias": jnp.asarray(b_g), "accel_bias": jnp.asarray(b_a)})
     sums = preintegrate(imu, (nav.omega, nav.force), 10, keep)
     without, _ = propagate(nav, u, sums, 10)
     samples, path = propagate(nav, u, imu, 10, keep)
@@ -54,7 +55,8 @@ def test_biases_are_taken_out_of_the_sums(n, lat, speed):
 def biased(case):
     """The drive with sensors of 100 deg/h and 5 mg; epochs of 20 samples, padded to 25."""
     imu = case.imu._replace(gyro=case.imu.gyro + 5e-4, accel=case.imu.accel + 0.05)
-    return pack(imu, case.aiding, 1.0, multiple=25).epochs
+    epochs = pack(imu, case.aiding, 1.0).epochs
+    return epochs._replace(imu=jax.vmap(lambda imu: padded(imu, 25))(epochs.imu))
 
 
 def test_prepared_epochs_are_run_like_the_samples(case, biased):
@@ -70,7 +72,8 @@ def test_prepared_epochs_are_run_like_the_samples(case, biased):
         return info.nav, innovation_nll(info, ~hidden)
 
     (samples, nll), (sums, ready_nll) = along(biased), along(ready)
-    assert np.abs(samples.b_g[-1]).min() > 1e-4  # the biases are found, so that there was something to take out
+    # the biases are found, so that there was something to take out
+    assert np.abs(samples.errors["gyro_bias"][-1]).min() > 1e-4
     for error, bound in zip(difference(sums, samples), (1e-3, 1e-4, 1e-5), strict=True):  # m, m/s, rad
         assert np.abs(error).max() < bound
     assert float(ready_nll) == pytest.approx(float(nll), rel=1e-4)

@@ -4,23 +4,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxnav.states.names import A, B, G, P, V
+from jax.scipy.linalg import block_diag
 
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.error_model import error_model
+from jaxnav.filters.parameters import datasheet_params, mounting
 from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import earth, rotations
 from jaxnav.simulate.imu import sense
 from jaxnav.simulate.trajectories import Motion, travel
-from jaxnav.states.grades import GRADES, datasheet_params, mounting
+from jaxnav.states.grades import GRADES
+from jaxnav.states.motion import A, P, V
+from jaxnav.states.table import BIASES
 from jaxnav.strapdown import tangent_frame
-from jaxnav.strapdown.errors.tangent_frame import dynamics, enu_rows, error_model
+from jaxnav.strapdown.errors.tangent_frame import dynamics, enu_rows
 from jaxnav.strapdown.fast import local_level
 from jaxnav.types import Imu, Origin
 from tests.conftest import leaves_equal, simulate_drive, start
 
 PARAMS = datasheet_params(GRADES["adis16465"])
 SIZES = np.repeat([10.0, 1.0, 1e-3, 1e-4, 1e-2], 3)
-MODEL = error_model()
+MODEL = error_model("tangent")
+G, B = slice(9, 12), slice(12, 15)
 propagate = jax.jit(tangent_frame.propagate)
 navigate_enu = jax.jit(local_level.propagate)
 enter, leave = jax.jit(tangent_frame.enter), jax.jit(tangent_frame.leave)
@@ -36,7 +41,11 @@ def a_nav(seed=0):
     nav = initial_nav([0.8, -1.3, 900.0], [60.0, -45.0, 5.0], [0.2, -0.3, 2.0], t=3.0, azimuth=0.6)
     draw = lambda scale: jnp.asarray(rng.normal(size=3) * scale)  # noqa: E731
     nav = nav._replace(pos=earth.move(nav.pos, jnp.array([1500.0, -1200.0, 80.0])))
-    return nav._replace(b_g=draw(1e-3), b_a=draw(0.1), omega=draw(0.1), force=draw(1.0) - jnp.array([0, 0, 9.8]))
+    return nav._replace(
+        errors={"gyro_bias": draw(1e-3), "accel_bias": draw(0.1)},
+        omega=draw(0.1),
+        force=draw(1.0) - jnp.array([0, 0, 9.8]),
+    )
 
 
 # ------------------------------------------------------------------------------------------------ axes and gravity
@@ -170,8 +179,13 @@ def test_padding_changes_nothing(case):
 def difference(estimate, truth):
     """x with truth = retract(estimate, x), in the axes of the frame."""
     phi = rotations.log(rotations.multiply(estimate.q, rotations.conjugate(truth.q)))
-    parts = (estimate.pos - truth.pos, estimate.vel - truth.vel, phi, estimate.b_g - truth.b_g)
-    return jnp.concatenate([*parts, estimate.b_a - truth.b_a])
+    parts = (
+        estimate.pos - truth.pos,
+        estimate.vel - truth.vel,
+        phi,
+        estimate.errors["gyro_bias"] - truth.errors["gyro_bias"],
+    )
+    return jnp.concatenate([*parts, estimate.errors["accel_bias"] - truth.errors["accel_bias"]])
 
 
 def central(function):
@@ -188,7 +202,7 @@ def test_discretize_is_the_derivative_of_the_mechanization(T, seed):
     end, path = propagate(nav, None, imu)
     exact = central(jax.jit(lambda x: difference(end, tangent_frame.propagate(MODEL.retract(nav, x), None, imu)[0])))
     full, simple = (
-        np.asarray(jax.jit(error_model(15, form).discretize)(PARAMS.noise, path, imu.dt, None)[0])
+        np.asarray(jax.jit(error_model("tangent", form=form).discretize)(PARAMS, path, imu.dt, None)[0])
         for form in ("full", "simple")
     )
     bound = 3e-5 if T < 0.5 else 2e-4
@@ -223,15 +237,16 @@ def test_reported_errors_are_those_of_local_level():
         return difference(estimate, truth).at[P].set(earth.enu_difference(estimate.pos, truth.pos))
 
     exact = central(jax.jit(enu))
-    J = np.asarray(jax.jit(lambda n: enu_rows(tangent_frame.leave(n), 15))(nav))
+    J = np.asarray(jax.jit(lambda n: block_diag(enu_rows(tangent_frame.leave(n)), jnp.eye(6)))(nav))
     sizes = SIZES / SIZES[:, None]
     np.testing.assert_allclose(J * sizes, exact * sizes, rtol=0, atol=1e-6)
     np.testing.assert_allclose(J[A, P], exact[A, P], rtol=0, atol=1e-3 * np.abs(exact[A, P]).max())
     np.testing.assert_allclose(J[V, P], exact[V, P], rtol=0, atol=1e-3 * np.abs(exact[V, P]).max())
-    x, cov = jnp.asarray(SIZES), MODEL.covariance(PARAMS.prior, nav)
+    x, cov = jnp.asarray(SIZES), MODEL.covariance(PARAMS, nav)
     local, x_enu, P_enu = jax.jit(MODEL.report)(nav, x, cov)
     np.testing.assert_allclose(x_enu, J @ x, rtol=1e-12)
-    sd = np.concatenate([np.broadcast_to(s, 3) for s in PARAMS.prior])
+    sd = [*PARAMS.prior, *(PARAMS.states[name].sd for name in BIASES)]
+    sd = np.concatenate([np.broadcast_to(s, 3) for s in sd])
     np.testing.assert_allclose(P_enu / np.outer(sd, sd), np.eye(15), atol=1e-12)  # entered and reported: the prior
     leaves_equal(local, tangent_frame.leave(nav), atol=1e-9)
 
@@ -258,5 +273,7 @@ def test_a_filter_gives_the_same_solution_in_both_frames(case):
 
 
 def test_other_sizes_and_forms_are_refused():
-    with pytest.raises(ValueError, match="9 or 15"):
-        error_model(12)
+    with pytest.raises(ValueError, match="form is 'full' or 'simple'"):
+        error_model("tangent", form="short")
+    with pytest.raises(ValueError, match="no frame 'tangential'.*tangent"):
+        error_model("tangential")

@@ -8,9 +8,8 @@ from jax.flatten_util import ravel_pytree
 
 from jaxnav.data.epochs import pack
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.parameters import put
+from jaxnav.filters.parameters import datasheet_params, put
 from jaxnav.filters.run import run
-from jaxnav.states.grades import datasheet_params
 from tests.conftest import GRADE, gnss, simulate_drive, start
 from tuning import scoring, uncertainty
 from tuning.objectives import innovation_nll
@@ -21,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("optimised")
 EVERY, RATE, VRW = 4, 20.0, 0.3  # samples a fix; Hz; m/s^2/sqrt(Hz), large enough to show between two fixes
 FIX = np.array([[1.0, 0, 0], [0.8, 0.6, 0], [0, 0, 1.0]])  # east and north of a fix's position are alike in 0.8
 FORCE = VRW * np.array([[1.0, 0, 0], [-0.6, 0.8, 0], [0, 0, 1.0]])  # forward and right of the accelerometers in -0.6
-SPEC = {"noise.accel": factor(3), "noise.position_scale": factor(3)}
+SPEC = {"noise.accel": factor(3), "measurements.position.scale": factor(3)}
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +36,7 @@ def problem():
     aiding["position"] = position._replace(value=seen + error[:, [1, 0, 2]] / metres)
     packed = pack(imu, aiding, EVERY / RATE)
     filt, nav, params = build("kf9_simple", cov_stride=EVERY), start(truth), datasheet_params(GRADE)
-    exact = put(put(params, "noise.accel", jnp.asarray(FORCE)), "noise.position_scale", jnp.asarray(FIX))
+    exact = put(put(params, "noise.accel", jnp.asarray(FORCE)), "measurements.position.scale", jnp.asarray(FIX))
     begin = put(params, "noise.accel", jnp.asarray(VRW / 2))
     raw, back = ravel_pytree(split(SPEC, begin))
     E = packed.t.size
@@ -65,11 +64,12 @@ def test_correlations_of_sensors_and_fixes_come_back(problem):
     found = scoring.maximise(inform, raw)
     cov = uncertainty.covariance(np.asarray(found.best.fisher), np.asarray(found.best.blocks))
     rows = {i.name: i for i in uncertainty.intervals(SPEC, back(found.raw), cov)}
-    expected = {"noise.position_scale[1,0]": 0.8, "noise.accel[1,0]": -0.6, "noise.position_scale[0]": 1.0,
+    expected = {"measurements.position.scale[1,0]": 0.8, "noise.accel[1,0]": -0.6,
+                "measurements.position.scale[0]": 1.0,
                 "noise.accel[0]": VRW, "noise.accel[1]": VRW}  # fmt: skip
     for name, value in expected.items():
         assert rows[name].low < value < rows[name].high and rows[name].identified, name
-    assert rows["noise.position_scale[1,0]"].low > 0.7 and rows["noise.accel[1,0]"].high < -0.35
+    assert rows["measurements.position.scale[1,0]"].low > 0.7 and rows["noise.accel[1,0]"].high < -0.35
     assert all(abs(rows[f"{leaf}[2,{j}]"].value) < 0.2 for leaf in SPEC for j in (0, 1))  # of up and down none
     best, true, begun = nll(jnp.stack([found.raw, exact, raw]).repeat(4, 0))[::4]
     assert best < true < begun - 100

@@ -76,8 +76,9 @@ def problem():
 def filter_problem():
     """Two runs of four epochs through a real filter, and its likelihood."""
     from jaxnav.filters.catalogue import build
+    from jaxnav.filters.parameters import datasheet_params
     from jaxnav.filters.run import initial_nav, run
-    from jaxnav.states.grades import GRADES, datasheet_params
+    from jaxnav.states.grades import GRADES
     from jaxnav.types import Epoch, Fix, Imu
     from tuning import objectives
     from tuning.transforms import LOG

@@ -189,7 +189,8 @@ def test_tail_is_the_mean_of_the_worst():
 
 
 def params():
-    from jaxnav.states.grades import GRADES, datasheet_params
+    from jaxnav.filters.parameters import datasheet_params
+    from jaxnav.states.grades import GRADES
 
     return datasheet_params(GRADES["tactical"])
 

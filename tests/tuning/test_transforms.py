@@ -7,7 +7,8 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from jaxnav.filters.papers.gpid import gpid_params
-from jaxnav.states.grades import GRADES, datasheet_params
+from jaxnav.filters.parameters import datasheet_params
+from jaxnav.states.grades import GRADES
 from tests.conftest import leaves_equal
 from tuning.transforms import (
     IDENTITY,
@@ -54,7 +55,7 @@ def test_a_step_is_worth_what_it_says():
     assert TRANSFORMS == {"log": LOG, "identity": IDENTITY}
 
 
-SPEC = {"noise.gyro": LOG, "noise.position_scale": LOG, "mounting.lever_arm": scaled(0.1), "rule.ki": LOG}
+SPEC = {"noise.gyro": LOG, "measurements.position.scale": LOG, "mounting.lever_arm": scaled(0.1), "rule.ki": LOG}
 
 
 def test_split_and_join_are_inverse_and_leave_the_frozen_alone():
@@ -92,7 +93,9 @@ def test_names_that_are_not_there_are_explained():
         get(PARAMS, "noise.giro")
     with pytest.raises(ValueError, match="'noise' is not one of nothing"):
         get(PARAMS, "noise.gyro.noise")
-    with pytest.raises(ValueError, match="'nois' is not one of noise, prior, mounting, rule, feedback"):
+    with pytest.raises(
+        ValueError, match="'nois' is not one of noise, prior, states, measurements, mounting, rule, feedback"
+    ):
         split({"nois.gyro": LOG}, PARAMS)
     with pytest.raises(ValueError, match="no parameter"):
         put(PARAMS, "noise.giro", 1.0)

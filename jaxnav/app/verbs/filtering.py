@@ -8,15 +8,15 @@ import jax
 import numpy as np
 
 from jaxnav import data as io
+from jaxnav.analysis import evaluate
+from jaxnav.analysis.navigate import execute
 from jaxnav.analysis.plots import base as plots
-from jaxnav.app import evaluate
 from jaxnav.app.config import Config
 from jaxnav.app.prepare import Case, grade_name, prepare
 from jaxnav.app.results import FailedCheck, Outcome, table, write_json
 from jaxnav.app.sources import load, scenario_of
-from jaxnav.data import start as alignment
-from jaxnav.data.epochs import TICK, hide
-from jaxnav.filters.run import first_failure, run_jit
+from jaxnav.data.epochs import TICK, hide, in_windows
+from jaxnav.filters.run import first_failure
 from jaxnav.types import ConfigError, Info
 
 CONSISTENT = (0.3, 3.0)  # of NIS / dof: outside, a user should hear of it
@@ -67,13 +67,13 @@ def filter(config: Config, folder: Path) -> Outcome:
     """
     seconds, begin = {}, time.perf_counter()
     case = prepare(config)
-    hidden = hidden_epochs(config, case.packed.t)
+    hidden = in_windows(case.packed.t, config.filter.outages)
     seconds["prepare"], begin = time.perf_counter() - begin, time.perf_counter()
-    info, heading = execute(case, hidden)
+    info, heading = execute(case.filter, case.params, case.navs, hide(case.packed.epochs, hidden, case.measurements))
     jax.block_until_ready(info)
     seconds["filter"], begin = time.perf_counter() - begin, time.perf_counter()
     check(info, case.packed.t, case.recording.name)
-    sol = evaluate.solution(info, case.params)
+    sol = evaluate.trace(info, case.params)
     found = metrics_of(case, sol, hidden, config) | heading
     unused = sorted(set(case.recording.aiding) - {m.name for m in case.measurements})
     found |= {"unused_streams": unused} if unused else {}
@@ -89,35 +89,6 @@ def filter(config: Config, folder: Path) -> Outcome:
             plots.save(fig, folder / f"{name}.png")
     seconds["write"] = time.perf_counter() - begin
     return Outcome(found, summary(found, config.filter.name, case.recording.name), seconds)
-
-
-def hidden_epochs(config: Config, t: np.ndarray) -> np.ndarray:
-    """Epochs (E,) whose fixes [filter] outages hide.
-
-    Raises:
-        ConfigError: an outage that is not (start, end), or in which no epoch ends.
-    """
-    hidden = np.zeros(t.size, bool)
-    for window in config.filter.outages:
-        if len(window) != 2 or not window[1] > window[0]:
-            raise ConfigError(f"filter.outages: expected [start, end] with start < end, got {list(window)}")
-        inside = (t > window[0] + TICK) & (t <= window[1] + TICK)
-        if not inside.any():
-            raise ConfigError(f"filter.outages: {list(window)} holds no epoch, they end from {t[0]:g} to {t[-1]:g} s")
-        hidden |= inside
-    return hidden
-
-
-def execute(case: Case, hidden: np.ndarray) -> tuple[Info, dict[str, Any]]:
-    """The run; of an unknown heading the most probable one, and what the bank says."""
-    epochs = hide(case.packed.epochs, hidden, case.measurements)
-    if case.navs.t.shape[0] == 1:
-        return run_jit(case.filter, case.params, jax.tree.map(lambda a: a[0], case.navs), epochs), {}
-    bank = jax.jit(alignment.heading_bank, static_argnums=0)(case.filter, case.params, case.navs, epochs)
-    best = int(bank.best)
-    start = 360.0 * best / case.navs.t.shape[0]
-    about = {"start_heading_deg": start, "start_heading_probability": float(bank.probability[best])}
-    return jax.tree.map(lambda a: a[best], bank.info), {"heading_bank": about}
 
 
 def check(info: Info, t: np.ndarray, name: str) -> None:
@@ -139,7 +110,7 @@ def shaded(config: Config, case: Case) -> evaluate.Outages:
     return sorted([(float(t[i]), float(t[i + 1])) for i in gaps] + [(w[0], w[1]) for w in config.filter.outages])
 
 
-def metrics_of(case: Case, sol: evaluate.Solution, hidden: np.ndarray, config: Config) -> dict[str, Any]:
+def metrics_of(case: Case, sol: evaluate.Trace, hidden: np.ndarray, config: Config) -> dict[str, Any]:
     """Errors where there is a truth, innovations, and the error at the end of each outage."""
     found: dict[str, Any] = {"start_s": case.packed.start, "grade": grade_name(config, scenario_of(config))}
     truth = case.recording.truth
@@ -156,7 +127,7 @@ def metrics_of(case: Case, sol: evaluate.Solution, hidden: np.ndarray, config: C
     return found | ({"outages": ends} if ends else {})
 
 
-def end_error(case: Case, sol: evaluate.Solution, start: float, end: float) -> float:
+def end_error(case: Case, sol: evaluate.Trace, start: float, end: float) -> float:
     """Horizontal error (m) at the last epoch without a fix of an outage; nan where nothing tells it."""
     t, valid = case.packed.t, np.asarray(case.packed.epochs.fix.valid)[:, :2]
     used = np.asarray(sol.info.valid)[:, :2]
@@ -169,7 +140,7 @@ def end_error(case: Case, sol: evaluate.Solution, start: float, end: float) -> f
     return float(np.hypot(*np.asarray(sol.info.residual)[i, :2])) if valid[i].all() else float("nan")
 
 
-def write_solution(config: Config, folder: Path, sol: evaluate.Solution, case: Case) -> None:
+def write_solution(config: Config, folder: Path, sol: evaluate.Trace, case: Case) -> None:
     """Write the solution in each of [out] formats.
 
     Raises:

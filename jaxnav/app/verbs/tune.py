@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.analysis import metrics
-from jaxnav.app import evaluate, likelihood, tune_report
+from jaxnav.analysis import evaluate, metrics
+from jaxnav.app import likelihood, tune_report
 from jaxnav.app.batches import Material, from_recording, from_scenario
 from jaxnav.app.config import Config, as_dict, for_source
 from jaxnav.app.objectives import LOST, Case, aggregate, check_objective, leaves, merged, objective

@@ -25,7 +25,7 @@ ERRORS = (
 Outages = list[tuple[float, float]]
 
 
-class Solution(NamedTuple):
+class Trace(NamedTuple):
     """One run on the host."""
 
     track: Track  # in GNSS time
@@ -34,7 +34,7 @@ class Solution(NamedTuple):
     info: Info  # numpy
 
 
-def solution(info: Info, params: Params) -> Solution:
+def trace(info: Info, params: Params) -> Trace:
     """A run (E, ...) of local level navigation on the host."""
     info = jax.tree.map(np.asarray, info)
     found = track(info.nav)
@@ -47,10 +47,10 @@ def solution(info: Info, params: Params) -> Solution:
     about = lambda axis: np.sqrt(np.einsum("ei,eij,ej->e", axis, attitude, axis))  # noqa: E731
     sd_rph = np.stack([about(forward), about(right), np.sqrt(attitude[:, 2, 2])], 1)
     found = found._replace(t=found.t + np.asarray(clock_offset(params.mounting, info.nav)))
-    return Solution(found, np.sqrt(variance[:, :9]), sd_rph, info)
+    return Trace(found, np.sqrt(variance[:, :9]), sd_rph, info)
 
 
-def ned_errors(sol: Solution, truth: Track) -> tuple[np.ndarray, np.ndarray]:
+def ned_errors(sol: Trace, truth: Track) -> tuple[np.ndarray, np.ndarray]:
     """Errors (E, 9) in the units of ERRORS and their sd by the filter; nan where there is no truth."""
     e = metrics.errors(sol.track, truth)
     position, velocity = (np.asarray(a)[:, NED] * SIGN for a in (e.position, e.velocity))
@@ -111,7 +111,7 @@ def innovation_metrics(info: Info, measurements: tuple[Measurement, ...]) -> dic
 
 
 def figures(
-    sol: Solution,
+    sol: Trace,
     truth: Track | None,
     fixes: Samples | None,
     measurements: tuple[Measurement, ...],

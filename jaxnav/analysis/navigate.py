@@ -1,0 +1,112 @@
+"""A recording through a filter in one call: start, cut, filter, and the solution on the host."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from jaxnav.analysis import evaluate
+from jaxnav.data import epochs as ep
+from jaxnav.data.solution import FORMATS, write_kml, write_solution
+from jaxnav.data.start import Start, heading_bank, start
+from jaxnav.filters.core import Filter
+from jaxnav.filters.parameters import history_for
+from jaxnav.filters.run import first_failure, require_x64, run_jit
+from jaxnav.measurements import MEASUREMENTS, Measurement
+from jaxnav.types import DataError, Epoch, Info, Nav, Params, Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a filter made of a recording: E epochs, times in GNSS time, angles in rad, ENU and FRD as everywhere."""
+
+    t: np.ndarray  # (E,) s
+    lla: np.ndarray  # (E, 3) lat rad, lon rad, height m
+    vel: np.ndarray  # (E, 3) m/s, ENU
+    rph: np.ndarray  # (E, 3) rad, roll, pitch, heading
+    sd: np.ndarray  # (E, 9) position m, velocity m/s, attitude rad, each in E, N, U
+    innovations: np.ndarray  # (E, m) measurement channels, 0 where there is none
+    used: np.ndarray  # (E, m) bool, what the filter accepted
+    ok: np.ndarray  # (E,) bool, False from the first epoch that was not finite on
+    trace: evaluate.Trace  # the same as figures and writers take it; `trace.info` has everything else
+    params: Params
+    recording: Recording
+    measurements: tuple[Measurement, ...]
+    start: Start
+    outages: tuple[tuple[float, float], ...]
+
+    def write(self, path: str | Path, format: str = "") -> None:
+        """Write it as "csv", "kml", "pos" or "nav"; by default what the file's name ends with.
+
+        Raises:
+            DataError: another format, or a file that cannot be written.
+        """
+        kind = format or Path(path).suffix.removeprefix(".")
+        if kind not in FORMATS:
+            raise DataError(f"{path}: format must be one of {', '.join(FORMATS)}, got {kind!r}")
+        if kind == "kml":
+            write_kml(path, self.trace.track, self.recording.aiding["position"], self.recording.name)
+        else:
+            write_solution(path, self.trace.track, kind, self.trace.sd)
+
+    def plot(self) -> "dict[str, Figure]":
+        """Figures by name: trajectory, innovations, NIS, and errors where the recording has a truth."""
+        rec = self.recording
+        outages = [(a, b) for a, b in self.outages]
+        return evaluate.figures(self.trace, rec.truth, rec.aiding.get("position"), self.measurements, outages)
+
+
+def navigate(
+    rec: Recording,
+    filt: Filter,
+    params: Params,
+    *,
+    begin: Start | None = None,
+    stop: float | None = None,
+    outages: Sequence[tuple[float, float]] = (),
+    interval: float = 0.0,
+    standing: ep.Standing = ep.Standing(),
+    max_gap: float = 1.0,
+) -> Solution:
+    """Filter a recording with ``params`` (such as ``filt.params("consumer")``) from where it can start.
+
+    ``begin``: `jaxnav.start` with settings of your own; its standard deviations replace those of ``params.prior``.
+    ``stop``: s. ``outages``: windows (start, end) s whose receiver's fixes are hidden. ``interval``: s, the length of
+    epochs without a fix; 0 is the median of the position's. The filter keeps as much history as the latencies need.
+
+    Raises:
+        DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
+        ValueError: a run that stops being finite; says when.
+    """
+    require_x64(params)
+    begin = start(rec, params) if begin is None else begin
+    params = params._replace(prior=begin.prior)
+    chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    packed = ep.pack_recording(rec, chosen, begin.t, interval, stop, standing, max_gap)
+    if filt.keeping:
+        filt = filt.keeping(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
+    info, _ = execute(filt, params, begin.navs, ep.hide(packed.epochs, ep.in_windows(packed.t, outages), chosen))
+    failure = first_failure(info, packed.t)
+    if failure:
+        raise ValueError(f"run {rec.name}: {failure}")
+    trace = evaluate.trace(info, params)
+    nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
+    windows = tuple((float(a), float(b)) for a, b in outages)
+    return Solution(*trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, windows)
+
+
+def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[Info, dict[str, Any]]:
+    """The run from ``navs`` (B, ...); of several starts the most probable one, and what their bank says."""
+    if navs.t.shape[0] == 1:
+        return run_jit(filt, params, jax.tree.map(lambda a: a[0], navs), epochs), {}
+    bank = jax.jit(heading_bank, static_argnums=0)(filt, params, navs, epochs)
+    best = int(bank.best)
+    start = 360.0 * best / navs.t.shape[0]
+    about = {"start_heading_deg": start, "start_heading_probability": float(bank.probability[best])}
+    return jax.tree.map(lambda a: a[best], bank.info), {"heading_bank": about}

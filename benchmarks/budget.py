@@ -39,7 +39,9 @@ CLOSE = 0.01  # of a logarithm: 1 %
 PER_PARAMETER = 200  # evaluations of a search without derivatives, for each parameter
 STEPS, RATE = 100, 0.3  # of Adam
 TOGETHER = 16  # candidates that are evaluated side by side
-AXES = ("gyro", "accel", "gyro_bias", "accel_bias", "position_scale", "velocity_scale")
+WHITE, DRIVES = ("noise.gyro", "noise.accel"), ("states.gyro_bias.drive", "states.accel_bias.drive")
+SCALES = ("measurements.position.scale", "measurements.velocity.scale")
+AXES = (*WHITE, *DRIVES, *SCALES)
 
 
 class Runs(NamedTuple):
@@ -66,13 +68,13 @@ class Setup(NamedTuple):
 def per_axis(params: Params) -> Params:
     """Noise with one number for every axis."""
     for name in AXES:
-        params = put(params, f"noise.{name}", jnp.broadcast_to(get(params, f"noise.{name}"), (3,)))
+        params = put(params, name, jnp.broadcast_to(get(params, name), (3,)))
     return params
 
 
 def free(*more: tuple[str, Any], axes: tuple[str, ...] = AXES) -> Spec:
     """Noise by axis, and what else is named."""
-    return {f"noise.{name}": LOG for name in axes} | dict(more)
+    return dict.fromkeys(axes, LOG) | dict(more)
 
 
 def finite(info: Info, value: jax.Array) -> jax.Array:
@@ -140,7 +142,7 @@ def simulated_rmse() -> Setup:
     filt = build("ekf9", cov_stride=k, history=8)
     place = [("mounting.lever_arm", scaled(0.2)), ("measurements.position.latency", scaled(0.1)),
              ("measurements.velocity.latency", scaled(0.1))]  # fmt: skip
-    axes = ("gyro", "accel", "position_scale", "velocity_scale")
+    axes = (*WHITE, *SCALES)
     return Setup(filt, params, free(*place, axes=axes), runs, log_rmse(filt), False)
 
 

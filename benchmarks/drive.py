@@ -23,7 +23,7 @@ from jaxnav.data import epochs
 from jaxnav.data import start as alignment
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
-from jaxnav.filters.parameters import datasheet_params, get, mounting, prior
+from jaxnav.filters.parameters import datasheet_params, get, late, mounting, prior
 from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import units
 from jaxnav.states.grades import GRADES
@@ -75,8 +75,8 @@ def measurements(constraints: bool) -> tuple[ms.Measurement, ...]:
 def parameters(delay: float = AUTHOR_DELAY, drift: float = 0.0) -> Params:
     """The datasheet's figures and the timing that the data's author gives."""
     arm = io.rtklib.DRIVE_LEVER_ARM
-    install = mounting(arm, time_offset=delay - EARLY, velocity_latency=0.125, clock_drift=drift)
-    return datasheet_params(GRADES["consumer"], install=install)
+    install = mounting(arm, time_offset=delay - EARLY, clock_drift=drift)
+    return late(datasheet_params(GRADES["consumer"], install=install), 0.0, 0.125)
 
 
 def start_at(rec: Recording, time: float) -> Nav:
@@ -94,7 +94,7 @@ def cut(rec: Recording, constraints: bool, start: float, stop: float | None = No
     standing = epochs.stationary(rec.imu, cuts, STILL, ACCEL_SPREAD, GYRO_SPREAD)
     made = epochs.constraint_samples(rec.imu, cuts, nonholonomic=constraints, standing=standing, window=STILL)
     chosen = measurements(constraints)
-    packed = epochs.pack(rec.imu, rec.aiding | made, INTERVAL, chosen, start=start, cuts=cuts, multiple=30)
+    packed = epochs.pack(rec.imu, rec.aiding | made, INTERVAL, chosen, start=start, cuts=cuts)
     filt = build("ekf15", chosen, cov_stride=packed.epochs.imu.dt.shape[1], history=HISTORY)
     return Data(filt, packed.epochs, packed.t, start_at(rec, start) if nav is None else nav)
 
@@ -136,7 +136,8 @@ def spec(constraints: bool) -> dict:
 
     Bias instabilities stay at the datasheet's: two minutes tell nothing of a drift over ten.
     """
-    free = {f"noise.{name}": LOG for name in ("gyro", "accel", "position_scale", "velocity_scale")}
+    white = ("noise.gyro", "noise.accel", "measurements.position.scale", "measurements.velocity.scale")
+    free = dict.fromkeys(white, LOG)
     free |= {"mounting.time_offset": scaled(0.1), "measurements.velocity.latency": scaled(0.05)}
     free |= {"mounting.clock_drift": scaled(300 * units.PPM)}
     if constraints:
@@ -206,8 +207,7 @@ def tune(rec: Recording, constraints: bool, steps: int, blocks: list[int], objec
     start = parameters()
     white = ("gyro", "accel")
     widened = {name: WIDEN * getattr(start.noise, name) for name in white}
-    moving = prior((2.0, 2.0, 2.0), 0.3, np.array([3.0, 3.0, 15.0]) * units.DEG, start.prior.gyro_bias,
-                   start.prior.accel_bias)  # fmt: skip
+    moving = prior((2.0, 2.0, 2.0), 0.3, np.array([3.0, 3.0, 15.0]) * units.DEG)
     start = start._replace(noise=start.noise._replace(**widened), prior=moving)
     tuned = {}
     for block in blocks:

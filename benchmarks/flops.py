@@ -11,15 +11,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.filters.catalogue import FILTERS, FRAMES
+from jaxnav.filters.catalogue import FILTERS
 from jaxnav.filters.core import Innovation
+from jaxnav.filters.error_model import error_model
 from jaxnav.filters.papers.gip_kf import KEPT, correct_nine, nine_params
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import initial_nav
 from jaxnav.maths import linalg
-from jaxnav.measurements import GNSS
 from jaxnav.states.grades import GRADES
-from jaxnav.types import Params
+from jaxnav.states.table import zeros
+from jaxnav.types import ErrorInputs, Params
 
 PAPER = {"ekf15": 30800, "gipkf_literal": 15050}
 CHANNELS = 6
@@ -87,15 +88,15 @@ def count(function, *arguments) -> int:
 def of(name: str) -> dict:
     """By hand, from the compiled program, and of the frame's Phi and Q beside it."""
     entry = FILTERS[name]
-    n = entry.n_states
+    model = error_model("tangent", entry.states, entry.form)
+    n = model.n_states
     theta, rule = entry.theta(), entry.rule()
     square, H = jnp.eye(n), jnp.zeros((CHANNELS, n))
     compiled = count(partial(cycle, rule), theta, square, square, square, H, jnp.eye(CHANNELS), jnp.zeros(CHANNELS))
-    model = FRAMES["tangent"].error_model(n, entry.form, GNSS)
     params: Params = datasheet_params(GRADES["adis16488a"])
-    nav = model.enter(initial_nav([0.6, 0.9, 1200.0]))
+    nav = model.enter(initial_nav([0.6, 0.9, 1200.0])._replace(errors=zeros(entry.states)))
     point = jax.tree.map(lambda a: a[None], ErrorInputs(nav, jnp.eye(3), *(jnp.zeros(3),) * 3))
-    dynamics = count(model.discretize, params.noise, point, jnp.ones(1), None)
+    dynamics = count(model.discretize, params, point, jnp.ones(1), None)
     inside = by_sweeps(compiled, CHANNELS, *([n] if name.startswith("gipkf") else []))
     return {"hand": BY_HAND[name], "compiled": inside, "compiled_phi_and_q": dynamics, "paper": PAPER.get(name)}
 

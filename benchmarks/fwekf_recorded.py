@@ -19,6 +19,7 @@ from jaxnav.analysis.metrics import columns_at
 from jaxnav.data import epochs
 from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.core import Filter, Rule, make_filter
+from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import reset
 from jaxnav.filters.papers.fuzzy_combined import fuzzy_combined
 from jaxnav.filters.papers.fwekf import fwekf
@@ -108,7 +109,7 @@ def table(tuned: dict[str, Any]) -> dict[str, dict[str, dict[str, float]]]:
     result: dict = {}
     for name, data in load().items():
         offset, stride = injected(data), data.epochs.imu.dt.shape[1]
-        model = FRAMES["local_level"].error_model(15, "full", data.chosen)
+        model = error_model(measurements=data.chosen)
         scored = data.t > SETTLED
         if data.truth is None:
             scored &= np.asarray(data.epochs.fix.valid[:, :3].all(1))

@@ -11,9 +11,11 @@ from jax.flatten_util import ravel_pytree
 
 from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.core import Filter, Rule, make_filter
+from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import observer, poles
 from jaxnav.filters.papers.fuzzy_combined import combined_params, fuzzy_combined
 from jaxnav.filters.papers.fwekf import Fwekf, fwekf, fwekf_params, limits
+from jaxnav.filters.parameters import change
 from jaxnav.filters.rules import adaptive, fuzzy, robust
 from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.run import run
@@ -88,10 +90,9 @@ def draw(names: tuple[str, ...], key: jax.Array, runs: int) -> dict[str, Runs]:
 
 
 @cache
-def navigator(rule: Rule, n_states: int = 9) -> Filter:
+def navigator(rule: Rule, states: tuple[str, ...] = ()) -> Filter:
     """The paper's strapdown and observer around a rule."""
-    frame = FRAMES["inertial"]
-    return make_filter(frame.propagate, frame.error_model(n_states), rule, observer, 10)
+    return make_filter(FRAMES["inertial"].propagate, error_model("inertial", states), rule, observer, 10)
 
 
 def parameters(theta: Any) -> Params:
@@ -103,7 +104,8 @@ def told(params: Params, runs: Runs) -> Params:
     """The parameters with what the filter is told of the fixes."""
     true = SCENARIOS["fwekf"].gnss
     scales = runs.position_sd / true.position_sd_m[0], runs.velocity_sd / true.velocity_sd_mps[0]
-    return params._replace(noise=params.noise._replace(position_scale=scales[0], velocity_scale=scales[1]))
+    names = ("measurements.position.scale", "measurements.velocity.scale")
+    return change(params, dict(zip(names, scales, strict=True)))
 
 
 def navigate(filt: Filter, params: Params, sim: Simulated) -> tuple[Errors, jax.Array]:

@@ -19,13 +19,13 @@ from benchmarks import gipkf_study as study
 from jaxnav.analysis import metrics
 from jaxnav.filters.catalogue import FILTERS, FRAMES, build
 from jaxnav.filters.core import Filter, make_filter
+from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import reset
 from jaxnav.filters.papers.gip_kf import gip_kf_params, nine_params, nine_states
-from jaxnav.filters.parameters import get, mounting, put
+from jaxnav.filters.parameters import change, get, late, mounting, put
 from jaxnav.maths import units
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params
-from jaxnav.strapdown.errors import tangent_frame
 from jaxnav.types import Params
 from tuning.transforms import IDENTITY, LOG, Spec
 
@@ -41,7 +41,8 @@ ROWS = {  # method -> filter of the catalogue
     "gipkf_literal_shift": "gipkf_literal_shift", "gipkf_body_dm_hand": "gipkf", "gipkf_constant_tuned": "gipkf",
     "gipkf_body_dm_tuned": "gipkf_learning", "gipkf_mix_tuned": "gipkf_mix", "nine_states_tuned": "",
 }  # fmt: skip
-_WHITE: Spec = {f"noise.{name}": LOG for name in ("gyro", "accel", "position_scale", "velocity_scale")}
+_SCALES = ("measurements.position.scale", "measurements.velocity.scale")
+_WHITE: Spec = dict.fromkeys(("noise.gyro", "noise.accel", *_SCALES), LOG)
 _EKF9: Spec = _WHITE | {"prior.attitude": LOG}
 _GIP_KF: Spec = _EKF9 | {"rule.log_rl": IDENTITY}
 _BIAS = ("states.gyro_bias.drive", "states.accel_bias.drive", "states.gyro_bias.sd", "states.accel_bias.sd")
@@ -51,7 +52,7 @@ SPECS: dict[str, Spec] = {
     "gipkf_constant_tuned": _GIP_KF,
     "gipkf_body_dm_tuned": _GIP_KF | {"rule.growth": LOG, "rule.unlearnt": LOG},
     "gipkf_mix_tuned": _GIP_KF | {"rule.kappa": LOG},
-    "nine_states_tuned": {f"noise.{name}": LOG for name in ("gyro", "accel", "velocity_scale")}
+    "nine_states_tuned": dict.fromkeys(("noise.gyro", "noise.accel", "measurements.velocity.scale"), LOG)
     | dict.fromkeys(("prior.attitude", *_BIAS), LOG)
     | {f"rule.{name}": LOG for name in ("walk", "lag", "vertical", "kappa", "early", "delay", "fade")},
 }
@@ -74,9 +75,9 @@ def scenario(name: str) -> Scenario:
 def filter_of(method: str) -> Filter:
     """In the tangent frame, the covariance moved once an epoch; the EKF15's feedback keeps a biased levelling."""
     if method == "nine_states_tuned":
-        model = tangent_frame.error_model(15, "simple")
+        model = error_model("tangent", form="simple")
         return make_filter(FRAMES["tangent"].propagate, model, nine_states(), reset, study.SAMPLES)
-    feedback = tangent_frame.reset_balanced if ROWS[method] == "ekf15" else None
+    feedback = study.reset_balanced if ROWS[method] == "ekf15" else None
     return build(ROWS[method], cov_stride=study.SAMPLES, feedback=feedback, frame="tangent")
 
 
@@ -89,15 +90,13 @@ def plain_ekf15() -> Filter:
 def scaled(params: Params, factors: dict[str, Any]) -> Params:
     """Leaves of noise and prior times a factor."""
     for name, factor in factors.items():
-        group, leaf = name.split(".")
-        part = getattr(params, group)
-        params = params._replace(**{group: part._replace(**{leaf: factor * getattr(part, leaf)})})
+        params = put(params, name, factor * get(params, name))
     return params
 
 
 def noise_figures(name: str) -> Params:
     """The grade's noise and biases and the start's; nothing of scale errors, nor of what the stress set adds."""
-    return matched_params(scenario(name))._replace(mounting=mounting())
+    return late(matched_params(scenario(name))._replace(mounting=mounting()), 0.0, 0.0)
 
 
 def datasheet(name: str) -> Params:
@@ -119,8 +118,10 @@ def hand_set(name: str, kappa: float = 0.0) -> Params:
     noise = {"noise.gyro": gyro * np.ones(3), "noise.accel": 10.0 * np.ones(3)}
     params = scaled(noise_figures(name), noise)
     scales = jnp.array([1.5, 1.5, 0.8]), jnp.array([1.7, 1.7, 0.6])
-    noise_of = params.noise._replace(position_scale=scales[0], velocity_scale=scales[1])
-    return params._replace(noise=noise_of, rule=gip_kf_params(0.001, 0.03, kappa))
+    params = change(
+        params, dict(zip(("measurements.position.scale", "measurements.velocity.scale"), scales, strict=True))
+    )
+    return params._replace(rule=gip_kf_params(0.001, 0.03, kappa))
 
 
 def learning(params: Params) -> Params:

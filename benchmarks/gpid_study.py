@@ -9,14 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.filters.core import Filter, make_filter
+from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import reset
 from jaxnav.filters.papers.gpid import gpid, gpid_params
-from jaxnav.filters.parameters import mounting, noise, prior
+from jaxnav.filters.parameters import change, datasheet_params
 from jaxnav.filters.run import run
 from jaxnav.maths import earth, rotations, units
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate
-from jaxnav.strapdown.errors.local_level import error_model
+from jaxnav.states.grades import GRADES
 from jaxnav.strapdown.fast import local_level
 from jaxnav.types import Info, Nav, Params
 
@@ -32,7 +33,7 @@ SCORED = ("tilt_deg", "heading_deg", "horizontal_m", "altitude_m")  # what tunin
 @cache
 def paper_filter(stride: int) -> Filter:
     """The paper's nine states in their simplified form with the GPID rule, which is the KF where ki = kd = 0."""
-    return make_filter(local_level.propagate, error_model(9, "simple"), gpid(), reset, stride)
+    return make_filter(local_level.propagate, error_model(states=(), form="simple"), gpid(), reset, stride)
 
 
 def fitted_params(ki: float = 0.0, kd: float = 0.0) -> Params:
@@ -41,9 +42,24 @@ def fitted_params(ki: float = 0.0, kd: float = 0.0) -> Params:
     Process noise 444 (gyro) and 87 (accelerometer) times Table 1, sd of velocity 0.59 and of vertical position 26
     times the receiver's; integral and derivative on the position states.
     """
-    white = noise(1.29e-4, 0.0435, 0.0, 0.0, position_scale=(1.0, 1.0, 26.4), velocity_scale=(0.586,) * 3)
-    start = prior((10.0,) * 3, (1.0,) * 3, (0.8 * units.DEG,) * 3, 0.0, 0.0)
-    return Params(white, start, mounting(), gpid_params(ki, kd))
+    params = datasheet_params(
+        GRADES["tactical"],
+        (10.0,) * 3,
+        (1.0,) * 3,
+        0.8 * units.DEG,
+        0.8 * units.DEG,
+        rule=gpid_params(ki, kd),
+        states=(),
+    )
+    return change(
+        params,
+        {
+            "noise.gyro": 1.29e-4,
+            "noise.accel": 0.0435,
+            "measurements.position.scale": (1.0, 1.0, 26.4),
+            "measurements.velocity.scale": (0.586,) * 3,
+        },
+    )
 
 
 def deviation(info: Info, truth: Nav) -> jax.Array:

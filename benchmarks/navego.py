@@ -12,8 +12,9 @@ from jaxnav import data as io
 from jaxnav.analysis import metrics
 from jaxnav.data import epochs
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.parameters import mounting, noise, prior
+from jaxnav.filters.parameters import change, datasheet_params
 from jaxnav.filters.run import initial_nav, run_jit, track
+from jaxnav.states.grades import GRADES
 from jaxnav.types import Nav, Params, Recording
 
 KEYS = ("north_m", "east_m", "down_m", "vn_mps", "ve_mps", "vd_mps", "roll_deg", "pitch_deg", "heading_deg")
@@ -24,10 +25,19 @@ SETTLED = 60.0  # s
 def parameters(folder, imu: str) -> Params:
     """The noise that made the data: start at truth with sd 5 m, 0.1 m/s and the alignment error of the data set."""
     sheet = io.read_navego_datasheet(folder, imu)
-    white = noise(
-        sheet.arw, sheet.vrw, sheet.gb_dyn * np.sqrt(2 / sheet.gb_corr), sheet.ab_dyn * np.sqrt(2 / sheet.ab_corr)
+    params = datasheet_params(GRADES["adis16488"], 5.0, 0.1)
+    return change(
+        params,
+        {
+            "noise.gyro": sheet.arw,
+            "noise.accel": sheet.vrw,
+            "prior.attitude": sheet.ini_align_err,
+            "states.gyro_bias.sd": sheet.gb_sta,
+            "states.gyro_bias.drive": sheet.gb_dyn * np.sqrt(2 / sheet.gb_corr),
+            "states.accel_bias.sd": sheet.ab_sta,
+            "states.accel_bias.drive": sheet.ab_dyn * np.sqrt(2 / sheet.ab_corr),
+        },
     )
-    return Params(white, prior(5.0, 0.1, sheet.ini_align_err, sheet.gb_sta, sheet.ab_sta), mounting())
 
 
 def cut(rec: Recording, instantaneous: bool) -> tuple[epochs.Packed, Nav]:

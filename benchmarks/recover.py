@@ -20,7 +20,7 @@ from jaxnav.analysis import metrics
 from jaxnav.app.likelihood import Surface, answers
 from jaxnav.app.parameters import component
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.parameters import get
+from jaxnav.filters.parameters import change, get
 from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import URBAN_SHORT, Scenario
 from jaxnav.simulate.simulation import matched_params, simulate
@@ -134,9 +134,9 @@ def truth_of(what: Scenario) -> Params:
     """The parameters that made the data."""
     params, grade, k = matched_params(what), GRADES[what.imu.grade], what.imu.imu_noise_factor
     drive = k * np.sqrt(2 / grade.tau)
-    values = {"gyro": k * grade.arw, "accel": k * grade.vrw, "gyro_bias": drive * grade.gyro_instability,
-              "accel_bias": drive * grade.accel_instability}  # fmt: skip
-    return params._replace(noise=params.noise._replace(**{n: jnp.asarray(v, float) for n, v in values.items()}))
+    drives = {"gyro_bias": drive * grade.gyro_instability, "accel_bias": drive * grade.accel_instability}
+    values = {"noise.gyro": k * grade.arw, "noise.accel": k * grade.vrw}
+    return change(params, values | {f"states.{name}.drive": value for name, value in drives.items()})
 
 
 @partial(jax.jit, static_argnums=0)

@@ -16,11 +16,12 @@ from benchmarks import drive
 from jaxnav import data as io
 from jaxnav.analysis import metrics
 from jaxnav.analysis.evaluate import channels
-from jaxnav.app.parameters import NAMES, UNITS, Unit, component
+from jaxnav.app.parameters import component
 from jaxnav.app.results import table
-from jaxnav.filters.parameters import prior, put
+from jaxnav.filters.parameters import UNITS, prior, put
 from jaxnav.filters.run import run, run_jit
 from jaxnav.maths import units
+from jaxnav.maths.units import Unit
 from jaxnav.measurements import GNSS
 from jaxnav.types import Params
 from tuning import scoring, uncertainty
@@ -58,7 +59,7 @@ def tune(rec) -> tuple[dict[int, Params], list[list[uncertainty.Interval]]]:
     """By the likelihood of the innovations: parameters for each block from the stretches outside of it, intervals."""
     filt, (nav, data, _, _, settled) = drive.training_stretches(rec, False)
     params, E = start(), settled.shape[1]
-    moving = prior((2.0, 2.0, 2.0), 0.3, np.array([3.0, 3.0, 15.0]) * units.DEG, *params.prior[3:])
+    moving = prior((2.0, 2.0, 2.0), 0.3, np.array([3.0, 3.0, 15.0]) * units.DEG)
     params = params._replace(prior=moving)  # stretches start on the road, the drive itself at rest
     flat, back = ravel_pytree(split(SPEC, params))
     per = max(1, round(CHUNK * E / drive.PIECE))
@@ -155,7 +156,7 @@ def recover(steps: int, seed: int) -> dict:
 
 def unit_of(i: uncertainty.Interval) -> Unit:
     """What the user's parameter is inside."""
-    return UNITS[NAMES[i.name.partition("[")[0]]]
+    return UNITS[i.name.partition("[")[0]]
 
 
 def told(i: uncertainty.Interval) -> dict:

@@ -10,8 +10,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from jaxnav.states.names import prior_sd
 
+from benchmarks.speed_plain import noise_of, prior_sd
 from jaxnav.types import Epoch, Nav, Params
 
 SOURCE = Path(__file__).parent / "floor.cpp"
@@ -61,7 +61,7 @@ def floor(n: int, lanes: int, params: Params, nav: Nav, epochs: Epoch) -> Callab
         return None
     function = getattr(library(lanes), f"floor_{n}")
     B, E, k = epochs.imu.dt.shape
-    noise = params.noise
+    noise = noise_of(params)
     side = lambda a: np.broadcast_to(np.asarray(a), (3,))  # noqa: E731
 
     def by_lane(*parts) -> np.ndarray:  # (B, ..., c) side by side -> (B / lanes, ..., c, lanes)
@@ -69,7 +69,7 @@ def floor(n: int, lanes: int, params: Params, nav: Nav, epochs: Epoch) -> Callab
         return np.ascontiguousarray(np.moveaxis(a.reshape(B // lanes, lanes, *a.shape[1:]), 1, -1))
 
     scale = np.concatenate([side(noise.position_scale), side(noise.velocity_scale)])
-    variance = np.broadcast_to(np.asarray(prior_sd(params.prior, n)) ** 2, (B, n))
+    variance = np.broadcast_to(np.asarray(prior_sd(params, n)) ** 2, (B, n))
     data = (
         by_lane(np.asarray(epochs.imu.dt)[..., None], epochs.imu.gyro, epochs.imu.accel),
         by_lane(epochs.fix.value, (scale * np.asarray(epochs.fix.sd)) ** 2),

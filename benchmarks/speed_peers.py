@@ -14,11 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxnav.states.names import prior_sd
 
 from benchmarks import speed_plain
+from benchmarks.speed_plain import noise_of, prior_sd
 from jaxnav.filters.run import track
 from jaxnav.maths import rotations, units
+from jaxnav.states.table import BIASES
 from jaxnav.types import Epoch, Nav, Params
 from tests import reference
 
@@ -67,7 +68,7 @@ def numpy_loop(n: int, params: Params, nav: Nav, epochs: Epoch) -> Callable[[], 
     """Sample by sample with dense matrices, like the nested scan; positions at the epochs, (E, 3)."""
     imu, fix = (jax.tree.map(np.asarray, part) for part in (epochs.imu, epochs.fix))
     start = np.asarray(nav.pos), np.asarray(nav.vel), np.asarray(rotations.to_dcm(nav.q))
-    noise, variance = params.noise, np.asarray(prior_sd(params.prior, n)) ** 2
+    noise, variance = noise_of(params), np.asarray(prior_sd(params, n)) ** 2
     sides = [0.0, noise.accel, noise.gyro, noise.gyro_bias, noise.accel_bias]
     G = np.diag(np.concatenate([np.broadcast_to(np.asarray(sd), 3) ** 2 for sd in sides])[:n])
     scale = np.concatenate([np.broadcast_to(np.asarray(a), 3) for a in (noise.position_scale, noise.velocity_scale)])
@@ -118,14 +119,15 @@ def python_ins(params: Params, nav: Nav, epochs: Epoch, time_step: float) -> Cal
     ]
     begin = track(jax.tree.map(lambda a: a[None], nav))
     pva = np.concatenate([begin.lla[0] * to_pyins, begin.vel[0][ned] * flip, begin.rph[0] / units.DEG])
-    noise, prior = params.noise, jax.tree.map(np.asarray, params.prior)
+    noise, prior = noise_of(params), jax.tree.map(np.asarray, params.prior)
+    biases = [params.states[name].sd for name in BIASES]
     model = lambda bias, white, walk: sensor.EstimationModel(*(float(a) for a in (bias, white, walk)))  # noqa: E731
 
     def call() -> np.ndarray:
         result = filters.run_feedback_filter(
             pd.Series(pva, util.TRAJECTORY_COLS, name=0.0), float(prior.position[0]), float(prior.velocity[0]),
             float(prior.attitude[0]) / units.DEG, float(prior.attitude[2]) / units.DEG, increments,
-            model(prior.gyro_bias, noise.gyro, noise.gyro_bias), model(prior.accel_bias, noise.accel, noise.accel_bias),
+            model(biases[0], noise.gyro, noise.gyro_bias), model(biases[1], noise.accel, noise.accel_bias),
             aiding, time_step,
         )  # fmt: skip
         return result.trajectory.loc[t[:-1], util.LLA_COLS].to_numpy() / to_pyins
@@ -153,7 +155,7 @@ def given(n: int, params: Params, nav: Nav, epochs: Epoch) -> Given:
     first = speed_plain.initial(params, nav, n)
 
     def sample(s, imu):
-        s, Phi, Q = speed_plain.transition(params.noise, s, imu)
+        s, Phi, Q = speed_plain.transition(noise_of(params), s, imu)
         return s, (Phi, Q)
 
     E, k = epochs.imu.dt.shape

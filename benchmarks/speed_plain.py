@@ -11,10 +11,42 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxnav.states.names import prior_sd
 
+from jaxnav.filters.parameters import change, get
 from jaxnav.maths import earth, rotations
-from jaxnav.types import Epoch, Fix, Imu, Nav, Noise, Params
+from jaxnav.states.table import BIASES
+from jaxnav.types import Epoch, Fix, Imu, Nav, Params
+
+
+class Noise(NamedTuple):
+    """All noise of a filter of 15 states, in SI: what a gradient of the benchmark is by."""
+
+    gyro: jax.Array
+    accel: jax.Array
+    gyro_bias: jax.Array
+    accel_bias: jax.Array
+    position_scale: jax.Array  # (3,)
+    velocity_scale: jax.Array
+
+
+LEAVES = ("noise.gyro", "noise.accel", "states.gyro_bias.drive", "states.accel_bias.drive",
+          "measurements.position.scale", "measurements.velocity.scale")  # fmt: skip
+
+
+def noise_of(params: Params) -> Noise:
+    """Out of a filter's parameters."""
+    return Noise(*(get(params, name) for name in LEAVES))
+
+
+def with_noise(params: Params, noise: Noise) -> Params:
+    """And back."""
+    return change(params, dict(zip(LEAVES, noise, strict=True)))
+
+
+def prior_sd(params: Params, n: int) -> jax.Array:
+    """Standard deviations at the start, (n,)."""
+    biases = [params.states[name].sd for name in BIASES]
+    return jnp.concatenate([jnp.broadcast_to(sd, (3,)) for sd in (*params.prior, *biases)])[:n]
 
 
 class State(NamedTuple):
@@ -130,7 +162,7 @@ def update(noise: Noise, s: State, fix: Fix) -> tuple[State, jax.Array, jax.Arra
 def initial(params: Params, nav: Nav, n: int) -> State:
     """The start, (n, n) covariance from the prior."""
     zero = jnp.zeros(3)
-    return State(nav.pos, nav.vel, nav.q, zero, zero, zero, zero, jnp.diag(prior_sd(params.prior, n) ** 2))
+    return State(nav.pos, nav.vel, nav.q, zero, zero, zero, zero, jnp.diag(prior_sd(params, n) ** 2))
 
 
 def naive(n: int, params: Params) -> Callable[[Noise, Nav, Epoch], jax.Array]:

@@ -15,12 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import speed_plain
+from benchmarks.speed_plain import Noise
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import initial_nav, prepare, run
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, matched_params, simulate
-from jaxnav.types import Epoch, Fix, Imu, Info, Nav, Noise, Params
+from jaxnav.types import Epoch, Fix, Imu, Info, Nav, Params
 from tuning.objectives import innovation_nll
 
 RATE = 100  # Hz
@@ -44,7 +45,7 @@ class Form(NamedTuple):
 
 def forward(filt: Filter) -> Callable[[Noise, Nav, Epoch], Info]:
     """One run of a filter of the package, with the noise as an argument."""
-    return lambda noise, nav, epochs: run(filt, PARAMS()._replace(noise=noise), nav, epochs)
+    return lambda noise, nav, epochs: run(filt, speed_plain.with_noise(PARAMS(), noise), nav, epochs)
 
 
 def solution(filt: Filter) -> Callable[[Noise, Nav, Epoch], speed_plain.Solution]:
@@ -104,7 +105,7 @@ def arguments(seconds: int, runs: int) -> tuple[Noise, Nav, Epoch]:
     """What a form is called with; fields (runs, ...), or of one run without that axis."""
     some = drives(seconds)
     take = 0 if runs == 1 else np.arange(runs) % some.hidden.shape[0]
-    return PARAMS().noise, *jax.tree.map(lambda a: a[take], (some.initial, some.epochs))
+    return speed_plain.noise_of(PARAMS()), *jax.tree.map(lambda a: a[take], (some.initial, some.epochs))
 
 
 def still(seconds: int, runs: int) -> tuple[Noise, Nav, Epoch]:
@@ -116,7 +117,7 @@ def still(seconds: int, runs: int) -> tuple[Noise, Nav, Epoch]:
     fix = Fix(side([*lla, 0.0, 0.0, 0.0], *lead, 6), side([2.0] * 3 + [0.1] * 3, *lead, 6), side(0.0, *lead, 6),
               side(True, *lead, 6))  # fmt: skip
     nav = jax.tree.map(lambda a: side(a, *lead[:-1], *a.shape), initial_nav(lla))
-    return PARAMS().noise, *jax.tree.map(jnp.asarray, (nav, Epoch(imu, fix)))
+    return speed_plain.noise_of(PARAMS()), *jax.tree.map(jnp.asarray, (nav, Epoch(imu, fix)))
 
 
 # ---------------------------------------------------------------------------- timing

@@ -14,7 +14,7 @@ from jaxnav.analysis import metrics
 from jaxnav.data import epochs
 from jaxnav.data import start as alignment
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.parameters import datasheet_params, mounting
+from jaxnav.filters.parameters import change, datasheet_params, mounting
 from jaxnav.filters.run import initial_nav, track
 from jaxnav.maths import units
 from jaxnav.states.grades import GRADES
@@ -36,8 +36,8 @@ def parameters() -> Params:
         heading_sd=1.5 * np.pi / HEADINGS,
         install=mounting(time_offset=TIME_OFFSET),
     )
-    scales = {"position_scale": jnp.full(3, POSITION_SCALE), "velocity_scale": jnp.full(3, VELOCITY_SCALE)}
-    return params._replace(noise=params.noise._replace(**scales))
+    scales = {"position": POSITION_SCALE, "velocity": VELOCITY_SCALE}
+    return change(params, {f"measurements.{name}.scale": jnp.full(3, a) for name, a in scales.items()})
 
 
 def diverged(position: np.ndarray, sd: np.ndarray, t: np.ndarray) -> bool:
@@ -55,7 +55,7 @@ def main(argv: list[str]) -> None:
     position, velocity = rec.aiding["position"], rec.aiding["velocity"]
     start = float(position.t[0])
     roll, pitch = alignment.level(rec.imu, start, start + 20.0)
-    packed = epochs.pack(rec.imu, rec.aiding, 1.0, start=start, multiple=10, max_gap=2.5)
+    packed = epochs.pack(rec.imu, rec.aiding, 1.0, start=start, max_gap=2.5)
     nav = initial_nav(position.value[0], velocity.value[0], (roll, pitch, 0.0), t=start)
     headings = np.arange(HEADINGS) * 2 * np.pi / HEADINGS
     filt = build("ekf15", cov_stride=10, history=10)

@@ -4,7 +4,9 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-from jaxnav.filters.core import Filter, make_filter
+import numpy as np
+
+from jaxnav.filters.core import Filter, Rule, make_filter
 from jaxnav.filters.error_model import ErrorModel, error_model
 from jaxnav.filters.feedback import observer, open_loop, poles, reset
 from jaxnav.filters.papers.fuzzy_combined import combined_params, fuzzy_combined
@@ -15,25 +17,25 @@ from jaxnav.filters.parameters import datasheet_params, grade_of
 from jaxnav.filters.rules.adaptive import fading, fading_params, iae, iae_params, sage_husa, sage_husa_params
 from jaxnav.filters.rules.combinators import only
 from jaxnav.filters.rules.kalman import kalman
-from jaxnav.filters.rules.robust import gate, gate_params, huber, huber_params, student_t, student_t_params
+from jaxnav.filters.rules.robust import BLOCK, gate, gate_params, huber, huber_params, student_t, student_t_params
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.states.grades import Grade
 from jaxnav.states.table import BIASES
-from jaxnav.strapdown import inertial_quaternion, tangent_frame
-from jaxnav.strapdown.fast import local_level
+from jaxnav.strapdown import inertial_quaternion, local_level, tangent_frame
+from jaxnav.strapdown.fast import local_level as fast_local_level
 from jaxnav.types import Params, nearest
 
 
 class Frame(NamedTuple):
     """How a filter navigates; its error model has the same name."""
 
-    propagate: Callable
-    propagate_block: Callable | None = None  # the same for all samples of an epoch at once
-    preintegrate: Callable | None = None  # what `propagate` can do before it knows the state
+    propagate: Callable  # the plain form
+    fast: Callable | None = None  # equal to it by test
+    preintegrate: Callable | None = None  # what the fast form can do before it knows the state
 
 
 FRAMES: dict[str, Frame] = {
-    "local_level": Frame(local_level.propagate, local_level.propagate_block, local_level.preintegrate),
+    "local_level": Frame(local_level.propagate, fast_local_level.propagate, fast_local_level.preintegrate),
     "tangent": Frame(tangent_frame.propagate),
     "inertial": Frame(inertial_quaternion.propagate),
 }
@@ -43,7 +45,7 @@ class Entry(NamedTuple):
     """One filter of the catalogue."""
 
     states: tuple[str, ...]  # optional ones that it has by itself
-    rule: Callable[[], Any]
+    rule: Callable[..., Any]  # of one that is gated: of the sizes of its blocks
     theta: Callable[[], Any]  # default parameters of the rule
     tunable: dict[str, str]  # leaves of theta worth tuning -> name of their transform in `tuning.transforms`
     citation: str
@@ -52,6 +54,7 @@ class Entry(NamedTuple):
     feedback: Callable[..., Any] = reset
     feedback_theta: Callable[[], Any] = lambda: ()  # default parameters of the feedback
     more: bool = False  # may have further states: a paper's rule knows its own alone
+    gated: bool = False  # sees all that carries data, each measurement a block; others see the receiver's alone
 
 
 _FUZZY = {"system.centres": "identity", "system.widths": "identity", "system.consequents": "identity"}
@@ -73,7 +76,9 @@ ROBUST: dict[str, tuple[Callable[..., Any], Callable[..., Any], dict[str, str], 
 def _robust(states: tuple[str, ...], name: str) -> Entry:
     """A robust Kalman filter."""
     make, theta, tunable, citation = ROBUST[name]
-    return Entry(states, lambda: make(kalman()), theta, tunable, citation, more=True)
+    return Entry(
+        states, lambda *sizes: make(kalman(), *sizes), theta, tunable, citation, more=True, gated=name == "gate"
+    )
 
 
 _ANSARI = "Ansari et al. 2024, IJE 37(06) 1127-1135"
@@ -134,7 +139,7 @@ def build(
     history: int = 2,
     feedback: Callable[..., Any] | None = None,
     frame: str = "",
-    block: bool = False,
+    fast: bool = True,
     states: Sequence[str] = (),
 ) -> Filter:
     """The named filter (see `jaxnav.filters.core.make_filter` for the options).
@@ -142,15 +147,15 @@ def build(
     ``measurements``: rows of `MEASUREMENTS` or their names, the receiver's first. ``states``: names of optional states
     on top of the filter's own, rows of `jaxnav.states.STATES`.
 
-    ``block``: navigate through all samples of an epoch at once, which is 2.5 times faster for a single run (and
-    slower in a batch), to the same result; in local level only.
+    ``fast``: navigate by the frame's fast form where it has one; the plain form gives the same.
 
     ``frame`` and ``feedback`` replace the filter's own; a feedback with parameters finds them in `Params.feedback`.
 
-    A paper's rule sees the receiver's channels; the others get a plain Kalman update after it.
+    A paper's rule sees the receiver's channels, a gate every measurement with data; the rest gets a plain Kalman update
+    after it.
 
     Raises:
-        ValueError: no such filter, frame, state or measurement, no block form of it, a receiver's measurement that does
+        ValueError: no such filter, frame, state or measurement, a receiver's measurement that does
             not come first, states for a paper's rule, or a state that nothing of the filter sees.
     """
     if name not in FILTERS:
@@ -159,21 +164,29 @@ def build(
     frame = frame or entry.frame
     if frame not in FRAMES:
         raise ValueError(f"no frame {frame!r}; known are {', '.join(FRAMES)}")
-    chosen, rule = rows(measurements), entry.rule()
+    chosen = rows(measurements)
     if states and not entry.more:
         raise ValueError(f"the rule of {name} knows its own states alone, not {', '.join(states)}: see ekf9 or ekf15")
     others = [not each.receiver for each in chosen]
     if others != sorted(others):
         raise ValueError(f"constraints come after the receiver's: {[each.name for each in chosen]}")
     model = error_model(frame, (*entry.states, *states), entry.form, chosen)
-    if any(others) and rule is not kalman():
-        rule = only(rule, sum(each.size for each in chosen if each.receiver))
+    rule = _rule(entry, chosen)
     home = FRAMES[frame]
-    if block and home.propagate_block is None:
-        raise ValueError(f"frame {frame!r} has no block form")
-    mechanize, preintegrate = (home.propagate_block, None) if block else (home.propagate, home.preintegrate)
+    quick = fast and home.fast is not None
+    mechanize, preintegrate = (home.fast, home.preintegrate) if quick else (home.propagate, None)
     built = make_filter(mechanize, model, rule, feedback or entry.feedback, cov_stride, history, preintegrate)
     return _named(built, name)
+
+
+def _rule(entry: Entry, chosen: tuple[Measurement, ...]) -> Rule:
+    """The entry's rule on what it is to see; the rest is left to a Kalman update."""
+    seen = [each.receiver or (entry.gated and bool(each.columns)) for each in chosen]
+    sizes = tuple(each.size for each, see in zip(chosen, seen, strict=True) if see)
+    rule = entry.rule(sizes) if entry.gated and set(sizes) != {BLOCK} else entry.rule()
+    if all(seen) or rule is kalman():
+        return rule
+    return only(rule, tuple(np.flatnonzero(np.repeat(seen, [each.size for each in chosen])).tolist()))
 
 
 @cache

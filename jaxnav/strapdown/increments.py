@@ -24,16 +24,6 @@ class Increments(NamedTuple):
     force: Vector  # m/s^2, bias-free mean specific force
 
 
-def divides(stride: int, k: int) -> None:
-    """Refuse a stride that does not divide the k samples of an epoch.
-
-    Raises:
-        ValueError: it does not.
-    """
-    if k % stride:
-        raise ValueError(f"cov_stride must divide the samples of an epoch, got {stride} and {k}")
-
-
 def thin(path: ErrorInputs, T: jax.Array, stride: int) -> ErrorInputs:
     """Time-weighted means of a path over blocks of ``stride`` of its points, which last ``T`` s each.
 
@@ -98,6 +88,5 @@ def trace(
     The last state or those after the samples ``keep`` (w,), and the path at every ``stride`` samples.
     """
     states = after(nav, nav.t + jnp.cumsum(inc.dt), pos, vel, q, inc.omega, inc.force)
-    divides(stride, inc.dt.size)
     out = jax.tree.map(lambda a: a[-1 if keep is None else keep], states)
     return out, thin(sampled(nav, states, q, inc.force), inc.dt, stride)

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from jaxnav import GNSS, build, initial_nav
 from jaxnav.filters.core import Innovation, masked
 from jaxnav.filters.papers.gpid import gpid, gpid_params
+from jaxnav.filters.rules import robust
 from jaxnav.filters.rules.adaptive import fading, fading_params, iae, iae_params, sage_husa, sage_husa_params
 from jaxnav.filters.rules.kalman import correct as kalman_correct
 from jaxnav.filters.rules.kalman import kalman
@@ -25,6 +27,7 @@ from jaxnav.filters.rules.robust import (
     student_t_params,
 )
 from jaxnav.maths import linalg
+from jaxnav.types import Fix
 from tests.conftest import all_finite, leaves_equal
 
 T = 1.0
@@ -44,6 +47,8 @@ NEUTRAL = {  # parameters with which the rule is its inner rule
     "sage_husa": sage_husa_params(1.0),
     "fading": fading_params(np.inf),
 }
+
+BLOCKS = (slice(0, 3), slice(3, 6))
 
 
 def innovation(nu, valid=(True,) * 6, seed=1, T=T, age=T) -> Innovation:
@@ -169,7 +174,7 @@ def test_recovery_makes_the_innovation_likely_and_leaves_the_attitude_alone(outl
     z = outlier
     S = z.H @ z.P @ z.H.T + z.R
     factor = squared_by_block(z.nu, S)[0] / 3
-    P = jumped(z, S, jnp.array([factor, 1.0]))
+    P = jumped(z, S, jnp.array([factor, 1.0]), BLOCKS)
     assert np.linalg.eigvalsh(P - z.P).min() > -1e-9 * np.abs(P).max()
     wide = z.H @ P @ z.H.T + z.R
     assert squared_by_block(z.nu, wide)[0] == pytest.approx(3.0)
@@ -177,7 +182,7 @@ def test_recovery_makes_the_innovation_likely_and_leaves_the_attitude_alone(outl
     turned, plain = (kalman_correct((), (), z._replace(P=p)).delta for p in (P, z.P))
     assert np.abs(turned[6:]).max() < 0.5 * np.abs(plain[6:]).max()  # though the position goes nearly all the way
     assert turned[0] > 0.9 * z.nu[0] > 1.2 * plain[0]
-    one = jumped(innovation([30.0, 0, 0, 0, 0, 0], (True,) + (False,) * 5), S, jnp.array([5.0, 1.0]))
+    one = jumped(innovation([30.0, 0, 0, 0, 0, 0], (True,) + (False,) * 5), S, jnp.array([5.0, 1.0]), BLOCKS)
     assert all_finite(one)
 
 
@@ -426,3 +431,30 @@ def test_gains_per_channel():
     np.testing.assert_allclose(c.memory.integral, position * (K @ (ki * last)), rtol=1e-12)
     expected = K @ z.nu + position * (K @ (ki * last + kd * (last - before)))
     np.testing.assert_allclose(c.delta, expected, rtol=1e-12)
+
+
+def test_a_gate_sees_everything_with_data_and_no_constraint():
+    """A wheel that spins is refused like a fix, a block of its own; a constraint is no data."""
+    chosen = (*GNSS, "nonholonomic", "speed")
+    nav = initial_nav([0.8, 0.1, 100.0], (0.0, 10.0, 0.0))
+    value = jnp.concatenate([nav.pos, nav.vel, jnp.zeros(2), jnp.array([25.0])])
+    fix = Fix(value, jnp.ones(9), jnp.zeros(9), jnp.ones(9, bool).at[6:8].set(False))
+    used = {}
+    for name in ("ekf15", "ekf15_gate", "ekf15_huber"):
+        filt = build(name, chosen)
+        params = filt.params("consumer")
+        _, info = jax.jit(filt.correct)(params, filt.init(params, nav), fix)
+        used[name] = np.asarray(info.used)
+    assert used["ekf15_gate"][:6].all() and not used["ekf15_gate"][8]
+    assert used["ekf15"][8] and used["ekf15_huber"][8]
+    slid = fix._replace(value=value.at[8].set(10.0), valid=jnp.ones(9, bool).at[:6].set(False))
+    filt = build("ekf15_gate", chosen)
+    params = filt.params("consumer")
+    east = nav._replace(vel=jnp.array([50.0, 0.0, 0.0]))  # it slides: 50 m/s to the right
+    _, info = jax.jit(filt.correct)(params, filt.init(params, east), slid)
+    assert np.asarray(info.used)[6:8].all()
+
+
+@pytest.mark.parametrize("channels, bound", [(1, 10.828), (2, 13.816), (3, 16.266)])
+def test_blocks_of_all_sizes_pass_as_many_sound_fixes(channels, bound):
+    assert robust.passed_by(0.999, channels) == pytest.approx(bound, abs=1e-3)

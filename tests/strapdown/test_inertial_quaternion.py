@@ -15,7 +15,7 @@ from jaxnav.states.table import BIASES
 from jaxnav.strapdown import inertial_quaternion, tangent_frame
 from jaxnav.strapdown.errors import inertial_quaternion as inertial
 from jaxnav.strapdown.fast import local_level
-from jaxnav.types import Forcing, Imu
+from jaxnav.types import Fix, Forcing, Imu
 from tests.conftest import told
 
 PARAMS = datasheet_params(GRADES["adis16465"])
@@ -199,8 +199,13 @@ def test_report_and_observe_linearise_leave():
     reported = MODEL.report(nav, x, jnp.eye(15))[1]
     exact = (local(nav, x) - local(nav, -x)) / 2
     np.testing.assert_allclose(reported / SIZES, exact / SIZES, rtol=0, atol=1e-6)
-    J = inertial.enu_rows(nav, leave(nav))  # what measurements see of it
-    np.testing.assert_allclose(J @ x[:9], reported[:9], atol=1e-12)
+    there = leave(nav)
+    np.testing.assert_allclose(inertial.enu_rows(nav, there) @ x[:9], reported[:9], atol=1e-12)
+    # what measurements see of it: of the antenna in the IMU, where it is and how it moves in local level
+    fix = Fix(jnp.concatenate([there.pos, there.vel]), jnp.ones(6), jnp.zeros(6), jnp.ones(6, bool))
+    y, H, _ = MODEL.observe(PARAMS, jax.tree.map(lambda a: jnp.stack([a, a]), nav), fix)
+    np.testing.assert_allclose(y, 0, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(H @ x, reported[:6], atol=1e-12)
 
 
 def test_priors_are_in_enu_and_noise_in_body_axes():

@@ -4,31 +4,34 @@ from functools import cache
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxnav.filters.core import Correction, Innovation, Rule, only_if
 from jaxnav.filters.rules import kalman
 
 
 @cache
-def only(rule: Rule, channels: int) -> Rule:
-    """``rule`` sees the first ``channels`` channels, the others get a plain Kalman update after it.
+def only(rule: Rule, channels: tuple[int, ...]) -> Rule:
+    """``rule`` sees these channels, the others get a plain Kalman update after it.
 
     A rule that works once per fix (an integral, a residual window) would otherwise act at the rate of the constraints,
     and take a wheel's residual for a receiver's. The two groups must have independent noise.
     """
+    own = np.array(channels, int)
 
     def correct(theta, memory, z: Innovation) -> Correction:
-        own, other = slice(0, channels), slice(channels, None)
-        part = z._replace(nu=z.nu[own], H=z.H[own], R=z.R[own, own], valid=z.valid[own], age=z.age[own])
+        other = np.setdiff1d(np.arange(z.nu.size), own)
+        part = z._replace(nu=z.nu[own], H=z.H[own], R=z.R[np.ix_(own, own)], valid=z.valid[own], age=z.age[own])
         c = only_if(part.valid.any(), rule.correct(theta, memory, part), part, memory)
-        rest = z._replace(nu=z.nu[other] - z.H[other] @ c.delta, H=z.H[other], R=z.R[other, other], P=c.P)
+        rest = z._replace(nu=z.nu[other] - z.H[other] @ c.delta, H=z.H[other], R=z.R[np.ix_(other, other)], P=c.P)
         k = kalman.correct((), (), rest._replace(valid=z.valid[other]))
-        return c._replace(delta=c.delta + k.delta, P=k.P, used=jnp.concatenate([c.used, k.used]))
+        used = jnp.zeros_like(z.valid).at[own].set(c.used).at[other].set(k.used)
+        return c._replace(delta=c.delta + k.delta, P=k.P, used=used)
 
     def init(n: int, m: int):
-        if m < channels:
-            raise ValueError(f"the rule is to see {channels} channels, the filter has {m}")
-        return rule.init(n, channels)
+        if own.max(initial=-1) >= m:
+            raise ValueError(f"the rule is to see {own.size} channels, the filter has {m}")
+        return rule.init(n, own.size)
 
     def extrapolate(theta, memory, x0: jax.Array, x: jax.Array):
         return rule.extrapolate(theta, memory, x0, x)

@@ -4,11 +4,14 @@ They change what the inner rule sees of a fix (which channels, what R), so that 
 is three consecutive channels: a receiver's position, its velocity.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from scipy.special import chdtri
 
 from jaxnav.filters.core import Correction, Innovation, Rule, masked, only_if, select
 from jaxnav.maths import linalg
@@ -58,7 +61,7 @@ class Gate(NamedTuple):
 class GateMemory(NamedTuple):
     """How long each block has been rejected without a break."""
 
-    rejected: jax.Array  # (m / 3,) s, epochs without a fix not counted
+    rejected: jax.Array  # (blocks,) s, epochs without a fix not counted
     rule: Any
 
 
@@ -67,25 +70,32 @@ def gate_params(threshold: float = 16.27, timeout: float = 30.0, rule: Any = ())
     return Gate(jnp.asarray(threshold, float), jnp.asarray(timeout, float), rule)
 
 
-def jumped(z: Innovation, S: jax.Array, factor: jax.Array) -> jax.Array:
+def jumped(z: Innovation, S: jax.Array, factor: jax.Array, blocks: Sequence[slice]) -> jax.Array:
     """P (n, n) after each block's measured quantity has jumped, S (m, m) of that block becoming S times its factor.
 
-    ``factor`` (m / 3,) >= 1. The jump is independent of all that P knows, and lies in the states that would be
+    ``factor`` (blocks,) >= 1. The jump is independent of all that P knows, and lies in the states that would be
     responsible were their errors independent: for a position, in position.
     """
     P = z.P
     D = jnp.diag(P)[:, None]  # so that a lever arm's attitude counts in metres
-    H, own = z.H.reshape(-1, BLOCK, P.shape[0]), own_blocks(S)
-    for b in range(H.shape[0]):
-        missing = jnp.diag(1.0 - by_block(z.valid)[b])
-        G = D * H[b].T @ linalg.inverse(H[b] @ (D * H[b].T) + missing)
-        P = P + (factor[b] - 1) * G @ own[b] @ G.T
+    for i, b in enumerate(blocks):
+        H, missing = z.H[b], jnp.diag(1.0 - z.valid[b])
+        G = D * H.T @ linalg.inverse(H @ (D * H.T) + missing)
+        P = P + (factor[i] - 1) * G @ S[b, b] @ G.T
     return P
 
 
+def passed_by(share: float, channels: int) -> float:
+    """What nu' S^-1 nu of so many channels is below, for that share of sound fixes."""
+    return float(chdtri(channels, 1 - share))
+
+
 @cache
-def gate(rule: Rule) -> Rule:
+def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
     """``rule`` sees only the blocks whose innovation is likely; the others are missing for it.
+
+    ``sizes``: channels of each block, which is a measurement; None is blocks of three. The threshold is that of three
+    channels; a block of another size has that which as many sound fixes pass.
 
     Recovery: receivers' faults end, while a filter that has drifted off by more than its P never comes back by itself.
     So after ``timeout`` the filter is held to be wrong, and the block is accepted with P widened by a jump
@@ -97,19 +107,29 @@ def gate(rule: Rule) -> Rule:
     The time counts only fixes that were rejected, not outages: a fix after a tunnel is tested like any other.
     """
 
+    def blocks(m: int) -> tuple[int, ...]:
+        if sizes is None:
+            require_blocks(m)
+        elif sum(sizes) != m:
+            raise ValueError(f"blocks of {sizes} channels are not the {m} of the filter")
+        return sizes or (BLOCK,) * (m // BLOCK)
+
     def init(n: int, m: int) -> GateMemory:
-        require_blocks(m)
-        return GateMemory(jnp.zeros(m // BLOCK), rule.init(n, m))
+        return GateMemory(jnp.zeros(len(blocks(m))), rule.init(n, m))
 
     def correct(theta: Gate, memory: GateMemory, z: Innovation) -> Correction:
-        count = by_block(z.valid).sum(1)
+        own = blocks(z.nu.size)
+        stops = np.cumsum(own)
+        places = [slice(stop - size, stop) for stop, size in zip(stops, own, strict=True)]
+        share = np.array([passed_by(0.999, size) / passed_by(0.999, BLOCK) for size in own])
         S = z.H @ z.P @ z.H.T + z.R
-        d2 = squared_by_block(z.nu, S)
-        far = (count > 0) & (d2 > theta.threshold)
+        count = jnp.stack([z.valid[b].sum() for b in places])
+        d2 = jnp.stack([linalg.normalized(z.nu[b], S[b, b]) for b in places])
+        far = (count > 0) & (d2 > theta.threshold * share)
         late = far & (memory.rejected >= theta.timeout)
         out = far & ~late
-        P = jumped(z, S, jnp.where(late, jnp.maximum(d2 / jnp.maximum(count, 1), 1.0), 1.0))
-        keep = z.valid & ~jnp.repeat(out, BLOCK)
+        P = jumped(z, S, jnp.where(late, jnp.maximum(d2 / jnp.maximum(count, 1), 1.0), 1.0), places)
+        keep = z.valid & ~jnp.repeat(out, np.array(own), total_repeat_length=z.nu.size)
         nu, H, R = masked(z.nu, z.H, z.R, keep)
         seen = z._replace(nu=nu, H=H, R=R, P=P, valid=keep)
         inner = select(late.any(), rule.init(z.P.shape[0], z.nu.size), memory.rule)

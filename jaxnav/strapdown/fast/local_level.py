@@ -1,4 +1,4 @@
-"""Strapdown navigation in the local level frame: ENU axes, geodetic position (GPID paper, section 3; Savage 1998).
+"""`jaxnav.strapdown.local_level` made fast: the same equations in another order (GPID paper, section 3; Savage 1998).
 
     C' = C [w_ib x] - [(w_ie + w_en) x] C
     v' = C f - (2 w_ie + w_en) x v + g
@@ -8,11 +8,11 @@ Second order in the sample time. Not for the poles, where longitude and the tran
 
 Only the body's rotation is truly sequential. With it, each interval's thrust is known in ENU as it stood at the first
 sample; what is left turns with the Earth and the way travelled, 1e-4 rad/s, and is integrated one interval after the
-other (`propagate`) or for all at once in a few sweeps (`propagate_block`), to the same result. An interval is one
-sample, or up to `INTERVAL` where the error dynamics see means over so many: then the fast half, `body`, still takes
-every sample, and only gravity, Coriolis and the way are added more slowly. The Earth is a series of second order about
-the first sample of a block, so that no transcendental is in the loop: while a block lasts ten seconds, that is wrong by
-less than 1e-9 rad/s up to latitude 85 degrees and 300 m/s.
+other. An interval is one sample, or up to `INTERVAL` where the error dynamics see means over so many: then the fast
+half, `body`, still takes every sample, and only gravity, Coriolis and the way are added more slowly. The Earth is a
+series of second order about the first sample of a block, so that no transcendental is in the loop: while a block lasts
+ten seconds, that is wrong by less than 1e-9 rad/s up to latitude 85 degrees and 300 m/s. An observer's spin turns about
+ENU of the block's first sample.
 """
 
 from collections.abc import Callable
@@ -45,12 +45,11 @@ from jaxnav.maths.components import (
 )  # fmt: skip
 from jaxnav.states.sensors import corrected
 from jaxnav.strapdown.fast.body import Body, Increments, Interval, as_biases, over, readings, singles, sums, unbiased
-from jaxnav.strapdown.increments import after, divides, sampled, thin
+from jaxnav.strapdown.increments import after, sampled, thin
 from jaxnav.types import ErrorInputs, Forcing, Imu, Nav
 
 INTERVAL = 10  # samples, at most: a tenth of a second at 100 Hz
 BLOCK = 100  # samples at once; the Earth is looked up and ENU's turn is summed up anew for each block
-SWEEPS = 4  # of `propagate_block`; each takes the error down by how far ENU turns in an epoch, 1e-4 a second
 
 
 class Level(NamedTuple):
@@ -138,23 +137,6 @@ def by_scan(change: Callable, start: Level, thrust: Thrust) -> Level:
     return lax.scan(step, start, thrust)[1]
 
 
-def by_sweeps(change: Callable, start: Level, thrust: Thrust) -> Level:
-    """After each interval, all at once: the fixed point of "add up what the path of the last sweep changes"."""
-    leaves, tree = jax.tree.flatten(start)
-    first = jnp.stack(leaves)
-    ends = jnp.broadcast_to(first, (thrust.t.size, first.size))
-
-    def sweep(ends, _):
-        starts = jnp.concatenate([first[None], ends[:-1]])
-        changes = jax.tree.leaves(change(jax.tree.unflatten(tree, split(starts)), thrust))
-        return first + running(jnp.stack(changes, -1)), None
-
-    # a sweep forgets all but 1e-4 of where it starts: two of them have the derivative, too
-    ends = lax.stop_gradient(lax.scan(sweep, ends, length=SWEEPS - 2)[0])
-    ends, _ = lax.scan(sweep, ends, length=2)
-    return jax.tree.unflatten(tree, split(ends))
-
-
 def attitudes(nav: Nav, spin: Vector, body: Body) -> tuple[Quaternion, Quaternion, Quaternion]:
     """At the start and end of each interval (n,) and, of any length, its mean; about axes of the first sample.
 
@@ -189,9 +171,7 @@ def unit(nav: Nav) -> Nav:
     return nav._replace(q=jnp.stack(normalize(split(nav.q)), -1))
 
 
-def _block(
-    integrate: Callable, m: int, nav: Nav, u: Forcing | None, given: Interval
-) -> tuple[Nav, ErrorInputs, Callable]:
+def _block(m: int, nav: Nav, u: Forcing | None, given: Interval) -> tuple[Nav, ErrorInputs, Callable]:
     """The states after all intervals (n,) of m samples, the path, and the function that has those inside them."""
     whole, omega, force = given
     spin, push = map(split, u) if u else ((), ())
@@ -203,7 +183,7 @@ def _block(
     change = partial(increment, series(surface, centre), (spin, push), m)
     start = Level(split(nav.vel), lat - centre, zero, h, (zero, zero, zero))
     thrust = thrust_of(q_starts, whole)
-    ends = integrate(change, start, thrust)
+    ends = by_scan(change, start, thrust)
 
     def state(level: Level, q, t, omega, force) -> Nav:
         q = multiply(small(scale(-1.0, level.turn)), q)
@@ -234,21 +214,19 @@ def _block(
     return points, path, inside
 
 
-def _samples(
-    integrate: Callable, most: int, nav: Nav, u: Forcing | None, imu: Imu, stride: int, keep: jax.Array
-) -> tuple[Nav, ErrorInputs]:
+def _samples(nav: Nav, u: Forcing | None, imu: Imu, stride: int, keep: jax.Array) -> tuple[Nav, ErrorInputs]:
     """The states after the samples ``keep`` (w,) and the path, by intervals of one sample.
 
-    They are corrected in a loop over up to ``most`` rows of them, but all at once where kernels cost and not numbers.
+    They are corrected in a loop over up to `INTERVAL` rows of them.
     """
     k, flat = imu.dt.size, lambda a: a.reshape(-1, *a.shape[2:])
 
     def block(nav, imu):
-        rows = max(d for d in range(1, most + 1) if imu.dt.size % d == 0)
+        rows = max(d for d in range(1, INTERVAL + 1) if imu.dt.size % d == 0)
         # the state carries the rates before this epoch's bias correction: one sample in an epoch sees that difference
         x, last = readings(free(nav, imu), nav.omega, nav.force, rows)
         x, whole = jax.tree.map(lambda a: a.T.reshape(-1), (x, singles(x, last)))
-        points, path, _ = _block(integrate, 1, nav, u, Interval(whole, x.omega, x.force))
+        points, path, _ = _block(1, nav, u, Interval(whole, x.omega, x.force))
         return unit(jax.tree.map(lambda a: a[-1], points)), (points, path)
 
     if k <= BLOCK:
@@ -281,7 +259,7 @@ def _intervals(
     n, size = whole.body.t.size, BLOCK // m
 
     def block(nav, whole, i):
-        _, path, inside = _block(by_scan, m, nav, u, whole)
+        _, path, inside = _block(m, nav, u, whole)
         return jax.tree.map(lambda a: a[-1], path.nav), path, inside(jnp.clip(i, 0, whole.body.t.size - 1), parts)
 
     if n <= size:
@@ -321,9 +299,6 @@ def propagate(
     Returns the last state, or those after the samples ``keep`` (w,), and the path at every ``stride`` samples: where it
     ends, and its means for the error dynamics. ``pos`` is (lat rad, lon rad, h m), ``vel`` is ENU m/s, ``q`` takes body
     FRD to ENU. A sample of dt = 0 changes nothing. ``imu`` may be what `preintegrate` made of the samples.
-
-    Raises:
-        ValueError: ``stride`` does not divide k.
     """
     size = BLOCK // stride if stride <= INTERVAL else 1
     if isinstance(imu, Increments):
@@ -333,21 +308,11 @@ def propagate(
         out, path = _intervals(stride, nav, u, clean[0], clean[1], imu.place)
         return out, jax.tree.map(lambda a: a[:n], path)
     k = imu.dt.size
-    divides(stride, k)
     at = jnp.array([k - 1]) if keep is None else keep
     if 2 <= stride <= INTERVAL:
         samples = jax.tree.map(lambda a: filled(a, size * stride), free(nav, imu))
         out, path = _intervals(stride, nav, u, *sums(samples, nav.omega, nav.force, stride, at))
         path = jax.tree.map(lambda a: a[: k // stride], path)
     else:
-        out, path = _samples(by_scan, INTERVAL, nav, u, imu, stride, at)
-    return jax.tree.map(lambda a: a[0], out) if keep is None else out, path
-
-
-def propagate_block(
-    nav: Nav, u: Forcing | None, imu: Imu, stride: int = 1, keep: jax.Array | None = None
-) -> tuple[Nav, ErrorInputs]:
-    """`propagate` for all samples at once; faster for one run and on accelerators, slower in a batch."""
-    divides(stride, imu.dt.size)
-    out, path = _samples(by_sweeps, 1, nav, u, imu, stride, jnp.array([imu.dt.size - 1]) if keep is None else keep)
+        out, path = _samples(nav, u, imu, stride, at)
     return jax.tree.map(lambda a: a[0], out) if keep is None else out, path

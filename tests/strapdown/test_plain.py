@@ -13,7 +13,7 @@ from jaxnav.strapdown.fast import local_level as fast
 from jaxnav.types import Forcing, Imu
 
 
-def a_minute(lat: float, speed: float, rate: float = 50.0) -> tuple:
+def a_minute(lat: float, speed: float, rate: float = 100.0) -> tuple:
     """Turns, climbs and pushes; the last samples are padding; biases and scale errors to take out."""
     rng, n = np.random.default_rng(1), round(60 * rate)
     t = np.arange(n) / rate

@@ -9,13 +9,15 @@ import pytest
 
 from jaxnav import FILTERS, GNSS, NONHOLONOMIC, build, make_filter
 from jaxnav.analysis import metrics
-from jaxnav.filters import run
 from jaxnav.filters.catalogue import FRAMES, Entry
 from jaxnav.filters.core import Innovation, Rule
+from jaxnav.filters.error_model import error_model
 from jaxnav.filters.papers.gpid import gpid_params
 from jaxnav.filters.rules.combinators import only
+from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate_jit
+from jaxnav.states.table import BIASES
 from jaxnav.types import Epoch, Fix, Forcing
 
 SCENARIO = SCENARIOS["urban_short"]
@@ -57,12 +59,13 @@ def one_of(rules: tuple[Rule, ...]) -> Rule:
 
         return jax.lax.switch(theta[0], [partial(branch, i, rule) for i, rule in enumerate(rules)])
 
-    return Rule(lambda n, m: tuple(rule.init(n, m) for rule in rules), correct, extrapolate)
+    init = lambda n, m: tuple(rule.init(n, m) for rule in rules)  # noqa: E731
+    return Rule(init, correct, extrapolate, estimates=BIASES)  # of every branch, with a drive of its own or of zero
 
 
 def alike(entry: Entry) -> tuple[str, ...]:
     """Names of the filters that differ from this one in their rule alone."""
-    parts = ("frame", "n_states", "form", "feedback", "feedback_theta")
+    parts = ("frame", "states", "form", "feedback", "feedback_theta")
     return tuple(n for n, e in FILTERS.items() if all(getattr(e, p) == getattr(entry, p) for p in parts))
 
 
@@ -70,10 +73,9 @@ def alike(entry: Entry) -> tuple[str, ...]:
 def program(names: tuple[str, ...], measurements=GNSS):
     entry = FILTERS[names[0]]
     rule = one_of(tuple(FILTERS[name].rule() for name in names))
-    rule = rule if measurements == GNSS else only(rule, 6)
-    frame = FRAMES[entry.frame]
-    model = frame.error_model(entry.n_states, entry.form, measurements)
-    filt = make_filter(frame.propagate, model, rule, entry.feedback, 25)
+    rule = rule if measurements == GNSS else only(rule, tuple(range(6)))
+    model = error_model(entry.frame, entry.states, entry.form, measurements)
+    filt = make_filter(FRAMES[entry.frame].propagate, model, rule, entry.feedback, 25)
     return jax.jit(partial(run, filt))
 
 
@@ -100,7 +102,7 @@ def test_contract(name, drive):
     params = matched_params(SCENARIO, rule=entry.theta(), feedback=entry.feedback_theta())
     epoch = jax.tree.map(lambda a: a[0], wider(drive.epochs))
     _, row = jax.eval_shape(filt.correct, params, jax.eval_shape(filt.init, params, drive.initial), epoch.fix)
-    assert row.x.shape == (entry.n_states,) and row.nu.shape == (8,)
+    assert row.x.shape == (9 + 3 * len(entry.states),) and row.nu.shape == (8,)
 
 
 @pytest.mark.parametrize("names", dict.fromkeys(map(alike, FILTERS.values())), ids=lambda names: names[0])
@@ -124,7 +126,7 @@ def test_a_channel_that_is_never_there_changes_nothing(name, drive):
 def test_a_rule_is_finite_and_still_where_nothing_is_there(name):
     """With H = 0 and T = 0, as a batch asks of it where others of its runs have a fix."""
     entry, blank = FILTERS[name], jnp.zeros(6)
-    n, rule = entry.n_states, entry.rule()
+    n, rule = 9 + 3 * len(entry.states), entry.rule()
     P = jnp.diag(jnp.linspace(1.0, 2.0, n))
     z = Innovation(blank, jnp.zeros((6, n)), jnp.eye(6), P, blank > 0, jnp.zeros(()), blank)
     memory = rule.init(n, 6)

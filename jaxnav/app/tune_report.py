@@ -19,6 +19,7 @@ from jaxnav.app.toml import to_toml
 from jaxnav.data import atomic_write
 from jaxnav.filters.parameters import UNITS, has
 from jaxnav.filters.run import track
+from jaxnav.states.table import BIASES
 from jaxnav.types import Samples, Track
 from tuning.train import Fit
 from tuning.validation import PairedGain
@@ -163,4 +164,4 @@ def truth_of(material: Material) -> tuple[Track | None, Any, Any]:
     fix = jax.tree.map(lambda a: np.asarray(a[0]), material.test.epochs.fix)
     seen = fix.valid[:, :3].all(1)
     fixes = Samples(material.t[seen], *(a[seen, :3] for a in (fix.value, fix.sd, fix.corr)))
-    return track(nav), fixes, (material.t, np.asarray(nav.b_g), np.asarray(nav.b_a))
+    return track(nav), fixes, (material.t, *(np.asarray(nav.errors[name]) for name in BIASES))

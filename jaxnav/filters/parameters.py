@@ -58,7 +58,8 @@ def _fields(tree: Any) -> dict[str, Any]:
 def put(tree: Any, name: str, value: Any) -> Any:
     """The tree with the leaf at a dotted name replaced."""
     first, _, rest = name.partition(".")
-    new = {first: put(get(tree, first), rest, value) if rest else value}
+    branch = get(tree, first)
+    new = {first: put(branch, rest, value) if rest else value}
     return tree | new if isinstance(tree, dict) else tree._replace(**new)
 
 

@@ -15,7 +15,7 @@ from jaxnav.app import bakeoff_report, cli, contest
 from jaxnav.app.config import Tune
 from jaxnav.app.contest import Case, Kind, Plan
 from jaxnav.filters.catalogue import FILTERS
-from jaxnav.filters.core import Filter
+from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.run import initial_nav
 from jaxnav.simulate.scenarios import CIRCLE, GIPKF, SCENARIOS
 from jaxnav.simulate.simulation import matched_params
@@ -44,7 +44,12 @@ def toy(name: str) -> Filter:
         flags = jnp.ones(6, bool)
         return (height, ok), Info(nav, jnp.eye(9), jnp.zeros(9), zero, eye, zero, flags, flags, jnp.zeros(()), ok)
 
-    return Filter(lambda params, nav: (nav.pos[2], jnp.array(True)), None, None, step, None)
+    def advance(params, state, epoch):
+        after, info = step(params, state, epoch)
+        return Step(state, state, None, after, info)
+
+    start = lambda params, nav: (nav.pos[2], jnp.array(True))  # noqa: E731
+    return Filter(start, None, None, step, None, lambda epochs: epochs, None, advance)
 
 
 def toy_runs(plan: Plan) -> contest.Runs:
@@ -170,7 +175,8 @@ def test_every_filter_has_something_to_tune_and_starts_at_the_datasheet():
         assert len(labels(spec, raw)) >= 7 + 4 * (entry.states == BIASES)
         assert ("states.gyro_bias.drive" in spec) == (entry.states == BIASES)
         same = contest.applied(start, told)
-        jax.tree.map(np.testing.assert_array_equal, (same.noise, same.prior), (told.noise, told.prior))
+        for part in ("noise", "prior", "states", "measurements", "mounting"):
+            jax.tree.map(np.testing.assert_array_equal, getattr(same, part), getattr(told, part))
     assert "rule.kd" not in contest.spec_of("gpid_literal") and "feedback.position" in contest.spec_of("fwekf")
 
 

@@ -230,8 +230,8 @@ def test_float32_exits_3(drive, monkeypatch, capsys):
 def test_filter_that_fails_exits_1_with_run_and_time(drive, monkeypatch, capsys):
     real = filtering.execute
 
-    def broken(case, hidden):
-        info, about = real(case, hidden)
+    def broken(*arguments):
+        info, about = real(*arguments)
         return info._replace(ok=info.ok.at[20:].set(False)), about
 
     monkeypatch.setattr(filtering, "execute", broken)
@@ -391,7 +391,7 @@ def test_ctrl_c_ends_the_process_with_130(where):
     """In such a callback python prints the interrupt and goes on, unless told."""
     interrupt = "callback()" if where == "anywhere" else "gc.callbacks.append(callback); gc.collect()"
     done = python(
-        "import gc, os, signal, time; from jaxnav import cli\n"
+        "import gc, os, signal, time; from jaxnav.app import cli\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a script's background job ignores it
         "def callback(*_): gc.callbacks.clear(); os.kill(os.getpid(), signal.SIGINT); time.sleep(0.1)\n"
         f"def main(): {interrupt}; time.sleep(20); return 0\n"

@@ -8,12 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxnav.analysis import evaluate
 from jaxnav.analysis.plots import stats as plots_stats
-from jaxnav.app import batches, cli, config, evaluate, objectives, parameters, prepare, tune_report
+from jaxnav.app import batches, cli, config, objectives, parameters, prepare, tune_report
 from jaxnav.app.toml import to_toml
 from jaxnav.app.unused import unused
 from jaxnav.app.verbs import filtering
-from jaxnav.data import epochs
+from jaxnav.data import epochs, start
 from jaxnav.data import start as alignment
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.filters.parameters import datasheet_params, get, mounting, put
@@ -108,10 +109,10 @@ def positions(moves_at: float) -> Samples:
 
 
 def test_noise_of_positions_is_no_course():
-    begin, heading = alignment.course(prepare._differences(positions(120.0)), 5.0)
+    begin, heading = alignment.course(start._differences(positions(120.0)), 5.0)
     assert 120 < begin < 126 and abs(heading) < 0.5
     with pytest.raises(DataError, match="3 sd"):
-        alignment.course(prepare._differences(positions(1e9)), 5.0)
+        alignment.course(start._differences(positions(1e9)), 5.0)
 
 
 @pytest.mark.parametrize("sd", [[1.0, 2.0], -1.0, [1.0, 0.0, 1.0]])

@@ -16,6 +16,7 @@ from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS, ZERO_RATE
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError
+from tests.conftest import LEAVES
 from tuning import uncertainty
 from tuning.transforms import LOG
 
@@ -95,7 +96,7 @@ def test_correlated_takes_groups_leaves_and_keys(changes, leaves):
     sheet = datasheet_params(GRADES["adis16465"])
     t = resolved(free=["noise", "fixes"], prior={"noise": 2.0}, **changes).tune
     spec = parameters.tune_spec(t, "ekf15", (*GNSS, ZERO_RATE), sheet)
-    assert [name for name, transform in spec.items() if transform.axes] == [f"noise.{leaf}" for leaf in leaves]
+    assert [name for name, transform in spec.items() if transform.axes] == [LEAVES[leaf] for leaf in leaves]
     assert spec["noise.accel"].belief.sd == pytest.approx(np.log(2))
 
 

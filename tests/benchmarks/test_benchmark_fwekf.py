@@ -32,7 +32,7 @@ def test_fit_over_cases_finds_what_they_agree_on():
         noise = 0.01 * jax.random.normal(key)
         return case * (params.rule - 2.0) ** 2 + noise + jnp.where(case < 0, jnp.nan, 0.0) * params.rule
 
-    params = Params((), (), (), jnp.asarray(0.5))
+    params = Params((), (), {}, {}, (), jnp.asarray(0.5))
     cases = jnp.array([1e12, 1.0, 2.0])
     fit = fit_cases(loss, {"rule": IDENTITY}, params, cases, jax.random.key(0), 100)
     assert float(fit.params.rule) == pytest.approx(2.0, abs=0.05)

@@ -20,7 +20,7 @@ from tuning.objectives import innovation_nll
 @pytest.fixture(scope="module")
 def given(case):
     """Noise, start and epochs of one run."""
-    return PARAMS().noise, case.nav, case.packed.epochs
+    return speed_plain.noise_of(PARAMS()), case.nav, case.packed.epochs
 
 
 @pytest.fixture(scope="module")

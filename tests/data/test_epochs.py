@@ -16,6 +16,7 @@ from jaxnav.data.epochs import (
     stationary,
 )
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.core import padded
 from jaxnav.filters.run import run_jit
 from jaxnav.maths import earth
 from jaxnav.measurements import GNSS, NONHOLONOMIC, POSITION, SPEED, VELOCITY
@@ -32,7 +33,7 @@ def stream(n=200, rate=50.0, seed=0, first=100.0):
 
 def fixes(t, size=3):
     t = np.asarray(t, float)
-    value = t[:, None] + np.arange(size)
+    value = 1e-2 * (t[:, None] + np.arange(size))  # a latitude, too, must be one in radians
     return Samples(t, value, np.full((t.size, size), 0.5), np.full((t.size, size), 0.1))
 
 
@@ -43,16 +44,18 @@ def integral(imu, t):
     return np.stack([np.interp(t, edges, column) for column in total.T], 1)
 
 
-def test_every_piece_of_the_stream_is_kept():
+@pytest.mark.parametrize("stride", [1, 7])
+def test_every_piece_of_the_stream_is_kept(stride):
+    """Cut into epochs, and padded to a filter's stride."""
     imu = stream()
     t = np.array([100.31, 100.7123, imu.t[60], 101.9, 103.4])  # off the grid, on the grid, and an outage of 1.5 s
     packed = pack(imu, {"position": fixes(t)}, 0.5)
-    dt, gyro, accel = (np.asarray(a) for a in packed.epochs.imu)
+    dt, gyro, accel = (np.asarray(a) for a in jax.vmap(lambda imu: padded(imu, stride))(packed.epochs.imu))
     edges = np.concatenate([[packed.start], packed.t])
     np.testing.assert_allclose(dt.sum(1), np.diff(edges), atol=1e-9)
     np.testing.assert_allclose((gyro * dt[..., None]).sum(1), np.diff(integral(imu, edges), axis=0), atol=1e-9)
     assert packed.t[-1] == imu.t[-1] and packed.start == pytest.approx(imu.t[0] - imu.dt[0])
-    assert set(t) <= set(packed.t)
+    assert set(t) <= set(packed.t) and dt.shape[1] % stride == 0
     assert np.diff(edges).max() < 0.5 + 1e-3
     # padding repeats the last sample at the end of the epoch
     last = (dt > 0).sum(1) - 1
@@ -70,7 +73,7 @@ def test_fixes_stand_at_the_end_of_their_epoch():
     np.testing.assert_array_equal(packed.t[rows], t)
     np.testing.assert_array_equal(fix.valid[rows], [[True] * 3 + [False] * 3, [True] * 6, [True] * 6])
     assert fix.valid.sum() == 15  # and nowhere else
-    np.testing.assert_array_equal(fix.value[rows, 0], t)
+    np.testing.assert_array_equal(fix.value[rows, 0], 1e-2 * t)
     np.testing.assert_array_equal(fix.corr[rows, 0], 0.1)
     assert np.isfinite(fix.value).all() and (fix.sd > 0).all()
 
@@ -121,7 +124,7 @@ def test_a_hole_in_the_stream_is_bridged_by_the_mean_of_its_sides():
 
 def test_what_cannot_be_packed_is_named():
     imu = stream()
-    with pytest.raises(DataError, match=r"no measurement of the filter takes \['speed'\]; it has"):
+    with pytest.raises(DataError, match=r"no measurement of the filter takes 'speed': known are position"):
         pack(imu, {"speed": fixes([101.0], 1)}, 1.0)
     with pytest.raises(DataError, match="the IMU covers 100.000 to 10"):
         pack(imu, {}, 1.0, start=99.0)

@@ -146,10 +146,10 @@ def test_gipkf_starts_aligned_at_rest():
     assert np.abs(sim.start.errors["gyro_bias"]).max() > 0.2 * units.DEG
     # noise of the mean over 30 s, drift, and the Earth's rate through tilt and heading
     assert left.std() < 2 * np.hypot(0.26 * 60 / np.sqrt(30), 5.1 / 3)
-    prior = matched_params(GIPKF).prior
-    assert 0.3 < left.std() * units.DEG_PER_HOUR / float(prior.gyro_bias) < 2
+    known = matched_params(GIPKF).states["gyro_bias"]
+    assert 0.3 < left.std() * units.DEG_PER_HOUR / float(known.sd) < 2
     raw = SCENARIOS["gipkf_urban_uncalibrated"]
-    assert float(matched_params(raw).prior.gyro_bias) == pytest.approx(0.2 * units.DEG)
+    assert float(matched_params(raw).states["gyro_bias"].sd) == pytest.approx(0.2 * units.DEG)
 
 
 def test_fwekf_cases():

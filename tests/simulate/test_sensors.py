@@ -89,8 +89,8 @@ def test_a_walking_bias_walks_from_zero():
         assert inside_bounds(bias[:, 0] ** 2 / (root**2 * DT)) and inside_bounds(bias[:, -1] ** 2 / (root**2 * DT * n))
         assert inside_bounds(np.diff(bias, axis=1) ** 2 / (root**2 * DT))
     np.testing.assert_allclose(out.gyro, 1 + b_g, atol=1e-12)
-    noise = datasheet_params(grade).noise
-    assert float(noise.gyro_bias) == 0.01 and float(noise.accel_bias) == 0.1
+    known = datasheet_params(grade).states
+    assert float(known["gyro_bias"].drive) == 0.01 and float(known["accel_bias"].drive) == 0.1
 
 
 def test_gauss_markov_is_stationary_with_its_time_constant():
@@ -178,7 +178,8 @@ def test_errors_have_draws_of_their_own():
 def test_every_grade_has_a_source_and_makes_parameters():
     for name, grade in GRADES.items():
         assert len(grade.source) > 10 and min(grade[:6]) >= 0 and grade.tau > 0, name
-        chex.assert_tree_all_finite(datasheet_params(grade).noise[:4])
+        params = datasheet_params(grade)
+        chex.assert_tree_all_finite((params.noise, [(state.sd, state.drive) for state in params.states.values()]))
     assert GRADES["adis16488a"].arw == pytest.approx(0.26 / 60 * units.DEG)
     assert GRADES["fwekf"].arw / np.sqrt(0.01) == pytest.approx(3e-4) and GRADES["fwekf"].vrw * 10 == pytest.approx(
         3e-3

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxnav.data import polling
+from jaxnav.data.axes import euler
 from jaxnav.data.checks import check_imu, check_recording, check_samples, check_time, steps
 from jaxnav.data.files import FilePath, Source, Table, atomic_write, parse_numbers, read_bytes, read_columns, read_lines
 from jaxnav.maths.units import DEG, G0
@@ -154,11 +155,7 @@ def drive_rotation(rph: np.ndarray = DRIVE_RPH) -> np.ndarray:
     The rotation matrix of Euler angles that resolves reference axes along turned axes (Groves 2013, eq. 2.22), here
     from the sensor's axes to the body's.
     """
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rph), np.cos(rph)
-    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, sr], [0.0, -sr, cr]])
-    pitch = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
-    yaw = np.array([[cy, sy, 0.0], [-sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    return roll @ pitch @ yaw
+    return euler(rph)
 
 
 def _read_table(path: FilePath) -> tuple[Table, np.ndarray]:

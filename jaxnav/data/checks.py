@@ -135,12 +135,13 @@ def check_time(t: np.ndarray, source: Source, stream: str) -> np.ndarray:
 
 
 def steps(t: np.ndarray, source: Source) -> np.ndarray:
-    """(N,) s since the row before; the first row takes the median, since nothing says when its interval began."""
+    """(N,) s since the row before; the median for the first row and after more than MAX_DT, when nothing says more."""
     check_time(t, source, "imu")
     if len(t) < 2:
         raise DataError(f"{source.file}: imu must have two rows or more")
     dt = np.diff(t)
-    dt = np.r_[np.median(dt), dt]
+    usual = np.median(dt)
+    dt = np.r_[usual, np.where((dt > MAX_DT) & (usual <= MAX_DT), usual, dt)]
     _require((dt >= MIN_DT) & (dt <= MAX_DT), source, "imu", f"dt in [{MIN_DT:g}, {MAX_DT:g}] s", dt)
     return dt
 

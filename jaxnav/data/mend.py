@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxnav.data.axes import rotation
-from jaxnav.data.checks import MAX_DT, check_recording, uncertainty
+from jaxnav.data.checks import check_recording, uncertainty
 from jaxnav.data.files import MAX_VALUE, Source
 from jaxnav.data.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Parts, Stream
 from jaxnav.types import DataError, ImuLog, Recording, Samples
@@ -104,7 +104,7 @@ def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[str]) -> Imu
     t, values = rows.t[keep], values[keep]
     if len(t) < 3:
         raise DataError(f"{parts.file}: imu: expected three rows or more, got {len(t)}")
-    dt = _intervals(t, notes)
+    dt = _intervals(t, None if rows.dt is None else rows.dt[keep], notes)
     repeated = int(np.count_nonzero(np.all(values[1:] == values[:-1], axis=1)))
     if repeated:
         notes.append(f"imu: {repeated} of {len(t)} rows repeat the row before: the logger may have polled the sensor.")
@@ -164,26 +164,23 @@ def _one_piece(t: np.ndarray, keep: np.ndarray, notes: list[str]) -> np.ndarray:
     return piece == longest
 
 
-def _intervals(t: np.ndarray, notes: list[str]) -> np.ndarray:
+def _intervals(t: np.ndarray, stated: np.ndarray | None, notes: list[str]) -> np.ndarray:
     """(N,) s that each row stands for: the time since the row before, and the usual step at the start and after gaps.
 
     Whether a gap can be navigated through is not for a reader to say: the interval shows that no sample covers it.
     """
     step = np.diff(t)
     usual = float(np.median(step))
-    gap = step > max(GAP * usual, 1e-6)
-    dt = np.r_[usual, np.where(gap, usual, step)]
+    gap = step > GAP * usual
     # rows closer than a microsecond cannot stand for the time between them
-    dt = np.maximum(dt, 1e-6)
+    dt = np.maximum(np.r_[usual, np.where(gap, usual, step)], 1e-6)
     if gap.any():
         i = int(np.argmax(step))
         many = f"{gap.sum()} gaps" if gap.sum() > 1 else "one gap"
         notes.append(f"The IMU has {many}, the longest {step[i]:.3g} s long, {t[i] - t[0]:.1f} s after its start.")
-    if 1.0 / usual < SLOW:
+    if usual > 1.0 / SLOW:
         notes.append(f"The IMU comes at {1.0 / usual:.3g} Hz: strapdown navigation loses what happens in between.")
-    if usual > MAX_DT:
-        notes.append(f"A row stands for {usual:.3g} s.")
-    return dt
+    return dt if stated is None else stated
 
 
 def _look(imu: ImuLog, notes: list[str]) -> None:

@@ -17,6 +17,7 @@ class ImuRows(NamedTuple):
     gyro: np.ndarray  # (N, 3) rad/s, or rad where sampling is "increments"; sensor axes
     accel: np.ndarray  # (N, 3) m/s^2 of specific force, or m/s; sensor axes
     sampling: str = RATES  # means over the interval that ends at t, increments over it, or instantaneous values at t
+    dt: np.ndarray | None = None  # (N,) s that each row stands for, where the file says so
 
 
 class Stream(NamedTuple):
@@ -45,5 +46,6 @@ class Parts(NamedTuple):
 def parts_of(rec: Recording, file: str) -> Parts:
     """A finished recording as parts, so that options and another file's fixes can be put on it."""
     aiding = {name: Stream(*samples) for name, samples in rec.aiding.items()}
-    imu = ImuRows(rec.imu.t, rec.imu.gyro, rec.imu.accel)
-    return Parts(file, imu, aiding, rec.truth, rec.lever_arm, (rec.notes,) if rec.notes else (), "frd", rec.name)
+    imu = ImuRows(rec.imu.t, rec.imu.gyro, rec.imu.accel, dt=rec.imu.dt)
+    notes = tuple(rec.notes.split("\n")) if rec.notes else ()
+    return Parts(file, imu, aiding, rec.truth, rec.lever_arm, notes, name=rec.name)

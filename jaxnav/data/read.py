@@ -143,7 +143,9 @@ def _imu_csv(path: Path, head: bytes) -> bool:
 def _read_imu_csv(path: Path) -> Parts:
     notes: list[str] = []
     imu, source = canonical.read_imu(path, notes)
-    return Parts(os.fspath(path), ImuRows(imu.t, imu.gyro, imu.accel), notes=tuple(notes), lines=source.lines)
+    return Parts(
+        os.fspath(path), ImuRows(imu.t, imu.gyro, imu.accel, dt=imu.dt), notes=tuple(notes), lines=source.lines
+    )
 
 
 def _map(path: Path, head: bytes) -> bool:

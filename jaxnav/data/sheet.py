@@ -95,8 +95,11 @@ def times(sheet: Sheet, name: str | int, unit: str, zero: int = 0) -> np.ndarray
     if unit not in TICKS:
         raise DataError(f"{sheet.file}: time_unit: expected one of {', '.join(TICKS)}, iso, got {unit!r}")
     ticks = TICKS[unit]
-    if cells.dtype.kind == "U" and all(cell.isdigit() and len(cell) < 19 for cell in cells.tolist()):
-        cells = cells.astype(np.int64)
+    if cells.dtype.kind == "U":
+        try:
+            cells = cells.astype(np.int64)
+        except (ValueError, OverflowError):  # not whole numbers
+            pass
     if cells.dtype.kind in "iu":
         return (cells.astype(np.int64) - zero * ticks) / ticks
     return numbers(sheet, name) / ticks - zero

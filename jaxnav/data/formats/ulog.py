@@ -51,7 +51,10 @@ def read(path: Path) -> Parts:
     builders = {"barometer": _barometer, "magnetometer": _magnetometer, "airspeed": _airspeed}
     aiding = _gnss(topics, notes) | {name: build(topics) for name, build in builders.items()}
     present = {name: stream for name, stream in aiding.items() if stream is not None and len(stream.t)}
-    return Parts(os.fspath(path), imu, present, _truth(topics), notes=tuple(notes))
+    truth = _truth(topics)
+    if truth is not None and not truth.lla[:, 2].any():
+        notes.append("The simulator's truth has no height: 0 m stands in its place.")
+    return Parts(os.fspath(path), imu, present, truth, notes=tuple(notes))
 
 
 def _seconds(stamp: np.ndarray) -> np.ndarray:
@@ -104,11 +107,11 @@ def _gnss(topics: dict[str, dict[str, np.ndarray]], notes: list[str]) -> dict[st
         notes.append(f"{name}: {np.count_nonzero(~fixed)} of {len(fixed)} rows have no fix in three dimensions.")
     modern = "latitude_deg" in data  # before 2023: integers of 1e-7 deg and mm
     lat, lon = ("latitude_deg", "longitude_deg") if modern else ("lat", "lon")
-    height = _first(data, "altitude_ellipsoid_m", "alt_ellipsoid", "altitude_msl_m", "alt")
+    height = _height(data)
     if height in ("altitude_msl_m", "alt"):
         notes.append("Heights of fixes are above sea level, not above the ellipsoid.")
     unit = [DEG, DEG, 1.0] if modern else [1e-7 * DEG, 1e-7 * DEG, 1e-3]
-    t, value = _seconds(data["timestamp"]), _table(data, lat, lon, str(height)) * np.array(unit)
+    t, value = _seconds(data["timestamp"]), _table(data, lat, lon, height) * np.array(unit)
     streams = {"position": Stream(t[fixed], value[fixed], _table(data, "eph", "eph", "epv")[fixed])}
     moving = fixed & (data["vel_ned_valid"] != 0)
     if moving.any():
@@ -116,6 +119,12 @@ def _gnss(topics: dict[str, dict[str, np.ndarray]], notes: list[str]) -> dict[st
         sd = np.repeat(data["s_variance_m_s"].astype(float)[:, None], 3, axis=1)
         streams["velocity"] = Stream(t[moving], vel[moving], sd[moving])
     return streams
+
+
+def _height(data: dict[str, np.ndarray]) -> str:
+    """The field above the ellipsoid if it is filled in, else the one above sea level."""
+    names = [name for name in ("altitude_ellipsoid_m", "alt_ellipsoid", "altitude_msl_m", "alt") if name in data]
+    return next((name for name in names if np.any(data[name])), names[-1])
 
 
 def _relative(data: dict[str, np.ndarray], name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -163,7 +172,7 @@ def _truth(topics: dict[str, dict[str, np.ndarray]]) -> Track | None:
     t = _seconds(place["timestamp"])
     vel = ned_to_enu(_table(motion, "vx", "vy", "vz"))
     rph = np.unwrap(attitude(_table(turn, *(f"q[{i}]" for i in range(4)))), axis=0)
-    lla = _table(place, "lat", "lon", str(_first(place, "alt_ellipsoid", "alt")))
+    lla = _table(place, "lat", "lon", _height(place))
     lla *= np.array([DEG, DEG, 1.0])
     return Track(t, lla, _at(t, motion, vel), np.angle(np.exp(1j * _at(t, turn, rph))))
 

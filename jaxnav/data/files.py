@@ -99,9 +99,9 @@ def parse_numbers(
     return Table(names, array, Source(file, np.array([line for line, _ in rows])))
 
 
-def read_columns(path: FilePath, width: int, delimiter: str | None = None) -> Table:
-    """A table without a header: ``width`` numbers a line; delimiter None is white space."""
-    return parse_numbers([(i, line.split(delimiter)) for i, line in read_lines(path)], width, path)
+def read_columns(path: FilePath, width: int, delimiter: str | None = None, notes: list[str] | None = None) -> Table:
+    """A table without a header: ``width`` numbers a line; delimiter None is white space; ``notes`` as `read_lines`."""
+    return parse_numbers([(i, line.split(delimiter)) for i, line in read_lines(path, notes)], width, path)
 
 
 def read_csv(path: FilePath, nan: frozenset = frozenset(), notes: list[str] | None = None) -> Table:

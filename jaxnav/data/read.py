@@ -165,8 +165,9 @@ def _read_map(path: Path, folder: FilePath | None = None) -> Parts:
 
 
 def _read_pos(path: Path) -> Parts:
-    aiding = {name: Stream(*samples) for name, samples in rtklib.read_pos(path).aiding.items()}
-    return Parts(os.fspath(path), aiding=aiding)
+    notes: list[str] = []
+    aiding = {name: Stream(*samples) for name, samples in rtklib.read_pos(path, notes).aiding.items()}
+    return Parts(os.fspath(path), aiding=aiding, notes=tuple(notes))
 
 
 def _pos(path: Path, head: bytes) -> bool:
@@ -191,8 +192,9 @@ def _kfgins_imu(path: Path, head: bytes) -> bool:
 
 
 def _read_kfgins_imu(path: Path) -> Parts:
-    imu = kfgins.read_kfgins_imu(path)
-    return Parts(os.fspath(path), ImuRows(imu.t, imu.gyro, imu.accel))
+    notes: list[str] = []
+    imu = kfgins.read_kfgins_imu(path, notes)
+    return Parts(os.fspath(path), ImuRows(imu.t, imu.gyro, imu.accel, dt=imu.dt), notes=tuple(notes))
 
 
 def _kfgins_gnss(path: Path, head: bytes) -> bool:
@@ -201,7 +203,9 @@ def _kfgins_gnss(path: Path, head: bytes) -> bool:
 
 
 def _read_kfgins_gnss(path: Path) -> Parts:
-    return Parts(os.fspath(path), aiding={"position": Stream(*kfgins.read_kfgins_gnss(path))})
+    notes: list[str] = []
+    samples = kfgins.read_kfgins_gnss(path, notes)
+    return Parts(os.fspath(path), aiding={"position": Stream(*samples)}, notes=tuple(notes))
 
 
 READERS: tuple[Reader, ...] = (

@@ -212,50 +212,63 @@ def test_ros2_bags_of_both_storages(tmp_path, storage):
 
 
 def write_ros2(folder: Path, storage: str) -> None:
-    """The made-up recording in standard messages, FLU."""
+    """The made-up recording in a ROS 2 bag."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    kinds = store.types
-    zero, expected = 1_700_000_000_000_000_000, recording()
+    plugin = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}[storage]
+    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+        write_messages(writer, store, store.serialize_cdr, {})
+
+
+def write_ros1(file: Path) -> None:
+    """The made-up recording in a ROS 1 bag."""
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Writer(file) as writer:
+        write_messages(writer, store, store.serialize_ros1, {"seq": 0})
+
+
+def write_messages(writer, store, serialize, extra: dict) -> None:
+    connections: dict = {}
+    for t, topic, message in messages(store.types, extra):
+        kind = message.__msgtype__
+        if topic not in connections:
+            connections[topic] = writer.add_connection(topic, kind, typestore=store)
+        writer.write(connections[topic], ZERO + round(t * 1e9), serialize(message, kind))
+
+
+ZERO = 1_700_000_000_000_000_000  # ns since 1970
+
+
+def messages(kinds: dict, extra: dict):
+    """The made-up recording in standard messages, FLU."""
+    expected = recording()
+    flu, q = [1.0, -1.0, -1.0], kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    status = kinds["sensor_msgs/msg/NavSatStatus"](status=0, service=1)
 
     def header(t):
-        ns = zero + round(t * 1e9)
+        ns = ZERO + round(t * 1e9)
         stamp = kinds["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
-        return kinds["std_msgs/msg/Header"](stamp=stamp, frame_id="base")
+        return kinds["std_msgs/msg/Header"](stamp=stamp, frame_id="base", **extra)
 
     def vector(v):
         return kinds["geometry_msgs/msg/Vector3"](*(float(x) for x in v))
 
-    def messages():
-        flu, q = [1.0, -1.0, -1.0], kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-        for t, w, f in zip(expected.imu.t, expected.imu.gyro * flu, expected.imu.accel * flu):
-            c = np.zeros(9)
-            yield t, "/imu", kinds["sensor_msgs/msg/Imu"](header(t), q, c, vector(w), c, vector(f), c)
-        status = kinds["sensor_msgs/msg/NavSatStatus"](status=0, service=1)
-        for t, (lat, lon, h), v in zip(*expected.aiding["position"][:2], expected.aiding["velocity"].value):
-            fix = kinds["sensor_msgs/msg/NavSatFix"](header(t), status, lat / DEG, lon / DEG, h, np.eye(3).ravel(), 2)
-            yield t, "/fix", fix
-            yield (
-                t,
-                "/vel",
-                kinds["geometry_msgs/msg/TwistStamped"](
-                    header(t), kinds["geometry_msgs/msg/Twist"](vector(v), vector([0, 0, 0]))
-                ),
-            )
-            field = vector(np.array([20.0, 5.0, -40.0]) * 1e-6)
-            yield t, "/mag", kinds["sensor_msgs/msg/MagneticField"](header(t), field, np.zeros(9))
-            yield t, "/air", kinds["sensor_msgs/msg/FluidPressure"](header(t), 1e5, 0.0)
-
-    plugin = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}[storage]
-    with Writer(folder, version=9, storage_plugin=plugin) as writer:
-        connections = {}
-        for t, topic, message in messages():
-            kind = message.__msgtype__
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(connections[topic], zero + round(t * 1e9), store.serialize_cdr(message, kind))
+    for t, w, f in zip(expected.imu.t, expected.imu.gyro * flu, expected.imu.accel * flu):
+        c = np.zeros(9)
+        yield t, "/imu", kinds["sensor_msgs/msg/Imu"](header(t), q, c, vector(w), c, vector(f), c)
+    for t, (lat, lon, h), v in zip(*expected.aiding["position"][:2], expected.aiding["velocity"].value):
+        fix = kinds["sensor_msgs/msg/NavSatFix"](header(t), status, lat / DEG, lon / DEG, h, np.eye(3).ravel(), 2)
+        yield t, "/fix", fix
+        twist = kinds["geometry_msgs/msg/Twist"](vector(v), vector([0, 0, 0]))
+        yield t, "/vel", kinds["geometry_msgs/msg/TwistStamped"](header(t), twist)
+        field = vector(np.array([20.0, 5.0, -40.0]) * 1e-6)
+        yield t, "/mag", kinds["sensor_msgs/msg/MagneticField"](header(t), field, np.zeros(9))
+        yield t, "/air", kinds["sensor_msgs/msg/FluidPressure"](header(t), 1e5, 0.0)
 
 
 # ---------------------------------------------------------------------------- receivers

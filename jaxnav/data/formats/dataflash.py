@@ -50,8 +50,8 @@ def read(path: Path, instance: int = 0) -> Parts:
     Raises:
         DataError: no such IMU.
     """
-    logged = read_messages(path)
     notes: list[str] = []
+    logged = read_messages(path, notes)
     imu = _instance(logged, "IMU", instance)
     if imu is None:
         kinds = ", ".join(sorted(logged)) or "no messages"
@@ -68,10 +68,15 @@ def read(path: Path, instance: int = 0) -> Parts:
     return Parts(os.fspath(path), rows, aiding, notes=tuple(notes))
 
 
-def read_messages(path: Path) -> dict[str, dict[str, np.ndarray]]:
-    """Every kind of message: its numeric columns (N,) by name, in the unit that the format's character means."""
+def read_messages(path: Path, notes: list[str] | None = None) -> dict[str, dict[str, np.ndarray]]:
+    """Every kind of message: its numeric columns (N,) by name, in the unit that the format's character means.
+
+    What is no message is passed over; ``notes`` gets a sentence on how much.
+    """
     data = read_bytes(path)
-    rows, formats = _binary(data) if data.startswith(SYNC) else _text(data)
+    rows, formats, passed = _binary(data) if data.startswith(SYNC) else _text(data)
+    if passed and notes is not None:
+        notes.append(f"{passed} are no whole message: damaged or cut.")
     out = {}
     for name, values in rows.items():
         kept = [(i, c) for i, c in enumerate(formats[name].columns) if CODES[formats[name].codes[i]][1]]
@@ -86,12 +91,12 @@ def _format(kind: str, columns: str, name: str) -> Format | None:
     return Format(name, names, kind, struct.Struct("<" + "".join(CODES[c][0] for c in kind)))
 
 
-def _binary(data: bytes) -> tuple[dict[str, list], dict[str, Format]]:
-    """Rows by name. A message that is cut or damaged is passed over: the next one starts at the next sync bytes."""
+def _binary(data: bytes) -> tuple[dict[str, list], dict[str, Format], str]:
+    """Rows by name, formats, and what was passed over: from a damaged message to the next sync bytes."""
     formats: dict[int, Format] = {}
     rows: dict[str, list] = {}
     sizes = {FMT: FMT_SIZE}
-    at = 0
+    at = used = 0
     while (at := data.find(SYNC, at)) >= 0 and at + 3 <= len(data):
         kind = data[at + 2]
         size = sizes.get(kind, 0)
@@ -112,17 +117,21 @@ def _binary(data: bytes) -> tuple[dict[str, list], dict[str, Format]]:
                 [v * CODES[c][1] if CODES[c][1] else 0.0 for v, c in zip(values, form.codes)]
             )
         at += size
-    return rows, {form.name: form for form in formats.values()}
+        used += size
+    passed = len(data.rstrip(b"\0\xff")) - used  # erased memory may follow
+    return rows, {form.name: form for form in formats.values()}, f"{passed} bytes" if passed > 0 else ""
 
 
 def _word(data: bytes) -> str:
     return data.split(b"\0")[0].decode("ascii", errors="replace")
 
 
-def _text(data: bytes) -> tuple[dict[str, list], dict[str, Format]]:
+def _text(data: bytes) -> tuple[dict[str, list], dict[str, Format], str]:
     formats: dict[str, Format] = {}
     rows: dict[str, list] = {}
-    for line in data.decode(errors="replace").split("\n")[:-1]:  # what follows the last line end was cut
+    lines = data.decode(errors="replace").split("\n")
+    passed = 1 if lines.pop().strip() else 0  # what follows the last line end was cut
+    for line in lines:
         cells = [cell.strip() for cell in line.split(",")]
         if cells[0] == "FMT" and len(cells) > 5:
             made = _format(cells[4], ",".join(cells[5:]), cells[3])
@@ -135,8 +144,10 @@ def _text(data: bytes) -> tuple[dict[str, list], dict[str, Format]]:
                     [float(cell) if CODES[c][1] else 0.0 for cell, c in zip(cells[1:], codes)]
                 )
             except ValueError:
-                continue
-    return rows, formats
+                passed += 1
+        else:
+            passed += bool(line.strip())
+    return rows, formats, f"{passed} lines" if passed else ""
 
 
 def _instance(logged: dict[str, dict], name: str, number: int) -> dict[str, np.ndarray] | None:

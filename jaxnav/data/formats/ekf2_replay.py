@@ -31,6 +31,9 @@ def read(path: Path) -> Parts:
     rows: dict[str, list[list[float]]] = {name: [] for name in SENSORS}
     lines = read_bytes(path).decode(errors="replace").split("\n")
     bad = []
+    if lines[-1]:
+        bad.append(len(lines))  # has no line end: a number of it may be cut
+        lines.pop()
     for i, line in enumerate(lines, start=1):
         cells = line.strip().split(",")
         try:
@@ -41,8 +44,8 @@ def read(path: Path) -> Parts:
         except (ValueError, KeyError, IndexError):
             bad += [i] if line.strip() else []
     if len(bad) > max(2, 0.01 * len(lines)):
-        raise DataError(f"{file}: line {bad[0]}: expected time, sensor and numbers; so {len(bad)} lines")
-    notes = (f"{len(bad)} lines cannot be read, the first is line {bad[0]}.",) if bad else ()
+        raise DataError(f"{file}: line {min(bad)}: expected time, sensor and numbers; so {len(bad)} lines")
+    notes = (f"{len(bad)} lines cannot be read, the first is line {min(bad)}.",) if bad else ()
     tables = {name: np.array(values) for name, values in rows.items() if values}
     if "imu" not in tables:
         raise DataError(f"{file}: has no row of the imu")

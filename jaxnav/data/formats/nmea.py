@@ -41,7 +41,9 @@ def read(path: Path, leap_seconds: float = 18.0, metres_per_hdop: float = 2.5) -
 
     fixes, motion, spread, day = [], [], {}, None
     first_day, last = None, -1.0
-    reader = pynmeagps.NMEAReader(io.BytesIO(read_bytes(path)), quitonerror=pynmeagps.ERR_IGNORE)
+    errors: list[Any] = []
+    stream = io.BytesIO(read_bytes(path))
+    reader = pynmeagps.NMEAReader(stream, quitonerror=pynmeagps.ERR_LOG, errorhandler=errors.append)
     for _, m in reader:
         kind = getattr(m, "msgID", "")
         if kind not in ("GGA", "RMC", "GST") or not isinstance(m.time, datetime.time):
@@ -62,7 +64,9 @@ def read(path: Path, leap_seconds: float = 18.0, metres_per_hdop: float = 2.5) -
         raise DataError(f"{path}: has no GGA with a fix")
     if first_day is None:
         raise DataError(f"{path}: has no RMC, which would tell the date")
-    return _parts(path, fixes, motion, spread, first_day, leap_seconds, metres_per_hdop)
+    parts = _parts(path, fixes, motion, spread, first_day, leap_seconds, metres_per_hdop)
+    said = (f"{len(errors)} sentences are damaged and left out.",) if errors else ()
+    return parts._replace(notes=parts.notes + said)
 
 
 def _second(moment: datetime.time) -> float:

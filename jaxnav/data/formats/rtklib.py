@@ -35,13 +35,14 @@ class PosFile(NamedTuple):
     source: Source
 
 
-def read_pos(path: FilePath) -> PosFile:
+def read_pos(path: FilePath, notes: list[str] | None = None) -> PosFile:
     """A geodetic RTKLIB solution in degrees and GPST; t in seconds since 1970-01-01 in GPST, no leap seconds.
 
     Columns are found by the names in the header. RTKLIB stores a covariance c as sign(c) sqrt(|c|); here it becomes a
-    correlation, shrunk where the file's rounding makes the matrix singular. DataError names file and line.
+    correlation, shrunk where the file's rounding makes the matrix singular. With a list of ``notes`` a cut last line is
+    left out and said there. DataError names file and line.
     """
-    table, t = _read_table(path)
+    table, t = _read_table(path, notes)
     check_time(t, table.source, "position")
     column = dict(zip(table.names, table.values.T))
     missing = [name for name in (*_POSITION, "Q", "ns") if name not in column]
@@ -158,10 +159,10 @@ def drive_rotation(rph: np.ndarray = DRIVE_RPH) -> np.ndarray:
     return euler(rph)
 
 
-def _read_table(path: FilePath) -> tuple[Table, np.ndarray]:
+def _read_table(path: FilePath, notes: list[str] | None) -> tuple[Table, np.ndarray]:
     """The numeric columns of a ``.pos`` file, names without units, and the times in s since 1970 in GPST."""
     file, header, rows = os.fspath(path), "", []
-    for i, line in read_lines(path):
+    for i, line in read_lines(path, notes):
         if line.startswith("%"):
             header = line if "Q" in line.split() else header
         else:

@@ -45,8 +45,12 @@ def read(path: Path) -> Parts:
     import pyubx2
 
     rows, without = [], 0
+    errors: list[Any] = []
     stream = io.BytesIO(read_bytes(path))
-    for _, message in pyubx2.UBXReader(stream, protfilter=pyubx2.UBX_PROTOCOL, quitonerror=pyubx2.ERR_IGNORE):
+    reader = pyubx2.UBXReader(
+        stream, protfilter=pyubx2.UBX_PROTOCOL, quitonerror=pyubx2.ERR_LOG, errorhandler=errors.append
+    )
+    for _, message in reader:
         if message is None or message.identity != "NAV-PVT":
             continue
         if message.fixType not in FIXED or not message.gnssFixOk or not message.validDate:
@@ -55,7 +59,8 @@ def read(path: Path) -> Parts:
         rows.append(_row(message))
     if not rows:
         raise DataError(f"{path}: has no NAV-PVT with a fix in three dimensions ({without} without)")
-    notes = (f"{without} NAV-PVT have no fix in three dimensions.",) if without else ()
+    said = {"NAV-PVT have no fix in three dimensions.": without, "messages are damaged and left out.": len(errors)}
+    notes = tuple(f"{count} {what}" for what, count in said.items() if count)
     t, lla, acc, vel, s_acc = np.split(np.array(rows), [1, 4, 6, 9], axis=1)
     position = Stream(t[:, 0], lla, acc[:, [0, 0, 1]])
     velocity = Stream(t[:, 0], ned_to_enu(vel), np.repeat(s_acc, 3, axis=1))

@@ -7,6 +7,7 @@ import datetime
 import difflib
 import io
 import zipfile
+from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -135,11 +136,11 @@ def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) ->
     if not lines:
         raise DataError(f"{file}: has no rows")
     if delimiter is None:
-        counts = {mark: lines[-1][1].count(mark) for mark in (",", ";", "\t")}
+        counts = {mark: sum(line.count(mark) for _, line in lines[:50]) for mark in (",", ";", "\t")}
         delimiter = max(counts, key=lambda mark: counts[mark])
         delimiter = delimiter if counts[delimiter] else "space"
     rows = [(i, _cells(line, delimiter)) for i, line in lines]
-    width = len(rows[len(rows) // 2][1])
+    width = Counter(len(cells) for _, cells in rows).most_common(1)[0][0]
     names: list[str] = _cells(comments[-1], delimiter) if comments else []
     if header or (header is None and not any(np.isfinite(_number(cell)) for cell in rows[0][1])):
         names = rows.pop(0)[1]

@@ -1,5 +1,7 @@
 """A column map: every key does what the page says, and every mistake is one sentence."""
 
+import re
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -8,9 +10,10 @@ import pytest
 from scipy.io import savemat
 
 from jaxnav.data.axes import enu_to_ecef, local_to_lla, rotation
+from jaxnav.data.column_map import KEYS, TOP
 from jaxnav.data.files import format_csv
 from jaxnav.data.mend import GPS_EPOCH
-from jaxnav.data.read import read
+from jaxnav.data.read import READERS, read
 from jaxnav.data.units import UNITS, pressure_height
 from jaxnav.maths.units import DEG, G0
 from jaxnav.types import DataError
@@ -291,3 +294,23 @@ def test_units_are_what_they_say():
     assert UNITS["field"]["mgauss"] * 1000 == pytest.approx(100.0) == UNITS["field"]["gauss"]
     np.testing.assert_allclose(pressure_height(np.array([101325.0, 89874.6, 54019.9])), [0.0, 1000.0, 5000.0], atol=1.0)
     assert GPS_EPOCH == 315964800.0
+
+
+def test_the_page_shows_keys_that_are_known():
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
+    (block,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    table = tomllib.loads(block)
+    assert set(table) <= set(TOP)
+    for name in ("imu", "position", "velocity"):
+        assert set(table[name]) <= set(KEYS[name])
+    said = page.split("## The column map")[1].split("## Our own")[0]
+    keys = {key for keys in KEYS.values() for key in keys} | set(TOP)
+    assert not [key for key in keys if key not in said]
+    assert not [unit for kind in UNITS.values() for unit in kind if unit not in said]
+
+
+def test_the_page_names_every_reader_and_extra():
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
+    for row in READERS:
+        assert row.name.split()[-1] in page
+        assert not row.extra or f"`{row.extra}`" in page

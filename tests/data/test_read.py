@@ -141,6 +141,14 @@ def test_gaps_stay_gaps():
     assert "The IMU has 2 gaps, the longest 30 s long, 2.0 s after its start." in rec.notes
 
 
+def test_gaps_are_for_some_rows_and_not_for_all():
+    imu = recording().imu
+    short = imu._replace(dt=np.where(np.arange(400) % 20 == 5, 0.5, 1.0) * imu.dt)
+    io.check_imu(short, io.files.Source("x"))
+    with pytest.raises(DataError, match="x: imu row 1: .*expected dt the time since the row before"):
+        io.check_imu(imu._replace(dt=0.5 * imu.dt), io.files.Source("x"))
+
+
 def test_a_lost_sample_is_covered_by_the_next():
     t = np.delete(np.arange(1, 402) * 0.01, 100)
     rec = mend.recording(rows(t=t)._replace(aiding={}))

@@ -133,6 +133,7 @@ def test_dataflash_against_pymavlink():
     rec = read(path)
     np.testing.assert_allclose(rec.imu.gyro[:, 1], [row["GyrY"] for row in theirs["IMU"]])
     np.testing.assert_allclose(rec.aiding["position"].sd[:, 2], [row["VAcc"] for row in theirs["GPA"]])
+    np.testing.assert_allclose(rec.aiding["position"].sd[:, 1], [row["HAcc"] for row in theirs["GPA"]])
     np.testing.assert_allclose(rec.aiding["magnetometer"].value[:, 0], [0.1 * row["MagX"] for row in theirs["MAG"]])
     np.testing.assert_allclose(read(path, instance=1).imu.accel[:, 2], [row["AccZ"] for row in theirs["IMU2"]])
     with pytest.raises(DataError, match="test.BIN: has no IMU 5"):

@@ -22,9 +22,9 @@ from jaxnav.types import DataError, Track
 UNKNOWN_SD = 1e3  # m/s, of a component that nothing measured
 
 TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", *STREAM_SIZES)
-COMMON = tuple("file delimiter header time time_unit time_shift_s rate_hz where new_where".split())
+COMMON = tuple("file delimiter header time time_unit time_tag time_shift_s rate_hz skip where new_where".split())
 KEYS: dict[str, tuple[str, ...]] = {
-    "imu": (*COMMON, *"gyro gyro_unit accel accel_unit axes sampling".split()),
+    "imu": (*COMMON, *"gyro gyro_unit accel accel_unit axes sampling repair".split()),
     "position": (*COMMON, *"lla enu ned ecef unit h_unit sd sd_enu sd_ned".split()),
     "velocity": (*COMMON, *"enu ned neu ecef speed_course up down unit course_unit sd sd_enu sd_ned".split()),
     "truth": (*COMMON, *"lla enu ned ecef unit h_unit velocity_enu velocity_ned velocity_ecef rph rph_unit".split()),
@@ -63,7 +63,7 @@ def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None
         zero = times_of(files, table["imu"], "imu")
         first = float(zero[0]) if len(zero) and np.isfinite(zero[0]) else 0.0
         files = files._replace(zero=int(first) if first >= LATE else 0)
-        parts = _with_imu(parts, files, table["imu"])
+        parts = _with_imu(_counted_from(parts, files.zero), files, table["imu"])
     aiding = parts.aiding | {key: _stream(files, table[key], key) for key in STREAM_SIZES if key in table}
     truth = _truth(files, table["truth"]) if "truth" in table else parts.truth
     notes = [*parts.notes, *([table["notes"]] if "notes" in table else [])]
@@ -107,8 +107,15 @@ def _with_imu(parts: Parts, files: Files, table: dict) -> Parts:
     keep = rows_of(files, table, "imu", len(t))
     refs = table["time"] if "time" in table else table["gyro"][0]
     lines = sheet_of(files, table, refs, "imu")[0].lines
-    rows = ImuRows(t[keep], gyro[keep], accel[keep], sampling)
+    rows = ImuRows(t[keep], gyro[keep], accel[keep], sampling, repair=bool(table.get("repair", False)))
     return parts._replace(imu=rows, axes=table.get("axes", "frd"), lines=None if lines is None else lines[keep])
+
+
+def _counted_from(parts: Parts, zero: int) -> Parts:
+    """What [read] found with its times counted from ``zero`` s, as those of the map's own tables."""
+    aiding = {name: stream._replace(t=stream.t - zero) for name, stream in parts.aiding.items()}
+    truth = None if parts.truth is None else parts.truth._replace(t=parts.truth.t - zero)
+    return parts._replace(aiding=aiding, truth=truth)
 
 
 def _stream(files: Files, table: dict, name: str) -> Stream:

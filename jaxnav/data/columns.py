@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxnav.data import units
+from jaxnav.data.formats.rtklib import read_tag
 from jaxnav.data.sheet import Sheet, numbers, open_sheet, times
 from jaxnav.types import DataError
 
@@ -81,7 +82,10 @@ def side_by_side(files: Files, columns: list[np.ndarray], stream: str) -> np.nda
 
 
 def times_of(files: Files, table: dict, stream: str) -> np.ndarray:
-    """(N,) s, by the column ``time`` or, at ``rate_hz``, by the number of the row."""
+    """(N,) s, by the column ``time`` or, at ``rate_hz``, by the number of the row.
+
+    With ``time_tag``, an RTKLIB time tag, the column counts ticks, which are stretched to the tag's.
+    """
     shift = table.get("time_shift_s", 0.0)
     if ("rate_hz" in table) == ("time" in table):
         raise DataError(f"{files.map}: {stream}: expected a key time, or rate_hz where there is no such column")
@@ -91,12 +95,26 @@ def times_of(files: Files, table: dict, stream: str) -> np.ndarray:
         rows = len(column_of(files, table, first, stream))
         return np.arange(1, rows + 1) / float(table["rate_hz"]) + shift
     sheet, name = sheet_of(files, table, table["time"], stream)
-    return times(sheet, name, table.get("time_unit", "s"), files.zero) + shift
+    if "time_tag" not in table:
+        return times(sheet, name, table.get("time_unit", "s"), files.zero) + shift
+    start, last = read_tag(files.folder / table["time_tag"])
+    tick = times(sheet, name, table.get("time_unit", "s"))
+    inner = tick[_skipped(files, table, stream, len(tick))]
+    return (start - files.zero) + (tick - inner[0]) * (last / (inner[-1] - inner[0])) + shift
+
+
+def _skipped(files: Files, table: dict, stream: str, n: int) -> slice:
+    """All rows but those that ``skip = [first, last]`` leaves out at the start and at the end."""
+    skip = table.get("skip", [0, 0])
+    if len(skip) != 2 or min(skip) < 0 or sum(skip) > n - 2:
+        raise DataError(f"{files.map}: {stream}: skip: expected rows to leave out at start and end, got {skip}")
+    return slice(skip[0], n - skip[1])
 
 
 def rows_of(files: Files, table: dict, stream: str, n: int) -> np.ndarray:
-    """(N,) bool, rows that meet every condition of ``where`` and are new in one of the columns of ``new_where``."""
-    keep = np.ones(n, bool)
+    """(N,) bool, rows not to ``skip`` that meet all of ``where`` and are new in one of the columns of ``new_where``."""
+    keep = np.zeros(n, bool)
+    keep[_skipped(files, table, stream, n)] = True
     compare = {">=": np.greater_equal, "<=": np.less_equal, "!=": np.not_equal, ">": np.greater, "<": np.less}
     for ref, wanted in table.get("where", {}).items():
         sign = next((s for s in compare if str(wanted).startswith(s)), "")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxnav.data import polling
 from jaxnav.data.axes import rotation
 from jaxnav.data.checks import check_recording, uncertainty
 from jaxnav.data.files import MAX_VALUE, Source
@@ -40,6 +41,7 @@ class Changes(NamedTuple):
     lever_arm: tuple[float, float, float] | None = None  # m, IMU -> antenna, body FRD
     time_shift_s: float = 0.0  # s, added to the times of the IMU
     sd: dict[str, float | list[float]] = {}  # by stream, instead of the file's
+    repair: bool = False  # mend an IMU's log that was polled, see `jaxnav.data.polling`
 
 
 def applied(parts: Parts, changes: Changes) -> Parts:
@@ -61,6 +63,8 @@ def applied(parts: Parts, changes: Changes) -> Parts:
     imu = parts.imu
     if imu is not None and changes.time_shift_s:
         imu = imu._replace(t=np.asarray(imu.t, float) + changes.time_shift_s)
+    if imu is not None and changes.repair:
+        imu = imu._replace(repair=True)
     said = {key: value for key, value in changes._asdict().items() if key in ("name", "axes") and value is not None}
     if changes.lever_arm is not None:
         said["lever_arm"] = np.asarray(changes.lever_arm, float)
@@ -104,6 +108,9 @@ def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[str]) -> Imu
     t, values = rows.t[keep], values[keep]
     if len(t) < 3:
         raise DataError(f"{parts.file}: imu: expected three rows or more, got {len(t)}")
+    if rows.repair:
+        t, values = _mended(t, values, notes)
+        rows, keep = rows._replace(dt=None), np.ones(len(t), bool)
     dt = _intervals(t, None if rows.dt is None else rows.dt[keep], notes)
     repeated = int(np.count_nonzero(np.all(values[1:] == values[:-1], axis=1)))
     if repeated:
@@ -116,6 +123,25 @@ def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[str]) -> Imu
     imu = ImuLog(t, dt, values[:, :3] @ turn.T, values[:, 3:] @ turn.T)
     _look(imu, notes)
     return imu
+
+
+def _mended(t: np.ndarray, values: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values of a polled log with the sensor's even clock; unchanged where it has gaps or nothing is lost."""
+    step = np.diff(t)
+    if (step > GAP * np.median(step)).any():
+        notes.append("imu: it has gaps, so that its repeated rows are not mended.")
+        return t, values
+    mended = polling.repair(values)
+    if not mended.lost.any():
+        return t, values
+    index, seen = np.arange(mended.lost.size), ~mended.lost
+    interval, first = np.polyfit(index[seen], t[mended.poll[seen]], 1)
+    repeated = int(polling.repeats(values).sum())
+    notes.append(
+        f"imu: {repeated} repeated rows are taken out and {mended.lost.sum()} lost samples filled in; "
+        f"the sensor's clock gives one every {1e3 * interval:.5g} ms."
+    )
+    return first + interval * index, mended.values
 
 
 def usable(

@@ -18,6 +18,7 @@ class ImuRows(NamedTuple):
     accel: np.ndarray  # (N, 3) m/s^2 of specific force, or m/s; sensor axes
     sampling: str = RATES  # means over the interval that ends at t, increments over it, or instantaneous values at t
     dt: np.ndarray | None = None  # (N,) s that each row stands for, where the file says so
+    repair: bool = False  # mend what polling did, see `jaxnav.data.polling`
 
 
 class Stream(NamedTuple):

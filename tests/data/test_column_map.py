@@ -266,6 +266,8 @@ def test_a_map_over_another_reader(folder):
         ("[imu]", "[imu]\naxes = 'fru'", "axes: expected right-handed axes"),
         ("[imu]", "lever_arm_frd_m = [1]\n[imu]", "lever_arm_frd_m: expected 3 numbers"),
         ("[imu]", "folder = '$NOT_SET_ANYWHERE'\n[imu]", "folder: .NOT_SET_ANYWHERE names an environment variable"),
+        ("[imu]", "[imu]\nskip = [300, 200]", "imu: skip: expected rows to leave out at start and end, got [300, 200]"),
+        ("[imu]", "[imu]\ntime_tag = 'none.tag'", "none.tag: cannot be read"),
         ("[imu]", "[imu]\nwhere = { fx = 'many' }", "imu: where: fx: expected 3 or '>=3', got 'many'"),
     ],
 )

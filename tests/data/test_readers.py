@@ -58,6 +58,18 @@ def test_a_gap_and_an_absolute_first_step_are_said():
     assert rec.imu.dt.max() < 0.03 and "The IMU has one gap, the longest 1.92 s long" in rec.notes
 
 
+def test_a_map_with_a_time_tag_is_the_reader_of_that_drive():
+    folder = data("rtkexplorer_drive")
+    ours, expected = read(RECIPES / "rtkexplorer.toml"), io.read_drive(folder)
+    np.testing.assert_allclose(ours.imu.gyro, expected.imu.gyro, atol=1e-12)
+    np.testing.assert_allclose(ours.imu.accel, expected.imu.accel, atol=1e-12)
+    zero = ours.aiding["position"].t[-1] - expected.aiding["position"].t[-1]
+    np.testing.assert_allclose(ours.imu.t - zero, expected.imu.t, atol=2e-6)
+    early = len(expected.aiding["position"].t) - len(ours.aiding["position"].t)
+    np.testing.assert_array_equal(ours.aiding["velocity"].value, expected.aiding["velocity"].value[early:])
+    assert "repeated rows are taken out" in ours.notes and f"{early} of 2197 rows lie before" in ours.notes
+
+
 # ---------------------------------------------------------------------------- PX4 ULog
 
 

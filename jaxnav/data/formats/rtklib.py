@@ -106,7 +106,7 @@ def read_imu_csv(
     lines = table.source.lines
     source = Source(table.source.file, None if lines is None else lines[1:-1])
     values = table.values[1:-1]
-    start, last = _read_tag(tag_path)
+    start, last = read_tag(tag_path)
     tick = check_time(values[:, 6] / 1000.0, source, "imu")
     t = (start - origin) + (tick - tick[0]) * (last / (tick[-1] - tick[0])) + delay
     dt, readings = steps(t, source), values[:, :6]
@@ -238,8 +238,11 @@ def _signed_roots(samples: Samples) -> np.ndarray:
     return np.hstack([samples.sd[:, [1, 0, 2]], roots[:, [0, 2, 1]]])
 
 
-def _read_tag(path: FilePath) -> tuple[float, float]:
-    """Start of the log (s since 1970, GPST) and the last tick (s since the start) of an RTKLIB time tag."""
+def read_tag(path: FilePath) -> tuple[float, float]:
+    """Start of the log (s since 1970, GPST) and the last tick (s since the start) of an RTKLIB time tag.
+
+    DataError names file and byte.
+    """
     data = read_bytes(path)
     file = os.fspath(path)
     if not data.startswith(b"TIMETAG RTKLIB"):

@@ -15,7 +15,7 @@ from jaxnav.data.formats.kth import read_kth
 from jaxnav.data.formats.navego import read_navego, read_navego_datasheet
 from jaxnav.data.formats.rtklib import PosFile, read_drive, read_imu_csv, read_pos, write_pos
 from jaxnav.data.formats.umn import read_umn
-from jaxnav.data.solution import write_csv, write_kml, write_solution
+from jaxnav.data.solution import write_csv, write_geojson, write_kml, write_solution, write_tum
 
 __all__ = [
     "DATASETS",
@@ -45,9 +45,11 @@ __all__ = [
     "read_umn",
     "verify",
     "write_csv",
+    "write_geojson",
     "write_kfgins_nav",
     "write_kml",
     "write_pos",
     "write_recording",
     "write_solution",
+    "write_tum",
 ]

@@ -4,6 +4,7 @@ Columns are found by name, the unit is in the name, and a column may come in any
 round trip to the last bit: that is why the writer gives angles in radians.
 """
 
+import difflib
 import json
 import os
 import re
@@ -51,17 +52,38 @@ def read_recording(path: FilePath) -> Recording:
     if not path.is_dir():
         rec = read_npz(path)
         return check_recording(rec, dict.fromkeys(("imu", "truth", "lever_arm", *rec.aiding), Source(str(path))))
+    return read_folder(path)
+
+
+def read_folder(path: FilePath, notes: list[str] | None = None) -> Recording:
+    """A folder of CSV files; with a list of ``notes`` a cut last line is left out and, like unread files, said there.
+
+    Raises:
+        DataError: as `read_recording`.
+    """
+    path = Path(path)
     known = [f"{name}.csv" for name in (*STREAMS, "truth")]
     files = {Path(name).stem: path / name for name in known if (path / name).exists()}
     files |= {file.stem.removeprefix("aiding_"): file for file in sorted(path.glob("aiding_*.csv"))}
-    others = {file.name for file in path.glob("*.csv")} - {file.name for file in files.values()} - {"imu.csv"}
+    others = sorted({file.name for file in path.glob("*.csv")} - {file.name for file in files.values()} - {"imu.csv"})
     if "position" not in files and others:
-        raise DataError(f"{path}: no position.csv, and {', '.join(sorted(others))} is not read: expected {KNOWN}")
+        raise DataError(f"{path}: no position.csv, and {', '.join(others)} is not read: expected {KNOWN}")
+    if notes is not None:
+        notes += [
+            f"{name} is not read{_meant(name, [file for file in known if Path(file).stem not in files])}"
+            for name in others
+        ]
     truth = files.pop("truth", None)
     about = _read_about(path / "recording.json")
-    return read_files(
-        path / "imu.csv", files, truth, about["lever_arm_frd_m"], about["name"] or path.name, about["notes"]
-    )
+    name = about["name"] or path.name
+    return read_files(path / "imu.csv", files, truth, about["lever_arm_frd_m"], name, about["notes"], notes)
+
+
+def _meant(name: str, absent: list[str]) -> str:
+    """``; did you mean velocity.csv?``: by the letters it opens with, or by likeness."""
+    stem = Path(name).stem.lower()
+    like = [file for file in absent if file.startswith(stem[:3])] or difflib.get_close_matches(name, absent, n=1)
+    return f"; did you mean {like[0]}?" if like else "."
 
 
 def read_files(
@@ -71,22 +93,26 @@ def read_files(
     lever_arm: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0),
     name: str = "recording",
     notes: str = "",
+    said: list[str] | None = None,
 ) -> Recording:
-    """A recording from CSV files at explicit paths; ``aiding`` by measurement name, ``lever_arm`` (3,) m FRD."""
-    log, source = read_imu(imu)
+    """A recording from CSV files at explicit paths; ``aiding`` by measurement name, ``lever_arm`` (3,) m FRD.
+
+    With a list ``said`` a cut last line is left out of a file and said there; else it is a DataError.
+    """
+    log, source = read_imu(imu, said)
     sources, streams = {"imu": source}, {}
     for key, file in aiding.items():
-        streams[key], sources[key] = _read_stream(file, key)
+        streams[key], sources[key] = _read_stream(file, key, said)
     track = None
     if truth is not None:
-        track, sources["truth"] = read_truth(truth)
+        track, sources["truth"] = read_truth(truth, said)
     arm = np.asarray(lever_arm, dtype=np.float64)
     return check_recording(Recording(name, log, streams, track, arm, notes), sources)
 
 
-def read_imu(path: FilePath) -> tuple[ImuLog, Source]:
+def read_imu(path: FilePath, notes: list[str] | None = None) -> tuple[ImuLog, Source]:
     """``imu.csv``: rates or increments by the names of the columns; without ``dt_s`` a step is the time between."""
-    table = read_csv(path)
+    table = read_csv(path, notes=notes)
     (t,) = _columns(table, ((("t_s", 1.0),),)).T
     dt = steps(t, table.source) if "dt_s" not in table.names else _columns(table, ((("dt_s", 1.0),),))[:, 0]
     means = []
@@ -103,9 +129,9 @@ def read_imu(path: FilePath) -> tuple[ImuLog, Source]:
     return ImuLog(t, dt, means[0], means[1]), table.source
 
 
-def read_truth(path: FilePath) -> tuple[Track, Source]:
+def read_truth(path: FilePath, notes: list[str] | None = None) -> tuple[Track, Source]:
     """``truth.csv``; the three angles may be left out, or be nan where they are not known."""
-    table = read_csv(path, nan=_OPTIONAL_NAN)
+    table = read_csv(path, _OPTIONAL_NAN, notes)
     t = _columns(table, ((("t_s", 1.0),),))[:, 0]
     rph = _columns(table, RPH) if _has_any(table, RPH) else np.full((len(t), 3), np.nan)
     return Track(t, _columns(table, LLA), _columns(table, VELOCITY), rph), table.source
@@ -150,8 +176,8 @@ def _files(rec: Recording) -> Iterator[tuple[str, str]]:
     yield "recording.json", json.dumps(about, indent=1) + "\n"
 
 
-def _read_stream(path: FilePath, key: str) -> tuple[Samples, Source]:
-    table = read_csv(path)
+def _read_stream(path: FilePath, key: str, notes: list[str] | None = None) -> tuple[Samples, Source]:
+    table = read_csv(path, notes=notes)
     width = sum(name.startswith("value_") for name in table.names)
     value, sd, corr = _stream_columns(key, width)
     if not value:

@@ -5,13 +5,25 @@ import numpy as np
 from jaxnav.data.files import MAX_VALUE, Source, place
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 
-MAX_DT = 1.0  # s; a longer step is a gap that no inertial navigation bridges
+MAX_DT = 2.0  # s; no inertial sample stands for longer
+MAX_GAPS = 0.1  # share of the rows that may come after a gap; more, and it is dt that is wrong
 MIN_DT = 1e-6  # s
 MAX_RATE = 35.0  # rad/s, 2000 deg/s: full scale of the fastest common gyros
 MAX_FORCE = 5000.0  # m/s^2
 GRAVITY, GRAVITY_TOLERANCE = 9.8, 1.0  # m/s^2; consumer accelerometers are off by up to 0.8 (80 mg)
 QUIET_SPEED = 10.0  # m/s: weighs a turn against vibration when looking for a quiet window
 MAX_LEVER_ARM = 100.0  # m
+
+# columns of the streams that have a name of their own, and the unit of the sd; others may have any number
+STREAM_SIZES: dict[str, tuple[int, str]] = {
+    "position": (3, "m"),
+    "velocity": (3, "m/s"),
+    "speed": (1, "m/s"),
+    "airspeed": (1, "m/s"),
+    "barometer": (1, "m"),
+    "magnetometer": (3, "uT"),
+    "heading": (1, "rad"),
+}
 
 
 def check_recording(rec: Recording, sources: dict[str, Source] | None = None) -> Recording:
@@ -43,7 +55,10 @@ def check_imu(imu: ImuLog, source: Source) -> ImuLog:
     dt = _bounded(imu.dt, (n,), source, "imu dt")
     _require((dt >= MIN_DT) & (dt <= MAX_DT), source, "imu", f"dt in [{MIN_DT:g}, {MAX_DT:g}] s", dt)
     hole = np.r_[0.0, (t[1:] - dt[1:]) - t[:-1]]
-    _require(np.abs(hole) < 0.5 * np.median(dt), source, "imu", "dt the time since the row before", dt)
+    slack = 0.5 * np.median(dt)
+    gap = hole >= slack  # time that no sample covers
+    fits = np.abs(hole) < slack if gap.mean() > MAX_GAPS else hole > -slack
+    _require(fits, source, "imu", "dt the time since the row before", dt)
     gyro = _bounded(imu.gyro, (n, 3), source, "imu gyro")
     hint = f"|gyro| below {MAX_RATE:g} rad/s (degrees per second?)"
     _require(np.abs(gyro) < MAX_RATE, source, "imu", hint, gyro)
@@ -75,6 +90,8 @@ def check_samples(name: str, samples: Samples, source: Source) -> Samples:
     """The stream itself if times, values, standard deviations and correlations are usable."""
     n = len(check_time(samples.t, source, name))
     width = np.shape(samples.value)[1] if np.ndim(samples.value) == 2 else 3
+    if name in STREAM_SIZES and width != STREAM_SIZES[name][0]:
+        raise DataError(f"{source.file}: {name} must have {STREAM_SIZES[name][0]} columns, got {width}")
     if not width:
         raise DataError(f"{source.file}: {name} must have values, got none")
     value = _bounded(samples.value, (n, width), source, f"{name} value")
@@ -88,6 +105,11 @@ def check_samples(name: str, samples: Samples, source: Source) -> Samples:
     if name == "position":
         _geodetic(value, source, name)
     return samples
+
+
+def uncertainty(name: str, sd: np.ndarray) -> str:
+    """``3, 3, 6 m`` for a sentence."""
+    return f"{', '.join(f'{x:g}' for x in sd)} {STREAM_SIZES.get(name, (0, ''))[1]}".strip()
 
 
 def check_track(track: Track, source: Source) -> Track:
@@ -113,12 +135,13 @@ def check_time(t: np.ndarray, source: Source, stream: str) -> np.ndarray:
 
 
 def steps(t: np.ndarray, source: Source) -> np.ndarray:
-    """(N,) s since the row before; the first row takes the median, since nothing says when its interval began."""
+    """(N,) s since the row before; the median for the first row and after more than MAX_DT, when nothing says more."""
     check_time(t, source, "imu")
     if len(t) < 2:
         raise DataError(f"{source.file}: imu must have two rows or more")
     dt = np.diff(t)
-    dt = np.r_[np.median(dt), dt]
+    usual = np.median(dt)
+    dt = np.r_[usual, np.where((dt > MAX_DT) & (usual <= MAX_DT), usual, dt)]
     _require((dt >= MIN_DT) & (dt <= MAX_DT), source, "imu", f"dt in [{MIN_DT:g}, {MAX_DT:g}] s", dt)
     return dt
 

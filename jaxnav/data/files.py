@@ -47,8 +47,12 @@ def read_bytes(path: FilePath) -> bytes:
         raise DataError(f"{os.fspath(path)}: cannot be read: {error.strerror or error}") from error
 
 
-def read_lines(path: FilePath) -> list[tuple[int, str]]:
-    """The lines of a UTF-8 text that are not blank, each with its number from 1; a cut last line is a DataError."""
+def read_lines(path: FilePath, notes: list[str] | None = None) -> list[tuple[int, str]]:
+    """The lines of a UTF-8 text that are not blank, each with its number from 1.
+
+    A last line without a line end may have been cut: a DataError, or where there is a list of ``notes`` it is left out
+    and said there.
+    """
     data = read_bytes(path)
     try:
         text = data.decode("utf-8-sig")
@@ -57,7 +61,10 @@ def read_lines(path: FilePath) -> list[tuple[int, str]]:
         raise DataError(f"{os.fspath(path)}: line {line}: expected UTF-8 text, got binary data") from error
     # str.splitlines would also split at form feeds and the like, and the line numbers would be no editor's
     lines = [(i, line.rstrip("\r")) for i, line in enumerate(text.split("\n"), start=1)]
-    if lines[-1][1].strip():
+    if lines[-1][1].strip() and notes is not None:
+        notes.append(f"{Path(path).name}: the last line has no line end and is left out: it may have been cut.")
+        lines.pop()
+    elif lines[-1][1].strip():
         raise DataError(f"{os.fspath(path)}: line {lines[-1][0]}: has no line end; the file looks cut short")
     return [(i, line) for i, line in lines if line.strip()]
 
@@ -92,14 +99,14 @@ def parse_numbers(
     return Table(names, array, Source(file, np.array([line for line, _ in rows])))
 
 
-def read_columns(path: FilePath, width: int, delimiter: str | None = None) -> Table:
-    """A table without a header: ``width`` numbers a line; delimiter None is white space."""
-    return parse_numbers([(i, line.split(delimiter)) for i, line in read_lines(path)], width, path)
+def read_columns(path: FilePath, width: int, delimiter: str | None = None, notes: list[str] | None = None) -> Table:
+    """A table without a header: ``width`` numbers a line; delimiter None is white space; ``notes`` as `read_lines`."""
+    return parse_numbers([(i, line.split(delimiter)) for i, line in read_lines(path, notes)], width, path)
 
 
-def read_csv(path: FilePath, nan: frozenset = frozenset()) -> Table:
-    """A comma-separated table whose first line names the columns."""
-    lines = read_lines(path)
+def read_csv(path: FilePath, nan: frozenset = frozenset(), notes: list[str] | None = None) -> Table:
+    """A comma-separated table whose first line names the columns; ``notes`` as in `read_lines`."""
+    lines = read_lines(path, notes)
     if not lines:
         raise DataError(f"{os.fspath(path)}: is empty, expected a header line")
     names = tuple(name.strip() for name in lines[0][1].split(","))

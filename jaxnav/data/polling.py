@@ -125,6 +125,8 @@ def _cost(values: np.ndarray, repeated: np.ndarray, model: _Model, lost: list[in
     where = np.searchsorted(window, [p for p in lost if p >= begin], side="right")
     x = np.insert(values[window] - model.mean, where, 0.0, axis=0)
     missing = np.insert(np.zeros(window.size, bool), where, True)
+    if missing.size <= ORDER:  # at an end of the log: too short to predict anything
+        return 0.0
     return sum(_solve(x[:, c], missing, model.taps[c])[1] / model.sd[c] ** 2 for c in range(x.shape[1]))
 
 

@@ -1,10 +1,12 @@
 """Writers of a solution: degrees and north, east, down on this side of the border; whole files or nothing."""
 
+import json
 import os
 from xml.sax.saxutils import escape
 
 import numpy as np
 
+from jaxnav.data.axes import lla_to_local
 from jaxnav.data.checks import ned_to_enu
 from jaxnav.data.files import FilePath, atomic_write, format_csv
 from jaxnav.data.formats.kfgins import write_kfgins_nav
@@ -12,14 +14,14 @@ from jaxnav.data.formats.rtklib import GPS_EPOCH, write_pos
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Samples, Track
 
-FORMATS = ("csv", "kml", "pos", "nav")
+FORMATS = ("csv", "kml", "pos", "nav", "geojson", "tum")
 
 _COLUMNS = "t_s lat_deg lon_deg h_m vn_mps ve_mps vd_mps roll_deg pitch_deg heading_deg".split()
 _SD_COLUMNS = "sd_n_m sd_e_m sd_d_m sd_vn_mps sd_ve_mps sd_vd_mps sd_tilt_n_deg sd_tilt_e_deg sd_heading_deg".split()
 
 
 def write_solution(path: FilePath, track: Track, format: str, sd: np.ndarray | None = None) -> None:
-    """Write a track as "csv", "kml", "pos" (RTKLIB, which needs ``sd``) or "nav" (KF-GINS).
+    """Write a track as "csv", "kml", "geojson", "pos" (RTKLIB, which needs ``sd``), "nav" (KF-GINS) or "tum" (evo).
 
     ``sd`` (N, 9): position m, velocity m/s, attitude rad, each about or along E, N, U: the roots of the diagonal of P.
     """
@@ -27,6 +29,10 @@ def write_solution(path: FilePath, track: Track, format: str, sd: np.ndarray | N
         write_csv(path, track, sd)
     elif format == "kml":
         write_kml(path, track)
+    elif format == "geojson":
+        write_geojson(path, track)
+    elif format == "tum":
+        write_tum(path, track)
     elif format == "nav":
         write_kfgins_nav(path, track)
     elif format == "pos":
@@ -64,6 +70,37 @@ def write_kml(path: FilePath, track: Track, fixes: Samples | None = None, name: 
         places.append("</MultiGeometry></Placemark>")
     head = '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>\n'
     atomic_write(path, head + "\n".join(places) + "\n</Document></kml>\n")
+
+
+def write_geojson(path: FilePath, track: Track, fixes: Samples | None = None, name: str = "solution") -> None:
+    """GeoJSON (RFC 7946): the track as a line of lon, lat in degrees and height in m; if given the fixes as points."""
+    features = [_feature("LineString", track.lla, {"name": name, "t_s": track.t.tolist()})]
+    if fixes is not None:
+        features.append(_feature("MultiPoint", fixes.value, {"name": "fixes", "t_s": fixes.t.tolist()}))
+    atomic_write(path, json.dumps({"type": "FeatureCollection", "features": features}) + "\n")
+
+
+def _feature(kind: str, lla: np.ndarray, properties: dict) -> dict:
+    places = [[round(lon / DEG, 10), round(lat / DEG, 10), round(h, 4)] for lat, lon, h in lla.tolist()]
+    return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": places}}
+
+
+def write_tum(path: FilePath, track: Track) -> None:
+    """TUM: ``t x y z qx qy qz qw``, metres east, north, up from the first row, body FLU -> ENU as ROS and evo mean it.
+
+    Raises:
+        DataError: no attitude in some row, since the format has no gap.
+    """
+    if np.isnan(track.rph).any():
+        raise DataError(f"{os.fspath(path)}: a TUM trajectory needs roll, pitch and heading, got nan")
+    roll, pitch, heading = track.rph.T
+    # FLU in ENU: forward up is a negative pitch, and the yaw counts from east to north
+    (sr, sp, sy), (cr, cp, cy) = (f(np.stack([roll, -pitch, np.pi / 2 - heading]) / 2) for f in (np.sin, np.cos))
+    q = [sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy]
+    q.append(cr * cp * cy + sr * sp * sy)
+    rows = np.column_stack([track.t, lla_to_local(track.lla, track.lla[0]), *q]).tolist()
+    template = "%.9f %.6f %.6f %.6f %.12f %.12f %.12f %.12f"
+    atomic_write(path, "".join(template % tuple(row) + "\n" for row in rows))
 
 
 def _coordinates(lla: np.ndarray) -> list[str]:

@@ -69,7 +69,8 @@ def assert_same(a: Recording, b: Recording) -> None:
     assert (a.name, a.notes, list(sorted(a.aiding))) == (b.name, b.notes, list(sorted(b.aiding)))
     pairs = [(a.imu, b.imu), (a.truth, b.truth), *((a.aiding[name], b.aiding[name]) for name in a.aiding)]
     for left, right in pairs:
-        for x, y in zip(left, right):
+        assert (left is None) == (right is None)
+        for x, y in zip(left or (), right or ()):
             np.testing.assert_array_equal(x, y)
     np.testing.assert_array_equal(a.lever_arm, b.lever_arm)
 

@@ -54,3 +54,12 @@ def test_a_log_without_repeats_is_left_alone():
     mended = polling.repair(values)
     np.testing.assert_array_equal(mended.values, values)
     assert not mended.lost.any()
+
+
+def test_repeats_at_the_ends_of_a_log_and_in_short_ones():
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        values = rng.normal(size=(int(rng.integers(5, 120)), 6)).cumsum(axis=0)
+        for i in [1, *np.flatnonzero(rng.uniform(size=len(values)) < 0.1), len(values) - 1]:
+            values[i] = values[max(i - 1, 0)]
+        assert np.isfinite(polling.repair(values).values).all()

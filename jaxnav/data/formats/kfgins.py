@@ -10,21 +10,21 @@ from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, ImuLog, Samples, Track
 
 
-def read_kfgins_imu(path: FilePath) -> ImuLog:
+def read_kfgins_imu(path: FilePath, notes: list[str] | None = None) -> ImuLog:
     """Seconds of week, dtheta (3) rad, dvel (3) m/s over the step, FRD, to means; t in seconds of week.
 
-    DataError names file and line.
+    With a list of ``notes`` a cut last line is left out and said there. DataError names file and line.
     """
-    table = read_columns(path, 7)
+    table = read_columns(path, 7, notes=notes)
     t = table.values[:, 0]
     dt = steps(t, table.source)
     gyro, accel = (increments_to_means(table.values[:, i : i + 3], dt) for i in (1, 4))
     return check_imu(ImuLog(t, dt, gyro, accel), table.source)
 
 
-def read_kfgins_gnss(path: FilePath) -> Samples:
+def read_kfgins_gnss(path: FilePath, notes: list[str] | None = None) -> Samples:
     """Seconds of week, lat, lon deg, h m, sd N, E, D m to a "position" stream; t in seconds of week."""
-    table = read_columns(path, 7)
+    table = read_columns(path, 7, notes=notes)
     t, lla, ned = table.values[:, 0], table.values[:, 1:4], table.values[:, 4:]
     samples = Samples(t, lla * np.array([DEG, DEG, 1.0]), ned[:, [1, 0, 2]], np.zeros((len(t), 3)))
     return check_samples("position", samples, table.source)

@@ -13,14 +13,20 @@ from jaxnav.types import DataError
 
 def read_struct(path: FilePath, name: str) -> Any:
     """The struct of this name; a file that is no MATLAB file of version 5 or has no such struct is a DataError."""
+    found = read_structs(path, [name])
+    if name not in found:
+        raise DataError(f"{os.fspath(path)}: expected a struct {name}")
+    return found[name]
+
+
+def read_structs(path: FilePath, names: list[str] | None = None) -> dict[str, Any]:
+    """Every struct by name, or those of ``names``; a file that is no MATLAB file of version 5 is a DataError."""
     data = io.BytesIO(read_bytes(path))
     try:
-        variables = loadmat(data, squeeze_me=True, struct_as_record=False, variable_names=[name])
+        variables = loadmat(data, squeeze_me=True, struct_as_record=False, variable_names=names)
     except Exception as error:  # scipy raises a dozen kinds on a damaged file
         raise DataError(f"{os.fspath(path)}: cannot be read as a MATLAB file: {error}") from error
-    if not hasattr(variables.get(name), "_fieldnames"):
-        raise DataError(f"{os.fspath(path)}: expected a struct {name}")
-    return variables[name]
+    return {name: value for name, value in variables.items() if hasattr(value, "_fieldnames")}
 
 
 def field(struct: Any, name: str, path: FilePath, shape: tuple[int | None, ...]) -> np.ndarray:

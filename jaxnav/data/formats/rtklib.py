@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxnav.data import polling
+from jaxnav.data.axes import euler
 from jaxnav.data.checks import check_imu, check_recording, check_samples, check_time, steps
 from jaxnav.data.files import FilePath, Source, Table, atomic_write, parse_numbers, read_bytes, read_columns, read_lines
 from jaxnav.maths.units import DEG, G0
@@ -34,13 +35,14 @@ class PosFile(NamedTuple):
     source: Source
 
 
-def read_pos(path: FilePath) -> PosFile:
+def read_pos(path: FilePath, notes: list[str] | None = None) -> PosFile:
     """A geodetic RTKLIB solution in degrees and GPST; t in seconds since 1970-01-01 in GPST, no leap seconds.
 
     Columns are found by the names in the header. RTKLIB stores a covariance c as sign(c) sqrt(|c|); here it becomes a
-    correlation, shrunk where the file's rounding makes the matrix singular. DataError names file and line.
+    correlation, shrunk where the file's rounding makes the matrix singular. With a list of ``notes`` a cut last line is
+    left out and said there. DataError names file and line.
     """
-    table, t = _read_table(path)
+    table, t = _read_table(path, notes)
     check_time(t, table.source, "position")
     column = dict(zip(table.names, table.values.T))
     missing = [name for name in (*_POSITION, "Q", "ns") if name not in column]
@@ -104,7 +106,7 @@ def read_imu_csv(
     lines = table.source.lines
     source = Source(table.source.file, None if lines is None else lines[1:-1])
     values = table.values[1:-1]
-    start, last = _read_tag(tag_path)
+    start, last = read_tag(tag_path)
     tick = check_time(values[:, 6] / 1000.0, source, "imu")
     t = (start - origin) + (tick - tick[0]) * (last / (tick[-1] - tick[0])) + delay
     dt, readings = steps(t, source), values[:, :6]
@@ -154,17 +156,13 @@ def drive_rotation(rph: np.ndarray = DRIVE_RPH) -> np.ndarray:
     The rotation matrix of Euler angles that resolves reference axes along turned axes (Groves 2013, eq. 2.22), here
     from the sensor's axes to the body's.
     """
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rph), np.cos(rph)
-    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, sr], [0.0, -sr, cr]])
-    pitch = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
-    yaw = np.array([[cy, sy, 0.0], [-sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    return roll @ pitch @ yaw
+    return euler(rph)
 
 
-def _read_table(path: FilePath) -> tuple[Table, np.ndarray]:
+def _read_table(path: FilePath, notes: list[str] | None) -> tuple[Table, np.ndarray]:
     """The numeric columns of a ``.pos`` file, names without units, and the times in s since 1970 in GPST."""
     file, header, rows = os.fspath(path), "", []
-    for i, line in read_lines(path):
+    for i, line in read_lines(path, notes):
         if line.startswith("%"):
             header = line if "Q" in line.split() else header
         else:
@@ -240,8 +238,11 @@ def _signed_roots(samples: Samples) -> np.ndarray:
     return np.hstack([samples.sd[:, [1, 0, 2]], roots[:, [0, 2, 1]]])
 
 
-def _read_tag(path: FilePath) -> tuple[float, float]:
-    """Start of the log (s since 1970, GPST) and the last tick (s since the start) of an RTKLIB time tag."""
+def read_tag(path: FilePath) -> tuple[float, float]:
+    """Start of the log (s since 1970, GPST) and the last tick (s since the start) of an RTKLIB time tag.
+
+    DataError names file and byte.
+    """
     data = read_bytes(path)
     file = os.fspath(path)
     if not data.startswith(b"TIMETAG RTKLIB"):

@@ -1,0 +1,211 @@
+"""A column map: a few lines of TOML that say what the columns of somebody's files are; see ``docs/formats.md``."""
+
+import os
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxnav.data import units
+from jaxnav.data.axes import enu_to_ecef, geodetic, local_to_lla, rotation
+from jaxnav.data.checks import STREAM_SIZES, ned_to_enu
+from jaxnav.data.columns import Files, column_of, known, rows_of, sd_of, sheet_of, side_by_side, table_of, times_of
+from jaxnav.data.files import FilePath, read_bytes
+from jaxnav.data.mend import LATE
+from jaxnav.data.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream
+from jaxnav.data.sheet import column, open_sheet
+from jaxnav.maths.units import DEG
+from jaxnav.types import DataError, Track
+
+UNKNOWN_SD = 1e3  # m/s, of a component that nothing measured
+
+TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", *STREAM_SIZES)
+COMMON = tuple("file delimiter header time time_unit time_tag time_shift_s rate_hz skip where new_where".split())
+KEYS: dict[str, tuple[str, ...]] = {
+    "imu": (*COMMON, *"gyro gyro_unit accel accel_unit axes sampling repair".split()),
+    "position": (*COMMON, *"lla enu ned ecef unit h_unit sd sd_enu sd_ned".split()),
+    "velocity": (*COMMON, *"enu ned neu ecef speed_course up down unit course_unit sd sd_enu sd_ned".split()),
+    "truth": (*COMMON, *"lla enu ned ecef unit h_unit velocity_enu velocity_ned velocity_ecef rph rph_unit".split()),
+    "magnetometer": (*COMMON, "value", "unit", "axes", "sd"),
+}
+SCALAR = (*COMMON, "value", "unit", "sd")  # of every other stream
+
+
+def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None = None) -> Parts:
+    """The parts that a column map describes.
+
+    Args:
+        path: the map.
+        base: reads the file that the table [read] names, with its options.
+        folder: of the data, instead of the map's ``folder``, which counts from the map's own.
+
+    Raises:
+        DataError: a key, file, column or unit that is not known, or data that cannot be read.
+    """
+    table, file = _load(path), os.fspath(path)
+    known(table, TOP, file)
+    said = os.path.expandvars(table.get("folder", "."))
+    if "$" in said:
+        raise DataError(f"{file}: folder: {said} names an environment variable that is not set")
+    where = Path(folder) if folder is not None else Path(path).parent / said
+    origin = np.array(_numbers(table["origin_deg"], 3, f"{file}: origin_deg")) if "origin_deg" in table else None
+    files = Files(file, where, {}, None if origin is None else origin * [DEG, DEG, 1.0], 0)
+    parts = Parts(file)
+    if "read" in table:
+        options = dict(table["read"])
+        if "file" not in options:
+            raise DataError(f"{file}: [read] needs a key file")
+        options |= {key: where / options[key] for key in ("gnss",) if key in options}
+        parts = base(where / options.pop("file"), **options)
+    if "imu" in table:
+        zero = times_of(files, table["imu"], "imu")
+        first = float(zero[0]) if len(zero) and np.isfinite(zero[0]) else 0.0
+        files = files._replace(zero=int(first) if first >= LATE else 0)
+        parts = _with_imu(_counted_from(parts, files.zero), files, table["imu"])
+    aiding = parts.aiding | {key: _stream(files, table[key], key) for key in STREAM_SIZES if key in table}
+    truth = _truth(files, table["truth"]) if "truth" in table else parts.truth
+    notes = [*parts.notes, *([table["notes"]] if "notes" in table else [])]
+    notes += [note for sheet in files.opened.values() for note in sheet.notes]
+    if files.zero:
+        notes.append(f"t = 0 is {files.zero} s in the file's time.")
+    arm = np.array(_numbers(table.get("lever_arm_frd_m", parts.lever_arm.tolist()), 3, f"{file}: lever_arm_frd_m"))
+    name = table.get("name", parts.name or Path(path).stem)
+    return parts._replace(file=file, aiding=aiding, truth=truth, notes=tuple(notes), lever_arm=arm, name=name)
+
+
+def _load(path: FilePath) -> dict[str, Any]:
+    try:
+        return tomllib.loads(read_bytes(path).decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(f"{os.fspath(path)}: cannot be read as TOML: {error}") from error
+
+
+def _numbers(value: Any, size: int, where: str) -> list[float]:
+    good = isinstance(value, list) and len(value) == size
+    if not good or not all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in value):
+        raise DataError(f"{where}: expected {size} numbers, got {value!r}")
+    return value
+
+
+# ---------------------------------------------------------------------------- streams
+
+
+def _with_imu(parts: Parts, files: Files, table: dict) -> Parts:
+    known(table, KEYS["imu"], f"{files.map}: imu")
+    sampling = table.get("sampling", RATES)
+    if sampling not in SAMPLINGS:
+        raise DataError(f"{files.map}: imu: sampling: {units.nearest(str(sampling), SAMPLINGS)}")
+    kinds = ("angle", "speed") if sampling == INCREMENTS else ("rate", "acceleration")
+    scales = [
+        units.factor(table, f"{key}_unit", kind, f"{files.map}: imu") for key, kind in zip(("gyro", "accel"), kinds)
+    ]
+    gyro, accel = (table_of(files, table, key, "imu") * scale for key, scale in zip(("gyro", "accel"), scales))
+    t = times_of(files, table, "imu")
+    side_by_side(files, [t, gyro[:, 0], accel[:, 0]], "imu")
+    keep = rows_of(files, table, "imu", len(t))
+    refs = table["time"] if "time" in table else table["gyro"][0]
+    lines = sheet_of(files, table, refs, "imu")[0].lines
+    rows = ImuRows(t[keep], gyro[keep], accel[keep], sampling, repair=bool(table.get("repair", False)))
+    return parts._replace(imu=rows, axes=table.get("axes", "frd"), lines=None if lines is None else lines[keep])
+
+
+def _counted_from(parts: Parts, zero: int) -> Parts:
+    """What [read] found with its times counted from ``zero`` s, as those of the map's own tables."""
+    aiding = {name: stream._replace(t=stream.t - zero) for name, stream in parts.aiding.items()}
+    truth = None if parts.truth is None else parts.truth._replace(t=parts.truth.t - zero)
+    return parts._replace(aiding=aiding, truth=truth)
+
+
+def _stream(files: Files, table: dict, name: str) -> Stream:
+    known(table, KEYS.get(name, SCALAR), f"{files.map}: {name}")
+    build = {"position": _position, "velocity": _velocity, "magnetometer": _field}.get(name, _scalar)
+    value = build(files, table, name)
+    t = times_of(files, table, name)
+    side_by_side(files, [t, value[:, 0]], name)
+    keep = rows_of(files, table, name, len(t))
+    sd = sd_of(files, table, name, value.shape[1])
+    if name == "velocity" and "speed_course" in table and "up" not in table and "down" not in table:
+        sd = np.full(value.shape, 0.3) if sd is None else np.broadcast_to(sd, value.shape).copy()
+        sd[:, 2] = UNKNOWN_SD
+    return Stream(t[keep], value[keep], None if sd is None else np.broadcast_to(sd, value.shape)[keep])
+
+
+def _one(files: Files, table: dict, keys: tuple[str, ...], stream: str) -> str:
+    found = [key for key in keys if key in table]
+    if len(found) != 1:
+        raise DataError(f"{files.map}: {stream}: expected one of the keys {', '.join(keys)}, got {len(found)}")
+    return found[0]
+
+
+def _position(files: Files, table: dict, name: str) -> np.ndarray:
+    key = _one(files, table, ("lla", "enu", "ned", "ecef"), name)
+    values = table_of(files, table, key, name)
+    if key == "lla":
+        scale = units.factor(table, "unit", "angle", f"{files.map}: {name}", "deg")
+        height = units.factor(table, "h_unit", "length", f"{files.map}: {name}", "m")
+        return values * np.array([scale, scale, height])
+    values = values * units.factor(table, "unit", "length", f"{files.map}: {name}", "m")
+    if key == "ecef":
+        return geodetic(values)
+    if files.origin is None:
+        raise DataError(f"{files.map}: {name}: local metres need origin_deg = [lat, lon, height]")
+    return local_to_lla(values if key == "enu" else ned_to_enu(values), files.origin)
+
+
+def _velocity(files: Files, table: dict, name: str) -> np.ndarray:
+    key = _one(files, table, ("enu", "ned", "neu", "speed_course"), name)
+    scale = units.factor(table, "unit", "speed", f"{files.map}: {name}", "m/s")
+    if key != "speed_course":
+        order = {"enu": [0, 1, 2], "neu": [1, 0, 2], "ned": [1, 0, 2]}[key]
+        sign = np.array([1.0, 1.0, -1.0 if key == "ned" else 1.0])
+        return table_of(files, table, key, name)[:, order] * sign * scale
+    speed, course = table_of(files, table, key, name, 2).T
+    course = course * units.factor(table, "course_unit", "angle", f"{files.map}: {name}", "deg")
+    key = "up" if "up" in table else "down"
+    up = column_of(files, table, table[key], name) * scale if key in table else np.zeros_like(speed)
+    up = -up if key == "down" else up
+    return np.stack([speed * scale * np.sin(course), speed * scale * np.cos(course), up], axis=1)
+
+
+def _field(files: Files, table: dict, name: str) -> np.ndarray:
+    scale = units.factor(table, "unit", "field", f"{files.map}: {name}", "uT")
+    return table_of(files, table, "value", name) * scale @ rotation(table.get("axes", "frd")).T
+
+
+def _scalar(files: Files, table: dict, name: str) -> np.ndarray:
+    if "value" not in table:
+        raise DataError(f"{files.map}: {name}: expected a key value")
+    refs = table["value"] if isinstance(table["value"], list) else [table["value"]]
+    columns = [column_of(files, table, ref, name) for ref in refs]
+    value = side_by_side(files, columns, name).mean(axis=1)  # of several, as the wheels of an axle
+    if name == "barometer" and table.get("unit") in units.PRESSURE:
+        return units.pressure_height(value * units.PRESSURE[table["unit"]])[:, None]
+    kind, default = {"barometer": ("length", "m"), "heading": ("angle", "deg")}.get(name, ("speed", "m/s"))
+    return value[:, None] * units.factor(table, "unit", kind, f"{files.map}: {name}", default)
+
+
+def _truth(files: Files, table: dict) -> Track:
+    known(table, KEYS["truth"], f"{files.map}: truth")
+    where = f"{files.map}: truth"
+    lla = _position(files, table, "truth")
+    key = _one(files, table, ("velocity_enu", "velocity_ned", "velocity_ecef"), "truth")
+    vel = table_of(files, table, key, "truth")
+    if key == "velocity_ned":
+        vel = ned_to_enu(vel)
+    if key == "velocity_ecef":
+        vel = np.stack([v @ enu_to_ecef(place) for v, place in zip(vel, lla)])
+    rph = np.full_like(lla, np.nan)
+    if "rph" in table:
+        rph = table_of(files, table, "rph", "truth") * units.factor(table, "rph_unit", "angle", where, "deg")
+    t = times_of(files, table, "truth")
+    keep = rows_of(files, table, "truth", len(t)) & np.isfinite(np.column_stack([t, lla, vel])).all(axis=1)
+    return Track(t[keep], lla[keep], vel[keep], rph[keep])
+
+
+def column_names(path: FilePath) -> list[str]:
+    """The names of the columns of any table, for a message."""
+    sheet = open_sheet(path)
+    named = [key for key in sheet.columns if not key.isdigit()]
+    return named or [f"{key} ({column(sheet, key)[0]})" for key in sheet.columns]

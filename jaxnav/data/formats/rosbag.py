@@ -1,0 +1,157 @@
+"""ROS 1 bags, ROS 2 bags and MCAP files, by `rosbags`: standard messages, in ROS' axes and units (REP 103, 145)."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxnav.data.axes import rotation
+from jaxnav.data.files import MAX_VALUE
+from jaxnav.data.parts import ImuRows, Parts, Stream
+from jaxnav.data.units import pressure_height
+from jaxnav.maths.units import DEG
+from jaxnav.types import DataError
+
+TESLA = 1e6  # microtesla
+
+
+class Kind(NamedTuple):
+    """What becomes of the messages of a type."""
+
+    stream: str
+    row: Callable[[Any], list[float]]  # value, then sd, of a message
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """The magic of the three containers, or a folder with the metadata of a ROS 2 bag."""
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file() and bool([*path.glob("*.db3*"), *path.glob("*.mcap*")])
+    sqlite = head.startswith(b"SQLite format 3\0") and (path.parent / "metadata.yaml").is_file()
+    return head.startswith((b"#ROSBAG V", b"\x89MCAP0\r\n")) or sqlite
+
+
+def read(path: Path, topics: dict[str, str] | None = None) -> Parts:
+    """IMU, fixes, velocity, wheel speed, magnetometer and pressure of a bag; t in s since 1970 by the header's stamp.
+
+    Args:
+        path: the bag.
+        topics: topic of a stream ("imu", "position", ...), where there are several; default the one with most messages.
+
+    Raises:
+        DataError: no message that is known, or a topic that is not there.
+    """
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    single = path.suffix == ".db3"
+    notes: list[str] = []
+    with AnyReader([path.parent if single else path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+        counts: dict[str, dict[str, int]] = {}
+        for c in bag.connections:
+            if c.msgtype in KINDS:
+                of = counts.setdefault(KINDS[c.msgtype].stream, {})
+                of[c.topic] = of.get(c.topic, 0) + c.msgcount
+        chosen = {_choose(path, stream, of, topics or {}, notes): stream for stream, of in counts.items()}
+        if not chosen:
+            types = ", ".join(sorted({c.msgtype for c in bag.connections}))
+            raise DataError(f"{path}: has no messages that are known, only {types or 'none'}")
+        rows: dict[str, list[list[float]]] = {stream: [] for stream in chosen.values()}
+        stamps: dict[str, list[int]] = {stream: [] for stream in chosen.values()}
+        for c, received, raw in bag.messages([c for c in bag.connections if c.topic in chosen and c.msgtype in KINDS]):
+            message: Any = bag.deserialize(raw, c.msgtype)
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            stamps[chosen[c.topic]].append(stamp or received)
+            rows[chosen[c.topic]].append(KINDS[c.msgtype].row(message))
+    return _parts(os.fspath(path), rows, stamps, notes)
+
+
+def _choose(path: Path, stream: str, counts: dict[str, int], topics: dict[str, str], notes: list[str]) -> str:
+    if stream in topics:
+        if topics[stream] not in counts:
+            raise DataError(f"{path}: topics: {stream}: no {topics[stream]}, it has {', '.join(counts)}")
+        return topics[stream]
+    best = max(counts, key=lambda topic: counts[topic])
+    if len(counts) > 1:
+        notes.append(f"{stream} is {best}, of {', '.join(sorted(counts))}.")
+    return best
+
+
+def _parts(file: str, rows: dict[str, list], stamps: dict[str, list[int]], notes: list[str]) -> Parts:
+    first = min((s[0] for s in stamps.values() if s), default=0)
+    zero = first // 10**9 * 10**9  # whole seconds: a float would round the nanoseconds of 1970
+    notes.append(f"t = 0 is {zero // 10**9} s since 1970 by the headers' stamps.")
+    imu, aiding = None, {}
+    for stream, values in rows.items():
+        if not values:
+            continue
+        t, table = (np.array(stamps[stream]) - zero) / 1e9, np.array(values, float)
+        if stream == "imu":
+            imu = ImuRows(t, table[:, :3], table[:, 3:])
+            continue
+        half = table.shape[1] // 2
+        value, sd = table[:, :half], np.where(table[:, half:] > 0.0, table[:, half:], np.nan)
+        if stream == "position":
+            keep = table[:, 0] < MAX_VALUE  # STATUS_NO_FIX
+            notes += (
+                [f"position: {np.count_nonzero(~keep)} messages say that there is no fix."] if not keep.all() else []
+            )
+            t, value, sd = t[keep], value[keep], sd[keep]
+        if stream == "magnetometer":
+            value = value @ rotation("flu").T  # taken to be mounted like the body
+        aiding[stream] = Stream(t, value, None if np.isnan(sd).all() else sd)
+    return Parts(file, imu, aiding, notes=tuple(notes), axes="flu")
+
+
+def _xyz(v: Any) -> list[float]:
+    return [v.x, v.y, v.z]
+
+
+def _roots(covariance: Any, size: int) -> list[float]:
+    """Sd of the first three of a covariance (size, size); nan where nothing is stated."""
+    variance = np.asarray(covariance, float).reshape(size, size).diagonal()[:3]
+    return np.sqrt(np.where(variance > 0.0, variance, np.nan)).tolist()
+
+
+def _imu(m: Any) -> list[float]:
+    return [*_xyz(m.angular_velocity), *_xyz(m.linear_acceleration)]
+
+
+def _fix(m: Any) -> list[float]:
+    if m.status.status < 0:
+        return [np.inf] * 6
+    sd = [np.nan] * 3 if m.position_covariance_type == 0 else _roots(m.position_covariance, 3)
+    return [m.latitude * DEG, m.longitude * DEG, m.altitude, *sd]  # ENU, as in the message
+
+
+def _velocity(m: Any) -> list[float]:
+    return [*_xyz(m.twist.linear), *[np.nan] * 3]  # ENU, as GNSS drivers publish it
+
+
+def _velocity_with_sd(m: Any) -> list[float]:
+    return [*_xyz(m.twist.twist.linear), *_roots(m.twist.covariance, 6)]
+
+
+def _odometry(m: Any) -> list[float]:
+    return [m.twist.twist.linear.x, _roots(m.twist.covariance, 6)[0]]
+
+
+def _magnetic(m: Any) -> list[float]:
+    sd = _roots(m.magnetic_field_covariance, 3)
+    return [x * TESLA for x in (*_xyz(m.magnetic_field), *sd)]
+
+
+def _pressure(m: Any) -> list[float]:
+    return [float(pressure_height(np.array(m.fluid_pressure))), np.nan]
+
+
+KINDS: dict[str, Kind] = {
+    "sensor_msgs/msg/Imu": Kind("imu", _imu),
+    "sensor_msgs/msg/NavSatFix": Kind("position", _fix),
+    "geometry_msgs/msg/TwistStamped": Kind("velocity", _velocity),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": Kind("velocity", _velocity_with_sd),
+    "nav_msgs/msg/Odometry": Kind("speed", _odometry),
+    "sensor_msgs/msg/MagneticField": Kind("magnetometer", _magnetic),
+    "sensor_msgs/msg/FluidPressure": Kind("barometer", _pressure),
+}

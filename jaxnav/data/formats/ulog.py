@@ -1,0 +1,181 @@
+"""PX4 ULog, by `pyulog`: topics and fields by the names and units that they had over the years."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxnav.data.axes import attitude
+from jaxnav.data.checks import ned_to_enu
+from jaxnav.data.parts import ImuRows, Parts, Stream
+from jaxnav.data.units import UNITS
+from jaxnav.maths.units import DEG
+from jaxnav.types import DataError, Track
+
+MAGIC = b"ULog\x01\x12\x35"
+NEVER = 2**31 - 1  # timestamp_relative of a sensor that has not measured
+GAUSS = UNITS["field"]["gauss"]
+FIX_3D = 3
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """The first seven bytes."""
+    return head.startswith(MAGIC)
+
+
+def read(path: Path) -> Parts:
+    """IMU, GNSS, barometer, magnetometer and airspeed of a log, truth where it is simulated; t in s of its clock.
+
+    Body FRD, as in the log. Heights are above the ellipsoid where the log has such, else above sea level, which a note
+    says. ``eph``, ``epv`` and ``s_variance_m_s`` are taken as sd of each axis, as PX4's own filter does.
+
+    Raises:
+        DataError: no topic with inertial data.
+    """
+    from pyulog import ULog
+
+    log = ULog(os.fspath(path))
+    topics: dict[str, dict[str, np.ndarray]] = {}
+    for data in sorted(log.data_list, key=lambda d: d.multi_id):  # the first instance of each
+        topics.setdefault(data.name, data.data)
+    notes: list[str] = []
+    if log.file_corruption:
+        notes.append("The log is damaged; what could be read of it is used.")
+    if log.dropouts:
+        lost = sum(d.duration for d in log.dropouts) / 1e3
+        notes.append(f"The logger dropped data {len(log.dropouts)} times, {lost:.1f} s in all.")
+    imu = _imu(topics)
+    if imu is None:
+        raise DataError(f"{path}: has no sensor_combined, vehicle_imu or sensor_gyro and sensor_accel")
+    builders = {"barometer": _barometer, "magnetometer": _magnetometer, "airspeed": _airspeed}
+    aiding = _gnss(topics, notes) | {name: build(topics) for name, build in builders.items()}
+    present = {name: stream for name, stream in aiding.items() if stream is not None and len(stream.t)}
+    truth = _truth(topics)
+    if truth is not None and not truth.lla[:, 2].any():
+        notes.append("The simulator's truth has no height: 0 m stands in its place.")
+    return Parts(os.fspath(path), imu, present, truth, notes=tuple(notes))
+
+
+def _seconds(stamp: np.ndarray) -> np.ndarray:
+    return stamp.astype(np.int64) / 1e6
+
+
+def _table(data: dict[str, np.ndarray], *names: str) -> np.ndarray:
+    return np.stack([data[name] for name in names], axis=1).astype(float)
+
+
+def _vector(data: dict[str, np.ndarray], name: str) -> np.ndarray:
+    return _table(data, *(f"{name}[{i}]" for i in range(3)))
+
+
+def _first(data: dict[str, Any], *names: str) -> str | None:
+    """The first of the names that is there."""
+    return next((name for name in names if name in data), None)
+
+
+def _imu(topics: dict[str, dict[str, np.ndarray]]) -> ImuRows | None:
+    if "sensor_combined" in topics:
+        data = topics["sensor_combined"]
+        gyro = "gyro_rad" if "gyro_rad[0]" in data else "gyro_rad_s"
+        return ImuRows(_seconds(data["timestamp"]), _vector(data, gyro), _vector(data, "accelerometer_m_s2"))
+    if "vehicle_imu" in topics:
+        data = topics["vehicle_imu"]
+        rates = _vector(data, "delta_angle") / _interval(data, "delta_angle_dt")
+        force = _vector(data, "delta_velocity") / _interval(data, "delta_velocity_dt")
+        return ImuRows(_seconds(data["timestamp"]), rates, force)
+    if "sensor_gyro" in topics and "sensor_accel" in topics:
+        turn, push = topics["sensor_gyro"], topics["sensor_accel"]
+        t = _seconds(turn["timestamp"])
+        return ImuRows(t, _table(turn, "x", "y", "z"), _at(t, push, _table(push, "x", "y", "z")))
+    return None
+
+
+def _interval(data: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """(N, 1) s of an increment: once a float in s, today an integer in us; nan where it is none."""
+    dt = data[name].astype(float) / (1.0 if data[name].dtype.kind == "f" else 1e6)
+    return np.where(dt > 0.0, dt, np.nan)[:, None]
+
+
+def _gnss(topics: dict[str, dict[str, np.ndarray]], notes: list[str]) -> dict[str, Stream]:
+    name = _first(topics, "vehicle_gps_position", "sensor_gps")
+    if name is None:
+        return {}
+    data: dict[str, np.ndarray] = topics[name]
+    fixed = data["fix_type"] >= FIX_3D
+    if not fixed.all():
+        notes.append(f"{name}: {np.count_nonzero(~fixed)} of {len(fixed)} rows have no fix in three dimensions.")
+    modern = "latitude_deg" in data  # before 2023: integers of 1e-7 deg and mm
+    lat, lon = ("latitude_deg", "longitude_deg") if modern else ("lat", "lon")
+    height = _height(data)
+    if height in ("altitude_msl_m", "alt"):
+        notes.append("Heights of fixes are above sea level, not above the ellipsoid.")
+    unit = [DEG, DEG, 1.0] if modern else [1e-7 * DEG, 1e-7 * DEG, 1e-3]
+    t, value = _seconds(data["timestamp"]), _table(data, lat, lon, height) * np.array(unit)
+    streams = {"position": Stream(t[fixed], value[fixed], _table(data, "eph", "eph", "epv")[fixed])}
+    moving = fixed & (data["vel_ned_valid"] != 0)
+    if moving.any():
+        vel = ned_to_enu(_table(data, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s"))
+        sd = np.repeat(data["s_variance_m_s"].astype(float)[:, None], 3, axis=1)
+        streams["velocity"] = Stream(t[moving], vel[moving], sd[moving])
+    return streams
+
+
+def _height(data: dict[str, np.ndarray]) -> str:
+    """The field above the ellipsoid if it is filled in, else the one above sea level."""
+    names = [name for name in ("altitude_ellipsoid_m", "alt_ellipsoid", "altitude_msl_m", "alt") if name in data]
+    return next((name for name in names if np.any(data[name])), names[-1])
+
+
+def _relative(data: dict[str, np.ndarray], name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times of a sensor inside the old sensor_combined, and which rows are new measurements."""
+    offset = data[f"{name}_timestamp_relative"].astype(np.int64)
+    t = (data["timestamp"].astype(np.int64) + offset) / 1e6
+    return t, (offset != NEVER) & np.r_[True, np.diff(t) > 0.0]
+
+
+def _barometer(topics: dict[str, dict[str, np.ndarray]]) -> Stream | None:
+    old = topics.get("sensor_combined", {})
+    if "vehicle_air_data" in topics:
+        data = topics["vehicle_air_data"]
+        return Stream(_seconds(data["timestamp"]), data["baro_alt_meter"].astype(float)[:, None])
+    if "baro_alt_meter" in old:
+        t, new = _relative(old, "baro")
+        return Stream(t[new], old["baro_alt_meter"].astype(float)[new, None])
+    return None
+
+
+def _magnetometer(topics: dict[str, dict[str, np.ndarray]]) -> Stream | None:
+    old = topics.get("sensor_combined", {})
+    if "vehicle_magnetometer" in topics:
+        data = topics["vehicle_magnetometer"]
+        return Stream(_seconds(data["timestamp"]), _vector(data, "magnetometer_ga") * GAUSS)
+    if "magnetometer_ga[0]" in old:
+        t, new = _relative(old, "magnetometer")
+        return Stream(t[new], _vector(old, "magnetometer_ga")[new] * GAUSS)
+    return None
+
+
+def _airspeed(topics: dict[str, dict[str, np.ndarray]]) -> Stream | None:
+    if "airspeed" not in topics:
+        return None
+    data = topics["airspeed"]
+    return Stream(_seconds(data["timestamp"]), data["true_airspeed_m_s"].astype(float)[:, None])
+
+
+def _truth(topics: dict[str, dict[str, np.ndarray]]) -> Track | None:
+    """The simulator's own state, at the times of its position."""
+    names = [f"vehicle_{part}_groundtruth" for part in ("global_position", "local_position", "attitude")]
+    if any(name not in topics for name in names):
+        return None
+    place, motion, turn = (topics[name] for name in names)
+    t = _seconds(place["timestamp"])
+    vel = ned_to_enu(_table(motion, "vx", "vy", "vz"))
+    rph = np.unwrap(attitude(_table(turn, *(f"q[{i}]" for i in range(4)))), axis=0)
+    lla = _table(place, "lat", "lon", _height(place))
+    lla *= np.array([DEG, DEG, 1.0])
+    return Track(t, lla, _at(t, motion, vel), np.angle(np.exp(1j * _at(t, turn, rph))))
+
+
+def _at(t: np.ndarray, data: dict[str, np.ndarray], values: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(t, _seconds(data["timestamp"]), v) for v in values.T], axis=1)

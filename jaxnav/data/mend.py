@@ -1,0 +1,263 @@
+"""From the rows of a file to a recording that passes every check; whatever that takes is a sentence in its notes.
+
+What can be left out without harm is left out and counted; what would make the rest a guess is one `DataError`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.data import polling
+from jaxnav.data.axes import rotation
+from jaxnav.data.checks import check_recording, uncertainty
+from jaxnav.data.files import MAX_VALUE, Source
+from jaxnav.data.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Parts, Stream
+from jaxnav.types import DataError, ImuLog, Recording, Samples
+
+MAX_BAD = 0.05  # share of rows that may be left out; more, and the file is not what it is taken for
+GAP = 2.5  # median steps: a longer one is a gap, whose length no sample covers
+APART = 3600.0  # s; rows on the two sides of a longer gap are two recordings, or a clock that was set
+LATE = 1e7  # s; later times are counted from the first sample, since a float would round them to 1e-7 s
+SLOW = 20.0  # Hz; an IMU slower than this averages the motion away
+GPS_EPOCH, WEEK = 315964800.0, 604800.0  # s: start of GPS time counted from 1970, and its weeks
+
+# sd of streams that state none, of each axis; said in a sentence
+ASSUMED_SD: dict[str, tuple[float, ...]] = {
+    "position": (3.0, 3.0, 6.0),  # m, ENU
+    "velocity": (0.3, 0.3, 0.6),  # m/s, ENU
+    "speed": (0.3,),  # m/s
+    "airspeed": (1.0,),  # m/s
+    "barometer": (1.0,),  # m
+    "magnetometer": (3.0, 3.0, 3.0),  # uT
+    "heading": (0.1,),  # rad
+}
+
+
+class Changes(NamedTuple):
+    """What a user says about a recording beside its file; None is as in the file."""
+
+    name: str | None = None
+    axes: str | list[float] | None = None  # of the sensor, see `jaxnav.data.axes.rotation`
+    lever_arm: tuple[float, float, float] | None = None  # m, IMU -> antenna, body FRD
+    time_shift_s: float = 0.0  # s, added to the times of the IMU
+    sd: dict[str, float | list[float]] = {}  # by stream, instead of the file's
+    repair: bool = False  # mend an IMU's log that was polled, see `jaxnav.data.polling`
+
+
+def applied(parts: Parts, changes: Changes) -> Parts:
+    """The parts with what the user says instead of what the file says.
+
+    Raises:
+        DataError: an sd for a stream that is not there, or of another size.
+    """
+    unknown = set(changes.sd) - set(parts.aiding)
+    if unknown:
+        raise DataError(f"{parts.file}: sd: no stream {sorted(unknown)[0]}, it has {', '.join(parts.aiding) or 'none'}")
+    aiding = dict(parts.aiding)
+    for name, sd in changes.sd.items():
+        value = np.asarray(aiding[name].value)
+        try:
+            aiding[name] = aiding[name]._replace(sd=np.broadcast_to(np.asarray(sd, float), value.shape))
+        except ValueError:
+            raise DataError(f"{parts.file}: sd: {name}: expected 1 or {value.shape[1]} numbers, got {sd!r}") from None
+    imu = parts.imu
+    if imu is not None and changes.time_shift_s:
+        imu = imu._replace(t=np.asarray(imu.t, float) + changes.time_shift_s)
+    if imu is not None and changes.repair:
+        imu = imu._replace(repair=True)
+    said = {key: value for key, value in changes._asdict().items() if key in ("name", "axes") and value is not None}
+    if changes.lever_arm is not None:
+        said["lever_arm"] = np.asarray(changes.lever_arm, float)
+    return parts._replace(imu=imu, aiding=aiding, **said)
+
+
+def recording(parts: Parts) -> Recording:
+    """The checked recording that the parts hold, in body FRD, with a sentence in ``notes`` for every liberty taken.
+
+    Raises:
+        DataError: no IMU, more than one row in twenty unusable, or anything that `check_recording` refuses.
+    """
+    if parts.imu is None:
+        held = ", ".join(parts.aiding) or "nothing that is read"
+        raise DataError(f"{parts.file}: holds {held} and no IMU: read the IMU's file with gnss={parts.file!r}")
+    notes = list(parts.notes)
+    imu = _imu(parts.imu, rotation(parts.axes), parts, notes)
+    aiding = {}
+    for key, stream in parts.aiding.items():
+        samples = _samples(key, stream, imu, parts.file, notes)
+        if samples is not None:
+            aiding[key] = samples
+    truth = parts.truth
+    if imu.t[0] >= LATE:  # the IMU's zero is everybody's
+        zero = float(imu.t[0] - imu.dt[0])
+        notes.append(f"t = 0 is {zero:.6f} s in the file's time.")
+        imu = imu._replace(t=imu.t - zero)
+        aiding = {key: samples._replace(t=samples.t - zero) for key, samples in aiding.items()}
+        truth = None if truth is None else truth._replace(t=truth.t - zero)
+    if "velocity" not in aiding and "position" in aiding:
+        notes.append("There is no velocity: position only.")
+    name, arm = parts.name or parts.file, np.asarray(parts.lever_arm, float)
+    rec = Recording(name, imu, aiding, truth, arm, "\n".join(dict.fromkeys(notes)))
+    return check_recording(rec, dict.fromkeys(("imu", "truth", "lever_arm", *aiding), Source(parts.file)))
+
+
+def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[str]) -> ImuLog:
+    values = np.hstack([rows.gyro, rows.accel])
+    keep = usable("imu", rows.t, values, parts.file, notes, parts.lines)
+    keep &= _one_piece(rows.t, keep, notes)
+    t, values = rows.t[keep], values[keep]
+    if len(t) < 3:
+        raise DataError(f"{parts.file}: imu: expected three rows or more, got {len(t)}")
+    if rows.repair:
+        t, values = _mended(t, values, notes)
+        rows, keep = rows._replace(dt=None), np.ones(len(t), bool)
+    dt = _intervals(t, None if rows.dt is None else rows.dt[keep], notes)
+    repeated = int(np.count_nonzero(np.all(values[1:] == values[:-1], axis=1)))
+    if repeated:
+        notes.append(f"imu: {repeated} of {len(t)} rows repeat the row before: the logger may have polled the sensor.")
+    if rows.sampling == INCREMENTS:
+        values = values / dt[:, None]
+    elif rows.sampling == INSTANTANEOUS:
+        whole = np.r_[False, t[1:] - dt[1:] - t[:-1] < 1e-9]  # behind a gap a value has no neighbour
+        values = np.where(whole[:, None], 0.5 * (values + np.roll(values, 1, axis=0)), values)
+    imu = ImuLog(t, dt, values[:, :3] @ turn.T, values[:, 3:] @ turn.T)
+    _look(imu, notes)
+    return imu
+
+
+def _mended(t: np.ndarray, values: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values of a polled log with the sensor's even clock; unchanged where it has gaps or nothing is lost."""
+    step = np.diff(t)
+    if (step > GAP * np.median(step)).any():
+        notes.append("imu: it has gaps, so that its repeated rows are not mended.")
+        return t, values
+    mended = polling.repair(values)
+    if not mended.lost.any():
+        return t, values
+    index, seen = np.arange(mended.lost.size), ~mended.lost
+    interval, first = np.polyfit(index[seen], t[mended.poll[seen]], 1)
+    repeated = int(polling.repeats(values).sum())
+    notes.append(
+        f"imu: {repeated} repeated rows are taken out and {mended.lost.sum()} lost samples filled in; "
+        f"the sensor's clock gives one every {1e3 * interval:.5g} ms."
+    )
+    return first + interval * index, mended.values
+
+
+def usable(
+    name: str, t: np.ndarray, values: np.ndarray, file: str, notes: list[str], lines: np.ndarray | None = None
+) -> np.ndarray:
+    """(N,) bool, rows that are finite and later than all before; DataError where more than a few are not."""
+    if not len(t):
+        raise DataError(f"{file}: {name}: has no rows")
+    finite = np.isfinite(t) & np.all(np.abs(values) < MAX_VALUE, axis=1)
+    index = np.flatnonzero(finite)
+    s = t[index]
+    # one time that jumps ahead and back is wrong itself; not all that come after it
+    spike = np.r_[False, (s[1:-1] > s[2:]) & (s[2:] > s[:-2]), False] if len(s) > 2 else np.zeros(len(s), bool)
+    index, s = index[~spike], s[~spike]
+    latest = np.r_[-np.inf, np.maximum.accumulate(s)[:-1]] if len(s) else s
+    keep, same = np.zeros(len(t), bool), np.zeros(len(t), bool)
+    keep[index[s > latest]] = True
+    same[index[s == latest]] = True
+    for bad, what, share in (
+        (~finite, "that cannot be read", MAX_BAD),
+        (same, "at the time of the row before", 1.0),
+        (finite & ~keep & ~same, "whose time runs backwards", MAX_BAD),
+    ):
+        if not bad.any():
+            continue
+        first = int(np.argmax(bad))
+        at = f"line {int(lines[first])}" if lines is not None else f"row {first}"
+        sentence = f"{name}: {bad.sum()} of {len(t)} rows {what}"
+        if bad.sum() > max(2, share * len(t)):
+            raise DataError(f"{file}: {at}: {sentence}, this is the first")
+        notes.append(f"{sentence} are left out, the first at {at}.")
+    if not keep.any():
+        raise DataError(f"{file}: {name}: has no row that can be used")
+    return keep
+
+
+def _one_piece(t: np.ndarray, keep: np.ndarray, notes: list[str]) -> np.ndarray:
+    """(N,) bool, rows of the longest piece between gaps of more than an hour."""
+    piece = np.zeros(len(t), int)
+    index = np.flatnonzero(keep)
+    piece[index] = np.r_[0, np.cumsum(np.diff(t[index]) > APART)]
+    longest = int(np.argmax(np.bincount(piece[index])))
+    dropped = int(np.count_nonzero(piece[index] != longest))
+    if dropped:
+        notes.append(f"imu: {dropped} rows that are more than an hour from the rest are left out.")
+    return piece == longest
+
+
+def _intervals(t: np.ndarray, stated: np.ndarray | None, notes: list[str]) -> np.ndarray:
+    """(N,) s that each row stands for: the time since the row before, and the usual step at the start and after gaps.
+
+    Whether a gap can be navigated through is not for a reader to say: the interval shows that no sample covers it.
+    """
+    step = np.diff(t)
+    usual = float(np.median(step))
+    gap = step > GAP * usual
+    # rows closer than a microsecond cannot stand for the time between them
+    dt = np.maximum(np.r_[usual, np.where(gap, usual, step)], 1e-6)
+    if gap.any():
+        i = int(np.argmax(step))
+        many = f"{gap.sum()} gaps" if gap.sum() > 1 else "one gap"
+        notes.append(f"The IMU has {many}, the longest {step[i]:.3g} s long, {t[i] - t[0]:.1f} s after its start.")
+    if usual > 1.0 / SLOW:
+        notes.append(f"The IMU comes at {1.0 / usual:.3g} Hz: strapdown navigation loses what happens in between.")
+    return dt if stated is None else stated
+
+
+def _look(imu: ImuLog, notes: list[str]) -> None:
+    """A sentence where gravity is on the wrong axis."""
+    force = np.average(imu.accel, axis=0, weights=imu.dt)
+    size = float(np.linalg.norm(force))
+    if not 8.0 < size < 11.6 or force[2] < -0.5 * size:
+        return
+    looks = (
+        "the axes look like 'flu' or 'rfu'" if force[2] > 0.7 * size else "the IMU is mounted on its side: give axes"
+    )
+    mean = ", ".join(f"{x:.1f}" for x in force)
+    notes.append(f"The mean specific force is ({mean}) m/s^2, where FRD at rest reads (0, 0, -9.8): {looks}.")
+
+
+def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]) -> Samples | None:
+    """The usable rows within the IMU's time, with an sd; None where none is left."""
+    t, value = np.asarray(stream.t, float), np.asarray(stream.value, float)
+    if not len(t):
+        return None
+    t = _same_epoch(name, t, imu, notes)
+    given = stream.sd
+    if given is None and name not in ASSUMED_SD:
+        raise DataError(f"{file}: {name}: states no sd: give one, sd={{{name!r}: ...}}")
+    if given is None:
+        given = np.tile(np.resize(ASSUMED_SD[name], value.shape[1]), (len(t), 1))
+        notes.append(f"{name}: the file states no sd; assumed are {uncertainty(name, given[0])}.")
+    keep = usable(name, t, value, file, notes)
+    good = np.all((given > 1e-9) & (given < 1e9), axis=1)  # nan too
+    if np.any(keep & ~good):
+        notes.append(f"{name}: {np.count_nonzero(keep & ~good)} of {len(t)} rows whose sd says nothing are left out.")
+    inside = (t > imu.t[0] - imu.dt[0]) & (t <= imu.t[-1])
+    outside = int(np.count_nonzero(keep & good & ~inside))
+    if outside:
+        notes.append(f"{name}: {outside} of {len(t)} rows lie before the IMU's first sample or after its last.")
+    keep &= good & inside
+    if not keep.any():
+        notes.append(f"{name}: no row is left, so it is not used.")
+        return None
+    again = np.mean(np.all(value[keep][1:] == value[keep][:-1], axis=1)) if keep.sum() > 1 else 0.0
+    if again > 0.2 and name in ("position", "velocity"):
+        notes.append(f"{name}: {100 * again:.0f} % of the rows repeat the row before: standing, or polled?")
+    corr = np.zeros_like(value) if stream.corr is None else stream.corr
+    return Samples(t[keep], value[keep], np.asarray(given, float)[keep], corr[keep])
+
+
+def _same_epoch(name: str, t: np.ndarray, imu: ImuLog, notes: list[str]) -> np.ndarray:
+    """Seconds since 1970 in GPS time to seconds of the week, where the IMU counts those."""
+    first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
+    if not (imu.t[-1] < 2 * WEEK and first >= GPS_EPOCH):
+        return t
+    week = np.floor((first - GPS_EPOCH) / WEEK)
+    notes.append(f"{name}: times since 1970 are taken as seconds of GPS week {week:.0f}, which is what the IMU counts.")
+    return t - GPS_EPOCH - week * WEEK

@@ -1,0 +1,52 @@
+"""What a reader hands over: the rows of a file in SI, as they stand there, for `jaxnav.data.mend` to make usable."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.types import Recording, Track
+
+RATES, INCREMENTS, INSTANTANEOUS = "rates", "increments", "instantaneous"
+SAMPLINGS = (RATES, INCREMENTS, INSTANTANEOUS)
+
+
+class ImuRows(NamedTuple):
+    """Rows of an inertial sensor in file order, nan where a cell could not be read."""
+
+    t: np.ndarray  # (N,) s
+    gyro: np.ndarray  # (N, 3) rad/s, or rad where sampling is "increments"; sensor axes
+    accel: np.ndarray  # (N, 3) m/s^2 of specific force, or m/s; sensor axes
+    sampling: str = RATES  # means over the interval that ends at t, increments over it, or instantaneous values at t
+    dt: np.ndarray | None = None  # (N,) s that each row stands for, where the file says so
+    repair: bool = False  # mend what polling did, see `jaxnav.data.polling`
+
+
+class Stream(NamedTuple):
+    """Rows of a measurement in file order, nan where a cell could not be read."""
+
+    t: np.ndarray  # (K,) s
+    value: np.ndarray  # (K, s) as in `jaxnav.types.Samples`: lat, lon rad, h m; ENU m/s; m/s; m; uT; rad
+    sd: np.ndarray | None = None  # (K, s), position and velocity ENU; None where the file has none
+    corr: np.ndarray | None = None  # (K, s); None where the axes are independent
+
+
+class Parts(NamedTuple):
+    """The halves of a recording that one file holds; what it lacks is None or empty."""
+
+    file: str  # for messages
+    imu: ImuRows | None = None
+    aiding: dict[str, Stream] = {}
+    truth: Track | None = None
+    lever_arm: np.ndarray = np.zeros(3)  # (3,) m, IMU -> antenna, body FRD
+    notes: tuple[str, ...] = ()  # sentences for the user: what was assumed, dropped or looks odd
+    axes: str = "frd"  # of the sensor, see `jaxnav.data.axes.rotation`
+    name: str = ""
+    lines: np.ndarray | None = None  # (N,) line of each row of the imu, where the file has lines
+
+
+def parts_of(rec: Recording, file: str) -> Parts:
+    """A finished recording as parts, so that options and another file's fixes can be put on it."""
+    aiding = {name: Stream(*samples) for name, samples in rec.aiding.items()}
+    imu = ImuRows(rec.imu.t, rec.imu.gyro, rec.imu.accel, dt=rec.imu.dt)
+    notes = tuple(rec.notes.split("\n")) if rec.notes else ()
+    return Parts(file, imu, aiding, rec.truth, rec.lever_arm, notes, name=rec.name)

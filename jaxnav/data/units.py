@@ -1,0 +1,43 @@
+"""Units that files come in, by quantity: factors to SI (magnetic field: microtesla). Only for the border."""
+
+import difflib
+
+import numpy as np
+
+from jaxnav.maths.units import DEG, G0
+from jaxnav.types import DataError
+
+UNITS: dict[str, dict[str, float]] = {
+    "rate": {"rad/s": 1.0, "deg/s": DEG, "mdeg/s": 1e-3 * DEG},
+    "angle": {"rad": 1.0, "deg": DEG, "1e-7 deg": 1e-7 * DEG},
+    "acceleration": {"m/s^2": 1.0, "g": G0, "mg": 1e-3 * G0},
+    "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "mm/s": 1e-3, "cm/s": 1e-2, "knots": 1852 / 3600, "mph": 0.44704},
+    "length": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048},
+    "field": {"uT": 1.0, "nT": 1e-3, "T": 1e6, "gauss": 100.0, "mgauss": 0.1},  # to microtesla
+}
+PRESSURE = {"Pa": 1.0, "hPa": 100.0, "kPa": 1000.0}
+SEA_LEVEL = 101325.0  # Pa, standard atmosphere
+
+
+def nearest(word: str, known: tuple[str, ...] | dict) -> str:
+    """``did you mean X?`` or what is known."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}, got {word!r}"
+
+
+def factor(table: dict, key: str, kind: str, where: str, default: str | None = None) -> float:
+    """The factor to SI of the unit that ``key`` of a table names.
+
+    Raises:
+        DataError: it names none and there is no default, or one of another quantity.
+    """
+    unit = table.get(key, default)
+    if unit not in UNITS[kind]:
+        raise DataError(f"{where}: {key}: expected one of {', '.join(UNITS[kind])}, got {unit!r}")
+    return UNITS[kind][unit]
+
+
+def pressure_height(pressure: np.ndarray) -> np.ndarray:
+    """Height in m that a pressure in Pa has in the standard atmosphere; nan where it is not positive."""
+    pressure = np.where(np.asarray(pressure) > 0.0, pressure, np.nan)
+    return 44330.77 * (1.0 - (pressure / SEA_LEVEL) ** 0.190263)

@@ -1,0 +1,318 @@
+"""A column map: every key does what the page says, and every mistake is one sentence."""
+
+import re
+import tomllib
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from jaxnav.data.axes import enu_to_ecef, local_to_lla, rotation
+from jaxnav.data.column_map import KEYS, TOP
+from jaxnav.data.files import format_csv
+from jaxnav.data.mend import GPS_EPOCH
+from jaxnav.data.read import READERS, read
+from jaxnav.data.units import UNITS, pressure_height
+from jaxnav.maths.units import DEG, G0
+from jaxnav.types import DataError
+
+from .test_formats import recording
+
+IMU = """[imu]
+file = "imu.csv"
+time = "t"
+gyro = ["wx", "wy", "wz"]
+gyro_unit = "rad/s"
+accel = ["fx", "fy", "fz"]
+accel_unit = "m/s^2"
+"""
+
+
+def imu_table() -> np.ndarray:
+    imu = recording().imu
+    return np.column_stack([imu.t, imu.gyro, imu.accel])
+
+
+NAMES = ["t", "wx", "wy", "wz", "fx", "fy", "fz"]
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    (tmp_path / "imu.csv").write_text(format_csv(NAMES, imu_table()))
+    return tmp_path
+
+
+def mapped(folder: Path, text: str, **options):
+    (folder / "map.toml").write_text(text)
+    return read(folder / "map.toml", **options)
+
+
+def error(folder: Path, text: str) -> str:
+    with pytest.raises(DataError) as caught:
+        mapped(folder, text)
+    return str(caught.value)
+
+
+def test_the_imu_of_a_map(folder):
+    rec = mapped(folder, 'name = "run"\nlever_arm_frd_m = [1.0, 2.0, 3.0]\nnotes = "Said by hand."\n' + IMU)
+    np.testing.assert_array_equal(rec.imu.gyro, recording().imu.gyro)
+    np.testing.assert_array_equal(rec.lever_arm, [1.0, 2.0, 3.0])
+    assert rec.name == "run" and rec.notes == "Said by hand." and rec.aiding == {}
+
+
+@pytest.mark.parametrize(
+    "old, new, gyro, accel",
+    [
+        ('"rad/s"', '"deg/s"', DEG, 1.0),
+        ('"m/s^2"', '"g"', 1.0, G0),
+        ('"m/s^2"', '"mg"', 1.0, 1e-3 * G0),
+        ('["fx"', 'axes = "flu"\naccel = ["fx"', 1.0, 1.0),
+    ],
+)
+def test_units_and_axes_of_the_imu(folder, old, new, gyro, accel):
+    table = imu_table()
+    turn = rotation("flu") if "flu" in new else np.eye(3)
+    table[:, 1:4] = table[:, 1:4] @ turn / gyro
+    table[:, 4:] = table[:, 4:] @ turn / accel
+    (folder / "imu.csv").write_text(format_csv(NAMES, table))
+    text = IMU.replace('accel = ["fx"', '["fx"').replace(old, new) if "flu" in new else IMU.replace(old, new)
+    rec = mapped(folder, text)
+    np.testing.assert_allclose(rec.imu.gyro, recording().imu.gyro, rtol=1e-12)
+    np.testing.assert_allclose(rec.imu.accel, recording().imu.accel, rtol=1e-12)
+
+
+def test_increments_by_number_without_times_in_an_array(folder):
+    np.save(folder / "imu.npy", imu_table()[:, 1:] * 0.01)
+    text = '[imu]\nfile = "imu.npy"\nrate_hz = 100\ngyro = [1, 2, 3]\ngyro_unit = "rad"\naccel = [4, 5, 6]\n'
+    rec = mapped(folder, text + 'accel_unit = "m/s"\nsampling = "increments"\n')
+    np.testing.assert_allclose(rec.imu.gyro, recording().imu.gyro, rtol=1e-9)
+    assert rec.imu.t[0] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t", " "])
+def test_delimiters_and_a_header_behind_a_mark(folder, delimiter):
+    rows = [delimiter.join(map(repr, row)) for row in imu_table().tolist()]
+    (folder / "imu.csv").write_text("\n".join(["% made up", "# " + delimiter.join(NAMES), *rows]) + "\n")
+    np.testing.assert_array_equal(mapped(folder, IMU).imu.gyro, recording().imu.gyro)
+
+
+def test_whole_microseconds_since_1970_keep_their_digits(folder):
+    table = imu_table()
+    stamps = 1_700_000_000_123_456 + np.arange(400) * 10_000
+    rows = [f"{t}," + ",".join(map(repr, row)) for t, row in zip(stamps, table[:, 1:].tolist())]
+    (folder / "imu.csv").write_text("\n".join([",".join(NAMES), *rows]) + "\n")
+    rec = mapped(folder, IMU + 'time_unit = "us"\n')
+    np.testing.assert_allclose(np.diff(rec.imu.t), 0.01, rtol=1e-11)
+    assert "t = 0 is 1700000000 s in the file's time." in rec.notes
+
+
+def test_dates(folder):
+    stamps = [f"2023-11-14T22:13:{k // 100:02d}.{k % 100:02d}+00:00" for k in range(400)]
+    rows = [f"{t}," + ",".join(map(repr, row)) for t, row in zip(stamps, imu_table()[:, 1:].tolist())]
+    (folder / "imu.csv").write_text("\n".join([",".join(NAMES), *rows]) + "\n")
+    rec = mapped(folder, IMU + 'time_unit = "iso"\n')
+    np.testing.assert_allclose(np.diff(rec.imu.t), 0.01, atol=1e-6)
+    assert rec.imu.t[0] == pytest.approx(0.0, abs=1e-6) and "t = 0 is 1699999980 s" in rec.notes
+
+
+FIXES = np.array(
+    [
+        [11.0, 48.0, 11.0, 500.0, 3, 1.5],
+        [12.0, 48.1, 11.1, 501.0, 3, 2.0],
+        [13.0, 48.1, 11.1, 501.0, 3, 2.0],
+        [13.5, 48.2, 11.2, 502.0, 1, 2.0],
+    ]
+)
+
+
+def with_fixes(folder: Path, text: str, table: np.ndarray = FIXES):
+    (folder / "fix.csv").write_text(format_csv(["t", "lat", "lon", "h", "status", "hdop"], table))
+    return mapped(folder, IMU + '[position]\nfile = "fix.csv"\ntime = "t"\n' + text)
+
+
+def test_rows_that_are_new_and_valid_and_sd_from_hdop(folder):
+    rec = with_fixes(
+        folder,
+        'lla = ["lat", "lon", "h"]\nwhere = { status = ">=3" }\nnew_where = ["lat", "h"]\n'
+        'sd_enu = [{ column = "hdop", times = 2.0 }, "hdop", 4.0]\n',
+    )
+    position = rec.aiding["position"]
+    np.testing.assert_allclose(position.t, [11.0, 12.0])
+    np.testing.assert_allclose(position.value[1], [48.1 * DEG, 11.1 * DEG, 501.0])
+    np.testing.assert_allclose(position.sd, [[3.0, 1.5, 4.0], [4.0, 2.0, 4.0]])
+
+
+def test_sd_in_the_order_of_ned(folder):
+    rec = with_fixes(folder, 'lla = ["lat", "lon", "h"]\nsd_ned = [1.0, 2.0, 3.0]\ntime_shift_s = -0.5\n')
+    np.testing.assert_allclose(rec.aiding["position"].sd[0], [2.0, 1.0, 3.0])
+    assert rec.aiding["position"].t[0] == 10.5
+
+
+@pytest.mark.parametrize("key, order, sign", [("enu", [0, 1, 2], 1.0), ("ned", [1, 0, 2], -1.0)])
+def test_local_metres_and_ecef(folder, key, order, sign):
+    origin = np.array([0.8, 0.2, 100.0])
+    enu = np.array([[10.0, 20.0, 3.0], [11.0, 22.0, 4.0]])
+    local = enu[:, order] * [1.0, 1.0, sign]
+    (folder / "xyz.csv").write_text(format_csv(["t", "x", "y", "z"], np.column_stack([[11.0, 12.0], local])))
+    text = f'origin_deg = [{0.8 / DEG!r}, {0.2 / DEG!r}, 100.0]\n{IMU}[position]\nfile = "xyz.csv"\ntime = "t"\n'
+    rec = mapped(folder, text + f'{key} = ["x", "y", "z"]\nsd = 1.0\n')
+    np.testing.assert_allclose(rec.aiding["position"].value, local_to_lla(enu, origin), rtol=1e-12)
+    assert "need origin_deg" in error(folder, text.split("\n", 1)[1] + f'{key} = ["x", "y", "z"]\n')
+
+
+@pytest.mark.parametrize(
+    "key, refs, expected",
+    [
+        ("enu", ["a", "b", "c"], [1.0, 2.0, 3.0]),
+        ("neu", ["b", "a", "c"], [1.0, 2.0, 3.0]),
+        ("ned", ["b", "a", "c"], [1.0, 2.0, -3.0]),
+        ("speed_course", ["s", "k"], [2.5, 0.0, 0.0]),
+    ],
+)
+def test_velocities(folder, key, refs, expected):
+    (folder / "v.csv").write_text("t,a,b,c,s,k\n11,1,2,3,2.5,90\n12,1,2,3,2.5,90\n")
+    rec = mapped(folder, IMU + f'[velocity]\nfile = "v.csv"\ntime = "t"\n{key} = {refs}\nsd = 0.1\n'.replace("'", '"'))
+    np.testing.assert_allclose(rec.aiding["velocity"].value[0], expected, atol=1e-12)
+    assert rec.aiding["velocity"].sd[0, 2] == (1000.0 if key == "speed_course" else 0.1)
+
+
+def test_streams_that_no_filter_takes_yet_are_kept(folder):
+    (folder / "x.csv").write_text("t,p,l,r,m,n,o,psi\n11,1013.25,3.6,7.2,0.2,0,0.4,90\n12,1000,3.6,7.2,0.2,0,0.4,90\n")
+    head = 'file = "x.csv"\ntime = "t"\n'
+    rec = mapped(
+        folder,
+        f'{IMU}[barometer]\n{head}value = "p"\nunit = "hPa"\n[speed]\n{head}value = ["l", "r"]\nunit = "km/h"\n'
+        f'[magnetometer]\n{head}value = ["m", "n", "o"]\nunit = "gauss"\naxes = "flu"\n'
+        f'[heading]\n{head}value = "psi"\n',
+    )
+    np.testing.assert_allclose(rec.aiding["barometer"].value[:, 0], [0.0, 110.9], atol=0.1)
+    np.testing.assert_allclose(rec.aiding["speed"].value[0], [1.5])
+    np.testing.assert_allclose(rec.aiding["magnetometer"].value[0], [20.0, 0.0, -40.0], atol=1e-12)
+    np.testing.assert_allclose(rec.aiding["heading"].value[0], [np.pi / 2])
+    assert rec.notes.count("the file states no sd") == 4
+
+
+def test_truth_in_ecef(folder):
+    lla = np.array([[0.8, 0.2, 100.0], [0.8, 0.2, 100.0]])
+    from jaxnav.data.axes import ecef
+
+    v = enu_to_ecef(lla[0]) @ np.array([1.0, 2.0, 3.0])
+    table = np.column_stack([[11.0, 12.0], ecef(lla), np.tile(v, (2, 1))])
+    (folder / "truth.csv").write_text(format_csv(["t", "x", "y", "z", "u", "v", "w"], table))
+    text = '[truth]\nfile = "truth.csv"\ntime = "t"\necef = ["x", "y", "z"]\nvelocity_ecef = ["u", "v", "w"]\n'
+    truth = mapped(folder, IMU + text).truth
+    np.testing.assert_allclose(truth.lla, lla, rtol=1e-12)
+    np.testing.assert_allclose(truth.vel[0], [1.0, 2.0, 3.0], atol=1e-9)
+    assert np.isnan(truth.rph).all()
+
+
+def test_columns_of_structs_archives_and_several_files(folder):
+    imu = recording().imu
+    savemat(folder / "a.mat", {"log": {"imu": {"w": imu.gyro.T, "f": imu.accel, "t": imu.t}}})
+    text = IMU.replace("imu.csv", "a.mat").replace('"t"', '"log.imu.t"')
+    for a, i in (("x", 0), ("y", 1), ("z", 2)):
+        text = text.replace(f'"w{a}"', f'"log.imu.w[{i}]"').replace(f'"f{a}"', f'"log.imu.f[{i}]"')
+    np.testing.assert_array_equal(mapped(folder, text).imu.gyro, imu.gyro)
+    with zipfile.ZipFile(folder / "all.zip", "w") as archive:
+        archive.write(folder / "imu.csv", "inner/imu.csv")
+    np.testing.assert_array_equal(mapped(folder, 'folder = "all.zip/inner"\n' + IMU).imu.gyro, imu.gyro)
+    np.save(folder / "t", imu.t)
+    (folder / "t.npy").rename(folder / "t")
+    text = IMU.replace('file = "imu.csv"', 'file = { clock = "t", log = "imu.csv" }').replace(
+        '"t"\ngyro', '"clock:1"\ngyro'
+    )
+    for name in NAMES[1:]:
+        text = text.replace(f'"{name}"', f'"log:{name}"')
+    np.testing.assert_array_equal(mapped(folder, text).imu.t, imu.t)
+
+
+def test_a_map_over_another_reader(folder):
+    (folder / "fix.csv").write_text(format_csv(["t", "lat", "lon", "h"], FIXES[:, :4]))
+    table = imu_table()
+    table[:, 5:] *= -1.0
+    table[:, 2:4] *= -1.0
+    (folder / "own.csv").write_text(
+        format_csv(["t_s", *(f"gyro_{a}_radps" for a in "xyz"), *(f"accel_{a}_mps2" for a in "xyz")], table)
+    )
+    rec = mapped(
+        folder,
+        '[read]\nfile = "own.csv"\naxes = "flu"\n'
+        '[position]\nfile = "fix.csv"\ntime = "t"\nlla = ["lat", "lon", "h"]\nsd = 1\n',
+    )
+    np.testing.assert_allclose(rec.imu.accel, recording().imu.accel)
+    assert len(rec.aiding["position"].t) == 4
+    other = folder / "elsewhere"
+    other.mkdir()
+    with pytest.raises(DataError, match="elsewhere/own.csv: cannot be read"):
+        read(folder / "map.toml", folder=other)
+
+
+@pytest.mark.parametrize(
+    "old, new, expected",
+    [
+        ("gyro_unit", "gyro_unti", "imu: gyro_unti: unknown key; did you mean gyro_unit?"),
+        ('"rad/s"', '"m"', "imu: gyro_unit: expected one of rad/s, deg/s, mdeg/s, got 'm'"),
+        ('gyro_unit = "rad/s"\n', "", "imu: gyro_unit: expected one of"),
+        ('"wx"', '"wxx"', "imu.csv: no column wxx: did you mean wx?"),
+        ('["wx", ', "[", "imu: gyro: expected a list of 3 columns"),
+        ("imu.csv", "none.csv", "none.csv: cannot be read"),
+        ("imu.csv", "*.nothing", "expected one file, found 0"),
+        ('time = "t"\n', "", "imu: expected a key time, or rate_hz"),
+        ("[imu]", "[imuu]\n[imu]", "map.toml: imuu: unknown key; did you mean imu?"),
+        ("[imu]", "[imu]\nsampling = 'mean'", "imu: sampling: expected one of rates, increments, instantaneous"),
+        ("[imu]", "[imu]\ntime_unit = 'min'", "time_unit: expected one of s, ms, us, ns, iso, got 'min'"),
+        ("[imu]", "[imu]\naxes = 'fru'", "axes: expected right-handed axes"),
+        ("[imu]", "lever_arm_frd_m = [1]\n[imu]", "lever_arm_frd_m: expected 3 numbers"),
+        ("[imu]", "folder = '$NOT_SET_ANYWHERE'\n[imu]", "folder: .NOT_SET_ANYWHERE names an environment variable"),
+        ("[imu]", "[imu]\nskip = [300, 200]", "imu: skip: expected rows to leave out at start and end, got [300, 200]"),
+        ("[imu]", "[imu]\ntime_tag = 'none.tag'", "none.tag: cannot be read"),
+        ("[imu]", "[imu]\nwhere = { fx = 'many' }", "imu: where: fx: expected 3 or '>=3', got 'many'"),
+    ],
+)
+def test_mistakes_in_a_map_are_one_sentence(folder, old, new, expected):
+    assert expected.replace(".NOT", "$NOT") in error(folder, IMU.replace(old, new, 1))
+
+
+def test_a_map_that_is_no_toml(folder):
+    assert "map.toml: cannot be read as TOML" in error(folder, IMU + "= 3\n")
+
+
+def test_a_wrong_cell_and_a_short_line_are_left_out_and_said(folder):
+    lines = (folder / "imu.csv").read_text().splitlines()
+    lines[100] = lines[100].replace(",", ",x", 1)
+    lines[200] = lines[200].rsplit(",", 1)[0]
+    (folder / "imu.csv").write_text("\n".join([*lines, "14.01,0.0"]))
+    rec = mapped(folder, IMU)
+    assert len(rec.imu.t) == 398
+    assert "imu: 1 of 399 rows that cannot be read are left out, the first at line 101." in rec.notes
+    assert "imu.csv: 1 lines of another width left out, first line 201." in rec.notes
+    assert "imu.csv: the last line has no line end" in rec.notes
+
+
+def test_units_are_what_they_say():
+    assert UNITS["speed"]["knots"] == pytest.approx(0.514444, rel=1e-5)
+    assert UNITS["field"]["mgauss"] * 1000 == pytest.approx(100.0) == UNITS["field"]["gauss"]
+    np.testing.assert_allclose(pressure_height(np.array([101325.0, 89874.6, 54019.9])), [0.0, 1000.0, 5000.0], atol=1.0)
+    assert GPS_EPOCH == 315964800.0
+
+
+def test_the_page_shows_keys_that_are_known():
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
+    (block,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    table = tomllib.loads(block)
+    assert set(table) <= set(TOP)
+    for name in ("imu", "position", "velocity"):
+        assert set(table[name]) <= set(KEYS[name])
+    said = page.split("## The column map")[1].split("## Our own")[0]
+    keys = {key for keys in KEYS.values() for key in keys} | set(TOP)
+    assert not [key for key in keys if key not in said]
+    assert not [unit for kind in UNITS.values() for unit in kind if unit not in said]
+
+
+def test_the_page_names_every_reader_and_extra():
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
+    for row in READERS:
+        assert row.name.split()[-1] in page
+        assert not row.extra or f"`{row.extra}`" in page

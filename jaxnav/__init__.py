@@ -19,6 +19,7 @@ setting of jax: call `enable_x64()` first.
 
 from jaxnav.analysis.navigate import Solution, navigate
 from jaxnav.data.epochs import Packed, constraint_samples, cut_times, hide, outage_windows, pack, stationary
+from jaxnav.data.read import read
 from jaxnav.data.recording import recording
 from jaxnav.data.start import course, heading_bank, level, start, with_headings
 from jaxnav.filters.catalogue import FILTERS, build
@@ -55,6 +56,6 @@ __all__ = [
     "Params", "Prior", "Recording", "Rule", "SPEED", "STATES", "Samples", "Solution", "State", "StateParams",
     "Track", "VELOCITY", "ZERO_RATE", "ZERO_VELOCITY", "build", "constraint_samples", "course", "cut_times",
     "datasheet_params", "enable_x64", "heading_bank", "hide", "initial_nav", "level", "make_filter", "mounting",
-    "navigate", "outage_windows", "pack", "prepare", "recording", "require_x64", "run", "run_jit", "start",
+    "navigate", "outage_windows", "pack", "prepare", "read", "recording", "require_x64", "run", "run_jit", "start",
     "stationary", "track", "with_headings",
 ]  # fmt: skip

@@ -224,7 +224,7 @@ def from_recording(config: Config) -> Material:
     )  # fmt: skip
 
 
-def _whole(config: Config, case: pre.Case, prepared: Epoch, split: Split) -> Likelihood:
+def _whole(config: Config, case: pre.ReadyRun, prepared: Epoch, split: Split) -> Likelihood:
     """One run over the training part with nothing hidden; blocks as long as the windows are apart."""
     t = case.packed.t
     E = int(np.searchsorted(t, split.train + ep.TICK))
@@ -242,7 +242,7 @@ def datasheet_only(config: Config) -> Config:
 
 
 def _phases(
-    config: Config, case: pre.Case, prepared: Epoch, begin: float, end: float, shift: float = 0.0
+    config: Config, case: pre.ReadyRun, prepared: Epoch, begin: float, end: float, shift: float = 0.0
 ) -> tuple[Batch, np.ndarray, np.ndarray]:
     """Runs up to ``end`` with windows all along, what is between begin and end counts; the windows' blocks of time.
 
@@ -286,7 +286,7 @@ def _phases(
     return batch, blocks, hidden
 
 
-def _truth(case: pre.Case, t: np.ndarray) -> Truth | None:
+def _truth(case: pre.ReadyRun, t: np.ndarray) -> Truth | None:
     """Of one run's epochs (E, ...) that end at IMU time ``t``; None without a truth that knows any of them."""
     start, truth = jax.tree.map(lambda a: a[0], case.navs), case.recording.truth
     t = t + np.asarray(clock_offset(case.params.mounting, start._replace(t=t)))

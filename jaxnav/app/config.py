@@ -47,6 +47,7 @@ class _Filter:
     cov_stride: int = 5  # the error dynamics see means over so many IMU samples
     history: int = 0  # IMU samples kept for late fixes; 0: enough for the latencies
     interval_s: float = 0.0  # nominal fix interval; 0: the median of the position's
+    max_gap_s: float = 1.0  # longest hole in the IMU's stream that is bridged by the mean of its sides
     outages: tuple[tuple[float, ...], ...] = ()  # (start, end) s, fixes hidden from the filter
     standing_window_s: float = 1.0  # of the standstill detector: both sd, root sum square of axes, below these
     standing_accel_sd_mps2: float = 0.2
@@ -230,6 +231,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "filter.standing_accel_sd_mps2": (0.0, 1e3),
     "filter.standing_gyro_sd_deg_per_s": (0.0, 1e4),
     "filter.interval_s": (0.0, 60.0),
+    "filter.max_gap_s": (0.0, 3600.0),
     "start.course_speed_mps": (0.1, 100.0),
     "start.tilt_sd_deg": (1e-6, 90.0),
     "start.heading_sd_deg": (1e-6, 180.0),

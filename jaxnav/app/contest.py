@@ -55,7 +55,7 @@ class Plan(NamedTuple):
     cov_stride: int = 5
 
 
-class Case(NamedTuple):
+class ContestRuns(NamedTuple):
     """One run, or many with a leading axis."""
 
     told: Params
@@ -117,10 +117,10 @@ def applied(params: Params, told: Params) -> Params:
 
 
 @cache
-def loss_of(filt: Filter) -> Callable[[Params, Case], jax.Array]:
+def loss_of(filt: Filter) -> Callable[[Params, ContestRuns], jax.Array]:
     """Log of one run's RMS position error, inf where it stops being finite; one function for a filter."""
 
-    def loss(params: Params, case: Case) -> jax.Array:
+    def loss(params: Params, case: ContestRuns) -> jax.Array:
         info = run(filt, applied(params, case.told), case.start, case.epochs)
         error = jax.vmap(metrics.position_error)(info.nav, case.truth.pos)
         return jnp.where(info.ok.all(), 0.5 * jnp.log(jnp.mean(jnp.sum(error**2, axis=1)) + 1e-12), jnp.inf)
@@ -129,10 +129,10 @@ def loss_of(filt: Filter) -> Callable[[Params, Case], jax.Array]:
 
 
 @partial(jax.jit, static_argnums=0)
-def _errors(filt: Filter, params: Params, cases: Case) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _errors(filt: Filter, params: Params, cases: ContestRuns) -> tuple[jax.Array, jax.Array, jax.Array]:
     """RMS of position m, velocity m/s and attitude deg (S, 3), the largest horizontal error (S,), finite (S,)."""
 
-    def one(case: Case):
+    def one(case: ContestRuns):
         info = run(filt, applied(params, case.told), case.start, case.epochs)
         position = jax.vmap(metrics.position_error)(info.nav, case.truth.pos)
         turn = jax.vmap(lambda a, b: rotations.log(rotations.multiply(a, rotations.conjugate(b))))
@@ -172,9 +172,9 @@ def contest(names: Sequence[str], plan: Plan, progress: bool = False) -> tuple[d
 class Runs(NamedTuple):
     """What filters are tuned and ranked on, a case with S runs for every kind."""
 
-    train: list[Case]
-    validation: list[Case]
-    test: list[Case]  # of the kinds trained on first, then of the unseen
+    train: list[ContestRuns]
+    validation: list[ContestRuns]
+    test: list[ContestRuns]  # of the kinds trained on first, then of the unseen
 
 
 def draw(plan: Plan) -> Runs:
@@ -186,7 +186,7 @@ def draw(plan: Plan) -> Runs:
         keys = jnp.stack([key_of(plan.seed, part, j) for part, n in counts.items() for j in range(n)])
         sims = simulated(kind.scenario, keys)  # all at once, since a scenario takes longer to compile than to run
         told = jax.tree.map(lambda a, n=len(keys): jnp.broadcast_to(a, (n, *jnp.shape(a))), kind.told)
-        case, first = Case(told, sims.initial, sims.epochs, sims.truth), 0
+        case, first = ContestRuns(told, sims.initial, sims.epochs, sims.truth), 0
         for part, n in counts.items():
             own = jax.tree.map(lambda a, first=first, n=n: a[first : first + n], case)
             {TRAIN: runs.train, VALIDATION: runs.validation, TEST: runs.test}[part].append(own)
@@ -226,9 +226,9 @@ def filter_for(name: str, plan: Plan) -> Filter:
     return build(name, cov_stride=plan.cov_stride, history=history)
 
 
-def together(cases: list[Case]) -> tuple[list[Case], list[int]]:
+def together(cases: list[ContestRuns]) -> tuple[list[ContestRuns], list[int]]:
     """Cases of equal shapes side by side, so that they share a program, and which run went where."""
-    groups: dict[tuple, list[tuple[int, Case]]] = {}
+    groups: dict[tuple, list[tuple[int, ContestRuns]]] = {}
     first = 0
     for case in cases:
         shapes = tuple(np.shape(a)[1:] for a in jax.tree.leaves(case))
@@ -238,7 +238,7 @@ def together(cases: list[Case]) -> tuple[list[Case], list[int]]:
     return [jax.tree.map(lambda *a: jnp.concatenate(a), *(c for _, c in group)) for group in groups.values()], order
 
 
-def marks(filt: Filter, params: Params, test: list[Case], limit_m: float) -> Marks:
+def marks(filt: Filter, params: Params, test: list[ContestRuns], limit_m: float) -> Marks:
     """The errors of the test's runs; one that diverged counts as the limit."""
     scored = [jax.device_get(_errors(filt, params, case)) for case in test]
     rms, largest, finite = (np.stack(a) for a in zip(*scored, strict=True))

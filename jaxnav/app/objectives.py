@@ -24,7 +24,7 @@ from tuning.transforms import Spec
 LOST = 1e5  # m: a run that is so far from a fix has diverged
 
 
-class Case(NamedTuple):
+class TuningCase(NamedTuple):
     """One run, or many with a leading axis."""
 
     batch: Batch
@@ -121,13 +121,13 @@ def score_of(name: str) -> Score:
 @cache
 def objective(
     filt: Filter, weights: tuple[tuple[str, float], ...], free: tuple[str, ...]
-) -> Callable[[Params, Case], jax.Array]:
+) -> Callable[[Params, TuningCase], jax.Array]:
     """The weighted sum of objectives of one run; inf where it stopped being finite or got lost.
 
     Of the parameters only the leaves in ``free`` are looked at; the rest is the case's own. One function per setting.
     """
 
-    def loss(params: Params, case: Case) -> jax.Array:
+    def loss(params: Params, case: TuningCase) -> jax.Array:
         params, batch = merged(params, case.own, free), case.batch
         info = run(filt, params, batch.nav, ready(batch))
         if batch.truth is not None:  # where navigation was by then, if the clocks are further apart than at the start

@@ -23,7 +23,7 @@ from jaxnav.types import ConfigError, Nav, Params, Recording, nearest
 REACH = 0.25  # s, latency that tuning may add
 
 
-class Case(NamedTuple):
+class ReadyRun(NamedTuple):
     """One recording, ready to run."""
 
     recording: Recording
@@ -32,6 +32,7 @@ class Case(NamedTuple):
     params: Params
     packed: ep.Packed  # nothing hidden
     navs: Nav  # (B, ...) the start, or one for each hypothesis of the heading
+    how: str = ""  # the start, in words
     bias_truth: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None  # t, gyro rad/s, accelerometer m/s^2
 
 
@@ -92,7 +93,7 @@ def base_params(
     return override(params._replace(feedback=entry.feedback_theta()), config.params)
 
 
-def prepare(config: Config, tuned: bool = False) -> Case:
+def prepare(config: Config, tuned: bool = False) -> ReadyRun:
     """Read or simulate, align, and pack; nothing hidden yet.
 
     Raises:
@@ -105,7 +106,9 @@ def prepare(config: Config, tuned: bool = False) -> Case:
     begun = start_of(config, rec, params)
     params, first = params._replace(prior=begun.prior), begun.navs
     interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
-    packed = ep.pack_recording(rec, measurements, begun.t, interval, config.data.stop, standing_of(config))
+    packed = ep.pack_recording(
+        rec, measurements, begun.t, interval, config.data.stop, standing_of(config), config.filter.max_gap_s
+    )
     rate = 1 / float(np.median(rec.imu.dt))
     filt = build(
         name,
@@ -119,7 +122,7 @@ def prepare(config: Config, tuned: bool = False) -> Case:
         if sim is None
         else jax.tree.map(np.asarray, (sim.truth.t, sim.truth.errors["gyro_bias"], sim.truth.errors["accel_bias"]))
     )
-    return Case(rec, filt, measurements, params, packed, first, biases)
+    return ReadyRun(rec, filt, measurements, params, packed, first, begun.how, biases)
 
 
 def standing_of(config: Config) -> ep.Standing:

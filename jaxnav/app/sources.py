@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from jaxnav import data as io
 from jaxnav.app.config import Config
+from jaxnav.data.read import read
 from jaxnav.filters.run import require_x64
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import Simulated, simulate, sizes, to_recording
@@ -117,10 +118,6 @@ def load(config: Config) -> tuple[Recording, Simulated | None]:
         except TypeError as error:
             raise ConfigError(f"data.options: {error}") from error
     if Path(data.source).exists():
-        if data.options:
-            raise ConfigError(
-                f"data.options: {data.source} is a recording and takes none, got {', '.join(data.options)}"
-            )
-        return io.read_recording(data.source), None
+        return read(data.source, **data.options), None
     names = [*SCENARIOS, *io.DATASETS]
     raise DataError(f"{data.source}: no such file, scenario or data set: {nearest(data.source, names)}")

@@ -90,7 +90,9 @@ def pack(
     gaps = imu.t[1:] - imu.dt[1:] - imu.t[:-1]
     if gaps.size and gaps.max() > max_gap:
         i = int(gaps.argmax())
-        raise DataError(f"imu: gap of {gaps[i]:.3f} s at t = {imu.t[i]:.3f} s, longer than max_gap = {max_gap} s")
+        raise DataError(
+            f"imu: gap of {gaps[i]:.3f} s at t = {imu.t[i]:.3f} s, longer than max_gap = {max_gap} s (filter.max_gap_s)"
+        )
     cuts = cut_times(imu, aiding, interval, start, stop) if cuts is None else cuts
     begin = float(imu.t[0] - imu.dt[0] if start is None else start)
     samples = _cut_imu(imu, begin, cuts)

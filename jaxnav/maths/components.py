@@ -14,7 +14,7 @@ from jax import lax
 Vector = tuple[Any, ...]  # of three
 Quaternion = tuple[Any, ...]  # of four
 
-again = partial(jax.checkpoint, prevent_cse=False)
+remat = partial(jax.checkpoint, prevent_cse=False)
 """Of a loop's step: a gradient works its inside out once more, which takes less time than to keep all of it."""
 
 
@@ -85,7 +85,7 @@ def rotate(q: Quaternion, v: Vector) -> Vector:
     return add(v, scale(q[0], t), cross(u, t))
 
 
-def small(phi: Vector) -> Quaternion:
+def exp_small_angle(phi: Vector) -> Quaternion:
     """The rotation by a small vector phi, to fifth order: 1e-11 at 0.1 rad."""
     n2 = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
     return (1 - n2 / 8 * (1 - n2 / 48), *scale(0.5 * (1 - n2 / 24 * (1 - n2 / 80)), phi))

@@ -57,7 +57,7 @@ class Maps(NamedTuple):
         return jnp.tensordot(f, self.force, 1)
 
 
-class Course(NamedTuple):
+class EpochSums(NamedTuple):
     """The points of an epoch, piecewise constants, and what adds up along them."""
 
     C: jax.Array  # (b, 3, 3)
@@ -97,7 +97,7 @@ def discretize(
     slow = _exponential(assemble(slow_blocks) * (0.5 * total))
     end = running(T)
     weights = _weights(T, total - end)
-    course = Course(
+    course = EpochSums(
         points.C, points.force, T, end, weights, running(weights[:, :, None] * points.force[:, None])
     )  # fmt: skip
     N, d = _nilpotent(maps, course, u)
@@ -146,7 +146,7 @@ def _weights(T: jax.Array, left: jax.Array) -> jax.Array:
     return jnp.stack([T * (left + 0.5 * T), T], -1)
 
 
-def _nilpotent(maps: Maps, course: Course, u: Forcing | None) -> tuple[jax.Array, jax.Array]:
+def _nilpotent(maps: Maps, course: EpochSums, u: Forcing | None) -> tuple[jax.Array, jax.Array]:
     """N (9, 9) and d (9,) of p' = v, v' = A(f) phi + u, phi' = u, exactly for piecewise constants."""
     _, f, T, end, weights, done = course
     total = end[-1]
@@ -161,7 +161,7 @@ def _nilpotent(maps: Maps, course: Course, u: Forcing | None) -> tuple[jax.Array
     return jnp.block([[eye, total * eye, A_w], [zero, eye, A_T], [zero, zero, eye]]), d
 
 
-def _entered(maps: Maps, course: Course, points: ErrorInputs, states: Sequence[State]) -> jax.Array:
+def _entered(maps: Maps, course: EpochSums, points: ErrorInputs, states: Sequence[State]) -> jax.Array:
     """E (9, k): what constant optional states do to motion over the epoch, by their columns C M."""
     parts: dict[str, jax.Array] = {s.name: jnp.zeros((9, s.size)) for s in states}
     for sensor, reading, integrals in (("gyro", points.gyro, _turns), ("accel", points.accel, _pushes)):
@@ -173,7 +173,7 @@ def _entered(maps: Maps, course: Course, points: ErrorInputs, states: Sequence[S
     return jnp.concatenate([parts[s.name] for s in states], 1)
 
 
-def _turns(maps: Maps, course: Course, CM: jax.Array) -> jax.Array:
+def _turns(maps: Maps, course: EpochSums, CM: jax.Array) -> jax.Array:
     """(9, k): what a rate CM (b, 3, k), in the axes of the frame, does to position, velocity and attitude."""
     _, f, T, _, weights, _ = course
     b, _, k = CM.shape
@@ -188,14 +188,14 @@ def _turns(maps: Maps, course: Course, CM: jax.Array) -> jax.Array:
     return jnp.concatenate([AG(to_position), AG(to_velocity), maps.gyro @ turned[-1].reshape(3, k)])
 
 
-def _pushes(maps: Maps, course: Course, CM: jax.Array) -> jax.Array:
+def _pushes(maps: Maps, course: EpochSums, CM: jax.Array) -> jax.Array:
     """(9, k): what an acceleration CM (b, 3, k), in the axes of the frame, does to position, velocity and attitude."""
     b, _, k = CM.shape
     to_position, to_velocity = maps.accel @ (course.weights.T @ CM.reshape(b, -1)).reshape(2, 3, k)
     return jnp.concatenate([to_position, to_velocity, jnp.zeros((3, k))])
 
 
-def _white(maps: Maps, course: Course, noise: Noise, lumped: bool) -> jax.Array:
+def _white(maps: Maps, course: EpochSums, noise: Noise, lumped: bool) -> jax.Array:
     """(9, 6 moments): what white noise of gyros and accelerometers at some moments does at the epoch's end."""
     C, f, T, end, _, done = course
     total = end[-1]

@@ -13,7 +13,7 @@ import pytest
 
 from jaxnav.app import bakeoff_report, cli, contest
 from jaxnav.app.config import Tune
-from jaxnav.app.contest import Case, Kind, Plan
+from jaxnav.app.contest import ContestRuns, Kind, Plan
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.run import initial_nav
@@ -55,7 +55,7 @@ def toy(name: str) -> Filter:
 def toy_runs(plan: Plan) -> contest.Runs:
     """Fixes of unit noise, the same for all kinds; the last kind's truth is 40 m up."""
 
-    def case(i: int, runs: int, seed: int) -> Case:
+    def case(i: int, runs: int, seed: int) -> ContestRuns:
         value = jnp.zeros((runs, E, 6)).at[:, :, 2].set(np.random.default_rng(seed).normal(size=(runs, E)))
         fix = Fix(value, jnp.ones_like(value), jnp.zeros_like(value), jnp.ones(value.shape, bool))
         imu = Imu(jnp.ones((runs, E, 1)), *(jnp.zeros((runs, E, 1, 3)) for _ in range(2)))
@@ -64,7 +64,7 @@ def toy_runs(plan: Plan) -> contest.Runs:
         truth = truth._replace(pos=truth.pos.at[..., 2].add(40.0 * (i == 2)))
         told = jax.tree.map(lambda a: jnp.broadcast_to(a, (runs, *jnp.shape(a))), matched_params(CIRCLE))
         told = told._replace(noise=told.noise._replace(gyro=jnp.full(runs, 10.0)))  # the datasheet follows every fix
-        return Case(told, nav, Epoch(imu, fix), truth)
+        return ContestRuns(told, nav, Epoch(imu, fix), truth)
 
     b = plan.budget
     kinds = range(len(plan.trained) + len(plan.unseen))

@@ -211,12 +211,12 @@ def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):
     monkeypatch.setattr(objectives, "run", lambda *_: info)
     batch = batches.Batch((), Epoch((), ()), (), (), (), (), jnp.ones(t.size, bool), truth)
     loss = objectives.objective(None, (("rmse", 1.0),), ("mounting.time_offset",))
-    at = lambda s: float(loss(put(params, "mounting.time_offset", s), objectives.Case(batch, params)))  # noqa: E731
+    at = lambda s: float(loss(put(params, "mounting.time_offset", s), objectives.TuningCase(batch, params)))  # noqa: E731
     assert at(offset) == pytest.approx(12.0 * (true - offset) / 3, rel=1e-3) and at(true) < 1e-3
     loss = objectives.objective(None, (("rmse", 1.0),), ("mounting.time_offset", "mounting.clock_drift"))
     drifting = put(put(params, "mounting.time_offset", true), "mounting.clock_drift", 1e-3)
     error = 12.0 * 1e-3 * np.sqrt(np.mean((t - 30.0) ** 2)) / 3
-    assert float(loss(drifting, objectives.Case(batch, params))) == pytest.approx(error, rel=1e-3)
+    assert float(loss(drifting, objectives.TuningCase(batch, params))) == pytest.approx(error, rel=1e-3)
 
 
 def test_a_solution_is_told_at_gnss_time():

@@ -143,13 +143,13 @@ def test_what_a_lost_run_and_a_users_own_objective_score(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(tmp_path)
     c = resolved()
     m = batches.from_scenario(c, scenario_of(c))
-    case = objectives.Case(m.train, tune._many(m.params, m.train))
+    case = objectives.TuningCase(m.train, tune._many(m.params, m.train))
     one = lambda tree: tune.jax.tree.map(lambda a: a[0], tree)  # noqa: E731
     loss = objectives.objective(m.filter, (("mine:score", 2.0),), ("noise.gyro",))
     assert float(loss(m.params, one(case))) > 0
     far = m.train._replace(epochs=m.train.epochs._replace(
         fix=m.train.epochs.fix._replace(value=m.train.epochs.fix.value.at[0, 40, 0].add(0.1))))  # fmt: skip
-    lost = objectives.Case(far, case.own)
+    lost = objectives.TuningCase(far, case.own)
     assert np.isinf(float(loss(m.params, one(lost))))
     text = tune.why([m._replace(train=far)], m.params, (), 0)
     assert text.startswith("further than") and f"t = {m.t_train[40]:.3f} s" in text

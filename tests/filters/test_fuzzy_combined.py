@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxnav.filters.core import Innovation
-from jaxnav.filters.papers.fuzzy_combined import Memory, combined_params, fuzzy_combined, inputs
+from jaxnav.filters.papers.fuzzy_combined import CombinedMemory, combined_params, fuzzy_combined, inputs
 from jaxnav.filters.papers.fwekf import Window
 from jaxnav.filters.rules.kalman import kalman
 from tests.conftest import leaves_equal
@@ -93,4 +93,4 @@ def test_with_both_answers_shut_it_is_the_kalman_filter():
 def test_channels_come_in_blocks():
     with pytest.raises(ValueError, match="blocks of 3"):
         RULE.init(9, 8)
-    assert isinstance(RULE.init(9, 6), Memory)
+    assert isinstance(RULE.init(9, 6), CombinedMemory)

@@ -195,7 +195,7 @@ def test_padding_changes_nothing(case):
     # start past the first sample of a run: its rates are in the state, as within a run
     nav = propagate(case.nav, u, jax.tree.map(lambda a: a[3], case.packed.epochs.imu))[0]
     plain, filled = propagate(nav, u, imu)[0], propagate(nav, u, padded)[0]
-    # a unit quaternion that is normalised again may move by its last bit; everything else is the same bit for bit
+    # a unit quaternion that is normalised remat may move by its last bit; everything else is the same bit for bit
     np.testing.assert_allclose(plain.q, filled.q, rtol=0, atol=2.3e-16)
     jax.tree.map(np.testing.assert_array_equal, plain._replace(q=nav.q), filled._replace(q=nav.q))
 

@@ -12,7 +12,7 @@ from jaxnav.analysis import evaluate
 from jaxnav.analysis.navigate import execute
 from jaxnav.analysis.plots import base as plots
 from jaxnav.app.config import Config
-from jaxnav.app.prepare import Case, grade_name, prepare
+from jaxnav.app.prepare import ReadyRun, grade_name, prepare
 from jaxnav.app.results import FailedCheck, Outcome, table, write_json
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data.epochs import TICK, hide, in_windows
@@ -77,6 +77,7 @@ def filter(config: Config, folder: Path) -> Outcome:
     found = metrics_of(case, sol, hidden, config) | heading
     unused = sorted(set(case.recording.aiding) - {m.name for m in case.measurements})
     found |= {"unused_streams": unused} if unused else {}
+    found |= {"start": case.how, "notes": case.recording.notes.splitlines()}
     write_solution(config, folder, sol, case)
     write_json(folder / "metrics.json", found)
     if config.out.figures:
@@ -98,7 +99,7 @@ def check(info: Info, t: np.ndarray, name: str) -> None:
         raise FailedCheck(f"run {name}: {failure}")
 
 
-def shaded(config: Config, case: Case) -> evaluate.Outages:
+def shaded(config: Config, case: ReadyRun) -> evaluate.Outages:
     """Outages for the figures: those of the configuration, and gaps of the position of over 5 intervals and 3 s.
 
     The end of the data is where a last gap ends.
@@ -110,7 +111,7 @@ def shaded(config: Config, case: Case) -> evaluate.Outages:
     return sorted([(float(t[i]), float(t[i + 1])) for i in gaps] + [(w[0], w[1]) for w in config.filter.outages])
 
 
-def metrics_of(case: Case, sol: evaluate.Trace, hidden: np.ndarray, config: Config) -> dict[str, Any]:
+def metrics_of(case: ReadyRun, sol: evaluate.Trace, hidden: np.ndarray, config: Config) -> dict[str, Any]:
     """Errors where there is a truth, innovations, and the error at the end of each outage."""
     found: dict[str, Any] = {"start_s": case.packed.start, "grade": grade_name(config, scenario_of(config))}
     truth = case.recording.truth
@@ -127,7 +128,7 @@ def metrics_of(case: Case, sol: evaluate.Trace, hidden: np.ndarray, config: Conf
     return found | ({"outages": ends} if ends else {})
 
 
-def end_error(case: Case, sol: evaluate.Trace, start: float, end: float) -> float:
+def end_error(case: ReadyRun, sol: evaluate.Trace, start: float, end: float) -> float:
     """Horizontal error (m) at the last epoch without a fix of an outage; nan where nothing tells it."""
     t, valid = case.packed.t, np.asarray(case.packed.epochs.fix.valid)[:, :2]
     used = np.asarray(sol.info.valid)[:, :2]
@@ -140,7 +141,7 @@ def end_error(case: Case, sol: evaluate.Trace, start: float, end: float) -> floa
     return float(np.hypot(*np.asarray(sol.info.residual)[i, :2])) if valid[i].all() else float("nan")
 
 
-def write_solution(config: Config, folder: Path, sol: evaluate.Trace, case: Case) -> None:
+def write_solution(config: Config, folder: Path, sol: evaluate.Trace, case: ReadyRun) -> None:
     """Write the solution in each of [out] formats.
 
     Raises:
@@ -179,6 +180,7 @@ def summary(found: dict[str, Any], name: str, run: str) -> str:
         )
     if "unused_streams" in found:
         lines.append(f"not used of the recording: {', '.join(found['unused_streams'])} (see filter.speed)")
+    lines += [found["start"], *found["notes"]]
     if "heading_bank" in found:
         bank = found["heading_bank"]
         lines.append(f"heading unknown: {bank['start_heading_deg']:g} deg at the start is the most probable")

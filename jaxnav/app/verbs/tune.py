@@ -15,7 +15,7 @@ from jaxnav.analysis import evaluate, metrics
 from jaxnav.app import likelihood, tune_report
 from jaxnav.app.batches import Material, from_recording, from_scenario
 from jaxnav.app.config import Config, as_dict, for_source
-from jaxnav.app.objectives import LOST, Case, aggregate, check_objective, leaves, merged, objective
+from jaxnav.app.objectives import LOST, TuningCase, aggregate, check_objective, leaves, merged, objective
 from jaxnav.app.parameters import tune_spec
 from jaxnav.app.prepare import base_params, filter_name, grade_of, measurements_of
 from jaxnav.app.results import FailedCheck, Outcome, stderr, versions
@@ -145,7 +145,7 @@ def search(
         free = leaves(spec)
         weights = tuple(sorted(t.objective.items()))
         losses = [objective(m.filter, weights, free) for m in materials]
-        groups = lambda batches: [Case(b, _many(m.params, b)) for m, b in zip(materials, batches, strict=True)]  # noqa: E731
+        groups = lambda batches: [TuningCase(b, _many(m.params, b)) for m, b in zip(materials, batches, strict=True)]  # noqa: E731
         train = groups([m.train for m in materials])
         optimizer = OPTIMIZERS[t.method](t.steps, t.rate, 1.0, t.warmup)
         return fit(

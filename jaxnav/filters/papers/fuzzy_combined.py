@@ -43,7 +43,7 @@ class Combined(NamedTuple):
     floor: jax.Array  # () least share of the residuals' mean square that R has
 
 
-class Memory(NamedTuple):
+class CombinedMemory(NamedTuple):
     """Residuals, and what R has been multiplied by."""
 
     past: Window
@@ -87,7 +87,7 @@ def inputs(doubt: jax.Array, past: Window, z: Innovation, R: jax.Array, witness:
 def fuzzy_combined(n: int = 20, table=TABLE, conjunction: fuzzy.Conjunction = fuzzy.product, witness: int = -1) -> Rule:
     """The rule with a window of ``n`` fixes; its channels come in blocks of three, of which ``witness`` is one."""
 
-    def correct(theta: Combined, memory: Memory, z: Innovation) -> Correction:
+    def correct(theta: Combined, memory: CombinedMemory, z: Innovation) -> Correction:
         past, here = push(memory.past, z), by_block(z.valid).any(1)
         before = inflated(z.R, jnp.exp(jnp.repeat(memory.log_factor, BLOCK)))
         m, e, square = inputs(theta.doubt, past, z, before, witness)
@@ -99,10 +99,10 @@ def fuzzy_combined(n: int = 20, table=TABLE, conjunction: fuzzy.Conjunction = fu
         factor = jnp.where(here, jnp.maximum(left, theta.floor * square) / jnp.where(here, R, 1.0), 1.0)
         log_factor = memory.log_factor + share * (jnp.log(jnp.clip(factor, *theta.bounds)) - memory.log_factor)
         delta, P = weighted(z, inflated(z.R, jnp.exp(jnp.repeat(log_factor, BLOCK))) / a**2)
-        return Correction(delta, P, Memory(past, log_factor), z.valid, fading(theta.limit, a, P))
+        return Correction(delta, P, CombinedMemory(past, log_factor), z.valid, fading(theta.limit, a, P))
 
-    def init(_: int, m: int) -> Memory:
+    def init(_: int, m: int) -> CombinedMemory:
         require_blocks(m)
-        return Memory(window(n, m), jnp.zeros(m // BLOCK))
+        return CombinedMemory(window(n, m), jnp.zeros(m // BLOCK))
 
     return Rule(init, correct)

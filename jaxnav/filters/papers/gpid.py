@@ -38,7 +38,7 @@ class Gpid(NamedTuple):
     reset: jax.Array  # () s; what a channel has left behind is forgotten when it has not been used for longer
 
 
-class Memory(NamedTuple):
+class GpidMemory(NamedTuple):
     """Integral state and the last two a-posteriori residuals; a missing channel keeps its own."""
 
     integral: jax.Array  # (n,)
@@ -74,14 +74,14 @@ def share(loop: jax.Array, channels: jax.Array) -> jax.Array:
     return jnp.where(some, part, channels.any())
 
 
-def forgotten(memory: Memory, stale: jax.Array) -> Memory:
+def forgotten(memory: GpidMemory, stale: jax.Array) -> GpidMemory:
     """The memory without what the ``stale`` (m,) channels have left in it."""
     drop = lambda a: jnp.where(stale, 0.0, a)  # noqa: E731
     kept = memory.integral * share(memory.loop, ~stale)
-    return Memory(kept, drop(memory.last), drop(memory.before), drop(memory.loop))
+    return GpidMemory(kept, drop(memory.last), drop(memory.before), drop(memory.loop))
 
 
-def correct(theta: Gpid, memory: Memory, z: Innovation) -> Correction:
+def correct(theta: Gpid, memory: GpidMemory, z: Innovation) -> Correction:
     """One correction; missing channels have columns of zeros in K, and add nothing to the integral."""
     memory = forgotten(memory, z.age > theta.reset)
     K, P = linalg.update(z.P, z.H, z.R)
@@ -93,11 +93,11 @@ def correct(theta: Gpid, memory: Memory, z: Innovation) -> Correction:
     delta = K @ z.nu + applied + derivative
     residual = z.nu - z.H @ delta
     last, before = jnp.where(z.valid, residual, memory.last), jnp.where(z.valid, memory.last, memory.before)
-    memory = Memory(applied + (1 - acting) * memory.integral, last, before, loop)
+    memory = GpidMemory(applied + (1 - acting) * memory.integral, last, before, loop)
     return Correction(delta, P, memory, z.valid)
 
 
 @cache
 def gpid() -> Rule:
-    """Memory starts at zero (eqs. 19, 20)."""
-    return Rule(lambda n, m: Memory(jnp.zeros(n), jnp.zeros(m), jnp.zeros(m), jnp.zeros((n, m))), correct)
+    """GpidMemory starts at zero (eqs. 19, 20)."""
+    return Rule(lambda n, m: GpidMemory(jnp.zeros(n), jnp.zeros(m), jnp.zeros(m), jnp.zeros((n, m))), correct)

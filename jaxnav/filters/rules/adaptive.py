@@ -14,7 +14,7 @@ from jaxnav.filters.core import Correction, Innovation, Rule
 from jaxnav.filters.rules.robust import inflated
 
 
-class Memory(NamedTuple):
+class ScaleMemory(NamedTuple):
     """What has been learnt, and the inner rule's memory."""
 
     learnt: jax.Array  # (m,) or (window, m) variance over the R of the fix
@@ -24,7 +24,7 @@ class Memory(NamedTuple):
 def _passed_on(rule: Rule):
     """Extrapolation is the inner rule's."""
 
-    def extrapolate(theta: Any, memory: Memory, x0: jax.Array, x: jax.Array):
+    def extrapolate(theta: Any, memory: ScaleMemory, x0: jax.Array, x: jax.Array):
         x, inner = rule.extrapolate(theta.rule, memory.rule, x0, x)
         return x, memory._replace(rule=inner)
 
@@ -52,15 +52,15 @@ def sage_husa(rule: Rule) -> Rule:
     the original nu nu' - H P H' is not (Sage & Husa 1969). Used from the next fix on.
     """
 
-    def correct(theta: SageHusa, memory: Memory, z: Innovation) -> Correction:
+    def correct(theta: SageHusa, memory: ScaleMemory, z: Innovation) -> Correction:
         factor = jnp.maximum(memory.learnt, theta.floor)
         c = rule.correct(theta.rule, memory.rule, z._replace(R=inflated(z.R, factor)))
         r = z.nu - z.H @ c.delta
         now = (r**2 + jnp.diag(z.H @ c.P @ z.H.T)) / jnp.diag(z.R)
         learnt = theta.forget * memory.learnt + (1 - theta.forget) * now
-        return c._replace(memory=Memory(jnp.where(c.used, learnt, memory.learnt), c.memory))
+        return c._replace(memory=ScaleMemory(jnp.where(c.used, learnt, memory.learnt), c.memory))
 
-    return Rule(lambda n, m: Memory(jnp.ones(m), rule.init(n, m)), correct, _passed_on(rule), rule.estimates)
+    return Rule(lambda n, m: ScaleMemory(jnp.ones(m), rule.init(n, m)), correct, _passed_on(rule), rule.estimates)
 
 
 class Iae(NamedTuple):
@@ -83,14 +83,16 @@ def iae(rule: Rule, window: int = 20) -> Rule:
     fixes' own R.
     """
 
-    def correct(theta: Iae, memory: Memory, z: Innovation) -> Correction:
+    def correct(theta: Iae, memory: ScaleMemory, z: Innovation) -> Correction:
         now = (z.nu**2 - jnp.diag(z.H @ z.P @ z.H.T)) / jnp.diag(z.R)
         learnt = jnp.where(z.valid, jnp.concatenate([memory.learnt[1:], now[None]]), memory.learnt)
         factor = jnp.where(z.valid, jnp.maximum(learnt.mean(0), theta.floor), 1.0)
         c = rule.correct(theta.rule, memory.rule, z._replace(R=inflated(z.R, factor)))
-        return c._replace(memory=Memory(jnp.where(c.used, learnt, memory.learnt), c.memory))
+        return c._replace(memory=ScaleMemory(jnp.where(c.used, learnt, memory.learnt), c.memory))
 
-    return Rule(lambda n, m: Memory(jnp.ones((window, m)), rule.init(n, m)), correct, _passed_on(rule), rule.estimates)
+    return Rule(
+        lambda n, m: ScaleMemory(jnp.ones((window, m)), rule.init(n, m)), correct, _passed_on(rule), rule.estimates
+    )
 
 
 class Fading(NamedTuple):

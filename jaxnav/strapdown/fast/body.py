@@ -19,16 +19,16 @@ from jaxnav.maths.components import (
     Quaternion,
     Vector,
     add,
-    again,
     before,
     conjugate,
     cross,
     exp,
+    exp_small_angle,
     multiply,
     normalize,
+    remat,
     rotate,
     scale,
-    small,
     split,
 )  # fmt: skip
 from jaxnav.states.sensors import corrected_reading
@@ -55,7 +55,7 @@ class Body(NamedTuple):
     mean: Quaternion  # s, integral of q; () for a single sample
 
 
-class Interval(NamedTuple):
+class BodyInterval(NamedTuple):
     """Intervals, or the first samples of some."""
 
     body: Body
@@ -63,8 +63,8 @@ class Interval(NamedTuple):
     force: Vector  # m/s^2
 
 
-class Increments(NamedTuple):
-    """The intervals of an epoch as the sensors saw them, with the biases in it; rows are the leaves of `Interval`."""
+class SummedIntervals(NamedTuple):
+    """The intervals of an epoch as the sensors saw them, their errors in it; rows are the leaves of `BodyInterval`."""
 
     whole: jax.Array  # (21, n)
     parts: jax.Array  # (21, w) first samples of intervals, up to those that are kept
@@ -85,7 +85,7 @@ def readings(imu: Imu, omega: jax.Array, force: jax.Array, m: int) -> tuple[Read
 def singles(x: Readings, last: Readings) -> Body:
     """Of each sample (m, n) by itself; row by row, for the compiler works out every number of a loop but once."""
 
-    @again
+    @remat
     def single(last, x):
         theta, dv = coned(x.dt, last.omega, last.force, x.omega, x.force)
         return x, Body(x.dt, exp(theta), dv, (), ())
@@ -93,14 +93,16 @@ def singles(x: Readings, last: Readings) -> Body:
     return lax.scan(single, last, x)[1]
 
 
-def sums(imu: Imu, omega: jax.Array, force: jax.Array, m: int, keep: jax.Array) -> tuple[Interval, Interval, jax.Array]:
+def sums(
+    imu: Imu, omega: jax.Array, force: jax.Array, m: int, keep: jax.Array
+) -> tuple[BodyInterval, BodyInterval, jax.Array]:
     """Of the samples (k,) in intervals of m (n,); and from their starts to the samples ``keep`` (w,), and in which.
 
     ``omega`` (rad/s) and ``force`` (m/s^2), (3,), are those before the first sample.
     """
     x, first = readings(imu, omega, force, m)
 
-    @again
+    @remat
     def step(body, x):
         dt, dq, dv, _, _ = x
         q, dv = multiply(body.q, dq), rotate(body.q, dv)
@@ -116,12 +118,12 @@ def sums(imu: Imu, omega: jax.Array, force: jax.Array, m: int, keep: jax.Array) 
     # the mean rotation of nothing is none
     whole = whole._replace(mean=add(whole.mean, (jnp.where(whole.t > 0, 0.0, 1.0), 0.0, 0.0, 0.0)))
     place, at = keep // m, keep % m * first.dt.size + keep // m
-    kept = jax.tree.map(lambda a: a.ravel()[at], Interval(parts, *x[1:]))
-    return Interval(whole, *jax.tree.map(lambda a: a[-1], x[1:])), kept, place
+    kept = jax.tree.map(lambda a: a.ravel()[at], BodyInterval(parts, *x[1:]))
+    return BodyInterval(whole, *jax.tree.map(lambda a: a[-1], x[1:])), kept, place
 
 
-def unbiased(rows: jax.Array, b_g: Vector, b_a: Vector) -> Interval:
-    """What sensors without the biases b_g (rad/s) and b_a (m/s^2) would have seen, of rows of `Increments`.
+def unbiased(rows: jax.Array, b_g: Vector, b_a: Vector) -> BodyInterval:
+    """What sensors without the biases b_g (rad/s) and b_a (m/s^2) would have seen, of rows of `SummedIntervals`.
 
     A bias of the rate turns by t C b_g, C the mean rotation, and specific force with it, of which the integral of t f
     is t dv - way. First order in the biases and in how far the body turns: in intervals of 0.1 s at 0.3 rad/s less than
@@ -132,7 +134,7 @@ def unbiased(rows: jax.Array, b_g: Vector, b_a: Vector) -> Interval:
     q, mean = ((jnp.where(t > 0, q[0], 1.0), *q[1:]) for q in (q, mean))  # padding does not turn
     half = normalize(mean)
     drift = rotate(half, b_g)
-    back = small(scale(-0.5 * t, drift))
+    back = exp_small_angle(scale(-0.5 * t, drift))
     push = rotate(multiply(back, half), b_a)
     body = Body(
         t,
@@ -141,11 +143,11 @@ def unbiased(rows: jax.Array, b_g: Vector, b_a: Vector) -> Interval:
         add(way, cross(drift, scale(-t / 3, way)), scale(-0.5 * t * t, push)),
         multiply(back, mean),
     )
-    return Interval(body, *(add(a, scale(-1.0, b)) for a, b in ((omega, b_g), (force, b_a))))
+    return BodyInterval(body, *(add(a, scale(-1.0, b)) for a, b in ((omega, b_g), (force, b_a))))
 
 
 def as_biases(rows: jax.Array, errors: Mapping[str, jax.Array]) -> tuple[Vector, Vector]:
-    """What gyro (rad/s) and accelerometer (m/s^2) read too much over each interval, of rows of `Increments`.
+    """What gyro (rad/s) and accelerometer (m/s^2) read too much over each interval, of rows of `SummedIntervals`.
 
     Biases as they are; errors that depend on the reading at the interval's mean, so that 3,000 ppm of scale cost 2 mm
     after a minute at 0.2 rad/s, and centimetres at 1 rad/s.
@@ -153,7 +155,7 @@ def as_biases(rows: jax.Array, errors: Mapping[str, jax.Array]) -> tuple[Vector,
     t, *v = jnp.unstack(rows)
     q, dv, mean = tuple(v[:4]), tuple(v[4:7]), tuple(v[10:14])
     half = normalize((jnp.where(t > 0, mean[0], 1.0), *mean[1:]))
-    means = {"gyro": over(t, scale(2.0, q[1:])), "accel": over(t, rotate(conjugate(half), dv))}
+    means = {"gyro": divide_or_zero(t, scale(2.0, q[1:])), "accel": divide_or_zero(t, rotate(conjugate(half), dv))}
 
     def excess(sensor: str) -> Vector:
         own = [name for name in errors if STATES[name].enters == sensor]
@@ -165,7 +167,7 @@ def as_biases(rows: jax.Array, errors: Mapping[str, jax.Array]) -> tuple[Vector,
     return excess("gyro"), excess("accel")
 
 
-def over(t: Any, v: tuple) -> tuple:
+def divide_or_zero(t: Any, v: tuple) -> tuple:
     """V / t, zero where t is."""
     some = t > 0
     return scale(jnp.where(some, 1 / jnp.where(some, t, 1.0), 0.0), v)

@@ -28,23 +28,33 @@ from jaxnav.maths.components import (
     Quaternion,
     Vector,
     add,
-    again,
     before,
     conjugate,
     cross,
     exp,
+    exp_small_angle,
     multiply,
     normalize,
     products,
+    remat,
     rotate,
     running,
     scale,
-    small,
     split,
     to_dcm,
 )  # fmt: skip
 from jaxnav.states.sensors import corrected
-from jaxnav.strapdown.fast.body import Body, Increments, Interval, as_biases, over, readings, singles, sums, unbiased
+from jaxnav.strapdown.fast.body import (
+    Body,
+    BodyInterval,
+    SummedIntervals,
+    as_biases,
+    divide_or_zero,
+    readings,
+    singles,
+    sums,
+    unbiased,
+)
 from jaxnav.strapdown.increments import after, sampled, thin
 from jaxnav.types import ErrorInputs, Forcing, Imu, Nav
 
@@ -129,7 +139,7 @@ def increment(ground: list[tuple], u: tuple[Vector, Vector], samples: int, x: Le
 def by_scan(change: Callable, start: Level, thrust: Thrust) -> Level:
     """After each interval, one after the other."""
 
-    @again
+    @remat
     def step(x, thrust):
         x = jax.tree.map(jnp.add, x, change(x, thrust))
         return x, x
@@ -143,7 +153,7 @@ def attitudes(nav: Nav, spin: Vector, body: Body) -> tuple[Quaternion, Quaternio
     The mean is () for intervals of one sample.
     """
 
-    @again
+    @remat
     def turn(q, interval):
         dq, mean = interval
         after = multiply(q, dq)
@@ -163,7 +173,7 @@ def attitudes(nav: Nav, spin: Vector, body: Body) -> tuple[Quaternion, Quaternio
 
 def thrust_of(q: Quaternion, body: Body) -> Thrust:
     """What ``body`` does, from attitude ``q`` on."""
-    return Thrust(body.t, rotate(q, body.dv), rotate(q, over(body.t, body.way)) if body.way else ())
+    return Thrust(body.t, rotate(q, body.dv), rotate(q, divide_or_zero(body.t, body.way)) if body.way else ())
 
 
 def unit(nav: Nav) -> Nav:
@@ -171,7 +181,7 @@ def unit(nav: Nav) -> Nav:
     return nav._replace(q=jnp.stack(normalize(split(nav.q)), -1))
 
 
-def _block(m: int, nav: Nav, u: Forcing | None, given: Interval) -> tuple[Nav, ErrorInputs, Callable]:
+def _block(m: int, nav: Nav, u: Forcing | None, given: BodyInterval) -> tuple[Nav, ErrorInputs, Callable]:
     """The states after all intervals (n,) of m samples, the path, and the function that has those inside them."""
     whole, omega, force = given
     spin, push = map(split, u) if u else ((), ())
@@ -186,30 +196,30 @@ def _block(m: int, nav: Nav, u: Forcing | None, given: Interval) -> tuple[Nav, E
     ends = by_scan(change, start, thrust)
 
     def state(level: Level, q, t, omega, force) -> Nav:
-        q = multiply(small(scale(-1.0, level.turn)), q)
+        q = multiply(exp_small_angle(scale(-1.0, level.turn)), q)
         return after(nav, nav.t + t, (centre + level.north, lon + level.east, level.h), level.vel, q, omega, force)
 
     points = state(ends, q_ends, t, omega, force)
     starts = jax.tree.map(before, start, ends)
 
-    def inside(i: jax.Array, part: Interval) -> Nav:
+    def inside(i: jax.Array, part: BodyInterval) -> Nav:
         """After the first samples, ``part``, of the intervals i (w,)."""
         level, q, begin = jax.tree.map(lambda a: a[i], (starts, q_starts, t - whole.t))
         # in a loop, where the compiler works out every number once: fused into its users each would be made many times
         thrust = thrust_of(q, part.body)
-        level = lax.map(again(lambda x: jax.tree.map(jnp.add, x[0], change(*x))), (level, thrust))
+        level = lax.map(remat(lambda x: jax.tree.map(jnp.add, x[0], change(*x))), (level, thrust))
         q = multiply(q, part.body.q)
-        q = multiply(small(scale(part.body.t, spin)), q) if spin else q
+        q = multiply(exp_small_angle(scale(part.body.t, spin)), q) if spin else q
         return unit(state(level, q, begin + part.body.t, part.omega, part.force))
 
     if m == 1:
         return points, sampled(nav, unit(points), split(points.q), force), inside
-    middle = small(scale(-0.5, add(starts.turn, ends.turn)))
+    middle = exp_small_angle(scale(-0.5, add(starts.turn, ends.turn)))
     C = to_dcm(multiply(middle, normalize(q_means)))
     half = normalize(whole.mean)
-    gyro = over(whole.t, scale(2.0, whole.q[1:]))
-    accel = over(whole.t, rotate(conjugate(half), whole.dv))
-    force = rotate(middle, over(whole.t, thrust.dv))
+    gyro = divide_or_zero(whole.t, scale(2.0, whole.q[1:]))
+    accel = divide_or_zero(whole.t, rotate(conjugate(half), whole.dv))
+    force = rotate(middle, divide_or_zero(whole.t, thrust.dv))
     path = ErrorInputs(unit(points), C, *(jnp.stack(v, -1) for v in (force, gyro, accel)))
     return points, path, inside
 
@@ -224,9 +234,9 @@ def _samples(nav: Nav, u: Forcing | None, imu: Imu, stride: int, keep: jax.Array
     def block(nav, imu):
         rows = max(d for d in range(1, INTERVAL + 1) if imu.dt.size % d == 0)
         # the state carries the rates before this epoch's bias correction: one sample in an epoch sees that difference
-        x, last = readings(free(nav, imu), nav.omega, nav.force, rows)
+        x, last = readings(remove_errors(nav, imu), nav.omega, nav.force, rows)
         x, whole = jax.tree.map(lambda a: a.T.reshape(-1), (x, singles(x, last)))
-        points, path, _ = _block(1, nav, u, Interval(whole, x.omega, x.force))
+        points, path, _ = _block(1, nav, u, BodyInterval(whole, x.omega, x.force))
         return unit(jax.tree.map(lambda a: a[-1], points)), (points, path)
 
     if k <= BLOCK:
@@ -238,7 +248,7 @@ def _samples(nav: Nav, u: Forcing | None, imu: Imu, stride: int, keep: jax.Array
     return unit(jax.tree.map(lambda a: a[keep], points)), path
 
 
-def free(nav: Nav, imu: Imu) -> Imu:
+def remove_errors(nav: Nav, imu: Imu) -> Imu:
     """Samples without the errors of the sensors."""
     return corrected(imu, nav.errors)
 
@@ -250,7 +260,7 @@ def filled(a: jax.Array, size: int) -> jax.Array:
 
 
 def _intervals(
-    m: int, nav: Nav, u: Forcing | None, whole: Interval, parts: Interval, place: jax.Array
+    m: int, nav: Nav, u: Forcing | None, whole: BodyInterval, parts: BodyInterval, place: jax.Array
 ) -> tuple[Nav, ErrorInputs]:
     """The states after the first samples, ``parts`` (w,), of the intervals ``place``, and the path of all (n,).
 
@@ -279,7 +289,7 @@ def _intervals(
     return kept, jax.tree.map(lambda a: a.reshape(n, *a.shape[2:]), path)
 
 
-def preintegrate(imu: Imu, last: tuple[Any, Any], stride: int, keep: jax.Array) -> Imu | Increments:
+def preintegrate(imu: Imu, last: tuple[Any, Any], stride: int, keep: jax.Array) -> Imu | SummedIntervals:
     """What `propagate` can do with samples (k,) before it knows the state; ``last``: rate and force before them.
 
     For a stride of 2 to 10, the sums over intervals of so many samples, and up to the samples ``keep`` (w,). They have
@@ -288,11 +298,11 @@ def preintegrate(imu: Imu, last: tuple[Any, Any], stride: int, keep: jax.Array) 
     if not 2 <= stride <= INTERVAL:
         return imu
     whole, parts, place = sums(imu, *last, stride, keep)
-    return Increments(jnp.stack(jax.tree.leaves(whole)), jnp.stack(jax.tree.leaves(parts)), place)
+    return SummedIntervals(jnp.stack(jax.tree.leaves(whole)), jnp.stack(jax.tree.leaves(parts)), place)
 
 
 def propagate(
-    nav: Nav, u: Forcing | None, imu: Imu | Increments, stride: int = 1, keep: jax.Array | None = None
+    nav: Nav, u: Forcing | None, imu: Imu | SummedIntervals, stride: int = 1, keep: jax.Array | None = None
 ) -> tuple[Nav, ErrorInputs]:
     """Navigate through k samples (``imu`` fields (k, ...)); ``u`` is the observer's feedback, None without one.
 
@@ -301,7 +311,7 @@ def propagate(
     FRD to ENU. A sample of dt = 0 changes nothing. ``imu`` may be what `preintegrate` made of the samples.
     """
     size = BLOCK // stride if stride <= INTERVAL else 1
-    if isinstance(imu, Increments):
+    if isinstance(imu, SummedIntervals):
         n = imu.whole.shape[1]
         whole = filled(imu.whole.T, size).T
         clean = [unbiased(rows, *as_biases(rows, nav.errors)) for rows in (whole, imu.parts)]
@@ -310,7 +320,7 @@ def propagate(
     k = imu.dt.size
     at = jnp.array([k - 1]) if keep is None else keep
     if 2 <= stride <= INTERVAL:
-        samples = jax.tree.map(lambda a: filled(a, size * stride), free(nav, imu))
+        samples = jax.tree.map(lambda a: filled(a, size * stride), remove_errors(nav, imu))
         out, path = _intervals(stride, nav, u, *sums(samples, nav.omega, nav.force, stride, at))
         path = jax.tree.map(lambda a: a[: k // stride], path)
     else:

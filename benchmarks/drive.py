@@ -21,6 +21,7 @@ from jaxnav import data as io
 from jaxnav import measurements as ms
 from jaxnav.data import epochs
 from jaxnav.data import start as alignment
+from jaxnav.data.formats.rtklib import DRIVE_LEVER_ARM
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import datasheet_params, get, late, mounting, prior
@@ -74,8 +75,7 @@ def measurements(constraints: bool) -> tuple[ms.Measurement, ...]:
 
 def parameters(delay: float = AUTHOR_DELAY, drift: float = 0.0) -> Params:
     """The datasheet's figures and the timing that the data's author gives."""
-    arm = io.rtklib.DRIVE_LEVER_ARM
-    install = mounting(arm, time_offset=delay - EARLY, clock_drift=drift)
+    install = mounting(DRIVE_LEVER_ARM, time_offset=delay - EARLY, clock_drift=drift)
     return late(datasheet_params(GRADES["consumer"], install=install), 0.0, 0.125)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 BASELINE = Path(__file__).parent / "results" / "speed_baseline.json"
 TABLES = ("single", "batch", "gradient", "compile", "scaling", "peers")
-SLOPES = ("stride 10", "stride 10, block", "stride 10, prepared")  # forms whose gradient has bars
+SLOPES = ("stride 10", "stride 10, prepared")  # forms whose gradient has bars
 WORSE = 1.5  # times the baseline's ratio
 
 
@@ -20,11 +20,6 @@ Result = dict[str, dict[str, dict]]  # tables of rows
 def least(result: Result, of: str, *names: str, key: str = "ratio") -> float:
     """The least number under ``key`` in these rows of a table; nan where none has it."""
     return min((result[of][name][key] for name in names if key in result[of].get(name, {})), default=float("nan"))
-
-
-def fast(stride: int, tail: str) -> tuple[str, str]:
-    """Names of our rows at a stride, of which the faster one counts."""
-    return f"stride {stride}, {tail}", f"stride {stride}, block, {tail}"
 
 
 def bars(result: Result) -> list[dict[str, Any]]:
@@ -41,7 +36,7 @@ def upper(result: Result) -> Iterator[tuple[str, float, float]]:
     for n, limit in ((9, 6.0), (15, 4.0)):
         one, many = f"{n} states", f"{n} states, 256 runs"
         for table, name, what in (("single", one, "scalar floor, one run"), ("batch", many, "8-lane floor, 256 runs")):
-            yield f"stride 1 / {what}, {n} states", least(result, table, *fast(1, name), key="by_floor"), limit
+            yield f"stride 1 / {what}, {n} states", least(result, table, f"stride 1, {name}", key="by_floor"), limit
     for form, runs in product(SLOPES, (1, 64)):
         by_forward = least(result, "gradient", f"{form}, 15 states, {runs} runs", key="by_forward")
         yield f"value and gradient / forward, {form}, {runs} runs", by_forward, 5.0
@@ -66,12 +61,16 @@ def lower(result: Result) -> Iterator[tuple[str, float, float]]:
     for n, at10, at1 in ((9, 8.0, 2.4), (15, 7.0, 1.8)):
         many = f"{n} states, 256 runs"
         nested = least(result, "batch", f"nested scan, {many}")
-        yield f"nested scan / stride 10, 256 runs, {n} states", nested / least(result, "batch", *fast(10, many)), at10
+        yield (
+            f"nested scan / stride 10, 256 runs, {n} states",
+            nested / least(result, "batch", f"stride 10, {many}"),
+            at10,
+        )
         ready = nested / least(result, "batch", f"stride 10, prepared, {many}")
         yield f"nested scan / stride 10, prepared, 256 runs, {n} states", ready, at10
-        yield f"nested scan / stride 1, 256 runs, {n} states", nested / least(result, "batch", *fast(1, many)), at1
+        yield f"nested scan / stride 1, 256 runs, {n} states", nested / least(result, "batch", f"stride 1, {many}"), at1
     for step, stride, limit in (("IMU", 1, 1500.0), ("default", 10, 600.0)):
-        gap = least(result, "peers", f"python-ins, {step} step") / least(result, "peers", *fast(stride, "15 states"))
+        gap = least(result, "peers", f"python-ins, {step} step") / least(result, "peers", f"stride {stride}, 15 states")
         yield f"python-ins, {step} step / stride {stride}", gap, limit
     for form, runs in product(SLOPES, (1, 64)):
         many = f"15 states, {runs} runs"

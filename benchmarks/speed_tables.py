@@ -102,9 +102,9 @@ def batch(sizes: Sizes) -> dict[str, dict]:
     rows = {}
     for runs in sizes.batches:
         seconds = sizes.seconds if runs < sizes.large[0] else sizes.large[1]
-        # the naive form and that of first order are told by batches of hundreds, the block form is for one run
+        # the naive form and that of first order are told by batches of hundreds
         plain = sizes.plain if runs <= 256 else (NESTED,)
-        forms = (*plain, *(f for f in OURS if runs == 1 or not f.single))
+        forms = (*plain, *OURS)
         for n in sizes.states:
             given = arguments(seconds, runs)
             calls = {name_of(f, n, runs): executable(f, n, seconds, runs).call for f in forms}
@@ -132,7 +132,7 @@ def gradient(sizes: Sizes) -> dict[str, dict]:
     for runs in sizes.gradients:
         seconds = sizes.seconds
         steps = seconds * RATE * runs
-        ours = [f for f in OURS if (runs == 1 or not f.single) and (sizes.full or "stride 10" in f.label)]
+        ours = [f for f in OURS if sizes.full or "stride 10" in f.label]
         forms = {CHECKPOINT: NESTED, FIRST_CHECKPOINT: FIRST} if FIRST in sizes.plain else {CHECKPOINT: NESTED}
         forms |= {f: f for f in ours}
         slopes = {name_of(f, n, runs): executable(f, n, seconds, runs, True) for f in forms}
@@ -185,7 +185,7 @@ def scaling(sizes: Sizes, batches: dict[str, dict], devices: bool) -> tuple[dict
     """Exponents of cost in run length, batch and states, and two devices; also the curves."""
     curves: dict[str, dict[str, list[list[float]]]] = {"run length, s": {}, "batch": {}}
     by_round = {}  # exponents of run length
-    pair = [f for f in OURS if not f.single and not f.ready]
+    pair = [f for f in OURS if not f.ready]
     tolerance = {"run length, s": 0.03, "batch": 0.05} if sizes.full else {}
     if sizes.full:
         calls = {(f, s): executable(f, 15, s, 1).call for f in pair for s in sizes.lengths}

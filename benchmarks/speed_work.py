@@ -39,7 +39,6 @@ class Form(NamedTuple):
     forward: Callable[[int], Callable]  # n -> the solution of one run
     loss: Callable[[int], Callable]  # n -> its innovation NLL
     ours: bool = False
-    single: bool = False  # made for one run
     ready: Callable[[int], Filter] | None = None  # n -> the filter that its epochs are prepared for, if they are
 
 
@@ -66,8 +65,7 @@ def likelihood(filt: Filter) -> Callable[[Noise, Nav, Epoch], jax.Array]:
 
 def _ours(label: str, prepared: bool = False, **options: Any) -> Form:
     make = lambda n: build(f"ekf{n}", **options)  # noqa: E731
-    block, ready = options.get("block", False), make if prepared else None
-    return Form(label, lambda n: solution(make(n)), lambda n: likelihood(make(n)), True, block, ready)
+    return Form(label, lambda n: solution(make(n)), lambda n: likelihood(make(n)), True, make if prepared else None)
 
 
 def _nested(label: str, checkpoint: bool = False, order: int = 2) -> Form:
@@ -81,8 +79,6 @@ FIRST, FIRST_CHECKPOINT = _nested("first order", order=1), _nested("first order,
 VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("stride 1", {"cov_stride": 1}),
     ("stride 10", {"cov_stride": 10}),
-    ("stride 1, block", {"cov_stride": 1, "block": True}),
-    ("stride 10, block", {"cov_stride": 10, "block": True}),
     ("stride 10, prepared", {"cov_stride": 10, "prepared": True}),
 )
 """Ours: label and options of `build`. Prepared: what needs no state was summed up before, and is not timed again."""

@@ -75,7 +75,8 @@ def program(names: tuple[str, ...], measurements=GNSS):
     rule = one_of(tuple(FILTERS[name].rule() for name in names))
     rule = rule if measurements == GNSS else only(rule, tuple(range(6)))
     model = error_model(entry.frame, entry.states, entry.form, measurements)
-    filt = make_filter(FRAMES[entry.frame].propagate, model, rule, entry.feedback, 25)
+    home = FRAMES[entry.frame]  # the form that `build` takes
+    filt = make_filter(home.fast or home.propagate, model, rule, entry.feedback, 25)
     return jax.jit(partial(run, filt))
 
 

@@ -136,9 +136,12 @@ def difference(model, estimate: Nav, truth: Nav) -> jax.Array:
 
 
 @pytest.mark.parametrize("stride, bound", [(1, 1e-4), (10, 1e-2)])
-@pytest.mark.parametrize("frame", FRAMES)
-def test_the_transition_is_the_derivative_of_the_mechanization(frame, stride, bound):
-    model, propagate = error_model(frame, EVERY, measurements=ALL), FRAMES[frame].propagate
+@pytest.mark.parametrize(
+    "frame, form",
+    [(frame, form) for frame, home in FRAMES.items() for form in ("propagate", "fast") if getattr(home, form)],
+)
+def test_the_transition_is_the_derivative_of_the_mechanization(frame, form, stride, bound):
+    model, propagate = error_model(frame, EVERY, measurements=ALL), getattr(FRAMES[frame], form)
     params, imu = datasheet_params(GRADES["consumer"], states=EVERY), an_imu(10, 0.1)
     h = sizes()
 

@@ -10,7 +10,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "library.md"
 
 def test_library_page_runs_and_does_what_it_says(capsys):
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
-    assert len(blocks) == 6
+    assert len(blocks) == 7
     assert sum(bool(line.strip()) for line in blocks[1].splitlines()) <= 15
     assert len(blocks[2].splitlines()) <= 30
     space: dict = {}

@@ -39,7 +39,7 @@ def solve(case):
     @functools.cache
     def make(rule):
         frame = FRAMES["local_level"]
-        filt = make_filter(frame.propagate, error_model(states=()), rule, observer, 20)
+        filt = make_filter(frame.fast, error_model(states=()), rule, observer, 20)
         params = case.params._replace(feedback=poles())
         return jax.jit(lambda theta: run(filt, params._replace(rule=theta), case.nav, case.packed.epochs))
 
@@ -179,7 +179,7 @@ def test_heading_at_rest_does_not_wind_up(case):
     nav, epochs = standing(300)
     params = case.params._replace(feedback=poles(), prior=case.params.prior._replace(attitude=jnp.asarray(DEG)))
     frame = FRAMES["local_level"]
-    filt = make_filter(frame.propagate, error_model(states=()), fwekf.fwekf(5, ONE), observer, 2)
+    filt = make_filter(frame.fast, error_model(states=()), fwekf.fwekf(5, ONE), observer, 2)
 
     @jax.jit
     @jax.vmap

@@ -68,11 +68,12 @@ def streams(seconds, *more):
 @partial(quick, static_argnums=(0, 1))
 def navigate(frame, merge, nav, means, ends):
     """Largest horizontal and vertical error, m, of error-free samples navigated back, ``merge`` of them as one."""
-    model = error_model(frame, ())
+    model, home = error_model(frame, ()), FRAMES[frame]
+    propagate = home.fast or home.propagate  # the form that `build` takes
     gyro, accel = (a.reshape(a.shape[0], -1, merge, 3).mean(2) for a in means)
 
     def epoch(nav, samples):
-        nav = FRAMES[frame].propagate(nav, None, Imu(jnp.full(100 // merge, 0.01 * merge), *samples))[0]
+        nav = propagate(nav, None, Imu(jnp.full(100 // merge, 0.01 * merge), *samples))[0]
         return nav, model.report(nav, jnp.zeros(9), jnp.eye(9))[0].pos
 
     _, pos = lax.scan(epoch, model.enter(nav), (gyro, accel))

@@ -1,0 +1,50 @@
+"""The house: its folders are the glossary, and what is below knows nothing of what is above."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1] / "jaxnav"
+ORDER = (
+    "types", "maths", "states", "strapdown", "measurements", "filters", "data", "simulate", "analysis", "app",
+)  # fmt: skip
+
+
+def imported(path: Path) -> set[str]:
+    """The parts of the package that a file imports."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "jaxnav":
+            names = [node.module] if node.module != "jaxnav" else [f"jaxnav.{a.name}" for a in node.names]
+            found |= {name.split(".")[1] for name in names}
+    return found
+
+
+def test_imports_go_downwards():
+    upwards = []
+    for path in ROOT.rglob("*.py"):
+        part = path.relative_to(ROOT).parts[0].removesuffix(".py")
+        if part in ORDER:
+            upwards += [
+                f"{path.relative_to(ROOT)}: {other}"
+                for other in imported(path)
+                if other in ORDER[ORDER.index(part) + 1 :]
+            ]
+    assert not upwards
+
+
+def test_the_root_is_a_dozen_words():
+    entries = {p.name for p in ROOT.iterdir() if p.name != "__pycache__"}
+    assert len(entries) <= 12
+    assert {p.name for p in ROOT.iterdir() if p.is_dir()} - {"__pycache__"} == set(ORDER[1:])
+
+
+def test_one_class_name_is_one_thing_within_a_folder():
+    """Across folders some words recur with their meaning, such as the start of a job and of a recording."""
+    for folder in (f for f in ROOT.rglob("*") if f.is_dir() and f.name != "__pycache__"):
+        names = [
+            node.name
+            for path in folder.glob("*.py")
+            for node in ast.parse(path.read_text()).body
+            if isinstance(node, ast.ClassDef)
+        ]
+        assert len(names) == len(set(names)), (folder, sorted(n for n in names if names.count(n) > 1))

@@ -71,7 +71,7 @@ def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None
     if files.zero:
         notes.append(f"t = 0 is {files.zero} s in the file's time.")
     arm = np.array(_numbers(table.get("lever_arm_frd_m", parts.lever_arm.tolist()), 3, f"{file}: lever_arm_frd_m"))
-    name = table.get("name", parts.name or Path(path).stem)
+    name = table.get("name", Path(path).stem)
     return parts._replace(file=file, aiding=aiding, truth=truth, notes=tuple(notes), lever_arm=arm, name=name)
 
 

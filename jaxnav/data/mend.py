@@ -81,9 +81,12 @@ def recording(parts: Parts) -> Recording:
         held = ", ".join(parts.aiding) or "nothing that is read"
         raise DataError(f"{parts.file}: holds {held} and no IMU: read the IMU's file with gnss={parts.file!r}")
     notes = list(parts.notes)
-    imu = _imu(parts.imu, rotation(parts.axes), parts, notes)
+    turn = rotation(parts.axes)
+    imu = _imu(parts.imu, turn, parts, notes)
     aiding = {}
     for key, stream in parts.aiding.items():
+        if stream.turns:
+            stream = stream._replace(value=stream.value @ turn.T)
         samples = _samples(key, stream, imu, parts.file, notes)
         if samples is not None:
             aiding[key] = samples

@@ -210,7 +210,8 @@ def test_ros1_bag_against_rosbags():
 def test_ros2_bags_of_both_storages(tmp_path, storage):
     pytest.importorskip("rosbags")
     write_ros2(tmp_path / "bag", storage)
-    rec, expected = read(tmp_path / "bag"), recording()
+    assert "say topics={'velocity': '/vel'}" in read(tmp_path / "bag").notes
+    rec, expected = read(tmp_path / "bag", topics={"velocity": "/vel"}), recording()
     np.testing.assert_allclose(rec.imu.gyro, expected.imu.gyro)
     np.testing.assert_allclose(rec.imu.accel, expected.imu.accel)
     np.testing.assert_allclose(np.diff(rec.imu.t), 0.01, atol=1e-9)
@@ -221,6 +222,8 @@ def test_ros2_bags_of_both_storages(tmp_path, storage):
     np.testing.assert_allclose(rec.aiding["barometer"].value[0], 111.0, atol=1.0)  # 100 kPa
     (file,) = [*(tmp_path / "bag").glob("*.db3"), *(tmp_path / "bag").glob("*.mcap")]
     assert recognise(file).name == "ROS bag"
+    turned = read(file, axes="-z,x,-y")  # the magnetometer turns with the IMU
+    np.testing.assert_allclose(turned.aiding["magnetometer"].value[0], [40.0, 20.0, -5.0])
     np.testing.assert_array_equal(read(file).imu.gyro, rec.imu.gyro)
 
 

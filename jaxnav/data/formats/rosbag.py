@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxnav.data.axes import rotation
 from jaxnav.data.files import MAX_VALUE
 from jaxnav.data.parts import ImuRows, Parts, Stream
 from jaxnav.data.units import pressure_height
@@ -22,6 +21,7 @@ class Kind(NamedTuple):
 
     stream: str
     row: Callable[[Any], list[float]]  # value, then sd, of a message
+    asked: bool = False  # only where ``topics`` names one: the type does not say what it means
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -48,12 +48,7 @@ def read(path: Path, topics: dict[str, str] | None = None) -> Parts:
     single = path.suffix == ".db3"
     notes: list[str] = []
     with AnyReader([path.parent if single else path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-        counts: dict[str, dict[str, int]] = {}
-        for c in bag.connections:
-            if c.msgtype in KINDS:
-                of = counts.setdefault(KINDS[c.msgtype].stream, {})
-                of[c.topic] = of.get(c.topic, 0) + c.msgcount
-        chosen = {_choose(path, stream, of, topics or {}, notes): stream for stream, of in counts.items()}
+        chosen = _choose(path, bag.connections, topics or {}, notes)
         if not chosen:
             types = ", ".join(sorted({c.msgtype for c in bag.connections}))
             raise DataError(f"{path}: has no messages that are known, only {types or 'none'}")
@@ -67,15 +62,31 @@ def read(path: Path, topics: dict[str, str] | None = None) -> Parts:
     return _parts(os.fspath(path), rows, stamps, notes)
 
 
-def _choose(path: Path, stream: str, counts: dict[str, int], topics: dict[str, str], notes: list[str]) -> str:
-    if stream in topics:
-        if topics[stream] not in counts:
-            raise DataError(f"{path}: topics: {stream}: no {topics[stream]}, it has {', '.join(counts)}")
-        return topics[stream]
-    best = max(counts, key=lambda topic: counts[topic])
-    if len(counts) > 1:
-        notes.append(f"{stream} is {best}, of {', '.join(sorted(counts))}.")
-    return best
+def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[str]) -> dict[str, str]:
+    """Streams by topic: the topic that the user names, else the one with most messages."""
+    counts: dict[str, dict[str, int]] = {}
+    for c in connections:
+        if c.msgtype not in KINDS:
+            continue
+        kind = KINDS[c.msgtype]
+        if kind.asked and kind.stream not in topics:  # it may as well be a command, or in the robot's axes
+            notes.append(
+                f"{c.topic} is not read: if it is a receiver's, ENU, say topics={{'{kind.stream}': '{c.topic}'}}."
+            )
+            continue
+        of = counts.setdefault(kind.stream, {})
+        of[c.topic] = of.get(c.topic, 0) + c.msgcount
+    chosen = {}
+    for stream, topic in topics.items():
+        if topic not in counts.get(stream, {}):
+            known = ", ".join(counts.get(stream, {})) or "none of a type that is known"
+            raise DataError(f"{path}: topics: {stream}: no {topic}, it has {known}")
+    for stream, of in counts.items():
+        best = topics.get(stream) or max(of, key=lambda topic: of[topic])
+        if len(of) > 1 and stream not in topics:
+            notes.append(f"{stream} is {best}, of {', '.join(sorted(of))}.")
+        chosen[best] = stream
+    return chosen
 
 
 def _parts(file: str, rows: dict[str, list], stamps: dict[str, list[int]], notes: list[str]) -> Parts:
@@ -98,9 +109,8 @@ def _parts(file: str, rows: dict[str, list], stamps: dict[str, list[int]], notes
                 [f"position: {np.count_nonzero(~keep)} messages say that there is no fix."] if not keep.all() else []
             )
             t, value, sd = t[keep], value[keep], sd[keep]
-        if stream == "magnetometer":
-            value = value @ rotation("flu").T  # taken to be mounted like the body
-        aiding[stream] = Stream(t, value, None if np.isnan(sd).all() else sd)
+        # a magnetometer is taken to sit in the IMU's case
+        aiding[stream] = Stream(t, value, None if np.isnan(sd).all() else sd, turns=stream == "magnetometer")
     return Parts(file, imu, aiding, notes=tuple(notes), axes="flu")
 
 
@@ -149,8 +159,8 @@ def _pressure(m: Any) -> list[float]:
 KINDS: dict[str, Kind] = {
     "sensor_msgs/msg/Imu": Kind("imu", _imu),
     "sensor_msgs/msg/NavSatFix": Kind("position", _fix),
-    "geometry_msgs/msg/TwistStamped": Kind("velocity", _velocity),
-    "geometry_msgs/msg/TwistWithCovarianceStamped": Kind("velocity", _velocity_with_sd),
+    "geometry_msgs/msg/TwistStamped": Kind("velocity", _velocity, True),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": Kind("velocity", _velocity_with_sd, True),
     "nav_msgs/msg/Odometry": Kind("speed", _odometry),
     "sensor_msgs/msg/MagneticField": Kind("magnetometer", _magnetic),
     "sensor_msgs/msg/FluidPressure": Kind("barometer", _pressure),

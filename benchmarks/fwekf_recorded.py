@@ -116,7 +116,7 @@ def table(tuned: dict[str, Any]) -> dict[str, dict[str, dict[str, float]]]:
         result[name] = {kind: {} for kind in FAULTS}
         for method, (rule, theta) in rules(tuned).items():
             seen = only(rule, tuple(range(6))) if len(data.chosen) > 2 else rule
-            filt = make_filter(FRAMES["local_level"].propagate, model, seen, reset, stride, data.history)
+            filt = make_filter(FRAMES["local_level"].fast, model, seen, reset, stride, data.history)
             params = data.params._replace(rule=theta)
             found = np.asarray(_errors(filt, params, data.nav, data.epochs, offset, data.truth))
             for kind, e in zip(FAULTS, found, strict=True):

@@ -177,7 +177,7 @@ class Bakeoff:
 class Out:
     """What is written."""
 
-    formats: tuple[str, ...] = ("csv",)  # of the solution: csv, kml, pos, nav
+    formats: tuple[str, ...] = ("csv",)  # of the solution: csv, kml, geojson, tum, pos, nav
     figures: bool = True
 
 

@@ -16,8 +16,9 @@ from jaxnav.app.prepare import ReadyRun, grade_name, prepare
 from jaxnav.app.results import FailedCheck, Outcome, table, write_json
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data.epochs import TICK, hide, in_windows
+from jaxnav.data.solution import FORMATS
 from jaxnav.filters.run import first_failure
-from jaxnav.types import ConfigError, Info
+from jaxnav.types import ConfigError, Info, nearest
 
 CONSISTENT = (0.3, 3.0)  # of NIS / dof: outside, a user should hear of it
 
@@ -63,8 +64,11 @@ def filter(config: Config, folder: Path) -> Outcome:
     """Run the filter over the recording and write solution, metrics and figures.
 
     Raises:
-        FailedCheck: the filter stopped being finite.
+        FailedCheck: the filter stopped being finite. ConfigError: an unknown format of the solution.
     """
+    for kind in config.out.formats:  # before the work, not after it
+        if kind not in FORMATS:
+            raise ConfigError(f"out.formats: no format {kind!r}: {nearest(kind, FORMATS)}")
     seconds, begin = {}, time.perf_counter()
     case = prepare(config)
     hidden = in_windows(case.packed.t, config.filter.outages)
@@ -142,14 +146,8 @@ def end_error(case: ReadyRun, sol: evaluate.Trace, start: float, end: float) -> 
 
 
 def write_solution(config: Config, folder: Path, sol: evaluate.Trace, case: ReadyRun) -> None:
-    """Write the solution in each of [out] formats.
-
-    Raises:
-        ConfigError: an unknown format.
-    """
+    """Write the solution in each of [out] formats."""
     for kind in config.out.formats:
-        if kind not in ("csv", "kml", "pos", "nav"):
-            raise ConfigError(f"out.formats: expected csv, kml, pos or nav, got {kind!r}")
         path = folder / f"solution.{kind}"
         if kind == "kml":
             io.write_kml(path, sol.track, case.recording.aiding["position"], case.recording.name)

@@ -20,12 +20,15 @@ from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.parameters import datasheet_states
 from jaxnav.filters.run import run
+from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
-from jaxnav.simulate.simulation import matched_params, simulate
+from jaxnav.simulate.simulation import Simulated, matched_params, simulate
 from jaxnav.states.grades import GRADES
-from jaxnav.types import Nav, Params
+from jaxnav.states.table import STATES
+from jaxnav.types import Fix, Nav, Params
 
 STRIDE, CHUNK = 10, 32
+BAROMETER_SD, BAROMETER_KEY = 0.5, 7  # m; folded into a run's key
 
 
 class Final(NamedTuple):
@@ -50,12 +53,28 @@ def final(filt: Filter, step: Step, truth: Nav) -> Final:
     return Final(metrics.nees(x, info.P), x, jnp.sqrt(jnp.diag(info.P)), info.ok)
 
 
+def with_barometer(sim: Simulated, key: jax.Array) -> Simulated:
+    """The run with a barometer at every epoch, its bias as the row of `STATES` believes; outages do not hide it."""
+    first, walk, noise = (jax.random.normal(k, sim.truth.t.shape, float) for k in jax.random.split(key, 3))
+    believed, interval = STATES["barometer_bias"].defaults, sim.truth.t[1] - sim.truth.t[0]
+    bias = believed.sd * first[0] + believed.drive * jnp.sqrt(interval) * jnp.cumsum(walk)
+    value = sim.truth.pos[:, 2] + bias + BAROMETER_SD * noise
+    column = lambda a, fill: jnp.concatenate([a, jnp.full_like(a[:, :1], fill)], 1)  # noqa: E731
+    f = sim.epochs.fix
+    fix = Fix(jnp.concatenate([f.value, value[:, None]], 1), column(f.sd, BAROMETER_SD), column(f.corr, 0.0),
+              column(f.valid, True))  # fmt: skip
+    truth = sim.truth._replace(errors=sim.truth.errors | {"barometer_bias": bias[:, None]})
+    return sim._replace(epochs=sim.epochs._replace(fix=fix), truth=truth)
+
+
 @partial(jax.jit, static_argnums=(0, 1))
 def runs_of(filt: Filter, scenario: Scenario, params: Params, keys: jax.Array) -> Final:
     """The ends of the runs with these keys."""
 
     def one(key):
         sim = simulate(scenario, key)
+        if "barometer" in filt.model.measurements:
+            sim = with_barometer(sim, jax.random.fold_in(key, BAROMETER_KEY))
         rows = run(filt, params, sim.initial, sim.epochs, partial(final, filt), sim.truth)
         return jax.tree.map(lambda a: a[-1], rows)
 
@@ -100,7 +119,23 @@ def scale(runs: int, seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-STUDIES = {"scale": scale}
+def barometer(runs: int, seed: int) -> dict[str, Any]:
+    """A barometer whose bias walks: 16 states against 15 that take it for the height, and against none."""
+    urban = SCENARIOS["urban"]
+    scenario = urban._replace(duration_s=urban.gnss.outages_s[-1][1])  # ends where the last outage does
+    channels = (*GNSS, "barometer")
+    with_it = scored(build("ekf15", channels, STRIDE, states=("barometer_bias",)), scenario, runs, seed)
+    without = scored(build("ekf15", channels, STRIDE), scenario, runs, seed)
+    blind = scored(build("ekf15", cov_stride=STRIDE), scenario, runs, seed)
+    return {
+        "anees_16": anees(with_it), "anees_15": anees(without), "bounds": bounds(16, runs),
+        "inside": inside(with_it, slice(15, 16)), "height_rms_m": float(metrics.rms(with_it.error[:, 2])),
+        "height_rms_without_m": float(metrics.rms(blind.error[:, 2])),
+        "per_run_16": with_it.nees, "per_run_15": without.nees,
+    }  # fmt: skip
+
+
+STUDIES = {"scale": scale, "barometer": barometer}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -89,7 +89,9 @@ def test_states_that_are_zero_and_channels_that_are_not_there_change_nothing(fra
     assert not np.asarray(full.P[:, 15:]).any() and not np.asarray(full.nu[:, 6:]).any()
 
 
-@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize(
+    "frame", [name if name == "local_level" else pytest.param(name, marks=pytest.mark.slow) for name in FRAMES]
+)
 def test_gradients_are_finite_and_values_do_not_compile_again(frame, drive):
     scenario, start, epochs = drive
     chex.clear_trace_counter()

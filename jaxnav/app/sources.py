@@ -117,6 +117,8 @@ def load(config: Config) -> tuple[Recording, Simulated | None]:
             return io.load(data.source, **data.options), None
         except TypeError as error:
             raise ConfigError(f"data.options: {error}") from error
+    if not data.source.strip():
+        raise DataError("data.source: no name of a scenario, data set or recording")
     if Path(data.source).exists():
         return read(data.source, **data.options), None
     names = [*SCENARIOS, *io.DATASETS]

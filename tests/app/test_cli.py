@@ -188,17 +188,23 @@ def cells(line, at, value):
         ("position.csv", lambda x: [*x[:9], cells(x[9], 4, "0.0"), *x[10:]], ["position.csv: line 10", "sd > 0"]),
         ("imu.csv", lambda x: [x[0].replace("mps2", "g"), *x[1:]], ["imu.csv", "gravity"]),
         ("imu.csv", lambda x: [x[0].replace("gyro_x_radps", "gx"), *x[1:]], ["imu.csv", "gyro_x_radps"]),
-        ("truth.csv", lambda x: [*x[:-1], x[-1][:10]], ["truth.csv: line", "cut short"]),
         ("recording.json", lambda x: ["{"], ["recording.json"]),
     ],
-    ids=["time", "nan", "sd", "units", "column", "truncated", "json"],
+    ids=["time", "nan", "sd", "units", "column", "json"],
 )
 def test_bad_data_exits_3(drive, tmp_path, capsys, file, change, words):
     fails(capsys, ["filter", "--data", edit(drive, tmp_path, file, change)], 3, *words)
 
 
+def test_a_last_line_that_is_cut_short_is_said(drive, tmp_path, capsys):
+    folder = edit(drive, tmp_path, "truth.csv", lambda x: [*x[:-1], x[-1][:10]])
+    assert cli.main(["filter", "--data", folder, "--out", "cut", *SMALL[2:]]) == 0
+    said = capsys.readouterr().out
+    assert "truth.csv" in said and "cut" in said
+
+
 def test_no_name_is_no_scenario(capsys):
-    fails(capsys, ["filter", "--data", ""], 3, "imu.csv")
+    fails(capsys, ["filter", "--data", ""], 3, "no name")
 
 
 def test_files_that_nobody_reads_are_named(drive, tmp_path, capsys):

@@ -82,8 +82,9 @@ def discretize(
     ``dynamics`` gives the blocks of F at one point, ``points`` are b of them (constant over ``T`` (b,) s each; 0 marks
     padding). The blocks of `FAST` and p' = v are nilpotent: their part N, and E that takes the optional states into
     motion, are summed over the points in closed form, without error. The slow rest S is taken at the epoch's mean
-    point, half of it before and half after (Strang 1968): the error is of third order in the epoch's length, 1e-7 of an
-    entry after a second. That is what lets the covariance move once an epoch instead of at every sample.
+    point, half of it before and half after (Strang 1968): the error is of third order in the epoch's length. After a
+    second it is below 3e-6 of a block's largest entry in a local level case, but for position by attitude: 4e-5. That
+    is what lets the covariance move once an epoch instead of at every sample.
 
     White noise is integrated by Gauss' rule with three points, what drives the states with two. ``lumped``: white noise
     enters at the end of each point, Q = G T, as textbook filters have it.
@@ -223,7 +224,8 @@ def _driven(
     """What unit noise that drives the states does at Gauss' two points: to motion, each (9, k), and to them, (k, k).
 
     Of what a state does over the whole epoch, noise with the share s of it to come does s, s^2 or s^3, by how many
-    integrals lie between: exact while C and f are constant.
+    integrals lie between: exact while C and f are constant. The variance from two points is 35/36 of the exact one through
+    two integrals and 91/108 through three.
     """
     starts = np.cumsum([0, *(s.size for s in states)])
     part = lambda M, i: M[:, starts[i] : starts[i + 1]]  # noqa: E731

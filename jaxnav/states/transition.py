@@ -224,8 +224,8 @@ def _driven(
     """What unit noise that drives the states does at Gauss' two points: to motion, each (9, k), and to them, (k, k).
 
     Of what a state does over the whole epoch, noise with the share s of it to come does s, s^2 or s^3, by how many
-    integrals lie between: exact while C and f are constant. The variance from two points is 35/36 of the exact one through
-    two integrals and 91/108 through three.
+    integrals lie between: exact while C and f are constant. The variance from two points is 35/36 of the
+    exact one through two integrals and 91/108 through three.
     """
     starts = np.cumsum([0, *(s.size for s in states)])
     part = lambda M, i: M[:, starts[i] : starts[i + 1]]  # noqa: E731

@@ -27,9 +27,10 @@ def main(argv: list[str]) -> int:
             print(f"  {name:10} {what}", file=sys.stderr)
         return 2
     from jaxnav.app.cli import COLLECT
-    from jaxnav.filters.run import enable_x64
+    from jaxnav.filters.compiler import enable_x64, fast_compiler
     from jaxnav.types import DataError
 
+    fast_compiler()
     enable_x64()
     gc.set_threshold(COLLECT)
     try:

@@ -13,6 +13,7 @@ import numpy as np
 import optax
 
 from jaxnav.analysis import metrics
+from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import run
 from jaxnav.maths import earth, rotations
@@ -114,6 +115,7 @@ def tune(
     filt: Filter, params: Params, spec: Spec, drives: Drives, key: jax.Array, steps: int, rate: float = 0.1
 ) -> tuple[Params, list[float]]:
     """Adam on minibatches with outages drawn anew; the mean of the last iterates, and the losses met."""
+    make_room()
     optimizer = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05)))
     optimizer = optax.apply_if_finite(optimizer, 5)
     raw = split(spec, params)

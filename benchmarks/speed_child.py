@@ -157,8 +157,9 @@ def main(task: str, *arguments: str) -> None:
     """Run one of the tasks."""
     keep_to(cpus()[-1:])
     from jaxnav.app.cli import COLLECT
-    from jaxnav.filters.run import enable_x64
+    from jaxnav.filters.compiler import enable_x64, fast_compiler
 
+    fast_compiler()
     enable_x64()
     gc.set_threshold(COLLECT)  # as the command line does
     print(json.dumps({"first_calls": first_calls, "memory": memory, "devices": devices}[task](*arguments)))

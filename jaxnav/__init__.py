@@ -14,7 +14,7 @@ error squared in units of their covariance, chi-square distributed if the filter
 A filter is mechanization x error model x rule x feedback (`jaxnav.filters.core.make_filter`); `FILTERS` lists the ones
 with a name, `build` makes them, `run` runs them over `pack`ed epochs. Parameters are a pytree (`Params`), so that a run
 can be vmapped over seeds and candidates and differentiated; the package ``tuning`` does that. Importing changes no
-setting of jax: call `enable_x64()` first.
+setting of jax: call `enable_x64()` first, and `fast_compiler()`, `cache()` if a first answer shall come sooner.
 """
 
 from jaxnav.analysis.navigate import Solution, navigate
@@ -23,9 +23,10 @@ from jaxnav.data.read import read
 from jaxnav.data.recording import recording
 from jaxnav.data.start import course, heading_bank, level, start, with_headings
 from jaxnav.filters.catalogue import FILTERS, build
+from jaxnav.filters.compiler import cache, enable_x64, fast_compiler, make_room
 from jaxnav.filters.core import Correction, Filter, Innovation, Rule, make_filter
 from jaxnav.filters.parameters import datasheet_params, mounting
-from jaxnav.filters.run import enable_x64, initial_nav, prepare, require_x64, run, run_jit, track
+from jaxnav.filters.run import initial_nav, prepare, require_x64, run, run_jit, track
 from jaxnav.measurements import GNSS, MEASUREMENTS, NONHOLONOMIC, POSITION, SPEED, VELOCITY, ZERO_RATE, ZERO_VELOCITY
 from jaxnav.states import STATES, State
 from jaxnav.states.grades import GRADES, Grade
@@ -53,9 +54,9 @@ __version__ = "0.1.0"
 __all__ = [
     "ConfigError", "Correction", "DataError", "Epoch", "FILTERS", "Filter", "Fix", "GNSS", "GRADES", "Grade", "Imu",
     "ImuLog", "Info", "Innovation", "MEASUREMENTS", "Mounting", "NONHOLONOMIC", "Nav", "Noise", "POSITION", "Packed",
-    "Params", "Prior", "Recording", "Rule", "SPEED", "STATES", "Samples", "Solution", "State", "StateParams",
-    "Track", "VELOCITY", "ZERO_RATE", "ZERO_VELOCITY", "build", "constraint_samples", "course", "cut_times",
-    "datasheet_params", "enable_x64", "heading_bank", "hide", "initial_nav", "level", "make_filter", "mounting",
-    "navigate", "outage_windows", "pack", "prepare", "read", "recording", "require_x64", "run", "run_jit", "start",
-    "stationary", "track", "with_headings",
+    "Params", "Prior", "Recording", "Rule", "SPEED", "STATES", "Samples", "Solution", "State", "StateParams", "Track",
+    "VELOCITY", "ZERO_RATE", "ZERO_VELOCITY", "build", "cache", "constraint_samples", "course", "cut_times",
+    "datasheet_params", "enable_x64", "fast_compiler", "heading_bank", "hide", "initial_nav", "level", "make_filter",
+    "make_room", "mounting", "navigate", "outage_windows", "pack", "prepare", "read", "recording", "require_x64", "run",
+    "run_jit", "start", "stationary", "track", "with_headings",
 ]  # fmt: skip

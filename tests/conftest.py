@@ -3,6 +3,7 @@
 import gc
 import os
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +17,12 @@ with warnings.catch_warnings():  # the compiler warns of the oracle's escape seq
     from pyins import filters as _filters  # noqa: F401
     from pyins import sim
 
-jax.config.update("jax_enable_x64", True)
+from jaxnav.app.cli import COLLECT  # noqa: E402
+from jaxnav.filters.compiler import enable_x64, fast_compiler, make_room  # noqa: E402
+
+fast_compiler()
+enable_x64()
+gc.set_threshold(COLLECT)
 jax.config.update("jax_enable_compilation_cache", False)
 jax.config.update("jax_disable_most_optimizations", True)  # the suite's time is compilation
 
@@ -31,16 +37,10 @@ from jaxnav.types import ImuLog, Nav, Params, Samples, Track  # noqa: E402
 GRADE = Grade(2e-4, 2e-3, 1e-3, 2e-2, 1e-4, 2e-3, 100.0, "made up for tests: a good MEMS unit")
 
 
-MAPS = Path("/proc/self/maps")
-MOST_MAPS = 30_000  # every compiled function keeps a few; Linux allows a process 65,530 and then the compiler crashes
-
-
 def pytest_runtest_teardown(item, nextitem) -> None:
-    """Between modules, drop the compiled functions of a process that has collected many."""
-    changes = nextitem is None or nextitem.path != item.path
-    if changes and MAPS.exists() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
-        jax.clear_caches()
-        gc.collect()
+    """Between modules, drop the compiled functions of a process that has collected many: two workers share a laptop."""
+    if nextitem is None or nextitem.path != item.path:
+        make_room(maps=8_000, resident=1.3 * 2**30)
 
 
 @pytest.fixture(scope="module")
@@ -118,9 +118,10 @@ def data_dir() -> Path:
     return Path(folder)
 
 
-def leaves_equal(a, b, atol: float = 0.0) -> None:
-    """Every leaf of two trees agrees within atol; 0 means bit for bit."""
-    jax.tree.map(lambda x, y: np.testing.assert_allclose(np.asarray(x), np.asarray(y), rtol=0, atol=atol), a, b)
+def leaves_equal(a, b, atol: float = 0.0, rtol: float = 0.0) -> None:
+    """Every leaf of two trees agrees within atol + rtol |b|; 0 means bit for bit, which only one program promises."""
+    same = partial(np.testing.assert_allclose, rtol=rtol, atol=atol)
+    jax.tree.map(lambda x, y: same(np.asarray(x), np.asarray(y)), a, b)
 
 
 def all_finite(tree) -> bool:

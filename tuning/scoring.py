@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnav.filters.compiler import make_room
 from tuning.uncertainty import Information
 
 LONGEST = 1.5  # of a step in any unconstrained number: a factor 4.5
@@ -82,6 +83,7 @@ def maximise(
     Raises:
         ValueError: the likelihood of the start is not finite.
     """
+    make_room()
     many = raw.ndim == 2
     start, step = (jax.vmap(begin), jax.vmap(advance)) if many else (begin, advance)
     start, step = jax.jit(start), jax.jit(step)

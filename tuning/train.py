@@ -14,6 +14,7 @@ import optax
 from jax.sharding import Mesh
 
 from jaxnav.analysis.progress import bar as progress_bar
+from jaxnav.filters.compiler import make_room
 from tuning import checkpoint, distributed
 from tuning.batch import Aggregate, Data, Problem, evaluate, mean, strict
 from tuning.optimizers import adam as default_optimizer
@@ -118,6 +119,7 @@ def fit(
     Raises:
         ValueError: the loss of the start is not finite. CheckpointError: nothing usable to resume from.
     """
+    make_room()
     optimizer = default_optimizer(steps) if optimizer is None else optimizer
     drawn = cases if callable(cases) else None
     first = drawn(0) if drawn is not None else cases

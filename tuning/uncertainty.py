@@ -48,11 +48,19 @@ def information(
 
     def innovations(r):
         info = solve(r)
-        return info.nu, info.S, info.valid, info.ok
+        return (info.nu, info.S), (info.valid, info.ok)
 
-    nu, S, valid, ok = innovations(raw)
-    push = lambda v: jax.jvp(lambda r: innovations(r)[:2], (raw,), (v,))[1]  # noqa: E731
-    dnu, dS = lax.map(push, jnp.eye(raw.size), batch_size=TOGETHER)
+    def push(v):
+        values, slopes, rest = jax.jvp(innovations, (raw,), (v,), has_aux=True)
+        return (values, rest), slopes
+
+    # one copy of the filter is compiled: its values come with the slopes, and all batches of directions are equal
+    turns = -(-raw.size // TOGETHER)
+    each = -(-raw.size // turns)
+    directions = jnp.eye(turns * each, raw.size).reshape(turns, each, raw.size)
+    values, slopes = lax.map(jax.vmap(push, out_axes=(None, 0)), directions)
+    (nu, S), (valid, ok) = jax.tree.map(lambda a: a[0], values)
+    dnu, dS = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[: raw.size], slopes)
     nll, score, fisher = jax.vmap(_epoch, (0, 0, 0, 1, 1))(nu, S, valid, dnu, dS)
     counts = keep & valid.any(-1)
     weigh = lambda a: jnp.where(counts.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0)  # noqa: E731

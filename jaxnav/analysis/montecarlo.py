@@ -15,6 +15,7 @@ import numpy as np
 from jaxnav.analysis import metrics
 from jaxnav.analysis.progress import bar as progress_bar
 from jaxnav.data.epochs import TICK
+from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import Scenario
@@ -203,6 +204,7 @@ def monte_carlo(
     if not numbers.size or chunk < 1:
         raise ValueError(f"runs and chunk must be at least 1, got {numbers.size} and {chunk}")
     sizes(scenario)
+    make_room()
     keys = jax.vmap(partial(run_key, seed))(np.resize(numbers, -(-numbers.size // chunk) * chunk))
     limit, scores, stopped = jnp.asarray(limit_m, float), [], False
     sums: _Sums | None = None

@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxnav.app import config as configuration
+from jaxnav.filters.compiler import cache, cache_home, enable_x64, fast_compiler
 from jaxnav.types import ConfigError, DataError
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
 
 INTERRUPTED = 130  # exit code
-CACHE = "JAXNAV_CACHE_DIR"  # environment: folder of compiled programs; empty turns the cache off
 COLLECT = 20_000  # new objects until the garbage collector looks; at Python's 700 it takes a third of tracing
 VERBS = {
     "demo": "simulate, tune by gradient and draw the figures: no data, no network, about a minute",
@@ -209,7 +209,7 @@ def _look(args: argparse.Namespace) -> "Outcome":
 
     if args.verb == "data":
         return info.data(args.action, args.name)
-    return info.info(cache_dir())
+    return info.info(cache_home())
 
 
 def _work(args: argparse.Namespace, config: configuration.Config, folder: Path, out: Path) -> "Outcome":
@@ -275,25 +275,9 @@ def _fail(args: argparse.Namespace, error: Exception, code: int) -> int:
     return code
 
 
-def cache_dir() -> str | None:
-    """The folder of compiled programs, or None where it is turned off."""
-    if CACHE in os.environ:
-        return os.environ[CACHE] or None
-    if sys.platform == "win32":
-        home = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        home = Path.home() / "Library" / "Caches"
-    else:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return str(home / "jaxnav" / "compiled")
-
-
 def _start_jax(args: argparse.Namespace) -> None:
     """Float64, compiled programs kept for the next start, and the devices and processes that tuning asks for."""
-    import jax
-
-    from jaxnav.filters.run import enable_x64
-
+    fast_compiler()
     enable_x64()
     gc.set_threshold(COLLECT)
     if args.verb == "tune":
@@ -304,10 +288,7 @@ def _start_jax(args: argparse.Namespace) -> None:
         if args.devices > 1 and args.processes is None:
             distributed.use_cpu_devices(args.devices)
         distributed.start(args.coordinator, args.processes, args.process)
-    folder = cache_dir()
-    if folder:
-        jax.config.update("jax_compilation_cache_dir", folder)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    cache()
 
 
 def _version() -> str:

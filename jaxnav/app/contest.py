@@ -21,6 +21,7 @@ from jaxnav.app.parameters import groups, step_of
 from jaxnav.app.results import stderr
 from jaxnav.app.sources import TEST, TRAIN, VALIDATION, key_of, simulated
 from jaxnav.filters.catalogue import FILTERS, build
+from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, put
 from jaxnav.filters.run import prepare, run
@@ -196,6 +197,7 @@ def draw(plan: Plan) -> Runs:
 
 def _enter(name: str, plan: Plan, runs: Runs, progress: bool) -> Entrant | None:
     """One filter tuned and scored; None where Ctrl-C cut its tuning short, which would not be the same budget."""
+    make_room()
     begin, b = time.perf_counter(), plan.budget
     filt, spec, start = filter_for(name, plan), spec_of(name), datasheet(name)
     before = marks(filt, start, runs.test, plan.limit_m)

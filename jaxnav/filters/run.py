@@ -14,11 +14,6 @@ from jaxnav.maths import linalg, rotations
 from jaxnav.types import DataError, Epoch, Info, Nav, Origin, Params, Track
 
 
-def enable_x64() -> None:
-    """Switch jax to float64 for the whole process; importing jaxnav changes no flag of jax."""
-    jax.config.update("jax_enable_x64", True)
-
-
 def require_x64(*trees: Any) -> None:
     """Refuse float32: latitude in float32 steps by 0.4 m.
 

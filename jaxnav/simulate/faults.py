@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxnav.data.epochs import TICK
 from jaxnav.simulate.kinds import told_apart
-from jaxnav.simulate.processes import gauss_markov
+from jaxnav.simulate.processes import gauss_markov, normal
 
 Axes = tuple[float, float, float]
 
@@ -77,7 +77,7 @@ def _size(position: Axes, velocity: Axes) -> jax.Array:
 
 
 def _signs(key: jax.Array, random: bool) -> jax.Array | float:
-    return jnp.sign(jax.random.normal(key, (6,), float)) if random else 1.0
+    return jnp.sign(normal(key, (6,))) if random else 1.0
 
 
 def _constant(f: Constant, key: jax.Array, t: jax.Array, noise: jax.Array) -> jax.Array:
@@ -90,11 +90,11 @@ def _ramp(f: Ramp, key: jax.Array, t: jax.Array, noise: jax.Array) -> jax.Array:
 
 
 def _white(f: White, key: jax.Array, t: jax.Array, noise: jax.Array) -> jax.Array:
-    return _size(f.position_sd_m, f.velocity_sd_mps) * jax.random.normal(key, noise.shape, float)
+    return _size(f.position_sd_m, f.velocity_sd_mps) * normal(key, noise.shape)
 
 
 def _correlated(f: GaussMarkov, key: jax.Array, t: jax.Array, noise: jax.Array) -> jax.Array:
-    white = jax.random.normal(key, noise.shape, float)
+    white = normal(key, noise.shape)
     interval = (t[-1] - t[0]) / max(t.shape[0] - 1, 1)
     return _size(f.position_sd_m, f.velocity_sd_mps) * gauss_markov(white, interval, f.tau_s)
 

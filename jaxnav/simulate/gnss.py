@@ -9,7 +9,7 @@ import numpy as np
 from jaxnav.data.epochs import TICK
 from jaxnav.maths import earth, rotations
 from jaxnav.simulate import faults as fault
-from jaxnav.simulate.processes import gauss_markov
+from jaxnav.simulate.processes import gauss_markov, normal
 from jaxnav.types import Fix, Nav
 
 
@@ -44,15 +44,15 @@ def antenna(nav: Nav, lever_arm: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 def _noise(key: jax.Array, n: int, interval: float, sd: jax.Array, receiver: Receiver) -> jax.Array:
     """Noise and outliers of n fixes, (n, 6) ENU m and m/s."""
-    noise, share = jax.random.normal(key, (n, 6), float), receiver.correlated_share
+    noise, share = normal(key, (n, 6)), receiver.correlated_share
     if share:
-        slow = jax.random.normal(jax.random.fold_in(key, 1), (n, 6), float)
+        slow = normal(jax.random.fold_in(key, 1), (n, 6))
         noise = np.sqrt(1 - share) * noise + np.sqrt(share) * gauss_markov(slow, interval, receiver.correlation_s)
     noise = receiver.gnss_noise_factor * sd * noise
     if receiver.outlier_probability:
         where, size = jax.random.split(jax.random.fold_in(key, 2))
         hit = jax.random.uniform(where, (n, 1), float) < receiver.outlier_probability
-        noise = noise + jnp.where(hit, receiver.outlier_factor * sd * jax.random.normal(size, (n, 6), float), 0.0)
+        noise = noise + jnp.where(hit, receiver.outlier_factor * sd * normal(size, (n, 6)), 0.0)
     return noise
 
 

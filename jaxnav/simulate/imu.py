@@ -12,7 +12,7 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from jaxnav.maths import earth, rotations, units
-from jaxnav.simulate.processes import gauss_markov
+from jaxnav.simulate.processes import gauss_markov, normal
 from jaxnav.simulate.trajectories import Point
 from jaxnav.states.grades import Grade
 from jaxnav.types import Imu
@@ -68,11 +68,11 @@ def _biases(key: jax.Array, first: jax.Array, drift: jax.Array, dt: float, grade
     """True biases (n, 2, 3) from unit normal numbers: of the turn-on (2, 3) and of the drift (n, 2, 3)."""
     turn_on = _pair(grade.gyro_turn_on, grade.accel_turn_on) * (jnp.sign(first) if e.fixed_bias else first)
     untold = _pair(e.gyro_bias_sd_deg_per_hour * units.DEG_PER_HOUR, e.accel_bias_sd_mg * units.MG)
-    turn_on = turn_on + untold * jax.random.normal(jax.random.fold_in(key, 1), (2, 3), float)
+    turn_on = turn_on + untold * normal(jax.random.fold_in(key, 1), (2, 3))
     f = e.imu_noise_factor
     bias = turn_on + f * _pair(grade.gyro_instability, grade.accel_instability) * gauss_markov(drift, dt, grade.tau)
     if grade.gyro_walk or grade.accel_walk:
-        steps = jax.random.normal(jax.random.fold_in(key, 2), drift.shape, float)
+        steps = normal(jax.random.fold_in(key, 2), drift.shape)
         bias = bias + f * _pair(grade.gyro_walk, grade.accel_walk) * np.sqrt(dt) * jnp.cumsum(steps, 0)
     return bias
 
@@ -80,7 +80,7 @@ def _biases(key: jax.Array, first: jax.Array, drift: jax.Array, dt: float, grade
 def _deform(key: jax.Array, factor: jax.Array, e: ImuErrors) -> jax.Array:
     """Scale errors and angles between axes as matrices, (2, 3, 3), from unit normal numbers (2, 3) for the scale."""
     angles = units.MRAD * _pair(e.gyro_misalignment_sd_mrad, e.accel_misalignment_sd_mrad)[..., None]
-    apart = angles * jax.random.normal(jax.random.fold_in(key, 3), (2, 3, 3), float) * (1 - np.eye(3))
+    apart = angles * normal(jax.random.fold_in(key, 3), (2, 3, 3)) * (1 - np.eye(3))
     scale = 1 + units.PPM * _pair(e.gyro_scale_sd_ppm, e.accel_scale_sd_ppm) * factor
     return scale[..., None] * np.eye(3) + apart
 
@@ -109,12 +109,12 @@ def corrupt(
     shake.
     """
     n = imu.dt.shape[0]
-    normal = jax.random.normal(key, (2 + 2 * n, 2, 3), float)  # axis 1: gyro, accelerometer
-    bias = _biases(key, normal[0], normal[2 : 2 + n], dt, grade, errors)
+    drawn = normal(key, (2 + 2 * n, 2, 3))  # axis 1: gyro, accelerometer
+    bias = _biases(key, drawn[0], drawn[2 : 2 + n], dt, grade, errors)
     # a root PSD becomes the sd of a mean over dt
-    noise = errors.imu_noise_factor * _pair(grade.arw, grade.vrw) / np.sqrt(dt) * normal[2 + n :]
+    noise = errors.imu_noise_factor * _pair(grade.arw, grade.vrw) / np.sqrt(dt) * drawn[2 + n :]
     signal = jnp.stack([imu.gyro, imu.accel], 1)
-    deformed = _deform(key, normal[1], errors)
+    deformed = _deform(key, drawn[1], errors)
     out = jnp.einsum("sij,nsj->nsi", deformed, signal) + bias + noise
     if errors.vibration_hz:
         out = out + _vibration(key, n, dt, errors)

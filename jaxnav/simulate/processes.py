@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 
@@ -17,3 +18,13 @@ def gauss_markov(white: jax.Array, dt: ArrayLike, tau: ArrayLike) -> jax.Array:
 
     _, b = lax.scan(advance, white[0], white[1:])
     return jnp.concatenate([white[:1], b])
+
+
+def normal(key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+    """The numbers of ``jax.random.normal(key, shape, float)``, worked out in a loop.
+
+    Else the compiler copies the inverse of the error function, some hundred operations, into everybody who uses them.
+    """
+    uniform = jax.random.uniform(key, shape, float, np.nextafter(-1.0, 0.0), 1.0)
+    rows = next((d for d in (2, 3, 5, 7) if uniform.size % d == 0), 1)
+    return lax.map(lambda u: np.sqrt(2) * lax.erf_inv(u), uniform.reshape(rows, -1)).reshape(shape)

@@ -14,6 +14,7 @@ from jaxnav.filters.parameters import datasheet_params, late, mounting
 from jaxnav.filters.run import require_x64, track
 from jaxnav.maths import earth, rotations, units
 from jaxnav.simulate import gnss, imu
+from jaxnav.simulate.processes import normal
 from jaxnav.simulate.scenarios import PATTERN, Scenario, Start
 from jaxnav.simulate.trajectories import Point, Shape, shape_of, travel
 from jaxnav.states.grades import GRADES
@@ -62,7 +63,7 @@ def sizes(scenario: Scenario) -> tuple[int, int]:
 
 def perturb(key: jax.Array, nav: Nav, start: Start) -> Nav:
     """A start with errors drawn from its prior, or by the pattern; nothing known of the sensors' errors."""
-    drawn = jax.random.normal(key, (3, 3), float)
+    drawn = normal(key, (3, 3))
     e_pos, e_vel, e_att = jnp.tile(jnp.asarray(PATTERN, float), (3, 1)) if start.fixed_errors else drawn
     tilt, heading = start.prior_tilt_sd_deg, start.prior_heading_sd_deg
     phi = units.DEG * np.array([tilt, tilt, heading]) * e_att

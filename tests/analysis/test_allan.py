@@ -202,7 +202,7 @@ def recording(tmp_path):
 
 def test_verb(recording, tmp_path, monkeypatch, capsys):
     """Table, JSON with the unit in every name, and a figure; the motion at the end is cut off by --stop."""
-    monkeypatch.setenv(cli.CACHE, "")
+    monkeypatch.setenv("JAXNAV_CACHE_DIR", "")
     out = tmp_path / "out"
     assert cli.main(["allan", "--data", str(recording), "--stop", "60", "--out", str(out)]) == 0
     text = capsys.readouterr().out

@@ -35,7 +35,7 @@ TINY = [
 
 @pytest.fixture(autouse=True)
 def no_cache_no_cwd(monkeypatch, tmp_path):
-    monkeypatch.setenv(cli.CACHE, "")
+    monkeypatch.setenv("JAXNAV_CACHE_DIR", "")
     monkeypatch.chdir(tmp_path)
 
 
@@ -44,7 +44,7 @@ def drive(tmp_path_factory):
     """A recording written by `jaxnav simulate`."""
     out = tmp_path_factory.mktemp("sim") / "drive"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(cli.CACHE, "")
+        patch.setenv("JAXNAV_CACHE_DIR", "")
         assert cli.main(["simulate", "--data", "urban_short", "--out", str(out), "--seed", "3", *SMALL]) == 0
     return out
 

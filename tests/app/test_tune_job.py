@@ -32,7 +32,7 @@ SETTINGS = {
 
 @pytest.fixture(autouse=True)
 def no_cache_no_cwd(monkeypatch, tmp_path):
-    monkeypatch.setenv(cli.CACHE, "")
+    monkeypatch.setenv("JAXNAV_CACHE_DIR", "")
     monkeypatch.chdir(tmp_path)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import scenario_of
-from jaxnav.filters.run import enable_x64
+from jaxnav.filters.compiler import enable_x64
 from jaxnav.maths import earth, rotations, units
 from jaxnav.simulate import faults
 from jaxnav.simulate.faults import Constant, Ramp

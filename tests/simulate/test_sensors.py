@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from jaxnav.analysis.metrics import chi2_bounds
+from jaxnav.filters.compiler import enable_x64
 from jaxnav.filters.parameters import datasheet_params
-from jaxnav.filters.run import enable_x64
 from jaxnav.maths import earth, rotations, units
 from jaxnav.simulate import faults, gnss, imu
 from jaxnav.simulate.faults import Burst, Constant, GaussMarkov, Ramp, White
 from jaxnav.simulate.gnss import Receiver
 from jaxnav.simulate.imu import ImuErrors
-from jaxnav.simulate.processes import gauss_markov
+from jaxnav.simulate.processes import gauss_markov, normal
 from jaxnav.simulate.trajectories import Motion, travel
 from jaxnav.states.grades import GRADES, Grade
 from jaxnav.types import Imu, Nav, Origin
@@ -91,6 +91,12 @@ def test_a_walking_bias_walks_from_zero():
     np.testing.assert_allclose(out.gyro, 1 + b_g, atol=1e-12)
     known = datasheet_params(grade).states
     assert float(known["gyro_bias"].drive) == 0.01 and float(known["accel_bias"].drive) == 0.1
+
+
+@pytest.mark.parametrize("shape", [(3,), (11, 13), (4, 5, 6), ()])
+def test_normal_numbers_are_those_of_jax(shape):
+    key = jax.random.key(7)
+    np.testing.assert_allclose(normal(key, shape), jax.random.normal(key, shape, float), rtol=1e-14)
 
 
 def test_gauss_markov_is_stationary_with_its_time_constant():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxnav import data as io
-from jaxnav.filters.run import enable_x64
+from jaxnav.filters.compiler import enable_x64
 from jaxnav.maths import earth, rotations, units
 from jaxnav.simulate import imu
 from jaxnav.simulate.trajectories import (

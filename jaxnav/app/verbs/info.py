@@ -14,14 +14,14 @@ from jaxnav.states.grades import GRADES
 from jaxnav.types import DataError
 
 
-def info(cache: str | None) -> Outcome:
+def info(cache: Path | None) -> Outcome:
     """Versions, devices, precision, data sets, filters, scenarios, grades."""
     found: dict[str, Any] = {
         "versions": versions(),
         "git": git_hash(),
         "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],
         "x64": bool(jax.config.read("jax_enable_x64")),
-        "compilation_cache": cache,
+        "compilation_cache": None if cache is None else str(cache),
         "filters": {name: entry.citation for name, entry in FILTERS.items()},
         "scenarios": list(SCENARIOS),
         "grades": {name: grade.source for name, grade in GRADES.items()},

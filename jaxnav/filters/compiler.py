@@ -1,0 +1,124 @@
+"""How jax is set up for navigation: float64, a compiler that is quick, and compiled programs that are kept."""
+
+import ctypes
+import gc
+import logging
+import os
+import platform
+import sys
+from contextlib import suppress
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+
+CACHE = "JAXNAV_CACHE_DIR"  # environment: folder of compiled programs; empty turns the cache off
+LOG = logging.getLogger("jaxnav")
+EMITTERS = "xla_cpu_use_fusion_emitters"  # off: XLA's older emitter writes the kernels, in half of the time
+KNOWN = (0, 10)  # jaxlib up to here has the flag; XLA ends a process whose flags it does not know
+
+
+def enable_x64() -> None:
+    """Switch jax to float64 for the whole process; importing jaxnav changes no flag of jax."""
+    jax.config.update("jax_enable_x64", True)
+
+
+def fast_compiler() -> bool:
+    """Before the first array: compile in half of the time, with a third of the memory mappings, to programs as fast.
+
+    Sets an option of XLA in the environment of this process. Returns whether it was set: jaxlib's version is one that
+    is known to have it, and XLA_FLAGS does not name it already.
+    """
+    flags, version = os.environ.get("XLA_FLAGS", ""), metadata.version("jaxlib").split(".")
+    if EMITTERS in flags or (int(version[0]), int(version[1])) > KNOWN:
+        return False
+    os.environ["XLA_FLAGS"] = f"{flags} --{EMITTERS}=false".strip()
+    return True
+
+
+def cache(folder: str | Path | None = None) -> Path | None:
+    """Keep compiled programs, small ones included, for the next process; returns the folder, None where turned off.
+
+    ``folder``: by default the one named by the environment variable JAXNAV_CACHE_DIR (empty turns the cache off), else
+    jaxnav's in the user's cache folder. Programs of another jaxlib or processor lie apart from these.
+    """
+    home = cache_home() if folder is None else Path(folder)
+    if home is None:
+        return None
+    own = home / f"jaxlib-{metadata.version('jaxlib')}-{_processor()}"
+    jax.config.update("jax_compilation_cache_dir", str(own))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    return own
+
+
+class Held(NamedTuple):
+    """What this process holds of the system; zeros where it does not say (only Linux does)."""
+
+    maps: int  # memory mappings: every compiled kernel keeps some, and past the system's limit the compiler crashes
+    resident: int  # bytes of memory
+
+
+def held() -> Held:
+    """Mappings and memory of this process."""
+    try:
+        maps = Path("/proc/self/maps").read_bytes().count(b"\n")
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return Held(0, 0)
+    return Held(maps, pages * os.sysconf("SC_PAGE_SIZE"))
+
+
+def make_room(maps: int = 40_000, resident: float | None = None) -> bool:
+    """Drop all compiled programs where this process holds too much, and say so; returns whether it did.
+
+    Called by Monte Carlo, tuning and the bake-off before they compile, and by whoever loops over many filters. What is
+    still needed compiles again. ``maps``: Linux allows 65,530 (`vm.max_map_count`). ``resident``: bytes, by default
+    half of the machine's memory.
+    """
+    now = held()
+    most = _memory() / 2 if resident is None else resident
+    if now.maps <= maps and now.resident <= most:
+        return False
+    jax.clear_caches()
+    gc.collect()
+    if sys.platform == "linux":  # what was freed in small pieces goes back to the system only when asked for
+        getattr(ctypes.CDLL(None), "malloc_trim", lambda pad: 0)(0)
+    LOG.warning("dropped all compiled programs, which held %d mappings, %.1f GiB", now.maps, now.resident / 2**30)
+    return True
+
+
+def _memory() -> float:
+    """Bytes of memory of this machine, or of the control group that this process may not leave; inf if unknown."""
+    limits = [float("inf")]
+    with suppress(OSError, ValueError):
+        limits.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    with suppress(OSError, ValueError):  # "max" where there is no limit
+        limits.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return min(limits)
+
+
+def cache_home() -> Path | None:
+    """The user's folder of compiled programs, or None where it is turned off."""
+    if CACHE in os.environ:
+        return Path(os.environ[CACHE]) if os.environ[CACHE] else None
+    if sys.platform == "win32":
+        home = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        home = Path.home() / "Library" / "Caches"
+    else:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return home / "jaxnav" / "compiled"
+
+
+def _processor() -> str:
+    """The processor's instruction set and model as a short name of a folder."""
+    name = platform.machine()
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as lines:
+            model = next((line.split(":", 1)[1] for line in lines if line.startswith("model name")), "")
+    except OSError:
+        model = platform.processor()
+    words = "".join(c if c.isalnum() else " " for c in f"{name} {model}").split()
+    return "-".join(words)[:60].lower() or "unknown"

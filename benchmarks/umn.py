@@ -55,7 +55,7 @@ def main(argv: list[str]) -> None:
     position, velocity = rec.aiding["position"], rec.aiding["velocity"]
     start = float(position.t[0])
     roll, pitch = alignment.level(rec.imu, start, start + 20.0)
-    packed = epochs.pack(rec.imu, rec.aiding, 1.0, start=start, max_gap=2.5)
+    packed = epochs.pack(rec.imu, rec.aiding, 1.0, start=start)
     nav = initial_nav(position.value[0], velocity.value[0], (roll, pitch, 0.0), t=start)
     headings = np.arange(HEADINGS) * 2 * np.pi / HEADINGS
     filt = build("ekf15", cov_stride=10, history=10)

@@ -60,6 +60,7 @@ class Epoch(NamedTuple):
 
     imu: Any  # Imu (k, ...), or what `jaxnav.filters.run.prepare` made of it for a filter
     fix: Fix  # (m,)
+    gap: Any = None  # (2,) root PSD that the noise of gyro and accelerometer has more, where samples are missing
 
 
 class Origin(NamedTuple):
@@ -143,11 +144,13 @@ class Mounting(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """Standard deviations at the start; each leaf broadcasts to its axes."""
+    """Standard deviations at the start, each of which broadcasts to its axes, and what of them is correlated."""
 
     position: Leaf  # () or (3,) m, ENU
     velocity: Leaf  # () or (3,) m/s, ENU
     attitude: Leaf  # () or (3,) rad, rotation about E, N (tilts) and U (heading)
+    # (9, 9) lower root of the correlations of attitude, gyro and accelerometer bias; None: there are none
+    correlated: Leaf = None
 
 
 class Params(NamedTuple):

@@ -1,15 +1,17 @@
 """A recording through a filter in one call: start, cut, filter, and the solution on the host."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import numpy as np
 
 from jaxnav.analysis import evaluate
 from jaxnav.data import epochs as ep
+from jaxnav.data import gaps
 from jaxnav.data.solution import FORMATS, write_kml, write_solution
 from jaxnav.data.start import Start, heading_bank, start
 from jaxnav.filters.core import Filter
@@ -40,6 +42,9 @@ class Solution:
     measurements: tuple[Measurement, ...]
     start: Start
     outages: tuple[tuple[float, float], ...]
+    filter: Filter  # with the history that the latencies needed
+    best: int  # the start that was taken, of `start.navs`
+    notes: list[str]  # a sentence for everything that a user should know of
 
     def write(self, path: str | Path, format: str = "") -> None:
         """Write it as "csv", "kml", "pos" or "nav"; by default what the file's name ends with.
@@ -72,7 +77,6 @@ def navigate(
     outages: Sequence[tuple[float, float]] = (),
     interval: float = 0.0,
     standing: ep.Standing = ep.Standing(),
-    max_gap: float = 1.0,
 ) -> Solution:
     """Filter a recording with ``params`` (such as ``filt.params("consumer")``) from where it can start.
 
@@ -86,27 +90,45 @@ def navigate(
     """
     require_x64(params)
     begin = start(rec, params) if begin is None else begin
-    params = params._replace(prior=begin.prior)
+    params = begin.given(params)
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    packed = ep.pack_recording(rec, chosen, begin.t, interval, stop, standing, max_gap)
+    packed = ep.pack_recording(rec, chosen, begin.t, interval, stop, standing)
     if filt.keeping:
         filt = filt.keeping(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
-    info, _ = execute(filt, params, begin.navs, ep.hide(packed.epochs, ep.in_windows(packed.t, outages), chosen))
+    info, about = execute(filt, params, begin.navs, ep.hide(packed.epochs, ep.in_windows(packed.t, outages), chosen))
     failure = first_failure(info, packed.t)
     if failure:
         raise ValueError(f"run {rec.name}: {failure}")
     trace = evaluate.trace(info, params)
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
     windows = tuple((float(a), float(b)) for a, b in outages)
-    return Solution(*trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, windows)
+    notes = [begin.how, about.words, *rec.notes.splitlines(), gaps.in_words(gaps.holes(rec.imu))]
+    return Solution(
+        *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, windows, filt, about.best,
+        [note for note in notes if note],
+    )  # fmt: skip
 
 
-def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[Info, dict[str, Any]]:
-    """The run from ``navs`` (B, ...); of several starts the most probable one, and what their bank says."""
+class Chosen(NamedTuple):
+    """Which of several starts was taken."""
+
+    best: int = 0
+    heading_deg: float = math.nan
+    probability: float = 1.0
+
+    @property
+    def words(self) -> str:
+        """A sentence where there were several."""
+        if math.isnan(self.heading_deg):
+            return ""
+        return f"heading unknown: {self.heading_deg:g} deg at the start is the most probable ({self.probability:.2f})"
+
+
+def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[Info, Chosen]:
+    """The run from ``navs`` (B, ...); of several starts the most probable one."""
     if navs.t.shape[0] == 1:
-        return run_jit(filt, params, jax.tree.map(lambda a: a[0], navs), epochs), {}
+        return run_jit(filt, params, jax.tree.map(lambda a: a[0], navs), epochs), Chosen()
     bank = jax.jit(heading_bank, static_argnums=0)(filt, params, navs, epochs)
     best = int(bank.best)
-    start = 360.0 * best / navs.t.shape[0]
-    about = {"start_heading_deg": start, "start_heading_probability": float(bank.probability[best])}
-    return jax.tree.map(lambda a: a[best], bank.info), {"heading_bank": about}
+    about = Chosen(best, 360.0 * best / navs.t.shape[0], float(bank.probability[best]))
+    return jax.tree.map(lambda a: a[best], bank.info), about

@@ -13,6 +13,7 @@ from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config
 from jaxnav.app.sources import REDRAWN, key_of, simulated
 from jaxnav.data import epochs as ep
+from jaxnav.data.start import heading_bank
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Prepared
 from jaxnav.filters.parameters import UNITS
@@ -189,8 +190,6 @@ def from_recording(config: Config) -> Material:
     Raises:
         DataError: too short for windows in every part.
     """
-    if config.start.heading == "unknown":
-        raise ConfigError('start.heading = "unknown" cannot be tuned: give degrees, "course" or "truth"')
     tune, case = config.tune, pre.prepare(config, tuned=True)
     if tune.train + tune.validation > 0.95:
         raise ConfigError("tune.train + tune.validation must leave 0.05 or more to test on")
@@ -199,6 +198,7 @@ def from_recording(config: Config) -> Material:
     t, start = case.packed.t, case.packed.start
     span = float(t[-1]) - start
     split = Split(start, start + tune.train * span, start + (tune.train + tune.validation) * span, float(t[-1]))
+    case = _one_start(case, split.train)
     edges = (start + tune.settle_s, split.train, split.validation, split.stop)
     prepared = prepare(case.filter, case.packed.epochs)
     parts = [_phases(config, case, prepared, begin, end) for begin, end in zip(edges[:-1], edges[1:])]
@@ -208,9 +208,8 @@ def from_recording(config: Config) -> Material:
         f"kept aside to {split.stop:.0f} s; windows of {tune.outage_s:g} s in {tune.phases} runs, "
         f"{', '.join(str(int(b.scored.sum())) for b in batches)} of them"
     )
-    own, grade = case.params.prior, pre.grade_of(config, pre.scenario_of(config))
-    lever_arm = case.recording.lever_arm
-    sheet = pre.base_params(datasheet_only(config), grade, lever_arm, own.position, own.velocity)
+    grade = pre.grade_of(config, pre.scenario_of(config))
+    sheet = case.begun.given(pre.base_params(datasheet_only(config), grade, case.recording.lever_arm))
 
     def redraw(step: int) -> Batch:
         shift = np.random.default_rng((config.seed, step)).uniform(0, tune.outage_every_s)
@@ -222,6 +221,16 @@ def from_recording(config: Config) -> Material:
         phases, phases, t[: batches[0].keep.shape[1]],
         _whole(config, case, prepared, split), redraw, t, case.recording, None, _spans(t, hidden[0]), about, {},
     )  # fmt: skip
+
+
+def _one_start(case: pre.ReadyRun, until: float) -> pre.ReadyRun:
+    """With the most probable of several starts by the innovations up to ``until`` s, the training part's end."""
+    if case.navs.t.shape[0] == 1:
+        return case
+    E = int(np.searchsorted(case.packed.t, until + ep.TICK))
+    epochs = jax.tree.map(lambda a: a[:E], case.packed.epochs)
+    best = int(jax.jit(heading_bank, static_argnums=0)(case.filter, case.params, case.navs, epochs).best)
+    return case._replace(navs=jax.tree.map(lambda a: a[best : best + 1], case.navs))
 
 
 def _whole(config: Config, case: pre.ReadyRun, prepared: Epoch, split: Split) -> Likelihood:

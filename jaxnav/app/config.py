@@ -47,7 +47,6 @@ class _Filter:
     cov_stride: int = 5  # the error dynamics see means over so many IMU samples
     history: int = 0  # IMU samples kept for late fixes; 0: enough for the latencies
     interval_s: float = 0.0  # nominal fix interval; 0: the median of the position's
-    max_gap_s: float = 1.0  # longest hole in the IMU's stream that is bridged by the mean of its sides
     outages: tuple[tuple[float, ...], ...] = ()  # (start, end) s, fixes hidden from the filter
     standing_window_s: float = 1.0  # of the standstill detector: both sd, root sum square of axes, below these
     standing_accel_sd_mps2: float = 0.2
@@ -62,7 +61,7 @@ class _Filter:
 class Start:
     """Where navigation starts: position and velocity from the first fix, level from standing, heading as said."""
 
-    heading: float | str = "course"  # "course", "unknown", "truth" or degrees
+    heading: float | str = "motion"  # "motion", "course", "unknown", "truth" or degrees
     course_speed_mps: float = 5.0  # least speed for a course
     position_sd_m: Numbers | None = None  # None: the fix's own sd, and 0.5 m
     velocity_sd_mps: Numbers | None = None  # None: the fix's own sd, and 0.3 m/s
@@ -231,7 +230,6 @@ LIMITS: dict[str, tuple[float, float]] = {
     "filter.standing_accel_sd_mps2": (0.0, 1e3),
     "filter.standing_gyro_sd_deg_per_s": (0.0, 1e4),
     "filter.interval_s": (0.0, 60.0),
-    "filter.max_gap_s": (0.0, 3600.0),
     "start.course_speed_mps": (0.1, 100.0),
     "start.tilt_sd_deg": (1e-6, 90.0),
     "start.heading_sd_deg": (1e-6, 180.0),

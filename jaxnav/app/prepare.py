@@ -32,7 +32,7 @@ class ReadyRun(NamedTuple):
     params: Params
     packed: ep.Packed  # nothing hidden
     navs: Nav  # (B, ...) the start, or one for each hypothesis of the heading
-    how: str = ""  # the start, in words
+    begun: Start  # where it starts, and how
     bias_truth: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None  # t, gyro rad/s, accelerometer m/s^2
 
 
@@ -104,11 +104,9 @@ def prepare(config: Config, tuned: bool = False) -> ReadyRun:
     rec, sim = load(config)
     params = base_params(config, grade, rec.lever_arm)
     begun = start_of(config, rec, params)
-    params, first = params._replace(prior=begun.prior), begun.navs
+    params, first = begun.given(params), begun.navs
     interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
-    packed = ep.pack_recording(
-        rec, measurements, begun.t, interval, config.data.stop, standing_of(config), config.filter.max_gap_s
-    )
+    packed = ep.pack_recording(rec, measurements, begun.t, interval, config.data.stop, standing_of(config))
     rate = 1 / float(np.median(rec.imu.dt))
     filt = build(
         name,
@@ -122,7 +120,7 @@ def prepare(config: Config, tuned: bool = False) -> ReadyRun:
         if sim is None
         else jax.tree.map(np.asarray, (sim.truth.t, sim.truth.errors["gyro_bias"], sim.truth.errors["accel_bias"]))
     )
-    return ReadyRun(rec, filt, measurements, params, packed, first, begun.how, biases)
+    return ReadyRun(rec, filt, measurements, params, packed, first, begun, biases)
 
 
 def standing_of(config: Config) -> ep.Standing:

@@ -21,8 +21,8 @@ from jaxnav.types import DataError, Track
 
 UNKNOWN_SD = 1e3  # m/s, of a component that nothing measured
 
-TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", *STREAM_SIZES)
 COMMON = tuple("file delimiter header time time_unit time_tag time_shift_s rate_hz skip where new_where".split())
+TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", *STREAM_SIZES, *COMMON)
 KEYS: dict[str, tuple[str, ...]] = {
     "imu": (*COMMON, *"gyro gyro_unit accel accel_unit axes sampling repair".split()),
     "position": (*COMMON, *"lla enu ned ecef unit h_unit sd sd_enu sd_ned".split()),
@@ -44,8 +44,8 @@ def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None
     Raises:
         DataError: a key, file, column or unit that is not known, or data that cannot be read.
     """
-    table, file = _load(path), os.fspath(path)
-    known(table, TOP, file)
+    file = os.fspath(path)
+    table = _shared(_load(path), file)
     said = os.path.expandvars(table.get("folder", "."))
     if "$" in said:
         raise DataError(f"{file}: folder: {said} names an environment variable that is not set")
@@ -80,6 +80,19 @@ def _load(path: FilePath) -> dict[str, Any]:
         return tomllib.loads(read_bytes(path).decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DataError(f"{os.fspath(path)}: cannot be read as TOML: {error}") from error
+
+
+def _shared(table: dict[str, Any], file: str) -> dict[str, Any]:
+    """The map with what stands above its tables in every one of them that does not say otherwise."""
+    known(table, TOP, file)
+    shared = {key: table[key] for key in COMMON if key in table}
+    out = {key: value for key, value in table.items() if key not in shared}
+    for name in ("imu", "truth", *STREAM_SIZES):
+        if isinstance(out.get(name), dict):
+            other = {"rate_hz": "time", "time": "rate_hz"}  # a table has one of the two
+            own = {k: v for k, v in shared.items() if other.get(k) not in out[name]}
+            out[name] = own | out[name]
+    return out
 
 
 def _numbers(value: Any, size: int, where: str) -> list[float]:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnav.data import gaps
 from jaxnav.measurements import GNSS, Measurement, layout
 from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Recording, Samples, nearest
 
@@ -66,17 +67,16 @@ def pack(
     start: float | None = None,
     stop: float | None = None,
     cuts: np.ndarray | None = None,
-    max_gap: float = 1.0,
 ) -> Packed:
     """Cut a recording into epochs for a filter made with ``measurements``.
 
     ``interval``: s, nominal fix interval, the length of epochs without a fix. ``cuts``: the ends of epochs where they
-    are already known (`cut_times`). ``max_gap``: s; a hole in the IMU stream up to this long is bridged by the mean of
-    its two sides.
+    are already known (`cut_times`). A hole in the IMU's stream is coasted through (`jaxnav.data.gaps`), with as much
+    more noise in its epochs as the rest of the log says that it hides.
 
     Raises:
         DataError: a stream that no measurement takes, of another shape, unsorted, not finite, with an sd <= 0 or in
-            degrees; a fix between the given ``cuts``; an IMU gap longer than ``max_gap``; or epochs without end.
+            degrees; a fix between the given ``cuts``; or epochs without end.
     """
     slices = layout(measurements)
     for name in aiding:
@@ -87,17 +87,13 @@ def pack(
         _check_samples(name, stream, slices[name].stop - slices[name].start)
     if not (np.isfinite(interval) and interval > 0):
         raise DataError(f"interval must be positive, got {interval} s")
-    gaps = imu.t[1:] - imu.dt[1:] - imu.t[:-1]
-    if gaps.size and gaps.max() > max_gap:
-        i = int(gaps.argmax())
-        raise DataError(
-            f"imu: gap of {gaps[i]:.3f} s at t = {imu.t[i]:.3f} s, longer than max_gap = {max_gap} s (filter.max_gap_s)"
-        )
+    imu, holes = gaps.fill(imu)
     cuts = cut_times(imu, aiding, interval, start, stop) if cuts is None else cuts
     begin = float(imu.t[0] - imu.dt[0] if start is None else start)
     samples = _cut_imu(imu, begin, cuts)
     fix = _align_fixes(aiding, slices, sum(m.size for m in measurements), begin, cuts)
-    epochs = Epoch(Imu(*(jnp.asarray(a, float) for a in samples)), fix)
+    gap = _louder(holes, begin, cuts) if holes.begin.size else None
+    epochs = Epoch(Imu(*(jnp.asarray(a, float) for a in samples)), fix, gap)
     return Packed(epochs, cuts, begin)
 
 
@@ -159,6 +155,14 @@ def _cut_imu(imu: ImuLog, start: float, cuts: np.ndarray) -> tuple[np.ndarray, n
     real = np.arange(k) < counts[:, None]
     index = np.where(real, index, (first + np.maximum(counts - 1, 0))[:, None])  # padding repeats the last sample
     return np.where(real, dt[index], 0.0), gyro[index], accel[index]
+
+
+def _louder(holes: gaps.Holes, start: float, cuts: np.ndarray) -> jnp.ndarray:
+    """Root PSD (E, 2) that holes add to the noise of epochs: that of the hole, for the share of it in the epoch."""
+    begin = np.concatenate([[start], cuts[:-1]])
+    shared = np.minimum(cuts[:, None], holes.end) - np.maximum(begin[:, None], holes.begin)
+    density = np.maximum(shared, 0.0) @ holes.noise**2 / (cuts - begin)[:, None]
+    return jnp.asarray(np.sqrt(density))
 
 
 def _align_fixes(aiding: dict[str, Samples], slices: dict[str, slice], m: int, start: float, cuts: np.ndarray) -> Fix:
@@ -281,11 +285,10 @@ def pack_recording(
     interval: float = 0.0,
     stop: float | None = None,
     standing: Standing = Standing(),
-    max_gap: float = 1.0,
 ) -> Packed:
     """Epochs of a recording from ``start`` s on, with the constraints that are among the filter's ``measurements``.
 
-    ``interval``: s, of epochs without a fix; 0 is the median of the position's. ``max_gap`` as in `pack`.
+    ``interval``: s, of epochs without a fix; 0 is the median of the position's.
 
     Raises:
         DataError: a measurement whose stream the recording lacks, or as in `pack`.
@@ -306,7 +309,7 @@ def pack_recording(
         rec.imu, cuts, nonholonomic="nonholonomic" in names, standing=still, window=standing.window
     )
     aiding |= {name: s for name, s in made.items() if name in names}
-    return pack(rec.imu, aiding, interval, measurements, start, stop, cuts, max_gap)
+    return pack(rec.imu, aiding, interval, measurements, start, stop, cuts)
 
 
 def _check_standing(rec: Recording, t: np.ndarray) -> None:

@@ -149,7 +149,7 @@ def _read_imu_csv(path: Path) -> Parts:
 
 
 def _map(path: Path, head: bytes) -> bool:
-    if path.is_dir() or not re.search(rb"^\s*\[(imu|read)\]", head, re.MULTILINE):
+    if path.is_dir() or not re.search(rb"^\s*(\[(imu|read)\]|(imu|read)\s*=\s*\{)", head, re.MULTILINE):
         return False
     try:
         return bool(set(tomllib.loads(path.read_text())) & set(TOP))

@@ -11,13 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import logsumexp
 
+from jaxnav.data.alignment import Alignment, Believed, align
 from jaxnav.data.epochs import TICK
 from jaxnav.filters.core import Filter
-from jaxnav.filters.parameters import datasheet_params, mounting
+from jaxnav.filters.parameters import datasheet_params, datasheet_states, mounting
 from jaxnav.filters.run import initial_nav, negative_log_likelihood, run
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
 from jaxnav.states.grades import GRADES
+from jaxnav.states.table import BIASES
 from jaxnav.types import ConfigError, DataError, Epoch, ImuLog, Info, Nav, Params, Prior, Recording, Samples
 
 
@@ -80,13 +82,17 @@ def heading_bank(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> Bank
     return Bank(info, jnp.exp(score - logsumexp(score)), jnp.argmax(score))
 
 
-def with_headings(nav: Nav, headings: np.ndarray) -> Nav:
-    """A level start (local level frame) turned to each heading (B,), rad: Nav with a leading axis B."""
+def with_headings(nav: Nav, headings: np.ndarray, arm: Any = None) -> Nav:
+    """A start (local level frame) turned to each heading (B,), rad: Nav with a leading axis B.
+
+    ``arm``: (3,) m, IMU -> antenna, body, where ``nav`` is at the antenna: the IMUs of the turned starts are around it.
+    """
     roll_pitch = rotations.to_rph(rotations.to_dcm(nav.q))[:2]
 
     def turned(heading):
-        rph = jnp.concatenate([roll_pitch, heading[None]])
-        return nav._replace(q=rotations.from_dcm(rotations.from_rph(rph)))
+        C = rotations.from_rph(jnp.concatenate([roll_pitch, heading[None]]))
+        at = nav.pos if arm is None else earth.move(nav.pos, -C @ jnp.asarray(arm, float))
+        return nav._replace(q=rotations.from_dcm(C), pos=at)
 
     return jax.vmap(turned)(jnp.asarray(headings, float))
 
@@ -101,9 +107,27 @@ class Start(NamedTuple):
     """Where a recording's navigation starts."""
 
     navs: Nav  # (B, ...) one, or one for each hypothesis of the heading
-    prior: Prior  # standard deviations there
+    prior: Prior  # standard deviations there, and how attitude and biases are correlated
     t: float  # s
     how: str  # in words: from what, and how sure
+    states: dict[str, np.ndarray] = {}  # standard deviations (size,) of the sensor states that it found
+    alignment: Alignment | None = None  # in motion, what it found
+
+    def given(self, params: Params) -> Params:
+        """The parameters with what is known at this start as their prior."""
+        own = {name: params.states[name]._replace(sd=jnp.asarray(sd)) for name, sd in self.states.items()}
+        return params._replace(prior=self.prior, states=params.states | own)
+
+
+class Attitude(NamedTuple):
+    """What is known of the attitude at a time."""
+
+    t: float  # s
+    rph: tuple[float, float, float]  # rad, roll, pitch, heading
+    sd: tuple[float, float]  # rad, of each tilt and of the heading
+    words: str
+    unknown: bool = False  # the heading
+    alignment: Alignment | None = None  # that it came from, if it came from one
 
 
 def start(
@@ -111,7 +135,7 @@ def start(
     params: Params | None = None,
     *,
     begin: float | None = None,
-    heading: float | str = "course",
+    heading: float | str = "motion",
     course_speed_mps: float = 5.0,
     position_sd_m: Any = None,
     velocity_sd_mps: Any = None,
@@ -119,15 +143,21 @@ def start(
     heading_sd_deg: float = 5.0,
     hypotheses: int = 12,
 ) -> Start:
-    """Position and velocity from the first fix, level from standing, heading as said; from ``begin`` s on.
+    """Position and velocity from a fix; attitude as said, from ``begin`` s on.
 
-    ``heading``: "course" (of the first velocity above ``course_speed_mps``), "unknown" (``hypotheses`` of it, see
-    `heading_bank`), "truth" (of the recording), or degrees. ``params``: a filter's, of which the timing and the lever
-    arm count; None takes the recording's lever arm and no delays. The sd are of the start, one number or one an axis in
-    ENU; None is the fix's own and 0.5 m or 0.3 m/s.
+    ``heading``: "motion" aligns (`jaxnav.data.alignment`) over 10 s and more, up to a minute, until heading is known to
+    10 deg; where motion does not show it, heading is unknown. "unknown" starts ``hypotheses`` of it, see
+    `heading_bank`. "course" takes the first velocity above ``course_speed_mps``, of a vehicle that drives straight
+    ahead. "truth" is the recording's, a number degrees. All but "motion" and "truth" level by a standstill, else by
+    motion, else take the vehicle for flat; ``tilt_sd_deg``, ``heading_sd_deg`` are theirs. ``params``: a filter's, of
+    which timing, lever arm and the biases' priors count; None is a consumer's IMU, the recording's lever arm and no
+    delays. The other sd are of the start, one number or one an axis in ENU; None is the fix's own and 0.5 m or 0.3 m/s.
+
+    The samples and fixes up to the start are all that is used, so that a live filter starts likewise.
 
     Raises:
-        DataError: no position, never fast enough for a course, no truth with attitude where it is asked for.
+        DataError: fewer than two positions, never fast enough for a course, no truth with attitude where it is asked
+            for.
         ConfigError: a heading or an sd that is none.
     """
     position = rec.aiding.get("position")
@@ -136,43 +166,157 @@ def start(
             raise ConfigError(f"start.{key} must be one number or 3, > 0, got {sd!r}")
     if position is None or position.t.size < 2:
         raise DataError(f"{rec.name}: needs a stream of positions to start from")
-    if isinstance(heading, str) and heading not in ("course", "unknown", "truth"):
-        raise ConfigError(f'start.heading must be "course", "unknown", "truth" or degrees, got {heading!r}')
+    if isinstance(heading, str) and heading not in ("motion", "course", "unknown", "truth"):
+        raise ConfigError(f'start.heading must be "motion", "course", "unknown", "truth" or degrees, got {heading!r}')
     known = rec_timing(rec) if params is None else params
-    from_t = max(rec.imu.t[0], -math.inf if begin is None else begin)
-    own = rec.aiding.get("velocity")
-    velocity = own or _differences(position)
-    (roll, pitch), levelled_by = _level(rec, velocity, from_t)
-    angle, why = 0.0, f"{heading} deg" if not isinstance(heading, str) else "unknown"
-    if heading == "course":
-        from_t, angle = course(velocity, course_speed_mps, from_t)
-        why = f"course over ground at t = {from_t:.3f} s"
+    from_t = max(rec.imu.t[0] - rec.imu.dt[0], -math.inf if begin is None else begin)
+    velocity = rec.aiding.get("velocity") or _differences(position)
+    sds = (tilt_sd_deg * DEG, (360.0 / hypotheses if heading == "unknown" else heading_sd_deg) * DEG)
+    if heading == "motion":
+        at = _in_motion(rec, known, velocity, from_t, hypotheses)
     elif heading == "truth":
-        from_t, roll, pitch, angle = _true_attitude(rec, from_t)
-    elif not isinstance(heading, str):
-        angle = heading * DEG
-    t, lla, vel, sd = _first_fix(rec, known, position, velocity, from_t)
-    if own is not None and np.abs(own.t - t).min() > APART:
+        at = _true_attitude(rec, known, position, from_t, sds)
+    else:
+        at = _as_said(rec, known, velocity, from_t, heading, course_speed_mps, sds)
+    t, lla, vel, sd = _first_fix(rec, known, position, velocity, at.t)
+    if at.alignment is not None and t <= at.t + TICK:
+        vel, sd = at.alignment.vel, (sd[0], np.hypot(at.alignment.vel_sd, 0.3))
+    elif "velocity" in rec.aiding and np.abs(rec.aiding["velocity"].t - t).min() > APART:
         raise DataError(f"velocity: none within {APART:g} s of the first position, at {t:.3f} s: set data.start")
-    if heading == "truth":
-        roll, pitch, angle = _interpolated(rec, t + _clock_offset(rec, known, t))
-        levelled_by = why = "the truth"
-    nav = initial_nav(lla, vel, (roll, pitch, angle), halfway(rec))
-    arm = rotations.to_dcm(nav.q) @ jnp.asarray(rec.lever_arm, float)
-    nav = nav._replace(pos=earth.move(nav.pos, -arm), t=jnp.asarray(t, float))
-    many = heading == "unknown"
-    angles = 2 * np.pi * np.arange(hypotheses) / hypotheses if many else np.array([angle])
-    heading_sd = 360.0 / hypotheses if many else heading_sd_deg
+    nav = initial_nav(lla, vel, at.rph, halfway(rec))._replace(t=jnp.asarray(t, float))
+    angles = 2 * np.pi * np.arange(hypotheses) / hypotheses if at.unknown else np.array([at.rph[2]])
+    navs = with_headings(nav, angles, rec.lever_arm)
+    attitude_sd, states, correlated = np.array([at.sd[0], at.sd[0], at.sd[1]]), {}, None
+    if at.alignment is not None:
+        found = at.alignment
+        biases = {"gyro_bias": (found.gyro_bias, found.sd[3:6]), "accel_bias": (found.accel_bias, found.sd[6:9])}
+        biases = {name: bias for name, bias in biases.items() if name in known.states}
+        states = {name: bias_sd for name, (_, bias_sd) in biases.items()}
+        navs = navs._replace(errors={n: jnp.tile(jnp.asarray(b), (len(angles), 1)) for n, (b, _) in biases.items()})
+        if not at.unknown:  # a tilt in ENU axes turns with the heading: of hypotheses its correlations are left out
+            attitude_sd = np.maximum(found.sd[:3], LEAST_TILT_SD)
+            correlated = jnp.asarray(correlation_root(found.P[:9, :9]))
     prior = Prior(
         jnp.asarray(sd[0] if position_sd_m is None else position_sd_m, float),
         jnp.asarray(sd[1] if velocity_sd_mps is None else velocity_sd_mps, float),
-        jnp.asarray([tilt_sd_deg * DEG, tilt_sd_deg * DEG, heading_sd * DEG], float),
+        jnp.asarray(attitude_sd, float),
+        correlated,
     )
-    how = (
-        f"starts at t = {t:.3f} s: level by {levelled_by} (sd {tilt_sd_deg:g} deg), heading by {why} "
-        f"({f'{hypotheses} hypotheses' if many else f'sd {heading_sd:g} deg'})"
+    about = f"{hypotheses} hypotheses" if at.unknown else f"sd {at.sd[1] / DEG:.2g} deg"
+    how = f"starts at t = {t:.3f} s: {at.words} ({about})"
+    return Start(navs, prior, t, "; ".join([how, *_remarks(at)]), states, at.alignment)
+
+
+LENGTHS = (10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)  # s of the windows that are tried one after the other
+KNOWN, USABLE = 10 * DEG, 20 * DEG  # sd of a heading that is known, and that one filter can still start with
+BAD_FIT = 9.0  # chi^2 per degree of freedom from which on fixes and IMU do not belong together
+LEAST_TILT_SD = 0.3 * DEG  # what scale errors and misalignment leave of a tilt, however long it is looked at
+
+
+def _in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, hypotheses: int) -> Attitude:
+    """By alignment over windows that grow until heading is known; else its tilt and an unknown heading."""
+    position = rec.aiding["position"]
+    begin = max(begin, float(position.t[0]) - 1.0)
+    half = 0.5 * (min(float(position.t[-1]), float(rec.imu.t[-1])) - begin)
+    ends = [begin + min(length, half) for length in LENGTHS if length <= half or length == LENGTHS[0]]
+    first: Alignment | None = None
+    last: Alignment | None = None
+    for end in ends:
+        t = float(position.t[min(int(np.searchsorted(position.t, end - TICK)), position.t.size - 2)])
+        found = aligned(rec, known, begin, t)
+        first, last = first or found, found or last
+        if found is not None and found.sd[2] <= KNOWN:
+            break
+    if first is None or last is None:
+        rp, by, sd = _levelled(rec, known, velocity, begin, begin, 10 * DEG)
+        sds = (sd, 2 * np.pi / hypotheses)
+        return Attitude(begin, (*rp, 0.0), sds, f"level by {by} (sd {sd / DEG:.2g} deg), heading unknown", True)
+    unknown = last.sd[2] > USABLE
+    best = first if unknown else last
+    rph = np.asarray(rotations.to_rph(jnp.asarray(best.C)))
+    tilt = float(max(best.sd[:2].max(), LEAST_TILT_SD))
+    words = (
+        f"aligned over {best.t - begin:.0f} s by {best.fixes} fixes: roll {rph[0] / DEG:.1f}, pitch {rph[1] / DEG:.1f} "
+        f"deg (sd {tilt / DEG:.2g} deg), heading "
     )
-    return Start(with_headings(nav, angles), prior, t, how)
+    if unknown:
+        words += "not shown by the motion"
+        return Attitude(best.t, tuple(rph), (tilt, 2 * np.pi / hypotheses), words, True, best)
+    words += f"{rph[2] / DEG % 360:.1f} deg"
+    return Attitude(best.t, tuple(rph), (tilt, float(best.sd[2])), words, False, best)
+
+
+def aligned(rec: Recording, params: Params, begin: float, end: float) -> Alignment | None:
+    """`jaxnav.data.alignment.align` over (begin, end] s by the velocities, by the positions where those fit badly.
+
+    ``params``: a filter's; its delays are taken out of the fixes' times first, its biases' priors are the alignment's.
+    None where there are too few fixes.
+    """
+    grade = datasheet_states(GRADES["consumer"], BIASES) | params.states
+    believed = Believed(np.asarray(grade["gyro_bias"].sd), np.asarray(grade["accel_bias"].sd))
+    lla = rec.aiding["position"].value[0]
+    best: Alignment | None = None
+    for name in ("velocity", "position"):
+        if name not in rec.aiding:
+            continue
+        fixes = rec.aiding[name]
+        offset = _clock_offset(rec, params, 0.5 * (begin + end))
+        fixes = fixes._replace(t=fixes.t - offset - float(params.measurements[name].latency))
+        found = align(
+            rec.imu, fixes, name == "position", lla, begin, end, believed, np.asarray(params.mounting.lever_arm)
+        )
+        if found is not None and (best is None or (found.chi2 < best.chi2 and found.sd[2] < 2 * best.sd[2])):
+            best = found
+        if best is not None and best.chi2 < BAD_FIT:
+            break
+    return best
+
+
+def _remarks(at: Attitude) -> list[str]:
+    """What a user should hear of an alignment."""
+    said: list[str] = []
+    found = at.alignment
+    if found is None:
+        return said
+    if abs(found.delay) > max(3 * found.sd[9], 0.03):
+        late = "late" if found.delay > 0 else "early"
+        said.append(
+            f"fixes look {abs(found.delay):.2f} s {late} (sd {found.sd[9]:.2f} s): see params.position_latency_s, "
+            "velocity_latency_s"
+        )
+    if abs(at.rph[0]) > 90 * DEG:
+        said.append("the IMU hangs upside down, or its axes are not forward, right, down")
+    if found.chi2 > BAD_FIT:
+        said.append(
+            f"fixes and IMU do not go together (chi^2 per degree of freedom {found.chi2:.0f}): axes, units or times "
+            "may be wrong, see jaxnav check"
+        )
+    return said
+
+
+def correlation_root(P: np.ndarray) -> np.ndarray:
+    """Lower root of the correlations of a covariance (n, n): its rows have length one."""
+    sd = np.sqrt(np.diag(P))
+    n = len(sd)
+    C = P / np.outer(sd, sd)
+    root = np.linalg.cholesky((1 - 1e-9) * 0.5 * (C + C.T) + 1e-9 * np.eye(n))
+    return root / np.linalg.norm(root, axis=1, keepdims=True)
+
+
+def _as_said(
+    rec: Recording, known: Params, velocity: Samples, begin: float, heading: float | str, least_speed: float,
+    sds: tuple[float, float],
+) -> Attitude:  # fmt: skip
+    """Level by what there is, heading by course, degrees or unknown."""
+    at, angle, why = begin, 0.0, "unknown"
+    if heading == "course":
+        at, angle = course(velocity, least_speed, begin)
+        why = f"by course over ground at t = {at:.3f} s"
+    elif not isinstance(heading, str):
+        angle, why = heading * DEG, f"{heading:g} deg as said"
+    (roll, pitch), by, tilt = _levelled(rec, known, velocity, begin, at, sds[0])
+    words = f"level by {by} (sd {tilt / DEG:.2g} deg), heading {why}"
+    return Attitude(at, (roll, pitch, angle), (tilt, sds[1]), words, heading == "unknown")
 
 
 def rec_timing(rec: Recording) -> Params:
@@ -199,8 +343,12 @@ def _differences(position: Samples) -> Samples:
     return Samples(position.t[n:], value, 1.5 * position.sd[n:] / dt, np.zeros_like(value))
 
 
-def _level(rec: Recording, velocity: Samples, begin: float) -> tuple[tuple[float, float], str]:
-    """Roll and pitch (rad) from the standstill at the start, or flat where there is none of 2 s; and by what.
+def _levelled(
+    rec: Recording, known: Params, velocity: Samples, begin: float, at: float, sd: float
+) -> tuple[tuple[float, float], str, float]:
+    """Roll and pitch (rad), by what, and their sd: from a standstill at ``begin``, else from motion before ``at``.
+
+    Where there is not enough of that either, flat.
 
     Raises:
         DataError: nothing to level by, and specific force that points down: z is up.
@@ -210,11 +358,15 @@ def _level(rec: Recording, velocity: Samples, begin: float) -> tuple[tuple[float
     until = velocity.t[np.argmax(moving)] if moving.any() else velocity.t[-1]
     until = min(until - 0.5, begin + 30.0)
     if until - begin >= 2.0:
-        return level(rec.imu, begin, until), f"standing from {begin:.1f} to {until:.1f} s"
+        return level(rec.imu, begin, until), f"standing from {begin:.1f} to {until:.1f} s", sd
+    found = aligned(rec, known, max(begin, at - LENGTHS[0]), at) if at - begin >= 0.5 * LENGTHS[0] else None
+    if found is not None:
+        roll, pitch, _ = np.asarray(rotations.to_rph(jnp.asarray(found.C))).tolist()
+        return (roll, pitch), "motion", max(float(found.sd[:2].max()), LEAST_TILT_SD)
     down = float(rec.imu.accel[(rec.imu.t > begin) & (rec.imu.t <= begin + 30.0), 2].mean())
     if down > 0:
         raise DataError(f"imu: z of specific force is {down:+.1f} m/s^2 on average: body axes are forward, right, down")
-    return (0.0, 0.0), "taking it for flat, for want of a standstill"
+    return (0.0, 0.0), "taking it for flat, for want of a standstill", sd
 
 
 def _interpolated(rec: Recording, t: float) -> np.ndarray:
@@ -223,13 +375,17 @@ def _interpolated(rec: Recording, t: float) -> np.ndarray:
     return np.array([np.interp(t, truth.t, np.unwrap(c)) for c in truth.rph.T])
 
 
-def _true_attitude(rec: Recording, begin: float) -> tuple[float, float, float, float]:
-    """Time from which the truth has an attitude, and roll, pitch, heading there."""
-    known = np.isfinite(rec.truth.rph).all(1) if rec.truth is not None else np.zeros(0, bool)
-    if rec.truth is None or not known.all():
+def _true_attitude(
+    rec: Recording, known: Params, position: Samples, begin: float, sds: tuple[float, float]
+) -> Attitude:
+    """What the truth says at the first fix from ``begin`` on."""
+    sure = np.isfinite(rec.truth.rph).all(1) if rec.truth is not None else np.zeros(0, bool)
+    if rec.truth is None or not sure.all():
         raise DataError(f'{rec.name}: has no true attitude, which start.heading = "truth" asks for')
-    begin = max(begin, rec.truth.t[0])
-    return (begin, *_interpolated(rec, begin))
+    i = int(np.searchsorted(position.t, max(begin, rec.truth.t[0]) - TICK))
+    t = float(position.t[min(i, position.t.size - 1)])
+    roll, pitch, heading = _interpolated(rec, t + _clock_offset(rec, known, t))
+    return Attitude(t, (roll, pitch, heading), sds, "level and heading by the truth")
 
 
 def _first_fix(

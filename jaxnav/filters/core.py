@@ -19,7 +19,7 @@ from jaxnav.filters.error_model import ErrorModel
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.maths import linalg
 from jaxnav.states.table import BIASES, chosen, zeros
-from jaxnav.types import Epoch, Fix, Forcing, Imu, Info, Nav, Params
+from jaxnav.types import Epoch, Fix, Forcing, Imu, Info, Nav, Noise, Params
 
 
 class Innovation(NamedTuple):
@@ -160,6 +160,17 @@ def padded(imu: Imu, stride: int) -> Imu:
     return Imu(jnp.concatenate([imu.dt, jnp.zeros(more, imu.dt.dtype)]), held(imu.gyro), held(imu.accel))
 
 
+def louder(noise: Noise, more: jax.Array) -> Noise:
+    """The noise with root PSDs ``more`` (2,) of gyro and accelerometer added, independent and alike on all axes."""
+
+    def both(own: jax.Array, extra: jax.Array) -> jax.Array:
+        if jnp.ndim(own) == 2:
+            return jnp.concatenate([own, extra * jnp.eye(3)], 1)
+        return jnp.where(extra > 0, jnp.hypot(own, jnp.where(extra > 0, extra, 1.0)), own)
+
+    return Noise(both(noise.gyro, more[0]), both(noise.accel, more[1]))
+
+
 def shift(past: Nav, recent: Nav, n: jax.Array) -> Nav:
     """The last w of the samples ``past`` (w, ...) and n further ones, of which ``recent`` (w, ...) are the last w."""
     i = n + jnp.arange(past.t.size)
@@ -284,7 +295,8 @@ def make_filter(
         return new._replace(ok=ok), Info(corrected, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok)
 
     def advance(params: Params, state: FilterState, epoch: Epoch) -> Step:
-        predicted, moved = transition(params, state, epoch.imu)
+        noise = params.noise if epoch.gap is None else louder(params.noise, epoch.gap)
+        predicted, moved = transition(params._replace(noise=noise), state, epoch.imu)
         new, info = correct(params, predicted, epoch.fix)
         # a run that fails freezes at its last good state, so that the others of a batch go on and nothing is nan
         frozen = state._replace(ok=jnp.array(False))

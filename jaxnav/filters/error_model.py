@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.maths import rotations
+from jaxnav.maths import linalg, rotations
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.measurements.measurement import stack
 from jaxnav.states import table
@@ -119,13 +119,25 @@ def error_model(
         return nav._replace(errors=nav.errors | {name: nav.errors[name] + b for name, b in moved.items()})
 
     def covariance(params: Params, nav: Nav) -> jax.Array:
-        sd = prior_sd(params.prior)
         optional = [jnp.broadcast_to(params.states[s.name].sd, (s.size,)) for s in own]
-        if motion.leave is None or motion.enu_rows is None:
-            return jnp.diag(jnp.concatenate([sd, *optional]) ** 2)
-        root = inverse_rows(motion.enu_rows(nav, motion.leave(nav))) * sd
-        P = jnp.diag(jnp.concatenate([jnp.zeros(9), *optional]) ** 2)
-        return P.at[:9, :9].set(root @ root.T)
+        sd = jnp.concatenate([prior_sd(params.prior), *optional])
+        root = jnp.diag(sd)
+        if params.prior.correlated is not None:
+            root = correlated_root(sd, params.prior.correlated)
+        if motion.leave is not None and motion.enu_rows is not None:
+            turn = jnp.eye(n).at[:9, :9].set(inverse_rows(motion.enu_rows(nav, motion.leave(nav))))
+            root = turn @ root
+        return linalg.square(root)
+
+    def correlated_root(sd: jax.Array, rows: jax.Array) -> jax.Array:
+        """Root (n, n + 9) of the covariance in ENU with these correlations of what the filter has of the biases."""
+        places = {"attitude": A} | {name: slices[name] for name in BIASES if name in slices}
+        alone, together = jnp.ones(n), jnp.zeros((n, 9))
+        for i, name in enumerate(("attitude", *BIASES)):
+            if name in places:
+                alone = alone.at[places[name]].set(0.0)
+                together = together.at[places[name]].set(rows[3 * i : 3 * i + 3])
+        return sd[:, None] * jnp.concatenate([jnp.diag(alone), together], 1)
 
     def transition(params: Params, points: ErrorInputs, T: jax.Array, u: Forcing | None):
         # W in GPID eq. 29 is lumped: over an epoch of a second it changes the gains of the attitude

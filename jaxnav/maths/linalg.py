@@ -138,7 +138,7 @@ def _update_jvp(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
 
 
 def times_root(M: jax.Array, leaf: jax.Array) -> jax.Array:
-    """M L, (..., m, 3), for a leaf of `Noise` that is a root L (3, 3) itself, or its diagonal () or (3,)."""
+    """M L, (..., m, k), for a leaf of `Noise` that is a root L (3, k) itself, or its diagonal () or (3,)."""
     return M @ leaf if jnp.ndim(leaf) == 2 else M * leaf
 
 

@@ -15,4 +15,5 @@ P, V, A = MOTION.values()
 
 def prior_sd(prior: Prior) -> jax.Array:
     """The prior's standard deviations side by side, (9,)."""
-    return jnp.concatenate([jnp.broadcast_to(sd, (3,)) for sd in prior])
+    own = (prior.position, prior.velocity, prior.attitude)
+    return jnp.concatenate([jnp.broadcast_to(sd, (3,)) for sd in own])

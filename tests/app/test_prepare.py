@@ -148,8 +148,9 @@ def starts(origin: float):
 
 def test_navigation_starts_where_the_vehicle_is_by_then():
     # its clock drifts by 1 %, so that where the run starts, 29 s before half-time, it is 0.29 s early
-    c = resolved(params={"time_offset_s": 0.39, "clock_drift_ppm": 1e4, "position_latency_s": 0.3})
-    nav, on_time = begun(c, northward(0.4)).navs, begun(resolved(), northward()).navs
+    timing, course = {"time_offset_s": 0.39, "clock_drift_ppm": 1e4, "position_latency_s": 0.3}, {"heading": "course"}
+    c = resolved(params=timing, start=course)
+    nav, on_time = begun(c, northward(0.4)).navs, begun(resolved(start=course), northward()).navs
     assert float(nav.t[0]) == 1.0 and float(nav.origin.t[0]) == pytest.approx(30.05)
     np.testing.assert_allclose(earth.enu_difference(nav.pos[0], on_time.pos[0]), 0, atol=0.02)
 
@@ -172,11 +173,13 @@ def test_what_drives_by_the_receiver_is_no_standstill():
     epochs.pack_recording(rec._replace(aiding=rec.aiding | {"velocity": slow}), prepare.measurements_of(c), 0.0, 1.0)
 
 
-def test_z_up_is_refused_where_nothing_levels():
+def test_z_up_is_said_where_motion_levels_and_refused_where_nothing_does():
     rec = northward()
     upside = rec._replace(imu=rec.imu._replace(accel=-rec.imu.accel))
+    start = begun(resolved(), upside)
+    assert "the IMU hangs upside down, or its axes are not forward, right, down" in start.how
     with pytest.raises(DataError, match=r"imu: z of specific force is \+9.8"):
-        begun(resolved(), upside)
+        begun(resolved(start={"heading": "course"}), upside)
 
 
 def test_an_outage_lasts_to_the_end_of_the_data():

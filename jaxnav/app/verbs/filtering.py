@@ -15,6 +15,7 @@ from jaxnav.app.config import Config
 from jaxnav.app.prepare import ReadyRun, grade_name, prepare
 from jaxnav.app.results import FailedCheck, Outcome, table, write_json
 from jaxnav.app.sources import load, scenario_of
+from jaxnav.data import gaps
 from jaxnav.data.epochs import TICK, hide, in_windows
 from jaxnav.data.solution import FORMATS
 from jaxnav.filters.run import first_failure
@@ -73,15 +74,20 @@ def filter(config: Config, folder: Path) -> Outcome:
     case = prepare(config)
     hidden = in_windows(case.packed.t, config.filter.outages)
     seconds["prepare"], begin = time.perf_counter() - begin, time.perf_counter()
-    info, heading = execute(case.filter, case.params, case.navs, hide(case.packed.epochs, hidden, case.measurements))
+    info, taken = execute(case.filter, case.params, case.navs, hide(case.packed.epochs, hidden, case.measurements))
     jax.block_until_ready(info)
     seconds["filter"], begin = time.perf_counter() - begin, time.perf_counter()
     check(info, case.packed.t, case.recording.name)
     sol = evaluate.trace(info, case.params)
-    found = metrics_of(case, sol, hidden, config) | heading
+    found = metrics_of(case, sol, hidden, config)
+    if taken.words:
+        found["heading_bank"] = {
+            "start_heading_deg": taken.heading_deg, "start_heading_probability": taken.probability
+        }  # fmt: skip
     unused = sorted(set(case.recording.aiding) - {m.name for m in case.measurements})
     found |= {"unused_streams": unused} if unused else {}
-    found |= {"start": case.how, "notes": case.recording.notes.splitlines()}
+    notes = [taken.words, *case.recording.notes.splitlines(), gaps.in_words(gaps.holes(case.recording.imu))]
+    found |= {"start": case.begun.how, "notes": [note for note in notes if note]}
     write_solution(config, folder, sol, case)
     write_json(folder / "metrics.json", found)
     if config.out.figures:
@@ -179,7 +185,4 @@ def summary(found: dict[str, Any], name: str, run: str) -> str:
     if "unused_streams" in found:
         lines.append(f"not used of the recording: {', '.join(found['unused_streams'])} (see filter.speed)")
     lines += [found["start"], *found["notes"]]
-    if "heading_bank" in found:
-        bank = found["heading_bank"]
-        lines.append(f"heading unknown: {bank['start_heading_deg']:g} deg at the start is the most probable")
     return "\n".join(lines)

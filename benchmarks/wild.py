@@ -1,0 +1,109 @@
+"""Recordings as their users have them: each from its files to a solution by one command, no setting about its start.
+
+Every recipe of docs/recipes that is read, and what needs none, through `jaxnav.navigate` with a consumer's datasheet
+and the streams of position and velocity that it has. The drift is the horizontal distance to the last hidden fix of
+windows all along the recording (10 s, of recordings shorter than two minutes 5 s; every third part of the time).
+"""
+
+import os
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from benchmarks import common
+from jaxnav import build, navigate, read
+from jaxnav.analysis import evaluate
+from jaxnav.analysis.plots import base as plots
+from jaxnav.analysis.windows import drift, hidden_windows
+from jaxnav.app.results import table
+from jaxnav.data import epochs as ep
+from jaxnav.filters.compiler import make_room
+from jaxnav.maths.units import DEG
+from jaxnav.types import DataError, Recording
+
+RECIPES = Path(__file__).parents[1] / "docs" / "recipes"
+PLAIN = {  # what is read without a recipe, below the folder of the data sets
+    "navego_synthetic": "navego_synthetic",
+    "px4_sitl": "ulog_samples/sample_px4_events.ulg",
+    "px4_sitl_truth": "ulog_samples/sample_logging_tagged_and_default_params.ulg",
+    "dataflash": "dataflash_sample/test.BIN",
+}
+PHASES, SETTLE = 3, 10.0
+
+
+def sources() -> dict[str, Path]:
+    """Every recording by name."""
+    data = Path(os.environ.get("JAXNAV_DATA_DIR", "."))
+    found = {path.stem: path for path in sorted(RECIPES.glob("*.toml"))}
+    return found | {name: data / path for name, path in PLAIN.items() if (data / path).exists()}
+
+
+def lines_of(path: Path) -> int:
+    """Lines of configuration that a user writes: a map's, without remarks."""
+    if path.suffix != ".toml":
+        return 0
+    return sum(bool(line.split("#")[0].strip()) for line in path.read_text().splitlines())
+
+
+def window_of(rec: Recording) -> float:
+    """Length of the hidden windows, s."""
+    return 10.0 if np.ptp(rec.aiding["position"].t) >= 120.0 else 5.0
+
+
+def one(name: str, path: Path, figures: Path | None) -> dict:
+    """One recording from its file to its figures."""
+    make_room()
+    begin = time.perf_counter()
+    try:
+        rec = read(path)
+        streams = [key for key in ("position", "velocity") if key in rec.aiding]
+        ekf = build("ekf15", measurements=streams)
+        sol = navigate(rec, ekf, ekf.params("consumer"))
+    except (DataError, ValueError) as error:
+        return {"ran": False, "lines": lines_of(path), "why": str(error)}
+    seconds = time.perf_counter() - begin
+    start, length = sol.start, window_of(rec)
+    found = evaluate.innovation_metrics(sol.trace.info, sol.measurements)
+    packed = ep.pack_recording(rec, sol.measurements, start.t)
+    windows = hidden_windows(packed, length, 3 * length, PHASES, SETTLE)
+    best = jax.tree.map(lambda a: a[sol.best], start.navs)
+    out = {
+        "ran": True, "lines": lines_of(path), "seconds": seconds, "windows": int(windows.end.size), "window_s": length,
+        "nis": {key: value**2 for key, value in found["innovation_rms"].items()},
+        "start": {"how": start.how, "heading_sd_deg": float(start.prior.attitude[2]) / DEG, "t_s": start.t,
+                  "delay_s": None if start.alignment is None else start.alignment.delay},
+        "notes": sol.notes,
+    }  # fmt: skip
+    if windows.end.size:
+        error, _ = drift(sol.filter, sol.params, best, packed.epochs, windows, sol.measurements)
+        level = np.hypot(error[:, 0], error[:, 1])
+        out |= {"drift_median_m": float(np.median(level)), "drift_rms_m": float(np.sqrt(np.mean(level**2)))}
+        out |= {"drift_m": level.tolist()}
+    if figures is not None:
+        figures.mkdir(parents=True, exist_ok=True)
+        plots.save(sol.plot()["trajectory"], figures / f"wild_{name}.png")
+    return out
+
+
+def main(argv: list[str]) -> None:
+    """Print the table, write the JSON."""
+    parser = common.options("wild", __doc__.splitlines()[0])
+    parser.add_argument("--only", metavar="A,B", help="these recordings")
+    parser.add_argument("--figures", metavar="DIR", type=Path, help="write a picture of each track to DIR")
+    args = parser.parse_args(argv)
+    chosen = sources()
+    if args.only:
+        chosen = {name: chosen[name] for name in args.only.split(",")}
+    results: dict[str, dict] = {}
+    for name, path in chosen.items():
+        results[name] = r = one(name, path, args.figures)
+        print(f"{name}: {r['start']['how'] if r['ran'] else r['why']}", flush=True)
+    rows = [
+        [name, r["lines"], r.get("windows", 0), r.get("window_s", ""), r.get("drift_median_m", ""),
+         r.get("drift_rms_m", ""), " ".join(f"{v:.2g}" for v in r.get("nis", {}).values()), r.get("seconds", "")]
+        for name, r in results.items()
+    ]  # fmt: skip
+    print(table(["recording", "lines", "windows", "s", "median m", "RMS m", "nu^2 / S by channel", "s"], rows))
+    common.write_json(args.json, results)

@@ -1,0 +1,64 @@
+"""Hidden windows: how far a filter drifts without fixes that are there, all along a recording."""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.data import epochs as ep
+from jaxnav.filters.core import Filter
+from jaxnav.filters.run import run
+from jaxnav.measurements import Measurement
+from jaxnav.types import Epoch, Info, Nav, Params
+
+
+class Windows(NamedTuple):
+    """W windows in P runs: start < t <= start + length, in which no fix of the receiver is used."""
+
+    hidden: np.ndarray  # (P, E) bool
+    phase: np.ndarray  # (W,) int, the run
+    start: np.ndarray  # (W,) s
+    end: np.ndarray  # (W,) int, the window's last epoch with a position, where the drift is measured
+
+
+def hidden_windows(
+    packed: ep.Packed, length: float, every: float, phases: int = 1, settle: float = 30.0, guard: float = 0.0
+) -> Windows:
+    """Windows of ``length`` s, ``every`` s, from ``settle`` s after the start on; each phase shifted by an equal part.
+
+    ``guard``: s left at the end of the data. Windows without a position to measure the drift by are left out.
+    """
+    t, there = packed.t, np.asarray(packed.epochs.fix.valid)[:, :2].all(1)
+    hidden, phase, begin, end = np.zeros((phases, t.size), bool), [], [], []
+    for p in range(phases):
+        for start in np.arange(packed.start + settle + p * every / phases, t[-1] - guard - length, every):
+            inside = (t > start + ep.TICK) & (t <= start + length + ep.TICK)
+            known = np.flatnonzero(inside & there)
+            if known.size and t[known[-1]] > start + 0.5 * length:
+                hidden[p] |= inside
+                phase.append(p)
+                begin.append(start)
+                end.append(known[-1])
+    return Windows(hidden, np.array(phase, int), np.array(begin), np.array(end, int))
+
+
+def drift(
+    filt: Filter, params: Params, nav: Nav, epochs: Epoch, windows: Windows, measurements: tuple[Measurement, ...]
+) -> tuple[np.ndarray, Info]:
+    """Estimate minus fix, (W, 3) ENU m, at each window's end, through the measurement model; and the runs (P, E, ...).
+
+    The first three channels must be the position's.
+    """
+    hide = lambda h: ep.hide(epochs, h, measurements).fix.valid  # noqa: E731
+    info = _phases(filt, params, nav, epochs, jnp.stack([hide(h) for h in windows.hidden]))
+    residual = np.asarray(info.residual)[windows.phase, windows.end, :3]
+    ok = np.asarray(info.ok)[windows.phase, windows.end]
+    return np.where(ok[:, None], residual, np.inf), info
+
+
+@partial(jax.jit, static_argnums=0)
+def _phases(filt: Filter, params: Params, nav: Nav, epochs: Epoch, valid: jax.Array) -> Any:
+    one = lambda v: run(filt, params, nav, epochs._replace(fix=epochs.fix._replace(valid=v)))  # noqa: E731
+    return jax.vmap(one)(valid)

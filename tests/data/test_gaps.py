@@ -1,0 +1,71 @@
+"""Holes in an IMU's stream are filled, the covariance says so, and the rest of the log says how much."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnav.data import gaps
+from jaxnav.data.epochs import pack
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.run import run_jit
+from jaxnav.types import ImuLog
+
+
+def log(span=200.0, rate=50.0, seed=0):
+    """Rates and forces that walk about with a time of some seconds."""
+    rng, n = np.random.default_rng(seed), round(span * rate)
+    white = rng.normal(size=(n, 6))
+    values = np.zeros((n, 6))
+    for i in range(1, n):
+        values[i] = 0.995 * values[i - 1] + white[i] * np.repeat([0.002, 0.01], 3)
+    values[:, 5] -= 9.8
+    t = np.arange(1, n + 1) / rate
+    return ImuLog(t, np.full(n, 1 / rate), values[:, :3], values[:, 3:])
+
+
+def without(imu: ImuLog, begin: float, end: float) -> ImuLog:
+    return ImuLog(*(a[(imu.t <= begin) | (imu.t > end)] for a in imu))
+
+
+@pytest.mark.parametrize("length", [0.5, 3.0, 12.0])
+def test_a_fill_misses_about_what_it_says(length):
+    """Over many holes: what the fill gets wrong of the turn and the push, against the noise that it states."""
+    imu, ratios = log(), []
+    for begin in np.linspace(20.0, 170.0, 30):
+        filled, holes = gaps.fill(without(imu, begin, begin + length))
+        assert holes.begin.size == 1 and holes.end[0] - holes.begin[0] == pytest.approx(length, abs=0.03)
+        missed = []
+        for true, made in ((imu.gyro, filled.gyro), (imu.accel, filled.accel)):
+            total = lambda a, d: (a * d[:, None]).sum(0)  # noqa: E731
+            missed.append(total(true, imu.dt) - total(made, filled.dt))
+        ratios.append([np.mean(m**2) / (n**2 * length) for m, n in zip(missed, holes.noise[0], strict=True)])
+    assert 0.3 < np.mean(ratios) < 3.0
+    np.testing.assert_allclose(filled.dt.sum(), imu.dt.sum(), rtol=1e-9)
+    assert np.all(np.diff(filled.t) > 0)
+
+
+def test_a_log_without_holes_is_itself():
+    imu = log(20.0)
+    filled, holes = gaps.fill(imu)
+    assert filled is imu and gaps.in_words(holes) == ""
+    short = without(imu, 10.0, 10.1)
+    assert gaps.fill(short)[0] is short  # bridged as ever
+    assert gaps.in_words(gaps.holes(without(imu, 5.0, 7.0))).startswith("imu: 1 gap of over 0.2 s, coasted through")
+
+
+def test_a_gap_of_any_length_is_coasted_and_the_covariance_knows(case):
+    """Fixes go on: the run stays finite, its position is less sure in the gap, and right again after it."""
+    imu, aiding = case.imu, case.aiding
+    whole = pack(imu, aiding, 1.0)
+    assert whole.epochs.gap is None
+    cut = pack(without(imu, 20.0, 35.0), aiding, 1.0)
+    assert cut.epochs.gap.shape == (cut.t.size, 2)
+    loud = np.asarray(cut.epochs.gap)[:, 0] > 0
+    assert loud[20:35].all() and not loud[:20].any() and not loud[35:].any()
+    filt = build("ekf15")
+    a, b = (run_jit(filt, case.params, case.nav, p.epochs) for p in (whole, cut))
+    assert bool(b.ok.all())
+    sd = lambda info: np.sqrt(np.asarray(jax.vmap(jnp.diag)(info.P)))  # noqa: E731
+    assert (sd(b)[22:34, :3] > 1.2 * sd(a)[22:34, :3]).all() and (sd(b)[34, 6:9] > 2 * sd(a)[34, 6:9]).all()
+    np.testing.assert_allclose(b.P[:20], a.P[:20], rtol=1e-9)

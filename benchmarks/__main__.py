@@ -15,6 +15,7 @@ NAMES = {
     "recover": "noise parameters back from innovations alone, started 10 times off",
     "speed": "speed beside a C++ floor, plain JAX, numpy and other packages; gradients, compilation, growth",
     "states": "optional error states: consistent with them, not without",
+    "check": "what a recording says of itself, damaged in one way each and as it is",
     "start": "starts in motion: attitude, its sd and the delay of the fixes, simulated and recorded",
     "wild": "recordings as their users have them, from file to solution",
     "umn": "a fixed-wing flight from an unknown heading, against the onboard filter",

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
@@ -20,6 +21,7 @@ from jaxnav.analysis.windows import drift, hidden_windows
 from jaxnav.app.results import table
 from jaxnav.data import epochs as ep
 from jaxnav.filters.compiler import make_room
+from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Recording
 
@@ -52,7 +54,7 @@ def window_of(rec: Recording) -> float:
     return 10.0 if np.ptp(rec.aiding["position"].t) >= 120.0 else 5.0
 
 
-def one(name: str, path: Path, figures: Path | None) -> dict:
+def one(name: str, path: Path, tracks: dict | None) -> dict:
     """One recording from its file to its figures."""
     make_room()
     begin = time.perf_counter()
@@ -81,24 +83,45 @@ def one(name: str, path: Path, figures: Path | None) -> dict:
         level = np.hypot(error[:, 0], error[:, 1])
         out |= {"drift_median_m": float(np.median(level)), "drift_rms_m": float(np.sqrt(np.mean(level**2)))}
         out |= {"drift_m": level.tolist()}
-    if figures is not None:
-        figures.mkdir(parents=True, exist_ok=True)
-        plots.save(sol.plot()["trajectory"], figures / f"wild_{name}.png")
+    if tracks is not None:
+        tracks[name] = level(sol.lla, sol.lla[0]), level(rec.aiding["position"].value, sol.lla[0])
     return out
+
+
+def level(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """East and north, (N, 2) m."""
+    return np.asarray(jax.vmap(earth.enu_difference, (0, None))(jnp.asarray(lla), jnp.asarray(origin)))[:, :2]
+
+
+def draw(tracks: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> None:
+    """Every track, small, with its fixes."""
+    fig = plots.figure(11, 2.4 * -(-len(tracks) // 5))
+    for ax, (name, (track, fixes)) in zip(fig.subplots(-(-len(tracks) // 5), 5).ravel(), tracks.items(), strict=False):
+        plots.dress(ax, name)
+        ax.plot(*fixes.T, ".", ms=2, color="0.7")
+        ax.plot(*track.T, lw=0.8, color=plots.BLUE)
+        ax.set_aspect("equal", adjustable="datalim")
+        ax.tick_params(labelsize=6)
+    for ax in fig.axes[len(tracks) :]:
+        ax.remove()
+    fig.suptitle("Recordings as their users have them: solution (line) and fixes, m east and north", fontsize=10)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    plots.save(fig, path)
 
 
 def main(argv: list[str]) -> None:
     """Print the table, write the JSON."""
     parser = common.options("wild", __doc__.splitlines()[0])
     parser.add_argument("--only", metavar="A,B", help="these recordings")
-    parser.add_argument("--figures", metavar="DIR", type=Path, help="write a picture of each track to DIR")
+    parser.add_argument("--figure", metavar="F", type=Path, help="draw every track into F, a .png")
     args = parser.parse_args(argv)
     chosen = sources()
     if args.only:
         chosen = {name: chosen[name] for name in args.only.split(",")}
     results: dict[str, dict] = {}
+    tracks: dict | None = {} if args.figure else None
     for name, path in chosen.items():
-        results[name] = r = one(name, path, args.figures)
+        results[name] = r = one(name, path, tracks)
         print(f"{name}: {r['start']['how'] if r['ran'] else r['why']}", flush=True)
     rows = [
         [name, r["lines"], r.get("windows", 0), r.get("window_s", ""), r.get("drift_median_m", ""),
@@ -106,4 +129,6 @@ def main(argv: list[str]) -> None:
         for name, r in results.items()
     ]  # fmt: skip
     print(table(["recording", "lines", "windows", "s", "median m", "RMS m", "nu^2 / S by channel", "s"], rows))
+    if tracks:
+        draw(tracks, args.figure)
     common.write_json(args.json, results)

@@ -1,4 +1,4 @@
-"""The command line: ``jaxnav demo | simulate | filter | tune | bakeoff | mc | allan | info | data``.
+"""The command line: ``jaxnav check | convert | filter | tune | simulate | mc | bakeoff | allan | demo | info | data``.
 
 Exit codes: 0 done, 1 a check failed (the filter stopped being finite), 2 usage or configuration, 3 data that cannot be
 used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and errors on stderr.
@@ -28,6 +28,8 @@ INTERRUPTED = 130  # exit code
 COLLECT = 20_000  # new objects until the garbage collector looks; at Python's 700 it takes a third of tracing
 VERBS = {
     "demo": "simulate, tune by gradient and draw the figures: no data, no network, about a minute",
+    "check": "check a recording against itself: what looks wrong, and a configuration that runs it",
+    "convert": "write a recording of any format as CSV files",
     "simulate": "write a simulated recording and its truth",
     "filter": "run a filter over a recording: solution, metrics, figures",
     "tune": "tune a filter's parameters by gradient and show the gain on data kept aside",
@@ -124,6 +126,8 @@ def make_parser() -> argparse.ArgumentParser:
             sub.add_argument("--coordinator", metavar="HOST:PORT", help="of several processes, private networks only")
             sub.add_argument("--processes", metavar="N", type=int, help="how many; under Slurm or MPI all is found")
             sub.add_argument("--process", metavar="I", type=int, help="number of this one, from 0")
+        if verb in ("check", "convert"):
+            sub.add_argument("path", metavar="PATH", help="file or folder of any known format, or a column map")
         if verb == "data":
             sub.add_argument("action", choices=("list", "fetch", "check"))
             sub.add_argument("name", nargs="?", help="of the data set; check also takes a path")
@@ -156,7 +160,7 @@ def _inputs(args: argparse.Namespace, config: configuration.Config) -> list[str]
     from jaxnav.simulate.scenarios import SCENARIOS
 
     recordings = [source for source in (config.data.source, *config.tune.more) if source not in SCENARIOS]
-    named = [args.config, getattr(args, "params", None), *recordings]
+    named = [args.config, getattr(args, "params", None), getattr(args, "path", None), *recordings]
     return [path for path in named if path and Path(path).exists()]
 
 
@@ -219,6 +223,14 @@ def _work(args: argparse.Namespace, config: configuration.Config, folder: Path, 
     if not args.quiet and _first():
         for line in unused(args.verb, config):
             print(f"jaxnav: not used here: {line}", file=sys.stderr)
+    if args.verb in ("check", "convert"):
+        from jaxnav.app.verbs import check
+
+        return (
+            check.check(args.path, folder, config.out.figures)
+            if args.verb == "check"
+            else check.convert(args.path, folder)
+        )
     if args.verb in ("simulate", "filter"):
         from jaxnav.app.verbs import filtering
 

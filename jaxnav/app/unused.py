@@ -28,6 +28,9 @@ def unused(verb: str, config: Config) -> list[str]:
         note(f"is of jaxnav filter; {verb} hides fixes by itself", "filter.outages")
     if simulated and verb in ("tune", "demo", "bakeoff", "mc"):
         note("a simulated run is used whole", "data.start", "data.stop")
+    if verb in ("filter", "tune") and config.start.heading == "motion":
+        found = ("start.course_speed_mps", "start.tilt_sd_deg", "start.heading_sd_deg")
+        note('start.heading = "motion" finds it by itself', *(found if not (simulated and verb == "tune") else ()))
     if verb in ("bakeoff", "mc"):
         note("filters start as the scenario says", *_START)
     if verb in ("tune", "demo") and config.tune.method in ("lbfgs", "scoring"):

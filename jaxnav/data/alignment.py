@@ -45,6 +45,7 @@ class Believed(NamedTuple):
     gyro_bias: Any  # rad/s
     accel_bias: Any  # m/s^2
     delay: float = 0.3  # s
+    arm: float = 0.0  # m, of what is not known of the lever arm; 0: it is as given, and not among the unknowns
 
 
 class Alignment(NamedTuple):
@@ -57,13 +58,14 @@ class Alignment(NamedTuple):
     gyro_bias: np.ndarray  # (3,) rad/s, measured minus true
     accel_bias: np.ndarray  # (3,) m/s^2
     delay: float  # s, by which fixes are stamped too late, beyond what was known
-    P: np.ndarray  # (10, 10) covariance of attitude (rotation in ENU, rad), gyro and accelerometer bias, delay
+    P: np.ndarray  # (10, 10) covariance of attitude (rotation in ENU, rad), gyro and accelerometer bias, delay, and arm
     chi2: float  # of the whitened differences, per degree of freedom, by the fixes' own sd
     fixes: int
+    arm: np.ndarray  # (3,) m, IMU -> antenna, body; (13, 13) is P where it was among the unknowns
 
     @property
     def sd(self) -> np.ndarray:
-        """Standard deviations (10,), in the order of ``P``."""
+        """Standard deviations (10,) or (13,), in the order of ``P``."""
         return np.sqrt(np.diag(self.P))
 
 
@@ -100,11 +102,13 @@ def align(
     reference = (
         Rotation.from_rotvec(-seen.spin * (end - begin)).as_matrix() @ C
     )  # the attitude at the begin, in ENU now
-    forward = np.eye(10)
+    forward = np.eye(len(P))
     forward[:3, 3:6] = reference @ G
-    vel, vel_sd = _velocity(samples, seen, fixes, reference, x, arm, max(noise, 1.0))
+    arm = arm + x[7:] if x.size > 7 else arm
+    vel, vel_sd = _velocity(samples, seen, fixes, reference, x[:7], arm, max(noise, 1.0))
+    P = forward @ P @ forward.T
     return Alignment(
-        end, reference @ R_end, vel, vel_sd, x[:3], x[3:6], float(x[6]), forward @ P @ forward.T, chi2, fixes.t.size
+        end, reference @ R_end, vel, vel_sd, x[:3], x[3:6], float(x[6]), P, chi2, fixes.t.size, arm,
     )  # fmt: skip
 
 
@@ -256,8 +260,8 @@ class Fit(NamedTuple):
     """A solution of the least squares, at the window's begin."""
 
     C: np.ndarray  # (3, 3) body -> ENU
-    x: np.ndarray  # (7,) gyro bias, accelerometer bias, delay
-    P: np.ndarray  # (10, 10) covariance of attitude and x
+    x: np.ndarray  # (7,) gyro bias, accelerometer bias, delay, and (10,) what the lever arm has more
+    P: np.ndarray  # (10, 10) or (13, 13) covariance of attitude and x
     chi2: float  # per degree of freedom, by the fixes' own sd
     noise: float  # what the variance of the fixes was scaled with
 
@@ -265,8 +269,10 @@ class Fit(NamedTuple):
 def _solve(imu: ImuLog, seen: Seen, believed: Believed, arm: np.ndarray) -> Fit:
     """Gauss-Newton from Wahba's solutions; once more with the noise that the fixes turn out to have."""
     sd = np.concatenate([np.full(3, UNKNOWN), *(np.broadcast_to(s, 3) for s in believed[:2]), [believed.delay]])
-    sd = np.maximum(sd, 1e-12)
-    found = [_descend(imu, seen, C, x, sd, 1.0, arm) for C, x in _guesses(imu, seen, believed.delay, arm)]
+    sd = np.concatenate([np.maximum(sd, 1e-12), np.full(3 if believed.arm else 0, believed.arm)])
+    more = np.zeros(sd.size - 10)
+    guesses = [(C, np.concatenate([x, more])) for C, x in _guesses(imu, seen, believed.delay, arm)]
+    found = [_descend(imu, seen, C, x, sd, 1.0, arm) for C, x in guesses]
     best = min(found, key=lambda each: each.cost)
     chi2 = best.left
     noise = max(chi2, LEAST_CHI2)
@@ -289,7 +295,7 @@ class Descent(NamedTuple):
 
     C: np.ndarray
     x: np.ndarray
-    N: np.ndarray  # (10, 10) information, in units of the priors' sd
+    N: np.ndarray  # information, in units of the priors' sd
     cost: float  # sum of squares, with the priors'
     left: float  # chi^2 per degree of freedom
     roots: list[np.ndarray]  # that the differences were whitened by
@@ -304,8 +310,8 @@ def _descend(
         white = np.concatenate(
             [solve_triangular(L, np.column_stack([J[:, a], r[:, a]]), lower=True) for a, L in enumerate(roots)]
         )
-        A, r = white[:, :10] * sd, white[:, 10]
-        N, offset = A.T @ A + np.eye(10), np.concatenate([np.zeros(3), x]) / sd
+        A, r = white[:, :-1] * sd, white[:, -1]
+        N, offset = A.T @ A + np.eye(sd.size), np.concatenate([np.zeros(3), x]) / sd
         delta = sd * np.linalg.solve(N, A.T @ r - offset)
         delta *= min(1.0, 0.5 / max(float(np.linalg.norm(delta[:3])), 1e-12))
         C, x = Rotation.from_rotvec(delta[:3]).as_matrix() @ C, x + delta[3:]
@@ -333,19 +339,23 @@ def _guesses(imu: ImuLog, seen: Seen, delay_sd: float, arm: np.ndarray) -> list[
 
 
 def _linear(imu: ImuLog, seen: Seen, C: np.ndarray, x: np.ndarray, arm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """J (M, 3, 10), what the differences change by with attitude and x, and what is left of them, (M, 3)."""
+    """J (M, 3, 3 + x), what the differences change by with attitude and x, and what is left of them, (M, 3)."""
+    arm, eye = arm + x[7:] if x.size > 7 else arm, np.eye(x.size)
     look = lambda series, x: seen.D @ _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0]  # noqa: E731
     series = _series(imu, x)
     path = _path(imu, series, x, seen.t, seen.positions, arm)
     here = seen.D @ path[:, :, 0]
-    J = np.zeros((*here.shape, 10))
+    J = np.zeros((*here.shape, 3 + x.size))
     J[:, :, :3] = -_skew(here @ C.T)
     for j in range(3):
-        off = x + TILT * np.eye(7)[j]
+        off = x + TILT * eye[j]
         J[:, :, 3 + j] = (look(_series(imu, off), off) - here) @ C.T / TILT
     J[:, :, 6:9] = np.einsum("ij,kjl->kil", C, np.einsum("mk,kij->mij", seen.D, path[:, :, 1:]))
-    later, sooner = (x + sign * SOON * np.eye(7)[6] for sign in (1, -1))
+    later, sooner = (x + sign * SOON * eye[6] for sign in (1, -1))
     J[:, :, 9] = (look(series, later) - look(series, sooner)) @ C.T / (2 * SOON)
+    for j in range(x.size - 7):  # the path is linear in the lever arm
+        by = _path(imu, series, x, seen.t, seen.positions, arm + np.eye(3)[j])[:, :, 0] - path[:, :, 0]
+        J[:, :, 10 + j] = seen.D @ by @ C.T
     return J, seen.beta - here @ C.T
 
 

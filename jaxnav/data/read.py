@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxnav.data import canonical, mend, units
+from jaxnav.data.checkup import quick_notes
 from jaxnav.data.column_map import TOP, column_names, read_map
 from jaxnav.data.files import FilePath
 from jaxnav.data.formats import dataflash, ekf2_replay, euroc, kfgins, navego, nmea, rosbag, rtklib, ubx, ulog
@@ -31,7 +32,9 @@ class Reader(NamedTuple):
 
 
 def read(path: FilePath, **options: Any) -> Recording:
-    """The recording in a file or folder; its ``notes`` say, a sentence a line, what was assumed and left out.
+    """The recording in a file or folder; its ``notes`` say, a sentence a line, what was assumed, left out, looks wrong.
+
+    `jaxnav.data.checkup.checkup` asks it more, and takes longer.
 
     Args:
         path: file or folder of a format in `READERS`, or a column map (``docs/formats.md``).
@@ -42,7 +45,8 @@ def read(path: FilePath, **options: Any) -> Recording:
     Raises:
         DataError: not there, of no known format, an unknown option, or nothing that could be used; names the file.
     """
-    return mend.recording(read_parts(path, **options))
+    rec = mend.recording(read_parts(path, **options))
+    return rec._replace(notes="\n".join(filter(None, [rec.notes, *quick_notes(rec)])))
 
 
 def read_parts(path: FilePath, gnss: FilePath | None = None, **options: Any) -> Parts:

@@ -1,0 +1,108 @@
+"""`jaxnav check` and `jaxnav convert`."""
+
+import time
+from pathlib import Path
+
+from jaxnav import data as io
+from jaxnav.analysis.plots import base as plots
+from jaxnav.analysis.plots import checkup as plots_checkup
+from jaxnav.app.results import Outcome, write_json
+from jaxnav.app.verbs.filtering import describe, describe_text
+from jaxnav.data.checkup import Finding, checkup
+from jaxnav.data.read import read
+from jaxnav.types import Recording
+
+
+def check(path: str, folder: Path, figures: bool = True) -> Outcome:
+    """Check a recording against itself; table, check.json, a picture, and a configuration that runs it.
+
+    Raises:
+        DataError: nothing there that can be read.
+    """
+    begin = time.perf_counter()
+    rec = read(path)
+    seconds = {"read": time.perf_counter() - begin}
+    begin = time.perf_counter()
+    found = checkup(rec)
+    seconds["check"] = time.perf_counter() - begin
+    write_json(folder / "check.json", {"recording": describe(rec), "findings": [f._asdict() for f in found]})
+    if "position" in rec.aiding:
+        (folder / "config.toml").write_text(configuration(path, rec, found), encoding="utf-8")
+    if figures:
+        plots.save(plots_checkup.overview(rec), folder / "check.png")
+    about = {"findings": [f._asdict() for f in found], "wrong": sum(f.bad for f in found)}
+    return Outcome(about, in_words(rec, found), seconds)
+
+
+def convert(path: str, folder: Path) -> Outcome:
+    """Write any recording as our folder of CSV files (docs/formats.md).
+
+    Raises:
+        DataError: nothing there that can be read.
+    """
+    begin = time.perf_counter()
+    rec = read(path)
+    io.write_recording(folder / "recording", rec)
+    for file in (folder / "recording").iterdir():
+        file.rename(folder / file.name)
+    (folder / "recording").rmdir()
+    about = describe(rec)
+    text = describe_text(about) + "".join(f"\n{note}" for note in rec.notes.splitlines())
+    return Outcome({"recording": about}, text, {"convert": time.perf_counter() - begin})
+
+
+def in_words(rec: Recording, found: list[Finding]) -> str:
+    """What a recording holds, what is wrong with it, and what else was seen."""
+    lines = [describe_text(describe(rec)), ""]
+    bad = [f for f in found if f.bad]
+    lines += [f"{len(bad)} of what was checked {'looks' if len(bad) == 1 else 'look'} wrong:"] if bad else []
+    lines += [f"  ! {f.words}: {f.means}" for f in bad]
+    lines += [f"  {f.words}{f': {f.means}' if f.means else ''}" for f in found if not f.bad]
+    if not bad:
+        lines.append("nothing looks wrong")
+    if "position" not in rec.aiding:
+        lines.append("there are no positions, so that no filter can be run on it")
+    return "\n".join([*lines, *(f"  {note}" for note in rec.notes.splitlines() if note not in "\n".join(lines))])
+
+
+def configuration(path: str, rec: Recording, found: list[Finding]) -> str:
+    """A configuration that runs the recording, a remark on each line."""
+    source = str(Path(path).resolve()).replace("\\", "/")
+    lines = [
+        "# jaxnav filter --config config.toml",
+        "[data]",
+        f'source = "{source}"  # what was checked',
+        "[filter]",
+        'name = "ekf15"  # errors of position, velocity, attitude and both biases; `jaxnav info` lists the others',
+        f'grade = "consumer"  # the IMU\'s datasheet; {_noise(found)}',
+    ]
+    if "speed" in rec.aiding:
+        lines.append("speed = true  # there are wheel speeds")
+    yaw = next((f for f in found if f.code == "mounting.yaw" and not f.bad), None)
+    if yaw is not None and "speed" in rec.aiding:
+        lines.append(f"nonholonomic = true  # wheels do not slip sideways; {yaw.words}")
+    lines += ["[start]", 'heading = "motion"  # found by alignment; or "course", "unknown", degrees', "[params]"]
+    return "\n".join([*lines, *_timing(found)]) + "\n"
+
+
+def _timing(found: list[Finding]) -> list[str]:
+    """Settings of the clocks: what is early is the IMU's clock, what is late is the stream's."""
+    by = {f.code: f for f in found if f.value is not None}
+    lines = []
+    if "time.delay" in by:
+        delay, apart = by["time.delay"], by.get("velocity.latency")
+        gap = 0.0 if apart is None else float(apart.value or 0.0)  # of velocity behind position
+        first = float(delay.value or 0.0)
+        of_velocity = "velocity" in delay.key
+        late = {"position": first - gap if of_velocity else first, "velocity": first if of_velocity else first + gap}
+        offset = min(0.0, *late.values())
+        why = delay.words + (f"; {apart.words}" if apart is not None else "")
+        settings = {"time_offset_s": offset, **{f"{name}_latency_s": t - offset for name, t in late.items()}}
+        lines = [f"{key} = {value:.3f}  # {why}" for key, value in settings.items() if abs(value) > 5e-3]
+    if "time.drift" in by:
+        lines.append(f"clock_drift_ppm = {by['time.drift'].value:.0f}  # {by['time.drift'].words}")
+    return lines
+
+
+def _noise(found: list[Finding]) -> str:
+    return next((f.words for f in found if f.code == "imu.noise"), "see `jaxnav info`")

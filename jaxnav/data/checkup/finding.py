@@ -1,0 +1,60 @@
+"""What a check answers, and what checks share."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.maths import earth
+from jaxnav.types import Samples
+
+
+class Finding(NamedTuple):
+    """The answer of one check."""
+
+    code: str  # what it is about: "velocity.swapped"
+    words: str  # with its figure
+    means: str = ""  # what it usually means, and what to do
+    bad: bool = False  # something is wrong, or looks as if it were
+    key: str = ""  # a setting that would mend it, as of the command line: "params.position_latency_s"
+    value: float | None = None  # of that setting
+
+
+def local(lla: np.ndarray) -> np.ndarray:
+    """Positions (K, 3) in ENU metres from the middle one."""
+    return np.asarray(jax.vmap(earth.enu_difference, (0, None))(jnp.asarray(lla), jnp.asarray(lla[len(lla) // 2])))
+
+
+def running(t: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Integral (K, c) by trapezoids."""
+    step = 0.5 * (value[1:] + value[:-1]) * np.diff(t)[:, None]
+    return np.vstack([np.zeros(value.shape[1]), np.cumsum(step, 0)])
+
+
+def at(t: np.ndarray, when: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Columns (K, c) at the times t, in straight lines."""
+    return np.column_stack([np.interp(t, when, c) for c in value.T])
+
+
+def level_velocity(aiding: dict[str, Samples]) -> Samples | None:
+    """The stream of velocities, or what positions give over two seconds where there is none."""
+    if "velocity" in aiding and aiding["velocity"].t.size > 10:
+        return aiding["velocity"]
+    position = aiding.get("position")
+    if position is None or position.t.size < 10:
+        return None
+    n = max(1, round(2.0 / float(np.median(np.diff(position.t)))))
+    if position.t.size <= n + 5:
+        return None
+    dt = (position.t[n:] - position.t[:-n])[:, None]
+    p = local(position.value)
+    value = (p[n:] - p[:-n]) / dt
+    keep = dt[:, 0] < 2 * float(np.median(dt))
+    t = 0.5 * (position.t[n:] + position.t[:-n])
+    return Samples(t[keep], value[keep], (1.5 * position.sd[n:] / dt)[keep], np.zeros_like(value)[keep])
+
+
+def rms(a: np.ndarray) -> float:
+    """Root mean square of all numbers."""
+    return float(np.sqrt(np.mean(np.square(a)))) if np.size(a) else 0.0

@@ -1,0 +1,97 @@
+"""The IMU by itself: sampling, axes that are dead or clipped, gravity and noise where it is quiet."""
+
+import numpy as np
+
+from jaxnav.data.checkup.finding import Finding
+from jaxnav.data.gaps import holes, in_words
+from jaxnav.maths import units
+from jaxnav.types import ImuLog, Recording
+
+QUIET = 0.05  # share of the windows that count as quiet
+G = 9.81
+
+
+def sampling(rec: Recording) -> list[Finding]:
+    """Rate, jitter, gaps and repeated rows."""
+    imu = rec.imu
+    dt = np.diff(imu.t)
+    usual = float(np.median(dt))
+    jitter = float(np.std(dt[dt < 2.5 * usual]) / usual)
+    words = f"IMU at {1 / usual:.4g} Hz, intervals vary by {100 * jitter:.1f} %"
+    found = [Finding("imu", words)]
+    if 1 / usual < 10:
+        means = "strapdown navigation needs 10 Hz or more: what turns and shakes in between is lost"
+        found.append(Finding("imu.slow", words, means, True))
+    long = in_words(holes(imu))
+    if long:
+        found.append(Finding("imu.gaps", long))
+    values = np.hstack([imu.gyro, imu.accel])
+    same = float(np.mean(np.all(values[1:] == values[:-1], axis=1)))
+    if same > 0.005:
+        words = f"{100 * same:.1f} % of the IMU's rows repeat the row before"
+        means = "the logger polled the sensor, and lost as many samples: repair = true in a column map mends it"
+        found.append(Finding("imu.polled", words, means, same > 0.01))
+    return found
+
+
+def axes(rec: Recording) -> list[Finding]:
+    """Axes that show nothing, and axes that are clipped."""
+    found = []
+    for name, values in (("gyro", rec.imu.gyro), ("accel", rec.imu.accel)):
+        spread = values.std(0)
+        for axis, own, column in zip("xyz", spread, values.T, strict=True):
+            if own < 1e-3 * max(float(np.median(spread)), 1e-9):
+                words = f"{name} {axis} does not move: {column[0]:.3g} throughout"
+                found.append(Finding(f"{name}.dead", words, "a dead axis, or a column that is another", True))
+                continue
+            top = np.abs(column).max()
+            share = float(np.mean((np.abs(column[1:]) > 0.999 * top) & (column[1:] == column[:-1])))
+            if share > 0.003 and column.size > 1000 and top > 3 * own:
+                words = f"{name} {axis} is at {top:.3g} in {100 * share:.1f} % of the rows"
+                found.append(Finding(f"{name}.clipped", words, "beyond the sensor's range", True))
+    return found
+
+
+def quiet(imu: ImuLog, span: float = 1.0) -> tuple[np.ndarray, int]:
+    """Windows (W, n) of rows in which the IMU is quietest, and their length."""
+    n = max(2, round(span / float(np.median(imu.dt))))
+    m = imu.t.size // n
+    rows = np.arange(m * n).reshape(m, n)
+    unrest = np.sqrt(imu.accel[rows].var(1).sum(-1)) + G * np.sqrt(imu.gyro[rows].var(1).sum(-1))
+    unrest = unrest + G * np.linalg.norm(imu.gyro[rows].mean(1) - np.median(imu.gyro, 0), axis=-1)
+    return rows[np.argsort(unrest)[: max(3, int(QUIET * m))]], n
+
+
+def gravity(rec: Recording) -> list[Finding]:
+    """Specific force where it is quiet: its size, and which axis it lies on."""
+    rows, _ = quiet(rec.imu)
+    if len(rows) < 3:
+        return []
+    force = np.median(rec.imu.accel[rows].mean(1), 0)
+    size = float(np.linalg.norm(force))
+    words = f"specific force where it is quiet: {', '.join(f'{f:.2f}' for f in force)} m/s^2, together {size:.2f}"
+    found = [Finding("imu.gravity", words)]
+    if abs(size - G) > 0.35:
+        means = (
+            f"{100 * (size / G - 1):+.1f} % from gravity: a bias or scale error of the accelerometer, or never at rest"
+        )
+        found.append(Finding("imu.gravity_size", words, means, abs(size - G) > 0.7))
+    axis = int(np.abs(force).argmax())
+    if abs(force[axis]) > 0.9 * size and (axis, np.sign(force[axis])) != (2, -1.0):
+        name = "xyz"[axis]
+        guess = 'FLU or ENU? say axes = "flu"' if axis == 2 else "the IMU lies on its side: say axes"
+        means = f"{name} reads {force[axis]:+.1f} at rest, where forward, right, down has z = -9.8: {guess}"
+        found.append(Finding("axes.gravity", words, means, True))
+    return found
+
+
+def noise(rec: Recording) -> list[Finding]:
+    """White noise where it is quiet: an upper limit of the sensor's own."""
+    rows, n = quiet(rec.imu)
+    if n < 10 or len(rows) < 3:
+        return []
+    root = np.sqrt(float(np.median(rec.imu.dt)))
+    spread = lambda a: float(np.median(np.diff(a[rows], axis=1).std(1) / np.sqrt(2)) * root)  # noqa: E731
+    gyro, accel = spread(rec.imu.gyro) / units.DEG_PER_SQRT_HOUR, spread(rec.imu.accel) / units.UG
+    words = f"noise where it is quiet: gyro {gyro:.2g} deg/sqrt(h), accelerometer {accel:.3g} ug/sqrt(Hz)"
+    return [Finding("imu.noise", words)]

@@ -1,0 +1,262 @@
+"""The IMU against the fixes: turns, and the attitude that makes both go together."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.data.alignment import Alignment, Believed, align
+from jaxnav.data.checkup.finding import Finding, at, level_velocity
+from jaxnav.maths import units
+from jaxnav.maths.units import DEG
+from jaxnav.states.grades import GRADES
+from jaxnav.types import ImuLog, Recording, Samples
+
+STEP = 0.1  # s, of the series that are correlated
+FARTHEST = 40.0  # s: leap seconds, and a logger that was started early
+SURE = 0.6  # correlation of turns that belong together
+WINDOW = 20.0  # s, of an alignment
+BAD_FIT = 8.0  # chi^2 per degree of freedom
+MOST_WINDOWS = 6
+
+
+class Turns(NamedTuple):
+    """Rate of the course and of the gyros on one grid of time."""
+
+    t: np.ndarray  # (N,) s
+    course: np.ndarray  # (N,) rad/s, clockwise
+    weight: np.ndarray  # (N,) 0 where the vehicle hardly moves
+    gyro: np.ndarray  # (N, 3) rad/s
+
+
+def smooth(a: np.ndarray, n: int) -> np.ndarray:
+    """Running mean (N, c) over n."""
+    kernel = np.ones(n) / n
+    return np.column_stack([np.convolve(c, kernel, "same") for c in a.T])
+
+
+def turns_of(rec: Recording) -> Turns | None:
+    """None where there are no velocities, or where it never moves."""
+    v = level_velocity(rec.aiding)
+    if v is None or v.t[-1] - v.t[0] < 10.0:
+        return None
+    t = np.arange(v.t[0], v.t[-1], STEP)
+    n = max(3, round(max(1.0, float(np.median(np.diff(v.t)))) / STEP))
+    vel = smooth(at(t, v.t, v.value[:, :2]), n)
+    acc = np.gradient(vel, STEP, axis=0)
+    square = (vel**2).sum(1)
+    least = max(0.5, 3 * float(np.median(v.sd[:, :2])))
+    weight = (square > least**2).astype(float)
+    course = np.where(weight > 0, (vel[:, 1] * acc[:, 0] - vel[:, 0] * acc[:, 1]) / np.maximum(square, least**2), 0.0)
+    total = np.vstack([np.zeros(3), np.cumsum(rec.imu.gyro * rec.imu.dt[:, None], 0)])
+    when = np.concatenate([[rec.imu.t[0] - rec.imu.dt[0]], rec.imu.t])
+    gyro = smooth(np.gradient(at(t, when, total), STEP, axis=0), n)
+    weight[:n], weight[-n:] = 0.0, 0.0  # a running mean ends there
+    if weight.sum() * STEP < 5.0 or np.sqrt((course**2).sum() / weight.sum()) < 0.5 * DEG:
+        return None
+    return Turns(t, course, weight, gyro)
+
+
+def correlation(x: Turns, axis: int, lag: int) -> float:
+    """Of the course's rate with a gyro that is read ``lag`` steps earlier than the fix."""
+    a = slice(max(lag, 0), len(x.t) + min(lag, 0))
+    b = slice(max(-lag, 0), len(x.t) + min(-lag, 0))
+    w = x.weight[a]
+    if w.sum() < 50:
+        return 0.0
+    c, g = x.course[a], x.gyro[b, axis]
+    c, g = w * (c - (w * c).sum() / w.sum()), w * (g - (w * g).sum() / w.sum())
+    size = float(np.sqrt((c**2).sum() * (g**2).sum()))
+    return float((c * g).sum() / size) if size > 0 else 0.0
+
+
+def turns(rec: Recording) -> list[Finding]:
+    """Which gyro shows the turns of the course, with which sign, size and lag."""
+    x = turns_of(rec)
+    if x is None:
+        return []
+    lags = np.arange(-round(FARTHEST / STEP), round(FARTHEST / STEP) + 1)
+    table = np.array([[correlation(x, axis, int(lag)) for lag in lags] for axis in range(3)])
+    zero = np.abs(lags) <= round(1.0 / STEP)
+    near = np.array([row[zero][np.abs(row[zero]).argmax()] for row in table])
+    axis, j = np.unravel_index(np.abs(table).argmax(), table.shape)
+    best, lag = float(table[axis, j]), float(lags[j] * STEP)
+    words = "turns of the course against the gyros: " + ", ".join(
+        f"{name} {c:+.2f}" for name, c in zip("xyz", near, strict=True)
+    )
+    if abs(best) > SURE and abs(lag) > 1.0 and abs(best) > 1.5 * np.abs(near).max():
+        words += f"; {'xyz'[axis]} {best:+.2f} if fixes are {lag:+.1f} s late"
+        return [Finding("time.offset", words, "clocks apart: another time scale (leap seconds), or time zone", True)]
+    if abs(near[2]) > SURE and abs(near[2]) >= 0.8 * np.abs(near).max():
+        w = x.weight
+        slope = float((w * x.course * x.gyro[:, 2]).sum() / (w * x.course**2).sum())
+        words += f"; z turns by {slope:+.2f} of the course"
+        if near[2] < 0:
+            return [Finding("gyro.sign", words, 'z turns the other way: up instead of down? say axes = "flu"', True)]
+        if abs(near[2]) > 0.9 and not 0.6 < abs(slope) < 1.6:
+            return [
+                Finding("gyro.units", words, "another unit: degrees for radians, or a rate of another length", True)
+            ]
+        return [Finding("gyro", words)]
+    if np.abs(near).max() > SURE and abs(near[2]) < 0.4:
+        i = int(np.abs(near).argmax())
+        means = f"turns show on {'xyz'[i]}: columns or axes are others"
+        return [Finding("gyro.axes", words, means, True)]
+    return [Finding("gyro", words)]
+
+
+# ---------------------------------------------------------------------------- by alignment
+
+
+def windows_of(rec: Recording, v: Samples) -> list[tuple[float, float]]:
+    """Windows of `WINDOW` s all along the recording, in each part of it the one with the most change of velocity."""
+    first, last = max(rec.imu.t[0], v.t[0]), min(rec.imu.t[-1], v.t[-1])
+    count = int(np.clip((last - first) // (1.5 * WINDOW), 1, MOST_WINDOWS))
+    if last - first < 0.5 * WINDOW:
+        return []
+    length, found = min(WINDOW, last - first), []
+    for k in range(count):
+        lo, hi = first + k * (last - first) / count, first + (k + 1) * (last - first) / count
+        begins = np.arange(lo, max(hi - length, lo) + 1e-6, 5.0)
+        power = [np.square(np.diff(v.value[(v.t > b) & (v.t <= b + length), :2], axis=0)).sum() for b in begins]
+        b = float(begins[int(np.argmax(power))])
+        found.append((b, min(b + length, last)))
+    return found
+
+
+def aligned(imu: ImuLog, rec: Recording, window: tuple[float, float], arm: float = 0.0) -> Alignment | None:
+    """By the velocities, else the positions."""
+    name = "velocity" if "velocity" in rec.aiding and rec.aiding["velocity"].t.size > 10 else "position"
+    grade = GRADES["consumer"]
+    believed = Believed(2 * grade.gyro_turn_on, 2 * grade.accel_turn_on, 0.3, arm)
+    lla = rec.aiding["position"].value[0]
+    return align(imu, rec.aiding[name], name == "position", lla, *window, believed, rec.lever_arm)
+
+
+def together(rec: Recording) -> list[Finding]:
+    """Alignments in several windows: does an attitude make both go together, how late are fixes, does that change?"""
+    v = level_velocity(rec.aiding)
+    if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > 0.1:
+        return []
+    windows = windows_of(rec, v)
+    each = [(w, a) for w in windows if (a := aligned(rec.imu, rec, w)) is not None]
+    moving = [(w, a) for w, a in each if a.sd[2] < 20 * DEG]
+    if not moving:
+        return [Finding("motion", "too little motion to see whether IMU and fixes go together")] if each else []
+    chi2 = float(np.median([a.chi2 for _, a in moving]))
+    words = f"IMU and fixes go together to chi^2 {chi2:.2g} per degree of freedom in {len(moving)} windows"
+    if chi2 > BAD_FIT:
+        return [_what_else(rec, min(moving, key=lambda each: abs(each[1].chi2 - chi2)), words)]
+    name = "velocity" if "velocity" in rec.aiding and rec.aiding["velocity"].t.size > 10 else "position"
+    return [Finding("motion", words), *_timing(moving, name), *_arm(rec, moving), *_biases(moving), *_mounting(moving)]
+
+
+def _what_else(rec: Recording, case: tuple[tuple[float, float], Alignment], words: str) -> Finding:
+    """Which mix-up of axes or units would make a bad fit a good one."""
+    window, was = case
+    rows = (rec.imu.t > window[0] - 1) & (rec.imu.t <= window[1] + 1)
+    imu = ImuLog(*(a[rows] for a in rec.imu))
+    found = []
+    for code, means, other in _mixups(imu):
+        a = aligned(other, rec, window)
+        if a is not None:
+            found.append((a.chi2, code, means))
+    if found:
+        chi2, code, means = min(found)
+        if chi2 < 0.35 * was.chi2:
+            return Finding(code, f"{words}; {chi2:.2g} if so", means, True)
+    means = "axes, units, times or columns are others than said, or fixes are worse than their sd"
+    return Finding("motion.misfit", words, means, was.chi2 > 3 * BAD_FIT)
+
+
+def _mixups(imu: ImuLog) -> list[tuple[str, str, ImuLog]]:
+    out = []
+    for sensor in ("gyro", "accel"):
+        values = getattr(imu, sensor)
+        for i, axis in enumerate("xyz"):
+            sign = np.ones(3)
+            sign[i] = -1
+            out.append(
+                (f"{sensor}.sign", f"{sensor} {axis} has the wrong sign", imu._replace(**{sensor: values * sign}))
+            )
+        for a, b in ((0, 1), (0, 2), (1, 2)):
+            order = [0, 1, 2]
+            order[a], order[b] = b, a
+            means = f"{sensor} {'xyz'[a]} and {'xyz'[b]} are swapped"
+            out.append((f"{sensor}.swapped", means, imu._replace(**{sensor: values[:, order]})))
+    out.append(("gyro.sign", "all gyros have the wrong sign", imu._replace(gyro=-imu.gyro)))
+    out.append(("gyro.units", "the gyro's unit is another: degrees for radians", imu._replace(gyro=imu.gyro * DEG)))
+    out.append(("gyro.units", "the gyro's unit is another: radians for degrees", imu._replace(gyro=imu.gyro / DEG)))
+    return out
+
+
+def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> list[Finding]:
+    """How late the stream ``name`` is against the IMU, and whether that changes."""
+    t = np.array([0.5 * (w[0] + w[1]) for w, _ in each])
+    late, sd = np.array([a.delay for _, a in each]), np.array([np.hypot(a.sd[9], 0.005) for _, a in each])
+    weight = 1 / sd**2
+    mean, mean_sd = float((weight * late).sum() / weight.sum()), float(1 / np.sqrt(weight.sum()))
+    spread = float(np.sqrt((weight * (late - mean) ** 2).sum() / max(len(late) - 1, 1))) if len(late) > 1 else 1.0
+    mean_sd *= max(spread, 1.0)
+    words = f"{name} is {abs(mean):.3f} s {'late' if mean >= 0 else 'early'} against the IMU (sd {mean_sd:.3f} s)"
+    bad = abs(mean) > max(0.15, 5 * mean_sd)
+    means = "" if abs(mean) < max(0.03, 3 * mean_sd) else "tell the filter, or let it be tuned"
+    found = [Finding("time.delay", words, means, bad, f"params.{name}_latency_s", mean if means else 0.0)]
+    if len(late) >= 4 and np.ptp(t) >= 100.0:
+        centred = t - (weight * t).sum() / weight.sum()
+        power = float((weight * centred**2).sum())
+        drift = float((weight * centred * late).sum() / power)
+        left = late - mean - drift * centred
+        loose = max(1.0, float(np.sqrt((weight * left**2).sum() / max(len(late) - 2, 1))))
+        drift_sd = loose / np.sqrt(power)
+        if abs(drift) > max(4 * drift_sd, 100 * units.PPM):
+            words = f"that changes by {drift / units.PPM:+.0f} ppm (sd {drift_sd / units.PPM:.0f} ppm)"
+            means = "the IMU's clock gains or loses: see params.clock_drift_ppm"
+            found.append(Finding("time.drift", words, means, True, "params.clock_drift_ppm", drift / units.PPM))
+    return found
+
+
+def _arm(rec: Recording, each: list[tuple[tuple[float, float], Alignment]]) -> list[Finding]:
+    """The lever arm that fits, over all windows."""
+    total, right = np.zeros((3, 3)), np.zeros(3)
+    for window, _ in each:
+        a = aligned(rec.imu, rec, window, arm=5.0)
+        if a is not None and a.P.shape[0] == 13:
+            N = np.linalg.inv(a.P[10:, 10:]) - np.eye(3) / 25.0
+            total, right = total + N, right + N @ (a.arm - rec.lever_arm)
+    if not total.any():
+        return []
+    P = np.linalg.inv(total + np.eye(3) / 25.0)
+    off, sd = P @ right, np.sqrt(np.diag(P))
+    sure = np.abs(off) > np.maximum(8 * sd, 1.5)
+    if not sure.any():
+        return []
+    where = ", ".join(f"{o:+.1f} ({s:.1f})" for o, s in zip(off, sd, strict=True))
+    words = f"the antenna seems to be {where} m forward, right, down from where it is said to be (sd)"
+    return [Finding("lever_arm", words, "say lever_arm_frd_m, or let it be tuned", True)]
+
+
+def _biases(each: list[tuple[tuple[float, float], Alignment]]) -> list[Finding]:
+    best = min(each, key=lambda e: e[1].sd[3:9].sum())[1]
+    gyro = ", ".join(f"{b / DEG:+.2f}" for b in best.gyro_bias)
+    accel = ", ".join(f"{b:+.2f}" for b in best.accel_bias)
+    return [Finding("imu.bias", f"biases of the gyros {gyro} deg/s, of the accelerometers {accel} m/s^2")]
+
+
+def _mounting(each: list[tuple[tuple[float, float], Alignment]]) -> list[Finding]:
+    """Heading of the IMU less the course, where that is alike in all windows."""
+    off = []
+    for _, a in each:
+        if np.hypot(a.vel[0], a.vel[1]) > 2.0 and a.sd[2] < 8 * DEG:
+            heading = np.arctan2(a.C[0, 0], a.C[1, 0])
+            off.append((heading - np.arctan2(a.vel[0], a.vel[1]) + np.pi) % (2 * np.pi) - np.pi)
+    if len(off) < 2:
+        return []
+    middle = float(np.median(off)) / DEG
+    spread = 1.4826 * float(np.median(np.abs(np.array(off) / DEG - middle)))
+    words = f"the IMU points {middle:+.1f} deg right of the course (median of {len(off)}, scatter {spread:.1f} deg)"
+    bad = abs(middle) > 20 and spread < 8
+    return [
+        Finding(
+            "mounting.yaw", words, "it is turned in the vehicle: say axes, or it moves sideways" if bad else "", bad
+        )
+    ]

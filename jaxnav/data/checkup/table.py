@@ -1,0 +1,40 @@
+"""CHECKS: a row for each question; a new one is a function and a line here."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from jaxnav.data.checkup import inertial, motion, streams
+from jaxnav.data.checkup.finding import Finding
+from jaxnav.types import Recording
+
+
+class Check(NamedTuple):
+    """A question to a recording."""
+
+    answer: Callable[[Recording], list[Finding]]  # nothing where it cannot be asked
+    quick: bool = True  # milliseconds: asked at every read
+
+
+CHECKS: dict[str, Check] = {
+    "sampling": Check(inertial.sampling),
+    "axes": Check(inertial.axes),
+    "gravity": Check(inertial.gravity),
+    "noise": Check(inertial.noise),
+    "overlap": Check(streams.overlap),
+    "fixes": Check(streams.fixes),
+    "velocity": Check(streams.velocity),
+    "speed": Check(streams.speed),
+    "barometer": Check(streams.barometer),
+    "turns": Check(motion.turns, False),
+    "together": Check(motion.together, False),
+}
+
+
+def checkup(rec: Recording, quick: bool = False) -> list[Finding]:
+    """What the checks say of a recording; ``quick``: only those that take no time."""
+    return [finding for check in CHECKS.values() if check.quick or not quick for finding in check.answer(rec)]
+
+
+def quick_notes(rec: Recording) -> list[str]:
+    """A sentence for each thing that looks wrong."""
+    return [f"{f.words}: {f.means}." for f in checkup(rec, quick=True) if f.bad]

@@ -1,0 +1,82 @@
+"""A recording against itself: what is wrong is named, what is right is left alone."""
+
+import numpy as np
+import pytest
+
+from benchmarks import check
+from benchmarks.start import simulated
+from jaxnav.data.checkup import CHECKS, checkup, quick_notes
+from jaxnav.data.read import read
+from jaxnav.types import ImuLog, Recording, Samples
+
+
+@pytest.fixture(scope="module")
+def car() -> Recording:
+    """A car for 70 s with fixes, wheels and a barometer, nothing wrong but a delay of at most 0.3 s."""
+    rec, _ = simulated("car", "consumer", True, np.random.default_rng(5))
+    truth, position = rec.truth, rec.aiding["position"]
+    k = np.arange(0.5, 69.0, 0.1)
+    column = lambda value, sd: Samples(k, value[:, None], np.full((k.size, 1), sd), np.zeros((k.size, 1)))  # noqa: E731
+    speed = np.interp(k, truth.t, np.hypot(truth.vel[:, 0], truth.vel[:, 1]))
+    hill = 20 * np.sin(2 * np.pi * k / 60)
+    lla = position.value + np.column_stack([np.zeros((position.t.size, 2)), np.interp(position.t, k, hill)])
+    streams = {"position": position._replace(value=lla), "speed": column(speed, 0.1), "barometer": column(hill, 0.5)}
+    return rec._replace(aiding=rec.aiding | streams)
+
+
+def bad(rec: Recording) -> set[str]:
+    return {f.code for f in checkup(rec) if f.bad}
+
+
+def test_nothing_is_wrong_with_what_is_right(car):
+    assert bad(car) - {"time.delay"} == set() and quick_notes(car) == []
+    said = " ".join(f.words for f in checkup(car))
+    for part in ("IMU at 100 Hz", "wheel speed is", "barometric height goes by", "turns of the course", "chi^2"):
+        assert part in said
+
+
+DAMAGES = {
+    "velocity.swapped": check.stream("velocity", check.swapped(0, 1)),
+    "velocity.sign": check.stream("velocity", check.times(-1, 1, 1)),
+    "velocity.units": check.stream("velocity", lambda v: 3.6 * v),
+    "speed.units": check.stream("speed", lambda v: 3.6 * v),
+    "barometer.sign": check.stream("barometer", lambda v: -v),
+    "barometer.units": check.stream("barometer", lambda v: 3.28084 * v),
+    "gyro.sign": check.imu(gyro=check.times(1, 1, -1)),
+    "gyro.axes": check.imu(gyro=check.swapped(0, 2)),
+    "gyro.dead": check.imu(gyro=check.times(1, 0, 1)),
+    "accel.sign": check.imu(accel=check.times(-1, 1, 1)),
+    "axes.gravity": check.imu(gyro=check.times(1, -1, -1), accel=check.times(1, -1, -1)),
+    "imu.polled": check.polled,
+    "imu.slow": lambda rec: rec._replace(imu=ImuLog(*(a[::20] for a in rec.imu))),
+    "position.repeats": check.repeated,
+    "time.offset": check.later(-18.0),
+    "mounting.yaw": check.imu(gyro=check.turned, accel=check.turned),
+    "time.overlap": check.later(30.0),
+}
+
+
+@pytest.mark.parametrize("code", DAMAGES)
+def test_what_is_wrong_is_named(car, code):
+    found = bad(check.as_floats(DAMAGES[code](car)))
+    assert code in found, found
+
+
+def test_every_check_answers_where_there_is_little_or_nothing(car):
+    """A few rows, an IMU alone, one fix: no exception, no warning."""
+    few = ImuLog(*(a[:20] for a in car.imu))
+    alone = car._replace(aiding={}, truth=None)
+    for rec in (alone, alone._replace(imu=few), car._replace(imu=few)):
+        for name, row in CHECKS.items():
+            assert isinstance(row.answer(rec), list), name
+    one = {name: Samples(*(a[:1] for a in s)) for name, s in car.aiding.items()}
+    assert isinstance(checkup(car._replace(aiding=one)), list)
+
+
+def test_a_read_says_what_looks_wrong(car, tmp_path):
+    from jaxnav.data import write_recording
+
+    write_recording(tmp_path / "right", car)
+    write_recording(tmp_path / "wrong", DAMAGES["velocity.swapped"](car))
+    assert "look" not in read(tmp_path / "right").notes
+    assert "east and north look swapped" in read(tmp_path / "wrong").notes

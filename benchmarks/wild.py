@@ -24,6 +24,7 @@ from jaxnav.filters.compiler import make_room
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Recording
+from tuning.recorded import tune
 
 RECIPES = Path(__file__).parents[1] / "docs" / "recipes"
 PLAIN = {  # what is read without a recipe, below the folder of the data sets
@@ -33,6 +34,8 @@ PLAIN = {  # what is read without a recipe, below the folder of the data sets
     "dataflash": "dataflash_sample/test.BIN",
 }
 PHASES, SETTLE = 3, 10.0
+SHORT = ("ekf2_replay", "px4_sitl", "px4_sitl_truth", "dataflash", "phone")  # below 60 s, or an IMU below 10 Hz
+SET_ON = ("px4_quad106", "rtkexplorer", "morpinet", "umn")  # that the recipe of tuning was made with
 
 
 def sources() -> dict[str, Path]:
@@ -80,12 +83,60 @@ def one(name: str, path: Path, tracks: dict | None) -> dict:
     }  # fmt: skip
     if windows.end.size:
         error, _ = drift(sol.filter, sol.params, best, packed.epochs, windows, sol.measurements)
-        level = np.hypot(error[:, 0], error[:, 1])
-        out |= {"drift_median_m": float(np.median(level)), "drift_rms_m": float(np.sqrt(np.mean(level**2)))}
-        out |= {"drift_m": level.tolist()}
+        off = np.hypot(error[:, 0], error[:, 1])
+        out |= {"drift_median_m": float(np.median(off)), "drift_rms_m": float(np.sqrt(np.mean(off**2)))}
+        out |= {"drift_m": off.tolist()}
     if tracks is not None:
         tracks[name] = level(sol.lla, sol.lla[0]), level(rec.aiding["position"].value, sol.lla[0])
     return out
+
+
+def tuned(name: str, path: Path) -> dict:
+    """One recording tuned without truth on its first part and judged on its last."""
+    make_room()
+    begin = time.perf_counter()
+    try:
+        rec = read(path)
+        ekf = build("ekf15", measurements=[key for key in ("position", "velocity") if key in rec.aiding], cov_stride=5)
+        found = tune(rec, ekf, ekf.params("consumer"))
+    except (DataError, ValueError) as error:
+        return {"ran": False, "why": str(error)}
+    before, after = found.test["datasheet"]["rms_m"], found.test[found.chosen]["rms_m"]
+    clock = next((r for r in found.rows if r.name == "clock_drift"), None)
+    return {
+        "ran": True, "drift_ratio": after / before, "datasheet_m": before, "tuned_m": after,
+        "interval": None if found.gain is None else [1 / found.gain.high, 1 / found.gain.low],
+        "nis": found.nis[found.chosen], "chosen": found.chosen, "n_eff": found.effective,
+        "far": [r.name for r in found.rows if "sd from the datasheet" in r.remark],
+        "windows": found.counts, "set_on": name in SET_ON,
+        "clock_ppm": None if clock is None else [clock.value, clock.low, clock.high],
+        "candidates": {k: v["rms_m"] / before for k, v in found.test.items()}, "verdict": found.verdict,
+        "seconds": time.perf_counter() - begin,
+    }  # fmt: skip
+
+
+def tuning_table(results: dict[str, dict]) -> str:
+    """The ratios of all recordings."""
+    rows = [
+        [name, "yes" if r["set_on"] else "no", r["chosen"], r["datasheet_m"], r["tuned_m"], f"{r['drift_ratio']:.2f}",
+         r["windows"]["test"], f"{r['n_eff']:.0f}", "" if r["clock_ppm"] is None else f"{r['clock_ppm'][0]:.0f}",
+         " ".join(f"{v:.2g}" for v in r["nis"].values())]
+        for name, r in results.items() if r["ran"]
+    ]  # fmt: skip
+    head = [
+        "recording",
+        "set on",
+        "chosen",
+        "datasheet m",
+        "chosen m",
+        "ratio",
+        "windows",
+        "N",
+        "clock ppm",
+        "nu^2 / S",
+    ]
+    all_of = np.array([r["drift_ratio"] for r in results.values() if r["ran"]])
+    return table(head, rows) + f"\nlargest ratio {all_of.max():.2f}, median {np.median(all_of):.2f}"
 
 
 def level(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:
@@ -114,11 +165,21 @@ def main(argv: list[str]) -> None:
     parser = common.options("wild", __doc__.splitlines()[0])
     parser.add_argument("--only", metavar="A,B", help="these recordings")
     parser.add_argument("--figure", metavar="F", type=Path, help="draw every track into F, a .png")
+    parser.add_argument("--tune", action="store_true", help="tune each without truth instead, and judge it")
     args = parser.parse_args(argv)
     chosen = sources()
     if args.only:
         chosen = {name: chosen[name] for name in args.only.split(",")}
     results: dict[str, dict] = {}
+    if args.tune:
+        for name, path in chosen.items():
+            if name in SHORT:
+                continue
+            results[name] = r = tuned(name, path)
+            print(f"{name}: {r['verdict'] if r['ran'] else r['why']}", flush=True)
+            common.write_json(args.json, results)
+        print(tuning_table(results))
+        return
     tracks: dict | None = {} if args.figure else None
     for name, path in chosen.items():
         results[name] = r = one(name, path, tracks)

@@ -50,18 +50,8 @@ def information(
         info = solve(r)
         return (info.nu, info.S), (info.valid, info.ok)
 
-    def push(v):
-        values, slopes, rest = jax.jvp(innovations, (raw,), (v,), has_aux=True)
-        return (values, rest), slopes
-
-    # one copy of the filter is compiled: its values come with the slopes, and all batches of directions are equal
-    turns = -(-raw.size // TOGETHER)
-    each = -(-raw.size // turns)
-    directions = jnp.eye(turns * each, raw.size).reshape(turns, each, raw.size)
-    values, slopes = lax.map(jax.vmap(push, out_axes=(None, 0)), directions)
-    (nu, S), (valid, ok) = jax.tree.map(lambda a: a[0], values)
-    dnu, dS = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[: raw.size], slopes)
-    nll, score, fisher = jax.vmap(_epoch, (0, 0, 0, 1, 1))(nu, S, valid, dnu, dS)
+    ((nu, S), (valid, ok)), (dnu, dS) = pushed(innovations, raw)
+    nll, score, fisher = jax.vmap(gaussian, (0, 0, 0, 1, 1))(nu, S, valid, dnu, dS)
     counts = keep & valid.any(-1)
     weigh = lambda a: jnp.where(counts.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0)  # noqa: E731
     score = weigh(score)
@@ -70,13 +60,39 @@ def information(
     return Information(nll, score.sum(0), weigh(fisher).sum(0), blocks)
 
 
-def _epoch(nu, S, valid, dnu, dS):
-    """NLL (), score (P,) and information (P, P) of one epoch: nu (m,), S (m, m), dnu (P, m), dS (P, m, m)."""
+def pushed(outputs: Callable[[jax.Array], tuple[Any, Any]], raw: jax.Array) -> tuple[tuple[Any, Any], Any]:
+    """``outputs(raw (P,)) -> (values, rest)`` and the forward derivatives of the values, their leading axis P.
+
+    One copy of what is inside is compiled: its values come with the slopes, and all batches of directions are equal.
+    """
+
+    def push(v):
+        values, slopes, rest = jax.jvp(outputs, (raw,), (v,), has_aux=True)
+        return (values, rest), slopes
+
+    turns = -(-raw.size // TOGETHER)
+    each = -(-raw.size // turns)
+    directions = jnp.eye(turns * each, raw.size).reshape(turns, each, raw.size)
+    found, slopes = lax.map(jax.vmap(push, out_axes=(None, 0)), directions)
+    first = jax.tree.map(lambda a: a[0], found)
+    return first, jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[: raw.size], slopes)
+
+
+def gaussian(nu, S, valid, dnu, dS, freedom: float = jnp.inf):
+    """Negative log-likelihood (), score (P,) and information (P, P) of a residual nu (m,) of covariance S (m, m).
+
+    ``dnu`` (P, m) and ``dS`` (P, m, m) are their derivatives. Missing channels have nu = 0 and an identity row in S.
+    ``freedom``: of a Student t in place of the Gaussian, of all m channels, which makes little of what lies far out.
+    """
     inv = linalg.inverse(S)
-    w, A = inv @ nu, inv @ dS
-    nll = 0.5 * (nu @ w + valid.sum() * jnp.log(2 * jnp.pi) + linalg.log_determinant(S))
-    score = 0.5 * (jnp.trace(A, axis1=1, axis2=2) - (dS @ w) @ w) + dnu @ w
-    return nll, score, 0.5 * jnp.einsum("iab,jba->ij", A, A) + dnu @ inv @ dnu.T
+    w, A, m = inv @ nu, inv @ dS, valid.sum()
+    square, spread = nu @ w, linalg.log_determinant(S)
+    if np.isfinite(freedom):
+        nll, weight = 0.5 * (spread + (freedom + m) * jnp.log1p(square / freedom)), (freedom + m) / (freedom + square)
+    else:
+        nll, weight = 0.5 * (square + m * jnp.log(2 * jnp.pi) + spread), 1.0
+    score = 0.5 * (jnp.trace(A, axis1=1, axis2=2) - weight * (dS @ w) @ w) + weight * (dnu @ w)
+    return nll, score, 0.5 * jnp.einsum("iab,jba->ij", A, A) + weight * (dnu @ inv @ dnu.T)
 
 
 def total(parts: Information) -> Information:

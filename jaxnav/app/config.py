@@ -133,7 +133,8 @@ class Tune:
     #   for what is positive (2 is "within a factor 2"), else in the parameter's own unit
     over_runs: str = "mean"  # how runs are put together: mean, log_mean (scenarios alike), tail (the worst ones)
     tail: float = 0.25  # share of the runs that count as the worst; 0: the worst alone
-    method: str = "adam"  # adam, sgd, lbfgs; scoring, for the objective nll alone
+    # auto: tempered for one recording, adam for what is simulated, or where an objective of your own is set; adam, sgd,
+    method: str = "auto"  # lbfgs; scoring, for the objective nll alone; tempered, see `tuning.recorded`
     steps: int = 40
     rate: float = 0.1
     warmup: float = 0.0  # share of the steps in which the rate rises

@@ -128,14 +128,16 @@ def groups(name: str, measurements: tuple[Measurement, ...], states: tuple[str, 
     }  # fmt: skip
 
 
-def free_spec(free: tuple[str, ...], filter_name: str, measurements: tuple[Measurement, ...]) -> Spec:
+def free_spec(
+    free: tuple[str, ...], filter_name: str, measurements: tuple[Measurement, ...], states: tuple[str, ...] = ()
+) -> Spec:
     """The transforms of what ``tune.free`` names: groups, dotted leaves, or keys of [params].
 
     Raises:
         ConfigError: an unknown name, or nothing is free.
     """
     spec = {}
-    for leaf in leaves_of("tune.free", free, filter_name, measurements):
+    for leaf in leaves_of("tune.free", free, filter_name, measurements, states):
         spec[leaf] = step_of(leaf, filter_name)
     if not spec:
         raise ConfigError("tune.free: nothing is free")
@@ -156,14 +158,28 @@ def step_of(leaf: str, filter_name: str) -> Transform:
     return TRANSFORMS[FILTERS[filter_name].tunable[name]]
 
 
-def leaves_of(key: str, names: Iterable[str], filter_name: str, measurements: tuple[Measurement, ...]) -> list[str]:
-    """The dotted leaves that groups, leaves and keys of [params] name; ``key`` is the setting, for messages."""
-    short = groups(filter_name, measurements)
+def leaves_of(
+    key: str,
+    names: Iterable[str],
+    filter_name: str,
+    measurements: tuple[Measurement, ...],
+    states: tuple[str, ...] = (),
+) -> list[str]:
+    """The dotted leaves that groups, leaves and keys of [params] name; ``key`` is the setting, for messages.
+
+    ``states``: of the filter, beside those that it has by its name.
+
+    Raises:
+        ConfigError: an unknown name, or a leaf of a state that the filter has not.
+    """
+    short, held = groups(filter_name, measurements, states), (*FILTERS[filter_name].states, *states)
     leaves: list[str] = []
     for name in names:
         for leaf in short[name] if name in short else [KEYS.get(name, name)]:
             if leaf not in NAMES and leaf.removeprefix("rule.") not in FILTERS[filter_name].tunable:
                 raise ConfigError(f"{key}: no parameter {leaf}: {nearest(leaf, [*short, *NAMES])}")
+            if leaf.startswith("states.") and leaf.split(".")[1] not in held:
+                raise ConfigError(f"{key}: {leaf}: the filter has no state {leaf.split('.')[1]}: see filter.states")
             leaves.append(leaf)
     return list(dict.fromkeys(leaves))
 
@@ -176,9 +192,10 @@ def tune_spec(tune: config.Tune, filter_name: str, measurements: tuple[Measureme
     Raises:
         ConfigError: a name that is unknown or not free, one that cannot be correlated or is tied, an sd that is none.
     """
-    which = lambda key, names: leaves_of(f"tune.{key}", names, filter_name, measurements)  # noqa: E731
+    more = tuple(state for state in sheet.states if state not in FILTERS[filter_name].states)
+    which = lambda key, names: leaves_of(f"tune.{key}", names, filter_name, measurements, more)  # noqa: E731
     frozen = set(which("frozen", tune.frozen))
-    spec = {k: v for k, v in free_spec(tune.free, filter_name, measurements).items() if k not in frozen}
+    spec = {k: v for k, v in free_spec(tune.free, filter_name, measurements, more).items() if k not in frozen}
     if not spec:
         raise ConfigError("tune.frozen: nothing is left free")
 

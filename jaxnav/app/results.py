@@ -27,6 +27,15 @@ class FailedCheck(Exception):
     """A result that must not be used, such as a filter that stopped being finite (exit code 1)."""
 
 
+@contextlib.contextmanager
+def picture(name: str) -> Iterator[None]:
+    """A picture that cannot be drawn is a warning: what was worked out is worth more."""
+    try:
+        yield
+    except Exception as error:
+        stderr(f"jaxnav: warning: no picture of {name}: {type(error).__name__}: {' '.join(str(error).split())}")
+
+
 class Outcome(NamedTuple):
     """What a verb hands to the command line."""
 

@@ -18,8 +18,9 @@ from jaxnav.app.config import Config, as_dict, for_source
 from jaxnav.app.objectives import LOST, TuningCase, aggregate, check_objective, leaves, merged, objective
 from jaxnav.app.parameters import tune_spec
 from jaxnav.app.prepare import base_params, filter_name, grade_of, measurements_of
-from jaxnav.app.results import FailedCheck, Outcome, stderr, versions
+from jaxnav.app.results import FailedCheck, Outcome, picture, stderr, versions
 from jaxnav.app.sources import scenario_of
+from jaxnav.app.verbs import tune_recorded
 from jaxnav.filters.run import first_failure, run
 from jaxnav.types import ConfigError, DataError, Info, Params, nearest
 from tuning import distributed, objectives
@@ -29,7 +30,7 @@ from tuning.transforms import LOG, Spec, join, split
 from tuning.validation import PairedGain, paired_gain
 
 runs_jit = jax.jit(jax.vmap(run, (None, None, 0, 0)), static_argnums=0)
-METHODS = (*OPTIMIZERS, "scoring")
+METHODS = ("auto", "tempered", *OPTIMIZERS, "scoring")
 
 
 class Long(NamedTuple):
@@ -56,9 +57,15 @@ def tune(config: Config, folder: Path, progress: bool = False, long: Long | None
         FailedCheck: the starting filter stops being finite.
         CheckpointError: nothing usable to resume from.
     """
-    long = Long() if long is None else long
-    seconds, begin = {}, time.perf_counter()
     check(config)
+    if tune_recorded.is_for(config):
+        if long is not None and long.resume:
+            raise ConfigError("--resume: the tempered method keeps no checkpoints, it takes some forty evaluations")
+        return tune_recorded.tune_recorded(config, folder, progress)
+    long = Long() if long is None else long
+    if config.tune.method == "auto":
+        config = dataclasses.replace(config, tune=dataclasses.replace(config.tune, method="adam"))
+    seconds, begin = {}, time.perf_counter()
     materials = prepare(config)
     main = materials[0]
     spec = tune_spec(config.tune, filter_name(config), main.measurements, main.sheet)
@@ -81,7 +88,8 @@ def tune(config: Config, folder: Path, progress: bool = False, long: Long | None
     result = tune_report.report(materials, found, list(spec), before, after, gain, about)
     tune_report.write(folder, main, found, list(spec), result)
     if config.out.figures:
-        tune_report.draw(folder, main, found, before, after)
+        with picture("the tuning"):
+            tune_report.draw(folder, main, found, before, after)
     seconds["write"] = time.perf_counter() - begin
     stopped = found.stopped if found.stopped.startswith("interrupted") else ""
     return Outcome(result, tune_report.text(result, config), seconds, stopped)

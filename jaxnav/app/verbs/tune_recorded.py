@@ -1,0 +1,138 @@
+"""`jaxnav tune` on one recording, by `tuning.tune`: tempered likelihood, priors, and a verdict."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxnav.analysis import evaluate
+from jaxnav.analysis.navigate import navigate
+from jaxnav.analysis.plots import base as plots
+from jaxnav.analysis.plots import stats as plots_stats
+from jaxnav.app import prepare as pre
+from jaxnav.app.config import Config, Tune
+from jaxnav.app.export import kfgins_yaml, navego_fields
+from jaxnav.app.parameters import in_user_units, leaves_of, unit_of
+from jaxnav.app.results import Outcome, picture, stderr, to_json, write_json
+from jaxnav.app.sources import load, scenario_of
+from jaxnav.app.toml import to_toml
+from jaxnav.data import atomic_write
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.core import Filter
+from jaxnav.filters.parameters import UNITS, get, has
+from jaxnav.types import ConfigError, Params, Recording
+from tuning.priors import transform_of
+from tuning.recorded import Tuned, tune
+from tuning.transforms import LOG
+
+FREE = ("noise", "fixes", "timing")  # where [tune] free is not set: a rule's own numbers stay as they are
+
+
+def is_for(config: Config) -> bool:
+    """One recording, and nothing asked for that only the gradient methods do."""
+    t, plain = config.tune, Tune()
+    own = ("objective", "more", "redraw", "starts", "patience", "over_runs", "clip", "correlated", "tied", "posterior")
+    asked = any(getattr(t, name) != getattr(plain, name) for name in own)
+    return t.method == "tempered" or (t.method == "auto" and scenario_of(config) is None and not asked)
+
+
+def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
+    """Tune on the recording, write the winner, the report and the figures.
+
+    Raises:
+        DataError: a recording that cannot be used, or is too short. ConfigError: names that are not known.
+    """
+    begin = time.perf_counter()
+    name, measurements = pre.filter_name(config), pre.measurements_of(config)
+    rec, _ = load(config)
+    params = pre.base_params(config, pre.grade_of(config, scenario_of(config)), rec.lever_arm)
+    chosen = tuple(m for m in measurements if not m.columns or m.name in rec.aiding or m.name == "velocity")
+    filt = build(name, chosen, config.filter.cov_stride, max(2, config.filter.history), states=config.filter.states)
+    plain = Tune()
+    named = FREE if config.tune.free == plain.free else config.tune.free
+    which = lambda key, names: leaves_of(f"tune.{key}", names, name, measurements, config.filter.states)  # noqa: E731
+    frozen = set(which("frozen", config.tune.frozen))
+    free = [leaf for leaf in which("free", named) if leaf not in frozen]
+    if not free:
+        raise ConfigError("tune.frozen: nothing is left free")
+    free = [leaf for leaf in free if not _constant(leaf, params)]
+    seconds = {"prepare": time.perf_counter() - begin}
+    begin = time.perf_counter()
+    found = tune(
+        rec, filt, params, free=free, widths=widths(config, free, which),
+        begin=pre.start_of(config, rec, params), stop=config.data.stop,
+        window=None if config.tune.outage_s == plain.outage_s else config.tune.outage_s,
+        standing=pre.standing_of(config), say=stderr if progress else lambda line: None,
+    )  # fmt: skip
+    seconds["tune"] = time.perf_counter() - begin
+    begin = time.perf_counter()
+    about = f"{rec.name}: {found.verdict}"
+    result = report(found)
+    write(folder, about, found, free, result)
+    if config.out.figures:
+        draw(folder, rec, filt, found)
+    seconds["write"] = time.perf_counter() - begin
+    lines = [about, "", str(found), found.start.how, *rec.notes.splitlines()]
+    return Outcome(result, "\n".join(lines), seconds)
+
+
+def _constant(leaf: str, params: Params) -> bool:
+    """The drive of a state that is a constant: it has no logarithm."""
+    return leaf.endswith(".drive") and not np.all(np.asarray(get(params, leaf)) > 0)
+
+
+def widths(config: Config, free: list[str], which: Callable[..., list[str]]) -> dict[str, float]:
+    """Priors of [tune] prior in SI, by leaf; ``which`` says what a name stands for."""
+    out = {}
+    for key, sd in config.tune.prior.items():
+        for leaf in which("prior", (key,)):
+            if leaf in free:
+                out[leaf] = sd if transform_of(leaf).forward is LOG.forward else sd * unit_of(leaf).factor
+    return out
+
+
+def report(found: Tuned) -> dict[str, Any]:
+    """What is written to metrics.json."""
+    names = ("training", "validation", "test")
+    test = found.windows.start >= found.layout.validation
+    return {
+        "chosen": found.chosen, "verdict": found.verdict, "n_eff": found.effective,
+        "parameters": {r.name: {k: v for k, v in r._asdict().items() if k != "name"} for r in found.rows},
+        "windows": {name: found.counts[name] for name in names}, "layout_s": found.layout._asdict(),
+        "test": found.test, "nis_by_channel": found.nis,
+        "drift_ratio": found.test[found.chosen]["rms_m"] / found.test["datasheet"]["rms_m"],
+        "paired_gain": None if found.gain is None else found.gain._asdict(),
+        "against_datasheet": {k: list(t.ratios) for k, t in found.trials.items()},
+        "per_window": {"start_s": found.windows.start, "test": test,
+                       **{f"{k}_m": t.drift for k, t in found.trials.items()}},
+        "start": found.start.how,
+    }  # fmt: skip
+
+
+def write(folder: Path, about: str, found: Tuned, free: list[str], result: dict[str, Any]) -> None:
+    """Write tuned.toml, the same for other software, history.jsonl and metrics.json: before any picture."""
+    prior = lambda leaf: leaf.startswith("states.") and leaf.endswith(".sd")  # noqa: E731
+    noise = [k for k, unit in UNITS.items() if unit.step is None and not prior(k) and has(found.params, k)]
+    params = {"params": in_user_units(found.params, list(dict.fromkeys([*noise, *free])))}
+    head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
+    atomic_write(folder / "tuned.toml", head + to_toml(params))
+    atomic_write(folder / "tuned_kfgins.yaml", head.splitlines()[0] + "\n" + kfgins_yaml(found.params))
+    atomic_write(folder / "tuned_navego.m", head.splitlines()[0].replace("#", "%") + "\n" + navego_fields(found.params))
+    atomic_write(folder / "history.jsonl", "\n".join(to_json(row) for row in found.history) + "\n")
+    write_json(folder / "metrics.json", result)
+
+
+def draw(folder: Path, rec: Recording, filt: Filter, found: Tuned) -> None:
+    """Drift of the candidates over the test windows, and the winner's run."""
+    test = found.windows.start >= found.layout.validation
+    with picture("outage_drift"):
+        shown = ("datasheet", found.chosen if found.chosen != "datasheet" else "tuned")
+        drift = {name: found.trials[name].drift[test] for name in shown}
+        plots.save(plots_stats.outage_drift(drift), folder / "outage_drift.png")
+    with picture("the run"):
+        sol = navigate(rec, filt, found.params, begin=found.start)
+        figures = evaluate.figures(sol.trace, rec.truth, rec.aiding.get("position"), sol.measurements, [])
+        for name, fig in figures.items():
+            plots.save(fig, folder / f"{name}.png")

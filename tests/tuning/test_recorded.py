@@ -1,0 +1,197 @@
+"""Tuning a recording without truth: the objective's derivatives, its parts kept apart, priors, and the verdict."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import tuning
+from jaxnav.analysis.windows import hidden_windows
+from jaxnav.data import epochs as ep
+from jaxnav.data.start import start
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.run import prepare
+from jaxnav.maths.units import DEG_PER_SQRT_HOUR
+from jaxnav.measurements import GNSS
+from jaxnav.simulate.scenarios import URBAN_SHORT
+from jaxnav.simulate.simulation import simulate_jit, to_recording
+from jaxnav.types import DataError, Samples
+from tuning import priors, recorded
+from tuning.recorded import Job, Trial, ages, choose, parts_of, plan, ratios
+from tuning.uncertainty import gaussian
+
+pytestmark = pytest.mark.usefixtures("optimised")
+
+
+@pytest.fixture(scope="module")
+def rec():
+    """Two minutes in town; the receiver states a third of its sd."""
+    gnss = URBAN_SHORT.gnss._replace(outages_s=(), position_sd_m=(0.5, 0.5, 1.0), velocity_sd_mps=(0.05, 0.05, 0.08))
+    what = URBAN_SHORT._replace(duration_s=130.0, imu_rate_hz=20.0, gnss_rate_hz=1.0, gnss=gnss)
+    made = to_recording(simulate_jit(what, jax.random.key(4)), what)
+    return made._replace(aiding={name: s._replace(sd=s.sd / 3) for name, s in made.aiding.items()})
+
+
+@pytest.fixture(scope="module")
+def ekf():
+    return build("ekf15", cov_stride=5)
+
+
+@pytest.fixture(scope="module")
+def found(rec, ekf):
+    return tuning.tune(rec, ekf, ekf.params("adis16465"), free=("noise", "fixes"))
+
+
+@pytest.fixture(scope="module")
+def job(rec, ekf):
+    begin = start(rec, ekf.params("adis16465"))
+    sheet = begin.given(ekf.params("adis16465"))
+    packed = ep.pack_recording(rec, GNSS, begin.t)
+    layout = plan(packed)
+    windows = hidden_windows(packed, layout.window, layout.every, recorded.PHASES, layout.settle)
+    nav = jax.tree.map(lambda a: a[0], begin.navs)
+    spec, training = priors.spec_of(ekf, sheet, ("noise", "fixes")), parts_of(layout, windows)["training"]
+
+    def make(packed=packed):
+        return Job(ekf, spec, sheet, nav, prepare(ekf, packed.epochs), packed, windows, training, layout)
+
+    return make, packed, layout
+
+
+# ---------------------------------------------------------------------------- what is minimised
+
+
+@pytest.mark.parametrize("freedom", [jnp.inf, 4.0])
+def test_likelihood_of_a_residual_and_its_derivatives(freedom):
+    """Against scipy; the score against differences; the information of a Gaussian against samples of the score."""
+    rng = np.random.default_rng(0)
+    m, P = 3, 4
+    mix, base, turn = rng.normal(size=(P, m)), rng.normal(size=m), rng.normal(size=(P, m, m))
+    S0 = np.eye(m) + 0.1 * np.ones((m, m))
+
+    def at(x):
+        W = np.eye(m) + 0.1 * np.einsum("p,pij->ij", x, turn)
+        return base + x @ mix, W @ S0 @ W.T
+
+    def value(x):
+        nu, S = at(x)
+        return float(gaussian(nu, S, np.ones(m, bool), np.zeros((1, m)), np.zeros((1, m, m)), freedom)[0])
+
+    x, h = 0.1 * rng.normal(size=P), 1e-5
+    nu, S = at(x)
+    dnu = np.array([(at(x + h * e)[0] - at(x - h * e)[0]) / (2 * h) for e in np.eye(P)])
+    dS = np.array([(at(x + h * e)[1] - at(x - h * e)[1]) / (2 * h) for e in np.eye(P)])
+    nll, score, fisher = gaussian(nu, S, np.ones(m, bool), dnu, dS, freedom)
+    if np.isfinite(freedom):
+        expected = -stats.multivariate_t(np.zeros(m), S, df=freedom).logpdf(nu)
+        constant = -stats.multivariate_t(np.zeros(m), np.eye(m), df=freedom).logpdf(np.zeros(m))
+        assert float(nll) == pytest.approx(expected - constant)  # a constant is left out
+    else:
+        assert float(nll) == pytest.approx(-stats.multivariate_normal(np.zeros(m), S).logpdf(nu))
+    slope = [(value(x + h * e) - value(x - h * e)) / (2 * h) for e in np.eye(P)]
+    np.testing.assert_allclose(score, slope, rtol=1e-6, atol=1e-8)
+    assert np.linalg.eigvalsh(np.asarray(fisher)).min() > 0
+
+
+def test_the_score_is_the_slope_of_the_objective(job):
+    make, _, _ = job
+    mine = make()
+    inform = mine.objective()
+    x = np.asarray(mine.flat) + 0.2
+    info, h = inform(jnp.asarray(x)), 1e-4
+    slope = [(float(inform(x + h * e).nll) - float(inform(x - h * e).nll)) / (2 * h) for e in np.eye(x.size)]
+    np.testing.assert_allclose(info.score, slope, rtol=1e-3, atol=1e-4)
+    assert np.linalg.eigvalsh(np.asarray(info.fisher)).min() > 0
+    # at the datasheet the prior adds nothing, and elsewhere its square
+    held = mine.objective(horizon=False, held=["noise.gyro"])
+    assert float(held(jnp.asarray(x)).nll - mine.objective(horizon=False)(jnp.asarray(x)).nll) == pytest.approx(
+        0.5 * (0.2 / mine.width[sorted(mine.spec).index("noise.gyro")]) ** 2 * (recorded.TINY**-2 - 1), rel=1e-6
+    )
+
+
+def test_nothing_after_the_training_part_enters(job):
+    make, packed, layout = job
+    late = packed.t > layout.train
+    value = np.asarray(packed.epochs.fix.value).copy()
+    value[late, 3:6] += 50.0
+    other = packed._replace(epochs=packed.epochs._replace(fix=packed.epochs.fix._replace(value=jnp.asarray(value))))
+    a, b = (make(p) for p in (packed, other))
+    np.testing.assert_array_equal(a.objective()(a.flat).nll, b.objective()(b.flat).nll)
+
+
+def test_parts_do_not_meet(job):
+    _, packed, layout = job
+    windows = hidden_windows(packed, layout.window, layout.every, recorded.PHASES, layout.settle)
+    parts = parts_of(layout, windows)
+    total = sum(mask.astype(int) for mask in parts.values())
+    assert total.max() == 1 and all(mask.any() for mask in parts.values())
+    end = windows.start + layout.window
+    assert end[parts["training"]].max() <= layout.train + 1e-6
+    assert windows.start[parts["test"]].min() >= layout.validation - 1e-6
+    there = np.asarray(packed.epochs.fix.valid)[:, :2].all(1)
+    at, known = ages(windows, packed.t, there, parts["training"], layout.window)
+    assert at.shape == known.shape == (recorded.PHASES, at.shape[1]) and known.any(1).all()
+    for phase in range(recorded.PHASES):
+        assert windows.hidden[phase][at[phase][known[phase]]].all() and there[at[phase][known[phase]]].all()
+
+
+# ---------------------------------------------------------------------------- priors and verdict
+
+
+def test_priors_are_about_the_datasheet_and_named_by_kind(ekf):
+    params = ekf.params("consumer")
+    spec = priors.spec_of(ekf, params, ("noise", "fixes", "timing"), {"noise.gyro": 3.0})
+    assert set(spec) == {
+        "noise.gyro", "noise.accel", "states.gyro_bias.drive", "states.accel_bias.drive",
+        "measurements.position.scale", "measurements.velocity.scale", "mounting.time_offset", "mounting.clock_drift",
+        "measurements.velocity.latency",
+    }  # fmt: skip
+    assert spec["noise.gyro"].belief.sd == pytest.approx(np.log(3)) and spec["noise.accel"].belief.sd == pytest.approx(
+        np.log(10)
+    )
+    assert spec["noise.gyro"].belief.centre == (pytest.approx(0.23 * DEG_PER_SQRT_HOUR),)
+    assert spec["mounting.time_offset"].belief.sd == pytest.approx(1.0)  # a step is 0.1 s
+    assert all(t.belief is None for t in priors.spec_of(ekf, params, ("noise",), priors=False).values())
+    with pytest.raises(ValueError, match="did you mean noise"):
+        priors.spec_of(ekf, params, ("noize",))
+    with pytest.raises(ValueError, match="nothing is called 'states.gyro_scale.drive'"):
+        priors.spec_of(ekf, params, ("states.gyro_scale.drive",))
+
+
+def test_the_datasheet_stays_unless_all_is_better():
+    parts = {"training": np.array([1, 1, 1, 0, 0, 0], bool), "validation": np.array([0, 0, 0, 1, 1, 0], bool)}
+    before = np.array([4.0, 5.0, 6.0, 5.0, 4.0, 1.0])
+    trial = lambda after: Trial(SimpleNamespace(), after, ratios(before, after, parts))  # noqa: E731
+    same, half = trial(before), trial(0.5 * before)
+    one = trial(before * np.array([0.1, 0.1, 0.1, 1.1, 1.1, 0.1]))  # better in training, worse in validation
+    assert same.ratios == pytest.approx((1, 1, 1, 1)) and half.ratios == pytest.approx((0.5,) * 4, rel=2e-3)
+    assert choose({"datasheet": same, "tuned": one}) == "datasheet"
+    assert choose({"datasheet": same, "tuned": half, "held": trial(0.9 * before)}) == "tuned"
+    assert choose({"datasheet": same, "tuned": trial(np.where(before > 0, np.inf, 0.0))}) == "datasheet"
+
+
+# ---------------------------------------------------------------------------- a recording
+
+
+def test_fixes_that_are_worse_than_they_say_are_found_out(found):
+    """Stated are a third of the sd; what two minutes cannot tell is said to be the prior's."""
+    rows = {row.name: row for row in found.rows}
+    assert rows["position.scale"].value == pytest.approx(3.0, rel=0.35)
+    assert rows["velocity.scale"].value == pytest.approx(3.0, rel=0.35)
+    assert rows["position.scale"].low < 3.0 < rows["position.scale"].high
+    assert rows["gyro_bias.drive"].remark == "the data add nothing to the prior"
+    assert found.chosen in found.trials and found.effective > 1
+    assert found.test[found.chosen]["rms_m"] <= 1.02 * found.test["datasheet"]["rms_m"]
+    said = str(found)
+    assert "position.scale" in said and "within a factor 3" in said and "observations" in said
+    assert found.gain is None and ("no interval" in said or found.chosen == "datasheet")
+
+
+def test_a_recording_that_is_too_short_is_refused(rec, ekf):
+    few = {name: Samples(*(a[:25] for a in s)) for name, s in rec.aiding.items()}
+    short = rec._replace(aiding=few, imu=type(rec.imu)(*(a[rec.imu.t < rec.imu.t[0] + 25] for a in rec.imu)))
+    with pytest.raises(DataError, match="it is too short to tune on"):
+        tuning.tune(short, ekf, ekf.params("adis16465"), free=("noise",))

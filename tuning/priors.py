@@ -1,0 +1,115 @@
+"""What is free in a filter, and what is believed of it before any data: a datasheet is right within a factor.
+
+Each prior is Gaussian about the datasheet in the unconstrained space (`tuning.transforms`); `PRIORS` says how wide.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.filters.core import Filter
+from jaxnav.filters.parameters import UNITS, get, has
+from jaxnav.types import Params, nearest
+from tuning.transforms import LOG, Spec, Transform, believed, scaled, tied
+
+
+class Prior(NamedTuple):
+    """How far from the datasheet a parameter may be."""
+
+    sd: float  # one sd: a factor where the parameter is positive, else in SI
+    words: str
+    far: str  # what it usually means where the data say that it is far from there
+
+
+PRIORS: dict[str, Prior] = {
+    "noise": Prior(10.0, "within a factor 10", "vibration, scale errors or a delay pass for noise, or another grade"),
+    "drive": Prior(10.0, "within a factor 10", "what is not modelled passes for a bias that drifts"),
+    "scale": Prior(3.0, "within a factor 3", "the receiver's sd are not meant as such, or its errors are not white"),
+    "sd": Prior(3.0, "within a factor 3", "the start is other than said"),
+    "time": Prior(0.1, "within 0.1 s", "logged by another clock, or a receiver that filters for long"),
+    "clock_drift": Prior(300e-6, "within 300 ppm", "a clock that was adjusted, or errors that pass for a drift"),
+    "length": Prior(0.5, "within 0.5 m", "another antenna, or a delay"),
+    "angle": Prior(math.radians(3.0), "within 3 deg", "the IMU sits askew"),
+}
+GROUPS = ("noise", "fixes", "timing", "lever_arm", "vehicle", "prior")
+
+
+def kind_of(leaf: str) -> str:
+    """The row of `PRIORS` for a leaf."""
+    last = leaf.rpartition(".")[2]
+    named = {"drive": "drive", "sd": "sd", "scale": "scale", "clock_drift": "clock_drift", "vehicle": "angle"}
+    if last in ("time_offset", "latency"):
+        return "time"
+    if last in ("lever_arm", "wheel_arm"):
+        return "length"
+    return named.get(last, "noise")
+
+
+def leaves_of(filt: Filter, params: Params, free: Iterable[str]) -> list[str]:
+    """The leaves that names stand for: groups of `GROUPS`, or dotted leaves of ``params``.
+
+    Raises:
+        ValueError: an unknown name, a leaf that the filter has not, or nothing at all.
+    """
+    model = filt.model
+    fixes = [name for name in ("position", "velocity") if name in model.measurements]
+    groups = {
+        "noise": ["noise.gyro", "noise.accel", *(f"states.{name}.drive" for name in model.states)],
+        "fixes": [f"measurements.{name}.scale" for name in fixes],
+        "timing": ["mounting.time_offset", "mounting.clock_drift"]
+        + (["measurements.velocity.latency"] if len(fixes) == 2 else []),
+        "lever_arm": ["mounting.lever_arm"],
+        "vehicle": ["mounting.vehicle"] if {"nonholonomic", "speed"} & set(model.measurements) else [],
+        "prior": [f"states.{name}.sd" for name in model.states],
+    }
+    found: list[str] = []
+    for name in free:
+        if name not in groups and not has(params, name):
+            raise ValueError(f"nothing is called {name!r}: {nearest(name, [*groups, *UNITS])}")
+        own = groups.get(name, [name])
+        # of a constant state there is no logarithm: it stays what it is
+        found += [leaf for leaf in own if leaf not in found and (kind_of(leaf) != "drive" or _positive(params, leaf))]
+    if not found:
+        raise ValueError(f"nothing is left free of {', '.join(free)}")
+    return found
+
+
+def _positive(params: Params, leaf: str) -> bool:
+    return bool(np.all(np.asarray(get(params, leaf)) > 0))
+
+
+def spec_of(
+    filt: Filter, params: Params, free: Iterable[str], widths: Mapping[str, float] | None = None, priors: bool = True
+) -> Spec:
+    """How each free leaf is tuned, with its prior about ``params``; one number for all axes.
+
+    ``widths``: one sd by leaf, in place of `PRIORS`: a factor where the parameter is positive, else in SI. ``priors``:
+    False leaves them out.
+    """
+    spec: Spec = {}
+    widths = widths or {}
+    for leaf in leaves_of(filt, params, free):
+        transform = transform_of(leaf)
+        centre = jnp.asarray(get(params, leaf), float)
+        if kind_of(leaf) in ("noise", "drive", "scale", "sd") and centre.ndim < 2:
+            transform = tied(transform)
+            centre = jnp.exp(jnp.mean(jnp.log(centre)))
+        width = widths.get(leaf, PRIORS[kind_of(leaf)].sd)
+        sd = math.log(width) if transform.forward is LOG.forward else float(transform.inverse(jnp.asarray(width)))
+        spec[leaf] = believed(transform, centre, sd) if priors else transform
+    return spec
+
+
+def transform_of(leaf: str) -> Transform:
+    """Logarithms of what is positive, steps of a unit's worth of what is not."""
+    unit = UNITS.get(leaf)
+    return LOG if unit is None or unit.step is None else scaled(unit.step)
+
+
+def in_words(leaf: str) -> tuple[float, str]:
+    """A leaf's factor to SI and its unit, as reports state it."""
+    unit: Any = UNITS.get(leaf)
+    return (1.0, "") if unit is None else (unit.factor, unit.text)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import jax
 import numpy as np
 
-from jaxnav.analysis import evaluate
+from jaxnav.analysis import evaluate, usage
 from jaxnav.data import epochs as ep
 from jaxnav.data import gaps
 from jaxnav.data.solution import FORMATS, write_kml, write_solution
@@ -95,14 +95,18 @@ def navigate(
     packed = ep.pack_recording(rec, chosen, begin.t, interval, stop, standing)
     if filt.keeping:
         filt = filt.keeping(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
-    info, about = execute(filt, params, begin.navs, ep.hide(packed.epochs, ep.in_windows(packed.t, outages), chosen))
+    hidden = ep.in_windows(packed.t, outages)
+    info, about = execute(filt, params, begin.navs, ep.hide(packed.epochs, hidden, chosen))
     failure = first_failure(info, packed.t)
     if failure:
         raise ValueError(f"run {rec.name}: {failure}")
     trace = evaluate.trace(info, params)
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
     windows = tuple((float(a), float(b)) for a, b in outages)
-    notes = [begin.how, about.words, *rec.notes.splitlines(), gaps.in_words(gaps.holes(rec.imu))]
+    order, names, _ = evaluate.channels(chosen)
+    remarks = usage.expected_in_words(usage.expected(trace.info, names, order))
+    remarks += usage.usage_in_words(usage.usage(rec, packed, trace.info, chosen, hidden))
+    notes = [begin.how, about.words, *remarks, *rec.notes.splitlines(), gaps.in_words(gaps.holes(rec.imu))]
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, windows, filt, about.best,
         [note for note in notes if note],

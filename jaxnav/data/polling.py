@@ -109,25 +109,50 @@ def _locate(values: np.ndarray, repeated: np.ndarray, burst: np.ndarray) -> list
         if candidates.size == 0:
             continue
         ahead = period * (i + 0.5) / len(edges)
-        cost = [
-            _cost(values, repeated, model, [*lost, c], low, high) + ((high - 1 - c - ahead) / SLACK) ** 2
-            for c in candidates
-        ]
+        cost = (
+            _costs(values, repeated, model, lost, candidates, low, high)
+            + ((high - 1 - candidates - ahead) / SLACK) ** 2
+        )
         lost.append(int(candidates[np.argmin(cost)]))
         low = int(high)
     return lost
 
 
-def _cost(values: np.ndarray, repeated: np.ndarray, model: _Model, lost: list[int], low: int, high: int) -> float:
-    """How unpredictable the stream around polls low to high is with samples lost after these polls."""
+def _costs(
+    values: np.ndarray,
+    repeated: np.ndarray,
+    model: _Model,
+    lost: list[int],
+    candidates: np.ndarray,
+    low: int,
+    high: int,
+) -> np.ndarray:
+    """How unpredictable the stream around polls low to high is, (K,), with samples lost after ``lost`` and a candidate.
+
+    For each candidate the smallest sum of squared prediction errors over the values of the lost samples, of all
+    channels in units of their sd: all candidates and channels side by side.
+    """
     begin, end = max(0, low - 2 * ORDER), min(values.shape[0], high + ORDER)
     window = np.arange(begin, end)[~repeated[begin:end]]
-    where = np.searchsorted(window, [p for p in lost if p >= begin], side="right")
-    x = np.insert(values[window] - model.mean, where, 0.0, axis=0)
-    missing = np.insert(np.zeros(window.size, bool), where, True)
-    if missing.size <= ORDER:  # at an end of the log: too short to predict anything
-        return 0.0
-    return sum(_solve(x[:, c], missing, model.taps[c])[1] / model.sd[c] ** 2 for c in range(x.shape[1]))
+    before = np.searchsorted(window, [p for p in lost if p >= begin], side="right")
+    after = np.searchsorted(window, candidates, side="right")  # a candidate comes behind what is lost already
+    M, K = before.size + 1, candidates.size
+    n = window.size + M
+    if n <= ORDER:  # at an end of the log: too short to predict anything
+        return np.zeros(K)
+    missing = np.column_stack([np.tile(before, (K, 1)), after]) + np.arange(M)  # (K, M) places in the mended stream
+    mask = np.zeros((K, n), bool)
+    mask[np.arange(K)[:, None], missing] = True
+    source = np.clip(np.cumsum(~mask, 1) - 1, 0, window.size - 1)
+    x = np.where(mask[..., None], 0.0, (values[window] - model.mean)[source])  # (K, n, c)
+    left = sum(x[:, ORDER - i : n - i] * model.taps[:, i] for i in range(ORDER + 1))  # (K, n - ORDER, c)
+    # what a lost sample adds to each prediction error: its tap, (K, n - ORDER, M, c)
+    tap = np.arange(ORDER, n)[:, None] - missing[:, None]
+    adds = np.where(((tap >= 0) & (tap <= ORDER))[..., None], model.taps.T[np.clip(tap, 0, ORDER)], 0.0)
+    normal = np.einsum("knic,knjc->kcij", adds, adds) + 1e-9 * np.eye(M)
+    right = np.einsum("knic,knc->kci", adds, left)
+    gained = np.einsum("kci,kci->kc", right, np.linalg.solve(normal, right[..., None])[..., 0])
+    return (((left**2).sum(1) - gained) / model.sd**2).sum(1)
 
 
 def _fill(stream: np.ndarray, lost: np.ndarray) -> np.ndarray:

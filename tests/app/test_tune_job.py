@@ -170,7 +170,7 @@ def test_what_a_lost_run_and_a_users_own_objective_score(monkeypatch, tmp_path):
      ({"objective": "nothing:here"}, "cannot be imported"), ({"objective": "nl"}, "did you mean nll"),
      ({"frozen": ["noise", "timing", "rule"]}, "nothing is left"), ({"tied": ["gyr"]}, "tune.tied"),
      ({"prior": {"noise.gyro": 0.5}}, "factor above 1"), ({"prior": {"time_offset_s": 0.0}}, "above 0"),
-     ({"correlated": ["time_offset_s"]}, "tune.correlated: time_offset_s cannot be correlated, only gyro_deg_per_sqrt_hour"),
+     ({"correlated": ["time_offset_s"]}, "tune.correlated: time_offset_s cannot be correlated, only gyro_deg_per_sqrt"),
      ({"free": ["states.gyro_scale.drive"]}, "tune.free: states.gyro_scale.drive: the filter has no state gyro_scale"),
      ({"correlated": ["timing"]}, "timing cannot be correlated"), ({"correlated": ["gyr"]}, "no parameter gyr"),
      ({"correlated": ["noise"], "tied": ["noise.accel"]}, "tune.correlated: noise.accel is in tune.tied")],

@@ -1,0 +1,80 @@
+"""Every sample is accounted for, and innovations that are not as expected are said by channel."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnav.analysis import evaluate, usage
+from jaxnav.data.epochs import hide, pack
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.run import run_jit
+from jaxnav.measurements import GNSS
+from jaxnav.types import Info, Nav, Recording, Samples
+
+
+def recording(case, aiding=None) -> Recording:
+    return Recording("drive", case.imu, aiding or case.aiding, case.truth, np.zeros(3))
+
+
+def test_every_sample_is_somewhere(case):
+    later = {name: s._replace(t=s.t + 10.0) for name, s in case.aiding.items()}  # ten fixes after the IMU's end
+    rec = recording(case, later | {"barometer": Samples(np.arange(5.0), *[np.ones((5, 1))] * 3)})
+    packed = pack(case.imu, later, 1.0, start=15.0)
+    hidden = (packed.t > 20.0) & (packed.t <= 30.0)
+    info = run_jit(build("ekf15"), case.params, case.nav, hide(packed.epochs, hidden))
+    found = usage.usage(rec, packed, info, GNSS, hidden)
+    total = later["position"].t.size
+    for name in ("position", "velocity"):
+        u = found[name]
+        assert u.read == total == u.before + u.outside + u.hidden + u.refused + u.used
+        assert u.outside == int((later[name].t > 60.0).sum()) > 5 and u.hidden == 10 and u.refused == 0
+    assert found["barometer"] == usage.Use(5, 0, 0, 0, 0, 0)
+    words = usage.usage_in_words(found)
+    assert len(words) == 2 and "after the IMU's last sample" in words[0] and "10 hidden as asked for" in words[0]
+
+
+def test_what_a_gate_refuses_is_counted(case):
+    wild = case.aiding["position"].value.copy()
+    wild[30:33, 2] += 500.0
+    aiding = case.aiding | {"position": case.aiding["position"]._replace(value=wild)}
+    packed = pack(case.imu, aiding, 1.0)
+    info = run_jit(build("ekf15_gate"), build("ekf15_gate").params("consumer")._replace(
+        prior=case.params.prior, noise=case.params.noise, states=case.params.states), case.nav, packed.epochs)  # fmt: skip
+    found = usage.usage(recording(case, aiding), packed, info, GNSS, np.zeros(packed.t.size, bool))
+    assert found["position"].refused >= 1
+    assert any("refused by the filter's rule" in line for line in usage.usage_in_words(found))
+
+
+def info_of(z: np.ndarray) -> Info:
+    """Innovations of unit covariance."""
+    n, m = z.shape
+    nothing = dict.fromkeys(Info._fields)
+    return Info(**nothing | {
+        "nu": jnp.asarray(z), "S": jnp.tile(jnp.eye(m), (n, 1, 1)), "used": jnp.ones((n, m), bool),
+        "valid": jnp.ones((n, m), bool), "nav": Nav(*[None] * len(Nav._fields)),
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.8])
+def test_bounds_hold_a_consistent_filter_however_its_innovations_are_correlated(correlation):
+    """Two hundred filters of 300 fixes: nearly all pass, and one that is 1.5 times too sure does not."""
+    rng, flagged = np.random.default_rng(0), 0
+    _, names, _ = evaluate.channels(GNSS)
+    for _ in range(200):
+        white = rng.normal(size=(300, 6)) * np.sqrt(1 - correlation**2)
+        z = np.zeros((300, 6))
+        z[0] = rng.normal(size=6)
+        for i in range(1, 300):
+            z[i] = correlation * z[i - 1] + white[i]
+        flagged += bool(usage.expected_in_words(usage.expected(info_of(z), names, list(range(6)))))
+    assert flagged <= 4
+    words = usage.expected_in_words(usage.expected(info_of(1.5 * z), names, list(range(6))))
+    if correlation == 0.0:
+        assert len(words) == 1 and "larger than the filter expects" in words[0] and "and 3 more" in words[0]
+    small = usage.expected_in_words(usage.expected(info_of(0.4 * z), names, list(range(6))))
+    assert any("smaller than the filter expects" in line for line in small)
+
+
+def test_too_few_innovations_say_nothing():
+    _, names, _ = evaluate.channels(GNSS)
+    assert usage.expected(info_of(np.full((5, 6), 9.0)), names, list(range(6))) == {}

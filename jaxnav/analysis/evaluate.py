@@ -11,6 +11,7 @@ from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.filters.run import track
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import Measurement, clock_offset, layout
+from jaxnav.states import table
 from jaxnav.states.table import BIASES
 from jaxnav.types import Info, Params, Samples, Track
 
@@ -117,8 +118,9 @@ def figures(
     measurements: tuple[Measurement, ...],
     outages: Outages,
     bias_truth: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
+    states: tuple[str, ...] = BIASES,
 ) -> "dict[str, Figure]":
-    """The figures of one run, by name of file."""
+    """The figures of one run, by name of file; ``states``: the optional ones of its filter, in their order."""
     t, info = sol.track.t, sol.info
     valid, P = np.asarray(info.valid), np.asarray(info.P)
     found = {"trajectory": plots.trajectory(sol.track, truth, fixes, outages)}
@@ -130,11 +132,13 @@ def figures(
     if valid.any():
         found["innovations"] = plots_stats.innovations(t, nu, S, valid[:, order], names, outages, None)
         found["nis"] = plots_stats.nis(t, np.asarray(info.nis), valid.sum(1), outages)
-    if P.shape[-1] >= 15 and set(BIASES) <= set(info.nav.errors):
+    if set(BIASES) <= set(states) & set(info.nav.errors):
         b_g, b_a = (np.asarray(info.nav.errors[name]) for name in BIASES)
         sd = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
         true_g, true_a = (
             (None, None) if bias_truth is None else (metrics.columns_at(t, bias_truth[0], b) for b in bias_truth[1:])
         )
-        found["biases"] = plots.biases(t, b_g, b_a, sd[:, 9:12], sd[:, 12:15], true_g, true_a, outages)
+        places = table.layout(table.chosen(states))
+        sd_g, sd_a = (sd[:, places[name]] for name in BIASES)
+        found["biases"] = plots.biases(t, b_g, b_a, sd_g, sd_a, true_g, true_a, outages)
     return found

@@ -64,7 +64,10 @@ class Solution:
         """Figures by name: trajectory, innovations, NIS, and errors where the recording has a truth."""
         rec = self.recording
         outages = [(a, b) for a, b in self.outages]
-        return evaluate.figures(self.trace, rec.truth, rec.aiding.get("position"), self.measurements, outages)
+        states = self.filter.model.states
+        return evaluate.figures(
+            self.trace, rec.truth, rec.aiding.get("position"), self.measurements, outages, states=states
+        )
 
 
 def navigate(

@@ -194,6 +194,10 @@ class Config:
     mc: Mc = Mc()
     bakeoff: Bakeoff = Bakeoff()
     out: Out = Out()
+    stated: dataclasses.InitVar[frozenset[str]] = frozenset()  # names of what somebody set, defaults' values too
+
+    def __post_init__(self, stated: frozenset[str]) -> None:
+        object.__setattr__(self, "_stated", stated)
 
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -277,7 +281,9 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
     merged: dict[str, Any] = _checked(Config, PRESETS.get(source, {}), "preset")
     for _, tree in layers:
         merged = merge(merged, tree)
-    config = _build(merged)
+    stated = frozenset(f"{section}.{key}" for _, tree in layers for section, fields in tree.items()
+                       if isinstance(fields, Mapping) for key in fields)  # fmt: skip
+    config = _build(merged | {"stated": stated})
     for name, (low, high) in LIMITS.items():
         value = operator.attrgetter(name)(config)
         if value is not None and not low <= value <= high:
@@ -288,8 +294,13 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
 def for_source(config: Config, source: str) -> Config:
     """The same job on another source: with that source's presets, and without what belongs to the first one's data."""
     plain, preset, tree = as_dict(Config()), PRESETS.get(config.data.source, {}), as_dict(config)
+    stated: frozenset[str] = getattr(config, "_stated", frozenset())
     chosen = {
-        section: {k: v for k, v in fields.items() if v not in (plain[section].get(k), preset.get(section, {}).get(k))}
+        section: {
+            k: v
+            for k, v in fields.items()
+            if f"{section}.{k}" in stated or v not in (plain[section].get(k), preset.get(section, {}).get(k))
+        }
         for section, fields in tree.items()
         if isinstance(fields, Mapping)
     }

@@ -1,10 +1,15 @@
-"""Noise parameters in the words of other software: the noise block of a KF-GINS configuration, and NaveGo's fields."""
+"""Parameters in the words of other software: KF-GINS, NaveGo, PX4, ArduPilot, robot_localization.
 
-from collections.abc import Mapping
+For each number a remark says whether the target wants a density or a value per step, and what has no counterpart.
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jaxnav.data import atomic_write
 from jaxnav.maths import units
 from jaxnav.types import Params, StateParams
 
@@ -76,3 +81,117 @@ def navego_fields(params: Params) -> str:
     for name, scale in zip(("stdm", "stdv"), scales.values(), strict=True):
         lines.append(f"gnss.{name} = gnss.{name} .* [{text(_axes(scale)[[1, 0, 2]])}];")
     return "\n".join([*_remark(sensors | {f"{name}_scale": a for name, a in scales.items()}, "%"), *lines, ""])
+
+
+# ---------------------------------------------------------------------------- autopilots and ROS
+
+AUTOPILOT_STEP = (
+    0.01  # s, of EKF2's and EKF3's predictions: a noise s adds (s dt)^2 at each, which is q^2 dt for a density
+)
+
+
+def _per_step(q: Any) -> float:
+    """The autopilots' noise for a root PSD: one number for all axes, the largest, so that none is thought too quiet."""
+    return float(_axes(q).max()) / np.sqrt(AUTOPILOT_STEP)
+
+
+def _delays(params: Params) -> tuple[float, float]:
+    """How late position and velocity are against the IMU, s."""
+    offset = float(params.mounting.time_offset)
+    late = [float(params.measurements[name].latency) + offset for name in ("position", "velocity")]
+    return late[0], late[1]
+
+
+def px4_params(params: Params, position_sd: float = 1.0, velocity_sd: float = 0.3) -> str:
+    """PX4's EKF2 as lines of ``param set``: noise per step, floors for the receiver's own sd, delay, antenna.
+
+    EKF2 adds (EKF2_GYR_NOISE dt)^2 to the variance of an angle at every prediction of 10 ms (PX4-Autopilot,
+    EKF/covariance.cpp), so that a root PSD q becomes q / sqrt(dt); likewise accelerometers and what drives the biases.
+    ``position_sd``, ``velocity_sd``: m and m/s, of the recording's fixes before their scale.
+    """
+    sensors, arm = _sensors(params), _axes(params.mounting.lever_arm)
+    scale = {name: float(_axes(params.measurements[name].scale).max()) for name in ("position", "velocity")}
+    late = _delays(params)
+    rows = [
+        ("EKF2_GYR_NOISE", _per_step(sensors["gyro"]), "rad/s, of a step of 10 ms"),
+        ("EKF2_ACC_NOISE", _per_step(sensors["accel"]), "m/s^2, of a step of 10 ms"),
+        ("EKF2_GYR_B_NOISE", _per_step(sensors["gyro_bias"]), "rad/s^2, drives the gyros' biases"),
+        ("EKF2_ACC_B_NOISE", _per_step(sensors["accel_bias"]), "m/s^3, drives the accelerometers' biases"),
+        ("EKF2_GPS_P_NOISE", position_sd * scale["position"], "m, a floor under what the receiver states"),
+        ("EKF2_GPS_V_NOISE", velocity_sd * scale["velocity"], "m/s, a floor under what the receiver states"),
+        ("EKF2_GPS_DELAY", 1e3 * max(float(np.mean(late)), 0.0), "ms, one for position and velocity"),
+        *((f"EKF2_GPS_POS_{axis}", a, "m, antenna, body") for axis, a in zip("XYZ", arm, strict=True)),
+    ]  # fmt: skip
+    return _lines(rows, "param set {key} {value:.6g}", "#", params)
+
+
+def ardupilot_parm(params: Params, position_sd: float = 1.0, velocity_sd: float = 0.3) -> str:
+    """ArduPilot's EKF3 as a ``.parm`` file; noise per step of 10 ms as in `px4_params` (AP_NavEKF3, EKF_TARGET_DT)."""
+    sensors, arm = _sensors(params), _axes(params.mounting.lever_arm)
+    p, v = (_axes(params.measurements[name].scale) for name in ("position", "velocity"))
+    rows = [
+        ("EK3_GYRO_P_NSE", _per_step(sensors["gyro"]), "rad/s, of a step of 10 ms"),
+        ("EK3_ACC_P_NSE", _per_step(sensors["accel"]), "m/s^2, of a step of 10 ms"),
+        ("EK3_GBIAS_P_NSE", _per_step(sensors["gyro_bias"]), "rad/s^2, drives the gyros' biases"),
+        ("EK3_ABIAS_P_NSE", _per_step(sensors["accel_bias"]), "m/s^3, drives the accelerometers' biases"),
+        ("EK3_POSNE_M_NSE", position_sd * float(p[:2].max()), "m, a floor under what the receiver states"),
+        ("EK3_VELNE_M_NSE", velocity_sd * float(v[:2].max()), "m/s, a floor under what the receiver states"),
+        ("EK3_VELD_M_NSE", velocity_sd * float(v[2]), "m/s, a floor under what the receiver states"),
+        ("GPS_DELAY_MS", round(1e3 * max(float(np.mean(_delays(params))), 0.0)), "ms; GPS1_DELAY_MS from 4.6 on"),
+        *((f"GPS_POS1_{axis}", a, "m, antenna; GPS1_POS_ from 4.6 on") for axis, a in zip("XYZ", arm, strict=True)),
+    ]  # fmt: skip
+    return _lines(rows, "{key},{value:.6g}", "#", params)
+
+
+def robot_localization_yaml(params: Params, imu_rate_hz: float = 100.0) -> str:
+    """What of the parameters robot_localization can be told: covariances of its messages, for it has no IMU model.
+
+    Its EKF takes rates and accelerations as measurements of a model of constant acceleration, so that a root PSD q is
+    the variance q^2 rate of each sample, to be written into ``sensor_msgs/Imu``; biases and delays have no counterpart.
+    """
+    square = lambda q: ", ".join(f"{v:.6g}" for v in _axes(q) ** 2 * imu_rate_hz)  # noqa: E731
+    scale = lambda name: ", ".join(f"{v:.6g}" for v in _axes(params.measurements[name].scale) ** 2)  # noqa: E731
+    return "\n".join([
+        f"# of sensor_msgs/Imu at {imu_rate_hz:g} Hz, body FRD; diagonals of the covariances of each message",
+        f"angular_velocity_covariance_diagonal: [{square(params.noise.gyro)}]  # (rad/s)^2, a value per sample",
+        f"linear_acceleration_covariance_diagonal: [{square(params.noise.accel)}]  # (m/s^2)^2, a value per sample",
+        "# factors on the covariances that the receiver states, east, north, up",
+        f"position_covariance_factor: [{scale('position')}]",
+        f"velocity_covariance_factor: [{scale('velocity')}]",
+        "# no counterpart: drift of the biases, delays, clock drift, lever arm (a static transform)",
+        "",
+    ])  # fmt: skip
+
+
+def _lines(rows: list[tuple[str, float, str]], form: str, mark: str, params: Params) -> str:
+    """Settings with a remark on each, and what has no counterpart."""
+    late = _delays(params)
+    out = _remark(_sensors(params), mark)
+    out += [f"{form.format(key=key, value=value)}  {mark} {text}" for key, value, text in rows]
+    lost = []
+    if abs(late[0] - late[1]) > 1e-3:
+        lost.append(f"velocity is {late[1] - late[0]:+.3f} s later than position")
+    if min(late) < 0:
+        lost.append(f"fixes that are {-min(late):.3f} s early")
+    if float(params.mounting.clock_drift):
+        lost.append(f"a clock drift of {float(params.mounting.clock_drift) / units.PPM:.0f} ppm")
+    return "\n".join(
+        [*out, f"{mark} no counterpart: {', '.join(lost)}" if lost else f"{mark} everything has a counterpart", ""]
+    )
+
+
+EXPORTS: dict[str, Callable[[Params], str]] = {
+    "tuned_kfgins.yaml": kfgins_yaml,
+    "tuned_navego.m": navego_fields,
+    "tuned_px4.params": px4_params,
+    "tuned_ardupilot.parm": ardupilot_parm,
+    "tuned_robot_localization.yaml": robot_localization_yaml,
+}
+"""Files that `jaxnav tune` writes beside tuned.toml: a new one is a function and a line here."""
+
+
+def write_exports(folder: Path, head: str, params: Params) -> None:
+    """Write them all, ``head`` as a comment on top."""
+    for name, made in EXPORTS.items():
+        mark = "%" if name.endswith(".m") else "#"
+        atomic_write(folder / name, f"{mark} {head}\n{made(params)}")

@@ -12,7 +12,7 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.app.batches import Material
 from jaxnav.app.config import Config
-from jaxnav.app.export import kfgins_yaml, navego_fields
+from jaxnav.app.export import write_exports
 from jaxnav.app.parameters import in_user_units, name_of, user_value
 from jaxnav.app.results import cell, table, to_json, write_json
 from jaxnav.app.toml import to_toml
@@ -129,8 +129,7 @@ def write(folder: Path, material: Material, found: Fit, leaves: list[str], resul
     vague = [name for name, p in result.get("parameters", {}).items() if not p["identified"]]
     doubt = f"# not determined by the data, any value near it will do: {', '.join(vague)}\n" if vague else ""
     atomic_write(folder / "tuned.toml", head + doubt + to_toml(params))
-    atomic_write(folder / "tuned_kfgins.yaml", head.splitlines()[0] + "\n" + kfgins_yaml(found.params))
-    atomic_write(folder / "tuned_navego.m", head.splitlines()[0].replace("#", "%") + "\n" + navego_fields(found.params))
+    write_exports(folder, f"jaxnav tune: {material.about}", found.params)
     rows = [to_json(row) for row in user_history(found.history)]
     atomic_write(folder / "history.jsonl", "\n".join(rows) + "\n" if rows else "")
     write_json(folder / "metrics.json", result)
@@ -151,7 +150,9 @@ def draw(folder: Path, material: Material, found: Fit, before: "Scores", after: 
         plots.save(plots_stats.tuning(user_history(found.history), known), folder / "tuning.png")
     sol = evaluate.trace(jax.tree.map(lambda a: a[0], after.info), found.params)
     truth, fixes, biases = truth_of(material)
-    figures = evaluate.figures(sol, truth, fixes, material.measurements, material.outages, biases)
+    figures = evaluate.figures(
+        sol, truth, fixes, material.measurements, material.outages, biases, material.filter.model.states
+    )
     for name, fig in figures.items():
         plots.save(fig, folder / f"{name}.png")
 

@@ -38,8 +38,9 @@ def test_what_a_gate_refuses_is_counted(case):
     wild[30:33, 2] += 500.0
     aiding = case.aiding | {"position": case.aiding["position"]._replace(value=wild)}
     packed = pack(case.imu, aiding, 1.0)
-    info = run_jit(build("ekf15_gate"), build("ekf15_gate").params("consumer")._replace(
-        prior=case.params.prior, noise=case.params.noise, states=case.params.states), case.nav, packed.epochs)  # fmt: skip
+    filt = build("ekf15_gate")
+    own = case.params._replace(rule=filt.params("consumer").rule)
+    info = run_jit(filt, own, case.nav, packed.epochs)
     found = usage.usage(recording(case, aiding), packed, info, GNSS, np.zeros(packed.t.size, bool))
     assert found["position"].refused >= 1
     assert any("refused by the filter's rule" in line for line in usage.usage_in_words(found))

@@ -99,6 +99,13 @@ def test_a_further_source_has_its_own_presets_and_the_users_settings():
     assert back.data.options == {"imu_delay": -0.3} and back.filter.zero_velocity and back.start.tilt_sd_deg == 7.0
 
 
+def test_a_setting_that_equals_a_default_is_a_setting():
+    """The preset of the other source does not take its place."""
+    first = resolved(data={"source": "urban"}, start={"heading_sd_deg": 5.0})
+    assert config.for_source(first, "navego_synthetic").start.heading_sd_deg == 5.0
+    assert config.for_source(resolved(data={"source": "urban"}), "navego_synthetic").start.heading_sd_deg == 1.0
+
+
 def positions(moves_at: float) -> Samples:
     """200 s at 1 Hz with 3 m of noise: stands, then drives north at 12 m/s."""
     rng, t = np.random.default_rng(0), np.arange(200.0)

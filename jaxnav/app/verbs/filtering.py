@@ -97,7 +97,13 @@ def filter(config: Config, folder: Path) -> Outcome:
         outages = shaded(config, case)
         rec = case.recording
         found_figures = evaluate.figures(
-            sol, rec.truth, rec.aiding["position"], case.measurements, outages, case.bias_truth
+            sol,
+            rec.truth,
+            rec.aiding["position"],
+            case.measurements,
+            outages,
+            case.bias_truth,
+            case.filter.model.states,
         )
         for name, fig in found_figures.items():
             plots.save(fig, folder / f"{name}.png")

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from jaxnav.analysis import evaluate
 from jaxnav.analysis.navigate import navigate
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config, Tune
-from jaxnav.app.export import kfgins_yaml, navego_fields
+from jaxnav.app.export import write_exports
 from jaxnav.app.parameters import in_user_units, leaves_of, unit_of
 from jaxnav.app.results import Outcome, picture, stderr, to_json, write_json
 from jaxnav.app.sources import load, scenario_of
@@ -118,8 +117,7 @@ def write(folder: Path, about: str, found: Tuned, free: list[str], result: dict[
     params = {"params": in_user_units(found.params, list(dict.fromkeys([*noise, *free])))}
     head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
     atomic_write(folder / "tuned.toml", head + to_toml(params))
-    atomic_write(folder / "tuned_kfgins.yaml", head.splitlines()[0] + "\n" + kfgins_yaml(found.params))
-    atomic_write(folder / "tuned_navego.m", head.splitlines()[0].replace("#", "%") + "\n" + navego_fields(found.params))
+    write_exports(folder, f"jaxnav tune: {about}", found.params)
     atomic_write(folder / "history.jsonl", "\n".join(to_json(row) for row in found.history) + "\n")
     write_json(folder / "metrics.json", result)
 
@@ -133,6 +131,5 @@ def draw(folder: Path, rec: Recording, filt: Filter, found: Tuned) -> None:
         plots.save(plots_stats.outage_drift(drift), folder / "outage_drift.png")
     with picture("the run"):
         sol = navigate(rec, filt, found.params, begin=found.start)
-        figures = evaluate.figures(sol.trace, rec.truth, rec.aiding.get("position"), sol.measurements, [])
-        for name, fig in figures.items():
+        for name, fig in sol.plot().items():
             plots.save(fig, folder / f"{name}.png")

@@ -27,6 +27,7 @@ from jaxnav.filters.compiler import cache, enable_x64, fast_compiler, make_room
 from jaxnav.filters.core import Correction, Filter, Innovation, Rule, make_filter
 from jaxnav.filters.parameters import datasheet_params, mounting
 from jaxnav.filters.run import initial_nav, prepare, require_x64, run, run_jit, track
+from jaxnav.filters.smoother import smooth
 from jaxnav.measurements import GNSS, MEASUREMENTS, NONHOLONOMIC, POSITION, SPEED, VELOCITY, ZERO_RATE, ZERO_VELOCITY
 from jaxnav.states import STATES, State
 from jaxnav.states.grades import GRADES, Grade
@@ -58,5 +59,5 @@ __all__ = [
     "VELOCITY", "ZERO_RATE", "ZERO_VELOCITY", "build", "cache", "constraint_samples", "course", "cut_times",
     "datasheet_params", "enable_x64", "fast_compiler", "heading_bank", "hide", "initial_nav", "level", "make_filter",
     "make_room", "mounting", "navigate", "outage_windows", "pack", "prepare", "read", "recording", "require_x64", "run",
-    "run_jit", "start", "stationary", "track", "with_headings",
+    "run_jit", "smooth", "start", "stationary", "track", "with_headings",
 ]  # fmt: skip

@@ -17,6 +17,7 @@ from jaxnav.data.start import Start, heading_bank, start
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for
 from jaxnav.filters.run import first_failure, require_x64, run_jit
+from jaxnav.filters.smoother import smooth_jit
 from jaxnav.measurements import MEASUREMENTS, Measurement
 from jaxnav.types import DataError, Epoch, Info, Nav, Params, Recording
 
@@ -80,12 +81,14 @@ def navigate(
     outages: Sequence[tuple[float, float]] = (),
     interval: float = 0.0,
     standing: ep.Standing = ep.Standing(),
+    smooth: bool = False,
 ) -> Solution:
     """Filter a recording with ``params`` (such as ``filt.params("consumer")``) from where it can start.
 
     ``begin``: `jaxnav.start` with settings of your own; its standard deviations replace those of ``params.prior``.
     ``stop``: s. ``outages``: windows (start, end) s whose receiver's fixes are hidden. ``interval``: s, the length of
-    epochs without a fix; 0 is the median of the position's. The filter keeps as much history as the latencies need.
+    epochs without a fix; 0 is the median of the position's. ``smooth``: each epoch by all fixes, those after it too
+    (`jaxnav.filters.smoother`); innovations stay the filter's. The filter keeps as much history as the latencies need.
 
     Raises:
         DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
@@ -103,6 +106,9 @@ def navigate(
     failure = first_failure(info, packed.t)
     if failure:
         raise ValueError(f"run {rec.name}: {failure}")
+    if smooth:
+        best = jax.tree.map(lambda a: a[about.best], begin.navs)
+        _, info = smooth_jit(filt, params, best, ep.hide(packed.epochs, hidden, chosen))
     trace = evaluate.trace(info, params)
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
     windows = tuple((float(a), float(b)) for a, b in outages)

@@ -114,6 +114,8 @@ def make_parser() -> argparse.ArgumentParser:
         if verb in ("filter", "tune", "bakeoff", "mc", "demo"):
             sub.add_argument("--filter", metavar="NAME", help="see `jaxnav info` ([filter] name)")
             sub.add_argument("--params", metavar="FILE", help="[params] of this file, such as an earlier tuned.toml")
+        if verb == "filter":
+            sub.add_argument("--smooth", action="store_true", help="by all fixes, those after it too ([filter] smooth)")
         if verb == "mc":
             sub.add_argument("--runs", metavar="N", type=int, help="how many ([mc] runs); --filter takes A,B,...")
         if verb == "bakeoff":
@@ -182,6 +184,8 @@ def resolve(args: argparse.Namespace) -> configuration.Config:
         layers.append(("--start, --stop", {"data": span}))
     if getattr(args, "filter", None) is not None:
         layers.append(("--filter", {"filter": {"name": args.filter}}))
+    if getattr(args, "smooth", False):
+        layers.append(("--smooth", {"filter": {"smooth": True}}))
     if getattr(args, "runs", None) is not None:
         layers.append(("--runs", {"mc": {"runs": args.runs}}))
     if getattr(args, "unseen", None) is not None:

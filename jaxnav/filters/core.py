@@ -53,6 +53,7 @@ class Rule(NamedTuple):
     # (theta, memory, x after the last feedback, predicted x) -> x, memory; every epoch, with a fix or without
     extrapolate: Callable[..., Any] = lambda theta, memory, x0, x: (x, memory)
     estimates: tuple[str, ...] = ()  # optional states that it moves by itself, without their being in x
+    smooths: bool = False  # its correction is one of the covariance, so that a smoother can go back over it
 
 
 @jax.tree_util.register_dataclass
@@ -97,6 +98,7 @@ class Step(NamedTuple):
     transition: Transition
     after: FilterState
     info: Info
+    corrected: jax.Array  # (n,) estimate after the correction, before the feedback, in the filter's frame
 
 
 class Filter(NamedTuple):
@@ -116,6 +118,7 @@ class Filter(NamedTuple):
     # (grade or its name, **what `jaxnav.filters.parameters.datasheet_params` takes) -> parameters for this filter
     params: Callable[..., Params] = datasheet_params
     keeping: Callable[[int], "Filter"] | None = None  # the same filter with another ``history``
+    smooths: bool = False  # see `Rule`
 
 
 def only_if(flag: jax.Array, c: Correction, z: Innovation, memory: Any) -> Correction:
@@ -268,6 +271,9 @@ def make_filter(
         return transition(params, state, imu)[0]
 
     def correct(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info]:
+        return corrected(params, state, fix)[:2]
+
+    def corrected(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info, jax.Array]:
         nav, age = jax.tree.map(lambda a: a[-1], state.past), state.age + state.T
         x, memory = rule.extrapolate(params.rule, state.memory, state.x0, state.x)
         y, H, R = model.observe(params, state.past, fix)
@@ -291,13 +297,13 @@ def make_filter(
             after, x_after, f[:, None] * c.P * f, u, c.memory, x_after, jnp.zeros(()), age, jnp.array(True)
         )
         ok = state.ok & finite(new) & jnp.all(jnp.diag(c.P) >= 0)
-        corrected, x_enu, P_enu = model.report(model.retract(nav, x), x, c.P)
-        return new._replace(ok=ok), Info(corrected, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok)
+        told, x_enu, P_enu = model.report(model.retract(nav, x), x, c.P)
+        return new._replace(ok=ok), Info(told, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok), x
 
     def advance(params: Params, state: FilterState, epoch: Epoch) -> Step:
         noise = params.noise if epoch.gap is None else louder(params.noise, epoch.gap)
         predicted, moved = transition(params._replace(noise=noise), state, epoch.imu)
-        new, info = correct(params, predicted, epoch.fix)
+        new, info, x_after = corrected(params, predicted, epoch.fix)
         # a run that fails freezes at its last good state, so that the others of a batch go on and nothing is nan
         frozen = state._replace(ok=jnp.array(False))
         last, x, P = model.report(jax.tree.map(lambda a: a[-1], state.past), state.x, state.P)
@@ -313,7 +319,7 @@ def make_filter(
             nis=jnp.zeros(()),
             ok=info.ok,
         )
-        return Step(state, predicted, moved, select(info.ok, new, frozen), select(info.ok, info, quiet))
+        return Step(state, predicted, moved, select(info.ok, new, frozen), select(info.ok, info, quiet), x_after)
 
     def step(params: Params, state: FilterState, epoch: Epoch) -> tuple[FilterState, Info]:
         new = advance(params, state, epoch)
@@ -322,7 +328,9 @@ def make_filter(
     def keeping(samples: int) -> Filter:
         return make_filter(propagate, model, rule, feedback, cov_stride, samples, preintegrate)
 
-    return Filter(init, predict, correct, step, model, prepare, transition, advance, keeping=keeping)
+    return Filter(
+        init, predict, correct, step, model, prepare, transition, advance, keeping=keeping, smooths=rule.smooths
+    )
 
 
 def finite(tree: Any) -> jax.Array:

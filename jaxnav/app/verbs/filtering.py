@@ -19,6 +19,7 @@ from jaxnav.data import gaps
 from jaxnav.data.epochs import TICK, hide, in_windows
 from jaxnav.data.solution import FORMATS
 from jaxnav.filters.run import first_failure
+from jaxnav.filters.smoother import smooth_jit
 from jaxnav.types import ConfigError, Info, nearest
 
 
@@ -76,6 +77,13 @@ def filter(config: Config, folder: Path) -> Outcome:
     jax.block_until_ready(info)
     seconds["filter"], begin = time.perf_counter() - begin, time.perf_counter()
     check(info, case.packed.t, case.recording.name)
+    if config.filter.smooth:
+        best = jax.tree.map(lambda a: a[taken.best], case.navs)
+        epochs = hide(case.packed.epochs, hidden, case.measurements)
+        try:
+            _, info = smooth_jit(case.filter, case.params, best, epochs)
+        except ValueError as error:
+            raise ConfigError(f"filter.smooth: {config.filter.name}: {error}") from error
     sol = evaluate.trace(info, case.params)
     found = metrics_of(case, sol, hidden, config)
     if taken.words:

@@ -105,4 +105,4 @@ def fuzzy_combined(n: int = 20, table=TABLE, conjunction: fuzzy.Conjunction = fu
         require_blocks(m)
         return CombinedMemory(window(n, m), jnp.zeros(m // BLOCK))
 
-    return Rule(init, correct)
+    return Rule(init, correct, smooths=True)

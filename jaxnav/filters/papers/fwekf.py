@@ -140,7 +140,7 @@ def fwekf(n: int = 50, table=TABLE, conjunction: fuzzy.Conjunction = fuzzy.produ
         delta, P = weighted(z, z.R / a**2)
         return Correction(delta, P, memory, z.valid, fading(theta.limit, a, P))
 
-    return Rule(lambda _, m: window(n, m), correct)
+    return Rule(lambda _, m: window(n, m), correct, smooths=True)
 
 
 class Literal(NamedTuple):

@@ -60,7 +60,9 @@ def sage_husa(rule: Rule) -> Rule:
         learnt = theta.forget * memory.learnt + (1 - theta.forget) * now
         return c._replace(memory=ScaleMemory(jnp.where(c.used, learnt, memory.learnt), c.memory))
 
-    return Rule(lambda n, m: ScaleMemory(jnp.ones(m), rule.init(n, m)), correct, _passed_on(rule), rule.estimates)
+    return Rule(
+        lambda n, m: ScaleMemory(jnp.ones(m), rule.init(n, m)), correct, _passed_on(rule), rule.estimates, rule.smooths
+    )
 
 
 class Iae(NamedTuple):
@@ -91,7 +93,11 @@ def iae(rule: Rule, window: int = 20) -> Rule:
         return c._replace(memory=ScaleMemory(jnp.where(c.used, learnt, memory.learnt), c.memory))
 
     return Rule(
-        lambda n, m: ScaleMemory(jnp.ones((window, m)), rule.init(n, m)), correct, _passed_on(rule), rule.estimates
+        lambda n, m: ScaleMemory(jnp.ones((window, m)), rule.init(n, m)),
+        correct,
+        _passed_on(rule),
+        rule.estimates,
+        rule.smooths,
     )
 
 

@@ -15,4 +15,4 @@ def correct(theta, memory, z: Innovation) -> Correction:
 @cache
 def kalman() -> Rule:
     """Without memory."""
-    return Rule(lambda n, m: (), correct)
+    return Rule(lambda n, m: (), correct, smooths=True)

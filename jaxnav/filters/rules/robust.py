@@ -141,7 +141,7 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
         x, inner = rule.extrapolate(theta.rule, memory.rule, x0, x)
         return x, memory._replace(rule=inner)
 
-    return Rule(init, correct, extrapolate, rule.estimates)
+    return Rule(init, correct, extrapolate, rule.estimates, rule.smooths)
 
 
 # ---------------------------------------------------------------------------- weights

@@ -1,0 +1,106 @@
+"""Rauch-Tung-Striebel smoother on a closed loop: each epoch by all fixes, those after it too (Rauch et al. 1965).
+
+A filter with feedback corrects navigation at each fix, so that its error state begins anew. What is smoothed is the
+error of navigation as it stands after the feedback of epoch k: a_k is what the filter still estimates of it (zero where
+all is fed back), P_k its covariance, x-_k, P-_k the prediction, x+_k the estimate before the feedback. Backward from
+s = a, P at the last epoch:
+
+    G_k   = P_k Phi_{k+1}' (P-_{k+1})^-1
+    s_k   = a_k + G_k (x+_{k+1} + s_{k+1} - a_{k+1} - x-_{k+1})
+    P_k|N = P_k + G_k (P_{k+1}|N - P-_{k+1}) G_k'
+
+and smoothed navigation is retract(navigation, s_k). The feedback only moves the point that the error is counted from, by
+what is known: x+_{k+1} - a_{k+1}. So it is the smoother of the same linear problem, linearised where the filter was,
+whatever was fed back (docs/theory.md).
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxnav.filters.core import Filter, Step
+from jaxnav.filters.run import run
+from jaxnav.maths import linalg
+from jaxnav.measurements import MEASUREMENTS, layout
+from jaxnav.states.motion import MOTION
+from jaxnav.types import Epoch, Info, Nav, Params
+
+
+class Forward(NamedTuple):
+    """What the filter leaves of an epoch for the way back."""
+
+    nav: Nav  # after the feedback, in the filter's frame
+    a: jax.Array  # (n,) estimate after it
+    P: jax.Array  # (n, n) covariance
+    x: jax.Array  # (n,) estimate before the feedback
+    predicted: tuple[jax.Array, jax.Array]  # x- (n,), P- (n, n)
+    Phi: jax.Array  # (n, n) from the epoch before
+
+
+def keep(step: Step, beside: Any) -> tuple[Forward, Info]:
+    """A record for `jaxnav.filters.run.run`."""
+    after, predicted = step.after, step.predicted
+    nav = jax.tree.map(lambda a: a[-1], after.past)
+    forward = Forward(nav, after.x, after.P, step.corrected, (predicted.x, predicted.P), step.transition.Phi)
+    return forward, step.info
+
+
+def smooth(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> tuple[Info, Info]:
+    """Filter and smooth: what `run` gives, and the same with navigation and covariance by all fixes.
+
+    The smoothed `Info` has nav (E, ...), x (E, n), what smoothing takes off the filter's navigation, and P (E, n, n) in
+    local level. Its innovations are the filter's; residuals of position and velocity are of smoothed navigation, but
+    for what the change of attitude does to the lever arm. Differentiable. Memory: 4 n^2 numbers an epoch.
+
+    Raises:
+        ValueError: a filter whose correction is not one of the covariance.
+    """
+    if not filt.smooths:
+        raise ValueError(
+            "this filter's rule corrects by more than the covariance says, so that its steps cannot be gone back: "
+            "smoothing is for Kalman, robust, adaptive and fading rules"
+        )
+    forward, info = run(filt, params, nav, epochs, keep)
+    s, P = backward(forward)
+    moved = jax.vmap(filt.model.retract)(forward.nav, s)
+    found, x, P = jax.vmap(filt.model.report)(moved, s - forward.a, P)
+    residual = info.residual
+    for name, place in layout(tuple(MEASUREMENTS[name] for name in filt.model.measurements)).items():
+        if name in MOTION:  # what it takes off navigation, that it takes off the residual before the correction
+            taken = x[:, MOTION[name]] + info.x[:, MOTION[name]]
+            residual = residual.at[:, place].add(-taken)
+    return info, info._replace(nav=found, x=x, P=P, residual=residual)
+
+
+smooth_jit = jax.jit(smooth, static_argnums=0)
+"""`smooth`, compiled once for a filter and shapes."""
+
+
+def backward(forward: Forward) -> tuple[jax.Array, jax.Array]:
+    """s (E, n) and P_k|N (E, n, n)."""
+    last = jax.tree.map(lambda a: a[-1], forward)
+    later = jax.tree.map(lambda a: a[1:], forward)
+    here = jax.tree.map(lambda a: a[:-1], forward)
+
+    def back(carry, pair):
+        s_next, P_next = carry
+        now, after = pair
+        x, P = after.predicted
+        G = linalg.times(now.P @ after.Phi.T, scaled_inverse(P))
+        s = now.a + G @ (after.x + s_next - after.a - x)
+        joint = now.P + G @ (P_next - P) @ G.T
+        joint = 0.5 * (joint + joint.T)
+        return (s, joint), (s, joint)
+
+    _, (s, P) = lax.scan(back, (last.a, last.P), (here, later), reverse=True)
+    return jnp.concatenate([s, last.a[None]]), jnp.concatenate([P, last.P[None]])
+
+
+def scaled_inverse(P: jax.Array) -> jax.Array:
+    """P^-1 of a covariance whose units are far apart: of its correlations, then scaled back."""
+    sd = jnp.sqrt(jnp.diag(P))
+    sd = jnp.where(sd > 0, sd, 1.0)
+    eye = jnp.eye(P.shape[0])
+    return linalg.inverse(P / sd[:, None] / sd + 1e-14 * eye) / sd[:, None] / sd

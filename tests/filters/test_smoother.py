@@ -1,0 +1,126 @@
+"""The smoother against a batch least-squares solution of the same linear problem, and against the truth."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnav.analysis import metrics
+from jaxnav.data.epochs import hide
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.run import run
+from jaxnav.filters.smoother import keep, smooth, smooth_jit
+from jaxnav.maths import rotations
+from jaxnav.types import Epoch
+
+
+def batch(filt, params, nav, epochs: Epoch) -> tuple[np.ndarray, np.ndarray]:
+    """Errors e_k after each epoch's feedback and their covariance, all of them in one least squares.
+
+    e-_{k+1} = Phi e_k + w, nu = H e-_{k+1} + v, e_{k+1} = e-_{k+1} - what was fed back.
+    """
+    state, steps = filt.init(params, nav), []
+    P0 = np.asarray(state.P)
+    for i in range(epochs.fix.sd.shape[0]):
+        epoch = jax.tree.map(lambda a, i=i: a[i], epochs)
+        predicted, moved = filt.transition(params, state, epoch.imu)
+        y, H, R = filt.model.observe(params, predicted.past, epoch.fix)
+        rows = np.asarray(epoch.fix.valid)
+        after, info = filt.correct(params, predicted, epoch.fix)
+        fed = np.asarray(info.x) - np.asarray(after.x)
+        steps.append((np.asarray(moved.Phi), np.asarray(moved.Q), np.asarray(y)[rows], np.asarray(H)[rows],
+                      np.asarray(R)[np.ix_(rows, rows)], fed))  # fmt: skip
+        state = after
+    n, K = P0.shape[0], len(steps)
+    scale = np.sqrt(np.diag(P0))  # unknowns in units of their prior sd
+    A, b = [], []
+
+    def add(blocks, value, cov):
+        root = np.linalg.cholesky(cov)
+        row = np.zeros((len(value), (K + 1) * n))
+        for k, M in blocks:
+            row[:, k * n : (k + 1) * n] = M * scale
+        A.append(np.linalg.solve(root, row))
+        b.append(np.linalg.solve(root, value))
+
+    add([(0, np.eye(n))], np.zeros(n), P0)
+    for k, (Phi, Q, y, H, R, fed) in enumerate(steps):
+        tiny = 1e-18 * np.diag(scale**2)
+        add([(k, -Phi), (k + 1, np.eye(n))], -fed, Q + tiny)  # e_{k+1} + fed = Phi e_k + w
+        if len(y):
+            add([(k + 1, H)], y - H @ fed, R)  # nu = H (e_{k+1} + fed)
+    A, b = np.vstack(A), np.concatenate(b)
+    e, *_ = np.linalg.lstsq(A, b, rcond=None)
+    cov = np.linalg.inv(A.T @ A)
+    e, sd = e.reshape(K + 1, n) * scale, np.sqrt(np.diag(cov)).reshape(K + 1, n) * scale
+    return e[1:], sd[1:]
+
+
+def test_it_is_the_batch_solution_of_the_same_linear_problem(case):
+    """To 1e-6 of a standard deviation, with fixes hidden for a while; covariance too."""
+    filt = build("ekf15", cov_stride=5)
+    epochs = jax.tree.map(lambda a: a[:20], case.packed.epochs)
+    epochs = hide(epochs, (np.arange(20) > 7) & (np.arange(20) < 13))
+    _, smoothed = smooth_jit(filt, case.params, case.nav, epochs)
+    expected, sd = batch(filt, case.params, case.nav, epochs)
+    np.testing.assert_allclose(np.asarray(smoothed.x) / sd, expected / sd, atol=1e-6)
+    mine = np.sqrt(np.asarray(jax.vmap(jnp.diag)(smoothed.P)))
+    np.testing.assert_allclose(mine / sd, 1.0, atol=1e-6)
+
+
+def errors(info, truth_pos, truth_vel):
+    position = np.asarray(jax.vmap(metrics.position_error)(info.nav, truth_pos))
+    return position, np.asarray(info.nav.vel) - truth_vel
+
+
+def test_it_is_nearer_to_the_truth_and_knows_how_near(case):
+    """A minute with twenty seconds hidden: less drift inside, a covariance that holds, and never a larger one."""
+    filt = build("ekf15", cov_stride=5)
+    at = np.searchsorted(case.truth.t, case.packed.t - 1e-6)
+    hidden = (np.arange(60) > 25) & (np.arange(60) < 46)
+    epochs = hide(case.packed.epochs, hidden)
+    filtered, smoothed = smooth_jit(filt, case.params, case.nav, epochs)
+    truth = jnp.asarray(case.truth.lla[at]), case.truth.vel[at]
+    (fp, _), (sp, _) = errors(filtered, *truth), errors(smoothed, *truth)
+    inside = np.flatnonzero(hidden)
+    assert np.sqrt((sp[inside] ** 2).mean()) < 0.5 * np.sqrt((fp[inside] ** 2).mean())
+    P = np.asarray(smoothed.P)
+    assert min(np.linalg.eigvalsh(p / np.outer(s := np.sqrt(np.diag(p)), s)).min() for p in P) > 0
+    sd_s, sd_f = (np.sqrt(np.asarray(jax.vmap(jnp.diag)(i.P))) for i in (smoothed, filtered))
+    assert (sd_s <= sd_f * (1 + 1e-6)).all() and (np.abs(sp) < 4.5 * sd_s[:, :3]).all()
+    np.testing.assert_allclose(smoothed.P[-1], filtered.P[-1], rtol=1e-12)
+    np.testing.assert_array_equal(smoothed.nu, filtered.nu)
+    # residuals are of smoothed navigation: against the fixes that were hidden
+    fix = np.asarray(case.packed.epochs.fix.value)
+    off = np.asarray(jax.vmap(metrics.position_error)(smoothed.nav, fix[:, :3]))
+    np.testing.assert_allclose(smoothed.residual[:, :3], off, atol=2e-3)
+    np.testing.assert_allclose(smoothed.residual[:, 3:6], np.asarray(smoothed.nav.vel) - fix[:, 3:6], atol=2e-3)
+
+
+@pytest.mark.parametrize("frame", ["tangent", "inertial"])
+def test_frames_smooth_alike(case, frame):
+    epochs = jax.tree.map(lambda a: a[:15], case.packed.epochs)
+    epochs = hide(epochs, (np.arange(15) > 5) & (np.arange(15) < 11))
+    a, b = (smooth_jit(build("ekf15", frame=f, cov_stride=5), case.params, case.nav, epochs)[1]
+            for f in ("local_level", frame))  # fmt: skip
+    apart = np.asarray(jax.vmap(lambda p, q: metrics.position_error(p, q.pos))(a.nav, b.nav))
+    turn = jax.vmap(lambda p, q: rotations.log(rotations.multiply(p, rotations.conjugate(q))))(a.nav.q, b.nav.q)
+    sd = np.sqrt(np.asarray(jax.vmap(jnp.diag)(a.P)))
+    assert np.abs(apart).max() < 0.03 * sd[:, :3].max() and np.abs(turn).max() < 0.03 * sd[:, 6:9].max()
+    np.testing.assert_allclose(np.sqrt(np.asarray(jax.vmap(jnp.diag)(b.P)))[:, :9], sd[:, :9], rtol=0.03)
+
+
+def test_what_cannot_be_gone_back_is_refused(case):
+    for name in ("gpid", "gipkf"):
+        with pytest.raises(ValueError, match="smoothing is for Kalman, robust, adaptive and fading rules"):
+            smooth(build(name), case.params, case.nav, case.packed.epochs)
+    assert all(build(name).smooths for name in ("ekf15", "ekf9", "ekf15_gate", "ekf15_huber", "fwekf15"))
+
+
+def test_the_record_costs_a_plain_run_nothing(case):
+    filt = build("ekf9", cov_stride=5)
+    epochs = jax.tree.map(lambda a: a[:5], case.packed.epochs)
+    forward, info = run(filt, case.params, case.nav, epochs, keep)
+    plain = run(filt, case.params, case.nav, epochs)
+    np.testing.assert_allclose(info.nav.pos, plain.nav.pos, rtol=1e-14)
+    assert forward.Phi.shape == (5, 9, 9)

@@ -9,8 +9,8 @@ s = a, P at the last epoch:
     s_k   = a_k + G_k (x+_{k+1} + s_{k+1} - a_{k+1} - x-_{k+1})
     P_k|N = P_k + G_k (P_{k+1}|N - P-_{k+1}) G_k'
 
-and smoothed navigation is retract(navigation, s_k). The feedback only moves the point that the error is counted from, by
-what is known: x+_{k+1} - a_{k+1}. So it is the smoother of the same linear problem, linearised where the filter was,
+and smoothed navigation is retract(navigation, s_k). The feedback only moves the point that the error is counted from,
+by what is known: x+_{k+1} - a_{k+1}. So it is the smoother of the same linear problem, linearised where the filter was,
 whatever was fed back (docs/theory.md).
 """
 
@@ -79,7 +79,7 @@ smooth_jit = jax.jit(smooth, static_argnums=0)
 
 
 def backward(forward: Forward) -> tuple[jax.Array, jax.Array]:
-    """s (E, n) and P_k|N (E, n, n)."""
+    """What `Forward` says of every epoch by all fixes: s (E, n) and P_k|N (E, n, n)."""
     last = jax.tree.map(lambda a: a[-1], forward)
     later = jax.tree.map(lambda a: a[1:], forward)
     here = jax.tree.map(lambda a: a[:-1], forward)

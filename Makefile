@@ -4,13 +4,20 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 EXTRAS ?= dev,oracle
 
-.PHONY: demo test slow lint lock
+.PHONY: demo test quick slow lint lock
 demo: $(VENV)/ready
 	$(BIN)/jaxnav demo
 
 # `loadfile`: the tests of a module share compiled functions, so that each module stays in one process
 test: $(VENV)/ready
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+
+# contract, layout and numbers
+QUICK = tests/test_layout.py tests/test_contract.py tests/maths tests/data/test_epochs.py tests/data/test_gaps.py \
+  tests/data/test_polling.py tests/data/test_start.py tests/filters/test_reference.py tests/strapdown/test_plain.py \
+  tests/analysis/test_usage.py tests/app/test_config.py
+quick: $(VENV)/ready
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" $(QUICK)
 
 slow: $(VENV)/ready
 	$(BIN)/python -m pytest -m slow

@@ -46,7 +46,7 @@ def with_noise(params: Params, noise: Noise) -> Params:
 def prior_sd(params: Params, n: int) -> jax.Array:
     """Standard deviations at the start, (n,)."""
     biases = [params.states[name].sd for name in BIASES]
-    return jnp.concatenate([jnp.broadcast_to(sd, (3,)) for sd in (*params.prior, *biases)])[:n]
+    return jnp.concatenate([jnp.broadcast_to(sd, (3,)) for sd in (*params.prior[:3], *biases)])[:n]
 
 
 class State(NamedTuple):

@@ -91,7 +91,7 @@ class Tuned:
     params: Params  # the winner's: the datasheet's where nothing beats it
     chosen: str  # of `trials`
     verdict: str
-    rows: list[Row]  # of the tuned candidate
+    rows: list[Row]  # of the winner; where that is the datasheet, of what was tuned
     trials: dict[str, Trial]
     layout: Layout
     windows: Windows
@@ -173,7 +173,7 @@ def tune(
     nis = {name: channels(off[1], chosen, packed.t > layout.validation) for name, off in offs.items()}
     scores = {name: spread(off[0][test]) for name, off in offs.items()}
     return Tuned(
-        trials[best].params, best, verdict(best, trials, scores, parts), table(job, found["tuned"]), trials, layout,
+        trials[best].params, best, verdict(best, trials, scores, parts), table(job, found[shown(best)]), trials, layout,
         windows, {name: int(mask.sum()) for name, mask in parts.items()}, job.effective, gain, scores, nis, begin, spec,
         history,
     )  # fmt: skip
@@ -450,6 +450,11 @@ def table(job: Job, params: Params) -> list[Row]:
     return rows
 
 
+def shown(best: str) -> str:
+    """The candidate whose parameters are told."""
+    return "tuned" if best == "datasheet" else best
+
+
 def _named(label: str) -> str:
     return label.removeprefix("measurements.").removeprefix("states.").removeprefix("mounting.")
 
@@ -476,7 +481,7 @@ def verdict(
 
 def text(found: Tuned) -> str:
     """The table of `Tuned`, for a terminal."""
-    head = ["parameter", "datasheet", "tuned", "95 %", "unit", "prior (1 sd)", ""]
+    head = ["parameter", "datasheet", shown(found.chosen), "95 %", "unit", "prior (1 sd)", ""]
     rows = [
         [r.name, f"{r.datasheet:.4g}", f"{r.value:.4g}", f"{r.low:.3g} to {r.high:.3g}", r.unit, r.prior, r.remark]
         for r in found.rows

@@ -173,7 +173,7 @@ def _lines(rows: list[tuple[str, float, str]], form: str, mark: str, params: Par
         lost.append(f"velocity is {late[1] - late[0]:+.3f} s later than position")
     if min(late) < 0:
         lost.append(f"fixes that are {-min(late):.3f} s early")
-    if float(params.mounting.clock_drift):
+    if abs(float(params.mounting.clock_drift)) > 0.5 * units.PPM:
         lost.append(f"a clock drift of {float(params.mounting.clock_drift) / units.PPM:.0f} ppm")
     return "\n".join(
         [*out, f"{mark} no counterpart: {', '.join(lost)}" if lost else f"{mark} everything has a counterpart", ""]

@@ -23,7 +23,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import UNITS, get, has
 from jaxnav.types import ConfigError, Params, Recording
 from tuning.priors import transform_of
-from tuning.recorded import Tuned, tune
+from tuning.recorded import Tuned, shown, tune
 from tuning.transforms import LOG
 
 FREE = ("noise", "fixes", "timing")  # where [tune] free is not set: a rule's own numbers stay as they are
@@ -126,8 +126,7 @@ def draw(folder: Path, rec: Recording, filt: Filter, found: Tuned) -> None:
     """Drift of the candidates over the test windows, and the winner's run."""
     test = found.windows.start >= found.layout.validation
     with picture("outage_drift"):
-        shown = ("datasheet", found.chosen if found.chosen != "datasheet" else "tuned")
-        drift = {name: found.trials[name].drift[test] for name in shown}
+        drift = {name: found.trials[name].drift[test] for name in ("datasheet", shown(found.chosen))}
         plots.save(plots_stats.outage_drift(drift), folder / "outage_drift.png")
     with picture("the run"):
         sol = navigate(rec, filt, found.params, begin=found.start)

@@ -37,6 +37,7 @@ from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import DataError, Epoch, Nav, Params, Recording
 from tuning import scoring
 from tuning.priors import PRIORS, in_words, kind_of, spec_of
+from tuning.report import LEAST_WINDOWS, Row, in_words_of, shown, text, verdict
 from tuning.transforms import Spec, join, labels, split
 from tuning.uncertainty import Information, gaussian, pushed
 from tuning.validation import PairedGain, paired_gain
@@ -46,7 +47,6 @@ FREEDOM = 4.0  # of the Student t of hidden fixes
 AGES = (0.0, 1 / 3, 2 / 3, 1.0)  # of a window
 PHASES = 5  # runs with windows shifted against each other
 MOST, TOLERANCE = 25, 0.02  # evaluations of one search; gain in J that is worth another
-LEAST_WINDOWS = 8  # blocks of time that an interval needs
 HELD = ("measurements.position.scale", "mounting.clock_drift")  # while the likelihood alone leads the way
 FAR = 2.0  # sd of a prior beyond which a parameter is said to be far
 TINY = 1e-4  # of an sd: a parameter that is held
@@ -69,19 +69,6 @@ class Trial(NamedTuple):
     params: Params
     drift: np.ndarray  # (W,) m, horizontal, at the end of each window
     ratios: tuple[float, float, float, float]  # RMS, mean log: training and validation together, validation alone
-
-
-class Row(NamedTuple):
-    """A free number, in a user's units."""
-
-    name: str
-    value: float
-    low: float  # 95 % of the tempered posterior
-    high: float
-    datasheet: float
-    unit: str
-    prior: str
-    remark: str
 
 
 @dataclass(frozen=True)
@@ -201,15 +188,6 @@ def parts_of(layout: Layout, windows: Windows) -> dict[str, np.ndarray]:
         "validation": (windows.start >= layout.train - ep.TICK) & (end <= layout.validation + ep.TICK),
         "test": windows.start >= layout.validation - ep.TICK,
     }
-
-
-def in_words_of(layout: Layout, parts: Mapping[str, np.ndarray], packed: ep.Packed) -> str:
-    """The split, in a sentence."""
-    counts = ", ".join(f"{int(mask.sum())} {name}" for name, mask in parts.items())
-    return (
-        f"training to {layout.train:.0f} s, validation to {layout.validation:.0f} s, test to {packed.t[-1]:.0f} s; "
-        f"hidden windows of {layout.window:g} s: {counts}"
-    )
 
 
 def one_start(filt: Filter, params: Params, navs: Nav, epochs: Epoch, t: np.ndarray, until: float) -> Nav:
@@ -450,56 +428,5 @@ def table(job: Job, params: Params) -> list[Row]:
     return rows
 
 
-def shown(best: str) -> str:
-    """The candidate whose parameters are told."""
-    return "tuned" if best == "datasheet" else best
-
-
 def _named(label: str) -> str:
     return label.removeprefix("measurements.").removeprefix("states.").removeprefix("mounting.")
-
-
-def verdict(
-    best: str, trials: Mapping[str, Trial], scores: Mapping[str, dict[str, float]], parts: Mapping[str, np.ndarray]
-) -> str:
-    """Which candidate won, why the others did not, and what it is worth on the test."""
-    lost = "; ".join(
-        f"{name}: {max(t.ratios):.2f} at worst" for name, t in trials.items() if name not in (best, "datasheet")
-    )
-    if best == "datasheet":
-        return (
-            "the datasheet stays: no candidate drifts less on training and validation windows in RMS and in mean log "
-            f"({lost} of the datasheet's)"
-        )
-    ratio = scores[best]["rms_m"] / scores["datasheet"]["rms_m"]
-    count = int(parts["test"].sum())
-    return (
-        f"{best}: {ratio:.2f} of the datasheet's RMS drift over {count} test windows "
-        f"({scores['datasheet']['rms_m']:.2f} to {scores[best]['rms_m']:.2f} m)" + (f"; {lost}" if lost else "")
-    )
-
-
-def text(found: Tuned) -> str:
-    """The table of `Tuned`, for a terminal."""
-    head = ["parameter", "datasheet", shown(found.chosen), "95 %", "unit", "prior (1 sd)", ""]
-    rows = [
-        [r.name, f"{r.datasheet:.4g}", f"{r.value:.4g}", f"{r.low:.3g} to {r.high:.3g}", r.unit, r.prior, r.remark]
-        for r in found.rows
-    ]
-    width = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
-    line = lambda row: "  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip()  # noqa: E731
-    lines = [line(head), line(["-" * w for w in width]), *map(line, rows), ""]
-    lines.append(
-        f"the likelihood counts as {found.effective:.1f} observations (windows that fit into the training part)"
-    )
-    lines.append(found.verdict)
-    if found.gain is not None:
-        g = found.gain
-        lines.append(f"drift {g.gain:.2f} times smaller on the test (95 %: {g.low:.2f} to {g.high:.2f})")
-    elif found.chosen != "datasheet":
-        blocks = len({int(b // found.layout.every) for b in found.windows.start if b >= found.layout.validation})
-        lines.append(
-            f"no interval: {blocks} blocks of windows in the test, it takes {LEAST_WINDOWS} "
-            f"({LEAST_WINDOWS * found.layout.every / 0.35:.0f} s of recording)"
-        )
-    return "\n".join(lines)

@@ -46,7 +46,7 @@ def toy(name: str) -> Filter:
 
     def advance(params, state, epoch):
         after, info = step(params, state, epoch)
-        return Step(state, state, None, after, info)
+        return Step(state, state, None, after, info, jnp.zeros(9))
 
     start = lambda params, nav: (nav.pos[2], jnp.array(True))  # noqa: E731
     return Filter(start, None, None, step, None, lambda epochs: epochs, None, advance)

@@ -20,13 +20,14 @@ def batch(filt, params, nav, epochs: Epoch) -> tuple[np.ndarray, np.ndarray]:
     e-_{k+1} = Phi e_k + w, nu = H e-_{k+1} + v, e_{k+1} = e-_{k+1} - what was fed back.
     """
     state, steps = filt.init(params, nav), []
+    transition, correct, observe = jax.jit(filt.transition), jax.jit(filt.correct), jax.jit(filt.model.observe)
     P0 = np.asarray(state.P)
     for i in range(epochs.fix.sd.shape[0]):
         epoch = jax.tree.map(lambda a, i=i: a[i], epochs)
-        predicted, moved = filt.transition(params, state, epoch.imu)
-        y, H, R = filt.model.observe(params, predicted.past, epoch.fix)
+        predicted, moved = transition(params, state, epoch.imu)
+        y, H, R = observe(params, predicted.past, epoch.fix)
         rows = np.asarray(epoch.fix.valid)
-        after, info = filt.correct(params, predicted, epoch.fix)
+        after, info = correct(params, predicted, epoch.fix)
         fed = np.asarray(info.x) - np.asarray(after.x)
         steps.append((np.asarray(moved.Phi), np.asarray(moved.Q), np.asarray(y)[rows], np.asarray(H)[rows],
                       np.asarray(R)[np.ix_(rows, rows)], fed))  # fmt: skip

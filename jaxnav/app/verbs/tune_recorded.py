@@ -23,7 +23,8 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import UNITS, get, has
 from jaxnav.types import ConfigError, Params, Recording
 from tuning.priors import transform_of
-from tuning.recorded import Tuned, shown, tune
+from tuning.recorded import Tuned, tune
+from tuning.report import shown
 from tuning.transforms import LOG
 
 FREE = ("noise", "fixes", "timing")  # where [tune] free is not set: a rule's own numbers stay as they are

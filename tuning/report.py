@@ -1,0 +1,85 @@
+"""What `tuning.tune` says in words: how a recording is used, the table of its parameters, and the verdict."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxnav.data.epochs import Packed
+    from tuning.recorded import Layout, Trial, Tuned
+
+LEAST_WINDOWS = 8  # blocks of time that an interval needs
+
+
+class Row(NamedTuple):
+    """A free number, in a user's units."""
+
+    name: str
+    value: float
+    low: float  # 95 % of the tempered posterior
+    high: float
+    datasheet: float
+    unit: str
+    prior: str
+    remark: str
+
+
+def in_words_of(layout: "Layout", parts: Mapping[str, np.ndarray], packed: "Packed") -> str:
+    """The split, in a sentence."""
+    counts = ", ".join(f"{int(mask.sum())} {name}" for name, mask in parts.items())
+    return (
+        f"training to {layout.train:.0f} s, validation to {layout.validation:.0f} s, test to {packed.t[-1]:.0f} s; "
+        f"hidden windows of {layout.window:g} s: {counts}"
+    )
+
+
+def shown(best: str) -> str:
+    """The candidate whose parameters are told."""
+    return "tuned" if best == "datasheet" else best
+
+
+def verdict(
+    best: str, trials: "Mapping[str, Trial]", scores: Mapping[str, dict[str, float]], parts: Mapping[str, np.ndarray]
+) -> str:
+    """Which candidate won, why the others did not, and what it is worth on the test."""
+    lost = "; ".join(
+        f"{name}: {max(t.ratios):.2f} at worst" for name, t in trials.items() if name not in (best, "datasheet")
+    )
+    if best == "datasheet":
+        return (
+            "the datasheet stays: no candidate drifts less on training and validation windows in RMS and in mean log "
+            f"({lost} of the datasheet's)"
+        )
+    ratio = scores[best]["rms_m"] / scores["datasheet"]["rms_m"]
+    count = int(parts["test"].sum())
+    return (
+        f"{best}: {ratio:.2f} of the datasheet's RMS drift over {count} test windows "
+        f"({scores['datasheet']['rms_m']:.2f} to {scores[best]['rms_m']:.2f} m)" + (f"; {lost}" if lost else "")
+    )
+
+
+def text(found: "Tuned") -> str:
+    """The table of `Tuned`, for a terminal."""
+    head = ["parameter", "datasheet", shown(found.chosen), "95 %", "unit", "prior (1 sd)", ""]
+    rows = [
+        [r.name, f"{r.datasheet:.4g}", f"{r.value:.4g}", f"{r.low:.3g} to {r.high:.3g}", r.unit, r.prior, r.remark]
+        for r in found.rows
+    ]
+    width = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
+    line = lambda row: "  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip()  # noqa: E731
+    lines = [line(head), line(["-" * w for w in width]), *map(line, rows), ""]
+    lines.append(
+        f"the likelihood counts as {found.effective:.1f} observations (windows that fit into the training part)"
+    )
+    lines.append(found.verdict)
+    if found.gain is not None:
+        g = found.gain
+        lines.append(f"drift {g.gain:.2f} times smaller on the test (95 %: {g.low:.2f} to {g.high:.2f})")
+    elif found.chosen != "datasheet":
+        blocks = len({int(b // found.layout.every) for b in found.windows.start if b >= found.layout.validation})
+        lines.append(
+            f"no interval: {blocks} blocks of windows in the test, it takes {LEAST_WINDOWS} "
+            f"({LEAST_WINDOWS * found.layout.every / 0.35:.0f} s of recording)"
+        )
+    return "\n".join(lines)

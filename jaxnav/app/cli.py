@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 INTERRUPTED = 130  # exit code
 COLLECT = 20_000  # new objects until the garbage collector looks; at Python's 700 it takes a third of tracing
 VERBS = {
-    "demo": "simulate, tune by gradient and draw the figures: no data, no network, about a minute",
+    "demo": "simulate, tune by gradient and draw the figures: no data, no network, two minutes the first time",
     "check": "check a recording against itself: what looks wrong, and a configuration that runs it",
     "convert": "write a recording of any format as CSV files",
     "simulate": "write a simulated recording and its truth",

@@ -10,7 +10,6 @@ import time
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
@@ -87,7 +86,7 @@ def one(name: str, path: Path, tracks: dict | None) -> dict:
         out |= {"drift_median_m": float(np.median(off)), "drift_rms_m": float(np.sqrt(np.mean(off**2)))}
         out |= {"drift_m": off.tolist()}
     if tracks is not None:
-        tracks[name] = level(sol.lla, sol.lla[0]), level(rec.aiding["position"].value, sol.lla[0])
+        tracks[name] = tuple(earth.enu_path(a, sol.lla[0])[:, :2] for a in (sol.lla, rec.aiding["position"].value))
     return out
 
 
@@ -137,11 +136,6 @@ def tuning_table(results: dict[str, dict]) -> str:
     ]
     all_of = np.array([r["drift_ratio"] for r in results.values() if r["ran"]])
     return table(head, rows) + f"\nlargest ratio {all_of.max():.2f}, median {np.median(all_of):.2f}"
-
-
-def level(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """East and north, (N, 2) m."""
-    return np.asarray(jax.vmap(earth.enu_difference, (0, None))(jnp.asarray(lla), jnp.asarray(origin)))[:, :2]
 
 
 def draw(tracks: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> None:

@@ -13,7 +13,6 @@ attitude. Where heading cannot be seen its standard deviation says so.
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -121,14 +120,9 @@ def inside(fixes: Samples, begin: float, end: float) -> Samples:
 # ---------------------------------------------------------------------------- what the fixes show
 
 
-def _local(lla: np.ndarray) -> np.ndarray:
-    """Positions (K, 3) in ENU metres from the first one."""
-    return np.asarray(jax.vmap(earth.enu_difference, (0, None))(jnp.asarray(lla), jnp.asarray(lla[0])))
-
-
 def _seen(fixes: Samples, positions: bool, lla: np.ndarray, begin: float) -> Seen:
     t = fixes.t
-    z = _local(fixes.value) if positions else fixes.value
+    z = earth.enu_path(fixes.value, fixes.value[0]) if positions else fixes.value
     vel = np.gradient(z, t, axis=0) if positions else z
     place, mean = jnp.asarray(lla, float), jnp.asarray(vel.mean(0))
     rate = np.asarray(earth.earth_rate(place[0]))

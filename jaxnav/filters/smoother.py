@@ -51,8 +51,9 @@ def smooth(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> tuple[Info,
     """Filter and smooth: what `run` gives, and the same with navigation and covariance by all fixes.
 
     The smoothed `Info` has nav (E, ...), x (E, n), what smoothing takes off the filter's navigation, and P (E, n, n) in
-    local level. Its innovations are the filter's; residuals of position and velocity are of smoothed navigation, but
-    for what the change of attitude does to the lever arm. Differentiable. Memory: 4 n^2 numbers an epoch.
+    local level. Its innovations are the filter's; residuals of position and velocity are of smoothed navigation where
+    all of the error is fed back, but for what the change of attitude does to the lever arm. Differentiable. Memory:
+    4 n^2 numbers an epoch.
 
     Raises:
         ValueError: a filter whose correction is not one of the covariance.

@@ -75,6 +75,11 @@ def continuous(lla: np.ndarray) -> np.ndarray:
     return np.stack([lla[:, 0], np.unwrap(lla[:, 1]), lla[:, 2]], 1)
 
 
+def enu_path(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Positions (N, 3) in metres of ENU from a near one, as `enu_difference` (host array)."""
+    return np.asarray(jax.vmap(enu_difference, (0, None))(jnp.asarray(lla), jnp.asarray(origin)))
+
+
 def axes(lat: jax.Array, lon: jax.Array) -> jax.Array:
     """Rotation ENU -> ECEF, (3, 3): its columns are east, north and up in ECEF."""
     sl, cl, so, co = jnp.sin(lat), jnp.cos(lat), jnp.sin(lon), jnp.cos(lon)

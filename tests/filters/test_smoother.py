@@ -7,7 +7,11 @@ import pytest
 
 from jaxnav.analysis import metrics
 from jaxnav.data.epochs import hide
-from jaxnav.filters.catalogue import build
+from jaxnav.filters.catalogue import FRAMES, build
+from jaxnav.filters.core import make_filter
+from jaxnav.filters.error_model import error_model
+from jaxnav.filters.feedback import open_loop
+from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.run import run
 from jaxnav.filters.smoother import keep, smooth, smooth_jit
 from jaxnav.maths import rotations
@@ -67,6 +71,19 @@ def test_it_is_the_batch_solution_of_the_same_linear_problem(case):
     np.testing.assert_allclose(np.asarray(smoothed.x) / sd, expected / sd, atol=1e-6)
     mine = np.sqrt(np.asarray(jax.vmap(jnp.diag)(smoothed.P)))
     np.testing.assert_allclose(mine / sd, 1.0, atol=1e-6)
+
+
+def test_what_is_not_fed_back_is_carried(case):
+    """In open loop, likewise: the estimate that stays is part of what is smoothed."""
+    frame = FRAMES["local_level"]
+    filt = make_filter(frame.fast, error_model(), kalman(), open_loop, 5)
+    epochs = jax.tree.map(lambda a: a[:12], case.packed.epochs)
+    epochs = hide(epochs, (np.arange(12) > 4) & (np.arange(12) < 9))
+    forward, _ = run(filt, case.params, case.nav, epochs, keep)
+    assert float(jnp.abs(forward.a).max()) > 0
+    _, smoothed = smooth_jit(filt, case.params, case.nav, epochs)
+    expected, sd = batch(filt, case.params, case.nav, epochs)
+    np.testing.assert_allclose(np.asarray(smoothed.x + forward.a) / sd, expected / sd, atol=1e-6)
 
 
 def errors(info, truth_pos, truth_vel):

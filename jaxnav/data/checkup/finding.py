@@ -2,8 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.maths import earth
@@ -23,7 +21,7 @@ class Finding(NamedTuple):
 
 def local(lla: np.ndarray) -> np.ndarray:
     """Positions (K, 3) in ENU metres from the middle one."""
-    return np.asarray(jax.vmap(earth.enu_difference, (0, None))(jnp.asarray(lla), jnp.asarray(lla[len(lla) // 2])))
+    return earth.enu_path(lla, lla[len(lla) // 2])
 
 
 def running(t: np.ndarray, value: np.ndarray) -> np.ndarray:

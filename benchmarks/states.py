@@ -20,7 +20,9 @@ from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.parameters import datasheet_states
 from jaxnav.filters.run import run
+from jaxnav.maths import earth
 from jaxnav.measurements import GNSS
+from jaxnav.simulate.processes import gauss_markov
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import Simulated, matched_params, simulate
 from jaxnav.states.grades import GRADES
@@ -28,7 +30,7 @@ from jaxnav.states.table import STATES
 from jaxnav.types import Fix, Nav, Params
 
 STRIDE, CHUNK = 10, 32
-BAROMETER_SD, BAROMETER_KEY = 0.5, 7  # m; folded into a run's key
+BAROMETER_SD, BAROMETER_KEY, SLOW_KEY = 0.5, 7, 8  # m; folded into a run's key
 
 
 class Final(NamedTuple):
@@ -67,25 +69,38 @@ def with_barometer(sim: Simulated, key: jax.Array) -> Simulated:
     return sim._replace(epochs=sim.epochs._replace(fix=fix), truth=truth)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def runs_of(filt: Filter, scenario: Scenario, params: Params, keys: jax.Array) -> Final:
+def with_slow_fixes(sim: Simulated, key: jax.Array) -> Simulated:
+    """The run with an error of its fixes as the row of `STATES` believes, minutes long."""
+    believed, interval = STATES["gnss_position_error"].defaults, sim.truth.t[1] - sim.truth.t[0]
+    error = believed.sd * gauss_markov(jax.random.normal(key, (sim.truth.t.size, 3), float), interval, believed.tau)
+    f = sim.epochs.fix
+    moved = jax.vmap(earth.move)(f.value[:, :3], error)
+    fix = f._replace(value=jnp.concatenate([moved, f.value[:, 3:]], 1))
+    truth = sim.truth._replace(errors=sim.truth.errors | {"gnss_position_error": error})
+    return sim._replace(epochs=sim.epochs._replace(fix=fix), truth=truth)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 4))
+def runs_of(filt: Filter, scenario: Scenario, params: Params, keys: jax.Array, slow: bool) -> Final:
     """The ends of the runs with these keys."""
 
     def one(key):
         sim = simulate(scenario, key)
         if "barometer" in filt.model.measurements:
             sim = with_barometer(sim, jax.random.fold_in(key, BAROMETER_KEY))
+        if slow:
+            sim = with_slow_fixes(sim, jax.random.fold_in(key, SLOW_KEY))
         rows = run(filt, params, sim.initial, sim.epochs, partial(final, filt), sim.truth)
         return jax.tree.map(lambda a: a[-1], rows)
 
     return jax.vmap(one)(keys)
 
 
-def scored(filt: Filter, scenario: Scenario, runs: int, seed: int) -> Final:
+def scored(filt: Filter, scenario: Scenario, runs: int, seed: int, slow: bool = False) -> Final:
     """All runs, some at a time."""
     params = knowing(matched_params(scenario), scenario, filt)
     keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(np.arange(runs))
-    parts = [jax.device_get(runs_of(filt, scenario, params, keys[i : i + CHUNK])) for i in range(0, runs, CHUNK)]
+    parts = [jax.device_get(runs_of(filt, scenario, params, keys[i : i + CHUNK], slow)) for i in range(0, runs, CHUNK)]
     found = jax.tree.map(lambda *a: np.concatenate(a), *parts)
     if not found.ok.all():
         raise SystemExit(f"{(~found.ok).sum()} of {runs} runs stopped being finite")
@@ -135,7 +150,20 @@ def barometer(runs: int, seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-STUDIES = {"scale": scale, "barometer": barometer}
+def receiver(runs: int, seed: int) -> dict[str, Any]:
+    """Fixes with an error of minutes: 18 states against 15 that take it for the way, between and at their fixes."""
+    urban = SCENARIOS["urban"]
+    with_it = scored(build("ekf15", cov_stride=STRIDE, states=("gnss_position_error",)), urban, runs, seed, True)
+    without = scored(build("ekf15", cov_stride=STRIDE), urban, runs, seed, True)
+    level = lambda found: float(np.sqrt(np.mean(found.error[:, :2] ** 2)))  # noqa: E731
+    return {
+        "anees_18": anees(with_it), "anees_15": anees(without), "bounds": bounds(18, runs),
+        "inside": inside(with_it, slice(15, 18)), "horizontal_rms_m": level(with_it),
+        "horizontal_rms_without_m": level(without), "per_run_18": with_it.nees, "per_run_15": without.nees,
+    }  # fmt: skip
+
+
+STUDIES = {"scale": scale, "barometer": barometer, "receiver": receiver}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -27,6 +27,7 @@ class Prior(NamedTuple):
 PRIORS: dict[str, Prior] = {
     "noise": Prior(10.0, "within a factor 10", "vibration, scale errors or a delay pass for noise, or another grade"),
     "drive": Prior(10.0, "within a factor 10", "what is not modelled passes for a bias that drifts"),
+    "tau": Prior(5.0, "within a factor 5", "what is slow is a walk, or what is fast is noise"),
     "scale": Prior(3.0, "within a factor 3", "the receiver's sd are not meant as such, or its errors are not white"),
     "sd": Prior(3.0, "within a factor 3", "the start is other than said"),
     "time": Prior(0.1, "within 0.1 s", "logged by another clock, or a receiver that filters for long"),
@@ -40,12 +41,11 @@ GROUPS = ("noise", "fixes", "timing", "lever_arm", "vehicle", "prior")
 def kind_of(leaf: str) -> str:
     """The row of `PRIORS` for a leaf."""
     last = leaf.rpartition(".")[2]
-    named = {"drive": "drive", "sd": "sd", "scale": "scale", "clock_drift": "clock_drift", "vehicle": "angle"}
     if last in ("time_offset", "latency"):
         return "time"
     if last in ("lever_arm", "wheel_arm"):
         return "length"
-    return named.get(last, "noise")
+    return "angle" if last == "vehicle" else last if last in PRIORS else "noise"
 
 
 def leaves_of(filt: Filter, params: Params, free: Iterable[str]) -> list[str]:
@@ -94,7 +94,7 @@ def spec_of(
     for leaf in leaves_of(filt, params, free):
         transform = transform_of(leaf)
         centre = jnp.asarray(get(params, leaf), float)
-        if kind_of(leaf) in ("noise", "drive", "scale", "sd") and centre.ndim < 2:
+        if kind_of(leaf) in ("noise", "drive", "tau", "scale", "sd") and centre.ndim < 2:
             transform = tied(transform)
             centre = jnp.exp(jnp.mean(jnp.log(centre)))
         width = widths.get(leaf, PRIORS[kind_of(leaf)].sd)

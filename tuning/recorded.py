@@ -11,14 +11,14 @@ where a receiver's errors are not, and then no prior would weigh anything beside
 the mean negative log-likelihood of hidden fixes at several ages of hidden windows, by a Student t, a proper score of
 what users of a filter care about. Both have an information matrix, so that the method of scoring minimises J.
 
-The search starts from the datasheet and from where the likelihood alone leads while receiver and clock are held; what
-it finds competes with the datasheet on training and validation windows, and the datasheet stays unless all is better.
-The winner is judged once, on the test.
+The search starts from the datasheet and from where the likelihood alone leads while receiver and clock are held. Where
+the position's innovations are correlated from fix to fix, as of a receiver whose errors are slow, a filter that
+estimates them (`gnss_position_error`) is tuned as well. What is found competes with the datasheet on training and
+validation windows, and the datasheet stays unless all is better. The winner is judged once, on the test.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -30,42 +30,33 @@ from jaxnav.analysis.windows import Windows, drift, hidden_windows
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start, heading_bank, start
 from jaxnav.filters.compiler import make_room
-from jaxnav.filters.core import Filter, Step
+from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for
-from jaxnav.filters.run import prepare, require_x64, run
+from jaxnav.filters.run import prepare, require_x64
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.types import DataError, Epoch, Nav, Params, Recording
+from jaxnav.types import DataError, Epoch, Info, Nav, Params, Recording
 from tuning import scoring
+from tuning.evidence import SLOW, Job
+from tuning.parts import Layout, parts_of, plan
 from tuning.priors import PRIORS, in_words, kind_of, spec_of
 from tuning.report import LEAST_WINDOWS, Row, in_words_of, shown, text, verdict
-from tuning.transforms import Spec, join, labels, split
-from tuning.uncertainty import Information, gaussian, pushed
+from tuning.transforms import Spec, labels, split
 from tuning.validation import PairedGain, paired_gain
 
 REACH = 0.3  # s, of delay that tuning may add to what is known
-FREEDOM = 4.0  # of the Student t of hidden fixes
-AGES = (0.0, 1 / 3, 2 / 3, 1.0)  # of a window
 PHASES = 5  # runs with windows shifted against each other
 MOST, TOLERANCE = 25, 0.02  # evaluations of one search; gain in J that is worth another
 HELD = ("measurements.position.scale", "mounting.clock_drift")  # while the likelihood alone leads the way
 FAR = 2.0  # sd of a prior beyond which a parameter is said to be far
-TINY = 1e-4  # of an sd: a parameter that is held
 LEAST_LOG_M = 0.1  # m: smaller drifts count as this in mean logarithms
-
-
-class Layout(NamedTuple):
-    """How a recording is used, s."""
-
-    window: float  # length of hidden windows
-    every: float  # their spacing in a run
-    settle: float  # nothing counts before this long after the start
-    train: float  # time at which the training part ends
-    validation: float  # and the validation part
+CORRELATED = 0.15  # of a position's innovations from fix to fix, from which on slow errors are tried
+SLOW_LEAVES = (f"states.{SLOW}.drive", f"states.{SLOW}.tau")
 
 
 class Trial(NamedTuple):
     """A candidate, and how it does against the datasheet."""
 
+    filter: Filter
     params: Params
     drift: np.ndarray  # (W,) m, horizontal, at the end of each window
     ratios: tuple[float, float, float, float]  # RMS, mean log: training and validation together, validation alone
@@ -76,6 +67,7 @@ class Tuned:
     """What tuning found, and whether it is any better; prints as a table."""
 
     params: Params  # the winner's: the datasheet's where nothing beats it
+    filter: Filter  # that they are for: the winner may have a state more
     chosen: str  # of `trials`
     verdict: str
     rows: list[Row]  # of the winner; where that is the datasheet, of what was tuned
@@ -129,8 +121,9 @@ def tune(
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     packed = ep.pack_recording(rec, chosen, begin.t, 0.0, stop, standing)
     rate = 1 / float(np.median(rec.imu.dt))
-    if filt.keeping:
-        filt = filt.keeping(history_for(params, rate, float(np.ptp(rec.imu.t)), REACH))
+    samples = history_for(params, rate, float(np.ptp(rec.imu.t)), REACH)
+    kept = lambda each: each.keeping(samples) if each.keeping else each  # noqa: E731
+    filt = kept(filt)
     layout = plan(packed, window)
     windows = hidden_windows(packed, layout.window, layout.every, PHASES, layout.settle)
     parts = parts_of(layout, windows)
@@ -145,11 +138,26 @@ def tune(
     nav = one_start(filt, sheet, begin.navs, epochs, packed.t, layout.train)
     spec = spec_of(filt, sheet, free, widths)
     job = Job(filt, spec, sheet, nav, epochs, packed, windows, parts["training"], layout)
-    found, history = candidates(job, begin, say)
+    history: list[dict] = []
+    found = candidates(job, begin, history, say)
+    jobs = dict.fromkeys(found, job)
     say("scoring the candidates on hidden windows")
-    offs = {name: level_drift(filt, p, nav, epochs, windows, chosen) for name, p in found.items()}
+    score = lambda name: level_drift(jobs[name].filt, found[name], nav, epochs, windows, chosen)  # noqa: E731
+    offs = {name: score(name) for name in found}
+    slow = correlation(offs["tuned"][1], packed, layout)
+    if slow > CORRELATED and filt.extended and SLOW not in filt.model.states:
+        say(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
+        more = kept(filt.extended(SLOW))
+        whole = sheet._replace(states=sheet.states | {SLOW: more.params().states[SLOW]})
+        wider = spec | spec_of(more, whole, SLOW_LEAVES, widths)
+        other = Job(more, wider, whole, nav, epochs, packed, windows, parts["training"], layout)
+        jobs["slow errors"] = other
+        first = other.numbers(found["tuned"])
+        found["slow errors"] = other.params(search("slow errors", other, other.objective(), first, history, say).raw)
+        offs["slow errors"] = score("slow errors")
     trials = {
-        name: Trial(found[name], off[0], ratios(offs["datasheet"][0], off[0], parts)) for name, off in offs.items()
+        name: Trial(jobs[name].filt, found[name], off[0], ratios(offs["datasheet"][0], off[0], parts))
+        for name, off in offs.items()
     }
     best = choose(trials)
     test = parts["test"]
@@ -160,34 +168,14 @@ def tune(
     nis = {name: channels(off[1], chosen, packed.t > layout.validation) for name, off in offs.items()}
     scores = {name: spread(off[0][test]) for name, off in offs.items()}
     return Tuned(
-        trials[best].params, best, verdict(best, trials, scores, parts), table(job, found[shown(best)]), trials, layout,
-        windows, {name: int(mask.sum()) for name, mask in parts.items()}, job.effective, gain, scores, nis, begin, spec,
-        history,
+        trials[best].params, trials[best].filter, best, verdict(best, trials, scores, parts),
+        table(jobs[shown(best)], found[shown(best)]), trials, layout, windows,
+        {name: int(mask.sum()) for name, mask in parts.items()}, job.effective, gain, scores, nis, begin,
+        jobs[best].spec, history,
     )  # fmt: skip
 
 
 # ---------------------------------------------------------------------------- parts of the recording
-
-
-def plan(packed: ep.Packed, window: float | None = None) -> Layout:
-    """Half of the time for training, 15 % for validation, the rest for the test; windows by the length of it all."""
-    span = float(packed.t[-1]) - packed.start
-    if window is None:
-        window = 15.0 if span >= 300 else 10.0 if span >= 120 else 5.0 if span >= 50 else 3.0
-    settle = min(30.0, 0.1 * span)
-    begin = packed.start + settle
-    left = span - settle
-    return Layout(window, 3 * window, settle, begin + 0.5 * left, begin + 0.65 * left)
-
-
-def parts_of(layout: Layout, windows: Windows) -> dict[str, np.ndarray]:
-    """Masks (W,): windows that lie within a part."""
-    end = windows.start + layout.window
-    return {
-        "training": end <= layout.train + ep.TICK,
-        "validation": (windows.start >= layout.train - ep.TICK) & (end <= layout.validation + ep.TICK),
-        "test": windows.start >= layout.validation - ep.TICK,
-    }
 
 
 def one_start(filt: Filter, params: Params, navs: Nav, epochs: Epoch, t: np.ndarray, until: float) -> Nav:
@@ -199,163 +187,49 @@ def one_start(filt: Filter, params: Params, navs: Nav, epochs: Epoch, t: np.ndar
     return jax.tree.map(lambda a: a[best], navs)
 
 
-# ---------------------------------------------------------------------------- what is minimised
-
-
-class Evidence(NamedTuple):
-    """Sums over what the training part shows: value (), score (P,), information (P, P), and of how many."""
-
-    value: jax.Array
-    score: jax.Array
-    fisher: jax.Array
-    number: jax.Array
-
-
-class Seen(NamedTuple):
-    """What is kept of an epoch."""
-
-    nu: jax.Array
-    S: jax.Array
-    valid: jax.Array
-    ok: jax.Array
-    residual: jax.Array  # (3,) of the position
-    P: jax.Array  # (3, 3) of it
-
-
-def _keep(step: Step, beside: Any) -> Seen:
-    info = step.info
-    return Seen(info.nu, info.S, info.valid, info.ok, info.residual[:3], info.P[:3, :3])
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _evidence(
-    filt: Filter, items: tuple, flat: jax.Array, like: Any, params: Params, nav: Nav, epochs: Epoch, valid: jax.Array,
-    keep: jax.Array, at: jax.Array, there: jax.Array, sd: jax.Array,
-) -> tuple[Evidence, Evidence]:  # fmt: skip
-    """Of innovations and of hidden fixes; valid (P, E, m), keep (P, E), at and there (P, A), sd (P, A, 3)."""
-    spec, (_, back) = dict(items), ravel_pytree(like)
-
-    def phase(valid, keep, at, there, sd):
-        def outputs(r):
-            own = join(spec, back(r), params)
-            seen = run(filt, own, nav, epochs._replace(fix=epochs.fix._replace(valid=valid)), _keep)
-            scale = own.measurements["position"].scale
-            size = jnp.linalg.norm(scale, axis=-1) if jnp.ndim(scale) == 2 else jnp.broadcast_to(scale, (3,))
-            R = jax.vmap(jnp.diag)((size * sd) ** 2)
-            return (seen.nu, seen.S, seen.residual[at], seen.P[at] + R), (seen.valid, seen.ok)
-
-        ((nu, S, y, C), (seen, ok)), (dnu, dS, dy, dC) = pushed(outputs, flat)
-        own = jax.vmap(gaussian, (0, 0, 0, 1, 1))(nu, S, seen, dnu, dS)
-        three = jnp.ones((at.size, 3), bool)
-        far = jax.vmap(partial(gaussian, freedom=FREEDOM), (0, 0, 0, 1, 1))(y, C, three, dy, dC)
-        lost = jnp.where((keep & ~ok).any(), jnp.inf, 0.0)
-        counts = keep & seen.any(-1)
-
-        def total(parts, mask):
-            value, score, fisher = (jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0).sum(0) for a in parts)
-            return Evidence(value, score, fisher, mask.sum())
-
-        innovations = total(own, counts)
-        return innovations._replace(value=innovations.value + lost), total(far, there)
-
-    both = jax.vmap(phase)(valid, keep, at, there, sd)
-    return jax.tree.map(lambda a: a.sum(0), both)
-
-
-class Job:
-    """The objective of one recording, for a search."""
-
-    def __init__(
-        self, filt: Filter, spec: Spec, sheet: Params, nav: Nav, epochs: Epoch, packed: ep.Packed, windows: Windows,
-        training: np.ndarray, layout: Layout,
-    ):  # fmt: skip
-        E = int(np.searchsorted(packed.t, layout.train + ep.TICK))
-        chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-        self.filt, self.spec, self.sheet, self.nav = filt, spec, sheet, nav
-        self.raw = split(spec, sheet)
-        self.flat, self.back = ravel_pytree(self.raw)
-        self.items = tuple(spec.items())
-        self.epochs = jax.tree.map(lambda a: a[:E], epochs)
-        hidden = windows.hidden[:, :E]
-        self.valid = jnp.stack([ep.hide(self.epochs, h, chosen).fix.valid for h in hidden])
-        self.keep = jnp.asarray((packed.t[:E] >= packed.start + layout.settle) & ~hidden)
-        there = np.all(np.asarray(packed.epochs.fix.valid)[:, :2], axis=1)
-        self.at, self.there = ages(windows, packed.t, there, training, layout.window)
-        self.sd = jnp.asarray(np.asarray(packed.epochs.fix.sd)[:, :3][self.at])
-        self.effective = max(1.0, float(layout.train - packed.start - layout.settle) / layout.window)
-        self.centre = self.flat
-        self.width = np.concatenate([np.full(np.size(self.raw[name]), _width(spec, name)) for name in sorted(spec)])
-
-    def evidence(self, flat: jax.Array) -> tuple[Evidence, Evidence]:
-        """Of innovations, of hidden fixes."""
-        return _evidence(
-            self.filt, self.items, flat, self.raw, self.sheet, self.nav, self.epochs, self.valid, self.keep,
-            jnp.asarray(self.at), jnp.asarray(self.there), self.sd,
-        )  # fmt: skip
-
-    def objective(self, horizon: bool = True, held: Sequence[str] = ()) -> Callable[[jax.Array], Information]:
-        """J and its information, as `tuning.scoring.maximise` takes it."""
-        names = [name for name in sorted(self.spec) for _ in range(np.size(self.raw[name]))]
-        width = np.where(np.isin(names, held), TINY * self.width, self.width)
-
-        def inform(flat: jax.Array) -> Information:
-            parts = self.evidence(flat)[: 2 if horizon else 1]
-            mean = [jax.tree.map(lambda a, e=e: a / jnp.maximum(e.number, 1), e) for e in parts]
-            off = (flat - self.centre) / width
-            value = self.effective * sum(e.value for e in mean) + 0.5 * jnp.sum(off**2)
-            score = self.effective * sum(e.score for e in mean) + off / width
-            fisher = self.effective * sum(e.fisher for e in mean) + jnp.diag(1 / jnp.asarray(width) ** 2)
-            return Information(value, score, fisher, jnp.zeros((1, flat.size)))
-
-        return inform
-
-    def params(self, flat: jax.Array) -> Params:
-        """The parameters that unconstrained numbers stand for."""
-        return join(self.spec, self.back(flat), self.sheet)
-
-
-def _width(spec: Spec, name: str) -> float:
-    belief = spec[name].belief
-    return 1e3 if belief is None else belief.sd
-
-
-def ages(
-    windows: Windows, t: np.ndarray, there: np.ndarray, mask: np.ndarray, length: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Epochs of hidden fixes at `AGES` of each window of a mask, (P, A) int, and which are any, (P, A) bool."""
-    rows: list[list[int]] = [[] for _ in windows.hidden]
-    for phase, begin in zip(windows.phase[mask], windows.start[mask], strict=True):
-        known = np.flatnonzero((t > begin + ep.TICK) & (t <= begin + length + ep.TICK) & there)
-        rows[phase] += sorted({int(known[round(a * (known.size - 1))]) for a in AGES})
-    most = max(1, max(len(row) for row in rows))
-    at = np.array([row + [0] * (most - len(row)) for row in rows])
-    return at, np.array([[True] * len(row) + [False] * (most - len(row)) for row in rows])
-
-
 # ---------------------------------------------------------------------------- candidates
 
 
-def candidates(
-    job: Job, begin: Start, say: Callable[[str], None] = lambda line: None
-) -> tuple[dict[str, Params], list[dict]]:
+def search(
+    name: str, job: Job, objective: Callable, first: jax.Array, history: list[dict], say: Callable[[str], None]
+) -> scoring.Search:
+    """Minimise an objective from a point, with a line and a row of the history for each evaluation."""
+
+    def report(i: int, at: scoring.Search) -> None:
+        row = {"search": name, "step": i, "loss": float(at.best.nll)}
+        history.append(row)
+        say(f"  {name}, evaluation {i}: J {row['loss']:.4f}")
+
+    say(f"{name}; free: {', '.join(job.spec)}; compiling (first time, up to a minute; cached from then on)")
+    return scoring.maximise(objective, first, MOST, TOLERANCE, report)
+
+
+def candidates(job: Job, begin: Start, history: list[dict], say: Callable[[str], None]) -> dict[str, Params]:
     """The datasheet, what the likelihood alone says with receiver and clock held, and the minimum of J."""
-    history: list[dict] = []
-
-    def search(name: str, objective: Callable, first: jax.Array) -> scoring.Search:
-        def report(i: int, at: scoring.Search) -> None:
-            row = {"search": name, "step": i, "loss": float(at.best.nll)}
-            history.append(row)
-            say(f"  {name}, evaluation {i}: J {row['loss']:.4f}")
-
-        return scoring.maximise(objective, first, MOST, TOLERANCE, report)
-
-    say(f"free: {', '.join(job.spec)}; compiling (first time, up to a minute; cached from then on)")
-    held = search("held", job.objective(horizon=False, held=[h for h in HELD if h in job.spec]), _delayed(job, begin))
-    whole = job.objective()
-    ends = [search(f"tuned from {name}", whole, first) for name, first in (("held", held.raw), ("datasheet", job.flat))]
+    alone, whole = job.objective(horizon=False, held=[h for h in HELD if h in job.spec]), job.objective()
+    held = search("held", job, alone, _delayed(job, begin), history, say)
+    ends = [
+        search(f"tuned from {name}", job, whole, first, history, say)
+        for name, first in (("held", held.raw), ("datasheet", job.flat))
+    ]
     best = min(ends, key=lambda each: float(each.best.nll))
-    found = {"datasheet": job.sheet, "held": job.params(held.raw), "tuned": job.params(best.raw)}
-    return found, history
+    return {"datasheet": job.sheet, "held": job.params(held.raw), "tuned": job.params(best.raw)}
+
+
+def correlation(info: Info, packed: ep.Packed, layout: Layout) -> float:
+    """Of the position's normalised innovations from one fix to the next, before the test part; 0 of fewer than 30.
+
+    ``info`` (P, E, ...); a hidden window between two fixes keeps them apart.
+    """
+    z = np.asarray(info.nu)[..., :3] / np.sqrt(np.diagonal(np.asarray(info.S), axis1=-2, axis2=-1)[..., :3])
+    product, square, count = 0.0, 0.0, 0
+    for used, row in zip(np.asarray(info.valid)[..., :3], z, strict=True):
+        at = np.flatnonzero(used.all(1) & (packed.t > packed.start + layout.settle) & (packed.t < layout.validation))
+        apart = np.diff(packed.t[at])
+        near = apart < 1.5 * np.median(apart) if apart.size else np.zeros(0, bool)
+        a, b = row[at[:-1]][near], row[at[1:]][near]
+        product, square, count = product + (a * b).sum(), square + 0.5 * (a**2 + b**2).sum(), count + near.sum()
+    return float(product / square) if count >= 30 else 0.0
 
 
 def _delayed(job: Job, begin: Start) -> jax.Array:

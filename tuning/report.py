@@ -7,7 +7,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from jaxnav.data.epochs import Packed
-    from tuning.recorded import Layout, Trial, Tuned
+    from tuning.parts import Layout
+    from tuning.recorded import Trial, Tuned
 
 LEAST_WINDOWS = 8  # blocks of time that an interval needs
 

@@ -140,7 +140,7 @@ def fit(
     bar = progress_bar(steps + 1, "step", progress, at.step)
     try:
         while at.step <= steps:
-            if drawn is not None:
+            if drawn is not None and at.step:
                 groups = tuple(distributed.share(group, mesh) for group in drawn(at.step))
                 train = (train[0], train[1]._replace(cases=groups))
                 judge = judge if validation is not None else train

@@ -20,6 +20,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from scipy.special import ndtri, stdtrit
 
+from jaxnav.filters.run import FREEDOM, student_constant
 from jaxnav.maths import linalg
 from jaxnav.types import Info
 from tuning.transforms import Spec, labels, penalty, told, values
@@ -48,10 +49,10 @@ def information(
 
     def innovations(r):
         info = solve(r)
-        return (info.nu, info.S), (info.valid, info.ok)
+        return (info.nu, info.S), (info.valid, rejected(info), info.ok)
 
-    ((nu, S), (valid, ok)), (dnu, dS) = pushed(innovations, raw)
-    nll, score, fisher = jax.vmap(gaussian, (0, 0, 0, 1, 1))(nu, S, valid, dnu, dS)
+    ((nu, S), (valid, far, ok)), (dnu, dS) = pushed(innovations, raw)
+    nll, score, fisher = jax.vmap(gaussian, (0, 0, 0, 1, 1, 0))(nu, S, valid, dnu, dS, far)
     counts = keep & valid.any(-1)
     weigh = lambda a: jnp.where(counts.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0)  # noqa: E731
     score = weigh(score)
@@ -78,19 +79,23 @@ def pushed(outputs: Callable[[jax.Array], tuple[Any, Any]], raw: jax.Array) -> t
     return first, jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[: raw.size], slopes)
 
 
-def gaussian(nu, S, valid, dnu, dS, freedom: float = jnp.inf):
+def rejected(info: Info) -> jax.Array:
+    """(E,) bool: epochs of which the rule rejected something."""
+    return (info.valid & ~info.used).any(-1)
+
+
+def gaussian(nu, S, valid, dnu, dS, heavy=False):
     """Negative log-likelihood (), score (P,) and information (P, P) of a residual nu (m,) of covariance S (m, m).
 
     ``dnu`` (P, m) and ``dS`` (P, m, m) are their derivatives. Missing channels have nu = 0 and an identity row in S.
-    ``freedom``: of a Student t in place of the Gaussian, of all m channels, which makes little of what lies far out.
+    ``heavy`` () bool: a Student t of `FREEDOM` in place of the Gaussian, which makes little of what lies far out.
     """
     inv = linalg.inverse(S)
     w, A, m = inv @ nu, inv @ dS, valid.sum()
-    square, spread = nu @ w, linalg.log_determinant(S)
-    if np.isfinite(freedom):
-        nll, weight = 0.5 * (spread + (freedom + m) * jnp.log1p(square / freedom)), (freedom + m) / (freedom + square)
-    else:
-        nll, weight = 0.5 * (square + m * jnp.log(2 * jnp.pi) + spread), 1.0
+    square = nu @ w
+    far = 0.5 * (FREEDOM + m) * jnp.log1p(square / FREEDOM) + student_constant(m, valid.size)
+    nll = jnp.where(heavy, far, 0.5 * (square + m * jnp.log(2 * jnp.pi))) + 0.5 * linalg.log_determinant(S)
+    weight = jnp.where(heavy, (FREEDOM + m) / (FREEDOM + square), 1.0)
     score = 0.5 * (jnp.trace(A, axis1=1, axis2=2) - weight * (dS @ w) @ w) + weight * (dnu @ w)
     return nll, score, 0.5 * jnp.einsum("iab,jba->ij", A, A) + weight * (dnu @ inv @ dnu.T)
 

@@ -18,6 +18,7 @@ from jaxnav.data.epochs import TICK
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.run import run
+from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate, sizes
 from jaxnav.states.motion import A, P, V
@@ -79,11 +80,6 @@ class MonteCarlo(NamedTuple):
     scores: Scores
     course: Course
     stopped: bool  # by Ctrl-C, before all were finished
-
-
-def run_key(seed: int, run: Any) -> jax.Array:
-    """The key of a run: of the seed and its number only."""
-    return jax.random.fold_in(jax.random.key(seed), run)
 
 
 # ---------------------------------------------------------------------------- one run, compiled
@@ -188,10 +184,10 @@ def monte_carlo(
 ) -> MonteCarlo:
     """Simulate, filter and score runs of a scenario (for the channels of `jaxnav.measurements.GNSS`).
 
-    ``runs``: how many, or their numbers; run i has `run_key` (seed, i). ``candidates``: every leaf of ``params`` has a
-    leading axis of candidates, which all see the same runs. ``chunk`` runs live at a time, side by side; the last
-    chunk is padded. A run whose horizontal error exceeds ``limit_m`` counts as diverged. Ctrl-C keeps the chunks that
-    are finished.
+    ``runs``: how many, or their numbers; run i has `run_key` (seed, STUDY, i). ``candidates``: every leaf of
+    ``params`` has a leading axis of candidates, which all see the same runs. ``chunk`` runs live at a time, side by
+    side; the last chunk is padded. A run whose horizontal error exceeds ``limit_m`` counts as diverged. Ctrl-C keeps
+    the chunks that are finished.
 
     Memory for an hour of IMU at 10 Hz and GNSS at 1 Hz: about 25 MB a run of the chunk, 1 MB more for each candidate,
     and 100 MB a candidate for the histograms.
@@ -205,7 +201,7 @@ def monte_carlo(
         raise ValueError(f"runs and chunk must be at least 1, got {numbers.size} and {chunk}")
     sizes(scenario)
     make_room()
-    keys = jax.vmap(partial(run_key, seed))(np.resize(numbers, -(-numbers.size // chunk) * chunk))
+    keys = jax.vmap(partial(run_key, seed, Purpose.STUDY))(np.resize(numbers, -(-numbers.size // chunk) * chunk))
     limit, scores, stopped = jnp.asarray(limit_m, float), [], False
     sums: _Sums | None = None
     bar = progress_bar(numbers.size, "run", progress)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxnav.analysis.metrics import columns_at
 from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config
-from jaxnav.app.sources import REDRAWN, key_of, simulated
+from jaxnav.app.sources import simulated
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import heading_bank
 from jaxnav.filters.catalogue import build
@@ -20,6 +20,7 @@ from jaxnav.filters.parameters import UNITS
 from jaxnav.filters.run import prepare
 from jaxnav.maths import earth
 from jaxnav.measurements import GNSS, Measurement, clock_offset, counted_from
+from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated
 from jaxnav.states.grades import GRADES
@@ -83,6 +84,9 @@ class Material(NamedTuple):
     known: dict[str, float]  # leaves whose true value is known
 
 
+PARTS = (Purpose.TRAIN, Purpose.VALIDATION, Purpose.TEST)  # of runs that are drawn once
+
+
 def ready(batch: Batch) -> Epoch:
     """The epochs with their prepared samples."""
     return batch.epochs._replace(imu=batch.samples)
@@ -100,7 +104,7 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     _check(config, scenario)
     t = config.tune
     counts = (t.runs, t.validation_runs, t.test_runs)
-    keys = [key_of(config.seed, kind, i) for kind, n in enumerate(counts) for i in range(n)]
+    keys = [run_key(config.seed, part, i) for part, n in zip(PARTS, counts) for i in range(n)]
     sims = simulated(scenario, jnp.stack(keys))
     windows = sims.outages.shape[1]
     if not windows:
@@ -118,7 +122,7 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     train, test = batches[0], parts[2]
 
     def redraw(step: int) -> Batch:
-        keys = jnp.stack([key_of(config.seed, REDRAWN, step * t.runs + i) for i in range(t.runs)])
+        keys = jnp.stack([run_key(config.seed, Purpose.REDRAWN, step * t.runs + i) for i in range(t.runs)])
         return _batch(filt, simulated(scenario, keys), params.mounting)
 
     runs = jnp.broadcast_to(jnp.arange(t.runs)[:, None], train.keep.shape)

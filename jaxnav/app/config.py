@@ -333,11 +333,12 @@ def read(path: str | Path) -> dict[str, Any]:
 
 
 def read_params(path: str | Path) -> dict[str, Any]:
-    """The [params] of a file such as tuned.toml, as a layer."""
+    """The [params] of a file such as tuned.toml and the states that they are for, as a layer."""
     tree = read(path)
     if "params" not in tree:
         raise ConfigError(f"{path}: has no [params]")
-    return {"params": tree["params"]}
+    states = tree.get("filter", {}).get("states")
+    return {"params": tree["params"]} | ({} if states is None else {"filter": {"states": states}})
 
 
 def parse_set(setting: str) -> dict[str, Any]:

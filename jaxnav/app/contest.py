@@ -19,13 +19,14 @@ from jaxnav.analysis import metrics
 from jaxnav.app import config as configuration
 from jaxnav.app.parameters import groups, step_of
 from jaxnav.app.results import stderr
-from jaxnav.app.sources import TEST, TRAIN, VALIDATION, key_of, simulated
+from jaxnav.app.sources import simulated
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, put
 from jaxnav.filters.run import prepare, run
 from jaxnav.maths import rotations, units
+from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.types import Epoch, Nav, Params
@@ -182,15 +183,15 @@ def draw(plan: Plan) -> Runs:
     """Simulate all runs; those of the same number share their random numbers over the kinds."""
     b, runs = plan.budget, Runs([], [], [])
     for i, kind in enumerate((*plan.trained, *plan.unseen)):
-        counts = {TRAIN: b.runs, VALIDATION: b.validation_runs} if i < len(plan.trained) else {}
-        counts[TEST] = b.test_runs
-        keys = jnp.stack([key_of(plan.seed, part, j) for part, n in counts.items() for j in range(n)])
+        counts = {Purpose.TRAIN: b.runs, Purpose.VALIDATION: b.validation_runs} if i < len(plan.trained) else {}
+        counts[Purpose.TEST] = b.test_runs
+        keys = jnp.stack([run_key(plan.seed, part, j) for part, n in counts.items() for j in range(n)])
         sims = simulated(kind.scenario, keys)  # all at once, since a scenario takes longer to compile than to run
         told = jax.tree.map(lambda a, n=len(keys): jnp.broadcast_to(a, (n, *jnp.shape(a))), kind.told)
         case, first = ContestRuns(told, sims.initial, sims.epochs, sims.truth), 0
         for part, n in counts.items():
             own = jax.tree.map(lambda a, first=first, n=n: a[first : first + n], case)
-            {TRAIN: runs.train, VALIDATION: runs.validation, TEST: runs.test}[part].append(own)
+            {Purpose.TRAIN: runs.train, Purpose.VALIDATION: runs.validation, Purpose.TEST: runs.test}[part].append(own)
             first += n
     return runs
 

@@ -11,18 +11,11 @@ from jaxnav import data as io
 from jaxnav.app.config import Config
 from jaxnav.data.read import read
 from jaxnav.filters.run import require_x64
+from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import Simulated, simulate, sizes, to_recording
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError, DataError, Recording, nearest
-
-# folded into the seed: runs of one kind never meet those of another
-TRAIN, VALIDATION, TEST, SINGLE, REDRAWN = range(5)
-
-
-def key_of(seed: int, kind: int, run: int) -> jax.Array:
-    """The key of a simulated run: of its seed, kind and number only."""
-    return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), kind), run)
 
 
 def scenario_of(config: Config) -> Scenario | None:
@@ -109,7 +102,7 @@ def load(config: Config) -> tuple[Recording, Simulated | None]:
     data, scenario = config.data, scenario_of(config)
     require_x64(jnp.zeros((), float))
     if scenario is not None:
-        sims = simulated(scenario, key_of(config.seed, SINGLE, 0)[None])
+        sims = simulated(scenario, run_key(config.seed, Purpose.SINGLE, 0)[None])
         sim = jax.tree.map(lambda a: a[0], sims)
         return to_recording(sim, scenario), sim
     if data.source in io.DATASETS:

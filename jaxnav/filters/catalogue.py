@@ -176,7 +176,9 @@ def build(
     quick = fast and home.fast is not None
     mechanize, preintegrate = (home.fast, home.preintegrate) if quick else (home.propagate, None)
     built = make_filter(mechanize, model, rule, feedback or entry.feedback, cov_stride, history, preintegrate)
-    return _named(built, name)
+    own = tuple(states)
+    extended = _extended(name, chosen, cov_stride, history, feedback, frame, fast, own) if entry.more else None
+    return _named(built, name, extended)
 
 
 def _rule(entry: Entry, chosen: tuple[Measurement, ...]) -> Rule:
@@ -190,11 +192,21 @@ def _rule(entry: Entry, chosen: tuple[Measurement, ...]) -> Rule:
 
 
 @cache
-def _named(built: Filter, name: str) -> Filter:
+def _extended(
+    name: str, chosen: tuple[Measurement, ...], cov_stride: int, history: int, feedback: Any, frame: str, fast: bool,
+    states: tuple[str, ...],
+) -> Callable[..., Filter]:  # fmt: skip
+    """`Filter.extended` of a filter that was built so."""
+    return lambda *more: build(name, chosen, cov_stride, history, feedback, frame, fast, (*states, *more))
+
+
+@cache
+def _named(built: Filter, name: str, extended: Callable[..., Filter] | None) -> Filter:
     """The filter with the catalogue's parameters, whatever history it keeps."""
     keeping = built.keeping
     assert keeping is not None  # make_filter gives it
-    return built._replace(params=_params(name, built.model), keeping=lambda samples: _named(keeping(samples), name))
+    kept = lambda samples: _named(keeping(samples), name, extended)  # noqa: E731
+    return built._replace(params=_params(name, built.model), keeping=kept, extended=extended)
 
 
 @cache

@@ -118,6 +118,7 @@ class Filter(NamedTuple):
     # (grade or its name, **what `jaxnav.filters.parameters.datasheet_params` takes) -> parameters for this filter
     params: Callable[..., Params] = datasheet_params
     keeping: Callable[[int], "Filter"] | None = None  # the same filter with another ``history``
+    extended: Callable[..., "Filter"] | None = None  # (*names of states) -> the same filter with those on top
     smooths: bool = False  # see `Rule`
 
 

@@ -8,10 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from scipy.special import gammaln
 
 from jaxnav.filters.core import Filter, Step
 from jaxnav.maths import linalg, rotations
 from jaxnav.types import DataError, Epoch, Info, Nav, Origin, Params, Track
+
+FREEDOM = 4.0  # of the Student t that stands for outliers in a likelihood
 
 
 def require_x64(*trees: Any) -> None:
@@ -104,6 +107,20 @@ def first_failure(info: Info, t: np.ndarray) -> str | None:
 
 
 def negative_log_likelihood(info: Info) -> jax.Array:
-    """-log N(nu; 0, S) of one epoch's valid channels, (): what truth-free tuning minimises."""
+    """-log N(nu; 0, S) of one epoch's valid channels, (): what truth-free tuning minimises.
+
+    An epoch of which the rule rejected something is scored by a Student t of the same S and `FREEDOM`: by a Gaussian a
+    single outlier would weigh more than all that the filter believes, and left out it would pay to reject.
+    """
     # missing channels have nu = 0 and an identity row in S: they add nothing
-    return 0.5 * (info.nis + linalg.log_determinant(info.S) + info.valid.sum() * jnp.log(2 * jnp.pi))
+    m = info.valid.sum()
+    far = 0.5 * (FREEDOM + m) * jnp.log1p(info.nis / FREEDOM) + student_constant(m, info.valid.shape[-1])
+    near = 0.5 * (info.nis + m * jnp.log(2 * jnp.pi))
+    return jnp.where((info.valid & ~info.used).any(), far, near) + 0.5 * linalg.log_determinant(info.S)
+
+
+def student_constant(m: jax.Array, most: int) -> jax.Array:
+    """Minus the log of what makes a Student t of m channels, at most ``most``, and `FREEDOM` a density, ()."""
+    n = np.arange(most + 1)
+    every = gammaln(0.5 * FREEDOM) - gammaln(0.5 * (FREEDOM + n)) + 0.5 * n * np.log(FREEDOM * np.pi)
+    return jnp.asarray(every)[m]

@@ -18,10 +18,11 @@ class FixParams(NamedTuple):
 
 
 def observe_position(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """P + C l - y."""
+    """P + C l + e - y, where e is the state ``gnss_position_error``."""
     arm = kin.C @ mounting.lever_arm
-    y = earth.enu_difference(kin.lla, fix.value) + arm
-    return Observation(y, {"position": jnp.eye(3), "attitude": -rotations.skew(arm)}, fix.sd, theta.scale)
+    y = earth.enu_difference(kin.lla, fix.value) + arm + nav.errors.get("gnss_position_error", jnp.zeros(3))
+    rows = {"position": jnp.eye(3), "attitude": -rotations.skew(arm), "gnss_position_error": jnp.eye(3)}
+    return Observation(y, rows, fix.sd, theta.scale)
 
 
 def observe_velocity(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
@@ -43,7 +44,7 @@ def _units(name: str) -> FixParams:
 ENU, NED = ("east", "north", "up"), ("north", "east", "down")
 POSITION = Measurement(
     "position", ENU, observe_position, FixParams((1.0, 1.0, 1.0), 0.0), _units("position"), receiver=True,
-    columns=("lat_deg", "lon_deg", "height_m"), reported=NED,
+    states=("gnss_position_error",), columns=("lat_deg", "lon_deg", "height_m"), reported=NED,
 )  # fmt: skip
 """GNSS position: value (lat rad, lon rad, h m) of the antenna, sd and correlations in ENU m."""
 VELOCITY = Measurement(

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxnav.states.barometer_bias import BAROMETER_BIAS
 from jaxnav.states.biases import ACCEL_BIAS, GYRO_BIAS
+from jaxnav.states.gnss_position_error import GNSS_POSITION_ERROR
 from jaxnav.states.motion import MOTION
 from jaxnav.states.scale_factors import ACCEL_SCALE, GYRO_SCALE
 from jaxnav.states.state import State
@@ -21,6 +22,7 @@ STATES: dict[str, State] = {
         GYRO_SCALE,
         ACCEL_SCALE,
         BAROMETER_BIAS,
+        GNSS_POSITION_ERROR,
     )
 }
 BIASES = ("gyro_bias", "accel_bias")

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, multivariate_t
 
 from jaxnav.types import Info
 from tuning import objectives
@@ -42,6 +42,16 @@ def test_innovation_nll_is_the_gaussian_density_of_what_was_measured(info):
         expected.append(-multivariate_normal(np.zeros(v.sum()), S).logpdf(nu))
     assert len(expected) == 4
     assert objectives.innovation_nll(info, jnp.asarray(keep)) == pytest.approx(np.mean(expected), rel=1e-12)
+
+
+def test_an_epoch_that_the_rule_rejects_is_scored_by_a_student_t(info):
+    """Its density by scipy; an outlier of 500 m no longer costs a thousand epochs."""
+    keep = np.array([True, False, False, False, False, False])
+    some = info._replace(used=info.used.at[0, :2].set(False))
+    expected = -float(multivariate_t(np.zeros(M), np.asarray(info.S[0]), df=4).logpdf(np.asarray(info.nu[0])))
+    assert float(objectives.innovation_nll(some, jnp.asarray(keep))) == pytest.approx(expected, rel=1e-12)
+    out = some._replace(nis=some.nis.at[0].set(15_000.0))
+    assert objectives.innovation_nll(out, jnp.asarray(keep)) < 50
 
 
 def test_what_is_left_out_does_not_enter(info):

@@ -13,14 +13,16 @@ from jaxnav.analysis.windows import hidden_windows
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import start
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.run import prepare
+from jaxnav.filters.run import FREEDOM, prepare
 from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import DataError, Samples
-from tuning import priors, recorded
-from tuning.recorded import Job, Trial, ages, choose, parts_of, plan, ratios
+from tuning import evidence, priors, recorded
+from tuning.evidence import Job
+from tuning.parts import Layout, ages, parts_of, plan
+from tuning.recorded import Trial, choose, correlation, ratios
 from tuning.uncertainty import gaussian
 
 pytestmark = pytest.mark.usefixtures("optimised")
@@ -64,8 +66,8 @@ def job(rec, ekf):
 # ---------------------------------------------------------------------------- what is minimised
 
 
-@pytest.mark.parametrize("freedom", [jnp.inf, 4.0])
-def test_likelihood_of_a_residual_and_its_derivatives(freedom):
+@pytest.mark.parametrize("heavy", [False, True])
+def test_likelihood_of_a_residual_and_its_derivatives(heavy):
     """Against scipy; the score against differences; the information of a Gaussian against samples of the score."""
     rng = np.random.default_rng(0)
     m, P = 3, 4
@@ -78,19 +80,16 @@ def test_likelihood_of_a_residual_and_its_derivatives(freedom):
 
     def value(x):
         nu, S = at(x)
-        return float(gaussian(nu, S, np.ones(m, bool), np.zeros((1, m)), np.zeros((1, m, m)), freedom)[0])
+        return float(gaussian(nu, S, np.ones(m, bool), np.zeros((1, m)), np.zeros((1, m, m)), heavy)[0])
 
     x, h = 0.1 * rng.normal(size=P), 1e-5
     nu, S = at(x)
     dnu = np.array([(at(x + h * e)[0] - at(x - h * e)[0]) / (2 * h) for e in np.eye(P)])
     dS = np.array([(at(x + h * e)[1] - at(x - h * e)[1]) / (2 * h) for e in np.eye(P)])
-    nll, score, fisher = gaussian(nu, S, np.ones(m, bool), dnu, dS, freedom)
-    if np.isfinite(freedom):
-        expected = -stats.multivariate_t(np.zeros(m), S, df=freedom).logpdf(nu)
-        constant = -stats.multivariate_t(np.zeros(m), np.eye(m), df=freedom).logpdf(np.zeros(m))
-        assert float(nll) == pytest.approx(expected - constant)  # a constant is left out
-    else:
-        assert float(nll) == pytest.approx(-stats.multivariate_normal(np.zeros(m), S).logpdf(nu))
+    nll, score, fisher = gaussian(nu, S, np.ones(m, bool), dnu, dS, heavy)
+    zero = np.zeros(m)
+    density = stats.multivariate_t(zero, S, df=FREEDOM) if heavy else stats.multivariate_normal(zero, S)
+    assert float(nll) == pytest.approx(-density.logpdf(nu))
     slope = [(value(x + h * e) - value(x - h * e)) / (2 * h) for e in np.eye(P)]
     np.testing.assert_allclose(score, slope, rtol=1e-6, atol=1e-8)
     assert np.linalg.eigvalsh(np.asarray(fisher)).min() > 0
@@ -108,7 +107,7 @@ def test_the_score_is_the_slope_of_the_objective(job):
     # at the datasheet the prior adds nothing, and elsewhere its square
     held = mine.objective(horizon=False, held=["noise.gyro"])
     assert float(held(jnp.asarray(x)).nll - mine.objective(horizon=False)(jnp.asarray(x)).nll) == pytest.approx(
-        0.5 * (0.2 / mine.width[sorted(mine.spec).index("noise.gyro")]) ** 2 * (recorded.TINY**-2 - 1), rel=1e-6
+        0.5 * (0.2 / mine.width[sorted(mine.spec).index("noise.gyro")]) ** 2 * (evidence.TINY**-2 - 1), rel=1e-6
     )
 
 
@@ -164,13 +163,38 @@ def test_priors_are_about_the_datasheet_and_named_by_kind(ekf):
 def test_the_datasheet_stays_unless_all_is_better():
     parts = {"training": np.array([1, 1, 1, 0, 0, 0], bool), "validation": np.array([0, 0, 0, 1, 1, 0], bool)}
     before = np.array([4.0, 5.0, 6.0, 5.0, 4.0, 1.0])
-    trial = lambda after: Trial(SimpleNamespace(), after, ratios(before, after, parts))  # noqa: E731
+    trial = lambda after: Trial(SimpleNamespace(), SimpleNamespace(), after, ratios(before, after, parts))  # noqa: E731
     same, half = trial(before), trial(0.5 * before)
     one = trial(before * np.array([0.1, 0.1, 0.1, 1.1, 1.1, 0.1]))  # better in training, worse in validation
     assert same.ratios == pytest.approx((1, 1, 1, 1)) and half.ratios == pytest.approx((0.5,) * 4, rel=2e-3)
     assert choose({"datasheet": same, "tuned": one}) == "datasheet"
     assert choose({"datasheet": same, "tuned": half, "held": trial(0.9 * before)}) == "tuned"
     assert choose({"datasheet": same, "tuned": trial(np.where(before > 0, np.inf, 0.0))}) == "datasheet"
+
+
+def test_correlation_from_fix_to_fix_is_an_autoregressions():
+    """Of innovations z_k = 0.6 z_(k-1) + w, thinned by a hidden window that must not count as neighbours."""
+    rng, t, a = np.random.default_rng(0), np.arange(1.0, 4001.0), 0.6
+    z = np.zeros((4000, 3))
+    for k in range(1, 4000):
+        z[k] = a * z[k - 1] + rng.normal(size=3)
+    sd = np.array([2.0, 3.0, 5.0])
+    valid = np.ones((1, 4000, 3), bool)
+    valid[0, 1000:1050] = False
+    info = SimpleNamespace(nu=(z * sd)[None], S=np.broadcast_to(np.diag(sd**2), (1, 4000, 3, 3)), valid=valid)
+    layout = Layout(10.0, 30.0, 30.0, 3000.0, 3900.0)
+    made = SimpleNamespace(t=t, start=0.0)
+    assert correlation(info, made, layout) == pytest.approx(a, abs=0.02)
+    assert correlation(info, made, layout._replace(validation=50.0)) == 0.0  # too few to say
+
+
+def test_what_a_fix_tells_has_the_covariance_of_position_and_error():
+    rng = np.random.default_rng(1)
+    L = rng.normal(size=(18, 18))
+    A = np.zeros((3, 18))
+    A[:, :3], A[:, 15:] = np.eye(3), np.eye(3)
+    found = evidence.seen_by_position(jnp.asarray(L @ L.T), slice(15, 18))
+    np.testing.assert_allclose(found, A @ L @ L.T @ A.T, rtol=1e-12)
 
 
 # ---------------------------------------------------------------------------- a recording

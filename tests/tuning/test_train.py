@@ -155,3 +155,14 @@ def test_a_belief_pulls_towards_its_centre():
     found = fit(lambda p: 2.0 * jnp.log(p.width) ** 2, spec, START, 100, optax.adam(0.1), believe=1.0)
     # 2 r^2 + (r - log 4)^2 / 0.5 is least at a half of log 4
     assert float(found.params.width) == pytest.approx(2.0, rel=1e-2)
+
+
+def test_new_cases_are_drawn_once_a_step():
+    steps = []
+
+    def drawn(step):
+        steps.append(step)
+        return [jnp.array([1.0, 2.0]) + 0.1 * step]
+
+    fit(lambda p, centre: (jnp.log(p.width / centre)) ** 2, SPEC, START, 3, optax.adam(0.1), cases=drawn)
+    assert steps == [0, 1, 2, 3]

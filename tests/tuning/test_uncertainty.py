@@ -19,6 +19,7 @@ class Innovations(NamedTuple):
     nu: jax.Array
     S: jax.Array
     valid: jax.Array
+    used: jax.Array
     ok: jax.Array
 
 
@@ -27,7 +28,7 @@ def white(y):
 
     def solve(r):
         S = jnp.broadcast_to(jnp.exp(2 * r[0]), (y.size, 1, 1))
-        return Innovations((y - r[1])[:, None], S, jnp.ones((y.size, 1), bool), jnp.ones(y.size, bool))
+        return Innovations((y - r[1])[:, None], S, *[jnp.ones((y.size, 1), bool)] * 2, jnp.ones(y.size, bool))
 
     return solve
 
@@ -46,7 +47,7 @@ def local_level(y):
             return (x + P / S * nu, P * v / S), (nu[None], S[None, None])
 
         _, (nu, S) = lax.scan(step, (jnp.zeros(()), jnp.zeros(())), y)
-        return Innovations(nu, S, jnp.ones((y.size, 1), bool), jnp.ones(y.size, bool))
+        return Innovations(nu, S, *[jnp.ones((y.size, 1), bool)] * 2, jnp.ones(y.size, bool))
 
     return solve
 
@@ -131,7 +132,9 @@ def test_intervals_of_correlations_are_fishers():
 
     def solve(r):
         root = factor(3).forward(r)
-        return Innovations(nu, jnp.broadcast_to(root @ root.T, (n, 3, 3)), jnp.ones((n, 3), bool), jnp.ones(n, bool))
+        return Innovations(
+            nu, jnp.broadcast_to(root @ root.T, (n, 3, 3)), *[jnp.ones((n, 3), bool)] * 2, jnp.ones(n, bool)
+        )
 
     raw = factor(3).inverse(jnp.asarray(L))
     cov = uncertainty.covariance(jax.jit(lambda r: inform(solve, r, n).fisher)(raw), np.zeros((0, 6)))

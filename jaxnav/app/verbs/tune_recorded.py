@@ -19,7 +19,6 @@ from jaxnav.app.sources import load, scenario_of
 from jaxnav.app.toml import to_toml
 from jaxnav.data import atomic_write
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import UNITS, get, has
 from jaxnav.types import ConfigError, Params, Recording
 from tuning.priors import transform_of
@@ -70,9 +69,10 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
     begin = time.perf_counter()
     about = f"{rec.name}: {found.verdict}"
     result = report(found)
-    write(folder, about, found, free, result)
+    extra = [name for name in found.filter.model.states if name not in filt.model.states]
+    write(folder, about, found, free, result, [*config.filter.states, *extra] if extra else [])
     if config.out.figures:
-        draw(folder, rec, filt, found)
+        draw(folder, rec, found)
     seconds["write"] = time.perf_counter() - begin
     lines = [about, "", str(found), found.start.how, *rec.notes.splitlines()]
     return Outcome(result, "\n".join(lines), seconds)
@@ -111,11 +111,15 @@ def report(found: Tuned) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write(folder: Path, about: str, found: Tuned, free: list[str], result: dict[str, Any]) -> None:
-    """Write tuned.toml, the same for other software, history.jsonl and metrics.json: before any picture."""
+def write(folder: Path, about: str, found: Tuned, free: list[str], result: dict[str, Any], states: list[str]) -> None:
+    """Write tuned.toml, the same for other software, history.jsonl and metrics.json: before any picture.
+
+    ``states``: of the filter, where the winner has more than it was asked for.
+    """
     prior = lambda leaf: leaf.startswith("states.") and leaf.endswith(".sd")  # noqa: E731
     noise = [k for k, unit in UNITS.items() if unit.step is None and not prior(k) and has(found.params, k)]
-    params = {"params": in_user_units(found.params, list(dict.fromkeys([*noise, *free])))}
+    params: dict[str, Any] = {"filter": {"states": states}} if states else {}
+    params |= {"params": in_user_units(found.params, list(dict.fromkeys([*noise, *free])))}
     head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
     atomic_write(folder / "tuned.toml", head + to_toml(params))
     write_exports(folder, f"jaxnav tune: {about}", found.params)
@@ -123,13 +127,13 @@ def write(folder: Path, about: str, found: Tuned, free: list[str], result: dict[
     write_json(folder / "metrics.json", result)
 
 
-def draw(folder: Path, rec: Recording, filt: Filter, found: Tuned) -> None:
+def draw(folder: Path, rec: Recording, found: Tuned) -> None:
     """Drift of the candidates over the test windows, and the winner's run."""
     test = found.windows.start >= found.layout.validation
     with picture("outage_drift"):
         drift = {name: found.trials[name].drift[test] for name in ("datasheet", shown(found.chosen))}
         plots.save(plots_stats.outage_drift(drift), folder / "outage_drift.png")
     with picture("the run"):
-        sol = navigate(rec, filt, found.params, begin=found.start)
+        sol = navigate(rec, found.filter, found.params, begin=found.start)
         for name, fig in sol.plot().items():
             plots.save(fig, folder / f"{name}.png")

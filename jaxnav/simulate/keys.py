@@ -1,0 +1,22 @@
+"""The keys of simulated runs: of a seed, of what the run is for, and of its number."""
+
+from enum import IntEnum
+from typing import Any
+
+import jax
+
+
+class Purpose(IntEnum):
+    """What a run is for; runs of one purpose never meet those of another."""
+
+    TRAIN = 0
+    VALIDATION = 1
+    TEST = 2
+    SINGLE = 3  # `jaxnav simulate`
+    REDRAWN = 4  # new training runs at every step
+    STUDY = 5  # Monte Carlo
+
+
+def run_key(seed: int, purpose: Purpose, run: Any) -> jax.Array:
+    """The key of a run (); the number may be traced."""
+    return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), int(purpose)), run)

@@ -118,7 +118,7 @@ class Study(NamedTuple):
     duration_s: float
 
 
-FULL, QUICK = Study(40, 2, 20, 300.0), Study(6, 1, 4, 80.0)
+FULL, QUICK = Study(40, 2, 20, 300.0), Study(4, 1, 2, 80.0)
 
 
 def scenario(study: Study) -> Scenario:

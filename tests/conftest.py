@@ -43,14 +43,6 @@ def pytest_runtest_teardown(item, nextitem) -> None:
         make_room(maps=8_000, resident=1.3 * 2**30)
 
 
-@pytest.fixture(scope="module")
-def optimised():
-    """For a module that runs longer than it compiles."""
-    jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    jax.config.update("jax_disable_most_optimizations", True)
-
-
 class Case(NamedTuple):
     """A drive without sensor errors, and what a filter needs to run on it."""
 

@@ -8,6 +8,7 @@ import _thread
 import argparse
 import gc
 import os
+import signal
 import sys
 import tempfile
 import threading
@@ -69,10 +70,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 def console() -> NoReturn:
     """`main` as a process, which Ctrl-C ends at any time."""
 
+    def again() -> None:
+        # a signal and not `_thread.interrupt_main`, which would wait for the end of a system call
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        else:
+            _thread.interrupt_main()
+
     def swallowed(what: "sys.UnraisableHookArgs") -> None:
         # jax hears of garbage collection; an interrupt that falls into such a callback would be printed and lost
         if what.exc_type is KeyboardInterrupt:
-            threading.Timer(0.05, _thread.interrupt_main).start()  # not now: it would be lost in here as well
+            threading.Timer(0.05, again).start()  # not now: it would be lost in here as well
         else:
             sys.__unraisablehook__(what)
 

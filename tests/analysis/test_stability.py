@@ -20,8 +20,6 @@ from jaxnav.simulate.trajectories import Circle, circle
 from jaxnav.states.grades import GRADES
 from jaxnav.types import Epoch, Nav, Params
 
-pytestmark = pytest.mark.usefixtures("optimised")
-
 ONE = jnp.eye(1)
 PERIOD = 126.0
 PRINTED = {"G1": (1.0, 0.0), "G2": (1.5, 3.0)}

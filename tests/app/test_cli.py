@@ -4,6 +4,7 @@ import gc
 import json
 import subprocess
 import sys
+import time
 from types import SimpleNamespace
 
 import jax
@@ -396,6 +397,7 @@ def test_process_has_no_traceback():
 def test_ctrl_c_ends_the_process_with_130(where):
     """In such a callback python prints the interrupt and goes on, unless told."""
     interrupt = "callback()" if where == "anywhere" else "gc.callbacks.append(callback); gc.collect()"
+    begin = time.monotonic()
     done = python(
         "import gc, os, signal, time; from jaxnav.app import cli\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a script's background job ignores it
@@ -404,3 +406,4 @@ def test_ctrl_c_ends_the_process_with_130(where):
         "cli.main = main; cli.console()"
     )
     assert done.returncode == 130 and done.stderr == ""
+    assert time.monotonic() - begin < 15  # the sleep was cut short

@@ -20,8 +20,6 @@ from tests.conftest import LEAVES
 from tuning import uncertainty
 from tuning.transforms import LOG
 
-pytestmark = pytest.mark.usefixtures("optimised")
-
 SETTINGS = {
     "data": {"source": "urban_short"},
     "filter": {"name": "kf9_simple", "cov_stride": 25},

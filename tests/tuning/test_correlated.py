@@ -15,8 +15,6 @@ from tuning import scoring, uncertainty
 from tuning.objectives import innovation_nll
 from tuning.transforms import factor, join, split
 
-pytestmark = pytest.mark.usefixtures("optimised")
-
 EVERY, RATE, VRW = 4, 20.0, 0.3  # samples a fix; Hz; m/s^2/sqrt(Hz), large enough to show between two fixes
 FIX = np.array([[1.0, 0, 0], [0.8, 0.6, 0], [0, 0, 1.0]])  # east and north of a fix's position are alike in 0.8
 FORCE = VRW * np.array([[1.0, 0, 0], [-0.6, 0.8, 0], [0, 0, 1.0]])  # forward and right of the accelerometers in -0.6

@@ -25,8 +25,6 @@ from tuning.parts import Layout, ages, parts_of, plan
 from tuning.recorded import Trial, choose, correlation, ratios
 from tuning.uncertainty import gaussian
 
-pytestmark = pytest.mark.usefixtures("optimised")
-
 
 @pytest.fixture(scope="module")
 def rec():

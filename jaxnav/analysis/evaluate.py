@@ -52,12 +52,11 @@ def trace(info: Info, params: Params) -> Trace:
 
 
 def ned_errors(sol: Trace, truth: Track) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (E, 9) in the units of ERRORS and their sd by the filter; nan where there is no truth."""
+    """Errors (E, 9) in the units of ERRORS and their sd by the filter; nan where there is no truth, as in its holes."""
     e = metrics.errors(sol.track, truth)
     position, velocity = (np.asarray(a)[:, NED] * SIGN for a in (e.position, e.velocity))
     error = np.concatenate([position, velocity, np.asarray(e.attitude) / DEG], 1)
-    outside = (sol.track.t < truth.t[0] - 1e-6) | (sol.track.t > truth.t[-1] + 1e-6)
-    error[outside] = np.nan
+    error[~metrics.told_by(sol.track.t, truth.t)] = np.nan
     sd = np.concatenate([sol.sd[:, :3][:, NED], sol.sd[:, 3:6][:, NED], sol.sd_rph / DEG], 1)
     return error, sd
 

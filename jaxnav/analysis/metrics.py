@@ -8,8 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtri  # the inverse chi-square law without the second that scipy.stats takes to load
 
+from jaxnav.data.epochs import TICK
 from jaxnav.maths import earth, linalg, rotations
 from jaxnav.types import Info, Nav, Track
+
+HOLE = 2.5  # intervals of a truth, from which on it is one
 
 
 class Errors(NamedTuple):
@@ -23,6 +26,20 @@ class Errors(NamedTuple):
 def columns_at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Columns of ``values`` (N, a), known at ``times`` (N,), linearly at ``t`` (E,): (E, a); held beyond the ends."""
     return np.stack([np.interp(t, times, c) for c in values.T], 1)
+
+
+def told_by(t: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Times (E,) at which a truth known at ``times`` (N,) says anything, bool (E,): within it, and not in a hole of it.
+
+    A hole is longer than `HOLE` of its intervals, for a line across it would be scored as an error of the solution.
+    """
+    after = np.clip(np.searchsorted(times, t - TICK), 1, max(times.size - 1, 1))
+    apart = np.diff(times)
+    if not apart.size:
+        return np.abs(t - times[0]) <= TICK
+    on = np.abs(t - times[np.clip(np.searchsorted(times, t - TICK), 0, times.size - 1)]) <= TICK
+    whole = apart[after - 1] <= HOLE * np.median(apart)
+    return (t >= times[0] - TICK) & (t <= times[-1] + TICK) & (whole | on)
 
 
 def errors(solution: Track, truth: Track) -> Errors:

@@ -138,10 +138,15 @@ class Chosen(NamedTuple):
 
 
 def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[Info, Chosen]:
-    """The run from ``navs`` (B, ...); of several starts the most probable one."""
+    """The run from ``navs`` (B, ...); of several starts the most probable one.
+
+    Epochs are padded to sizes that recordings share, so that the compiled program is found again.
+    """
+    own, epochs = slice(epochs.imu.dt.shape[0]), ep.of_shared_size(epochs)
     if navs.t.shape[0] == 1:
-        return run_jit(filt, params, jax.tree.map(lambda a: a[0], navs), epochs), Chosen()
-    bank = jax.jit(heading_bank, static_argnums=0)(filt, params, navs, epochs)
+        info = jax.device_get(run_jit(filt, params, jax.tree.map(lambda a: a[0], navs), epochs))
+        return jax.tree.map(lambda a: a[own], info), Chosen()
+    bank = jax.device_get(jax.jit(heading_bank, static_argnums=0)(filt, params, navs, epochs))
     best = int(bank.best)
     about = Chosen(best, 360.0 * best / navs.t.shape[0], float(bank.probability[best]))
-    return jax.tree.map(lambda a: a[best], bank.info), about
+    return jax.tree.map(lambda a: a[best][own], bank.info), about

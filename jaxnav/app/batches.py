@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.analysis.metrics import columns_at
+from jaxnav.analysis.metrics import columns_at, told_by
 from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config
 from jaxnav.app.sources import simulated
@@ -305,7 +305,7 @@ def _truth(case: pre.ReadyRun, t: np.ndarray) -> Truth | None:
     t = t + np.asarray(clock_offset(case.params.mounting, start._replace(t=t)))
     if truth is None:
         return None
-    known = (t >= truth.t[0] - ep.TICK) & (t <= truth.t[-1] + ep.TICK)
+    known = told_by(t, truth.t)
     if not known.any():
         return None
     at = lambda t: columns_at(t, truth.t, earth.continuous(truth.lla))  # noqa: E731

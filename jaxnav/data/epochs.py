@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -187,6 +188,28 @@ def hide(epochs: Epoch, hidden: np.ndarray, measurements: tuple[Measurement, ...
     receiver = np.concatenate([np.full(m.size, m.receiver) for m in measurements])
     valid = epochs.fix.valid & ~(jnp.asarray(hidden)[..., None] & receiver)
     return epochs._replace(fix=epochs.fix._replace(valid=valid))
+
+
+def shared_size(n: int) -> int:
+    """The least size that is not below n of those that arrays are padded to: 4, 5, 6 or 7 times a power of two."""
+    step = 2 ** max(0, n.bit_length() - 3)
+    return -(-n // step) * step
+
+
+def of_shared_size(epochs: Epoch) -> Epoch:
+    """Epochs (E, K) of one run, up to sizes that recordings share: what is compiled for one of them serves others.
+
+    What is added lasts no time and has no fix, so that it changes nothing; it comes last, in an epoch and in the run.
+    """
+    E, K = epochs.imu.dt.shape
+    more, longer = shared_size(E) - E, shared_size(K) - K
+    epochs = jax.device_get(epochs)  # on the host, where no program is compiled for it
+    rows = lambda a: np.concatenate([a, np.repeat(a[-1:], more, 0)])  # noqa: E731
+    wide = lambda a: rows(np.concatenate([a, np.repeat(a[:, -1:], longer, 1)], 1))  # noqa: E731
+    nothing = lambda a, *n: np.pad(a, [(0, k) for k in n] + [(0, 0)] * (a.ndim - len(n)))  # noqa: E731
+    imu = Imu(nothing(epochs.imu.dt, more, longer), wide(epochs.imu.gyro), wide(epochs.imu.accel))
+    fix = jax.tree.map(rows, epochs.fix)._replace(valid=nothing(epochs.fix.valid, more))
+    return Epoch(imu, fix, None if epochs.gap is None else nothing(epochs.gap, more))
 
 
 def outage_windows(t: np.ndarray, starts: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:

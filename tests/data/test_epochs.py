@@ -12,8 +12,10 @@ from jaxnav.data.epochs import (
     from_instantaneous,
     hide,
     mean_rate,
+    of_shared_size,
     outage_windows,
     pack,
+    shared_size,
     stationary,
 )
 from jaxnav.filters.catalogue import build
@@ -22,7 +24,7 @@ from jaxnav.filters.run import run_jit
 from jaxnav.maths import earth
 from jaxnav.measurements import GNSS, NONHOLONOMIC, POSITION, SPEED, VELOCITY
 from jaxnav.types import DataError, ImuLog, Samples
-from tests.conftest import gnss, told
+from tests.conftest import gnss, leaves_equal, told
 
 
 def stream(n=200, rate=50.0, seed=0, first=100.0):
@@ -149,6 +151,24 @@ def test_instantaneous_samples_become_means():
     np.testing.assert_allclose((mean.gyro * mean.dt[:, None]).sum(0), [(1 - 1e-4) / 2, (1 - 1e-6) / 3, 0], atol=2e-5)
     np.testing.assert_allclose(mean.accel[:, 1], 3 * (mean.t - 0.005))
     assert mean.t[0] == t[1]
+
+
+@pytest.mark.parametrize("n, size", [(1, 1), (3, 3), (7, 7), (9, 10), (50, 56), (57, 64), (64, 64), (1000, 1024)])
+def test_shared_sizes_are_few_and_near(n, size):
+    assert shared_size(n) == size
+    assert len({shared_size(k) for k in range(1, 10_001)}) < 60
+
+
+@pytest.mark.parametrize("name", ["ekf15_gate", "gpid15"])
+def test_padding_to_a_shared_size_changes_nothing(case, name):
+    """Of values and of what a rule remembers; epochs and samples that were added last no time."""
+    filt, epochs = build(name, cov_stride=5), jax.tree.map(lambda a: a[:50], case.packed.epochs)
+    more = of_shared_size(epochs)
+    assert more.imu.dt.shape == (56, 20) and not more.fix.valid[50:].any() and not more.imu.dt[50:].any()
+    own = case.params._replace(rule=filt.params("consumer").rule)
+    alone, among = run_jit(filt, own, case.nav, epochs), run_jit(filt, own, case.nav, more)
+    leaves_equal(jax.tree.map(lambda a: a[:50], among), alone)
+    assert among.ok.all()
 
 
 def test_hide_takes_the_receiver_and_leaves_constraints():

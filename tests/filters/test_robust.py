@@ -158,16 +158,27 @@ def test_nothing_accepted_changes_nothing():
 def test_after_the_timeout_a_block_is_accepted(outlier):
     """Three seconds of rejected fixes, not of time: an outage in between does not count."""
     rule, theta = gate(kalman()), gate_params(timeout=3.0)
-    memory, accepted = rule.init(9, 6), []
+    memory, accepted, age = rule.init(9, 6), [], 0.0
     for there in (True, True, False, False, True, True, True):
+        age += T
         z = outlier if there else innovation([0.0] * 3 + [0.1, 0.0, 0.0], (False,) * 3 + (True,) * 3)
-        c = answer(rule, theta, z, memory)
+        c = answer(rule, theta, z._replace(age=jnp.full(6, age)), memory)
         memory = c.memory
         accepted.append(bool(c.used[0]))
+        age = 0.0 if accepted[-1] else age
     assert accepted == [False, False, False, False, False, True, False]
     assert memory.rejected[0] == T
     never = answer(rule, gate_params(timeout=np.inf), outlier, memory._replace(rejected=jnp.full(2, 1e9)))
     assert not never.used[:3].any()
+
+
+def test_the_time_of_rejection_is_the_clocks(outlier):
+    """Fixes of 0.2 s of which each is a millisecond late, with an empty epoch before it: 5 s are 5 s."""
+    rule, memory, age = gate(kalman()), gate(kalman()).init(9, 6), 0.0
+    for _ in range(25):
+        age += 0.2
+        memory = answer(rule, gate_params(), outlier._replace(T=jnp.array(1e-3), age=jnp.full(6, age)), memory).memory
+    np.testing.assert_allclose(memory.rejected[0], 5.0, rtol=1e-12)
 
 
 def test_recovery_makes_the_innovation_likely_and_leaves_the_attitude_alone(outlier):

@@ -22,6 +22,8 @@ from jaxnav.filters.run import first_failure
 from jaxnav.filters.smoother import smooth_jit
 from jaxnav.types import ConfigError, Info, nearest
 
+ENOUGH = 0.98  # share of a run that its truth tells
+
 
 def simulate(config: Config, folder: Path) -> Outcome:
     """Write a simulated run as a canonical recording with its truth.
@@ -95,6 +97,8 @@ def filter(config: Config, folder: Path) -> Outcome:
     channels = usage.expected(sol.info, names, order)
     found |= usage.as_json(uses, channels)
     found["remarks"] = usage.expected_in_words(channels) + usage.usage_in_words(uses)
+    if found.get("scored_share", 1.0) < ENOUGH:
+        found["remarks"].append(f"truth tells {found['scored_share']:.0%} of the epochs: errors are of these alone")
     unused = sorted(set(case.recording.aiding) - {m.name for m in case.measurements})
     found |= {"unused_streams": unused} if unused else {}
     notes = [taken.words, *case.recording.notes.splitlines(), gaps.in_words(gaps.holes(case.recording.imu))]
@@ -138,14 +142,20 @@ def shaded(config: Config, case: ReadyRun) -> evaluate.Outages:
     return sorted([(float(t[i]), float(t[i + 1])) for i in gaps] + [(w[0], w[1]) for w in config.filter.outages])
 
 
+def inside(t: np.ndarray, windows: evaluate.Outages) -> np.ndarray:
+    """Epochs that end at t (E,) in any of the windows start < t <= end, bool (E,)."""
+    return np.any([(t > a + TICK) & (t <= b + TICK) for a, b in windows] or [np.zeros(t.size, bool)], axis=0)
+
+
 def metrics_of(case: ReadyRun, sol: evaluate.Trace, hidden: np.ndarray, config: Config) -> dict[str, Any]:
     """Errors where there is a truth, innovations, and the error at the end of each outage."""
     found: dict[str, Any] = {"start_s": case.packed.start, "grade": grade_name(config, scenario_of(config))}
     truth = case.recording.truth
-    hidden = hidden | ~np.asarray(case.packed.epochs.fix.valid)[:, :3].all(1)
     if truth is not None:
         error, sd = evaluate.ned_errors(sol, truth)
-        found["errors"] = evaluate.error_metrics(error, sd, hidden)
+        dark = hidden | inside(case.packed.t, shaded(config, case))
+        found["errors"] = evaluate.error_metrics(error, sd, dark)
+        found["scored_share"] = float(np.isfinite(error[:, 0]).mean())
     found |= evaluate.innovation_metrics(sol.info, case.measurements)
     ends = [
         {"start_s": start, "end_s": end, "horizontal_m": at_end}

@@ -16,6 +16,7 @@ from scipy.special import chdtri
 from jaxnav.filters.core import Correction, Innovation, Rule, masked, only_if, select
 from jaxnav.maths import linalg
 
+LONGER = 1.5  # of the interval between fixes: what is longer is an outage
 BLOCK = 3  # channels of a receiver's measurement
 
 
@@ -59,9 +60,11 @@ class Gate(NamedTuple):
 
 
 class GateMemory(NamedTuple):
-    """How long each block has been rejected without a break."""
+    """How long each block has been rejected without a break, outages not counted."""
 
-    rejected: jax.Array  # (blocks,) s, epochs without a fix not counted
+    rejected: jax.Array  # (blocks,) s
+    seen: jax.Array  # (blocks,) s, its age at its last fix if that was rejected, else 0
+    interval: jax.Array  # (blocks,) s, the shortest time between two of its fixes so far
     rule: Any
 
 
@@ -104,7 +107,8 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
     would move it even less. Inflating all of P lets a lasting fault turn the attitude through its correlations. The
     inner rule starts anew, too: an integral of the filter that was wrong would be applied again at every recovery.
 
-    The time counts only fixes that were rejected, not outages: a fix after a tunnel is tested like any other.
+    The time counts only fixes that were rejected, not outages: what passes between two fixes counts as `LONGER` of
+    their shortest interval at most, and a fix after a tunnel is tested like any other.
     """
 
     def blocks(m: int) -> tuple[int, ...]:
@@ -115,7 +119,8 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
         return sizes or (BLOCK,) * (m // BLOCK)
 
     def init(n: int, m: int) -> GateMemory:
-        return GateMemory(jnp.zeros(len(blocks(m))), rule.init(n, m))
+        count = len(blocks(m))
+        return GateMemory(jnp.zeros(count), jnp.zeros(count), jnp.full(count, jnp.inf), rule.init(n, m))
 
     def correct(theta: Gate, memory: GateMemory, z: Innovation) -> Correction:
         own = blocks(z.nu.size)
@@ -134,8 +139,14 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
         seen = z._replace(nu=nu, H=H, R=R, P=P, valid=keep)
         inner = select(late.any(), rule.init(z.P.shape[0], z.nu.size), memory.rule)
         c = only_if(keep.any(), rule.correct(theta.rule, inner, seen), seen, inner)
-        rejected = jnp.where(out, memory.rejected + z.T, jnp.where(count > 0, 0.0, memory.rejected))
-        return c._replace(memory=GateMemory(rejected, c.memory))
+        # the time since the block's last fix, and not that since the last epoch, which may have been empty
+        there, age = count > 0, jnp.stack([z.age[b].max() for b in places])
+        since = age - memory.seen
+        rejected = memory.rejected + jnp.minimum(since, LONGER * memory.interval)
+        last = (rejected, age), (memory.rejected, memory.seen)
+        rejected, old = (jnp.where(out, a, jnp.where(there, 0.0, b)) for a, b in zip(*last, strict=True))
+        interval = jnp.where(there & (since > 0), jnp.minimum(memory.interval, since), memory.interval)
+        return c._replace(memory=GateMemory(rejected, old, interval, c.memory))
 
     def extrapolate(theta: Gate, memory: GateMemory, x0: jax.Array, x: jax.Array):
         x, inner = rule.extrapolate(theta.rule, memory.rule, x0, x)

@@ -17,47 +17,88 @@ can be vmapped over seeds and candidates and differentiated; the package ``tunin
 setting of jax: call `enable_x64()` first, and `fast_compiler()`, `cache()` if a first answer shall come sooner.
 """
 
-from jaxnav.analysis.navigate import Solution, navigate
-from jaxnav.data.epochs import Packed, constraint_samples, cut_times, hide, outage_windows, pack, stationary
-from jaxnav.data.read import read
-from jaxnav.data.recording import recording
-from jaxnav.data.start import course, heading_bank, level, start, with_headings
-from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.compiler import cache, enable_x64, fast_compiler, make_room
-from jaxnav.filters.core import Correction, Filter, Innovation, Rule, make_filter
-from jaxnav.filters.parameters import datasheet_params, mounting
-from jaxnav.filters.run import initial_nav, prepare, require_x64, run, run_jit, track
-from jaxnav.filters.smoother import smooth
-from jaxnav.measurements import GNSS, MEASUREMENTS, NONHOLONOMIC, POSITION, SPEED, VELOCITY, ZERO_RATE, ZERO_VELOCITY
-from jaxnav.states import STATES, State
-from jaxnav.states.grades import GRADES, Grade
-from jaxnav.types import (
-    ConfigError,
-    DataError,
-    Epoch,
-    Fix,
-    Imu,
-    ImuLog,
-    Info,
-    Mounting,
-    Nav,
-    Noise,
-    Params,
-    Prior,
-    Recording,
-    Samples,
-    StateParams,
-    Track,
-)
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxnav.analysis.navigate import Solution, navigate
+    from jaxnav.data.epochs import Packed, constraint_samples, cut_times, hide, outage_windows, pack, stationary
+    from jaxnav.data.read import read
+    from jaxnav.data.recording import recording
+    from jaxnav.data.start import course, heading_bank, level, start, with_headings
+    from jaxnav.filters.catalogue import FILTERS, build
+    from jaxnav.filters.compiler import cache, enable_x64, fast_compiler, make_room
+    from jaxnav.filters.core import Correction, Filter, Innovation, Rule, make_filter
+    from jaxnav.filters.parameters import datasheet_params, mounting
+    from jaxnav.filters.run import initial_nav, prepare, require_x64, run, run_jit, track
+    from jaxnav.filters.smoother import smooth
+    from jaxnav.measurements import (
+        GNSS,
+        MEASUREMENTS,
+        NONHOLONOMIC,
+        POSITION,
+        SPEED,
+        VELOCITY,
+        ZERO_RATE,
+        ZERO_VELOCITY,
+    )
+    from jaxnav.states import STATES, State
+    from jaxnav.states.grades import GRADES, Grade
+    from jaxnav.types import (
+        ConfigError,
+        DataError,
+        Epoch,
+        Fix,
+        Imu,
+        ImuLog,
+        Info,
+        Mounting,
+        Nav,
+        Noise,
+        Params,
+        Prior,
+        Recording,
+        Samples,
+        StateParams,
+        Track,
+    )
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "ConfigError", "Correction", "DataError", "Epoch", "FILTERS", "Filter", "Fix", "GNSS", "GRADES", "Grade", "Imu",
-    "ImuLog", "Info", "Innovation", "MEASUREMENTS", "Mounting", "NONHOLONOMIC", "Nav", "Noise", "POSITION", "Packed",
-    "Params", "Prior", "Recording", "Rule", "SPEED", "STATES", "Samples", "Solution", "State", "StateParams", "Track",
-    "VELOCITY", "ZERO_RATE", "ZERO_VELOCITY", "build", "cache", "constraint_samples", "course", "cut_times",
-    "datasheet_params", "enable_x64", "fast_compiler", "heading_bank", "hide", "initial_nav", "level", "make_filter",
-    "make_room", "mounting", "navigate", "outage_windows", "pack", "prepare", "read", "recording", "require_x64", "run",
-    "run_jit", "smooth", "start", "stationary", "track", "with_headings",
-]  # fmt: skip
+# Imported when first asked for: the command line is there, and can be stopped, before jax is.
+_HOMES = {
+    "analysis.navigate": "Solution navigate",
+    "data.epochs": "Packed constraint_samples cut_times hide outage_windows pack stationary",
+    "data.read": "read",
+    "data.recording": "recording",
+    "data.start": "course heading_bank level start with_headings",
+    "filters.catalogue": "FILTERS build",
+    "filters.compiler": "cache enable_x64 fast_compiler make_room",
+    "filters.core": "Correction Filter Innovation Rule make_filter",
+    "filters.parameters": "datasheet_params mounting",
+    "filters.run": "initial_nav prepare require_x64 run run_jit track",
+    "filters.smoother": "smooth",
+    "measurements": "GNSS MEASUREMENTS NONHOLONOMIC POSITION SPEED VELOCITY ZERO_RATE ZERO_VELOCITY",
+    "states": "STATES State",
+    "states.grades": "GRADES Grade",
+    "types": "ConfigError DataError Epoch Fix Imu ImuLog Info Mounting Nav Noise Params Prior Recording Samples "
+    "StateParams Track",
+}
+_HOME = {name: f"jaxnav.{home}" for home, names in _HOMES.items() for name in names.split()}
+_FOLDERS = ("analysis", "app", "data", "filters", "maths", "measurements", "simulate", "states", "strapdown", "types")
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, or a folder of the package."""
+    if name in _HOME:
+        value = getattr(importlib.import_module(_HOME[name]), name)
+        globals()[name] = value
+        return value
+    if name in _FOLDERS:
+        return importlib.import_module(f"jaxnav.{name}")
+    raise AttributeError(f"module 'jaxnav' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, *_FOLDERS})

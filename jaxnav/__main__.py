@@ -1,6 +1,6 @@
 """`python -m jaxnav` is the command line."""
 
-from jaxnav.app.cli import console
+from jaxnav.app.console import console
 
 if __name__ == "__main__":
     console()

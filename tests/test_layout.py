@@ -1,7 +1,13 @@
 """The house: its folders are the glossary, and what is below knows nothing of what is above."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
+
+import pytest
+
+import jaxnav
 
 ROOT = Path(__file__).parents[1] / "jaxnav"
 ORDER = (
@@ -36,6 +42,22 @@ def test_the_root_is_a_dozen_words():
     entries = {p.name for p in ROOT.iterdir() if p.name != "__pycache__"}
     assert len(entries) <= 12
     assert {p.name for p in ROOT.iterdir() if p.is_dir()} - {"__pycache__"} == set(ORDER[1:])
+
+
+def test_public_names_are_where_the_package_says():
+    """What is imported when it is asked for is what a type checker is told, and is there."""
+    tree = ast.parse((ROOT / "__init__.py").read_text())
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    told = {alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert told == jaxnav._HOME
+    assert all(getattr(jaxnav, name) is not None for name in jaxnav.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'bild'"):
+        jaxnav.bild  # noqa: B018
+
+
+def test_the_command_line_can_be_stopped_before_jax_is_there():
+    code = "import sys, jaxnav.app.console; sys.exit('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
 
 
 def test_one_class_name_is_one_thing_within_a_folder():

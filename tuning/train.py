@@ -1,5 +1,6 @@
 """Minimise an objective over the free parameters with optax; keep the best; go on where it stopped."""
 
+import hashlib
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -205,6 +206,7 @@ class _Book:
         self.folder = None if folder is None else Path(folder)
         self.identity, self.names, self.explain, self.spec, self.params = identity, names, explain, spec, params
         self.rows: list[dict] = []
+        self.digest = hashlib.sha256()  # of the lines written so far
         self.aside: list[dict] = []
 
     def note(self, row: dict, raw: Any, good: np.ndarray) -> None:
@@ -221,13 +223,16 @@ class _Book:
         self.rows.append(row)
         if self.folder is not None and distributed.writes():
             self.folder.mkdir(parents=True, exist_ok=True)
+            line = json.dumps(row) + "\n"
             with open(self.folder / HISTORY, "a" if row["step"] else "w", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
+                file.write(line)
+            self.digest.update(line.encode())
 
     def save(self, at: Standing) -> None:
         """Write the checkpoint after a step."""
         if self.folder is not None and distributed.writes():
-            head = {"score": at.score, "failed": at.failed, "since": at.since, "step": at.step, "aside": self.aside}
+            head = {"score": at.score, "failed": at.failed, "since": at.since, "step": at.step, "aside": self.aside,
+                    "history": self.digest.hexdigest()}  # fmt: skip
             checkpoint.save(self.folder / LAST, (at.raw, at.state, at.best), head, self.identity)
 
     def reopen(self, at: Standing) -> Standing:
@@ -237,12 +242,15 @@ class _Book:
         found = checkpoint.load(self.folder / LAST, (at.raw, at.state, at.best), self.identity)
         head, step = found.head, found.head["step"]
         path = self.folder / HISTORY
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        self.rows = [json.loads(line) for line in lines[:step]]
-        if len(self.rows) < step or any(row["step"] != i for i, row in enumerate(self.rows)):
-            raise checkpoint.CheckpointError(f"{path}: does not have the {step} steps of {LAST}")
+        lines = path.read_bytes().splitlines(keepends=True)[:step] if path.exists() else []
+        self.digest = hashlib.sha256(b"".join(lines))
+        if len(lines) < step or self.digest.hexdigest() != head["history"]:
+            raise checkpoint.CheckpointError(
+                f"{path}: does not have the {step} steps of {LAST} as they were written; start without --resume"
+            )
+        self.rows = [json.loads(line) for line in lines]
         if distributed.writes():
-            path.write_text("".join(line + "\n" for line in lines[:step]), encoding="utf-8")
+            path.write_bytes(b"".join(lines))
         self.aside = head["aside"]
         raw, state, best = found.tree
         return Standing(raw, state, best, head["score"], head["failed"], head["since"], step)

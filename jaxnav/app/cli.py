@@ -4,28 +4,25 @@ Exit codes: 0 done, 1 a check failed (the filter stopped being finite), 2 usage 
 used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and errors on stderr.
 """
 
-import _thread
 import argparse
 import gc
 import os
-import signal
 import sys
 import tempfile
-import threading
 import traceback
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 from jaxnav.app import config as configuration
+from jaxnav.app.console import INTERRUPTED
 from jaxnav.filters.compiler import cache, cache_home, enable_x64, fast_compiler
 from jaxnav.types import ConfigError, DataError
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
 
-INTERRUPTED = 130  # exit code
 COLLECT = 20_000  # new objects until the garbage collector looks; at Python's 700 it takes a third of tracing
 VERBS = {
     "demo": "simulate, tune by gradient and draw the figures: no data, no network, two minutes the first time",
@@ -65,35 +62,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not isinstance(error, FailedCheck):
             raise
         return _fail(args, error, 1)
-
-
-def console() -> NoReturn:
-    """`main` as a process, which Ctrl-C ends at any time."""
-
-    def again() -> None:
-        # a signal and not `_thread.interrupt_main`, which would wait for the end of a system call
-        if hasattr(signal, "pthread_kill"):
-            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-        else:
-            _thread.interrupt_main()
-
-    def swallowed(what: "sys.UnraisableHookArgs") -> None:
-        # jax hears of garbage collection; an interrupt that falls into such a callback would be printed and lost
-        if what.exc_type is KeyboardInterrupt:
-            threading.Timer(0.05, again).start()  # not now: it would be lost in here as well
-        else:
-            sys.__unraisablehook__(what)
-
-    sys.unraisablehook = swallowed
-    try:
-        code = main()
-    except KeyboardInterrupt:
-        code = INTERRUPTED
-    sys.stdout.flush()
-    sys.stderr.flush()
-    if code == INTERRUPTED:  # the compiler's threads may still be at work, and crash an orderly end
-        os._exit(code)
-    raise SystemExit(code)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -320,7 +288,3 @@ def _version() -> str:
         return metadata.version("jaxnav")
     except metadata.PackageNotFoundError:
         return "(not installed)"
-
-
-if __name__ == "__main__":
-    console()

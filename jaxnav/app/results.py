@@ -1,6 +1,7 @@
 """What a job leaves: a folder that is whole or not there, run.json written last, and tables for the terminal."""
 
 import contextlib
+import glob
 import itertools
 import json
 import math
@@ -59,6 +60,7 @@ def staged(out: Path, verb: str, inputs: Sequence[str | Path] = ()) -> Iterator[
     out = Path(out).resolve()
     _refuse_others(out, verb, inputs)
     temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
+    _clear_after_the_dead(out)
     try:
         temporary.mkdir(parents=True)
         yield temporary
@@ -76,6 +78,24 @@ def staged(out: Path, verb: str, inputs: Sequence[str | Path] = ()) -> Iterator[
         raise DataError(f"{out}: cannot be written: {error.strerror or error}") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _clear_after_the_dead(out: Path) -> None:
+    """Remove what killed runs left beside ``out``: hidden folders of processes that are no more."""
+    for path in out.parent.glob(f".{glob.escape(out.name)}.*.tmp"):
+        number = path.name.removesuffix(".tmp").rpartition(".")[2]
+        if number.isdecimal() and not _alive(int(number)):
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # another user's
+        return True
+    return True
 
 
 def _refuse_others(out: Path, verb: str, inputs: Sequence[str | Path]) -> None:

@@ -207,7 +207,7 @@ def of_shared_size(epochs: Epoch) -> Epoch:
     rows = lambda a: np.concatenate([a, np.repeat(a[-1:], more, 0)])  # noqa: E731
     wide = lambda a: rows(np.concatenate([a, np.repeat(a[:, -1:], longer, 1)], 1))  # noqa: E731
     nothing = lambda a, *n: np.pad(a, [(0, k) for k in n] + [(0, 0)] * (a.ndim - len(n)))  # noqa: E731
-    imu = Imu(nothing(epochs.imu.dt, more, longer), wide(epochs.imu.gyro), wide(epochs.imu.accel))
+    imu = jax.tree.map(wide, epochs.imu)._replace(dt=nothing(epochs.imu.dt, more, longer))
     fix = jax.tree.map(rows, epochs.fix)._replace(valid=nothing(epochs.fix.valid, more))
     return Epoch(imu, fix, None if epochs.gap is None else nothing(epochs.gap, more))
 

@@ -106,9 +106,24 @@ def test_history_that_ran_ahead_is_cut_back(tmp_path):
         file.write('{"step": 6, "lo')
     again = fit(valley, SPEC, START, 8, optax.adam(0.1), cases=RUNS, folder=tmp_path, resume=True)
     assert [row["step"] for row in again.history] == list(range(9))
-    (tmp_path / "history.jsonl").write_text("")
-    with pytest.raises(CheckpointError, match="does not have"):
-        fit(valley, SPEC, START, 8, optax.adam(0.1), cases=RUNS, folder=tmp_path, resume=True)
+
+
+def test_a_damaged_history_is_refused(tmp_path):
+    """Cut, emptied, a bit turned, a row changed that still is JSON: none resumes, all say so in a line."""
+    fit(valley, SPEC, START, 5, optax.adam(0.1), cases=RUNS, folder=tmp_path)
+    path, rng = tmp_path / "history.jsonl", np.random.default_rng(0)
+    whole = path.read_bytes()
+    turned = [bytearray(whole) for _ in range(20)]
+    for each in turned:
+        each[rng.integers(len(each))] ^= 1 << rng.integers(8)
+    changed = whole.replace(b'"loss": ', b'"loss": 1')
+    for damaged in (b"", whole[:-3], whole[: len(whole) // 2], changed, b"[]\n" * 6, *map(bytes, turned)):
+        assert damaged != whole
+        path.write_bytes(damaged)
+        with pytest.raises(CheckpointError, match="does not have the 6 steps"):
+            fit(valley, SPEC, START, 8, optax.adam(0.1), cases=RUNS, folder=tmp_path, resume=True)
+    path.write_bytes(whole)
+    assert len(fit(valley, SPEC, START, 8, optax.adam(0.1), cases=RUNS, folder=tmp_path, resume=True).history) == 9
 
 
 JOB = """

@@ -1,0 +1,62 @@
+"""The command line as a process: it can be stopped at any time, while it still imports as well."""
+
+import _thread
+import os
+import signal
+import sys
+import threading
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+INTERRUPTED, TERMINATED = 130, 143  # exit codes
+
+
+class Terminated(BaseException):
+    """SIGTERM: what is half written is cleared away, as it is at Ctrl-C."""
+
+
+def console() -> NoReturn:
+    """`jaxnav.app.cli.main` as a process, which Ctrl-C and SIGTERM end in order."""
+
+    def again() -> None:
+        # a signal and not `_thread.interrupt_main`, which would wait for the end of a system call
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        else:
+            _thread.interrupt_main()
+
+    def swallowed(what: "sys.UnraisableHookArgs") -> None:
+        # jax hears of garbage collection; an interrupt that falls into such a callback would be printed and lost
+        if what.exc_type is KeyboardInterrupt:
+            threading.Timer(0.05, again).start()  # not now: it would be lost in here as well
+        else:
+            sys.__unraisablehook__(what)
+
+    def at_once(number: int, frame: "FrameType | None") -> None:
+        os._exit(128 + number)  # nothing is begun, and an exception would leave a half imported library, which crashes
+
+    def terminated(number: int, frame: "FrameType | None") -> None:
+        raise Terminated
+
+    asked = signal.getsignal(signal.SIGINT)  # not to be heard where a shell runs this in the background
+    if asked != signal.SIG_IGN:
+        signal.signal(signal.SIGINT, at_once)
+    signal.signal(signal.SIGTERM, at_once)
+    from jaxnav.app.cli import main
+
+    sys.unraisablehook = swallowed
+    try:
+        signal.signal(signal.SIGTERM, terminated)
+        signal.signal(signal.SIGINT, asked)
+        code = main()
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    except Terminated:
+        code = TERMINATED
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if code in (INTERRUPTED, TERMINATED):  # the compiler's threads may still be at work, and crash an orderly end
+        os._exit(code)
+    raise SystemExit(code)

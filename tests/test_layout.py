@@ -39,7 +39,7 @@ def test_imports_go_downwards():
 
 
 def test_the_root_is_a_dozen_words():
-    entries = {p.name for p in ROOT.iterdir() if p.name != "__pycache__"}
+    entries = {p.name for p in ROOT.iterdir() if p.name not in ("__pycache__", "py.typed")}
     assert len(entries) <= 12
     assert {p.name for p in ROOT.iterdir() if p.is_dir()} - {"__pycache__"} == set(ORDER[1:])
 

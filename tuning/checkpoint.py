@@ -36,9 +36,15 @@ def save(path: str | os.PathLike[str], tree: Any, head: dict[str, Any], identity
     """Write the leaves of ``tree`` and the plain values of ``head`` (JSON; floats come back bit for bit).
 
     ``identity`` says what job it is of; `load` asks for the same.
+
+    Raises:
+        CheckpointError: a leaf of a type that numpy does not have.
     """
     path = Path(path)
     leaves = {_name(i): np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(tree))}
+    for leaf in leaves.values():
+        if leaf.dtype.kind not in "biufc":  # such as bfloat16, which numpy writes and cannot read
+            raise CheckpointError(f"{path}: numbers of type {leaf.dtype} cannot be kept in a file")
     about = {"identity": identity, "tree": str(jax.tree.structure(tree)), "head": head}
     text = json.dumps(about, sort_keys=True)
     buffer = io.BytesIO()

@@ -118,8 +118,11 @@ def fit(
     bit for bit, if it is of the same ``identity``. ``mesh``: devices to share the runs among.
 
     Raises:
-        ValueError: the loss of the start is not finite. CheckpointError: nothing usable to resume from.
+        ValueError: the loss of the start is not finite, or fewer than 0 steps.
+        CheckpointError: nothing usable to resume from.
     """
+    if steps < 0:
+        raise ValueError(f"steps must be 0 or more, got {steps}")
     make_room()
     optimizer = default_optimizer(steps) if optimizer is None else optimizer
     drawn = cases if callable(cases) else None

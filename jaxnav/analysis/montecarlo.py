@@ -18,7 +18,7 @@ from jaxnav.data.epochs import TICK
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.run import run
-from jaxnav.simulate.keys import Purpose, run_key
+from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate, sizes
 from jaxnav.states.motion import A, P, V
@@ -201,7 +201,7 @@ def monte_carlo(
         raise ValueError(f"runs and chunk must be at least 1, got {numbers.size} and {chunk}")
     sizes(scenario)
     make_room()
-    keys = jax.vmap(partial(run_key, seed, Purpose.STUDY))(np.resize(numbers, -(-numbers.size // chunk) * chunk))
+    keys = run_keys(seed, Purpose.STUDY, np.resize(numbers, -(-numbers.size // chunk) * chunk))
     limit, scores, stopped = jnp.asarray(limit_m, float), [], False
     sums: _Sums | None = None
     bar = progress_bar(numbers.size, "run", progress)

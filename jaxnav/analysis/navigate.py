@@ -14,6 +14,7 @@ from jaxnav.data import epochs as ep
 from jaxnav.data import gaps
 from jaxnav.data.solution import FORMATS, write_kml, write_solution
 from jaxnav.data.start import Start, heading_bank, start
+from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for
 from jaxnav.filters.run import first_failure, require_x64, run_jit
@@ -142,6 +143,12 @@ def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[Inf
 
     Epochs are padded to sizes that recordings share, so that the compiled program is found again.
     """
+    E, K = epochs.imu.dt.shape
+    n, m = filt.model.n_states, filt.model.n_channels
+    starts = navs.t.shape[0]
+    require_memory(
+        8.0 * E * (starts * (2 * n**2 + 2 * m**2 + 100) + 14 * K), f"a run of {E:,} epochs from {starts} starts"
+    )
     own, epochs = slice(epochs.imu.dt.shape[0]), ep.of_shared_size(epochs)
     if navs.t.shape[0] == 1:
         info = jax.device_get(run_jit(filt, params, jax.tree.map(lambda a: a[0], navs), epochs))

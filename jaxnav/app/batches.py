@@ -20,7 +20,7 @@ from jaxnav.filters.parameters import UNITS
 from jaxnav.filters.run import prepare
 from jaxnav.maths import earth
 from jaxnav.measurements import GNSS, Measurement, clock_offset, counted_from
-from jaxnav.simulate.keys import Purpose, run_key
+from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated
 from jaxnav.states.grades import GRADES
@@ -104,8 +104,8 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     _check(config, scenario)
     t = config.tune
     counts = (t.runs, t.validation_runs, t.test_runs)
-    keys = [run_key(config.seed, part, i) for part, n in zip(PARTS, counts) for i in range(n)]
-    sims = simulated(scenario, jnp.stack(keys))
+    keys = jnp.concatenate([run_keys(config.seed, part, np.arange(n)) for part, n in zip(PARTS, counts)])
+    sims = simulated(scenario, keys)
     windows = sims.outages.shape[1]
     if not windows:
         raise ConfigError(f"data.options.outages_s: tuning scores outages, scenario {scenario.name} has none")
@@ -122,7 +122,7 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     train, test = batches[0], parts[2]
 
     def redraw(step: int) -> Batch:
-        keys = jnp.stack([run_key(config.seed, Purpose.REDRAWN, step * t.runs + i) for i in range(t.runs)])
+        keys = run_keys(config.seed, Purpose.REDRAWN, step * t.runs + np.arange(t.runs))
         return _batch(filt, simulated(scenario, keys), params.mounting)
 
     runs = jnp.broadcast_to(jnp.arange(t.runs)[:, None], train.keep.shape)

@@ -19,13 +19,21 @@ class Terminated(BaseException):
 
 def console() -> NoReturn:
     """`jaxnav.app.cli.main` as a process, which Ctrl-C and SIGTERM end in order."""
+    heard = threading.Event()
+
+    def interrupted(number: int, frame: "FrameType | None") -> None:
+        heard.set()
+        raise KeyboardInterrupt
 
     def again() -> None:
-        # a signal and not `_thread.interrupt_main`, which would wait for the end of a system call
-        if hasattr(signal, "pthread_kill"):
-            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-        else:
-            _thread.interrupt_main()
+        heard.clear()
+        while not heard.is_set():  # a signal just before a system call is heard after it only: send another
+            # and not `_thread.interrupt_main` alone, which would wait for the end of a system call
+            if hasattr(signal, "pthread_kill"):
+                signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            else:
+                _thread.interrupt_main()
+            heard.wait(0.2)
 
     def swallowed(what: "sys.UnraisableHookArgs") -> None:
         # jax hears of garbage collection; an interrupt that falls into such a callback would be printed and lost
@@ -49,7 +57,7 @@ def console() -> NoReturn:
     sys.unraisablehook = swallowed
     try:
         signal.signal(signal.SIGTERM, terminated)
-        signal.signal(signal.SIGINT, asked)
+        signal.signal(signal.SIGINT, asked if asked == signal.SIG_IGN else interrupted)
         code = main()
     except KeyboardInterrupt:
         code = INTERRUPTED

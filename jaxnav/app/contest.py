@@ -26,7 +26,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, put
 from jaxnav.filters.run import prepare, run
 from jaxnav.maths import rotations, units
-from jaxnav.simulate.keys import Purpose, run_key
+from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.types import Epoch, Nav, Params
@@ -185,7 +185,7 @@ def draw(plan: Plan) -> Runs:
     for i, kind in enumerate((*plan.trained, *plan.unseen)):
         counts = {Purpose.TRAIN: b.runs, Purpose.VALIDATION: b.validation_runs} if i < len(plan.trained) else {}
         counts[Purpose.TEST] = b.test_runs
-        keys = jnp.stack([run_key(plan.seed, part, j) for part, n in counts.items() for j in range(n)])
+        keys = jnp.concatenate([run_keys(plan.seed, part, np.arange(n)) for part, n in counts.items()])
         sims = simulated(kind.scenario, keys)  # all at once, since a scenario takes longer to compile than to run
         told = jax.tree.map(lambda a, n=len(keys): jnp.broadcast_to(a, (n, *jnp.shape(a))), kind.told)
         case, first = ContestRuns(told, sims.initial, sims.epochs, sims.truth), 0

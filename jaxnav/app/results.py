@@ -58,7 +58,10 @@ def staged(out: Path, verb: str, inputs: Sequence[str | Path] = ()) -> Iterator[
         DataError: the folder cannot be written, is a file, belongs to another verb, or has others' files or an input.
     """
     out = Path(out).resolve()
-    _refuse_others(out, verb, inputs)
+    try:
+        _refuse_others(out, verb, inputs)
+    except OSError as error:
+        raise DataError(f"{out}: cannot be used: {error.strerror or error}") from error
     temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
     _clear_after_the_dead(out)
     try:

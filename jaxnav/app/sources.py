@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxnav import data as io
 from jaxnav.app.config import Config
 from jaxnav.data.read import read
+from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.run import require_x64
 from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
@@ -73,6 +74,9 @@ def _like(name: str, value: Any, default: Any) -> Any:
     raise ConfigError(f"{name} must be like {default!r}, got {value!r}")
 
 
+SAMPLE, EPOCH = 300.0, 1000.0  # bytes of a simulated IMU sample, of an epoch, with what is in the works
+
+
 def simulated(scenario: Scenario, keys: jax.Array) -> Simulated:
     """Runs of the scenario (leading axis of ``keys``).
 
@@ -80,7 +84,9 @@ def simulated(scenario: Scenario, keys: jax.Array) -> Simulated:
         ConfigError: a scenario that does not fit together.
     """
     try:
-        sizes(scenario)
+        epochs, samples = sizes(scenario)
+        hours = f"{len(keys)} runs of {scenario.duration_s:g} s at {scenario.imu_rate_hz:g} Hz"
+        require_memory(len(keys) * epochs * (samples * SAMPLE + EPOCH), hours)
         return _simulated(scenario, keys)
     except DataError:
         raise

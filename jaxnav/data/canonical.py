@@ -235,7 +235,7 @@ def _read_about(path: Path) -> dict:
         raise DataError(f"{path}: expected an object with the keys {', '.join(about)}")
     about |= read
     arm = about["lever_arm_frd_m"]
-    if not (isinstance(arm, list) and len(arm) == 3 and all(isinstance(x, (int, float)) for x in arm)):
+    if not (isinstance(arm, list) and len(arm) == 3 and all(type(x) in (int, float) for x in arm)):
         raise DataError(f"{path}: lever_arm_frd_m: expected three numbers, got {arm!r}")
     if not all(abs(x) <= MAX_LEVER_ARM for x in arm):  # nan too
         raise DataError(f"{path}: lever_arm_frd_m: expected at most {MAX_LEVER_ARM:g} m, got {arm}")

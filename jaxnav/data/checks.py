@@ -13,6 +13,7 @@ MAX_FORCE = 5000.0  # m/s^2
 GRAVITY, GRAVITY_TOLERANCE = 9.8, 1.0  # m/s^2; consumer accelerometers are off by up to 0.8 (80 mg)
 QUIET_SPEED = 10.0  # m/s: weighs a turn against vibration when looking for a quiet window
 MAX_LEVER_ARM = 100.0  # m
+LOWEST, HIGHEST = -12e3, 50e6  # m, the deepest trench and beyond the satellites
 
 # columns of the streams that have a name of their own, and the unit of the sd; others may have any number
 STREAM_SIZES: dict[str, tuple[int, str]] = {
@@ -164,6 +165,8 @@ def _geodetic(lla: np.ndarray, source: Source, stream: str) -> None:
     _require(
         np.abs(lla[:, 1]) <= 2 * np.pi, source, stream, "longitude within 2 pi rad, 360 deg (degrees as radians?)", lla
     )
+    height = lla[:, 2]
+    _require((height > LOWEST) & (height < HIGHEST), source, stream, "a height above the ellipsoid in m", lla)
 
 
 def _overlap(name: str, t: np.ndarray, imu: ImuLog, source: Source) -> None:

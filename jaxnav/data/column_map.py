@@ -77,7 +77,7 @@ def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None
 
 def _load(path: FilePath) -> dict[str, Any]:
     try:
-        return tomllib.loads(read_bytes(path).decode())
+        return tomllib.loads(read_bytes(path).decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DataError(f"{os.fspath(path)}: cannot be read as TOML: {error}") from error
 

@@ -110,6 +110,12 @@ def read_csv(path: FilePath, nan: frozenset = frozenset(), notes: list[str] | No
     if not lines:
         raise DataError(f"{os.fspath(path)}: is empty, expected a header line")
     names = tuple(name.strip() for name in lines[0][1].split(","))
+    if len(names) == 1 and (other := next((c for c in ";\t" if c in lines[0][1]), "")):
+        name = {";": "semicolons", "\t": "tabs"}[other]
+        raise DataError(
+            f"{os.fspath(path)}: columns are separated by {name}, expected commas; a column map reads it as it is: "
+            "docs/formats.md"
+        )
     if len(set(names)) != len(names):
         raise DataError(f"{os.fspath(path)}: line {lines[0][0]}: a column name stands twice in {', '.join(names)}")
     if all(_is_number(name) for name in names):

@@ -156,7 +156,7 @@ def _map(path: Path, head: bytes) -> bool:
     if path.is_dir() or not re.search(rb"^\s*(\[(imu|read)\]|(imu|read)\s*=\s*\{)", head, re.MULTILINE):
         return False
     try:
-        return bool(set(tomllib.loads(path.read_text())) & set(TOP))
+        return bool(set(tomllib.loads(path.read_text(encoding="utf-8-sig"))) & set(TOP))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         return path.suffix == ".toml"  # a damaged map: its reader says where
 

@@ -168,6 +168,8 @@ def start(
         raise DataError(f"{rec.name}: needs a stream of positions to start from")
     if isinstance(heading, str) and heading not in ("motion", "course", "unknown", "truth"):
         raise ConfigError(f'start.heading must be "motion", "course", "unknown", "truth" or degrees, got {heading!r}')
+    if not isinstance(heading, str) and not np.all(np.isfinite(heading)):
+        raise ConfigError(f"start.heading must be finite, got {heading!r}")
     known = rec_timing(rec) if params is None else params
     from_t = max(rec.imu.t[0] - rec.imu.dt[0], -math.inf if begin is None else begin)
     velocity = rec.aiding.get("velocity") or _differences(position)

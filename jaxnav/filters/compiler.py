@@ -13,9 +13,12 @@ from typing import NamedTuple
 
 import jax
 
+from jaxnav.types import DataError
+
 CACHE = "JAXNAV_CACHE_DIR"  # environment: folder of compiled programs; empty turns the cache off
 LOG = logging.getLogger("jaxnav")
 EMITTERS = "xla_cpu_use_fusion_emitters"  # off: XLA's older emitter writes the kernels, in half of the time
+MOST = 0.9  # of the memory that one job may take
 KNOWN = (0, 10)  # jaxlib up to here has the flag; XLA ends a process whose flags it does not know
 
 
@@ -87,6 +90,18 @@ def make_room(maps: int = 40_000, resident: float | None = None) -> bool:
         getattr(ctypes.CDLL(None), "malloc_trim", lambda pad: 0)(0)
     LOG.warning("dropped all compiled programs, which held %d mappings, %.1f GiB", now.maps, now.resident / 2**30)
     return True
+
+
+def require_memory(size: float, what: str) -> None:
+    """Refuse what this machine cannot hold, before it is begun: the system would end the process without a word.
+
+    Raises:
+        DataError: ``size`` bytes are more than `MOST` of its memory.
+    """
+    if size > MOST * _memory():
+        raise DataError(
+            f"{what} takes about {size / 2**30:.3g} GiB of memory, this machine has {_memory() / 2**30:.3g}"
+        )
 
 
 def _memory() -> float:

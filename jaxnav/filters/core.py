@@ -128,6 +128,14 @@ def only_if(flag: jax.Array, c: Correction, z: Innovation, memory: Any) -> Corre
     return select(flag, c, Correction(jnp.zeros(z.P.shape[0]), z.P, memory, jnp.zeros_like(z.valid), drive=nothing))
 
 
+def _require_shapes(c: Correction, z: Innovation) -> None:
+    """Raise ValueError, when traced, for a correction that does not fit what the rule was shown."""
+    n, m = z.P.shape[0], z.nu.shape[0]
+    for name, shape in (("delta", (n,)), ("P", (n, n)), ("used", (m,))):
+        if jnp.shape(found := getattr(c, name)) != shape:
+            raise ValueError(f"the rule's Correction.{name} has shape {jnp.shape(found)}, expected {shape}")
+
+
 def select(flag: jax.Array, a: Any, b: Any) -> Any:
     """``a`` where the flag is true, else ``b``, leaf by leaf; the flag's axes, if any, are the first of each leaf."""
     return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(flag, range(flag.ndim, jnp.ndim(a))), a, b), a, b)
@@ -281,7 +289,9 @@ def make_filter(
         residual = y - H @ x
         y, H, R = masked(y, H, R, fix.valid)
         z = Innovation(y - H @ x, H, R, state.P, fix.valid, state.T, age)
-        c = only_if(fix.valid.any(), rule.correct(params.rule, memory, z), z, memory)
+        c = rule.correct(params.rule, memory, z)
+        _require_shapes(c, z)
+        c = only_if(fix.valid.any(), c, z, memory)
         x = x + c.delta
         S = linalg.sandwich(H, state.P) + R
         nis = linalg.normalized(z.nu, S)

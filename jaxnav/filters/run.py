@@ -84,7 +84,11 @@ def initial_nav(
     """Local level start: (lat rad, lon rad, h m), ENU m/s, roll pitch heading rad, s; nothing known of sensor errors.
 
     Frames that do not travel along have their origin there and then, and their first axis at ``azimuth`` (rad).
+
+    Raises:
+        DataError: a position in float32.
     """
+    require_x64(lla)
     lla, vel, rph, t, azimuth = (jnp.asarray(v, float) for v in (lla, vel, rph, t, azimuth))
     q = rotations.from_dcm(rotations.from_rph(rph))
     zero = jnp.zeros(3)

@@ -1,9 +1,12 @@
 """The keys of simulated runs: of a seed, of what the run is for, and of its number."""
 
 from enum import IntEnum
+from functools import partial
 from typing import Any
 
 import jax
+import numpy as np
+from jax.typing import ArrayLike
 
 
 class Purpose(IntEnum):
@@ -15,6 +18,11 @@ class Purpose(IntEnum):
     SINGLE = 3  # `jaxnav simulate`
     REDRAWN = 4  # new training runs at every step
     STUDY = 5  # Monte Carlo
+
+
+def run_keys(seed: int, purpose: Purpose, numbers: ArrayLike) -> jax.Array:
+    """The keys (N,) of runs with these numbers (N,)."""
+    return jax.vmap(partial(run_key, seed, purpose))(np.asarray(numbers, np.uint32))
 
 
 def run_key(seed: int, purpose: Purpose, run: Any) -> jax.Array:

@@ -15,11 +15,10 @@ import numpy as np
 
 from benchmarks import common
 from benchmarks.wild import RECIPES
-from jaxnav import Solution, build, navigate, read
+from jaxnav import Solution, build, navigate, read, start
 from jaxnav.analysis.windows import Windows, drift, hidden_windows
 from jaxnav.app.results import table
 from jaxnav.data import epochs as ep
-from jaxnav.data import start
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import change, datasheet_params
 from jaxnav.states.grades import Grade

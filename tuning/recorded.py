@@ -17,6 +17,7 @@ estimates them (`gnss_position_error`) is tuned as well. What is found competes 
 validation windows, and the datasheet stays unless all is better. The winner is judged once, on the test.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -40,7 +41,7 @@ from tuning.evidence import SLOW, Job
 from tuning.parts import Layout, parts_of, plan
 from tuning.priors import PRIORS, in_words, kind_of, spec_of
 from tuning.report import LEAST_WINDOWS, Row, in_words_of, shown, text, verdict
-from tuning.transforms import Spec, labels, split
+from tuning.transforms import LOG, Spec, Transform, labels, split
 from tuning.validation import PairedGain, paired_gain
 
 REACH = 0.3  # s, of delay that tuning may add to what is known
@@ -100,6 +101,7 @@ def tune(
     begin: Start | None = None,
     stop: float | None = None,
     window: float | None = None,
+    priors: bool = True,
     standing: ep.Standing = ep.Standing(),
     say: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
@@ -107,8 +109,8 @@ def tune(
 
     ``free``: groups of `tuning.priors.GROUPS` or dotted leaves. ``widths``: priors of your own by leaf, one sd about
     ``params``: a factor where the parameter is positive, else in SI. ``begin``: `jaxnav.start` with settings of your
-    own. ``stop``: s. ``window``: s, length of the hidden windows, by default 3 to 15 by the recording's length. ``say``
-    hears of progress.
+    own. ``stop``: s. ``window``: s, length of the hidden windows, by default 3 to 15 by the recording's length.
+    ``priors``: False believes nothing before the data. ``say`` hears of progress.
 
     Raises:
         DataError: a recording that cannot be started from, or is too short for windows in every part.
@@ -136,7 +138,7 @@ def tune(
     say(in_words_of(layout, parts, packed))
     epochs = prepare(filt, packed.epochs)
     nav = one_start(filt, sheet, begin.navs, epochs, packed.t, layout.train)
-    spec = spec_of(filt, sheet, free, widths)
+    spec = spec_of(filt, sheet, free, widths, priors)
     job = Job(filt, spec, sheet, nav, epochs, packed, windows, parts["training"], layout)
     history: list[dict] = []
     found = candidates(job, begin, history, say)
@@ -149,7 +151,7 @@ def tune(
         say(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
         more = kept(filt.extended(SLOW))
         whole = sheet._replace(states=sheet.states | {SLOW: more.params().states[SLOW]})
-        wider = spec | spec_of(more, whole, SLOW_LEAVES, widths)
+        wider = spec | spec_of(more, whole, SLOW_LEAVES, widths, priors)
         other = Job(more, wider, whole, nav, epochs, packed, windows, parts["training"], layout)
         jobs["slow errors"] = other
         first = other.numbers(found["tuned"])
@@ -298,8 +300,17 @@ def table(job: Job, params: Params) -> list[Row]:
         remark = "the data add nothing to the prior" if s > 0.9 * w else ""
         if f > FAR:
             remark = f"{f:.1f} sd from the datasheet: {prior.far}"
-        rows.append(Row(_named(label), value, low, high, before, text, prior.words, remark))
+        rows.append(Row(_named(label), value, low, high, before, text, believed(transform, unit, text), remark))
     return rows
+
+
+def believed(transform: Transform, unit: float, text: str) -> str:
+    """A prior in words: how far one sd is."""
+    if transform.belief is None:
+        return "none"
+    if transform.forward is LOG.forward:
+        return f"within a factor {math.exp(transform.belief.sd):.3g}"
+    return f"within {float(transform.forward(jnp.asarray(transform.belief.sd))) / unit:.3g} {text}".rstrip()
 
 
 def _named(label: str) -> str:

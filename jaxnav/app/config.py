@@ -132,6 +132,7 @@ class Tune:
     correlated: tuple[str, ...] = ()  # white and bias-driving noise, fixes: correlations between the axes too
     prior: dict[str, float] = dataclasses.field(default_factory=dict)  # name -> one sd about the datasheet: a factor
     #   for what is positive (2 is "within a factor 2"), else in the parameter's own unit
+    priors: str = "datasheet"  # tempered: what is believed about it before any data, see `tuning.priors`; or "none"
     over_runs: str = "mean"  # how runs are put together: mean, log_mean (scenarios alike), tail (the worst ones)
     tail: float = 0.25  # share of the runs that count as the worst; 0: the worst alone
     # auto: tempered for one recording, adam for what is simulated, or where an objective of your own is set; adam, sgd,
@@ -333,12 +334,18 @@ def read(path: str | Path) -> dict[str, Any]:
 
 
 def read_params(path: str | Path) -> dict[str, Any]:
-    """The [params] of a file such as tuned.toml and the states that they are for, as a layer."""
+    """The [params] of a file such as tuned.toml or grade.toml, as a layer.
+
+    With them come the states that they are for, and how far from them tuning is to look.
+    """
     tree = read(path)
     if "params" not in tree:
         raise ConfigError(f"{path}: has no [params]")
-    states = tree.get("filter", {}).get("states")
-    return {"params": tree["params"]} | ({} if states is None else {"filter": {"states": states}})
+    layer = {"params": tree["params"]}
+    for section, key in (("filter", "states"), ("tune", "prior")):
+        if key in tree.get(section, {}):
+            layer[section] = {key: tree[section][key]}
+    return layer
 
 
 def parse_set(setting: str) -> dict[str, Any]:

@@ -96,10 +96,10 @@ def name_of(leaf: str) -> str:
     return NAMES.get(leaf, leaf)
 
 
-def user_value(leaf: str, value: Any) -> Any:
-    """A leaf's value in a user's units, as plain numbers."""
+def user_value(leaf: str, value: Any, short: bool = True) -> Any:
+    """A leaf's value in a user's units, as plain numbers; ``short``: axes that agree are one number."""
     value = np.asarray(value, float) / unit_of(leaf).factor
-    same = value.ndim and np.all(value == value.flat[0]) and leaf in UNITS and UNITS[leaf].step is None
+    same = short and value.ndim and np.all(value == value.flat[0]) and leaf in UNITS and UNITS[leaf].step is None
     return float(value.flat[0]) if same else value.tolist()
 
 

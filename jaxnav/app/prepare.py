@@ -83,7 +83,15 @@ def history_of(config: Config, known: Params, rate_hz: float, span: float, tuned
 def base_params(
     config: Config, grade: Grade, lever_arm: np.ndarray, position_sd: Any = 3.0, velocity_sd: Any = 0.1
 ) -> Params:
-    """The datasheet's parameters under the overrides of [params]; the prior of the start by [start]."""
+    """The datasheet's parameters under the overrides of [params]; the prior of the start by [start].
+
+    Raises:
+        ConfigError: states that are none, or that the filter cannot have.
+    """
+    try:
+        build(filter_name(config), measurements_of(config), states=config.filter.states)
+    except ValueError as error:
+        raise ConfigError(f"filter.states: {error}") from error
     start, entry = config.start, FILTERS[filter_name(config)]
     heading_sd = 360.0 / start.hypotheses if start.heading == "unknown" else start.heading_sd_deg
     params = datasheet_params(

@@ -137,7 +137,8 @@ def write(folder: Path, material: Material, found: Fit, leaves: list[str], resul
 
 def user_history(history: list[dict]) -> list[dict]:
     """One row a step with the parameters in a user's units."""
-    in_units = lambda row: {name_of(leaf): user_value(leaf, v) for leaf, v in row["params"].items()}  # noqa: E731
+    # of one shape in every step, whether axes happen to agree in it or not
+    in_units = lambda row: {name_of(leaf): user_value(leaf, v, False) for leaf, v in row["params"].items()}  # noqa: E731
     return [row | {"params": in_units(row)} for row in history]
 
 

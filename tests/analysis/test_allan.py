@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxnav.analysis.allan import Allan, allan_deviation, gauss_markov_variance, read_off, regular
-from jaxnav.app import cli
+from jaxnav.app import cli, config
 from jaxnav.data import write_recording
 from jaxnav.maths.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR, G0, UG
 from jaxnav.simulate.imu import corrupt
@@ -212,6 +212,13 @@ def test_verb(recording, tmp_path, monkeypatch, capsys):
     assert found["accel_z"]["N_ug_per_sqrt_hz"] == pytest.approx(50, rel=0.1)
     assert found["gyro_y"]["gauss_markov_tau_s"] is None and len(found["accel_curve"]["deviation"]) == 3
     assert (out / "allan.png").stat().st_size > 20_000
+    # what tuning starts from: the figures of the axes, and how far from them it may look
+    layer = config.read_params(out / "grade.toml")
+    assert layer["params"]["gyro_deg_per_sqrt_hour"] == pytest.approx([0.1] * 3, rel=0.1)
+    assert layer["params"]["accel_ug_per_sqrt_hz"] == pytest.approx([50] * 3, rel=0.1)
+    assert 2.0 <= layer["tune"]["prior"]["gyro_deg_per_sqrt_hour"] < 2.3
+    assert "gyro_bias_deg_per_hour_per_sqrt_s" not in layer["params"]  # no drift shows in a minute
+    assert config.resolve([("", layer)]).params.value("gyro_deg_per_sqrt_hour") is not None
 
     args = ["allan", "--data", str(recording), "--set", "out.figures=false", "--out", str(out)]
     assert cli.main([*args, "--set", "filter.standing_gyro_sd_deg_per_s=0.1"]) == 0

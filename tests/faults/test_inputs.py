@@ -96,6 +96,7 @@ SETTINGS = {
     "start.heading=nan": (2, ["start.heading", "a number"]),
     "filter.interval_s=1e-9": (3, ["interval", "epochs"]),
     "out.formats=['cvs']": (2, ["cvs", "csv"]),
+    "filter.states=['gnss_error']": (2, ["gnss_error", "gnss_position_error"]),
     "filter.lag=3": (2, ["filter.lag"]),
 }
 

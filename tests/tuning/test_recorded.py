@@ -170,6 +170,16 @@ def test_the_datasheet_stays_unless_all_is_better():
     assert choose({"datasheet": same, "tuned": trial(np.where(before > 0, np.inf, 0.0))}) == "datasheet"
 
 
+def test_a_prior_is_told_as_it_is():
+    """Of a factor, of a step in the user's unit, of none."""
+    params = build("ekf15").params("consumer")
+    spec = priors.spec_of(build("ekf15"), params, ("noise.gyro", "mounting.time_offset"), {"noise.gyro": 4.0})
+    assert recorded.believed(spec["noise.gyro"], 1.0, "deg") == "within a factor 4"
+    assert recorded.believed(spec["mounting.time_offset"], 1e-3, "ms") == "within 100 ms"
+    free = priors.spec_of(build("ekf15"), params, ("noise.gyro",), priors=False)
+    assert recorded.believed(free["noise.gyro"], 1.0, "deg") == "none"
+
+
 def test_correlation_from_fix_to_fix_is_an_autoregressions():
     """Of innovations z_k = 0.6 z_(k-1) + w, thinned by a hidden window that must not count as neighbours."""
     rng, t, a = np.random.default_rng(0), np.arange(1.0, 4001.0), 0.6

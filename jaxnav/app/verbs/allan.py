@@ -13,11 +13,18 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.app.config import Config
 from jaxnav.app.results import Outcome, table, write_json
 from jaxnav.app.sources import load
+from jaxnav.app.toml import to_toml
+from jaxnav.data import atomic_write
 from jaxnav.data.epochs import TICK, driving, stationary
 from jaxnav.maths.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, UG
 from jaxnav.types import DataError, ImuLog, Samples
 
 SHORTEST = 100  # samples
+MOTION = 2.0  # factor, one sd, by which noise in motion is another than at rest
+KEYS = {
+    "gyro": ("gyro_deg_per_sqrt_hour", "gyro_bias_deg_per_hour_per_sqrt_s"),
+    "accel": ("accel_ug_per_sqrt_hz", "accel_bias_ug_per_sqrt_s"),
+}  # of [params]: white noise, and what drives the bias
 
 KINDS = {
     "gyro": ("deg/h", DEG_PER_HOUR, {"N_deg_per_sqrt_hour": DEG_PER_SQRT_HOUR, "B_deg_per_hour": DEG_PER_HOUR,
@@ -39,16 +46,18 @@ def allan(config: Config, folder: Path) -> Outcome:
     gyro, accel, dt = regular(imu)
     found: dict[str, Any] = {"name": rec.name, "start_s": float(imu.t[0] - imu.dt[0]), "stop_s": float(imu.t[-1]),
                              "rate_hz": 1 / dt} | standing(config, imu, rec.aiding.get("velocity"))  # fmt: skip
-    groups, rows = [], {}
+    groups, rows, read = [], {}, {}
     for kind, data in (("gyro", gyro), ("accel", accel)):
         unit, si, _ = KINDS[kind]
         curve = allan_deviation(data, dt)
         figures = [read_off(curve, i) for i in range(3)]
-        rows[kind] = [in_units(kind, f) for f in figures]
+        rows[kind], read[kind] = [in_units(kind, f) for f in figures], (curve, figures)
         groups.append((kind, unit, si, curve, figures))
         found |= {f"{kind}_{axis}": row for axis, row in zip("xyz", rows[kind])}
         found[f"{kind}_curve"] = as_table(curve, unit, si)
     write_json(folder / "metrics.json", found)
+    head = f"# read off the Allan deviation of {rec.name} at rest; use: jaxnav tune --params grade.toml\n"
+    atomic_write(folder / "grade.toml", head + to_toml(grade(read)))
     if config.out.figures:
         plots.save(plots_allan.allan(groups), folder / "allan.png")
     return Outcome(found, summary(found, rows), {"allan": time.perf_counter() - begin})
@@ -95,6 +104,41 @@ def in_units(kind: str, found: ReadOff) -> dict[str, float | None]:
     values = [*lines, None if hump is None else hump.sd]
     row = {key: None if v is None else v / si for (key, si), v in zip(KINDS[kind][2].items(), values)}
     return row | {"gauss_markov_tau_s": None if hump is None else hump.tau}
+
+
+def grade(read: dict[str, tuple[Allan, list[ReadOff]]]) -> dict[str, Any]:
+    """[params] of what shows at rest, and how far from it to look: [tune] prior, one sd as a factor.
+
+    White noise by axis; what drives a bias from its random walk, else from its Gauss-Markov hump. The prior is the
+    figure's own uncertainty, by the degrees of freedom of the curve where it was read, and `MOTION`.
+    """
+    params: dict[str, Any] = {}
+    prior: dict[str, float] = {}
+    for kind, (white, driven) in KEYS.items():
+        curve, axes = read[kind]
+        units = KINDS[kind][2]
+        for key, of, si in ((white, _white, list(units.values())[0]), (driven, _driven, list(units.values())[2])):
+            known = [found for axis in axes if (found := of(axis)) is not None]
+            if not known:
+                continue
+            usual = float(np.exp(np.mean([math.log(value) for value, _ in known])))  # of an axis that shows nothing
+            params[key] = [float(f"{(usual if (f := of(axis)) is None else f[0]) / si:.5g}") for axis in axes]
+            edf = np.mean([np.interp(math.log(tau), np.log(curve.tau), curve.edf) for _, tau in known])
+            prior[key] = float(f"{math.exp(math.hypot(1 / math.sqrt(2 * edf), math.log(MOTION))):.3g}")
+    return {"params": params, "tune": {"prior": prior}}
+
+
+def _white(axis: ReadOff) -> tuple[float, float] | None:
+    """Root PSD of white noise and the middle of the cluster times (s) that it was read from."""
+    return None if axis.N is None else (axis.N.value, math.sqrt(axis.N.start * axis.N.stop))
+
+
+def _driven(axis: ReadOff) -> tuple[float, float] | None:
+    """Root PSD of what drives the bias."""
+    if axis.K is not None:
+        return axis.K.value, math.sqrt(axis.K.start * axis.K.stop)
+    hump = axis.gauss_markov
+    return None if hump is None else (hump.sd * math.sqrt(2 / hump.tau), 1.89 * hump.tau)
 
 
 def as_table(curve: Allan, unit: str, si: float) -> dict[str, Any]:

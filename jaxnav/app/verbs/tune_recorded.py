@@ -43,6 +43,8 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
     Raises:
         DataError: a recording that cannot be used, or is too short. ConfigError: names that are not known.
     """
+    if config.tune.priors not in ("datasheet", "none"):
+        raise ConfigError(f'tune.priors must be "datasheet" or "none", got {config.tune.priors!r}')
     begin = time.perf_counter()
     name, measurements = pre.filter_name(config), pre.measurements_of(config)
     rec, _ = load(config)
@@ -63,7 +65,8 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
         rec, filt, params, free=free, widths=widths(config, free, which),
         begin=pre.start_of(config, rec, params), stop=config.data.stop,
         window=None if config.tune.outage_s == plain.outage_s else config.tune.outage_s,
-        standing=pre.standing_of(config), say=stderr if progress else lambda line: None,
+        priors=config.tune.priors != "none", standing=pre.standing_of(config),
+        say=stderr if progress else lambda line: None,
     )  # fmt: skip
     seconds["tune"] = time.perf_counter() - begin
     begin = time.perf_counter()

@@ -17,8 +17,9 @@ from jaxnav.filters.parameters import datasheet_params, grade_of
 from jaxnav.filters.rules.adaptive import fading, fading_params, iae, iae_params, sage_husa, sage_husa_params
 from jaxnav.filters.rules.combinators import only
 from jaxnav.filters.rules.kalman import kalman
+from jaxnav.filters.rules.receiver import receiver, receiver_params
 from jaxnav.filters.rules.robust import BLOCK, gate, gate_params, huber, huber_params, student_t, student_t_params
-from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
+from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, layout
 from jaxnav.states.grades import Grade
 from jaxnav.states.table import BIASES
 from jaxnav.strapdown import inertial_quaternion, local_level, tangent_frame
@@ -54,6 +55,7 @@ class Entry(NamedTuple):
     feedback: Callable[..., Any] = reset
     feedback_theta: Callable[[], Any] = lambda: ()  # default parameters of the feedback
     more: bool = False  # may have further states: a paper's rule knows its own alone
+    watched: bool = False  # its rule is made of the receiver's channels, and sees all
     gated: bool = False  # sees all that carries data, each measurement a block; others see the receiver's alone
 
 
@@ -128,6 +130,13 @@ FILTERS: dict[str, Entry] = {
         (), fuzzy_combined, combined_params, _COMBINED, "this package: fading or a new R, by fuzzy rules", "full",
         "inertial", observer, poles,
     ),
+    **{
+        f"ekf{n}_receiver": Entry(
+            own, receiver, receiver_params, {"wrong": "log", "well": "log", "late": "log"},
+            "hypotheses of the receiver; Blom & Bar-Shalom 1988", more=True, watched=True,
+        )
+        for n, own in ((9, ()), (15, BIASES))
+    },
     **{f"ekf{n}_{name}": _robust(own, name) for n, own in ((9, ()), (15, BIASES)) for name in ROBUST},
 }  # fmt: skip
 
@@ -183,6 +192,11 @@ def build(
 
 def _rule(entry: Entry, chosen: tuple[Measurement, ...]) -> Rule:
     """The entry's rule on what it is to see; the rest is left to a Kalman update."""
+    if entry.watched:
+        places = {name: s for name, s in layout(chosen).items() if name in ("position", "velocity")}
+        if "position" not in places:
+            raise ValueError(f"a rule that watches the receiver needs its position, not {[m.name for m in chosen]}")
+        return entry.rule(places["position"].start, places["velocity"].start if "velocity" in places else None)
     seen = [each.receiver or (entry.gated and bool(each.columns)) for each in chosen]
     sizes = tuple(each.size for each, see in zip(chosen, seen, strict=True) if see)
     rule = entry.rule(sizes) if entry.gated and set(sizes) != {BLOCK} else entry.rule()

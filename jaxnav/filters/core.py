@@ -54,6 +54,8 @@ class Rule(NamedTuple):
     extrapolate: Callable[..., Any] = lambda theta, memory, x0, x: (x, memory)
     estimates: tuple[str, ...] = ()  # optional states that it moves by itself, without their being in x
     smooths: bool = False  # its correction is one of the covariance, so that a smoother can go back over it
+    # (theta, memory, transition, T) -> memory; every epoch, of a rule that keeps error states of its own
+    transport: Callable[..., Any] | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -273,8 +275,10 @@ def make_filter(
         recent, points = propagate(nav, state.u, given.samples, cov_stride, given.keep)
         Phi, Q, d = model.discretize(params, points, given.T, state.u)
         x, P = Phi @ state.x + d, linalg.sandwich(Phi, state.P) + Q
-        predicted = state._replace(past=shift(state.past, recent, given.n), x=x, P=P, T=state.T + given.T.sum())
-        return predicted, Transition(Phi, Q, d)
+        moved, T = Transition(Phi, Q, d), given.T.sum()
+        memory = rule.transport(params.rule, state.memory, moved, T) if rule.transport else state.memory
+        predicted = state._replace(past=shift(state.past, recent, given.n), x=x, P=P, T=state.T + T, memory=memory)
+        return predicted, moved
 
     def predict(params: Params, state: FilterState, imu: Imu | Prepared) -> FilterState:
         return transition(params, state, imu)[0]

@@ -69,7 +69,18 @@ class Burst(NamedTuple):
     factor: float
 
 
-Fault = Constant | Ramp | White | GaussMarkov | Burst
+@told_apart
+class Slide(NamedTuple):
+    """Position and velocity that slide away together, up to so many metres, and back, or not: then they jump back."""
+
+    start_s: float
+    stop_s: float
+    position_m: Axes = (0.0, 0.0, 0.0)
+    back: bool = True
+    random_sign: bool = False
+
+
+Fault = Constant | Ramp | White | GaussMarkov | Burst | Slide
 
 
 def _size(position: Axes, velocity: Axes) -> jax.Array:
@@ -99,6 +110,14 @@ def _correlated(f: GaussMarkov, key: jax.Array, t: jax.Array, noise: jax.Array) 
     return _size(f.position_sd_m, f.velocity_sd_mps) * gauss_markov(white, interval, f.tau_s)
 
 
+def _slide(f: Slide, key: jax.Array, t: jax.Array, noise: jax.Array) -> jax.Array:
+    """P = size sin^2(w s), w = pi / length there and back, half of it there alone; v = dp/dt."""
+    w = jnp.pi / (f.stop_s - f.start_s) * (1.0 if f.back else 0.5)
+    s = (t - f.start_s)[:, None]
+    size = (_signs(key, f.random_sign) * _size(f.position_m, f.position_m))[..., :3]
+    return jnp.concatenate([size * jnp.sin(w * s) ** 2, size * w * jnp.sin(2 * w * s)], 1)
+
+
 def _burst(f: Burst, key: jax.Array, t: jax.Array, noise: jax.Array) -> jax.Array:
     return (f.factor - 1) * noise
 
@@ -109,6 +128,7 @@ FAULTS: dict[type, Callable[[Any, jax.Array, jax.Array, jax.Array], jax.Array]] 
     White: _white,
     GaussMarkov: _correlated,
     Burst: _burst,
+    Slide: _slide,
 }
 """Type of a fault -> ``(fault, key, t (E,), noise (E, 6)) -> offset (E, 6)`` of position (ENU m) and velocity."""
 

@@ -18,7 +18,7 @@ NAMES = {
     "check": "what a recording says of itself, damaged in one way each and as it is",
     "start": "starts in motion: attitude, its sd and the delay of the fixes, simulated and recorded",
     "wild": "recordings as their users have them, from file to solution",
-    "faults": "faults of a receiver, twelve kinds: rules beside a filter that is told when",
+    "faults": "faults of a receiver, twenty-four kinds: rules beside a filter that is told when",
     "kitti": "a drive beside GTSAM: the same hidden windows, the same sigmas",
     "umn": "a fixed-wing flight from an unknown heading, against the onboard filter",
 }

@@ -59,8 +59,14 @@ def one_of(rules: tuple[Rule, ...]) -> Rule:
 
         return jax.lax.switch(theta[0], [partial(branch, i, rule) for i, rule in enumerate(rules)])
 
+    def transport(theta, memories, moved, T):
+        pairs = zip(rules, theta[1], memories, strict=True)
+        return tuple(rule.transport(own, memory, moved, T) if rule.transport else memory for rule, own, memory in pairs)
+
     init = lambda n, m: tuple(rule.init(n, m) for rule in rules)  # noqa: E731
-    return Rule(init, correct, extrapolate, estimates=BIASES)  # of every branch, with a drive of its own or of zero
+    return Rule(
+        init, correct, extrapolate, estimates=BIASES, transport=transport
+    )  # of every branch, with a drive of its own or of zero
 
 
 def alike(entry: Entry) -> tuple[str, ...]:
@@ -131,7 +137,7 @@ def test_a_rule_is_finite_and_still_where_nothing_is_there(name):
     P = jnp.diag(jnp.linspace(1.0, 2.0, n))
     z = Innovation(blank, jnp.zeros((6, n)), jnp.eye(6), P, blank > 0, jnp.zeros(()), blank)
     memory = rule.init(n, 6)
-    answer = rule.correct(entry.theta(), memory, z)
+    answer = jax.jit(rule.correct)(entry.theta(), memory, z)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(answer))
     assert not answer.used.any()
     assert jax.tree.structure(answer.memory) == jax.tree.structure(memory)

@@ -130,13 +130,10 @@ FILTERS: dict[str, Entry] = {
         (), fuzzy_combined, combined_params, _COMBINED, "this package: fading or a new R, by fuzzy rules", "full",
         "inertial", observer, poles,
     ),
-    **{
-        f"ekf{n}_receiver": Entry(
-            own, receiver, receiver_params, {"wrong": "log", "well": "log", "late": "log"},
-            "hypotheses of the receiver; Blom & Bar-Shalom 1988", more=True, watched=True,
-        )
-        for n, own in ((9, ()), (15, BIASES))
-    },
+    "ekf15_receiver": Entry(
+        BIASES, receiver, receiver_params, {"wrong": "log", "well": "log", "late": "log"},
+        "hypotheses of the receiver by Blom & Bar-Shalom 1988", more=True, watched=True,
+    ),
     **{f"ekf{n}_{name}": _robust(own, name) for n, own in ((9, ()), (15, BIASES)) for name in ROBUST},
 }  # fmt: skip
 

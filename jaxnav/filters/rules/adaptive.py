@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.filters.core import Correction, Innovation, Rule
-from jaxnav.filters.rules.robust import inflated
+from jaxnav.filters.rules.robust import inflated, require_plain
 
 
 class ScaleMemory(NamedTuple):
@@ -51,6 +51,7 @@ def sage_husa(rule: Rule) -> Rule:
     r r' + H P+ H' is the mean of v v' given the fix, the E-step of maximum likelihood: positive by construction, where
     the original nu nu' - H P H' is not (Sage & Husa 1969). Used from the next fix on.
     """
+    require_plain(rule)
 
     def correct(theta: SageHusa, memory: ScaleMemory, z: Innovation) -> Correction:
         factor = jnp.maximum(memory.learnt, theta.floor)
@@ -84,6 +85,7 @@ def iae(rule: Rule, window: int = 20) -> Rule:
     This one included, and never below the floor (Mehra 1970; Mohamed & Schwarz 1999). The window starts out full of the
     fixes' own R.
     """
+    require_plain(rule)
 
     def correct(theta: Iae, memory: ScaleMemory, z: Innovation) -> Correction:
         now = (z.nu**2 - jnp.diag(z.H @ z.P @ z.H.T)) / jnp.diag(z.R)
@@ -119,6 +121,7 @@ def fading(rule: Rule) -> Rule:
 
     What the fixes do not observe loses its memory too: heading, at rest.
     """
+    require_plain(rule)
 
     def correct(theta: Fading, memory: Any, z: Innovation) -> Correction:
         c = rule.correct(theta.rule, memory, z)

@@ -36,4 +36,4 @@ def only(rule: Rule, channels: tuple[int, ...]) -> Rule:
     def extrapolate(theta, memory, x0: jax.Array, x: jax.Array):
         return rule.extrapolate(theta, memory, x0, x)
 
-    return Rule(init, correct, extrapolate, rule.estimates, rule.smooths)
+    return Rule(init, correct, extrapolate, rule.estimates, rule.smooths, rule.transport)

@@ -16,6 +16,7 @@ from scipy.special import chdtri
 from jaxnav.filters.core import Correction, Innovation, Rule, masked, only_if, select
 from jaxnav.maths import linalg
 
+LONG = 1e9  # s, before any fix; a memory is finite
 LONGER = 1.5  # of the interval between fixes: what is longer is an outage
 BLOCK = 3  # channels of a receiver's measurement
 
@@ -40,6 +41,12 @@ def inflated(R: jax.Array, factor: jax.Array) -> jax.Array:
     """R with variances times ``factor`` (m,) > 0, correlations kept."""
     root = jnp.sqrt(factor)
     return root[:, None] * R * root
+
+
+def require_plain(rule: Rule) -> None:
+    """Raise ValueError for a rule that keeps error states of its own, which no other rule can hold within."""
+    if rule.transport is not None:
+        raise ValueError("a rule that keeps error states of its own, as `receiver`, cannot be inside of another")
 
 
 def require_blocks(m: int) -> None:
@@ -110,6 +117,7 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
     The time counts only fixes that were rejected, not outages: what passes between two fixes counts as `LONGER` of
     their shortest interval at most, and a fix after a tunnel is tested like any other.
     """
+    require_plain(rule)
 
     def blocks(m: int) -> tuple[int, ...]:
         if sizes is None:
@@ -120,7 +128,7 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
 
     def init(n: int, m: int) -> GateMemory:
         count = len(blocks(m))
-        return GateMemory(jnp.zeros(count), jnp.zeros(count), jnp.full(count, jnp.inf), rule.init(n, m))
+        return GateMemory(jnp.zeros(count), jnp.zeros(count), jnp.full(count, LONG), rule.init(n, m))
 
     def correct(theta: Gate, memory: GateMemory, z: Innovation) -> Correction:
         own = blocks(z.nu.size)
@@ -176,6 +184,7 @@ def huber(rule: Rule) -> Rule:
 
     The correction by a channel is then bounded however far off it is (Huber 1964; Karlgaard & Schaub 2007 iterate it).
     """
+    require_plain(rule)
 
     def correct(theta: Huber, memory: Any, z: Innovation) -> Correction:
         sd = jnp.sqrt(jnp.diag(z.H @ z.P @ z.H.T + z.R))
@@ -207,6 +216,7 @@ def student_t(rule: Rule, iterations: int = 4) -> Rule:
     E = r' R^-1 r + tr(H P+ H' R^-1), r and P+ after the correction with R / w (Agamennoni et al. 2012, eqs. 12-15).
     Sound fixes have w near 1.
     """
+    require_plain(rule)
 
     def correct(theta: StudentT, memory: Any, z: Innovation) -> Correction:
         d = by_block(z.valid).sum(1)

@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 EXTRAS ?= dev,oracle
 
-.PHONY: demo test quick slow lint lock
+.PHONY: demo test quick slow replay lint lock
 demo: $(VENV)/ready
 	$(BIN)/jaxnav demo
 
@@ -21,6 +21,9 @@ quick: $(VENV)/ready
 
 slow: $(VENV)/ready
 	$(BIN)/python -m pytest -m slow
+
+replay: $(VENV)/ready
+	$(BIN)/python -m tests.replay.test_replay && git diff --stat tests/replay
 
 lint: $(VENV)/ready
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy

@@ -5,7 +5,7 @@ BIN = $(VENV)/bin
 EXTRAS ?= dev,oracle
 
 .PHONY: demo test quick slow replay lint lock
-demo: $(VENV)/ready
+demo: $(VENV)/installed
 	$(BIN)/jaxnav demo
 
 # `loadfile`: the tests of a module share compiled functions, so that each module stays in one process
@@ -28,14 +28,22 @@ replay: $(VENV)/ready
 lint: $(VENV)/ready
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
 
-$(VENV)/ready: pyproject.toml requirements.lock.txt
+# what `jaxnav` itself needs, and what its tests need on top
+define install
 	@if command -v uv >/dev/null 2>&1; then \
 	  uv venv -q --allow-existing --python $(PYTHON) $(VENV) && \
-	  uv pip install -q --python $(BIN)/python -c requirements.lock.txt -e '.[$(EXTRAS)]'; \
+	  uv pip install -q --python $(BIN)/python -c requirements.lock.txt -e '.$(1)'; \
 	else \
-	  $(PYTHON) -m venv $(VENV) && $(BIN)/python -m pip install -q -c requirements.lock.txt -e '.[$(EXTRAS)]'; \
+	  $(PYTHON) -m venv $(VENV) && $(BIN)/python -m pip install -q -c requirements.lock.txt -e '.$(1)'; \
 	fi
 	@touch $@
+endef
+
+$(VENV)/installed: pyproject.toml requirements.lock.txt
+	$(call install,)
+
+$(VENV)/ready: pyproject.toml requirements.lock.txt
+	$(call install,[$(EXTRAS)])
 
 lock:
 	uv pip compile -q --universal --python-version 3.11 --extra dev --extra oracle pyproject.toml \

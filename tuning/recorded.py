@@ -83,6 +83,7 @@ class Tuned:
     start: Start
     spec: Spec
     history: list[dict] = field(default_factory=list)
+    stopped: bool = False  # by Ctrl-C, with the best that was found until then
 
     def __str__(self) -> str:
         return text(self)
@@ -140,13 +141,14 @@ def tune(
     nav = one_start(filt, sheet, begin.navs, epochs, packed.t, layout.train)
     spec = spec_of(filt, sheet, free, widths, priors)
     job = Job(filt, spec, sheet, nav, epochs, packed, windows, parts["training"], layout)
+    say(f"free: {', '.join(spec)}; compiling (first time, up to a minute; cached from then on)")
     history: list[dict] = []
-    found = candidates(job, begin, history, say)
+    found, stopped = candidates(job, begin, history, say)
     jobs = dict.fromkeys(found, job)
     say("scoring the candidates on hidden windows")
     score = lambda name: level_drift(jobs[name].filt, found[name], nav, epochs, windows, chosen)  # noqa: E731
     offs = {name: score(name) for name in found}
-    slow = correlation(offs["tuned"][1], packed, layout)
+    slow = 0.0 if stopped else correlation(offs["tuned"][1], packed, layout)
     if slow > CORRELATED and filt.extended and SLOW not in filt.model.states:
         say(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
         more = kept(filt.extended(SLOW))
@@ -155,7 +157,8 @@ def tune(
         other = Job(more, wider, whole, nav, epochs, packed, windows, parts["training"], layout)
         jobs["slow errors"] = other
         first = other.numbers(found["tuned"])
-        found["slow errors"] = other.params(search("slow errors", other, other.objective(), first, history, say).raw)
+        ended = search("slow errors", other, other.objective(), first, history, say)
+        found["slow errors"], stopped = other.params(ended.raw), bool(ended.interrupted)
         offs["slow errors"] = score("slow errors")
     trials = {
         name: Trial(jobs[name].filt, found[name], off[0], ratios(offs["datasheet"][0], off[0], parts))
@@ -169,11 +172,12 @@ def tune(
         gain = paired_gain(offs["datasheet"][0][test], offs[best][0][test], blocks)
     nis = {name: channels(off[1], chosen, packed.t > layout.validation) for name, off in offs.items()}
     scores = {name: spread(off[0][test]) for name, off in offs.items()}
+    told = shown(best, trials)
     return Tuned(
         trials[best].params, trials[best].filter, best, verdict(best, trials, scores, parts),
-        table(jobs[shown(best)], found[shown(best)]), trials, layout, windows,
+        table(jobs[told], found[told]), trials, layout, windows,
         {name: int(mask.sum()) for name, mask in parts.items()}, job.effective, gain, scores, nis, begin,
-        jobs[best].spec, history,
+        jobs[best].spec, history, stopped,
     )  # fmt: skip
 
 
@@ -202,20 +206,27 @@ def search(
         history.append(row)
         say(f"  {name}, evaluation {i}: J {row['loss']:.4f}")
 
-    say(f"{name}; free: {', '.join(job.spec)}; compiling (first time, up to a minute; cached from then on)")
+    say(f"{name}: {len(job.flat)} numbers free")
     return scoring.maximise(objective, first, MOST, TOLERANCE, report)
 
 
-def candidates(job: Job, begin: Start, history: list[dict], say: Callable[[str], None]) -> dict[str, Params]:
-    """The datasheet, what the likelihood alone says with receiver and clock held, and the minimum of J."""
+def candidates(
+    job: Job, begin: Start, history: list[dict], say: Callable[[str], None]
+) -> tuple[dict[str, Params], bool]:
+    """The datasheet, what the likelihood alone says with receiver and clock held, and the minimum of J.
+
+    And whether Ctrl-C ended it; then what was not begun is left out.
+    """
     alone, whole = job.objective(horizon=False, held=[h for h in HELD if h in job.spec]), job.objective()
     held = search("held", job, alone, _delayed(job, begin), history, say)
-    ends = [
-        search(f"tuned from {name}", job, whole, first, history, say)
-        for name, first in (("held", held.raw), ("datasheet", job.flat))
-    ]
-    best = min(ends, key=lambda each: float(each.best.nll))
-    return {"datasheet": job.sheet, "held": job.params(held.raw), "tuned": job.params(best.raw)}
+    found, ends, stopped = {"datasheet": job.sheet, "held": job.params(held.raw)}, [], bool(held.interrupted)
+    for name, first in (("held", held.raw), ("datasheet", job.flat)):
+        if not stopped:
+            ends.append(search(f"tuned from {name}", job, whole, first, history, say))
+            stopped = bool(ends[-1].interrupted)
+    if ends:
+        found["tuned"] = job.params(min(ends, key=lambda each: float(each.best.nll)).raw)
+    return found, stopped
 
 
 def correlation(info: Info, packed: ep.Packed, layout: Layout) -> float:

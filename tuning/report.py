@@ -1,7 +1,7 @@
 """What `tuning.tune` says in words: how a recording is used, the table of its parameters, and the verdict."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -35,9 +35,9 @@ def in_words_of(layout: "Layout", parts: Mapping[str, np.ndarray], packed: "Pack
     )
 
 
-def shown(best: str) -> str:
-    """The candidate whose parameters are told."""
-    return "tuned" if best == "datasheet" else best
+def shown(best: str, trials: "Mapping[str, Any]") -> str:
+    """The candidate whose parameters are told: the winner's, where the datasheet wins of what was tuned."""
+    return best if best != "datasheet" else next(name for name in ("tuned", "held") if name in trials)
 
 
 def verdict(
@@ -62,7 +62,7 @@ def verdict(
 
 def text(found: "Tuned") -> str:
     """The table of `Tuned`, for a terminal."""
-    head = ["parameter", "datasheet", shown(found.chosen), "95 %", "unit", "prior (1 sd)", ""]
+    head = ["parameter", "datasheet", shown(found.chosen, found.trials), "95 %", "unit", "prior (1 sd)", ""]
     rows = [
         [r.name, f"{r.datasheet:.4g}", f"{r.value:.4g}", f"{r.low:.3g} to {r.high:.3g}", r.unit, r.prior, r.remark]
         for r in found.rows

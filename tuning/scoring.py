@@ -29,6 +29,7 @@ class Search(NamedTuple):
     trial: jax.Array  # (P,) what to evaluate next
     expected: jax.Array  # () decrease of the negative log-likelihood that the trial promises
     steps: jax.Array  # () accepted
+    interrupted: jax.Array | bool = False  # by Ctrl-C, with the best so far
 
 
 def propose(raw: jax.Array, info: Information, damping: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -79,6 +80,7 @@ def maximise(
     """Search until the promised gain in log-likelihood is below ``tolerance``, or ``most`` evaluations are spent.
 
     ``raw`` is (P,), or (N, P) for N problems that ``inform`` evaluates together; then all go on until all are done.
+    Ctrl-C ends the search with what it has.
 
     Raises:
         ValueError: the likelihood of the start is not finite.
@@ -91,9 +93,12 @@ def maximise(
     if not np.isfinite(first.nll).all():
         raise ValueError("the likelihood of the starting parameters is not finite")
     search = start(raw, first)
-    for i in range(1, most):
-        if converged(search, tolerance):
-            break
-        search = step(search, inform(search.trial))
-        report(i, search)
+    try:
+        for i in range(1, most):
+            if converged(search, tolerance):
+                break
+            search = step(search, inform(search.trial))
+            report(i, search)
+    except KeyboardInterrupt:
+        return search._replace(interrupted=True)
     return search

@@ -79,6 +79,8 @@ def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Calla
 
     search = scoring.maximise(found.inform, flat, steps, report=report)
     stopped = "done" if scoring.converged(search) else f"not converged in {steps} evaluations: raise tune.steps"
+    if search.interrupted:
+        stopped = f"interrupted at evaluation {len(history)}"
     return Fit(join(spec, back(search.raw), params), float(search.best.nll) / found.epochs, history, stopped)
 
 

@@ -222,6 +222,21 @@ def test_fixes_that_are_worse_than_they_say_are_found_out(found):
     assert found.gain is None and ("no interval" in said or found.chosen == "datasheet")
 
 
+def test_ctrl_c_leaves_the_best_so_far(rec, ekf, found):
+    """In the second search of three: what the first one found is judged, and the verdict is one."""
+    lines = []
+
+    def say(line):
+        lines.append(line)
+        if "tuned from held, evaluation" in line:
+            raise KeyboardInterrupt
+
+    less = tuning.tune(rec, ekf, ekf.params("adis16465"), free=("noise", "fixes"), say=say)
+    assert less.stopped and not found.stopped and set(less.trials) == {"datasheet", "held", "tuned"}
+    np.testing.assert_array_equal(less.trials["held"].drift, found.trials["held"].drift)
+    assert not any("tuned from datasheet" in line for line in lines) and "position.scale" in str(less)
+
+
 def test_a_recording_that_is_too_short_is_refused(rec, ekf):
     few = {name: Samples(*(a[:25] for a in s)) for name, s in rec.aiding.items()}
     short = rec._replace(aiding=few, imu=type(rec.imu)(*(a[rec.imu.t < rec.imu.t[0] + 25] for a in rec.imu)))

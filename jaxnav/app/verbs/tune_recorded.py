@@ -78,7 +78,7 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
         draw(folder, rec, found)
     seconds["write"] = time.perf_counter() - begin
     lines = [about, "", str(found), found.start.how, *rec.notes.splitlines()]
-    return Outcome(result, "\n".join(lines), seconds)
+    return Outcome(result, "\n".join(lines), seconds, "interrupted" if found.stopped else "")
 
 
 def _constant(leaf: str, params: Params) -> bool:
@@ -134,7 +134,7 @@ def draw(folder: Path, rec: Recording, found: Tuned) -> None:
     """Drift of the candidates over the test windows, and the winner's run."""
     test = found.windows.start >= found.layout.validation
     with picture("outage_drift"):
-        drift = {name: found.trials[name].drift[test] for name in ("datasheet", shown(found.chosen))}
+        drift = {name: found.trials[name].drift[test] for name in ("datasheet", shown(found.chosen, found.trials))}
         plots.save(plots_stats.outage_drift(drift), folder / "outage_drift.png")
     with picture("the run"):
         sol = navigate(rec, found.filter, found.params, begin=found.start)

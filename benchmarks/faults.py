@@ -6,6 +6,7 @@ The figure of a kind is the 95th percentile over runs of the largest horizontal 
 """
 
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ import numpy as np
 
 from benchmarks.common import options, write_json
 from jaxnav.analysis import metrics
+from jaxnav.analysis.plots import base as plots
 from jaxnav.app.results import table
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
@@ -135,11 +137,29 @@ def study(runs: int, seed: int) -> dict:
     return {kind: {name: np.concatenate(parts) for name, parts in row.items()} for kind, row in found.items()}
 
 
+def draw(worst: dict[str, dict[str, float]], path: Path) -> None:
+    """Every kind by every rule, m on a logarithmic axis."""
+    fig = plots.figure(9, 8)
+    ax = fig.subplots()
+    plots.dress(ax, "95th percentile of the largest horizontal error, m")
+    kinds = list(worst)[::-1]
+    marks = {TOLD: ("k", "|"), "ekf15": ("0.6", "x"), "ekf15_gate": ("tab:orange", "s"),
+             "ekf15_student": ("tab:green", "^"), "ekf15_receiver": (plots.BLUE, "o")}  # fmt: skip
+    for name, (colour, mark) in marks.items():
+        ax.plot([worst[k][name] for k in kinds], range(len(kinds)), mark, color=colour, ms=12 if mark == "|" else 6,
+                mew=2 if mark == "|" else 1, label="told when" if name == TOLD else name)  # fmt: skip
+    ax.set_xscale("log")
+    ax.set_yticks(range(len(kinds)), [f"{k} *" if k in UNSEEN else k for k in kinds], fontsize=8)
+    ax.legend(loc="lower right", fontsize=8)
+    plots.save(fig, path)
+
+
 def main(argv: list[str]) -> None:
     """Print the table, write the JSON."""
     parser = options("faults", __doc__ or "")
     parser.add_argument("--runs", type=int, default=64, help="of each kind, default 64; 16 take 4 minutes")
     parser.add_argument("--seed", type=int, default=0, help="default 0")
+    parser.add_argument("--figure", metavar="F", type=Path, help="draw it into F, a .png")
     args = parser.parse_args(argv)
     found = study(args.runs, args.seed)
     late = int(50 * 5)  # epochs until the start has settled
@@ -158,5 +178,7 @@ def main(argv: list[str]) -> None:
     print(table(["fault", TOLD, *RULES, "ratio"], rows))
     heads = ["", "largest ratio to told", "unseen kinds", "runs lost", "RMS without faults"]
     print(table(heads, [[n, *r.values()] for n, r in robust.items()]))
+    if args.figure:
+        draw(worst, args.figure)
     write_json(args.json, {"robust": robust["ekf15_receiver"], "rules": robust, "p95_m": worst, "lost": lost,
                            "clean_rms_m": clean, "runs": args.runs, "seed": args.seed})  # fmt: skip

@@ -7,8 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav.analysis.allan import Allan, allan_deviation, gauss_markov_variance, read_off, regular
+from jaxnav.analysis.allan import (
+    Allan,
+    GaussMarkov,
+    Line,
+    ReadOff,
+    allan_deviation,
+    gauss_markov_variance,
+    read_off,
+    regular,
+)
 from jaxnav.app import cli, config
+from jaxnav.app.verbs.allan import grade
 from jaxnav.data import write_recording
 from jaxnav.maths.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR, G0, UG
 from jaxnav.simulate.imu import corrupt
@@ -225,3 +235,18 @@ def test_verb(recording, tmp_path, monkeypatch, capsys):
     assert "longest rest is --start 0.0 --stop 60.0" in capsys.readouterr().out
     assert cli.main([*args, "--start", "100"]) == 3
     assert "samples between data.start and data.stop" in capsys.readouterr().err
+
+
+def test_a_grade_drives_its_bias_by_what_the_curve_shows():
+    """A walk's root PSD as it is; a Gauss-Markov process of sd s and time T: s sqrt(2 / T); a missing axis as usual."""
+    curve = Allan(np.array([1.0, 1000.0]), np.ones((2, 3)), np.array([1e6, 8.0]))
+    walk = ReadOff(Line(1e-4, 1.0, 10.0), None, Line(1e-6, 100.0, 1000.0), None)
+    hump = ReadOff(Line(2e-4, 1.0, 10.0), None, None, GaussMarkov(1e-4, 200.0))
+    blank = ReadOff(None, None, None, None)
+    found = grade({"gyro": (curve, [walk, hump, blank]), "accel": (curve, [blank] * 3)})
+    driven = np.array([1e-6, 1e-4 * np.sqrt(2 / 200.0)])
+    values = np.array(found["params"]["gyro_bias_deg_per_hour_per_sqrt_s"]) * DEG_PER_HOUR
+    np.testing.assert_allclose(values, [*driven, np.sqrt(driven.prod())], rtol=1e-4)
+    assert not any(key.startswith("accel") for key in found["params"])
+    # 8 to 100 degrees of freedom far out are 7 to 25 %, beside a factor 2
+    assert 2.0 <= found["tune"]["prior"]["gyro_bias_deg_per_hour_per_sqrt_s"] < 2.1

@@ -13,6 +13,7 @@ NAMES = {
     "bakeoff": "filters tuned alike on the three papers' scenarios, ranked on runs and types that none has seen",
     "budget": "the cost of tuning by gradient, CMA-ES, coordinate and random search",
     "recover": "noise parameters back from innovations alone, started 10 times off",
+    "first": "the first answer: seconds of whole commands, from an empty cache and from a full one",
     "speed": "speed beside a C++ floor, plain JAX, numpy and other packages; gradients, compilation, growth",
     "states": "optional error states: consistent with them, not without",
     "check": "what a recording says of itself, damaged in one way each and as it is",

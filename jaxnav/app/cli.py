@@ -1,4 +1,4 @@
-"""The command line: ``jaxnav check | convert | filter | tune | simulate | mc | bakeoff | allan | demo | info | data``.
+"""The command line: ``jaxnav check | convert | filter | tune | simulate | mc | bakeoff | allan | demo | config | ...``.
 
 Exit codes: 0 done, 1 a check failed (the filter stopped being finite), 2 usage or configuration, 3 data that cannot be
 used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and errors on stderr.
@@ -7,6 +7,7 @@ used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and
 import argparse
 import gc
 import os
+import shutil
 import sys
 import tempfile
 import traceback
@@ -34,6 +35,8 @@ VERBS = {
     "bakeoff": "filters tuned alike on the same scenarios, ranked on runs and scenarios that none has seen",
     "mc": "Monte Carlo: filters over many simulated runs, errors, consistency, divergence",
     "allan": "Allan deviation of a resting IMU: white noise, bias instability, random walk, Gauss-Markov",
+    "config": "print every setting with its default and what it is, as a configuration to fill in",
+    "cache": "the compiled programs that are kept: where, how many, how large; or clear them",
     "info": "versions, devices, filters, data sets",
     "data": "list, fetch or check public data sets",
 }
@@ -90,6 +93,10 @@ def make_parser() -> argparse.ArgumentParser:
         if verb in ("filter", "tune", "bakeoff", "mc", "demo"):
             sub.add_argument("--filter", metavar="NAME", help="see `jaxnav info` ([filter] name)")
             sub.add_argument("--params", metavar="FILE", help="[params] of this file, such as an earlier tuned.toml")
+        if verb == "cache":
+            sub.add_argument("action", nargs="?", choices=["size", "clear"], default="size")
+        if verb == "config":
+            sub.add_argument("--markdown", action="store_true", help="as a page of the docs")
         if verb == "filter":
             sub.add_argument("--smooth", action="store_true", help="by all fixes, those after it too ([filter] smooth)")
         if verb == "mc":
@@ -113,6 +120,14 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def _main(args: argparse.Namespace) -> int:
+    if args.verb == "config":
+        from jaxnav.app import settings
+
+        print(settings.page() if args.markdown else settings.commented(), end="")
+        return 0
+    if args.verb == "cache":
+        print(_cache(args.action))
+        return 0
     config = resolve(args)
     if args.verb == "data" and args.action != "list" and not args.name:
         raise ConfigError(f"data {args.action} needs the name of a data set")
@@ -131,6 +146,23 @@ def _main(args: argparse.Namespace) -> int:
         outcome = _work(args, config, folder, out)
         results.write_run(folder, args.verb, config, outcome)
     return _report(args, outcome, out)
+
+
+def _cache(action: str) -> str:
+    """What is kept of compiled programs, in a sentence; cleared if asked for."""
+    from jaxnav.filters.compiler import CACHE, cache_home
+
+    home = cache_home()
+    if home is None:
+        return f"no compiled programs are kept: {CACHE} is empty"
+    own = [path for path in home.glob("jaxlib-*") if path.is_dir()]  # what else lies there is not ours
+    files = [path for folder in own for path in folder.rglob("*") if path.is_file()]
+    held = f"{len(files)} files, {sum(path.stat().st_size for path in files) / 2**20:.1f} MiB, in {home}"
+    if action == "clear":
+        for folder in own:
+            shutil.rmtree(folder, ignore_errors=True)
+        return f"cleared {held}"
+    return held
 
 
 def _inputs(args: argparse.Namespace, config: configuration.Config) -> list[str]:

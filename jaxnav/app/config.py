@@ -41,7 +41,7 @@ class Data:
 class _Filter:
     """Which filter runs, and on what; beside these, true or false for every measurement that is no receiver's."""
 
-    name: str = "ekf15"
+    name: str = "ekf15"  # see `jaxnav info`
     grade: str = ""  # IMU datasheet; empty: the scenario's, else consumer
     states: tuple[str, ...] = ()  # optional error states on top of the filter's own, see `jaxnav.states.STATES`
     cov_stride: int = 5  # the error dynamics see means over so many IMU samples
@@ -50,8 +50,8 @@ class _Filter:
     smooth: bool = False  # each epoch by all fixes, those after it too
     outages: tuple[tuple[float, ...], ...] = ()  # (start, end) s, fixes hidden from the filter
     standing_window_s: float = 1.0  # of the standstill detector: both sd, root sum square of axes, below these
-    standing_accel_sd_mps2: float = 0.2
-    standing_gyro_sd_deg_per_s: float = 1.0
+    standing_accel_sd_mps2: float = 0.2  # of the specific force within the window
+    standing_gyro_sd_deg_per_s: float = 1.0  # of the rate
 
     def uses(self, measurement: str) -> bool:
         """Whether a measurement that is no receiver's is on."""
@@ -66,8 +66,8 @@ class Start:
     course_speed_mps: float = 5.0  # least speed for a course
     position_sd_m: Numbers | None = None  # None: the fix's own sd, and 0.5 m
     velocity_sd_mps: Numbers | None = None  # None: the fix's own sd, and 0.3 m/s
-    tilt_sd_deg: float = 2.0
-    heading_sd_deg: float = 5.0
+    tilt_sd_deg: float = 2.0  # of levelling; what is aligned in motion has its own
+    heading_sd_deg: float = 5.0  # of a course, or of degrees
     hypotheses: int = 12  # of an unknown heading, each with an sd of their spacing
 
 
@@ -137,8 +137,8 @@ class Tune:
     tail: float = 0.25  # share of the runs that count as the worst; 0: the worst alone
     # auto: tempered for one recording, adam for what is simulated, or where an objective of your own is set; adam, sgd,
     method: str = "auto"  # lbfgs; scoring, for the objective nll alone; tempered, see `tuning.recorded`
-    steps: int = 40
-    rate: float = 0.1
+    steps: int = 40  # updates of a gradient method, evaluations of scoring
+    rate: float = 0.1  # of a gradient method: a step of 0.1 is 10 % of what is positive
     warmup: float = 0.0  # share of the steps in which the rate rises
     clip: float = 0.0  # largest gradient norm of one run; 0: none
     patience: int = 0  # stop after so many steps without a better one; 0: never
@@ -149,12 +149,12 @@ class Tune:
     intervals: bool = True  # say how well the innovations determine what was tuned
     posterior: int = 0  # draws from the posterior by NUTS, needs the extra `bayes`
     runs: int = 8  # simulated: for training
-    validation_runs: int = 4
-    test_runs: int = 8
+    validation_runs: int = 4  # to choose the best step
+    test_runs: int = 8  # kept aside
     train: float = 0.5  # recorded: share of time for training, from the start
     validation: float = 0.15  # then this share; the rest is held out
     outage_s: float = 15.0  # recorded: length of hidden windows
-    outage_every_s: float = 45.0
+    outage_every_s: float = 45.0  # their spacing in a run
     settle_s: float = 30.0  # no window before this long after the start
     phases: int = 5  # runs, each with its windows shifted by an equal part of outage_every_s
 
@@ -163,7 +163,7 @@ class Tune:
 class Mc:
     """Monte Carlo runs."""
 
-    runs: int = 100
+    runs: int = 100  # how many
     chunk: int = 16  # that live at a time
     limit_m: float = 1000.0  # a horizontal error above this is a divergence
 
@@ -180,7 +180,7 @@ class Out:
     """What is written."""
 
     formats: tuple[str, ...] = ("csv",)  # of the solution: csv, kml, geojson, tum, pos, nav
-    figures: bool = True
+    figures: bool = True  # draw them
 
 
 @dataclasses.dataclass(frozen=True)

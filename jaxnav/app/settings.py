@@ -1,0 +1,126 @@
+"""Every setting, its default, its limits and what it is: read from the configuration's own source.
+
+What stands beside a field there is what a user reads, so that nothing is said twice and nothing is left out.
+"""
+
+import ast
+import dataclasses
+import io
+import tokenize
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxnav.app import config
+from jaxnav.app.toml import to_toml
+from jaxnav.filters.parameters import UNITS
+from jaxnav.measurements import MEASUREMENTS
+
+PAGE = "`jaxnav config` prints this as a file to fill in; `--set section.key=value` sets one. Defaults are shown."
+
+
+class Setting(NamedTuple):
+    """One key of the configuration."""
+
+    name: str  # without its section
+    default: Any
+    words: str
+
+
+class Section(NamedTuple):
+    """One table of the configuration; without a name, what stands above all tables."""
+
+    name: str
+    words: str
+    settings: list[Setting]
+
+
+def sections() -> list[Section]:
+    """All of it, in the order of `jaxnav.app.config.Config`."""
+    said, found = _remarks(), []
+    top = Section("", "", [])
+    found.append(top)
+    for field in dataclasses.fields(config.Config):
+        default = field.default
+        if not dataclasses.is_dataclass(default) or isinstance(default, type):
+            top.settings.append(Setting(field.name, default, "of all that is random" if field.name == "seed" else ""))
+            continue
+        kind = type(default)
+        own = [Setting(f.name, getattr(default, f.name), _words(kind, field.name, f.name, said)) for f in
+               dataclasses.fields(kind)]  # fmt: skip
+        found.append(Section(field.name, " ".join((kind.__doc__ or "").split()), own))
+    return found
+
+
+def _words(kind: type, section: str, name: str, said: dict[tuple[str, str], str]) -> str:
+    """What stands beside a field, or what its row says; with its limits."""
+    words = next((said[c.__name__, name] for c in kind.__mro__ if (c.__name__, name) in said), "")
+    if section == "filter" and name in MEASUREMENTS:
+        words = f"the measurement {name}, which is no receiver's"
+    for unit in UNITS.values() if section == "params" else ():
+        if unit.key == name:
+            many = "one number, one an axis, or a lower triangular matrix" if unit.root else "one number or one an axis"
+            words = ", ".join(part for part in (unit.text, many if unit.shape else "one number") if part)
+    low_high = config.LIMITS.get(f"{section}.{name}")
+    return words + ("" if low_high is None else f" ({low_high[0]:g} to {low_high[1]:g})").lstrip("" if words else " ")
+
+
+def _remarks() -> dict[tuple[str, str], str]:
+    """By class and field, the remark beside it, with those on lines of their own right above and, indented, below."""
+    text = Path(config.__file__).read_text(encoding="utf-8")
+    remarks, alone = {}, set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT:
+            remarks[token.start[0]] = token.string.removeprefix("#")
+            if not token.line[: token.start[1]].strip():
+                alone.add(token.start[0])
+    found = {}
+    for node in ast.parse(text).body:
+        if not isinstance(node, ast.ClassDef):
+            continue
+        for field in node.body:
+            if not (isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)):
+                continue
+            first, last = field.lineno, field.end_lineno or field.lineno
+            above, below = first - 1, last + 1
+            while above in alone and not remarks[above].startswith("   "):
+                above -= 1
+            while below in alone and remarks[below].startswith("   "):
+                below += 1
+            lines = [remarks[i] for i in range(above + 1, below) if i in remarks]
+            found[node.name, field.target.id] = " ".join(" ".join(lines).split())
+    return found
+
+
+def commented() -> str:
+    """A configuration with every setting, all of them remarks: what is uncommented is set."""
+    lines = ["# Every setting of jaxnav with its default; take the mark away from what you set.", ""]
+    for section in sections():
+        if section.name:
+            lines += ["", f"# {section.words}", f"[{section.name}]"]
+        for s in section.settings:
+            text = _toml(s.default)
+            value = f"#{s.name} = {text}" if text else f"#{s.name} ="
+            lines.append(f"{value}{'  # ' + s.words if s.words else ''}")
+    return "\n".join(lines) + "\n"
+
+
+def page() -> str:
+    """The same as markdown."""
+    lines = ["# Settings", "", PAGE]
+    for section in sections():
+        lines += ["", f"## {f'[{section.name}]' if section.name else 'Above all tables'}", ""]
+        lines += [section.words, ""] if section.words else []
+        lines += ["| key | default | |", "|---|---|---|"]
+        for s in section.settings:
+            text = _toml(s.default)
+            lines.append(f"| `{s.name}` | {f'`{text}`' if text else ''} | {s.words.replace('|', '/')} |")
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """A default as TOML; nothing where there is none."""
+    if value is None:
+        return ""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }" if value else "{}"
+    return to_toml({"v": value}).removeprefix("v = ").strip()

@@ -1,0 +1,57 @@
+"""The list of settings: whole, readable as a configuration, and the page of the docs is it."""
+
+import dataclasses
+import re
+import tomllib
+from pathlib import Path
+
+from jaxnav.app import cli, config, settings
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_every_setting_is_there_and_says_what_it_is():
+    found = {(s.name, key.name): key.words for s in settings.sections() for key in s.settings}
+    for section in dataclasses.fields(config.Config):
+        if dataclasses.is_dataclass(section.default):
+            assert {(section.name, f.name) for f in dataclasses.fields(section.default)} <= set(found)
+    assert (
+        found["filter", "cov_stride"].startswith("the error dynamics see means")
+        and "1 to 1000" in found["filter", "cov_stride"]
+    )
+    assert found["params", "gyro_deg_per_sqrt_hour"].startswith("deg/sqrt(h), one number, one an axis")
+    assert (
+        "tempered for one recording" in found["tune", "method"] and "see `tuning.recorded`" in found["tune", "method"]
+    )
+    assert all(found.values())
+    assert found["tune", "prior"].endswith("else in the parameter's own unit")
+
+
+def test_what_it_prints_is_a_configuration_with_the_defaults():
+    """Nothing of it is set as it stands; with the marks taken away it is what one has without a file."""
+    text = settings.commented()
+    assert all(not value for value in tomllib.loads(text).values())
+    bare = re.sub(r"^#(\w+ =) *(?=$|  #).*$", "", text, flags=re.MULTILINE)  # those without a default
+    tree = tomllib.loads(re.sub(r"^#(?=\w+ =)", "", bare, flags=re.MULTILINE))
+    assert config.resolve([("all", tree)]) == config.resolve([])
+
+
+def test_the_verb_prints_it_and_the_page_is_it(capsys):
+    assert cli.main(["config"]) == 0
+    assert capsys.readouterr().out == settings.commented()
+    assert (DOCS / "settings.md").read_text() == settings.page(), (
+        "python -m jaxnav config --markdown > docs/settings.md"
+    )
+
+
+def test_the_cache_is_told_and_cleared(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("JAXNAV_CACHE_DIR", str(tmp_path / "c"))
+    own, mine = tmp_path / "c" / "jaxlib-0.10.2-x86_64", tmp_path / "c" / "thesis.pdf"
+    own.mkdir(parents=True)
+    (own / "program").write_bytes(b"x" * 2**20)
+    mine.write_text("not ours")
+    assert cli.main(["cache"]) == 0
+    assert capsys.readouterr().out == f"1 files, 1.0 MiB, in {tmp_path / 'c'}\n"
+    assert cli.main(["cache", "clear"]) == 0 and not own.exists() and mine.exists()
+    monkeypatch.setenv("JAXNAV_CACHE_DIR", "")
+    assert cli.main(["cache"]) == 0 and "no compiled programs are kept" in capsys.readouterr().out

@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 EXTRAS ?= dev,oracle
 
-.PHONY: demo test quick slow replay lint lock
+.PHONY: demo test quick slow fuzz replay lint lock
 demo: $(VENV)/installed
 	$(BIN)/jaxnav demo
 
@@ -21,6 +21,9 @@ quick: $(VENV)/ready
 
 slow: $(VENV)/ready
 	$(BIN)/python -m pytest -m slow
+
+fuzz: $(VENV)/ready
+	JAXNAV_FUZZ=20 $(BIN)/python -m pytest tests/faults/test_fuzz.py
 
 replay: $(VENV)/ready
 	$(BIN)/python -m tests.replay.test_replay && git diff --stat tests/replay

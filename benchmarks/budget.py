@@ -148,7 +148,7 @@ def simulated_rmse() -> Setup:
 
 def one(nav: Nav, data: Epoch, keep: np.ndarray) -> Runs:
     """A recording as a batch of one."""
-    lead = lambda tree: jax.tree.map(lambda a: jnp.asarray(a)[None], tree)  # noqa: E731
+    lead = lambda tree: jax.tree.map(lambda a: jnp.asarray(a)[None], tree)
     E = keep.size
     return Runs(lead(nav), lead(data), jnp.asarray(keep)[None], jnp.zeros((1, 1), int), jnp.zeros((1, E, 3)))
 
@@ -205,7 +205,7 @@ def _inform(filt: Filter, items: tuple, flat: jax.Array, like: Any, params: Para
 
     def one(r: Runs):
         block = jnp.zeros(r.keep.shape, int)
-        solve = lambda f: run(filt, join(spec, back(f), params), r.nav, r.epochs)  # noqa: E731
+        solve = lambda f: run(filt, join(spec, back(f), params), r.nav, r.epochs)
         return uncertainty.information(solve, flat, r.keep, block, 1)
 
     parts = jax.vmap(one)(runs)
@@ -252,7 +252,7 @@ def compare(name: str, setup: Setup, seed: int, per_parameter: int, steps: int) 
         curves[label] = (charge["gradient"] * np.arange(1, losses.size + 1), np.minimum.accumulate(losses))
     if setup.likelihood:
         items = tuple(setup.spec.items())
-        inform = lambda f: _inform(setup.filter, items, f, like, setup.params, setup.runs)  # noqa: E731
+        inform = lambda f: _inform(setup.filter, items, f, like, setup.params, setup.runs)
         charge["scoring"] = seconds(lambda: inform(jnp.asarray(flat)), 3) / unit
         values: list[float] = [float(many(flat[None])[0])]
         scoring.maximise(

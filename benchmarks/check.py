@@ -49,7 +49,7 @@ def both(a: Callable, b: Callable) -> Callable[[Recording], Recording]:
 
 def later(seconds: float = 0.0, ppm: float = 0.0) -> Callable[[Recording], Recording]:
     """All fixes at other times."""
-    shift = lambda t: t + seconds + 1e-6 * ppm * (t - t[0])  # noqa: E731
+    shift = lambda t: t + seconds + 1e-6 * ppm * (t - t[0])
 
     def damaged(rec: Recording) -> Recording:
         return rec._replace(aiding={name: s._replace(t=shift(s.t)) for name, s in rec.aiding.items()})
@@ -63,7 +63,7 @@ def on_an_arm(rec: Recording) -> Recording:
     C = np.array([rotations.from_rph(jnp.asarray(rph)) for rph in truth.rph[::20]])
     t, moved = truth.t[::20], C @ arm
     turned = np.gradient(moved, t, axis=0)
-    at = lambda t_, a: np.column_stack([np.interp(t_, t, c) for c in a.T])  # noqa: E731
+    at = lambda t_, a: np.column_stack([np.interp(t_, t, c) for c in a.T])
     p, v = rec.aiding["position"], rec.aiding["velocity"]
     e = at(p.t, moved)
     metres = np.array([6.37e6, 6.37e6 * np.cos(p.value[0, 0]), 1.0])

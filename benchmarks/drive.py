@@ -186,7 +186,7 @@ def training_stretches(rec: Recording, constraints: bool):
     data = [cut(rec, constraints, start, start + PIECE) for start in PIECES]
     k = max(d.epochs.imu.dt.shape[1] for d in data)
     E = min(d.t.size for d in data)
-    pad = lambda a: jnp.pad(a[:E], [(0, 0), (0, k - a.shape[1])] + [(0, 0)] * (a.ndim - 2), mode="edge")  # noqa: E731
+    pad = lambda a: jnp.pad(a[:E], [(0, 0), (0, k - a.shape[1])] + [(0, 0)] * (a.ndim - 2), mode="edge")
     made = []
     for d, start in zip(data, PIECES, strict=True):
         imu = jax.tree.map(pad, d.epochs.imu)
@@ -228,7 +228,7 @@ def score(data: Data, params: Params, valid: jax.Array):
 
 def summary(horizontal: np.ndarray, vertical: np.ndarray, outside: np.ndarray, nis: float, begin: np.ndarray) -> dict:
     """The figures of one row of the table, each following from the errors beside it."""
-    rms = lambda e: float(np.sqrt(np.mean(np.square(e))))  # noqa: E731
+    rms = lambda e: float(np.sqrt(np.mean(np.square(e))))
     order = np.argsort(begin, kind="stable")
     return {
         "horizontal_rms_m": rms(horizontal), "horizontal_median_m": float(np.median(horizontal)),
@@ -277,7 +277,7 @@ def steps_taken(folder, last_fix: float) -> dict:
     """What brought how much, one change after the other, before any tuning."""
     found = {}
     raw, mended = (io.read_drive(folder, imu_delay=EARLY, repair=r) for r in (False, True))
-    wide = lambda p: p._replace(noise=p.noise._replace(gyro=10 * p.noise.gyro, accel=10 * p.noise.accel))  # noqa: E731
+    wide = lambda p: p._replace(noise=p.noise._replace(gyro=10 * p.noise.gyro, accel=10 * p.noise.accel))
     cases = {
         "log as it stands, datasheet": (raw, False, parameters()),
         "log mended": (mended, False, parameters()),

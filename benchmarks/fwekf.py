@@ -192,8 +192,8 @@ def main(argv: list[str]) -> None:
     test = draw(QUICK if args.quick else tuple(CASES), jax.random.fold_in(key, 1), count)
     table = methods(tuned, args.quick)
     judged = evaluate(test, table)
-    of = lambda part: {c: {m: getattr(v, part).tolist() for m, v in row.items()} for c, row in judged.items()}  # noqa: E731
-    mean = lambda runs: {c: {m: float(np.mean(v)) for m, v in row.items()} for c, row in runs.items()}  # noqa: E731
+    of = lambda part: {c: {m: getattr(v, part).tolist() for m, v in row.items()} for c, row in judged.items()}
+    mean = lambda runs: {c: {m: float(np.mean(v)) for m, v in row.items()} for c, row in runs.items()}
     per_seed, per_seed_filter = of("position"), of("filter_position")
     cases, factors = mean(per_seed), paired(per_seed)
     groups = {"geomean_train": geomean(cases, TRAIN), "geomean_unseen": geomean(cases, UNSEEN)}

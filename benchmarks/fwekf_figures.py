@@ -121,7 +121,7 @@ def draw(
     truth = jax.tree.map(lambda a: a[0], sim.truth)
     t = np.asarray(truth.t)
     kinds = {"C2": "R = 0.001", "C2m": "R matched"}
-    of = lambda m, i=0: {f"{SHOWN[m]}, {kind}": data[c][m][i] for c, kind in kinds.items()}  # noqa: E731
+    of = lambda m, i=0: {f"{SHOWN[m]}, {kind}": data[c][m][i] for c, kind in kinds.items()}
     figures = {
         "figure_05_reference": reference(truth),
         "figure_06_ekf_noise_free": errors(t, {"EKF, no noise": data["C1"]["ekf"][0]}, (0.01, 0.02)),

@@ -85,7 +85,7 @@ def draw(names: tuple[str, ...], key: jax.Array, runs: int) -> dict[str, Runs]:
     """``runs`` runs of each case; cases of one scenario share them, and all scenarios share their noise."""
     keys = jax.random.split(key, runs)
     made = {s: _simulator(s)(keys) for s in {CASES[name].scenario for name in names}}
-    told = lambda name: (jnp.asarray(sd, float) for sd in CASES[name][1:3])  # noqa: E731
+    told = lambda name: (jnp.asarray(sd, float) for sd in CASES[name][1:3])
     return {name: Runs(made[CASES[name].scenario], *told(name)) for name in names}
 
 
@@ -156,7 +156,7 @@ def objective(filt: Filter, runs: int):
         count = case.sim.hidden.shape[0]
         chosen = jax.random.choice(key, count, (min(runs, count),), replace=False)
         some = jax.tree.map(lambda a: a[chosen], case.sim)
-        one = lambda sim: jnp.log(rms(navigate(filt, told(params, case), sim)[0].position))  # noqa: E731
+        one = lambda sim: jnp.log(rms(navigate(filt, told(params, case), sim)[0].position))
         return jnp.mean(jax.vmap(one)(some))
 
     return loss

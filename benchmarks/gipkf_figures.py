@@ -32,7 +32,7 @@ def draw(path: Path, infos: dict[str, Info], truth, windows: np.ndarray) -> None
     figure, axes = plt.subplots(3, 2, figsize=(13, 14), constrained_layout=True)
     (way, estimated), (position, velocity), (bias, attitude) = axes
     t = np.asarray(truth.t)
-    enu = lambda lla: np.asarray(jax.vmap(metrics.earth.enu_difference, (0, None))(lla, truth.pos[0]))  # noqa: E731
+    enu = lambda lla: np.asarray(jax.vmap(metrics.earth.enu_difference, (0, None))(lla, truth.pos[0]))
     true = enu(truth.pos)
     inside = [(t > a) & (t <= b) for a, b in windows]
     for panel in (way, estimated):

@@ -149,7 +149,7 @@ def tuned_gains(seed: int, count: int, steps: int) -> dict:
     )  # fmt: skip
     kf = matched._replace(rule=gpid_params(0.0, 0.0, 15))
     calm_scores = score(study(build("gpid15", cov_stride=10), [matched, kf, quiet.params], hours(calm, test)).squares)
-    gains = lambda p: {"ki": float(p.rule.ki), "kd": float(p.rule.kd)}  # noqa: E731
+    gains = lambda p: {"ki": float(p.rule.ki), "kd": float(p.rule.kd)}
     return gains(best.params) | {
         "geo_mean_gain_held_out": float(np.exp(held_out[:2].min() - held_out[2])),
         "matched": gains(quiet.params) | {"cost_of_gains_against_kf": float(np.exp(calm_scores[2] - calm_scores[1]))},

@@ -132,7 +132,7 @@ def loss(filt: Filter) -> Callable[..., jax.Array]:
 
     def squares(params: Params, sim: Simulated) -> jax.Array:
         e = deviation(run(filt, params, sim.initial, sim.epochs), sim.truth)
-        column = lambda name: jnp.mean(e[:, COLUMNS.index(name)] ** 2)  # noqa: E731
+        column = lambda name: jnp.mean(e[:, COLUMNS.index(name)] ** 2)
         horizontal = column("east_m") + column("north_m")
         return jnp.stack([column("tilt_deg"), column("heading_deg"), horizontal, column("altitude_m")])
 

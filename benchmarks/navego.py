@@ -55,7 +55,7 @@ def solve(rec: Recording, params: Params, instantaneous: bool) -> tuple[dict, li
     info = run_jit(build("ekf15"), params, nav, packed.epochs)
     error = metrics.errors(track(info.nav), rec.truth)
     late = packed.t > SETTLED
-    ned = lambda e: metrics.rms(np.asarray(e)[late])[[1, 0, 2]]  # noqa: E731
+    ned = lambda e: metrics.rms(np.asarray(e)[late])[[1, 0, 2]]
     values = (*ned(error.position), *ned(error.velocity), *np.rad2deg(metrics.rms(error.attitude[late])))
     rmse = {key: float(value) for key, value in zip(KEYS, values, strict=True)}
     return rmse, metrics.rms(metrics.normalized_innovations(info)[late]).tolist()

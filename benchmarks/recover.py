@@ -63,7 +63,7 @@ def recording(imu: str, factor: float) -> dict:
     packed, nav = navego.cut(rec, instantaneous=False)
     filt = build("ekf15", cov_stride=packed.epochs.imu.dt.shape[1])
     block = (packed.t // BLOCK).astype(int)
-    inform = lambda r: _of_recording(filt, int(block.max()) + 1, r, true, nav, packed.epochs, block)  # noqa: E731
+    inform = lambda r: _of_recording(filt, int(block.max()) + 1, r, true, nav, packed.epochs, block)
     raw = split(SPEC, true)
     flat, back = ravel_pytree(raw)
     start = flat + np.log(factor)
@@ -167,7 +167,7 @@ def _rmse(filt, params: Params, sims) -> jax.Array:
         info = run(filt, params, sim.initial, sim.epochs)
         late = (sim.truth.t > 20.0)[:, None]
         position = jax.vmap(metrics.position_error)(info.nav, sim.truth.pos)
-        square = lambda e: jnp.sum(jnp.where(late, e, 0.0) ** 2) / jnp.sum(late)  # noqa: E731
+        square = lambda e: jnp.sum(jnp.where(late, e, 0.0) ** 2) / jnp.sum(late)
         return jnp.stack([square(position), square(info.nav.vel - sim.truth.vel)])
 
     return jnp.sqrt(jax.vmap(one)(sims).mean(0))
@@ -183,7 +183,7 @@ def simulated(study: Study, factor: float, seed: int) -> dict:
     sims = jax.tree.map(lambda a: a[: N * R].reshape(N, R, *a.shape[1:]), drives)
     filt = build("ekf15", cov_stride=sims.epochs.imu.dt.shape[-1])
     flat, back = ravel_pytree(split(SPEC, true))
-    inform = lambda r: _of_repeats(filt, r, true, sims)  # noqa: E731
+    inform = lambda r: _of_repeats(filt, r, true, sims)
     start = jnp.tile(flat + np.log(factor), (N, 1))
     found = scoring.maximise(inform, start, tolerance=0.02, report=show(R * sims.truth.t.shape[2]))
     names = [component(n) for n in labels(SPEC, back(flat))]

@@ -51,7 +51,7 @@ def start() -> Params:
 @partial(jax.jit, static_argnums=(0, 1))
 def _of_stretch(filt, count: int, flat, params: Params, nav, data, settled, block) -> Information:
     back = ravel_pytree({name: jnp.zeros(3) if t is LOG else jnp.zeros(()) for name, t in SPEC.items()})[1]
-    solve = lambda r: run(filt, join(SPEC, back(r), params), nav, data)  # noqa: E731
+    solve = lambda r: run(filt, join(SPEC, back(r), params), nav, data)
     return uncertainty.information(solve, flat, settled, block, count)
 
 

@@ -62,7 +62,7 @@ def floor(n: int, lanes: int, params: Params, nav: Nav, epochs: Epoch) -> Callab
     function = getattr(library(lanes), f"floor_{n}")
     B, E, k = epochs.imu.dt.shape
     noise = noise_of(params)
-    side = lambda a: np.broadcast_to(np.asarray(a), (3,))  # noqa: E731
+    side = lambda a: np.broadcast_to(np.asarray(a), (3,))
 
     def by_lane(*parts) -> np.ndarray:  # (B, ..., c) side by side -> (B / lanes, ..., c, lanes)
         a = np.concatenate([np.asarray(p) for p in parts], -1)

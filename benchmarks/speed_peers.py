@@ -121,7 +121,7 @@ def python_ins(params: Params, nav: Nav, epochs: Epoch, time_step: float) -> Cal
     pva = np.concatenate([begin.lla[0] * to_pyins, begin.vel[0][ned] * flip, begin.rph[0] / units.DEG])
     noise, prior = noise_of(params), jax.tree.map(np.asarray, params.prior)
     biases = [params.states[name].sd for name in BIASES]
-    model = lambda bias, white, walk: sensor.EstimationModel(*(float(a) for a in (bias, white, walk)))  # noqa: E731
+    model = lambda bias, white, walk: sensor.EstimationModel(*(float(a) for a in (bias, white, walk)))
 
     def call() -> np.ndarray:
         result = filters.run_feedback_filter(

@@ -64,12 +64,12 @@ def likelihood(filt: Filter) -> Callable[[Noise, Nav, Epoch], jax.Array]:
 
 
 def _ours(label: str, prepared: bool = False, **options: Any) -> Form:
-    make = lambda n: build(f"ekf{n}", **options)  # noqa: E731
+    make = lambda n: build(f"ekf{n}", **options)
     return Form(label, lambda n: solution(make(n)), lambda n: likelihood(make(n)), True, make if prepared else None)
 
 
 def _nested(label: str, checkpoint: bool = False, order: int = 2) -> Form:
-    make = lambda n: speed_plain.nested(n, PARAMS(), checkpoint, order)  # noqa: E731
+    make = lambda n: speed_plain.nested(n, PARAMS(), checkpoint, order)
     return Form(label, make, lambda n: speed_plain.likelihood(make(n)))
 
 
@@ -107,7 +107,7 @@ def arguments(seconds: int, runs: int) -> tuple[Noise, Nav, Epoch]:
 def still(seconds: int, runs: int) -> tuple[Noise, Nav, Epoch]:
     """The same shapes at rest and free of errors, made without the simulator, which takes long to compile."""
     shape = (seconds, RATE) if runs == 1 else (runs, seconds, RATE)
-    side = lambda value, *s: np.broadcast_to(np.asarray(value), s)  # noqa: E731
+    side = lambda value, *s: np.broadcast_to(np.asarray(value), s)
     lead, lla = shape[:-1], (0.8, 0.3, 200.0)
     imu = Imu(side(1 / RATE, *shape), side(np.zeros(3), *shape, 3), side([0.0, 0.0, -9.81], *shape, 3))
     fix = Fix(side([*lla, 0.0, 0.0, 0.0], *lead, 6), side([2.0] * 3 + [0.1] * 3, *lead, 6), side(0.0, *lead, 6),
@@ -238,7 +238,7 @@ def table(taken: Rounds, steps: dict[str, int] | int, to: str) -> dict[str, dict
 
     Both are medians over the rounds, the ratio that of what was measured in the same round.
     """
-    each = lambda name: steps if isinstance(steps, int) else steps[name]  # noqa: E731
+    each = lambda name: steps if isinstance(steps, int) else steps[name]
     us = {name: [1e6 * s / each(name) for s in seconds] for name, seconds in taken.items()}
     return {
         name: {"us_per_step": statistics.median(v), "ratio_to": to, "ratio": quotient(v, us[to])}

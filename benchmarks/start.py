@@ -34,7 +34,7 @@ NAVEGO, FIXED_WING = (20.0, 100.0, 250.0), (15.0, 30.0, 50.0)
 
 def motion(kind: str, rng: np.random.Generator, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Velocity NED (N, 3) m/s and roll, pitch, heading (N, 3) rad of a random course."""
-    wave = lambda low, high, n=3: sum(  # noqa: E731
+    wave = lambda low, high, n=3: sum(
         np.sin(2 * np.pi * t / rng.uniform(low, high) + rng.uniform(0, 6.3)) / n for _ in range(n)
     )
     heading = rng.uniform(0, 2 * np.pi) + np.cumsum({"car": 0.25, "aircraft": 0.3, "walk": 0.25, "robot": 0.4}[kind] *
@@ -60,8 +60,8 @@ def simulated(kind: str, grade: str, with_velocity: bool, rng: np.random.Generat
     frame, imu = sim.generate_imu(t, lla0, np.degrees(rph), vel, sensor_type="increment")
     dt, g = np.full(t.size - 1, 1 / RATE), GRADES[grade]
     apart = {"consumer": 3e-3, "tactical": 2e-4}[grade]  # scale errors and misalignment, sd
-    skewed = lambda a: a @ (np.eye(3) + apart * rng.normal(size=(3, 3)))  # noqa: E731
-    noise = lambda root, turn_on: root * np.sqrt(RATE) * rng.normal(size=(dt.size, 3)) + turn_on * rng.normal(size=3)  # noqa: E731
+    skewed = lambda a: a @ (np.eye(3) + apart * rng.normal(size=(3, 3)))
+    noise = lambda root, turn_on: root * np.sqrt(RATE) * rng.normal(size=(dt.size, 3)) + turn_on * rng.normal(size=3)
     gyro = skewed(imu.iloc[1:, :3].to_numpy() * RATE) + noise(g.arw, g.gyro_turn_on)
     accel = skewed(imu.iloc[1:, 3:].to_numpy() * RATE) + noise(g.vrw, g.accel_turn_on)
     lla = np.column_stack([np.radians(frame.lat), np.radians(frame.lon), frame.alt])
@@ -69,7 +69,7 @@ def simulated(kind: str, grade: str, with_velocity: bool, rng: np.random.Generat
     truth = Track(t, lla, enu, np.radians(frame[["roll", "pitch", "heading"]].to_numpy()))
     late, sd = rng.uniform(0, 0.3), 1.5 if with_velocity else 0.03
     k = np.arange(0.5, SPAN, 0.2)
-    at = lambda a: np.column_stack([np.interp(k - late, t, c) for c in a.T])  # noqa: E731
+    at = lambda a: np.column_stack([np.interp(k - late, t, c) for c in a.T])
     metres = np.array([6.37e6, 6.37e6 * np.cos(lla[0, 0]), 1.0])
     err = sd * rng.normal(size=(k.size, 3))
     position = Samples(k, at(lla) + err[:, [1, 0, 2]] / metres, np.full((k.size, 3), sd), np.zeros((k.size, 3)))
@@ -135,7 +135,7 @@ def onboard(data: Path) -> Track:
 def against_gyros(rec: Recording, reference: Track, span: float = 5.0) -> float:
     """How far (deg, median) a reference's attitude departs within ``span`` s from what the gyros integrate to."""
     imu, off = rec.imu, []
-    at = lambda t: Rotation.from_matrix(np.asarray(rotations.from_rph(jnp.asarray(  # noqa: E731
+    at = lambda t: Rotation.from_matrix(np.asarray(rotations.from_rph(jnp.asarray(
         [np.interp(t, reference.t, np.unwrap(c)) for c in reference.rph.T]))))  # fmt: skip
     for begin in np.arange(max(imu.t[0], reference.t[0]), min(imu.t[-1], reference.t[-1]) - span, 2 * span):
         rows = (imu.t > begin) & (imu.t <= begin + span)

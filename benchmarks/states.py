@@ -61,7 +61,7 @@ def with_barometer(sim: Simulated, key: jax.Array) -> Simulated:
     believed, interval = STATES["barometer_bias"].defaults, sim.truth.t[1] - sim.truth.t[0]
     bias = believed.sd * first[0] + believed.drive * jnp.sqrt(interval) * jnp.cumsum(walk)
     value = sim.truth.pos[:, 2] + bias + BAROMETER_SD * noise
-    column = lambda a, fill: jnp.concatenate([a, jnp.full_like(a[:, :1], fill)], 1)  # noqa: E731
+    column = lambda a, fill: jnp.concatenate([a, jnp.full_like(a[:, :1], fill)], 1)
     f = sim.epochs.fix
     fix = Fix(jnp.concatenate([f.value, value[:, None]], 1), column(f.sd, BAROMETER_SD), column(f.corr, 0.0),
               column(f.valid, True))  # fmt: skip
@@ -155,7 +155,7 @@ def receiver(runs: int, seed: int) -> dict[str, Any]:
     urban = SCENARIOS["urban"]
     with_it = scored(build("ekf15", cov_stride=STRIDE, states=("gnss_position_error",)), urban, runs, seed, True)
     without = scored(build("ekf15", cov_stride=STRIDE), urban, runs, seed, True)
-    level = lambda found: float(np.sqrt(np.mean(found.error[:, :2] ** 2)))  # noqa: E731
+    level = lambda found: float(np.sqrt(np.mean(found.error[:, :2] ** 2)))
     return {
         "anees_18": anees(with_it), "anees_15": anees(without), "bounds": bounds(18, runs),
         "inside": inside(with_it, slice(15, 18)), "horizontal_rms_m": level(with_it),

@@ -33,7 +33,7 @@ def drive():
 def wider(epochs: Epoch) -> Epoch:
     """The same epochs with non-holonomic channels that are never there."""
     f = epochs.fix
-    pad = lambda a, v: jnp.concatenate([a, jnp.full((a.shape[0], 2), v, a.dtype)], axis=1)  # noqa: E731
+    pad = lambda a, v: jnp.concatenate([a, jnp.full((a.shape[0], 2), v, a.dtype)], axis=1)
     return epochs._replace(fix=Fix(pad(f.value, 0.0), pad(f.sd, 1.0), pad(f.corr, 0.0), pad(f.valid, False)))
 
 
@@ -63,7 +63,7 @@ def one_of(rules: tuple[Rule, ...]) -> Rule:
         pairs = zip(rules, theta[1], memories, strict=True)
         return tuple(rule.transport(own, memory, moved, T) if rule.transport else memory for rule, own, memory in pairs)
 
-    init = lambda n, m: tuple(rule.init(n, m) for rule in rules)  # noqa: E731
+    init = lambda n, m: tuple(rule.init(n, m) for rule in rules)
     return Rule(
         init, correct, extrapolate, estimates=BIASES, transport=transport
     )  # of every branch, with a drive of its own or of zero

@@ -41,7 +41,7 @@ def drive():
     """Some epochs of a drive in town; the truth has every error of the sensors."""
     scenario = SCENARIOS["urban_short"]
     sim = simulate_jit(scenario, jax.random.key(5))
-    cut = lambda tree: jax.tree.map(lambda a: a[20 : 20 + EPOCHS], tree)  # noqa: E731
+    cut = lambda tree: jax.tree.map(lambda a: a[20 : 20 + EPOCHS], tree)
     start = jax.tree.map(lambda a: a[19], sim.truth)
     return scenario, start._replace(errors={}), cut(sim.epochs)
 
@@ -49,7 +49,7 @@ def drive():
 def wider(epochs: Epoch, measurements=ALL) -> Epoch:
     """The same epochs with the channels of all measurements, of which the further ones are never there."""
     m = sum(each.size for each in measurements) - 6
-    pad = lambda a, v: jnp.concatenate([a, jnp.full((a.shape[0], m), v, a.dtype)], axis=1)  # noqa: E731
+    pad = lambda a, v: jnp.concatenate([a, jnp.full((a.shape[0], m), v, a.dtype)], axis=1)
     f = epochs.fix
     return epochs._replace(fix=Fix(pad(f.value, 0.0), pad(f.sd, 1.0), pad(f.corr, 0.0), pad(f.valid, False)))
 
@@ -116,7 +116,7 @@ def test_gradients_are_finite_and_values_do_not_compile_again(frame, drive):
 def a_nav(seed: int = 0) -> Nav:
     rng = np.random.default_rng(seed)
     nav = initial_nav([0.8, -1.3, 900.0], [60.0, -45.0, 5.0], [0.2, -0.3, 2.0], t=3.0, azimuth=0.3)
-    draw = lambda scale: jnp.asarray(rng.normal(size=3) * scale)  # noqa: E731
+    draw = lambda scale: jnp.asarray(rng.normal(size=3) * scale)
     return nav._replace(omega=draw(0.1), force=draw(1.0) - jnp.array([0, 0, 9.8]), errors=zeros(EVERY))
 
 

@@ -68,7 +68,7 @@ def evaluate(problem: Problem, raw: Any, data: Data, slopes: bool = True) -> Eva
     rows = _rows(problem, slopes, raw, data)
     values, G = rows[:, 0], rows[:, 1:]
     believed, slope = jax.value_and_grad(lambda r: problem.believe * penalty(spec, r))(raw)
-    add = lambda grad: jax.tree.map(jnp.add, back(grad), slope)  # noqa: E731
+    add = lambda grad: jax.tree.map(jnp.add, back(grad), slope)
     zero = jnp.zeros_like(flat)
     if not problem.counts:  # one loss without runs: what it gives is passed on as it is
         return Evaluated(values[0] + believed, add(G[0] if slopes else zero), values, G, jnp.isfinite(values))
@@ -95,7 +95,7 @@ def _weights(aggregate: Aggregate, values: jax.Array, weight: jax.Array) -> tupl
 def _rows(problem: Problem, slopes: bool, raw: Any, data: Data) -> jax.Array:
     """Value and gradient of every run, (B, 1 + P), or (B, 1) without gradients."""
     if not problem.counts:
-        call = lambda r: problem.losses[0](join(dict(problem.free), r, data.params), *data.arguments)  # noqa: E731
+        call = lambda r: problem.losses[0](join(dict(problem.free), r, data.params), *data.arguments)
         return _row(call, slopes, raw)[None]
     if problem.mesh is None:
         return jnp.concatenate(_local(problem, slopes, raw, data))

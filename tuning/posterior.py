@@ -45,7 +45,7 @@ def sample(
         raise ConfigError("draws from the posterior need the extra bayes: pip install 'jaxnav[bayes]'") from error
     value, vector = np.linalg.eigh(np.asarray(covariance))
     scale = jnp.asarray(vector * np.sqrt(np.clip(value, 1e-12, widest**2)))
-    density = lambda z: log_density(jnp.asarray(centre) + scale @ z)  # noqa: E731
+    density = lambda z: log_density(jnp.asarray(centre) + scale @ z)
     warm, go = jax.random.split(key)
     adapt = blackjax.window_adaptation(blackjax.nuts, density)
     (state, parameters), _ = adapt.run(warm, jnp.zeros(len(centre)), warmup)

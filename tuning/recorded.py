@@ -125,7 +125,7 @@ def tune(
     packed = ep.pack_recording(rec, chosen, begin.t, 0.0, stop, standing)
     rate = 1 / float(np.median(rec.imu.dt))
     samples = history_for(params, rate, float(np.ptp(rec.imu.t)), REACH)
-    kept = lambda each: each.keeping(samples) if each.keeping else each  # noqa: E731
+    kept = lambda each: each.keeping(samples) if each.keeping else each
     filt = kept(filt)
     layout = plan(packed, window)
     windows = hidden_windows(packed, layout.window, layout.every, PHASES, layout.settle)
@@ -146,7 +146,7 @@ def tune(
     found, stopped = candidates(job, begin, history, say)
     jobs = dict.fromkeys(found, job)
     say("scoring the candidates on hidden windows")
-    score = lambda name: level_drift(jobs[name].filt, found[name], nav, epochs, windows, chosen)  # noqa: E731
+    score = lambda name: level_drift(jobs[name].filt, found[name], nav, epochs, windows, chosen)
     offs = {name: score(name) for name in found}
     slow = 0.0 if stopped else correlation(offs["tuned"][1], packed, layout)
     if slow > CORRELATED and filt.extended and SLOW not in filt.model.states:
@@ -268,7 +268,7 @@ def ratios(before: np.ndarray, after: np.ndarray, parts: Mapping[str, np.ndarray
     for mask in (parts["training"] | parts["validation"], parts["validation"]):
         a, b = before[mask], after[mask]
         out.append(float(np.sqrt(np.mean(b**2) / np.mean(a**2))))
-        log = lambda e: 0.5 * np.log(e**2 + LEAST_LOG_M**2)  # noqa: E731
+        log = lambda e: 0.5 * np.log(e**2 + LEAST_LOG_M**2)
         out.append(float(np.exp(np.mean(log(b) - log(a)))))
     return out[0], out[1], out[2], out[3]
 

@@ -68,7 +68,7 @@ def text(found: "Tuned") -> str:
         for r in found.rows
     ]
     width = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
-    line = lambda row: "  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip()  # noqa: E731
+    line = lambda row: "  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip()
     lines = [line(head), line(["-" * w for w in width]), *map(line, rows), ""]
     lines.append(
         f"the likelihood counts as {found.effective:.1f} observations (windows that fit into the training part)"

@@ -58,7 +58,7 @@ def begin(raw: jax.Array, info: Information) -> Search:
 def advance(search: Search, info: Information) -> Search:
     """Take or refuse the trial, given its information; a refused one is tried again shorter."""
     good = jnp.isfinite(info.nll) & jnp.isfinite(info.fisher).all() & (info.nll < search.best.nll)
-    pick = lambda a, b: jax.tree.map(lambda x, y: jnp.where(good, x, y), a, b)  # noqa: E731
+    pick = lambda a, b: jax.tree.map(lambda x, y: jnp.where(good, x, y), a, b)
     raw, best = pick((search.trial, info), (search.raw, search.best))
     damping = jnp.clip(jnp.where(good, search.damping / 5, search.damping * 8), 1e-6, 1e6)
     trial, expected = propose(raw, best, damping)

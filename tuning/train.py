@@ -68,7 +68,7 @@ def _step(problem: Problem, optimizer: Any, many: bool, raw, state, data: Data):
 @partial(jax.jit, static_argnums=(0, 1))
 def _score(problem: Problem, many: bool, raw, data: Data):
     """Value and good runs of every start."""
-    one = lambda r: evaluate(problem, r, data, slopes=False)  # noqa: E731
+    one = lambda r: evaluate(problem, r, data, slopes=False)
     e = jax.vmap(one)(raw) if many else one(raw)
     return e.value, e.good
 

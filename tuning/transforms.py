@@ -214,5 +214,5 @@ def told(spec: Spec, raw: dict[str, jax.Array]) -> dict[str, jax.Array]:
 
 def values(spec: Spec, told: dict[str, jax.Array]) -> dict[str, jax.Array]:
     """The parameters, number by number, of what is `told`: of a matrix the axes' sd and the correlations."""
-    both = lambda n, t: jnp.concatenate([jnp.exp(t[:n]), jnp.tanh(t[n:])])  # noqa: E731
+    both = lambda n, t: jnp.concatenate([jnp.exp(t[:n]), jnp.tanh(t[n:])])
     return {name: both(spec[name].axes, t) if spec[name].axes else spec[name].forward(t) for name, t in told.items()}

@@ -54,7 +54,7 @@ def information(
     ((nu, S), (valid, far, ok)), (dnu, dS) = pushed(innovations, raw)
     nll, score, fisher = jax.vmap(gaussian, (0, 0, 0, 1, 1, 0))(nu, S, valid, dnu, dS, far)
     counts = keep & valid.any(-1)
-    weigh = lambda a: jnp.where(counts.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0)  # noqa: E731
+    weigh = lambda a: jnp.where(counts.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0)
     score = weigh(score)
     blocks = jnp.zeros((count, raw.size)).at[block].add(score)
     nll = jnp.where((keep & ~ok).any(), jnp.inf, weigh(nll).sum())
@@ -160,10 +160,10 @@ def intervals(spec: Spec, raw: dict[str, jax.Array], cov: Covariance, level: flo
     left out, since it is then too small more often than not.
     """
     flat, back = ravel_pytree(raw)
-    tell = lambda r: ravel_pytree(told(spec, back(r)))[0]  # noqa: E731
-    show = lambda t: np.asarray(ravel_pytree(values(spec, back(t)))[0])  # noqa: E731
+    tell = lambda r: ravel_pytree(told(spec, back(r)))[0]
+    show = lambda t: np.asarray(ravel_pytree(values(spec, back(t)))[0])
     J = np.asarray(jax.jacfwd(tell)(flat))
-    sd = lambda C: np.sqrt(np.diag(J @ C @ J.T))  # noqa: E731
+    sd = lambda C: np.sqrt(np.diag(J @ C @ J.T))
     quantile = float(ndtri(0.5 + level / 2))
     half = quantile * sd(cov.model)
     if cov.blocks >= flat.size + 10:

@@ -40,7 +40,7 @@ def paired_gain(
     pick = np.random.default_rng(seed).integers(names.size, size=(draws, names.size))
     b, a, n = sums[:, pick].sum(-1)
     low, high = np.percentile(np.sqrt(b / a), [2.5, 97.5])
-    rms = lambda e: float(np.sqrt(np.mean(e**2)))  # noqa: E731
+    rms = lambda e: float(np.sqrt(np.mean(e**2)))
     return PairedGain(rms(before) / rms(after), float(low), float(high), rms(before), rms(after))
 
 

@@ -107,7 +107,7 @@ def read_off(allan: Allan, axis: int = 0) -> ReadOff:
         return ReadOff(None, None, None, None)
     slope = _slopes(np.log(tau), np.log(deviation), edf)
     runs = {s: _runs(np.abs(slope - s) < within) for s, within in SLOPES.items()}
-    long = lambda run: tau[run.stop - 1] >= SPAN * tau[run.start]  # noqa: E731
+    long = lambda run: tau[run.stop - 1] >= SPAN * tau[run.start]
     falling = slope < -0.1  # behind a hump comes another slope of -1/2, which is not of white noise
     white = next((run for run in runs[-0.5] if long(run) and falling[: run.start].all()), None)
     walk = next((run for run in reversed(runs[0.5]) if long(run)), None)
@@ -166,7 +166,7 @@ def _fit_gauss_markov(tau: np.ndarray, deviation: np.ndarray, edf: np.ndarray) -
             model = np.maximum(shapes @ parts, 1e-3 * variance)
         return parts, np.log(variance / model) * np.sqrt(edf / 2)
 
-    cost = lambda log_time: float(np.sum(solve(log_time)[1] ** 2))  # noqa: E731
+    cost = lambda log_time: float(np.sum(solve(log_time)[1] ** 2))
     grid = np.log(np.geomspace(tau[0], tau[-1], 60))
     best = int(np.argmin([cost(g) for g in grid]))
     if not 0 < best < grid.size - 1:

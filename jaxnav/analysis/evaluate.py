@@ -45,7 +45,7 @@ def trace(info: Info, params: Params) -> Trace:
     zero = np.zeros_like(heading)
     forward = np.stack([np.sin(heading), np.cos(heading), zero], 1)
     right = np.stack([np.cos(heading), -np.sin(heading), zero], 1)
-    about = lambda axis: np.sqrt(np.einsum("ei,eij,ej->e", axis, attitude, axis))  # noqa: E731
+    about = lambda axis: np.sqrt(np.einsum("ei,eij,ej->e", axis, attitude, axis))
     sd_rph = np.stack([about(forward), about(right), np.sqrt(attitude[:, 2, 2])], 1)
     found = found._replace(t=found.t + np.asarray(clock_offset(params.mounting, info.nav)))
     return Trace(found, np.sqrt(variance[:, :9]), sd_rph, info)

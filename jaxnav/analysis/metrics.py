@@ -45,7 +45,7 @@ def told_by(t: np.ndarray, times: np.ndarray) -> np.ndarray:
 def errors(solution: Track, truth: Track) -> Errors:
     """Errors of a solution at its own times against a truth that is interpolated linearly to them (host arrays)."""
     unwrapped = np.where(np.isfinite(truth.rph), np.unwrap(np.nan_to_num(truth.rph), axis=0), np.nan)
-    at = lambda a: columns_at(solution.t, truth.t, a)  # noqa: E731
+    at = lambda a: columns_at(solution.t, truth.t, a)
     position = jax.vmap(earth.enu_difference)(jnp.asarray(solution.lla), jnp.asarray(at(earth.continuous(truth.lla))))
     turn = solution.rph - at(unwrapped)
     return Errors(position, solution.vel - at(truth.vel), np.remainder(turn + np.pi, 2 * np.pi) - np.pi)

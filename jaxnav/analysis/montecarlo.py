@@ -102,8 +102,8 @@ def _scores(rows: Row, sim: Simulated, limit: jax.Array) -> Scores:
     """The scores of rows (E, ...) of one run."""
     t, size, ok = sim.truth.t, _magnitudes(rows), rows.ok
     count = jnp.maximum(ok.sum(), 1)
-    mean = lambda a: jnp.where(ok.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0).sum(0) / count  # noqa: E731
-    root = lambda a: jnp.sqrt(mean(a**2))  # noqa: E731
+    mean = lambda a: jnp.where(ok.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0).sum(0) / count
+    root = lambda a: jnp.sqrt(mean(a**2))
     ends = jnp.maximum(jnp.sum(t[:, None] <= sim.outages[:, 1] + TICK, axis=0) - 1, 0)
     bad = ~ok | (size[:, 0] > limit)
     fixes, nis, dof = jnp.sum(rows.dof > 0), rows.nis.sum(), rows.dof.sum()
@@ -262,7 +262,7 @@ def summary(found: MonteCarlo, probability: float = 0.95) -> dict[str, Any]:
     if not N:
         return about
     about["scores"] = {name: _statistics(a[good]) for name, a in columns.items()}
-    all_of = lambda n: np.array(metrics.chi2_bounds(9 * n, 1, probability)) / (9 * n)  # noqa: E731
+    all_of = lambda n: np.array(metrics.chi2_bounds(9 * n, 1, probability)) / (9 * n)
     bounds = {n: all_of(int(n)) for n in np.unique(c.runs[c.runs > 0])}
     inside = [bounds[n][0] <= m / 9 <= bounds[n][1] for n, m in zip(c.runs, c.nees) if n]
     about["anees"] = {

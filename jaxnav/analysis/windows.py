@@ -51,7 +51,7 @@ def drift(
 
     The first three channels must be the position's.
     """
-    hide = lambda h: ep.hide(epochs, h, measurements).fix.valid  # noqa: E731
+    hide = lambda h: ep.hide(epochs, h, measurements).fix.valid
     info = _phases(filt, params, nav, epochs, jnp.stack([hide(h) for h in windows.hidden]))
     residual = np.asarray(info.residual)[windows.phase, windows.end, :3]
     ok = np.asarray(info.ok)[windows.phase, windows.end]
@@ -60,5 +60,5 @@ def drift(
 
 @partial(jax.jit, static_argnums=0)
 def _phases(filt: Filter, params: Params, nav: Nav, epochs: Epoch, valid: jax.Array) -> Any:
-    one = lambda v: run(filt, params, nav, epochs._replace(fix=epochs.fix._replace(valid=v)))  # noqa: E731
+    one = lambda v: run(filt, params, nav, epochs._replace(fix=epochs.fix._replace(valid=v)))
     return jax.vmap(one)(valid)

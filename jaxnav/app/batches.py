@@ -277,7 +277,7 @@ def _phases(
         measured = np.asarray(cut.fix.valid)[ends.astype(int), :2].all(1)  # without a fix there is nothing to score by
         rows.append((hidden, starts, ends.astype(int), fits & measured))
     most = int((t[-1] - case.packed.start) // tune.outage_every_s) + 1  # the same for every shift
-    pad = lambda a, fill: np.concatenate([a, np.full(most - a.size, fill, a.dtype)])  # noqa: E731
+    pad = lambda a, fill: np.concatenate([a, np.full(most - a.size, fill, a.dtype)])
     hidden = np.stack([row[0] for row in rows])
     starts, ends, count = (np.stack([pad(row[i], 0) for row in rows]) for i in (1, 2, 3))
     if not count.any():
@@ -285,7 +285,7 @@ def _phases(
             f"{case.recording.name}: no window of {tune.outage_s:g} s with a fix at its end between {begin:.0f} and "
             f"{end:.0f} s; change tune.train, tune.validation or tune.outage_s"
         )
-    many = lambda a: jnp.broadcast_to(a, (tune.phases, *a.shape))  # noqa: E731
+    many = lambda a: jnp.broadcast_to(a, (tune.phases, *a.shape))
     truth = _truth(case, t)
     runs = jax.vmap(lambda e, h: ep.hide(e, h, case.measurements))(jax.tree.map(many, cut), jnp.asarray(hidden))
     nav = jax.tree.map(lambda a: many(a[0]), case.navs)
@@ -308,7 +308,7 @@ def _truth(case: pre.ReadyRun, t: np.ndarray) -> Truth | None:
     known = told_by(t, truth.t)
     if not known.any():
         return None
-    at = lambda t: columns_at(t, truth.t, earth.continuous(truth.lla))  # noqa: E731
+    at = lambda t: columns_at(t, truth.t, earth.continuous(truth.lla))
     rate = (at(t + SLOPE) - at(t - SLOPE)) / (2 * SLOPE)
     return Truth(jnp.asarray(at(t)), jnp.asarray(rate), jnp.asarray(known))
 

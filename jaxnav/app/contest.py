@@ -203,7 +203,7 @@ def _enter(name: str, plan: Plan, runs: Runs, progress: bool) -> Entrant | None:
     filt, spec, start = filter_for(name, plan), spec_of(name), datasheet(name)
     before = marks(filt, start, runs.test, plan.limit_m)
     named = [f"{kind.scenario.name}, run {i}" for kind in plan.trained for i in range(b.runs)]
-    ready = lambda cases: [case._replace(epochs=prepare(filt, case.epochs)) for case in cases]  # noqa: E731
+    ready = lambda cases: [case._replace(epochs=prepare(filt, case.epochs)) for case in cases]
     groups, order = together(runs.train)
     tuned, note = start, ""
     aside: tuple[dict, ...] = ()

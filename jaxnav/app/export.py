@@ -49,7 +49,7 @@ def kfgins_yaml(params: Params, scale_ppm: tuple[float, float] = (0.0, 0.0)) -> 
     """
     tau, sensors = _tau(params, "gyro_bias"), _sensors(params)
     time = float(tau[0]) if np.isfinite(tau).all() and np.ptp(tau) == 0 else ONE_CORRELATION_TIME
-    sd = lambda drive: _axes(drive) * np.sqrt(time / 2)  # noqa: E731
+    sd = lambda drive: _axes(drive) * np.sqrt(time / 2)
     rows = {
         "arw": (_axes(sensors["gyro"]) / units.DEG_PER_SQRT_HOUR, "deg/sqrt(h)"),
         "vrw": (_axes(sensors["accel"]) / units.MPS_PER_SQRT_HOUR, "m/s/sqrt(h)"),
@@ -75,7 +75,7 @@ def navego_fields(params: Params) -> str:
         q, T = _axes(sensors[state]), _tau(params, state)
         fields |= {f"{name}b_psd": q, f"{name}b_corr": T}
         fields[f"{name}b_dyn"] = np.where(np.isfinite(T), q * np.sqrt(np.where(np.isfinite(T), T, 0.0) / 2), q)
-    text = lambda v: ", ".join("Inf" if np.isinf(x) else f"{x:.8g}" for x in v)  # noqa: E731
+    text = lambda v: ", ".join("Inf" if np.isinf(x) else f"{x:.8g}" for x in v)
     lines = [f"imu.{name} = [{text(value)}];" for name, value in fields.items()]
     scales = {name: params.measurements[name].scale for name in ("position", "velocity")}
     for name, scale in zip(("stdm", "stdv"), scales.values(), strict=True):
@@ -149,8 +149,8 @@ def robot_localization_yaml(params: Params, imu_rate_hz: float = 100.0) -> str:
     Its EKF takes rates and accelerations as measurements of a model of constant acceleration, so that a root PSD q is
     the variance q^2 rate of each sample, to be written into ``sensor_msgs/Imu``; biases and delays have no counterpart.
     """
-    square = lambda q: ", ".join(f"{v:.6g}" for v in _axes(q) ** 2 * imu_rate_hz)  # noqa: E731
-    scale = lambda name: ", ".join(f"{v:.6g}" for v in _axes(params.measurements[name].scale) ** 2)  # noqa: E731
+    square = lambda q: ", ".join(f"{v:.6g}" for v in _axes(q) ** 2 * imu_rate_hz)
+    scale = lambda name: ", ".join(f"{v:.6g}" for v in _axes(params.measurements[name].scale) ** 2)
     return "\n".join([
         f"# of sensor_msgs/Imu at {imu_rate_hz:g} Hz, body FRD; diagonals of the covariances of each message",
         f"angular_velocity_covariance_diagonal: [{square(params.noise.gyro)}]  # (rad/s)^2, a value per sample",

@@ -193,7 +193,7 @@ def tune_spec(tune: config.Tune, filter_name: str, measurements: tuple[Measureme
         ConfigError: a name that is unknown or not free, one that cannot be correlated or is tied, an sd that is none.
     """
     more = tuple(state for state in sheet.states if state not in FILTERS[filter_name].states)
-    which = lambda key, names: leaves_of(f"tune.{key}", names, filter_name, measurements, more)  # noqa: E731
+    which = lambda key, names: leaves_of(f"tune.{key}", names, filter_name, measurements, more)
     frozen = set(which("frozen", tune.frozen))
     spec = {k: v for k, v in free_spec(tune.free, filter_name, measurements, more).items() if k not in frozen}
     if not spec:

@@ -122,7 +122,7 @@ def _short(value: Any) -> Any:
 
 def write(folder: Path, material: Material, found: Fit, leaves: list[str], result: dict[str, Any]) -> None:
     """Write tuned.toml, the same for other software, history.jsonl and metrics.json."""
-    prior = lambda leaf: leaf.startswith("states.") and leaf.endswith(".sd")  # noqa: E731
+    prior = lambda leaf: leaf.startswith("states.") and leaf.endswith(".sd")
     noise = [k for k, unit in UNITS.items() if unit.step is None and not prior(k) and has(found.params, k)]
     params = {"params": in_user_units(found.params, list(dict.fromkeys([*noise, *leaves])))}
     head = f"# jaxnav tune: {material.about}\n# use: jaxnav filter --params tuned.toml\n"
@@ -138,7 +138,7 @@ def write(folder: Path, material: Material, found: Fit, leaves: list[str], resul
 def user_history(history: list[dict]) -> list[dict]:
     """One row a step with the parameters in a user's units."""
     # of one shape in every step, whether axes happen to agree in it or not
-    in_units = lambda row: {name_of(leaf): user_value(leaf, v, False) for leaf, v in row["params"].items()}  # noqa: E731
+    in_units = lambda row: {name_of(leaf): user_value(leaf, v, False) for leaf, v in row["params"].items()}
     return [row | {"params": in_units(row)} for row in history]
 
 

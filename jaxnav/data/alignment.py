@@ -208,7 +208,7 @@ def _series(imu: ImuLog, x: np.ndarray) -> Series:
     middle, _ = rotations_since(imu.gyro - x[:3], imu.dt)
     a = np.concatenate([np.einsum("nij,nj->ni", middle, imu.accel - x[3:6])[:, :, None], -middle], 2)
     dt = imu.dt[:, None, None]
-    before = lambda sums: np.concatenate([np.zeros((1, 3, 4)), sums[:-1]])  # noqa: E731
+    before = lambda sums: np.concatenate([np.zeros((1, 3, 4)), sums[:-1]])
     S = before(np.cumsum(a * dt, 0))
     return Series(middle, a, S, before(np.cumsum(S * dt + 0.5 * a * dt**2, 0)))
 
@@ -335,7 +335,7 @@ def _guesses(imu: ImuLog, seen: Seen, delay_sd: float, arm: np.ndarray) -> list[
 def _linear(imu: ImuLog, seen: Seen, C: np.ndarray, x: np.ndarray, arm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """J (M, 3, 3 + x), what the differences change by with attitude and x, and what is left of them, (M, 3)."""
     arm, eye = arm + x[7:] if x.size > 7 else arm, np.eye(x.size)
-    look = lambda series, x: seen.D @ _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0]  # noqa: E731
+    look = lambda series, x: seen.D @ _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0]
     series = _series(imu, x)
     path = _path(imu, series, x, seen.t, seen.positions, arm)
     here = seen.D @ path[:, :, 0]

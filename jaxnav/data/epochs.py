@@ -204,9 +204,9 @@ def of_shared_size(epochs: Epoch) -> Epoch:
     E, K = epochs.imu.dt.shape
     more, longer = shared_size(E) - E, shared_size(K) - K
     epochs = jax.device_get(epochs)  # on the host, where no program is compiled for it
-    rows = lambda a: np.concatenate([a, np.repeat(a[-1:], more, 0)])  # noqa: E731
-    wide = lambda a: rows(np.concatenate([a, np.repeat(a[:, -1:], longer, 1)], 1))  # noqa: E731
-    nothing = lambda a, *n: np.pad(a, [(0, k) for k in n] + [(0, 0)] * (a.ndim - len(n)))  # noqa: E731
+    rows = lambda a: np.concatenate([a, np.repeat(a[-1:], more, 0)])
+    wide = lambda a: rows(np.concatenate([a, np.repeat(a[:, -1:], longer, 1)], 1))
+    nothing = lambda a, *n: np.pad(a, [(0, k) for k in n] + [(0, 0)] * (a.ndim - len(n)))
     imu = jax.tree.map(wide, epochs.imu)._replace(dt=nothing(epochs.imu.dt, more, longer))
     fix = jax.tree.map(rows, epochs.fix)._replace(valid=nothing(epochs.fix.valid, more))
     return Epoch(imu, fix, None if epochs.gap is None else nothing(epochs.gap, more))
@@ -226,7 +226,7 @@ def stationary(imu: ImuLog, t: np.ndarray, window: float, accel_sd: float, gyro_
     True where the standard deviations of specific force (m/s^2) and rate (rad/s) over the window, each the root sum of
     squares of the axes, are below the thresholds and the whole window is covered by data.
     """
-    sums = lambda a: np.concatenate([np.zeros((1, 3)), np.cumsum(a, 0)])  # noqa: E731
+    sums = lambda a: np.concatenate([np.zeros((1, 3)), np.cumsum(a, 0)])
     last = np.searchsorted(imu.t, t + TICK)
     first = np.searchsorted(imu.t, t - window + TICK)
     n = np.maximum(last - first, 1)[:, None]

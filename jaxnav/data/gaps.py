@@ -82,7 +82,7 @@ class _Log:
 
     def between(self, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Integral (K, 6) and length of what is covered (K,) from a to b."""
-        at = lambda t: np.column_stack([np.interp(t, self.t, c) for c in (*self.sum.T, self.time)])  # noqa: E731
+        at = lambda t: np.column_stack([np.interp(t, self.t, c) for c in (*self.sum.T, self.time)])
         d = at(b) - at(a)
         return d[:, :6], d[:, 6]
 

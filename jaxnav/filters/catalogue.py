@@ -216,7 +216,7 @@ def _named(built: Filter, name: str, extended: Callable[..., Filter] | None) -> 
     """The filter with the catalogue's parameters, whatever history it keeps."""
     keeping = built.keeping
     assert keeping is not None  # make_filter gives it
-    kept = lambda samples: _named(keeping(samples), name, extended)  # noqa: E731
+    kept = lambda samples: _named(keeping(samples), name, extended)
     return built._replace(params=_params(name, built.model), keeping=kept, extended=extended)
 
 

@@ -170,7 +170,7 @@ def padded(imu: Imu, stride: int) -> Imu:
     more = -imu.dt.shape[0] % stride
     if not more:
         return imu
-    held = lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], more, 0)])  # noqa: E731
+    held = lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], more, 0)])
     return Imu(jnp.concatenate([imu.dt, jnp.zeros(more, imu.dt.dtype)]), held(imu.gyro), held(imu.accel))
 
 
@@ -260,7 +260,7 @@ def make_filter(
             )
 
         # an epoch's padding repeats its last sample; the first sample of all is taken for the one before it
-        before = lambda a: jnp.concatenate([a[:1, 0], a[:-1, -1]])  # noqa: E731
+        before = lambda a: jnp.concatenate([a[:1, 0], a[:-1, -1]])
         last = before(epochs.imu.gyro), before(epochs.imu.accel)
         return epochs._replace(imu=lax.map(lambda x: one(*x), (epochs.imu, last)))
 

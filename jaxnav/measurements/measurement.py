@@ -100,8 +100,8 @@ def at(past: Nav, t: jax.Array) -> Nav:
     before, after = jax.tree.map(lambda leaf: leaf[0], past), jax.tree.map(lambda leaf: leaf[1], past)
     gap = after.t - before.t
     share = jnp.where(gap > 0, (t - before.t) / jnp.where(gap > 0, gap, 1.0), 1.0)
-    blend = lambda share, a, b: jax.tree.map(lambda a, b: a + share * (b - a), a, b)  # noqa: E731
-    rates = lambda nav: {"omega": nav.omega, "force": nav.force}  # noqa: E731
+    blend = lambda share, a, b: jax.tree.map(lambda a, b: a + share * (b - a), a, b)
+    rates = lambda nav: {"omega": nav.omega, "force": nav.force}
     nav, held = blend(share, before, after), blend(jnp.clip(share, 0.0, 1.0), rates(before), rates(after))
     return nav._replace(t=t, q=rotations.normalize(nav.q), **held)
 

@@ -131,7 +131,7 @@ def simulate_shape(scenario: Scenario, shape: Shape, key: jax.Array) -> Simulate
         keys[SENSOR], Imu(jnp.full(flat[0].shape[0], dt, float), *flat), dt, GRADES[scenario.imu.grade], scenario.imu
     )
     zero, ends = jnp.zeros(()), slice(k - 1, None, k)
-    at = lambda i: jax.tree.map(lambda a: a[i], errors)  # noqa: E731
+    at = lambda i: jax.tree.map(lambda a: a[i], errors)
     first = _nav(way.start, at(0), Origin(lla, zero, zero))
     truth, seen = (jax.vmap(_nav, (0, 0, None))(points, at(ends), first.origin) for points in (way.ends, way.late))
 

@@ -185,7 +185,7 @@ def _turns(maps: Maps, course: EpochSums, CM: jax.Array) -> jax.Array:
     by = jnp.concatenate([weights.T[:, :, None] * f, (-(T**3) / 12)[None, :, None] * f])  # (3, b, 3)
     to_position, to_velocity = jnp.einsum("sba,bc->sac", by[:2], middle)
     to_position = to_position + by[2].T @ flat
-    AG = lambda M: jnp.einsum("aij,jk,akl->il", maps.force, maps.gyro, M.reshape(3, 3, k))  # noqa: E731
+    AG = lambda M: jnp.einsum("aij,jk,akl->il", maps.force, maps.gyro, M.reshape(3, 3, k))
     return jnp.concatenate([AG(to_position), AG(to_velocity), maps.gyro @ turned[-1].reshape(3, k)])
 
 
@@ -210,7 +210,7 @@ def _white(maps: Maps, course: EpochSums, noise: Noise, lumped: bool) -> jax.Arr
         part = _weights(rest, total - end[i])[:, :, None] * f[i][:, None]
         C_then, to_come = C[i], done[-1] - done[i] + part
     pi, alpha = maps.A(to_come[:, 0]), maps.A(to_come[:, 1])
-    column = lambda a: a[:, None, None]  # noqa: E731
+    column = lambda a: a[:, None, None]
     root = column(_root(lengths))
     g = linalg.times_root(maps.gyro @ C_then, noise.gyro) * root
     a = linalg.times_root(maps.accel @ C_then, noise.accel) * root
@@ -228,11 +228,9 @@ def _driven(
     exact one through two integrals and 91/108 through three.
     """
     starts = np.cumsum([0, *(s.size for s in states)])
-    part = lambda M, i: M[:, starts[i] : starts[i + 1]]  # noqa: E731
+    part = lambda M, i: M[:, starts[i] : starts[i + 1]]
     root = _root(0.5 * total)
-    by_drive = lambda M: jnp.concatenate(  # noqa: E731
-        [linalg.times_root(part(M, i), p.drive) for i, p in enumerate(each)], 1
-    )
+    by_drive = lambda M: jnp.concatenate([linalg.times_root(part(M, i), p.drive) for i, p in enumerate(each)], 1)
     E_L = by_drive(E) * root
     power = np.concatenate([np.tile(np.repeat(INTEGRALS[s.enters], 3)[:, None], s.size) for s in states], 1)
     return [E_L * share**power for share in 0.5 + 0.5 * GAUSS2], by_drive(jnp.diag(kept)) * root

@@ -65,7 +65,7 @@ def increments(nav: Nav, imu: Imu) -> Increments:
 def after(nav: Nav, t: jax.Array, pos: Vector, vel: Vector, q: Quaternion, omega: Vector, force: Vector) -> Nav:
     """Navigation states at times t (w,), from components (w,)."""
     w = t.shape[0]
-    stack = lambda v: jnp.stack(v, -1)  # noqa: E731
+    stack = lambda v: jnp.stack(v, -1)
     return Nav(
         t, stack(pos), stack(vel), stack(q), stack(omega), stack(force),
         *jax.tree.map(lambda a: jnp.broadcast_to(a, (w, *a.shape)), (nav.origin, nav.errors)),

@@ -140,7 +140,7 @@ assert "matplotlib.pyplot" not in sys.modules
 def test_save_is_reproducible_and_replaces(tmp_path):
     path = tmp_path / "a.png"
     path.write_text("old")
-    make = lambda: plots_stats.cdf({"a": np.arange(5.0)})  # noqa: E731
+    make = lambda: plots_stats.cdf({"a": np.arange(5.0)})
     assert plots.save(make(), path) == path
     plots.save(make(), tmp_path / "b.png")
     data = path.read_bytes()

@@ -58,7 +58,7 @@ def test_exact_matrix_without_derivative(K):
 def test_derivative_bounds_the_gain(ki, kd):
     """Stable below K = 2 / (1 + ki/2 + 2 kd), 0.258 for the paper's second pair, and not above."""
     bound = 2 / (1 + ki / 2 + 2 * kd)
-    radius = lambda K: robustness.spectral_radius(robustness.exact_matrix(ONE, scalar(K), ONE, ki, kd, np.ones(1)))  # noqa: E731
+    radius = lambda K: robustness.spectral_radius(robustness.exact_matrix(ONE, scalar(K), ONE, ki, kd, np.ones(1)))
     assert radius(0.999 * bound) < 1 < radius(1.001 * bound)
     if (ki, kd) == PRINTED["G2"]:
         assert bound == pytest.approx(0.258, abs=5e-4)

@@ -48,7 +48,7 @@ def toy(name: str) -> Filter:
         after, info = step(params, state, epoch)
         return Step(state, state, None, after, info, jnp.zeros(9))
 
-    start = lambda params, nav: (nav.pos[2], jnp.array(True))  # noqa: E731
+    start = lambda params, nav: (nav.pos[2], jnp.array(True))
     return Filter(start, None, None, step, None, lambda epochs: epochs, None, advance)
 
 

@@ -133,7 +133,7 @@ def test_sd_of_the_start_are_one_or_three_positive_numbers(tmp_path, monkeypatch
 def northward(late: float = 0.0) -> Recording:
     """A minute north at 12 m/s and 10 Hz, fixes and truth at 1 Hz; ``late``: age of a fix at its stamp, in IMU time."""
     t, k = np.arange(0.1, 60.05, 0.1), np.arange(1.0, 60.0)
-    track = lambda t: np.stack([0.8 + 12.0 * t / 6.37e6, 0.2 + 0 * t, 100.0 + 0 * t], 1)  # noqa: E731
+    track = lambda t: np.stack([0.8 + 12.0 * t / 6.37e6, 0.2 + 0 * t, 100.0 + 0 * t], 1)
     level, three = np.tile([0, 0, -9.81], (t.size, 1)), np.zeros((k.size, 3))
     position = Samples(k, track(k - late), np.full((k.size, 3), 1.0), three)
     velocity = Samples(k, np.tile([0, 12.0, 0], (k.size, 1)), np.full((k.size, 3), 0.1), three)
@@ -221,7 +221,7 @@ def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):
     monkeypatch.setattr(objectives, "run", lambda *_: info)
     batch = batches.Batch((), Epoch((), ()), (), (), (), (), jnp.ones(t.size, bool), truth)
     loss = objectives.objective(None, (("rmse", 1.0),), ("mounting.time_offset",))
-    at = lambda s: float(loss(put(params, "mounting.time_offset", s), objectives.TuningCase(batch, params)))  # noqa: E731
+    at = lambda s: float(loss(put(params, "mounting.time_offset", s), objectives.TuningCase(batch, params)))
     assert at(offset) == pytest.approx(12.0 * (true - offset) / 3, rel=1e-3) and at(true) < 1e-3
     loss = objectives.objective(None, (("rmse", 1.0),), ("mounting.time_offset", "mounting.clock_drift"))
     drifting = put(put(params, "mounting.time_offset", true), "mounting.clock_drift", 1e-3)

@@ -142,7 +142,7 @@ def test_what_a_lost_run_and_a_users_own_objective_score(monkeypatch, tmp_path):
     c = resolved()
     m = batches.from_scenario(c, scenario_of(c))
     case = objectives.TuningCase(m.train, tune._many(m.params, m.train))
-    one = lambda tree: tune.jax.tree.map(lambda a: a[0], tree)  # noqa: E731
+    one = lambda tree: tune.jax.tree.map(lambda a: a[0], tree)
     loss = objectives.objective(m.filter, (("mine:score", 2.0),), ("noise.gyro",))
     assert float(loss(m.params, one(case))) > 0
     far = m.train._replace(epochs=m.train.epochs._replace(

@@ -99,7 +99,7 @@ def empty() -> dict:
 
 def test_gate_fails_where_a_ratio_of_ours_is_worse(tmp_path, capsys):
     path, result = tmp_path / "baseline.json", empty()
-    row = lambda ratio: {"us_per_step": 1.0, "ratio_to": "nested scan, 9 states", "ratio": ratio}  # noqa: E731
+    row = lambda ratio: {"us_per_step": 1.0, "ratio_to": "nested scan, 9 states", "ratio": ratio}
     result["single"] = {"stride 1, 9 states": row(0.4), "floor, 9 states": row(0.05)}
     assert speed_gate.gate(result, "quick", path) == 1  # no baseline yet
     speed_gate.keep(result, "quick", path)

@@ -16,7 +16,7 @@ def car() -> Recording:
     rec, _ = simulated("car", "consumer", True, np.random.default_rng(5))
     truth, position = rec.truth, rec.aiding["position"]
     k = np.arange(0.5, 69.0, 0.1)
-    column = lambda value, sd: Samples(k, value[:, None], np.full((k.size, 1), sd), np.zeros((k.size, 1)))  # noqa: E731
+    column = lambda value, sd: Samples(k, value[:, None], np.full((k.size, 1), sd), np.zeros((k.size, 1)))
     speed = np.interp(k, truth.t, np.hypot(truth.vel[:, 0], truth.vel[:, 1]))
     hill = 20 * np.sin(2 * np.pi * k / 60)
     lla = position.value + np.column_stack([np.zeros((position.t.size, 2)), np.interp(position.t, k, hill)])

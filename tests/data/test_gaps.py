@@ -37,7 +37,7 @@ def test_a_fill_misses_about_what_it_says(length):
         assert holes.begin.size == 1 and holes.end[0] - holes.begin[0] == pytest.approx(length, abs=0.03)
         missed = []
         for true, made in ((imu.gyro, filled.gyro), (imu.accel, filled.accel)):
-            total = lambda a, d: (a * d[:, None]).sum(0)  # noqa: E731
+            total = lambda a, d: (a * d[:, None]).sum(0)
             missed.append(total(true, imu.dt) - total(made, filled.dt))
         ratios.append([np.mean(m**2) / (n**2 * length) for m, n in zip(missed, holes.noise[0], strict=True)])
     assert 0.3 < np.mean(ratios) < 3.0
@@ -66,6 +66,6 @@ def test_a_gap_of_any_length_is_coasted_and_the_covariance_knows(case):
     filt = build("ekf15")
     a, b = (run_jit(filt, case.params, case.nav, p.epochs) for p in (whole, cut))
     assert bool(b.ok.all())
-    sd = lambda info: np.sqrt(np.asarray(jax.vmap(jnp.diag)(info.P)))  # noqa: E731
+    sd = lambda info: np.sqrt(np.asarray(jax.vmap(jnp.diag)(info.P)))
     assert (sd(b)[22:34, :3] > 1.2 * sd(a)[22:34, :3]).all() and (sd(b)[34, 6:9] > 2 * sd(a)[34, 6:9]).all()
     np.testing.assert_allclose(b.P[:20], a.P[:20], rtol=1e-9)

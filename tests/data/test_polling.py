@@ -44,7 +44,7 @@ def test_mended_stream_integrates_to_the_sensors_own(log):
         return np.stack([np.interp(np.arange(2.0, 58.0, 2.0), t, c) for c in total.T], axis=1)
 
     own = integral(sensor[index[0] : index[-1] + 1], SENSOR)
-    walk = lambda a: np.std(np.diff(a - own, axis=0))  # noqa: E731  added to the integral every 2 s
+    walk = lambda a: np.std(np.diff(a - own, axis=0))  # added to the integral every 2 s
     assert walk(integral(mended.values, SENSOR)) < walk(integral(sensor[index], RATE)) / 3
     assert not np.isnan(mended.values).any()
 

@@ -21,7 +21,7 @@ KEYS = [(s.name, k.name) for s in settings.sections() for k in s.settings]
 PLAIN = st.one_of(
     st.booleans(), st.integers(), st.floats(), st.text(max_size=8), st.sampled_from(["ekf15", "motion", "nll", "log"])
 )
-NESTED = lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=2)  # noqa: E731
+NESTED = lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=2)
 VALUES = st.recursive(PLAIN, NESTED, max_leaves=6)
 FEW = how(max_examples=300 * TRIES, deadline=None, suppress_health_check=list(HealthCheck))
 

@@ -48,7 +48,7 @@ print(home.name, len(set(home.iterdir()) - before))
 
 
 def test_small_programs_are_found_by_the_next_process(tmp_path):
-    run = lambda: subprocess.run(  # noqa: E731
+    run = lambda: subprocess.run(
         [sys.executable, "-c", PROGRAM, str(tmp_path)], check=True, capture_output=True, text=True
     ).stdout.split()
     (name, first), (again, second) = run(), run()

@@ -154,7 +154,7 @@ def test_thin_weighs_by_time_and_padding_not_at_all():
 
 
 def test_shift_keeps_the_last_real_samples(case):
-    at = lambda t: jax.tree.map(lambda a: jnp.broadcast_to(a, (len(t), *a.shape)), case.nav)._replace(t=jnp.array(t))  # noqa: E731, E501
+    at = lambda t: jax.tree.map(lambda a: jnp.broadcast_to(a, (len(t), *a.shape)), case.nav)._replace(t=jnp.array(t))  # noqa: E501
     past = at([1.0, 2.0, 3.0, 4.0])
     # after n samples at 5, 6, 7, 8, ... s the last four of them; where there are fewer, the first one stands in
     for n, recent, expected in (
@@ -300,14 +300,14 @@ def batch(case):
     for _ in range(RUNS):
         x = rng.normal(size=15) * sd
         navs.append(retract(case.nav._replace(errors=zeros(BIASES)), -x)._replace(errors={}))
-        draw = lambda root_psd: np.cumsum(rng.normal(size=(E * k, 3)), 0) * np.sqrt(dt) * float(root_psd)  # noqa: E731
+        draw = lambda root_psd: np.cumsum(rng.normal(size=(E * k, 3)), 0) * np.sqrt(dt) * float(root_psd)
         gyro = draw(params.states["gyro_bias"].drive) + rng.normal(size=(E * k, 3)) * GRADE.arw / np.sqrt(dt) - x[9:12]
         accel = (
             draw(params.states["accel_bias"].drive) + rng.normal(size=(E * k, 3)) * GRADE.vrw / np.sqrt(dt) - x[12:15]
         )
         imu = case.imu._replace(gyro=case.imu.gyro + gyro, accel=case.imu.accel + accel)
         epochs.append(pack(imu, gnss(case.truth, 20, rng), 1.0).epochs)
-    stack = lambda trees: jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)  # noqa: E731
+    stack = lambda trees: jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
     nav, epochs = stack(navs), stack(epochs)
     return Batch(params, nav, epochs, run_batch(build("ekf15"), params, nav, epochs))
 

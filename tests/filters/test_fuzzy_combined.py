@@ -83,7 +83,7 @@ def test_a_missing_block_keeps_its_factor_and_says_nothing():
 
 
 def test_with_both_answers_shut_it_is_the_kalman_filter():
-    shut = lambda s, v: s._replace(bounds=jnp.full(2, v))  # noqa: E731
+    shut = lambda s, v: s._replace(bounds=jnp.full(2, v))
     theta = THETA._replace(fade=shut(THETA.fade, 1.0), adapt=shut(THETA.adapt, 0.0))
     z = innovation(jnp.asarray(residuals(1)[0]))
     c, plain = correct(theta, RULE.init(9, 6), z), kalman().correct((), (), z)

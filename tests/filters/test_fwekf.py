@@ -78,7 +78,7 @@ def test_fading_is_exponential_forgetting():
     rule, theta = fwekf.fwekf(4, ONE), constant(a)
     memory, x, p = rule.init(1, 1), 0.0, 100.0
     correct = jax.jit(rule.correct)
-    one = lambda v: jnp.full((1, 1), v)  # noqa: E731
+    one = lambda v: jnp.full((1, 1), v)
     for v in y:
         z = Innovation(jnp.array([v - x]), one(1.0), one(sd**2), one(p), jnp.array([True]), *jnp.ones(2))
         c = correct(theta, memory, z)
@@ -188,7 +188,7 @@ def test_heading_at_rest_does_not_wind_up(case):
         return run(filt, params._replace(rule=theta), nav, epochs).P
 
     free, held = np.asarray(covariance(jnp.array([np.inf, 10 * DEG])))
-    sd = lambda P: np.sqrt(P[:, 8, 8]) / DEG  # noqa: E731
+    sd = lambda P: np.sqrt(P[:, 8, 8]) / DEG
     assert sd(free).max() > 100  # degrees: a covariance that means nothing
     assert 2 < sd(held).max() < 10
     np.testing.assert_allclose(held[-1, P, P], free[-1, P, P], rtol=0, atol=0.1 * free[-1, 0, 0])

@@ -27,7 +27,7 @@ H3 = np.concatenate([np.eye(6), np.zeros((6, 3))], axis=1)
 
 def random_theta(seed=0, n=9, m=6, kappa=0.0):
     rng = np.random.default_rng(seed)
-    draw = lambda size: jnp.asarray(0.5 * rng.normal(size=size))  # noqa: E731
+    draw = lambda size: jnp.asarray(0.5 * rng.normal(size=size))
     theta = gip_kf_params(kappa=kappa)
     return theta._replace(
         log_rl=draw(m), rl_lower=draw(m * (m - 1) // 2), log_rm=draw(n), rm_lower=draw(n * (n - 1) // 2)
@@ -283,7 +283,7 @@ def test_balanced_feedback_keeps_tilt_and_bias_in_balance(case):
     phi = np.array([0.03, 0.05, -0.02])
     x = jnp.zeros(15).at[A].set(phi).at[12:15].set(C.T @ np.cross(phi, up))  # the linear balance
     both = jax.jit(lambda x: (reset_balanced((), retract, nav, x, 1.0)[0], retract(nav, x)))
-    felt = lambda nav: np.asarray(rotations.to_dcm(nav.q).T @ up + nav.errors["accel_bias"])  # noqa: E731
+    felt = lambda nav: np.asarray(rotations.to_dcm(nav.q).T @ up + nav.errors["accel_bias"])
     balanced, linear = both(x)
     np.testing.assert_allclose(felt(balanced), felt(nav), rtol=0, atol=1e-12)
     assert np.linalg.norm(felt(linear) - felt(nav)) > 4e-3

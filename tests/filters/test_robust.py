@@ -95,7 +95,7 @@ def test_a_missing_channel_teaches_nothing(name, outlier):
     valid = (True, True, True, True, False, True)
     c = answer(rule, theta, innovation([1.0, 1.0, 2.0, 0.2, 0.0, 0.1], valid), first.memory)
     assert not c.used[4]
-    own = lambda tree: [a[..., 4] for a in jax.tree.leaves(tree) if a.shape[-1:] == (6,)]  # noqa: E731
+    own = lambda tree: [a[..., 4] for a in jax.tree.leaves(tree) if a.shape[-1:] == (6,)]
     leaves_equal(own(c.memory), own(first.memory))
     assert any(np.any(a != b) for a, b in zip(jax.tree.leaves(c.memory), jax.tree.leaves(first.memory), strict=True))
 
@@ -215,7 +215,7 @@ def one_axis(nu):
 
 def test_huber_bounds_the_correction():
     """S = 4: within 1.5 sd = 3 the Kalman gain; beyond R = |nu| / 3, so that nu P / (P + R) tends to 9."""
-    delta = lambda nu: float(answer(huber(kalman()), huber_params(1.5), one_axis(nu)).delta[0])  # noqa: E731
+    delta = lambda nu: float(answer(huber(kalman()), huber_params(1.5), one_axis(nu)).delta[0])
     assert delta(-2.9) == pytest.approx(-2.9 * 3 / 4, rel=1e-12)
     for nu in (6.0, -40.0, 1e7):
         assert delta(nu) == pytest.approx(nu * 3 / (3 + abs(nu) / 3), rel=1e-12)
@@ -352,7 +352,7 @@ def test_outliers_do_little(name, bound):
     fault = CALM[0].at[10::20, 0].set(40.0)
     robust = navigate(make(kalman()), theta, fault, *CALM[1:])
     plain = navigate(kalman(), (), fault, *CALM[1:])[0]
-    excess = lambda e: np.sqrt(max(rms(e[:, :1]) ** 2 - calm**2, 0))  # noqa: E731
+    excess = lambda e: np.sqrt(max(rms(e[:, :1]) ** 2 - calm**2, 0))
     calm = rms(navigate(kalman(), (), *CALM)[0][:, :1])
     assert excess(robust[0]) < bound * excess(plain)
     if name == "gate":

@@ -98,7 +98,7 @@ def test_derivatives_in_closed_form(form):
             leaves = jax.tree.leaves(form(*map(symmetric, x)))
             return sum(jnp.sum(jnp.sin(a) * jnp.arange(1.0, 1 + a.size).reshape(a.shape)) for a in leaves)
 
-        along = lambda x: jax.jvp(loss, (x,), (jax.tree.map(jnp.sin, x),))[1]  # noqa: E731
+        along = lambda x: jax.jvp(loss, (x,), (jax.tree.map(jnp.sin, x),))[1]
         return loss(x), jax.grad(loss)(x), along(x), jax.grad(along)(x)
 
     assert "lapack" not in jax.jit(partial(slopes, form)).lower().as_text()

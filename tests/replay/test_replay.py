@@ -38,7 +38,7 @@ def solution(name: str) -> dict:
     first = navigate(rec, filt, filt.params("consumer"), stop=float(rec.aiding["position"].t[0]) + 75.0 + SECONDS)
     at = np.linspace(0, first.t.size - 1, POINTS).astype(int)
     enu = earth.enu_path(first.lla, rec.aiding["position"].value[0])
-    kept = lambda a: np.round(a[at], 7).tolist()  # noqa: E731
+    kept = lambda a: np.round(a[at], 7).tolist()
     return {
         "epochs": int(first.t.size), "used": int(first.used[:, 0].sum()), "t_s": kept(first.t), "enu_m": kept(enu),
         "vel_mps": kept(first.vel), "rph_deg": kept(first.rph / DEG), "sd": kept(first.sd),

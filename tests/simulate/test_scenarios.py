@@ -34,7 +34,7 @@ def runs(scenario, n=40):
 
 def angles(a, b):
     """Rotation vectors between quaternions (n, 4), deg ENU."""
-    turn = lambda p, q: rotations.log(rotations.multiply(p, rotations.conjugate(q)))  # noqa: E731
+    turn = lambda p, q: rotations.log(rotations.multiply(p, rotations.conjugate(q)))
     return np.asarray(jax.vmap(turn)(a, b)) / units.DEG
 
 

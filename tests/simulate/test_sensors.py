@@ -138,15 +138,13 @@ def test_quantisation_rounds_and_keeps_the_derivative():
     for a, b, step in ((out.gyro, values.gyro, 0.5 * units.DEG), (out.accel, values.accel, 3 * units.MG)):
         np.testing.assert_allclose(a / step, np.round(a / step), atol=1e-6)
         assert 0.45 * step < np.abs(a - b).max() <= 0.5 * step * (1 + 1e-9)
-    total = lambda x: imu.corrupt(  # noqa: E731
-        jax.random.key(1), values._replace(gyro=x), DT, QUIET, coarse
-    )[0].gyro.sum()
+    total = lambda x: imu.corrupt(jax.random.key(1), values._replace(gyro=x), DT, QUIET, coarse)[0].gyro.sum()
     np.testing.assert_allclose(jax.grad(total)(values.gyro), 1.0)
 
 
 def test_one_errors_size_changes_no_draw_of_another():
     grade = GRADES["consumer"]._replace(gyro_walk=1e-5, accel_walk=1e-4)
-    run = lambda g, e: corrupt(jax.random.key(4), still(50), DT, g, e)  # noqa: E731
+    run = lambda g, e: corrupt(jax.random.key(4), still(50), DT, g, e)
     everything = LOUD._replace(fixed_bias=True, gyro_bias_sd_deg_per_hour=9.0, accel_bias_sd_mg=2.0)
     plain, b_g, b_a = run(grade, ImuErrors())
     _, B_g, _ = run(grade, everything)
@@ -155,7 +153,7 @@ def test_one_errors_size_changes_no_draw_of_another():
     np.testing.assert_allclose(out.gyro - 1 - bias, white, atol=1e-12)
     np.testing.assert_allclose(bias, B_g, atol=0)
     half, bias, _ = run(grade, everything._replace(imu_noise_factor=0.5))
-    drift = lambda b: b - b[0]  # noqa: E731
+    drift = lambda b: b - b[0]
     np.testing.assert_allclose(drift(bias), 0.5 * drift(B_g), atol=1e-15)
     np.testing.assert_allclose(drift(b_g), drift(B_g), atol=1e-15)
     no_walk, bias, _ = run(grade._replace(gyro_walk=0.0, accel_walk=0.0), ImuErrors())
@@ -204,7 +202,7 @@ AT = np.array([48.0 * units.DEG, 11.0 * units.DEG, 500.0])
 def parked(n=N):
     """Truth that stands still, level, nose north."""
     q = rotations.from_dcm(rotations.from_rph(jnp.zeros(3)))
-    wide = lambda a: jnp.broadcast_to(jnp.asarray(a, float), (n, *jnp.shape(a)))  # noqa: E731
+    wide = lambda a: jnp.broadcast_to(jnp.asarray(a, float), (n, *jnp.shape(a)))
     rest = earth.RATE * np.array([np.cos(AT[0]), 0, -np.sin(AT[0])])
     origin = Origin(wide(AT), wide(0.0), wide(0.0))
     return Nav(wide(0.0), wide(AT), wide(np.zeros(3)), wide(q), wide(rest), wide(AT), origin, {})

@@ -218,7 +218,7 @@ def test_start_is_off_by_the_prior(batch):
     position = jax.vmap(earth.enu_difference)(initial.pos, start.pos) / np.array(START_OF.prior_position_sd_m)
     assert inside_bounds(position**2)
     assert inside_bounds(((initial.vel - start.vel) / np.array(START_OF.prior_velocity_sd_mps)) ** 2)
-    turn = lambda a, b: rotations.log(rotations.multiply(a, rotations.conjugate(b)))  # noqa: E731
+    turn = lambda a, b: rotations.log(rotations.multiply(a, rotations.conjugate(b)))
     sd = np.array([START_OF.prior_tilt_sd_deg, START_OF.prior_tilt_sd_deg, START_OF.prior_heading_sd_deg]) * units.DEG
     assert inside_bounds((jax.vmap(turn)(initial.q, start.q) / sd) ** 2)
     assert initial.errors == {}

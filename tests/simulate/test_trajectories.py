@@ -35,7 +35,7 @@ enable_x64()
 START = np.array([48.0 * units.DEG, 11.0 * units.DEG, 500.0])
 KEY = jax.random.key(3)
 quick = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # what runs once need not be fast
-where = lambda point: point.lla  # noqa: E731
+where = lambda point: point.lla
 
 
 def flying(t):

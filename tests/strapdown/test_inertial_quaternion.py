@@ -96,7 +96,7 @@ def a_nav(seed=0):
     rng = np.random.default_rng(seed)
     nav = initial_nav([0.8, -1.3, 900.0], [60.0, -45.0, 5.0], [0.2, -0.3, 2.0], t=3000.0)
     origin = nav.origin._replace(lla=jnp.array([0.801, -1.302, 600.0]), azimuth=jnp.asarray(0.7), t=jnp.asarray(5.0))
-    draw = lambda scale: jnp.asarray(rng.normal(size=3) * scale)  # noqa: E731
+    draw = lambda scale: jnp.asarray(rng.normal(size=3) * scale)
     return nav._replace(
         origin=origin,
         errors={"gyro_bias": draw(1e-3), "accel_bias": draw(0.1)},

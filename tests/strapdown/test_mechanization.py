@@ -124,7 +124,7 @@ def test_sculling_correction_cuts_the_velocity_error():
     nav = initial_nav([0.5, 0.0, 0.0])._replace(omega=jnp.asarray(gyro[0]), force=jnp.asarray(accel[0]))
     made = increments(nav, Imu(jnp.full(n, dt), jnp.asarray(gyro[1:]), jnp.asarray(accel[1:])))
     s, c = np.sin(angle[1:-1]), np.cos(angle[1:-1])
-    push = lambda dv: np.mean(s * dv[:, 1] + c * dv[:, 2]) / dt  # noqa: E731
+    push = lambda dv: np.mean(s * dv[:, 1] + c * dv[:, 2]) / dt
     rotated = accel[1:] * dt + 0.5 * np.cross(gyro[1:] * dt, accel[1:] * dt)
     assert abs(push(accel[1:] * dt) - exact) > 5e-4
     assert abs(push(accel[1:] * dt) - exact) / abs(push(np.stack(made.dv, 1)) - exact) > 50
@@ -189,7 +189,7 @@ def test_schuler_period():
 
 def test_padding_changes_nothing(case):
     imu = jax.tree.map(lambda a: a[4], case.packed.epochs.imu)
-    pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1], (27, *a.shape[1:]))])  # noqa: E731
+    pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1], (27, *a.shape[1:]))])
     padded = Imu(jnp.concatenate([imu.dt, jnp.zeros(27)]), pad(imu.gyro), pad(imu.accel))
     u = Forcing(np.array([1e-5, 0, 2e-5]), np.array([1e-3, 0, 0]))
     # start past the first sample of a run: its rates are in the state, as within a run
@@ -235,7 +235,7 @@ def test_blocks_change_nothing(lat, speed):
     n = 250
     nav, imu = lively(n, 0.02, lat, speed)
 
-    one = lambda nav, sample: (local_level.propagate(nav, None, jax.tree.map(lambda a: a[None], sample))[0], None)  # noqa: E731
+    one = lambda nav, sample: (local_level.propagate(nav, None, jax.tree.map(lambda a: a[None], sample))[0], None)
     exact = jax.jit(lambda nav: lax.scan(one, nav, imu)[0])(nav)
     for form in (local_level.propagate, plain.propagate):
         end, path = jax.jit(form)(nav, None, imu)
@@ -280,7 +280,7 @@ def test_an_interval_of_padding_is_finite_and_at_rest():
 def test_products_of_rotations_have_the_derivative_of_the_loop():
     """In closed form against step by step, both ways; a change of length included."""
     rng = np.random.default_rng(3)
-    unit = lambda *shape: tuple((q := rng.normal(size=(4, *shape))) / np.linalg.norm(q, axis=0))  # noqa: E731
+    unit = lambda *shape: tuple((q := rng.normal(size=(4, *shape))) / np.linalg.norm(q, axis=0))
     given = unit(), unit(7)
     d_given = jax.tree.map(lambda a: rng.normal(size=np.shape(a)), given)
     weights = tuple(rng.normal(size=(4, 7)))

@@ -39,7 +39,7 @@ def a_nav(seed=0):
     """Two kilometres from its origin, fast and turned."""
     rng = np.random.default_rng(seed)
     nav = initial_nav([0.8, -1.3, 900.0], [60.0, -45.0, 5.0], [0.2, -0.3, 2.0], t=3.0, azimuth=0.6)
-    draw = lambda scale: jnp.asarray(rng.normal(size=3) * scale)  # noqa: E731
+    draw = lambda scale: jnp.asarray(rng.normal(size=3) * scale)
     nav = nav._replace(pos=earth.move(nav.pos, jnp.array([1500.0, -1200.0, 80.0])))
     return nav._replace(
         errors={"gyro_bias": draw(1e-3), "accel_bias": draw(0.1)},
@@ -165,7 +165,7 @@ def test_at_rest_stays_at_rest_away_from_the_origin():
 
 def test_padding_changes_nothing(case):
     imu = jax.tree.map(lambda a: a[4], case.packed.epochs.imu)
-    pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1], (7, *a.shape[1:]))])  # noqa: E731
+    pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1], (7, *a.shape[1:]))])
     padded = Imu(jnp.concatenate([imu.dt, jnp.zeros(7)]), pad(imu.gyro), pad(imu.accel))
     nav = propagate(enter(case.nav), None, jax.tree.map(lambda a: a[3], case.packed.epochs.imu))[0]
     plain, filled = propagate(nav, None, imu)[0], propagate(nav, None, padded)[0]

@@ -39,7 +39,7 @@ def problem():
     raw, back = ravel_pytree(split(SPEC, begin))
     E = packed.t.size
 
-    solve = lambda r: run(filt, join(SPEC, back(r), params), nav, packed.epochs)  # noqa: E731
+    solve = lambda r: run(filt, join(SPEC, back(r), params), nav, packed.epochs)
     keep, block = jnp.ones(E, bool), jnp.arange(E) // 10
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(uncertainty, "TOGETHER", 6)  # a divisor of the directions compiles once

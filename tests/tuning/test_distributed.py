@@ -69,7 +69,7 @@ def problem():
         log: jax.Array
 
     rng = np.random.default_rng(0)
-    group = lambda n, e: jnp.asarray(rng.normal(size=(n, e)).cumsum(1))  # noqa: E731
+    group = lambda n, e: jnp.asarray(rng.normal(size=(n, e)).cumsum(1))
     return {"log": IDENTITY}, Params(jnp.array([1.0, -1.0])), [group(5, 30), group(4, 20)]  # 5 does not divide by 2
 
 
@@ -103,7 +103,7 @@ def collectives(mesh, loss, spec, start, cases) -> dict[str, int]:
 
     optimizer, raw = adam(5), split(spec, start)
     job, data = train._job(loss, spec, start, (), cases, train.mean, None, 1.0, mesh)
-    place = lambda tree: distributed.replicate(tree, mesh)  # noqa: E731
+    place = lambda tree: distributed.replicate(tree, mesh)
     text = train._step.lower(job, optimizer, False, place(raw), place(optimizer.init(raw)), data).compile().as_text()
     return count(text)
 

@@ -161,7 +161,7 @@ FROZEN = {
 def test_a_run_that_froze_is_never_better(info, name):
     """Zero innovations of epochs that do not measure would look good; before the failure all is as it was."""
     ok, score = jnp.arange(E) < 4, FROZEN[name]
-    still = lambda a: jnp.where(ok.reshape(-1, *[1] * (a.ndim - 1)), a, 0)  # noqa: E731
+    still = lambda a: jnp.where(ok.reshape(-1, *[1] * (a.ndim - 1)), a, 0)
     frozen = info._replace(nu=still(info.nu), residual=still(info.residual), nis=still(info.nis), ok=ok,
                            S=jnp.where(ok[:, None, None], info.S, jnp.eye(M)), valid=still(info.valid) > 0)  # fmt: skip
     assert np.isinf(score(frozen, jnp.ones(E, bool))) and np.isfinite(score(info, jnp.ones(E, bool)))

@@ -161,7 +161,7 @@ def test_priors_are_about_the_datasheet_and_named_by_kind(ekf):
 def test_the_datasheet_stays_unless_all_is_better():
     parts = {"training": np.array([1, 1, 1, 0, 0, 0], bool), "validation": np.array([0, 0, 0, 1, 1, 0], bool)}
     before = np.array([4.0, 5.0, 6.0, 5.0, 4.0, 1.0])
-    trial = lambda after: Trial(SimpleNamespace(), SimpleNamespace(), after, ratios(before, after, parts))  # noqa: E731
+    trial = lambda after: Trial(SimpleNamespace(), SimpleNamespace(), after, ratios(before, after, parts))
     same, half = trial(before), trial(0.5 * before)
     one = trial(before * np.array([0.1, 0.1, 0.1, 1.1, 1.1, 0.1]))  # better in training, worse in validation
     assert same.ratios == pytest.approx((1, 1, 1, 1)) and half.ratios == pytest.approx((0.5,) * 4, rel=2e-3)

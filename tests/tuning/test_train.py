@@ -87,7 +87,7 @@ RUNS = jnp.array([1.5, 2.0, 3.0])
 
 def test_a_run_that_fails_is_named_and_changes_no_other():
     bad = jnp.array([1.5, jnp.nan, 2.0, 3.0])
-    explain = lambda p, i: f"stopped at t = {i} s, width {float(p.width):.1f}"  # noqa: E731
+    explain = lambda p, i: f"stopped at t = {i} s, width {float(p.width):.1f}"
     alone = fit(of_run, SPEC, START, 20, optax.adam(0.1), cases=[RUNS])
     found = fit(of_run, SPEC, START, 20, optax.adam(0.1), cases=[bad], names=["a", "b", "c", "d"], explain=explain)
     assert found.loss == alone.loss and found.params == alone.params
@@ -105,16 +105,16 @@ def test_a_run_that_fails_later_is_left_out_and_no_better_for_it():
 
 
 def test_runs_of_several_groups_and_their_clip():
-    wide = lambda p, case: jnp.log(p.width / case[0]) ** 2 + 0 * case[1]  # noqa: E731
+    wide = lambda p, case: jnp.log(p.width / case[0]) ** 2 + 0 * case[1]
     both = fit([of_run, wide], SPEC, START, 60, optax.adam(0.1), cases=[RUNS, (jnp.array([8.0]), jnp.zeros(1))])
     assert float(both.params.width) == pytest.approx((1.5 * 2 * 3 * 8) ** 0.25, rel=2e-2)
-    steep = lambda p, a: a * p.shift  # noqa: E731
+    steep = lambda p, a: a * p.shift
     row = fit(steep, {"shift": scaled(1.0)}, START, 0, cases=[jnp.array([1e6, 0.5])], clip=1.0).history[0]
     assert row["grad_norm"] == pytest.approx((1.0 + 0.5) / 2)
 
 
 def test_new_runs_at_every_step_and_the_same_after_a_stop(tmp_path):
-    draw = lambda step: [2.0 + jax.random.normal(jax.random.key(step), (4,), float) ** 2]  # noqa: E731
+    draw = lambda step: [2.0 + jax.random.normal(jax.random.key(step), (4,), float) ** 2]
     whole = fit(of_run, SPEC, START, 8, optax.adam(0.1), cases=draw)
     fit(of_run, SPEC, START, 3, optax.adam(0.1), cases=draw, folder=tmp_path)
     again = fit(of_run, SPEC, START, 8, optax.adam(0.1), cases=draw, folder=tmp_path, resume=True)
@@ -123,7 +123,7 @@ def test_new_runs_at_every_step_and_the_same_after_a_stop(tmp_path):
 
 
 def test_starts_side_by_side_find_the_better_valley():
-    double = lambda p: (p.shift**2 - 1) ** 2 + 0.3 * p.shift  # noqa: E731
+    double = lambda p: (p.shift**2 - 1) ** 2 + 0.3 * p.shift
     spec = {"shift": scaled(1.0)}
     one = fit(double, spec, START._replace(shift=jnp.array(0.8)), 40, optax.adam(0.1))
     more = [START._replace(shift=jnp.array(s)) for s in (-0.7, 2.0)]
@@ -145,7 +145,7 @@ def test_lbfgs_needs_few_steps_and_keeps_out_of_what_fails():
     spec = {"width": LOG, "shift": scaled(1.0)}
     found = fit(rosenbrock, spec, START, 40, optimizers.lbfgs(40), cases=[jnp.zeros(2)])
     assert found.loss < 1e-8
-    fenced = lambda p, s: jnp.where(p.shift > 0.9, jnp.nan, rosenbrock(p, s))  # noqa: E731
+    fenced = lambda p, s: jnp.where(p.shift > 0.9, jnp.nan, rosenbrock(p, s))
     inside = fit(fenced, spec, START, 40, optimizers.lbfgs(40), cases=[jnp.zeros(2)])
     assert np.isfinite(inside.loss) and inside.loss < 0.05
 

@@ -153,7 +153,7 @@ def search(
         free = leaves(spec)
         weights = tuple(sorted(t.objective.items()))
         losses = [objective(m.filter, weights, free) for m in materials]
-        groups = lambda batches: [TuningCase(b, _many(m.params, b)) for m, b in zip(materials, batches, strict=True)]  # noqa: E731
+        groups = lambda batches: [TuningCase(b, _many(m.params, b)) for m, b in zip(materials, batches, strict=True)]
         train = groups([m.train for m in materials])
         optimizer = OPTIMIZERS[t.method](t.steps, t.rate, 1.0, t.warmup)
         return fit(
@@ -199,7 +199,7 @@ def why(materials: list[Material], params: Params, free: tuple[str, ...], index:
         if index < len(m.train_names):
             break
         index -= len(m.train_names)
-    one = lambda tree: jax.tree.map(lambda a: a[index : index + 1], tree)  # noqa: E731
+    one = lambda tree: jax.tree.map(lambda a: a[index : index + 1], tree)
     info = runs_jit(m.filter, merged(params, m.params, free), one(m.train.nav), one(m.train.epochs))
     info = jax.tree.map(lambda a: np.asarray(a[0]), info)
     failure = first_failure(info, m.t_train)

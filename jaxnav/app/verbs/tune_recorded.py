@@ -53,7 +53,7 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
     filt = build(name, chosen, config.filter.cov_stride, max(2, config.filter.history), states=config.filter.states)
     plain = Tune()
     named = FREE if config.tune.free == plain.free else config.tune.free
-    which = lambda key, names: leaves_of(f"tune.{key}", names, name, measurements, config.filter.states)  # noqa: E731
+    which = lambda key, names: leaves_of(f"tune.{key}", names, name, measurements, config.filter.states)
     frozen = set(which("frozen", config.tune.frozen))
     free = [leaf for leaf in which("free", named) if leaf not in frozen]
     if not free:
@@ -119,7 +119,7 @@ def write(folder: Path, about: str, found: Tuned, free: list[str], result: dict[
 
     ``states``: of the filter, where the winner has more than it was asked for.
     """
-    prior = lambda leaf: leaf.startswith("states.") and leaf.endswith(".sd")  # noqa: E731
+    prior = lambda leaf: leaf.startswith("states.") and leaf.endswith(".sd")
     noise = [k for k, unit in UNITS.items() if unit.step is None and not prior(k) and has(found.params, k)]
     params: dict[str, Any] = {"filter": {"states": states}} if states else {}
     params |= {"params": in_user_units(found.params, list(dict.fromkeys([*noise, *free])))}

@@ -91,7 +91,7 @@ def noise(rec: Recording) -> list[Finding]:
     if n < 10 or len(rows) < 3:
         return []
     root = np.sqrt(float(np.median(rec.imu.dt)))
-    spread = lambda a: float(np.median(np.diff(a[rows], axis=1).std(1) / np.sqrt(2)) * root)  # noqa: E731
+    spread = lambda a: float(np.median(np.diff(a[rows], axis=1).std(1) / np.sqrt(2)) * root)
     gyro, accel = spread(rec.imu.gyro) / units.DEG_PER_SQRT_HOUR, spread(rec.imu.accel) / units.UG
     words = f"noise where it is quiet: gyro {gyro:.2g} deg/sqrt(h), accelerometer {accel:.3g} ug/sqrt(Hz)"
     return [Finding("imu.noise", words)]

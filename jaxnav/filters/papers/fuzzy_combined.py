@@ -91,7 +91,7 @@ def fuzzy_combined(n: int = 20, table=TABLE, conjunction: fuzzy.Conjunction = fu
         past, here = push(memory.past, z), by_block(z.valid).any(1)
         before = inflated(z.R, jnp.exp(jnp.repeat(memory.log_factor, BLOCK)))
         m, e, square = inputs(theta.doubt, past, z, before, witness)
-        answer = lambda system, e: fuzzy.infer(system, table, jnp.stack([m, e]), conjunction)  # noqa: E731
+        answer = lambda system, e: fuzzy.infer(system, table, jnp.stack([m, e]), conjunction)
         a = answer(theta.fade, jnp.max(e))
         share = jnp.where(here, jax.vmap(answer, (None, 0))(theta.adapt, e), 0.0)
         left = square - over_blocks(z.valid, jnp.diag(z.H @ z.P @ z.H.T))  # what P does not explain

@@ -104,7 +104,7 @@ def inputs(past: Window, z: Innovation) -> jax.Array:
     """x1 and x2, (2,), over the channels that the fix has."""
     mean, power = moments(past)
     expected = jnp.diag(z.H @ z.P @ z.H.T + z.R)
-    average = lambda a: jnp.where(z.valid, a, 0.0).sum() / jnp.maximum(z.valid.sum(), 1)  # noqa: E731
+    average = lambda a: jnp.where(z.valid, a, 0.0).sum() / jnp.maximum(z.valid.sum(), 1)
     x1 = jnp.sqrt(average(mean**2 / (power + 1e-12)) + 1e-10)
     x2 = jnp.log10(1 + average(power / expected))
     return jnp.stack([x1, jnp.clip(x2, 0.0, 6.0)])

@@ -69,10 +69,10 @@ def gip_kf_params(
             raise ValueError(f"{name}: a share lies between 0 and 1, got {share:g}")
     if growth < 0:
         raise ValueError(f"growth: R_m cannot shrink below zero, got {growth:g} 1/s")
-    odds = lambda share: np.log(1 / share - 1)  # noqa: E731
+    odds = lambda share: np.log(1 / share - 1)
     log_rm = np.full(n_states, np.log(1e6))
     log_rm[:3], log_rm[3:6] = odds(position), odds(velocity)
-    pairs = lambda n: np.zeros(n * (n - 1) // 2)  # noqa: E731
+    pairs = lambda n: np.zeros(n * (n - 1) // 2)
     values = np.zeros(channels), pairs(channels), log_rm, pairs(n_states), kappa, growth, np.repeat(unlearnt, 3)
     return GipKf(*(jnp.asarray(v, float) for v in values))
 

@@ -76,7 +76,7 @@ def share(loop: jax.Array, channels: jax.Array) -> jax.Array:
 
 def forgotten(memory: GpidMemory, stale: jax.Array) -> GpidMemory:
     """The memory without what the ``stale`` (m,) channels have left in it."""
-    drop = lambda a: jnp.where(stale, 0.0, a)  # noqa: E731
+    drop = lambda a: jnp.where(stale, 0.0, a)
     kept = memory.integral * share(memory.loop, ~stale)
     return GpidMemory(kept, drop(memory.last), drop(memory.before), drop(memory.loop))
 

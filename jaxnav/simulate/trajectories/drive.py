@@ -55,9 +55,9 @@ def _legs(uniform: jax.Array, speed_max: float, queue: jax.Array) -> tuple[jax.A
     Pieces of a street: pull away, cruise along a bending road, change lane, brake, wait, start again, turn.
     """
     rows = iter(uniform)
-    draw = lambda low, high: low + (high - low) * next(rows)  # noqa: E731
-    chance = lambda p: next(rows) < p  # noqa: E731
-    sign = lambda: jnp.where(chance(0.5), 1.0, -1.0)  # noqa: E731
+    draw = lambda low, high: low + (high - low) * next(rows)
+    chance = lambda p: next(rows) < p
+    sign = lambda: jnp.where(chance(0.5), 1.0, -1.0)
     zero = jnp.zeros_like(uniform[0])
 
     cruise = speed_max * draw(0.45, 1.0)
@@ -99,7 +99,7 @@ def _creeps(uniform: jax.Array, queue: jax.Array) -> tuple[jax.Array, ...]:
     T_wait, T_move = 2 + 8 * wait, 3 + 5 * lasts
     hump = jnp.minimum(1 + 3 * speed, 1.2 * T_move / BUMP_PEAK)  # m/s, for 1.2 m/s^2 at most
     zero = jnp.zeros_like(hump)
-    weave = lambda a, b: jnp.where(queue, jnp.stack([a, b], 1).reshape(2 * CREEPS, -1), 0.0).T  # noqa: E731
+    weave = lambda a, b: jnp.where(queue, jnp.stack([a, b], 1).reshape(2 * CREEPS, -1), 0.0).T
     return weave(T_wait, T_move), weave(zero, zero), weave(zero, -hump), weave(zero, zero), weave(zero, zero)
 
 

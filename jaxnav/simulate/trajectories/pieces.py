@@ -76,8 +76,8 @@ def join_pieces(
     start_speed: ArrayLike = 0.0,
 ) -> Pieces:
     """Put pieces (K,) one after the other, from t = 0 with a speed () and a heading (); others as in `Pieces`."""
-    first = lambda a, start: jnp.concatenate([jnp.reshape(start, 1), a[:-1]])  # noqa: E731
-    before = lambda a: first(jnp.cumsum(a), jnp.zeros(()))  # noqa: E731
+    first = lambda a, start: jnp.concatenate([jnp.reshape(start, 1), a[:-1]])
+    before = lambda a: first(jnp.cumsum(a), jnp.zeros(()))
     speed = first(end_speed, jnp.asarray(start_speed, float))
     gain = end_speed - speed
     length = T * (speed + 0.5 * gain - dip * BUMP_MEAN)

@@ -54,7 +54,7 @@ def waypoints(motion: Waypoints) -> Shape:
     path = make_interp_spline(chords, points, k=5, bc_type=(free, free))
     # chord parameter as a function of the distance along the path
     fine = np.unique(np.concatenate([np.linspace(a, b, 65) for a, b in zip(chords[:-1], chords[1:], strict=True)]))
-    rate = lambda u: np.linalg.norm(path.derivative()(u), axis=-1)  # noqa: E731
+    rate = lambda u: np.linalg.norm(path.derivative()(u), axis=-1)
     nodes, weights = np.polynomial.legendre.leggauss(5)
     half = np.diff(fine) / 2
     length = np.concatenate([[0.0], np.cumsum(half * (rate(fine[:-1, None] + half[:, None] * (1 + nodes)) @ weights))])

@@ -48,7 +48,7 @@ def dynamics(point: ErrorInputs, form: Literal["full", "simple"]) -> Blocks:
     ie_north = earth.RATE / rn * jnp.stack([zero, -jnp.sin(lat), jnp.cos(lat)])
     en_north = jnp.stack([zero, zero, ve / (re * rn) * (1 + tan**2)])
     en_up = jnp.stack([vn / rn**2, -ve / re**2, -ve * tan / re**2])
-    columns = lambda north, up: jnp.stack([jnp.zeros(3, lat.dtype), north, up], axis=1)  # noqa: E731
+    columns = lambda north, up: jnp.stack([jnp.zeros(3, lat.dtype), north, up], axis=1)
     gravity = block((0, 0, 0), (0, 0, 0), (0, 0, 2 * earth.gravity(lat, zero) / earth.A))
     return blocks | {
         ("position", "position"): block(

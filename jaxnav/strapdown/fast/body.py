@@ -76,7 +76,7 @@ def readings(imu: Imu, omega: jax.Array, force: jax.Array, m: int) -> tuple[Read
 
     ``omega`` (rad/s) and ``force`` (m/s^2), (3,), are those before the first sample.
     """
-    rows = lambda a: a.reshape(-1, m).T  # noqa: E731
+    rows = lambda a: a.reshape(-1, m).T
     all_of_them = Readings(rows(imu.dt), *(tuple(rows(a[:, i]) for i in range(3)) for a in (imu.gyro, imu.accel)))
     start = Readings(jnp.zeros_like(imu.dt[0]), split(omega), split(force))
     return all_of_them, jax.tree.map(lambda a, b: before(a, b[-1]), start, all_of_them)

@@ -23,7 +23,7 @@ from jaxnav.filters.core import Correction, Innovation, Rule, Transition
 from jaxnav.maths import linalg
 
 OFFSET = 6  # o (3,) m, o' (3,) m/s
-SOFTLY = 10.0  # s, over which the belief that navigation is lost comes up
+SOFTLY = 10.0  # s, over which the belief that navigation is lost comes up, and between two times that it is tried
 NONE = 1e-300  # a probability
 LONG = 1e9  # s, before the first correction; a memory is finite
 
@@ -60,7 +60,7 @@ class Receiver(NamedTuple):
     lies: jax.Array  # () of that, the share of position and velocity that disagree
     well: jax.Array  # () rate at which a fault ends
     late: jax.Array  # () s, after which navigation is rather lost than the receiver wrong
-    lost: jax.Array  # () rate of that, from then on
+    lost: jax.Array  # () rate at which a fault is no longer believed, from then on
     noisy: jax.Array  # (2,) m, m/s, sd of what is added to a noisy fix
     jump: jax.Array  # (2,) m, m/s, sd of an offset that is anything
     walk: jax.Array  # (3,) m/sqrt(s) of o; m/s/sqrt(s) of o', fast and slow
@@ -81,7 +81,8 @@ class Hypotheses(NamedTuple):
     weight: jax.Array  # (M,) log probability
     age: jax.Array  # (M,) s since the receiver went wrong
     since: jax.Array  # () s since the last correction
-    begun: jax.Array  # (k,) s since a slide of each sort was begun; `LONG` before the first correction
+    begun: jax.Array  # (k + 1,) s since a slide of each sort was begun, and since navigation was held to be lost;
+    #   `LONG` before the first correction
 
 
 @cache
@@ -98,7 +99,7 @@ def receiver(position: int = 0, velocity: int | None = 3) -> Rule:
         size, weight = n + OFFSET, jnp.full(count, jnp.log(NONE)).at[0].set(0.0)
         return Hypotheses(
             jnp.zeros((count, size)), jnp.zeros((count, size, size)), weight, jnp.zeros(count), jnp.zeros(()),
-            jnp.full(len(sorts), LONG),
+            jnp.full(len(sorts) + 1, LONG),
         )  # fmt: skip
 
     def transport(theta: Receiver, memory: Hypotheses, moved: Transition, T: jax.Array) -> Hypotheses:
@@ -138,16 +139,18 @@ def receiver(position: int = 0, velocity: int | None = 3) -> Rule:
             return dev + K @ nu, after, weight - 0.5 * (nu @ inv @ nu + linalg.log_determinant(S))
 
         far = jnp.clip((age - theta.late) / SOFTLY, 0.0, 1.0)
-        ends, gives_up = theta.well * dt, theta.lost * dt * far
-        weight = memory.weight
-        stays = weight + jnp.log1p(-jnp.clip(ends + gives_up, 0.0, 0.9))
+        ends, weight = theta.well * dt * (1 - far), memory.weight
+        stays = weight + jnp.log1p(-jnp.clip(ends + theta.lost * dt * far, 0.0, 0.9))
+        # what is lost is tried from time to time: at every fix, its wide P would spoil what the last trial has become
+        tried = memory.begun[-1] >= SOFTLY
+        gives_up = jnp.where(tried, 0.5 * far, 0.0)
         # into the healthy one: itself, faults that end, and navigation that was lost instead
         dev0, P0 = jnp.where(bare, dev, 0.0), jnp.where(bare[:, None] & bare, P, 0.0)
         wide = jnp.diag(jnp.pad(jnp.repeat(theta.widened**2, 3, total_repeat_length=6), (0, size - 6)))
         into = jax.vmap(given)(
             jnp.concatenate([dev0, dev0[1:]]),
             jnp.concatenate([P0, P0[1:] + wide]),
-            jnp.concatenate([weight[:1], weight[1:] + _log(ends), weight[1:] + _log(gives_up[1:])]),
+            jnp.concatenate([weight[:1], weight[1:] + _log(ends[1:]), weight[1:] + _log(gives_up[1:])]),
         )
         healthy = _merged(into[0], into[1], into[2], jnp.zeros(2 * count - 1))
         # into the noisy one: itself and the healthy one
@@ -171,7 +174,7 @@ def receiver(position: int = 0, velocity: int | None = 3) -> Rule:
         # slides: of each sort the least likely one is begun anew from time to time
         late = 2 + np.array(slides)
         spacing = np.array([sort.every for sort in sorts])
-        renew = memory.begun >= spacing
+        renew = memory.begun[:-1] >= spacing
         least = jnp.stack([jnp.argmin(jnp.where(sort_of == i, stays[late], jnp.inf)) for i in range(len(sorts))])
         fresh = (jnp.arange(late.size) == least[sort_of]) & renew[sort_of]
         chance = weight[0] + _log(theta.wrong * spacing[sort_of])
@@ -190,7 +193,7 @@ def receiver(position: int = 0, velocity: int | None = 3) -> Rule:
         sound = share[0] + share[1] + jnp.stack([share[2 + names.index(n)] for n in ("velocity", "position")])
         after = Hypotheses(
             dev - jnp.where(bare, delta, 0.0), P, weight - logsumexp(weight), age, jnp.zeros(()),
-            jnp.where(renew, 0.0, memory.begun),
+            jnp.where(jnp.append(renew, tried), 0.0, memory.begun),
         )  # fmt: skip
         return Correction(delta[:n], mixed, after, z.valid & ((own.sum(0) == 0) | (sound @ own > 0.5)))
 

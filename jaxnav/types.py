@@ -85,7 +85,7 @@ class Nav(NamedTuple):
     omega: jax.Array  # (3,) rad/s, last body rate, the sensors' errors taken out
     force: jax.Array  # (3,) m/s^2, last specific force, body, likewise
     origin: Origin
-    errors: dict[str, jax.Array]  # (size,) estimates by name of `jaxnav.states.STATES`: sensors read so much too much
+    errors: dict[str, jax.Array]  # (size,) estimates by name of `jaxnav.states.STATES`: measured minus true
 
 
 class ErrorInputs(NamedTuple):

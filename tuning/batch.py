@@ -36,7 +36,7 @@ class Problem(NamedTuple):
     counts: tuple[int, ...] = ()  # runs of every group; empty: one loss (params, *arguments) -> () without runs
     aggregate: Aggregate = mean
     clip: float | None = None  # largest norm of one run's gradient
-    believe: float = 1.0  # weight of the beliefs: 1 / (epochs) beside a likelihood per epoch
+    prior_weight: float = 1.0  # weight of the beliefs: 1 / (epochs) beside a likelihood per epoch
     mesh: Mesh | None = None  # whose devices share the runs
 
 
@@ -67,7 +67,7 @@ def evaluate(problem: Problem, raw: Any, data: Data, slopes: bool = True) -> Eva
     spec, (flat, back) = dict(problem.free), ravel_pytree(raw)
     rows = _rows(problem, slopes, raw, data)
     values, G = rows[:, 0], rows[:, 1:]
-    believed, slope = jax.value_and_grad(lambda r: problem.believe * penalty(spec, r))(raw)
+    believed, slope = jax.value_and_grad(lambda r: problem.prior_weight * penalty(spec, r))(raw)
     add = lambda grad: jax.tree.map(jnp.add, back(grad), slope)
     zero = jnp.zeros_like(flat)
     if not problem.counts:  # one loss without runs: what it gives is passed on as it is

@@ -36,7 +36,7 @@ class Fit(NamedTuple):
     aside: tuple[dict, ...] = ()  # runs that failed: run, the first step at which it did, why
 
 
-class Standing(NamedTuple):
+class TrainState(NamedTuple):
     """Where training stands before a step: all that a checkpoint holds."""
 
     raw: Any  # unconstrained parameters, with a leading axis of starts where there are several
@@ -90,7 +90,7 @@ def fit(
     explain: Callable[[Any, int], str] | None = None,
     aggregate: Aggregate = mean,
     clip: float | None = None,
-    believe: float = 1.0,
+    prior_weight: float = 1.0,
     starts: Sequence[Any] = (),
     patience: int | None = None,
     folder: str | Path | None = None,
@@ -112,7 +112,7 @@ def fit(
     that fail fewer runs are better than any that fail more. ``names`` are of the runs of all groups;
     ``explain(params, run)`` says what went wrong.
 
-    ``clip``: largest gradient norm of one run. ``believe``: weight of the spec's beliefs, 1 / (epochs) beside a
+    ``clip``: largest gradient norm of one run. ``prior_weight``: weight of the spec's beliefs, 1 / (epochs) beside a
     likelihood per epoch. ``starts``: more starting parameters, searched side by side. ``patience``: stop after so many
     steps without a better one. ``folder``: history.jsonl and a checkpoint after every step; ``resume`` goes on from it
     bit for bit, if it is of the same ``identity``. ``mesh``: devices to share the runs among.
@@ -127,18 +127,20 @@ def fit(
     optimizer = default_optimizer(steps) if optimizer is None else optimizer
     drawn = cases if callable(cases) else None
     first = drawn(0) if drawn is not None else cases
-    train = _job(loss, spec, params, arguments, first, aggregate, clip, believe, mesh)
+    train = _job(loss, spec, params, arguments, first, aggregate, clip, prior_weight, mesh)
     judge = train
     if validation is not None:
-        judge = _job(validation, spec, params, validation_arguments, validation_cases, aggregate, None, believe, mesh)
+        judge = _job(
+            validation, spec, params, validation_arguments, validation_cases, aggregate, None, prior_weight, mesh
+        )
     many = bool(starts)
     raws = [split(spec, p) for p in (params, *starts)]
     raw = jax.tree.map(lambda *a: jnp.stack(a), *raws) if many else raws[0]
     state = jax.vmap(optimizer.init)(raw) if many else optimizer.init(raw)
-    at = Standing(raw, state, raws[0], math.inf, np.iinfo(int).max, 0, 0)
-    book = _Book(folder, identity, list(names), explain, spec, params)
+    at = TrainState(raw, state, raws[0], math.inf, np.iinfo(int).max, 0, 0)
+    history = _History(folder, identity, list(names), explain, spec, params)
     if resume:
-        at = book.reopen(at)
+        at = history.reopen(at)
     at = at._replace(raw=distributed.replicate(at.raw, mesh), state=distributed.replicate(at.state, mesh))
     stopped = "done"
     bar = progress_bar(steps + 1, "step", progress, at.step)
@@ -148,7 +150,7 @@ def fit(
                 groups = tuple(distributed.share(group, mesh) for group in drawn(at.step))
                 train = (train[0], train[1]._replace(cases=groups))
                 judge = judge if validation is not None else train
-            at = _advance(at, train, judge, validation is not None, optimizer, many, book, bar)
+            at = _advance(at, train, judge, validation is not None, optimizer, many, history, bar)
             if patience is not None and at.step - 1 - at.since >= patience:
                 stopped = f"no better for {patience} steps"
                 break
@@ -156,26 +158,28 @@ def fit(
         stopped = f"interrupted at step {at.step}"
     finally:
         bar.close()
-    return Fit(join(spec, at.best, params), at.score, book.rows, stopped, tuple(book.aside))
+    return Fit(join(spec, at.best, params), at.score, history.rows, stopped, tuple(history.aside))
 
 
-def _job(loss, spec, params, arguments, cases, aggregate, clip, believe, mesh) -> tuple[Problem, Data]:
+def _job(loss, spec, params, arguments, cases, aggregate, clip, prior_weight, mesh) -> tuple[Problem, Data]:
     """The static part and the arrays of a loss."""
     losses = (loss,) if callable(loss) else tuple(loss)
     items = tuple(spec.items())
     if cases is None:
-        return Problem(losses, items, (), aggregate, clip, believe), Data(params, arguments, (), jnp.ones(1))
+        return Problem(losses, items, (), aggregate, clip, prior_weight), Data(params, arguments, (), jnp.ones(1))
     counts = tuple(len(jax.tree.leaves(group)[0]) for group in cases)
     losses = losses * len(counts) if len(losses) == 1 else losses
     if len(losses) != len(counts):
         raise ValueError(f"{len(losses)} losses for {len(counts)} groups of runs")
-    problem = Problem(losses, items, counts, aggregate, clip, believe, mesh)
+    problem = Problem(losses, items, counts, aggregate, clip, prior_weight, mesh)
     shared = tuple(distributed.share(group, mesh) for group in cases)
     params, arguments, weight = distributed.replicate((params, arguments, jnp.ones(sum(counts))), mesh)
     return problem, Data(params, arguments, shared, weight)
 
 
-def _advance(at: Standing, train, judge, judged_apart: bool, optimizer, many: bool, book: "_Book", bar) -> Standing:
+def _advance(
+    at: TrainState, train, judge, judged_apart: bool, optimizer, many: bool, history: "_History", bar
+) -> TrainState:
     """One step: evaluate, note, keep the best, update, save."""
     raw, state, value, norm, good = _step(train[0], optimizer, many, at.raw, at.state, train[1])
     score, fine = _score(judge[0], many, at.raw, judge[1]) if judged_apart else (value, good)
@@ -194,15 +198,15 @@ def _advance(at: Standing, train, judge, judged_apart: bool, optimizer, many: bo
         row["losses"] = value.tolist()
     if at.step == 0 or (failed[first], ranked[first]) < (at.failed, at.score):
         at = at._replace(best=mine, score=float(ranked[first]), failed=int(failed[first]), since=at.step)
-    book.note(row, mine, good[first])
+    history.note(row, mine, good[first])
     bar.set_postfix(loss=f"{row['loss']:.4g}", grad=f"{row['grad_norm']:.3g}", failed=int(failed[first]), refresh=False)
     bar.update()
     at = at._replace(raw=raw, state=state, step=at.step + 1)
-    book.save(at)
+    history.save(at)
     return at
 
 
-class _Book:
+class _History:
     """The history in memory and on disk, the checkpoint, and which runs failed."""
 
     def __init__(self, folder, identity: str, names: list[str], explain, spec: Spec, params: Any):
@@ -231,14 +235,14 @@ class _Book:
                 file.write(line)
             self.digest.update(line.encode())
 
-    def save(self, at: Standing) -> None:
+    def save(self, at: TrainState) -> None:
         """Write the checkpoint after a step."""
         if self.folder is not None and distributed.writes():
             head = {"score": at.score, "failed": at.failed, "since": at.since, "step": at.step, "aside": self.aside,
                     "history": self.digest.hexdigest()}  # fmt: skip
             checkpoint.save(self.folder / LAST, (at.raw, at.state, at.best), head, self.identity)
 
-    def reopen(self, at: Standing) -> Standing:
+    def reopen(self, at: TrainState) -> TrainState:
         """The saved standing; rows of the history that are later than it are dropped."""
         if self.folder is None:
             raise ValueError("resume needs a folder")
@@ -256,4 +260,4 @@ class _Book:
             path.write_bytes(b"".join(lines))
         self.aside = head["aside"]
         raw, state, best = found.tree
-        return Standing(raw, state, best, head["score"], head["failed"], head["since"], step)
+        return TrainState(raw, state, best, head["score"], head["failed"], head["since"], step)

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
-from jaxnav.app.contest import REFERENCES, Entrant, Marks, Plan
+from jaxnav.app.contest import REFERENCES, Entrant, Plan, Scores
 from jaxnav.app.results import cell, table, write_json
 from jaxnav.filters.parameters import get
 from tuning.transforms import labels, split
@@ -49,7 +49,7 @@ def verdict(found: Mapping[str, Entrant], plan: Plan) -> dict[str, Any]:
 def _group(found: Mapping[str, Entrant], entrant: Entrant, part: slice, references: list[str], seed: int) -> dict:
     """One filter on the kinds of ``part``."""
 
-    def position(marks: Marks) -> np.ndarray:
+    def position(marks: Scores) -> np.ndarray:
         return marks.rms[part, :, 0]
 
     def mean(a: np.ndarray) -> np.ndarray:

@@ -165,7 +165,7 @@ def _batch(filt: Filter, sims: Simulated, install: Mounting) -> Batch:
     t = sims.truth.t[:, None]
     ends = jnp.sum(t <= sims.outages[:, :, 1:] + ep.TICK, axis=-1) - 1
     keep = ~sims.hidden
-    halfway = 0.5 * sims.truth.t[:, -1:]  # as of a recording, see `jaxnav.app.prepare.halfway`
+    halfway = 0.5 * sims.truth.t[:, -1:]  # as of a recording, see `jaxnav.data.start.halfway`
     nav, own = counted_from(sims.initial, halfway[:, 0]), counted_from(sims.truth, halfway)
     all_of_it, offset = jnp.ones_like(keep), clock_offset(install, own)[..., None]
     rate = jax.vmap(jax.vmap(lambda pos, vel: earth.move(pos, vel) - pos))(own.pos, own.vel)

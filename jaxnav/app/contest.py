@@ -66,7 +66,7 @@ class ContestRuns(NamedTuple):
     truth: Nav  # (E, ...)
 
 
-class Marks(NamedTuple):
+class Scores(NamedTuple):
     """What a filter does on the test: K kinds, those trained on first, of S runs each; the same for all filters."""
 
     rms: np.ndarray  # (K, S, 3) position m, velocity m/s, attitude deg; the limit where it diverged
@@ -78,8 +78,8 @@ class Entrant(NamedTuple):
 
     spec: Spec
     params: Params  # factors of noise and prior; rule and feedback as they are
-    before: Marks
-    after: Marks
+    before: Scores
+    after: Scores
     note: str  # why it was not tuned, or empty
     aside: tuple[dict, ...]  # runs that failed while tuning
     seconds: float
@@ -201,7 +201,7 @@ def _enter(name: str, plan: Plan, runs: Runs, progress: bool) -> Entrant | None:
     make_room()
     begin, b = time.perf_counter(), plan.budget
     filt, spec, start = filter_for(name, plan), spec_of(name), datasheet(name)
-    before = marks(filt, start, runs.test, plan.limit_m)
+    before = scores_of(filt, start, runs.test, plan.limit_m)
     named = [f"{kind.scenario.name}, run {i}" for kind in plan.trained for i in range(b.runs)]
     ready = lambda cases: [case._replace(epochs=prepare(filt, case.epochs)) for case in cases]
     groups, order = together(runs.train)
@@ -218,7 +218,7 @@ def _enter(name: str, plan: Plan, runs: Runs, progress: bool) -> Entrant | None:
         tuned, aside = done.params, done.aside
     except ValueError as error:  # every run of the start fails: it competes as it is
         note = f"not tuned: {error}"
-    after = before if note else marks(filt, tuned, runs.test, plan.limit_m)
+    after = before if note else scores_of(filt, tuned, runs.test, plan.limit_m)
     return Entrant(spec, tuned, before, after, note, aside, time.perf_counter() - begin)
 
 
@@ -241,9 +241,9 @@ def together(cases: list[ContestRuns]) -> tuple[list[ContestRuns], list[int]]:
     return [jax.tree.map(lambda *a: jnp.concatenate(a), *(c for _, c in group)) for group in groups.values()], order
 
 
-def marks(filt: Filter, params: Params, test: list[ContestRuns], limit_m: float) -> Marks:
+def scores_of(filt: Filter, params: Params, test: list[ContestRuns], limit_m: float) -> Scores:
     """The errors of the test's runs; one that diverged counts as the limit."""
     scored = [jax.device_get(_errors(filt, params, case)) for case in test]
     rms, largest, finite = (np.stack(a) for a in zip(*scored, strict=True))
     ok = finite & np.isfinite(rms).all(-1) & (largest < limit_m)
-    return Marks(np.where(ok[..., None], np.minimum(rms, limit_m), limit_m), ok)
+    return Scores(np.where(ok[..., None], np.minimum(rms, limit_m), limit_m), ok)

@@ -44,7 +44,7 @@ def kfgins_yaml(params: Params, scale_ppm: tuple[float, float] = (0.0, 0.0)) -> 
 
     A Gauss-Markov bias of root PSD q and time T has the sd q sqrt(T / 2). KF-GINS has one T for all: the gyro's, and
     the sd of the accelerometers keep their q with it. A random walk is told as a process of 4 h, which within less
-    than that drives alike. ``scale_ppm``: sd of gyro and accelerometer scale errors, as given: no filter here has them.
+    than that drives alike. ``scale_ppm``: sd of gyro and accelerometer scale errors, as given.
     KF-GINS knows no correlation between axes; where there is some, the axes' own sd are told, and a comment says so.
     """
     tau, sensors = _tau(params, "gyro_bias"), _sensors(params)

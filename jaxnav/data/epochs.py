@@ -298,7 +298,7 @@ class Standing(NamedTuple):
     gyro_sd: float = math.radians(1.0)  # rad/s
 
 
-FALSE = 0.1  # of the epochs at rest by the detector, at most, that are in motion by the receiver
+FALSE_STANDSTILLS = 0.1  # of the epochs at rest by the detector, at most, that are in motion by the receiver
 
 
 def pack_recording(
@@ -338,12 +338,12 @@ def pack_recording(
 def _check_standing(rec: Recording, t: np.ndarray) -> None:
     """Raise ConfigError where the detector takes a smooth drive for a standstill.
 
-    One in `FALSE` is let pass: which epochs these are must not be known where fixes are hidden.
+    One in `FALSE_STANDSTILLS` is let pass: which epochs these are must not be known where fixes are hidden.
     """
     if "velocity" not in rec.aiding or not t.size:
         return
     moving = driving(rec.aiding["velocity"], t)
-    if moving.mean() > FALSE:
+    if moving.mean() > FALSE_STANDSTILLS:
         raise ConfigError(
             f"filter.standing_accel_sd_mps2, standing_gyro_sd_deg_per_s: {moving.sum()} of {t.size} epochs that these "
             f"take for rest have a velocity of over 0.5 m/s, the first at {t[moving][0]:.3f} s: lower them"

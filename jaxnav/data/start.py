@@ -170,7 +170,7 @@ def start(
         raise ConfigError(f'start.heading must be "motion", "course", "unknown", "truth" or degrees, got {heading!r}')
     if not isinstance(heading, str) and not np.all(np.isfinite(heading)):
         raise ConfigError(f"start.heading must be finite, got {heading!r}")
-    known = rec_timing(rec) if params is None else params
+    known = recorded_timing(rec) if params is None else params
     from_t = max(rec.imu.t[0] - rec.imu.dt[0], -math.inf if begin is None else begin)
     velocity = rec.aiding.get("velocity") or _differences(position)
     sds = (tilt_sd_deg * DEG, (360.0 / hypotheses if heading == "unknown" else heading_sd_deg) * DEG)
@@ -321,7 +321,7 @@ def _as_said(
     return Attitude(at, (roll, pitch, angle), (tilt, sds[1]), words, heading == "unknown")
 
 
-def rec_timing(rec: Recording) -> Params:
+def recorded_timing(rec: Recording) -> Params:
     """Parameters of a filter that knows a recording's lever arm and of no delays."""
     return datasheet_params(GRADES["consumer"], install=mounting(rec.lever_arm))
 

@@ -145,7 +145,7 @@ def select(flag: jax.Array, a: Any, b: Any) -> Any:
 
 @jax.custom_jvp
 def depending(params: Params, a: jax.Array) -> jax.Array:
-    """``a``, with a derivative in all parameters: one of zero, but that cannot be told while it is traced.
+    """``a``, with a derivative in all parameters: numerically zero, symbolically not.
 
     A scan differentiates its body again and again until it knows which parts of its carry have a derivative. Where the
     same parts of its start have one it knows at once, and a gradient takes an eighth to a quarter less time to trace.
@@ -204,11 +204,12 @@ def make_filter(
 ) -> Filter:
     """Compose a filter.
 
-    ``propagate``: (nav, u, imu, stride, keep) -> states after the samples ``keep``, path; see `mechanizations`.
+    ``propagate``: (nav, u, imu, stride, keep) -> states after the samples ``keep``, path; see `jaxnav.strapdown`.
     ``cov_stride``: the error dynamics see means over so many IMU samples. From 2 to 10 local level navigation, too,
-    adds gravity and Coriolis after so many of them only, while it turns and pushes at each. 10 instead of 1 costs less
-    than a millimetre at 100 Hz. ``history``: how many samples of navigation are kept for measurements that are older
-    than the end of the epoch; cover the largest latency, beyond it the oldest two are extended in a straight line.
+    adds gravity and Coriolis after so many of them only, while attitude and velocity are integrated at every one. 10
+    instead of 1 costs less than a millimetre at 100 Hz. ``history``: how many samples of navigation are kept for
+    measurements that are older than the end of the epoch; cover the largest latency, beyond it the oldest two are
+    extended in a straight line.
     ``preintegrate``: (imu, rate and force before, stride, keep) -> what ``propagate`` may be given for the samples.
 
     Raises:

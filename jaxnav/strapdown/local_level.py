@@ -40,14 +40,14 @@ def propagate(
         lat, _, h = half
         w_ie, g = earth.earth_rate(lat), jnp.array([0.0, 0.0, -1.0]) * earth.gravity(lat, h)
 
-        def fall(v):  # what is not specific force: gravity, Coriolis, transport
+        def gravity_coriolis(v):  # what is not specific force: gravity, Coriolis, transport
             return dt * (g + a - jnp.cross(2 * w_ie + earth.transport_rate(lat, h, v), v))
 
         dv_n = rotations.to_dcm(q) @ dv_b
         turn = (w_ie + earth.transport_rate(lat, h, v) - s) * dt
         dv_n = dv_n - 0.5 * jnp.cross(turn, dv_n)  # ENU turns under the thrust
-        mid = v + 0.5 * (dv_n + fall(v))
-        dv = dv_n + fall(mid)
+        mid = v + 0.5 * (dv_n + gravity_coriolis(v))
+        dv = dv_n + gravity_coriolis(mid)
         east, north, up = v + 0.5 * dv
         d_north, d_east, _ = earth.metres_per_radian(half)
         turn = (w_ie + earth.transport_rate(lat, h, mid)) * dt

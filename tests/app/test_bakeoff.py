@@ -113,7 +113,7 @@ def test_a_run_that_fails_counts_as_the_limit(toys, plan):
     epochs = runs.test[0].epochs
     fix = epochs.fix._replace(value=epochs.fix.value.at[1, 5, 3].set(1.0))
     cases = [runs.test[0]._replace(epochs=epochs._replace(fix=fix))]
-    got = contest.marks(toy("ekf9"), contest.datasheet("ekf9"), cases, 77.0)
+    got = contest.scores_of(toy("ekf9"), contest.datasheet("ekf9"), cases, 77.0)
     assert got.ok.tolist() == [[True, False, True, True, True, True]] and (got.rms[0, 1] == 77.0).all()
     assert (got.rms[0, 0] < 77.0).all()
 

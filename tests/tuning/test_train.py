@@ -152,7 +152,7 @@ def test_lbfgs_needs_few_steps_and_keeps_out_of_what_fails():
 
 def test_a_belief_pulls_towards_its_centre():
     spec = {"width": believed(LOG, 4.0, 0.5)}
-    found = fit(lambda p: 2.0 * jnp.log(p.width) ** 2, spec, START, 100, optax.adam(0.1), believe=1.0)
+    found = fit(lambda p: 2.0 * jnp.log(p.width) ** 2, spec, START, 100, optax.adam(0.1), prior_weight=1.0)
     # 2 r^2 + (r - log 4)^2 / 0.5 is least at a half of log 4
     assert float(found.params.width) == pytest.approx(2.0, rel=1e-2)
 

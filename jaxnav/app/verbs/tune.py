@@ -162,7 +162,7 @@ def search(
             validation_cases=groups([m.validation for m in materials]),
             names=[name for m in materials for name in m.train_names],
             explain=lambda params, run: why(materials, params, free, run),
-            aggregate=aggregate(t), clip=t.clip or None, believe=1 / max(surface.epochs, 1),
+            aggregate=aggregate(t), clip=t.clip or None, prior_weight=1 / max(surface.epochs, 1),
             starts=starts(config, spec, start), patience=t.patience or None,
             folder=long.keep, resume=long.resume, identity=identity(config),
             mesh=distributed.mesh(long.devices),

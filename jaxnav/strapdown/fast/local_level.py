@@ -72,7 +72,7 @@ class Level(NamedTuple):
     turn: Vector  # rad, rotation of ENU
 
 
-class Thrust(NamedTuple):
+class VelocityIncrement(NamedTuple):
     """What the specific force does in an interval, in ENU of the block's first sample."""
 
     t: Any  # s
@@ -94,7 +94,9 @@ def series(f: Callable, x: jax.Array) -> list[tuple]:
     return [value, slope, scale(0.5, curve)]
 
 
-def increment(ground: list[tuple], u: tuple[Vector, Vector], samples: int, x: Level, thrust: Thrust) -> Level:
+def increment(
+    ground: list[tuple], u: tuple[Vector, Vector], samples: int, x: Level, thrust: VelocityIncrement
+) -> Level:
     """The change over an interval of some samples, its thrust in ENU of the block's first one.
 
     ``ground``: `series` of `surface`; ``u``: feedback of an observer, () without one.
@@ -112,7 +114,7 @@ def increment(ground: list[tuple], u: tuple[Vector, Vector], samples: int, x: Le
         east = v[0] * east_curve
         return -v[1] * north_curve, east, east * tan
 
-    def fall(en, v):
+    def gravity_coriolis(en, v):
         return add(pull, cross(v, add(ie, ie, en)))
 
     def seen(v):  # in ENU as it has turned until the interval's start
@@ -126,17 +128,17 @@ def increment(ground: list[tuple], u: tuple[Vector, Vector], samples: int, x: Le
     en = transport(x.vel)
     turn = add(ie, en, scale(-t, spin)) if spin else add(ie, en)
     late = cross(add(dv, scale(-1.0, gained)), turn)  # ENU also turns inside the interval
-    first = fall(en, x.vel)
+    first = gravity_coriolis(en, x.vel)
     v = add(x.vel, gained, scale(0.5 - s, late), scale(0.5, first))  # mean velocity
     en = transport(v)
-    fallen = fall(en, v)
+    fallen = gravity_coriolis(en, v)
     mean = add(x.vel, gained, scale(0.5 - s, late), scale(s, first), scale(0.5 - s, fallen))
     turn = add(ie, en)
     turn = add(turn, scale(0.5, cross(x.turn, turn)))  # two rotations in a row are not quite their sum
     return Level(add(dv, late, fallen), mean[1] * north_curve, mean[0] * east_curve * sec, t * mean[2], turn)
 
 
-def by_scan(change: Callable, start: Level, thrust: Thrust) -> Level:
+def by_scan(change: Callable, start: Level, thrust: VelocityIncrement) -> Level:
     """After each interval, one after the other."""
 
     @remat
@@ -171,9 +173,11 @@ def attitudes(nav: Nav, spin: Vector, body: Body) -> tuple[Quaternion, Quaternio
     return multiply(spun, starts), multiply(exp(scale(t, spin)), ends), means and multiply(spun, means)
 
 
-def thrust_of(q: Quaternion, body: Body) -> Thrust:
+def thrust_of(q: Quaternion, body: Body) -> VelocityIncrement:
     """What ``body`` does, from attitude ``q`` on."""
-    return Thrust(body.t, rotate(q, body.dv), rotate(q, divide_or_zero(body.t, body.way)) if body.way else ())
+    return VelocityIncrement(
+        body.t, rotate(q, body.dv), rotate(q, divide_or_zero(body.t, body.way)) if body.way else ()
+    )
 
 
 def unit(nav: Nav) -> Nav:

@@ -23,7 +23,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import change, datasheet_params
 from jaxnav.states.grades import Grade
 from jaxnav.types import Params, Recording
-from tuning.recorded import Tuned, tune
+from tuning.recorded import Tuned, spread, tune
 
 # the metadata file that ships with the recording, of samples at 100 Hz
 ACCEL, GYRO, ACCEL_WALK, GYRO_WALK = 0.01, 1.75e-4, 1.67e-4 * 10, 2.91e-6 * 10
@@ -92,10 +92,7 @@ def isam(hidden: np.ndarray, sd: float) -> np.ndarray:
 
 def score(off: np.ndarray) -> dict:
     """Figures of horizontal drifts (W,) m."""
-    return {
-        "drift_rms_m": float(np.sqrt(np.mean(off**2))), "drift_median_m": float(np.median(off)),
-        "drift_max_m": float(off.max()), "windows": int(off.size), "drift_m": off.tolist(),
-    }  # fmt: skip
+    return {f"drift_{k}": v for k, v in spread(off).items()} | {"windows": off.size, "drift_m": off.tolist()}
 
 
 def ours(sol: Solution, filt: Filter, params: Params, packed: ep.Packed, windows: Windows) -> np.ndarray:

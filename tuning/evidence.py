@@ -42,12 +42,13 @@ class Seen(NamedTuple):
     far: jax.Array  # the rule rejected some of it
     ok: jax.Array
     residual: jax.Array  # (3,) of the position
-    P: jax.Array  # (n, n)
+    P: jax.Array  # (3, 3) of what a fix tells, its own noise apart
 
 
-def _keep(step: Step, beside: Any) -> Seen:
+def _keep(slow: slice | None, step: Step, beside: Any) -> Seen:
     info = step.info
-    return Seen(info.nu, info.S, info.valid, rejected(info), info.ok, info.residual[:3], info.P)
+    P = seen_by_position(info.P, slow)
+    return Seen(info.nu, info.S, info.valid, rejected(info), info.ok, info.residual[:3], P)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -57,16 +58,16 @@ def _evidence(
 ) -> tuple[Evidence, Evidence]:  # fmt: skip
     """Of innovations and of hidden fixes; valid (P, E, m), keep (P, E), at and there (P, A), sd (P, A, 3)."""
     spec, (_, back) = dict(items), ravel_pytree(like)
-    antenna = partial(seen_by_position, slow=table.layout(table.chosen(filt.model.states)).get(SLOW))
+    keep_seen = partial(_keep, table.layout(table.chosen(filt.model.states)).get(SLOW))
 
     def phase(valid, keep, at, there, sd):
         def outputs(r):
             own = join(spec, back(r), params)
-            seen = run(filt, own, nav, epochs._replace(fix=epochs.fix._replace(valid=valid)), _keep)
+            seen = run(filt, own, nav, epochs._replace(fix=epochs.fix._replace(valid=valid)), keep_seen)
             scale = own.measurements["position"].scale
             size = jnp.linalg.norm(scale, axis=-1) if jnp.ndim(scale) == 2 else jnp.broadcast_to(scale, (3,))
             R = jax.vmap(jnp.diag)((size * sd) ** 2)
-            return (seen.nu, seen.S, seen.residual[at], antenna(seen.P[at]) + R), (seen.valid, seen.far, seen.ok)
+            return (seen.nu, seen.S, seen.residual[at], seen.P[at] + R), (seen.valid, seen.far, seen.ok)
 
         ((nu, S, y, C), (seen, outlying, ok)), (dnu, dS, dy, dC) = pushed(outputs, flat)
         own = jax.vmap(gaussian, (0, 0, 0, 1, 1, 0))(nu, S, seen, dnu, dS, outlying)
@@ -87,7 +88,7 @@ def _evidence(
 
 
 def seen_by_position(P: jax.Array, slow: slice | None) -> jax.Array:
-    """Covariance (..., 3, 3) of what a fix tells, its own noise apart: of the position and of the receiver's error."""
+    """Covariance (..., 3, 3) m^2, ENU, of what a fix tells, its own noise apart: position and the receiver's error."""
     if slow is None:
         return P[..., :3, :3]
     cross = P[..., :3, slow]

@@ -20,20 +20,19 @@ class Prior(NamedTuple):
     """How far from the datasheet a parameter may be."""
 
     sd: float  # one sd: a factor where the parameter is positive, else in SI
-    words: str
     far: str  # what it usually means where the data say that it is far from there
 
 
 PRIORS: dict[str, Prior] = {
-    "noise": Prior(10.0, "within a factor 10", "vibration, scale errors or a delay pass for noise, or another grade"),
-    "drive": Prior(10.0, "within a factor 10", "what is not modelled passes for a bias that drifts"),
-    "tau": Prior(5.0, "within a factor 5", "what is slow is a walk, or what is fast is noise"),
-    "scale": Prior(3.0, "within a factor 3", "the receiver's sd are not meant as such, or its errors are not white"),
-    "sd": Prior(3.0, "within a factor 3", "the start is other than said"),
-    "time": Prior(0.1, "within 0.1 s", "logged by another clock, or a receiver that filters for long"),
-    "clock_drift": Prior(300e-6, "within 300 ppm", "a clock that was adjusted, or errors that pass for a drift"),
-    "length": Prior(0.5, "within 0.5 m", "another antenna, or a delay"),
-    "angle": Prior(math.radians(3.0), "within 3 deg", "the IMU sits askew"),
+    "noise": Prior(10.0, "vibration, scale errors or a delay pass for noise, or another grade"),
+    "drive": Prior(10.0, "what is not modelled passes for a bias that drifts"),
+    "tau": Prior(5.0, "what is slow is a walk, or what is fast is noise"),
+    "scale": Prior(3.0, "the receiver's sd are not meant as such, or its errors are not white"),
+    "sd": Prior(3.0, "the start is other than said"),
+    "time": Prior(0.1, "logged by another clock, or a receiver that filters for long"),
+    "clock_drift": Prior(300e-6, "a clock that was adjusted, or errors that pass for a drift"),
+    "length": Prior(0.5, "another antenna, or a delay"),
+    "angle": Prior(math.radians(3.0), "the IMU sits askew"),
 }
 GROUPS = ("noise", "fixes", "timing", "lever_arm", "vehicle", "prior")
 

@@ -311,11 +311,11 @@ def table(job: Job, params: Params) -> list[Row]:
         remark = "the data add nothing to the prior" if s > 0.9 * w else ""
         if f > FAR:
             remark = f"{f:.1f} sd from the datasheet: {prior.far}"
-        rows.append(Row(_named(label), value, low, high, before, text, believed(transform, unit, text), remark))
+        rows.append(Row(_named(label), value, low, high, before, text, prior_in_words(transform, unit, text), remark))
     return rows
 
 
-def believed(transform: Transform, unit: float, text: str) -> str:
+def prior_in_words(transform: Transform, unit: float, text: str) -> str:
     """A prior in words: how far one sd is."""
     if transform.belief is None:
         return "none"

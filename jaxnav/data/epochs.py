@@ -356,12 +356,14 @@ def in_windows(t: np.ndarray, windows: Sequence[Sequence[float]]) -> np.ndarray:
     Raises:
         ConfigError: a window that is not (start, end), or in which no epoch ends.
     """
-    found = np.zeros(t.size, bool)
     for window in windows:
         if len(window) != 2 or not window[1] > window[0]:
             raise ConfigError(f"filter.outages: expected [start, end] with start < end, got {list(window)}")
-        inside = (t > window[0] + TICK) & (t <= window[1] + TICK)
-        if not inside.any():
+        if not within(t, [window]).any():
             raise ConfigError(f"filter.outages: {list(window)} holds no epoch, they end from {t[0]:g} to {t[-1]:g} s")
-        found |= inside
-    return found
+    return within(t, windows)
+
+
+def within(t: np.ndarray, windows: Sequence[Sequence[float]]) -> np.ndarray:
+    """Which of the times t (E,) s are in any of the windows start < t <= end, bool (E,)."""
+    return np.any([(t > a + TICK) & (t <= b + TICK) for a, b in windows] or [np.zeros(t.size, bool)], axis=0)

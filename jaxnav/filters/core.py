@@ -58,6 +58,9 @@ class Rule(NamedTuple):
     transport: Callable[..., Any] | None = None
 
 
+NEVER = 1e9  # s since what has not happened yet: a rule's memory is finite
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Prepared:

@@ -174,10 +174,10 @@ def test_a_prior_is_told_as_it_is():
     """Of a factor, of a step in the user's unit, of none."""
     params = build("ekf15").params("consumer")
     spec = priors.spec_of(build("ekf15"), params, ("noise.gyro", "mounting.time_offset"), {"noise.gyro": 4.0})
-    assert recorded.believed(spec["noise.gyro"], 1.0, "deg") == "within a factor 4"
-    assert recorded.believed(spec["mounting.time_offset"], 1e-3, "ms") == "within 100 ms"
+    assert recorded.prior_in_words(spec["noise.gyro"], 1.0, "deg") == "within a factor 4"
+    assert recorded.prior_in_words(spec["mounting.time_offset"], 1e-3, "ms") == "within 100 ms"
     free = priors.spec_of(build("ekf15"), params, ("noise.gyro",), priors=False)
-    assert recorded.believed(free["noise.gyro"], 1.0, "deg") == "none"
+    assert recorded.prior_in_words(free["noise.gyro"], 1.0, "deg") == "none"
 
 
 def test_correlation_from_fix_to_fix_is_an_autoregressions():

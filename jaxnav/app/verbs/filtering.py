@@ -16,7 +16,7 @@ from jaxnav.app.prepare import ReadyRun, grade_name, prepare
 from jaxnav.app.results import FailedCheck, Outcome, table, write_json
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data import gaps
-from jaxnav.data.epochs import TICK, hide, in_windows
+from jaxnav.data.epochs import TICK, hide, in_windows, within
 from jaxnav.data.solution import FORMATS
 from jaxnav.filters.run import first_failure
 from jaxnav.filters.smoother import smooth_jit
@@ -142,18 +142,13 @@ def shaded(config: Config, case: ReadyRun) -> evaluate.Outages:
     return sorted([(float(t[i]), float(t[i + 1])) for i in gaps] + [(w[0], w[1]) for w in config.filter.outages])
 
 
-def inside(t: np.ndarray, windows: evaluate.Outages) -> np.ndarray:
-    """Epochs that end at t (E,) in any of the windows start < t <= end, bool (E,)."""
-    return np.any([(t > a + TICK) & (t <= b + TICK) for a, b in windows] or [np.zeros(t.size, bool)], axis=0)
-
-
 def metrics_of(case: ReadyRun, sol: evaluate.Trace, hidden: np.ndarray, config: Config) -> dict[str, Any]:
     """Errors where there is a truth, innovations, and the error at the end of each outage."""
     found: dict[str, Any] = {"start_s": case.packed.start, "grade": grade_name(config, scenario_of(config))}
     truth = case.recording.truth
     if truth is not None:
         error, sd = evaluate.ned_errors(sol, truth)
-        dark = hidden | inside(case.packed.t, shaded(config, case))
+        dark = hidden | within(case.packed.t, shaded(config, case))
         found["errors"] = evaluate.error_metrics(error, sd, dark)
         found["scored_share"] = float(np.isfinite(error[:, 0]).mean())
     found |= evaluate.innovation_metrics(sol.info, case.measurements)

@@ -11,7 +11,7 @@ is not yet spoilt. The estimate is the mixture's mean. After a while no fault is
 may be lost instead, its P is widened, and the fix is taken, so that nothing locks out for ever.
 """
 
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,13 +19,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import logsumexp
 
-from jaxnav.filters.core import Correction, Innovation, Rule, Transition
+from jaxnav.filters.core import NEVER, Correction, Innovation, Rule, Transition
 from jaxnav.maths import linalg
 
 OFFSET = 6  # o (3,) m, o' (3,) m/s
 SOFTLY = 10.0  # s, over which the belief that navigation is lost comes up, and between two times that it is tried
 NONE = 1e-300  # a probability
-LONG = 1e9  # s, before the first correction; a memory is finite
 
 
 class Kind(NamedTuple):
@@ -82,32 +81,33 @@ class Hypotheses(NamedTuple):
     age: jax.Array  # (M,) s since the receiver went wrong
     since: jax.Array  # () s since the last correction
     begun: jax.Array  # (k + 1,) s since a slide of each sort was begun, and since navigation was held to be lost;
-    #   `LONG` before the first correction
+    #   `NEVER` and more before the first correction
 
 
 @cache
 def receiver(position: int = 0, velocity: int | None = 3) -> Rule:
     """The rule of a filter whose receiver's channels begin at ``position`` and ``velocity``; it sees all channels."""
-    names, rows = list(KINDS), list(KINDS.values())
-    count = 2 + len(rows)
-    open_now = [i for i, row in enumerate(rows) if not row.every]
-    slides = [i for i, row in enumerate(rows) if row.every]
+    names, rows = list(KINDS), [Kind(), Kind(), *KINDS.values()]  # healthy and noisy come first
+    now = np.array([i for i, row in enumerate(rows) if i > 1 and not row.every])  # begun at every fix
+    slides = np.array([i for i, row in enumerate(rows) if row.every])
+    assert [0, 1, *now, *slides] == list(range(len(rows))), "slides are the last rows of KINDS"
     sorts = list(dict.fromkeys(rows[i] for i in slides))
     sort_of = np.array([sorts.index(rows[i]) for i in slides])
+    spacing = np.array([sort.every for sort in sorts])
 
     def init(n: int, m: int) -> Hypotheses:
-        size, weight = n + OFFSET, jnp.full(count, jnp.log(NONE)).at[0].set(0.0)
+        count, size = len(rows), n + OFFSET
+        weight = jnp.full(count, jnp.log(NONE)).at[0].set(0.0)
         return Hypotheses(
             jnp.zeros((count, size)), jnp.zeros((count, size, size)), weight, jnp.zeros(count), jnp.zeros(()),
-            jnp.full(len(sorts) + 1, LONG),
+            jnp.full(len(sorts) + 1, NEVER),
         )  # fmt: skip
 
     def transport(theta: Receiver, memory: Hypotheses, moved: Transition, T: jax.Array) -> Hypotheses:
         n = moved.Phi.shape[0]
-        still = Kind()
-        tied = jnp.array([float(row.tied) for row in (still, still, *rows)])
+        tied = jnp.array([float(row.tied) for row in rows])
         density = jnp.concatenate([jnp.zeros(1), theta.walk**2])
-        walks = density[np.array([row.walks for row in (still, still, *rows)])]  # (M, 2)
+        walks = density[np.array([row.walks for row in rows])]  # (M, 2)
 
         def one(dev, P, grows, walk):
             A = jnp.eye(n + OFFSET).at[:n, :n].set(moved.Phi).at[n : n + 3, n + 3 :].set(grows * T * jnp.eye(3))
@@ -121,83 +121,98 @@ def receiver(position: int = 0, velocity: int | None = 3) -> Rule:
         return memory._replace(dev=dev, P=P, age=age, since=memory.since + T, begun=memory.begun + T)
 
     def correct(theta: Receiver, memory: Hypotheses, z: Innovation) -> Correction:
-        n, m = z.P.shape[0], z.nu.size
-        size = n + OFFSET
-        H, own = _with_offsets(z, position, velocity), _own(m, position, velocity)
-        bare = np.arange(size) < n
-        known = jnp.zeros((size, size)).at[:n, :n].set(z.P)
-        dev, age, dt = memory.dev, memory.age, memory.since
-        P = jnp.where(memory.begun[0] >= LONG, known, memory.P)
+        n = z.P.shape[0]
+        H, own = _with_offsets(z, position, velocity), _own(z.nu.size, position, velocity)
+        bare = np.arange(n + OFFSET) < n
+        known = jnp.pad(z.P, ((0, OFFSET), (0, OFFSET)))
+        P = jnp.where(memory.begun[0] >= NEVER, known, memory.P)
+        given = partial(_given, z, H)
+        far = jnp.clip((memory.age - theta.late) / SOFTLY, 0.0, 1.0)
+        ends = theta.well * memory.since * (1 - far)
+        fades = jnp.clip(ends + theta.lost * memory.since * far, 0.0, 0.9)
+        old = Parts(memory.dev, P, memory.weight + jnp.log1p(-fades), memory.age)
+        # without offsets, which are those of the healthy one and of what turns into it
+        plain = Parts(jnp.where(bare, old.dev, 0.0), jnp.where(bare[:, None] & bare, P, 0.0), memory.weight, memory.age)
+        sound = jax.tree.map(lambda a: a[0], plain)
+        begins = sound.weight + _log(theta.wrong * memory.since)
 
-        def given(dev, P, weight, noise=(0.0, 0.0)):
-            """A hypothesis after this fix."""
-            R = z.R + jnp.diag(jnp.where(z.valid, noise[0] ** 2 * own[0] + noise[1] ** 2 * own[1], 0.0))
-            S = linalg.sandwich(H, P) + R
-            nu, inv = z.nu - H @ dev, linalg.inverse(S)
-            K = P @ H.T @ inv
-            after = linalg.joseph(P, K, H, R)
-            return dev + K @ nu, after, weight - 0.5 * (nu @ inv @ nu + linalg.log_determinant(S))
+        def healthy() -> Parts:
+            """Itself, faults that end, and navigation that was lost instead."""
+            # from time to time only: at every fix, its wide P would spoil what the last trial has become
+            gives_up = jnp.where(memory.begun[-1] >= SOFTLY, 0.5 * far, 0.0)
+            wide = jnp.diag(jnp.pad(jnp.repeat(theta.widened**2, 3, total_repeat_length=6), (0, n + OFFSET - 6)))
+            ended, lost = (plain.weight + _log(chance) for chance in (ends, gives_up))
+            dev, P, weight = jax.vmap(given)(
+                jnp.concatenate([plain.dev, plain.dev[1:]]),
+                jnp.concatenate([plain.P, plain.P[1:] + wide]),
+                jnp.concatenate([sound.weight[None], ended[1:], lost[1:]]),
+            )
+            return _merged(Parts(dev, P, weight, jnp.zeros(weight.shape)))
 
-        far = jnp.clip((age - theta.late) / SOFTLY, 0.0, 1.0)
-        ends, weight = theta.well * dt * (1 - far), memory.weight
-        stays = weight + jnp.log1p(-jnp.clip(ends + theta.lost * dt * far, 0.0, 0.9))
-        # what is lost is tried from time to time: at every fix, its wide P would spoil what the last trial has become
-        tried = memory.begun[-1] >= SOFTLY
-        gives_up = jnp.where(tried, 0.5 * far, 0.0)
-        # into the healthy one: itself, faults that end, and navigation that was lost instead
-        dev0, P0 = jnp.where(bare, dev, 0.0), jnp.where(bare[:, None] & bare, P, 0.0)
-        wide = jnp.diag(jnp.pad(jnp.repeat(theta.widened**2, 3, total_repeat_length=6), (0, size - 6)))
-        into = jax.vmap(given)(
-            jnp.concatenate([dev0, dev0[1:]]),
-            jnp.concatenate([P0, P0[1:] + wide]),
-            jnp.concatenate([weight[:1], weight[1:] + _log(ends[1:]), weight[1:] + _log(gives_up[1:])]),
-        )
-        healthy = _merged(into[0], into[1], into[2], jnp.zeros(2 * count - 1))
-        # into the noisy one: itself and the healthy one
-        begins = weight[0] + _log(theta.wrong * dt)
-        loud = _merged(
-            jnp.stack([dev[1], dev0[0]]), jnp.stack([P[1], P0[0]]), jnp.stack([stays[1], begins]),
-            jnp.stack([age[1], jnp.zeros(())]),
-        )  # fmt: skip
-        noisy = (*given(loud[0], loud[1], loud[2], theta.noisy), loud[3])
-        # into offsets that open at once: themselves and the healthy one
-        now = 2 + np.array(open_now)
-        opened = np.array([rows[i].opened for i in open_now]) * theta.jump
-        anew = jax.vmap(jnp.diag)(
-            jnp.pad(jnp.repeat(opened**2, 3, axis=1, total_repeat_length=OFFSET), ((0, 0), (n, 0)))
-        )
-        rare = np.array([rows[i].lies for i in open_now])
-        kept = jax.vmap(given)(dev[now], P[now], stays[now])
-        new = jax.vmap(given, (None, 0, 0))(dev0[0], P0[0] + anew, begins + jnp.where(rare, jnp.log(theta.lies), 0.0))
-        both = [jnp.stack([a, b], 1) for a, b in zip(kept, new, strict=True)]
-        jumped = jax.vmap(_merged)(both[0], both[1], both[2], jnp.stack([age[now], jnp.zeros(now.size)], 1))
-        # slides: of each sort the least likely one is begun anew from time to time
-        late = 2 + np.array(slides)
-        spacing = np.array([sort.every for sort in sorts])
+        def noisy() -> Parts:
+            """Itself and the healthy one, by a fix whose R is larger."""
+            anew = sound._replace(weight=begins, age=jnp.zeros(()))
+            one = _merged(jax.tree.map(lambda a, b: jnp.stack([a[1], b]), old, anew))
+            more = z.R + jnp.diag(jnp.where(z.valid, theta.noisy**2 @ own, 0.0))
+            dev, P, weight = _given(z._replace(R=more), H, one.dev, one.P, one.weight)
+            return Parts(dev, P, weight, one.age)
+
+        def opened() -> Parts:
+            """Themselves, and the healthy one with an offset that is anything."""
+            variance = (np.array([rows[i].opened for i in now]) * theta.jump) ** 2  # (k, 2)
+            spread = jnp.pad(jnp.repeat(variance, 3, axis=1, total_repeat_length=OFFSET), ((0, 0), (n, 0)))
+            rare = jnp.where(np.array([rows[i].lies for i in now]), jnp.log(theta.lies), 0.0)
+            kept = jax.vmap(given)(old.dev[now], old.P[now], old.weight[now])
+            new = jax.vmap(given, (None, 0, 0))(sound.dev, sound.P + jax.vmap(jnp.diag)(spread), begins + rare)
+            dev, P, weight = (jnp.stack([a, b], 1) for a, b in zip(kept, new, strict=True))
+            return jax.vmap(_merged)(Parts(dev, P, weight, jnp.stack([old.age[now], jnp.zeros(now.size)], 1)))
+
         renew = memory.begun[:-1] >= spacing
-        least = jnp.stack([jnp.argmin(jnp.where(sort_of == i, stays[late], jnp.inf)) for i in range(len(sorts))])
-        fresh = (jnp.arange(late.size) == least[sort_of]) & renew[sort_of]
-        chance = weight[0] + _log(theta.wrong * spacing[sort_of])
-        sliding = jax.vmap(given)(
-            jnp.where(fresh[:, None], dev0[0], dev[late]), jnp.where(fresh[:, None, None], P0[0], P[late]),
-            jnp.where(fresh, chance, stays[late]),
-        )  # fmt: skip
-        parts = [[a[None] for a in healthy], [jnp.asarray(a)[None] for a in noisy], jumped,
-                 [*sliding, jnp.where(fresh, 0.0, age[late])]]  # fmt: skip
-        order = np.argsort([0, 1, *now, *late])
-        dev, P, weight, age = (jnp.concatenate(each)[order] for each in zip(*parts, strict=True))
-        share = jax.nn.softmax(weight)
-        delta = share @ dev
-        mixed = _covariance(share, dev - delta, P)[:n, :n]
+
+        def sliding() -> Parts:
+            """Themselves; of each sort the least likely one is begun anew when it is time."""
+            weight = old.weight[slides]
+            least = jnp.stack([jnp.argmin(jnp.where(sort_of == i, weight, jnp.inf)) for i in range(len(sorts))])
+            fresh = (jnp.arange(slides.size) == least[sort_of]) & renew[sort_of]
+            dev, P, weight = jax.vmap(given)(
+                jnp.where(fresh[:, None], sound.dev, old.dev[slides]),
+                jnp.where(fresh[:, None, None], sound.P, old.P[slides]),
+                jnp.where(fresh, sound.weight + _log(theta.wrong * spacing[sort_of]), weight),
+            )
+            return Parts(dev, P, weight, jnp.where(fresh, 0.0, old.age[slides]))
+
+        single = (jax.tree.map(lambda a: jnp.asarray(a)[None], each) for each in (healthy(), noisy()))
+        found = jax.tree.map(lambda *a: jnp.concatenate(a), *single, opened(), sliding())
+        mean = _merged(found)
+        share = jnp.exp(found.weight - mean.weight)
         # a channel is used where what it says of navigation is believed: by itself, or though the other one lies
-        sound = share[0] + share[1] + jnp.stack([share[2 + names.index(n)] for n in ("velocity", "position")])
+        believed = share[0] + share[1] + jnp.stack([share[2 + names.index(each)] for each in ("velocity", "position")])
         after = Hypotheses(
-            dev - jnp.where(bare, delta, 0.0), P, weight - logsumexp(weight), age, jnp.zeros(()),
-            jnp.where(jnp.append(renew, tried), 0.0, memory.begun),
+            found.dev - jnp.where(bare, mean.dev, 0.0), found.P, found.weight - mean.weight, found.age, jnp.zeros(()),
+            jnp.where(jnp.append(renew, memory.begun[-1] >= SOFTLY), 0.0, memory.begun),
         )  # fmt: skip
-        return Correction(delta[:n], mixed, after, z.valid & ((own.sum(0) == 0) | (sound @ own > 0.5)))
+        used = z.valid & ((own.sum(0) == 0) | (believed @ own > 0.5))
+        return Correction(mean.dev[:n], mean.P[:n, :n], after, used)
 
     return Rule(init, correct, transport=transport)
+
+
+class Parts(NamedTuple):
+    """Gaussians with their weights, one or many."""
+
+    dev: jax.Array  # (n + 6,) mean
+    P: jax.Array  # (n + 6, n + 6)
+    weight: jax.Array  # () log
+    age: Any  # () s
+
+
+def _given(z: Innovation, H: jax.Array, dev: jax.Array, P: jax.Array, weight: jax.Array) -> tuple[jax.Array, ...]:
+    """Mean, covariance and log weight after a fix: a Kalman correction, and Bayes' rule."""
+    S = linalg.sandwich(H, P) + z.R
+    nu, inv = z.nu - H @ dev, linalg.inverse(S)
+    K = P @ H.T @ inv
+    after = linalg.joseph(P, K, H, z.R)
+    return dev + K @ nu, after, weight - 0.5 * (nu @ inv @ nu + linalg.log_determinant(S))
 
 
 def _own(m: int, position: int, velocity: int | None) -> np.ndarray:
@@ -222,14 +237,11 @@ def _log(probability: Any) -> jax.Array:
     return jnp.log(jnp.clip(probability, NONE, 0.5))
 
 
-def _covariance(share: jax.Array, dev: jax.Array, P: jax.Array) -> jax.Array:
-    """Of a mixture, from deviations (M, n) from its mean and the covariances (M, n, n) of its parts."""
-    return jnp.einsum("m,mij->ij", share, P) + (share[:, None] * dev).T @ dev
-
-
-def _merged(dev: jax.Array, P: jax.Array, weight: jax.Array, age: jax.Array) -> tuple[jax.Array, ...]:
+def _merged(parts: Parts) -> Parts:
     """One Gaussian for several (k, ...) by its moments; probabilities add up, ages are means."""
-    total = logsumexp(weight)
-    share = jnp.exp(weight - total)
-    mean = share @ dev
-    return mean, _covariance(share, dev - mean, P), total, share @ age
+    total = logsumexp(parts.weight)
+    share = jnp.exp(parts.weight - total)
+    mean = share @ parts.dev
+    off = parts.dev - mean
+    P = jnp.einsum("m,mij->ij", share, parts.P) + (share[:, None] * off).T @ off
+    return Parts(mean, P, total, share @ parts.age)

@@ -13,10 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtri
 
-from jaxnav.filters.core import Correction, Innovation, Rule, masked, only_if, select
+from jaxnav.filters.core import NEVER, Correction, Innovation, Rule, masked, only_if, select
 from jaxnav.maths import linalg
 
-LONG = 1e9  # s, before any fix; a memory is finite
 LONGER = 1.5  # of the interval between fixes: what is longer is an outage
 BLOCK = 3  # channels of a receiver's measurement
 
@@ -128,7 +127,7 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
 
     def init(n: int, m: int) -> GateMemory:
         count = len(blocks(m))
-        return GateMemory(jnp.zeros(count), jnp.zeros(count), jnp.full(count, LONG), rule.init(n, m))
+        return GateMemory(jnp.zeros(count), jnp.zeros(count), jnp.full(count, NEVER), rule.init(n, m))
 
     def correct(theta: Gate, memory: GateMemory, z: Innovation) -> Correction:
         own = blocks(z.nu.size)

@@ -50,8 +50,10 @@ def test_the_cache_is_told_and_cleared(tmp_path, monkeypatch, capsys):
     own.mkdir(parents=True)
     (own / "program").write_bytes(b"x" * 2**20)
     mine.write_text("not ours")
+    (tmp_path / "c" / "photos").mkdir()
     assert cli.main(["cache"]) == 0
     assert capsys.readouterr().out == f"1 files, 1.0 MiB, in {tmp_path / 'c'}\n"
-    assert cli.main(["cache", "clear"]) == 0 and not own.exists() and mine.exists()
+    assert cli.main(["cache", "clear"]) == 0 and not own.exists()
+    assert mine.exists() and (tmp_path / "c" / "photos").is_dir()
     monkeypatch.setenv("JAXNAV_CACHE_DIR", "")
     assert cli.main(["cache"]) == 0 and "no compiled programs are kept" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""What a recording's training part shows of free parameters: J of `tuning.recorded` and its information."""
+"""What recordings' training parts show of free parameters: J of `tuning.recorded` and its information."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -9,14 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxnav.analysis.windows import Windows
 from jaxnav.data import epochs as ep
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.run import run
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.states import table
 from jaxnav.types import Epoch, Nav, Params
-from tuning.parts import Layout, ages
+from tuning.parts import Used, ages
 from tuning.transforms import Spec, join, split
 from tuning.uncertainty import Information, gaussian, pushed, rejected
 
@@ -95,36 +94,55 @@ def seen_by_position(P: jax.Array, slow: slice | None) -> jax.Array:
     return P[..., :3, :3] + cross + jnp.swapaxes(cross, -1, -2) + P[..., slow, slow]
 
 
-class Job:
-    """The objective of one recording, for a search."""
+class Training(NamedTuple):
+    """A recording's training part, as `_evidence` takes it."""
 
-    def __init__(
-        self, filt: Filter, spec: Spec, sheet: Params, nav: Nav, epochs: Epoch, packed: ep.Packed, windows: Windows,
-        training: np.ndarray, layout: Layout,
-    ):  # fmt: skip
-        E = int(np.searchsorted(packed.t, layout.train + ep.TICK))
-        chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-        self.filt, self.spec, self.sheet, self.nav = filt, spec, sheet, nav
-        self.raw = split(spec, sheet)
+    sheet: Params
+    nav: Nav
+    epochs: Epoch  # (E, ...)
+    valid: jax.Array  # (P, E, m) not hidden
+    keep: jax.Array  # (P, E) counts
+    at: np.ndarray  # (P, A) epochs of hidden fixes
+    there: np.ndarray  # (P, A) which are any
+    sd: np.ndarray  # (P, A, 3) m
+
+
+def training_of(filt: Filter, used: Used, size: int) -> Training:
+    """The first ``size`` epochs; what comes after the training part in them does not count."""
+    chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    epochs, t = jax.tree.map(lambda a: a[:size], used.epochs), used.t[:size]
+    hidden, layout, fix = used.windows.hidden[:, :size], used.layout, used.packed.epochs.fix
+    own = (t >= used.packed.start + layout.settle) & (t <= layout.train + ep.TICK)
+    there = np.all(np.asarray(fix.valid)[:, :2], axis=1)
+    at, known = ages(used.windows, used.packed.t, there, used.parts["training"], layout.window)
+    return Training(
+        used.sheet, used.nav, epochs, jnp.stack([ep.hide(epochs, h, chosen).fix.valid for h in hidden]),
+        jnp.asarray(own & ~hidden), at, known, np.asarray(fix.sd)[:, :3][at],
+    )  # fmt: skip
+
+
+class Job:
+    """The objective of recordings that are tuned on together, for a search; the first one's numbers are the start."""
+
+    def __init__(self, filt: Filter, spec: Spec, used: Sequence[Used]):
+        self.filt, self.spec, self.sheet = filt, spec, used[0].sheet
+        self.raw = split(spec, self.sheet)
         self.flat, self.back = ravel_pytree(self.raw)
         self.items = tuple(spec.items())
-        self.epochs = jax.tree.map(lambda a: a[:E], epochs)
-        hidden = windows.hidden[:, :E]
-        self.valid = jnp.stack([ep.hide(self.epochs, h, chosen).fix.valid for h in hidden])
-        self.keep = jnp.asarray((packed.t[:E] >= packed.start + layout.settle) & ~hidden)
-        there = np.all(np.asarray(packed.epochs.fix.valid)[:, :2], axis=1)
-        self.at, self.there = ages(windows, packed.t, there, training, layout.window)
-        self.sd = jnp.asarray(np.asarray(packed.epochs.fix.sd)[:, :3][self.at])
-        self.effective = max(1.0, float(layout.train - packed.start - layout.settle) / layout.window)
+        size = max(int(np.searchsorted(u.packed.t, u.layout.train + ep.TICK)) for u in used)
+        parts = [training_of(filt, u, size) for u in used]
+        most = max(p.at.shape[1] for p in parts)
+        wide = lambda a: np.pad(a, [(0, 0), (0, most - a.shape[1])] + [(0, 0)] * (a.ndim - 2))
+        self.parts = [p._replace(at=wide(p.at), there=wide(p.there), sd=wide(p.sd)) for p in parts]
+        lengths = [float(u.layout.train - u.packed.start - u.layout.settle) / u.layout.window for u in used]
+        self.effective = max(1.0, sum(lengths))
         self.centre = self.flat
         self.width = np.concatenate([np.full(np.size(self.raw[name]), _width(spec, name)) for name in sorted(spec)])
 
     def evidence(self, flat: jax.Array) -> tuple[Evidence, Evidence]:
-        """Of innovations, of hidden fixes."""
-        return _evidence(
-            self.filt, self.items, flat, self.raw, self.sheet, self.nav, self.epochs, self.valid, self.keep,
-            jnp.asarray(self.at), jnp.asarray(self.there), self.sd,
-        )  # fmt: skip
+        """Of innovations, of hidden fixes, of all recordings."""
+        found = [_evidence(self.filt, self.items, flat, self.raw, *part) for part in self.parts]
+        return jax.tree.map(lambda *each: sum(each), *found)
 
     def objective(self, horizon: bool = True, held: Sequence[str] = ()) -> Callable[[jax.Array], Information]:
         """J and its information, as `tuning.scoring.maximise` takes it."""
@@ -147,9 +165,9 @@ class Job:
         states = self.sheet.states | params.states
         return ravel_pytree(split(self.spec, params._replace(states=states)))[0]
 
-    def params(self, flat: jax.Array) -> Params:
-        """The parameters that unconstrained numbers stand for."""
-        return join(self.spec, self.back(flat), self.sheet)
+    def params(self, flat: jax.Array, sheet: Params | None = None) -> Params:
+        """The parameters that unconstrained numbers stand for; ``sheet``: of a recording other than the first."""
+        return join(self.spec, self.back(flat), self.sheet if sheet is None else sheet)
 
 
 def _width(spec: Spec, name: str) -> float:

@@ -1,12 +1,12 @@
-"""`tune`: a filter's noise, fixes and clocks from a recording without truth, in a way that does no harm.
+"""`tune`: a filter's noise, fixes and clocks from recordings without truth, in a way that does no harm.
 
-The recording is split in time: training, validation, and a test that nothing looks at before the end. What is minimised
+A recording is split in time: training, validation, and a test that nothing looks at before the end. What is minimised
 over the training part is
 
     J(x) = N (mean negative log-likelihood of an innovation + H(x)) + 1/2 sum ((x - datasheet) / sd)^2
 
 with x the unconstrained numbers (`tuning.priors`). The likelihood is *tempered*: it counts as N observations, the
-number of hidden windows that fit into the training part, and not as thousands of epochs, for innovations are not white
+number of hidden windows that fit into the training parts, and not as thousands of epochs, for innovations are not white
 where a receiver's errors are not, and then no prior would weigh anything beside them. H is the *horizon likelihood*:
 the mean negative log-likelihood of hidden fixes at several ages of hidden windows, by a Student t, a proper score of
 what users of a filter care about. Both have an information matrix, so that the method of scoring minimises J.
@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxnav.analysis.windows import Windows, drift, hidden_windows
+from jaxnav.analysis.windows import drift
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start, heading_bank, start
 from jaxnav.filters.compiler import make_room
@@ -38,14 +38,13 @@ from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import DataError, Epoch, Info, Nav, Params, Recording
 from tuning import scoring
 from tuning.evidence import SLOW, Job
-from tuning.parts import Layout, parts_of, plan
+from tuning.parts import Used, blocks_of, parts_of, plan, pooled, window_of, windows_of
 from tuning.priors import PRIORS, in_words, kind_of, spec_of
 from tuning.report import LEAST_WINDOWS, Row, in_words_of, shown, text, verdict
-from tuning.transforms import LOG, Spec, Transform, labels, split
+from tuning.transforms import LOG, Spec, Transform, labels
 from tuning.validation import PairedGain, paired_gain
 
 REACH = 0.3  # s, of delay that tuning may add to what is known
-PHASES = 5  # runs with windows shifted against each other
 MOST, TOLERANCE = 25, 0.02  # evaluations of one search; gain in J that is worth another
 HELD = ("measurements.position.scale", "mounting.clock_drift")  # while the likelihood alone leads the way
 FAR = 2.0  # sd of a prior beyond which a parameter is said to be far
@@ -73,17 +72,26 @@ class Tuned:
     verdict: str
     rows: list[Row]  # of the winner; where that is the datasheet, of what was tuned
     trials: dict[str, Trial]
-    layout: Layout
-    windows: Windows
-    counts: dict[str, int]  # of windows by part
+    used: list[Used] = field(repr=False)  # the recordings
+    parts: dict[str, np.ndarray]  # masks (W,) of the windows of all recordings, one after the other
+    blocks: int  # of time in the test
     effective: float  # N
     gain: PairedGain | None  # on the test, None where there are too few blocks
     test: dict[str, dict[str, float]]  # by candidate: rms_m, median_m, max_m
     nis: dict[str, dict[str, float]]  # by candidate: normalised innovations squared by channel, on the test
-    start: Start
     spec: Spec
     history: list[dict] = field(default_factory=list)
     stopped: bool = False  # by Ctrl-C, with the best that was found until then
+
+    @property
+    def start(self) -> Start:
+        """Where the first recording begins, and how."""
+        return self.used[0].begin
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Windows by part."""
+        return {name: int(mask.sum()) for name, mask in self.parts.items()}
 
     def __str__(self) -> str:
         return text(self)
@@ -93,95 +101,120 @@ class Tuned:
 
 
 def tune(
-    rec: Recording,
+    rec: Recording | Sequence[Recording],
     filt: Filter,
-    params: Params,
+    params: Params | Sequence[Params],
     *,
     free: Sequence[str] = ("noise", "fixes", "timing"),
     widths: Mapping[str, float] | None = None,
-    begin: Start | None = None,
+    begin: Start | Sequence[Start] | None = None,
     stop: float | None = None,
     window: float | None = None,
     priors: bool = True,
     standing: ep.Standing = ep.Standing(),
     say: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
-    """Tune ``params`` (such as ``filt.params("consumer")``, the datasheet) on a recording.
+    """Tune ``params`` (such as ``filt.params("consumer")``, the datasheet) on a recording, or on several together.
 
-    ``free``: groups of `tuning.priors.GROUPS` or dotted leaves. ``widths``: priors of your own by leaf, one sd about
-    ``params``: a factor where the parameter is positive, else in SI. ``begin``: `jaxnav.start` with settings of your
-    own. ``stop``: s. ``window``: s, length of the hidden windows, by default 3 to 15 by the recording's length.
-    ``priors``: False believes nothing before the data. ``say`` hears of progress.
+    Of several, of one kind of IMU, what is free has one value for all; each has its own start, and its own ``params``
+    where lever arms differ. ``free``: groups of `tuning.priors.GROUPS` or dotted leaves. ``widths``: priors of your own
+    by leaf, one sd about ``params``: a factor where the parameter is positive, else in SI. ``begin``: `jaxnav.start`
+    with settings of your own. ``stop``: s. ``window``: s, length of the hidden windows, by default 3 to 15 by the
+    recording's length. ``priors``: False believes nothing before the data. ``say`` hears of progress.
 
     Raises:
         DataError: a recording that cannot be started from, or is too short for windows in every part.
         ValueError: the filter stops being finite with ``params``, or an unknown name.
     """
     make_room()
-    require_x64(params)
-    begin = start(rec, params) if begin is None else begin
-    sheet = begin.given(params)
-    chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    packed = ep.pack_recording(rec, chosen, begin.t, 0.0, stop, standing)
-    rate = 1 / float(np.median(rec.imu.dt))
-    samples = history_for(params, rate, float(np.ptp(rec.imu.t)), REACH)
+    several = lambda value: type(value) in (list, tuple)  # each of them is a named tuple itself
+    recs: list[Any] = list(rec) if several(rec) else [rec]
+    sheets: list[Any] = list(params) if several(params) else [params] * len(recs)
+    begins: list[Any] = list(begin) if several(begin) and begin is not None else [begin] * len(recs)
+    if not recs or not len(recs) == len(sheets) == len(begins):
+        raise ValueError(f"{len(recs)} recordings, {len(sheets)} params and {len(begins)} begins do not go together")
+    require_x64(sheets[0])
+    samples = max(
+        history_for(p, 1 / float(np.median(r.imu.dt)), float(np.ptp(r.imu.t)), REACH)
+        for r, p in zip(recs, sheets, strict=True)
+    )
     kept = lambda each: each.keeping(samples) if each.keeping else each
     filt = kept(filt)
-    layout = plan(packed, window)
-    windows = hidden_windows(packed, layout.window, layout.every, PHASES, layout.settle)
-    parts = parts_of(layout, windows)
+    chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    begins = [start(r, p) if b is None else b for r, p, b in zip(recs, sheets, begins, strict=True)]
+    used = made_ready(recs, filt, sheets, begins, stop, window, standing, say)
+    parts = pooled(used)
     for name, mask in parts.items():
         if not mask.any():
             raise DataError(
-                f"{rec.name}: no hidden window of {layout.window:g} s fits into the {name} part of "
-                f"{packed.t[-1] - packed.start:.0f} s: it is too short to tune on"
+                f"{', '.join(u.name for u in used)}: no hidden window of {used[0].layout.window:g} s fits into the "
+                f"{name} part of {sum(u.packed.t[-1] - u.packed.start for u in used):.0f} s: it is too short to tune on"
             )
-    say(in_words_of(layout, parts, packed))
-    epochs = prepare(filt, packed.epochs)
-    nav = one_start(filt, sheet, begin.navs, epochs, packed.t, layout.train)
-    spec = spec_of(filt, sheet, free, widths, priors)
-    job = Job(filt, spec, sheet, nav, epochs, packed, windows, parts["training"], layout)
+    spec = spec_of(filt, used[0].sheet, free, widths, priors)
+    job = Job(filt, spec, used)
     say(f"free: {', '.join(spec)}; compiling (first time, up to a minute; cached from then on)")
     history: list[dict] = []
-    found, stopped = candidates(job, begin, history, say)
+    found, stopped = candidates(job, begins[0], history, say)
     jobs = dict.fromkeys(found, job)
     say("scoring the candidates on hidden windows")
-    score = lambda name: level_drift(jobs[name].filt, found[name], nav, epochs, windows, chosen)
+    score = lambda name: level_drift(jobs[name], found[name], used, chosen)
     offs = {name: score(name) for name in found}
-    slow = 0.0 if stopped else correlation(offs["tuned"][1], packed, layout)
+    slow = 0.0 if stopped else correlation(offs["tuned"][1], used)
     if slow > CORRELATED and filt.extended and SLOW not in filt.model.states:
         say(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
         more = kept(filt.extended(SLOW))
-        whole = sheet._replace(states=sheet.states | {SLOW: more.params().states[SLOW]})
-        wider = spec | spec_of(more, whole, SLOW_LEAVES, widths, priors)
-        other = Job(more, wider, whole, nav, epochs, packed, windows, parts["training"], layout)
+        slowly = {SLOW: more.params().states[SLOW]}
+        whole = [u._replace(sheet=u.sheet._replace(states=u.sheet.states | slowly)) for u in used]
+        other = Job(more, spec | spec_of(more, whole[0].sheet, SLOW_LEAVES, widths, priors), whole)
         jobs["slow errors"] = other
-        first = other.numbers(found["tuned"])
+        first = other.numbers(job.params(found["tuned"]))
         ended = search("slow errors", other, other.objective(), first, history, say)
-        found["slow errors"], stopped = other.params(ended.raw), bool(ended.interrupted)
-        offs["slow errors"] = score("slow errors")
+        found["slow errors"], stopped = ended.raw, bool(ended.interrupted)
+        offs["slow errors"] = level_drift(other, ended.raw, whole, chosen)
     trials = {
-        name: Trial(jobs[name].filt, found[name], off[0], ratios(offs["datasheet"][0], off[0], parts))
+        name: Trial(
+            jobs[name].filt, jobs[name].params(found[name]), off[0], ratios(offs["datasheet"][0], off[0], parts)
+        )
         for name, off in offs.items()
     }
     best = choose(trials)
-    test = parts["test"]
-    blocks = np.floor((windows.start[test] - layout.validation) / layout.every)
+    test, blocks = parts["test"], blocks_of(used)[parts["test"]]
     gain = None
     if best != "datasheet" and np.unique(blocks).size >= LEAST_WINDOWS and np.isfinite(offs[best][0]).all():
         gain = paired_gain(offs["datasheet"][0][test], offs[best][0][test], blocks)
-    nis = {name: channels(off[1], chosen, packed.t > layout.validation) for name, off in offs.items()}
+    nis = {name: channels(off[1], chosen, used) for name, off in offs.items()}
     scores = {name: spread(off[0][test]) for name, off in offs.items()}
     told = shown(best, trials)
     return Tuned(
         trials[best].params, trials[best].filter, best, verdict(best, trials, scores, parts),
-        table(jobs[told], found[told]), trials, layout, windows,
-        {name: int(mask.sum()) for name, mask in parts.items()}, job.effective, gain, scores, nis, begin,
-        jobs[best].spec, history, stopped,
+        table(jobs[told], found[told]), trials, used, parts, int(np.unique(blocks).size), job.effective, gain, scores,
+        nis, jobs[best].spec, history, stopped,
     )  # fmt: skip
 
 
 # ---------------------------------------------------------------------------- parts of the recording
+
+
+def made_ready(
+    recs: Sequence[Recording], filt: Filter, sheets: Sequence[Params], begins: Sequence[Start], stop: float | None,
+    window: float | None, standing: ep.Standing, say: Callable[[str], None],
+) -> list[Used]:  # fmt: skip
+    """Every recording cut into epochs, of one size so that one program serves them all, and into parts."""
+    chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    cut = [ep.pack_recording(r, chosen, b.t, 0.0, stop, standing) for r, b in zip(recs, begins, strict=True)]
+    E, K = (max(p.epochs.imu.dt.shape[axis] for p in cut) for axis in (0, 1))
+    window = window_of(cut) if window is None else window
+    used = []
+    for rec, params, begin, packed in zip(recs, sheets, begins, cut, strict=True):
+        layout = plan(packed, window)
+        windows = windows_of(packed, layout, E)
+        parts = parts_of(layout, windows)
+        say((f"{rec.name}: " if len(recs) > 1 else "") + in_words_of(layout, parts, packed))
+        epochs = prepare(filt, ep.grown(packed.epochs, E, K) if len(recs) > 1 else packed.epochs)
+        sheet = begin.given(params)
+        nav = one_start(filt, sheet, begin.navs, epochs, packed.t, layout.train)
+        used.append(Used(rec.name, begin, sheet, nav, packed, epochs, layout, windows, parts))
+    return used
 
 
 def one_start(filt: Filter, params: Params, navs: Nav, epochs: Epoch, t: np.ndarray, until: float) -> Nav:
@@ -212,36 +245,38 @@ def search(
 
 def candidates(
     job: Job, begin: Start, history: list[dict], say: Callable[[str], None]
-) -> tuple[dict[str, Params], bool]:
-    """The datasheet, what the likelihood alone says with receiver and clock held, and the minimum of J.
+) -> tuple[dict[str, jax.Array], bool]:
+    """The numbers of the datasheet, what the likelihood alone says with receiver and clock held, the minimum of J.
 
     And whether Ctrl-C ended it; then what was not begun is left out.
     """
     alone, whole = job.objective(horizon=False, held=[h for h in HELD if h in job.spec]), job.objective()
     held = search("held", job, alone, _delayed(job, begin), history, say)
-    found, ends, stopped = {"datasheet": job.sheet, "held": job.params(held.raw)}, [], bool(held.interrupted)
+    found, ends, stopped = {"datasheet": job.flat, "held": held.raw}, [], bool(held.interrupted)
     for name, first in (("held", held.raw), ("datasheet", job.flat)):
         if not stopped:
             ends.append(search(f"tuned from {name}", job, whole, first, history, say))
             stopped = bool(ends[-1].interrupted)
     if ends:
-        found["tuned"] = job.params(min(ends, key=lambda each: float(each.best.nll)).raw)
+        found["tuned"] = min(ends, key=lambda each: float(each.best.nll)).raw
     return found, stopped
 
 
-def correlation(info: Info, packed: ep.Packed, layout: Layout) -> float:
+def correlation(infos: Sequence[Info], used: Sequence[Used]) -> float:
     """Of the position's normalised innovations from one fix to the next, before the test part; 0 of fewer than 30.
 
-    ``info`` (P, E, ...); a hidden window between two fixes keeps them apart.
+    ``infos`` (P, E, ...) of each recording; a hidden window between two fixes keeps them apart.
     """
-    z = np.asarray(info.nu)[..., :3] / np.sqrt(np.diagonal(np.asarray(info.S), axis1=-2, axis2=-1)[..., :3])
     product, square, count = 0.0, 0.0, 0
-    for used, row in zip(np.asarray(info.valid)[..., :3], z, strict=True):
-        at = np.flatnonzero(used.all(1) & (packed.t > packed.start + layout.settle) & (packed.t < layout.validation))
-        apart = np.diff(packed.t[at])
-        near = apart < 1.5 * np.median(apart) if apart.size else np.zeros(0, bool)
-        a, b = row[at[:-1]][near], row[at[1:]][near]
-        product, square, count = product + (a * b).sum(), square + 0.5 * (a**2 + b**2).sum(), count + near.sum()
+    for info, one in zip(infos, used, strict=True):
+        z = np.asarray(info.nu)[..., :3] / np.sqrt(np.diagonal(np.asarray(info.S), axis1=-2, axis2=-1)[..., :3])
+        own = (one.t > one.packed.start + one.layout.settle) & (one.t < one.layout.validation)
+        for valid, row in zip(np.asarray(info.valid)[..., :3], z, strict=True):
+            at = np.flatnonzero(valid.all(1) & own)
+            apart = np.diff(one.t[at])
+            near = apart < 1.5 * np.median(apart) if apart.size else np.zeros(0, bool)
+            a, b = row[at[:-1]][near], row[at[1:]][near]
+            product, square, count = product + (a * b).sum(), square + 0.5 * (a**2 + b**2).sum(), count + near.sum()
     return float(product / square) if count >= 30 else 0.0
 
 
@@ -254,12 +289,10 @@ def _delayed(job: Job, begin: Start) -> jax.Array:
     return ravel_pytree(job.raw | {"mounting.time_offset": job.raw["mounting.time_offset"] + step})[0]
 
 
-def level_drift(
-    filt: Filter, params: Params, nav: Nav, epochs: Epoch, windows: Windows, measurements: tuple
-) -> tuple[np.ndarray, Any]:
-    """Horizontal drift (W,) m at the windows' ends, and the runs."""
-    error, info = drift(filt, params, nav, epochs, windows, measurements)
-    return np.hypot(error[:, 0], error[:, 1]), info
+def level_drift(job: Job, flat: jax.Array, used: Sequence[Used], measurements: tuple) -> tuple[np.ndarray, list[Info]]:
+    """Horizontal drift (W,) m at the ends of the windows of all recordings, and the runs (P, E, ...) of each."""
+    runs = [drift(job.filt, job.params(flat, u.sheet), u.nav, u.epochs, u.windows, measurements) for u in used]
+    return np.concatenate([np.hypot(error[:, 0], error[:, 1]) for error, _ in runs]), [info for _, info in runs]
 
 
 def ratios(before: np.ndarray, after: np.ndarray, parts: Mapping[str, np.ndarray]) -> tuple[float, float, float, float]:
@@ -284,21 +317,23 @@ def spread(off: np.ndarray) -> dict[str, float]:
     return {"rms_m": float(np.sqrt(np.mean(off**2))), "median_m": float(np.median(off)), "max_m": float(off.max())}
 
 
-def channels(info: Any, measurements: tuple, part: np.ndarray) -> dict[str, float]:
-    """Normalised innovations squared of every channel over all runs, in a part (E,) of the time."""
-    used = np.asarray(info.valid) & part[:, None]
-    square = np.asarray(info.nu) ** 2 / np.diagonal(np.asarray(info.S), axis1=-2, axis2=-1)
+def channels(infos: Sequence[Info], measurements: tuple, used: Sequence[Used]) -> dict[str, float]:
+    """Normalised innovations squared of every channel over all runs, in the test parts."""
+    pairs = zip(infos, used, strict=True)
+    valid = np.concatenate([np.asarray(i.valid) & (u.t > u.layout.validation)[:, None] for i, u in pairs], 1)
+    square = np.concatenate(
+        [np.asarray(i.nu) ** 2 / np.diagonal(np.asarray(i.S), axis1=-2, axis2=-1) for i in infos], 1
+    )
     names = [f"{m.name} {axis}" for m in measurements for axis in m.channels]
-    return {n: float(square[..., i][used[..., i]].mean()) for i, n in enumerate(names) if used[..., i].any()}
+    return {n: float(square[..., i][valid[..., i]].mean()) for i, n in enumerate(names) if valid[..., i].any()}
 
 
 # ---------------------------------------------------------------------------- in words
 
 
-def table(job: Job, params: Params) -> list[Row]:
+def table(job: Job, flat: jax.Array) -> list[Row]:
     """Every free number with the 95 % of the tempered posterior, its prior, and a remark."""
-    raw = split(job.spec, params)
-    flat, _ = ravel_pytree(raw)
+    raw = job.back(flat)
     info = job.objective()(flat)
     sd = np.sqrt(np.diag(np.linalg.inv(np.asarray(info.fisher))))
     far = np.abs(np.asarray(flat - job.centre)) / job.width

@@ -78,9 +78,8 @@ def text(found: "Tuned") -> str:
         g = found.gain
         lines.append(f"drift {g.gain:.2f} times smaller on the test (95 %: {g.low:.2f} to {g.high:.2f})")
     elif found.chosen != "datasheet":
-        blocks = len({int(b // found.layout.every) for b in found.windows.start if b >= found.layout.validation})
         lines.append(
-            f"no interval: {blocks} blocks of windows in the test, it takes {LEAST_WINDOWS} "
-            f"({LEAST_WINDOWS * found.layout.every / 0.35:.0f} s of recording)"
+            f"no interval: {found.blocks} blocks of windows in the test, it takes {LEAST_WINDOWS} "
+            f"({LEAST_WINDOWS * found.used[0].layout.every / 0.35:.0f} s of recording)"
         )
     return "\n".join(lines)

@@ -199,10 +199,17 @@ def shared_size(n: int) -> int:
 def of_shared_size(epochs: Epoch) -> Epoch:
     """Epochs (E, K) of one run, up to sizes that recordings share: what is compiled for one of them serves others.
 
+    See `grown`.
+    """
+    return grown(epochs, *map(shared_size, epochs.imu.dt.shape))
+
+
+def grown(epochs: Epoch, size: int, samples: int) -> Epoch:
+    """Epochs (E, K) of one run as (size, samples), neither of them less than it was.
+
     What is added lasts no time and has no fix, so that it changes nothing; it comes last, in an epoch and in the run.
     """
-    E, K = epochs.imu.dt.shape
-    more, longer = shared_size(E) - E, shared_size(K) - K
+    more, longer = size - epochs.imu.dt.shape[0], samples - epochs.imu.dt.shape[1]
     epochs = jax.device_get(epochs)  # on the host, where no program is compiled for it
     rows = lambda a: np.concatenate([a, np.repeat(a[-1:], more, 0)])
     wide = lambda a: rows(np.concatenate([a, np.repeat(a[:, -1:], longer, 1)], 1))

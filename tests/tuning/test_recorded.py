@@ -9,7 +9,6 @@ import pytest
 from scipy import stats
 
 import tuning
-from jaxnav.analysis.windows import hidden_windows
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import start
 from jaxnav.filters.catalogue import build
@@ -21,7 +20,7 @@ from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import DataError, Samples
 from tuning import evidence, priors, recorded
 from tuning.evidence import Job
-from tuning.parts import Layout, ages, parts_of, plan
+from tuning.parts import PHASES, Layout, Used, ages, parts_of, plan, window_of, windows_of
 from tuning.recorded import Trial, choose, correlation, ratios
 from tuning.uncertainty import gaussian
 
@@ -50,14 +49,18 @@ def job(rec, ekf):
     begin = start(rec, ekf.params("adis16465"))
     sheet = begin.given(ekf.params("adis16465"))
     packed = ep.pack_recording(rec, GNSS, begin.t)
-    layout = plan(packed)
-    windows = hidden_windows(packed, layout.window, layout.every, recorded.PHASES, layout.settle)
+    layout = plan(packed, window_of([packed]))
+    windows = windows_of(packed, layout, packed.t.size)
     nav = jax.tree.map(lambda a: a[0], begin.navs)
-    spec, training = priors.spec_of(ekf, sheet, ("noise", "fixes")), parts_of(layout, windows)["training"]
+    spec, parts = priors.spec_of(ekf, sheet, ("noise", "fixes")), parts_of(layout, windows)
+
+    def use(packed=packed):
+        return Used("town", begin, sheet, nav, packed, prepare(ekf, packed.epochs), layout, windows, parts)
 
     def make(packed=packed):
-        return Job(ekf, spec, sheet, nav, prepare(ekf, packed.epochs), packed, windows, training, layout)
+        return Job(ekf, spec, [use(packed)])
 
+    make.use, make.spec = use, spec
     return make, packed, layout
 
 
@@ -119,9 +122,25 @@ def test_nothing_after_the_training_part_enters(job):
     np.testing.assert_array_equal(a.objective()(a.flat).nll, b.objective()(b.flat).nll)
 
 
+def test_recordings_together_are_the_sum_of_each(ekf, job):
+    """The same recording twice, once longer by padding: twice the evidence, N too; and J that weighs the prior less."""
+    make, packed, _ = job
+    one, own = make(), make.use()
+    E, K = packed.epochs.imu.dt.shape
+    padded = own._replace(
+        epochs=prepare(ekf, ep.grown(packed.epochs, E + 7, K + 2)), windows=windows_of(packed, own.layout, E + 7)
+    )
+    both, x = Job(ekf, make.spec, [padded, padded]), one.flat + 0.1
+    for a, b in zip(one.evidence(x), both.evidence(x), strict=True):
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(2 * a, b, rtol=1e-9, atol=1e-9), a, b)
+    assert both.effective == pytest.approx(2 * one.effective)
+    off = 0.5 * float(jnp.sum((x - one.centre) ** 2 / one.width**2))
+    assert float(both.objective()(x).nll) - off == pytest.approx(2 * (float(one.objective()(x).nll) - off))
+
+
 def test_parts_do_not_meet(job):
     _, packed, layout = job
-    windows = hidden_windows(packed, layout.window, layout.every, recorded.PHASES, layout.settle)
+    windows = windows_of(packed, layout, packed.t.size)
     parts = parts_of(layout, windows)
     total = sum(mask.astype(int) for mask in parts.values())
     assert total.max() == 1 and all(mask.any() for mask in parts.values())
@@ -130,8 +149,8 @@ def test_parts_do_not_meet(job):
     assert windows.start[parts["test"]].min() >= layout.validation - 1e-6
     there = np.asarray(packed.epochs.fix.valid)[:, :2].all(1)
     at, known = ages(windows, packed.t, there, parts["training"], layout.window)
-    assert at.shape == known.shape == (recorded.PHASES, at.shape[1]) and known.any(1).all()
-    for phase in range(recorded.PHASES):
+    assert at.shape == known.shape == (PHASES, at.shape[1]) and known.any(1).all()
+    for phase in range(PHASES):
         assert windows.hidden[phase][at[phase][known[phase]]].all() and there[at[phase][known[phase]]].all()
 
 
@@ -191,9 +210,11 @@ def test_correlation_from_fix_to_fix_is_an_autoregressions():
     valid[0, 1000:1050] = False
     info = SimpleNamespace(nu=(z * sd)[None], S=np.broadcast_to(np.diag(sd**2), (1, 4000, 3, 3)), valid=valid)
     layout = Layout(10.0, 30.0, 30.0, 3000.0, 3900.0)
-    made = SimpleNamespace(t=t, start=0.0)
-    assert correlation(info, made, layout) == pytest.approx(a, abs=0.02)
-    assert correlation(info, made, layout._replace(validation=50.0)) == 0.0  # too few to say
+    made = lambda layout: SimpleNamespace(t=t, packed=SimpleNamespace(start=0.0), layout=layout)
+    assert correlation([info], [made(layout)]) == pytest.approx(a, abs=0.02)
+    few = made(layout._replace(validation=50.0))
+    assert correlation([info], [few]) == 0.0  # too few to say
+    assert correlation([info, info], [few, made(layout)]) == pytest.approx(a, abs=0.02)
 
 
 def test_what_a_fix_tells_has_the_covariance_of_position_and_error():
@@ -242,3 +263,19 @@ def test_a_recording_that_is_too_short_is_refused(rec, ekf):
     short = rec._replace(aiding=few, imu=type(rec.imu)(*(a[rec.imu.t < rec.imu.t[0] + 25] for a in rec.imu)))
     with pytest.raises(DataError, match="it is too short to tune on"):
         tuning.tune(short, ekf, ekf.params("adis16465"), free=("noise",))
+    with pytest.raises(ValueError, match="2 recordings, 1 params and 2 begins"):
+        tuning.tune([rec, short], ekf, [ekf.params("adis16465")])
+
+
+@pytest.mark.slow
+def test_two_drives_of_one_imu_tell_more_than_one(rec, ekf, found):
+    """Together: one number for both, windows of both, intervals that are narrower where the data speak."""
+    what = URBAN_SHORT._replace(duration_s=160.0, imu_rate_hz=20.0, gnss_rate_hz=1.0)
+    gnss = what.gnss._replace(outages_s=(), position_sd_m=(0.5, 0.5, 1.0), velocity_sd_mps=(0.05, 0.05, 0.08))
+    other = to_recording(simulate_jit(what._replace(gnss=gnss), jax.random.key(9)), what)
+    other = other._replace(aiding={name: s._replace(sd=s.sd / 3) for name, s in other.aiding.items()})
+    both = tuning.tune([rec, other], ekf, ekf.params("adis16465"), free=("noise", "fixes"))
+    assert [u.windows.hidden.shape for u in both.used] == 2 * [(PHASES, both.used[1].packed.t.size)]
+    assert all(both.counts[name] > found.counts[name] for name in both.counts) and both.effective > found.effective
+    one, two = ({row.name: row for row in each.rows}["position.scale"] for each in (found, both))
+    assert two.low < 3.0 < two.high and np.log(two.high / two.low) < np.log(one.high / one.low)

@@ -1,4 +1,4 @@
-"""`jaxnav tune` on one recording, by `tuning.tune`: tempered likelihood, priors, and a verdict."""
+"""`jaxnav tune` on recordings, by `tuning.tune`: tempered likelihood, priors, and a verdict."""
 
 import time
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from jaxnav.analysis.navigate import navigate
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.app import prepare as pre
-from jaxnav.app.config import Config, Tune
+from jaxnav.app.config import Config, Tune, for_source
 from jaxnav.app.export import write_exports
 from jaxnav.app.parameters import in_user_units, leaves_of, unit_of
 from jaxnav.app.results import Outcome, picture, stderr, to_json, write_json
@@ -20,6 +20,7 @@ from jaxnav.app.toml import to_toml
 from jaxnav.data import atomic_write
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import UNITS, get, has
+from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.types import ConfigError, Params, Recording
 from tuning.priors import transform_of
 from tuning.recorded import Tuned, tune
@@ -30,15 +31,16 @@ FREE = ("noise", "fixes", "timing")  # where [tune] free is not set: a rule's ow
 
 
 def is_for(config: Config) -> bool:
-    """One recording, and nothing asked for that only the gradient methods do."""
+    """Recordings, and nothing asked for that only the gradient methods do."""
     t, plain = config.tune, Tune()
-    own = ("objective", "more", "redraw", "starts", "patience", "over_runs", "clip", "correlated", "tied", "posterior")
+    own = ("objective", "redraw", "starts", "patience", "over_runs", "clip", "correlated", "tied", "posterior")
     asked = any(getattr(t, name) != getattr(plain, name) for name in own)
-    return t.method == "tempered" or (t.method == "auto" and scenario_of(config) is None and not asked)
+    simulated = any(source in SCENARIOS for source in (config.data.source, *t.more))
+    return t.method == "tempered" or (t.method == "auto" and not simulated and not asked)
 
 
 def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
-    """Tune on the recording, write the winner, the report and the figures.
+    """Tune on the recordings, write the winner, the report and the figures.
 
     Raises:
         DataError: a recording that cannot be used, or is too short. ConfigError: names that are not known.
@@ -47,9 +49,14 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
         raise ConfigError(f'tune.priors must be "datasheet" or "none", got {config.tune.priors!r}')
     begin = time.perf_counter()
     name, measurements = pre.filter_name(config), pre.measurements_of(config)
-    rec, _ = load(config)
-    params = pre.base_params(config, pre.grade_of(config, scenario_of(config)), rec.lever_arm)
-    chosen = tuple(m for m in measurements if not m.columns or m.name in rec.aiding or m.name == "velocity")
+    configs = [config, *(for_source(config, source) for source in config.tune.more)]
+    recs = [load(own)[0] for own in configs]
+    sheets = [
+        pre.base_params(own, pre.grade_of(own, scenario_of(own)), rec.lever_arm)
+        for own, rec in zip(configs, recs, strict=True)
+    ]
+    params, everywhere = sheets[0], set.intersection(*(set(rec.aiding) for rec in recs))
+    chosen = tuple(m for m in measurements if not m.columns or m.name in everywhere or m.name == "velocity")
     filt = build(name, chosen, config.filter.cov_stride, max(2, config.filter.history), states=config.filter.states)
     plain = Tune()
     named = FREE if config.tune.free == plain.free else config.tune.free
@@ -62,22 +69,25 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
     seconds = {"prepare": time.perf_counter() - begin}
     begin = time.perf_counter()
     found = tune(
-        rec, filt, params, free=free, widths=widths(config, free, which),
-        begin=pre.start_of(config, rec, params), stop=config.data.stop,
+        recs, filt, sheets, free=free, widths=widths(config, free, which),
+        begin=[pre.start_of(*each) for each in zip(configs, recs, sheets, strict=True)], stop=config.data.stop,
         window=None if config.tune.outage_s == plain.outage_s else config.tune.outage_s,
         priors=config.tune.priors != "none", standing=pre.standing_of(config),
         say=stderr if progress else lambda line: None,
     )  # fmt: skip
     seconds["tune"] = time.perf_counter() - begin
     begin = time.perf_counter()
-    about = f"{rec.name}: {found.verdict}"
+    about = f"{' and '.join(rec.name for rec in recs)}: {found.verdict}"
     result = report(found)
     extra = [name for name in found.filter.model.states if name not in filt.model.states]
     write(folder, about, found, free, result, [*config.filter.states, *extra] if extra else [])
     if config.out.figures:
-        draw(folder, rec, found)
+        draw(folder, recs[0], found)
     seconds["write"] = time.perf_counter() - begin
-    lines = [about, "", str(found), found.start.how, *rec.notes.splitlines()]
+    lines = [about, "", str(found)]
+    for rec, used in zip(recs, found.used, strict=True):
+        own = [used.begin.how, *rec.notes.splitlines()]
+        lines += own if len(recs) == 1 else [f"{rec.name}: {line}" for line in own]
     return Outcome(result, "\n".join(lines), seconds, "interrupted" if found.stopped else "")
 
 
@@ -99,18 +109,20 @@ def widths(config: Config, free: list[str], which: Callable[..., list[str]]) -> 
 def report(found: Tuned) -> dict[str, Any]:
     """What is written to metrics.json."""
     names = ("training", "validation", "test")
-    test = found.windows.start >= found.layout.validation
+    named = [u.name for u in found.used for _ in u.windows.start]
     return {
         "chosen": found.chosen, "verdict": found.verdict, "n_eff": found.effective,
         "parameters": {r.name: {k: v for k, v in r._asdict().items() if k != "name"} for r in found.rows},
-        "windows": {name: found.counts[name] for name in names}, "layout_s": found.layout._asdict(),
+        "windows": {name: found.counts[name] for name in names}, 
+        "layout_s": {u.name: u.layout._asdict() for u in found.used},
         "test": found.test, "nis_by_channel": found.nis,
         "drift_ratio": found.test[found.chosen]["rms_m"] / found.test["datasheet"]["rms_m"],
         "paired_gain": None if found.gain is None else found.gain._asdict(),
         "against_datasheet": {k: list(t.ratios) for k, t in found.trials.items()},
-        "per_window": {"start_s": found.windows.start, "test": test,
+        "per_window": {"recording": named, "start_s": np.concatenate([u.windows.start for u in found.used]),
+                       "test": found.parts["test"],
                        **{f"{k}_m": t.drift for k, t in found.trials.items()}},
-        "start": found.start.how,
+        "start": {u.name: u.begin.how for u in found.used},
     }  # fmt: skip
 
 
@@ -131,8 +143,8 @@ def write(folder: Path, about: str, found: Tuned, free: list[str], result: dict[
 
 
 def draw(folder: Path, rec: Recording, found: Tuned) -> None:
-    """Drift of the candidates over the test windows, and the winner's run."""
-    test = found.windows.start >= found.layout.validation
+    """Drift of the candidates over the test windows, and the winner's run over the first recording."""
+    test = found.parts["test"]
     with picture("outage_drift"):
         drift = {name: found.trials[name].drift[test] for name in ("datasheet", shown(found.chosen, found.trials))}
         plots.save(plots_stats.outage_drift(drift), folder / "outage_drift.png")

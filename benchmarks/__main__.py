@@ -18,8 +18,11 @@ NAMES = {
     "states": "optional error states: consistent with them, not without",
     "check": "what a recording says of itself, damaged in one way each and as it is",
     "start": "starts in motion: attitude, its sd and the delay of the fixes, simulated and recorded",
+    "across": "several drives tuned together, judged on another IMU of the kind",
     "wild": "recordings as their users have them, from file to solution",
+    "damage": "thousands of damaged recordings, settings and checkpoints, and signals: what comes out",
     "faults": "faults of a receiver, twenty-four kinds: rules beside a filter that is told when",
+    "integrated": "a receiver that adds up its velocity: what tuning makes of it, against the filter that knows",
     "kitti": "a drive beside GTSAM: the same hidden windows, the same sigmas",
     "umn": "a fixed-wing flight from an unknown heading, against the onboard filter",
 }

@@ -43,7 +43,7 @@ class Final(NamedTuple):
 
 
 def knowing(params: Params, scenario: Scenario, filt: Filter) -> Params:
-    """The parameters with what the rows of `STATES` prior_weight of the filter's further states."""
+    """The parameters with what the rows of `STATES` believe of the filter's further states."""
     names = [name for name in filt.model.states if name not in params.states]
     return params._replace(states=params.states | datasheet_states(GRADES[scenario.imu.grade], names))
 

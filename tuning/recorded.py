@@ -142,6 +142,8 @@ def tune(
     filt = kept(filt)
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     begins = [start(r, p) if b is None else b for r, p, b in zip(recs, sheets, begins, strict=True)]
+    for line in clocks(recs, begins):
+        say(line)
     used = made_ready(recs, filt, sheets, begins, stop, window, standing, say)
     parts = pooled(used)
     for name, mask in parts.items():
@@ -193,6 +195,18 @@ def tune(
 
 
 # ---------------------------------------------------------------------------- parts of the recording
+
+
+def clocks(recs: Sequence[Recording], begins: Sequence[Start]) -> list[str]:
+    """A warning where recordings that are to share one delay were logged by clocks that do not agree."""
+    seen = [(r.name, b.alignment.delay, b.alignment.sd[9]) for r, b in zip(recs, begins, strict=True) if b.alignment]
+    if not seen:
+        return []
+    low, high = min(seen, key=lambda each: each[1]), max(seen, key=lambda each: each[1])
+    if high[1] - low[1] < max(0.1, 4 * float(np.hypot(low[2], high[2]))):
+        return []
+    each = ", ".join(f"{name} {delay:+.2f} s (sd {sd:.2f})" for name, delay, sd in seen)
+    return [f"fixes are late by {each}: one delay is tuned for all, put the clocks right first (see jaxnav check)"]
 
 
 def made_ready(

@@ -114,7 +114,7 @@ def navigate(
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
     windows = tuple((float(a), float(b)) for a, b in outages)
     order, names, _ = evaluate.channels(chosen)
-    remarks = usage.expected_in_words(usage.expected(trace.info, names, order))
+    remarks = usage.consistency_in_words(trace.info, usage.expected(trace.info, names, order))
     remarks += usage.usage_in_words(usage.usage(rec, packed, trace.info, chosen, hidden))
     notes = [begin.how, about.words, *remarks, *rec.notes.splitlines(), gaps.in_words(gaps.holes(rec.imu))]
     return Solution(

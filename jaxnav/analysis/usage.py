@@ -10,6 +10,7 @@ from jaxnav.measurements import Measurement, layout
 from jaxnav.types import Info, Recording
 
 SURE = 0.9999  # probability of the bounds, of each channel
+LOUD, ALIKE = 1.25, 0.3  # NIS of all channels, correlation of neighbours, from which on they are worth a sentence
 MUCH = 0.02  # share of a stream that is left out without a word
 
 
@@ -112,6 +113,43 @@ def expected_in_words(found: dict[str, Expected]) -> list[str]:
                 "see jaxnav check, jaxnav tune"
             )
     return lines
+
+
+def consistency_in_words(info: Info, channels: dict[str, Expected]) -> list[str]:
+    """Every way in which the innovations are not those of a filter that knows its errors; empty where they are.
+
+    Channel by channel by their size; where each passes alone, all of them together; and as neighbours, for the
+    innovations of a consistent filter are white.
+    """
+    lines = expected_in_words(channels)
+    together = whole(info)
+    if not lines and together is not None and together.value > max(together.high, LOUD):
+        lines.append(
+            f"innovations squared of all channels together are {together.value:.3g} times what the filter expects "
+            f"({together.high:.2f} would pass), though each alone passes: noise, a sensor or a delay is somewhat other "
+            "than it is told; see jaxnav check, jaxnav tune"
+        )
+    alike = {name: e for name, e in channels.items() if e.correlation > max(ALIKE, 4 / np.sqrt(e.samples))}
+    if alike:
+        worst = sorted(alike, key=lambda name: -alike[name].correlation)[:3]
+        each = ", ".join(f"{name} {alike[name].correlation:.2f}" for name in worst)
+        lines.append(
+            f"innovations are correlated from one to the next in {each}{' and more' if len(alike) > 3 else ''}: an "
+            "error lasts, as of a delay, a lever arm, a scale, or a receiver whose errors are slow (state "
+            "gnss_position_error)"
+        )
+    return lines
+
+
+def whole(info: Info) -> Expected | None:
+    """NIS per degree of freedom over all epochs whose channels were all used; None where there are fewer than ten."""
+    valid = np.asarray(info.valid)
+    own = valid.any(1) & (np.asarray(info.used) == valid).all(1)
+    dof = int(valid[own].sum())
+    if own.sum() < 10:
+        return None
+    low, high = metrics.chi2_bounds(dof, 1, SURE)
+    return Expected(float(np.asarray(info.nis)[own].sum() / dof), float(low / dof), float(high / dof), dof, 0.0)
 
 
 def as_json(uses: dict[str, Use], channels: dict[str, Expected]) -> dict[str, Any]:

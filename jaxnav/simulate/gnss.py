@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from jaxnav.data.epochs import TICK
 from jaxnav.maths import earth, rotations
@@ -21,6 +22,9 @@ class Receiver(NamedTuple):
     gnss_noise_factor: float = 1.0  # real noise against stated
     correlated_share: float = 0.0  # of the noise's variance: first-order Gauss-Markov, the rest is white
     correlation_s: float = 60.0
+    slow_position_sd_m: float = 0.0  # on each axis, beside all noise: first-order Gauss-Markov
+    slow_position_s: float = 300.0  # its time constant
+    integrates_velocity: bool = False  # errors of its velocity add up in its position, and fade over slow_position_s
     outlier_probability: float = 0.0  # of a fix
     outlier_factor: float = 10.0  # sd of an outlier, in sd of the receiver
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # IMU -> antenna, body FRD
@@ -49,11 +53,28 @@ def _noise(key: jax.Array, n: int, interval: float, sd: jax.Array, receiver: Rec
         slow = normal(jax.random.fold_in(key, 1), (n, 6))
         noise = np.sqrt(1 - share) * noise + np.sqrt(share) * gauss_markov(slow, interval, receiver.correlation_s)
     noise = receiver.gnss_noise_factor * sd * noise
+    if receiver.slow_position_sd_m or receiver.integrates_velocity:
+        slow = _slow(jax.random.fold_in(key, 4), noise[:, 3:], interval, receiver)
+        noise = jnp.concatenate([noise[:, :3] + slow, noise[:, 3:]], 1)
     if receiver.outlier_probability:
         where, size = jax.random.split(jax.random.fold_in(key, 2))
         hit = jax.random.uniform(where, (n, 1), float) < receiver.outlier_probability
         noise = noise + jnp.where(hit, receiver.outlier_factor * sd * normal(size, (n, 6)), 0.0)
     return noise
+
+
+def _slow(key: jax.Array, velocity: jax.Array, interval: float, receiver: Receiver) -> jax.Array:
+    """Slow errors (n, 3) ENU m of the position of a receiver whose velocity has errors (n, 3) m/s."""
+    tau = receiver.slow_position_s
+    slow = receiver.slow_position_sd_m * gauss_markov(normal(key, velocity.shape), interval, tau)
+    if not receiver.integrates_velocity:
+        return slow
+
+    def add(sum_, error):
+        sum_ = np.exp(-interval / tau) * sum_ + interval * error
+        return sum_, sum_
+
+    return slow + lax.scan(add, jnp.zeros(3), velocity)[1]
 
 
 def fixes(

@@ -55,6 +55,14 @@ URBAN_SHORT = Scenario(
     gnss=_ROOF._replace(outages_s=((50.0, 60.0),)),
 )  # fmt: skip
 TRAFFIC = URBAN._replace(name="urban_traffic", motion=Urban(traffic=0.6))
+# a receiver that integrates its velocity, with an error of minutes beside
+INTEGRATING = Scenario(
+    name="urban_integrating", imu_rate_hz=20.0, motion=Urban(standstill_s=10.0),
+    gnss=_ROOF._replace(
+        position_sd_m=(0.3, 0.3, 0.3), velocity_sd_mps=(0.05, 0.05, 0.05),
+        slow_position_sd_m=1.5, integrates_velocity=True,
+    ),
+)  # fmt: skip
 
 # ---------------------------------------------------------------------------- Ansari et al. 2024: an hour on a circle
 
@@ -147,7 +155,20 @@ _FWEKF = [
 
 SCENARIOS: dict[str, Scenario] = {
     s.name: s
-    for s in (URBAN, URBAN_SHORT, TRAFFIC, CIRCLE, REPRO, *_GPID, GIPKF, _UNCALIBRATED, _STRESS, FWEKF, *_FWEKF)
+    for s in (
+        URBAN,
+        URBAN_SHORT,
+        TRAFFIC,
+        INTEGRATING,
+        CIRCLE,
+        REPRO,
+        *_GPID,
+        GIPKF,
+        _UNCALIBRATED,
+        _STRESS,
+        FWEKF,
+        *_FWEKF,
+    )
 }
 
 

@@ -46,13 +46,29 @@ def test_what_a_gate_refuses_is_counted(case):
     assert any("refused by the filter's rule" in line for line in usage.usage_in_words(found))
 
 
+def test_a_filter_that_is_a_little_too_sure_everywhere_is_told_so():
+    """Each of six channels of sixty fixes may be 1.4 times too large; all of them may not. A consistent one passes."""
+    rng = np.random.default_rng(0)
+    _, names, _ = evaluate.channels(GNSS)
+    said = lambda z: usage.consistency_in_words(info_of(z), usage.expected(info_of(z), names, list(range(6))))
+    white = rng.normal(size=(200, 60, 6))
+    assert sum(bool(said(z)) for z in white) <= 4
+    lines = [said(np.sqrt(1.4) * z) for z in white]
+    assert np.mean([bool(each) for each in lines]) > 0.7
+    assert np.mean(["all channels together" in "".join(each) for each in lines]) > 0.5
+    lasting = white[0].copy()
+    lasting[1:, 2] = 0.3 * white[0][1:, 2] + 0.95 * np.sqrt(0.5) * (white[0][:-1, 2] + white[0][1:, 2])
+    found = [line for line in said(lasting) if "correlated from one to the next" in line]
+    assert len(found) == 1 and names[2] in found[0] and names[0] not in found[0]
+
+
 def info_of(z: np.ndarray) -> Info:
     """Innovations of unit covariance."""
     n, m = z.shape
     nothing = dict.fromkeys(Info._fields)
     return Info(**nothing | {
         "nu": jnp.asarray(z), "S": jnp.tile(jnp.eye(m), (n, 1, 1)), "used": jnp.ones((n, m), bool),
-        "valid": jnp.ones((n, m), bool), "nav": Nav(*[None] * len(Nav._fields)),
+        "valid": jnp.ones((n, m), bool), "nis": jnp.sum(jnp.asarray(z) ** 2, 1), "nav": Nav(*[None] * len(Nav._fields)),
     })  # fmt: skip
 
 

@@ -36,6 +36,7 @@ def test_nothing_is_wrong_with_what_is_right(car):
         assert part in said
 
 
+ROWS, COLUMN = lambda a: np.arange(len(a))[:, None], np.array([False, True, False])
 DAMAGES = {
     "velocity.swapped": check.stream("velocity", check.swapped(0, 1)),
     "velocity.sign": check.stream("velocity", check.times(-1, 1, 1)),
@@ -46,6 +47,7 @@ DAMAGES = {
     "gyro.sign": check.imu(gyro=check.times(1, 1, -1)),
     "gyro.axes": check.imu(gyro=check.swapped(0, 2)),
     "gyro.dead": check.imu(gyro=check.times(1, 0, 1)),
+    "gyro.stuck": check.imu(gyro=lambda a: np.where((ROWS(a) > 1000) & (ROWS(a) < 1150) & COLUMN, a[1001], a)),
     "accel.sign": check.imu(accel=check.times(-1, 1, 1)),
     "axes.gravity": check.imu(gyro=check.times(1, -1, -1), accel=check.times(1, -1, -1)),
     "imu.polled": check.polled,

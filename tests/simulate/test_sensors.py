@@ -235,6 +235,22 @@ def test_receiver_noise_white_and_correlated():
     assert np.corrcoef(white[0, :, 3:].ravel(), white[0, :, :3].ravel())[0, 1] < 4 / np.sqrt(3 * N)
 
 
+def test_slow_errors_of_a_position_are_a_process_of_minutes():
+    """Its variance and its correlation after one time constant; the noise beside it stays what it was."""
+    slow = Receiver(slow_position_sd_m=3.0, slow_position_s=60.0)
+    e = (errors(slow, runs=40) - errors(Receiver(), runs=40)) / 3.0
+    assert e[..., :3].var() == pytest.approx(1.0, rel=0.06) and np.abs(e[..., 3:]).max() < 1e-9
+    assert np.mean(e[:, 60:, :3] * e[:, :-60, :3]) == pytest.approx(np.exp(-1), abs=0.06)
+
+
+def test_a_receiver_that_integrates_has_its_velocitys_errors_in_its_position():
+    """p_k = exp(-1 / 30) p_(k-1) + 1 s of v_k; and what is left is the noise that it had without."""
+    e, plain = errors(Receiver(integrates_velocity=True, slow_position_s=30.0), runs=2), errors(Receiver(), runs=2)
+    np.testing.assert_array_equal(e[..., 3:], plain[..., 3:])
+    p = e[..., :3] - plain[..., :3]
+    np.testing.assert_allclose(p[:, 1:], np.exp(-1 / 30) * p[:, :-1] + e[:, 1:, 3:], atol=1e-5)
+
+
 def test_outliers_come_with_their_probability_and_change_no_other_fix():
     clean, spoilt = errors(Receiver(), runs=4), errors(Receiver(outlier_probability=0.05, outlier_factor=20.0), runs=4)
     extra = (spoilt - clean) / SD

@@ -9,6 +9,7 @@ from jaxnav.types import ImuLog, Recording
 
 QUIET = 0.05  # share of the windows that count as quiet
 G = 9.81
+STUCK = 20  # rows of one value in a row from which on an axis that otherwise changes hangs
 
 
 def sampling(rec: Recording) -> list[Finding]:
@@ -44,12 +45,23 @@ def axes(rec: Recording) -> list[Finding]:
                 words = f"{name} {axis} does not move: {column[0]:.3g} throughout"
                 found.append(Finding(f"{name}.dead", words, "a dead axis, or a column that is another", True))
                 continue
+            rows, begin = longest_repeat(column)
+            if rows > STUCK and rows * float(np.median(rec.imu.dt)) > 1.0 and np.mean(np.diff(column) != 0) > 0.5:
+                words = f"{name} {axis} repeats {column[begin]:.4g} in {rows} rows from t = {rec.imu.t[begin]:.1f} s on"
+                found.append(Finding(f"{name}.stuck", words, "the sensor or its driver hung", True))
             top = np.abs(column).max()
             share = float(np.mean((np.abs(column[1:]) > 0.999 * top) & (column[1:] == column[:-1])))
             if share > 0.003 and column.size > 1000 and top > 3 * own:
                 words = f"{name} {axis} is at {top:.3g} in {100 * share:.1f} % of the rows"
                 found.append(Finding(f"{name}.clipped", words, "beyond the sensor's range", True))
     return found
+
+
+def longest_repeat(column: np.ndarray) -> tuple[int, int]:
+    """Rows of the longest run of one value in a row, and where it begins."""
+    edges = np.flatnonzero(np.concatenate([[True], np.diff(column) != 0, [True]]))
+    lengths = np.diff(edges)
+    return int(lengths.max()), int(edges[lengths.argmax()])
 
 
 def quiet(imu: ImuLog, span: float = 1.0) -> tuple[np.ndarray, int]:

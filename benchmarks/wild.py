@@ -110,6 +110,7 @@ def tuned(name: str, path: Path) -> dict:
         "windows": found.counts, "set_on": name in SET_ON,
         "clock_ppm": None if clock is None else [clock.value, clock.low, clock.high],
         "candidates": {k: v["rms_m"] / before for k, v in found.test.items()}, "verdict": found.verdict,
+        "validation": {k: [*t.ratios, t.nll] for k, t in found.trials.items()},
         "seconds": time.perf_counter() - begin,
     }  # fmt: skip
 

@@ -14,7 +14,7 @@ from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.run import run
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.states import table
-from jaxnav.types import Epoch, Nav, Params
+from jaxnav.types import Epoch, Info, Nav, Params
 from tuning.parts import Used, ages
 from tuning.transforms import Spec, join, split
 from tuning.uncertainty import Information, gaussian, pushed, rejected
@@ -63,10 +63,8 @@ def _evidence(
         def outputs(r):
             own = join(spec, back(r), params)
             seen = run(filt, own, nav, epochs._replace(fix=epochs.fix._replace(valid=valid)), keep_seen)
-            scale = own.measurements["position"].scale
-            size = jnp.linalg.norm(scale, axis=-1) if jnp.ndim(scale) == 2 else jnp.broadcast_to(scale, (3,))
-            R = jax.vmap(jnp.diag)((size * sd) ** 2)
-            return (seen.nu, seen.S, seen.residual[at], seen.P[at] + R), (seen.valid, seen.far, seen.ok)
+            C = seen.P[at] + noise_of(own, sd)
+            return (seen.nu, seen.S, seen.residual[at], C), (seen.valid, seen.far, seen.ok)
 
         ((nu, S, y, C), (seen, outlying, ok)), (dnu, dS, dy, dC) = pushed(outputs, flat)
         own = jax.vmap(gaussian, (0, 0, 0, 1, 1, 0))(nu, S, seen, dnu, dS, outlying)
@@ -84,6 +82,49 @@ def _evidence(
 
     both = jax.vmap(phase)(valid, keep, at, there, sd)
     return jax.tree.map(lambda a: a.sum(0), both)
+
+
+def noise_of(params: Params, sd: jax.Array) -> jax.Array:
+    """Covariances (A, 3, 3) m^2, ENU, of the white noise of positions whose receiver states ``sd`` (A, 3) m."""
+    scale = params.measurements["position"].scale
+    size = jnp.linalg.norm(scale, axis=-1) if jnp.ndim(scale) == 2 else jnp.broadcast_to(scale, (3,))
+    return jax.vmap(jnp.diag)((size * sd) ** 2)
+
+
+@jax.jit
+def _nll(nu: jax.Array, S: jax.Array, valid: jax.Array, heavy: jax.Array) -> jax.Array:
+    """Of residuals (A, m), each alone."""
+    m = nu.shape[-1]
+    one = lambda nu, S, valid, heavy: gaussian(nu, S, valid, jnp.zeros((0, m)), jnp.zeros((0, m, m)), heavy)[0]
+    return jax.vmap(one)(nu, S, valid, heavy)
+
+
+def predicted(filt: Filter, params: Sequence[Params], used: Sequence[Used], infos: Sequence[Info]) -> float:
+    """How badly a candidate predicts the validation parts of recordings: the likelihood in J, there, without priors.
+
+    Mean negative log-likelihood of an innovation, plus that of a hidden fix by a Student t; ``infos`` (P, E, ...) of
+    its runs with hidden windows.
+    """
+    slow = table.layout(table.chosen(filt.model.states)).get(SLOW)
+    shown: list[list[np.ndarray]] = [[], []]
+    for own, u, info in zip(params, used, infos, strict=True):
+        part = (u.t > u.layout.train + ep.TICK) & (u.t <= u.layout.validation + ep.TICK)
+        counts = part & ~u.windows.hidden & np.asarray(info.valid).any(-1)
+        lost = not np.asarray(info.ok)[:, part].all()
+        pick = lambda a, counts=counts: jnp.asarray(np.asarray(a)[counts])
+        innovations = _nll(*map(pick, (info.nu, info.S, info.valid, rejected(info))))
+        there = np.all(np.asarray(u.packed.epochs.fix.valid)[:, :2], axis=1)
+        at, known = ages(u.windows, u.packed.t, there, u.parts["validation"], u.layout.window)
+        phase, column = np.nonzero(known)
+        epoch = at[phase, column]
+        sd = jnp.asarray(np.asarray(u.packed.epochs.fix.sd)[epoch, :3])
+        C = seen_by_position(jnp.asarray(np.asarray(info.P)[phase, epoch]), slow) + noise_of(own, sd)
+        y = jnp.asarray(np.asarray(info.residual)[phase, epoch, :3])
+        every = jnp.ones(y.shape, bool)
+        hidden = _nll(y, C, every, every[:, 0])
+        for into, values in zip(shown, (innovations, hidden), strict=True):
+            into.append(np.where(lost, np.inf, np.asarray(values)))
+    return float(sum(np.mean(np.concatenate(values)) for values in shown))
 
 
 def seen_by_position(P: jax.Array, slow: slice | None) -> jax.Array:

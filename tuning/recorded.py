@@ -37,7 +37,7 @@ from jaxnav.filters.run import prepare, require_x64
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import DataError, Epoch, Info, Nav, Params, Recording
 from tuning import scoring
-from tuning.evidence import SLOW, Job
+from tuning.evidence import SLOW, Job, predicted
 from tuning.parts import Used, blocks_of, parts_of, plan, pooled, window_of, windows_of
 from tuning.priors import PRIORS, in_words, kind_of, spec_of
 from tuning.report import LEAST_WINDOWS, Row, in_words_of, shown, text, verdict
@@ -60,6 +60,7 @@ class Trial(NamedTuple):
     params: Params
     drift: np.ndarray  # (W,) m, horizontal, at the end of each window
     ratios: tuple[float, float, float, float]  # RMS, mean log: training and validation together, validation alone
+    nll: float  # of what the validation part shows, `tuning.evidence.predicted`
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ def tune(
             )
     spec = spec_of(filt, used[0].sheet, free, widths, priors)
     job = Job(filt, spec, used)
-    say(f"free: {', '.join(spec)}; compiling (first time, up to a minute; cached from then on)")
+    say(f"free: {', '.join(spec)}")
     history: list[dict] = []
     found, stopped = candidates(job, begins[0], history, say)
     jobs = dict.fromkeys(found, job)
@@ -173,12 +174,14 @@ def tune(
         ended = search("slow errors", other, other.objective(), first, history, say)
         found["slow errors"], stopped = ended.raw, bool(ended.interrupted)
         offs["slow errors"] = level_drift(other, ended.raw, whole, chosen)
+    own = lambda name: [jobs[name].params(found[name], u.sheet) for u in (whole if name == "slow errors" else used)]
     trials = {
         name: Trial(
-            jobs[name].filt, jobs[name].params(found[name]), off[0], ratios(offs["datasheet"][0], off[0], parts)
+            jobs[name].filt, own(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts),
+            predicted(jobs[name].filt, own(name), used, off[1]),
         )
         for name, off in offs.items()
-    }
+    }  # fmt: skip
     best = choose(trials)
     test, blocks = parts["test"], blocks_of(used)[parts["test"]]
     gain = None

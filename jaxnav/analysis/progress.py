@@ -1,10 +1,19 @@
-"""A progress bar: on a terminal as usual, elsewhere (a log, a pipe) a plain line now and then."""
+"""Progress: a bar of steps, and a line while programs compile, on a terminal; elsewhere a plain line now and then."""
 
 import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from tqdm import tqdm
 
 QUIET = 30.0  # s between lines where nobody watches, and before the first
+NOTICED = 1.5  # s of compiling that nobody needs to hear of
+TICK = 0.25  # s between looks
+COMPILING = "compiling (first time, about 20 s; cached from then on)"
+# jax's own files that are on the stack while it traces, lowers and compiles
+STAGES = ("jax/_src/interpreters/partial_eval.py", "jax/_src/interpreters/mlir.py", "jax/_src/compiler.py")
 
 
 class _Lines:
@@ -19,11 +28,79 @@ class _Lines:
         sys.stderr.flush()
 
 
-def bar(total: int, unit: str, show: bool, done: int = 0) -> tqdm:
+class Bar(tqdm):
+    """A bar whose first step, in which programs compile, does not count in its estimate of the rest."""
+
+    n: float
+    begun = False
+
+    def update(self, n: float | None = 1) -> bool | None:
+        """Steps are done."""
+        if self.disable or self.begun:
+            return super().update(n)
+        self.begun = True
+        self.n = self.initial = self.last_print_n = self.n + (n or 0)
+        self.start_t = self.last_print_t = self._time()
+        return None
+
+
+def bar(total: int, unit: str, show: bool, done: int = 0) -> Bar:
     """On stderr, of ``total`` steps of which some are ``done``; silent unless ``show``."""
     if sys.stderr.isatty():
-        return tqdm(total=total, initial=done, unit=unit, disable=not show)
-    return tqdm(
+        return Bar(total=total, initial=done, unit=unit, disable=not show)
+    return Bar(
         total=total, initial=done, unit=unit, disable=not show, file=_Lines(), mininterval=QUIET, delay=QUIET,
         bar_format="{n_fmt}/{total_fmt} {unit}s [{elapsed}<{remaining}, {rate_fmt}{postfix}]",
     )  # fmt: skip
+
+
+@contextmanager
+def compiling(show: bool) -> Iterator[None]:
+    """While the block runs: say so on stderr when the calling thread has compiled for longer than `NOTICED`.
+
+    On a terminal with the seconds, for as long as it lasts; elsewhere once.
+    """
+    if not show:
+        yield
+        return
+    over = threading.Event()
+    watch = threading.Thread(target=_watch, args=(threading.get_ident(), over), daemon=True)
+    watch.start()
+    try:
+        yield
+    finally:
+        over.set()
+        watch.join()
+
+
+def _watch(thread: int, over: threading.Event) -> None:
+    spent, since, line = 0.0, time.monotonic(), None
+    while not over.wait(TICK):
+        now = time.monotonic()
+        busy = compiles(thread)
+        spent += now - since if busy else 0.0
+        since = now
+        if spent < NOTICED:
+            continue
+        if not sys.stderr.isatty():
+            print(f"{COMPILING} ...", file=sys.stderr, flush=True)
+            return
+        if busy and line is None:
+            line = tqdm(bar_format="{desc}", leave=False)
+        if busy and line is not None:
+            line.set_description_str(f"{COMPILING}: {spent:.0f} s")
+        elif line is not None:
+            line.close()
+            line = None
+    if line is not None:
+        line.close()
+
+
+def compiles(thread: int) -> bool:
+    """Is jax tracing, lowering or compiling in a thread?"""
+    frame = sys._current_frames().get(thread)
+    while frame is not None:
+        if frame.f_code.co_filename.replace("\\", "/").endswith(STAGES):
+            return True
+        frame = frame.f_back
+    return False

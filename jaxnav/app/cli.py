@@ -229,9 +229,16 @@ def _look(args: argparse.Namespace) -> "Outcome":
 
 
 def _work(args: argparse.Namespace, config: configuration.Config, folder: Path, out: Path) -> "Outcome":
-    from jaxnav.app.unused import unused
+    from jaxnav.analysis.progress import compiling
 
     progress = not (args.quiet or args.json) and _first()
+    with compiling(progress):
+        return _verb(args, config, folder, out, progress)
+
+
+def _verb(args: argparse.Namespace, config: configuration.Config, folder: Path, out: Path, progress: bool) -> "Outcome":
+    from jaxnav.app.unused import unused
+
     if not args.quiet and _first():
         for line in unused(args.verb, config):
             print(f"jaxnav: not used here: {line}", file=sys.stderr)

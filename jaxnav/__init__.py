@@ -22,7 +22,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxnav.analysis.navigate import Solution, navigate
-    from jaxnav.data.epochs import Packed, constraint_samples, cut_times, hide, outage_windows, pack, stationary
+    from jaxnav.data.epochs import (
+        Packed,
+        constraint_samples,
+        cut_times,
+        hide,
+        outage_windows,
+        pack,
+        stack_epochs,
+        stationary,
+    )
     from jaxnav.data.read import read
     from jaxnav.data.recording import recording
     from jaxnav.data.start import course, heading_bank, level, start, with_headings
@@ -68,7 +77,7 @@ __version__ = "0.1.0"
 # Imported when first asked for: the command line is there, and can be stopped, before jax is.
 _HOMES = {
     "analysis.navigate": "Solution navigate",
-    "data.epochs": "Packed constraint_samples cut_times hide outage_windows pack stationary",
+    "data.epochs": "Packed constraint_samples cut_times hide outage_windows pack stack_epochs stationary",
     "data.read": "read",
     "data.recording": "recording",
     "data.start": "course heading_bank level start with_headings",

@@ -37,6 +37,7 @@ VERBS = {
     "allan": "Allan deviation of a resting IMU: white noise, bias instability, random walk, Gauss-Markov",
     "config": "print every setting with its default and what it is, as a configuration to fill in",
     "cache": "the compiled programs that are kept: where, how many, how large; or clear them",
+    "warm": "compile what filter needs for recordings like this one, and keep it: after installation, before a demo",
     "info": "versions, devices, filters, data sets",
     "data": "list, fetch or check public data sets",
 }
@@ -88,9 +89,9 @@ def make_parser() -> argparse.ArgumentParser:
         if verb == "allan":
             sub.add_argument("--start", metavar="S", type=float, help="s, use the recording from here ([data] start)")
             sub.add_argument("--stop", metavar="S", type=float, help="s, to here ([data] stop)")
-        if verb in ("simulate", "filter", "tune", "bakeoff", "mc", "allan"):
+        if verb in ("simulate", "filter", "tune", "bakeoff", "mc", "allan", "warm"):
             sub.add_argument("--data", metavar="NAME|PATH", help="scenario, data set or recording ([data] source)")
-        if verb in ("filter", "tune", "bakeoff", "mc", "demo"):
+        if verb in ("filter", "tune", "bakeoff", "mc", "demo", "warm"):
             sub.add_argument("--filter", metavar="NAME", help="see `jaxnav info` ([filter] name)")
             sub.add_argument("--params", metavar="FILE", help="[params] of this file, such as an earlier tuned.toml")
         if verb == "cache":
@@ -135,6 +136,10 @@ def _main(args: argparse.Namespace) -> int:
         _start_jax(args)
     if args.verb in ("info", "data"):
         return _report(args, _look(args), None)
+    if args.verb == "warm":
+        with tempfile.TemporaryDirectory() as folder:
+            outcome = _work(args, config, Path(folder), Path(folder))
+        return _report(args, outcome._replace(text=_cache("size")), None)
     from jaxnav.app import results
 
     out = args.out or Path("out") / args.verb
@@ -177,7 +182,7 @@ def _inputs(args: argparse.Namespace, config: configuration.Config) -> list[str]
 def resolve(args: argparse.Namespace) -> configuration.Config:
     """The configuration: the verb's own, the file, --params, the flags, then --set."""
     layers: list[tuple[str, dict[str, Any]]] = []
-    if args.verb in OWN:
+    if args.verb in OWN and not (args.verb == "warm" and (args.data or args.config)):
         layers.append((args.verb, OWN[args.verb]))
     if args.config is not None:
         layers.append((args.config, configuration.read(args.config)))
@@ -217,7 +222,9 @@ BAKEOFF: dict[str, Any] = {
 }
 """A bake-off of the papers' filters in outages, if nothing else is said."""
 
-OWN = {"demo": DEMO, "bakeoff": BAKEOFF}
+# ten minutes at usual rates: recordings of similar ones share its programs (`jaxnav.data.epochs.of_shared_size`)
+WARM: dict[str, Any] = {"data": {"source": "urban", "options": {"duration_s": 600.0, "imu_rate_hz": 100.0}}}
+OWN = {"demo": DEMO, "bakeoff": BAKEOFF, "warm": WARM}
 
 
 def _look(args: argparse.Namespace) -> "Outcome":
@@ -250,10 +257,10 @@ def _verb(args: argparse.Namespace, config: configuration.Config, folder: Path, 
             if args.verb == "check"
             else check.convert(args.path, folder)
         )
-    if args.verb in ("simulate", "filter"):
+    if args.verb in ("simulate", "filter", "warm"):
         from jaxnav.app.verbs import filtering
 
-        return getattr(filtering, args.verb)(config, folder)
+        return filtering.simulate(config, folder) if args.verb == "simulate" else filtering.filter(config, folder)
     if args.verb == "mc":
         from jaxnav.app.verbs import mc
 

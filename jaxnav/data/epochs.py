@@ -219,6 +219,24 @@ def grown(epochs: Epoch, size: int, samples: int) -> Epoch:
     return Epoch(imu, fix, None if epochs.gap is None else nothing(epochs.gap, more))
 
 
+def stack_epochs(runs: Sequence[Epoch]) -> Epoch:
+    """Epochs (E, K, ...) of recordings of different lengths as one batch (B, E, K, ...), for `jax.vmap` over `run`.
+
+    Shorter ones are as in `grown`; a run's own epochs come first.
+
+    Raises:
+        ValueError: nothing to stack, or runs of different measurements.
+    """
+    channels = {epochs.fix.value.shape[-1] for epochs in runs}
+    if len(channels) != 1:
+        raise ValueError(f"stack_epochs takes runs of the same measurements, got {sorted(channels)} channels")
+    size, samples = (max(epochs.imu.dt.shape[axis] for epochs in runs) for axis in (0, 1))
+    if any(epochs.gap is not None for epochs in runs):
+        none = lambda epochs: np.zeros((epochs.imu.dt.shape[0], 2))
+        runs = [epochs if epochs.gap is not None else epochs._replace(gap=none(epochs)) for epochs in runs]
+    return jax.tree.map(lambda *a: np.stack(a), *(grown(epochs, size, samples) for epochs in runs))
+
+
 def outage_windows(t: np.ndarray, starts: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
     """Windows start < t <= start + length: hidden (E,) bool, and each window's last epoch (W,)."""
     inside: np.ndarray = (t[None] > starts[:, None] + TICK) & (t[None] <= starts[:, None] + length + TICK)

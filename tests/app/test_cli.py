@@ -387,3 +387,13 @@ def test_info(capsys):
     assert found["x64"] is True and "ekf15" in found["filters"] and found["compilation_cache"] is None
     assert cli.main(["info"]) == 0
     assert "rtkexplorer_drive" in capsys.readouterr().out
+
+
+def test_warm_runs_a_filter_and_writes_nothing(drive, tmp_path, capsys, monkeypatch):
+    """For a recording of one's own; what is kept of its programs is said."""
+    monkeypatch.setenv("JAXNAV_CACHE_DIR", "")
+    monkeypatch.chdir(tmp_path)
+    before = sorted(path.name for path in drive.iterdir())
+    assert cli.main(["warm", "--data", str(drive), *SMALL]) == 0
+    assert "no compiled programs are kept" in capsys.readouterr().out
+    assert sorted(path.name for path in drive.iterdir()) == before and not list(tmp_path.iterdir())

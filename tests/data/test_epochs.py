@@ -16,6 +16,7 @@ from jaxnav.data.epochs import (
     outage_windows,
     pack,
     shared_size,
+    stack_epochs,
     stationary,
 )
 from jaxnav.filters.catalogue import build
@@ -169,6 +170,26 @@ def test_padding_to_a_shared_size_changes_nothing(case, name):
     alone, among = run_jit(filt, own, case.nav, epochs), run_jit(filt, own, case.nav, more)
     leaves_equal(jax.tree.map(lambda a: a[:50], among), alone)
     assert among.ok.all()
+
+
+def test_recordings_of_different_lengths_run_as_one_batch(case):
+    """Each as it runs alone; a hole of one is none of the other."""
+    filt = build("ekf15", cov_stride=5)
+    whole = case.packed.epochs
+    short = jax.tree.map(lambda a: a[:30], whole)
+    gap = np.zeros((30, 2))
+    gap[4] = 1e-3, 1e-2
+    both = stack_epochs([whole, short._replace(gap=gap)])
+    E = whole.imu.dt.shape[0]
+    assert both.imu.dt.shape[:2] == (2, E) and both.gap.shape == (2, E, 2) and not both.gap[0].any()
+    info = jax.vmap(run_jit, (None, None, None, 0))(filt, case.params, case.nav, both)
+    alone = [run_jit(filt, case.params, case.nav, e) for e in (whole, short._replace(gap=gap))]
+    for i, (n, own) in enumerate(zip((E, 30), alone, strict=True)):
+        np.testing.assert_allclose(info.nav.pos[i, :n], own.nav.pos, rtol=1e-13)
+        np.testing.assert_allclose(info.P[i, :n], own.P, rtol=1e-9, atol=1e-18)
+    assert not np.allclose(info.P[1, 5], alone[0].P[5], rtol=1e-3)  # the hole is felt
+    with pytest.raises(ValueError, match=r"same measurements, got \[3, 6\]"):
+        stack_epochs([whole, whole._replace(fix=jax.tree.map(lambda a: a[:, :3], whole.fix))])
 
 
 def test_hide_takes_the_receiver_and_leaves_constraints():

@@ -44,19 +44,20 @@ def verdict(
     best: str, trials: "Mapping[str, Trial]", scores: Mapping[str, dict[str, float]], parts: Mapping[str, np.ndarray]
 ) -> str:
     """Which candidate won, why the others did not, and what it is worth on the test."""
-    lost = "; ".join(
-        f"{name}: {max(t.ratios):.2f} at worst" for name, t in trials.items() if name not in (best, "datasheet")
-    )
+    sheet = trials["datasheet"]
+    told = lambda t: f"predicts by {sheet.nll - t.nll:+.2f}, drifts {max(t.ratios[:2]):.2f}, {max(t.ratios[2:]):.2f}"
+    lost = "; ".join(f"{name} {told(t)}" for name, t in trials.items() if name not in (best, "datasheet"))
     if best == "datasheet":
         return (
-            "the datasheet stays: no candidate drifts less on training and validation windows in RMS and in mean log "
-            f"({lost} of the datasheet's)"
+            "the datasheet stays: no candidate predicts the validation part better (log-likelihood) and drifts less on "
+            f"training and validation windows, on validation alone ({lost})"
         )
     ratio = scores[best]["rms_m"] / scores["datasheet"]["rms_m"]
     count = int(parts["test"].sum())
     return (
         f"{best}: {ratio:.2f} of the datasheet's RMS drift over {count} test windows "
-        f"({scores['datasheet']['rms_m']:.2f} to {scores[best]['rms_m']:.2f} m)" + (f"; {lost}" if lost else "")
+        f"({scores['datasheet']['rms_m']:.2f} to {scores[best]['rms_m']:.2f} m); {best} {told(trials[best])}"
+        + (f"; {lost}" if lost else "")
     )
 
 

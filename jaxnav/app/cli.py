@@ -149,6 +149,10 @@ def _main(args: argparse.Namespace) -> int:
         return 0
     with results.staged(out, args.verb, _inputs(args, config)) as folder:
         outcome = _work(args, config, folder, out)
+        if config.out.figures and args.verb in ("filter", "tune", "demo", "mc", "bakeoff"):
+            from jaxnav.app import report
+
+            report.write(folder, args.verb, config, outcome, outcome.layout)
         results.write_run(folder, args.verb, config, outcome)
     return _report(args, outcome, out)
 

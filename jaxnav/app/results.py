@@ -10,7 +10,7 @@ import platform
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,6 +44,7 @@ class Outcome(NamedTuple):
     text: str  # for the terminal
     seconds: dict[str, float]  # wall time by part
     stopped: str = ""  # why it ended early
+    layout: Callable[[], Any] | None = None  # makes what a report can be zoomed into
 
 
 @contextlib.contextmanager

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 import tuning
+from jaxnav.analysis.windows import drift as windows_drift
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import start
 from jaxnav.filters.catalogue import build
@@ -138,6 +139,20 @@ def test_recordings_together_are_the_sum_of_each(ekf, job):
     assert float(both.objective()(x).nll) - off == pytest.approx(2 * (float(one.objective()(x).nll) - off))
 
 
+def test_what_a_part_predicts_is_the_likelihood_in_the_objective(ekf, job):
+    """Over the training part taken for the validation's, by other code: the runs' own innovations and hidden fixes."""
+    make, packed, layout = job
+    mine, own = make(), make.use()
+    evidence_ = mine.evidence(mine.flat)
+    _, info = windows_drift(ekf, own.sheet, own.nav, own.epochs, own.windows, GNSS)
+    early = layout._replace(train=packed.start + layout.settle - 1e-3, validation=layout.train)
+    moved = own._replace(layout=early, parts=own.parts | {"validation": own.parts["training"]})
+    expected = sum(float(e.value / e.number) for e in evidence_)
+    assert evidence.predicted(ekf, [own.sheet], [moved], [info]) == pytest.approx(expected, rel=1e-9)
+    late = info._replace(ok=np.asarray(info.ok) & (packed.t < layout.train - 1.0))
+    assert evidence.predicted(ekf, [own.sheet], [moved], [late]) == np.inf
+
+
 def test_parts_do_not_meet(job):
     _, packed, layout = job
     windows = windows_of(packed, layout, packed.t.size)
@@ -180,12 +195,16 @@ def test_priors_are_about_the_datasheet_and_named_by_kind(ekf):
 def test_the_datasheet_stays_unless_all_is_better():
     parts = {"training": np.array([1, 1, 1, 0, 0, 0], bool), "validation": np.array([0, 0, 0, 1, 1, 0], bool)}
     before = np.array([4.0, 5.0, 6.0, 5.0, 4.0, 1.0])
-    trial = lambda after: Trial(SimpleNamespace(), SimpleNamespace(), after, ratios(before, after, parts))
-    same, half = trial(before), trial(0.5 * before)
+    trial = lambda after, nll=0.0: Trial(SimpleNamespace(), SimpleNamespace(), after, ratios(before, after, parts), nll)
+    same, half = trial(before, 1.0), trial(0.5 * before)
     one = trial(before * np.array([0.1, 0.1, 0.1, 1.1, 1.1, 0.1]))  # better in training, worse in validation
     assert same.ratios == pytest.approx((1, 1, 1, 1)) and half.ratios == pytest.approx((0.5,) * 4, rel=2e-3)
-    assert choose({"datasheet": same, "tuned": one}) == "datasheet"
-    assert choose({"datasheet": same, "tuned": half, "held": trial(0.9 * before)}) == "tuned"
+    much = trial(before * np.array([0.1, 0.1, 0.1, 1.3, 1.3, 0.1]))
+    assert choose({"datasheet": same, "tuned": one}) == "tuned"  # a little, by chance
+    assert choose({"datasheet": same, "tuned": much}) == "datasheet"
+    assert choose({"datasheet": same, "tuned": half, "held": trial(0.9 * before, -1.0)}) == "held"  # predicts best
+    assert choose({"datasheet": same, "tuned": trial(1.01 * before, -9.0)}) == "datasheet"  # and drifts more
+    assert choose({"datasheet": same, "tuned": trial(0.5 * before, 1.1)}) == "datasheet"  # predicts worse
     assert choose({"datasheet": same, "tuned": trial(np.where(before > 0, np.inf, 0.0))}) == "datasheet"
 
 

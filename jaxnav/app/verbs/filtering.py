@@ -1,6 +1,7 @@
 """`jaxnav simulate` and `jaxnav filter`."""
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from jaxnav import data as io
 from jaxnav.analysis import evaluate, usage
 from jaxnav.analysis.navigate import execute
 from jaxnav.analysis.plots import base as plots
+from jaxnav.analysis.plots import interactive
 from jaxnav.app.config import Config
 from jaxnav.app.prepare import ReadyRun, grade_name, prepare
 from jaxnav.app.results import FailedCheck, Outcome, table, write_json
@@ -120,7 +122,9 @@ def filter(config: Config, folder: Path) -> Outcome:
         for name, fig in found_figures.items():
             plots.save(fig, folder / f"{name}.png")
     seconds["write"] = time.perf_counter() - begin
-    return Outcome(found, summary(found, config.filter.name, case.recording.name), seconds)
+    fixes, outages, states = case.recording.aiding["position"], shaded(config, case), case.filter.model.states
+    layout = partial(interactive.run_layout, sol, case.recording.truth, fixes, case.measurements, outages, states)
+    return Outcome(found, summary(found, config.filter.name, case.recording.name), seconds, "", layout)
 
 
 def check(info: Info, t: np.ndarray, name: str) -> None:

@@ -1,0 +1,56 @@
+"""report.html: whole in one file, with what the run said; without bokeh the pictures stand in; a failure is a warning."""
+
+import builtins
+import re
+
+import matplotlib
+import pytest
+
+from jaxnav.app import cli, report
+from jaxnav.app.config import Config
+from jaxnav.app.results import Outcome
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    out = tmp_path_factory.mktemp("report") / "run"
+    argv = ["filter", "--data", "urban_short", "--out", str(out), "--quiet", "--set", "filter.cov_stride=25"]
+    assert cli.main([*argv, "--set", "filter.name=ekf15_gate"]) == 0
+    return out
+
+
+def test_one_file_without_a_network_says_what_the_run_said(run):
+    page = (run / "report.html").read_text()
+    assert len(page) < 5e6 and "report.html" in (run / "run.json").read_text()
+    assert not re.search(r'(src|href)\s*=\s*"?https?:', page)
+    for part in ("ekf15_gate on urban_short", "horizontal_m_in_outages", "filter.cov_stride", "jaxlib"):
+        assert part in page
+    for title in ("Track, m east and north", "Position error", "Innovations of velocity", "Gyro biases"):
+        assert title in page
+
+
+def test_without_bokeh_the_pictures_are_in_it(tmp_path, monkeypatch):
+    real = builtins.__import__
+
+    def missing(name, *args, **kwargs):
+        if name.startswith("bokeh"):
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    fig = matplotlib.figure.Figure()
+    fig.savefig(tmp_path / "nis.png")
+    report.write(tmp_path, "filter", Config(), Outcome({}, "a <run> of 3 m", {}), lambda: None)
+    page = (tmp_path / "report.html").read_text()
+    assert "data:image/png;base64," in page and "a &lt;run&gt; of 3 m" in page and "jaxnav[report]" in page
+
+
+def test_what_cannot_be_drawn_is_a_warning_and_parameters_are_a_table(tmp_path, capsys):
+    def fails():
+        raise ValueError("no colour")
+
+    rows = {"noise.gyro": {"value": 0.25, "low": 0.1, "high": 0.5, "datasheet": 0.2, "unit": "deg/sqrt(h)"}}
+    report.write(tmp_path, "tune", Config(), Outcome({"parameters": rows}, "tuned", {"tune": 1.0}), fails)
+    assert "no picture of the run to zoom into: ValueError: no colour" in capsys.readouterr().err
+    page = (tmp_path / "report.html").read_text()
+    assert "<td>noise.gyro</td><td>0.25</td><td>0.1</td><td>0.5</td><td>0.2</td>" in page

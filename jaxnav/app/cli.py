@@ -34,6 +34,8 @@ VERBS = {
     "tune": "tune a filter's parameters by gradient and show the gain on data kept aside",
     "bakeoff": "filters tuned alike on the same scenarios, ranked on runs and scenarios that none has seen",
     "mc": "Monte Carlo: filters over many simulated runs, errors, consistency, divergence",
+    "show": "print what a finished run said once more",
+    "compare": "finished runs side by side: figures and settings that differ, tracks over one another",
     "allan": "Allan deviation of a resting IMU: white noise, bias instability, random walk, Gauss-Markov",
     "config": "print every setting with its default and what it is, as a configuration to fill in",
     "cache": "the compiled programs that are kept: where, how many, how large; or clear them",
@@ -114,6 +116,10 @@ def make_parser() -> argparse.ArgumentParser:
             sub.add_argument("--process", metavar="I", type=int, help="number of this one, from 0")
         if verb in ("check", "convert"):
             sub.add_argument("path", metavar="PATH", help="file or folder of any known format, or a column map")
+        if verb == "show":
+            sub.add_argument("path", metavar="FOLDER", help="of a finished run")
+        if verb == "compare":
+            sub.add_argument("paths", metavar="FOLDER", nargs="+", help="of finished runs of one verb, two or more")
         if verb == "data":
             sub.add_argument("action", choices=("list", "fetch", "check"))
             sub.add_argument("name", nargs="?", help="of the data set; check also takes a path")
@@ -129,6 +135,10 @@ def _main(args: argparse.Namespace) -> int:
     if args.verb == "cache":
         print(_cache(args.action))
         return 0
+    if args.verb == "show":
+        from jaxnav.app.verbs import compare
+
+        return _report(args, compare.show(args.path), None)
     config = resolve(args)
     if args.verb == "data" and args.action != "list" and not args.name:
         raise ConfigError(f"data {args.action} needs the name of a data set")
@@ -180,6 +190,7 @@ def _inputs(args: argparse.Namespace, config: configuration.Config) -> list[str]
 
     recordings = [source for source in (config.data.source, *config.tune.more) if source not in SCENARIOS]
     named = [args.config, getattr(args, "params", None), getattr(args, "path", None), *recordings]
+    named += getattr(args, "paths", [])
     return [path for path in named if path and Path(path).exists()]
 
 
@@ -253,6 +264,10 @@ def _verb(args: argparse.Namespace, config: configuration.Config, folder: Path, 
     if not args.quiet and _first():
         for line in unused(args.verb, config):
             print(f"jaxnav: not used here: {line}", file=sys.stderr)
+    if args.verb == "compare":
+        from jaxnav.app.verbs import compare
+
+        return compare.compare(args.paths, folder, config.out.figures)
     if args.verb in ("check", "convert"):
         from jaxnav.app.verbs import check
 

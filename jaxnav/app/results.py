@@ -147,7 +147,7 @@ def write_run(folder: Path, verb: str, config: Config, outcome: Outcome) -> None
     about = {
         "verb": verb, "config": as_dict(config), "seed": config.seed, "versions": versions(), "git": git_hash(),
         "device": device(), "seconds": outcome.seconds, "stopped": outcome.stopped or None,
-        "metrics": outcome.metrics, "files": [*files, RUN],
+        "text": outcome.text, "metrics": outcome.metrics, "files": [*files, RUN],
     }  # fmt: skip
     write_json(folder / RUN, about)
 

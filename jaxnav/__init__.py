@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxnav.analysis.navigate import Solution, navigate
+    from jaxnav.analysis.stream import Now, Stream
     from jaxnav.data.epochs import (
         Packed,
         constraint_samples,
@@ -77,6 +78,7 @@ __version__ = "0.1.0"
 # Imported when first asked for: the command line is there, and can be stopped, before jax is.
 _HOMES = {
     "analysis.navigate": "Solution navigate",
+    "analysis.stream": "Now Stream",
     "data.epochs": "Packed constraint_samples cut_times hide outage_windows pack stack_epochs stationary",
     "data.read": "read",
     "data.recording": "recording",

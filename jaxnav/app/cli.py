@@ -31,6 +31,7 @@ VERBS = {
     "convert": "write a recording of any format as CSV files",
     "simulate": "write a simulated recording and its truth",
     "filter": "run a filter over a recording: solution, metrics, figures",
+    "stream": "the solution as data comes: from standard input, or from a recording at its own pace",
     "tune": "tune a filter's parameters by gradient and show the gain on data kept aside",
     "bakeoff": "filters tuned alike on the same scenarios, ranked on runs and scenarios that none has seen",
     "mc": "Monte Carlo: filters over many simulated runs, errors, consistency, divergence",
@@ -91,9 +92,14 @@ def make_parser() -> argparse.ArgumentParser:
         if verb == "allan":
             sub.add_argument("--start", metavar="S", type=float, help="s, use the recording from here ([data] start)")
             sub.add_argument("--stop", metavar="S", type=float, help="s, to here ([data] stop)")
-        if verb in ("simulate", "filter", "tune", "bakeoff", "mc", "allan", "warm"):
+        if verb in ("simulate", "filter", "tune", "bakeoff", "mc", "allan", "warm", "stream"):
             sub.add_argument("--data", metavar="NAME|PATH", help="scenario, data set or recording ([data] source)")
-        if verb in ("filter", "tune", "bakeoff", "mc", "demo", "warm"):
+        if verb == "stream":
+            sub.add_argument(
+                "--speed", metavar="X", type=float, default=0.0, help="of a recording, times its own (0: all)"
+            )
+            sub.add_argument("--every", metavar="S", type=float, default=1.0, help="s of data between rows")
+        if verb in ("filter", "tune", "bakeoff", "mc", "demo", "warm", "stream"):
             sub.add_argument("--filter", metavar="NAME", help="see `jaxnav info` ([filter] name)")
             sub.add_argument("--params", metavar="FILE", help="[params] of this file, such as an earlier tuned.toml")
         if verb == "cache":
@@ -146,6 +152,12 @@ def _main(args: argparse.Namespace) -> int:
         _start_jax(args)
     if args.verb in ("info", "data"):
         return _report(args, _look(args), None)
+    if args.verb == "stream":
+        from jaxnav.app.verbs import stream
+
+        outcome = stream.stream(config, args.speed, args.every, None if args.data else sys.stdin)
+        print(outcome.text, file=sys.stderr)
+        return 0 if outcome.metrics["ok"] else 1
     if args.verb == "warm":
         with tempfile.TemporaryDirectory() as folder:
             outcome = _work(args, config, Path(folder), Path(folder))

@@ -91,9 +91,9 @@ def pack(
     imu, holes = gaps.fill(imu)
     cuts = cut_times(imu, aiding, interval, start, stop) if cuts is None else cuts
     begin = float(imu.t[0] - imu.dt[0] if start is None else start)
-    samples = _cut_imu(imu, begin, cuts)
+    samples = cut_imu(imu, begin, cuts)
     fix = _align_fixes(aiding, slices, sum(m.size for m in measurements), begin, cuts)
-    gap = _louder(holes, begin, cuts) if holes.begin.size else None
+    gap = louder_by(holes, begin, cuts) if holes.begin.size else None
     epochs = Epoch(Imu(*(jnp.asarray(a, float) for a in samples)), fix, gap)
     return Packed(epochs, cuts, begin)
 
@@ -135,7 +135,7 @@ def _check_rows(name: str, t: np.ndarray, *columns: np.ndarray) -> None:
         raise DataError(f"{name}: times must increase, row {i + 1} is {t[i + 1]:.6f} s after {t[i]:.6f} s")
 
 
-def _cut_imu(imu: ImuLog, start: float, cuts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def cut_imu(imu: ImuLog, start: float, cuts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Split the stream at every cut and pad: dt (E, k), gyro (E, k, 3), accel (E, k, 3)."""
     edges = np.union1d(imu.t, np.concatenate([[start], cuts]))
     edges = edges[(edges >= start - TICK) & (edges <= cuts[-1] + TICK)]
@@ -158,7 +158,7 @@ def _cut_imu(imu: ImuLog, start: float, cuts: np.ndarray) -> tuple[np.ndarray, n
     return np.where(real, dt[index], 0.0), gyro[index], accel[index]
 
 
-def _louder(holes: gaps.Holes, start: float, cuts: np.ndarray) -> jnp.ndarray:
+def louder_by(holes: gaps.Holes, start: float, cuts: np.ndarray) -> jnp.ndarray:
     """Root PSD (E, 2) that holes add to the noise of epochs: that of the hole, for the share of it in the epoch."""
     begin = np.concatenate([[start], cuts[:-1]])
     shared = np.minimum(cuts[:, None], holes.end) - np.maximum(begin[:, None], holes.begin)

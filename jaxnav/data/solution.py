@@ -16,8 +16,8 @@ from jaxnav.types import DataError, Samples, Track
 
 FORMATS = ("csv", "kml", "pos", "nav", "geojson", "tum")
 
-_COLUMNS = "t_s lat_deg lon_deg h_m vn_mps ve_mps vd_mps roll_deg pitch_deg heading_deg".split()
-_SD_COLUMNS = "sd_n_m sd_e_m sd_d_m sd_vn_mps sd_ve_mps sd_vd_mps sd_tilt_n_deg sd_tilt_e_deg sd_heading_deg".split()
+COLUMNS = "t_s lat_deg lon_deg h_m vn_mps ve_mps vd_mps roll_deg pitch_deg heading_deg".split()
+SD_COLUMNS = "sd_n_m sd_e_m sd_d_m sd_vn_mps sd_ve_mps sd_vd_mps sd_tilt_n_deg sd_tilt_e_deg sd_heading_deg".split()
 
 
 def write_solution(path: FilePath, track: Track, format: str, sd: np.ndarray | None = None) -> None:
@@ -52,12 +52,26 @@ def write_csv(path: FilePath, track: Track, sd: np.ndarray | None = None) -> Non
 
     The attitude's sd are rotations about north, east and down. Unknown angles are written as nan.
     """
-    lla, vel = track.lla / np.array([DEG, DEG, 1.0]), ned_to_enu(track.vel)
-    blocks, names = [track.t[:, None], lla, vel, track.rph / DEG], list(_COLUMNS)
+    blocks, names = [_in_degrees(track)], list(COLUMNS)
     if sd is not None:
-        blocks.append(_check_sd(path, track, sd)[:, [1, 0, 2, 4, 3, 5, 7, 6, 8]] / np.array([1.0] * 6 + [DEG] * 3))
-        names += _SD_COLUMNS
+        blocks.append(_sd_in_degrees(_check_sd(path, track, sd)))
+        names += SD_COLUMNS
     atomic_write(path, format_csv(names, np.hstack(blocks)))
+
+
+def row_of(t: float, lla: np.ndarray, vel: np.ndarray, rph: np.ndarray, sd: np.ndarray) -> list[float]:
+    """One row of `write_csv`, with its sd."""
+    track = Track(np.array([t]), lla[None], vel[None], rph[None])
+    return [*_in_degrees(track)[0].tolist(), *_sd_in_degrees(sd[None])[0].tolist()]
+
+
+def _in_degrees(track: Track) -> np.ndarray:
+    lla = track.lla / np.array([DEG, DEG, 1.0])
+    return np.hstack([track.t[:, None], lla, ned_to_enu(track.vel), track.rph / DEG])
+
+
+def _sd_in_degrees(sd: np.ndarray) -> np.ndarray:
+    return sd[:, [1, 0, 2, 4, 3, 5, 7, 6, 8]] / np.array([1.0] * 6 + [DEG] * 3)
 
 
 def write_kml(path: FilePath, track: Track, fixes: Samples | None = None, name: str = "solution") -> None:

@@ -1,0 +1,61 @@
+"""`jaxnav stream`: a recording at its pace, and lines from standard input, some of them none."""
+
+import csv
+import io
+import time
+
+import numpy as np
+import pytest
+
+from jaxnav.app import cli
+from jaxnav.app.config import resolve
+from jaxnav.app.verbs.stream import Event, paced, parsed, played, stream
+from jaxnav.data import read_recording
+from jaxnav.types import DataError
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    out = tmp_path_factory.mktemp("stream") / "drive"
+    argv = ["simulate", "--data", "urban_short", "--out", str(out), "--quiet", "--set", "data.options.duration_s=40"]
+    assert cli.main(argv) == 0
+    return out
+
+
+def rows_of(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_a_recording_and_its_lines_end_near_the_truth(drive, capsys):
+    rec = read_recording(drive)
+    arm = rec.lever_arm.tolist()
+    assert cli.main(["stream", "--data", str(drive), "--every", "5", "--set", "filter.cov_stride=5"]) == 0
+    said = capsys.readouterr()
+    played_rows = rows_of(said.out)
+    assert "starts at t = " in said.err and "a sample takes" in said.err
+    lines = "".join(f"{e.name},{e.t!r},{','.join(map(repr, e.values))}\n" for e in played(rec))
+    config = resolve([("test", {"filter": {"cov_stride": 5}, "params": {"lever_arm_m": arm}})])
+    out = io.StringIO()
+    found = stream(config, 0.0, 5.0, io.StringIO("# ours\nhello,1\nimu,1,2\n" + lines), out)
+    assert found.metrics["ok"] and "2 not used: lines that are none, such as 'hello,1'" in found.text
+    for rows in (played_rows, rows_of(out.getvalue())):
+        t = np.array([float(r["t_s"]) for r in rows])
+        assert 4 <= len(rows) <= 8 and (np.diff(t) >= 5.0 - 1e-9).all()
+        at = int(np.argmin(np.abs(rec.truth.t - t[-1])))
+        north = (np.radians(float(rows[-1]["lat_deg"])) - rec.truth.lla[at, 0]) * 6.37e6
+        assert abs(north) < 4 * float(rows[-1]["sd_n_m"]) + 1.0
+
+
+def test_what_never_moves_has_no_start():
+    lines = io.StringIO("".join(f"imu,{0.1 * i:.1f},0,0,0,0,0,-9.81\n" for i in range(1, 300)))
+    with pytest.raises(DataError, match="no start in 299 lines"):
+        stream(resolve([]), 0.0, 1.0, lines, io.StringIO())
+
+
+def test_events_come_at_their_own_pace():
+    events = [Event(0.0, "imu", ()), Event(0.3, "imu", ()), Event(0.6, "imu", ())]
+    begin = time.monotonic()
+    assert list(paced(events, 3.0)) == events and 0.19 < time.monotonic() - begin < 0.6
+    bad: list[str] = []
+    good = list(parsed(io.StringIO("velocity,1,1,2,3,.1,.1,.1\nvelocity,1,1\nimu,x,1,2,3,4,5,6\n\n"), bad))
+    assert good == [Event(1.0, "velocity", (1.0, 2.0, 3.0, 0.1, 0.1, 0.1))] and len(bad) == 2

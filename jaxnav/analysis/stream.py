@@ -241,12 +241,16 @@ class Stream:
                 value[own], sd[own], corr[own], valid[own] = y, spread, both, True
         found = np.array(self.holes).reshape(-1, 4)
         held = gaps.Holes(found[:, 0], found[:, 1], found[:, 2:])
-        gap = ep.louder_by(held, begin, np.array([end]))[0] if self.holes else jnp.zeros(2)
-        return Epoch(imu, Fix(*(jnp.asarray(a) for a in (value, sd, corr, valid))), gap)
+        gap = np.asarray(ep.louder_by(held, begin, np.array([end])))[0] if self.holes else np.zeros(2)
+        fix: Any = (value, sd, corr, valid)
+        return Epoch(imu, Fix(*fix), gap)
 
     def _between(self, begin: float, end: float) -> Imu:
         """The samples between two times, padded to a size that few programs share."""
-        rows = [row for row in self.samples if row[0] > begin + ep.TICK and row[0] - row[1] < end - ep.TICK]
+        first = len(self.samples)
+        while first and self.samples[first - 1][0] > begin + ep.TICK:
+            first -= 1
+        rows = [row for row in self.samples[first:] if row[0] - row[1] < end - ep.TICK]
         if not rows or end <= begin + ep.TICK:
             return _nothing(_size(0))
         table = np.array(rows)
@@ -254,7 +258,8 @@ class Stream:
         dt, gyro, accel = (a[0] for a in ep.cut_imu(log, begin, np.array([end])))
         more = _size(dt.size) - dt.size
         hold = lambda a: np.concatenate([a, np.repeat(a[-1:], more, 0)])
-        return Imu(jnp.asarray(np.pad(dt, (0, more))), jnp.asarray(hold(gyro)), jnp.asarray(hold(accel)))
+        samples: Any = (np.concatenate([dt, np.zeros(more)]), hold(gyro), hold(accel))
+        return Imu(*samples)
 
     def _present(self, state: FilterState, imu: Imu) -> None:
         """Predict, and keep what is told."""
@@ -341,7 +346,8 @@ def _size(n: int) -> int:
 
 def _nothing(size: int) -> Imu:
     """Samples that last no time."""
-    return Imu(jnp.zeros(size), jnp.zeros((size, 3)), jnp.zeros((size, 3)))
+    none: Any = (np.zeros(size), np.zeros((size, 3)), np.zeros((size, 3)))
+    return Imu(*none)
 
 
 def _told(a: np.ndarray) -> Now:

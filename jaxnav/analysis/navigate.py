@@ -115,6 +115,7 @@ def navigate(
     windows = tuple((float(a), float(b)) for a, b in outages)
     order, names, _ = evaluate.channels(chosen)
     remarks = usage.consistency_in_words(trace.info, usage.expected(trace.info, names, order))
+    remarks += usage.noise_in_words(rec.imu, params)
     remarks += usage.usage_in_words(usage.usage(rec, packed, trace.info, chosen, hidden))
     notes = [begin.how, about.words, *remarks, *rec.notes.splitlines(), gaps.in_words(gaps.holes(rec.imu))]
     return Solution(

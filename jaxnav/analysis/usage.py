@@ -5,12 +5,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxnav.analysis import metrics
+from jaxnav.data.checkup.inertial import noise_floor
 from jaxnav.data.epochs import TICK, Packed
+from jaxnav.maths import units
 from jaxnav.measurements import Measurement, layout
-from jaxnav.types import Info, Recording
+from jaxnav.types import ImuLog, Info, Params, Recording
 
 SURE = 0.9999  # probability of the bounds, of each channel
 LOUD, ALIKE = 1.25, 0.3  # NIS of all channels, correlation of neighbours, from which on they are worth a sentence
+LOUDER = 5.0  # times the noise that the filter is told, from which on it is worth a sentence
 MUCH = 0.02  # share of a stream that is left out without a word
 
 
@@ -138,6 +141,26 @@ def consistency_in_words(info: Info, channels: dict[str, Expected]) -> list[str]
             "error lasts, as of a delay, a lever arm, a scale, or a receiver whose errors are slow (state "
             "gnss_position_error)"
         )
+    return lines
+
+
+def noise_in_words(imu: ImuLog, params: Params) -> list[str]:
+    """A sentence where the sensors are louder than the filter is told, even where they are quietest."""
+    floor = noise_floor(imu)
+    if floor is None:
+        return []
+    lines = []
+    for name, found, told, unit, text in (
+        ("gyro", floor[0], params.noise.gyro, units.DEG_PER_SQRT_HOUR, "deg/sqrt(h)"),
+        ("accelerometer", floor[1], params.noise.accel, units.UG, "ug/sqrt(Hz)"),
+    ):
+        size = np.atleast_1d(np.asarray(told))
+        known = float(np.sqrt(np.mean((np.linalg.norm(size, axis=1) if size.ndim == 2 else size) ** 2)))
+        if found > LOUDER * known > 0:
+            lines.append(
+                f"{name} noise where it is quietest is {found / unit:.3g} {text}, {found / known:.0f} times what the "
+                "filter is told: vibration, another grade, or a unit; see filter.grade, jaxnav check, jaxnav tune"
+            )
     return lines
 
 

@@ -8,6 +8,7 @@ from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 MAX_DT = 2.0  # s; no inertial sample stands for longer
 MAX_GAPS = 0.1  # share of the rows that may come after a gap; more, and it is dt that is wrong
 MIN_DT = 1e-6  # s
+FASTEST = 20_000.0  # m/s, beyond what leaves the Earth
 MAX_RATE = 35.0  # rad/s, 2000 deg/s: full scale of the fastest common gyros
 MAX_FORCE = 5000.0  # m/s^2
 GRAVITY, GRAVITY_TOLERANCE = 9.8, 1.0  # m/s^2; consumer accelerometers are off by up to 0.8 (80 mg)
@@ -105,6 +106,9 @@ def check_samples(name: str, samples: Samples, source: Source) -> Samples:
         _require(determinant > 0.0, source, name, "correlations of a positive definite covariance", corr)
     if name == "position":
         _geodetic(value, source, name)
+    if name == "velocity":
+        speed = np.linalg.norm(value, axis=1)
+        _require(speed < FASTEST, source, name, f"a speed below {FASTEST:g} m/s", speed)
     return samples
 
 

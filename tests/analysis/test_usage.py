@@ -95,3 +95,16 @@ def test_bounds_hold_a_consistent_filter_however_its_innovations_are_correlated(
 def test_too_few_innovations_say_nothing():
     _, names, _ = evaluate.channels(GNSS)
     assert usage.expected(info_of(np.full((5, 6), 9.0)), names, list(range(6))) == {}
+
+
+def test_sensors_that_are_louder_than_told_are_named(case):
+    """The case's own noise passes; five times and more does not, of the sensor that it is and by its size."""
+    rng = np.random.default_rng(0)
+    told = float(np.mean(case.params.noise.gyro))
+    root = np.sqrt(np.median(case.imu.dt))
+    quiet = case.imu._replace(
+        gyro=told / root * rng.normal(size=case.imu.gyro.shape), accel=np.tile([0.0, 0.0, -9.81], (case.imu.t.size, 1))
+    )
+    assert usage.noise_in_words(quiet, case.params) == []
+    loud = usage.noise_in_words(quiet._replace(gyro=20 * quiet.gyro), case.params)
+    assert len(loud) == 1 and loud[0].startswith("gyro noise") and 14 < float(loud[0].split(", ")[1].split(" ")[0]) < 23

@@ -101,7 +101,9 @@ def test_filter_writes_everything_and_json_parses(drive, tmp_path, capsys):
     names = {p.name for p in cli.Path("r").iterdir()}
     assert {f"solution.{kind}" for kind in ("csv", "kml", "nav", "pos")} <= names
     figures = {f"{name}.png" for name in ("trajectory", "errors", "innovations", "nis", "biases")}
-    assert names == {*figures, "metrics.json", "run.json"} | {f"solution.{k}" for k in ("csv", "kml", "nav", "pos")}
+    assert names == {*figures, "metrics.json", "report.html", "run.json"} | {
+        f"solution.{k}" for k in ("csv", "kml", "nav", "pos")
+    }
     assert json.loads(cli.Path("r/metrics.json").read_text()) == metrics
 
     # the same file re-runs the job to the same numbers, over the old folder, whose surplus goes

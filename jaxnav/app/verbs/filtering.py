@@ -99,6 +99,7 @@ def filter(config: Config, folder: Path) -> Outcome:
     channels = usage.expected(sol.info, names, order)
     found |= usage.as_json(uses, channels)
     found["remarks"] = usage.consistency_in_words(sol.info, channels) + usage.usage_in_words(uses)
+    found["remarks"] += usage.noise_in_words(case.recording.imu, case.params)
     if found.get("scored_share", 1.0) < ENOUGH:
         found["remarks"].append(f"truth tells {found['scored_share']:.0%} of the epochs: errors are of these alone")
     unused = sorted(set(case.recording.aiding) - {m.name for m in case.measurements})

@@ -99,11 +99,21 @@ def gravity(rec: Recording) -> list[Finding]:
 
 def noise(rec: Recording) -> list[Finding]:
     """White noise where it is quiet: an upper limit of the sensor's own."""
-    rows, n = quiet(rec.imu)
-    if n < 10 or len(rows) < 3:
+    floor = noise_floor(rec.imu)
+    if floor is None:
         return []
-    root = np.sqrt(float(np.median(rec.imu.dt)))
-    spread = lambda a: float(np.median(np.diff(a[rows], axis=1).std(1) / np.sqrt(2)) * root)
-    gyro, accel = spread(rec.imu.gyro) / units.DEG_PER_SQRT_HOUR, spread(rec.imu.accel) / units.UG
+    gyro, accel = floor[0] / units.DEG_PER_SQRT_HOUR, floor[1] / units.UG
     words = f"noise where it is quiet: gyro {gyro:.2g} deg/sqrt(h), accelerometer {accel:.3g} ug/sqrt(Hz)"
     return [Finding("imu.noise", words)]
+
+
+def noise_floor(imu: ImuLog) -> tuple[float, float] | None:
+    """Root PSD of gyro rad/s/sqrt(Hz) and accelerometer m/s^2/sqrt(Hz) where it is quiet; None of too few samples."""
+    if imu.t.size < 40:
+        return None
+    rows, n = quiet(imu)
+    if n < 10 or len(rows) < 3:
+        return None
+    root = np.sqrt(float(np.median(imu.dt)))
+    spread = lambda a: float(np.median(np.diff(a[rows], axis=1).std(1) / np.sqrt(2)) * root)
+    return spread(imu.gyro), spread(imu.accel)

@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 EXTRAS ?= dev,oracle
 
-.PHONY: demo test quick slow fuzz replay lint lock
+.PHONY: demo test quick slow fuzz replay lint lock docs
 demo: $(VENV)/installed
 	$(BIN)/jaxnav demo
 
@@ -30,6 +30,14 @@ replay: $(VENV)/ready
 
 lint: $(VENV)/ready
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
+
+# the pages of docs/ as a site in out/site; a broken link is an error
+docs: EXTRAS := dev,oracle,docs
+docs: $(VENV)/documented
+	$(BIN)/mkdocs build --strict --site-dir out/site
+
+$(VENV)/documented: pyproject.toml requirements.lock.txt
+	$(call install,[dev,oracle,docs])
 
 # what `jaxnav` itself needs, and what its tests need on top
 define install

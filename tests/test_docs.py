@@ -1,11 +1,17 @@
-"""The library user's page runs as it is printed."""
+"""The library user's page runs as it is printed; the other pages quote files, list names and link as they say."""
 
 import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-PAGE = Path(__file__).parents[1] / "docs" / "library.md"
+import jaxnav
+import tuning
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "library.md"
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
 def test_library_page_runs_and_does_what_it_says(capsys):
@@ -28,3 +34,37 @@ def test_library_page_runs_and_does_what_it_says(capsys):
     np.testing.assert_allclose(wide.nav.pos, space["info"].nav.pos, rtol=1e-14, atol=1e-14)
     assert space["gated_params"].rule.rule.kd == 0.1
     assert space["about"]["runs"] == 8 and space["band"].shape == space["found"].course.t.shape
+
+
+def test_what_is_quoted_is_the_file():
+    quoted = re.findall(r'```python title="([^"]+)"\n(.*?)```', (ROOT / "docs" / "contributing.md").read_text(), re.S)
+    assert len(quoted) == 2
+    for name, text in quoted:
+        assert text == (ROOT / name).read_text(), name
+
+
+def test_every_public_name_is_in_the_api_and_has_a_docstring():
+    listed = re.findall(r"^ +- (\w+)$", (ROOT / "docs" / "api.md").read_text(), re.M)
+    assert set(listed) >= {*jaxnav.__all__, *tuning.__all__}
+    for name in jaxnav.__all__:
+        thing = getattr(jaxnav, name)
+        if callable(thing):
+            assert (thing.__doc__ or "").strip(), name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        found = (page.parent / path).resolve() if path else page
+        assert found.exists(), f"{page.name}: {target}"
+        if anchor:
+            heads = re.findall(r"^#+ (.+)$", found.read_text(), re.M)
+            slugs = [re.sub(r"[^\w\- ]", "", head.lower()).strip().replace(" ", "-") for head in heads]
+            assert anchor in slugs, f"{page.name}: {target}"
+
+
+def test_the_readme_is_read_in_some_minutes():
+    assert len((ROOT / "README.md").read_text().split()) <= 800

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from jaxnav.analysis import evaluate, usage
+from jaxnav.analysis.dense import dense
 from jaxnav.data import epochs as ep
 from jaxnav.data import gaps
 from jaxnav.data.solution import FORMATS, write_kml, write_solution
@@ -20,7 +21,7 @@ from jaxnav.filters.parameters import history_for
 from jaxnav.filters.run import first_failure, require_x64, run_jit
 from jaxnav.filters.smoother import smooth_jit
 from jaxnav.measurements import MEASUREMENTS, Measurement
-from jaxnav.types import DataError, Epoch, Info, Nav, Params, Recording
+from jaxnav.types import DataError, Epoch, Info, Nav, Params, Recording, Track
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,6 +48,13 @@ class Solution:
     filter: Filter  # with the history that the latencies needed
     best: int  # the start that was taken, of `start.navs`
     notes: list[str]  # a sentence for everything that a user should know of
+    epochs: Epoch = field(repr=False)  # what the filter ran over
+    smoothed: bool
+
+    def at_imu_rate(self) -> tuple[Track, np.ndarray]:
+        """The solution at every sample of the IMU, in GNSS time, and its sd (N, 9), as filtered or as smoothed."""
+        nav = jax.tree.map(lambda a: a[self.best], self.start.navs)
+        return dense(self.filter, self.params, nav, self.epochs, self.smoothed)
 
     def write(self, path: str | Path, format: str = "") -> None:
         """Write it as "csv", "kml", "pos" or "nav"; by default what the file's name ends with.
@@ -103,13 +111,14 @@ def navigate(
     if filt.keeping:
         filt = filt.keeping(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
     hidden = ep.in_windows(packed.t, outages)
-    info, about = execute(filt, params, begin.navs, ep.hide(packed.epochs, hidden, chosen))
+    epochs = ep.hide(packed.epochs, hidden, chosen)
+    info, about = execute(filt, params, begin.navs, epochs)
     failure = first_failure(info, packed.t)
     if failure:
         raise ValueError(f"run {rec.name}: {failure}")
     if smooth:
         best = jax.tree.map(lambda a: a[about.best], begin.navs)
-        _, info = smooth_jit(filt, params, best, ep.hide(packed.epochs, hidden, chosen))
+        _, info = smooth_jit(filt, params, best, epochs)
     trace = evaluate.trace(info, params)
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
     windows = tuple((float(a), float(b)) for a, b in outages)
@@ -120,7 +129,7 @@ def navigate(
     notes = [begin.how, about.words, *remarks, *rec.notes.splitlines(), gaps.in_words(gaps.holes(rec.imu))]
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, windows, filt, about.best,
-        [note for note in notes if note],
+        [note for note in notes if note], epochs, smooth,
     )  # fmt: skip
 
 

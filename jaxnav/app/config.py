@@ -181,6 +181,7 @@ class Out:
 
     formats: tuple[str, ...] = ("csv",)  # of the solution: csv, kml, geojson, tum, pos, nav
     figures: bool = True  # draw them
+    imu_rate: bool = False  # the solution at every sample of the IMU, not at the ends of epochs alone
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,9 +2,12 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from benchmarks import check, start, wild
+from jaxnav import build, navigate, read
+from jaxnav.maths import earth
 
 QUICK = ("comma2k19", "kitti", "ekf2_replay")
 
@@ -26,6 +29,43 @@ def test_a_recipe_gives_a_solution(data_dir, name):
         assert any("coasted through" in note for note in found["notes"])
     if name == "ekf2_replay":  # it hovers: the heading is one of twelve
         assert "12 hypotheses" in found["start"]["how"]
+
+
+def test_a_flight_is_where_the_onboard_filter_had_it(data_dir):
+    """EKF2's own states of a replay: tilt within 2 deg, position within 1 m. Its heading is a magnetometer's."""
+    states = np.genfromtxt(data_dir / "ecl_replay" / "iris_gps_ekf2_states.csv", delimiter=",", skip_header=1)
+    t, (w, x, y, z), ned = 1e-6 * states[:, 0], states[:, 1:5].T, states[:, 8:11]
+    tilt = np.column_stack([np.arctan2(2 * (w * x + y * z), 1 - 2 * (x**2 + y**2)), np.arcsin(2 * (w * y - z * x))])
+    rec = read(wild.sources()["ekf2_replay"])
+    ekf = build("ekf15", cov_stride=10)
+    sol = navigate(rec, ekf, ekf.params("consumer"))
+    at = lambda a: np.column_stack([np.interp(sol.t, t, column) for column in a.T])
+    assert np.degrees(np.abs(sol.rph[:, :2] - at(tilt)).max()) < 2.0
+    apart = earth.enu_path(sol.lla, sol.lla[0]) - at(ned[:, [1, 0, 2]] * [1.0, 1.0, -1.0])
+    assert np.abs(apart - np.median(apart, axis=0)).max() < 1.0  # from an origin that the replay does not tell
+
+
+SCRIPT = """
+import jaxnav, tuning
+
+rec = jaxnav.read("drive.bag")
+ekf = jaxnav.build("ekf15", states=("gyro_scale",), measurements=("position", "velocity", "barometer"))
+params = ekf.params("consumer")
+sol = jaxnav.navigate(rec, ekf, params)
+smooth = jaxnav.navigate(rec, ekf, params, smooth=True)
+fit = tuning.tune(rec, ekf, params, free=("noise", "timing"))
+print(fit)
+sol = jaxnav.navigate(rec, ekf, fit.params)
+"""
+
+
+@pytest.mark.slow
+def test_what_a_user_types_runs_as_it_stands(data_dir, capsys):
+    """A fixed wing with a barometer: filter, smoother, tuning, and the tuned filter."""
+    space: dict = {}
+    exec(SCRIPT.replace("drive.bag", str(wild.sources()["px4_fixed_wing"])), space)
+    assert "predicts by" in capsys.readouterr().out and space["sol"].ok.all() and space["smooth"].ok.all()
+    assert (space["smooth"].sd[:, 8] < space["sol"].sd[:, 8].max()).all()
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxnav import data as io
 from jaxnav.analysis import evaluate, usage
+from jaxnav.analysis.dense import dense
 from jaxnav.analysis.navigate import execute
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import interactive
@@ -22,7 +23,7 @@ from jaxnav.data.epochs import TICK, hide, in_windows, within
 from jaxnav.data.solution import FORMATS
 from jaxnav.filters.run import first_failure
 from jaxnav.filters.smoother import smooth_jit
-from jaxnav.types import ConfigError, Info, nearest
+from jaxnav.types import ConfigError, Info, Track, nearest
 
 ENOUGH = 0.98  # share of a run that its truth tells
 
@@ -106,7 +107,12 @@ def filter(config: Config, folder: Path) -> Outcome:
     found |= {"unused_streams": unused} if unused else {}
     notes = [taken.words, *case.recording.notes.splitlines(), gaps.in_words(gaps.holes(case.recording.imu))]
     found |= {"start": case.begun.how, "notes": [note for note in notes if note]}
-    write_solution(config, folder, sol, case)
+    whole = (sol.track, sol.sd)
+    if config.out.imu_rate:
+        best = jax.tree.map(lambda a: a[taken.best], case.navs)
+        epochs = hide(case.packed.epochs, hidden, case.measurements)
+        whole = dense(case.filter, case.params, best, epochs, config.filter.smooth)
+    write_solution(config, folder, *whole, case)
     write_json(folder / "metrics.json", found)
     if config.out.figures:
         outages = shaded(config, case)
@@ -178,14 +184,14 @@ def end_error(case: ReadyRun, sol: evaluate.Trace, start: float, end: float) -> 
     return float(np.hypot(*np.asarray(sol.info.residual)[i, :2])) if valid[i].all() else float("nan")
 
 
-def write_solution(config: Config, folder: Path, sol: evaluate.Trace, case: ReadyRun) -> None:
+def write_solution(config: Config, folder: Path, track: Track, sd: np.ndarray, case: ReadyRun) -> None:
     """Write the solution in each of [out] formats."""
     for kind in config.out.formats:
         path = folder / f"solution.{kind}"
         if kind == "kml":
-            io.write_kml(path, sol.track, case.recording.aiding["position"], case.recording.name)
+            io.write_kml(path, track, case.recording.aiding["position"], case.recording.name)
         else:
-            io.write_solution(path, sol.track, kind, sol.sd)
+            io.write_solution(path, track, kind, sd)
 
 
 def summary(found: dict[str, Any], name: str, run: str) -> str:

@@ -1,0 +1,71 @@
+"""The solution at every sample of the IMU, as filtered or by all fixes.
+
+Between two fixes navigation is the mechanization's. What the filter, or the smoother, says of its error at both ends of
+an epoch is carried through it in a straight line: over a second the error of an INS bends by millimetres.
+"""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.filters import smoother
+from jaxnav.filters.core import Filter, FilterState, Step
+from jaxnav.filters.run import run, track
+from jaxnav.measurements import clock_offset
+from jaxnav.types import Epoch, Nav, Params, Track
+
+
+def dense(filt: Filter, params: Params, nav: Nav, epochs: Epoch, smooth: bool = False) -> tuple[Track, np.ndarray]:
+    """Navigation at the end of every sample of a run (E, K, ...), in GNSS time, and its sd (N, 9), ENU.
+
+    At the end of an epoch it is corrected by its fix. ``smooth``: by all fixes (`jaxnav.filters.smoother`).
+
+    Raises:
+        ValueError: smoothing with a rule that has no way back; a filter that keeps no history.
+    """
+    if smooth and not filt.smooths:
+        raise ValueError("this filter's rule corrects by more than the covariance says: it cannot be smoothed")
+    if filt.keeping is None:
+        raise ValueError("this filter keeps no history of navigation")
+    filt = filt.keeping(max(int(epochs.imu.dt.shape[1]), jax.eval_shape(filt.init, params, nav).past.t.shape[0]))
+    told, variance, own = jax.device_get(_dense(filt, params, nav, epochs, smooth))
+    flat = lambda a: a.reshape(-1, *a.shape[2:])[own.ravel()]
+    told, variance = jax.tree.map(flat, told), flat(variance)
+    found = track(told)
+    return found._replace(t=found.t + np.asarray(clock_offset(params.mounting, told))), np.sqrt(variance)
+
+
+def _keep(step: Step, beside: Any) -> tuple[smoother.Forward, FilterState]:
+    return smoother.keep(step, beside)[0], step.predicted
+
+
+@partial(jax.jit, static_argnums=(0, 4))
+def _dense(filt: Filter, params: Params, nav: Nav, epochs: Epoch, smooth: bool) -> tuple[Nav, jax.Array, jax.Array]:
+    """Navigation (E, w, ...), variances (E, w, 9), and which of them are samples of the epoch (E, w)."""
+    model = filt.model
+    forward, predicted = run(filt, params, nav, epochs, _keep)
+    first = filt.init(params, nav)
+    before = lambda first, a: jnp.concatenate([first[None], a[:-1]])
+    if smooth:
+        s, P = smoother.backward(forward)
+        end = forward.x + s - forward.a
+        begin, last = before(end[0], s), end
+        P0, P1, P2 = before(P[0], P), P, P
+    else:
+        begin, end, last = before(first.x, forward.a), predicted.x, forward.x
+        P0, P1, P2 = before(first.P, forward.P), predicted.P, forward.P
+
+    def epoch(past, t0, begin, end, last, P0, P1, P2):
+        own = past.t > t0 + 1e-9
+        share = jnp.clip((past.t - t0) / jnp.maximum(past.t[-1] - t0, 1e-9), 0.0, 1.0)
+        final = jnp.arange(past.t.size) == past.t.size - 1
+        x = jnp.where(final[:, None], last, begin + share[:, None] * (end - begin))
+        P = jnp.where(final[:, None, None], P2, P0 + share[:, None, None] * (P1 - P0))
+        told, _, P = jax.vmap(model.report)(jax.vmap(model.retract)(past, x), jnp.zeros_like(x), P)
+        return told, jnp.diagonal(P, axis1=1, axis2=2)[:, :9], own
+
+    t0 = before(first.past.t[-1], predicted.past.t[:, -1])
+    return jax.vmap(epoch)(predicted.past, t0, begin, end, last, P0, P1, P2)

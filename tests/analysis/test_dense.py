@@ -1,0 +1,74 @@
+"""The solution at every sample: the filter's between its fixes, the smoother's at them, and no worse in between."""
+
+import jax
+import numpy as np
+import pytest
+
+from jaxnav import build, navigate, start
+from jaxnav.analysis import metrics
+from jaxnav.filters.run import initial_nav
+from jaxnav.simulate.scenarios import URBAN_SHORT
+from jaxnav.simulate.simulation import simulate_jit, to_recording
+
+
+@pytest.fixture(scope="module")
+def runs():
+    """A drive, filtered and smoothed, at the ends of epochs and at every sample; truth at the IMU's rate."""
+    what = URBAN_SHORT._replace(duration_s=70.0)
+    rec = to_recording(simulate_jit(what, jax.random.key(5)), what)
+    fine = what._replace(gnss_rate_hz=what.imu_rate_hz)  # the same drive, its truth at every sample
+    truth = to_recording(simulate_jit(fine, jax.random.key(5)), fine).truth
+    ekf = build("ekf15", cov_stride=5)
+    params = ekf.params("adis16465")
+    params = params._replace(mounting=params.mounting._replace(lever_arm=rec.lever_arm))
+    begin = start(rec, params)
+    found = {}
+    for smooth in (False, True):
+        sol = navigate(rec, ekf, params, begin=begin, smooth=smooth)
+        found[smooth] = sol, *sol.at_imu_rate()
+    return rec, truth, found
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_every_sample_has_its_navigation_and_epochs_end_as_before(runs, smooth):
+    rec, _, found = runs
+    sol, track, sd = found[smooth]
+    own = rec.imu.t[(rec.imu.t > sol.start.t + 1e-6) & (rec.imu.t <= sol.t[-1] + 1e-6)]
+    np.testing.assert_allclose(track.t, own, atol=1e-9)
+    ends = np.searchsorted(track.t, sol.t - 1e-6)
+    np.testing.assert_allclose(track.t[ends], sol.t, atol=1e-9)
+    np.testing.assert_allclose(track.lla[ends], sol.lla, atol=1e-13)
+    np.testing.assert_allclose(track.vel[ends], sol.vel, atol=1e-9)
+    np.testing.assert_allclose(sd[ends], sol.sd, rtol=1e-6)
+    assert sd.shape == (track.t.size, 9) and (sd > 0).all()
+
+
+def test_between_fixes_the_filter_is_the_mechanization(runs):
+    """No jump but at a fix; and an outage's drift is that of the filter."""
+    _, _, found = runs
+    sol, track, _ = found[False]
+    step = np.diff(track.vel, axis=0)
+    at_fix = np.isin(np.round(track.t[1:], 6), np.round(sol.t, 6))
+    assert np.abs(step[~at_fix]).max() < 0.4 and np.abs(step[at_fix]).max() > 2 * np.median(np.abs(step[~at_fix]))
+
+
+def test_smoothed_samples_are_as_good_as_smoothed_epochs(runs):
+    _, truth, found = runs
+    errors = {}
+    for smooth, (sol, track, sd) in found.items():
+        error = np.asarray(metrics.errors(track, truth).position)
+        ends = np.searchsorted(track.t, sol.t - 1e-6)
+        errors[smooth] = np.sqrt(np.mean(error[:, :2] ** 2)), np.sqrt(np.mean(error[ends, :2] ** 2))
+        assert np.mean(np.abs(error[:, :2]) < 3 * sd[:, :2]) > 0.97
+    assert errors[True][0] < 0.6 * errors[False][0]
+    for smooth, (every, at_ends) in errors.items():  # the filter's are older between fixes, the smoother's are not
+        assert every == pytest.approx(at_ends, rel=0.05 if smooth else 0.25)
+
+
+def test_a_rule_without_a_way_back_is_refused(runs):
+    rec, _, found = runs
+    gpid = build("gpid15")
+    with pytest.raises(ValueError, match="cannot be smoothed"):
+        from jaxnav.analysis.dense import dense
+
+        dense(gpid, gpid.params("consumer"), initial_nav(rec.aiding["position"].value[0]), found[False][0].epochs, True)

@@ -18,20 +18,25 @@ from jaxnav.measurements import clock_offset
 from jaxnav.types import Epoch, Nav, Params, Track
 
 
-def dense(filt: Filter, params: Params, nav: Nav, epochs: Epoch, smooth: bool = False) -> tuple[Track, np.ndarray]:
+def dense(
+    filt: Filter, params: Params, nav: Nav, epochs: Epoch, smooth: bool = False, lag: float = 0.0
+) -> tuple[Track, np.ndarray]:
     """Navigation at the end of every sample of a run (E, K, ...), in GNSS time, and its sd (N, 9), ENU.
 
-    At the end of an epoch it is corrected by its fix. ``smooth``: by all fixes (`jaxnav.filters.smoother`).
+    At the end of an epoch it is corrected by its fix. ``smooth``: by all fixes (`jaxnav.filters.smoother`). ``lag``: s,
+    by those of the next seconds alone.
 
     Raises:
         ValueError: smoothing with a rule that has no way back; a filter that keeps no history.
     """
-    if smooth and not filt.smooths:
+    if (smooth or lag) and not filt.smooths:
         raise ValueError("this filter's rule corrects by more than the covariance says: it cannot be smoothed")
     if filt.keeping is None:
         raise ValueError("this filter keeps no history of navigation")
     filt = filt.keeping(max(int(epochs.imu.dt.shape[1]), jax.eval_shape(filt.init, params, nav).past.t.shape[0]))
-    told, variance, own = jax.device_get(_dense(filt, params, nav, epochs, smooth))
+    ends = float(nav.t) + np.cumsum(np.asarray(epochs.imu.dt).sum(1))
+    within = smoother.reach_of(ends, lag) if lag and not smooth else (None, 0)
+    told, variance, own = jax.device_get(_dense(filt, params, nav, epochs, smooth or lag > 0, *within))
     flat = lambda a: a.reshape(-1, *a.shape[2:])[own.ravel()]
     told, variance = jax.tree.map(flat, told), flat(variance)
     found = track(told)
@@ -42,15 +47,17 @@ def _keep(step: Step, beside: Any) -> tuple[smoother.Forward, FilterState]:
     return smoother.keep(step, beside)[0], step.predicted
 
 
-@partial(jax.jit, static_argnums=(0, 4))
-def _dense(filt: Filter, params: Params, nav: Nav, epochs: Epoch, smooth: bool) -> tuple[Nav, jax.Array, jax.Array]:
+@partial(jax.jit, static_argnums=(0, 4, 6))
+def _dense(
+    filt: Filter, params: Params, nav: Nav, epochs: Epoch, smooth: bool, reach: jax.Array | None, most: int
+) -> tuple[Nav, jax.Array, jax.Array]:
     """Navigation (E, w, ...), variances (E, w, 9), and which of them are samples of the epoch (E, w)."""
     model = filt.model
     forward, predicted = run(filt, params, nav, epochs, _keep)
     first = filt.init(params, nav)
     before = lambda first, a: jnp.concatenate([first[None], a[:-1]])
     if smooth:
-        s, P = smoother.backward(forward)
+        s, P = smoother.backward(forward) if reach is None else smoother.lagged(forward, reach, most)
         end = forward.x + s - forward.a
         begin, last = before(end[0], s), end
         P0, P1, P2 = before(P[0], P), P, P

@@ -19,7 +19,7 @@ from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for
 from jaxnav.filters.run import first_failure, require_x64, run_jit
-from jaxnav.filters.smoother import smooth_jit
+from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.measurements import MEASUREMENTS, Measurement
 from jaxnav.types import DataError, Epoch, Info, Nav, Params, Recording, Track
 
@@ -50,11 +50,12 @@ class Solution:
     notes: list[str]  # a sentence for everything that a user should know of
     epochs: Epoch = field(repr=False)  # what the filter ran over
     smoothed: bool
+    lag: float  # s, 0 where it is not of fixed lag
 
     def at_imu_rate(self) -> tuple[Track, np.ndarray]:
         """The solution at every sample of the IMU, in GNSS time, and its sd (N, 9), as filtered or as smoothed."""
         nav = jax.tree.map(lambda a: a[self.best], self.start.navs)
-        return dense(self.filter, self.params, nav, self.epochs, self.smoothed)
+        return dense(self.filter, self.params, nav, self.epochs, self.smoothed, self.lag)
 
     def write(self, path: str | Path, format: str = "") -> None:
         """Write it as "csv", "kml", "pos" or "nav"; by default what the file's name ends with.
@@ -91,13 +92,15 @@ def navigate(
     interval: float = 0.0,
     standing: ep.Standing = ep.Standing(),
     smooth: bool = False,
+    lag: float = 0.0,
 ) -> Solution:
     """Filter a recording with ``params`` (such as ``filt.params("consumer")``) from where it can start.
 
     ``begin``: `jaxnav.start` with settings of your own; its standard deviations replace those of ``params.prior``.
     ``stop``: s. ``outages``: windows (start, end) s whose receiver's fixes are hidden. ``interval``: s, the length of
     epochs without a fix; 0 is the median of the position's. ``smooth``: each epoch by all fixes, those after it too
-    (`jaxnav.filters.smoother`); innovations stay the filter's. The filter keeps as much history as the latencies need.
+    (`jaxnav.filters.smoother`); innovations stay the filter's. ``lag``: s, by those of the next seconds alone. The
+    filter keeps as much history as the latencies need.
 
     Raises:
         DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
@@ -116,9 +119,10 @@ def navigate(
     failure = first_failure(info, packed.t)
     if failure:
         raise ValueError(f"run {rec.name}: {failure}")
-    if smooth:
+    if smooth or lag:
+        within = () if smooth else reach_of(packed.t, lag)
         best = jax.tree.map(lambda a: a[about.best], begin.navs)
-        _, info = smooth_jit(filt, params, best, epochs)
+        _, info = smooth_jit(filt, params, best, epochs, *within)
     trace = evaluate.trace(info, params)
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
     windows = tuple((float(a), float(b)) for a, b in outages)
@@ -129,7 +133,7 @@ def navigate(
     notes = [begin.how, about.words, *remarks, *rec.notes.splitlines(), gaps.in_words(gaps.holes(rec.imu))]
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, windows, filt, about.best,
-        [note for note in notes if note], epochs, smooth,
+        [note for note in notes if note], epochs, smooth, lag,
     )  # fmt: skip
 
 

@@ -108,6 +108,7 @@ def make_parser() -> argparse.ArgumentParser:
             sub.add_argument("--markdown", action="store_true", help="as a page of the docs")
         if verb == "filter":
             sub.add_argument("--smooth", action="store_true", help="by all fixes, those after it too ([filter] smooth)")
+            sub.add_argument("--lag", metavar="S", type=float, help="by those of the next S seconds ([filter] lag_s)")
         if verb == "mc":
             sub.add_argument("--runs", metavar="N", type=int, help="how many ([mc] runs); --filter takes A,B,...")
         if verb == "bakeoff":
@@ -226,6 +227,8 @@ def resolve(args: argparse.Namespace) -> configuration.Config:
         layers.append(("--filter", {"filter": {"name": args.filter}}))
     if getattr(args, "smooth", False):
         layers.append(("--smooth", {"filter": {"smooth": True}}))
+    if getattr(args, "lag", None) is not None:
+        layers.append(("--lag", {"filter": {"lag_s": args.lag}}))
     if getattr(args, "runs", None) is not None:
         layers.append(("--runs", {"mc": {"runs": args.runs}}))
     if getattr(args, "unseen", None) is not None:

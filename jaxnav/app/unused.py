@@ -26,7 +26,7 @@ def unused(verb: str, config: Config) -> list[str]:
         note("is of simulated data alone", "data.imu_worse_by", "data.gnss_latency_s")
     if verb in ("tune", "bakeoff", "mc"):
         note(f"is of jaxnav filter; {verb} hides fixes by itself", "filter.outages")
-        note("is of jaxnav filter", "filter.smooth")
+        note("is of jaxnav filter", "filter.smooth", "filter.lag_s")
     if simulated and verb in ("tune", "demo", "bakeoff", "mc"):
         note("a simulated run is used whole", "data.start", "data.stop")
     if verb in ("filter", "tune") and config.start.heading == "motion":

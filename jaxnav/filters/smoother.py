@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from jaxnav.filters.core import Filter, Step
@@ -47,8 +48,13 @@ def keep(step: Step, beside: Any) -> tuple[Forward, Info]:
     return forward, step.info
 
 
-def smooth(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> tuple[Info, Info]:
+def smooth(
+    filt: Filter, params: Params, nav: Nav, epochs: Epoch, reach: jax.Array | None = None, most: int = 0
+) -> tuple[Info, Info]:
     """Filter and smooth: what `run` gives, and the same with navigation and covariance by all fixes.
+
+    ``reach`` (E,) int: of each epoch the last one whose fixes are used, at most ``most`` epochs later (`reach_of`): a
+    smoother of fixed lag, as a live system may run it behind its filter. None: all of them.
 
     The smoothed `Info` has nav (E, ...), x (E, n), what smoothing takes off the filter's navigation, and P (E, n, n) in
     local level. Its innovations are the filter's; residuals of position and velocity are of smoothed navigation where
@@ -64,7 +70,7 @@ def smooth(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> tuple[Info,
             "smoothing is for Kalman, robust, adaptive and fading rules"
         )
     forward, info = run(filt, params, nav, epochs, keep)
-    s, P = backward(forward)
+    s, P = backward(forward) if reach is None else lagged(forward, reach, most)
     moved = jax.vmap(filt.model.retract)(forward.nav, s)
     found, x, P = jax.vmap(filt.model.report)(moved, s - forward.a, P)
     residual = info.residual
@@ -75,7 +81,7 @@ def smooth(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> tuple[Info,
     return info, info._replace(nav=found, x=x, P=P, residual=residual)
 
 
-smooth_jit = jax.jit(smooth, static_argnums=0)
+smooth_jit = jax.jit(smooth, static_argnums=(0, 5))
 """`smooth`, compiled once for a filter and shapes."""
 
 
@@ -86,17 +92,43 @@ def backward(forward: Forward) -> tuple[jax.Array, jax.Array]:
     here = jax.tree.map(lambda a: a[:-1], forward)
 
     def back(carry, pair):
-        s_next, P_next = carry
-        now, after = pair
-        x, P = after.predicted
-        G = linalg.times(now.P @ after.Phi.T, scaled_inverse(P))
-        s = now.a + G @ (after.x + s_next - after.a - x)
-        joint = now.P + G @ (P_next - P) @ G.T
-        joint = 0.5 * (joint + joint.T)
-        return (s, joint), (s, joint)
+        found = one_back(*pair, *carry)
+        return found, found
 
     _, (s, P) = lax.scan(back, (last.a, last.P), (here, later), reverse=True)
     return jnp.concatenate([s, last.a[None]]), jnp.concatenate([P, last.P[None]])
+
+
+def one_back(now: Forward, after: Forward, s_next: jax.Array, P_next: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """S and P_k|N of an epoch from those of the next."""
+    x, P = after.predicted
+    G = linalg.times(now.P @ after.Phi.T, scaled_inverse(P))
+    s = now.a + G @ (after.x + s_next - after.a - x)
+    joint = now.P + G @ (P_next - P) @ G.T
+    return s, 0.5 * (joint + joint.T)
+
+
+def reach_of(t: np.ndarray, lag: float) -> tuple[np.ndarray, int]:
+    """Of epochs that end at t (E,) s the last ones within ``lag`` s, (E,) int, and how many epochs later at most."""
+    reach = np.searchsorted(t, t + lag + 1e-6, side="right") - 1
+    return reach, int((reach - np.arange(t.size)).max())
+
+
+def lagged(forward: Forward, reach: jax.Array, most: int) -> tuple[jax.Array, jax.Array]:
+    """As `backward`, each epoch by the fixes up to that of ``reach`` (E,) alone."""
+    at = lambda i: jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, keepdims=False), forward)
+
+    def epoch(k: jax.Array) -> tuple[jax.Array, jax.Array]:
+        end = at(reach[k])
+
+        def back(j: int, found: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            i = reach[k] - 1 - j  # from the end to k, and no further
+            new = one_back(at(jnp.maximum(i, 0)), at(jnp.maximum(i, 0) + 1), *found)
+            return jax.tree.map(lambda a, b: jnp.where(i >= k, a, b), new, found)
+
+        return lax.fori_loop(0, most, back, (end.a, end.P))
+
+    return lax.map(epoch, jnp.arange(reach.size))
 
 
 def scaled_inverse(P: jax.Array) -> jax.Array:

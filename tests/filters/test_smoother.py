@@ -13,7 +13,7 @@ from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import open_loop
 from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.run import run
-from jaxnav.filters.smoother import keep, smooth, smooth_jit
+from jaxnav.filters.smoother import keep, reach_of, smooth, smooth_jit
 from jaxnav.maths import rotations
 from jaxnav.types import Epoch
 
@@ -126,6 +126,24 @@ def test_frames_smooth_alike(case, frame):
     sd = np.sqrt(np.asarray(jax.vmap(jnp.diag)(a.P)))
     assert np.abs(apart).max() < 0.03 * sd[:, :3].max() and np.abs(turn).max() < 0.03 * sd[:, 6:9].max()
     np.testing.assert_allclose(np.sqrt(np.asarray(jax.vmap(jnp.diag)(b.P)))[:, :9], sd[:, :9], rtol=0.03)
+
+
+def test_a_fixed_lag_is_the_smoother_of_what_came_so_far(case):
+    """Of each epoch by the fixes of the next three seconds: as if the recording ended there; none and all are known."""
+    filt, epochs = build("ekf15", cov_stride=5), jax.tree.map(lambda a: a[:12], case.packed.epochs)
+    t = np.asarray(case.packed.t[:12])
+    reach, most = reach_of(t, 3.0)
+    assert most == 3 and reach.tolist() == [*range(3, 12), 11, 11, 11]
+    filtered, late = smooth_jit(filt, case.params, case.nav, epochs, reach, most)
+    for k in (0, 4, 8, 10):
+        cut = jax.tree.map(lambda a, k=k: a[: reach[k] + 1], epochs)
+        _, whole = smooth_jit(filt, case.params, case.nav, cut)
+        np.testing.assert_allclose(late.nav.pos[k], whole.nav.pos[k], atol=1e-13)
+        np.testing.assert_allclose(late.P[k], whole.P[k], rtol=1e-7, atol=1e-14)
+    none = smooth_jit(filt, case.params, case.nav, epochs, *reach_of(t, 0.0))[1]
+    np.testing.assert_allclose(none.nav.pos, filtered.nav.pos, atol=1e-14)
+    every = smooth_jit(filt, case.params, case.nav, epochs, *reach_of(t, 1e3))[1]
+    np.testing.assert_allclose(every.P, smooth_jit(filt, case.params, case.nav, epochs)[1].P, rtol=1e-7, atol=1e-14)
 
 
 def test_what_cannot_be_gone_back_is_refused(case):

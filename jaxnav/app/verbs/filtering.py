@@ -22,7 +22,7 @@ from jaxnav.data import gaps
 from jaxnav.data.epochs import TICK, hide, in_windows, within
 from jaxnav.data.solution import FORMATS
 from jaxnav.filters.run import first_failure
-from jaxnav.filters.smoother import smooth_jit
+from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.types import ConfigError, Info, Track, nearest
 
 ENOUGH = 0.98  # share of a run that its truth tells
@@ -82,11 +82,13 @@ def filter(config: Config, folder: Path) -> Outcome:
     jax.block_until_ready(info)
     seconds["filter"], begin = time.perf_counter() - begin, time.perf_counter()
     check(info, case.packed.t, case.recording.name)
-    if config.filter.smooth:
+    lag = config.filter.lag_s
+    if config.filter.smooth or lag:
         best = jax.tree.map(lambda a: a[taken.best], case.navs)
         epochs = hide(case.packed.epochs, hidden, case.measurements)
         try:
-            _, info = smooth_jit(case.filter, case.params, best, epochs)
+            within = () if config.filter.smooth else reach_of(case.packed.t, lag)
+            _, info = smooth_jit(case.filter, case.params, best, epochs, *within)
         except ValueError as error:
             raise ConfigError(f"filter.smooth: {config.filter.name}: {error}") from error
     sol = evaluate.trace(info, case.params)
@@ -111,7 +113,7 @@ def filter(config: Config, folder: Path) -> Outcome:
     if config.out.imu_rate:
         best = jax.tree.map(lambda a: a[taken.best], case.navs)
         epochs = hide(case.packed.epochs, hidden, case.measurements)
-        whole = dense(case.filter, case.params, best, epochs, config.filter.smooth)
+        whole = dense(case.filter, case.params, best, epochs, config.filter.smooth, lag)
     write_solution(config, folder, *whole, case)
     write_json(folder / "metrics.json", found)
     if config.out.figures:

@@ -24,6 +24,7 @@ NAMES = {
     "faults": "faults of a receiver, twenty-four kinds: rules beside a filter that is told when",
     "integrated": "a receiver that adds up its velocity: what tuning makes of it, against the filter that knows",
     "kitti": "a drive beside GTSAM: the same hidden windows, the same sigmas",
+    "smooth": "the smoother in outages: consistent in the middle, and how much nearer than the filter at the end",
     "stream": "the filter sample by sample: beside the batch, with late fixes, across a restart; time of a sample",
     "umn": "a fixed-wing flight from an unknown heading, against the onboard filter",
 }

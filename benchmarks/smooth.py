@@ -2,8 +2,8 @@
 
 Urban drives with outages of 15 and of 60 s, a consumer's IMU, position and velocity at 1 Hz, the filter that knows the
 noise. *anees_mid*: NEES of position, velocity and attitude per degree of freedom at the middle of the outages, over
-runs (independent, so that the mean has chi-square bounds). *ratio*: RMS of the smoothed horizontal error over the inside of
-the outages against the RMS of the filter's at their ends. *lag*: the same with a fixed lag of 2 s.
+runs, which are independent, so that the mean has chi-square bounds. *ratio*: RMS of the smoothed horizontal error over
+the inside of the outages against the RMS of the filter's at their ends. *lag*: the same with a fixed lag of 2 s.
 """
 
 from functools import partial

@@ -67,7 +67,7 @@ def save(path: str | os.PathLike[str], tree: Any, head: dict[str, Any], identity
 
 
 def load(path: str | os.PathLike[str], like: Any, identity: str = "") -> Checkpoint:
-    """Read what `save` wrote for a tree of the structure, shapes and dtypes of ``like``.
+    """Read what `save` wrote for a tree of the structure, shapes and dtypes of ``like``; its leaves where that is None.
 
     Raises:
         CheckpointError: absent, damaged in any way, or of another job.
@@ -81,6 +81,8 @@ def load(path: str | os.PathLike[str], like: Any, identity: str = "") -> Checkpo
         raise CheckpointError(f"{path}: damaged checkpoint ({error}); start without --resume") from error
     if about["identity"] != identity:
         raise CheckpointError(f"{path}: of another job: saved {about['identity']!r}, this is {identity!r}")
+    if like is None:
+        return Checkpoint([leaves[_name(i)] for i in range(len(leaves))], about["head"])
     flat, structure = jax.tree.flatten(like)
     fits = about["tree"] == str(structure) and len(leaves) == len(flat)
     ordered = [leaves[_name(i)] for i in range(len(flat))] if fits else []

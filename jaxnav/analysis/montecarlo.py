@@ -4,13 +4,15 @@ A run is simulated, filtered and scored inside the compiled function from its ow
 time, and its result depends on nothing else: not on how many others there are, nor on their order.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.experimental import multihost_utils
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxnav.analysis import metrics
 from jaxnav.analysis.progress import bar as progress_bar
@@ -134,7 +136,7 @@ def _chunk(filt: Filter, scenario: Scenario, many: bool, params: Params, limit: 
 # ---------------------------------------------------------------------------- all runs, on the host
 
 
-class _Sums(NamedTuple):
+class Sums(NamedTuple):
     """What adds up over the runs, (C, E, ...)."""
 
     runs: np.ndarray
@@ -147,7 +149,16 @@ class _Sums(NamedTuple):
     fixes: np.ndarray
 
 
-def _sums(rows: tuple[np.ndarray, ...]) -> _Sums:
+class Begun(NamedTuple):
+    """What is finished of the runs, on the host."""
+
+    done: int  # runs
+    t: np.ndarray  # (E,) s
+    scores: Scores  # (N, C, ...)
+    sums: Sums
+
+
+def _sums(rows: tuple[np.ndarray, ...]) -> Sums:
     """Sums over rows (N, C, E, ...)."""
     size, nees, nis, dof, ok = rows
     N, C, E, _ = size.shape
@@ -156,13 +167,30 @@ def _sums(rows: tuple[np.ndarray, ...]) -> _Sums:
     place = np.arange(C * E * 5).reshape(C, E, 5) * (BINS.size - 1) + cell
     shape = (C, E, 5, BINS.size - 1)
     counts = np.bincount(place[ok].ravel(), minlength=int(np.prod(shape))).reshape(shape).astype(np.int32)
-    return _Sums(
+    return Sums(
         ok.sum(0), kept.sum(0), (kept**2).sum(0), counts, np.where(ok, nees, 0.0).sum(0), nis.sum(0), dof.sum(0),
         (dof > 0).sum(0),
     )  # fmt: skip
 
 
-def _course(t: np.ndarray, s: _Sums) -> Course:
+def _shared(keys: jax.Array, mesh: Mesh | None) -> jax.Array:
+    """The keys of a chunk among the devices."""
+    if mesh is None:
+        return keys
+    raw = np.asarray(jax.random.key_data(keys))  # every process has all of them
+    where = NamedSharding(mesh, PartitionSpec(*mesh.axis_names))
+    placed = jax.make_array_from_callback(raw.shape, where, lambda i: raw[i])
+    return jax.random.wrap_key_data(placed, impl=jax.random.key_impl(keys))
+
+
+def _gathered(out: Any) -> Any:
+    """On the host, of all processes."""
+    if jax.process_count() == 1:
+        return jax.device_get(out)
+    return jax.tree.map(np.asarray, multihost_utils.process_allgather(out, tiled=True))
+
+
+def _course(t: np.ndarray, s: Sums) -> Course:
     count, fixes = np.maximum(s.runs, 1), np.maximum(s.fixes, 1)
     mean = s.first / count[..., None]
     variance = s.second / count[..., None] - mean**2
@@ -181,6 +209,9 @@ def monte_carlo(
     chunk: int = 16,
     limit_m: float = np.inf,
     progress: bool = False,
+    mesh: Mesh | None = None,
+    begun: Begun | None = None,
+    keep: Callable[[Begun], None] | None = None,
 ) -> MonteCarlo:
     """Simulate, filter and score runs of a scenario (for the channels of `jaxnav.measurements.GNSS`).
 
@@ -188,6 +219,10 @@ def monte_carlo(
     ``params`` has a leading axis of candidates, which all see the same runs. ``chunk`` runs live at a time, side by
     side; the last chunk is padded. A run whose horizontal error exceeds ``limit_m`` counts as diverged. Ctrl-C keeps
     the chunks that are finished.
+
+    ``mesh``: devices of one automatic axis, of one process or several, that share each chunk (`tuning.distributed.mesh`);
+    all processes end with the same.
+    ``keep`` hears what is finished after each chunk, ``begun`` goes on from there, bit for bit.
 
     Memory for an hour of IMU at 10 Hz and GNSS at 1 Hz: about 25 MB a run of the chunk, 1 MB more for each candidate,
     and 100 MB a candidate for the histograms.
@@ -199,30 +234,35 @@ def monte_carlo(
     numbers = np.arange(runs) if isinstance(runs, int) else np.asarray(list(runs), int)
     if not numbers.size or chunk < 1:
         raise ValueError(f"runs and chunk must be at least 1, got {numbers.size} and {chunk}")
+    if mesh is not None and chunk % mesh.size:
+        raise ValueError(f"a chunk of {chunk} runs cannot be shared among {mesh.size} devices")
     sizes(scenario)
     make_room()
     keys = run_keys(seed, Purpose.STUDY, np.resize(numbers, -(-numbers.size // chunk) * chunk))
-    limit, scores, stopped = jnp.asarray(limit_m, float), [], False
-    sums: _Sums | None = None
-    bar = progress_bar(numbers.size, "run", progress)
+    limit, stopped = jnp.asarray(limit_m, float), False
+    bar = progress_bar(numbers.size, "run", progress, begun.done if begun else 0)
     try:
-        for begin in range(0, numbers.size, chunk):
-            out = jax.device_get(_chunk(filt, scenario, candidates, params, limit, keys[begin : begin + chunk]))
+        for begin in range(begun.done if begun else 0, numbers.size, chunk):
+            own = _shared(keys[begin : begin + chunk], mesh)
+            out = _gathered(_chunk(filt, scenario, candidates, params, limit, own))
             score, rows, (t, *_) = jax.tree.map(lambda a: a[: numbers.size - begin], out)  # noqa: B023
             if not candidates:
                 score, rows = jax.tree.map(lambda a: a[:, None], (score, rows))
             more = _sums(rows)
-            sums = more if sums is None else _Sums(*map(np.add, sums, more))
-            scores.append(score)
+            sums = more if begun is None else Sums(*map(np.add, begun.sums, more))
+            scores = score if begun is None else jax.tree.map(lambda *a: np.concatenate(a), begun.scores, score)
+            begun = Begun(begin + len(score.ok), t, scores, sums)
+            if keep is not None:
+                keep(begun)
             bar.update(len(score.ok))
     except KeyboardInterrupt:
-        if not scores:
+        if begun is None:
             raise
         stopped = True
     bar.close()
-    assert sums is not None  # at least one chunk is finished
-    found = jax.tree.map(lambda *a: np.moveaxis(np.concatenate(a), 0, 1), *scores)
-    course = _course(t, sums)
+    assert begun is not None  # at least one chunk is finished
+    found = jax.tree.map(lambda a: np.moveaxis(a, 0, 1), begun.scores)
+    course = _course(begun.t, begun.sums)
     if not candidates:
         found = jax.tree.map(lambda a: a[0], found)
         course = Course(course.t, *(a[0] for a in course[1:]))

@@ -24,6 +24,7 @@ from jaxnav.types import ConfigError, DataError
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
 
+SHARED = ("tune", "mc", "bakeoff")  # whose runs several devices or processes may share
 COLLECT = 20_000  # new objects until the garbage collector looks; at Python's 700 it takes a third of tracing
 VERBS = {
     "demo": "simulate, tune by gradient and draw the figures: no data, no network, two minutes the first time",
@@ -115,8 +116,9 @@ def make_parser() -> argparse.ArgumentParser:
             sub.add_argument(
                 "--unseen", metavar="A,B", help="scenarios to test on only; --data, --filter take lists too"
             )
-        if verb == "tune":
+        if verb in ("tune", "mc"):
             sub.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out, bit for bit")
+        if verb in SHARED:
             sub.add_argument("--devices", metavar="N", type=int, default=1, help="share runs among N, 0: all there")
             sub.add_argument("--coordinator", metavar="HOST:PORT", help="of several processes, private networks only")
             sub.add_argument("--processes", metavar="N", type=int, help="how many; under Slurm or MPI all is found")
@@ -295,24 +297,27 @@ def _verb(args: argparse.Namespace, config: configuration.Config, folder: Path, 
         from jaxnav.app.verbs import filtering
 
         return filtering.simulate(config, folder) if args.verb == "simulate" else filtering.filter(config, folder)
-    if args.verb == "mc":
-        from jaxnav.app.verbs import mc
-
-        return mc.mc(config, folder, progress)
-    if args.verb == "bakeoff":
-        from jaxnav.app.verbs import bakeoff
-
-        return bakeoff.bakeoff(config, folder, progress)
     if args.verb == "allan":
         from jaxnav.app.verbs import allan
 
         return allan.allan(config, folder)
     import jax
 
-    from jaxnav.app.verbs import tune
+    from jaxnav.app.long import Long
 
     devices = 0 if jax.process_count() > 1 else getattr(args, "devices", 1)
-    return tune.tune(config, folder, progress, tune.Long(out / "checkpoint", getattr(args, "resume", False), devices))
+    long = Long(out / "checkpoint", getattr(args, "resume", False), devices)
+    if args.verb == "mc":
+        from jaxnav.app.verbs import mc
+
+        return mc.mc(config, folder, progress, long)
+    if args.verb == "bakeoff":
+        from jaxnav.app.verbs import bakeoff
+
+        return bakeoff.bakeoff(config, folder, progress, devices)
+    from jaxnav.app.verbs import tune
+
+    return tune.tune(config, folder, progress, long)
 
 
 def _first() -> bool:
@@ -352,7 +357,7 @@ def _start_jax(args: argparse.Namespace) -> None:
     fast_compiler()
     enable_x64()
     gc.set_threshold(COLLECT)
-    if args.verb == "tune":
+    if args.verb in SHARED:
         from tuning import distributed
 
         if args.devices < 0:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 
 from jaxnav.analysis import metrics
 from jaxnav.app import config as configuration
@@ -148,8 +149,12 @@ def _errors(filt: Filter, params: Params, cases: ContestRuns) -> tuple[jax.Array
 # ---------------------------------------------------------------------------- the contest
 
 
-def contest(names: Sequence[str], plan: Plan, progress: bool = False) -> tuple[dict[str, Entrant], str]:
+def contest(
+    names: Sequence[str], plan: Plan, progress: bool = False, mesh: Mesh | None = None
+) -> tuple[dict[str, Entrant], str]:
     """Tune and score one filter after the other; also why it ended early, or an empty text.
+
+    ``mesh``: devices that share the runs of each step of the tuning.
 
     Raises:
         KeyboardInterrupt: before the first filter was finished.
@@ -160,7 +165,7 @@ def contest(names: Sequence[str], plan: Plan, progress: bool = False) -> tuple[d
         if progress:
             stderr(f"{name}, {i + 1} of {len(names)}")
         try:
-            entrant = _enter(name, plan, runs, progress)
+            entrant = _enter(name, plan, runs, progress, mesh)
         except KeyboardInterrupt:
             entrant = None
         if entrant is None:
@@ -196,7 +201,7 @@ def draw(plan: Plan) -> Runs:
     return runs
 
 
-def _enter(name: str, plan: Plan, runs: Runs, progress: bool) -> Entrant | None:
+def _enter(name: str, plan: Plan, runs: Runs, progress: bool, mesh: Mesh | None) -> Entrant | None:
     """One filter tuned and scored; None where Ctrl-C cut its tuning short, which would not be the same budget."""
     make_room()
     begin, b = time.perf_counter(), plan.budget
@@ -211,7 +216,7 @@ def _enter(name: str, plan: Plan, runs: Runs, progress: bool) -> Entrant | None:
         done = fit(
             loss_of(filt), spec, start, b.steps, adam(b.steps, b.rate, 10.0), validation=loss_of(filt),
             cases=ready(groups), validation_cases=ready(together(runs.validation)[0]), names=[named[i] for i in order],
-            clip=b.clip or CLIP, progress=progress,
+            clip=b.clip or CLIP, progress=progress, mesh=mesh,
         )  # fmt: skip
         if done.stopped != "done":
             return None

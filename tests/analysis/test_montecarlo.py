@@ -1,6 +1,7 @@
 """Monte Carlo: a run is its key's alone, its scores are those of a run by hand, and the statistics are right."""
 
 import json
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate_jit
 from tests.conftest import leaves_equal, told
+from tuning import checkpoint
 
 SCENARIO = SCENARIOS["gpid_circle_no_fault"]
 SCENARIO = SCENARIO._replace(
@@ -197,3 +199,24 @@ def test_the_verb(found, tmp_path, monkeypatch, capsys):
     assert "every run of ekf9" in capsys.readouterr().err
     assert main([*line, "--runs", "0"]) == 2 and main([*line, "--filter", "ekf9,ekf8"]) == 2
     assert main(["mc", "--data", "kth_gnss_ins", "--quiet"]) == 2
+
+
+def test_runs_that_are_kept_go_on_to_the_bit(found, tmp_path):
+    """From what was finished after two chunks, through a file."""
+    seen = []
+    monte_carlo(FILTER, SCENARIO, PARAMS, 8, SEED, chunk=4, keep=seen.append)
+    assert [each.done for each in seen] == [4, 8]
+    checkpoint.save(tmp_path / "mc.npz", seen[-1], {}, "job")
+    leaves = checkpoint.load(tmp_path / "mc.npz", None, "job").tree
+    begun = jax.tree.unflatten(jax.tree.structure(seen[-1]), leaves)._replace(done=8)
+    whole = monte_carlo(FILTER, SCENARIO, PARAMS, RUNS, SEED, chunk=4, begun=begun)
+    leaves_equal(whole.scores, found.scores)
+    leaves_equal(whole.course, found.course)
+
+
+def test_a_chunk_that_devices_cannot_share_is_refused():
+    mesh = jax.make_mesh((1,), ("runs",), axis_types=(jax.sharding.AxisType.Auto,))
+    assert monte_carlo(FILTER, SCENARIO, PARAMS, 4, SEED, chunk=4, mesh=mesh).scores.ok.all()
+    two = SimpleNamespace(size=2)
+    with pytest.raises(ValueError, match="a chunk of 3 runs cannot be shared among 2 devices"):
+        monte_carlo(FILTER, SCENARIO, PARAMS, 4, SEED, chunk=3, mesh=two)

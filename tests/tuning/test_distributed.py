@@ -171,3 +171,24 @@ def test_mesh_and_flags_are_checked():
         distributed.start("127.0.0.1:1", 2)
     tree = {"a": np.arange(3)}
     assert distributed.share(tree, None) is tree and distributed.replicate(tree, None) is tree
+
+
+@pytest.mark.slow
+def test_monte_carlo_on_devices_and_processes_is_that_of_one(tmp_path):
+    """Every figure of `jaxnav mc` to rounding; two devices of one process and of two to the bit."""
+    code = "import sys; from jaxnav.app.console import console; sys.exit(console())"
+    job = "mc --data urban_short --runs 6 --set mc.chunk=4 --set out.figures=false --set filter.cov_stride=25 --quiet"
+
+    def start(name, *more):
+        return subprocess.Popen([sys.executable, "-c", code, *job.split(), "--out", str(tmp_path / name), *more])
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    each = ["--coordinator", f"127.0.0.1:{port}", "--processes", "2", "--process"]
+    for jobs in ([start("one")], [start("two", "--devices", "2")], [start("both", *each, i) for i in ("0", "1")]):
+        assert all(process.wait(timeout=240) == 0 for process in jobs)
+    runs = {name: np.load(tmp_path / name / "runs.npz") for name in ("one", "two", "both")}
+    for key in runs["one"].files:
+        np.testing.assert_allclose(runs["two"][key], runs["one"][key], rtol=1e-11, atol=1e-14)
+        np.testing.assert_array_equal(runs["both"][key], runs["two"][key])

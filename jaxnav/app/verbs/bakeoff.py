@@ -13,9 +13,10 @@ from jaxnav.app.verbs import mc
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.types import ConfigError, nearest
+from tuning import distributed
 
 
-def bakeoff(config: Config, folder: Path, progress: bool = False) -> Outcome:
+def bakeoff(config: Config, folder: Path, progress: bool = False, devices: int = 1) -> Outcome:
     """Tune and rank the filters of [filter] name, on the scenarios of [data] source and those of [bakeoff] unseen.
 
     Raises:
@@ -24,7 +25,7 @@ def bakeoff(config: Config, folder: Path, progress: bool = False) -> Outcome:
     """
     begin = time.perf_counter()
     names, plan = filters(config.filter.name), plan_of(config)
-    found, stopped = contest(names, plan, progress)
+    found, stopped = contest(names, plan, progress, distributed.mesh(devices))
     result = bakeoff_report.verdict(found, plan)
     bakeoff_report.write(folder, result, config.out.figures)
     return Outcome(result, bakeoff_report.text(result), {"bakeoff": time.perf_counter() - begin}, stopped)

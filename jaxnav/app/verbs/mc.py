@@ -14,6 +14,7 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import montecarlo as plots_mc
 from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config
+from jaxnav.app.long import Long, identity
 from jaxnav.app.parameters import override
 from jaxnav.app.results import FailedCheck, Outcome, table, write_json
 from jaxnav.app.sources import scenario_of
@@ -22,10 +23,19 @@ from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params, sizes
 from jaxnav.types import ConfigError, nearest
+from tuning import checkpoint, distributed
+
+EVERY = 30.0  # s between two times that what is finished is kept
+LEAF: Any = 0
+SHAPE = montecarlo.Begun(
+    LEAF, LEAF, montecarlo.Scores(*[LEAF] * len(montecarlo.Scores._fields)), montecarlo.Sums(*[LEAF] * 8)
+)  # the structure of what is kept
 
 
-def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
+def mc(config: Config, folder: Path, progress: bool = False, long: Long | None = None) -> Outcome:
     """Run every filter of [filter] name over the same simulated runs; table, metrics, figures.
+
+    What is finished is kept now and then where ``long`` says so, and a resumed job goes on from there, bit for bit.
 
     The filters know the scenario's datasheet, prior and installation, under the overrides of [params].
 
@@ -33,8 +43,11 @@ def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
         ConfigError: the source is no scenario, or names that are not known.
         FailedCheck: every run of every filter diverged.
     """
-    scenario = scenario_to_run(config)
+    scenario, long = scenario_to_run(config), Long() if long is None else long
     found, seconds, stopped = {}, {}, ""
+    mesh = distributed.mesh(long.devices)
+    if mesh is not None and config.mc.chunk % mesh.size:
+        raise ConfigError(f"mc.chunk: {config.mc.chunk} runs cannot be shared among {mesh.size} devices")
     for each in _each(config):
         name, begin = pre.filter_name(each), time.perf_counter()
         entry = FILTERS[name]
@@ -44,7 +57,7 @@ def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
         try:
             found[name] = montecarlo.monte_carlo(
                 filt, scenario, params, config.mc.runs, config.seed, chunk=config.mc.chunk,
-                limit_m=config.mc.limit_m, progress=progress,
+                limit_m=config.mc.limit_m, progress=progress, mesh=mesh, **kept(config, name, long),
             )  # fmt: skip
         except KeyboardInterrupt:
             if not found:
@@ -64,6 +77,30 @@ def mc(config: Config, folder: Path, progress: bool = False) -> Outcome:
         for name, fig in plots_mc.figures(found, scenario.gnss.outages_s).items():
             plots.save(fig, folder / f"{name}.png")
     return Outcome(about, _text(about, scenario), seconds, stopped)
+
+
+def kept(config: Config, name: str, long: Long) -> dict[str, Any]:
+    """Where a filter's runs begin, and what keeps those that are finished.
+
+    Raises:
+        CheckpointError: nothing usable to resume from.
+    """
+    if long.keep is None:
+        return {}
+    path, job, written = long.keep / f"mc_{name}.npz", f"{name} {identity(config)}", [time.monotonic()]
+    begun = None
+    if long.resume and path.exists():
+        leaves = checkpoint.load(path, None, job).tree
+        begun = jax.tree.unflatten(jax.tree.structure(SHAPE), leaves)
+        begun = begun._replace(done=int(begun.done))
+
+    def keep(now: montecarlo.Begun) -> None:
+        if time.monotonic() > written[0] + EVERY or now.done >= config.mc.runs:
+            if distributed.writes():
+                checkpoint.save(path, now, {}, job)
+            written[0] = time.monotonic()
+
+    return {"begun": begun, "keep": keep}
 
 
 def scenario_to_run(config: Config) -> Scenario:

@@ -1,8 +1,6 @@
 """`jaxnav tune` and `jaxnav demo`: tune on some data by gradient, show the gain on data kept aside."""
 
 import dataclasses
-import hashlib
-import json
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,11 +12,12 @@ import numpy as np
 from jaxnav.analysis import evaluate, metrics
 from jaxnav.app import likelihood, tune_report
 from jaxnav.app.batches import Material, from_recording, from_scenario
-from jaxnav.app.config import Config, as_dict, for_source
+from jaxnav.app.config import Config, for_source
+from jaxnav.app.long import Long, identity
 from jaxnav.app.objectives import LOST, TuningCase, aggregate, check_objective, leaves, merged, objective
 from jaxnav.app.parameters import tune_spec
 from jaxnav.app.prepare import base_params, filter_name, grade_of, measurements_of
-from jaxnav.app.results import FailedCheck, Outcome, picture, stderr, versions
+from jaxnav.app.results import FailedCheck, Outcome, picture, stderr
 from jaxnav.app.sources import scenario_of
 from jaxnav.app.verbs import tune_recorded
 from jaxnav.filters.run import first_failure, run
@@ -31,14 +30,6 @@ from tuning.validation import PairedGain, paired_gain
 
 runs_jit = jax.jit(jax.vmap(run, (None, None, 0, 0)), static_argnums=0)
 METHODS = ("auto", "tempered", *OPTIMIZERS, "scoring")
-
-
-class Long(NamedTuple):
-    """How a long job is kept and shared."""
-
-    keep: Path | None = None  # folder of checkpoints
-    resume: bool = False
-    devices: int = 1  # 0: all
 
 
 class Scores(NamedTuple):
@@ -209,13 +200,6 @@ def why(materials: list[Material], params: Params, free: tuple[str, ...], index:
     if far.size:
         return f"further than {LOST:g} from a measurement at t = {m.t_train[far[0]]:.3f} s"
     return "its gradient is not finite"
-
-
-def identity(config: Config) -> str:
-    """A short name of everything that a checkpoint depends on."""
-    tree = as_dict(config)
-    tree = {k: v for k, v in tree.items() if k != "out"} | {"versions": versions()}
-    return hashlib.sha256(json.dumps(tree, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
 # ---------------------------------------------------------------------------- before and after

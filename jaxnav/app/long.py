@@ -1,0 +1,24 @@
+"""Long jobs: where they keep what is finished, who shares the work, and what job it was."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxnav.app.config import Config, as_dict
+from jaxnav.app.results import versions
+
+
+class Long(NamedTuple):
+    """How a long job is kept and shared."""
+
+    keep: Path | None = None  # folder of checkpoints
+    resume: bool = False
+    devices: int = 1  # 0: all
+
+
+def identity(config: Config) -> str:
+    """A short name of everything that a checkpoint depends on."""
+    tree = as_dict(config)
+    tree = {k: v for k, v in tree.items() if k != "out"} | {"versions": versions()}
+    return hashlib.sha256(json.dumps(tree, sort_keys=True, default=str).encode()).hexdigest()[:16]

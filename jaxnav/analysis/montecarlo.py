@@ -220,8 +220,8 @@ def monte_carlo(
     side; the last chunk is padded. A run whose horizontal error exceeds ``limit_m`` counts as diverged. Ctrl-C keeps
     the chunks that are finished.
 
-    ``mesh``: devices of one automatic axis, of one process or several, that share each chunk (`tuning.distributed.mesh`);
-    all processes end with the same.
+    ``mesh``: devices of one automatic axis, of one process or several, that share each chunk, as of
+    `tuning.distributed.mesh`; all processes end with the same.
     ``keep`` hears what is finished after each chunk, ``begun`` goes on from there, bit for bit.
 
     Memory for an hour of IMU at 10 Hz and GNSS at 1 Hz: about 25 MB a run of the chunk, 1 MB more for each candidate,

@@ -180,7 +180,7 @@ class Bakeoff:
 class Out:
     """What is written."""
 
-    formats: tuple[str, ...] = ("csv",)  # of the solution: csv, kml, geojson, tum, pos, nav
+    formats: tuple[str, ...] = ("csv", "kml", "geojson")  # of the solution; also tum, pos, nav
     figures: bool = True  # draw them
     imu_rate: bool = False  # the solution at every sample of the IMU, not at the ends of epochs alone
 

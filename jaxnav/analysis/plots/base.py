@@ -52,6 +52,12 @@ def save(fig: "Figure", path: str | os.PathLike[str]) -> Path:
     return target
 
 
+def name(fig: "Figure", text: str) -> None:
+    """Say above a figure what it is of."""
+    more = fig.get_suptitle()
+    fig.suptitle(f"{text}: {more}" if more else text, x=0.01, ha="left", fontsize=8, color="0.35")
+
+
 def dress(ax: "Axes", title: str = "", xlabel: str = "", ylabel: str = "") -> None:
     """The common look of a panel."""
     ax.set_title(title, fontsize=9)

@@ -1,6 +1,7 @@
 """`jaxnav simulate` and `jaxnav filter`."""
 
 import time
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from jaxnav.filters.run import first_failure
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.types import ConfigError, Info, Track, nearest
 
+EARLIEST, LATEST = 3e8, 4e9  # s since 1970 that are a date, about 1980 to 2096
 ENOUGH = 0.98  # share of a run that its truth tells
 
 
@@ -129,11 +131,20 @@ def filter(config: Config, folder: Path) -> Outcome:
             case.filter.model.states,
         )
         for name, fig in found_figures.items():
+            plots.name(fig, titled(config, case))
             plots.save(fig, folder / f"{name}.png")
     seconds["write"] = time.perf_counter() - begin
     fixes, outages, states = case.recording.aiding["position"], shaded(config, case), case.filter.model.states
     layout = partial(interactive.run_layout, sol, case.recording.truth, fixes, case.measurements, outages, states)
     return Outcome(found, summary(found, config.filter.name, case.recording.name), seconds, "", layout)
+
+
+def titled(config: Config, case: ReadyRun) -> str:
+    """What a figure is of: filter, data, and when the data begin where their times are dates."""
+    begin = float(case.packed.t[0])
+    date = f", {datetime.fromtimestamp(begin, UTC):%Y-%m-%d %H:%M} UTC" if EARLIEST < begin < LATEST else ""
+    how = ", smoothed" if config.filter.smooth else f", lag {config.filter.lag_s:g} s" if config.filter.lag_s else ""
+    return f"{config.filter.name} on {case.recording.name}{how}{date}"
 
 
 def check(info: Info, t: np.ndarray, name: str) -> None:

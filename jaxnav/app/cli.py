@@ -47,6 +47,26 @@ VERBS = {
 }
 
 
+EXAMPLES = """\
+a recording:
+  jaxnav check drive.bag                                    what looks wrong, and a configuration that runs it
+  jaxnav filter --data drive.bag --out out/run              solution, figures, report.html
+  jaxnav filter --data drive.bag --smooth --out out/smooth  by all fixes
+  jaxnav tune --data drive.bag --out out/tuned              noise, fixes and clocks, without truth
+  jaxnav filter --data drive.bag --params out/tuned/tuned.toml --out out/after
+  jaxnav compare out/run out/after
+live:
+  jaxnav stream --data drive.bag --speed 1
+simulated:
+  jaxnav simulate --data urban --seed 1 --out out/urban
+  jaxnav mc --data urban --filter ekf15,ekf15_gate --runs 100 --devices 0
+  jaxnav bakeoff --data gipkf_urban --filter gpid15,gipkf,fwekf15,ekf15_gate
+settings:
+  jaxnav config > job.toml; jaxnav filter --config job.toml --set filter.cov_stride=10
+
+Exit codes: 0 done, 1 failed check, 2 usage or configuration, 3 bad data, 130 stopped by Ctrl-C"""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit code."""
     parser = make_parser()
@@ -83,8 +103,8 @@ def make_parser() -> argparse.ArgumentParser:
     shared.add_argument("--quiet", action="store_true", help="print nothing but errors")
     shared.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
     parser = argparse.ArgumentParser(
-        prog="jaxnav", description="INS/GNSS navigation, differentiable: simulate, filter, tune.",
-        epilog="Exit codes: 0 done, 1 failed check, 2 usage or configuration, 3 bad data, 130 stopped by Ctrl-C.",
+        prog="jaxnav", description="INS/GNSS navigation, differentiable: simulate, filter, tune.", epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"jaxnav {_version()}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")

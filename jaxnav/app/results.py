@@ -141,11 +141,22 @@ def _listed(run: Path) -> list[str]:
     return [f for f in files if isinstance(f, str) and f == Path(f).name and f not in ("", ".", "..")]
 
 
+SECTIONS = {  # of the configuration, beside the seed, that a verb reads: what others read would bury them
+    "simulate": ("data", "out"), "allan": ("data", "out"), "check": ("out",), "convert": (), "compare": ("out",),
+    "filter": ("data", "filter", "start", "params", "out"), "mc": ("data", "filter", "params", "mc", "out"),
+    "tune": ("data", "filter", "start", "params", "tune", "out"),
+    "demo": ("data", "filter", "start", "params", "tune", "out"),
+    "bakeoff": ("data", "filter", "params", "tune", "bakeoff", "out"),
+}  # fmt: skip
+
+
 def write_run(folder: Path, verb: str, config: Config, outcome: Outcome) -> None:
-    """Write run.json: resolved configuration, versions, device, seed, wall times, metrics, and the files beside it."""
+    """Write run.json: the configuration that the verb read, versions, device, seed, wall times, metrics, its files."""
     files = sorted(p.name for p in folder.iterdir())
+    read = SECTIONS[verb]
+    own = {k: v for k, v in as_dict(config).items() if k in read or not isinstance(v, Mapping)}
     about = {
-        "verb": verb, "config": as_dict(config), "seed": config.seed, "versions": versions(), "git": git_hash(),
+        "verb": verb, "config": own, "seed": config.seed, "versions": versions(), "git": git_hash(),
         "device": device(), "seconds": outcome.seconds, "stopped": outcome.stopped or None,
         "text": outcome.text, "metrics": outcome.metrics, "files": [*files, RUN],
     }  # fmt: skip

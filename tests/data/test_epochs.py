@@ -9,6 +9,7 @@ from jaxnav.data.epochs import (
     TICK,
     constraint_samples,
     cut_times,
+    driving,
     from_instantaneous,
     hide,
     mean_rate,
@@ -286,3 +287,11 @@ def test_the_measurements_of_a_fix_are_in_the_order_of_the_model():
     packed = pack(stream(), {"velocity": fixes([101.0])}, 1.0, (VELOCITY, POSITION))
     assert np.asarray(packed.epochs.fix.valid)[:, :3].any() and not np.asarray(packed.epochs.fix.valid)[:, 3:].any()
     assert GNSS == (POSITION, VELOCITY)
+
+
+def test_driving_is_what_noise_cannot_be():
+    """Over half a metre a second and three standard deviations, by the nearest velocity within a second."""
+    value = np.array([[1.6, 0, 9], [0, 2.1, 0], [0.4, 0, 0], [9.0, 0, 0]])
+    sd = np.array([[0.5, 0.1, 0.1], [0.1, 0.5, 0.1], [0.01] * 3, [0.1] * 3])
+    velocity = Samples(np.arange(1.0, 5.0), value, sd, np.zeros((4, 3)))
+    assert driving(velocity, np.array([1.0, 2.2, 3.1, 4.4, 5.5])).tolist() == [False, True, False, True, False]

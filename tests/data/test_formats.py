@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from jaxnav import data as io
 from jaxnav.data.checks import quiet_force
 from jaxnav.data.datasets import DATA_DIR, DATASETS
+from jaxnav.data.formats import kth, navego
 from jaxnav.data.formats.rtklib import DRIVE_IMU_DELAY, drive_rotation
 from jaxnav.maths.units import DEG, G0
 from jaxnav.types import ImuLog, Recording, Samples, Track
@@ -386,3 +388,28 @@ def test_fetch_takes_pinned_files_into_the_cache(tmp_path, monkeypatch):
     dataset = DATASETS["rtkexplorer_drive"]
     assert len(calls) == len(dataset.files)
     assert all(dataset.commit in url and known_hash.startswith("sha256:") for url, known_hash in calls)
+
+
+def test_a_kfgins_navigation_goes_over_the_end_of_a_week(tmp_path):
+    rows = ["2100 604799.5 30.0 114.0 20.0 1 2 3 0 0 90", "2101 0.25 30.0 114.0 20.0 1 2 3 0 0 90"]
+    (tmp_path / "truth.nav").write_text("\n".join(rows) + "\n")
+    assert np.diff(io.read_kfgins_nav(tmp_path / "truth.nav").t) == pytest.approx(0.75, abs=1e-9)
+
+
+def test_down_of_a_local_position_is_less_height():
+    """And a minute of arc of latitude is a nautical mile."""
+    lla = kth._from_ned(np.array([[1852.0, 0.0, 5.0]]), np.array([0.9, 0.3, 100.0]))[0]
+    assert lla[2] == pytest.approx(95.0) and lla[0] - 0.9 == pytest.approx(DEG / 60, rel=0.01) and lla[1] == 0.3
+
+
+def test_navego_states_its_sd_in_north_east_down(tmp_path):
+    gnss = {
+        "t": np.array([1.0, 2.0]), "lat": np.full(2, 0.8), "lon": np.full(2, 0.3), "h": np.full(2, 5.0),
+        "vel": np.tile([1.0, 2.0, 3.0], (2, 1)), "stdm": np.array([1.0, 2.0, 3.0]), "stdv": np.array([0.1, 0.2, 0.3]),
+        "larm": np.zeros(3),
+    }  # fmt: skip
+    savemat(tmp_path / "gnss.mat", {"gnss": gnss})
+    aiding, _ = navego._read_gnss(tmp_path / "gnss.mat")
+    np.testing.assert_array_equal(aiding["position"].sd, np.tile([2.0, 1.0, 3.0], (2, 1)))
+    np.testing.assert_array_equal(aiding["velocity"].sd, np.tile([0.2, 0.1, 0.3], (2, 1)))
+    np.testing.assert_array_equal(aiding["velocity"].value[0], [2.0, 1.0, -3.0])

@@ -75,3 +75,13 @@ def test_heading_bank_picks_the_true_heading(case):
     assert bank.probability.sum() == pytest.approx(1.0) and bank.probability[3] > 0.9
     end = np.asarray(track(jax.tree.map(lambda a: a[:, -1], bank.info.nav)).rph[:, 2])
     assert abs(np.remainder(end[3] - case.truth.rph[300, 2] + np.pi, 2 * np.pi) - np.pi) < 1.5 * DEG
+
+
+def test_a_hypothesis_that_fails_is_none(case):
+    """A run that stops being finite has no innovations from there on, which would be the most likely of all."""
+    epochs = jax.tree.map(lambda a: a[:5], case.packed.epochs)
+    navs = with_headings(case.nav, case.truth.rph[0, 2] + np.array([0.0, 0.1]))
+    navs = navs._replace(vel=navs.vel.at[1].set(1e200))
+    params = datasheet_params(GRADE, heading_sd=25 * DEG)
+    bank = jax.jit(heading_bank, static_argnums=0)(build("kf9_simple"), params, navs, epochs)
+    assert not bank.info.ok[1].all() and int(bank.best) == 0 and float(bank.probability[1]) == 0.0

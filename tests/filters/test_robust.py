@@ -469,3 +469,12 @@ def test_a_gate_sees_everything_with_data_and_no_constraint():
 @pytest.mark.parametrize("channels, bound", [(1, 10.828), (2, 13.816), (3, 16.266)])
 def test_blocks_of_all_sizes_pass_as_many_sound_fixes(channels, bound):
     assert robust.passed_by(0.999, channels) == pytest.approx(bound, abs=1e-3)
+
+
+def test_the_window_of_iae_has_this_fix_in_it():
+    """One channel, P = R = 1, a window of four that starts out full: R becomes (1 + 1 + 1 + (nu^2 - 1)) / 4."""
+    one = jnp.ones((1, 1))
+    z = Innovation(jnp.array([10.0]), one, one, one, jnp.array([True]), jnp.asarray(T), jnp.ones(1))
+    rule = iae(kalman(), 4)
+    c = rule.correct(iae_params(), rule.init(1, 1), z)
+    assert float(c.delta[0]) == pytest.approx(10.0 / (1 + (3 + 99) / 4))

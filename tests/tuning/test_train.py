@@ -166,3 +166,9 @@ def test_new_cases_are_drawn_once_a_step():
 
     fit(lambda p, centre: (jnp.log(p.width / centre)) ** 2, SPEC, START, 3, optax.adam(0.1), cases=drawn)
     assert steps == [0, 1, 2, 3]
+
+
+def test_patience_is_counted_from_the_best_step():
+    """Of a loss that nothing changes the start is the best, and so many steps come after it."""
+    found = fit(lambda p: 1.0 + 0.0 * p.shift, {"shift": scaled(1.0)}, START, 50, optax.adam(0.1), patience=4)
+    assert found.stopped == "no better for 4 steps" and [row["step"] for row in found.history] == [0, 1, 2, 3, 4]

@@ -220,3 +220,11 @@ def test_ties_and_beliefs_in_a_spec():
     after = join(spec, raw, start)
     np.testing.assert_allclose(after.scale, [2, 2, 9])  # the mean of logarithms
     assert float(after.other) == float(after.tau) == pytest.approx(5.0)
+
+
+def test_the_sandwich_counts_the_spread_of_scores_and_not_their_mean():
+    """Scores that are all alike have none; those that differ have their sample variance, K times."""
+    alike = uncertainty.covariance(np.eye(1), np.full((5, 1), 2.0))
+    assert alike.sandwich[0, 0] == pytest.approx(0.0) and alike.blocks == 5
+    scores = np.array([[1.0], [2.0], [6.0]])
+    assert uncertainty.covariance(np.eye(1), scores).sandwich[0, 0] == pytest.approx(3 * np.var(scores, ddof=1))

@@ -373,7 +373,7 @@ def checkpoints(tries: int, seed: int, report: list[dict]) -> dict[str, int]:
 JOBS = {
     "simulate": ["simulate", "--data", "urban_short"],
     "filter": ["filter", "--data", "{drive}", "--set", "filter.cov_stride=25"],
-    "tune": ["tune", "--data", "{drive}", "--set", "filter.cov_stride=25"],
+    "tune": ["tune", "--data", "{drive}", "--set", "filter.cov_stride=25", "--set", "tune.free=['fixes']"],
     "mc": ["mc", "--data", "urban_short", "--runs", "4"],
 }
 LONGEST = {"simulate": 9.0, "filter": 10.0, "tune": 30.0, "mc": 15.0}  # s within which a signal comes
@@ -386,7 +386,8 @@ def signals(tries: int, seed: int, report: list[dict]) -> dict[str, int]:
     counts = Counter({k: 0 for k in ("tried", "stopped", "finished", "traceback", "half_written", "left_behind")})
     with tempfile.TemporaryDirectory() as name:
         drive = Path(name) / "drive"
-        assert cli.main(["simulate", "--data", "urban_short", "--out", str(drive), *QUICK[:2]]) == 0
+        longer = ["--set", "data.options.duration_s=130"]  # or tuning refuses it
+        assert cli.main(["simulate", "--data", "urban_short", "--out", str(drive), *longer, *QUICK[:2]]) == 0
         for i in range(tries):
             rng = np.random.default_rng([seed, i])
             verb, number = list(JOBS)[i % len(JOBS)], list(EXIT)[i // len(JOBS) % len(EXIT)]

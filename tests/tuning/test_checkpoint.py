@@ -166,8 +166,8 @@ def kill_and_compare(folder: Path, times: int) -> None:
     whole = fit(valley, SPEC, START, 400, optax.adam(0.05), cases=RUNS)
     assert [r["step"] for r in last.history] == list(range(401))
     # another process compiles anew and may differ in the last bit; within one it is equal to the bit (see above)
-    assert last.loss == pytest.approx(whole.loss, rel=1e-12)
-    np.testing.assert_allclose(last.params.width, whole.params.width, rtol=1e-10)
+    assert last.loss == pytest.approx(whole.loss, rel=1e-8)
+    np.testing.assert_allclose(last.params.width, whole.params.width, rtol=1e-7)
 
 
 def test_kill_at_a_random_moment_loses_at_most_a_step(tmp_path):

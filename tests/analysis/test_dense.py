@@ -7,6 +7,7 @@ import pytest
 from jaxnav import build, navigate, start
 from jaxnav.analysis import metrics
 from jaxnav.filters.run import initial_nav
+from jaxnav.maths import earth
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 
@@ -72,3 +73,12 @@ def test_a_rule_without_a_way_back_is_refused(runs):
         from jaxnav.analysis.dense import dense
 
         dense(gpid, gpid.params("consumer"), initial_nav(rec.aiding["position"].value[0]), found[False][0].epochs, True)
+
+
+def test_what_is_smoothed_moves_by_its_own_velocity(runs):
+    """From sample to sample, over the ends of epochs, too: the error is carried through them and does not jump."""
+    _, _, found = runs
+    track = found[True][1]
+    where, dt = earth.enu_path(track.lla, track.lla[0]), np.diff(track.t)[:, None]
+    off = np.diff(where, axis=0) - 0.5 * (track.vel[1:] + track.vel[:-1]) * dt
+    assert np.abs(off[:, :2]).max() < 0.02

@@ -35,7 +35,7 @@ def test_short_or_quiet_jobs_say_nothing(capsys, monkeypatch, every, show):
 def test_an_estimate_leaves_the_first_step_out(monkeypatch):
     """Twenty seconds of compiling and then one second a step: eight steps are eight seconds more."""
     now = [0.0]
-    bar = progress.Bar(total=11, unit="step", file=io.StringIO())
+    bar = progress.Bar(total=11, unit="step", file=io.StringIO(), smoothing=0)
     bar._time, bar.start_t, bar.last_print_t = lambda: now[0], 0.0, 0.0
     for seconds in (20.0, 1.0, 1.0):
         now[0] += seconds

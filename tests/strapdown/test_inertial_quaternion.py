@@ -14,8 +14,11 @@ from jaxnav.states.motion import A, P, V, prior_sd
 from jaxnav.states.table import BIASES
 from jaxnav.strapdown import inertial_quaternion, tangent_frame
 from jaxnav.strapdown.errors import inertial_quaternion as inertial
+from jaxnav.strapdown.errors import local_level as local_errors
 from jaxnav.strapdown.fast import local_level
-from jaxnav.types import Fix, Forcing, Imu
+from jaxnav.strapdown.inertial_quaternion import AXES
+from jaxnav.strapdown.tangent_frame import from_ecef, gravity
+from jaxnav.types import ErrorInputs, Fix, Forcing, Imu
 from tests.conftest import told
 
 PARAMS = datasheet_params(GRADES["adis16465"])
@@ -240,3 +243,31 @@ def test_absorb_feeds_a_model_error_to_the_sensors():
 def test_unknown_form_is_refused():
     with pytest.raises(ValueError, match="form is"):
         error_model("inertial", form="short")
+
+
+@pytest.mark.parametrize("lat", [0.1, 0.9, -1.2])
+def test_the_gradient_of_gravitation_is_that_of_gravity_without_the_centrifugal_part(lat):
+    """gravitation = gravity - omega^2 rho, rho from the axis outwards: by central differences of 1 km."""
+    nav = initial_nav(np.array([lat, 0.3, 100.0]))._replace(pos=jnp.zeros(3))
+    none = dict.fromkeys(("force", "gyro", "accel"), jnp.zeros(3))
+    block = inertial.dynamics(ErrorInputs(nav=nav, C=jnp.eye(3), **none), "full")["velocity", "position"]
+    C_en = np.asarray(from_ecef(nav.origin).T @ AXES.T)
+    center, axis = np.asarray(earth.lla_to_ecef(nav.origin.lla)), np.array([0.0, 0.0, 1.0])
+
+    def gravitation(p):
+        r = center + C_en @ p
+        return C_en.T @ (np.asarray(gravity(jnp.asarray(r))) - earth.RATE**2 * (r - axis * r[2]))
+
+    slope = [(gravitation(1e3 * e) - gravitation(-1e3 * e)) / 2e3 for e in np.eye(3)]
+    np.testing.assert_allclose(block, np.array(slope).T, atol=2e-10)  # omega^2 is 5e-9
+
+
+@pytest.mark.parametrize("lat", [0.1, 0.9, -1.2])
+def test_further_north_the_earth_turns_otherwise(lat):
+    """Local level at rest: the attitude's error grows against the change of the Earth's rate with the position."""
+    nav = initial_nav(np.array([lat, 0.3, 100.0]))
+    none = dict.fromkeys(("force", "gyro", "accel"), jnp.zeros(3))
+    block = local_errors.dynamics(ErrorInputs(nav=nav, C=jnp.eye(3), **none), "full")["attitude", "position"]
+    rate = lambda north: np.asarray(earth.earth_rate(jnp.asarray(lat + north / float(earth.radii(lat)[0] + 100.0))))
+    np.testing.assert_allclose(block[:, 1], -(rate(1e3) - rate(-1e3)) / 2e3, atol=1e-18)
+    np.testing.assert_array_equal(block[:, [0, 2]], np.zeros((3, 2)))

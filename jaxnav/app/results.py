@@ -68,10 +68,13 @@ def staged(out: Path, verb: str, inputs: Sequence[str | Path] = ()) -> Iterator[
     try:
         temporary.mkdir(parents=True)
         yield temporary
-        out.mkdir(exist_ok=True)
+        if not out.exists():
+            os.rename(temporary, out)  # all of it at once
+            return
         names = sorted(p.name for p in temporary.iterdir())
         old = _listed(out / RUN)
-        (out / RUN).unlink(missing_ok=True)
+        # killed from here on it is not whole, says so, and is this verb's to write again
+        write_json(out / RUN, {"verb": verb, "stopped": "while it was written", "files": sorted({*old, *names, RUN})})
         for name in sorted(names, key=lambda n: n == RUN):
             if name not in (*old, RUN) and (out / name).exists():
                 _keep(out / name)

@@ -1,10 +1,13 @@
 """What a job leaves: a folder that is whole or not there, and text that others can read."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from jaxnav.app import results
 from jaxnav.app.results import cell, staged, table, to_json
 
 
@@ -44,3 +47,39 @@ def test_json_is_strict_and_tables_align():
     )
     assert cell(1234.5) == "1.23e+03" or cell(1234.5) == "1230"
     assert len({len(line) for line in table(["a", "b"], [["x", 1.0], ["long", 22.25]]).splitlines()[1:]}) == 1
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_killed_while_results_are_moved_it_can_be_run_again(tmp_path, monkeypatch, before):
+    """A new folder is there as a whole or not at all; one that is written again says that it is not whole."""
+
+    def run(text):
+        with results.staged(tmp_path / "out", "filter") as folder:
+            (folder / "a.csv").write_text(text)
+            (folder / "b.csv").write_text(text)
+            (folder / "run.json").write_text(json.dumps({"verb": "filter", "files": ["a.csv", "b.csv", "run.json"]}))
+
+    class Killed(BaseException):
+        """As by a signal that nothing hears."""
+
+    def replace(a, b):
+        if Path(a).name == "b.csv":
+            raise Killed
+        return real(a, b)
+
+    if before:
+        run("old")
+    real = os.replace
+    monkeypatch.setattr(os, "replace", replace)
+    if before:
+        with pytest.raises(Killed):
+            run("new")
+        about = json.loads((tmp_path / "out" / "run.json").read_text())
+        assert about["stopped"] == "while it was written" and "b.csv" in about["files"]
+    else:
+        run("new")  # nothing to replace one by one
+    monkeypatch.setattr(os, "replace", real)
+    run("again")
+    assert {p.name: p.read_text()[:5] for p in (tmp_path / "out").glob("*.csv")} == {"a.csv": "again", "b.csv": "again"}
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["files"] == ["a.csv", "b.csv", "run.json"]
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]

@@ -423,6 +423,7 @@ def signals(tries: int, seed: int, report: list[dict]) -> dict[str, int]:
             if left:
                 wrong.append("left_behind")
             for how in wrong:
+                print(f"{how}: {verb} {number.name}: exit {process.returncode}, left {left}: {said[-300:]}", flush=True)
                 counts[how] += 1
                 report.append({"seed": [seed, i], "what": f"{verb} {number.name}", "how": how,
                                "said": f"{process.returncode} {left} {said[-1500:]}"})  # fmt: skip

@@ -414,7 +414,8 @@ def signals(tries: int, seed: int, report: list[dict]) -> dict[str, int]:
             out = place / "out"
             if "Traceback" in said:
                 wrong.append("traceback")
-            if out.exists() and not ((out / FINISHED[verb]).exists() and (out / "run.json").exists()):
+            written = out.exists() and any(p.is_file() for p in out.iterdir())  # beside the checkpoints of a long job
+            if written and not ((out / FINISHED[verb]).exists() and (out / "run.json").exists()):
                 wrong.append("half_written")
             if number == signal.SIGKILL:  # what it could not clear away, the next one does
                 again = subprocess.run([sys.executable, "-c", code, *argv], capture_output=True, timeout=300)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.app.contest import REFERENCES, Entrant, Plan, Scores
-from jaxnav.app.results import cell, table, write_json
+from jaxnav.app.results import cell, picture, table, write_json
 from jaxnav.filters.parameters import get
 from tuning.transforms import labels, split
 from tuning.validation import paired_ratio
@@ -104,7 +104,8 @@ def write(folder: Path, result: Mapping[str, Any], figures: bool) -> None:
     write_json(folder / "bakeoff.json", result)
     (folder / "bakeoff.txt").write_text(text(result) + "\n", encoding="utf-8")
     if figures:
-        draw(result, folder / "bakeoff.png")
+        with picture("the ranking"):
+            draw(result, folder / "bakeoff.png")
 
 
 def draw(result: Mapping[str, Any], path: Path) -> None:

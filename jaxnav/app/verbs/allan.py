@@ -11,7 +11,7 @@ from jaxnav.analysis.allan import Allan, ReadOff, allan_deviation, read_off, reg
 from jaxnav.analysis.plots import allan as plots_allan
 from jaxnav.analysis.plots import base as plots
 from jaxnav.app.config import Config
-from jaxnav.app.results import Outcome, table, write_json
+from jaxnav.app.results import Outcome, picture, table, write_json
 from jaxnav.app.sources import load
 from jaxnav.app.toml import to_toml
 from jaxnav.data import atomic_write
@@ -59,7 +59,8 @@ def allan(config: Config, folder: Path) -> Outcome:
     head = f"# read off the Allan deviation of {rec.name} at rest; use: jaxnav tune --params grade.toml\n"
     atomic_write(folder / "grade.toml", head + to_toml(grade(read)))
     if config.out.figures:
-        plots.save(plots_allan.allan(groups), folder / "allan.png")
+        with picture("the deviations"):
+            plots.save(plots_allan.allan(groups), folder / "allan.png")
     return Outcome(found, summary(found, rows), {"allan": time.perf_counter() - begin})
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from jaxnav import data as io
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import checkup as plots_checkup
-from jaxnav.app.results import Outcome, write_json
+from jaxnav.app.results import Outcome, picture, write_json
 from jaxnav.app.verbs.filtering import describe, describe_text
 from jaxnav.data.checkup import Finding, checkup
 from jaxnav.data.read import read
@@ -29,7 +29,8 @@ def check(path: str, folder: Path, figures: bool = True) -> Outcome:
     if "position" in rec.aiding:
         (folder / "config.toml").write_text(configuration(path, rec, found), encoding="utf-8")
     if figures:
-        plots.save(plots_checkup.overview(rec), folder / "check.png")
+        with picture("the recording"):
+            plots.save(plots_checkup.overview(rec), folder / "check.png")
     about = {"findings": [f._asdict() for f in found], "wrong": sum(f.bad for f in found)}
     return Outcome(about, in_words(rec, found), seconds)
 

@@ -17,7 +17,7 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import interactive
 from jaxnav.app.config import Config
 from jaxnav.app.prepare import ReadyRun, grade_name, prepare
-from jaxnav.app.results import FailedCheck, Outcome, table, write_json
+from jaxnav.app.results import FailedCheck, Outcome, picture, table, write_json
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data import gaps
 from jaxnav.data.epochs import TICK, hide, in_windows, within
@@ -119,24 +119,23 @@ def filter(config: Config, folder: Path) -> Outcome:
     write_solution(config, folder, *whole, case)
     write_json(folder / "metrics.json", found)
     if config.out.figures:
-        outages = shaded(config, case)
-        rec = case.recording
-        found_figures = evaluate.figures(
-            sol,
-            rec.truth,
-            rec.aiding["position"],
-            case.measurements,
-            outages,
-            case.bias_truth,
-            case.filter.model.states,
-        )
-        for name, fig in found_figures.items():
-            plots.name(fig, titled(config, case))
-            plots.save(fig, folder / f"{name}.png")
+        with picture("the run"):
+            draw(config, folder, sol, case)
     seconds["write"] = time.perf_counter() - begin
     fixes, outages, states = case.recording.aiding["position"], shaded(config, case), case.filter.model.states
     layout = partial(interactive.run_layout, sol, case.recording.truth, fixes, case.measurements, outages, states)
     return Outcome(found, summary(found, config.filter.name, case.recording.name), seconds, "", layout)
+
+
+def draw(config: Config, folder: Path, sol: evaluate.Trace, case: ReadyRun) -> None:
+    """The figures of a run, each with what it is of."""
+    rec, states = case.recording, case.filter.model.states
+    found = evaluate.figures(
+        sol, rec.truth, rec.aiding["position"], case.measurements, shaded(config, case), case.bias_truth, states
+    )
+    for name, fig in found.items():
+        plots.name(fig, titled(config, case))
+        plots.save(fig, folder / f"{name}.png")
 
 
 def titled(config: Config, case: ReadyRun) -> str:

@@ -16,7 +16,7 @@ from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config
 from jaxnav.app.long import Long, identity
 from jaxnav.app.parameters import override
-from jaxnav.app.results import FailedCheck, Outcome, table, write_json
+from jaxnav.app.results import FailedCheck, Outcome, picture, table, write_json
 from jaxnav.app.sources import scenario_of
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.measurements import GNSS
@@ -74,8 +74,9 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
     write_json(folder / "metrics.json", about)
     np.savez_compressed(folder / "runs.npz", **_per_run(found))  # type: ignore[arg-type]
     if config.out.figures:
-        for name, fig in plots_mc.figures(found, scenario.gnss.outages_s).items():
-            plots.save(fig, folder / f"{name}.png")
+        with picture("the runs"):
+            for name, fig in plots_mc.figures(found, scenario.gnss.outages_s).items():
+                plots.save(fig, folder / f"{name}.png")
     return Outcome(about, _text(about, scenario), seconds, stopped)
 
 

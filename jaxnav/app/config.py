@@ -234,6 +234,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "data.imu_worse_by": (1.0, 1e3),
     "data.gnss_latency_s": (0.0, 1.0),
     "filter.cov_stride": (1, 1000),
+    "filter.lag_s": (0.0, 3600.0),
     "filter.history": (0, 100_000),
     "filter.standing_window_s": (0.01, 3600.0),
     "filter.standing_accel_sd_mps2": (0.0, 1e3),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import tomllib
 
 import pytest
@@ -106,3 +107,14 @@ def test_presets_lie_under_the_users_settings():
 def test_frozen():
     with pytest.raises(dataclasses.FrozenInstanceError):
         config.Config().seed = 3
+
+
+@pytest.mark.parametrize(
+    "setting, bound",
+    [("tune.runs=0", "[1, "), ("mc.runs=0", "[1, "), ("mc.chunk=0", "[1, "), ("tune.validation_runs=0", "[1, "),
+     ("tune.clip=-1", "[0, "), ("tune.patience=-1", "[0, "), ("filter.lag_s=-1", "[0, "), ("mc.limit_m=-1", "[0.001, ")],
+)  # fmt: skip
+def test_numbers_that_mean_nothing_are_refused_with_their_bounds(setting, bound):
+    key = setting.partition("=")[0]
+    with pytest.raises(ConfigError, match=re.escape(f"{key} must be in {bound}")):
+        config.resolve([("--set", config.parse_set(setting))])

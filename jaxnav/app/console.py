@@ -63,6 +63,8 @@ def console() -> NoReturn:
         code = INTERRUPTED
     except Terminated:
         code = TERMINATED
+    for number in (signal.SIGINT, signal.SIGTERM):  # all is written: a signal changes nothing any more
+        signal.signal(number, signal.SIG_IGN)
     sys.stdout.flush()
     sys.stderr.flush()
     if code in (INTERRUPTED, TERMINATED):  # the compiler's threads may still be at work, and crash an orderly end

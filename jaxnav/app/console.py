@@ -25,20 +25,21 @@ def console() -> NoReturn:
         heard.set()
         raise KeyboardInterrupt
 
-    def again() -> None:
+    def again(number: signal.Signals) -> None:
         heard.clear()
         while not heard.is_set():  # a signal just before a system call is heard after it only: send another
             # and not `_thread.interrupt_main` alone, which would wait for the end of a system call
             if hasattr(signal, "pthread_kill"):
-                signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+                signal.pthread_kill(threading.main_thread().ident or 0, number)
             else:
-                _thread.interrupt_main()
+                _thread.interrupt_main(number)
             heard.wait(0.2)
 
     def swallowed(what: "sys.UnraisableHookArgs") -> None:
         # jax hears of garbage collection; an interrupt that falls into such a callback would be printed and lost
-        if what.exc_type is KeyboardInterrupt:
-            threading.Timer(0.05, again).start()  # not now: it would be lost in here as well
+        number = {KeyboardInterrupt: signal.SIGINT, Terminated: signal.SIGTERM}.get(what.exc_type)
+        if number is not None:
+            threading.Timer(0.05, again, [number]).start()  # not now: it would be lost in here as well
         else:
             sys.__unraisablehook__(what)
 
@@ -46,6 +47,7 @@ def console() -> NoReturn:
         os._exit(128 + number)  # nothing is begun, and an exception would leave a half imported library, which crashes
 
     def terminated(number: int, frame: "FrameType | None") -> None:
+        heard.set()
         raise Terminated
 
     asked = signal.getsignal(signal.SIGINT)  # not to be heard where a shell runs this in the background

@@ -37,17 +37,18 @@ def test_a_signal_while_it_imports_is_heard(after, tmp_path):
         assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("name, code", [("SIGINT", 130), ("SIGTERM", 143)])
 @pytest.mark.parametrize("where", ["in a callback of the garbage collector", "anywhere"])
-def test_ctrl_c_ends_the_process_with_130(where):
+def test_a_signal_ends_the_process_with_its_code(where, name, code):
     """In such a callback python prints the interrupt and goes on, unless told."""
     interrupt = "callback()" if where == "anywhere" else "gc.callbacks.append(callback); gc.collect()"
     begin = time.monotonic()
     done = python(
         "import gc, os, signal, time; from jaxnav.app import cli; from jaxnav.app.console import console\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a script's background job ignores it
-        "def callback(*_): gc.callbacks.clear(); os.kill(os.getpid(), signal.SIGINT); time.sleep(0.1)\n"
+        f"def callback(*_): gc.callbacks.clear(); os.kill(os.getpid(), signal.{name}); time.sleep(0.1)\n"
         f"def main(): {interrupt}; time.sleep(20); return 0\n"
         "cli.main = main; console()"
     )
-    assert done.returncode == 130 and done.stderr == ""
+    assert done.returncode == code and done.stderr == ""
     assert time.monotonic() - begin < 15  # the sleep was cut short

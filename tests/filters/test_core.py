@@ -13,7 +13,7 @@ from jaxnav.analysis import metrics
 from jaxnav.data.epochs import pack
 from jaxnav.filters import core
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.core import Correction, Innovation, Rule, make_filter, shift
+from jaxnav.filters.core import Correction, Innovation, Rule, make_filter, masked, shift
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import Poles, observer, open_loop, reset
 from jaxnav.filters.papers.gpid import literal_params
@@ -419,3 +419,12 @@ def test_names_and_options_that_are_not_there():
         build("ekf99")
     with pytest.raises(ValueError, match="history must be at least 2"):
         build("ekf15", history=1)
+
+
+def test_a_missing_channel_is_correlated_with_none():
+    """Its row of H and its residual are zero, its R an identity; what is left keeps its correlations."""
+    R = np.array([[4.0, 1.0, 2.0], [1.0, 9.0, 3.0], [2.0, 3.0, 16.0]])
+    y, H, left = masked(jnp.ones(3), jnp.ones((3, 5)), jnp.asarray(R), jnp.array([True, False, True]))
+    np.testing.assert_array_equal(y, [1.0, 0.0, 1.0])
+    np.testing.assert_array_equal(H, np.outer([1.0, 0.0, 1.0], np.ones(5)))
+    np.testing.assert_array_equal(left, [[4.0, 0.0, 2.0], [0.0, 1.0, 0.0], [2.0, 0.0, 16.0]])

@@ -17,7 +17,7 @@ from jaxnav.filters.core import Correction, Innovation, Rule, make_filter, maske
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import Poles, observer, open_loop, reset
 from jaxnav.filters.papers.gpid import literal_params
-from jaxnav.filters.parameters import datasheet_params
+from jaxnav.filters.parameters import datasheet_params, history_for
 from jaxnav.filters.rules.kalman import correct as kalman_correct
 from jaxnav.filters.run import first_failure, run, run_jit
 from jaxnav.maths import earth, rotations
@@ -428,3 +428,19 @@ def test_a_missing_channel_is_correlated_with_none():
     np.testing.assert_array_equal(y, [1.0, 0.0, 1.0])
     np.testing.assert_array_equal(H, np.outer([1.0, 0.0, 1.0], np.ones(5)))
     np.testing.assert_array_equal(left, [[4.0, 0.0, 2.0], [0.0, 1.0, 0.0], [2.0, 0.0, 16.0]])
+
+
+def test_what_drives_a_bias_keeps_it_as_large_as_its_instability():
+    """A Gauss-Markov process of sd s and time T is driven by s sqrt(2 / T): what is lost in T / 2 is put in again."""
+    grade = GRADE._replace(gyro_walk=0.0)
+    drive = float(np.ravel(datasheet_params(grade).states["gyro_bias"].drive)[0])
+    assert drive**2 * grade.tau / 2 == pytest.approx(grade.gyro_instability**2)
+
+
+def test_history_reaches_back_as_far_as_a_fix_is_old():
+    """A fix of 0.1 s at 100 Hz lies ten samples back, or by rounding eleven: now, those, and the one before them."""
+    params = datasheet_params(GRADE)
+    old = params.measurements["position"]._replace(latency=jnp.asarray(0.1))
+    late = params._replace(measurements=params.measurements | {"position": old})
+    assert history_for(params, 100.0, 60.0) == 2 and history_for(late, 100.0, 60.0) == 13
+    assert history_for(late, 100.0, 60.0, 0.05) == 18

@@ -29,6 +29,7 @@ from jaxnav.measurements import MEASUREMENTS, layout
 from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Params, nearest
 
 SAME = 2 * ep.TICK  # s: fixes that are as near are of one epoch
+AHEAD = 10.0  # s: a fix that is farther ahead of the samples was stamped by another clock
 RECENT = 400  # samples by whose spread a hole is judged
 VERSION = 1  # of what `to_bytes` writes
 
@@ -93,7 +94,7 @@ class Stream:
         self.params = begin.given(params)
         require_x64(self.params)
         self.filter = filt.keeping(history_for(self.params, rate, span)) if filt.keeping else filt
-        self.interval, self.lag = interval, lag
+        self.interval, self.lag, self.rate, self.span = interval, lag, rate, span
         self.slices = layout(tuple(MEASUREMENTS[name] for name in filt.model.measurements))
         self.refused: Counter[str] = Counter()  # what was not used, by stream and reason
         nav = jax.tree.map(lambda a: a[0], begin.navs)
@@ -156,6 +157,8 @@ class Stream:
             self.refused[f"{name}: not finite, or an sd that is not positive"] += 1
         elif t <= self.kept[0].t + SAME:
             self.refused[f"{name}: older than the last {self.lag:g} s"] += 1
+        elif t > self.t + AHEAD:
+            self.refused[f"{name}: more than {AHEAD:g} s ahead of the IMU"] += 1
         elif any(n == name and abs(s - t) <= SAME for s, n, *_ in self.fixes):
             self.refused[f"{name}: there already"] += 1
         else:
@@ -264,7 +267,8 @@ class Stream:
     def _present(self, state: FilterState, imu: Imu) -> None:
         """Predict, and keep what is told."""
         self.ahead, told = _predict(self.filter, self.params, state, imu)
-        self.seen, self.now = self.t, _told(np.asarray(told))
+        self.seen, now = self.t, _told(np.asarray(told))
+        self.now = now if now.ok else getattr(self, "now", now)._replace(ok=False)  # the last that was finite
 
     def _forget(self) -> None:
         """Drop what no fix that may still come can need."""
@@ -290,7 +294,8 @@ class Stream:
         arrays["now"] = np.concatenate([np.atleast_1d(a) for a in self.now]).astype(float)
         names = list(self.slices)
         about = {
-            "version": VERSION, "t": self.t, "interval": self.interval, "lag": self.lag, "refused": self.refused,
+            "version": VERSION, "t": self.t, "interval": self.interval, "lag": self.lag, "rate": self.rate,
+            "span": self.span, "refused": self.refused,
             "measurements": names, "states": list(self.filter.model.states),
             "fixes": [(t, name, *(a.tolist() for a in rest)) for t, name, *rest in self.fixes],
         }  # fmt: skip
@@ -310,20 +315,19 @@ class Stream:
         Raises:
             DataError: bytes of something else, or of a stream of another filter.
         """
-        stream = cls(filt, params, begin)
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as found:
                 about = json.loads(bytes(found["about"]))
                 rows = {key: found[key] for key in found.files if key != "about"}
-            model = stream.filter.model
             own = about["version"], about["measurements"], about["states"]
-            if own != (VERSION, list(stream.slices), list(model.states)):
+            if own != (VERSION, list(filt.model.measurements), list(filt.model.states)):
                 raise DataError("the bytes are of a stream with another filter")
+            stream = cls(filt, params, begin, **{key: about[key] for key in ("interval", "lag", "rate", "span")})
             leaves, tree = jax.tree.flatten(stream.kept[0].state)
             stacks = [rows[f"state_{i}"] for i in range(len(leaves))]
             if any(stack.shape[1:] != np.shape(leaf) for stack, leaf in zip(stacks, leaves, strict=True)):
                 raise DataError("the bytes are of a stream with another filter")
-            stream.interval, stream.lag, stream.t = about["interval"], about["lag"], about["t"]
+            stream.t = about["t"]
             stream.refused = Counter(about["refused"])
             stream.fixes = [(t, name, *map(np.array, rest)) for t, name, *rest in about["fixes"]]
             stream.samples = [tuple(row) for row in rows["samples"].tolist()]

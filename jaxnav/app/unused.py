@@ -36,6 +36,8 @@ def unused(verb: str, config: Config) -> list[str]:
         note("filters start as the scenario says", *_START)
     if verb in ("tune", "demo") and config.tune.method in ("lbfgs", "scoring"):
         note(f"{config.tune.method} finds its own steps", "tune.rate", "tune.warmup")
+    if config.filter.smooth:
+        note("filter.smooth takes all fixes", "filter.lag_s")
     if config.filter.name in FILTERS:
         held = {"states." + state for state in (*FILTERS[config.filter.name].states, *config.filter.states)}
         for leaf, unit in UNITS.items():

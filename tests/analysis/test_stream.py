@@ -98,6 +98,13 @@ def test_a_restart_from_bytes_goes_on_to_the_bit(drive):
     feed(again, rec, rows[middle:])
     same(again.now, whole.now)
     same(again.kept[-1].state, whole.kept[-1].state)
+    quick = Stream(
+        ekf, params._replace(mounting=params.mounting._replace(time_offset=jax.numpy.asarray(0.1))), begin, rate=25.0
+    )
+    feed(quick, rec, rows[:middle])  # its history is another
+    back = Stream.from_bytes(quick.to_bytes(), ekf, quick.params, begin)
+    same(back.now, quick.now)
+    assert (back.rate, back.filter) == (25.0, quick.filter)
     data = first.to_bytes()
     for bad in (b"", data[: len(data) // 2], b"x" * 100):
         with pytest.raises(DataError, match="the bytes are no stream"):
@@ -154,6 +161,7 @@ def test_nothing_that_comes_in_brings_it_down(drive):
         now = stream.now
         assert all(np.isfinite(a).all() for a in (now.t, now.lla, now.vel, now.rph, now.sd)) and (now.sd > 0).all()
     assert stream.now.ok and len(stream.refused) >= 5 and sum(stream.refused.values()) > 80
+    assert any("ahead of the IMU" in why for why in stream.refused) and len(stream.fixes) < 20
     for bad, words in ((("speed", 1.0, [1.0], 1.0), "takes no 'speed'"), (("position", 1.0, [1.0], 1.0), "3 channels")):
         with pytest.raises(ValueError, match=words):
             stream.push(*bad)

@@ -1,6 +1,5 @@
 """`jaxnav show` and `jaxnav compare`: finished runs again, one by one or side by side."""
 
-import csv
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -11,6 +10,7 @@ import numpy as np
 
 from jaxnav.analysis.plots import base as plots
 from jaxnav.app.results import Outcome, picture, plain, table
+from jaxnav.data.sheet import numbers, open_sheet
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
@@ -43,14 +43,9 @@ def load(folder: str | Path) -> Run:
         raise DataError(f"{folder}: holds no run of jaxnav that can be read (run.json)") from error
     t, lla, heading = np.empty(0), np.empty((0, 3)), np.empty(0)
     if (folder / "solution.csv").exists() and verb == "filter":
-        try:
-            with open(folder / "solution.csv", encoding="utf-8", newline="") as lines:
-                rows = list(csv.DictReader(lines))
-            take = lambda key: np.array([float(row[key]) for row in rows])
-            t, heading = take("t_s"), take("heading_deg")
-            lla = np.column_stack([take("lat_deg") * DEG, take("lon_deg") * DEG, take("h_m")])
-        except (OSError, ValueError, KeyError) as error:
-            raise DataError(f"{folder / 'solution.csv'}: is no solution that can be read") from error
+        sheet = open_sheet(folder / "solution.csv")
+        t, heading = numbers(sheet, "t_s"), numbers(sheet, "heading_deg")
+        lla = np.column_stack([numbers(sheet, "lat_deg") * DEG, numbers(sheet, "lon_deg") * DEG, numbers(sheet, "h_m")])
     return Run(folder.name, about, t, lla, heading)
 
 
@@ -77,9 +72,9 @@ def compare(folders: Sequence[str], out: Path, figures: bool = True) -> Outcome:
     if len(verbs) > 1:
         raise DataError(f"compare takes runs of one verb, got {', '.join(sorted(verbs))}")
     names = [run.name if [r.name for r in runs].count(run.name) == 1 else str(f) for run, f in zip(runs, folders)]
-    numbers = [flat(run.about["metrics"]) for run in runs]
-    keys = [key for key in numbers[0] if all(key in other for other in numbers)]
-    rows = [[key, *values, _ratio(values)] for key in keys if len({*(values := [n[key] for n in numbers])}) > 1]
+    figured = [flat(run.about["metrics"]) for run in runs]
+    keys = [key for key in figured[0] if all(key in other for other in figured)]
+    rows = [[key, *values, _ratio(values)] for key in keys if len({*(values := [n[key] for n in figured])}) > 1]
     settings = [flat(run.about.get("config", {})) for run in runs]
     every = list(dict.fromkeys(key for tree in settings for key in tree))
     changed = [

@@ -20,6 +20,7 @@ from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import DataError, ImuLog, Params, Recording, Samples
 
 AGAIN = 1.0  # s of data between two tries to start
+REMEMBERED = 120.0  # s of what came that a start may use
 SURE, PATIENT = 10.0 * DEG, 60.0  # sd of a heading that is good enough, and s after which another is taken, too
 
 
@@ -35,15 +36,17 @@ class Waiting:
     """What came before navigation could start."""
 
     def __init__(self, config: Config, lever_arm: np.ndarray):
-        self.config, self.lever_arm, self.tried = config, lever_arm, -np.inf
-        self.events: list[Event] = []
+        self.config, self.lever_arm, self.tried, self.count = config, lever_arm, -np.inf, 0
+        self.events: list[Event] = []  # of the last `REMEMBERED` seconds
 
     def add(self, event: Event) -> Start | None:
         """The start, once what came tells it with one heading."""
         self.events.append(event)
+        self.count += 1
         if event.name == "imu" or event.t < self.tried + AGAIN:
             return None
         self.tried = event.t
+        self.events = [each for each in self.events if each.t > event.t - REMEMBERED]
         rec = self.recording()
         try:
             begin = prepare.start_of(self.config, rec, params_of(self.config, rec)) if rec else None
@@ -110,7 +113,7 @@ def stream(
             print(line(live.now), file=out, flush=True)
             rows, due = rows + 1, live.now.t + every
     if live is None:
-        raise DataError(f"no start in {len(waiting.events)} lines: too little motion, or no position")
+        raise DataError(f"no start in {waiting.count} lines: too little motion, or no position")
     told = dict(live.refused)
     if bad:
         told[f"lines that are none, such as {bad[0]!r}"] = len(bad)

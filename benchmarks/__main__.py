@@ -4,38 +4,49 @@ import gc
 import importlib
 import sys
 
-NAMES = {
-    "navego": "NaveGo's synthetic data against the figures of an independent filter",
-    "drive": "a real drive: hidden GNSS windows, datasheet against tuned, held out",
-    "fwekf": "the FWEKF paper's launch: its figures, twelve cases by a dozen methods, rules tuned by gradient",
-    "gipkf": "the GIP-KF paper: outages of 10, 11 and 22 s, against Kalman filters of 9 and 15 states",
-    "gpid": "the GPID paper: its tables, figures and claim, against robust and tuned filters",
-    "bakeoff": "filters tuned alike on the three papers' scenarios, ranked on runs and types that none has seen",
-    "budget": "the cost of tuning by gradient, CMA-ES, coordinate and random search",
-    "recover": "noise parameters back from innovations alone, started 10 times off",
-    "first": "the first answer: seconds of whole commands, from an empty cache and from a full one",
-    "speed": "speed beside a C++ floor, plain JAX, numpy and other packages; gradients, compilation, growth",
-    "states": "optional error states: consistent with them, not without",
-    "check": "what a recording says of itself, damaged in one way each and as it is",
-    "start": "starts in motion: attitude, its sd and the delay of the fixes, simulated and recorded",
-    "across": "several drives tuned together, judged on another IMU of the kind",
-    "wild": "recordings as their users have them, from file to solution",
-    "damage": "thousands of damaged recordings, settings and checkpoints, and signals: what comes out",
-    "faults": "faults of a receiver, twenty-four kinds: rules beside a filter that is told when",
-    "integrated": "a receiver that adds up its velocity: what tuning makes of it, against the filter that knows",
-    "kitti": "a drive beside GTSAM: the same hidden windows, the same sigmas",
-    "smooth": "the smoother in outages: consistent in the middle, and how much nearer than the filter at the end",
-    "stream": "the filter sample by sample: beside the batch, with late fixes, across a restart; time of a sample",
-    "umn": "a fixed-wing flight from an unknown heading, against the onboard filter",
+FOLDERS = {
+    "papers": {
+        "fwekf": "the FWEKF paper's launch: its figures, twelve cases by a dozen methods, rules tuned by gradient",
+        "gipkf": "the GIP-KF paper: outages of 10, 11 and 22 s, against Kalman filters of 9 and 15 states",
+        "gpid": "the GPID paper: its tables, figures and claim, against robust and tuned filters",
+        "bakeoff": "filters tuned alike on the three papers' scenarios, ranked on runs and types that none has seen",
+    },
+    "speed": {
+        "budget": "the cost of tuning by gradient, CMA-ES, coordinate and random search",
+        "first": "the first answer: seconds of whole commands, from an empty cache and from a full one",
+        "speed": "speed beside a C++ floor, plain JAX, numpy and other packages; gradients, compilation, growth",
+    },
+    "recordings": {
+        "navego": "NaveGo's synthetic data against the figures of an independent filter",
+        "drive": "a real drive: hidden GNSS windows, datasheet against tuned, held out",
+        "check": "what a recording says of itself, damaged in one way each and as it is",
+        "start": "starts in motion: attitude, its sd and the delay of the fixes, simulated and recorded",
+        "across": "several drives tuned together, judged on another IMU of the kind",
+        "wild": "recordings as their users have them, from file to solution",
+        "kitti": "a drive beside GTSAM: the same hidden windows, the same sigmas",
+        "stream": "the filter sample by sample: beside the batch, with late fixes, across a restart; time of a sample",
+        "umn": "a fixed-wing flight from an unknown heading, against the onboard filter",
+    },
+    "simulated": {
+        "recover": "noise parameters back from innovations alone, started 10 times off",
+        "states": "optional error states: consistent with them, not without",
+        "damage": "thousands of damaged recordings, settings and checkpoints, and signals: what comes out",
+        "faults": "faults of a receiver, twenty-four kinds: rules beside a filter that is told when",
+        "integrated": "a receiver that adds up its velocity: what tuning makes of it, against the filter that knows",
+        "smooth": "the smoother in outages: consistent in the middle, and how much nearer than the filter at the end",
+    },
 }
+HOME = {name: folder for folder, names in FOLDERS.items() for name in names}
 
 
 def main(argv: list[str]) -> int:
     """Run one benchmark; a wrong name lists them all."""
-    if not argv or argv[0] not in NAMES:
+    if not argv or argv[0] not in HOME:
         print("usage: python -m benchmarks NAME [--json F] [options]\n", file=sys.stderr)
-        for name, what in NAMES.items():
-            print(f"  {name:10} {what}", file=sys.stderr)
+        for folder, names in FOLDERS.items():
+            print(f"{folder}:", file=sys.stderr)
+            for name, what in names.items():
+                print(f"  {name:10} {what}", file=sys.stderr)
         return 2
     from jaxnav.app.cli import COLLECT
     from jaxnav.filters.compiler import enable_x64, fast_compiler
@@ -45,7 +56,7 @@ def main(argv: list[str]) -> int:
     enable_x64()
     gc.set_threshold(COLLECT)
     try:
-        return importlib.import_module(f"benchmarks.{argv[0]}").main(argv[1:]) or 0
+        return importlib.import_module(f"benchmarks.{HOME[argv[0]]}.{argv[0]}").main(argv[1:]) or 0
     except DataError as error:
         print(f"benchmarks {argv[0]}: {error}", file=sys.stderr)
         return 3

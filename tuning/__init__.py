@@ -1,5 +1,6 @@
 """Tuning of filter parameters by gradient: objectives, transforms, training, validation; `tune` on a recording."""
 
 from tuning.recorded import Tuned, tune
+from tuning.report import load
 
-__all__ = ["Tuned", "tune"]
+__all__ = ["Tuned", "load", "tune"]

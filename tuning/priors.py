@@ -8,12 +8,14 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 
 from jaxnav.filters.core import Filter
-from jaxnav.filters.parameters import UNITS, get, has
-from jaxnav.types import Params, nearest
-from tuning.transforms import LOG, Spec, Transform, believed, scaled, tied
+from jaxnav.filters.parameters import UNITS, get
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.types import ConfigError, Params
+from tuning import free
+from tuning.free import transform_of
+from tuning.transforms import LOG, Spec, believed, tied
 
 
 class Prior(NamedTuple):
@@ -34,7 +36,6 @@ PRIORS: dict[str, Prior] = {
     "length": Prior(0.5, "another antenna, or a delay"),
     "angle": Prior(math.radians(3.0), "the IMU sits askew"),
 }
-GROUPS = ("noise", "fixes", "timing", "lever_arm", "vehicle", "prior")
 
 
 def kind_of(leaf: str) -> str:
@@ -47,41 +48,22 @@ def kind_of(leaf: str) -> str:
     return "angle" if last == "vehicle" else last if last in PRIORS else "noise"
 
 
-def leaves_of(filt: Filter, params: Params, free: Iterable[str]) -> list[str]:
-    """The leaves that names stand for: groups of `GROUPS`, or dotted leaves of ``params``.
+def leaves_of(filt: Filter, params: Params, names: Iterable[str]) -> list[str]:
+    """The leaves that names stand for: groups of `tuning.free.groups`, dotted leaves, or keys of [params].
 
     Raises:
-        ValueError: an unknown name, a leaf that the filter has not, or nothing at all.
+        ConfigError: an unknown name, a leaf that the filter has not, or nothing at all.
     """
-    model = filt.model
-    fixes = [name for name in ("position", "velocity") if name in model.measurements]
-    groups = {
-        "noise": ["noise.gyro", "noise.accel", *(f"states.{name}.drive" for name in model.states)],
-        "fixes": [f"measurements.{name}.scale" for name in fixes],
-        "timing": ["mounting.time_offset", "mounting.clock_drift"]
-        + (["measurements.velocity.latency"] if len(fixes) == 2 else []),
-        "lever_arm": ["mounting.lever_arm"],
-        "vehicle": ["mounting.vehicle"] if {"nonholonomic", "speed"} & set(model.measurements) else [],
-        "prior": [f"states.{name}.sd" for name in model.states],
-    }
-    found: list[str] = []
-    for name in free:
-        if name not in groups and not has(params, name):
-            raise ValueError(f"nothing is called {name!r}: {nearest(name, [*groups, *UNITS])}")
-        own = groups.get(name, [name])
-        # of a constant state there is no logarithm: it stays what it is
-        found += [leaf for leaf in own if leaf not in found and (kind_of(leaf) != "drive" or _positive(params, leaf))]
+    chosen = [MEASUREMENTS[name] for name in filt.model.measurements]
+    found = free.leaves_of(names, free.groups(chosen, filt.model.states), params)
+    found = [leaf for leaf in found if not free.constant(leaf, params)]
     if not found:
-        raise ValueError(f"nothing is left free of {', '.join(free)}")
+        raise ConfigError(f"nothing is left free of {', '.join(names)}")
     return found
 
 
-def _positive(params: Params, leaf: str) -> bool:
-    return bool(np.all(np.asarray(get(params, leaf)) > 0))
-
-
 def spec_of(
-    filt: Filter, params: Params, free: Iterable[str], widths: Mapping[str, float] | None = None, priors: bool = True
+    filt: Filter, params: Params, names: Iterable[str], widths: Mapping[str, float] | None = None, priors: bool = True
 ) -> Spec:
     """How each free leaf is tuned, with its prior about ``params``; one number for all axes.
 
@@ -90,7 +72,7 @@ def spec_of(
     """
     spec: Spec = {}
     widths = widths or {}
-    for leaf in leaves_of(filt, params, free):
+    for leaf in leaves_of(filt, params, names):
         transform = transform_of(leaf)
         centre = jnp.asarray(get(params, leaf), float)
         if kind_of(leaf) in ("noise", "drive", "tau", "scale", "sd") and centre.ndim < 2:
@@ -100,12 +82,6 @@ def spec_of(
         sd = math.log(width) if transform.forward is LOG.forward else float(transform.inverse(jnp.asarray(width)))
         spec[leaf] = believed(transform, centre, sd) if priors else transform
     return spec
-
-
-def transform_of(leaf: str) -> Transform:
-    """Logarithms of what is positive, steps of a unit's worth of what is not."""
-    unit = UNITS.get(leaf)
-    return LOG if unit is None or unit.step is None else scaled(unit.step)
 
 
 def in_words(leaf: str) -> tuple[float, str]:

@@ -21,6 +21,7 @@ training and validation. The winner is judged once, on the test.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -41,7 +42,7 @@ from tuning import scoring
 from tuning.evidence import SLOW, Job, predicted
 from tuning.parts import Used, blocks_of, parts_of, plan, pooled, window_of, windows_of
 from tuning.priors import PRIORS, in_words, kind_of, spec_of
-from tuning.report import LEAST_WINDOWS, Row, in_words_of, shown, text, verdict
+from tuning.report import LEAST_WINDOWS, Row, in_words_of, metrics, shown, text, verdict, write
 from tuning.transforms import LOG, Spec, Transform, labels
 from tuning.validation import PairedGain, paired_gain
 
@@ -96,6 +97,14 @@ class Tuned:
         """Windows by part."""
         return {name: int(mask.sum()) for name, mask in self.parts.items()}
 
+    def metrics(self) -> dict[str, Any]:
+        """All figures, as metrics.json has them."""
+        return metrics(self)
+
+    def write(self, folder: str | Path, states: Sequence[str] = ()) -> None:
+        """Write tuned.toml, the same for other software, history.jsonl and metrics.json, see `tuning.report.write`."""
+        write(self, Path(folder), states)
+
     def __str__(self) -> str:
         return text(self)
 
@@ -120,10 +129,11 @@ def tune(
     """Tune ``params`` (such as ``filt.params("consumer")``, the datasheet) on a recording, or on several together.
 
     Of several, of one kind of IMU, what is free has one value for all; each has its own start, and its own ``params``
-    where lever arms differ. ``free``: groups of `tuning.priors.GROUPS` or dotted leaves. ``widths``: priors of your own
-    by leaf, one sd about ``params``: a factor where the parameter is positive, else in SI. ``begin``: `jaxnav.start`
-    with settings of your own. ``stop``: s. ``window``: s, length of the hidden windows, by default 3 to 15 by the
-    recording's length. ``priors``: False believes nothing before the data. ``say`` hears of progress.
+    where lever arms differ. ``free``: groups of `tuning.free.groups`, keys of [params] or dotted leaves. ``widths``:
+    priors of your own by leaf, one sd about ``params``: a factor where the parameter is positive, else in SI.
+    ``begin``: `jaxnav.start` with settings of your own. ``stop``: s. ``window``: s, length of the hidden windows, by
+    default 3 to 15 by the recording's length. ``priors``: False believes nothing before the data. ``say`` hears of
+    progress.
 
     Raises:
         DataError: a recording that cannot be started from, or is too short for windows in every part.

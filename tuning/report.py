@@ -1,9 +1,18 @@
-"""What `tuning.tune` says in words: how a recording is used, the table of its parameters, and the verdict."""
+"""What `tuning.tune` says and leaves: how a recording is used, the table of its parameters, the verdict, its files."""
 
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+
+from jaxnav.data import atomic_write
+from jaxnav.data.json import to_json, write_json
+from jaxnav.data.toml import to_toml
+from jaxnav.filters.border import in_user_units, noise_leaves, override
+from jaxnav.types import DataError, Params
+from tuning.export import write_exports
 
 if TYPE_CHECKING:
     from jaxnav.data.epochs import Packed
@@ -84,3 +93,60 @@ def text(found: "Tuned") -> str:
             f"({LEAST_WINDOWS * found.used[0].layout.every / 0.35:.0f} s of recording)"
         )
     return "\n".join(lines)
+
+
+# ---------------------------------------------------------------------------- files
+
+
+def metrics(found: "Tuned") -> dict[str, Any]:
+    """All figures of a job, as metrics.json has them."""
+    named = [u.name for u in found.used for _ in u.windows.start]
+    return {
+        "chosen": found.chosen, "verdict": found.verdict, "n_eff": found.effective,
+        "parameters": {r.name: {k: v for k, v in r._asdict().items() if k != "name"} for r in found.rows},
+        "windows": {name: found.counts[name] for name in ("training", "validation", "test")},
+        "layout_s": {u.name: u.layout._asdict() for u in found.used},
+        "test": found.test, "nis_by_channel": found.nis,
+        "drift_ratio": found.test[found.chosen]["rms_m"] / found.test["datasheet"]["rms_m"],
+        "paired_gain": None if found.gain is None else found.gain._asdict(),
+        "against_datasheet": {k: list(t.ratios) for k, t in found.trials.items()},
+        "per_window": {"recording": named, "start_s": np.concatenate([u.windows.start for u in found.used]),
+                       "test": found.parts["test"],
+                       **{f"{k}_m": t.drift for k, t in found.trials.items()}},
+        "start": {u.name: u.begin.how for u in found.used},
+    }  # fmt: skip
+
+
+def write(found: "Tuned", folder: Path, states: Sequence[str] = ()) -> None:
+    """Write tuned.toml, the same for other software, history.jsonl and metrics.json.
+
+    ``states`` that the filter was given beside its own are told in tuned.toml where the winner has one more.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    about = f"{' and '.join(u.name for u in found.used)}: {found.verdict}"
+    extra = [name for name in found.filter.model.states if name not in found.used[0].sheet.states]
+    params: dict[str, Any] = {"filter": {"states": [*states, *extra]}} if extra else {}
+    params |= {"params": in_user_units(found.params, dict.fromkeys([*noise_leaves(found.params), *found.spec]))}
+    head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
+    atomic_write(folder / "tuned.toml", head + to_toml(params))
+    write_exports(folder, f"jaxnav tune: {about}", found.params)
+    atomic_write(folder / "history.jsonl", "\n".join(to_json(row) for row in found.history) + "\n")
+    write_json(folder / "metrics.json", metrics(found))
+
+
+def load(path: str | Path, params: Params) -> Params:
+    """``params`` with what a tuned.toml says of them, such as ``load("out/tuned/tuned.toml", ekf.params("consumer"))``.
+
+    Raises:
+        DataError: no such file, or no TOML. ConfigError: values that cannot be meant.
+    """
+    path = Path(path)
+    try:
+        stated = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: is not TOML: {error}") from error
+    if not isinstance(stated.get("params"), dict):
+        raise DataError(f"{path}: has no table [params], as tuned.toml has")
+    return override(params, stated["params"])

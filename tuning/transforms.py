@@ -121,20 +121,6 @@ def _matrix(value: jax.Array, n: int) -> jax.Array:
     return value.reshape(n, n) if value.size == n * n else jnp.diag(jnp.broadcast_to(value, (n,)))
 
 
-@cache
-def cholesky(n: int) -> Transform:
-    """A covariance (n, n) by the numbers of its root, see `factor`."""
-    L = factor(n)
-
-    def forward(raw):
-        return L.forward(raw) @ L.forward(raw).T
-
-    def inverse(value):
-        return L.inverse(jnp.linalg.cholesky(_matrix(value, n)))
-
-    return Transform(forward, inverse, axes=n)
-
-
 TRANSFORMS: dict[str, Transform] = {"log": LOG, "identity": IDENTITY}
 
 
@@ -216,3 +202,15 @@ def values(spec: Spec, told: dict[str, jax.Array]) -> dict[str, jax.Array]:
     """The parameters, number by number, of what is `told`: of a matrix the axes' sd and the correlations."""
     both = lambda n, t: jnp.concatenate([jnp.exp(t[:n]), jnp.tanh(t[n:])])
     return {name: both(spec[name].axes, t) if spec[name].axes else spec[name].forward(t) for name, t in told.items()}
+
+
+def leaves(spec: Spec) -> tuple[str, ...]:
+    """Every leaf that a spec moves, ties included."""
+    return tuple(leaf for name, transform in spec.items() for leaf in (name, *transform.also))
+
+
+def merged(params: Any, own: Any, free: tuple[str, ...]) -> Any:
+    """``own`` with the leaves in ``free`` from ``params``."""
+    for leaf in free:
+        own = put(own, leaf, get(params, leaf))
+    return own

@@ -201,14 +201,3 @@ def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = VAGUE)
 
 def _and(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def hessian(gradient: Callable[[Any], jax.Array], raw: dict[str, jax.Array], step: float = 1e-3) -> np.ndarray:
-    """Central differences of a gradient (P,) about ``raw``, symmetric (P, P).
-
-    For objectives that are no likelihood: 2 P gradients that are compiled already instead of a second derivative.
-    """
-    flat, back = ravel_pytree(raw)
-    rows = [np.asarray(gradient(back(flat + step * e)) - gradient(back(flat - step * e))) for e in np.eye(flat.size)]
-    H = np.stack(rows) / (2 * step)
-    return 0.5 * (H + H.T)

@@ -73,11 +73,6 @@ def exact_matrix(
     return jnp.concatenate([error, summed, H @ error, shifted])
 
 
-def spectral_radius(M: Array) -> float:
-    """The largest absolute value of an eigenvalue of M (N, N): below 1 is stable."""
-    return float(np.abs(np.linalg.eigvals(np.asarray(M))).max())
-
-
 # ---------------------------------------------------------------------------- the derivative of any filter's step
 
 

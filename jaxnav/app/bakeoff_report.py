@@ -10,8 +10,10 @@ import numpy as np
 
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
+from jaxnav.analysis.tables import cell, table
 from jaxnav.app.contest import REFERENCES, Entrant, Plan, Scores
-from jaxnav.app.results import cell, picture, table, write_json
+from jaxnav.app.results import picture
+from jaxnav.data.json import write_json
 from jaxnav.filters.parameters import get
 from tuning.transforms import labels, split
 from tuning.validation import paired_ratio

@@ -25,6 +25,7 @@ from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError, DataError, Epoch, Mounting, Nav, Params, Recording
+from tuning.likelihood import Likelihood, Source
 
 SLOPE = 0.05  # s, half of what a true velocity is taken over
 
@@ -50,16 +51,6 @@ class Batch(NamedTuple):
     truth: Truth | None  # for the supervised objectives
 
 
-class Likelihood(NamedTuple):
-    """What the innovations say of the parameters is read off here: the training data, every fix of it once."""
-
-    nav: Nav  # (B, ...)
-    epochs: Epoch  # (B, E, ...), prepared for the filter
-    keep: jax.Array  # (B, E) bool
-    block: jax.Array  # (B, E) int, runs or stretches of time that are drawn together
-    blocks: int  # that there are
-
-
 class Material(NamedTuple):
     """Everything a tuning job needs."""
 
@@ -82,6 +73,11 @@ class Material(NamedTuple):
     outages: list[tuple[float, float]]  # of the first run of the test
     about: str  # how the data was split, in words
     known: dict[str, float]  # leaves whose true value is known
+
+    @property
+    def source(self) -> Source:
+        """What the likelihood needs of it."""
+        return Source(self.filter, self.params, self.whole)
 
 
 PARTS = (Purpose.TRAIN, Purpose.VALIDATION, Purpose.TEST)  # of runs that are drawn once

@@ -348,7 +348,7 @@ def _first() -> bool:
 
 
 def _report(args: argparse.Namespace, outcome: "Outcome", out: Path | None) -> int:
-    from jaxnav.app.results import to_json
+    from jaxnav.data.json import to_json
 
     code = INTERRUPTED if outcome.stopped else 0
     if args.json:

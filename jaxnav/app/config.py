@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxnav.app.toml import convert, describe, place, plain
+from jaxnav.data.toml import convert, describe, place, plain
 from jaxnav.filters.parameters import UNITS
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import MEASUREMENTS
@@ -80,14 +80,6 @@ class _Params:
     """
 
     rule: dict[str, Any] = dataclasses.field(default_factory=dict)  # name -> value of what the filter's rule has
-
-    def value(self, key: str) -> Any:
-        """What is stated for a key, or None."""
-        return getattr(self, key)
-
-    def number(self, key: str) -> float:
-        """What is stated for a key that is one number, or 0."""
-        return getattr(self, key) or 0.0
 
 
 def _type_of(unit: Unit) -> Any:

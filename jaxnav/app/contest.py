@@ -18,7 +18,6 @@ from jax.sharding import Mesh
 
 from jaxnav.analysis import metrics
 from jaxnav.app import config as configuration
-from jaxnav.app.parameters import groups, step_of
 from jaxnav.app.results import stderr
 from jaxnav.app.sources import simulated
 from jaxnav.filters.catalogue import FILTERS, build
@@ -31,6 +30,7 @@ from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.types import Epoch, Nav, Params
+from tuning.free import of_rule, step_of
 from tuning.optimizers import adam
 from tuning.train import fit
 from tuning.transforms import LOG, Spec, tied
@@ -96,7 +96,7 @@ def spec_of(name: str) -> Spec:
     factors += [f"states.{state}.{leaf}" for leaf in ("drive", "sd") for state in entry.states]
     spec = dict.fromkeys(factors, LOG)
     spec |= dict.fromkeys(SCALES, tied(LOG, (0, 0, 1)))  # level, vertical
-    spec |= {leaf: step_of(leaf, name) for leaf in groups(name, ())["rule"]}
+    spec |= {leaf: step_of(leaf, name) for leaf in of_rule(name)}
     return spec | {f"feedback.{leaf}": LOG for leaf in getattr(entry.feedback_theta(), "_fields", ())}
 
 

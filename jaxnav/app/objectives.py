@@ -14,12 +14,11 @@ from jaxnav.analysis import metrics
 from jaxnav.app import config as configuration
 from jaxnav.app.batches import Batch, ready
 from jaxnav.filters.core import Filter
-from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import run
 from jaxnav.measurements import clock_offset
 from jaxnav.types import ConfigError, Info, Params
 from tuning import batch, objectives
-from tuning.transforms import Spec
+from tuning.transforms import merged
 
 LOST = 1e5  # m: a run that is so far from a fix has diverged
 
@@ -139,18 +138,6 @@ def objective(
         return jnp.where(info.ok.all() & found, total, jnp.inf)
 
     return loss
-
-
-def merged(params: Params, own: Params, free: tuple[str, ...]) -> Params:
-    """``own`` with the leaves in ``free`` from ``params``."""
-    for leaf in free:
-        own = put(own, leaf, get(params, leaf))
-    return own
-
-
-def leaves(spec: Spec) -> tuple[str, ...]:
-    """Every leaf that a spec moves, ties included."""
-    return tuple(leaf for name, transform in spec.items() for leaf in (name, *transform.also))
 
 
 def aggregate(tune: configuration.Tune) -> batch.Aggregate:

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxnav.app.config import Config
-from jaxnav.app.parameters import override
+from jaxnav.app.config import Config, Tune
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start, start
 from jaxnav.filters import core
+from jaxnav.filters.border import override
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.parameters import datasheet_params, history_for, mounting
 from jaxnav.maths.units import DEG
@@ -19,6 +19,8 @@ from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.states.grades import GRADES, Grade
 from jaxnav.types import ConfigError, Nav, Params, Recording, nearest
+from tuning.free import specify
+from tuning.transforms import Spec
 
 REACH = 0.25  # s, latency that tuning may add
 
@@ -98,7 +100,7 @@ def base_params(
         grade, position_sd, velocity_sd, start.tilt_sd_deg * DEG, heading_sd * DEG,
         mounting(lever_arm), entry.theta(), states=(*entry.states, *config.filter.states),
     )  # fmt: skip
-    return override(params._replace(feedback=entry.feedback_theta()), config.params)
+    return override(params._replace(feedback=entry.feedback_theta()), vars(config.params))
 
 
 def prepare(config: Config, tuned: bool = False) -> ReadyRun:
@@ -129,6 +131,14 @@ def prepare(config: Config, tuned: bool = False) -> ReadyRun:
         else jax.tree.map(np.asarray, (sim.truth.t, sim.truth.errors["gyro_bias"], sim.truth.errors["accel_bias"]))
     )
     return ReadyRun(rec, filt, measurements, params, packed, first, begun, biases)
+
+
+def tune_spec(tune: Tune, filter_name: str, measurements: tuple[Measurement, ...], sheet: Params) -> Spec:
+    """What [tune] frees, see `tuning.free.specify`."""
+    return specify(
+        filter_name, measurements, sheet, free=tune.free, frozen=tune.frozen, tied_ones=tune.tied,
+        correlated=tune.correlated, prior=tune.prior,
+    )  # fmt: skip
 
 
 def standing_of(config: Config) -> ep.Standing:

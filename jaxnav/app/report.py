@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxnav.app.config import Config, as_dict
-from jaxnav.app.results import Outcome, picture, to_json, versions
+from jaxnav.app.results import Outcome, picture, versions
 from jaxnav.data import atomic_write
+from jaxnav.data.json import to_json
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 1040px; color: #222; padding: 0 1rem }

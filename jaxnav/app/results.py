@@ -4,7 +4,6 @@ import contextlib
 import glob
 import itertools
 import json
-import math
 import os
 import platform
 import shutil
@@ -15,10 +14,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from jaxnav.app.config import Config, as_dict
-from jaxnav.data import atomic_write
+from jaxnav.data.json import write_json
 from jaxnav.types import DataError
 
 RUN = "run.json"
@@ -166,29 +163,6 @@ def write_run(folder: Path, verb: str, config: Config, outcome: Outcome) -> None
     write_json(folder / RUN, about)
 
 
-def write_json(path: Path, tree: Any) -> None:
-    """Write strict JSON."""
-    atomic_write(path, to_json(tree, indent=1) + "\n")
-
-
-def to_json(tree: Any, indent: int | None = None) -> str:
-    """Strict JSON: arrays as lists, nan as null, infinities as text."""
-    return json.dumps(plain(tree), indent=indent, allow_nan=False)
-
-
-def plain(tree: Any) -> Any:
-    """A tree of what JSON knows."""
-    if isinstance(tree, Mapping):
-        return {str(k): plain(v) for k, v in tree.items()}
-    if isinstance(tree, (list, tuple)):
-        return [plain(v) for v in tree]
-    if hasattr(tree, "tolist"):
-        return plain(np.asarray(tree).tolist())
-    if isinstance(tree, float) and not math.isfinite(tree):
-        return None if math.isnan(tree) else ("inf" if tree > 0 else "-inf")
-    return tree
-
-
 def versions() -> dict[str, str]:
     """Versions of what the numbers depend on."""
     names = ("jaxnav", "jax", "jaxlib", "numpy", "scipy", "optax")
@@ -219,23 +193,6 @@ def git_hash() -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip() or None
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Text columns; those with numbers to the right."""
-    cells = [[str(h) for h in head], *[[cell(v) for v in row] for row in rows]]
-    width = [max(len(r[i]) for r in cells) for i in range(len(head))]
-    right = [any(isinstance(row[i], (int, float)) for row in rows) for i in range(len(head))]
-    pad = [str.rjust if r else str.ljust for r in right]
-    lines = ["  ".join(p(c, w) for p, c, w in zip(pad, r, width)).rstrip() for r in cells]
-    return "\n".join([lines[0], "  ".join("-" * w for w in width), *lines[1:]])
-
-
-def cell(value: Any) -> str:
-    """A number with three significant digits, anything else as it is."""
-    if isinstance(value, float):
-        return "-" if math.isnan(value) else f"{value:#.3g}".rstrip(".") if 1e-3 <= abs(value) < 1e4 else f"{value:.3g}"
-    return str(value)
 
 
 def stderr(text: str) -> None:

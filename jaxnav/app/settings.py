@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxnav.app import config
-from jaxnav.app.toml import to_toml
+from jaxnav.data.toml import to_toml
 from jaxnav.filters.parameters import UNITS
 from jaxnav.measurements import MEASUREMENTS
 

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import numpy as np
@@ -10,30 +10,28 @@ import numpy as np
 from jaxnav.analysis import evaluate
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
+from jaxnav.analysis.tables import cell, table
 from jaxnav.app.batches import Material
 from jaxnav.app.config import Config
-from jaxnav.app.export import write_exports
-from jaxnav.app.parameters import in_user_units, name_of, user_value
-from jaxnav.app.results import cell, table, to_json, write_json
-from jaxnav.app.toml import to_toml
+from jaxnav.app.scores import JobScores
 from jaxnav.data import atomic_write
-from jaxnav.filters.parameters import UNITS, has
+from jaxnav.data.json import to_json, write_json
+from jaxnav.data.toml import to_toml
+from jaxnav.filters.border import in_user_units, name_of, noise_leaves, user_value
 from jaxnav.filters.run import track
 from jaxnav.states.table import BIASES
 from jaxnav.types import Samples, Track
+from tuning.export import write_exports
 from tuning.train import Fit
 from tuning.validation import PairedGain
-
-if TYPE_CHECKING:
-    from jaxnav.app.verbs.tune import Scores
 
 
 def report(
     materials: list[Material],
     found: Fit,
     leaves: list[str],
-    before: "Scores",
-    after: "Scores",
+    before: JobScores,
+    after: JobScores,
     gain: PairedGain | None,
     about: dict[str, Any],
 ) -> dict[str, Any]:
@@ -122,9 +120,7 @@ def _short(value: Any) -> Any:
 
 def write(folder: Path, material: Material, found: Fit, leaves: list[str], result: dict[str, Any]) -> None:
     """Write tuned.toml, the same for other software, history.jsonl and metrics.json."""
-    prior = lambda leaf: leaf.startswith("states.") and leaf.endswith(".sd")
-    noise = [k for k, unit in UNITS.items() if unit.step is None and not prior(k) and has(found.params, k)]
-    params = {"params": in_user_units(found.params, list(dict.fromkeys([*noise, *leaves])))}
+    params = {"params": in_user_units(found.params, dict.fromkeys([*noise_leaves(found.params), *leaves]))}
     head = f"# jaxnav tune: {material.about}\n# use: jaxnav filter --params tuned.toml\n"
     vague = [name for name, p in result.get("parameters", {}).items() if not p["identified"]]
     doubt = f"# not determined by the data, any value near it will do: {', '.join(vague)}\n" if vague else ""
@@ -142,7 +138,7 @@ def user_history(history: list[dict]) -> list[dict]:
     return [row | {"params": in_units(row)} for row in history]
 
 
-def draw(folder: Path, material: Material, found: Fit, before: "Scores", after: "Scores") -> None:
+def draw(folder: Path, material: Material, found: Fit, before: JobScores, after: JobScores) -> None:
     """Write the figures: drift before and after, tuning curves, and the first test run with the tuned filter."""
     drift = {"datasheet": before.errors, "tuned": after.errors}
     plots.save(plots_stats.outage_drift(drift), folder / "outage_drift.png")

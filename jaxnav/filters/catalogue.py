@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxnav.filters.core import Filter, Rule, make_filter
+from jaxnav.filters.core import Feedback, Filter, Rule, make_filter
 from jaxnav.filters.error_model import ErrorModel, error_model
 from jaxnav.filters.feedback import observer, open_loop, poles, reset
 from jaxnav.filters.papers.fuzzy_combined import combined_params, fuzzy_combined
@@ -46,13 +46,13 @@ class Entry(NamedTuple):
     """One filter of the catalogue."""
 
     states: tuple[str, ...]  # optional ones that it has by itself
-    rule: Callable[..., Any]  # of one that is gated: of the sizes of its blocks
+    rule: Callable[..., Rule]  # (); of one that is gated (sizes of its blocks), of a watched one (slices of the fix)
     theta: Callable[[], Any]  # default parameters of the rule
     tunable: dict[str, str]  # leaves of theta worth tuning -> name of their transform in `tuning.transforms`
     citation: str
     form: str = "full"  # of the error model
     frame: str = "local_level"  # the paper's own, of FRAMES
-    feedback: Callable[..., Any] = reset
+    feedback: Feedback = reset
     feedback_theta: Callable[[], Any] = lambda: ()  # default parameters of the feedback
     more: bool = False  # may have further states: a paper's rule knows its own alone
     watched: bool = False  # its rule is made of the receiver's channels, and sees all
@@ -64,7 +64,7 @@ _COMBINED = {
     f"{part}.{leaf}": "identity" for part in ("fade", "adapt") for leaf in ("centres", "widths", "consequents")
 }
 _FWEKF = "Fuzzy weighted EKF for GPS/INS, eqs. 1-33"
-ROBUST: dict[str, tuple[Callable[..., Any], Callable[..., Any], dict[str, str], str]] = {
+ROBUST: dict[str, tuple[Callable[..., Rule], Callable[[], Any], dict[str, str], str]] = {
     "gate": (gate, gate_params, {}, "chi-square gate by block, with recovery; Groves 2013, section 17.3"),
     "huber": (huber, huber_params, {"knee": "log"}, "Huber 1964, per channel"),
     "student": (student_t, student_t_params, {"dof": "log"}, "Agamennoni et al. 2012, by block"),
@@ -143,7 +143,7 @@ def build(
     measurements: Sequence[Measurement | str] = GNSS,
     cov_stride: int = 1,
     history: int = 2,
-    feedback: Callable[..., Any] | None = None,
+    feedback: Feedback | None = None,
     frame: str = "",
     fast: bool = True,
     states: Sequence[str] = (),

@@ -33,11 +33,17 @@ def fast_compiler() -> bool:
     Sets an option of XLA in the environment of this process. Returns whether it was set: jaxlib's version is one that
     is known to have it, and XLA_FLAGS does not name it already.
     """
-    flags, version = os.environ.get("XLA_FLAGS", ""), metadata.version("jaxlib").split(".")
-    if EMITTERS in flags or (int(version[0]), int(version[1])) > KNOWN:
-        return False
-    os.environ["XLA_FLAGS"] = f"{flags} --{EMITTERS}=false".strip()
-    return True
+    given = os.environ.get("XLA_FLAGS", "")
+    os.environ["XLA_FLAGS"] = fast_flags(given)
+    return os.environ["XLA_FLAGS"] != given
+
+
+def fast_flags(given: str) -> str:
+    """The value ``given`` of XLA_FLAGS with the option of `fast_compiler`, where that sets it."""
+    version = metadata.version("jaxlib").split(".")
+    if EMITTERS in given or (int(version[0]), int(version[1])) > KNOWN:
+        return given
+    return f"{given} --{EMITTERS}=false".strip()
 
 
 def cache(folder: str | Path | None = None) -> Path | None:

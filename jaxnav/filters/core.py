@@ -9,7 +9,7 @@ not depend on P.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -45,17 +45,40 @@ class Correction(NamedTuple):
     drive: Forcing | None = None  # a model error for the sensors to absorb
 
 
+class Extrapolate(Protocol):
+    """A rule's own prediction, at every epoch, with a fix or without."""
+
+    def __call__(self, theta: Any, memory: Any, x0: jax.Array, x: jax.Array, /) -> tuple[jax.Array, Any]:
+        """``x0`` (n,) after the last feedback, ``x`` (n,) predicted from it -> x and the memory to go on with."""
+
+
+class Transport(Protocol):
+    """How a rule that keeps error states of its own takes them over an epoch, at every epoch."""
+
+    def __call__(self, theta: Any, memory: Any, transition: "Transition", T: jax.Array, /) -> Any:
+        """``T`` () s, the epoch's length -> memory."""
+
+
+class Feedback(Protocol):
+    """What becomes of an estimated error: taken out of navigation, kept, or handed on in part."""
+
+    def __call__(
+        self, theta: Any, retract: Callable[[Nav, jax.Array], Nav], nav: Nav, x: jax.Array, T: jax.Array, /
+    ) -> tuple[Nav, jax.Array, Any]:
+        """``x`` (n,) error, ``T`` () s since the last one -> navigation, the error that is left, the drive or None."""
+
+    def __hash__(self) -> int: ...
+
+
 class Rule(NamedTuple):
     """What a paper changes. Must be finite with H = 0 and T = 0: its answer is discarded where nothing is valid."""
 
     init: Callable[[int, int], Any]  # (n, m) -> memory
     correct: Callable[[Any, Any, Innovation], Correction]  # (theta, memory, innovation)
-    # (theta, memory, x after the last feedback, predicted x) -> x, memory; every epoch, with a fix or without
-    extrapolate: Callable[..., Any] = lambda theta, memory, x0, x: (x, memory)
+    extrapolate: Extrapolate = lambda theta, memory, x0, x: (x, memory)
     estimates: tuple[str, ...] = ()  # optional states that it moves by itself, without their being in x
     smooths: bool = False  # its correction is one of the covariance, so that a smoother can go back over it
-    # (theta, memory, transition, T) -> memory; every epoch, of a rule that keeps error states of its own
-    transport: Callable[..., Any] | None = None
+    transport: Transport | None = None
 
 
 NEVER = 1e9  # s since what has not happened yet: a rule's memory is finite
@@ -200,7 +223,7 @@ def make_filter(
     propagate: Callable,
     model: ErrorModel,
     rule: Rule,
-    feedback: Callable,
+    feedback: Feedback,
     cov_stride: int = 1,
     history: int = 2,
     preintegrate: Callable | None = None,

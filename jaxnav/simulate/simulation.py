@@ -150,8 +150,6 @@ def simulate_shape(scenario: Scenario, shape: Shape, key: jax.Array) -> Simulate
 
 simulate_jit = jax.jit(simulate, static_argnums=0)
 """`simulate`, compiled once for a scenario."""
-simulate_shape_jit = jax.jit(simulate_shape, static_argnums=(0, 1))
-"""`simulate_shape`, compiled once for a scenario and a shape."""
 
 
 def matched_params(scenario: Scenario, rule=(), feedback=()) -> Params:

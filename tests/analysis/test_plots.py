@@ -79,7 +79,6 @@ def every_figure():
         "innovations": plots_stats.innovations(T, noise(4, N, 3), S, np.ones((N, 3), bool), list("abc"), OUTAGES),
         "nis": plots_stats.nis(T, noise(5, N) ** 2, np.ones(N), OUTAGES),
         "outage_drift": plots_stats.outage_drift(methods),
-        "drift_growth": plots_stats.drift_growth(T, {"EKF": np.abs(noise(6, 5, N))}),
         "cdf": plots_stats.cdf(methods),
         "tuning": plots_stats.tuning(history),
     }
@@ -385,19 +384,6 @@ def test_outage_drift_over_a_decade_is_log_and_other_counts_are_boxes():
     apart = {"a": np.array([1.0, np.nan]), "b": np.array([np.nan, 2.0])}
     assert "0 of 0 windows" in plots_stats.outage_drift(apart).axes[1].get_title()
     assert plots_stats.outage_drift({"a": v - 1.0}).axes[0].get_xscale() == "linear"  # 0 m has no logarithm
-
-
-def test_drift_growth_draws_median_and_band_of_the_known_windows():
-    curve = np.arange(1.0, 102.0)[:, None] * np.array([1.0, 2.0, np.nan])
-    curve[0, 1] = np.nan
-    fig = plots_stats.drift_growth(np.array([0.0, 10.0, 20.0]), {"EKF": curve})
-    (ax,) = fig.axes
-    np.testing.assert_allclose(line(ax, "EKF (101 windows)")[1], [51.0, 103.0, np.nan])
-    y = band(ax)
-    np.testing.assert_allclose([y.min(), y.max()], [6.0, np.quantile(curve[1:, 1], 0.95)])
-    assert legend(fig)[-1].startswith("5 to 95 %")
-    with pytest.raises(ValueError, match=r"curves\['EKF'\] must be \(W, 2\)"):
-        plots_stats.drift_growth(np.zeros(2), {"EKF": curve})
 
 
 def test_cdf_marks_cep50_and_r95():

@@ -10,12 +10,13 @@ import pytest
 
 from jaxnav.analysis import evaluate
 from jaxnav.analysis.plots import stats as plots_stats
-from jaxnav.app import batches, cli, config, objectives, parameters, prepare, tune_report
-from jaxnav.app.toml import to_toml
+from jaxnav.app import batches, cli, config, objectives, prepare, tune_report
 from jaxnav.app.unused import unused
 from jaxnav.app.verbs import filtering
 from jaxnav.data import epochs, start
 from jaxnav.data import start as alignment
+from jaxnav.data.toml import to_toml
+from jaxnav.filters import border
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.filters.parameters import datasheet_params, get, mounting, put
 from jaxnav.filters.run import initial_nav
@@ -40,7 +41,7 @@ def params_of(c: config.Config):
 def test_every_filter_has_its_parameters_and_tunes_them_by_default(name):
     params, entry = params_of(resolved(filter={"name": name})), FILTERS[name]
     assert jax.tree.structure(params.feedback) == jax.tree.structure(entry.feedback_theta())
-    spec = parameters.tune_spec(resolved().tune, name, GNSS, params)
+    spec = prepare.tune_spec(resolved().tune, name, GNSS, params)
     leaves = {leaf for leaf in spec if leaf.startswith("rule.")}
     assert leaves == {f"rule.{leaf}" for leaf in entry.tunable} - ({"rule.kd"} if name == "gpid_literal" else set())
     # what tuning moves can be written, read back, and is what the filter then has
@@ -48,7 +49,7 @@ def test_every_filter_has_its_parameters_and_tunes_them_by_default(name):
     names = labels(spec, raw)
     assert len(set(names)) == sum(np.size(value) for value in raw.values())
     moved = join(spec, {leaf: value + 0.1 for leaf, value in raw.items()}, params)
-    text = to_toml({"params": parameters.in_user_units(moved, list(spec)), "filter": {"name": name}})
+    text = to_toml({"params": border.in_user_units(moved, list(spec)), "filter": {"name": name}})
     again = params_of(config.resolve([("", tomllib.loads(text))]))
     for leaf in spec:
         np.testing.assert_allclose(get(again, leaf), get(moved, leaf), rtol=1e-14)
@@ -77,7 +78,7 @@ def test_what_is_not_free_cannot_be_tied_correlated_or_believed(key):
     value = {"velocity_scale": 2.0} if key == "prior" else ["velocity_scale"]
     tune = resolved(tune={"free": ["noise"], key: value}).tune
     with pytest.raises(ConfigError, match=f"tune.{key}: velocity_scale is not in tune.free"):
-        parameters.tune_spec(tune, "ekf15", GNSS, params_of(resolved()))
+        prepare.tune_spec(tune, "ekf15", GNSS, params_of(resolved()))
 
 
 def test_a_filter_with_an_observer_runs_from_the_command_line(tmp_path, monkeypatch, capsys):

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jaxnav.analysis.tables import cell, table
 from jaxnav.app import results
-from jaxnav.app.results import cell, staged, table, to_json
+from jaxnav.app.results import staged
+from jaxnav.data.json import to_json
 
 
 def test_the_current_folder_can_be_the_output(tmp_path, monkeypatch):

@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav.app import batches, cli, config, objectives, parameters
+from jaxnav.app import batches, cli, config, objectives, prepare
 from jaxnav.app.sources import scenario_of
-from jaxnav.app.toml import to_toml
 from jaxnav.app.verbs import tune
+from jaxnav.data.toml import to_toml
+from jaxnav.filters import border
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS, ZERO_RATE
@@ -18,7 +19,8 @@ from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError
 from tests.conftest import LEAVES
 from tuning import uncertainty
-from tuning.transforms import LOG
+from tuning.free import specify
+from tuning.transforms import LOG, merged
 
 SETTINGS = {
     "data": {"source": "urban_short"},
@@ -93,7 +95,7 @@ def test_scoring_says_how_well_each_parameter_is_known(tmp_path, capsys, monkeyp
 def test_correlated_takes_groups_leaves_and_keys(changes, leaves):
     sheet = datasheet_params(GRADES["adis16465"])
     t = resolved(free=["noise", "fixes"], prior={"noise": 2.0}, **changes).tune
-    spec = parameters.tune_spec(t, "ekf15", (*GNSS, ZERO_RATE), sheet)
+    spec = prepare.tune_spec(t, "ekf15", (*GNSS, ZERO_RATE), sheet)
     assert [name for name, transform in spec.items() if transform.axes] == [LEAVES[leaf] for leaf in leaves]
     assert spec["noise.accel"].belief.sd == pytest.approx(np.log(2))
 
@@ -108,15 +110,15 @@ def test_a_matrix_in_params_is_a_root(value):
     sheet = datasheet_params(GRADES["adis16465"])
     section = config.resolve([("", {"params": {"gyro_deg_per_sqrt_hour": value}})]).params
     with pytest.raises(ConfigError, match="params.gyro_deg_per_sqrt_hour as a matrix must be lower triangular, 3 x 3"):
-        parameters.override(sheet, section)
+        border.override(sheet, vars(section))
 
 
 def test_a_root_in_params_is_in_users_units():
     L = [[0.1, 0, 0], [-0.05, 0.2, 0], [0, 0.03, 0.3]]
     c = config.resolve([("", {"params": {"gyro_deg_per_sqrt_hour": L}})])
-    params = parameters.override(datasheet_params(GRADES["adis16465"]), c.params)
+    params = border.override(datasheet_params(GRADES["adis16465"]), vars(c.params))
     np.testing.assert_allclose(params.noise.gyro, np.array(L) * DEG_PER_SQRT_HOUR, rtol=1e-15)
-    text = to_toml({"params": parameters.in_user_units(params, ["noise.gyro"])})
+    text = to_toml({"params": border.in_user_units(params, ["noise.gyro"])})
     np.testing.assert_allclose(tomllib.loads(text)["params"]["gyro_deg_per_sqrt_hour"], L, rtol=1e-15)
     with pytest.raises(ConfigError, match="params.gyro_tau_s must be a number or a list of numbers"):
         config.resolve([("", {"params": {"gyro_tau_s": L}})])
@@ -153,7 +155,7 @@ def test_what_a_lost_run_and_a_users_own_objective_score(monkeypatch, tmp_path):
     assert text.startswith("further than") and f"t = {m.t_train[40]:.3f} s" in text
     # parameters of the source are its own but for what is free
     other = m.params._replace(noise=m.params.noise._replace(gyro=jnp.array(1.0), accel=jnp.array(1.0)))
-    both = objectives.merged(other, m.params, ("noise.gyro",))
+    both = merged(other, m.params, ("noise.gyro",))
     assert float(both.noise.gyro) == 1.0 and both.noise.accel is m.params.noise.accel
     again = [m.redraw(step) for step in (3, 3, 4)]
     np.testing.assert_array_equal(again[0].epochs.fix.value, again[1].epochs.fix.value)
@@ -182,7 +184,7 @@ def test_beliefs_and_ties_in_users_units():
     sheet = datasheet_params(GRADES["adis16465"])
     t = resolved(prior={"noise.gyro": 2.0, "time_offset_s": 0.05}, tied=["velocity_scale"],
                  free=["noise", "fixes", "timing"]).tune  # fmt: skip
-    spec = parameters.tune_spec(t, "ekf15", GNSS, sheet)
+    spec = prepare.tune_spec(t, "ekf15", GNSS, sheet)
     assert spec["noise.gyro"].belief.sd == pytest.approx(np.log(2)) and spec["noise.gyro"].forward is LOG.forward
     assert spec["noise.gyro"].belief.centre == (pytest.approx(GRADES["adis16465"].arw),)
     assert spec["mounting.time_offset"].belief.sd == pytest.approx(0.5)  # its raw unit is 0.1 s
@@ -192,7 +194,7 @@ def test_beliefs_and_ties_in_users_units():
 def test_starts_are_spread_and_the_same_for_a_seed():
     c = resolved(starts=4, spread=2.0)
     params = datasheet_params(GRADES["adis16465"])
-    spec = parameters.free_spec(("noise",), "ekf15", GNSS)
+    spec = specify("ekf15", GNSS, params, free=("noise",))
     found, again = (tune.starts(c, spec, params) for _ in range(2))
     ratios = np.log([float(p.noise.gyro / params.noise.gyro) for p in found])
     assert len(found) == 3 and 0 < np.abs(ratios).max() < 4 * np.log(2)

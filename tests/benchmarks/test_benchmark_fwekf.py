@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import fwekf, fwekf_figures, fwekf_study
+from benchmarks.papers import fwekf, fwekf_figures, fwekf_study
 from jaxnav.filters.papers.fwekf import fwekf_params
 from jaxnav.filters.rules.kalman import kalman
 from jaxnav.types import DataError, Params

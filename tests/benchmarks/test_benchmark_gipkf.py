@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import flops, gipkf
-from benchmarks import gipkf_study as study
+from benchmarks.papers import flops, gipkf
+from benchmarks.papers import gipkf_study as study
 from jaxnav.filters.parameters import get
 from jaxnav.types import Epoch, Fix, Imu
 

@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from benchmarks import gpid
-from benchmarks.gpid_study import SCHEMES, fitted_params, hours, keys_of, loss, paper_filter, rms, score, study
+from benchmarks.papers import gpid
+from benchmarks.papers.gpid_study import SCHEMES, fitted_params, hours, keys_of, loss, paper_filter, rms, score, study
 from jaxnav.filters.papers.gpid import gpid_params
 from jaxnav.filters.parameters import get, put
 from jaxnav.simulate.scenarios import CIRCLE, REPRO

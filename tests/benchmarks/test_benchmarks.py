@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks import drive, navego, umn
 from benchmarks.__main__ import main
+from benchmarks.recordings import drive, navego, umn
 from jaxnav import data as io
 
 

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import navego, recover
+from benchmarks.recordings import navego
+from benchmarks.simulated import recover
 from tuning.transforms import split
 
 

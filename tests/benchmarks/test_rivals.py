@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import budget
+from benchmarks.speed import budget
 from tuning import rivals
 
 CENTRE, START = np.array([0.5, -0.3, 1.0]), np.zeros(3)

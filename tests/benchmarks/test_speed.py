@@ -1,6 +1,9 @@
 """The speed benchmark's forms do the same work, and its arithmetic is right; nothing here is timed."""
 
 import json
+import os
+import subprocess
+import sys
 import threading
 import time
 
@@ -9,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import speed_floor, speed_gate, speed_peers, speed_plain, speed_tables
-from benchmarks.speed_work import PARAMS, SIDE, distance, exponent, forward, over_runs, table, turn
+from benchmarks.speed import speed_child, speed_floor, speed_gate, speed_peers, speed_plain, speed_tables
+from benchmarks.speed.speed_work import PARAMS, SIDE, distance, exponent, forward, over_runs, table, turn
 from jaxnav.filters.catalogue import build
 from jaxnav.maths import earth
 from tests import reference
@@ -161,3 +164,12 @@ def test_a_turn_pays_for_what_its_call_leaves_behind():
 
     assert min(after_another() for _ in range(5)) == pytest.approx(0.005, abs=0.004)
     assert max(turn(lambda: threading.Thread(target=work, args=(0.05,)).start()) for _ in range(5)) > 0.045
+
+
+def test_a_benchmark_starts_itself_anew_but_once():
+    """In the environment that it sets it knows itself, whatever `python -m benchmarks` adds to XLA's flags."""
+    code = "from jaxnav import fast_compiler; from benchmarks.speed import speed_child as c; fast_compiler(); "
+    for environment, known in ((speed_child.pinned(), True), (dict(os.environ), False)):
+        environment = {k: v for k, v in environment.items() if known or k != speed_child.CPUS}
+        done = subprocess.run([sys.executable, "-c", code + "raise SystemExit(not c.is_pinned())"], env=environment)
+        assert (done.returncode == 0) == known

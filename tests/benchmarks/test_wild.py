@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks import check, start, wild
+from benchmarks.recordings import check, start, wild
 from jaxnav import build, navigate, read
 from jaxnav.maths import earth
 

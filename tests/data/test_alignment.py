@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.start import difference, simulated
+from benchmarks.recordings.start import difference, simulated
 from jaxnav.analysis.metrics import chi2_bounds
 from jaxnav.data import alignment
 from jaxnav.data.alignment import Believed, align, rotations_since

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks import check
-from benchmarks.start import simulated
+from benchmarks.recordings import check
+from benchmarks.recordings.start import simulated
 from jaxnav.data.checkup import CHECKS, checkup, quick_notes
 from jaxnav.data.read import read
 from jaxnav.types import ImuLog, Recording, Samples

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.gipkf_study import reset_balanced
+from benchmarks.papers import nine_states
+from benchmarks.papers.gipkf_study import reset_balanced
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Innovation, only_if
 from jaxnav.filters.error_model import error_model
@@ -178,12 +179,12 @@ def test_weights_change_as_biases_are_learnt():
 
 
 def test_nine_states_are_a_kalman_filter_of_the_horizontal_velocity_and_gains():
-    rng, theta = np.random.default_rng(2), gip_kf.nine_params(0.2, 3.0, (0.1, 0.3, 0.02), 0.01, 0.5, 4.0, 0.2, 6.0)
+    rng, theta = np.random.default_rng(2), nine_states.nine_params(0.2, 3.0, (0.1, 0.3, 0.02), 0.01, 0.5, 4.0, 0.2, 6.0)
     B15, H = rng.normal(size=(15, 15)), np.eye(6, 15)[[2, 0, 1, 5, 3, 4]]  # channels E, N, U of axes north, up, east
     cov, R, nu = B15 @ B15.T, np.diag(rng.uniform(1, 2, 6)), rng.normal(size=6)
     z = Innovation(*map(jnp.asarray, (nu, H, R, cov, np.ones(6, bool), 2.0, np.full(6, 6.0))))
-    c = jax.jit(gip_kf.nine_states().correct)(theta, (jnp.asarray(8.0), jnp.asarray(0.7)), z)
-    kept = gip_kf.KEPT
+    c = jax.jit(nine_states.nine_states().correct)(theta, (jnp.asarray(8.0), jnp.asarray(0.7)), z)
+    kept = nine_states.KEPT
     P9, H9 = cov[np.ix_(kept, kept)], H[3:5][:, kept]
     K = P9 @ H9.T @ np.linalg.inv(H9 @ P9 @ H9.T + R[3:5, 3:5])
     np.testing.assert_allclose(c.delta[kept], K @ nu[3:5], atol=1e-11)
@@ -197,7 +198,7 @@ def test_nine_states_are_a_kalman_filter_of_the_horizontal_velocity_and_gains():
     np.testing.assert_allclose(c.drive.accel, [0, 0.02 * nu[5] / 2, 0], atol=1e-15)
     np.testing.assert_allclose(c.drive.omega, [0, (0.01 + 0.5 / 12) * c.delta[7] / 2, 0], atol=1e-15)
     blind = z._replace(H=jnp.zeros((6, 15)), nu=jnp.zeros(6), T=jnp.zeros(()))
-    assert all_finite(gip_kf.correct_nine(theta, (jnp.zeros(()), jnp.ones(())), blind))
+    assert all_finite(nine_states.correct_nine(theta, (jnp.zeros(()), jnp.ones(())), blind))
 
 
 def test_weights_of_another_size_are_refused():

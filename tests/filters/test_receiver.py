@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from benchmarks.faults import SEEN, spoilt
+from benchmarks.simulated.faults import SEEN, spoilt
 from jaxnav import build
 from jaxnav.analysis import metrics
 from jaxnav.filters.core import Innovation, Transition

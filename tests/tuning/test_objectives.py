@@ -175,7 +175,7 @@ def test_a_run_that_froze_is_never_better(info, name):
 
 
 def test_a_frozen_stretch_of_the_drive_counts_only_where_it_is_weighed():
-    from benchmarks.drive import over_stretches
+    from benchmarks.recordings.drive import over_stretches
 
     values = jnp.array([1.0, jnp.inf, 3.0])
     assert over_stretches(jnp.array([1.0, 0.0, 1.0]), values) == 2.0

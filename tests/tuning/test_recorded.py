@@ -1,5 +1,6 @@
 """Tuning a recording without truth: the objective's derivatives, its parts kept apart, priors, and the verdict."""
 
+import json
 from types import SimpleNamespace
 
 import jax
@@ -13,6 +14,7 @@ from jaxnav.analysis.windows import drift as windows_drift
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import start
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.parameters import get
 from jaxnav.filters.run import FREEDOM, prepare
 from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS
@@ -188,7 +190,7 @@ def test_priors_are_about_the_datasheet_and_named_by_kind(ekf):
     assert all(t.belief is None for t in priors.spec_of(ekf, params, ("noise",), priors=False).values())
     with pytest.raises(ValueError, match="did you mean noise"):
         priors.spec_of(ekf, params, ("noize",))
-    with pytest.raises(ValueError, match="nothing is called 'states.gyro_scale.drive'"):
+    with pytest.raises(ValueError, match="states.gyro_scale.drive: the filter has no state"):
         priors.spec_of(ekf, params, ("states.gyro_scale.drive",))
 
 
@@ -271,6 +273,19 @@ def test_fixes_that_are_worse_than_they_say_are_found_out(found):
     said = str(found)
     assert "position.scale" in said and "within a factor 3" in said and "observations" in said
     assert found.gain is None and ("no interval" in said or found.chosen == "datasheet")
+
+
+def test_what_is_written_is_read_back(found, ekf, tmp_path):
+    found.write(tmp_path / "tuned")
+    again = tuning.load(tmp_path / "tuned" / "tuned.toml", ekf.params("consumer"))
+    for leaf in found.spec:
+        np.testing.assert_allclose(get(again, leaf), get(found.params, leaf), rtol=1e-12)
+    assert json.loads((tmp_path / "tuned" / "metrics.json").read_text())["verdict"] == found.verdict
+    assert (tmp_path / "tuned" / "tuned_px4.params").read_text().startswith(f"# jaxnav tune: {found.used[0].name}")
+    (tmp_path / "other.toml").write_text("[filter]\n")
+    for path, words in ((tmp_path / "other.toml", r"no table \[params\]"), (tmp_path / "none.toml", "cannot be read")):
+        with pytest.raises(DataError, match=words):
+            tuning.load(path, ekf.params("consumer"))
 
 
 def test_ctrl_c_leaves_the_best_so_far(rec, ekf, found):

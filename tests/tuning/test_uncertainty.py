@@ -201,12 +201,6 @@ def test_a_belief_determines_what_the_data_do_not():
     assert plain.fisher[0, 0] == got.fisher[0, 0]
 
 
-def test_hessian_by_differences_of_the_gradient():
-    A = np.array([[2.0, 0.5], [0.5, 1.0]])
-    H = uncertainty.hessian(lambda r: A @ r["a"] + r["a"] ** 3, {"a": jnp.array([0.3, -0.2])})
-    np.testing.assert_allclose(H, A + np.diag([3 * 0.09, 3 * 0.04]), atol=1e-5)
-
-
 def test_ties_and_beliefs_in_a_spec():
     class Leaves(NamedTuple):
         scale: jax.Array

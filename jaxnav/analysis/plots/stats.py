@@ -1,4 +1,4 @@
-"""Figures of statistics: innovations, NIS, outage drift and its growth, error distribution, tuning history.
+"""Figures of statistics: innovations, NIS, outage drift, error distribution, tuning history.
 
 Same rules as `jaxnav.analysis.plots.base`, which also has `save`: host numpy arrays in, a Figure out. A dict gives one
 curve a name, in its order; nan is a missing value.
@@ -227,30 +227,6 @@ def _boxes(ax: "Axes", values: Sequence[Array], names: Sequence[str]) -> None:
     ax.grid(False, axis="x")
     if not _log(ax, "y", np.concatenate(list(values)), 10.0):
         ax.set_ylim(bottom=0.0)
-
-
-def drift_growth(tau: Array, curves: Mapping[str, Array]) -> "Figure":
-    """Horizontal error (W, T) m of each window at tau (T,) s after the last fix: median and 5-95 % band by method."""
-    tau = np.asarray(tau, float)
-    fig = figure(7.5, 4.8)
-    ax = fig.subplots()
-    dress(ax, "", "Time since the last fix (s)", "Horizontal error (m)")
-    for i, (name, curve) in enumerate(curves.items()):
-        curve = np.asarray(curve, float)
-        if curve.ndim != 2 or curve.shape[1] != tau.size:
-            raise ValueError(f"curves[{name!r}] must be (W, {tau.size}), got {curve.shape}")
-        some = np.isfinite(curve).any(axis=0)
-        low, median, high = np.full((3, tau.size), np.nan)
-        low[some], median[some], high[some] = np.nanquantile(curve[:, some], (0.05, 0.5, 0.95), axis=0)
-        ax.fill_between(tau, low, high, color=COLORS[i % len(COLORS)], alpha=0.12, linewidth=0)
-        for edge in (low, high):
-            ax.plot(tau, edge, linewidth=0.7, alpha=0.8, **_style(i))
-        ax.plot(tau, median, linewidth=2.0, label=f"{name} ({curve.shape[0]} windows)", **_style(i))
-    ax.plot([], [], color="0.5", alpha=0.4, linewidth=7, label="5 to 95 % of windows (line: median)")
-    ax.set_xlim(min(0.0, tau.min()), tau.max())
-    ax.set_ylim(bottom=0.0)
-    legend(fig, 2)
-    return fig
 
 
 def cdf(errors: Mapping[str, Array]) -> "Figure":

@@ -10,12 +10,14 @@ import numpy as np
 from jaxnav.analysis.allan import Allan, ReadOff, allan_deviation, read_off, regular
 from jaxnav.analysis.plots import allan as plots_allan
 from jaxnav.analysis.plots import base as plots
+from jaxnav.analysis.tables import table
 from jaxnav.app.config import Config
-from jaxnav.app.results import Outcome, picture, table, write_json
+from jaxnav.app.results import Outcome, picture
 from jaxnav.app.sources import load
-from jaxnav.app.toml import to_toml
 from jaxnav.data import atomic_write
 from jaxnav.data.epochs import TICK, driving, stationary
+from jaxnav.data.json import write_json
+from jaxnav.data.toml import to_toml
 from jaxnav.maths.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, UG
 from jaxnav.types import DataError, ImuLog, Samples
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from jaxnav.app import bakeoff_report
 from jaxnav.app.config import Config
 from jaxnav.app.contest import REFERENCES, Kind, Plan, contest
-from jaxnav.app.parameters import override
 from jaxnav.app.results import Outcome
 from jaxnav.app.verbs import mc
+from jaxnav.filters.border import override
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.types import ConfigError, nearest
@@ -63,4 +63,4 @@ def plan_of(config: Config) -> Plan:
 def _kind(config: Config, name: str) -> Kind:
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, source=name))
     scenario = mc.scenario_to_run(config)
-    return Kind(scenario, override(matched_params(mc.told(config, scenario)), config.params))
+    return Kind(scenario, override(matched_params(mc.told(config, scenario)), vars(config.params)))

@@ -6,9 +6,10 @@ from pathlib import Path
 from jaxnav import data as io
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import checkup as plots_checkup
-from jaxnav.app.results import Outcome, picture, write_json
+from jaxnav.app.results import Outcome, picture
 from jaxnav.app.verbs.filtering import describe, describe_text
 from jaxnav.data.checkup import Finding, checkup
+from jaxnav.data.json import write_json
 from jaxnav.data.read import read
 from jaxnav.types import Recording
 

@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxnav.analysis.plots import base as plots
-from jaxnav.app.results import Outcome, picture, plain, table
+from jaxnav.analysis.tables import table
+from jaxnav.app.results import Outcome, picture
+from jaxnav.data.json import plain
 from jaxnav.data.sheet import numbers, open_sheet
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG

@@ -15,12 +15,14 @@ from jaxnav.analysis.dense import dense
 from jaxnav.analysis.navigate import execute
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import interactive
+from jaxnav.analysis.tables import table
 from jaxnav.app.config import Config
 from jaxnav.app.prepare import ReadyRun, grade_name, prepare
-from jaxnav.app.results import FailedCheck, Outcome, picture, table, write_json
+from jaxnav.app.results import FailedCheck, Outcome, picture
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data import gaps
 from jaxnav.data.epochs import TICK, hide, in_windows, within
+from jaxnav.data.json import write_json
 from jaxnav.data.solution import FORMATS
 from jaxnav.filters.run import first_failure
 from jaxnav.filters.smoother import reach_of, smooth_jit

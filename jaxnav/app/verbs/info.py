@@ -6,7 +6,8 @@ from typing import Any
 import jax
 
 from jaxnav import data as io
-from jaxnav.app.results import Outcome, git_hash, table, versions
+from jaxnav.analysis.tables import table
+from jaxnav.app.results import Outcome, git_hash, versions
 from jaxnav.app.verbs.filtering import describe, describe_text
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.simulate.scenarios import SCENARIOS

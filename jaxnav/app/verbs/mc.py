@@ -12,12 +12,14 @@ from jaxnav.analysis import montecarlo
 from jaxnav.analysis.montecarlo import MonteCarlo
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import montecarlo as plots_mc
+from jaxnav.analysis.tables import table
 from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config
 from jaxnav.app.long import Long, identity
-from jaxnav.app.parameters import override
-from jaxnav.app.results import FailedCheck, Outcome, picture, table, write_json
+from jaxnav.app.results import FailedCheck, Outcome, picture
 from jaxnav.app.sources import scenario_of
+from jaxnav.data.json import write_json
+from jaxnav.filters.border import override
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
@@ -51,7 +53,9 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
     for each in _each(config):
         name, begin = pre.filter_name(each), time.perf_counter()
         entry = FILTERS[name]
-        params = override(matched_params(told(each, scenario), entry.theta(), entry.feedback_theta()), config.params)
+        params = override(
+            matched_params(told(each, scenario), entry.theta(), entry.feedback_theta()), vars(config.params)
+        )
         rate, span = scenario.imu_rate_hz, scenario.duration_s
         filt = build(name, GNSS, config.filter.cov_stride, pre.history_of(config, params, rate, span, tuned=False))
         try:

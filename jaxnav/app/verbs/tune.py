@@ -3,42 +3,30 @@
 import dataclasses
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.analysis import evaluate, metrics
-from jaxnav.app import likelihood, tune_report
+from jaxnav.app import tune_report
 from jaxnav.app.batches import Material, from_recording, from_scenario
 from jaxnav.app.config import Config, for_source
 from jaxnav.app.long import Long, identity
-from jaxnav.app.objectives import LOST, TuningCase, aggregate, check_objective, leaves, merged, objective
-from jaxnav.app.parameters import tune_spec
-from jaxnav.app.prepare import base_params, filter_name, grade_of, measurements_of
+from jaxnav.app.objectives import LOST, TuningCase, aggregate, check_objective, objective
+from jaxnav.app.prepare import base_params, filter_name, grade_of, measurements_of, tune_spec
 from jaxnav.app.results import FailedCheck, Outcome, picture, stderr
+from jaxnav.app.scores import compare, runs_jit, score
 from jaxnav.app.sources import scenario_of
 from jaxnav.app.verbs import tune_recorded
-from jaxnav.filters.run import first_failure, run
-from jaxnav.types import ConfigError, DataError, Info, Params, nearest
-from tuning import distributed, objectives
+from jaxnav.filters.run import first_failure
+from jaxnav.types import ConfigError, DataError, Params, nearest
+from tuning import distributed, likelihood
 from tuning.optimizers import OPTIMIZERS
 from tuning.train import Fit, fit
-from tuning.transforms import LOG, Spec, join, split
-from tuning.validation import PairedGain, paired_gain
+from tuning.transforms import LOG, Spec, join, leaves, merged, split
 
-runs_jit = jax.jit(jax.vmap(run, (None, None, 0, 0)), static_argnums=0)
 METHODS = ("auto", "tempered", *OPTIMIZERS, "scoring")
-
-
-class Scores(NamedTuple):
-    """The test before and after, of all materials."""
-
-    errors: np.ndarray  # (windows,) m, horizontal, at the end of each window
-    blocks: np.ndarray  # (windows,) what is drawn together
-    info: Info  # (B, E, ...) numpy, of the first material
-    summary: dict[str, Any]
 
 
 def tune(config: Config, folder: Path, progress: bool = False, long: Long | None = None) -> Outcome:
@@ -65,7 +53,7 @@ def tune(config: Config, folder: Path, progress: bool = False, long: Long | None
     seconds["prepare"], begin = time.perf_counter() - begin, time.perf_counter()
     before = score(materials, main.params, ())
     seconds["before"], begin = time.perf_counter() - begin, time.perf_counter()
-    surface = likelihood.surface(materials, spec, main.params)
+    surface = likelihood.surface([m.source for m in materials], spec, main.params)
     found = search(config, materials, spec, surface, progress, long)
     seconds["tune"], begin = time.perf_counter() - begin, time.perf_counter()
     after = score(materials, found.params, leaves(spec))
@@ -74,7 +62,7 @@ def tune(config: Config, folder: Path, progress: bool = False, long: Long | None
     about = likelihood.answers(surface, spec, found.params, main.sheet) if config.tune.intervals else {}
     if config.tune.posterior:
         draws = config.tune.posterior
-        about |= likelihood.draw(surface, materials, spec, found.params, draws, config.seed)
+        about |= likelihood.draw(surface, [m.source for m in materials], spec, found.params, draws, config.seed)
     seconds["intervals"], begin = time.perf_counter() - begin, time.perf_counter()
     result = tune_report.report(materials, found, list(spec), before, after, gain, about)
     tune_report.write(folder, main, found, list(spec), result)
@@ -200,60 +188,3 @@ def why(materials: list[Material], params: Params, free: tuple[str, ...], index:
     if far.size:
         return f"further than {LOST:g} from a measurement at t = {m.t_train[far[0]]:.3f} s"
     return "its gradient is not finite"
-
-
-# ---------------------------------------------------------------------------- before and after
-
-
-def score(materials: list[Material], params: Params, free: tuple[str, ...]) -> Scores:
-    """The errors at the ends of the tests' windows, and how the filter does outside of them.
-
-    Raises:
-        FailedCheck: a run stopped being finite; names run and time.
-    """
-    errors, blocks, infos, consistent, inside = [], [], [], [], []
-    for k, m in enumerate(materials):
-        batch = m.test
-        info = runs_jit(m.filter, merged(params, m.params, free), batch.nav, batch.epochs)
-        info = jax.tree.map(np.asarray, info)
-        for i, name in enumerate(m.names):
-            failure = first_failure(jax.tree.map(lambda a, i=i: a[i], info), m.t)
-            if failure:
-                raise FailedCheck(f"{name}: {failure}")
-        errors.append(np.asarray(jax.vmap(objectives.outage_error)(info, batch.ends))[np.asarray(batch.scored)])
-        blocks.append(m.blocks + 1e6 * k)  # of different sources, never drawn as one
-        judged = info._replace(valid=info.valid & np.asarray(batch.part)[..., None])  # nothing that tuning has seen
-        flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), judged)
-        consistent.append(evaluate.innovation_metrics(flat, m.measurements))
-        with_fix = judged.valid[..., :2].all(-1)
-        inside.append(np.sum(info.residual[with_fix][:, :2] ** 2, -1))
-        infos.append((info, judged))
-    all_errors = np.concatenate(errors)
-    summary = {
-        "outage_rms_m": float(np.sqrt(np.mean(all_errors**2))),
-        "outage_median_m": float(np.median(all_errors)),
-        "outage_max_m": float(all_errors.max()),
-        "nis_per_dof": float(np.mean([c["nis_per_dof"] for c in consistent])),
-        "nis_share_inside_95": float(np.mean([c["nis_share_inside_95"] for c in consistent])),
-        "innovation_horizontal_rms_m": float(np.sqrt(np.mean(np.concatenate(inside)))),
-    } | channels(materials[0], infos[0][1])
-    return Scores(all_errors, np.concatenate(blocks), infos[0][0], summary)
-
-
-def channels(material: Material, info: Info) -> dict[str, dict[str, float]]:
-    """Mean normalised innovation squared of every channel, 1 if consistent, and its autocorrelation at the next fix."""
-    order, names, _ = evaluate.channels(material.measurements)
-    runs = [jax.tree.map(lambda a, i=i: a[i], info) for i in range(len(material.names))]
-    z = np.stack([metrics.normalized_innovations(each)[:, order] for each in runs])
-    pairs = z[:, 1:] * z[:, :-1]
-    seen = [j for j in range(len(names)) if np.isfinite(pairs[..., j]).any()]
-    nis = {names[j]: float(np.nanmean(z[..., j] ** 2)) for j in seen}
-    lag = {names[j]: float(np.nanmean(pairs[..., j])) / nis[names[j]] for j in seen}
-    return {"nis_by_channel": nis, "autocorrelation": lag}
-
-
-def compare(before: Scores, after: Scores, seed: int) -> PairedGain | None:
-    """The paired gain, or None where there are fewer than two blocks to draw."""
-    if np.unique(before.blocks).size < 2:
-        return None
-    return paired_gain(before.errors, after.errors, before.blocks, seed)

@@ -3,26 +3,19 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from jaxnav.analysis.navigate import navigate
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config, Tune, for_source
-from jaxnav.app.export import write_exports
-from jaxnav.app.parameters import in_user_units, leaves_of, unit_of
-from jaxnav.app.results import Outcome, picture, stderr, to_json, write_json
+from jaxnav.app.results import Outcome, picture, stderr
 from jaxnav.app.sources import load, scenario_of
-from jaxnav.app.toml import to_toml
-from jaxnav.data import atomic_write
+from jaxnav.filters.border import unit_of
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.parameters import UNITS, get, has
 from jaxnav.simulate.scenarios import SCENARIOS
-from jaxnav.types import ConfigError, Params, Recording
-from tuning.priors import transform_of
+from jaxnav.types import ConfigError, Recording
+from tuning.free import constant, groups, leaves_of, of_rule, transform_of
 from tuning.recorded import Tuned, tune
 from tuning.report import shown
 from tuning.transforms import LOG
@@ -60,12 +53,13 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
     filt = build(name, chosen, config.filter.cov_stride, max(2, config.filter.history), states=config.filter.states)
     plain = Tune()
     named = FREE if config.tune.free == plain.free else config.tune.free
-    which = lambda key, names: leaves_of(f"tune.{key}", names, name, measurements, config.filter.states)
+    short = groups(chosen, params.states, of_rule(name))
+    which = lambda key, names: leaves_of(names, short, params, f"tune.{key}")
     frozen = set(which("frozen", config.tune.frozen))
     free = [leaf for leaf in which("free", named) if leaf not in frozen]
     if not free:
         raise ConfigError("tune.frozen: nothing is left free")
-    free = [leaf for leaf in free if not _constant(leaf, params)]
+    free = [leaf for leaf in free if not constant(leaf, params)]
     seconds = {"prepare": time.perf_counter() - begin}
     begin = time.perf_counter()
     found = tune(
@@ -77,23 +71,15 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
     )  # fmt: skip
     seconds["tune"] = time.perf_counter() - begin
     begin = time.perf_counter()
-    about = f"{' and '.join(rec.name for rec in recs)}: {found.verdict}"
-    result = report(found)
-    extra = [name for name in found.filter.model.states if name not in filt.model.states]
-    write(folder, about, found, free, result, [*config.filter.states, *extra] if extra else [])
+    found.write(folder, config.filter.states)
     if config.out.figures:
         draw(folder, recs[0], found)
     seconds["write"] = time.perf_counter() - begin
-    lines = [about, "", str(found)]
+    lines = [str(found)]
     for rec, used in zip(recs, found.used, strict=True):
         own = [used.begin.how, *rec.notes.splitlines()]
         lines += own if len(recs) == 1 else [f"{rec.name}: {line}" for line in own]
-    return Outcome(result, "\n".join(lines), seconds, "interrupted" if found.stopped else "")
-
-
-def _constant(leaf: str, params: Params) -> bool:
-    """The drive of a state that is a constant: it has no logarithm."""
-    return leaf.endswith(".drive") and not np.all(np.asarray(get(params, leaf)) > 0)
+    return Outcome(found.metrics(), "\n".join(lines), seconds, "interrupted" if found.stopped else "")
 
 
 def widths(config: Config, free: list[str], which: Callable[..., list[str]]) -> dict[str, float]:
@@ -104,42 +90,6 @@ def widths(config: Config, free: list[str], which: Callable[..., list[str]]) -> 
             if leaf in free:
                 out[leaf] = sd if transform_of(leaf).forward is LOG.forward else sd * unit_of(leaf).factor
     return out
-
-
-def report(found: Tuned) -> dict[str, Any]:
-    """What is written to metrics.json."""
-    names = ("training", "validation", "test")
-    named = [u.name for u in found.used for _ in u.windows.start]
-    return {
-        "chosen": found.chosen, "verdict": found.verdict, "n_eff": found.effective,
-        "parameters": {r.name: {k: v for k, v in r._asdict().items() if k != "name"} for r in found.rows},
-        "windows": {name: found.counts[name] for name in names}, 
-        "layout_s": {u.name: u.layout._asdict() for u in found.used},
-        "test": found.test, "nis_by_channel": found.nis,
-        "drift_ratio": found.test[found.chosen]["rms_m"] / found.test["datasheet"]["rms_m"],
-        "paired_gain": None if found.gain is None else found.gain._asdict(),
-        "against_datasheet": {k: list(t.ratios) for k, t in found.trials.items()},
-        "per_window": {"recording": named, "start_s": np.concatenate([u.windows.start for u in found.used]),
-                       "test": found.parts["test"],
-                       **{f"{k}_m": t.drift for k, t in found.trials.items()}},
-        "start": {u.name: u.begin.how for u in found.used},
-    }  # fmt: skip
-
-
-def write(folder: Path, about: str, found: Tuned, free: list[str], result: dict[str, Any], states: list[str]) -> None:
-    """Write tuned.toml, the same for other software, history.jsonl and metrics.json: before any picture.
-
-    ``states``: of the filter, where the winner has more than it was asked for.
-    """
-    prior = lambda leaf: leaf.startswith("states.") and leaf.endswith(".sd")
-    noise = [k for k, unit in UNITS.items() if unit.step is None and not prior(k) and has(found.params, k)]
-    params: dict[str, Any] = {"filter": {"states": states}} if states else {}
-    params |= {"params": in_user_units(found.params, list(dict.fromkeys([*noise, *free])))}
-    head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
-    atomic_write(folder / "tuned.toml", head + to_toml(params))
-    write_exports(folder, f"jaxnav tune: {about}", found.params)
-    atomic_write(folder / "history.jsonl", "\n".join(to_json(row) for row in found.history) + "\n")
-    write_json(folder / "metrics.json", result)
 
 
 def draw(folder: Path, rec: Recording, found: Tuned) -> None:

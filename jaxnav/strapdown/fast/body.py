@@ -51,7 +51,7 @@ class Body(NamedTuple):
     t: Any  # s
     q: Quaternion  # its rotation
     dv: Vector  # m/s, integral of specific force
-    way: Vector  # m, integral of dv; () for a single sample
+    displacement: Vector  # m, integral of dv; () for a single sample
     mean: Quaternion  # s, integral of q; () for a single sample
 
 
@@ -108,7 +108,8 @@ def sums(
         q, dv = multiply(body.q, dq), rotate(body.q, dv)
         body = Body(
             body.t + dt, q, add(body.dv, dv),
-            add(body.way, scale(dt, add(body.dv, scale(0.5, dv)))), add(body.mean, scale(0.5 * dt, add(body.q, q))),
+            add(body.displacement, scale(dt, add(body.dv, scale(0.5, dv)))),
+            add(body.mean, scale(0.5 * dt, add(body.q, q))),
         )  # fmt: skip
         return body, body
 
@@ -126,11 +127,11 @@ def unbiased(rows: jax.Array, b_g: Vector, b_a: Vector) -> BodyInterval:
     """What sensors without the biases b_g (rad/s) and b_a (m/s^2) would have seen, of rows of `SummedIntervals`.
 
     A bias of the rate turns by t C b_g, C the mean rotation, and specific force with it, of which the integral of t f
-    is t dv - way. First order in the biases and in how far the body turns: in intervals of 0.1 s at 0.3 rad/s less than
-    0.3 % of what a bias does is lost (tests/strapdown/test_preintegration.py).
+    is t dv - displacement. First order in the biases and in how far the body turns: in intervals of 0.1 s at 0.3 rad/s
+    less than 0.3 % of what a bias does is lost (tests/strapdown/test_preintegration.py).
     """
     t, *v = jnp.unstack(rows)
-    q, dv, way, mean, omega, force = (tuple(v[a:b]) for a, b in pairwise((0, 4, 7, 10, 14, 17, 20)))
+    q, dv, displacement, mean, omega, force = (tuple(v[a:b]) for a, b in pairwise((0, 4, 7, 10, 14, 17, 20)))
     q, mean = ((jnp.where(t > 0, q[0], 1.0), *q[1:]) for q in (q, mean))  # padding does not turn
     half = normalize(mean)
     drift = rotate(half, b_g)
@@ -139,8 +140,8 @@ def unbiased(rows: jax.Array, b_g: Vector, b_a: Vector) -> BodyInterval:
     body = Body(
         t,
         multiply(multiply(back, back), q),
-        add(dv, cross(drift, add(way, scale(-t, dv))), scale(-t, push)),
-        add(way, cross(drift, scale(-t / 3, way)), scale(-0.5 * t * t, push)),
+        add(dv, cross(drift, add(displacement, scale(-t, dv))), scale(-t, push)),
+        add(displacement, cross(drift, scale(-t / 3, displacement)), scale(-0.5 * t * t, push)),
         multiply(back, mean),
     )
     return BodyInterval(body, *(add(a, scale(-1.0, b)) for a, b in ((omega, b_g), (force, b_a))))

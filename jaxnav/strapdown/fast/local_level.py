@@ -176,7 +176,7 @@ def attitudes(nav: Nav, spin: Vector, body: Body) -> tuple[Quaternion, Quaternio
 def thrust_of(q: Quaternion, body: Body) -> VelocityIncrement:
     """What ``body`` does, from attitude ``q`` on."""
     return VelocityIncrement(
-        body.t, rotate(q, body.dv), rotate(q, divide_or_zero(body.t, body.way)) if body.way else ()
+        body.t, rotate(q, body.dv), rotate(q, divide_or_zero(body.t, body.displacement)) if body.displacement else ()
     )
 
 

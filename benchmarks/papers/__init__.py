@@ -1,0 +1,1 @@
+"""The three papers, and the contest between their filters and others."""

@@ -1,0 +1,1 @@
+"""Recorded data: drives, flights, walks, and other people's filters beside ours."""

@@ -1,0 +1,190 @@
+"""Recordings as their users have them: each from its files to a solution by one command, no setting about its start.
+
+Every recipe of docs/recipes that is read, and what needs none, through `jaxnav.navigate` with a consumer's datasheet
+and the streams of position and velocity that it has. The drift is the horizontal distance to the last hidden fix of
+windows all along the recording (10 s, of recordings shorter than two minutes 5 s; every third part of the time).
+"""
+
+import os
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from benchmarks import common
+from jaxnav import build, navigate, read
+from jaxnav.analysis import evaluate
+from jaxnav.analysis.plots import base as plots
+from jaxnav.analysis.tables import table
+from jaxnav.analysis.windows import drift, hidden_windows
+from jaxnav.data import epochs as ep
+from jaxnav.filters.compiler import make_room
+from jaxnav.maths import earth
+from jaxnav.maths.units import DEG
+from jaxnav.types import DataError, Recording
+from tuning.recorded import tune
+
+RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
+PLAIN = {  # what is read without a recipe, below the folder of the data sets
+    "navego_synthetic": "navego_synthetic",
+    "px4_sitl": "ulog_samples/sample_px4_events.ulg",
+    "px4_sitl_truth": "ulog_samples/sample_logging_tagged_and_default_params.ulg",
+    "dataflash": "dataflash_sample/test.BIN",
+}
+PHASES, SETTLE = 3, 10.0
+SHORT = ("ekf2_replay", "px4_sitl", "px4_sitl_truth", "dataflash", "phone")  # below 60 s, or an IMU below 10 Hz
+SET_ON = ("px4_quad106", "rtkexplorer", "morpinet", "umn")  # that the recipe of tuning was made with
+
+
+def sources() -> dict[str, Path]:
+    """Every recording by name."""
+    data = Path(os.environ.get("JAXNAV_DATA_DIR", "."))
+    found = {path.stem: path for path in sorted(RECIPES.glob("*.toml"))}
+    return found | {name: data / path for name, path in PLAIN.items() if (data / path).exists()}
+
+
+def lines_of(path: Path) -> int:
+    """Lines of configuration that a user writes: a map's, without remarks."""
+    if path.suffix != ".toml":
+        return 0
+    return sum(bool(line.split("#")[0].strip()) for line in path.read_text().splitlines())
+
+
+def window_of(rec: Recording) -> float:
+    """Length of the hidden windows, s."""
+    return 10.0 if np.ptp(rec.aiding["position"].t) >= 120.0 else 5.0
+
+
+def one(name: str, path: Path, tracks: dict | None) -> dict:
+    """One recording from its file to its figures."""
+    make_room()
+    begin = time.perf_counter()
+    try:
+        rec = read(path)
+        streams = [key for key in ("position", "velocity") if key in rec.aiding]
+        ekf = build("ekf15", measurements=streams)
+        sol = navigate(rec, ekf, ekf.params("consumer"))
+    except (DataError, ValueError) as error:
+        return {"ran": False, "lines": lines_of(path), "why": str(error)}
+    seconds = time.perf_counter() - begin
+    start, length = sol.start, window_of(rec)
+    found = evaluate.innovation_metrics(sol.trace.info, sol.measurements)
+    packed = ep.pack_recording(rec, sol.measurements, start.t)
+    windows = hidden_windows(packed, length, 3 * length, PHASES, SETTLE)
+    best = jax.tree.map(lambda a: a[sol.best], start.navs)
+    out = {
+        "ran": True, "lines": lines_of(path), "seconds": seconds, "windows": int(windows.end.size), "window_s": length,
+        "nis": {key: value**2 for key, value in found["innovation_rms"].items()},
+        "start": {"how": start.how, "heading_sd_deg": float(start.prior.attitude[2]) / DEG, "t_s": start.t,
+                  "delay_s": None if start.alignment is None else start.alignment.delay},
+        "notes": sol.notes,
+    }  # fmt: skip
+    if windows.end.size:
+        error, _ = drift(sol.filter, sol.params, best, packed.epochs, windows, sol.measurements)
+        off = np.hypot(error[:, 0], error[:, 1])
+        out |= {"drift_median_m": float(np.median(off)), "drift_rms_m": float(np.sqrt(np.mean(off**2)))}
+        out |= {"drift_m": off.tolist()}
+    if tracks is not None:
+        tracks[name] = tuple(earth.enu_path(a, sol.lla[0])[:, :2] for a in (sol.lla, rec.aiding["position"].value))
+    return out
+
+
+def tuned(name: str, path: Path) -> dict:
+    """One recording tuned without truth on its first part and judged on its last."""
+    make_room()
+    begin = time.perf_counter()
+    try:
+        rec = read(path)
+        ekf = build("ekf15", measurements=[key for key in ("position", "velocity") if key in rec.aiding], cov_stride=5)
+        found = tune(rec, ekf, ekf.params("consumer"))
+    except (DataError, ValueError) as error:
+        return {"ran": False, "why": str(error)}
+    before, after = found.test["datasheet"]["rms_m"], found.test[found.chosen]["rms_m"]
+    clock = next((r for r in found.rows if r.name == "clock_drift"), None)
+    return {
+        "ran": True, "drift_ratio": after / before, "datasheet_m": before, "tuned_m": after,
+        "interval": None if found.gain is None else [1 / found.gain.high, 1 / found.gain.low],
+        "nis": found.nis[found.chosen], "chosen": found.chosen, "n_eff": found.effective,
+        "far": [r.name for r in found.rows if "sd from the datasheet" in r.remark],
+        "windows": found.counts, "set_on": name in SET_ON,
+        "clock_ppm": None if clock is None else [clock.value, clock.low, clock.high],
+        "candidates": {k: v["rms_m"] / before for k, v in found.test.items()}, "verdict": found.verdict,
+        "validation": {k: [*t.ratios, t.nll] for k, t in found.trials.items()},
+        "seconds": time.perf_counter() - begin,
+    }  # fmt: skip
+
+
+def tuning_table(results: dict[str, dict]) -> str:
+    """The ratios of all recordings."""
+    rows = [
+        [name, "yes" if r["set_on"] else "no", r["chosen"], r["datasheet_m"], r["tuned_m"], f"{r['drift_ratio']:.2f}",
+         r["windows"]["test"], f"{r['n_eff']:.0f}", "" if r["clock_ppm"] is None else f"{r['clock_ppm'][0]:.0f}",
+         " ".join(f"{v:.2g}" for v in r["nis"].values())]
+        for name, r in results.items() if r["ran"]
+    ]  # fmt: skip
+    head = [
+        "recording",
+        "set on",
+        "chosen",
+        "datasheet m",
+        "chosen m",
+        "ratio",
+        "windows",
+        "N",
+        "clock ppm",
+        "nu^2 / S",
+    ]
+    all_of = np.array([r["drift_ratio"] for r in results.values() if r["ran"]])
+    return table(head, rows) + f"\nlargest ratio {all_of.max():.2f}, median {np.median(all_of):.2f}"
+
+
+def draw(tracks: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> None:
+    """Every track, small, with its fixes."""
+    fig = plots.figure(11, 2.4 * -(-len(tracks) // 5))
+    for ax, (name, (track, fixes)) in zip(fig.subplots(-(-len(tracks) // 5), 5).ravel(), tracks.items(), strict=False):
+        plots.dress(ax, name)
+        ax.plot(*fixes.T, ".", ms=2, color="0.7")
+        ax.plot(*track.T, lw=0.8, color=plots.BLUE)
+        ax.set_aspect("equal", adjustable="datalim")
+        ax.tick_params(labelsize=6)
+    for ax in fig.axes[len(tracks) :]:
+        ax.remove()
+    fig.suptitle("Recordings as their users have them: solution (line) and fixes, m east and north", fontsize=10)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    plots.save(fig, path)
+
+
+def main(argv: list[str]) -> None:
+    """Print the table, write the JSON."""
+    parser = common.options("wild", __doc__.splitlines()[0])
+    parser.add_argument("--only", metavar="A,B", help="these recordings")
+    parser.add_argument("--figure", metavar="F", type=Path, help="draw every track into F, a .png")
+    parser.add_argument("--tune", action="store_true", help="tune each without truth instead, and judge it")
+    args = parser.parse_args(argv)
+    chosen = sources()
+    if args.only:
+        chosen = {name: chosen[name] for name in args.only.split(",")}
+    results: dict[str, dict] = {}
+    if args.tune:
+        for name, path in chosen.items():
+            if name in SHORT:
+                continue
+            results[name] = r = tuned(name, path)
+            print(f"{name}: {r['verdict'] if r['ran'] else r['why']}", flush=True)
+            common.write_json(args.json, results)
+        print(tuning_table(results))
+        return
+    tracks: dict | None = {} if args.figure else None
+    for name, path in chosen.items():
+        results[name] = r = one(name, path, tracks)
+        print(f"{name}: {r['start']['how'] if r['ran'] else r['why']}", flush=True)
+    rows = [
+        [name, r["lines"], r.get("windows", 0), r.get("window_s", ""), r.get("drift_median_m", ""),
+         r.get("drift_rms_m", ""), " ".join(f"{v:.2g}" for v in r.get("nis", {}).values()), r.get("seconds", "")]
+        for name, r in results.items()
+    ]  # fmt: skip
+    print(table(["recording", "lines", "windows", "s", "median m", "RMS m", "nu^2 / S by channel", "s"], rows))
+    if tracks:
+        draw(tracks, args.figure)
+    common.write_json(args.json, results)

@@ -1,0 +1,1 @@
+"""Simulated data, where the truth is known: recovery, consistency, faults and damage."""

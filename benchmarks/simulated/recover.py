@@ -1,0 +1,244 @@
+"""Noise parameters back from the innovations alone, started a factor off in every one of them; truth only scores.
+
+`--data navego`: NaveGo's synthetic recording, IMU samples read as means (which they are). `--data simulated`: many
+repeats of a short drive whose noise is known: how often the 95 % intervals hold the truth, and what the tuned filter
+does on drives that no repeat has seen, against the filter that knows the true noise. `--data drive`: the real drive,
+see `benchmarks.recordings.recover_drive`.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from benchmarks import common
+from benchmarks.recordings import navego
+from jaxnav import data as io
+from jaxnav.analysis import metrics
+from jaxnav.filters.border import component
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.parameters import change, get
+from jaxnav.filters.run import run
+from jaxnav.simulate.scenarios import URBAN_SHORT, Scenario
+from jaxnav.simulate.simulation import matched_params, simulate
+from jaxnav.states.grades import GRADES
+from jaxnav.types import Params
+from tuning import scoring, uncertainty
+from tuning.likelihood import Surface, answers
+from tuning.transforms import LOG, Spec, join, labels, split, tied
+from tuning.uncertainty import Information
+
+SPEC: Spec = {
+    "noise.gyro": tied(LOG), "noise.accel": tied(LOG),
+    "states.gyro_bias.drive": tied(LOG), "states.accel_bias.drive": tied(LOG),
+    "measurements.position.scale": tied(LOG, (0, 0, 1)), "measurements.velocity.scale": tied(LOG, (0, 0, 1)),
+}  # fmt: skip
+WELL = ("gyro_deg_per_sqrt_hour", "accel_ug_per_sqrt_hz", "position_scale", "velocity_scale")  # ARW, VRW, GNSS sd
+BLOCK = 10.0  # s of a recording that are drawn together
+
+
+# ---------------------------------------------------------------------------- NaveGo
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _of_recording(filt, count: int, flat, params: Params, nav, data, block) -> Information:
+    back = ravel_pytree(split_like(params))[1]
+    keep = jnp.ones(block.shape, bool)
+    return uncertainty.information(
+        lambda r: run(filt, join(SPEC, back(r), params), nav, data), flat, keep, block, count
+    )
+
+
+def split_like(params: Params) -> dict[str, jax.Array]:
+    """The shape of the unconstrained numbers, usable in a traced function."""
+    return {name: jnp.zeros(() if not t.tie else max(t.tie) + 1) for name, t in SPEC.items()}
+
+
+def recording(imu: str, factor: float) -> dict:
+    """Tune on the recording with one of its IMUs."""
+    folder = io.verify("navego_synthetic")
+    rec, true = io.read_navego(folder, imu), navego.parameters(folder, imu)
+    packed, nav = navego.cut(rec, instantaneous=False)
+    filt = build("ekf15", cov_stride=packed.epochs.imu.dt.shape[1])
+    block = (packed.t // BLOCK).astype(int)
+    inform = lambda r: _of_recording(filt, int(block.max()) + 1, r, true, nav, packed.epochs, block)
+    raw = split(SPEC, true)
+    flat, back = ravel_pytree(raw)
+    start = flat + np.log(factor)
+    found = scoring.maximise(inform, start, report=show(packed.t.size))
+    tuned = join(SPEC, back(found.raw), true)
+    said = answers(Surface(inform, raw, packed.t.size), SPEC, tuned, true)
+    names = {"true": true, "start": join(SPEC, back(start), true), "tuned": tuned}
+    scores = {name: navego.solve(rec, p, instantaneous=False) for name, p in names.items()}
+    print(f"NaveGo {imu}, every parameter started x{factor:g}, RMSE after {navego.SETTLED:g} s")
+    print(f"  {'':12} {'true noise':>11} {'start':>11} {'tuned':>11}   tuned / true")
+    for key in navego.KEYS:
+        a, b, c = (scores[name][0][key] for name in names)
+        print(f"  {key:12} {a:11.5f} {b:11.5f} {c:11.5f}   {c / a:.3f}")
+    print("  normalised innovations, tuned:", np.round(scores["tuned"][1], 3))
+    result: dict = {f"rmse_{name}": rmse for name, (rmse, _) in scores.items()}
+    result |= {f"innovation_rms_{name}": rms for name, (_, rms) in scores.items()}
+    return result | {"innovation_rms": scores["tuned"][1], "imu": imu, "factor": factor} | told(said)
+
+
+def told(said: dict) -> dict:
+    """The parameters with the truth in the datasheet's place, printed."""
+    rows = {}
+    for name, p in said["parameters"].items():
+        rows[name] = {k: p[k] for k in ("value", "low", "high", "unit", "identified")} | {"truth": p["datasheet"]}
+        known = f"{p['low']:.4g} to {p['high']:.4g}" if p["identified"] else "not determined"
+        print(f"  {name:36} {p['value']:10.4g}   {known:24} truth {p['datasheet']:.4g} {p['unit']}")
+    for text in said["identifiability"]:
+        print(f"  {text}")
+    return {"parameters": rows, "identifiability": said["identifiability"]}
+
+
+def show(fixes: int):
+    """A line for every evaluation: the likelihood, and what the next step promises."""
+
+    def report(i: int, search: scoring.Search) -> None:
+        nll = np.asarray(search.best.nll) / fixes
+        print(f"  evaluation {i:2d}: nll per fix {np.mean(nll):.5f}, still promised {np.max(search.expected):.3g}",
+              flush=True)  # fmt: skip
+
+    return report
+
+
+# ---------------------------------------------------------------------------- simulated
+
+
+class Study(NamedTuple):
+    """How large the simulated study is."""
+
+    repeats: int
+    runs: int  # of a repeat
+    held: int  # runs to score on
+    duration_s: float
+
+
+FULL, QUICK = Study(40, 2, 20, 300.0), Study(4, 1, 2, 80.0)
+
+
+def scenario(study: Study) -> Scenario:
+    """A drive in town without outages; an IMU bad enough that its noise shows between two fixes of half a second."""
+    gnss = URBAN_SHORT.gnss._replace(position_sd_m=(1.0, 1.0, 2.0), velocity_sd_mps=(0.05, 0.05, 0.08), outages_s=())
+    return URBAN_SHORT._replace(
+        duration_s=study.duration_s, imu_rate_hz=20.0, gnss_rate_hz=2.0, gnss=gnss,
+        imu=URBAN_SHORT.imu._replace(imu_noise_factor=10.0),
+    )  # fmt: skip
+
+
+def truth_of(what: Scenario) -> Params:
+    """The parameters that made the data."""
+    params, grade, k = matched_params(what), GRADES[what.imu.grade], what.imu.imu_noise_factor
+    drive = k * np.sqrt(2 / grade.tau)
+    drives = {"gyro_bias": drive * grade.gyro_instability, "accel_bias": drive * grade.accel_instability}
+    values = {"noise.gyro": k * grade.arw, "noise.accel": k * grade.vrw}
+    return change(params, values | {f"states.{name}.drive": value for name, value in drives.items()})
+
+
+@partial(jax.jit, static_argnums=0)
+def _of_repeats(filt, flat, params: Params, sims) -> Information:
+    """The information of every repeat: flat (N, P), runs (N, R, ...)."""
+    back = ravel_pytree(split_like(params))[1]
+    keep = sims.truth.t[0, 0] > 10.0  # the start is the prior's business
+
+    def one(r, sim, runs):
+        count = sims.truth.t.shape[1]
+        block = jnp.full(keep.shape, runs)
+        return uncertainty.information(
+            lambda r: run(filt, join(SPEC, back(r), params), sim.initial, sim.epochs), r, keep, block, count
+        )
+
+    def repeat(r, many):
+        parts = jax.vmap(one, (None, 0, 0))(r, many, jnp.arange(sims.truth.t.shape[1]))
+        return Information(*(a.sum(0) for a in parts))
+
+    return jax.vmap(repeat)(flat, sims)
+
+
+@partial(jax.jit, static_argnums=0)
+def _rmse(filt, params: Params, sims) -> jax.Array:
+    """RMSE of position (m), velocity (m/s) over the runs after 20 s, all axes together, (2,)."""
+
+    def one(sim):
+        info = run(filt, params, sim.initial, sim.epochs)
+        late = (sim.truth.t > 20.0)[:, None]
+        position = jax.vmap(metrics.position_error)(info.nav, sim.truth.pos)
+        square = lambda e: jnp.sum(jnp.where(late, e, 0.0) ** 2) / jnp.sum(late)
+        return jnp.stack([square(position), square(info.nav.vel - sim.truth.vel)])
+
+    return jnp.sqrt(jax.vmap(one)(sims).mean(0))
+
+
+def simulated(study: Study, factor: float, seed: int) -> dict:
+    """Repeat the recovery on fresh data; coverage of the intervals, and RMSE held out."""
+    what = scenario(study)
+    true = truth_of(what)
+    make = jax.jit(jax.vmap(partial(simulate, what)))
+    N, R = study.repeats, study.runs
+    drives = make(jax.random.split(jax.random.key(seed), N * R + study.held))
+    sims = jax.tree.map(lambda a: a[: N * R].reshape(N, R, *a.shape[1:]), drives)
+    filt = build("ekf15", cov_stride=sims.epochs.imu.dt.shape[-1])
+    flat, back = ravel_pytree(split(SPEC, true))
+    inform = lambda r: _of_repeats(filt, r, true, sims)
+    start = jnp.tile(flat + np.log(factor), (N, 1))
+    found = scoring.maximise(inform, start, tolerance=0.02, report=show(R * sims.truth.t.shape[2]))
+    names = [component(n) for n in labels(SPEC, back(flat))]
+    rows = []
+    for i in range(N):
+        cov = uncertainty.covariance(np.asarray(found.best.fisher[i]), np.asarray(found.best.blocks[i]))
+        rows.append(uncertainty.intervals(SPEC, back(found.raw[i]), cov))
+    held = jax.tree.map(lambda a: a[N * R :], drives)
+    reference = np.asarray(_rmse(filt, true, held))
+    scores = np.array([np.asarray(_rmse(filt, join(SPEC, back(r), true), held)) for r in found.raw])
+    begun = np.asarray(_rmse(filt, join(SPEC, back(start[0]), true), held))
+    return summary(names, rows, true, reference, begun, scores) | {"factor": factor, "seed": seed} | study._asdict()
+
+
+def summary(names, rows, true: Params, reference, start, scores) -> dict:
+    """Coverage by parameter and the ratio of RMSE to that of the true noise, printed."""
+    n, parameters = len(rows), {}
+    print(f"Simulated, {n} repeats\n  {'':36} covered  identified  median factor off")
+    for j, name in enumerate(names):
+        mine = [r[j] for r in rows]
+        leaf, _, index = mine[0].name.partition("[")
+        value = np.ravel(get(true, leaf))
+        at = float(value[min(2 * int(index.rstrip("]")) if index else 0, value.size - 1)])
+        covered = sum(i.low <= at <= i.high for i in mine) / n
+        known = sum(i.identified for i in mine) / n
+        off = float(np.exp(np.median([abs(np.log(i.value / at)) for i in mine])))
+        well = name.partition("[")[0] in WELL
+        print(f"  {name:36} {covered:6.0%} {known:10.0%} {off:14.3f}{'   well identified' if well else ''}")
+        parameters[name] = {
+            "coverage": covered, "identified": known, "well": well, "truth": at,
+            "repeats": [{"value": i.value, "low": i.low, "high": i.high} for i in mine],
+        }  # fmt: skip
+    ratio = scores / reference
+    print(f"  held-out RMSE against the true noise: position {np.median(ratio[:, 0]):.4f} (largest "
+          f"{ratio[:, 0].max():.4f}), velocity {np.median(ratio[:, 1]):.4f} ({ratio[:, 1].max():.4f}); start "
+          f"{start[0] / reference[0]:.3f}, {start[1] / reference[1]:.3f}")  # fmt: skip
+    return {"parameters": parameters, "rmse_true": reference, "rmse_start": start, "rmse_tuned": scores}
+
+
+def main(argv: list[str]) -> None:
+    """Print the tables, write the JSON."""
+    parser = common.options("recover", __doc__.splitlines()[0])
+    parser.add_argument("--data", choices=("navego", "simulated", "drive"), default="navego")
+    parser.add_argument("--imu", choices=("imu1", "imu2"), default="imu2", help="of NaveGo, default imu2")
+    parser.add_argument("--factor", type=float, default=10.0, help="start so many times off, default 10")
+    parser.add_argument("--quick", action="store_true", help=f"simulated: {QUICK.repeats} short repeats")
+    parser.add_argument("--steps", type=int, default=12, help="drive: of tuning by drift for each block, default 12")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulated data, or the bootstrap; default 0")
+    args = parser.parse_args(argv)
+    if args.data == "drive":
+        from benchmarks.recordings import recover_drive
+
+        common.write_json(args.json, recover_drive.recover(args.steps, args.seed))
+    elif args.data == "navego":
+        common.write_json(args.json, recording(args.imu, args.factor))
+    else:
+        common.write_json(args.json, simulated(QUICK if args.quick else FULL, args.factor, args.seed))

@@ -1,0 +1,59 @@
+"""The first answer: seconds from the command to its end, from an empty cache of compiled programs and from a full one.
+
+Each command is a process of its own; beside it how often that is `import jax; jax.jit(lambda x: x)(1.)`.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks.common import options, write_json
+from jaxnav.analysis.tables import table
+
+NOTHING = [sys.executable, "-c", "import jax; jax.jit(lambda x: x)(1.0)"]
+TEN_MINUTES = ["--set", "data.options.duration_s=600"]
+
+
+def timed(argv: list[str], cache: Path, mark: str = "") -> tuple[float, float]:
+    """Seconds that a process takes, and until the first line of its stderr that has the mark (nan without one).
+
+    Raises:
+        SystemExit: it fails.
+    """
+    begin, seen, said = time.perf_counter(), float("nan"), []
+    env = os.environ | {"JAXNAV_CACHE_DIR": str(cache), "MPLBACKEND": "Agg"}
+    process = subprocess.Popen(argv, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    for line in process.stderr:
+        said.append(line)
+        if mark and mark in line and seen != seen:
+            seen = time.perf_counter() - begin
+    if process.wait():
+        raise SystemExit(f"{' '.join(argv)}: exit code {process.returncode}\n{''.join(said[-5:])}")
+    return time.perf_counter() - begin, seen
+
+
+def main(argv: list[str]) -> None:
+    """Print the table, write the JSON."""
+    args = options("first", __doc__ or "").parse_args(argv)
+    verb = [sys.executable, "-m", "jaxnav"]
+    found: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        home = Path(folder)
+        drive = ["--data", str(home / "drive")]
+        caches = iter(home / f"cache{i}" for i in range(9))
+        found["nothing"] = timed(NOTHING, home)[0]
+        simulate = [*verb, "simulate", "--data", "urban", *TEN_MINUTES, "--out", str(home / "drive")]
+        found["simulate_cold"] = timed(simulate, next(caches))[0]
+        cache = next(caches)
+        for name in ("filter_cold", "filter_warm"):
+            found[name] = timed([*verb, "filter", *drive, "--out", str(home / name)], cache)[0]
+        tune = [*verb, "tune", *drive, "--out", str(home / "tune")]
+        found["tune_cold"], found["tune_first_step"] = timed(tune, next(caches), "evaluation 1")
+        found["demo"] = timed([*verb, "demo", "--out", str(home / "demo")], next(caches))[0]
+    rows = [[name, seconds, seconds / found["nothing"]] for name, seconds in found.items()]
+    print(table(["", "s", "times nothing"], rows))
+    write_json(args.json, found | {"times_nothing": {name: ratio for name, _, ratio in rows}})

@@ -1,0 +1,80 @@
+"""How a filter does on what a tuning job kept aside: drift at the ends of hidden windows, consistency outside."""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxnav.analysis import evaluate, metrics
+from jaxnav.app.batches import Material
+from jaxnav.app.results import FailedCheck
+from jaxnav.filters.run import first_failure, run
+from jaxnav.types import Info, Params
+from tuning import objectives
+from tuning.transforms import merged
+from tuning.validation import PairedGain, paired_gain
+
+runs_jit = jax.jit(jax.vmap(run, (None, None, 0, 0)), static_argnums=0)
+
+
+class JobScores(NamedTuple):
+    """The test before and after, of all materials."""
+
+    errors: np.ndarray  # (windows,) m, horizontal, at the end of each window
+    blocks: np.ndarray  # (windows,) what is drawn together
+    info: Info  # (B, E, ...) numpy, of the first material
+    summary: dict[str, Any]
+
+
+def score(materials: list[Material], params: Params, free: tuple[str, ...]) -> JobScores:
+    """The errors at the ends of the tests' windows, and how the filter does outside of them.
+
+    Raises:
+        FailedCheck: a run stopped being finite; names run and time.
+    """
+    errors, blocks, infos, consistent, inside = [], [], [], [], []
+    for k, m in enumerate(materials):
+        batch = m.test
+        info = runs_jit(m.filter, merged(params, m.params, free), batch.nav, batch.epochs)
+        info = jax.tree.map(np.asarray, info)
+        for i, name in enumerate(m.names):
+            failure = first_failure(jax.tree.map(lambda a, i=i: a[i], info), m.t)
+            if failure:
+                raise FailedCheck(f"{name}: {failure}")
+        errors.append(np.asarray(jax.vmap(objectives.outage_error)(info, batch.ends))[np.asarray(batch.scored)])
+        blocks.append(m.blocks + 1e6 * k)  # of different sources, never drawn as one
+        judged = info._replace(valid=info.valid & np.asarray(batch.part)[..., None])  # nothing that tuning has seen
+        flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), judged)
+        consistent.append(evaluate.innovation_metrics(flat, m.measurements))
+        with_fix = judged.valid[..., :2].all(-1)
+        inside.append(np.sum(info.residual[with_fix][:, :2] ** 2, -1))
+        infos.append((info, judged))
+    all_errors = np.concatenate(errors)
+    summary = {
+        "outage_rms_m": float(np.sqrt(np.mean(all_errors**2))),
+        "outage_median_m": float(np.median(all_errors)),
+        "outage_max_m": float(all_errors.max()),
+        "nis_per_dof": float(np.mean([c["nis_per_dof"] for c in consistent])),
+        "nis_share_inside_95": float(np.mean([c["nis_share_inside_95"] for c in consistent])),
+        "innovation_horizontal_rms_m": float(np.sqrt(np.mean(np.concatenate(inside)))),
+    } | channels(materials[0], infos[0][1])
+    return JobScores(all_errors, np.concatenate(blocks), infos[0][0], summary)
+
+
+def channels(material: Material, info: Info) -> dict[str, dict[str, float]]:
+    """Mean normalised innovation squared of every channel, 1 if consistent, and its autocorrelation at the next fix."""
+    order, names, _ = evaluate.channels(material.measurements)
+    runs = [jax.tree.map(lambda a, i=i: a[i], info) for i in range(len(material.names))]
+    z = np.stack([metrics.normalized_innovations(each)[:, order] for each in runs])
+    pairs = z[:, 1:] * z[:, :-1]
+    seen = [j for j in range(len(names)) if np.isfinite(pairs[..., j]).any()]
+    nis = {names[j]: float(np.nanmean(z[..., j] ** 2)) for j in seen}
+    lag = {names[j]: float(np.nanmean(pairs[..., j])) / nis[names[j]] for j in seen}
+    return {"nis_by_channel": nis, "autocorrelation": lag}
+
+
+def compare(before: JobScores, after: JobScores, seed: int) -> PairedGain | None:
+    """The paired gain, or None where there are fewer than two blocks to draw."""
+    if np.unique(before.blocks).size < 2:
+        return None
+    return paired_gain(before.errors, after.errors, before.blocks, seed)

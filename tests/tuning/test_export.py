@@ -1,0 +1,118 @@
+"""Tuned noise in the words of other software comes back to the numbers that it was."""
+
+import re
+
+import numpy as np
+import pytest
+
+from jaxnav.filters.parameters import datasheet_params
+from jaxnav.maths import units
+from jaxnav.states.grades import GRADES
+from tests.conftest import told
+from tuning.export import (
+    AUTOPILOT_STEP,
+    EXPORTS,
+    ardupilot_parm,
+    kfgins_yaml,
+    navego_fields,
+    px4_params,
+    robot_localization_yaml,
+    write_exports,
+)
+
+GRADE = GRADES["adis16465"]
+
+
+def noise(gyro, accel, gyro_bias, accel_bias, **others):
+    """Parameters of these densities, biases that walk."""
+    both = {"gyro_tau": np.inf, "accel_tau": np.inf} | others
+    return told(datasheet_params(GRADE), gyro=gyro, accel=accel, gyro_bias=gyro_bias, accel_bias=accel_bias, **both)
+
+
+def fields(text: str) -> dict[str, np.ndarray]:
+    """Numbers by name of every line that has some."""
+    lines = [re.split(r"[:=]", line.partition("#")[0], maxsplit=1) for line in text.splitlines()]
+    numbers = {line[0].strip(): re.findall(r"Inf|[-+\d.]+(?:e[-+]?\d+)?", line[1].split("[")[-1]) for line in lines}
+    return {name: np.array([float(v) for v in values]) for name, values in numbers.items() if values}
+
+
+def test_kfgins_block_has_the_tuned_datasheet_of_the_grade():
+    """The grade's own figures are 0.1 deg/sqrt(h), 0.1 m/s/sqrt(h), 25 deg/h, 200 mGal, 1 h."""
+    drive = np.sqrt(2 / GRADE.tau)
+    made = noise(GRADE.arw, np.full(3, GRADE.vrw), GRADE.gyro_instability * drive, GRADE.accel_instability * drive,
+                 gyro_tau=3600.0)  # fmt: skip
+    got = fields(kfgins_yaml(made, (300.0, 200.0)))
+    expected = {"arw": 0.1, "vrw": 0.1, "gbstd": 25.0, "abstd": 200.0, "gsstd": 300.0, "asstd": 200.0, "corrtime": 1.0}
+    assert list(got) == list(expected)
+    for name, value in expected.items():
+        np.testing.assert_allclose(got[name], value, rtol=1e-5)
+
+
+def test_a_random_walk_keeps_its_drive():
+    got = fields(kfgins_yaml(noise(1e-4, 1e-3, 2e-7, 3e-6)))
+    T = float(got["corrtime"][0]) * units.HOUR
+    np.testing.assert_allclose(got["gbstd"] * units.DEG_PER_HOUR * np.sqrt(2 / T), 2e-7, rtol=1e-5)
+    np.testing.assert_allclose(got["abstd"] * units.MGAL * np.sqrt(2 / T), 3e-6, rtol=1e-5)
+
+
+def test_navego_fields_are_si_and_north_east_down():
+    made = noise([1e-4, 2e-4, 3e-4], 1e-3, 2e-7, 3e-6, gyro_tau=200.0, position_scale=[1.0, 2.0, 3.0])
+    text = navego_fields(made)
+    got = fields(text)
+    np.testing.assert_allclose(got["imu.arw"], [1e-4, 2e-4, 3e-4])
+    np.testing.assert_allclose(got["imu.gb_psd"], 2e-7)
+    np.testing.assert_allclose(got["imu.gb_dyn"], 2e-6)  # q sqrt(T / 2)
+    assert np.isinf(got["imu.ab_corr"]).all() and got["imu.ab_dyn"][0] == pytest.approx(3e-6)
+    np.testing.assert_allclose(got["gnss.stdm"], [2.0, 1.0, 3.0])
+
+
+def test_correlated_noise_is_told_by_axis_and_a_comment_says_so():
+    L = np.array([[3.0, 0, 0], [4.0, 3.0, 0], [0, 0, 2.0]])
+    made = noise(1e-4 * L, 1e-3, 2e-7, 3e-6, position_scale=L)
+    for text, mark in ((kfgins_yaml(made), "#"), (navego_fields(made), "%")):
+        first, _, rest = text.partition("\n")
+        names = "gyro, position_scale" if mark == "%" else "gyro"
+        assert first == f"{mark} correlations between the axes are left out of {names}"
+        sd = fields(rest)["arw" if mark == "#" else "imu.arw"] * (units.DEG_PER_SQRT_HOUR if mark == "#" else 1.0)
+        np.testing.assert_allclose(sd, [3e-4, 5e-4, 2e-4], rtol=1e-5)
+    np.testing.assert_allclose(fields(rest)["gnss.stdm"], [5.0, 3.0, 2.0])
+    assert "correlations" not in kfgins_yaml(noise(np.diag([1e-4, 2e-4, 3e-4]), 1e-3, 2e-7, 3e-6))
+
+
+def settings(text: str) -> dict[str, float]:
+    """Numbers by key of an autopilot's file."""
+    lines = [line.partition("#")[0].replace("param set", "").replace(",", " ").split() for line in text.splitlines()]
+    return {line[0]: float(line[1]) for line in lines if len(line) == 2}
+
+
+@pytest.mark.parametrize("made, keys", [
+    (px4_params, ("EKF2_GYR_NOISE", "EKF2_ACC_NOISE", "EKF2_GYR_B_NOISE", "EKF2_ACC_B_NOISE")),
+    (ardupilot_parm, ("EK3_GYRO_P_NSE", "EK3_ACC_P_NSE", "EK3_GBIAS_P_NSE", "EK3_ABIAS_P_NSE")),
+])  # fmt: skip
+def test_an_autopilots_steps_add_up_to_the_density(made, keys):
+    """N predictions of variance (s dt)^2 give what white noise of root PSD q does in N dt."""
+    densities = (3e-4, 2e-3, 1e-5, 4e-4)
+    found, T = settings(made(noise(*densities))), 60.0
+    for key, q in zip(keys, densities, strict=True):
+        assert T / AUTOPILOT_STEP * (found[key] * AUTOPILOT_STEP) ** 2 == pytest.approx(q**2 * T, rel=1e-5)
+
+
+def test_delays_floors_and_what_has_no_counterpart():
+    params = noise(1e-4, 1e-3, 1e-6, 1e-5, time_offset=0.02, position_latency=0.1, velocity_latency=0.2,
+                   clock_drift=3e-4, position_scale=2.0, lever_arm=[0.5, -0.1, -1.2])  # fmt: skip
+    px4, ardu = (settings(made(params, position_sd=1.5)) for made in (px4_params, ardupilot_parm))
+    assert px4["EKF2_GPS_DELAY"] == ardu["GPS_DELAY_MS"] == pytest.approx(170.0)  # the mean of 120 and 220 ms
+    assert px4["EKF2_GPS_P_NOISE"] == ardu["EK3_POSNE_M_NSE"] == pytest.approx(3.0)
+    assert [px4[f"EKF2_GPS_POS_{a}"] for a in "XYZ"] == [0.5, -0.1, -1.2]
+    for text in (px4_params(params), ardupilot_parm(params)):
+        assert "no counterpart: velocity is +0.100 s later than position, a clock drift of 300 ppm" in text
+    assert "everything has a counterpart" in px4_params(noise(1e-4, 1e-3, 1e-6, 1e-5))
+
+
+def test_robot_localization_gets_the_variance_of_a_sample(tmp_path):
+    text = robot_localization_yaml(noise(1e-4, 1e-3, 0.0, 0.0), imu_rate_hz=50.0)
+    assert "angular_velocity_covariance_diagonal: [5e-07, 5e-07, 5e-07]" in text
+    assert "linear_acceleration_covariance_diagonal: [5e-05, 5e-05, 5e-05]" in text
+    write_exports(tmp_path, "a head", noise(1e-4, 1e-3, 1e-6, 1e-5))
+    assert {p.name for p in tmp_path.iterdir()} == set(EXPORTS)
+    assert all(p.read_text()[2:8] == "a head" for p in tmp_path.iterdir())

@@ -1,0 +1,151 @@
+"""What is free: names of parameters, alone and in groups, and how each is tuned."""
+
+from collections.abc import Iterable, Mapping
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.filters.border import KEYS, NAMES, ROOTS, unit_of
+from jaxnav.filters.catalogue import FILTERS
+from jaxnav.filters.parameters import UNITS, get, has
+from jaxnav.measurements import Measurement
+from jaxnav.types import ConfigError, Params, nearest
+from tuning.transforms import LOG, TRANSFORMS, Spec, Transform, believed, factor, scaled, tied
+
+
+def transform_of(leaf: str) -> Transform:
+    """Logarithms of what is positive, steps of a unit's worth of what is not."""
+    unit = UNITS.get(leaf)
+    return LOG if unit is None or unit.step is None else scaled(unit.step)
+
+
+def groups(
+    measurements: Iterable[Measurement], states: Iterable[str], rule: Iterable[str] = ()
+) -> dict[str, list[str]]:
+    """What short names stand for, with these measurements and states; ``rule``: its leaves, see `of_rule`."""
+    measurements, states = tuple(measurements), tuple(states)
+    used = [m.name for m in measurements]
+    fixes = [name for name in ("position", "velocity") if name in used]
+    others = [f"measurements.{m.name}.{leaf}" for m in measurements if not m.receiver
+              for leaf, unit in m.units._asdict().items() if unit.step is None]  # fmt: skip
+    velocity = ["measurements.velocity.latency"] if "velocity" in fixes else []
+    return {
+        "noise": ["noise.gyro", "noise.accel", *(f"states.{state}.drive" for state in states), *others],
+        "fixes": [f"measurements.{name}.scale" for name in fixes],
+        "timing": ["mounting.time_offset", "mounting.clock_drift", *velocity],  # of the IMU's clock
+        "latency": [f"measurements.{name}.latency" for name in fixes],  # of the receiver: its fixes are old
+        "lever_arm": ["mounting.lever_arm"],
+        "vehicle": ["mounting.vehicle", "mounting.wheel_arm"] if {"nonholonomic", "speed"} & set(used) else [],
+        "prior": [f"states.{state}.sd" for state in states],
+        "rule": list(rule),
+    }
+
+
+def of_rule(name: str) -> list[str]:
+    """The leaves of a filter's rule that are worth tuning.
+
+    A gain of zero, such as the derivative's of the printed GPID, has no logarithm and stays what it is.
+    """
+    entry = FILTERS[name]
+    moves = lambda leaf, kind: np.isfinite(TRANSFORMS[kind].inverse(get(entry.theta(), leaf))).all()
+    return [f"rule.{leaf}" for leaf, kind in entry.tunable.items() if moves(leaf, kind)]
+
+
+def leaves_of(names: Iterable[str], short: Mapping[str, list[str]], params: Params, key: str = "free") -> list[str]:
+    """The dotted leaves of ``params`` that names stand for: of `groups`, dotted themselves, or keys of [params].
+
+    Raises:
+        ConfigError: no parameter is called so, or a state that the parameters have not; names ``key``.
+    """
+    found: list[str] = []
+    for name in names:
+        for leaf in short.get(name, [KEYS.get(name, name)]):
+            if leaf in UNITS and leaf.startswith("states.") and not has(params, leaf):
+                raise ConfigError(f"{key}: {leaf}: the filter has no state {leaf.split('.')[1]}: see filter.states")
+            if leaf not in UNITS and not leaf.startswith("rule.") or not has(params, leaf):
+                raise ConfigError(f"{key}: no parameter {leaf}: {nearest(leaf, [*short, *NAMES])}")
+            if name not in short or not constant(leaf, params):
+                found.append(leaf)
+    return list(dict.fromkeys(found))
+
+
+def constant(leaf: str, params: Params) -> bool:
+    """Whether it is the drive of a state that does not change: it has no logarithm."""
+    return leaf.endswith(".drive") and not np.all(np.asarray(get(params, leaf)) > 0)
+
+
+def step_of(leaf: str, filter_name: str) -> Transform:
+    """How a leaf is tuned.
+
+    Raises:
+        ConfigError: the filter's rule has no such parameter.
+    """
+    group, _, name = leaf.partition(".")
+    if group != "rule":
+        return transform_of(leaf)
+    if name not in FILTERS[filter_name].tunable:
+        raise ConfigError(f"tune.free: filter {filter_name} has no {leaf}")
+    return TRANSFORMS[FILTERS[filter_name].tunable[name]]
+
+
+def specify(
+    filter_name: str,
+    measurements: tuple[Measurement, ...],
+    sheet: Params,
+    *,
+    free: Iterable[str],
+    frozen: Iterable[str] = (),
+    tied_ones: Iterable[str] = (),
+    correlated: Iterable[str] = (),
+    prior: Mapping[str, float] | None = None,
+) -> Spec:
+    """What is free but not ``frozen``, with its ties and correlations, and beliefs about the datasheet's values.
+
+    ``prior``: one sd by name, a factor where the parameter is positive, else in a user's unit. Of a group that is to be
+    correlated it is those leaves that can be.
+
+    Raises:
+        ConfigError: a name that is unknown or not free, one that cannot be correlated or is tied, an sd that is none.
+    """
+    short = groups(measurements, sheet.states, of_rule(filter_name))
+    which = lambda key, names: leaves_of(names, short, sheet, f"tune.{key}")
+    spec: Spec = {leaf: step_of(leaf, filter_name) for leaf in which("free", free)}
+    if not spec:
+        raise ConfigError("tune.free: nothing is free")
+    held = set(which("frozen", frozen))
+    spec = {leaf: step for leaf, step in spec.items() if leaf not in held}
+    if not spec:
+        raise ConfigError("tune.frozen: nothing is left free")
+
+    def of(key: str, name: str) -> list[str]:
+        """Those of a name's leaves that are free; of a group that may be some, otherwise it is a mistake."""
+        found = [leaf for leaf in which(key, [name]) if leaf in spec]
+        if not found and not set(which(key, [name])) & held:
+            raise ConfigError(f"tune.{key}: {name} is not in tune.free, where it would have to be")
+        return found
+
+    for name in tied_ones:
+        for leaf in of("tied", name):
+            spec[leaf] = tied(spec[leaf])
+    for name in correlated:
+        roots = [leaf for leaf in which("correlated", [name]) if leaf in ROOTS]
+        if not roots:
+            known = ", ".join(NAMES[leaf] for leaf in ROOTS)
+            raise ConfigError(f"tune.correlated: {name} cannot be correlated, only {known}")
+        for leaf in (leaf for leaf in of("correlated", name) if leaf in roots):
+            if spec[leaf].tie is not None:
+                raise ConfigError(f"tune.correlated: {leaf} is in tune.tied, where its axes share one number")
+            spec[leaf] = factor(3)
+    for name, sd in (prior or {}).items():
+        for leaf in of("prior", name):
+            spec[leaf] = believed(spec[leaf], get(sheet, leaf), _sd(name, leaf, step_of(leaf, filter_name), sd))
+    return spec
+
+
+def _sd(name: str, leaf: str, step: Transform, sd: float) -> float:
+    """One sd of a belief in the unconstrained space: a factor where the parameter is positive, else the user's unit."""
+    positive = step is LOG
+    if not sd > (1.0 if positive else 0.0):
+        what = "a factor above 1" if positive else "above 0"
+        raise ConfigError(f"tune.prior.{name}: one sd must be {what}, got {sd:g}")
+    return float(np.log(sd)) if positive else float(step.inverse(jnp.asarray(sd * unit_of(leaf).factor)))

@@ -23,6 +23,7 @@ FOLDERS = {
         "start": "starts in motion: attitude, its sd and the delay of the fixes, simulated and recorded",
         "across": "several drives tuned together, judged on another IMU of the kind",
         "wild": "recordings as their users have them, from file to solution",
+        "sensors": "barometer, compass, wheels, airspeed: drift of recordings with them and without",
         "kitti": "a drive beside GTSAM: the same hidden windows, the same sigmas",
         "stream": "the filter sample by sample: beside the batch, with late fixes, across a restart; time of a sample",
         "umn": "a fixed-wing flight from an unknown heading, against the onboard filter",

@@ -28,6 +28,7 @@ EVERY = (*BIASES, *MORE)
 #: errors as of a fix: their third order is negligible and their first stands clear of rounding in latitude
 MOTION_SIZES = np.repeat([3.0, 0.3, 1e-3], 3)
 EPOCHS = 12
+GAP, PUSH = 0.1, np.array([3.0, -2.0, 0.5])  # s and m/s^2 between two samples of the past
 
 
 def sizes(names=EVERY) -> np.ndarray:
@@ -198,23 +199,29 @@ def test_retract_and_observe_are_derivatives(frame):
     @jax.jit
     def both(nav, x0):
         value_ = jnp.asarray(value).at[places["position"]].set(nav.pos)
+        before = nav._replace(t=nav.t - GAP, pos=earth.move(nav.pos, -GAP * nav.vel), vel=nav.vel - GAP * PUSH)
+        past = jax.tree.map(lambda a, b: jnp.stack([a, b]), model.enter(before), model.enter(nav))
         nav = model.enter(nav)
-        past = jax.tree.map(lambda a: jnp.stack([a, a]), nav)
         fix = Fix(value_, jnp.full(m, 0.5), jnp.zeros(m), jnp.ones(m, bool))
 
         def seen(x):
             """Every sample of the past without the error x: what the sensors read is what it is."""
+            moved = jax.vmap(lambda nav: model.retract(nav, x))(past)
             one = jax.tree.map(lambda a: a[-1], past)
-            moved = model.retract(one, x)
             readings = {"gyro": one.omega, "accel": one.force}
             for state in chosen(EVERY):
                 if state.enters:
                     w = readings[state.enters]
-                    M = jnp.eye(3) if state.effect is None else state.effect(w)
+                    M = (
+                        jnp.eye(3)
+                        if state.effect is None
+                        else state.effect(w, {"gyro": one.force, "accel": one.omega}[state.enters])
+                    )
                     place = layout_of()[state.name]
                     readings[state.enters] = w + M @ x[place]
-            moved = moved._replace(omega=readings["gyro"], force=readings["accel"])
-            return model.observe(params, jax.tree.map(lambda a: jnp.stack([a, a]), moved), fix)[0]
+            both = lambda w: jnp.stack([w, w])
+            moved = moved._replace(omega=both(readings["gyro"]), force=both(readings["accel"]))
+            return model.observe(params, moved, fix)[0]
 
         y, H, R = model.observe(params, past, fix)
         fine = 1e-3 * h
@@ -253,7 +260,7 @@ def test_every_row_says_what_it_is():
     for name, state in STATES.items():
         assert state.name == name and state.size == len(state.axes) >= 1
         assert state.enters in ("gyro", "accel", None)
-        assert state.effect is None or state.effect(jnp.ones((4, 3))).shape == (4, 3, state.size)
+        assert state.effect is None or state.effect(jnp.ones((4, 3)), jnp.ones((4, 3))).shape == (4, 3, state.size)
         assert all(unit.key for unit in state.units)
     for name, each in MEASUREMENTS.items():
         assert each.name == name and each.size == len(each.channels)

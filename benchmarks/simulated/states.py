@@ -20,17 +20,17 @@ from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.parameters import datasheet_states
 from jaxnav.filters.run import run
-from jaxnav.maths import earth
 from jaxnav.measurements import GNSS
-from jaxnav.simulate.processes import gauss_markov
+from jaxnav.simulate.readings import with_sensor, with_states
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
-from jaxnav.simulate.simulation import Simulated, matched_params, simulate
+from jaxnav.simulate.simulation import matched_params, simulate
 from jaxnav.states.grades import GRADES
-from jaxnav.states.table import STATES
-from jaxnav.types import Fix, Nav, Params
+from jaxnav.states.table import chosen
+from jaxnav.types import Nav, Params
 
 STRIDE, CHUNK = 10, 32
-BAROMETER_SD, BAROMETER_KEY, SLOW_KEY = 0.5, 7, 8  # m; folded into a run's key
+BAROMETER_SD, ERROR_KEY, SENSOR_KEY = 0.5, 8, 100  # m; folded into a run's key
+DRIVE_S, REST_S = 150.0, 60.0  # s, of the drives of `ROWS`
 
 
 class Final(NamedTuple):
@@ -42,9 +42,9 @@ class Final(NamedTuple):
     ok: jax.Array  # () bool
 
 
-def knowing(params: Params, scenario: Scenario, filt: Filter) -> Params:
-    """The parameters with what the rows of `STATES` believe of the filter's further states."""
-    names = [name for name in filt.model.states if name not in params.states]
+def knowing(params: Params, scenario: Scenario, filt: Filter, errors: Sequence[str] = ()) -> Params:
+    """The parameters with what the rows of `STATES` believe of further states, the filter's and the truth's."""
+    names = [name for name in dict.fromkeys((*filt.model.states, *errors)) if name not in params.states]
     return params._replace(states=params.states | datasheet_states(GRADES[scenario.imu.grade], names))
 
 
@@ -55,52 +55,31 @@ def final(filt: Filter, step: Step, truth: Nav) -> Final:
     return Final(metrics.nees(x, info.P), x, jnp.sqrt(jnp.diag(info.P)), info.ok)
 
 
-def with_barometer(sim: Simulated, key: jax.Array) -> Simulated:
-    """The run with a barometer at every epoch, its bias as the row of `STATES` believes; outages do not hide it."""
-    first, walk, noise = (jax.random.normal(k, sim.truth.t.shape, float) for k in jax.random.split(key, 3))
-    believed, interval = STATES["barometer_bias"].defaults, sim.truth.t[1] - sim.truth.t[0]
-    bias = believed.sd * first[0] + believed.drive * jnp.sqrt(interval) * jnp.cumsum(walk)
-    value = sim.truth.pos[:, 2] + bias + BAROMETER_SD * noise
-    column = lambda a, fill: jnp.concatenate([a, jnp.full_like(a[:, :1], fill)], 1)
-    f = sim.epochs.fix
-    fix = Fix(jnp.concatenate([f.value, value[:, None]], 1), column(f.sd, BAROMETER_SD), column(f.corr, 0.0),
-              column(f.valid, True))  # fmt: skip
-    truth = sim.truth._replace(errors=sim.truth.errors | {"barometer_bias": bias[:, None]})
-    return sim._replace(epochs=sim.epochs._replace(fix=fix), truth=truth)
-
-
-def with_slow_fixes(sim: Simulated, key: jax.Array) -> Simulated:
-    """The run with an error of its fixes as the row of `STATES` believes, minutes long."""
-    believed, interval = STATES["gnss_position_error"].defaults, sim.truth.t[1] - sim.truth.t[0]
-    error = believed.sd * gauss_markov(jax.random.normal(key, (sim.truth.t.size, 3), float), interval, believed.tau)
-    f = sim.epochs.fix
-    moved = jax.vmap(earth.move)(f.value[:, :3], error)
-    fix = f._replace(value=jnp.concatenate([moved, f.value[:, 3:]], 1))
-    truth = sim.truth._replace(errors=sim.truth.errors | {"gnss_position_error": error})
-    return sim._replace(epochs=sim.epochs._replace(fix=fix), truth=truth)
-
-
-@partial(jax.jit, static_argnums=(0, 1, 4))
-def runs_of(filt: Filter, scenario: Scenario, params: Params, keys: jax.Array, slow: bool) -> Final:
-    """The ends of the runs with these keys."""
+@partial(jax.jit, static_argnums=(0, 1, 4, 5))
+def runs_of(
+    filt: Filter, scenario: Scenario, params: Params, keys: jax.Array, errors: tuple[str, ...], sensors: tuple
+) -> Final:
+    """The ends of the runs with these keys, their truth with ``errors``; ``sensors``: names and sd of further ones."""
 
     def one(key):
-        sim = simulate(scenario, key)
-        if "barometer" in filt.model.measurements:
-            sim = with_barometer(sim, jax.random.fold_in(key, BAROMETER_KEY))
-        if slow:
-            sim = with_slow_fixes(sim, jax.random.fold_in(key, SLOW_KEY))
+        sim = with_states(simulate(scenario, key), params, errors, jax.random.fold_in(key, ERROR_KEY))
+        for i, (name, sd) in enumerate(sensors):
+            sim = with_sensor(sim, params, name, sd, jax.random.fold_in(key, SENSOR_KEY + i))
         rows = run(filt, params, sim.initial, sim.epochs, partial(final, filt), sim.truth)
         return jax.tree.map(lambda a: a[-1], rows)
 
     return jax.vmap(one)(keys)
 
 
-def scored(filt: Filter, scenario: Scenario, runs: int, seed: int, slow: bool = False) -> Final:
+def scored(
+    filt: Filter, scenario: Scenario, runs: int, seed: int, errors: tuple[str, ...] = (), **sensors: float
+) -> Final:
     """All runs, some at a time."""
-    params = knowing(matched_params(scenario), scenario, filt)
+    params = knowing(matched_params(scenario), scenario, filt, errors)
     keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(np.arange(runs))
-    parts = [jax.device_get(runs_of(filt, scenario, params, keys[i : i + CHUNK], slow)) for i in range(0, runs, CHUNK)]
+    own = tuple(sensors.items())
+    parts = [jax.device_get(runs_of(filt, scenario, params, keys[i : i + CHUNK], errors, own))
+             for i in range(0, runs, CHUNK)]  # fmt: skip
     found = jax.tree.map(lambda *a: np.concatenate(a), *parts)
     if not found.ok.all():
         raise SystemExit(f"{(~found.ok).sum()} of {runs} runs stopped being finite")
@@ -138,10 +117,10 @@ def barometer(runs: int, seed: int) -> dict[str, Any]:
     """A barometer whose bias walks: 16 states against 15 that take it for the height, and against none."""
     urban = SCENARIOS["urban"]
     scenario = urban._replace(duration_s=urban.gnss.outages_s[-1][1])  # ends where the last outage does
-    channels = (*GNSS, "barometer")
-    with_it = scored(build("ekf15", channels, STRIDE, states=("barometer_bias",)), scenario, runs, seed)
-    without = scored(build("ekf15", channels, STRIDE), scenario, runs, seed)
-    blind = scored(build("ekf15", cov_stride=STRIDE), scenario, runs, seed)
+    channels, bias = (*GNSS, "barometer"), ("barometer_bias",)
+    with_it = scored(build("ekf15", channels, STRIDE, states=bias), scenario, runs, seed, bias, barometer=BAROMETER_SD)
+    without = scored(build("ekf15", channels, STRIDE), scenario, runs, seed, bias, barometer=BAROMETER_SD)
+    blind = scored(build("ekf15", cov_stride=STRIDE), scenario, runs, seed, bias)
     return {
         "anees_16": anees(with_it), "anees_15": anees(without), "bounds": bounds(16, runs),
         "inside": inside(with_it, slice(15, 16)), "height_rms_m": float(metrics.rms(with_it.error[:, 2])),
@@ -152,9 +131,9 @@ def barometer(runs: int, seed: int) -> dict[str, Any]:
 
 def receiver(runs: int, seed: int) -> dict[str, Any]:
     """Fixes with an error of minutes: 18 states against 15 that take it for the way, between and at their fixes."""
-    urban = SCENARIOS["urban"]
-    with_it = scored(build("ekf15", cov_stride=STRIDE, states=("gnss_position_error",)), urban, runs, seed, True)
-    without = scored(build("ekf15", cov_stride=STRIDE), urban, runs, seed, True)
+    urban, slow = SCENARIOS["urban"], ("gnss_position_error",)
+    with_it = scored(build("ekf15", cov_stride=STRIDE, states=slow), urban, runs, seed, slow)
+    without = scored(build("ekf15", cov_stride=STRIDE), urban, runs, seed, slow)
     level = lambda found: float(np.sqrt(np.mean(found.error[:, :2] ** 2)))
     return {
         "anees_18": anees(with_it), "anees_15": anees(without), "bounds": bounds(18, runs),
@@ -163,7 +142,46 @@ def receiver(runs: int, seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-STUDIES = {"scale": scale, "barometer": barometer, "receiver": receiver}
+class Row(NamedTuple):
+    """A study of the table: states, and the sensors beside the receiver with the sd of their noise."""
+
+    states: tuple[str, ...] = ()
+    sensors: dict[str, float] = {}
+
+
+WHEELS = {"nonholonomic": 1.0, "speed": 0.1}
+ROWS = {
+    "gyro_misalignment": Row(("gyro_misalignment",)), "accel_misalignment": Row(("accel_misalignment",)),
+    "gyro_g_sensitivity": Row(("gyro_g_sensitivity",)), "lever_arm_error": Row(("lever_arm_error",)),
+    "clock_offset": Row(("clock_offset",)), "odometer_scale": Row(("odometer_scale",), {"speed": 0.1}),
+    "vehicle_axes": Row(("vehicle_axes",), WHEELS),
+    "magnetometer_bias": Row(("magnetometer_bias",), {"magnetometer": 1.0}),
+    "declination_error": Row(("declination_error",), {"magnetometer": 1.0}), "wind": Row(("wind",), {"airspeed": 0.5}),
+    "heading": Row((), {"heading": 0.01}), "baseline": Row((), {"baseline": 0.01}), "course": Row((), {"course": 0.05}),
+    "yaw_rate": Row((), {"yaw_rate": 0.01}),
+}  # fmt: skip
+"""Further states and sensors, one study each."""
+
+
+def row(name: str, runs: int, seed: int) -> dict[str, Any]:
+    """Is the filter consistent with it; on a drive without fixes hidden, and how much of the prior is left at rest."""
+    states, sensors = ROWS[name]
+    urban = SCENARIOS["urban"]
+    drive = urban._replace(duration_s=DRIVE_S, gnss=urban.gnss._replace(outages_s=()))
+    filt = build("ekf15", (*GNSS, *sensors), STRIDE, states=states)
+    found = scored(filt, drive, runs, seed, states, **sensors)
+    n = found.error.shape[1]
+    out: dict[str, Any] = {"anees": anees(found), "bounds": bounds(n, runs), "per_run": found.nees}
+    if states:
+        own, still = slice(15, n), drive._replace(duration_s=REST_S, motion=drive.motion._replace(standstill_s=REST_S))
+        rest = scored(filt, still, min(runs, CHUNK), seed, states, **sensors)
+        prior = np.concatenate([np.full(s.size, s.defaults.sd) for s in chosen(states)])
+        share = lambda final: (np.median(final.sd[:, own], 0) / prior).tolist()
+        out |= {"inside": inside(found, own), "left_of_the_prior": share(found), "left_at_rest": share(rest)}
+    return out
+
+
+STUDIES = {"scale": scale, "barometer": barometer, "receiver": receiver} | {n: partial(row, n) for n in ROWS}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -171,9 +189,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = options("states", __doc__ or "")
     parser.add_argument("--runs", type=int, default=128, help="default 128")
     parser.add_argument("--seed", type=int, default=0, help="default 0")
+    parser.add_argument("--only", default=",".join(STUDIES), metavar="A,B,...", help="some of them, default all")
     args: argparse.Namespace = parser.parse_args(argv)
-    found = {name: study(args.runs, args.seed) for name, study in STUDIES.items()}
-    for name, row in found.items():
-        print(name, {k: np.round(v, 3).tolist() for k, v in row.items() if not k.startswith("per_run")})
+    found = {}
+    for name in args.only.split(","):
+        found[name] = STUDIES[name](args.runs, args.seed)
+        words = {k: np.round(v, 3).tolist() for k, v in found[name].items() if not k.startswith("per_run")}
+        print(name, words, flush=True)
     write_json(args.json, {"runs": args.runs, "seed": args.seed} | found)
     return 0

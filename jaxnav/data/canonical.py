@@ -36,11 +36,27 @@ VELOCITY: tuple[Column, ...] = ((("ve_mps", 1.0),), (("vn_mps", 1.0),), (("vu_mp
 RPH: tuple[Column, ...] = tuple(((f"{a}_rad", 1.0), (f"{a}_deg", DEG)) for a in ("roll", "pitch", "heading"))
 CORR: tuple[Column, ...] = tuple(((name, 1.0),) for name in ("corr_en", "corr_nu", "corr_ue"))
 
+
+def _angle(name: str) -> tuple[Column, ...]:
+    return (((f"{name}_rad", 1.0), (f"{name}_deg", DEG)),)
+
+
+def _rate(name: str) -> tuple[Column, ...]:
+    return (((f"{name}_radps", 1.0), (f"{name}_degps", DEG)),)
+
+
 # by measurement name: columns of value, sd, correlation
 STREAMS: dict[str, tuple[tuple[Column, ...], tuple[Column, ...], tuple[Column, ...]]] = {
     "position": (LLA, tuple(((f"sd_{a}_m", 1.0),) for a in "enu"), CORR),
     "velocity": (VELOCITY, tuple(((f"sd_{a}_mps", 1.0),) for a in "enu"), CORR),
     "speed": (((("speed_mps", 1.0),),), ((("sd_mps", 1.0),),), ()),
+    "airspeed": (((("airspeed_mps", 1.0),),), ((("sd_mps", 1.0),),), ()),
+    "barometer": (((("height_m", 1.0),),), ((("sd_m", 1.0),),), ()),
+    "magnetometer": (tuple(((f"{a}_ut", 1.0),) for a in AXES), tuple(((f"sd_{a}_ut", 1.0),) for a in AXES), ()),
+    "heading": (_angle("heading"), _angle("sd"), ()),
+    "baseline": (tuple(((f"{a}_m", 1.0),) for a in "enu"), tuple(((f"sd_{a}_m", 1.0),) for a in "enu"), ()),
+    "course": (_angle("course"), _angle("sd"), ()),
+    "yaw_rate": (_rate("rate"), _rate("sd"), ()),
 }
 KNOWN = f"imu.csv, {', '.join(f'{name}.csv' for name in STREAMS)}, truth.csv or aiding_NAME.csv"
 _OPTIONAL_NAN = frozenset(name for column in RPH for name, _ in column)
@@ -179,7 +195,7 @@ def _files(rec: Recording) -> Iterator[tuple[str, str]]:
 def _read_stream(path: FilePath, key: str, notes: list[str] | None = None) -> tuple[Samples, Source]:
     table = read_csv(path, notes=notes)
     width = sum(name.startswith("value_") for name in table.names)
-    value, sd, corr = _stream_columns(key, width)
+    value, sd, corr = _numbered(width) if width or key not in STREAMS else STREAMS[key]
     if not value:
         raise DataError(f"{table.source.file}: expected columns value_0, sd_0, ..., got {', '.join(table.names)}")
     values = _columns(table, value)
@@ -197,6 +213,10 @@ def _read_stream(path: FilePath, key: str, notes: list[str] | None = None) -> tu
 def _stream_columns(key: str, width: int) -> tuple[tuple[Column, ...], tuple[Column, ...], tuple[Column, ...]]:
     if key in STREAMS:
         return STREAMS[key]
+    return _numbered(width)
+
+
+def _numbered(width: int) -> tuple[tuple[Column, ...], tuple[Column, ...], tuple[Column, ...]]:
     value, sd, corr = (tuple(((f"{part}_{i}", 1.0),) for i in range(width)) for part in ("value", "sd", "corr"))
     return value, sd, corr
 

@@ -25,6 +25,9 @@ STREAM_SIZES: dict[str, tuple[int, str]] = {
     "barometer": (1, "m"),
     "magnetometer": (3, "uT"),
     "heading": (1, "rad"),
+    "baseline": (3, "m"),
+    "course": (1, "rad"),
+    "yaw_rate": (1, "rad/s"),
 }
 
 

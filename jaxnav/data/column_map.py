@@ -29,8 +29,13 @@ KEYS: dict[str, tuple[str, ...]] = {
     "velocity": (*COMMON, *"enu ned neu ecef speed_course up down unit course_unit sd sd_enu sd_ned".split()),
     "truth": (*COMMON, *"lla enu ned ecef unit h_unit velocity_enu velocity_ned velocity_ecef rph rph_unit".split()),
     "magnetometer": (*COMMON, "value", "unit", "axes", "sd"),
+    "baseline": (*COMMON, *"enu ned unit sd sd_enu sd_ned".split()),
 }
 SCALAR = (*COMMON, "value", "unit", "sd")  # of every other stream
+QUANTITIES = {  # of a stream of one column, and the unit that it is in by default; others are speeds
+    "barometer": ("length", "m"), "heading": ("angle", "deg"), "course": ("angle", "deg"),
+    "yaw_rate": ("rate", "rad/s"),
+}  # fmt: skip
 
 
 def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None = None) -> Parts:
@@ -133,7 +138,9 @@ def _counted_from(parts: Parts, zero: int) -> Parts:
 
 def _stream(files: Files, table: dict, name: str) -> Stream:
     known(table, KEYS.get(name, SCALAR), f"{files.map}: {name}")
-    build = {"position": _position, "velocity": _velocity, "magnetometer": _field}.get(name, _scalar)
+    build = {"position": _position, "velocity": _velocity, "magnetometer": _field, "baseline": _baseline}.get(
+        name, _scalar
+    )
     value = build(files, table, name)
     t = times_of(files, table, name)
     side_by_side(files, [t, value[:, 0]], name)
@@ -187,6 +194,12 @@ def _field(files: Files, table: dict, name: str) -> np.ndarray:
     return table_of(files, table, "value", name) * scale @ rotation(table.get("axes", "frd")).T
 
 
+def _baseline(files: Files, table: dict, name: str) -> np.ndarray:
+    key = _one(files, table, ("enu", "ned"), name)
+    value = table_of(files, table, key, name) * units.factor(table, "unit", "length", f"{files.map}: {name}", "m")
+    return ned_to_enu(value) if key == "ned" else value
+
+
 def _scalar(files: Files, table: dict, name: str) -> np.ndarray:
     if "value" not in table:
         raise DataError(f"{files.map}: {name}: expected a key value")
@@ -195,7 +208,7 @@ def _scalar(files: Files, table: dict, name: str) -> np.ndarray:
     value = side_by_side(files, columns, name).mean(axis=1)  # of several, as the wheels of an axle
     if name == "barometer" and table.get("unit") in units.PRESSURE:
         return units.pressure_height(value * units.PRESSURE[table["unit"]])[:, None]
-    kind, default = {"barometer": ("length", "m"), "heading": ("angle", "deg")}.get(name, ("speed", "m/s"))
+    kind, default = QUANTITIES.get(name, ("speed", "m/s"))
     return value[:, None] * units.factor(table, "unit", kind, f"{files.map}: {name}", default)
 
 

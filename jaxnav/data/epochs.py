@@ -291,12 +291,14 @@ def constraint_samples(
     cuts: np.ndarray,
     *,
     nonholonomic: bool = False,
+    sideslip: bool = False,
     standing: np.ndarray | None = None,
     window: float = 1.0,
 ) -> dict[str, Samples]:
     """Pseudo-measurements at the ends of epochs, for `pack` with ``cuts``.
 
-    ``nonholonomic``: one at every end. ``standing`` (E,) bool (`stationary`): zero velocity and zero rate there.
+    ``nonholonomic``, ``sideslip``: one at every end. ``standing`` (E,) bool (`stationary`): zero velocity and zero rate
+    there.
     """
 
     def samples(t, value):
@@ -305,6 +307,8 @@ def constraint_samples(
     made = {}
     if nonholonomic:
         made["nonholonomic"] = samples(cuts, np.zeros((cuts.size, 2)))
+    if sideslip:
+        made["sideslip"] = samples(cuts, np.zeros((cuts.size, 1)))
     if standing is not None:
         t = cuts[standing]
         made["zero_velocity"] = samples(t, np.zeros((t.size, 3)))
@@ -354,8 +358,9 @@ def pack_recording(
         still = stationary(rec.imu, cuts, *standing)
         _check_standing(rec, cuts[still])
     made = constraint_samples(
-        rec.imu, cuts, nonholonomic="nonholonomic" in names, standing=still, window=standing.window
-    )
+        rec.imu, cuts, nonholonomic="nonholonomic" in names, sideslip="sideslip" in names, standing=still,
+        window=standing.window,
+    )  # fmt: skip
     aiding |= {name: s for name, s in made.items() if name in names}
     return pack(rec.imu, aiding, interval, measurements, start, stop, cuts)
 

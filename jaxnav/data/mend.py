@@ -30,6 +30,9 @@ ASSUMED_SD: dict[str, tuple[float, ...]] = {
     "barometer": (1.0,),  # m
     "magnetometer": (3.0, 3.0, 3.0),  # uT
     "heading": (0.1,),  # rad
+    "baseline": (0.02, 0.02, 0.04),  # m, ENU
+    "course": (0.1,),  # rad
+    "yaw_rate": (0.05,),  # rad/s
 }
 
 

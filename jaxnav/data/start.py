@@ -13,11 +13,13 @@ from jax.scipy.special import logsumexp
 
 from jaxnav.data.alignment import Alignment, Believed, align
 from jaxnav.data.epochs import TICK
+from jaxnav.data.magnetic import Field, field_of, heading_of
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import datasheet_params, datasheet_states, mounting
 from jaxnav.filters.run import initial_nav, negative_log_likelihood, run
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
+from jaxnav.measurements import HEADING
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import BIASES
 from jaxnav.types import ConfigError, DataError, Epoch, ImuLog, Info, Nav, Params, Prior, Recording, Samples
@@ -112,11 +114,17 @@ class Start(NamedTuple):
     how: str  # in words: from what, and how sure
     states: dict[str, np.ndarray] = {}  # standard deviations (size,) of the sensor states that it found
     alignment: Alignment | None = None  # in motion, what it found
+    field: Field | None = None  # magnetic, where the recording has a magnetometer
 
     def given(self, params: Params) -> Params:
         """The parameters with what is known at this start as their prior."""
         own = {name: params.states[name]._replace(sd=jnp.asarray(sd)) for name, sd in self.states.items()}
-        return params._replace(prior=self.prior, states=params.states | own)
+        params = params._replace(prior=self.prior, states=params.states | own)
+        if self.field is None or "magnetometer" not in params.measurements:
+            return params
+        there = {name: jnp.asarray(getattr(self.field, name)) for name in ("declination", "inclination", "strength")}
+        magnetometer = params.measurements["magnetometer"]._replace(**there)
+        return params._replace(measurements=params.measurements | {"magnetometer": magnetometer})
 
 
 class Attitude(NamedTuple):
@@ -128,6 +136,7 @@ class Attitude(NamedTuple):
     words: str
     unknown: bool = False  # the heading
     alignment: Alignment | None = None  # that it came from, if it came from one
+    pointed: "Pointed | None" = None  # what gave the heading, where motion did not
 
 
 def start(
@@ -146,14 +155,15 @@ def start(
     """Position and velocity from a fix; attitude as said, from ``begin`` s on.
 
     ``heading``: "motion" aligns (`jaxnav.data.alignment`) over 10 s and more, up to a minute, until heading is known to
-    10 deg; where motion does not show it, heading is unknown. "unknown" starts ``hypotheses`` of it, see
-    `heading_bank`. "course" takes the first velocity above ``course_speed_mps``, of a vehicle that drives straight
-    ahead. "truth" is the recording's, a number degrees. All but "motion" and "truth" level by a standstill, else by
-    motion, else take the vehicle for flat; ``tilt_sd_deg``, ``heading_sd_deg`` are theirs. ``params``: a filter's, of
-    which timing, lever arm and the biases' priors count; None is a consumer's IMU, the recording's lever arm and no
-    delays. The other sd are of the start, one number or one an axis in ENU; None is the fix's own and 0.5 m or 0.3 m/s.
+    10 deg; where motion does not show it, two antennas or a magnetometer do; else it is unknown. "unknown" starts
+    ``hypotheses`` of it, see `heading_bank`. "course" takes the first velocity above ``course_speed_mps``, of a vehicle
+    that drives straight ahead. "truth" is the recording's, a number degrees. All but "motion" and "truth" level by a
+    standstill, else by motion, else take the vehicle for flat; ``tilt_sd_deg``, ``heading_sd_deg`` are theirs.
+    ``params``: a filter's, of which timing, lever arm, the biases' priors and the magnetic field count; None is a
+    consumer's IMU, the recording's lever arm and no delays. The other sd are of the start, one number or one an axis in
+    ENU; None is the fix's own and 0.5 m or 0.3 m/s.
 
-    The samples and fixes up to the start are all that is used, so that a live filter starts likewise.
+    What lies up to the start is all that is used, and of a compass the second after it: a live filter starts likewise.
 
     Raises:
         DataError: fewer than two positions, never fast enough for a course, no truth with attitude where it is asked
@@ -195,7 +205,8 @@ def start(
         biases = {name: bias for name, bias in biases.items() if name in known.states}
         states = {name: bias_sd for name, (_, bias_sd) in biases.items()}
         navs = navs._replace(errors={n: jnp.tile(jnp.asarray(b), (len(angles), 1)) for n, (b, _) in biases.items()})
-        if not at.unknown:  # a tilt in ENU axes turns with the heading: of hypotheses its correlations are left out
+        # a tilt in ENU axes turns with the heading: where that is not the alignment's, its correlations are left out
+        if not at.unknown and at.pointed is None:
             attitude_sd = np.maximum(found.sd[:3], LEAST_TILT_SD)
             correlated = jnp.asarray(correlation_root(found.P[:9, :9]))
     prior = Prior(
@@ -205,13 +216,19 @@ def start(
         correlated,
     )
     about = f"{hypotheses} hypotheses" if at.unknown else f"sd {at.sd[1] / DEG:.2g} deg"
-    how = f"starts at t = {t:.3f} s: {at.words} ({about})"
-    return Start(navs, prior, t, "; ".join([how, *_remarks(at)]), states, at.alignment)
+    how = [f"starts at t = {t:.3f} s: {at.words} ({about})", *_remarks(at)]
+    field = field_of(known, lla) if "magnetometer" in rec.aiding else None
+    if field is not None and ((at.pointed and at.pointed.magnetic) or "pip" not in field.words):
+        how.append(field.words)
+    return Start(navs, prior, t, "; ".join(line for line in how if line), states, at.alignment, field)
 
 
 LENGTHS = (10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)  # s of the windows that are tried one after the other
 KNOWN, USABLE = 10 * DEG, 20 * DEG  # sd of a heading that is known, and that one filter can still start with
 BAD_FIT = 9.0  # chi^2 per degree of freedom from which on fixes and IMU do not belong together
+NEAR, INSTANT = 1.0, 0.1  # s, at most from a start to what points; within which a vehicle does not turn
+HARD_IRON = 3.0  # uT, sd of what is left of a calibrated magnetometer's
+BENT = 0.3  # of the field's strength, from which on iron is too near, or the axes are others
 LEAST_TILT_SD = 0.3 * DEG  # what scale errors and misalignment leave of a tilt, however long it is looked at
 
 
@@ -231,6 +248,9 @@ def _in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, h
             break
     if first is None or last is None:
         rp, by, sd = _levelled(rec, known, velocity, begin, begin, 10 * DEG)
+        if (pointed := _pointed(rec, known, rp, sd, begin)) is not None:
+            words = f"level by {by} (sd {sd / DEG:.2g} deg), heading {pointed.words}"
+            return Attitude(begin, (*rp, pointed.heading), (sd, pointed.sd), words, pointed=pointed)
         sds = (sd, 2 * np.pi / hypotheses)
         return Attitude(begin, (*rp, 0.0), sds, f"level by {by} (sd {sd / DEG:.2g} deg), heading unknown", True)
     unknown = last.sd[2] > USABLE
@@ -241,11 +261,50 @@ def _in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, h
         f"aligned over {best.t - begin:.0f} s by {best.fixes} fixes: roll {rph[0] / DEG:.1f}, pitch {rph[1] / DEG:.1f} "
         f"deg (sd {tilt / DEG:.2g} deg), heading "
     )
+    if unknown and (pointed := _pointed(rec, known, (float(rph[0]), float(rph[1])), tilt, best.t)) is not None:
+        words, rph = f"{words}{pointed.words}", np.array([rph[0], rph[1], pointed.heading])
+        return Attitude(best.t, tuple(rph), (tilt, pointed.sd), words, False, best, pointed)
     if unknown:
         words += "not shown by the motion"
         return Attitude(best.t, tuple(rph), (tilt, 2 * np.pi / hypotheses), words, True, best)
     words += f"{rph[2] / DEG % 360:.1f} deg"
     return Attitude(best.t, tuple(rph), (tilt, float(best.sd[2])), words, False, best)
+
+
+class Pointed(NamedTuple):
+    """A heading that needs no motion."""
+
+    heading: float  # rad
+    sd: float  # rad
+    words: str
+    magnetic: bool = False
+
+
+def _pointed(rec: Recording, known: Params, rp: tuple[float, float], tilt_sd: float, t: float) -> Pointed | None:
+    """Heading at ``t`` s by two antennas, else by the magnetometer; None where it is not known to `USABLE`.
+
+    By the samples within `NEAR` s.
+    """
+    near = {name: np.abs(rec.aiding[name].t - t) < NEAR for name in ("heading", "magnetometer") if name in rec.aiding}
+    if near.get("heading", np.zeros(1)).any():
+        s, theta = rec.aiding["heading"], known.measurements.get("heading", HEADING.defaults)
+        i = int(np.argmin(np.abs(s.t - t)))
+        angle, sd = float(s.value[i, 0]) - float(theta.yaw), float(s.sd[i, 0] * theta.sd_scale)
+        if sd <= USABLE:
+            return Pointed(angle, max(sd, LEAST_TILT_SD), f"{angle / DEG % 360:.1f} deg by two antennas")
+    if not near.get("magnetometer", np.zeros(1)).any():
+        return None
+    field = field_of(known, rec.aiding["position"].value[0])
+    compass = rec.aiding["magnetometer"]
+    closest = np.abs(compass.t - t).min()
+    seen = compass.value[np.abs(compass.t - t) <= max(INSTANT, closest)].mean(0)  # it may turn
+    angle, level, bent = heading_of(seen, *rp, field)
+    if bent > BENT * field.strength:
+        return None
+    sd = math.sqrt((HARD_IRON / level) ** 2 + (math.tan(field.inclination) * tilt_sd) ** 2 + field.sd**2)
+    if sd > USABLE:
+        return None
+    return Pointed(angle, sd, f"{angle / DEG % 360:.1f} deg by the magnetometer", True)
 
 
 def aligned(rec: Recording, params: Params, begin: float, end: float) -> Alignment | None:

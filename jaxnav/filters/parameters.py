@@ -181,5 +181,6 @@ def history_for(known: Params, rate_hz: float, span: float, more: float = 0.0) -
     """IMU samples of history that reach back as far as the latest fix in ``span`` s of data, and ``more`` s."""
     offset = float(known.mounting.time_offset) + abs(float(known.mounting.clock_drift)) * span
     ages = [float(theta.latency) for theta in known.measurements.values() if hasattr(theta, "latency")]
-    late = offset + max(ages, default=0.0) + more
+    unsure = 3 * float(np.max(known.states["clock_offset"].sd)) if "clock_offset" in known.states else 0.0
+    late = offset + max(ages, default=0.0) + more + unsure
     return 2 + math.ceil(late * rate_hz + 1e-6) if late > 0 else 2

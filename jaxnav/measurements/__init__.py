@@ -1,7 +1,10 @@
 """MEASUREMENTS: every kind of measurement by name; a new one is a file beside this and a line here."""
 
+from jaxnav.measurements.air import AIRSPEED, SIDESLIP
 from jaxnav.measurements.barometer import BAROMETER
+from jaxnav.measurements.direction import BASELINE, COURSE, HEADING, YAW_RATE
 from jaxnav.measurements.gnss import POSITION, VELOCITY
+from jaxnav.measurements.magnetometer import MAGNETOMETER
 from jaxnav.measurements.measurement import Measurement, clock_offset, counted_from, layout
 from jaxnav.measurements.standstill import ZERO_RATE, ZERO_VELOCITY
 from jaxnav.measurements.vehicle import NONHOLONOMIC, SPEED
@@ -16,6 +19,13 @@ MEASUREMENTS: dict[str, Measurement] = {
         NONHOLONOMIC,
         SPEED,
         BAROMETER,
+        MAGNETOMETER,
+        HEADING,
+        BASELINE,
+        COURSE,
+        YAW_RATE,
+        AIRSPEED,
+        SIDESLIP,
     )
 }
 GNSS = (POSITION, VELOCITY)

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from jaxnav.maths import earth, rotations
@@ -17,21 +18,29 @@ class FixParams(NamedTuple):
     latency: Leaf  # () s, its age when it is stamped
 
 
+def arm_of(mounting: Mounting, nav: Nav) -> jax.Array:
+    """IMU -> antenna, (3,) m, body, with the state ``lever_arm_error``."""
+    return mounting.lever_arm + nav.errors.get("lever_arm_error", jnp.zeros(3))
+
+
 def observe_position(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """P + C l + e - y, where e is the state ``gnss_position_error``."""
-    arm = kin.C @ mounting.lever_arm
+    """P + C l + e - y, where e is the state ``gnss_position_error`` and ``lever_arm_error`` is a part of l."""
+    arm = kin.C @ arm_of(mounting, nav)
     y = earth.enu_difference(kin.lla, fix.value) + arm + nav.errors.get("gnss_position_error", jnp.zeros(3))
-    rows = {"position": jnp.eye(3), "attitude": -rotations.skew(arm), "gnss_position_error": jnp.eye(3)}
+    rows = {"position": jnp.eye(3), "attitude": -rotations.skew(arm), "gnss_position_error": jnp.eye(3),
+            "lever_arm_error": kin.C}  # fmt: skip
     return Observation(y, rows, fix.sd, theta.scale)
 
 
 def observe_velocity(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
     """V + C (w x l) - y; the Earth's own rate times an arm is below 1e-4 m/s."""
-    swing = kin.C @ jnp.cross(nav.omega, mounting.lever_arm)
+    arm = arm_of(mounting, nav)
+    swing = kin.C @ jnp.cross(nav.omega, arm)
     rows = {
         "velocity": jnp.eye(3),
         "attitude": -rotations.skew(swing),
-        "gyro": -kin.C @ rotations.skew(mounting.lever_arm),
+        "gyro": -kin.C @ rotations.skew(arm),
+        "lever_arm_error": kin.C @ rotations.skew(nav.omega),
     }
     return Observation(kin.vel + swing - fix.value, rows, fix.sd, theta.scale)
 
@@ -44,11 +53,12 @@ def _units(name: str) -> FixParams:
 ENU, NED = ("east", "north", "up"), ("north", "east", "down")
 POSITION = Measurement(
     "position", ENU, observe_position, FixParams((1.0, 1.0, 1.0), 0.0), _units("position"), receiver=True,
-    states=("gnss_position_error",), columns=("lat_deg", "lon_deg", "height_m"), reported=NED,
+    states=("gnss_position_error", "lever_arm_error", "clock_offset"),
+    columns=("lat_deg", "lon_deg", "height_m"), reported=NED,
 )  # fmt: skip
 """GNSS position: value (lat rad, lon rad, h m) of the antenna, sd and correlations in ENU m."""
 VELOCITY = Measurement(
     "velocity", ENU, observe_velocity, FixParams((1.0, 1.0, 1.0), 0.0), _units("velocity"), receiver=True,
-    columns=("vn_mps", "ve_mps", "vd_mps"), reported=NED,
+    states=("lever_arm_error", "clock_offset"), columns=("vn_mps", "ve_mps", "vd_mps"), reported=NED,
 )  # fmt: skip
 """GNSS velocity of the antenna: value, sd in ENU m/s."""

@@ -15,6 +15,7 @@ from jax.typing import ArrayLike
 
 from jaxnav.maths import rotations
 from jaxnav.states.motion import MOTION
+from jaxnav.states.sensors import OTHER
 from jaxnav.states.state import State
 from jaxnav.types import Fix, Mounting, Nav, Params
 
@@ -129,7 +130,7 @@ def covariance(root: jax.Array | float, sd: jax.Array, corr: jax.Array, valid: j
 def rows_of(o: Observation, nav: Nav, states: Sequence[State]) -> jax.Array:
     """H (s, n) of an observation, its motion in ENU; rows of states that the filter lacks are dropped.
 
-    A state that enters the gyro or the accelerometer lowers what navigation goes by, d w / d s = -M(w).
+    A state that enters the gyro or the accelerometer lowers what navigation goes by, d w / d s = -M.
     """
     s = o.y.shape[0]
     blocks = [o.rows.get(name, jnp.zeros((s, 3))) for name in MOTION]
@@ -139,7 +140,8 @@ def rows_of(o: Observation, nav: Nav, states: Sequence[State]) -> jax.Array:
         if state.enters in o.rows:
             through = o.rows[state.enters]
             w = readings[state.enters] if o.reading is None else o.reading
-            row = row - (through if state.effect is None else through @ state.effect(w))
+            other = readings[OTHER[state.enters]]
+            row = row - (through if state.effect is None else through @ state.effect(w, other))
         blocks.append(row)
     return jnp.concatenate(blocks, 1)
 
@@ -168,10 +170,20 @@ def stack(
             theta = params.measurements[each.name]
             own = Fix(*(leaf[slices[each.name]] for leaf in fix))
             age = offset + getattr(theta, "latency", 0.0)
-            nav = at(past, now.t - age)
-            local = leave(nav) if leave else nav
-            kin = Kinematics(local.pos, local.vel, rotations.to_dcm(local.q))
-            o = each.observe(theta, mounting, nav, kin, own)
+            clock = each.receiver and "clock_offset" in now.errors
+            if clock:
+                age = age + now.errors["clock_offset"][0]
+
+            def seen(age: jax.Array, each=each, theta=theta, own=own) -> tuple[Nav, Nav, Observation]:
+                nav = at(past, now.t - age)
+                local = leave(nav) if leave else nav
+                kin = Kinematics(local.pos, local.vel, rotations.to_dcm(local.q))
+                return nav, local, each.observe(theta, mounting, nav, kin, own)
+
+            nav, local, o = seen(age)
+            if clock:
+                slope = jax.jvp(lambda age: seen(age)[2].y, (age,), (jnp.ones_like(age),))[1]
+                o = o._replace(rows=o.rows | {"clock_offset": slope[:, None]})
             if "position" in o.rows:
                 later = o.rows.get("velocity", 0.0) - age * o.rows["position"]
                 o = o._replace(rows=o.rows | {"velocity": later})

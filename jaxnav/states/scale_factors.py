@@ -8,8 +8,8 @@ from jaxnav.states.state import BODY, State, state_units
 from jaxnav.types import StateParams
 
 
-def diagonal(w: jax.Array) -> jax.Array:
-    """M(w) = diag(w), (..., 3, 3)."""
+def diagonal(w: jax.Array, other: jax.Array) -> jax.Array:
+    """M = diag(w), (..., 3, 3)."""
     return w[..., None] * np.eye(3)
 
 

@@ -12,13 +12,15 @@ from jaxnav.types import StateParams
 class State(NamedTuple):
     """One optional error state: a row of `STATES`.
 
-    The truth of a sensor that it enters is w, and what is read is w + M(w) s, where s is the state.
+    The truth of a sensor that it enters is w, that of the other sensor o, and what is read is w + M(w, o) s, where s is
+    the state.
     """
 
     name: str
     axes: tuple[str, ...]  # names of its components, as many as it is long
     enters: str | None  # "gyro" or "accel", whose reading it changes; None: only measurements see it
-    effect: Callable[[jax.Array], jax.Array] | None  # w (..., 3) -> M(w) (..., 3, size), linear in w; None: M = I
+    # w, o (..., 3) -> M (..., 3, size), linear in them: rad/s of the gyro, m/s^2 of the accelerometer; None: M = I
+    effect: Callable[[jax.Array, jax.Array], jax.Array] | None
     defaults: StateParams  # plain numbers: what is believed where no datasheet says anything
     units: StateParams  # of `Unit`: how each leaf is stated at the border
 
@@ -42,3 +44,14 @@ def state_units(
         Unit(key, per_second, shape, drive_text, root=size == 3),
         Unit(f"{name.removesuffix('_bias')}_tau_s", 1.0, shape, "s", endless=True),
     )
+
+
+def constant(
+    name: str, axes: tuple[str, ...], sd: float, unit: tuple[str, float, str], enters: str | None = None,
+    effect: Callable[[jax.Array, jax.Array], jax.Array] | None = None,
+) -> State:  # fmt: skip
+    """A state that stays what it is unless it is driven; ``unit``: as its keys end, its factor to SI, in words."""
+    key, factor, text = unit
+    drive = (f"{name}_{key}_per_sqrt_s", factor, f"{text}/sqrt(s)")
+    units = state_units(name, key, factor, len(axes), text, drive)
+    return State(name, axes, enters, effect, StateParams(sd * factor, 0.0, float("inf")), units)

@@ -8,10 +8,14 @@ import numpy as np
 
 from jaxnav.states.barometer_bias import BAROMETER_BIAS
 from jaxnav.states.biases import ACCEL_BIAS, GYRO_BIAS
+from jaxnav.states.g_sensitivity import GYRO_G_SENSITIVITY
 from jaxnav.states.gnss_position_error import GNSS_POSITION_ERROR
+from jaxnav.states.installation import CLOCK_OFFSET, LEVER_ARM_ERROR, ODOMETER_SCALE, VEHICLE_AXES
+from jaxnav.states.misalignment import ACCEL_MISALIGNMENT, GYRO_MISALIGNMENT
 from jaxnav.states.motion import MOTION
 from jaxnav.states.scale_factors import ACCEL_SCALE, GYRO_SCALE
 from jaxnav.states.state import State
+from jaxnav.states.surroundings import DECLINATION_ERROR, MAGNETOMETER_BIAS, WIND
 from jaxnav.types import nearest
 
 STATES: dict[str, State] = {
@@ -21,8 +25,18 @@ STATES: dict[str, State] = {
         ACCEL_BIAS,
         GYRO_SCALE,
         ACCEL_SCALE,
+        GYRO_MISALIGNMENT,
+        ACCEL_MISALIGNMENT,
+        GYRO_G_SENSITIVITY,
+        LEVER_ARM_ERROR,
+        CLOCK_OFFSET,
         BAROMETER_BIAS,
         GNSS_POSITION_ERROR,
+        ODOMETER_SCALE,
+        VEHICLE_AXES,
+        MAGNETOMETER_BIAS,
+        DECLINATION_ERROR,
+        WIND,
     )
 }
 BIASES = ("gyro_bias", "accel_bias")

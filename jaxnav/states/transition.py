@@ -17,6 +17,7 @@ import numpy as np
 from jaxnav.maths import linalg
 from jaxnav.maths.components import running
 from jaxnav.states.motion import MOTION
+from jaxnav.states.sensors import OTHER
 from jaxnav.states.state import State
 from jaxnav.types import ErrorInputs, Forcing, Noise, Params, StateParams
 
@@ -165,10 +166,11 @@ def _nilpotent(maps: Maps, course: EpochSums, u: Forcing | None) -> tuple[jax.Ar
 def _entered(maps: Maps, course: EpochSums, points: ErrorInputs, states: Sequence[State]) -> jax.Array:
     """E (9, k): what constant optional states do to motion over the epoch, by their columns C M."""
     parts: dict[str, jax.Array] = {s.name: jnp.zeros((9, s.size)) for s in states}
-    for sensor, reading, integrals in (("gyro", points.gyro, _turns), ("accel", points.accel, _pushes)):
-        own = [s for s in states if s.enters == sensor]
+    readings = {"gyro": points.gyro, "accel": points.accel}
+    for sensor, integrals in (("gyro", _turns), ("accel", _pushes)):
+        own, both = [s for s in states if s.enters == sensor], (readings[sensor], readings[OTHER[sensor]])
         if own:
-            CM = jnp.concatenate([course.C if s.effect is None else course.C @ s.effect(reading) for s in own], -1)
+            CM = jnp.concatenate([course.C if s.effect is None else course.C @ s.effect(*both) for s in own], -1)
             columns = jnp.split(integrals(maps, course, CM), np.cumsum([s.size for s in own])[:-1], 1)
             parts |= dict(zip((s.name for s in own), columns, strict=True))
     return jnp.concatenate([parts[s.name] for s in states], 1)

@@ -53,7 +53,7 @@ def test_set_takes_toml_values_and_types(setting, value):
     [
         ("filter.nam=3", "unknown key filter.nam: did you mean filter.name?"),
         ("filtr.name=3", "unknown key filtr: did you mean filter?"),
-        ("filter.heading=3", "did you mean start.heading?"),
+        ("filter.tilt_sd_deg=3", "did you mean start.tilt_sd_deg?"),
         ("filter.cov_stride=1.5", "filter.cov_stride must be a whole number, got 1.5"),
         ("filter.speed=1", "filter.speed must be true or false, got 1"),
         ("tune.steps=true", "tune.steps must be a whole number, got True"),

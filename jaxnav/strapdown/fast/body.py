@@ -31,7 +31,7 @@ from jaxnav.maths.components import (
     scale,
     split,
 )  # fmt: skip
-from jaxnav.states.sensors import corrected_reading
+from jaxnav.states.sensors import OTHER, corrected_reading
 from jaxnav.states.table import STATES
 from jaxnav.strapdown.increments import coned
 from jaxnav.types import Imu
@@ -162,8 +162,8 @@ def as_biases(rows: jax.Array, errors: Mapping[str, jax.Array]) -> tuple[Vector,
         own = [name for name in errors if STATES[name].enters == sensor]
         if all(STATES[name].effect is None for name in own):
             return split(sum((errors[name] for name in own), jnp.zeros(3)))
-        raw = jnp.stack(means[sensor], -1)
-        return split(raw - corrected_reading(raw, sensor, errors))
+        raw, other = jnp.stack(means[sensor], -1), jnp.stack(means[OTHER[sensor]], -1)
+        return split(raw - corrected_reading(raw, sensor, errors, other))
 
     return excess("gyro"), excess("accel")
 

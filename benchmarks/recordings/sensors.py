@@ -1,0 +1,96 @@
+"""What further sensors are worth on recordings: drift in hidden windows with them and without.
+
+A consumer's datasheet, the sd that the recordings state or `jaxnav.data.mend.ASSUMED_SD`, the same windows; nothing is
+tuned. Barometers are judged by height, all others by the horizontal.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from benchmarks import common
+from benchmarks.recordings.wild import sources
+from jaxnav import build, read
+from jaxnav.analysis.tables import table
+from jaxnav.analysis.windows import drift, hidden_windows
+from jaxnav.data import epochs as ep
+from jaxnav.data.start import heading_bank, start
+from jaxnav.filters.catalogue import rows
+from jaxnav.filters.compiler import make_room
+from jaxnav.types import Recording
+
+PHASES, SETTLE = 3, 10.0
+
+
+class Trial(NamedTuple):
+    """A recording, what is added to its position and velocity, and how it is judged."""
+
+    recording: str
+    sensors: tuple[str, ...]
+    states: tuple[str, ...]
+    window: float  # s
+    up: bool = False  # judged by height
+
+
+TRIALS = (
+    Trial("px4_quad106", ("barometer",), ("barometer_bias",), 20.0, up=True),
+    Trial("px4_quad123", ("barometer",), ("barometer_bias",), 20.0, up=True),
+    Trial("px4_fixed_wing", ("barometer",), ("barometer_bias",), 20.0, up=True),
+    Trial("px4_quad106", ("magnetometer",), ("magnetometer_bias",), 20.0),
+    Trial("px4_quad123", ("magnetometer",), ("magnetometer_bias",), 20.0),
+    Trial("px4_fixed_wing", ("airspeed", "sideslip"), ("wind",), 10.0),
+    Trial("comma2k19", ("nonholonomic", "speed"), (), 15.0),
+    Trial("comma2k19", ("nonholonomic", "speed"), ("odometer_scale", "vehicle_axes"), 15.0),
+    Trial("kth", ("nonholonomic", "speed"), (), 15.0),
+    Trial("kth", ("nonholonomic", "speed"), ("odometer_scale", "vehicle_axes"), 15.0),
+    Trial("husky", ("nonholonomic", "speed"), (), 15.0),
+    Trial("husky", ("nonholonomic", "speed"), ("odometer_scale", "vehicle_axes"), 15.0),
+)
+
+
+def drifts(rec: Recording, sensors: tuple[str, ...], states: tuple[str, ...], window: float) -> np.ndarray:
+    """Estimate minus fix at the ends of the windows, (W, 3) m ENU."""
+    make_room()
+    streams = [key for key in ("position", "velocity") if key in rec.aiding]
+    filt = build("ekf15", (*streams, *sensors), cov_stride=5, states=states)
+    begin = start(rec, filt.params("consumer"))
+    params, chosen = begin.given(filt.params("consumer")), rows((*streams, *sensors))
+    packed = ep.pack_recording(rec, chosen, begin.t)
+    windows = hidden_windows(packed, window, 2 * window, PHASES, SETTLE)
+    best = 0
+    if begin.navs.t.shape[0] > 1:
+        best = int(jax.jit(heading_bank, static_argnums=0)(filt, params, begin.navs, packed.epochs).best)
+    nav = jax.tree.map(lambda a: a[best], begin.navs)
+    return drift(filt, params, nav, packed.epochs, windows, chosen)[0]
+
+
+def one(trial: Trial, path: Path) -> dict:
+    """A trial's figures."""
+    rec = read(path)
+    missing = [name for name in trial.sensors if name not in rec.aiding and name not in ("nonholonomic", "sideslip")]
+    if missing:
+        return {"ran": False, "why": f"{trial.recording} has no {missing[0]}"}
+    size = (lambda e: np.abs(e[:, 2])) if trial.up else (lambda e: np.hypot(e[:, 0], e[:, 1]))
+    without, with_it = (size(drifts(rec, s, x, trial.window)) for s, x in (((), ()), (trial.sensors, trial.states)))
+    rms = lambda e: float(np.sqrt(np.mean(e**2)))
+    return {
+        "ran": True, "windows": int(with_it.size), "window_s": trial.window, "up": trial.up,
+        "without_rms_m": rms(without), "with_rms_m": rms(with_it), "ratio": rms(with_it) / rms(without),
+        "without_median_m": float(np.median(without)), "with_median_m": float(np.median(with_it)),
+    }  # fmt: skip
+
+
+def main(argv: list[str]) -> None:
+    """Print the table, write the JSON."""
+    args = common.options("sensors", __doc__.splitlines()[0]).parse_args(argv)
+    known, results = sources(), {}
+    for trial in TRIALS:
+        name = f"{trial.recording}: {' + '.join((*trial.sensors, *trial.states))}"
+        results[name] = r = one(trial, known[trial.recording])
+        print(f"{name}: {r['ratio']:.2f}" if r["ran"] else f"{name}: {r['why']}", flush=True)
+    head = ["", "s", "windows", "without RMS m", "with RMS m", "ratio", "without median m", "with median m"]
+    keys = ("window_s", "windows", "without_rms_m", "with_rms_m", "ratio", "without_median_m", "with_median_m")
+    print(table(head, [[name, *(r[k] for k in keys)] for name, r in results.items() if r["ran"]]))
+    common.write_json(args.json, results)

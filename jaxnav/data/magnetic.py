@@ -1,0 +1,79 @@
+"""The Earth's magnetic field where a recording begins, by the World Magnetic Model (package ``pygeomag``)."""
+
+import math
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxnav.maths.units import DEG
+from jaxnav.measurements import MAGNETOMETER
+from jaxnav.types import Params
+
+YEAR = 2025.0  # that the field is looked up for: declination changes by 0.2 deg a year at most, far from the poles
+LOST_DECLINATION = 10 * DEG  # sd of a declination that nobody knows, away from the poles
+INSTALL = "pip install 'jaxnav[magnetic]', or set params.declination_deg, inclination_deg and field_ut"
+
+
+class Field(NamedTuple):
+    """The field at a place."""
+
+    declination: float  # rad, from north to east
+    inclination: float  # rad, below the horizon
+    strength: float  # uT
+    sd: float  # rad, of the declination
+    words: str
+
+
+@cache
+def _model() -> Any:
+    """The model's newest coefficients; None where the package is not installed."""
+    try:
+        from pygeomag import GeoMag
+    except ImportError:
+        return None
+    return GeoMag()
+
+
+def field_at(lla: np.ndarray, year: float = YEAR) -> Field | None:
+    """The model's field at (3,) rad, rad, m; None where the package is not installed."""
+    model = _model()
+    if model is None:
+        return None
+    lat, lon, height = float(lla[0]) / DEG, float(lla[1]) / DEG, float(lla[2])
+    found = model.calculate(glat=lat, glon=(lon + 180) % 360 - 180, alt=height / 1e3, time=year)
+    words = (
+        f"magnetic field by the World Magnetic Model: declination {found.d:.1f} deg, inclination {found.i:.1f} deg, "
+        f"{found.f / 1e3:.1f} uT"
+    )
+    return Field(found.d * DEG, found.i * DEG, found.f / 1e3, 1 * DEG, words)
+
+
+def field_of(params: Params, lla: np.ndarray) -> Field:
+    """What ``params`` say of the field; where they say nothing, which is the row's defaults, the model's at ``lla``."""
+    default = MAGNETOMETER.defaults
+    stated = params.measurements.get("magnetometer", default)
+    own = float(stated.declination), float(stated.inclination), float(stated.strength)
+    if not np.allclose(own, [default.declination, default.inclination, default.strength], rtol=1e-12):
+        return Field(*own, 1 * DEG, "")
+    found = field_at(lla)
+    if found is not None:
+        return found
+    return Field(*own, LOST_DECLINATION, f"magnetic declination unknown: {INSTALL}")
+
+
+def heading_of(field: np.ndarray, roll: float, pitch: float, known: Field) -> tuple[float, float, float]:
+    """Heading (rad) that a field (3,) uT, body, shows at a roll and pitch (rad); its level part, how bent it is (uT).
+
+    Hard iron of b uT turns the heading by b over the level part. Bent is how far level and downward part together are
+    from those of the ``known`` field.
+    """
+    x, y, z = field
+    below = y * math.sin(roll) + z * math.cos(roll)
+    forward, down = x * math.cos(pitch) + below * math.sin(pitch), below * math.cos(pitch) - x * math.sin(pitch)
+    right = y * math.cos(roll) - z * math.sin(roll)
+    level = math.hypot(forward, right)
+    bent = math.hypot(
+        level - known.strength * math.cos(known.inclination), down - known.strength * math.sin(known.inclination)
+    )
+    return math.atan2(-right, forward) + known.declination, level, bent

@@ -1,0 +1,61 @@
+"""What the air around an aircraft shows: how fast it comes, and that it comes from ahead."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav.maths import rotations
+from jaxnav.maths.units import Unit
+from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
+from jaxnav.types import Fix, Leaf, Mounting, Nav
+
+
+class AirspeedParams(NamedTuple):
+    """Of a pitot tube along the body's x."""
+
+    sd_scale: Leaf  # () factor on its own sd
+    latency: Leaf  # () s, its age when it is stamped
+    scale: Leaf  # () scale error; 0 is none
+
+
+class SideslipParams(NamedTuple):
+    """Of the constraint."""
+
+    sd: Leaf  # () m/s
+
+
+def through_air(nav: Nav, kin: Kinematics) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """Velocity through the air, body (3,), and its rows; without the state ``wind`` the air stands."""
+    v = kin.vel - jnp.concatenate([nav.errors.get("wind", jnp.zeros(2)), jnp.zeros(1)])
+    rows = {"velocity": kin.C.T, "attitude": kin.C.T @ rotations.skew(v), "wind": -kin.C.T[:, :2]}
+    return kin.C.T @ v, rows
+
+
+def observe_airspeed(theta: AirspeedParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """(1 + scale) v_x - y."""
+    v, rows = through_air(nav, kin)
+    scale = 1 + theta.scale
+    return Observation(
+        v[:1] * scale - fix.value, {name: row[:1] * scale for name, row in rows.items()}, fix.sd, theta.sd_scale
+    )  # fmt: skip
+
+
+def observe_sideslip(theta: SideslipParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """v_y = 0."""
+    v, rows = through_air(nav, kin)
+    return Observation(v[1:2], {name: row[1:2] for name, row in rows.items()}, fix.sd, theta.sd)
+
+
+AIRSPEED = Measurement(
+    "airspeed", ("forward",), observe_airspeed, AirspeedParams(1.0, 0.0, 0.0),
+    AirspeedParams(Unit("airspeed_sd_scale"), Unit("airspeed_latency_s", text="s", step=0.1),
+                   Unit("airspeed_scale", step=0.02)),
+    states=("wind",), columns=("airspeed_mps",),
+)  # fmt: skip
+"""True airspeed: value forward m/s, its own sd."""
+SIDESLIP = Measurement(
+    "sideslip", ("right",), observe_sideslip, SideslipParams(1.0), SideslipParams(Unit("sideslip_mps", text="m/s")),
+    states=("wind",),
+)  # fmt: skip
+"""An aircraft flies without slipping: no value; sd = its parameter times the fix's own sd (1 by default)."""

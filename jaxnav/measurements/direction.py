@@ -1,0 +1,99 @@
+"""Where the vehicle points: two antennas, the course over ground, and how fast wheels say that it turns."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav.maths import rotations
+from jaxnav.maths.units import DEG, Unit
+from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
+from jaxnav.types import Fix, Leaf, Mounting, Nav
+
+SLOWEST = 0.1  # m/s or m: below it a direction means nothing, and its row is bounded
+
+
+class HeadingParams(NamedTuple):
+    """Of a heading by two antennas."""
+
+    sd_scale: Leaf  # () factor on its own sd
+    latency: Leaf  # () s, its age when it is stamped
+    yaw: Leaf  # () rad, of the line from the first antenna to the second in body axes, to the right of forward
+
+
+class BaselineParams(NamedTuple):
+    """Of the line from one antenna to another."""
+
+    sd_scale: Leaf  # () factor on its own sd
+    latency: Leaf  # () s, its age when it is stamped
+    arm: Leaf  # (3,) m, first antenna -> second, body
+
+
+class AgedParams(NamedTuple):
+    """Of a sensor that is only late."""
+
+    sd_scale: Leaf  # () factor on its own sd
+    latency: Leaf  # () s, its age when it is stamped
+
+
+def azimuth(d: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Direction () rad from north to east of a vector (3,) ENU, and its derivative (1, 3)."""
+    square = jnp.maximum(d[0] ** 2 + d[1] ** 2, SLOWEST**2)
+    return jnp.arctan2(d[0], d[1]), jnp.stack([d[1], -d[0], jnp.zeros(())])[None] / square
+
+
+def turned(angle: jax.Array) -> jax.Array:
+    """The angle within +-pi, (1,)."""
+    return (jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi)[None]
+
+
+def observe_heading(theta: HeadingParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """Azimuth of C (cos yaw, sin yaw, 0) - y."""
+    d = kin.C @ jnp.stack([jnp.cos(theta.yaw), jnp.sin(theta.yaw), jnp.zeros(())])
+    angle, slope = azimuth(d)
+    return Observation(
+        turned(angle - fix.value[0]), {"attitude": -slope @ rotations.skew(d)}, fix.sd, theta.sd_scale
+    )  # fmt: skip
+
+
+def observe_baseline(theta: BaselineParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """C b - y."""
+    d = kin.C @ theta.arm
+    return Observation(d - fix.value, {"attitude": -rotations.skew(d)}, fix.sd, theta.sd_scale)
+
+
+def observe_course(theta: AgedParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """Azimuth of the velocity - y."""
+    angle, slope = azimuth(kin.vel)
+    return Observation(turned(angle - fix.value[0]), {"velocity": slope}, fix.sd, theta.sd_scale)
+
+
+def observe_yaw_rate(theta: AgedParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """w_z - y."""
+    return Observation(nav.omega[2:] - fix.value, {"gyro": jnp.eye(3)[2:]}, fix.sd, theta.sd_scale)
+
+
+def _late(name: str) -> tuple[Unit, Unit]:
+    return Unit(f"{name}_sd_scale"), Unit(f"{name}_latency_s", text="s", step=0.1)
+
+
+HEADING = Measurement(
+    "heading", ("heading",), observe_heading, HeadingParams(1.0, 0.0, 0.0),
+    HeadingParams(*_late("heading"), Unit("heading_yaw_deg", DEG, text="deg", step=DEG)), columns=("heading_rad",),
+)  # fmt: skip
+"""Heading by two antennas: value rad from north, clockwise, of the line from the first to the second, its own sd."""
+BASELINE = Measurement(
+    "baseline", ("east", "north", "up"), observe_baseline, BaselineParams(1.0, 0.0, (1.0, 0.0, 0.0)),
+    BaselineParams(*_late("baseline"), Unit("baseline_arm_m", 1.0, (3,), "m", step=0.1)),
+    columns=("east_m", "north_m", "up_m"),
+)  # fmt: skip
+"""Line between two antennas: value (3,) m ENU, first -> second, its own sd."""
+COURSE = Measurement(
+    "course", ("course",), observe_course, AgedParams(1.0, 0.0), AgedParams(*_late("course")), columns=("course_rad",)
+)  # fmt: skip
+"""Course over ground: value rad from north, clockwise, its own sd; give none below walking pace."""
+YAW_RATE = Measurement(
+    "yaw_rate", ("down",), observe_yaw_rate, AgedParams(1.0, 0.0), AgedParams(*_late("yaw_rate")),
+    columns=("rate_rad_per_s",),
+)  # fmt: skip
+"""Turn rate by the wheels of both sides: value rad/s about the body's z, its own sd."""

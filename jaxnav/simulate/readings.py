@@ -1,0 +1,85 @@
+"""What other sensors would read, and errors that are states, on top of a simulated run: by the models that filter it.
+
+A measurement's residual is what is expected minus what is read, so that what the truth is expected to give is its
+residual against zero. Errors of a state are drawn from what is believed of it, `Params.states`.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav.maths import earth, rotations
+from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
+from jaxnav.measurements.measurement import Kinematics
+from jaxnav.simulate.processes import gauss_markov, normal
+from jaxnav.simulate.simulation import Simulated
+from jaxnav.states.sensors import OTHER
+from jaxnav.states.state import State
+from jaxnav.states.table import chosen
+from jaxnav.types import Fix, Nav, Params, StateParams
+
+
+def expected(measurement: Measurement, params: Params, truth: Nav) -> jax.Array:
+    """Residuals (E, s) against zero at the true epochs (E, ...): what an ideal sensor reads, of a position m ENU."""
+    zero = jnp.zeros(measurement.size)
+    blind = Fix(zero, zero + 1.0, zero, zero > -1)
+    theta = params.measurements[measurement.name]
+
+    def one(nav: Nav) -> jax.Array:
+        kin = Kinematics(nav.pos, nav.vel, rotations.to_dcm(nav.q))
+        at_it = blind._replace(value=nav.pos) if measurement.name == "position" else blind
+        return measurement.observe(theta, params.mounting, nav, kin, at_it).y
+
+    return jax.vmap(one)(truth)
+
+
+def with_sensor(sim: Simulated, params: Params, name: str, sd: float, key: jax.Array) -> Simulated:
+    """The run with a further measurement at every epoch, behind the channels that are there, its noise ``sd``."""
+    measurement, f = MEASUREMENTS[name], sim.epochs.fix
+    exact = expected(measurement, params, sim.truth)
+    value = exact + sd * normal(key, exact.shape) if measurement.columns else jnp.zeros_like(exact)
+    more = Fix(value, jnp.full_like(value, sd), jnp.zeros_like(value), jnp.ones(value.shape, bool))
+    fix = jax.tree.map(lambda a, b: jnp.concatenate([a, b], 1), f, more)
+    return sim._replace(epochs=sim.epochs._replace(fix=fix))
+
+
+def with_states(sim: Simulated, params: Params, names: Sequence[str], key: jax.Array) -> Simulated:
+    """The run with the errors that these states are, in the truth, the IMU's samples and the receiver's fixes.
+
+    Other sensors have them when they are put on top by `with_sensor`, after this.
+    """
+    errors = {
+        state.name: drawn(state, params.states[state.name], sim, jax.random.fold_in(key, i))
+        for i, state in enumerate(chosen(names))
+    }
+    truth = sim.truth._replace(errors=sim.truth.errors | errors)
+    imu = sim.epochs.imu
+    readings = {"gyro": imu.gyro, "accel": imu.accel}
+    for state in chosen(names):
+        if state.enters is None:
+            continue
+        w, other, s = readings[state.enters], readings[OTHER[state.enters]], errors[state.name][:, None, :, None]
+        M = jnp.eye(3) if state.effect is None else state.effect(w, other)
+        readings[state.enters] = w + (M @ s)[..., 0]
+    value = sim.epochs.fix.value
+    late = errors.get("clock_offset", jnp.zeros((truth.t.size, 1)))
+    force = jax.vmap(lambda nav: rotations.to_dcm(nav.q) @ nav.force)(truth)
+    accel = force - jnp.array([0.0, 0.0, 1.0]) * jax.vmap(lambda p: earth.gravity(p[0], p[2]))(truth.pos)[:, None]
+    by_position, by_velocity = (expected(m, params, truth) - expected(m, params, sim.truth) for m in GNSS)
+    moved = by_position - late * truth.vel + 0.5 * late**2 * accel
+    value = value.at[:, :3].set(jax.vmap(earth.move)(value[:, :3], moved))
+    value = value.at[:, 3:6].add(by_velocity - late * accel)
+    epochs = sim.epochs._replace(imu=imu._replace(**readings), fix=sim.epochs.fix._replace(value=value))
+    return sim._replace(epochs=epochs, truth=truth)
+
+
+def drawn(state: State, believed: StateParams, sim: Simulated, key: jax.Array) -> jax.Array:
+    """A state's course (E, size): constant, a walk, or a Gauss-Markov process of the root PSD and time constant."""
+    E, interval = sim.truth.t.size, sim.truth.t[1] - sim.truth.t[0]
+    first, steps = normal(key, (state.size,)), normal(jax.random.fold_in(key, 1), (E, state.size))
+    endless = jnp.isinf(jnp.asarray(believed.tau, float)).all()
+    walk = believed.sd * first + believed.drive * jnp.sqrt(interval) * jnp.cumsum(steps, 0)
+    tau = jnp.where(jnp.isinf(believed.tau), 1.0, believed.tau)
+    bounded = believed.drive * jnp.sqrt(tau / 2) * gauss_markov(steps, interval, tau)
+    return jnp.where(endless, walk, bounded)

@@ -1,0 +1,24 @@
+"""What specific force does to the gyros of small sensors: each axis reads a share of each force."""
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav.maths import units
+from jaxnav.states.state import constant
+
+PER_G = units.DEG_PER_HOUR / units.G0  # rad/s per m/s^2
+
+
+def forces(w: jax.Array, other: jax.Array) -> jax.Array:
+    """M (..., 3, 9) of the force o: rate axis i reads s_3i o_x + s_3i+1 o_y + s_3i+2 o_z."""
+    o = other[..., None, :]
+    zero = jnp.zeros_like(o)
+    rows = [jnp.concatenate([o if i == axis else zero for i in range(3)], -1) for axis in range(3)]
+    return jnp.concatenate(rows, -2)
+
+
+GYRO_G_SENSITIVITY = constant(
+    "gyro_g_sensitivity", tuple(f"{axis} by f{force}" for axis in "xyz" for force in "xyz"), 30.0,
+    ("deg_per_hour_per_g", PER_G, "deg/h/g"), "gyro", forces,
+)  # fmt: skip
+"""(rad/s)/(m/s^2), row by row: a constant unless it is driven."""

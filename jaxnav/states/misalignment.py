@@ -1,0 +1,30 @@
+"""Misalignment and non-orthogonality of the inertial sensors: each axis sees a share of the two others."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.maths import units
+from jaxnav.states.state import State, constant
+
+PAIRS = (("x", "y"), ("x", "z"), ("y", "x"), ("y", "z"), ("z", "x"), ("z", "y"))
+"""(axis that reads, axis that it sees): the sensor's axis is turned by so many rad towards the other."""
+_OTHER = np.zeros((3, 6, 3))  # reading axis, state, axis that is seen
+for _i, (_row, _seen) in enumerate(PAIRS):
+    _OTHER["xyz".index(_row), _i, "xyz".index(_seen)] = 1.0
+
+
+def crossed(w: jax.Array, other: jax.Array) -> jax.Array:
+    """M (..., 3, 6): column i has the seen axis of `PAIRS` in the row of the reading one."""
+    return jnp.einsum("rij,...j->...ri", _OTHER, w)
+
+
+def _misalignment(sensor: str) -> State:
+    axes = tuple(f"{a} sees {b}" for a, b in PAIRS)
+    return constant(f"{sensor}_misalignment", axes, 3.0, ("mrad", units.MRAD, "mrad"), sensor, crossed)
+
+
+GYRO_MISALIGNMENT = _misalignment("gyro")
+"""rad, `PAIRS`: a constant unless it is driven."""
+ACCEL_MISALIGNMENT = _misalignment("accel")
+"""rad, `PAIRS`. What turns gyros and accelerometers alike turns the body's axes, and only the prior holds it."""

@@ -1,0 +1,12 @@
+"""What the vehicle moves in: the magnetic field that its iron bends, and wind."""
+
+from jaxnav.maths import units
+from jaxnav.states.state import BODY, State, constant
+
+MAGNETOMETER_BIAS = constant("magnetometer_bias", BODY, 5.0, ("ut", 1.0, "uT"))
+"""uT, body: hard iron, what a magnetometer reads too much."""
+DECLINATION_ERROR = constant("declination_error", ("east",), 3.0, ("deg", units.DEG, "deg"))
+"""rad: the field points further east by that, on top of the magnetometer's ``declination``."""
+_CALM: State = constant("wind", ("east", "north"), 5.0, ("mps", 1.0, "m/s"))
+WIND = _CALM._replace(defaults=_CALM.defaults._replace(drive=0.1))
+"""m/s: where the air moves to, level; a walk, of half a metre per second in half a minute."""

@@ -30,6 +30,7 @@ from jaxnav.types import Nav, Params
 
 STRIDE, CHUNK = 10, 32
 BAROMETER_SD, ERROR_KEY, SENSOR_KEY = 0.5, 8, 100  # m; folded into a run's key
+LEAST_SPEED = 3.0  # m/s, of a course
 DRIVE_S, REST_S = 150.0, 60.0  # s, of the drives of `ROWS`
 
 
@@ -64,7 +65,8 @@ def runs_of(
     def one(key):
         sim = with_states(simulate(scenario, key), params, errors, jax.random.fold_in(key, ERROR_KEY))
         for i, (name, sd) in enumerate(sensors):
-            sim = with_sensor(sim, params, name, sd, jax.random.fold_in(key, SENSOR_KEY + i))
+            least = LEAST_SPEED if name == "course" else 0.0
+            sim = with_sensor(sim, params, name, sd, jax.random.fold_in(key, SENSOR_KEY + i), least)
         rows = run(filt, params, sim.initial, sim.epochs, partial(final, filt), sim.truth)
         return jax.tree.map(lambda a: a[-1], rows)
 

@@ -34,12 +34,18 @@ def expected(measurement: Measurement, params: Params, truth: Nav) -> jax.Array:
     return jax.vmap(one)(truth)
 
 
-def with_sensor(sim: Simulated, params: Params, name: str, sd: float, key: jax.Array) -> Simulated:
-    """The run with a further measurement at every epoch, behind the channels that are there, its noise ``sd``."""
+def with_sensor(
+    sim: Simulated, params: Params, name: str, sd: float, key: jax.Array, least_speed: float = 0.0
+) -> Simulated:
+    """The run with a further measurement behind the channels that are there, its noise ``sd``.
+
+    At every epoch, or at those that are faster than ``least_speed`` m/s: a course means nothing at rest.
+    """
     measurement, f = MEASUREMENTS[name], sim.epochs.fix
     exact = expected(measurement, params, sim.truth)
     value = exact + sd * normal(key, exact.shape) if measurement.columns else jnp.zeros_like(exact)
-    more = Fix(value, jnp.full_like(value, sd), jnp.zeros_like(value), jnp.ones(value.shape, bool))
+    there = jnp.linalg.norm(sim.truth.vel[:, :2], axis=1, keepdims=True) >= least_speed
+    more = Fix(value, jnp.full_like(value, sd), jnp.zeros_like(value), jnp.broadcast_to(there, value.shape))
     fix = jax.tree.map(lambda a, b: jnp.concatenate([a, b], 1), f, more)
     return sim._replace(epochs=sim.epochs._replace(fix=fix))
 
@@ -53,6 +59,8 @@ def with_states(sim: Simulated, params: Params, names: Sequence[str], key: jax.A
         state.name: drawn(state, params.states[state.name], sim, jax.random.fold_in(key, i))
         for i, state in enumerate(chosen(names))
     }
+    if "vehicle_axes" in errors:
+        sim = askew(sim, params, errors["vehicle_axes"][0])
     truth = sim.truth._replace(errors=sim.truth.errors | errors)
     imu = sim.epochs.imu
     readings = {"gyro": imu.gyro, "accel": imu.accel}
@@ -72,6 +80,31 @@ def with_states(sim: Simulated, params: Params, names: Sequence[str], key: jax.A
     value = value.at[:, 3:6].add(by_velocity - late * accel)
     epochs = sim.epochs._replace(imu=imu._replace(**readings), fix=sim.epochs.fix._replace(value=value))
     return sim._replace(epochs=epochs, truth=truth)
+
+
+def askew(sim: Simulated, params: Params, angles: jax.Array) -> Simulated:
+    """The run with its IMU turned in the vehicle by pitch and yaw (2,) rad on top of `Mounting.vehicle`.
+
+    The lever arm stays what it is in the IMU's axes, so that the antenna moves.
+    """
+    axes = lambda v: rotations.to_dcm(rotations.exp(jnp.concatenate([jnp.zeros(1), v])))
+    before, after = axes(params.mounting.vehicle), axes(params.mounting.vehicle + angles)
+    turn = before @ after.T  # from the new axes to the old: what is along the vehicle stays so
+    bend = lambda v: v @ turn
+    q = rotations.from_dcm(turn)
+
+    def turned(nav: Nav) -> Nav:
+        biases = {name: bend(b) for name, b in nav.errors.items() if name in ("gyro_bias", "accel_bias")}
+        new = rotations.normalize(rotations.multiply(nav.q, q))
+        return nav._replace(q=new, omega=bend(nav.omega), force=bend(nav.force), errors=nav.errors | biases)
+
+    truth, imu, fix = jax.vmap(turned)(sim.truth), sim.epochs.imu, sim.epochs.fix
+    ends = [expected(m, params, nav) for nav in (truth, sim.truth) for m in GNSS]
+    value = fix.value.at[:, :3].set(jax.vmap(earth.move)(fix.value[:, :3], ends[0] - ends[2]))
+    value = value.at[:, 3:6].add(ends[1] - ends[3])
+    imu = imu._replace(gyro=bend(imu.gyro), accel=bend(imu.accel))
+    epochs = sim.epochs._replace(imu=imu, fix=fix._replace(value=value))
+    return sim._replace(epochs=epochs, truth=truth, start=turned(sim.start), initial=turned(sim.initial))
 
 
 def drawn(state: State, believed: StateParams, sim: Simulated, key: jax.Array) -> jax.Array:

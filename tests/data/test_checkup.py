@@ -5,14 +5,17 @@ import pytest
 
 from benchmarks.recordings import check
 from benchmarks.recordings.start import simulated
+from jaxnav.data import magnetic
 from jaxnav.data.checkup import CHECKS, checkup, quick_notes
 from jaxnav.data.read import read
+from jaxnav.maths import rotations
+from jaxnav.measurements.magnetometer import field
 from jaxnav.types import ImuLog, Recording, Samples
 
 
 @pytest.fixture(scope="module")
 def car() -> Recording:
-    """A car for 70 s with fixes, wheels and a barometer, nothing wrong but a delay of at most 0.3 s."""
+    """A car for 70 s with fixes, wheels, barometer and compass, nothing wrong but a delay of at most 0.3 s."""
     rec, _ = simulated("car", "consumer", True, np.random.default_rng(5))
     truth, position = rec.truth, rec.aiding["position"]
     k = np.arange(0.5, 69.0, 0.1)
@@ -20,7 +23,13 @@ def car() -> Recording:
     speed = np.interp(k, truth.t, np.hypot(truth.vel[:, 0], truth.vel[:, 1]))
     hill = 20 * np.sin(2 * np.pi * k / 60)
     lla = position.value + np.column_stack([np.zeros((position.t.size, 2)), np.interp(position.t, k, hill)])
-    streams = {"position": position._replace(value=lla), "speed": column(speed, 0.1), "barometer": column(hill, 0.5)}
+    here = magnetic.field_at(position.value[0])
+    earth = np.asarray(field(here.declination, here.inclination, here.strength))
+    rph = np.column_stack([np.interp(k, truth.t, np.unwrap(angle)) for angle in truth.rph.T])
+    seen = np.array([np.asarray(rotations.from_rph(angles)).T @ earth for angles in rph])
+    three = Samples(k, seen, np.full(seen.shape, 1.0), np.zeros(seen.shape))
+    streams = {"position": position._replace(value=lla), "speed": column(speed, 0.1), "barometer": column(hill, 0.5),
+               "magnetometer": three}  # fmt: skip
     return rec._replace(aiding=rec.aiding | streams)
 
 
@@ -32,7 +41,14 @@ def bad(rec: Recording, *rows: str) -> set[str]:
 def test_nothing_is_wrong_with_what_is_right(car):
     assert bad(car) - {"time.delay"} == set() and quick_notes(car) == []
     said = " ".join(f.words for f in checkup(car))
-    for part in ("IMU at 100 Hz", "wheel speed is", "barometric height goes by", "turns of the course", "chi^2"):
+    for part in (
+        "IMU at 100 Hz",
+        "wheel speed is",
+        "barometric height goes by",
+        "turns of the course",
+        "chi^2",
+        "turns explain",
+    ):
         assert part in said
 
 
@@ -43,6 +59,8 @@ DAMAGES = {
     "velocity.units": check.stream("velocity", lambda v: 3.6 * v),
     "speed.units": check.stream("speed", lambda v: 3.6 * v),
     "barometer.sign": check.stream("barometer", lambda v: -v),
+    "compass.axes": check.stream("magnetometer", lambda m: m @ np.diag([1.0, -1.0, -1.0])),
+    "compass.strength": check.stream("magnetometer", lambda m: m / 100),
     "barometer.units": check.stream("barometer", lambda v: 3.28084 * v),
     "gyro.sign": check.imu(gyro=check.times(1, 1, -1)),
     "gyro.axes": check.imu(gyro=check.swapped(0, 2)),
@@ -64,7 +82,7 @@ def test_what_is_wrong_is_named(car, code):
     part = code.split(".")[0]
     rows = {"velocity": ("velocity",), "speed": ("speed",), "barometer": ("barometer",), "position": ("fixes",),
             "imu": ("sampling", "gravity"), "axes": ("gravity",), "gyro": ("axes", "turns"), "accel": ("together",),
-            "mounting": ("together",), "time": ("overlap", "turns")}  # fmt: skip
+            "mounting": ("together",), "time": ("overlap", "turns"), "compass": ("compass",)}  # fmt: skip
     found = bad(check.as_floats(DAMAGES[code](car)), *rows[part])
     assert code in found, found
 

@@ -1,5 +1,6 @@
 """`jaxnav check` and `jaxnav convert`."""
 
+import json
 import time
 from pathlib import Path
 
@@ -80,6 +81,16 @@ def configuration(path: str, rec: Recording, found: list[Finding]) -> str:
     ]
     if "speed" in rec.aiding:
         lines.append("speed = true  # there are wheel speeds")
+    good = {f.code for f in found if not f.bad}
+    states = []
+    if "barometer" in good:
+        lines.append("barometer = true  # goes with the receiver's height")
+        states.append("barometer_bias")
+    if "magnetometer" in rec.aiding and good >= {"compass", "compass.turns"}:
+        lines.append("magnetometer = true  # turns with the gyros, as strong as the Earth's field is here")
+        states.append("magnetometer_bias")
+    if states:
+        lines.append(f"states = {json.dumps(states)}  # what these read too much")
     yaw = next((f for f in found if f.code == "mounting.yaw" and not f.bad), None)
     if yaw is not None and "speed" in rec.aiding:
         lines.append(f"nonholonomic = true  # wheels do not slip sideways; {yaw.words}")

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from jaxnav.data.checkup import inertial, motion, streams
+from jaxnav.data.checkup import compass, inertial, motion, streams
 from jaxnav.data.checkup.finding import Finding
 from jaxnav.types import Recording
 
@@ -25,6 +25,7 @@ CHECKS: dict[str, Check] = {
     "velocity": Check(streams.velocity),
     "speed": Check(streams.speed),
     "barometer": Check(streams.barometer),
+    "compass": Check(compass.compass),
     "turns": Check(motion.turns, False),
     "together": Check(motion.together, False),
 }

@@ -16,11 +16,11 @@ HOLE = 2.5  # intervals of a truth, from which on it is one
 
 
 class Errors(NamedTuple):
-    """Estimate minus truth; ENU on the device, NED and degrees only on the border."""
+    """Estimate minus truth, on the host; NED and degrees only on the border."""
 
-    position: jax.Array  # (..., 3) m, ENU
-    velocity: jax.Array  # (..., 3) m/s, ENU
-    attitude: jax.Array  # (..., 3) rad, roll, pitch, heading, each in (-pi, pi]; nan where the truth has none
+    position: np.ndarray  # (..., 3) m, ENU
+    velocity: np.ndarray  # (..., 3) m/s, ENU
+    attitude: np.ndarray  # (..., 3) rad, roll, pitch, heading, each in (-pi, pi]; nan where the truth has none
 
 
 def columns_at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -46,7 +46,7 @@ def errors(solution: Track, truth: Track) -> Errors:
     """Errors of a solution at its own times against a truth that is interpolated linearly to them (host arrays)."""
     unwrapped = np.where(np.isfinite(truth.rph), np.unwrap(np.nan_to_num(truth.rph), axis=0), np.nan)
     at = lambda a: columns_at(solution.t, truth.t, a)
-    position = jax.vmap(earth.enu_difference)(jnp.asarray(solution.lla), jnp.asarray(at(earth.continuous(truth.lla))))
+    position = earth.enu_path(solution.lla, at(earth.continuous(truth.lla)))
     turn = solution.rph - at(unwrapped)
     return Errors(position, solution.vel - at(truth.vel), np.remainder(turn + np.pi, 2 * np.pi) - np.pi)
 

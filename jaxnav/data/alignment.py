@@ -13,7 +13,7 @@ attitude. Where heading cannot be seen its standard deviation says so.
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial.transform import Rotation
@@ -120,14 +120,19 @@ def inside(fixes: Samples, begin: float, end: float) -> Samples:
 # ---------------------------------------------------------------------------- what the fixes show
 
 
+@jax.jit
+def _surroundings(lla: jax.Array, vel: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Rate of the Earth, rate of ENU over it at this velocity, rad/s, and gravity, m/s^2."""
+    lat, _, h = lla
+    return earth.earth_rate(lat), earth.transport_rate(lat, h, vel), earth.gravity(lat, h)
+
+
 def _seen(fixes: Samples, positions: bool, lla: np.ndarray, begin: float) -> Seen:
     t = fixes.t
     z = earth.enu_path(fixes.value, fixes.value[0]) if positions else fixes.value
     vel = np.gradient(z, t, axis=0) if positions else z
-    place, mean = jnp.asarray(lla, float), jnp.asarray(vel.mean(0))
-    rate = np.asarray(earth.earth_rate(place[0]))
-    over = np.asarray(earth.transport_rate(place[0], place[2], mean))
-    push = np.array([0.0, 0.0, -float(earth.gravity(place[0], place[2]))]) - np.cross(2 * rate + over, vel)
+    rate, over, g = (np.asarray(a) for a in _surroundings(lla, vel.mean(0)))
+    push = np.array([0.0, 0.0, -float(g)]) - np.cross(2 * rate + over, vel)
     pushed = _running(t, push)
     rest = z - (_running(t, pushed) if positions else pushed)
     D = _differences(t, positions)

@@ -183,10 +183,15 @@ def _align_fixes(aiding: dict[str, Samples], slices: dict[str, slice], m: int, s
     return Fix(jnp.asarray(value, float), jnp.asarray(sd, float), jnp.asarray(corr, float), jnp.asarray(valid))
 
 
+@jax.jit
+def _shown(valid: jax.Array, hidden: jax.Array, receiver: jax.Array) -> jax.Array:
+    return valid & ~(hidden[..., None] & receiver)
+
+
 def hide(epochs: Epoch, hidden: np.ndarray, measurements: tuple[Measurement, ...] = GNSS) -> Epoch:
     """Take the receiver's channels out of the epochs where ``hidden`` (E,); constraints stay."""
     receiver = np.concatenate([np.full(m.size, m.receiver) for m in measurements])
-    valid = epochs.fix.valid & ~(jnp.asarray(hidden)[..., None] & receiver)
+    valid = _shown(epochs.fix.valid, jnp.asarray(hidden), receiver)
     return epochs._replace(fix=epochs.fix._replace(valid=valid))
 
 

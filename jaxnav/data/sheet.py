@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.io import loadmat
 
 from jaxnav.data.files import MAX_BYTES, FilePath, read_bytes
 from jaxnav.types import DataError
@@ -180,6 +179,8 @@ def _npz(data: bytes, file: str) -> dict[str, np.ndarray]:
 
 def _mat(data: bytes, file: str) -> dict[str, Any]:
     try:
+        from scipy.io import loadmat
+
         found = loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=False)
     except Exception as error:  # scipy raises a dozen kinds on a damaged file
         raise DataError(f"{file}: cannot be read as a MATLAB file: {error}") from error

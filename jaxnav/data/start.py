@@ -64,6 +64,9 @@ def course(velocity: Samples, min_speed: float, after: float = -np.inf) -> tuple
     return float(velocity.t[i]), float(np.arctan2(velocity.value[i, 0], velocity.value[i, 1]))
 
 
+_rph, _moved = jax.jit(rotations.to_rph), jax.jit(earth.move)  # one program each, where they are called by themselves
+
+
 class Bank(NamedTuple):
     """Filters that started with different headings."""
 
@@ -89,14 +92,18 @@ def with_headings(nav: Nav, headings: np.ndarray, arm: Any = None) -> Nav:
 
     ``arm``: (3,) m, IMU -> antenna, body, where ``nav`` is at the antenna: the IMUs of the turned starts are around it.
     """
+    return _turned(nav, jnp.asarray(headings, float), jnp.zeros(3) if arm is None else jnp.asarray(arm, float))
+
+
+@jax.jit
+def _turned(nav: Nav, headings: jax.Array, arm: jax.Array) -> Nav:
     roll_pitch = rotations.to_rph(rotations.to_dcm(nav.q))[:2]
 
-    def turned(heading):
+    def one(heading: jax.Array) -> Nav:
         C = rotations.from_rph(jnp.concatenate([roll_pitch, heading[None]]))
-        at = nav.pos if arm is None else earth.move(nav.pos, -C @ jnp.asarray(arm, float))
-        return nav._replace(q=rotations.from_dcm(C), pos=at)
+        return nav._replace(q=rotations.from_dcm(C), pos=earth.move(nav.pos, -C @ arm))
 
-    return jax.vmap(turned)(jnp.asarray(headings, float))
+    return jax.vmap(one)(headings)
 
 
 # ---------------------------------------------------------------------------- the start of a recording
@@ -255,7 +262,7 @@ def _in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, h
         return Attitude(begin, (*rp, 0.0), sds, f"level by {by} (sd {sd / DEG:.2g} deg), heading unknown", True)
     unknown = last.sd[2] > USABLE
     best = first if unknown else last
-    rph = np.asarray(rotations.to_rph(jnp.asarray(best.C)))
+    rph = np.asarray(_rph(best.C))
     tilt = float(max(best.sd[:2].max(), LEAST_TILT_SD))
     words = (
         f"aligned over {best.t - begin:.0f} s by {best.fixes} fixes: roll {rph[0] / DEG:.1f}, pitch {rph[1] / DEG:.1f} "
@@ -398,9 +405,8 @@ def _clock_offset(rec: Recording, known: Params, t: float) -> float:
 def _differences(position: Samples) -> Samples:
     """Mean velocity over the last `CHORD` s of positions, whose noise would else pass for motion."""
     n = max(1, min(round(CHORD / float(np.median(np.diff(position.t)))), position.t.size - 1))
-    lla = jnp.asarray(position.value)
     dt = (position.t[n:] - position.t[:-n])[:, None]
-    value = np.asarray(jax.vmap(earth.enu_difference)(lla[n:], lla[:-n])) / dt
+    value = earth.enu_path(position.value[n:], position.value[:-n]) / dt
     return Samples(position.t[n:], value, 1.5 * position.sd[n:] / dt, np.zeros_like(value))
 
 
@@ -422,7 +428,7 @@ def _levelled(
         return level(rec.imu, begin, until), f"standing from {begin:.1f} to {until:.1f} s", sd
     found = aligned(rec, known, max(begin, at - LENGTHS[0]), at) if at - begin >= 0.5 * LENGTHS[0] else None
     if found is not None:
-        roll, pitch, _ = np.asarray(rotations.to_rph(jnp.asarray(found.C))).tolist()
+        roll, pitch, _ = np.asarray(_rph(found.C)).tolist()
         return (roll, pitch), "motion", max(float(found.sd[:2].max()), LEAST_TILT_SD)
     down = float(rec.imu.accel[(rec.imu.t > begin) & (rec.imu.t <= begin + 30.0), 2].mean())
     if down > 0:
@@ -459,5 +465,5 @@ def _first_fix(
     t = float(position.t[i])
     j = int(np.argmin(np.abs(velocity.t - t)))
     late = _clock_offset(rec, known, t) + float(known.measurements["position"].latency)
-    lla = earth.move(jnp.asarray(position.value[i]), late * jnp.asarray(velocity.value[j]))
+    lla = _moved(position.value[i], late * velocity.value[j])
     return t, np.asarray(lla), velocity.value[j], (np.hypot(position.sd[i], 0.5), np.hypot(velocity.sd[j], 0.3))

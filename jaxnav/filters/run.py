@@ -90,15 +90,23 @@ def initial_nav(
     """
     require_x64(lla)
     lla, vel, rph, t, azimuth = (jnp.asarray(v, float) for v in (lla, vel, rph, t, azimuth))
-    q = rotations.from_dcm(rotations.from_rph(rph))
     zero = jnp.zeros(3)
-    return Nav(t, lla, vel, q, zero, zero, Origin(lla, azimuth, t), {})
+    return Nav(t, lla, vel, _attitude(rph), zero, zero, Origin(lla, azimuth, t), {})
+
+
+@jax.jit
+def _attitude(rph: jax.Array) -> jax.Array:
+    return rotations.from_dcm(rotations.from_rph(rph))
+
+
+@jax.jit
+def _angles(q: jax.Array) -> jax.Array:
+    return jax.vmap(lambda q: rotations.to_rph(rotations.to_dcm(q)))(q)
 
 
 def track(nav: Nav) -> Track:
     """A local level solution (E, ...) on the host."""
-    rph = jax.vmap(lambda q: rotations.to_rph(rotations.to_dcm(q)))(nav.q)
-    return Track(*(np.asarray(a) for a in (nav.t, nav.pos, nav.vel, rph)))
+    return Track(*(np.asarray(a) for a in (nav.t, nav.pos, nav.vel, _angles(nav.q))))
 
 
 def first_failure(info: Info, t: np.ndarray) -> str | None:

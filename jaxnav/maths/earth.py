@@ -3,6 +3,8 @@
 Latitude and longitude in rad, height in m above the ellipsoid, axes ENU unless a name says otherwise.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,10 +18,10 @@ GP = 9.8321849378  # m/s^2, normal gravity at the poles
 SOMIGLIANA = (1 - F) * GP / GE - 1  # k of Somigliana's formula
 
 
-def radii(lat: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Radii of curvature of the ellipsoid at a latitude: (meridian, prime vertical), m."""
-    w2 = 1 - E2 * jnp.sin(lat) ** 2
-    prime = A / jnp.sqrt(w2)
+def radii(lat: Any, xp: Any = jnp) -> tuple[Any, Any]:
+    """Radii of curvature of the ellipsoid at a latitude: (meridian, prime vertical), m; ``xp``: np on the host."""
+    w2 = 1 - E2 * xp.sin(lat) ** 2
+    prime = A / xp.sqrt(w2)
     return prime * (1 - E2) / w2, prime
 
 
@@ -76,8 +78,13 @@ def continuous(lla: np.ndarray) -> np.ndarray:
 
 
 def enu_path(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Positions (N, 3) in metres of ENU from a near one, as `enu_difference` (host array)."""
-    return np.asarray(jax.vmap(enu_difference, (0, None))(jnp.asarray(lla), jnp.asarray(origin)))
+    """Positions (N, 3) in metres of ENU from a near one (3,) or one each (N, 3), as `enu_difference` (host arrays)."""
+    lla = np.asarray(lla, float)
+    off = lla - origin
+    east = off[:, 1] - 2 * np.pi * np.round(off[:, 1] / (2 * np.pi))
+    meridian, prime = radii(lla[:, 0], np)
+    height = lla[:, 2]
+    return np.stack([east * (prime + height) * np.cos(lla[:, 0]), off[:, 0] * (meridian + height), off[:, 2]], 1)
 
 
 def axes(lat: jax.Array, lon: jax.Array) -> jax.Array:

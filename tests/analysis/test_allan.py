@@ -228,7 +228,7 @@ def test_verb(recording, tmp_path, monkeypatch, capsys):
     assert layer["params"]["accel_ug_per_sqrt_hz"] == pytest.approx([50] * 3, rel=0.1)
     assert 2.0 <= layer["tune"]["prior"]["gyro_deg_per_sqrt_hour"] < 2.3
     assert "gyro_bias_deg_per_hour_per_sqrt_s" not in layer["params"]  # no drift shows in a minute
-    assert config.resolve([("", layer)]).params.value("gyro_deg_per_sqrt_hour") is not None
+    assert config.resolve([("", layer)]).params.gyro_deg_per_sqrt_hour is not None
 
     args = ["allan", "--data", str(recording), "--set", "out.figures=false", "--out", str(out)]
     assert cli.main([*args, "--set", "filter.standing_gyro_sd_deg_per_s=0.1"]) == 0

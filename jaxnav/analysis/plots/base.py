@@ -45,6 +45,9 @@ def save(fig: "Figure", path: str | os.PathLike[str]) -> Path:
         raise ValueError(f"path must end in .png, got {target.name!r}")
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:
+        if (engine := fig.get_layout_engine()) is not None:  # once, and not at each of the two draws that saving takes
+            engine.execute(fig)
+            fig.set_layout_engine("none")
         fig.savefig(temporary, format="png", dpi=120, metadata={"Software": None})
         os.replace(temporary, target)
     finally:

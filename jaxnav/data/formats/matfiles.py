@@ -5,7 +5,6 @@ import os
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 
 from jaxnav.data.files import MAX_VALUE, FilePath, Source, place, read_bytes
 from jaxnav.types import DataError
@@ -23,6 +22,8 @@ def read_structs(path: FilePath, names: list[str] | None = None) -> dict[str, An
     """Every struct by name, or those of ``names``; a file that is no MATLAB file of version 5 is a DataError."""
     data = io.BytesIO(read_bytes(path))
     try:
+        from scipy.io import loadmat
+
         variables = loadmat(data, squeeze_me=True, struct_as_record=False, variable_names=names)
     except Exception as error:  # scipy raises a dozen kinds on a damaged file
         raise DataError(f"{os.fspath(path)}: cannot be read as a MATLAB file: {error}") from error

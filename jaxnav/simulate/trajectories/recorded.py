@@ -1,18 +1,20 @@
 """A spline through a recorded track: a real vehicle's motion under a simulated IMU, which is semi-synthetic."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline, make_smoothing_spline, splrep
 
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 from jaxnav.simulate.trajectories.motion import Motion, Shape
 from jaxnav.simulate.trajectories.splines import from_scipy
 from jaxnav.types import DataError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 SLOW = 1.0  # m/s: below, the direction of the velocity is noise, and the heading is bridged
 
@@ -39,8 +41,10 @@ def _along(t: np.ndarray, speed: np.ndarray) -> np.ndarray:
     return np.stack([np.zeros(t.size), np.interp(t, t[fast], pitch), np.interp(t, t[fast], heading)], 1)
 
 
-def _smooth(t: np.ndarray, rph: np.ndarray) -> BSpline:
+def _smooth(t: np.ndarray, rph: np.ndarray) -> "BSpline":
     """A C2 smoothing spline through angles (N, 3)."""
+    from scipy.interpolate import BSpline, make_smoothing_spline
+
     fits = [make_smoothing_spline(t, each, lam=LAM) for each in rph.T]
     return BSpline(fits[0].t, np.stack([fit.c for fit in fits], 1), 3)
 
@@ -67,6 +71,8 @@ def recorded(t: np.ndarray, lla: np.ndarray, sd_m: ArrayLike = 0.02, rph: np.nda
     scale = np.asarray(earth.metres_per_radian(jnp.asarray(lla[0])))
     sd = np.maximum(np.broadcast_to(np.reshape(sd_m, (-1, 1)) if np.ndim(sd_m) == 1 else sd_m, lla.shape), 1e-6)
     metres = (lla - lla[0]) * scale  # N, E, U
+    from scipy.interpolate import BSpline, splrep
+
     fits = [BSpline(*splrep(t, metres[:, i], w=1 / sd[:, j], k=5, s=t.size)) for i, j in enumerate((1, 0, 2))]
     speed = np.stack([fit.derivative()(t) for fit in fits], 1)
     attitude = from_scipy(_smooth(t, _along(t, speed) if rph is None else np.unwrap(np.asarray(rph, float), axis=0)))

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from jaxnav.simulate.kinds import told_apart
 from jaxnav.simulate.trajectories.motion import Motion, Shape
@@ -49,6 +48,8 @@ def waypoints(motion: Waypoints) -> Shape:
         ValueError: points, speeds or waits that do not fit together.
     """
     points, speeds, waits = _check(motion)
+    from scipy.interpolate import make_interp_spline
+
     chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     free = [(3, np.zeros(3)), (4, np.zeros(3))]  # third and fourth derivative at an end: natural, least jerk
     path = make_interp_spline(chords, points, k=5, bc_type=(free, free))

@@ -1,12 +1,14 @@
 """Piecewise polynomials: made on the host by scipy, evaluated in jax."""
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import BSpline
+
+if TYPE_CHECKING:  # a seventh of a second that a command without a route need not wait for
+    from scipy.interpolate import BSpline
 
 
 class Spline(NamedTuple):
@@ -27,7 +29,7 @@ class Spline(NamedTuple):
         return value
 
 
-def from_scipy(spline: BSpline) -> Spline:
+def from_scipy(spline: "BSpline") -> Spline:
     """A scipy B-spline with values (c,) or () as a table of polynomials: Taylor's at the start of every piece."""
     inner = np.unique(spline.t[spline.k : spline.c.shape[0] + 1])
     starts = inner[:-1]

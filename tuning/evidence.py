@@ -163,13 +163,27 @@ def training_of(filt: Filter, used: Used, size: int) -> Training:
 
 
 class Job:
-    """The objective of recordings that are tuned on together, for a search; the first one's numbers are the start."""
+    """The objective of recordings that are tuned on together, for a search.
 
-    def __init__(self, filt: Filter, spec: Spec, used: Sequence[Used]):
-        self.filt, self.spec, self.sheet = filt, spec, used[0].sheet
-        self.raw = split(spec, self.sheet)
-        self.flat, self.back = ravel_pytree(self.raw)
+    Its numbers (G,) are those of the first recording, in the order of `ravel_pytree`, then for each of the others what
+    it has of its ``own``; all else is shared.
+    """
+
+    def __init__(self, filt: Filter, spec: Spec, used: Sequence[Used], own: Sequence[str] = ()):
+        self.filt, self.spec, self.used = filt, spec, list(used)
+        self.raw = split(spec, used[0].sheet)
+        first, self.back = ravel_pytree(self.raw)
         self.items = tuple(spec.items())
+        self.leaves = [name for name in sorted(spec) for _ in range(np.size(self.raw[name]))]  # of each local number
+        apart = np.flatnonzero(np.isin(self.leaves, own))
+        self.places = [np.arange(first.size)]  # of a recording's numbers among all
+        for r in range(1, len(used)):
+            mine = self.places[0].copy()
+            mine[apart] = first.size + (r - 1) * apart.size + np.arange(apart.size)
+            self.places.append(mine)
+        #: of each number: whose it is, and which of that recording's
+        self.owner = np.concatenate([np.zeros(first.size, int), np.repeat(np.arange(1, len(used)), apart.size)])
+        self.origin = np.concatenate([np.arange(first.size), np.tile(apart, len(used) - 1)])
         size = max(int(np.searchsorted(u.packed.t, u.layout.train + ep.TICK)) for u in used)
         parts = [training_of(filt, u, size) for u in used]
         most = max(p.at.shape[1] for p in parts)
@@ -177,17 +191,30 @@ class Job:
         self.parts = [p._replace(at=wide(p.at), there=wide(p.there), sd=wide(p.sd)) for p in parts]
         lengths = [float(u.layout.train - u.packed.start - u.layout.settle) / u.layout.window for u in used]
         self.effective = max(1.0, sum(lengths))
-        self.centre = self.flat
-        self.width = np.concatenate([np.full(np.size(self.raw[name]), _width(spec, name)) for name in sorted(spec)])
+        self.flat = self.centre = self.numbers([u.sheet for u in used])
+        self.width = np.array([_width(spec, self.leaves[i]) for i in self.origin])
 
     def evidence(self, flat: jax.Array) -> tuple[Evidence, Evidence]:
         """Of innovations, of hidden fixes, of all recordings."""
-        found = [_evidence(self.filt, self.items, flat, self.raw, *part) for part in self.parts]
-        return jax.tree.map(lambda *each: sum(each), *found)
+        found = [
+            _evidence(self.filt, self.items, flat[at], self.raw, *part)
+            for at, part in zip(self.places, self.parts, strict=True)
+        ]
+        together = [
+            tuple(
+                Evidence(
+                    e.value, jnp.zeros(flat.size).at[at].add(e.score),
+                    jnp.zeros((flat.size, flat.size)).at[np.ix_(at, at)].add(e.fisher), e.number,
+                )
+                for e in both
+            )
+            for at, both in zip(self.places, found, strict=True)
+        ]  # fmt: skip
+        return jax.tree.map(lambda *each: sum(each), *together)
 
     def objective(self, horizon: bool = True, held: Sequence[str] = ()) -> Callable[[jax.Array], Information]:
         """J and its information, as `tuning.scoring.maximise` takes it."""
-        names = [name for name in sorted(self.spec) for _ in range(np.size(self.raw[name]))]
+        names = [self.leaves[i] for i in self.origin]
         width = np.where(np.isin(names, held), TINY * self.width, self.width)
 
         def inform(flat: jax.Array) -> Information:
@@ -201,14 +228,23 @@ class Job:
 
         return inform
 
-    def numbers(self, params: Params) -> jax.Array:
-        """The unconstrained numbers of other parameters; what they lack is the datasheet's."""
-        states = self.sheet.states | params.states
-        return ravel_pytree(split(self.spec, params._replace(states=states)))[0]
+    def numbers(self, params: Sequence[Params]) -> jax.Array:
+        """The unconstrained numbers (G,) of parameters, those of each recording; what they lack is the datasheet's."""
+        flat = np.zeros(self.owner.size)
+        for at, own, used in reversed(
+            list(zip(self.places, params, self.used, strict=True))
+        ):  # what is shared: the first's
+            states = used.sheet.states | own.states
+            flat[at] = np.asarray(ravel_pytree(split(self.spec, own._replace(states=states)))[0])
+        return jnp.asarray(flat)
 
-    def params(self, flat: jax.Array, sheet: Params | None = None) -> Params:
-        """The parameters that unconstrained numbers stand for; ``sheet``: of a recording other than the first."""
-        return join(self.spec, self.back(flat), self.sheet if sheet is None else sheet)
+    def params(self, flat: jax.Array, recording: int = 0) -> Params:
+        """The parameters that numbers (G,) stand for in a recording."""
+        return join(self.spec, self.back(jnp.asarray(flat)[self.places[recording]]), self.used[recording].sheet)
+
+    def each(self, flat: jax.Array) -> list[Params]:
+        """The same in every recording."""
+        return [self.params(flat, r) for r in range(len(self.used))]
 
 
 def _width(spec: Spec, name: str) -> float:

@@ -27,7 +27,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from jaxnav.analysis.windows import drift
 from jaxnav.data import epochs as ep
@@ -41,7 +40,7 @@ from jaxnav.types import DataError, Epoch, Info, Nav, Params, Recording
 from tuning import scoring
 from tuning.evidence import SLOW, Job, predicted
 from tuning.parts import Used, blocks_of, parts_of, plan, pooled, window_of, windows_of
-from tuning.priors import PRIORS, in_words, kind_of, spec_of
+from tuning.priors import PRIORS, in_words, kind_of, leaves_of, spec_of
 from tuning.report import LEAST_WINDOWS, Row, in_words_of, metrics, shown, text, verdict, write
 from tuning.transforms import LOG, Spec, Transform, labels
 from tuning.validation import PairedGain, paired_gain
@@ -71,6 +70,7 @@ class Tuned:
     """What tuning found, and whether it is any better; prints as a table."""
 
     params: Params  # the winner's: the datasheet's where nothing beats it
+    each: list[Params]  # of every recording, where some are its own
     filter: Filter  # that they are for: the winner may have a state more
     chosen: str  # of `trials`
     verdict: str
@@ -118,6 +118,7 @@ def tune(
     params: Params | Sequence[Params],
     *,
     free: Sequence[str] = ("noise", "fixes", "timing"),
+    own: Sequence[str] = (),
     widths: Mapping[str, float] | None = None,
     begin: Start | Sequence[Start] | None = None,
     stop: float | None = None,
@@ -128,11 +129,12 @@ def tune(
 ) -> Tuned:
     """Tune ``params`` (such as ``filt.params("consumer")``, the datasheet) on a recording, or on several together.
 
-    Of several, of one kind of IMU, what is free has one value for all; each has its own start, and its own ``params``
-    where lever arms differ. ``free``: groups of `tuning.free.groups`, keys of [params] or dotted leaves. ``widths``:
-    priors of your own by leaf, one sd about ``params``: a factor where the parameter is positive, else in SI.
-    ``begin``: `jaxnav.start` with settings of your own. ``stop``: s. ``window``: s, length of the hidden windows, by
-    default 3 to 15 by the recording's length. ``priors``: False believes nothing before the data. ``say`` hears of
+    Of several what is free has one value for all, but for what ``own`` names, of which each has its own: "timing" of
+    loggers with clocks of their own, "noise" of several IMUs on one vehicle. Each has its own start, and its own
+    ``params`` where lever arms differ. ``free``: groups of `tuning.free.groups`, keys of [params] or dotted leaves.
+    ``widths``: priors of your own by leaf, one sd about ``params``: a factor where the parameter is positive, else in
+    SI. ``begin``: `jaxnav.start` with settings of your own. ``stop``: s. ``window``: s, length of the hidden windows,
+    by default 3 to 15 by the recording's length. ``priors``: False believes nothing before the data. ``say`` hears of
     progress.
 
     Raises:
@@ -155,7 +157,8 @@ def tune(
     filt = kept(filt)
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     begins = [start(r, p) if b is None else b for r, p, b in zip(recs, sheets, begins, strict=True)]
-    for line in clocks(recs, begins):
+    apart = leaves_of(filt, sheets[0], own) if own else []
+    for line in clocks(recs, begins) if "mounting.time_offset" not in apart else ():
         say(line)
     used = made_ready(recs, filt, sheets, begins, stop, window, standing, say)
     parts = pooled(used)
@@ -166,13 +169,13 @@ def tune(
                 f"{name} part of {sum(u.packed.t[-1] - u.packed.start for u in used):.0f} s: it is too short to tune on"
             )
     spec = spec_of(filt, used[0].sheet, free, widths, priors)
-    job = Job(filt, spec, used)
+    job = Job(filt, spec, used, apart)
     say(f"free: {', '.join(spec)}")
     history: list[dict] = []
-    found, stopped = candidates(job, begins[0], history, say)
+    found, stopped = candidates(job, begins, history, say)
     jobs = dict.fromkeys(found, job)
     say("scoring the candidates on hidden windows")
-    score = lambda name: level_drift(jobs[name], found[name], used, chosen)
+    score = lambda name: level_drift(jobs[name], found[name], chosen)
     offs = {name: score(name) for name in found}
     slow = 0.0 if stopped else correlation(offs["tuned"][1], used)
     if slow > CORRELATED and filt.extended and SLOW not in filt.model.states:
@@ -180,17 +183,17 @@ def tune(
         more = kept(filt.extended(SLOW))
         slowly = {SLOW: more.params().states[SLOW]}
         whole = [u._replace(sheet=u.sheet._replace(states=u.sheet.states | slowly)) for u in used]
-        other = Job(more, spec | spec_of(more, whole[0].sheet, SLOW_LEAVES, widths, priors), whole)
+        other = Job(more, spec | spec_of(more, whole[0].sheet, SLOW_LEAVES, widths, priors), whole, apart)
         jobs["slow errors"] = other
-        first = other.numbers(job.params(found["tuned"]))
+        first = other.numbers(job.each(found["tuned"]))
         ended = search("slow errors", other, other.objective(), first, history, say)
         found["slow errors"], stopped = ended.raw, bool(ended.interrupted)
-        offs["slow errors"] = level_drift(other, ended.raw, whole, chosen)
-    own = lambda name: [jobs[name].params(found[name], u.sheet) for u in (whole if name == "slow errors" else used)]
+        offs["slow errors"] = level_drift(other, ended.raw, chosen)
+    params_of = lambda name: jobs[name].each(found[name])
     trials = {
         name: Trial(
-            jobs[name].filt, own(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts),
-            predicted(jobs[name].filt, own(name), used, off[1]),
+            jobs[name].filt, params_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts),
+            predicted(jobs[name].filt, params_of(name), used, off[1]),
         )
         for name, off in offs.items()
     }  # fmt: skip
@@ -203,7 +206,7 @@ def tune(
     scores = {name: spread(off[0][test]) for name, off in offs.items()}
     told = shown(best, trials)
     return Tuned(
-        trials[best].params, trials[best].filter, best, verdict(best, trials, scores, parts),
+        trials[best].params, params_of(best), trials[best].filter, best, verdict(best, trials, scores, parts),
         table(jobs[told], found[told]), trials, used, parts, int(np.unique(blocks).size), job.effective, gain, scores,
         nis, jobs[best].spec, history, stopped,
     )  # fmt: skip
@@ -221,7 +224,10 @@ def clocks(recs: Sequence[Recording], begins: Sequence[Start]) -> list[str]:
     if high[1] - low[1] < max(0.1, 4 * float(np.hypot(low[2], high[2]))):
         return []
     each = ", ".join(f"{name} {delay:+.2f} s (sd {sd:.2f})" for name, delay, sd in seen)
-    return [f"fixes are late by {each}: one delay is tuned for all, put the clocks right first (see jaxnav check)"]
+    return [
+        f"fixes are late by {each}, and one delay is tuned for all: put the clocks right first (see jaxnav check), or "
+        "let each have its own timing (tune.own)"
+    ]
 
 
 def made_ready(
@@ -273,14 +279,14 @@ def search(
 
 
 def candidates(
-    job: Job, begin: Start, history: list[dict], say: Callable[[str], None]
+    job: Job, begins: Sequence[Start], history: list[dict], say: Callable[[str], None]
 ) -> tuple[dict[str, jax.Array], bool]:
     """The numbers of the datasheet, what the likelihood alone says with receiver and clock held, the minimum of J.
 
     And whether Ctrl-C ended it; then what was not begun is left out.
     """
     alone, whole = job.objective(horizon=False, held=[h for h in HELD if h in job.spec]), job.objective()
-    held = search("held", job, alone, _delayed(job, begin), history, say)
+    held = search("held", job, alone, _delayed(job, begins), history, say)
     found, ends, stopped = {"datasheet": job.flat, "held": held.raw}, [], bool(held.interrupted)
     for name, first in (("held", held.raw), ("datasheet", job.flat)):
         if not stopped:
@@ -309,18 +315,22 @@ def correlation(infos: Sequence[Info], used: Sequence[Used]) -> float:
     return float(product / square) if count >= 30 else 0.0
 
 
-def _delayed(job: Job, begin: Start) -> jax.Array:
-    """The datasheet's numbers, with the delay that the start saw where the clock is free."""
-    found = begin.alignment
-    if found is None or "mounting.time_offset" not in job.spec or abs(found.delay) < 3 * found.sd[9]:
-        return job.flat
-    step = job.spec["mounting.time_offset"].inverse(jnp.asarray(found.delay))
-    return ravel_pytree(job.raw | {"mounting.time_offset": job.raw["mounting.time_offset"] + step})[0]
+def _delayed(job: Job, begins: Sequence[Start]) -> jax.Array:
+    """The datasheet's numbers, with the delays that the starts saw where a clock is free."""
+    flat = job.flat
+    for i in np.flatnonzero(np.array([job.leaves[k] for k in job.origin]) == "mounting.time_offset"):
+        found = begins[job.owner[i]].alignment
+        if found is not None and abs(found.delay) >= 3 * found.sd[9]:
+            flat = flat.at[i].add(job.spec["mounting.time_offset"].inverse(jnp.asarray(found.delay)))
+    return flat
 
 
-def level_drift(job: Job, flat: jax.Array, used: Sequence[Used], measurements: tuple) -> tuple[np.ndarray, list[Info]]:
+def level_drift(job: Job, flat: jax.Array, measurements: tuple) -> tuple[np.ndarray, list[Info]]:
     """Horizontal drift (W,) m at the ends of the windows of all recordings, and the runs (P, E, ...) of each."""
-    runs = [drift(job.filt, job.params(flat, u.sheet), u.nav, u.epochs, u.windows, measurements) for u in used]
+    runs = [
+        drift(job.filt, params, u.nav, u.epochs, u.windows, measurements)
+        for params, u in zip(job.each(flat), job.used, strict=True)
+    ]
     return np.concatenate([np.hypot(error[:, 0], error[:, 1]) for error, _ in runs]), [info for _, info in runs]
 
 
@@ -367,20 +377,20 @@ def channels(infos: Sequence[Info], measurements: tuple, used: Sequence[Used]) -
 
 def table(job: Job, flat: jax.Array) -> list[Row]:
     """Every free number with the 95 % of the tempered posterior, its prior, and a remark."""
-    raw = job.back(flat)
     info = job.objective()(flat)
     sd = np.sqrt(np.diag(np.linalg.inv(np.asarray(info.fisher))))
     far = np.abs(np.asarray(flat - job.centre)) / job.width
-    names, rows = labels(job.spec, raw), []
-    sizes = [(name, i) for name in sorted(job.spec) for i in range(np.size(raw[name]))]
-    for label, (name, _), x, s, w, f, x0 in zip(names, sizes, flat, sd, job.width, far, job.flat, strict=True):
+    names, rows = labels(job.spec, job.raw), []
+    for i, (x, s, w, f, x0) in enumerate(zip(flat, sd, job.width, far, job.flat, strict=True)):
+        label, name, whose = names[job.origin[i]], job.leaves[job.origin[i]], job.owner[i]
         transform, (unit, text) = job.spec[name], in_words(name)
         value, low, high, before = (float(transform.forward(x + d)) / unit for d in (0.0, -1.96 * s, 1.96 * s, x0 - x))
         prior = PRIORS[kind_of(name)]
         remark = "the data add nothing to the prior" if s > 0.9 * w else ""
         if f > FAR:
             remark = f"{f:.1f} sd from the datasheet: {prior.far}"
-        rows.append(Row(_named(label), value, low, high, before, text, prior_in_words(transform, unit, text), remark))
+        label = _named(label) + (f" of {job.used[whose].name}" if whose else "")
+        rows.append(Row(label, value, low, high, before, text, prior_in_words(transform, unit, text), remark))
     return rows
 
 

@@ -11,6 +11,7 @@ from jaxnav.data import atomic_write
 from jaxnav.data.json import to_json, write_json
 from jaxnav.data.toml import to_toml
 from jaxnav.filters.border import in_user_units, noise_leaves, override
+from jaxnav.filters.parameters import get
 from jaxnav.types import DataError, Params
 from tuning.export import write_exports
 
@@ -120,7 +121,8 @@ def metrics(found: "Tuned") -> dict[str, Any]:
 def write(found: "Tuned", folder: Path, states: Sequence[str] = ()) -> None:
     """Write tuned.toml, the same for other software, history.jsonl and metrics.json.
 
-    ``states`` that the filter was given beside its own are told in tuned.toml where the winner has one more.
+    A recording that has some of its own has a tuned_N.toml beside, N its number. ``states`` that the filter was given
+    beside its own are told in tuned.toml where the winner has one more.
     """
     folder.mkdir(parents=True, exist_ok=True)
     about = f"{' and '.join(u.name for u in found.used)}: {found.verdict}"
@@ -129,6 +131,11 @@ def write(found: "Tuned", folder: Path, states: Sequence[str] = ()) -> None:
     params |= {"params": in_user_units(found.params, dict.fromkeys([*noise_leaves(found.params), *found.spec]))}
     head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
     atomic_write(folder / "tuned.toml", head + to_toml(params))
+    for number, (used, own) in enumerate(zip(found.used[1:], found.each[1:], strict=True), start=2):
+        if any(np.any(np.asarray(get(own, leaf)) != np.asarray(get(found.params, leaf))) for leaf in found.spec):
+            said = in_user_units(own, dict.fromkeys([*noise_leaves(own), *found.spec]))
+            text = f"# jaxnav tune: {used.name}, which has some of its own\n" + to_toml(params | {"params": said})
+            atomic_write(folder / f"tuned_{number}.toml", text)
     write_exports(folder, f"jaxnav tune: {about}", found.params)
     atomic_write(folder / "history.jsonl", "\n".join(to_json(row) for row in found.history) + "\n")
     write_json(folder / "metrics.json", metrics(found))

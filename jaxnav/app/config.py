@@ -121,6 +121,7 @@ class Tune:
         default_factory=lambda: {"log_drift": 1.0, "nll": 1.0}
     )  # name -> weight
     frozen: tuple[str, ...] = ()  # taken out of ``free`` again
+    own: tuple[str, ...] = ()  # recordings together: what each has of its own, such as "timing", of ``free``
     tied: tuple[str, ...] = ()  # one number for all axes
     correlated: tuple[str, ...] = ()  # white and bias-driving noise, fixes: correlations between the axes too
     prior: dict[str, float] = dataclasses.field(default_factory=dict)  # name -> one sd about the datasheet: a factor

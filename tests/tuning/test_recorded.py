@@ -141,6 +141,37 @@ def test_recordings_together_are_the_sum_of_each(ekf, job):
     assert float(both.objective()(x).nll) - off == pytest.approx(2 * (float(one.objective()(x).nll) - off))
 
 
+def test_what_is_each_ones_own_has_its_own_numbers(ekf, job):
+    """Two recordings, fixes each one's own: noise sees both, of fixes each sees its own recording alone."""
+    make, _, _ = job
+    one, fixes = make(), ("measurements.position.scale", "measurements.velocity.scale")
+    both = Job(ekf, make.spec, [make.use(), make.use()], fixes)
+    own = np.isin(one.leaves, fixes)
+    assert both.flat.size == own.size + own.sum() and [int(n) for n in both.owner] == [0] * own.size + [1] * own.sum()
+    x = one.flat + 0.1
+    apart = jnp.concatenate([x, x[own] + 0.4])
+    other = jnp.where(own, x + 0.4, x)
+    np.testing.assert_array_equal(both.params(apart, 1).measurements["position"].scale,
+                                  one.params(other).measurements["position"].scale)  # fmt: skip
+    np.testing.assert_allclose(both.numbers(both.each(apart)), apart, atol=1e-9)
+    (first, _), (second, _), (found, _) = one.evidence(x), one.evidence(other), both.evidence(apart)
+    G = own.size
+    np.testing.assert_allclose(found.value, first.value + second.value, rtol=1e-12)
+    np.testing.assert_allclose(found.score[:G][~own], (first.score + second.score)[~own], rtol=1e-9)
+    np.testing.assert_allclose(found.score[:G][own], first.score[own], rtol=1e-12)
+    np.testing.assert_allclose(found.score[G:], second.score[own], rtol=1e-12)
+    np.testing.assert_allclose(found.fisher[G:, G:], second.fisher[np.ix_(own, own)], rtol=1e-12)
+    assert not np.any(found.fisher[G:, :G][:, own])
+    delayed = recorded._delayed(Job(ekf, priors.spec_of(ekf, make.use().sheet, ("timing",)), [make.use()] * 2,
+                                    ("mounting.time_offset",)), [late(0.2), late(-0.4)])  # fmt: skip
+    assert sorted(np.asarray(delayed).tolist()) == pytest.approx([-4.0, 0.0, 0.0, 2.0])  # its step is 0.1 s
+
+
+def late(delay):
+    """A start that saw this delay."""
+    return SimpleNamespace(alignment=SimpleNamespace(delay=delay, sd=np.full(10, 0.01)))
+
+
 def test_what_a_part_predicts_is_the_likelihood_in_the_objective(ekf, job):
     """Over the training part taken for the validation's, by other code: the runs' own innovations and hidden fixes."""
     make, packed, layout = job
@@ -322,5 +353,22 @@ def test_two_drives_of_one_imu_tell_more_than_one(rec, ekf, found):
     both = tuning.tune([rec, other], ekf, ekf.params("adis16465"), free=("noise", "fixes"))
     assert [u.windows.hidden.shape for u in both.used] == 2 * [(PHASES, both.used[1].packed.t.size)]
     assert all(both.counts[name] > found.counts[name] for name in both.counts) and both.effective > found.effective
+    assert both.each[0].noise.gyro == both.each[1].noise.gyro
     one, two = ({row.name: row for row in each.rows}["position.scale"] for each in (found, both))
     assert two.low < 3.0 < two.high and np.log(two.high / two.low) < np.log(one.high / one.low)
+
+
+@pytest.mark.slow
+def test_two_loggers_have_two_clocks(rec, ekf, tmp_path):
+    """The same drive, once with the IMU's stamps 0.15 s late: each finds its own, all else is one for both."""
+    later = rec._replace(name="late", imu=rec.imu._replace(t=rec.imu.t + 0.15), truth=None)
+    both = tuning.tune(
+        [rec, later], ekf, ekf.params("adis16465"), free=("noise", "fixes", "timing"), own=("mounting.time_offset",)
+    )
+    offsets = [float(p.mounting.time_offset) for p in both.each]
+    assert both.chosen != "datasheet" and offsets[1] - offsets[0] == pytest.approx(-0.15, abs=0.01)
+    assert both.each[0].noise.gyro == both.each[1].noise.gyro
+    assert any(row.name == "time_offset of late" for row in both.rows)
+    both.write(tmp_path)
+    second = tuning.load(tmp_path / "tuned_2.toml", ekf.params("consumer"))
+    assert float(second.mounting.time_offset) == pytest.approx(offsets[1])

@@ -63,7 +63,7 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
     seconds = {"prepare": time.perf_counter() - begin}
     begin = time.perf_counter()
     found = tune(
-        recs, filt, sheets, free=free, widths=widths(config, free, which),
+        recs, filt, sheets, free=free, own=which("own", config.tune.own), widths=widths(config, free, which),
         begin=[pre.start_of(*each) for each in zip(configs, recs, sheets, strict=True)], stop=config.data.stop,
         window=None if config.tune.outage_s == plain.outage_s else config.tune.outage_s,
         priors=config.tune.priors != "none", standing=pre.standing_of(config),

@@ -99,7 +99,10 @@ def _alive(process: int) -> bool:
         return False
     except (OSError, OverflowError):  # another user's
         return True
-    return True
+    try:  # one that was killed and that nobody waited for is dead as well: some containers never do
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (OSError, IndexError):  # not Linux, or gone just now
+        return True
 
 
 def _refuse_others(out: Path, verb: str, inputs: Sequence[str | Path]) -> None:

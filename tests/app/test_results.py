@@ -2,6 +2,9 @@
 
 import json
 import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -85,3 +88,19 @@ def test_killed_while_results_are_moved_it_can_be_run_again(tmp_path, monkeypatc
     assert {p.name: p.read_text()[:5] for p in (tmp_path / "out").glob("*.csv")} == {"a.csv": "again", "b.csv": "again"}
     assert json.loads((tmp_path / "out" / "run.json").read_text())["files"] == ["a.csv", "b.csv", "run.json"]
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="only Linux tells the dead from the living")
+def test_a_killed_process_that_nobody_waited_for_is_dead(tmp_path):
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    left = tmp_path / f".out.{child.pid}.tmp"
+    left.mkdir()
+    with results.staged(tmp_path / "out", "mc"):
+        assert left.exists()  # it is at work
+    child.kill()
+    deadline = time.monotonic() + 10
+    while results._alive(child.pid) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    with results.staged(tmp_path / "out", "mc"):
+        assert not left.exists()
+    child.wait()

@@ -413,3 +413,18 @@ def test_no_code_knows_the_name_of_a_recording():
     files = [p for p in (Path(__file__).parents[2] / "jaxnav" / "data").rglob("*.py") if p.stem not in pinned]
     assert len(READERS) > 10 and len(files) > 10
     assert not [(file.name, name) for file in files for name in names if name in file.read_text()]
+
+
+def test_a_named_stream_may_have_numbered_columns(tmp_path):
+    """As folders have them that were written before the stream had a name of its own."""
+    rows = "\n".join(f"{0.01 * i:.2f},0,0,0,0,0,-9.8" for i in range(1, 500))
+    axes = ",".join([*(f"gyro_{a}_radps" for a in "xyz"), *(f"accel_{a}_mps2" for a in "xyz")])
+    (tmp_path / "imu.csv").write_text(f"t_s,{axes}\n{rows}\n")
+    place = "\n".join(f"{t},0.8,0.1,100,1,1,1" for t in (1, 2, 3, 4))
+    (tmp_path / "position.csv").write_text(f"t_s,lat_rad,lon_rad,h_m,sd_e_m,sd_n_m,sd_u_m\n{place}\n")
+    (tmp_path / "aiding_barometer.csv").write_text("t_s,value_0,sd_0\n1,250,0.5\n2,251,0.5\n")
+    (tmp_path / "heading.csv").write_text("t_s,heading_deg,sd_deg\n1,90,1\n2,180,1\n")
+    rec = io.read_recording(tmp_path)
+    np.testing.assert_array_equal(rec.aiding["barometer"].value[:, 0], [250, 251])
+    np.testing.assert_allclose(rec.aiding["heading"].value[:, 0], [np.pi / 2, np.pi])
+    np.testing.assert_allclose(rec.aiding["heading"].sd[:, 0], np.pi / 180)

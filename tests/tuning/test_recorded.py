@@ -1,5 +1,6 @@
 """Tuning a recording without truth: the objective's derivatives, its parts kept apart, priors, and the verdict."""
 
+import dataclasses
 import json
 from types import SimpleNamespace
 
@@ -14,7 +15,7 @@ from jaxnav.analysis.windows import drift as windows_drift
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import start
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.parameters import get
+from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import FREEDOM, prepare
 from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS
@@ -147,6 +148,8 @@ def test_what_is_each_ones_own_has_its_own_numbers(ekf, job):
     one, fixes = make(), ("measurements.position.scale", "measurements.velocity.scale")
     both = Job(ekf, make.spec, [make.use(), make.use()], fixes)
     own = np.isin(one.leaves, fixes)
+    three = Job(ekf, make.spec, [make.use()] * 3, fixes)  # nobody's own numbers are another's
+    assert len({int(i) for at in three.places for i in at[own]}) == 3 * own.sum() == three.flat.size - (~own).sum()
     assert both.flat.size == own.size + own.sum() and [int(n) for n in both.owner] == [0] * own.size + [1] * own.sum()
     x = one.flat + 0.1
     apart = jnp.concatenate([x, x[own] + 0.4])
@@ -219,6 +222,8 @@ def test_priors_are_about_the_datasheet_and_named_by_kind(ekf):
     assert spec["noise.gyro"].belief.centre == (pytest.approx(0.23 * DEG_PER_SQRT_HOUR),)
     assert spec["mounting.time_offset"].belief.sd == pytest.approx(1.0)  # a step is 0.1 s
     assert all(t.belief is None for t in priors.spec_of(ekf, params, ("noise",), priors=False).values())
+    scaled = build("ekf15", states=("gyro_scale",))
+    assert "states.gyro_scale.drive" not in priors.spec_of(scaled, scaled.params("consumer"), ("noise",))  # a constant
     with pytest.raises(ValueError, match="did you mean noise"):
         priors.spec_of(ekf, params, ("noize",))
     with pytest.raises(ValueError, match="states.gyro_scale.drive: the filter has no state"):
@@ -313,6 +318,11 @@ def test_what_is_written_is_read_back(found, ekf, tmp_path):
         np.testing.assert_allclose(get(again, leaf), get(found.params, leaf), rtol=1e-12)
     assert json.loads((tmp_path / "tuned" / "metrics.json").read_text())["verdict"] == found.verdict
     assert (tmp_path / "tuned" / "tuned_px4.params").read_text().startswith(f"# jaxnav tune: {found.used[0].name}")
+    later = put(found.params, "mounting.time_offset", jnp.asarray(0.07))
+    free = found.spec | priors.spec_of(ekf, later, ("mounting.time_offset",))
+    dataclasses.replace(found, params=later, spec=free).write(tmp_path / "later")  # no noise, and yet written
+    again = tuning.load(tmp_path / "later" / "tuned.toml", ekf.params("consumer"))
+    assert float(again.mounting.time_offset) == pytest.approx(0.07)
     (tmp_path / "other.toml").write_text("[filter]\n")
     for path, words in ((tmp_path / "other.toml", r"no table \[params\]"), (tmp_path / "none.toml", "cannot be read")):
         with pytest.raises(DataError, match=words):

@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 EXTRAS ?= dev,oracle
+DOCS = dev,oracle,docs
 
 .PHONY: demo test quick slow fuzz replay lint lock docs
 demo: $(VENV)/installed
@@ -32,12 +33,11 @@ lint: $(VENV)/ready
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
 
 # the pages of docs/ as a site in out/site; a broken link is an error
-docs: EXTRAS := dev,oracle,docs
 docs: $(VENV)/documented
 	$(BIN)/mkdocs build --strict --site-dir out/site
 
 $(VENV)/documented: pyproject.toml requirements.lock.txt
-	$(call install,[dev,oracle,docs])
+	$(call install,[$(DOCS)])
 
 # what `jaxnav` itself needs, and what its tests need on top
 define install

@@ -1,0 +1,75 @@
+"""Errors that are states, and other sensors, on top of a simulated run."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnav.filters.parameters import datasheet_states
+from jaxnav.maths import earth, rotations
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.simulate.readings import askew, expected, with_sensor, with_states
+from jaxnav.simulate.scenarios import URBAN_SHORT
+from jaxnav.simulate.simulation import matched_params, simulate_jit
+from jaxnav.states.grades import GRADES
+
+NAMES = ("lever_arm_error", "clock_offset", "gyro_misalignment")
+
+
+@pytest.fixture(scope="module")
+def sim():
+    return simulate_jit(URBAN_SHORT, jax.random.key(2))
+
+
+@pytest.fixture(scope="module")
+def params():
+    known = matched_params(URBAN_SHORT)
+    return known._replace(states=known.states | datasheet_states(GRADES["consumer"], (*NAMES, "vehicle_axes")))
+
+
+def test_fixes_and_samples_have_the_errors_that_the_truth_says(sim, params):
+    other = with_states(sim, params, NAMES, jax.random.key(1))
+    e = {name: np.asarray(other.truth.errors[name][0]) for name in NAMES}
+    C = np.asarray(jax.vmap(rotations.to_dcm)(sim.truth.q))
+    moved = earth.enu_path(np.asarray(other.epochs.fix.value[:, :3]), np.asarray(sim.epochs.fix.value[:, :3]))
+    late = float(e["clock_offset"][0])
+    v = np.asarray(sim.truth.vel)
+    steady = np.abs(np.gradient(v, axis=0)).max(1) < 0.3  # m/s^2: late by 0.1 s that is below 2 mm
+    np.testing.assert_allclose(moved[steady], (C @ e["lever_arm_error"] - late * v)[steady], atol=3e-3)
+    swing = np.einsum("eij,ej->ei", C, np.cross(np.asarray(sim.truth.omega), e["lever_arm_error"]))
+    change = np.asarray(other.epochs.fix.value - sim.epochs.fix.value)[:, 3:6]
+    np.testing.assert_allclose(change[steady], swing[steady], atol=0.03 * 0.5)
+    w, more = np.asarray(sim.epochs.imu.gyro), np.asarray(other.epochs.imu.gyro - sim.epochs.imu.gyro)
+    np.testing.assert_allclose(
+        more[..., 0], e["gyro_misalignment"][0] * w[..., 1] + e["gyro_misalignment"][1] * w[..., 2]
+    )
+    np.testing.assert_array_equal(other.epochs.imu.accel, sim.epochs.imu.accel)
+
+
+def test_an_imu_that_sits_askew_sees_the_same_drive(sim, params):
+    """What it reads is the same in ENU, and wheels do not slip along the axes that its state tells."""
+    angles = jnp.array([0.03, -0.05])
+    other = askew(sim, params, angles)
+    C, turned = (np.asarray(jax.vmap(rotations.to_dcm)(nav.q)) for nav in (sim.truth, other.truth))
+    for name in ("omega", "force"):
+        seen = [np.einsum("eij,ej->ei", M, np.asarray(getattr(nav, name)))
+                for M, nav in ((C, sim.truth), (turned, other.truth))]  # fmt: skip
+        np.testing.assert_allclose(*seen, atol=1e-9)
+    sideways = lambda truth, known: np.abs(np.asarray(expected(MEASUREMENTS["nonholonomic"], known, truth))).max()
+    errors = other.truth.errors | {"vehicle_axes": jnp.broadcast_to(angles, (other.truth.t.size, 2))}
+    with_it = other.truth._replace(errors=errors)
+    assert sideways(with_it, params) == pytest.approx(sideways(sim.truth, params), abs=1e-6)
+    assert sideways(other.truth, params) > 0.3
+
+
+def test_a_sensor_reads_what_is_expected_of_the_truth_and_noise(sim, params):
+    other = with_sensor(sim, params, "speed", 0.1, jax.random.key(3))
+    forward = np.einsum("eji,ej->ei", np.asarray(jax.vmap(rotations.to_dcm)(sim.truth.q)), np.asarray(sim.truth.vel))[
+        :, 0
+    ]
+    noise = np.asarray(other.epochs.fix.value[:, 6]) - forward
+    assert 0.07 < noise.std() < 0.13 and other.epochs.fix.value.shape == (sim.truth.t.size, 7)
+    slow = with_sensor(sim, params, "course", 0.05, jax.random.key(3), least_speed=3.0)
+    there = np.hypot(*np.asarray(sim.truth.vel)[:, :2].T) >= 3.0
+    np.testing.assert_array_equal(slow.epochs.fix.valid[:, 6], there)
+    assert 0 < there.sum() < there.size

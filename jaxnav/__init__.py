@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jaxnav.analysis.navigate import Solution, navigate
     from jaxnav.analysis.stream import Now, Stream
+    from jaxnav.data.bank import heading_bank, with_headings
     from jaxnav.data.epochs import (
         Packed,
         constraint_samples,
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     )
     from jaxnav.data.read import read
     from jaxnav.data.recording import recording
-    from jaxnav.data.start import course, heading_bank, level, start, with_headings
+    from jaxnav.data.start import course, level, start
     from jaxnav.filters.catalogue import FILTERS, build
     from jaxnav.filters.compiler import cache, enable_x64, fast_compiler, make_room
     from jaxnav.filters.core import Correction, Filter, Innovation, Rule, make_filter
@@ -82,7 +83,8 @@ _HOMES = {
     "data.epochs": "Packed constraint_samples cut_times hide outage_windows pack stack_epochs stationary",
     "data.read": "read",
     "data.recording": "recording",
-    "data.start": "course heading_bank level start with_headings",
+    "data.bank": "heading_bank with_headings",
+    "data.start": "course level start",
     "filters.catalogue": "FILTERS build",
     "filters.compiler": "cache enable_x64 fast_compiler make_room",
     "filters.core": "Correction Filter Innovation Rule make_filter",

@@ -266,6 +266,9 @@ def test_every_row_says_what_it_is():
         assert each.name == name and each.size == len(each.channels)
         assert type(each.units) is type(each.defaults)
         assert set(each.states) <= set(STATES)
+        # what has a logarithm is freed as noise: it must be one
+        assert all(leaf.endswith(("sd", "sd_scale", "scale")) for leaf, unit in each.units._asdict().items()
+                   if unit.step is None), name  # fmt: skip
     own = [unit.key for row in (*STATES.values(), *MEASUREMENTS.values()) for unit in row.units]
     assert len(own) == len(set(own))
     assert {e.more for e in FILTERS.values()} == {True, False}

@@ -200,16 +200,13 @@ class Job:
             _evidence(self.filt, self.items, flat[at], self.raw, *part)
             for at, part in zip(self.places, self.parts, strict=True)
         ]
-        together = [
-            tuple(
-                Evidence(
-                    e.value, jnp.zeros(flat.size).at[at].add(e.score),
-                    jnp.zeros((flat.size, flat.size)).at[np.ix_(at, at)].add(e.fisher), e.number,
-                )
-                for e in both
-            )
-            for at, both in zip(self.places, found, strict=True)
-        ]  # fmt: skip
+        G = flat.size
+
+        def among_all(e: Evidence, at: np.ndarray) -> Evidence:
+            score, fisher = jnp.zeros(G).at[at].set(e.score), jnp.zeros((G, G)).at[np.ix_(at, at)].set(e.fisher)
+            return e._replace(score=score, fisher=fisher)
+
+        together = [tuple(among_all(e, at) for e in both) for at, both in zip(self.places, found, strict=True)]
         return jax.tree.map(lambda *each: sum(each), *together)
 
     def objective(self, horizon: bool = True, held: Sequence[str] = ()) -> Callable[[jax.Array], Information]:

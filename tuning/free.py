@@ -10,7 +10,8 @@ from jaxnav.filters.catalogue import FILTERS
 from jaxnav.filters.parameters import UNITS, get, has
 from jaxnav.measurements import Measurement
 from jaxnav.types import ConfigError, Params, nearest
-from tuning.transforms import LOG, TRANSFORMS, Spec, Transform, believed, factor, scaled, tied
+from tuning import transforms
+from tuning.transforms import LOG, TRANSFORMS, Spec, Transform, believed, factor, scaled
 
 
 def transform_of(leaf: str) -> Transform:
@@ -95,7 +96,7 @@ def specify(
     *,
     free: Iterable[str],
     frozen: Iterable[str] = (),
-    tied_ones: Iterable[str] = (),
+    tied: Iterable[str] = (),
     correlated: Iterable[str] = (),
     prior: Mapping[str, float] | None = None,
 ) -> Spec:
@@ -124,9 +125,9 @@ def specify(
             raise ConfigError(f"tune.{key}: {name} is not in tune.free, where it would have to be")
         return found
 
-    for name in tied_ones:
+    for name in tied:
         for leaf in of("tied", name):
-            spec[leaf] = tied(spec[leaf])
+            spec[leaf] = transforms.tied(spec[leaf])
     for name in correlated:
         roots = [leaf for leaf in which("correlated", [name]) if leaf in ROOTS]
         if not roots:

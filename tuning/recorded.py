@@ -30,13 +30,14 @@ import numpy as np
 
 from jaxnav.analysis.windows import drift
 from jaxnav.data import epochs as ep
-from jaxnav.data.start import Start, heading_bank, start
+from jaxnav.data.bank import most_probable
+from jaxnav.data.start import Start, start
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for
 from jaxnav.filters.run import prepare, require_x64
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.types import DataError, Epoch, Info, Nav, Params, Recording
+from jaxnav.types import DataError, Info, Params, Recording
 from tuning import scoring
 from tuning.evidence import SLOW, Job, predicted
 from tuning.parts import Used, blocks_of, parts_of, plan, pooled, window_of, windows_of
@@ -247,18 +248,10 @@ def made_ready(
         say((f"{rec.name}: " if len(recs) > 1 else "") + in_words_of(layout, parts, packed))
         epochs = prepare(filt, ep.grown(packed.epochs, E, K) if len(recs) > 1 else packed.epochs)
         sheet = begin.given(params)
-        nav = one_start(filt, sheet, begin.navs, epochs, packed.t, layout.train)
+        train = jax.tree.map(lambda a, end=int(np.searchsorted(packed.t, layout.train + ep.TICK)): a[:end], epochs)
+        nav = most_probable(filt, sheet, begin.navs, train)
         used.append(Used(rec.name, begin, sheet, nav, packed, epochs, layout, windows, parts))
     return used
-
-
-def one_start(filt: Filter, params: Params, navs: Nav, epochs: Epoch, t: np.ndarray, until: float) -> Nav:
-    """The start; of several the most probable one by the training part's innovations."""
-    if navs.t.shape[0] == 1:
-        return jax.tree.map(lambda a: a[0], navs)
-    train = jax.tree.map(lambda a: a[: int(np.searchsorted(t, until + ep.TICK))], epochs)
-    best = int(jax.jit(heading_bank, static_argnums=0)(filt, params, navs, train).best)
-    return jax.tree.map(lambda a: a[best], navs)
 
 
 # ---------------------------------------------------------------------------- candidates

@@ -7,7 +7,6 @@ tuned. Barometers are judged by height, all others by the horizontal.
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from benchmarks import common
@@ -16,7 +15,8 @@ from jaxnav import build, read
 from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import drift, hidden_windows
 from jaxnav.data import epochs as ep
-from jaxnav.data.start import heading_bank, start
+from jaxnav.data.bank import most_probable
+from jaxnav.data.start import start
 from jaxnav.filters.catalogue import rows
 from jaxnav.filters.compiler import make_room
 from jaxnav.types import Recording
@@ -59,10 +59,7 @@ def drifts(rec: Recording, sensors: tuple[str, ...], states: tuple[str, ...], wi
     params, chosen = begin.given(filt.params("consumer")), rows((*streams, *sensors))
     packed = ep.pack_recording(rec, chosen, begin.t)
     windows = hidden_windows(packed, window, 2 * window, PHASES, SETTLE)
-    best = 0
-    if begin.navs.t.shape[0] > 1:
-        best = int(jax.jit(heading_bank, static_argnums=0)(filt, params, begin.navs, packed.epochs).best)
-    nav = jax.tree.map(lambda a: a[best], begin.navs)
+    nav = most_probable(filt, params, begin.navs, packed.epochs)
     return drift(filt, params, nav, packed.epochs, windows, chosen)[0]
 
 

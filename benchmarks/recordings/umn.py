@@ -13,6 +13,7 @@ from jaxnav import data as io
 from jaxnav.analysis import metrics
 from jaxnav.data import epochs
 from jaxnav.data import start as alignment
+from jaxnav.data.bank import bank_jit, with_headings
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import change, datasheet_params, mounting
 from jaxnav.filters.run import initial_nav, track
@@ -59,8 +60,7 @@ def main(argv: list[str]) -> None:
     nav = initial_nav(position.value[0], velocity.value[0], (roll, pitch, 0.0), t=start)
     headings = np.arange(HEADINGS) * 2 * np.pi / HEADINGS
     filt = build("ekf15", cov_stride=10, history=10)
-    solve = jax.jit(alignment.heading_bank, static_argnums=0)
-    bank = solve(filt, parameters(), alignment.with_headings(nav, headings), packed.epochs)
+    bank = bank_jit(filt, parameters(), with_headings(nav, headings), packed.epochs)
     best = int(bank.best)
     info = jax.tree.map(lambda a: a[best], bank.info)
     error = metrics.errors(track(info.nav), rec.truth)

@@ -13,8 +13,9 @@ from jaxnav.analysis import evaluate, usage
 from jaxnav.analysis.dense import dense
 from jaxnav.data import epochs as ep
 from jaxnav.data import gaps
+from jaxnav.data.bank import bank_jit
 from jaxnav.data.solution import FORMATS, write_kml, write_solution
-from jaxnav.data.start import Start, heading_bank, start
+from jaxnav.data.start import Start, start
 from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for
@@ -167,7 +168,7 @@ def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[Inf
     if navs.t.shape[0] == 1:
         info = jax.device_get(run_jit(filt, params, jax.tree.map(lambda a: a[0], navs), epochs))
         return jax.tree.map(lambda a: a[own], info), Chosen()
-    bank = jax.device_get(jax.jit(heading_bank, static_argnums=0)(filt, params, navs, epochs))
+    bank = jax.device_get(bank_jit(filt, params, navs, epochs))
     best = int(bank.best)
     about = Chosen(best, 360.0 * best / navs.t.shape[0], float(bank.probability[best]))
     return jax.tree.map(lambda a: a[best][own], bank.info), about

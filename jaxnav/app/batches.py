@@ -13,7 +13,7 @@ from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config
 from jaxnav.app.sources import simulated
 from jaxnav.data import epochs as ep
-from jaxnav.data.start import heading_bank
+from jaxnav.data.bank import most_probable
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Prepared
 from jaxnav.filters.parameters import UNITS
@@ -225,12 +225,10 @@ def from_recording(config: Config) -> Material:
 
 def _one_start(case: pre.ReadyRun, until: float) -> pre.ReadyRun:
     """With the most probable of several starts by the innovations up to ``until`` s, the training part's end."""
-    if case.navs.t.shape[0] == 1:
-        return case
     E = int(np.searchsorted(case.packed.t, until + ep.TICK))
     epochs = jax.tree.map(lambda a: a[:E], case.packed.epochs)
-    best = int(jax.jit(heading_bank, static_argnums=0)(case.filter, case.params, case.navs, epochs).best)
-    return case._replace(navs=jax.tree.map(lambda a: a[best : best + 1], case.navs))
+    best = most_probable(case.filter, case.params, case.navs, epochs)
+    return case._replace(navs=jax.tree.map(lambda a: a[None], best))
 
 
 def _whole(config: Config, case: pre.ReadyRun, prepared: Epoch, split: Split) -> Likelihood:

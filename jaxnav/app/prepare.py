@@ -136,7 +136,7 @@ def prepare(config: Config, tuned: bool = False) -> ReadyRun:
 def tune_spec(tune: Tune, filter_name: str, measurements: tuple[Measurement, ...], sheet: Params) -> Spec:
     """What [tune] frees, see `tuning.free.specify`."""
     return specify(
-        filter_name, measurements, sheet, free=tune.free, frozen=tune.frozen, tied_ones=tune.tied,
+        filter_name, measurements, sheet, free=tune.free, frozen=tune.frozen, tied=tune.tied,
         correlated=tune.correlated, prior=tune.prior,
     )  # fmt: skip
 

@@ -1,6 +1,6 @@
-"""Where navigation starts: levelling at rest, heading from the course, and unknown heading as a bank of hypotheses.
+"""Where navigation starts: levelling at rest, heading by motion, by what points, by the course, or as hypotheses.
 
-`start` finds all of it in a recording; the functions before it are its parts.
+`start` finds all of it in a recording; the functions before it are its parts, as are `alignment`, `pointing`, `bank`.
 """
 
 import math
@@ -9,20 +9,19 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import logsumexp
 
 from jaxnav.data.alignment import Alignment, Believed, align
+from jaxnav.data.bank import with_headings
 from jaxnav.data.epochs import TICK
-from jaxnav.data.magnetic import Field, field_of, heading_of
-from jaxnav.filters.core import Filter
+from jaxnav.data.magnetic import Field, field_of
+from jaxnav.data.pointing import LEAST_TILT_SD, USABLE, Pointed, pointed_by
 from jaxnav.filters.parameters import datasheet_params, datasheet_states, mounting
-from jaxnav.filters.run import initial_nav, negative_log_likelihood, run
+from jaxnav.filters.run import initial_nav
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
-from jaxnav.measurements import HEADING
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import BIASES
-from jaxnav.types import ConfigError, DataError, Epoch, ImuLog, Info, Nav, Params, Prior, Recording, Samples
+from jaxnav.types import ConfigError, DataError, ImuLog, Nav, Params, Prior, Recording, Samples
 
 
 def level(imu: ImuLog, start: float, stop: float) -> tuple[float, float]:
@@ -67,45 +66,6 @@ def course(velocity: Samples, min_speed: float, after: float = -np.inf) -> tuple
 _rph, _moved = jax.jit(rotations.to_rph), jax.jit(earth.move)  # one program each, where they are called by themselves
 
 
-class Bank(NamedTuple):
-    """Filters that started with different headings."""
-
-    info: Info  # (B, E, ...)
-    probability: jax.Array  # (B,) of each heading, given all innovations of the span
-    best: jax.Array  # () index of the most probable
-
-
-def heading_bank(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> Bank:
-    """Unknown heading: run the filter from each of ``navs`` (B, ...) and weigh them by likelihood (a Gaussian sum).
-
-    One linear filter cannot start with a heading sd of 100 deg, many that start 20 or 30 deg apart can, one of which
-    is near enough. Give each a heading prior of about their spacing. They differ once the vehicle accelerates.
-    """
-    info = jax.vmap(run, (None, None, 0, None))(filt, params, navs, epochs)
-    nll = jnp.sum(jax.vmap(jax.vmap(negative_log_likelihood))(info), axis=1)
-    score = jnp.where(info.ok[:, -1], -nll, -jnp.inf)
-    return Bank(info, jnp.exp(score - logsumexp(score)), jnp.argmax(score))
-
-
-def with_headings(nav: Nav, headings: np.ndarray, arm: Any = None) -> Nav:
-    """A start (local level frame) turned to each heading (B,), rad: Nav with a leading axis B.
-
-    ``arm``: (3,) m, IMU -> antenna, body, where ``nav`` is at the antenna: the IMUs of the turned starts are around it.
-    """
-    return _turned(nav, jnp.asarray(headings, float), jnp.zeros(3) if arm is None else jnp.asarray(arm, float))
-
-
-@jax.jit
-def _turned(nav: Nav, headings: jax.Array, arm: jax.Array) -> Nav:
-    roll_pitch = rotations.to_rph(rotations.to_dcm(nav.q))[:2]
-
-    def one(heading: jax.Array) -> Nav:
-        C = rotations.from_rph(jnp.concatenate([roll_pitch, heading[None]]))
-        return nav._replace(q=rotations.from_dcm(C), pos=earth.move(nav.pos, -C @ arm))
-
-    return jax.vmap(one)(headings)
-
-
 # ---------------------------------------------------------------------------- the start of a recording
 
 APART = 2.0  # s, at most, from the first position to the velocity beside it
@@ -143,7 +103,7 @@ class Attitude(NamedTuple):
     words: str
     unknown: bool = False  # the heading
     alignment: Alignment | None = None  # that it came from, if it came from one
-    pointed: "Pointed | None" = None  # what gave the heading, where motion did not
+    pointed: Pointed | None = None  # what gave the heading, where motion did not
 
 
 def start(
@@ -162,7 +122,7 @@ def start(
     """Position and velocity from a fix; attitude as said, from ``begin`` s on.
 
     ``heading``: "motion" aligns (`jaxnav.data.alignment`) over 10 s and more, up to a minute, until heading is known to
-    10 deg; where motion does not show it, two antennas or a magnetometer do; else it is unknown. "unknown" starts
+    10 deg; two antennas show it better, a magnetometer where motion does not; else it is unknown. "unknown" starts
     ``hypotheses`` of it, see `heading_bank`. "course" takes the first velocity above ``course_speed_mps``, of a vehicle
     that drives straight ahead. "truth" is the recording's, a number degrees. All but "motion" and "truth" level by a
     standstill, else by motion, else take the vehicle for flat; ``tilt_sd_deg``, ``heading_sd_deg`` are theirs.
@@ -225,18 +185,14 @@ def start(
     about = f"{hypotheses} hypotheses" if at.unknown else f"sd {at.sd[1] / DEG:.2g} deg"
     how = [f"starts at t = {t:.3f} s: {at.words} ({about})", *_remarks(at)]
     field = field_of(known, lla) if "magnetometer" in rec.aiding else None
-    if field is not None and ((at.pointed and at.pointed.magnetic) or "pip" not in field.words):
+    if field is not None and (field.known or (at.pointed is not None and at.pointed.magnetic)):
         how.append(field.words)
     return Start(navs, prior, t, "; ".join(line for line in how if line), states, at.alignment, field)
 
 
 LENGTHS = (10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)  # s of the windows that are tried one after the other
-KNOWN, USABLE = 10 * DEG, 20 * DEG  # sd of a heading that is known, and that one filter can still start with
+KNOWN = 10 * DEG  # sd of a heading that is known
 BAD_FIT = 9.0  # chi^2 per degree of freedom from which on fixes and IMU do not belong together
-NEAR, INSTANT = 1.0, 0.1  # s, at most from a start to what points; within which a vehicle does not turn
-HARD_IRON = 3.0  # uT, sd of what is left of a calibrated magnetometer's
-BENT = 0.3  # of the field's strength, from which on iron is too near, or the axes are others
-LEAST_TILT_SD = 0.3 * DEG  # what scale errors and misalignment leave of a tilt, however long it is looked at
 
 
 def _in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, hypotheses: int) -> Attitude:
@@ -255,7 +211,7 @@ def _in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, h
             break
     if first is None or last is None:
         rp, by, sd = _levelled(rec, known, velocity, begin, begin, 10 * DEG)
-        if (pointed := _pointed(rec, known, rp, sd, begin)) is not None:
+        if (pointed := pointed_by(rec, known, rp, sd, begin)) is not None:
             words = f"level by {by} (sd {sd / DEG:.2g} deg), heading {pointed.words}"
             return Attitude(begin, (*rp, pointed.heading), (sd, pointed.sd), words, pointed=pointed)
         sds = (sd, 2 * np.pi / hypotheses)
@@ -268,7 +224,8 @@ def _in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, h
         f"aligned over {best.t - begin:.0f} s by {best.fixes} fixes: roll {rph[0] / DEG:.1f}, pitch {rph[1] / DEG:.1f} "
         f"deg (sd {tilt / DEG:.2g} deg), heading "
     )
-    if unknown and (pointed := _pointed(rec, known, (float(rph[0]), float(rph[1])), tilt, best.t)) is not None:
+    pointed = pointed_by(rec, known, (float(rph[0]), float(rph[1])), tilt, best.t)
+    if pointed is not None and (unknown or (not pointed.magnetic and pointed.sd < best.sd[2])):
         words, rph = f"{words}{pointed.words}", np.array([rph[0], rph[1], pointed.heading])
         return Attitude(best.t, tuple(rph), (tilt, pointed.sd), words, False, best, pointed)
     if unknown:
@@ -276,42 +233,6 @@ def _in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, h
         return Attitude(best.t, tuple(rph), (tilt, 2 * np.pi / hypotheses), words, True, best)
     words += f"{rph[2] / DEG % 360:.1f} deg"
     return Attitude(best.t, tuple(rph), (tilt, float(best.sd[2])), words, False, best)
-
-
-class Pointed(NamedTuple):
-    """A heading that needs no motion."""
-
-    heading: float  # rad
-    sd: float  # rad
-    words: str
-    magnetic: bool = False
-
-
-def _pointed(rec: Recording, known: Params, rp: tuple[float, float], tilt_sd: float, t: float) -> Pointed | None:
-    """Heading at ``t`` s by two antennas, else by the magnetometer; None where it is not known to `USABLE`.
-
-    By the samples within `NEAR` s.
-    """
-    near = {name: np.abs(rec.aiding[name].t - t) < NEAR for name in ("heading", "magnetometer") if name in rec.aiding}
-    if near.get("heading", np.zeros(1)).any():
-        s, theta = rec.aiding["heading"], known.measurements.get("heading", HEADING.defaults)
-        i = int(np.argmin(np.abs(s.t - t)))
-        angle, sd = float(s.value[i, 0]) - float(theta.yaw), float(s.sd[i, 0] * theta.sd_scale)
-        if sd <= USABLE:
-            return Pointed(angle, max(sd, LEAST_TILT_SD), f"{angle / DEG % 360:.1f} deg by two antennas")
-    if not near.get("magnetometer", np.zeros(1)).any():
-        return None
-    field = field_of(known, rec.aiding["position"].value[0])
-    compass = rec.aiding["magnetometer"]
-    closest = np.abs(compass.t - t).min()
-    seen = compass.value[np.abs(compass.t - t) <= max(INSTANT, closest)].mean(0)  # it may turn
-    angle, level, bent = heading_of(seen, *rp, field)
-    if bent > BENT * field.strength:
-        return None
-    sd = math.sqrt((HARD_IRON / level) ** 2 + (math.tan(field.inclination) * tilt_sd) ** 2 + field.sd**2)
-    if sd > USABLE:
-        return None
-    return Pointed(angle, sd, f"{angle / DEG % 360:.1f} deg by the magnetometer", True)
 
 
 def aligned(rec: Recording, params: Params, begin: float, end: float) -> Alignment | None:

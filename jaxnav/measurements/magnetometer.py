@@ -50,7 +50,7 @@ MAGNETOMETER = Measurement(
     MagnetometerParams(
         Unit("magnetometer_sd_scale"), Unit("magnetometer_latency_s", text="s", step=0.1),
         Unit("declination_deg", DEG, text="deg", step=3 * DEG), Unit("inclination_deg", DEG, text="deg", step=3 * DEG),
-        Unit("field_ut", text="uT"),
+        Unit("field_ut", text="uT", step=1.0),
     ),
     states=("magnetometer_bias", "declination_error"), columns=("x_ut", "y_ut", "z_ut"),
 )  # fmt: skip

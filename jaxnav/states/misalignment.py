@@ -1,4 +1,7 @@
-"""Misalignment and non-orthogonality of the inertial sensors: each axis sees a share of the two others."""
+"""Misalignment and non-orthogonality of the inertial sensors: each axis sees a share of the two others.
+
+The elements off the diagonal of M_g and M_a in Groves 2013, eqs. 4.16 and 4.17.
+"""
 
 import jax
 import jax.numpy as jnp

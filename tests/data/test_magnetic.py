@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from benchmarks.recordings.start import simulated
 from jaxnav.data import magnetic, start
 from jaxnav.filters.catalogue import build
 from jaxnav.maths import rotations
@@ -71,6 +72,19 @@ def test_a_compass_near_iron_is_not_believed(iron):
     rec = standing((0.0, 0.0, 1.0), magnetometer=(by_field((0.0, 0.0, 1.0), known, iron), 1.0))
     begin = start.start(rec)
     assert begin.navs.t.shape == (12,) and "magnetometer" not in begin.how
+
+
+def test_two_antennas_are_surer_than_motion():
+    """A car in motion, which shows the heading to degrees; the antennas to a tenth."""
+    rec, _ = simulated("car", "consumer", True, np.random.default_rng(5))
+    angle = np.interp(rec.aiding["position"].t, rec.truth.t, np.unwrap(rec.truth.rph[:, 2]))[:, None]
+    by_antennas = Samples(rec.aiding["position"].t, angle, np.full_like(angle, 2e-3), np.zeros_like(angle))
+    without, begin = start.start(rec), start.start(rec._replace(aiding=rec.aiding | {"heading": by_antennas}))
+    assert "two antennas" in begin.how and "two antennas" not in without.how
+    assert float(begin.prior.attitude[2]) < 0.3 * float(without.prior.attitude[2])
+    heading = float(rotations.to_rph(rotations.to_dcm(begin.navs.q[0]))[2])
+    off = heading - np.interp(begin.t, rec.truth.t, np.unwrap(rec.truth.rph[:, 2]))
+    assert abs((off + np.pi) % (2 * np.pi) - np.pi) < 0.03  # a fix may be 0.3 s old
 
 
 def test_two_antennas_come_first():

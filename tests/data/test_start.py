@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav.data.start import course, heading_bank, level, with_headings
+from jaxnav.data.bank import heading_bank, with_headings
+from jaxnav.data.start import course, level
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import track

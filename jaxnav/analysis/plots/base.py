@@ -43,14 +43,15 @@ def save(fig: "Figure", path: str | os.PathLike[str]) -> Path:
     target = Path(path)
     if target.suffix.lower() != ".png":
         raise ValueError(f"path must end in .png, got {target.name!r}")
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    temporary, engine = target.with_name(f".{target.name}.{os.getpid()}.tmp"), fig.get_layout_engine()
     try:
-        if (engine := fig.get_layout_engine()) is not None:  # once, and not at each of the two draws that saving takes
+        if engine is not None:  # once, and not at each of the two draws that saving takes
             engine.execute(fig)
             fig.set_layout_engine("none")
         fig.savefig(temporary, format="png", dpi=120, metadata={"Software": None})
         os.replace(temporary, target)
     finally:
+        fig.set_layout_engine(engine)
         temporary.unlink(missing_ok=True)
     return target
 

@@ -1,0 +1,62 @@
+"""Unknown heading: starts that are turned to different headings, run side by side and weighed by likelihood."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import logsumexp
+
+from jaxnav.filters.core import Filter
+from jaxnav.filters.run import negative_log_likelihood, run
+from jaxnav.maths import earth, rotations
+from jaxnav.types import Epoch, Info, Nav, Params
+
+
+class Bank(NamedTuple):
+    """Filters that started with different headings."""
+
+    info: Info  # (B, E, ...)
+    probability: jax.Array  # (B,) of each heading, given all innovations of the span
+    best: jax.Array  # () index of the most probable
+
+
+def heading_bank(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> Bank:
+    """Unknown heading: run the filter from each of ``navs`` (B, ...) and weigh them by likelihood (a Gaussian sum).
+
+    One linear filter cannot start with a heading sd of 100 deg, many that start 20 or 30 deg apart can, one of which
+    is near enough. Give each a heading prior of about their spacing. They differ once the vehicle accelerates.
+    """
+    info = jax.vmap(run, (None, None, 0, None))(filt, params, navs, epochs)
+    nll = jnp.sum(jax.vmap(jax.vmap(negative_log_likelihood))(info), axis=1)
+    score = jnp.where(info.ok[:, -1], -nll, -jnp.inf)
+    return Bank(info, jnp.exp(score - logsumexp(score)), jnp.argmax(score))
+
+
+def with_headings(nav: Nav, headings: np.ndarray, arm: Any = None) -> Nav:
+    """A start (local level frame) turned to each heading (B,), rad: Nav with a leading axis B.
+
+    ``arm``: (3,) m, IMU -> antenna, body, where ``nav`` is at the antenna: the IMUs of the turned starts are around it.
+    """
+    return _turned(nav, jnp.asarray(headings, float), jnp.zeros(3) if arm is None else jnp.asarray(arm, float))
+
+
+@jax.jit
+def _turned(nav: Nav, headings: jax.Array, arm: jax.Array) -> Nav:
+    roll_pitch = rotations.to_rph(rotations.to_dcm(nav.q))[:2]
+
+    def one(heading: jax.Array) -> Nav:
+        C = rotations.from_rph(jnp.concatenate([roll_pitch, heading[None]]))
+        return nav._replace(q=rotations.from_dcm(C), pos=earth.move(nav.pos, -C @ arm))
+
+    return jax.vmap(one)(headings)
+
+
+bank_jit = jax.jit(heading_bank, static_argnums=0)
+"""`heading_bank`, compiled once for a filter and shapes."""
+
+
+def most_probable(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> Nav:
+    """Of several starts ``navs`` (B, ...) the one that the innovations of ``epochs`` (E, ...) speak for."""
+    best = 0 if navs.t.shape[0] == 1 else int(bank_jit(filt, params, navs, epochs).best)
+    return jax.tree.map(lambda a: a[best], navs)

@@ -23,7 +23,6 @@ class Field(NamedTuple):
     strength: float  # uT
     sd: float  # rad, of the declination
     words: str
-    known: bool = True  # stated or looked up
 
 
 @cache
@@ -60,7 +59,7 @@ def field_of(params: Params, lla: np.ndarray) -> Field:
     found = field_at(lla)
     if found is not None:
         return found
-    return Field(*own, LOST_DECLINATION, f"magnetic declination unknown: {INSTALL}", known=False)
+    return Field(*own, LOST_DECLINATION, f"magnetic declination unknown: {INSTALL}")
 
 
 def heading_of(field: np.ndarray, roll: float, pitch: float, known: Field) -> tuple[float, float, float]:

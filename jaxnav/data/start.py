@@ -185,7 +185,7 @@ def start(
     about = f"{hypotheses} hypotheses" if at.unknown else f"sd {at.sd[1] / DEG:.2g} deg"
     how = [f"starts at t = {t:.3f} s: {at.words} ({about})", *_remarks(at)]
     field = field_of(known, lla) if "magnetometer" in rec.aiding else None
-    if field is not None and (field.known or (at.pointed is not None and at.pointed.magnetic)):
+    if field is not None:
         how.append(field.words)
     return Start(navs, prior, t, "; ".join(line for line in how if line), states, at.alignment, field)
 

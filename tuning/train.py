@@ -93,6 +93,7 @@ def fit(
     prior_weight: float = 1.0,
     starts: Sequence[Any] = (),
     patience: int | None = None,
+    every: int = 1,
     folder: str | Path | None = None,
     resume: bool = False,
     identity: str = "",
@@ -114,15 +115,18 @@ def fit(
 
     ``clip``: largest gradient norm of one run. ``prior_weight``: weight of the spec's beliefs, 1 / (epochs) beside a
     likelihood per epoch. ``starts``: more starting parameters, searched side by side. ``patience``: stop after so many
-    steps without a better one. ``folder``: history.jsonl and a checkpoint after every step; ``resume`` goes on from it
-    bit for bit, if it is of the same ``identity``. ``mesh``: devices to share the runs among.
+    steps without a better one. ``every``: steps between two validations; the last step has one, too. ``folder``:
+    history.jsonl and a checkpoint after every step; ``resume`` goes on from it bit for bit, if it is of the same
+    ``identity``. ``mesh``: devices to share the runs among.
 
     Raises:
-        ValueError: the loss of the start is not finite, or fewer than 0 steps.
+        ValueError: the loss of the start is not finite, fewer than 0 steps, or validations not at least one step apart.
         CheckpointError: nothing usable to resume from.
     """
     if steps < 0:
         raise ValueError(f"steps must be 0 or more, got {steps}")
+    if every < 1:
+        raise ValueError(f"every must be 1 or more steps, got {every}")
     make_room()
     optimizer = default_optimizer(steps) if optimizer is None else optimizer
     drawn = cases if callable(cases) else None
@@ -150,7 +154,8 @@ def fit(
                 groups = tuple(distributed.share(group, mesh) for group in drawn(at.step))
                 train = (train[0], train[1]._replace(cases=groups))
                 judge = judge if validation is not None else train
-            at = _advance(at, train, judge, validation is not None, optimizer, many, history, bar)
+            due = validation is None or at.step % every == 0 or at.step == steps
+            at = _advance(at, train, judge if due else None, validation is not None, optimizer, many, history, bar)
             if patience is not None and at.step - 1 - at.since >= patience:
                 stopped = f"no better for {patience} steps"
                 break
@@ -178,11 +183,20 @@ def _job(loss, spec, params, arguments, cases, aggregate, clip, prior_weight, me
 
 
 def _advance(
-    at: TrainState, train, judge, judged_apart: bool, optimizer, many: bool, history: "_History", bar
+    at: TrainState,
+    train,
+    judge: tuple[Problem, Data] | None,
+    judged_apart: bool,
+    optimizer,
+    many: bool,
+    history: "_History",
+    bar,
 ) -> TrainState:
-    """One step: evaluate, note, keep the best, update, save."""
+    """One step: evaluate, note, keep the best where there is a ``judge``, update, save."""
     raw, state, value, norm, good = _step(train[0], optimizer, many, at.raw, at.state, train[1])
-    score, fine = _score(judge[0], many, at.raw, judge[1]) if judged_apart else (value, good)
+    score, fine = value, good
+    if judged_apart and judge is not None:
+        score, fine = _score(judge[0], many, at.raw, judge[1])
     value, norm, score = (np.atleast_1d(np.asarray(a)) for a in (value, norm, score))
     good, fine = (np.asarray(a).reshape(len(value), -1) for a in (good, fine))
     if at.step == 0 and not np.isfinite(value).any():
@@ -192,11 +206,11 @@ def _advance(
     first = int(np.lexsort((ranked, failed))[0])  # fewest failures, then the best score
     mine = jax.tree.map(lambda a: np.asarray(a)[first], at.raw) if many else jax.tree.map(np.asarray, at.raw)
     row = {"step": at.step, "loss": float(value[first]), "grad_norm": float(norm[first])}
-    if judged_apart:
+    if judged_apart and judge is not None:
         row["validation"] = float(score[first])
     if many:
         row["losses"] = value.tolist()
-    if at.step == 0 or (failed[first], ranked[first]) < (at.failed, at.score):
+    if judge is not None and (at.step == 0 or (failed[first], ranked[first]) < (at.failed, at.score)):
         at = at._replace(best=mine, score=float(ranked[first]), failed=int(failed[first]), since=at.step)
     history.note(row, mine, good[first])
     bar.set_postfix(loss=f"{row['loss']:.4g}", grad=f"{row['grad_norm']:.3g}", failed=int(failed[first]), refresh=False)

@@ -4,16 +4,14 @@ A drive is simulated once with every fix. Where outages lie is drawn anew for ev
 drives that are scored. All filters are scored by the distance of the IMU's true position at the end of an outage.
 """
 
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 
 from jaxnav.analysis import metrics
-from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import run
 from jaxnav.maths import earth, rotations
@@ -22,7 +20,9 @@ from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import simulate
 from jaxnav.states.motion import A
 from jaxnav.types import Epoch, Info, Nav, Params
-from tuning.transforms import Spec, join, split
+from tuning.optimizers import adam
+from tuning.train import fit
+from tuning.transforms import Spec, join
 
 LENGTHS = (10.0, 11.0, 22.0)  # s
 SAMPLES = 10  # of the IMU in an epoch
@@ -102,33 +102,31 @@ def loss(filt: Filter, params: Params, drives: Drives, windows: jax.Array) -> ja
     return 0.5 * (jnp.mean(jnp.log(ends.mean(0) + 1e-2)) + OUTSIDE * jnp.log(outside.mean() + 1e-2))
 
 
-@partial(jax.jit, static_argnums=0)
-def slope(filt: Filter, params: Params, drives: Drives, key: jax.Array) -> tuple[jax.Array, Params]:
-    """`loss` of a random minibatch with random outages, and its gradient by all parameters."""
-    pick, where = jax.random.split(key)
-    chosen = jax.random.choice(pick, drives.truth.t.shape[0], (min(BATCH, drives.truth.t.shape[0]),), replace=False)
-    drives = jax.tree.map(lambda a: a[chosen], drives)
-    return jax.value_and_grad(loss, 1)(filt, params, drives, draw(where, chosen.size))
+@cache
+def objective(filt: Filter):
+    """`loss` of a random minibatch with random outages, by the key that is a case."""
+
+    def chance(params: Params, key: jax.Array, drives: Drives) -> jax.Array:
+        pick, where = jax.random.split(key)
+        count = drives.truth.t.shape[0]
+        chosen = jax.random.choice(pick, count, (min(BATCH, count),), replace=False)
+        some = jax.tree.map(lambda a: a[chosen], drives)
+        return loss(filt, params, some, draw(where, chosen.size))
+
+    return chance
 
 
 def tune(
     filt: Filter, params: Params, spec: Spec, drives: Drives, key: jax.Array, steps: int, rate: float = 0.1
 ) -> tuple[Params, list[float]]:
     """Adam on minibatches with outages drawn anew; the mean of the last iterates, and the losses met."""
-    make_room()
-    optimizer = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05)))
-    optimizer = optax.apply_if_finite(optimizer, 5)
-    raw = split(spec, params)
-    state = optimizer.init(raw)
-    tail: list = []
-    losses: list[float] = []
-    for i in range(steps):
-        here, back = jax.vjp(lambda r: join(spec, r, params), raw)
-        value, gradient = slope(filt, here, drives, jax.random.fold_in(key, i))
-        updates, state = optimizer.update(back(gradient)[0], state)
-        raw = optax.apply_updates(raw, updates)
-        tail, losses = [*tail, raw][-LAST:], [*losses, float(value)]
-    return join(spec, jax.tree.map(lambda *a: jnp.mean(jnp.stack(a), 0), *tail), params), losses
+    found = fit(
+        objective(filt), spec, params, steps, adam(steps, rate), arguments=(drives,),
+        cases=lambda step: [jax.random.fold_in(key, step)[None]],
+    )  # fmt: skip
+    last = {name: np.array([row["params"][name] for row in found.history[1:][-LAST:]]) for name in spec}
+    mean = {name: transform.inverse(jnp.asarray(last[name])).mean(0) for name, transform in spec.items()}
+    return join(spec, mean, params), [row["loss"] for row in found.history]
 
 
 class Scores(NamedTuple):

@@ -3,44 +3,13 @@
 import json
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from benchmarks.papers import fwekf, fwekf_figures, fwekf_study
 from jaxnav.filters.papers.fwekf import fwekf_params
 from jaxnav.filters.rules.kalman import kalman
-from jaxnav.types import DataError, Params
-from tuning.cases import clip, fit_cases
-from tuning.transforms import IDENTITY
-
-
-def test_each_case_s_gradient_is_clipped_by_itself():
-    grads = {
-        "a": jnp.array([[3.0, 0.0], [1e14, 0.0], [0.3, 0.0], [jnp.nan, 1.0]]),
-        "b": jnp.array([4.0, 0.0, 0.4, 1.0]),
-    }
-    out = clip(grads)
-    np.testing.assert_allclose(out["a"], [[0.6, 0], [1, 0], [0.3, 0], [0, 0]], rtol=1e-14)
-    np.testing.assert_allclose(out["b"], [0.8, 0, 0.4, 0], rtol=1e-14)
-
-
-def test_fit_over_cases_finds_what_they_agree_on():
-    """A case with an enormous gradient, one that is never finite, and two that are sound."""
-
-    def loss(params, case, key):
-        noise = 0.01 * jax.random.normal(key)
-        return case * (params.rule - 2.0) ** 2 + noise + jnp.where(case < 0, jnp.nan, 0.0) * params.rule
-
-    params = Params((), (), {}, {}, (), jnp.asarray(0.5))
-    cases = jnp.array([1e12, 1.0, 2.0])
-    fit = fit_cases(loss, {"rule": IDENTITY}, params, cases, jax.random.key(0), 100)
-    assert float(fit.params.rule) == pytest.approx(2.0, abs=0.05)
-    assert len(fit.history) == 101 and len(fit.history[0]["cases"]) == 3
-    broken = fit_cases(loss, {"rule": IDENTITY}, params, jnp.array([-1.0, 1.0]), jax.random.key(0), 100)
-    assert float(broken.params.rule) == pytest.approx(2.0, abs=0.05) and broken.history[-1]["failed"] == 1
-    with pytest.raises(ValueError, match="starting"):
-        fit_cases(loss, {"rule": IDENTITY}, params, jnp.array([-1.0]), jax.random.key(0), 1)
+from jaxnav.types import DataError
 
 
 def test_arithmetic_of_the_tables():

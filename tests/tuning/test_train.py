@@ -113,6 +113,25 @@ def test_runs_of_several_groups_and_their_clip():
     assert row["grad_norm"] == pytest.approx((1.0 + 0.5) / 2)
 
 
+def test_a_chaotic_run_is_clipped_by_itself():
+    """Beside a gradient 10^12 times as large the other runs still say where the minimum is."""
+    noisy = lambda p, case: case[0] * (p.shift - 2.0) ** 2 + 0.01 * jax.random.normal(case[1])
+    draw = lambda step: [(jnp.array([1e12, 1.0, 2.0]), jax.random.split(jax.random.key(step), 3))]
+    found = fit(noisy, {"shift": scaled(1.0)}, START, 100, cases=draw, clip=1.0)
+    assert float(found.params.shift) == pytest.approx(2.0, abs=0.05)
+
+
+def test_validation_now_and_then():
+    """Every third step and the last one are judged, and only those can be the best."""
+    spec, far = {"shift": scaled(1.0)}, lambda p: jnp.abs(p.shift - 1.9)
+    found = fit(lambda p: -p.shift, spec, START, 7, optax.sgd(0.4), validation=far, every=3)
+    judged = [row["step"] for row in found.history if "validation" in row]
+    assert judged == [0, 3, 6, 7] and len(found.history) == 8
+    assert float(found.params.shift) == pytest.approx(0.3 + 3 * 0.4)  # the fourth step is nearer, and was not judged
+    with pytest.raises(ValueError, match="every must be 1"):
+        fit(far, spec, START, 1, every=0)
+
+
 def test_new_runs_at_every_step_and_the_same_after_a_stop(tmp_path):
     draw = lambda step: [2.0 + jax.random.normal(jax.random.key(step), (4,), float) ** 2]
     whole = fit(of_run, SPEC, START, 8, optax.adam(0.1), cases=draw)

@@ -17,7 +17,7 @@ from jaxnav.types import Epoch, Nav, Params
 from tuning import objectives, scoring, uncertainty
 from tuning.posterior import sample
 from tuning.train import Fit
-from tuning.transforms import Spec, join, labels, leaves, merged, penalty, split, told, values
+from tuning.transforms import Spec, join, labels, leaves, merged, penalty, reported, split, values
 from tuning.uncertainty import Information
 
 
@@ -135,7 +135,7 @@ def draw(
     info = found.inform(flat)
     cov = uncertainty.covariance(np.asarray(info.fisher), np.asarray(info.blocks)).model
     got = sample(log_density, np.asarray(flat), cov, draws, jax.random.key(seed))
-    drawn = jax.vmap(lambda r: ravel_pytree(told(spec, back(r)))[0])(jnp.asarray(got.raw))
+    drawn = jax.vmap(lambda r: ravel_pytree(reported(spec, back(r)))[0])(jnp.asarray(got.raw))
     quantiles = jnp.quantile(drawn, jnp.array([0.025, 0.5, 0.975]), axis=0)
     found_at = [np.asarray(ravel_pytree(values(spec, back(q)))[0]).tolist() for q in quantiles]
     rows = {}

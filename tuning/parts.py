@@ -91,7 +91,7 @@ def ages(
     """Epochs of hidden fixes at `AGES` of each window of a mask, (P, A) int, and which are any, (P, A) bool."""
     rows: list[list[int]] = [[] for _ in windows.hidden]
     for phase, begin in zip(windows.phase[mask], windows.start[mask], strict=True):
-        known = np.flatnonzero((t > begin + ep.TICK) & (t <= begin + length + ep.TICK) & there)
+        known = np.flatnonzero(ep.within(t, [(begin, begin + length)]) & there)
         rows[phase] += sorted({int(known[round(a * (known.size - 1))]) for a in AGES})
     most = max(1, max(len(row) for row in rows))
     at = np.array([row + [0] * (most - len(row)) for row in rows])

@@ -187,8 +187,8 @@ def labels(spec: Spec, raw: dict[str, jax.Array]) -> list[str]:
     return names
 
 
-def told(spec: Spec, raw: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """The unconstrained numbers whose `values` a user is told, like ``raw``: of correlations not the partial ones."""
+def reported(spec: Spec, raw: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """The unconstrained numbers whose `values` a user reads, like ``raw``: of correlations not the partial ones."""
 
     def one(n: int, r: jax.Array) -> jax.Array:
         U = factor(n).forward(r.at[:n].set(0.0))
@@ -198,10 +198,12 @@ def told(spec: Spec, raw: dict[str, jax.Array]) -> dict[str, jax.Array]:
     return {name: one(spec[name].axes, r) if spec[name].axes else r for name, r in raw.items()}
 
 
-def values(spec: Spec, told: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """The parameters, number by number, of what is `told`: of a matrix the axes' sd and the correlations."""
+def values(spec: Spec, reported: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """The parameters, number by number, of what is `reported`: of a matrix the axes' sd and the correlations."""
     both = lambda n, t: jnp.concatenate([jnp.exp(t[:n]), jnp.tanh(t[n:])])
-    return {name: both(spec[name].axes, t) if spec[name].axes else spec[name].forward(t) for name, t in told.items()}
+    return {
+        name: both(spec[name].axes, t) if spec[name].axes else spec[name].forward(t) for name, t in reported.items()
+    }
 
 
 def leaves(spec: Spec) -> tuple[str, ...]:

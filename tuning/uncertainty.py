@@ -23,7 +23,7 @@ from scipy.special import ndtri, stdtrit
 from jaxnav.filters.run import FREEDOM, student_constant
 from jaxnav.maths import linalg
 from jaxnav.types import Info
-from tuning.transforms import Spec, labels, penalty, told, values
+from tuning.transforms import Spec, labels, penalty, reported, values
 
 VAGUE = 1.0  # sd of an unconstrained number beyond which it is not determined: a factor e where it is a logarithm
 
@@ -154,13 +154,13 @@ class Interval(NamedTuple):
 def intervals(spec: Spec, raw: dict[str, jax.Array], cov: Covariance, level: float = 0.95) -> list[Interval]:
     """Intervals of every free number, by the larger of the two sd: the model's, or the sandwich's.
 
-    Of a matrix they are of the axes' sd and the correlations, by the derivative of `told`.
+    Of a matrix they are of the axes' sd and the correlations, by the derivative of `reported`.
 
     The sandwich of K blocks takes Student's quantile of K - 1 degrees of freedom; with fewer than P + 10 blocks it is
     left out, since it is then too small more often than not.
     """
     flat, back = ravel_pytree(raw)
-    tell = lambda r: ravel_pytree(told(spec, back(r)))[0]
+    tell = lambda r: ravel_pytree(reported(spec, back(r)))[0]
     show = lambda t: np.asarray(ravel_pytree(values(spec, back(t)))[0])
     J = np.asarray(jax.jacfwd(tell)(flat))
     sd = lambda C: np.sqrt(np.diag(J @ C @ J.T))

@@ -36,11 +36,11 @@ def dense(
     filt = filt.keeping(max(int(epochs.imu.dt.shape[1]), jax.eval_shape(filt.init, params, nav).past.t.shape[0]))
     ends = float(nav.t) + np.cumsum(np.asarray(epochs.imu.dt).sum(1))
     within = smoother.reach_of(ends, lag) if lag and not smooth else (None, 0)
-    told, variance, own = jax.device_get(_dense(filt, params, nav, epochs, smooth or lag > 0, *within))
+    reported, variance, own = jax.device_get(_dense(filt, params, nav, epochs, smooth or lag > 0, *within))
     flat = lambda a: a.reshape(-1, *a.shape[2:])[own.ravel()]
-    told, variance = jax.tree.map(flat, told), flat(variance)
-    found = track(told)
-    return found._replace(t=found.t + np.asarray(clock_offset(params.mounting, told))), np.sqrt(variance)
+    reported, variance = jax.tree.map(flat, reported), flat(variance)
+    found = track(reported)
+    return found._replace(t=found.t + np.asarray(clock_offset(params.mounting, reported))), np.sqrt(variance)
 
 
 def _keep(step: Step, beside: Any) -> tuple[smoother.Forward, FilterState]:
@@ -71,8 +71,8 @@ def _dense(
         final = jnp.arange(past.t.size) == past.t.size - 1
         x = jnp.where(final[:, None], last, begin + share[:, None] * (end - begin))
         P = jnp.where(final[:, None, None], P2, P0 + share[:, None, None] * (P1 - P0))
-        told, _, P = jax.vmap(model.report)(jax.vmap(model.retract)(past, x), jnp.zeros_like(x), P)
-        return told, jnp.diagonal(P, axis1=1, axis2=2)[:, :9], own
+        reported, _, P = jax.vmap(model.report)(jax.vmap(model.retract)(past, x), jnp.zeros_like(x), P)
+        return reported, jnp.diagonal(P, axis1=1, axis2=2)[:, :9], own
 
     t0 = before(first.past.t[-1], predicted.past.t[:, -1])
     return jax.vmap(epoch)(predicted.past, t0, begin, end, last, P0, P1, P2)

@@ -266,8 +266,8 @@ class Stream:
 
     def _present(self, state: FilterState, imu: Imu) -> None:
         """Predict, and keep what is told."""
-        self.ahead, told = _predict(self.filter, self.params, state, imu)
-        self.seen, now = self.t, _told(np.asarray(told))
+        self.ahead, reported = _predict(self.filter, self.params, state, imu)
+        self.seen, now = self.t, _now(np.asarray(reported))
         self.now = now if now.ok else getattr(self, "now", now)._replace(ok=False)  # the last that was finite
 
     def _forget(self) -> None:
@@ -335,7 +335,7 @@ class Stream:
             count = len(rows["kept"]) + 1
             states = [jax.tree.unflatten(tree, [jnp.asarray(s[k]) for s in stacks]) for k in range(count)]
             stream.kept = [Committed(t, a, int(n), s) for (t, a, n), s in zip(rows["kept"].tolist(), states)]
-            stream.ahead, stream.seen, stream.now = states[-1], stream.t, _told(rows["now"])
+            stream.ahead, stream.seen, stream.now = states[-1], stream.t, _now(rows["now"])
         except DataError:
             raise
         except Exception as error:  # whatever a damaged archive raises
@@ -354,7 +354,7 @@ def _nothing(size: int) -> Imu:
     return Imu(*none)
 
 
-def _told(a: np.ndarray) -> Now:
+def _now(a: np.ndarray) -> Now:
     return Now(float(a[0]), a[1:4], a[4:7], a[7:10], a[10:19], bool(a[19]))
 
 

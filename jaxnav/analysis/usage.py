@@ -150,11 +150,11 @@ def noise_in_words(imu: ImuLog, params: Params) -> list[str]:
     if floor is None:
         return []
     lines = []
-    for name, found, told, unit, text in (
+    for name, found, nominal, unit, text in (
         ("gyro", floor[0], params.noise.gyro, units.DEG_PER_SQRT_HOUR, "deg/sqrt(h)"),
         ("accelerometer", floor[1], params.noise.accel, units.UG, "ug/sqrt(Hz)"),
     ):
-        size = np.atleast_1d(np.asarray(told))
+        size = np.atleast_1d(np.asarray(nominal))
         known = float(np.sqrt(np.mean((np.linalg.norm(size, axis=1) if size.ndim == 2 else size) ** 2)))
         if found > LOUDER * known > 0:
             lines.append(

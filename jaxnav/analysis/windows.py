@@ -34,7 +34,7 @@ def hidden_windows(
     hidden, phase, begin, end = np.zeros((phases, t.size), bool), [], [], []
     for p in range(phases):
         for start in np.arange(packed.start + settle + p * every / phases, t[-1] - guard - length, every):
-            inside = (t > start + ep.TICK) & (t <= start + length + ep.TICK)
+            inside = ep.within(t, [(start, start + length)])
             known = np.flatnonzero(inside & there)
             if known.size and t[known[-1]] > start + 0.5 * length:
                 hidden[p] |= inside

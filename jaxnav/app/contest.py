@@ -44,7 +44,7 @@ class Kind(NamedTuple):
     """A type of scenario."""
 
     scenario: Scenario
-    told: Params  # what every filter is told: datasheet, start, installation
+    nominal: Params  # what every filter is nominal: datasheet, start, installation
 
 
 class Plan(NamedTuple):
@@ -61,7 +61,7 @@ class Plan(NamedTuple):
 class ContestRuns(NamedTuple):
     """One run, or many with a leading axis."""
 
-    told: Params
+    nominal: Params
     start: Nav
     epochs: Epoch  # (E, ...)
     truth: Nav  # (E, ...)
@@ -103,20 +103,21 @@ def spec_of(name: str) -> Spec:
 def datasheet(name: str) -> Params:
     """The start: every factor one, rule and feedback as they come."""
     entry, one = FILTERS[name], jnp.ones(())
-    told = matched_params(Scenario())
-    params = jax.tree.map(lambda _: one, told)
+    nominal = matched_params(Scenario())
+    params = jax.tree.map(lambda _: one, nominal)
     for leaf in SCALES:
         params = put(params, leaf, jnp.ones(3))
     return params._replace(rule=entry.theta(), feedback=entry.feedback_theta())
 
 
-def applied(params: Params, told: Params) -> Params:
-    """What a scenario's filter runs with: the factors of ``params`` on what it was told."""
-    times = partial(jax.tree.map, lambda factor, told: (factor * told.T).T)  # the rows of a root, if it is one
+def applied(params: Params, nominal: Params) -> Params:
+    """What a scenario's filter runs with: the factors of ``params`` on what it was nominal."""
+    times = partial(jax.tree.map, lambda factor, nominal: (factor * nominal.T).T)  # the rows of a root, if it is one
     scaled = {
-        part: times(getattr(params, part), getattr(told, part)) for part in ("noise", "prior", "states", "measurements")
+        part: times(getattr(params, part), getattr(nominal, part))
+        for part in ("noise", "prior", "states", "measurements")
     }
-    return told._replace(**scaled, rule=params.rule, feedback=params.feedback)
+    return nominal._replace(**scaled, rule=params.rule, feedback=params.feedback)
 
 
 @cache
@@ -124,7 +125,7 @@ def loss_of(filt: Filter) -> Callable[[Params, ContestRuns], jax.Array]:
     """Log of one run's RMS position error, inf where it stops being finite; one function for a filter."""
 
     def loss(params: Params, case: ContestRuns) -> jax.Array:
-        info = run(filt, applied(params, case.told), case.start, case.epochs)
+        info = run(filt, applied(params, case.nominal), case.start, case.epochs)
         error = jax.vmap(metrics.position_error)(info.nav, case.truth.pos)
         return jnp.where(info.ok.all(), 0.5 * jnp.log(jnp.mean(jnp.sum(error**2, axis=1)) + 1e-12), jnp.inf)
 
@@ -136,7 +137,7 @@ def _errors(filt: Filter, params: Params, cases: ContestRuns) -> tuple[jax.Array
     """RMS of position m, velocity m/s and attitude deg (S, 3), the largest horizontal error (S,), finite (S,)."""
 
     def one(case: ContestRuns):
-        info = run(filt, applied(params, case.told), case.start, case.epochs)
+        info = run(filt, applied(params, case.nominal), case.start, case.epochs)
         position = jax.vmap(metrics.position_error)(info.nav, case.truth.pos)
         turn = jax.vmap(lambda a, b: rotations.log(rotations.multiply(a, rotations.conjugate(b))))
         errors = (position, info.nav.vel - case.truth.vel, turn(info.nav.q, case.truth.q) / units.DEG)
@@ -192,8 +193,8 @@ def draw(plan: Plan) -> Runs:
         counts[Purpose.TEST] = b.test_runs
         keys = jnp.concatenate([run_keys(plan.seed, part, np.arange(n)) for part, n in counts.items()])
         sims = simulated(kind.scenario, keys)  # all at once, since a scenario takes longer to compile than to run
-        told = jax.tree.map(lambda a, n=len(keys): jnp.broadcast_to(a, (n, *jnp.shape(a))), kind.told)
-        case, first = ContestRuns(told, sims.initial, sims.epochs, sims.truth), 0
+        nominal = jax.tree.map(lambda a, n=len(keys): jnp.broadcast_to(a, (n, *jnp.shape(a))), kind.nominal)
+        case, first = ContestRuns(nominal, sims.initial, sims.epochs, sims.truth), 0
         for part, n in counts.items():
             own = jax.tree.map(lambda a, first=first, n=n: a[first : first + n], case)
             {Purpose.TRAIN: runs.train, Purpose.VALIDATION: runs.validation, Purpose.TEST: runs.test}[part].append(own)
@@ -230,7 +231,7 @@ def _enter(name: str, plan: Plan, runs: Runs, progress: bool, mesh: Mesh | None)
 def filter_for(name: str, plan: Plan) -> Filter:
     """The filter that serves all scenarios of the plan: its history covers them."""
     kinds = (*plan.trained, *plan.unseen)
-    history = max(history_for(k.told, k.scenario.imu_rate_hz, k.scenario.duration_s) for k in kinds)
+    history = max(history_for(k.nominal, k.scenario.imu_rate_hz, k.scenario.duration_s) for k in kinds)
     return build(name, cov_stride=plan.cov_stride, history=history)
 
 

@@ -244,7 +244,7 @@ def stack_epochs(runs: Sequence[Epoch]) -> Epoch:
 
 def outage_windows(t: np.ndarray, starts: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
     """Windows start < t <= start + length: hidden (E,) bool, and each window's last epoch (W,)."""
-    inside: np.ndarray = (t[None] > starts[:, None] + TICK) & (t[None] <= starts[:, None] + length + TICK)
+    inside = np.array([within(t, [(start, start + length)]) for start in starts], bool).reshape(len(starts), t.size)
     if not inside.any(1).all():
         raise DataError(f"no epoch in the outage that starts at {starts[~inside.any(1)][0]:.3f} s")
     return np.any(inside, axis=0), t.size - 1 - inside[:, ::-1].argmax(1)

@@ -339,8 +339,8 @@ def make_filter(
             after, x_after, f[:, None] * c.P * f, u, c.memory, x_after, jnp.zeros(()), age, jnp.array(True)
         )
         ok = state.ok & finite(new) & jnp.all(jnp.diag(c.P) >= 0)
-        told, x_enu, P_enu = model.report(model.retract(nav, x), x, c.P)
-        return new._replace(ok=ok), Info(told, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok), x
+        reported, x_enu, P_enu = model.report(model.retract(nav, x), x, c.P)
+        return new._replace(ok=ok), Info(reported, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok), x
 
     def advance(params: Params, state: FilterState, epoch: Epoch) -> Step:
         noise = params.noise if epoch.gap is None else louder(params.noise, epoch.gap)

@@ -99,11 +99,11 @@ def discretize(
     slow = _exponential(assemble(slow_blocks) * (0.5 * total))
     end = running(T)
     weights = _weights(T, total - end)
-    course = EpochSums(
+    sums = EpochSums(
         points.C, points.force, T, end, weights, running(weights[:, :, None] * points.force[:, None])
     )  # fmt: skip
-    N, d = _nilpotent(maps, course, u)
-    W = linalg.times(slow, _white(maps, course, params.noise, lumped))
+    N, d = _nilpotent(maps, sums, u)
+    W = linalg.times(slow, _white(maps, sums, params.noise, lumped))
     Phi, d = linalg.times(linalg.times(slow, N), slow), slow @ d
     if not states:
         return Phi, linalg.square(W), d
@@ -111,7 +111,7 @@ def discretize(
     tau = jnp.concatenate([jnp.broadcast_to(p.tau, (s.size,)) for p, s in zip(each, states, strict=True)])
     lost = -jnp.expm1(-0.5 * total / tau)  # in half an epoch
     kept, forgotten = 1 - lost, lost * jnp.concatenate([point.nav.errors[s.name] for s in states])
-    E = _entered(maps, course, points, states)
+    E = _entered(maps, sums, points, states)
     slow_E, own = linalg.times(slow, E), jnp.zeros((kept.size, W.shape[1]))
     moved, driven = _driven(E, kept, each, states, total)
     W = jnp.block([[W, *(linalg.times(slow, root) for root in moved)], [own, *(driven for _ in moved)]])
@@ -148,9 +148,9 @@ def _weights(T: jax.Array, left: jax.Array) -> jax.Array:
     return jnp.stack([T * (left + 0.5 * T), T], -1)
 
 
-def _nilpotent(maps: Maps, course: EpochSums, u: Forcing | None) -> tuple[jax.Array, jax.Array]:
+def _nilpotent(maps: Maps, sums: EpochSums, u: Forcing | None) -> tuple[jax.Array, jax.Array]:
     """N (9, 9) and d (9,) of p' = v, v' = A(f) phi + u, phi' = u, exactly for piecewise constants."""
-    _, f, T, end, weights, done = course
+    _, f, T, end, weights, done = sums
     total = end[-1]
     A_w, A_T = maps.A(done[-1])
     d = jnp.zeros(9)
@@ -163,22 +163,22 @@ def _nilpotent(maps: Maps, course: EpochSums, u: Forcing | None) -> tuple[jax.Ar
     return jnp.block([[eye, total * eye, A_w], [zero, eye, A_T], [zero, zero, eye]]), d
 
 
-def _entered(maps: Maps, course: EpochSums, points: ErrorInputs, states: Sequence[State]) -> jax.Array:
+def _entered(maps: Maps, sums: EpochSums, points: ErrorInputs, states: Sequence[State]) -> jax.Array:
     """E (9, k): what constant optional states do to motion over the epoch, by their columns C M."""
     parts: dict[str, jax.Array] = {s.name: jnp.zeros((9, s.size)) for s in states}
     readings = {"gyro": points.gyro, "accel": points.accel}
     for sensor, integrals in (("gyro", _turns), ("accel", _pushes)):
         own, both = [s for s in states if s.enters == sensor], (readings[sensor], readings[OTHER[sensor]])
         if own:
-            CM = jnp.concatenate([course.C if s.effect is None else course.C @ s.effect(*both) for s in own], -1)
-            columns = jnp.split(integrals(maps, course, CM), np.cumsum([s.size for s in own])[:-1], 1)
+            CM = jnp.concatenate([sums.C if s.effect is None else sums.C @ s.effect(*both) for s in own], -1)
+            columns = jnp.split(integrals(maps, sums, CM), np.cumsum([s.size for s in own])[:-1], 1)
             parts |= dict(zip((s.name for s in own), columns, strict=True))
     return jnp.concatenate([parts[s.name] for s in states], 1)
 
 
-def _turns(maps: Maps, course: EpochSums, CM: jax.Array) -> jax.Array:
+def _turns(maps: Maps, sums: EpochSums, CM: jax.Array) -> jax.Array:
     """(9, k): what a rate CM (b, 3, k), in the axes of the frame, does to position, velocity and attitude."""
-    _, f, T, _, weights, _ = course
+    _, f, T, _, weights, _ = sums
     b, _, k = CM.shape
     flat = CM.reshape(b, -1)
     turned = running(T[:, None] * flat)
@@ -191,16 +191,16 @@ def _turns(maps: Maps, course: EpochSums, CM: jax.Array) -> jax.Array:
     return jnp.concatenate([AG(to_position), AG(to_velocity), maps.gyro @ turned[-1].reshape(3, k)])
 
 
-def _pushes(maps: Maps, course: EpochSums, CM: jax.Array) -> jax.Array:
+def _pushes(maps: Maps, sums: EpochSums, CM: jax.Array) -> jax.Array:
     """(9, k): what an acceleration CM (b, 3, k), in the axes of the frame, does to position, velocity and attitude."""
     b, _, k = CM.shape
-    to_position, to_velocity = maps.accel @ (course.weights.T @ CM.reshape(b, -1)).reshape(2, 3, k)
+    to_position, to_velocity = maps.accel @ (sums.weights.T @ CM.reshape(b, -1)).reshape(2, 3, k)
     return jnp.concatenate([to_position, to_velocity, jnp.zeros((3, k))])
 
 
-def _white(maps: Maps, course: EpochSums, noise: Noise, lumped: bool) -> jax.Array:
+def _white(maps: Maps, sums: EpochSums, noise: Noise, lumped: bool) -> jax.Array:
     """(9, 6 moments): what white noise of gyros and accelerometers at some moments does at the epoch's end."""
-    C, f, T, end, _, done = course
+    C, f, T, end, _, done = sums
     total = end[-1]
     if lumped:
         moments, lengths, C_then, to_come = end, T, C, done[-1] - done

@@ -62,9 +62,11 @@ def toy_runs(plan: Plan) -> contest.Runs:
         nav = jax.tree.map(lambda a: jnp.broadcast_to(a, (runs, *a.shape)), initial_nav(jnp.zeros(3)))
         truth = jax.tree.map(lambda a: jnp.broadcast_to(a[:, None], (runs, E, *a.shape[1:])), nav)
         truth = truth._replace(pos=truth.pos.at[..., 2].add(40.0 * (i == 2)))
-        told = jax.tree.map(lambda a: jnp.broadcast_to(a, (runs, *jnp.shape(a))), matched_params(CIRCLE))
-        told = told._replace(noise=told.noise._replace(gyro=jnp.full(runs, 10.0)))  # the datasheet follows every fix
-        return ContestRuns(told, nav, Epoch(imu, fix), truth)
+        nominal = jax.tree.map(lambda a: jnp.broadcast_to(a, (runs, *jnp.shape(a))), matched_params(CIRCLE))
+        nominal = nominal._replace(
+            noise=nominal.noise._replace(gyro=jnp.full(runs, 10.0))
+        )  # the datasheet follows every fix
+        return ContestRuns(nominal, nav, Epoch(imu, fix), truth)
 
     b = plan.budget
     kinds = range(len(plan.trained) + len(plan.unseen))
@@ -85,8 +87,8 @@ def toys(monkeypatch):
 
 @pytest.fixture
 def plan() -> Plan:
-    told = matched_params(CIRCLE)
-    kinds = [Kind(CIRCLE._replace(name=name), told) for name in ("a", "b", "c")]
+    nominal = matched_params(CIRCLE)
+    kinds = [Kind(CIRCLE._replace(name=name), nominal) for name in ("a", "b", "c")]
     return Plan(tuple(kinds[:2]), tuple(kinds[2:]), BUDGET)
 
 
@@ -168,15 +170,15 @@ def test_what_is_not_known_is_one_clear_error(more, words, tmp_path, capsys):
 
 
 def test_every_filter_has_something_to_tune_and_starts_at_the_datasheet():
-    told = matched_params(GIPKF)
+    nominal = matched_params(GIPKF)
     for name, entry in FILTERS.items():
         spec, start = contest.spec_of(name), contest.datasheet(name)
         raw = split(spec, start)  # nothing that cannot start
         assert len(labels(spec, raw)) >= 7 + 4 * (entry.states == BIASES)
         assert ("states.gyro_bias.drive" in spec) == (entry.states == BIASES)
-        same = contest.applied(start, told)
+        same = contest.applied(start, nominal)
         for part in ("noise", "prior", "states", "measurements", "mounting"):
-            jax.tree.map(np.testing.assert_array_equal, getattr(same, part), getattr(told, part))
+            jax.tree.map(np.testing.assert_array_equal, getattr(same, part), getattr(nominal, part))
     assert "rule.kd" not in contest.spec_of("gpid_literal") and "feedback.position" in contest.spec_of("fwekf")
 
 

@@ -22,10 +22,10 @@ from tuning.transforms import (
     labels,
     penalty,
     put,
+    reported,
     scaled,
     split,
     tied,
-    told,
     values,
 )
 
@@ -134,7 +134,7 @@ def test_a_root_is_free_from_any_start_and_told_as_sd_and_correlations():
         assert np.isfinite(jac).all() and np.linalg.matrix_rank(jac.reshape(9, 6) / np.abs(L).max()) == 6
     names = [f"noise.gyro[{i}]" for i in ("0", "1", "2", "1,0", "2,0", "2,1")]
     assert labels(spec, raw) == ["noise.accel", *names]
-    shown = values(spec, told(spec, raw))
+    shown = values(spec, reported(spec, raw))
     np.testing.assert_allclose(ravel_pytree(shown)[0], [PARAMS.noise.accel, *SD, *CORR], rtol=1e-12)
     # a belief has the datasheet's sd and no correlation, however the datasheet says it
     for sheet in (2.0, np.full(3, 2.0), 2 * np.eye(3)):

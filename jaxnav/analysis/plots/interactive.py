@@ -83,9 +83,9 @@ def _track(sol: "Trace", truth: "Track | None", fixes: "Samples | None") -> Any:
     }  # fmt: skip
     source = ColumnDataSource(data)
     line = fig.line("east", "north", source=source, color=BLUE, line_width=2, legend_label="solution")
-    told = [("t", "@t{0.00} s"), ("height", "@height{0.0} m"), ("heading", "@heading{0.0} deg"),
+    tips = [("t", "@t{0.00} s"), ("height", "@height{0.0} m"), ("heading", "@heading{0.0} deg"),
             ("speed", "@speed{0.00} m/s"), ("horizontal sd", "@sd{0.00} m")]  # fmt: skip
-    fig.add_tools(HoverTool(renderers=[line], tooltips=told, line_policy="nearest"))
+    fig.add_tools(HoverTool(renderers=[line], tooltips=tips, line_policy="nearest"))
     fig.legend.click_policy = "hide"
     return fig
 

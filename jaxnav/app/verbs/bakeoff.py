@@ -63,4 +63,4 @@ def plan_of(config: Config) -> Plan:
 def _kind(config: Config, name: str) -> Kind:
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, source=name))
     scenario = mc.scenario_to_run(config)
-    return Kind(scenario, override(matched_params(mc.told(config, scenario)), vars(config.params)))
+    return Kind(scenario, override(matched_params(mc.as_specified(config, scenario)), vars(config.params)))

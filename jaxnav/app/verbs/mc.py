@@ -54,7 +54,7 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
         name, begin = pre.filter_name(each), time.perf_counter()
         entry = FILTERS[name]
         params = override(
-            matched_params(told(each, scenario), entry.theta(), entry.feedback_theta()), vars(config.params)
+            matched_params(as_specified(each, scenario), entry.theta(), entry.feedback_theta()), vars(config.params)
         )
         rate, span = scenario.imu_rate_hz, scenario.duration_s
         filt = build(name, GNSS, config.filter.cov_stride, pre.history_of(config, params, rate, span, tuned=False))
@@ -127,7 +127,7 @@ def scenario_to_run(config: Config) -> Scenario:
     return scenario
 
 
-def told(config: Config, scenario: Scenario) -> Scenario:
+def as_specified(config: Config, scenario: Scenario) -> Scenario:
     """The scenario as the filters know it: with the grade of [filter], if one is named."""
     if not config.filter.grade:
         return scenario

@@ -114,11 +114,11 @@ def stream(
             rows, due = rows + 1, live.now.t + every
     if live is None:
         raise DataError(f"no start in {waiting.count} lines: too little motion, or no position")
-    told = dict(live.refused)
+    refused = dict(live.refused)
     if bad:
-        told[f"lines that are none, such as {bad[0]!r}"] = len(bad)
-    text = [f"{rows} rows", *(f"{n} not used: {why}" for why, n in told.items())]
-    result: dict[str, Any] = {"rows": rows, "refused": told, "ok": live.now.ok}
+        refused[f"lines that are none, such as {bad[0]!r}"] = len(bad)
+    text = [f"{rows} rows", *(f"{n} not used: {why}" for why, n in refused.items())]
+    result: dict[str, Any] = {"rows": rows, "refused": refused, "ok": live.now.ok}
     if taken:
         median, most = (1e3 * float(np.quantile(taken, q)) for q in (0.5, 0.99))
         result |= {"push_ms_median": median, "push_ms_p99": most}

@@ -18,6 +18,7 @@ setting of jax: call `enable_x64()` first, and `fast_compiler()`, `cache()` if a
 """
 
 import importlib
+from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -74,8 +75,6 @@ if TYPE_CHECKING:
         Track,
     )
 
-__version__ = "0.1.0"
-
 # Imported when first asked for: the command line is there, and can be stopped, before jax is.
 _HOMES = {
     "analysis.navigate": "Solution navigate",
@@ -103,13 +102,15 @@ __all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, or a folder of the package."""
+    """A public name, a folder of the package, or its version."""
     if name in _HOME:
         value = getattr(importlib.import_module(_HOME[name]), name)
         globals()[name] = value
         return value
     if name in _FOLDERS:
         return importlib.import_module(f"jaxnav.{name}")
+    if name == "__version__":
+        return metadata.version("jaxnav")
     raise AttributeError(f"module 'jaxnav' has no attribute {name!r}")
 
 

@@ -14,6 +14,16 @@ Axes that share a value, leaves that share one, and beliefs are part of a leaf's
         "states.gyro_bias.tau": tied(LOG, also=("states.accel_bias.tau",)),
         "measurements.velocity.scale": factor(3),             # correlated between the axes
     }
+
+What is positive moves in its logarithm:
+
+    >>> import jaxnav
+    >>> params = jaxnav.build("ekf15").params("consumer")
+    >>> spec = {"measurements.position.scale": tied(LOG)}
+    >>> raw = split(spec, params)
+    >>> wider = join(spec, {name: number + jnp.log(2.0) for name, number in raw.items()}, params)
+    >>> print(params.measurements["position"].scale, wider.measurements["position"].scale)
+    [1. 1. 1.] [2. 2. 2.]
 """
 
 import math

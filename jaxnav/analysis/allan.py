@@ -64,6 +64,12 @@ def allan_deviation(x: np.ndarray, dt: float, per_decade: int = 20) -> Allan:
 
     Raises:
         ValueError: fewer than 9 samples, ``dt`` not positive, or data that are not finite.
+
+    White noise falls with the root of the cluster time:
+
+    >>> curve = allan_deviation(np.random.default_rng(0).normal(size=100_000), 0.01)
+    >>> float(np.interp(1.0, curve.tau, curve.deviation[:, 0]).round(2))  # 1 / sqrt(100)
+    0.1
     """
     x = np.asarray(x, float)
     x = x[:, None] if x.ndim == 1 else x

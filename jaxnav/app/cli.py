@@ -16,6 +16,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxnav.app import completion
 from jaxnav.app import config as configuration
 from jaxnav.app.console import INTERRUPTED
 from jaxnav.filters.compiler import cache, cache_home, enable_x64, fast_compiler
@@ -41,6 +42,7 @@ VERBS = {
     "allan": "Allan deviation of a resting IMU: white noise, bias instability, random walk, Gauss-Markov",
     "config": "print every setting with its default and what it is, as a configuration to fill in",
     "cache": "the compiled programs that are kept: where, how many, how large; or clear them",
+    "completion": "what a shell completes by the tab key, as a script for it",
     "warm": "compile what filter needs for recordings like this one, and keep it: after installation, before a demo",
     "info": "versions, devices, filters, data sets",
     "data": "list, fetch or check public data sets",
@@ -63,6 +65,7 @@ simulated:
   jaxnav bakeoff --data gipkf_urban --filter gpid15,gipkf,fwekf15,ekf15_gate
 settings:
   jaxnav config > job.toml; jaxnav filter --config job.toml --set filter.cov_stride=10
+  jaxnav completion bash > ~/.local/share/bash-completion/completions/jaxnav
 
 Exit codes: 0 done, 1 failed check, 2 usage or configuration, 3 bad data, 130 stopped by Ctrl-C"""
 
@@ -125,6 +128,8 @@ def make_parser() -> argparse.ArgumentParser:
             sub.add_argument("--params", metavar="FILE", help="[params] of this file, such as an earlier tuned.toml")
         if verb == "cache":
             sub.add_argument("action", nargs="?", choices=["size", "clear"], default="size")
+        if verb == "completion":
+            sub.add_argument("shell", choices=completion.SHELLS)
         if verb == "config":
             sub.add_argument("--markdown", action="store_true", help="as a page of the docs")
         if verb == "filter":
@@ -163,6 +168,9 @@ def _main(args: argparse.Namespace) -> int:
         return 0
     if args.verb == "cache":
         print(_cache(args.action))
+        return 0
+    if args.verb == "completion":
+        print(completion.script(make_parser(), args.shell))
         return 0
     if args.verb == "show":
         from jaxnav.app.verbs import compare

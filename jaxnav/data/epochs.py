@@ -243,7 +243,15 @@ def stack_epochs(runs: Sequence[Epoch]) -> Epoch:
 
 
 def outage_windows(t: np.ndarray, starts: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Windows start < t <= start + length: hidden (E,) bool, and each window's last epoch (W,)."""
+    """Windows start < t <= start + length: hidden (E,) bool, and each window's last epoch (W,).
+
+    >>> hidden, last = outage_windows(np.arange(10.0), np.array([2.0, 6.0]), 2.0)
+    >>> np.flatnonzero(hidden), last
+    (array([3, 4, 7, 8]), array([4, 8]))
+
+    Raises:
+        DataError: a window in which no epoch ends.
+    """
     inside = np.array([within(t, [(start, start + length)]) for start in starts], bool).reshape(len(starts), t.size)
     if not inside.any(1).all():
         raise DataError(f"no epoch in the outage that starts at {starts[~inside.any(1)][0]:.3f} s")

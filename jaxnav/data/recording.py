@@ -31,6 +31,15 @@ def recording(
 
     Raises:
         DataError: an unknown stream, or data that cannot be used; names the stream, the row and what is wrong.
+
+    Five seconds at rest on the equator, with a fix each second:
+
+    >>> t, fixes = np.arange(1, 501) / 100, np.arange(1.0, 6.0)
+    >>> rec = recording(
+    ...     (t, np.zeros((500, 3)), np.tile([0.0, 0.0, -9.78], (500, 1))), position=(fixes, np.zeros((5, 3)), 1.0)
+    ... )
+    >>> rec.imu.dt.sum(), rec.aiding["position"].sd.shape
+    (np.float64(5.0), (5, 3))
     """
     known = {m.name: m.size for m in MEASUREMENTS.values() if m.columns}
     for stream in streams:

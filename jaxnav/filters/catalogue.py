@@ -160,6 +160,9 @@ def build(
     A paper's rule sees the receiver's channels, a gate every measurement with data; the rest gets a plain Kalman update
     after it.
 
+    >>> build("ekf15", measurements=("position", "velocity", "barometer"), states=("barometer_bias",)).model.states
+    ('gyro_bias', 'accel_bias', 'barometer_bias')
+
     Raises:
         ValueError: no such filter, frame, state or measurement, a receiver's measurement that does
             not come first, states for a paper's rule, or a state that nothing of the filter sees.

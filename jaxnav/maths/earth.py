@@ -59,6 +59,12 @@ def enu_difference(lla: jax.Array, reference: jax.Array) -> jax.Array:
 
     First order in the distance: wrong by distance^2 / (2 radius) in height, 1 mm at 100 m. Longitudes may be turns
     apart.
+
+    A minute of latitude is a nautical mile:
+
+    >>> degrees = jnp.array([[45.0 + 1 / 60, 8.0, 0.0], [45.0, 8.0, 0.0]])
+    >>> enu_difference(*jnp.radians(degrees)).round(1)
+    Array([   0. , 1852.2,    0. ], dtype=float64)
     """
     off = lla - reference
     off = off - 2 * jnp.pi * jnp.round(off / (2 * jnp.pi)) * np.array([0.0, 1.0, 0.0])

@@ -79,12 +79,12 @@ def held() -> Held:
     return Held(maps, pages * os.sysconf("SC_PAGE_SIZE"))
 
 
-def make_room(maps: int = 40_000, resident: float | None = None) -> bool:
+def make_room(maps: int = 30_000, resident: float | None = None) -> bool:
     """Drop all compiled programs where this process holds too much, and say so; returns whether it did.
 
     Called by Monte Carlo, tuning and the bake-off before they compile, and by whoever loops over many filters. What is
-    still needed compiles again. ``maps``: Linux allows 65,530 (`vm.max_map_count`). ``resident``: bytes, by default
-    half of the machine's memory.
+    still needed compiles again. ``maps``: Linux allows 65,530 (`vm.max_map_count`), and tuning one more filter may add
+    ten thousand. ``resident``: bytes, by default half of the machine's memory.
     """
     now = held()
     most = _memory() / 2 if resident is None else resident

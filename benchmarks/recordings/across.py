@@ -17,13 +17,14 @@ from jaxnav import build, read, start
 from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import drift, hidden_windows
 from jaxnav.data import epochs as ep
+from jaxnav.data.bank import most_probable
 from jaxnav.data.checkup import checkup
 from jaxnav.data.start import Start
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import prepare
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import Params, Recording
-from tuning.recorded import one_start, spread, tune
+from tuning.recorded import spread, tune
 
 TUNED_ON, JUDGED_ON = ("h", "i"), ("j", "k")
 WINDOW = 10.0
@@ -48,7 +49,7 @@ def judged(rec: Recording, begin: Start, filt: Filter, params: Params) -> np.nda
     packed = ep.pack_recording(rec, chosen, begin.t)
     windows = hidden_windows(packed, WINDOW, 3 * WINDOW, PHASES, SETTLE)
     epochs, params = prepare(filt, packed.epochs), begin.given(params)
-    nav = one_start(filt, params, begin.navs, epochs, packed.t, packed.t[-1])
+    nav = most_probable(filt, params, begin.navs, epochs)
     error, _ = drift(filt, params, nav, epochs, windows, chosen)
     return np.hypot(error[:, 0], error[:, 1])
 

@@ -5,7 +5,7 @@ BIN = $(VENV)/bin
 EXTRAS ?= dev,oracle
 DOCS = dev,oracle,docs
 
-.PHONY: demo test quick slow fuzz replay lint lock docs
+.PHONY: demo test quick slow fuzz mutants replay lint lock docs
 demo: $(VENV)/installed
 	$(BIN)/jaxnav demo
 
@@ -25,6 +25,9 @@ slow: $(VENV)/ready
 
 fuzz: $(VENV)/ready
 	JAXNAV_FUZZ=20 $(BIN)/python -m pytest tests/faults/test_fuzz.py
+
+mutants: $(VENV)/ready
+	$(BIN)/python -m tests.mutants
 
 replay: $(VENV)/ready
 	$(BIN)/python -m tests.replay.test_replay && git diff --stat tests/replay

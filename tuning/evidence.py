@@ -17,7 +17,7 @@ from jaxnav.states import table
 from jaxnav.types import Epoch, Info, Nav, Params
 from tuning.parts import Used, ages
 from tuning.transforms import Spec, join, split
-from tuning.uncertainty import Information, gaussian, pushed, rejected
+from tuning.uncertainty import Information, gaussian, information, pushed, rejected
 
 TINY = 1e-4  # of an sd: a parameter that is held
 SLOW = "gnss_position_error"
@@ -82,6 +82,16 @@ def _evidence(
 
     both = jax.vmap(phase)(valid, keep, at, there, sd)
     return jax.tree.map(lambda a: a.sum(0), both)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 9))
+def _scores(
+    filt: Filter, items: tuple, flat: jax.Array, like: Any, params: Params, nav: Nav, epochs: Epoch, keep: jax.Array,
+    block: jax.Array, count: int,
+) -> Information:  # fmt: skip
+    """The information of a run with every fix."""
+    spec, (_, back) = dict(items), ravel_pytree(like)
+    return information(lambda r: run(filt, join(spec, back(r), params), nav, epochs), flat, keep, block, count)
 
 
 def noise_of(params: Params, sd: jax.Array) -> jax.Array:
@@ -165,11 +175,15 @@ def training_of(filt: Filter, used: Used, size: int) -> Training:
 class Job:
     """The objective of recordings that are tuned on together, for a search.
 
+    ``observations``: as how many the likelihood counts; by default the windows that fit into the training parts.
+
     Its numbers (G,) are those of the first recording, in the order of `ravel_pytree`, then for each of the others what
     it has of its ``own``; all else is shared.
     """
 
-    def __init__(self, filt: Filter, spec: Spec, used: Sequence[Used], own: Sequence[str] = ()):
+    def __init__(
+        self, filt: Filter, spec: Spec, used: Sequence[Used], own: Sequence[str] = (), observations: float | None = None
+    ):
         self.filt, self.spec, self.used = filt, spec, list(used)
         self.raw = split(spec, used[0].sheet)
         first, self.back = ravel_pytree(self.raw)
@@ -190,7 +204,7 @@ class Job:
         wide = lambda a: np.pad(a, [(0, 0), (0, most - a.shape[1])] + [(0, 0)] * (a.ndim - 2))
         self.parts = [p._replace(at=wide(p.at), there=wide(p.there), sd=wide(p.sd)) for p in parts]
         lengths = [float(u.layout.train - u.packed.start - u.layout.settle) / u.layout.window for u in used]
-        self.effective = max(1.0, sum(lengths))
+        self.effective = max(1.0, sum(lengths)) if observations is None else observations
         self.flat = self.centre = self.numbers([u.sheet for u in used])
         self.width = np.array([_width(spec, self.leaves[i]) for i in self.origin])
 
@@ -224,6 +238,33 @@ class Job:
             return Information(value, score, fisher, jnp.zeros((1, flat.size)))
 
         return inform
+
+    def by_scores(self, flat: jax.Array) -> float:
+        """How many independent observations the innovations of the training parts are worth, by their scores.
+
+        Scores of a white sequence add up to a variance that is their information; where innovations are correlated the
+        sums over blocks of three windows vary more, in the mean over the directions that the data tell by the factor by
+        which there are fewer (the magnitude adjustment of Pauli, Racugno and Ventura 2011).
+        """
+        G = flat.size
+        bread, meat, epochs = np.zeros((G, G)), np.zeros((G, G)), 0
+        for at, part, used in zip(self.places, self.parts, self.used, strict=True):
+            t, layout = used.t[: part.keep.shape[1]], used.layout
+            own = (t >= used.packed.start + layout.settle) & (t <= layout.train + ep.TICK)
+            block = np.where(own, (t - t[0]) // layout.every, 0).astype(int)
+            seen = own & np.asarray(part.epochs.fix.valid).any(-1)
+            info = _scores(
+                self.filt, self.items, flat[at], self.raw, *part[:3], jnp.asarray(own), block, block.max() + 1
+            )
+            count = np.bincount(block[seen], minlength=block.max() + 1)[:, None]
+            off = np.asarray(info.blocks) - count * np.asarray(info.score) / seen.sum()
+            bread[np.ix_(at, at)] += np.asarray(info.fisher)
+            meat[np.ix_(at, at)] += off.T @ off
+            epochs += int(seen.sum())
+        values, axes = np.linalg.eigh(bread * np.outer(self.width, self.width))
+        told = values > 1e-3 * values.max()
+        spread = np.diag(axes.T @ (meat * np.outer(self.width, self.width)) @ axes)
+        return epochs / float(np.mean(spread[told] / values[told]))
 
     def numbers(self, params: Sequence[Params]) -> jax.Array:
         """The unconstrained numbers (G,) of parameters, those of each recording; what they lack is the datasheet's."""

@@ -125,6 +125,7 @@ def tune(
     stop: float | None = None,
     window: float | None = None,
     priors: bool = True,
+    observations: float | None = None,
     standing: ep.Standing = ep.Standing(),
     say: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
@@ -135,8 +136,8 @@ def tune(
     ``params`` where lever arms differ. ``free``: groups of `tuning.free.groups`, keys of [params] or dotted leaves.
     ``widths``: priors of your own by leaf, one sd about ``params``: a factor where the parameter is positive, else in
     SI. ``begin``: `jaxnav.start` with settings of your own. ``stop``: s. ``window``: s, length of the hidden windows,
-    by default 3 to 15 by the recording's length. ``priors``: False believes nothing before the data. ``say`` hears of
-    progress.
+    by default 3 to 15 by the recording's length. ``priors``: False believes nothing before the data.
+    ``observations``: N, by default the windows that fit into the training parts. ``say`` hears of progress.
 
     Raises:
         DataError: a recording that cannot be started from, or is too short for windows in every part.
@@ -170,7 +171,7 @@ def tune(
                 f"{name} part of {sum(u.packed.t[-1] - u.packed.start for u in used):.0f} s: it is too short to tune on"
             )
     spec = spec_of(filt, used[0].sheet, free, widths, priors)
-    job = Job(filt, spec, used, apart)
+    job = Job(filt, spec, used, apart, observations)
     say(f"free: {', '.join(spec)}")
     history: list[dict] = []
     found, stopped = candidates(job, begins, history, say)
@@ -184,7 +185,7 @@ def tune(
         more = kept(filt.extended(SLOW))
         slowly = {SLOW: more.params().states[SLOW]}
         whole = [u._replace(sheet=u.sheet._replace(states=u.sheet.states | slowly)) for u in used]
-        other = Job(more, spec | spec_of(more, whole[0].sheet, SLOW_LEAVES, widths, priors), whole, apart)
+        other = Job(more, spec | spec_of(more, whole[0].sheet, SLOW_LEAVES, widths, priors), whole, apart, observations)
         jobs["slow errors"] = other
         first = other.numbers(job.each(found["tuned"]))
         ended = search("slow errors", other, other.objective(), first, history, say)

@@ -11,11 +11,13 @@ from jaxnav.filters.catalogue import FRAMES, build
 from jaxnav.filters.core import make_filter
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import open_loop
+from jaxnav.filters.parameters import get, put
 from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.run import run
 from jaxnav.filters.smoother import keep, reach_of, smooth, smooth_jit
 from jaxnav.maths import rotations
 from jaxnav.types import Epoch
+from tuning.objectives import hidden_nll
 
 
 def batch(filt, params, nav, epochs: Epoch) -> tuple[np.ndarray, np.ndarray]:
@@ -160,3 +162,26 @@ def test_the_record_costs_a_plain_run_nothing(case):
     plain = run(filt, case.params, case.nav, epochs)
     np.testing.assert_allclose(info.nav.pos, plain.nav.pos, rtol=1e-14)
     assert forward.Phi.shape == (5, 9, 9)
+
+
+def test_gradients_go_through_it(case):
+    """What the smoother makes of hidden fixes, by noise and lever arm: central differences."""
+    filt = build("ekf15", cov_stride=5)
+    hidden = (np.arange(30) > 10) & (np.arange(30) < 22)
+    epochs = hide(jax.tree.map(lambda a: a[:30], case.packed.epochs), hidden)
+    fix_sd = case.packed.epochs.fix.sd[:30, :3]
+    leaves = ("noise.accel", "measurements.velocity.scale", "mounting.lever_arm")
+
+    def score(moved):
+        params = put(case.params, "noise.accel", 30 * case.params.noise.accel)  # so much that it is seen in 12 s
+        for name, d in zip(leaves, moved, strict=True):
+            params = put(params, name, get(params, name) + d * (0.1 if "lever" in name else get(params, name)))
+        return hidden_nll(smooth(filt, params, case.nav, epochs)[1], fix_sd, jnp.asarray(hidden))
+
+    value, slope = jax.jit(score), jax.jit(jax.jacfwd(score))
+    mine, step = np.asarray(slope(jnp.zeros(3))), 1e-3
+    for i in range(3):
+        off = jnp.zeros(3).at[i].set(step)
+        assert mine[i] == pytest.approx(float(value(off) - value(-off)) / (2 * step), rel=1e-4)
+    back = np.asarray(jax.jit(jax.grad(score))(jnp.zeros(3)))
+    np.testing.assert_allclose(back, mine, rtol=1e-6)

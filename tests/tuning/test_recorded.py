@@ -26,7 +26,7 @@ from tuning import evidence, priors, recorded
 from tuning.evidence import Job
 from tuning.parts import PHASES, Layout, Used, ages, parts_of, plan, window_of, windows_of
 from tuning.recorded import Trial, choose, correlation, ratios
-from tuning.uncertainty import gaussian
+from tuning.uncertainty import Information, gaussian
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +98,35 @@ def test_likelihood_of_a_residual_and_its_derivatives(heavy):
     slope = [(value(x + h * e) - value(x - h * e)) / (2 * h) for e in np.eye(P)]
     np.testing.assert_allclose(score, slope, rtol=1e-6, atol=1e-8)
     assert np.linalg.eigvalsh(np.asarray(fisher)).min() > 0
+
+
+@pytest.mark.parametrize("together", [1, 3])
+def test_scores_that_come_in_groups_count_once_each(job, monkeypatch, together):
+    """White scores are worth as many observations as there are epochs, those that come in threes a third of it."""
+    make, _, _ = job
+    mine = make()
+    mine.used[0] = mine.used[0]._replace(layout=mine.used[0].layout._replace(every=3.0))
+    rng = np.random.default_rng(5)
+    mix = rng.normal(size=(mine.flat.size, mine.flat.size))
+
+    def scores(filt, items, flat, like, sheet, nav, epochs, keep, block, count):
+        of_group = rng.normal(size=(count * 3, flat.size)) @ mix
+        each = of_group[block * 3 + np.arange(block.size) % 3 // together] * np.asarray(keep)[:, None]
+        blocks = np.zeros((count, flat.size))
+        np.add.at(blocks, block, each)
+        return Information(0.0, each.sum(0), float(keep.sum()) * mix.T @ mix, blocks)
+
+    monkeypatch.setattr(evidence, "_scores", scores)
+    t, layout = mine.used[0].packed.t, mine.used[0].layout
+    epochs = int(((t > mine.used[0].packed.start + layout.settle) & (t <= layout.train)).sum())
+    assert mine.by_scores(mine.flat) == pytest.approx(epochs / together, rel=0.35)
+
+
+def test_a_likelihood_that_counts_more_weighs_more(job):
+    make, _, _ = job
+    mine = make()
+    more = Job(mine.filt, mine.spec, mine.used, observations=10 * mine.effective)
+    np.testing.assert_allclose(more.objective()(mine.flat).nll, 10 * mine.objective()(mine.flat).nll, rtol=1e-12)
 
 
 def test_the_score_is_the_slope_of_the_objective(job):

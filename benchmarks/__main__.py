@@ -37,7 +37,7 @@ FOLDERS = {
         "em": "noise by expectation and maximisation, beside the method of scoring",
         "faults": "faults of a receiver, twenty-four kinds: rules beside a filter that is told when",
         "integrated": "a receiver that adds up its velocity: what tuning makes of it, against the filter that knows",
-        "smooth": "the smoother in outages: consistent in the middle, and how much nearer than the filter at the end",
+        "smooth": "the smoother in outages, simulated and of a drive: consistent, and how near inside of them",
     },
 }
 HOME = {name: folder for folder, names in FOLDERS.items() for name in names}

@@ -3,7 +3,8 @@
 Urban drives with outages of 15 and of 60 s, a consumer's IMU, position and velocity at 1 Hz, the filter that knows the
 noise. *anees_mid*: NEES of position, velocity and attitude per degree of freedom at the middle of the outages, over
 runs, which are independent, so that the mean has chi-square bounds. *ratio*: RMS of the smoothed horizontal error over
-the inside of the outages against the RMS of the filter's at their ends. *lag*: the same with a fixed lag of 2 s.
+the inside of the outages against the RMS of the filter's at their ends. *lag*: the same with a fixed lag of 2 s. Then
+the real drive, `benchmarks.recordings.drive_smooth`.
 """
 
 from functools import partial
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
+from benchmarks.recordings import drive_smooth
 from jaxnav import build
 from jaxnav.analysis import metrics
 from jaxnav.analysis.tables import table
@@ -74,12 +76,25 @@ def study(length: float, runs: int, seed: int) -> dict:
 def main(argv: list[str]) -> None:
     """Print the table, write the JSON."""
     parser = common.options("smooth", __doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=128, help="default 128")
+    parser.add_argument("--runs", type=int, default=128, help="simulated, default 128; 0: none")
     parser.add_argument("--seed", type=int, default=0, help="default 0")
+    parser.add_argument(
+        "--steps", type=int, default=100, help="of tuning on the real drive, default 100; 0: without it"
+    )
     args = parser.parse_args(argv)
-    found = {f"{length:g}": study(length, args.runs, args.seed) for length in LENGTHS}
+    found = {f"{length:g}": study(length, args.runs, args.seed) for length in LENGTHS if args.runs}
     plain = lambda v: np.round(v, 3).tolist() if isinstance(v, list) else v
-    rows = [[name, *map(plain, row.values())] for name, row in found.items()]
-    print(table(["outage s", *next(iter(found.values()))], rows))
-    both = {"rms_ratio": {k: r["rms_ratio"] for k, r in found.items()}, "by_length": found, "runs": args.runs}
-    common.write_json(args.json, {"simulated": both})
+    result: dict = {}
+    if found:
+        rows = [[name, *map(plain, row.values())] for name, row in found.items()]
+        print(table(["outage s", *next(iter(found.values()))], rows))
+        ratios = {k: r["rms_ratio"] for k, r in found.items()}
+        result["simulated"] = {"rms_ratio": ratios, "by_length": found, "runs": args.runs}
+    if args.steps:
+        drives = drive_smooth.study(args.steps)
+        rows = [[name, length, *row.values()] for name, each in drives.items() for length, row in each.items()]
+        print(
+            table(["the drive", "window s", "largest inside, RMS m", "median m", "NEES in the middle", "windows"], rows)
+        )
+        result["drive"] = drives
+    common.write_json(args.json, result)

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxnav.analysis import evaluate, usage
 from jaxnav.analysis.dense import dense
+from jaxnav.analysis.observability import unseen_in_words
 from jaxnav.data import epochs as ep
 from jaxnav.data import gaps
 from jaxnav.data.bank import bank_jit
@@ -130,6 +131,7 @@ def navigate(
     order, names, _ = evaluate.channels(chosen)
     remarks = usage.consistency_in_words(trace.info, usage.expected(trace.info, names, order))
     remarks += usage.noise_in_words(rec.imu, params)
+    remarks += unseen_in_words(filt, params, trace.info)
     remarks += usage.usage_in_words(usage.usage(rec, packed, trace.info, chosen, hidden))
     notes = [begin.how, about.words, *remarks, *rec.notes.splitlines(), gaps.in_words(gaps.holes(rec.imu))]
     return Solution(

@@ -2,17 +2,26 @@
 
 import json
 import time
+import tomllib
 from pathlib import Path
 
+import jax
+
 from jaxnav import data as io
+from jaxnav.analysis.observability import in_words as in_words_of
+from jaxnav.analysis.observability import observability
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import checkup as plots_checkup
+from jaxnav.app.config import resolve
+from jaxnav.app.prepare import prepare
 from jaxnav.app.results import Outcome, picture
 from jaxnav.app.verbs.filtering import describe, describe_text
 from jaxnav.data.checkup import Finding, checkup
 from jaxnav.data.json import write_json
 from jaxnav.data.read import read
-from jaxnav.types import Recording
+from jaxnav.types import ConfigError, DataError, Recording
+
+MOST, WINDOW = 2000, 30.0  # epochs, and s at a time, in which it is asked what the motion shows of the states
 
 
 def check(path: str, folder: Path, figures: bool = True) -> Outcome:
@@ -28,13 +37,28 @@ def check(path: str, folder: Path, figures: bool = True) -> Outcome:
     found = checkup(rec)
     seconds["check"] = time.perf_counter() - begin
     write_json(folder / "check.json", {"recording": describe(rec), "findings": [f._asdict() for f in found]})
+    seen: list[str] = []
     if "position" in rec.aiding:
+        begin = time.perf_counter()
         (folder / "config.toml").write_text(configuration(path, rec, found), encoding="utf-8")
+        seen = shown(folder / "config.toml")
+        seconds["states"] = time.perf_counter() - begin
     if figures:
         with picture("the recording"):
             plots.save(plots_checkup.overview(rec), folder / "check.png")
-    about = {"findings": [f._asdict() for f in found], "wrong": sum(f.bad for f in found)}
-    return Outcome(about, in_words(rec, found), seconds)
+    about = {"findings": [f._asdict() for f in found], "wrong": sum(f.bad for f in found), "states": seen}
+    return Outcome(about, "\n".join([in_words(rec, found), *(f"  {line}" for line in seen)]), seconds)
+
+
+def shown(file: Path) -> list[str]:
+    """What the motion shows of the states that a configuration has, or why that cannot be said."""
+    try:
+        case = prepare(resolve([(str(file), tomllib.loads(file.read_text(encoding="utf-8")))]))
+        cut = lambda a: a[:MOST]
+        first, epochs = jax.tree.map(lambda a: a[0], case.navs), jax.tree.map(cut, case.packed.epochs)
+        return in_words_of(observability(case.filter, case.params, first, epochs, cut(case.packed.t), WINDOW), WINDOW)
+    except (ConfigError, DataError, ValueError) as error:
+        return [f"what its motion shows of the states is not known: {error}"]
 
 
 def convert(path: str, folder: Path) -> Outcome:

@@ -13,6 +13,7 @@ from jaxnav import data as io
 from jaxnav.analysis import evaluate, usage
 from jaxnav.analysis.dense import dense
 from jaxnav.analysis.navigate import execute
+from jaxnav.analysis.observability import unseen_in_words
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import interactive
 from jaxnav.analysis.tables import table
@@ -107,6 +108,7 @@ def filter(config: Config, folder: Path) -> Outcome:
     found |= usage.as_json(uses, channels)
     found["remarks"] = usage.consistency_in_words(sol.info, channels) + usage.usage_in_words(uses)
     found["remarks"] += usage.noise_in_words(case.recording.imu, case.params)
+    found["remarks"] += unseen_in_words(case.filter, case.params, sol.info)
     if found.get("scored_share", 1.0) < ENOUGH:
         found["remarks"].append(f"truth tells {found['scored_share']:.0%} of the epochs: errors are of these alone")
     unused = sorted(set(case.recording.aiding) - {m.name for m in case.measurements})

@@ -1,0 +1,125 @@
+"""What a motion shows of a filter's states: how much surer some seconds of fixes make each, and how many directions.
+
+Over a window, with Phi the transition since its first epoch and H, R the model of each fix, the fixes tell
+
+    G = sum Phi' H' R^-1 H Phi
+
+of the error at the window's start (the observability Gramian; Maybeck 1979, section 5.7). In units of what is known
+before, S = diag(sd), an eigenvalue of S G S above one is a direction that the window knows better than the prior does.
+Process noise is left out, so that what cannot be seen so cannot be seen at all.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.filters.core import Filter, Step, masked
+from jaxnav.filters.run import run
+from jaxnav.states.motion import MOTION
+from jaxnav.states.table import chosen
+from jaxnav.types import Epoch, Info, Nav, Params
+
+UNSEEN = 0.9  # of the sd that was known before: what is left where a window or a run shows next to nothing
+ENU = ("east", "north", "up")
+
+
+class Observability(NamedTuple):
+    """Of W windows, one after the other."""
+
+    names: tuple[str, ...]  # (n,) of the states' components
+    start: np.ndarray  # (W,) s
+    left: np.ndarray  # (W, n) sd after the window over the sd before it
+    rank: np.ndarray  # (W,) int, directions that it shows
+    condition: np.ndarray  # (W,) sd of the worst of these over that of the best, in units of the prior; nan of none
+
+
+def state_names(filt: Filter) -> tuple[str, ...]:
+    """A name for each component of the error state."""
+    motion = [f"{name} {axis}" for name in MOTION for axis in ENU]
+    optional = [f"{s.name} {axis}" if s.size > 1 else s.name for s in chosen(filt.model.states) for axis in s.axes]
+    return (*motion, *optional)
+
+
+@partial(jax.jit, static_argnums=0)
+def _seen(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> tuple[jax.Array, jax.Array]:
+    """Phi (E, n, n) of each epoch, and H' R^-1 H (E, n, n) of its fixes."""
+
+    def record(step: Step, epoch: Epoch) -> tuple[jax.Array, jax.Array]:
+        _, H, R = masked(*filt.model.observe(params, step.predicted.past, epoch.fix), epoch.fix.valid)
+        return step.transition.Phi, H.T @ jnp.linalg.solve(R, H)
+
+    return run(filt, params, nav, epochs, record, epochs)
+
+
+def observability(
+    filt: Filter, params: Params, nav: Nav, epochs: Epoch, t: np.ndarray, window: float = 30.0
+) -> Observability:
+    """How windows of so many seconds see the states of a filter; ``t`` (E,) s are the epochs' ends.
+
+    The names are of local level; in another frame its own first, second and third axis stand for east, north and up.
+
+    Raises:
+        ValueError: data shorter than a window.
+    """
+    Phi, told = map(np.asarray, _seen(filt, params, nav, epochs))
+    sd = np.sqrt(np.diag(np.asarray(filt.model.covariance(params, filt.model.enter(nav)))))
+    edges = np.searchsorted(t, np.arange(t[0], t[-1] + 1e-6, window))
+    if edges.size < 2:
+        raise ValueError(f"data of {t[-1] - t[0]:.0f} s hold no window of {window:g} s")
+    left, rank, condition = [], [], []
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        since, G = np.eye(sd.size), np.zeros((sd.size, sd.size))
+        for i in range(first, last):
+            since = Phi[i] @ since if i > first else since
+            G += since.T @ told[i] @ since
+        scaled = G * np.outer(sd, sd)
+        values = np.linalg.eigvalsh(0.5 * (scaled + scaled.T))
+        above = values[values > 1.0]
+        left.append(np.sqrt(np.diag(np.linalg.inv(np.eye(sd.size) + scaled))))
+        rank.append(above.size)
+        condition.append(np.sqrt(above.max() / above.min()) if above.size else np.nan)
+    return Observability(state_names(filt), t[edges[:-1]], np.array(left), np.array(rank), np.array(condition))
+
+
+def in_words(found: Observability, window: float = 30.0) -> list[str]:
+    """How many directions the windows show, and which components none of them does."""
+    n, least = len(found.names), found.left.min(0)
+    span = (
+        f"{found.rank.min()}" if found.rank.min() == found.rank.max() else f"{found.rank.min()} to {found.rank.max()}"
+    )
+    lines = [
+        f"{found.start.size} windows of {window:g} s show {span} of {n} directions of the state "
+        f"(median {np.median(found.rank):.0f})"
+    ]
+    unseen = [name for name, share in zip(found.names, least, strict=True) if share > UNSEEN]
+    seldom = [
+        f"{name} ({int((share < UNSEEN).sum())})"
+        for name, share, best in zip(found.names, found.left.T, least, strict=True)
+        if best <= UNSEEN and (share < UNSEEN).mean() < 0.25
+    ]
+    if unseen:
+        lines.append(
+            f"no window shows {', '.join(unseen)}: turns, changes of speed and tilts do; until then they stay what "
+            "they are taken for at the start"
+        )
+    if seldom:
+        lines.append(f"few windows show {', '.join(seldom)}")
+    return lines
+
+
+def unseen_in_words(filt: Filter, params: Params, info: Info) -> list[str]:
+    """The optional states that a whole run knows no better at its end than before it."""
+    sd, at, lines = np.sqrt(np.diagonal(np.asarray(info.P[-1]))), 9, []
+    names: list[str] = []
+    for state in chosen(filt.model.states):
+        before: Any = np.broadcast_to(np.asarray(params.states[state.name].sd), (state.size,))
+        for i, axis in enumerate(state.axes):
+            if sd[at + i] > UNSEEN * before[i] > 0:
+                names.append(f"{state.name} {axis}" if state.size > 1 else state.name)
+        at += state.size
+    if names:
+        lines.append(f"this motion did not show {', '.join(names)}: at the end known no better than at the start")
+    return lines

@@ -1,0 +1,79 @@
+"""What a motion shows: against the filter's own covariance, at rest and on a drive, in words."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnav.analysis import observability as obs
+from jaxnav.data.epochs import pack
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.parameters import put
+from jaxnav.filters.run import run_jit
+from jaxnav.types import ImuLog, Samples
+
+FILTER = build("ekf15", cov_stride=5)
+
+
+def test_without_noise_it_is_what_the_filter_knows(case):
+    """P at the end of a window is (P0^-1 + G)^-1, moved there: Kalman's covariance, by other arithmetic."""
+    params = case.params
+    for name in ("noise.gyro", "noise.accel", "states.gyro_bias.drive", "states.accel_bias.drive"):
+        params = put(params, name, jnp.zeros(3))
+    for name in ("states.gyro_bias.tau", "states.accel_bias.tau"):
+        params = put(params, name, jnp.asarray(jnp.inf))
+    epochs = jax.tree.map(lambda a: a[:20], case.packed.epochs)
+    Phi, told = map(np.asarray, obs._seen(FILTER, params, case.nav, epochs))
+    P = np.asarray(FILTER.model.covariance(params, case.nav))
+    since, G = np.eye(15), np.zeros((15, 15))
+    for i in range(20):
+        since = Phi[i] @ since
+        G += since.T @ told[i] @ since
+    expected = since @ np.linalg.inv(np.linalg.inv(P) + G) @ since.T
+    found, sd = np.asarray(run_jit(FILTER, params, case.nav, epochs).P[-1]), np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(found / np.outer(sd, sd), expected / np.outer(sd, sd), atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def rest(case):
+    """A minute at rest where the drive begins."""
+    t = np.arange(1, 6001) / 100
+    truth = np.broadcast_to(case.truth.lla[0], (60, 3))
+    up = np.broadcast_to([0.0, 0.0, -9.81], (6000, 3))
+    imu = ImuLog(t, np.full(6000, 0.01), np.zeros((6000, 3)), up)
+    fixes = {
+        "position": Samples(np.arange(1.0, 61.0), truth, np.full((60, 3), 2.0), np.zeros((60, 3))),
+        "velocity": Samples(np.arange(1.0, 61.0), np.zeros((60, 3)), np.full((60, 3), 0.1), np.zeros((60, 3))),
+    }
+    return pack(imu, fixes, 1.0)
+
+
+def test_rest_shows_neither_heading_nor_the_gyro_about_it(case, rest):
+    level = case.nav._replace(
+        q=jnp.asarray([0.0, 1 / np.sqrt(2), 1 / np.sqrt(2), 0.0]), vel=jnp.zeros(3), t=jnp.zeros(())
+    )
+    found = obs.observability(FILTER, case.params, level, rest.epochs, rest.t, 20.0)
+    left = dict(zip(found.names, found.left.min(0), strict=True))
+    assert left["attitude up"] > 0.99 and left["gyro_bias down"] > 0.99
+    assert max(left["position east"], left["velocity north"]) < 0.6 and (found.rank < 13).all()
+    # tilt and the accelerometers' bias are one direction: together known, apart not
+    assert left["accel_bias down"] < 0.5 < min(left["accel_bias forward"], left["accel_bias right"])
+    words = " ".join(obs.in_words(found, 20.0))
+    assert "no window shows attitude up" in words and "gyro_bias down" in words and "of 15 directions" in words
+
+
+def test_a_drive_shows_its_heading(case):
+    found = obs.observability(FILTER, case.params, case.nav, case.packed.epochs, case.packed.t, 20.0)
+    left = dict(zip(found.names, found.left.min(0), strict=True))
+    assert left["attitude up"] < 0.5 and found.rank.max() >= 12 and (found.condition > 1).all()
+    with pytest.raises(ValueError, match="hold no window of 100 s"):
+        obs.observability(FILTER, case.params, case.nav, case.packed.epochs, case.packed.t, 100.0)
+
+
+def test_a_run_says_what_it_did_not_show(case):
+    """Half a minute straight on tells no scale of the gyros."""
+    more = build("ekf15", cov_stride=5, states=("gyro_scale",))
+    params = more.params("adis16465")
+    epochs = jax.tree.map(lambda a: a[:8], case.packed.epochs)
+    words = obs.unseen_in_words(more, params, run_jit(more, params, case.nav, epochs))
+    assert len(words) == 1 and "gyro_scale forward" in words[0] and "at the end known no better" in words[0]

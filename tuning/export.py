@@ -16,7 +16,7 @@ from jaxnav.types import Params, StateParams
 ONE_CORRELATION_TIME = 4 * units.HOUR  # s, what stands for a random walk where only a Gauss-Markov process can be told
 
 
-def _axes(value) -> np.ndarray:
+def axes_of(value) -> np.ndarray:
     """One number an axis; of a root, which is correlated noise, the norms of its rows."""
     value = np.asarray(value, float)
     return np.linalg.norm(value, axis=1) if value.ndim == 2 else np.broadcast_to(value, (3,))
@@ -36,7 +36,7 @@ def _sensors(params: Params) -> dict[str, Any]:
 
 
 def _tau(params: Params, name: str) -> np.ndarray:
-    return _axes(params.states[name].tau if name in params.states else np.inf)
+    return axes_of(params.states[name].tau if name in params.states else np.inf)
 
 
 def kfgins_yaml(params: Params, scale_ppm: tuple[float, float] = (0.0, 0.0)) -> str:
@@ -49,14 +49,14 @@ def kfgins_yaml(params: Params, scale_ppm: tuple[float, float] = (0.0, 0.0)) -> 
     """
     tau, sensors = _tau(params, "gyro_bias"), _sensors(params)
     time = float(tau[0]) if np.isfinite(tau).all() and np.ptp(tau) == 0 else ONE_CORRELATION_TIME
-    sd = lambda drive: _axes(drive) * np.sqrt(time / 2)
+    sd = lambda drive: axes_of(drive) * np.sqrt(time / 2)
     rows = {
-        "arw": (_axes(sensors["gyro"]) / units.DEG_PER_SQRT_HOUR, "deg/sqrt(h)"),
-        "vrw": (_axes(sensors["accel"]) / units.MPS_PER_SQRT_HOUR, "m/s/sqrt(h)"),
+        "arw": (axes_of(sensors["gyro"]) / units.DEG_PER_SQRT_HOUR, "deg/sqrt(h)"),
+        "vrw": (axes_of(sensors["accel"]) / units.MPS_PER_SQRT_HOUR, "m/s/sqrt(h)"),
         "gbstd": (sd(sensors["gyro_bias"]) / units.DEG_PER_HOUR, "deg/h"),
         "abstd": (sd(sensors["accel_bias"]) / units.MGAL, "mGal"),
-        "gsstd": (_axes(scale_ppm[0]), "ppm"),
-        "asstd": (_axes(scale_ppm[1]), "ppm"),
+        "gsstd": (axes_of(scale_ppm[0]), "ppm"),
+        "asstd": (axes_of(scale_ppm[1]), "ppm"),
     }
     lines = [f"  {name}: [{', '.join(f'{v:.6g}' for v in value)}]  # {unit}" for name, (value, unit) in rows.items()]
     head = [*_remark(sensors, "#"), "imunoise:"]
@@ -70,16 +70,16 @@ def navego_fields(params: Params) -> str:
     the sd of a Gauss-Markov bias. Receiver axes are north, east, down. Correlations between axes as in `kfgins_yaml`.
     """
     sensors = _sensors(params)
-    fields = {"arw": _axes(sensors["gyro"]), "vrw": _axes(sensors["accel"])}
+    fields = {"arw": axes_of(sensors["gyro"]), "vrw": axes_of(sensors["accel"])}
     for name, state in (("g", "gyro_bias"), ("a", "accel_bias")):
-        q, T = _axes(sensors[state]), _tau(params, state)
+        q, T = axes_of(sensors[state]), _tau(params, state)
         fields |= {f"{name}b_psd": q, f"{name}b_corr": T}
         fields[f"{name}b_dyn"] = np.where(np.isfinite(T), q * np.sqrt(np.where(np.isfinite(T), T, 0.0) / 2), q)
     text = lambda v: ", ".join("Inf" if np.isinf(x) else f"{x:.8g}" for x in v)
     lines = [f"imu.{name} = [{text(value)}];" for name, value in fields.items()]
     scales = {name: params.measurements[name].scale for name in ("position", "velocity")}
     for name, scale in zip(("stdm", "stdv"), scales.values(), strict=True):
-        lines.append(f"gnss.{name} = gnss.{name} .* [{text(_axes(scale)[[1, 0, 2]])}];")
+        lines.append(f"gnss.{name} = gnss.{name} .* [{text(axes_of(scale)[[1, 0, 2]])}];")
     return "\n".join([*_remark(sensors | {f"{name}_scale": a for name, a in scales.items()}, "%"), *lines, ""])
 
 
@@ -92,7 +92,7 @@ AUTOPILOT_STEP = (
 
 def _per_step(q: Any) -> float:
     """The autopilots' noise for a root PSD: one number for all axes, the largest, so that none is thought too quiet."""
-    return float(_axes(q).max()) / np.sqrt(AUTOPILOT_STEP)
+    return float(axes_of(q).max()) / np.sqrt(AUTOPILOT_STEP)
 
 
 def _delays(params: Params) -> tuple[float, float]:
@@ -109,8 +109,8 @@ def px4_params(params: Params, position_sd: float = 1.0, velocity_sd: float = 0.
     EKF/covariance.cpp), so that a root PSD q becomes q / sqrt(dt); likewise accelerometers and what drives the biases.
     ``position_sd``, ``velocity_sd``: m and m/s, of the recording's fixes before their scale.
     """
-    sensors, arm = _sensors(params), _axes(params.mounting.lever_arm)
-    scale = {name: float(_axes(params.measurements[name].scale).max()) for name in ("position", "velocity")}
+    sensors, arm = _sensors(params), axes_of(params.mounting.lever_arm)
+    scale = {name: float(axes_of(params.measurements[name].scale).max()) for name in ("position", "velocity")}
     late = _delays(params)
     rows = [
         ("EKF2_GYR_NOISE", _per_step(sensors["gyro"]), "rad/s, of a step of 10 ms"),
@@ -127,8 +127,8 @@ def px4_params(params: Params, position_sd: float = 1.0, velocity_sd: float = 0.
 
 def ardupilot_parm(params: Params, position_sd: float = 1.0, velocity_sd: float = 0.3) -> str:
     """ArduPilot's EKF3 as a ``.parm`` file; noise per step of 10 ms as in `px4_params` (AP_NavEKF3, EKF_TARGET_DT)."""
-    sensors, arm = _sensors(params), _axes(params.mounting.lever_arm)
-    p, v = (_axes(params.measurements[name].scale) for name in ("position", "velocity"))
+    sensors, arm = _sensors(params), axes_of(params.mounting.lever_arm)
+    p, v = (axes_of(params.measurements[name].scale) for name in ("position", "velocity"))
     rows = [
         ("EK3_GYRO_P_NSE", _per_step(sensors["gyro"]), "rad/s, of a step of 10 ms"),
         ("EK3_ACC_P_NSE", _per_step(sensors["accel"]), "m/s^2, of a step of 10 ms"),
@@ -149,8 +149,8 @@ def robot_localization_yaml(params: Params, imu_rate_hz: float = 100.0) -> str:
     Its EKF takes rates and accelerations as measurements of a model of constant acceleration, so that a root PSD q is
     the variance q^2 rate of each sample, to be written into ``sensor_msgs/Imu``; biases and delays have no counterpart.
     """
-    square = lambda q: ", ".join(f"{v:.6g}" for v in _axes(q) ** 2 * imu_rate_hz)
-    scale = lambda name: ", ".join(f"{v:.6g}" for v in _axes(params.measurements[name].scale) ** 2)
+    square = lambda q: ", ".join(f"{v:.6g}" for v in axes_of(q) ** 2 * imu_rate_hz)
+    scale = lambda name: ", ".join(f"{v:.6g}" for v in axes_of(params.measurements[name].scale) ** 2)
     return "\n".join([
         f"# of sensor_msgs/Imu at {imu_rate_hz:g} Hz, body FRD; diagonals of the covariances of each message",
         f"angular_velocity_covariance_diagonal: [{square(params.noise.gyro)}]  # (rad/s)^2, a value per sample",

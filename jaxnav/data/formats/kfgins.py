@@ -55,3 +55,22 @@ def write_kfgins_nav(path: FilePath, track: Track, week: int = 0) -> None:
     columns = np.hstack([track.t[:, None], lla, ned_to_enu(track.vel), rph]).tolist()
     template = f"{week:d} %.9f %.12f %.12f %.6f %.7f %.7f %.7f %.9f %.9f %.9f"
     atomic_write(path, "".join(template % tuple(row) + "\n" for row in columns))
+
+
+def write_kfgins_imu(path: FilePath, imu: ImuLog) -> None:
+    """Write samples in the columns of `read_kfgins_imu`; seconds of the first sample's week."""
+    rows = np.column_stack([_of_week(imu.t, imu.t[0]), imu.gyro * imu.dt[:, None], imu.accel * imu.dt[:, None]])
+    template = "%.9f " + " ".join(["%.15e"] * 6)
+    atomic_write(path, "".join(template % tuple(row) + "\n" for row in rows.tolist()))
+
+
+def write_kfgins_gnss(path: FilePath, fixes: Samples, first: float) -> None:
+    """Write positions in the columns of `read_kfgins_gnss`; seconds of the week of ``first`` s, the first sample's."""
+    lla = fixes.value / np.array([DEG, DEG, 1.0])
+    rows = np.column_stack([_of_week(fixes.t, first), lla, fixes.sd[:, [1, 0, 2]]])
+    template = "%.9f %.12f %.12f" + 4 * " %.6f"
+    atomic_write(path, "".join(template % tuple(row) + "\n" for row in rows.tolist()))
+
+
+def _of_week(t: np.ndarray, first: float) -> np.ndarray:
+    return t - np.floor(first / 604800.0) * 604800.0

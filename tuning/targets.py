@@ -1,0 +1,147 @@
+"""Other people's filters as targets: noise tuned with what they measure and estimate, and told in their words.
+
+Noise that was tuned with our measurements does not carry over to a filter that has others. A target says which of the
+receiver's measurements the other filter takes, which states it has and which shape its processes have, so that
+`tuning.tune` runs a filter like it; then it writes what was found.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.data import atomic_write
+from jaxnav.data.formats.kfgins import write_kfgins_gnss, write_kfgins_imu
+from jaxnav.data.start import Start
+from jaxnav.filters.run import track
+from jaxnav.maths import units
+from jaxnav.types import DataError, Params, Recording, Samples
+from tuning import export
+
+
+class Target(NamedTuple):
+    """Another filter."""
+
+    about: str  # what it is like, in words
+    filter: str  # of the catalogue, like it
+    measurements: tuple[str, ...]  # of the receiver's, those that it takes
+    states: tuple[str, ...]  # that it has besides the filter's own
+    free: tuple[str, ...]  # what of it is worth tuning
+    shaped: Callable[[Params], Params]  # a datasheet with its processes
+    write: Callable[[Path, Recording, Params, Start], None]  # what was found, into a folder
+
+
+def _walks(params: Params) -> Params:
+    """Biases as random walks, as autopilots have them."""
+    walk = {
+        name: state._replace(tau=np.full_like(np.asarray(state.tau), np.inf)) for name, state in params.states.items()
+    }
+    return params._replace(states=walk)
+
+
+def _one_time(params: Params) -> Params:
+    """Every state a Gauss-Markov process of one correlation time; a constant one may then change by its sd."""
+    time, states = export.ONE_CORRELATION_TIME, {}
+    for name, state in params.states.items():
+        drive = np.asarray(state.drive, float)
+        slow = np.broadcast_to(np.asarray(state.sd) * np.sqrt(2 / time), drive.shape)
+        states[name] = state._replace(
+            tau=np.full_like(np.asarray(state.tau, float), time), drive=np.where(drive > 0, drive, slow)
+        )
+    return params._replace(states=states)
+
+
+def _text(name: str, made: Callable[[Params], str]) -> Callable[[Path, Recording, Params, Start], None]:
+    """A writer of one file of settings."""
+
+    def write(folder: Path, rec: Recording, params: Params, begin: Start) -> None:
+        atomic_write(folder / name, f"# jaxnav tune: {rec.name}\n{made(params)}")
+
+    return write
+
+
+def write_kfgins(folder: Path, rec: Recording, params: Params, begin: Start) -> None:
+    """A job that KF-GINS runs as it is: ``kfgins/kf-gins.yaml`` with samples and fixes.
+
+    It knows no delay and no clock: the fixes' times are moved to the IMU's clock, their sd scaled.
+
+    Raises:
+        DataError: no position.
+    """
+    if "position" not in rec.aiding:
+        raise DataError(f"{rec.name}: KF-GINS takes positions, and there are none")
+    home = folder / "kfgins"
+    home.mkdir(parents=True, exist_ok=True)
+    fixes = rec.aiding["position"]
+    write_kfgins_imu(home / "imu.txt", rec.imu)
+    scaled = fixes.sd * export.axes_of(params.measurements["position"].scale)
+    moved = Samples(fixes.t - delay_of(params, begin, fixes.t), fixes.value, scaled, fixes.corr)
+    write_kfgins_gnss(home / "gnss.txt", moved, float(rec.imu.t[0]))
+    atomic_write(home / "kf-gins.yaml", kfgins_config(home, rec, params, begin))
+
+
+def delay_of(params: Params, begin: Start, t: np.ndarray) -> np.ndarray:
+    """How late the fixes that are stamped ``t`` (K,) s are by the IMU's clock, (K,) s."""
+    origin = float(np.ravel(begin.navs.origin.t)[0])
+    late = float(params.mounting.time_offset) + float(params.measurements["position"].latency)
+    return late + float(params.mounting.clock_drift) * (t - origin)
+
+
+def kfgins_config(home: Path, rec: Recording, params: Params, begin: Start) -> str:
+    """The text of a kf-gins.yaml beside its data in ``home``."""
+    first = track(begin.navs)
+    week = np.floor(rec.imu.t[0] / 604800.0) * 604800.0
+    row = lambda values: f"[{', '.join(f'{v:.12g}' for v in np.ravel(values))}]"
+    ned = lambda values: row(export.axes_of(values)[[1, 0, 2]])
+    lla, vel = first.lla[0] / np.array([units.DEG, units.DEG, 1.0]), first.vel[0][[1, 0, 2]] * np.array([1, 1, -1])
+    prior, sd = params.prior, {name: export.axes_of(state.sd) for name, state in params.states.items()}
+    zero = np.zeros(3)
+    known = lambda name, unit: row(sd.get(name, zero) / unit)
+    lines = [
+        f'imupath: "{home / "imu.txt"}"', f'gnsspath: "{home / "gnss.txt"}"', f'outputpath: "{home}"',
+        "imudatalen: 7", f"imudatarate: {round(1 / float(np.median(rec.imu.dt)))}",
+        f"starttime: {begin.t - week:.9f}", "endtime: -1",
+        f"initpos: {row(lla)}", f"initvel: {row(vel)}", f"initatt: {row(first.rph[0] / units.DEG)}",
+        *(f"{name}: [0, 0, 0]" for name in ("initgyrbias", "initaccbias", "initgyrscale", "initaccscale")),
+        f"initposstd: {ned(prior.position)}", f"initvelstd: {ned(prior.velocity)}",
+        f"initattstd: {ned(np.asarray(prior.attitude) / units.DEG)}",
+        f"initbgstd: {known('gyro_bias', units.DEG_PER_HOUR)}  # deg/h",
+        f"initbastd: {known('accel_bias', units.MGAL)}  # mGal",
+        f"initsgstd: {known('gyro_scale', units.PPM)}  # ppm", f"initsastd: {known('accel_scale', units.PPM)}  # ppm",
+        f"antlever: {row(params.mounting.lever_arm)}",
+    ]  # fmt: skip
+    scale = tuple(float(sd.get(name, zero).max()) / units.PPM for name in ("gyro_scale", "accel_scale"))
+    return "\n".join(
+        [f"# jaxnav tune --for kfgins: {rec.name}", *lines, export.kfgins_yaml(params, (scale[0], scale[1]))]
+    )
+
+
+FREE: tuple[str, ...] = ("noise", "fixes", "timing")
+TARGETS: dict[str, Target] = {
+    "kfgins": Target(
+        "positions alone; biases and scale factors of one correlation time; 21 states", "ekf15", ("position",),
+        ("gyro_scale", "accel_scale"), FREE, _one_time, write_kfgins,
+    ),
+    "navego": Target(
+        "position and velocity; biases of the datasheet's kind; 15 states", "ekf15", ("position", "velocity"), (),
+        FREE, lambda params: params, _text("tuned_navego.m", export.navego_fields),
+    ),
+    "px4": Target(
+        "position and velocity; biases that walk; one number for all axes", "ekf15", ("position", "velocity"), (),
+        FREE, _walks, _text("tuned_px4.params", export.px4_params),
+    ),
+    "ardupilot": Target(
+        "position and velocity; biases that walk; one number for all axes", "ekf15", ("position", "velocity"), (),
+        FREE, _walks, _text("tuned_ardupilot.parm", export.ardupilot_parm),
+    ),
+    "robot_localization": Target(
+        "position and velocity, no biases", "ekf9", ("position", "velocity"), (), ("noise", "fixes"),
+        lambda params: params, _text("tuned_robot_localization.yaml", export.robot_localization_yaml),
+    ),
+}  # fmt: skip
+
+
+def names() -> Sequence[str]:
+    """Of the targets."""
+    return tuple(TARGETS)

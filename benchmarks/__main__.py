@@ -26,6 +26,7 @@ FOLDERS = {
         "tempering": "as how many observations a likelihood counts: by windows, by the spread of its scores",
         "wild": "recordings as their users have them, from file to solution",
         "sensors": "barometer, compass, wheels, airspeed: drift of recordings with them and without",
+        "peers": "KF-GINS, python-ins and filterpy beside ours: the same samples, noise, hidden windows and scores",
         "kitti": "a drive beside GTSAM: the same hidden windows, the same sigmas",
         "stream": "the filter sample by sample: beside the batch, with late fixes, across a restart; time of a sample",
         "umn": "a fixed-wing flight from an unknown heading, against the onboard filter",

@@ -102,9 +102,9 @@ class Tuned:
         """All figures, as metrics.json has them."""
         return metrics(self)
 
-    def write(self, folder: str | Path, states: Sequence[str] = ()) -> None:
+    def write(self, folder: str | Path, states: Sequence[str] = (), exports: bool = True) -> None:
         """Write tuned.toml, the same for other software, history.jsonl and metrics.json, see `tuning.report.write`."""
-        write(self, Path(folder), states)
+        write(self, Path(folder), states, exports)
 
     def __str__(self) -> str:
         return text(self)
@@ -126,6 +126,7 @@ def tune(
     window: float | None = None,
     priors: bool = True,
     observations: float | None = None,
+    extend: bool = True,
     standing: ep.Standing = ep.Standing(),
     say: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
@@ -137,7 +138,8 @@ def tune(
     ``widths``: priors of your own by leaf, one sd about ``params``: a factor where the parameter is positive, else in
     SI. ``begin``: `jaxnav.start` with settings of your own. ``stop``: s. ``window``: s, length of the hidden windows,
     by default 3 to 15 by the recording's length. ``priors``: False believes nothing before the data.
-    ``observations``: N, by default the windows that fit into the training parts. ``say`` hears of progress.
+    ``observations``: N, by default the windows that fit into the training parts. ``extend``: False tries no
+    filter with a state more. ``say`` hears of progress.
 
     Raises:
         DataError: a recording that cannot be started from, or is too short for windows in every part.
@@ -180,7 +182,7 @@ def tune(
     score = lambda name: level_drift(jobs[name], found[name], chosen)
     offs = {name: score(name) for name in found}
     slow = 0.0 if stopped else correlation(offs["tuned"][1], used)
-    if slow > CORRELATED and filt.extended and SLOW not in filt.model.states:
+    if extend and slow > CORRELATED and filt.extended and SLOW not in filt.model.states:
         say(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
         more = kept(filt.extended(SLOW))
         slowly = {SLOW: more.params().states[SLOW]}

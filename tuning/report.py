@@ -118,8 +118,8 @@ def metrics(found: "Tuned") -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write(found: "Tuned", folder: Path, states: Sequence[str] = ()) -> None:
-    """Write tuned.toml, the same for other software, history.jsonl and metrics.json.
+def write(found: "Tuned", folder: Path, states: Sequence[str] = (), exports: bool = True) -> None:
+    """Write tuned.toml, the same for other software (``exports``), history.jsonl and metrics.json.
 
     A recording that has some of its own has a tuned_N.toml beside, N its number. ``states`` that the filter was given
     beside its own are told in tuned.toml where the winner has one more.
@@ -136,7 +136,8 @@ def write(found: "Tuned", folder: Path, states: Sequence[str] = ()) -> None:
             said = in_user_units(own, dict.fromkeys([*noise_leaves(own), *found.spec]))
             text = f"# jaxnav tune: {used.name}, which has some of its own\n" + to_toml(params | {"params": said})
             atomic_write(folder / f"tuned_{number}.toml", text)
-    write_exports(folder, f"jaxnav tune: {about}", found.params)
+    if exports:
+        write_exports(folder, f"jaxnav tune: {about}", found.params)
     atomic_write(folder / "history.jsonl", "\n".join(to_json(row) for row in found.history) + "\n")
     write_json(folder / "metrics.json", metrics(found))
 

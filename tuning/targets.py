@@ -5,7 +5,7 @@ receiver's measurements the other filter takes, which states it has and which sh
 `tuning.tune` runs a filter like it; then it writes what was found.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from jaxnav.data.formats.kfgins import write_kfgins_gnss, write_kfgins_imu
 from jaxnav.data.start import Start
 from jaxnav.filters.run import track
 from jaxnav.maths import units
-from jaxnav.types import DataError, Params, Recording, Samples
+from jaxnav.types import DataError, ImuLog, Params, Recording, Samples
 from tuning import export
 
 
@@ -30,6 +30,7 @@ class Target(NamedTuple):
     free: tuple[str, ...]  # what of it is worth tuning
     shaped: Callable[[Params], Params]  # a datasheet with its processes
     write: Callable[[Path, Recording, Params, Start], None]  # what was found, into a folder
+    file: str  # the one to begin with
 
 
 def _walks(params: Params) -> Params:
@@ -62,7 +63,7 @@ def _text(name: str, made: Callable[[Params], str]) -> Callable[[Path, Recording
 
 
 def write_kfgins(folder: Path, rec: Recording, params: Params, begin: Start) -> None:
-    """A job that KF-GINS runs as it is: ``kfgins/kf-gins.yaml`` with samples and fixes.
+    """A job that KF-GINS runs as it is, from within the folder: ``KF-GINS kf-gins.yaml``, with samples and fixes.
 
     It knows no delay and no clock: the fixes' times are moved to the IMU's clock, their sd scaled.
 
@@ -71,14 +72,16 @@ def write_kfgins(folder: Path, rec: Recording, params: Params, begin: Start) -> 
     """
     if "position" not in rec.aiding:
         raise DataError(f"{rec.name}: KF-GINS takes positions, and there are none")
-    home = folder / "kfgins"
-    home.mkdir(parents=True, exist_ok=True)
     fixes = rec.aiding["position"]
-    write_kfgins_imu(home / "imu.txt", rec.imu)
+    # it starts from a sample, not from the moment before the first one
+    before = lambda a: np.concatenate([a[:1], a])
+    t, dt, *readings = rec.imu
+    times = np.concatenate([[t[0] - dt[0]], t])
+    write_kfgins_imu(folder / "kfgins_imu.txt", ImuLog(times, before(dt), *(before(a) for a in readings)))
     scaled = fixes.sd * export.axes_of(params.measurements["position"].scale)
     moved = Samples(fixes.t - delay_of(params, begin, fixes.t), fixes.value, scaled, fixes.corr)
-    write_kfgins_gnss(home / "gnss.txt", moved, float(rec.imu.t[0]))
-    atomic_write(home / "kf-gins.yaml", kfgins_config(home, rec, params, begin))
+    write_kfgins_gnss(folder / "kfgins_gnss.txt", moved, float(rec.imu.t[0]))
+    atomic_write(folder / "kf-gins.yaml", kfgins_config(rec, params, begin))
 
 
 def delay_of(params: Params, begin: Start, t: np.ndarray) -> np.ndarray:
@@ -88,8 +91,8 @@ def delay_of(params: Params, begin: Start, t: np.ndarray) -> np.ndarray:
     return late + float(params.mounting.clock_drift) * (t - origin)
 
 
-def kfgins_config(home: Path, rec: Recording, params: Params, begin: Start) -> str:
-    """The text of a kf-gins.yaml beside its data in ``home``."""
+def kfgins_config(rec: Recording, params: Params, begin: Start) -> str:
+    """The text of a kf-gins.yaml that lies beside its data."""
     first = track(begin.navs)
     week = np.floor(rec.imu.t[0] / 604800.0) * 604800.0
     row = lambda values: f"[{', '.join(f'{v:.12g}' for v in np.ravel(values))}]"
@@ -99,7 +102,7 @@ def kfgins_config(home: Path, rec: Recording, params: Params, begin: Start) -> s
     zero = np.zeros(3)
     known = lambda name, unit: row(sd.get(name, zero) / unit)
     lines = [
-        f'imupath: "{home / "imu.txt"}"', f'gnsspath: "{home / "gnss.txt"}"', f'outputpath: "{home}"',
+        "imupath: kfgins_imu.txt", "gnsspath: kfgins_gnss.txt", "outputpath: .",
         "imudatalen: 7", f"imudatarate: {round(1 / float(np.median(rec.imu.dt)))}",
         f"starttime: {begin.t - week:.9f}", "endtime: -1",
         f"initpos: {row(lla)}", f"initvel: {row(vel)}", f"initatt: {row(first.rph[0] / units.DEG)}",
@@ -117,31 +120,31 @@ def kfgins_config(home: Path, rec: Recording, params: Params, begin: Start) -> s
     )
 
 
-FREE: tuple[str, ...] = ("noise", "fixes", "timing")
+WHITE: tuple[str, ...] = ("noise.gyro", "noise.accel", "fixes")
+DRIVES: tuple[str, ...] = ("states.gyro_bias.drive", "states.accel_bias.drive")
+ALL = (*WHITE, *DRIVES, "timing")
+BOTH: tuple[str, ...] = ("position", "velocity")
 TARGETS: dict[str, Target] = {
     "kfgins": Target(
         "positions alone; biases and scale factors of one correlation time; 21 states", "ekf15", ("position",),
-        ("gyro_scale", "accel_scale"), FREE, _one_time, write_kfgins,
+        ("gyro_scale", "accel_scale"), ALL, _one_time, write_kfgins, "kf-gins.yaml",
     ),
     "navego": Target(
-        "position and velocity; biases of the datasheet's kind; 15 states", "ekf15", ("position", "velocity"), (),
-        FREE, lambda params: params, _text("tuned_navego.m", export.navego_fields),
+        "position and velocity; biases of the datasheet's kind; 15 states", "ekf15", BOTH, (), ALL,
+        lambda params: params, _text("tuned_navego.m", export.navego_fields), "tuned_navego.m",
     ),
     "px4": Target(
-        "position and velocity; biases that walk; one number for all axes", "ekf15", ("position", "velocity"), (),
-        FREE, _walks, _text("tuned_px4.params", export.px4_params),
+        "position and velocity; biases that walk", "ekf15", BOTH, (), ALL,
+        _walks, _text("tuned_px4.params", export.px4_params), "tuned_px4.params",
     ),
     "ardupilot": Target(
-        "position and velocity; biases that walk; one number for all axes", "ekf15", ("position", "velocity"), (),
-        FREE, _walks, _text("tuned_ardupilot.parm", export.ardupilot_parm),
+        "position and velocity; biases that walk", "ekf15", BOTH, (), ALL,
+        _walks, _text("tuned_ardupilot.parm", export.ardupilot_parm), "tuned_ardupilot.parm",
     ),
     "robot_localization": Target(
-        "position and velocity, no biases", "ekf9", ("position", "velocity"), (), ("noise", "fixes"),
-        lambda params: params, _text("tuned_robot_localization.yaml", export.robot_localization_yaml),
+        "position and velocity, no biases", "ekf9", BOTH, (), WHITE,
+        lambda params: params,
+        _text("tuned_robot_localization.yaml", export.robot_localization_yaml), "tuned_robot_localization.yaml",
     ),
 }  # fmt: skip
-
-
-def names() -> Sequence[str]:
-    """Of the targets."""
-    return tuple(TARGETS)
+"""What `tune --for` takes: a new one is a row."""

@@ -23,11 +23,11 @@ def run(binary: Path, rec: Recording, params: Params, begin: Start) -> Track:
     """Its solution, every sample."""
     with tempfile.TemporaryDirectory() as folder:
         write_kfgins(Path(folder), rec, params, begin)
-        home = Path(folder) / "kfgins"
-        done = subprocess.run([binary, str(home / "kf-gins.yaml")], capture_output=True, text=True, timeout=LIMIT)
-        if not (home / RESULT).exists():
+        job = [binary.resolve(), "kf-gins.yaml"]
+        done = subprocess.run(job, cwd=folder, capture_output=True, text=True, timeout=LIMIT)
+        if not (Path(folder) / RESULT).exists():
             raise RuntimeError(f"{binary} wrote no solution: {done.stdout[-500:]}{done.stderr[-500:]}")
-        return read_kfgins_nav(home / RESULT)
+        return read_kfgins_nav(Path(folder) / RESULT)
 
 
 def without(rec: Recording, windows: list[tuple[float, float]]) -> Recording:

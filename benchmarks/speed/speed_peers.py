@@ -112,10 +112,11 @@ def python_ins(params: Params, nav: Nav, epochs: Epoch, time_step: float) -> Cal
     log = pd.DataFrame(readings, index=time, columns=util.GYRO_COLS + util.ACCEL_COLS)
     increments = strapdown.compute_increments_from_imu(log, "increment")
     t = time[epochs.imu.dt.shape[1] :: epochs.imu.dt.shape[1]]
-    value, sd = np.asarray(epochs.fix.value), np.asarray(epochs.fix.sd[0])
+    seen = np.asarray(epochs.fix.valid).all(1)
+    value, sd = np.asarray(epochs.fix.value)[seen], np.asarray(epochs.fix.sd[0])
     aiding = [
-        measurements.Position(pd.DataFrame(value[:, :3] * to_pyins, t, util.LLA_COLS), sd[:3][ned]),
-        measurements.NedVelocity(pd.DataFrame(value[:, 3:][:, ned] * flip, t, util.VEL_COLS), sd[3:][ned]),
+        measurements.Position(pd.DataFrame(value[:, :3] * to_pyins, t[seen], util.LLA_COLS), sd[:3][ned]),
+        measurements.NedVelocity(pd.DataFrame(value[:, 3:][:, ned] * flip, t[seen], util.VEL_COLS), sd[3:][ned]),
     ]
     begin = track(jax.tree.map(lambda a: a[None], nav))
     pva = np.concatenate([begin.lla[0] * to_pyins, begin.vel[0][ned] * flip, begin.rph[0] / units.DEG])

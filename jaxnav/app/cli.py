@@ -141,6 +141,8 @@ def make_parser() -> argparse.ArgumentParser:
             sub.add_argument(
                 "--unseen", metavar="A,B", help="scenarios to test on only; --data, --filter take lists too"
             )
+        if verb == "tune":
+            sub.add_argument("--for", metavar="TARGET", dest="target", help="another filter, such as kfgins, px4")
         if verb in ("tune", "mc"):
             sub.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out, bit for bit")
         if verb in SHARED:
@@ -255,6 +257,8 @@ def resolve(args: argparse.Namespace) -> configuration.Config:
         layers.append(("--start, --stop", {"data": span}))
     if getattr(args, "filter", None) is not None:
         layers.append(("--filter", {"filter": {"name": args.filter}}))
+    if getattr(args, "target", None) is not None:
+        layers.append(("--for", {"tune": {"target": args.target}}))
     if getattr(args, "smooth", False):
         layers.append(("--smooth", {"filter": {"smooth": True}}))
     if getattr(args, "lag", None) is not None:

@@ -139,6 +139,7 @@ class Tune:
     starts: int = 1  # starting points side by side, the others drawn about the first
     spread: float = 3.0  # factor that one sd of them is worth
     redraw: bool = False  # new windows, or new simulated runs, at every step
+    target: str = ""  # another filter, tuned as it measures and estimates: kfgins, navego, px4, ardupilot, ...
     more: tuple[str, ...] = ()  # further sources to tune on together, as [data] source
     intervals: bool = True  # say how well the innovations determine what was tuned
     posterior: int = 0  # draws from the posterior by NUTS, needs the extra `bayes`

@@ -1,5 +1,6 @@
 """`jaxnav tune` on recordings, by `tuning.tune`: tempered likelihood, priors, and a verdict."""
 
+import dataclasses
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,10 +15,11 @@ from jaxnav.app.sources import load, scenario_of
 from jaxnav.filters.border import unit_of
 from jaxnav.filters.catalogue import build
 from jaxnav.simulate.scenarios import SCENARIOS
-from jaxnav.types import ConfigError, Recording
+from jaxnav.types import ConfigError, Recording, nearest
 from tuning.free import constant, groups, leaves_of, of_rule, transform_of
 from tuning.recorded import Tuned, tune
 from tuning.report import shown
+from tuning.targets import TARGETS, Target
 from tuning.transforms import LOG
 
 FREE = ("noise", "fixes", "timing")  # where [tune] free is not set: a rule's own numbers stay as they are
@@ -29,7 +31,22 @@ def is_for(config: Config) -> bool:
     own = ("objective", "redraw", "starts", "patience", "over_runs", "clip", "correlated", "tied", "posterior")
     asked = any(getattr(t, name) != getattr(plain, name) for name in own)
     simulated = any(source in SCENARIOS for source in (config.data.source, *t.more))
-    return t.method == "tempered" or (t.method == "auto" and not simulated and not asked)
+    return bool(t.target) or t.method == "tempered" or (t.method == "auto" and not simulated and not asked)
+
+
+def for_target(config: Config, target: Target) -> Config:
+    """The configuration with a target's filter and states, and none of the constraints.
+
+    Raises:
+        ConfigError: settings that are the target's to say.
+    """
+    plain, own = Config(), config.filter
+    for key, value in (("name", target.filter), ("states", target.states)):
+        if getattr(own, key) not in (getattr(plain.filter, key), value):
+            raise ConfigError(f"filter.{key}: tune.target says what filter it is: {target.about}")
+    if config.tune.method not in ("auto", "tempered"):
+        raise ConfigError(f"tune.target goes with the tempered method, not {config.tune.method}")
+    return dataclasses.replace(config, filter=dataclasses.replace(own, name=target.filter, states=target.states))
 
 
 def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
@@ -40,7 +57,12 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
     """
     if config.tune.priors not in ("datasheet", "none"):
         raise ConfigError(f'tune.priors must be "datasheet" or "none", got {config.tune.priors!r}')
-    begin = time.perf_counter()
+    begin, target = time.perf_counter(), None
+    if config.tune.target:
+        if config.tune.target not in TARGETS:
+            raise ConfigError(f"tune.target: no target {config.tune.target!r}: {nearest(config.tune.target, TARGETS)}")
+        target = TARGETS[config.tune.target]
+        config = for_target(config, target)
     name, measurements = pre.filter_name(config), pre.measurements_of(config)
     configs = [config, *(for_source(config, source) for source in config.tune.more)]
     recs = [load(own)[0] for own in configs]
@@ -48,11 +70,14 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
         pre.base_params(own, pre.grade_of(own, scenario_of(own)), rec.lever_arm)
         for own, rec in zip(configs, recs, strict=True)
     ]
+    if target:
+        sheets = [target.shaped(sheet) for sheet in sheets]
+        measurements = tuple(m for m in measurements if m.name in target.measurements)
     params, everywhere = sheets[0], set.intersection(*(set(rec.aiding) for rec in recs))
     chosen = tuple(m for m in measurements if not m.columns or m.name in everywhere or m.name == "velocity")
     filt = build(name, chosen, config.filter.cov_stride, max(2, config.filter.history), states=config.filter.states)
     plain = Tune()
-    named = FREE if config.tune.free == plain.free else config.tune.free
+    named = (target.free if target else FREE) if config.tune.free == plain.free else config.tune.free
     short = groups(chosen, params.states, of_rule(name))
     which = lambda key, names: leaves_of(names, short, params, f"tune.{key}")
     frozen = set(which("frozen", config.tune.frozen))
@@ -66,16 +91,20 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
         recs, filt, sheets, free=free, own=which("own", config.tune.own), widths=widths(config, free, which),
         begin=[pre.start_of(*each) for each in zip(configs, recs, sheets, strict=True)], stop=config.data.stop,
         window=None if config.tune.outage_s == plain.outage_s else config.tune.outage_s,
-        priors=config.tune.priors != "none", standing=pre.standing_of(config),
+        priors=config.tune.priors != "none", extend=target is None, standing=pre.standing_of(config),
         say=stderr if progress else lambda line: None,
     )  # fmt: skip
     seconds["tune"] = time.perf_counter() - begin
     begin = time.perf_counter()
-    found.write(folder, config.filter.states)
+    found.write(folder, config.filter.states, exports=target is None)
+    if target:
+        target.write(folder, recs[0], found.params, found.start)
     if config.out.figures:
         draw(folder, recs[0], found)
     seconds["write"] = time.perf_counter() - begin
     lines = [str(found)]
+    if target:
+        lines.append(f"for {config.tune.target} ({target.about}): {target.file}")
     for rec, used in zip(recs, found.used, strict=True):
         own = [used.begin.how, *rec.notes.splitlines()]
         lines += own if len(recs) == 1 else [f"{rec.name}: {line}" for line in own]

@@ -98,7 +98,10 @@ def numpy_loop(n: int, params: Params, nav: Nav, epochs: Epoch) -> Callable[[], 
 
 
 def python_ins(params: Params, nav: Nav, epochs: Epoch, time_step: float) -> Callable[[], np.ndarray] | None:
-    """`run_feedback_filter` with 15 states; positions before the next epoch begins, (E - 1, 3) rad and m."""
+    """`run_feedback_filter` with 15 states, or 21 where ``params`` have scale factors.
+
+    Positions before the next epoch begins, (E - 1, 3) rad and m.
+    """
     filters, pd = found("pyins.filters"), found("pandas")
     if filters is None or pd is None:
         return None
@@ -122,13 +125,15 @@ def python_ins(params: Params, nav: Nav, epochs: Epoch, time_step: float) -> Cal
     pva = np.concatenate([begin.lla[0] * to_pyins, begin.vel[0][ned] * flip, begin.rph[0] / units.DEG])
     noise, prior = noise_of(params), jax.tree.map(np.asarray, params.prior)
     biases = [params.states[name].sd for name in BIASES]
-    model = lambda bias, white, walk: sensor.EstimationModel(*(float(a) for a in (bias, white, walk)))
+    scale = lambda name: np.diag(np.broadcast_to(params.states[name].sd, 3)) if name in params.states else None
+    model = lambda bias, white, walk, state: sensor.EstimationModel(*map(float, (bias, white, walk)), scale(state))
 
     def call() -> np.ndarray:
         result = filters.run_feedback_filter(
             pd.Series(pva, util.TRAJECTORY_COLS, name=0.0), float(prior.position[0]), float(prior.velocity[0]),
             float(prior.attitude[0]) / units.DEG, float(prior.attitude[2]) / units.DEG, increments,
-            model(biases[0], noise.gyro, noise.gyro_bias), model(biases[1], noise.accel, noise.accel_bias),
+            model(biases[0], noise.gyro, noise.gyro_bias, "gyro_scale"),
+            model(biases[1], noise.accel, noise.accel_bias, "accel_scale"),
             aiding, time_step,
         )  # fmt: skip
         return result.trajectory.loc[t[:-1], util.LLA_COLS].to_numpy() / to_pyins

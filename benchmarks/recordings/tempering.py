@@ -33,7 +33,9 @@ def main(argv: list[str]) -> None:
         rec = read(sources()[name])
         ekf = build("ekf15", measurements=[key for key in ("position", "velocity") if key in rec.aiding], cov_stride=5)
         first = tune(rec, ekf, ekf.params("consumer"))
-        job = Job(first.filter, first.spec, first.used)
+        # the winner may have a state more than the datasheet
+        more = [u._replace(sheet=u.sheet._replace(states=first.params.states | u.sheet.states)) for u in first.used]
+        job = Job(first.filter, first.spec, more)
         number = max(1.0, job.by_scores(job.numbers(first.each)))
         second = tune(rec, ekf, ekf.params("consumer"), observations=number)
         results[name] = {

@@ -32,8 +32,9 @@ from jaxnav.maths import linalg
 from jaxnav.types import Epoch, Info, Nav, Params
 from tuning.transforms import LOG, Spec
 
-SCALES = ("noise.", ".drive", ".scale")  # what a leaf that scales noise begins or ends with
-RANK = 1e-9  # of the largest singular value of a noise's share of Q: below, it is rounding
+ENDS = {"noise": ("gyro", "accel"), "states": ("drive",), "measurements": ("scale", "sd_scale", "sd")}
+"""Last names of the leaves that scale noise, by the part of `Params`; those that may be negative are none of them."""
+RANK = 1e-9  # of the largest eigenvalue of a noise's share of Q: below, it is rounding
 
 
 class Expected(NamedTuple):
@@ -53,9 +54,9 @@ def check(spec: Spec, params: Params) -> None:
     if jax.tree.leaves(params.rule) or jax.tree.leaves(params.feedback):
         raise ValueError("em is for ekf9 and ekf15: other rules change the noise that they use by themselves")
     for name, transform in spec.items():
-        scales = name.startswith(SCALES[0]) or name.endswith(SCALES[1:])
+        scales = name.rpartition(".")[2] in ENDS.get(name.partition(".")[0], ())
         if not scales or transform.forward is not LOG.forward or transform.axes:
-            raise ValueError(f"em tunes what scales noise (noise.*, states.*.drive, measurements.*.scale), not {name}")
+            raise ValueError(f"em tunes what scales noise (noise.*, states.*.drive, sd of measurements), not {name}")
         if transform.belief is not None:
             raise ValueError(f"em takes no priors, {name} has one")
 

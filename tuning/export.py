@@ -192,6 +192,11 @@ EXPORTS: dict[str, Callable[[Params], str]] = {
 
 def write_exports(folder: Path, head: str, params: Params) -> None:
     """Write them all, ``head`` as a comment on top."""
-    for name, made in EXPORTS.items():
-        mark = "%" if name.endswith(".m") else "#"
-        atomic_write(folder / name, f"{mark} {head}\n{made(params)}")
+    for name in EXPORTS:
+        write_export(folder, name, head, params)
+
+
+def write_export(folder: Path, name: str, head: str, params: Params) -> None:
+    """Write one of `EXPORTS`."""
+    mark = "%" if name.endswith(".m") else "#"
+    atomic_write(folder / name, f"{mark} {head}\n{EXPORTS[name](params)}")

@@ -53,11 +53,11 @@ def _one_time(params: Params) -> Params:
     return params._replace(states=states)
 
 
-def _text(name: str, made: Callable[[Params], str]) -> Callable[[Path, Recording, Params, Start], None]:
-    """A writer of one file of settings."""
+def _export(name: str) -> Callable[[Path, Recording, Params, Start], None]:
+    """A writer of one file of `tuning.export.EXPORTS`."""
 
     def write(folder: Path, rec: Recording, params: Params, begin: Start) -> None:
-        atomic_write(folder / name, f"# jaxnav tune: {rec.name}\n{made(params)}")
+        export.write_export(folder, name, f"jaxnav tune --for: {rec.name}", params)
 
     return write
 
@@ -131,20 +131,20 @@ TARGETS: dict[str, Target] = {
     ),
     "navego": Target(
         "position and velocity; biases of the datasheet's kind; 15 states", "ekf15", BOTH, (), ALL,
-        lambda params: params, _text("tuned_navego.m", export.navego_fields), "tuned_navego.m",
+        lambda params: params, _export("tuned_navego.m"), "tuned_navego.m",
     ),
     "px4": Target(
         "position and velocity; biases that walk", "ekf15", BOTH, (), ALL,
-        _walks, _text("tuned_px4.params", export.px4_params), "tuned_px4.params",
+        _walks, _export("tuned_px4.params"), "tuned_px4.params",
     ),
     "ardupilot": Target(
         "position and velocity; biases that walk", "ekf15", BOTH, (), ALL,
-        _walks, _text("tuned_ardupilot.parm", export.ardupilot_parm), "tuned_ardupilot.parm",
+        _walks, _export("tuned_ardupilot.parm"), "tuned_ardupilot.parm",
     ),
     "robot_localization": Target(
         "position and velocity, no biases", "ekf9", BOTH, (), WHITE,
         lambda params: params,
-        _text("tuned_robot_localization.yaml", export.robot_localization_yaml), "tuned_robot_localization.yaml",
+        _export("tuned_robot_localization.yaml"), "tuned_robot_localization.yaml",
     ),
 }  # fmt: skip
 """What `tune --for` takes: a new one is a row."""

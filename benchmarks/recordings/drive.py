@@ -99,12 +99,17 @@ def cut(rec: Recording, constraints: bool, start: float, stop: float | None = No
     return Data(filt, packed.epochs, packed.t, start_at(rec, start) if nav is None else nav)
 
 
+def window_starts(last_fix: float, offset: float, length: float = OUTAGE, every: float = EVERY) -> np.ndarray:
+    """Starts (W,) s of the windows of one phase that lie within the data."""
+    starts = FIRST + offset + every * np.arange(100)
+    return starts[starts + length <= last_fix - LAST]
+
+
 def phase_windows(data: Data, last_fix: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Hidden epochs (phases, E), and of all windows pooled: phase (W,), last epoch (W,), start (W,) s."""
     hidden, phase, end, begin = [], [], [], []
     for p, offset in enumerate(PHASES):
-        starts = FIRST + offset + EVERY * np.arange(100)
-        starts = starts[starts + OUTAGE <= last_fix - LAST]
+        starts = window_starts(last_fix, offset)
         inside, last = epochs.outage_windows(data.t, starts, OUTAGE)
         hidden.append(inside)
         phase.append(np.full(starts.size, p))

@@ -28,12 +28,6 @@ def inside(filt: Filter, params: Params, nav: Nav, data: Epoch, valid: jax.Array
     return found.residual[:, :3], found.P[:, :3, :3] + noise
 
 
-def windows(t: np.ndarray, last_fix: float, length: float, every: float, offset: float) -> np.ndarray:
-    """Starts (W,) s of the windows of one phase that lie within the data."""
-    starts = drive.FIRST + offset + every * np.arange(100)
-    return starts[starts + length <= last_fix - drive.LAST]
-
-
 def scores(data: drive.Data, constraints: bool, by_block: dict[int, Params], last_fix: float) -> dict[str, dict]:
     """By length of the windows: RMS and median over them of the largest error inside, NEES in the middle."""
     chosen, there = drive.measurements(constraints), np.asarray(data.epochs.fix.valid)[:, :2].all(1)
@@ -41,7 +35,7 @@ def scores(data: drive.Data, constraints: bool, by_block: dict[int, Params], las
     for name, (length, every, phases) in WINDOWS.items():
         largest, nees = [], []
         for offset in phases:
-            starts = windows(data.t, last_fix, length, every, offset)
+            starts = drive.window_starts(last_fix, offset, length, every)
             hidden, _ = epochs.outage_windows(data.t, starts, length)
             valid = epochs.hide(data.epochs, hidden, chosen).fix.valid
             block = np.searchsorted(drive.BLOCKS, starts + length / 2)

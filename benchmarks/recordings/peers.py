@@ -216,8 +216,7 @@ def ours_scored(rec: Recording, by_block: dict[int, Params]) -> np.ndarray:
     packed = ep.pack_recording(rec, (POSITION,), drive.START)
     found: dict[float, float] = {}
     for offset in drive.PHASES:
-        starts = drive.FIRST + offset + drive.EVERY * np.arange(100)
-        starts = starts[starts + drive.OUTAGE <= last_fix - drive.LAST]
+        starts = drive.window_starts(last_fix, offset)
         hidden, ends = ep.outage_windows(packed.t, starts, drive.OUTAGE)
         there = np.asarray(packed.epochs.fix.valid)[:, :2].all(1)
         epochs = ep.hide(packed.epochs, hidden, (POSITION,))

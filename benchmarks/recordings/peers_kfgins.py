@@ -56,8 +56,7 @@ def scored(binary: Path, rec: Recording, by_block: dict[int, Params], begin: Sta
     """Horizontal errors (W,) m of all windows, each run with the parameters of its block."""
     fixes, last_fix, found = rec.aiding["position"], float(rec.aiding["position"].t[-1]), {}
     for offset in drive.PHASES:
-        starts = drive.FIRST + offset + drive.EVERY * np.arange(100)
-        starts = starts[starts + drive.OUTAGE <= last_fix - drive.LAST]
+        starts = drive.window_starts(last_fix, offset)
         hidden = without(rec, [(start, start + drive.OUTAGE) for start in starts])
         block = np.searchsorted(drive.BLOCKS, starts + drive.OUTAGE / 2)
         runs: dict[int, Track] = {}

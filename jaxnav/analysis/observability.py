@@ -10,14 +10,14 @@ Process noise is left out, so that what cannot be seen so cannot be seen at all.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.filters.core import Filter, Step, masked
 from jaxnav.filters.run import run
+from jaxnav.maths import linalg
 from jaxnav.states.motion import MOTION
 from jaxnav.states.table import chosen
 from jaxnav.types import Epoch, Info, Nav, Params
@@ -49,7 +49,7 @@ def _seen(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> tuple[jax.Ar
 
     def record(step: Step, epoch: Epoch) -> tuple[jax.Array, jax.Array]:
         _, H, R = masked(*filt.model.observe(params, step.predicted.past, epoch.fix), epoch.fix.valid)
-        return step.transition.Phi, H.T @ jnp.linalg.solve(R, H)
+        return step.transition.Phi, H.T @ linalg.inverse(R) @ H
 
     return run(filt, params, nav, epochs, record, epochs)
 
@@ -57,7 +57,9 @@ def _seen(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> tuple[jax.Ar
 def observability(
     filt: Filter, params: Params, nav: Nav, epochs: Epoch, t: np.ndarray, window: float = 30.0
 ) -> Observability:
-    """How windows of so many seconds see the states of a filter; ``t`` (E,) s are the epochs' ends.
+    """How windows of ``window`` s see the states of a filter on the run from ``nav`` over ``epochs`` (E, ...).
+
+    ``t`` (E,) s are the epochs' ends; what is known before is the diagonal of the filter's P at the start.
 
     The names are of local level; in another frame its own first, second and third axis stand for east, north and up.
 
@@ -87,9 +89,7 @@ def observability(
 def in_words(found: Observability, window: float = 30.0) -> list[str]:
     """How many directions the windows show, and which components none of them does."""
     n, least = len(found.names), found.left.min(0)
-    span = (
-        f"{found.rank.min()}" if found.rank.min() == found.rank.max() else f"{found.rank.min()} to {found.rank.max()}"
-    )
+    span = " to ".join(str(r) for r in sorted({int(found.rank.min()), int(found.rank.max())}))
     lines = [
         f"{found.start.size} windows of {window:g} s show {span} of {n} directions of the state "
         f"(median {np.median(found.rank):.0f})"
@@ -111,15 +111,12 @@ def in_words(found: Observability, window: float = 30.0) -> list[str]:
 
 
 def unseen_in_words(filt: Filter, params: Params, info: Info) -> list[str]:
-    """The optional states that a whole run knows no better at its end than before it."""
-    sd, at, lines = np.sqrt(np.diagonal(np.asarray(info.P[-1]))), 9, []
-    names: list[str] = []
-    for state in chosen(filt.model.states):
-        before: Any = np.broadcast_to(np.asarray(params.states[state.name].sd), (state.size,))
-        for i, axis in enumerate(state.axes):
-            if sd[at + i] > UNSEEN * before[i] > 0:
-                names.append(f"{state.name} {axis}" if state.size > 1 else state.name)
-        at += state.size
-    if names:
-        lines.append(f"this motion did not show {', '.join(names)}: at the end known no better than at the start")
-    return lines
+    """The optional states that a run, ``info`` (E, ...), knows no better at its end than before it; no line or one."""
+    own = chosen(filt.model.states)
+    before = [np.broadcast_to(np.asarray(params.states[s.name].sd), (s.size,)) for s in own]
+    after = np.sqrt(np.diagonal(np.asarray(info.P[-1])))[9:]
+    pairs = zip(state_names(filt)[9:], np.concatenate([np.zeros(0), *before]), after, strict=True)
+    names = [name for name, was, now in pairs if now > UNSEEN * was > 0]
+    if not names:
+        return []
+    return [f"this motion did not show {', '.join(names)}: at the end known no better than at the start"]

@@ -81,9 +81,11 @@ def test_what_em_has_no_step_for_is_named(case):
     for spec, words in (
         ({"mounting.time_offset": LOG}, "not mounting.time_offset"),
         ({"noise.gyro": IDENTITY}, "not noise.gyro"),
+        ({"states.gyro_bias.sd": LOG}, "not states.gyro_bias.sd"),
         ({"noise.gyro": believed(LOG, 1.0, 1.0)}, "noise.gyro has one"),
     ):
         with pytest.raises(ValueError, match=words):
             check(spec, case.params)
+    check({"measurements.nonholonomic.sd": LOG, "measurements.barometer.sd_scale": LOG}, case.params)
     with pytest.raises(ValueError, match="ekf9 and ekf15"):
         check({"noise.gyro": LOG}, case.params._replace(rule=jnp.ones(1)))

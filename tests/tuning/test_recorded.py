@@ -111,7 +111,10 @@ def test_scores_that_come_in_groups_count_once_each(job, monkeypatch, together):
 
     def scores(filt, items, flat, like, sheet, nav, epochs, keep, block, count):
         of_group = rng.normal(size=(count * 3, flat.size)) @ mix
-        each = of_group[block * 3 + np.arange(block.size) % 3 // together] * np.asarray(keep)[:, None]
+        each = (
+            of_group[block * 3 + np.arange(block.size) % 3 // together] + 2.0 * mix[0]
+        )  # not at the largest likelihood
+        each = each * np.asarray(keep)[:, None]
         blocks = np.zeros((count, flat.size))
         np.add.at(blocks, block, each)
         return Information(0.0, each.sum(0), float(keep.sum()) * mix.T @ mix, blocks)

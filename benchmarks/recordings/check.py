@@ -23,6 +23,8 @@ from jaxnav.types import DataError, ImuLog, Recording, Samples
 KNOWN = {  # what is wrong with the recordings as they are
     "rtkexplorer": {"time.drift"},  # the tag stretches the ticks by 290 ppm
     "phone": {"imu.slow"},  # 1 Hz
+    "kth": {"time.jump"},  # one fix half a second early
+    "umn": {"time.jump"},  # 0.22 s, once, of position and velocity alike
 }
 
 

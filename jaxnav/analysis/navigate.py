@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxnav.analysis import evaluate, usage
 from jaxnav.analysis.dense import dense
-from jaxnav.analysis.observability import unseen_in_words
+from jaxnav.analysis.observability import states_in_words
 from jaxnav.data import epochs as ep
 from jaxnav.data import gaps
 from jaxnav.data.bank import bank_jit
@@ -121,9 +121,9 @@ def navigate(
     failure = first_failure(info, packed.t)
     if failure:
         raise ValueError(f"run {rec.name}: {failure}")
+    best = jax.tree.map(lambda a: a[about.best], begin.navs)
     if smooth or lag:
         within = () if smooth else reach_of(packed.t, lag)
-        best = jax.tree.map(lambda a: a[about.best], begin.navs)
         _, info = smooth_jit(filt, params, best, epochs, *within)
     trace = evaluate.trace(info, params)
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
@@ -131,7 +131,7 @@ def navigate(
     order, names, _ = evaluate.channels(chosen)
     remarks = usage.consistency_in_words(trace.info, usage.expected(trace.info, names, order))
     remarks += usage.noise_in_words(rec.imu, params)
-    remarks += unseen_in_words(filt, params, trace.info)
+    remarks += states_in_words(filt, params, best, trace.info)
     remarks += usage.usage_in_words(usage.usage(rec, packed, trace.info, chosen, hidden))
     notes = [begin.how, about.words, *remarks, *rec.notes.splitlines(), gaps.in_words(gaps.holes(rec.imu))]
     return Solution(

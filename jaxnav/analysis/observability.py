@@ -20,8 +20,9 @@ from jaxnav.filters.run import run
 from jaxnav.maths import linalg
 from jaxnav.states.motion import MOTION
 from jaxnav.states.table import chosen
-from jaxnav.types import Epoch, Info, Nav, Params
+from jaxnav.types import Epoch, Info, Nav, Params, StateParams
 
+BEYOND = 3.5  # sd that a state may go from where it started without a sentence
 UNSEEN = 0.9  # of the sd that was known before: what is left where a window or a run shows next to nothing
 ENU = ("east", "north", "up")
 
@@ -110,13 +111,37 @@ def in_words(found: Observability, window: float = 30.0) -> list[str]:
     return lines
 
 
-def unseen_in_words(filt: Filter, params: Params, info: Info) -> list[str]:
-    """The optional states that a run, ``info`` (E, ...), knows no better at its end than before it; no line or one."""
-    own = chosen(filt.model.states)
-    before = [np.broadcast_to(np.asarray(params.states[s.name].sd), (s.size,)) for s in own]
-    after = np.sqrt(np.diagonal(np.asarray(info.P[-1])))[9:]
-    pairs = zip(state_names(filt)[9:], np.concatenate([np.zeros(0), *before]), after, strict=True)
-    names = [name for name, was, now in pairs if now > UNSEEN * was > 0]
-    if not names:
+def states_in_words(filt: Filter, params: Params, nav: Nav, info: Info) -> list[str]:
+    """What a run, ``info`` (E, ...) from ``nav``, found of its optional states that its user should know.
+
+    Those known no better at its end than before it, and those that went where what was known did not expect them.
+    """
+    own, names = chosen(filt.model.states), state_names(filt)[9:]
+    if not own:
         return []
-    return [f"this motion did not show {', '.join(names)}: at the end known no better than at the start"]
+    each = lambda value: np.concatenate([np.broadcast_to(value(s.name), (s.size,)) for s in own])
+    before = each(lambda name: np.asarray(params.states[name].sd))
+    after = np.sqrt(np.diagonal(np.asarray(info.P[-1])))[9:]
+    went = np.abs(each(lambda name: np.asarray(info.nav.errors[name])[-1] - np.asarray(nav.errors.get(name, 0.0))))
+    T = float(info.nav.t[-1] - nav.t)
+    possible = np.sqrt(before**2 + each(lambda name: _driven(params.states[name], T)))
+    lines = []
+    unseen = [name for name, was, now in zip(names, before, after, strict=True) if now > UNSEEN * was > 0]
+    if unseen:
+        lines.append(f"this motion did not show {', '.join(unseen)}: at the end known no better than at the start")
+    far = [
+        f"{name} ({x / sd:.0f} sd)" for name, x, sd in zip(names, went, possible, strict=True) if x > BEYOND * sd > 0
+    ]
+    if far:
+        lines.append(
+            f"found where what was known before the run did not expect it: {', '.join(far)}: another grade of sensor, "
+            "a unit, a sensor that fails, or the error of something that is no state here"
+        )
+    return lines
+
+
+def _driven(state: StateParams, T: float) -> np.ndarray:
+    """Variance by which a Gauss-Markov process has spread after T s."""
+    drive, tau = np.asarray(state.drive), np.asarray(state.tau)
+    size = np.linalg.norm(drive, axis=1) if drive.ndim == 2 else drive
+    return size**2 * np.minimum(T, tau / 2)

@@ -14,6 +14,7 @@ from jaxnav.types import ImuLog, Info, Params, Recording
 SURE = 0.9999  # probability of the bounds, of each channel
 LOUD, ALIKE = 1.25, 0.3  # NIS of all channels, correlation of neighbours, from which on they are worth a sentence
 LOUDER = 5.0  # times the noise that the filter is told, from which on it is worth a sentence
+ALONE = 3.0  # times the noise of the other axes, from which on an axis is named
 MUCH = 0.02  # share of a stream that is left out without a word
 
 
@@ -145,21 +146,29 @@ def consistency_in_words(info: Info, channels: dict[str, Expected]) -> list[str]
 
 
 def noise_in_words(imu: ImuLog, params: Params) -> list[str]:
-    """A sentence where the sensors are louder than the filter is told, even where they are quietest."""
+    """A sentence where the sensors, or an axis, are louder than the filter is told, even where they are quietest."""
     floor = noise_floor(imu)
     if floor is None:
         return []
     lines = []
-    for name, found, nominal, unit, text in (
+    for name, axes, nominal, unit, text in (
         ("gyro", floor[0], params.noise.gyro, units.DEG_PER_SQRT_HOUR, "deg/sqrt(h)"),
         ("accelerometer", floor[1], params.noise.accel, units.UG, "ug/sqrt(Hz)"),
     ):
         size = np.atleast_1d(np.asarray(nominal))
         known = float(np.sqrt(np.mean((np.linalg.norm(size, axis=1) if size.ndim == 2 else size) ** 2)))
+        found, worst = float(np.median(axes)), int(axes.argmax())
+        others = float(np.max(np.delete(axes, worst)))
         if found > LOUDER * known > 0:
             lines.append(
                 f"{name} noise where it is quietest is {found / unit:.3g} {text}, {found / known:.0f} times what the "
                 "filter is told: vibration, another grade, or a unit; see filter.grade, jaxnav check, jaxnav tune"
+            )
+        elif axes[worst] > LOUDER * known > 0 and axes[worst] > ALONE * others:
+            lines.append(
+                f"{name} {'xyz'[worst]} has a noise of {axes[worst] / unit:.3g} {text} where it is quietest, "
+                f"{axes[worst] / known:.0f} times what the filter is told, the other axes at most {others / unit:.3g}: "
+                "a sensor or wire that is failing, or values in coarse steps"
             )
     return lines
 

@@ -75,5 +75,21 @@ def test_a_run_says_what_it_did_not_show(case):
     more = build("ekf15", cov_stride=5, states=("gyro_scale",))
     params = more.params("adis16465")
     epochs = jax.tree.map(lambda a: a[:8], case.packed.epochs)
-    words = obs.unseen_in_words(more, params, run_jit(more, params, case.nav, epochs))
+    words = obs.states_in_words(more, params, case.nav, run_jit(more, params, case.nav, epochs))
     assert len(words) == 1 and "gyro_scale forward" in words[0] and "at the end known no better" in words[0]
+
+
+def test_a_run_says_which_state_went_too_far(case):
+    """A bias of six sd of what is known before is named, one of two sd or one that is told at the start not."""
+    params, epochs = FILTER.params("adis16465"), case.packed.epochs
+    sd = float(params.states["gyro_bias"].sd)
+
+    def said(nav, bias):
+        moved = epochs.imu._replace(gyro=epochs.imu.gyro + np.array([0.0, bias, 0.0]))
+        return " ".join(
+            obs.states_in_words(FILTER, params, nav, run_jit(FILTER, params, nav, epochs._replace(imu=moved)))
+        )
+
+    assert "gyro_bias right (" in said(case.nav, 6 * sd) and "gyro_bias" not in said(case.nav, 2 * sd)
+    known = case.nav._replace(errors=case.nav.errors | {"gyro_bias": np.array([0.0, 6 * sd, 0.0])})
+    assert "gyro_bias" not in said(known, 6 * sd)

@@ -108,3 +108,6 @@ def test_sensors_that_are_louder_than_told_are_named(case):
     assert usage.noise_in_words(quiet, case.params) == []
     loud = usage.noise_in_words(quiet._replace(gyro=20 * quiet.gyro), case.params)
     assert len(loud) == 1 and loud[0].startswith("gyro noise") and 14 < float(loud[0].split(", ")[1].split(" ")[0]) < 23
+    one = quiet.gyro * [1.0, 20.0, 1.0]
+    alone = usage.noise_in_words(quiet._replace(gyro=one), case.params)
+    assert len(alone) == 1 and alone[0].startswith("gyro y") and "the other axes" in alone[0]

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.recordings import check
 from benchmarks.recordings.start import simulated
 from jaxnav.data import magnetic
-from jaxnav.data.checkup import CHECKS, checkup, quick_notes
+from jaxnav.data.checkup import CHECKS, checkup, inertial, quick_notes
 from jaxnav.data.read import read
 from jaxnav.maths import rotations
 from jaxnav.measurements.magnetometer import field
@@ -74,17 +74,48 @@ DAMAGES = {
     "time.offset": check.later(-18.0),
     "mounting.yaw": check.imu(gyro=check.turned, accel=check.turned),
     "time.overlap": check.later(30.0),
+    "time.jump": check.stream("position", t=lambda t: np.where(t > 30.0, t - 0.3, t)),
+    "time.apart": check.stream("velocity", t=lambda t: t - 0.06),
+    "velocity.short": lambda rec: rec._replace(
+        aiding=rec.aiding | {"velocity": Samples(*(a[: a.shape[0] // 2] for a in rec.aiding["velocity"]))}
+    ),
+    "position.sd_jumps": lambda rec: rec._replace(
+        aiding=rec.aiding
+        | {
+            "position": rec.aiding["position"]._replace(
+                sd=rec.aiding["position"].sd
+                * np.random.default_rng(0).uniform(0.6, 1.4, rec.aiding["position"].sd.shape)
+            )
+        }
+    ),
 }
 
 
 @pytest.mark.parametrize("code", DAMAGES)
 def test_what_is_wrong_is_named(car, code):
     part = code.split(".")[0]
-    rows = {"velocity": ("velocity",), "speed": ("speed",), "barometer": ("barometer",), "position": ("fixes",),
-            "imu": ("sampling", "gravity"), "axes": ("gravity",), "gyro": ("axes", "turns"), "accel": ("together",),
-            "mounting": ("together",), "time": ("overlap", "turns"), "compass": ("compass",)}  # fmt: skip
+    rows = {
+        "velocity": ("velocity", "ends"), "speed": ("speed",), "barometer": ("barometer",),
+        "position": ("fixes", "stated"), "imu": ("sampling", "gravity"), "axes": ("gravity",),
+        "gyro": ("axes", "turns"), "accel": ("together",), "mounting": ("together",), "compass": ("compass",),
+        "time": ("overlap", "turns", "rhythm", "apart"),
+    }  # fmt: skip
     found = bad(check.as_floats(DAMAGES[code](car)), *rows[part])
     assert code in found, found
+
+
+def test_coarse_steps_and_a_loud_axis_are_noise_of_that_axis(car):
+    """A step q has at least the noise q / sqrt(12) a sample, moving or not; white noise is that of its axis alone."""
+    root, rng = np.sqrt(np.median(car.imu.dt)), np.random.default_rng(0)
+    coarse = car.imu.gyro.copy()
+    coarse[:, 1] = 0.01 * np.round(coarse[:, 1] / 0.01)
+    assert inertial.resolution(coarse) == pytest.approx([0.0, 0.01, 0.0])
+    floor, _ = inertial.noise_floor(car.imu)
+    again, _ = inertial.noise_floor(car.imu._replace(gyro=coarse))
+    assert again[1] >= 0.999 * root * 0.01 / np.sqrt(12) and again[[0, 2]] == pytest.approx(floor[[0, 2]])
+    loud = car.imu.gyro + np.array([0.0, 0.0, 0.02]) * rng.normal(size=car.imu.gyro.shape)
+    again, _ = inertial.noise_floor(car.imu._replace(gyro=loud))
+    assert again[2] == pytest.approx(0.02 * root, rel=0.1) and again[:2] == pytest.approx(floor[:2], rel=0.2)
 
 
 def test_every_check_answers_where_there_is_little_or_nothing(car):

@@ -13,7 +13,7 @@ from jaxnav import data as io
 from jaxnav.analysis import evaluate, usage
 from jaxnav.analysis.dense import dense
 from jaxnav.analysis.navigate import execute
-from jaxnav.analysis.observability import unseen_in_words
+from jaxnav.analysis.observability import states_in_words
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import interactive
 from jaxnav.analysis.tables import table
@@ -87,9 +87,8 @@ def filter(config: Config, folder: Path) -> Outcome:
     jax.block_until_ready(info)
     seconds["filter"], begin = time.perf_counter() - begin, time.perf_counter()
     check(info, case.packed.t, case.recording.name)
-    lag = config.filter.lag_s
+    best, lag = jax.tree.map(lambda a: a[taken.best], case.navs), config.filter.lag_s
     if config.filter.smooth or lag:
-        best = jax.tree.map(lambda a: a[taken.best], case.navs)
         epochs = hide(case.packed.epochs, hidden, case.measurements)
         try:
             within = () if config.filter.smooth else reach_of(case.packed.t, lag)
@@ -108,7 +107,7 @@ def filter(config: Config, folder: Path) -> Outcome:
     found |= usage.as_json(uses, channels)
     found["remarks"] = usage.consistency_in_words(sol.info, channels) + usage.usage_in_words(uses)
     found["remarks"] += usage.noise_in_words(case.recording.imu, case.params)
-    found["remarks"] += unseen_in_words(case.filter, case.params, sol.info)
+    found["remarks"] += states_in_words(case.filter, case.params, best, sol.info)
     if found.get("scored_share", 1.0) < ENOUGH:
         found["remarks"].append(f"truth tells {found['scored_share']:.0%} of the epochs: errors are of these alone")
     unused = sorted(set(case.recording.aiding) - {m.name for m in case.measurements})
@@ -117,7 +116,6 @@ def filter(config: Config, folder: Path) -> Outcome:
     found |= {"start": case.begun.how, "notes": [note for note in notes if note]}
     whole = (sol.track, sol.sd)
     if config.out.imu_rate:
-        best = jax.tree.map(lambda a: a[taken.best], case.navs)
         epochs = hide(case.packed.epochs, hidden, case.measurements)
         whole = dense(case.filter, case.params, best, epochs, config.filter.smooth, lag)
     write_solution(config, folder, *whole, case)

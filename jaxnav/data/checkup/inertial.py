@@ -102,18 +102,34 @@ def noise(rec: Recording) -> list[Finding]:
     floor = noise_floor(rec.imu)
     if floor is None:
         return []
-    gyro, accel = floor[0] / units.DEG_PER_SQRT_HOUR, floor[1] / units.UG
+    gyro, accel = np.median(floor[0]) / units.DEG_PER_SQRT_HOUR, np.median(floor[1]) / units.UG
     words = f"noise where it is quiet: gyro {gyro:.2g} deg/sqrt(h), accelerometer {accel:.3g} ug/sqrt(Hz)"
     return [Finding("imu.noise", words)]
 
 
-def noise_floor(imu: ImuLog) -> tuple[float, float] | None:
-    """Root PSD of gyro rad/s/sqrt(Hz) and accelerometer m/s^2/sqrt(Hz) where it is quiet; None of too few samples."""
+def noise_floor(imu: ImuLog) -> tuple[np.ndarray, np.ndarray] | None:
+    """Root PSD (3,) of gyro rad/s/sqrt(Hz) and accelerometer m/s^2/sqrt(Hz) where it is quiet; None of too few samples.
+
+    An axis that is told in coarse steps has at least the noise of rounding: step / sqrt(12) a sample.
+    """
     if imu.t.size < 40:
         return None
     rows, n = quiet(imu)
     if n < 10 or len(rows) < 3:
         return None
     root = np.sqrt(float(np.median(imu.dt)))
-    spread = lambda a: float(np.median(np.diff(a[rows], axis=1).std(1) / np.sqrt(2)) * root)
-    return spread(imu.gyro), spread(imu.accel)
+    spread = lambda a: np.median(np.diff(a[rows], axis=1).std(1) / np.sqrt(2), 0)
+    own = lambda a: root * np.maximum(spread(a), resolution(a) / np.sqrt(12))
+    return own(imu.gyro), own(imu.accel)
+
+
+def resolution(values: np.ndarray) -> np.ndarray:
+    """The step (c,) in which columns (K, c) are told: the smallest difference of two values; 0 if they vary freely."""
+    steps = []
+    for column in values.T:
+        size = float(np.abs(column).max())
+        levels = np.unique(column)
+        gaps = np.diff(levels)
+        gaps = gaps[gaps > 1e-9 * size]  # two ways of writing one value
+        steps.append(float(gaps.min()) if gaps.size and 4 * levels.size < column.size else 0.0)
+    return np.array(steps)

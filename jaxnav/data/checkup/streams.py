@@ -7,6 +7,7 @@ from jaxnav.types import Recording
 
 SPAN = 2.0  # s, over which positions are differenced
 UNITS = {"km/h": 3.6, "knots": 1.943844, "feet per second": 3.28084, "mm/s": 1000.0, "cm/s": 100.0}
+JUMPY = 1.15  # times: the step of a stated sd from one fix to the next, in the median
 AXES = np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]])
 
 
@@ -151,17 +152,17 @@ def fixes(rec: Recording) -> list[Finding]:
     return found
 
 
-def overlap(rec: Recording) -> list[Finding]:
-    """How much of each stream lies within the IMU's time."""
-    first, last = rec.imu.t[0], rec.imu.t[-1]
+def stated(rec: Recording) -> list[Finding]:
+    """What fixes state as their sd, from one to the next: receivers are slow to change their mind."""
     found = []
-    for name, s in rec.aiding.items():
-        share = float(np.mean((s.t >= first) & (s.t <= last)))
-        covered = float((min(last, s.t[-1]) - max(first, s.t[0])) / max(last - first, 1e-9))
-        if share < 0.9 or covered < 0.5:
-            words = (
-                f"{100 * share:.0f} % of {name} lies in the IMU's time, and covers {100 * max(covered, 0):.0f} % of it"
-            )
-            means = "another zero of time, another time scale, or another drive"
-            found.append(Finding("time.overlap", words, means, share < 0.9))
+    for name in ("position", "velocity"):
+        s = rec.aiding.get(name)
+        if s is None or s.t.size < 20:
+            continue
+        steps = np.median(np.abs(np.diff(np.log(np.maximum(s.sd, 1e-12)), axis=0)), 0)
+        worst = int(steps.argmax())
+        if steps[worst] > np.log(JUMPY):
+            axis, factor = ("east", "north", "up")[worst], float(np.exp(steps[worst]))
+            words = f"the sd that {name} states {axis} changes by a factor of {factor:.2g} a fix (median)"
+            found.append(Finding(f"{name}.sd_jumps", words, "another column, or a damaged one", True))
     return found

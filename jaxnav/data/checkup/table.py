@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from jaxnav.data.checkup import compass, inertial, motion, streams
+from jaxnav.data.checkup import compass, inertial, motion, streams, times
 from jaxnav.data.checkup.finding import Finding
 from jaxnav.types import Recording
 
@@ -20,8 +20,12 @@ CHECKS: dict[str, Check] = {
     "axes": Check(inertial.axes),
     "gravity": Check(inertial.gravity),
     "noise": Check(inertial.noise),
-    "overlap": Check(streams.overlap),
+    "overlap": Check(times.overlap),
+    "ends": Check(times.ends),
+    "rhythm": Check(times.rhythm),
+    "apart": Check(times.apart),
     "fixes": Check(streams.fixes),
+    "stated": Check(streams.stated),
     "velocity": Check(streams.velocity),
     "speed": Check(streams.speed),
     "barometer": Check(streams.barometer),

@@ -1,0 +1,97 @@
+"""Times of the streams: against the IMU's, against one another, and each against its own rhythm."""
+
+import numpy as np
+
+from jaxnav.data.checkup.finding import Finding
+from jaxnav.types import Recording
+
+PAIR = ("position", "velocity")  # of one solution, so of one time
+EVEN = 0.02  # of an interval: how closely a stream keeps its rhythm, and
+OFF = 0.1  # how far off it is worth a sentence
+APART = 0.05  # of an interval between two streams of one receiver
+SHORT = 0.75  # of the time of position, below which the other stream ends, or begins, too soon
+
+
+def ends(rec: Recording) -> list[Finding]:
+    """Of position and velocity, one that covers much less time than the other."""
+    if not set(PAIR) <= set(rec.aiding):
+        return []
+    spans = {name: rec.aiding[name].t[[0, -1]] for name in PAIR}
+    short, long = sorted(PAIR, key=lambda name: float(np.ptp(spans[name])))
+    late, early = (spans[short] - spans[long]) * [1, -1]
+    if np.ptp(spans[short]) >= SHORT * np.ptp(spans[long]):
+        return []
+    least = 0.1 * np.ptp(spans[long])
+    parts = [
+        f"begins {late:.1f} s after" if late > least else "",
+        f"ends {early:.1f} s before" if early > least else "",
+    ]
+    words = f"{short} {' and '.join(filter(None, parts))} {long}"
+    return [Finding(f"{short}.short", words, "a file that is cut: what lies beyond has one of the two alone", True)]
+
+
+def rhythm(rec: Recording) -> list[Finding]:
+    """A stream at even intervals that leaves its rhythm once or twice, by less than an interval."""
+    found = []
+    for name, (usual, t) in _even(rec).items():
+        off = _beside(np.diff(t) / usual)
+        odd = np.flatnonzero(np.abs(off) > OFF)
+        if 0 < odd.size <= 3:
+            k = odd[np.abs(off[odd]).argmax()]
+            words = (
+                f"{name} comes every {usual:.3g} s, but at t = {t[k + 1]:.2f} s by {abs(off[k]) * usual:.2g} s too "
+                f"{'late' if off[k] > 0 else 'early'}{f', and {odd.size - 1} more' if odd.size > 1 else ''}"
+            )
+            found.append(Finding("time.jump", words, "its clock jumped, or the receiver began anew", True))
+    return found
+
+
+def apart(rec: Recording) -> list[Finding]:
+    """Position and velocity at the same even intervals, one always beside the other."""
+    even = _even(rec)
+    if len(even) < 2:
+        return []
+    (usual, t), (other, tv) = (even[name] for name in PAIR)
+    after = t - tv[np.searchsorted(0.5 * (tv[1:] + tv[:-1]), t)]  # the nearest
+    near = after[np.abs(after) < 0.6 * usual]
+    if abs(usual / other - 1) > 1e-3 or near.size < 10:
+        return []
+    middle = float(np.median(near))
+    if abs(middle) < APART * usual or np.mean(np.abs(near - middle) < EVEN * usual) < 0.5:
+        return []
+    words = f"position comes {abs(middle):.2g} s {'after' if middle > 0 else 'before'} velocity, every time"
+    means = "one receiver gives both at once: the times of one are other than they say"
+    return [Finding("time.apart", words, means, True)]
+
+
+def _even(rec: Recording) -> dict[str, tuple[float, np.ndarray]]:
+    """Interval and times of position and velocity, where they keep a rhythm."""
+    found = {}
+    for name in PAIR:
+        s = rec.aiding.get(name)
+        if s is not None and s.t.size >= 20:
+            usual = float(np.median(np.diff(s.t)))
+            if np.mean(np.abs(_beside(np.diff(s.t) / usual)) < EVEN) >= 0.9:
+                found[name] = (usual, s.t)
+    return found
+
+
+def _beside(intervals: np.ndarray) -> np.ndarray:
+    """What is beside whole intervals."""
+    return intervals - np.round(intervals)
+
+
+def overlap(rec: Recording) -> list[Finding]:
+    """How much of each stream lies within the IMU's time."""
+    first, last = rec.imu.t[0], rec.imu.t[-1]
+    found = []
+    for name, s in rec.aiding.items():
+        share = float(np.mean((s.t >= first) & (s.t <= last)))
+        covered = float((min(last, s.t[-1]) - max(first, s.t[0])) / max(last - first, 1e-9))
+        if share < 0.9 or covered < 0.5:
+            words = (
+                f"{100 * share:.0f} % of {name} lies in the IMU's time, and covers {100 * max(covered, 0):.0f} % of it"
+            )
+            means = "another zero of time, another time scale, or another drive"
+            found.append(Finding("time.overlap", words, means, share < 0.9))
+    return found

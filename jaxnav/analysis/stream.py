@@ -2,21 +2,24 @@
 
 A fix belongs to its time and not to its arrival. The stream keeps the states after the last fixes, the samples and the
 fixes of the last ``lag`` seconds; whatever arrives in between is put into its place, and the epochs after it are run
-again, as `jaxnav.data.epochs.pack` would have cut them. So order and delay of what arrives make no difference, to the
-bit, and the solution is that of a batch but for the rounding of another program. Between two fixes navigation of *now*
-is predicted from the last epoch's end.
+again, as `jaxnav.data.epochs.pack` would have cut them. So order and delay of what arrives make no difference, and the
+solution is that of a batch, to the bit where both are compiled for epochs of about as many samples. Between two fixes
+navigation of *now* is predicted from the last epoch's end.
 """
 
 import io
 import json
 import math
+from bisect import bisect_right
 from collections import Counter
 from functools import partial
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from jaxnav.data import epochs as ep
 from jaxnav.data import gaps
@@ -55,8 +58,15 @@ class Committed(NamedTuple):
 
 
 @partial(jax.jit, static_argnums=0)
-def _advance(filt: Filter, params: Params, state: FilterState, epoch: Epoch) -> FilterState:
-    return filt.advance(params, state, epoch).after
+def _advance(filt: Filter, params: Params, state: FilterState, epoch: Epoch, once: int) -> FilterState:
+    """The state after an epoch, in a loop that is gone through once.
+
+    XLA writes the body of a loop as it does in `jaxnav.filters.run.run`, so that both round alike; of a loop whose
+    length it knew it would keep the body alone.
+    """
+    only = jax.tree.map(lambda a: jnp.asarray(a)[None], epoch)
+    one = lambda i, s: filt.advance(params, s, jax.tree.map(lambda a: a[i], only)).after
+    return lax.fori_loop(0, once, one, state)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -75,7 +85,8 @@ class Stream:
 
     ``filt``: as of `jaxnav.build`. ``params``: its parameters. ``begin``: as of `jaxnav.start`, with one heading.
     ``interval``: s, length of epochs without a fix, as `navigate` takes it. ``lag``: s, how late a fix may come.
-    ``rate``, ``span``: Hz of the IMU and s of running that the history for latencies is to cover.
+    ``rate``: Hz of the IMU, for which its programs are compiled. ``span``: s of running that the history for latencies
+    is to cover.
 
     Raises:
         ValueError: a start with several headings; params in float32.
@@ -95,6 +106,7 @@ class Stream:
         require_x64(self.params)
         self.filter = filt.keeping(history_for(self.params, rate, span)) if filt.keeping else filt
         self.interval, self.lag, self.rate, self.span = interval, lag, rate, span
+        self.usual = 4 * math.ceil((rate * interval + 2) / 4)  # samples of an epoch, its ends cut into two
         self.slices = layout(tuple(MEASUREMENTS[name] for name in filt.model.measurements))
         self.refused: Counter[str] = Counter()  # what was not used, by stream and reason
         nav = jax.tree.map(lambda a: a[0], begin.navs)
@@ -104,9 +116,9 @@ class Stream:
         self.fixes: list[tuple[float, str, np.ndarray, np.ndarray, np.ndarray]] = []  # t, name, value, sd, corr
         self.holes: list[tuple[float, float, float, float]] = []  # begin, end, root PSD of gyro and accelerometer
         self.t = begin.t  # s, of the last sample
-        for size in (_size(0), 1):  # every program is compiled now, not at the first sample or fix
+        for size in (self.usual, 1):  # every program is compiled now, not at the first sample or fix
             self._present(first.state, _nothing(size))
-        jax.block_until_ready(_advance(self.filter, self.params, first.state, self._epoch(begin.t, begin.t, False)))
+        jax.block_until_ready(_advance(self.filter, self.params, first.state, self._epoch(begin.t, begin.t, False), 1))
 
     # ------------------------------------------------------------------------ what comes in
 
@@ -214,13 +226,18 @@ class Stream:
         while (cut := self._next()) is not None:
             end, fixed = cut
             last = self.kept[-1]
-            state = _advance(self.filter, self.params, last.state, self._epoch(last.t, end, fixed))
+            state = _advance(self.filter, self.params, last.state, self._epoch(last.t, end, fixed), 1)
             anchor, count = (end, 0) if fixed else (last.anchor, last.empty + 1)
             self.kept.append(Committed(end, anchor, count, state))
         self._forget()
         last = self.kept[-1]
-        left = self._between(last.t, self.t)
-        self._present(last.state, left)
+        left, state = self._between(last.t, self.t), last.state
+        count = int(np.count_nonzero(left.dt))
+        size = self.usual if count > 1 else 1
+        for first in range(0, max(count, 1), size):
+            part: Any = (a[first : first + size] for a in left)
+            self._present(state, Imu(*part))
+            state = self.ahead
 
     def _next(self) -> tuple[float, bool] | None:
         """End of the next epoch, and whether a fix ends it; None where it is not complete."""
@@ -249,17 +266,15 @@ class Stream:
         return Epoch(imu, Fix(*fix), gap)
 
     def _between(self, begin: float, end: float) -> Imu:
-        """The samples between two times, padded to a size that few programs share."""
-        first = len(self.samples)
-        while first and self.samples[first - 1][0] > begin + ep.TICK:
-            first -= 1
+        """The samples between two times, padded to a multiple of what is usual: each size is a program of its own."""
+        first = bisect_right(self.samples, begin + ep.TICK, key=itemgetter(0))
         rows = [row for row in self.samples[first:] if row[0] - row[1] < end - ep.TICK]
         if not rows or end <= begin + ep.TICK:
-            return _nothing(_size(0))
+            return _nothing(self.usual)
         table = np.array(rows)
         log = ImuLog(table[:, 0], table[:, 1], table[:, 2:5], table[:, 5:8])
         dt, gyro, accel = (a[0] for a in ep.cut_imu(log, begin, np.array([end])))
-        more = _size(dt.size) - dt.size
+        more = -dt.size % self.usual
         hold = lambda a: np.concatenate([a, np.repeat(a[-1:], more, 0)])
         samples: Any = (np.concatenate([dt, np.zeros(more)]), hold(gyro), hold(accel))
         return Imu(*samples)
@@ -278,7 +293,7 @@ class Stream:
         begin = self.kept[0].t
         self.fixes = [each for each in self.fixes if each[0] > begin - SAME]
         self.holes = [each for each in self.holes if each[1] > begin]
-        first = next((i for i, row in enumerate(self.samples) if row[0] > begin + ep.TICK), len(self.samples))
+        first = bisect_right(self.samples, begin + ep.TICK, key=itemgetter(0))
         del self.samples[: max(0, min(first, len(self.samples) - RECENT))]
 
     # ------------------------------------------------------------------------ a restart
@@ -341,11 +356,6 @@ class Stream:
         except Exception as error:  # whatever a damaged archive raises
             raise DataError(f"the bytes are no stream of jaxnav: {error}") from error
         return stream
-
-
-def _size(n: int) -> int:
-    """Samples that an epoch is padded to: few sizes, for each is a program of its own."""
-    return max(32, 4 ** math.ceil(math.log(max(n, 1), 4)))
 
 
 def _nothing(size: int) -> Imu:

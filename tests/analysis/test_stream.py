@@ -1,11 +1,16 @@
 """A filter sample by sample is the batch, in whatever order things arrive, and nothing brings it down."""
 
+import os
+import subprocess
+import sys
+import textwrap
+
 import jax
 import numpy as np
 import pytest
 
 from jaxnav import build, navigate, start
-from jaxnav.analysis.stream import Stream
+from jaxnav.analysis.stream import Stream, _advance, _predict
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start
 from jaxnav.filters.run import run_jit
@@ -15,14 +20,16 @@ from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import DataError
 
 
-@pytest.fixture(scope="module")
-def drive():
+def driven():
     """A recording with an outage, where it can start, a filter and its parameters."""
     what = URBAN_SHORT._replace(duration_s=60.0, gnss=URBAN_SHORT.gnss._replace(outages_s=((30.0, 36.0),)))
     rec = to_recording(simulate_jit(what, jax.random.key(2)), what)
     ekf = build("ekf15", cov_stride=5)
     params = ekf.params("consumer")
     return rec, ekf, params, start(rec, params)
+
+
+drive = pytest.fixture(scope="module", name="drive")(driven)
 
 
 def events(rec, begin, names=("position", "velocity")):
@@ -49,10 +56,14 @@ def same(a, b):
 
 
 def test_it_is_the_batch(drive):
-    """At every epoch, those without a fix in the outage among them, to the rounding of two programs."""
+    """At every epoch, those without a fix in the outage among them; nothing is compiled on the way.
+
+    To rounding: this suite compiles without most optimizations. As users run it, it is to the bit, see below.
+    """
     rec, ekf, params, begin = drive
     sol = navigate(rec, ekf, params, begin=begin)
-    stream, seen = Stream(ekf, params, begin), {}
+    stream, seen = Stream(ekf, params, begin, rate=25.0), {}
+    compiled = _advance._cache_size(), _predict._cache_size()
     packed, nav = ep.pack_recording(rec, GNSS, begin.t), jax.tree.map(lambda a: a[0], begin.navs)
     batch = run_jit(
         stream.filter, begin.given(params), nav, ep.of_shared_size(packed.epochs), lambda step, _: step.after
@@ -68,9 +79,35 @@ def test_it_is_the_batch(drive):
         np.testing.assert_allclose(mine.past.pos, its.past.pos, rtol=1e-14)
         for a, b in zip(jax.tree.leaves(mine), jax.tree.leaves(its), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-11 * max(1.0, np.abs(b).max()))
+    assert compiled == (_advance._cache_size(), _predict._cache_size())
     assert stream.now.t == pytest.approx(sol.t[-1]) and stream.now.ok and not stream.refused
     np.testing.assert_allclose(stream.now.lla, sol.lla[-1], rtol=1e-12)
     np.testing.assert_allclose(stream.now.sd, sol.sd[-1], rtol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("emitters", ["", "--xla_cpu_use_fusion_emitters=false"], ids=["library", "command line"])
+def test_it_is_the_batch_to_the_bit(emitters):
+    """In a process of its own, compiled as users' programs are."""
+    env = os.environ | {"XLA_FLAGS": emitters, "JAX_PLATFORMS": "cpu"}
+    code = """
+        import jax, numpy as np, jaxnav
+        jaxnav.enable_x64()
+        from tests.analysis import test_stream as t
+        rec, ekf, params, begin = t.driven()
+        stream, ends = t.Stream(ekf, params, begin, rate=25.0), {}
+        for row in t.events(rec, begin.t):
+            t.feed(stream, rec, [row])
+            ends |= {round(each.t, 6): each.state for each in stream.kept}
+        packed, nav = t.ep.pack_recording(rec, t.GNSS, begin.t), jax.tree.map(lambda a: a[0], begin.navs)
+        epochs = t.ep.of_shared_size(packed.epochs)
+        batch = t.run_jit(stream.filter, begin.given(params), nav, epochs, lambda step, _: step.after)
+        rows = [i for i, when in enumerate(packed.t) if round(float(when), 6) in ends]
+        assert len(rows) >= packed.t.size - 1, len(rows)
+        for i in rows:
+            t.same(ends[round(float(packed.t[i]), 6)], jax.tree.map(lambda a: a[i], batch))
+    """
+    subprocess.run([sys.executable, "-c", textwrap.dedent(code)], env=env, check=True, timeout=300)
 
 
 def test_late_fixes_in_any_order_end_where_those_on_time_do(drive):

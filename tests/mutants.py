@@ -84,7 +84,10 @@ def nearest(path: Path) -> list[list[str]]:
         for t in sorted((ROOT / "tests").rglob("test_*.py"))
         if t.stem in (f"test_{path.stem}", f"test_{path.stem.rstrip('s')}") or module in t.read_text()
     ]
-    return [*([near] if near else []), [str(folder), "tests/test_contract.py", "tests/replay", "tests/faults"]]
+    return [
+        *([near] if near else []),
+        [str(folder), "tests/test_contract.py", "tests/test_contract_rows.py", "tests/replay", "tests/faults"],
+    ]
 
 
 def killed(work: Path, path: Path) -> str:

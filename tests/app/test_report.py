@@ -45,7 +45,9 @@ def test_without_bokeh_the_pictures_are_in_it(tmp_path, monkeypatch):
     assert "data:image/png;base64," in page and "a &lt;run&gt; of 3 m" in page and "jaxnav[report]" in page
 
 
-def test_what_cannot_be_drawn_is_a_warning_and_parameters_are_a_table(tmp_path, capsys):
+def test_what_cannot_be_drawn_is_a_warning_and_parameters_are_a_table(tmp_path, capsys, monkeypatch):
+    monkeypatch.undo()  # of conftest.py
+
     def fails():
         raise ValueError("no colour")
 

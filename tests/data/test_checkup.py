@@ -136,3 +136,18 @@ def test_a_read_says_what_looks_wrong(car, tmp_path):
     write_recording(tmp_path / "wrong", DAMAGES["velocity.swapped"](car))
     assert "look" not in read(tmp_path / "right").notes
     assert "east and north look swapped" in read(tmp_path / "wrong").notes
+
+
+def test_the_overview_draws_every_stream(car):
+    """A row a stream, and lines of finite values in all other panels."""
+    from jaxnav.analysis.plots.checkup import overview
+
+    first, *others = overview(car).axes
+    assert [tick.get_text() for tick in first.get_yticklabels()] == ["imu", *car.aiding]
+    for ax in others:
+        lines = ax.get_lines()
+        assert lines and all(np.isfinite(line.get_ydata()).any() for line in lines), ax.get_title()
+    down = next(line for line in others[-1].get_lines() if line.get_label() == "down")
+    assert len(down.get_xdata()) == car.imu.t.size // 100  # means over a second, at its end
+    second = car.imu.accel[:100, 2].mean()
+    assert (down.get_xdata()[0], down.get_ydata()[0]) == pytest.approx((car.imu.t[99], second))

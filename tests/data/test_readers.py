@@ -216,6 +216,7 @@ def test_ros2_bags_of_both_storages(tmp_path, storage):
     np.testing.assert_allclose(rec.imu.accel, expected.imu.accel)
     np.testing.assert_allclose(np.diff(rec.imu.t), 0.01, atol=1e-9)
     assert set(rec.aiding) == {"position", "velocity", "magnetometer", "barometer"}
+    assert " is /" not in rec.notes  # which topic of several: there is one of each
     np.testing.assert_allclose(rec.aiding["position"].value[0], expected.aiding["position"].value[0])
     np.testing.assert_allclose(rec.aiding["velocity"].value[0], expected.aiding["velocity"].value[0])
     np.testing.assert_allclose(rec.aiding["magnetometer"].value[0], [20.0, -5.0, 40.0])

@@ -155,6 +155,8 @@ def test_a_small_circle_closes_and_a_snake_comes_back_to_its_line():
     np.testing.assert_allclose(np.linalg.norm(motion.vel, axis=1), 10)
     assert np.abs(motion.rph[:, 2]).max() == pytest.approx(60 * units.DEG)
     assert rate.rph[:, 2].max() == pytest.approx(60 * units.DEG * 2 * np.pi / 60)
+    banked, rate = watched(shape_of(SShape(10.0, 60.0, 60.0, banked=True), KEY, 1.0), np.linspace(0, 60, 241))
+    np.testing.assert_allclose(np.tan(banked.rph[:, 0]) * units.G0, 10 * rate.rph[:, 2], atol=1e-12)  # balanced
     east = quick(lambda: travel(snake, START, 0.5, 30, 4, where))().ends[1][:, 1] - START[1]
     assert abs(east[-1]) < 1e-3 * abs(east[0])  # after a whole period
 

@@ -160,7 +160,8 @@ ROWS = {
     "magnetometer_bias": Row(("magnetometer_bias",), {"magnetometer": 1.0}),
     "declination_error": Row(("declination_error",), {"magnetometer": 1.0}), "wind": Row(("wind",), {"airspeed": 0.5}),
     "heading": Row((), {"heading": 0.01}), "baseline": Row((), {"baseline": 0.01}), "course": Row((), {"course": 0.05}),
-    "yaw_rate": Row((), {"yaw_rate": 0.01}),
+    "yaw_rate": Row((), {"yaw_rate": 0.01}), "wheels": Row((), {"wheels": 0.1}),
+    "ground_height": Row(("ground_height",), {"rangefinder": 0.1}),
 }  # fmt: skip
 """Further states and sensors, one study each."""
 

@@ -139,6 +139,8 @@ def _check(config: Config, scenario: Scenario) -> None:
         raise ConfigError("filter: constraints are tuned on recordings: simulate one, and tune with --data FOLDER")
     if config.start.heading == "unknown":
         raise ConfigError('start.heading = "unknown" cannot be tuned: give degrees, "course" or "truth"')
+    if scenario.sensors or scenario.sensor_states:
+        raise ConfigError("data.options.sensors: tuned on recordings: simulate one, and tune with --data FOLDER")
     start, own = config.start, scenario.start
     if own.prior_tilt_sd_deg > start.tilt_sd_deg or own.prior_heading_sd_deg > start.heading_sd_deg:
         raise ConfigError("start: tilt_sd_deg and heading_sd_deg must not be below the scenario's own")

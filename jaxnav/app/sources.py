@@ -12,11 +12,16 @@ from jaxnav.app.config import Config
 from jaxnav.data.read import read
 from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.run import require_x64
+from jaxnav.measurements import MEASUREMENTS
 from jaxnav.simulate.keys import Purpose, run_key
+from jaxnav.simulate.readings import equipped
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import Simulated, simulate, sizes, to_recording
 from jaxnav.states.grades import GRADES
+from jaxnav.states.table import BIASES, chosen
 from jaxnav.types import ConfigError, DataError, Recording, nearest
+
+EQUIPMENT = 5  # folded into a run's key, beside the purposes of `jaxnav.simulate.simulation`
 
 
 def scenario_of(config: Config) -> Scenario | None:
@@ -48,6 +53,10 @@ def _with(scenario: Scenario, key: str, value: Any) -> Scenario:
     name, groups = f"data.options.{key}", [g for g in scenario._fields if hasattr(getattr(scenario, g), "_fields")]
     owners = {field: group for group in groups for field in getattr(scenario, group)._fields}
     plain = [field for field in scenario._fields if field not in groups and field not in ("name", "faults")]
+    if key == "sensors":
+        return scenario._replace(sensors=_sensors(name, value))
+    if key == "sensor_states":
+        return scenario._replace(sensor_states=_states(name, value))
     if key == "faults" and value == []:
         return scenario._replace(faults=())
     if key == "faults":
@@ -58,6 +67,30 @@ def _with(scenario: Scenario, key: str, value: Any) -> Scenario:
         raise ConfigError(f"{name}: unknown for a scenario: {nearest(key, [*plain, *owners])}")
     group = getattr(scenario, owners[key])
     return scenario._replace(**{owners[key]: group._replace(**{key: _like(name, value, getattr(group, key))})})
+
+
+def _sensors(name: str, value: Any) -> tuple[tuple[str, float], ...]:
+    """Sensors by name with the sd of their noise, in the order of the table of measurements."""
+    own = [m.name for m in MEASUREMENTS.values() if m.columns]
+    if not isinstance(value, dict):
+        raise ConfigError(f"{name} must be like {{barometer = 0.5}}, sd by measurement, got {value!r}")
+    for sensor, sd in value.items():
+        if sensor not in own:
+            raise ConfigError(f"{name}: no sensor {sensor!r}: {nearest(sensor, own)}")
+        if isinstance(sd, bool) or not isinstance(sd, (int, float)) or not 0 < sd < 1e6:
+            raise ConfigError(f"{name}.{sensor}: the sd of its noise must be a positive number, got {sd!r}")
+    return tuple((each, float(value[each])) for each in own if each in value)
+
+
+def _states(name: str, value: Any) -> tuple[str, ...]:
+    if not isinstance(value, (list, tuple)) or not all(isinstance(each, str) for each in value):
+        raise ConfigError(f"{name} must be names of states, got {value!r}")
+    try:
+        chosen(value)
+    except ValueError as error:
+        raise ConfigError(f"{name}: {error}") from error
+    known = [each for each in value if each not in BIASES]
+    return tuple(known)
 
 
 def _like(name: str, value: Any, default: Any) -> Any:
@@ -110,6 +143,8 @@ def load(config: Config) -> tuple[Recording, Simulated | None]:
     if scenario is not None:
         sims = simulated(scenario, run_key(config.seed, Purpose.SINGLE, 0)[None])
         sim = jax.tree.map(lambda a: a[0], sims)
+        if scenario.sensors or scenario.sensor_states:
+            sim = equipped(sim, scenario, jax.random.fold_in(run_key(config.seed, Purpose.SINGLE, 0), EQUIPMENT))
         return to_recording(sim, scenario), sim
     if data.source in io.DATASETS:
         try:

@@ -45,12 +45,16 @@ def _rate(name: str) -> tuple[Column, ...]:
     return (((f"{name}_radps", 1.0), (f"{name}_degps", DEG)),)
 
 
+SIDES = ("left", "right")
+
 # by measurement name: columns of value, sd, correlation
 STREAMS: dict[str, tuple[tuple[Column, ...], tuple[Column, ...], tuple[Column, ...]]] = {
     "position": (LLA, tuple(((f"sd_{a}_m", 1.0),) for a in "enu"), CORR),
     "velocity": (VELOCITY, tuple(((f"sd_{a}_mps", 1.0),) for a in "enu"), CORR),
     "speed": (((("speed_mps", 1.0),),), ((("sd_mps", 1.0),),), ()),
     "airspeed": (((("airspeed_mps", 1.0),),), ((("sd_mps", 1.0),),), ()),
+    "wheels": (tuple(((f"{a}_mps", 1.0),) for a in SIDES), tuple(((f"sd_{a}_mps", 1.0),) for a in SIDES), ()),
+    "rangefinder": (((("range_m", 1.0),),), ((("sd_m", 1.0),),), ()),
     "barometer": (((("height_m", 1.0),),), ((("sd_m", 1.0),),), ()),
     "magnetometer": (tuple(((f"{a}_ut", 1.0),) for a in AXES), tuple(((f"sd_{a}_ut", 1.0),) for a in AXES), ()),
     "heading": (_angle("heading"), _angle("sd"), ()),

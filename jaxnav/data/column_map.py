@@ -30,11 +30,12 @@ KEYS: dict[str, tuple[str, ...]] = {
     "truth": (*COMMON, *"lla enu ned ecef unit h_unit velocity_enu velocity_ned velocity_ecef rph rph_unit".split()),
     "magnetometer": (*COMMON, "value", "unit", "axes", "sd"),
     "baseline": (*COMMON, *"enu ned unit sd sd_enu sd_ned".split()),
+    "wheels": (*COMMON, "left", "right", "unit", "radius", "sd"),
 }
 SCALAR = (*COMMON, "value", "unit", "sd")  # of every other stream
 QUANTITIES = {  # of a stream of one column, and the unit that it is in by default; others are speeds
-    "barometer": ("length", "m"), "heading": ("angle", "deg"), "course": ("angle", "deg"),
-    "yaw_rate": ("rate", "rad/s"),
+    "barometer": ("length", "m"), "rangefinder": ("length", "m"), "heading": ("angle", "deg"),
+    "course": ("angle", "deg"), "yaw_rate": ("rate", "rad/s"),
 }  # fmt: skip
 
 
@@ -138,10 +139,7 @@ def _counted_from(parts: Parts, zero: int) -> Parts:
 
 def _stream(files: Files, table: dict, name: str) -> Stream:
     known(table, KEYS.get(name, SCALAR), f"{files.map}: {name}")
-    build = {"position": _position, "velocity": _velocity, "magnetometer": _field, "baseline": _baseline}.get(
-        name, _scalar
-    )
-    value = build(files, table, name)
+    value = BUILD.get(name, _scalar)(files, table, name)
     t = times_of(files, table, name)
     side_by_side(files, [t, value[:, 0]], name)
     keep = rows_of(files, table, name, len(t))
@@ -200,16 +198,39 @@ def _baseline(files: Files, table: dict, name: str) -> np.ndarray:
     return ned_to_enu(value) if key == "ned" else value
 
 
+def _wheels(files: Files, table: dict, name: str) -> np.ndarray:
+    where = f"{files.map}: {name}"
+    if "left" not in table or "right" not in table:
+        raise DataError(f"{where}: expected the keys left and right")
+    value = np.column_stack([_mean(files, table, table[side], name) for side in ("left", "right")])
+    if "radius" not in table:
+        return value * units.factor(table, "unit", "speed", where, "m/s")
+    radius = table["radius"]
+    if not isinstance(radius, (int, float)) or isinstance(radius, bool) or not radius > 0:
+        raise DataError(f"{where}: radius: expected metres, got {radius!r}")
+    return value * radius * units.factor(table, "unit", "rate", where, "rad/s")
+
+
+def _mean(files: Files, table: dict, refs: Any, name: str) -> np.ndarray:
+    """A column, or the mean of several, as of the wheels of an axle."""
+    columns = [column_of(files, table, ref, name) for ref in (refs if isinstance(refs, list) else [refs])]
+    return side_by_side(files, columns, name).mean(axis=1)
+
+
 def _scalar(files: Files, table: dict, name: str) -> np.ndarray:
     if "value" not in table:
         raise DataError(f"{files.map}: {name}: expected a key value")
-    refs = table["value"] if isinstance(table["value"], list) else [table["value"]]
-    columns = [column_of(files, table, ref, name) for ref in refs]
-    value = side_by_side(files, columns, name).mean(axis=1)  # of several, as the wheels of an axle
+    value = _mean(files, table, table["value"], name)
     if name == "barometer" and table.get("unit") in units.PRESSURE:
         return units.pressure_height(value * units.PRESSURE[table["unit"]])[:, None]
     kind, default = QUANTITIES.get(name, ("speed", "m/s"))
     return value[:, None] * units.factor(table, "unit", kind, f"{files.map}: {name}", default)
+
+
+BUILD = {
+    "position": _position, "velocity": _velocity, "magnetometer": _field, "baseline": _baseline, "wheels": _wheels,
+}  # fmt: skip
+"""What makes the values of a stream; of every other one `_scalar`."""
 
 
 def _truth(files: Files, table: dict) -> Track:

@@ -264,6 +264,12 @@ def stationary(imu: ImuLog, t: np.ndarray, window: float, accel_sd: float, gyro_
     True where the standard deviations of specific force (m/s^2) and rate (rad/s) over the window, each the root sum of
     squares of the axes, are below the thresholds and the whole window is covered by data.
     """
+    covered, accel, gyro = spreads(imu, t, window)
+    return covered & (accel < accel_sd) & (gyro < gyro_sd)
+
+
+def spreads(imu: ImuLog, t: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `stationary` goes by at ``t``: is the window covered (E,), sd of specific force and of rate in it (E,)."""
     sums = lambda a: np.concatenate([np.zeros((1, 3)), np.cumsum(a, 0)])
     last = np.searchsorted(imu.t, t + TICK)
     first = np.searchsorted(imu.t, t - window + TICK)
@@ -278,7 +284,7 @@ def stationary(imu: ImuLog, t: np.ndarray, window: float, accel_sd: float, gyro_
     time = np.concatenate([[0.0], np.cumsum(imu.dt)])
     # all but a sample's length at either end; a hole in the stream may hold anything
     covered = (time[last] - time[first] >= window - 2 * float(np.median(imu.dt))) & (last - first >= 2)
-    return covered & (spread(imu.accel) < accel_sd) & (spread(imu.gyro) < gyro_sd)
+    return covered, spread(imu.accel), spread(imu.gyro)
 
 
 def driving(velocity: Samples, t: np.ndarray) -> np.ndarray:

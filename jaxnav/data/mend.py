@@ -27,7 +27,9 @@ ASSUMED_SD: dict[str, tuple[float, ...]] = {
     "velocity": (0.3, 0.3, 0.6),  # m/s, ENU
     "speed": (0.3,),  # m/s
     "airspeed": (1.0,),  # m/s
+    "wheels": (0.1, 0.1),  # m/s, left, right
     "barometer": (1.0,),  # m
+    "rangefinder": (0.2,),  # m
     "magnetometer": (3.0, 3.0, 3.0),  # uT
     "heading": (0.1,),  # rad
     "baseline": (0.02, 0.02, 0.04),  # m, ENU

@@ -4,10 +4,11 @@ from jaxnav.measurements.air import AIRSPEED, SIDESLIP
 from jaxnav.measurements.barometer import BAROMETER
 from jaxnav.measurements.direction import BASELINE, COURSE, HEADING, YAW_RATE
 from jaxnav.measurements.gnss import POSITION, VELOCITY
+from jaxnav.measurements.ground import RANGEFINDER
 from jaxnav.measurements.magnetometer import MAGNETOMETER
 from jaxnav.measurements.measurement import Measurement, clock_offset, counted_from, layout
 from jaxnav.measurements.standstill import ZERO_RATE, ZERO_VELOCITY
-from jaxnav.measurements.vehicle import NONHOLONOMIC, SPEED
+from jaxnav.measurements.vehicle import NONHOLONOMIC, SPEED, WHEELS
 
 MEASUREMENTS: dict[str, Measurement] = {
     each.name: each
@@ -18,7 +19,9 @@ MEASUREMENTS: dict[str, Measurement] = {
         ZERO_RATE,
         NONHOLONOMIC,
         SPEED,
+        WHEELS,
         BAROMETER,
+        RANGEFINDER,
         MAGNETOMETER,
         HEADING,
         BASELINE,

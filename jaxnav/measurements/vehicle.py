@@ -24,25 +24,39 @@ class SpeedParams(NamedTuple):
     scale: Leaf  # () scale error; 0 is none
 
 
-def vehicle_velocity(mounting: Mounting, nav: Nav, kin: Kinematics) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Velocity of the wheel point in vehicle axes (forward, right, down), (3,), and its rows (3, k)."""
+class WheelsParams(NamedTuple):
+    """Of the wheels of two sides."""
+
+    sd_scale: Leaf  # () factor on their own sd
+    scale: Leaf  # () scale error; 0 is none
+    track: Leaf  # () m, between the two
+
+
+def vehicle_velocity(
+    mounting: Mounting, nav: Nav, kin: Kinematics, offset: jax.Array | None = None
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """Velocity of the wheel point in vehicle axes (forward, right, down), (3,), and its rows (3, k).
+
+    ``offset`` (3,) m, vehicle axes: of a point that moves along with it.
+    """
     angles = mounting.vehicle + nav.errors.get("vehicle_axes", jnp.zeros(2))
 
     def axes(angles: jax.Array) -> jax.Array:
         turn = jnp.concatenate([jnp.zeros(1), angles])
         return rotations.to_dcm(rotations.exp(turn)).T  # body -> vehicle
 
-    M = axes(angles)
+    M, offset = axes(angles), jnp.zeros(3) if offset is None else offset
     v_b = kin.C.T @ kin.vel + jnp.cross(nav.omega, mounting.wheel_arm)
+    seen = lambda M: M @ v_b + jnp.cross(M @ nav.omega, offset)
     # d(C' v) = C' (dv + [v x] phi); d(w x l) = -[l x] dw
     rows = {
         "velocity": M @ kin.C.T,
         "attitude": M @ kin.C.T @ rotations.skew(kin.vel),
-        "gyro": -M @ rotations.skew(mounting.wheel_arm),
+        "gyro": -M @ rotations.skew(mounting.wheel_arm) - rotations.skew(offset) @ M,
     }
     if "vehicle_axes" in nav.errors:
-        rows |= {"vehicle_axes": jax.jacfwd(lambda a: axes(a) @ v_b)(angles)}
-    return M @ v_b, rows
+        rows |= {"vehicle_axes": jax.jacfwd(lambda a: seen(axes(a)))(angles)}
+    return seen(M), rows
 
 
 def observe_nonholonomic(
@@ -55,10 +69,21 @@ def observe_nonholonomic(
 
 def observe_speed(theta: SpeedParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
     """(1 + scale) v_forward - y, where the state ``odometer_scale`` is a part of the scale."""
-    v, rows = vehicle_velocity(mounting, nav, kin)
+    return _rolled(theta, [vehicle_velocity(mounting, nav, kin)], nav, fix)
+
+
+def observe_wheels(theta: WheelsParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """Likewise of both sides: v_forward + w_z b / 2 on the left, less it on the right; b is the track."""
+    sides = [jnp.stack([jnp.zeros(()), side * 0.5 * theta.track, jnp.zeros(())]) for side in (-1.0, 1.0)]
+    return _rolled(theta, [vehicle_velocity(mounting, nav, kin, side) for side in sides], nav, fix)
+
+
+def _rolled(theta: SpeedParams | WheelsParams, points: list, nav: Nav, fix: Fix) -> Observation:
+    """What wheels at points, (velocity, rows) of `vehicle_velocity`, read forward."""
     scale = 1 + theta.scale + nav.errors.get("odometer_scale", jnp.zeros(1))[0]
-    rows = {name: row[:1] * scale for name, row in rows.items()} | {"odometer_scale": v[:1, None]}
-    return Observation(v[:1] * scale - fix.value, rows, fix.sd, theta.sd_scale)
+    v = jnp.stack([velocity[0] for velocity, _ in points])
+    rows = {name: scale * jnp.stack([rows[name][0] for _, rows in points]) for name in points[0][1]}
+    return Observation(v * scale - fix.value, rows | {"odometer_scale": v[:, None]}, fix.sd, theta.sd_scale)
 
 
 NONHOLONOMIC = Measurement(
@@ -73,3 +98,9 @@ SPEED = Measurement(
     columns=("speed_mps",),
 )  # fmt: skip
 """Wheel speed: value forward m/s, its own sd."""
+WHEELS = Measurement(
+    "wheels", ("left", "right"), observe_wheels, WheelsParams(1.0, 0.0, 1.0),
+    WheelsParams(Unit("wheels_sd_scale"), Unit("wheels_scale", step=0.02), Unit("wheels_track_m", text="m", step=0.02)),
+    states=("vehicle_axes", "odometer_scale"), columns=("left_mps", "right_mps"),
+)  # fmt: skip
+"""Speed of the wheels of both sides, none of which steers: value (2,) forward m/s, left and right, their own sd."""

@@ -9,15 +9,20 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
+from jaxnav.filters.parameters import datasheet_states
 from jaxnav.maths import earth, rotations
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.measurements.measurement import Kinematics
 from jaxnav.simulate.processes import gauss_markov, normal
-from jaxnav.simulate.simulation import Simulated
+from jaxnav.simulate.scenarios import Scenario
+from jaxnav.simulate.simulation import Simulated, matched_params
+from jaxnav.states.grades import GRADES
 from jaxnav.states.sensors import OTHER
 from jaxnav.states.state import State
 from jaxnav.states.table import chosen
 from jaxnav.types import Fix, Nav, Params, StateParams
+
+WALKING = 1.5  # m/s
 
 
 def expected(measurement: Measurement, params: Params, truth: Nav) -> jax.Array:
@@ -32,6 +37,21 @@ def expected(measurement: Measurement, params: Params, truth: Nav) -> jax.Array:
         return measurement.observe(theta, params.mounting, nav, kin, at_it).y
 
     return jax.vmap(one)(truth)
+
+
+def equipped(sim: Simulated, scenario: Scenario, key: jax.Array) -> Simulated:
+    """The run with the further states and sensors of the scenario; what to expect of both is their rows' defaults.
+
+    A course is not told below `WALKING` m/s.
+    """
+    params = matched_params(scenario)
+    further = [name for name in scenario.sensor_states if name not in params.states]
+    params = params._replace(states=params.states | datasheet_states(GRADES[scenario.imu.grade], further))
+    sim = with_states(sim, params, scenario.sensor_states, jax.random.fold_in(key, 0))
+    for i, (name, sd) in enumerate(scenario.sensors, 1):
+        least = WALKING if name == "course" else 0.0
+        sim = with_sensor(sim, params, name, sd, jax.random.fold_in(key, i), least)
+    return sim
 
 
 def with_sensor(

@@ -44,6 +44,10 @@ class Scenario(NamedTuple):
     gnss: Receiver = Receiver()
     faults: tuple[Fault, ...] = ()
     start: Start = Start()
+    # beside IMU and receiver, of one run (`jaxnav.simulate.readings.equipped`): names of measurements and the sd of
+    # their noise in SI, read at every fix's time and in outages; names of further states, drawn from their priors
+    sensors: tuple[tuple[str, float], ...] = ()
+    sensor_states: tuple[str, ...] = ()
 
 
 # ---------------------------------------------------------------------------- drives in town

@@ -13,6 +13,7 @@ from jaxnav.data import start as alignment
 from jaxnav.filters.parameters import datasheet_params, late, mounting
 from jaxnav.filters.run import require_x64, track
 from jaxnav.maths import earth, rotations, units
+from jaxnav.measurements import GNSS, MEASUREMENTS, layout
 from jaxnav.simulate import gnss, imu
 from jaxnav.simulate.processes import normal
 from jaxnav.simulate.scenarios import PATTERN, Scenario, Start
@@ -183,10 +184,13 @@ def to_recording(sim: Simulated, scenario: Scenario, t0: float = 0.0) -> Recordi
     log = ImuLog(t0 + host.start.t + np.arange(1, flat[0].size + 1) / scenario.imu_rate_hz, *flat)
     fix, t = host.epochs.fix, t0 + host.truth.t
     aiding = {}
-    for name, s in (("position", slice(0, 3)), ("velocity", slice(3, 6))):
+    sensors = (*GNSS, *(MEASUREMENTS[name] for name, _ in scenario.sensors))
+    for name, s in layout(m for m in sensors if m.columns or m.receiver).items():
         seen = fix.valid[:, s].all(1)
         aiding[name] = Samples(t[seen], fix.value[seen, s], fix.sd[seen, s], fix.corr[seen, s])
-    navs = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), sim.start, sim.truth)
+    navs = jax.tree.map(
+        lambda a, b: jnp.concatenate([a[None], b]), *(n._replace(errors={}) for n in (sim.start, sim.truth))
+    )
     truth = track(navs)
     truth = Track(t0 + truth.t, *truth[1:])
     return Recording(scenario.name, log, aiding, truth, np.array(scenario.gnss.lever_arm_m, float), "simulated")

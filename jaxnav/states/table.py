@@ -15,7 +15,7 @@ from jaxnav.states.misalignment import ACCEL_MISALIGNMENT, GYRO_MISALIGNMENT
 from jaxnav.states.motion import MOTION
 from jaxnav.states.scale_factors import ACCEL_SCALE, GYRO_SCALE
 from jaxnav.states.state import State
-from jaxnav.states.surroundings import DECLINATION_ERROR, MAGNETOMETER_BIAS, WIND
+from jaxnav.states.surroundings import DECLINATION_ERROR, GROUND_HEIGHT, MAGNETOMETER_BIAS, WIND
 from jaxnav.types import nearest
 
 STATES: dict[str, State] = {
@@ -37,6 +37,7 @@ STATES: dict[str, State] = {
         MAGNETOMETER_BIAS,
         DECLINATION_ERROR,
         WIND,
+        GROUND_HEIGHT,
     )
 }
 BIASES = ("gyro_bias", "accel_bias")

@@ -1,5 +1,6 @@
 """A recording against itself: what is wrong is named, what is right is left alone."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -7,9 +8,14 @@ from benchmarks.recordings import check
 from benchmarks.recordings.start import simulated
 from jaxnav.data import magnetic
 from jaxnav.data.checkup import CHECKS, checkup, inertial, quick_notes
+from jaxnav.data.checkup.standstill import standstill
+from jaxnav.data.epochs import Standing, stationary
 from jaxnav.data.read import read
 from jaxnav.maths import rotations
+from jaxnav.maths.units import DEG
 from jaxnav.measurements.magnetometer import field
+from jaxnav.simulate.scenarios import URBAN
+from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import ImuLog, Recording, Samples
 
 
@@ -151,3 +157,29 @@ def test_the_overview_draws_every_stream(car):
     assert len(down.get_xdata()) == car.imu.t.size // 100  # means over a second, at its end
     second = car.imu.accel[:100, 2].mean()
     assert (down.get_xdata()[0], down.get_ydata()[0]) == pytest.approx((car.imu.t[99], second))
+
+
+def test_the_detector_of_standstills_is_set_by_what_the_receiver_says():
+    """A car that stands with its engine on: thresholds between what the IMU shows at rest and in motion."""
+    scenario = URBAN._replace(motion=URBAN.motion._replace(standstill_s=60.0), duration_s=200.0)
+    rec = to_recording(simulate_jit(scenario, jax.random.key(4)), scenario)
+    rng = np.random.default_rng(0)
+    shaken = rec.imu.accel + 0.5 * rng.normal(size=rec.imu.accel.shape)  # 0.87 m/s^2 in all, always
+    rec = rec._replace(imu=rec.imu._replace(accel=shaken))
+    accel, gyro = standstill(rec)
+    assert 0.8 < accel.value < 1.8 and "% of them and 0." in gyro.words
+    t = np.arange(5.0, 198.0)
+    found = stationary(rec.imu, t, 1.0, accel.value, gyro.value * DEG)
+    speed = np.interp(t, rec.truth.t, np.linalg.norm(rec.truth.vel, axis=1))
+    assert found[t < 59].mean() > 0.9 and found[speed > 0.5].mean() < 0.03
+    assert not stationary(rec.imu, t, *Standing()).any()  # the default takes the engine for motion
+    assert standstill(rec._replace(aiding={})) == []
+
+
+def test_no_threshold_where_rest_looks_like_motion(car):
+    """An IMU that shakes more than the vehicle moves tells nothing."""
+    scenario = URBAN._replace(motion=URBAN.motion._replace(standstill_s=60.0), duration_s=200.0)
+    rec = to_recording(simulate_jit(scenario, jax.random.key(4)), scenario)
+    rng = np.random.default_rng(1)
+    loud = ImuLog(rec.imu.t, rec.imu.dt, *(rng.normal(size=(rec.imu.t.size, 3)) * [1, 1, 1] for _ in range(2)))
+    assert [f.code for f in standstill(rec._replace(imu=loud))] == ["standstill"]

@@ -316,3 +316,20 @@ def test_the_page_names_every_reader_and_extra():
     for row in READERS:
         assert row.name.split()[-1] in page
         assert not row.extra or f"`{row.extra}`" in page
+
+
+def test_wheels_of_both_sides_in_metres_or_turns_and_a_range(folder):
+    """Left and right, each a column or the mean of an axle's; angles by the radius."""
+    rows = "\n".join(f"{11 + 0.1 * k},{10 + k},{12 + k},20,3" for k in range(5))
+    (folder / "w.csv").write_text(f"t,fl,rl,r,d\n{rows}\n")
+    head = '[wheels]\nfile = "w.csv"\ntime = "t"\nleft = ["fl", "rl"]\nright = "r"\n'
+    below = '[rangefinder]\nfile = "w.csv"\ntime = "t"\nvalue = "d"\nunit = "ft"\n'
+    rec = mapped(folder, IMU + head + 'unit = "km/h"\n' + below)
+    np.testing.assert_allclose(rec.aiding["wheels"].value, np.column_stack([11 + np.arange(5.0), np.full(5, 20)]) / 3.6)
+    np.testing.assert_allclose(rec.aiding["rangefinder"].value[:, 0], 0.9144)
+    turning = mapped(folder, IMU + head + 'radius = 0.3\nunit = "deg/s"\n').aiding["wheels"]
+    np.testing.assert_allclose(turning.value[:, 1], 20 * DEG * 0.3)
+    for text, said in ((head + "radius = -1\n", "wheels: radius: expected metres, got -1"),
+                       (head.replace("left", "unit"), "wheels")):  # fmt: skip
+        with pytest.raises(DataError, match=said):
+            mapped(folder, IMU + text)

@@ -9,7 +9,7 @@ import pytest
 
 from jaxnav import data as io
 from jaxnav.data.axes import rotation
-from jaxnav.data.formats import dataflash
+from jaxnav.data.formats import dataflash, ulog
 from jaxnav.data.read import READERS, read, read_parts, recognise
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
@@ -180,6 +180,44 @@ def test_dataflash_text_is_the_binary(tmp_path):
     np.testing.assert_allclose(text.aiding["velocity"].value, binary.aiding["velocity"].value)
 
 
+def test_dataflash_rangefinders_that_look_down_and_headings_of_two_antennas(tmp_path):
+    lines = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+             "FMT, 130, 60, IMU, Qffffff, TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ",
+             "FMT, 131, 60, RFND, QBfBBb, TimeUS,Instance,Dist,Stat,Orient,Quality",
+             "FMT, 132, 60, GPS, QBLLeffff, TimeUS,Status,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw"]  # fmt: skip
+    lines += [f"IMU, {10_000 * k}, 0.0, 0.0, 0.0, 0.0, 0.0, -9.8" for k in range(1, 500)]
+    seen = [(1.5, 4, 25), (1.6, 2, 25), (9.0, 4, 0), (1.7, 4, 25)]  # distance, status, orientation
+    lines += [f"RFND, {1_000_000 + 100_000 * k}, 0, {d}, {s}, {o}, 100" for k, (d, s, o) in enumerate(seen)]
+    lines += [
+        f"GPS, {1_000_000 + 200_000 * k}, 3, 48.0, 11.0, 500.0, 0.0, 0.0, 0.0, {y}" for k, y in enumerate((0, 90))
+    ]
+    (tmp_path / "a.log").write_text("\n".join(lines) + "\n")
+    aiding = read_parts(tmp_path / "a.log").aiding
+    np.testing.assert_allclose(aiding["rangefinder"].value[:, 0], [1.5, 1.7])
+    np.testing.assert_allclose(aiding["rangefinder"].t, [1.0, 1.3])
+    np.testing.assert_allclose(aiding["heading"].value, [[np.pi / 2]])
+    np.testing.assert_allclose(aiding["heading"].t, [1.2])
+
+
+def test_ulog_topics_of_heading_range_and_wheels():
+    """As pyulog gives them; nothing writes a ULog."""
+    stamp = np.array([1_000_000, 1_100_000, 1_200_000], np.uint64)
+    gps = {"timestamp": stamp, "heading": np.array([np.nan, 1.0, 2.0]), "heading_accuracy": np.array([0, 0.02, np.nan])}
+    heading = ulog._heading({"sensor_gps": gps})
+    np.testing.assert_allclose(heading.t, [1.1, 1.2])
+    np.testing.assert_allclose(heading.value[:, 0], [1.0, 2.0])
+    np.testing.assert_allclose(heading.sd[:, 0], [0.02, np.nan])
+    assert ulog._heading({"sensor_gps": {"timestamp": stamp}}) is None
+    one = np.ones(3)
+    down = {"timestamp": stamp, "current_distance": np.array([2.0, 50.0, 3.0]), "min_distance": 0.1 * one,
+            "max_distance": 40.0 * one, "variance": 0.04 * one, "orientation": np.full(3, 25)}  # fmt: skip
+    found = ulog._rangefinder({"distance_sensor": down})
+    np.testing.assert_allclose(found.value[:, 0], [2.0, 3.0])
+    np.testing.assert_allclose(found.sd[:, 0], 0.2)
+    bad = down | {"signal_quality": np.array([0, 100, -1])}
+    np.testing.assert_allclose(ulog._rangefinder({"distance_sensor": bad}).value[:, 0], [3.0])
+
+
 # ---------------------------------------------------------------------------- ROS
 
 
@@ -216,6 +254,10 @@ def test_ros2_bags_of_both_storages(tmp_path, storage):
     np.testing.assert_allclose(rec.imu.accel, expected.imu.accel)
     np.testing.assert_allclose(np.diff(rec.imu.t), 0.01, atol=1e-9)
     assert set(rec.aiding) == {"position", "velocity", "magnetometer", "barometer"}
+    assert "/below is not read: if it is a sensor that looks down" in rec.notes
+    below = read(tmp_path / "bag", topics={"rangefinder": "/below"}).aiding["rangefinder"]
+    np.testing.assert_allclose(below.value[:, 0], 7.0)
+    assert below.t.size == rec.aiding["barometer"].t.size - 1  # one is beyond its reach
     assert " is /" not in rec.notes  # which topic of several: there is one of each
     np.testing.assert_allclose(rec.aiding["position"].value[0], expected.aiding["position"].value[0])
     np.testing.assert_allclose(rec.aiding["velocity"].value[0], expected.aiding["velocity"].value[0])
@@ -272,6 +314,9 @@ def messages(kinds: dict, extra: dict):
         stamp = kinds["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
         return kinds["std_msgs/msg/Header"](stamp=stamp, frame_id="base", **extra)
 
+    fields = kinds["sensor_msgs/msg/Range"].__dataclass_fields__
+    more = {"variance": 0.0} if "variance" in fields else {}  # of newer ones
+
     def vector(v):
         return kinds["geometry_msgs/msg/Vector3"](*(float(x) for x in v))
 
@@ -285,6 +330,8 @@ def messages(kinds: dict, extra: dict):
         yield t, "/vel", kinds["geometry_msgs/msg/TwistStamped"](header(t), twist)
         field = vector(np.array([20.0, 5.0, -40.0]) * 1e-6)
         yield t, "/mag", kinds["sensor_msgs/msg/MagneticField"](header(t), field, np.zeros(9))
+        far = 7.0 if t > expected.aiding["position"].t[0] else 99.0
+        yield t, "/below", kinds["sensor_msgs/msg/Range"](header(t), 1, 0.1, 0.2, 40.0, far, **more)
         yield t, "/air", kinds["sensor_msgs/msg/FluidPressure"](header(t), 1e5, 0.0)
 
 
@@ -301,6 +348,10 @@ def write_ubx(path: Path, rows: int = 8) -> None:
             lat=48.1 + 1e-5 * k, lon=11.5,
             height=500000, hMSL=450000, hAcc=1500, vAcc=2500, velN=1000, velE=2000, velD=-300, sAcc=120,
         ).serialize()  # fmt: skip
+        out += pyubx2.UBXMessage(
+            "NAV", "NAV-RELPOSNED", pyubx2.GET, version=1, iTOW=345600000 + 250 * k, relPosHeading=11.25 + k,
+            accHeading=0.5, relPosValid=1, relPosHeadingValid=k != 3, isMoving=k != 4,
+        ).serialize()  # fmt: skip
     path.write_bytes(out)
 
 
@@ -316,6 +367,10 @@ def test_ubx_against_what_was_written(tmp_path):
     np.testing.assert_allclose(position.sd[0], [1.5, 1.5, 2.5])
     np.testing.assert_allclose(velocity.value[0], [2.0, 1.0, 0.3])
     np.testing.assert_allclose(velocity.sd[0], 0.12)
+    heading = parts.aiding["heading"]  # 3 says that it is none, of 4 the base stands
+    np.testing.assert_allclose(heading.t, 1700092800.0 + 0.25 * np.array([0, 1, 2, 5, 6, 7]), atol=1e-6)
+    np.testing.assert_allclose(heading.value[:, 0] / DEG, 11.25 + np.array([0, 1, 2, 5, 6, 7]), atol=2e-5)
+    np.testing.assert_allclose(heading.sd[0], 0.5 * DEG)
 
 
 def nmea(*bodies: str) -> str:
@@ -335,8 +390,11 @@ def test_nmea_over_midnight_with_and_without_gst(tmp_path):
             "GPGGA,235959.00,4807.0380,N,01131.0000,W,1,08,0.9,545.4,M,46.9,M,,",
             "GPGST,235959.00,1.0,,,,2.0,3.0,4.0",
             "GPRMC,235959.00,A,4807.0380,N,01131.0000,W,010.0,090.0,151123,,",
+            "GPHDT,91.5,T",
             "GPGGA,000000.00,4807.0380,N,01131.0000,W,1,08,2.0,545.4,M,46.9,M,,",
             "GPRMC,000000.00,A,4807.0380,N,01131.0000,W,010.0,000.0,161123,,",
+            "GPTHS,1.5,A",
+            "GPTHS,77.0,V",
             "GPGGA,000001.00,,,,,0,00,99.9,,M,,M,,",
             "GPGGA,000002.00,4807.0380,N,01131.0000,W,1,08,2.0,545.4,M,46.9,M,,",
         )
@@ -349,6 +407,9 @@ def test_nmea_over_midnight_with_and_without_gst(tmp_path):
     np.testing.assert_allclose(position.sd, [[3.0, 2.0, 4.0], [5.0, 5.0, 10.0], [5.0, 5.0, 10.0]])
     knots = 1852 / 3600
     np.testing.assert_allclose(velocity.value, [[10 * knots, 0.0, 0.0], [0.0, 10 * knots, 0.0]], atol=1e-12)
+    heading = parts.aiding["heading"]
+    np.testing.assert_allclose(heading.t, velocity.t)
+    np.testing.assert_allclose(heading.value[:, 0] / DEG, [91.5, 1.5])
     assert any("sd of 2 fixes" in note for note in parts.notes)
 
 

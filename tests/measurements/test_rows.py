@@ -78,6 +78,25 @@ def test_wheels_read_by_their_scale_and_the_vehicles_axes():
     np.testing.assert_allclose(residual("speed", [(1 + scale) * forward], both), 0.0, atol=1e-12)
 
 
+def test_wheels_of_both_sides_run_on_circles_about_one_centre():
+    """On the level at 10 m/s, 0.5 rad/s to the right: 20 m of radius to the middle, half a track more to the left."""
+    nav = initial_nav([0.8, 0.1, 100.0], [0.0, 10.0, 0.0])._replace(omega=jnp.array([0.0, 0.0, 0.5]))
+    kin = Kinematics(nav.pos, nav.vel, rotations.to_dcm(nav.q))
+    own = PARAMS.measurements["wheels"]._replace(track=jnp.asarray(1.6))
+    nothing = Fix(jnp.zeros(2), jnp.ones(2), jnp.zeros(2), jnp.ones(2, bool))
+    said = MEASUREMENTS["wheels"].observe(own, PARAMS.mounting, nav, kin, nothing).y
+    np.testing.assert_allclose(said, [0.5 * 20.8, 0.5 * 19.2], rtol=1e-12)
+
+
+def test_a_rangefinder_reads_the_slant_way_to_the_ground():
+    """Along the body's down axis from 100 m to ground at 30 m: where that line meets it."""
+    beam = C[:, 2]
+    way = (100.0 - 30.0) / -beam[2]
+    assert (np.array([0.0, 0.0, 100.0]) + way * beam)[2] == pytest.approx(30.0)
+    np.testing.assert_allclose(residual("rangefinder", [way], {"ground_height": [10.0]}, ground=20.0), 0.0, atol=1e-12)
+    assert way > 70.0
+
+
 def test_a_fix_that_is_older_than_said_moves_the_clock_and_not_the_position():
     """One position of sd 1 cm that is 0.5 m behind at 10 m/s: a clock of sd 0.1 s, known place: 50 ms late."""
     filt = build("ekf9", ("position",), states=("clock_offset",), history=2)

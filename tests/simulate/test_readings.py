@@ -8,9 +8,9 @@ import pytest
 from jaxnav.filters.parameters import datasheet_states
 from jaxnav.maths import earth, rotations
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.simulate.readings import askew, expected, with_sensor, with_states
+from jaxnav.simulate.readings import askew, equipped, expected, with_sensor, with_states
 from jaxnav.simulate.scenarios import URBAN_SHORT
-from jaxnav.simulate.simulation import matched_params, simulate_jit
+from jaxnav.simulate.simulation import matched_params, simulate_jit, to_recording
 from jaxnav.states.grades import GRADES
 
 NAMES = ("lever_arm_error", "clock_offset", "gyro_misalignment")
@@ -73,3 +73,19 @@ def test_a_sensor_reads_what_is_expected_of_the_truth_and_noise(sim, params):
     there = np.hypot(*np.asarray(sim.truth.vel)[:, :2].T) >= 3.0
     np.testing.assert_array_equal(slow.epochs.fix.valid[:, 6], there)
     assert 0 < there.sum() < there.size
+
+
+def test_a_scenario_with_sensors_is_a_recording_with_their_streams():
+    """In outages too, with the noise that is said about what their models expect; drawn states are in them."""
+    scenario = URBAN_SHORT._replace(sensors=(("wheels", 0.1), ("barometer", 0.5)), sensor_states=("barometer_bias",))
+    sim = equipped(simulate_jit(URBAN_SHORT, jax.random.key(2)), scenario, jax.random.key(9))
+    rec = to_recording(sim, scenario)
+    assert list(rec.aiding) == ["position", "velocity", "wheels", "barometer"]
+    assert rec.aiding["barometer"].t.size == 80 > rec.aiding["position"].t.size
+    height = np.asarray(sim.truth.pos[:, 2])
+    off = rec.aiding["barometer"].value[:, 0] - height - np.asarray(sim.truth.errors["barometer_bias"])[:, 0]
+    assert np.std(off) == pytest.approx(0.5, rel=0.3) and abs(off.mean()) < 0.2
+    speed = np.linalg.norm(np.asarray(sim.truth.vel), axis=1)
+    np.testing.assert_allclose(rec.aiding["wheels"].value.mean(1), speed, atol=0.35)
+    alone = to_recording(simulate_jit(URBAN_SHORT, jax.random.key(2)), URBAN_SHORT)
+    np.testing.assert_array_equal(alone.aiding["position"].value, rec.aiding["position"].value)

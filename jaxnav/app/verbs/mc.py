@@ -120,6 +120,8 @@ def scenario_to_run(config: Config) -> Scenario:
         raise ConfigError(f"data.source: a scenario is needed, got {config.data.source!r}: {known}")
     if pre.measurements_of(config) != GNSS:
         raise ConfigError("filter: simulated runs have a receiver only, switch the constraints off")
+    if scenario.sensors or scenario.sensor_states:
+        raise ConfigError("data.options.sensors: runs of mc have a receiver only; see jaxnav simulate")
     try:
         sizes(scenario)
     except ValueError as error:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from jaxnav.data.checkup import compass, inertial, motion, streams, times
+from jaxnav.data.checkup import compass, inertial, motion, standstill, streams, times
 from jaxnav.data.checkup.finding import Finding
 from jaxnav.types import Recording
 
@@ -30,6 +30,7 @@ CHECKS: dict[str, Check] = {
     "speed": Check(streams.speed),
     "barometer": Check(streams.barometer),
     "compass": Check(compass.compass),
+    "standstill": Check(standstill.standstill, False),
     "turns": Check(motion.turns, False),
     "together": Check(motion.together, False),
 }

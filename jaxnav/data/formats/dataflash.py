@@ -18,6 +18,7 @@ from jaxnav.types import DataError
 SYNC, FMT, FMT_SIZE = b"\xa3\x95", 128, 89
 MILLIGAUSS = UNITS["field"]["mgauss"]
 FIX_3D = 3
+DOWNWARD, SEES = 25, 4  # orientation and status of a rangefinder
 
 # format character: code of `struct`, and the factor to what the name of the column means
 CODES: dict[str, tuple[str, float]] = {
@@ -43,7 +44,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, instance: int = 0) -> Parts:
-    """IMU ``instance``, first GPS, barometer, magnetometer and airspeed of a log; t in s since the start of the board.
+    """IMU ``instance`` and the first of each other sensor of a log, see docs/formats.md; t in s of the board.
 
     Body FRD, as in the log. Heights of fixes are above sea level; HAcc, VAcc and SAcc are the sd of each axis.
 
@@ -65,7 +66,20 @@ def read(path: Path, instance: int = 0) -> Parts:
         aiding["magnetometer"] = Stream(_seconds(mag), _columns(mag, "MagX", "MagY", "MagZ") * MILLIGAUSS)
     if wind is not None:
         aiding["airspeed"] = Stream(_seconds(wind), _columns(wind, "Airspeed"))
+    down = _rangefinder(_instance(logged, "RFND", 0))
+    if down is not None:
+        aiding["rangefinder"] = down
     return Parts(os.fspath(path), rows, aiding, notes=tuple(notes))
+
+
+def _rangefinder(data: dict[str, np.ndarray] | None) -> Stream | None:
+    """One that looks down, where it says that it sees something."""
+    if data is None or "Dist" not in data:
+        return None
+    good = data["Dist"] > 0
+    good &= data["Orient"] == DOWNWARD if "Orient" in data else True
+    good &= data["Stat"] == SEES if "Stat" in data else True
+    return Stream(_seconds(data)[good], data["Dist"][good, None]) if good.any() else None
 
 
 def read_messages(path: Path, notes: list[str] | None = None) -> dict[str, dict[str, np.ndarray]]:
@@ -151,10 +165,11 @@ def _text(data: bytes) -> tuple[dict[str, list], dict[str, Format], str]:
 
 
 def _instance(logged: dict[str, dict], name: str, number: int) -> dict[str, np.ndarray] | None:
-    """Messages of one sensor: by its column ``I`` today, by the name's last digit (IMU, IMU2) before."""
+    """Messages of one sensor: by its column ``I`` or ``Instance``, by the name's last digit (IMU, IMU2) in the past."""
     data = logged.get(name)
-    if data is not None and "I" in data:
-        mine = data["I"] == number
+    key = next((key for key in ("I", "Instance") if data is not None and key in data), None)
+    if data is not None and key is not None:
+        mine = data[key] == number
         return {key: values[mine] for key, values in data.items()} if mine.any() else None
     return logged.get(f"{name}{number + 1}") if number else data
 
@@ -188,7 +203,11 @@ def _gps(logged: dict[str, dict], notes: list[str]) -> dict[str, Stream]:
         same = np.abs(_seconds(accuracy)[found] - t) < 0.05
         table = np.where(same[:, None], _columns(accuracy, "HAcc", "VAcc", "SAcc")[found], np.nan)
         sd = [table[fixed][:, [0, 0, 1]], table[fixed][:, [2, 2, 2]]]
-    return {
+    streams = {
         "position": Stream(t[fixed], lla[fixed], sd[0]),
         "velocity": Stream(t[fixed], ned_to_enu(vel[fixed]), sd[1]),
     }
+    pointed = fixed & (gps["Yaw"] != 0) if "Yaw" in gps else np.zeros_like(fixed)  # of two antennas; 0 is none
+    if pointed.any():
+        streams["heading"] = Stream(t[pointed], gps["Yaw"][pointed, None] * DEG)
+    return streams

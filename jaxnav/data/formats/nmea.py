@@ -1,4 +1,4 @@
-"""NMEA 0183, by `pynmeagps`: GGA, RMC and GST, the fixes beside an IMU's file."""
+"""NMEA 0183, by `pynmeagps`: GGA, RMC, GST, HDT and THS, the fixes beside an IMU's file."""
 
 import datetime
 import io
@@ -18,6 +18,7 @@ from jaxnav.types import DataError
 UP_SD = 1e3  # m/s: RMC has no vertical velocity
 SPEED_SD = 0.3  # m/s, assumed: NMEA states none
 DAY = 86400.0  # s
+HEADINGS = {"HDT": "headingT", "THS": "headt"}  # field of what two antennas say, deg
 KNOTS = UNITS["speed"]["knots"]
 
 
@@ -27,7 +28,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, leap_seconds: float = 18.0, metres_per_hdop: float = 2.5) -> Parts:
-    """Position of GGA and horizontal velocity of RMC; t in s since 1970 in GPS time.
+    """Position of GGA, horizontal velocity of RMC, heading of HDT or THS; t in s since 1970 in GPS time.
 
     Args:
         path: the text; other messages between the sentences are passed over.
@@ -39,13 +40,16 @@ def read(path: Path, leap_seconds: float = 18.0, metres_per_hdop: float = 2.5) -
     """
     import pynmeagps
 
-    fixes, motion, spread, day = [], [], {}, None
+    fixes, motion, pointed, spread, day = [], [], [], {}, None
     first_day, last = None, -1.0
     errors: list[Any] = []
     stream = io.BytesIO(read_bytes(path))
     reader = pynmeagps.NMEAReader(stream, quitonerror=pynmeagps.ERR_LOG, errorhandler=errors.append)
     for _, m in reader:
         kind = getattr(m, "msgID", "")
+        angle = getattr(m, HEADINGS.get(kind, ""), None)
+        if isinstance(angle, (int, float)) and day is not None and getattr(m, "mi", "A") != "V":
+            pointed.append([day + last, angle * DEG])  # has no time of its own: that of the RMC before it
         if kind not in ("GGA", "RMC", "GST") or not isinstance(m.time, datetime.time):
             continue
         second = _second(m.time)
@@ -65,6 +69,11 @@ def read(path: Path, leap_seconds: float = 18.0, metres_per_hdop: float = 2.5) -
     if first_day is None:
         raise DataError(f"{path}: has no RMC, which would tell the date")
     parts = _parts(path, fixes, motion, spread, first_day, leap_seconds, metres_per_hdop)
+    if pointed:
+        t, angles = np.array(pointed).T
+        t, rows = np.unique(t, return_index=True)
+        heading = {"heading": Stream(t + leap_seconds, angles[rows, None])}
+        parts = parts._replace(aiding={**parts.aiding, **heading})
     said = (f"{len(errors)} sentences are damaged and left out.",) if errors else ()
     return parts._replace(notes=parts.notes + said)
 

@@ -21,7 +21,7 @@ class Kind(NamedTuple):
 
     stream: str
     row: Callable[[Any], list[float]]  # value, then sd, of a message
-    asked: bool = False  # only where ``topics`` names one: the type does not say what it means
+    asked: str = ""  # what it must be: read only where ``topics`` names one, for the type does not say
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -70,9 +70,7 @@ def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[st
             continue
         kind = KINDS[c.msgtype]
         if kind.asked and kind.stream not in topics:  # it may as well be a command, or in the robot's axes
-            notes.append(
-                f"{c.topic} is not read: if it is a receiver's, ENU, say topics={{'{kind.stream}': '{c.topic}'}}."
-            )
+            notes.append(f"{c.topic} is not read: if it is {kind.asked}, say topics={{'{kind.stream}': '{c.topic}'}}.")
             continue
         of = counts.setdefault(kind.stream, {})
         of[c.topic] = of.get(c.topic, 0) + c.msgcount
@@ -156,12 +154,17 @@ def _pressure(m: Any) -> list[float]:
     return [float(pressure_height(np.array(m.fluid_pressure))), np.nan]
 
 
+def _range(m: Any) -> list[float]:
+    return [m.range if m.min_range < m.range < m.max_range else np.nan, np.nan]
+
+
 KINDS: dict[str, Kind] = {
     "sensor_msgs/msg/Imu": Kind("imu", _imu),
     "sensor_msgs/msg/NavSatFix": Kind("position", _fix),
-    "geometry_msgs/msg/TwistStamped": Kind("velocity", _velocity, True),
-    "geometry_msgs/msg/TwistWithCovarianceStamped": Kind("velocity", _velocity_with_sd, True),
+    "geometry_msgs/msg/TwistStamped": Kind("velocity", _velocity, "a receiver's, ENU"),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": Kind("velocity", _velocity_with_sd, "a receiver's, ENU"),
     "nav_msgs/msg/Odometry": Kind("speed", _odometry),
     "sensor_msgs/msg/MagneticField": Kind("magnetometer", _magnetic),
     "sensor_msgs/msg/FluidPressure": Kind("barometer", _pressure),
+    "sensor_msgs/msg/Range": Kind("rangefinder", _range, "a sensor that looks down"),
 }

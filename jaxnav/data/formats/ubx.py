@@ -37,20 +37,25 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path) -> Parts:
-    """Position and velocity of NAV-PVT; t in s since 1970 in GPS time. hAcc, vAcc and sAcc are the sd of each axis.
+    """Position and velocity of NAV-PVT, heading of NAV-RELPOSNED where the base moves along; hAcc, vAcc, sAcc are sd.
+
+    Times are s since 1970 in GPS time.
 
     Raises:
         DataError: no NAV-PVT.
     """
     import pyubx2
 
-    rows, without = [], 0
+    rows, pointed, without = [], [], 0
     errors: list[Any] = []
     stream = io.BytesIO(read_bytes(path))
     reader = pyubx2.UBXReader(
         stream, protfilter=pyubx2.UBX_PROTOCOL, quitonerror=pyubx2.ERR_LOG, errorhandler=errors.append
     )
     for _, message in reader:
+        if message is not None and message.identity == "NAV-RELPOSNED" and getattr(message, "relPosHeadingValid", 0):
+            if message.isMoving and message.relPosValid:
+                pointed.append([message.iTOW, message.relPosHeading * DEG, message.accHeading * DEG])
         if message is None or message.identity != "NAV-PVT":
             continue
         if message.fixType not in FIXED or not message.gnssFixOk or not message.validDate:
@@ -64,7 +69,13 @@ def read(path: Path) -> Parts:
     t, lla, acc, vel, s_acc = np.split(np.array(rows), [1, 4, 6, 9], axis=1)
     position = Stream(t[:, 0], lla, acc[:, [0, 0, 1]])
     velocity = Stream(t[:, 0], ned_to_enu(vel), np.repeat(s_acc, 3, axis=1))
-    return Parts(os.fspath(path), aiding={"position": position, "velocity": velocity}, notes=notes)
+    aiding = {"position": position, "velocity": velocity}
+    if pointed:
+        milliseconds, angle, sd = np.array(pointed).T
+        tow = milliseconds / 1e3 + GPS_EPOCH
+        week = np.round((np.median(t) - tow) / WEEK)  # a recording is shorter than half a week
+        aiding["heading"] = Stream(tow + week * WEEK, angle[:, None], sd[:, None])
+    return Parts(os.fspath(path), aiding=aiding, notes=notes)
 
 
 def _row(m: Any) -> list[float]:

@@ -17,6 +17,7 @@ MAGIC = b"ULog\x01\x12\x35"
 NEVER = 2**31 - 1  # timestamp_relative of a sensor that has not measured
 GAUSS = UNITS["field"]["gauss"]
 FIX_3D = 3
+DOWNWARD = 25  # orientation of a rangefinder that looks down
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -24,11 +25,15 @@ def recognises(path: Path, head: bytes) -> bool:
     return head.startswith(MAGIC)
 
 
-def read(path: Path) -> Parts:
-    """IMU, GNSS, barometer, magnetometer and airspeed of a log, truth where it is simulated; t in s of its clock.
+def read(path: Path, wheel_radius_m: float = 0.0) -> Parts:
+    """What a log has, see docs/formats.md, truth where it is simulated; t in s of its clock.
 
     Body FRD, as in the log. Heights are above the ellipsoid where the log has such, else above sea level, which a note
     says. ``eph``, ``epv`` and ``s_variance_m_s`` are taken as sd of each axis, as PX4's own filter does.
+
+    Args:
+        path: the log.
+        wheel_radius_m: of the wheels, whose encoders count angles; 0 leaves them out.
 
     Raises:
         DataError: no topic with inertial data.
@@ -48,8 +53,15 @@ def read(path: Path) -> Parts:
     imu = _imu(topics)
     if imu is None:
         raise DataError(f"{path}: has no sensor_combined, vehicle_imu or sensor_gyro and sensor_accel")
-    builders = {"barometer": _barometer, "magnetometer": _magnetometer, "airspeed": _airspeed}
+    builders = {"barometer": _barometer, "magnetometer": _magnetometer, "airspeed": _airspeed, "heading": _heading,
+                "rangefinder": _rangefinder}  # fmt: skip
     aiding = _gnss(topics, notes) | {name: build(topics) for name, build in builders.items()}
+    if "wheel_encoders" in topics and wheel_radius_m > 0:
+        turns = topics["wheel_encoders"]
+        left_right = _table(turns, "wheel_speed[1]", "wheel_speed[0]")  # PX4 counts from the right
+        aiding["wheels"] = Stream(_seconds(turns["timestamp"]), left_right * wheel_radius_m)
+    elif "wheel_encoders" in topics:
+        notes.append("Wheel encoders are not read: they count angles, say wheel_radius_m.")
     present = {name: stream for name, stream in aiding.items() if stream is not None and len(stream.t)}
     truth = _truth(topics)
     if truth is not None and not truth.lla[:, 2].any():
@@ -161,6 +173,31 @@ def _airspeed(topics: dict[str, dict[str, np.ndarray]]) -> Stream | None:
         return None
     data = topics["airspeed"]
     return Stream(_seconds(data["timestamp"]), data["true_airspeed_m_s"].astype(float)[:, None])
+
+
+def _heading(topics: dict[str, dict[str, np.ndarray]]) -> Stream | None:
+    """Of a receiver with two antennas, of the body."""
+    data = topics.get("vehicle_gps_position", topics.get("sensor_gps", {}))
+    if "heading" not in data or not np.isfinite(data["heading"]).any():
+        return None
+    there = np.isfinite(data["heading"])
+    sd = data.get("heading_accuracy", np.full(there.size, np.nan)).astype(float)[there, None]
+    stated = np.isfinite(sd) & (sd > 0)
+    value = data["heading"].astype(float)[there, None]
+    return Stream(_seconds(data["timestamp"])[there], value, np.where(stated, sd, np.nan) if stated.any() else None)
+
+
+def _rangefinder(topics: dict[str, dict[str, np.ndarray]]) -> Stream | None:
+    """One that looks down, within its reach."""
+    data = topics.get("distance_sensor")
+    if data is None:
+        return None
+    d = data["current_distance"].astype(float)
+    good = (data["orientation"] == DOWNWARD) & (d > data["min_distance"]) & (d < data["max_distance"])
+    if "signal_quality" in data:
+        good &= data["signal_quality"] != 0
+    sd = np.sqrt(data["variance"].astype(float))[good, None]
+    return Stream(_seconds(data["timestamp"])[good], d[good, None], sd if (sd > 0).all() else None)
 
 
 def _truth(topics: dict[str, dict[str, np.ndarray]]) -> Track | None:

@@ -122,7 +122,7 @@ def main(argv: list[str]) -> None:
     result = {
         "samples": len(taken), "push_ms_median": 1e3 * float(np.median(taken)),
         "push_ms_p99": 1e3 * float(np.quantile(taken, 0.99)), "times_real_time": float(np.ptp(rec.imu.t)) / seconds,
-        "batch_apart_m": far, "states_not_bit_equal": other, 
+        "batch_apart_m": far, "states_not_bit_equal": other,
         "late_apart_m": apart(late, sol.trace.info, sol.trace.info.nav.t)[0],
         "restart_bit_equal": same, "refused_late": sum(shuffled.refused.values()), "samples_kept_most": most,
         "grown_in_an_hour_mib": hour, "samples_kept_most_in_an_hour": kept, "first_s": first,

@@ -38,7 +38,7 @@ def standstill(rec: Recording) -> list[Finding]:
             caught, false = float(still[rest].mean()), float(still[moving].mean())
             best = max(best, (caught - false / FALSE, a, g, caught, false))
     _, a, g, caught, false = best
-    a, g = (_between(x, own[rest], own[moving]) for x, own in ((a, accel), (g, gyro)))
+    a, g = (_between(x, own[moving]) for x, own in ((a, accel), (g, gyro)))
     shown = f"{100 * caught:.0f} % of them and {100 * false:.1f} % of {moving.sum()} s in motion"
     words = f"{rest.sum()} s at rest by the receiver"
     if caught < CAUGHT or false > FALSE:
@@ -51,7 +51,7 @@ def standstill(rec: Recording) -> list[Finding]:
     ]
 
 
-def _between(level: float, rest: np.ndarray, moving: np.ndarray) -> float:
+def _between(level: float, moving: np.ndarray) -> float:
     """Room for rest that was not seen: halfway, as a ratio, to the quiet end of motion, and twice at most."""
     quiet = float(np.quantile(moving, FALSE))
     return float(np.clip(np.sqrt(level * max(quiet, level)), level, 2 * level))

@@ -14,7 +14,7 @@ SHORT = 0.75  # of the time of position, below which the other stream ends, or b
 
 def ends(rec: Recording) -> list[Finding]:
     """Of position and velocity, one that covers much less time than the other."""
-    if not set(PAIR) <= set(rec.aiding):
+    if not all(name in rec.aiding and rec.aiding[name].t.size for name in PAIR):
         return []
     spans = {name: rec.aiding[name].t[[0, -1]] for name in PAIR}
     short, long = sorted(PAIR, key=lambda name: float(np.ptp(spans[name])))

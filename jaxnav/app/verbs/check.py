@@ -109,7 +109,7 @@ def configuration(path: str, rec: Recording, found: list[Finding]) -> str:
     if "standstill.accel" in good:
         lines += ["# zero_velocity = true  # where the vehicle stands, by these:", "# zero_rate = true"]
         for f in (f for f in found if f.code.startswith("standstill.")):
-            lines.append(f"{f.key.split('.')[1]} = {f.value:.3g}  # {f.words}")
+            lines.append(f"# {f.key.split('.')[1]} = {f.value:.3g}  # {f.words}")
     states = []
     if "barometer" in good:
         lines.append("barometer = true  # goes with the receiver's height")

@@ -36,15 +36,16 @@ def standstill(rec: Recording) -> list[Finding]:
         for g in np.quantile(gyro[rest], LEVELS):
             still = (accel <= a) & (gyro <= g)
             caught, false = float(still[rest].mean()), float(still[moving].mean())
-            best = max(best, (caught - false / FALSE, a, g, caught, false))
+            best = max(best, (caught - false / FALSE, -a, -g, caught, false))  # of equals the tightest
     _, a, g, caught, false = best
-    a, g = (_between(x, own[moving]) for x, own in ((a, accel), (g, gyro)))
+    a, g = (_between(-x, own[moving]) for x, own in ((a, accel), (g, gyro)))
     shown = f"{100 * caught:.0f} % of them and {100 * false:.1f} % of {moving.sum()} s in motion"
     words = f"{rest.sum()} s at rest by the receiver"
     if caught < CAUGHT or false > FALSE:
-        return [Finding("standstill", f"{words}: no spread of the IMU parts them from motion, the best has {shown}")]
+        words += f": no spread of the IMU parts them from motion, the best takes for rest {shown}"
+        return [Finding("standstill", words)]
     force = f"{words}: there specific force spreads by less than {a:.3g} m/s^2 in {window:g} s"
-    rate = f"and the rate by less than {g / DEG:.3g} deg/s: both together have {shown}"
+    rate = f"and the rate by less than {g / DEG:.3g} deg/s: both together take for rest {shown}"
     return [
         Finding("standstill.accel", force, "", False, "filter.standing_accel_sd_mps2", a),
         Finding("standstill.gyro", rate, "", False, "filter.standing_gyro_sd_deg_per_s", g / DEG),

@@ -83,14 +83,14 @@ def _sensors(name: str, value: Any) -> tuple[tuple[str, float], ...]:
 
 
 def _states(name: str, value: Any) -> tuple[str, ...]:
+    """Names of further states whose errors are drawn."""
     if not isinstance(value, (list, tuple)) or not all(isinstance(each, str) for each in value):
         raise ConfigError(f"{name} must be names of states, got {value!r}")
     try:
         chosen(value)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error
-    known = [each for each in value if each not in BIASES]
-    return tuple(known)
+    return tuple(each for each in value if each not in BIASES)  # these every simulated IMU has by its grade
 
 
 def _like(name: str, value: Any, default: Any) -> Any:

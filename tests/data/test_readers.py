@@ -214,6 +214,9 @@ def test_ulog_topics_of_heading_range_and_wheels():
     found = ulog._rangefinder({"distance_sensor": down})
     np.testing.assert_allclose(found.value[:, 0], [2.0, 3.0])
     np.testing.assert_allclose(found.sd[:, 0], 0.2)
+    turns = {"timestamp": stamp, "wheel_speed[0]": 10.0 * one, "wheel_speed[1]": 12.0 * one}  # right, left
+    np.testing.assert_allclose(ulog._wheels({"wheel_encoders": turns}, 0.1, []).value[0], [1.2, 1.0])
+    assert ulog._wheels({"wheel_encoders": turns}, 0.0, notes := []) is None and "wheel_radius_m" in notes[0]
     bad = down | {"signal_quality": np.array([0, 100, -1])}
     np.testing.assert_allclose(ulog._rangefinder({"distance_sensor": bad}).value[:, 0], [3.0])
 
@@ -393,8 +396,8 @@ def test_nmea_over_midnight_with_and_without_gst(tmp_path):
             "GPHDT,91.5,T",
             "GPGGA,000000.00,4807.0380,N,01131.0000,W,1,08,2.0,545.4,M,46.9,M,,",
             "GPRMC,000000.00,A,4807.0380,N,01131.0000,W,010.0,000.0,161123,,",
-            "GPTHS,1.5,A",
             "GPTHS,77.0,V",
+            "GPTHS,1.5,A",
             "GPGGA,000001.00,,,,,0,00,99.9,,M,,M,,",
             "GPGGA,000002.00,4807.0380,N,01131.0000,W,1,08,2.0,545.4,M,46.9,M,,",
         )

@@ -56,12 +56,7 @@ def read(path: Path, wheel_radius_m: float = 0.0) -> Parts:
     builders = {"barometer": _barometer, "magnetometer": _magnetometer, "airspeed": _airspeed, "heading": _heading,
                 "rangefinder": _rangefinder}  # fmt: skip
     aiding = _gnss(topics, notes) | {name: build(topics) for name, build in builders.items()}
-    if "wheel_encoders" in topics and wheel_radius_m > 0:
-        turns = topics["wheel_encoders"]
-        left_right = _table(turns, "wheel_speed[1]", "wheel_speed[0]")  # PX4 counts from the right
-        aiding["wheels"] = Stream(_seconds(turns["timestamp"]), left_right * wheel_radius_m)
-    elif "wheel_encoders" in topics:
-        notes.append("Wheel encoders are not read: they count angles, say wheel_radius_m.")
+    aiding["wheels"] = _wheels(topics, wheel_radius_m, notes)
     present = {name: stream for name, stream in aiding.items() if stream is not None and len(stream.t)}
     truth = _truth(topics)
     if truth is not None and not truth.lla[:, 2].any():
@@ -198,6 +193,17 @@ def _rangefinder(topics: dict[str, dict[str, np.ndarray]]) -> Stream | None:
         good &= data["signal_quality"] != 0
     sd = np.sqrt(data["variance"].astype(float))[good, None]
     return Stream(_seconds(data["timestamp"])[good], d[good, None], sd if (sd > 0).all() else None)
+
+
+def _wheels(topics: dict[str, dict[str, np.ndarray]], radius: float, notes: list[str]) -> Stream | None:
+    """Of both sides, left first; PX4 counts from the right."""
+    data = topics.get("wheel_encoders")
+    if data is None:
+        return None
+    if not radius > 0:
+        notes.append("Wheel encoders are not read: they count angles, say wheel_radius_m.")
+        return None
+    return Stream(_seconds(data["timestamp"]), radius * _table(data, "wheel_speed[1]", "wheel_speed[0]"))
 
 
 def _truth(topics: dict[str, dict[str, np.ndarray]]) -> Track | None:

@@ -168,6 +168,10 @@ def test_a_hole_is_coasted_and_the_covariance_says_so(drive):
         for skip in (lambda row: False, lost)
     )
     assert len(holed.holes) == 1 and holed.now.t == whole.now.t
+    start, end, *noise = holed.holes[0]
+    assert (start, end) == pytest.approx((40.0, 43.0), abs=0.02)
+    np.testing.assert_array_equal(holed._epoch(41.0, 42.0, False).gap, noise)
+    np.testing.assert_array_equal(holed._epoch(end + 0.1, end + 0.2, False).gap, 0.0)
     assert np.linalg.norm(holed.now.sd[3:6]) > 1.5 * np.linalg.norm(whole.now.sd[3:6]) and holed.now.ok
 
 

@@ -63,3 +63,23 @@ def test_repeats_at_the_ends_of_a_log_and_in_short_ones():
         for i in [1, *np.flatnonzero(rng.uniform(size=len(values)) < 0.1), len(values) - 1]:
             values[i] = values[max(i - 1, 0)]
         assert np.isfinite(polling.repair(values).values).all()
+
+
+def test_the_best_place_is_where_the_least_squares_values_leave_least(log):
+    """All candidates side by side are what each of them is by itself, and by least squares in dense matrices."""
+    sensor, index = log
+    values = sensor[index][:400]
+    repeated = polling.repeats(values)
+    low, high = 200, 208
+    model = polling._nearby_model(values, repeated, low - 10, high + 10)
+    candidates = np.arange(low, high)[~repeated[low:high]]
+    lost = [low - 3]
+    costs = polling._costs(values, repeated, model, lost, candidates, low, high)
+    window = np.arange(low - 2 * polling.ORDER, high + polling.ORDER)
+    window = window[~repeated[window]]
+    for cost, candidate in zip(costs, candidates, strict=True):
+        where = np.searchsorted(window, [*lost, candidate], side="right")
+        x = np.insert(values[window] - model.mean, where, 0.0, axis=0)
+        missing = np.insert(np.zeros(window.size, bool), where, True)
+        left = [polling._solve(x[:, c], missing, model.taps[c])[1] / model.sd[c] ** 2 for c in range(6)]
+        assert cost == pytest.approx(sum(left), rel=1e-6)

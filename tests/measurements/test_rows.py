@@ -67,7 +67,7 @@ def test_airspeed_and_sideslip_are_of_the_velocity_through_the_air():
     wind = np.array([2.0, 5.0])
     through = C.T @ (np.array([8.0, -3.0, 1.0]) - [*wind, 0.0])
     np.testing.assert_allclose(residual("airspeed", [1.01 * through[0]], {"wind": wind}, scale=0.01), 0.0, atol=1e-12)
-    np.testing.assert_allclose(residual("sideslip", [0.0], {"wind": wind}), through[1], atol=1e-12)
+    np.testing.assert_allclose(residual("sideslip", [0.0], {"wind": wind}), through[1:2], atol=1e-12, strict=True)
 
 
 def test_wheels_read_by_their_scale_and_the_vehicles_axes():

@@ -10,6 +10,7 @@ from jaxnav.maths.units import DEG_PER_HOUR, G0, MRAD
 from jaxnav.states.g_sensitivity import PER_G
 from jaxnav.states.misalignment import PAIRS
 from jaxnav.states.sensors import corrected
+from jaxnav.states.state import constant
 from jaxnav.types import Imu
 
 W, F = jnp.array([[0.3, -0.2, 0.9]]), jnp.array([[1.0, 2.0, -9.5]])
@@ -41,3 +42,8 @@ def test_what_is_read_is_taken_out_again():
     back = jax.jit(corrected)(Imu(jnp.ones(1), gyro, accel), s)
     np.testing.assert_allclose(back.accel, F, atol=1e-9)
     np.testing.assert_allclose(back.gyro, W, atol=1e-9)
+
+
+def test_a_constant_is_not_driven_until_it_is_told_so():
+    state = constant("sag", ("down",), 2.0, ("cm", 0.01, "cm"))
+    assert state.defaults == (0.02, 0.0, float("inf"))

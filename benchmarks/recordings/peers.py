@@ -5,7 +5,8 @@ variable KFGINS_BIN names it) with the true noise, and filterpy's Kalman filter 
 velocity, for what an IMU is worth. Then the drive of `benchmarks.recordings.drive`: KF-GINS and a filter of ours that
 measures and estimates the same (positions; 21 states) with the datasheet's noise, with the drive's timing, and with
 what `jaxnav tune --for kfgins` makes of stretches that do not touch the window's quarter. Errors are horizontal, at the
-last hidden fix. GTSAM: `python -m benchmarks kitti`.
+last hidden fix. Between them python-ins with scale factors (21 states), and with misalignment too (33): an hour of its
+own motion, of sensors that have both, and NaveGo's synthetic data. GTSAM: `python -m benchmarks kitti`.
 """
 
 import os
@@ -18,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
-from benchmarks.recordings import drive, peers_kfgins
+from benchmarks.recordings import drive, navego, peers_kfgins
 from benchmarks.speed.speed_peers import found as installed
 from benchmarks.speed.speed_peers import python_ins
 from jaxnav import build, recording
@@ -26,8 +27,8 @@ from jaxnav import data as io
 from jaxnav.analysis.tables import table
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start
+from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
-from jaxnav.filters.parameters import change
 from jaxnav.filters.run import initial_nav, run_jit
 from jaxnav.maths import earth, units
 from jaxnav.measurements import POSITION
@@ -35,7 +36,8 @@ from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import URBAN, Scenario
 from jaxnav.simulate.simulation import Simulated, matched_params, simulate
 from jaxnav.states.grades import GRADES
-from jaxnav.types import Epoch, Fix, Imu, ImuLog, Nav, Params, Recording
+from jaxnav.states.table import STATES
+from jaxnav.types import Epoch, Fix, Imu, ImuLog, Nav, Params, Recording, StateParams
 from tuning import tune
 from tuning.recorded import spread
 from tuning.targets import TARGETS
@@ -126,14 +128,15 @@ def constant_velocity(package, sim: Simulated, seen: np.ndarray) -> np.ndarray:
     return np.array(out)
 
 
-# ---------------------------------------------------------------------------- 21 states by python-ins
+# ---------------------------------------------------------------------------- errors of scale and axes by python-ins
 
 SINE: dict[str, Any] = {"lla0": [55, 37, 1500], "velocity_mean": [5, -3, 0.2], "velocity_change_amplitude": 5}
-SCALE_PPM, FIX_SD, VELOCITY_SD = 2000.0, 2.0, 0.1
+ERROR, FIX_SD, VELOCITY_SD = 2e-3, 2.0, 0.1  # of scale and, in rad, of the axes; m; m/s
+SCALES = ("gyro_scale", "accel_scale")
 
 
 def sine_drive(duration: float, seed: int) -> tuple[Nav, Epoch, np.ndarray]:
-    """Start, epochs of 1 Hz and true positions (E, 3) of python-ins' sine motion, its sensors with scale errors."""
+    """Start, epochs of 1 Hz and true positions (E, 3) of python-ins' sine motion, its sensors with errors."""
     from pyins import sim
 
     rng = np.random.default_rng(seed)
@@ -143,8 +146,8 @@ def sine_drive(duration: float, seed: int) -> tuple[Nav, Epoch, np.ndarray]:
     rates, forces = readings[:, :3], readings[:, 3:]
     white = [g / np.sqrt(0.01) * rng.normal(size=rates.shape) for g in (grade.arw, grade.vrw)]
     biases = [sd * rng.normal(size=3) for sd in (grade.gyro_turn_on, grade.accel_turn_on)]
-    scales = [1 + SCALE_PPM * units.PPM * rng.normal(size=3) for _ in range(2)]
-    gyro, accel = (a * s + b + w for a, s, b, w in zip((rates, forces), scales, biases, white, strict=True))
+    mixed = [np.eye(3) + ERROR * rng.normal(size=(3, 3)) for _ in range(2)]
+    gyro, accel = (a @ M.T + b + w for a, M, b, w in zip((rates, forces), mixed, biases, white, strict=True))
     imu = Imu(np.full((E, 100), 0.01), gyro.reshape(E, 100, 3), accel.reshape(E, 100, 3))
     rows = motion.iloc[100 : 100 * E + 1 : 100]
     radians = np.array([units.DEG, units.DEG, 1.0])
@@ -162,17 +165,31 @@ def sine_drive(duration: float, seed: int) -> tuple[Nav, Epoch, np.ndarray]:
     return begin, jax.tree.map(jnp.asarray, Epoch(imu, fix)), lla
 
 
-def with_scales(duration: float, seed: int = 0) -> dict[str, float]:
-    """RMS of the position error in m, three axes, of python-ins and of ours with the same 21 states."""
-    nav, epochs, truth = sine_drive(duration, seed)
-    ekf = build("ekf15", cov_stride=10, states=LIKE.states)
-    params = ekf.params("adis16465")
-    constant = {f"states.{name}.sd": np.full(3, SCALE_PPM * units.PPM) for name in LIKE.states}
-    params = change(params, {name: value for name, value in constant.items()})
+def beside(params: Params, nav: Nav, epochs: Epoch, truth: np.ndarray, states: tuple[str, ...]) -> dict[str, float]:
+    """RMS of the position error in m, three axes, of python-ins and of ours with the same states."""
+    ekf = build("ekf15", cov_stride=10, states=states)
+    known = params.states | {name: StateParams(jnp.asarray(ERROR), 0.0, jnp.inf) for name in states}
+    params = jax.tree.map(jnp.asarray, params._replace(states=known))
     rms = lambda lla: float(np.sqrt(np.mean(np.square(jax.vmap(earth.enu_difference)(jnp.asarray(lla), truth[:-1])))))
     found = {"jaxnav": rms(run_jit(ekf, params, nav, epochs).nav.pos[:-1])}
     call = python_ins(params, nav, epochs, 0.1)
     return found if call is None else found | {"python-ins": rms(call())}
+
+
+def with_more_states(duration: float) -> dict[str, dict[str, float]]:
+    """Both with 21 and 33 states, on python-ins' own motion and on NaveGo's synthetic data."""
+    given = {"sine": (build("ekf15").params("adis16465"), *sine_drive(duration, 0))}
+    folder = io.verify("navego_synthetic")
+    rec, params = io.read_navego(folder, "imu2"), navego.parameters(folder, "imu2")
+    packed, nav = navego.cut(rec, instantaneous=True)
+    truth = np.column_stack([np.interp(packed.t, rec.truth.t, column) for column in rec.truth.lla.T])
+    given["navego"] = (params, nav, packed.epochs, truth)
+    found = {}
+    for name, case in given.items():
+        for states in (SCALES, (*SCALES, "gyro_misalignment", "accel_misalignment")):
+            make_room()
+            found[f"{name}, {15 + sum(STATES[s].size for s in states)} states"] = beside(*case, states)
+    return found
 
 
 # ---------------------------------------------------------------------------- the drive
@@ -261,8 +278,12 @@ def main(argv: list[str]) -> None:
     simulated = {name: spread(np.concatenate([r[name] for r in runs])) for name in runs[0]}
     rows = [[name, *r.values()] for name, r in simulated.items()]
     print(table(["simulated, 15 s without fixes", "RMS m", "median m", "largest m"], rows))
-    scales = with_scales(300.0 if args.quick else 3600.0)
-    print("21 states on python-ins' sine motion, RMS m:", ", ".join(f"{who} {rms:.3f}" for who, rms in scales.items()))
+    scales = with_more_states(300.0 if args.quick else 3600.0)
+    print(
+        table(
+            ["with scale factors and axes", *next(iter(scales.values()))], [[k, *r.values()] for k, r in scales.items()]
+        )
+    )
     found = on_the_drive(binary, not args.quick)
     rows = [[who, noise, *r.values()] for who, each in found.items() for noise, r in each.items()]
     print(table(["the drive, 89 windows", "noise", "RMS m", "median m", "largest m"], rows))

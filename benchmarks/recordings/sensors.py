@@ -10,18 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import common
-from benchmarks.recordings.wild import sources
-from jaxnav import build, read
+from benchmarks.recordings.wild import drifts, sources
+from jaxnav import read
 from jaxnav.analysis.tables import table
-from jaxnav.analysis.windows import drift, hidden_windows
-from jaxnav.data import epochs as ep
-from jaxnav.data.bank import most_probable
-from jaxnav.data.start import start
-from jaxnav.filters.catalogue import rows
-from jaxnav.filters.compiler import make_room
-from jaxnav.types import Recording
-
-PHASES, SETTLE = 3, 10.0
 
 
 class Trial(NamedTuple):
@@ -48,19 +39,6 @@ TRIALS = (
     Trial("husky", ("nonholonomic", "speed"), (), 15.0),
     Trial("husky", ("nonholonomic", "speed"), ("odometer_scale", "vehicle_axes"), 15.0),
 )
-
-
-def drifts(rec: Recording, sensors: tuple[str, ...], states: tuple[str, ...], window: float) -> np.ndarray:
-    """Estimate minus fix at the ends of the windows, (W, 3) m ENU."""
-    make_room()
-    streams = [key for key in ("position", "velocity") if key in rec.aiding]
-    filt = build("ekf15", (*streams, *sensors), cov_stride=5, states=states)
-    begin = start(rec, filt.params("consumer"))
-    params, chosen = begin.given(filt.params("consumer")), rows((*streams, *sensors))
-    packed = ep.pack_recording(rec, chosen, begin.t)
-    windows = hidden_windows(packed, window, 2 * window, PHASES, SETTLE)
-    nav = most_probable(filt, params, begin.navs, packed.epochs)
-    return drift(filt, params, nav, packed.epochs, windows, chosen)[0]
 
 
 def one(trial: Trial, path: Path) -> dict:

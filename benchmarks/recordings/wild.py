@@ -19,9 +19,13 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import drift, hidden_windows
 from jaxnav.data import epochs as ep
+from jaxnav.data.bank import most_probable
+from jaxnav.data.start import start
+from jaxnav.filters.catalogue import rows
 from jaxnav.filters.compiler import make_room
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
+from jaxnav.measurements import GNSS, MEASUREMENTS
 from jaxnav.types import DataError, Recording
 from tuning.recorded import tune
 
@@ -88,6 +92,57 @@ def one(name: str, path: Path, tracks: dict | None) -> dict:
     if tracks is not None:
         tracks[name] = tuple(earth.enu_path(a, sol.lla[0])[:, :2] for a in (sol.lla, rec.aiding["position"].value))
     return out
+
+
+def drifts(rec: Recording, sensors: tuple[str, ...], states: tuple[str, ...], window: float) -> np.ndarray:
+    """Estimate minus fix at the ends of the windows, (W, 3) m ENU."""
+    make_room()
+    streams = [key for key in ("position", "velocity") if key in rec.aiding]
+    filt = build("ekf15", (*streams, *sensors), cov_stride=5, states=states)
+    begin = start(rec, filt.params("consumer"))
+    params, chosen = begin.given(filt.params("consumer")), rows((*streams, *sensors))
+    packed = ep.pack_recording(rec, chosen, begin.t)
+    windows = hidden_windows(packed, window, 2 * window, PHASES, SETTLE)
+    nav = most_probable(filt, params, begin.navs, packed.epochs)
+    return drift(filt, params, nav, packed.epochs, windows, chosen)[0]
+
+
+def sensors_of(rec: Recording) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+    """What else a recording measures: measurements to filter with and the states that belong to them, by stream."""
+    beside = {"speed": ("nonholonomic",), "airspeed": ("sideslip",)}
+    found = {}
+    for row in MEASUREMENTS.values():
+        if row.name in rec.aiding and row not in GNSS:
+            named = (row.name, *beside.get(row.name, ()))
+            states = dict.fromkeys(state for name in named for state in MEASUREMENTS[name].states)
+            found[row.name] = (named, tuple(states))
+    return found
+
+
+def with_sensors(path: Path) -> list[dict]:
+    """Drift of one recording with each of its other sensors and, before all of them, without."""
+    rec, rows_of = read(path), []
+    for name, (sensors, states) in {"": ((), ()), **sensors_of(rec)}.items():
+        error = drifts(rec, sensors, states, window_of(rec))
+        level, up = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
+        rows_of.append({
+            "sensor": name, "with": [*sensors, *states], "windows": len(error),
+            **{f"{k}_rms_m": float(np.sqrt(np.mean(e**2))) for k, e in (("level", level), ("up", up))},
+        })  # fmt: skip
+    return rows_of
+
+
+def sensors_table(results: dict[str, dict]) -> str:
+    """Of all recordings that have any."""
+    lines = []
+    for name, result in results.items():
+        first, *others = result.get("rows", [{}])
+        for r in others:
+            ratios = [f"{r[k] / first[k]:.2f}" for k in ("level_rms_m", "up_rms_m")]
+            lines.append([name, " + ".join(r["with"]), r["windows"], first["level_rms_m"], r["level_rms_m"], ratios[0],
+                          first["up_rms_m"], r["up_rms_m"], ratios[1]])  # fmt: skip
+    head = ["recording", "with", "windows", "RMS without m", "with m", "ratio", "height without m", "with m", "ratio"]
+    return table(head, lines)
 
 
 def tuned(name: str, path: Path) -> dict:
@@ -161,6 +216,7 @@ def main(argv: list[str]) -> None:
     parser.add_argument("--only", metavar="A,B", help="these recordings")
     parser.add_argument("--figure", metavar="F", type=Path, help="draw every track into F, a .png")
     parser.add_argument("--tune", action="store_true", help="tune each without truth instead, and judge it")
+    parser.add_argument("--sensors", action="store_true", help="the drift with every other sensor instead, and without")
     args = parser.parse_args(argv)
     chosen = sources()
     if args.only:
@@ -174,6 +230,18 @@ def main(argv: list[str]) -> None:
             print(f"{name}: {r['verdict'] if r['ran'] else r['why']}", flush=True)
             common.write_json(args.json, results)
         print(tuning_table(results))
+        return
+    if args.sensors:
+        for name, path in chosen.items():
+            try:
+                results[name] = {"ran": True, "rows": with_sensors(path)}
+            except (DataError, ValueError) as error:
+                results[name] = {"ran": False, "why": str(error)}
+            print(
+                f"{name}: {len(results[name].get('rows', [0])) - 1} sensors{results[name].get('why', '')}", flush=True
+            )
+            common.write_json(args.json, results)
+        print(sensors_table(results))
         return
     tracks: dict | None = {} if args.figure else None
     for name, path in chosen.items():

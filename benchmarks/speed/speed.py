@@ -135,6 +135,7 @@ def main(argv: list[str]) -> int:
     for name, row in accuracy.items():
         print(f"  {name:28} position RMS " + " ".join(f"{v:.3f}" for v in row["rms_m"]) + " m, east north up")
     result["batch"] = speed_tables.batch(sizes)
+    result["states"] = speed_tables.larger(sizes)
     result["gradient"] = speed_tables.gradient(sizes)
     if sizes.full:
         result["accuracy"]["stride 10"] = strides(sizes.lengths[-1])

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 BASELINE = Path(__file__).with_name("speed_baseline.json")
-TABLES = ("single", "batch", "gradient", "compile", "scaling", "peers")
+TABLES = ("single", "batch", "states", "gradient", "compile", "scaling", "peers")
 SLOPES = ("stride 10", "stride 10, prepared")  # forms whose gradient has bars
 WORSE = 1.5  # times the baseline's ratio
 
@@ -40,6 +40,9 @@ def upper(result: Result) -> Iterator[tuple[str, float, float]]:
     for form, runs in product(SLOPES, (1, 64)):
         by_forward = least(result, "gradient", f"{form}, 15 states, {runs} runs", key="by_forward")
         yield f"value and gradient / forward, {form}, {runs} runs", by_forward, 5.0
+    for name, row in result["states"].items():
+        if not name.startswith("stride 10, 15 states"):
+            yield f"{name} / 15 states", row["ratio"], 2.5
     memory = least(result, "gradient", "stride 10, 15 states, an hour of 8 runs", key="bytes_per_step")
     yield "peak memory of the gradient, bytes per sample and run", memory, 500.0
     apart = 1e3 * least(result, "accuracy", "stride 10", key="m")

@@ -98,7 +98,7 @@ def numpy_loop(n: int, params: Params, nav: Nav, epochs: Epoch) -> Callable[[], 
 
 
 def python_ins(params: Params, nav: Nav, epochs: Epoch, time_step: float) -> Callable[[], np.ndarray] | None:
-    """`run_feedback_filter` with 15 states, or 21 where ``params`` have scale factors.
+    """`run_feedback_filter` with 15 states, and scale factors and misalignment where ``params`` have them.
 
     Positions before the next epoch begins, (E - 1, 3) rad and m.
     """
@@ -123,17 +123,18 @@ def python_ins(params: Params, nav: Nav, epochs: Epoch, time_step: float) -> Cal
     ]
     begin = track(jax.tree.map(lambda a: a[None], nav))
     pva = np.concatenate([begin.lla[0] * to_pyins, begin.vel[0][ned] * flip, begin.rph[0] / units.DEG])
-    noise, prior = noise_of(params), jax.tree.map(np.asarray, params.prior)
+    noise, prior = noise_of(params), [np.broadcast_to(sd, 3) for sd in params.prior[:3]]
     biases = [params.states[name].sd for name in BIASES]
-    scale = lambda name: np.diag(np.broadcast_to(params.states[name].sd, 3)) if name in params.states else None
-    model = lambda bias, white, walk, state: sensor.EstimationModel(*map(float, (bias, white, walk)), scale(state))
+    sd_of = lambda name: np.max(params.states[name].sd) if name in params.states else 0.0
+    matrix = lambda a, b: np.where(np.eye(3, dtype=bool), sd_of(a), sd_of(b))
+    model = lambda bias, white, walk, a, b: sensor.EstimationModel(*map(np.max, (bias, white, walk)), matrix(a, b))
 
     def call() -> np.ndarray:
         result = filters.run_feedback_filter(
-            pd.Series(pva, util.TRAJECTORY_COLS, name=0.0), float(prior.position[0]), float(prior.velocity[0]),
-            float(prior.attitude[0]) / units.DEG, float(prior.attitude[2]) / units.DEG, increments,
-            model(biases[0], noise.gyro, noise.gyro_bias, "gyro_scale"),
-            model(biases[1], noise.accel, noise.accel_bias, "accel_scale"),
+            pd.Series(pva, util.TRAJECTORY_COLS, name=0.0), float(prior[0][0]), float(prior[1][0]),
+            float(prior[2][0]) / units.DEG, float(prior[2][2]) / units.DEG, increments,
+            model(biases[0], noise.gyro, noise.gyro_bias, "gyro_scale", "gyro_misalignment"),
+            model(biases[1], noise.accel, noise.accel_bias, "accel_scale", "accel_misalignment"),
             aiding, time_step,
         )  # fmt: skip
         return result.trajectory.loc[t[:-1], util.LLA_COLS].to_numpy() / to_pyins

@@ -13,6 +13,7 @@ import numpy as np
 from benchmarks.speed import speed_child, speed_peers
 from benchmarks.speed.speed_floor import floor
 from benchmarks.speed.speed_work import (
+    BESIDES,
     CHECKPOINT,
     FIRST,
     FIRST_CHECKPOINT,
@@ -123,6 +124,16 @@ def batch(sizes: Sizes) -> dict[str, dict]:
                 for name in taken:
                     rows[name]["note"] = f"  (on {seconds} s)"
         show(f"batch of {runs}", {k: row for k, row in rows.items() if f" {runs} runs" in k}, ("by_floor",))
+    return rows
+
+
+def larger(sizes: Sizes) -> dict[str, dict]:
+    """More states in a batch, beside 15 of them in the same turns."""
+    rows, runs, ten = {}, min(sizes.batches[-1], 256), next(f for f in OURS if f.label == "stride 10")
+    for n in BESIDES:
+        calls = {name_of(ten, m, runs): executable(ten, m, sizes.seconds, runs).call for m in (15, n)}
+        rows |= table(interleaved(calls, sizes.repeats), sizes.seconds * RATE * runs, name_of(ten, 15, runs))
+    show(f"more states, batch of {runs}", rows)
     return rows
 
 

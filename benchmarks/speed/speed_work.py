@@ -21,6 +21,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.run import initial_nav, prepare, run
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, matched_params, simulate
+from jaxnav.states.table import BIASES
 from jaxnav.types import Epoch, Fix, Imu, Info, Nav, Params
 from tuning.objectives import innovation_nll
 
@@ -30,6 +31,10 @@ SIDE, TURNS = 256, 64  # runs side by side, at most; of larger batches, in turns
 SEED, DISTINCT = 0, 8  # batches repeat so many runs, or one where it is long: cost does not depend on the numbers
 SCENARIO = Scenario("speed", duration_s=60.0, imu_rate_hz=float(RATE))
 PARAMS: Callable[[], Params] = cache(lambda: matched_params(SCENARIO))
+
+
+BESIDES = {24: ("gyro_scale", "accel_scale", "lever_arm_error")}
+"""States beyond the two biases, by how many there are in all."""
 
 
 class Form(NamedTuple):
@@ -44,7 +49,9 @@ class Form(NamedTuple):
 
 def forward(filt: Filter) -> Callable[[Noise, Nav, Epoch], Info]:
     """One run of a filter of the package, with the noise as an argument."""
-    return lambda noise, nav, epochs: run(filt, speed_plain.with_noise(PARAMS(), noise), nav, epochs)
+    states = filt.params().states | PARAMS().states
+    params = PARAMS()._replace(states={name: states[name] for name in (*BIASES, *filt.model.states)})
+    return lambda noise, nav, epochs: run(filt, speed_plain.with_noise(params, noise), nav, epochs)
 
 
 def solution(filt: Filter) -> Callable[[Noise, Nav, Epoch], speed_plain.Solution]:
@@ -64,7 +71,7 @@ def likelihood(filt: Filter) -> Callable[[Noise, Nav, Epoch], jax.Array]:
 
 
 def _ours(label: str, prepared: bool = False, **options: Any) -> Form:
-    make = lambda n: build(f"ekf{n}", **options)
+    make = lambda n: build(f"ekf{min(n, 15)}", states=BESIDES.get(n, ()), **options)
     return Form(label, lambda n: solution(make(n)), lambda n: likelihood(make(n)), True, make if prepared else None)
 
 

@@ -124,6 +124,8 @@ def with_sensors(path: Path) -> list[dict]:
     rec, rows_of = read(path), []
     for name, (sensors, states) in {"": ((), ()), **sensors_of(rec)}.items():
         error = drifts(rec, sensors, states, window_of(rec))
+        if not len(error):  # too short to hide anything
+            return []
         level, up = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
         rows_of.append({
             "sensor": name, "with": [*sensors, *states], "windows": len(error),
@@ -136,8 +138,9 @@ def sensors_table(results: dict[str, dict]) -> str:
     """Of all recordings that have any."""
     lines = []
     for name, result in results.items():
-        first, *others = result.get("rows", [{}])
-        for r in others:
+        rows_of = result.get("rows", [])
+        for r in rows_of[1:]:
+            first = rows_of[0]
             ratios = [f"{r[k] / first[k]:.2f}" for k in ("level_rms_m", "up_rms_m")]
             lines.append([name, " + ".join(r["with"]), r["windows"], first["level_rms_m"], r["level_rms_m"], ratios[0],
                           first["up_rms_m"], r["up_rms_m"], ratios[1]])  # fmt: skip

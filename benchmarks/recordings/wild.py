@@ -240,9 +240,7 @@ def main(argv: list[str]) -> None:
                 results[name] = {"ran": True, "rows": with_sensors(path)}
             except (DataError, ValueError) as error:
                 results[name] = {"ran": False, "why": str(error)}
-            print(
-                f"{name}: {len(results[name].get('rows', [0])) - 1} sensors{results[name].get('why', '')}", flush=True
-            )
+            print(f"{name}: {results[name].get('why', 'done')}", flush=True)
             common.write_json(args.json, results)
         print(sensors_table(results))
         return

@@ -311,23 +311,21 @@ def constraint_samples(
     *,
     nonholonomic: bool = False,
     sideslip: bool = False,
+    level: bool = False,
     standing: np.ndarray | None = None,
     window: float = 1.0,
 ) -> dict[str, Samples]:
     """Pseudo-measurements at the ends of epochs, for `pack` with ``cuts``.
 
-    ``nonholonomic``, ``sideslip``: one at every end. ``standing`` (E,) bool (`stationary`): zero velocity and zero rate
-    there.
+    ``nonholonomic``, ``sideslip``, ``level``: one at every end. ``standing`` (E,) bool (`stationary`): zero velocity
+    and zero rate there.
     """
 
     def samples(t, value):
         return Samples(t, value, np.ones_like(value), np.zeros_like(value))
 
-    made = {}
-    if nonholonomic:
-        made["nonholonomic"] = samples(cuts, np.zeros((cuts.size, 2)))
-    if sideslip:
-        made["sideslip"] = samples(cuts, np.zeros((cuts.size, 1)))
+    held = (("nonholonomic", 2, nonholonomic), ("sideslip", 1, sideslip), ("level", 1, level))
+    made = {name: samples(cuts, np.zeros((cuts.size, size))) for name, size, wanted in held if wanted}
     if standing is not None:
         t = cuts[standing]
         made["zero_velocity"] = samples(t, np.zeros((t.size, 3)))
@@ -377,8 +375,8 @@ def pack_recording(
         still = stationary(rec.imu, cuts, *standing)
         _check_standing(rec, cuts[still])
     made = constraint_samples(
-        rec.imu, cuts, nonholonomic="nonholonomic" in names, sideslip="sideslip" in names, standing=still,
-        window=standing.window,
+        rec.imu, cuts, nonholonomic="nonholonomic" in names, sideslip="sideslip" in names, level="level" in names,
+        standing=still, window=standing.window,
     )  # fmt: skip
     aiding |= {name: s for name, s in made.items() if name in names}
     return pack(rec.imu, aiding, interval, measurements, start, stop, cuts)

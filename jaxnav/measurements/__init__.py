@@ -8,7 +8,7 @@ from jaxnav.measurements.ground import RANGEFINDER
 from jaxnav.measurements.magnetometer import MAGNETOMETER
 from jaxnav.measurements.measurement import Measurement, clock_offset, counted_from, layout
 from jaxnav.measurements.standstill import ZERO_RATE, ZERO_VELOCITY
-from jaxnav.measurements.vehicle import NONHOLONOMIC, SPEED, WHEELS
+from jaxnav.measurements.vehicle import LEVEL, NONHOLONOMIC, SPEED, WHEELS
 
 MEASUREMENTS: dict[str, Measurement] = {
     each.name: each
@@ -18,6 +18,7 @@ MEASUREMENTS: dict[str, Measurement] = {
         ZERO_VELOCITY,
         ZERO_RATE,
         NONHOLONOMIC,
+        LEVEL,
         SPEED,
         WHEELS,
         BAROMETER,

@@ -1,4 +1,4 @@
-"""What wheels know: they neither slide nor lift, and how fast they roll."""
+"""What the ground knows of a vehicle: wheels neither slide nor lift, how fast they roll, and that it does not climb."""
 
 from typing import NamedTuple
 
@@ -15,6 +15,12 @@ class NonholonomicParams(NamedTuple):
     """Of the constraint."""
 
     sd: Leaf  # () or (2,) m/s, of lateral and vertical velocity of the vehicle
+
+
+class LevelParams(NamedTuple):
+    """Of the constraint."""
+
+    sd: Leaf  # () m/s
 
 
 class SpeedParams(NamedTuple):
@@ -86,6 +92,11 @@ def _rolled(theta: SpeedParams | WheelsParams, points: list, nav: Nav, fix: Fix)
     return Observation(v * scale - fix.value, rows | {"odometer_scale": v[:, None]}, fix.sd, theta.sd_scale)
 
 
+def observe_level(theta: LevelParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    """v_up = 0."""
+    return Observation(kin.vel[2:], {"velocity": jnp.array([[0.0, 0.0, 1.0]])}, fix.sd, theta.sd)
+
+
 NONHOLONOMIC = Measurement(
     "nonholonomic", ("right", "down"), observe_nonholonomic, NonholonomicParams((0.1, 0.1)),
     NonholonomicParams(Unit("nonholonomic_mps", shape=(2,), text="m/s")),
@@ -104,3 +115,5 @@ WHEELS = Measurement(
     states=("vehicle_axes", "odometer_scale"), columns=("left_mps", "right_mps"),
 )  # fmt: skip
 """Speed of the wheels of both sides, none of which steers: value (2,) forward m/s, left and right, their own sd."""
+LEVEL = Measurement("level", ("up",), observe_level, LevelParams(0.1), LevelParams(Unit("level_mps", text="m/s")))
+"""A boat, or a robot on a floor, keeps its height: no value; sd = its parameter times the fix's own sd (1 by default)."""

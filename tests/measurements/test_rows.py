@@ -70,6 +70,10 @@ def test_airspeed_and_sideslip_are_of_the_velocity_through_the_air():
     np.testing.assert_allclose(residual("sideslip", [0.0], {"wind": wind}), through[1:2], atol=1e-12, strict=True)
 
 
+def test_what_stays_level_has_no_velocity_upwards():
+    np.testing.assert_allclose(residual("level", [0.0]), [1.0], atol=1e-12, strict=True)
+
+
 def test_wheels_read_by_their_scale_and_the_vehicles_axes():
     scale, axes = 0.03, np.array([1.0, -2.0]) * DEG
     turn = np.asarray(rotations.to_dcm(rotations.exp(jnp.array([0.0, *axes]))))  # vehicle -> body

@@ -1,4 +1,4 @@
-"""What the ground knows of a vehicle: wheels neither slide nor lift, how fast they roll, and that it does not climb."""
+"""What a vehicle on the ground shows: wheels neither slide nor lift, how fast they roll, and that it stays level."""
 
 from typing import NamedTuple
 

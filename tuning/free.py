@@ -43,13 +43,8 @@ def groups(
 
 
 def of_rule(name: str) -> list[str]:
-    """The leaves of a filter's rule that are worth tuning.
-
-    A gain of zero, such as the derivative's of the printed GPID, has no logarithm and stays what it is.
-    """
-    entry = FILTERS[name]
-    moves = lambda leaf, kind: np.isfinite(TRANSFORMS[kind].inverse(get(entry.theta(), leaf))).all()
-    return [f"rule.{leaf}" for leaf, kind in entry.tunable.items() if moves(leaf, kind)]
+    """The leaves of a filter's rule that are worth tuning."""
+    return [f"rule.{leaf}" for leaf in FILTERS[name].tunable]
 
 
 def leaves_of(names: Iterable[str], short: Mapping[str, list[str]], params: Params, key: str = "free") -> list[str]:
@@ -84,9 +79,10 @@ def step_of(leaf: str, filter_name: str) -> Transform:
     group, _, name = leaf.partition(".")
     if group != "rule":
         return transform_of(leaf)
-    if name not in FILTERS[filter_name].tunable:
+    known = FILTERS[filter_name].tunable | FILTERS[filter_name].named
+    if name not in known:
         raise ConfigError(f"tune.free: filter {filter_name} has no {leaf}")
-    return TRANSFORMS[FILTERS[filter_name].tunable[name]]
+    return TRANSFORMS[known[name]]
 
 
 def specify(

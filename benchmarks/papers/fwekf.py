@@ -22,31 +22,28 @@ from benchmarks.papers import fwekf_figures, fwekf_recorded
 from benchmarks.papers.fwekf_study import (
     CASES,
     QUICK,
+    RATES,
+    RECIPES,
     TRAIN,
     UNSEEN,
     Runs,
     Scores,
+    by_rate,
     draw,
     gradient_errors,
+    in_units,
     methods,
     navigate_first,
-    navigator,
     parameters,
     scores,
     tune,
 )  # fmt: skip
+from jaxnav.analysis.tables import table
 from jaxnav.filters.core import Filter
-from jaxnav.filters.papers.fuzzy_combined import combined_params, fuzzy_combined
-from jaxnav.filters.papers.fwekf import fwekf, fwekf_params
 from jaxnav.types import DataError
 
 TUNED = Path(__file__).with_name("fwekf_tuned.json")  # what tuning found: "tuned" of its JSON
 PAPER = {"position_below_0.005_m_s": 10.0, "velocity_below_0.02_mps_s": 10.0, "position_with_noise_after_20_s_m": 0.5}
-RECIPES = {  # name -> rule, parameters to start from, the systems that are tuned
-    "fwekf_0.9_tuned": (fwekf, lambda: fwekf_params(0.9), ("system",)),
-    "fwekf_1.0_tuned": (fwekf, lambda: fwekf_params(1.0), ("system",)),
-    "fuzzy_combined_tuned": (fuzzy_combined, combined_params, ("fade", "adapt")),
-}
 SHOWN = ("ekf", "fwekf_hand", "fwekf_1.0_tuned")  # in the figures
 
 
@@ -101,20 +98,22 @@ def convergence(test: dict[str, Runs], found: dict[str, tuple[Filter, Any]], jud
     return result
 
 
-def tune_all(key: jax.Array, runs: int, steps: int, progress: bool) -> tuple[dict[str, Any], dict[str, list[float]]]:
+def tune_all(
+    key: jax.Array, runs: int, steps: int, progress: bool, chosen: tuple[str, ...] = tuple(RECIPES)
+) -> tuple[dict[str, Any], dict[str, list[float]]]:
     """The tuned rules and the histories of their losses, on ``runs`` runs of each training case."""
     train = draw(TRAIN, jax.random.fold_in(key, 0), runs)
     tuned, losses = {}, {}
-    for i, (name, (rule, start, systems)) in enumerate(RECIPES.items()):
-        own = jax.random.fold_in(key, i + 2)
-        tuned[name], losses[name] = tune(navigator(rule()), start(), systems, train, own, steps, progress)
+    for i, (name, recipe) in enumerate(RECIPES.items()):
+        if name in chosen:
+            tuned[name], losses[name] = tune(recipe, train, jax.random.fold_in(key, i + 2), steps, progress)
     return tuned, losses
 
 
 def stored() -> dict[str, Any]:
     """The tuned rules that a full run found, from the file beside this one."""
     raw = json.loads(TUNED.read_text())
-    return {name: plain_tree(start(), raw[name]) for name, (_, start, _) in RECIPES.items()}
+    return {name: plain_tree(recipe.start(), raw[name]) for name, recipe in RECIPES.items()}
 
 
 def plain_tree(like: Any, raw: Any) -> Any:
@@ -131,10 +130,12 @@ def as_dict(theta: Any) -> Any:
     return np.asarray(theta).tolist()
 
 
-def evaluate(test: dict[str, Runs], table: dict[str, tuple[Filter, Any]]) -> dict[str, dict[str, Scores]]:
+def evaluate(test: dict[str, Runs], compared: dict[str, tuple[Filter, Any]]) -> dict[str, dict[str, Scores]]:
     """Scores of every run, by case and method."""
     return {
-        case: {m: jax.tree.map(np.asarray, scores(filt, parameters(theta), runs)) for m, (filt, theta) in table.items()}
+        case: {
+            m: jax.tree.map(np.asarray, scores(filt, parameters(theta), runs)) for m, (filt, theta) in compared.items()
+        }
         for case, runs in test.items()
     }
 
@@ -157,6 +158,27 @@ def show_paired(factors: dict[str, dict[str, dict[str, float]]]) -> None:
         print(f"{method:22}" + "".join(f"{c['factor']:9.3g} {100 * c['se'] / c['factor']:4.1f}" for c in cells))
 
 
+def show_scores(found: dict[str, dict[str, dict]]) -> None:
+    """Everything that a run is judged by."""
+    keys = ("position_m", "velocity_mps", "attitude_deg", "filter_position_m")
+    print("\nRMS over the motion: position m, velocity m/s, attitude deg of the corrected INS, the filter's position m")
+    print(table(["", *found], [
+        [method, *(" ".join(f"{found[case][method][key]:.3g}" for key in keys) for case in found)]
+        for method in next(iter(found.values()))
+    ]))  # fmt: skip
+
+
+def show_rates(found: dict[int, dict[str, dict[str, dict]]]) -> None:
+    """By the rate of the fixes."""
+    print("\nby the rate of the fixes: position after 20 s; times that the FWEKF by hand is better in the motion")
+    print(table(
+        ["Hz", "R", "EKF median m", "below 0.5 m", "FWEKF median m", "below 0.5 m", "better in position", "velocity",
+         "attitude"],
+        [[rate, told, *(row[m][k] for m in ("ekf", "fwekf_hand") for k in ("median_m", "below_half_metre")),
+          *row["fwekf_hand"]["times_better"].values()] for rate, each in found.items() for told, row in each.items()],
+    ))  # fmt: skip
+
+
 def recorded(tuned: dict[str, Any]) -> dict:
     """The table of recorded data, printed; empty without the data, which are no reason to lose the rest."""
     try:
@@ -175,6 +197,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0, help="of all runs (default: %(default)s)")
     what = "tune the rules anew in N steps (the stored ones took up to 140); without it the stored ones are judged"
     parser.add_argument("--steps", type=int, default=0, metavar="N", help=what)
+    parser.add_argument("--tune", metavar="A,B", help=f"with --steps, of {', '.join(RECIPES)} these (default: all)")
     parser.add_argument("--progress", action="store_true", help="show the tuning's progress")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="folder for figures (default: beside the JSON)")
     return parser
@@ -186,13 +209,15 @@ def main(argv: list[str]) -> None:
     key, count = jax.random.key(args.seed), 8 if args.quick else 64
     if args.steps:
         print(f"rules tuned anew: {args.steps} steps, 64 runs of {', '.join(TRAIN)}", flush=True)
-        tuned, losses = tune_all(key, 64, args.steps, args.progress)
+        chosen = tuple(args.tune.split(",")) if args.tune else tuple(RECIPES)
+        tuned, losses = tune_all(key, 64, args.steps, args.progress, chosen)
+        tuned = stored() | tuned
     else:
         print(f"rules tuned before, from benchmarks/{TUNED.name}; --steps N tunes anew", flush=True)
         tuned, losses = stored(), {}
     test = draw(QUICK if args.quick else tuple(CASES), jax.random.fold_in(key, 1), count)
-    table = methods(tuned, args.quick)
-    judged = evaluate(test, table)
+    compared = methods(tuned, args.quick)
+    judged = evaluate(test, compared)
     of = lambda part: {c: {m: getattr(v, part).tolist() for m, v in row.items()} for c, row in judged.items()}
     mean = lambda runs: {c: {m: float(np.mean(v)) for m, v in row.items()} for c, row in runs.items()}
     per_seed, per_seed_filter = of("position"), of("filter_position")
@@ -205,7 +230,12 @@ def main(argv: list[str]) -> None:
     result |= {"description": {n: CASES[n]._asdict() for n in test}, "cases": cases, **groups, "paired_to_ekf": factors}
     result |= {"cases_filter": mean(per_seed_filter), "per_seed": per_seed, "per_seed_filter": per_seed_filter}
     result |= {"loss": losses, "tuned": {name: as_dict(theta) for name, theta in tuned.items()}}
-    result["convergence"] = convergence(test, table, judged)
+    result["scores"] = {case: {m: in_units(v) for m, v in row.items()} for case, row in judged.items()}
+    show_scores(result["scores"])
+    rates = {rate: by_rate(rate, jax.random.fold_in(key, 3), count) for rate in RATES}
+    result["rates"] = {str(rate): {**row["matched"]["ekf"], **row} for rate, row in rates.items()}
+    show_rates(rates)
+    result["convergence"] = convergence(test, compared, judged)
     check = gradient_errors({"C2m": test["C2m"]} if args.quick else test)
     result |= {"gradient_rel_error": {c: row["best"] for c, row in check.items()}, "gradient_check": check}
     for name in ("convergence", "gradient_rel_error"):
@@ -214,6 +244,6 @@ def main(argv: list[str]) -> None:
         result["recorded"] = recorded(tuned)
     folder = args.figures or (args.json.with_suffix("") if args.json else None)
     if folder:
-        data = {c: {m: navigate_first(test[c], *table[m]) for m in SHOWN} for c in ("C1", "C2", "C2m")}
+        data = {c: {m: navigate_first(test[c], *compared[m]) for m in SHOWN} for c in ("C1", "C2", "C2m")}
         result["figures"] = fwekf_figures.draw(folder, test["C1"].sim, data, tuned, cases)
     common.write_json(args.json, result)

@@ -39,7 +39,7 @@ class Truth(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """B runs of E epochs with up to W hidden windows each; arrays of jax."""
+    """B runs of E epochs with up to W hidden windows each, none where a scenario has no outages; arrays of jax."""
 
     nav: Nav  # (B, ...) starts
     epochs: Epoch  # (B, E, ...)
@@ -61,7 +61,7 @@ class Material(NamedTuple):
     train: Batch
     validation: Batch
     test: Batch
-    blocks: np.ndarray  # (windows of the test that count,) what is drawn together
+    blocks: np.ndarray  # (windows of the test that count, or runs where there are none,) what is drawn together
     names: list[str]  # (B of the test,) of its runs
     train_names: list[str]  # (B of the training,)
     t_train: np.ndarray  # (E of the training,) s
@@ -95,7 +95,7 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     """Runs of a scenario; train, validation and test keys never meet.
 
     Raises:
-        ConfigError: a scenario without outages, constraints that need a recorded IMU stream, or wrong names.
+        ConfigError: constraints that need a recorded IMU stream, or wrong names.
     """
     _check(config, scenario)
     t = config.tune
@@ -103,8 +103,6 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     keys = jnp.concatenate([run_keys(config.seed, part, np.arange(n)) for part, n in zip(PARTS, counts)])
     sims = simulated(scenario, keys)
     windows = sims.outages.shape[1]
-    if not windows:
-        raise ConfigError(f"data.options.outages_s: tuning scores outages, scenario {scenario.name} has none")
     start, own = config.start, scenario.start
     sd = start.position_sd_m or own.prior_position_sd_m, start.velocity_sd_mps or own.prior_velocity_sd_mps
     params = pre.base_params(config, pre.grade_of(config, scenario), np.array(scenario.gnss.lever_arm_m), *sd)
@@ -124,7 +122,8 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     runs = jnp.broadcast_to(jnp.arange(t.runs)[:, None], train.keep.shape)
     about = f"simulated runs of {scenario.name}: {counts[0]} to train, {counts[1]} to validate, {counts[2]} kept aside"
     return Material(
-        filt, GNSS, params, sheet, batches[0], batches[1], batches[2], np.repeat(np.arange(counts[2]), windows),
+        filt, GNSS, params, sheet, batches[0], batches[1], batches[2],
+        np.repeat(np.arange(counts[2]), max(windows, 1)),
         [f"test run {i}" for i in range(counts[2])],
         [f"{scenario.name}, training run {i} of seed {config.seed}" for i in range(counts[0])],
         np.asarray(parts[0].truth.t[0]), Likelihood(train.nav, ready(train), train.keep, runs, t.runs), redraw,

@@ -1,4 +1,7 @@
-"""How a filter does on what a tuning job kept aside: drift at the ends of hidden windows, consistency outside."""
+"""How a filter does on what a tuning job kept aside: drift at the ends of hidden windows, consistency outside.
+
+Where nothing is hidden, a scenario without outages, every run counts by the RMS of its true horizontal error.
+"""
 
 from typing import Any, NamedTuple
 
@@ -6,7 +9,7 @@ import jax
 import numpy as np
 
 from jaxnav.analysis import evaluate, metrics
-from jaxnav.app.batches import Material
+from jaxnav.app.batches import Batch, Material
 from jaxnav.app.results import FailedCheck
 from jaxnav.filters.run import first_failure, run
 from jaxnav.types import Info, Params
@@ -20,7 +23,7 @@ runs_jit = jax.jit(jax.vmap(run, (None, None, 0, 0)), static_argnums=0)
 class JobScores(NamedTuple):
     """The test before and after, of all materials."""
 
-    errors: np.ndarray  # (windows,) m, horizontal, at the end of each window
+    errors: np.ndarray  # (windows,) m, horizontal, at the end of each window; of runs without windows the RMS of each
     blocks: np.ndarray  # (windows,) what is drawn together
     info: Info  # (B, E, ...) numpy, of the first material
     summary: dict[str, Any]
@@ -41,7 +44,7 @@ def score(materials: list[Material], params: Params, free: tuple[str, ...]) -> J
             failure = first_failure(jax.tree.map(lambda a, i=i: a[i], info), m.t)
             if failure:
                 raise FailedCheck(f"{name}: {failure}")
-        errors.append(np.asarray(jax.vmap(objectives.outage_error)(info, batch.ends))[np.asarray(batch.scored)])
+        errors.append(judged_by(info, batch))
         blocks.append(m.blocks + 1e6 * k)  # of different sources, never drawn as one
         judged = info._replace(valid=info.valid & np.asarray(batch.part)[..., None])  # nothing that tuning has seen
         flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), judged)
@@ -49,16 +52,30 @@ def score(materials: list[Material], params: Params, free: tuple[str, ...]) -> J
         with_fix = judged.valid[..., :2].all(-1)
         inside.append(np.sum(info.residual[with_fix][:, :2] ** 2, -1))
         infos.append((info, judged))
-    all_errors = np.concatenate(errors)
+    all_errors, what = np.concatenate(errors), "outage" if has_windows(materials) else "run"
     summary = {
-        "outage_rms_m": float(np.sqrt(np.mean(all_errors**2))),
-        "outage_median_m": float(np.median(all_errors)),
-        "outage_max_m": float(all_errors.max()),
+        f"{what}_rms_m": float(np.sqrt(np.mean(all_errors**2))),
+        f"{what}_median_m": float(np.median(all_errors)),
+        f"{what}_max_m": float(all_errors.max()),
         "nis_per_dof": float(np.mean([c["nis_per_dof"] for c in consistent])),
         "nis_share_inside_95": float(np.mean([c["nis_share_inside_95"] for c in consistent])),
         "innovation_horizontal_rms_m": float(np.sqrt(np.mean(np.concatenate(inside)))),
     } | channels(materials[0], infos[0][1])
     return JobScores(all_errors, np.concatenate(blocks), infos[0][0], summary)
+
+
+def has_windows(materials: list[Material]) -> bool:
+    """Whether anything is hidden in all of them."""
+    return all(m.test.ends.shape[1] for m in materials)
+
+
+def judged_by(info: Info, batch: Batch) -> np.ndarray:
+    """Errors at the ends of the windows that count, or the RMS of every run's horizontal error where there are none."""
+    if batch.ends.shape[1]:
+        return np.asarray(jax.vmap(objectives.outage_error)(info, batch.ends))[np.asarray(batch.scored)]
+    assert batch.truth is not None  # only a simulated run has no windows
+    error = np.asarray(jax.vmap(jax.vmap(metrics.position_error))(info.nav, batch.truth.lla))[..., :2]
+    return np.sqrt(np.mean(np.sum(error**2, -1), -1))
 
 
 def channels(material: Material, info: Info) -> dict[str, dict[str, float]]:

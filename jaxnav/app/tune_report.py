@@ -25,6 +25,8 @@ from tuning.export import write_exports
 from tuning.train import Fit
 from tuning.validation import PairedGain
 
+RUNS = ("runs", "Horizontal error of a run, RMS (m)")  # what a figure of errors shows where no window is hidden
+
 
 def report(
     materials: list[Material],
@@ -59,10 +61,12 @@ def text(result: dict[str, Any], config: Config) -> str:
     before, after = result["before"], result["after"]
     labels = {
         "outage_rms_m": "horizontal error at the end of an outage, RMS (m)", "outage_median_m": "the same, median (m)",
-        "outage_max_m": "the same, largest (m)", "innovation_horizontal_rms_m": "horizontal innovation, RMS (m)",
+        "outage_max_m": "the same, largest (m)", "run_rms_m": "horizontal error, RMS (m)",
+        "run_median_m": "the same of a run, median (m)", "run_max_m": "the same, largest (m)",
+        "innovation_horizontal_rms_m": "horizontal innovation, RMS (m)",
         "nis_per_dof": "NIS / dof (1 is consistent)",
     }  # fmt: skip
-    rows = [[label, before[key], after[key]] for key, label in labels.items()]
+    rows = [[label, before[key], after[key]] for key, label in labels.items() if key in before]
     lines = [result["about"], "", table([f"{config.filter.name} on data kept aside", "before", "after"], rows)]
     rows = [
         [name, before["nis_by_channel"].get(name, math.nan), value, before["autocorrelation"].get(name, math.nan),
@@ -73,7 +77,7 @@ def text(result: dict[str, Any], config: Config) -> str:
     lines += ["", table(head, rows), ""]
     gain = result["paired_gain"]
     if gain is None:
-        lines.append("too few windows kept aside for an interval of the gain")
+        lines.append("too few windows or runs kept aside for an interval of the gain")
     else:
         verdict = "better" if gain["low"] > 1 else "worse" if gain["high"] < 1 else "not proven"
         span = f"95 % interval {gain['low']:.2f} to {gain['high']:.2f}"
@@ -141,7 +145,9 @@ def user_history(history: list[dict]) -> list[dict]:
 def draw(folder: Path, material: Material, found: Fit, before: JobScores, after: JobScores) -> None:
     """Write the figures: drift before and after, tuning curves, and the first test run with the tuned filter."""
     drift = {"datasheet": before.errors, "tuned": after.errors}
-    plots.save(plots_stats.outage_drift(drift), folder / "outage_drift.png")
+    of_runs = material.test.ends.shape[1] == 0
+    fig = plots_stats.outage_drift(drift, what=RUNS) if of_runs else plots_stats.outage_drift(drift)
+    plots.save(fig, folder / ("run_error.png" if of_runs else "outage_drift.png"))
     if found.history:
         known = {name_of(leaf): user_value(leaf, v) for leaf, v in material.known.items()}
         plots.save(plots_stats.tuning(user_history(found.history), known), folder / "tuning.png")

@@ -57,6 +57,7 @@ class Entry(NamedTuple):
     more: bool = False  # may have further states: a paper's rule knows its own alone
     watched: bool = False  # its rule is made of the receiver's channels, and sees all
     gated: bool = False  # sees all that carries data, each measurement a block; others see the receiver's alone
+    named: dict[str, str] = {}  # further leaves that are free by name alone: ``rule.NAME``, never with the group
 
 
 _FUZZY = {"system.centres": "identity", "system.widths": "identity", "system.consequents": "identity"}
@@ -84,40 +85,44 @@ def _robust(states: tuple[str, ...], name: str) -> Entry:
 
 
 _ANSARI = "Ansari et al. 2024, IJE 37(06) 1127-1135"
+_GPID = {"ki": "signed", "kd": "signed"}
 _GIP_KF = "Journal of Control (English Edition) 1(1), 2022, 49-57"
-_GIP_TUNABLE = {"log_rl": "identity"}  # only its ratios to R_m matter; couplings are for a spec of one's own
+_GIP_TUNABLE = {"log_rl": "identity"}  # only its ratios to R_m matter
+_GIP_NAMED = {"log_rm": "identity", "rl_lower": "identity", "rm_lower": "identity"}
 FILTERS: dict[str, Entry] = {
     "ekf15": Entry(BIASES, kalman, lambda: (), {}, "Groves 2013, chapter 14", more=True),
     "ekf9": Entry((), kalman, lambda: (), {}, "Groves 2013, chapter 14, without bias states", more=True),
     "kf9_simple": Entry((), kalman, lambda: (), {}, f"{_ANSARI}, eqs. 9-15, the paper's standard KF", "simple"),
     "gpid": Entry(
-        (), gpid, lambda: gpid_params(0.003, 0.1), {"ki": "log", "kd": "log"}, f"{_ANSARI}, on position states"
+        (), gpid, lambda: gpid_params(0.003, 0.1), _GPID, f"{_ANSARI}, on position states"
     ),
     "gpid15": Entry(
-        BIASES, gpid, lambda: gpid_params(0.003, 0.1, 15), {"ki": "log", "kd": "log"}, f"{_ANSARI}, with bias states"
+        BIASES, gpid, lambda: gpid_params(0.003, 0.1, 15), _GPID, f"{_ANSARI}, with bias states"
     ),
     "gpid_literal": Entry(
-        (), gpid, lambda: literal_params(1.0, 0.0), {"ki": "log", "kd": "log"}, f"{_ANSARI}, scheme 1 as printed",
+        (), gpid, lambda: literal_params(1.0, 0.0), _GPID, f"{_ANSARI}, scheme 1 as printed",
         "simple",
     ),
     "gipkf": Entry(
-        (), gip_kf, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, model error to the accelerometers", "simple", "tangent"
+        (), gip_kf, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, model error to the accelerometers", "simple", "tangent",
+        named=_GIP_NAMED,
     ),
     "gipkf_mix": Entry(
         (), gip_kf, lambda: gip_kf_params(kappa=0.01), _GIP_TUNABLE | {"kappa": "log"},
-        f"{_GIP_KF}, and attitude corrections to the gyros", "simple", "tangent",
+        f"{_GIP_KF}, and attitude corrections to the gyros", "simple", "tangent", named=_GIP_NAMED,
     ),
     "gipkf_learning": Entry(
         (), gip_kf, lambda: gip_kf_params(growth=0.02, unlearnt=(0.02, 1e-3)),
         _GIP_TUNABLE | {"growth": "log", "unlearnt": "log"}, f"{_GIP_KF}, weights that change as biases are learnt",
-        "simple", "tangent",
+        "simple", "tangent", named=_GIP_NAMED,
     ),
     "gipkf_literal": Entry(
-        (), literal, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, open loop", "simple", "tangent", open_loop
+        (), literal, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, open loop", "simple", "tangent", open_loop,
+        named=_GIP_NAMED,
     ),
     "gipkf_literal_shift": Entry(
         (), literal, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, both past states shifted at a reset",
-        "simple", "tangent",
+        "simple", "tangent", named=_GIP_NAMED,
     ),
     "fwekf": Entry((), fwekf, fwekf_params, _FUZZY, _FWEKF, "full", "inertial", observer, poles),
     "fwekf15": Entry(

@@ -37,8 +37,9 @@ def poles(attitude: float = 1.0, position: float = 1.0) -> Poles:
 def observer(theta: Poles, retract, nav, x, T):
     """Continuous correction (FWEKF paper, eqs. 17-20): rates and accelerations drive the error to zero.
 
-    The paper's gains 1/tau, 1/tau^2, 2/tau are for continuous time and unstable for T >= tau; these put the poles of
-    the sampled system at exp(-T/tau), whatever T, and tend to the paper's for T << tau. The next epoch must not be
+    The paper has gains for continuous time and no values of them. With its poles at tau they are 1/tau, 1/tau^2 and
+    2/tau, which is unstable for T >= tau; these put the poles of the sampled system at exp(-T/tau), whatever T, and
+    tend to those for T << tau. The next epoch must not be
     several times longer than T. Biases are reset, having no drive of their own.
     """
     T = jnp.where(T > 0, T, 1.0)

@@ -116,4 +116,4 @@ WHEELS = Measurement(
 )  # fmt: skip
 """Speed of the wheels of both sides, none of which steers: value (2,) forward m/s, left and right, their own sd."""
 LEVEL = Measurement("level", ("up",), observe_level, LevelParams(0.1), LevelParams(Unit("level_mps", text="m/s")))
-"""A boat, or a robot on a floor, keeps its height: no value; sd = its parameter times the fix's own sd (1 by default)."""
+"""A boat, or a robot on a floor, keeps its height: no value; sd = its parameter times the fix's own sd."""

@@ -43,7 +43,7 @@ def test_every_filter_has_its_parameters_and_tunes_them_by_default(name):
     assert jax.tree.structure(params.feedback) == jax.tree.structure(entry.feedback_theta())
     spec = prepare.tune_spec(resolved().tune, name, GNSS, params)
     leaves = {leaf for leaf in spec if leaf.startswith("rule.")}
-    assert leaves == {f"rule.{leaf}" for leaf in entry.tunable} - ({"rule.kd"} if name == "gpid_literal" else set())
+    assert leaves == {f"rule.{leaf}" for leaf in entry.tunable}
     # what tuning moves can be written, read back, and is what the filter then has
     raw = split(spec, params)
     names = labels(spec, raw)

@@ -210,3 +210,39 @@ def test_starts_are_spread_and_the_same_for_a_seed():
     ratios = np.log([float(p.noise.gyro / params.noise.gyro) for p in found])
     assert len(found) == 3 and 0 < np.abs(ratios).max() < 4 * np.log(2)
     np.testing.assert_array_equal(ratios, np.log([float(p.noise.gyro / params.noise.gyro) for p in again]))
+
+
+@pytest.mark.parametrize(
+    "source, name, free, changes",
+    [
+        ("gpid_circle", "gpid_literal", ["rule"], {"data": {"options": {"duration_s": 80.0}}}),
+        ("fwekf", "fwekf", ["rule"], {}),
+        ("gipkf_urban", "gipkf", ["rule.log_rl", "rule.log_rm", "rule.rm_lower"], {"tune": {"rate": 0.01}}),
+    ],
+)
+def test_what_the_papers_are_about_is_tuned_by_the_command_line(source, name, free, changes, capsys):
+    """Gains, memberships, cost weights with couplings: by gradient over simulated runs, judged on others."""
+    own = {"data": {"source": source}, "filter": {"name": name, "cov_stride": 10}, "tune": {"free": free, "steps": 3}}
+    settings = config.merge(config.merge(SETTINGS, own), changes)
+    cli.Path("job.toml").write_text(to_toml(settings))
+    assert cli.main(["tune", "--config", "job.toml", "--out", "t", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["metrics"]
+    what = "outage" if source == "gipkf_urban" else "run"
+    before, after = (found[part][f"{what}_rms_m"] for part in ("before", "after"))
+    assert np.isfinite([before, after]).all() and found["steps"] == 4  # the start is one
+    rows = [json.loads(line)["params"] for line in cli.Path("t/history.jsonl").read_text().splitlines()]
+    for leaf in rows[0]:
+        assert np.any(np.asarray(rows[-1][leaf]) != np.asarray(rows[0][leaf])), f"{leaf} has not moved"
+    if what == "run":  # each counts by its own error, and the runs are what is drawn for the interval
+        errors = np.array(found["per_window"]["before_m"])
+        assert before == pytest.approx(np.sqrt(np.mean(errors**2))) and found["per_window"]["block"] == [0.0, 1.0]
+
+
+def test_drift_is_asked_for_only_where_something_is_hidden():
+    scenario = scenario_of(config.resolve([("", config.merge(SETTINGS, {"data": {"source": "fwekf"}}))]))
+    assert not scenario.gnss.outages_s
+    for objective in ({"drift": 1.0}, {"log_drift": 1.0, "rmse": 1.0}):
+        changes = {"data": {"source": "fwekf"}, "tune": {"objective": objective}}
+        job = config.resolve([("", config.merge(SETTINGS, changes))])
+        with pytest.raises(ConfigError, match="drift needs outages"):
+            tune.with_objective(job, tune.prepare(job))

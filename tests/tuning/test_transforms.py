@@ -13,6 +13,7 @@ from tests.conftest import leaves_equal
 from tuning.transforms import (
     IDENTITY,
     LOG,
+    SIGNED,
     TRANSFORMS,
     believed,
     factor,
@@ -51,7 +52,17 @@ def test_a_step_is_worth_what_it_says():
     assert scaled(0.01).forward(jnp.array(1.0)) == pytest.approx(0.01)
     forward = interval(-0.5, 2.0).forward
     assert forward(jnp.array(0.0)) == pytest.approx(0.75) and -0.5 < forward(jnp.array(-30.0)) < -0.49
-    assert TRANSFORMS == {"log": LOG, "identity": IDENTITY}
+    assert TRANSFORMS == {"log": LOG, "identity": IDENTITY, "signed": SIGNED}
+
+
+def test_a_gain_of_any_sign_moves_from_zero_and_by_tenths_where_it_is_large():
+    forward, inverse = SIGNED.forward, SIGNED.inverse
+    np.testing.assert_allclose(
+        forward(inverse(jnp.array([-3.0, -1e-4, 0.0, 2.0]))), [-3.0, -1e-4, 0.0, 2.0], rtol=1e-12
+    )
+    assert forward(inverse(2.0) + 0.1) == pytest.approx(2.0 * np.exp(0.1), rel=1e-4)
+    assert forward(inverse(0.0) - 0.1) == pytest.approx(-0.001, rel=2e-3)
+    assert jax.grad(forward)(inverse(0.0)) == pytest.approx(0.01)
 
 
 SPEC = {"noise.gyro": LOG, "measurements.position.scale": LOG, "mounting.lever_arm": scaled(0.1), "rule.ki": LOG}

@@ -171,8 +171,14 @@ def _bounds(ax: "Axes", t: Array, lo: Array, hi: Array) -> None:
         ax.plot(t, bound, color=BLACK, linewidth=0.9, linestyle="--", label="95 % chi-square bounds")
 
 
-def outage_drift(drift: Mapping[str, Array], labels: Mapping[str, str] | None = None) -> "Figure":
+def outage_drift(
+    drift: Mapping[str, Array],
+    labels: Mapping[str, str] | None = None,
+    what: tuple[str, str] = ("windows", "Horizontal error at the end of the outage (m)"),
+) -> "Figure":
     """Horizontal errors (W,) m at the end of each outage window, by method; ``labels`` renames methods.
+
+    ``what``: of something else than windows their name, and that of the error.
 
     Left the share of windows below x. Right, of two methods, one point a window (they must come in the same order);
     otherwise a box for each method.
@@ -181,27 +187,27 @@ def outage_drift(drift: Mapping[str, Array], labels: Mapping[str, str] | None = 
     labels = {k: (labels or {}).get(k, k) for k in known}
     fig = figure(10.0, 4.8)
     left, right = fig.subplots(1, 2, width_ratios=(1.2, 1.0))
-    dress(left, "", "Horizontal error at the end of the outage (m)", "Share of windows below (%)")
+    dress(left, "", what[1], f"Share of {what[0]} below (%)")
     for i, (name, v) in enumerate(known.items()):
-        summary = f"RMS {_metres(np.sqrt(np.mean(v**2)))}, median {_metres(np.median(v))}, {v.size} windows"
+        summary = f"RMS {_metres(np.sqrt(np.mean(v**2)))}, median {_metres(np.median(v))}, {v.size} {what[0]}"
         _steps(left, v, f"{labels[name]}: {summary}", _style(i))
     left.set_ylim(0.0, 102.0)
     if not _log(left, "x", np.concatenate(list(known.values())), 10.0):
         left.set_xlim(left=0.0)
     if len(known) == 2:
-        _paired(right, [np.asarray(drift[k], float) for k in known], list(labels.values()))
+        _paired(right, [np.asarray(drift[k], float) for k in known], list(labels.values()), what[0])
     else:
         _boxes(right, list(known.values()), list(labels.values()))
     legend(fig, 1 if len(known) < 4 else 2)
     return fig
 
 
-def _paired(ax: "Axes", pair: Sequence[Array], names: Sequence[str]) -> None:
+def _paired(ax: "Axes", pair: Sequence[Array], names: Sequence[str], what: str) -> None:
     before, after = pair
     if before.shape != after.shape:
-        raise ValueError(f"drift of two methods must be over the same windows, got {before.shape} and {after.shape}")
+        raise ValueError(f"drift of two methods must be over the same {what}, got {before.shape} and {after.shape}")
     both = np.isfinite(before) & np.isfinite(after)
-    title = f"{names[1]} is smaller in {int((after < before)[both].sum())} of {int(both.sum())} windows"
+    title = f"{names[1]} is smaller in {int((after < before)[both].sum())} of {int(both.sum())} {what}"
     dress(ax, title, f"{names[0]} (m)", f"{names[1]} (m)")
     ax.set_aspect("equal")
     ax.plot(before[both], after[both], "o", color=BLUE, alpha=0.6, markersize=5, markeredgewidth=0)

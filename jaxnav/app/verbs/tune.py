@@ -16,7 +16,7 @@ from jaxnav.app.long import Long, identity
 from jaxnav.app.objectives import LOST, TuningCase, aggregate, check_objective, objective
 from jaxnav.app.prepare import base_params, filter_name, grade_of, measurements_of, tune_spec
 from jaxnav.app.results import FailedCheck, Outcome, picture, stderr
-from jaxnav.app.scores import compare, runs_jit, score
+from jaxnav.app.scores import compare, has_windows, runs_jit, score
 from jaxnav.app.sources import scenario_of
 from jaxnav.app.verbs import tune_recorded
 from jaxnav.filters.run import first_failure
@@ -47,6 +47,7 @@ def tune(config: Config, folder: Path, progress: bool = False, long: Long | None
         config = dataclasses.replace(config, tune=dataclasses.replace(config.tune, method="adam"))
     seconds, begin = {}, time.perf_counter()
     materials = prepare(config)
+    config = with_objective(config, materials)
     main = materials[0]
     spec = tune_spec(config.tune, filter_name(config), main.measurements, main.sheet)
     if progress:
@@ -117,6 +118,22 @@ def prepare(config: Config) -> list[Material]:
         check_objective(config.tune.objective, material.train.truth is not None)
         materials.append(material)
     return materials
+
+
+def with_objective(config: Config, materials: list[Material]) -> Config:
+    """The objective as stated; its default, where nothing is hidden that could drift, is the error against the truth.
+
+    Raises:
+        ConfigError: a drift is asked for and a scenario has no outages.
+    """
+    if has_windows(materials):
+        return config
+    if config.tune.objective == type(config.tune)().objective:
+        return dataclasses.replace(config, tune=dataclasses.replace(config.tune, objective={"rmse": 1.0}))
+    asked = [name for name in ("drift", "log_drift") if config.tune.objective.get(name)]
+    if asked:
+        raise ConfigError(f"tune.objective: {asked[0]} needs outages, see data.options.outages_s; or take rmse or nll")
+    return config
 
 
 # ---------------------------------------------------------------------------- search

@@ -21,6 +21,7 @@ standard deviation reaches `Fwekf.limit`: 1 + (a^2 - 1) (1 - P_ii / limit_i^2)^2
 filter's answer then has no kink where its weight crosses 1.
 """
 
+from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
@@ -74,8 +75,9 @@ def limits(
 def fwekf_params(low: float = 1.0, high: float = 1.2, limit: Limits | None = None) -> Fwekf:
     """Hand-set parameters: a between ``low`` and ``high``; the sets are zero, small, large for x1, then x2.
 
-    The consequents are a = 1, 1.02, 1.05 and 0.98 for Z, S, L and NS, or as near to them as the bounds allow. A memory
-    of 1 / (2 log a) fixes goes with a: 25 and 10 of them for S and L.
+    The consequents are a = 1, 1.02, 1.05 and 0.98 for Z, S, L and NS, or as near to them as the bounds allow: NS is
+    1.0002 by default, so that old information never counts for more than new; ``low`` = 0.9 has all four. A memory of
+    1 / (2 log a) fixes goes with a: 25 and 10 of them for S and L.
     """
     inside = 1e-3 * (high - low)
     answers = [min(max(a, low + inside), high - inside) for a in (1.0, 1.02, 1.05, 0.98)]
@@ -110,6 +112,19 @@ def inputs(past: Window, z: Innovation) -> jax.Array:
     return jnp.stack([x1, jnp.clip(x2, 0.0, 6.0)])
 
 
+def printed_inputs(past: Window, z: Innovation) -> jax.Array:
+    """Eqs. 31 and 32 as printed, (2,): root mean square over the channels of the mean, and mean of the mean squares.
+
+    In metres and metres per second as they come; ``past`` has n + 1 residuals, all of which eq. 31 adds up and divides
+    by n.
+    """
+    residual = jnp.where(past.valid, past.residual, 0.0)
+    count = jnp.clip(past.valid.sum(0), 1, past.residual.shape[0] - 1)
+    average = lambda a: jnp.where(z.valid, a, 0.0).sum() / jnp.maximum(z.valid.sum(), 1)
+    mean, power = residual.sum(0) / count, (residual[1:] ** 2).sum(0) / count
+    return jnp.stack([jnp.sqrt(average(mean**2) + 1e-10), average(power)])
+
+
 def fading(limit: Limits, a: jax.Array, P: jax.Array) -> jax.Array:
     """Factor on each state, (n,), that carries ``P`` on: ``a``, and less where a state is near its limit."""
     full = (
@@ -128,19 +143,25 @@ def weighted(z: Innovation, R: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @cache
-def fwekf(n: int = 50, table=TABLE, conjunction: fuzzy.Conjunction = fuzzy.product) -> Rule:
-    """The rule with a window of ``n`` fixes and any table of two inputs.
+def fwekf(
+    n: int = 50,
+    table=TABLE,
+    conjunction: fuzzy.Conjunction = fuzzy.product,
+    seen: Callable[[Window, Innovation], jax.Array] = inputs,
+) -> Rule:
+    """The rule with a window of ``n`` fixes and any table of two inputs, which ``seen`` makes of the window.
 
-    The paper's Figure 9 rises for 5 s: 50 fixes at 10 Hz.
+    The paper's Figure 9 rises for 5 s: 50 fixes at 10 Hz. Its text has "max/min used for or/and", its eq. 30 a product.
     """
+    rows = n + 1 if seen is printed_inputs else n
 
     def correct(theta: Fwekf, memory: Window, z: Innovation) -> Correction:
         memory = push(memory, z)
-        a = fuzzy.infer(theta.system, table, inputs(memory, z), conjunction)
+        a = fuzzy.infer(theta.system, table, seen(memory, z), conjunction)
         delta, P = weighted(z, z.R / a**2)
         return Correction(delta, P, memory, z.valid, fading(theta.limit, a, P))
 
-    return Rule(lambda _, m: window(n, m), correct, smooths=True)
+    return Rule(lambda _, m: window(rows, m), correct, smooths=True)
 
 
 class Literal(NamedTuple):

@@ -98,7 +98,7 @@ def of(name: str) -> dict:
     point = jax.tree.map(lambda a: a[None], ErrorInputs(nav, jnp.eye(3), *(jnp.zeros(3),) * 3))
     dynamics = count(model.discretize, params, point, jnp.ones(1), None)
     inside = by_sweeps(compiled, CHANNELS, *([n] if name.startswith("gipkf") else []))
-    return {"hand": BY_HAND[name], "compiled": inside, "compiled_phi_and_q": dynamics, "paper": PAPER.get(name)}
+    return {"hand": BY_HAND.get(name), "compiled": inside, "compiled_phi_and_q": dynamics, "paper": PAPER.get(name)}
 
 
 def nine_cycle(theta, P, Phi, Q, H, R, y):
@@ -127,4 +127,6 @@ def show(found: dict) -> None:
     """Print the table."""
     print("\nfloating-point operations of a cycle: by hand | compiled | Phi and Q | paper")
     for name, r in found.items():
-        print(f"  {name:16} {r['hand']:8} | {r['compiled']:8} | {r['compiled_phi_and_q']:8} | {r['paper'] or '-'}")
+        print(
+            f"  {name:16} {r['hand'] or '-':8} | {r['compiled']:8} | {r['compiled_phi_and_q']:8} | {r['paper'] or '-'}"
+        )

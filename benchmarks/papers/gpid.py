@@ -5,12 +5,14 @@ An hour on a circle with a GNSS fault from 600 to 1100 s. Three configurations: 
 working form with noise settings and a reading of the fault that were searched for to come near the paper's tables.
 """
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
-from benchmarks.papers import gpid_figures
+from benchmarks.papers import gpid_claims, gpid_figures
 from benchmarks.papers.gpid_study import (
     PARTS,
     SCHEMES,
@@ -259,4 +261,6 @@ def main(argv: list[str]) -> None:
         name: {q: v.tolist() for q, v in rms(s.squares).items()} for name, s in runs.items()
     }  # (S, C) each, C in the order of SCHEMES
     result["figures"] = gpid_figures.draw(runs["fitted"], args.figures)
+    claimed, printed = gpid_claims.claims(args.seed, count, Path(args.figures))
+    result |= claimed | {"figures_printed": gpid_figures.draw(printed, f"{args.figures}/printed")}
     common.write_json(args.json, result | {"seed": args.seed, "seeds": count})

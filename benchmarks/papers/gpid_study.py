@@ -21,7 +21,7 @@ from jaxnav.states.grades import GRADES
 from jaxnav.strapdown.fast import local_level
 from jaxnav.types import Info, Nav, Params
 
-PARTS = {"before": (0, 600), "in": (600, 1100), "after": (1100, 1600), "rest": (1600, 3600)}  # s, fixes of 1 Hz
+PARTS = {"before": (0, 600), "in": (600, 1100), "after": (1100, 1600), "rest": (1600, 3600)}  # s
 COLUMNS = (
     "roll_deg", "pitch_deg", "yaw_deg", "latitude_deg", "longitude_deg", "altitude_m", "east_m", "north_m",
     "ve_mps", "vn_mps", "vu_mps", "tilt_deg", "heading_deg",
@@ -96,7 +96,8 @@ def _runs(filt: Filter, params: Params, sims: Simulated):
         def candidate(p):
             info = run(filt, p, sim.initial, sim.epochs)
             e = deviation(info, sim.truth)
-            squares = jnp.stack([jnp.mean(e[a:b] ** 2, 0) for a, b in PARTS.values()])
+            rate = e.shape[0] // PARTS["rest"][1]  # of the fixes, Hz
+            squares = jnp.stack([jnp.mean(e[a * rate : b * rate] ** 2, 0) for a, b in PARTS.values()])
             return squares, e, info.nav.pos[:, :2], info.ok[-1], info.nis.mean()
 
         return *jax.vmap(candidate)(params), sim.truth.pos[None, :, :2]
@@ -106,7 +107,7 @@ def _runs(filt: Filter, params: Params, sims: Simulated):
 
 
 def study(filt: Filter, params: list[Params], sims: Simulated) -> Study:
-    """All candidates on all seeds; fixes of 1 Hz, runs of an hour."""
+    """All candidates on all seeds; runs of an hour."""
     stacked = jax.tree.map(lambda *a: jnp.stack(a), *params)
     return Study(*(np.asarray(a) for a in _runs(filt, stacked, sims)))
 

@@ -24,7 +24,10 @@ from jaxnav.simulate.trajectories import Urban
 
 FIXES = 400  # of every run
 SHORT = 0.1  # of the hour on the circle, and of its faults
-NAMES = ("kf9_simple", "gpid", "gpid15", "gpid_literal", "gipkf", "gipkf_mix", "fwekf", "ekf15_gate")
+NAMES = (
+    "kf9_simple", "gpid", "gpid15", "gpid15_gate", "gpid_literal", "gipkf", "gipkf_learning", "gipkf_mix", "fwekf",
+    "fwekf15", "fwekf_combined", "ekf15_gate",
+)  # fmt: skip
 QUICK = ("gpid",)
 FULL_BUDGET = Tune(steps=20, rate=0.2, runs=3, validation_runs=3, test_runs=16)
 QUICK_BUDGET = Tune(steps=2, rate=0.2, runs=1, validation_runs=1, test_runs=2)

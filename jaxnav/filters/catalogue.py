@@ -99,6 +99,11 @@ FILTERS: dict[str, Entry] = {
     "gpid15": Entry(
         BIASES, gpid, lambda: gpid_params(0.003, 0.1, 15), _GPID, f"{_ANSARI}, with bias states"
     ),
+    "gpid15_gate": Entry(
+        BIASES, lambda *sizes: gate(gpid(), *sizes), lambda: gate_params(rule=gpid_params(0.003, 0.1, 15)),
+        {f"rule.{name}": kind for name, kind in _GPID.items()}, f"{_ANSARI}, with bias states, behind a gate",
+        gated=True,
+    ),
     "gpid_literal": Entry(
         (), gpid, lambda: literal_params(1.0, 0.0), _GPID, f"{_ANSARI}, scheme 1 as printed",
         "simple",

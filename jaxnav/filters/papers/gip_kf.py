@@ -14,8 +14,9 @@ error; under reset (`gipkf_literal_shift`) both past states are shifted by what 
 leaves m as it is. A tilt and the m that balances it cannot be told apart in an earth-fixed frame, so that m walks.
 
 `gip_kf` works: both past states start from zero after a correction, and of dm the velocity part becomes accelerometer
-bias, dm_v / T in body axes, which turns with the vehicle and holds through an outage. With diagonal weights dm has no
-attitude part, so no gyro bias can come from it; ``kappa`` (not in the paper) adds one, kappa (x+ - F x)_attitude / T.
+bias, dm_v / T in body axes, which turns with the vehicle and holds through an outage, and its attitude part gyro bias,
+as the paper's Fig. 3 has it. With diagonal weights there is none: it takes an R_m that couples attitude to velocity, or
+``kappa`` (not in the paper), kappa (x+ - F x)_attitude / T.
 
 R_m and Q have an index k in print (32, 35), and the biases that they stand for are learnt once: after t seconds with
 fixes R_m is (1 + growth t) times what it was at the start, and the part ``unlearnt`` of the process noise is
@@ -111,7 +112,8 @@ def correct(theta: GipKf, t: jax.Array, z: Innovation) -> Correction:
     dm, delta, P = _update(theta._replace(log_rm=theta.log_rm + jnp.log(grown)), z)
     T = jnp.where(z.T > 0, z.T, 1.0)
     P = P.at[3:9, 3:9].add(jnp.diag((theta.unlearnt / grown) ** 2 * z.T))
-    return Correction(delta, P, t + z.T, z.valid, drive=Forcing(theta.kappa * delta[A] / T, dm[V] / T))
+    gyro = theta.kappa * delta[A] / T + dm[A] / T
+    return Correction(delta, P, t + z.T, z.valid, drive=Forcing(gyro, dm[V] / T))
 
 
 def extrapolate_literal(theta: GipKf, m: jax.Array, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:

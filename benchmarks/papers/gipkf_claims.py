@@ -34,7 +34,7 @@ def _transitions(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> jax.A
 def ranks(filt: Filter, params: Params, drives: study.Drives, span: int = 60) -> dict[str, dict[str, int]]:
     """Ranks of the observability matrices over ``span`` s of a drive at rest and in motion.
 
-    ``state``: x by the F of eq. 22 and the H of eq. 26. ``input``: x beside a constant unknown input m of eq. 23, (x, m).
+    ``state``: x by the F of eq. 22 and the H of eq. 26. ``input``: x beside a constant unknown input m of eq. 23.
     """
     one = jax.tree.map(lambda a: a[0], drives)
     Phi = np.asarray(_transitions(filt, params, one.initial, one.epochs))

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.special import gammaln
 
 from jaxnav.filters.core import Filter, Step
 from jaxnav.maths import linalg, rotations
-from jaxnav.types import DataError, Epoch, Info, Nav, Origin, Params, Track
+from jaxnav.types import DataError, Epoch, Imu, Info, Nav, Origin, Params, Track
 
 FREEDOM = 4.0  # of the Student t that stands for outliers in a likelihood
 
@@ -27,6 +28,36 @@ def require_x64(*trees: Any) -> None:
         dtype = jnp.result_type(leaf)
         if jnp.issubdtype(dtype, jnp.floating) and dtype != jnp.float64:
             raise DataError(f"positions need float64, got {dtype}: call jaxnav.enable_x64() before anything else")
+
+
+def require_shapes(filt: Filter, nav: Nav, epochs: Epoch) -> None:
+    """Refuse what is not one run's start and epochs for this filter, before it ends in an error from inside a scan.
+
+    Raises:
+        ValueError: names the field.
+    """
+    imu, fix, m = epochs.imu, epochs.fix, filt.model.n_channels
+    E = jnp.shape(fix.valid)[0] if jnp.ndim(fix.valid) else 0
+    expected: dict[str, tuple[Any, tuple]] = {
+        "nav.pos": (nav.pos, (3,)),
+        "nav.vel": (nav.vel, (3,)),
+        "nav.q": (nav.q, (4,)),
+    }
+    expected |= {f"epochs.fix.{name}": (leaf, (E, m)) for name, leaf in fix._asdict().items()}
+    if isinstance(imu, Imu):
+        sizes = {"dt": (E, None), "gyro": (E, None, 3), "accel": (E, None, 3)}
+        expected |= {f"epochs.imu.{name}": (getattr(imu, name), size) for name, size in sizes.items()}
+    for name, (leaf, shape) in expected.items():
+        try:
+            chex.assert_shape(leaf, shape)
+        except AssertionError as error:
+            of = f"{E} epochs of a filter with the {m} channels of {', '.join(filt.model.measurements)}"
+            found = f"{name} has shape {jnp.shape(leaf)}, expected {shape}"
+            raise ValueError(f"{found}: {of}; of many runs, vmap") from error
+    try:
+        chex.assert_type(fix.valid, bool)
+    except AssertionError as error:
+        raise ValueError(f"epochs.fix.valid must be bool, got {fix.valid.dtype}") from error
 
 
 @partial(jax.jit, static_argnums=0)
@@ -60,9 +91,11 @@ def run(
 
     Raises:
         DataError: float32 input (at trace time).
-        ValueError: epochs that were prepared for a filter with another stride or history (at trace time).
+        ValueError: shapes that are not those of one run of this filter, or epochs that were prepared for a filter with
+            another stride or history (at trace time).
     """
     require_x64(params, nav, epochs)
+    require_shapes(filt, nav, epochs)
 
     @jax.checkpoint
     def one(state, i):

@@ -402,6 +402,21 @@ def test_a_gradient_differentiates_an_epoch_once(case, feedback):
     assert len(tried) == 1, tried
 
 
+def test_what_is_not_one_run_of_the_filter_is_refused_by_its_field(case):
+    epochs = case.packed.epochs
+    fix, imu, many = epochs.fix, epochs.imu, jax.tree.map(lambda a: jnp.stack([a, a]), case.nav)
+    for match, nav, bad in (
+        (r"fix.value has shape \(\d+, 5\), expected \(\d+, 6\): .* 6 channels of position, velocity", case.nav,
+         epochs._replace(fix=fix._replace(value=fix.value[:, :5]))),
+        (r"epochs.imu.gyro has shape", case.nav, epochs._replace(imu=imu._replace(gyro=imu.gyro[..., :2]))),
+        (r"nav.pos has shape \(2, 3\), expected \(3,\).*of many runs, vmap", many, epochs),
+        (r"epochs.fix.valid must be bool, got float64", case.nav,
+         epochs._replace(fix=fix._replace(valid=fix.valid.astype(float)))),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=match):
+            run(build("ekf15"), case.params, nav, bad)
+
+
 def test_float32_is_refused(case):
     small = case.nav._replace(pos=case.nav.pos.astype(jnp.float32))
     with pytest.raises(DataError, match="float64, got float32"):

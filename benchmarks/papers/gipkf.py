@@ -142,6 +142,12 @@ def learning(params: Params) -> Params:
     return scaled(params, {"noise.gyro": 0.25})._replace(rule=rule)
 
 
+def coupled(params: Params) -> Params:
+    """The same filter, ready for couplings: attitude as dear as velocity, or one to it would have to be large."""
+    log_rm = params.rule.log_rm
+    return params._replace(rule=params.rule._replace(log_rm=log_rm.at[6:].set(log_rm[3:6])))
+
+
 def nine_set(name: str) -> Params:
     """For `nine_states`: noise on the z gyro for its bias, which is learnt from the start if it was not calibrated."""
     raw = name == "uncalibrated"
@@ -160,9 +166,6 @@ def start_of(method: str, name: str) -> Params:
         return hand_set(name)
     if method == "gipkf_body_dm_tuned":
         return learning(hand_set(name))
-    if method == "gipkf_coupled_tuned":  # attitude as dear as velocity, or a coupling to it would have to be large
-        start = learning(hand_set(name))
-        return start._replace(rule=start.rule._replace(log_rm=start.rule.log_rm.at[6:].set(start.rule.log_rm[3:6])))
     params = datasheet(name) if ROWS[method] == "ekf15" else noise_figures(name)
     return params._replace(rule=FILTERS[ROWS[method]].theta())
 
@@ -180,9 +183,13 @@ def tuned_params(name: str, key: jax.Array, train: int, steps: int, only: tuple[
     for method in only:
         params[method] = start_of(method, name)
     drives = study.drive(scenario(name), jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(train)))
+    rates = {"gipkf_coupled_tuned": 0.03}  # couplings want small steps
     steer = jax.random.fold_in(key, 7 * FIRST_TEST)
     for method, spec in SPECS.items() if not only else [(m, SPECS[m]) for m in only]:
-        params[method], losses = study.tune(filter_of(method), params[method], spec, drives, steer, steps)
+        if method == "gipkf_coupled_tuned":
+            params[method] = coupled(params["gipkf_body_dm_tuned"])
+        filt, rate = filter_of(method), rates.get(method, 0.1)
+        params[method], losses = study.tune(filt, params[method], spec, drives, steer, steps, rate)
         print(f"  tuned {method}: loss {np.mean(losses[:10]):.3f} -> {np.mean(losses[-10:]):.3f}", flush=True)
     return params
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.papers import flops, gipkf
+from benchmarks.papers import flops, gipkf, gipkf_claims
 from benchmarks.papers import gipkf_study as study
 from jaxnav.filters.parameters import get
 from jaxnav.types import Epoch, Fix, Imu
@@ -79,3 +79,24 @@ def test_figures_of_the_study(tmp_path):
         errors = np.array(row["per_seed"])
         np.testing.assert_allclose([row["10"], row["11"], row["22"]], np.sqrt(np.mean(errors**2, axis=0)))
     assert path.with_suffix(".png").stat().st_size > 50_000
+
+
+def test_rank_does_not_go_by_the_unit():
+    """Two directions of three, one of them seen a thousand times less; rows in metres and in millimetres."""
+    M = np.array([[1.0, 0.0, 0.0], [0.0, 1e-3, 0.0], [1.0, 1e-3, 0.0], [0.0, 0.0, 0.0]])
+    unit = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    assert gipkf_claims.rank(M, unit, 1e-4) == 2 and gipkf_claims.rank(M, unit, 1e-2) == 1
+    scaled = np.tile([[1.0], [1000.0]], (2, 1))
+    assert gipkf_claims.rank(M * scaled, unit * np.array([[1.0], [1000.0]]), 1e-4) == 2
+
+
+def test_the_claims_of_two_drives(tmp_path):
+    """Ranks, growth and what is left around an outage are those of a filter that works."""
+    drives = study.drive(gipkf.scenario("nominal"), jax.random.split(jax.random.key(3), 2))
+    windows = study.draw(jax.random.key(4), 2)
+    each = gipkf.filter_of("gipkf_body_dm_hand"), gipkf.start_of("gipkf_body_dm_hand", "nominal")
+    ranks = gipkf_claims.ranks(*each, drives)
+    assert [ranks[k]["state"] for k in ("at rest", "in motion")] == [9, 9] and ranks["at rest"]["input"] == 15
+    found = gipkf_claims.around(*each, drives, windows)
+    assert max(found["tilt_end_deg"]) < 3 and min(found["heading_before_deg"]) > 0.01
+    assert 1 <= min(found["again_median_s"]) <= max(found["again_p90_s"]) < 100

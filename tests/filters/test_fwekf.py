@@ -229,3 +229,16 @@ def test_gradient_of_a_run_in_memberships_and_consequents():
     numeric = np.array([(rms(flat + e) - rms(flat - e)) / (2 * h) for e in h * np.eye(flat.size)])
     assert (np.abs(grad) > 1e-9).sum() > 20
     np.testing.assert_allclose(grad, numeric, rtol=1e-5, atol=1e-9 * np.abs(grad).max())
+
+
+def test_printed_inputs_add_up_one_more_than_they_divide_by():
+    """Eqs. 31 and 32 by hand, n = 4: five residuals over 4, and the squares of the last four, in metres."""
+    rng = np.random.default_rng(3)
+    residual, n = rng.normal(size=(5, 6)) * [3, 4, 5, 0.1, 0.2, 0.3], 4
+    past = fwekf.Window(jnp.asarray(residual), jnp.ones((5, 6), bool))
+    z = innovation(jnp.zeros(6))
+    x1, x2 = fwekf.printed_inputs(past, z)
+    np.testing.assert_allclose(x1, np.sqrt(np.mean((residual.sum(0) / n) ** 2) + 1e-10), rtol=1e-12)
+    np.testing.assert_allclose(x2, np.mean((residual[1:] ** 2).sum(0) / n), rtol=1e-12)
+    first = fwekf.Window(past.residual, jnp.zeros((5, 6), bool).at[-1].set(True))  # the first fix of a run
+    np.testing.assert_allclose(fwekf.printed_inputs(first, z)[1], np.mean(residual[-1] ** 2), rtol=1e-12)

@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from benchmarks.papers.learned import FREE as LEARNED
+from benchmarks.papers.learned import learned, learned_params
 from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.core import Filter, Rule, make_filter
 from jaxnav.filters.error_model import error_model
@@ -26,7 +28,7 @@ from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import Simulated, matched_params, simulate
 from jaxnav.types import Params
 from tuning.train import fit
-from tuning.transforms import IDENTITY
+from tuning.transforms import IDENTITY, Spec
 
 PRINTED = math.sqrt(0.001)  # "R in all sensors was selected as 0.001", read as a variance
 
@@ -178,11 +180,6 @@ def objective(filt: Filter, runs: int, judged: tuple[str, ...] = ("position",)):
     return loss
 
 
-def leaves(*systems: str) -> dict:
-    """The spec that frees the memberships and consequents of these systems."""
-    return {f"rule.{s}.{leaf}": IDENTITY for s in systems for leaf in ("centres", "widths", "consequents")}
-
-
 @cache
 def printed() -> Rule:
     """Inputs of eqs. 31 and 32 in metres, and the smaller membership for "and", as the text has it."""
@@ -202,23 +199,29 @@ def printed_params() -> Fwekf:
     return Fwekf(fuzzy.System(sets.centres, sets.widths, answers, bounds), limits())
 
 
+def leaves(*systems: str) -> Spec:
+    """The spec that frees the memberships and consequents of these systems."""
+    return {f"rule.{s}.{leaf}": IDENTITY for s in systems for leaf in ("centres", "widths", "consequents")}
+
+
 class Recipe(NamedTuple):
     """How a tuned rule comes about."""
 
     rule: Callable[[], Rule]
     start: Callable[[], Any]  # its parameters to start from
-    systems: tuple[str, ...]  # that are tuned
+    free: Spec  # of it
     judged: tuple[str, ...] = ("position",)  # errors in the loss
 
 
 RECIPES = {
-    "fwekf_0.9_tuned": Recipe(fwekf, lambda: fwekf_params(0.9), ("system",)),
-    "fwekf_1.0_tuned": Recipe(fwekf, lambda: fwekf_params(1.0), ("system",)),
-    "fuzzy_combined_tuned": Recipe(fuzzy_combined, combined_params, ("fade", "adapt")),
+    "fwekf_0.9_tuned": Recipe(fwekf, lambda: fwekf_params(0.9), leaves("system")),
+    "fwekf_1.0_tuned": Recipe(fwekf, lambda: fwekf_params(1.0), leaves("system")),
+    "fuzzy_combined_tuned": Recipe(fuzzy_combined, combined_params, leaves("fade", "adapt")),
     "fwekf_0.9_all_tuned": Recipe(
-        fwekf, lambda: fwekf_params(0.9), ("system",), ("position", "velocity", "attitude")
+        fwekf, lambda: fwekf_params(0.9), leaves("system"), ("position", "velocity", "attitude")
     ),
-    "fwekf_printed_tuned": Recipe(printed, printed_params, ("system",)),
+    "learned": Recipe(learned, learned_params, LEARNED),
+    "fwekf_printed_tuned": Recipe(printed, printed_params, leaves("system")),
 }  # fmt: skip
 
 
@@ -232,7 +235,7 @@ def tune(recipe: Recipe, train: dict[str, Runs], key, steps: int, progress: bool
     filt = navigator(recipe.rule())
     chances = lambda key: [(cases, jax.random.split(key, len(train)))]  # other runs of every case for another key
     found = fit(
-        objective(filt, 8, recipe.judged), leaves(*recipe.systems), parameters(recipe.start()), steps,
+        objective(filt, 8, recipe.judged), recipe.free, parameters(recipe.start()), steps,
         validation=objective(filt, 16, recipe.judged),
         cases=lambda step: chances(jax.random.fold_in(training, step)), validation_cases=chances(held),
         clip=1.0, every=20, progress=progress,
@@ -261,6 +264,7 @@ def methods(tuned: dict[str, Any], quick: bool) -> dict[str, tuple[Filter, Any]]
         "fwekf_1.0_tuned": (weighted, tuned["fwekf_1.0_tuned"]),
         "fuzzy_combined_hand": (navigator(fuzzy_combined()), combined_params()),
         "fuzzy_combined_tuned": (navigator(fuzzy_combined()), tuned["fuzzy_combined_tuned"]),
+        "learned": (navigator(learned()), tuned["learned"]),
     }
     if quick:
         return table

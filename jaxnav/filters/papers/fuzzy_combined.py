@@ -16,8 +16,9 @@ What is expected is judged by R as it now is, so that a = 1 again once R is righ
 in every mean: while the window fills, the filter is held to be right.
 """
 
+from collections.abc import Callable
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -87,13 +88,25 @@ def inputs(doubt: jax.Array, past: Window, z: Innovation, R: jax.Array, witness:
 def fuzzy_combined(n: int = 20, table=TABLE, conjunction: fuzzy.Conjunction = fuzzy.product, witness: int = -1) -> Rule:
     """The rule with a window of ``n`` fixes; its channels come in blocks of three, of which ``witness`` is one."""
 
-    def correct(theta: Combined, memory: CombinedMemory, z: Innovation) -> Correction:
+    def decide(theta: Combined, m: jax.Array, e: jax.Array) -> tuple[jax.Array, jax.Array]:
+        answer = lambda system, e: fuzzy.infer(system, table, jnp.stack([m, e]), conjunction)
+        return answer(theta.fade, jnp.max(e)), jax.vmap(answer, (None, 0))(theta.adapt, e)
+
+    return deciding(decide, n, witness)
+
+
+def deciding(decide: Callable[[Any, jax.Array, jax.Array], tuple[jax.Array, jax.Array]], n: int, witness: int) -> Rule:
+    """The rule by whatever decides: (theta, mean (), sizes (m / 3,)) -> a (), shares of the way to a new R (m / 3,).
+
+    ``theta`` has the limit, doubt, bounds and floor of `Combined`.
+    """
+
+    def correct(theta: Any, memory: CombinedMemory, z: Innovation) -> Correction:
         past, here = push(memory.past, z), by_block(z.valid).any(1)
         before = inflated(z.R, jnp.exp(jnp.repeat(memory.log_factor, BLOCK)))
         m, e, square = inputs(theta.doubt, past, z, before, witness)
-        answer = lambda system, e: fuzzy.infer(system, table, jnp.stack([m, e]), conjunction)
-        a = answer(theta.fade, jnp.max(e))
-        share = jnp.where(here, jax.vmap(answer, (None, 0))(theta.adapt, e), 0.0)
+        a, share = decide(theta, m, e)
+        share = jnp.where(here, share, 0.0)
         left = square - over_blocks(z.valid, jnp.diag(z.H @ z.P @ z.H.T))  # what P does not explain
         R = over_blocks(z.valid, jnp.diag(z.R))
         factor = jnp.where(here, jnp.maximum(left, theta.floor * square) / jnp.where(here, R, 1.0), 1.0)

@@ -121,6 +121,7 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
 
     runs = jnp.broadcast_to(jnp.arange(t.runs)[:, None], train.keep.shape)
     about = f"simulated runs of {scenario.name}: {counts[0]} to train, {counts[1]} to validate, {counts[2]} kept aside"
+    about += "" if windows else "; it has no outages: judged by the error against the truth"
     return Material(
         filt, GNSS, params, sheet, batches[0], batches[1], batches[2],
         np.repeat(np.arange(counts[2]), max(windows, 1)),

@@ -93,20 +93,15 @@ FILTERS: dict[str, Entry] = {
     "ekf15": Entry(BIASES, kalman, lambda: (), {}, "Groves 2013, chapter 14", more=True),
     "ekf9": Entry((), kalman, lambda: (), {}, "Groves 2013, chapter 14, without bias states", more=True),
     "kf9_simple": Entry((), kalman, lambda: (), {}, f"{_ANSARI}, eqs. 9-15, the paper's standard KF", "simple"),
-    "gpid": Entry(
-        (), gpid, lambda: gpid_params(0.003, 0.1), _GPID, f"{_ANSARI}, on position states"
-    ),
-    "gpid15": Entry(
-        BIASES, gpid, lambda: gpid_params(0.003, 0.1, 15), _GPID, f"{_ANSARI}, with bias states"
-    ),
+    "gpid": Entry((), gpid, lambda: gpid_params(0.003, 0.1), _GPID, f"{_ANSARI}, on position states"),
+    "gpid15": Entry(BIASES, gpid, lambda: gpid_params(0.003, 0.1, 15), _GPID, f"{_ANSARI}, with bias states"),
     "gpid15_gate": Entry(
         BIASES, lambda *sizes: gate(gpid(), *sizes), lambda: gate_params(rule=gpid_params(0.003, 0.1, 15)),
         {f"rule.{name}": kind for name, kind in _GPID.items()}, f"{_ANSARI}, with bias states, behind a gate",
         gated=True,
     ),
     "gpid_literal": Entry(
-        (), gpid, lambda: literal_params(1.0, 0.0), _GPID, f"{_ANSARI}, scheme 1 as printed",
-        "simple",
+        (), gpid, lambda: literal_params(1.0, 0.0), _GPID, f"{_ANSARI}, scheme 1 as printed", "simple",
     ),
     "gipkf": Entry(
         (), gip_kf, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, model error to the accelerometers", "simple", "tangent",
@@ -134,7 +129,8 @@ FILTERS: dict[str, Entry] = {
         BIASES, fwekf, fwekf_params, _FUZZY, f"{_FWEKF}, with bias states", "full", "inertial", observer, poles
     ),
     "fwekf_literal": Entry(
-        (), fwekf_literal, fwekf_params, _FUZZY, f"{_FWEKF}, weights as printed", "full", "inertial", observer, poles
+        (), fwekf_literal, lambda: fwekf_params(0.9), _FUZZY, f"{_FWEKF}, weights and table as printed", "full",
+        "inertial", observer, poles,
     ),
     "fwekf_combined": Entry(
         (), fuzzy_combined, combined_params, _COMBINED, "this package: fading or a new R, by fuzzy rules", "full",

@@ -39,8 +39,8 @@ def observer(theta: Poles, retract, nav, x, T):
 
     The paper has gains for continuous time and no values of them. With its poles at tau they are 1/tau, 1/tau^2 and
     2/tau, which is unstable for T >= tau; these put the poles of the sampled system at exp(-T/tau), whatever T, and
-    tend to those for T << tau. The next epoch must not be
-    several times longer than T. Biases are reset, having no drive of their own.
+    tend to those for T << tau. The next epoch must not be several times longer than T. Biases are reset, having no
+    drive of their own.
     """
     T = jnp.where(T > 0, T, 1.0)
     spin = -jnp.expm1(-T / theta.attitude) / T

@@ -238,6 +238,13 @@ def test_what_the_papers_are_about_is_tuned_by_the_command_line(source, name, fr
         assert before == pytest.approx(np.sqrt(np.mean(errors**2))) and found["per_window"]["block"] == [0.0, 1.0]
 
 
+def test_sources_of_which_one_hides_nothing_are_not_judged_together():
+    changes = {"data": {"source": "urban_short"}, "tune": {"more": ["fwekf"]}}
+    job = config.resolve([("", config.merge(SETTINGS, changes))])
+    with pytest.raises(ConfigError, match="tune.more: sources with outages and without"):
+        tune.with_objective(job, tune.prepare(job))
+
+
 def test_drift_is_asked_for_only_where_something_is_hidden():
     scenario = scenario_of(config.resolve([("", config.merge(SETTINGS, {"data": {"source": "fwekf"}}))]))
     assert not scenario.gnss.outages_s

@@ -124,10 +124,12 @@ def with_objective(config: Config, materials: list[Material]) -> Config:
     """The objective as stated; its default, where nothing is hidden that could drift, is the error against the truth.
 
     Raises:
-        ConfigError: a drift is asked for and a scenario has no outages.
+        ConfigError: a drift is asked for and a scenario has no outages, or one has and another has not.
     """
     if has_windows(materials):
         return config
+    if any(m.test.ends.shape[1] for m in materials):
+        raise ConfigError("tune.more: sources with outages and without: their errors are not of one kind")
     if config.tune.objective == type(config.tune)().objective:
         return dataclasses.replace(config, tune=dataclasses.replace(config.tune, objective={"rmse": 1.0}))
     asked = [name for name in ("drift", "log_drift") if config.tune.objective.get(name)]

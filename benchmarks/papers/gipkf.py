@@ -183,12 +183,12 @@ def tuned_params(name: str, key: jax.Array, train: int, steps: int, only: tuple[
     for method in only:
         params[method] = start_of(method, name)
     drives = study.drive(scenario(name), jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(train)))
-    rates = {"gipkf_coupled_tuned": 0.03}  # couplings want small steps
+    calm = name == "nominal"  # on the others couplings from tuned weights are lost in the first steps
     steer = jax.random.fold_in(key, 7 * FIRST_TEST)
     for method, spec in SPECS.items() if not only else [(m, SPECS[m]) for m in only]:
         if method == "gipkf_coupled_tuned":
-            params[method] = coupled(params["gipkf_body_dm_tuned"])
-        filt, rate = filter_of(method), rates.get(method, 0.1)
+            params[method] = coupled(params["gipkf_body_dm_tuned"] if calm else learning(hand_set(name)))
+        filt, rate = filter_of(method), 0.03 if calm and method == "gipkf_coupled_tuned" else 0.1
         params[method], losses = study.tune(filt, params[method], spec, drives, steer, steps, rate)
         print(f"  tuned {method}: loss {np.mean(losses[:10]):.3f} -> {np.mean(losses[-10:]):.3f}", flush=True)
     return params

@@ -14,7 +14,7 @@ import pytest
 from jaxnav.app import bakeoff_report, cli, contest
 from jaxnav.app.config import Tune
 from jaxnav.app.contest import ContestRuns, Kind, Plan
-from jaxnav.filters.catalogue import FILTERS
+from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.run import initial_nav
 from jaxnav.simulate.scenarios import CIRCLE, GIPKF, SCENARIOS
@@ -49,7 +49,7 @@ def toy(name: str) -> Filter:
         return Step(state, state, None, after, info, jnp.zeros(9))
 
     start = lambda params, nav: (nav.pos[2], jnp.array(True))
-    return Filter(start, None, None, step, None, lambda epochs: epochs, None, advance)
+    return Filter(start, None, None, step, build("ekf9").model, lambda epochs: epochs, None, advance)
 
 
 def toy_runs(plan: Plan) -> contest.Runs:
@@ -179,7 +179,7 @@ def test_every_filter_has_something_to_tune_and_starts_at_the_datasheet():
         same = contest.applied(start, nominal)
         for part in ("noise", "prior", "states", "measurements", "mounting"):
             jax.tree.map(np.testing.assert_array_equal, getattr(same, part), getattr(nominal, part))
-    assert "rule.kd" not in contest.spec_of("gpid_literal") and "feedback.position" in contest.spec_of("fwekf")
+    assert "rule.kd" in contest.spec_of("gpid_literal") and "feedback.position" in contest.spec_of("fwekf")
 
 
 def test_cases_of_one_shape_share_a_program_and_keep_their_names(plan):

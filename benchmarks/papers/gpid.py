@@ -31,12 +31,11 @@ from benchmarks.papers.gpid_study import (
 from jaxnav.analysis import stability as robustness
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.papers.gpid import gpid_params, literal_params
-from jaxnav.simulate.faults import Constant, Fault, Ramp
 from jaxnav.simulate.scenarios import CIRCLE, READINGS, REPRO, Scenario
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.simulate.trajectories import shape_of
 from tuning.train import default_optimizer, fit
-from tuning.transforms import LOG, interval
+from tuning.transforms import LOG
 
 SEEDS, TRAINING = 24, 6
 TABLE3 = {
@@ -54,12 +53,6 @@ RIVALS = (
     "ekf9_sage_husa", "ekf15_sage_husa", "ekf9_iae", "ekf15_iae",
 )  # fmt: skip
 NEVER = "_for_ever"  # a gate that never opens by itself
-REGIMES: dict[str, tuple[Fault, ...]] = {
-    "velocity 0.1 m/s": (Constant(600.0, 1100.0, velocity_mps=(0.1,) * 3),),
-    "velocity 0.2 m/s": (Constant(600.0, 1100.0, velocity_mps=(0.2,) * 3),),
-    "velocity ramp to 0.5 m/s": (Ramp(600.0, 1100.0, velocity_mps=(0.5,) * 3),),
-}
-"""Faults that a gate hardly sees and an integral should be good for."""
 NOISE = {"noise.gyro": LOG, "noise.accel": LOG, "measurements.position.scale": LOG, "measurements.velocity.scale": LOG}
 
 
@@ -183,40 +176,6 @@ def rivals(seed: int, count: int, steps: int, names: tuple[str, ...]) -> dict[st
     return result
 
 
-def regimes(seed: int, count: int, steps: int) -> dict[str, dict]:
-    """Where a PID rule might win: it, a KF and a gated 15-state KF, all tuned alike on hours with and without fault."""
-    train, test = (keys_of(seed, purpose, n) for purpose, n in ((1, TRAINING // 2), (0, count)))
-    gains = gpid_params(np.full(6, 0.003), np.full(6, 0.1), leak=0.99)
-    pid = NOISE | {"rule.ki": LOG, "rule.kd": LOG, "rule.leak": interval(0.0, 1.0)}
-    contestants = {
-        "gpid": ("gpid", gains, pid), "ekf9": ("ekf9", (), NOISE),
-        "ekf15_gate": ("ekf15_gate", FILTERS["ekf15_gate"].theta(), NOISE),
-    }  # fmt: skip
-    calm = reading(CIRCLE, "no_fault")
-    quiet = hours(calm, test)
-    start = score(study(build("ekf9", cov_stride=10), [matched_params(calm)], quiet).squares)[0]
-    result: dict[str, dict] = {}
-    for regime, faults in REGIMES.items():
-        faulty = CIRCLE._replace(faults=faults)
-        batches = hours(coarse(faulty), train), hours(coarse(calm), train)
-        scored, result[regime] = hours(faulty, test), {}
-        for method, (name, theta, spec) in contestants.items():
-            tuned = fit(loss(build(name, cov_stride=2)), spec, matched_params(calm, theta), steps, arguments=batches,
-                        progress=True).params  # fmt: skip
-            filt = build(name, cov_stride=10)
-            squares, calm_squares = (study(filt, [tuned], sims).squares for sims in (scored, quiet))
-            result[regime][method] = summary(squares) | {
-                "geo_mean": float(np.exp(score(squares)[0])),
-                "no_fault_against_matched_kf": float(np.exp(score(calm_squares)[0] - start)),
-            }
-        kf = result[regime]["ekf9"]["geo_mean"]
-        print(f"\n{regime}, tuned alike: geometric mean of the four RMS against the tuned KF's; no fault against KF")
-        for method, r in result[regime].items():
-            print(f"  {method:12} {r['geo_mean'] / kf:6.3f}  horizontal {r['horizontal_m']['ours']:.3g} m  "
-                  f"no fault {r['no_fault_against_matched_kf']:.3f}")  # fmt: skip
-    return result
-
-
 def summary(squares: np.ndarray) -> dict:
     """RMS over the hour and by part, mean and sd over seeds, of one candidate (S, 1, 4, 13)."""
     total = rms(squares)
@@ -256,7 +215,6 @@ def main(argv: list[str]) -> None:
     result["tuned"] = tuned_gains(args.seed, count, steps)
     print("\ntuned:", result["tuned"])
     result["readings"] = rivals(args.seed, count, steps, names)
-    result["regimes"] = regimes(args.seed, count, steps)
     result["per_seed"] = {
         name: {q: v.tolist() for q, v in rms(s.squares).items()} for name, s in runs.items()
     }  # (S, C) each, C in the order of SCHEMES

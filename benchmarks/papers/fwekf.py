@@ -206,10 +206,12 @@ def options() -> argparse.ArgumentParser:
 def main(argv: list[str]) -> None:
     """Print the table, write the JSON and the figures."""
     args = options().parse_args(argv)
+    chosen = tuple(args.tune.split(",")) if args.tune else tuple(RECIPES)
+    if args.tune and (not args.steps or set(chosen) - set(RECIPES)):
+        options().error(f"--tune takes some of {', '.join(RECIPES)}, and goes with --steps")
     key, count = jax.random.key(args.seed), 8 if args.quick else 64
     if args.steps:
         print(f"rules tuned anew: {args.steps} steps, 64 runs of {', '.join(TRAIN)}", flush=True)
-        chosen = tuple(args.tune.split(",")) if args.tune else tuple(RECIPES)
         tuned, losses = tune_all(key, 64, args.steps, args.progress, chosen)
         tuned = stored() | tuned
     else:

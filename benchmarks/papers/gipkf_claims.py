@@ -82,7 +82,7 @@ def growth(filters: dict[str, tuple[Filter, Params]]) -> dict[str, float]:
 
 @partial(jax.jit, static_argnums=0)
 def _around(filt: Filter, params: Params, drives: study.Drives, windows: jax.Array):
-    """Horizontal error (B, E) m, and attitude's (B, E, 3) rad by tilt about x and z and heading, and each's last."""
+    """Horizontal error (B, E) m, and attitude's (B, E, 3) rad about E, N and U, and each's last."""
 
     def one(initial: Nav, epochs: Any, truth: Nav, windows: jax.Array):
         epochs, _, last = study.hide(epochs, truth.t, windows)

@@ -17,6 +17,7 @@ from benchmarks.papers.gpid_study import (
     PARTS,
     SCHEMES,
     SCORED,
+    TABLES,
     Study,
     as_row,
     fitted_params,
@@ -38,16 +39,6 @@ from tuning.train import default_optimizer, fit
 from tuning.transforms import LOG
 
 SEEDS, TRAINING = 24, 6
-TABLE3 = {
-    "kf": (0.0665, 0.0683, 0.1538),
-    "scheme_1": (0.0176, 0.0188, 0.0441),
-    "scheme_2": (0.0159, 0.0169, 0.0402),
-}
-TABLE4 = {"kf": (10.6e-5, 18.8e-5, 61.39), "scheme_1": (4.25e-5, 5.58e-5, 16.49), "scheme_2": (2.61e-5, 3.95e-5, 11.04)}
-TABLES = {
-    "table3": (("roll_deg", "pitch_deg", "yaw_deg"), TABLE3),
-    "table4": (("latitude_deg", "longitude_deg", "altitude_m"), TABLE4),
-}
 RIVALS = (
     "ekf9", "ekf15", "ekf9_gate", "ekf15_gate", "ekf9_huber", "ekf15_huber", "ekf9_student", "ekf15_student",
     "ekf9_sage_husa", "ekf15_sage_husa", "ekf9_iae", "ekf15_iae",

@@ -17,6 +17,8 @@ from benchmarks.papers.gpid_study import (
     COLUMNS,
     PARTS,
     SCHEMES,
+    TABLE4,
+    TABLES,
     Study,
     as_row,
     fitted_params,
@@ -35,11 +37,9 @@ from jaxnav.simulate.scenarios import READINGS, REPRO
 from jaxnav.simulate.simulation import Simulated
 
 KILOMETRES = {"kf": 1.37, "scheme_1": 0.44, "scheme_2": 0.30}  # Table 4's last column
-DEGREES = {"kf": (10.6e-5, 18.8e-5), "scheme_1": (4.25e-5, 5.58e-5), "scheme_2": (2.61e-5, 3.95e-5)}
 FAST = REPRO._replace(name="gpid_repro_10_hz", gnss_rate_hz=10.0)
 MIXED = REPRO._replace(name="gpid_repro_constant", faults=READINGS["constant"])
 BOTH = ("position", "velocity")
-QUANTITIES = {"table3": ("roll_deg", "pitch_deg", "yaw_deg"), "table4": ("latitude_deg", "longitude_deg", "altitude_m")}
 GAINS = np.array([-0.3, 0.0, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0]), np.array([-1.0, 0.0, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0])
 CALM = 10.0  # m, twice the receiver's sd of an axis: a horizontal error that stays below it has settled
 MINUTE = 60  # s that it is averaged over for that
@@ -74,7 +74,7 @@ def rows_of(found: Study) -> dict[str, dict]:
     table = rms(found.squares)
     return {
         name: {scheme: {q: as_row(table[q][:, i]) for q in quantities} for i, scheme in enumerate(SCHEMES)}
-        for name, quantities in QUANTITIES.items()
+        for name, (quantities, _) in TABLES.items()
     }
 
 
@@ -100,8 +100,8 @@ def readings(seed: int, count: int) -> tuple[dict[str, dict], Study]:
 
 def kilometres(latitude: float) -> dict[str, float]:
     """Table 4's last column over the length of its own latitude and longitude columns, s^0.5: sqrt(3600) = 60."""
-    north, east = 111.13e3, 111.32e3 * np.cos(np.deg2rad(latitude))  # m per degree
-    return {s: 1e3 * KILOMETRES[s] / float(np.hypot(DEGREES[s][0] * north, DEGREES[s][1] * east)) for s in KILOMETRES}
+    worth = np.asarray(earth.metres_per_radian(jnp.array([latitude * units.DEG, 0.0, 0.0])))[:2] * units.DEG
+    return {s: 1e3 * km / float(np.hypot(*(worth * TABLE4[s][:2]))) for s, km in KILOMETRES.items()}
 
 
 def settling(found: Study) -> dict[str, np.ndarray]:
@@ -171,8 +171,8 @@ def claims(seed: int, count: int, folder: Path) -> tuple[dict[str, Any], Study]:
     for name, tables in found.items():
         print(f"  {name}" + ("" if tables["finite"] == 1 else f"   {tables['finite']:.0%} of the runs finite"))
         for scheme in SCHEMES:
-            angles = [tables["table3"][scheme][q]["ours"] for q in QUANTITIES["table3"]]
-            lat, lon, alt = (tables["table4"][scheme][q]["ours"] for q in QUANTITIES["table4"])
+            angles = [tables["table3"][scheme][q]["ours"] for q in TABLES["table3"][0]]
+            lat, lon, alt = (tables["table4"][scheme][q]["ours"] for q in TABLES["table4"][0])
             print(f"    {scheme:10}" + "".join(f"{v:10.3g}" for v in (*angles, 1e5 * lat, 1e5 * lon, alt)))
     by_latitude = {str(lat): kilometres(lat) for lat in (20, 28, 30)}
     print("\nTable 4's km over its own columns, by latitude (sqrt(3600) = 60):", by_latitude)

@@ -28,6 +28,17 @@ COLUMNS = (
 )  # fmt: skip
 SCHEMES = {"kf": (0.0, 0.0), "scheme_1": (1.0, 0.0), "scheme_2": (1.5, 3.0)}  # printed ki, kd; the KF has none
 SCORED = ("tilt_deg", "heading_deg", "horizontal_m", "altitude_m")  # what tuning weighs, in logarithms
+# of the paper: columns of `COLUMNS`, and its numbers
+TABLE3 = {
+    "kf": (0.0665, 0.0683, 0.1538),
+    "scheme_1": (0.0176, 0.0188, 0.0441),
+    "scheme_2": (0.0159, 0.0169, 0.0402),
+}
+TABLE4 = {"kf": (10.6e-5, 18.8e-5, 61.39), "scheme_1": (4.25e-5, 5.58e-5, 16.49), "scheme_2": (2.61e-5, 3.95e-5, 11.04)}
+TABLES = {
+    "table3": (("roll_deg", "pitch_deg", "yaw_deg"), TABLE3),
+    "table4": (("latitude_deg", "longitude_deg", "altitude_m"), TABLE4),
+}
 
 
 @cache

@@ -133,6 +133,8 @@ def larger(sizes: Sizes) -> dict[str, dict]:
     for n in BESIDES:
         calls = {name_of(ten, m, runs): executable(ten, m, sizes.seconds, runs).call for m in (15, n)}
         rows |= table(interleaved(calls, sizes.repeats), sizes.seconds * RATE * runs, name_of(ten, 15, runs))
+    if sizes.full:
+        release()
     show(f"more states, batch of {runs}", rows)
     return rows
 

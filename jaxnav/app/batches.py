@@ -75,6 +75,11 @@ class Material(NamedTuple):
     known: dict[str, float]  # leaves whose true value is known
 
     @property
+    def windows(self) -> int:
+        """Of each run of the test; 0 where nothing is hidden."""
+        return self.test.ends.shape[1]
+
+    @property
     def source(self) -> Source:
         """What the likelihood needs of it."""
         return Source(self.filter, self.params, self.whole)

@@ -66,7 +66,7 @@ def score(materials: list[Material], params: Params, free: tuple[str, ...]) -> J
 
 def has_windows(materials: list[Material]) -> bool:
     """Whether anything is hidden in all of them."""
-    return all(m.test.ends.shape[1] for m in materials)
+    return all(m.windows for m in materials)
 
 
 def judged_by(info: Info, batch: Batch) -> np.ndarray:

@@ -145,9 +145,10 @@ def user_history(history: list[dict]) -> list[dict]:
 def draw(folder: Path, material: Material, found: Fit, before: JobScores, after: JobScores) -> None:
     """Write the figures: drift before and after, tuning curves, and the first test run with the tuned filter."""
     drift = {"datasheet": before.errors, "tuned": after.errors}
-    of_runs = material.test.ends.shape[1] == 0
-    fig = plots_stats.outage_drift(drift, what=RUNS) if of_runs else plots_stats.outage_drift(drift)
-    plots.save(fig, folder / ("run_error.png" if of_runs else "outage_drift.png"))
+    if material.windows:
+        plots.save(plots_stats.outage_drift(drift), folder / "outage_drift.png")
+    else:
+        plots.save(plots_stats.outage_drift(drift, what=RUNS), folder / "run_error.png")
     if found.history:
         known = {name_of(leaf): user_value(leaf, v) for leaf, v in material.known.items()}
         plots.save(plots_stats.tuning(user_history(found.history), known), folder / "tuning.png")

@@ -173,3 +173,13 @@ def test_a_benchmark_starts_itself_anew_but_once():
         environment = {k: v for k, v in environment.items() if known or k != speed_child.CPUS}
         done = subprocess.run([sys.executable, "-c", code + "raise SystemExit(not c.is_pinned())"], env=environment)
         assert (done.returncode == 0) == known
+
+
+def test_more_states_have_a_bar_and_fifteen_have_none():
+    result = empty()
+    result["states"] = {
+        "stride 10, 15 states, 256 runs": {"ratio": 1.0},
+        "stride 10, 24 states, 256 runs": {"ratio": 2.6},
+    }
+    (row,) = speed_gate.bars(result)
+    assert row["value"] == 2.6 and not row["met"]

@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from benchmarks.papers.learned import learned, learned_params
 from jaxnav.filters.core import Innovation
-from jaxnav.filters.papers.fuzzy_combined import CombinedMemory, combined_params, fuzzy_combined, inputs
+from jaxnav.filters.papers.fuzzy_combined import CombinedMemory, combined_params, deciding, fuzzy_combined, inputs
 from jaxnav.filters.papers.fwekf import Window
 from jaxnav.filters.rules.kalman import kalman
 from tests.conftest import leaves_equal
@@ -94,3 +95,22 @@ def test_channels_come_in_blocks():
     with pytest.raises(ValueError, match="blocks of 3"):
         RULE.init(9, 8)
     assert isinstance(RULE.init(9, 6), CombinedMemory)
+
+
+def test_deciding_for_nothing_is_the_kalman_filter_and_a_network_at_its_start_for_the_same_everywhere():
+    """a = 1 and no way to a new R; random features of the inputs of which nothing is made yet."""
+    z = Innovation(jnp.arange(1.0, 7.0), jnp.eye(6, 9), jnp.eye(6), 2 * jnp.eye(9), jnp.ones(6, bool), jnp.ones(()),
+                   jnp.ones(6))  # fmt: skip
+    nothing = deciding(lambda theta, m, e: (jnp.ones(()), jnp.zeros(2)), 20, -1)
+    theta = learned_params()
+    c = nothing.correct(theta, nothing.init(9, 6), z)
+    plain = kalman().correct((), (), z)
+    np.testing.assert_allclose(c.delta, plain.delta, atol=1e-12)
+    np.testing.assert_allclose(c.P, plain.P, atol=1e-12)
+    rule = learned()
+    small, large = (rule.correct(theta, rule.init(9, 6), z._replace(nu=k * z.nu)) for k in (1e-3, 1e3))
+    np.testing.assert_allclose(small.fade, large.fade, rtol=1e-6)  # but for what a limit takes of a large P
+    assert 1.0 < float(small.fade.max()) < 1.001
+    moved = theta._replace(net=theta.net._replace(out=theta.net.out.at[0].set(1.0)))
+    small, large = (rule.correct(moved, rule.init(9, 6), z._replace(nu=k * z.nu)) for k in (1e-3, 1e3))
+    assert abs(float(small.fade.max() - large.fade.max())) > 1e-5

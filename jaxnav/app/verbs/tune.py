@@ -128,7 +128,7 @@ def with_objective(config: Config, materials: list[Material]) -> Config:
     """
     if has_windows(materials):
         return config
-    if any(m.test.ends.shape[1] for m in materials):
+    if any(m.windows for m in materials):
         raise ConfigError("tune.more: sources with outages and without: their errors are not of one kind")
     if config.tune.objective == type(config.tune)().objective:
         return dataclasses.replace(config, tune=dataclasses.replace(config.tune, objective={"rmse": 1.0}))

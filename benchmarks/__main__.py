@@ -34,6 +34,7 @@ FOLDERS = {
     "simulated": {
         "recover": "noise parameters back from innovations alone, started 10 times off",
         "states": "optional error states: consistent with them, not without",
+        "consistency": "NEES and NIS of matched simulations: late and precise fixes, large attitude errors",
         "damage": "thousands of damaged recordings, settings and checkpoints, and signals: what comes out",
         "em": "noise by expectation and maximisation, beside the method of scoring",
         "faults": "faults of a receiver, twenty-four kinds: rules beside a filter that is told when",

@@ -159,7 +159,7 @@ def predict(P, points, noise, dynamics):
     mean = (np.average(a, axis=0, weights=dts) for a in (llas, vs, Cs, fs))
     half = (1 - fast) * dynamics(*mean, n) * dts.sum() / 2
     slow = np.eye(n) + half + half @ half / 2
-    P, Phi, lumped = slow @ P @ slow.T, np.eye(n), dynamics is simple_dynamics
+    before, P, Phi, lumped = P, slow @ P @ slow.T, np.eye(n), dynamics is simple_dynamics
     for dt, C, f, lla, v in points:
         F, G = fast * dynamics(lla, v, C, f, n), np.zeros((n, n))
         for s, L in ((slice(3, 6), C @ root(noise["accel"])), (slice(6, 9), C @ root(noise["gyro"]))):
@@ -175,7 +175,23 @@ def predict(P, points, noise, dynamics):
             ):
                 late = Phi[:, states] * share ** np.repeat(orders, 3)[:, None] @ root(noise[sd])
                 P = P + late @ late.T * dts.sum() / 2
-    return slow @ P @ slow.T
+    P = slow @ P @ slow.T
+    if not lumped:
+        P[:6, :6] += second_order(slow @ Phi @ slow, before, dts.sum())
+    return P
+
+
+def second_order(Phi, P, T):
+    """White acceleration of the power of phi x w, w = Phi (phi / 2, s), by the quadratic forms x' A_i x of its rows."""
+    n = len(P)
+    w = Phi[3:6] * np.concatenate([np.zeros(6), np.full(3, 0.5), np.ones(n - 9)])
+    forms = []
+    for e in np.eye(3):
+        A = np.zeros((n, n))
+        A[6:9] = cross_matrix(e).T @ w  # e . (phi x w) = phi . (w x e)
+        forms.append(0.5 * (A + A.T) @ P)
+    moment = [[2 * np.trace(a @ b) + np.trace(a) * np.trace(b) for b in forms] for a in forms]
+    return np.kron([[T**3 / 3, T**2 / 2], [T**2 / 2, T]], 2 * 2.0 / T**2 * np.array(moment))
 
 
 def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd=0.0, states=None):
@@ -214,6 +230,9 @@ def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd
             last[valid] = y - h @ x
             J = np.eye(n) - K @ h
             P = J @ P @ J.T + K @ R @ K.T
-            nav.remove(x)
+        nav.remove(x)
+        turned = np.eye(n)  # the attitude's error has other axes after the correction
+        turned[6:9, 6:9] = rotation(-0.5 * x[6:9])
+        P = turned @ P @ turned.T
         out.append((nav.lla.copy(), nav.v.copy(), nav.C.copy(), x, P.copy()))
     return [np.stack(column) for column in zip(*out, strict=True)]

@@ -15,6 +15,7 @@ from jaxnav.filters import smoother
 from jaxnav.filters.core import Filter, FilterState, Step
 from jaxnav.filters.run import run, track
 from jaxnav.measurements import clock_offset
+from jaxnav.states.motion import A, reset_covariance
 from jaxnav.types import Epoch, Nav, Params, Track
 
 
@@ -58,6 +59,7 @@ def _dense(
     before = lambda first, a: jnp.concatenate([first[None], a[:-1]])
     if smooth:
         s, P = smoother.backward(forward) if reach is None else smoother.lagged(forward, reach, most)
+        P = jax.vmap(reset_covariance)(s[:, A], P)
         end = forward.x + s - forward.a
         begin, last = before(end[0], s), end
         P0, P1, P2 = before(P[0], P), P, P

@@ -18,6 +18,7 @@ from jax import lax
 from jaxnav.filters.error_model import ErrorModel
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.maths import linalg
+from jaxnav.states.motion import A, reset_covariance
 from jaxnav.states.table import BIASES, chosen, zeros
 from jaxnav.types import Epoch, Fix, Forcing, Imu, Info, Nav, Noise, Params
 
@@ -301,6 +302,8 @@ def make_filter(
             )
         recent, points = propagate(nav, state.u, given.samples, cov_stride, given.keep)
         Phi, Q, d = model.discretize(params, points, given.T, state.u)
+        if model.second_order:
+            Q = Q.at[:6, :6].add(model.second_order(nav, Phi, state.P, given.T.sum()))
         x, P = Phi @ state.x + d, linalg.sandwich(Phi, state.P) + Q
         moved, T = Transition(Phi, Q, d), given.T.sum()
         memory = rule.transport(params.rule, state.memory, moved, T) if rule.transport else state.memory
@@ -332,14 +335,18 @@ def make_filter(
         if c.drive and not set(BIASES) <= set(state.past.errors):
             raise ValueError(f"a rule whose drive the sensors absorb needs Rule(..., estimates={BIASES})")
         past = jax.vmap(model.absorb, (0, None))(state.past, c.drive) if c.drive else state.past
-        after, x_after, u = jax.vmap(feed, (0, None, None), (0, None, None))(past, x, until)
+        # with a history, samples before the end have had other errors; two samples lie within a sample time
+        xs = model.earlier(past, x) if history > 2 else jnp.broadcast_to(x, (history, *x.shape))
+        after, xs_after, us = jax.vmap(feed, (0, 0, None))(past, xs, until)
+        x_after, u = xs_after[-1], jax.tree.map(lambda a: a[-1], us)
+        P_after = reset_covariance((x - x_after)[A], c.P)
         f = jnp.broadcast_to(c.fade, x.shape)
         age = jnp.where(c.used, 0.0, age)
         new = FilterState(
-            after, x_after, f[:, None] * c.P * f, u, c.memory, x_after, jnp.zeros(()), age, jnp.array(True)
+            after, x_after, f[:, None] * P_after * f, u, c.memory, x_after, jnp.zeros(()), age, jnp.array(True)
         )
         ok = state.ok & finite(new) & jnp.all(jnp.diag(c.P) >= 0)
-        reported, x_enu, P_enu = model.report(model.retract(nav, x), x, c.P)
+        reported, x_enu, P_enu = model.report(model.retract(nav, x), x, reset_covariance(x[A], c.P))
         return new._replace(ok=ok), Info(reported, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok), x
 
     def advance(params: Params, state: FilterState, epoch: Epoch) -> Step:

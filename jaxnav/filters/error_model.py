@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.maths import linalg, rotations
-from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
+from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, latency
 from jaxnav.measurements.measurement import stack
 from jaxnav.states import table
 from jaxnav.states.motion import A, prior_sd
 from jaxnav.states.state import State
 from jaxnav.states.table import BIASES
-from jaxnav.states.transition import Blocks, discretize
+from jaxnav.states.transition import Blocks, discretize, second_order
 from jaxnav.strapdown import inertial_quaternion, tangent_frame
 from jaxnav.strapdown.errors import inertial_quaternion as inertial_errors
 from jaxnav.strapdown.errors import local_level as local_level_errors
@@ -66,10 +66,14 @@ class ErrorModel(NamedTuple):
     covariance: Callable[[Params, Nav], jax.Array]  # P (n, n) at the start
     # (params, points (b, ...), T (b,) s, forcing) -> Phi (n, n), Q (n, n), d (n,)
     discretize: Callable[[Params, ErrorInputs, jax.Array, Forcing | None], tuple[jax.Array, jax.Array, jax.Array]]
+    # (nav and P (n, n) at the epoch's start, Phi (n, n), T () s) -> see `jaxnav.states.transition.second_order`
+    second_order: Callable[[Nav, jax.Array, jax.Array, jax.Array], jax.Array] | None
     # (params, past (w, ...), fix) -> y (m,), H (m, n), R (m, m)
     observe: Callable[[Params, Nav, Fix], tuple[jax.Array, jax.Array, jax.Array]]
     enter: Callable[[Nav], Nav]  # local level navigation -> the frame's
     report: Callable[..., tuple[Nav, jax.Array, jax.Array]]  # (nav, x, P) of the frame -> of local level
+    # (past (w, ...), x (n,) at its end) -> x (w, n) at each of its samples
+    earlier: Callable[[Nav, jax.Array], jax.Array]
 
 
 def _same(nav: Nav) -> Nav:
@@ -144,6 +148,9 @@ def error_model(
         lumped = form == "simple" and frame == "local_level"
         return discretize(partial(motion.dynamics, form=form), params, own, points, T, u, lumped)
 
+    def curved(nav: Nav, Phi: jax.Array, P: jax.Array, T: jax.Array) -> jax.Array:
+        return second_order(Phi, P, T, motion.velocity_axes(nav) if motion.velocity_axes else None)
+
     def report(nav: Nav, x: jax.Array, P: jax.Array) -> tuple[Nav, jax.Array, jax.Array]:
         if motion.leave is None or motion.enu_rows is None:
             return nav, x, P
@@ -152,10 +159,26 @@ def error_model(
         P = J @ P @ J.T
         return local, J @ x, 0.5 * (P + P.T)
 
+    def earlier(past: Nav, x: jax.Array) -> jax.Array:
+        """Return the errors at the samples of ``past`` (w, ...), as they follow from the error at the last one."""
+        now = jax.tree.map(lambda a: a[-1], past)
+        local = motion.leave(now) if motion.leave else now
+        J = motion.enu_rows(now, local) if motion.enu_rows else None
+        x_enu = x if J is None else jnp.concatenate([J @ x[:9], x[9:]])
+
+        def sample(nav: Nav) -> jax.Array:
+            then = motion.leave(nav) if motion.leave else nav
+            B = latency.error_then(latency.interval(then, local, now.t - nav.t), own)
+            change = B @ x_enu - x_enu[:9]
+            return x.at[:9].add(change if J is None else inverse_rows(J) @ change)
+
+        return jax.vmap(sample)(past)
+
     return ErrorModel(
         states, tuple(m.name for m in measurements), n, sum(m.size for m in measurements),
-        retract, absorb, covariance, transition, stack(measurements, own, motion.leave, motion.enu_rows),
-        motion.enter or _same, report,
+        retract, absorb, covariance, transition, curved if form == "full" else None,
+        stack(measurements, own, motion.leave, motion.enu_rows),
+        motion.enter or _same, report, earlier,
     )  # fmt: skip
 
 

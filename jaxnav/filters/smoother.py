@@ -6,12 +6,14 @@ all is fed back), P_k its covariance, x-_k, P-_k the prediction, x+_k the estima
 s = a, P at the last epoch:
 
     G_k   = P_k Phi_{k+1}' (P-_{k+1})^-1
-    s_k   = a_k + G_k (x+_{k+1} + s_{k+1} - a_{k+1} - x-_{k+1})
-    P_k|N = P_k + G_k (P_{k+1}|N - P-_{k+1}) G_k'
+    f     = x+_{k+1} - a_{k+1}
+    s_k   = a_k + G_k (f + J^-1 s_{k+1} - x-_{k+1})
+    P_k|N = P_k + G_k (J^-1 P_{k+1}|N J^-T - P-_{k+1}) G_k'
 
 and smoothed navigation is retract(navigation, s_k). The feedback only moves the point that the error is counted from,
-by what is known: x+_{k+1} - a_{k+1}. So it is the smoother of the same linear problem, linearised where the filter was,
-whatever was fed back (docs/theory.md).
+by the known f. J turns the attitude by -f_phi / 2 (`reset_rows`): an attitude error after the correction has other
+axes than before. So it is the smoother of the same linear problem, linearised where the filter was, whatever was fed
+back (docs/theory.md).
 """
 
 from typing import Any, NamedTuple
@@ -25,7 +27,7 @@ from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.run import run
 from jaxnav.maths import linalg
 from jaxnav.measurements import MEASUREMENTS, layout
-from jaxnav.states.motion import MOTION
+from jaxnav.states.motion import MOTION, A, reset_covariance, reset_rows
 from jaxnav.types import Epoch, Info, Nav, Params
 
 
@@ -72,11 +74,13 @@ def smooth(
     forward, info = run(filt, params, nav, epochs, keep)
     s, P = backward(forward) if reach is None else lagged(forward, reach, most)
     moved = jax.vmap(filt.model.retract)(forward.nav, s)
+    P = jax.vmap(reset_covariance)(s[:, A], P)
     found, x, P = jax.vmap(filt.model.report)(moved, s - forward.a, P)
+    _, correction, _ = jax.vmap(filt.model.report)(moved, forward.x - forward.predicted[0], P)
     residual = info.residual
     for name, place in layout(tuple(MEASUREMENTS[name] for name in filt.model.measurements)).items():
         if name in MOTION:  # what it takes off navigation, that it takes off the residual before the correction
-            taken = x[:, MOTION[name]] + info.x[:, MOTION[name]]
+            taken = x[:, MOTION[name]] + correction[:, MOTION[name]]
             residual = residual.at[:, place].add(-taken)
     return info, info._replace(nav=found, x=x, P=P, residual=residual)
 
@@ -103,8 +107,9 @@ def one_back(now: Forward, after: Forward, s_next: jax.Array, P_next: jax.Array)
     """S and P_k|N of an epoch from those of the next."""
     x, P = after.predicted
     G = linalg.times(now.P @ after.Phi.T, scaled_inverse(P))
-    s = now.a + G @ (after.x + s_next - after.a - x)
-    joint = now.P + G @ (P_next - P) @ G.T
+    fed = after.x - after.a
+    s = now.a + G @ (fed + reset_rows(-fed[A], s_next[:, None])[:, 0] - x)
+    joint = now.P + G @ (reset_covariance(-fed[A], P_next) - P) @ G.T
     return s, 0.5 * (joint + joint.T)
 
 

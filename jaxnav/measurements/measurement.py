@@ -14,6 +14,7 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from jaxnav.maths import rotations
+from jaxnav.measurements import latency
 from jaxnav.states.motion import MOTION
 from jaxnav.states.sensors import OTHER
 from jaxnav.states.state import State
@@ -152,18 +153,23 @@ def stack(
     leave: Callable[[Nav], Nav] | None = None,
     enu_rows: Callable[[Nav, Nav], jax.Array] | None = None,
 ) -> Callable[[Params, Nav, Fix], tuple[jax.Array, jax.Array, jax.Array]]:
-    """``observe(params, past, fix) -> y (m,), H (m, n), R (m, m)`` for these measurements.
+    """Return ``observe(params, past, fix) -> y (m,), H (m, n), R (m, m)`` of these measurements.
 
-    ``leave`` has a frame's navigation in local level, ``enu_rows`` (navigation, the same in local level) how the
-    frame's errors of motion are seen there, (9, 9); None in local level itself. Each measurement is compared with the
-    state at its own time, the end of ``past`` minus its latency; H refers to the error at the end: a position then is
-    off by less, dp(t - s) = dp(t) - s dv(t). R is `covariance` of each.
+    Each measurement is compared with navigation at its own instant: the end of ``past`` minus the clock offset and its
+    latency. H refers to the error at the end (`jaxnav.measurements.latency`). R is `covariance` of each.
+
+    Args:
+        measurements: the rows, in the order of their channels.
+        states: optional states of the filter, in their order.
+        leave: navigation of the filter's frame -> local level; None in local level itself.
+        enu_rows: (navigation, the same in local level) -> d(error in ENU) / d(error in the frame), (9, 9); likewise.
     """
     slices = layout(measurements)
     m = sum(each.size for each in measurements)
 
     def observe(params: Params, past: Nav, fix: Fix):
         parts, now = [], jax.tree.map(lambda a: a[-1], past)
+        local_now = leave(now) if leave else now
         offset = clock_offset(params.mounting, now)
         mounting = params.mounting._replace(time_offset=offset)
         for each in measurements:
@@ -184,16 +190,16 @@ def stack(
             if clock:
                 slope = jax.jvp(lambda age: seen(age)[2].y, (age,), (jnp.ones_like(age),))[1]
                 o = o._replace(rows=o.rows | {"clock_offset": slope[:, None]})
-            if "position" in o.rows:
-                later = o.rows.get("velocity", 0.0) - age * o.rows["position"]
-                o = o._replace(rows=o.rows | {"velocity": later})
             H = rows_of(o, nav, states)
-            if enu_rows:
-                H = jnp.concatenate([H[:, :9] @ enu_rows(nav, local), H[:, 9:]], 1)
+            B = latency.error_then(latency.interval(local, local_now, age), states)
+            H = H[:, :9] @ B + jnp.concatenate([jnp.zeros((each.size, 9)), H[:, 9:]], 1)
             parts.append((o.y, H, covariance(o.root, o.sd, own.corr, own.valid)))
+        H = jnp.concatenate([p[1] for p in parts])
+        if enu_rows:
+            H = jnp.concatenate([H[:, :9] @ enu_rows(now, local_now), H[:, 9:]], 1)
         R = jnp.zeros((m, m))
         for (_, _, block), s in zip(parts, slices.values(), strict=True):
             R = R.at[s, s].set(block)
-        return jnp.concatenate([p[0] for p in parts]), jnp.concatenate([p[1] for p in parts]), R
+        return jnp.concatenate([p[0] for p in parts]), H, R
 
     return observe

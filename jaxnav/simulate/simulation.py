@@ -67,7 +67,7 @@ def perturb(key: jax.Array, nav: Nav, start: Start) -> Nav:
     drawn = normal(key, (3, 3))
     e_pos, e_vel, e_att = jnp.tile(jnp.asarray(PATTERN, float), (3, 1)) if start.fixed_errors else drawn
     tilt, heading = start.prior_tilt_sd_deg, start.prior_heading_sd_deg
-    phi = units.DEG * np.array([tilt, tilt, heading]) * e_att
+    phi = units.DEG * jnp.asarray([tilt, tilt, heading], float) * e_att
     return nav._replace(
         pos=earth.move(nav.pos, np.array(start.prior_position_sd_m) * e_pos),
         vel=nav.vel + np.array(start.prior_velocity_sd_mps) * e_vel,

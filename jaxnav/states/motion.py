@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from jaxnav.maths import rotations
 from jaxnav.types import Prior
 
 MOTION = {
@@ -17,3 +18,23 @@ def prior_sd(prior: Prior) -> jax.Array:
     """The prior's standard deviations side by side, (9,)."""
     own = (prior.position, prior.velocity, prior.attitude)
     return jnp.concatenate([jnp.broadcast_to(sd, (3,)) for sd in own])
+
+
+def reset_rows(phi: jax.Array, M: jax.Array) -> jax.Array:
+    """Return J M, (n, k): rows of errors after the attitude was corrected by a rotation vector.
+
+    The error e that is left of phi + e is log(exp(-phi) exp(phi + e)), which is (I - [phi x] / 2 + ...) e (Sola 2017,
+    section 6.3). J is the rotation by -phi / 2 on the rows of attitude, the same but for phi^2 / 24, and the identity
+    elsewhere.
+
+    Args:
+        phi: (3,) rad, the correction, in the axes of the error; its negative gives the inverse.
+        M: (n, k), rows of position, velocity, attitude and the optional states.
+    """
+    attitude = rotations.to_dcm(rotations.exp(-0.5 * phi)) @ M[A]
+    return jnp.concatenate([M[:6], attitude, M[9:]])
+
+
+def reset_covariance(phi: jax.Array, P: jax.Array) -> jax.Array:
+    """Return J P J', (n, n): the covariance about an attitude that was corrected by ``phi`` (3,) rad, see above."""
+    return reset_rows(phi, reset_rows(phi, P).T)

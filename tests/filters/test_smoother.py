@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
 from jaxnav.analysis import metrics
 from jaxnav.data.epochs import hide
@@ -21,10 +22,17 @@ from jaxnav.types import Epoch
 from tuning.objectives import hidden_nll
 
 
-def batch(filt, params, nav, epochs: Epoch) -> tuple[np.ndarray, np.ndarray]:
-    """Errors e_k after each epoch's feedback and their sd, all of them in one least squares.
+def turned_by(x: np.ndarray) -> np.ndarray:
+    """J (n, n) of a correction by x (n,), written out."""
+    J = np.eye(x.size)
+    J[6:9, 6:9] = Rotation.from_rotvec(-0.5 * x[6:9]).as_matrix()
+    return J
 
-    e-_{k+1} = Phi e_k + w, nu = H e-_{k+1} + v, e_{k+1} = e-_{k+1} - what was fed back.
+
+def batch(filt, params, nav, epochs: Epoch) -> tuple[np.ndarray, np.ndarray]:
+    """Errors e_k after each epoch's feedback, all of them in one least squares, and the sd once they are taken out.
+
+    e-_{k+1} = Phi e_k + d + w, nu = H e-_{k+1} + v, e_{k+1} = J (e-_{k+1} - what was fed back).
     """
     state, steps = filt.init(params, nav), []
     transition, correct, observe = jax.jit(filt.transition), jax.jit(filt.correct), jax.jit(filt.model.observe)
@@ -36,23 +44,24 @@ def batch(filt, params, nav, epochs: Epoch) -> tuple[np.ndarray, np.ndarray]:
         rows = np.asarray(epoch.fix.valid)
         after, info = correct(params, predicted, epoch.fix)
         fed = np.asarray(info.x) - np.asarray(after.x)
-        steps.append((np.asarray(moved.Phi), np.asarray(moved.Q), np.asarray(y)[rows], np.asarray(H)[rows],
-                      np.asarray(R)[np.ix_(rows, rows)], fed))  # fmt: skip
+        told = np.asarray(y)[rows], np.asarray(H)[rows], np.asarray(R)[np.ix_(rows, rows)]
+        steps.append((*map(np.asarray, moved), *told, fed))
         state = after
     # every error is a sum of what nobody knows: the error at the start and each epoch's w, together u with covariance C
     n, K = P0.shape[0], len(steps)
     C = block_diag(P0, *(step[1] for step in steps))
     carried, fed_so_far = np.hstack([np.eye(n), np.zeros((n, n * K))]), np.zeros(n)
     errors, offsets, told, values, R = [], [], [], [], []
-    for k, (Phi, _, y, H, cov, fed) in enumerate(steps):
+    for k, (Phi, _, d, y, H, cov, fed) in enumerate(steps):
         carried = Phi @ carried
         carried[:, (k + 1) * n : (k + 2) * n] = np.eye(n)
-        fed_so_far = Phi @ fed_so_far
+        fed_so_far = Phi @ fed_so_far - d
         if len(y):
             told.append(H @ carried)
             values.append(y + H @ fed_so_far)
             R.append(cov)
-        fed_so_far = fed_so_far + fed
+        J = turned_by(fed)
+        carried, fed_so_far = J @ carried, J @ (fed_so_far + fed)
         errors.append(carried.copy())
         offsets.append(fed_so_far)
     M, z = np.vstack(told), np.concatenate(values)
@@ -61,7 +70,8 @@ def batch(filt, params, nav, epochs: Epoch) -> tuple[np.ndarray, np.ndarray]:
     for F, off in zip(errors, offsets, strict=True):
         cross = F @ C @ M.T
         e.append(cross @ np.linalg.solve(S, z) - off)
-        sd.append(np.sqrt(np.diag(F @ C @ F.T - cross @ np.linalg.solve(S, cross.T))))
+        J = turned_by(e[-1])
+        sd.append(np.sqrt(np.diag(J @ (F @ C @ F.T - cross @ np.linalg.solve(S, cross.T)) @ J.T)))
     return np.array(e), np.array(sd)
 
 

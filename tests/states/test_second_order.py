@@ -1,0 +1,108 @@
+"""Second-order terms of large attitude errors, and the covariance after a large correction."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnav.filters.error_model import error_model
+from jaxnav.filters.parameters import datasheet_params
+from jaxnav.filters.run import initial_nav
+from jaxnav.maths import rotations
+from jaxnav.states.grades import GRADES
+from jaxnav.states.motion import reset_covariance, reset_rows
+from jaxnav.states.transition import SECOND_ORDER_S, second_order
+from jaxnav.strapdown import local_level
+from jaxnav.types import Imu
+
+T, K = 1.0, 50
+FORCE = np.array([2.0, -1.0, -9.8])  # m/s^2, body
+RNG = np.random.default_rng(3)
+
+
+@pytest.fixture(scope="module")
+def epoch():
+    """A second of navigation in local level: Phi, and the velocity at its end from a start without the error x."""
+    model, imu = error_model(), Imu(jnp.full(K, T / K), jnp.zeros((K, 3)), jnp.tile(jnp.asarray(FORCE), (K, 1)))
+    nav = initial_nav([0.7, 0.2, 100.0], [3.0, 2.0, 0.0], [0.1, -0.05, 1.0])
+    nav = nav._replace(errors={"gyro_bias": jnp.zeros(3), "accel_bias": jnp.zeros(3)})
+    end, path = local_level.propagate(nav, None, imu)
+    Phi = model.discretize(datasheet_params(GRADES["consumer"]), path, imu.dt, None)[0]
+    velocity = jax.jit(lambda x: local_level.propagate(model.retract(nav, x), None, imu)[0].vel)
+    return np.asarray(Phi), velocity
+
+
+def test_the_rest_of_a_large_error_is_the_cross_product_of_attitude_and_what_it_does(epoch):
+    """Velocity of the estimate minus the truth's: Phi x - phi x w, to third order."""
+    Phi, velocity = epoch
+    for size in (0.02, 0.01):
+        x = np.zeros(15)
+        x[6:9], x[12:] = size * np.array([0.5, -0.4, 2.0]), 10 * size * np.array([1.0, -0.7, 0.5])
+        exact = np.asarray(velocity(jnp.zeros(15)) - velocity(jnp.asarray(x)))
+        w = Phi[3:6, 6:] @ np.concatenate([0.5 * x[6:9], x[9:]])
+        second = -np.cross(x[6:9], w)
+        left = np.abs(exact - Phi[3:6] @ x - second).max()
+        assert left < 2 * size * np.abs(second).max(), (size, left)
+
+
+def test_its_power_is_that_of_samples(epoch):
+    """The second moment of phi x w in velocity, as white acceleration over the epoch."""
+    Phi, _ = epoch
+    root = RNG.normal(size=(15, 15)) * np.repeat([1.0, 1.0, 0.05, 0.002, 0.1], 3)[:, None] / 4
+    P = root @ root.T
+    Q = np.asarray(jax.jit(second_order)(Phi, P, jnp.asarray(T)))
+    x = RNG.multivariate_normal(np.zeros(15), P, size=400_000)
+    q = np.cross(x[:, 6:9], np.concatenate([0.5 * x[:, 6:9], x[:, 9:]], 1) @ Phi[3:6, 6:].T)
+    sampled = q.T @ q / len(q)
+    size = np.sqrt(np.diag(sampled))
+    power = Q[3:, 3:] / (2 * SECOND_ORDER_S / T)
+    np.testing.assert_allclose(power / np.outer(size, size), sampled / np.outer(size, size), atol=0.02)
+    np.testing.assert_allclose(Q, np.kron([[T**2 / 3, T / 2], [T / 2, 1]], Q[3:, 3:]), rtol=1e-12)
+
+
+def test_a_lost_attitude_is_bounded(epoch):
+    """An unknown heading adds what a radian would, not its square."""
+    Phi, _ = epoch
+    sizes = []
+    for sd in (10.0, 100.0):
+        P = np.diag(np.repeat([1.0, 0.1, 0.01, 1e-4, 1e-2], 3) ** 2)
+        P[8, 8] = sd**2
+        sizes.append(np.sqrt(np.diag(second_order(Phi, P, jnp.asarray(T)))[3:]).max())
+    assert sizes[1] < 11 * sizes[0]
+
+
+def test_other_axes_of_attitude_turn_the_terms_along(epoch):
+    """The inertial frame's attitude has other axes than its velocity: the same errors, the same terms."""
+    Phi, _ = epoch
+    root = RNG.normal(size=(15, 15)) * 0.1
+    P, R = root @ root.T, np.asarray(rotations.to_dcm(rotations.exp(jnp.array([0.3, -1.0, 2.0]))))
+    S = np.eye(15)
+    S[6:9, 6:9] = R.T  # attitude in other axes: phi = R phi_other
+    plain, turned = second_order(Phi, P, jnp.ones(())), second_order(Phi @ S.T, S @ P @ S.T, jnp.ones(()), R)
+    np.testing.assert_allclose(plain, turned, rtol=1e-9, atol=1e-12)
+
+
+def test_small_errors_and_empty_epochs_add_nothing(epoch):
+    Phi, _ = epoch
+    P = np.diag(np.repeat([1.0, 0.1, 1e-3, 1e-4, 1e-2], 3) ** 2)
+    assert np.sqrt(np.diag(second_order(Phi, P, jnp.ones(())))).max() < 2e-4
+    assert not np.asarray(second_order(jnp.eye(15), P, jnp.zeros(()))).any()
+    slope = jax.grad(lambda P: second_order(jnp.eye(15), P, jnp.zeros(())).sum())(jnp.asarray(P))
+    assert np.isfinite(slope).all()
+
+
+def test_what_is_left_after_a_correction_has_turned_by_half_of_it():
+    """log(exp(-phi) exp(phi + e)) in e, by finite differences; the inverse by -phi."""
+    phi, h = jnp.array([0.02, -0.03, 0.05]), 1e-6
+    left = lambda e: rotations.log(rotations.multiply(rotations.exp(-phi), rotations.exp(phi + e)))
+    J = np.stack([np.asarray(left(h * e) - left(-h * e)) / (2 * h) for e in jnp.eye(3)], 1)
+    rows = np.asarray(reset_rows(phi, jnp.eye(12)))
+    assert np.abs(rows[6:9, 6:9] - J).max() < 0.05 * float(phi @ phi)
+    assert np.abs(J - np.eye(3)).max() > 0.02
+    rest = np.delete(np.arange(12), [6, 7, 8])
+    np.testing.assert_array_equal(rows[rest], np.eye(12)[rest])
+    root = RNG.normal(size=(12, 12))
+    np.testing.assert_allclose(
+        reset_covariance(phi, root @ root.T), rows @ root @ root.T @ rows.T, rtol=1e-12, atol=1e-12
+    )
+    np.testing.assert_allclose(reset_rows(-phi, rows), np.eye(12), atol=1e-15)

@@ -34,7 +34,7 @@ from jaxnav.data.bank import most_probable
 from jaxnav.data.start import Start, start
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
-from jaxnav.filters.parameters import history_for
+from jaxnav.filters.parameters import history_for, with_prior_of
 from jaxnav.filters.run import prepare, require_x64
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import DataError, Info, Params, Recording
@@ -70,7 +70,7 @@ class Trial(NamedTuple):
 class Tuned:
     """What tuning found, and whether it is any better; prints as a table."""
 
-    params: Params  # the winner's: the datasheet's where nothing beats it
+    params: Params  # the winner's, the datasheet's where nothing beats it; with the prior that `tune` was given
     each: list[Params]  # of every recording, where some are its own
     filter: Filter  # that they are for: the winner may have a state more
     chosen: str  # of `trials`
@@ -194,9 +194,10 @@ def tune(
         found["slow errors"], stopped = ended.raw, bool(ended.interrupted)
         offs["slow errors"] = level_drift(other, ended.raw, chosen)
     params_of = lambda name: jobs[name].each(found[name])
+    kept_of = lambda name: [with_prior_of(p, s, spec) for p, s in zip(params_of(name), sheets, strict=True)]
     trials = {
         name: Trial(
-            jobs[name].filt, params_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts),
+            jobs[name].filt, kept_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts),
             predicted(jobs[name].filt, params_of(name), used, off[1]),
         )
         for name, off in offs.items()
@@ -210,7 +211,7 @@ def tune(
     scores = {name: spread(off[0][test]) for name, off in offs.items()}
     told = shown(best, trials)
     return Tuned(
-        trials[best].params, params_of(best), trials[best].filter, best, verdict(best, trials, scores, parts),
+        trials[best].params, kept_of(best), trials[best].filter, best, verdict(best, trials, scores, parts),
         table(jobs[told], found[told]), trials, used, parts, int(np.unique(blocks).size), job.effective, gain, scores,
         nis, jobs[best].spec, history, stopped,
     )  # fmt: skip

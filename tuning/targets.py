@@ -92,8 +92,8 @@ def delay_of(params: Params, begin: Start, t: np.ndarray) -> np.ndarray:
 
 
 def kfgins_config(rec: Recording, params: Params, begin: Start) -> str:
-    """The text of a kf-gins.yaml that lies beside its data."""
-    first = track(begin.navs)
+    """Return the text of a kf-gins.yaml that lies beside its data: mean and sd of the initialization ``begin``."""
+    first, params = track(begin.navs), begin.given(params)
     week = np.floor(rec.imu.t[0] / 604800.0) * 604800.0
     row = lambda values: f"[{', '.join(f'{v:.12g}' for v in np.ravel(values))}]"
     ned = lambda values: row(export.axes_of(values)[[1, 0, 2]])
@@ -101,12 +101,15 @@ def kfgins_config(rec: Recording, params: Params, begin: Start) -> str:
     prior, sd = params.prior, {name: export.axes_of(state.sd) for name, state in params.states.items()}
     zero = np.zeros(3)
     known = lambda name, unit: row(sd.get(name, zero) / unit)
+    mean = lambda name, unit: row(np.asarray(begin.navs.errors[name])[0] / unit if name in begin.navs.errors else zero)
     lines = [
         "imupath: kfgins_imu.txt", "gnsspath: kfgins_gnss.txt", "outputpath: .",
         "imudatalen: 7", f"imudatarate: {round(1 / float(np.median(rec.imu.dt)))}",
         f"starttime: {begin.t - week:.9f}", "endtime: -1",
         f"initpos: {row(lla)}", f"initvel: {row(vel)}", f"initatt: {row(first.rph[0] / units.DEG)}",
-        *(f"{name}: [0, 0, 0]" for name in ("initgyrbias", "initaccbias", "initgyrscale", "initaccscale")),
+        f"initgyrbias: {mean('gyro_bias', units.DEG_PER_HOUR)}  # deg/h",
+        f"initaccbias: {mean('accel_bias', units.MGAL)}  # mGal",
+        f"initgyrscale: {mean('gyro_scale', units.PPM)}", f"initaccscale: {mean('accel_scale', units.PPM)}",
         f"initposstd: {ned(prior.position)}", f"initvelstd: {ned(prior.velocity)}",
         f"initattstd: {ned(np.asarray(prior.attitude) / units.DEG)}",
         f"initbgstd: {known('gyro_bias', units.DEG_PER_HOUR)}  # deg/h",

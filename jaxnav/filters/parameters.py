@@ -177,6 +177,27 @@ def datasheet_params(
     )
 
 
+def with_prior_of(params: Params, before: Params, tuned: Iterable[str] = ()) -> Params:
+    """Return parameters with the initial standard deviations of others.
+
+    An initialization gives a posterior, a mean with its sd, for one run; parameters that are kept for other runs have
+    the prior, of mean zero.
+
+    Args:
+        params: parameters of one run, such as of `jaxnav.Start.given`.
+        before: parameters with the prior; of a state that they lack, the sd of ``params`` stays.
+        tuned: dotted leaves that stay as they are.
+    """
+    tuned = set(tuned)
+    states = {
+        name: own._replace(sd=before.states[name].sd)
+        if name in before.states and f"states.{name}.sd" not in tuned
+        else own
+        for name, own in params.states.items()
+    }
+    return params._replace(prior=before.prior, states=states)
+
+
 def history_for(known: Params, rate_hz: float, span: float, more: float = 0.0) -> int:
     """IMU samples of history that reach back as far as the latest fix in ``span`` s of data, and ``more`` s."""
     offset = float(known.mounting.time_offset) + abs(float(known.mounting.clock_drift)) * span

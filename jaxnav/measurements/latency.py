@@ -75,17 +75,16 @@ def error_then(between: Interval, states: Sequence[State]) -> jax.Array:
         "gyro": jnp.concatenate([-A1 @ C / 3, 0.5 * A0 @ C, -C]),
         "accel": jnp.concatenate([age / 6 * (C_then + 2 * C_now), -C, zero]),
     }
-    # M is linear in the readings, so that their integrals over the interval stand for age times the mean
-    readings = {}
+    # integrals of the readings over the interval: M is linear in them, so M of these is age times M of the mean
+    readings = {"accel": C.T @ S0}
     if any(state.effect is not None for state in states):
-        turn = rotations.log(rotations.multiply(rotations.conjugate(q_then), q_now))
-        readings = {"gyro": turn, "accel": C.T @ S0}
+        readings["gyro"] = rotations.log(rotations.multiply(rotations.conjugate(q_then), q_now))
     columns = [motion]
     for state in states:
         if state.enters is None:
             columns.append(jnp.zeros((9, state.size)))
         else:
-            both = [readings.get(sensor) for sensor in (state.enters, OTHER[state.enters])]
-            M = age * eye if state.effect is None else state.effect(*both)
+            own, other = state.enters, OTHER[state.enters]
+            M = age * eye if state.effect is None else state.effect(readings[own], readings[other])
             columns.append(-through[state.enters] @ M)  # an error of the state lowers the reading that is used
     return jnp.concatenate(columns, 1)

@@ -68,6 +68,20 @@ def job(rec, ekf):
     return make, packed, layout
 
 
+def test_what_is_found_has_the_prior_that_was_given_and_not_the_posterior_of_one_start(found, ekf, rec):
+    """A next run from these parameters starts from where the first one did."""
+    given, sheet = ekf.params("adis16465"), found.used[0].sheet
+    for params in (found.params, *found.each, *(trial.params for trial in found.trials.values())):
+        for name in ("gyro_bias", "accel_bias"):
+            np.testing.assert_array_equal(params.states[name].sd, given.states[name].sd)
+        np.testing.assert_array_equal(params.prior.attitude, given.prior.attitude)
+        assert params.prior.correlated is None
+    assert np.asarray(sheet.states["gyro_bias"].sd).min() < 0.8 * given.states["gyro_bias"].sd
+    again = start(rec, found.params)
+    np.testing.assert_allclose(again.navs.errors["gyro_bias"], found.start.navs.errors["gyro_bias"], atol=1e-5)
+    np.testing.assert_allclose(again.prior.attitude, found.start.prior.attitude, rtol=0.1)
+
+
 # ---------------------------------------------------------------------------- what is minimised
 
 

@@ -25,7 +25,7 @@ from jaxnav.measurements.measurement import clock_offset
 from jaxnav.types import ConfigError
 from tuning.export import ONE_CORRELATION_TIME
 from tuning.priors import leaves_of
-from tuning.targets import TARGETS, delay_of
+from tuning.targets import TARGETS, delay_of, kfgins_config
 
 KFGINS = os.environ.get("KFGINS_BIN")
 
@@ -84,7 +84,22 @@ def test_kfgins_s_files_hold_the_samples_and_the_fixes_by_the_imu_s_clock(rec, b
     np.testing.assert_allclose(value("initvel"), vel[[1, 0, 2]] * [1, 1, -1], atol=1e-9)
     np.testing.assert_allclose(value("initpos"), pos / [units.DEG, units.DEG, 1.0], rtol=1e-10)
     np.testing.assert_allclose(value("initsgstd"), 3000.0)
+    np.testing.assert_array_equal(value("initgyrbias"), 0.0)
     np.testing.assert_allclose(value("gsstd"), 3000.0)
+
+
+def test_kfgins_starts_from_the_mean_and_the_sd_of_the_initialization(rec, begin):
+    """Biases that a start found are its mean, with the sd that is left of them."""
+    bias, sd = jnp.array([0.01, -0.02, 0.03]), np.array([1e-4, 2e-4, 3e-4])
+    navs = begin.navs._replace(errors={"gyro_bias": bias[None]})
+    like = build("ekf15", ("position",), states=TARGETS["kfgins"].states)
+    text = kfgins_config(rec, like.params("consumer"), begin._replace(navs=navs, states={"gyro_bias": sd}))
+    value = lambda key: [float(v) for v in re.search(rf"^\s*{key}: \[(.*?)\]", text, re.M).group(1).split(",")]
+    np.testing.assert_allclose(value("initgyrbias"), np.asarray(bias) / units.DEG_PER_HOUR, rtol=1e-9)
+    np.testing.assert_allclose(value("initbgstd"), sd / units.DEG_PER_HOUR, rtol=1e-9)
+    np.testing.assert_array_equal(value("initaccbias"), 0.0)
+    np.testing.assert_allclose(value("initattstd"), np.ravel(begin.prior.attitude)[[1, 0, 2]] / units.DEG if
+                               np.ndim(begin.prior.attitude) else float(begin.prior.attitude) / units.DEG)  # fmt: skip
 
 
 def test_settings_that_are_the_target_s_are_refused(tmp_path, capsys):

@@ -86,8 +86,11 @@ def numpy_loop(n: int, params: Params, nav: Nav, epochs: Epoch) -> Callable[[], 
             nu = np.concatenate([reference.metres(state.lla) @ (state.lla - value[:3]), state.v - value[3:]])
             K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
             A = eye - K @ H
-            P = A @ P @ A.T + K @ R @ K.T
-            state.remove(K @ nu)
+            x = K @ nu
+            state.remove(x)
+            turned = np.eye(n)
+            turned[6:9, 6:9] = reference.rotation(-0.5 * x[6:9])
+            P = turned @ (A @ P @ A.T + K @ R @ K.T) @ turned.T
             out.append(state.lla.copy())
         return np.stack(out)
 

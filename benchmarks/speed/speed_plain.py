@@ -153,7 +153,9 @@ def update(noise: Noise, s: State, fix: Fix) -> tuple[State, jax.Array, jax.Arra
     A = jnp.eye(n) - K @ H
     x = K @ nu
     q = rotations.normalize(rotations.multiply(rotations.exp(-x[6:9]), s.q))
-    s = s._replace(lla=earth.move(s.lla, -x[:3]), vel=s.vel - x[3:6], q=q, P=A @ s.P @ A.T + K @ R @ K.T)
+    turned = jnp.eye(n).at[6:9, 6:9].set(rotations.to_dcm(rotations.exp(-0.5 * x[6:9])))  # axes of the attitude's error
+    P = turned @ (A @ s.P @ A.T + K @ R @ K.T) @ turned.T
+    s = s._replace(lla=earth.move(s.lla, -x[:3]), vel=s.vel - x[3:6], q=q, P=P)
     if n == 15:
         s = s._replace(b_g=s.b_g - x[9:12], b_a=s.b_a - x[12:15])
     return s, nu, S

@@ -10,6 +10,7 @@ from jaxnav.maths.units import DEG, Unit
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
 
+TINY = 1e-9  # m/s or m: shorter vectors are taken for zero
 SLOWEST = 0.1  # m/s or m: below it a direction means nothing, and its row is bounded
 
 
@@ -38,8 +39,10 @@ class AgedParams(NamedTuple):
 
 def azimuth(d: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Direction () rad from north to east of a vector (3,) ENU, and its derivative (1, 3)."""
-    square = jnp.maximum(d[0] ** 2 + d[1] ** 2, SLOWEST**2)
-    return jnp.arctan2(d[0], d[1]), jnp.stack([d[1], -d[0], jnp.zeros(())])[None] / square
+    square = d[0] ** 2 + d[1] ** 2
+    none = square < TINY**2  # of a vector without a direction the angle is 0, and so is its derivative
+    angle = jnp.arctan2(jnp.where(none, 0.0, d[0]), jnp.where(none, 1.0, d[1]))
+    return angle, jnp.stack([d[1], -d[0], jnp.zeros(())])[None] / jnp.maximum(square, SLOWEST**2)
 
 
 def turned(angle: jax.Array) -> jax.Array:

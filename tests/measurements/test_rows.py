@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav import build, initial_nav
+from jaxnav import STATES, build, initial_nav
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS
@@ -61,6 +61,24 @@ def test_baseline_course_and_yaw_rate():
     np.testing.assert_allclose(residual("baseline", C @ arm, arm=arm), 0.0, atol=1e-12)
     np.testing.assert_allclose(residual("course", [np.arctan2(8.0, -3.0)]), 0.0, atol=1e-12)
     np.testing.assert_allclose(residual("yaw_rate", [0.25]), 0.05, atol=1e-12)
+
+
+@pytest.mark.parametrize("rph", [(0.0, 0.0, 0.0), (0.0, 0.5 * np.pi, 0.0)], ids=["at rest", "at rest, nose up"])
+@pytest.mark.parametrize("name", MEASUREMENTS)
+def test_gradients_are_finite_where_there_is_no_direction(name, rph):
+    """No velocity, and a nose that points straight up: of the residual and of its rows."""
+    row, nav = MEASUREMENTS[name], initial_nav([0.8, 0.1, 100.0], rph=rph)
+    nav = nav._replace(errors={each: jnp.zeros(STATES[each].size) for each in row.states})
+    size = row.size
+    fix = Fix(jnp.zeros(size), jnp.ones(size), jnp.zeros(size), jnp.zeros(size, bool))
+
+    def total(theta, nav):
+        kin = Kinematics(nav.pos, nav.vel, rotations.to_dcm(nav.q))
+        seen = row.observe(theta, PARAMS.mounting, nav, kin, fix)
+        return seen.y.sum() + sum(rows.sum() for rows in seen.rows.values())
+
+    slope = jax.grad(total, (0, 1))(PARAMS.measurements[name], nav)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slope))
 
 
 def test_airspeed_and_sideslip_are_of_the_velocity_through_the_air():

@@ -117,6 +117,17 @@ def check_samples(name: str, samples: Samples, source: Source) -> Samples:
     return samples
 
 
+def require_double(name: str, value: np.ndarray) -> None:
+    """Refuse positions of less than 64 bits: a latitude in float32 has steps of up to 0.8 m.
+
+    Raises:
+        DataError: names the stream and the type.
+    """
+    dtype = np.asarray(value).dtype
+    if name == "position" and dtype.kind == "f" and dtype.itemsize < 8:
+        raise DataError(f"position: latitude and longitude must be float64, got {dtype}, which has steps of 0.8 m")
+
+
 def uncertainty(name: str, sd: np.ndarray) -> str:
     """``3, 3, 6 m`` for a sentence."""
     return f"{', '.join(f'{x:g}' for x in sd)} {STREAM_SIZES.get(name, (0, ''))[1]}".strip()

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.data import gaps
+from jaxnav.data.checks import require_double
 from jaxnav.measurements import GNSS, Measurement, layout
 from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Recording, Samples, nearest
 
@@ -117,6 +118,7 @@ def _check_samples(name: str, s: Samples, size: int) -> None:
     for field in ("value", "sd", "corr"):
         if np.shape(getattr(s, field)) != (K, size):
             raise DataError(f"{name}: {field} must be {(K, size)}, got {np.shape(getattr(s, field))}")
+    require_double(name, s.value)
     _check_rows(name, s.t, *s[1:])
     if not np.all(s.sd > 0):
         raise DataError(f"{name}: sd must be > 0, is {s.sd.min():g} at t = {s.t[int(s.sd.min(1).argmin())]:.3f} s")

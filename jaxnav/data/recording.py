@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxnav.data.checks import check_recording
+from jaxnav.data.checks import check_recording, require_double
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track, nearest
 
@@ -63,9 +63,11 @@ def _imu(imu: ImuLog | Sequence[ArrayLike]) -> ImuLog:
 
 def _samples(name: str, data: Any, size: int) -> Samples:
     if isinstance(data, Samples):
+        require_double(name, data.value)
         return Samples(*(np.asarray(a, float) for a in data))
     if len(data) not in (3, 4):
         raise DataError(f"{name}: expected (t, value, sd) or (t, value, sd, corr), got {len(data)} arrays")
+    require_double(name, data[1])
     t, value = (np.asarray(a, float) for a in data[:2])
     if value.ndim == 1 and size == 1:
         value = value[:, None]

@@ -10,7 +10,7 @@ from jaxnav.data.epochs import pack
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import put
 from jaxnav.filters.run import run_jit
-from jaxnav.types import ImuLog, Samples
+from jaxnav.types import ImuLog, Samples, StateParams
 
 FILTER = build("ekf15", cov_stride=5)
 
@@ -63,6 +63,30 @@ def test_rest_shows_neither_heading_nor_the_gyro_about_it(case, rest):
     assert left["accel_bias down"] < 0.5 < min(left["accel_bias forward"], left["accel_bias right"])
     words = " ".join(obs.in_words(found, 20.0))
     assert "no window shows attitude up" in words and "gyro_bias down" in words and "of 15 directions" in words
+
+
+def test_information_is_carried_by_the_transitions_in_their_order(case, monkeypatch):
+    """Of transitions that do not commute, over two windows of three epochs: G = sum since' H' R^-1 H since."""
+    rng = np.random.default_rng(1)
+    Phi = np.eye(15) + 0.3 * rng.normal(size=(6, 15, 15))
+    rows = rng.normal(size=(6, 2, 15))
+    told = np.einsum("eki,ekj->eij", rows, rows)
+    monkeypatch.setattr(obs, "_seen", lambda *given: (Phi, told))
+    sd = np.sqrt(np.diag(np.asarray(FILTER.model.covariance(case.params, case.nav))))
+    found = obs.observability(FILTER, case.params, case.nav, None, np.arange(6.0), 3.0)
+    assert found.start.tolist() == [0.0]
+    M = [np.eye(15), Phi[1], Phi[2] @ Phi[1]]
+    G = sum(m.T @ told[i] @ m for i, m in enumerate(M)) * np.outer(sd, sd)
+    np.testing.assert_allclose(found.left[0], np.sqrt(np.diag(np.linalg.inv(np.eye(15) + G))), rtol=1e-9)
+
+
+def test_a_gauss_markov_process_spreads_to_half_its_time_times_its_density():
+    """drive^2 tau / 2 is its variance in the long run; before, and of a walk, it grows by drive^2 a second."""
+    process = lambda tau, drive=0.2: StateParams(np.asarray(1.0), np.asarray(drive), np.asarray(tau))
+    assert obs._driven(process(4.0), 100.0) == pytest.approx(0.08)
+    assert obs._driven(process(4.0), 1.0) == pytest.approx(0.04)
+    assert obs._driven(process(np.inf), 50.0) == pytest.approx(2.0)
+    np.testing.assert_allclose(obs._driven(process(4.0, 0.2 * np.eye(3)), 100.0), 0.08)
 
 
 def test_a_drive_shows_its_heading(case):

@@ -111,6 +111,13 @@ def test_what_is_wrong_is_named(car, code):
     assert code in found, found
 
 
+@pytest.mark.parametrize("factor, wrong", [(0.5, True), (0.7, False), (1.0, False), (1.5, False), (1.8, True)])
+def test_gyros_of_another_unit_turn_by_another_amount_than_the_course(car, factor, wrong):
+    """Between 0.6 and 1.6 of the course's turns a slip angle and its delay may explain the rest."""
+    scaled = car._replace(imu=car.imu._replace(gyro=car.imu.gyro * [1.0, 1.0, factor]))
+    assert ("gyro.units" in bad(scaled, "turns")) is wrong
+
+
 def test_coarse_steps_and_a_loud_axis_are_noise_of_that_axis(car):
     """A step q has at least the noise q / sqrt(12) a sample, moving or not; white noise is that of its axis alone."""
     root, rng = np.sqrt(np.median(car.imu.dt)), np.random.default_rng(0)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from jaxnav.data import gaps
+from jaxnav.data.checkup import checkup
 from jaxnav.data.epochs import (
     TICK,
     constraint_samples,
@@ -20,6 +21,7 @@ from jaxnav.data.epochs import (
     stack_epochs,
     stationary,
 )
+from jaxnav.data.recording import recording
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import padded
 from jaxnav.filters.run import run_jit
@@ -136,6 +138,24 @@ def test_what_cannot_be_packed_is_named():
         cut_times(imu, {}, 1.0, start=102.0, stop=101.0)
     with pytest.raises(DataError, match=r"velocity: the fix at t = 101.300000 s is not at the end of an epoch"):
         pack(imu, {"velocity": fixes([101.0, 101.3])}, 1.0, cuts=np.array([101.0, 102.0]))
+
+
+def test_positions_in_float32_are_refused_wherever_they_come_in():
+    """Steps of 0.8 m pass for motion: by `pack`, `recording` and the check."""
+    imu, position = stream(), fixes([101.0, 102.0])
+    coarse = position._replace(value=position.value.astype(np.float32))
+    still = (imu.t, np.zeros((200, 3)), np.tile([0.0, 0.0, -9.8], (200, 1)))
+    whole = recording(still, position=position)
+    for call in (
+        lambda: pack(imu, {"position": coarse}, 1.0),
+        lambda: recording(still, position=coarse),
+        lambda: recording(still, position=(coarse.t, coarse.value, 1.0)),
+        lambda: checkup(whole._replace(aiding={"position": coarse}), quick=True),
+    ):
+        with pytest.raises(DataError, match="position: latitude and longitude must be float64, got float32"):
+            call()
+    velocity = position._replace(value=position.value.astype(np.float32))
+    pack(imu, {"velocity": velocity}, 1.0)  # of a velocity that is enough
 
 
 @pytest.mark.parametrize("apart", [1.2e-6, 1.9e-6, 2.5e-6])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxnav.data import gaps
-from jaxnav.data.epochs import pack
+from jaxnav.data.epochs import louder_by, pack
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.run import run_jit
 from jaxnav.types import ImuLog
@@ -43,6 +43,23 @@ def test_a_fill_misses_about_what_it_says(length):
     assert 0.3 < np.mean(ratios) < 3.0
     np.testing.assert_allclose(filled.dt.sum(), imu.dt.sum(), rtol=1e-9)
     assert np.all(np.diff(filled.t) > 0)
+
+
+def test_what_a_long_hole_hides_grows_with_its_length():
+    """A hole longer than a quarter of the log cannot be tried in it: what is missed is taken to grow in proportion."""
+    imu, none = log(40.0), np.zeros(0)
+    longest = 0.25 * (40.0 - 2 * gaps.SIDE - 0.02)
+    missed = [
+        gaps._noise(gaps._Log(imu), imu, length, none, none) * np.sqrt(length) for length in (longest, 2 * longest)
+    ]
+    np.testing.assert_allclose(missed[1], 2 * missed[0], rtol=0.05)
+
+
+def test_an_epoch_gets_the_noise_of_a_hole_for_its_share_of_it():
+    """From 2 to 3.5 s, in epochs of half a second, two seconds and one second."""
+    holes = gaps.Holes(np.array([2.0]), np.array([3.5]), np.array([[0.1, 2.0]]))
+    found = np.asarray(louder_by(holes, 1.5, np.array([2.0, 2.5, 4.5, 5.5])))
+    np.testing.assert_allclose(found, np.sqrt([0.0, 1.0, 0.5, 0.0])[:, None] * [0.1, 2.0], atol=1e-12)
 
 
 def test_a_log_without_holes_is_itself():

@@ -6,6 +6,7 @@ import pytest
 
 from benchmarks.recordings.start import simulated
 from jaxnav.data import magnetic, start
+from jaxnav.data.pointing import pointed_by
 from jaxnav.filters.catalogue import build
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
@@ -64,6 +65,15 @@ def test_a_compass_starts_what_stands():
     own = stated.measurements["magnetometer"]._replace(declination=jnp.asarray(0.5))
     said = start.start(rec, stated._replace(measurements=stated.measurements | {"magnetometer": own}))
     assert float(said.field.declination) == 0.5  # what the user states is taken
+
+
+def test_a_compass_is_as_uncertain_as_its_tilt_times_the_tangent_of_the_inclination():
+    known = magnetic.field_at(LLA)
+    rec = standing((0.0, 0.0, 1.0), magnetometer=(by_field((0.0, 0.0, 1.0), known), 1.0))
+    params = build("ekf15", ("position", "magnetometer")).params()
+    sd = [pointed_by(rec, params, (0.0, 0.0), tilt, 10.0).sd for tilt in (0.0, 3 * DEG)]
+    assert sd[1] ** 2 - sd[0] ** 2 == pytest.approx((np.tan(known.inclination) * 3 * DEG) ** 2, rel=1e-4)
+    assert np.tan(known.inclination) > 1.5
 
 
 @pytest.mark.parametrize("iron", [(0.0, 0.0, 40.0), (25.0, 20.0, 0.0)])

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+from jaxnav.data.checks import require_double
 from jaxnav.data.checkup import compass, inertial, motion, standstill, streams, times
 from jaxnav.data.checkup.finding import Finding
 from jaxnav.types import Recording
@@ -37,7 +38,13 @@ CHECKS: dict[str, Check] = {
 
 
 def checkup(rec: Recording, quick: bool = False) -> list[Finding]:
-    """What the checks say of a recording; ``quick``: only those that take no time."""
+    """What the checks say of a recording; ``quick``: only those that take no time.
+
+    Raises:
+        DataError: positions in float32.
+    """
+    for name, samples in rec.aiding.items():
+        require_double(name, samples.value)
     return [finding for check in CHECKS.values() if check.quick or not quick for finding in check.answer(rec)]
 
 

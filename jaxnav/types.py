@@ -149,7 +149,7 @@ class Prior(NamedTuple):
     position: Leaf  # () or (3,) m, ENU
     velocity: Leaf  # () or (3,) m/s, ENU
     attitude: Leaf  # () or (3,) rad, rotation about E, N (tilts) and U (heading)
-    # (9, 9) lower root of the correlations of attitude, gyro and accelerometer bias; None: there are none
+    # (12, 12) lower root of the correlations of velocity, attitude, gyro and accelerometer bias; None: there are none
     correlated: Leaf = None
 
 

@@ -53,7 +53,7 @@ class Alignment(NamedTuple):
     t: float  # s
     C: np.ndarray  # (3, 3) body -> ENU
     vel: np.ndarray  # (3,) m/s, ENU, of the IMU
-    vel_sd: np.ndarray  # (3,) m/s
+    P_vel: np.ndarray  # (3, 3 + n) covariance of the velocity with itself and with the n unknowns of ``P``
     gyro_bias: np.ndarray  # (3,) rad/s, measured minus true
     accel_bias: np.ndarray  # (3,) m/s^2
     delay: float  # s, by which fixes are stamped too late, beyond what was known
@@ -66,6 +66,11 @@ class Alignment(NamedTuple):
     def sd(self) -> np.ndarray:
         """Standard deviations (10,) or (13,), in the order of ``P``."""
         return np.sqrt(np.diag(self.P))
+
+    @property
+    def joint(self) -> np.ndarray:
+        """Covariance (3 + n, 3 + n) of the velocity and the unknowns of ``P``."""
+        return np.block([[self.P_vel], [self.P_vel[:, 3:].T, self.P]])
 
 
 class Seen(NamedTuple):
@@ -104,10 +109,17 @@ def align(
     forward = np.eye(len(P))
     forward[:3, 3:6] = reference @ G
     arm = arm + x[7:] if x.size > 7 else arm
-    vel, vel_sd = _velocity(samples, seen, fixes, reference, x[:7], arm, max(noise, 1.0))
+    at_end = lambda C, x: _velocity(samples, seen, fixes, C, x[:7], arm, max(noise, 1.0))
+    vel, vel_sd = at_end(reference, x)
+    moved = [at_end(Rotation.from_rotvec(TILT * e).as_matrix() @ reference, x)[0] for e in np.eye(3)]
+    steps = np.repeat([TILT, 1e-3, SOON], [3, 3, 1])
+    moved += [at_end(reference, x + np.pad(step, (0, x.size - 7)))[0] for step in np.diag(steps)]
+    J = np.zeros((3, len(P)))  # of the velocity by the unknowns at the begin; that of the arm is small
+    J[:, :10] = (np.array(moved) - vel).T / np.concatenate([np.full(3, TILT), steps])
+    P_vel = np.hstack([J @ P @ J.T + np.diag(vel_sd**2 + DRIFT**2 * RECENT), J @ P @ forward.T])
     P = forward @ P @ forward.T
     return Alignment(
-        end, reference @ R_end, vel, vel_sd, x[:3], x[3:6], float(x[6]), P, chi2, fixes.t.size, arm,
+        end, reference @ R_end, vel, P_vel, x[:3], x[3:6], float(x[6]), P, chi2, fixes.t.size, arm,
     )  # fmt: skip
 
 
@@ -367,7 +379,7 @@ def _moved(seen: Seen, roots: list[np.ndarray]) -> bool:
 def _velocity(
     imu: ImuLog, seen: Seen, fixes: Samples, C: np.ndarray, x: np.ndarray, arm: np.ndarray, noise: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity of the IMU at the window's end and its sd: the latest fixes, carried on by the samples."""
+    """Return the IMU's velocity at the window's end by the latest fixes and the samples, and its sd by their noise."""
     last = max(4 if seen.positions else 1, int((seen.t > seen.t[-1] - RECENT).sum()))
     series = _series(imu, x)
     rest = (seen.rest - _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0] @ C.T)[-last:]

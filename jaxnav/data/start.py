@@ -68,6 +68,7 @@ _rph, _moved = jax.jit(rotations.to_rph), jax.jit(earth.move)  # one program eac
 
 # ---------------------------------------------------------------------------- the start of a recording
 
+LEAST_VELOCITY_SD = 0.1  # m/s, of an alignment: what scale errors, misalignment and thrust between fixes leave
 APART = 2.0  # s, at most, from the first position to the velocity beside it
 CHORD = 4.0  # s, over which 3 m of noise are 1 m/s
 
@@ -158,10 +159,14 @@ def start(
     else:
         at = _as_said(rec, known, velocity, from_t, heading, course_speed_mps, sds)
     t, lla, vel, sd = _first_fix(rec, known, position, velocity, at.t)
-    if at.alignment is not None and t <= at.t + TICK:
-        vel, sd = at.alignment.vel, (sd[0], np.hypot(at.alignment.vel_sd, 0.3))
+    joint = None if at.alignment is None else at.alignment.joint[:12, :12]
+    if at.alignment is not None and joint is not None and t <= at.t + TICK:
+        joint[:3, :3] += LEAST_VELOCITY_SD**2 * np.eye(3)
+        vel, sd = at.alignment.vel, (sd[0], np.sqrt(np.diag(joint)[:3]))
     elif "velocity" in rec.aiding and np.abs(rec.aiding["velocity"].t - t).min() > APART:
         raise DataError(f"velocity: none within {APART:g} s of the first position, at {t:.3f} s: set data.start")
+    elif joint is not None:  # the velocity is a fix's, and independent
+        joint[:3], joint[:, :3], joint[:3, :3] = 0.0, 0.0, np.eye(3)
     nav = initial_nav(lla, vel, at.rph, halfway(rec))._replace(t=jnp.asarray(t, float))
     angles = 2 * np.pi * np.arange(hypotheses) / hypotheses if at.unknown else np.array([at.rph[2]])
     navs = with_headings(nav, angles, rec.lever_arm)
@@ -175,7 +180,7 @@ def start(
         # a tilt in ENU axes turns with the heading: where that is not the alignment's, its correlations are left out
         if not at.unknown and at.pointed is None:
             attitude_sd = np.maximum(found.sd[:3], LEAST_TILT_SD)
-            correlated = jnp.asarray(correlation_root(found.P[:9, :9]))
+            correlated = jnp.asarray(correlation_root(joint))
     prior = Prior(
         jnp.asarray(sd[0] if position_sd_m is None else position_sd_m, float),
         jnp.asarray(sd[1] if velocity_sd_mps is None else velocity_sd_mps, float),

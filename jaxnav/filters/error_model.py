@@ -12,7 +12,7 @@ from jaxnav.maths import linalg, rotations
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, latency
 from jaxnav.measurements.measurement import stack
 from jaxnav.states import table
-from jaxnav.states.motion import A, prior_sd
+from jaxnav.states.motion import A, V, prior_sd
 from jaxnav.states.state import State
 from jaxnav.states.table import BIASES
 from jaxnav.states.transition import Blocks, discretize, second_order
@@ -134,10 +134,10 @@ def error_model(
         return linalg.square(root)
 
     def correlated_root(sd: jax.Array, rows: jax.Array) -> jax.Array:
-        """Root (n, n + 9) of the covariance in ENU with these correlations of what the filter has of the biases."""
-        places = {"attitude": A} | {name: slices[name] for name in BIASES if name in slices}
-        alone, together = jnp.ones(n), jnp.zeros((n, 9))
-        for i, name in enumerate(("attitude", *BIASES)):
+        """Root (n, n + 12) of the covariance in ENU with these correlations of what the filter has of the biases."""
+        places = {"velocity": V, "attitude": A} | {name: slices[name] for name in BIASES if name in slices}
+        alone, together = jnp.ones(n), jnp.zeros((n, 12))
+        for i, name in enumerate(("velocity", "attitude", *BIASES)):
             if name in places:
                 alone = alone.at[places[name]].set(0.0)
                 together = together.at[places[name]].set(rows[3 * i : 3 * i + 3])

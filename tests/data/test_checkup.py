@@ -126,7 +126,7 @@ def test_coarse_steps_and_a_loud_axis_are_noise_of_that_axis(car):
     assert inertial.resolution(coarse) == pytest.approx([0.0, 0.01, 0.0])
     floor, _ = inertial.noise_floor(car.imu)
     again, _ = inertial.noise_floor(car.imu._replace(gyro=coarse))
-    assert again[1] >= 0.999 * root * 0.01 / np.sqrt(12) and again[[0, 2]] == pytest.approx(floor[[0, 2]])
+    assert again[1] >= 0.999 * root * 0.01 / np.sqrt(12) and again[[0, 2]] == pytest.approx(floor[[0, 2]], rel=0.2)
     loud = car.imu.gyro + np.array([0.0, 0.0, 0.02]) * rng.normal(size=car.imu.gyro.shape)
     again, _ = inertial.noise_floor(car.imu._replace(gyro=loud))
     assert again[2] == pytest.approx(0.02 * root, rel=0.1) and again[:2] == pytest.approx(floor[:2], rel=0.2)

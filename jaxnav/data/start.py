@@ -178,7 +178,7 @@ def start(
         states = {name: bias_sd for name, (_, bias_sd) in biases.items()}
         navs = navs._replace(errors={n: jnp.tile(jnp.asarray(b), (len(angles), 1)) for n, (b, _) in biases.items()})
         # a tilt in ENU axes turns with the heading: where that is not the alignment's, its correlations are left out
-        if not at.unknown and at.pointed is None:
+        if joint is not None and not at.unknown and at.pointed is None:
             attitude_sd = np.maximum(found.sd[:3], LEAST_TILT_SD)
             correlated = jnp.asarray(correlation_root(joint))
     prior = Prior(

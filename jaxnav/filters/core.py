@@ -319,7 +319,7 @@ def make_filter(
     def corrected(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info, jax.Array]:
         nav, age = jax.tree.map(lambda a: a[-1], state.past), state.age + state.T
         x, memory = rule.extrapolate(params.rule, state.memory, state.x0, state.x)
-        y, H, R = model.observe(params, state.past, fix)
+        y, H, R = model.observe(params, state.past, fix, state.P if model.second_order else None)
         residual = y - H @ x
         y, H, R = masked(y, H, R, fix.valid)
         z = Innovation(y - H @ x, H, R, state.P, fix.valid, state.T, age)

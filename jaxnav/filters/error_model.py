@@ -20,7 +20,7 @@ from jaxnav.strapdown import inertial_quaternion, tangent_frame
 from jaxnav.strapdown.errors import inertial_quaternion as inertial_errors
 from jaxnav.strapdown.errors import local_level as local_level_errors
 from jaxnav.strapdown.errors import tangent_frame as tangent_errors
-from jaxnav.types import ErrorInputs, Fix, Forcing, Nav, Params, nearest
+from jaxnav.types import ErrorInputs, Forcing, Nav, Params, nearest
 
 
 class MotionErrors(NamedTuple):
@@ -68,8 +68,8 @@ class ErrorModel(NamedTuple):
     discretize: Callable[[Params, ErrorInputs, jax.Array, Forcing | None], tuple[jax.Array, jax.Array, jax.Array]]
     # (nav and P (n, n) at the epoch's start, Phi (n, n), T () s) -> see `jaxnav.states.transition.second_order`
     second_order: Callable[[Nav, jax.Array, jax.Array, jax.Array], jax.Array] | None
-    # (params, past (w, ...), fix) -> y (m,), H (m, n), R (m, m)
-    observe: Callable[[Params, Nav, Fix], tuple[jax.Array, jax.Array, jax.Array]]
+    # (params, past (w, ...), fix, predicted P (n, n) or None) -> y (m,), H (m, n), R (m, m)
+    observe: Callable[..., tuple[jax.Array, jax.Array, jax.Array]]
     enter: Callable[[Nav], Nav]  # local level navigation -> the frame's
     report: Callable[..., tuple[Nav, jax.Array, jax.Array]]  # (nav, x, P) of the frame -> of local level
     # (past (w, ...), x (n,) at its end) -> x (w, n) at each of its samples

@@ -18,7 +18,11 @@ from jaxnav.measurements import latency
 from jaxnav.states.motion import MOTION
 from jaxnav.states.sensors import OTHER
 from jaxnav.states.state import State
+from jaxnav.states.transition import cross_moment
 from jaxnav.types import Fix, Mounting, Nav, Params
+
+FIXES_ALIKE = 4.0
+"""Factor on second-order noise: fixes at 1 Hz see one attitude error, as 1 + 2 tau / T of white noise, tau 1.5 s."""
 
 
 class Kinematics(NamedTuple):
@@ -152,11 +156,13 @@ def stack(
     states: tuple[State, ...],
     leave: Callable[[Nav], Nav] | None = None,
     enu_rows: Callable[[Nav, Nav], jax.Array] | None = None,
-) -> Callable[[Params, Nav, Fix], tuple[jax.Array, jax.Array, jax.Array]]:
-    """Return ``observe(params, past, fix) -> y (m,), H (m, n), R (m, m)`` of these measurements.
+) -> Callable[..., tuple[jax.Array, jax.Array, jax.Array]]:
+    """Return ``observe(params, past, fix, P=None) -> y (m,), H (m, n), R (m, m)`` of these measurements.
 
     Each measurement is compared with navigation at its own instant: the end of ``past`` minus the clock offset and its
-    latency. H refers to the error at the end (`jaxnav.measurements.latency`). R is `covariance` of each.
+    latency. H refers to the error at the end (`jaxnav.measurements.latency`). R is `covariance` of each. With the
+    predicted covariance P (n, n) the R of a receiver's vectors holds what a large attitude error adds in second order,
+    by lever arm and age: -phi x (H (phi / 2, s)), see `jaxnav.states.transition.cross_moment`.
 
     Args:
         measurements: the rows, in the order of their channels.
@@ -167,9 +173,13 @@ def stack(
     slices = layout(measurements)
     m = sum(each.size for each in measurements)
 
-    def observe(params: Params, past: Nav, fix: Fix):
+    def observe(params: Params, past: Nav, fix: Fix, P: jax.Array | None = None):
         parts, now = [], jax.tree.map(lambda a: a[-1], past)
         local_now = leave(now) if leave else now
+        J = enu_rows(now, local_now) if enu_rows else None
+        if J is not None and P is not None:
+            wide = jnp.eye(P.shape[0]).at[:9, :9].set(J)
+            P = wide @ P @ wide.T
         offset = clock_offset(params.mounting, now)
         mounting = params.mounting._replace(time_offset=offset)
         for each in measurements:
@@ -193,10 +203,13 @@ def stack(
             H = rows_of(o, nav, states)
             B = latency.error_then(latency.interval(local, local_now, age), states)
             H = H[:, :9] @ B + jnp.concatenate([jnp.zeros((each.size, 9)), H[:, 9:]], 1)
-            parts.append((o.y, H, covariance(o.root, o.sd, own.corr, own.valid)))
+            cov = covariance(o.root, o.sd, own.corr, own.valid)
+            if P is not None and each.receiver and each.size == 3:
+                cov += FIXES_ALIKE * cross_moment(H[:, 6:], P)
+            parts.append((o.y, H, cov))
         H = jnp.concatenate([p[1] for p in parts])
-        if enu_rows:
-            H = jnp.concatenate([H[:, :9] @ enu_rows(now, local_now), H[:, 9:]], 1)
+        if J is not None:
+            H = jnp.concatenate([H[:, :9] @ J, H[:, 9:]], 1)
         R = jnp.zeros((m, m))
         for (_, _, block), s in zip(parts, slices.values(), strict=True):
             R = R.at[s, s].set(block)

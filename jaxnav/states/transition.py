@@ -143,17 +143,27 @@ def second_order(Phi: jax.Array, P: jax.Array, T: jax.Array, axes: jax.Array | N
         T: () s, its length.
         axes: (3, 3) rotation from the axes of attitude to those of velocity; None where they are the same.
     """
-    L = Phi[3:6, 6:] * np.concatenate([np.full(3, 0.5), np.ones(P.shape[0] - 9)])
+    moment = cross_moment(Phi[3:6, 6:], P, axes)
+    psd = 2 * SECOND_ORDER_S * moment / jnp.where(T > 0, T, 1.0) ** 2
+    return jnp.block([[T**3 / 3 * psd, T**2 / 2 * psd], [T**2 / 2 * psd, T * psd]])
+
+
+def cross_moment(L: jax.Array, P: jax.Array, axes: jax.Array | None = None) -> jax.Array:
+    """Return E[(phi x w) (phi x w)'], (3, 3), with w = L (phi / 2, s), for Gaussian errors of covariance P.
+
+    Args:
+        L: (3, n - 6) derivative of a vector by the errors of attitude phi and by the optional states s.
+        P: (n, n) covariance; of a phi beyond `LARGEST` the moment is bounded.
+        axes: (3, 3) rotation from the axes of phi to those of the vector; None where they are the same.
+    """
+    L = L * np.concatenate([np.full(3, 0.5), np.ones(P.shape[0] - 9)])
     PL = linalg.times(P[6:, 6:], L.T)
-    to_velocity = lambda M: M if axes is None else axes @ M
-    phi_phi, phi_w, w_w = to_velocity(to_velocity(P[6:9, 6:9]).T), to_velocity(PL[:3]), linalg.times(L, PL)
-    variance = jnp.maximum(jnp.trace(phi_phi), LARGEST**2)
-    bound = LARGEST**2 / variance
+    to_vector = lambda M: M if axes is None else axes @ M
+    phi_phi, phi_w, w_w = to_vector(to_vector(P[6:9, 6:9]).T), to_vector(PL[:3]), linalg.times(L, PL)
     mean = jnp.einsum("ijk,jk->i", CROSS, phi_w)
     moment = jnp.einsum("ijk,mln,jl,kn->im", CROSS, CROSS, phi_phi, w_w)
     moment += jnp.einsum("ijk,mln,jn,lk->im", CROSS, CROSS, phi_w, phi_w) + jnp.outer(mean, mean)
-    psd = 2 * SECOND_ORDER_S * bound * moment / jnp.where(T > 0, T, 1.0) ** 2
-    return jnp.block([[T**3 / 3 * psd, T**2 / 2 * psd], [T**2 / 2 * psd, T * psd]])
+    return LARGEST**2 / jnp.maximum(jnp.trace(phi_phi), LARGEST**2) * moment
 
 
 def _blocks(dynamics: Callable[[ErrorInputs], Blocks], point: ErrorInputs) -> tuple[Maps, Blocks]:

@@ -5,15 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxnav.analysis.metrics import state_error
+from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.error_model import error_model
-from jaxnav.filters.parameters import datasheet_params
+from jaxnav.filters.parameters import datasheet_params, late, mounting
 from jaxnav.filters.run import initial_nav
 from jaxnav.maths import rotations
+from jaxnav.measurements.measurement import FIXES_ALIKE
 from jaxnav.states.grades import GRADES
 from jaxnav.states.motion import reset_covariance, reset_rows
 from jaxnav.states.transition import SECOND_ORDER_S, second_order
 from jaxnav.strapdown import local_level
-from jaxnav.types import Imu
+from jaxnav.types import Fix, Imu
 
 T, K = 1.0, 50
 FORCE = np.array([2.0, -1.0, -9.8])  # m/s^2, body
@@ -69,6 +72,34 @@ def test_a_lost_attitude_is_bounded(epoch):
         P[8, 8] = sd**2
         sizes.append(np.sqrt(np.diag(second_order(Phi, P, jnp.asarray(T)))[3:]).max())
     assert sizes[1] < 11 * sizes[0]
+
+
+def test_a_receiver_s_fix_sees_second_order_by_lever_arm_and_age():
+    """Large tilts and biases: residual minus H x of many errors, against what P adds to R; nothing without them."""
+    model, frame = error_model(), FRAMES["local_level"]
+    params = late(datasheet_params(GRADES["consumer"], install=mounting([1.0, -2.0, -1.5])), 0.3, 0.2)
+    turning = jnp.tile(jnp.array([0.1, 0.2, -0.3]), (K, 1))
+    imu = Imu(jnp.full(K, T / K), turning, jnp.tile(jnp.asarray(FORCE), (K, 1)))
+    nav = initial_nav([0.7, 0.2, 100.0], [30.0, 20.0, 0.0], [0.1, -0.05, 1.0])
+    nav = nav._replace(errors={"gyro_bias": jnp.zeros(3), "accel_bias": jnp.zeros(3)})
+    fix = Fix(jnp.concatenate([nav.pos, jnp.zeros(3)]), jnp.full(6, 0.02), jnp.zeros(6), jnp.ones(6, bool))
+    moved = jax.jit(jax.vmap(lambda x: frame.propagate(model.retract(nav, x), None, imu, 1, jnp.arange(K))[0]))
+    x0 = RNG.normal(size=(3000, 15)) * np.repeat([0.0, 0.0, 0.1, 0.0, 0.3], 3)
+    past = jax.tree.map(lambda a: a[0], moved(jnp.zeros((1, 15))))
+    last = lambda nav: jax.tree.map(lambda a: a[-1], nav)
+    others = moved(jnp.asarray(x0))
+    x = np.asarray(jax.vmap(lambda n: state_error(last(past), last(n), model.states))(others))
+    observe = jax.jit(lambda past, P: model.observe(params, past, fix, P))
+    y, H, R = observe(past, jnp.asarray(np.cov(x.T)))
+    y_of = np.asarray(jax.vmap(lambda n: model.observe(params, n, fix)[0])(others))
+    left = np.asarray(y) - y_of - x @ np.asarray(H).T
+    added = np.asarray(R - observe(past, jnp.zeros((15, 15)))[2]) / FIXES_ALIKE
+    for block in (slice(0, 3), slice(3, 6)):
+        sampled = left[:, block].T @ left[:, block] / len(left)
+        size = np.sqrt(np.diag(sampled))
+        assert (size > 0.01).all()
+        np.testing.assert_allclose(added[block, block] / np.outer(size, size), sampled / np.outer(size, size), atol=0.2)
+    np.testing.assert_array_equal(observe(past, jnp.zeros((15, 15)))[2], model.observe(params, past, fix)[2])
 
 
 def test_other_axes_of_attitude_turn_the_terms_along(epoch):

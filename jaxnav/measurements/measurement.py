@@ -172,6 +172,8 @@ def stack(
     """
     slices = layout(measurements)
     m = sum(each.size for each in measurements)
+    # of attitude and the optional states, those whose effect turns with the attitude
+    in_body = np.concatenate([np.ones(3), *(np.full(s.size, float(s.enters is not None)) for s in states)])
 
     def observe(params: Params, past: Nav, fix: Fix, P: jax.Array | None = None):
         parts, now = [], jax.tree.map(lambda a: a[-1], past)
@@ -205,7 +207,7 @@ def stack(
             H = H[:, :9] @ B + jnp.concatenate([jnp.zeros((each.size, 9)), H[:, 9:]], 1)
             cov = covariance(o.root, o.sd, own.corr, own.valid)
             if P is not None and each.receiver and each.size == 3:
-                cov += FIXES_ALIKE * cross_moment(H[:, 6:], P)
+                cov += FIXES_ALIKE * cross_moment(H[:, 6:] * in_body, P)
             parts.append((o.y, H, cov))
         H = jnp.concatenate([p[1] for p in parts])
         if J is not None:

@@ -148,7 +148,8 @@ def error_model(
         lumped = form == "simple" and frame == "local_level"
         return discretize(partial(motion.dynamics, form=form), params, own, points, T, u, lumped)
 
-    def curved(nav: Nav, Phi: jax.Array, P: jax.Array, T: jax.Array) -> jax.Array:
+    def second_order_noise(nav: Nav, Phi: jax.Array, P: jax.Array, T: jax.Array) -> jax.Array:
+        """Return what large attitude errors add to Q of position and velocity, (6, 6)."""
         return second_order(Phi, P, T, motion.velocity_axes(nav) if motion.velocity_axes else None)
 
     def report(nav: Nav, x: jax.Array, P: jax.Array) -> tuple[Nav, jax.Array, jax.Array]:
@@ -160,7 +161,7 @@ def error_model(
         return local, J @ x, 0.5 * (P + P.T)
 
     def earlier(past: Nav, x: jax.Array) -> jax.Array:
-        """Return the errors at the samples of ``past`` (w, ...), as they follow from the error at the last one."""
+        """Return the errors (w, n) at the samples of ``past``, as they follow from the error x (n,) at the last one."""
         now = jax.tree.map(lambda a: a[-1], past)
         local = motion.leave(now) if motion.leave else now
         J = motion.enu_rows(now, local) if motion.enu_rows else None
@@ -176,7 +177,7 @@ def error_model(
 
     return ErrorModel(
         states, tuple(m.name for m in measurements), n, sum(m.size for m in measurements),
-        retract, absorb, covariance, transition, curved if form == "full" else None,
+        retract, absorb, covariance, transition, second_order_noise if form == "full" else None,
         stack(measurements, own, motion.leave, motion.enu_rows),
         motion.enter or _same, report, earlier,
     )  # fmt: skip

@@ -18,11 +18,11 @@ from jaxnav.measurements import latency
 from jaxnav.states.motion import MOTION
 from jaxnav.states.sensors import OTHER
 from jaxnav.states.state import State
-from jaxnav.states.transition import cross_moment
+from jaxnav.states.transition import SECOND_ORDER_S, cross_moment
 from jaxnav.types import Fix, Mounting, Nav, Params
 
-FIXES_ALIKE = 4.0
-"""Factor on second-order noise: fixes at 1 Hz see one attitude error, as 1 + 2 tau / T of white noise, tau 1.5 s."""
+FIXES_ALIKE = 2 * SECOND_ORDER_S
+"""Factor on second-order noise of a fix: consecutive fixes see one attitude error, as `second_order` at 1 Hz."""
 
 
 class Kinematics(NamedTuple):

@@ -28,9 +28,6 @@ FAST = (("velocity", "attitude"), ("velocity", "accel"), ("attitude", "gyro"))
 """Blocks that follow specific force and attitude from sample to sample, and must be linear in ``force`` (the first) or
 ``C`` (the others); all other blocks change over minutes."""
 
-CROSS = np.zeros((3, 3, 3))  # (a x b)_i = CROSS[i, j, k] a_j b_k
-for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-    CROSS[_i, _j, _k], CROSS[_i, _k, _j] = 1.0, -1.0
 SECOND_ORDER_S = 2.0  # s, how long a large error lasts before fixes show it: from `benchmarks consistency`
 LARGEST = 0.7  # rad, of an attitude error that has an expansion to second order: its sd on all axes together
 GAUSS3, GAUSS2 = np.array([-1, 0, 1]) * np.sqrt(3 / 5), np.array([-1, 1]) / np.sqrt(3)
@@ -151,6 +148,9 @@ def second_order(Phi: jax.Array, P: jax.Array, T: jax.Array, axes: jax.Array | N
 def cross_moment(L: jax.Array, P: jax.Array, axes: jax.Array | None = None) -> jax.Array:
     """Return E[(phi x w) (phi x w)'], (3, 3), with w = L (phi / 2, s), for Gaussian errors of covariance P.
 
+    With A = E[phi phi'], X = E[phi w'] and W = E[w w'] the fourth moments are products of second ones (Isserlis 1918):
+    those of A and W, those of X and X, and the square of the mean E[phi x w].
+
     Args:
         L: (3, n - 6) derivative of a vector by the errors of attitude phi and by the optional states s.
         P: (n, n) covariance; of a phi beyond `LARGEST` the moment is bounded.
@@ -158,12 +158,15 @@ def cross_moment(L: jax.Array, P: jax.Array, axes: jax.Array | None = None) -> j
     """
     L = L * np.concatenate([np.full(3, 0.5), np.ones(P.shape[0] - 9)])
     PL = linalg.times(P[6:, 6:], L.T)
-    to_vector = lambda M: M if axes is None else axes @ M
-    phi_phi, phi_w, w_w = to_vector(to_vector(P[6:9, 6:9]).T), to_vector(PL[:3]), linalg.times(L, PL)
-    mean = jnp.einsum("ijk,jk->i", CROSS, phi_w)
-    moment = jnp.einsum("ijk,mln,jl,kn->im", CROSS, CROSS, phi_phi, w_w)
-    moment += jnp.einsum("ijk,mln,jn,lk->im", CROSS, CROSS, phi_w, phi_w) + jnp.outer(mean, mean)
-    return LARGEST**2 / jnp.maximum(jnp.trace(phi_phi), LARGEST**2) * moment
+    A, X, W = P[6:9, 6:9], PL[:3], linalg.times(L, PL)
+    if axes is not None:
+        A, X = axes @ A @ axes.T, axes @ X
+    mean = jnp.stack([X[1, 2] - X[2, 1], X[2, 0] - X[0, 2], X[0, 1] - X[1, 0]])
+    a, x, w, eye = jnp.trace(A), jnp.trace(X), jnp.trace(W), jnp.eye(3)
+    AW = A @ W
+    of_A_W = (a * w - jnp.trace(AW)) * eye - w * A - a * W + AW + AW.T
+    of_X_X = (jnp.sum(X**2) - x**2) * eye - X @ X.T - X.T @ X + x * (X + X.T)
+    return LARGEST**2 / jnp.maximum(a, LARGEST**2) * (of_A_W + of_X_X + jnp.outer(mean, mean))
 
 
 def _blocks(dynamics: Callable[[ErrorInputs], Blocks], point: ErrorInputs) -> tuple[Maps, Blocks]:

@@ -92,7 +92,7 @@ def delay_of(params: Params, begin: Start, t: np.ndarray) -> np.ndarray:
 
 
 def kfgins_config(rec: Recording, params: Params, begin: Start) -> str:
-    """Return the text of a kf-gins.yaml that lies beside its data: mean and sd of the initialization ``begin``."""
+    """Return the text of a kf-gins.yaml for files in the same folder: mean and sd of the initialization ``begin``."""
     first, params = track(begin.navs), begin.given(params)
     week = np.floor(rec.imu.t[0] / 604800.0) * 604800.0
     row = lambda values: f"[{', '.join(f'{v:.12g}' for v in np.ravel(values))}]"

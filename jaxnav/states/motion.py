@@ -31,8 +31,7 @@ def reset_rows(phi: jax.Array, M: jax.Array) -> jax.Array:
         phi: (3,) rad, the correction, in the axes of the error; its negative gives the inverse.
         M: (n, k), rows of position, velocity, attitude and the optional states.
     """
-    attitude = rotations.to_dcm(rotations.exp(-0.5 * phi)) @ M[A]
-    return jnp.concatenate([M[:6], attitude, M[9:]])
+    return M.at[A].set(rotations.to_dcm(rotations.exp(-0.5 * phi)) @ M[A])
 
 
 def reset_covariance(phi: jax.Array, P: jax.Array) -> jax.Array:

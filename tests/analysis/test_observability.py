@@ -70,13 +70,13 @@ def test_information_is_carried_by_the_transitions_in_their_order(case, monkeypa
     rng = np.random.default_rng(1)
     Phi = np.eye(15) + 0.3 * rng.normal(size=(6, 15, 15))
     rows = rng.normal(size=(6, 2, 15))
-    told = np.einsum("eki,ekj->eij", rows, rows)
-    monkeypatch.setattr(obs, "_seen", lambda *given: (Phi, told))
+    information = np.einsum("eki,ekj->eij", rows, rows)
+    monkeypatch.setattr(obs, "_seen", lambda *given: (Phi, information))
     sd = np.sqrt(np.diag(np.asarray(FILTER.model.covariance(case.params, case.nav))))
     found = obs.observability(FILTER, case.params, case.nav, None, np.arange(6.0), 3.0)
     assert found.start.tolist() == [0.0]
     M = [np.eye(15), Phi[1], Phi[2] @ Phi[1]]
-    G = sum(m.T @ told[i] @ m for i, m in enumerate(M)) * np.outer(sd, sd)
+    G = sum(m.T @ information[i] @ m for i, m in enumerate(M)) * np.outer(sd, sd)
     np.testing.assert_allclose(found.left[0], np.sqrt(np.diag(np.linalg.inv(np.eye(15) + G))), rtol=1e-9)
 
 

@@ -44,8 +44,8 @@ def batch(filt, params, nav, epochs: Epoch) -> tuple[np.ndarray, np.ndarray]:
         rows = np.asarray(epoch.fix.valid)
         after, info = correct(params, predicted, epoch.fix)
         fed = np.asarray(info.x) - np.asarray(after.x)
-        told = np.asarray(y)[rows], np.asarray(H)[rows], np.asarray(R)[np.ix_(rows, rows)]
-        steps.append((*map(np.asarray, moved), *told, fed))
+        valid = np.asarray(y)[rows], np.asarray(H)[rows], np.asarray(R)[np.ix_(rows, rows)]
+        steps.append((*map(np.asarray, moved), *valid, fed))
         state = after
     # every error is a sum of what nobody knows: the error at the start and each epoch's w, together u with covariance C
     n, K = P0.shape[0], len(steps)

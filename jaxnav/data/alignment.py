@@ -68,6 +68,11 @@ class Alignment(NamedTuple):
         return np.sqrt(np.diag(self.P))
 
     @property
+    def vel_sd(self) -> np.ndarray:
+        """Standard deviations (3,) m/s of the velocity."""
+        return np.sqrt(np.diag(self.P_vel))
+
+    @property
     def joint(self) -> np.ndarray:
         """Covariance (3 + n, 3 + n) of the velocity and the unknowns of ``P``."""
         return np.block([[self.P_vel], [self.P_vel[:, 3:].T, self.P]])

@@ -159,14 +159,11 @@ def start(
     else:
         at = _as_said(rec, known, velocity, from_t, heading, course_speed_mps, sds)
     t, lla, vel, sd = _first_fix(rec, known, position, velocity, at.t)
-    joint = None if at.alignment is None else at.alignment.joint[:12, :12]
-    if at.alignment is not None and joint is not None and t <= at.t + TICK:
-        joint[:3, :3] += LEAST_VELOCITY_SD**2 * np.eye(3)
-        vel, sd = at.alignment.vel, (sd[0], np.sqrt(np.diag(joint)[:3]))
+    aligned_velocity = at.alignment is not None and t <= at.t + TICK
+    if at.alignment is not None and aligned_velocity:
+        vel, sd = at.alignment.vel, (sd[0], np.hypot(at.alignment.vel_sd, LEAST_VELOCITY_SD))
     elif "velocity" in rec.aiding and np.abs(rec.aiding["velocity"].t - t).min() > APART:
         raise DataError(f"velocity: none within {APART:g} s of the first position, at {t:.3f} s: set data.start")
-    elif joint is not None:  # the velocity is a fix's, and independent
-        joint[:3], joint[:, :3], joint[:3, :3] = 0.0, 0.0, np.eye(3)
     nav = initial_nav(lla, vel, at.rph, halfway(rec))._replace(t=jnp.asarray(t, float))
     angles = 2 * np.pi * np.arange(hypotheses) / hypotheses if at.unknown else np.array([at.rph[2]])
     navs = with_headings(nav, angles, rec.lever_arm)
@@ -178,9 +175,9 @@ def start(
         states = {name: bias_sd for name, (_, bias_sd) in biases.items()}
         navs = navs._replace(errors={n: jnp.tile(jnp.asarray(b), (len(angles), 1)) for n, (b, _) in biases.items()})
         # a tilt in ENU axes turns with the heading: where that is not the alignment's, its correlations are left out
-        if joint is not None and not at.unknown and at.pointed is None:
+        if not at.unknown and at.pointed is None:
             attitude_sd = np.maximum(found.sd[:3], LEAST_TILT_SD)
-            correlated = jnp.asarray(correlation_root(joint))
+            correlated = jnp.asarray(correlation_root(_covariance(found, aligned_velocity)))
     prior = Prior(
         jnp.asarray(sd[0] if position_sd_m is None else position_sd_m, float),
         jnp.asarray(sd[1] if velocity_sd_mps is None else velocity_sd_mps, float),
@@ -286,6 +283,15 @@ def _remarks(at: Attitude) -> list[str]:
             "may be wrong, see jaxnav check"
         )
     return said
+
+
+def _covariance(found: Alignment, aligned_velocity: bool) -> np.ndarray:
+    """Return that of velocity, attitude and biases (12, 12), SI, ENU; a fix's velocity is independent of the rest."""
+    P = found.joint[:12, :12]
+    P[:3, :3] += LEAST_VELOCITY_SD**2 * np.eye(3)
+    if not aligned_velocity:
+        P[:3, 3:], P[3:, :3] = 0.0, 0.0
+    return P
 
 
 def correlation_root(P: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""Faults of a receiver, twenty-four kinds: rules beside a filter that is told when the receiver is wrong.
+"""Faults of a receiver, twenty-five kinds: rules beside a filter that is told when the receiver is wrong.
 
 A simulated drive of 200 s with a consumer's IMU, position and velocity of one receiver at 5 Hz; from 90 s on it is
-faulty. Eighteen kinds were in sight when the hypotheses of `ekf15_receiver` were made, six were written after that.
+faulty. Nineteen kinds were in sight when the hypotheses of `ekf15_receiver` were made, six were written after that.
 The figure of a kind is the 95th percentile over runs of the largest horizontal error.
 """
 
@@ -59,6 +59,7 @@ SEEN = {
     "steps of 100 m and of 50 m after it, 10 s each": (
         faults.Constant(S, S + 10, times(100), times(0.5)), faults.Constant(S + 10, S + 20, times(-50)),
     ),
+    "slide of 30 m, 60 s, then a jump back": (faults.Slide(S, S + 60, times(30), back=False),),
     "white noise of 10 m and 0.5 m/s, 30 s": (faults.White(S, S + 30, (10.0,) * 3, (0.5,) * 3),),
 }  # fmt: skip
 UNSEEN = {

@@ -18,7 +18,7 @@ from jax import lax
 from jaxnav.filters.error_model import ErrorModel
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.maths import linalg
-from jaxnav.states.motion import A, reset_covariance
+from jaxnav.states.motion import A, reset_covariance, reset_rows
 from jaxnav.states.table import BIASES, chosen, zeros
 from jaxnav.types import Epoch, Fix, Forcing, Imu, Info, Nav, Noise, Params
 
@@ -54,7 +54,7 @@ class Extrapolate(Protocol):
 
 
 class Transport(Protocol):
-    """How a rule that keeps error states of its own takes them over an epoch, at every epoch."""
+    """How error states that a rule holds move: over every epoch, and with T = 0 at the reset of the attitude."""
 
     def __call__(self, theta: Any, memory: Any, transition: "Transition", T: jax.Array, /) -> Any:
         """``T`` () s, the epoch's length -> memory."""
@@ -340,10 +340,15 @@ def make_filter(
         after, xs_after, us = jax.vmap(feed, (0, 0, None))(past, xs, until)
         x_after, u = xs_after[-1], jax.tree.map(lambda a: a[-1], us)
         P_after = reset_covariance((x - x_after)[A], c.P)
+        memory = c.memory
+        if rule.transport:  # a rule's covariances refer to the corrected attitude as P does
+            J = reset_rows((x - x_after)[A], jnp.eye(x.size))
+            turned = Transition(J, jnp.zeros_like(J), jnp.zeros_like(x))
+            memory = rule.transport(params.rule, memory, turned, jnp.zeros(()))
         f = jnp.broadcast_to(c.fade, x.shape)
         age = jnp.where(c.used, 0.0, age)
         new = FilterState(
-            after, x_after, f[:, None] * P_after * f, u, c.memory, x_after, jnp.zeros(()), age, jnp.array(True)
+            after, x_after, f[:, None] * P_after * f, u, memory, x_after, jnp.zeros(()), age, jnp.array(True)
         )
         ok = state.ok & finite(new) & jnp.all(jnp.diag(c.P) >= 0)
         reported, x_enu, P_enu = model.report(model.retract(nav, x), x, reset_covariance(x[A], c.P))

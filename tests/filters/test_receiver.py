@@ -42,7 +42,7 @@ def after_a_while(seed=0) -> Hypotheses:
     weight = np.log(rng.dirichlet(np.ones(M)))
     return Hypotheses(*(jnp.asarray(a) for a in (
         rng.normal(size=(M, size)) * scale, root @ root.transpose(0, 2, 1) / size, weight, rng.uniform(0, 90, M), T,
-        np.array([1.0, 2.0, 30.0]),  # navigation is held to be lost at this fix, if at all
+        np.array([1.0, 2.0, 3.0, 30.0]),  # navigation is held to be lost at this fix, if at all
     )))  # fmt: skip
 
 
@@ -158,6 +158,30 @@ def test_without_faults_it_costs_nothing_and_with_one_it_holds(drives):
         assert ok.all() and off[:, 250:].max() < 3.0, kind  # plain filters are off by 10 to 70 m
         assert not used[:, wrong][:, 5:].any() or "step" not in kind
         assert used[:, -50:].mean() > 0.99, kind
+
+
+def test_hypotheses_turn_with_the_attitude_at_a_reset():
+    """With a healthy receiver for certain and a large attitude error, P is the Kalman filter's after every fix."""
+    what = SCENARIOS["urban_short"]._replace(duration_s=10.0, imu_rate_hz=25.0, gnss_rate_hz=5.0)
+    sim = simulate(what, jax.random.key(0))
+    params = matched_params(what)
+    params = params._replace(prior=params.prior._replace(attitude=jnp.array([0.05, 0.05, 0.4])))
+    sound = THETA._replace(wrong=jnp.zeros(()))
+    P = [
+        run(build(name, cov_stride=5), params._replace(rule=rule), sim.initial, sim.epochs).P
+        for name, rule in (("ekf15", ()), ("ekf15_receiver", sound))
+    ]
+    sd = np.sqrt(np.einsum("eii->ei", P[0]))
+    np.testing.assert_allclose(P[1] / sd[:, :, None] / sd[:, None], P[0] / sd[:, :, None] / sd[:, None], atol=1e-6)
+
+
+def test_it_recovers_from_a_slow_drag_off(drives):
+    """A slide of 30 m in a minute looks like an accelerometer bias until it ends by a jump; at 151 s it is over."""
+    sims, keys, errors = drives
+    value, _ = spoilt(SEEN["slide of 30 m, 60 s, then a jump back"], sims, keys)
+    off, used, ok = errors(value)
+    assert ok.all() and off[:, 800:].max() < 2.0  # without the hypotheses `drag-off` 10 to 30 m
+    assert used[:, -50:].mean() > 0.99
 
 
 def test_it_does_not_lock_out_for_ever(drives):

@@ -48,6 +48,8 @@ KINDS: dict[str, Kind] = {
     "slide, another": Kind(tied=True, walks=(0, 2), every=4.0),
     "slow slide": Kind(tied=True, walks=(0, 3), every=10.0),
     "slow slide, another": Kind(tied=True, walks=(0, 3), every=10.0),
+    "drag-off": Kind(tied=True, walks=(0, 4), every=30.0),
+    "drag-off, another": Kind(tied=True, walks=(0, 4), every=30.0),
 }
 """What a receiver does beside being healthy, or noisy; of slides that are alike the less likely one is begun anew."""
 
@@ -62,13 +64,13 @@ class Receiver(NamedTuple):
     lost: jax.Array  # () rate at which a fault is no longer believed, from then on
     noisy: jax.Array  # (2,) m, m/s, sd of what is added to a noisy fix
     jump: jax.Array  # (2,) m, m/s, sd of an offset that is anything
-    walk: jax.Array  # (3,) m/sqrt(s) of o; m/s/sqrt(s) of o', fast and slow
+    walk: jax.Array  # (4,) m/sqrt(s) of o; m/s/sqrt(s) of o', fast, slow and very slow
     widened: jax.Array  # (2,) m, m/s, sd of navigation that may be lost
 
 
 def receiver_params() -> Receiver:
     """Parameters from plain numbers."""
-    pairs = (30.0, 4.0), (60.0, 10.0), (3.0, 2.0, 0.3), (200.0, 15.0)
+    pairs = (30.0, 4.0), (60.0, 10.0), (3.0, 2.0, 0.3, 0.08), (200.0, 15.0)
     return Receiver(*(jnp.asarray(a, float) for a in (1e-3, 0.3, 0.01, 65.0, 2.0, *pairs)))
 
 

@@ -13,12 +13,13 @@ import zipfile
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks import common
-from jaxnav import build, read
+from jaxnav import build, navigate, read
 from jaxnav.analysis.metrics import chi2_bounds
 from jaxnav.data import start as starting
 from jaxnav.data.alignment import rotations_since
@@ -27,8 +28,10 @@ from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
 from jaxnav.states.grades import GRADES
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
+from tuning.recorded import tune
 
 RATE, SPAN = 100.0, 70.0  # Hz, s
+TUNED_SPAN = 240.0  # s, of a drive that is tuned
 UMN = (272.0, 302.0, 335.0, 455.0)  # s, begins in flight
 NAVEGO, FIXED_WING = (20.0, 100.0, 250.0), (15.0, 30.0, 50.0)
 FIXES = {"velocity": (1.5, True), "positions 2 m": (2.0, False), "positions 3 cm": (0.03, False)}
@@ -84,12 +87,17 @@ def motion(kind: str, rng: np.random.Generator, t: np.ndarray) -> tuple[np.ndarr
 
 
 def simulated(
-    kind: str, grade: str, with_velocity: bool, rng: np.random.Generator, sd: float | None = None
+    kind: str,
+    grade: str,
+    with_velocity: bool,
+    rng: np.random.Generator,
+    sd: float | None = None,
+    span: float = SPAN,
 ) -> tuple[Recording, float]:
-    """A recording, its truth, and how late its fixes are, s; ``sd``: of its positions, m."""
+    """A recording of ``span`` s with truth, and the latency of its fixes (s); ``sd`` (m) of its positions."""
     from pyins import sim
 
-    t = np.arange(round(SPAN * RATE) + 1) / RATE
+    t = np.arange(round(span * RATE) + 1) / RATE
     vel, rph = motion(kind, rng, t)
     lla0 = (rng.uniform(-60, 60), rng.uniform(-180, 180), 300.0)
     frame, imu = sim.generate_imu(t, lla0, np.degrees(rph), vel, sensor_type="increment")
@@ -103,7 +111,7 @@ def simulated(
     enu = np.column_stack([frame.VE, frame.VN, -frame.VD])
     truth = Track(t, lla, enu, np.radians(frame[["roll", "pitch", "heading"]].to_numpy()))
     late, sd = rng.uniform(0, 0.3), sd or (1.5 if with_velocity else 0.03)
-    k = np.arange(0.5, SPAN, 0.2)
+    k = np.arange(0.5, span, 0.2)
     at = lambda a: np.column_stack([np.interp(k - late, t, c) for c in a.T])
     metres = np.array([6.37e6, 6.37e6 * np.cos(lla[0, 0]), 1.0])
     err = sd * rng.normal(size=(k.size, 3))
@@ -164,6 +172,26 @@ def study(runs: int, seed: int) -> dict:
     print(f"  all: NEES / 3 {mean:.2f}, below the 99 % bound in {100 * inside:.1f} %; "
           f"{inside_bars} of {len(table)} rows with NEES / 3 in 0.6 to 1.6 and velocity z at most 1.4")  # fmt: skip
     return {"nees": mean, "inside": inside, "known": len(good), "rows": table, "runs": rows}
+
+
+def tuned(drives: int, seed: int) -> dict:
+    """Heading error over its sd at the start of `navigate` with what `tune` found, on simulated drives of a car."""
+    rng, rows = np.random.default_rng(seed), []
+    filt = build("ekf15", cov_stride=5)
+    for i in range(drives):
+        rec, late = simulated("car", "consumer", True, rng, span=TUNED_SPAN)
+        fit = tune(rec, filt, filt.params("consumer"))
+        sol = navigate(rec, fit.filter, fit.params)
+        at = sol.start._replace(navs=jax.tree.map(lambda a, best=sol.best: a[best][None], sol.start.navs))
+        error, sd = difference(at, rec.truth)[2], float(sol.start.prior.attitude[2])
+        row = {"late_s": late, "chosen": fit.chosen, "heading_deg": error / DEG, "sd_deg": sd / DEG, "z": error / sd}
+        rows.append(row)
+        print(
+            f"  drive {i}: {fit.chosen}, heading {row['heading_deg']:+.2f} deg off, sd {row['sd_deg']:.2f}", flush=True
+        )
+    z = float(np.sqrt(np.mean([r["z"] ** 2 for r in rows])))
+    print(f"Tuned, then started again, {drives} drives of {TUNED_SPAN:g} s: heading z rms {z:.2f}")
+    return {"heading_z": z, "rows": rows}
 
 
 def onboard(data: Path) -> Track:
@@ -227,7 +255,11 @@ def main(argv: list[str]) -> None:
     parser = common.options("start", __doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=396, help="simulated, default 396; 0: only what is recorded")
     parser.add_argument("--seed", type=int, default=0, help="of what is simulated, default 0")
+    parser.add_argument("--tune", type=int, default=0, metavar="N", help="N drives tuned, then started again, instead")
     args = parser.parse_args(argv)
+    if args.tune:
+        common.write_json(args.json, {"tuned": tuned(args.tune, args.seed), "seed": args.seed})
+        return
     result = {"simulated": study(args.runs, args.seed) if args.runs else {}, "seed": args.seed}
     result["recorded"] = recorded()
     common.write_json(args.json, result)

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxnav.analysis.navigate import Solution, navigate
+    from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
     from jaxnav.analysis.stream import Now, Stream
     from jaxnav.data.bank import heading_bank, with_headings
     from jaxnav.data.epochs import (
@@ -78,6 +79,7 @@ if TYPE_CHECKING:
 # Imported when first asked for: the command line is there, and can be stopped, before jax is.
 _HOMES = {
     "analysis.navigate": "Solution navigate",
+    "analysis.noise_scan": "NoiseScan scan_noise",
     "analysis.stream": "Now Stream",
     "data.epochs": "Packed constraint_samples cut_times hide outage_windows pack stack_epochs stationary",
     "data.read": "read",

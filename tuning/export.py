@@ -3,15 +3,16 @@
 For each number a remark says whether the target wants a density or a value per step, and what has no counterpart.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxnav.data import atomic_write
 from jaxnav.maths import units
-from jaxnav.types import Params, StateParams
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.types import Fix, Params, StateParams
 
 ONE_CORRELATION_TIME = 4 * units.HOUR  # s, what stands for a random walk where only a Gauss-Markov process can be told
 
@@ -85,14 +86,31 @@ def navego_fields(params: Params) -> str:
 
 # ---------------------------------------------------------------------------- autopilots and ROS
 
-AUTOPILOT_STEP = (
-    0.01  # s, of EKF2's and EKF3's predictions: a noise s adds (s dt)^2 at each, which is q^2 dt for a density
-)
+EKF2_STEP, EKF3_STEP = 0.010, 0.012
+"""s, of the predictions of PX4 and of ArduPilot: a noise s adds (s dt)^2 at each, which is q^2 dt for a density."""
 
 
-def _per_step(q: Any) -> float:
-    """The autopilots' noise for a root PSD: one number for all axes, the largest, so that none is thought too quiet."""
-    return float(axes_of(q).max()) / np.sqrt(AUTOPILOT_STEP)
+class StatedSd(NamedTuple):
+    """Standard deviation that a receiver states of its fixes, before their scale."""
+
+    position: float = 1.0  # m, horizontal
+    velocity: float = 0.3  # m/s
+
+
+def stated_sd(fix: Fix, measurements: Sequence[str]) -> StatedSd:
+    """Return the medians of the horizontal sd that fixes (E, m) of a filter with these measurements state."""
+    found, first = {}, 0
+    for name in measurements:
+        valid = np.asarray(fix.valid)[:, first]
+        if name in StatedSd._fields and valid.any():
+            found[name] = float(np.median(np.asarray(fix.sd)[valid, first : first + 2].max(1)))
+        first += MEASUREMENTS[name].size
+    return StatedSd(**found)
+
+
+def _per_step(q: Any, step: float) -> float:
+    """Return an autopilot's noise for a root PSD: one number for all axes, the largest."""
+    return float(axes_of(q).max()) / np.sqrt(step)
 
 
 def _delays(params: Params) -> tuple[float, float]:
@@ -102,41 +120,40 @@ def _delays(params: Params) -> tuple[float, float]:
     return late[0], late[1]
 
 
-def px4_params(params: Params, position_sd: float = 1.0, velocity_sd: float = 0.3) -> str:
+def px4_params(params: Params, stated: StatedSd = StatedSd()) -> str:
     """PX4's EKF2 as lines of ``param set``: noise per step, floors for the receiver's own sd, delay, antenna.
 
     EKF2 adds (EKF2_GYR_NOISE dt)^2 to the variance of an angle at every prediction of 10 ms (PX4-Autopilot,
     EKF/covariance.cpp), so that a root PSD q becomes q / sqrt(dt); likewise accelerometers and what drives the biases.
-    ``position_sd``, ``velocity_sd``: m and m/s, of the recording's fixes before their scale.
     """
     sensors, arm = _sensors(params), axes_of(params.mounting.lever_arm)
     scale = {name: float(axes_of(params.measurements[name].scale).max()) for name in ("position", "velocity")}
     late = _delays(params)
     rows = [
-        ("EKF2_GYR_NOISE", _per_step(sensors["gyro"]), "rad/s, of a step of 10 ms"),
-        ("EKF2_ACC_NOISE", _per_step(sensors["accel"]), "m/s^2, of a step of 10 ms"),
-        ("EKF2_GYR_B_NOISE", _per_step(sensors["gyro_bias"]), "rad/s^2, drives the gyros' biases"),
-        ("EKF2_ACC_B_NOISE", _per_step(sensors["accel_bias"]), "m/s^3, drives the accelerometers' biases"),
-        ("EKF2_GPS_P_NOISE", position_sd * scale["position"], "m, a floor under what the receiver states"),
-        ("EKF2_GPS_V_NOISE", velocity_sd * scale["velocity"], "m/s, a floor under what the receiver states"),
+        ("EKF2_GYR_NOISE", _per_step(sensors["gyro"], EKF2_STEP), "rad/s, of a step of 10 ms"),
+        ("EKF2_ACC_NOISE", _per_step(sensors["accel"], EKF2_STEP), "m/s^2, of a step of 10 ms"),
+        ("EKF2_GYR_B_NOISE", _per_step(sensors["gyro_bias"], EKF2_STEP), "rad/s^2, drives the gyros' biases"),
+        ("EKF2_ACC_B_NOISE", _per_step(sensors["accel_bias"], EKF2_STEP), "m/s^3, drives the accelerometers' biases"),
+        ("EKF2_GPS_P_NOISE", stated.position * scale["position"], "m, a floor under what the receiver states"),
+        ("EKF2_GPS_V_NOISE", stated.velocity * scale["velocity"], "m/s, a floor under what the receiver states"),
         ("EKF2_GPS_DELAY", 1e3 * max(float(np.mean(late)), 0.0), "ms, one for position and velocity"),
         *((f"EKF2_GPS_POS_{axis}", a, "m, antenna, body") for axis, a in zip("XYZ", arm, strict=True)),
     ]  # fmt: skip
     return _lines(rows, "param set {key} {value:.6g}", "#", params)
 
 
-def ardupilot_parm(params: Params, position_sd: float = 1.0, velocity_sd: float = 0.3) -> str:
-    """ArduPilot's EKF3 as a ``.parm`` file; noise per step of 10 ms as in `px4_params` (AP_NavEKF3, EKF_TARGET_DT)."""
+def ardupilot_parm(params: Params, stated: StatedSd = StatedSd()) -> str:
+    """ArduPilot's EKF3 as a ``.parm`` file; noise per step of 12 ms as in `px4_params` (AP_NavEKF3, EKF_TARGET_DT)."""
     sensors, arm = _sensors(params), axes_of(params.mounting.lever_arm)
     p, v = (axes_of(params.measurements[name].scale) for name in ("position", "velocity"))
     rows = [
-        ("EK3_GYRO_P_NSE", _per_step(sensors["gyro"]), "rad/s, of a step of 10 ms"),
-        ("EK3_ACC_P_NSE", _per_step(sensors["accel"]), "m/s^2, of a step of 10 ms"),
-        ("EK3_GBIAS_P_NSE", _per_step(sensors["gyro_bias"]), "rad/s^2, drives the gyros' biases"),
-        ("EK3_ABIAS_P_NSE", _per_step(sensors["accel_bias"]), "m/s^3, drives the accelerometers' biases"),
-        ("EK3_POSNE_M_NSE", position_sd * float(p[:2].max()), "m, a floor under what the receiver states"),
-        ("EK3_VELNE_M_NSE", velocity_sd * float(v[:2].max()), "m/s, a floor under what the receiver states"),
-        ("EK3_VELD_M_NSE", velocity_sd * float(v[2]), "m/s, a floor under what the receiver states"),
+        ("EK3_GYRO_P_NSE", _per_step(sensors["gyro"], EKF3_STEP), "rad/s, of a step of 12 ms"),
+        ("EK3_ACC_P_NSE", _per_step(sensors["accel"], EKF3_STEP), "m/s^2, of a step of 12 ms"),
+        ("EK3_GBIAS_P_NSE", _per_step(sensors["gyro_bias"], EKF3_STEP), "rad/s^2, drives the gyros' biases"),
+        ("EK3_ABIAS_P_NSE", _per_step(sensors["accel_bias"], EKF3_STEP), "m/s^3, drives the accelerometers' biases"),
+        ("EK3_POSNE_M_NSE", stated.position * float(p[:2].max()), "m, a floor under what the receiver states"),
+        ("EK3_VELNE_M_NSE", stated.velocity * float(v[:2].max()), "m/s, a floor under what the receiver states"),
+        ("EK3_VELD_M_NSE", stated.velocity * float(v[2]), "m/s, a floor under what the receiver states"),
         ("GPS_DELAY_MS", round(1e3 * max(float(np.mean(_delays(params))), 0.0)), "ms; GPS1_DELAY_MS from 4.6 on"),
         *((f"GPS_POS1_{axis}", a, "m, antenna; GPS1_POS_ from 4.6 on") for axis, a in zip("XYZ", arm, strict=True)),
     ]  # fmt: skip
@@ -180,23 +197,23 @@ def _lines(rows: list[tuple[str, float, str]], form: str, mark: str, params: Par
     )
 
 
-EXPORTS: dict[str, Callable[[Params], str]] = {
-    "tuned_kfgins.yaml": kfgins_yaml,
-    "tuned_navego.m": navego_fields,
+EXPORTS: dict[str, Callable[[Params, StatedSd], str]] = {
+    "tuned_kfgins.yaml": lambda params, stated: kfgins_yaml(params),
+    "tuned_navego.m": lambda params, stated: navego_fields(params),
     "tuned_px4.params": px4_params,
     "tuned_ardupilot.parm": ardupilot_parm,
-    "tuned_robot_localization.yaml": robot_localization_yaml,
+    "tuned_robot_localization.yaml": lambda params, stated: robot_localization_yaml(params),
 }
 """Files that `jaxnav tune` writes beside tuned.toml: a new one is a function and a line here."""
 
 
-def write_exports(folder: Path, head: str, params: Params) -> None:
+def write_exports(folder: Path, head: str, params: Params, stated: StatedSd = StatedSd()) -> None:
     """Write them all, ``head`` as a comment on top."""
     for name in EXPORTS:
-        write_export(folder, name, head, params)
+        write_export(folder, name, head, params, stated)
 
 
-def write_export(folder: Path, name: str, head: str, params: Params) -> None:
+def write_export(folder: Path, name: str, head: str, params: Params, stated: StatedSd = StatedSd()) -> None:
     """Write one of `EXPORTS`."""
     mark = "%" if name.endswith(".m") else "#"
-    atomic_write(folder / name, f"{mark} {head}\n{EXPORTS[name](params)}")
+    atomic_write(folder / name, f"{mark} {head}\n{EXPORTS[name](params, stated)}")

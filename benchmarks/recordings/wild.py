@@ -15,18 +15,20 @@ import numpy as np
 from benchmarks import common
 from jaxnav import build, navigate, read
 from jaxnav.analysis import evaluate
+from jaxnav.analysis.noise_scan import scan_noise
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import drift, hidden_windows
 from jaxnav.data import epochs as ep
 from jaxnav.data.bank import most_probable
-from jaxnav.data.start import start
+from jaxnav.data.start import Start, start
 from jaxnav.filters.catalogue import rows
 from jaxnav.filters.compiler import make_room
+from jaxnav.filters.parameters import history_for, installed
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS
-from jaxnav.types import DataError, Recording
+from jaxnav.types import DataError, Params, Recording
 from tuning.recorded import tune
 
 RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
@@ -197,6 +199,84 @@ def tuning_table(results: dict[str, dict]) -> str:
     return table(head, rows) + f"\nlargest ratio {all_of.max():.2f}, median {np.median(all_of):.2f}"
 
 
+JUDGED = 0.6  # share of a recording that the noise scan may see; the rest judges it
+CHI2_2 = 5.99  # 95 % of chi-square with two degrees of freedom
+
+
+def judged(rec: Recording, params: Params, begin: Start, split: float) -> dict:
+    """Hidden windows after ``split`` s by these parameters: RMS m, error / stated sd, share inside 95 %, NIS / dof."""
+    filt = build("ekf15", [key for key in ("position", "velocity") if key in rec.aiding], cov_stride=5)
+    params, chosen = begin.given(params), rows(filt.model.measurements)
+    filt = filt.keeping(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
+    packed, length = ep.pack_recording(rec, chosen, begin.t), window_of(rec)
+    windows = hidden_windows(packed, length, 3 * length, PHASES, SETTLE)
+    nav = most_probable(filt, params, begin.navs, packed.epochs)
+    error, info = drift(filt, params, nav, packed.epochs, windows, chosen)
+    late, after = windows.start > split, packed.t > split
+    at = windows.end[late]
+    sd = np.asarray(packed.epochs.fix.sd)[at, :2]
+    S = np.asarray(info.P)[windows.phase[late], at, :2, :2] + sd[:, :, None] * np.eye(2) * sd[:, None]
+    error = error[late, :2]
+    z2 = np.einsum("wi,wij,wj->w", error, np.linalg.inv(S), error)
+    valid, nis = np.asarray(info.valid)[:, after].sum(-1), np.asarray(info.nis)[:, after]
+    return {
+        "windows": int(late.sum()), "rms_m": float(np.sqrt(np.mean(np.sum(error**2, 1)))),
+        "error_over_sd": float(np.sqrt(np.mean(np.sum(error**2, 1) / np.trace(S, axis1=1, axis2=2)))),
+        "inside_95": float(np.mean(z2 < CHI2_2)), "nis": float(nis[valid > 0].sum() / valid.sum()),
+    }  # fmt: skip
+
+
+def scanned(path: Path) -> dict:
+    """One recording by a consumer's datasheet and by the noise scan of its first part, both judged on the rest."""
+    make_room()
+    try:
+        rec = read(path)
+        filt = build("ekf15", [key for key in ("position", "velocity") if key in rec.aiding])
+        params, _ = installed(filt.params("consumer"), rec.lever_arm)
+        begin = start(rec, params)
+        split = begin.t + JUDGED * (float(rec.aiding["position"].t[-1]) - begin.t)
+        watch = time.perf_counter()
+        found = scan_noise(rec, params, begin=begin, stop=split)
+        seconds = time.perf_counter() - watch
+        before, after = (judged(rec, p, begin, split) for p in (params, found.applied(params)))
+    except (DataError, ValueError) as error:
+        return {"ran": False, "why": str(error)}
+    return {
+        "ran": True, "factors": [found.gyro, found.accel], "latency_s": found.latency, "gain": found.gain,
+        "drift_ratio": after["rms_m"] / before["rms_m"], "seconds": seconds, "datasheet": before, **after,
+    }  # fmt: skip
+
+
+def scan_table(results: dict[str, dict]) -> str:
+    """Return the ratios of all recordings, and the bars."""
+    ran = {name: r for name, r in results.items() if r["ran"]}
+    lines = [
+        [name, *(f"{f:.0f}" for f in r["factors"]), f"{r['latency_s']:.2f}", r["windows"], r["datasheet"]["rms_m"],
+         r["rms_m"], f"{r['drift_ratio']:.2f}",
+         *(f"{r['datasheet'][k]:.2f} -> {r[k]:.2f}" for k in ("error_over_sd", "inside_95", "nis"))]
+        for name, r in ran.items()
+    ]  # fmt: skip
+    head = [
+        "recording",
+        "gyro",
+        "accel",
+        "s",
+        "windows",
+        "datasheet m",
+        "auto m",
+        "ratio",
+        "error / sd",
+        "in 95 %",
+        "NIS",
+    ]
+    ratio = np.array([r["drift_ratio"] for r in ran.values()])
+    within = {k: np.mean([0.5 <= r[k] <= 2.0 for r in ran.values()]) for k in ("error_over_sd", "nis")}
+    return (
+        f"{table(head, lines)}\nratio: median {np.median(ratio):.2f}, largest {ratio.max():.2f}; within 0.5 to 2: "
+        f"error / sd {within['error_over_sd']:.0%}, NIS {within['nis']:.0%} of the recordings"
+    )
+
+
 def draw(tracks: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> None:
     """Every track, small, with its fixes."""
     fig = plots.figure(11, 2.4 * -(-len(tracks) // 5))
@@ -219,6 +299,9 @@ def main(argv: list[str]) -> None:
     parser.add_argument("--only", metavar="A,B", help="these recordings")
     parser.add_argument("--figure", metavar="F", type=Path, help="draw every track into F, a .png")
     parser.add_argument("--tune", action="store_true", help="tune each without truth instead, and judge it")
+    parser.add_argument(
+        "--auto", action="store_true", help="the noise scan of the first part, judged on the rest, instead"
+    )
     parser.add_argument("--sensors", action="store_true", help="the drift with every other sensor instead, and without")
     args = parser.parse_args(argv)
     chosen = sources()
@@ -233,6 +316,14 @@ def main(argv: list[str]) -> None:
             print(f"{name}: {r['verdict'] if r['ran'] else r['why']}", flush=True)
             common.write_json(args.json, results)
         print(tuning_table(results))
+        return
+    if args.auto:
+        for name, path in chosen.items():
+            if name not in SHORT:
+                results[name] = r = scanned(path)
+                print(f"{name}: {r['drift_ratio'] if r['ran'] else r['why']}", flush=True)
+                common.write_json(args.json, results)
+        print(scan_table(results))
         return
     if args.sensors:
         for name, path in chosen.items():

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxnav.analysis import evaluate, usage
 from jaxnav.analysis.dense import dense
+from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.analysis.observability import states_in_words
 from jaxnav.data import epochs as ep
 from jaxnav.data import gaps
@@ -19,7 +20,7 @@ from jaxnav.data.solution import FORMATS, write_kml, write_solution
 from jaxnav.data.start import Start, start
 from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import Filter
-from jaxnav.filters.parameters import history_for
+from jaxnav.filters.parameters import history_for, installed
 from jaxnav.filters.run import first_failure, require_x64, run_jit
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.measurements import MEASUREMENTS, Measurement
@@ -53,6 +54,7 @@ class Solution:
     epochs: Epoch = field(repr=False)  # what the filter ran over
     smoothed: bool
     lag: float  # s, 0 where it is not of fixed lag
+    noise: NoiseScan | None = None  # where the noise was found from the recording
 
     def at_imu_rate(self) -> tuple[Track, np.ndarray]:
         """The solution at every sample of the IMU, in GNSS time, and its sd (N, 9), as filtered or as smoothed."""
@@ -86,7 +88,7 @@ class Solution:
 def navigate(
     rec: Recording,
     filt: Filter,
-    params: Params,
+    params: Params | None = None,
     *,
     begin: Start | None = None,
     stop: float | None = None,
@@ -96,8 +98,10 @@ def navigate(
     smooth: bool = False,
     lag: float = 0.0,
 ) -> Solution:
-    """Filter a recording with ``params`` (such as ``filt.params("consumer")``) from where it can start.
+    """Filter a recording from where it can start.
 
+    ``params``: such as ``filt.params("consumer")``, a datasheet; None: noise and latency are found from the recording
+    (`jaxnav.scan_noise`). The lever arm is the recording's unless they state one.
     ``begin``: `jaxnav.start` with settings of your own; its standard deviations replace those of ``params.prior``.
     ``stop``: s. ``outages``: windows (start, end) s whose receiver's fixes are hidden. ``interval``: s, the length of
     epochs without a fix; 0 is the median of the position's. ``smooth``: each epoch by all fixes, those after it too
@@ -108,7 +112,12 @@ def navigate(
         DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
         ValueError: a run that stops being finite; says when.
     """
+    found, named = None, params is not None
+    params, installation = installed(filt.params("consumer") if params is None else params, rec.lever_arm)
     require_x64(params)
+    if not named:
+        found = scan_noise(rec, params, begin=begin, stop=stop, outages=outages)
+        params = found.applied(params)
     begin = start(rec, params) if begin is None else begin
     params = begin.given(params)
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
@@ -133,10 +142,18 @@ def navigate(
     remarks += usage.noise_in_words(rec.imu, params)
     remarks += states_in_words(filt, params, best, trace.info)
     remarks += usage.usage_in_words(usage.usage(rec, packed, trace.info, chosen, hidden))
-    notes = [begin.how, about.words, *remarks, *rec.notes.splitlines(), gaps.in_words(gaps.holes(rec.imu))]
+    notes = [
+        begin.how,
+        about.words,
+        installation,
+        "" if found is None else found.words,
+        *remarks,
+        *rec.notes.splitlines(),
+        gaps.in_words(gaps.holes(rec.imu)),
+    ]
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, windows, filt, about.best,
-        [note for note in notes if note], epochs, smooth, lag,
+        [note for note in notes if note], epochs, smooth, lag, found,
     )  # fmt: skip
 
 

@@ -208,7 +208,7 @@ def _main(args: argparse.Namespace) -> int:
             from jaxnav.app import report
 
             report.write(folder, args.verb, config, outcome, outcome.layout)
-        results.write_run(folder, args.verb, config, outcome)
+        results.write_run(folder, args.verb, outcome.config or config, outcome)
     return _report(args, outcome, out)
 
 

@@ -42,7 +42,7 @@ class _Filter:
     """Which filter runs, and on what; beside these, true or false for every measurement that is no receiver's."""
 
     name: str = "ekf15"  # see `jaxnav info`
-    grade: str = ""  # IMU datasheet; empty: the scenario's, else consumer
+    grade: str = ""  # IMU datasheet, or "auto": noise and latency by likelihood; empty: the scenario's, else auto
     states: tuple[str, ...] = ()  # optional error states on top of the filter's own, see `jaxnav.states.STATES`
     cov_stride: int = 5  # the error dynamics see means over so many IMU samples
     history: int = 0  # IMU samples kept for late fixes; 0: enough for the latencies

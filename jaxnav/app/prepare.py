@@ -6,14 +6,15 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.app.config import Config, Tune
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start, start
 from jaxnav.filters import core
-from jaxnav.filters.border import override
+from jaxnav.filters.border import NAMES, override
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.parameters import datasheet_params, history_for, mounting
+from jaxnav.filters.parameters import UNITS, datasheet_params, get, history_for, mounting
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.simulate.scenarios import Scenario
@@ -23,6 +24,9 @@ from tuning.free import specify
 from tuning.transforms import Spec
 
 REACH = 0.25  # s, latency that tuning may add
+AUTO, DATASHEET = "auto", "consumer"
+"""Grade whose noise and latency are found from the recording, and the datasheet whose noise is scaled for it."""
+NOISE = ("noise.gyro", "noise.accel")
 
 
 class ReadyRun(NamedTuple):
@@ -35,6 +39,8 @@ class ReadyRun(NamedTuple):
     packed: ep.Packed  # nothing hidden
     navs: Nav  # (B, ...) the start, or one for each hypothesis of the heading
     begun: Start  # where it starts, and how
+    config: Config  # that runs it again; with the numbers that were found
+    noise: NoiseScan | None = None  # of the grade "auto"
     bias_truth: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None  # t, gyro rad/s, accelerometer m/s^2
 
 
@@ -54,19 +60,21 @@ def filter_name(config: Config) -> str:
 
 
 def grade_name(config: Config, scenario: Scenario | None) -> str:
-    """What the configuration says, else the scenario, else a consumer's unit."""
-    return config.filter.grade or (scenario.imu.grade if scenario else "consumer")
+    """Return the grade of the configuration, else of the scenario, else "auto"."""
+    return config.filter.grade or (scenario.imu.grade if scenario else AUTO)
 
 
 def grade_of(config: Config, scenario: Scenario | None) -> Grade:
-    """The IMU's datasheet.
+    """Return the IMU's datasheet; a consumer's, whose noise is then scaled, for "auto".
 
     Raises:
         ConfigError: it is not in GRADES.
     """
     name = grade_name(config, scenario)
+    if name == AUTO:
+        name = DATASHEET
     if name not in GRADES:
-        raise ConfigError(f"filter.grade: no IMU grade {name!r}: {nearest(name, GRADES)}")
+        raise ConfigError(f"filter.grade: no IMU grade {name!r}: {nearest(name, (*GRADES, AUTO))}")
     return GRADES[name]
 
 
@@ -103,8 +111,13 @@ def base_params(
     return override(params._replace(feedback=entry.feedback_theta()), vars(config.params))
 
 
-def prepare(config: Config, tuned: bool = False) -> ReadyRun:
+def prepare(config: Config, tuned: bool = False, scanned: bool = False) -> ReadyRun:
     """Read or simulate, align, and pack; nothing hidden yet.
+
+    Args:
+        config: the configuration.
+        tuned: whether tuning may add latency, which takes history.
+        scanned: whether the grade "auto" finds noise and latency, unless [params] states the noise.
 
     Raises:
         DataError: data that cannot be used. ConfigError: names that are not known.
@@ -114,6 +127,11 @@ def prepare(config: Config, tuned: bool = False) -> ReadyRun:
     rec, sim = load(config)
     params = base_params(config, grade, rec.lever_arm)
     begun = start_of(config, rec, params)
+    noise = None
+    if scanned and grade_name(config, scenario) == AUTO and not states_noise(config):
+        config, noise = with_noise(config, rec, params, begun)
+        params = base_params(config, grade, rec.lever_arm)
+        begun = start_of(config, rec, params)
     params, first = begun.given(params), begun.navs
     interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
     packed = ep.pack_recording(rec, measurements, begun.t, interval, config.data.stop, standing_of(config))
@@ -130,7 +148,23 @@ def prepare(config: Config, tuned: bool = False) -> ReadyRun:
         if sim is None
         else jax.tree.map(np.asarray, (sim.truth.t, sim.truth.errors["gyro_bias"], sim.truth.errors["accel_bias"]))
     )
-    return ReadyRun(rec, filt, measurements, params, packed, first, begun, biases)
+    return ReadyRun(rec, filt, measurements, params, packed, first, begun, config, noise, biases)
+
+
+def states_noise(config: Config) -> bool:
+    """Return whether [params] states the white noise of the IMU, as a tuned.toml does."""
+    return any(getattr(config.params, NAMES[leaf]) is not None for leaf in NOISE)
+
+
+def with_noise(config: Config, rec: Recording, params: Params, begun: Start) -> tuple[Config, NoiseScan]:
+    """Return the configuration with the noise and the latency that a recording shows, and the scan."""
+    found = scan_noise(rec, params, begin=begun, stop=config.data.stop, outages=config.filter.outages)
+    after, values = found.applied(params), dict[str, Any]()
+    for leaf in (*NOISE, "mounting.time_offset"):
+        value = np.asarray(get(after, leaf)) / UNITS[leaf].factor
+        values[NAMES[leaf]] = tuple(value.tolist()) if value.ndim else float(value)
+    chosen = dataclasses.replace(config.params, **values)
+    return dataclasses.replace(config, params=chosen, filter=dataclasses.replace(config.filter, grade=DATASHEET)), found
 
 
 def tune_spec(tune: Tune, filter_name: str, measurements: tuple[Measurement, ...], sheet: Params) -> Spec:

@@ -42,6 +42,7 @@ class Outcome(NamedTuple):
     seconds: dict[str, float]  # wall time by part
     stopped: str = ""  # why it ended early
     layout: Callable[[], Any] | None = None  # makes what a report can be zoomed into
+    config: Config | None = None  # that runs it again, where it is not the one that was given
 
 
 @contextlib.contextmanager

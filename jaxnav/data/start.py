@@ -150,7 +150,7 @@ def start(
         raise ConfigError(f"start.heading must be finite, got {heading!r}")
     known = recorded_timing(rec) if params is None else params
     from_t = max(rec.imu.t[0] - rec.imu.dt[0], -math.inf if begin is None else begin)
-    velocity = rec.aiding.get("velocity") or _differences(position)
+    velocity = ground_velocity(rec)
     sds = (tilt_sd_deg * DEG, (360.0 / hypotheses if heading == "unknown" else heading_sd_deg) * DEG)
     if heading == "motion":
         at = _in_motion(rec, known, velocity, from_t, hypotheses)
@@ -332,6 +332,11 @@ def halfway(rec: Recording) -> float:
 def _clock_offset(rec: Recording, known: Params, t: float) -> float:
     """What is known of GNSS time minus the IMU's stamp ``t``, s."""
     return float(known.mounting.time_offset) + float(known.mounting.clock_drift) * (t - halfway(rec))
+
+
+def ground_velocity(rec: Recording) -> Samples:
+    """Return the stream of velocities, or differences of the positions where there is none."""
+    return rec.aiding.get("velocity") or _differences(rec.aiding["position"])
 
 
 def _differences(position: Samples) -> Samples:

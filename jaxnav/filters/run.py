@@ -159,9 +159,14 @@ def negative_log_likelihood(info: Info) -> jax.Array:
     """
     # missing channels have nu = 0 and an identity row in S: they add nothing
     m = info.valid.sum()
-    far = 0.5 * (FREEDOM + m) * jnp.log1p(info.nis / FREEDOM) + student_constant(m, info.valid.shape[-1])
+    far = student_nll(info.nis, m, info.valid.shape[-1])
     near = 0.5 * (info.nis + m * jnp.log(2 * jnp.pi))
     return jnp.where((info.valid & ~info.used).any(), far, near) + 0.5 * linalg.log_determinant(info.S)
+
+
+def student_nll(nis: jax.Array, m: jax.Array, most: int) -> jax.Array:
+    """-log of a Student t of m channels, at most ``most``, and unit scale at a normalised square, ()."""
+    return 0.5 * (FREEDOM + m) * jnp.log1p(nis / FREEDOM) + student_constant(m, most)
 
 
 def student_constant(m: jax.Array, most: int) -> jax.Array:

@@ -17,6 +17,7 @@ from jaxnav.maths.units import DEG
 from jaxnav.measurements.magnetometer import field
 from jaxnav.simulate.scenarios import URBAN
 from jaxnav.simulate.simulation import simulate_jit, to_recording
+from jaxnav.states.grades import GRADES
 from jaxnav.types import ImuLog, Recording, Samples
 
 
@@ -130,6 +131,15 @@ def test_coarse_steps_and_a_loud_axis_are_noise_of_that_axis(car):
     loud = car.imu.gyro + np.array([0.0, 0.0, 0.02]) * rng.normal(size=car.imu.gyro.shape)
     again, _ = inertial.noise_floor(car.imu._replace(gyro=loud))
     assert again[2] == pytest.approx(0.02 * root, rel=0.1) and again[:2] == pytest.approx(floor[:2], rel=0.2)
+
+
+@pytest.mark.parametrize("kind", ["walk", "mower"])
+def test_motion_is_no_noise(kind):
+    """Steps at 1.9 Hz and turns that never rest: the noise of a tactical IMU is found, by first differences 7 to 11."""
+    rec, _ = simulated(kind, "tactical", True, np.random.default_rng(0))
+    gyro, accel = inertial.noise_floor(rec.imu)
+    assert np.median(gyro) == pytest.approx(GRADES["tactical"].arw, rel=0.15)
+    assert np.median(accel) == pytest.approx(GRADES["tactical"].vrw, rel=0.15)
 
 
 def test_every_check_answers_where_there_is_little_or_nothing(car):

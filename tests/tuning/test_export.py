@@ -8,15 +8,19 @@ import pytest
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.maths import units
 from jaxnav.states.grades import GRADES
+from jaxnav.types import Fix
 from tests.conftest import told
 from tuning.export import (
-    AUTOPILOT_STEP,
+    EKF2_STEP,
+    EKF3_STEP,
     EXPORTS,
+    StatedSd,
     ardupilot_parm,
     kfgins_yaml,
     navego_fields,
     px4_params,
     robot_localization_yaml,
+    stated_sd,
     write_exports,
 )
 
@@ -85,28 +89,40 @@ def settings(text: str) -> dict[str, float]:
     return {line[0]: float(line[1]) for line in lines if len(line) == 2}
 
 
-@pytest.mark.parametrize("made, keys", [
-    (px4_params, ("EKF2_GYR_NOISE", "EKF2_ACC_NOISE", "EKF2_GYR_B_NOISE", "EKF2_ACC_B_NOISE")),
-    (ardupilot_parm, ("EK3_GYRO_P_NSE", "EK3_ACC_P_NSE", "EK3_GBIAS_P_NSE", "EK3_ABIAS_P_NSE")),
+@pytest.mark.parametrize("made, step, keys", [
+    (px4_params, EKF2_STEP, ("EKF2_GYR_NOISE", "EKF2_ACC_NOISE", "EKF2_GYR_B_NOISE", "EKF2_ACC_B_NOISE")),
+    (ardupilot_parm, EKF3_STEP, ("EK3_GYRO_P_NSE", "EK3_ACC_P_NSE", "EK3_GBIAS_P_NSE", "EK3_ABIAS_P_NSE")),
 ])  # fmt: skip
-def test_an_autopilots_steps_add_up_to_the_density(made, keys):
+def test_an_autopilots_steps_add_up_to_the_density(made, step, keys):
     """N predictions of variance (s dt)^2 give what white noise of root PSD q does in N dt."""
     densities = (3e-4, 2e-3, 1e-5, 4e-4)
     found, T = settings(made(noise(*densities))), 60.0
     for key, q in zip(keys, densities, strict=True):
-        assert T / AUTOPILOT_STEP * (found[key] * AUTOPILOT_STEP) ** 2 == pytest.approx(q**2 * T, rel=1e-5)
+        assert T / step * (found[key] * step) ** 2 == pytest.approx(q**2 * T, rel=1e-5)
 
 
 def test_delays_floors_and_what_has_no_counterpart():
     params = noise(1e-4, 1e-3, 1e-6, 1e-5, time_offset=0.02, position_latency=0.1, velocity_latency=0.2,
                    clock_drift=3e-4, position_scale=2.0, lever_arm=[0.5, -0.1, -1.2])  # fmt: skip
-    px4, ardu = (settings(made(params, position_sd=1.5)) for made in (px4_params, ardupilot_parm))
+    px4, ardu = (settings(made(params, StatedSd(1.5))) for made in (px4_params, ardupilot_parm))
     assert px4["EKF2_GPS_DELAY"] == ardu["GPS_DELAY_MS"] == pytest.approx(170.0)  # the mean of 120 and 220 ms
     assert px4["EKF2_GPS_P_NOISE"] == ardu["EK3_POSNE_M_NSE"] == pytest.approx(3.0)
     assert [px4[f"EKF2_GPS_POS_{a}"] for a in "XYZ"] == [0.5, -0.1, -1.2]
     for text in (px4_params(params), ardupilot_parm(params)):
         assert "no counterpart: velocity is +0.100 s later than position, a clock drift of 300 ppm" in text
     assert "everything has a counterpart" in px4_params(noise(1e-4, 1e-3, 1e-6, 1e-5))
+
+
+def test_stated_sd_are_medians_of_the_recordings():
+    sd = np.tile([0.02, 0.03, 0.05, 0.4, 0.1, 0.2, 0.2], (5, 1))
+    valid = np.ones((5, 7), bool)
+    sd[0], valid[0] = 1e3, False  # no fix
+    fix = Fix(np.zeros((5, 7)), sd, np.zeros((5, 7)), valid)
+    assert stated_sd(fix, ("position", "barometer", "velocity")) == StatedSd(0.03, 0.2)
+    assert stated_sd(fix, ("position", "barometer")) == StatedSd(0.03)
+    assert settings(px4_params(noise(1e-4, 1e-3, 1e-6, 1e-5, position_scale=2.0), StatedSd(0.03)))[
+        "EKF2_GPS_P_NOISE"
+    ] == pytest.approx(0.06)
 
 
 def test_robot_localization_gets_the_variance_of_a_sample(tmp_path):

@@ -101,7 +101,7 @@ def configuration(path: str, rec: Recording, found: list[Finding]) -> str:
         f'source = "{source}"  # what was checked',
         "[filter]",
         'name = "ekf15"  # errors of position, velocity, attitude and both biases; `jaxnav info` lists the others',
-        f'grade = "consumer"  # the IMU\'s datasheet; {_noise(found)}',
+        f'grade = "auto"  # IMU noise and latency by likelihood, or a datasheet; {_noise(found)}',
     ]
     if "speed" in rec.aiding:
         lines.append("speed = true  # there are wheel speeds")

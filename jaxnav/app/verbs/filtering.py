@@ -80,7 +80,7 @@ def filter(config: Config, folder: Path) -> Outcome:
         if kind not in FORMATS:
             raise ConfigError(f"out.formats: no format {kind!r}: {nearest(kind, FORMATS)}")
     seconds, begin = {}, time.perf_counter()
-    case = prepare(config)
+    case = prepare(config, scanned=True)
     hidden = in_windows(case.packed.t, config.filter.outages)
     seconds["prepare"], begin = time.perf_counter() - begin, time.perf_counter()
     info, taken = execute(case.filter, case.params, case.navs, hide(case.packed.epochs, hidden, case.measurements))
@@ -112,7 +112,15 @@ def filter(config: Config, folder: Path) -> Outcome:
         found["remarks"].append(f"truth tells {found['scored_share']:.0%} of the epochs: errors are of these alone")
     unused = sorted(set(case.recording.aiding) - {m.name for m in case.measurements})
     found |= {"unused_streams": unused} if unused else {}
-    notes = [taken.words, *case.recording.notes.splitlines(), gaps.in_words(gaps.holes(case.recording.imu))]
+    if case.noise is not None:
+        scan = case.noise
+        found["noise_scan"] = {"gyro": scan.gyro, "accel": scan.accel, "latency_s": scan.latency, "gain": scan.gain}
+    notes = [
+        taken.words,
+        case.noise.words if case.noise else "",
+        *case.recording.notes.splitlines(),
+        gaps.in_words(gaps.holes(case.recording.imu)),
+    ]
     found |= {"start": case.begun.how, "notes": [note for note in notes if note]}
     whole = (sol.track, sol.sd)
     if config.out.imu_rate:
@@ -126,7 +134,7 @@ def filter(config: Config, folder: Path) -> Outcome:
     seconds["write"] = time.perf_counter() - begin
     fixes, outages, states = case.recording.aiding["position"], shaded(config, case), case.filter.model.states
     layout = partial(interactive.run_layout, sol, case.recording.truth, fixes, case.measurements, outages, states)
-    return Outcome(found, summary(found, config.filter.name, case.recording.name), seconds, "", layout)
+    return Outcome(found, summary(found, config.filter.name, case.recording.name), seconds, "", layout, case.config)
 
 
 def draw(config: Config, folder: Path, sol: evaluate.Trace, case: ReadyRun) -> None:
@@ -135,6 +143,8 @@ def draw(config: Config, folder: Path, sol: evaluate.Trace, case: ReadyRun) -> N
     found = evaluate.figures(
         sol, rec.truth, rec.aiding["position"], case.measurements, shaded(config, case), case.bias_truth, states
     )
+    if case.noise is not None and case.noise.fixes:
+        found["noise_scan"] = case.noise.figure()
     for name, fig in found.items():
         plots.name(fig, titled(config, case))
         plots.save(fig, folder / f"{name}.png")

@@ -110,7 +110,8 @@ def noise(rec: Recording) -> list[Finding]:
 def noise_floor(imu: ImuLog) -> tuple[np.ndarray, np.ndarray] | None:
     """Root PSD (3,) of gyro rad/s/sqrt(Hz) and accelerometer m/s^2/sqrt(Hz) where it is quiet; None of too few samples.
 
-    An axis that is told in coarse steps has at least the noise of rounding: step / sqrt(12) a sample.
+    By third differences, in which motion of f Hz is (2 pi f dt)^3 of itself and white noise is sqrt(20) of itself. An
+    axis in coarse steps has at least the noise of rounding: step / sqrt(12) a sample.
     """
     if imu.t.size < 40:
         return None
@@ -118,7 +119,7 @@ def noise_floor(imu: ImuLog) -> tuple[np.ndarray, np.ndarray] | None:
     if n < 10 or len(rows) < 3:
         return None
     root = np.sqrt(float(np.median(imu.dt)))
-    spread = lambda a: np.median(np.diff(a[rows], axis=1).std(1) / np.sqrt(2), 0)
+    spread = lambda a: np.median(np.diff(a[rows], n=3, axis=1).std(1) / np.sqrt(20), 0)
     own = lambda a: root * np.maximum(spread(a), resolution(a) / np.sqrt(12))
     return own(imu.gyro), own(imu.accel)
 

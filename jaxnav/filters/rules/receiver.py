@@ -70,7 +70,7 @@ class Receiver(NamedTuple):
 
 def receiver_params() -> Receiver:
     """Parameters from plain numbers."""
-    pairs = (30.0, 4.0), (60.0, 10.0), (3.0, 2.0, 0.3, 0.08), (200.0, 15.0)
+    pairs = (30.0, 4.0), (60.0, 10.0), (3.0, 2.0, 0.3, 0.12), (200.0, 15.0)
     return Receiver(*(jnp.asarray(a, float) for a in (1e-3, 0.3, 0.01, 65.0, 2.0, *pairs)))
 
 

@@ -1,0 +1,284 @@
+"""IMU noise and latency of the fixes by a likelihood scan: what a run takes where no datasheet is named.
+
+A datasheet knows nothing of vibration, mounting and a receiver's latency. Three numbers make up for most of it: a
+factor on the white noise of the gyros (g), one on that of the accelerometers (a), and the latency of the fixes (d).
+They belong together, since a latency that is not modelled passes for noise. Maximised is
+
+    J(g, a, d) = N mean(log p(nu_k)) - (log10(g / a) / 0.5)^2 / 2 - (log10(g a) / 3)^2 / 2 - (d / 0.1 s)^2 / 2
+
+with nu_k the innovations of the plain filter of 15 states over a part of the recording with motion. p is a Student t,
+so that a receiver fault is no noise of the IMU. N counts stretches of `CORRELATION_S` and not fixes: errors of a
+receiver are correlated. The priors say that vibration reaches both sensors, and that a datasheet may be right. A coarse
+grid of one common factor and the latency comes first, then boxes of 3 x 3 x 3 points about the best one; the quadratic
+fit to the last box gives the maximum.
+"""
+
+from collections.abc import Collection, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.analysis.plots import base as plots
+from jaxnav.data import epochs as ep
+from jaxnav.data.bank import most_probable
+from jaxnav.data.start import Start, ground_velocity, start
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.core import Filter, Step
+from jaxnav.filters.parameters import datasheet_states, history_for
+from jaxnav.filters.run import prepare, run, student_nll
+from jaxnav.maths import linalg
+from jaxnav.measurements import GNSS
+from jaxnav.states.grades import GRADES
+from jaxnav.states.table import BIASES
+from jaxnav.types import Epoch, Nav, Noise, Params, Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+AXES = ("noise", "latency")
+COMMON = np.arange(-0.5, 4.0, 0.5)  # log10 of the common factor, coarse grid
+LATENCIES = np.arange(-1, 8) / 10  # s, coarse grid
+AT_ONCE = 3  # latencies by one call of the compiled function
+COARSE_BOX, FINE_BOX = np.array([0.5, 0.5, 0.05]), np.array([0.25, 0.25, 0.025])
+"""Steps of a box: log10 of the gyro and of the accelerometer factor, s."""
+MOST_BOXES = 5  # coarse ones
+RATIO_SD, COMMON_SD, LATENCY_SD = 0.5, 1.5, 0.1  # decades, decades, s
+CORRELATION_S = 10.0  # s, between independent innovations
+SCANNED_S, WARM_UP_S = 180.0, 20.0  # s, of the part that counts at most; before it, to settle
+LEAST_FIXES = 20  # that count
+MOVING_MPS, PARKED_S = 1.0, 30.0  # ground speed of motion; s at rest from which on the scan begins later
+MARGIN_S = 15.0  # s, before the first motion
+
+
+class NoiseScan(NamedTuple):
+    """What a scan chose."""
+
+    gyro: float = 1.0  # factor on the white noise of the gyros
+    accel: float = 1.0  # on that of the accelerometers
+    latency: float = 0.0  # s
+    gain: float = 0.0  # of the mean log-likelihood of a fix, over factors of 1 and no latency
+    coarse: np.ndarray = np.zeros((0, 0))  # (L, C) J of the coarse grid, latency by common factor, 0 at its maximum
+    grid: tuple[np.ndarray, np.ndarray] = (np.zeros(0), np.zeros(0))  # (L,) s and (C,) factors of it
+    part: tuple[float, float] = (0.0, 0.0)  # s, whose fixes count
+    fixes: int = 0
+
+    def applied(self, params: Params) -> Params:
+        """Return parameters with this noise and latency."""
+        noise = Noise(params.noise.gyro * self.gyro, params.noise.accel * self.accel)
+        mounting = params.mounting._replace(time_offset=params.mounting.time_offset + self.latency)
+        return params._replace(noise=noise, mounting=mounting)
+
+    @property
+    def words(self) -> str:
+        """The finding of the scan."""
+        if not self.fixes:
+            return f"noise of the datasheet: fewer than {LEAST_FIXES} fixes to choose it by; state filter.grade"
+        text = (
+            f"noise by likelihood: gyro {self.gyro:.3g} and accelerometer {self.accel:.3g} times the datasheet's, "
+            f"fixes {abs(self.latency):.2f} s {'late' if self.latency >= 0 else 'early'} (log-likelihood "
+            f"{self.gain:+.2f} a fix, {self.fixes} fixes of {self.part[0]:.0f} to {self.part[1]:.0f} s)"
+        )
+        if max(self.gyro, self.accel) > 300.0:
+            text += "; a factor above 300 is strong vibration, a wrong unit or another grade: see jaxnav check"
+        return text
+
+    def figure(self) -> "Figure":
+        """Draw J over common factor and latency, and the chosen point."""
+        latencies, factors = self.grid
+        fig = plots.figure(6, 4)
+        ax = fig.subplots()
+        plots.dress(ax, "noise scan", "factor on the datasheet's white noise", "latency of the fixes, s")
+        shown = np.maximum(self.coarse, -50.0)
+        mesh = ax.pcolormesh(factors, latencies, shown, shading="nearest", cmap="viridis")
+        ax.plot([self.gyro, self.accel], [self.latency] * 2, "w-", lw=1)
+        ax.plot(self.gyro, self.latency, "w>", label="gyro")
+        ax.plot(self.accel, self.latency, "ws", label="accelerometer")
+        ax.set_xscale("log")
+        ax.legend(fontsize=8, facecolor="0.4", labelcolor="w")
+        fig.colorbar(mesh, label="log-likelihood below the maximum (tempered)")
+        return fig
+
+
+# ---------------------------------------------------------------------------- the objective
+
+
+class _Cut(NamedTuple):
+    """Epochs (L, E, ...) with the fixes moved by a latency each."""
+
+    epochs: Epoch
+    counted: np.ndarray  # (L, E) bool, epochs whose fixes count
+
+
+@partial(jax.jit, static_argnums=0)
+def _mean_log_likelihood(filt: Filter, params: Params, nav: Nav, cut: _Cut, factors: jax.Array) -> jax.Array:
+    """Return the mean log-likelihood of a fix (L, P).
+
+    Args:
+        filt: the filter.
+        params: its parameters, with factors of 1.
+        nav: initial navigation.
+        cut: epochs.
+        factors: (P, 2) on the white noise of gyros and accelerometers.
+    """
+
+    def record(step: Step, beside: None) -> jax.Array:
+        info = step.info
+        nll = student_nll(info.nis, info.valid.sum(), info.valid.size) + 0.5 * linalg.log_determinant(info.S)
+        return jnp.where(info.ok, -nll, -jnp.inf)
+
+    def one(cut: _Cut, factor: jax.Array) -> jax.Array:
+        noise = Noise(params.noise.gyro * factor[0], params.noise.accel * factor[1])
+        density = run(filt, params._replace(noise=noise), nav, cut.epochs, record)
+        return jnp.where(cut.counted, density, 0.0).sum() / jnp.maximum(cut.counted.sum(), 1)
+
+    return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(cut, factors)
+
+
+class _Objective:
+    """J over one part of a recording; epochs of a latency are cut once."""
+
+    def __init__(self, rec: Recording, params: Params, begin: Start, end: float, outages: Sequence) -> None:
+        self.rec, self.begin, self.end, self.outages = rec, begin, end, outages
+        self.rows = tuple(m for m in GNSS if m.name in rec.aiding)
+        states = datasheet_states(GRADES["consumer"], BIASES) | params.states
+        self.params = begin.given(params._replace(states=states, rule=(), feedback=()))
+        rate, span = 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))
+        self.filt = build("ekf15", self.rows, 5, history_for(self.params, rate, span))
+        self.first = begin.t + min(WARM_UP_S, 0.25 * (end - begin.t))
+        self.effective = (end - self.first) / CORRELATION_S
+        packed = self._packed(0.0)
+        E, K = packed.epochs.imu.dt.shape
+        self.size: tuple[int, ...] = ep.shared_size(E + 2), ep.shared_size(K + 1)  # other latencies need a little more
+        self.nav = most_probable(self.filt, self.params, begin.navs, packed.epochs)
+        self.cuts: dict[float, tuple[Epoch, np.ndarray]] = {}
+
+    def _packed(self, latency: float) -> ep.Packed:
+        moved = {m.name: s._replace(t=s.t - latency) for m in self.rows for s in [self.rec.aiding[m.name]]}
+        packed = ep.pack_recording(self.rec._replace(aiding=moved), self.rows, self.begin.t, 0.0, self.end)
+        hidden = ep.within(packed.t, self.outages)
+        return packed._replace(epochs=ep.hide(packed.epochs, hidden, self.rows))
+
+    def at(self, latency: float) -> tuple[Epoch, np.ndarray]:
+        """Return the epochs (E, ...) of a latency, and which of their fixes count (E,)."""
+        if latency not in self.cuts:
+            packed = self._packed(latency)
+            counted = (packed.t > self.first) & np.asarray(packed.epochs.fix.valid).any(1)
+            self.cuts[latency] = packed.epochs, counted
+            size = map(ep.shared_size, packed.epochs.imu.dt.shape)
+            self.size = tuple(max(a, b) for a, b in zip(self.size, size, strict=True))
+        return self.cuts[latency]
+
+    def __call__(self, latencies: np.ndarray, logs: np.ndarray) -> np.ndarray:
+        """Return J (L, P) at every latency (L,), s, with every pair of factors (P, 2), log10."""
+        latencies, logs = np.round(latencies, 6), np.round(logs, 6)
+        parts = [self.at(float(latency)) for latency in latencies]
+        epochs = ep.stack_epochs([ep.grown(epochs, *self.size) for epochs, _ in parts])
+        counted = np.stack([np.pad(c, (0, self.size[0] - c.size)) for _, c in parts])
+        cut = _Cut(prepare(self.filt, epochs), counted)
+        mean = np.asarray(_mean_log_likelihood(self.filt, self.params, self.nav, cut, 10.0**logs))
+        noise = ((logs[:, 0] - logs[:, 1]) / RATIO_SD) ** 2 + (logs.mean(1) / COMMON_SD) ** 2
+        return self.effective * mean - 0.5 * noise - 0.5 * (latencies[:, None] / LATENCY_SD) ** 2
+
+    def box(self, centre: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Return the 3 x 3 x 3 points about ``centre`` (27, 3) with their J, (27, 4)."""
+        d = np.array([-1.0, 0.0, 1.0])
+        logs = centre[:2] + steps[:2] * np.stack(np.meshgrid(d, d, indexing="ij"), -1).reshape(9, 2)
+        latencies = centre[2] + steps[2] * d
+        J = self(latencies, logs)
+        return np.column_stack([np.tile(logs, (3, 1)), np.repeat(latencies, 9), J.reshape(-1)])
+
+
+def _vertex(points: np.ndarray, centre: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Return the maximum (3,) of the quadratic fit to a box (27, 4), within it; the best point where there is none."""
+    free = steps > 0
+    u = (points[:, :3] - centre)[:, free] / steps[free]
+    i, j = np.triu_indices(free.sum())
+    A = np.column_stack([np.ones(len(u)), u, u[:, i] * u[:, j]])
+    if not np.isfinite(points).all():
+        return points[np.argmax(points[:, 3]), :3]
+    c = np.linalg.lstsq(A, points[:, 3], rcond=None)[0]
+    H = np.zeros((free.sum(),) * 2)
+    H[i, j] = c[1 + free.sum() :]
+    H = H + H.T
+    if np.linalg.eigvalsh(H).max() >= 0:
+        return points[np.argmax(points[:, 3]), :3]
+    found = centre.copy()
+    found[free] += steps[free] * np.clip(-np.linalg.solve(H, c[1 : 1 + free.sum()]), -1.0, 1.0)
+    return found
+
+
+# ---------------------------------------------------------------------------- the scan
+
+
+def scan_noise(
+    rec: Recording,
+    params: Params,
+    *,
+    begin: Start | None = None,
+    stop: float | None = None,
+    outages: Sequence[Sequence[float]] = (),
+    free: Collection[str] = AXES,
+) -> NoiseScan:
+    """Choose the IMU's white noise and the latency of the fixes by the likelihood of the innovations.
+
+    Args:
+        rec: the recording, with positions.
+        params: parameters with the datasheet's noise, such as ``filt.params("consumer")``, and the lever arm.
+        begin: where navigation starts, by default `jaxnav.start`; after a long standstill the scan begins later.
+        stop: s, end of what may be looked at.
+        outages: (start, end) s, windows whose fixes are hidden.
+        free: of "noise" and "latency", what is chosen; a latency only where ``params`` states none.
+
+    Raises:
+        DataError: a recording that cannot be started from or cut.
+    """
+    begin = start(rec, params) if begin is None else begin
+    last = min(np.inf if stop is None else stop, float(rec.aiding["position"].t[-1]), float(rec.imu.t[-1]))
+    begin = _in_motion(rec, params, begin, last)
+    end = min(begin.t + WARM_UP_S + SCANNED_S, last)
+    scale = np.array(["noise" in free, "noise" in free, "latency" in free and not _timed(params)])
+    if not scale.any():
+        return NoiseScan()
+    objective = _Objective(rec, params, begin, end, outages)
+    fixes = int(objective.at(0.0)[1].sum())
+    if fixes < LEAST_FIXES:
+        return NoiseScan()
+    common, latencies = COMMON * scale[0], LATENCIES * scale[2]
+    logs = np.stack([common, common], 1)
+    calls = range(0, latencies.size if scale[2] else AT_ONCE, AT_ONCE)
+    coarse = np.concatenate([objective(latencies[i : i + AT_ONCE], logs) for i in calls])
+    i, j = np.unravel_index(np.argmax(coarse), coarse.shape)
+    centre = np.array([common[j], common[j], latencies[i]])
+    for _ in range(MOST_BOXES):
+        points = objective.box(centre, scale * COARSE_BOX)
+        best = points[np.argmax(points[:, 3]), :3]
+        if np.allclose(best, centre):
+            break
+        centre = best
+    fine = objective.box(centre, scale * FINE_BOX)
+    gyro, accel, latency = _vertex(fine, centre, scale * FINE_BOX)
+    datasheet = objective(np.zeros(AT_ONCE), np.zeros((COMMON.size, 2)))[0, 0]
+    gain = float(fine[:, 3].max() - datasheet) / objective.effective
+    grid = latencies[: len(coarse)], 10.0**common
+    factors, part = (float(10**gyro), float(10**accel)), (objective.first, end)
+    return NoiseScan(*factors, float(latency), gain, coarse - coarse.max(), grid, part, fixes)
+
+
+def _timed(params: Params) -> bool:
+    """Return whether parameters state a latency or estimate one."""
+    ages = [params.mounting.time_offset, *(t.latency for t in params.measurements.values() if hasattr(t, "latency"))]
+    return any(float(age) != 0 for age in ages) or "clock_offset" in params.states
+
+
+def _in_motion(rec: Recording, params: Params, begin: Start, last: float) -> Start:
+    """Return the start, or a later one just before the first motion where the vehicle is parked for long."""
+    velocity = ground_velocity(rec)
+    speed = np.hypot(velocity.value[:, 0], velocity.value[:, 1])
+    moving = (speed > np.maximum(MOVING_MPS, 3 * velocity.sd[:, :2].max(1))) & (velocity.t > begin.t)
+    first = float(velocity.t[np.argmax(moving)]) if moving.any() else begin.t
+    if first < begin.t + PARKED_S or last < first + PARKED_S:
+        return begin
+    return start(rec, params, begin=first - MARGIN_S)

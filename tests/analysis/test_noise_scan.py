@@ -1,0 +1,134 @@
+"""The noise scan: noise and latency of simulated recordings, receiver faults, standstill, what is stated stays."""
+
+import json
+
+import numpy as np
+import pytest
+
+from jaxnav import build, navigate, scan_noise, start
+from jaxnav.analysis import noise_scan
+from jaxnav.analysis.noise_scan import FINE_BOX, NoiseScan, _in_motion, _vertex
+from jaxnav.app import cli
+from jaxnav.app.config import resolve
+from jaxnav.app.sources import load
+from jaxnav.data.canonical import write_recording
+from jaxnav.types import Recording, Samples
+
+FACTOR, LATENCY = 10.0, 0.2
+EKF = build("ekf15")
+
+
+def simulated(factor: float = FACTOR, latency: float = LATENCY, **options) -> Recording:
+    """A drive of 120 s, consumer IMU at 50 Hz with ``factor`` times its noise, fixes at 2 Hz."""
+    plain = {"duration_s": 120.0, "imu_rate_hz": 50.0, "gnss_rate_hz": 2.0, "grade": "consumer", "outages_s": []}
+    data = {"source": "urban_short", "imu_worse_by": factor, "gnss_latency_s": latency, "options": plain | options}
+    return load(resolve([("", {"data": data})]))[0]
+
+
+@pytest.fixture(scope="module")
+def drive() -> Recording:
+    return simulated()
+
+
+def with_arm(rec: Recording):
+    params = EKF.params("consumer")
+    return params._replace(mounting=params.mounting._replace(lever_arm=rec.lever_arm))
+
+
+def test_it_finds_noise_and_latency(drive):
+    found = scan_noise(drive, with_arm(drive))
+    assert found.latency == pytest.approx(LATENCY, abs=0.03)
+    assert 0.5 < found.gyro / FACTOR < 2.0 and 0.5 < found.accel / FACTOR < 2.0
+    assert found.gain > 0.1 and found.fixes > 100
+    params = found.applied(with_arm(drive))
+    assert float(params.mounting.time_offset) == pytest.approx(found.latency)
+    np.testing.assert_allclose(params.noise.accel / EKF.params("consumer").noise.accel, found.accel)
+    assert found.coarse.shape == (9, 9) and found.coarse.max() == 0.0
+    assert f"{found.latency:.2f} s late" in found.words and found.figure().axes
+
+
+def test_a_receiver_fault_is_no_noise(drive):
+    position = drive.aiding["position"]
+    far = position.value.copy()
+    far[(position.t > 70.0) & (position.t < 73.0), 0] += 200.0 / 6.4e6  # six fixes, 200 m
+    faulty = drive._replace(aiding=drive.aiding | {"position": position._replace(value=far)})
+    sound, found = (scan_noise(rec, with_arm(rec)) for rec in (drive, faulty))
+    assert found.accel < 2.5 * sound.accel and found.latency == pytest.approx(LATENCY, abs=0.1)
+
+
+def test_what_is_stated_stays(drive):
+    params = with_arm(drive)
+    stated = params._replace(mounting=params.mounting._replace(time_offset=np.asarray(0.05)))
+    assert scan_noise(drive, stated).latency == 0.0
+    alone = scan_noise(drive, params, free=("latency",))
+    assert alone.gyro == alone.accel == 1.0 and alone.latency == pytest.approx(LATENCY, abs=0.05)
+    assert scan_noise(drive, params, free=()) == NoiseScan()
+
+
+def test_a_few_fixes_are_too_few(drive):
+    found = scan_noise(drive, with_arm(drive), stop=start(drive, with_arm(drive)).t + 8.0)
+    assert found.fixes == 0 and found.gyro == 1.0 and "fewer than" in found.words
+
+
+def test_it_begins_where_the_vehicle_moves():
+    """Parked for 200 s, then driving: the scan begins 15 s before the first motion."""
+    rec = simulated(duration_s=120.0, latency=0.0, factor=1.0)
+    parked = lambda s: s._replace(
+        t=np.concatenate([s.t[0] - np.arange(400, 0, -1) / 2, s.t]),
+        **{f: np.concatenate([np.repeat(getattr(s, f)[:1], 400, 0), getattr(s, f)]) for f in ("value", "sd", "corr")},
+    )
+    position = parked(rec.aiding["position"])
+    still = Samples(position.t, *(np.zeros_like(position.value) for _ in range(3)))
+    velocity = rec.aiding["velocity"]
+    value = np.concatenate([still.value[:400], velocity.value])
+    velocity = Samples(position.t, value, np.full_like(value, 0.1), np.zeros_like(value))
+    imu, n = rec.imu, 10_000
+    rest = lambda a: np.repeat(np.median(a[:50], 0)[None], n, 0)
+    t0 = imu.t[0]
+    long = imu._replace(
+        t=np.concatenate([t0 - np.arange(n, 0, -1) / 50.0, imu.t]), dt=np.concatenate([np.full(n, 0.02), imu.dt]),
+        gyro=np.concatenate([rest(imu.gyro), imu.gyro]), accel=np.concatenate([rest(imu.accel), imu.accel]),
+    )  # fmt: skip
+    rec = rec._replace(imu=long, aiding={"position": position, "velocity": velocity})
+    begin = start(rec, with_arm(rec), begin=float(long.t[0]))
+    assert begin.t < t0 - 100.0
+    assert _in_motion(rec, with_arm(rec), begin, float(imu.t[-1])).t > t0 - 15.0
+
+
+def test_the_quadratic_fit_is_exact_on_a_quadratic():
+    A = np.array([[2.0, 0.3, 0.1], [0.3, 1.5, -0.2], [0.1, -0.2, 1.0]])
+    centre, peak = np.array([1.0, 1.5, 0.1]), np.array([0.3, -0.4, 0.6])
+    d = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), -1).reshape(27, 3)
+    J = -np.einsum("ni,ij,nj->n", d - peak, A, d - peak)
+    points = np.column_stack([centre + d * FINE_BOX, J])
+    np.testing.assert_allclose(_vertex(points, centre, FINE_BOX), centre + peak * FINE_BOX, atol=1e-12)
+    convex = np.column_stack([points[:, :3], -J])
+    np.testing.assert_array_equal(_vertex(convex, centre, FINE_BOX), convex[np.argmax(-J), :3])
+
+
+def test_navigate_without_params_takes_noise_and_lever_arm_from_the_recording(drive):
+    arm = np.array([1.5, -0.4, -1.8])
+    rec = simulated(factor=1.0, latency=0.0, lever_arm_m=arm.tolist())
+    solution = navigate(rec, EKF)
+    assert solution.noise is not None and solution.noise.words in solution.notes
+    assert any(note.startswith("lever arm (1.5, -0.4, -1.8) m from the recording") for note in solution.notes)
+    truth = np.column_stack([np.interp(solution.t, rec.truth.t, c) for c in rec.truth.lla.T])
+    off = (solution.lla - truth) * np.array([6.37e6, 6.37e6 * np.cos(truth[0, 0]), 1.0])
+    z = off[20:, [1, 0, 2]] / solution.sd[20:, :3]
+    assert 0.7 < np.sqrt(np.mean(z**2)) < 1.4
+    named = navigate(rec, EKF, EKF.params("consumer"))
+    assert named.noise is None and np.allclose(named.params.mounting.lever_arm, arm)
+
+
+def test_a_run_is_repeated_without_a_search(drive, tmp_path, monkeypatch):
+    folder, out = tmp_path / "drive", tmp_path / "out"
+    write_recording(folder, drive)
+    assert cli.main(["filter", "--data", str(folder), "--out", str(out), "--quiet"]) == 0
+    run = json.loads((out / "run.json").read_text())
+    assert run["config"]["filter"]["grade"] == "consumer" and run["config"]["params"]["time_offset_s"] > 0.1
+    assert run["metrics"]["grade"] == "auto" and run["metrics"]["noise_scan"]["latency_s"] > 0.1
+    assert (out / "noise_scan.png").exists()
+    monkeypatch.setattr(noise_scan, "_Objective", None)  # a search would fail
+    again = tmp_path / "again"
+    assert cli.main(["filter", "--config", str(out / "run.json"), "--out", str(again), "--quiet"]) == 0
+    assert (out / "solution.csv").read_text() == (again / "solution.csv").read_text()

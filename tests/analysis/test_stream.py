@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxnav import build, navigate, start
+from jaxnav import build, mounting, navigate, start
 from jaxnav.analysis.stream import Stream, _advance, _predict
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start
@@ -25,7 +25,7 @@ def driven():
     what = URBAN_SHORT._replace(duration_s=60.0, gnss=URBAN_SHORT.gnss._replace(outages_s=((30.0, 36.0),)))
     rec = to_recording(simulate_jit(what, jax.random.key(2)), what)
     ekf = build("ekf15", cov_stride=5)
-    params = ekf.params("consumer")
+    params = ekf.params("consumer", install=mounting(rec.lever_arm))
     return rec, ekf, params, start(rec, params)
 
 

@@ -100,7 +100,7 @@ def test_filter_writes_everything_and_json_parses(drive, tmp_path, capsys):
     assert [o["end_s"] for o in metrics["outages"]][-1] == 72 and metrics["outages"][-1]["horizontal_m"] < 50
     names = {p.name for p in cli.Path("r").iterdir()}
     assert {f"solution.{kind}" for kind in ("csv", "kml", "nav", "pos")} <= names
-    figures = {f"{name}.png" for name in ("trajectory", "errors", "innovations", "nis", "biases")}
+    figures = {f"{name}.png" for name in ("trajectory", "errors", "innovations", "nis", "biases", "noise_scan")}
     assert names == {*figures, "metrics.json", "report.html", "run.json"} | {
         f"solution.{k}" for k in ("csv", "kml", "nav", "pos")
     }

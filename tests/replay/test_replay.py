@@ -20,7 +20,7 @@ from jaxnav.simulate.simulation import simulate_jit, to_recording
 KEPT = Path(__file__).with_name("solutions.json")
 RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
 SECONDS, POINTS = 40.0, 5
-SIMULATED = {"urban_short": "ekf15", "gipkf_urban": "ekf9"}
+SIMULATED = {"urban_short": "ekf15", "gipkf_urban": "ekf15_receiver"}
 RECORDED = {"kitti": "ekf15", "umn": "ekf15", "px4_fixed_wing": "ekf15", "comma2k19": "ekf15"}
 # what rounding on other processors may do: m, m/s, deg; and of each standard deviation
 FAR, CLOSE = {"enu_m": 2e-3, "vel_mps": 1e-3, "rph_deg": 1e-2}, 1e-3

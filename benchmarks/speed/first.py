@@ -38,7 +38,9 @@ def timed(argv: list[str], cache: Path, mark: str = "") -> tuple[float, float]:
 
 def main(argv: list[str]) -> None:
     """Print the table, write the JSON."""
-    args = options("first", __doc__ or "").parse_args(argv)
+    parser = options("first", __doc__ or "")
+    parser.add_argument("--filter", action="store_true", help="no further than the filter")
+    args = parser.parse_args(argv)
     verb = [sys.executable, "-m", "jaxnav"]
     found: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -48,12 +50,21 @@ def main(argv: list[str]) -> None:
         found["nothing"] = timed(NOTHING, home)[0]
         simulate = [*verb, "simulate", "--data", "urban", *TEN_MINUTES, "--out", str(home / "drive")]
         found["simulate_cold"] = timed(simulate, next(caches))[0]
-        cache = next(caches)
-        for name in ("filter_cold", "filter_warm"):
-            found[name] = timed([*verb, "filter", *drive, "--out", str(home / name)], cache)[0]
+        for grade in ("auto", "consumer"):
+            cache, named = next(caches), ["--set", f"filter.grade={grade}"]
+            for name in (f"filter_cold_{grade}", f"filter_warm_{grade}"):
+                found[name] = timed([*verb, "filter", *drive, *named, "--out", str(home / name)], cache)[0]
+        if args.filter:
+            finish(found, args.json)
+            return
         tune = [*verb, "tune", *drive, "--out", str(home / "tune")]
         found["tune_cold"], found["tune_first_step"] = timed(tune, next(caches), "evaluation 1")
         found["demo"] = timed([*verb, "demo", "--out", str(home / "demo")], next(caches))[0]
+    finish(found, args.json)
+
+
+def finish(found: dict[str, float], path: Path | None) -> None:
+    """Print the table, write the JSON."""
     rows = [[name, seconds, seconds / found["nothing"]] for name, seconds in found.items()]
     print(table(["", "s", "times nothing"], rows))
-    write_json(args.json, found | {"times_nothing": {name: ratio for name, _, ratio in rows}})
+    write_json(path, found | {"times_nothing": {name: ratio for name, _, ratio in rows}})

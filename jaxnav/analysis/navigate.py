@@ -24,6 +24,7 @@ from jaxnav.filters.parameters import history_for, installed
 from jaxnav.filters.run import first_failure, require_x64, run_jit
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.measurements import MEASUREMENTS, Measurement
+from jaxnav.states.grades import GRADES
 from jaxnav.types import DataError, Epoch, Info, Nav, Params, Recording, Track
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def navigate(
         ValueError: a run that stops being finite; says when.
     """
     found, named = None, params is not None
-    params, installation = installed(filt.params("consumer") if params is None else params, rec.lever_arm)
+    params, installation = installed(filt.params(GRADES["consumer"]) if params is None else params, rec.lever_arm)
     require_x64(params)
     if not named:
         found = scan_noise(rec, params, begin=begin, stop=stop, outages=outages)

@@ -132,3 +132,5 @@ def test_a_run_is_repeated_without_a_search(drive, tmp_path, monkeypatch):
     again = tmp_path / "again"
     assert cli.main(["filter", "--config", str(out / "run.json"), "--out", str(again), "--quiet"]) == 0
     assert (out / "solution.csv").read_text() == (again / "solution.csv").read_text()
+    stated = ["--set", "params.accel_ug_per_sqrt_hz=500", "--set", "out.figures=false"]  # as a tuned.toml does
+    assert cli.main(["filter", "--data", str(folder), "--out", str(tmp_path / "stated"), "--quiet", *stated]) == 0

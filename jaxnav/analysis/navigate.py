@@ -113,12 +113,12 @@ def navigate(
         DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
         ValueError: a run that stops being finite; says when.
     """
-    found, named = None, params is not None
-    params, installation = installed(filt.params(GRADES["consumer"]) if params is None else params, rec.lever_arm)
+    scan, stated = None, params
+    params, installation = installed(filt.params(GRADES["consumer"]) if stated is None else stated, rec.lever_arm)
     require_x64(params)
-    if not named:
-        found = scan_noise(rec, params, begin=begin, stop=stop, outages=outages)
-        params = found.applied(params)
+    if stated is None:
+        scan = scan_noise(rec, params, begin=begin, stop=stop, outages=outages)
+        params = scan.applied(params)
     begin = start(rec, params) if begin is None else begin
     params = begin.given(params)
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
@@ -147,14 +147,14 @@ def navigate(
         begin.how,
         about.words,
         installation,
-        "" if found is None else found.words,
+        "" if scan is None else scan.words,
         *remarks,
         *rec.notes.splitlines(),
         gaps.in_words(gaps.holes(rec.imu)),
     ]
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, windows, filt, about.best,
-        [note for note in notes if note], epochs, smooth, lag, found,
+        [note for note in notes if note], epochs, smooth, lag, scan,
     )  # fmt: skip
 
 

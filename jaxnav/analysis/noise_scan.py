@@ -13,9 +13,9 @@ grid of one common factor and the latency comes first, then boxes of 3 x 3 x 3 p
 fit to the last box gives the maximum.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,7 +38,6 @@ from jaxnav.types import Epoch, Nav, Noise, Params, Recording
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-AXES = ("noise", "latency")
 COMMON = np.arange(-0.5, 4.0, 0.5)  # log10 of the common factor, coarse grid
 LATENCIES = np.arange(-1, 8) / 10  # s, coarse grid
 AT_ONCE = 3  # latencies by one call of the compiled function
@@ -59,7 +58,7 @@ class NoiseScan(NamedTuple):
     gyro: float = 1.0  # factor on the white noise of the gyros
     accel: float = 1.0  # on that of the accelerometers
     latency: float = 0.0  # s
-    gain: float = 0.0  # of the mean log-likelihood of a fix, over factors of 1 and no latency
+    gain: float = 0.0  # of J / N, the penalized log-likelihood of a fix, over factors of 1 and no latency
     coarse: np.ndarray = np.zeros((0, 0))  # (L, C) J of the coarse grid, latency by common factor, 0 at its maximum
     grid: tuple[np.ndarray, np.ndarray] = (np.zeros(0), np.zeros(0))  # (L,) s and (C,) factors of it
     part: tuple[float, float] = (0.0, 0.0)  # s, whose fixes count
@@ -67,9 +66,8 @@ class NoiseScan(NamedTuple):
 
     def applied(self, params: Params) -> Params:
         """Return parameters with this noise and latency."""
-        noise = Noise(params.noise.gyro * self.gyro, params.noise.accel * self.accel)
         mounting = params.mounting._replace(time_offset=params.mounting.time_offset + self.latency)
-        return params._replace(noise=noise, mounting=mounting)
+        return params._replace(noise=_scaled(params.noise, self.gyro, self.accel), mounting=mounting)
 
     @property
     def words(self) -> str:
@@ -105,36 +103,35 @@ class NoiseScan(NamedTuple):
 # ---------------------------------------------------------------------------- the objective
 
 
-class _Cut(NamedTuple):
-    """Epochs (L, E, ...) with the fixes moved by a latency each."""
-
-    epochs: Epoch
-    counted: np.ndarray  # (L, E) bool, epochs whose fixes count
-
-
 @partial(jax.jit, static_argnums=0)
-def _mean_log_likelihood(filt: Filter, params: Params, nav: Nav, cut: _Cut, factors: jax.Array) -> jax.Array:
+def _mean_log_likelihood(
+    filt: Filter, params: Params, nav: Nav, epochs: Epoch, counted: jax.Array, factors: jax.Array
+) -> jax.Array:
     """Return the mean log-likelihood of a fix (L, P).
 
     Args:
         filt: the filter.
         params: its parameters, with factors of 1.
         nav: initial navigation.
-        cut: epochs.
+        epochs: (L, E, ...), with the fixes moved by a latency each.
+        counted: (L, E) bool, epochs whose fixes count.
         factors: (P, 2) on the white noise of gyros and accelerometers.
     """
 
-    def record(step: Step, beside: None) -> jax.Array:
+    def record(step: Step, along: None) -> jax.Array:
         info = step.info
         nll = student_nll(info.nis, info.valid.sum(), info.valid.size) + 0.5 * linalg.log_determinant(info.S)
         return jnp.where(info.ok, -nll, -jnp.inf)
 
-    def one(cut: _Cut, factor: jax.Array) -> jax.Array:
-        noise = Noise(params.noise.gyro * factor[0], params.noise.accel * factor[1])
-        density = run(filt, params._replace(noise=noise), nav, cut.epochs, record)
-        return jnp.where(cut.counted, density, 0.0).sum() / jnp.maximum(cut.counted.sum(), 1)
+    def one(epochs: Epoch, counted: jax.Array, factor: jax.Array) -> jax.Array:
+        density = run(filt, params._replace(noise=_scaled(params.noise, *factor)), nav, epochs, record)
+        return jnp.where(counted, density, 0.0).sum() / jnp.maximum(counted.sum(), 1)
 
-    return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(cut, factors)
+    return jax.vmap(jax.vmap(one, (None, None, 0)), (0, 0, None))(epochs, counted, factors)
+
+
+def _scaled(noise: Noise, gyro: Any, accel: Any) -> Noise:
+    return Noise(noise.gyro * gyro, noise.accel * accel)
 
 
 class _Objective:
@@ -177,8 +174,8 @@ class _Objective:
         parts = [self.at(float(latency)) for latency in latencies]
         epochs = ep.stack_epochs([ep.grown(epochs, *self.size) for epochs, _ in parts])
         counted = np.stack([np.pad(c, (0, self.size[0] - c.size)) for _, c in parts])
-        cut = _Cut(prepare(self.filt, epochs), counted)
-        mean = np.asarray(_mean_log_likelihood(self.filt, self.params, self.nav, cut, 10.0**logs))
+        epochs = prepare(self.filt, epochs)
+        mean = np.asarray(_mean_log_likelihood(self.filt, self.params, self.nav, epochs, counted, 10.0**logs))
         noise = ((logs[:, 0] - logs[:, 1]) / RATIO_SD) ** 2 + (logs.mean(1) / COMMON_SD) ** 2
         return self.effective * mean - 0.5 * noise - 0.5 * (latencies[:, None] / LATENCY_SD) ** 2
 
@@ -220,17 +217,19 @@ def scan_noise(
     begin: Start | None = None,
     stop: float | None = None,
     outages: Sequence[Sequence[float]] = (),
-    free: Collection[str] = AXES,
 ) -> NoiseScan:
     """Choose the IMU's white noise and the latency of the fixes by the likelihood of the innovations.
 
     Args:
         rec: the recording, with positions.
-        params: parameters with the datasheet's noise, such as ``filt.params("consumer")``, and the lever arm.
+        params: parameters with the datasheet's noise, such as ``filt.params("consumer")``, and the lever arm (m, body
+            FRD). A latency that they state or estimate stays.
         begin: where navigation starts, by default `jaxnav.start`; after a long standstill the scan begins later.
         stop: s, end of what may be looked at.
         outages: (start, end) s, windows whose fixes are hidden.
-        free: of "noise" and "latency", what is chosen; a latency only where ``params`` states none.
+
+    Returns:
+        Factors on the root PSD of ``params.noise`` and the latency (s); factors of 1 where there are too few fixes.
 
     Raises:
         DataError: a recording that cannot be started from or cut.
@@ -239,19 +238,16 @@ def scan_noise(
     last = min(np.inf if stop is None else stop, float(rec.aiding["position"].t[-1]), float(rec.imu.t[-1]))
     begin = _in_motion(rec, params, begin, last)
     end = min(begin.t + WARM_UP_S + SCANNED_S, last)
-    scale = np.array(["noise" in free, "noise" in free, "latency" in free and not _timed(params)])
-    if not scale.any():
-        return NoiseScan()
     objective = _Objective(rec, params, begin, end, outages)
     fixes = int(objective.at(0.0)[1].sum())
     if fixes < LEAST_FIXES:
         return NoiseScan()
-    common, latencies = COMMON * scale[0], LATENCIES * scale[2]
-    logs = np.stack([common, common], 1)
-    calls = range(0, latencies.size if scale[2] else AT_ONCE, AT_ONCE)
-    coarse = np.concatenate([objective(latencies[i : i + AT_ONCE], logs) for i in calls])
+    latencies, free = (np.zeros(AT_ONCE), 0.0) if _timed(params) else (LATENCIES, 1.0)
+    scale = np.array([1.0, 1.0, free])  # of the steps
+    logs = np.stack([COMMON, COMMON], 1)
+    coarse = np.concatenate([objective(latencies[i : i + AT_ONCE], logs) for i in range(0, latencies.size, AT_ONCE)])
     i, j = np.unravel_index(np.argmax(coarse), coarse.shape)
-    centre = np.array([common[j], common[j], latencies[i]])
+    centre = np.array([COMMON[j], COMMON[j], latencies[i]])
     for _ in range(MOST_BOXES):
         points = objective.box(centre, scale * COARSE_BOX)
         best = points[np.argmax(points[:, 3]), :3]
@@ -260,9 +256,9 @@ def scan_noise(
         centre = best
     fine = objective.box(centre, scale * FINE_BOX)
     gyro, accel, latency = _vertex(fine, centre, scale * FINE_BOX)
-    datasheet = objective(np.zeros(AT_ONCE), np.zeros((COMMON.size, 2)))[0, 0]
+    datasheet = coarse[np.argmin(np.abs(latencies)), np.argmin(np.abs(COMMON))]
     gain = float(fine[:, 3].max() - datasheet) / objective.effective
-    grid = latencies[: len(coarse)], 10.0**common
+    grid = latencies, 10.0**COMMON
     factors, part = (float(10**gyro), float(10**accel)), (objective.first, end)
     return NoiseScan(*factors, float(latency), gain, coarse - coarse.max(), grid, part, fixes)
 

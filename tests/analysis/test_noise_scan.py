@@ -7,7 +7,7 @@ import pytest
 
 from jaxnav import build, navigate, scan_noise, start
 from jaxnav.analysis import noise_scan
-from jaxnav.analysis.noise_scan import FINE_BOX, NoiseScan, _in_motion, _vertex
+from jaxnav.analysis.noise_scan import FINE_BOX, _in_motion, _vertex
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import load
@@ -59,10 +59,8 @@ def test_a_receiver_fault_is_no_noise(drive):
 def test_what_is_stated_stays(drive):
     params = with_arm(drive)
     stated = params._replace(mounting=params.mounting._replace(time_offset=np.asarray(0.05)))
-    assert scan_noise(drive, stated).latency == 0.0
-    alone = scan_noise(drive, params, free=("latency",))
-    assert alone.gyro == alone.accel == 1.0 and alone.latency == pytest.approx(LATENCY, abs=0.05)
-    assert scan_noise(drive, params, free=()) == NoiseScan()
+    found = scan_noise(drive, stated)
+    assert found.latency == 0.0 and found.accel > 3.0 and float(found.applied(stated).mounting.time_offset) == 0.05
 
 
 def test_a_few_fixes_are_too_few(drive):
@@ -78,9 +76,7 @@ def test_it_begins_where_the_vehicle_moves():
         **{f: np.concatenate([np.repeat(getattr(s, f)[:1], 400, 0), getattr(s, f)]) for f in ("value", "sd", "corr")},
     )
     position = parked(rec.aiding["position"])
-    still = Samples(position.t, *(np.zeros_like(position.value) for _ in range(3)))
-    velocity = rec.aiding["velocity"]
-    value = np.concatenate([still.value[:400], velocity.value])
+    value = np.concatenate([np.zeros((400, 3)), rec.aiding["velocity"].value])
     velocity = Samples(position.t, value, np.full_like(value, 0.1), np.zeros_like(value))
     imu, n = rec.imu, 10_000
     rest = lambda a: np.repeat(np.median(a[:50], 0)[None], n, 0)

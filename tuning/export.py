@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxnav.data import atomic_write
 from jaxnav.maths import units
-from jaxnav.measurements import MEASUREMENTS
+from jaxnav.measurements import Measurement
 from jaxnav.types import Fix, Params, StateParams
 
 ONE_CORRELATION_TIME = 4 * units.HOUR  # s, what stands for a random walk where only a Gauss-Markov process can be told
@@ -87,7 +87,7 @@ def navego_fields(params: Params) -> str:
 # ---------------------------------------------------------------------------- autopilots and ROS
 
 EKF2_STEP, EKF3_STEP = 0.010, 0.012
-"""s, of the predictions of PX4 and of ArduPilot: a noise s adds (s dt)^2 at each, which is q^2 dt for a density."""
+"""s, prediction steps of PX4's and ArduPilot's filters: a noise s adds (s dt)^2 at each, which is q^2 dt for a density."""
 
 
 class StatedSd(NamedTuple):
@@ -97,15 +97,21 @@ class StatedSd(NamedTuple):
     velocity: float = 0.3  # m/s
 
 
-def stated_sd(fix: Fix, measurements: Sequence[str]) -> StatedSd:
-    """Return the medians of the horizontal sd that fixes (E, m) of a filter with these measurements state."""
-    found, first = {}, 0
-    for name in measurements:
-        valid = np.asarray(fix.valid)[:, first]
-        if name in StatedSd._fields and valid.any():
-            found[name] = float(np.median(np.asarray(fix.sd)[valid, first : first + 2].max(1)))
-        first += MEASUREMENTS[name].size
-    return StatedSd(**found)
+def stated_sd(sd: Mapping[str, np.ndarray]) -> StatedSd:
+    """Return the median horizontal sd of the fixes of a receiver.
+
+    Args:
+        sd: (N, 3) in ENU by stream, m of "position" and m/s of "velocity"; other streams do not count.
+    """
+    rows = {name: np.asarray(a) for name, a in sd.items() if name in StatedSd._fields and len(a)}
+    return StatedSd(**{name: float(np.median(a[:, :2].max(1))) for name, a in rows.items()})
+
+
+def sd_by_stream(fix: Fix, measurements: Sequence[Measurement]) -> dict[str, np.ndarray]:
+    """Return the sd (N, size) of the valid fixes (..., m) of a filter, by measurement."""
+    sd, valid = (np.asarray(a).reshape(-1, np.shape(a)[-1]) for a in (fix.sd, fix.valid))
+    ends = np.cumsum([m.size for m in measurements])
+    return {m.name: sd[valid[:, end - m.size], end - m.size : end] for m, end in zip(measurements, ends, strict=True)}
 
 
 def _per_step(q: Any, step: float) -> float:
@@ -207,13 +213,13 @@ EXPORTS: dict[str, Callable[[Params, StatedSd], str]] = {
 """Files that `jaxnav tune` writes beside tuned.toml: a new one is a function and a line here."""
 
 
-def write_exports(folder: Path, head: str, params: Params, stated: StatedSd = StatedSd()) -> None:
+def write_exports(folder: Path, head: str, params: Params, stated: StatedSd) -> None:
     """Write them all, ``head`` as a comment on top."""
     for name in EXPORTS:
         write_export(folder, name, head, params, stated)
 
 
-def write_export(folder: Path, name: str, head: str, params: Params, stated: StatedSd = StatedSd()) -> None:
+def write_export(folder: Path, name: str, head: str, params: Params, stated: StatedSd) -> None:
     """Write one of `EXPORTS`."""
     mark = "%" if name.endswith(".m") else "#"
     atomic_write(folder / name, f"{mark} {head}\n{EXPORTS[name](params, stated)}")

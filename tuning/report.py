@@ -12,8 +12,9 @@ from jaxnav.data.json import to_json, write_json
 from jaxnav.data.toml import to_toml
 from jaxnav.filters.border import in_user_units, noise_leaves, override
 from jaxnav.filters.parameters import get
+from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import DataError, Params
-from tuning.export import stated_sd, write_exports
+from tuning.export import sd_by_stream, stated_sd, write_exports
 
 if TYPE_CHECKING:
     from jaxnav.data.epochs import Packed
@@ -137,7 +138,8 @@ def write(found: "Tuned", folder: Path, states: Sequence[str] = (), exports: boo
             text = f"# jaxnav tune: {used.name}, which has some of its own\n" + to_toml(params | {"params": said})
             atomic_write(folder / f"tuned_{number}.toml", text)
     if exports:
-        stated = stated_sd(found.used[0].packed.epochs.fix, found.filter.model.measurements)
+        rows = tuple(MEASUREMENTS[name] for name in found.filter.model.measurements)
+        stated = stated_sd(sd_by_stream(found.used[0].packed.epochs.fix, rows))
         write_exports(folder, f"jaxnav tune: {about}", found.params, stated)
     atomic_write(folder / "history.jsonl", "\n".join(to_json(row) for row in found.history) + "\n")
     write_json(folder / "metrics.json", metrics(found))

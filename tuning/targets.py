@@ -57,7 +57,8 @@ def _export(name: str) -> Callable[[Path, Recording, Params, Start], None]:
     """A writer of one file of `tuning.export.EXPORTS`."""
 
     def write(folder: Path, rec: Recording, params: Params, begin: Start) -> None:
-        export.write_export(folder, name, f"jaxnav tune --for: {rec.name}", params)
+        stated = export.stated_sd({stream: samples.sd for stream, samples in rec.aiding.items()})
+        export.write_export(folder, name, f"jaxnav tune --for: {rec.name}", params, stated)
 
     return write
 

@@ -1,4 +1,4 @@
-"""Faults of a receiver, twenty-five kinds: rules beside a filter that is told when the receiver is wrong.
+"""Faults of a receiver, twenty-five kinds: rules compared with a filter that knows the time of the fault.
 
 A simulated drive of 200 s with a consumer's IMU, position and velocity of one receiver at 5 Hz; from 90 s on it is
 faulty. Nineteen kinds were in sight when the hypotheses of `ekf15_receiver` were made, six were written after that.
@@ -76,7 +76,7 @@ UNSEEN = {
 }  # fmt: skip
 KINDS = SEEN | UNSEEN
 RULES = ("ekf15", "ekf15_gate", "ekf15_student", "ekf15_receiver")
-TOLD = "told"
+TOLD = "known time"
 
 
 def scenario():
@@ -148,7 +148,7 @@ def draw(worst: dict[str, dict[str, float]], path: Path) -> None:
              "ekf15_student": ("tab:green", "^"), "ekf15_receiver": (plots.BLUE, "o")}  # fmt: skip
     for name, (colour, mark) in marks.items():
         ax.plot([worst[k][name] for k in kinds], range(len(kinds)), mark, color=colour, ms=12 if mark == "|" else 6,
-                mew=2 if mark == "|" else 1, label="told when" if name == TOLD else name)  # fmt: skip
+                mew=2 if mark == "|" else 1, label=name)  # fmt: skip
     ax.set_xscale("log")
     ax.set_yticks(range(len(kinds)), [f"{k} *" if k in UNSEEN else k for k in kinds], fontsize=8)
     ax.legend(loc="lower right", fontsize=8)
@@ -177,7 +177,7 @@ def main(argv: list[str]) -> None:
     }  # fmt: skip
     rows = [[k, *(worst[k][n] for n in (TOLD, *RULES)), worst[k]["ekf15_receiver"] / worst[k][TOLD]] for k in found]
     print(table(["fault", TOLD, *RULES, "ratio"], rows))
-    heads = ["", "largest ratio to told", "unseen kinds", "runs lost", "RMS without faults"]
+    heads = ["", "largest ratio to known time", "unseen kinds", "runs lost", "RMS without faults"]
     print(table(heads, [[n, *r.values()] for n, r in robust.items()]))
     if args.figure:
         draw(worst, args.figure)

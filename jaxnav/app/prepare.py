@@ -126,12 +126,11 @@ def prepare(config: Config, tuned: bool = False, scanned: bool = False) -> Ready
     grade, measurements = grade_of(config, scenario), measurements_of(config)
     rec, sim = load(config)
     params = base_params(config, grade, rec.lever_arm)
-    begun = start_of(config, rec, params)
     noise = None
     if scanned and grade_name(config, scenario) == AUTO and not states_noise(config):
-        config, noise = with_noise(config, rec, params, begun)
+        config, noise = with_noise(config, rec, params, start_of(config, rec, params))
         params = base_params(config, grade, rec.lever_arm)
-        begun = start_of(config, rec, params)
+    begun = start_of(config, rec, params)
     params, first = begun.given(params), begun.navs
     interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
     packed = ep.pack_recording(rec, measurements, begun.t, interval, config.data.stop, standing_of(config))
@@ -156,9 +155,9 @@ def states_noise(config: Config) -> bool:
     return any(getattr(config.params, NAMES[leaf]) is not None for leaf in NOISE)
 
 
-def with_noise(config: Config, rec: Recording, params: Params, begun: Start) -> tuple[Config, NoiseScan]:
+def with_noise(config: Config, rec: Recording, params: Params, initial: Start) -> tuple[Config, NoiseScan]:
     """Return the configuration with the noise and the latency that a recording shows, and the scan."""
-    found = scan_noise(rec, params, begin=begun, stop=config.data.stop, outages=config.filter.outages)
+    found = scan_noise(rec, params, begin=initial, stop=config.data.stop, outages=config.filter.outages)
     after, values = found.applied(params), dict[str, Any]()
     for leaf in (*NOISE, "mounting.time_offset"):
         value = np.asarray(get(after, leaf)) / UNITS[leaf].factor

@@ -21,7 +21,7 @@ from jaxnav.filters.border import in_user_units, name_of, noise_leaves, user_val
 from jaxnav.filters.run import track
 from jaxnav.states.table import BIASES
 from jaxnav.types import Samples, Track
-from tuning.export import write_exports
+from tuning.export import sd_by_stream, stated_sd, write_exports
 from tuning.train import Fit
 from tuning.validation import PairedGain
 
@@ -129,7 +129,8 @@ def write(folder: Path, material: Material, found: Fit, leaves: list[str], resul
     vague = [name for name, p in result.get("parameters", {}).items() if not p["identified"]]
     doubt = f"# not determined by the data, any value near it will do: {', '.join(vague)}\n" if vague else ""
     atomic_write(folder / "tuned.toml", head + doubt + to_toml(params))
-    write_exports(folder, f"jaxnav tune: {material.about}", found.params)
+    stated = stated_sd(sd_by_stream(material.test.epochs.fix, material.measurements))
+    write_exports(folder, f"jaxnav tune: {material.about}", found.params, stated)
     rows = [to_json(row) for row in user_history(found.history)]
     atomic_write(folder / "history.jsonl", "\n".join(rows) + "\n" if rows else "")
     write_json(folder / "metrics.json", result)

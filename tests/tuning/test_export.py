@@ -7,6 +7,7 @@ import pytest
 
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.maths import units
+from jaxnav.measurements import MEASUREMENTS
 from jaxnav.states.grades import GRADES
 from jaxnav.types import Fix
 from tests.conftest import told
@@ -20,6 +21,7 @@ from tuning.export import (
     navego_fields,
     px4_params,
     robot_localization_yaml,
+    sd_by_stream,
     stated_sd,
     write_exports,
 )
@@ -118,8 +120,10 @@ def test_stated_sd_are_medians_of_the_recordings():
     valid = np.ones((5, 7), bool)
     sd[0], valid[0] = 1e3, False  # no fix
     fix = Fix(np.zeros((5, 7)), sd, np.zeros((5, 7)), valid)
-    assert stated_sd(fix, ("position", "barometer", "velocity")) == StatedSd(0.03, 0.2)
-    assert stated_sd(fix, ("position", "barometer")) == StatedSd(0.03)
+    names = ("position", "barometer", "velocity")
+    by = sd_by_stream(fix, tuple(MEASUREMENTS[name] for name in names))
+    assert {name: a.shape for name, a in by.items()} == {"position": (4, 3), "barometer": (4, 1), "velocity": (4, 3)}
+    assert stated_sd(by) == StatedSd(0.03, 0.2) and stated_sd({"position": by["position"]}) == StatedSd(0.03)
     assert settings(px4_params(noise(1e-4, 1e-3, 1e-6, 1e-5, position_scale=2.0), StatedSd(0.03)))[
         "EKF2_GPS_P_NOISE"
     ] == pytest.approx(0.06)
@@ -129,6 +133,6 @@ def test_robot_localization_gets_the_variance_of_a_sample(tmp_path):
     text = robot_localization_yaml(noise(1e-4, 1e-3, 0.0, 0.0), imu_rate_hz=50.0)
     assert "angular_velocity_covariance_diagonal: [5e-07, 5e-07, 5e-07]" in text
     assert "linear_acceleration_covariance_diagonal: [5e-05, 5e-05, 5e-05]" in text
-    write_exports(tmp_path, "a head", noise(1e-4, 1e-3, 1e-6, 1e-5))
+    write_exports(tmp_path, "a head", noise(1e-4, 1e-3, 1e-6, 1e-5), StatedSd())
     assert {p.name for p in tmp_path.iterdir()} == set(EXPORTS)
     assert all(p.read_text()[2:8] == "a head" for p in tmp_path.iterdir())

@@ -87,7 +87,7 @@ def navego_fields(params: Params) -> str:
 # ---------------------------------------------------------------------------- autopilots and ROS
 
 EKF2_STEP, EKF3_STEP = 0.010, 0.012
-"""s, prediction steps of PX4's and ArduPilot's filters: a noise s adds (s dt)^2 at each, which is q^2 dt for a density."""
+"""s, prediction steps of PX4 and ArduPilot: a noise s adds (s dt)^2 at each, which is q^2 dt for a density."""
 
 
 class StatedSd(NamedTuple):

@@ -44,6 +44,9 @@ def test_it_finds_noise_and_latency(drive):
     assert float(params.mounting.time_offset) == pytest.approx(found.latency)
     np.testing.assert_allclose(params.noise.accel / EKF.params("consumer").noise.accel, found.accel)
     assert found.coarse.shape == (9, 9) and found.coarse.max() == 0.0
+    N = (found.part[1] - found.part[0]) / noise_scan.CORRELATION_S
+    at = [int(np.argmin(np.abs(axis - value))) for axis, value in zip(found.grid, (0.0, 1.0), strict=True)]
+    assert 0.0 <= N * found.gain + found.coarse[*at] < 1.0  # what the boxes add to the coarse grid
     assert f"{found.latency:.2f} s late" in found.words and found.figure().axes
 
 
@@ -54,6 +57,15 @@ def test_a_receiver_fault_is_no_noise(drive):
     faulty = drive._replace(aiding=drive.aiding | {"position": position._replace(value=far)})
     sound, found = (scan_noise(rec, with_arm(rec)) for rec in (drive, faulty))
     assert found.accel < 2.5 * sound.accel and found.latency == pytest.approx(LATENCY, abs=0.1)
+
+
+def test_hidden_fixes_are_not_looked_at(drive):
+    hidden, position = (60.0, 75.0), drive.aiding["position"]
+    far = position.value.copy()
+    far[(position.t > 61.0) & (position.t < 74.0), 0] += 1e-4  # 600 m, inside of the window by more than any latency
+    changed = drive._replace(aiding=drive.aiding | {"position": position._replace(value=far)})
+    one, other = (scan_noise(rec, with_arm(rec), outages=[hidden]) for rec in (drive, changed))
+    assert one[:4] == other[:4]
 
 
 def test_what_is_stated_stays(drive):

@@ -18,17 +18,18 @@ from jaxnav.analysis import evaluate
 from jaxnav.analysis.noise_scan import scan_noise
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.tables import table
-from jaxnav.analysis.windows import drift, hidden_windows
+from jaxnav.analysis.windows import Windows, drift, hidden_windows
 from jaxnav.data import epochs as ep
 from jaxnav.data.bank import most_probable
 from jaxnav.data.start import Start, start
 from jaxnav.filters.catalogue import rows
 from jaxnav.filters.compiler import make_room
+from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, installed
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS
-from jaxnav.types import DataError, Params, Recording
+from jaxnav.types import DataError, Info, Params, Recording
 from tuning.recorded import tune
 
 RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
@@ -96,17 +97,25 @@ def one(name: str, path: Path, tracks: dict | None) -> dict:
     return out
 
 
+def hidden_drift(
+    rec: Recording, filt: Filter, params: Params, begin: Start, length: float, every: float
+) -> tuple[ep.Packed, Windows, np.ndarray, Info]:
+    """Return epochs, windows of ``length`` s each ``every`` s, estimate minus fix at their ends (W, 3) m, and runs."""
+    params, chosen = begin.given(params), rows(filt.model.measurements)
+    filt = filt.keeping(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
+    packed = ep.pack_recording(rec, chosen, begin.t)
+    windows = hidden_windows(packed, length, every, PHASES, SETTLE)
+    nav = most_probable(filt, params, begin.navs, packed.epochs)
+    return packed, windows, *drift(filt, params, nav, packed.epochs, windows, chosen)
+
+
 def drifts(rec: Recording, sensors: tuple[str, ...], states: tuple[str, ...], window: float) -> np.ndarray:
     """Estimate minus fix at the ends of the windows, (W, 3) m ENU."""
     make_room()
     streams = [key for key in ("position", "velocity") if key in rec.aiding]
     filt = build("ekf15", (*streams, *sensors), cov_stride=5, states=states)
-    begin = start(rec, filt.params("consumer"))
-    params, chosen = begin.given(filt.params("consumer")), rows((*streams, *sensors))
-    packed = ep.pack_recording(rec, chosen, begin.t)
-    windows = hidden_windows(packed, window, 2 * window, PHASES, SETTLE)
-    nav = most_probable(filt, params, begin.navs, packed.epochs)
-    return drift(filt, params, nav, packed.epochs, windows, chosen)[0]
+    params = filt.params("consumer")
+    return hidden_drift(rec, filt, params, start(rec, params), window, 2 * window)[2]
 
 
 def sensors_of(rec: Recording) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
@@ -206,12 +215,8 @@ CHI2_2 = 5.99  # 95 % of chi-square with two degrees of freedom
 def judged(rec: Recording, params: Params, begin: Start, split: float) -> dict:
     """Hidden windows after ``split`` s by these parameters: RMS m, error / stated sd, share inside 95 %, NIS / dof."""
     filt = build("ekf15", [key for key in ("position", "velocity") if key in rec.aiding], cov_stride=5)
-    params, chosen = begin.given(params), rows(filt.model.measurements)
-    filt = filt.keeping(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
-    packed, length = ep.pack_recording(rec, chosen, begin.t), window_of(rec)
-    windows = hidden_windows(packed, length, 3 * length, PHASES, SETTLE)
-    nav = most_probable(filt, params, begin.navs, packed.epochs)
-    error, info = drift(filt, params, nav, packed.epochs, windows, chosen)
+    length = window_of(rec)
+    packed, windows, error, info = hidden_drift(rec, filt, params, begin, length, 3 * length)
     late, after = windows.start > split, packed.t > split
     at = windows.end[late]
     sd = np.asarray(packed.epochs.fix.sd)[at, :2]

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from jaxnav.analysis.windows import position_noise
 from jaxnav.data import epochs as ep
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.run import run
@@ -16,10 +17,10 @@ from jaxnav.measurements import MEASUREMENTS
 from jaxnav.states import table
 from jaxnav.types import Epoch, Info, Nav, Params
 from tuning.parts import Used, ages
+from tuning.priors import kind_of
 from tuning.transforms import Spec, join, split
 from tuning.uncertainty import Information, gaussian, information, pushed, rejected
 
-TINY = 1e-4  # of an sd: a parameter that is held
 SLOW = "gnss_position_error"
 
 
@@ -57,13 +58,13 @@ def _evidence(
 ) -> tuple[Evidence, Evidence]:  # fmt: skip
     """Of innovations and of hidden fixes; valid (P, E, m), keep (P, E), at and there (P, A), sd (P, A, 3)."""
     spec, (_, back) = dict(items), ravel_pytree(like)
-    keep_seen = partial(_keep, table.layout(table.chosen(filt.model.states)).get(SLOW))
+    keep_seen = partial(_keep, slow_errors(filt))
 
     def phase(valid, keep, at, there, sd):
         def outputs(r):
             own = join(spec, back(r), params)
             seen = run(filt, own, nav, epochs._replace(fix=epochs.fix._replace(valid=valid)), keep_seen)
-            C = seen.P[at] + noise_of(own, sd)
+            C = seen.P[at] + position_noise(own, sd)
             return (seen.nu, seen.S, seen.residual[at], C), (seen.valid, seen.far, seen.ok)
 
         ((nu, S, y, C), (seen, outlying, ok)), (dnu, dS, dy, dC) = pushed(outputs, flat)
@@ -94,13 +95,6 @@ def _scores(
     return information(lambda r: run(filt, join(spec, back(r), params), nav, epochs), flat, keep, block, count)
 
 
-def noise_of(params: Params, sd: jax.Array) -> jax.Array:
-    """Covariances (A, 3, 3) m^2, ENU, of the white noise of positions whose receiver states ``sd`` (A, 3) m."""
-    scale = params.measurements["position"].scale
-    size = jnp.linalg.norm(scale, axis=-1) if jnp.ndim(scale) == 2 else jnp.broadcast_to(scale, (3,))
-    return jax.vmap(jnp.diag)((size * sd) ** 2)
-
-
 @jax.jit
 def _nll(nu: jax.Array, S: jax.Array, valid: jax.Array, heavy: jax.Array) -> jax.Array:
     """Of residuals (A, m), each alone."""
@@ -115,7 +109,7 @@ def predicted(filt: Filter, params: Sequence[Params], used: Sequence[Used], info
     Mean negative log-likelihood of an innovation, plus that of a hidden fix by a Student t; ``infos`` (P, E, ...) of
     its runs with hidden windows.
     """
-    slow = table.layout(table.chosen(filt.model.states)).get(SLOW)
+    slow = slow_errors(filt)
     shown: list[list[np.ndarray]] = [[], []]
     for own, u, info in zip(params, used, infos, strict=True):
         part = (u.t > u.layout.train + ep.TICK) & (u.t <= u.layout.validation + ep.TICK)
@@ -128,13 +122,18 @@ def predicted(filt: Filter, params: Sequence[Params], used: Sequence[Used], info
         phase, column = np.nonzero(known)
         epoch = at[phase, column]
         sd = jnp.asarray(np.asarray(u.packed.epochs.fix.sd)[epoch, :3])
-        C = seen_by_position(jnp.asarray(np.asarray(info.P)[phase, epoch]), slow) + noise_of(own, sd)
+        C = seen_by_position(jnp.asarray(np.asarray(info.P)[phase, epoch]), slow) + position_noise(own, sd)
         y = jnp.asarray(np.asarray(info.residual)[phase, epoch, :3])
         every = jnp.ones(y.shape, bool)
         hidden = _nll(y, C, every, every[:, 0])
         for into, values in zip(shown, (innovations, hidden), strict=True):
             into.append(np.where(lost, np.inf, np.asarray(values)))
     return float(sum(np.mean(np.concatenate(values)) for values in shown))
+
+
+def slow_errors(filt: Filter) -> slice | None:
+    """Return where a filter's covariance has the slow errors of a receiver, None where it has none."""
+    return table.layout(table.chosen(filt.model.states)).get(SLOW)
 
 
 def seen_by_position(P: jax.Array, slow: slice | None) -> jax.Array:
@@ -205,7 +204,7 @@ class Job:
         self.parts = [p._replace(at=wide(p.at), there=wide(p.there), sd=wide(p.sd)) for p in parts]
         lengths = [float(u.layout.train - u.packed.start - u.layout.settle) / u.layout.window for u in used]
         self.effective = max(1.0, sum(lengths)) if observations is None else observations
-        self.flat = self.centre = self.numbers([u.sheet for u in used])
+        self.flat = self.centre = self.numbers([u.sheet for u in used])  # centre of the priors
         self.width = np.array([_width(spec, self.leaves[i]) for i in self.origin])
 
     def evidence(self, flat: jax.Array) -> tuple[Evidence, Evidence]:
@@ -223,18 +222,15 @@ class Job:
         together = [tuple(among_all(e, at) for e in both) for at, both in zip(self.places, found, strict=True)]
         return jax.tree.map(lambda *each: sum(each), *together)
 
-    def objective(self, horizon: bool = True, held: Sequence[str] = ()) -> Callable[[jax.Array], Information]:
+    def objective(self) -> Callable[[jax.Array], Information]:
         """J and its information, as `tuning.scoring.maximise` takes it."""
-        names = [self.leaves[i] for i in self.origin]
-        width = np.where(np.isin(names, held), TINY * self.width, self.width)
 
         def inform(flat: jax.Array) -> Information:
-            parts = self.evidence(flat)[: 2 if horizon else 1]
-            mean = [jax.tree.map(lambda a, e=e: a / jnp.maximum(e.number, 1), e) for e in parts]
-            off = (flat - self.centre) / width
+            mean = [jax.tree.map(lambda a, e=e: a / jnp.maximum(e.number, 1), e) for e in self.evidence(flat)]
+            off = (flat - self.centre) / self.width
             value = self.effective * sum(e.value for e in mean) + 0.5 * jnp.sum(off**2)
-            score = self.effective * sum(e.score for e in mean) + off / width
-            fisher = self.effective * sum(e.fisher for e in mean) + jnp.diag(1 / jnp.asarray(width) ** 2)
+            score = self.effective * sum(e.score for e in mean) + off / self.width
+            fisher = self.effective * sum(e.fisher for e in mean) + jnp.diag(1 / jnp.asarray(self.width) ** 2)
             return Information(value, score, fisher, jnp.zeros((1, flat.size)))
 
         return inform
@@ -266,15 +262,22 @@ class Job:
         spread = np.diag(axes.T @ (meat * np.outer(self.width, self.width)) @ axes)
         return epochs / float(np.mean(spread[told] / values[told]))
 
+    def centre_delays(self, flat: jax.Array) -> None:
+        """Centre the priors of the delays at numbers (G,)."""
+        time = np.array([kind_of(self.leaves[i]) == "time" for i in self.origin])
+        self.centre = jnp.where(time, flat, self.centre)
+
     def numbers(self, params: Sequence[Params]) -> jax.Array:
-        """The unconstrained numbers (G,) of parameters, those of each recording; what they lack is the datasheet's."""
-        flat = np.zeros(self.owner.size)
-        for at, own, used in reversed(
-            list(zip(self.places, params, self.used, strict=True))
-        ):  # what is shared: the first's
-            states = used.sheet.states | own.states
-            flat[at] = np.asarray(ravel_pytree(split(self.spec, own._replace(states=states)))[0])
-        return jnp.asarray(flat)
+        """Return the unconstrained numbers (G,) of parameters, those of each recording; the mean of what is shared.
+
+        States that they lack have the datasheet's.
+        """
+        total, count = np.zeros(self.owner.size), np.zeros(self.owner.size)
+        for at, own, used in zip(self.places, params, self.used, strict=True):
+            whole = own._replace(states=used.sheet.states | own.states)
+            total[at] += np.asarray(ravel_pytree(split(self.spec, whole))[0])
+            count[at] += 1
+        return jnp.asarray(total / count)
 
     def params(self, flat: jax.Array, recording: int = 0) -> Params:
         """The parameters that numbers (G,) stand for in a recording."""

@@ -11,11 +11,11 @@ where a receiver's errors are not, and then no prior would weigh anything beside
 the mean negative log-likelihood of hidden fixes at several ages of hidden windows, by a Student t, a proper score of
 what users of a filter care about. Both have an information matrix, so that the method of scoring minimises J.
 
-The search starts from the datasheet and from where the likelihood alone leads while receiver and clock are held. Where
-the position's innovations are correlated from fix to fix, as of a receiver whose errors are slow, a filter that
-estimates them (`gnss_position_error`) is tuned as well. The candidate that predicts the validation part best, its
-innovations and its hidden fixes, wins, unless the datasheet predicts better or drifts less over the hidden windows of
-training and validation. The winner is judged once, on the test.
+The search starts at the noise scan's numbers (`jaxnav.analysis.noise_scan`, of the training part), and the prior of a
+delay is centred there. Where the position's innovations are correlated from fix to fix, as of a receiver whose errors
+are slow, a filter that estimates them (`gnss_position_error`) is tuned as well. The candidate that predicts the
+validation part best, its innovations and its hidden fixes, wins, if neither the datasheet nor the scan drifts less over
+the hidden windows of training and validation. The winner is judged once, on the test.
 """
 
 import math
@@ -28,6 +28,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.analysis.windows import drift
 from jaxnav.data import epochs as ep
 from jaxnav.data.bank import most_probable
@@ -40,7 +41,7 @@ from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import DataError, Info, Params, Recording
 from tuning import scoring
 from tuning.evidence import SLOW, Job, predicted
-from tuning.parts import Used, blocks_of, parts_of, plan, pooled, window_of, windows_of
+from tuning.parts import Layout, Used, blocks_of, parts_of, plan, pooled, window_of, windows_of
 from tuning.priors import PRIORS, in_words, kind_of, leaves_of, spec_of
 from tuning.report import LEAST_WINDOWS, Row, in_words_of, metrics, shown, text, verdict, write
 from tuning.transforms import LOG, Spec, Transform, labels
@@ -48,7 +49,8 @@ from tuning.validation import PairedGain, paired_gain
 
 REACH = 0.3  # s, of delay that tuning may add to what is known
 MOST, TOLERANCE = 25, 0.02  # evaluations of one search; gain in J that is worth another
-HELD = ("measurements.position.scale", "mounting.clock_drift")  # while the likelihood alone leads the way
+DELAY = "mounting.time_offset"
+SCANNED = ("noise.gyro", "noise.accel", DELAY)  # what the noise scan finds
 FAR = 2.0  # sd of a prior beyond which a parameter is said to be far
 LEAST_LOG_M = 0.1  # m: smaller drifts count as this in mean logarithms
 FEW = 1.25  # times the datasheet's drift that the few windows of validation may show by chance
@@ -154,18 +156,24 @@ def tune(
         raise ValueError(f"{len(recs)} recordings, {len(sheets)} params and {len(begins)} begins do not go together")
     sheets = [installed(p, r.lever_arm)[0] for r, p in zip(recs, sheets, strict=True)]
     require_x64(sheets[0])
-    samples = max(
-        history_for(p, 1 / float(np.median(r.imu.dt)), float(np.ptp(r.imu.t)), REACH)
-        for r, p in zip(recs, sheets, strict=True)
-    )
-    kept = lambda each: each.keeping(samples) if each.keeping else each
-    filt = kept(filt)
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     begins = [start(r, p) if b is None else b for r, p, b in zip(recs, sheets, begins, strict=True)]
     apart = leaves_of(filt, sheets[0], own) if own else []
-    for line in clocks(recs, begins) if "mounting.time_offset" not in apart else ():
+    for line in clocks(recs, begins) if DELAY not in apart else ():
         say(line)
-    used = made_ready(recs, filt, sheets, begins, stop, window, standing, say)
+    cut = [ep.pack_recording(r, chosen, b.t, 0.0, stop, standing) for r, b in zip(recs, begins, strict=True)]
+    window = window_of(cut) if window is None else window
+    layouts = [plan(packed, window) for packed in cut]
+    scans = [NoiseScan()] * len(recs)
+    if set(SCANNED) & set(leaves_of(filt, sheets[0], free)):
+        scans = [scan(*each, chosen, say) for each in zip(recs, sheets, begins, layouts, strict=True)]
+    samples = max(
+        history_for(s.applied(p), 1 / float(np.median(r.imu.dt)), float(np.ptp(r.imu.t)), REACH)
+        for r, p, s in zip(recs, sheets, scans, strict=True)
+    )
+    kept = lambda each: each.keeping(samples) if each.keeping else each
+    filt = kept(filt)
+    used = made_ready(recs, filt, sheets, begins, cut, layouts, say)
     parts = pooled(used)
     for name, mask in parts.items():
         if not mask.any():
@@ -177,7 +185,11 @@ def tune(
     job = Job(filt, spec, used, apart, observations)
     say(f"free: {', '.join(spec)}")
     history: list[dict] = []
-    found, stopped = candidates(job, begins, history, say)
+    auto = job.numbers([each.applied(u.sheet) for each, u in zip(scans, used, strict=True)])
+    job.centre_delays(auto)
+    found = {"datasheet": job.flat, "auto": auto} if any(each.fixes for each in scans) else {"datasheet": job.flat}
+    ended = search("tuned", job, auto, history, say)
+    found["tuned"], stopped = ended.raw, bool(ended.interrupted)
     jobs = dict.fromkeys(found, job)
     say("scoring the candidates on hidden windows")
     score = lambda name: level_drift(jobs[name], found[name], chosen)
@@ -190,8 +202,8 @@ def tune(
         whole = [u._replace(sheet=u.sheet._replace(states=u.sheet.states | slowly)) for u in used]
         other = Job(more, spec | spec_of(more, whole[0].sheet, SLOW_LEAVES, widths, priors), whole, apart, observations)
         jobs["slow errors"] = other
-        first = other.numbers(job.each(found["tuned"]))
-        ended = search("slow errors", other, other.objective(), first, history, say)
+        other.centre_delays(other.numbers(job.each(auto)))
+        ended = search("slow errors", other, other.numbers(job.each(found["tuned"])), history, say)
         found["slow errors"], stopped = ended.raw, bool(ended.interrupted)
         offs["slow errors"] = level_drift(other, ended.raw, chosen)
     params_of = lambda name: jobs[name].each(found[name])
@@ -236,18 +248,24 @@ def clocks(recs: Sequence[Recording], begins: Sequence[Start]) -> list[str]:
     ]
 
 
+def scan(
+    rec: Recording, sheet: Params, begin: Start, layout: Layout, measurements: tuple, say: Callable[[str], None]
+) -> NoiseScan:
+    """Return the noise scan of a training part, by the filter's measurements alone."""
+    aiding = {m.name: rec.aiding[m.name] for m in measurements if m.name in rec.aiding}
+    found = scan_noise(rec._replace(aiding=aiding), sheet, begin=begin, stop=layout.train)
+    say(f"{rec.name}: {found.words}")
+    return found
+
+
 def made_ready(
-    recs: Sequence[Recording], filt: Filter, sheets: Sequence[Params], begins: Sequence[Start], stop: float | None,
-    window: float | None, standing: ep.Standing, say: Callable[[str], None],
+    recs: Sequence[Recording], filt: Filter, sheets: Sequence[Params], begins: Sequence[Start],
+    cut: Sequence[ep.Packed], layouts: Sequence[Layout], say: Callable[[str], None],
 ) -> list[Used]:  # fmt: skip
-    """Every recording cut into epochs, of one size so that one program serves them all, and into parts."""
-    chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    cut = [ep.pack_recording(r, chosen, b.t, 0.0, stop, standing) for r, b in zip(recs, begins, strict=True)]
+    """Return every recording with its epochs grown to one size, so that one program serves them all, and its parts."""
     E, K = (max(p.epochs.imu.dt.shape[axis] for p in cut) for axis in (0, 1))
-    window = window_of(cut) if window is None else window
     used = []
-    for rec, params, begin, packed in zip(recs, sheets, begins, cut, strict=True):
-        layout = plan(packed, window)
+    for rec, params, begin, packed, layout in zip(recs, sheets, begins, cut, layouts, strict=True):
         windows = windows_of(packed, layout, E)
         parts = parts_of(layout, windows)
         say((f"{rec.name}: " if len(recs) > 1 else "") + in_words_of(layout, parts, packed))
@@ -262,10 +280,8 @@ def made_ready(
 # ---------------------------------------------------------------------------- candidates
 
 
-def search(
-    name: str, job: Job, objective: Callable, first: jax.Array, history: list[dict], say: Callable[[str], None]
-) -> scoring.Search:
-    """Minimise an objective from a point, with a line and a row of the history for each evaluation."""
+def search(name: str, job: Job, first: jax.Array, history: list[dict], say: Callable[[str], None]) -> scoring.Search:
+    """Minimise J from a point, with a line and a row of the history for each evaluation."""
 
     def report(i: int, at: scoring.Search) -> None:
         row = {"search": name, "step": i, "loss": float(at.best.nll)}
@@ -273,26 +289,7 @@ def search(
         say(f"  {name}, evaluation {i}: J {row['loss']:.4f}")
 
     say(f"{name}: {len(job.flat)} numbers free")
-    return scoring.maximise(objective, first, MOST, TOLERANCE, report)
-
-
-def candidates(
-    job: Job, begins: Sequence[Start], history: list[dict], say: Callable[[str], None]
-) -> tuple[dict[str, jax.Array], bool]:
-    """The numbers of the datasheet, what the likelihood alone says with receiver and clock held, the minimum of J.
-
-    And whether Ctrl-C ended it; then what was not begun is left out.
-    """
-    alone, whole = job.objective(horizon=False, held=[h for h in HELD if h in job.spec]), job.objective()
-    held = search("held", job, alone, _delayed(job, begins), history, say)
-    found, ends, stopped = {"datasheet": job.flat, "held": held.raw}, [], bool(held.interrupted)
-    for name, first in (("held", held.raw), ("datasheet", job.flat)):
-        if not stopped:
-            ends.append(search(f"tuned from {name}", job, whole, first, history, say))
-            stopped = bool(ends[-1].interrupted)
-    if ends:
-        found["tuned"] = min(ends, key=lambda each: float(each.best.nll)).raw
-    return found, stopped
+    return scoring.maximise(job.objective(), first, MOST, TOLERANCE, report)
 
 
 def correlation(infos: Sequence[Info], used: Sequence[Used]) -> float:
@@ -311,16 +308,6 @@ def correlation(infos: Sequence[Info], used: Sequence[Used]) -> float:
             a, b = row[at[:-1]][near], row[at[1:]][near]
             product, square, count = product + (a * b).sum(), square + 0.5 * (a**2 + b**2).sum(), count + near.sum()
     return float(product / square) if count >= 30 else 0.0
-
-
-def _delayed(job: Job, begins: Sequence[Start]) -> jax.Array:
-    """The datasheet's numbers, with the delays that the starts saw where a clock is free."""
-    flat = job.flat
-    for i in np.flatnonzero(np.array([job.leaves[k] for k in job.origin]) == "mounting.time_offset"):
-        found = begins[job.owner[i]].alignment
-        if found is not None and abs(found.delay) >= 3 * found.sd[9]:
-            flat = flat.at[i].add(job.spec["mounting.time_offset"].inverse(jnp.asarray(found.delay)))
-    return flat
 
 
 def level_drift(job: Job, flat: jax.Array, measurements: tuple) -> tuple[np.ndarray, list[Info]]:
@@ -344,14 +331,22 @@ def ratios(before: np.ndarray, after: np.ndarray, parts: Mapping[str, np.ndarray
 
 
 def choose(trials: Mapping[str, Trial]) -> str:
-    """The candidate that predicts the validation part best, of those that do no harm; else the datasheet."""
-    passed = {name: t.nll for name, t in trials.items() if does_no_harm(t) and t.nll < trials["datasheet"].nll}
-    return min(passed, key=lambda name: passed[name]) if passed else "datasheet"
+    """Return the candidate that predicts the validation part best, of those that do no harm; else the datasheet.
+
+    The scan's numbers compete with the datasheet, all others with the better of both.
+    """
+    best = "datasheet"
+    if "auto" in trials and trials["auto"].nll < trials[best].nll and does_no_harm(trials["auto"], trials[best]):
+        best = "auto"
+    limit = trials[best]
+    passed = {name: t.nll for name, t in trials.items() if t.nll < limit.nll and does_no_harm(t, limit)}
+    return min(passed, key=lambda name: passed[name]) if passed else best
 
 
-def does_no_harm(trial: Trial) -> bool:
-    """Does it drift less than the datasheet, and on the few windows of validation not much more?"""
-    return max(trial.ratios[:2]) < 1.0 and max(trial.ratios[2:]) < FEW
+def does_no_harm(trial: Trial, other: Trial) -> bool:
+    """Return whether it drifts less than another, and on the few windows of validation not much more."""
+    ratios = np.array(trial.ratios) / np.array(other.ratios)
+    return max(ratios[:2]) < 1.0 and max(ratios[2:]) < FEW
 
 
 def spread(off: np.ndarray) -> dict[str, float]:

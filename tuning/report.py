@@ -48,27 +48,29 @@ def in_words_of(layout: "Layout", parts: Mapping[str, np.ndarray], packed: "Pack
 
 def shown(best: str, trials: "Mapping[str, Any]") -> str:
     """The candidate whose parameters are told: the winner's, where the datasheet wins of what was tuned."""
-    return best if best != "datasheet" else next(name for name in ("tuned", "held") if name in trials)
+    return best if best != "datasheet" else "tuned"
 
 
 def verdict(
     best: str, trials: "Mapping[str, Trial]", scores: Mapping[str, dict[str, float]], parts: Mapping[str, np.ndarray]
 ) -> str:
-    """Which candidate won, why the others did not, and what it is worth on the test."""
+    """Return which candidate won, what it is worth on the test, and how the others did on the validation part."""
     sheet = trials["datasheet"]
-    told = lambda t: f"predicts by {sheet.nll - t.nll:+.2f}, drifts {max(t.ratios[:2]):.2f}, {max(t.ratios[2:]):.2f}"
-    lost = "; ".join(f"{name} {told(t)}" for name, t in trials.items() if name not in (best, "datasheet"))
+    words = lambda name, t: (
+        f"{name} predicts by {sheet.nll - t.nll:+.2f}, drifts {max(t.ratios[:2]):.2f}, {max(t.ratios[2:]):.2f}"
+    )
+    others = "; ".join(words(name, t) for name, t in trials.items() if name not in (best, "datasheet"))
     if best == "datasheet":
         return (
             "the datasheet stays: no candidate predicts the validation part better (log-likelihood) and drifts less on "
-            f"training and validation windows, on validation alone ({lost})"
+            f"training and validation windows, on validation alone ({others})"
         )
-    ratio = scores[best]["rms_m"] / scores["datasheet"]["rms_m"]
-    count = int(parts["test"].sum())
+    rms = {name: score["rms_m"] for name, score in scores.items()}
+    against = f" and {rms[best] / rms['auto']:.2f} of the noise scan's" if "auto" in rms and best != "auto" else ""
     return (
-        f"{best}: {ratio:.2f} of the datasheet's RMS drift over {count} test windows "
-        f"({scores['datasheet']['rms_m']:.2f} to {scores[best]['rms_m']:.2f} m); {best} {told(trials[best])}"
-        + (f"; {lost}" if lost else "")
+        f"{best}: {rms[best] / rms['datasheet']:.2f} of the datasheet's{against} RMS drift over "
+        f"{int(parts['test'].sum())} test windows ({rms['datasheet']:.2f} to {rms[best]:.2f} m); "
+        f"{words(best, trials[best])}" + (f"; {others}" if others else "")
     )
 
 

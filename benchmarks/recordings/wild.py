@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
@@ -18,7 +19,7 @@ from jaxnav.analysis import evaluate
 from jaxnav.analysis.noise_scan import scan_noise
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.tables import table
-from jaxnav.analysis.windows import Windows, drift, hidden_windows
+from jaxnav.analysis.windows import Windows, drift, hidden_windows, position_noise
 from jaxnav.data import epochs as ep
 from jaxnav.data.bank import most_probable
 from jaxnav.data.start import Start, start
@@ -30,6 +31,7 @@ from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS
 from jaxnav.types import DataError, Info, Params, Recording
+from tuning.evidence import seen_by_position, slow_errors
 from tuning.recorded import tune
 
 RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
@@ -167,9 +169,14 @@ def tuned(name: str, path: Path) -> dict:
         rec = read(path)
         ekf = build("ekf15", measurements=[key for key in ("position", "velocity") if key in rec.aiding], cov_stride=5)
         found = tune(rec, ekf, ekf.params("consumer"))
+        seconds = time.perf_counter() - begin
     except (DataError, ValueError) as error:
         return {"ran": False, "why": str(error)}
     before, after = found.test["datasheet"]["rms_m"], found.test[found.chosen]["rms_m"]
+    split, honest = found.used[0].layout.validation, {}
+    for key in dict.fromkeys(k for k in ("datasheet", "auto", found.chosen) if k in found.trials):
+        trial = found.trials[key]
+        honest[key] = judged(rec, trial.filter, trial.params, found.start, split)
     clock = next((r for r in found.rows if r.name == "clock_drift"), None)
     return {
         "ran": True, "drift_ratio": after / before, "datasheet_m": before, "tuned_m": after,
@@ -180,30 +187,21 @@ def tuned(name: str, path: Path) -> dict:
         "clock_ppm": None if clock is None else [clock.value, clock.low, clock.high],
         "candidates": {k: v["rms_m"] / before for k, v in found.test.items()}, "verdict": found.verdict,
         "validation": {k: [*t.ratios, t.nll] for k, t in found.trials.items()},
-        "seconds": time.perf_counter() - begin,
+        "honest": honest, "evaluations": len(found.history), "seconds": seconds,
     }  # fmt: skip
 
 
 def tuning_table(results: dict[str, dict]) -> str:
     """The ratios of all recordings."""
     rows = [
-        [name, "yes" if r["set_on"] else "no", r["chosen"], r["datasheet_m"], r["tuned_m"], f"{r['drift_ratio']:.2f}",
-         r["windows"]["test"], f"{r['n_eff']:.0f}", "" if r["clock_ppm"] is None else f"{r['clock_ppm'][0]:.0f}",
-         " ".join(f"{v:.2g}" for v in r["nis"].values())]
+        [name, r["chosen"], r["datasheet_m"], r["tuned_m"], f"{r['drift_ratio']:.2f}",
+         " ".join(f"{v:.2f}" for v in r["candidates"].values()), r["windows"]["test"], f"{r['n_eff']:.0f}",
+         "" if r["clock_ppm"] is None else f"{r['clock_ppm'][0]:.0f}", r["evaluations"], f"{r['seconds']:.0f}",
+         *(" ".join(f"{h[k]:.2f}" for h in r["honest"].values()) for k in ("error_over_sd", "inside_95", "nis"))]
         for name, r in results.items() if r["ran"]
     ]  # fmt: skip
-    head = [
-        "recording",
-        "set on",
-        "chosen",
-        "datasheet m",
-        "chosen m",
-        "ratio",
-        "windows",
-        "N",
-        "clock ppm",
-        "nu^2 / S",
-    ]
+    head = "recording,chosen,datasheet m,chosen m,ratio,candidates,windows,N,clock ppm,evaluations,s".split(",")
+    head += ["error / sd", "in 95 %", "NIS"]
     all_of = np.array([r["drift_ratio"] for r in results.values() if r["ran"]])
     return table(head, rows) + f"\nlargest ratio {all_of.max():.2f}, median {np.median(all_of):.2f}"
 
@@ -212,15 +210,14 @@ JUDGED = 0.6  # share of a recording that the noise scan may see; the rest judge
 CHI2_2 = 5.99  # 95 % of chi-square with two degrees of freedom
 
 
-def judged(rec: Recording, params: Params, begin: Start, split: float) -> dict:
+def judged(rec: Recording, filt: Filter, params: Params, begin: Start, split: float) -> dict:
     """Hidden windows after ``split`` s by these parameters: RMS m, error / stated sd, share inside 95 %, NIS / dof."""
-    filt = build("ekf15", [key for key in ("position", "velocity") if key in rec.aiding], cov_stride=5)
     length = window_of(rec)
     packed, windows, error, info = hidden_drift(rec, filt, params, begin, length, 3 * length)
     late, after = windows.start > split, packed.t > split
     at = windows.end[late]
-    sd = np.asarray(packed.epochs.fix.sd)[at, :2]
-    S = np.asarray(info.P)[windows.phase[late], at, :2, :2] + sd[:, :, None] * np.eye(2) * sd[:, None]
+    P = seen_by_position(jnp.asarray(info.P)[windows.phase[late], at], slow_errors(filt))
+    S = np.asarray(P + position_noise(params, packed.epochs.fix.sd[at, :3]))[:, :2, :2]
     error = error[late, :2]
     z2 = np.einsum("wi,wij,wj->w", error, np.linalg.inv(S), error)
     valid, nis = np.asarray(info.valid)[:, after].sum(-1), np.asarray(info.nis)[:, after]
@@ -236,18 +233,19 @@ def scanned(path: Path) -> dict:
     make_room()
     try:
         rec = read(path)
-        filt = build("ekf15", [key for key in ("position", "velocity") if key in rec.aiding])
+        filt = build("ekf15", [key for key in ("position", "velocity") if key in rec.aiding], cov_stride=5)
         params, _ = installed(filt.params("consumer"), rec.lever_arm)
         begin = start(rec, params)
         split = begin.t + JUDGED * (float(rec.aiding["position"].t[-1]) - begin.t)
         watch = time.perf_counter()
         found = scan_noise(rec, params, begin=begin, stop=split)
         seconds = time.perf_counter() - watch
-        before, after = (judged(rec, p, begin, split) for p in (params, found.applied(params)))
+        before, after = (judged(rec, filt, p, begin, split) for p in (params, found.applied(params)))
     except (DataError, ValueError) as error:
         return {"ran": False, "why": str(error)}
     return {
-        "ran": True, "factors": [found.gyro, found.accel], "latency_s": found.latency, "gain": found.gain,
+        "ran": True, "factors": [found.gyro, found.accel, found.position, found.velocity],
+        "latency_s": found.latency, "gain": found.gain,
         "drift_ratio": after["rms_m"] / before["rms_m"], "seconds": seconds, "datasheet": before, **after,
     }  # fmt: skip
 
@@ -256,7 +254,7 @@ def scan_table(results: dict[str, dict]) -> str:
     """Return the ratios of all recordings, and the bars."""
     ran = {name: r for name, r in results.items() if r["ran"]}
     lines = [
-        [name, *(f"{f:.0f}" for f in r["factors"]), f"{r['latency_s']:.2f}", r["windows"], r["datasheet"]["rms_m"],
+        [name, *(f"{f:.3g}" for f in r["factors"]), f"{r['latency_s']:.2f}", r["windows"], r["datasheet"]["rms_m"],
          r["rms_m"], f"{r['drift_ratio']:.2f}",
          *(f"{r['datasheet'][k]:.2f} -> {r[k]:.2f}" for k in ("error_over_sd", "inside_95", "nis"))]
         for name, r in ran.items()
@@ -265,6 +263,8 @@ def scan_table(results: dict[str, dict]) -> str:
         "recording",
         "gyro",
         "accel",
+        "position",
+        "velocity",
         "s",
         "windows",
         "datasheet m",

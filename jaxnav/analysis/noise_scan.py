@@ -1,4 +1,4 @@
-"""IMU noise and latency of the fixes by a likelihood scan: what a run takes where no datasheet is named.
+"""IMU noise, latency and sd of the fixes by a likelihood scan: what a run takes where no datasheet is named.
 
 A datasheet knows nothing of vibration, mounting and a receiver's latency. Three numbers make up for most of it: a
 factor on the white noise of the gyros (g), one on that of the accelerometers (a), and the latency of the fixes (d).
@@ -11,9 +11,17 @@ so that a receiver fault is no noise of the IMU. N counts stretches of `CORRELAT
 receiver are correlated. The priors say that vibration reaches both sensors, and that a datasheet may be right. A coarse
 grid of one common factor and the latency comes first, then boxes of 3 x 3 x 3 points about the best one; the quadratic
 fit to the last box gives the maximum.
+
+A receiver's stated sd may be off, of positions by a factor p and of velocities by v. Likelihood alone takes correlated
+fixes for precise ones, so that both are chosen by innovations and hidden fixes together,
+
+    J(p, v) = N (mean(log p(nu_k)) + mean(log p(y_j))) - (log10(p) / 0.5)^2 / 2 - (log10(v) / 0.5)^2 / 2
+
+with y_j the position residuals of fixes in hidden windows, among the points whose drift over these windows is at most
+1.05 times that with the stated sd. The latency shows better with them, and is chosen once more.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -22,6 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.analysis.plots import base as plots
+from jaxnav.analysis.windows import hidden_windows, position_noise
 from jaxnav.data import epochs as ep
 from jaxnav.data.bank import most_probable
 from jaxnav.data.start import Start, ground_velocity, start
@@ -43,6 +52,7 @@ LATENCIES = np.arange(-1, 8) / 10  # s, coarse grid
 AT_ONCE = 3  # latencies by one call of the compiled function
 COARSE_BOX, FINE_BOX = np.array([0.5, 0.5, 0.05]), np.array([0.25, 0.25, 0.025])
 """Steps of a box: log10 of the gyro and of the accelerometer factor, s."""
+SQUARE = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"), -1).reshape(9, 2)
 MOST_BOXES = 5  # coarse ones
 RATIO_SD, COMMON_SD, LATENCY_SD = 0.5, 1.5, 0.1  # decades, decades, s
 CORRELATION_S = 10.0  # s, between independent innovations
@@ -50,6 +60,13 @@ SCANNED_S, WARM_UP_S = 180.0, 20.0  # s, of the part that counts at most; before
 LEAST_FIXES = 20  # that count
 MOVING_MPS, PARKED_S = 1.0, 30.0  # ground speed of motion; s at rest from which on the scan begins later
 MARGIN_S = 15.0  # s, before the first motion
+SCALES = np.arange(-1.25, 1.0, 0.25)  # log10 of the factor on the positions' stated sd, coarse grid
+SCALE_STEP = 0.25  # of a box: log10 of the factors on the sd of positions and velocities
+SCALE_SD = 0.5  # decades
+WINDOW_S, PHASES = 10.0, AT_ONCE  # hidden windows: length, runs with windows in other places
+SHORT_S, LEAST_WINDOWS = 5.0, 8  # length where eight of `WINDOW_S` do not fit; number
+HARM = 1.05  # of the drift over hidden windows, up to which other sd are taken
+LEAST_GAIN = 1.0  # of J, from which on other sd are taken
 
 
 class NoiseScan(NamedTuple):
@@ -58,6 +75,8 @@ class NoiseScan(NamedTuple):
     gyro: float = 1.0  # factor on the white noise of the gyros
     accel: float = 1.0  # on that of the accelerometers
     latency: float = 0.0  # s
+    position: float = 1.0  # factor on the stated sd of positions
+    velocity: float = 1.0  # on that of velocities
     gain: float = 0.0  # of J / N, the penalized log-likelihood of a fix, over factors of 1 and no latency
     coarse: np.ndarray = np.zeros((0, 0))  # (L, C) J of the coarse grid, latency by common factor, 0 at its maximum
     grid: tuple[np.ndarray, np.ndarray] = (np.zeros(0), np.zeros(0))  # (L,) s and (C,) factors of it
@@ -65,9 +84,9 @@ class NoiseScan(NamedTuple):
     fixes: int = 0
 
     def applied(self, params: Params) -> Params:
-        """Return parameters with this noise and latency."""
+        """Return parameters with this noise, latency and sd of the fixes."""
         mounting = params.mounting._replace(time_offset=params.mounting.time_offset + self.latency)
-        return params._replace(noise=_scaled(params.noise, self.gyro, self.accel), mounting=mounting)
+        return _scaled(params._replace(mounting=mounting), self.gyro, self.accel, self.position, self.velocity)
 
     @property
     def words(self) -> str:
@@ -79,6 +98,8 @@ class NoiseScan(NamedTuple):
             f"fixes {abs(self.latency):.2f} s {'late' if self.latency >= 0 else 'early'} (log-likelihood "
             f"{self.gain:+.2f} a fix, {self.fixes} fixes of {self.part[0]:.0f} to {self.part[1]:.0f} s)"
         )
+        if (self.position, self.velocity) != (1.0, 1.0):
+            text += f"; sd of positions {self.position:.2g}, of velocities {self.velocity:.2g} times the stated"
         if max(self.gyro, self.accel) > 300.0:
             text += "; a factor above 300 is strong vibration, a wrong unit or another grade: see jaxnav check"
         return text
@@ -104,34 +125,47 @@ class NoiseScan(NamedTuple):
 
 
 @partial(jax.jit, static_argnums=0)
-def _mean_log_likelihood(
-    filt: Filter, params: Params, nav: Nav, epochs: Epoch, counted: jax.Array, factors: jax.Array
+def _fit(
+    filt: Filter, params: Params, nav: Nav, epochs: Epoch, counted: jax.Array, hidden: jax.Array, factors: jax.Array
 ) -> jax.Array:
-    """Return the mean log-likelihood of a fix (L, P).
+    """Return how well L x P runs fit (3, L, P): two mean log-likelihoods, of a fix and of a hidden fix, and drift^2.
 
     Args:
         filt: the filter.
         params: its parameters, with factors of 1.
         nav: initial navigation.
-        epochs: (L, E, ...), with the fixes moved by a latency each.
-        counted: (L, E) bool, epochs whose fixes count.
-        factors: (P, 2) on the white noise of gyros and accelerometers.
+        epochs: (L, E, ...), with the fixes moved by a latency each, or with other windows hidden.
+        counted: (L, E) bool, epochs whose innovations count.
+        hidden: (L, E) bool, epochs with hidden positions that count; their mean horizontal error squared is drift^2.
+        factors: (P, 4) on the white noise of gyros and accelerometers, on the stated sd of positions and velocities.
     """
 
-    def record(step: Step, along: None) -> jax.Array:
+    def record(step: Step, along: None) -> tuple[jax.Array, jax.Array, jax.Array]:
         info = step.info
         nll = student_nll(info.nis, info.valid.sum(), info.valid.size) + 0.5 * linalg.log_determinant(info.S)
-        return jnp.where(info.ok, -nll, -jnp.inf)
+        return jnp.where(info.ok, -nll, -jnp.inf), info.residual[:3], info.P[:3, :3]
 
-    def one(epochs: Epoch, counted: jax.Array, factor: jax.Array) -> jax.Array:
-        density = run(filt, params._replace(noise=_scaled(params.noise, *factor)), nav, epochs, record)
-        return jnp.where(counted, density, 0.0).sum() / jnp.maximum(counted.sum(), 1)
+    def one(epochs: Epoch, counted: jax.Array, hidden: jax.Array, factor: jax.Array) -> jax.Array:
+        own = _scaled(params, *factor)
+        density, y, P = run(filt, own, nav, epochs, record)
+        S = P + position_noise(own, epochs.fix.sd[:, :3])
+        nis = jax.vmap(linalg.normalized)(y, S)
+        far = -student_nll(nis, jnp.asarray(3), 3) - 0.5 * jax.vmap(linalg.log_determinant)(S)
+        mean = lambda value, mask: jnp.where(mask, value, 0.0).sum() / jnp.maximum(mask.sum(), 1)
+        return jnp.stack([mean(density, counted), mean(far, hidden), mean((y[:, :2] ** 2).sum(1), hidden)])
 
-    return jax.vmap(jax.vmap(one, (None, None, 0)), (0, 0, None))(epochs, counted, factors)
+    runs = jax.vmap(jax.vmap(one, (None, None, None, 0)), (0, 0, 0, None))(epochs, counted, hidden, factors)
+    return jnp.moveaxis(runs, -1, 0)
 
 
-def _scaled(noise: Noise, gyro: Any, accel: Any) -> Noise:
-    return Noise(noise.gyro * gyro, noise.accel * accel)
+def _scaled(params: Params, gyro: Any, accel: Any, *sd: Any) -> Params:
+    """Return parameters with factors on the IMU's white noise and on the stated sd of positions and velocities."""
+    noise, fixes = Noise(params.noise.gyro * gyro, params.noise.accel * accel), dict(params.measurements)
+    for row, factor in zip(GNSS, sd, strict=True):
+        if row.name in fixes:
+            theta = fixes[row.name]
+            fixes[row.name] = theta._replace(scale=jnp.asarray(theta.scale) * factor)
+    return params._replace(noise=noise, measurements=fixes)
 
 
 class _Objective:
@@ -151,6 +185,7 @@ class _Objective:
         self.size: tuple[int, ...] = ep.shared_size(E + 2), ep.shared_size(K + 1)  # other latencies need a little more
         self.nav = most_probable(self.filt, self.params, begin.navs, packed.epochs)
         self.cuts: dict[float, tuple[Epoch, np.ndarray]] = {}
+        self.scales = np.zeros(2)  # log10 of the factors on the stated sd of positions and velocities
 
     def _packed(self, latency: float) -> ep.Packed:
         moved = {m.name: s._replace(t=s.t - latency) for m in self.rows for s in [self.rec.aiding[m.name]]}
@@ -174,22 +209,77 @@ class _Objective:
         parts = [self.at(float(latency)) for latency in latencies]
         epochs = ep.stack_epochs([ep.grown(epochs, *self.size) for epochs, _ in parts])
         counted = np.stack([np.pad(c, (0, self.size[0] - c.size)) for _, c in parts])
-        epochs = prepare(self.filt, epochs)
-        mean = np.asarray(_mean_log_likelihood(self.filt, self.params, self.nav, epochs, counted, 10.0**logs))
+        mean = self.fit(epochs, counted, np.zeros_like(counted), logs, np.tile(self.scales, (len(logs), 1)))[0]
         noise = ((logs[:, 0] - logs[:, 1]) / RATIO_SD) ** 2 + (logs.mean(1) / COMMON_SD) ** 2
         return self.effective * mean - 0.5 * noise - 0.5 * (latencies[:, None] / LATENCY_SD) ** 2
 
+    def fit(
+        self, epochs: Epoch, counted: np.ndarray, hidden: np.ndarray, logs: np.ndarray, scales: np.ndarray
+    ) -> np.ndarray:
+        """Return `_fit` (3, L, P) of factors on the noise (P, 2) and on the fixes' sd (P, 2), log10."""
+        factors = 10.0 ** np.column_stack([logs, scales])
+        return np.asarray(_fit(self.filt, self.params, self.nav, prepare(self.filt, epochs), counted, hidden, factors))
+
+    def best_scales(self, gyro: float, accel: float, latency: float) -> np.ndarray:
+        """Return the factors on the stated sd of positions and velocities (2,), log10; zeros for none.
+
+        Args:
+            gyro: log10 of the chosen factor.
+            accel: likewise.
+            latency: the chosen one, s.
+        """
+        packed, (epochs, counted) = self._packed(round(latency, 6)), self.at(round(latency, 6))
+        length = WINDOW_S if self.end - self.first >= 8 * WINDOW_S else SHORT_S
+        windows = hidden_windows(packed, length, PHASES * length, PHASES, self.first - packed.start)
+        if windows.start.size < LEAST_WINDOWS:
+            return np.zeros(2)
+        there = np.asarray(packed.epochs.fix.valid)[:, :3].all(1)
+        wide = lambda mask: np.pad(mask, ((0, 0), (0, self.size[0] - counted.size)))
+        runs = ep.stack_epochs([ep.grown(ep.hide(epochs, h, self.rows), *self.size) for h in windows.hidden])
+        shown, known = wide(counted & ~windows.hidden), wide(there & windows.hidden)
+
+        def at(scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Return J (P,) and the drift (P,) m, of log10 factors (P, 2)."""
+            logs = np.tile([gyro, accel], (len(scales), 1))
+            own, far, square = self.fit(runs, shown, known, logs, scales).mean(1)
+            return self.effective * (own + far) - 0.5 * ((scales / SCALE_SD) ** 2).sum(1), np.sqrt(square)
+
+        def box(centre: np.ndarray) -> np.ndarray:
+            scales = centre[:2] + steps[:2] * SQUARE
+            J, drift = at(scales)
+            return np.column_stack([scales, np.zeros(9), np.where(drift <= most, J, -np.inf)])
+
+        steps = SCALE_STEP * np.array([1.0, float(len(self.rows) > 1), 0.0])
+        J, drift = at(np.column_stack([SCALES, np.zeros_like(SCALES)]))
+        stated = int(np.argmin(np.abs(SCALES)))
+        most = HARM * drift[stated]
+        first = SCALES[np.argmax(np.where(drift <= most, J, -np.inf))]
+        centre, points = _climb(box, np.array([first, 0.0, 0.0]))
+        if points[:, 3].max() < J[stated] + LEAST_GAIN:
+            return np.zeros(2)
+        return _vertex(points, centre, steps)[:2]
+
     def box(self, centre: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """Return the 3 x 3 x 3 points about ``centre`` (27, 3) with their J, (27, 4)."""
-        d = np.array([-1.0, 0.0, 1.0])
-        logs = centre[:2] + steps[:2] * np.stack(np.meshgrid(d, d, indexing="ij"), -1).reshape(9, 2)
-        latencies = centre[2] + steps[2] * d
+        logs = centre[:2] + steps[:2] * SQUARE
+        latencies = centre[2] + steps[2] * np.array([-1.0, 0.0, 1.0])
         J = self(latencies, logs)
         return np.column_stack([np.tile(logs, (3, 1)), np.repeat(latencies, 9), J.reshape(-1)])
 
 
+def _climb(box: Callable[[np.ndarray], np.ndarray], centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the centre (3,) of a box with the maximum in its middle, or of the last tried, and its points (n, 4)."""
+    for _ in range(MOST_BOXES):
+        points = box(centre)
+        best = points[np.argmax(points[:, 3]), :3]
+        if np.allclose(best, centre):
+            break
+        centre = best
+    return centre, points
+
+
 def _vertex(points: np.ndarray, centre: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return the maximum (3,) of the quadratic fit to a box (27, 4), within it; the best point where there is none."""
+    """Return the maximum (3,) of the quadratic fit to a box (n, 4), within it; the best point where there is none."""
     free = steps > 0
     u = (points[:, :3] - centre)[:, free] / steps[free]
     i, j = np.triu_indices(free.sum())
@@ -218,18 +308,19 @@ def scan_noise(
     stop: float | None = None,
     outages: Sequence[Sequence[float]] = (),
 ) -> NoiseScan:
-    """Choose the IMU's white noise and the latency of the fixes by the likelihood of the innovations.
+    """Choose the IMU's white noise, the latency and the sd of the fixes by the likelihood of the innovations.
 
     Args:
         rec: the recording, with positions.
         params: parameters with the datasheet's noise, such as ``filt.params("consumer")``, and the lever arm (m, body
-            FRD). A latency that they state or estimate stays.
+            FRD). A latency that they state or estimate and a scale of the fixes that they state stay.
         begin: where navigation starts, by default `jaxnav.start`; after a long standstill the scan begins later.
         stop: s, end of what may be looked at.
         outages: (start, end) s, windows whose fixes are hidden.
 
     Returns:
-        Factors on the root PSD of ``params.noise`` and the latency (s); factors of 1 where there are too few fixes.
+        Factors on the root PSD of ``params.noise``, the latency (s), a factor on the stated sd of the fixes; factors
+        of 1 where there are too few fixes.
 
     Raises:
         DataError: a recording that cannot be started from or cut.
@@ -243,24 +334,33 @@ def scan_noise(
     if fixes < LEAST_FIXES:
         return NoiseScan()
     latencies, free = (np.zeros(AT_ONCE), 0.0) if _timed(params) else (LATENCIES, 1.0)
-    scale = np.array([1.0, 1.0, free])  # of the steps
+    steps = np.array([1.0, 1.0, free])
     logs = np.stack([COMMON, COMMON], 1)
     coarse = np.concatenate([objective(latencies[i : i + AT_ONCE], logs) for i in range(0, latencies.size, AT_ONCE)])
     i, j = np.unravel_index(np.argmax(coarse), coarse.shape)
     centre = np.array([COMMON[j], COMMON[j], latencies[i]])
-    for _ in range(MOST_BOXES):
-        points = objective.box(centre, scale * COARSE_BOX)
-        best = points[np.argmax(points[:, 3]), :3]
-        if np.allclose(best, centre):
-            break
-        centre = best
-    fine = objective.box(centre, scale * FINE_BOX)
-    gyro, accel, latency = _vertex(fine, centre, scale * FINE_BOX)
+    centre, _ = _climb(partial(objective.box, steps=steps * COARSE_BOX), centre)
+    points = objective.box(centre, steps * FINE_BOX)
+    found = _vertex(points, centre, steps * FINE_BOX)
+    if not _stated_scale(params):
+        objective.scales = objective.best_scales(*found)
+    if objective.scales.any() and free:
+        timing = np.array([0.0, 0.0, COARSE_BOX[2]])
+        centre, points = _climb(partial(objective.box, steps=timing), found)
+        found = _vertex(points, centre, timing)
+    gyro, accel, latency = map(float, found)
     datasheet = coarse[np.argmin(np.abs(latencies)), np.argmin(np.abs(COMMON))]
-    gain = float(fine[:, 3].max() - datasheet) / objective.effective
+    gain = float(points[:, 3].max() - datasheet) / objective.effective
     grid = latencies, 10.0**COMMON
-    factors, part = (float(10**gyro), float(10**accel)), (objective.first, end)
-    return NoiseScan(*factors, float(latency), gain, coarse - coarse.max(), grid, part, fixes)
+    position, velocity = (float(scale) for scale in 10.0**objective.scales)
+    part, below = (objective.first, end), coarse - coarse.max()
+    return NoiseScan(10**gyro, 10**accel, latency, position, velocity, gain, below, grid, part, fixes)
+
+
+def _stated_scale(params: Params) -> bool:
+    """Return whether parameters state how the fixes' sd are to be scaled."""
+    scales = [theta.scale for theta in params.measurements.values() if hasattr(theta, "scale")]
+    return any(not np.array_equal(scale, np.ones(np.shape(scale))) for scale in scales)
 
 
 def _timed(params: Params) -> bool:

@@ -156,10 +156,11 @@ def states_noise(config: Config) -> bool:
 
 
 def with_noise(config: Config, rec: Recording, params: Params, initial: Start) -> tuple[Config, NoiseScan]:
-    """Return the configuration with the noise and the latency that a recording shows, and the scan."""
+    """Return the configuration with the noise, latency and fixes' sd that a recording shows, and the scan."""
     found = scan_noise(rec, params, begin=initial, stop=config.data.stop, outages=config.filter.outages)
     after, values = found.applied(params), dict[str, Any]()
-    for leaf in (*NOISE, "mounting.time_offset"):
+    scales = (f"measurements.{m.name}.scale" for m in GNSS if m.name in after.measurements)
+    for leaf in (*NOISE, "mounting.time_offset", *scales):
         value = np.asarray(get(after, leaf)) / UNITS[leaf].factor
         values[NAMES[leaf]] = tuple(value.tolist()) if value.ndim else float(value)
     chosen = dataclasses.replace(config.params, **values)

@@ -65,7 +65,24 @@ def test_hidden_fixes_are_not_looked_at(drive):
     far[(position.t > 61.0) & (position.t < 74.0), 0] += 1e-4  # 600 m, inside of the window by more than any latency
     changed = drive._replace(aiding=drive.aiding | {"position": position._replace(value=far)})
     one, other = (scan_noise(rec, with_arm(rec), outages=[hidden]) for rec in (drive, changed))
-    assert one[:4] == other[:4]
+    assert one[:6] == other[:6]
+
+
+@pytest.mark.parametrize(("position", "velocity"), [(0.25, 1.0), (3.0, 0.4)])
+def test_it_finds_the_sd_of_the_fixes(drive, position, velocity, monkeypatch):
+    """A receiver whose errors are other than it states; the stated sd where hidden fixes contradict."""
+    factor = {"position": position, "velocity": velocity}
+    rec = drive._replace(aiding={name: s._replace(sd=s.sd / factor[name]) for name, s in drive.aiding.items()})
+    found = scan_noise(rec, with_arm(rec))
+    assert found.position == pytest.approx(position, rel=0.4) and found.velocity == pytest.approx(velocity, rel=0.4)
+    assert 0.4 < found.gyro / FACTOR < 2.5 and 0.4 < found.accel / FACTOR < 2.5
+    assert found.latency == pytest.approx(LATENCY, abs=0.05)
+    fixes = found.applied(with_arm(rec)).measurements
+    np.testing.assert_allclose(fixes["position"].scale, found.position)
+    np.testing.assert_allclose(fixes["velocity"].scale, found.velocity)
+    assert f"sd of positions {found.position:.2g}, of velocities {found.velocity:.2g} times the stated" in found.words
+    monkeypatch.setattr(noise_scan, "HARM", 0.0)
+    assert scan_noise(rec, with_arm(rec)).position == 1.0
 
 
 def test_what_is_stated_stays(drive):
@@ -73,6 +90,9 @@ def test_what_is_stated_stays(drive):
     stated = params._replace(mounting=params.mounting._replace(time_offset=np.asarray(0.05)))
     found = scan_noise(drive, stated)
     assert found.latency == 0.0 and found.accel > 3.0 and float(found.applied(stated).mounting.time_offset) == 0.05
+    fixes = {name: theta._replace(scale=np.asarray(2.0)) for name, theta in params.measurements.items()}
+    found = scan_noise(drive, params._replace(measurements=fixes))
+    assert found.position == found.velocity == 1.0 and found.latency == pytest.approx(LATENCY, abs=0.05)
 
 
 def test_a_few_fixes_are_too_few(drive):

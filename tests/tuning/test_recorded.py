@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 
 import tuning
+from jaxnav.analysis.noise_scan import NoiseScan
 from jaxnav.analysis.windows import drift as windows_drift
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import start
@@ -155,11 +156,21 @@ def test_the_score_is_the_slope_of_the_objective(job):
     slope = [(float(inform(x + h * e).nll) - float(inform(x - h * e).nll)) / (2 * h) for e in np.eye(x.size)]
     np.testing.assert_allclose(info.score, slope, rtol=1e-3, atol=1e-4)
     assert np.linalg.eigvalsh(np.asarray(info.fisher)).min() > 0
-    # at the datasheet the prior adds nothing, and elsewhere its square
-    held = mine.objective(horizon=False, held=["noise.gyro"])
-    assert float(held(jnp.asarray(x)).nll - mine.objective(horizon=False)(jnp.asarray(x)).nll) == pytest.approx(
-        0.5 * (0.2 / mine.width[sorted(mine.spec).index("noise.gyro")]) ** 2 * (evidence.TINY**-2 - 1), rel=1e-6
-    )
+
+
+def test_the_prior_of_a_delay_is_centred_at_the_scan(ekf, job):
+    """J grows by half the square of the distance to the scan's delay; the prior of the noise stays at the datasheet."""
+    make, _, _ = job
+    mine = Job(ekf, priors.spec_of(ekf, make.use().sheet, ("timing", "noise.gyro")), [make.use()])
+    scanned = NoiseScan(10.0, 3.0, 0.25).applied(make.use().sheet)
+    numbers = mine.numbers([scanned])
+    assert float(get(mine.params(numbers), "mounting.time_offset")) == pytest.approx(0.25)
+    before = float(mine.objective()(numbers).nll)
+    mine.centre_delays(numbers)
+    delay = np.array(mine.leaves) == "mounting.time_offset"
+    np.testing.assert_array_equal(np.asarray(mine.centre == numbers), delay | (np.asarray(mine.flat == numbers)))
+    off = (0.25 / 0.1) ** 2 / 2  # its sd is 0.1 s
+    assert before - float(mine.objective()(numbers).nll) == pytest.approx(off, rel=1e-9)
 
 
 def test_nothing_after_the_training_part_enters(job):
@@ -211,14 +222,11 @@ def test_what_is_each_ones_own_has_its_own_numbers(ekf, job):
     np.testing.assert_allclose(found.score[G:], second.score[own], rtol=1e-12)
     np.testing.assert_allclose(found.fisher[G:, G:], second.fisher[np.ix_(own, own)], rtol=1e-12)
     assert not np.any(found.fisher[G:, :G][:, own])
-    delayed = recorded._delayed(Job(ekf, priors.spec_of(ekf, make.use().sheet, ("timing",)), [make.use()] * 2,
-                                    ("mounting.time_offset",)), [late(0.2), late(-0.4)])  # fmt: skip
-    assert sorted(np.asarray(delayed).tolist()) == pytest.approx([-4.0, 0.0, 0.0, 2.0])  # its step is 0.1 s
-
-
-def late(delay):
-    """A start that saw this delay."""
-    return SimpleNamespace(alignment=SimpleNamespace(delay=delay, sd=np.full(10, 0.01)))
+    timing = Job(ekf, priors.spec_of(ekf, make.use().sheet, ("timing",)), [make.use()] * 2, (recorded.DELAY,))
+    scans = [NoiseScan(latency=latency).applied(make.use().sheet) for latency in (0.2, -0.4)]
+    assert sorted(np.asarray(timing.numbers(scans)).tolist()) == pytest.approx([-4.0, 0.0, 0.0, 2.0])  # steps of 0.1 s
+    shared = Job(ekf, timing.spec, [make.use()] * 2)  # what is shared is the mean
+    assert sorted(np.asarray(shared.numbers(scans)).tolist()) == pytest.approx([-1.0, 0.0, 0.0])
 
 
 def test_what_a_part_predicts_is_the_likelihood_in_the_objective(ekf, job):
@@ -286,10 +294,14 @@ def test_the_datasheet_stays_unless_all_is_better():
     much = trial(before * np.array([0.1, 0.1, 0.1, 1.3, 1.3, 0.1]))
     assert choose({"datasheet": same, "tuned": one}) == "tuned"  # a little, by chance
     assert choose({"datasheet": same, "tuned": much}) == "datasheet"
-    assert choose({"datasheet": same, "tuned": half, "held": trial(0.9 * before, -1.0)}) == "held"  # predicts best
+    assert choose({"datasheet": same, "tuned": half, "slow": trial(0.9 * before, -1.0)}) == "slow"  # predicts best
     assert choose({"datasheet": same, "tuned": trial(1.01 * before, -9.0)}) == "datasheet"  # and drifts more
     assert choose({"datasheet": same, "tuned": trial(0.5 * before, 1.1)}) == "datasheet"  # predicts worse
     assert choose({"datasheet": same, "tuned": trial(np.where(before > 0, np.inf, 0.0))}) == "datasheet"
+    better = trial(0.8 * before, -1.0)
+    assert choose({"datasheet": same, "auto": half, "tuned": better}) == "auto"  # predicts better and drifts more
+    assert choose({"datasheet": same, "auto": half, "tuned": trial(0.4 * before, -1.0)}) == "tuned"
+    assert choose({"datasheet": same, "auto": trial(1.2 * before, -0.5), "tuned": better}) == "tuned"  # auto does harm
 
 
 def test_a_prior_is_told_as_it_is():
@@ -376,18 +388,16 @@ def test_what_is_written_is_read_back(found, ekf, tmp_path):
 
 
 def test_ctrl_c_leaves_the_best_so_far(rec, ekf, found):
-    """In the second search of three: what the first one found is judged, and the verdict is one."""
-    lines = []
+    """In the second evaluation of the search: the first one's numbers are judged, and the verdict is one."""
 
     def say(line):
-        lines.append(line)
-        if "tuned from held, evaluation" in line:
+        if "tuned, evaluation 1" in line:
             raise KeyboardInterrupt
 
     less = tuning.tune(rec, ekf, ekf.params("adis16465"), free=("noise", "fixes"), say=say)
-    assert less.stopped and not found.stopped and set(less.trials) == {"datasheet", "held", "tuned"}
-    np.testing.assert_array_equal(less.trials["held"].drift, found.trials["held"].drift)
-    assert not any("tuned from datasheet" in line for line in lines) and "position.scale" in str(less)
+    assert less.stopped and not found.stopped and set(less.trials) == {"datasheet", "auto", "tuned"}
+    np.testing.assert_array_equal(less.trials["auto"].drift, found.trials["auto"].drift)
+    assert len(less.history) < len(found.history) and "position.scale" in str(less)
 
 
 def test_a_recording_that_is_too_short_is_refused(rec, ekf):

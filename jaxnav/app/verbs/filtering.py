@@ -114,7 +114,10 @@ def filter(config: Config, folder: Path) -> Outcome:
     found |= {"unused_streams": unused} if unused else {}
     if case.noise is not None:
         scan = case.noise
-        found["noise_scan"] = {"gyro": scan.gyro, "accel": scan.accel, "latency_s": scan.latency, "gain": scan.gain}
+        found["noise_scan"] = {
+            "gyro": scan.gyro, "accel": scan.accel, "latency_s": scan.latency, "gain": scan.gain,
+            "position": scan.position, "velocity": scan.velocity,
+        }  # fmt: skip
     notes = [
         taken.words,
         case.noise.words if case.noise else "",

@@ -46,7 +46,7 @@ class Imu(NamedTuple):
 class Fix(NamedTuple):
     """Measurements at the end of one epoch, all channels side by side in the order the error model was made with.
 
-    Always finite, ``sd > 0``; a missing channel is ``valid = False`` with any finite value.
+    Finite, ``sd > 0``; a missing channel is ``valid = False`` with any value, nan too.
     """
 
     value: jax.Array  # (m,) rad, m, m/s, rad/s: see `jaxnav.measurements`

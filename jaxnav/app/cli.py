@@ -250,6 +250,8 @@ def resolve(args: argparse.Namespace) -> configuration.Config:
         layers.append((args.params, configuration.read_params(args.params)))
     if args.seed is not None:
         layers.append(("--seed", {"seed": args.seed}))
+    if args.verb in ("check", "convert"):
+        layers.append(("PATH", {"data": {"source": args.path}}))
     if getattr(args, "data", None) is not None:
         layers.append(("--data", {"data": {"source": args.data}}))
     span = {key: getattr(args, key) for key in ("start", "stop") if getattr(args, key, None) is not None}
@@ -320,11 +322,7 @@ def _verb(args: argparse.Namespace, config: configuration.Config, folder: Path, 
     if args.verb in ("check", "convert"):
         from jaxnav.app.verbs import check
 
-        return (
-            check.check(args.path, folder, config.out.figures)
-            if args.verb == "check"
-            else check.convert(args.path, folder)
-        )
+        return check.check(config, folder) if args.verb == "check" else check.convert(config, folder)
     if args.verb in ("simulate", "filter", "warm"):
         from jaxnav.app.verbs import filtering
 

@@ -146,7 +146,8 @@ def _listed(run: Path) -> list[str]:
 
 
 SECTIONS = {  # of the configuration, beside the seed, that a verb reads: what others read would bury them
-    "simulate": ("data", "out"), "allan": ("data", "out"), "check": ("out",), "convert": (), "compare": ("out",),
+    "simulate": ("data", "out"), "allan": ("data", "out"), "check": ("data", "out"), "convert": ("data",),
+    "compare": ("out",),
     "filter": ("data", "filter", "start", "params", "out"), "mc": ("data", "filter", "params", "mc", "out"),
     "tune": ("data", "filter", "start", "params", "tune", "out"),
     "demo": ("data", "filter", "start", "params", "tune", "out"),

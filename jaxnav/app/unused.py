@@ -24,6 +24,8 @@ def unused(verb: str, config: Config) -> list[str]:
 
     if not simulated:
         note("is of simulated data alone", "data.imu_worse_by", "data.gnss_latency_s")
+    if verb in ("check", "convert"):
+        note("the whole recording is read", "data.start", "data.stop")
     if verb in ("tune", "bakeoff", "mc"):
         note(f"is of jaxnav filter; {verb} hides fixes by itself", "filter.outages")
         note("is of jaxnav filter", "filter.smooth", "filter.lag_s")

@@ -14,7 +14,7 @@ from jaxnav.data.checks import STREAM_SIZES, ned_to_enu
 from jaxnav.data.columns import Files, column_of, known, rows_of, sd_of, sheet_of, side_by_side, table_of, times_of
 from jaxnav.data.files import FilePath, read_bytes
 from jaxnav.data.mend import LATE
-from jaxnav.data.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream
+from jaxnav.data.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream, counted_from
 from jaxnav.data.sheet import column, open_sheet
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Track
@@ -65,11 +65,12 @@ def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None
             raise DataError(f"{file}: [read] needs a key file")
         options |= {key: where / options[key] for key in ("gnss",) if key in options}
         parts = base(where / options.pop("file"), **options)
+        files = files._replace(zero=parts.zero)
     if "imu" in table:
         zero = times_of(files, table["imu"], "imu")
         first = float(zero[0]) if len(zero) and np.isfinite(zero[0]) else 0.0
         files = files._replace(zero=int(first) if first >= LATE else 0)
-        parts = _with_imu(_counted_from(parts, files.zero), files, table["imu"])
+        parts = _with_imu(counted_from(parts, files.zero), files, table["imu"])
     aiding = parts.aiding | {key: _stream(files, table[key], key) for key in STREAM_SIZES if key in table}
     truth = _truth(files, table["truth"]) if "truth" in table else parts.truth
     notes = [*parts.notes, *([table["notes"]] if "notes" in table else [])]
@@ -128,13 +129,6 @@ def _with_imu(parts: Parts, files: Files, table: dict) -> Parts:
     lines = sheet_of(files, table, refs, "imu")[0].lines
     rows = ImuRows(t[keep], gyro[keep], accel[keep], sampling, repair=bool(table.get("repair", False)))
     return parts._replace(imu=rows, axes=table.get("axes", "frd"), lines=None if lines is None else lines[keep])
-
-
-def _counted_from(parts: Parts, zero: int) -> Parts:
-    """What [read] found with its times counted from ``zero`` s, as those of the map's own tables."""
-    aiding = {name: stream._replace(t=stream.t - zero) for name, stream in parts.aiding.items()}
-    truth = None if parts.truth is None else parts.truth._replace(t=parts.truth.t - zero)
-    return parts._replace(aiding=aiding, truth=truth)
 
 
 def _stream(files: Files, table: dict, name: str) -> Stream:

@@ -17,6 +17,7 @@ from jaxnav.types import DataError, ImuLog, Recording, Samples
 MAX_BAD = 0.05  # share of rows that may be left out; more, and the file is not what it is taken for
 GAP = 2.5  # median steps: a longer one is a gap, whose length no sample covers
 APART = 3600.0  # s; rows on the two sides of a longer gap are two recordings, or a clock that was set
+EMPTY = "no row is left"
 LATE = 1e7  # s; later times are counted from the first sample, since a float would round them to 1e-7 s
 SLOW = 20.0  # Hz; an IMU slower than this averages the motion away
 GPS_EPOCH, WEEK = 315964800.0, 604800.0  # s: start of GPS time counted from 1970, and its weeks
@@ -252,7 +253,10 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]
         notes.append(f"{name}: {outside} of {len(t)} rows lie before the IMU's first sample or after its last.")
     keep &= good & inside
     if not keep.any():
-        notes.append(f"{name}: no row is left, so it is not used.")
+        theirs = f"{np.nanmin(t):.1f} to {np.nanmax(t):.1f}" if np.isfinite(t).any() else "no time"
+        notes.append(
+            f"{name}: {EMPTY} of {len(t)}, at {theirs} s; the IMU's are at {imu.t[0]:.1f} to {imu.t[-1]:.1f} s."
+        )
         return None
     again = np.mean(np.all(value[keep][1:] == value[keep][:-1], axis=1)) if keep.sum() > 1 else 0.0
     if again > 0.2 and name in ("position", "velocity"):
@@ -266,6 +270,6 @@ def _same_epoch(name: str, t: np.ndarray, imu: ImuLog, notes: list[str]) -> np.n
     first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
     if not (imu.t[-1] < 2 * WEEK and first >= GPS_EPOCH):
         return t
-    week = np.floor((first - GPS_EPOCH) / WEEK)
+    week = np.round((np.nanmedian(t) - GPS_EPOCH - float(np.median(imu.t))) / WEEK)
     notes.append(f"{name}: times since 1970 are taken as seconds of GPS week {week:.0f}, which is what the IMU counts.")
     return t - GPS_EPOCH - week * WEEK

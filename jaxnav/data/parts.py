@@ -43,6 +43,16 @@ class Parts(NamedTuple):
     axes: str = "frd"  # of the sensor, see `jaxnav.data.axes.rotation`
     name: str = ""
     lines: np.ndarray | None = None  # (N,) line of each row of the imu, where the file has lines
+    zero: int = 0  # s of the file's own time, subtracted from all times
+
+
+def counted_from(parts: Parts, zero: int) -> Parts:
+    """Return parts whose times count from ``zero`` s of the file's own time."""
+    shift = parts.zero - zero
+    imu = None if parts.imu is None else parts.imu._replace(t=parts.imu.t + shift)
+    aiding = {name: stream._replace(t=stream.t + shift) for name, stream in parts.aiding.items()}
+    truth = None if parts.truth is None else parts.truth._replace(t=parts.truth.t + shift)
+    return parts._replace(imu=imu, aiding=aiding, truth=truth, zero=zero)
 
 
 def parts_of(rec: Recording, file: str) -> Parts:

@@ -15,7 +15,7 @@ from jaxnav.data.column_map import TOP, column_names, read_map
 from jaxnav.data.files import FilePath
 from jaxnav.data.formats import dataflash, ekf2_replay, euroc, kfgins, navego, nmea, rosbag, rtklib, ubx, ulog
 from jaxnav.data.mend import Changes
-from jaxnav.data.parts import ImuRows, Parts, Stream, parts_of
+from jaxnav.data.parts import ImuRows, Parts, Stream, counted_from, parts_of
 from jaxnav.types import DataError, Recording
 
 HEAD = 4096  # bytes of a file that a reader sees to recognise it
@@ -60,7 +60,7 @@ def read_parts(path: FilePath, gnss: FilePath | None = None, **options: Any) -> 
         raise DataError(f"{path}: {row.name}: no option {key}: {hint}")
     parts = _read(row, path, own)
     if gnss is not None:
-        other = read_parts(gnss)
+        other = counted_from(read_parts(gnss), parts.zero)
         parts = parts._replace(aiding=parts.aiding | other.aiding, notes=parts.notes + other.notes)
     return mend.applied(parts._replace(name=parts.name or path.stem), Changes(**changes))
 

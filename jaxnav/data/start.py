@@ -143,7 +143,8 @@ def start(
         if sd is not None and (np.shape(sd) not in ((), (3,)) or not np.all(np.asarray(sd) > 0)):
             raise ConfigError(f"start.{key} must be one number or 3, > 0, got {sd!r}")
     if position is None or position.t.size < 2:
-        raise DataError(f"{rec.name}: needs a stream of positions to start from")
+        why = [line for line in rec.notes.splitlines() if line.startswith("position")]
+        raise DataError("\n".join([f"{rec.name}: needs a stream of positions to start from", *why]))
     if isinstance(heading, str) and heading not in ("motion", "course", "unknown", "truth"):
         raise ConfigError(f'start.heading must be "motion", "course", "unknown", "truth" or degrees, got {heading!r}')
     if not isinstance(heading, str) and not np.all(np.isfinite(heading)):

@@ -86,6 +86,12 @@ def to_toml(tree: Mapping[str, Any], section: str = "") -> str:
     return text
 
 
+def inline(table: Mapping[str, Any]) -> str:
+    """Return a table as TOML in one line."""
+    cells = (f"{_key(k)} = {inline(v) if isinstance(v, Mapping) else _toml(v)}" for k, v in table.items())
+    return f"{{ {', '.join(cells)} }}"
+
+
 def _key(key: str) -> str:
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key)
 

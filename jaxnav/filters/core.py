@@ -186,6 +186,12 @@ def _depending_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Arra
     return primals[1], tangents[1] + jnp.where(False, sum(leaves), 0.0)
 
 
+def without_nan(fix: Fix) -> Fix:
+    """Return a fix whose missing channels hold numbers: a masked nan still makes the gradient nan."""
+    filled = lambda a, value: jnp.where(fix.valid | jnp.isfinite(a), a, value)
+    return Fix(filled(fix.value, 1.0), filled(fix.sd, 1.0), filled(fix.corr, 0.0), fix.valid)
+
+
 def masked(y: jax.Array, H: jax.Array, R: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Make missing channels exact no-ops: zero residual and row of H, identity in R."""
     both = valid[:, None] & valid
@@ -318,6 +324,7 @@ def make_filter(
 
     def corrected(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info, jax.Array]:
         nav, age = jax.tree.map(lambda a: a[-1], state.past), state.age + state.T
+        fix = without_nan(fix)
         x, memory = rule.extrapolate(params.rule, state.memory, state.x0, state.x)
         y, H, R = model.observe(params, state.past, fix, state.P if model.second_order else None)
         residual = y - H @ x

@@ -6,6 +6,7 @@ import pytest
 
 from benchmarks.recordings import check
 from benchmarks.recordings.start import simulated
+from jaxnav.app.config import Data
 from jaxnav.app.verbs.check import configuration
 from jaxnav.data import magnetic
 from jaxnav.data.checkup import CHECKS, checkup, inertial, quick_notes
@@ -198,7 +199,7 @@ def test_the_detector_of_standstills_is_set_by_what_the_receiver_says():
     shaken += 3 * boarding * rng.normal(size=shaken.shape)
     rec = rec._replace(imu=rec.imu._replace(accel=shaken, gyro=turned))
     accel, gyro = standstill(rec)
-    lines = configuration("drive", rec, [accel, gyro]).splitlines()
+    lines = configuration(Data("drive"), rec, [accel, gyro]).splitlines()
     assert [line.split(" = ")[0] for line in lines if line.startswith("# ") and "st" in line][-2:] == [
         "# standing_accel_sd_mps2", "# standing_gyro_sd_deg_per_s"]  # fmt: skip
     assert 0.8 < accel.value < 1.8 and "% of them and 0." in gyro.words

@@ -124,3 +124,18 @@ def test_innovations_know_the_drift_of_a_clock(setting, fine_case, true):
     assert low > mid < high
     lowest = true + 0.5 * h * (low - high) / (low - 2 * mid + high)
     assert lowest == pytest.approx(true, abs=2e-5)
+
+
+def test_missing_values_may_be_nan(setting):
+    """A missing channel's value, sd and correlation are nan: value and gradient as with numbers; a valid nan shows."""
+    fix = setting.epochs.fix
+    fix = fix._replace(valid=fix.valid.at[4:7].set(False).at[9, :3].set(False))
+    gone = lambda a: jnp.where(fix.valid, a, jnp.nan)
+    missing = fix._replace(value=gone(fix.value), sd=gone(fix.sd), corr=gone(fix.corr))
+    numbers, nan = (setting.epochs._replace(fix=each) for each in (fix, missing))
+    np.testing.assert_array_equal(setting.scores(setting.params, nan), setting.scores(setting.params, numbers))
+    jax.tree.map(
+        np.testing.assert_array_equal, setting.gradient(setting.params, nan), setting.gradient(setting.params, numbers)
+    )
+    valid = setting.epochs._replace(fix=missing._replace(valid=jnp.ones_like(fix.valid)))
+    assert not np.isfinite(setting.scores(setting.params, valid)).all()

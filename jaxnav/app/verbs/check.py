@@ -12,26 +12,27 @@ from jaxnav.analysis.observability import in_words as in_words_of
 from jaxnav.analysis.observability import observability
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import checkup as plots_checkup
-from jaxnav.app.config import resolve
+from jaxnav.app.config import Config, Data, resolve
 from jaxnav.app.prepare import prepare
 from jaxnav.app.results import Outcome, picture
 from jaxnav.app.verbs.filtering import describe, describe_text
 from jaxnav.data.checkup import Finding, checkup
 from jaxnav.data.json import write_json
 from jaxnav.data.read import read
+from jaxnav.data.toml import inline
 from jaxnav.types import ConfigError, DataError, Recording
 
 MOST, WINDOW = 2000, 30.0  # epochs, and s at a time, in which it is asked what the motion shows of the states
 
 
-def check(path: str, folder: Path, figures: bool = True) -> Outcome:
-    """Check a recording against itself; table, check.json, a picture, and a configuration that runs it.
+def check(config: Config, folder: Path) -> Outcome:
+    """Check the recording of [data] against itself; table, check.json, a picture, and a configuration that runs it.
 
     Raises:
         DataError: nothing there that can be read.
     """
     begin = time.perf_counter()
-    rec = read(path)
+    rec = read(config.data.source, **config.data.options)
     seconds = {"read": time.perf_counter() - begin}
     begin = time.perf_counter()
     found = checkup(rec)
@@ -40,10 +41,10 @@ def check(path: str, folder: Path, figures: bool = True) -> Outcome:
     seen: list[str] = []
     if "position" in rec.aiding:
         begin = time.perf_counter()
-        (folder / "config.toml").write_text(configuration(path, rec, found), encoding="utf-8")
+        (folder / "config.toml").write_text(configuration(config.data, rec, found), encoding="utf-8")
         seen = shown(folder / "config.toml")
         seconds["states"] = time.perf_counter() - begin
-    if figures:
+    if config.out.figures:
         with picture("the recording"):
             plots.save(plots_checkup.overview(rec), folder / "check.png")
     about = {"findings": [f._asdict() for f in found], "wrong": sum(f.bad for f in found), "states": seen}
@@ -61,14 +62,14 @@ def shown(file: Path) -> list[str]:
         return [f"what its motion shows of the states is not known: {error}"]
 
 
-def convert(path: str, folder: Path) -> Outcome:
-    """Write any recording as our folder of CSV files (docs/formats.md).
+def convert(config: Config, folder: Path) -> Outcome:
+    """Write the recording of [data] as our folder of CSV files (docs/formats.md).
 
     Raises:
         DataError: nothing there that can be read.
     """
     begin = time.perf_counter()
-    rec = read(path)
+    rec = read(config.data.source, **config.data.options)
     io.write_recording(folder / "recording", rec)
     for file in (folder / "recording").iterdir():
         file.rename(folder / file.name)
@@ -92,13 +93,15 @@ def in_words(rec: Recording, found: list[Finding]) -> str:
     return "\n".join([*lines, *(f"  {note}" for note in rec.notes.splitlines() if note not in "\n".join(lines))])
 
 
-def configuration(path: str, rec: Recording, found: list[Finding]) -> str:
-    """A configuration that runs the recording, a remark on each line."""
-    source = str(Path(path).resolve()).replace("\\", "/")
+def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
+    """Return a configuration that runs the recording, a remark on each line."""
+    whole = lambda path: str(Path(path).resolve()).replace("\\", "/")
+    options = {k: whole(v) if k == "gnss" else v for k, v in data.options.items()}
     lines = [
         "# jaxnav filter --config config.toml",
         "[data]",
-        f'source = "{source}"  # what was checked',
+        f'source = "{whole(data.source)}"  # what was checked',
+        *([f"options = {inline(options)}"] if options else []),
         "[filter]",
         'name = "ekf15"  # errors of position, velocity, attitude and both biases; `jaxnav info` lists the others',
         f'grade = "auto"  # IMU noise and latency by likelihood, or a datasheet; {_noise(found)}',

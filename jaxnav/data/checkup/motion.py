@@ -14,6 +14,7 @@ from jaxnav.types import ImuLog, Recording, Samples
 STEP = 0.1  # s, of the series that are correlated
 FARTHEST = 40.0  # s: leap seconds, and a logger that was started early
 SURE = 0.6  # correlation of turns that belong together
+SERIES, SIGMAS = 2.0, 3.5  # s, between independent turn rates; of the largest chance correlation over all lags
 WINDOW = 20.0  # s, of an alignment
 BAD_FIT = 8.0  # chi^2 per degree of freedom
 MOST_WINDOWS = 6
@@ -74,7 +75,8 @@ def turns(rec: Recording) -> list[Finding]:
     x = turns_of(rec)
     if x is None:
         return []
-    lags = np.arange(-round(FARTHEST / STEP), round(FARTHEST / STEP) + 1)
+    most = min(round(FARTHEST / STEP), x.t.size // 2)
+    lags = np.arange(-most, most + 1)
     table = np.array([[correlation(x, axis, int(lag)) for lag in lags] for axis in range(3)])
     zero = np.abs(lags) <= round(1.0 / STEP)
     near = np.array([row[zero][np.abs(row[zero]).argmax()] for row in table])
@@ -83,7 +85,9 @@ def turns(rec: Recording) -> list[Finding]:
     words = "turns of the course against the gyros: " + ", ".join(
         f"{name} {c:+.2f}" for name, c in zip("xyz", near, strict=True)
     )
-    if abs(best) > SURE and abs(lag) > 1.0 and abs(best) > 1.5 * np.abs(near).max():
+    seconds = STEP * x.weight.sum() - abs(lag)  # that overlap, about; few turns are alike by chance
+    chance = np.tanh(SIGMAS / np.sqrt(max(seconds / SERIES - 3.0, 1.0)))  # Fisher's z
+    if abs(best) > max(SURE, chance) and abs(lag) > 1.0 and abs(best) > 1.5 * np.abs(near).max():
         words += f"; {'xyz'[axis]} {best:+.2f} if fixes are {lag:+.1f} s late"
         return [Finding("time.offset", words, "clocks apart: another time scale (leap seconds), or time zone", True)]
     if abs(near[2]) > SURE and abs(near[2]) >= 0.8 * np.abs(near).max():

@@ -3,12 +3,25 @@
 import numpy as np
 
 from jaxnav.data.checkup.finding import Finding, at, level_velocity, local, rms, running
+from jaxnav.data.mend import EMPTY
 from jaxnav.types import Recording
 
 SPAN = 2.0  # s, over which positions are differenced
 UNITS = {"km/h": 3.6, "knots": 1.943844, "feet per second": 3.28084, "mm/s": 1000.0, "cm/s": 100.0}
 JUMPY = 1.15  # times: the step of a stated sd from one fix to the next, in the median
 AXES = np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]])
+
+
+def empty(rec: Recording) -> list[Finding]:
+    """Return which streams of the file have no row left, from the reader's notes."""
+    found = []
+    for line in rec.notes.splitlines():
+        name, _, words = line.partition(": ")
+        if words.startswith(EMPTY):
+            others = [w.removeprefix(f"{name}: ") for w in rec.notes.splitlines() if w.startswith(f"{name}: ")]
+            why = " ".join(w for w in others if w != words) or "they lie outside of the IMU's time, or say nothing"
+            found.append(Finding(f"{name}.empty", f"{name}: {words.rstrip('.')}", why.rstrip("."), True))
+    return found
 
 
 def velocity(rec: Recording) -> list[Finding]:

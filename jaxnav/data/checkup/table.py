@@ -17,6 +17,7 @@ class Check(NamedTuple):
 
 
 CHECKS: dict[str, Check] = {
+    "empty": Check(streams.empty, False),
     "sampling": Check(inertial.sampling),
     "axes": Check(inertial.axes),
     "gravity": Check(inertial.gravity),

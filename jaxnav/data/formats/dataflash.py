@@ -175,7 +175,10 @@ def _instance(logged: dict[str, dict], name: str, number: int) -> dict[str, np.n
 
 
 def _seconds(data: dict[str, np.ndarray]) -> np.ndarray:
-    return data["TimeUS"] / 1e6 if "TimeUS" in data else data["TimeMS"] / 1e3
+    """Return the board's time (N,) s; TimeMS of an old GPS message is GPS time of week, and T the board's."""
+    if "TimeUS" in data:
+        return data["TimeUS"] / 1e6
+    return data["T" if "T" in data else "TimeMS"] / 1e3
 
 
 def _columns(data: dict[str, np.ndarray], *names: str) -> np.ndarray:

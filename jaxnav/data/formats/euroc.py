@@ -38,7 +38,7 @@ def read(path: Path) -> Parts:
     gyro, accel = (np.stack([numbers(sheet, k + i) for i in range(3)], axis=1) for k in (2, 5))
     rows = ImuRows(times(sheet, 1, "ns", zero), gyro, accel)
     notes = (*sheet.notes, f"t = 0 is {zero} s since 1970.")
-    return Parts(os.fspath(file), rows, notes=notes, lines=sheet.lines)
+    return Parts(os.fspath(file), rows, notes=notes, lines=sheet.lines, zero=zero)
 
 
 def _file(folder: Path) -> Path | None:

@@ -109,7 +109,7 @@ def _parts(file: str, rows: dict[str, list], stamps: dict[str, list[int]], notes
             t, value, sd = t[keep], value[keep], sd[keep]
         # a magnetometer is taken to sit in the IMU's case
         aiding[stream] = Stream(t, value, None if np.isnan(sd).all() else sd, turns=stream == "magnetometer")
-    return Parts(file, imu, aiding, notes=tuple(notes), axes="flu")
+    return Parts(file, imu, aiding, notes=tuple(notes), axes="flu", zero=zero // 10**9)
 
 
 def _xyz(v: Any) -> list[float]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnav.data import units
+from jaxnav.data import missing, units
 from jaxnav.data.axes import enu_to_ecef, geodetic, local_to_lla, rotation
 from jaxnav.data.checks import STREAM_SIZES, ned_to_enu
 from jaxnav.data.columns import Files, column_of, known, rows_of, sd_of, sheet_of, side_by_side, table_of, times_of
@@ -174,6 +174,7 @@ def _velocity(files: Files, table: dict, name: str) -> np.ndarray:
         sign = np.array([1.0, 1.0, -1.0 if key == "ned" else 1.0])
         return table_of(files, table, key, name)[:, order] * sign * scale
     speed, course = table_of(files, table, key, name, 2).T
+    speed = np.where(missing.no_speed(speed), np.nan, speed)
     course = course * units.factor(table, "course_unit", "angle", f"{files.map}: {name}", "deg")
     key = "up" if "up" in table else "down"
     up = column_of(files, table, table[key], name) * scale if key in table else np.zeros_like(speed)

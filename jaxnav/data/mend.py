@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxnav.data import polling
+from jaxnav.data import missing, polling
 from jaxnav.data.axes import rotation
 from jaxnav.data.checks import check_recording, uncertainty
 from jaxnav.data.files import MAX_VALUE, Source
@@ -18,6 +18,8 @@ MAX_BAD = 0.05  # share of rows that may be left out; more, and the file is not 
 GAP = 2.5  # median steps: a longer one is a gap, whose length no sample covers
 APART = 3600.0  # s; rows on the two sides of a longer gap are two recordings, or a clock that was set
 EMPTY = "no row is left"
+LEAST_SD, MOST_SD = 1e-9, 1e9  # of a stated sd; others say nothing
+UNKNOWN_HEIGHT_SD = 1e3  # m
 LATE = 1e7  # s; later times are counted from the first sample, since a float would round them to 1e-7 s
 SLOW = 20.0  # Hz; an IMU slower than this averages the motion away
 GPS_EPOCH, WEEK = 315964800.0, 604800.0  # s: start of GPS time counted from 1970, and its weeks
@@ -90,7 +92,8 @@ def recording(parts: Parts) -> Recording:
     turn = rotation(parts.axes)
     imu = _imu(parts.imu, turn, parts, notes)
     aiding = {}
-    for key, stream in parts.aiding.items():
+    streams = without_fix(parts.aiding)
+    for key, stream in streams.items():
         if stream.turns:
             stream = stream._replace(value=stream.value @ turn.T)
         samples = _samples(key, stream, imu, parts.file, notes)
@@ -108,6 +111,17 @@ def recording(parts: Parts) -> Recording:
     name, arm = parts.name or parts.file, np.asarray(parts.lever_arm, float)
     rec = Recording(name, imu, aiding, truth, arm, "\n".join(dict.fromkeys(notes)))
     return check_recording(rec, dict.fromkeys(("imu", "truth", "lever_arm", *aiding), Source(parts.file)))
+
+
+def without_fix(aiding: dict[str, Stream]) -> dict[str, Stream]:
+    """Return the streams with nan for velocities of exactly 0 at the time of a position that stands for none."""
+    if not {"position", "velocity"} <= set(aiding):
+        return aiding
+    position, velocity = aiding["position"], aiding["velocity"]
+    lost = np.asarray(position.t)[missing.no_position(np.asarray(position.value, float))]
+    zero = np.isin(velocity.t, lost) & (np.asarray(velocity.value)[:, :2] == 0).all(axis=1)
+    value = np.where(zero[:, None], np.nan, velocity.value)
+    return aiding | {"velocity": velocity._replace(value=value)}
 
 
 def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[str]) -> ImuLog:
@@ -237,14 +251,31 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]
     if not len(t):
         return None
     t = _same_epoch(name, t, imu, notes)
-    given = stream.sd
-    if given is None and name not in ASSUMED_SD:
+    corr = np.zeros_like(value) if stream.corr is None else np.asarray(stream.corr, float)
+    given = np.full_like(value, np.nan) if stream.sd is None else np.array(stream.sd, float)
+    if stream.sd is None and name not in ASSUMED_SD:
         raise DataError(f"{file}: {name}: states no sd: give one, sd={{{name!r}: ...}}")
-    if given is None:
-        given = np.tile(np.resize(ASSUMED_SD[name], value.shape[1]), (len(t), 1))
-        notes.append(f"{name}: the file states no sd; assumed are {uncertainty(name, given[0])}.")
+    if name == "position":
+        value, given = _with_heights(value, given, notes)
+    none = ~np.isfinite(value).all(axis=1)
+    if none.any():
+        notes.append(f"{name}: {none.sum()} of {len(t)} rows have no value, or a mark for none, and are left out.")
+    t, value, given, corr = t[~none], value[~none], given[~none], corr[~none]
+    if not len(t):
+        notes.append(f"{name}: {EMPTY} of {len(none)}.")
+        return None
+    given = _with_sd(name, given, notes)
     keep = usable(name, t, value, file, notes)
-    good = np.all((given > 1e-9) & (given < 1e9), axis=1)  # nan too
+    if name == "position":
+        far = np.zeros(len(t), bool)
+        far[keep] = missing.unreachable(t[keep], value[keep])
+        if far.any():
+            notes.append(
+                f"position: {far.sum()} of {len(t)} rows are farther from the others than {missing.FASTEST:g} m/s "
+                f"allow and are left out, the first at {t[np.argmax(far)]:.1f} s."
+            )
+        keep &= ~far
+    good = np.all((given > LEAST_SD) & (given < MOST_SD), axis=1)  # nan too
     if np.any(keep & ~good):
         notes.append(f"{name}: {np.count_nonzero(keep & ~good)} of {len(t)} rows whose sd says nothing are left out.")
     inside = (t > imu.t[0] - imu.dt[0]) & (t <= imu.t[-1])
@@ -261,8 +292,39 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]
     again = np.mean(np.all(value[keep][1:] == value[keep][:-1], axis=1)) if keep.sum() > 1 else 0.0
     if again > 0.2 and name in ("position", "velocity"):
         notes.append(f"{name}: {100 * again:.0f} % of the rows repeat the row before: standing, or polled?")
-    corr = np.zeros_like(value) if stream.corr is None else stream.corr
-    return Samples(t[keep], value[keep], np.asarray(given, float)[keep], corr[keep])
+    return Samples(t[keep], value[keep], given[keep], corr[keep])
+
+
+def _with_heights(value: np.ndarray, sd: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and sd (K, 3): nan where there is no fix, heights that are missing interpolated and unsure."""
+    none = ~np.isfinite(value[:, :2]).all(axis=1) | missing.no_position(value)
+    lost = missing.no_height(value[:, 2]) & ~none
+    value = np.where(none[:, None], np.nan, value)
+    if lost.any():
+        notes.append(
+            f"position: {lost.sum()} of {len(lost)} rows have no height, or a mark for none: it is interpolated, with "
+            f"an sd of {UNKNOWN_HEIGHT_SD:g} m."
+        )
+        known, k = ~lost & ~none, np.arange(len(lost))
+        value[lost, 2] = np.interp(k[lost], k[known], value[known, 2]) if known.any() else 0.0
+        sd[lost, 2] = UNKNOWN_HEIGHT_SD
+    return value, sd
+
+
+def _with_sd(name: str, sd: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Return sd (K, s) with what is assumed on axes that state none; a row that alone states none stays as it is."""
+    none = ~(sd > LEAST_SD)
+    whole = np.asarray(none.all(axis=1))
+    lost = none & (~whole[:, None] | whole.all())
+    if name not in ASSUMED_SD or not lost.any():
+        return sd
+    assumed = np.resize(ASSUMED_SD[name], sd.shape[1])
+    if whole.all():
+        notes.append(f"{name}: the file states no sd; assumed are {uncertainty(name, assumed)}.")
+    else:
+        words = f"{lost.any(axis=1).sum()} of {len(sd)} rows state no sd on an axis"
+        notes.append(f"{name}: {words}; assumed there are {uncertainty(name, assumed)}.")
+    return np.where(lost, assumed, sd)
 
 
 def _same_epoch(name: str, t: np.ndarray, imu: ImuLog, notes: list[str]) -> np.ndarray:

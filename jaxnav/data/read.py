@@ -203,13 +203,13 @@ def _read_kfgins_imu(path: Path) -> Parts:
 
 def _kfgins_gnss(path: Path, head: bytes) -> bool:
     rows = _seven(head)
-    return rows is not None and bool((np.abs(rows[:, 1]) <= 90).all() and (rows[:, 4:] > 0).all())
+    return rows is not None and bool((np.abs(rows[:, 1]) <= 90).all() and (rows[:, 4:] >= 0).all())
 
 
 def _read_kfgins_gnss(path: Path) -> Parts:
     notes: list[str] = []
-    samples = kfgins.read_kfgins_gnss(path, notes)
-    return Parts(os.fspath(path), aiding={"position": Stream(*samples)}, notes=tuple(notes))
+    position = Stream(*kfgins.gnss_rows(path, notes)[0])
+    return Parts(os.fspath(path), aiding={"position": position}, notes=tuple(notes))
 
 
 READERS: tuple[Reader, ...] = (

@@ -27,6 +27,7 @@ class Sheet(NamedTuple):
     columns: dict[str, np.ndarray]  # by name; text columns also by number from 1
     lines: np.ndarray | None  # of the rows, where the file has lines
     notes: tuple[str, ...] = ()
+    twice: tuple[str, ...] = ()  # names that stand above several columns
 
 
 def open_sheet(path: FilePath, delimiter: str | None = None, header: bool | None = None) -> Sheet:
@@ -65,6 +66,8 @@ def contents(path: FilePath) -> bytes:
 
 def column(sheet: Sheet, name: str | int) -> np.ndarray:
     """The column of this name, or of this number from 1, as it stands; DataError names the nearest."""
+    if name in sheet.twice:
+        raise DataError(f"{sheet.file}: the name {name} stands above several columns: say their numbers, from 1")
     if str(name) not in sheet.columns:
         near = difflib.get_close_matches(str(name), sheet.columns, n=1)
         known = [key for key in sheet.columns if not key.isdigit()] or list(sheet.columns)
@@ -154,7 +157,8 @@ def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) ->
     columns = {str(k + 1): cells[:, k] for k in range(width)}
     if len(names) == width:
         columns |= {name: cells[:, k] for k, name in enumerate(names)}
-    return Sheet(file, columns, np.array([i for i, _ in whole]), tuple(notes))
+    twice = tuple(name for name, count in Counter(names).items() if count > 1)
+    return Sheet(file, columns, np.array([i for i, _ in whole]), tuple(notes), twice)
 
 
 def _cells(line: str, delimiter: str) -> list[str]:

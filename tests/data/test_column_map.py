@@ -120,9 +120,9 @@ def test_dates(folder):
 FIXES = np.array(
     [
         [11.0, 48.0, 11.0, 500.0, 3, 1.5],
-        [12.0, 48.1, 11.1, 501.0, 3, 2.0],
-        [13.0, 48.1, 11.1, 501.0, 3, 2.0],
-        [13.5, 48.2, 11.2, 502.0, 1, 2.0],
+        [12.0, 48.001, 11.001, 501.0, 3, 2.0],
+        [13.0, 48.001, 11.001, 501.0, 3, 2.0],
+        [13.5, 48.002, 11.002, 502.0, 1, 2.0],
     ]
 )
 
@@ -140,7 +140,7 @@ def test_rows_that_are_new_and_valid_and_sd_from_hdop(folder):
     )
     position = rec.aiding["position"]
     np.testing.assert_allclose(position.t, [11.0, 12.0])
-    np.testing.assert_allclose(position.value[1], [48.1 * DEG, 11.1 * DEG, 501.0])
+    np.testing.assert_allclose(position.value[1], [48.001 * DEG, 11.001 * DEG, 501.0])
     np.testing.assert_allclose(position.sd, [[3.0, 1.5, 4.0], [4.0, 2.0, 4.0]])
 
 

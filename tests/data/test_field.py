@@ -6,12 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jaxnav import build, navigate
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import load
+from jaxnav.data import mend
 from jaxnav.data.canonical import write_recording
 from jaxnav.data.checkup import checkup
 from jaxnav.data.formats.rtklib import write_pos
+from jaxnav.data.parts import ImuRows, Parts, Stream
 from jaxnav.data.read import read
 from jaxnav.types import DataError, Recording
 
@@ -133,3 +136,117 @@ def test_check_and_convert_take_the_readers_options(drive, tmp_path):
     assert jaxnav_in(tmp_path, "check", "flu", "--out", "checked", *option) == 0
     assert 'options = { axes = "flu" }' in (tmp_path / "checked" / "config.toml").read_text()
     assert jaxnav_in(tmp_path, "filter", "--config", "checked/config.toml", "--set", "filter.grade='consumer'") == 0
+
+
+# ---------------------------------------------------------------------------- what stands for no fix
+
+
+def fixes(drive: Recording, **columns) -> Parts:
+    """Return the drive as a reader hands it over, with columns of its positions replaced."""
+    position = drive.aiding["position"]
+    stream = Stream(position.t, position.value.copy(), position.sd.copy())._replace(**columns)
+    return Parts("a.log", ImuRows(drive.imu.t, drive.imu.gyro, drive.imu.accel, dt=drive.imu.dt), {"position": stream})
+
+
+@pytest.mark.parametrize(
+    "mark", [(0.0, 0.0, 0.0), (91.0, 181.0, 0.0), (-91.0, 181.0, 0.0), (48.0, 181.0, 0.0), (np.nan, np.nan, np.nan)]
+)
+def test_a_mark_for_no_fix_is_no_fix(drive, mark):
+    """Six rows in the middle, and all but six: left out and counted, however many."""
+    value = drive.aiding["position"].value
+    scale = np.array([np.pi / 180, np.pi / 180, 1.0])
+    for gone in (np.arange(20, 26), np.arange(6, len(value))):
+        marked = value.copy()
+        marked[gone] = np.array(mark) * scale
+        rec = mend.recording(fixes(drive, value=marked))
+        np.testing.assert_array_equal(rec.aiding["position"].value, np.delete(value, gone, 0))
+        assert f"position: {gone.size} of {len(value)} rows have no value, or a mark for none" in rec.notes
+
+
+def test_degrees_taken_for_radians_are_no_marks(drive):
+    degrees = drive.aiding["position"].value * np.array([180 / np.pi, 180 / np.pi, 1.0])
+    with pytest.raises(DataError, match="degrees as radians"):
+        mend.recording(fixes(drive, value=degrees))
+
+
+@pytest.mark.parametrize("height", [-9999.0, -32768.0, 1e7, np.nan])
+def test_a_height_that_is_missing_is_interpolated_and_unsure(drive, height):
+    value = drive.aiding["position"].value
+    marked = value.copy()
+    marked[10:13, 2] = height
+    position = mend.recording(fixes(drive, value=marked)).aiding["position"]
+    np.testing.assert_allclose(position.value[:, :2], value[:, :2])
+    np.testing.assert_allclose(position.value[9:14, 2], np.linspace(value[9, 2], value[13, 2], 5))
+    assert (position.sd[10:13, 2] == 1000.0).all() and (position.sd[:10, 2] < 10.0).all()
+
+
+@pytest.mark.parametrize("rows", [slice(20, 21), slice(20, 26), slice(0, 4), slice(-3, None)])
+def test_a_position_that_no_vehicle_reaches_is_left_out(drive, rows):
+    """200 km away: one row, six, the first four, the last three; a swift vehicle stays whole."""
+    value = drive.aiding["position"].value.copy()
+    value[rows, 0] += 200.0 / 6371.0
+    rec = mend.recording(fixes(drive, value=value))
+    far = np.zeros(len(value), bool)
+    far[rows] = True
+    np.testing.assert_array_equal(rec.aiding["position"].t, drive.aiding["position"].t[~far])
+    assert f"position: {far.sum()} of {len(value)} rows are farther" in rec.notes
+    swift = drive.aiding["position"].value + np.array([2500.0 / 6.371e6, 0.0, 0.0]) * np.arange(len(value))[:, None]
+    assert len(mend.recording(fixes(drive, value=swift)).aiding["position"].t) == len(value)
+
+
+def test_an_axis_without_sd_has_the_assumed_one(drive):
+    sd = drive.aiding["position"].sd.copy()
+    sd[:, 2] = 0.0
+    sd[5, 0] = -1.0
+    rec = mend.recording(fixes(drive, sd=sd))
+    position = rec.aiding["position"]
+    assert len(position.t) == len(sd) and (position.sd[:, 2] == 6.0).all() and position.sd[5, 0] == 3.0
+    np.testing.assert_array_equal(np.delete(position.sd[:, 0], 5), np.delete(sd[:, 0], 5))
+    assert f"position: {len(sd)} of {len(sd)} rows state no sd on an axis" in rec.notes
+    rec = mend.recording(fixes(drive, sd=np.zeros_like(sd)))
+    assert (rec.aiding["position"].sd == [3.0, 3.0, 6.0]).all() and "the file states no sd" in rec.notes
+
+
+def test_a_speed_that_stands_for_none_is_none(drive, tmp_path):
+    position = drive.aiding["position"]
+    columns = np.column_stack([position.t, np.full(position.t.size, 5.0), np.full(position.t.size, 90.0)])
+    columns[[3, 8, 12, 20], 1] = -1.0, 999.0, 511.0, 102.3
+    np.savetxt(tmp_path / "speed.csv", columns, delimiter=",", header="t,speed,course", comments="")
+    write_recording(tmp_path / "drive", drive._replace(aiding={"position": position}))
+    (tmp_path / "map.toml").write_text(
+        '[read]\nfile = "drive"\n[velocity]\nfile = "speed.csv"\ntime = "t"\nspeed_course = ["speed", "course"]\n'
+    )
+    velocity = read(tmp_path / "map.toml").aiding["velocity"]
+    np.testing.assert_allclose(velocity.value, np.tile([5.0, 0.0, 0.0], (position.t.size - 4, 1)), atol=1e-12)
+
+
+@needs_field
+@pytest.mark.parametrize(
+    ("case", "file", "options", "count"),
+    [
+        ("marker_zero_zero", "map.toml", {}, None),
+        ("marker_altitude", "map.toml", {}, None),
+        ("empty_between_fixes", "map.toml", {}, 51),
+        ("pos_epoch_twice", "map.toml", {}, 45),
+        ("kfgins_std_0", "imu.txt", {"gnss": "gnss.txt"}, None),
+        ("ros_vertical_variance_0", "bag", {}, 47),
+    ],
+)
+def test_fixes_of_the_reports(case, file, options, count):
+    folder = FIELD / case
+    rec = read(folder / file, **{key: folder / value for key, value in options.items()})
+    assert count is None or rec.aiding["position"].t.size == count
+    if (folder / "true_path.csv").exists():
+        solution = navigate(rec, build("ekf15"))
+        truth = np.genfromtxt(folder / "true_path.csv", delimiter=",", names=True)
+        there = (solution.t > 5.0) & (solution.t < truth["t_s"][-1])
+        at = lambda name: np.interp(solution.t[there], truth["t_s"], truth[name])
+        north, east = (solution.lla[there, i] * 180 / np.pi - at(name) for i, name in enumerate(("lat_deg", "lon_deg")))
+        off = np.hypot(north, east * np.cos(solution.lla[0, 0])) * 111e3
+        assert np.sqrt(np.mean(off**2)) < 3.0
+
+
+@needs_field
+def test_a_name_above_two_columns_is_refused():
+    with pytest.raises(DataError, match="the name x stands above several columns"):
+        read(FIELD / "names_twice" / "map.toml")

@@ -5,7 +5,7 @@ import os
 import numpy as np
 
 from jaxnav.data.checks import check_imu, check_samples, check_track, increments_to_means, ned_to_enu, steps
-from jaxnav.data.files import FilePath, atomic_write, read_columns
+from jaxnav.data.files import FilePath, Source, atomic_write, read_columns
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, ImuLog, Samples, Track
 
@@ -24,10 +24,15 @@ def read_kfgins_imu(path: FilePath, notes: list[str] | None = None) -> ImuLog:
 
 def read_kfgins_gnss(path: FilePath, notes: list[str] | None = None) -> Samples:
     """Seconds of week, lat, lon deg, h m, sd N, E, D m to a "position" stream; t in seconds of week."""
+    samples, source = gnss_rows(path, notes)
+    return check_samples("position", samples, source)
+
+
+def gnss_rows(path: FilePath, notes: list[str] | None = None) -> tuple[Samples, Source]:
+    """Return the rows of a KF-GINS GNSS file as they stand there, repeated ones and sd of 0 too."""
     table = read_columns(path, 7, notes=notes)
     t, lla, ned = table.values[:, 0], table.values[:, 1:4], table.values[:, 4:]
-    samples = Samples(t, lla * np.array([DEG, DEG, 1.0]), ned[:, [1, 0, 2]], np.zeros((len(t), 3)))
-    return check_samples("position", samples, table.source)
+    return Samples(t, lla * np.array([DEG, DEG, 1.0]), ned[:, [1, 0, 2]], np.zeros((len(t), 3))), table.source
 
 
 def read_rtk_track(path: FilePath) -> Samples:

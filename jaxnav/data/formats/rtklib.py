@@ -40,19 +40,26 @@ def read_pos(path: FilePath, notes: list[str] | None = None) -> PosFile:
 
     Columns are found by the names in the header. RTKLIB stores a covariance c as sign(c) sqrt(|c|); here it becomes a
     correlation, shrunk where the file's rounding makes the matrix singular. With a list of ``notes`` a cut last line is
-    left out and said there. DataError names file and line.
+    left out and said there, and rows that repeat a time or state no sd stay, for `jaxnav.data.mend`. DataError names
+    file and line.
     """
     table, t = _read_table(path, notes)
-    check_time(t, table.source, "position")
+    strict = notes is None
+    if strict:
+        check_time(t, table.source, "position")
     column = dict(zip(table.names, table.values.T))
     missing = [name for name in (*_POSITION, "Q", "ns") if name not in column]
     if missing:
         raise DataError(f"{table.source.file}: expected a column {missing[0]}, got {', '.join(table.names)}")
     value = np.stack([column["latitude"] * DEG, column["longitude"] * DEG, column["height"]], axis=1)
-    aiding = {"position": _samples("position", t, value, [column[name] for name in _POSITION[3:]], table.source)}
+    aiding = {
+        "position": _samples("position", t, value, [column[name] for name in _POSITION[3:]], table.source, strict)
+    }
     if all(name in column for name in _VELOCITY) and any(column[name].any() for name in _VELOCITY[3:6]):
         value = np.stack([column["ve"], column["vn"], column["vu"]], axis=1)
-        aiding["velocity"] = _samples("velocity", t, value, [column[name] for name in _VELOCITY[3:]], table.source)
+        aiding["velocity"] = _samples(
+            "velocity", t, value, [column[name] for name in _VELOCITY[3:]], table.source, strict
+        )
     return PosFile(aiding, column["Q"].astype(int), column["ns"].astype(int), table.source)
 
 
@@ -206,13 +213,17 @@ def _stamp(seconds: float) -> str:
     return f"{moment:%Y/%m/%d %H:%M:%S}.{micro:06d}"
 
 
-def _samples(name: str, t: np.ndarray, value: np.ndarray, columns: list[np.ndarray], source: Source) -> Samples:
+def _samples(
+    name: str, t: np.ndarray, value: np.ndarray, columns: list[np.ndarray], source: Source, strict: bool
+) -> Samples:
     """Columns sdn, sde, sdu, sdne, sdeu, sdun to sd in ENU and correlations (EN, NU, UE)."""
     n, e, u, ne, eu, un = columns
     sd = np.stack([e, n, u], axis=1)
-    check_samples(name, Samples(t, value, sd, np.zeros_like(sd)), source)  # before dividing by it
+    if strict:
+        check_samples(name, Samples(t, value, sd, np.zeros_like(sd)), source)
     roots = np.stack([ne, un, eu], axis=1)
-    corr = np.sign(roots) * np.square(roots) / (sd * np.roll(sd, -1, axis=1))
+    product = sd * np.roll(sd, -1, axis=1)
+    corr = np.where(product > 0, np.sign(roots) * np.square(roots) / np.where(product > 0, product, 1.0), 0.0)
     if (np.abs(corr) > 1.5).any():
         line = int(np.nonzero(np.abs(corr) > 1.5)[0][0])
         at = source.lines[line] if source.lines is not None else line

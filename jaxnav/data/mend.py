@@ -11,6 +11,7 @@ from jaxnav.data import missing, polling
 from jaxnav.data.axes import rotation
 from jaxnav.data.checks import check_recording, uncertainty
 from jaxnav.data.files import MAX_VALUE, Source
+from jaxnav.data.gps_time import GPS_EPOCH, WEEK, nearest_week
 from jaxnav.data.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Parts, Stream
 from jaxnav.types import DataError, ImuLog, Recording, Samples
 
@@ -22,7 +23,6 @@ LEAST_SD, MOST_SD = 1e-9, 1e9  # of a stated sd; others say nothing
 UNKNOWN_HEIGHT_SD = 1e3  # m
 LATE = 1e7  # s; later times are counted from the first sample, since a float would round them to 1e-7 s
 SLOW = 20.0  # Hz; an IMU slower than this averages the motion away
-GPS_EPOCH, WEEK = 315964800.0, 604800.0  # s: start of GPS time counted from 1970, and its weeks
 
 # sd of streams that state none, of each axis; said in a sentence
 ASSUMED_SD: dict[str, tuple[float, ...]] = {
@@ -328,8 +328,12 @@ def _with_sd(name: str, sd: np.ndarray, notes: list[str]) -> np.ndarray:
 
 
 def _same_epoch(name: str, t: np.ndarray, imu: ImuLog, notes: list[str]) -> np.ndarray:
-    """Seconds since 1970 in GPS time to seconds of the week, where the IMU counts those."""
+    """Return times in the IMU's week: of another week, or s since 1970 where the IMU counts s of the week."""
     first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
+    weeks = nearest_week(t[np.isfinite(t)], imu.t)
+    if weeks:
+        notes.append(f"{name}: its times are {-weeks / WEEK:+g} weeks from the IMU's, and are taken for the same week.")
+        return t + weeks
     if not (imu.t[-1] < 2 * WEEK and first >= GPS_EPOCH):
         return t
     week = np.round((np.nanmedian(t) - GPS_EPOCH - float(np.median(imu.t))) / WEEK)

@@ -10,7 +10,8 @@ from jaxnav.data.axes import lla_to_local
 from jaxnav.data.checks import ned_to_enu
 from jaxnav.data.files import FilePath, atomic_write, format_csv
 from jaxnav.data.formats.kfgins import write_kfgins_nav
-from jaxnav.data.formats.rtklib import GPS_EPOCH, write_pos
+from jaxnav.data.formats.rtklib import write_pos
+from jaxnav.data.gps_time import GPS_EPOCH
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Samples, Track
 

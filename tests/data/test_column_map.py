@@ -12,7 +12,7 @@ from scipy.io import savemat
 from jaxnav.data.axes import enu_to_ecef, local_to_lla, rotation
 from jaxnav.data.column_map import KEYS, TOP
 from jaxnav.data.files import format_csv
-from jaxnav.data.mend import GPS_EPOCH
+from jaxnav.data.gps_time import GPS_EPOCH
 from jaxnav.data.read import READERS, read
 from jaxnav.data.units import UNITS, pressure_height
 from jaxnav.maths.units import DEG, G0

@@ -1,5 +1,6 @@
 """Inputs of public problem reports, and their neighbours: read right, or refused in words that help."""
 
+import datetime
 import os
 from pathlib import Path
 
@@ -14,8 +15,9 @@ from jaxnav.data import mend
 from jaxnav.data.canonical import write_recording
 from jaxnav.data.checkup import checkup
 from jaxnav.data.formats.rtklib import write_pos
+from jaxnav.data.gps_time import WEEK, leap_seconds
 from jaxnav.data.parts import ImuRows, Parts, Stream
-from jaxnav.data.read import read
+from jaxnav.data.read import read, read_parts
 from jaxnav.types import DataError, Recording
 
 FIELD = Path(os.environ.get("JAXNAV_DATA_DIR", "")).parent / "field"
@@ -250,3 +252,107 @@ def test_fixes_of_the_reports(case, file, options, count):
 def test_a_name_above_two_columns_is_refused():
     with pytest.raises(DataError, match="the name x stands above several columns"):
         read(FIELD / "names_twice" / "map.toml")
+
+
+# ---------------------------------------------------------------------------- receivers' own formats
+
+
+@needs_field
+@pytest.mark.parametrize(
+    ("case", "count", "words"),
+    [
+        ("nmea_altitude_empty", 44, "1 GGA have no height and are left out"),
+        ("nmea_zda", 45, "velocity: NMEA states no sd"),
+        ("nmea_2014_leap", 44, "UTC is taken as GPS time less 16 s"),
+        ("ubx_bytes_lost", 192, "28 NAV-PVT are damaged"),
+    ],
+)
+def test_receivers_files_of_the_reports(case, count, words):
+    rec = read(FIELD / case / "map.toml")
+    assert abs(rec.aiding["position"].t.size - count) <= 1 and "velocity" in rec.aiding
+    assert words in rec.notes
+
+
+@needs_field
+def test_seconds_of_the_week_go_on_over_its_end():
+    folder = FIELD / "week_rolls_over"
+    rec = read(folder / "imu.txt", gnss=folder / "gnss.txt")
+    assert np.diff(rec.imu.t).max() < 1.0 and "they go on" in rec.notes
+    assert rec.aiding["position"].t.size >= len((folder / "gnss.txt").read_text().splitlines()) - 1
+
+
+@pytest.mark.parametrize("weeks", [1, -1, 1024, -1024, 2048])
+def test_fixes_of_another_week(drive, weeks):
+    """Of a receiver whose weeks rolled over, or that counts from another Sunday; two weeks apart stays apart."""
+    position = drive.aiding["position"]
+    rec = mend.recording(fixes(drive, t=position.t + weeks * WEEK))
+    np.testing.assert_allclose(rec.aiding["position"].t, position.t, atol=1e-6)
+    assert f"{weeks:+g} weeks from the IMU's" in rec.notes
+    assert "position" not in mend.recording(fixes(drive, t=position.t + 2 * WEEK)).aiding
+
+
+SENTENCES = ("GNGGA,100000.00,4806.0,N,01136.0,E,1,10,{hdop},475.8,M,45.0,M,,", "GNVTG,90.0,T,,M,10.0,N,18.5,K,A",
+             "GNZDA,100000.00,01,06,2024,00,00")  # fmt: skip
+
+
+def nmea(hdop: str = "0.8", order: tuple[int, ...] = (0, 1, 2)) -> list[str]:
+    """Return twenty seconds of sentences without checksum."""
+    bursts = [
+        [SENTENCES[i].format(hdop=hdop).replace("100000.00", f"1000{k:02d}.00") for i in order] for k in range(20)
+    ]
+    return [line for burst in bursts for line in burst]
+
+
+def checked(line: str) -> str:
+    """Return a sentence with its checksum."""
+    total = 0
+    for byte in line.encode():
+        total ^= byte
+    return f"${line}*{total:02X}"
+
+
+@pytest.mark.parametrize(
+    ("written", "count", "words"),
+    [
+        (lambda lines: [checked(line) for line in lines], 20, None),
+        (lambda lines: [f"${line}" for line in lines], 20, "60 sentences have no checksum and are taken"),
+        (lambda lines: [f"12:00:01.5 RX {checked(line)}" for line in lines], 20, None),
+        (lambda lines: [f"\\s:r1,c:1717236000*1A\\{checked(line)}" for line in lines], 20, None),
+        (lambda lines: [checked(line) for line in lines[:-3]] + [f"${line}" for line in lines[-3:]], 19,
+         "3 sentences have no checksum and are left out"),
+        (lambda lines: [checked(line) for line in lines[:-3]] + ["$GNGGA,1000*00"], 19, "1 sentences are damaged"),
+    ],
+)  # fmt: skip
+def test_nmea_as_loggers_write_it(tmp_path, written, count, words):
+    (tmp_path / "log.txt").write_text("\r\n".join(written(nmea())) + "\r\n")
+    parts = read_parts(tmp_path / "log.txt")
+    position, velocity = (parts.aiding[name] for name in ("position", "velocity"))
+    start = 1717236000.0 + 18.0
+    np.testing.assert_allclose(position.t, start + np.arange(count))
+    np.testing.assert_allclose(velocity.t[-1], start + count - 1)
+    np.testing.assert_allclose(velocity.value[-1], [10 * 1852 / 3600, 0.0, 0.0], atol=1e-9)
+    assert words is None or any(words in note for note in parts.notes)
+
+
+def test_an_empty_hdop_is_an_assumed_sd(tmp_path, drive):
+    (tmp_path / "log.txt").write_text("\r\n".join(checked(line) for line in nmea(hdop="")) + "\r\n")
+    stream = read_parts(tmp_path / "log.txt").aiding["position"]
+    assert len(stream.t) == 20
+    span = stream._replace(t=stream.t - stream.t[0] + drive.imu.t[0] + 5.0)
+    rec = mend.recording(fixes(drive)._replace(aiding={"position": span}))
+    assert (rec.aiding["position"].sd == [3.0, 3.0, 6.0]).all()
+
+
+@pytest.mark.parametrize(
+    ("date", "seconds"),
+    [
+        ((1980, 1, 6), 0),
+        ((1999, 1, 1), 13),
+        ((2005, 12, 31), 13),
+        ((2014, 6, 1), 16),
+        ((2016, 12, 31), 17),
+        ((2017, 1, 1), 18),
+    ],
+)
+def test_leap_seconds_are_those_of_the_date(date, seconds):
+    assert leap_seconds(datetime.datetime(*date, tzinfo=datetime.UTC).timestamp()) == seconds

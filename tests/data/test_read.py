@@ -11,6 +11,7 @@ from jaxnav import data as io
 from jaxnav.data import mend
 from jaxnav.data import read as reading
 from jaxnav.data.axes import euler, lla_to_local, local_to_lla, rotation
+from jaxnav.data.gps_time import GPS_EPOCH, WEEK
 from jaxnav.data.parts import ImuRows, Parts, Stream
 from jaxnav.data.read import Reader, read, read_parts, recognise
 from jaxnav.maths.rotations import from_rph, to_dcm
@@ -226,7 +227,7 @@ def test_increments_and_instantaneous_values():
 def test_seconds_of_the_week_beside_seconds_since_1970():
     whole = parts()
     fixes = whole.aiding["position"]
-    week = mend.GPS_EPOCH + 2000 * mend.WEEK
+    week = GPS_EPOCH + 2000 * WEEK
     rec = mend.recording(whole._replace(aiding={"position": fixes._replace(t=fixes.t + week)}))
     np.testing.assert_allclose(rec.aiding["position"].t, fixes.t, atol=1e-6)
     assert "seconds of GPS week 2000" in rec.notes

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxnav.data.checks import check_imu, check_samples, check_track, increments_to_means, ned_to_enu, steps
 from jaxnav.data.files import FilePath, Source, atomic_write, read_columns
+from jaxnav.data.gps_time import unrolled
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, ImuLog, Samples, Track
 
@@ -16,7 +17,7 @@ def read_kfgins_imu(path: FilePath, notes: list[str] | None = None) -> ImuLog:
     With a list of ``notes`` a cut last line is left out and said there. DataError names file and line.
     """
     table = read_columns(path, 7, notes=notes)
-    t = table.values[:, 0]
+    t = _weeks_on(table.values[:, 0], notes)
     dt = steps(t, table.source)
     gyro, accel = (increments_to_means(table.values[:, i : i + 3], dt) for i in (1, 4))
     return check_imu(ImuLog(t, dt, gyro, accel), table.source)
@@ -31,8 +32,16 @@ def read_kfgins_gnss(path: FilePath, notes: list[str] | None = None) -> Samples:
 def gnss_rows(path: FilePath, notes: list[str] | None = None) -> tuple[Samples, Source]:
     """Return the rows of a KF-GINS GNSS file as they stand there, repeated ones and sd of 0 too."""
     table = read_columns(path, 7, notes=notes)
-    t, lla, ned = table.values[:, 0], table.values[:, 1:4], table.values[:, 4:]
+    t, lla, ned = _weeks_on(table.values[:, 0], notes), table.values[:, 1:4], table.values[:, 4:]
     return Samples(t, lla * np.array([DEG, DEG, 1.0]), ned[:, [1, 0, 2]], np.zeros((len(t), 3))), table.source
+
+
+def _weeks_on(t: np.ndarray, notes: list[str] | None) -> np.ndarray:
+    """Return seconds of the week that go on over its end, with a note."""
+    t, falls = unrolled(t)
+    if falls and notes is not None:
+        notes.append("the seconds of the week fall by 604800: they go on.")
+    return t
 
 
 def read_rtk_track(path: FilePath) -> Samples:

@@ -1,14 +1,16 @@
-"""NMEA 0183, by `pynmeagps`: GGA, RMC, GST, HDT and THS, the fixes beside an IMU's file."""
+"""NMEA 0183, by `pynmeagps`: GGA, RMC, VTG, ZDA, GST, HDT and THS, the fixes beside an IMU's file."""
 
 import datetime
-import io
 import os
 import re
+from functools import reduce
+from operator import xor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jaxnav.data import gps_time
 from jaxnav.data.files import read_bytes
 from jaxnav.data.parts import Parts, Stream
 from jaxnav.data.units import UNITS
@@ -23,16 +25,25 @@ KNOTS = UNITS["speed"]["knots"]
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """A sentence with a checksum at the start of a line."""
-    return bool(re.search(rb"^\$[A-Z]{2}(GGA|RMC|GST|GSA|GSV|VTG|GLL),[^\r\n]*\*[0-9A-Fa-f]{2}", head, re.MULTILINE))
+    """Return whether it has a sentence, behind whatever a logger writes before it."""
+    return bool(re.search(rb"\$[A-Z]{2}(GGA|RMC|GST|GSA|GSV|VTG|GLL|ZDA),[^\r\n$]*,[^\r\n$]*[\r\n]", head))
 
 
-def read(path: Path, leap_seconds: float = 18.0, metres_per_hdop: float = 2.5) -> Parts:
-    """Position of GGA, horizontal velocity of RMC, heading of HDT or THS; t in s since 1970 in GPS time.
+def sentences(data: bytes) -> tuple[list[bytes], int]:
+    """Return the sentences of a log, and how many lack a checksum: those are taken where all do."""
+    found = re.findall(rb"\$[A-Z]{2}[A-Z0-9]{3},[\x20-\x23\x25-\x29\x2b-\x7e]*(?:\*[0-9A-Fa-f]{2})?(?=[\r\n])", data)
+    bare = [line for line in found if b"*" not in line]
+    if bare and len(bare) == len(found):
+        return [b"%s*%02X" % (line, reduce(xor, line[1:])) for line in bare], len(bare)
+    return [line for line in found if b"*" in line], len(bare)
+
+
+def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float = 2.5) -> Parts:
+    """Position of GGA, horizontal velocity of RMC or VTG, heading of HDT or THS; t in s since 1970 in GPS time.
 
     Args:
-        path: the text; other messages between the sentences are passed over.
-        leap_seconds: of GPS time on UTC, which is what NMEA tells.
+        path: the text; what stands between the sentences is passed over.
+        leap_seconds: of GPS time on UTC, which is what NMEA tells; None: those of the date.
         metres_per_hdop: sd of east and north, where there is no GST, as a multiple of HDOP; up has twice that.
 
     Raises:
@@ -41,41 +52,71 @@ def read(path: Path, leap_seconds: float = 18.0, metres_per_hdop: float = 2.5) -
     import pynmeagps
 
     fixes, motion, pointed, spread, day = [], [], [], {}, None
-    first_day, last = None, -1.0
-    errors: list[Any] = []
-    stream = io.BytesIO(read_bytes(path))
-    reader = pynmeagps.NMEAReader(stream, quitonerror=pynmeagps.ERR_LOG, errorhandler=errors.append)
-    for _, m in reader:
+    first_day, last, now, damaged, level = None, -1.0, None, 0, 0
+    lines, bare = sentences(read_bytes(path))
+    for line in lines:
+        try:
+            m: Any = pynmeagps.NMEAReader.parse(line + b"\r\n", msgmode=pynmeagps.GET)
+        except Exception:  # a wrong checksum, or fields of another kind
+            damaged += 1
+            continue
         kind = getattr(m, "msgID", "")
         angle = getattr(m, HEADINGS.get(kind, ""), None)
-        if isinstance(angle, (int, float)) and day is not None and getattr(m, "mi", "A") != "V":
-            pointed.append([day + last, angle * DEG])  # has no time of its own: that of the RMC before it
-        if kind not in ("GGA", "RMC", "GST") or not isinstance(m.time, datetime.time):
+        if _numeric(angle) and now is not None and getattr(m, "mi", "A") != "V":
+            pointed.append([now, angle * DEG])  # has no time of its own: that of the sentence before it
+        if kind == "VTG" and now is not None and _numeric(m.cogt, m.sogn):
+            motion.append(["VTG", now, m.sogn * KNOTS, m.cogt * DEG])  # likewise
+        if kind not in ("GGA", "RMC", "GST", "ZDA") or not isinstance(m.time, datetime.time):
             continue
         second = _second(m.time)
-        if kind == "RMC" and isinstance(m.date, datetime.date):
-            day, last = _day(m.date), second
+        date = _date(m) if kind in ("RMC", "ZDA") else None
+        if date is not None:
+            day, last = _day(date), second
             first_day = day if first_day is None else first_day
-            if m.status == "A" and all(isinstance(x, (int, float)) for x in (m.spd, m.cog)):
-                motion.append([day + second, m.spd * KNOTS, m.cog * DEG])
-        elif kind == "GGA" and m.quality and isinstance(m.lat, float):
-            fixes.append(
-                (_stamp(day, second, last), second, [m.lat * DEG, m.lon * DEG, m.alt + (m.sep or 0.0)], m.HDOP)
-            )
+        now = _stamp(day, second, last)
+        if kind == "RMC" and date is not None and m.status == "A" and _numeric(m.spd, m.cog):
+            motion.append(["RMC", _day(date) + second, m.spd * KNOTS, m.cog * DEG])
+        elif kind == "GGA" and m.quality and _numeric(m.lat, m.lon):
+            if not _numeric(m.alt):
+                level += 1
+                continue
+            height = m.alt + (m.sep if _numeric(m.sep) else 0.0)
+            fixes.append((now, second, [m.lat * DEG, m.lon * DEG, height], m.HDOP))
         elif kind == "GST":
             spread[second] = [m.stdLong, m.stdLat, m.stdAlt]
     if not fixes:
-        raise DataError(f"{path}: has no GGA with a fix")
+        raise DataError(f"{path}: has no GGA with a fix in three dimensions")
     if first_day is None:
-        raise DataError(f"{path}: has no RMC, which would tell the date")
-    parts = _parts(path, fixes, motion, spread, first_day, leap_seconds, metres_per_hdop)
+        raise DataError(f"{path}: has no RMC or ZDA, which would tell the date")
+    own = "RMC" if any(row[0] == "RMC" for row in motion) else "VTG"
+    moved = [row[1:] for row in motion if row[0] == own]
+    leap = gps_time.leap_seconds(first_day) if leap_seconds is None else leap_seconds
+    parts = _parts(path, fixes, moved, spread, first_day, leap, metres_per_hdop)
     if pointed:
         t, angles = np.array(pointed).T
         t, rows = np.unique(t, return_index=True)
-        heading = {"heading": Stream(t + leap_seconds, angles[rows, None])}
+        heading = {"heading": Stream(t + leap, angles[rows, None])}
         parts = parts._replace(aiding={**parts.aiding, **heading})
-    said = (f"{len(errors)} sentences are damaged and left out.",) if errors else ()
-    return parts._replace(notes=parts.notes + said)
+    said = {
+        "sentences are damaged and left out.": damaged,
+        f"sentences have no checksum and are {'taken' if len(lines) == bare else 'left out'}.": bare,
+        "GGA have no height and are left out: fixes in two dimensions.": level,
+    }
+    return parts._replace(notes=(*parts.notes, *(f"{count} {what}" for what, count in said.items() if count)))
+
+
+def _numeric(*fields: Any) -> bool:
+    return all(isinstance(field, (int, float)) for field in fields)
+
+
+def _date(m: Any) -> datetime.date | None:
+    """Return the date of an RMC or ZDA, None where it has none."""
+    if m.msgID == "RMC":
+        return m.date if isinstance(m.date, datetime.date) else None
+    try:
+        return datetime.date(int(m.year), int(m.month), int(m.day))
+    except (TypeError, ValueError):
+        return None
 
 
 def _second(moment: datetime.time) -> float:
@@ -87,7 +128,7 @@ def _day(date: datetime.date) -> float:
 
 
 def _stamp(day: float | None, second: float, last: float) -> float | None:
-    """S since 1970 with the date of the last RMC; None before the first. GGA may come first after midnight."""
+    """S since 1970 with the last date; None before the first. GGA may come first after midnight."""
     if day is None:
         return None
     return day + second + (DAY if second < last - DAY / 2 else 0.0)

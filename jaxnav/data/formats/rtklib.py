@@ -12,11 +12,10 @@ from jaxnav.data import polling
 from jaxnav.data.axes import euler
 from jaxnav.data.checks import check_imu, check_recording, check_samples, check_time, steps
 from jaxnav.data.files import FilePath, Source, Table, atomic_write, parse_numbers, read_bytes, read_columns, read_lines
+from jaxnav.data.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG, G0
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 
-GPS_EPOCH = 315964800.0  # s from 1970-01-01 to 1980-01-06
-WEEK = 604800.0  # s
 DRIVE_RPH = np.array([180.0, -6.79, 185.35]) * DEG  # rad, roll, pitch, yaw of the body's axes to the sensor's
 DRIVE_LEVER_ARM = np.array([0.0, -0.05, 0.0])  # m, IMU -> antenna, body FRD
 DRIVE_IMU_DELAY = -0.125  # s, what the author of the data adds to the stamps of the logger

@@ -1,7 +1,6 @@
 """u-blox UBX, by `pyubx2`: NAV-PVT, the fixes beside an IMU's file."""
 
 import datetime
-import io
 import os
 from pathlib import Path
 from typing import Any
@@ -10,30 +9,37 @@ import numpy as np
 
 from jaxnav.data.checks import ned_to_enu
 from jaxnav.data.files import read_bytes
-from jaxnav.data.mend import GPS_EPOCH, WEEK
+from jaxnav.data.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.data.parts import Parts, Stream
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 
 SYNC = b"\xb5\x62"
 FIXED = (3, 4)  # fixType: in three dimensions, alone or with dead reckoning
-LEAP = 18.0  # s, of GPS time on UTC: near enough to find the week
+PVT = b"\x01\x07"  # class and number of NAV-PVT
 
 
 def recognises(path: Path, head: bytes) -> bool:
     """A message of UBX near the start whose checksum is right: text or RTCM may stand between."""
-    at = -1
-    while (at := head.find(SYNC, at + 1)) >= 0:
-        end = at + 6 + int.from_bytes(head[at + 4 : at + 6], "little")
-        if len(head) < end + 2:
-            continue
-        a = b = 0
-        for byte in head[at + 2 : end]:
-            a = (a + byte) & 255
-            b = (b + a) & 255
-        if head[end : end + 2] == bytes([a, b]):
-            return True
-    return False
+    return bool(frames(head)[0])
+
+
+def frames(data: bytes) -> tuple[list[bytes], int]:
+    """Return the messages with a right checksum, and the number of NAV-PVT that are damaged.
+
+    A length that is damaged swallows nothing: what comes after its sync bytes is searched again.
+    """
+    found, lost, at = [], 0, -1
+    while (at := data.find(SYNC, at + 1)) >= 0:
+        end = at + 6 + int.from_bytes(data[at + 4 : at + 6], "little")
+        if end + 2 <= len(data):
+            sums = np.cumsum(np.frombuffer(data[at + 2 : end], np.uint8), dtype=np.int64)
+            if data[end : end + 2] == bytes([int(sums[-1]) & 255, int(sums.sum()) & 255]):
+                found.append(data[at : end + 2])
+                at = end + 1
+                continue
+        lost += data[at + 2 : at + 4] == PVT
+    return found, lost
 
 
 def read(path: Path) -> Parts:
@@ -47,16 +53,16 @@ def read(path: Path) -> Parts:
     import pyubx2
 
     rows, pointed, without = [], [], 0
-    errors: list[Any] = []
-    stream = io.BytesIO(read_bytes(path))
-    reader = pyubx2.UBXReader(
-        stream, protfilter=pyubx2.UBX_PROTOCOL, quitonerror=pyubx2.ERR_LOG, errorhandler=errors.append
-    )
-    for _, message in reader:
-        if message is not None and message.identity == "NAV-RELPOSNED" and getattr(message, "relPosHeadingValid", 0):
+    intact, damaged = frames(read_bytes(path))
+    for frame in intact:
+        try:
+            message = pyubx2.UBXReader.parse(frame)
+        except pyubx2.UBXParseError:  # of a kind that it does not know
+            continue
+        if message.identity == "NAV-RELPOSNED" and getattr(message, "relPosHeadingValid", 0):
             if message.isMoving and message.relPosValid:
                 pointed.append([message.iTOW, message.relPosHeading * DEG, message.accHeading * DEG])
-        if message is None or message.identity != "NAV-PVT":
+        if message.identity != "NAV-PVT":
             continue
         if message.fixType not in FIXED or not message.gnssFixOk or not message.validDate:
             without += 1
@@ -64,7 +70,7 @@ def read(path: Path) -> Parts:
         rows.append(_row(message))
     if not rows:
         raise DataError(f"{path}: has no NAV-PVT with a fix in three dimensions ({without} without)")
-    said = {"NAV-PVT have no fix in three dimensions.": without, "messages are damaged and left out.": len(errors)}
+    said = {"NAV-PVT have no fix in three dimensions.": without, "NAV-PVT are damaged and left out.": damaged}
     notes = tuple(f"{count} {what}" for what, count in said.items() if count)
     t, lla, acc, vel, s_acc = np.split(np.array(rows), [1, 4, 6, 9], axis=1)
     position = Stream(t[:, 0], lla, acc[:, [0, 0, 1]])
@@ -82,6 +88,7 @@ def _row(m: Any) -> list[float]:
     """T s, lat, lon rad, height above the ellipsoid m, hAcc, vAcc m, velN, velE, velD, sAcc m/s."""
     moment = datetime.datetime(m.year, m.month, m.day, m.hour, m.min, min(m.second, 59), tzinfo=datetime.UTC)
     tow = m.iTOW / 1e3
-    week = round((moment.timestamp() + LEAP - GPS_EPOCH - tow) / WEEK)
+    utc = moment.timestamp()
+    week = round((utc + leap_seconds(utc) - GPS_EPOCH - tow) / WEEK)
     values = [m.height, m.hAcc, m.vAcc, m.velN, m.velE, m.velD, m.sAcc]
     return [GPS_EPOCH + week * WEEK + tow, m.lat * DEG, m.lon * DEG, *(v / 1e3 for v in values)]

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxnav.types import Recording, Track
+from jaxnav.types import DataError, Recording, Track
 
 RATES, INCREMENTS, INSTANTANEOUS = "rates", "increments", "instantaneous"
 SAMPLINGS = (RATES, INCREMENTS, INSTANTANEOUS)
@@ -44,6 +44,28 @@ class Parts(NamedTuple):
     name: str = ""
     lines: np.ndarray | None = None  # (N,) line of each row of the imu, where the file has lines
     zero: int = 0  # s of the file's own time, subtracted from all times
+
+
+def with_fixes(receivers: dict[str, np.ndarray], chosen: str | None, notes: list[str]) -> str:
+    """Return the receiver to read: the one asked for, else the first that mostly has a fix, else that with most fixes.
+
+    Args:
+        receivers: which messages (N,) have a fix in three dimensions by name, the usual receiver first.
+        chosen: name that the user gave.
+        notes: gets a sentence where there are several.
+
+    Raises:
+        DataError: a name that is not there.
+    """
+    names = ", ".join(receivers)
+    if chosen is not None and chosen not in receivers:
+        raise DataError(f"receiver: no {chosen}, it has {names}")
+    counts = {name: int(np.count_nonzero(fixed)) for name, fixed in receivers.items()}
+    mostly = (name for name, fixed in receivers.items() if 2 * counts[name] > fixed.size)
+    name = chosen or next(mostly, max(counts, key=lambda name: counts[name]))
+    if len(receivers) > 1:
+        notes.append(f"position is {name} with {counts[name]} fixes, of {names} (option receiver).")
+    return name
 
 
 def counted_from(parts: Parts, zero: int) -> Parts:

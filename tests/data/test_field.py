@@ -14,9 +14,10 @@ from jaxnav.app.sources import load
 from jaxnav.data import mend
 from jaxnav.data.canonical import write_recording
 from jaxnav.data.checkup import checkup
+from jaxnav.data.formats.rosbag import receivers_own
 from jaxnav.data.formats.rtklib import write_pos
 from jaxnav.data.gps_time import WEEK, leap_seconds
-from jaxnav.data.parts import ImuRows, Parts, Stream
+from jaxnav.data.parts import ImuRows, Parts, Stream, with_fixes
 from jaxnav.data.read import read, read_parts
 from jaxnav.types import DataError, Recording
 
@@ -356,3 +357,44 @@ def test_an_empty_hdop_is_an_assumed_sd(tmp_path, drive):
 )
 def test_leap_seconds_are_those_of_the_date(date, seconds):
     assert leap_seconds(datetime.datetime(*date, tzinfo=datetime.UTC).timestamp()) == seconds
+
+
+@pytest.mark.parametrize(
+    ("shares", "chosen"),
+    [((1.0, 1.0), "a 0"), ((0.0, 1.0), "a 1"), ((0.6, 1.0), "a 0"), ((0.3, 0.4), "a 1"), ((0.0, 0.0), "a 0")],
+)
+def test_a_dead_first_receiver_does_not_hide_the_second(shares, chosen):
+    masks = {f"a {i}": np.arange(100) < 100 * share for i, share in enumerate(shares)}
+    notes: list[str] = []
+    assert with_fixes(masks, None, notes) == chosen and "of a 0, a 1 (option receiver)" in notes[0]
+    assert with_fixes(masks, "a 1", notes) == "a 1"
+    with pytest.raises(DataError, match="receiver: no b, it has a 0, a 1"):
+        with_fixes(masks, "b", notes)
+
+
+@needs_field
+def test_the_second_receiver_of_a_ulog():
+    log = FIELD / "ulog_second_gps" / "log.ulg"
+    rec = read(log)
+    assert rec.aiding["position"].t.size >= 44 and "position is sensor_gps 1 with 45 fixes" in rec.notes
+    assert "position" not in read(log, receiver="sensor_gps 0").aiding
+
+
+@needs_field
+def test_a_receivers_topic_goes_before_a_filters_estimate():
+    rec = read(FIELD / "ros_fused_topic" / "bag")
+    assert "position is /mavros/global_position/raw/fix, of" in rec.notes
+    assert np.median(np.diff(rec.aiding["position"].t)) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("receiver", "estimate"),
+    [
+        ("/mavros/global_position/raw/fix", "/mavros/global_position/global"),
+        ("/gps/fix", "/gps/filtered"),
+        ("/fix", "/odometry/gps"),
+        ("/gnss", "/ekf/global"),
+    ],
+)
+def test_words_of_a_receivers_topic(receiver, estimate):
+    assert receivers_own(receiver) > receivers_own(estimate)

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxnav.data.checks import ned_to_enu
 from jaxnav.data.files import read_bytes
-from jaxnav.data.parts import ImuRows, Parts, Stream
+from jaxnav.data.parts import ImuRows, Parts, Stream, with_fixes
 from jaxnav.data.units import UNITS
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
@@ -43,8 +43,10 @@ def recognises(path: Path, head: bytes) -> bool:
     return head.startswith(SYNC + bytes([FMT])) or bool(re.match(rb"FMT, *128, *89, *FMT,", head))
 
 
-def read(path: Path, instance: int = 0) -> Parts:
+def read(path: Path, instance: int = 0, receiver: str | None = None) -> Parts:
     """IMU ``instance`` and the first of each other sensor of a log, see docs/formats.md; t in s of the board.
+
+    ``receiver``: such as "GPS 1"; default the first that mostly has a fix.
 
     Body FRD, as in the log. Heights of fixes are above sea level; HAcc, VAcc and SAcc are the sd of each axis.
 
@@ -58,7 +60,12 @@ def read(path: Path, instance: int = 0) -> Parts:
         kinds = ", ".join(sorted(logged)) or "no messages"
         raise DataError(f"{path}: has no IMU {instance}, only {kinds}")
     rows = ImuRows(_seconds(imu), _columns(imu, "GyrX", "GyrY", "GyrZ"), _columns(imu, "AccX", "AccY", "AccZ"))
-    aiding = _gps(logged, notes)
+    gps = {f"GPS {i}": data for i in range(4) for data in [_instance(logged, "GPS", i)] if data is not None}
+    number = 0
+    if gps:
+        fixed = {name: data["Status"] >= FIX_3D for name, data in gps.items()}
+        number = int(with_fixes(fixed, receiver, notes)[-1])
+    aiding = _gps(logged, notes, number)
     baro, mag, wind = (_instance(logged, name, 0) for name in ("BARO", "MAG", "ARSP"))
     if baro is not None:
         aiding["barometer"] = Stream(_seconds(baro), _columns(baro, "Alt"))
@@ -188,8 +195,8 @@ def _columns(data: dict[str, np.ndarray], *names: str) -> np.ndarray:
     return np.stack([data[name] for name in names], axis=1)
 
 
-def _gps(logged: dict[str, dict], notes: list[str]) -> dict[str, Stream]:
-    gps, accuracy = _instance(logged, "GPS", 0), _instance(logged, "GPA", 0)
+def _gps(logged: dict[str, dict], notes: list[str], number: int) -> dict[str, Stream]:
+    gps, accuracy = _instance(logged, "GPS", number), _instance(logged, "GPA", number)
     if gps is None:
         return {}
     fixed = gps["Status"] >= FIX_3D

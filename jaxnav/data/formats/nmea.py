@@ -61,7 +61,7 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
             damaged += 1
             continue
         kind = getattr(m, "msgID", "")
-        angle = getattr(m, HEADINGS.get(kind, ""), None)
+        angle: Any = getattr(m, HEADINGS.get(kind, ""), None)
         if _numeric(angle) and now is not None and getattr(m, "mi", "A") != "V":
             pointed.append([now, angle * DEG])  # has no time of its own: that of the sentence before it
         if kind == "VTG" and now is not None and _numeric(m.cogt, m.sogn):

@@ -1,6 +1,7 @@
 """ROS 1 bags, ROS 2 bags and MCAP files, by `rosbags`: standard messages, in ROS' axes and units (REP 103, 145)."""
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +14,8 @@ from jaxnav.data.units import pressure_height
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 
+RECEIVER = {"raw", "fix", "gps", "gnss", "receiver"}  # words of a topic
+ESTIMATE = {"filtered", "filter", "fused", "odometry", "odom", "global", "local", "ekf", "estimate", "estimated"}
 TESLA = 1e6  # microtesla
 
 
@@ -37,7 +40,8 @@ def read(path: Path, topics: dict[str, str] | None = None) -> Parts:
 
     Args:
         path: the bag.
-        topics: topic of a stream ("imu", "position", ...), where there are several; default the one with most messages.
+        topics: topic of a stream ("imu", "position", ...), where there are several; default a receiver's by its name,
+            else the one with most messages.
 
     Raises:
         DataError: no message that is known, or a topic that is not there.
@@ -62,6 +66,12 @@ def read(path: Path, topics: dict[str, str] | None = None) -> Parts:
     return _parts(os.fspath(path), rows, stamps, notes)
 
 
+def receivers_own(topic: str) -> int:
+    """Return how much a topic's name is that of a receiver's fixes, and not of a filter's estimate; 0 for neither."""
+    words = set(re.split(r"[^a-z]+", topic.lower()))
+    return len(words & RECEIVER) - len(words & ESTIMATE)
+
+
 def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[str]) -> dict[str, str]:
     """Streams by topic: the topic that the user names, else the one with most messages."""
     counts: dict[str, dict[str, int]] = {}
@@ -80,7 +90,8 @@ def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[st
             known = ", ".join(counts.get(stream, {})) or "none of a type that is known"
             raise DataError(f"{path}: topics: {stream}: no {topic}, it has {known}")
     for stream, of in counts.items():
-        best = topics.get(stream) or max(of, key=lambda topic: of[topic])
+        raw = receivers_own if stream in ("position", "velocity") else lambda topic: 0
+        best = topics.get(stream) or max(of, key=lambda topic: (raw(topic), of[topic]))
         if len(of) > 1 and stream not in topics:
             notes.append(f"{stream} is {best}, of {', '.join(sorted(of))}.")
         chosen[best] = stream

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxnav.data.axes import attitude
 from jaxnav.data.checks import ned_to_enu
-from jaxnav.data.parts import ImuRows, Parts, Stream
+from jaxnav.data.parts import ImuRows, Parts, Stream, with_fixes
 from jaxnav.data.units import UNITS
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Track
@@ -17,6 +17,7 @@ MAGIC = b"ULog\x01\x12\x35"
 NEVER = 2**31 - 1  # timestamp_relative of a sensor that has not measured
 GAUSS = UNITS["field"]["gauss"]
 FIX_3D = 3
+GPS = ("vehicle_gps_position", "sensor_gps")  # what PX4's own filter takes comes first
 DOWNWARD = 25  # orientation of a rangefinder that looks down
 
 
@@ -25,7 +26,7 @@ def recognises(path: Path, head: bytes) -> bool:
     return head.startswith(MAGIC)
 
 
-def read(path: Path, wheel_radius_m: float = 0.0) -> Parts:
+def read(path: Path, wheel_radius_m: float = 0.0, receiver: str | None = None) -> Parts:
     """What a log has, see docs/formats.md, truth where it is simulated; t in s of its clock.
 
     Body FRD, as in the log. Heights are above the ellipsoid where the log has such, else above sea level, which a note
@@ -34,6 +35,7 @@ def read(path: Path, wheel_radius_m: float = 0.0) -> Parts:
     Args:
         path: the log.
         wheel_radius_m: of the wheels, whose encoders count angles; 0 leaves them out.
+        receiver: topic and instance of the fixes, such as "sensor_gps 1"; default the first that mostly has a fix.
 
     Raises:
         DataError: no topic with inertial data.
@@ -55,6 +57,10 @@ def read(path: Path, wheel_radius_m: float = 0.0) -> Parts:
         raise DataError(f"{path}: has no sensor_combined, vehicle_imu or sensor_gyro and sensor_accel")
     builders = {"barometer": _barometer, "magnetometer": _magnetometer, "airspeed": _airspeed, "heading": _heading,
                 "rangefinder": _rangefinder}  # fmt: skip
+    gps = {f"{d.name} {d.multi_id}": d.data for name in GPS for d in log.data_list if d.name == name}
+    if gps:
+        best = with_fixes({name: data["fix_type"] >= FIX_3D for name, data in gps.items()}, receiver, notes)
+        topics = {k: v for k, v in topics.items() if k not in GPS} | {best.split()[0]: gps[best]}
     aiding = _gnss(topics, notes) | {name: build(topics) for name, build in builders.items()}
     aiding["wheels"] = _wheels(topics, wheel_radius_m, notes)
     present = {name: stream for name, stream in aiding.items() if stream is not None and len(stream.t)}
@@ -105,7 +111,7 @@ def _interval(data: dict[str, np.ndarray], name: str) -> np.ndarray:
 
 
 def _gnss(topics: dict[str, dict[str, np.ndarray]], notes: list[str]) -> dict[str, Stream]:
-    name = _first(topics, "vehicle_gps_position", "sensor_gps")
+    name = _first(topics, *GPS)
     if name is None:
         return {}
     data: dict[str, np.ndarray] = topics[name]

@@ -398,3 +398,22 @@ def test_a_receivers_topic_goes_before_a_filters_estimate():
 )
 def test_words_of_a_receivers_topic(receiver, estimate):
     assert receivers_own(receiver) > receivers_own(estimate)
+
+
+@needs_field
+def test_a_rocket_that_falls_freely_is_read():
+    rec = read(FIELD / "free_fall_rocket" / "rec")
+    found = {f.code: f for f in checkup(rec)}
+    assert not found["imu.gravity_size"].bad and "free fall" in found["imu.gravity_size"].means
+
+
+@pytest.mark.parametrize("bias", [-1.9, 1.9])
+def test_an_accelerometer_that_is_far_off_is_a_finding(drive, bias):
+    """By 0.19 g: read and said; by a third: refused."""
+    off = lambda by: fixes(drive)._replace(
+        imu=ImuRows(drive.imu.t, drive.imu.gyro, drive.imu.accel - [0.0, 0.0, by], dt=drive.imu.dt)
+    )
+    found = {f.code: f for f in checkup(mend.recording(off(bias)))}
+    assert found["imu.gravity_size"].bad
+    with pytest.raises(DataError, match="must show gravity"):
+        mend.recording(off(np.sign(bias) * 3.3))

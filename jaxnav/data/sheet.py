@@ -6,6 +6,7 @@ A cell that is no number is nan, a line of another width is left out: what becom
 import datetime
 import difflib
 import io
+import re
 import zipfile
 from collections import Counter
 from pathlib import Path
@@ -137,15 +138,25 @@ def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) ->
     lines = [(i, line) for i, line in lines if line.lstrip()[:1] not in ("#", "%")]
     if not lines:
         raise DataError(f"{file}: has no rows")
-    if delimiter is None:
-        counts = {mark: sum(line.count(mark) for _, line in lines[:50]) for mark in (",", ";", "\t")}
-        delimiter = max(counts, key=lambda mark: counts[mark])
-        delimiter = delimiter if counts[delimiter] else "space"
+    if re.fullmatch(r"sep=.", lines[0][1].strip(), re.IGNORECASE):  # Excel's
+        delimiter = lines.pop(0)[1].strip()[-1] if delimiter is None else delimiter
+    delimiter = _delimiter([line for _, line in lines[-50:]]) if delimiter is None else delimiter
     rows = [(i, _cells(line, delimiter)) for i, line in lines]
     width = Counter(len(cells) for _, cells in rows).most_common(1)[0][0]
+    if delimiter != "," and _decimal_commas(rows):
+        rows = [(i, [cell.replace(",", ".") for cell in cells]) for i, cells in rows]
+        notes.append(f"{Path(file).name}: commas are taken for decimal points.")
     names: list[str] = _cells(comments[-1], delimiter) if comments else []
-    if header or (header is None and not any(np.isfinite(_number(cell)) for cell in rows[0][1])):
-        names = rows.pop(0)[1]
+    before = next((k for k, (_, cells) in enumerate(rows) if len(cells) == width), 0)
+    text_only = lambda cells: not any(np.isfinite(_number(cell)) for cell in cells)
+    if header or (header is None and text_only(rows[before][1])):
+        names = rows[before][1]
+        if before:
+            notes.append(f"{Path(file).name}: {before} lines before the header are left out.")
+        rows = rows[before + 1 :]
+        if rows and len(rows[0][1]) == width and len(rows) > 1 and header is None and text_only(rows[0][1]):
+            notes.append(f"{Path(file).name}: the line of units below the header is left out.")
+            rows.pop(0)
     whole = [row for row in rows if len(row[1]) == width]
     if len(rows) - len(whole) > max(2, MAX_BAD * len(rows)) or not whole:
         bad = next((i for i, cells in rows if len(cells) != width), 1)
@@ -159,6 +170,23 @@ def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) ->
         columns |= {name: cells[:, k] for k, name in enumerate(names)}
     twice = tuple(name for name, count in Counter(names).items() if count > 1)
     return Sheet(file, columns, np.array([i for i, _ in whole]), tuple(notes), twice)
+
+
+def _delimiter(lines: list[str]) -> str:
+    """Return what stands between cells: semicolons or tabs where all lines have as many, else commas, else space."""
+    for mark in (";", "\t"):
+        counts = {line.count(mark) for line in lines}
+        if len(counts) == 1 and counts != {0}:
+            return mark
+    total = {mark: sum(line.count(mark) for line in lines) for mark in (",", ";", "\t")}
+    best = max(total, key=lambda mark: total[mark])
+    return best if total[best] else "space"
+
+
+def _decimal_commas(rows: list[tuple[int, list[str]]]) -> bool:
+    """Return whether the cells of the last lines have decimal commas and no decimal points."""
+    cells = [cell for _, row in rows[-20:] for cell in row]
+    return any(re.fullmatch(r"[+-]?\d+,\d+([eE][+-]?\d+)?", c) for c in cells) and not any("." in c for c in cells)
 
 
 def _cells(line: str, delimiter: str) -> list[str]:

@@ -19,6 +19,7 @@ from jaxnav.data.formats.rtklib import write_pos
 from jaxnav.data.gps_time import WEEK, leap_seconds
 from jaxnav.data.parts import ImuRows, Parts, Stream, with_fixes
 from jaxnav.data.read import read, read_parts
+from jaxnav.data.sheet import numbers, open_sheet
 from jaxnav.types import DataError, Recording
 
 FIELD = Path(os.environ.get("JAXNAV_DATA_DIR", "")).parent / "field"
@@ -417,3 +418,42 @@ def test_an_accelerometer_that_is_far_off_is_a_finding(drive, bias):
     assert found["imu.gravity_size"].bad
     with pytest.raises(DataError, match="must show gravity"):
         mend.recording(off(np.sign(bias) * 3.3))
+
+
+# ---------------------------------------------------------------------------- text tables
+
+
+@needs_field
+@pytest.mark.parametrize(
+    ("case", "file"),
+    [("decimal_comma", "map.toml"), ("decimal_comma", "map_delimiter.toml"),
+     ("lines_before_header", "excel.toml"), ("lines_before_header", "keys.toml")],
+)  # fmt: skip
+def test_tables_of_the_reports(case, file):
+    rec = read(FIELD / case / file)
+    assert rec.imu.t.size == 1321 and np.linalg.norm(rec.imu.accel.mean(0)) == pytest.approx(9.8, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "a", "b", "words"),
+    [
+        ("a,b\n1.5,2\n-3.5,4\n", [1.5, -3.5], [2, 4], None),
+        ("a;b\n1,5;2\n-3,5;4\n", [1.5, -3.5], [2, 4], "decimal points"),
+        ("a\tb\n1,5e-1\t2\n-3,5\t4\n", [0.15, -3.5], [2, 4], "decimal points"),
+        ("sep=;\na;b\n1.5;2\n-3.5;4\n", [1.5, -3.5], [2, 4], None),
+        (
+            "made by X\nrate,30,Hz\na,b\n1.5,2\n-3.5,4\n0.5,6\n1,1\n",
+            [1.5, -3.5, 0.5, 1],
+            [2, 4, 6, 1],
+            "2 lines before",
+        ),
+        ("a,b\n[m],[s]\n1.5,2\n-3.5,4\n", [1.5, -3.5], [2, 4], "line of units"),
+        ("a b\n1.5 2\n-3.5 4\n", [1.5, -3.5], [2, 4], None),
+    ],
+)
+def test_tables_as_people_write_them(tmp_path, text, a, b, words):
+    (tmp_path / "x.csv").write_text(text)
+    sheet = open_sheet(tmp_path / "x.csv")
+    np.testing.assert_array_equal(numbers(sheet, "a"), a)
+    np.testing.assert_array_equal(numbers(sheet, "b"), b)
+    assert words is None and not sheet.notes or words is not None and any(words in note for note in sheet.notes)

@@ -247,13 +247,16 @@ class _Objective:
         def box(centre: np.ndarray) -> np.ndarray:
             scales = centre[:2] + steps[:2] * SQUARE
             J, drift = at(scales)
-            return np.column_stack([scales, np.zeros(9), np.where(drift <= most, J, -np.inf)])
+            return np.column_stack([scales, np.zeros(9), agreed(J, drift)])
+
+        def agreed(J: np.ndarray, drift: np.ndarray) -> np.ndarray:
+            return np.where((drift <= most) & np.isfinite(J), J, -np.inf)
 
         steps = SCALE_STEP * np.array([1.0, float(len(self.rows) > 1), 0.0])
         J, drift = at(np.column_stack([SCALES, np.zeros_like(SCALES)]))
         stated = int(np.argmin(np.abs(SCALES)))
         most = HARM * drift[stated]
-        first = SCALES[np.argmax(np.where(drift <= most, J, -np.inf))]
+        first = SCALES[np.argmax(agreed(J, drift))]
         centre, points = _climb(box, np.array([first, 0.0, 0.0]))
         if points[:, 3].max() < J[stated] + LEAST_GAIN:
             return np.zeros(2)

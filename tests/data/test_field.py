@@ -22,7 +22,7 @@ from jaxnav.data.read import read, read_parts
 from jaxnav.data.sheet import numbers, open_sheet
 from jaxnav.types import DataError, Recording
 
-FIELD = Path(os.environ.get("JAXNAV_DATA_DIR", "")).parent / "field"
+FIELD = Path(os.environ.get("JAXNAV_DATA_DIR", "")).resolve().parent / "field"
 needs_field = pytest.mark.skipif(not FIELD.is_dir(), reason="needs the inputs of the reports beside JAXNAV_DATA_DIR")
 
 

@@ -23,7 +23,6 @@ FOLDERS = {
         "check": "what a recording says of itself, damaged in one way each and as it is",
         "start": "starts in motion: attitude, its sd and the delay of the fixes, simulated and recorded",
         "across": "several drives tuned together, judged on another IMU of the kind",
-        "tempering": "as how many observations a likelihood counts: by windows, by the spread of its scores",
         "wild": "recordings as their users have them, from file to solution",
         "sensors": "barometer, compass, wheels, airspeed: drift of recordings with them and without",
         "peers": "KF-GINS, python-ins and filterpy beside ours: the same samples, noise, hidden windows and scores",

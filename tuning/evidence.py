@@ -19,7 +19,7 @@ from jaxnav.types import Epoch, Info, Nav, Params
 from tuning.parts import Used, ages
 from tuning.priors import kind_of
 from tuning.transforms import Spec, join, split
-from tuning.uncertainty import Information, gaussian, information, pushed, rejected
+from tuning.uncertainty import Information, gaussian, pushed, rejected
 
 SLOW = "gnss_position_error"
 
@@ -83,16 +83,6 @@ def _evidence(
 
     both = jax.vmap(phase)(valid, keep, at, there, sd)
     return jax.tree.map(lambda a: a.sum(0), both)
-
-
-@partial(jax.jit, static_argnums=(0, 1, 9))
-def _scores(
-    filt: Filter, items: tuple, flat: jax.Array, like: Any, params: Params, nav: Nav, epochs: Epoch, keep: jax.Array,
-    block: jax.Array, count: int,
-) -> Information:  # fmt: skip
-    """The information of a run with every fix."""
-    spec, (_, back) = dict(items), ravel_pytree(like)
-    return information(lambda r: run(filt, join(spec, back(r), params), nav, epochs), flat, keep, block, count)
 
 
 @jax.jit
@@ -234,33 +224,6 @@ class Job:
             return Information(value, score, fisher, jnp.zeros((1, flat.size)))
 
         return inform
-
-    def by_scores(self, flat: jax.Array) -> float:
-        """How many independent observations the innovations of the training parts are worth, by their scores.
-
-        Scores of a white sequence add up to a variance that is their information; where innovations are correlated the
-        sums over blocks of three windows vary more, in the mean over the directions that the data tell by the factor by
-        which there are fewer (the magnitude adjustment of Pauli, Racugno and Ventura 2011).
-        """
-        G = flat.size
-        bread, meat, epochs = np.zeros((G, G)), np.zeros((G, G)), 0
-        for at, part, used in zip(self.places, self.parts, self.used, strict=True):
-            t, layout = used.t[: part.keep.shape[1]], used.layout
-            own = (t >= used.packed.start + layout.settle) & (t <= layout.train + ep.TICK)
-            block = np.where(own, (t - t[0]) // layout.every, 0).astype(int)
-            seen = own & np.asarray(part.epochs.fix.valid).any(-1)
-            info = _scores(
-                self.filt, self.items, flat[at], self.raw, *part[:3], jnp.asarray(own), block, block.max() + 1
-            )
-            count = np.bincount(block[seen], minlength=block.max() + 1)[:, None]
-            off = np.asarray(info.blocks) - count * np.asarray(info.score) / seen.sum()
-            bread[np.ix_(at, at)] += np.asarray(info.fisher)
-            meat[np.ix_(at, at)] += off.T @ off
-            epochs += int(seen.sum())
-        values, axes = np.linalg.eigh(bread * np.outer(self.width, self.width))
-        told = values > 1e-3 * values.max()
-        spread = np.diag(axes.T @ (meat * np.outer(self.width, self.width)) @ axes)
-        return epochs / float(np.mean(spread[told] / values[told]))
 
     def centre_delays(self, flat: jax.Array) -> None:
         """Centre the priors of the delays at numbers (G,)."""

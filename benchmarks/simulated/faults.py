@@ -76,7 +76,7 @@ UNSEEN = {
 }  # fmt: skip
 KINDS = SEEN | UNSEEN
 RULES = ("ekf15", "ekf15_gate", "ekf15_student", "ekf15_receiver")
-TOLD = "known time"
+KNOWN_TIME = "known time"
 
 
 def scenario():
@@ -128,10 +128,10 @@ def study(runs: int, seed: int) -> dict:
             value, wrong = sims.epochs.fix.value, jnp.zeros(sims.truth.t.shape[1], bool)
             if kind != "none":
                 value, wrong = spoilt(KINDS[kind], sims, own)
-            for name in (*RULES, TOLD):
-                filt = build("ekf15" if name == TOLD else name, cov_stride=5)
+            for name in (*RULES, KNOWN_TIME):
+                filt = build("ekf15" if name == KNOWN_TIME else name, cov_stride=5)
                 params = known._replace(rule=filt.params("consumer").rule)
-                hidden = (wrong & (name == TOLD))[None, :, None]
+                hidden = (wrong & (name == KNOWN_TIME))[None, :, None]
                 off = errors(filt, params, sims, value, sims.epochs.fix.valid & ~hidden)
                 found[kind].setdefault(name, []).append(np.asarray(off))
         print(f"{begin + len(own)} of {runs} runs", flush=True)
@@ -144,7 +144,7 @@ def draw(worst: dict[str, dict[str, float]], path: Path) -> None:
     ax = fig.subplots()
     plots.dress(ax, "95th percentile of the largest horizontal error, m")
     kinds = list(worst)[::-1]
-    marks = {TOLD: ("k", "|"), "ekf15": ("0.6", "x"), "ekf15_gate": ("tab:orange", "s"),
+    marks = {KNOWN_TIME: ("k", "|"), "ekf15": ("0.6", "x"), "ekf15_gate": ("tab:orange", "s"),
              "ekf15_student": ("tab:green", "^"), "ekf15_receiver": (plots.BLUE, "o")}  # fmt: skip
     for name, (colour, mark) in marks.items():
         ax.plot([worst[k][name] for k in kinds], range(len(kinds)), mark, color=colour, ms=12 if mark == "|" else 6,
@@ -169,14 +169,17 @@ def main(argv: list[str]) -> None:
     clean = {n: float(np.sqrt(np.mean(e[:, late:] ** 2))) for n, e in found["none"].items()}
     robust = {
         name: {
-            "p95_ratio": max(worst[k][name] / worst[k][TOLD] for k in KINDS),
-            "p95_ratio_unseen": max(worst[k][name] / worst[k][TOLD] for k in UNSEEN),
+            "p95_ratio": max(worst[k][name] / worst[k][KNOWN_TIME] for k in KINDS),
+            "p95_ratio_unseen": max(worst[k][name] / worst[k][KNOWN_TIME] for k in UNSEEN),
             "lockouts": sum(lost[k][name] for k in KINDS), "cost_clean": clean[name] / clean["ekf15"] - 1,
         }
         for name in RULES
     }  # fmt: skip
-    rows = [[k, *(worst[k][n] for n in (TOLD, *RULES)), worst[k]["ekf15_receiver"] / worst[k][TOLD]] for k in found]
-    print(table(["fault", TOLD, *RULES, "ratio"], rows))
+    rows = [
+        [k, *(worst[k][n] for n in (KNOWN_TIME, *RULES)), worst[k]["ekf15_receiver"] / worst[k][KNOWN_TIME]]
+        for k in found
+    ]
+    print(table(["fault", KNOWN_TIME, *RULES, "ratio"], rows))
     heads = ["", "largest ratio to known time", "unseen kinds", "runs lost", "RMS without faults"]
     print(table(heads, [[n, *r.values()] for n, r in robust.items()]))
     if args.figure:

@@ -238,27 +238,21 @@ class _Objective:
         runs = ep.stack_epochs([ep.grown(ep.hide(epochs, h, self.rows), *self.size) for h in windows.hidden])
         shown, known = wide(counted & ~windows.hidden), wide(there & windows.hidden)
 
-        def at(scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            """Return J (P,) and the drift (P,) m, of log10 factors (P, 2)."""
+        def at(scales: np.ndarray, most: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
+            """Return points (P, 4), J being -inf where the drift exceeds ``most`` m, and the drift (P,) m."""
             logs = np.tile([gyro, accel], (len(scales), 1))
             own, far, square = self.fit(runs, shown, known, logs, scales).mean(1)
-            return self.effective * (own + far) - 0.5 * ((scales / SCALE_SD) ** 2).sum(1), np.sqrt(square)
+            J, drift = self.effective * (own + far) - 0.5 * ((scales / SCALE_SD) ** 2).sum(1), np.sqrt(square)
+            agreed = np.isfinite(J) & (drift <= most)
+            return np.column_stack([scales, np.zeros(len(scales)), np.where(agreed, J, -np.inf)]), drift
 
-        def box(centre: np.ndarray) -> np.ndarray:
-            scales = centre[:2] + steps[:2] * SQUARE
-            J, drift = at(scales)
-            return np.column_stack([scales, np.zeros(9), agreed(J, drift)])
-
-        def agreed(J: np.ndarray, drift: np.ndarray) -> np.ndarray:
-            return np.where((drift <= most) & np.isfinite(J), J, -np.inf)
-
-        steps = SCALE_STEP * np.array([1.0, float(len(self.rows) > 1), 0.0])
-        J, drift = at(np.column_stack([SCALES, np.zeros_like(SCALES)]))
+        line, drift = at(np.column_stack([SCALES, np.zeros_like(SCALES)]))
         stated = int(np.argmin(np.abs(SCALES)))
         most = HARM * drift[stated]
-        first = SCALES[np.argmax(agreed(J, drift))]
-        centre, points = _climb(box, np.array([first, 0.0, 0.0]))
-        if points[:, 3].max() < J[stated] + LEAST_GAIN:
+        first = line[np.argmax(np.where(drift <= most, line[:, 3], -np.inf)), :3]
+        steps = SCALE_STEP * np.array([1.0, float(len(self.rows) > 1), 0.0])
+        centre, points = _climb(lambda centre: at(centre[:2] + steps[:2] * SQUARE, most)[0], first)
+        if points[:, 3].max() < line[stated, 3] + LEAST_GAIN:
             return np.zeros(2)
         return _vertex(points, centre, steps)[:2]
 

@@ -130,10 +130,10 @@ def prepare(config: Config, tuned: bool = False, scanned: bool = False) -> Ready
     if scanned and grade_name(config, scenario) == AUTO and not states_noise(config):
         config, noise = with_noise(config, rec, params, start_of(config, rec, params))
         params = base_params(config, grade, rec.lever_arm)
-    begun = start_of(config, rec, params)
-    params, first = begun.given(params), begun.navs
+    initial = start_of(config, rec, params)
+    params, first = initial.given(params), initial.navs
     interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
-    packed = ep.pack_recording(rec, measurements, begun.t, interval, config.data.stop, standing_of(config))
+    packed = ep.pack_recording(rec, measurements, initial.t, interval, config.data.stop, standing_of(config))
     rate = 1 / float(np.median(rec.imu.dt))
     filt = build(
         name,
@@ -147,7 +147,7 @@ def prepare(config: Config, tuned: bool = False, scanned: bool = False) -> Ready
         if sim is None
         else jax.tree.map(np.asarray, (sim.truth.t, sim.truth.errors["gyro_bias"], sim.truth.errors["accel_bias"]))
     )
-    return ReadyRun(rec, filt, measurements, params, packed, first, begun, config, noise, biases)
+    return ReadyRun(rec, filt, measurements, params, packed, first, initial, config, noise, biases)
 
 
 def states_noise(config: Config) -> bool:

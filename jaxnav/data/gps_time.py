@@ -24,17 +24,13 @@ def unrolled(t: np.ndarray) -> tuple[np.ndarray, int]:
     return t + WEEK * np.cumsum(falls), int(falls.sum())
 
 
-def nearest_week(t: np.ndarray, other: np.ndarray) -> float:
-    """Return the whole weeks (s) after which times (K,) meet others (N,), 0 where they meet as they are.
+def week_shift(t: np.ndarray, other: np.ndarray) -> float:
+    """Return the whole weeks (s) to add to times (K,) so that they overlap others (N,); else 0.
 
     Old receivers are off by 1,024 weeks, seconds of the week by one where a log goes over midnight on Saturday.
     """
-    if not t.size or not other.size or (t[0] <= other[-1] and t[-1] >= other[0]):
+    if not t.size or not other.size:
         return 0.0
-    apart = float(np.median(other) - np.median(t))
-    for period in (WEEK, ROLL_OVER):
-        shift = round(apart / period) * period
-        near = abs(shift) <= WEEK if period == WEEK else shift != 0
-        if shift and near and t[0] + shift <= other[-1] and t[-1] + shift >= other[0]:
-            return shift
-    return 0.0
+    rolled = round(float(np.median(other) - np.median(t)) / ROLL_OVER) * ROLL_OVER
+    overlaps = lambda shift: t.min() + shift <= other.max() and t.max() + shift >= other.min()
+    return next((shift for shift in (0.0, WEEK, -WEEK, rolled) if overlaps(shift)), 0.0)

@@ -11,7 +11,7 @@ from jaxnav.data import missing, polling
 from jaxnav.data.axes import rotation
 from jaxnav.data.checks import check_recording, uncertainty
 from jaxnav.data.files import MAX_VALUE, Source
-from jaxnav.data.gps_time import GPS_EPOCH, WEEK, nearest_week
+from jaxnav.data.gps_time import GPS_EPOCH, WEEK, week_shift
 from jaxnav.data.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Parts, Stream
 from jaxnav.types import DataError, ImuLog, Recording, Samples
 
@@ -330,7 +330,7 @@ def _with_sd(name: str, sd: np.ndarray, notes: list[str]) -> np.ndarray:
 def _same_epoch(name: str, t: np.ndarray, imu: ImuLog, notes: list[str]) -> np.ndarray:
     """Return times in the IMU's week: of another week, or s since 1970 where the IMU counts s of the week."""
     first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
-    weeks = nearest_week(t[np.isfinite(t)], imu.t)
+    weeks = week_shift(t[np.isfinite(t)], imu.t)
     if weeks:
         notes.append(f"{name}: its times are {-weeks / WEEK:+g} weeks from the IMU's, and are taken for the same week.")
         return t + weeks

@@ -46,10 +46,11 @@ class Parts(NamedTuple):
     zero: int = 0  # s of the file's own time, subtracted from all times
 
 
-def with_fixes(receivers: dict[str, np.ndarray], chosen: str | None, notes: list[str]) -> str:
+def with_fixes(file: str, receivers: dict[str, np.ndarray], chosen: str | None, notes: list[str]) -> str:
     """Return the receiver to read: the one asked for, else the first that mostly has a fix, else that with most fixes.
 
     Args:
+        file: for the message.
         receivers: which messages (N,) have a fix in three dimensions by name, the usual receiver first.
         chosen: name that the user gave.
         notes: gets a sentence where there are several.
@@ -59,7 +60,7 @@ def with_fixes(receivers: dict[str, np.ndarray], chosen: str | None, notes: list
     """
     names = ", ".join(receivers)
     if chosen is not None and chosen not in receivers:
-        raise DataError(f"receiver: no {chosen}, it has {names}")
+        raise DataError(f"{file}: receiver: no {chosen}, it has {names or 'none'}")
     counts = {name: int(np.count_nonzero(fixed)) for name, fixed in receivers.items()}
     mostly = (name for name, fixed in receivers.items() if 2 * counts[name] > fixed.size)
     name = chosen or next(mostly, max(counts, key=lambda name: counts[name]))

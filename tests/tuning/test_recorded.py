@@ -27,7 +27,7 @@ from tuning import evidence, priors, recorded
 from tuning.evidence import Job
 from tuning.parts import PHASES, Layout, Used, ages, parts_of, plan, window_of, windows_of
 from tuning.recorded import Trial, choose, correlation, ratios
-from tuning.uncertainty import Information, gaussian
+from tuning.uncertainty import gaussian
 
 
 @pytest.fixture(scope="module")
@@ -115,31 +115,6 @@ def test_likelihood_of_a_residual_and_its_derivatives(heavy):
     assert np.linalg.eigvalsh(np.asarray(fisher)).min() > 0
 
 
-@pytest.mark.parametrize("together", [1, 3])
-def test_scores_that_come_in_groups_count_once_each(job, monkeypatch, together):
-    """White scores are worth as many observations as there are epochs, those that come in threes a third of it."""
-    make, _, _ = job
-    mine = make()
-    mine.used[0] = mine.used[0]._replace(layout=mine.used[0].layout._replace(every=3.0))
-    rng = np.random.default_rng(5)
-    mix = rng.normal(size=(mine.flat.size, mine.flat.size))
-
-    def scores(filt, items, flat, like, sheet, nav, epochs, keep, block, count):
-        of_group = rng.normal(size=(count * 3, flat.size)) @ mix
-        each = (
-            of_group[block * 3 + np.arange(block.size) % 3 // together] + 2.0 * mix[0]
-        )  # not at the largest likelihood
-        each = each * np.asarray(keep)[:, None]
-        blocks = np.zeros((count, flat.size))
-        np.add.at(blocks, block, each)
-        return Information(0.0, each.sum(0), float(keep.sum()) * mix.T @ mix, blocks)
-
-    monkeypatch.setattr(evidence, "_scores", scores)
-    t, layout = mine.used[0].packed.t, mine.used[0].layout
-    epochs = int(((t > mine.used[0].packed.start + layout.settle) & (t <= layout.train)).sum())
-    assert mine.by_scores(mine.flat) == pytest.approx(epochs / together, rel=0.35)
-
-
 def test_a_likelihood_that_counts_more_weighs_more(job):
     make, _, _ = job
     mine = make()
@@ -171,6 +146,20 @@ def test_the_prior_of_a_delay_is_centred_at_the_scan(ekf, job):
     np.testing.assert_array_equal(np.asarray(mine.centre == numbers), delay | (np.asarray(mine.flat == numbers)))
     off = (0.25 / 0.1) ** 2 / 2  # its sd is 0.1 s
     assert before - float(mine.objective()(numbers).nll) == pytest.approx(off, rel=1e-9)
+
+
+def test_the_scan_sees_the_training_part_by_the_filters_measurements(rec, job, monkeypatch):
+    make, _, layout = job
+    seen = {}
+
+    def scan_noise(rec, params, begin, stop):
+        seen.update(streams=set(rec.aiding), stop=stop)
+        return NoiseScan()
+
+    monkeypatch.setattr(recorded, "scan_noise", scan_noise)
+    own = make.use()
+    recorded.scan(rec, own.sheet, own.begin, layout, GNSS[:1], lambda line: None)
+    assert seen == {"streams": {"position"}, "stop": layout.train}
 
 
 def test_nothing_after_the_training_part_enters(job):

@@ -51,7 +51,7 @@ def read(path: Path, instance: int = 0, receiver: str | None = None) -> Parts:
     Body FRD, as in the log. Heights of fixes are above sea level; HAcc, VAcc and SAcc are the sd of each axis.
 
     Raises:
-        DataError: no such IMU.
+        DataError: no such IMU or receiver.
     """
     notes: list[str] = []
     logged = read_messages(path, notes)
@@ -62,9 +62,9 @@ def read(path: Path, instance: int = 0, receiver: str | None = None) -> Parts:
     rows = ImuRows(_seconds(imu), _columns(imu, "GyrX", "GyrY", "GyrZ"), _columns(imu, "AccX", "AccY", "AccZ"))
     gps = {f"GPS {i}": data for i in range(4) for data in [_instance(logged, "GPS", i)] if data is not None}
     number = 0
-    if gps:
+    if gps or receiver:
         fixed = {name: data["Status"] >= FIX_3D for name, data in gps.items()}
-        number = int(with_fixes(fixed, receiver, notes)[-1])
+        number = int(with_fixes(os.fspath(path), fixed, receiver, notes)[-1])
     aiding = _gps(logged, notes, number)
     baro, mag, wind = (_instance(logged, name, 0) for name in ("BARO", "MAG", "ARSP"))
     if baro is not None:

@@ -1,4 +1,4 @@
-"""NMEA 0183, by `pynmeagps`: GGA, RMC, VTG, ZDA, GST, HDT and THS, the fixes beside an IMU's file."""
+"""NMEA 0183, by `pynmeagps`: GGA, RMC, VTG, ZDA, GST, HDT and THS: fixes for the file of an IMU."""
 
 import datetime
 import os
@@ -63,9 +63,9 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
         kind = getattr(m, "msgID", "")
         angle: Any = getattr(m, HEADINGS.get(kind, ""), None)
         if _numeric(angle) and now is not None and getattr(m, "mi", "A") != "V":
-            pointed.append([now, angle * DEG])  # has no time of its own: that of the sentence before it
+            pointed.append([now, angle * DEG])  # without a time: that of the sentence before
         if kind == "VTG" and now is not None and _numeric(m.cogt, m.sogn):
-            motion.append(["VTG", now, m.sogn * KNOTS, m.cogt * DEG])  # likewise
+            motion.append(["VTG", now, m.sogn * KNOTS, m.cogt * DEG])
         if kind not in ("GGA", "RMC", "GST", "ZDA") or not isinstance(m.time, datetime.time):
             continue
         second = _second(m.time)

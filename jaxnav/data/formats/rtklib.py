@@ -43,22 +43,17 @@ def read_pos(path: FilePath, notes: list[str] | None = None) -> PosFile:
     file and line.
     """
     table, t = _read_table(path, notes)
-    strict = notes is None
-    if strict:
-        check_time(t, table.source, "position")
     column = dict(zip(table.names, table.values.T))
     missing = [name for name in (*_POSITION, "Q", "ns") if name not in column]
     if missing:
         raise DataError(f"{table.source.file}: expected a column {missing[0]}, got {', '.join(table.names)}")
     value = np.stack([column["latitude"] * DEG, column["longitude"] * DEG, column["height"]], axis=1)
-    aiding = {
-        "position": _samples("position", t, value, [column[name] for name in _POSITION[3:]], table.source, strict)
-    }
+    aiding = {"position": _samples("position", t, value, [column[name] for name in _POSITION[3:]], table.source)}
     if all(name in column for name in _VELOCITY) and any(column[name].any() for name in _VELOCITY[3:6]):
         value = np.stack([column["ve"], column["vn"], column["vu"]], axis=1)
-        aiding["velocity"] = _samples(
-            "velocity", t, value, [column[name] for name in _VELOCITY[3:]], table.source, strict
-        )
+        aiding["velocity"] = _samples("velocity", t, value, [column[name] for name in _VELOCITY[3:]], table.source)
+    for name, samples in aiding.items() if notes is None else ():
+        check_samples(name, samples, table.source)
     return PosFile(aiding, column["Q"].astype(int), column["ns"].astype(int), table.source)
 
 
@@ -212,14 +207,10 @@ def _stamp(seconds: float) -> str:
     return f"{moment:%Y/%m/%d %H:%M:%S}.{micro:06d}"
 
 
-def _samples(
-    name: str, t: np.ndarray, value: np.ndarray, columns: list[np.ndarray], source: Source, strict: bool
-) -> Samples:
+def _samples(name: str, t: np.ndarray, value: np.ndarray, columns: list[np.ndarray], source: Source) -> Samples:
     """Columns sdn, sde, sdu, sdne, sdeu, sdun to sd in ENU and correlations (EN, NU, UE)."""
     n, e, u, ne, eu, un = columns
     sd = np.stack([e, n, u], axis=1)
-    if strict:
-        check_samples(name, Samples(t, value, sd, np.zeros_like(sd)), source)
     roots = np.stack([ne, un, eu], axis=1)
     product = sd * np.roll(sd, -1, axis=1)
     corr = np.where(product > 0, np.sign(roots) * np.square(roots) / np.where(product > 0, product, 1.0), 0.0)

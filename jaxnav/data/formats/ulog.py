@@ -38,7 +38,7 @@ def read(path: Path, wheel_radius_m: float = 0.0, receiver: str | None = None) -
         receiver: topic and instance of the fixes, such as "sensor_gps 1"; default the first that mostly has a fix.
 
     Raises:
-        DataError: no topic with inertial data.
+        DataError: no topic with inertial data, or no such receiver.
     """
     from pyulog import ULog
 
@@ -58,8 +58,9 @@ def read(path: Path, wheel_radius_m: float = 0.0, receiver: str | None = None) -
     builders = {"barometer": _barometer, "magnetometer": _magnetometer, "airspeed": _airspeed, "heading": _heading,
                 "rangefinder": _rangefinder}  # fmt: skip
     gps = {f"{d.name} {d.multi_id}": d.data for name in GPS for d in log.data_list if d.name == name}
-    if gps:
-        best = with_fixes({name: data["fix_type"] >= FIX_3D for name, data in gps.items()}, receiver, notes)
+    if gps or receiver:
+        fixed = {name: data["fix_type"] >= FIX_3D for name, data in gps.items()}
+        best = with_fixes(os.fspath(path), fixed, receiver, notes)
         topics = {k: v for k, v in topics.items() if k not in GPS} | {best.split()[0]: gps[best]}
     aiding = _gnss(topics, notes) | {name: build(topics) for name, build in builders.items()}
     aiding["wheels"] = _wheels(topics, wheel_radius_m, notes)

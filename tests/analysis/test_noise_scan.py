@@ -85,6 +85,23 @@ def test_it_finds_the_sd_of_the_fixes(drive, position, velocity, monkeypatch):
     assert scan_noise(rec, with_arm(rec)).position == 1.0
 
 
+def test_the_sd_maximise_innovations_hidden_fixes_and_prior_together(drive):
+    """Parabolas of known maxima: innovations at 0.1 of the stated sd, hidden fixes at 1; where these drift more, no."""
+    begin = start(drive, with_arm(drive))
+    objective = noise_scan._Objective(drive, with_arm(drive), begin, begin.t + 115.0, ())
+    k = 8.0 / objective.effective
+
+    def fit(epochs, counted, hidden, logs, scales, drift=1.0):
+        p = scales[:, 0]
+        return np.stack([-k * (p + 1.0) ** 2, -k * p**2, np.where(p < -0.3, drift, 1.0)])[:, None].repeat(3, 1)
+
+    objective.fit = fit
+    # d/dp of -8 (p + 1)^2 - 8 p^2 - (p / 0.5)^2 / 2 is 0
+    np.testing.assert_allclose(objective.best_scales(1.0, 1.0, 0.2), [-16 / 36, 0.0], atol=1e-9)
+    objective.fit = lambda *args: fit(*args, drift=2.0)
+    np.testing.assert_allclose(objective.best_scales(1.0, 1.0, 0.2), [-0.25, 0.0], atol=1e-9)  # within the limit
+
+
 def test_what_is_stated_stays(drive):
     params = with_arm(drive)
     stated = params._replace(mounting=params.mounting._replace(time_offset=np.asarray(0.05)))

@@ -177,12 +177,19 @@ def predict(P, points, noise, dynamics):
                 P = P + late @ late.T * dts.sum() / 2
     P = slow @ P @ slow.T
     if not lumped:
-        P[:6, :6] += second_order(slow @ Phi @ slow, before, dts.sum())
+        total = slow @ Phi @ slow
+        reduced, Q = second_order(total, before, dts.sum())
+        P += reduced @ before @ reduced.T - total @ before @ total.T
+        P[:6, :6] += Q
     return P
 
 
 def second_order(Phi, P, T):
-    """White acceleration of the power of phi x w, w = Phi (phi / 2, s), by the quadratic forms x' A_i x of its rows."""
+    """Phi with the reliable share of the heading's column, and what large attitude errors add to Q.
+
+    White acceleration of the power of the rest of this column and of phi x w, w = Phi (phi / 2, s), by the quadratic
+    forms x' A_i x of its rows.
+    """
     n = len(P)
     w = Phi[3:6] * np.concatenate([np.zeros(6), np.full(3, 0.5), np.ones(n - 9)])
     forms = []
@@ -191,7 +198,12 @@ def second_order(Phi, P, T):
         A[6:9] = cross_matrix(e).T @ w  # e . (phi x w) = phi . (w x e)
         forms.append(0.5 * (A + A.T) @ P)
     moment = [[2 * np.trace(a @ b) + np.trace(a) * np.trace(b) for b in forms] for a in forms]
-    return np.kron([[T**3 / 3, T**2 / 2], [T**2 / 2, T]], 2 * 2.0 / T**2 * np.array(moment))
+    cov, column, reduced = Phi[3:6, 6:] @ P[6:, 6:] @ Phi[3:6, 6:].T, Phi[3:6, 8], Phi.copy()
+    wrong = np.trace(cross_matrix([0, 0, 1]) @ cov @ cross_matrix([0, 0, 1]).T)
+    reliable = column @ column / (column @ column + wrong)
+    reduced[:6, 8] *= reliable
+    moment = np.array(moment) + np.outer(column, column) * (1 - reliable) ** 2 * P[8, 8]
+    return reduced, np.kron([[T**3 / 3, T**2 / 2], [T**2 / 2, T]], 2 * 2.0 / T**2 * moment)
 
 
 def run(imu, fixes, start, noise, prior_sd, dynamics=simple_dynamics, ki=0.0, kd=0.0, states=None):

@@ -309,7 +309,8 @@ def make_filter(
         recent, points = propagate(nav, state.u, given.samples, cov_stride, given.keep)
         Phi, Q, d = model.discretize(params, points, given.T, state.u)
         if model.second_order:
-            Q = Q.at[:6, :6].add(model.second_order(nav, Phi, state.P, given.T.sum()))
+            Phi, noise = model.second_order(nav, Phi, state.P, given.T.sum())
+            Q = Q.at[:6, :6].add(noise)
         x, P = Phi @ state.x + d, linalg.sandwich(Phi, state.P) + Q
         moved, T = Transition(Phi, Q, d), given.T.sum()
         memory = rule.transport(params.rule, state.memory, moved, T) if rule.transport else state.memory

@@ -13,9 +13,10 @@ from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, latency
 from jaxnav.measurements.measurement import stack
 from jaxnav.states import table
 from jaxnav.states.motion import A, V, prior_sd
+from jaxnav.states.second_order import second_order
 from jaxnav.states.state import State
 from jaxnav.states.table import BIASES
-from jaxnav.states.transition import Blocks, discretize, second_order
+from jaxnav.states.transition import Blocks, discretize
 from jaxnav.strapdown import inertial_quaternion, tangent_frame
 from jaxnav.strapdown.errors import inertial_quaternion as inertial_errors
 from jaxnav.strapdown.errors import local_level as local_level_errors
@@ -32,6 +33,7 @@ class MotionErrors(NamedTuple):
     leave: Callable[[Nav], Nav] | None = None  # the inverse
     enu_rows: Callable[[Nav, Nav], jax.Array] | None = None  # (nav, the same in local level) -> d(ENU error)/dx (9, 9)
     velocity_axes: Callable[[Nav], jax.Array] | None = None  # axes of attitude -> those of velocity, (3, 3)
+    vertical: int = 2  # which axis of velocity is vertical
 
 
 MOTION_ERRORS: dict[str, MotionErrors] = {
@@ -42,6 +44,7 @@ MOTION_ERRORS: dict[str, MotionErrors] = {
         tangent_frame.enter,
         tangent_frame.leave,
         lambda nav, local: tangent_errors.enu_rows(local),
+        vertical=1,
     ),
     "inertial": MotionErrors(
         inertial_errors.retract,
@@ -66,8 +69,8 @@ class ErrorModel(NamedTuple):
     covariance: Callable[[Params, Nav], jax.Array]  # P (n, n) at the start
     # (params, points (b, ...), T (b,) s, forcing) -> Phi (n, n), Q (n, n), d (n,)
     discretize: Callable[[Params, ErrorInputs, jax.Array, Forcing | None], tuple[jax.Array, jax.Array, jax.Array]]
-    # (nav and P (n, n) at the epoch's start, Phi (n, n), T () s) -> see `jaxnav.states.transition.second_order`
-    second_order: Callable[[Nav, jax.Array, jax.Array, jax.Array], jax.Array] | None
+    # (nav and P (n, n) at the epoch's start, Phi (n, n), T () s) -> see `jaxnav.states.second_order.second_order`
+    second_order: Callable[[Nav, jax.Array, jax.Array, jax.Array], tuple[jax.Array, jax.Array]] | None
     # (params, past (w, ...), fix, predicted P (n, n) or None) -> y (m,), H (m, n), R (m, m)
     observe: Callable[..., tuple[jax.Array, jax.Array, jax.Array]]
     enter: Callable[[Nav], Nav]  # local level navigation -> the frame's
@@ -148,9 +151,10 @@ def error_model(
         lumped = form == "simple" and frame == "local_level"
         return discretize(partial(motion.dynamics, form=form), params, own, points, T, u, lumped)
 
-    def second_order_noise(nav: Nav, Phi: jax.Array, P: jax.Array, T: jax.Array) -> jax.Array:
-        """Return what large attitude errors add to Q of position and velocity, (6, 6)."""
-        return second_order(Phi, P, T, motion.velocity_axes(nav) if motion.velocity_axes else None)
+    def with_second_order(nav: Nav, Phi: jax.Array, P: jax.Array, T: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return Phi (n, n) for large attitude errors, and what they add to Q of position and velocity, (6, 6)."""
+        axes = motion.velocity_axes(nav) if motion.velocity_axes else None
+        return second_order(Phi, P, T, motion.vertical, axes)
 
     def report(nav: Nav, x: jax.Array, P: jax.Array) -> tuple[Nav, jax.Array, jax.Array]:
         if motion.leave is None or motion.enu_rows is None:
@@ -177,7 +181,7 @@ def error_model(
 
     return ErrorModel(
         states, tuple(m.name for m in measurements), n, sum(m.size for m in measurements),
-        retract, absorb, covariance, transition, second_order_noise if form == "full" else None,
+        retract, absorb, covariance, transition, with_second_order if form == "full" else None,
         stack(measurements, own, motion.leave, motion.enu_rows),
         motion.enter or _same, report, earlier,
     )  # fmt: skip

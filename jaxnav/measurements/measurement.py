@@ -16,9 +16,9 @@ from jax.typing import ArrayLike
 from jaxnav.maths import rotations
 from jaxnav.measurements import latency
 from jaxnav.states.motion import MOTION
+from jaxnav.states.second_order import SECOND_ORDER_S, reliability
 from jaxnav.states.sensors import OTHER
 from jaxnav.states.state import State
-from jaxnav.states.transition import SECOND_ORDER_S, cross_moment
 from jaxnav.types import Fix, Mounting, Nav, Params
 
 FIXES_ALIKE = 2 * SECOND_ORDER_S
@@ -162,7 +162,7 @@ def stack(
     Each measurement is compared with navigation at its own instant: the end of ``past`` minus the clock offset and its
     latency. H refers to the error at the end (`jaxnav.measurements.latency`). R is `covariance` of each. With the
     predicted covariance P (n, n) the R of a receiver's vectors holds what a large attitude error adds in second order,
-    by lever arm and age: -phi x (H (phi / 2, s)), see `jaxnav.states.transition.cross_moment`.
+    by lever arm and age: -phi x (H (phi / 2, s)), see `jaxnav.states.second_order.reliability`.
 
     Args:
         measurements: the rows, in the order of their channels.
@@ -207,7 +207,9 @@ def stack(
             H = H[:, :9] @ B + jnp.concatenate([jnp.zeros((each.size, 9)), H[:, 9:]], 1)
             cov = covariance(o.root, o.sd, own.corr, own.valid)
             if P is not None and each.receiver and each.size == 3:
-                cov += FIXES_ALIKE * cross_moment(H[:, 6:] * in_body, P)
+                reliable, moment = reliability(H[:, 6:] * in_body, P)
+                H = H.at[:, 8].multiply(reliable)
+                cov += FIXES_ALIKE * moment
             parts.append((o.y, H, cov))
         H = jnp.concatenate([p[1] for p in parts])
         if J is not None:

@@ -28,8 +28,6 @@ FAST = (("velocity", "attitude"), ("velocity", "accel"), ("attitude", "gyro"))
 """Blocks that follow specific force and attitude from sample to sample, and must be linear in ``force`` (the first) or
 ``C`` (the others); all other blocks change over minutes."""
 
-SECOND_ORDER_S = 2.0  # s, how long a large error lasts before fixes show it: from `benchmarks consistency`
-LARGEST = 0.7  # rad, of an attitude error that has an expansion to second order: its sd on all axes together
 GAUSS3, GAUSS2 = np.array([-1, 0, 1]) * np.sqrt(3 / 5), np.array([-1, 1]) / np.sqrt(3)
 INTEGRALS = {"gyro": (3, 2, 1), "accel": (2, 1, 0), None: (0, 0, 0)}
 """Integrals in time from a state that enters a sensor to position, velocity and attitude."""
@@ -119,54 +117,6 @@ def discretize(
     W = jnp.block([[W, *(linalg.times(slow, root) for root in moved)], [own, *(driven for _ in moved)]])
     Phi = jnp.block([[Phi, slow_E * kept], [jnp.zeros((kept.size, 9)), jnp.diag(kept * kept)]])
     return Phi, linalg.square(W), jnp.concatenate([d + slow_E @ forgotten, (1 + kept) * forgotten])
-
-
-def second_order(Phi: jax.Array, P: jax.Array, T: jax.Array, axes: jax.Array | None = None) -> jax.Array:
-    """Return the noise that large attitude errors add to position and velocity in second order, (6, 6).
-
-    Specific force in navigation axes is wrong by phi x (S + C e_a) - phi x (phi x S) / 2 - C e_a, with S = C f and an
-    accelerometer error e_a. In first order that is L (phi, s), with the columns of Phi; the rest is -phi x w with
-
-        w = L (phi / 2, s).
-
-    For Gaussian errors of covariance P its second moment has the products E[phi phi'] E[w w'], E[phi w'] E[w phi'] and
-    the square of its mean -E[phi x w] (Jazwinski 1970, section 9.3: the Gaussian second-order filter). phi and s last
-    longer than an epoch, so it is correlated from epoch to epoch: as white noise of acceleration with the same power at
-    low frequencies it counts 2 tau / T times, with tau = `SECOND_ORDER_S`. Beyond `LARGEST` the terms are bounded.
-
-    Args:
-        Phi: (n, n) transition of the epoch.
-        P: (n, n) covariance at its start.
-        T: () s, its length.
-        axes: (3, 3) rotation from the axes of attitude to those of velocity; None where they are the same.
-    """
-    moment = cross_moment(Phi[3:6, 6:], P, axes)
-    psd = 2 * SECOND_ORDER_S * moment / jnp.where(T > 0, T, 1.0) ** 2
-    return jnp.block([[T**3 / 3 * psd, T**2 / 2 * psd], [T**2 / 2 * psd, T * psd]])
-
-
-def cross_moment(L: jax.Array, P: jax.Array, axes: jax.Array | None = None) -> jax.Array:
-    """Return E[(phi x w) (phi x w)'], (3, 3), with w = L (phi / 2, s), for Gaussian errors of covariance P.
-
-    With A = E[phi phi'], X = E[phi w'] and W = E[w w'] the fourth moments are products of second ones (Isserlis 1918):
-    those of A and W, those of X and X, and the square of the mean E[phi x w].
-
-    Args:
-        L: (3, n - 6) derivative of a vector by the errors of attitude phi and by the optional states s.
-        P: (n, n) covariance; of a phi beyond `LARGEST` the moment is bounded.
-        axes: (3, 3) rotation from the axes of phi to those of the vector; None where they are the same.
-    """
-    L = L * np.concatenate([np.full(3, 0.5), np.ones(P.shape[0] - 9)])
-    PL = linalg.times(P[6:, 6:], L.T)
-    A, X, W = P[6:9, 6:9], PL[:3], linalg.times(L, PL)
-    if axes is not None:
-        A, X = axes @ A @ axes.T, axes @ X
-    mean = jnp.stack([X[1, 2] - X[2, 1], X[2, 0] - X[0, 2], X[0, 1] - X[1, 0]])
-    a, x, w, eye = jnp.trace(A), jnp.trace(X), jnp.trace(W), jnp.eye(3)
-    AW = A @ W
-    of_A_W = (a * w - jnp.trace(AW)) * eye - w * A - a * W + AW + AW.T
-    of_X_X = (jnp.sum(X**2) - x**2) * eye - X @ X.T - X.T @ X + x * (X + X.T)
-    return LARGEST**2 / jnp.maximum(a, LARGEST**2) * (of_A_W + of_X_X + jnp.outer(mean, mean))
 
 
 def _blocks(dynamics: Callable[[ErrorInputs], Blocks], point: ErrorInputs) -> tuple[Maps, Blocks]:

@@ -6,15 +6,21 @@ import numpy as np
 import pytest
 
 from jaxnav.analysis.metrics import state_error
-from jaxnav.filters.catalogue import FRAMES
+from jaxnav.filters.catalogue import FRAMES, build
 from jaxnav.filters.error_model import error_model
-from jaxnav.filters.parameters import datasheet_params, late, mounting
-from jaxnav.filters.run import initial_nav
+from jaxnav.filters.parameters import datasheet_params, history_for, late, mounting
+from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import rotations
+from jaxnav.maths.units import DEG
 from jaxnav.measurements.measurement import FIXES_ALIKE
+from jaxnav.simulate.gnss import Receiver
+from jaxnav.simulate.imu import ImuErrors
+from jaxnav.simulate.scenarios import Scenario, Start
+from jaxnav.simulate.simulation import matched_params, perturb, simulate
+from jaxnav.simulate.trajectories import Static
 from jaxnav.states.grades import GRADES
 from jaxnav.states.motion import reset_covariance, reset_rows
-from jaxnav.states.transition import SECOND_ORDER_S, second_order
+from jaxnav.states.second_order import SECOND_ORDER_S, reliability, second_order
 from jaxnav.strapdown import local_level
 from jaxnav.types import Fix, Imu
 
@@ -32,7 +38,7 @@ def epoch():
     end, path = local_level.propagate(nav, None, imu)
     Phi = model.discretize(datasheet_params(GRADES["consumer"]), path, imu.dt, None)[0]
     velocity = jax.jit(lambda x: local_level.propagate(model.retract(nav, x), None, imu)[0].vel)
-    return np.asarray(Phi), velocity
+    return Phi, velocity
 
 
 def test_the_rest_of_a_large_error_is_the_cross_product_of_attitude_and_what_it_does(epoch):
@@ -49,14 +55,15 @@ def test_the_rest_of_a_large_error_is_the_cross_product_of_attitude_and_what_it_
 
 
 def test_its_power_is_that_of_samples(epoch):
-    """The second moment of phi x w in velocity, as white acceleration over the epoch."""
+    """The second moment of phi x w and of what the heading's column leaves out, as white acceleration."""
     Phi, _ = epoch
     root = RNG.normal(size=(15, 15)) * np.repeat([1.0, 1.0, 0.05, 0.002, 0.1], 3)[:, None] / 4
     P = root @ root.T
-    Q = np.asarray(jax.jit(second_order)(Phi, P, jnp.asarray(T)))
+    reduced, Q = jax.tree.map(np.asarray, jax.jit(second_order)(Phi, P, jnp.asarray(T)))
     x = RNG.multivariate_normal(np.zeros(15), P, size=400_000)
     q = np.cross(x[:, 6:9], np.concatenate([0.5 * x[:, 6:9], x[:, 9:]], 1) @ Phi[3:6, 6:].T)
-    sampled = q.T @ q / len(q)
+    rest = x @ (Phi - reduced)[3:6].T
+    sampled = (q.T @ q + rest.T @ rest) / len(q)
     size = np.sqrt(np.diag(sampled))
     power = Q[3:, 3:] / (2 * SECOND_ORDER_S / T)
     np.testing.assert_allclose(power / np.outer(size, size), sampled / np.outer(size, size), atol=0.02)
@@ -70,8 +77,46 @@ def test_a_lost_attitude_is_bounded(epoch):
     for sd in (10.0, 100.0):
         P = np.diag(np.repeat([1.0, 0.1, 0.01, 1e-4, 1e-2], 3) ** 2)
         P[8, 8] = sd**2
-        sizes.append(np.sqrt(np.diag(second_order(Phi, P, jnp.asarray(T)))[3:]).max())
+        sizes.append(np.sqrt(np.diag(second_order(Phi, P, jnp.asarray(T))[1])[3:]).max())
     assert sizes[1] < 11 * sizes[0]
+
+
+def test_the_heading_counts_by_its_column_and_the_column_s_error(epoch):
+    """|l|^2 / (|l|^2 + E|e|^2) by columns of other attitudes and biases, as sampled; noise has the rest."""
+    Phi, _ = epoch
+    root = RNG.normal(size=(15, 15)) * np.repeat([1.0, 1.0, 0.3, 0.002, 1.0], 3)[:, None] / 4
+    P = root @ root.T
+    wrong = RNG.multivariate_normal(np.zeros(15), P, size=200_000)[:, 6:] @ Phi[3:6, 6:].T  # of specific force, x T
+    r = float(reliability(Phi[3:6, 6:], P)[0])
+    size, lost = np.sum(Phi[3:6, 8] ** 2), np.mean(np.sum(np.cross(wrong, [0, 0, 1]) ** 2, 1))
+    np.testing.assert_allclose(r, size / (size + lost), rtol=0.01)
+    assert 0.1 < r < 0.9
+    expected = np.array(Phi)
+    expected[:6, 8] *= r
+    np.testing.assert_allclose(second_order(Phi, P, jnp.asarray(T))[0], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_a_parked_vehicle_does_not_learn_its_heading():
+    """Ten seconds at rest, heading sd 20 deg: the sd stays, and the errors of 16 runs are within it."""
+    scenario = Scenario(
+        name="parked", duration_s=10.0, imu_rate_hz=20.0, motion=Static(), imu=ImuErrors("consumer"),
+        gnss=Receiver((2.0,) * 3, (0.1,) * 3),
+        start=Start((2.0,) * 3, (0.1,) * 3, prior_tilt_sd_deg=1.0, prior_heading_sd_deg=20.0),
+    )  # fmt: skip
+    params = matched_params(scenario)
+    filt = build("ekf15", history=history_for(params, 20.0, 10.0))
+
+    @jax.jit
+    @jax.vmap
+    def ends(key):
+        sim = simulate(scenario, key)
+        initial = perturb(jax.random.fold_in(key, 1), sim.start, scenario.start)
+        record = lambda step, truth: (state_error(step.info.nav, truth, filt.model.states)[8], step.info.P[8, 8])
+        return run(filt, params, initial, sim.epochs, record, sim.truth)
+
+    heading, var = ends(jax.random.split(jax.random.key(5), 16))
+    assert np.sqrt(np.mean(var[:, -1])) > 18.5 * DEG
+    assert np.mean(heading[:, -1] ** 2 / var[:, -1]) < 1.9  # 99 % of chi-square with 16 degrees of freedom, over 16
 
 
 def test_a_receiver_s_fix_sees_second_order_by_lever_arm_and_age():
@@ -109,16 +154,20 @@ def test_other_axes_of_attitude_turn_the_terms_along(epoch):
     P, R = root @ root.T, np.asarray(rotations.to_dcm(rotations.exp(jnp.array([0.3, -1.0, 2.0]))))
     S = np.eye(15)
     S[6:9, 6:9] = R.T  # attitude in other axes: phi = R phi_other
-    plain, turned = second_order(Phi, P, jnp.ones(())), second_order(Phi @ S.T, S @ P @ S.T, jnp.ones(()), R)
-    np.testing.assert_allclose(plain, turned, rtol=1e-9, atol=1e-12)
+    plain, turned = second_order(Phi, P, jnp.ones(())), second_order(Phi @ S.T, S @ P @ S.T, jnp.ones(()), 2, R)
+    np.testing.assert_allclose(plain[1], turned[1], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(turned[0], plain[0] @ S.T, rtol=1e-9, atol=1e-12)
+    assert np.abs(plain[0] - Phi).max() > 0.1
 
 
 def test_small_errors_and_empty_epochs_add_nothing(epoch):
     Phi, _ = epoch
     P = np.diag(np.repeat([1.0, 0.1, 1e-3, 1e-4, 1e-2], 3) ** 2)
-    assert np.sqrt(np.diag(second_order(Phi, P, jnp.ones(())))).max() < 2e-4
-    assert not np.asarray(second_order(jnp.eye(15), P, jnp.zeros(()))).any()
-    slope = jax.grad(lambda P: second_order(jnp.eye(15), P, jnp.zeros(())).sum())(jnp.asarray(P))
+    assert np.sqrt(np.diag(second_order(Phi, P, jnp.ones(()))[1])).max() < 2e-4
+    same, none = second_order(jnp.eye(15), P, jnp.zeros(()))
+    np.testing.assert_array_equal(same, np.eye(15))
+    assert not np.asarray(none).any()
+    slope = jax.grad(lambda P: sum(a.sum() for a in second_order(jnp.eye(15), P, jnp.zeros(()))))(jnp.asarray(P))
     assert np.isfinite(slope).all()
 
 

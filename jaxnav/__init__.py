@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from jaxnav.filters.compiler import cache, enable_x64, fast_compiler, make_room
     from jaxnav.filters.core import Correction, Filter, Innovation, Rule, make_filter
     from jaxnav.filters.parameters import datasheet_params, mounting
-    from jaxnav.filters.run import initial_nav, prepare, require_x64, run, run_jit, track
+    from jaxnav.filters.run import initial_nav, prepare, require_params, require_x64, run, run_jit, track
     from jaxnav.filters.smoother import smooth
     from jaxnav.measurements import (
         GNSS,
@@ -90,7 +90,7 @@ _HOMES = {
     "filters.compiler": "cache enable_x64 fast_compiler make_room",
     "filters.core": "Correction Filter Innovation Rule make_filter",
     "filters.parameters": "datasheet_params mounting",
-    "filters.run": "initial_nav prepare require_x64 run run_jit track",
+    "filters.run": "initial_nav prepare require_params require_x64 run run_jit track",
     "filters.smoother": "smooth",
     "measurements": "GNSS MEASUREMENTS NONHOLONOMIC POSITION SPEED VELOCITY ZERO_RATE ZERO_VELOCITY",
     "states": "STATES State",

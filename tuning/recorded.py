@@ -36,7 +36,7 @@ from jaxnav.data.start import Start, start
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, installed, with_prior_of
-from jaxnav.filters.run import prepare, require_x64
+from jaxnav.filters.run import prepare, require_params, require_x64
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import DataError, Info, Params, Recording
 from tuning import scoring
@@ -154,6 +154,8 @@ def tune(
     begins: list[Any] = list(begin) if several(begin) and begin is not None else [begin] * len(recs)
     if not recs or not len(recs) == len(sheets) == len(begins):
         raise ValueError(f"{len(recs)} recordings, {len(sheets)} params and {len(begins)} begins do not go together")
+    for sheet in sheets:
+        require_params(filt, sheet)
     sheets = [installed(p, r.lever_arm)[0] for r, p in zip(recs, sheets, strict=True)]
     require_x64(sheets[0])
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)

@@ -19,7 +19,7 @@ from jaxnav.analysis.progress import bar as progress_bar
 from jaxnav.data.epochs import TICK
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter, Step
-from jaxnav.filters.run import run
+from jaxnav.filters.run import require_params, run
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate, sizes
@@ -228,7 +228,7 @@ def monte_carlo(
     and 100 MB a candidate for the histograms.
 
     Raises:
-        ValueError: no runs, or a scenario that does not fit together.
+        ValueError: no runs, params that are not the filter's, or a scenario that does not fit together.
         KeyboardInterrupt: before the first chunk was finished.
     """
     numbers = np.arange(runs) if isinstance(runs, int) else np.asarray(list(runs), int)
@@ -236,6 +236,7 @@ def monte_carlo(
         raise ValueError(f"runs and chunk must be at least 1, got {numbers.size} and {chunk}")
     if mesh is not None and chunk % mesh.size:
         raise ValueError(f"a chunk of {chunk} runs cannot be shared among {mesh.size} devices")
+    require_params(filt, jax.tree.map(lambda a: a[0], params) if candidates else params)
     sizes(scenario)
     make_room()
     keys = run_keys(seed, Purpose.STUDY, np.resize(numbers, -(-numbers.size // chunk) * chunk))

@@ -21,7 +21,7 @@ from jaxnav.data.start import Start, start
 from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, installed
-from jaxnav.filters.run import first_failure, require_x64, run_jit
+from jaxnav.filters.run import first_failure, require_params, require_x64, run_jit
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.measurements import MEASUREMENTS, Measurement
 from jaxnav.states.grades import GRADES
@@ -111,9 +111,11 @@ def navigate(
 
     Raises:
         DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
-        ValueError: a run that stops being finite; says when.
+        ValueError: params that are not the filter's, or a run that stops being finite; says when.
     """
     scan, stated = None, params
+    if stated is not None:
+        require_params(filt, stated)
     params, installation = installed(filt.params(GRADES["consumer"]) if stated is None else stated, rec.lever_arm)
     require_x64(params)
     if stated is None:

@@ -26,7 +26,7 @@ from jaxnav.data import gaps
 from jaxnav.data.start import Start
 from jaxnav.filters.core import Filter, FilterState
 from jaxnav.filters.parameters import history_for
-from jaxnav.filters.run import require_x64
+from jaxnav.filters.run import require_params, require_x64
 from jaxnav.maths import rotations
 from jaxnav.measurements import MEASUREMENTS, layout
 from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Params, nearest
@@ -104,6 +104,7 @@ class Stream:
             raise ValueError(f"interval must be positive and lag not negative, got {interval} s and {lag} s")
         self.params = begin.given(params)
         require_x64(self.params)
+        require_params(filt, self.params)
         self.filter = filt.keeping(history_for(self.params, rate, span)) if filt.keeping else filt
         self.interval, self.lag, self.rate, self.span = interval, lag, rate, span
         self.usual = 4 * math.ceil((rate * interval + 2) / 4)  # samples of an epoch, its ends cut into two

@@ -1,7 +1,7 @@
 """Run a filter over epochs: one nested scan, pure, to be jitted, vmapped and differentiated."""
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import chex
@@ -12,7 +12,9 @@ from jax import lax
 from scipy.special import gammaln
 
 from jaxnav.filters.core import Filter, Step
+from jaxnav.filters.parameters import UNITS, datasheet_params, get, has
 from jaxnav.maths import linalg, rotations
+from jaxnav.states.table import STATES
 from jaxnav.types import DataError, Epoch, Imu, Info, Nav, Origin, Params, Track
 
 FREEDOM = 4.0  # of the Student t that stands for outliers in a likelihood
@@ -60,6 +62,80 @@ def require_shapes(filt: Filter, nav: Nav, epochs: Epoch) -> None:
         raise ValueError(f"epochs.fix.valid must be bool, got {fix.valid.dtype}") from error
 
 
+def require_params(filt: Filter, params: Params) -> None:
+    """Refuse parameters that are not this filter's, before they end in an error from inside a trace.
+
+    States and measurements that the filter lacks are allowed: parameters of a larger filter fit a smaller one.
+
+    Args:
+        filt: the filter.
+        params: parameters of one run; the shape of a leaf is that of ``filt.params()``, or () for all axes, or as
+            `jaxnav.types.Noise` and `StateParams` have it.
+
+    Raises:
+        ValueError: fields that are missing, of another type or shape, and the call that makes the right ones.
+    """
+    if not isinstance(params, Params):
+        raise ValueError(f"params is {type(params).__name__}, expected jaxnav.Params: {_MAKE}")
+    if missing := _missing(filt, params):
+        raise ValueError(f"params has no {', '.join(missing)}, which the filter takes: {_MAKE}")
+    expected = _expected(filt.params)
+    own, theirs = params.rule, params.rule if expected is None else expected.rule
+    if (type(own), str(jax.tree.structure(own))) != (type(theirs), str(jax.tree.structure(theirs))):
+        raise ValueError(f"params.rule is {_kind(own)}, the filter takes {_kind(theirs)}: {_MAKE}")
+    fitting = Params(
+        params.noise, params.prior._replace(correlated=None),
+        {name: params.states[name] for name in filt.model.states},
+        {name: params.measurements[name] for name in filt.model.measurements},
+        params.mounting, params.rule,
+    )  # fmt: skip
+    for path, leaf in jax.tree_util.tree_flatten_with_path(fitting)[0]:
+        name = jax.tree_util.keystr(path, simple=True, separator=".")
+        shapes = _shapes(expected, name)
+        if shapes and jnp.shape(leaf) not in shapes:
+            raise ValueError(f"params.{name} has shape {jnp.shape(leaf)}, expected {' or '.join(map(str, shapes))}")
+
+
+_MAKE = 'filt.params("consumer") makes those of the filter'
+
+
+@cache
+def _expected(make: Callable[..., Params]) -> Params | None:
+    """The shapes of the parameters of a filter of the catalogue; None of another, whose rule has parameters unknown."""
+    return None if make is datasheet_params else jax.eval_shape(make)
+
+
+def _missing(filt: Filter, params: Params) -> list[str]:
+    """Names of states and measurements that the filter has and ``params`` has not."""
+    groups = (
+        ("states", filt.model.states, params.states),
+        ("measurements", filt.model.measurements, params.measurements),
+    )
+    return [f"{group}[{name!r}]" for group, names, own in groups for name in names if name not in own]
+
+
+def _kind(theta: Any) -> str:
+    """The type of a rule's parameters, and its fields."""
+    fields = ", ".join(getattr(theta, "_fields", ()))
+    return f"{type(theta).__name__}({fields})"
+
+
+def _shapes(expected: Params | None, name: str) -> list[tuple[int, ...]]:
+    """Shapes that the leaf of a dotted name may have; empty where nothing is known of it."""
+    group, *rest = name.split(".")
+    if group in ("noise", "prior"):
+        return [(), (3,)] + [(3, 3)] * (group == "noise")
+    if group == "states":
+        size = STATES[rest[0]].size if rest[0] in STATES else None
+        return [(), (size,)] + [(size, size)] * (rest[1] == "drive") if size else []
+    if group == "mounting":
+        return [UNITS[name].shape]
+    if expected is None or not has(expected, name):
+        return []
+    root = [(3, 3)] * (name in UNITS and UNITS[name].root)
+    return list(dict.fromkeys([(), jnp.shape(get(expected, name)), *root]))
+
+
 @partial(jax.jit, static_argnums=0)
 def prepare(filt: Filter, epochs: Epoch) -> Epoch:
     """Epochs of one run (E, ...) or of many (B, E, ...) for many runs of this filter: what needs no state is done once.
@@ -95,6 +171,7 @@ def run(
             another stride or history (at trace time).
     """
     require_x64(params, nav, epochs)
+    require_params(filt, params)
     require_shapes(filt, nav, epochs)
 
     @jax.checkpoint

@@ -36,7 +36,7 @@ def unused(verb: str, config: Config) -> list[str]:
         note('start.heading = "motion" finds it by itself', *(found if not (simulated and verb == "tune") else ()))
     if verb in ("bakeoff", "mc"):
         note("filters start as the scenario says", *_START)
-    if verb in ("tune", "demo") and config.tune.method in ("lbfgs", "scoring", "em"):
+    if verb in ("tune", "demo") and config.tune.method in ("lbfgs", "scoring"):
         note(f"{config.tune.method} finds its own steps", "tune.rate", "tune.warmup")
     if config.filter.smooth:
         note("filter.smooth takes all fixes", "filter.lag_s")

@@ -21,13 +21,12 @@ from jaxnav.app.sources import scenario_of
 from jaxnav.app.verbs import tune_recorded
 from jaxnav.filters.run import first_failure
 from jaxnav.types import ConfigError, DataError, Params, nearest
-from tuning import distributed, em, likelihood
+from tuning import distributed, likelihood
 from tuning.optimizers import OPTIMIZERS
 from tuning.train import Fit, fit
 from tuning.transforms import LOG, Spec, join, leaves, merged, split
 
-METHODS = ("auto", "tempered", *OPTIMIZERS, "scoring", "em")
-WHOLE = ("scoring", "em")  # that climb the likelihood of all training data
+METHODS = ("auto", "tempered", *OPTIMIZERS, "scoring")
 
 
 def tune(config: Config, folder: Path, progress: bool = False, long: Long | None = None) -> Outcome:
@@ -87,21 +86,16 @@ def check(config: Config) -> None:
     aggregate(t)
     if t.method not in METHODS:
         raise ConfigError(f"tune.method: no method {t.method!r}: {nearest(t.method, METHODS)}")
-    if t.method in WHOLE and {name for name, w in t.objective.items() if w} != {"nll"}:
+    if t.method == "scoring" and {name for name, w in t.objective.items() if w} != {"nll"}:
         raise ConfigError(f'tune.method: {t.method} is for tune.objective = "nll" alone')
     plain = type(t)()
     unused = [k for k in ("starts", "patience", "redraw", "over_runs", "clip") if getattr(t, k) != getattr(plain, k)]
-    if t.method in WHOLE and unused:
+    if t.method == "scoring" and unused:
         raise ConfigError(
             f"tune.{unused[0]}: {t.method} has no use for it: it climbs the likelihood of all training data"
         )
     sheet = base_params(config, grade_of(config, scenario_of(config)), np.zeros(3), 1.0, 1.0)
-    spec = tune_spec(t, filter_name(config), measurements_of(config), sheet)
-    if t.method == "em":
-        try:
-            em.check(spec, sheet)
-        except ValueError as error:
-            raise ConfigError(f"tune.method: {error}; see tune.free") from error
+    tune_spec(t, filter_name(config), measurements_of(config), sheet)
 
 
 def prepare(config: Config) -> list[Material]:
@@ -144,7 +138,7 @@ def with_objective(config: Config, materials: list[Material]) -> Config:
 def search(
     config: Config, materials: list[Material], spec: Spec, surface: likelihood.Surface, progress: bool, long: Long
 ) -> Fit:
-    """The best parameters by validation, or by the likelihood of the training data with scoring and em.
+    """The best parameters by validation, or by the likelihood of the training data with scoring.
 
     Raises:
         FailedCheck: the objective of the start is not finite.
@@ -152,12 +146,10 @@ def search(
     t, start = config.tune, materials[0].params
     note = (lambda row: stderr(f"  {row['step']:3d}  {row['loss']:.6g}")) if progress else (lambda row: None)
     try:
-        if t.method in WHOLE and long.resume:
+        if t.method == "scoring" and long.resume:
             raise ConfigError(f"--resume: {t.method} keeps no checkpoints")
         if t.method == "scoring":
             return likelihood.maximise(surface, spec, start, t.steps, note)
-        if t.method == "em":
-            return likelihood.maximise_by_em([m.source for m in materials], spec, start, t.steps, note)
         free = leaves(spec)
         weights = tuple(sorted(t.objective.items()))
         losses = [objective(m.filter, weights, free) for m in materials]

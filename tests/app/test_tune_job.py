@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxnav.app import batches, cli, config, objectives, prepare
+from jaxnav.app.jobs import tune
 from jaxnav.app.sources import scenario_of
-from jaxnav.app.verbs import tune
 from jaxnav.data.toml import to_toml
 from jaxnav.filters import border
 from jaxnav.filters.parameters import datasheet_params

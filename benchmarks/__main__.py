@@ -35,7 +35,6 @@ FOLDERS = {
         "states": "optional error states: consistent with them, not without",
         "consistency": "NEES and NIS of matched simulations: late and precise fixes, large attitude errors",
         "damage": "thousands of damaged recordings, settings and checkpoints, and signals: what comes out",
-        "em": "noise by expectation and maximisation, beside the method of scoring",
         "faults": "faults of a receiver, twenty-four kinds: rules beside a filter that is told when",
         "integrated": "a receiver that adds up its velocity: what tuning makes of it, against the filter that knows",
         "smooth": "the smoother in outages, simulated and of a drive: consistent, and how near inside of them",

@@ -10,12 +10,11 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from jaxnav.filters.border import component, unit_of
-from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import get
 from jaxnav.filters.run import negative_log_likelihood, run
 from jaxnav.types import Epoch, Nav, Params
-from tuning import em, objectives, scoring, uncertainty
+from tuning import objectives, scoring, uncertainty
 from tuning.posterior import sample
 from tuning.train import Fit
 from tuning.transforms import Spec, join, labels, leaves, merged, penalty, reported, split, values
@@ -100,49 +99,6 @@ def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Calla
     if search.interrupted:
         stopped = f"interrupted at evaluation {len(history)}"
     return Fit(join(spec, back(search.raw), params), float(search.best.nll) / found.epochs, history, stopped)
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _expected(filt, items, flat, like, params, own, whole) -> em.Expected:
-    """What EM takes of one source."""
-    spec, (_, back) = dict(items), ravel_pytree(like)
-    at = lambda r: merged(join(spec, back(r), params), own, leaves(spec))
-    parts = jax.vmap(lambda nav, epochs: em.expected(filt, at, flat, nav, epochs))(whole.nav, whole.epochs)
-    return jax.tree.map(lambda a: a.sum(0), parts)
-
-
-def maximise_by_em(
-    sources: Sequence[Source], spec: Spec, params: Params, steps: int, note: Callable[[dict], None]
-) -> Fit:
-    """The same by expectation and maximisation, see `tuning.em`: of all epochs, those of the start too.
-
-    Raises:
-        ValueError: what EM has no step for.
-    """
-    em.check(spec, params)
-    make_room()
-    raw, items = split(spec, params), tuple(spec.items())
-    flat, back = ravel_pytree(raw)
-    epochs = sum(int(np.asarray(m.whole.epochs.fix.valid).any(-1).sum()) for m in sources)
-
-    def inform(r: jax.Array) -> em.Expected:
-        parts = [_expected(m.filter, items, r, raw, params, m.params, m.whole._replace(blocks=0)) for m in sources]
-        return jax.tree.map(lambda *a: sum(a), *parts)
-
-    history: list[dict] = []
-
-    def report(i: int, r: jax.Array, at: em.Expected) -> None:
-        row: dict[str, Any] = {"step": i, "loss": float(at.nll) / epochs}
-        row["grad_norm"] = float(np.linalg.norm(at.score) / epochs)
-        row["params"] = {name: np.asarray(t.forward(back(r)[name])).tolist() for name, t in spec.items()}
-        history.append(row)
-        note(row)
-
-    found = em.em(inform, flat, steps, report=report)
-    stopped = "done" if found.done else f"not converged in {steps} evaluations: raise tune.steps, or take scoring"
-    if found.interrupted:
-        stopped = f"interrupted at evaluation {len(history)}"
-    return Fit(join(spec, back(found.flat), params), float(found.at.nll) / epochs, history, stopped)
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -14,8 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.analysis import metrics
-from jaxnav.filters.run import FREEDOM, negative_log_likelihood, student_constant
-from jaxnav.maths import linalg
+from jaxnav.filters.run import negative_log_likelihood
 from jaxnav.types import Info
 
 
@@ -64,20 +63,6 @@ def drift(info: Info, ends: jax.Array, keep: jax.Array) -> jax.Array:
 def log_mean_drift(info: Info, ends: jax.Array, keep: jax.Array) -> jax.Array:
     """Mean log end-of-outage error over the windows where ``keep`` (W,): every window counts alike, not the worst."""
     return masked_mean(0.5 * jnp.log(outage_error(info, ends) ** 2 + 1e-2), keep)
-
-
-def hidden_nll(info: Info, sd: jax.Array, hidden: jax.Array) -> jax.Array:
-    """Mean negative log-likelihood of the positions that ``hidden`` (E,) bool epochs did not use, by a Student t.
-
-    ``sd`` (E, 3) m ENU is the fixes' own. Of a filter's `Info` a proper score of how it drifts; of a smoother's
-    (`jaxnav.smooth`) of what it makes of the inside of an outage. The first three channels must be the position's, and
-    their fixes be there.
-    """
-    nu = info.residual[:, :3]
-    S = info.P[:, :3, :3] + jax.vmap(jnp.diag)(sd**2)
-    square = jax.vmap(linalg.normalized)(nu, S)
-    far = 0.5 * (FREEDOM + 3) * jnp.log1p(square / FREEDOM) + student_constant(jnp.array(3), 3)
-    return sound(info, hidden, masked_mean(far + 0.5 * jax.vmap(linalg.log_determinant)(S), hidden))
 
 
 # ---------------------------------------------------------------------------- consistency

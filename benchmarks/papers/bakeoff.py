@@ -17,7 +17,7 @@ from jaxnav.analysis.tables import table
 from jaxnav.app import bakeoff_report
 from jaxnav.app.config import Tune
 from jaxnav.app.contest import Kind, Plan, contest
-from jaxnav.app.verbs.bakeoff import filters
+from jaxnav.app.jobs.bakeoff import filters
 from jaxnav.simulate.scenarios import CIRCLE, FWEKF, GIPKF, READINGS, SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.simulate.trajectories import Urban

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.papers import gipkf_study as study
+from benchmarks.papers import stability
 from benchmarks.papers.gipkf_figures import angles
-from jaxnav.analysis import metrics, stability
+from jaxnav.analysis import metrics
 from jaxnav.analysis.plots import base as plots
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import run

@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks import common
 from benchmarks.papers import gpid_claims, gpid_figures
+from benchmarks.papers import stability as robustness
 from benchmarks.papers.gpid_study import (
     PARTS,
     SCHEMES,
@@ -29,7 +30,6 @@ from benchmarks.papers.gpid_study import (
     score,
     study,
 )  # fmt: skip
-from jaxnav.analysis import stability as robustness
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.papers.gpid import gpid_params, literal_params
 from jaxnav.simulate.scenarios import CIRCLE, READINGS, REPRO, Scenario

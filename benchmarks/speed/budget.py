@@ -20,6 +20,7 @@ from scipy import optimize
 
 from benchmarks import common
 from benchmarks.recordings import drive, navego
+from benchmarks.speed import rivals
 from jaxnav import data as io
 from jaxnav.analysis import metrics
 from jaxnav.app.sources import simulated
@@ -30,7 +31,7 @@ from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.types import Epoch, Info, Nav, Params
-from tuning import objectives, rivals, scoring, uncertainty
+from tuning import objectives, scoring, uncertainty
 from tuning.batch import Data, Problem, evaluate, mean
 from tuning.optimizers import adam
 from tuning.train import _job

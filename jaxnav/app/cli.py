@@ -1,4 +1,4 @@
-"""The command line: ``jaxnav check | convert | filter | tune | simulate | mc | bakeoff | allan | demo | config | ...``.
+"""The command line: ``jaxnav VERB``, of the verbs of `jaxnav.app.verbs.VERBS`.
 
 Exit codes: 0 done, 1 a check failed (the filter stopped being finite), 2 usage or configuration, 3 data that cannot be
 used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and errors on stderr.
@@ -7,7 +7,6 @@ used, 130 Ctrl-C. Results are on stdout and in the folder of --out, progress and
 import argparse
 import gc
 import os
-import shutil
 import sys
 import tempfile
 import traceback
@@ -16,37 +15,26 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxnav.app import completion
 from jaxnav.app import config as configuration
 from jaxnav.app.console import INTERRUPTED
-from jaxnav.filters.compiler import cache, cache_home, enable_x64, fast_compiler
+from jaxnav.app.verb import Argument, Job
+from jaxnav.app.verbs import VERBS
+from jaxnav.filters.compiler import cache, enable_x64, fast_compiler
 from jaxnav.types import ConfigError, DataError
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
 
-SHARED = ("tune", "mc", "bakeoff")  # whose runs several devices or processes may share
+SHARED = (
+    Argument("--config", "TOML, or the run.json of an earlier run", value="FILE"),
+    Argument("--set", "one setting; may be repeated", value="A.B=C", more={"action": "append", "default": []}),
+    Argument("--seed", "of everything random", value="N", type=int),
+    Argument("--out", "folder of the results (default out/VERB)", value="DIR", type=Path),
+    Argument("--json", "the result as JSON on stdout, and nothing else there"),
+    Argument("--quiet", "print nothing but errors"),
+)
+"""Arguments of every verb."""
 COLLECT = 20_000  # new objects until the garbage collector looks; at Python's 700 it takes a third of tracing
-VERBS = {
-    "demo": "simulate, tune by gradient and draw the figures: no data, no network, two minutes the first time",
-    "check": "check a recording against itself: what looks wrong, and a configuration that runs it",
-    "convert": "write a recording of any format as CSV files",
-    "simulate": "write a simulated recording and its truth",
-    "filter": "run a filter over a recording: solution, metrics, figures",
-    "stream": "the solution as data comes: from standard input, or from a recording at its own pace",
-    "tune": "tune a filter's parameters by gradient and show the gain on data kept aside",
-    "bakeoff": "filters tuned alike on the same scenarios, ranked on runs and scenarios that none has seen",
-    "mc": "Monte Carlo: filters over many simulated runs, errors, consistency, divergence",
-    "show": "print what a finished run said once more",
-    "compare": "finished runs side by side: figures and settings that differ, tracks over one another",
-    "allan": "Allan deviation of a resting IMU: white noise, bias instability, random walk, Gauss-Markov",
-    "config": "print every setting with its default and what it is, as a configuration to fill in",
-    "cache": "the compiled programs that are kept: where, how many, how large; or clear them",
-    "completion": "what a shell completes by the tab key, as a script for it",
-    "warm": "compile what filter needs for recordings like this one, and keep it: after installation, before a demo",
-    "info": "versions, devices, filters, data sets",
-    "data": "list, fetch or check public data sets",
-}
 
 
 EXAMPLES = """\
@@ -98,12 +86,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def make_parser() -> argparse.ArgumentParser:
     """The arguments of every verb."""
     shared = argparse.ArgumentParser(add_help=False)
-    shared.add_argument("--config", metavar="FILE", help="TOML, or the run.json of an earlier run")
-    shared.add_argument("--set", metavar="A.B=C", action="append", default=[], help="one setting; may be repeated")
-    shared.add_argument("--seed", type=int, help="of everything random")
-    shared.add_argument("--out", metavar="DIR", type=Path, help="folder of the results (default out/VERB)")
-    shared.add_argument("--json", action="store_true", help="the result as JSON on stdout, and nothing else there")
-    shared.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    for argument in SHARED:
+        argument.add_to(shared)
     shared.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
     parser = argparse.ArgumentParser(
         prog="jaxnav", description="INS/GNSS navigation, differentiable: simulate, filter, tune.", epilog=EXAMPLES,
@@ -111,243 +95,75 @@ def make_parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"jaxnav {_version()}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
-    for verb, text in VERBS.items():
-        sub = verbs.add_parser(verb, help=text, description=text, parents=[shared])
-        if verb == "allan":
-            sub.add_argument("--start", metavar="S", type=float, help="s, use the recording from here ([data] start)")
-            sub.add_argument("--stop", metavar="S", type=float, help="s, to here ([data] stop)")
-        if verb in ("simulate", "filter", "tune", "bakeoff", "mc", "allan", "warm", "stream"):
-            sub.add_argument("--data", metavar="NAME|PATH", help="scenario, data set or recording ([data] source)")
-        if verb == "stream":
-            sub.add_argument(
-                "--speed", metavar="X", type=float, default=0.0, help="of a recording, times its own (0: all)"
-            )
-            sub.add_argument("--every", metavar="S", type=float, default=1.0, help="s of data between rows")
-        if verb in ("filter", "tune", "bakeoff", "mc", "demo", "warm", "stream"):
-            sub.add_argument("--filter", metavar="NAME", help="see `jaxnav info` ([filter] name)")
-            sub.add_argument("--params", metavar="FILE", help="[params] of this file, such as an earlier tuned.toml")
-        if verb == "cache":
-            sub.add_argument("action", nargs="?", choices=["size", "clear"], default="size")
-        if verb == "completion":
-            sub.add_argument("shell", choices=completion.SHELLS)
-        if verb == "config":
-            sub.add_argument("--markdown", action="store_true", help="as a page of the docs")
-        if verb == "filter":
-            sub.add_argument("--smooth", action="store_true", help="by all fixes, those after it too ([filter] smooth)")
-            sub.add_argument("--lag", metavar="S", type=float, help="by those of the next S seconds ([filter] lag_s)")
-        if verb == "mc":
-            sub.add_argument("--runs", metavar="N", type=int, help="how many ([mc] runs); --filter takes A,B,...")
-        if verb == "bakeoff":
-            sub.add_argument(
-                "--unseen", metavar="A,B", help="scenarios to test on only; --data, --filter take lists too"
-            )
-        if verb == "tune":
-            sub.add_argument("--for", metavar="TARGET", dest="target", help="another filter, such as kfgins, px4")
-        if verb in ("tune", "mc"):
-            sub.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out, bit for bit")
-        if verb in SHARED:
-            sub.add_argument("--devices", metavar="N", type=int, default=1, help="share runs among N, 0: all there")
-            sub.add_argument("--coordinator", metavar="HOST:PORT", help="of several processes, private networks only")
-            sub.add_argument("--processes", metavar="N", type=int, help="how many; under Slurm or MPI all is found")
-            sub.add_argument("--process", metavar="I", type=int, help="number of this one, from 0")
-        if verb in ("check", "convert"):
-            sub.add_argument("path", metavar="PATH", help="file or folder of any known format, or a column map")
-        if verb == "show":
-            sub.add_argument("path", metavar="FOLDER", help="of a finished run")
-        if verb == "compare":
-            sub.add_argument("paths", metavar="FOLDER", nargs="+", help="of finished runs of one verb, two or more")
-        if verb == "data":
-            sub.add_argument("action", choices=("list", "fetch", "check"))
-            sub.add_argument("name", nargs="?", help="of the data set; check also takes a path")
+    for verb in VERBS.values():
+        sub = verbs.add_parser(verb.name, help=verb.help, description=verb.help, parents=[shared])
+        for argument in verb.arguments:
+            argument.add_to(sub)
     return parser
 
 
 def _main(args: argparse.Namespace) -> int:
-    if args.verb == "config":
-        from jaxnav.app import settings
-
-        print(settings.page() if args.markdown else settings.commented(), end="")
-        return 0
-    if args.verb == "cache":
-        print(_cache(args.action))
-        return 0
-    if args.verb == "completion":
-        print(completion.script(make_parser(), args.shell))
-        return 0
-    if args.verb == "show":
-        from jaxnav.app.verbs import compare
-
-        return _report(args, compare.show(args.path), None)
+    verb = VERBS[args.verb]
     config = resolve(args)
-    if args.verb == "data" and args.action != "list" and not args.name:
-        raise ConfigError(f"data {args.action} needs the name of a data set")
-    if args.verb != "data" or args.action == "check":
-        _start_jax(args)
-    if args.verb in ("info", "data"):
-        return _report(args, _look(args), None)
-    if args.verb == "stream":
-        from jaxnav.app.verbs import stream
-
-        outcome = stream.stream(config, args.speed, args.every, None if args.data else sys.stdin)
-        print(outcome.text, file=sys.stderr)
-        return 0 if outcome.metrics["ok"] else 1
-    if args.verb == "warm":
-        with tempfile.TemporaryDirectory() as folder:
-            outcome = _work(args, config, Path(folder), Path(folder))
-        return _report(args, outcome._replace(text=_cache("size")), None)
-    from jaxnav.app import results
+    if not verb.needs_jax:
+        return _report(args, verb.run(Job(args, config, Path(), Path(), False)), None)
+    _start_jax(args)
+    from jaxnav.app import report, results
 
     out = args.out or Path("out") / args.verb
-    if not _first():  # of several processes one writes
+    if not (verb.writes(args) and _first()):  # of several processes one writes
         with tempfile.TemporaryDirectory() as folder:
-            _work(args, config, Path(folder), out)
-        return 0
+            outcome = _work(args, config, Path(folder), out)
+        return _report(args, outcome, None) if _first() else 0
     with results.staged(out, args.verb, _inputs(args, config)) as folder:
         outcome = _work(args, config, folder, out)
-        if config.out.figures and args.verb in ("filter", "tune", "demo", "mc", "bakeoff"):
-            from jaxnav.app import report
-
+        if config.out.figures and verb.report:
             report.write(folder, args.verb, config, outcome, outcome.layout)
-        results.write_run(folder, args.verb, outcome.config or config, outcome)
+        results.write_run(folder, args.verb, verb.sections, outcome.config or config, outcome)
     return _report(args, outcome, out)
-
-
-def _cache(action: str) -> str:
-    """What is kept of compiled programs, in a sentence; cleared if asked for."""
-    from jaxnav.filters.compiler import CACHE, cache_home
-
-    home = cache_home()
-    if home is None:
-        return f"no compiled programs are kept: {CACHE} is empty"
-    own = [path for path in home.glob("jaxlib-*") if path.is_dir()]  # what else lies there is not ours
-    files = [path for folder in own for path in folder.rglob("*") if path.is_file()]
-    held = f"{len(files)} files, {sum(path.stat().st_size for path in files) / 2**20:.1f} MiB, in {home}"
-    if action == "clear":
-        for folder in own:
-            shutil.rmtree(folder, ignore_errors=True)
-        return f"cleared {held}"
-    return held
 
 
 def _inputs(args: argparse.Namespace, config: configuration.Config) -> list[str]:
     """The files and folders that a run reads, which its results must not touch."""
     from jaxnav.simulate.scenarios import SCENARIOS
 
-    recordings = [source for source in (config.data.source, *config.tune.more) if source not in SCENARIOS]
-    named = [args.config, getattr(args, "params", None), getattr(args, "path", None), *recordings]
-    named += getattr(args, "paths", [])
+    named = [source for source in (config.data.source, *config.tune.more) if source not in SCENARIOS] + [args.config]
+    for argument in VERBS[args.verb].arguments:
+        if argument.reads:
+            value = getattr(args, argument.attribute)
+            named += value if isinstance(value, list) else [value]
     return [path for path in named if path and Path(path).exists()]
 
 
 def resolve(args: argparse.Namespace) -> configuration.Config:
     """The configuration: the verb's own, the file, --params, the flags, then --set."""
-    layers: list[tuple[str, dict[str, Any]]] = []
-    if args.verb in OWN and not (args.verb == "warm" and (args.data or args.config)):
-        layers.append((args.verb, OWN[args.verb]))
+    verb = VERBS[args.verb]
+    layers: list[tuple[str, dict[str, Any]]] = [(args.verb, verb.own(args))]
     if args.config is not None:
         layers.append((args.config, configuration.read(args.config)))
     if getattr(args, "params", None) is not None:
         layers.append((args.params, configuration.read_params(args.params)))
     if args.seed is not None:
         layers.append(("--seed", {"seed": args.seed}))
-    if args.verb in ("check", "convert"):
-        layers.append(("PATH", {"data": {"source": args.path}}))
-    if getattr(args, "data", None) is not None:
-        layers.append(("--data", {"data": {"source": args.data}}))
-    span = {key: getattr(args, key) for key in ("start", "stop") if getattr(args, key, None) is not None}
-    if span:
-        layers.append(("--start, --stop", {"data": span}))
-    if getattr(args, "filter", None) is not None:
-        layers.append(("--filter", {"filter": {"name": args.filter}}))
-    if getattr(args, "target", None) is not None:
-        layers.append(("--for", {"tune": {"target": args.target}}))
-    if getattr(args, "smooth", False):
-        layers.append(("--smooth", {"filter": {"smooth": True}}))
-    if getattr(args, "lag", None) is not None:
-        layers.append(("--lag", {"filter": {"lag_s": args.lag}}))
-    if getattr(args, "runs", None) is not None:
-        layers.append(("--runs", {"mc": {"runs": args.runs}}))
-    if getattr(args, "unseen", None) is not None:
-        layers.append(("--unseen", {"bakeoff": {"unseen": [name.strip() for name in args.unseen.split(",")]}}))
+    for argument in verb.arguments:
+        value = getattr(args, argument.attribute)
+        if argument.setting and value is not None and value is not False:
+            section, key = argument.setting.split(".")
+            layers.append((argument.name, {section: {key: value}}))
     layers += [(f"--set {setting}", configuration.parse_set(setting)) for setting in args.set]
     return configuration.resolve(layers)
 
 
-DEMO: dict[str, Any] = {
-    "data": {"source": "urban", "imu_worse_by": 3.0, "gnss_latency_s": 0.1},
-    "filter": {"cov_stride": 10},
-    "tune": {"steps": 24, "rate": 0.25, "runs": 6, "validation_runs": 8, "test_runs": 12, "free": ["noise", "latency"]},
-}
-"""The demo's own settings: an IMU three times noisier than its datasheet, and fixes 0.1 s late that nobody told of."""
-
-BAKEOFF: dict[str, Any] = {
-    "data": {"source": "gipkf_urban"},
-    "filter": {"name": "gpid,gpid15,gipkf,fwekf,fwekf15,ekf15_gate,ekf15_huber", "cov_stride": 10},
-    "bakeoff": {"unseen": ["gipkf_urban_uncalibrated", "gipkf_urban_stress"]},
-    "tune": {"steps": 20, "rate": 0.2, "runs": 6, "validation_runs": 4, "test_runs": 16},
-}
-"""A bake-off of the papers' filters in outages, if nothing else is said."""
-
-# ten minutes at usual rates: recordings of similar ones share its programs (`jaxnav.data.epochs.of_shared_size`)
-WARM: dict[str, Any] = {"data": {"source": "urban", "options": {"duration_s": 600.0, "imu_rate_hz": 100.0}}}
-OWN = {"demo": DEMO, "bakeoff": BAKEOFF, "warm": WARM}
-
-
-def _look(args: argparse.Namespace) -> "Outcome":
-    from jaxnav.app.verbs import info
-
-    if args.verb == "data":
-        return info.data(args.action, args.name)
-    return info.info(cache_home())
-
-
 def _work(args: argparse.Namespace, config: configuration.Config, folder: Path, out: Path) -> "Outcome":
     from jaxnav.analysis.progress import compiling
-
-    progress = not (args.quiet or args.json) and _first()
-    with compiling(progress):
-        return _verb(args, config, folder, out, progress)
-
-
-def _verb(args: argparse.Namespace, config: configuration.Config, folder: Path, out: Path, progress: bool) -> "Outcome":
     from jaxnav.app.unused import unused
 
-    if not args.quiet and _first():
-        for line in unused(args.verb, config):
+    verb, progress = VERBS[args.verb], not (args.quiet or args.json) and _first()
+    if verb.sections and not args.quiet and _first():
+        for line in unused(verb, config):
             print(f"jaxnav: not used here: {line}", file=sys.stderr)
-    if args.verb == "compare":
-        from jaxnav.app.verbs import compare
-
-        return compare.compare(args.paths, folder, config.out.figures)
-    if args.verb in ("check", "convert"):
-        from jaxnav.app.verbs import check
-
-        return check.check(config, folder) if args.verb == "check" else check.convert(config, folder)
-    if args.verb in ("simulate", "filter", "warm"):
-        from jaxnav.app.verbs import filtering
-
-        return filtering.simulate(config, folder) if args.verb == "simulate" else filtering.filter(config, folder)
-    if args.verb == "allan":
-        from jaxnav.app.verbs import allan
-
-        return allan.allan(config, folder)
-    import jax
-
-    from jaxnav.app.long import Long
-
-    devices = 0 if jax.process_count() > 1 else getattr(args, "devices", 1)
-    long = Long(out / "checkpoint", getattr(args, "resume", False), devices)
-    if args.verb == "mc":
-        from jaxnav.app.verbs import mc
-
-        return mc.mc(config, folder, progress, long)
-    if args.verb == "bakeoff":
-        from jaxnav.app.verbs import bakeoff
-
-        return bakeoff.bakeoff(config, folder, progress, devices)
-    from jaxnav.app.verbs import tune
-
-    return tune.tune(config, folder, progress, long)
+    with compiling(progress):
+        return verb.run(Job(args, config, folder, out, progress))
 
 
 def _first() -> bool:
@@ -360,11 +176,11 @@ def _first() -> bool:
 def _report(args: argparse.Namespace, outcome: "Outcome", out: Path | None) -> int:
     from jaxnav.data.json import to_json
 
-    code = INTERRUPTED if outcome.stopped else 0
+    code = INTERRUPTED if outcome.stopped else int(outcome.failed)
     if args.json:
         about = {"verb": args.verb, "out": None if out is None else str(out), "stopped": outcome.stopped or None}
         print(to_json(about | {"seconds": outcome.seconds, "metrics": outcome.metrics}))
-    elif not args.quiet:
+    elif outcome.text and not args.quiet:
         print(outcome.text)
         if out is not None:
             figures = sorted(p.name for p in out.glob("*.png"))
@@ -387,7 +203,7 @@ def _start_jax(args: argparse.Namespace) -> None:
     fast_compiler()
     enable_x64()
     gc.set_threshold(COLLECT)
-    if args.verb in SHARED:
+    if hasattr(args, "devices"):
         from tuning import distributed
 
         if args.devices < 0:

@@ -130,8 +130,8 @@ class Tune:
     over_runs: str = "mean"  # how runs are put together: mean, log_mean (scenarios alike), tail (the worst ones)
     tail: float = 0.25  # share of the runs that count as the worst; 0: the worst alone
     # auto: tempered for one recording, adam for what is simulated, or where an objective of your own is set; adam, sgd,
-    method: str = "auto"  # lbfgs; scoring and em, for the objective nll alone; tempered, see `tuning.recorded`
-    steps: int = 40  # updates of a gradient method, evaluations of scoring and em
+    method: str = "auto"  # lbfgs; scoring, for the objective nll alone; tempered, see `tuning.recorded`
+    steps: int = 40  # updates of a gradient method, evaluations of scoring
     rate: float = 0.1  # of a gradient method: a step of 0.1 is 10 % of what is positive
     warmup: float = 0.0  # share of the steps in which the rate rises
     clip: float = 0.0  # largest gradient norm of one run; 0: none

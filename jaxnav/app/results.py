@@ -43,6 +43,7 @@ class Outcome(NamedTuple):
     stopped: str = ""  # why it ended early
     layout: Callable[[], Any] | None = None  # makes what a report can be zoomed into
     config: Config | None = None  # that runs it again, where it is not the one that was given
+    failed: bool = False  # exit code 1
 
 
 @contextlib.contextmanager
@@ -145,20 +146,9 @@ def _listed(run: Path) -> list[str]:
     return [f for f in files if isinstance(f, str) and f == Path(f).name and f not in ("", ".", "..")]
 
 
-SECTIONS = {  # of the configuration, beside the seed, that a verb reads: what others read would bury them
-    "simulate": ("data", "out"), "allan": ("data", "out"), "check": ("data", "out"), "convert": ("data",),
-    "compare": ("out",),
-    "filter": ("data", "filter", "start", "params", "out"), "mc": ("data", "filter", "params", "mc", "out"),
-    "tune": ("data", "filter", "start", "params", "tune", "out"),
-    "demo": ("data", "filter", "start", "params", "tune", "out"),
-    "bakeoff": ("data", "filter", "params", "tune", "bakeoff", "out"),
-}  # fmt: skip
-
-
-def write_run(folder: Path, verb: str, config: Config, outcome: Outcome) -> None:
-    """Write run.json: the configuration that the verb read, versions, device, seed, wall times, metrics, its files."""
+def write_run(folder: Path, verb: str, read: Sequence[str], config: Config, outcome: Outcome) -> None:
+    """Write run.json: sections ``read`` of the configuration, versions, device, seed, wall times, metrics, files."""
     files = sorted(p.name for p in folder.iterdir())
-    read = SECTIONS[verb]
     own = {k: v for k, v in as_dict(config).items() if k in read or not isinstance(v, Mapping)}
     about = {
         "verb": verb, "config": own, "seed": config.seed, "versions": versions(), "git": git_hash(),

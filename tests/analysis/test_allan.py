@@ -18,7 +18,7 @@ from jaxnav.analysis.allan import (
     regular,
 )
 from jaxnav.app import cli, config
-from jaxnav.app.verbs.allan import grade
+from jaxnav.app.jobs.allan import grade
 from jaxnav.data import write_recording
 from jaxnav.maths.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR, G0, UG
 from jaxnav.simulate.imu import corrupt

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from jaxnav.app import batches, cli, config, objectives, prepare, sources
+from jaxnav.app.jobs import filtering, tune
 from jaxnav.app.results import FailedCheck, staged
-from jaxnav.app.verbs import filtering, tune
 from jaxnav.data import read_recording, write_recording
 
 SMALL = ["--set", "data.options.standstill_s=4", "--set", "filter.cov_stride=25", "--set", "out.figures=false"]
@@ -401,6 +401,6 @@ def test_warm_runs_a_filter_and_writes_nothing(drive, tmp_path, capsys, monkeypa
     monkeypatch.setenv("JAXNAV_CACHE_DIR", "")
     monkeypatch.chdir(tmp_path)
     before = sorted(path.name for path in drive.iterdir())
-    assert cli.main(["warm", "--data", str(drive), *SMALL[2:]]) == 0
+    assert cli.main(["filter", "--warm", "--data", str(drive), *SMALL[2:]]) == 0
     assert "no compiled programs are kept" in capsys.readouterr().out
     assert sorted(path.name for path in drive.iterdir()) == before and not list(tmp_path.iterdir())

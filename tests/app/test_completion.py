@@ -5,7 +5,8 @@ import subprocess
 
 import pytest
 
-from jaxnav.app import cli, completion
+from jaxnav.app import cli
+from jaxnav.app.verbs import completion
 from jaxnav.filters.catalogue import FILTERS
 
 COMPLETES = """\

@@ -11,8 +11,9 @@ import pytest
 from jaxnav.analysis import evaluate
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.app import batches, cli, config, objectives, prepare, tune_report
+from jaxnav.app.jobs import filtering
 from jaxnav.app.unused import unused
-from jaxnav.app.verbs import filtering
+from jaxnav.app.verbs import VERBS
 from jaxnav.data import epochs, start
 from jaxnav.data import start as alignment
 from jaxnav.data.toml import to_toml
@@ -274,7 +275,7 @@ def test_history_covers_what_is_known_and_what_tuning_adds():
     ("tune", {"data": {"source": "umn_thor75"}}, []),
 ])  # fmt: skip
 def test_settings_without_effect_are_said(verb, tree, keys):
-    assert [line.partition(":")[0] for line in unused(verb, resolved(**tree))] == keys
+    assert [line.partition(":")[0] for line in unused(VERBS[verb], resolved(**tree))] == keys
 
 
 @pytest.mark.parametrize("key", ["gyro_deg_per_sqrt_hour", "lever_arm_m", "speed_scale", "rule.ki"])

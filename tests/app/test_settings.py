@@ -5,7 +5,7 @@ import re
 import tomllib
 from pathlib import Path
 
-from jaxnav.app import cli, config, settings
+from jaxnav.app import cli, commands, config, settings
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -42,18 +42,20 @@ def test_the_verb_prints_it_and_the_page_is_it(capsys):
     assert (DOCS / "settings.md").read_text() == settings.page(), (
         "python -m jaxnav config --markdown > docs/settings.md"
     )
+    assert (DOCS / "commands.md").read_text() == commands.page(), "python -m jaxnav.app.commands > docs/commands.md"
 
 
-def test_the_cache_is_told_and_cleared(tmp_path, monkeypatch, capsys):
+def test_the_compiled_programs_are_counted_and_removed(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("JAXNAV_CACHE_DIR", str(tmp_path / "c"))
     own, mine = tmp_path / "c" / "jaxlib-0.10.2-x86_64", tmp_path / "c" / "thesis.pdf"
     own.mkdir(parents=True)
     (own / "program").write_bytes(b"x" * 2**20)
     mine.write_text("not ours")
     (tmp_path / "c" / "photos").mkdir()
-    assert cli.main(["cache"]) == 0
-    assert capsys.readouterr().out == f"1 files, 1.0 MiB, in {tmp_path / 'c'}\n"
-    assert cli.main(["cache", "clear"]) == 0 and not own.exists()
+    assert cli.main(["info"]) == 0
+    assert f"compiled programs: 1 files, 1.0 MiB, in {tmp_path / 'c'}\n" in capsys.readouterr().out
+    assert cli.main(["info", "--clear-cache"]) == 0 and not own.exists()
+    assert capsys.readouterr().out == f"compiled programs removed: 1 files, 1.0 MiB, in {tmp_path / 'c'}\n"
     assert mine.exists() and (tmp_path / "c" / "photos").is_dir()
     monkeypatch.setenv("JAXNAV_CACHE_DIR", "")
-    assert cli.main(["cache"]) == 0 and "no compiled programs are kept" in capsys.readouterr().out
+    assert cli.main(["info"]) == 0 and "no compiled programs are kept" in capsys.readouterr().out

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxnav.app import batches, cli, config, objectives, prepare
+from jaxnav.app.jobs import tune
 from jaxnav.app.sources import scenario_of
-from jaxnav.app.verbs import tune
 from jaxnav.data.toml import to_toml
 from jaxnav.filters import border
 from jaxnav.filters.parameters import datasheet_params
@@ -163,20 +163,9 @@ def test_what_a_lost_run_and_a_users_own_objective_score(monkeypatch, tmp_path):
     assert not np.array_equal(again[0].epochs.fix.value, m.train.epochs.fix.value)
 
 
-def test_em_finds_the_noise_of_the_fixes(tmp_path, capsys, monkeypatch):
-    """No gradient of the filter, no step size: the fixes' scale, which the datasheet of the job has right, from 3."""
-    argv = flags(method="em", objective="nll", steps=8, intervals=False, free=["fixes"], tied=["fixes"])
-    assert cli.main([*argv, "--set", "params.velocity_scale=3.0", "--filter", "ekf15"]) == 0
-    found = json.loads(capsys.readouterr().out)["metrics"]
-    assert found["params_before"]["velocity_scale"] == 3.0 and 0.8 < found["params_after"]["velocity_scale"] < 1.25
-    losses = [row["loss"] for row in map(json.loads, cli.Path("t/history.jsonl").read_text().splitlines())]
-    assert losses == sorted(losses, reverse=True) and found["loss"] == losses[-1]
-
-
 @pytest.mark.parametrize(
     "changes, words",
     [({"method": "newton"}, "no method 'newton'"), ({"method": "scoring"}, "nll"), ({"over_runs": "median"}, "no way"),
-     ({"method": "em", "objective": "nll", "free": ["timing"]}, "not mounting.time_offset"),
      ({"over_runs": "log_mean"}, "positive objectives"),
      ({"objective": "nothing:here"}, "cannot be imported"), ({"objective": "nl"}, "did you mean nll"),
      ({"frozen": ["noise", "timing", "rule"]}, "nothing is left"), ({"tied": ["gyr"]}, "tune.tied"),

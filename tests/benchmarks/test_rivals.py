@@ -4,8 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.speed import budget
-from tuning import rivals
+from benchmarks.speed import budget, rivals
 
 CENTRE, START = np.array([0.5, -0.3, 1.0]), np.zeros(3)
 

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.recordings import check
 from benchmarks.recordings.start import simulated
 from jaxnav.app.config import Data
-from jaxnav.app.verbs.check import configuration
+from jaxnav.app.jobs.check import configuration
 from jaxnav.data import magnetic
 from jaxnav.data.checkup import CHECKS, checkup, inertial, quick_notes
 from jaxnav.data.checkup.standstill import standstill

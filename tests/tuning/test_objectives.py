@@ -247,15 +247,3 @@ def test_fit_refuses_a_start_that_is_not_finite_and_survives_a_step_that_is_not(
         lambda p: jnp.where(p.mounting.time_offset > 0.004, jnp.nan, loss(p)), SPEC, params(), 20, optax.adam(0.2)
     )
     assert np.isfinite(found.loss) and np.isfinite(np.asarray(found.params.noise.gyro))
-
-
-def test_hidden_fixes_are_scored_by_a_student_t(info):
-    """By scipy, with the covariance of the estimate and the fix's own; the others do not enter."""
-    rng = np.random.default_rng(1)
-    A = rng.normal(size=(E, 9, 9))
-    P, sd = A @ A.transpose(0, 2, 1), rng.uniform(0.5, 2.0, (E, 3))
-    hidden = np.array([False, True, False, False, True, False])
-    S = P[:, :3, :3] + np.stack([np.diag(s**2) for s in sd])
-    each = [-multivariate_t(np.zeros(3), S[e], df=4).logpdf(np.asarray(info.residual[e, :3])) for e in (1, 4)]
-    some = info._replace(P=jnp.asarray(P))
-    assert objectives.hidden_nll(some, jnp.asarray(sd), jnp.asarray(hidden)) == pytest.approx(np.mean(each), rel=1e-12)

@@ -13,7 +13,7 @@ from benchmarks.recordings import peers, peers_kfgins
 from jaxnav import build, recording
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
-from jaxnav.app.verbs.tune_recorded import for_target, is_for
+from jaxnav.app.jobs.tune_recorded import for_target, is_for
 from jaxnav.data.epochs import pack_recording
 from jaxnav.data.formats.kfgins import read_kfgins_gnss, read_kfgins_imu
 from jaxnav.data.start import Start

@@ -1,168 +1,34 @@
-"""`jaxnav allan`: the noise figures of an IMU at rest."""
+"""`jaxnav allan`."""
 
-import math
-import time
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-import numpy as np
+from jaxnav.app.verb import DATA, Argument, Job, Verb
 
-from jaxnav.analysis.allan import Allan, ReadOff, allan_deviation, read_off, regular
-from jaxnav.analysis.plots import allan as plots_allan
-from jaxnav.analysis.plots import base as plots
-from jaxnav.analysis.tables import table
-from jaxnav.app.config import Config
-from jaxnav.app.results import Outcome, picture
-from jaxnav.app.sources import load
-from jaxnav.data import atomic_write
-from jaxnav.data.epochs import TICK, driving, stationary
-from jaxnav.data.json import write_json
-from jaxnav.data.toml import to_toml
-from jaxnav.maths.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, UG
-from jaxnav.types import DataError, ImuLog, Samples
-
-SHORTEST = 100  # samples
-MOTION = 2.0  # factor, one sd, by which noise in motion is another than at rest
-KEYS = {
-    "gyro": ("gyro_deg_per_sqrt_hour", "gyro_bias_deg_per_hour_per_sqrt_s"),
-    "accel": ("accel_ug_per_sqrt_hz", "accel_bias_ug_per_sqrt_s"),
-}  # of [params]: white noise, and what drives the bias
-
-KINDS = {
-    "gyro": ("deg/h", DEG_PER_HOUR, {"N_deg_per_sqrt_hour": DEG_PER_SQRT_HOUR, "B_deg_per_hour": DEG_PER_HOUR,
-             "K_deg_per_hour_per_sqrt_s": DEG_PER_HOUR, "gauss_markov_sd_deg_per_hour": DEG_PER_HOUR}),
-    "accel": ("µg", UG, {"N_ug_per_sqrt_hz": UG, "B_ug": UG, "K_ug_per_sqrt_s": UG, "gauss_markov_sd_ug": UG}),
-}  # fmt: skip
-"""Sensor -> unit of the curve, its size in SI, and what is read off with the size of its unit."""
+if TYPE_CHECKING:
+    from jaxnav.app.results import Outcome
 
 
-def allan(config: Config, folder: Path) -> Outcome:
-    """Allan deviation of the recording between data.start and data.stop, and what it shows.
+def run(job: Job) -> "Outcome":
+    """See `jaxnav.app.jobs.allan`."""
+    from jaxnav.app.jobs import allan
 
-    Raises:
-        DataError: too few samples, or a gap.
-    """
-    begin = time.perf_counter()
-    rec, _ = load(config)
-    imu = span(rec.imu, config.data.start, config.data.stop)
-    gyro, accel, dt = regular(imu)
-    found: dict[str, Any] = {"name": rec.name, "start_s": float(imu.t[0] - imu.dt[0]), "stop_s": float(imu.t[-1]),
-                             "rate_hz": 1 / dt} | standing(config, imu, rec.aiding.get("velocity"))  # fmt: skip
-    groups, rows, read = [], {}, {}
-    for kind, data in (("gyro", gyro), ("accel", accel)):
-        unit, si, _ = KINDS[kind]
-        curve = allan_deviation(data, dt)
-        figures = [read_off(curve, i) for i in range(3)]
-        rows[kind], read[kind] = [in_units(kind, f) for f in figures], (curve, figures)
-        groups.append((kind, unit, si, curve, figures))
-        found |= {f"{kind}_{axis}": row for axis, row in zip("xyz", rows[kind])}
-        found[f"{kind}_curve"] = as_table(curve, unit, si)
-    write_json(folder / "metrics.json", found)
-    head = f"# read off the Allan deviation of {rec.name} at rest; use: jaxnav tune --params grade.toml\n"
-    atomic_write(folder / "grade.toml", head + to_toml(grade(read)))
-    if config.out.figures:
-        with picture("the deviations"):
-            plots.save(plots_allan.allan(groups), folder / "allan.png")
-    return Outcome(found, summary(found, rows), {"allan": time.perf_counter() - begin})
+    return allan.allan(job.config, job.folder)
 
 
-def span(imu: ImuLog, start: float | None, stop: float | None) -> ImuLog:
-    """The samples that lie between two times.
-
-    Raises:
-        DataError: fewer than `SHORTEST`.
-    """
-    first = -np.inf if start is None else start
-    last = np.inf if stop is None else stop
-    inside = (imu.t - imu.dt >= first - TICK) & (imu.t <= last + TICK)
-    if inside.sum() < SHORTEST:
-        raise DataError(
-            f"imu: {inside.sum()} samples between data.start and data.stop, at least {SHORTEST} are needed; "
-            f"it covers {imu.t[0] - imu.dt[0]:.3f} to {imu.t[-1]:.3f} s"
-        )
-    return ImuLog(*(a[inside] for a in imu))
-
-
-def standing(config: Config, imu: ImuLog, velocity: Samples | None = None) -> dict[str, Any]:
-    """The share of time at rest by the detector of [filter], and by the receiver if there; the longest rest (s)."""
-    f = config.filter
-    window = f.standing_window_s
-    t = np.arange(imu.t[0] - imu.dt[0] + window, imu.t[-1] + TICK, window)
-    if not t.size:
-        return {}
-    rest = stationary(imu, t, window, f.standing_accel_sd_mps2, f.standing_gyro_sd_deg_per_s * DEG)
-    if velocity is not None:
-        rest &= ~driving(velocity, t - window / 2) & ~driving(velocity, t)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], rest.astype(int), [0]]))).reshape(-1, 2)
-    if not edges.size:
-        return {"share_at_rest": 0.0, "longest_rest_s": None}
-    a, b = edges[np.argmax(np.diff(edges, axis=1))]
-    return {"share_at_rest": float(rest.mean()), "longest_rest_s": [float(t[a] - window), float(t[b - 1])]}
-
-
-def in_units(kind: str, found: ReadOff) -> dict[str, float | None]:
-    """What was read off, in the units of its names; None where the data do not show it."""
-    hump = found.gauss_markov
-    lines = [None if line is None else line.value for line in found[:3]]
-    values = [*lines, None if hump is None else hump.sd]
-    row = {key: None if v is None else v / si for (key, si), v in zip(KINDS[kind][2].items(), values)}
-    return row | {"gauss_markov_tau_s": None if hump is None else hump.tau}
-
-
-def grade(read: dict[str, tuple[Allan, list[ReadOff]]]) -> dict[str, Any]:
-    """[params] of what shows at rest, and how far from it to look: [tune] prior, one sd as a factor.
-
-    White noise by axis; what drives a bias from its random walk, else from its Gauss-Markov hump. The prior is the
-    figure's own uncertainty, by the degrees of freedom of the curve where it was read, and `MOTION`.
-    """
-    params: dict[str, Any] = {}
-    prior: dict[str, float] = {}
-    for kind, (white, driven) in KEYS.items():
-        curve, axes = read[kind]
-        units = KINDS[kind][2]
-        for key, of, si in ((white, _white, list(units.values())[0]), (driven, _driven, list(units.values())[2])):
-            known = [found for axis in axes if (found := of(axis)) is not None]
-            if not known:
-                continue
-            usual = float(np.exp(np.mean([math.log(value) for value, _ in known])))  # of an axis that shows nothing
-            params[key] = [float(f"{(usual if (f := of(axis)) is None else f[0]) / si:.5g}") for axis in axes]
-            edf = np.mean([np.interp(math.log(tau), np.log(curve.tau), curve.edf) for _, tau in known])
-            prior[key] = float(f"{math.exp(math.hypot(1 / math.sqrt(2 * edf), math.log(MOTION))):.3g}")
-    return {"params": params, "tune": {"prior": prior}}
-
-
-def _white(axis: ReadOff) -> tuple[float, float] | None:
-    """Root PSD of white noise and the middle of the cluster times (s) that it was read from."""
-    return None if axis.N is None else (axis.N.value, math.sqrt(axis.N.start * axis.N.stop))
-
-
-def _driven(axis: ReadOff) -> tuple[float, float] | None:
-    """Root PSD of what drives the bias."""
-    if axis.K is not None:
-        return axis.K.value, math.sqrt(axis.K.start * axis.K.stop)
-    hump = axis.gauss_markov
-    return None if hump is None else (hump.sd * math.sqrt(2 / hump.tau), 1.89 * hump.tau)
-
-
-def as_table(curve: Allan, unit: str, si: float) -> dict[str, Any]:
-    """The curve for JSON."""
-    return {"unit": unit, "tau_s": curve.tau, "deviation": (curve.deviation / si).T, "edf": curve.edf}
-
-
-def summary(found: dict[str, Any], rows: dict[str, list[dict[str, float | None]]]) -> str:
-    """The tables for the terminal."""
-    lines = [f"{found['name']}: {found['start_s']:.1f} to {found['stop_s']:.1f} s at {found['rate_hz']:.4g} Hz"]
-    if found.get("share_at_rest", 1.0) < 1.0:
-        rest = found["longest_rest_s"]
-        hint = f"; the longest rest is --start {rest[0]:.1f} --stop {rest[1]:.1f}" if rest else ""
-        share = 100 * found["share_at_rest"]
-        lines.append(f"at rest {share:.0f} % of this time only, the figures are of motion too{hint}")
-    heads = {
-        "gyro": ["gyro", "N deg/√h", "B deg/h", "K deg/h/√s", "GM sd deg/h", "GM tau s"],
-        "accel": ["accel", "N µg/√Hz", "B µg", "K µg/√s", "GM sd µg", "GM tau s"],
-    }
-    for kind, head in heads.items():
-        known = [[math.nan if v is None else v for v in row.values()] for row in rows[kind]]
-        body = [[axis, *values] for axis, values in zip("xyz", known)]
-        lines += ["", table(head, body)]
-    return "\n".join(lines)
+VERB = Verb(
+    "allan",
+    "Allan deviation of a resting IMU: white noise, bias instability, random walk, Gauss-Markov",
+    run,
+    (
+        DATA,
+        Argument(
+            "--start",
+            "s, use the recording from here ([data] start)",
+            "data.start",
+            value="S",
+            type=float,
+        ),
+        Argument("--stop", "s, to here ([data] stop)", "data.stop", value="S", type=float),
+    ),
+    sections=("data", "out"),
+)

@@ -1,83 +1,22 @@
-"""`jaxnav info` and `jaxnav data`."""
+"""`jaxnav info`."""
 
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-import jax
+from jaxnav.app.verb import Argument, Job, Verb
 
-from jaxnav import data as io
-from jaxnav.analysis.tables import table
-from jaxnav.app.results import Outcome, git_hash, versions
-from jaxnav.app.verbs.filtering import describe, describe_text
-from jaxnav.filters.catalogue import FILTERS
-from jaxnav.simulate.scenarios import SCENARIOS
-from jaxnav.states.grades import GRADES
-from jaxnav.types import DataError
+if TYPE_CHECKING:
+    from jaxnav.app.results import Outcome
 
 
-def info(cache: Path | None) -> Outcome:
-    """Versions, devices, precision, data sets, filters, scenarios, grades."""
-    found: dict[str, Any] = {
-        "versions": versions(),
-        "git": git_hash(),
-        "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],
-        "x64": bool(jax.config.read("jax_enable_x64")),
-        "compilation_cache": None if cache is None else str(cache),
-        "filters": {name: entry.citation for name, entry in FILTERS.items()},
-        "scenarios": list(SCENARIOS),
-        "grades": {name: grade.source for name, grade in GRADES.items()},
-        "data_sets": where(),
-    }
-    lines = ["  ".join(f"{k} {v}" for k, v in found["versions"].items())]
-    lines += [f"git {found['git'] or 'none: an installed package'}", f"devices {', '.join(found['devices'])}"]
-    lines += [f"float64 {'on' if found['x64'] else 'off'}", f"compilation cache {cache or 'off'}", ""]
-    lines += [table(["filter", "of"], list(found["filters"].items())), ""]
-    lines += [
-        f"scenarios {', '.join(SCENARIOS)}",
-        f"IMU grades {', '.join(GRADES)}",
-        "",
-        _data_table(found["data_sets"]),
-    ]
-    return Outcome(found, "\n".join(lines), {})
+def run(job: Job) -> "Outcome":
+    """See `jaxnav.app.jobs.info`."""
+    from jaxnav.app.jobs import info
+
+    return info.info(job.args.clear_cache)
 
 
-def where() -> dict[str, str | None]:
-    """The folder of each data set, None where it is not here."""
-    found: dict[str, str | None] = {}
-    for name in io.DATASETS:
-        try:
-            found[name] = str(io.locate(name))
-        except DataError:
-            found[name] = None
-    return found
-
-
-def _data_table(found: dict[str, str | None]) -> str:
-    rows = [
-        [name, f"{sum(f.size for f in io.DATASETS[name].files) / 1e6:.1f} MB", io.DATASETS[name].licence, path or "no"]
-        for name, path in found.items()
-    ]
-    return table(["data set", "size", "licence", "here"], rows)
-
-
-def data(action: str, name: str | None) -> Outcome:
-    """List the data sets, download one, or check one (or a recording at a path): hashes, then every row.
-
-    Raises:
-        DataError: absent, changed, or not usable.
-    """
-    if action == "list":
-        found = where()
-        return Outcome({"data_sets": found}, _data_table(found), {})
-    assert name is not None
-    if action == "fetch":
-        folder = io.fetch(name)
-        return Outcome({"folder": str(folder)}, f"{name}: {folder}", {})
-    if name not in io.DATASETS and Path(name).exists():
-        about = describe(io.read_recording(name))
-        return Outcome(about, f"{describe_text(about)}\nok", {})
-    folder = io.verify(name)
-    if io.DATASETS[name].read is None:
-        return Outcome({"folder": str(folder)}, f"{name}: {folder}: every hash is right\nok", {})
-    about = describe(io.load(name))
-    return Outcome(about | {"folder": str(folder)}, f"{folder}: every hash is right\n{describe_text(about)}\nok", {})
+VERB = Verb(
+    "info", "versions, devices, filters, data sets, compiled programs", run,
+    (Argument("--clear-cache", "remove the compiled programs that are kept"),),
+    writes=lambda args: False,
+)  # fmt: skip

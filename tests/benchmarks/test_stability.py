@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jaxnav.analysis import stability as robustness
+from benchmarks.papers import stability as robustness
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Innovation
 from jaxnav.filters.papers import gpid

@@ -1,0 +1,152 @@
+"""`jaxnav check` and `jaxnav convert`."""
+
+import json
+import time
+import tomllib
+from pathlib import Path
+
+import jax
+
+from jaxnav import data as io
+from jaxnav.analysis.observability import in_words as in_words_of
+from jaxnav.analysis.observability import observability
+from jaxnav.analysis.plots import base as plots
+from jaxnav.analysis.plots import checkup as plots_checkup
+from jaxnav.app.config import Config, Data, resolve
+from jaxnav.app.jobs.filtering import describe, describe_text
+from jaxnav.app.prepare import prepare
+from jaxnav.app.results import Outcome, picture
+from jaxnav.data.checkup import Finding, checkup
+from jaxnav.data.json import write_json
+from jaxnav.data.read import read
+from jaxnav.data.toml import inline
+from jaxnav.types import ConfigError, DataError, Recording
+
+MOST, WINDOW = 2000, 30.0  # epochs, and s at a time, in which it is asked what the motion shows of the states
+
+
+def check(config: Config, folder: Path) -> Outcome:
+    """Check the recording of [data] against itself; table, check.json, a picture, and a configuration that runs it.
+
+    Raises:
+        DataError: nothing there that can be read.
+    """
+    begin = time.perf_counter()
+    rec = read(config.data.source, **config.data.options)
+    seconds = {"read": time.perf_counter() - begin}
+    begin = time.perf_counter()
+    found = checkup(rec)
+    seconds["check"] = time.perf_counter() - begin
+    write_json(folder / "check.json", {"recording": describe(rec), "findings": [f._asdict() for f in found]})
+    seen: list[str] = []
+    if "position" in rec.aiding:
+        begin = time.perf_counter()
+        (folder / "config.toml").write_text(configuration(config.data, rec, found), encoding="utf-8")
+        seen = shown(folder / "config.toml")
+        seconds["states"] = time.perf_counter() - begin
+    if config.out.figures:
+        with picture("the recording"):
+            plots.save(plots_checkup.overview(rec), folder / "check.png")
+    about = {"findings": [f._asdict() for f in found], "wrong": sum(f.bad for f in found), "states": seen}
+    return Outcome(about, "\n".join([in_words(rec, found), *(f"  {line}" for line in seen)]), seconds)
+
+
+def shown(file: Path) -> list[str]:
+    """What the motion shows of the states that a configuration has, or why that cannot be said."""
+    try:
+        case = prepare(resolve([(str(file), tomllib.loads(file.read_text(encoding="utf-8")))]))
+        cut = lambda a: a[:MOST]
+        first, epochs = jax.tree.map(lambda a: a[0], case.navs), jax.tree.map(cut, case.packed.epochs)
+        return in_words_of(observability(case.filter, case.params, first, epochs, cut(case.packed.t), WINDOW), WINDOW)
+    except (ConfigError, DataError, ValueError) as error:
+        return [f"what its motion shows of the states is not known: {error}"]
+
+
+def convert(config: Config, folder: Path) -> Outcome:
+    """Write the recording of [data] as our folder of CSV files (docs/formats.md).
+
+    Raises:
+        DataError: nothing there that can be read.
+    """
+    begin = time.perf_counter()
+    rec = read(config.data.source, **config.data.options)
+    io.write_recording(folder / "recording", rec)
+    for file in (folder / "recording").iterdir():
+        file.rename(folder / file.name)
+    (folder / "recording").rmdir()
+    about = describe(rec)
+    text = describe_text(about) + "".join(f"\n{note}" for note in rec.notes.splitlines())
+    return Outcome({"recording": about}, text, {"convert": time.perf_counter() - begin})
+
+
+def in_words(rec: Recording, found: list[Finding]) -> str:
+    """What a recording holds, what is wrong with it, and what else was seen."""
+    lines = [describe_text(describe(rec)), ""]
+    bad = [f for f in found if f.bad]
+    lines += [f"{len(bad)} of what was checked {'looks' if len(bad) == 1 else 'look'} wrong:"] if bad else []
+    lines += [f"  ! {f.words}: {f.means}" for f in bad]
+    lines += [f"  {f.words}{f': {f.means}' if f.means else ''}" for f in found if not f.bad]
+    if not bad:
+        lines.append("nothing looks wrong")
+    if "position" not in rec.aiding:
+        lines.append("there are no positions, so that no filter can be run on it")
+    return "\n".join([*lines, *(f"  {note}" for note in rec.notes.splitlines() if note not in "\n".join(lines))])
+
+
+def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
+    """Return a configuration that runs the recording, a remark on each line."""
+    whole = lambda path: str(Path(path).resolve()).replace("\\", "/")
+    options = {k: whole(v) if k == "gnss" else v for k, v in data.options.items()}
+    lines = [
+        "# jaxnav filter --config config.toml",
+        "[data]",
+        f'source = "{whole(data.source)}"  # what was checked',
+        *([f"options = {inline(options)}"] if options else []),
+        "[filter]",
+        'name = "ekf15"  # errors of position, velocity, attitude and both biases; `jaxnav info` lists the others',
+        f'grade = "auto"  # IMU noise and latency by likelihood, or a datasheet; {_noise(found)}',
+    ]
+    if "speed" in rec.aiding:
+        lines.append("speed = true  # there are wheel speeds")
+    good = {f.code for f in found if not f.bad}
+    if "standstill.accel" in good:
+        lines += ["# zero_velocity = true  # where the vehicle stands, by these:", "# zero_rate = true"]
+        for f in (f for f in found if f.code.startswith("standstill.")):
+            lines.append(f"# {f.key.split('.')[1]} = {f.value:.3g}  # {f.words}")
+    states = []
+    if "barometer" in good:
+        lines.append("barometer = true  # goes with the receiver's height")
+        states.append("barometer_bias")
+    if "magnetometer" in rec.aiding and good >= {"compass", "compass.turns"}:
+        lines.append("magnetometer = true  # turns with the gyros, as strong as the Earth's field is here")
+        states.append("magnetometer_bias")
+    if states:
+        lines.append(f"states = {json.dumps(states)}  # what these read too much")
+    yaw = next((f for f in found if f.code == "mounting.yaw" and not f.bad), None)
+    if yaw is not None and "speed" in rec.aiding:
+        lines.append(f"nonholonomic = true  # wheels do not slip sideways; {yaw.words}")
+    lines += ["[start]", 'heading = "motion"  # found by alignment; or "course", "unknown", degrees', "[params]"]
+    return "\n".join([*lines, *_timing(found)]) + "\n"
+
+
+def _timing(found: list[Finding]) -> list[str]:
+    """Settings of the clocks: what is early is the IMU's clock, what is late is the stream's."""
+    by = {f.code: f for f in found if f.value is not None}
+    lines = []
+    if "time.delay" in by:
+        delay, apart = by["time.delay"], by.get("velocity.latency")
+        gap = 0.0 if apart is None else float(apart.value or 0.0)  # of velocity behind position
+        first = float(delay.value or 0.0)
+        of_velocity = "velocity" in delay.key
+        late = {"position": first - gap if of_velocity else first, "velocity": first if of_velocity else first + gap}
+        offset = min(0.0, *late.values())
+        why = delay.words + (f"; {apart.words}" if apart is not None else "")
+        settings = {"time_offset_s": offset, **{f"{name}_latency_s": t - offset for name, t in late.items()}}
+        lines = [f"{key} = {value:.3f}  # {why}" for key, value in settings.items() if abs(value) > 5e-3]
+    if "time.drift" in by:
+        lines.append(f"clock_drift_ppm = {by['time.drift'].value:.0f}  # {by['time.drift'].words}")
+    return lines
+
+
+def _noise(found: list[Finding]) -> str:
+    return next((f.words for f in found if f.code == "imu.noise"), "see `jaxnav info`")

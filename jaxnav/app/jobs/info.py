@@ -1,0 +1,100 @@
+"""`jaxnav info` and `jaxnav data`."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from jaxnav import data as io
+from jaxnav.analysis.tables import table
+from jaxnav.app.jobs.filtering import describe, describe_text
+from jaxnav.app.results import Outcome, git_hash, versions
+from jaxnav.filters.catalogue import FILTERS
+from jaxnav.filters.compiler import CACHE, cache_home
+from jaxnav.simulate.scenarios import SCENARIOS
+from jaxnav.states.grades import GRADES
+from jaxnav.types import DataError
+
+
+def info(clear: bool = False) -> Outcome:
+    """Versions, devices, precision, data sets, filters, scenarios, grades; ``clear``: remove the compiled programs."""
+    if clear:
+        return Outcome({}, programs(True), {})
+    found: dict[str, Any] = {
+        "versions": versions(),
+        "git": git_hash(),
+        "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],
+        "x64": bool(jax.config.read("jax_enable_x64")),
+        "compilation_cache": None if cache_home() is None else str(cache_home()),
+        "filters": {name: entry.citation for name, entry in FILTERS.items()},
+        "scenarios": list(SCENARIOS),
+        "grades": {name: grade.source for name, grade in GRADES.items()},
+        "data_sets": where(),
+    }
+    lines = ["  ".join(f"{k} {v}" for k, v in found["versions"].items())]
+    lines += [f"git {found['git'] or 'none: an installed package'}", f"devices {', '.join(found['devices'])}"]
+    lines += [f"float64 {'on' if found['x64'] else 'off'}", programs(), ""]
+    lines += [table(["filter", "of"], list(found["filters"].items())), ""]
+    lines += [
+        f"scenarios {', '.join(SCENARIOS)}",
+        f"IMU grades {', '.join(GRADES)}",
+        "",
+        _data_table(found["data_sets"]),
+    ]
+    return Outcome(found, "\n".join(lines), {})
+
+
+def programs(clear: bool = False) -> str:
+    """What is kept of compiled programs, in a sentence; removed if asked for."""
+    home = cache_home()
+    if home is None:
+        return f"no compiled programs are kept: {CACHE} is empty"
+    own = [path for path in home.glob("jaxlib-*") if path.is_dir()]  # what else lies there is not ours
+    files = [path for folder in own for path in folder.rglob("*") if path.is_file()]
+    held = f"{len(files)} files, {sum(path.stat().st_size for path in files) / 2**20:.1f} MiB, in {home}"
+    for folder in own if clear else ():
+        shutil.rmtree(folder, ignore_errors=True)
+    return f"compiled programs{' removed' if clear else ''}: {held}"
+
+
+def where() -> dict[str, str | None]:
+    """The folder of each data set, None where it is not here."""
+    found: dict[str, str | None] = {}
+    for name in io.DATASETS:
+        try:
+            found[name] = str(io.locate(name))
+        except DataError:
+            found[name] = None
+    return found
+
+
+def _data_table(found: dict[str, str | None]) -> str:
+    rows = [
+        [name, f"{sum(f.size for f in io.DATASETS[name].files) / 1e6:.1f} MB", io.DATASETS[name].licence, path or "no"]
+        for name, path in found.items()
+    ]
+    return table(["data set", "size", "licence", "here"], rows)
+
+
+def data(action: str, name: str | None) -> Outcome:
+    """List the data sets, download one, or check one (or a recording at a path): hashes, then every row.
+
+    Raises:
+        DataError: absent, changed, or not usable.
+    """
+    if action == "list":
+        found = where()
+        return Outcome({"data_sets": found}, _data_table(found), {})
+    assert name is not None
+    if action == "fetch":
+        folder = io.fetch(name)
+        return Outcome({"folder": str(folder)}, f"{name}: {folder}", {})
+    if name not in io.DATASETS and Path(name).exists():
+        about = describe(io.read_recording(name))
+        return Outcome(about, f"{describe_text(about)}\nok", {})
+    folder = io.verify(name)
+    if io.DATASETS[name].read is None:
+        return Outcome({"folder": str(folder)}, f"{name}: {folder}: every hash is right\nok", {})
+    about = describe(io.load(name))
+    return Outcome(about | {"folder": str(folder)}, f"{folder}: every hash is right\n{describe_text(about)}\nok", {})

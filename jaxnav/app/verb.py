@@ -1,0 +1,101 @@
+"""What a verb of the command line is: its arguments, what it reads of the configuration, and the work.
+
+Verbs are rows of `jaxnav.app.verbs.VERBS`; parser, dispatch, run.json, completion, the settings named as unused and
+docs/commands.md come from the rows. Their modules import what computes inside `Verb.run`: help must not wait for JAX.
+"""
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from jaxnav.app.config import Config
+
+if TYPE_CHECKING:
+    from jaxnav.app.long import Long
+    from jaxnav.app.results import Outcome
+
+
+class Argument(NamedTuple):
+    """An argument of a verb."""
+
+    name: str  # "path" of a positional one, "--data" of an option
+    help: str
+    setting: str = ""  # the key of the configuration that it sets, "data.source"
+    value: str = ""  # how its value is called in the help; "" is none: an option is a switch then
+    type: Callable[[str], Any] = str
+    reads: bool = False  # names a file or folder that the run reads
+    more: Mapping[str, Any] = {}  # what else `argparse.ArgumentParser.add_argument` takes
+
+    @property
+    def attribute(self) -> str:
+        """Its name in the parsed arguments."""
+        return self.name.lstrip("-").replace("-", "_")
+
+    def add_to(self, parser: argparse.ArgumentParser) -> None:
+        """Add it to a parser."""
+        if self.name.startswith("-") and not self.value:
+            parser.add_argument(self.name, help=self.help, action="store_true")
+        else:
+            more = dict(self.more) | ({"metavar": self.value} if self.value else {})
+            parser.add_argument(self.name, help=self.help, type=self.type, **more)
+
+
+class Job(NamedTuple):
+    """One call of a verb."""
+
+    args: argparse.Namespace
+    config: Config
+    folder: Path  # to write into
+    out: Path  # where that will be
+    progress: bool  # show it
+
+    @property
+    def devices(self) -> int:
+        """Among how many devices runs are shared; 0: all."""
+        import jax
+
+        return 0 if jax.process_count() > 1 else getattr(self.args, "devices", 1)
+
+    @property
+    def long(self) -> "Long":
+        """Checkpoints and devices of a long job."""
+        from jaxnav.app.long import Long
+
+        return Long(self.out / "checkpoint", getattr(self.args, "resume", False), self.devices)
+
+
+class Verb(NamedTuple):
+    """A row of `jaxnav.app.verbs.VERBS`."""
+
+    name: str
+    help: str  # a line
+    run: Callable[[Job], "Outcome"]
+    arguments: tuple[Argument, ...] = ()
+    sections: tuple[str, ...] = ()  # of the configuration, beside the seed, that it reads: what run.json holds
+    writes: Callable[[argparse.Namespace], bool] = lambda args: True  # into --out
+    needs_jax: bool = True
+    report: bool = False  # write report.html
+    own: Callable[[argparse.Namespace], dict[str, Any]] = lambda args: {}  # settings before the user's
+    # (configuration, whether it simulates) -> why, by the keys that have no effect though their sections are read
+    unused: Callable[[Config, bool], dict[str, str]] = lambda config, simulated: {}
+    simulates: bool = False  # runs scenarios alone
+
+
+def without(reason: str, *keys: str) -> dict[str, str]:
+    """Return the reason by key, for `Verb.unused`."""
+    return dict.fromkeys(keys, reason)
+
+
+DATA = Argument("--data", "scenario, data set or recording ([data] source)", "data.source", value="NAME|PATH")
+PATH = Argument("path", "file or folder of any known format, or a column map", "data.source", "PATH", reads=True)
+FILTER = Argument("--filter", "see `jaxnav info` ([filter] name)", "filter.name", value="NAME")
+PARAMS = Argument("--params", "[params] of this file, such as an earlier tuned.toml", reads=True, value="FILE")
+RESUME = Argument("--resume", "go on from the checkpoint in --out, bit for bit")
+DEVICES = (
+    Argument("--devices", "share runs among N, 0: all there", value="N", type=int, more={"default": 1}),
+    Argument("--coordinator", "of several processes, private networks only", value="HOST:PORT"),
+    Argument("--processes", "how many; under Slurm or MPI all is found", value="N", type=int),
+    Argument("--process", "number of this one, from 0", value="I", type=int),
+)
+"""Arguments of verbs whose runs several devices or processes may share."""

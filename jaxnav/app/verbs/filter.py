@@ -1,0 +1,51 @@
+"""`jaxnav filter`."""
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from jaxnav.app.config import Config
+from jaxnav.app.verb import DATA, FILTER, PARAMS, Argument, Job, Verb, without
+
+if TYPE_CHECKING:
+    from jaxnav.app.results import Outcome
+
+# ten minutes at usual rates: recordings of similar ones share its programs (`jaxnav.data.epochs.of_shared_size`)
+WARM: dict[str, Any] = {"data": {"source": "urban", "options": {"duration_s": 600.0, "imu_rate_hz": 100.0}}}
+
+
+def run(job: Job) -> "Outcome":
+    """See `jaxnav.app.jobs.filtering`."""
+    from jaxnav.app.jobs import filtering, info
+
+    outcome = filtering.filter(job.config, job.folder)
+    return outcome._replace(text=info.programs()) if job.args.warm else outcome
+
+
+def own(args: argparse.Namespace) -> dict[str, Any]:
+    """What is compiled where nothing is named."""
+    return WARM if args.warm and not (args.data or args.config) else {}
+
+
+def unused(config: Config, simulated: bool) -> dict[str, str]:
+    """Settings without effect where the motion shows the start."""
+    if config.start.heading != "motion":
+        return {}
+    found = ("start.course_speed_mps", "start.tilt_sd_deg", "start.heading_sd_deg")
+    return without('start.heading = "motion" finds it by itself', *found)
+
+
+VERB = Verb(
+    "filter",
+    "run a filter over a recording: solution, metrics, figures",
+    run,
+    (
+        DATA,
+        FILTER,
+        PARAMS,
+        Argument("--smooth", "by all fixes, those after it too ([filter] smooth)", "filter.smooth"),
+        Argument("--lag", "by those of the next S seconds ([filter] lag_s)", "filter.lag_s", value="S", type=float),
+        Argument("--warm", "compile for recordings like this one and write nothing: before a demo"),
+    ),
+    sections=("data", "filter", "start", "params", "out"), writes=lambda args: not args.warm, report=True, own=own,
+    unused=unused,
+)  # fmt: skip

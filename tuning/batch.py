@@ -46,8 +46,8 @@ class Data(NamedTuple):
     """What it is minimised on; arrays."""
 
     params: Any
-    arguments: tuple
-    cases: tuple  # of every group a tree with a leading axis of runs, padded to a multiple of the devices
+    arguments: tuple[Any, ...]
+    cases: tuple[Any, ...]  # of every group a tree with a leading axis of runs, padded to a multiple of the devices
     weight: jax.Array  # (B,) of the runs of all groups
 
 
@@ -107,7 +107,7 @@ def _rows(problem: Problem, slopes: bool, raw: Any, data: Data) -> jax.Array:
     @partial(
         jax.shard_map, mesh=problem.mesh, in_specs=(PartitionSpec(), spread), out_specs=PartitionSpec(), check_vma=False
     )
-    def gathered(raw, data):
+    def gathered(raw: Any, data: Data) -> Any:
         return lax.all_gather(jnp.concatenate(_local(problem, slopes, raw, data)), RUNS)
 
     rows, at, parts = gathered(raw, data), 0, []
@@ -121,7 +121,7 @@ def _rows(problem: Problem, slopes: bool, raw: Any, data: Data) -> jax.Array:
 def _local(problem: Problem, slopes: bool, raw: Any, data: Data) -> list[jax.Array]:
     """The rows of this device's runs, by group."""
 
-    def one(loss, case):
+    def one(loss: Any, case: Any) -> Any:
         return _row(lambda r: loss(join(dict(problem.free), r, data.params), case, *data.arguments), slopes, raw)
 
     return [jax.vmap(partial(one, f))(cases) for f, cases in zip(problem.losses, data.cases, strict=True)]
@@ -148,12 +148,12 @@ def strict(problem: Problem, raw: Any, data: Data) -> jax.Array:
     return jnp.where((e.good | (data.weight == 0)).all(), e.value, jnp.inf)
 
 
-def _forth(problem: Problem, raw: Any, data: Data):
+def _forth(problem: Problem, raw: Any, data: Data) -> Any:
     e = evaluate(problem, raw, data)
     return jnp.where((e.good | (data.weight == 0)).all(), e.value, jnp.inf), e.grad
 
 
-def _back(problem: Problem, grad: Any, by: jax.Array):
+def _back(problem: Problem, grad: Any, by: jax.Array) -> Any:
     return jax.tree.map(lambda g: by * g, grad), None
 
 

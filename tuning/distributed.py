@@ -68,7 +68,7 @@ def share(tree: Any, where: Mesh | None) -> Any:
         return tree
     n = where.shape[RUNS]
 
-    def cut(a):
+    def cut(a: Any) -> Any:
         a = np.asarray(a)
         a = np.concatenate([a, np.repeat(a[-1:], -len(a) % n, axis=0)])
         return _place(a, where, PartitionSpec(RUNS))

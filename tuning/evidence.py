@@ -53,15 +53,15 @@ def _keep(slow: slice | None, step: Step, beside: Any) -> Seen:
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _evidence(
-    filt: Filter, items: tuple, flat: jax.Array, like: Any, params: Params, nav: Nav, epochs: Epoch, valid: jax.Array,
-    keep: jax.Array, at: jax.Array, there: jax.Array, sd: jax.Array,
+    filt: Filter, items: tuple[Any, ...], flat: jax.Array, like: Any, params: Params, nav: Nav, epochs: Epoch,
+    valid: jax.Array, keep: jax.Array, at: jax.Array, there: jax.Array, sd: jax.Array,
 ) -> tuple[Evidence, Evidence]:  # fmt: skip
     """Of innovations and of hidden fixes; valid (P, E, m), keep (P, E), at and there (P, A), sd (P, A, 3)."""
     spec, (_, back) = dict(items), ravel_pytree(like)
     keep_seen = partial(_keep, slow_errors(filt))
 
-    def phase(valid, keep, at, there, sd):
-        def outputs(r):
+    def phase(valid: jax.Array, keep: jax.Array, at: jax.Array, there: jax.Array, sd: jax.Array) -> Any:
+        def outputs(r: jax.Array) -> Any:
             own = join(spec, back(r), params)
             seen = run(filt, own, nav, epochs._replace(fix=epochs.fix._replace(valid=valid)), keep_seen)
             C = seen.P[at] + position_noise(own, sd)
@@ -74,7 +74,7 @@ def _evidence(
         lost = jnp.where((keep & ~ok).any(), jnp.inf, 0.0)
         counts = keep & seen.any(-1)
 
-        def total(parts, mask):
+        def total(parts: Any, mask: jax.Array) -> Any:
             value, score, fisher = (jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0).sum(0) for a in parts)
             return Evidence(value, score, fisher, mask.sum())
 

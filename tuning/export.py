@@ -17,7 +17,7 @@ from jaxnav.types import Fix, Params, StateParams
 ONE_CORRELATION_TIME = 4 * units.HOUR  # s, what stands for a random walk where only a Gauss-Markov process can be told
 
 
-def axes_of(value) -> np.ndarray:
+def axes_of(value: Any) -> np.ndarray:
     """One number an axis; of a root, which is correlated noise, the norms of its rows."""
     value = np.asarray(value, float)
     return np.linalg.norm(value, axis=1) if value.ndim == 2 else np.broadcast_to(value, (3,))

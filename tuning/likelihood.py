@@ -13,7 +13,7 @@ from jaxnav.filters.border import component, unit_of
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import get
 from jaxnav.filters.run import negative_log_likelihood, run
-from jaxnav.types import Epoch, Nav, Params
+from jaxnav.types import Epoch, Info, Nav, Params
 from tuning import objectives, scoring, uncertainty
 from tuning.posterior import sample
 from tuning.train import Fit
@@ -48,12 +48,14 @@ class Surface(NamedTuple):
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
-def _inform(filt, items, count: int, flat, like, params, own, whole) -> Information:
+def _inform(
+    filt: Filter, items: Any, count: int, flat: jax.Array, like: Any, params: Params, own: Any, whole: Likelihood
+) -> Information:
     spec, (_, back) = dict(items), ravel_pytree(like)
     free = leaves(spec)
 
-    def one(nav, epochs, keep, block):
-        def solve(r):
+    def one(nav: Nav, epochs: Epoch, keep: jax.Array, block: jax.Array) -> Information:
+        def solve(r: jax.Array) -> Info:
             return run(filt, merged(join(spec, back(r), params), own, free), nav, epochs)
 
         return uncertainty.information(solve, flat, keep, block, count)
@@ -81,10 +83,10 @@ def surface(sources: Sequence[Source], spec: Spec, params: Params) -> Surface:
     return Surface(inform, raw, count)
 
 
-def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Callable[[dict], None]) -> Fit:
+def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Callable[[dict[str, Any]], None]) -> Fit:
     """The most likely parameters by the method of scoring, one history row an evaluation."""
     flat, back = ravel_pytree(found.raw)
-    history: list[dict] = []
+    history: list[dict[str, Any]] = []
 
     def report(i: int, search: scoring.Search) -> None:
         raw, best = back(search.raw), search.best
@@ -102,11 +104,13 @@ def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Calla
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _density(filt, items, flat, like, params, own, whole) -> jax.Array:
+def _density(
+    filt: Filter, items: Any, flat: jax.Array, like: Any, params: Params, own: Any, whole: Likelihood
+) -> jax.Array:
     """Log-likelihood of one source."""
     spec, (_, back) = dict(items), ravel_pytree(like)
 
-    def one(nav, epochs, keep):
+    def one(nav: Nav, epochs: Epoch, keep: jax.Array) -> jax.Array:
         info = run(filt, merged(join(spec, back(flat), params), own, leaves(spec)), nav, epochs)
         each = jax.vmap(negative_log_likelihood)(info)
         return objectives.sound(info, keep, jnp.sum(jnp.where(keep & info.valid.any(-1), each, 0.0)))

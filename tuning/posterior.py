@@ -5,7 +5,7 @@ sampler has little left to adapt.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -52,8 +52,8 @@ def sample(
     kernel = blackjax.nuts(density, **parameters)
 
     @jax.jit
-    def chain(state, keys):
-        def step(state, key):
+    def chain(state: Any, keys: jax.Array) -> Any:
+        def step(state: Any, key: jax.Array) -> Any:
             state, info = kernel.step(key, state)
             return state, (state.position, info.acceptance_rate, info.is_divergent)
 

@@ -87,7 +87,7 @@ class Tuned:
     test: dict[str, dict[str, float]]  # by candidate: rms_m, median_m, max_m
     nis: dict[str, dict[str, float]]  # by candidate: normalised innovations squared by channel, on the test
     spec: Spec
-    history: list[dict] = field(default_factory=list)
+    history: list[dict[str, Any]] = field(default_factory=list)
     stopped: bool = False  # by Ctrl-C, with the best that was found until then
 
     @property
@@ -186,7 +186,7 @@ def tune(
     spec = spec_of(filt, used[0].sheet, free, widths, priors)
     job = Job(filt, spec, used, apart, observations)
     say(f"free: {', '.join(spec)}")
-    history: list[dict] = []
+    history: list[dict[str, Any]] = []
     auto = job.numbers([each.applied(u.sheet) for each, u in zip(scans, used, strict=True)])
     job.centre_delays(auto)
     found = {"datasheet": job.flat, "auto": auto} if any(each.fixes for each in scans) else {"datasheet": job.flat}
@@ -251,7 +251,12 @@ def clocks(recs: Sequence[Recording], begins: Sequence[Start]) -> list[str]:
 
 
 def scan(
-    rec: Recording, sheet: Params, begin: Start, layout: Layout, measurements: tuple, say: Callable[[str], None]
+    rec: Recording,
+    sheet: Params,
+    begin: Start,
+    layout: Layout,
+    measurements: tuple[Any, ...],
+    say: Callable[[str], None],
 ) -> NoiseScan:
     """Return the noise scan of a training part, by the filter's measurements alone."""
     aiding = {m.name: rec.aiding[m.name] for m in measurements if m.name in rec.aiding}
@@ -282,7 +287,9 @@ def made_ready(
 # ---------------------------------------------------------------------------- candidates
 
 
-def search(name: str, job: Job, first: jax.Array, history: list[dict], say: Callable[[str], None]) -> scoring.Search:
+def search(
+    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], say: Callable[[str], None]
+) -> scoring.Search:
     """Minimise J from a point, with a line and a row of the history for each evaluation."""
 
     def report(i: int, at: scoring.Search) -> None:
@@ -312,7 +319,7 @@ def correlation(infos: Sequence[Info], used: Sequence[Used]) -> float:
     return float(product / square) if count >= 30 else 0.0
 
 
-def level_drift(job: Job, flat: jax.Array, measurements: tuple) -> tuple[np.ndarray, list[Info]]:
+def level_drift(job: Job, flat: jax.Array, measurements: tuple[Any, ...]) -> tuple[np.ndarray, list[Info]]:
     """Horizontal drift (W,) m at the ends of the windows of all recordings, and the runs (P, E, ...) of each."""
     runs = [
         drift(job.filt, params, u.nav, u.epochs, u.windows, measurements)
@@ -356,7 +363,7 @@ def spread(off: np.ndarray) -> dict[str, float]:
     return {"rms_m": float(np.sqrt(np.mean(off**2))), "median_m": float(np.median(off)), "max_m": float(off.max())}
 
 
-def channels(infos: Sequence[Info], measurements: tuple, used: Sequence[Used]) -> dict[str, float]:
+def channels(infos: Sequence[Info], measurements: tuple[Any, ...], used: Sequence[Used]) -> dict[str, float]:
     """Normalised innovations squared of every channel over all runs, in the test parts."""
     pairs = zip(infos, used, strict=True)
     valid = np.concatenate([np.asarray(i.valid) & (u.t > u.layout.validation)[:, None] for i, u in pairs], 1)

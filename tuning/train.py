@@ -31,9 +31,9 @@ class Fit(NamedTuple):
 
     params: Any  # the best parameters met
     loss: float  # their loss, or their validation score
-    history: list[dict]  # one row a step: step, loss, grad_norm, validation, params {name: value}
+    history: list[dict[str, Any]]  # one row a step: step, loss, grad_norm, validation, params {name: value}
     stopped: str  # "done", or why it ended early
-    aside: tuple[dict, ...] = ()  # runs that failed: run, the first step at which it did, why
+    aside: tuple[dict[str, Any], ...] = ()  # runs that failed: run, the first step at which it did, why
 
 
 class TrainState(NamedTuple):
@@ -49,11 +49,11 @@ class TrainState(NamedTuple):
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
-def _step(problem: Problem, optimizer: Any, many: bool, raw, state, data: Data):
+def _step(problem: Problem, optimizer: Any, many: bool, raw: Any, state: Any, data: Data) -> Any:
     """One update of every start: new raw, new state, and loss, gradient norm, good runs at the old raw."""
     optimizer = optax.with_extra_args_support(optimizer)
 
-    def one(raw, state):
+    def one(raw: Any, state: Any) -> Any:
         e = evaluate(problem, raw, data)
         # a line search takes the runs that are good here, and refuses points where one of those fails
         line = data._replace(weight=jnp.where(e.good, data.weight, 0.0))
@@ -66,7 +66,7 @@ def _step(problem: Problem, optimizer: Any, many: bool, raw, state, data: Data):
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _score(problem: Problem, many: bool, raw, data: Data):
+def _score(problem: Problem, many: bool, raw: Any, data: Data) -> Any:
     """Value and good runs of every start."""
     one = lambda r: evaluate(problem, r, data, slopes=False)
     e = jax.vmap(one)(raw) if many else one(raw)
@@ -79,9 +79,9 @@ def fit(
     params: Any,
     steps: int,
     optimizer: optax.GradientTransformation | None = None,
-    arguments: tuple = (),
+    arguments: tuple[Any, ...] = (),
     validation: Callable[..., jax.Array] | Sequence[Callable[..., jax.Array]] | None = None,
-    validation_arguments: tuple = (),
+    validation_arguments: tuple[Any, ...] = (),
     progress: bool = False,
     *,
     cases: Sequence[Any] | Callable[[int], Sequence[Any]] | None = None,
@@ -166,7 +166,17 @@ def fit(
     return Fit(join(spec, at.best, params), at.score, history.rows, stopped, tuple(history.aside))
 
 
-def _job(loss, spec, params, arguments, cases, aggregate, clip, prior_weight, mesh) -> tuple[Problem, Data]:
+def _job(
+    loss: Any,
+    spec: Spec,
+    params: Any,
+    arguments: Any,
+    cases: Any,
+    aggregate: Any,
+    clip: Any,
+    prior_weight: float,
+    mesh: Any,
+) -> tuple[Problem, Data]:
     """The static part and the arrays of a loss."""
     losses = (loss,) if callable(loss) else tuple(loss)
     items = tuple(spec.items())
@@ -184,13 +194,13 @@ def _job(loss, spec, params, arguments, cases, aggregate, clip, prior_weight, me
 
 def _advance(
     at: TrainState,
-    train,
+    train: tuple[Problem, Data],
     judge: tuple[Problem, Data] | None,
     judged_apart: bool,
-    optimizer,
+    optimizer: Any,
     many: bool,
     history: "_History",
-    bar,
+    bar: Any,
 ) -> TrainState:
     """One step: evaluate, note, keep the best where there is a ``judge``, update, save."""
     raw, state, value, norm, good = _step(train[0], optimizer, many, at.raw, at.state, train[1])
@@ -223,14 +233,14 @@ def _advance(
 class _History:
     """The history in memory and on disk, the checkpoint, and which runs failed."""
 
-    def __init__(self, folder, identity: str, names: list[str], explain, spec: Spec, params: Any):
+    def __init__(self, folder: Any, identity: str, names: list[str], explain: Any, spec: Spec, params: Any) -> None:
         self.folder = None if folder is None else Path(folder)
         self.identity, self.names, self.explain, self.spec, self.params = identity, names, explain, spec, params
-        self.rows: list[dict] = []
+        self.rows: list[dict[str, Any]] = []
         self.digest = hashlib.sha256()  # of the lines written so far
-        self.aside: list[dict] = []
+        self.aside: list[dict[str, Any]] = []
 
-    def note(self, row: dict, raw: Any, good: np.ndarray) -> None:
+    def note(self, row: dict[str, Any], raw: Any, good: np.ndarray) -> None:
         """Complete the row of a step and write it."""
         known = {entry["index"] for entry in self.aside}
         for i in np.flatnonzero(~good).tolist() if good.size > 1 else []:

@@ -74,7 +74,7 @@ def scaled(unit: float) -> Transform:
 def interval(low: float, high: float) -> Transform:
     """Strictly between two bounds, by a logistic function."""
 
-    def inverse(value):
+    def inverse(value: Any) -> jax.Array:
         share = (value - low) / (high - low)
         return jnp.log(share) - jnp.log1p(-share)
 
@@ -113,12 +113,12 @@ def factor(n: int) -> Transform:
     """
     lower = np.tril_indices(n, -1)
 
-    def forward(raw):
+    def forward(raw: jax.Array) -> jax.Array:
         Z = jnp.zeros((n, n)).at[lower].set(raw[n:])
         rest = jnp.cumprod(jnp.concatenate([jnp.ones((n, 1)), 1 / jnp.cosh(Z[:, :-1])], 1), 1)
         return jnp.exp(raw[:n, None]) * (jnp.tanh(Z) + jnp.eye(n)) * rest
 
-    def inverse(value):
+    def inverse(value: Any) -> jax.Array:
         L = _matrix(value, n)
         square = jnp.cumsum(L[:, ::-1] ** 2, 1)[:, ::-1]  # of what is left of a row from each column on
         sinh = L[lower] / jnp.sqrt(square[lower[0], lower[1] + 1])

@@ -47,7 +47,7 @@ def information(
     ``keep`` (E,) bool: epochs that count. ``block`` (E,) int in [0, count): what is drawn together in the sandwich.
     """
 
-    def innovations(r):
+    def innovations(r: jax.Array) -> Any:
         info = solve(r)
         return (info.nu, info.S), (info.valid, rejected(info), info.ok)
 
@@ -67,7 +67,7 @@ def pushed(outputs: Callable[[jax.Array], tuple[Any, Any]], raw: jax.Array) -> t
     One copy of what is inside is compiled: its values come with the slopes, and all batches of directions are equal.
     """
 
-    def push(v):
+    def push(v: jax.Array) -> Any:
         values, slopes, rest = jax.jvp(outputs, (raw,), (v,), has_aux=True)
         return (values, rest), slopes
 
@@ -84,7 +84,7 @@ def rejected(info: Info) -> jax.Array:
     return (info.valid & ~info.used).any(-1)
 
 
-def gaussian(nu, S, valid, dnu, dS, heavy=False):
+def gaussian(nu: jax.Array, S: jax.Array, valid: jax.Array, dnu: jax.Array, dS: jax.Array, heavy: Any = False) -> Any:
     """Negative log-likelihood (), score (P,) and information (P, P) of a residual nu (m,) of covariance S (m, m).
 
     ``dnu`` (P, m) and ``dS`` (P, m, m) are their derivatives. Missing channels have nu = 0 and an identity row in S.

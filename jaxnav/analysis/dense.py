@@ -67,7 +67,10 @@ def _dense(
         begin, end, last = before(first.x, forward.a), predicted.x, forward.x
         P0, P1, P2 = before(first.P, forward.P), predicted.P, forward.P
 
-    def epoch(past, t0, begin, end, last, P0, P1, P2):
+    def epoch(
+        past: Nav, t0: jax.Array, begin: jax.Array, end: jax.Array, last: jax.Array, P0: jax.Array, P1: jax.Array,
+        P2: jax.Array,
+    ) -> tuple[Nav, jax.Array, jax.Array]:  # fmt: skip
         own = past.t > t0 + 1e-9
         share = jnp.clip((past.t - t0) / jnp.maximum(past.t[-1] - t0, 1e-9), 0.0, 1.0)
         final = jnp.arange(past.t.size) == past.t.size - 1

@@ -118,13 +118,13 @@ def _scores(rows: Row, sim: Simulated, limit: jax.Array) -> Scores:
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
-def _chunk(filt: Filter, scenario: Scenario, many: bool, params: Params, limit: jax.Array, keys: jax.Array):
+def _chunk(filt: Filter, scenario: Scenario, many: bool, params: Params, limit: jax.Array, keys: jax.Array) -> Any:
     """Scores, what the course is made of, and times, of the runs with these keys (chunk,)."""
 
-    def one(key):
+    def one(key: jax.Array) -> Any:
         sim = simulate(scenario, key)
 
-        def candidate(params):
+        def candidate(params: Params) -> Any:
             rows = run(filt, params, sim.initial, sim.epochs, _row, sim.truth)
             return _scores(rows, sim, limit), (_magnitudes(rows), rows.nees, rows.nis, rows.dof, rows.ok)
 

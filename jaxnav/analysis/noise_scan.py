@@ -171,7 +171,7 @@ def _scaled(params: Params, gyro: Any, accel: Any, *sd: Any) -> Params:
 class _Objective:
     """J over one part of a recording; epochs of a latency are cut once."""
 
-    def __init__(self, rec: Recording, params: Params, begin: Start, end: float, outages: Sequence) -> None:
+    def __init__(self, rec: Recording, params: Params, begin: Start, end: float, outages: Sequence[Any]) -> None:
         self.rec, self.begin, self.end, self.outages = rec, begin, end, outages
         self.rows = tuple(m for m in GNSS if m.name in rec.aiding)
         states = datasheet_states(GRADES["consumer"], BIASES) | params.states

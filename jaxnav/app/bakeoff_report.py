@@ -48,7 +48,9 @@ def verdict(found: Mapping[str, Entrant], plan: Plan) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _group(found: Mapping[str, Entrant], entrant: Entrant, part: slice, references: list[str], seed: int) -> dict:
+def _group(
+    found: Mapping[str, Entrant], entrant: Entrant, part: slice, references: list[str], seed: int
+) -> dict[str, Any]:
     """One filter on the kinds of ``part``."""
 
     def position(marks: Scores) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxnav.analysis.metrics import columns_at, told_by
 from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config
-from jaxnav.app.sources import simulated
+from jaxnav.app.sources import scenario_of, simulated
 from jaxnav.data import epochs as ep
 from jaxnav.data.bank import most_probable
 from jaxnav.filters.catalogue import build
@@ -215,7 +215,7 @@ def from_recording(config: Config) -> Material:
         f"kept aside to {split.stop:.0f} s; windows of {tune.outage_s:g} s in {tune.phases} runs, "
         f"{', '.join(str(int(b.scored.sum())) for b in batches)} of them"
     )
-    grade = pre.grade_of(config, pre.scenario_of(config))
+    grade = pre.grade_of(config, scenario_of(config))
     sheet = case.begun.given(pre.base_params(datasheet_only(config), grade, case.recording.lever_arm))
 
     def redraw(step: int) -> Batch:

@@ -9,7 +9,7 @@ position's RMS error over the runs: scenarios that are hard count no more than t
 import time
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -82,7 +82,7 @@ class Entrant(NamedTuple):
     before: Scores
     after: Scores
     note: str  # why it was not tuned, or empty
-    aside: tuple[dict, ...]  # runs that failed while tuning
+    aside: tuple[dict[str, Any], ...]  # runs that failed while tuning
     seconds: float
 
 
@@ -136,7 +136,7 @@ def loss_of(filt: Filter) -> Callable[[Params, ContestRuns], jax.Array]:
 def _errors(filt: Filter, params: Params, cases: ContestRuns) -> tuple[jax.Array, jax.Array, jax.Array]:
     """RMS of position m, velocity m/s and attitude deg (S, 3), the largest horizontal error (S,), finite (S,)."""
 
-    def one(case: ContestRuns):
+    def one(case: ContestRuns) -> tuple[jax.Array, jax.Array, jax.Array]:
         info = run(filt, applied(params, case.nominal), case.start, case.epochs)
         position = jax.vmap(metrics.position_error)(info.nav, case.truth.pos)
         turn = jax.vmap(lambda a, b: rotations.log(rotations.multiply(a, rotations.conjugate(b))))
@@ -212,7 +212,7 @@ def _enter(name: str, plan: Plan, runs: Runs, progress: bool, mesh: Mesh | None)
     ready = lambda cases: [case._replace(epochs=prepare(filt, case.epochs)) for case in cases]
     groups, order = together(runs.train)
     tuned, note = start, ""
-    aside: tuple[dict, ...] = ()
+    aside: tuple[dict[str, Any], ...] = ()
     try:
         done = fit(
             loss_of(filt), spec, start, b.steps, adam(b.steps, b.rate, 10.0), validation=loss_of(filt),
@@ -237,7 +237,7 @@ def filter_for(name: str, plan: Plan) -> Filter:
 
 def together(cases: list[ContestRuns]) -> tuple[list[ContestRuns], list[int]]:
     """Cases of equal shapes side by side, so that they share a program, and which run went where."""
-    groups: dict[tuple, list[tuple[int, ContestRuns]]] = {}
+    groups: dict[tuple[Any, ...], list[tuple[int, ContestRuns]]] = {}
     first = 0
     for case in cases:
         shapes = tuple(np.shape(a)[1:] for a in jax.tree.leaves(case))

@@ -16,7 +16,7 @@ from jaxnav.app.batches import Batch, ready
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import run
 from jaxnav.measurements import clock_offset
-from jaxnav.types import ConfigError, Info, Params
+from jaxnav.types import ConfigError, Info, Params, nearest
 from tuning import batch, objectives
 from tuning.transforms import merged
 
@@ -98,7 +98,7 @@ def score_of(name: str) -> Score:
     module, colon, function = name.partition(":")
     if not colon:
         known = [*OBJECTIVES, "module:function"]
-        raise ConfigError(f"tune.objective: no objective {name!r}: {configuration.nearest(name, known)}")
+        raise ConfigError(f"tune.objective: no objective {name!r}: {nearest(name, known)}")
     if (here := os.getcwd()) not in sys.path:  # the console script's path has not the current folder
         sys.path.append(here)
     try:
@@ -148,7 +148,7 @@ def aggregate(tune: configuration.Tune) -> batch.Aggregate:
     """
     ways: dict[str, Any] = {"mean": batch.mean, "tail": objectives.tail(tune.tail), "log_mean": objectives.log_mean}
     if tune.over_runs not in ways:
-        raise ConfigError(f"tune.over_runs: no way {tune.over_runs!r}: {configuration.nearest(tune.over_runs, ways)}")
+        raise ConfigError(f"tune.over_runs: no way {tune.over_runs!r}: {nearest(tune.over_runs, ways)}")
     signed = [name for name, w in tune.objective.items() if w and name in SIGNED]
     if tune.over_runs == "log_mean" and signed:
         raise ConfigError(f'tune.over_runs: "log_mean" is for positive objectives, {signed[0]} is a logarithm already')

@@ -136,7 +136,7 @@ def write(folder: Path, material: Material, found: Fit, leaves: list[str], resul
     write_json(folder / "metrics.json", result)
 
 
-def user_history(history: list[dict]) -> list[dict]:
+def user_history(history: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """One row a step with the parameters in a user's units."""
     # of one shape in every step, whether axes happen to agree in it or not
     in_units = lambda row: {name_of(leaf): user_value(leaf, v, False) for leaf, v in row["params"].items()}

@@ -11,6 +11,7 @@ import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -245,7 +246,7 @@ def _names(columns: tuple[Column, ...]) -> list[str]:
     return [column[0][0] for column in columns]
 
 
-def _read_about(path: Path) -> dict:
+def _read_about(path: Path) -> dict[str, Any]:
     """Name, lever arm and notes; the file may be absent."""
     about = {"name": "", "lever_arm_frd_m": [0.0, 0.0, 0.0], "notes": ""}
     if not path.exists():

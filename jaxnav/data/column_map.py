@@ -112,7 +112,7 @@ def _numbers(value: Any, size: int, where: str) -> list[float]:
 # ---------------------------------------------------------------------------- streams
 
 
-def _with_imu(parts: Parts, files: Files, table: dict) -> Parts:
+def _with_imu(parts: Parts, files: Files, table: dict[str, Any]) -> Parts:
     known(table, KEYS["imu"], f"{files.map}: imu")
     sampling = table.get("sampling", RATES)
     if sampling not in SAMPLINGS:
@@ -131,7 +131,7 @@ def _with_imu(parts: Parts, files: Files, table: dict) -> Parts:
     return parts._replace(imu=rows, axes=table.get("axes", "frd"), lines=None if lines is None else lines[keep])
 
 
-def _stream(files: Files, table: dict, name: str) -> Stream:
+def _stream(files: Files, table: dict[str, Any], name: str) -> Stream:
     known(table, KEYS.get(name, SCALAR), f"{files.map}: {name}")
     value = BUILD.get(name, _scalar)(files, table, name)
     t = times_of(files, table, name)
@@ -144,14 +144,14 @@ def _stream(files: Files, table: dict, name: str) -> Stream:
     return Stream(t[keep], value[keep], None if sd is None else np.broadcast_to(sd, value.shape)[keep])
 
 
-def _one(files: Files, table: dict, keys: tuple[str, ...], stream: str) -> str:
+def _one(files: Files, table: dict[str, Any], keys: tuple[str, ...], stream: str) -> str:
     found = [key for key in keys if key in table]
     if len(found) != 1:
         raise DataError(f"{files.map}: {stream}: expected one of the keys {', '.join(keys)}, got {len(found)}")
     return found[0]
 
 
-def _position(files: Files, table: dict, name: str) -> np.ndarray:
+def _position(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     key = _one(files, table, ("lla", "enu", "ned", "ecef"), name)
     values = table_of(files, table, key, name)
     if key == "lla":
@@ -166,7 +166,7 @@ def _position(files: Files, table: dict, name: str) -> np.ndarray:
     return local_to_lla(values if key == "enu" else ned_to_enu(values), files.origin)
 
 
-def _velocity(files: Files, table: dict, name: str) -> np.ndarray:
+def _velocity(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     key = _one(files, table, ("enu", "ned", "neu", "speed_course"), name)
     scale = units.factor(table, "unit", "speed", f"{files.map}: {name}", "m/s")
     if key != "speed_course":
@@ -182,18 +182,18 @@ def _velocity(files: Files, table: dict, name: str) -> np.ndarray:
     return np.stack([speed * scale * np.sin(course), speed * scale * np.cos(course), up], axis=1)
 
 
-def _field(files: Files, table: dict, name: str) -> np.ndarray:
+def _field(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     scale = units.factor(table, "unit", "field", f"{files.map}: {name}", "uT")
     return table_of(files, table, "value", name) * scale @ rotation(table.get("axes", "frd")).T
 
 
-def _baseline(files: Files, table: dict, name: str) -> np.ndarray:
+def _baseline(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     key = _one(files, table, ("enu", "ned"), name)
     value = table_of(files, table, key, name) * units.factor(table, "unit", "length", f"{files.map}: {name}", "m")
     return ned_to_enu(value) if key == "ned" else value
 
 
-def _wheels(files: Files, table: dict, name: str) -> np.ndarray:
+def _wheels(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     where = f"{files.map}: {name}"
     if "left" not in table or "right" not in table:
         raise DataError(f"{where}: expected the keys left and right")
@@ -206,13 +206,13 @@ def _wheels(files: Files, table: dict, name: str) -> np.ndarray:
     return value * radius * units.factor(table, "unit", "rate", where, "rad/s")
 
 
-def _mean(files: Files, table: dict, refs: Any, name: str) -> np.ndarray:
+def _mean(files: Files, table: dict[str, Any], refs: Any, name: str) -> np.ndarray:
     """A column, or the mean of several, as of the wheels of an axle."""
     columns = [column_of(files, table, ref, name) for ref in (refs if isinstance(refs, list) else [refs])]
     return side_by_side(files, columns, name).mean(axis=1)
 
 
-def _scalar(files: Files, table: dict, name: str) -> np.ndarray:
+def _scalar(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     if "value" not in table:
         raise DataError(f"{files.map}: {name}: expected a key value")
     value = _mean(files, table, table["value"], name)
@@ -228,7 +228,7 @@ BUILD = {
 """What makes the values of a stream; of every other one `_scalar`."""
 
 
-def _truth(files: Files, table: dict) -> Track:
+def _truth(files: Files, table: dict[str, Any]) -> Track:
     known(table, KEYS["truth"], f"{files.map}: truth")
     where = f"{files.map}: truth"
     lla = _position(files, table, "truth")

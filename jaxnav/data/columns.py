@@ -18,19 +18,19 @@ class Files(NamedTuple):
 
     map: str  # the file of the map, for messages
     folder: Path
-    opened: dict[tuple, Sheet]  # so that a file is read once
+    opened: dict[tuple[Any, ...], Sheet]  # so that a file is read once
     origin: np.ndarray | None  # (3,) lat, lon rad, h m of local metres
     zero: int  # s, subtracted from all times
 
 
-def known(table: dict, keys: tuple[str, ...], where: str) -> None:
+def known(table: dict[str, Any], keys: tuple[str, ...], where: str) -> None:
     """DataError for the first key that is not one of ``keys``, with the nearest."""
     for key in table:
         if key not in keys:
             raise DataError(f"{where}: {key}: unknown key; {units.nearest(key, keys)}")
 
 
-def sheet_of(files: Files, table: dict, ref: Any, key: str) -> tuple[Sheet, str]:
+def sheet_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> tuple[Sheet, str]:
     """The sheet and the column's name in it, of ``COLUMN`` or, where ``file`` is a table, ``FILE:COLUMN``."""
     name, _, rest = str(ref).partition(":")
     file = table.get("file")
@@ -59,13 +59,13 @@ def _found(files: Files, pattern: str) -> Path:
     return found[0]
 
 
-def column_of(files: Files, table: dict, ref: Any, key: str) -> np.ndarray:
+def column_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> np.ndarray:
     """(N,) numbers of one column."""
     sheet, name = sheet_of(files, table, ref, key)
     return numbers(sheet, name)
 
 
-def table_of(files: Files, table: dict, key: str, stream: str, size: int = 3) -> np.ndarray:
+def table_of(files: Files, table: dict[str, Any], key: str, stream: str, size: int = 3) -> np.ndarray:
     """(N, size) of the columns that ``key`` of the table lists."""
     refs = table.get(key)
     if not isinstance(refs, list) or len(refs) != size:
@@ -81,7 +81,7 @@ def side_by_side(files: Files, columns: list[np.ndarray], stream: str) -> np.nda
     return np.stack(columns, axis=1)
 
 
-def times_of(files: Files, table: dict, stream: str) -> np.ndarray:
+def times_of(files: Files, table: dict[str, Any], stream: str) -> np.ndarray:
     """(N,) s, by the column ``time`` or, at ``rate_hz``, by the number of the row.
 
     With ``time_tag``, an RTKLIB time tag, the column counts ticks, which are stretched to the tag's.
@@ -103,7 +103,7 @@ def times_of(files: Files, table: dict, stream: str) -> np.ndarray:
     return (start - files.zero) + (tick - inner[0]) * (last / (inner[-1] - inner[0])) + shift
 
 
-def _skipped(files: Files, table: dict, stream: str, n: int) -> slice:
+def _skipped(files: Files, table: dict[str, Any], stream: str, n: int) -> slice:
     """All rows but those that ``skip = [first, last]`` leaves out at the start and at the end."""
     skip = table.get("skip", [0, 0])
     if len(skip) != 2 or min(skip) < 0 or sum(skip) > n - 2:
@@ -111,7 +111,7 @@ def _skipped(files: Files, table: dict, stream: str, n: int) -> slice:
     return slice(skip[0], n - skip[1])
 
 
-def rows_of(files: Files, table: dict, stream: str, n: int) -> np.ndarray:
+def rows_of(files: Files, table: dict[str, Any], stream: str, n: int) -> np.ndarray:
     """(N,) bool, rows not to ``skip`` that meet all of ``where`` and are new in one of the columns of ``new_where``."""
     keep = np.zeros(n, bool)
     keep[_skipped(files, table, stream, n)] = True
@@ -129,7 +129,7 @@ def rows_of(files: Files, table: dict, stream: str, n: int) -> np.ndarray:
     return keep
 
 
-def sd_of(files: Files, table: dict, stream: str, size: int) -> np.ndarray | None:
+def sd_of(files: Files, table: dict[str, Any], stream: str, size: int) -> np.ndarray | None:
     """(N or 1, size) sd, ENU; None where the table says none."""
     given = [key for key in ("sd", "sd_enu", "sd_ned") if key in table]
     if not given:
@@ -142,7 +142,7 @@ def sd_of(files: Files, table: dict, stream: str, size: int) -> np.ndarray | Non
     return np.stack(columns, axis=1)[:, [1, 0, 2] if given[0] == "sd_ned" else slice(None)]
 
 
-def _sd(files: Files, table: dict, entry: Any, stream: str) -> Any:
+def _sd(files: Files, table: dict[str, Any], entry: Any, stream: str) -> Any:
     """A number, a column, or ``{column = "HDOP", times = 2.5}``."""
     if isinstance(entry, (int, float)):
         return float(entry)

@@ -7,7 +7,7 @@ Regular, irregular, late and missing fixes then have one shape, and hiding a fix
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -277,7 +277,7 @@ def spreads(imu: ImuLog, t: np.ndarray, window: float) -> tuple[np.ndarray, np.n
     first = np.searchsorted(imu.t, t - window + TICK)
     n = np.maximum(last - first, 1)[:, None]
 
-    def spread(a):
+    def spread(a: Any) -> Any:
         a = a - a.mean(0)
         mean = (sums(a)[last] - sums(a)[first]) / n
         var = (sums(a**2)[last] - sums(a**2)[first]) / n - mean**2
@@ -323,7 +323,7 @@ def constraint_samples(
     and zero rate there.
     """
 
-    def samples(t, value):
+    def samples(t: np.ndarray, value: np.ndarray) -> Samples:
         return Samples(t, value, np.ones_like(value), np.zeros_like(value))
 
     held = (("nonholonomic", 2, nonholonomic), ("sideslip", 1, sideslip), ("level", 1, level))

@@ -74,7 +74,7 @@ def parse_numbers(
     width: int,
     path: FilePath,
     names: tuple[str, ...] = (),
-    nan: frozenset = frozenset(),
+    nan: frozenset[str] = frozenset(),
 ) -> Table:
     """Cells of text to a table of ``width`` columns; ``nan`` names the columns where nan is allowed."""
     file, values = os.fspath(path), []
@@ -104,7 +104,7 @@ def read_columns(path: FilePath, width: int, delimiter: str | None = None, notes
     return parse_numbers([(i, line.split(delimiter)) for i, line in read_lines(path, notes)], width, path)
 
 
-def read_csv(path: FilePath, nan: frozenset = frozenset(), notes: list[str] | None = None) -> Table:
+def read_csv(path: FilePath, nan: frozenset[str] = frozenset(), notes: list[str] | None = None) -> Table:
     """A comma-separated table whose first line names the columns; ``notes`` as in `read_lines`."""
     lines = read_lines(path, notes)
     if not lines:

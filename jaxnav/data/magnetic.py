@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxnav.maths.units import DEG
-from jaxnav.measurements import MAGNETOMETER
+from jaxnav.measurements.magnetometer import MAGNETOMETER
 from jaxnav.types import Params
 
 YEAR = 2025.0  # that the field is looked up for: declination changes by 0.2 deg a year at most, far from the poles

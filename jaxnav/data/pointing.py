@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxnav.data.magnetic import field_of, heading_of
 from jaxnav.maths.units import DEG
-from jaxnav.measurements import HEADING
+from jaxnav.measurements.direction import HEADING
 from jaxnav.types import Params, Recording
 
 USABLE = 20 * DEG  # sd of a heading that one filter can still start with

@@ -2,6 +2,7 @@
 
 import json
 import os
+from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -95,7 +96,7 @@ def write_geojson(path: FilePath, track: Track, fixes: Samples | None = None, na
     atomic_write(path, json.dumps({"type": "FeatureCollection", "features": features}) + "\n")
 
 
-def _feature(kind: str, lla: np.ndarray, properties: dict) -> dict:
+def _feature(kind: str, lla: np.ndarray, properties: dict[str, Any]) -> dict[str, Any]:
     places = [[round(lon / DEG, 10), round(lat / DEG, 10), round(h, 4)] for lat, lon, h in lla.tolist()]
     return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": places}}
 

@@ -1,6 +1,7 @@
 """Units that files come in, by quantity: factors to SI (magnetic field: microtesla). Only for the border."""
 
 import difflib
+from typing import Any
 
 import numpy as np
 
@@ -19,13 +20,13 @@ PRESSURE = {"Pa": 1.0, "hPa": 100.0, "kPa": 1000.0}
 SEA_LEVEL = 101325.0  # Pa, standard atmosphere
 
 
-def nearest(word: str, known: tuple[str, ...] | dict) -> str:
+def nearest(word: str, known: tuple[str, ...] | dict[str, Any]) -> str:
     """``did you mean X?`` or what is known."""
     near = difflib.get_close_matches(word, list(known), n=1)
     return f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}, got {word!r}"
 
 
-def factor(table: dict, key: str, kind: str, where: str, default: str | None = None) -> float:
+def factor(table: dict[str, Any], key: str, kind: str, where: str, default: str | None = None) -> float:
     """The factor to SI of the unit that ``key`` of a table names.
 
     Raises:

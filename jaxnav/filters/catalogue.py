@@ -30,9 +30,9 @@ from jaxnav.types import Params, nearest
 class Frame(NamedTuple):
     """How a filter navigates; its error model has the same name."""
 
-    propagate: Callable  # the plain form
-    fast: Callable | None = None  # equal to it by test
-    preintegrate: Callable | None = None  # what the fast form can do before it knows the state
+    propagate: Callable[..., Any]  # the plain form
+    fast: Callable[..., Any] | None = None  # equal to it by test
+    preintegrate: Callable[..., Any] | None = None  # what the fast form can do before it knows the state
 
 
 FRAMES: dict[str, Frame] = {

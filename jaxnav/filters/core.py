@@ -181,7 +181,7 @@ def depending(params: Params, a: jax.Array) -> jax.Array:
 
 
 @depending.defjvp
-def _depending_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+def _depending_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
     leaves = [t.sum() for t in jax.tree.leaves(tangents[0]) if t.dtype != jax.dtypes.float0]
     return primals[1], tangents[1] + jnp.where(False, sum(leaves), 0.0)
 
@@ -227,13 +227,13 @@ def shift(past: Nav, recent: Nav, n: jax.Array) -> Nav:
 
 @cache
 def make_filter(
-    propagate: Callable,
+    propagate: Callable[..., Any],
     model: ErrorModel,
     rule: Rule,
     feedback: Feedback,
     cov_stride: int = 1,
     history: int = 2,
-    preintegrate: Callable | None = None,
+    preintegrate: Callable[..., Any] | None = None,
 ) -> Filter:
     """Compose a filter.
 

@@ -146,7 +146,9 @@ def error_model(
                 together = together.at[places[name]].set(rows[3 * i : 3 * i + 3])
         return sd[:, None] * jnp.concatenate([jnp.diag(alone), together], 1)
 
-    def transition(params: Params, points: ErrorInputs, T: jax.Array, u: Forcing | None):
+    def transition(
+        params: Params, points: ErrorInputs, T: jax.Array, u: Forcing | None
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
         # W in GPID eq. 29 is lumped: over an epoch of a second it changes the gains of the attitude
         lumped = form == "simple" and frame == "local_level"
         return discretize(partial(motion.dynamics, form=form), params, own, points, T, u, lumped)

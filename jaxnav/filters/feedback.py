@@ -3,21 +3,25 @@
 u is None but for an observer. T is the length of the epoch, or the time between fixes of one kind where that is longer.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxnav.states.motion import A, P, V
-from jaxnav.types import Forcing
+from jaxnav.types import Forcing, Nav
+
+Retract = Callable[[Nav, jax.Array], Nav]
+Applied = tuple[Nav, jax.Array, Forcing | None]
 
 
-def reset(theta, retract, nav, x, T):
+def reset(theta: Any, retract: Retract, nav: Nav, x: jax.Array, T: jax.Array) -> Applied:
     """Closed loop: the error is removed from navigation and its estimate starts again from zero."""
     return retract(nav, x), jnp.zeros_like(x), None
 
 
-def open_loop(theta, retract, nav, x, T):
+def open_loop(theta: Any, retract: Retract, nav: Nav, x: jax.Array, T: jax.Array) -> Applied:
     """Navigation runs free and the filter carries the whole error: only while that stays small enough to be linear."""
     return nav, x, None
 
@@ -34,7 +38,7 @@ def poles(attitude: float = 1.0, position: float = 1.0) -> Poles:
     return Poles(jnp.asarray(attitude, float), jnp.asarray(position, float))
 
 
-def observer(theta: Poles, retract, nav, x, T):
+def observer(theta: Poles, retract: Retract, nav: Nav, x: jax.Array, T: jax.Array) -> Applied:
     """Continuous correction (FWEKF paper, eqs. 17-20): rates and accelerations drive the error to zero.
 
     The paper has gains for continuous time and no values of them. With its poles at tau they are 1/tau, 1/tau^2 and

@@ -96,7 +96,7 @@ def strong(tree: Any) -> Any:
     return jax.tree.map(lambda v: jnp.asarray(v, float), tree, is_leaf=lambda v: isinstance(v, tuple) and _plain(v))
 
 
-def _plain(v: tuple) -> bool:
+def _plain(v: tuple[Any, ...]) -> bool:
     return not hasattr(v, "_fields") and all(isinstance(x, (int, float, tuple)) for x in v) and len(v) > 0
 
 

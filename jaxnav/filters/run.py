@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from scipy.special import gammaln
 
-from jaxnav.filters.core import Filter, Step
+from jaxnav.filters.core import Filter, FilterState, Step
 from jaxnav.filters.parameters import UNITS, datasheet_params, get, has
 from jaxnav.maths import linalg, rotations
 from jaxnav.states.table import STATES
@@ -40,7 +40,7 @@ def require_shapes(filt: Filter, nav: Nav, epochs: Epoch) -> None:
     """
     imu, fix, m = epochs.imu, epochs.fix, filt.model.n_channels
     E = jnp.shape(fix.valid)[0] if jnp.ndim(fix.valid) else 0
-    expected: dict[str, tuple[Any, tuple]] = {
+    expected: dict[str, tuple[Any, tuple[Any, ...]]] = {
         "nav.pos": (nav.pos, (3,)),
         "nav.vel": (nav.vel, (3,)),
         "nav.q": (nav.q, (4,)),
@@ -175,7 +175,7 @@ def run(
     require_shapes(filt, nav, epochs)
 
     @jax.checkpoint
-    def one(state, i):
+    def one(state: FilterState, i: jax.Array) -> tuple[FilterState, Any]:
         # looked up rather than scanned over: a scan under vmap first copies all its data, time to the front
         epoch, beside = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, keepdims=False), (epochs, along))
         step = filt.advance(params, state, epoch)

@@ -95,7 +95,7 @@ def backward(forward: Forward) -> tuple[jax.Array, jax.Array]:
     later = jax.tree.map(lambda a: a[1:], forward)
     here = jax.tree.map(lambda a: a[:-1], forward)
 
-    def back(carry, pair):
+    def back(carry: Any, pair: Any) -> Any:
         found = one_back(*pair, *carry)
         return found, found
 

@@ -23,12 +23,12 @@ def split(a: Any) -> tuple[jax.Array, ...]:
     return tuple(jnp.unstack(jnp.asarray(a), axis=-1))
 
 
-def add(*vectors: tuple) -> tuple:
+def add(*vectors: tuple[Any, ...]) -> tuple[Any, ...]:
     """The sum, component by component."""
     return tuple(sum(c[1:], c[0]) for c in zip(*vectors, strict=True))
 
 
-def scale(s: Any, v: tuple) -> tuple:
+def scale(s: Any, v: tuple[Any, ...]) -> tuple[Any, ...]:
     """S v."""
     return tuple(s * c for c in v)
 
@@ -56,7 +56,7 @@ def products(first: Quaternion, steps: Quaternion) -> Quaternion:
     a gradient walks back through no loop.
     """
 
-    def turn(q, step):
+    def turn(q: Quaternion, step: Quaternion) -> tuple[Quaternion, Quaternion]:
         q = multiply(q, step)
         return q, q
 
@@ -64,7 +64,7 @@ def products(first: Quaternion, steps: Quaternion) -> Quaternion:
 
 
 @products.defjvp
-def _products_jvp(primals: tuple, tangents: tuple) -> tuple[Quaternion, Quaternion]:
+def _products_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Quaternion, Quaternion]:
     (first, steps), (d_first, d_steps) = primals, tangents
     q = products(first, steps)
     start = tuple(before(a, b) for a, b in zip(first, q, strict=True))
@@ -128,7 +128,7 @@ def running(a: jax.Array) -> jax.Array:
     In a scan, which costs a batch a fraction of what `jnp.cumsum`, there a reduction over windows, does.
     """
 
-    def step(total, x):
+    def step(total: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         total = total + x
         return total, total
 

@@ -1,5 +1,7 @@
 """The small linear algebra that every filter shares."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +25,7 @@ def times(A: jax.Array, B: jax.Array) -> jax.Array:
 
 
 @times.defjvp
-def _times_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+def _times_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
     (A, B), (dA, dB) = primals, tangents
     return A @ B, dA @ B + _applied(A, dB)
 
@@ -35,7 +37,7 @@ def sandwich(A: jax.Array, P: jax.Array) -> jax.Array:
 
 
 @sandwich.defjvp
-def _sandwich_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+def _sandwich_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
     (A, P), (dA, dP) = primals, tangents
     AP = A @ P
     half = _with_rows(dA, AP)
@@ -49,7 +51,7 @@ def square(W: jax.Array) -> jax.Array:
 
 
 @square.defjvp
-def _square_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+def _square_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
     half = _with_rows(*tangents, *primals)
     return square(*primals), half + half.T
 
@@ -73,7 +75,7 @@ def _swept(S: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @_swept.defjvp
-def _swept_jvp(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
+def _swept_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     (S,), (dS,) = primals, tangents
     inv, log_det = _swept(S)
     return (inv, log_det), (-_applied(inv, _with_rows(dS, inv)), jnp.sum(inv * dS))
@@ -101,7 +103,7 @@ def normalized(v: jax.Array, S: jax.Array) -> jax.Array:
 
 
 @normalized.defjvp
-def _normalized_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+def _normalized_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
     (v, S), (dv, dS) = primals, tangents
     w = solve(S, v)
     return v @ w, w @ (2 * dv - dS @ w)
@@ -123,7 +125,7 @@ def update(P: jax.Array, H: jax.Array, R: jax.Array) -> tuple[jax.Array, jax.Arr
 
 
 @update.defjvp
-def _update_jvp(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
+def _update_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """In closed form: P after the correction does not change with the gain, which is the best one.
 
     Parellier, Barrau and Bonnabel (2023) walk back through the filter so; transposed, this is their step.

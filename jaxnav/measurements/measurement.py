@@ -175,7 +175,9 @@ def stack(
     # of attitude and the optional states, those whose effect turns with the attitude
     in_body = np.concatenate([np.ones(3), *(np.full(s.size, float(s.enters is not None)) for s in states)])
 
-    def observe(params: Params, past: Nav, fix: Fix, P: jax.Array | None = None):
+    def observe(
+        params: Params, past: Nav, fix: Fix, P: jax.Array | None = None
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
         parts, now = [], jax.tree.map(lambda a: a[-1], past)
         local_now = leave(now) if leave else now
         J = enu_rows(now, local_now) if enu_rows else None
@@ -192,7 +194,9 @@ def stack(
             if clock:
                 age = age + now.errors["clock_offset"][0]
 
-            def seen(age: jax.Array, each=each, theta=theta, own=own) -> tuple[Nav, Nav, Observation]:
+            def seen(
+                age: jax.Array, each: Measurement = each, theta: Any = theta, own: Fix = own
+            ) -> tuple[Nav, Nav, Observation]:
                 nav = at(past, now.t - age)
                 local = leave(nav) if leave else nav
                 kin = Kinematics(local.pos, local.vel, rotations.to_dcm(local.q))

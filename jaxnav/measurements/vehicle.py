@@ -1,6 +1,6 @@
 """What a vehicle on the ground shows: wheels neither slide nor lift, how fast they roll, and that it stays level."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -84,7 +84,7 @@ def observe_wheels(theta: WheelsParams, mounting: Mounting, nav: Nav, kin: Kinem
     return _rolled(theta, [vehicle_velocity(mounting, nav, kin, side) for side in sides], nav, fix)
 
 
-def _rolled(theta: SpeedParams | WheelsParams, points: list, nav: Nav, fix: Fix) -> Observation:
+def _rolled(theta: SpeedParams | WheelsParams, points: list[Any], nav: Nav, fix: Fix) -> Observation:
     """What wheels at points, (velocity, rows) of `vehicle_velocity`, read forward."""
     scale = 1 + theta.scale + nav.errors.get("odometer_scale", jnp.zeros(1))[0]
     v = jnp.stack([velocity[0] for velocity, _ in points])

@@ -70,7 +70,7 @@ def _slow(key: jax.Array, velocity: jax.Array, interval: float, receiver: Receiv
     if not receiver.integrates_velocity:
         return slow
 
-    def add(sum_, error):
+    def add(sum_: jax.Array, error: jax.Array) -> tuple[jax.Array, jax.Array]:
         sum_ = np.exp(-interval / tau) * sum_ + interval * error
         return sum_, sum_
 

@@ -1,6 +1,6 @@
 """Named tuples that stand for what a compiled function is made for."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 Class = TypeVar("Class", bound=type)
 
@@ -12,13 +12,13 @@ def told_apart(cls: Class) -> Class:
     offset of the same numbers, and its compiled program used.
     """
 
-    def same(self: tuple, other: object) -> bool:
-        return type(self) is type(other) and tuple(self) == tuple(other)  # type: ignore[arg-type]
+    def same(self: tuple[Any, ...], other: object) -> bool:
+        return type(self) is type(other) and tuple(self) == tuple(other)
 
-    def differs(self: tuple, other: object) -> bool:
+    def differs(self: tuple[Any, ...], other: object) -> bool:
         return not same(self, other)
 
-    def code(self: tuple) -> int:
+    def code(self: tuple[Any, ...]) -> int:
         return hash((cls.__name__, *self))
 
     for name, method in (("__eq__", same), ("__ne__", differs), ("__hash__", code)):

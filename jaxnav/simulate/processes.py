@@ -12,7 +12,7 @@ def gauss_markov(white: jax.Array, dt: ArrayLike, tau: ArrayLike) -> jax.Array:
     share = jnp.asarray(dt / tau, float)
     decay, drive = jnp.exp(-share), jnp.sqrt(-jnp.expm1(-2 * share))
 
-    def advance(b, w):
+    def advance(b: jax.Array, w: jax.Array) -> tuple[jax.Array, jax.Array]:
         b = decay * b + drive * w
         return b, b
 

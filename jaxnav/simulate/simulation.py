@@ -3,7 +3,7 @@
 Each purpose has its own key folded in: another GNSS noise, IMU or start does not change the drive.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -153,7 +153,7 @@ simulate_jit = jax.jit(simulate, static_argnums=0)
 """`simulate`, compiled once for a scenario."""
 
 
-def matched_params(scenario: Scenario, rule=(), feedback=()) -> Params:
+def matched_params(scenario: Scenario, rule: Any = (), feedback: Any = ()) -> Params:
     """The parameters that know what was simulated: the grade's datasheet, and the scenario's prior and installation.
 
     Of the errors beyond a grade's datasheet they know nothing, nor of faults and correlated noise.

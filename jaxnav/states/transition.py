@@ -123,7 +123,7 @@ def _blocks(dynamics: Callable[[ErrorInputs], Blocks], point: ErrorInputs) -> tu
     """The fast blocks as maps and the slow ones, at one point; none but A depends on specific force."""
     eye = jnp.eye(3)
 
-    def at(force):
+    def at(force: jax.Array) -> tuple[jax.Array, Blocks]:
         blocks = dynamics(point._replace(C=eye, force=force))
         return blocks.pop(("velocity", "attitude")), blocks
 

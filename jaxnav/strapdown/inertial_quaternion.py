@@ -14,6 +14,8 @@ Gravity is the project's, which contains the centrifugal part. The paper's eq. 1
 gravity held at its value at the origin; here it must not stand a second time.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -69,7 +71,7 @@ def propagate(
     t = nav.t + jnp.cumsum(inc.dt)
     A = jax.vmap(lambda t: rotations.to_dcm(turned(nav.origin, t)))(t - inc.dt)  # at each sample's start
 
-    def sample(carry, x):
+    def sample(carry: Any, x: Any) -> Any:
         q, v, r = carry
         dt, theta, dv_b, A = x
         thrust = A @ (rotations.to_dcm(q) @ dv_b)

@@ -12,6 +12,8 @@ time: velocity by the midpoint rule, position with the mean velocity, latitude a
 `jaxnav.strapdown.fast.local_level` is the same several times faster, equal by test (tests/strapdown/test_plain.py).
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -33,14 +35,14 @@ def propagate(
     inc = increments(nav, imu)
     s, a = u or (jnp.zeros(3), jnp.zeros(3))
 
-    def sample(carry, x):
+    def sample(carry: Any, x: Any) -> Any:
         q, v, lla = carry
         dt, theta, dv_b = x
         half = lla + 0.5 * dt * jnp.stack([v[1] / earth.A, jnp.zeros_like(dt), v[2]])  # half-way; lon does not matter
         lat, _, h = half
         w_ie, g = earth.earth_rate(lat), jnp.array([0.0, 0.0, -1.0]) * earth.gravity(lat, h)
 
-        def gravity_coriolis(v):  # what is not specific force: gravity, Coriolis, transport
+        def gravity_coriolis(v: jax.Array) -> jax.Array:  # what is not specific force: gravity, Coriolis, transport
             return dt * (g + a - jnp.cross(2 * w_ie + earth.transport_rate(lat, h, v), v))
 
         dv_n = rotations.to_dcm(q) @ dv_b

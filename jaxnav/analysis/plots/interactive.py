@@ -127,7 +127,7 @@ def _sd(sol: "Trace", shared: Any, outages: Outages) -> list[Any]:
                         ("roll", "pitch", "heading"))]  # fmt: skip
 
 
-def _innovations(sol: "Trace", measurements: tuple, shared: Any, outages: Outages) -> list[Any]:
+def _innovations(sol: "Trace", measurements: tuple[Any, ...], shared: Any, outages: Outages) -> list[Any]:
     from bokeh.models import Span
 
     from jaxnav.measurements import layout

@@ -4,7 +4,7 @@ import os
 import re
 import struct
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -112,10 +112,10 @@ def _format(kind: str, columns: str, name: str) -> Format | None:
     return Format(name, names, kind, struct.Struct("<" + "".join(CODES[c][0] for c in kind)))
 
 
-def _binary(data: bytes) -> tuple[dict[str, list], dict[str, Format], str]:
+def _binary(data: bytes) -> tuple[dict[str, list[Any]], dict[str, Format], str]:
     """Rows by name, formats, and what was passed over: from a damaged message to the next sync bytes."""
     formats: dict[int, Format] = {}
-    rows: dict[str, list] = {}
+    rows: dict[str, list[Any]] = {}
     sizes = {FMT: FMT_SIZE}
     at = used = 0
     while (at := data.find(SYNC, at)) >= 0 and at + 3 <= len(data):
@@ -147,9 +147,9 @@ def _word(data: bytes) -> str:
     return data.split(b"\0")[0].decode("ascii", errors="replace")
 
 
-def _text(data: bytes) -> tuple[dict[str, list], dict[str, Format], str]:
+def _text(data: bytes) -> tuple[dict[str, list[Any]], dict[str, Format], str]:
     formats: dict[str, Format] = {}
-    rows: dict[str, list] = {}
+    rows: dict[str, list[Any]] = {}
     lines = data.decode(errors="replace").split("\n")
     passed = 1 if lines.pop().strip() else 0  # what follows the last line end was cut
     for line in lines:
@@ -171,7 +171,7 @@ def _text(data: bytes) -> tuple[dict[str, list], dict[str, Format], str]:
     return rows, formats, f"{passed} lines" if passed else ""
 
 
-def _instance(logged: dict[str, dict], name: str, number: int) -> dict[str, np.ndarray] | None:
+def _instance(logged: dict[str, dict[str, Any]], name: str, number: int) -> dict[str, np.ndarray] | None:
     """Messages of one sensor: by its column ``I`` or ``Instance``, by the name's last digit (IMU, IMU2) in the past."""
     data = logged.get(name)
     key = next((key for key in ("I", "Instance") if data is not None and key in data), None)
@@ -195,7 +195,7 @@ def _columns(data: dict[str, np.ndarray], *names: str) -> np.ndarray:
     return np.stack([data[name] for name in names], axis=1)
 
 
-def _gps(logged: dict[str, dict], notes: list[str], number: int) -> dict[str, Stream]:
+def _gps(logged: dict[str, dict[str, Any]], notes: list[str], number: int) -> dict[str, Stream]:
     gps, accuracy = _instance(logged, "GPS", number), _instance(logged, "GPA", number)
     if gps is None:
         return {}

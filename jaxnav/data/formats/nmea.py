@@ -135,7 +135,13 @@ def _stamp(day: float | None, second: float, last: float) -> float | None:
 
 
 def _parts(
-    path: Path, fixes: list[Any], motion: list[Any], spread: dict, first_day: float, leap: float, scale: float
+    path: Path,
+    fixes: list[Any],
+    motion: list[Any],
+    spread: dict[float, list[Any]],
+    first_day: float,
+    leap: float,
+    scale: float,
 ) -> Parts:
     notes = []
     t = np.array([second + first_day if stamp is None else stamp for stamp, second, _, _ in fixes]) + leap
@@ -153,7 +159,7 @@ def _parts(
     return Parts(os.fspath(path), aiding=streams, notes=tuple(notes))
 
 
-def _sd(gst: list | None, hdop: Any, scale: float) -> list[float]:
+def _sd(gst: list[Any] | None, hdop: Any, scale: float) -> list[float]:
     if gst is not None and all(isinstance(x, (int, float)) and x > 0 for x in gst):
         return gst
     horizontal = scale * (hdop if isinstance(hdop, (int, float)) else np.nan)

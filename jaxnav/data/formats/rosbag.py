@@ -98,7 +98,7 @@ def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[st
     return chosen
 
 
-def _parts(file: str, rows: dict[str, list], stamps: dict[str, list[int]], notes: list[str]) -> Parts:
+def _parts(file: str, rows: dict[str, list[Any]], stamps: dict[str, list[int]], notes: list[str]) -> Parts:
     first = min((s[0] for s in stamps.values() if s), default=0)
     zero = first // 10**9 * 10**9  # whole seconds: a float would round the nanoseconds of 1970
     notes.append(f"t = 0 is {zero // 10**9} s since 1970 by the headers' stamps.")

@@ -70,7 +70,7 @@ def over_blocks(valid: jax.Array, a: jax.Array) -> jax.Array:
     return jnp.where(here, by_block(a), 0.0).sum(1) / jnp.maximum(here.sum(1), 1)
 
 
-def inputs(doubt: jax.Array, past: Window, z: Innovation, R: jax.Array, witness: int):
+def inputs(doubt: jax.Array, past: Window, z: Innovation, R: jax.Array, witness: int) -> Any:
     """The mean m (), the sizes e (m / 3,), and the mean square of the residuals in units of the channel, (m / 3,)."""
     count = past.valid.sum(0)
     residual = jnp.where(past.valid, past.residual, 0.0)
@@ -85,7 +85,9 @@ def inputs(doubt: jax.Array, past: Window, z: Innovation, R: jax.Array, witness:
 
 
 @cache
-def fuzzy_combined(n: int = 20, table=TABLE, conjunction: fuzzy.Conjunction = fuzzy.product, witness: int = -1) -> Rule:
+def fuzzy_combined(
+    n: int = 20, table: Any = TABLE, conjunction: fuzzy.Conjunction = fuzzy.product, witness: int = -1
+) -> Rule:
     """The rule with a window of ``n`` fixes; its channels come in blocks of three, of which ``witness`` is one."""
 
     def decide(theta: Combined, m: jax.Array, e: jax.Array) -> tuple[jax.Array, jax.Array]:

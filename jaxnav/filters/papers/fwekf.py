@@ -23,7 +23,7 @@ filter's answer then has no kink where its weight crosses 1.
 
 from collections.abc import Callable
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -145,7 +145,7 @@ def weighted(z: Innovation, R: jax.Array) -> tuple[jax.Array, jax.Array]:
 @cache
 def fwekf(
     n: int = 50,
-    table=TABLE,
+    table: Any = TABLE,
     conjunction: fuzzy.Conjunction = fuzzy.product,
     seen: Callable[[Window, Innovation], jax.Array] = inputs,
 ) -> Rule:
@@ -173,7 +173,7 @@ class Literal(NamedTuple):
 
 
 @cache
-def fwekf_literal(n: int = 50, table=TABLE, conjunction: fuzzy.Conjunction = fuzzy.product) -> Rule:
+def fwekf_literal(n: int = 50, table: Any = TABLE, conjunction: fuzzy.Conjunction = fuzzy.product) -> Rule:
     """The weights as printed, R a^(-2(k+1)) and Q a^(-2(k+1)), for comparison with `fwekf`.
 
     Its covariance shrinks by a^-2 a fix, and is reported so; what is carried on is multiplied back, so that the model's

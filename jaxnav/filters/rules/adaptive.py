@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxnav.filters.core import Correction, Innovation, Rule
+from jaxnav.filters.core import Correction, Extrapolate, Innovation, Rule
 from jaxnav.filters.rules.robust import inflated, require_plain
 
 
@@ -21,10 +21,10 @@ class ScaleMemory(NamedTuple):
     rule: Any
 
 
-def _passed_on(rule: Rule):
+def _passed_on(rule: Rule) -> Extrapolate:
     """Extrapolation is the inner rule's."""
 
-    def extrapolate(theta: Any, memory: ScaleMemory, x0: jax.Array, x: jax.Array):
+    def extrapolate(theta: Any, memory: ScaleMemory, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, ScaleMemory]:
         x, inner = rule.extrapolate(theta.rule, memory.rule, x0, x)
         return x, memory._replace(rule=inner)
 

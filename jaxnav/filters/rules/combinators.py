@@ -1,6 +1,7 @@
 """Rules made of rules."""
 
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ def only(rule: Rule, channels: tuple[int, ...]) -> Rule:
     """
     own = np.array(channels, int)
 
-    def correct(theta, memory, z: Innovation) -> Correction:
+    def correct(theta: Any, memory: Any, z: Innovation) -> Correction:
         other = np.setdiff1d(np.arange(z.nu.size), own)
         part = z._replace(nu=z.nu[own], H=z.H[own], R=z.R[np.ix_(own, own)], valid=z.valid[own], age=z.age[own])
         c = only_if(part.valid.any(), rule.correct(theta, memory, part), part, memory)
@@ -28,12 +29,12 @@ def only(rule: Rule, channels: tuple[int, ...]) -> Rule:
         used = jnp.zeros_like(z.valid).at[own].set(c.used).at[other].set(k.used)
         return c._replace(delta=c.delta + k.delta, P=k.P, used=used)
 
-    def init(n: int, m: int):
+    def init(n: int, m: int) -> Any:
         if own.max(initial=-1) >= m:
             raise ValueError(f"the rule is to see {own.size} channels, the filter has {m}")
         return rule.init(n, own.size)
 
-    def extrapolate(theta, memory, x0: jax.Array, x: jax.Array):
+    def extrapolate(theta: Any, memory: Any, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, Any]:
         return rule.extrapolate(theta, memory, x0, x)
 
     return Rule(init, correct, extrapolate, rule.estimates, rule.smooths, rule.transport)

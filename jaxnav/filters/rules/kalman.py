@@ -1,12 +1,13 @@
 """The Kalman filter's rule: with the error models of this package, an extended Kalman filter."""
 
 from functools import cache
+from typing import Any
 
 from jaxnav.filters.core import Correction, Innovation, Rule
 from jaxnav.maths import linalg
 
 
-def correct(theta, memory, z: Innovation) -> Correction:
+def correct(theta: Any, memory: Any, z: Innovation) -> Correction:
     """Optimal gain, Joseph form; no parameters of its own."""
     K, P = linalg.update(z.P, z.H, z.R)
     return Correction(K @ z.nu, P, memory, z.valid)

@@ -111,7 +111,7 @@ def receiver(position: int = 0, velocity: int | None = 3) -> Rule:
         density = jnp.concatenate([jnp.zeros(1), theta.walk**2])
         walks = density[np.array([row.walks for row in rows])]  # (M, 2)
 
-        def one(dev, P, grows, walk):
+        def one(dev: jax.Array, P: jax.Array, grows: jax.Array, walk: jax.Array) -> tuple[jax.Array, jax.Array]:
             A = jnp.eye(n + OFFSET).at[:n, :n].set(moved.Phi).at[n : n + 3, n + 3 :].set(grows * T * jnp.eye(3))
             both = grows * walk[1] * T**2 / 2
             block = jnp.array([[walk[0] * T + grows * walk[1] * T**3 / 3, both], [both, walk[1] * T]])

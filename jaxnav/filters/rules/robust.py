@@ -155,7 +155,7 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
         interval = jnp.where(there & (since > 0), jnp.minimum(memory.interval, since), memory.interval)
         return c._replace(memory=GateMemory(rejected, old, interval, c.memory))
 
-    def extrapolate(theta: Gate, memory: GateMemory, x0: jax.Array, x: jax.Array):
+    def extrapolate(theta: Gate, memory: GateMemory, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, GateMemory]:
         x, inner = rule.extrapolate(theta.rule, memory.rule, x0, x)
         return x, memory._replace(rule=inner)
 
@@ -229,7 +229,7 @@ def student_t(rule: Rule, iterations: int = 4) -> Rule:
             w = (theta.dof + d) / (theta.dof + expected)
         return rule.correct(theta.rule, memory, z._replace(R=inflated(z.R, jnp.repeat(1 / w, BLOCK))))
 
-    def init(n: int, m: int):
+    def init(n: int, m: int) -> Any:
         require_blocks(m)
         return rule.init(n, m)
 

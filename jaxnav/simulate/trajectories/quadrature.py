@@ -93,7 +93,7 @@ def travel(
     inner = np.add.outer(np.arange(k), NODES).ravel() * dt
     offsets = np.concatenate([inner, [0.0, k * dt, k * dt - lag]])
 
-    def epoch(lla, e):
+    def epoch(lla: jax.Array, e: Any) -> Any:
         t = dt * k * e + offsets
         motion, rate = jax.vmap(lambda t: jax.jvp(shape, (t,), (jnp.ones_like(t),)))(t)
         inside, edges = _positions(motion.vel[:-3].reshape(k, 3, 3), lla, dt)

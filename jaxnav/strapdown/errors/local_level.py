@@ -5,7 +5,7 @@ error to the left). Simplified form: the GPID paper's eqs. 9-13, that is the spe
 and the kinematics only, with all noise of a block at its end (eq. 29).
 """
 
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ def dynamics(point: ErrorInputs, form: Literal["full", "simple"]) -> Blocks:
     rn, re, tan = meridian + h, prime + h, jnp.tan(lat)
     zero = jnp.zeros_like(lat)
 
-    def block(*rows):
+    def block(*rows: Any) -> jax.Array:
         return jnp.stack([jnp.stack([jnp.asarray(e, lat.dtype) for e in row]) for row in rows])
 
     level = block((0, 1 / rn, 0), (-1 / re, 0, 0), (-tan / re, 0, 0))  # minus d(w_en)/dv

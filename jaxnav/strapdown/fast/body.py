@@ -86,7 +86,7 @@ def singles(x: Readings, last: Readings) -> Body:
     """Of each sample (m, n) by itself; row by row, for the compiler works out every number of a loop but once."""
 
     @remat
-    def single(last, x):
+    def single(last: Any, x: Any) -> Any:
         theta, dv = coned(x.dt, last.omega, last.force, x.omega, x.force)
         return x, Body(x.dt, exp(theta), dv, (), ())
 
@@ -103,7 +103,7 @@ def sums(
     x, first = readings(imu, omega, force, m)
 
     @remat
-    def step(body, x):
+    def step(body: Any, x: Any) -> Any:
         dt, dq, dv, _, _ = x
         q, dv = multiply(body.q, dq), rotate(body.q, dv)
         body = Body(
@@ -168,7 +168,7 @@ def as_biases(rows: jax.Array, errors: Mapping[str, jax.Array]) -> tuple[Vector,
     return excess("gyro"), excess("accel")
 
 
-def divide_or_zero(t: Any, v: tuple) -> tuple:
+def divide_or_zero(t: Any, v: tuple[Any, ...]) -> tuple[Any, ...]:
     """V / t, zero where t is."""
     some = t > 0
     return scale(jnp.where(some, 1 / jnp.where(some, t, 1.0), 0.0), v)

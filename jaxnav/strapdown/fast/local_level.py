@@ -87,7 +87,7 @@ def surface(lat: jax.Array) -> tuple[jax.Array, ...]:
     return *earth.radii(lat), earth.gravity(lat, jnp.zeros_like(lat)), north, up, jnp.sin(lat) / cos, 1 / cos
 
 
-def series(f: Callable, x: jax.Array) -> list[tuple]:
+def series(f: Callable[..., Any], x: jax.Array) -> list[tuple[Any, ...]]:
     """Taylor coefficients of ``f``, a scalar to a tuple, at x: to second order."""
     one = (jnp.ones_like(x),)
     (value, slope), (_, curve) = jax.jvp(lambda x: jax.jvp(f, (x,), one), (x,), one)
@@ -95,7 +95,7 @@ def series(f: Callable, x: jax.Array) -> list[tuple]:
 
 
 def increment(
-    ground: list[tuple], u: tuple[Vector, Vector], samples: int, x: Level, thrust: VelocityIncrement
+    ground: list[tuple[Any, ...]], u: tuple[Vector, Vector], samples: int, x: Level, thrust: VelocityIncrement
 ) -> Level:
     """The change over an interval of some samples, its thrust in ENU of the block's first one.
 
@@ -110,14 +110,14 @@ def increment(
     pull = add(scale(t, push), weight) if push else weight
     ie = (0.0, t * ie_north, t * ie_up)
 
-    def transport(v):
+    def transport(v: Any) -> Any:
         east = v[0] * east_curve
         return -v[1] * north_curve, east, east * tan
 
-    def gravity_coriolis(en, v):
+    def gravity_coriolis(en: Any, v: Any) -> Any:
         return add(pull, cross(v, add(ie, ie, en)))
 
-    def seen(v):  # in ENU as it has turned until the interval's start
+    def seen(v: Any) -> Any:  # in ENU as it has turned until the interval's start
         late = cross(v, x.turn)
         return add(v, late, scale(0.5, cross(late, x.turn)))
 
@@ -138,11 +138,11 @@ def increment(
     return Level(add(dv, late, fallen), mean[1] * north_curve, mean[0] * east_curve * sec, t * mean[2], turn)
 
 
-def by_scan(change: Callable, start: Level, thrust: VelocityIncrement) -> Level:
+def by_scan(change: Callable[..., Any], start: Level, thrust: VelocityIncrement) -> Level:
     """After each interval, one after the other."""
 
     @remat
-    def step(x, thrust):
+    def step(x: Level, thrust: VelocityIncrement) -> tuple[Level, Level]:
         x = jax.tree.map(jnp.add, x, change(x, thrust))
         return x, x
 
@@ -156,7 +156,7 @@ def attitudes(nav: Nav, spin: Vector, body: Body) -> tuple[Quaternion, Quaternio
     """
 
     @remat
-    def turn(q, interval):
+    def turn(q: Any, interval: Any) -> Any:
         dq, mean = interval
         after = multiply(q, dq)
         return after, (after, multiply(q, mean))
@@ -185,7 +185,7 @@ def unit(nav: Nav) -> Nav:
     return nav._replace(q=jnp.stack(normalize(split(nav.q)), -1))
 
 
-def _block(m: int, nav: Nav, u: Forcing | None, given: BodyInterval) -> tuple[Nav, ErrorInputs, Callable]:
+def _block(m: int, nav: Nav, u: Forcing | None, given: BodyInterval) -> tuple[Nav, ErrorInputs, Callable[..., Any]]:
     """The states after all intervals (n,) of m samples, the path, and the function that has those inside them."""
     whole, omega, force = given
     spin, push = map(split, u) if u else ((), ())
@@ -199,7 +199,7 @@ def _block(m: int, nav: Nav, u: Forcing | None, given: BodyInterval) -> tuple[Na
     thrust = thrust_of(q_starts, whole)
     ends = by_scan(change, start, thrust)
 
-    def state(level: Level, q, t, omega, force) -> Nav:
+    def state(level: Level, q: Any, t: Any, omega: Any, force: Any) -> Nav:
         q = multiply(exp_small_angle(scale(-1.0, level.turn)), q)
         return after(nav, nav.t + t, (centre + level.north, lon + level.east, level.h), level.vel, q, omega, force)
 
@@ -235,7 +235,7 @@ def _samples(nav: Nav, u: Forcing | None, imu: Imu, stride: int, keep: jax.Array
     """
     k, flat = imu.dt.size, lambda a: a.reshape(-1, *a.shape[2:])
 
-    def block(nav, imu):
+    def block(nav: Nav, imu: Any) -> Any:
         rows = max(d for d in range(1, INTERVAL + 1) if imu.dt.size % d == 0)
         # the state carries the rates before this epoch's bias correction: one sample in an epoch sees that difference
         x, last = readings(remove_errors(nav, imu), nav.omega, nav.force, rows)
@@ -272,7 +272,7 @@ def _intervals(
     """
     n, size = whole.body.t.size, BLOCK // m
 
-    def block(nav, whole, i):
+    def block(nav: Nav, whole: Any, i: Any) -> Any:
         _, path, inside = _block(m, nav, u, whole)
         return jax.tree.map(lambda a: a[-1], path.nav), path, inside(jnp.clip(i, 0, whole.body.t.size - 1), parts)
 
@@ -280,7 +280,7 @@ def _intervals(
         _, path, kept = block(nav, whole, place)
         return kept, path
 
-    def one(carry, whole):
+    def one(carry: Any, whole: Any) -> Any:
         nav, kept, i = carry
         nav, path, here = block(nav, whole, i)
         mine = (i >= 0) & (i < size)

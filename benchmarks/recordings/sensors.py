@@ -1,6 +1,6 @@
 """What further sensors are worth on recordings: drift in hidden windows with them and without.
 
-A consumer's datasheet, the sd that the recordings state or `jaxnav.data.mend.ASSUMED_SD`, the same windows; nothing is
+A consumer's datasheet, the sd that the recordings state or their rows assume, the same windows; nothing is
 tuned. Barometers are judged by height, all others by the horizontal.
 """
 

@@ -12,7 +12,7 @@ from jaxnav.app.config import Config
 from jaxnav.data.read import read
 from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.run import require_x64
-from jaxnav.measurements import MEASUREMENTS
+from jaxnav.measurements import with_data
 from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.readings import equipped
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
@@ -71,7 +71,7 @@ def _with(scenario: Scenario, key: str, value: Any) -> Scenario:
 
 def _sensors(name: str, value: Any) -> tuple[tuple[str, float], ...]:
     """Sensors by name with the sd of their noise, in the order of the table of measurements."""
-    own = [m.name for m in MEASUREMENTS.values() if m.columns]
+    own = list(with_data())
     if not isinstance(value, dict):
         raise ConfigError(f"{name} must be like {{barometer = 0.5}}, sd by measurement, got {value!r}")
     for sensor, sd in value.items():

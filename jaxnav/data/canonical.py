@@ -19,51 +19,20 @@ from jaxnav.data.checks import MAX_LEVER_ARM, check_recording, increments_to_mea
 from jaxnav.data.files import FilePath, Source, Table, atomic_write, format_csv, read_bytes, read_csv
 from jaxnav.data.formats.npz import read_npz, write_npz
 from jaxnav.maths.units import DEG, G0
+from jaxnav.measurements import MEASUREMENTS, with_data
+from jaxnav.measurements.columns import Names
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 
-Column = tuple[tuple[str, float], ...]  # the names a column may have, each with the factor to SI
-
 AXES = ("x", "y", "z")
-GYRO: tuple[Column, ...] = tuple(((f"gyro_{a}_radps", 1.0), (f"gyro_{a}_degps", DEG)) for a in AXES)
-DTHETA: tuple[Column, ...] = tuple(((f"dtheta_{a}_rad", 1.0), (f"dtheta_{a}_deg", DEG)) for a in AXES)
-ACCEL: tuple[Column, ...] = tuple(((f"accel_{a}_mps2", 1.0), (f"accel_{a}_g", G0)) for a in AXES)
-DV: tuple[Column, ...] = tuple(((f"dv_{a}_mps", 1.0),) for a in AXES)
-LLA: tuple[Column, ...] = (
-    (("lat_rad", 1.0), ("lat_deg", DEG)),
-    (("lon_rad", 1.0), ("lon_deg", DEG)),
-    (("h_m", 1.0),),
-)
-VELOCITY: tuple[Column, ...] = ((("ve_mps", 1.0),), (("vn_mps", 1.0),), (("vu_mps", 1.0), ("vd_mps", -1.0)))
-RPH: tuple[Column, ...] = tuple(((f"{a}_rad", 1.0), (f"{a}_deg", DEG)) for a in ("roll", "pitch", "heading"))
-CORR: tuple[Column, ...] = tuple(((name, 1.0),) for name in ("corr_en", "corr_nu", "corr_ue"))
+GYRO: tuple[Names, ...] = tuple(((f"gyro_{a}_radps", 1.0), (f"gyro_{a}_degps", DEG)) for a in AXES)
+DTHETA: tuple[Names, ...] = tuple(((f"dtheta_{a}_rad", 1.0), (f"dtheta_{a}_deg", DEG)) for a in AXES)
+ACCEL: tuple[Names, ...] = tuple(((f"accel_{a}_mps2", 1.0), (f"accel_{a}_g", G0)) for a in AXES)
+DV: tuple[Names, ...] = tuple(((f"dv_{a}_mps", 1.0),) for a in AXES)
+LLA, VELOCITY = (tuple(c.names for c in MEASUREMENTS[name].columns) for name in ("position", "velocity"))
+RPH: tuple[Names, ...] = tuple(((f"{a}_rad", 1.0), (f"{a}_deg", DEG)) for a in ("roll", "pitch", "heading"))
+CORR: tuple[Names, ...] = tuple(((name, 1.0),) for name in ("corr_en", "corr_nu", "corr_ue"))
 
 
-def _angle(name: str) -> tuple[Column, ...]:
-    return (((f"{name}_rad", 1.0), (f"{name}_deg", DEG)),)
-
-
-def _rate(name: str) -> tuple[Column, ...]:
-    return (((f"{name}_radps", 1.0), (f"{name}_degps", DEG)),)
-
-
-SIDES = ("left", "right")
-
-# by measurement name: columns of value, sd, correlation
-STREAMS: dict[str, tuple[tuple[Column, ...], tuple[Column, ...], tuple[Column, ...]]] = {
-    "position": (LLA, tuple(((f"sd_{a}_m", 1.0),) for a in "enu"), CORR),
-    "velocity": (VELOCITY, tuple(((f"sd_{a}_mps", 1.0),) for a in "enu"), CORR),
-    "speed": (((("speed_mps", 1.0),),), ((("sd_mps", 1.0),),), ()),
-    "airspeed": (((("airspeed_mps", 1.0),),), ((("sd_mps", 1.0),),), ()),
-    "wheels": (tuple(((f"{a}_mps", 1.0),) for a in SIDES), tuple(((f"sd_{a}_mps", 1.0),) for a in SIDES), ()),
-    "rangefinder": (((("range_m", 1.0),),), ((("sd_m", 1.0),),), ()),
-    "barometer": (((("height_m", 1.0),),), ((("sd_m", 1.0),),), ()),
-    "magnetometer": (tuple(((f"{a}_ut", 1.0),) for a in AXES), tuple(((f"sd_{a}_ut", 1.0),) for a in AXES), ()),
-    "heading": (_angle("heading"), _angle("sd"), ()),
-    "baseline": (tuple(((f"{a}_m", 1.0),) for a in "enu"), tuple(((f"sd_{a}_m", 1.0),) for a in "enu"), ()),
-    "course": (_angle("course"), _angle("sd"), ()),
-    "yaw_rate": (_rate("rate"), _rate("sd"), ()),
-}
-KNOWN = f"imu.csv, {', '.join(f'{name}.csv' for name in STREAMS)}, truth.csv or aiding_NAME.csv"
 _OPTIONAL_NAN = frozenset(name for column in RPH for name, _ in column)
 
 
@@ -83,12 +52,15 @@ def read_folder(path: FilePath, notes: list[str] | None = None) -> Recording:
         DataError: as `read_recording`.
     """
     path = Path(path)
-    known = [f"{name}.csv" for name in (*STREAMS, "truth")]
+    known = [f"{name}.csv" for name in (*with_data(), "truth")]
     files = {Path(name).stem: path / name for name in known if (path / name).exists()}
     files |= {file.stem.removeprefix("aiding_"): file for file in sorted(path.glob("aiding_*.csv"))}
     others = sorted({file.name for file in path.glob("*.csv")} - {file.name for file in files.values()} - {"imu.csv"})
     if "position" not in files and others:
-        raise DataError(f"{path}: no position.csv, and {', '.join(others)} is not read: expected {KNOWN}")
+        raise DataError(
+            f"{path}: no position.csv, and {', '.join(others)} is not read: expected imu.csv, {', '.join(known)} or "
+            "aiding_NAME.csv"
+        )
     if notes is not None:
         notes += [
             f"{name} is not read{_meant(name, [file for file in known if Path(file).stem not in files])}"
@@ -187,7 +159,7 @@ def _files(rec: Recording) -> Iterator[tuple[str, str]]:
         if not re.fullmatch(r"\w+", key):
             raise DataError(f"aiding stream {key!r}: expected a name of letters, digits and _")
         columns = [name for part in _stream_columns(key, samples.value.shape[1]) for name in _names(part)]
-        file = f"{key}.csv" if key in STREAMS else f"aiding_{key}.csv"
+        file = f"{key}.csv" if key in with_data() else f"aiding_{key}.csv"
         corr = samples.corr[:, : len(columns) - 2 * samples.value.shape[1]]
         yield file, format_csv(["t_s", *columns], np.column_stack([samples.t, samples.value, samples.sd, corr]))
     if track is not None:
@@ -200,7 +172,7 @@ def _files(rec: Recording) -> Iterator[tuple[str, str]]:
 def _read_stream(path: FilePath, key: str, notes: list[str] | None = None) -> tuple[Samples, Source]:
     table = read_csv(path, notes=notes)
     width = sum(name.startswith("value_") for name in table.names)
-    value, sd, corr = _numbered(width) if width or key not in STREAMS else STREAMS[key]
+    value, sd, corr = _numbered(width) if width else _stream_columns(key, 0)
     if not value:
         raise DataError(f"{table.source.file}: expected columns value_0, sd_0, ..., got {', '.join(table.names)}")
     values = _columns(table, value)
@@ -215,18 +187,20 @@ def _read_stream(path: FilePath, key: str, notes: list[str] | None = None) -> tu
     return samples, table.source
 
 
-def _stream_columns(key: str, width: int) -> tuple[tuple[Column, ...], tuple[Column, ...], tuple[Column, ...]]:
-    if key in STREAMS:
-        return STREAMS[key]
-    return _numbered(width)
+def _stream_columns(key: str, width: int) -> tuple[tuple[Names, ...], tuple[Names, ...], tuple[Names, ...]]:
+    """Columns of value, sd and correlation."""
+    if key not in (streams := with_data()):
+        return _numbered(width)
+    own = streams[key]
+    return tuple(c.names for c in own.columns), tuple(c.sd_names for c in own.columns), CORR if own.correlated else ()
 
 
-def _numbered(width: int) -> tuple[tuple[Column, ...], tuple[Column, ...], tuple[Column, ...]]:
+def _numbered(width: int) -> tuple[tuple[Names, ...], tuple[Names, ...], tuple[Names, ...]]:
     value, sd, corr = (tuple(((f"{part}_{i}", 1.0),) for i in range(width)) for part in ("value", "sd", "corr"))
     return value, sd, corr
 
 
-def _columns(table: Table, wanted: tuple[Column, ...]) -> np.ndarray:
+def _columns(table: Table, wanted: tuple[Names, ...]) -> np.ndarray:
     """(N, len(wanted)) in SI; DataError for a column that is there in no unit, or in two."""
     out = []
     for column in wanted:
@@ -238,11 +212,11 @@ def _columns(table: Table, wanted: tuple[Column, ...]) -> np.ndarray:
     return np.stack(out, axis=1)
 
 
-def _has_any(table: Table, columns: tuple[Column, ...]) -> bool:
+def _has_any(table: Table, columns: tuple[Names, ...]) -> bool:
     return any(name in table.names for column in columns for name, _ in column)
 
 
-def _names(columns: tuple[Column, ...]) -> list[str]:
+def _names(columns: tuple[Names, ...]) -> list[str]:
     return [column[0][0] for column in columns]
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from jaxnav.data.files import MAX_VALUE, Source, place
+from jaxnav.measurements import MEASUREMENTS, with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 
 MAX_DT = 2.0  # s; no inertial sample stands for longer
@@ -15,22 +16,6 @@ GRAVITY, GRAVITY_TOLERANCE = 9.8, 2.2  # m/s^2; accelerometers of public logs ar
 QUIET_SPEED = 10.0  # m/s: weighs a turn against vibration when looking for a quiet window
 MAX_LEVER_ARM = 100.0  # m
 LOWEST, HIGHEST = -12e3, 50e6  # m, the deepest trench and beyond the satellites
-
-# columns of the streams that have a name of their own, and the unit of the sd; others may have any number
-STREAM_SIZES: dict[str, tuple[int, str]] = {
-    "position": (3, "m"),
-    "velocity": (3, "m/s"),
-    "speed": (1, "m/s"),
-    "airspeed": (1, "m/s"),
-    "wheels": (2, "m/s"),
-    "barometer": (1, "m"),
-    "rangefinder": (1, "m"),
-    "magnetometer": (3, "uT"),
-    "heading": (1, "rad"),
-    "baseline": (3, "m"),
-    "course": (1, "rad"),
-    "yaw_rate": (1, "rad/s"),
-}
 
 
 def check_recording(rec: Recording, sources: dict[str, Source] | None = None) -> Recording:
@@ -98,8 +83,8 @@ def check_samples(name: str, samples: Samples, source: Source) -> Samples:
     """The stream itself if times, values, standard deviations and correlations are usable."""
     n = len(check_time(samples.t, source, name))
     width = np.shape(samples.value)[1] if np.ndim(samples.value) == 2 else 3
-    if name in STREAM_SIZES and width != STREAM_SIZES[name][0]:
-        raise DataError(f"{source.file}: {name} must have {STREAM_SIZES[name][0]} columns, got {width}")
+    if name in (streams := with_data()) and width != streams[name].size:
+        raise DataError(f"{source.file}: {name} must have {streams[name].size} columns, got {width}")
     if not width:
         raise DataError(f"{source.file}: {name} must have values, got none")
     value = _bounded(samples.value, (n, width), source, f"{name} value")
@@ -131,7 +116,8 @@ def require_double(name: str, value: np.ndarray) -> None:
 
 def uncertainty(name: str, sd: np.ndarray) -> str:
     """``3, 3, 6 m`` for a sentence."""
-    return f"{', '.join(f'{x:g}' for x in sd)} {STREAM_SIZES.get(name, (0, ''))[1]}".strip()
+    unit = MEASUREMENTS[name].columns[0].unit if name in with_data() else ""
+    return f"{', '.join(f'{x:g}' for x in sd)} {unit}".strip()
 
 
 def check_track(track: Track, source: Source) -> Track:

@@ -10,19 +10,21 @@ import numpy as np
 
 from jaxnav.data import missing, units
 from jaxnav.data.axes import enu_to_ecef, geodetic, local_to_lla, rotation
-from jaxnav.data.checks import STREAM_SIZES, ned_to_enu
+from jaxnav.data.checks import ned_to_enu
 from jaxnav.data.columns import Files, column_of, known, rows_of, sd_of, sheet_of, side_by_side, table_of, times_of
 from jaxnav.data.files import FilePath, read_bytes
 from jaxnav.data.mend import LATE
 from jaxnav.data.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream, counted_from
 from jaxnav.data.sheet import column, open_sheet
 from jaxnav.maths.units import DEG
+from jaxnav.measurements import MEASUREMENTS, with_data
+from jaxnav.measurements.columns import QUANTITIES
 from jaxnav.types import DataError, Track
 
 UNKNOWN_SD = 1e3  # m/s, of a component that nothing measured
 
 COMMON = tuple("file delimiter header time time_unit time_tag time_shift_s rate_hz skip where new_where".split())
-TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", *STREAM_SIZES, *COMMON)
+TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", *COMMON)
 KEYS: dict[str, tuple[str, ...]] = {
     "imu": (*COMMON, *"gyro gyro_unit accel accel_unit axes sampling repair".split()),
     "position": (*COMMON, *"lla enu ned ecef unit h_unit sd sd_enu sd_ned".split()),
@@ -33,10 +35,6 @@ KEYS: dict[str, tuple[str, ...]] = {
     "wheels": (*COMMON, "left", "right", "unit", "radius", "sd"),
 }
 SCALAR = (*COMMON, "value", "unit", "sd")  # of every other stream
-QUANTITIES = {  # of a stream of one column, and the unit that it is in by default; others are speeds
-    "barometer": ("length", "m"), "rangefinder": ("length", "m"), "heading": ("angle", "deg"),
-    "course": ("angle", "deg"), "yaw_rate": ("rate", "rad/s"),
-}  # fmt: skip
 
 
 def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None = None) -> Parts:
@@ -71,7 +69,7 @@ def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None
         first = float(zero[0]) if len(zero) and np.isfinite(zero[0]) else 0.0
         files = files._replace(zero=int(first) if first >= LATE else 0)
         parts = _with_imu(counted_from(parts, files.zero), files, table["imu"])
-    aiding = parts.aiding | {key: _stream(files, table[key], key) for key in STREAM_SIZES if key in table}
+    aiding = parts.aiding | {key: _stream(files, table[key], key) for key in with_data() if key in table}
     truth = _truth(files, table["truth"]) if "truth" in table else parts.truth
     notes = [*parts.notes, *([table["notes"]] if "notes" in table else [])]
     notes += [note for sheet in files.opened.values() for note in sheet.notes]
@@ -91,10 +89,10 @@ def _load(path: FilePath) -> dict[str, Any]:
 
 def _shared(table: dict[str, Any], file: str) -> dict[str, Any]:
     """The map with what stands above its tables in every one of them that does not say otherwise."""
-    known(table, TOP, file)
+    known(table, (*TOP, *with_data()), file)
     shared = {key: table[key] for key in COMMON if key in table}
     out = {key: value for key, value in table.items() if key not in shared}
-    for name in ("imu", "truth", *STREAM_SIZES):
+    for name in ("imu", "truth", *with_data()):
         if isinstance(out.get(name), dict):
             other = {"rate_hz": "time", "time": "rate_hz"}  # a table has one of the two
             own = {k: v for k, v in shared.items() if other.get(k) not in out[name]}
@@ -218,7 +216,8 @@ def _scalar(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     value = _mean(files, table, table["value"], name)
     if name == "barometer" and table.get("unit") in units.PRESSURE:
         return units.pressure_height(value * units.PRESSURE[table["unit"]])[:, None]
-    kind, default = QUANTITIES.get(name, ("speed", "m/s"))
+    kind = MEASUREMENTS[name].columns[0].quantity
+    default = QUANTITIES[kind][1]
     return value[:, None] * units.factor(table, "unit", kind, f"{files.map}: {name}", default)
 
 

@@ -13,6 +13,7 @@ from jaxnav.data.checks import check_recording, uncertainty
 from jaxnav.data.files import MAX_VALUE, Source
 from jaxnav.data.gps_time import GPS_EPOCH, WEEK, week_shift
 from jaxnav.data.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Parts, Stream
+from jaxnav.measurements import with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples
 
 MAX_BAD = 0.05  # share of rows that may be left out; more, and the file is not what it is taken for
@@ -23,22 +24,6 @@ LEAST_SD, MOST_SD = 1e-9, 1e9  # of a stated sd; others say nothing
 UNKNOWN_HEIGHT_SD = 1e3  # m
 LATE = 1e7  # s; later times are counted from the first sample, since a float would round them to 1e-7 s
 SLOW = 20.0  # Hz; an IMU slower than this averages the motion away
-
-# sd of streams that state none, of each axis; said in a sentence
-ASSUMED_SD: dict[str, tuple[float, ...]] = {
-    "position": (3.0, 3.0, 6.0),  # m, ENU
-    "velocity": (0.3, 0.3, 0.6),  # m/s, ENU
-    "speed": (0.3,),  # m/s
-    "airspeed": (1.0,),  # m/s
-    "wheels": (0.1, 0.1),  # m/s, left, right
-    "barometer": (1.0,),  # m
-    "rangefinder": (0.2,),  # m
-    "magnetometer": (3.0, 3.0, 3.0),  # uT
-    "heading": (0.1,),  # rad
-    "baseline": (0.02, 0.02, 0.04),  # m, ENU
-    "course": (0.1,),  # rad
-    "yaw_rate": (0.05,),  # rad/s
-}
 
 
 class Changes(NamedTuple):
@@ -253,7 +238,7 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]
     t = _same_epoch(name, t, imu, notes)
     corr = np.zeros_like(value) if stream.corr is None else np.asarray(stream.corr, float)
     given = np.full_like(value, np.nan) if stream.sd is None else np.array(stream.sd, float)
-    if stream.sd is None and name not in ASSUMED_SD:
+    if stream.sd is None and name not in with_data():
         raise DataError(f"{file}: {name}: states no sd: give one, sd={{{name!r}: ...}}")
     if name == "position":
         value, given = _with_heights(value, given, notes)
@@ -316,9 +301,9 @@ def _with_sd(name: str, sd: np.ndarray, notes: list[str]) -> np.ndarray:
     none = ~(sd > LEAST_SD)
     whole = np.asarray(none.all(axis=1))
     lost = none & (~whole[:, None] | whole.all())
-    if name not in ASSUMED_SD or not lost.any():
+    if name not in (streams := with_data()) or not lost.any():
         return sd
-    assumed = np.resize(ASSUMED_SD[name], sd.shape[1])
+    assumed = np.resize([column.sd for column in streams[name].columns], sd.shape[1])
     if whole.all():
         notes.append(f"{name}: the file states no sd; assumed are {uncertainty(name, assumed)}.")
     else:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxnav.data.checks import check_recording, require_double
-from jaxnav.measurements import MEASUREMENTS
+from jaxnav.measurements import with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track, nearest
 
 Stream = Samples | Sequence[ArrayLike]
@@ -41,7 +41,7 @@ def recording(
     >>> rec.imu.dt.sum(), rec.aiding["position"].sd.shape
     (np.float64(5.0), (5, 3))
     """
-    known = {m.name: m.size for m in MEASUREMENTS.values() if m.columns}
+    known = {name: row.size for name, row in with_data().items()}
     for stream in streams:
         if stream not in known:
             raise DataError(f"no measurement takes a stream {stream!r}: {nearest(stream, known)}")

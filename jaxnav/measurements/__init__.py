@@ -34,7 +34,14 @@ MEASUREMENTS: dict[str, Measurement] = {
 }
 GNSS = (POSITION, VELOCITY)
 
+
+def with_data() -> dict[str, Measurement]:
+    """The rows that a recording carries a stream of, by name."""
+    return {name: each for name, each in MEASUREMENTS.items() if each.columns}
+
+
 __all__ = [
+    "with_data",
     "BAROMETER", "GNSS", "MEASUREMENTS", "NONHOLONOMIC", "POSITION", "SPEED", "VELOCITY", "ZERO_RATE", "ZERO_VELOCITY",
     "Measurement", "clock_offset", "counted_from", "layout",
 ]  # fmt: skip

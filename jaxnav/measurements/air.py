@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from jaxnav.maths import rotations
 from jaxnav.maths.units import Unit
+from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
 
@@ -51,7 +52,7 @@ AIRSPEED = Measurement(
     "airspeed", ("forward",), observe_airspeed, AirspeedParams(1.0, 0.0, 0.0),
     AirspeedParams(Unit("airspeed_sd_scale"), Unit("airspeed_latency_s", text="s", step=0.1),
                    Unit("airspeed_scale", step=0.02)),
-    states=("wind",), columns=("airspeed_mps",),
+    states=("wind",), columns=(column("airspeed_mps", "speed", 1.0),),
 )  # fmt: skip
 """True airspeed: value forward m/s, its own sd."""
 SIDESLIP = Measurement(

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxnav.maths.units import Unit
+from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
 
@@ -26,6 +27,6 @@ def observe_barometer(theta: BarometerParams, mounting: Mounting, nav: Nav, kin:
 BAROMETER = Measurement(
     "barometer", ("up",), observe_barometer, BarometerParams(1.0, 0.0),
     BarometerParams(Unit("barometer_sd_scale"), Unit("barometer_latency_s", text="s", step=0.1)),
-    states=("barometer_bias",), columns=("height_m",),
+    states=("barometer_bias",), columns=(column("height_m", "length", 1.0),),
 )  # fmt: skip
 """Height by air pressure: value m above the ellipsoid but for its bias, its own sd."""

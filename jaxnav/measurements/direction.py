@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG, Unit
+from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
 
@@ -82,21 +83,26 @@ def _late(name: str) -> tuple[Unit, Unit]:
 
 HEADING = Measurement(
     "heading", ("heading",), observe_heading, HeadingParams(1.0, 0.0, 0.0),
-    HeadingParams(*_late("heading"), Unit("heading_yaw_deg", DEG, text="deg", step=DEG)), columns=("heading_rad",),
+    HeadingParams(*_late("heading"), Unit("heading_yaw_deg", DEG, text="deg", step=DEG)), 
+    columns=(column("heading_rad", "angle", 0.1),),
 )  # fmt: skip
 """Heading by two antennas: value rad from north, clockwise, of the line from the first to the second, its own sd."""
 BASELINE = Measurement(
     "baseline", ("east", "north", "up"), observe_baseline, BaselineParams(1.0, 0.0, (1.0, 0.0, 0.0)),
     BaselineParams(*_late("baseline"), Unit("baseline_arm_m", 1.0, (3,), "m", step=0.1)),
-    columns=("east_m", "north_m", "up_m"),
+    columns=(
+        column("e_m", "length", 0.02, "sd_e_m"), column("n_m", "length", 0.02, "sd_n_m"),
+        column("u_m", "length", 0.04, "sd_u_m"),
+    ),
 )  # fmt: skip
 """Line between two antennas: value (3,) m ENU, first -> second, its own sd."""
 COURSE = Measurement(
-    "course", ("course",), observe_course, AgedParams(1.0, 0.0), AgedParams(*_late("course")), columns=("course_rad",)
+    "course", ("course",), observe_course, AgedParams(1.0, 0.0), AgedParams(*_late("course")),
+    columns=(column("course_rad", "angle", 0.1),),
 )  # fmt: skip
 """Course over ground: value rad from north, clockwise, its own sd; give none below walking pace."""
 YAW_RATE = Measurement(
     "yaw_rate", ("down",), observe_yaw_rate, AgedParams(1.0, 0.0), AgedParams(*_late("yaw_rate")),
-    columns=("rate_rad_per_s",),
+    columns=(column("rate_radps", "rate", 0.05),),
 )  # fmt: skip
 """Turn rate by the wheels of both sides: value rad/s about the body's z, its own sd."""

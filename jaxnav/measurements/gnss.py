@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import Unit
+from jaxnav.measurements.columns import Column, column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
 
@@ -54,11 +55,20 @@ ENU, NED = ("east", "north", "up"), ("north", "east", "down")
 POSITION = Measurement(
     "position", ENU, observe_position, FixParams((1.0, 1.0, 1.0), 0.0), _units("position"), receiver=True,
     states=("gnss_position_error", "lever_arm_error", "clock_offset"),
-    columns=("lat_deg", "lon_deg", "height_m"), reported=NED,
+    columns=(
+        column("lat_rad", "length", 3.0, "sd_e_m"), column("lon_rad", "length", 3.0, "sd_n_m"),
+        column("h_m", "length", 6.0, "sd_u_m"),
+    ),
+    correlated=True, reported=NED,
 )  # fmt: skip
 """GNSS position: value (lat rad, lon rad, h m) of the antenna, sd and correlations in ENU m."""
 VELOCITY = Measurement(
     "velocity", ENU, observe_velocity, FixParams((1.0, 1.0, 1.0), 0.0), _units("velocity"), receiver=True,
-    states=("lever_arm_error", "clock_offset"), columns=("vn_mps", "ve_mps", "vd_mps"), reported=NED,
+    states=("lever_arm_error", "clock_offset"),
+    columns=(
+        column("ve_mps", "speed", 0.3, "sd_e_mps"), column("vn_mps", "speed", 0.3, "sd_n_mps"),
+        Column((("vu_mps", 1.0), ("vd_mps", -1.0)), (("sd_u_mps", 1.0),), "speed", 0.6),
+    ),
+    correlated=True, reported=NED,
 )  # fmt: skip
 """GNSS velocity of the antenna: value, sd in ENU m/s."""

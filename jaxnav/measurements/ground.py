@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxnav.maths.units import Unit
+from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
 
@@ -37,6 +38,6 @@ RANGEFINDER = Measurement(
         Unit("rangefinder_sd_scale"), Unit("rangefinder_latency_s", text="s", step=0.1),
         Unit("rangefinder_ground_m", text="m", step=10.0),
     ),
-    states=("ground_height",), columns=("range_m",),
+    states=("ground_height",), columns=(column("range_m", "length", 0.2),),
 )  # fmt: skip
 """Radar or laser height: value m along the body's down axis to level ground, its own sd."""

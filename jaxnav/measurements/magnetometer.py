@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG, Unit
+from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.states.state import BODY
 from jaxnav.types import Fix, Leaf, Mounting, Nav
@@ -52,6 +53,7 @@ MAGNETOMETER = Measurement(
         Unit("declination_deg", DEG, text="deg", step=3 * DEG), Unit("inclination_deg", DEG, text="deg", step=3 * DEG),
         Unit("field_ut", text="uT", step=1.0),
     ),
-    states=("magnetometer_bias", "declination_error"), columns=("x_ut", "y_ut", "z_ut"),
+    states=("magnetometer_bias", "declination_error"), 
+    columns=tuple(column(f"{axis}_ut", "field", 3.0, f"sd_{axis}_ut") for axis in "xyz"),
 )  # fmt: skip
 """Magnetic field: value (3,) uT, body, its own sd."""

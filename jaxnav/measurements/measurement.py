@@ -15,6 +15,7 @@ from jax.typing import ArrayLike
 
 from jaxnav.maths import rotations
 from jaxnav.measurements import latency
+from jaxnav.measurements.columns import Column
 from jaxnav.states.motion import MOTION
 from jaxnav.states.second_order import SECOND_ORDER_S, reliability
 from jaxnav.states.sensors import OTHER
@@ -64,7 +65,8 @@ class Measurement(NamedTuple):
     units: Any  # the same of `Unit`
     receiver: bool = False  # comes of a GNSS receiver: what a paper's rule sees, and what an outage hides
     states: tuple[str, ...] = ()  # optional states that its rows may name
-    columns: tuple[str, ...] = ()  # of its values in a canonical CSV file; () for what carries no data
+    columns: tuple[Column, ...] = ()  # of its values in files, one a channel; () for what carries no data
+    correlated: bool = False  # its files may state the correlations of three axes
     reported: tuple[str, ...] = ()  # names of its channels in reports, in their order; () is as ``channels``
 
     @property

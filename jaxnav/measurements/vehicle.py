@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from jaxnav.maths import rotations
 from jaxnav.maths.units import Unit
+from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
 
@@ -106,13 +107,14 @@ NONHOLONOMIC = Measurement(
 SPEED = Measurement(
     "speed", ("forward",), observe_speed, SpeedParams(1.0, 0.0),
     SpeedParams(Unit("speed_sd_scale"), Unit("speed_scale", step=0.02)), states=("vehicle_axes", "odometer_scale"),
-    columns=("speed_mps",),
+    columns=(column("speed_mps", "speed", 0.3),),
 )  # fmt: skip
 """Wheel speed: value forward m/s, its own sd."""
 WHEELS = Measurement(
     "wheels", ("left", "right"), observe_wheels, WheelsParams(1.0, 0.0, 1.0),
     WheelsParams(Unit("wheels_sd_scale"), Unit("wheels_scale", step=0.02), Unit("wheels_track_m", text="m", step=0.02)),
-    states=("vehicle_axes", "odometer_scale"), columns=("left_mps", "right_mps"),
+    states=("vehicle_axes", "odometer_scale"), 
+    columns=(column("left_mps", "speed", 0.1, "sd_left_mps"), column("right_mps", "speed", 0.1, "sd_right_mps")),
 )  # fmt: skip
 """Speed of the wheels of both sides, none of which steers: value (2,) forward m/s, left and right, their own sd."""
 LEVEL = Measurement("level", ("up",), observe_level, LevelParams(0.1), LevelParams(Unit("level_mps", text="m/s")))

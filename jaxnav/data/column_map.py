@@ -13,7 +13,7 @@ from jaxnav.data.axes import enu_to_ecef, geodetic, local_to_lla, rotation
 from jaxnav.data.checks import ned_to_enu
 from jaxnav.data.columns import Files, column_of, known, rows_of, sd_of, sheet_of, side_by_side, table_of, times_of
 from jaxnav.data.files import FilePath, read_bytes
-from jaxnav.data.mend import LATE
+from jaxnav.data.mend import GAP, LATE
 from jaxnav.data.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream, counted_from
 from jaxnav.data.sheet import column, open_sheet
 from jaxnav.maths.units import DEG
@@ -26,7 +26,7 @@ UNKNOWN_SD = 1e3  # m/s, of a component that nothing measured
 COMMON = tuple("file delimiter header time time_unit time_tag time_shift_s rate_hz skip where new_where".split())
 TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", *COMMON)
 KEYS: dict[str, tuple[str, ...]] = {
-    "imu": (*COMMON, *"gyro gyro_unit accel accel_unit axes sampling repair".split()),
+    "imu": (*COMMON, *"gyro gyro_unit accel accel_unit accel_time axes sampling repair".split()),
     "position": (*COMMON, *"lla enu ned ecef unit h_unit sd sd_enu sd_ned".split()),
     "velocity": (*COMMON, *"enu ned neu ecef speed_course up down unit course_unit sd sd_enu sd_ned".split()),
     "truth": (*COMMON, *"lla enu ned ecef unit h_unit velocity_enu velocity_ned velocity_ecef rph rph_unit".split()),
@@ -121,12 +121,49 @@ def _with_imu(parts: Parts, files: Files, table: dict[str, Any]) -> Parts:
     ]
     gyro, accel = (table_of(files, table, key, "imu") * scale for key, scale in zip(("gyro", "accel"), scales))
     t = times_of(files, table, "imu")
-    side_by_side(files, [t, gyro[:, 0], accel[:, 0]], "imu")
     keep = rows_of(files, table, "imu", len(t))
+    own = _accel_time(files, table)
+    if own is None:
+        side_by_side(files, [t, gyro[:, 0], accel[:, 0]], "imu")
+    else:
+        accel, near = _brought_to(t, times_of(files, table | {"time": own}, "imu"), accel)
+        keep &= near
+        if not keep.any():
+            raise DataError(f"{files.map}: imu: no time of the gyro lies within those of the accelerometer ({own})")
     refs = table["time"] if "time" in table else table["gyro"][0]
     lines = sheet_of(files, table, refs, "imu")[0].lines
     rows = ImuRows(t[keep], gyro[keep], accel[keep], sampling, repair=bool(table.get("repair", False)))
+    if own is not None:
+        words = f"imu: accelerations come by their own times ({own}): {keep.sum()} of {len(t)} gyro samples have one."
+        parts = parts._replace(notes=(*parts.notes, words))
     return parts._replace(imu=rows, axes=table.get("axes", "frd"), lines=None if lines is None else lines[keep])
+
+
+def _accel_time(files: Files, table: dict[str, Any]) -> str | None:
+    """The accelerometer's own times: the column ``accel_time``, or that of the gyro's name in the other file."""
+    if "accel_time" in table:
+        return str(table["accel_time"])
+    if not isinstance(table.get("file"), dict) or "time" not in table or "time_tag" in table:
+        return None
+    file_of = lambda ref: str(ref).partition(":")[0]
+    if file_of(table["time"]) != file_of(table["gyro"][0]):
+        return None
+    own = f"{file_of(table['accel'][0])}:{str(table['time']).partition(':')[2]}"
+    sheet, column = sheet_of(files, table, own, "imu")
+    return own if own != table["time"] and column in sheet.columns else None
+
+
+def _brought_to(t: np.ndarray, own: np.ndarray, accel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return accelerations (N, 3) at the times ``t`` (N,) of the gyro, and where there are some, (N,) bool.
+
+    Linear between the accelerometer's own times (M,); none outside of them and in holes of more than `GAP` steps.
+    """
+    own, first = np.unique(own, return_index=True)
+    found = np.stack([np.interp(t, own, axis) for axis in accel[first].T], axis=1)
+    after = np.clip(np.searchsorted(own, t), 1, len(own) - 1)
+    step, usual = own[after] - own[after - 1], np.median(np.diff(own))
+    on = np.minimum(np.abs(t - own[after]), np.abs(t - own[after - 1])) < 0.01 * usual
+    return found, on | ((t >= own[0]) & (t <= own[-1]) & (step <= GAP * usual))
 
 
 def _stream(files: Files, table: dict[str, Any], name: str) -> Stream:

@@ -13,9 +13,10 @@ from jaxnav.data.axes import enu_to_ecef, local_to_lla, rotation
 from jaxnav.data.column_map import KEYS, TOP
 from jaxnav.data.files import format_csv
 from jaxnav.data.gps_time import GPS_EPOCH
-from jaxnav.data.read import READERS, read
+from jaxnav.data.read import READERS, read, read_parts
 from jaxnav.data.units import UNITS, pressure_height
 from jaxnav.maths.units import DEG, G0
+from jaxnav.measurements import with_data
 from jaxnav.types import DataError
 
 from .test_formats import recording
@@ -302,11 +303,11 @@ def test_the_page_shows_keys_that_are_known():
     page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
     (block,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     table = tomllib.loads(block)
-    assert set(table) <= set(TOP)
+    assert set(table) <= {*TOP, *with_data()}
     for name in ("imu", "position", "velocity"):
         assert set(table[name]) <= set(KEYS[name])
     said = page.split("## The column map")[1].split("## Our own")[0]
-    keys = {key for keys in KEYS.values() for key in keys} | set(TOP)
+    keys = {key for keys in KEYS.values() for key in keys} | {*TOP, *with_data()}
     assert not [key for key in keys if key not in said]
     assert not [unit for kind in UNITS.values() for unit in kind if unit not in said]
 
@@ -333,3 +334,34 @@ def test_wheels_of_both_sides_in_metres_or_turns_and_a_range(folder):
                        (head.replace("left", "unit"), "wheels")):  # fmt: skip
         with pytest.raises(DataError, match=said):
             mapped(folder, IMU + text)
+
+
+def two_files(folder, accel_times, more=""):
+    """A gyro at 20 Hz whose z is its time, an accelerometer with times of its own whose x is ten times its time."""
+    gyro = "\n".join(f"{t:.3f},0,0,{t / 100}" for t in np.arange(0, 20, 0.05))
+    accel = "\n".join(f"{t:.4f},{t / 10},0,-9.8" for t in accel_times)
+    (folder / "g.csv").write_text(f"time,x,y,z\n{gyro}\n")
+    (folder / "a.csv").write_text(f"time,x,y,z\n{accel}\n")
+    (folder / "phone.toml").write_text(
+        '[imu]\nfile = { g = "g.csv", a = "a.csv" }\ntime = "g:time"\ngyro = ["g:x", "g:y", "g:z"]\n'
+        f'gyro_unit = "rad/s"\naccel = ["a:x", "a:y", "a:z"]\naccel_unit = "m/s^2"\n{more}\n'
+    )
+    return read_parts(folder / "phone.toml").imu
+
+
+@pytest.mark.parametrize("more", ["", 'accel_time = "a:time"'])
+def test_an_accelerometer_in_a_file_of_its_own_is_joined_by_time(tmp_path, more):
+    """Other rates, and as many rows at other times: linear between its own times, none outside of them."""
+    for times in (np.arange(0.31, 19.0, 0.03), np.arange(0.31, 20.31, 0.05)[:400]):
+        imu = two_files(tmp_path, times, more)
+        np.testing.assert_allclose(imu.accel[:, 0], imu.t / 10, atol=1e-6)
+        np.testing.assert_allclose(imu.gyro[:, 2], imu.t / 100, atol=1e-12)
+        assert imu.t[0] == pytest.approx(0.35) and imu.t[-1] <= times[-1] + 1e-4
+
+
+def test_no_acceleration_is_made_up_in_a_hole_of_the_accelerometer(tmp_path):
+    times = np.arange(0.0, 20.0, 0.05)
+    imu = two_files(tmp_path, times[(times < 8.0) | (times > 9.0)])
+    assert not ((imu.t > 8.01) & (imu.t < 8.99)).any() and len(imu.t) == 380
+    with pytest.raises(DataError, match="no time of the gyro lies within those of the accelerometer"):
+        two_files(tmp_path, times + 100.0)

@@ -223,3 +223,10 @@ def test_a_rocket_that_falls_freely_is_read():
 def test_tables_of_the_reports(case, file):
     rec = read(FIELD / case / file)
     assert rec.imu.t.size == 1321 and np.linalg.norm(rec.imu.accel.mean(0)) == pytest.approx(9.8, abs=0.5)
+
+
+@needs_field
+def test_a_phone_s_sensors_in_files_of_their_own(tmp_path):
+    rec = read(FIELD / "phone_two_files" / "map.toml")
+    assert len(rec.imu.t) == 1312 and rec.imu.t[0] == pytest.approx(0.3, abs=1e-6)
+    np.testing.assert_allclose(rec.imu.accel[0], [0.03513, -0.03609, -9.76923], atol=1e-4)

@@ -31,6 +31,7 @@ class Changes(NamedTuple):
 
     name: str | None = None
     axes: str | list[float] | None = None  # of the sensor, see `jaxnav.data.axes.rotation`
+    accel_sign: float = 1.0  # -1: the accelerometer reads gravity, +9.8 downwards at rest, not specific force
     lever_arm: tuple[float, float, float] | None = None  # m, IMU -> antenna, body FRD
     time_shift_s: float = 0.0  # s, added to the times of the IMU
     sd: dict[str, float | list[float]] = {}  # by stream, instead of the file's
@@ -41,7 +42,7 @@ def applied(parts: Parts, changes: Changes) -> Parts:
     """The parts with what the user says instead of what the file says.
 
     Raises:
-        DataError: an sd for a stream that is not there, or of another size.
+        DataError: an sd for a stream that is not there, or of another size, or another sign than 1 and -1.
     """
     unknown = set(changes.sd) - set(parts.aiding)
     if unknown:
@@ -54,6 +55,10 @@ def applied(parts: Parts, changes: Changes) -> Parts:
         except ValueError:
             raise DataError(f"{parts.file}: sd: {name}: expected 1 or {value.shape[1]} numbers, got {sd!r}") from None
     imu = parts.imu
+    if changes.accel_sign not in (1, -1):
+        raise DataError(f"{parts.file}: accel_sign: expected 1 or -1, got {changes.accel_sign!r}")
+    if imu is not None and changes.accel_sign < 0:
+        imu = imu._replace(accel=-np.asarray(imu.accel, float))
     if imu is not None and changes.time_shift_s:
         imu = imu._replace(t=np.asarray(imu.t, float) + changes.time_shift_s)
     if imu is not None and changes.repair:
@@ -224,7 +229,10 @@ def _look(imu: ImuLog, notes: list[str]) -> None:
     if not 8.0 < size < 11.6 or force[2] < -0.5 * size:
         return
     looks = (
-        "the axes look like 'flu' or 'rfu'" if force[2] > 0.7 * size else "the IMU is mounted on its side: give axes"
+        "the axes look like 'flu' or 'rfu', or the accelerometer has the other sign (accel_sign = -1): "
+        "jaxnav check says which"
+        if force[2] > 0.7 * size
+        else "the IMU is mounted on its side: give axes"
     )
     mean = ", ".join(f"{x:.1f}" for x in force)
     notes.append(f"The mean specific force is ({mean}) m/s^2, where FRD at rest reads (0, 0, -9.8): {looks}.")

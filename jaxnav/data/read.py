@@ -39,8 +39,8 @@ def read(path: FilePath, **options: Any) -> Recording:
     Args:
         path: file or folder of a format in `READERS`, or a column map (``docs/formats.md``).
         options: ``gnss``, a file with the fixes where ``path`` holds the IMU alone; the fields of
-            `jaxnav.data.mend.Changes` (``axes``, ``lever_arm``, ``sd``, ``time_shift_s``, ``name``); what the format's
-            own reader takes.
+            `jaxnav.data.mend.Changes` (``axes``, ``accel_sign``, ``lever_arm``, ``sd``, ``time_shift_s``, ``name``);
+            what the format's own reader takes.
 
     Raises:
         DataError: not there, of no known format, an unknown option, or nothing that could be used; names the file.

@@ -230,3 +230,35 @@ def test_a_phone_s_sensors_in_files_of_their_own(tmp_path):
     rec = read(FIELD / "phone_two_files" / "map.toml")
     assert len(rec.imu.t) == 1312 and rec.imu.t[0] == pytest.approx(0.3, abs=1e-6)
     np.testing.assert_allclose(rec.imu.accel[0], [0.03513, -0.03609, -9.76923], atol=1e-4)
+
+
+# ---------------------------------------------------------------------------- the accelerometer's sign
+
+
+def means_of(rec: Recording, code: str) -> str:
+    """What a finding of `checkup` says that it means."""
+    return next((finding.means for finding in checkup(rec) if finding.code == code), "")
+
+
+def test_an_accelerometer_that_reads_gravity_is_told_from_other_axes(drive):
+    """Gyro z agrees with the course: the sign; it does not: the axes."""
+    sign = drive._replace(imu=drive.imu._replace(accel=-drive.imu.accel))
+    flu = drive._replace(imu=drive.imu._replace(accel=drive.imu.accel * [1, -1, -1], gyro=drive.imu.gyro * [1, -1, -1]))
+    assert "accel_sign = -1" in means_of(sign, "axes.gravity")
+    assert 'axes = "flu"' in means_of(flu, "axes.gravity") and not means_of(drive, "axes.gravity")
+
+
+@needs_field
+def test_a_recording_with_the_accelerometer_s_other_sign(tmp_path, capsys):
+    folder = FIELD / "accel_sign"
+    assert jaxnav_in(folder, "check", "rec", "--out", str(tmp_path / "out")) == 0
+    assert "accel_sign = -1" in capsys.readouterr().out
+    rec = read(folder / "rec", accel_sign=-1)
+    assert not means_of(rec, "axes.gravity")
+    np.testing.assert_allclose(read(folder / "rec").imu.accel, -rec.imu.accel, rtol=1e-12)
+    sol = navigate(rec, build("ekf15"))
+    true = np.genfromtxt(folder / "true_path.csv", delimiter=",", names=True)
+    apart = sol.rph[:, 2] - np.interp(sol.t, true["t_s"], np.unwrap(np.deg2rad(true["heading_deg"])))
+    assert np.degrees(np.abs(np.angle(np.exp(1j * apart)))).max() < 15.0  # 100 as it is, and with axes="flu"
+    with pytest.raises(DataError, match="accel_sign: expected 1 or -1, got 2"):
+        read(folder / "rec", accel_sign=2)

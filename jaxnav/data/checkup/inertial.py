@@ -4,6 +4,7 @@ import numpy as np
 
 from jaxnav.data.checks import quiet_force
 from jaxnav.data.checkup.finding import Finding
+from jaxnav.data.checkup.motion import turns_with_course
 from jaxnav.data.gaps import holes, in_words
 from jaxnav.maths import units
 from jaxnav.types import ImuLog, Recording
@@ -96,6 +97,8 @@ def gravity(rec: Recording) -> list[Finding]:
     if abs(force[axis]) > 0.9 * size and (axis, np.sign(force[axis])) != (2, -1.0):
         name = "xyz"[axis]
         guess = 'FLU or ENU? say axes = "flu"' if axis == 2 else "the IMU lies on its side: say axes"
+        if axis == 2 and turns_with_course(rec):
+            guess = "gyro z agrees with the course: the accelerometer alone has the other sign, say accel_sign = -1"
         means = f"{name} reads {force[axis]:+.1f} at rest, where forward, right, down has z = -9.8: {guess}"
         found.append(Finding("axes.gravity", words, means, True))
     return found

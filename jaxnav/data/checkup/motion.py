@@ -70,6 +70,13 @@ def correlation(x: Turns, axis: int, lag: int) -> float:
     return float((c * g).sum() / size) if size > 0 else 0.0
 
 
+def turns_with_course(rec: Recording) -> bool:
+    """Whether gyro z turns as the course does, read within a second of it: it points down then."""
+    x = turns_of(rec)
+    most = 0 if x is None else min(round(1.0 / STEP), x.t.size // 2)
+    return x is not None and max(correlation(x, 2, lag) for lag in range(-most, most + 1)) > SURE
+
+
 def turns(rec: Recording) -> list[Finding]:
     """Which gyro shows the turns of the course, with which sign, size and lag."""
     x = turns_of(rec)

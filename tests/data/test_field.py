@@ -240,7 +240,7 @@ def means_of(rec: Recording, code: str) -> str:
     return next((finding.means for finding in checkup(rec) if finding.code == code), "")
 
 
-def test_an_accelerometer_that_reads_gravity_is_told_from_other_axes(drive):
+def test_the_sign_of_an_accelerometer_differs_from_other_axes(drive):
     """Gyro z agrees with the course: the sign; it does not: the axes."""
     sign = drive._replace(imu=drive.imu._replace(accel=-drive.imu.accel))
     flu = drive._replace(imu=drive.imu._replace(accel=drive.imu.accel * [1, -1, -1], gyro=drive.imu.gyro * [1, -1, -1]))

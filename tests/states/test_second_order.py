@@ -137,6 +137,11 @@ def test_a_receiver_s_fix_sees_second_order_by_lever_arm_and_age():
     observe = jax.jit(lambda past, P: model.observe(params, past, fix, P))
     y, H, R = observe(past, jnp.asarray(np.cov(x.T)))
     y_of = np.asarray(jax.vmap(lambda n: model.observe(params, n, fix)[0])(others))
+    first, P = np.asarray(observe(past, jnp.zeros((15, 15)))[1]), np.cov(x.T)
+    for block in (slice(0, 3), slice(3, 6)):
+        share = float(reliability(first[block, 6:], P)[0])
+        np.testing.assert_allclose(H[block, 8], share * first[block, 8], rtol=1e-9)
+        assert share < 0.99
     left = np.asarray(y) - y_of - x @ np.asarray(H).T
     added = np.asarray(R - observe(past, jnp.zeros((15, 15)))[2]) / FIXES_ALIKE
     for block in (slice(0, 3), slice(3, 6)):

@@ -15,7 +15,6 @@ from benchmarks.recordings import drive, navego
 from jaxnav import data as io
 from jaxnav import measurements as ms
 from jaxnav.analysis import metrics
-from jaxnav.analysis.metrics import columns_at
 from jaxnav.data import epochs
 from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.core import Filter, Rule, make_filter
@@ -28,6 +27,7 @@ from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.rules.robust import gate, gate_params, huber, huber_params
 from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import earth
+from jaxnav.maths.interpolation import columns_at
 from jaxnav.simulate.faults import Constant, White, offsets
 from jaxnav.types import Epoch, Nav, Params
 

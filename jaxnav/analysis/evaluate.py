@@ -9,6 +9,7 @@ from jaxnav.analysis import metrics
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.filters.run import track
+from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import Measurement, clock_offset, layout
 from jaxnav.states import table
@@ -135,7 +136,7 @@ def figures(
         b_g, b_a = (np.asarray(info.nav.errors[name]) for name in BIASES)
         sd = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
         true_g, true_a = (
-            (None, None) if bias_truth is None else (metrics.columns_at(t, bias_truth[0], b) for b in bias_truth[1:])
+            (None, None) if bias_truth is None else (columns_at(t, bias_truth[0], b) for b in bias_truth[1:])
         )
         places = table.layout(table.chosen(states))
         sd_g, sd_a = (sd[:, places[name]] for name in BIASES)

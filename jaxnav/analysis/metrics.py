@@ -10,6 +10,7 @@ from scipy.special import chdtri  # the inverse chi-square law without the secon
 
 from jaxnav.data.epochs import TICK
 from jaxnav.maths import earth, linalg, rotations
+from jaxnav.maths.interpolation import columns_at
 from jaxnav.types import Info, Nav, Track
 
 HOLE = 2.5  # intervals of a truth, from which on it is one
@@ -21,11 +22,6 @@ class Errors(NamedTuple):
     position: np.ndarray  # (..., 3) m, ENU
     velocity: np.ndarray  # (..., 3) m/s, ENU
     attitude: np.ndarray  # (..., 3) rad, roll, pitch, heading, each in (-pi, pi]; nan where the truth has none
-
-
-def columns_at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Columns of ``values`` (N, a), known at ``times`` (N,), linearly at ``t`` (E,): (E, a); held beyond the ends."""
-    return np.stack([np.interp(t, times, c) for c in values.T], 1)
 
 
 def told_by(t: np.ndarray, times: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.analysis.metrics import columns_at, told_by
+from jaxnav.analysis.metrics import told_by
 from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config
 from jaxnav.app.sources import scenario_of, simulated
@@ -19,6 +19,7 @@ from jaxnav.filters.core import Filter, Prepared
 from jaxnav.filters.parameters import UNITS
 from jaxnav.filters.run import prepare
 from jaxnav.maths import earth
+from jaxnav.maths.interpolation import columns_at
 from jaxnav.measurements import GNSS, Measurement, clock_offset, counted_from
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario

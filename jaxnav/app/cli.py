@@ -136,9 +136,9 @@ def _inputs(args: argparse.Namespace, config: configuration.Config) -> list[str]
 
 
 def resolve(args: argparse.Namespace) -> configuration.Config:
-    """The configuration: the verb's own, the file, --params, the flags, then --set."""
+    """The configuration: the verb's defaults, the file, --params, the flags, then --set."""
     verb = VERBS[args.verb]
-    layers: list[tuple[str, dict[str, Any]]] = [(args.verb, verb.own(args))]
+    layers: list[tuple[str, dict[str, Any]]] = [(args.verb, verb.defaults(args))]
     if args.config is not None:
         layers.append((args.config, configuration.read(args.config)))
     if getattr(args, "params", None) is not None:

@@ -1,7 +1,7 @@
 """What a verb of the command line is: its arguments, what it reads of the configuration, and the work.
 
 Verbs are rows of `jaxnav.app.verbs.VERBS`; parser, dispatch, run.json, completion, the settings named as unused and
-docs/commands.md come from the rows. Their modules import what computes inside `Verb.run`: help must not wait for JAX.
+docs/commands.md come from the rows. A row's module imports its job inside `Verb.run`: other verbs do not wait for it.
 """
 
 import argparse
@@ -74,15 +74,15 @@ class Verb(NamedTuple):
     arguments: tuple[Argument, ...] = ()
     sections: tuple[str, ...] = ()  # of the configuration, beside the seed, that it reads: what run.json holds
     writes: Callable[[argparse.Namespace], bool] = lambda args: True  # into --out
-    needs_jax: bool = True
+    needs_jax: bool = True  # float64, kept programs and devices are set before it runs
     report: bool = False  # write report.html
-    own: Callable[[argparse.Namespace], dict[str, Any]] = lambda args: {}  # settings before the user's
+    defaults: Callable[[argparse.Namespace], dict[str, Any]] = lambda args: {}  # settings that the user's replace
     # (configuration, whether it simulates) -> why, by the keys that have no effect though their sections are read
     unused: Callable[[Config, bool], dict[str, str]] = lambda config, simulated: {}
     simulates: bool = False  # runs scenarios alone
 
 
-def without(reason: str, *keys: str) -> dict[str, str]:
+def no_effect(reason: str, *keys: str) -> dict[str, str]:
     """Return the reason by key, for `Verb.unused`."""
     return dict.fromkeys(keys, reason)
 

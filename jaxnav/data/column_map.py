@@ -16,6 +16,7 @@ from jaxnav.data.files import FilePath, read_bytes
 from jaxnav.data.mend import GAP, LATE
 from jaxnav.data.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream, counted_from
 from jaxnav.data.sheet import column, open_sheet
+from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import MEASUREMENTS, with_data
 from jaxnav.measurements.columns import QUANTITIES
@@ -122,25 +123,25 @@ def _with_imu(parts: Parts, files: Files, table: dict[str, Any]) -> Parts:
     gyro, accel = (table_of(files, table, key, "imu") * scale for key, scale in zip(("gyro", "accel"), scales))
     t = times_of(files, table, "imu")
     keep = rows_of(files, table, "imu", len(t))
-    own = _accel_time(files, table)
-    if own is None:
+    column = _accel_time(files, table)
+    if column is None:
         side_by_side(files, [t, gyro[:, 0], accel[:, 0]], "imu")
     else:
-        accel, near = _brought_to(t, times_of(files, table | {"time": own}, "imu"), accel)
-        keep &= near
+        accel, covered = _interpolated(t, times_of(files, table | {"time": column}, "imu"), accel)
+        keep &= covered
         if not keep.any():
-            raise DataError(f"{files.map}: imu: no time of the gyro lies within those of the accelerometer ({own})")
+            raise DataError(f"{files.map}: imu: no time of the gyro lies within those of the accelerometer ({column})")
     refs = table["time"] if "time" in table else table["gyro"][0]
     lines = sheet_of(files, table, refs, "imu")[0].lines
     rows = ImuRows(t[keep], gyro[keep], accel[keep], sampling, repair=bool(table.get("repair", False)))
-    if own is not None:
-        words = f"imu: accelerations come by their own times ({own}): {keep.sum()} of {len(t)} gyro samples have one."
+    if column is not None:
+        words = f"imu: accelerations interpolated from times {column}: {keep.sum()} of {len(t)} gyro samples have one."
         parts = parts._replace(notes=(*parts.notes, words))
     return parts._replace(imu=rows, axes=table.get("axes", "frd"), lines=None if lines is None else lines[keep])
 
 
 def _accel_time(files: Files, table: dict[str, Any]) -> str | None:
-    """The accelerometer's own times: the column ``accel_time``, or that of the gyro's name in the other file."""
+    """Return the accelerometer's time column: ``accel_time``, or the gyro's name of it in the accelerometer's file."""
     if "accel_time" in table:
         return str(table["accel_time"])
     if not isinstance(table.get("file"), dict) or "time" not in table or "time_tag" in table:
@@ -148,22 +149,29 @@ def _accel_time(files: Files, table: dict[str, Any]) -> str | None:
     file_of = lambda ref: str(ref).partition(":")[0]
     if file_of(table["time"]) != file_of(table["gyro"][0]):
         return None
-    own = f"{file_of(table['accel'][0])}:{str(table['time']).partition(':')[2]}"
-    sheet, column = sheet_of(files, table, own, "imu")
-    return own if own != table["time"] and column in sheet.columns else None
+    same = f"{file_of(table['accel'][0])}:{str(table['time']).partition(':')[2]}"
+    sheet, name = sheet_of(files, table, same, "imu")
+    return same if same != table["time"] and name in sheet.columns else None
 
 
-def _brought_to(t: np.ndarray, own: np.ndarray, accel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return accelerations (N, 3) at the times ``t`` (N,) of the gyro, and where there are some, (N,) bool.
+def _interpolated(t: np.ndarray, times: np.ndarray, accel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Interpolate accelerations to the times of the gyro.
 
-    Linear between the accelerometer's own times (M,); none outside of them and in holes of more than `GAP` steps.
+    Args:
+        t: (N,) s, of the gyro.
+        times: (M,) s, of the accelerometer, in any order.
+        accel: (M, 3) m/s^2.
+
+    Returns:
+        (N, 3) m/s^2, and (N,) bool: between two samples that are at most `GAP` usual steps from each other.
     """
-    own, first = np.unique(own, return_index=True)
-    found = np.stack([np.interp(t, own, axis) for axis in accel[first].T], axis=1)
-    after = np.clip(np.searchsorted(own, t), 1, len(own) - 1)
-    step, usual = own[after] - own[after - 1], np.median(np.diff(own))
-    on = np.minimum(np.abs(t - own[after]), np.abs(t - own[after - 1])) < 0.01 * usual
-    return found, on | ((t >= own[0]) & (t <= own[-1]) & (step <= GAP * usual))
+    times, first = np.unique(times, return_index=True)
+    after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
+    before = after - 1
+    step, usual = times[after] - times[before], np.median(np.diff(times))
+    at_sample = np.minimum(np.abs(t - times[after]), np.abs(t - times[before])) < 0.01 * usual
+    between = (t >= times[0]) & (t <= times[-1]) & (step <= GAP * usual)
+    return columns_at(t, times, accel[first]), at_sample | between
 
 
 def _stream(files: Files, table: dict[str, Any], name: str) -> Stream:

@@ -80,9 +80,12 @@ def require_params(filt: Filter, params: Params) -> None:
     if missing := _missing(filt, params):
         raise ValueError(f"params has no {', '.join(missing)}, which the filter takes: {_MAKE}")
     expected = _expected(filt.params)
-    own, theirs = params.rule, params.rule if expected is None else expected.rule
-    if (type(own), str(jax.tree.structure(own))) != (type(theirs), str(jax.tree.structure(theirs))):
-        raise ValueError(f"params.rule is {_kind(own)}, the filter takes {_kind(theirs)}: {_MAKE}")
+    if expected is not None:
+        try:
+            chex.assert_trees_all_equal_structs(params.rule, expected.rule)
+        except AssertionError as error:
+            found = f"params.rule is {_kind(params.rule)}, the filter takes {_kind(expected.rule)}"
+            raise ValueError(f"{found}: {_MAKE}") from error
     fitting = Params(
         params.noise, params.prior._replace(correlated=None),
         {name: params.states[name] for name in filt.model.states},

@@ -41,7 +41,6 @@ def with_data() -> dict[str, Measurement]:
 
 
 __all__ = [
-    "with_data",
     "BAROMETER", "GNSS", "MEASUREMENTS", "NONHOLONOMIC", "POSITION", "SPEED", "VELOCITY", "ZERO_RATE", "ZERO_VELOCITY",
-    "Measurement", "clock_offset", "counted_from", "layout",
+    "Measurement", "clock_offset", "counted_from", "layout", "with_data",
 ]  # fmt: skip

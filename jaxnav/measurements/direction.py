@@ -83,7 +83,7 @@ def _late(name: str) -> tuple[Unit, Unit]:
 
 HEADING = Measurement(
     "heading", ("heading",), observe_heading, HeadingParams(1.0, 0.0, 0.0),
-    HeadingParams(*_late("heading"), Unit("heading_yaw_deg", DEG, text="deg", step=DEG)), 
+    HeadingParams(*_late("heading"), Unit("heading_yaw_deg", DEG, text="deg", step=DEG)),
     columns=(column("heading_rad", "angle", 0.1),),
 )  # fmt: skip
 """Heading by two antennas: value rad from north, clockwise, of the line from the first to the second, its own sd."""

@@ -53,7 +53,7 @@ MAGNETOMETER = Measurement(
         Unit("declination_deg", DEG, text="deg", step=3 * DEG), Unit("inclination_deg", DEG, text="deg", step=3 * DEG),
         Unit("field_ut", text="uT", step=1.0),
     ),
-    states=("magnetometer_bias", "declination_error"), 
+    states=("magnetometer_bias", "declination_error"),
     columns=tuple(column(f"{axis}_ut", "field", 3.0, f"sd_{axis}_ut") for axis in "xyz"),
 )  # fmt: skip
 """Magnetic field: value (3,) uT, body, its own sd."""

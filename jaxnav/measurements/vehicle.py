@@ -113,7 +113,7 @@ SPEED = Measurement(
 WHEELS = Measurement(
     "wheels", ("left", "right"), observe_wheels, WheelsParams(1.0, 0.0, 1.0),
     WheelsParams(Unit("wheels_sd_scale"), Unit("wheels_scale", step=0.02), Unit("wheels_track_m", text="m", step=0.02)),
-    states=("vehicle_axes", "odometer_scale"), 
+    states=("vehicle_axes", "odometer_scale"),
     columns=(column("left_mps", "speed", 0.1, "sd_left_mps"), column("right_mps", "speed", 0.1, "sd_right_mps")),
 )  # fmt: skip
 """Speed of the wheels of both sides, none of which steers: value (2,) forward m/s, left and right, their own sd."""

@@ -53,11 +53,11 @@ def _up(vertical: int, axes: jax.Array | None) -> jax.Array:
 def reliability(
     L: jax.Array, P: jax.Array, vertical: int = 2, axes: jax.Array | None = None
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the share of the heading's column that is to be believed, (), and the moment of all second order, (3, 3).
+    """Return the reliability ratio of the heading's column, (), and the second moment of what is left out, (3, 3).
 
-    A column l that is in error by e counts |l|^2 / (|l|^2 + E|e|^2) times, as a regressor that is measured with errors
-    does (Fuller 1987, section 1.1: the reliability ratio). Of the heading alone: gravity makes the others large. What
-    the share r leaves out, (1 - r) l, is noise, as is the `cross_moment`.
+    A column l with an error e counts r = |l|^2 / (|l|^2 + E|e|^2) times, as a regressor that is measured with errors
+    does (Fuller 1987, section 1.1). Only the heading's: gravity makes the other columns large. The rest, (1 - r) l, is
+    noise, and so is the `cross_moment`.
 
     Args:
         L: (3, n - 6) derivative of a vector by the errors of attitude phi and by the optional states s.

@@ -40,10 +40,10 @@ def test_runs_side_by_side_show_what_differs_and_how_far_they_are_apart(runs, tm
     assert found["settings"] == {"seed": ["0.0", "1.0"]} and list(found["figures"]) == ["nis_per_dof"]
     assert "2.00" in said and "b from a: horizontally 30" in said
     assert (tmp_path / "c" / "compare.png").stat().st_size > 10_000
-    apart = compare.apart_from(*(compare.load(runs / name) for name in "ab"))
-    np.testing.assert_allclose(apart["horizontal_m"][::2], 30.0, atol=0.05)
-    np.testing.assert_allclose(apart["height_m"][::2], 0.0, atol=1e-6)
-    np.testing.assert_allclose(apart["heading_deg"][::2], 2.0, atol=1e-6)
+    difference = compare.difference_from(*(compare.load(runs / name) for name in "ab"))
+    np.testing.assert_allclose(difference["horizontal_m"][::2], 30.0, atol=0.05)
+    np.testing.assert_allclose(difference["height_m"][::2], 0.0, atol=1e-6)
+    np.testing.assert_allclose(difference["heading_deg"][::2], 2.0, atol=1e-6)
 
 
 def test_a_finished_run_says_again_what_it_said(runs, capsys):

@@ -10,8 +10,6 @@ import pytest
 from jax.custom_derivatives import SymbolicZero
 
 from jaxnav.analysis import metrics
-from jaxnav.analysis.montecarlo import monte_carlo
-from jaxnav.analysis.navigate import navigate
 from jaxnav.data.epochs import pack
 from jaxnav.filters import core
 from jaxnav.filters.catalogue import FILTERS, build
@@ -19,19 +17,16 @@ from jaxnav.filters.core import Correction, Innovation, Rule, make_filter, maske
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import Poles, observer, open_loop, reset
 from jaxnav.filters.papers.gpid import literal_params
-from jaxnav.filters.parameters import change, datasheet_params, history_for
+from jaxnav.filters.parameters import datasheet_params, history_for
 from jaxnav.filters.rules.kalman import correct as kalman_correct
-from jaxnav.filters.run import first_failure, require_params, run, run_jit
+from jaxnav.filters.run import first_failure, run, run_jit
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
-from jaxnav.simulate.scenarios import SCENARIOS
-from jaxnav.states.grades import GRADES
 from jaxnav.states.table import BIASES, zeros
 from jaxnav.strapdown.fast import local_level
 from jaxnav.strapdown.increments import thin
-from jaxnav.types import DataError, Epoch, Forcing, Imu
+from jaxnav.types import Epoch, Forcing, Imu
 from tests.conftest import GRADE, all_finite, gnss, leaves_equal
-from tuning.recorded import tune
 
 RUNS = 16
 
@@ -405,84 +400,6 @@ def test_a_gradient_differentiates_an_epoch_once(case, feedback):
 
     jax.jit(jax.grad(loss)).trace(case.params.noise)
     assert len(tried) == 1, tried
-
-
-def test_what_is_not_one_run_of_the_filter_is_refused_by_its_field(case):
-    epochs = case.packed.epochs
-    fix, imu, many = epochs.fix, epochs.imu, jax.tree.map(lambda a: jnp.stack([a, a]), case.nav)
-    for match, nav, bad in (
-        (r"fix.value has shape \(\d+, 5\), expected \(\d+, 6\): .* 6 channels of position, velocity", case.nav,
-         epochs._replace(fix=fix._replace(value=fix.value[:, :5]))),
-        (r"epochs.imu.gyro has shape", case.nav, epochs._replace(imu=imu._replace(gyro=imu.gyro[..., :2]))),
-        (r"nav.pos has shape \(2, 3\), expected \(3,\).*of many runs, vmap", many, epochs),
-        (r"epochs.fix.valid must be bool, got float64", case.nav,
-         epochs._replace(fix=fix._replace(valid=fix.valid.astype(float)))),
-    ):  # fmt: skip
-        with pytest.raises(ValueError, match=match):
-            run(build("ekf15"), case.params, nav, bad)
-
-
-@pytest.mark.parametrize(
-    "filt, make, match",
-    [
-        (build("gpid"), lambda f: datasheet_params(GRADES["consumer"]),
-         r"params.rule is tuple\(\), the filter takes Gpid\(ki, kd, .*filt.params\("),
-        (build("ekf15"), lambda f: build("gpid15").params(), r"params.rule is Gpid\(.*takes tuple"),
-        (build("ekf15", ("position", "barometer")), lambda f: build("ekf9").params(),
-         r"has no states\['gyro_bias'\], states\['accel_bias'\], measurements\['barometer'\]"),
-        (build("ekf15"), lambda f: f.params()._asdict(), "params is dict, expected jaxnav.Params"),
-        (build("ekf15"), lambda f: change(f.params(), {"mounting.lever_arm": [1.0, 2.0]}),
-         r"mounting.lever_arm has shape \(2,\), expected \(3,\)"),
-        (build("ekf15"), lambda f: change(f.params(), {"states.gyro_bias.sd": np.ones((3, 3))}),
-         r"states.gyro_bias.sd has shape \(3, 3\), expected \(\) or \(3,\)"),
-        (build("ekf15"), lambda f: change(f.params(), {"measurements.velocity.latency": [0.1, 0.1]}),
-         r"velocity.latency has shape \(2,\), expected \(\)"),
-        (build("gpid"), lambda f: change(f.params(), {"rule.ki": [1.0, 2.0]}), r"params.rule.ki has shape \(2,\)"),
-        (build("ekf15"), lambda f: change(f.params(), {"noise.gyro": [1.0, 2.0]}), r"noise.gyro has shape \(2,\)"),
-    ],
-)  # fmt: skip
-def test_parameters_of_another_filter_are_refused_by_their_field(case, filt, make, match):
-    with pytest.raises(ValueError, match=match):
-        run(filt, make(filt), case.nav, case.packed.epochs)
-
-
-def test_parameters_of_another_filter_are_refused_before_anything_else():
-    """By what takes recordings and scenarios as well: neither is looked at."""
-    filt, params = build("gpid"), datasheet_params(GRADES["consumer"])
-    calls = (
-        lambda: navigate(None, filt, params), lambda: tune(None, filt, params),
-        lambda: monte_carlo(filt, SCENARIOS["urban_short"], params, 1),
-    )  # fmt: skip
-    for call in calls:
-        with pytest.raises(ValueError, match="params.rule is tuple"):
-            call()
-
-
-def test_parameters_fit_by_every_shape_that_a_filter_takes():
-    """One number for all axes, one an axis, roots; those of a larger filter; of every filter of the catalogue."""
-    ekf = build("ekf9")
-    for values in (
-        {"noise.gyro": 1e-3}, {"noise.gyro": np.eye(3)}, {"prior.attitude": 0.1},
-        {"measurements.position.scale": np.eye(3)}, {"measurements.position.scale": 2.0},
-    ):  # fmt: skip
-        require_params(ekf, change(ekf.params(), values))
-    wide = build("ekf15", states=("gyro_scale",))
-    require_params(ekf, wide.params())
-    require_params(wide, change(wide.params(), {"states.gyro_bias.drive": np.eye(3), "states.gyro_scale.tau": 5.0}))
-    for name in FILTERS:
-        require_params(build(name), build(name).params("consumer"))
-
-
-def test_float32_is_refused(case):
-    small = case.nav._replace(pos=case.nav.pos.astype(jnp.float32))
-    with pytest.raises(DataError, match="float64, got float32"):
-        run(build("ekf15"), case.params, small, case.packed.epochs)
-    imu = jax.tree.map(lambda a: a.astype(jnp.float32), case.packed.epochs.imu)
-    with pytest.raises(DataError, match="enable_x64"):
-        run_jit(build("ekf15"), case.params, case.nav, case.packed.epochs._replace(imu=imu))
-    made_too_early = jax.tree.map(lambda a: jnp.asarray(a).astype(jnp.float32), case.params)
-    with pytest.raises(DataError, match="enable_x64"):
-        run_jit(build("ekf15"), made_too_early, case.nav, case.packed.epochs)
 
 
 def test_names_and_options_that_are_not_there():

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav.analysis.metrics import columns_at
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.papers.gpid import gpid_params
 from jaxnav.filters.parameters import datasheet_params, get, mounting, put
 from jaxnav.filters.run import run
 from jaxnav.maths import earth
+from jaxnav.maths.interpolation import columns_at
 from jaxnav.types import Epoch, Params
 from tests.conftest import GRADE, all_finite
 from tuning.objectives import innovation_nll

@@ -134,13 +134,13 @@ def _timing(found: list[Finding]) -> list[str]:
     by = {f.code: f for f in found if f.value is not None}
     lines = []
     if "time.delay" in by:
-        delay, apart = by["time.delay"], by.get("velocity.latency")
-        gap = 0.0 if apart is None else float(apart.value or 0.0)  # of velocity behind position
+        delay, behind = by["time.delay"], by.get("velocity.latency")
+        gap = 0.0 if behind is None else float(behind.value or 0.0)  # s, velocity later than position
         first = float(delay.value or 0.0)
         of_velocity = "velocity" in delay.key
         late = {"position": first - gap if of_velocity else first, "velocity": first if of_velocity else first + gap}
         offset = min(0.0, *late.values())
-        why = delay.words + (f"; {apart.words}" if apart is not None else "")
+        why = delay.words + (f"; {behind.words}" if behind is not None else "")
         settings = {"time_offset_s": offset, **{f"{name}_latency_s": t - offset for name, t in late.items()}}
         lines = [f"{key} = {value:.3f}  # {why}" for key, value in settings.items() if abs(value) > 5e-3]
     if "time.drift" in by:

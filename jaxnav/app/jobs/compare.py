@@ -87,15 +87,15 @@ def compare(folders: Sequence[str], out: Path, figures: bool = True) -> Outcome:
     if changed:
         text += [table(["setting", *names], changed), ""]
     text.append(table(["figure", *names, "last / first"], rows) if rows else "no figure differs")
-    apart = [apart_from(runs[0], other) for other in runs[1:]]
-    for name, difference in zip(names[1:], apart, strict=True):
+    differences = [difference_from(runs[0], other) for other in runs[1:]]
+    for name, difference in zip(names[1:], differences, strict=True):
         if difference is not None:
             off = difference["horizontal_m"]
             rms = float(np.sqrt(np.mean(off**2)))
             text.append(f"{name} from {names[0]}: horizontally {rms:.3g} m RMS, at most {off.max():.3g} m")
-    if figures and any(difference is not None for difference in apart):
+    if figures and any(difference is not None for difference in differences):
         with picture("the runs together"):
-            plots.save(draw(runs, names, apart), out / "compare.png")
+            plots.save(draw(runs, names, differences), out / "compare.png")
     found = {"runs": names, "figures": {row[0]: row[1:-1] for row in rows}, "settings": {r[0]: r[1:] for r in changed}}
     return Outcome(found, "\n".join(text), {})
 
@@ -124,7 +124,7 @@ def _ratio(values: Sequence[Any]) -> float:
     return last / first if number else math.nan
 
 
-def apart_from(first: Run, other: Run) -> dict[str, np.ndarray] | None:
+def difference_from(first: Run, other: Run) -> dict[str, np.ndarray] | None:
     """The other's solution from the first's, at the times that the first has of both; None where they share none."""
     if not first.t.size or not other.t.size:
         return None
@@ -140,7 +140,7 @@ def apart_from(first: Run, other: Run) -> dict[str, np.ndarray] | None:
             "heading_deg": (heading + 180.0) % 360.0 - 180.0}  # fmt: skip
 
 
-def draw(runs: Sequence[Run], names: Sequence[str], apart: Sequence[dict[str, np.ndarray] | None]) -> Any:
+def draw(runs: Sequence[Run], names: Sequence[str], differences: Sequence[dict[str, np.ndarray] | None]) -> Any:
     """The tracks over one another, and how far each is from the first."""
     fig = plots.figure(9.5, 9.5)
     parts: Any = fig.subfigures(2, 1, height_ratios=[1.2, 1.0])
@@ -156,7 +156,7 @@ def draw(runs: Sequence[Run], names: Sequence[str], apart: Sequence[dict[str, np
     ax.legend(fontsize=8)
     for ax, key in zip(plots.panels(bottom, len(DRAWN), 1, "t (s)"), DRAWN, strict=True):
         ax.set_ylabel(key.replace("_", ", ").replace("horizontal", "apart").replace("height", "above"), fontsize=8)
-        for i, difference in enumerate(apart):
+        for i, difference in enumerate(differences):
             if difference is not None:
                 ax.plot(difference["t"], difference[key], color=plots.COLORS[(i + 1) % 7], lw=1, label=names[i + 1])
     return fig

@@ -8,7 +8,7 @@ from jaxnav.app.verbs.mc import unused
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
 
-OWN: dict[str, Any] = {
+DEFAULTS: dict[str, Any] = {
     "data": {"source": "gipkf_urban"},
     "filter": {"name": "gpid,gpid15,gipkf,fwekf,fwekf15,ekf15_gate,ekf15_huber", "cov_stride": 10},
     "bakeoff": {"unseen": ["gipkf_urban_uncalibrated", "gipkf_urban_stress"]},
@@ -39,5 +39,5 @@ VERB = Verb(
         *DEVICES,
     ),
     sections=("data", "filter", "params", "tune", "bakeoff", "out"),
-    report=True, own=lambda args: OWN, unused=unused, simulates=True,
+    report=True, defaults=lambda args: DEFAULTS, unused=unused, simulates=True,
 )  # fmt: skip

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from jaxnav.app.config import Config
-from jaxnav.app.verb import PATH, Job, Verb, without
+from jaxnav.app.verb import PATH, Job, Verb, no_effect
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
@@ -18,7 +18,7 @@ def run(job: Job) -> "Outcome":
 
 def unused(config: Config, simulated: bool) -> dict[str, str]:
     """Settings without effect where a recording is read whole."""
-    return without("the whole recording is read", "data.start", "data.stop")
+    return no_effect("the whole recording is read", "data.start", "data.stop")
 
 
 VERB = Verb(

@@ -5,7 +5,7 @@ from typing import Any
 from jaxnav.app.verb import FILTER, PARAMS, Verb
 from jaxnav.app.verbs.tune import SECTIONS, run, unused
 
-OWN: dict[str, Any] = {
+DEFAULTS: dict[str, Any] = {
     "data": {"source": "urban", "imu_worse_by": 3.0, "gnss_latency_s": 0.1},
     "filter": {"cov_stride": 10},
     "tune": {"steps": 24, "rate": 0.25, "runs": 6, "validation_runs": 8, "test_runs": 12, "free": ["noise", "latency"]},
@@ -14,5 +14,5 @@ OWN: dict[str, Any] = {
 
 VERB = Verb(
     "demo", "simulate, tune by gradient and draw the figures: no data, no network, two minutes the first time", run,
-    (FILTER, PARAMS), sections=SECTIONS, report=True, own=lambda args: OWN, unused=unused,
+    (FILTER, PARAMS), sections=SECTIONS, report=True, defaults=lambda args: DEFAULTS, unused=unused,
 )  # fmt: skip

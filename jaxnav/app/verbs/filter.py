@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from jaxnav.app.config import Config
-from jaxnav.app.verb import DATA, FILTER, PARAMS, Argument, Job, Verb, without
+from jaxnav.app.verb import DATA, FILTER, PARAMS, Argument, Job, Verb, no_effect
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
@@ -21,7 +21,7 @@ def run(job: Job) -> "Outcome":
     return outcome._replace(text=info.programs()) if job.args.warm else outcome
 
 
-def own(args: argparse.Namespace) -> dict[str, Any]:
+def defaults(args: argparse.Namespace) -> dict[str, Any]:
     """What is compiled where nothing is named."""
     return WARM if args.warm and not (args.data or args.config) else {}
 
@@ -31,7 +31,7 @@ def unused(config: Config, simulated: bool) -> dict[str, str]:
     if config.start.heading != "motion":
         return {}
     found = ("start.course_speed_mps", "start.tilt_sd_deg", "start.heading_sd_deg")
-    return without('start.heading = "motion" finds it by itself', *found)
+    return no_effect('start.heading = "motion" finds it by itself', *found)
 
 
 VERB = Verb(
@@ -46,6 +46,6 @@ VERB = Verb(
         Argument("--lag", "by those of the next S seconds ([filter] lag_s)", "filter.lag_s", value="S", type=float),
         Argument("--warm", "compile for recordings like this one and write nothing: before a demo"),
     ),
-    sections=("data", "filter", "start", "params", "out"), writes=lambda args: not args.warm, report=True, own=own,
-    unused=unused,
+    sections=("data", "filter", "start", "params", "out"), writes=lambda args: not args.warm, report=True,
+    defaults=defaults, unused=unused,
 )  # fmt: skip

@@ -3,7 +3,8 @@
 from typing import TYPE_CHECKING
 
 from jaxnav.app.config import Config
-from jaxnav.app.verb import DATA, DEVICES, FILTER, PARAMS, RESUME, Argument, Job, Verb, without
+from jaxnav.app.verb import DATA, DEVICES, FILTER, PARAMS, RESUME, Argument, Job, Verb, no_effect
+from jaxnav.app.verbs import filter
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
@@ -20,15 +21,14 @@ def run(job: Job) -> "Outcome":
 
 def unused(config: Config, simulated: bool) -> dict[str, str]:
     """Settings without effect where fixes are hidden by the tuner, and by the method."""
-    found = without("tuning hides fixes by itself", "filter.outages")
-    found |= without("is of jaxnav filter", "filter.smooth", "filter.lag_s")
+    found = no_effect("tuning hides fixes by itself", "filter.outages")
+    found |= no_effect("is of jaxnav filter", "filter.smooth", "filter.lag_s")
     if simulated:
-        found |= without("a simulated run is used whole", "data.start", "data.stop")
-    elif config.start.heading == "motion":
-        keys = ("start.course_speed_mps", "start.tilt_sd_deg", "start.heading_sd_deg")
-        found |= without('start.heading = "motion" finds it by itself', *keys)
+        found |= no_effect("a simulated run is used whole", "data.start", "data.stop")
+    else:
+        found |= filter.unused(config, simulated)
     if config.tune.method in ("lbfgs", "scoring"):
-        found |= without(f"{config.tune.method} finds its own steps", "tune.rate", "tune.warmup")
+        found |= no_effect(f"{config.tune.method} finds its own steps", "tune.rate", "tune.warmup")
     return found
 
 

@@ -5,8 +5,9 @@ from itertools import permutations
 import numpy as np
 
 from jaxnav.data.axes import DIRECTIONS, rotation
-from jaxnav.data.checkup.finding import Finding, at
+from jaxnav.data.checkup.finding import Finding
 from jaxnav.data.magnetic import field_at
+from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.types import Recording
 
@@ -62,7 +63,7 @@ def _turns(rec: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """
     m, imu = rec.aiding["magnetometer"], rec.imu
     when = np.concatenate([[imu.t[0] - imu.dt[0]], imu.t])
-    angle = at(m.t, when, np.vstack([np.zeros(3), np.cumsum(imu.gyro * imu.dt[:, None], 0)]))
+    angle = columns_at(m.t, when, np.vstack([np.zeros(3), np.cumsum(imu.gyro * imu.dt[:, None], 0)]))
     for apart in APART:
         n = max(1, round(apart / max(float(np.median(np.diff(m.t))), 1e-3)))
         if m.t.size <= n:

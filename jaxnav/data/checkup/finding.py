@@ -30,11 +30,6 @@ def running(t: np.ndarray, value: np.ndarray) -> np.ndarray:
     return np.vstack([np.zeros(value.shape[1]), np.cumsum(step, 0)])
 
 
-def at(t: np.ndarray, when: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Columns (K, c) at the times t, in straight lines."""
-    return np.column_stack([np.interp(t, when, c) for c in value.T])
-
-
 def level_velocity(aiding: dict[str, Samples]) -> Samples | None:
     """The stream of velocities, or what positions give over two seconds where there is none."""
     if "velocity" in aiding and aiding["velocity"].t.size > 10:

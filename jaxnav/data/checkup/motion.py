@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxnav.data.alignment import Alignment, Believed, align
-from jaxnav.data.checkup.finding import Finding, at, level_velocity
+from jaxnav.data.checkup.finding import Finding, level_velocity
 from jaxnav.maths import units
+from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ImuLog, Recording, Samples
@@ -42,7 +43,7 @@ def turns_of(rec: Recording) -> Turns | None:
         return None
     t = np.arange(v.t[0], v.t[-1], STEP)
     n = max(3, round(max(1.0, float(np.median(np.diff(v.t)))) / STEP))
-    vel = smooth(at(t, v.t, v.value[:, :2]), n)
+    vel = smooth(columns_at(t, v.t, v.value[:, :2]), n)
     acc = np.gradient(vel, STEP, axis=0)
     square = (vel**2).sum(1)
     least = max(0.5, 3 * float(np.median(v.sd[:, :2])))
@@ -50,7 +51,7 @@ def turns_of(rec: Recording) -> Turns | None:
     course = np.where(weight > 0, (vel[:, 1] * acc[:, 0] - vel[:, 0] * acc[:, 1]) / np.maximum(square, least**2), 0.0)
     total = np.vstack([np.zeros(3), np.cumsum(rec.imu.gyro * rec.imu.dt[:, None], 0)])
     when = np.concatenate([[rec.imu.t[0] - rec.imu.dt[0]], rec.imu.t])
-    gyro = smooth(np.gradient(at(t, when, total), STEP, axis=0), n)
+    gyro = smooth(np.gradient(columns_at(t, when, total), STEP, axis=0), n)
     weight[:n], weight[-n:] = 0.0, 0.0  # a running mean ends there
     if weight.sum() * STEP < 5.0 or np.sqrt((course**2).sum() / weight.sum()) < 0.5 * DEG:
         return None

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from jaxnav.data.checkup.finding import Finding, at, level_velocity, local, rms, running
+from jaxnav.data.checkup.finding import Finding, level_velocity, local, rms, running
 from jaxnav.data.mend import EMPTY
+from jaxnav.maths.interpolation import columns_at
 from jaxnav.types import Recording
 
 SPAN = 2.0  # s, over which positions are differenced
@@ -38,7 +39,7 @@ def velocity(rec: Recording) -> list[Finding]:
         return []
     T, place, total = (b - a)[rows, None], local(p.value), running(v.t, v.value)
     shown = (place[n:] - place[:-n])[rows] / T
-    said = (at(b[rows], v.t, total) - at(a[rows], v.t, total)) / T
+    said = (columns_at(b[rows], v.t, total) - columns_at(a[rows], v.t, total)) / T
     sd = np.hypot(np.sqrt(2) * p.sd[n:][rows] / T, np.median(v.sd, 0))
     found = _level(shown[:, :2], said[:, :2], rms(sd[:, :2]))
     found += _vertical(shown[:, 2], said[:, 2], rms(sd[:, 2]), float(np.median(v.sd[:, 2])))

@@ -10,6 +10,7 @@ from jaxnav.data.axes import attitude
 from jaxnav.data.checks import ned_to_enu
 from jaxnav.data.parts import ImuRows, Parts, Stream, with_fixes
 from jaxnav.data.units import UNITS
+from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Track
 
@@ -101,7 +102,9 @@ def _imu(topics: dict[str, dict[str, np.ndarray]]) -> ImuRows | None:
     if "sensor_gyro" in topics and "sensor_accel" in topics:
         turn, push = topics["sensor_gyro"], topics["sensor_accel"]
         t = _seconds(turn["timestamp"])
-        return ImuRows(t, _table(turn, "x", "y", "z"), _at(t, push, _table(push, "x", "y", "z")))
+        return ImuRows(
+            t, _table(turn, "x", "y", "z"), columns_at(t, _seconds(push["timestamp"]), _table(push, "x", "y", "z"))
+        )
     return None
 
 
@@ -224,8 +227,9 @@ def _truth(topics: dict[str, dict[str, np.ndarray]]) -> Track | None:
     rph = np.unwrap(attitude(_table(turn, *(f"q[{i}]" for i in range(4)))), axis=0)
     lla = _table(place, "lat", "lon", _height(place))
     lla *= np.array([DEG, DEG, 1.0])
-    return Track(t, lla, _at(t, motion, vel), np.angle(np.exp(1j * _at(t, turn, rph))))
-
-
-def _at(t: np.ndarray, data: dict[str, np.ndarray], values: np.ndarray) -> np.ndarray:
-    return np.stack([np.interp(t, _seconds(data["timestamp"]), v) for v in values.T], axis=1)
+    return Track(
+        t,
+        lla,
+        columns_at(t, _seconds(motion["timestamp"]), vel),
+        np.angle(np.exp(1j * columns_at(t, _seconds(turn["timestamp"]), rph))),
+    )

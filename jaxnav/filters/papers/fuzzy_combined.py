@@ -70,7 +70,7 @@ def over_blocks(valid: jax.Array, a: jax.Array) -> jax.Array:
     return jnp.where(here, by_block(a), 0.0).sum(1) / jnp.maximum(here.sum(1), 1)
 
 
-def inputs(doubt: jax.Array, past: Window, z: Innovation, R: jax.Array, witness: int) -> Any:
+def inputs(doubt: jax.Array, past: Window, z: Innovation, R: jax.Array, witness: int) -> tuple[jax.Array, ...]:
     """The mean m (), the sizes e (m / 3,), and the mean square of the residuals in units of the channel, (m / 3,)."""
     count = past.valid.sum(0)
     residual = jnp.where(past.valid, past.residual, 0.0)

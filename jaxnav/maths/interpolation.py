@@ -1,0 +1,17 @@
+"""Linear interpolation of columns on the host."""
+
+import numpy as np
+
+
+def columns_at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Interpolate columns linearly; beyond the ends they are held.
+
+    Args:
+        t: (K,) times that are asked for.
+        times: (N,) increasing, of the same unit.
+        values: (N, a).
+
+    Returns:
+        (K, a), in the unit of ``values``.
+    """
+    return np.stack([np.interp(t, times, column) for column in values.T], 1)

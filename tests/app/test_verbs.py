@@ -3,6 +3,7 @@
 import json
 import re
 import types
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
@@ -42,3 +43,18 @@ def test_no_other_code_knows_a_verb_by_its_name():
     for path in (ROOT / "jaxnav" / "app").glob("*.py"):
         found = [line for line in path.read_text().splitlines() if named.search(line)]
         assert not found, (path.name, found)
+
+
+SET = [(verb.name, a.name) for verb in VERBS.values() for a in verb.arguments if a.setting]
+WORDS = {"--filter": "ekf9", "--for": "kfgins", "--data": "urban_short", "path": "drive", "--unseen": "a, b"}
+
+
+@pytest.mark.parametrize("verb, name", SET)
+def test_an_argument_sets_its_setting(verb, name):
+    argument = next(a for a in VERBS[verb].arguments if a.name == name)
+    text = WORDS.get(name, "7")
+    given = [name] * name.startswith("-") + [text] * bool(argument.value)
+    needed = ["drive"] if name != "path" and any(a.name == "path" for a in VERBS[verb].arguments) else []
+    found = attrgetter(argument.setting)(cli.resolve(cli.make_parser().parse_args([verb, *given, *needed])))
+    expected = argument.type(text) if argument.value else True
+    assert found == (tuple(expected) if isinstance(expected, list) else expected)

@@ -72,7 +72,7 @@ class Verb(NamedTuple):
     help: str  # a line
     run: Callable[[Job], "Outcome"]
     arguments: tuple[Argument, ...] = ()
-    sections: tuple[str, ...] = ()  # of the configuration, beside the seed, that it reads: what run.json holds
+    sections: tuple[str, ...] = ()  # of the configuration that it reads and run.json holds, besides the seed
     writes: Callable[[argparse.Namespace], bool] = lambda args: True  # into --out
     needs_jax: bool = True  # float64, kept programs and devices are set before it runs
     report: bool = False  # write report.html

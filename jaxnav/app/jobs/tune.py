@@ -1,4 +1,4 @@
-"""`jaxnav tune` and `jaxnav demo`: tune on some data by gradient, show the gain on data kept aside."""
+"""`jaxnav tune` and `jaxnav demo`: tune on training data by gradient, show the gain on test data."""
 
 import dataclasses
 import time
@@ -30,7 +30,7 @@ METHODS = ("auto", "tempered", *OPTIMIZERS, "scoring")
 
 
 def tune(config: Config, folder: Path, progress: bool = False, long: Long | None = None) -> Outcome:
-    """Tune, compare before and after on what was kept aside, write parameters, history and figures.
+    """Tune, compare before and after on test data, write parameters, history and figures.
 
     Raises:
         FailedCheck: the starting filter stops being finite.

@@ -34,7 +34,7 @@ def unused(config: Config, simulated: bool) -> dict[str, str]:
 
 VERB = Verb(
     "tune",
-    "tune a filter's parameters by gradient and show the gain on data kept aside",
+    "tune a filter's parameters by gradient and show the gain on test data",
     run,
     (
         DATA,

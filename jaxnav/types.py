@@ -125,11 +125,11 @@ class Noise(NamedTuple):
 class StateParams(NamedTuple):
     """What is known of one of `jaxnav.states.STATES`: a first-order Gauss-Markov process, in units of the state.
 
-    Each leaf broadcasts to the state's axes. ``tau = inf`` is a random walk, ``drive = 0`` a constant.
+    Each leaf broadcasts to the state's axes. ``tau = inf`` is a random walk, ``driving_noise = 0`` a constant.
     """
 
     sd: Leaf  # () or (size,) at the start
-    drive: Leaf  # (), (size,) or a root (size, size) as in `Noise`; per sqrt(s), root PSD of what drives it
+    driving_noise: Leaf  # (), (size,) or a root (size, size) as in `Noise`; per sqrt(s), root PSD of what drives it
     tau: Leaf  # () or (size,) s
 
 

@@ -124,8 +124,10 @@ def all_finite(tree) -> bool:
 
 #: short names of parameters, for `told`
 LEAVES = {
-    "gyro": "noise.gyro", "accel": "noise.accel", "gyro_bias": "states.gyro_bias.drive",
-    "accel_bias": "states.accel_bias.drive", "gyro_tau": "states.gyro_bias.tau", "accel_tau": "states.accel_bias.tau",
+    "gyro": "noise.gyro", "accel": "noise.accel",
+    "gyro_bias": "states.gyro_bias.driving_noise",
+    "accel_bias": "states.accel_bias.driving_noise",
+    "gyro_tau": "states.gyro_bias.tau", "accel_tau": "states.accel_bias.tau",
     "gyro_bias_sd": "states.gyro_bias.sd", "accel_bias_sd": "states.accel_bias.sd",
     "position_scale": "measurements.position.scale", "velocity_scale": "measurements.velocity.scale",
     "position_latency": "measurements.position.latency", "velocity_latency": "measurements.velocity.latency",

@@ -64,7 +64,9 @@ def program(frame: str, states=(), measurements=GNSS):
 def silent(params: Params) -> Params:
     """Further states that are known to be zero."""
     still = {
-        name: p._replace(sd=jnp.zeros(()), drive=jnp.zeros(())) for name, p in params.states.items() if name in MORE
+        name: p._replace(sd=jnp.zeros(()), driving_noise=jnp.zeros(()))
+        for name, p in params.states.items()
+        if name in MORE
     }
     return params._replace(states=params.states | still)
 

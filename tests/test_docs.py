@@ -1,6 +1,7 @@
 """The library user's page runs as it is printed; the other pages quote files, list names and link as they say."""
 
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,12 @@ import pytest
 
 import jaxnav
 import tuning
+from jaxnav.app import config, prepare
+from jaxnav.states.grades import GRADES
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "library.md"
+SET = re.compile(r"""--set ['"]?(?!section)([a-z_.]+)=(\[[^\]]*\]|{[^}]*}|[^\s'"`]+)""")
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
@@ -41,6 +45,18 @@ def test_what_is_quoted_is_the_file():
     assert len(quoted) == 2
     for name, text in quoted:
         assert text == (ROOT / name).read_text(), name
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name != "formats.md"], ids=lambda page: page.name)
+def test_configurations_and_their_keys_are_known(page):
+    """A configuration on a page gives parameters and what is tuned; each --set names a setting."""
+    text = page.read_text()
+    for key, value in SET.findall(text):
+        config.resolve([(page.name, config.parse_set(f"{key}={value}"))])
+    for block in re.findall(r"```toml\n(.*?)```", text, re.S):
+        c = config.resolve([(page.name, tomllib.loads(block))])
+        params = prepare.base_params(c, GRADES["consumer"], np.zeros(3))
+        prepare.tune_spec(c.tune, c.filter.name, prepare.measurements_of(c), params)
 
 
 def test_every_public_name_is_in_the_api_and_has_a_docstring():

@@ -32,7 +32,7 @@ def _remark(leaves: Mapping[str, Any], mark: str) -> list[str]:
 def _sensors(params: Params) -> dict[str, Any]:
     """White noise and what drives the biases, by name; zero where the filter has no biases."""
     still = StateParams(0.0, 0.0, np.inf)
-    drives = {name: params.states.get(name, still).drive for name in ("gyro_bias", "accel_bias")}
+    drives = {name: params.states.get(name, still).driving_noise for name in ("gyro_bias", "accel_bias")}
     return {"gyro": params.noise.gyro, "accel": params.noise.accel, **drives}
 
 

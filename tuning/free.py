@@ -31,7 +31,7 @@ def groups(
               for leaf, unit in m.units._asdict().items() if unit.step is None]  # fmt: skip
     velocity = ["measurements.velocity.latency"] if "velocity" in fixes else []
     return {
-        "noise": ["noise.gyro", "noise.accel", *(f"states.{state}.drive" for state in states), *others],
+        "noise": ["noise.gyro", "noise.accel", *(f"states.{state}.driving_noise" for state in states), *others],
         "fixes": [f"measurements.{name}.scale" for name in fixes],
         "timing": ["mounting.time_offset", "mounting.clock_drift", *velocity],  # of the IMU's clock
         "latency": [f"measurements.{name}.latency" for name in fixes],  # of the receiver: its fixes are old
@@ -48,7 +48,7 @@ def of_rule(name: str) -> list[str]:
 
 
 def leaves_of(names: Iterable[str], short: Mapping[str, list[str]], params: Params, key: str = "free") -> list[str]:
-    """The dotted leaves of ``params`` that names stand for: of `groups`, dotted themselves, or keys of [params].
+    """The dotted leaves of ``params`` that names stand for: of `groups`, dotted themselves, or keys of a configuration.
 
     Raises:
         ConfigError: no parameter is called so, or a state that the parameters have not; names ``key``.
@@ -66,8 +66,8 @@ def leaves_of(names: Iterable[str], short: Mapping[str, list[str]], params: Para
 
 
 def constant(leaf: str, params: Params) -> bool:
-    """Whether it is the drive of a state that does not change: it has no logarithm."""
-    return leaf.endswith(".drive") and not np.all(np.asarray(get(params, leaf)) > 0)
+    """Return whether it is the driving noise of a constant state: it has no logarithm."""
+    return leaf.endswith(".driving_noise") and not np.all(np.asarray(get(params, leaf)) > 0)
 
 
 def step_of(leaf: str, filter_name: str) -> Transform:

@@ -27,7 +27,7 @@ class Prior(NamedTuple):
 
 PRIORS: dict[str, Prior] = {
     "noise": Prior(10.0, "vibration, scale errors or a delay pass for noise, or another grade"),
-    "drive": Prior(10.0, "what is not modelled passes for a bias that drifts"),
+    "driving_noise": Prior(10.0, "what is not modelled passes for a bias that drifts"),
     "tau": Prior(5.0, "what is slow is a walk, or what is fast is noise"),
     "scale": Prior(3.0, "the receiver's sd are not meant as such, or its errors are not white"),
     "sd": Prior(3.0, "the start is other than said"),
@@ -49,7 +49,7 @@ def kind_of(leaf: str) -> str:
 
 
 def leaves_of(filt: Filter, params: Params, names: Iterable[str]) -> list[str]:
-    """The leaves that names stand for: groups of `tuning.free.groups`, dotted leaves, or keys of [params].
+    """The leaves that names stand for: groups of `tuning.free.groups`, dotted leaves, or keys of a configuration.
 
     Raises:
         ConfigError: an unknown name, a leaf that the filter has not, or nothing at all.
@@ -75,7 +75,7 @@ def spec_of(
     for leaf in leaves_of(filt, params, names):
         transform = transform_of(leaf)
         centre = jnp.asarray(get(params, leaf), float)
-        if kind_of(leaf) in ("noise", "drive", "tau", "scale", "sd") and centre.ndim < 2:
+        if kind_of(leaf) in ("noise", "driving_noise", "tau", "scale", "sd") and centre.ndim < 2:
             transform = tied(transform)
             centre = jnp.exp(jnp.mean(jnp.log(centre)))
         width = widths.get(leaf, PRIORS[kind_of(leaf)].sd)

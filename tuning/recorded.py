@@ -55,7 +55,7 @@ FAR = 2.0  # sd of a prior beyond which a parameter is said to be far
 LEAST_LOG_M = 0.1  # m: smaller drifts count as this in mean logarithms
 FEW = 1.25  # times the datasheet's drift that the few windows of validation may show by chance
 CORRELATED = 0.15  # of a position's innovations from fix to fix, from which on slow errors are tried
-SLOW_LEAVES = (f"states.{SLOW}.drive", f"states.{SLOW}.tau")
+SLOW_LEAVES = (f"states.{SLOW}.driving_noise", f"states.{SLOW}.tau")
 
 
 class Trial(NamedTuple):
@@ -136,7 +136,7 @@ def tune(
 
     Of several what is free has one value for all, but for what ``own`` names, of which each has its own: "timing" of
     loggers with clocks of their own, "noise" of several IMUs on one vehicle. Each has its own start, and its own
-    ``params`` where lever arms differ. ``free``: groups of `tuning.free.groups`, keys of [params] or dotted leaves.
+    ``params`` where lever arms differ. ``free``: groups of `tuning.free.groups`, dotted leaves or their keys.
     ``widths``: priors of your own by leaf, one sd about ``params``: a factor where the parameter is positive, else in
     SI. ``begin``: `jaxnav.start` with settings of your own. ``stop``: s. ``window``: s, length of the hidden windows,
     by default 3 to 15 by the recording's length. ``priors``: False believes nothing before the data.

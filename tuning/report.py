@@ -10,7 +10,7 @@ import numpy as np
 from jaxnav.data import atomic_write
 from jaxnav.data.json import to_json, write_json
 from jaxnav.data.toml import to_toml
-from jaxnav.filters.border import in_user_units, noise_leaves, override
+from jaxnav.filters.border import TABLES, in_user_units, nested, noise_leaves, override
 from jaxnav.filters.parameters import get
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import DataError, Params
@@ -131,18 +131,17 @@ def write(found: "Tuned", folder: Path, states: Sequence[str] = (), exports: boo
     about = f"{' and '.join(u.name for u in found.used)}: {found.verdict}"
     extra = [name for name in found.filter.model.states if name not in found.used[0].sheet.states]
     params: dict[str, Any] = {"filter": {"states": [*states, *extra]}} if extra else {}
-    params |= {"params": in_user_units(found.params, dict.fromkeys([*noise_leaves(found.params), *found.spec]))}
+    stated = lambda each: nested(in_user_units(each, dict.fromkeys([*noise_leaves(each), *found.spec])))
     head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
-    atomic_write(folder / "tuned.toml", head + to_toml(params))
+    atomic_write(folder / "tuned.toml", head + to_toml(params | stated(found.params)))
     for number, (used, own) in enumerate(zip(found.used[1:], found.each[1:], strict=True), start=2):
         if any(np.any(np.asarray(get(own, leaf)) != np.asarray(get(found.params, leaf))) for leaf in found.spec):
-            said = in_user_units(own, dict.fromkeys([*noise_leaves(own), *found.spec]))
-            text = f"# jaxnav tune: {used.name}, which has some of its own\n" + to_toml(params | {"params": said})
+            text = f"# jaxnav tune: {used.name}, which has some of its own\n" + to_toml(params | stated(own))
             atomic_write(folder / f"tuned_{number}.toml", text)
     if exports:
         rows = tuple(MEASUREMENTS[name] for name in found.filter.model.measurements)
-        stated = stated_sd(sd_by_stream(found.used[0].packed.epochs.fix, rows))
-        write_exports(folder, f"jaxnav tune: {about}", found.params, stated)
+        sd = stated_sd(sd_by_stream(found.used[0].packed.epochs.fix, rows))
+        write_exports(folder, f"jaxnav tune: {about}", found.params, sd)
     atomic_write(folder / "history.jsonl", "\n".join(to_json(row) for row in found.history) + "\n")
     write_json(folder / "metrics.json", metrics(found))
 
@@ -160,6 +159,6 @@ def load(path: str | Path, params: Params) -> Params:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: is not TOML: {error}") from error
-    if not isinstance(stated.get("params"), dict):
-        raise DataError(f"{path}: has no table [params], as tuned.toml has")
-    return override(params, stated["params"])
+    if not any(isinstance(stated.get(table), dict) for table in TABLES):
+        raise DataError(f"{path}: has none of {', '.join(f'[{table}]' for table in TABLES)}, as tuned.toml has")
+    return override(params, stated)

@@ -45,10 +45,10 @@ def _one_time(params: Params) -> Params:
     """Every state a Gauss-Markov process of one correlation time; a constant one may then change by its sd."""
     time, states = export.ONE_CORRELATION_TIME, {}
     for name, state in params.states.items():
-        drive = np.asarray(state.drive, float)
+        drive = np.asarray(state.driving_noise, float)
         slow = np.broadcast_to(np.asarray(state.sd) * np.sqrt(2 / time), drive.shape)
         states[name] = state._replace(
-            tau=np.full_like(np.asarray(state.tau, float), time), drive=np.where(drive > 0, drive, slow)
+            tau=np.full_like(np.asarray(state.tau, float), time), driving_noise=np.where(drive > 0, drive, slow)
         )
     return params._replace(states=states)
 
@@ -125,7 +125,7 @@ def kfgins_config(rec: Recording, params: Params, begin: Start) -> str:
 
 
 WHITE: tuple[str, ...] = ("noise.gyro", "noise.accel", "fixes")
-DRIVES: tuple[str, ...] = ("states.gyro_bias.drive", "states.accel_bias.drive")
+DRIVES: tuple[str, ...] = ("states.gyro_bias.driving_noise", "states.accel_bias.driving_noise")
 ALL = (*WHITE, *DRIVES, "timing")
 BOTH: tuple[str, ...] = ("position", "velocity")
 TARGETS: dict[str, Target] = {

@@ -52,7 +52,12 @@ _SCALES = ("measurements.position.scale", "measurements.velocity.scale")
 _WHITE: Spec = dict.fromkeys(("noise.gyro", "noise.accel", *_SCALES), LOG)
 _EKF9: Spec = _WHITE | {"prior.attitude": LOG}
 _GIP_KF: Spec = _EKF9 | {"rule.log_rl": IDENTITY}
-_BIAS = ("states.gyro_bias.drive", "states.accel_bias.drive", "states.gyro_bias.sd", "states.accel_bias.sd")
+_BIAS = (
+    "states.gyro_bias.driving_noise",
+    "states.accel_bias.driving_noise",
+    "states.gyro_bias.sd",
+    "states.accel_bias.sd",
+)
 SPECS: dict[str, Spec] = {
     "ekf15_tuned": _EKF9 | dict.fromkeys(_BIAS, LOG),
     "ekf9_tuned": _EKF9,
@@ -70,7 +75,7 @@ SPECS: dict[str, Spec] = {
 CRIPPLED = {  # of the datasheet's 15-state filter: names of leaves -> factor
     "bias prior x0.01": {"states.gyro_bias.sd": 0.01, "states.accel_bias.sd": 0.01},
     "biases frozen": dict.fromkeys(_BIAS, 0.0),
-    "accelerometer bias frozen": {"states.accel_bias.drive": 0.0, "states.accel_bias.sd": 0.0},
+    "accelerometer bias frozen": {"states.accel_bias.driving_noise": 0.0, "states.accel_bias.sd": 0.0},
     "process noise x100": {"noise.gyro": 100.0, "noise.accel": 100.0},
     "measurement sd x100": {"measurements.position.scale": 100.0, "measurements.velocity.scale": 100.0},
 }

@@ -33,9 +33,9 @@ def parameters(folder, imu: str) -> Params:
             "noise.accel": sheet.vrw,
             "prior.attitude": sheet.ini_align_err,
             "states.gyro_bias.sd": sheet.gb_sta,
-            "states.gyro_bias.drive": sheet.gb_dyn * np.sqrt(2 / sheet.gb_corr),
+            "states.gyro_bias.driving_noise": sheet.gb_dyn * np.sqrt(2 / sheet.gb_corr),
             "states.accel_bias.sd": sheet.ab_sta,
-            "states.accel_bias.drive": sheet.ab_dyn * np.sqrt(2 / sheet.ab_corr),
+            "states.accel_bias.driving_noise": sheet.ab_dyn * np.sqrt(2 / sheet.ab_corr),
         },
     )
 

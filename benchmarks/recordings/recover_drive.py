@@ -31,7 +31,7 @@ from tuning.validation import paired_gain
 
 SPEC: Spec = {
     "noise.gyro": tied(LOG), "noise.accel": tied(LOG),
-    "states.gyro_bias.drive": tied(LOG), "states.accel_bias.drive": tied(LOG),
+    "states.gyro_bias.driving_noise": tied(LOG), "states.accel_bias.driving_noise": tied(LOG),
     "measurements.position.scale": LOG, "measurements.velocity.scale": LOG,  # by axis
     "mounting.time_offset": scaled(0.1), "mounting.clock_drift": scaled(300 * units.PPM),
     "measurements.velocity.latency": scaled(0.05),
@@ -146,7 +146,7 @@ def recover(steps: int, seed: int) -> dict:
         component(first.name): {"unit": unit_of(first).text, "without_each_block": [told(of[j]) for of in intervals]}
         for j, first in enumerate(intervals[0])
     }
-    for name in ("time_offset_s", "clock_drift_ppm", "velocity_latency_s"):
+    for name in ("mounting.time_offset_s", "mounting.clock_drift_ppm", "measurements.velocity.latency_s"):
         each = result["parameters"][name]["without_each_block"]
         said = ", ".join(f"{p['value']:#.4g} ({p['low']:#.4g} to {p['high']:#.4g})" for p in each)
         print(f"{name}, without each block in turn: {said}")

@@ -38,7 +38,8 @@ def truth_of(sheet: Params) -> Params:
     tau = receiver.slow_position_s
     drive = np.sqrt(2 * receiver.slow_position_sd_m**2 / tau + receiver.velocity_sd_mps[0] ** 2 * interval)
     values = {"measurements.position.scale": 1 / OVERSTATED, "measurements.velocity.scale": 1.0}
-    values |= {f"states.{SLOW}.drive": drive, f"states.{SLOW}.tau": tau, f"states.{SLOW}.sd": drive * np.sqrt(tau / 2)}
+    slow = {"driving_noise": drive, "tau": tau, "sd": drive * np.sqrt(tau / 2)}
+    values |= {f"states.{SLOW}.{leaf}": value for leaf, value in slow.items()}
     return change(sheet, values)
 
 

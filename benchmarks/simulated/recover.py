@@ -33,10 +33,15 @@ from tuning.uncertainty import Information
 
 SPEC: Spec = {
     "noise.gyro": tied(LOG), "noise.accel": tied(LOG),
-    "states.gyro_bias.drive": tied(LOG), "states.accel_bias.drive": tied(LOG),
+    "states.gyro_bias.driving_noise": tied(LOG), "states.accel_bias.driving_noise": tied(LOG),
     "measurements.position.scale": tied(LOG, (0, 0, 1)), "measurements.velocity.scale": tied(LOG, (0, 0, 1)),
 }  # fmt: skip
-WELL = ("gyro_deg_per_sqrt_hour", "accel_ug_per_sqrt_hz", "position_scale", "velocity_scale")  # ARW, VRW, GNSS sd
+WELL = (
+    "noise.gyro_deg_per_sqrt_hour",
+    "noise.accel_ug_per_sqrt_hz",
+    "measurements.position.scale",
+    "measurements.velocity.scale",
+)  # ARW, VRW, GNSS sd
 BLOCK = 10.0  # s of a recording that are drawn together
 
 
@@ -137,7 +142,7 @@ def truth_of(what: Scenario) -> Params:
     drive = k * np.sqrt(2 / grade.tau)
     drives = {"gyro_bias": drive * grade.gyro_instability, "accel_bias": drive * grade.accel_instability}
     values = {"noise.gyro": k * grade.arw, "noise.accel": k * grade.vrw}
-    return change(params, values | {f"states.{name}.drive": value for name, value in drives.items()})
+    return change(params, values | {f"states.{name}.driving_noise": value for name, value in drives.items()})
 
 
 @partial(jax.jit, static_argnums=0)

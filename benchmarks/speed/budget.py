@@ -41,7 +41,7 @@ CLOSE = 0.01  # of a logarithm: 1 %
 PER_PARAMETER = 200  # evaluations of a search without derivatives, for each parameter
 STEPS, RATE = 100, 0.3  # of Adam
 TOGETHER = 16  # candidates that are evaluated side by side
-WHITE, DRIVES = ("noise.gyro", "noise.accel"), ("states.gyro_bias.drive", "states.accel_bias.drive")
+WHITE, DRIVES = ("noise.gyro", "noise.accel"), ("states.gyro_bias.driving_noise", "states.accel_bias.driving_noise")
 SCALES = ("measurements.position.scale", "measurements.velocity.scale")
 AXES = (*WHITE, *DRIVES, *SCALES)
 

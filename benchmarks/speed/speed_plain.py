@@ -29,7 +29,7 @@ class Noise(NamedTuple):
     velocity_scale: jax.Array
 
 
-LEAVES = ("noise.gyro", "noise.accel", "states.gyro_bias.drive", "states.accel_bias.drive",
+LEAVES = ("noise.gyro", "noise.accel", "states.gyro_bias.driving_noise", "states.accel_bias.driving_noise",
           "measurements.position.scale", "measurements.velocity.scale")  # fmt: skip
 
 

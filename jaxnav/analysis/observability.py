@@ -142,6 +142,6 @@ def states_in_words(filt: Filter, params: Params, nav: Nav, info: Info) -> list[
 
 def _driven(state: StateParams, T: float) -> np.ndarray:
     """Variance by which a Gauss-Markov process has spread after T s."""
-    drive, tau = np.asarray(state.drive), np.asarray(state.tau)
+    drive, tau = np.asarray(state.driving_noise), np.asarray(state.tau)
     size = np.linalg.norm(drive, axis=1) if drive.ndim == 2 else drive
     return size**2 * np.minimum(T, tau / 2)

@@ -1,8 +1,7 @@
 """What tuning runs on: batches of runs with hidden windows, for training, validation and the test kept aside."""
 
-import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +9,11 @@ import numpy as np
 
 from jaxnav.analysis.metrics import told_by
 from jaxnav.app import prepare as pre
-from jaxnav.app.config import Config
+from jaxnav.app.config import Config, changed
 from jaxnav.app.sources import scenario_of, simulated
 from jaxnav.data import epochs as ep
 from jaxnav.data.bank import most_probable
+from jaxnav.filters.border import NAMES
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Prepared
 from jaxnav.filters.parameters import UNITS
@@ -158,8 +158,8 @@ def _known(scenario: Scenario) -> dict[str, float]:
     drive = factor * np.sqrt(2 / grade.tau)
     return {
         "noise.gyro": factor * grade.arw, "noise.accel": factor * grade.vrw,
-        "states.gyro_bias.drive": drive * grade.gyro_instability,
-        "states.accel_bias.drive": drive * grade.accel_instability,
+        "states.gyro_bias.driving_noise": drive * grade.gyro_instability,
+        "states.accel_bias.driving_noise": drive * grade.accel_instability,
         "measurements.position.latency": late, "measurements.velocity.latency": late,
     }  # fmt: skip
 
@@ -251,9 +251,8 @@ def _whole(config: Config, case: pre.ReadyRun, prepared: Epoch, split: Split) ->
 
 
 def datasheet_only(config: Config) -> Config:
-    """Without what [params] says of noise and priors: the datasheet's, where the mounting is as stated."""
-    of_noise: dict[str, Any] = {unit.key: None for unit in UNITS.values() if unit.step is None}
-    return dataclasses.replace(config, params=dataclasses.replace(config.params, **of_noise))
+    """Return the configuration without stated noise and priors: the datasheet's, with the mounting as stated."""
+    return changed(config, {NAMES[leaf]: None for leaf, unit in UNITS.items() if unit.step is None})
 
 
 def _phases(

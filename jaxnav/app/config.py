@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from jaxnav.data.toml import convert, describe, place, plain
+from jaxnav.filters.border import NAMES, TABLES, flat, nested
 from jaxnav.filters.parameters import UNITS
 from jaxnav.maths.units import Unit
-from jaxnav.measurements import MEASUREMENTS
+from jaxnav.measurements import GNSS
 from jaxnav.types import ConfigError, nearest
 
 Numbers = float | tuple[float, ...]
@@ -38,12 +39,13 @@ class Data:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Filter:
-    """Which filter runs, and on what; beside these, true or false for every measurement that is no receiver's."""
+class Filter:
+    """Which filter runs, and on what."""
 
     name: str = "ekf15"  # see `jaxnav info`
     grade: str = ""  # IMU datasheet, or "auto": noise and latency by likelihood; empty: the scenario's, else auto
     states: tuple[str, ...] = ()  # optional error states on top of the filter's own, see `jaxnav.states.STATES`
+    measurements: tuple[str, ...] = tuple(m.name for m in GNSS)  # the filter's, see `jaxnav.measurements.MEASUREMENTS`
     cov_stride: int = 5  # the error dynamics see means over so many IMU samples
     history: int = 0  # IMU samples kept for late fixes; 0: enough for the latencies
     interval_s: float = 0.0  # nominal fix interval; 0: the median of the position's
@@ -53,10 +55,6 @@ class _Filter:
     standing_window_s: float = 1.0  # of the standstill detector: both sd, root sum square of axes, below these
     standing_accel_sd_mps2: float = 0.2  # of the specific force within the window
     standing_gyro_sd_deg_per_s: float = 1.0  # of the rate
-
-    def uses(self, measurement: str) -> bool:
-        """Whether a measurement that is no receiver's is on."""
-        return getattr(self, measurement)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,44 +70,45 @@ class Start:
     hypotheses: int = 12  # of an unknown heading, each with an sd of their spacing
 
 
-@dataclasses.dataclass(frozen=True)
-class _Params:
-    """Overrides of the datasheet: one number or one an axis for each of `jaxnav.filters.parameters.UNITS`.
-
-    Noise may be a lower triangular 3 x 3 too, for what is correlated between the axes (`jaxnav.types.Noise`).
-    """
-
-    rule: dict[str, Any] = dataclasses.field(default_factory=dict)  # name -> value of what the filter's rule has
-
-
 def _type_of(unit: Unit) -> Any:
-    """What a key takes."""
+    """Return the type of a key's value."""
     return float if not unit.shape else Root if unit.root else Numbers
 
 
+def _made(name: str, fields: Mapping[str, tuple[Any, Any]], doc: str = "") -> Any:
+    """Return a section with these keys, each with its type and default."""
+    rows = [(key, hint, default) for key, (hint, default) in fields.items()]
+    return dataclasses.make_dataclass(name, rows, frozen=True, namespace={"__doc__": doc})
+
+
+def _sections_of_rows() -> dict[str, Any]:
+    """Return the sections of `jaxnav.filters.border.TABLES` with the keys that the rows bring, all of them None."""
+    tables: dict[str, dict[str, tuple[Any, Any]]] = {}
+    for leaf, name in NAMES.items():
+        section, _, key = name.rpartition(".")
+        tables.setdefault(section, {})[key] = (_type_of(UNITS[leaf]) | None, None)
+    for group in ("states", "measurements"):
+        rows = {section: tables.pop(section) for section in list(tables) if section.startswith(f"{group}.")}
+        kinds = {section.rpartition(".")[2]: _made(section, fields) for section, fields in rows.items()}
+        tables[group] = {name: (kind, kind()) for name, kind in kinds.items()}
+    return {name: _made(name.title(), tables[name], MODEL_HELP[name]) for name in TABLES if name in tables}
+
+
+MODEL_HELP = {
+    "noise": "White noise of the IMU, in place of the datasheet's.",
+    "mounting": "Antenna, clock and vehicle relative to the IMU, in place of the recording's.",
+    "states": "Error states: prior sd, driving noise, correlation time. A datasheet states those of the biases.",
+    "measurements": "Measurement models: factors on the stated sd, latencies, constants.",
+    "rule": "Parameters of the filter's rule, by name.",
+}
 if typing.TYPE_CHECKING:
-
-    class Filter(_Filter):
-        """`_Filter` and what the rows bring."""
-
-    class Params(_Params):
-        """`_Params` and what the rows bring."""
-
-else:  # the rows of the tables bring their own settings
-    Filter = dataclasses.make_dataclass(
-        "Filter",
-        [(m.name, bool, False) for m in MEASUREMENTS.values() if not m.receiver],
-        bases=(_Filter,),
-        frozen=True,
-        namespace={"__doc__": _Filter.__doc__},
-    )
-    Params = dataclasses.make_dataclass(
-        "Params",
-        [(unit.key, _type_of(unit) | None, None) for unit in UNITS.values()],
-        bases=(_Params,),
-        frozen=True,
-        namespace={"__doc__": _Params.__doc__},
-    )
+    Noise = Any
+    Mounting = Any
+    States = Any
+    Measurements = Any
+else:
+    _ROWS = _sections_of_rows()
+    Noise, Mounting, States, Measurements = (_ROWS[name] for name in ("noise", "mounting", "states", "measurements"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -187,7 +186,11 @@ class Config:
     data: Data = Data()
     filter: Filter = Filter()
     start: Start = Start()
-    params: Params = Params()
+    noise: Noise = Noise()
+    mounting: Mounting = Mounting()
+    states: States = States()
+    measurements: Measurements = Measurements()
+    rule: dict[str, Any] = dataclasses.field(default_factory=dict)
     tune: Tune = Tune()
     mc: Mc = Mc()
     bakeoff: Bakeoff = Bakeoff()
@@ -204,18 +207,19 @@ PRESETS: dict[str, dict[str, Any]] = {
         "data": {"options": {"imu_delay": -0.3}},
         "filter": {
             "grade": "consumer",
-            "zero_velocity": True,
-            "zero_rate": True,
+            "measurements": ["position", "velocity", "zero_velocity", "zero_rate"],
             "standing_window_s": 2.0,
             "standing_gyro_sd_deg_per_s": 3.5,
             "standing_accel_sd_mps2": 0.15,
         },
-        "params": {"velocity_latency_s": 0.125, "time_offset_s": 0.175},
+        "measurements": {"velocity": {"latency_s": 0.125}},
+        "mounting": {"time_offset_s": 0.175},
     },
     "umn_thor75": {
         "filter": {"grade": "adis1640x_airframe"},
         "start": {"heading": "unknown", "tilt_sd_deg": 3.0},
-        "params": {"position_scale": 0.5, "velocity_scale": 2.0, "time_offset_s": 0.1},
+        "measurements": {"position": {"scale": 0.5}, "velocity": {"scale": 2.0}},
+        "mounting": {"time_offset_s": 0.1},
     },
     "navego_synthetic": {"filter": {"grade": "adis16488"}, "start": {"heading": "truth", "heading_sd_deg": 1.0}},
     "kth_gnss_ins": {"filter": {"grade": "consumer"}, "start": {"heading": 320.0, "heading_sd_deg": 10.0}},
@@ -238,10 +242,10 @@ LIMITS: dict[str, tuple[float, float]] = {
     "start.tilt_sd_deg": (1e-6, 90.0),
     "start.heading_sd_deg": (1e-6, 180.0),
     "start.hypotheses": (2, 360),
-    "params.time_offset_s": (-10.0, 10.0),
-    "params.clock_drift_ppm": (-1e5, 1e5),
-    "params.position_latency_s": (-10.0, 10.0),
-    "params.velocity_latency_s": (-10.0, 10.0),
+    "mounting.time_offset_s": (-10.0, 10.0),
+    "mounting.clock_drift_ppm": (-1e5, 1e5),
+    "measurements.position.latency_s": (-10.0, 10.0),
+    "measurements.velocity.latency_s": (-10.0, 10.0),
     "tune.steps": (0, 1_000_000),
     "tune.rate": (1e-9, 10.0),
     "tune.tail": (0.0, 1.0),
@@ -280,9 +284,9 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
     merged: dict[str, Any] = _checked(Config, PRESETS.get(source, {}), "preset")
     for _, tree in layers:
         merged = merge(merged, tree)
-    stated = frozenset(f"{section}.{key}" for _, tree in layers for section, fields in tree.items()
-                       if isinstance(fields, Mapping) for key in fields)  # fmt: skip
-    config = _build(merged | {"stated": stated})
+    names = [name for _, tree in layers for name in flat(tree)]
+    stated = frozenset(key for key in _values(Config()) if any(f"{name}.".startswith(f"{key}.") for name in names))
+    config = _build(Config, merged | {"stated": stated})
     for name, (low, high) in LIMITS.items():
         value = operator.attrgetter(name)(config)
         if value is not None and not low <= value <= high:
@@ -292,19 +296,12 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
 
 def for_source(config: Config, source: str) -> Config:
     """The same job on another source: with that source's presets, and without what belongs to the first one's data."""
-    plain, preset, tree = as_dict(Config()), PRESETS.get(config.data.source, {}), as_dict(config)
+    default, preset = _values(Config()), _values(resolve([("", {"data": {"source": config.data.source}})]))
     stated: frozenset[str] = getattr(config, "_stated", frozenset())
-    chosen = {
-        section: {
-            k: v
-            for k, v in fields.items()
-            if f"{section}.{k}" in stated or v not in (plain[section].get(k), preset.get(section, {}).get(k))
-        }
-        for section, fields in tree.items()
-        if isinstance(fields, Mapping)
-    }
-    data = {k: v for k, v in chosen["data"].items() if k not in ("options", "start", "stop")} | {"source": source}
-    return resolve([("tune.more", chosen | {"data": data})])
+    chosen = {k: v for k, v in _values(config).items() if k in stated or v not in (default[k], preset[k])}
+    for key in ("data.options", "data.start", "data.stop"):
+        chosen.pop(key, None)
+    return resolve([("tune.more", nested(chosen | {"data.source": source}))])
 
 
 def read(path: str | Path) -> dict[str, Any]:
@@ -331,14 +328,17 @@ def read(path: str | Path) -> dict[str, Any]:
 
 
 def read_params(path: str | Path) -> dict[str, Any]:
-    """The [params] of a file such as tuned.toml or grade.toml, as a layer.
+    """Return the parameters of a file such as tuned.toml or grade.toml as a layer.
 
     With them come the states that they are for, and how far from them tuning is to look.
+
+    Raises:
+        ConfigError: the file cannot be read, or states no parameter.
     """
     tree = read(path)
-    if "params" not in tree:
-        raise ConfigError(f"{path}: has no [params]")
-    layer = {"params": tree["params"]}
+    layer = {name: tree[name] for name in TABLES if name in tree}
+    if not layer:
+        raise ConfigError(f"{path}: has none of {', '.join(f'[{name}]' for name in TABLES)}")
     for section, key in (("filter", "states"), ("tune", "prior")):
         if key in tree.get(section, {}):
             layer[section] = {key: tree[section][key]}
@@ -375,6 +375,18 @@ def merge(a: Mapping[str, Any], b: Mapping[str, Any], path: str = "") -> dict[st
     return out
 
 
+def changed(config: Config, values: Mapping[str, Any]) -> Config:
+    """Return the configuration with values by dotted key, such as ``mounting.time_offset_s``."""
+    for name, value in values.items():
+        config = _replaced(config, name.split("."), value)
+    return config
+
+
+def _replaced(section: Any, path: list[str], value: Any) -> Any:
+    first, *rest = path
+    return dataclasses.replace(section, **{first: _replaced(getattr(section, first), rest, value) if rest else value})
+
+
 def as_dict(config: Config) -> dict[str, Any]:
     """The resolved configuration as a tree for TOML or JSON; what is None is left out."""
     return plain(dataclasses.asdict(config))
@@ -387,7 +399,8 @@ def _checked(kind: type, tree: Any, where: str, text: str = "", path: str = "") 
     """The tree with every key known and every value of its field's type."""
     if not isinstance(tree, Mapping):
         raise ConfigError(f"{place(where, text, path)}: [{path.rstrip('.')}] is a section, got {tree!r}")
-    hints, out = typing.get_type_hints(kind), {}
+    known = {field.name for field in dataclasses.fields(kind)}
+    hints, out = {name: hint for name, hint in typing.get_type_hints(kind).items() if name in known}, {}
     for key, value in tree.items():
         name = path + key
         if key not in hints:
@@ -398,6 +411,8 @@ def _checked(kind: type, tree: Any, where: str, text: str = "", path: str = "") 
             continue
         if name == "tune.objective" and isinstance(value, str):
             value = {value: 1.0}
+        if name == "tune.prior" and isinstance(value, Mapping):  # its keys may be dotted
+            value = flat(value)
         ok, out[key] = convert(value, hint)
         if not ok:
             raise ConfigError(f"{place(where, text, name)}: {name} must be {describe(hint)}, got {value!r}")
@@ -410,17 +425,22 @@ def _near_key(name: str, path: str, hints: Mapping[str, Any]) -> str:
     if difflib.get_close_matches(name, here, n=1, cutoff=0.7):
         return nearest(name, here)
     last = name.rpartition(".")[2]
-    every = [f"{s}.{f.name}" for s, c in _sections().items() for f in dataclasses.fields(c)]
+    every = _values(Config())
     close = difflib.get_close_matches(last, [k.rpartition(".")[2] for k in every], n=1, cutoff=0.8)
     if close:
         return f"did you mean {next(k for k in every if k.endswith('.' + close[0]))}?"
     return nearest(name, here)
 
 
-def _sections() -> dict[str, Any]:
-    return {k: c for k, c in typing.get_type_hints(Config).items() if dataclasses.is_dataclass(c)}
+def _values(section: Any, above: str = "") -> dict[str, Any]:
+    """Return the values of a section and of those in it, by dotted key."""
+    out: dict[str, Any] = {}
+    for field in dataclasses.fields(section):
+        value, name = getattr(section, field.name), above + field.name
+        out |= _values(value, f"{name}.") if dataclasses.is_dataclass(value) else {name: value}
+    return out
 
 
-def _build(tree: Mapping[str, Any]) -> Config:
-    sections = _sections()
-    return Config(**{k: sections[k](**v) if k in sections else v for k, v in tree.items()})
+def _build(kind: Any, tree: Mapping[str, Any]) -> Any:
+    hints = typing.get_type_hints(kind)
+    return kind(**{k: _build(hints[k], v) if dataclasses.is_dataclass(hints.get(k)) else v for k, v in tree.items()})

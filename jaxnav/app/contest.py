@@ -93,7 +93,7 @@ def spec_of(name: str) -> Spec:
     """What a filter has to tune: its factors, and the leaves of its rule and feedback, dotted names of `Params`."""
     entry = FILTERS[name]
     factors = ["noise.gyro", "noise.accel", "prior.attitude"]
-    factors += [f"states.{state}.{leaf}" for leaf in ("drive", "sd") for state in entry.states]
+    factors += [f"states.{state}.{leaf}" for leaf in ("driving_noise", "sd") for state in entry.states]
     spec = dict.fromkeys(factors, LOG)
     spec |= dict.fromkeys(SCALES, tied(LOG, (0, 0, 1)))  # level, vertical
     spec |= {leaf: step_of(leaf, name) for leaf in of_rule(name)}

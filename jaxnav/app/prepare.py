@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
-from jaxnav.app.config import Config, Tune
+from jaxnav.app.config import Config, Tune, as_dict, changed
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start, start
@@ -79,8 +79,18 @@ def grade_of(config: Config, scenario: Scenario | None) -> Grade:
 
 
 def measurements_of(config: Config) -> tuple[Measurement, ...]:
-    """Position, velocity and the constraints that are on."""
-    return (*GNSS, *(m for m in MEASUREMENTS.values() if not m.receiver and config.filter.uses(m.name)))
+    """Return the filter's measurements, in the order of `MEASUREMENTS`.
+
+    Raises:
+        ConfigError: an unknown name, or no position.
+    """
+    names = config.filter.measurements
+    for name in names:
+        if name not in MEASUREMENTS:
+            raise ConfigError(f"filter.measurements: no measurement {name!r}: {nearest(name, MEASUREMENTS)}")
+    if "position" not in names:
+        raise ConfigError(f'filter.measurements: {list(names)} has no "position", which navigation starts from')
+    return tuple(m for m in MEASUREMENTS.values() if m.name in names)
 
 
 def history_of(config: Config, known: Params, rate_hz: float, span: float, tuned: bool) -> int:
@@ -93,7 +103,7 @@ def history_of(config: Config, known: Params, rate_hz: float, span: float, tuned
 def base_params(
     config: Config, grade: Grade, lever_arm: np.ndarray, position_sd: Any = 3.0, velocity_sd: Any = 0.1
 ) -> Params:
-    """The datasheet's parameters under the overrides of [params]; the prior of the start by [start].
+    """The datasheet's parameters under those that the configuration states; the prior of the start by [start].
 
     Raises:
         ConfigError: states that are none, or that the filter cannot have.
@@ -108,7 +118,7 @@ def base_params(
         grade, position_sd, velocity_sd, start.tilt_sd_deg * DEG, heading_sd * DEG,
         mounting(lever_arm), entry.theta(), states=(*entry.states, *config.filter.states),
     )  # fmt: skip
-    return override(params._replace(feedback=entry.feedback_theta()), vars(config.params))
+    return override(params._replace(feedback=entry.feedback_theta()), as_dict(config))
 
 
 def prepare(config: Config, tuned: bool = False, scanned: bool = False) -> ReadyRun:
@@ -117,7 +127,7 @@ def prepare(config: Config, tuned: bool = False, scanned: bool = False) -> Ready
     Args:
         config: the configuration.
         tuned: whether tuning may add latency, which takes history.
-        scanned: whether the grade "auto" finds noise and latency, unless [params] states the noise.
+        scanned: whether the grade "auto" finds noise and latency, unless [noise] states it.
 
     Raises:
         DataError: data that cannot be used. ConfigError: names that are not known.
@@ -151,20 +161,19 @@ def prepare(config: Config, tuned: bool = False, scanned: bool = False) -> Ready
 
 
 def states_noise(config: Config) -> bool:
-    """Return whether [params] states the white noise of the IMU, as a tuned.toml does."""
-    return any(getattr(config.params, NAMES[leaf]) is not None for leaf in NOISE)
+    """Return whether [noise] states the white noise of the IMU, as a tuned.toml does."""
+    return any(value is not None for value in vars(config.noise).values())
 
 
 def with_noise(config: Config, rec: Recording, params: Params, initial: Start) -> tuple[Config, NoiseScan]:
     """Return the configuration with the noise, latency and fixes' sd that a recording shows, and the scan."""
     found = scan_noise(rec, params, begin=initial, stop=config.data.stop, outages=config.filter.outages)
-    after, values = found.applied(params), dict[str, Any]()
+    after, values = found.applied(params), dict[str, Any]({"filter.grade": DATASHEET})
     scales = (f"measurements.{m.name}.scale" for m in GNSS if m.name in after.measurements)
     for leaf in (*NOISE, "mounting.time_offset", *scales):
         value = np.asarray(get(after, leaf)) / UNITS[leaf].factor
         values[NAMES[leaf]] = tuple(value.tolist()) if value.ndim else float(value)
-    chosen = dataclasses.replace(config.params, **values)
-    return dataclasses.replace(config, params=chosen, filter=dataclasses.replace(config.filter, grade=DATASHEET)), found
+    return changed(config, values), found
 
 
 def tune_spec(tune: Tune, filter_name: str, measurements: tuple[Measurement, ...], sheet: Params) -> Spec:

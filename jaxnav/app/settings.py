@@ -11,11 +11,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxnav.app import config
-from jaxnav.data.toml import to_toml
+from jaxnav.data.toml import inline, to_toml
+from jaxnav.filters.border import KEYS, NAMES, user_value
 from jaxnav.filters.parameters import UNITS
 from jaxnav.measurements import MEASUREMENTS
+from jaxnav.states.table import BIASES, STATES
 
-PAGE = "`jaxnav config` prints this as a file to fill in; `--set section.key=value` sets one. Defaults are shown."
+HEAD = "## All settings"
+PAGE = """`jaxnav config` prints this as a file to fill in; `--set section.key=value` sets one. Defaults are shown.
+A row of `[states]` or `[measurements]` is a table: `[states.wind]`, `--set states.wind.sd_mps=3`."""
 
 
 class Setting(NamedTuple):
@@ -35,31 +39,45 @@ class Section(NamedTuple):
 
 
 def sections() -> list[Section]:
-    """All of it, in the order of `jaxnav.app.config.Config`."""
+    """All of it, in the order of `jaxnav.app.config.Config`; a row of [states] or [measurements] is one setting."""
     said, found = _remarks(), []
     top = Section("", "", [])
     found.append(top)
     for field in dataclasses.fields(config.Config):
-        default = field.default
-        if not dataclasses.is_dataclass(default) or isinstance(default, type):
-            top.settings.append(Setting(field.name, default, "of all that is random" if field.name == "seed" else ""))
+        default = getattr(config.Config(), field.name)
+        if not dataclasses.is_dataclass(default):
+            words = "of all that is random" if field.name == "seed" else config.MODEL_HELP.get(field.name, "")
+            top.settings.append(Setting(field.name, default, words))
             continue
-        kind = type(default)
-        own = [Setting(f.name, getattr(default, f.name), _words(kind, field.name, f.name, said)) for f in
-               dataclasses.fields(kind)]  # fmt: skip
-        found.append(Section(field.name, " ".join((kind.__doc__ or "").split()), own))
+        kind: Any = type(default)
+        rows = [Setting(f.name, _default(field.name, f.name, getattr(default, f.name)),
+                        _words(kind, field.name, f.name, said)) for f in dataclasses.fields(kind)]  # fmt: skip
+        found.append(Section(field.name, " ".join((kind.__doc__ or "").split()), rows))
     return found
 
 
+def _default(section: str, name: str, value: Any) -> Any:
+    """Return a setting's default; of a row, a table of its keys with the row's values in a user's units."""
+    if not dataclasses.is_dataclass(value):
+        return value
+    row: Any = STATES[name] if section == "states" else MEASUREMENTS[name]
+    leaves = [f"{section}.{name}.{leaf}" for leaf in row.defaults._fields]
+    said = [(NAMES[leaf].rpartition(".")[2], leaf) for leaf in leaves if leaf in NAMES]
+    values = {key: user_value(leaf, getattr(row.defaults, leaf.rpartition(".")[2])) for key, leaf in said}
+    return {key: float(f"{v:.4g}") if isinstance(v, float) else v for key, v in values.items()}
+
+
 def _words(kind: type, section: str, name: str, said: dict[tuple[str, str], str]) -> str:
-    """What stands beside a field, or what its row says; with its limits."""
-    words = next((said[c.__name__, name] for c in kind.__mro__ if (c.__name__, name) in said), "")
-    if section == "filter" and name in MEASUREMENTS:
-        words = f"the measurement {name}, which is no receiver's"
-    for unit in UNITS.values() if section == "params" else ():
-        if unit.key == name:
-            many = "one number, one an axis, or a lower triangular matrix" if unit.root else "one number or one an axis"
-            words = ", ".join(part for part in (unit.text, many if unit.shape else "one number") if part)
+    """Return the remark next to a field, or what its row says; with its limits."""
+    if section == "states":
+        return ", ".join(STATES[name].axes) + ("; by the datasheet of filter.grade" if name in BIASES else "")
+    if section == "measurements":
+        return ", ".join(MEASUREMENTS[name].channels)
+    words = said.get((kind.__name__, name), "")
+    unit = UNITS.get(KEYS.get(f"{section}.{name}", ""))
+    if unit is not None:
+        many = "one number, one an axis, or a lower triangular matrix" if unit.root else "one number or one an axis"
+        words = ", ".join(part for part in (unit.text, many if unit.shape else "one number") if part)
     low_high = config.LIMITS.get(f"{section}.{name}")
     return words + ("" if low_high is None else f" ({low_high[0]:g} to {low_high[1]:g})").lstrip("" if words else " ")
 
@@ -105,10 +123,10 @@ def commented() -> str:
 
 
 def page() -> str:
-    """The same as markdown."""
-    lines = ["# Settings", "", PAGE]
+    """Return the same as markdown: the generated part of docs/settings.md."""
+    lines = [HEAD, "", PAGE]
     for section in sections():
-        lines += ["", f"## {f'[{section.name}]' if section.name else 'Above all tables'}", ""]
+        lines += ["", f"### {f'[{section.name}]' if section.name else 'Above all tables'}", ""]
         lines += [section.words, ""] if section.words else []
         lines += ["| key | default | |", "|---|---|---|"]
         for s in section.settings:
@@ -122,5 +140,5 @@ def _toml(value: Any) -> str:
     if value is None:
         return ""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }" if value else "{}"
+        return inline(value) if value else "{}"
     return to_toml({"v": value}).removeprefix("v = ").strip()

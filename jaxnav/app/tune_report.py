@@ -17,7 +17,7 @@ from jaxnav.app.scores import JobScores
 from jaxnav.data import atomic_write
 from jaxnav.data.json import to_json, write_json
 from jaxnav.data.toml import to_toml
-from jaxnav.filters.border import in_user_units, name_of, noise_leaves, user_value
+from jaxnav.filters.border import in_user_units, name_of, nested, noise_leaves, user_value
 from jaxnav.filters.run import track
 from jaxnav.states.table import BIASES
 from jaxnav.types import Samples, Track
@@ -84,7 +84,7 @@ def text(result: dict[str, Any], config: Config) -> str:
         lines.append(f"RMS before / RMS after {gain['gain']:.2f}, {span}: {verdict}")
     if result["params_after"] == result["params_before"]:
         lines.append("no step was better than the start on the validation data: the start is kept")
-    names, after, known = _flat(result["params_before"]), _flat(result["params_after"]), result["known"]
+    names, after, known = result["params_before"], result["params_after"], result["known"]
     rows = [[n, _short(v), _short(after[n]), _short(known.get(n, ""))] for n, v in names.items()]
     head = ["parameter", "before", "after", "simulated"]
     lines += ["", table(head if known else head[:3], [row if known else row[:3] for row in rows])]
@@ -103,12 +103,6 @@ def text(result: dict[str, Any], config: Config) -> str:
     return "\n".join(lines)
 
 
-def _flat(params: dict[str, Any]) -> dict[str, Any]:
-    """[params] with what is in [params.rule] beside the rest."""
-    rule = params.get("rule", {})
-    return {k: v for k, v in params.items() if k != "rule"} | {f"rule.{name}": v for name, v in rule.items()}
-
-
 def _short(value: Any) -> Any:
     if isinstance(value, list) and isinstance(value[0], list):
         root = not np.triu(value, 1).any()  # without its zeros
@@ -124,7 +118,7 @@ def _short(value: Any) -> Any:
 
 def write(folder: Path, material: Material, found: Fit, leaves: list[str], result: dict[str, Any]) -> None:
     """Write tuned.toml, the same for other software, history.jsonl and metrics.json."""
-    params = {"params": in_user_units(found.params, dict.fromkeys([*noise_leaves(found.params), *leaves]))}
+    params = nested(in_user_units(found.params, dict.fromkeys([*noise_leaves(found.params), *leaves])))
     head = f"# jaxnav tune: {material.about}\n# use: jaxnav filter --params tuned.toml\n"
     vague = [name for name, p in result.get("parameters", {}).items() if not p["identified"]]
     doubt = f"# not determined by the data, any value near it will do: {', '.join(vague)}\n" if vague else ""

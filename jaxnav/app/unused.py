@@ -4,8 +4,8 @@ from operator import attrgetter
 
 from jaxnav.app.config import Config, resolve
 from jaxnav.app.verb import Verb
+from jaxnav.filters.border import NAMES
 from jaxnav.filters.catalogue import FILTERS
-from jaxnav.filters.parameters import UNITS
 from jaxnav.simulate.scenarios import SCENARIOS
 
 
@@ -26,9 +26,9 @@ def unused(verb: Verb, config: Config) -> list[str]:
         note("filter.smooth takes all fixes", "filter.lag_s")
     if config.filter.name in FILTERS:
         held = {"states." + state for state in (*FILTERS[config.filter.name].states, *config.filter.states)}
-        for leaf, unit in UNITS.items():
+        for leaf in NAMES:
             if leaf.startswith("states.") and leaf.rpartition(".")[0] not in held:
-                note(f"{config.filter.name} has no {leaf.split('.')[1]}", f"params.{unit.key}")
+                note(f"{config.filter.name} has no {leaf.split('.')[1]}", NAMES[leaf])
     plain = resolve([("", {"data": {"source": config.data.source}})])
     set_here = [key for key in why if attrgetter(key)(config) != attrgetter(key)(plain)]
     return [f"{key}: {why[key]}" for key in set_here]

@@ -90,7 +90,7 @@ def no_effect(reason: str, *keys: str) -> dict[str, str]:
 DATA = Argument("--data", "scenario, data set or recording ([data] source)", "data.source", value="NAME|PATH")
 PATH = Argument("path", "file or folder of any known format, or a column map", "data.source", "PATH", reads=True)
 FILTER = Argument("--filter", "see `jaxnav info` ([filter] name)", "filter.name", value="NAME")
-PARAMS = Argument("--params", "[params] of this file, such as an earlier tuned.toml", reads=True, value="FILE")
+PARAMS = Argument("--params", "parameters of this file, such as an earlier tuned.toml", reads=True, value="FILE")
 RESUME = Argument("--resume", "go on from the checkpoint in --out, bit for bit")
 DEVICES = (
     Argument("--devices", "share runs among N, 0: all there", value="N", type=int, more={"default": 1}),

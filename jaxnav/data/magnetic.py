@@ -12,7 +12,9 @@ from jaxnav.types import Params
 
 YEAR = 2025.0  # that the field is looked up for: declination changes by 0.2 deg a year at most, far from the poles
 LOST_DECLINATION = 10 * DEG  # sd of a declination that nobody knows, away from the poles
-INSTALL = "pip install 'jaxnav[magnetic]', or set params.declination_deg, inclination_deg and field_ut"
+INSTALL = (
+    "pip install 'jaxnav[magnetic]', or set [measurements.magnetometer] declination_deg, inclination_deg, strength_ut"
+)
 
 
 class Field(NamedTuple):

@@ -273,8 +273,8 @@ def _remarks(at: Attitude) -> list[str]:
     if abs(found.delay) > max(3 * found.sd[9], 0.03):
         late = "late" if found.delay > 0 else "early"
         said.append(
-            f"fixes look {abs(found.delay):.2f} s {late} (sd {found.sd[9]:.2f} s): see params.position_latency_s, "
-            "velocity_latency_s"
+            f"fixes look {abs(found.delay):.2f} s {late} (sd {found.sd[9]:.2f} s): see "
+            "measurements.position.latency_s, measurements.velocity.latency_s"
         )
     if abs(at.rph[0]) > 90 * DEG:
         said.append("the IMU hangs upside down, or its axes are not forward, right, down")

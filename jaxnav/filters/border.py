@@ -10,58 +10,86 @@ from jaxnav.filters.parameters import UNITS, get, has, put
 from jaxnav.maths.units import Unit
 from jaxnav.types import ConfigError, Params
 
-KEYS = {unit.key: leaf for leaf, unit in UNITS.items()}
-"""The keys of [params]: dotted names in `Params`."""
-NAMES = {leaf: unit.key for leaf, unit in UNITS.items()}
+NAMES = {leaf: f"{leaf}_{unit.suffix}" if unit.suffix else leaf for leaf, unit in UNITS.items()}
+"""The keys of configurations, by dotted name in `Params`: ``mounting.lever_arm_m``."""
+KEYS = {name: leaf for leaf, name in NAMES.items()}
+TABLES = ("noise", "mounting", "states", "measurements", "rule")
+"""The tables of a configuration that state parameters."""
 ROOTS = tuple(leaf for leaf, unit in UNITS.items() if unit.root and not leaf.endswith(".sd"))
 """Leaves that may be a lower triangular root, see `jaxnav.types.Noise`."""
 
 
-def override(params: Params, stated: Mapping[str, Any]) -> Params:
-    """``params`` with what is ``stated`` by the keys of [params], in their units; None states nothing.
+def flat(tree: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Return the values of nested tables by their dotted keys; an empty table is a value."""
+    out: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = above + key
+        out |= flat(value, f"{name}.") if isinstance(value, Mapping) and value else {name: value}
+    return out
 
-    Keys of states that ``params`` has not are passed over; ``rule`` holds the rule's own numbers by name.
+
+def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested tables of values by dotted keys, the inverse of `flat`."""
+    tree: dict[str, Any] = {}
+    for name, value in values.items():
+        *tables, key = name.split(".")
+        at = tree
+        for table in tables:
+            at = at.setdefault(table, {})
+        at[key] = value
+    return tree
+
+
+def override(params: Params, stated: Mapping[str, Any]) -> Params:
+    """Return the parameters with those that a configuration states.
+
+    Args:
+        params: parameters of a filter.
+        stated: a configuration as a tree; of its tables `TABLES` count, in a user's units. A state that ``params`` has
+            not is passed over.
 
     Raises:
-        ConfigError: a wrong number of axes, a value out of range, a matrix that is no root, or a parameter the filter's
-            rule has not.
+        ConfigError: a wrong number of axes, a value out of range, a matrix that is no root, or a parameter that the
+            filter's rule has not.
     """
-    for leaf, unit in UNITS.items():
-        name, value = unit.key, stated.get(unit.key)
+    values = flat({table: stated.get(table, {}) for table in TABLES})
+    for name, leaf in KEYS.items():
+        unit, value = UNITS[leaf], values.get(name)
         if value is None or not has(params, leaf):
             continue
         if isinstance(value, (tuple, list)) and any(isinstance(row, (tuple, list)) for row in value):
             _check_root(name, value)
         elif np.shape(value) not in ((), unit.shape):
             expected = f"one number or {unit.shape[0]}" if unit.shape else "one number"
-            raise ConfigError(f"params.{name} must be {expected}, got {value!r}")
-        elif unit.step is None and not np.all(np.asarray(value) > 0):
-            raise ConfigError(f"params.{name} must be > 0, got {value!r}")
+            raise ConfigError(f"{name} must be {expected}, got {value!r}")
+        elif unit.step is None and not np.all((np.asarray(value) > 0) | (unit.zero & (np.asarray(value) == 0))):
+            raise ConfigError(f"{name} must be {'>= 0' if unit.zero else '> 0'}, got {value!r}")
         elif not np.isfinite(value).all() and not (unit.endless and not np.isnan(value).any()):
-            raise ConfigError(f"params.{name} must be finite, got {value!r}")
+            raise ConfigError(f"{name} must be finite, got {value!r}")
         old = jnp.shape(get(params, leaf))
         shape = np.shape(value) or (unit.shape if old else ())
         params = put(params, leaf, jnp.broadcast_to(jnp.asarray(value, float) * unit.factor, shape))
-    for name, value in (stated.get("rule") or {}).items():
-        params = put(params, f"rule.{name}", _rule_value(params, name, value))
+    for name, value in values.items():
+        if name.startswith("rule."):
+            params = put(params, name, _rule_value(params, name, value))
     return params
 
 
 def _rule_value(params: Params, name: str, value: Any) -> Any:
-    """What [params.rule] states, in the shape that the rule has it in."""
+    """Return what [rule] states, in the shape that the filter's rule has it in."""
     try:
-        old = get(params, f"rule.{name}")
+        old = get(params, name)
         new = np.asarray(value, float)
     except (ValueError, TypeError) as error:
-        raise ConfigError(f"params.rule.{name}: {error}") from error
+        raise ConfigError(f"{name}: {error}") from error
     if new.shape not in ((), jnp.shape(old)) or not np.isfinite(new).all():
-        raise ConfigError(f"params.rule.{name} must be finite, of shape {jnp.shape(old)}, got {value!r}")
+        raise ConfigError(f"{name} must be finite, of shape {jnp.shape(old)}, got {value!r}")
     return jnp.broadcast_to(jnp.asarray(new), jnp.shape(old))
 
 
 def _check_root(name: str, value: Any) -> None:
     """Raise ConfigError unless it is a lower triangular 3 x 3 with a positive diagonal."""
-    what = f"params.{name} as a matrix must be lower triangular, 3 x 3, with a positive diagonal, got {value!r}"
+    what = f"{name} as a matrix must be lower triangular, 3 x 3, with a positive diagonal, got {value!r}"
     if [np.size(row) for row in value] != [3, 3, 3]:
         raise ConfigError(what)
     L = np.array(value)
@@ -70,11 +98,8 @@ def _check_root(name: str, value: Any) -> None:
 
 
 def in_user_units(params: Params, leaves: Iterable[str]) -> dict[str, Any]:
-    """The named leaves as keys and values of [params]; axes that agree are one number."""
-    leaves = list(leaves)
-    found: dict[str, Any] = {NAMES[leaf]: user_value(leaf, get(params, leaf)) for leaf in leaves if leaf in NAMES}
-    rule = {leaf.removeprefix("rule."): user_value(leaf, get(params, leaf)) for leaf in leaves if leaf not in NAMES}
-    return found | ({"rule": rule} if rule else {})
+    """Return the named leaves by their keys in a configuration; axes that agree are one number."""
+    return {name_of(leaf): user_value(leaf, get(params, leaf)) for leaf in leaves}
 
 
 def noise_leaves(params: Params) -> list[str]:
@@ -84,17 +109,17 @@ def noise_leaves(params: Params) -> list[str]:
 
 
 def unit_of(leaf: str) -> Unit:
-    """How a user states a leaf; a rule's own parameters have no unit."""
-    return UNITS[leaf] if leaf in UNITS else Unit(leaf, step=1.0)
+    """Return how a user states a leaf; a rule's parameters have no unit."""
+    return UNITS.get(leaf, Unit(step=1.0))
 
 
 def name_of(leaf: str) -> str:
-    """The key of [params], or the dotted name of a rule's own parameter."""
+    """Return the key of a leaf in a configuration; a rule's parameter is its own."""
     return NAMES.get(leaf, leaf)
 
 
 def component(label: str) -> str:
-    """``noise.gyro[1]`` by the key of [params]: ``gyro_deg_per_sqrt_hour[1]``."""
+    """Return the label ``noise.gyro[1]`` with the key of a configuration: ``noise.gyro_deg_per_sqrt_hour[1]``."""
     leaf, bracket, index = label.partition("[")
     return name_of(leaf) + bracket + index
 

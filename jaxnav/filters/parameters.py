@@ -17,15 +17,15 @@ from jaxnav.states.table import BIASES, STATES, chosen
 from jaxnav.types import Mounting, Noise, Params, Prior, StateParams, nearest
 
 NOISE_UNITS = Noise(
-    Unit("gyro_deg_per_sqrt_hour", units.DEG_PER_SQRT_HOUR, (3,), "deg/sqrt(h)", root=True),
-    Unit("accel_ug_per_sqrt_hz", units.UG, (3,), "ug/sqrt(Hz)", root=True),
+    Unit("deg_per_sqrt_hour", units.DEG_PER_SQRT_HOUR, (3,), "deg/sqrt(h)", root=True),
+    Unit("ug_per_sqrt_hz", units.UG, (3,), "ug/sqrt(Hz)", root=True),
 )
 MOUNTING_UNITS = Mounting(
-    Unit("lever_arm_m", 1.0, (3,), "m", step=0.2),
-    Unit("time_offset_s", text="s", step=0.1),
-    Unit("clock_drift_ppm", units.PPM, text="ppm", step=300 * units.PPM),
-    Unit("vehicle_deg", units.DEG, (2,), "deg", step=1.0 * units.DEG),
-    Unit("wheel_arm_m", 1.0, (3,), "m", step=0.2),
+    Unit("m", 1.0, (3,), "m", step=0.2),
+    Unit("s", text="s", step=0.1),
+    Unit("ppm", units.PPM, text="ppm", step=300 * units.PPM),
+    Unit("deg", units.DEG, (2,), "deg", step=1.0 * units.DEG),
+    Unit("m", 1.0, (3,), "m", step=0.2),
 )
 
 

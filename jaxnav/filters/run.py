@@ -130,7 +130,7 @@ def _shapes(expected: Params | None, name: str) -> list[tuple[int, ...]]:
         return [(), (3,)] + [(3, 3)] * (group == "noise")
     if group == "states":
         size = STATES[rest[0]].size if rest[0] in STATES else None
-        return [(), (size,)] + [(size, size)] * (rest[1] == "drive") if size else []
+        return [(), (size,)] + [(size, size)] * (rest[1] == "driving_noise") if size else []
     if group == "mounting":
         return [UNITS[name].shape]
     if expected is None or not has(expected, name):

@@ -20,12 +20,13 @@ MRAD = 1e-3
 
 
 class Unit(NamedTuple):
-    """How a parameter is stated at the border: in configurations, tuned.toml and reports."""
+    """How a user states a parameter, in configurations, tuned.toml and reports: the key is ``NAME_SUFFIX``."""
 
-    key: str  # its name there, the unit in it
+    suffix: str = ""  # the unit as the key ends; empty: a plain number
     factor: float = 1.0  # the user's unit in SI
     shape: tuple[int, ...] = ()  # of one value an axis
-    text: str = ""  # the unit in words; empty: a plain number
+    text: str = ""  # the unit in words
     step: float | None = None  # SI, what a tuner's step of 1 is worth; None: positive, a step is a factor e
     root: bool = False  # may also be a lower triangular matrix, for noise that is correlated between the axes
     endless: bool = False  # may be inf
+    zero: bool = False  # of a positive one: may be 0

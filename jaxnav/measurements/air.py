@@ -50,13 +50,13 @@ def observe_sideslip(theta: SideslipParams, mounting: Mounting, nav: Nav, kin: K
 
 AIRSPEED = Measurement(
     "airspeed", ("forward",), observe_airspeed, AirspeedParams(1.0, 0.0, 0.0),
-    AirspeedParams(Unit("airspeed_sd_scale"), Unit("airspeed_latency_s", text="s", step=0.1),
-                   Unit("airspeed_scale", step=0.02)),
+    AirspeedParams(Unit(), Unit("s", text="s", step=0.1),
+                   Unit(step=0.02)),
     states=("wind",), columns=(column("airspeed_mps", "speed", 1.0),),
 )  # fmt: skip
 """True airspeed: value forward m/s, its own sd."""
 SIDESLIP = Measurement(
-    "sideslip", ("right",), observe_sideslip, SideslipParams(1.0), SideslipParams(Unit("sideslip_mps", text="m/s")),
+    "sideslip", ("right",), observe_sideslip, SideslipParams(1.0), SideslipParams(Unit("mps", text="m/s")),
     states=("wind",),
 )  # fmt: skip
 """An aircraft flies without slipping: no value; sd = its parameter times the fix's own sd (1 by default)."""

@@ -26,7 +26,7 @@ def observe_barometer(theta: BarometerParams, mounting: Mounting, nav: Nav, kin:
 
 BAROMETER = Measurement(
     "barometer", ("up",), observe_barometer, BarometerParams(1.0, 0.0),
-    BarometerParams(Unit("barometer_sd_scale"), Unit("barometer_latency_s", text="s", step=0.1)),
+    BarometerParams(Unit(), Unit("s", text="s", step=0.1)),
     states=("barometer_bias",), columns=(column("height_m", "length", 1.0),),
 )  # fmt: skip
 """Height by air pressure: value m above the ellipsoid but for its bias, its own sd."""

@@ -77,19 +77,17 @@ def observe_yaw_rate(theta: AgedParams, mounting: Mounting, nav: Nav, kin: Kinem
     return Observation(nav.omega[2:] - fix.value, {"gyro": jnp.eye(3)[2:]}, fix.sd, theta.sd_scale)
 
 
-def _late(name: str) -> tuple[Unit, Unit]:
-    return Unit(f"{name}_sd_scale"), Unit(f"{name}_latency_s", text="s", step=0.1)
-
-
+_AGED = (Unit(), Unit("s", text="s", step=0.1))
+"""Of ``sd_scale`` and ``latency``."""
 HEADING = Measurement(
     "heading", ("heading",), observe_heading, HeadingParams(1.0, 0.0, 0.0),
-    HeadingParams(*_late("heading"), Unit("heading_yaw_deg", DEG, text="deg", step=DEG)),
+    HeadingParams(*_AGED, Unit("deg", DEG, text="deg", step=DEG)),
     columns=(column("heading_rad", "angle", 0.1),),
 )  # fmt: skip
 """Heading by two antennas: value rad from north, clockwise, of the line from the first to the second, its own sd."""
 BASELINE = Measurement(
     "baseline", ("east", "north", "up"), observe_baseline, BaselineParams(1.0, 0.0, (1.0, 0.0, 0.0)),
-    BaselineParams(*_late("baseline"), Unit("baseline_arm_m", 1.0, (3,), "m", step=0.1)),
+    BaselineParams(*_AGED, Unit("m", 1.0, (3,), "m", step=0.1)),
     columns=(
         column("e_m", "length", 0.02, "sd_e_m"), column("n_m", "length", 0.02, "sd_n_m"),
         column("u_m", "length", 0.04, "sd_u_m"),
@@ -97,12 +95,12 @@ BASELINE = Measurement(
 )  # fmt: skip
 """Line between two antennas: value (3,) m ENU, first -> second, its own sd."""
 COURSE = Measurement(
-    "course", ("course",), observe_course, AgedParams(1.0, 0.0), AgedParams(*_late("course")),
+    "course", ("course",), observe_course, AgedParams(1.0, 0.0), AgedParams(*_AGED),
     columns=(column("course_rad", "angle", 0.1),),
 )  # fmt: skip
 """Course over ground: value rad from north, clockwise, its own sd; give none below walking pace."""
 YAW_RATE = Measurement(
-    "yaw_rate", ("down",), observe_yaw_rate, AgedParams(1.0, 0.0), AgedParams(*_late("yaw_rate")),
+    "yaw_rate", ("down",), observe_yaw_rate, AgedParams(1.0, 0.0), AgedParams(*_AGED),
     columns=(column("rate_radps", "rate", 0.05),),
 )  # fmt: skip
 """Turn rate by the wheels of both sides: value rad/s about the body's z, its own sd."""

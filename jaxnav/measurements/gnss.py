@@ -47,7 +47,7 @@ def observe_velocity(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinema
 
 
 def _units(name: str) -> FixParams:
-    scale, latency = Unit(f"{name}_scale", shape=(3,), root=True), Unit(f"{name}_latency_s", text="s", step=0.1)
+    scale, latency = Unit(shape=(3,), root=True), Unit("s", text="s", step=0.1)
     return FixParams(scale, latency)
 
 

@@ -35,8 +35,8 @@ def observe_range(theta: RangeParams, mounting: Mounting, nav: Nav, kin: Kinemat
 RANGEFINDER = Measurement(
     "rangefinder", ("down",), observe_range, RangeParams(1.0, 0.0, 0.0),
     RangeParams(
-        Unit("rangefinder_sd_scale"), Unit("rangefinder_latency_s", text="s", step=0.1),
-        Unit("rangefinder_ground_m", text="m", step=10.0),
+        Unit(), Unit("s", text="s", step=0.1),
+        Unit("m", text="m", step=10.0),
     ),
     states=("ground_height",), columns=(column("range_m", "length", 0.2),),
 )  # fmt: skip

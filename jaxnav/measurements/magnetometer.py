@@ -49,9 +49,9 @@ def observe_magnetometer(
 MAGNETOMETER = Measurement(
     "magnetometer", BODY, observe_magnetometer, MagnetometerParams(1.0, 0.0, 0.0, 60 * DEG, 50.0),
     MagnetometerParams(
-        Unit("magnetometer_sd_scale"), Unit("magnetometer_latency_s", text="s", step=0.1),
-        Unit("declination_deg", DEG, text="deg", step=3 * DEG), Unit("inclination_deg", DEG, text="deg", step=3 * DEG),
-        Unit("field_ut", text="uT", step=1.0),
+        Unit(), Unit("s", text="s", step=0.1),
+        Unit("deg", DEG, text="deg", step=3 * DEG), Unit("deg", DEG, text="deg", step=3 * DEG),
+        Unit("ut", text="uT", step=1.0),
     ),
     states=("magnetometer_bias", "declination_error"),
     columns=tuple(column(f"{axis}_ut", "field", 3.0, f"sd_{axis}_ut") for axis in "xyz"),

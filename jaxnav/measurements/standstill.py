@@ -33,10 +33,10 @@ def observe_zero_rate(theta: Sd, mounting: Mounting, nav: Nav, kin: Kinematics, 
 
 
 ZERO_VELOCITY = Measurement(
-    "zero_velocity", ENU, observe_zero_velocity, Sd(0.02), Sd(Unit("zero_velocity_mps", text="m/s")), reported=NED
+    "zero_velocity", ENU, observe_zero_velocity, Sd(0.02), Sd(Unit("mps", text="m/s")), reported=NED
 )  # fmt: skip
 """The vehicle stands: no value; sd from its parameters."""
 ZERO_RATE = Measurement(
-    "zero_rate", BODY, observe_zero_rate, Sd(0.1 * DEG), Sd(Unit("zero_rate_deg_per_s", DEG, text="deg/s"))
+    "zero_rate", BODY, observe_zero_rate, Sd(0.1 * DEG), Sd(Unit("deg_per_s", DEG, text="deg/s"))
 )  # fmt: skip
 """The vehicle does not turn: value = mean raw gyro rate, rad/s, body; sd from its parameters."""

@@ -100,22 +100,22 @@ def observe_level(theta: LevelParams, mounting: Mounting, nav: Nav, kin: Kinemat
 
 NONHOLONOMIC = Measurement(
     "nonholonomic", ("right", "down"), observe_nonholonomic, NonholonomicParams((0.1, 0.1)),
-    NonholonomicParams(Unit("nonholonomic_mps", shape=(2,), text="m/s")),
+    NonholonomicParams(Unit("mps", shape=(2,), text="m/s")),
     states=("vehicle_axes",),
 )  # fmt: skip
 """Wheels neither slide sideways nor lift: no value; sd = its parameter times the fix's own sd (1 by default)."""
 SPEED = Measurement(
     "speed", ("forward",), observe_speed, SpeedParams(1.0, 0.0),
-    SpeedParams(Unit("speed_sd_scale"), Unit("speed_scale", step=0.02)), states=("vehicle_axes", "odometer_scale"),
+    SpeedParams(Unit(), Unit(step=0.02)), states=("vehicle_axes", "odometer_scale"),
     columns=(column("speed_mps", "speed", 0.3),),
 )  # fmt: skip
 """Wheel speed: value forward m/s, its own sd."""
 WHEELS = Measurement(
     "wheels", ("left", "right"), observe_wheels, WheelsParams(1.0, 0.0, 1.0),
-    WheelsParams(Unit("wheels_sd_scale"), Unit("wheels_scale", step=0.02), Unit("wheels_track_m", text="m", step=0.02)),
+    WheelsParams(Unit(), Unit(step=0.02), Unit("m", text="m", step=0.02)),
     states=("vehicle_axes", "odometer_scale"),
     columns=(column("left_mps", "speed", 0.1, "sd_left_mps"), column("right_mps", "speed", 0.1, "sd_right_mps")),
 )  # fmt: skip
 """Speed of the wheels of both sides, none of which steers: value (2,) forward m/s, left and right, their own sd."""
-LEVEL = Measurement("level", ("up",), observe_level, LevelParams(0.1), LevelParams(Unit("level_mps", text="m/s")))
+LEVEL = Measurement("level", ("up",), observe_level, LevelParams(0.1), LevelParams(Unit("mps", text="m/s")))
 """A boat, or a robot on a floor, keeps its height: no value; sd = its parameter times the fix's own sd."""

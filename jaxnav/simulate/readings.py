@@ -132,7 +132,7 @@ def drawn(state: State, believed: StateParams, sim: Simulated, key: jax.Array) -
     E, interval = sim.truth.t.size, sim.truth.t[1] - sim.truth.t[0]
     first, steps = normal(key, (state.size,)), normal(jax.random.fold_in(key, 1), (E, state.size))
     endless = jnp.isinf(jnp.asarray(believed.tau, float)).all()
-    walk = believed.sd * first + believed.drive * jnp.sqrt(interval) * jnp.cumsum(steps, 0)
+    walk = believed.sd * first + believed.driving_noise * jnp.sqrt(interval) * jnp.cumsum(steps, 0)
     tau = jnp.where(jnp.isinf(believed.tau), 1.0, believed.tau)
-    bounded = believed.drive * jnp.sqrt(tau / 2) * gauss_markov(steps, interval, tau)
+    bounded = believed.driving_noise * jnp.sqrt(tau / 2) * gauss_markov(steps, interval, tau)
     return jnp.where(endless, walk, bounded)

@@ -1,7 +1,7 @@
 """Biases of the inertial sensors: they add to what is read."""
 
 from jaxnav.maths import units
-from jaxnav.states.state import BODY, State, state_units
+from jaxnav.states.state import BODY, State, UserUnit, state_units
 from jaxnav.types import StateParams
 
 GYRO_BIAS = State(
@@ -9,10 +9,9 @@ GYRO_BIAS = State(
     BODY,
     "gyro",
     None,
-    StateParams(sd=0.5 * units.DEG, drive=20 * units.DEG_PER_HOUR * (2 / 1000) ** 0.5, tau=float("inf")),
-    state_units("gyro_bias", "deg_per_hour", units.DEG_PER_HOUR, 3, "deg/h",
-                ("gyro_bias_deg_per_hour_per_sqrt_s", units.DEG_PER_HOUR, "deg/h/sqrt(s)")),
-)  # fmt: skip
+    StateParams(sd=0.5 * units.DEG, driving_noise=20 * units.DEG_PER_HOUR * (2 / 1000) ** 0.5, tau=float("inf")),
+    state_units(3, UserUnit("deg_per_hour", units.DEG_PER_HOUR, "deg/h")),
+)
 """rad/s, body."""
 
 ACCEL_BIAS = State(
@@ -20,8 +19,7 @@ ACCEL_BIAS = State(
     BODY,
     "accel",
     None,
-    StateParams(sd=20 * units.MG, drive=0.1 * units.MG * (2 / 1000) ** 0.5, tau=float("inf")),
-    state_units("accel_bias", "mg", units.MG, 3, "mg",
-                ("accel_bias_ug_per_sqrt_s", units.UG, "ug/sqrt(s)")),
-)  # fmt: skip
+    StateParams(sd=20 * units.MG, driving_noise=0.1 * units.MG * (2 / 1000) ** 0.5, tau=float("inf")),
+    state_units(3, UserUnit("mg", units.MG, "mg"), noise=UserUnit("ug", units.UG, "ug")),
+)
 """m/s^2, body."""

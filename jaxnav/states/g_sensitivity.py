@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.maths import units
-from jaxnav.states.state import constant
+from jaxnav.states.state import UserUnit, constant
 
 PER_G = units.DEG_PER_HOUR / units.G0  # rad/s per m/s^2
 
@@ -19,6 +19,6 @@ def forces(w: jax.Array, other: jax.Array) -> jax.Array:
 
 GYRO_G_SENSITIVITY = constant(
     "gyro_g_sensitivity", tuple(f"{axis} by f{force}" for axis in "xyz" for force in "xyz"), 30.0,
-    ("deg_per_hour_per_g", PER_G, "deg/h/g"), "gyro", forces,
+    UserUnit("deg_per_hour_per_g", PER_G, "deg/h/g"), "gyro", forces,
 )  # fmt: skip
 """(rad/s)/(m/s^2), row by row: a constant unless it is driven."""

@@ -2,7 +2,7 @@
 
 import math
 
-from jaxnav.states.state import State, state_units
+from jaxnav.states.state import State, UserUnit, state_units
 from jaxnav.types import StateParams
 
 SD, TAU = 1.5, 300.0  # m, s: of a single-frequency receiver, some minutes long
@@ -12,9 +12,7 @@ GNSS_POSITION_ERROR = State(
     ("east", "north", "up"),
     None,
     None,
-    StateParams(sd=SD, drive=SD * math.sqrt(2 / TAU), tau=TAU),  # as large at the start as later
-    state_units(
-        "gnss_position_error", "m", 1.0, 3, "m", ("gnss_position_error_m_per_sqrt_s", 1.0, "m/sqrt(s)")
-    ),
-)  # fmt: skip
+    StateParams(sd=SD, driving_noise=SD * math.sqrt(2 / TAU), tau=TAU),  # as large at the start as later
+    state_units(3, UserUnit("m", 1.0, "m")),
+)
 """m, ENU."""

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.maths import units
-from jaxnav.states.state import State, constant
+from jaxnav.states.state import State, UserUnit, constant
 
 PAIRS = (("x", "y"), ("x", "z"), ("y", "x"), ("y", "z"), ("z", "x"), ("z", "y"))
 """(axis that reads, axis that it sees): the sensor's axis is turned by so many rad towards the other."""
@@ -24,7 +24,7 @@ def crossed(w: jax.Array, other: jax.Array) -> jax.Array:
 
 def _misalignment(sensor: str) -> State:
     axes = tuple(f"{a} sees {b}" for a, b in PAIRS)
-    return constant(f"{sensor}_misalignment", axes, 3.0, ("mrad", units.MRAD, "mrad"), sensor, crossed)
+    return constant(f"{sensor}_misalignment", axes, 3.0, UserUnit("mrad", units.MRAD, "mrad"), sensor, crossed)
 
 
 GYRO_MISALIGNMENT = _misalignment("gyro")

@@ -4,8 +4,7 @@ import jax
 import numpy as np
 
 from jaxnav.maths import units
-from jaxnav.states.state import BODY, State, state_units
-from jaxnav.types import StateParams
+from jaxnav.states.state import BODY, State, UserUnit, constant
 
 
 def diagonal(w: jax.Array, other: jax.Array) -> jax.Array:
@@ -14,11 +13,7 @@ def diagonal(w: jax.Array, other: jax.Array) -> jax.Array:
 
 
 def _scale(sensor: str) -> State:
-    name = f"{sensor}_scale"
-    drive = (f"{name}_ppm_per_sqrt_s", units.PPM, "ppm/sqrt(s)")
-    units_of = state_units(name, "ppm", units.PPM, 3, "ppm", drive)
-    constant = StateParams(sd=3000 * units.PPM, drive=0.0, tau=float("inf"))
-    return State(name, BODY, sensor, diagonal, constant, units_of)
+    return constant(f"{sensor}_scale", BODY, 3000.0, UserUnit("ppm", units.PPM, "ppm"), sensor, diagonal)
 
 
 GYRO_SCALE = _scale("gyro")

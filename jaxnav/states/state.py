@@ -33,25 +33,28 @@ class State(NamedTuple):
 BODY = ("forward", "right", "down")
 
 
-def state_units(
-    name: str, unit: str, factor: float, size: int, text: str, drive: tuple[str, float, str]
-) -> StateParams:
-    """The border's names of a state's leaves: ``prior_NAME_UNIT``, NAME_DRIVE and ``NAME_tau_s``."""
-    shape = (size,) if size > 1 else ()
-    key, per_second, drive_text = drive
+class UserUnit(NamedTuple):
+    """A unit of users: as keys end, its factor to SI, in words."""
+
+    suffix: str
+    factor: float
+    text: str
+
+
+def state_units(size: int, unit: UserUnit, noise: UserUnit | None = None) -> StateParams:
+    """Return how users state a state: sd, driving noise per sqrt(s), in ``noise`` if that is another unit, and tau."""
+    shape, per = (size,) if size > 1 else (), noise or unit
     return StateParams(
-        Unit(f"prior_{name}_{unit}", factor, shape, text),
-        Unit(key, per_second, shape, drive_text, root=size == 3),
-        Unit(f"{name.removesuffix('_bias')}_tau_s", 1.0, shape, "s", endless=True),
+        Unit(unit.suffix, unit.factor, shape, unit.text),
+        Unit(f"{per.suffix}_per_sqrt_s", per.factor, shape, f"{per.text}/sqrt(s)", root=size == 3, zero=True),
+        Unit("s", 1.0, shape, "s", endless=True),
     )
 
 
 def constant(
-    name: str, axes: tuple[str, ...], sd: float, unit: tuple[str, float, str], enters: str | None = None,
+    name: str, axes: tuple[str, ...], sd: float, unit: UserUnit, enters: str | None = None,
     effect: Callable[[jax.Array, jax.Array], jax.Array] | None = None,
 ) -> State:  # fmt: skip
-    """A state that stays what it is unless it is driven; ``unit``: as its keys end, its factor to SI, in words."""
-    key, factor, text = unit
-    drive = (f"{name}_{key}_per_sqrt_s", factor, f"{text}/sqrt(s)")
-    units = state_units(name, key, factor, len(axes), text, drive)
-    return State(name, axes, enters, effect, StateParams(sd * factor, 0.0, float("inf")), units)
+    """Return a state that stays constant unless driven; ``sd`` in ``unit``."""
+    units = state_units(len(axes), unit)
+    return State(name, axes, enters, effect, StateParams(sd * unit.factor, 0.0, float("inf")), units)

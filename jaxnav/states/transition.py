@@ -232,7 +232,8 @@ def _driven(
     starts = np.cumsum([0, *(s.size for s in states)])
     part = lambda M, i: M[:, starts[i] : starts[i + 1]]
     root = _root(0.5 * total)
-    by_drive = lambda M: jnp.concatenate([linalg.times_root(part(M, i), p.drive) for i, p in enumerate(each)], 1)
+    roots = [p.driving_noise for p in each]
+    by_drive = lambda M: jnp.concatenate([linalg.times_root(part(M, i), L) for i, L in enumerate(roots)], 1)
     E_L = by_drive(E) * root
     power = np.concatenate([np.tile(np.repeat(INTEGRALS[s.enters], 3)[:, None], s.size) for s in states], 1)
     return [E_L * share**power for share in 0.5 + 0.5 * GAUSS2], by_drive(jnp.diag(kept)) * root

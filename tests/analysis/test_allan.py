@@ -224,11 +224,11 @@ def test_verb(recording, tmp_path, monkeypatch, capsys):
     assert (out / "allan.png").stat().st_size > 20_000
     # what tuning starts from: the figures of the axes, and how far from them it may look
     layer = config.read_params(out / "grade.toml")
-    assert layer["params"]["gyro_deg_per_sqrt_hour"] == pytest.approx([0.1] * 3, rel=0.1)
-    assert layer["params"]["accel_ug_per_sqrt_hz"] == pytest.approx([50] * 3, rel=0.1)
-    assert 2.0 <= layer["tune"]["prior"]["gyro_deg_per_sqrt_hour"] < 2.3
-    assert "gyro_bias_deg_per_hour_per_sqrt_s" not in layer["params"]  # no drift shows in a minute
-    assert config.resolve([("", layer)]).params.gyro_deg_per_sqrt_hour is not None
+    assert layer["noise"]["gyro_deg_per_sqrt_hour"] == pytest.approx([0.1] * 3, rel=0.1)
+    assert layer["noise"]["accel_ug_per_sqrt_hz"] == pytest.approx([50] * 3, rel=0.1)
+    assert 2.0 <= layer["tune"]["prior"]["noise.gyro"] < 2.3
+    assert "states" not in layer  # no drift shows in a minute
+    assert config.resolve([("", layer)]).noise.gyro_deg_per_sqrt_hour is not None
 
     args = ["allan", "--data", str(recording), "--set", "out.figures=false", "--out", str(out)]
     assert cli.main([*args, "--set", "filter.standing_gyro_sd_deg_per_s=0.1"]) == 0
@@ -245,8 +245,8 @@ def test_a_grade_drives_its_bias_by_what_the_curve_shows():
     blank = ReadOff(None, None, None, None)
     found = grade({"gyro": (curve, [walk, hump, blank]), "accel": (curve, [blank] * 3)})
     driven = np.array([1e-6, 1e-4 * np.sqrt(2 / 200.0)])
-    values = np.array(found["params"]["gyro_bias_deg_per_hour_per_sqrt_s"]) * DEG_PER_HOUR
+    values = np.array(found["states"]["gyro_bias"]["driving_noise_deg_per_hour_per_sqrt_s"]) * DEG_PER_HOUR
     np.testing.assert_allclose(values, [*driven, np.sqrt(driven.prod())], rtol=1e-4)
-    assert not any(key.startswith("accel") for key in found["params"])
+    assert list(found["states"]) == ["gyro_bias"] and not any(key.startswith("accel") for key in found["noise"])
     # 8 to 100 degrees of freedom far out are 7 to 25 %, beside a factor 2
-    assert 2.0 <= found["tune"]["prior"]["gyro_bias_deg_per_hour_per_sqrt_s"] < 2.1
+    assert 2.0 <= found["tune"]["prior"]["states.gyro_bias.driving_noise"] < 2.1

@@ -21,7 +21,7 @@ def test_without_noise_it_is_what_the_filter_knows(case):
     # so small that second order adds nothing
     for name, sd in {"prior.attitude": 1e-4, "states.gyro_bias.sd": 1e-5, "states.accel_bias.sd": 1e-3}.items():
         params = put(params, name, jnp.full(3, sd))
-    for name in ("noise.gyro", "noise.accel", "states.gyro_bias.drive", "states.accel_bias.drive"):
+    for name in ("noise.gyro", "noise.accel", "states.gyro_bias.driving_noise", "states.accel_bias.driving_noise"):
         params = put(params, name, jnp.zeros(3))
     for name in ("states.gyro_bias.tau", "states.accel_bias.tau"):
         params = put(params, name, jnp.asarray(jnp.inf))

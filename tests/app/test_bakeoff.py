@@ -175,7 +175,7 @@ def test_every_filter_has_something_to_tune_and_starts_at_the_datasheet():
         spec, start = contest.spec_of(name), contest.datasheet(name)
         raw = split(spec, start)  # nothing that cannot start
         assert len(labels(spec, raw)) >= 7 + 4 * (entry.states == BIASES)
-        assert ("states.gyro_bias.drive" in spec) == (entry.states == BIASES)
+        assert ("states.gyro_bias.driving_noise" in spec) == (entry.states == BIASES)
         same = contest.applied(start, nominal)
         for part in ("noise", "prior", "states", "measurements", "mounting"):
             jax.tree.map(np.testing.assert_array_equal, getattr(same, part), getattr(nominal, part))

@@ -146,13 +146,16 @@ def test_seed_reproduces_and_matters(drive):
         (["simulate", "--data", "rtkexplorer_drive"], ["simulate takes a scenario"]),
         (["tune", "--set", "tune.objective=nlll"], ["did you mean nll?"]),
         (["tune", "--set", "tune.free=['noise.gyroo']"], ["did you mean noise.gyro?"]),
-        (["tune", "--set", "filter.nonholonomic=true"], ["constraints"]),
+        (["tune", "--set", 'filter.measurements=["position", "nonholonomic"]'], ["constraints"]),
         (["filter", "--config", "none.toml"], ["none.toml: cannot be read"]),
         (["filter", "--params", "none.toml"], ["none.toml: cannot be read"]),
         (["data", "fetch"], ["needs the name"]),
         (["filter", "--filter", ""], ["no filter ''"]),
         (["filter", "--config", ""], ["cannot be read"]),
-        (["filter", "--set", "params.position_latency_s=100"], ["params.position_latency_s must be in [-10, 10]"]),
+        (
+            ["filter", "--set", "measurements.position.latency_s=100"],
+            ["measurements.position.latency_s must be in [-10, 10]"],
+        ),
         (["filter", "--set", "filter.outages=[[200, 300]]"], ["filter.outages: [200.0, 300.0] holds no epoch"]),
         (["simulate", "--set", "data.options.duration_s=inf"], ["duration_s must be positive and finite, got inf"]),
         (["tune", "--devices", "-1"], ["--devices must be 0 (all) or more, got -1"]),
@@ -314,7 +317,7 @@ def test_an_output_folder_that_holds_the_input_is_refused(drive, tmp_path, capsy
     tuned = tmp_path / "tuned"
     tuned.mkdir()
     (tuned / "run.json").write_text('{"verb": "filter", "files": ["tuned.toml", "run.json"]}')
-    (tuned / "tuned.toml").write_text("[params]\n")
+    (tuned / "tuned.toml").write_text("[noise]\n")
     argv = ["filter", "--data", str(drive), "--params", str(tuned / "tuned.toml"), "--out", str(tuned)]
     assert cli.main(argv) == 3 and "is read by this run" in capsys.readouterr().err
     assert (tuned / "tuned.toml").exists()
@@ -325,21 +328,21 @@ def test_tune_scenario_then_filter_with_its_parameters(capsys):
     argv = ["tune", "--data", "urban_short", "--json", *SMALL[:4], *TINY, *what]
     assert cli.main([*argv, "--out", "t", "--set", "data.gnss_latency_s=0.2"]) == 0
     metrics = json.loads(capsys.readouterr().out)["metrics"]
-    assert metrics["steps"] == 2 and metrics["known"]["position_latency_s"] == 0.2
+    assert metrics["steps"] == 2 and metrics["known"]["measurements.position.latency_s"] == 0.2
     before, after = (np.array(metrics["per_window"][k]) for k in ("before_m", "after_m"))
     assert before.shape == after.shape == (2,) and not np.array_equal(before, after)
     assert metrics["paired_gain"]["gain"] == pytest.approx(np.sqrt(np.mean(before**2) / np.mean(after**2)))
     history = [json.loads(line) for line in cli.Path("t/history.jsonl").read_text().splitlines()]
-    assert [row["step"] for row in history] == [0, 1] and "gyro_deg_per_sqrt_hour" in history[0]["params"]
+    assert [row["step"] for row in history] == [0, 1] and "noise.gyro_deg_per_sqrt_hour" in history[0]["params"]
     assert {"outage_drift.png", "tuning.png", "errors.png", "tuned.toml"} <= {p.name for p in cli.Path("t").iterdir()}
 
     tuned = config.read_params("t/tuned.toml")
     c = config.resolve([("", tuned)])
-    assert c.params.gyro_deg_per_sqrt_hour == pytest.approx(metrics["params_after"]["gyro_deg_per_sqrt_hour"])
+    assert c.noise.gyro_deg_per_sqrt_hour == pytest.approx(metrics["params_after"]["noise.gyro_deg_per_sqrt_hour"])
     grade = prepare.grade_of(config.resolve([("", {"filter": {"grade": "tactical"}})]), None)
     params = prepare.base_params(c, grade, np.zeros(3), 1.0, 0.1)
     assert float(params.measurements["velocity"].latency) == pytest.approx(
-        metrics["params_after"]["velocity_latency_s"]
+        metrics["params_after"]["measurements.velocity.latency_s"]
     )
 
 

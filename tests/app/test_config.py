@@ -25,13 +25,13 @@ def test_layers_later_wins():
     ("setting", "value"),
     [
         ("seed=3", 3),
-        ("filter.zero_rate=true", True),
+        ("filter.smooth=true", True),
         ("filter.interval_s=1", 1.0),
         ("filter.outages=[[1, 2], [3.5, 4]]", ((1.0, 2.0), (3.5, 4.0))),
         ("start.heading=90", 90.0),
         ("start.heading=unknown", "unknown"),
         ("start.position_sd_m=[1, 2, 3]", (1.0, 2.0, 3.0)),
-        ("params.gyro_tau_s=inf", float("inf")),
+        ("states.gyro_bias.tau_s=inf", float("inf")),
         ("tune.objective=nll", {"nll": 1.0}),
         ("tune.objective={drift = 1, nll = 0.1}", {"drift": 1.0, "nll": 0.1}),
         ("tune.free=['noise', 'mounting.lever_arm']", ("noise", "mounting.lever_arm")),
@@ -40,10 +40,8 @@ def test_layers_later_wins():
     ],
 )
 def test_set_takes_toml_values_and_types(setting, value):
-    c, found = resolve(setting), None
-    keys = setting.partition("=")[0].split(".")[:2]
-    found = c
-    for key in keys:
+    found, keys = resolve(setting), setting.partition("=")[0].split(".")
+    for key in keys if keys[:2] != ["data", "options"] else keys[:2]:
         found = getattr(found, key)
     assert found == value and type(found) is type(value)
 
@@ -55,7 +53,7 @@ def test_set_takes_toml_values_and_types(setting, value):
         ("filtr.name=3", "unknown key filtr: did you mean filter?"),
         ("filter.tilt_sd_deg=3", "did you mean start.tilt_sd_deg?"),
         ("filter.cov_stride=1.5", "filter.cov_stride must be a whole number, got 1.5"),
-        ("filter.speed=1", "filter.speed must be true or false, got 1"),
+        ("filter.smooth=1", "filter.smooth must be true or false, got 1"),
         ("tune.steps=true", "tune.steps must be a whole number, got True"),
         ("start.tilt_sd_deg=nan", "start.tilt_sd_deg must be a number"),
         ("filter=3", r"\[filter\] is a section"),
@@ -75,8 +73,8 @@ def test_file_errors_name_file_and_line(tmp_path):
     file.write_text("seed = 1\n\n[filter]\nname = 'ekf9'\n\n[tune]\nstep = 3\n")
     with pytest.raises(ConfigError, match=r"c.toml: line 7: unknown key tune.step: did you mean tune.steps\?"):
         config.read(file)
-    file.write_text("[filter]\nspeed = 'yes'\n")
-    with pytest.raises(ConfigError, match="c.toml: line 2: filter.speed must be true or false, got 'yes'"):
+    file.write_text("[filter]\nsmooth = 'yes'\n")
+    with pytest.raises(ConfigError, match="c.toml: line 2: filter.smooth must be true or false, got 'yes'"):
         config.read(file)
     file.write_text("[filter\n")
     with pytest.raises(ConfigError, match="c.toml: .*line 1"):
@@ -86,8 +84,8 @@ def test_file_errors_name_file_and_line(tmp_path):
 
 
 def test_resolved_goes_through_toml_and_run_json(tmp_path):
-    settings = ["filter.outages=[[1, 2]]", "params.gyro_tau_s=inf", "data.options.imu='imu1'", "start.heading=30"]
-    c = resolve(*settings, "params.lever_arm_m=[0, 1, -2]", "tune.objective={nll = 1}")
+    settings = ["filter.outages=[[1, 2]]", "states.gyro_bias.tau_s=inf", "data.options.imu='imu1'", "start.heading=30"]
+    c = resolve(*settings, "mounting.lever_arm_m=[0, 1, -2]", "tune.objective={nll = 1}")
     assert config.resolve([("toml", tomllib.loads(to_toml(config.as_dict(c))))]) == c
     run = tmp_path / "run.json"
     run.write_text(json.dumps({"config": config.as_dict(c)}))
@@ -98,8 +96,9 @@ def test_resolved_goes_through_toml_and_run_json(tmp_path):
 
 
 def test_presets_lie_under_the_users_settings():
-    assert resolve("data.source=rtkexplorer_drive").params.velocity_latency_s == 0.125
-    assert resolve("data.source=rtkexplorer_drive", params={"velocity_latency_s": 0.0}).params.velocity_latency_s == 0.0
+    assert resolve("data.source=rtkexplorer_drive").measurements.velocity.latency_s == 0.125
+    stated = resolve("data.source=rtkexplorer_drive", measurements={"velocity": {"latency_s": 0.0}})
+    assert stated.measurements.velocity.latency_s == 0.0 and stated.mounting.time_offset_s == 0.175
     for name, tree in config.PRESETS.items():
         assert config.resolve([("", tree)]), name
 

@@ -50,7 +50,7 @@ def test_every_filter_has_its_parameters_and_tunes_them_by_default(name):
     names = labels(spec, raw)
     assert len(set(names)) == sum(np.size(value) for value in raw.values())
     moved = join(spec, {leaf: value + 0.1 for leaf, value in raw.items()}, params)
-    text = to_toml({"params": border.in_user_units(moved, list(spec)), "filter": {"name": name}})
+    text = to_toml(border.nested(border.in_user_units(moved, list(spec))) | {"filter": {"name": name}})
     again = params_of(config.resolve([("", tomllib.loads(text))]))
     for leaf in spec:
         np.testing.assert_allclose(get(again, leaf), get(moved, leaf), rtol=1e-14)
@@ -66,19 +66,19 @@ def test_a_table_is_shown_whole_and_a_root_without_its_zeros():
 @pytest.mark.parametrize(
     "name, rule, words",
     [("fwekf", {"system.centre": 1.0}, "'centre' is not one of"), ("ekf15", {"knee": 1.0}, "no parameter 'rule.knee'"),
-     ("ekf15_huber", {"knee": [1.0, 2.0]}, "of shape"), ("ekf15_huber", {"knee": "x"}, "params.rule.knee"),
+     ("ekf15_huber", {"knee": [1.0, 2.0]}, "of shape"), ("ekf15_huber", {"knee": "x"}, "rule.knee"),
      ("ekf15_huber", {"knee": float("inf")}, "must be finite")],
 )  # fmt: skip
 def test_wrong_parameters_of_a_rule_are_named(name, rule, words):
     with pytest.raises(ConfigError, match=words):
-        params_of(resolved(filter={"name": name}, params={"rule": rule}))
+        params_of(resolved(filter={"name": name}, rule=rule))
 
 
 @pytest.mark.parametrize("key", ["tied", "correlated", "prior"])
 def test_what_is_not_free_cannot_be_tied_correlated_or_believed(key):
-    value = {"velocity_scale": 2.0} if key == "prior" else ["velocity_scale"]
+    value = {"measurements.velocity.scale": 2.0} if key == "prior" else ["measurements.velocity.scale"]
     tune = resolved(tune={"free": ["noise"], key: value}).tune
-    with pytest.raises(ConfigError, match=f"tune.{key}: velocity_scale is not in tune.free"):
+    with pytest.raises(ConfigError, match=f"tune.{key}: measurements.velocity.scale is not in tune.free"):
         prepare.tune_spec(tune, "ekf15", GNSS, params_of(resolved()))
 
 
@@ -91,14 +91,22 @@ def test_a_filter_with_an_observer_runs_from_the_command_line(tmp_path, monkeypa
 
 def test_a_further_source_has_its_own_presets_and_the_users_settings():
     drive = {"source": "rtkexplorer_drive", "stop": 300.0}
-    first = resolved(data=drive, start={"tilt_sd_deg": 7.0}, params={"gyro_deg_per_sqrt_hour": 0.4})
-    assert first.filter.zero_velocity and first.params.time_offset_s == 0.175
+    first = resolved(data=drive, start={"tilt_sd_deg": 7.0}, noise={"gyro_deg_per_sqrt_hour": 0.4})
+    assert "zero_velocity" in first.filter.measurements and first.mounting.time_offset_s == 0.175
     town = config.for_source(first, "urban")
-    assert town.data == config.Data(source="urban") and not town.filter.zero_velocity and not town.filter.grade
-    assert town.params.time_offset_s is None
-    assert town.params.gyro_deg_per_sqrt_hour == 0.4 and town.start.tilt_sd_deg == 7.0
+    assert (
+        town.data == config.Data(source="urban")
+        and "zero_velocity" not in town.filter.measurements
+        and not town.filter.grade
+    )
+    assert town.mounting.time_offset_s is None
+    assert town.noise.gyro_deg_per_sqrt_hour == 0.4 and town.start.tilt_sd_deg == 7.0
     back = config.for_source(town, "rtkexplorer_drive")
-    assert back.data.options == {"imu_delay": -0.3} and back.filter.zero_velocity and back.start.tilt_sd_deg == 7.0
+    assert (
+        back.data.options == {"imu_delay": -0.3}
+        and "zero_velocity" in back.filter.measurements
+        and back.start.tilt_sd_deg == 7.0
+    )
 
 
 def test_a_setting_that_equals_a_default_is_a_setting():
@@ -157,9 +165,11 @@ def starts(origin: float):
 
 def test_navigation_starts_where_the_vehicle_is_by_then():
     # its clock drifts by 1 %, so that where the run starts, 29 s before half-time, it is 0.29 s early
-    timing, course = {"time_offset_s": 0.39, "clock_drift_ppm": 1e4, "position_latency_s": 0.3}, {"heading": "course"}
-    c = resolved(params=timing, start=course)
-    nav, on_time = begun(c, northward(0.4)).navs, begun(resolved(start=course), northward()).navs
+    late = {"position": {"latency_s": 0.3}}
+    c = resolved(
+        mounting={"time_offset_s": 0.39, "clock_drift_ppm": 1e4}, measurements=late, start={"heading": "course"}
+    )
+    nav, on_time = begun(c, northward(0.4)).navs, begun(resolved(start={"heading": "course"}), northward()).navs
     assert float(nav.t[0]) == 1.0 and float(nav.origin.t[0]) == pytest.approx(30.05)
     np.testing.assert_allclose(earth.enu_difference(nav.pos[0], on_time.pos[0]), 0, atol=0.02)
 
@@ -176,7 +186,9 @@ def test_what_drives_by_the_receiver_is_no_standstill():
     np.testing.assert_array_equal(epochs.driving(rec.aiding["velocity"], t), [True, True, True, False])  # the last: far
     slow = rec.aiding["velocity"]._replace(value=np.full((59, 3), 0.3))
     assert not epochs.driving(slow, t).any()
-    c = resolved(filter={"zero_velocity": True}, start={"heading": 0.0})  # a drive without any vibration
+    c = resolved(
+        filter={"measurements": ["position", "velocity", "zero_velocity"]}, start={"heading": 0.0}
+    )  # a drive without any vibration
     with pytest.raises(ConfigError, match=r"standing_gyro_sd_deg_per_s: 59 of 60 epochs .* the first at 1.000 s"):
         epochs.pack_recording(rec, prepare.measurements_of(c), 0.0, 1.0)
     epochs.pack_recording(rec._replace(aiding=rec.aiding | {"velocity": slow}), prepare.measurements_of(c), 0.0, 1.0)
@@ -201,7 +213,7 @@ def test_an_outage_lasts_to_the_end_of_the_data():
 
 def test_the_truth_of_a_tuning_run_is_at_the_time_that_the_clocks_give():
     rec, t, known = northward(), np.array([0.2, 10.0, 30.5, 70.0]), {"time_offset_s": 0.25, "clock_drift_ppm": 1e4}
-    case = SimpleNamespace(recording=rec, params=params_of(resolved(params=known)), navs=starts(30.0))
+    case = SimpleNamespace(recording=rec, params=params_of(resolved(mounting=known)), navs=starts(30.0))
     truth = batches._truth(case, t)
     np.testing.assert_array_equal(truth.known, [False, True, True, False])
     north = (np.asarray(truth.lla)[1:3, 0] - 0.8) * 6.37e6
@@ -214,7 +226,7 @@ def test_the_truth_of_a_tuning_run_is_at_the_time_that_the_clocks_give():
 def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):
     """Navigation is right; the truth is met where the offset is, by value and by slope."""
     offset, true = 0.1, 0.35
-    t, params = np.arange(5.0, 55.0), params_of(resolved(params={"time_offset_s": offset}))
+    t, params = np.arange(5.0, 55.0), params_of(resolved(mounting={"time_offset_s": offset}))
     truth = batches._truth(SimpleNamespace(recording=northward(), params=params, navs=starts(30.0)), t)
     pos = jnp.stack([0.8 + 12.0 * (t + true) / 6.37e6, 0.2 + 0 * t, 100.0 + 0 * t], 1)
     nav = counted_from(jax.vmap(initial_nav)(pos)._replace(t=jnp.asarray(t)), 30.0)
@@ -235,7 +247,7 @@ def test_a_solution_is_told_at_gnss_time():
     t, none = np.array([10.0, 30.0, 50.0]), jnp.zeros(3)
     nav = counted_from(jax.vmap(initial_nav)(jnp.zeros((3, 3)))._replace(t=jnp.asarray(t)), 30.0)
     info = Info(nav, jnp.zeros((3, 9, 9)), *[none] * 8)
-    params = params_of(resolved(params={"time_offset_s": 0.25, "clock_drift_ppm": 1e4}))
+    params = params_of(resolved(mounting={"time_offset_s": 0.25, "clock_drift_ppm": 1e4}))
     np.testing.assert_allclose(evaluate.trace(info, params).track.t, t + [0.05, 0.25, 0.45], rtol=1e-12)
 
 
@@ -270,7 +282,7 @@ def test_history_covers_what_is_known_and_what_tuning_adds():
     ("tune", {"tune": {"method": "lbfgs", "rate": 0.3}, "start": {"heading": 3.0}}, ["tune.rate"]),
     ("mc", {"data": {"source": "gipkf_urban"}, "start": {"heading": 3.0}}, ["start.heading"]),
     ("mc", {"data": {"source": "gipkf_urban"}, "filter": {"cov_stride": 7}}, []),
-    ("filter", {"filter": {"name": "ekf9"}, "params": {"gyro_tau_s": 9.0}}, ["params.gyro_tau_s"]),
+    ("filter", {"filter": {"name": "ekf9"}, "states": {"gyro_bias": {"tau_s": 9.0}}}, ["states.gyro_bias.tau_s"]),
     ("bakeoff", {"data": {"source": "urban,gipkf_urban"}, "filter": {"cov_stride": 10}}, []),
     ("tune", {"data": {"source": "umn_thor75"}}, []),
 ])  # fmt: skip
@@ -278,11 +290,12 @@ def test_settings_without_effect_are_said(verb, tree, keys):
     assert [line.partition(":")[0] for line in unused(VERBS[verb], resolved(**tree))] == keys
 
 
-@pytest.mark.parametrize("key", ["gyro_deg_per_sqrt_hour", "lever_arm_m", "speed_scale", "rule.ki"])
+@pytest.mark.parametrize(
+    "key", ["noise.gyro_deg_per_sqrt_hour", "mounting.lever_arm_m", "measurements.speed.scale", "rule.ki"]
+)
 def test_parameters_are_finite(key):
-    value = [0.0, np.inf, 0.0] if key == "lever_arm_m" else np.inf
-    section, _, name = key.rpartition(".")
-    with pytest.raises(ConfigError, match=f"params.{key} must be finite"):
-        params_of(resolved(filter={"name": "gpid"}, params={section: {name: value}} if section else {key: value}))
-    walk = params_of(resolved(params={"gyro_tau_s": np.inf}))
+    value = [0.0, np.inf, 0.0] if key == "mounting.lever_arm_m" else np.inf
+    with pytest.raises(ConfigError, match=f"{key} must be finite"):
+        params_of(resolved(filter={"name": "gpid"}, **border.nested({key: value})))
+    walk = params_of(resolved(states={"gyro_bias": {"tau_s": np.inf}}))
     assert np.isinf(walk.states["gyro_bias"].tau).all()

@@ -5,7 +5,16 @@ import re
 import tomllib
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+
 from jaxnav.app import cli, commands, config, settings
+from jaxnav.filters import border
+from jaxnav.filters.parameters import datasheet_params, strong
+from jaxnav.states.grades import GRADES
+from jaxnav.states.table import STATES
+from jaxnav.types import StateParams
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -19,7 +28,7 @@ def test_every_setting_is_there_and_says_what_it_is():
         found["filter", "cov_stride"].startswith("the error dynamics see means")
         and "1 to 1000" in found["filter", "cov_stride"]
     )
-    assert found["params", "gyro_deg_per_sqrt_hour"].startswith("deg/sqrt(h), one number, one an axis")
+    assert found["noise", "gyro_deg_per_sqrt_hour"].startswith("deg/sqrt(h), one number, one an axis")
     assert (
         "tempered for one recording" in found["tune", "method"] and "see `tuning.recorded`" in found["tune", "method"]
     )
@@ -33,15 +42,25 @@ def test_what_it_prints_is_a_configuration_with_the_defaults():
     assert all(not value for value in tomllib.loads(text).values())
     bare = re.sub(r"^#(\w+ =) *(?=$|  #).*$", "", text, flags=re.MULTILINE)  # those without a default
     tree = tomllib.loads(re.sub(r"^#(?=\w+ =)", "", bare, flags=re.MULTILINE))
-    assert config.resolve([("all", tree)]) == config.resolve([])
+    c = config.resolve([("all", tree)])
+    assert dataclasses.replace(c, states=config.States(), measurements=config.Measurements()) == config.resolve([])
+    rows = {name: StateParams(*row.defaults) for name, row in STATES.items()}
+    params = datasheet_params(GRADES["consumer"])._replace(states=strong(rows))
+    same = border.override(params, config.as_dict(c))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, jnp.broadcast_to(b, a.shape), rtol=1e-3), same, params)
 
 
 def test_the_verb_prints_it_and_the_page_is_it(capsys):
     assert cli.main(["config"]) == 0
     assert capsys.readouterr().out == settings.commented()
-    assert (DOCS / "settings.md").read_text() == settings.page(), (
-        "python -m jaxnav config --markdown > docs/settings.md"
+    by_hand, head, rest = (DOCS / "settings.md").read_text().partition(settings.HEAD)
+    assert head + rest == settings.page(), (
+        "python -m jaxnav config --markdown: the part of docs/settings.md from its head"
     )
+    known = {f"{s.name}.{k.name}" for s in settings.sections() for k in s.settings}
+    named = set(re.findall(r"^\| `([a-z_.]+)` \|", by_hand, flags=re.MULTILINE))
+    rows = {name for name in named if name.startswith(("states.", "measurements."))}
+    assert 20 <= len(named) <= 30 and named - rows <= known and rows <= set(border.KEYS)
     assert (DOCS / "commands.md").read_text() == commands.page(), "python -m jaxnav.app.commands > docs/commands.md"
 
 

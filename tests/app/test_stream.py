@@ -34,7 +34,7 @@ def test_a_recording_and_its_lines_end_near_the_truth(drive, capsys):
     played_rows = rows_of(said.out)
     assert "starts at t = " in said.err and "a sample takes" in said.err
     lines = "".join(f"{e.name},{e.t!r},{','.join(map(repr, e.values))}\n" for e in played(rec))
-    config = resolve([("test", {"filter": {"cov_stride": 5}, "params": {"lever_arm_m": arm}})])
+    config = resolve([("test", {"filter": {"cov_stride": 5}, "mounting": {"lever_arm_m": arm}})])
     out = io.StringIO()
     found = stream(config, 0.0, 5.0, io.StringIO("# ours\nhello,1\nimu,1,2\n" + lines), out)
     assert found.metrics["ok"] and "2 not used: lines that are none, such as 'hello,1'" in found.text

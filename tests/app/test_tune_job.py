@@ -29,6 +29,8 @@ SETTINGS = {
     "out": {"figures": False},
 }
 
+P, V = "measurements.position", "measurements.velocity"
+
 
 @pytest.fixture(autouse=True)
 def no_cache_no_cwd(monkeypatch, tmp_path):
@@ -48,21 +50,22 @@ def flags(**changes) -> list[str]:
 def test_scoring_says_how_well_each_parameter_is_known(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(uncertainty, "TOGETHER", 10)  # all directions at once compile once
     argv = flags(method="scoring", objective="nll", steps=9, intervals=True, more=["urban_short"],
-                 free=["noise", "fixes", "latency"], frozen=["velocity_latency_s"], tied=["position_scale"],
-                 correlated=["velocity_scale"],
-                 prior={"accel_ug_per_sqrt_hz": 1.01, "position_latency_s": 1e-6})  # fmt: skip
+                 free=["noise", "fixes", "latency"], frozen=[f"{V}.latency_s"], tied=[f"{P}.scale"],
+                 correlated=[f"{V}.scale"],
+                 prior={"noise.accel_ug_per_sqrt_hz": 1.01, f"{P}.latency_s": 1e-6})  # fmt: skip
     assert cli.main(argv) == 0
     found = json.loads(capsys.readouterr().out)["metrics"]
     rows = found["parameters"]
-    assert set(rows) == {"gyro_deg_per_sqrt_hour", "accel_ug_per_sqrt_hz", "position_scale", "position_latency_s",
-                         *(f"velocity_scale[{i}]" for i in ("0", "1", "2", "1,0", "2,0", "2,1"))}  # fmt: skip
+    assert set(rows) == {"noise.gyro_deg_per_sqrt_hour", "noise.accel_ug_per_sqrt_hz", f"{P}.scale", f"{P}.latency_s",
+                         *(f"{V}.scale[{i}]" for i in ("0", "1", "2", "1,0", "2,0", "2,1"))}  # fmt: skip
     for row in rows.values():
         assert row["low"] < row["value"] < row["high"]
-    assert rows["accel_ug_per_sqrt_hz"]["unit"] == "ug/sqrt(Hz)"
+    assert rows["noise.accel_ug_per_sqrt_hz"]["unit"] == "ug/sqrt(Hz)"
     # a strong belief holds a parameter at the datasheet, and its interval is the belief's
-    assert rows["accel_ug_per_sqrt_hz"]["ratio"] == pytest.approx(1.0, rel=0.02)
-    assert rows["position_latency_s"]["high"] - rows["position_latency_s"]["low"] == pytest.approx(2 * 1.96e-6, rel=0.1)
-    assert 0.5 < rows["position_scale"]["value"] < 2.0 and rows["position_scale"]["identified"]
+    assert rows["noise.accel_ug_per_sqrt_hz"]["ratio"] == pytest.approx(1.0, rel=0.02)
+    latency, scale = rows[f"{P}.latency_s"], rows[f"{P}.scale"]
+    assert latency["high"] - latency["low"] == pytest.approx(2 * 1.96e-6, rel=0.1)
+    assert 0.5 < scale["value"] < 2.0 and scale["identified"]
     assert all(isinstance(text, str) for text in found["identifiability"]) and found["aside"] == []
     losses = [row["loss"] for row in map(json.loads, cli.Path("t/history.jsonl").read_text().splitlines())]
     assert losses == sorted(losses, reverse=True) and found["loss"] == losses[-1]
@@ -71,26 +74,26 @@ def test_scoring_says_how_well_each_parameter_is_known(tmp_path, capsys, monkeyp
     assert "imunoise:" in kfgins and "correlations" not in kfgins
     assert "imu.arw" in navego and "correlations between the axes are left out of velocity_scale" in navego
     # a root is told as the axes' sd and the correlations, and what is written is what a filter runs with
-    L = np.array(found["params_after"]["velocity_scale"])
-    assert L.shape == (3, 3) and not np.triu(L, 1).any() and found["params_before"]["velocity_scale"] == 1.0
+    L = np.array(found["params_after"][f"{V}.scale"])
+    assert L.shape == (3, 3) and not np.triu(L, 1).any() and found["params_before"][f"{V}.scale"] == 1.0
     sd = np.linalg.norm(L, axis=1)
     corr = (L @ L.T) / np.outer(sd, sd)
     told = {"0": sd[0], "1": sd[1], "2": sd[2], "1,0": corr[1, 0], "2,0": corr[2, 0], "2,1": corr[2, 1]}
     for index, value in told.items():
-        assert rows[f"velocity_scale[{index}]"]["value"] == pytest.approx(value, abs=1e-12)
-    of = rows["velocity_scale[2,1]"]
+        assert rows[f"{V}.scale[{index}]"]["value"] == pytest.approx(value, abs=1e-12)
+    of = rows[f"{V}.scale[2,1]"]
     assert of["unit"] == "correlation" and of["datasheet"] == 0 and abs(of["value"]) > 1e-4
     assert cli.main(["filter", "--config", "job.toml", "--params", "t/tuned.toml", "--out", "f", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["metrics"]["nis_per_dof"] > 0
-    ran = json.loads(cli.Path("f/run.json").read_text())["config"]["params"]
-    np.testing.assert_allclose(ran["velocity_scale"], L, rtol=1e-15)
+    ran = json.loads(cli.Path("f/run.json").read_text())["config"]
+    np.testing.assert_allclose(ran["measurements"]["velocity"]["scale"], L, rtol=1e-15)
 
 
 @pytest.mark.parametrize(
     "changes, leaves",
-    [({"correlated": ["noise", "velocity_scale"]}, ["gyro", "accel", "gyro_bias", "accel_bias", "velocity_scale"]),
+    [({"correlated": ["noise", f"{V}.scale"]}, ["gyro", "accel", "gyro_bias", "accel_bias", "velocity_scale"]),
      ({"correlated": ["fixes"], "tied": ["noise"]}, ["position_scale", "velocity_scale"]),
-     ({"correlated": ["noise.gyro", "accel_bias_ug_per_sqrt_s"], "frozen": ["noise.gyro"]}, ["accel_bias"])],
+     ({"correlated": ["noise.gyro", "states.accel_bias.driving_noise"], "frozen": ["noise.gyro"]}, ["accel_bias"])],
 )  # fmt: skip
 def test_correlated_takes_groups_leaves_and_keys(changes, leaves):
     sheet = datasheet_params(GRADES["adis16465"])
@@ -108,22 +111,22 @@ def test_correlated_takes_groups_leaves_and_keys(changes, leaves):
 )  # fmt: skip
 def test_a_matrix_in_params_is_a_root(value):
     sheet = datasheet_params(GRADES["adis16465"])
-    section = config.resolve([("", {"params": {"gyro_deg_per_sqrt_hour": value}})]).params
-    with pytest.raises(ConfigError, match="params.gyro_deg_per_sqrt_hour as a matrix must be lower triangular, 3 x 3"):
-        border.override(sheet, vars(section))
+    section = config.resolve([("", {"noise": {"gyro_deg_per_sqrt_hour": value}})])
+    with pytest.raises(ConfigError, match="noise.gyro_deg_per_sqrt_hour as a matrix must be lower triangular, 3 x 3"):
+        border.override(sheet, config.as_dict(section))
 
 
 def test_a_root_in_params_is_in_users_units():
     L = [[0.1, 0, 0], [-0.05, 0.2, 0], [0, 0.03, 0.3]]
-    c = config.resolve([("", {"params": {"gyro_deg_per_sqrt_hour": L}})])
-    params = border.override(datasheet_params(GRADES["adis16465"]), vars(c.params))
+    c = config.resolve([("", {"noise": {"gyro_deg_per_sqrt_hour": L}})])
+    params = border.override(datasheet_params(GRADES["adis16465"]), config.as_dict(c))
     np.testing.assert_allclose(params.noise.gyro, np.array(L) * DEG_PER_SQRT_HOUR, rtol=1e-15)
-    text = to_toml({"params": border.in_user_units(params, ["noise.gyro"])})
-    np.testing.assert_allclose(tomllib.loads(text)["params"]["gyro_deg_per_sqrt_hour"], L, rtol=1e-15)
-    with pytest.raises(ConfigError, match="params.gyro_tau_s must be a number or a list of numbers"):
-        config.resolve([("", {"params": {"gyro_tau_s": L}})])
-    with pytest.raises(ConfigError, match="position_scale must be .* a list of .a list of numbers"):
-        config.resolve([("", {"params": {"position_scale": [1, [2, 3]]}})])
+    text = to_toml(border.nested(border.in_user_units(params, ["noise.gyro"])))
+    np.testing.assert_allclose(tomllib.loads(text)["noise"]["gyro_deg_per_sqrt_hour"], L, rtol=1e-15)
+    with pytest.raises(ConfigError, match="states.gyro_bias.tau_s must be a number or a list of numbers"):
+        config.resolve([("", {"states": {"gyro_bias": {"tau_s": L}}})])
+    with pytest.raises(ConfigError, match="position.scale must be .* a list of .a list of numbers"):
+        config.resolve([("", {"measurements": {"position": {"scale": [1, [2, 3]]}}})])
 
 
 def test_a_finished_job_resumes_to_itself_and_another_is_refused(capsys):
@@ -169,9 +172,9 @@ def test_what_a_lost_run_and_a_users_own_objective_score(monkeypatch, tmp_path):
      ({"over_runs": "log_mean"}, "positive objectives"),
      ({"objective": "nothing:here"}, "cannot be imported"), ({"objective": "nl"}, "did you mean nll"),
      ({"frozen": ["noise", "timing", "rule"]}, "nothing is left"), ({"tied": ["gyr"]}, "tune.tied"),
-     ({"prior": {"noise.gyro": 0.5}}, "factor above 1"), ({"prior": {"time_offset_s": 0.0}}, "above 0"),
-     ({"correlated": ["time_offset_s"]}, "tune.correlated: time_offset_s cannot be correlated, only gyro_deg_per_sqrt"),
-     ({"free": ["states.gyro_scale.drive"]}, "tune.free: states.gyro_scale.drive: the filter has no state gyro_scale"),
+     ({"prior": {"noise.gyro": 0.5}}, "factor above 1"), ({"prior": {"mounting.time_offset_s": 0.0}}, "above 0"),
+     ({"correlated": ["mounting.time_offset_s"]}, "mounting.time_offset_s cannot be correlated, only noise.gyro_deg"),
+     ({"free": ["states.gyro_scale.driving_noise"]}, "gyro_scale.driving_noise: the filter has no state gyro_scale"),
      ({"correlated": ["timing"]}, "timing cannot be correlated"), ({"correlated": ["gyr"]}, "no parameter gyr"),
      ({"correlated": ["noise"], "tied": ["noise.accel"]}, "tune.correlated: noise.accel is in tune.tied")],
 )  # fmt: skip
@@ -182,13 +185,13 @@ def test_settings_that_do_not_fit_are_named(changes, words):
 
 def test_beliefs_and_ties_in_users_units():
     sheet = datasheet_params(GRADES["adis16465"])
-    t = resolved(prior={"noise.gyro": 2.0, "time_offset_s": 0.05}, tied=["velocity_scale"],
+    t = resolved(prior={"noise.gyro": 2.0, "mounting.time_offset_s": 0.05}, tied=[f"{V}.scale"],
                  free=["noise", "fixes", "timing"]).tune  # fmt: skip
     spec = prepare.tune_spec(t, "ekf15", GNSS, sheet)
     assert spec["noise.gyro"].belief.sd == pytest.approx(np.log(2)) and spec["noise.gyro"].forward is LOG.forward
     assert spec["noise.gyro"].belief.centre == (pytest.approx(GRADES["adis16465"].arw),)
     assert spec["mounting.time_offset"].belief.sd == pytest.approx(0.5)  # its raw unit is 0.1 s
-    assert spec["measurements.velocity.scale"].tie == () and spec["measurements.position.scale"].tie is None
+    assert spec[f"{V}.scale"].tie == () and spec[f"{P}.scale"].tie is None
 
 
 def test_starts_are_spread_and_the_same_for_a_seed():

@@ -23,7 +23,7 @@ def test_simulated_noise_comes_back_from_ten_times_too_much(tmp_path):
     true, start = np.array(r["rmse_true"]), np.array(r["rmse_start"])
     tuned = np.array(r["rmse_tuned"])
     assert (start / true > 1.2).all() and (np.median(tuned / true, axis=0) < 1.05).all()
-    for name in ("position_scale[0]", "velocity_scale[0]"):
+    for name in ("measurements.position.scale[0]", "measurements.velocity.scale[0]"):
         assert well[name]["identified"] == 1.0
 
 

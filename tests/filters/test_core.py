@@ -301,9 +301,15 @@ def batch(case):
         x = rng.normal(size=15) * sd
         navs.append(retract(case.nav._replace(errors=zeros(BIASES)), -x)._replace(errors={}))
         draw = lambda root_psd: np.cumsum(rng.normal(size=(E * k, 3)), 0) * np.sqrt(dt) * float(root_psd)
-        gyro = draw(params.states["gyro_bias"].drive) + rng.normal(size=(E * k, 3)) * GRADE.arw / np.sqrt(dt) - x[9:12]
+        gyro = (
+            draw(params.states["gyro_bias"].driving_noise)
+            + rng.normal(size=(E * k, 3)) * GRADE.arw / np.sqrt(dt)
+            - x[9:12]
+        )
         accel = (
-            draw(params.states["accel_bias"].drive) + rng.normal(size=(E * k, 3)) * GRADE.vrw / np.sqrt(dt) - x[12:15]
+            draw(params.states["accel_bias"].driving_noise)
+            + rng.normal(size=(E * k, 3)) * GRADE.vrw / np.sqrt(dt)
+            - x[12:15]
         )
         imu = case.imu._replace(gyro=case.imu.gyro + gyro, accel=case.imu.accel + accel)
         epochs.append(pack(imu, gnss(case.truth, 20, rng), 1.0).epochs)
@@ -421,7 +427,7 @@ def test_a_missing_channel_is_correlated_with_none():
 def test_what_drives_a_bias_keeps_it_as_large_as_its_instability():
     """A Gauss-Markov process of sd s and time T is driven by s sqrt(2 / T): what is lost in T / 2 is put in again."""
     grade = GRADE._replace(gyro_walk=0.0)
-    drive = float(np.ravel(datasheet_params(grade).states["gyro_bias"].drive)[0])
+    drive = float(np.ravel(datasheet_params(grade).states["gyro_bias"].driving_noise)[0])
     assert drive**2 * grade.tau / 2 == pytest.approx(grade.gyro_instability**2)
 
 

@@ -30,7 +30,7 @@ def loop(nav, epochs, params, n, **options):
     fixes = (value[:, :3], sd[:, :3], value[:, 3:], sd[:, 3:], valid)
     biases = [params.states[name] for name in BIASES]
     noise = {k: np.asarray(v) for k, v in params.noise._asdict().items()}
-    noise |= {name: np.asarray(p.drive) for name, p in zip(BIASES, biases, strict=True)}
+    noise |= {name: np.asarray(p.driving_noise) for name, p in zip(BIASES, biases, strict=True)}
     noise |= {"gyro_tau": np.asarray(biases[0].tau), "accel_tau": np.asarray(biases[1].tau)}
     prior = np.concatenate([np.broadcast_to(sd, 3) for sd in (*params.prior[:3], *(p.sd for p in biases))])[:n]
     begin = nav.pos, nav.vel, rotations.to_dcm(nav.q)

@@ -77,7 +77,9 @@ def test_parameters_fit_by_every_shape_that_a_filter_takes():
         require_params(ekf, change(ekf.params(), values))
     wide = build("ekf15", states=("gyro_scale",))
     require_params(ekf, wide.params())
-    require_params(wide, change(wide.params(), {"states.gyro_bias.drive": np.eye(3), "states.gyro_scale.tau": 5.0}))
+    require_params(
+        wide, change(wide.params(), {"states.gyro_bias.driving_noise": np.eye(3), "states.gyro_scale.tau": 5.0})
+    )
     for name in FILTERS:
         require_params(build(name), build(name).params("consumer"))
 

@@ -90,7 +90,7 @@ def test_a_walking_bias_walks_from_zero():
         assert inside_bounds(np.diff(bias, axis=1) ** 2 / (root**2 * DT))
     np.testing.assert_allclose(out.gyro, 1 + b_g, atol=1e-12)
     known = datasheet_params(grade).states
-    assert float(known["gyro_bias"].drive) == 0.01 and float(known["accel_bias"].drive) == 0.1
+    assert float(known["gyro_bias"].driving_noise) == 0.01 and float(known["accel_bias"].driving_noise) == 0.1
 
 
 @pytest.mark.parametrize("shape", [(3,), (11, 13), (4, 5, 6), ()])
@@ -183,7 +183,9 @@ def test_every_grade_has_a_source_and_makes_parameters():
     for name, grade in GRADES.items():
         assert len(grade.source) > 10 and min(grade[:6]) >= 0 and grade.tau > 0, name
         params = datasheet_params(grade)
-        chex.assert_tree_all_finite((params.noise, [(state.sd, state.drive) for state in params.states.values()]))
+        chex.assert_tree_all_finite(
+            (params.noise, [(state.sd, state.driving_noise) for state in params.states.values()])
+        )
     assert GRADES["adis16488a"].arw == pytest.approx(0.26 / 60 * units.DEG)
     assert GRADES["fwekf"].arw / np.sqrt(0.01) == pytest.approx(3e-4) and GRADES["fwekf"].vrw * 10 == pytest.approx(
         3e-3

@@ -125,7 +125,7 @@ def test_biases_that_forget_within_an_epoch_decay(tau):
     np.testing.assert_allclose(np.diag(Phi)[B], np.exp(-0.5 / tau), rtol=1e-9)
     np.testing.assert_allclose(d[G], -np.expm1(-1 / tau) * nav.errors["gyro_bias"], rtol=1e-9)
     assert (
-        np.diag(Q)[G] < 1.01 * params.states["gyro_bias"].drive ** 2 * tau / 2
+        np.diag(Q)[G] < 1.01 * params.states["gyro_bias"].driving_noise ** 2 * tau / 2
     ).all()  # never above the bias's own variance
 
 
@@ -174,8 +174,8 @@ def test_noise_enters_as_root_psd_in_body_axes():
     Q = np.asarray(discretize(params, points, imu.dt, None)[1])
     np.testing.assert_allclose(Q[V, V], T * C @ np.diag([1.0, 4.0, 9.0]) @ C.T, rtol=0, atol=0.01 * T)
     np.testing.assert_allclose(Q[A, A], T * C @ np.diag([0.01, 0.04, 0.09]) @ C.T, rtol=0, atol=1e-4 * T)
-    np.testing.assert_allclose(np.diag(Q)[G], T * float(params.states["gyro_bias"].drive) ** 2, rtol=1e-4)
-    np.testing.assert_allclose(np.diag(Q)[B], T * float(params.states["accel_bias"].drive) ** 2, rtol=1e-4)
+    np.testing.assert_allclose(np.diag(Q)[G], T * float(params.states["gyro_bias"].driving_noise) ** 2, rtol=1e-4)
+    np.testing.assert_allclose(np.diag(Q)[B], T * float(params.states["accel_bias"].driving_noise) ** 2, rtol=1e-4)
     assert np.linalg.eigvalsh(Q / np.sqrt(np.outer(np.diag(Q), np.diag(Q)) + 1e-300)).min() > -1e-12
 
 

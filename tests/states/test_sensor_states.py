@@ -10,7 +10,7 @@ from jaxnav.maths.units import DEG_PER_HOUR, G0, MRAD
 from jaxnav.states.g_sensitivity import PER_G
 from jaxnav.states.misalignment import PAIRS
 from jaxnav.states.sensors import corrected
-from jaxnav.states.state import constant
+from jaxnav.states.state import UserUnit, constant
 from jaxnav.types import Imu
 
 W, F = jnp.array([[0.3, -0.2, 0.9]]), jnp.array([[1.0, 2.0, -9.5]])
@@ -45,5 +45,5 @@ def test_what_is_read_is_taken_out_again():
 
 
 def test_a_constant_is_not_driven_until_it_is_told_so():
-    state = constant("sag", ("down",), 2.0, ("cm", 0.01, "cm"))
+    state = constant("sag", ("down",), 2.0, UserUnit("cm", 0.01, "cm"))
     assert state.defaults == (0.02, 0.0, float("inf"))

@@ -255,7 +255,7 @@ def test_priors_are_about_the_datasheet_and_named_by_kind(ekf):
     params = ekf.params("consumer")
     spec = priors.spec_of(ekf, params, ("noise", "fixes", "timing"), {"noise.gyro": 3.0})
     assert set(spec) == {
-        "noise.gyro", "noise.accel", "states.gyro_bias.drive", "states.accel_bias.drive",
+        "noise.gyro", "noise.accel", "states.gyro_bias.driving_noise", "states.accel_bias.driving_noise",
         "measurements.position.scale", "measurements.velocity.scale", "mounting.time_offset", "mounting.clock_drift",
         "measurements.velocity.latency",
     }  # fmt: skip
@@ -266,11 +266,13 @@ def test_priors_are_about_the_datasheet_and_named_by_kind(ekf):
     assert spec["mounting.time_offset"].belief.sd == pytest.approx(1.0)  # a step is 0.1 s
     assert all(t.belief is None for t in priors.spec_of(ekf, params, ("noise",), priors=False).values())
     scaled = build("ekf15", states=("gyro_scale",))
-    assert "states.gyro_scale.drive" not in priors.spec_of(scaled, scaled.params("consumer"), ("noise",))  # a constant
+    assert "states.gyro_scale.driving_noise" not in priors.spec_of(
+        scaled, scaled.params("consumer"), ("noise",)
+    )  # a constant
     with pytest.raises(ValueError, match="did you mean noise"):
         priors.spec_of(ekf, params, ("noize",))
-    with pytest.raises(ValueError, match="states.gyro_scale.drive: the filter has no state"):
-        priors.spec_of(ekf, params, ("states.gyro_scale.drive",))
+    with pytest.raises(ValueError, match="states.gyro_scale.driving_noise: the filter has no state"):
+        priors.spec_of(ekf, params, ("states.gyro_scale.driving_noise",))
 
 
 def test_the_datasheet_stays_unless_all_is_better():
@@ -350,7 +352,7 @@ def test_fixes_that_are_worse_than_they_say_are_found_out(found):
     assert rows["position.scale"].value == pytest.approx(3.0, rel=0.35)
     assert rows["velocity.scale"].value == pytest.approx(3.0, rel=0.35)
     assert rows["position.scale"].low < 3.0 < rows["position.scale"].high
-    assert rows["gyro_bias.drive"].remark == "the data add nothing to the prior"
+    assert rows["gyro_bias.driving_noise"].remark == "the data add nothing to the prior"
     assert found.chosen in found.trials and found.effective > 1
     assert found.test[found.chosen]["rms_m"] <= 1.02 * found.test["datasheet"]["rms_m"]
     said = str(found)

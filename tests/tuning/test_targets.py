@@ -53,7 +53,9 @@ def test_every_target_s_filter_builds_and_its_free_numbers_have_logarithms(name,
     if name == "kfgins":
         assert all((np.asarray(s.tau) == ONE_CORRELATION_TIME).all() for s in params.states.values())
         scale = params.states["gyro_scale"]
-        np.testing.assert_allclose(np.asarray(scale.drive) ** 2 * np.asarray(scale.tau) / 2, np.asarray(scale.sd) ** 2)
+        np.testing.assert_allclose(
+            np.asarray(scale.driving_noise) ** 2 * np.asarray(scale.tau) / 2, np.asarray(scale.sd) ** 2
+        )
     target.write(tmp_path, rec, params, begin)
     first = (tmp_path / target.file).read_text().splitlines()[0]
     assert first.startswith("% " if target.file.endswith(".m") else "# ") and "town" in first

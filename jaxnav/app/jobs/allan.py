@@ -18,15 +18,14 @@ from jaxnav.data import atomic_write
 from jaxnav.data.epochs import TICK, driving, stationary
 from jaxnav.data.json import write_json
 from jaxnav.data.toml import to_toml
+from jaxnav.filters.border import NAMES, nested
 from jaxnav.maths.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, UG
 from jaxnav.types import DataError, ImuLog, Samples
 
 SHORTEST = 100  # samples
 MOTION = 2.0  # factor, one sd, by which noise in motion is another than at rest
-KEYS = {
-    "gyro": ("gyro_deg_per_sqrt_hour", "gyro_bias_deg_per_hour_per_sqrt_s"),
-    "accel": ("accel_ug_per_sqrt_hz", "accel_bias_ug_per_sqrt_s"),
-}  # of [params]: white noise, and what drives the bias
+LEAVES = {sensor: (f"noise.{sensor}", f"states.{sensor}_bias.driving_noise") for sensor in ("gyro", "accel")}
+"""White noise and the bias's driving noise, by sensor."""
 
 KINDS = {
     "gyro": ("deg/h", DEG_PER_HOUR, {"N_deg_per_sqrt_hour": DEG_PER_SQRT_HOUR, "B_deg_per_hour": DEG_PER_HOUR,
@@ -110,25 +109,25 @@ def in_units(kind: str, found: ReadOff) -> dict[str, float | None]:
 
 
 def grade(read: dict[str, tuple[Allan, list[ReadOff]]]) -> dict[str, Any]:
-    """[params] of what shows at rest, and how far from it to look: [tune] prior, one sd as a factor.
+    """Return settings of the noise that shows at rest, with [tune] prior: one sd as a factor.
 
     White noise by axis; what drives a bias from its random walk, else from its Gauss-Markov hump. The prior is the
     figure's own uncertainty, by the degrees of freedom of the curve where it was read, and `MOTION`.
     """
     params: dict[str, Any] = {}
     prior: dict[str, float] = {}
-    for kind, (white, driven) in KEYS.items():
+    for kind, leaves in LEAVES.items():
         curve, axes = read[kind]
         units = KINDS[kind][2]
-        for key, of, si in ((white, _white, list(units.values())[0]), (driven, _driven, list(units.values())[2])):
+        for leaf, of, si in zip(leaves, (_white, _driven), (list(units.values())[0], list(units.values())[2])):
             known = [found for axis in axes if (found := of(axis)) is not None]
             if not known:
                 continue
             usual = float(np.exp(np.mean([math.log(value) for value, _ in known])))  # of an axis that shows nothing
-            params[key] = [float(f"{(usual if (f := of(axis)) is None else f[0]) / si:.5g}") for axis in axes]
+            params[NAMES[leaf]] = [float(f"{(usual if (f := of(axis)) is None else f[0]) / si:.5g}") for axis in axes]
             edf = np.mean([np.interp(math.log(tau), np.log(curve.tau), curve.edf) for _, tau in known])
-            prior[key] = float(f"{math.exp(math.hypot(1 / math.sqrt(2 * edf), math.log(MOTION))):.3g}")
-    return {"params": params, "tune": {"prior": prior}}
+            prior[leaf] = float(f"{math.exp(math.hypot(1 / math.sqrt(2 * edf), math.log(MOTION))):.3g}")
+    return nested(params) | {"tune": {"prior": prior}}
 
 
 def _white(axis: ReadOff) -> tuple[float, float] | None:

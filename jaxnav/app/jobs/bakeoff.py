@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from jaxnav.app import bakeoff_report
-from jaxnav.app.config import Config
+from jaxnav.app.config import Config, as_dict
 from jaxnav.app.contest import REFERENCES, Kind, Plan, contest
 from jaxnav.app.jobs import mc
 from jaxnav.app.results import Outcome
@@ -63,4 +63,4 @@ def plan_of(config: Config) -> Plan:
 def _kind(config: Config, name: str) -> Kind:
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, source=name))
     scenario = mc.scenario_to_run(config)
-    return Kind(scenario, override(matched_params(mc.as_specified(config, scenario)), vars(config.params)))
+    return Kind(scenario, override(matched_params(mc.as_specified(config, scenario)), as_dict(config)))

@@ -106,33 +106,38 @@ def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
         'name = "ekf15"  # errors of position, velocity, attitude and both biases; `jaxnav info` lists the others',
         f'grade = "auto"  # IMU noise and latency by likelihood, or a datasheet; {_noise(found)}',
     ]
-    if "speed" in rec.aiding:
-        lines.append("speed = true  # there are wheel speeds")
     good = {f.code for f in found if not f.bad}
-    if "standstill.accel" in good:
-        lines += ["# zero_velocity = true  # where the vehicle stands, by these:", "# zero_rate = true"]
-        for f in (f for f in found if f.code.startswith("standstill.")):
-            lines.append(f"# {f.key.split('.')[1]} = {f.value:.3g}  # {f.words}")
-    states = []
+    used, states, remarks = ["position", "velocity"], [], []
+    if "speed" in rec.aiding:
+        used.append("speed")
+        remarks.append("there are wheel speeds")
     if "barometer" in good:
-        lines.append("barometer = true  # goes with the receiver's height")
+        used.append("barometer")
         states.append("barometer_bias")
+        remarks.append("the barometer goes with the receiver's height")
     if "magnetometer" in rec.aiding and good >= {"compass", "compass.turns"}:
-        lines.append("magnetometer = true  # turns with the gyros, as strong as the Earth's field is here")
+        used.append("magnetometer")
         states.append("magnetometer_bias")
-    if states:
-        lines.append(f"states = {json.dumps(states)}  # what these read too much")
+        remarks.append("the magnetometer turns with the gyros, as strong as the Earth's field is here")
     yaw = next((f for f in found if f.code == "mounting.yaw" and not f.bad), None)
     if yaw is not None and "speed" in rec.aiding:
-        lines.append(f"nonholonomic = true  # wheels do not slip sideways; {yaw.words}")
-    lines += ["[start]", 'heading = "motion"  # found by alignment; or "course", "unknown", degrees', "[params]"]
+        used.append("nonholonomic")
+        remarks.append(f"wheels do not slip sideways; {yaw.words}")
+    lines.append(f"measurements = {json.dumps(used)}" + (f"  # {'; '.join(remarks)}" if remarks else ""))
+    if "standstill.accel" in good:
+        lines.append('# with "zero_velocity" and "zero_rate" where the vehicle stands, by these:')
+        for f in (f for f in found if f.code.startswith("standstill.")):
+            lines.append(f"# {f.key.split('.')[1]} = {f.value:.3g}  # {f.words}")
+    if states:
+        lines.append(f"states = {json.dumps(states)}  # what these read too much")
+    lines += ["[start]", 'heading = "motion"  # found by alignment; or "course", "unknown", degrees']
     return "\n".join([*lines, *_timing(found)]) + "\n"
 
 
 def _timing(found: list[Finding]) -> list[str]:
-    """Settings of the clocks: what is early is the IMU's clock, what is late is the stream's."""
+    """Return settings of the clocks: what is early is the IMU's clock, what is late is the stream's."""
     by = {f.code: f for f in found if f.value is not None}
-    lines = []
+    tables: dict[str, list[str]] = {"mounting": [], "measurements.position": [], "measurements.velocity": []}
     if "time.delay" in by:
         delay, behind = by["time.delay"], by.get("velocity.latency")
         gap = 0.0 if behind is None else float(behind.value or 0.0)  # s, velocity later than position
@@ -141,11 +146,14 @@ def _timing(found: list[Finding]) -> list[str]:
         late = {"position": first - gap if of_velocity else first, "velocity": first if of_velocity else first + gap}
         offset = min(0.0, *late.values())
         why = delay.words + (f"; {behind.words}" if behind is not None else "")
-        settings = {"time_offset_s": offset, **{f"{name}_latency_s": t - offset for name, t in late.items()}}
-        lines = [f"{key} = {value:.3f}  # {why}" for key, value in settings.items() if abs(value) > 5e-3]
+        settings = {("mounting", "time_offset_s"): offset}
+        settings |= {(f"measurements.{name}", "latency_s"): t - offset for name, t in late.items()}
+        for (table, key), value in settings.items():
+            if abs(value) > 5e-3:
+                tables[table].append(f"{key} = {value:.3f}  # {why}")
     if "time.drift" in by:
-        lines.append(f"clock_drift_ppm = {by['time.drift'].value:.0f}  # {by['time.drift'].words}")
-    return lines
+        tables["mounting"].append(f"clock_drift_ppm = {by['time.drift'].value:.0f}  # {by['time.drift'].words}")
+    return [line for table, lines in tables.items() if lines for line in (f"[{table}]", *lines)]
 
 
 def _noise(found: list[Finding]) -> str:

@@ -245,6 +245,6 @@ def summary(found: dict[str, Any], name: str, run: str) -> str:
             f"outage {outage['start_s']:g} to {outage['end_s']:g} s: {outage['horizontal_m']:.2f} m at its end"
         )
     if "unused_streams" in found:
-        lines.append(f"not used of the recording: {', '.join(found['unused_streams'])} (see filter.speed)")
+        lines.append(f"not used of the recording: {', '.join(found['unused_streams'])} (see filter.measurements)")
     lines += [found["start"], *found["notes"]]
     return "\n".join(lines)

@@ -14,7 +14,7 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import montecarlo as plots_mc
 from jaxnav.analysis.tables import table
 from jaxnav.app import prepare as pre
-from jaxnav.app.config import Config
+from jaxnav.app.config import Config, as_dict
 from jaxnav.app.long import Long, identity
 from jaxnav.app.results import FailedCheck, Outcome, picture
 from jaxnav.app.sources import scenario_of
@@ -39,7 +39,7 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
 
     What is finished is kept now and then where ``long`` says so, and a resumed job goes on from there, bit for bit.
 
-    The filters know the scenario's datasheet, prior and installation, under the overrides of [params].
+    The filters know the scenario's datasheet, prior and installation; parameters of the configuration go first.
 
     Raises:
         ConfigError: the source is no scenario, or names that are not known.
@@ -54,7 +54,7 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
         name, begin = pre.filter_name(each), time.perf_counter()
         entry = FILTERS[name]
         params = override(
-            matched_params(as_specified(each, scenario), entry.theta(), entry.feedback_theta()), vars(config.params)
+            matched_params(as_specified(each, scenario), entry.theta(), entry.feedback_theta()), as_dict(config)
         )
         rate, span = scenario.imu_rate_hz, scenario.duration_s
         filt = build(name, GNSS, config.filter.cov_stride, pre.history_of(config, params, rate, span, tuned=False))

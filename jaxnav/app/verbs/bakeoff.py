@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxnav.app.verb import DATA, DEVICES, FILTER, PARAMS, Argument, Job, Verb
 from jaxnav.app.verbs.mc import unused
+from jaxnav.filters.border import TABLES
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
@@ -38,6 +39,6 @@ VERB = Verb(
         ),
         *DEVICES,
     ),
-    sections=("data", "filter", "params", "tune", "bakeoff", "out"),
+    sections=("data", "filter", *TABLES, "tune", "bakeoff", "out"),
     report=True, defaults=lambda args: DEFAULTS, unused=unused, simulates=True,
 )  # fmt: skip

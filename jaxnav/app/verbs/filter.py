@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxnav.app.config import Config
 from jaxnav.app.verb import DATA, FILTER, PARAMS, Argument, Job, Verb, no_effect
+from jaxnav.filters.border import TABLES
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
@@ -46,6 +47,6 @@ VERB = Verb(
         Argument("--lag", "by those of the next S seconds ([filter] lag_s)", "filter.lag_s", value="S", type=float),
         Argument("--warm", "compile for recordings like this one and write nothing: before a demo"),
     ),
-    sections=("data", "filter", "start", "params", "out"), writes=lambda args: not args.warm, report=True,
+    sections=("data", "filter", "start", *TABLES, "out"), writes=lambda args: not args.warm, report=True,
     defaults=defaults, unused=unused,
 )  # fmt: skip

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from jaxnav.app.config import Config, Start
 from jaxnav.app.verb import DATA, DEVICES, FILTER, PARAMS, RESUME, Argument, Job, Verb, no_effect
+from jaxnav.filters.border import TABLES
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
@@ -39,5 +40,5 @@ VERB = Verb(
         RESUME,
         *DEVICES,
     ),
-    sections=("data", "filter", "params", "mc", "out"), report=True, unused=unused, simulates=True,
+    sections=("data", "filter", *TABLES, "mc", "out"), report=True, unused=unused, simulates=True,
 )  # fmt: skip

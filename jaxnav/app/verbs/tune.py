@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING
 from jaxnav.app.config import Config
 from jaxnav.app.verb import DATA, DEVICES, FILTER, PARAMS, RESUME, Argument, Job, Verb, no_effect
 from jaxnav.app.verbs import filter
+from jaxnav.filters.border import TABLES
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
 
-SECTIONS = ("data", "filter", "start", "params", "tune", "out")
+SECTIONS = ("data", "filter", "start", *TABLES, "tune", "out")
 
 
 def run(job: Job) -> "Outcome":

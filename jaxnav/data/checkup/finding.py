@@ -15,7 +15,7 @@ class Finding(NamedTuple):
     words: str  # with its figure
     means: str = ""  # what it usually means, and what to do
     bad: bool = False  # something is wrong, or looks as if it were
-    key: str = ""  # a setting that would mend it, as of the command line: "params.position_latency_s"
+    key: str = ""  # a setting that would mend it, as of the command line: "mounting.time_offset_s"
     value: float | None = None  # of that setting
 
 

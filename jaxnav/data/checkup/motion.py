@@ -212,7 +212,7 @@ def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> lis
     words = f"{name} is {abs(mean):.3f} s {'late' if mean >= 0 else 'early'} against the IMU (sd {mean_sd:.3f} s)"
     bad = abs(mean) > max(0.15, 5 * mean_sd)
     means = "" if abs(mean) < max(0.03, 3 * mean_sd) else "tell the filter, or let it be tuned"
-    found = [Finding("time.delay", words, means, bad, f"params.{name}_latency_s", mean if means else 0.0)]
+    found = [Finding("time.delay", words, means, bad, f"measurements.{name}.latency_s", mean if means else 0.0)]
     if len(late) >= 4 and np.ptp(t) >= 100.0:
         centred = t - (weight * t).sum() / weight.sum()
         power = float((weight * centred**2).sum())
@@ -222,8 +222,8 @@ def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> lis
         drift_sd = loose / np.sqrt(power)
         if abs(drift) > max(4 * drift_sd, 100 * units.PPM):
             words = f"that changes by {drift / units.PPM:+.0f} ppm (sd {drift_sd / units.PPM:.0f} ppm)"
-            means = "the IMU's clock gains or loses: see params.clock_drift_ppm"
-            found.append(Finding("time.drift", words, means, True, "params.clock_drift_ppm", drift / units.PPM))
+            means = "the IMU's clock gains or loses: see mounting.clock_drift_ppm"
+            found.append(Finding("time.drift", words, means, True, "mounting.clock_drift_ppm", drift / units.PPM))
     return found
 
 

@@ -91,7 +91,7 @@ def _late(shown: np.ndarray, said: np.ndarray, t: np.ndarray) -> list[Finding]:
         return []
     age = "older" if late > 0 else "younger"
     words = f"velocity is {abs(late):.2f} s {age} than the position beside it (sd {sd:.2f} s)"
-    means = "a receiver that differences positions: see params.velocity_latency_s"
+    means = "a receiver that differences positions: see measurements.velocity.latency_s"
     return [Finding("velocity.latency", words, means, abs(late) > 0.4, "", late)]
 
 

@@ -21,6 +21,10 @@ class DataError(ValueError):
     """Input that cannot be used: names the file and line, field, or run and time (exit code 3)."""
 
 
+class FilterError(ValueError):
+    """A result that must not be used, such as a filter that stopped being finite (exit code 1)."""
+
+
 class ConfigError(ValueError):
     """A configuration that cannot be used: names the key and the nearest known one (exit code 2)."""
 
@@ -222,3 +226,4 @@ class Recording(NamedTuple):
     truth: Track | None
     lever_arm: np.ndarray  # (3,) m, IMU -> antenna, body FRD
     notes: str = ""
+    errors: tuple[np.ndarray, dict[str, np.ndarray]] | None = None  # simulated: t (N,) s, true states (N, size) by name

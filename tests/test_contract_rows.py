@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from jaxnav import FILTERS, GNSS, MEASUREMENTS, STATES, build
+from jaxnav.filters.border import KEYS, NAMES
 from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.error_model import error_model
-from jaxnav.filters.parameters import datasheet_params
+from jaxnav.filters.parameters import UNITS, datasheet_params
 from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import earth, rotations
 from jaxnav.measurements.measurement import layout
@@ -263,7 +264,7 @@ def test_every_row_says_what_it_is():
         assert state.name == name and state.size == len(state.axes) >= 1
         assert state.enters in ("gyro", "accel", None)
         assert state.effect is None or state.effect(jnp.ones((4, 3)), jnp.ones((4, 3))).shape == (4, 3, state.size)
-        assert all(unit.key for unit in state.units)
+        assert all(unit.suffix for unit in state.units)
     for name, each in MEASUREMENTS.items():
         assert each.name == name and each.size == len(each.channels)
         assert type(each.units) is type(each.defaults)
@@ -271,6 +272,5 @@ def test_every_row_says_what_it_is():
         # what has a logarithm is freed as noise: it must be one
         assert all(leaf.endswith(("sd", "sd_scale", "scale")) for leaf, unit in each.units._asdict().items()
                    if unit.step is None), name  # fmt: skip
-    own = [unit.key for row in (*STATES.values(), *MEASUREMENTS.values()) for unit in row.units]
-    assert len(own) == len(set(own))
+    assert len(KEYS) == len(NAMES) == len(UNITS)
     assert {e.more for e in FILTERS.values()} == {True, False}

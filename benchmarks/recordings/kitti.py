@@ -10,7 +10,6 @@ import os
 import time
 from pathlib import Path
 
-import jax
 import numpy as np
 
 from benchmarks import common
@@ -97,8 +96,7 @@ def score(off: np.ndarray) -> dict:
 
 def ours(sol: Solution, filt: Filter, params: Params, packed: ep.Packed, windows: Windows) -> np.ndarray:
     """Horizontal drift (W,) m of a filter with some parameters from a solution's start."""
-    best = jax.tree.map(lambda a: a[sol.best], sol.start.navs)
-    error, _ = drift(filt, params, best, packed.epochs, windows, sol.measurements)
+    error, _ = drift(filt, params, sol.nav, packed.epochs, windows, sol.measurements)
     return np.hypot(error[:, 0], error[:, 1])
 
 

@@ -182,7 +182,7 @@ def tuned(drives: int, seed: int) -> dict:
         rec, late = simulated("car", "consumer", True, rng, span=TUNED_SPAN)
         fit = tune(rec, filt, filt.params("consumer"))
         sol = navigate(rec, fit.filter, fit.params)
-        at = sol.start._replace(navs=jax.tree.map(lambda a, best=sol.best: a[best][None], sol.start.navs))
+        at = sol.start._replace(navs=jax.tree.map(lambda a: a[None], sol.nav))
         error, sd = difference(at, rec.truth)[2], float(sol.start.prior.attitude[2])
         row = {"late_s": late, "chosen": fit.chosen, "heading_deg": error / DEG, "sd_deg": sd / DEG, "z": error / sd}
         rows.append(row)

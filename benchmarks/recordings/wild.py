@@ -9,7 +9,6 @@ import os
 import time
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -79,9 +78,8 @@ def one(name: str, path: Path, tracks: dict | None) -> dict:
     seconds = time.perf_counter() - begin
     start, length = sol.start, window_of(rec)
     found = evaluate.innovation_metrics(sol.trace.info, sol.measurements)
-    packed = ep.pack_recording(rec, sol.measurements, start.t)
+    packed = sol.packed
     windows = hidden_windows(packed, length, 3 * length, PHASES, SETTLE)
-    best = jax.tree.map(lambda a: a[sol.best], start.navs)
     out = {
         "ran": True, "lines": lines_of(path), "seconds": seconds, "windows": int(windows.end.size), "window_s": length,
         "nis": {key: value**2 for key, value in found["innovation_rms"].items()},
@@ -90,7 +88,7 @@ def one(name: str, path: Path, tracks: dict | None) -> dict:
         "notes": sol.notes,
     }  # fmt: skip
     if windows.end.size:
-        error, _ = drift(sol.filter, sol.params, best, packed.epochs, windows, sol.measurements)
+        error, _ = drift(sol.filter, sol.params, sol.nav, packed.epochs, windows, sol.measurements)
         off = np.hypot(error[:, 0], error[:, 1])
         out |= {"drift_median_m": float(np.median(off)), "drift_rms_m": float(np.sqrt(np.mean(off**2)))}
         out |= {"drift_m": off.tolist()}

@@ -117,7 +117,7 @@ def figures(
     fixes: Samples | None,
     measurements: tuple[Measurement, ...],
     outages: Outages,
-    bias_truth: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
+    true_errors: tuple[np.ndarray, dict[str, np.ndarray]] | None = None,
     states: tuple[str, ...] = BIASES,
 ) -> "dict[str, Figure]":
     """The figures of one run, by name of file; ``states``: the optional ones of its filter, in their order."""
@@ -136,7 +136,9 @@ def figures(
         b_g, b_a = (np.asarray(info.nav.errors[name]) for name in BIASES)
         sd = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
         true_g, true_a = (
-            (None, None) if bias_truth is None else (columns_at(t, bias_truth[0], b) for b in bias_truth[1:])
+            (None, None)
+            if true_errors is None
+            else (columns_at(t, true_errors[0], true_errors[1][name]) for name in BIASES)
         )
         places = table.layout(table.chosen(states))
         sd_g, sd_a = (sd[:, places[name]] for name in BIASES)

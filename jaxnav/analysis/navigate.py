@@ -1,10 +1,10 @@
 """A recording through a filter in one call: start, cut, filter, and the solution on the host."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -25,10 +25,25 @@ from jaxnav.filters.run import first_failure, require_params, require_x64, run_j
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.measurements import MEASUREMENTS, Measurement
 from jaxnav.states.grades import GRADES
-from jaxnav.types import DataError, Epoch, Info, Nav, Params, Recording, Track
+from jaxnav.types import DataError, Epoch, FilterError, Info, Nav, Params, Recording, Samples, Track
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+class Chosen(NamedTuple):
+    """The start that was taken, of several."""
+
+    best: int = 0
+    heading_deg: float = math.nan
+    probability: float = 1.0
+
+    @property
+    def words(self) -> str:
+        """A sentence where there were several."""
+        if math.isnan(self.heading_deg):
+            return ""
+        return f"heading unknown: {self.heading_deg:g} deg at the start is the most probable ({self.probability:.2f})"
 
 
 @dataclass(frozen=True)
@@ -48,22 +63,54 @@ class Solution:
     recording: Recording
     measurements: tuple[Measurement, ...]
     start: Start
-    outages: tuple[tuple[float, float], ...]
+    chosen: Chosen  # of `start.navs`
+    outages: tuple[tuple[float, float], ...]  # s, windows whose fixes were hidden
     filter: Filter  # with the history that the latencies needed
-    best: int  # the start that was taken, of `start.navs`
-    notes: list[str]  # a sentence for everything that a user should know of
-    epochs: Epoch = field(repr=False)  # what the filter ran over
+    packed: ep.Packed = field(repr=False)  # what the filter ran over, before fixes were hidden
+    hidden: np.ndarray = field(repr=False)  # (E,) bool, epochs in `outages`
     smoothed: bool
     lag: float  # s, 0 where it is not of fixed lag
+    remarks: list[str]  # what the innovations and the use of the streams say, a sentence each
+    notes: list[str]  # these and everything else that a user should know of
     noise: NoiseScan | None = None  # where the noise was found from the recording
+
+    @property
+    def nav(self) -> Nav:
+        """The navigation state that the filter started from."""
+        return jax.tree.map(lambda a: a[self.chosen.best], self.start.navs)
+
+    @property
+    def epochs(self) -> Epoch:
+        """What the filter ran over."""
+        return ep.hide(self.packed.epochs, self.hidden, self.measurements)
+
+    @property
+    def fixes(self) -> Samples:
+        """Positions of the recording."""
+        return self.recording.aiding["position"]
+
+    def gaps(self) -> list[tuple[float, float]]:
+        """Return windows without positions, s: hidden ones, and those of over 5 intervals and 3 s.
+
+        The end of the data is where a last gap ends.
+        """
+        t = self.fixes.t
+        long = max(5 * float(np.median(np.diff(t))), 3.0)
+        t = np.append(t, max(t[-1], self.packed.t[-1]))
+        gaps = np.flatnonzero(np.diff(t) > long)
+        return sorted([(float(t[i]), float(t[i + 1])) for i in gaps] + list(self.outages))
 
     def at_imu_rate(self) -> tuple[Track, np.ndarray]:
         """The solution at every sample of the IMU, in GNSS time, and its sd (N, 9), as filtered or as smoothed."""
-        nav = jax.tree.map(lambda a: a[self.best], self.start.navs)
-        return dense(self.filter, self.params, nav, self.epochs, self.smoothed, self.lag)
+        return dense(self.filter, self.params, self.nav, self.epochs, self.smoothed, self.lag)
 
-    def write(self, path: str | Path, format: str = "") -> None:
+    def write(self, path: str | Path, format: str = "", imu_rate: bool = False) -> None:
         """Write it as "csv", "kml", "pos" or "nav"; by default what the file's name ends with.
+
+        Args:
+            path: the file.
+            format: in place of what its name ends with.
+            imu_rate: one row for every sample of the IMU, see `at_imu_rate`.
 
         Raises:
             DataError: another format, or a file that cannot be written.
@@ -71,19 +118,23 @@ class Solution:
         kind = format or Path(path).suffix.removeprefix(".")
         if kind not in FORMATS:
             raise DataError(f"{path}: format must be one of {', '.join(FORMATS)}, got {kind!r}")
+        track, sd = self.at_imu_rate() if imu_rate else (self.trace.track, self.trace.sd)
         if kind == "kml":
-            write_kml(path, self.trace.track, self.recording.aiding["position"], self.recording.name)
+            write_kml(path, track, self.fixes, self.recording.name)
         else:
-            write_solution(path, self.trace.track, kind, self.trace.sd)
+            write_solution(path, track, kind, sd)
 
     def plot(self) -> "dict[str, Figure]":
-        """Figures by name: trajectory, innovations, NIS, and errors where the recording has a truth."""
-        rec = self.recording
-        outages = [(a, b) for a, b in self.outages]
-        states = self.filter.model.states
-        return evaluate.figures(
-            self.trace, rec.truth, rec.aiding.get("position"), self.measurements, outages, states=states
-        )
+        """Figures by name: trajectory, innovations, NIS, biases, and errors where the recording has a truth."""
+        rec, states = self.recording, self.filter.model.states
+        found = evaluate.figures(self.trace, rec.truth, self.fixes, self.measurements, self.gaps(), rec.errors, states)
+        if self.noise is not None and self.noise.fixes:
+            found["noise_scan"] = self.noise.figure()
+        return found
+
+    def metrics(self) -> dict[str, Any]:
+        """Return all figures of the run, as metrics.json has them."""
+        return metrics(self)
 
 
 def navigate(
@@ -91,9 +142,10 @@ def navigate(
     filt: Filter,
     params: Params | None = None,
     *,
-    begin: Start | None = None,
+    scan: bool | None = None,
+    begin: Start | Callable[[Recording, Params], Start] = start,
     stop: float | None = None,
-    outages: Sequence[tuple[float, float]] = (),
+    outages: Sequence[Sequence[float]] = (),
     interval: float = 0.0,
     standing: ep.Standing = ep.Standing(),
     smooth: bool = False,
@@ -101,27 +153,42 @@ def navigate(
 ) -> Solution:
     """Filter a recording from where it can start.
 
-    ``params``: such as ``filt.params("consumer")``, a datasheet; None: noise and latency are found from the recording
-    (`jaxnav.scan_noise`). The lever arm is the recording's unless they state one.
-    ``begin``: `jaxnav.start` with settings of your own; its standard deviations replace those of ``params.prior``.
-    ``stop``: s. ``outages``: windows (start, end) s whose receiver's fixes are hidden. ``interval``: s, the length of
-    epochs without a fix; 0 is the median of the position's. ``smooth``: each epoch by all fixes, those after it too
-    (`jaxnav.filters.smoother`); innovations stay the filter's. ``lag``: s, by those of the next seconds alone. The
-    filter keeps as much history as the latencies need.
+    The filter keeps as much history as the latencies need.
+
+    Args:
+        rec: the recording.
+        filt: a filter, such as ``jaxnav.build("ekf15")``.
+        params: its parameters, such as ``filt.params("consumer")``, a datasheet; None is that one, scanned. The lever
+            arm is the recording's unless they state one.
+        scan: find noise and latency from the recording (`jaxnav.scan_noise`), about ``params``; None: where these are
+            None.
+        begin: an initialization, or what makes it of recording and parameters: `jaxnav.start` with settings of your
+            own, ``partial(jaxnav.start, heading="course")``. Its standard deviations replace those of ``params.prior``.
+        stop: s, end of the data.
+        outages: windows (start, end) s whose receiver's fixes are hidden.
+        interval: s, length of epochs without a fix; 0 is the median of the position's.
+        standing: the detector of standstills.
+        smooth: each epoch by all fixes, past and future (`jaxnav.filters.smoother`); innovations stay the filter's.
+        lag: s, in place of that by past fixes and those of the next seconds.
 
     Raises:
         DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
-        ValueError: params that are not the filter's, or a run that stops being finite; says when.
+        FilterError: a run that stops being finite; says when.
+        ValueError: params that are not the filter's, or a filter that cannot be smoothed.
     """
-    scan, stated = None, params
-    if stated is not None:
-        require_params(filt, stated)
-    params, installation = installed(filt.params(GRADES["consumer"]) if stated is None else stated, rec.lever_arm)
+    if (smooth or lag) and not filt.smooths:
+        raise ValueError("this filter's rule corrects by more than the covariance says: it cannot be smoothed")
+    if params is not None:
+        require_params(filt, params)
+    scan = params is None if scan is None else scan
+    params, installation = installed(filt.params(GRADES["consumer"]) if params is None else params, rec.lever_arm)
     require_x64(params)
-    if stated is None:
-        scan = scan_noise(rec, params, begin=begin, stop=stop, outages=outages)
-        params = scan.applied(params)
-    begin = start(rec, params) if begin is None else begin
+    initialize = begin if callable(begin) else lambda rec, params: begin
+    found = None
+    if scan:
+        found = scan_noise(rec, params, begin=initialize(rec, params), stop=stop, outages=outages)
+        params = found.applied(params)
+    begin = initialize(rec, params)
     params = begin.given(params)
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     packed = ep.pack_recording(rec, chosen, begin.t, interval, stop, standing)
@@ -132,7 +199,7 @@ def navigate(
     info, about = execute(filt, params, begin.navs, epochs)
     failure = first_failure(info, packed.t)
     if failure:
-        raise ValueError(f"run {rec.name}: {failure}")
+        raise FilterError(f"run {rec.name}: {failure}")
     best = jax.tree.map(lambda a: a[about.best], begin.navs)
     if smooth or lag:
         within = () if smooth else reach_of(packed.t, lag)
@@ -140,39 +207,71 @@ def navigate(
     trace = evaluate.trace(info, params)
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
     windows = tuple((float(a), float(b)) for a, b in outages)
-    order, names, _ = evaluate.channels(chosen)
-    remarks = usage.consistency_in_words(trace.info, usage.expected(trace.info, names, order))
+    remarks = usage.consistency_in_words(trace.info, usage.channels_of(trace.info, chosen))
+    remarks += usage.usage_in_words(usage.usage(rec, packed, trace.info, chosen, hidden))
     remarks += usage.noise_in_words(rec.imu, params)
     remarks += states_in_words(filt, params, best, trace.info)
-    remarks += usage.usage_in_words(usage.usage(rec, packed, trace.info, chosen, hidden))
     notes = [
         begin.how,
         about.words,
         installation,
-        "" if scan is None else scan.words,
+        "" if found is None else found.words,
         *remarks,
         *rec.notes.splitlines(),
         gaps.in_words(gaps.holes(rec.imu)),
     ]
     return Solution(
-        *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, windows, filt, about.best,
-        [note for note in notes if note], epochs, smooth, lag, scan,
+        *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
+        smooth, lag, remarks, [note for note in notes if note], found,
     )  # fmt: skip
 
 
-class Chosen(NamedTuple):
-    """Which of several starts was taken."""
+ENOUGH = 0.98  # share of a run that its truth covers, below which a remark says so
 
-    best: int = 0
-    heading_deg: float = math.nan
-    probability: float = 1.0
 
-    @property
-    def words(self) -> str:
-        """A sentence where there were several."""
-        if math.isnan(self.heading_deg):
-            return ""
-        return f"heading unknown: {self.heading_deg:g} deg at the start is the most probable ({self.probability:.2f})"
+def metrics(sol: Solution) -> dict[str, Any]:
+    """Return errors where there is a truth, innovations, errors at the ends of gaps, and the use of the streams."""
+    rec, info, remarks = sol.recording, sol.trace.info, list(sol.remarks)
+    found: dict[str, Any] = {"start_s": sol.packed.start}
+    if rec.truth is not None:
+        error, sd = evaluate.ned_errors(sol.trace, rec.truth)
+        share = float(np.isfinite(error[:, 0]).mean())
+        dark = sol.hidden | ep.within(sol.packed.t, sol.gaps())
+        found |= {"errors": evaluate.error_metrics(error, sd, dark), "scored_share": share}
+        if share < ENOUGH:
+            remarks.append(f"truth covers {share:.0%} of the epochs: errors are of these alone")
+    found |= evaluate.innovation_metrics(info, sol.measurements)
+    ends = [
+        {"start_s": a, "end_s": b, "horizontal_m": at_end}
+        for a, b in sol.gaps()
+        if np.isfinite(at_end := _end_error(sol, a, b))
+    ]
+    uses = usage.usage(rec, sol.packed, info, sol.measurements, sol.hidden)
+    found |= ({"outages": ends} if ends else {}) | usage.as_json(uses, usage.channels_of(info, sol.measurements))
+    unused = sorted(set(rec.aiding) - {m.name for m in sol.measurements})
+    found |= {"unused_streams": unused} if unused else {}
+    if sol.chosen.words:
+        at = {"start_heading_deg": sol.chosen.heading_deg, "start_heading_probability": sol.chosen.probability}
+        found["heading_bank"] = at
+    if sol.noise is not None:
+        found["noise_scan"] = sol.noise.metrics()
+    said = (sol.start.how, *sol.remarks)
+    return found | {
+        "remarks": remarks, "start": sol.start.how, "notes": [note for note in sol.notes if note not in said],
+    }  # fmt: skip
+
+
+def _end_error(sol: Solution, start: float, end: float) -> float:
+    """Return the horizontal error (m) at the last epoch of a gap without a fix; nan where nothing shows it."""
+    t, info = sol.packed.t, sol.trace.info
+    valid, used = np.asarray(sol.packed.epochs.fix.valid)[:, :2], np.asarray(info.valid)[:, :2]
+    lost = np.flatnonzero((t > start + ep.TICK) & (t <= end + ep.TICK) & ~used.all(axis=1))
+    if not lost.size:
+        return float("nan")
+    i = int(lost[-1])
+    if sol.recording.truth is not None:
+        return float(np.hypot(*evaluate.ned_errors(sol.trace, sol.recording.truth)[0][i, :2]))
+    return float(np.hypot(*np.asarray(info.residual)[i, :2])) if valid[i].all() else float("nan")
 
 
 def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[Info, Chosen]:

@@ -104,6 +104,11 @@ class NoiseScan(NamedTuple):
             text += "; a factor above 300 is strong vibration, a wrong unit or another grade: see jaxnav check"
         return text
 
+    def metrics(self) -> dict[str, float]:
+        """Return what was chosen, as metrics.json has it."""
+        names = ("gyro", "accel", "latency", "gain", "position", "velocity")
+        return {"latency_s" if name == "latency" else name: getattr(self, name) for name in names}
+
     def figure(self) -> "Figure":
         """Draw J over common factor and latency, and the chosen point."""
         latencies, factors = self.grid

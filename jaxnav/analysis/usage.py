@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxnav.analysis import metrics
+from jaxnav.analysis import evaluate, metrics
 from jaxnav.data.checkup.inertial import noise_floor
 from jaxnav.data.epochs import TICK, Packed
 from jaxnav.maths import units
@@ -76,8 +76,9 @@ class Expected(NamedTuple):
     correlation: float  # of neighbouring innovations
 
 
-def expected(info: Info, names: list[str], order: list[int]) -> dict[str, Expected]:
-    """By channel, ``names`` of the channels in ``order``."""
+def channels_of(info: Info, measurements: tuple[Measurement, ...]) -> dict[str, Expected]:
+    """Return the normalised innovations squared by channel of a report, where there are ten or more."""
+    order, names, _ = evaluate.channels(measurements)
     z = metrics.normalized_innovations(info)[:, order]
     found = {}
     for name, column in zip(names, z.T, strict=True):

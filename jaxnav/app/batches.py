@@ -16,7 +16,7 @@ from jaxnav.data.bank import most_probable
 from jaxnav.filters.border import NAMES
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Prepared
-from jaxnav.filters.parameters import UNITS
+from jaxnav.filters.parameters import UNITS, history_for
 from jaxnav.filters.run import prepare
 from jaxnav.maths import earth
 from jaxnav.maths.interpolation import columns_at
@@ -112,7 +112,7 @@ def from_scenario(config: Config, scenario: Scenario) -> Material:
     start, own = config.start, scenario.start
     sd = start.position_sd_m or own.prior_position_sd_m, start.velocity_sd_mps or own.prior_velocity_sd_mps
     params = pre.base_params(config, pre.grade_of(config, scenario), np.array(scenario.gnss.lever_arm_m), *sd)
-    history = pre.history_of(config, params, scenario.imu_rate_hz, scenario.duration_s, tuned=True)
+    history = history_for(params, scenario.imu_rate_hz, scenario.duration_s, pre.REACH)
     filt = build(pre.filter_name(config), GNSS, config.filter.cov_stride, history, states=config.filter.states)
     place = np.array(scenario.gnss.lever_arm_m)
     sheet = pre.base_params(datasheet_only(config), pre.grade_of(config, scenario), place, *sd)

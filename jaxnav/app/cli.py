@@ -20,7 +20,7 @@ from jaxnav.app.console import INTERRUPTED
 from jaxnav.app.verb import Argument, Job
 from jaxnav.app.verbs import VERBS
 from jaxnav.filters.compiler import cache, enable_x64, fast_compiler
-from jaxnav.types import ConfigError, DataError
+from jaxnav.types import ConfigError, DataError, FilterError
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
@@ -70,17 +70,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("jaxnav: stopped", file=sys.stderr)
         return INTERRUPTED
-    except (ConfigError, DataError) as error:
-        return _fail(args, error, 2 if isinstance(error, ConfigError) else 3)
+    except (ConfigError, DataError, FilterError) as error:
+        return _fail(args, error, {ConfigError: 2, DataError: 3, FilterError: 1}.get(type(error), 3))
     except BrokenPipeError:  # `jaxnav info | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
-    except Exception as error:
-        from jaxnav.app.results import FailedCheck
-
-        if not isinstance(error, FailedCheck):
-            raise
-        return _fail(args, error, 1)
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxnav.data.toml import convert, describe, place, plain
+from jaxnav.data.toml import convert, describe, place, plain, quoted
 from jaxnav.filters.border import NAMES, TABLES, flat, nested
 from jaxnav.filters.parameters import UNITS
 from jaxnav.maths.units import Unit
@@ -47,7 +47,6 @@ class Filter:
     states: tuple[str, ...] = ()  # optional error states on top of the filter's own, see `jaxnav.states.STATES`
     measurements: tuple[str, ...] = tuple(m.name for m in GNSS)  # the filter's, see `jaxnav.measurements.MEASUREMENTS`
     cov_stride: int = 5  # the error dynamics see means over so many IMU samples
-    history: int = 0  # IMU samples kept for late fixes; 0: enough for the latencies
     interval_s: float = 0.0  # nominal fix interval; 0: the median of the position's
     smooth: bool = False  # each epoch by all fixes, those after it too
     lag_s: float = 0.0  # or by those of the next seconds alone
@@ -233,7 +232,6 @@ LIMITS: dict[str, tuple[float, float]] = {
     "data.gnss_latency_s": (0.0, 1.0),
     "filter.cov_stride": (1, 1000),
     "filter.lag_s": (0.0, 3600.0),
-    "filter.history": (0, 100_000),
     "filter.standing_window_s": (0.01, 3600.0),
     "filter.standing_accel_sd_mps2": (0.0, 1e3),
     "filter.standing_gyro_sd_deg_per_s": (0.0, 1e4),
@@ -402,7 +400,7 @@ def _checked(kind: type, tree: Any, where: str, text: str = "", path: str = "") 
     known = {field.name for field in dataclasses.fields(kind)}
     hints, out = {name: hint for name, hint in typing.get_type_hints(kind).items() if name in known}, {}
     for key, value in tree.items():
-        name = path + key
+        name = path + quoted(key)
         if key not in hints:
             raise ConfigError(f"{place(where, text, name)}: unknown key {name}: {_near_key(name, path, hints)}")
         hint = hints[key]

@@ -3,18 +3,16 @@
 import dataclasses
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
-from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.app.config import Config, Tune, as_dict, changed
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start, start
 from jaxnav.filters import core
-from jaxnav.filters.border import NAMES, override
+from jaxnav.filters.border import in_user_units, override
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.parameters import UNITS, datasheet_params, get, history_for, mounting
+from jaxnav.filters.parameters import datasheet_params, history_for, mounting
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.simulate.scenarios import Scenario
@@ -39,9 +37,6 @@ class ReadyRun(NamedTuple):
     packed: ep.Packed  # nothing hidden
     navs: Nav  # (B, ...) the start, or one for each hypothesis of the heading
     begun: Start  # where it starts, and how
-    config: Config  # that runs it again; with the numbers that were found
-    noise: NoiseScan | None = None  # of the grade "auto"
-    bias_truth: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None  # t, gyro rad/s, accelerometer m/s^2
 
 
 # ---------------------------------------------------------------------------- filter and parameters
@@ -93,13 +88,6 @@ def measurements_of(config: Config) -> tuple[Measurement, ...]:
     return tuple(m for m in MEASUREMENTS.values() if m.name in names)
 
 
-def history_of(config: Config, known: Params, rate_hz: float, span: float, tuned: bool) -> int:
-    """IMU samples of history: to cover the latencies that are known, and what tuning may add to them."""
-    if config.filter.history:
-        return max(2, config.filter.history)
-    return history_for(known, rate_hz, span, REACH if tuned else 0.0)
-
-
 def base_params(
     config: Config, grade: Grade, lever_arm: np.ndarray, position_sd: Any = 3.0, velocity_sd: Any = 0.1
 ) -> Params:
@@ -121,43 +109,27 @@ def base_params(
     return override(params._replace(feedback=entry.feedback_theta()), as_dict(config))
 
 
-def prepare(config: Config, tuned: bool = False, scanned: bool = False) -> ReadyRun:
-    """Read or simulate, align, and pack; nothing hidden yet.
+def prepare(config: Config, tuned: bool = False) -> ReadyRun:
+    """Read or simulate, initialize, and pack; nothing hidden yet.
 
     Args:
         config: the configuration.
         tuned: whether tuning may add latency, which takes history.
-        scanned: whether the grade "auto" finds noise and latency, unless [noise] states it.
 
     Raises:
         DataError: data that cannot be used. ConfigError: names that are not known.
     """
     name, scenario = filter_name(config), scenario_of(config)
     grade, measurements = grade_of(config, scenario), measurements_of(config)
-    rec, sim = load(config)
+    rec = load(config)
     params = base_params(config, grade, rec.lever_arm)
-    noise = None
-    if scanned and grade_name(config, scenario) == AUTO and not states_noise(config):
-        config, noise = with_noise(config, rec, params, start_of(config, rec, params))
-        params = base_params(config, grade, rec.lever_arm)
     initial = start_of(config, rec, params)
-    params, first = initial.given(params), initial.navs
+    params = initial.given(params)
     interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
     packed = ep.pack_recording(rec, measurements, initial.t, interval, config.data.stop, standing_of(config))
-    rate = 1 / float(np.median(rec.imu.dt))
-    filt = build(
-        name,
-        measurements,
-        config.filter.cov_stride,
-        history_of(config, params, rate, np.ptp(rec.imu.t), tuned),
-        states=config.filter.states,
-    )
-    biases = (
-        None
-        if sim is None
-        else jax.tree.map(np.asarray, (sim.truth.t, sim.truth.errors["gyro_bias"], sim.truth.errors["accel_bias"]))
-    )
-    return ReadyRun(rec, filt, measurements, params, packed, first, initial, config, noise, biases)
+    history = history_for(params, 1 / float(np.median(rec.imu.dt)), np.ptp(rec.imu.t), REACH if tuned else 0.0)
+    filt = build(name, measurements, config.filter.cov_stride, history, states=config.filter.states)
+    return ReadyRun(rec, filt, measurements, params, packed, initial.navs, initial)
 
 
 def states_noise(config: Config) -> bool:
@@ -165,15 +137,12 @@ def states_noise(config: Config) -> bool:
     return any(value is not None for value in vars(config.noise).values())
 
 
-def with_noise(config: Config, rec: Recording, params: Params, initial: Start) -> tuple[Config, NoiseScan]:
-    """Return the configuration with the noise, latency and fixes' sd that a recording shows, and the scan."""
-    found = scan_noise(rec, params, begin=initial, stop=config.data.stop, outages=config.filter.outages)
-    after, values = found.applied(params), dict[str, Any]({"filter.grade": DATASHEET})
-    scales = (f"measurements.{m.name}.scale" for m in GNSS if m.name in after.measurements)
-    for leaf in (*NOISE, "mounting.time_offset", *scales):
-        value = np.asarray(get(after, leaf)) / UNITS[leaf].factor
-        values[NAMES[leaf]] = tuple(value.tolist()) if value.ndim else float(value)
-    return changed(config, values), found
+def with_noise(config: Config, params: Params, measurements: tuple[str, ...]) -> Config:
+    """Return the configuration that states the noise, latency and fixes' sd that a scan found, to run it again."""
+    scales = (f"measurements.{m.name}.scale" for m in GNSS if m.name in measurements)
+    found = in_user_units(params, (*NOISE, "mounting.time_offset", *scales))
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}
+    return changed(config, {"filter.grade": DATASHEET, **values})
 
 
 def tune_spec(tune: Tune, filter_name: str, measurements: tuple[Measurement, ...], sheet: Params) -> Spec:
@@ -191,5 +160,5 @@ def standing_of(config: Config) -> ep.Standing:
 
 
 def start_of(config: Config, rec: Recording, params: Params) -> Start:
-    """Where [start] has navigation begin."""
+    """Return the initialization that [start] states."""
     return start(rec, params, begin=config.data.start, **dataclasses.asdict(config.start))

@@ -21,10 +21,6 @@ from jaxnav.types import DataError
 RUN = "run.json"
 
 
-class FailedCheck(Exception):
-    """A result that must not be used, such as a filter that stopped being finite (exit code 1)."""
-
-
 @contextlib.contextmanager
 def picture(name: str) -> Iterator[None]:
     """A picture that cannot be drawn is a warning: what was worked out is worth more."""

@@ -10,9 +10,8 @@ import numpy as np
 
 from jaxnav.analysis import evaluate, metrics
 from jaxnav.app.batches import Batch, Material
-from jaxnav.app.results import FailedCheck
 from jaxnav.filters.run import first_failure, run
-from jaxnav.types import Info, Params
+from jaxnav.types import FilterError, Info, Params
 from tuning import objectives
 from tuning.transforms import merged
 from tuning.validation import PairedGain, paired_gain
@@ -33,7 +32,7 @@ def score(materials: list[Material], params: Params, free: tuple[str, ...]) -> J
     """The errors at the ends of the tests' windows, and how the filter does outside of them.
 
     Raises:
-        FailedCheck: a run stopped being finite; names run and time.
+        FilterError: a run stopped being finite; names run and time.
     """
     errors, blocks, infos, consistent, inside = [], [], [], [], []
     for k, m in enumerate(materials):
@@ -43,7 +42,7 @@ def score(materials: list[Material], params: Params, free: tuple[str, ...]) -> J
         for i, name in enumerate(m.names):
             failure = first_failure(jax.tree.map(lambda a, i=i: a[i], info), m.t)
             if failure:
-                raise FailedCheck(f"{name}: {failure}")
+                raise FilterError(f"{name}: {failure}")
         errors.append(judged_by(info, batch))
         blocks.append(m.blocks + 1e6 * k)  # of different sources, never drawn as one
         judged = info._replace(valid=info.valid & np.asarray(batch.part)[..., None])  # nothing that tuning has seen

@@ -132,8 +132,8 @@ def _simulated(scenario: Scenario, keys: jax.Array) -> Simulated:
     return jax.vmap(partial(simulate, scenario))(keys)
 
 
-def load(config: Config) -> tuple[Recording, Simulated | None]:
-    """The recording that [data] names, read or simulated.
+def load(config: Config) -> Recording:
+    """Return the recording that [data] names, read or simulated.
 
     Raises:
         DataError: it is not there, or cannot be used.
@@ -145,15 +145,15 @@ def load(config: Config) -> tuple[Recording, Simulated | None]:
         sim = jax.tree.map(lambda a: a[0], sims)
         if scenario.sensors or scenario.sensor_states:
             sim = equipped(sim, scenario, jax.random.fold_in(run_key(config.seed, Purpose.SINGLE, 0), EQUIPMENT))
-        return to_recording(sim, scenario), sim
+        return to_recording(sim, scenario)
     if data.source in io.DATASETS:
         try:
-            return io.load(data.source, **data.options), None
+            return io.load(data.source, **data.options)
         except TypeError as error:
             raise ConfigError(f"data.options: {error}") from error
     if not data.source.strip():
         raise DataError("data.source: no name of a scenario, data set or recording")
     if Path(data.source).exists():
-        return read(data.source, **data.options), None
+        return read(data.source, **data.options)
     names = [*SCENARIOS, *io.DATASETS]
     raise DataError(f"{data.source}: no such file, scenario or data set: {nearest(data.source, names)}")

@@ -75,24 +75,25 @@ def plain(value: Any) -> Any:
 
 def to_toml(tree: Mapping[str, Any], section: str = "") -> str:
     """A tree as TOML text."""
-    lines = [f"{_key(k)} = {_toml(v)}" for k, v in tree.items() if not isinstance(v, Mapping)]
+    lines = [f"{quoted(k)} = {_toml(v)}" for k, v in tree.items() if not isinstance(v, Mapping)]
     if section and (lines or not tree):
         lines = [f"[{section}]", *lines]
     text = "\n".join(lines) + "\n" if lines else ""
     for key, value in tree.items():
         if isinstance(value, Mapping):
-            name = f"{section}.{_key(key)}" if section else _key(key)
+            name = f"{section}.{quoted(key)}" if section else quoted(key)
             text += ("\n" if text else "") + to_toml(value, name)
     return text
 
 
 def inline(table: Mapping[str, Any]) -> str:
     """Return a table as TOML in one line."""
-    cells = (f"{_key(k)} = {inline(v) if isinstance(v, Mapping) else _toml(v)}" for k, v in table.items())
+    cells = (f"{quoted(k)} = {inline(v) if isinstance(v, Mapping) else _toml(v)}" for k, v in table.items())
     return f"{{ {', '.join(cells)} }}"
 
 
-def _key(key: str) -> str:
+def quoted(key: str) -> str:
+    """Return a key as TOML writes it."""
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key)
 
 

@@ -193,4 +193,5 @@ def to_recording(sim: Simulated, scenario: Scenario, t0: float = 0.0) -> Recordi
     )
     truth = track(navs)
     truth = Track(t0 + truth.t, *truth[1:])
-    return Recording(scenario.name, log, aiding, truth, np.array(scenario.gnss.lever_arm_m, float), "simulated")
+    arm = np.array(scenario.gnss.lever_arm_m, float)
+    return Recording(scenario.name, log, aiding, truth, arm, "simulated", (t, host.truth.errors))

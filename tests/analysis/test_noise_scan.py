@@ -22,7 +22,7 @@ def simulated(factor: float = FACTOR, latency: float = LATENCY, **options) -> Re
     """A drive of 120 s, consumer IMU at 50 Hz with ``factor`` times its noise, fixes at 2 Hz."""
     plain = {"duration_s": 120.0, "imu_rate_hz": 50.0, "gnss_rate_hz": 2.0, "grade": "consumer", "outages_s": []}
     data = {"source": "urban_short", "imu_worse_by": factor, "gnss_latency_s": latency, "options": plain | options}
-    return load(resolve([("", {"data": data})]))[0]
+    return load(resolve([("", {"data": data})]))
 
 
 @pytest.fixture(scope="module")

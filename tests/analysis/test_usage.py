@@ -50,7 +50,7 @@ def test_a_filter_that_is_a_little_too_sure_everywhere_is_told_so():
     """Each of six channels of sixty fixes may be 1.4 times too large; all of them may not. A consistent one passes."""
     rng = np.random.default_rng(0)
     _, names, _ = evaluate.channels(GNSS)
-    said = lambda z: usage.consistency_in_words(info_of(z), usage.expected(info_of(z), names, list(range(6))))
+    said = lambda z: usage.consistency_in_words(info_of(z), usage.channels_of(info_of(z), GNSS))
     white = rng.normal(size=(200, 60, 6))
     assert sum(bool(said(z)) for z in white) <= 4
     lines = [said(np.sqrt(1.4) * z) for z in white]
@@ -76,25 +76,23 @@ def info_of(z: np.ndarray) -> Info:
 def test_bounds_hold_a_consistent_filter_however_its_innovations_are_correlated(correlation):
     """Two hundred filters of 300 fixes: nearly all pass, and one that is 1.5 times too sure does not."""
     rng, flagged = np.random.default_rng(0), 0
-    _, names, _ = evaluate.channels(GNSS)
     for _ in range(200):
         white = rng.normal(size=(300, 6)) * np.sqrt(1 - correlation**2)
         z = np.zeros((300, 6))
         z[0] = rng.normal(size=6)
         for i in range(1, 300):
             z[i] = correlation * z[i - 1] + white[i]
-        flagged += bool(usage.expected_in_words(usage.expected(info_of(z), names, list(range(6)))))
+        flagged += bool(usage.expected_in_words(usage.channels_of(info_of(z), GNSS)))
     assert flagged <= 4
-    words = usage.expected_in_words(usage.expected(info_of(1.5 * z), names, list(range(6))))
+    words = usage.expected_in_words(usage.channels_of(info_of(1.5 * z), GNSS))
     if correlation == 0.0:
         assert len(words) == 1 and "larger than the filter expects" in words[0] and "and 3 more" in words[0]
-    small = usage.expected_in_words(usage.expected(info_of(0.4 * z), names, list(range(6))))
+    small = usage.expected_in_words(usage.channels_of(info_of(0.4 * z), GNSS))
     assert any("smaller than the filter expects" in line for line in small)
 
 
 def test_too_few_innovations_say_nothing():
-    _, names, _ = evaluate.channels(GNSS)
-    assert usage.expected(info_of(np.full((5, 6), 9.0)), names, list(range(6))) == {}
+    assert usage.channels_of(info_of(np.full((5, 6), 9.0)), GNSS) == {}
 
 
 def test_sensors_that_are_louder_than_told_are_named(case):

@@ -12,10 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxnav.analysis import navigate
 from jaxnav.app import batches, cli, config, objectives, prepare, sources
 from jaxnav.app.jobs import filtering, tune
-from jaxnav.app.results import FailedCheck, staged
+from jaxnav.app.results import staged
 from jaxnav.data import read_recording, write_recording
+from jaxnav.types import FilterError
 
 SMALL = ["--set", "data.options.standstill_s=4", "--set", "filter.cov_stride=25", "--set", "out.figures=false"]
 TINY = [
@@ -121,10 +123,10 @@ def test_filter_writes_everything_and_json_parses(drive, tmp_path, capsys):
 def test_seed_reproduces_and_matters(drive):
     scenario = sources.scenario_of(config.resolve([("", {"data": {"source": "urban_short"}})]))
     c = config.resolve([("", {"data": {"source": "urban_short", "options": {"standstill_s": 4.0}}, "seed": 3})])
-    again, _ = sources.load(c)
+    again = sources.load(c)
     rec = read_recording(drive)
     np.testing.assert_array_equal(again.imu.gyro, rec.imu.gyro)
-    other, _ = sources.load(config.resolve([("", config.as_dict(c)), ("", {"seed": 4})]))
+    other = sources.load(config.resolve([("", config.as_dict(c)), ("", {"seed": 4})]))
     assert not np.allclose(other.imu.gyro, rec.imu.gyro)
     assert scenario.name == "urban_short"
 
@@ -241,13 +243,13 @@ def test_float32_exits_3(drive, monkeypatch, capsys):
 
 
 def test_filter_that_fails_exits_1_with_run_and_time(drive, monkeypatch, capsys):
-    real = filtering.execute
+    real = navigate.execute
 
     def broken(*arguments):
         info, about = real(*arguments)
         return info._replace(ok=info.ok & (np.arange(info.ok.size) < 20)), about
 
-    monkeypatch.setattr(filtering, "execute", broken)
+    monkeypatch.setattr(navigate, "execute", broken)
     argv = ["filter", "--data", str(drive), "--set", "filter.cov_stride=25"]
     fails(capsys, argv, 1, "run urban_short", "stopped being finite at t = ", "epoch 20")
 
@@ -256,7 +258,7 @@ def test_a_failure_leaves_the_old_results(drive, monkeypatch, capsys):
     out = cli.Path("kept")
     out.mkdir()
     (out / "run.json").write_text('{"verb": "filter", "files": ["run.json"]}')
-    monkeypatch.setattr(filtering, "summary", lambda *a: (_ for _ in ()).throw(FailedCheck("late")))
+    monkeypatch.setattr(filtering, "summary", lambda *a: (_ for _ in ()).throw(FilterError("late")))
     argv = ["filter", "--data", str(drive), "--out", str(out), "--set", "filter.cov_stride=25", *SMALL[-2:]]
     assert cli.main(argv) == 1
     assert [p.name for p in out.iterdir()] == ["run.json"] and not list(cli.Path().glob(".kept*"))
@@ -264,7 +266,7 @@ def test_a_failure_leaves_the_old_results(drive, monkeypatch, capsys):
 
 
 def test_ctrl_c_exits_130_and_leaves_nothing(drive, monkeypatch, capsys):
-    monkeypatch.setattr(filtering, "execute", lambda *a: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(navigate, "execute", lambda *a: (_ for _ in ()).throw(KeyboardInterrupt))
     assert cli.main(["filter", "--data", str(drive), "--out", "r"]) == 130
     assert "stopped" in capsys.readouterr().err and not cli.Path("r").exists()
 

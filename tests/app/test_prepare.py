@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from jaxnav.analysis import evaluate
+from jaxnav.analysis.navigate import Solution
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.app import batches, cli, config, objectives, prepare, tune_report
-from jaxnav.app.jobs import filtering
 from jaxnav.app.unused import unused
 from jaxnav.app.verbs import VERBS
 from jaxnav.data import epochs, start
@@ -19,7 +19,7 @@ from jaxnav.data import start as alignment
 from jaxnav.data.toml import to_toml
 from jaxnav.filters import border
 from jaxnav.filters.catalogue import FILTERS
-from jaxnav.filters.parameters import datasheet_params, get, mounting, put
+from jaxnav.filters.parameters import datasheet_params, get, history_for, mounting, put
 from jaxnav.filters.run import initial_nav
 from jaxnav.maths import earth
 from jaxnav.measurements import GNSS, counted_from
@@ -206,9 +206,10 @@ def test_z_up_is_said_where_motion_levels_and_refused_where_nothing_does():
 def test_an_outage_lasts_to_the_end_of_the_data():
     rec = northward()
     short = rec._replace(aiding={k: Samples(*(a[:40] for a in s)) for k, s in rec.aiding.items()})
-    case = SimpleNamespace(recording=short, packed=SimpleNamespace(t=np.arange(1.0, 61.0)))
-    assert filtering.shaded(resolved(), case) == [(40.0, 60.0)]
-    assert filtering.shaded(resolved(), SimpleNamespace(recording=rec, packed=case.packed)) == []
+    gaps = lambda rec: Solution.gaps(
+        SimpleNamespace(fixes=rec.aiding["position"], packed=SimpleNamespace(t=np.arange(1.0, 61.0)), outages=())
+    )
+    assert gaps(short) == [(40.0, 60.0)] and gaps(rec) == []
 
 
 def test_the_truth_of_a_tuning_run_is_at_the_time_that_the_clocks_give():
@@ -267,12 +268,11 @@ def sheet(**timing):
 
 def test_history_covers_what_is_known_and_what_tuning_adds():
     stress = matched_params(SCENARIOS["gipkf_urban_stress"])  # 0.15 s late
-    assert prepare.history_of(resolved(), stress, 10.0, 60.0, False) == 4
-    assert prepare.history_of(resolved(), stress, 100.0, 60.0, False) >= 17
-    assert prepare.history_of(resolved(), stress, 100.0, 60.0, True) >= 2 + 100 * (0.15 + prepare.REACH)
-    assert prepare.history_of(resolved(), sheet(time_offset=-1.0), 100.0, 60.0, False) == 2
-    assert prepare.history_of(resolved(), sheet(clock_drift=-1e-3), 100.0, 60.0, False) >= 2 + 100 * 0.03
-    assert prepare.history_of(resolved(filter={"history": 9}), stress, 100.0, 60.0, True) == 9
+    assert history_for(stress, 10.0, 60.0) == 4
+    assert history_for(stress, 100.0, 60.0) >= 17
+    assert history_for(stress, 100.0, 60.0, prepare.REACH) >= 2 + 100 * (0.15 + prepare.REACH)
+    assert history_for(sheet(time_offset=-1.0), 100.0, 60.0) == 2
+    assert history_for(sheet(clock_drift=-1e-3), 100.0, 60.0) >= 2 + 100 * 0.03
 
 
 @pytest.mark.parametrize("verb, tree, keys", [

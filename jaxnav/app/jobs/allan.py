@@ -42,7 +42,7 @@ def allan(config: Config, folder: Path) -> Outcome:
         DataError: too few samples, or a gap.
     """
     begin = time.perf_counter()
-    rec, _ = load(config)
+    rec = load(config)
     imu = span(rec.imu, config.data.start, config.data.stop)
     gyro, accel, dt = regular(imu)
     found: dict[str, Any] = {"name": rec.name, "start_s": float(imu.t[0] - imu.dt[0]), "stop_s": float(imu.t[-1]),

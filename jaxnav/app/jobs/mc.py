@@ -16,15 +16,16 @@ from jaxnav.analysis.tables import table
 from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config, as_dict
 from jaxnav.app.long import Long, identity
-from jaxnav.app.results import FailedCheck, Outcome, picture
+from jaxnav.app.results import Outcome, picture
 from jaxnav.app.sources import scenario_of
 from jaxnav.data.json import write_json
 from jaxnav.filters.border import override
 from jaxnav.filters.catalogue import FILTERS, build
+from jaxnav.filters.parameters import history_for
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params, sizes
-from jaxnav.types import ConfigError, nearest
+from jaxnav.types import ConfigError, FilterError, nearest
 from tuning import checkpoint, distributed
 
 EVERY = 30.0  # s between two times that what is finished is kept
@@ -43,7 +44,7 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
 
     Raises:
         ConfigError: the source is no scenario, or names that are not known.
-        FailedCheck: every run of every filter diverged.
+        FilterError: every run of every filter diverged.
     """
     scenario, long = scenario_to_run(config), Long() if long is None else long
     found, seconds, stopped = {}, {}, ""
@@ -57,7 +58,7 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
             matched_params(as_specified(each, scenario), entry.theta(), entry.feedback_theta()), as_dict(config)
         )
         rate, span = scenario.imu_rate_hz, scenario.duration_s
-        filt = build(name, GNSS, config.filter.cov_stride, pre.history_of(config, params, rate, span, tuned=False))
+        filt = build(name, GNSS, config.filter.cov_stride, history_for(params, rate, span))
         try:
             found[name] = montecarlo.monte_carlo(
                 filt, scenario, params, config.mc.runs, config.seed, chunk=config.mc.chunk,
@@ -74,7 +75,7 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
             break
     about = {name: montecarlo.summary(runs) for name, runs in found.items()}
     if not any("scores" in one for one in about.values()):
-        raise FailedCheck(f"every run of {', '.join(about)} on {scenario.name} diverged")
+        raise FilterError(f"every run of {', '.join(about)} on {scenario.name} diverged")
     write_json(folder / "metrics.json", about)
     np.savez_compressed(folder / "runs.npz", **_per_run(found))  # type: ignore[arg-type]
     if config.out.figures:

@@ -90,7 +90,7 @@ def stream(
     out = sys.stdout if out is None else out
     bad: list[str] = []
     if lines is None:
-        rec, _ = load(config)
+        rec = load(config)
         arm, events = rec.lever_arm, paced(played(rec), speed)
     else:
         arm, events = np.zeros(3), parsed(lines, bad)

@@ -16,11 +16,11 @@ from jaxnav.app.jobs import tune_recorded
 from jaxnav.app.long import Long, identity
 from jaxnav.app.objectives import LOST, TuningCase, aggregate, check_objective, objective
 from jaxnav.app.prepare import base_params, filter_name, grade_of, measurements_of, tune_spec
-from jaxnav.app.results import FailedCheck, Outcome, picture, stderr
+from jaxnav.app.results import Outcome, picture, stderr
 from jaxnav.app.scores import compare, has_windows, runs_jit, score
 from jaxnav.app.sources import scenario_of
 from jaxnav.filters.run import first_failure
-from jaxnav.types import ConfigError, DataError, Params, nearest
+from jaxnav.types import ConfigError, DataError, FilterError, Params, nearest
 from tuning import distributed, likelihood
 from tuning.optimizers import OPTIMIZERS
 from tuning.train import Fit, fit
@@ -33,7 +33,7 @@ def tune(config: Config, folder: Path, progress: bool = False, long: Long | None
     """Tune, compare before and after on test data, write parameters, history and figures.
 
     Raises:
-        FailedCheck: the starting filter stops being finite.
+        FilterError: the starting filter stops being finite.
         CheckpointError: nothing usable to resume from.
     """
     check(config)
@@ -141,7 +141,7 @@ def search(
     """The best parameters by validation, or by the likelihood of the training data with scoring.
 
     Raises:
-        FailedCheck: the objective of the start is not finite.
+        FilterError: the objective of the start is not finite.
     """
     t, start = config.tune, materials[0].params
     note = (lambda row: stderr(f"  {row['step']:3d}  {row['loss']:.6g}")) if progress else (lambda row: None)
@@ -170,7 +170,7 @@ def search(
     except DataError:
         raise
     except ValueError as error:
-        raise FailedCheck(f"{materials[0].about}: {error}") from error
+        raise FilterError(f"{materials[0].about}: {error}") from error
 
 
 def _many(params: Params, runs: Any) -> Params:

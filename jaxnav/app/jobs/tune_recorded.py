@@ -65,7 +65,7 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
         config = for_target(config, target)
     name, measurements = pre.filter_name(config), pre.measurements_of(config)
     configs = [config, *(for_source(config, source) for source in config.tune.more)]
-    recs = [load(own)[0] for own in configs]
+    recs = [load(own) for own in configs]
     sheets = [
         pre.base_params(own, pre.grade_of(own, scenario_of(own)), rec.lever_arm)
         for own, rec in zip(configs, recs, strict=True)
@@ -75,7 +75,7 @@ def tune_recorded(config: Config, folder: Path, progress: bool) -> Outcome:
         measurements = tuple(m for m in measurements if m.name in target.measurements)
     params, everywhere = sheets[0], set.intersection(*(set(rec.aiding) for rec in recs))
     chosen = tuple(m for m in measurements if not m.columns or m.name in everywhere or m.name == "velocity")
-    filt = build(name, chosen, config.filter.cov_stride, max(2, config.filter.history), states=config.filter.states)
+    filt = build(name, chosen, config.filter.cov_stride, states=config.filter.states)
     plain = Tune()
     named = (target.free if target else FREE) if config.tune.free == plain.free else config.tune.free
     short = groups(chosen, params.states, of_rule(name))

@@ -10,6 +10,8 @@ import pytest
 import jaxnav
 import tuning
 from jaxnav.app import config, prepare
+from jaxnav.app.jobs import tune
+from jaxnav.filters.catalogue import build
 from jaxnav.states.grades import GRADES
 
 ROOT = Path(__file__).parents[1]
@@ -56,7 +58,8 @@ def test_configurations_and_their_keys_are_known(page):
     for block in re.findall(r"```toml\n(.*?)```", text, re.S):
         c = config.resolve([(page.name, tomllib.loads(block))])
         params = prepare.base_params(c, GRADES["consumer"], np.zeros(3))
-        prepare.tune_spec(c.tune, c.filter.name, prepare.measurements_of(c), params)
+        filt = build(c.filter.name, prepare.measurements_of(c), states=c.filter.states)
+        tune.free_of(c, filt, params, tune.FREE_RECORDED)
 
 
 def test_every_public_name_is_in_the_api_and_has_a_docstring():

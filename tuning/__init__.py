@@ -1,6 +1,7 @@
-"""Tuning of filter parameters by gradient: objectives, transforms, training, validation; `tune` on a recording."""
+"""Tuning of filter parameters by gradient: `tune` on recordings, `tune_simulated` on runs of scenarios."""
 
-from tuning.recorded import Tuned, tune
-from tuning.report import load
+from tuning.recorded import tune
+from tuning.report import Tuned, load
+from tuning.simulated import tune_simulated
 
-__all__ = ["Tuned", "load", "tune"]
+__all__ = ["Tuned", "load", "tune", "tune_simulated"]

@@ -2,16 +2,14 @@
 
 from collections.abc import Iterable, Mapping
 
-import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.filters.border import KEYS, NAMES, ROOTS, unit_of
+from jaxnav.filters.border import KEYS, NAMES
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.filters.parameters import UNITS, get, has
 from jaxnav.measurements import Measurement
 from jaxnav.types import ConfigError, Params, nearest
-from tuning import transforms
-from tuning.transforms import LOG, TRANSFORMS, Spec, Transform, believed, factor, scaled
+from tuning.transforms import LOG, TRANSFORMS, Transform, scaled
 
 
 def transform_of(leaf: str) -> Transform:
@@ -71,7 +69,7 @@ def constant(leaf: str, params: Params) -> bool:
 
 
 def step_of(leaf: str, filter_name: str) -> Transform:
-    """How a leaf is tuned.
+    """Return how a leaf is tuned.
 
     Raises:
         ConfigError: the filter's rule has no such parameter.
@@ -83,66 +81,3 @@ def step_of(leaf: str, filter_name: str) -> Transform:
     if name not in known:
         raise ConfigError(f"tune.free: filter {filter_name} has no {leaf}")
     return TRANSFORMS[known[name]]
-
-
-def specify(
-    filter_name: str,
-    measurements: tuple[Measurement, ...],
-    sheet: Params,
-    *,
-    free: Iterable[str],
-    frozen: Iterable[str] = (),
-    tied: Iterable[str] = (),
-    correlated: Iterable[str] = (),
-    prior: Mapping[str, float] | None = None,
-) -> Spec:
-    """What is free but not ``frozen``, with its ties and correlations, and beliefs about the datasheet's values.
-
-    ``prior``: one sd by name, a factor where the parameter is positive, else in a user's unit. Of a group that is to be
-    correlated it is those leaves that can be.
-
-    Raises:
-        ConfigError: a name that is unknown or not free, one that cannot be correlated or is tied, an sd that is none.
-    """
-    short = groups(measurements, sheet.states, of_rule(filter_name))
-    which = lambda key, names: leaves_of(names, short, sheet, f"tune.{key}")
-    spec: Spec = {leaf: step_of(leaf, filter_name) for leaf in which("free", free)}
-    if not spec:
-        raise ConfigError("tune.free: nothing is free")
-    held = set(which("frozen", frozen))
-    spec = {leaf: step for leaf, step in spec.items() if leaf not in held}
-    if not spec:
-        raise ConfigError("tune.frozen: nothing is left free")
-
-    def of(key: str, name: str) -> list[str]:
-        """Those of a name's leaves that are free; of a group that may be some, otherwise it is a mistake."""
-        found = [leaf for leaf in which(key, [name]) if leaf in spec]
-        if not found and not set(which(key, [name])) & held:
-            raise ConfigError(f"tune.{key}: {name} is not in tune.free, where it would have to be")
-        return found
-
-    for name in tied:
-        for leaf in of("tied", name):
-            spec[leaf] = transforms.tied(spec[leaf])
-    for name in correlated:
-        roots = [leaf for leaf in which("correlated", [name]) if leaf in ROOTS]
-        if not roots:
-            known = ", ".join(NAMES[leaf] for leaf in ROOTS)
-            raise ConfigError(f"tune.correlated: {name} cannot be correlated, only {known}")
-        for leaf in (leaf for leaf in of("correlated", name) if leaf in roots):
-            if spec[leaf].tie is not None:
-                raise ConfigError(f"tune.correlated: {leaf} is in tune.tied, where its axes share one number")
-            spec[leaf] = factor(3)
-    for name, sd in (prior or {}).items():
-        for leaf in of("prior", name):
-            spec[leaf] = believed(spec[leaf], get(sheet, leaf), _sd(name, leaf, step_of(leaf, filter_name), sd))
-    return spec
-
-
-def _sd(name: str, leaf: str, step: Transform, sd: float) -> float:
-    """One sd of a belief in the unconstrained space: a factor where the parameter is positive, else the user's unit."""
-    positive = step is LOG
-    if not sd > (1.0 if positive else 0.0):
-        what = "a factor above 1" if positive else "above 0"
-        raise ConfigError(f"tune.prior.{name}: one sd must be {what}, got {sd:g}")
-    return float(np.log(sd)) if positive else float(step.inverse(jnp.asarray(sd * unit_of(leaf).factor)))

@@ -1,16 +1,26 @@
 """How a recording is used: which part of its time is trained on, which judges, and the windows hidden in each."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from jaxnav.analysis.metrics import told_by
 from jaxnav.analysis.windows import Windows, hidden_windows
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start
-from jaxnav.types import Epoch, Nav, Params
+from jaxnav.filters.core import Filter
+from jaxnav.maths import earth
+from jaxnav.maths.interpolation import columns_at
+from jaxnav.measurements import MEASUREMENTS, clock_offset
+from jaxnav.types import Epoch, Fix, Nav, Params, Track
+from tuning.runs import Run, Truth, many
 
 PHASES = 5  # runs with windows shifted against each other
+REACH = 0.3  # s, of delay that tuning may add to what is known
+SLOPE = 0.05  # s, half of the time over which a true velocity is taken
 AGES = (0.0, 1 / 3, 2 / 3, 1.0)  # of a window: where its hidden fixes are looked at
 
 
@@ -36,11 +46,36 @@ class Used(NamedTuple):
     layout: Layout
     windows: Windows  # hidden (P, E)
     parts: dict[str, np.ndarray]  # masks (W,) of the windows
+    truth: Track | None  # of the recording
 
     @property
     def t(self) -> np.ndarray:
         """(E,) s, the end of each epoch; what was added comes after all time."""
         return np.pad(self.packed.t, (0, self.windows.hidden.shape[1] - self.packed.t.size), constant_values=np.inf)
+
+    @property
+    def fix(self) -> Fix:
+        """The recording's fixes."""
+        return self.packed.epochs.fix
+
+    @property
+    def starts(self) -> np.ndarray:
+        """(W,) start of each window, s."""
+        return self.windows.start
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What metrics.json says of it."""
+        return {"layout_s": self.layout._asdict(), "start": self.begin.how}
+
+    @property
+    def windows_hidden(self) -> bool:
+        """Are fixes hidden, so that drifts are scored?"""
+        return True
+
+    def needs(self, blocks: int) -> str:
+        """Return what an interval of so many blocks needs."""
+        return f"{blocks * self.layout.every / 0.35:.0f} s of recording"
 
 
 def window_of(packed: Sequence[ep.Packed]) -> float:
@@ -83,6 +118,59 @@ def parts_of(layout: Layout, windows: Windows) -> dict[str, np.ndarray]:
         "validation": (windows.start >= layout.train - ep.TICK) & (end <= layout.validation + ep.TICK),
         "test": windows.start >= layout.validation - ep.TICK,
     }
+
+
+def runs_of(used: Used, filt: Filter, part: str, size: int) -> Run:
+    """Return a recording's runs (P, ...) for a gradient: the windows of a part, hidden, over its first epochs.
+
+    Args:
+        used: the recording.
+        filt: the filter.
+        part: "training" or "validation", which ends the runs: nothing later can enter an objective.
+        size: epochs of each run; those after the part do not count.
+    """
+    layout, windows, t = used.layout, used.windows, used.t[:size]
+    begin, end = {
+        "training": (used.packed.start + layout.settle, layout.train),
+        "validation": (layout.train, layout.validation),
+    }[part]
+    own, hidden, phases = (t > begin) & (t <= end + ep.TICK), windows.hidden[:, :size], len(windows.hidden)
+    epochs = jax.tree.map(lambda a: a[:size], used.epochs)
+    measurements = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    runs = [ep.hide(epochs, h, measurements) for h in hidden]
+    rows = [np.flatnonzero((windows.phase == p) & used.parts[part]) for p in range(phases)]
+    most = max(1, *(len(row) for row in rows))
+    ends = np.array([np.pad(windows.end[row], (0, most - len(row))) for row in rows])
+    scored = np.array([np.arange(most) < len(row) for row in rows])
+    truth = truth_of(used, t)
+    return Run(
+        many(used.sheet, phases), many(used.nav, phases), jax.tree.map(lambda *a: jnp.stack(a), *runs),
+        jnp.asarray(ends), jnp.asarray(scored), jnp.asarray(own & ~hidden), many(own, phases),
+        None if truth is None else many(truth, phases),
+    )  # fmt: skip
+
+
+def truth_of(used: Used, t: np.ndarray) -> Truth | None:
+    """Return the truth at the ends ``t`` (E,) s of epochs; None without one that covers any of them."""
+    if used.truth is None:
+        return None
+    t = np.where(np.isfinite(t), t, used.packed.t[-1])
+    t = t + np.asarray(clock_offset(used.sheet.mounting, used.nav._replace(t=jnp.asarray(t))))
+    known = told_by(t, used.truth.t)
+    if not known.any():
+        return None
+    at = lambda t: columns_at(t, used.truth.t, earth.continuous(used.truth.lla))
+    rate = (at(t + SLOPE) - at(t - SLOPE)) / (2 * SLOPE)
+    return Truth(jnp.asarray(at(t)), jnp.asarray(rate), jnp.asarray(known))
+
+
+def in_words_of(layout: Layout, parts: Mapping[str, np.ndarray], packed: ep.Packed) -> str:
+    """The split, in a sentence."""
+    counts = ", ".join(f"{int(mask.sum())} {name}" for name, mask in parts.items())
+    return (
+        f"training to {layout.train:.0f} s, validation to {layout.validation:.0f} s, test to {packed.t[-1]:.0f} s; "
+        f"hidden windows of {layout.window:g} s: {counts}"
+    )
 
 
 def ages(

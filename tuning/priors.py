@@ -55,7 +55,8 @@ def leaves_of(filt: Filter, params: Params, names: Iterable[str]) -> list[str]:
         ConfigError: an unknown name, a leaf that the filter has not, or nothing at all.
     """
     chosen = [MEASUREMENTS[name] for name in filt.model.measurements]
-    found = free.leaves_of(names, free.groups(chosen, filt.model.states), params)
+    rule = free.of_rule(filt.name) if filt.name else ()
+    found = free.leaves_of(names, free.groups(chosen, filt.model.states, rule), params)
     found = [leaf for leaf in found if not free.constant(leaf, params)]
     if not found:
         raise ConfigError(f"nothing is left free of {', '.join(names)}")
@@ -65,14 +66,23 @@ def leaves_of(filt: Filter, params: Params, names: Iterable[str]) -> list[str]:
 def spec_of(
     filt: Filter, params: Params, names: Iterable[str], widths: Mapping[str, float] | None = None, priors: bool = True
 ) -> Spec:
-    """How each free leaf is tuned, with its prior about ``params``; one number for all axes.
+    """Return how each free leaf is tuned, with its prior about ``params``; one number for all axes.
 
-    ``widths``: one sd by leaf, in place of `PRIORS`: a factor where the parameter is positive, else in SI. ``priors``:
-    False leaves them out.
+    Parameters of the filter's rule have no prior.
+
+    Args:
+        filt: the filter.
+        params: the datasheet.
+        names: what is free, see `leaves_of`.
+        widths: one sd by leaf, in place of `PRIORS`: a factor where the parameter is positive, else in SI.
+        priors: False leaves them out.
     """
     spec: Spec = {}
     widths = widths or {}
     for leaf in leaves_of(filt, params, names):
+        if leaf.startswith("rule."):
+            spec[leaf] = free.step_of(leaf, filt.name)
+            continue
         transform = transform_of(leaf)
         centre = jnp.asarray(get(params, leaf), float)
         if kind_of(leaf) in ("noise", "driving_noise", "tau", "scale", "sd") and centre.ndim < 2:

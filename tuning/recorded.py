@@ -20,12 +20,10 @@ the hidden windows of training and validation. The winner is judged once, on the
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
@@ -38,78 +36,36 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, installed, with_prior_of
 from jaxnav.filters.run import prepare, require_params, require_x64
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.types import DataError, Info, Params, Recording
+from jaxnav.types import ConfigError, DataError, Info, Params, Recording
 from tuning import scoring
 from tuning.evidence import SLOW, Job, predicted
-from tuning.parts import Layout, Used, blocks_of, parts_of, plan, pooled, window_of, windows_of
-from tuning.priors import PRIORS, in_words, kind_of, leaves_of, spec_of
-from tuning.report import LEAST_WINDOWS, Row, in_words_of, metrics, shown, text, verdict, write
-from tuning.transforms import LOG, Spec, Transform, labels
-from tuning.validation import PairedGain, paired_gain
+from tuning.parts import (
+    REACH,
+    Layout,
+    Used,
+    blocks_of,
+    in_words_of,
+    parts_of,
+    plan,
+    pooled,
+    runs_of,
+    window_of,
+    windows_of,
+)
+from tuning.priors import PRIORS, kind_of, leaves_of, spec_of
+from tuning.report import LEAST_WINDOWS, Row, Trial, Tuned, channels, ratios, rows_of, shown, spread, verdict
+from tuning.runs import Descent, check_objective, descend
+from tuning.status import Status
+from tuning.uncertainty import Covariance
+from tuning.validation import paired_gain
 
-REACH = 0.3  # s, of delay that tuning may add to what is known
 MOST, TOLERANCE = 25, 0.02  # evaluations of one search; gain in J that is worth another
 DELAY = "mounting.time_offset"
 SCANNED = ("noise.gyro", "noise.accel", DELAY)  # what the noise scan finds
 FAR = 2.0  # sd of a prior beyond which a parameter is said to be far
-LEAST_LOG_M = 0.1  # m: smaller drifts count as this in mean logarithms
 FEW = 1.25  # times the datasheet's drift that the few windows of validation may show by chance
 CORRELATED = 0.15  # of a position's innovations from fix to fix, from which on slow errors are tried
 SLOW_LEAVES = (f"states.{SLOW}.driving_noise", f"states.{SLOW}.tau")
-
-
-class Trial(NamedTuple):
-    """A candidate, and how it does against the datasheet."""
-
-    filter: Filter
-    params: Params
-    drift: np.ndarray  # (W,) m, horizontal, at the end of each window
-    ratios: tuple[float, float, float, float]  # RMS, mean log: training and validation together, validation alone
-    nll: float  # of what the validation part shows, `tuning.evidence.predicted`
-
-
-@dataclass(frozen=True)
-class Tuned:
-    """What tuning found, and whether it is any better; prints as a table."""
-
-    params: Params  # the winner's, the datasheet's where nothing beats it; with the prior that `tune` was given
-    each: list[Params]  # of every recording, where some are its own
-    filter: Filter  # that they are for: the winner may have a state more
-    chosen: str  # of `trials`
-    verdict: str
-    rows: list[Row]  # of the winner; where that is the datasheet, of what was tuned
-    trials: dict[str, Trial]
-    used: list[Used] = field(repr=False)  # the recordings
-    parts: dict[str, np.ndarray]  # masks (W,) of the windows of all recordings, one after the other
-    blocks: int  # of time in the test
-    effective: float  # N
-    gain: PairedGain | None  # on the test, None where there are too few blocks
-    test: dict[str, dict[str, float]]  # by candidate: rms_m, median_m, max_m
-    nis: dict[str, dict[str, float]]  # by candidate: normalised innovations squared by channel, on the test
-    spec: Spec
-    history: list[dict[str, Any]] = field(default_factory=list)
-    stopped: bool = False  # by Ctrl-C, with the best that was found until then
-
-    @property
-    def start(self) -> Start:
-        """Where the first recording begins, and how."""
-        return self.used[0].begin
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Windows by part."""
-        return {name: int(mask.sum()) for name, mask in self.parts.items()}
-
-    def metrics(self) -> dict[str, Any]:
-        """All figures, as metrics.json has them."""
-        return metrics(self)
-
-    def write(self, folder: str | Path, states: Sequence[str] = (), exports: bool = True) -> None:
-        """Write tuned.toml, the same for other software, history.jsonl and metrics.json, see `tuning.report.write`."""
-        write(self, Path(folder), states, exports)
-
-    def __str__(self) -> str:
-        return text(self)
 
 
 # ---------------------------------------------------------------------------- the function
@@ -130,18 +86,28 @@ def tune(
     observations: float | None = None,
     extend: bool = True,
     standing: ep.Standing = ep.Standing(),
+    how: Descent | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
     """Tune ``params`` (such as ``filt.params("consumer")``, the datasheet) on a recording, or on several together.
 
-    Of several what is free has one value for all, but for what ``own`` names, of which each has its own: "timing" of
-    loggers with clocks of their own, "noise" of several IMUs on one vehicle. Each has its own start, and its own
-    ``params`` where lever arms differ. ``free``: groups of `tuning.free.groups`, dotted leaves or their keys.
-    ``widths``: priors of your own by leaf, one sd about ``params``: a factor where the parameter is positive, else in
-    SI. ``begin``: `jaxnav.start` with settings of your own. ``stop``: s. ``window``: s, length of the hidden windows,
-    by default 3 to 15 by the recording's length. ``priors``: False believes nothing before the data.
-    ``observations``: N, by default the windows that fit into the training parts. ``extend``: False tries no
-    filter with a state more. ``say`` hears of progress.
+    Args:
+        rec: a recording, or several, each with an initialization of its own.
+        filt: the filter.
+        params: the datasheet, ``filt.params("consumer")``; one for each recording where lever arms differ.
+        free: groups of `tuning.free.groups`, dotted leaves or their keys; one value for all recordings.
+        own: those of which each recording has a value of its own: "timing" of loggers with separate clocks, "noise" of
+            several IMUs on one vehicle.
+        widths: priors by leaf, one sd about ``params``: a factor where the parameter is positive, else in SI.
+        begin: `jaxnav.start` with settings of your own.
+        stop: s, end of the data.
+        window: s, length of the hidden windows; by default 3 to 15 by the recording's length.
+        priors: False: maximum likelihood.
+        observations: N, by default the windows that fit into the training parts.
+        extend: try a filter that estimates slow errors of the receiver.
+        standing: the detector of standstills.
+        how: minimise an objective by gradient over the training windows, in place of J.
+        say: called with a line on what is done.
 
     Raises:
         DataError: a recording that cannot be started from, or is too short for windows in every part.
@@ -161,6 +127,8 @@ def tune(
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     begins = [start(r, p) if b is None else b for r, p, b in zip(recs, sheets, begins, strict=True)]
     apart = leaves_of(filt, sheets[0], own) if own else []
+    if apart and how is not None:
+        raise ConfigError("tune.own goes with the tempered method, not with a gradient search")
     for line in clocks(recs, begins) if DELAY not in apart else ():
         say(line)
     cut = [ep.pack_recording(r, chosen, b.t, 0.0, stop, standing) for r, b in zip(recs, begins, strict=True)]
@@ -190,14 +158,14 @@ def tune(
     auto = job.numbers([each.applied(u.sheet) for each, u in zip(scans, used, strict=True)])
     job.centre_delays(auto)
     found = {"datasheet": job.flat, "auto": auto} if any(each.fixes for each in scans) else {"datasheet": job.flat}
-    ended = search("tuned", job, auto, history, say)
-    found["tuned"], stopped = ended.raw, bool(ended.interrupted)
+    search_tuned = search if how is None else partial(descent, how=how)
+    found["tuned"], status = search_tuned("tuned", job, auto, history, say)
     jobs = dict.fromkeys(found, job)
     say("scoring the candidates on hidden windows")
     score = lambda name: level_drift(jobs[name], found[name], chosen)
     offs = {name: score(name) for name in found}
-    slow = 0.0 if stopped else correlation(offs["tuned"][1], used)
-    if extend and slow > CORRELATED and filt.extended and SLOW not in filt.model.states:
+    slow = 0.0 if status is Status.INTERRUPTED else correlation(offs["tuned"][1], used)
+    if extend and how is None and slow > CORRELATED and filt.extended and SLOW not in filt.model.states:
         say(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
         more = kept(filt.extended(SLOW))
         slowly = {SLOW: more.params().states[SLOW]}
@@ -205,9 +173,8 @@ def tune(
         other = Job(more, spec | spec_of(more, whole[0].sheet, SLOW_LEAVES, widths, priors), whole, apart, observations)
         jobs["slow errors"] = other
         other.centre_delays(other.numbers(job.each(auto)))
-        ended = search("slow errors", other, other.numbers(job.each(found["tuned"])), history, say)
-        found["slow errors"], stopped = ended.raw, bool(ended.interrupted)
-        offs["slow errors"] = level_drift(other, ended.raw, chosen)
+        at, status = search("slow errors", other, other.numbers(job.each(found["tuned"])), history, say)
+        found["slow errors"], offs["slow errors"] = at, level_drift(other, at, chosen)
     params_of = lambda name: jobs[name].each(found[name])
     kept_of = lambda name: [with_prior_of(p, s, spec) for p, s in zip(params_of(name), sheets, strict=True)]
     trials = {
@@ -222,13 +189,14 @@ def tune(
     gain = None
     if best != "datasheet" and np.unique(blocks).size >= LEAST_WINDOWS and np.isfinite(offs[best][0]).all():
         gain = paired_gain(offs["datasheet"][0][test], offs[best][0][test], blocks)
-    nis = {name: channels(off[1], chosen, used) for name, off in offs.items()}
+    late = [u.t > u.layout.validation for u in used]
+    nis = {name: channels(off[1], late, chosen) for name, off in offs.items()}
     scores = {name: spread(off[0][test]) for name, off in offs.items()}
     told = shown(best, trials)
     return Tuned(
         trials[best].params, kept_of(best), trials[best].filter, best, verdict(best, trials, scores, parts),
-        table(jobs[told], found[told]), trials, used, parts, int(np.unique(blocks).size), job.effective, gain, scores,
-        nis, jobs[best].spec, history, stopped,
+        table(jobs[told], found[told]), trials, used, parts, int(np.unique(blocks).size), gain, scores, nis,
+        jobs[best].spec, [], history, status, job.effective if how is None else math.nan,
     )  # fmt: skip
 
 
@@ -280,7 +248,7 @@ def made_ready(
         sheet = begin.given(params)
         train = jax.tree.map(lambda a, end=int(np.searchsorted(packed.t, layout.train + ep.TICK)): a[:end], epochs)
         nav = most_probable(filt, sheet, begin.navs, train)
-        used.append(Used(rec.name, begin, sheet, nav, packed, epochs, layout, windows, parts))
+        used.append(Used(rec.name, begin, sheet, nav, packed, epochs, layout, windows, parts, rec.truth))
     return used
 
 
@@ -289,7 +257,7 @@ def made_ready(
 
 def search(
     name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], say: Callable[[str], None]
-) -> scoring.Search:
+) -> tuple[jax.Array, Status]:
     """Minimise J from a point, with a line and a row of the history for each evaluation."""
 
     def report(i: int, at: scoring.Search) -> None:
@@ -298,7 +266,24 @@ def search(
         say(f"  {name}, evaluation {i}: J {row['loss']:.4f}")
 
     say(f"{name}: {len(job.flat)} numbers free")
-    return scoring.maximise(job.objective(), first, MOST, TOLERANCE, report)
+    ended = scoring.maximise(job.objective(), first, MOST, TOLERANCE, report)
+    return ended.raw, scoring.status(ended, TOLERANCE)
+
+
+def descent(
+    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], say: Callable[[str], None], how: Descent
+) -> tuple[jax.Array, Status]:
+    """Minimise an objective over the training windows from a point by gradient; the best by the validation windows."""
+    size = lambda end: max(int(np.searchsorted(u.packed.t, getattr(u.layout, end) + ep.TICK)) for u in job.used)
+    train = [runs_of(u, job.filt, "training", size("train")) for u in job.used]
+    validation = [runs_of(u, job.filt, "validation", size("validation")) for u in job.used]
+    check_objective(how.objective, all(r.truth is not None for r in (*train, *validation)))
+    say(f"{name}: {how.method} on " + ", ".join(f"{w:g} {key}" for key, w in how.objective.items()))
+    names = [f"{u.name}, phase {p}" for u in job.used for p in range(len(u.windows.hidden))]
+    count = sum(int((r.keep & r.epochs.fix.valid.any(-1)).sum()) for r in train)
+    ended = descend(job.filt, job.spec, job.params(first), train, validation, names, how, 1 / max(count, 1))
+    history.extend(ended.history)
+    return job.numbers([ended.params] * len(job.used)), ended.status
 
 
 def correlation(infos: Sequence[Info], used: Sequence[Used]) -> float:
@@ -328,17 +313,6 @@ def level_drift(job: Job, flat: jax.Array, measurements: tuple[Any, ...]) -> tup
     return np.concatenate([np.hypot(error[:, 0], error[:, 1]) for error, _ in runs]), [info for _, info in runs]
 
 
-def ratios(before: np.ndarray, after: np.ndarray, parts: Mapping[str, np.ndarray]) -> tuple[float, float, float, float]:
-    """Drift against the datasheet's, RMS and mean log: on training and validation windows, on validation windows."""
-    out = []
-    for mask in (parts["training"] | parts["validation"], parts["validation"]):
-        a, b = before[mask], after[mask]
-        out.append(float(np.sqrt(np.mean(b**2) / np.mean(a**2))))
-        log = lambda e: 0.5 * np.log(e**2 + LEAST_LOG_M**2)
-        out.append(float(np.exp(np.mean(log(b) - log(a)))))
-    return out[0], out[1], out[2], out[3]
-
-
 def choose(trials: Mapping[str, Trial]) -> str:
     """Return the candidate that predicts the validation part best, of those that do no harm; else the datasheet.
 
@@ -358,52 +332,21 @@ def does_no_harm(trial: Trial, other: Trial) -> bool:
     return max(ratios[:2]) < 1.0 and max(ratios[2:]) < FEW
 
 
-def spread(off: np.ndarray) -> dict[str, float]:
-    """Figures of drifts (W,) m."""
-    return {"rms_m": float(np.sqrt(np.mean(off**2))), "median_m": float(np.median(off)), "max_m": float(off.max())}
-
-
-def channels(infos: Sequence[Info], measurements: tuple[Any, ...], used: Sequence[Used]) -> dict[str, float]:
-    """Normalised innovations squared of every channel over all runs, in the test parts."""
-    pairs = zip(infos, used, strict=True)
-    valid = np.concatenate([np.asarray(i.valid) & (u.t > u.layout.validation)[:, None] for i, u in pairs], 1)
-    square = np.concatenate(
-        [np.asarray(i.nu) ** 2 / np.diagonal(np.asarray(i.S), axis1=-2, axis2=-1) for i in infos], 1
-    )
-    names = [f"{m.name} {axis}" for m in measurements for axis in m.channels]
-    return {n: float(square[..., i][valid[..., i]].mean()) for i, n in enumerate(names) if valid[..., i].any()}
-
-
 # ---------------------------------------------------------------------------- in words
 
 
 def table(job: Job, flat: jax.Array) -> list[Row]:
-    """Every free number with the 95 % of the tempered posterior, its prior, and a remark."""
-    info = job.objective()(flat)
-    sd = np.sqrt(np.diag(np.linalg.inv(np.asarray(info.fisher))))
-    far = np.abs(np.asarray(flat - job.centre)) / job.width
-    names, rows = labels(job.spec, job.raw), []
-    for i, (x, s, w, f, x0) in enumerate(zip(flat, sd, job.width, far, job.flat, strict=True)):
-        label, name, whose = names[job.origin[i]], job.leaves[job.origin[i]], job.owner[i]
-        transform, (unit, text) = job.spec[name], in_words(name)
-        value, low, high, before = (float(transform.forward(x + d)) / unit for d in (0.0, -1.96 * s, 1.96 * s, x0 - x))
-        prior = PRIORS[kind_of(name)]
-        remark = "the data add nothing to the prior" if s > 0.9 * w else ""
-        if f > FAR:
-            remark = f"{f:.1f} sd from the datasheet: {prior.far}"
-        label = _named(label) + (f" of {job.used[whose].name}" if whose else "")
-        rows.append(Row(label, value, low, high, before, text, prior_in_words(transform, unit, text), remark))
+    """Return every free number with the 95 % of the tempered posterior, its prior, and a remark."""
+    cov = np.linalg.inv(np.asarray(job.objective()(flat).fisher))
+    sd, far = np.sqrt(np.diag(cov)), np.abs(np.asarray(flat - job.centre)) / job.width
+    rows = []
+    for r, (at, used) in enumerate(zip(job.places, job.used, strict=True)):
+        local = Covariance(cov[np.ix_(at, at)], cov[np.ix_(at, at)], 0)
+        for i, row in zip(at, rows_of(job.spec, job.back(flat[at]), local, job.back(job.flat[at])), strict=True):
+            if job.owner[i] != r:
+                continue
+            remark = "the data add nothing to the prior" if sd[i] > 0.9 * job.width[i] else ""
+            if far[i] > FAR:
+                remark = f"{far[i]:.1f} sd from the datasheet: {PRIORS[kind_of(job.leaves[job.origin[i]])].far}"
+            rows.append(row._replace(name=row.name + (f" of {used.name}" if r else ""), remark=remark))
     return rows
-
-
-def prior_in_words(transform: Transform, unit: float, text: str) -> str:
-    """A prior in words: how far one sd is."""
-    if transform.belief is None:
-        return "none"
-    if transform.forward is LOG.forward:
-        return f"within a factor {math.exp(transform.belief.sd):.3g}"
-    return f"within {float(transform.forward(jnp.asarray(transform.belief.sd))) / unit:.3g} {text}".rstrip()
-
-
-def _named(label: str) -> str:
-    return label.removeprefix("measurements.").removeprefix("states.").removeprefix("mounting.")

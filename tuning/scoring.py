@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.filters.compiler import make_room
+from tuning.status import Status
 from tuning.uncertainty import Information
 
 LONGEST = 1.5  # of a step in any unconstrained number: a factor 4.5
@@ -68,6 +69,13 @@ def advance(search: Search, info: Information) -> Search:
 def converged(search: Search, tolerance: float = TOLERANCE) -> bool:
     """Nothing more to be had: no trial promises that much, or none that promised it could be taken."""
     return not np.any((np.asarray(search.expected) > tolerance) & (np.asarray(search.damping) < 1e5))
+
+
+def status(search: Search, tolerance: float = TOLERANCE) -> Status:
+    """Return how a search ended."""
+    if search.interrupted:
+        return Status.INTERRUPTED
+    return Status.CONVERGED if converged(search, tolerance) else Status.ITERATION_LIMIT
 
 
 def maximise(

@@ -19,6 +19,7 @@ from jaxnav.filters.compiler import make_room
 from tuning import checkpoint, distributed
 from tuning.batch import Aggregate, Data, Problem, evaluate, mean, strict
 from tuning.optimizers import adam as default_optimizer
+from tuning.status import Status
 from tuning.transforms import Spec, join, split
 
 __all__ = ["Fit", "default_optimizer", "fit"]
@@ -32,7 +33,7 @@ class Fit(NamedTuple):
     params: Any  # the best parameters met
     loss: float  # their loss, or their validation score
     history: list[dict[str, Any]]  # one row a step: step, loss, grad_norm, validation, params {name: value}
-    stopped: str  # "done", or why it ended early
+    status: Status  # converged: no better for as long as `fit` was to wait
     aside: tuple[dict[str, Any], ...] = ()  # runs that failed: run, the first step at which it did, why
 
 
@@ -146,7 +147,7 @@ def fit(
     if resume:
         at = history.reopen(at)
     at = at._replace(raw=distributed.replicate(at.raw, mesh), state=distributed.replicate(at.state, mesh))
-    stopped = "done"
+    status = Status.ITERATION_LIMIT
     bar = progress_bar(steps + 1, "step", progress, at.step)
     try:
         while at.step <= steps:
@@ -157,13 +158,13 @@ def fit(
             due = validation is None or at.step % every == 0 or at.step == steps
             at = _advance(at, train, judge if due else None, validation is not None, optimizer, many, history, bar)
             if patience is not None and at.step - 1 - at.since >= patience:
-                stopped = f"no better for {patience} steps"
+                status = Status.CONVERGED
                 break
     except KeyboardInterrupt:
-        stopped = f"interrupted at step {at.step}"
+        status = Status.INTERRUPTED
     finally:
         bar.close()
-    return Fit(join(spec, at.best, params), at.score, history.rows, stopped, tuple(history.aside))
+    return Fit(join(spec, at.best, params), at.score, history.rows, status, tuple(history.aside))
 
 
 def _job(

@@ -176,6 +176,9 @@ def intervals(spec: Spec, raw: dict[str, jax.Array], cov: Covariance, level: flo
     return [Interval(name, v, a, b, s, s < VAGUE) for name, v, a, b, s in rows]
 
 
+MOST_NAMED = 6  # parameters of one combination
+
+
 def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = VAGUE) -> list[str]:
     """In words, which parameters or combinations of them the data do not determine; empty where they do all.
 
@@ -187,7 +190,7 @@ def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = VAGUE)
         sd = float(np.sqrt(max(variance, 0.0)))
         if sd < vague:
             break
-        part = [i for i in np.argsort(-np.abs(axis)) if abs(axis[i]) > 0.3]
+        part = [i for i in np.argsort(-np.abs(axis)) if abs(axis[i]) > 0.3 * np.abs(axis).max()][:MOST_NAMED]
         size = f"a factor {np.exp(sd):.3g}" if sd < np.log(1e3) else "any amount"
         if len(part) == 1:
             out.append(f"{names[part[0]]} is not determined by these data: one sd is {size}")

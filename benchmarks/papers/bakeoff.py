@@ -14,13 +14,11 @@ import numpy as np
 
 from benchmarks import common
 from jaxnav.analysis.tables import table
-from jaxnav.app import bakeoff_report
-from jaxnav.app.config import Tune
-from jaxnav.app.contest import Kind, Plan, contest
-from jaxnav.app.jobs.bakeoff import filters
 from jaxnav.simulate.scenarios import CIRCLE, FWEKF, GIPKF, READINGS, SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.simulate.trajectories import Urban
+from tuning import contest_report
+from tuning.contest import Kind, Plan, contest, filters
 
 FIXES = 400  # of every run
 SHORT = 0.1  # of the hour on the circle, and of its faults
@@ -29,8 +27,8 @@ NAMES = (
     "fwekf15", "fwekf_combined", "ekf15_gate",
 )  # fmt: skip
 QUICK = ("gpid",)
-FULL_BUDGET = Tune(steps=20, rate=0.2, runs=3, validation_runs=3, test_runs=16)
-QUICK_BUDGET = Tune(steps=2, rate=0.2, runs=1, validation_runs=1, test_runs=2)
+FULL_BUDGET: dict[str, Any] = {"steps": 20, "rate": 0.2, "runs": (3, 3, 16)}
+QUICK_BUDGET: dict[str, Any] = {"steps": 2, "rate": 0.2, "runs": (1, 1, 2)}
 
 
 class Contest(NamedTuple):
@@ -76,11 +74,11 @@ CONTESTS = {
 }  # fmt: skip
 
 
-def plan(which: Contest, budget: Tune, seed: int) -> Plan:
+def plan(which: Contest, budget: Mapping[str, Any], seed: int) -> Plan:
     """The contest with what the filters are told: in every type what they would be in the plain one."""
     told = matched_params(which.plain)
     trained, unseen = (tuple(Kind(each, told) for each in group) for group in (which.trained, which.unseen))
-    return Plan(trained, unseen, budget, seed, cov_stride=10)
+    return Plan(trained, unseen, **budget, seed=seed, cov_stride=10)
 
 
 def summary(results: Mapping[str, dict]) -> str:
@@ -88,7 +86,7 @@ def summary(results: Mapping[str, dict]) -> str:
     names = {name for result in results.values() for name in result["filters"]}
     head, columns = ["filter"], []
     for contest_name, result in results.items():
-        for group in bakeoff_report.GROUPS:
+        for group in contest_report.GROUPS:
             head += [f"{contest_name}, {group}"]
             columns.append({name: about[group] for name, about in result["filters"].items()})
     mean = {
@@ -96,7 +94,7 @@ def summary(results: Mapping[str, dict]) -> str:
     }
     rows = []
     for name in sorted(names, key=lambda n: mean[n]):
-        cells = [bakeoff_report.ratio(c[name]["against"]["ekf15"]) if name != "ekf15" else "1" for c in columns]
+        cells = [contest_report.ratio(c[name]["against"]["ekf15"]) if name != "ekf15" else "1" for c in columns]
         rows.append([name, *cells, mean[name]])
     metres = [f"{c['ekf15']['position_m']:.2f} m" for c in columns]
     return table([*head, "mean"], [*rows, ["(ekf15 itself)", *metres, ""]])
@@ -118,10 +116,10 @@ def main(argv: list[str]) -> int:
     for name in args.contest or (["gpid"] if args.quick else CONTESTS):
         this = plan(CONTESTS[name], budget, args.seed)
         found, stopped = contest(names, this, progress=True)
-        results[name] = bakeoff_report.verdict(found, this)
-        print(f"\n{name}: {bakeoff_report.text(results[name])}", flush=True)
+        results[name] = contest_report.verdict(found, this)
+        print(f"\n{name}: {contest_report.text(results[name])}", flush=True)
         if args.json:
-            bakeoff_report.draw(results[name], Path(args.json).with_name(f"bakeoff_{name}.png"))
+            contest_report.draw(results[name], Path(args.json).with_name(f"bakeoff_{name}.png"))
         common.write_json(args.json, {"seed": args.seed, "contests": results})
         if stopped:
             print(f"stopped {stopped}")

@@ -174,7 +174,7 @@ def tuned(name: str, path: Path) -> dict:
     split, honest = found.used[0].layout.validation, {}
     for key in dict.fromkeys(k for k in ("datasheet", "auto", found.chosen) if k in found.trials):
         trial = found.trials[key]
-        honest[key] = judged(rec, trial.filter, trial.params, found.start, split)
+        honest[key] = judged(rec, trial.filter, trial.params, found.used[0].begin, split)
     clock = next((r for r in found.rows if r.name == "clock_drift"), None)
     return {
         "ran": True, "drift_ratio": after / before, "datasheet_m": before, "tuned_m": after,

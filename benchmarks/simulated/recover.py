@@ -27,7 +27,8 @@ from jaxnav.simulate.simulation import matched_params, simulate
 from jaxnav.states.grades import GRADES
 from jaxnav.types import Params
 from tuning import scoring, uncertainty
-from tuning.likelihood import Surface, answers
+from tuning.likelihood import Surface, rows
+from tuning.report import Row
 from tuning.transforms import LOG, Spec, join, labels, split, tied
 from tuning.uncertainty import Information
 
@@ -75,7 +76,7 @@ def recording(imu: str, factor: float) -> dict:
     start = flat + np.log(factor)
     found = scoring.maximise(inform, start, report=show(packed.t.size))
     tuned = join(SPEC, back(found.raw), true)
-    said = answers(Surface(inform, raw, packed.t.size), SPEC, tuned, true)
+    said = rows(Surface(inform, raw, packed.t.size), SPEC, tuned, true, {})
     names = {"true": true, "start": join(SPEC, back(start), true), "tuned": tuned}
     scores = {name: navego.solve(rec, p, instantaneous=False) for name, p in names.items()}
     print(f"NaveGo {imu}, every parameter started x{factor:g}, RMSE after {navego.SETTLED:g} s")
@@ -89,16 +90,15 @@ def recording(imu: str, factor: float) -> dict:
     return result | {"innovation_rms": scores["tuned"][1], "imu": imu, "factor": factor} | told(said)
 
 
-def told(said: dict) -> dict:
-    """The parameters with the truth in the datasheet's place, printed."""
+def told(said: tuple[list[Row], list[str]]) -> dict:
+    """Print the parameters, the truth in the datasheet's place, and return them."""
     rows = {}
-    for name, p in said["parameters"].items():
-        rows[name] = {k: p[k] for k in ("value", "low", "high", "unit", "identified")} | {"truth": p["datasheet"]}
-        known = f"{p['low']:.4g} to {p['high']:.4g}" if p["identified"] else "not determined"
-        print(f"  {name:36} {p['value']:10.4g}   {known:24} truth {p['datasheet']:.4g} {p['unit']}")
-    for text in said["identifiability"]:
+    for p in said[0]:
+        rows[p.name] = {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "truth": p.datasheet}
+        print(f"  {p.name:36} {p.value:10.4g}   {p.low:10.4g} to {p.high:<10.4g} truth {p.datasheet:.4g} {p.unit}")
+    for text in said[1]:
         print(f"  {text}")
-    return {"parameters": rows, "identifiability": said["identifiability"]}
+    return {"parameters": rows, "identifiability": said[1]}
 
 
 def show(fixes: int):

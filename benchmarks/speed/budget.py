@@ -23,13 +23,12 @@ from benchmarks.recordings import drive, navego
 from benchmarks.speed import rivals
 from jaxnav import data as io
 from jaxnav.analysis import metrics
-from jaxnav.app.sources import simulated
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import URBAN_SHORT
-from jaxnav.simulate.simulation import matched_params
+from jaxnav.simulate.simulation import matched_params, simulate_runs
 from jaxnav.types import Epoch, Info, Nav, Params
 from tuning import objectives, scoring, uncertainty
 from tuning.batch import Data, Problem, evaluate, mean
@@ -116,7 +115,7 @@ def town(count: int, late: float = 0.0, seed: int = 0) -> tuple[Runs, Params, in
     """Simulated drives in town with an outage each; fixes may be late."""
     imu = URBAN_SHORT.imu._replace(imu_noise_factor=5.0)
     what = URBAN_SHORT._replace(imu_rate_hz=10.0, imu=imu, gnss=URBAN_SHORT.gnss._replace(latency_s=late))
-    sims = simulated(what, jax.random.split(jax.random.key(seed), count))
+    sims = simulate_runs(what, jax.random.split(jax.random.key(seed), count))
     ends = jnp.sum(sims.truth.t[:, None] <= sims.outages[:, :, 1:] + 1e-6, axis=-1) - 1
     runs = Runs(sims.initial, sims.epochs, ~sims.hidden, ends, sims.truth.pos)
     return runs, per_axis(matched_params(what)), sims.epochs.imu.dt.shape[-1]

@@ -114,42 +114,26 @@ else:
 class Tune:
     """What is tuned, for what, on what."""
 
-    free: tuple[str, ...] = ("noise", "timing", "rule")  # groups, or dotted names such as noise.gyro
-    objective: dict[str, float] = dataclasses.field(
-        default_factory=lambda: {"log_drift": 1.0, "nll": 1.0}
-    )  # name -> weight
+    free: tuple[str, ...] = ()  # groups, or dotted names such as noise.gyro; empty: noise and timing, with the fixes
+    #   of recordings, or the rule of simulated runs
     frozen: tuple[str, ...] = ()  # taken out of ``free`` again
     own: tuple[str, ...] = ()  # recordings together: what each has of its own, such as "timing", of ``free``
-    tied: tuple[str, ...] = ()  # one number for all axes
-    correlated: tuple[str, ...] = ()  # white and bias-driving noise, fixes: correlations between the axes too
     prior: dict[str, float] = dataclasses.field(default_factory=dict)  # name -> one sd about the datasheet: a factor
     #   for what is positive (2 is "within a factor 2"), else in the parameter's own unit
-    priors: str = "datasheet"  # tempered: what is believed about it before any data, see `tuning.priors`; or "none"
-    over_runs: str = "mean"  # how runs are put together: mean, log_mean (scenarios alike), tail (the worst ones)
-    tail: float = 0.25  # share of the runs that count as the worst; 0: the worst alone
-    # auto: tempered for one recording, adam for what is simulated, or where an objective of your own is set; adam, sgd,
-    method: str = "auto"  # lbfgs; scoring, for the objective nll alone; tempered, see `tuning.recorded`
+    priors: str = "datasheet"  # or "none": maximum likelihood, see `tuning.priors`
+    # auto: tempered for recordings, adam for simulated runs and for an objective of your own; also sgd, lbfgs, and
+    method: str = "auto"  # scoring, for simulated runs and the objective nll; tempered: see `tuning.recorded`
+    objective: dict[str, float] = dataclasses.field(
+        default_factory=lambda: {"log_drift": 1.0, "nll": 1.0}
+    )  # of a gradient method: name -> weight
     steps: int = 40  # updates of a gradient method, evaluations of scoring
     rate: float = 0.1  # of a gradient method: a step of 0.1 is 10 % of what is positive
-    warmup: float = 0.0  # share of the steps in which the rate rises
-    clip: float = 0.0  # largest gradient norm of one run; 0: none
-    patience: int = 0  # stop after so many steps without a better one; 0: never
-    starts: int = 1  # starting points side by side, the others drawn about the first
-    spread: float = 3.0  # factor that one sd of them is worth
-    redraw: bool = False  # new windows, or new simulated runs, at every step
-    target: str = ""  # another filter, tuned as it measures and estimates: kfgins, navego, px4, ardupilot, ...
     more: tuple[str, ...] = ()  # further sources to tune on together, as [data] source
-    intervals: bool = True  # say how well the innovations determine what was tuned
-    posterior: int = 0  # draws from the posterior by NUTS, needs the extra `bayes`
+    target: str = ""  # another filter, tuned as it measures and estimates: kfgins, navego, px4, ardupilot, ...
+    outage_s: float = 0.0  # recorded: length of the hidden windows; 0: by the recording's length
     runs: int = 8  # simulated: for training
     validation_runs: int = 4  # to choose the best step
-    test_runs: int = 8  # kept aside
-    train: float = 0.5  # recorded: share of time for training, from the start
-    validation: float = 0.15  # then this share; the rest is held out
-    outage_s: float = 15.0  # recorded: length of hidden windows
-    outage_every_s: float = 45.0  # their spacing in a run
-    settle_s: float = 30.0  # no window before this long after the start
-    phases: int = 5  # runs, each with its windows shifted by an equal part of outage_every_s
+    test_runs: int = 8  # to judge
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,7 +147,7 @@ class Mc:
 
 @dataclasses.dataclass(frozen=True)
 class Bakeoff:
-    """Filters against each other; [tune] has the budget (steps, rate, clip, runs), [mc] limit_m what diverged."""
+    """Filters against each other; [tune] has the budget (steps, rate, runs), [mc] limit_m what diverged."""
 
     unseen: tuple[str, ...] = ()  # scenarios to test on that no filter is tuned on, besides those of [data] source
 
@@ -246,22 +230,10 @@ LIMITS: dict[str, tuple[float, float]] = {
     "measurements.velocity.latency_s": (-10.0, 10.0),
     "tune.steps": (0, 1_000_000),
     "tune.rate": (1e-9, 10.0),
-    "tune.tail": (0.0, 1.0),
-    "tune.warmup": (0.0, 0.9),
-    "tune.clip": (0.0, 1e12),
-    "tune.patience": (0, 1_000_000),
-    "tune.starts": (1, 1000),
-    "tune.spread": (1.001, 1e3),
-    "tune.posterior": (0, 1_000_000),
     "tune.runs": (1, 1_000_000),
     "tune.validation_runs": (1, 1_000_000),
     "tune.test_runs": (1, 1_000_000),
-    "tune.train": (0.05, 0.9),
-    "tune.validation": (0.05, 0.9),
-    "tune.outage_s": (0.1, 3600.0),
-    "tune.outage_every_s": (0.2, 36000.0),
-    "tune.settle_s": (0.0, 36000.0),
-    "tune.phases": (1, 100),
+    "tune.outage_s": (0.0, 3600.0),
     "mc.runs": (1, 10_000_000),
     "mc.chunk": (1, 10_000),
     "mc.limit_m": (1e-3, math.inf),

@@ -1,42 +1,25 @@
 """From a configuration to what a filter runs on: start, parameters, epochs."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from jaxnav.app.config import Config, Tune, as_dict, changed
-from jaxnav.app.sources import load, scenario_of
+from jaxnav.app.config import Config, as_dict, changed
 from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start, start
-from jaxnav.filters import core
 from jaxnav.filters.border import in_user_units, override
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.parameters import datasheet_params, history_for, mounting
+from jaxnav.filters.parameters import datasheet_params, mounting
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.states.grades import GRADES, Grade
-from jaxnav.types import ConfigError, Nav, Params, Recording, nearest
-from tuning.free import specify
-from tuning.transforms import Spec
+from jaxnav.types import ConfigError, Params, Recording, nearest
 
-REACH = 0.25  # s, latency that tuning may add
 AUTO, DATASHEET = "auto", "consumer"
 """Grade whose noise and latency are found from the recording, and the datasheet whose noise is scaled for it."""
 NOISE = ("noise.gyro", "noise.accel")
-
-
-class ReadyRun(NamedTuple):
-    """One recording, ready to run."""
-
-    recording: Recording
-    filter: core.Filter
-    measurements: tuple[Measurement, ...]
-    params: Params
-    packed: ep.Packed  # nothing hidden
-    navs: Nav  # (B, ...) the start, or one for each hypothesis of the heading
-    begun: Start  # where it starts, and how
 
 
 # ---------------------------------------------------------------------------- filter and parameters
@@ -109,29 +92,6 @@ def base_params(
     return override(params._replace(feedback=entry.feedback_theta()), as_dict(config))
 
 
-def prepare(config: Config, tuned: bool = False) -> ReadyRun:
-    """Read or simulate, initialize, and pack; nothing hidden yet.
-
-    Args:
-        config: the configuration.
-        tuned: whether tuning may add latency, which takes history.
-
-    Raises:
-        DataError: data that cannot be used. ConfigError: names that are not known.
-    """
-    name, scenario = filter_name(config), scenario_of(config)
-    grade, measurements = grade_of(config, scenario), measurements_of(config)
-    rec = load(config)
-    params = base_params(config, grade, rec.lever_arm)
-    initial = start_of(config, rec, params)
-    params = initial.given(params)
-    interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
-    packed = ep.pack_recording(rec, measurements, initial.t, interval, config.data.stop, standing_of(config))
-    history = history_for(params, 1 / float(np.median(rec.imu.dt)), np.ptp(rec.imu.t), REACH if tuned else 0.0)
-    filt = build(name, measurements, config.filter.cov_stride, history, states=config.filter.states)
-    return ReadyRun(rec, filt, measurements, params, packed, initial.navs, initial)
-
-
 def states_noise(config: Config) -> bool:
     """Return whether [noise] states the white noise of the IMU, as a tuned.toml does."""
     return any(value is not None for value in vars(config.noise).values())
@@ -143,14 +103,6 @@ def with_noise(config: Config, params: Params, measurements: tuple[str, ...]) ->
     found = in_user_units(params, (*NOISE, "mounting.time_offset", *scales))
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}
     return changed(config, {"filter.grade": DATASHEET, **values})
-
-
-def tune_spec(tune: Tune, filter_name: str, measurements: tuple[Measurement, ...], sheet: Params) -> Spec:
-    """What [tune] frees, see `tuning.free.specify`."""
-    return specify(
-        filter_name, measurements, sheet, free=tune.free, frozen=tune.frozen, tied=tune.tied,
-        correlated=tune.correlated, prior=tune.prior,
-    )  # fmt: skip
 
 
 def standing_of(config: Config) -> ep.Standing:

@@ -1,6 +1,5 @@
 """Where data comes from: simulated runs, public data sets, recordings at a path."""
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +9,12 @@ import jax.numpy as jnp
 from jaxnav import data as io
 from jaxnav.app.config import Config
 from jaxnav.data.read import read
-from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.run import require_x64
 from jaxnav.measurements import with_data
 from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.readings import equipped
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
-from jaxnav.simulate.simulation import Simulated, simulate, sizes, to_recording
+from jaxnav.simulate.simulation import simulate_runs, to_recording
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import BIASES, chosen
 from jaxnav.types import ConfigError, DataError, Recording, nearest
@@ -107,31 +105,6 @@ def _like(name: str, value: Any, default: Any) -> Any:
     raise ConfigError(f"{name} must be like {default!r}, got {value!r}")
 
 
-SAMPLE, EPOCH = 300.0, 1000.0  # bytes of a simulated IMU sample, of an epoch, with what is in the works
-
-
-def simulated(scenario: Scenario, keys: jax.Array) -> Simulated:
-    """Runs of the scenario (leading axis of ``keys``).
-
-    Raises:
-        ConfigError: a scenario that does not fit together.
-    """
-    try:
-        epochs, samples = sizes(scenario)
-        hours = f"{len(keys)} runs of {scenario.duration_s:g} s at {scenario.imu_rate_hz:g} Hz"
-        require_memory(len(keys) * epochs * (samples * SAMPLE + EPOCH), hours)
-        return _simulated(scenario, keys)
-    except DataError:
-        raise
-    except ValueError as error:
-        raise ConfigError(f"data.options: {error}") from error
-
-
-@partial(jax.jit, static_argnums=0)
-def _simulated(scenario: Scenario, keys: jax.Array) -> Simulated:
-    return jax.vmap(partial(simulate, scenario))(keys)
-
-
 def load(config: Config) -> Recording:
     """Return the recording that [data] names, read or simulated.
 
@@ -141,7 +114,7 @@ def load(config: Config) -> Recording:
     data, scenario = config.data, scenario_of(config)
     require_x64(jnp.zeros((), float))
     if scenario is not None:
-        sims = simulated(scenario, run_key(config.seed, Purpose.SINGLE, 0)[None])
+        sims = simulate_runs(scenario, run_key(config.seed, Purpose.SINGLE, 0)[None])
         sim = jax.tree.map(lambda a: a[0], sims)
         if scenario.sensors or scenario.sensor_states:
             sim = equipped(sim, scenario, jax.random.fold_in(run_key(config.seed, Purpose.SINGLE, 0), EQUIPMENT))

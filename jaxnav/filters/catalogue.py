@@ -226,7 +226,7 @@ def _named(built: Filter, name: str, extended: Callable[..., Filter] | None) -> 
     keeping = built.keeping
     assert keeping is not None  # make_filter gives it
     kept = lambda samples: _named(keeping(samples), name, extended)
-    return built._replace(params=_params(name, built.model), keeping=kept, extended=extended)
+    return built._replace(params=_params(name, built.model), keeping=kept, extended=extended, name=name)
 
 
 @cache

@@ -149,6 +149,7 @@ class Filter(NamedTuple):
     keeping: Callable[[int], "Filter"] | None = None  # the same filter with another ``history``
     extended: Callable[..., "Filter"] | None = None  # (*names of states) -> the same filter with those on top
     smooths: bool = False  # see `Rule`
+    name: str = ""  # in the catalogue
 
 
 def only_if(flag: jax.Array, c: Correction, z: Innovation, memory: Any) -> Correction:

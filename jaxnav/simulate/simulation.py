@@ -3,6 +3,7 @@
 Each purpose has its own key folded in: another GNSS noise, IMU or start does not change the drive.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.data import start as alignment
+from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.parameters import datasheet_params, late, mounting
 from jaxnav.filters.run import require_x64, track
 from jaxnav.maths import earth, rotations, units
@@ -19,7 +21,7 @@ from jaxnav.simulate.processes import normal
 from jaxnav.simulate.scenarios import PATTERN, Scenario, Start
 from jaxnav.simulate.trajectories import Point, Shape, shape_of, travel
 from jaxnav.states.grades import GRADES
-from jaxnav.types import Epoch, Fix, Imu, ImuLog, Nav, Origin, Params, Recording, Samples, Track
+from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Nav, Origin, Params, Recording, Samples, Track
 
 DRIVE, SENSOR, RECEIVER, OUTAGES, START = range(5)  # the purposes that are folded into the key
 
@@ -175,6 +177,31 @@ def matched_params(scenario: Scenario, rule: Any = (), feedback: Any = ()) -> Pa
     left = np.hypot(grade.arw / np.sqrt(start.alignment_s), grade.gyro_instability)
     known = params.states["gyro_bias"]._replace(sd=jnp.asarray(left, float))
     return params._replace(states=params.states | {"gyro_bias": known})
+
+
+SAMPLE, EPOCH = 300.0, 1000.0  # bytes of a simulated IMU sample and of an epoch, with intermediate results
+
+
+def simulate_runs(scenario: Scenario, keys: jax.Array) -> Simulated:
+    """Return runs of the scenario, one for each of ``keys`` (B,).
+
+    Raises:
+        ConfigError: a scenario that does not fit together. DataError: more memory than there is.
+    """
+    try:
+        epochs, samples = sizes(scenario)
+        hours = f"{len(keys)} runs of {scenario.duration_s:g} s at {scenario.imu_rate_hz:g} Hz"
+        require_memory(len(keys) * epochs * (samples * SAMPLE + EPOCH), hours)
+        return _runs_jit(scenario, keys)
+    except DataError:
+        raise
+    except ValueError as error:
+        raise ConfigError(f"data.options: {error}") from error
+
+
+@partial(jax.jit, static_argnums=0)
+def _runs_jit(scenario: Scenario, keys: jax.Array) -> Simulated:
+    return jax.vmap(partial(simulate, scenario))(keys)
 
 
 def to_recording(sim: Simulated, scenario: Scenario, t0: float = 0.0) -> Recording:

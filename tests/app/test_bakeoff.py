@@ -11,9 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav.app import bakeoff_report, cli, contest
-from jaxnav.app.config import Tune
-from jaxnav.app.contest import ContestRuns, Kind, Plan
+from jaxnav.app import cli
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.run import initial_nav
@@ -21,13 +19,16 @@ from jaxnav.simulate.scenarios import CIRCLE, GIPKF, SCENARIOS
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.states.table import BIASES
 from jaxnav.types import Epoch, Fix, Imu, Info
+from tuning import contest, contest_report
+from tuning.contest import ContestRuns, Kind, Plan
+from tuning.status import Status
 from tuning.train import Fit
 from tuning.transforms import labels, split
 from tuning.validation import paired_ratio
 
 E, METRES = 30, 1e-7  # epochs; rad of latitude a metre, nearly
 SD = {"ekf9": 6.0, "ekf15": 3.0, "gpid": 1.5}  # m, of the fixes that each toy sees
-BUDGET = Tune(steps=15, rate=0.3, runs=3, validation_runs=2, test_runs=6)
+BUDGET = {"steps": 15, "rate": 0.3, "runs": (3, 2, 6)}
 
 
 @cache
@@ -68,11 +69,11 @@ def toy_runs(plan: Plan) -> contest.Runs:
         )  # the datasheet follows every fix
         return ContestRuns(nominal, nav, Epoch(imu, fix), truth)
 
-    b = plan.budget
+    train, validation, test = plan.runs
     kinds = range(len(plan.trained) + len(plan.unseen))
     trained = kinds[: len(plan.trained)]
-    return contest.Runs([case(i, b.runs, 0) for i in trained], [case(i, b.validation_runs, 1) for i in trained],
-                        [case(i, b.test_runs, 2) for i in kinds])  # fmt: skip
+    return contest.Runs([case(i, train, 0) for i in trained], [case(i, validation, 1) for i in trained],
+                        [case(i, test, 2) for i in kinds])  # fmt: skip
 
 
 @pytest.fixture
@@ -89,12 +90,12 @@ def toys(monkeypatch):
 def plan() -> Plan:
     nominal = matched_params(CIRCLE)
     kinds = [Kind(CIRCLE._replace(name=name), nominal) for name in ("a", "b", "c")]
-    return Plan(tuple(kinds[:2]), tuple(kinds[2:]), BUDGET)
+    return Plan(tuple(kinds[:2]), tuple(kinds[2:]), **BUDGET)
 
 
 def test_tuning_helps_on_other_runs_and_the_better_filter_wins(toys, plan):
     found, stopped = contest.contest(list(SD), plan)
-    result = bakeoff_report.verdict(found, plan)
+    result = contest_report.verdict(found, plan)
     assert not stopped and list(result["filters"]) == ["gpid", "ekf15", "ekf9"]
     for name, about in result["filters"].items():
         seen = about["trained"]
@@ -121,8 +122,9 @@ def test_a_run_that_fails_counts_as_the_limit(toys, plan):
 
 
 def run_verb(tmp_path, *more) -> int:
-    budget = [arg for key in ("steps", "rate", "runs", "validation_runs", "test_runs")
-              for arg in ("--set", f"tune.{key}={getattr(BUDGET, key)}")]  # fmt: skip
+    values = [BUDGET["steps"], BUDGET["rate"], *BUDGET["runs"]]
+    keys = ("steps", "rate", "runs", "validation_runs", "test_runs")
+    budget = [arg for key, value in zip(keys, values, strict=True) for arg in ("--set", f"tune.{key}={value}")]
     return cli.main(["bakeoff", "--data", "gpid_circle,gpid_circle_white", "--unseen", "gpid_circle_ramp",
                      "--filter", "gpid", "--out", str(tmp_path / "out"), "--quiet", *budget, *more])  # fmt: skip
 
@@ -143,7 +145,7 @@ def test_ctrl_c_keeps_the_filters_that_are_finished(toys, tmp_path, monkeypatch,
 
     def fit(*args, **_):
         done.append(args)
-        return Fit(args[2], 0.0, [], "done" if len(done) < 3 else "interrupted at step 1")
+        return Fit(args[2], 0.0, [], Status.CONVERGED if len(done) < 3 else Status.INTERRUPTED)
 
     monkeypatch.setattr(contest, "fit", fit)
     assert run_verb(tmp_path) == 130
@@ -195,7 +197,7 @@ def test_filter_of_a_plan_serves_all_its_scenarios(monkeypatch):
     monkeypatch.setattr(contest, "build", lambda name, **options: asked.update(options))
     late = SCENARIOS["gipkf_urban_stress"]
     kinds = tuple(Kind(s, matched_params(s)) for s in (CIRCLE, late, late._replace(imu_rate_hz=15.0)))
-    contest.filter_for("ekf9", Plan(kinds, (), BUDGET))
+    contest.filter_for("ekf9", Plan(kinds, ()))
     assert asked == {"cov_stride": 5, "history": 2 + 3}  # 10 and 15 samples; 0.15 s at 15 Hz
 
 

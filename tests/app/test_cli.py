@@ -5,19 +5,20 @@ import json
 import os
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxnav.analysis import navigate
-from jaxnav.app import batches, cli, config, objectives, prepare, sources
-from jaxnav.app.jobs import filtering, tune
+from jaxnav.app import cli, config, prepare, sources
+from jaxnav.app.jobs import filtering
 from jaxnav.app.results import staged
 from jaxnav.data import read_recording, write_recording
 from jaxnav.types import FilterError
+from tuning import runs
+from tuning.status import Status
+from tuning.train import Fit
 
 SMALL = ["--set", "data.options.standstill_s=4", "--set", "filter.cov_stride=25", "--set", "out.figures=false"]
 TINY = [
@@ -29,8 +30,6 @@ TINY = [
     "tune.test_runs=2",
     "--set",
     "tune.steps=1",
-    "--set",
-    "tune.intervals=false",
     "--filter",
     "kf9_simple",
 ]
@@ -330,58 +329,35 @@ def test_tune_scenario_then_filter_with_its_parameters(capsys):
     argv = ["tune", "--data", "urban_short", "--json", *SMALL[:4], *TINY, *what]
     assert cli.main([*argv, "--out", "t", "--set", "data.gnss_latency_s=0.2"]) == 0
     metrics = json.loads(capsys.readouterr().out)["metrics"]
-    assert metrics["steps"] == 2 and metrics["known"]["measurements.position.latency_s"] == 0.2
-    before, after = (np.array(metrics["per_window"][k]) for k in ("before_m", "after_m"))
-    assert before.shape == after.shape == (2,) and not np.array_equal(before, after)
-    assert metrics["paired_gain"]["gain"] == pytest.approx(np.sqrt(np.mean(before**2) / np.mean(after**2)))
+    rows = metrics["parameters"]
+    assert rows["position.latency"]["remark"] == "simulated with 0.2" and rows["position.latency"]["datasheet"] == 0
+    test = np.array(metrics["per_window"]["test"])
+    before, after = (np.array(metrics["per_window"][f"{name}_m"]) for name in ("datasheet", "tuned"))
+    assert before.shape == after.shape == (4,) and test.sum() == 2 and not np.array_equal(before, after)
+    assert metrics["test"]["tuned"]["rms_m"] == pytest.approx(np.sqrt(np.mean(after[test] ** 2)))
+    assert metrics["runs"] == {"urban_short": {"training": 1, "validation": 1, "test": 2}}
     history = [json.loads(line) for line in cli.Path("t/history.jsonl").read_text().splitlines()]
     assert [row["step"] for row in history] == [0, 1] and "noise.gyro_deg_per_sqrt_hour" in history[0]["params"]
-    assert {"outage_drift.png", "tuning.png", "errors.png", "tuned.toml"} <= {p.name for p in cli.Path("t").iterdir()}
+    assert {"outage_drift.png", "tuning.png", "tuned.toml"} <= {p.name for p in cli.Path("t").iterdir()}
 
     tuned = config.read_params("t/tuned.toml")
     c = config.resolve([("", tuned)])
-    assert c.noise.gyro_deg_per_sqrt_hour == pytest.approx(metrics["params_after"]["noise.gyro_deg_per_sqrt_hour"])
+    assert c.noise.gyro_deg_per_sqrt_hour == pytest.approx(rows["noise.gyro"]["value"])
     grade = prepare.grade_of(config.resolve([("", {"filter": {"grade": "tactical"}})]), None)
     params = prepare.base_params(c, grade, np.zeros(3), 1.0, 0.1)
-    assert float(params.measurements["velocity"].latency) == pytest.approx(
-        metrics["params_after"]["measurements.velocity.latency_s"]
-    )
+    assert float(params.measurements["velocity"].latency) == pytest.approx(rows["velocity.latency"]["value"])
 
 
 def test_ctrl_c_in_tuning_keeps_the_best(monkeypatch, capsys):
     def interrupted(loss, spec, params, *rest, **more):
         row = {"step": 0, "loss": 1.0, "grad_norm": 1.0, "params": {"noise.gyro": 1e-4}}
-        return tune.Fit(params, 1.0, [row], "interrupted at step 1")
+        return Fit(params, 1.0, [row], Status.INTERRUPTED)
 
-    monkeypatch.setattr(tune, "fit", interrupted)
+    monkeypatch.setattr(runs, "fit", interrupted)
     argv = ["tune", "--data", "urban_short", "--quiet", *SMALL, *TINY, "--set", "data.gnss_latency_s=0.2", "--out", "t"]
     assert cli.main(argv) == 130
-    assert json.loads(cli.Path("t/run.json").read_text())["stopped"] == "interrupted at step 1"
+    assert json.loads(cli.Path("t/run.json").read_text())["stopped"] == "interrupted"
     assert "interrupted" in capsys.readouterr().err and cli.Path("t/tuned.toml").exists()
-
-
-def test_recorded_split_keeps_the_test_out_of_every_objective(drive):
-    sizes = {"outage_s": 5.0, "outage_every_s": 10.0, "settle_s": 5.0, "phases": 2, "train": 0.4, "validation": 0.25}
-    tree = {"data": {"source": str(drive)}, "filter": {"cov_stride": 25}, "tune": sizes}
-    m = batches.from_recording(config.resolve([("", tree)]))
-    E = [b.keep.shape[1] for b in (m.train, m.validation, m.test)]
-    assert E[0] < E[1] < E[2] == m.t.size  # a run for training ends before anything that is scored later begins
-    for part, batch in enumerate((m.train, m.validation, m.test)):
-        ends, scored = np.asarray(batch.ends), np.asarray(batch.scored)
-        lower = E[part - 1] if part else 0
-        assert scored.any() and (ends[scored] >= lower).all() and (ends[scored] < E[part]).all()
-        valid, keep, own = (np.asarray(a) for a in (batch.epochs.fix.valid, batch.keep, batch.part))
-        assert keep.any(1).all() and (keep <= own).all() and not valid[own & ~keep].any()
-        assert (np.flatnonzero(own.any(0)) >= lower).all()  # nothing counts that an earlier part has seen
-        assert not np.take_along_axis(keep, ends, 1)[scored].any()
-    assert m.blocks.size == int(m.test.scored.sum())
-    # not even an error of before in the objective that knows the truth
-    run = jax.tree.map(lambda a: a[0], m.test)
-    first = int(np.argmax(np.asarray(run.part)))
-    nav = jax.tree.map(lambda a: jnp.broadcast_to(a, (E[2], *a.shape)), run.nav)
-    for i, counts in ((first - 1, False), (first, True)):
-        info = SimpleNamespace(nav=nav._replace(pos=run.truth.lla.at[i, 2].add(100.0)))
-        assert (float(objectives.score_of("rmse")(info, run)) > 1.0) == counts
 
 
 def test_data_check_of_a_recording(drive, tmp_path, capsys):

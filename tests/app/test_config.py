@@ -111,7 +111,7 @@ def test_frozen():
 @pytest.mark.parametrize(
     "setting, bound",
     [("tune.runs=0", "[1, "), ("mc.runs=0", "[1, "), ("mc.chunk=0", "[1, "), ("tune.validation_runs=0", "[1, "),
-     ("tune.clip=-1", "[0, "), ("tune.patience=-1", "[0, "), ("filter.lag_s=-1", "[0, "),
+     ("tune.outage_s=-1", "[0, "), ("tune.steps=-1", "[0, "), ("filter.lag_s=-1", "[0, "),
      ("mc.limit_m=-1", "[0.001, ")],
 )  # fmt: skip
 def test_numbers_that_mean_nothing_are_refused_with_their_bounds(setting, bound):

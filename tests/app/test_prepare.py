@@ -10,23 +10,25 @@ import pytest
 
 from jaxnav.analysis import evaluate
 from jaxnav.analysis.navigate import Solution
-from jaxnav.analysis.plots import stats as plots_stats
-from jaxnav.app import batches, cli, config, objectives, prepare, tune_report
+from jaxnav.app import cli, config, prepare
+from jaxnav.app.jobs import tune
 from jaxnav.app.unused import unused
 from jaxnav.app.verbs import VERBS
 from jaxnav.data import epochs, start
 from jaxnav.data import start as alignment
 from jaxnav.data.toml import to_toml
 from jaxnav.filters import border
-from jaxnav.filters.catalogue import FILTERS
+from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.parameters import datasheet_params, get, history_for, mounting, put
 from jaxnav.filters.run import initial_nav
 from jaxnav.maths import earth
-from jaxnav.measurements import GNSS, counted_from
+from jaxnav.measurements import counted_from
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError, DataError, Epoch, ImuLog, Info, Recording, Samples, Track
+from tuning import parts, runs
+from tuning.priors import spec_of
 from tuning.transforms import join, labels, split
 
 
@@ -42,7 +44,8 @@ def params_of(c: config.Config):
 def test_every_filter_has_its_parameters_and_tunes_them_by_default(name):
     params, entry = params_of(resolved(filter={"name": name})), FILTERS[name]
     assert jax.tree.structure(params.feedback) == jax.tree.structure(entry.feedback_theta())
-    spec = prepare.tune_spec(resolved().tune, name, GNSS, params)
+    filt = build(name)
+    spec = spec_of(filt, params, tune.free_of(resolved(), filt, params, tune.FREE_SIMULATED).leaves)
     leaves = {leaf for leaf in spec if leaf.startswith("rule.")}
     assert leaves == {f"rule.{leaf}" for leaf in entry.tunable}
     # what tuning moves can be written, read back, and is what the filter then has
@@ -56,13 +59,6 @@ def test_every_filter_has_its_parameters_and_tunes_them_by_default(name):
         np.testing.assert_allclose(get(again, leaf), get(moved, leaf), rtol=1e-14)
 
 
-def test_a_table_is_shown_whole_and_a_root_without_its_zeros():
-    table, root = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0], [0.0, 1.0, 2.0]], [[1.0, 0.0], [2.0, 3.0]]
-    for value, text, n in ((table, "[1, 2, 3; 4, 5, 6; 7, 8, 9; 0, 1, 2]", 12), (root, "[1; 2, 3]", 3)):
-        assert tune_report._short(value) == text
-        assert plots_stats._components(value).size == n
-
-
 @pytest.mark.parametrize(
     "name, rule, words",
     [("fwekf", {"system.centre": 1.0}, "'centre' is not one of"), ("ekf15", {"knee": 1.0}, "no parameter 'rule.knee'"),
@@ -74,12 +70,10 @@ def test_wrong_parameters_of_a_rule_are_named(name, rule, words):
         params_of(resolved(filter={"name": name}, rule=rule))
 
 
-@pytest.mark.parametrize("key", ["tied", "correlated", "prior"])
-def test_what_is_not_free_cannot_be_tied_correlated_or_believed(key):
-    value = {"measurements.velocity.scale": 2.0} if key == "prior" else ["measurements.velocity.scale"]
-    tune = resolved(tune={"free": ["noise"], key: value}).tune
-    with pytest.raises(ConfigError, match=f"tune.{key}: measurements.velocity.scale is not in tune.free"):
-        prepare.tune_spec(tune, "ekf15", GNSS, params_of(resolved()))
+def test_what_is_not_free_has_no_prior():
+    filt, job = build("ekf15"), resolved(tune={"free": ["noise"], "prior": {"measurements.velocity.scale": 2.0}})
+    with pytest.raises(ConfigError, match="tune.prior: measurements.velocity.scale is not in tune.free"):
+        tune.free_of(job, filt, params_of(resolved()), tune.FREE_RECORDED)
 
 
 def test_a_filter_with_an_observer_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
@@ -212,36 +206,42 @@ def test_an_outage_lasts_to_the_end_of_the_data():
     assert gaps(short) == [(40.0, 60.0)] and gaps(rec) == []
 
 
+def used_of(rec: Recording, params) -> SimpleNamespace:
+    """A recording as tuning uses it, whose clock is counted from 30 s."""
+    nav = jax.tree.map(lambda a: a[0], starts(30.0))
+    return SimpleNamespace(truth=rec.truth, sheet=params, nav=nav, packed=SimpleNamespace(t=np.array([90.0])))
+
+
 def test_the_truth_of_a_tuning_run_is_at_the_time_that_the_clocks_give():
     rec, t, known = northward(), np.array([0.2, 10.0, 30.5, 70.0]), {"time_offset_s": 0.25, "clock_drift_ppm": 1e4}
-    case = SimpleNamespace(recording=rec, params=params_of(resolved(mounting=known)), navs=starts(30.0))
-    truth = batches._truth(case, t)
+    used = used_of(rec, params_of(resolved(mounting=known)))
+    truth = parts.truth_of(used, t)
     np.testing.assert_array_equal(truth.known, [False, True, True, False])
     north = (np.asarray(truth.lla)[1:3, 0] - 0.8) * 6.37e6
     np.testing.assert_allclose(north, 12.0 * (t[1:3] + 0.25 + 0.01 * (t[1:3] - 30.0)), rtol=1e-9)
     np.testing.assert_allclose(np.asarray(truth.rate)[1:3, 0] * 6.37e6, 12.0, rtol=1e-6)
     late = rec._replace(truth=Track(*(a[-1:] + 1e3 * (i == 0) for i, a in enumerate(rec.truth))))
-    assert batches._truth(SimpleNamespace(recording=late, params=case.params, navs=case.navs), t) is None
+    assert parts.truth_of(used_of(late, used.sheet), t) is None
 
 
 def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):
     """Navigation is right; the truth is met where the offset is, by value and by slope."""
     offset, true = 0.1, 0.35
     t, params = np.arange(5.0, 55.0), params_of(resolved(mounting={"time_offset_s": offset}))
-    truth = batches._truth(SimpleNamespace(recording=northward(), params=params, navs=starts(30.0)), t)
+    truth = parts.truth_of(used_of(northward(), params), t)
     pos = jnp.stack([0.8 + 12.0 * (t + true) / 6.37e6, 0.2 + 0 * t, 100.0 + 0 * t], 1)
     nav = counted_from(jax.vmap(initial_nav)(pos)._replace(t=jnp.asarray(t)), 30.0)
     none = jnp.zeros((1, 1))
     info = SimpleNamespace(nav=nav, valid=none > 0, residual=none, ok=jnp.array([True]))
-    monkeypatch.setattr(objectives, "run", lambda *_: info)
-    batch = batches.Batch((), Epoch((), ()), (), (), (), (), jnp.ones(t.size, bool), truth)
-    loss = objectives.objective(None, (("rmse", 1.0),), ("mounting.time_offset",))
-    at = lambda s: float(loss(put(params, "mounting.time_offset", s), objectives.TuningCase(batch, params)))
+    monkeypatch.setattr(runs, "run", lambda *_: info)
+    r = runs.Run(params, (), Epoch((), ()), (), (), (), jnp.ones(t.size, bool), truth)
+    loss = runs.loss_of(None, (("rmse", 1.0),), ("mounting.time_offset",))
+    at = lambda s: float(loss(put(params, "mounting.time_offset", s), r))
     assert at(offset) == pytest.approx(12.0 * (true - offset) / 3, rel=1e-3) and at(true) < 1e-3
-    loss = objectives.objective(None, (("rmse", 1.0),), ("mounting.time_offset", "mounting.clock_drift"))
+    loss = runs.loss_of(None, (("rmse", 1.0),), ("mounting.time_offset", "mounting.clock_drift"))
     drifting = put(put(params, "mounting.time_offset", true), "mounting.clock_drift", 1e-3)
     error = 12.0 * 1e-3 * np.sqrt(np.mean((t - 30.0) ** 2)) / 3
-    assert float(loss(drifting, objectives.TuningCase(batch, params))) == pytest.approx(error, rel=1e-3)
+    assert float(loss(drifting, r)) == pytest.approx(error, rel=1e-3)
 
 
 def test_a_solution_is_told_at_gnss_time():
@@ -257,7 +257,7 @@ def vector(info, epochs, truth):
 
 
 def test_an_objective_gives_one_number():
-    score = objectives.score_of("tests.app.test_prepare:vector")
+    score = runs.score_of("tests.app.test_prepare:vector")
     with pytest.raises(ConfigError, match=r"'tests.app.test_prepare:vector' must give one number, got shape \(2,\)"):
         score((), SimpleNamespace(epochs=(), truth=None))
 
@@ -270,7 +270,7 @@ def test_history_covers_what_is_known_and_what_tuning_adds():
     stress = matched_params(SCENARIOS["gipkf_urban_stress"])  # 0.15 s late
     assert history_for(stress, 10.0, 60.0) == 4
     assert history_for(stress, 100.0, 60.0) >= 17
-    assert history_for(stress, 100.0, 60.0, prepare.REACH) >= 2 + 100 * (0.15 + prepare.REACH)
+    assert history_for(stress, 100.0, 60.0, parts.REACH) >= 2 + 100 * (0.15 + parts.REACH)
     assert history_for(sheet(time_offset=-1.0), 100.0, 60.0) == 2
     assert history_for(sheet(clock_drift=-1e-3), 100.0, 60.0) >= 2 + 100 * 0.03
 

@@ -12,7 +12,7 @@ from jaxnav.types import Recording
 def drive() -> Recording:
     """A simulated drive of 60 s, fixes at 1 Hz."""
     options = {"duration_s": 60.0, "imu_rate_hz": 50.0, "gnss_rate_hz": 1.0, "outages_s": []}
-    return load(resolve([("", {"data": {"source": "urban_short", "options": options}})]))[0]
+    return load(resolve([("", {"data": {"source": "urban_short", "options": options}})]))
 
 
 def fixes(drive: Recording, **columns) -> Parts:

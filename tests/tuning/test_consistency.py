@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from jaxnav.analysis import metrics
-from jaxnav.app.contest import applied, datasheet, spec_of
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate
+from tuning.contest import applied, datasheet, spec_of
 from tuning.objectives import innovation_nll
 from tuning.optimizers import adam
 from tuning.train import fit

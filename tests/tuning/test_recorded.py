@@ -22,11 +22,14 @@ from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
-from jaxnav.types import DataError, Samples
-from tuning import evidence, priors, recorded
+from jaxnav.types import ConfigError, DataError, Samples
+from tuning import evidence, priors, recorded, report
 from tuning.evidence import Job
-from tuning.parts import PHASES, Layout, Used, ages, parts_of, plan, window_of, windows_of
-from tuning.recorded import Trial, choose, correlation, ratios
+from tuning.parts import PHASES, Layout, Used, ages, parts_of, plan, runs_of, window_of, windows_of
+from tuning.recorded import choose, correlation
+from tuning.report import Trial, ratios
+from tuning.runs import Descent, score_of
+from tuning.status import Status
 from tuning.uncertainty import gaussian
 
 
@@ -60,7 +63,7 @@ def job(rec, ekf):
     spec, parts = priors.spec_of(ekf, sheet, ("noise", "fixes")), parts_of(layout, windows)
 
     def use(packed=packed):
-        return Used("town", begin, sheet, nav, packed, prepare(ekf, packed.epochs), layout, windows, parts)
+        return Used("town", begin, sheet, nav, packed, prepare(ekf, packed.epochs), layout, windows, parts, rec.truth)
 
     def make(packed=packed):
         return Job(ekf, spec, [use(packed)])
@@ -79,8 +82,8 @@ def test_what_is_found_has_the_prior_that_was_given_and_not_the_posterior_of_one
         assert params.prior.correlated is None
     assert np.asarray(sheet.states["gyro_bias"].sd).min() < 0.8 * given.states["gyro_bias"].sd
     again = start(rec, found.params)
-    np.testing.assert_allclose(again.navs.errors["gyro_bias"], found.start.navs.errors["gyro_bias"], atol=1e-5)
-    np.testing.assert_allclose(again.prior.attitude, found.start.prior.attitude, rtol=0.1)
+    np.testing.assert_allclose(again.navs.errors["gyro_bias"], found.used[0].begin.navs.errors["gyro_bias"], atol=1e-5)
+    np.testing.assert_allclose(again.prior.attitude, found.used[0].begin.prior.attitude, rtol=0.1)
 
 
 # ---------------------------------------------------------------------------- what is minimised
@@ -299,10 +302,10 @@ def test_a_prior_is_told_as_it_is():
     """Of a factor, of a step in the user's unit, of none."""
     params = build("ekf15").params("consumer")
     spec = priors.spec_of(build("ekf15"), params, ("noise.gyro", "mounting.time_offset"), {"noise.gyro": 4.0})
-    assert recorded.prior_in_words(spec["noise.gyro"], 1.0, "deg") == "within a factor 4"
-    assert recorded.prior_in_words(spec["mounting.time_offset"], 1e-3, "ms") == "within 100 ms"
+    assert report.prior_in_words(spec["noise.gyro"], 1.0, "deg") == "within a factor 4"
+    assert report.prior_in_words(spec["mounting.time_offset"], 1e-3, "ms") == "within 100 ms"
     free = priors.spec_of(build("ekf15"), params, ("noise.gyro",), priors=False)
-    assert recorded.prior_in_words(free["noise.gyro"], 1.0, "deg") == "none"
+    assert report.prior_in_words(free["noise.gyro"], 1.0, "deg") == "none"
 
 
 def test_correlation_from_fix_to_fix_is_an_autoregressions():
@@ -386,9 +389,42 @@ def test_ctrl_c_leaves_the_best_so_far(rec, ekf, found):
             raise KeyboardInterrupt
 
     less = tuning.tune(rec, ekf, ekf.params("adis16465"), free=("noise", "fixes"), say=say)
-    assert less.stopped and not found.stopped and set(less.trials) == {"datasheet", "auto", "tuned"}
+    assert (
+        less.status is Status.INTERRUPTED
+        and found.status is not Status.INTERRUPTED
+        and set(less.trials) == {"datasheet", "auto", "tuned"}
+    )
     np.testing.assert_array_equal(less.trials["auto"].drift, found.trials["auto"].drift)
     assert len(less.history) < len(found.history) and "position.scale" in str(less)
+
+
+def test_an_objective_is_minimised_by_gradient_over_the_training_windows(rec, ekf, found, job):
+    """The same split, start, verdict and table; nothing that is scored later, or was earlier, enters the objective."""
+    how = Descent({"log_drift": 1.0, "nll": 1.0}, steps=2)
+    own = tuning.tune(rec, ekf, ekf.params("adis16465"), free=("noise", "fixes"), how=how)
+    assert set(own.trials) == {"datasheet", "auto", "tuned"} and own.status is Status.ITERATION_LIMIT
+    np.testing.assert_array_equal(own.trials["auto"].drift, found.trials["auto"].drift)
+    assert [row["step"] for row in own.history] == [0, 1, 2] and "noise.gyro" in own.history[0]["params"]
+    assert {row.name for row in own.rows} == {row.name for row in found.rows}
+    make, packed, layout = job
+    used = make.use()
+    for part, begin, end in (
+        ("training", packed.start + layout.settle, layout.train), ("validation", layout.train, layout.validation),
+    ):  # fmt: skip
+        size = int(np.searchsorted(packed.t, end + ep.TICK))
+        r, t = runs_of(used, ekf, part, size), packed.t[:size]
+        keep, scored = np.asarray(r.keep), np.asarray(r.scored)
+        assert scored.sum() == used.parts[part].sum() and (t[np.asarray(r.ends)[scored]] <= end).all()
+        assert (t[keep.any(0)] > begin).all() and not np.take_along_axis(keep, np.asarray(r.ends), 1)[scored].any()
+        assert (np.asarray(r.epochs.fix.valid)[..., :2].any(-1) <= ~used.windows.hidden[:, :size]).all()
+        first = int(np.argmax(np.asarray(r.part)[0]))  # an error before it does not count
+        one = jax.tree.map(lambda a: a[0], r)
+        nav = jax.tree.map(lambda a, n=size: jnp.broadcast_to(a, (n, *a.shape)), one.nav)
+        for i, counts in ((first - 1, False), (first, True)):
+            info = SimpleNamespace(nav=nav._replace(pos=one.truth.lla.at[i, 2].add(100.0)))
+            assert (float(score_of("rmse")(info, one)) > 1.0) == counts
+    with pytest.raises(ConfigError, match="tune.own goes with the tempered method"):
+        tuning.tune([rec, rec], ekf, ekf.params("adis16465"), free=("noise",), own=("noise.gyro",), how=how)
 
 
 def test_a_recording_that_is_too_short_is_refused(rec, ekf):

@@ -13,7 +13,7 @@ from benchmarks.recordings import peers, peers_kfgins
 from jaxnav import build, recording
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
-from jaxnav.app.jobs.tune_recorded import for_target, is_for
+from jaxnav.app.jobs.tune import by_runs, for_target
 from jaxnav.data.epochs import pack_recording
 from jaxnav.data.formats.kfgins import read_kfgins_gnss, read_kfgins_imu
 from jaxnav.data.start import Start
@@ -107,7 +107,7 @@ def test_kfgins_starts_from_the_mean_and_the_sd_of_the_initialization(rec, begin
 def test_settings_that_are_the_target_s_are_refused(tmp_path, capsys):
     set_to = lambda **filt: resolve([("", {"filter": filt, "tune": {"target": "kfgins"}})])
     config = for_target(set_to(), TARGETS["kfgins"])
-    assert config.filter.states == ("gyro_scale", "accel_scale") and is_for(config)
+    assert config.filter.states == ("gyro_scale", "accel_scale") and not by_runs(config)
     for own, words in (({"name": "ekf9"}, "filter.name"), ({"states": ["wind"]}, "filter.states")):
         with pytest.raises(ConfigError, match=words):
             for_target(set_to(**own), TARGETS["kfgins"])

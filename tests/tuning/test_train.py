@@ -10,6 +10,7 @@ import optax
 import pytest
 
 from tuning import optimizers
+from tuning.status import Status
 from tuning.train import default_optimizer, fit
 from tuning.transforms import LOG, believed, scaled
 
@@ -36,7 +37,7 @@ def test_finds_the_minimum_and_one_compilation_serves_other_data():
         assert float(result.params.width) == pytest.approx(centre, rel=2e-2)
         assert float(result.params.shift) == pytest.approx(-0.2, abs=2e-2)
         assert float(result.params.frozen) == 7.0
-        assert result.stopped == "done" and len(result.history) == 151
+        assert result.status is Status.ITERATION_LIMIT and len(result.history) == 151
 
 
 def test_keeps_the_best_by_validation_and_counts_the_start():
@@ -71,7 +72,7 @@ def test_ctrl_c_returns_the_best_so_far(monkeypatch):
 
     monkeypatch.setattr(tuning.train, "_step", step)
     result = fit(bowl, SPEC, START, 150, default_optimizer(150, 0.1, 10.0), arguments=(jnp.array(2.0),))
-    assert result.stopped == "interrupted at step 3" and len(result.history) == 3
+    assert result.status is Status.INTERRUPTED and len(result.history) == 3
     assert result.loss == min(row["loss"] for row in result.history)
 
 
@@ -154,7 +155,7 @@ def test_starts_side_by_side_find_the_better_valley():
 
 def test_stops_when_nothing_gets_better():
     found = fit(of_run, SPEC, START, 300, optax.adam(0.2), arguments=(jnp.array(2.0),), patience=10)
-    assert found.stopped == "no better for 10 steps" and len(found.history) < 300
+    assert found.status is Status.CONVERGED and len(found.history) < 300
 
 
 def test_lbfgs_needs_few_steps_and_keeps_out_of_what_fails():
@@ -190,4 +191,4 @@ def test_new_cases_are_drawn_once_a_step():
 def test_patience_is_counted_from_the_best_step():
     """Of a loss that nothing changes the start is the best, and so many steps come after it."""
     found = fit(lambda p: 1.0 + 0.0 * p.shift, {"shift": scaled(1.0)}, START, 50, optax.adam(0.1), patience=4)
-    assert found.stopped == "no better for 4 steps" and [row["step"] for row in found.history] == [0, 1, 2, 3, 4]
+    assert found.status is Status.CONVERGED and [row["step"] for row in found.history] == [0, 1, 2, 3, 4]

@@ -186,6 +186,9 @@ def test_combinations_that_the_data_cannot_tell_apart_are_named():
     (text,) = uncertainty.identifiability(["a", "b"], uncertainty.covariance(idle.fisher, idle.blocks).model)
     assert text.startswith("b is not determined")
     assert uncertainty.identifiability(["a"], np.array([[0.01]])) == []
+    many = 40 * np.ones((40, 40)) + 1e-4 * np.eye(40)  # a combination of all, to which each adds a sixth of one
+    (text,) = uncertainty.identifiability([f"p{i}" for i in range(40)], many)
+    assert text.count(", p") >= 4 and "cannot be told apart" in text
 
 
 def test_a_belief_determines_what_the_data_do_not():

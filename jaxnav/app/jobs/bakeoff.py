@@ -4,16 +4,14 @@ import dataclasses
 import time
 from pathlib import Path
 
-from jaxnav.app import bakeoff_report
 from jaxnav.app.config import Config, as_dict
-from jaxnav.app.contest import REFERENCES, Kind, Plan, contest
 from jaxnav.app.jobs import mc
-from jaxnav.app.results import Outcome
+from jaxnav.app.results import Outcome, picture
 from jaxnav.filters.border import override
-from jaxnav.filters.catalogue import FILTERS
 from jaxnav.simulate.simulation import matched_params
-from jaxnav.types import ConfigError, nearest
-from tuning import distributed
+from jaxnav.types import ConfigError
+from tuning import contest_report, distributed
+from tuning.contest import Kind, Plan, contest, filters
 
 
 def bakeoff(config: Config, folder: Path, progress: bool = False, devices: int = 1) -> Outcome:
@@ -26,22 +24,12 @@ def bakeoff(config: Config, folder: Path, progress: bool = False, devices: int =
     begin = time.perf_counter()
     names, plan = filters(config.filter.name), plan_of(config)
     found, stopped = contest(names, plan, progress, distributed.mesh(devices))
-    result = bakeoff_report.verdict(found, plan)
-    bakeoff_report.write(folder, result, config.out.figures)
-    return Outcome(result, bakeoff_report.text(result), {"bakeoff": time.perf_counter() - begin}, stopped)
-
-
-def filters(text: str) -> list[str]:
-    """The filters that a list A,B,... names, or all of them; the references first.
-
-    Raises:
-        ConfigError: there is no such filter.
-    """
-    given = list(FILTERS) if text.strip() == "all" else [name.strip() for name in text.split(",")]
-    for name in given:
-        if name not in FILTERS:
-            raise ConfigError(f"filter.name: no filter {name!r}: {nearest(name, FILTERS)}")
-    return list(dict.fromkeys([*REFERENCES, *given]))
+    result = contest_report.verdict(found, plan)
+    contest_report.write(folder, result)
+    if config.out.figures:
+        with picture("the ranking"):
+            contest_report.draw(result, folder / "bakeoff.png")
+    return Outcome(result, contest_report.text(result), {"bakeoff": time.perf_counter() - begin}, stopped)
 
 
 def plan_of(config: Config) -> Plan:
@@ -57,7 +45,9 @@ def plan_of(config: Config) -> Plan:
     if config.tune.test_runs < 2:
         raise ConfigError("tune.test_runs: an interval needs 2 runs or more")
     first, unseen = (tuple(_kind(config, name) for name in names) for names in (trained, config.bakeoff.unseen))
-    return Plan(first, unseen, config.tune, config.seed, config.mc.limit_m, config.filter.cov_stride)
+    t = config.tune
+    runs = (t.runs, t.validation_runs, t.test_runs)
+    return Plan(first, unseen, t.steps, t.rate, runs, config.seed, config.mc.limit_m, config.filter.cov_stride)
 
 
 def _kind(config: Config, name: str) -> Kind:

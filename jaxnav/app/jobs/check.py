@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 
 import jax
+import numpy as np
 
 from jaxnav import data as io
 from jaxnav.analysis.observability import in_words as in_words_of
@@ -14,12 +15,15 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import checkup as plots_checkup
 from jaxnav.app.config import Config, Data, resolve
 from jaxnav.app.jobs.filtering import describe, describe_text
-from jaxnav.app.prepare import prepare
+from jaxnav.app.prepare import base_params, grade_of, measurements_of, standing_of, start_of
 from jaxnav.app.results import Outcome, picture
 from jaxnav.data.checkup import Finding, checkup
+from jaxnav.data.epochs import pack_recording
 from jaxnav.data.json import write_json
 from jaxnav.data.read import read
 from jaxnav.data.toml import inline
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.parameters import history_for
 from jaxnav.types import ConfigError, DataError, Recording
 
 MOST, WINDOW = 2000, 30.0  # epochs, and s at a time, in which it is asked what the motion shows of the states
@@ -42,7 +46,7 @@ def check(config: Config, folder: Path) -> Outcome:
     if "position" in rec.aiding:
         begin = time.perf_counter()
         (folder / "config.toml").write_text(configuration(config.data, rec, found), encoding="utf-8")
-        seen = shown(folder / "config.toml")
+        seen = shown(folder / "config.toml", rec)
         seconds["states"] = time.perf_counter() - begin
     if config.out.figures:
         with picture("the recording"):
@@ -51,13 +55,19 @@ def check(config: Config, folder: Path) -> Outcome:
     return Outcome(about, "\n".join([in_words(rec, found), *(f"  {line}" for line in seen)]), seconds)
 
 
-def shown(file: Path) -> list[str]:
-    """What the motion shows of the states that a configuration has, or why that cannot be said."""
+def shown(file: Path, rec: Recording) -> list[str]:
+    """Return what the motion shows of the states that a configuration has, or why that cannot be said."""
     try:
-        case = prepare(resolve([(str(file), tomllib.loads(file.read_text(encoding="utf-8")))]))
+        config = resolve([(str(file), tomllib.loads(file.read_text(encoding="utf-8")))])
+        params = base_params(config, grade_of(config, None), rec.lever_arm)
+        begin, measurements = start_of(config, rec, params), measurements_of(config)
+        params = begin.given(params)
+        packed = pack_recording(rec, measurements, begin.t, stop=config.data.stop, standing=standing_of(config))
+        history = history_for(params, 1 / float(np.median(rec.imu.dt)), np.ptp(rec.imu.t))
+        filt = build(config.filter.name, measurements, config.filter.cov_stride, history, states=config.filter.states)
         cut = lambda a: a[:MOST]
-        first, epochs = jax.tree.map(lambda a: a[0], case.navs), jax.tree.map(cut, case.packed.epochs)
-        return in_words_of(observability(case.filter, case.params, first, epochs, cut(case.packed.t), WINDOW), WINDOW)
+        first, epochs = jax.tree.map(lambda a: a[0], begin.navs), jax.tree.map(cut, packed.epochs)
+        return in_words_of(observability(filt, params, first, epochs, cut(packed.t), WINDOW), WINDOW)
     except (ConfigError, DataError, ValueError) as error:
         return [f"what its motion shows of the states is not known: {error}"]
 

@@ -1,81 +1,88 @@
-"""`jaxnav tune` and `jaxnav demo`: tune on training data by gradient, show the gain on test data."""
+"""`jaxnav tune` and `jaxnav demo`: tune on training data, show the gain on test data."""
 
 import dataclasses
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.app import tune_report
-from jaxnav.app.batches import Material, from_recording, from_scenario
-from jaxnav.app.config import Config, for_source
-from jaxnav.app.jobs import tune_recorded
+from jaxnav.analysis.navigate import navigate
+from jaxnav.analysis.plots import base as plots
+from jaxnav.analysis.plots import stats as plots_stats
+from jaxnav.app.config import Config, Tune, for_source
 from jaxnav.app.long import Long, identity
-from jaxnav.app.objectives import LOST, TuningCase, aggregate, check_objective, objective
-from jaxnav.app.prepare import base_params, filter_name, grade_of, measurements_of, tune_spec
+from jaxnav.app.prepare import base_params, filter_name, grade_of, measurements_of, standing_of, start_of
 from jaxnav.app.results import Outcome, picture, stderr
-from jaxnav.app.scores import compare, has_windows, runs_jit, score
-from jaxnav.app.sources import scenario_of
-from jaxnav.filters.run import first_failure
-from jaxnav.types import ConfigError, DataError, FilterError, Params, nearest
-from tuning import distributed, likelihood
+from jaxnav.app.sources import load, scenario_of
+from jaxnav.data.start import Start
+from jaxnav.filters.border import unit_of
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.core import Filter
+from jaxnav.measurements import GNSS, MEASUREMENTS
+from jaxnav.simulate.scenarios import SCENARIOS, Scenario
+from jaxnav.types import ConfigError, Params, Recording, nearest
+from tuning import distributed, tune_simulated
+from tuning import tune as tune_recordings
+from tuning.free import constant, groups, leaves_of, of_rule, transform_of
 from tuning.optimizers import OPTIMIZERS
-from tuning.train import Fit, fit
-from tuning.transforms import LOG, Spec, join, leaves, merged, split
+from tuning.report import Tuned, shown, user_history
+from tuning.runs import Descent, check_objective
+from tuning.status import Status
+from tuning.targets import TARGETS, Target
+from tuning.transforms import LOG
 
-METHODS = ("auto", "tempered", *OPTIMIZERS, "scoring")
+METHODS = ("auto", "tempered", "scoring", *OPTIMIZERS)
+RUNS = ("runs", "Horizontal error of a run, RMS (m)")  # what a figure of errors shows where no window is hidden
+FREE_RECORDED = ("noise", "fixes", "timing")
+FREE_SIMULATED = ("noise", "timing", "rule")
+
+
+class Result(NamedTuple):
+    """What tuning found, and what goes with it."""
+
+    found: Tuned
+    lines: list[str]  # after the table
+    recording: Recording | None = None  # the first one
+    start: Start | None = None  # of it
+    target: Target | None = None
 
 
 def tune(config: Config, folder: Path, progress: bool = False, long: Long | None = None) -> Outcome:
-    """Tune, compare before and after on test data, write parameters, history and figures.
+    """Tune, judge on test data, write parameters, history, metrics and figures.
 
     Raises:
+        ConfigError: settings that do not go together.
+        DataError: a recording that cannot be used, or is too short.
         FilterError: the starting filter stops being finite.
         CheckpointError: nothing usable to resume from.
     """
-    check(config)
-    if tune_recorded.is_for(config):
-        if long is not None and long.resume:
-            raise ConfigError("--resume: the tempered method keeps no checkpoints, it takes some forty evaluations")
-        return tune_recorded.tune_recorded(config, folder, progress)
     long = Long() if long is None else long
-    if config.tune.method == "auto":
-        config = dataclasses.replace(config, tune=dataclasses.replace(config.tune, method="adam"))
-    seconds, begin = {}, time.perf_counter()
-    materials = prepare(config)
-    config = with_objective(config, materials)
-    main = materials[0]
-    spec = tune_spec(config.tune, filter_name(config), main.measurements, main.sheet)
-    if progress:
-        stderr("\n".join([*(m.about for m in materials), f"free: {', '.join(spec)}"]))
-    seconds["prepare"], begin = time.perf_counter() - begin, time.perf_counter()
-    before = score(materials, main.params, ())
-    seconds["before"], begin = time.perf_counter() - begin, time.perf_counter()
-    surface = likelihood.surface([m.source for m in materials], spec, main.params)
-    found = search(config, materials, spec, surface, progress, long)
-    seconds["tune"], begin = time.perf_counter() - begin, time.perf_counter()
-    after = score(materials, found.params, leaves(spec))
-    gain = compare(before, after, config.seed)
-    seconds["after"], begin = time.perf_counter() - begin, time.perf_counter()
-    about = likelihood.answers(surface, spec, found.params, main.sheet) if config.tune.intervals else {}
-    if config.tune.posterior:
-        draws = config.tune.posterior
-        about |= likelihood.draw(surface, [m.source for m in materials], spec, found.params, draws, config.seed)
-    seconds["intervals"], begin = time.perf_counter() - begin, time.perf_counter()
-    result = tune_report.report(materials, found, list(spec), before, after, gain, about)
-    tune_report.write(folder, main, found, list(spec), result)
+    simulated = by_runs(config)
+    check(config, simulated)
+    begin = time.perf_counter()
+    say = stderr if progress else lambda line: None
+    result = (on_scenarios if simulated else on_recordings)(config, long, progress, say)
+    found, seconds = result.found, {"tune": time.perf_counter() - begin}
+    begin = time.perf_counter()
+    found.write(folder, config.filter.states, exports=result.target is None)
+    if result.target and result.recording and result.start:
+        result.target.write(folder, result.recording, found.params, result.start)
     if config.out.figures:
-        with picture("the tuning"):
-            tune_report.draw(folder, main, found, before, after)
+        draw(folder, result)
     seconds["write"] = time.perf_counter() - begin
-    stopped = found.stopped if found.stopped.startswith("interrupted") else ""
-    return Outcome(result, tune_report.text(result, config), seconds, stopped)
+    stopped = "interrupted" if found.status is Status.INTERRUPTED else ""
+    return Outcome(found.metrics(), "\n".join([str(found), *result.lines]), seconds, stopped)
 
 
-def check(config: Config) -> None:
+def by_runs(config: Config) -> bool:
+    """Are many simulated runs tuned on? Else each source is one recording, a scenario's with its truth."""
+    sources = (config.data.source, *config.tune.more)
+    return all(s in SCENARIOS for s in sources) and not config.tune.target and config.tune.method != "tempered"
+
+
+def check(config: Config, simulated: bool) -> None:
     """Refuse settings that do not go together, before anything is read.
 
     Raises:
@@ -83,129 +90,179 @@ def check(config: Config) -> None:
     """
     t = config.tune
     check_objective(t.objective)
-    aggregate(t)
     if t.method not in METHODS:
         raise ConfigError(f"tune.method: no method {t.method!r}: {nearest(t.method, METHODS)}")
+    if t.priors not in ("datasheet", "none"):
+        raise ConfigError(f'tune.priors must be "datasheet" or "none", got {t.priors!r}')
+    if t.target and t.target not in TARGETS:
+        raise ConfigError(f"tune.target: no target {t.target!r}: {nearest(t.target, TARGETS)}")
+    if t.target and t.method not in ("auto", "tempered"):
+        raise ConfigError(f"tune.target goes with the tempered method, not {t.method}")
+    if t.method == "scoring" and not simulated:
+        raise ConfigError('tune.method: scoring is for simulated runs; for recordings "tempered" with tune.priors')
     if t.method == "scoring" and {name for name, w in t.objective.items() if w} != {"nll"}:
-        raise ConfigError(f'tune.method: {t.method} is for tune.objective = "nll" alone')
-    plain = type(t)()
-    unused = [k for k in ("starts", "patience", "redraw", "over_runs", "clip") if getattr(t, k) != getattr(plain, k)]
-    if t.method == "scoring" and unused:
-        raise ConfigError(
-            f"tune.{unused[0]}: {t.method} has no use for it: it climbs the likelihood of all training data"
-        )
-    sheet = base_params(config, grade_of(config, scenario_of(config)), np.zeros(3), 1.0, 1.0)
-    tune_spec(t, filter_name(config), measurements_of(config), sheet)
+        raise ConfigError('tune.method: scoring is for tune.objective = "nll" alone')
 
 
-def prepare(config: Config) -> list[Material]:
-    """The material of [data] source and of every source of tune.more.
-
-    Raises:
-        DataError: data that cannot be used. ConfigError: see `check_objective`.
-    """
-    materials = []
-    for i, source in enumerate((config.data.source, *config.tune.more)):
-        own = dataclasses.replace(for_source(config, source), seed=config.seed + i) if i else config
-        scenario = scenario_of(own)
-        material = from_scenario(own, scenario) if scenario is not None else from_recording(own)
-        check_objective(config.tune.objective, material.train.truth is not None)
-        materials.append(material)
-    return materials
+def descent_of(config: Config, long: Long, progress: bool) -> Descent:
+    """Return the gradient search that [tune] states."""
+    t = config.tune
+    method = "adam" if t.method == "auto" else t.method
+    if method == "scoring" and long.resume:
+        raise ConfigError("--resume: scoring keeps no checkpoints")
+    return Descent(
+        t.objective, method, t.steps, t.rate, long.keep, long.resume, identity(config),
+        distributed.mesh(long.devices), progress,
+    )  # fmt: skip
 
 
-def with_objective(config: Config, materials: list[Material]) -> Config:
-    """The objective as stated; its default, where nothing is hidden that could drift, is the error against the truth.
+class Free(NamedTuple):
+    """What [tune] frees."""
+
+    leaves: list[str]
+    own: list[str]  # of which each recording has a value of its own
+    widths: dict[str, float]  # priors in SI, by leaf
+
+
+def free_of(config: Config, filt: Filter, params: Params, usual: tuple[str, ...]) -> Free:
+    """Return what [tune] frees: leaves of names, less the frozen ones.
 
     Raises:
-        ConfigError: a drift is asked for and a scenario has no outages, or one has and another has not.
+        ConfigError: a name that is not known, nothing left, or a prior that is none.
     """
-    if has_windows(materials):
-        return config
-    if any(m.windows for m in materials):
-        raise ConfigError("tune.more: sources with outages and without: their errors are not of one kind")
-    if config.tune.objective == type(config.tune)().objective:
-        return dataclasses.replace(config, tune=dataclasses.replace(config.tune, objective={"rmse": 1.0}))
-    asked = [name for name in ("drift", "log_drift") if config.tune.objective.get(name)]
-    if asked:
-        raise ConfigError(f"tune.objective: {asked[0]} needs outages, see data.options.outages_s; or take rmse or nll")
-    return config
+    t = config.tune
+    short = groups([MEASUREMENTS[name] for name in filt.model.measurements], params.states, of_rule(filt.name))
+    which = lambda key, names: leaves_of(names, short, params, f"tune.{key}")
+    frozen = set(which("frozen", t.frozen))
+    leaves = [leaf for leaf in which("free", t.free or usual) if leaf not in frozen and not constant(leaf, params)]
+    if not leaves:
+        raise ConfigError("tune.frozen: nothing is left free")
+    widths = {}
+    for key, sd in t.prior.items():
+        found = which("prior", (key,))
+        if not set(found) & set(leaves):
+            raise ConfigError(f"tune.prior: {key} is not in tune.free, where it would have to be")
+        for leaf in found:
+            positive = transform_of(leaf).forward is LOG.forward
+            if not sd > (1.0 if positive else 0.0):
+                what = "a factor above 1" if positive else "above 0"
+                raise ConfigError(f"tune.prior.{key}: one sd must be {what}, got {sd:g}")
+            widths[leaf] = sd if positive else sd * unit_of(leaf).factor
+    return Free(leaves, which("own", t.own), widths)
 
 
-# ---------------------------------------------------------------------------- search
+# ---------------------------------------------------------------------------- recordings
 
 
-def search(
-    config: Config, materials: list[Material], spec: Spec, surface: likelihood.Surface, progress: bool, long: Long
-) -> Fit:
-    """The best parameters by validation, or by the likelihood of the training data with scoring.
+def on_recordings(config: Config, long: Long, progress: bool, say: Callable[[str], None]) -> Result:
+    """Tune on recordings: by tempered likelihood, or an objective by gradient where one is stated."""
+    t = config.tune
+    gradient = t.method in OPTIMIZERS or (t.method == "auto" and t.objective != Tune().objective)
+    if long.resume and not gradient:
+        raise ConfigError("--resume: the tempered method keeps no checkpoints, it takes some forty evaluations")
+    target = TARGETS[t.target] if t.target else None
+    if target:
+        config = for_target(config, target)
+    measurements = measurements_of(config)
+    configs = [config, *(for_source(config, source) for source in t.more)]
+    recs = [load(each) for each in configs]
+    sheets = [
+        base_params(each, grade_of(each, scenario_of(each)), rec.lever_arm)
+        for each, rec in zip(configs, recs, strict=True)
+    ]
+    if target:
+        sheets = [target.shaped(sheet) for sheet in sheets]
+        measurements = tuple(m for m in measurements if m.name in target.measurements)
+    everywhere = set.intersection(*(set(rec.aiding) for rec in recs))
+    chosen = tuple(m for m in measurements if not m.columns or m.name in everywhere or m.name == "velocity")
+    filt = build(filter_name(config), chosen, config.filter.cov_stride, states=config.filter.states)
+    free = free_of(config, filt, sheets[0], target.free if target else FREE_RECORDED)
+    begins = [start_of(*each) for each in zip(configs, recs, sheets, strict=True)]
+    found = tune_recordings(
+        recs, filt, sheets, free=free.leaves, own=free.own, widths=free.widths, begin=begins, stop=config.data.stop,
+        window=t.outage_s or None, priors=t.priors != "none", extend=target is None, standing=standing_of(config),
+        how=descent_of(config, long, progress) if gradient else None, say=say,
+    )  # fmt: skip
+    lines = [f"for {t.target} ({target.about}): {target.file}"] if target else []
+    for rec, used in zip(recs, found.used, strict=True):
+        notes = [used.facts["start"], *rec.notes.splitlines()]
+        lines += notes if len(recs) == 1 else [f"{rec.name}: {line}" for line in notes]
+    return Result(found, lines, recs[0], begins[0], target)
+
+
+def for_target(config: Config, target: Target) -> Config:
+    """Return the configuration with a target's filter and states, and none of the constraints.
 
     Raises:
-        FilterError: the objective of the start is not finite.
+        ConfigError: settings that are the target's to say.
     """
-    t, start = config.tune, materials[0].params
-    note = (lambda row: stderr(f"  {row['step']:3d}  {row['loss']:.6g}")) if progress else (lambda row: None)
-    try:
-        if t.method == "scoring" and long.resume:
-            raise ConfigError(f"--resume: {t.method} keeps no checkpoints")
-        if t.method == "scoring":
-            return likelihood.maximise(surface, spec, start, t.steps, note)
-        free = leaves(spec)
-        weights = tuple(sorted(t.objective.items()))
-        losses = [objective(m.filter, weights, free) for m in materials]
-        groups = lambda batches: [TuningCase(b, _many(m.params, b)) for m, b in zip(materials, batches, strict=True)]
-        train = groups([m.train for m in materials])
-        optimizer = OPTIMIZERS[t.method](t.steps, t.rate, 1.0, t.warmup)
-        return fit(
-            losses, spec, start, t.steps, optimizer, validation=losses, progress=progress,
-            cases=(lambda step: groups([m.redraw(step) for m in materials])) if t.redraw else train,
-            validation_cases=groups([m.validation for m in materials]),
-            names=[name for m in materials for name in m.train_names],
-            explain=lambda params, run: why(materials, params, free, run),
-            aggregate=aggregate(t), clip=t.clip or None, prior_weight=1 / max(surface.epochs, 1),
-            starts=starts(config, spec, start), patience=t.patience or None,
-            folder=long.keep, resume=long.resume, identity=identity(config),
-            mesh=distributed.mesh(long.devices),
-        )  # fmt: skip
-    except DataError:
-        raise
-    except ValueError as error:
-        raise FilterError(f"{materials[0].about}: {error}") from error
+    plain, own = Config(), config.filter
+    for key, value in (("name", target.filter), ("states", target.states)):
+        if getattr(own, key) not in (getattr(plain.filter, key), value):
+            raise ConfigError(f"filter.{key}: tune.target says what filter it is: {target.about}")
+    return dataclasses.replace(config, filter=dataclasses.replace(own, name=target.filter, states=target.states))
 
 
-def _many(params: Params, runs: Any) -> Params:
-    """The parameters once for every run."""
-    count = runs.keep.shape[0]
-    return jax.tree.map(lambda a: jnp.broadcast_to(a, (count, *jnp.shape(a))), params)
+# ---------------------------------------------------------------------------- simulated
 
 
-def starts(config: Config, spec: Spec, params: Params) -> list[Params]:
-    """More starting points, drawn about the first with an sd of the factor tune.spread (a unit's worth elsewhere)."""
-    rng, raw = np.random.default_rng(config.seed), split(spec, params)
-    found = []
-    for _ in range(config.tune.starts - 1):
-        moved = {}
-        for name, value in raw.items():
-            logs = spec[name].forward is LOG.forward or spec[name].axes
-            size = np.log(config.tune.spread) if logs else 1.0
-            moved[name] = value + size * rng.normal(size=np.shape(value))
-        found.append(join(spec, moved, params))
-    return found
+def on_scenarios(config: Config, long: Long, progress: bool, say: Callable[[str], None]) -> Result:
+    """Tune over simulated runs of scenarios by gradient; where nothing is hidden, by default for the RMS error."""
+    t = config.tune
+    configs = [config, *(for_source(config, source) for source in t.more)]
+    scenarios = [scenario for each in configs if (scenario := scenario_of(each)) is not None]
+    for each, scenario in zip(configs, scenarios, strict=True):
+        require_plain(each, scenario)
+    if t.objective == Tune().objective and not any(s.gnss.outages_s or s.gnss.random_outages for s in scenarios):
+        config = dataclasses.replace(config, tune=dataclasses.replace(t, objective={"rmse": 1.0}))
+    params = [simulated_params(each, scenario) for each, scenario in zip(configs, scenarios, strict=True)]
+    filt = build(filter_name(config), GNSS, config.filter.cov_stride, states=config.filter.states)
+    free = free_of(config, filt, params[0], FREE_SIMULATED)
+    found = tune_simulated(
+        scenarios, filt, params, descent_of(config, long, progress), free=free.leaves, widths=free.widths,
+        priors=t.priors != "none", counts=(t.runs, t.validation_runs, t.test_runs), seed=config.seed, say=say,
+    )  # fmt: skip
+    return Result(found, [])
 
 
-def why(materials: list[Material], params: Params, free: tuple[str, ...], index: int) -> str:
-    """What went wrong with a run of the training, counted over all materials."""
-    for m in materials:
-        if index < len(m.train_names):
-            break
-        index -= len(m.train_names)
-    one = lambda tree: jax.tree.map(lambda a: a[index : index + 1], tree)
-    info = runs_jit(m.filter, merged(params, m.params, free), one(m.train.nav), one(m.train.epochs))
-    info = jax.tree.map(lambda a: np.asarray(a[0]), info)
-    failure = first_failure(info, m.t_train)
-    if failure:
-        return failure
-    far = np.flatnonzero((np.abs(np.where(info.valid, info.residual, 0.0)) >= LOST).any(-1))
-    if far.size:
-        return f"further than {LOST:g} from a measurement at t = {m.t_train[far[0]]:.3f} s"
-    return "its gradient is not finite"
+def require_plain(config: Config, scenario: Scenario) -> None:
+    """Raise ConfigError for what only a recording can be tuned with."""
+    if measurements_of(config) != GNSS:
+        raise ConfigError("filter: constraints are tuned on recordings: simulate one, and tune with --data FOLDER")
+    if config.start.heading == "unknown":
+        raise ConfigError('start.heading = "unknown" cannot be tuned: give degrees, "course" or "truth"')
+    if scenario.sensors or scenario.sensor_states:
+        raise ConfigError("data.options.sensors: tuned on recordings: simulate one, and tune with --data FOLDER")
+    start, own = config.start, scenario.start
+    if own.prior_tilt_sd_deg > start.tilt_sd_deg or own.prior_heading_sd_deg > start.heading_sd_deg:
+        raise ConfigError("start: tilt_sd_deg and heading_sd_deg must not be below the scenario's own")
+
+
+def simulated_params(config: Config, scenario: Scenario) -> Params:
+    """Return the parameters that a scenario's filter starts from."""
+    start, own = config.start, scenario.start
+    sd = start.position_sd_m or own.prior_position_sd_m, start.velocity_sd_mps or own.prior_velocity_sd_mps
+    return base_params(config, grade_of(config, scenario), np.array(scenario.gnss.lever_arm_m), *sd)
+
+
+# ---------------------------------------------------------------------------- figures
+
+
+def draw(folder: Path, result: Result) -> None:
+    """Draw the candidates' drift over the test windows, the search, and the winner's run over the first recording."""
+    found, test = result.found, result.found.parts["test"]
+    names = ("datasheet", shown(found.chosen, found.trials))
+    with picture("outage_drift"):
+        drift = {name: found.trials[name].drift[test] for name in names}
+        hidden = found.used[0].windows_hidden
+        fig = plots_stats.outage_drift(drift) if hidden else plots_stats.outage_drift(drift, what=RUNS)
+        plots.save(fig, folder / ("outage_drift.png" if hidden else "run_error.png"))
+    history = [row for row in user_history(found.history) if "params" in row]
+    if history:
+        with picture("the search"):
+            plots.save(plots_stats.tuning(history, {}), folder / "tuning.png")
+    if result.recording is not None and result.start is not None:
+        with picture("the run"):
+            sol = navigate(result.recording, found.filter, found.params, begin=result.start)
+            for name, fig in sol.plot().items():
+                plots.save(fig, folder / f"{name}.png")

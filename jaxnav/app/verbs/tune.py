@@ -26,16 +26,18 @@ def unused(config: Config, simulated: bool) -> dict[str, str]:
     found |= no_effect("is of jaxnav filter", "filter.smooth", "filter.lag_s")
     if simulated:
         found |= no_effect("a simulated run is used whole", "data.start", "data.stop")
+        found |= no_effect("simulated runs have the scenario's outages", "tune.outage_s")
     else:
         found |= filter.unused(config, simulated)
+        found |= no_effect("is of simulated runs", "tune.runs", "tune.validation_runs", "tune.test_runs")
     if config.tune.method in ("lbfgs", "scoring"):
-        found |= no_effect(f"{config.tune.method} finds its own steps", "tune.rate", "tune.warmup")
+        found |= no_effect(f"{config.tune.method} finds its own steps", "tune.rate")
     return found
 
 
 VERB = Verb(
     "tune",
-    "tune a filter's parameters by gradient and show the gain on test data",
+    "tune a filter's parameters and show the gain on test data",
     run,
     (
         DATA,

@@ -11,10 +11,9 @@ import numpy as np
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.analysis.tables import cell, table
-from jaxnav.app.contest import REFERENCES, Entrant, Plan, Scores
-from jaxnav.app.results import picture
 from jaxnav.data.json import write_json
 from jaxnav.filters.parameters import get
+from tuning.contest import REFERENCES, Entrant, Plan, Scores
 from tuning.transforms import labels, split
 from tuning.validation import paired_ratio
 
@@ -24,7 +23,7 @@ COLUMNS = ("position_m", "velocity_mps", "attitude_deg")
 
 def verdict(found: Mapping[str, Entrant], plan: Plan) -> dict[str, Any]:
     """Rank, geometric mean of the RMS errors and paired ratios for every filter; best on the trained kinds first."""
-    K, b = len(plan.trained), plan.budget
+    K, (train, validation, test) = len(plan.trained), plan.runs
     parts = {"trained": slice(0, K), "unseen": slice(K, None)}
     parts = parts if plan.unseen else {"trained": parts["trained"]}
     filters: dict[str, dict[str, Any]] = {}
@@ -41,8 +40,8 @@ def verdict(found: Mapping[str, Entrant], plan: Plan) -> dict[str, Any]:
             row["rank"] = i
     return {
         **{group: [kind.scenario.name for kind in getattr(plan, group)] for group in GROUPS},
-        "budget": {"steps": b.steps, "rate": b.rate, "gradients_of_a_run": (b.steps + 1) * b.runs * K, "runs": b.runs,
-                   "validation_runs": b.validation_runs, "test_runs": b.test_runs, "seed": plan.seed},
+        "budget": {"steps": plan.steps, "rate": plan.rate, "gradients_of_a_run": (plan.steps + 1) * train * K,
+                   "runs": train, "validation_runs": validation, "test_runs": test, "seed": plan.seed},
         "limit_m": plan.limit_m,
         "filters": dict(sorted(filters.items(), key=lambda item: item[1]["trained"]["rank"])),
     }  # fmt: skip
@@ -103,13 +102,10 @@ def ratio(r: Mapping[str, float]) -> str:
     return f"{cell(r['ratio'])} ({cell(r['low'])}-{cell(r['high'])})"
 
 
-def write(folder: Path, result: Mapping[str, Any], figures: bool) -> None:
-    """bakeoff.json, bakeoff.txt, and bakeoff.png where figures are wanted."""
+def write(folder: Path, result: Mapping[str, Any]) -> None:
+    """Write bakeoff.json and bakeoff.txt."""
     write_json(folder / "bakeoff.json", result)
     (folder / "bakeoff.txt").write_text(text(result) + "\n", encoding="utf-8")
-    if figures:
-        with picture("the ranking"):
-            draw(result, folder / "bakeoff.png")
 
 
 def draw(result: Mapping[str, Any], path: Path) -> None:

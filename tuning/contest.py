@@ -6,6 +6,7 @@ sensors, and what the filter's rule and feedback have of their own. What is mini
 position's RMS error over the runs: scenarios that are hard count no more than those that are easy.
 """
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import cache, partial
@@ -17,9 +18,6 @@ import numpy as np
 from jax.sharding import Mesh
 
 from jaxnav.analysis import metrics
-from jaxnav.app import config as configuration
-from jaxnav.app.results import stderr
-from jaxnav.app.sources import simulated
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
@@ -28,16 +26,17 @@ from jaxnav.filters.run import prepare, run
 from jaxnav.maths import rotations, units
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
-from jaxnav.simulate.simulation import matched_params
-from jaxnav.types import Epoch, Nav, Params
+from jaxnav.simulate.simulation import matched_params, simulate_runs
+from jaxnav.types import ConfigError, Epoch, Nav, Params, nearest
 from tuning.free import of_rule, step_of
 from tuning.optimizers import adam
+from tuning.status import Status
 from tuning.train import fit
 from tuning.transforms import LOG, Spec, tied
 
 REFERENCES = ("ekf9", "ekf15")  # always in: the Kalman filter without and with bias states
 SCALES = ("measurements.position.scale", "measurements.velocity.scale")
-CLIP = 1.0  # largest gradient norm of one run, where [tune] has none: a run of a chaotic filter must not drown the rest
+CLIP = 1.0  # largest gradient norm of one run: a run of a chaotic filter must not drown the rest
 
 
 class Kind(NamedTuple):
@@ -52,7 +51,9 @@ class Plan(NamedTuple):
 
     trained: tuple[Kind, ...]
     unseen: tuple[Kind, ...]
-    budget: configuration.Tune  # of it steps, rate, clip and the numbers of runs
+    steps: int = 40  # updates of each filter
+    rate: float = 0.1
+    runs: tuple[int, int, int] = (8, 4, 8)  # training, validation, test
     seed: int = 0
     limit_m: float = 1000.0  # a horizontal error above this is a divergence, and counts as this
     cov_stride: int = 5
@@ -84,6 +85,19 @@ class Entrant(NamedTuple):
     note: str  # why it was not tuned, or empty
     aside: tuple[dict[str, Any], ...]  # runs that failed while tuning
     seconds: float
+
+
+def filters(text: str) -> list[str]:
+    """The filters that a list A,B,... names, or all of them; the references first.
+
+    Raises:
+        ConfigError: there is no such filter.
+    """
+    given = list(FILTERS) if text.strip() == "all" else [name.strip() for name in text.split(",")]
+    for name in given:
+        if name not in FILTERS:
+            raise ConfigError(f"filter.name: no filter {name!r}: {nearest(name, FILTERS)}")
+    return list(dict.fromkeys([*REFERENCES, *given]))
 
 
 # ---------------------------------------------------------------------------- what is free, and what it does
@@ -164,7 +178,7 @@ def contest(
     found: dict[str, Entrant] = {}
     for i, name in enumerate(names):
         if progress:
-            stderr(f"{name}, {i + 1} of {len(names)}")
+            print(f"{name}, {i + 1} of {len(names)}", file=sys.stderr)
         try:
             entrant = _enter(name, plan, runs, progress, mesh)
         except KeyboardInterrupt:
@@ -187,12 +201,12 @@ class Runs(NamedTuple):
 
 def draw(plan: Plan) -> Runs:
     """Simulate all runs; those of the same number share their random numbers over the kinds."""
-    b, runs = plan.budget, Runs([], [], [])
+    (train, validation, test), runs = plan.runs, Runs([], [], [])
     for i, kind in enumerate((*plan.trained, *plan.unseen)):
-        counts = {Purpose.TRAIN: b.runs, Purpose.VALIDATION: b.validation_runs} if i < len(plan.trained) else {}
-        counts[Purpose.TEST] = b.test_runs
+        counts = {Purpose.TRAIN: train, Purpose.VALIDATION: validation} if i < len(plan.trained) else {}
+        counts[Purpose.TEST] = test
         keys = jnp.concatenate([run_keys(plan.seed, part, np.arange(n)) for part, n in counts.items()])
-        sims = simulated(kind.scenario, keys)  # all at once, since a scenario takes longer to compile than to run
+        sims = simulate_runs(kind.scenario, keys)  # all at once, since a scenario takes longer to compile than to run
         nominal = jax.tree.map(lambda a, n=len(keys): jnp.broadcast_to(a, (n, *jnp.shape(a))), kind.nominal)
         case, first = ContestRuns(nominal, sims.initial, sims.epochs, sims.truth), 0
         for part, n in counts.items():
@@ -205,21 +219,21 @@ def draw(plan: Plan) -> Runs:
 def _enter(name: str, plan: Plan, runs: Runs, progress: bool, mesh: Mesh | None) -> Entrant | None:
     """One filter tuned and scored; None where Ctrl-C cut its tuning short, which would not be the same budget."""
     make_room()
-    begin, b = time.perf_counter(), plan.budget
+    begin = time.perf_counter()
     filt, spec, start = filter_for(name, plan), spec_of(name), datasheet(name)
     before = scores_of(filt, start, runs.test, plan.limit_m)
-    named = [f"{kind.scenario.name}, run {i}" for kind in plan.trained for i in range(b.runs)]
+    named = [f"{kind.scenario.name}, run {i}" for kind in plan.trained for i in range(plan.runs[0])]
     ready = lambda cases: [case._replace(epochs=prepare(filt, case.epochs)) for case in cases]
     groups, order = together(runs.train)
     tuned, note = start, ""
     aside: tuple[dict[str, Any], ...] = ()
     try:
         done = fit(
-            loss_of(filt), spec, start, b.steps, adam(b.steps, b.rate, 10.0), validation=loss_of(filt),
+            loss_of(filt), spec, start, plan.steps, adam(plan.steps, plan.rate, 10.0), validation=loss_of(filt),
             cases=ready(groups), validation_cases=ready(together(runs.validation)[0]), names=[named[i] for i in order],
-            clip=b.clip or CLIP, progress=progress, mesh=mesh,
+            clip=CLIP, progress=progress, mesh=mesh,
         )  # fmt: skip
-        if done.stopped != "done":
+        if done.status is Status.INTERRUPTED:
             return None
         tuned, aside = done.params, done.aside
     except ValueError as error:  # every run of the start fails: it competes as it is

@@ -1,0 +1,11 @@
+"""How a search ended."""
+
+from enum import StrEnum
+
+
+class Status(StrEnum):
+    """How a search ended; its best point is kept whatever it is."""
+
+    CONVERGED = "converged"
+    ITERATION_LIMIT = "iteration_limit"
+    INTERRUPTED = "interrupted"

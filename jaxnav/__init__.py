@@ -61,6 +61,8 @@ if TYPE_CHECKING:
         ConfigError,
         DataError,
         Epoch,
+        FilterError,
+        Finding,
         Fix,
         Imu,
         ImuLog,
@@ -95,8 +97,8 @@ _HOMES = {
     "measurements": "GNSS MEASUREMENTS NONHOLONOMIC POSITION SPEED VELOCITY ZERO_RATE ZERO_VELOCITY",
     "states": "STATES State",
     "states.grades": "GRADES Grade",
-    "types": "ConfigError DataError Epoch Fix Imu ImuLog Info Mounting Nav Noise Params Prior Recording Samples "
-    "StateParams Track",
+    "types": "ConfigError DataError Epoch FilterError Finding Fix Imu ImuLog Info Mounting Nav Noise Params Prior "
+    "Recording Samples StateParams Track",
 }
 _HOME = {name: f"jaxnav.{home}" for home, names in _HOMES.items() for name in names.split()}
 _FOLDERS = ("analysis", "app", "data", "filters", "maths", "measurements", "simulate", "states", "strapdown", "types")

@@ -9,6 +9,8 @@ Frames: ``n`` local level ENU, ``b`` body FRD (forward, right, down). A specific
 
 import difflib
 from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -27,6 +29,34 @@ class FilterError(ValueError):
 
 class ConfigError(ValueError):
     """A configuration that cannot be used: names the key and the nearest known one (exit code 2)."""
+
+
+class Severity(StrEnum):
+    """How much a finding matters."""
+
+    INFO = "info"
+    WARNING = "warning"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A remark of a check, a run or a tuning: data first, a sentence second (`jaxnav.data.findings`)."""
+
+    code: str  # "nis.high": stable, a row of `jaxnav.data.findings.KINDS`
+    severity: Severity
+    subject: str = ""  # stream and channel, sensor and axis, or state
+    value: float | None = None
+    limit: float | None = None
+    unit: str = ""  # of both
+    message: str = ""  # quantity, value, limit
+    causes: tuple[str, ...] = ()  # likely ones
+    actions: tuple[str, ...] = ()  # settings or commands
+    setting: str = ""  # that would take the value
+
+    @property
+    def warns(self) -> bool:
+        """Is something wrong, or does it look so?"""
+        return self.severity is not Severity.INFO
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from jaxnav.data.findings import finding
 from jaxnav.filters.border import component, user_value
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import run
-from jaxnav.types import Epoch, Info, Nav, Params
+from jaxnav.types import Epoch, Finding, Info, Nav, Params
 from tuning import scoring, uncertainty
 from tuning.report import Row, rows_of
 from tuning.train import Fit
@@ -102,8 +103,8 @@ def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Calla
 
 def rows(
     found: Surface, spec: Spec, params: Params, sheet: Params, known: Mapping[str, float]
-) -> tuple[list[Row], list[str]]:
-    """Return every free number with its 95 % interval, and what the data do not determine, in words.
+) -> tuple[list[Row], list[Finding]]:
+    """Return every free number with its 95 % interval, and what the data do not determine.
 
     Args:
         found: the likelihood.
@@ -120,4 +121,5 @@ def rows(
         leaf = label.partition("[")[0]
         remark = f"simulated with {user_value(leaf, known[leaf]):.4g}" if leaf in known else ""
         out.append(row._replace(remark=remark))
-    return out, uncertainty.identifiability([component(n) for n in names], cov.model)
+    said = uncertainty.identifiability([component(n) for n in names], cov.model)
+    return out, [finding("tune.undetermined", message=text) for text in said]

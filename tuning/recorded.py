@@ -30,13 +30,14 @@ from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.analysis.windows import drift
 from jaxnav.data import epochs as ep
 from jaxnav.data.bank import most_probable
+from jaxnav.data.findings import finding, line
 from jaxnav.data.start import Start, start
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, installed, with_prior_of
 from jaxnav.filters.run import prepare, require_params, require_x64
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.types import ConfigError, DataError, Info, Params, Recording
+from jaxnav.types import ConfigError, DataError, Finding, Info, Params, Recording
 from tuning import scoring
 from tuning.evidence import SLOW, Job, predicted
 from tuning.parts import (
@@ -122,15 +123,16 @@ def tune(
         raise ValueError(f"{len(recs)} recordings, {len(sheets)} params and {len(begins)} begins do not go together")
     for sheet in sheets:
         require_params(filt, sheet)
-    sheets = [installed(p, r.lever_arm)[0] for r, p in zip(recs, sheets, strict=True)]
+    sheets = [installed(p, r.lever_arm) for r, p in zip(recs, sheets, strict=True)]
     require_x64(sheets[0])
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     begins = [start(r, p) if b is None else b for r, p, b in zip(recs, sheets, begins, strict=True)]
     apart = leaves_of(filt, sheets[0], own) if own else []
     if apart and how is not None:
         raise ConfigError("tune.own goes with the tempered method, not with a gradient search")
-    for line in clocks(recs, begins) if DELAY not in apart else ():
-        say(line)
+    warnings = clocks(recs, begins) if DELAY not in apart else []
+    for warning in warnings:
+        say(line(warning))
     cut = [ep.pack_recording(r, chosen, b.t, 0.0, stop, standing) for r, b in zip(recs, begins, strict=True)]
     window = window_of(cut) if window is None else window
     layouts = [plan(packed, window) for packed in cut]
@@ -196,25 +198,23 @@ def tune(
     return Tuned(
         trials[best].params, kept_of(best), trials[best].filter, best, verdict(best, trials, scores, parts),
         table(jobs[told], found[told]), trials, used, parts, int(np.unique(blocks).size), gain, scores, nis,
-        jobs[best].spec, [], history, status, job.effective if how is None else math.nan,
+        jobs[best].spec, warnings, history, status, job.effective if how is None else math.nan,
     )  # fmt: skip
 
 
 # ---------------------------------------------------------------------------- parts of the recording
 
 
-def clocks(recs: Sequence[Recording], begins: Sequence[Start]) -> list[str]:
-    """A warning where recordings that are to share one delay were logged by clocks that do not agree."""
+def clocks(recs: Sequence[Recording], begins: Sequence[Start]) -> list[Finding]:
+    """Return a warning where recordings that are to share one delay were logged by clocks that do not agree."""
     seen = [(r.name, b.alignment.delay, b.alignment.sd[9]) for r, b in zip(recs, begins, strict=True) if b.alignment]
     if not seen:
         return []
     low, high = min(seen, key=lambda each: each[1]), max(seen, key=lambda each: each[1])
     if high[1] - low[1] < max(0.1, 4 * float(np.hypot(low[2], high[2]))):
         return []
-    each = ", ".join(f"{name} {delay:+.2f} s (sd {sd:.2f})" for name, delay, sd in seen)
     return [
-        f"fixes are late by {each}, and one delay is tuned for all: put the clocks right first (see jaxnav check), or "
-        "let each have its own timing (tune.own)"
+        finding("time.clocks", vector=", ".join(f"{name} {delay:+.2f} s (sd {sd:.2f})" for name, delay, sd in seen))
     ]
 
 
@@ -229,7 +229,8 @@ def scan(
     """Return the noise scan of a training part, by the filter's measurements alone."""
     aiding = {m.name: rec.aiding[m.name] for m in measurements if m.name in rec.aiding}
     found = scan_noise(rec._replace(aiding=aiding), sheet, begin=begin, stop=layout.train)
-    say(f"{rec.name}: {found.words}")
+    for each in found.findings:
+        say(f"{rec.name}: {line(each)}")
     return found
 
 

@@ -3,7 +3,7 @@
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,7 +19,7 @@ from jaxnav.filters.border import TABLES, in_user_units, name_of, nested, noise_
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import get
 from jaxnav.measurements import MEASUREMENTS, Measurement
-from jaxnav.types import DataError, Info, Params
+from jaxnav.types import DataError, Finding, Info, Params
 from tuning.export import sd_by_stream, stated_sd, write_exports
 from tuning.status import Status
 from tuning.transforms import LOG, Spec, Transform, reported, values
@@ -75,7 +75,7 @@ class Tuned:
     test: dict[str, dict[str, float]]  # by candidate: rms_m, median_m, max_m
     nis: dict[str, dict[str, float]]  # by candidate: normalised innovations squared by channel, on the test
     spec: Spec
-    remarks: list[str]  # on the search and on what the data determine
+    findings: list[Finding]  # on the search and on what the data determine
     history: list[dict[str, Any]] = field(default_factory=list)
     status: Status = Status.CONVERGED
     effective: float = math.nan  # N of a tempered likelihood
@@ -137,7 +137,7 @@ def text(found: Tuned) -> str:
     lines = [line(head), line(["-" * w for w in width]), *map(line, rows), ""]
     if math.isfinite(found.effective):
         lines.append(f"the likelihood counts as {found.effective:.1f} observations (windows of the training part)")
-    lines += [*found.remarks, found.verdict]
+    lines += [found.verdict]
     if found.gain is not None:
         g = found.gain
         lines.append(f"drift {g.gain:.2f} times smaller on the test (95 %: {g.low:.2f} to {g.high:.2f})")
@@ -230,8 +230,8 @@ def metrics(found: Tuned) -> dict[str, Any]:
     """All figures of a job, as metrics.json has them."""
     named = [u.name for u in found.used for _ in u.starts]
     return {
-        "chosen": found.chosen, "verdict": found.verdict, "remarks": found.remarks, "status": found.status.value,
-        "n_eff": found.effective,
+        "chosen": found.chosen, "verdict": found.verdict, "status": found.status.value, "n_eff": found.effective,
+        "findings": [asdict(f) for f in found.findings],
         "parameters": {r.name: {k: v for k, v in r._asdict().items() if k != "name"} for r in found.rows},
         "windows": {name: found.counts[name] for name in ("training", "validation", "test")},
         "test": found.test, "nis_by_channel": found.nis,

@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxnav.analysis import metrics
 from jaxnav.data.epochs import TICK
+from jaxnav.data.findings import finding
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import get, history_for
 from jaxnav.filters.run import first_failure, prepare, require_params, run
@@ -136,13 +137,13 @@ def tune_simulated(
     if moved and np.unique(blocks).size >= LEAST_WINDOWS:
         gain = paired_gain(drift["datasheet"][parts["test"]], drift["tuned"][parts["test"]], blocks)
     scores = {name: spread(off[parts["test"]]) for name, off in drift.items()}
-    rows, remarks = likelihood.rows(surface, spec, ended.params, params[0], used[0].known)
-    remarks += [f"set aside from step {a['step']}: {a['run']}: {a['why']}" for a in ended.aside]
+    rows, findings = likelihood.rows(surface, spec, ended.params, params[0], used[0].known)
+    findings += [finding("tune.aside", a["run"], step=a["step"], why=a["why"]) for a in ended.aside]
     nis = {name: channels([s.info for s in rows], [s.part for s in rows], GNSS) for name, rows in scored.items()}
     return Tuned(
         trials[best].params, [merged(trials[best].params, p, leaves(spec)) for p in params], filt, best,
         verdict(best, trials, scores, parts) if moved else "no step was better than the start on the validation runs",
-        rows, trials, used, parts, int(np.unique(blocks).size), gain, scores, nis, spec, remarks, ended.history,
+        rows, trials, used, parts, int(np.unique(blocks).size), gain, scores, nis, spec, findings, ended.history,
         ended.status,
     )  # fmt: skip
 

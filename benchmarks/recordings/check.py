@@ -17,12 +17,17 @@ from jaxnav import read
 from jaxnav.analysis.tables import table
 from jaxnav.data.checks import check_recording
 from jaxnav.data.checkup import checkup
+from jaxnav.data.findings import line
 from jaxnav.maths import rotations
 from jaxnav.types import DataError, ImuLog, Recording, Samples
 
 KNOWN = {  # what is wrong with the recordings as they are
     "rtkexplorer": {"time.drift"},  # the tag stretches the ticks by 290 ppm
-    "phone": {"imu.slow", "compass.strength", "compass.turns"},  # 1 Hz; 240 uT: its magnetometer is not calibrated
+    "phone": {
+        "imu.slow",
+        "compass.strength",
+        "compass.inconsistent",
+    },  # 1 Hz; 240 uT: not calibrated
     "kth": {"time.jump"},  # one fix half a second early
     "umn": {"time.jump"},  # 0.22 s, once, of position and velocity alike
 }
@@ -125,15 +130,15 @@ DAMAGES = (
     Damage("gyro in degrees per second", "kitti", imu(gyro=lambda a: 57.3 * a), ("gyro.units", "degrees per second")),
     Damage("accelerometer in g", "kth", imu(accel=lambda a: a / 9.81), ("g instead of m/s^2",)),
     Damage("axes forward, left, up", "kitti", imu(gyro=times(1, -1, -1), accel=times(1, -1, -1)), ("axes.gravity",)),
-    Damage("IMU turned by 90 deg", "rtkexplorer", imu(gyro=turned, accel=turned), ("mounting.yaw",)),
+    Damage("IMU turned by 90 deg", "rtkexplorer", imu(gyro=turned, accel=turned), ("mounting.turned",)),
     Damage("gyro z with the wrong sign", "umn", imu(gyro=times(1, 1, -1)), ("gyro.sign",)),
     Damage("gyro x and y swapped", "px4_quad106", imu(gyro=swapped(0, 1)), ("gyro.swapped",)),
     Damage("gyro x and z swapped", "rtkexplorer", imu(gyro=swapped(0, 2)), ("gyro.axes", "gyro.swapped")),
-    Damage("gyro z dead", "kitti", imu(gyro=times(1, 1, 0)), ("gyro.dead",)),
+    Damage("gyro z dead", "kitti", imu(gyro=times(1, 1, 0)), ("imu.dead",)),
     Damage("accelerometer x with the wrong sign", "rtkexplorer", imu(accel=times(-1, 1, 1)), ("accel.sign",)),
     Damage("accelerometer x and y swapped", "umn", imu(accel=swapped(0, 1)), ("accel.swapped",)),
     Damage("accelerometer 10 % too large", "rtkexplorer", imu(accel=lambda a: 1.1 * a), ("imu.gravity", "gravity")),
-    Damage("fixes 0.5 s late", "kitti", later(0.5), ("time.delay",)),
+    Damage("fixes 0.5 s late", "kitti", later(0.5), ("time.late",)),
     Damage("fixes in UTC, 18 s off", "kitti", later(-18.0), ("time.offset",)),
     Damage("clock drift of 500 ppm", "umn", later(0.0, 500.0), ("time.drift",)),
     Damage("antenna on an arm of 3 m", "navego_synthetic", on_an_arm, ("lever_arm",)),
@@ -151,9 +156,9 @@ def named(rec: Recording, codes: tuple[str, ...]) -> tuple[bool, str]:
         check_recording(rec)
     except DataError as error:
         return any(code in str(error) for code in codes), str(error)
-    bad = [f for f in checkup(rec) if f.bad]
+    bad = [f for f in checkup(rec) if f.warns]
     hit = [f for f in bad if any(f.code.startswith(code) for code in codes)]
-    return bool(hit), "; ".join(f"{f.code}: {f.words}: {f.means}" for f in (hit or bad)) or "nothing"
+    return bool(hit), "; ".join(f"{f.code}: {line(f)}" for f in (hit or bad)) or "nothing"
 
 
 def as_floats(rec: Recording) -> Recording:
@@ -176,7 +181,7 @@ def main(argv: list[str]) -> None:
     alarms = {}
     for name, path in {} if args.quick else found.items():
         rec = known[name] if name in known else read(path)
-        alarms[name] = [f"{f.code}: {f.words}" for f in checkup(rec) if f.bad and f.code not in KNOWN.get(name, ())]
+        alarms[name] = [f"{f.code}: {f.message}" for f in checkup(rec) if f.warns and f.code not in KNOWN.get(name, ())]
     count = sum(r["named"] for r in rows)
     wrong = sum(bool(a) for a in alarms.values())
     print(f"{count} of {len(rows)} damages named; false alarms on {wrong} of {len(alarms)} recordings")

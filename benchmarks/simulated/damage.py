@@ -85,7 +85,7 @@ def sentences(folder: Path) -> set[str]:
     """What a run says of itself, without numbers."""
     found = json.loads((folder / "metrics.json").read_text())
     plain = lambda text: re.sub(r"-?\d+(\.\d+)?(e[-+]\d+)?", "#", text)
-    return {plain(line) for line in [*found["remarks"], *found["notes"], found["start"]]}
+    return {plain(line) for line in [*(f["message"] for f in found["findings"]), *found["notes"], found["start"]]}
 
 
 def recordings(tries: int, seed: int, report: list[dict]) -> dict[str, int]:

@@ -25,7 +25,7 @@ from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import URBAN_SHORT, Scenario
 from jaxnav.simulate.simulation import matched_params, simulate
 from jaxnav.states.grades import GRADES
-from jaxnav.types import Params
+from jaxnav.types import Finding, Params
 from tuning import scoring, uncertainty
 from tuning.likelihood import Surface, rows
 from tuning.report import Row
@@ -90,15 +90,15 @@ def recording(imu: str, factor: float) -> dict:
     return result | {"innovation_rms": scores["tuned"][1], "imu": imu, "factor": factor} | told(said)
 
 
-def told(said: tuple[list[Row], list[str]]) -> dict:
+def told(said: tuple[list[Row], list[Finding]]) -> dict:
     """Print the parameters, the truth in the datasheet's place, and return them."""
     rows = {}
     for p in said[0]:
         rows[p.name] = {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit, "truth": p.datasheet}
         print(f"  {p.name:36} {p.value:10.4g}   {p.low:10.4g} to {p.high:<10.4g} truth {p.datasheet:.4g} {p.unit}")
-    for text in said[1]:
-        print(f"  {text}")
-    return {"parameters": rows, "identifiability": said[1]}
+    for f in said[1]:
+        print(f"  {f.message}")
+    return {"parameters": rows, "identifiability": [f.message for f in said[1]]}
 
 
 def show(fixes: int):

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,11 +11,13 @@ import numpy as np
 
 from jaxnav.analysis import evaluate, usage
 from jaxnav.analysis.dense import dense
+from jaxnav.analysis.metrics import told_by
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
-from jaxnav.analysis.observability import states_in_words
+from jaxnav.analysis.observability import state_findings
 from jaxnav.data import epochs as ep
-from jaxnav.data import gaps
 from jaxnav.data.bank import bank_jit
+from jaxnav.data.findings import finding, line
+from jaxnav.data.gaps import gap_findings, holes
 from jaxnav.data.solution import FORMATS, write_kml, write_solution
 from jaxnav.data.start import Start, start
 from jaxnav.filters.compiler import require_memory
@@ -25,7 +27,7 @@ from jaxnav.filters.run import first_failure, require_params, require_x64, run_j
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.measurements import MEASUREMENTS, Measurement
 from jaxnav.states.grades import GRADES
-from jaxnav.types import DataError, Epoch, FilterError, Info, Nav, Params, Recording, Samples, Track
+from jaxnav.types import DataError, Epoch, FilterError, Finding, Info, Nav, Params, Recording, Samples, Track
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,11 +41,11 @@ class Chosen(NamedTuple):
     probability: float = 1.0
 
     @property
-    def words(self) -> str:
-        """A sentence where there were several."""
+    def findings(self) -> list[Finding]:
+        """The heading, where there were several."""
         if math.isnan(self.heading_deg):
-            return ""
-        return f"heading unknown: {self.heading_deg:g} deg at the start is the most probable ({self.probability:.2f})"
+            return []
+        return [finding("heading.hypotheses", value=self.heading_deg, probability=self.probability)]
 
 
 @dataclass(frozen=True)
@@ -70,8 +72,7 @@ class Solution:
     hidden: np.ndarray = field(repr=False)  # (E,) bool, epochs in `outages`
     smoothed: bool
     lag: float  # s, 0 where it is not of fixed lag
-    remarks: list[str]  # what the innovations and the use of the streams say, a sentence each
-    notes: list[str]  # these and everything else that a user should know of
+    findings: list[Finding]  # on innovations, streams, noise, states and the initialization
     noise: NoiseScan | None = None  # where the noise was found from the recording
 
     @property
@@ -132,6 +133,11 @@ class Solution:
             found["noise_scan"] = self.noise.figure()
         return found
 
+    @property
+    def notes(self) -> list[str]:
+        """Everything that a user should know of: initialization, findings, and what the reader notes."""
+        return [self.start.how, *map(line, self.findings), *self.recording.notes.splitlines()]
+
     def metrics(self) -> dict[str, Any]:
         """Return all figures of the run, as metrics.json has them."""
         return metrics(self)
@@ -181,7 +187,8 @@ def navigate(
     if params is not None:
         require_params(filt, params)
     scan = params is None if scan is None else scan
-    params, installation = installed(filt.params(GRADES["consumer"]) if params is None else params, rec.lever_arm)
+    stated = filt.params(GRADES["consumer"]) if params is None else params
+    params = installed(stated, rec.lever_arm)
     require_x64(params)
     initialize = begin if callable(begin) else lambda rec, params: begin
     found = None
@@ -207,23 +214,37 @@ def navigate(
     trace = evaluate.trace(info, params)
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
     windows = tuple((float(a), float(b)) for a, b in outages)
-    remarks = usage.consistency_in_words(trace.info, usage.channels_of(trace.info, chosen))
-    remarks += usage.usage_in_words(usage.usage(rec, packed, trace.info, chosen, hidden))
-    remarks += usage.noise_in_words(rec.imu, params)
-    remarks += states_in_words(filt, params, best, trace.info)
-    notes = [
-        begin.how,
-        about.words,
-        installation,
-        "" if found is None else found.words,
-        *remarks,
-        *rec.notes.splitlines(),
-        gaps.in_words(gaps.holes(rec.imu)),
-    ]
+    findings = usage.consistency_findings(trace.info, usage.channels_of(trace.info, chosen))
+    findings += usage.usage_findings(usage.usage(rec, packed, trace.info, chosen, hidden))
+    findings += usage.noise_findings(rec.imu, params)
+    findings += state_findings(filt, params, best, trace.info)
+    findings += about.findings + ([] if found is None else found.findings) + gap_findings(holes(rec.imu))
+    findings += _installation(stated, rec) + _coverage(trace, rec, chosen)
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
-        smooth, lag, remarks, [note for note in notes if note], found,
+        smooth, lag, findings, found,
     )  # fmt: skip
+
+
+def _installation(stated: Params, rec: Recording) -> list[Finding]:
+    """Return which lever arm counts, where the recording's and the stated one differ."""
+    arm, mine = np.asarray(rec.lever_arm, float), np.broadcast_to(np.asarray(stated.mounting.lever_arm, float), 3)
+    if not arm.any() or np.allclose(arm, mine):
+        return []
+    told = lambda a: "(" + ", ".join(f"{x:g}" for x in a) + ")"
+    if mine.any():
+        return [finding("lever_arm.stated", vector=told(mine), other=told(arm))]
+    return [finding("lever_arm.recorded", vector=told(arm))]
+
+
+def _coverage(trace: evaluate.Trace, rec: Recording, measurements: tuple[Measurement, ...]) -> list[Finding]:
+    """Return streams that no measurement takes, and a truth that covers a part of the run."""
+    unused = sorted(set(rec.aiding) - {m.name for m in measurements})
+    found = [finding("stream.extra", ", ".join(unused))] if unused else []
+    if rec.truth is not None:
+        share = float(np.mean(told_by(trace.track.t, rec.truth.t)))
+        found += [finding("truth.share", value=100 * share)] if share < ENOUGH else []
+    return found
 
 
 ENOUGH = 0.98  # share of a run that its truth covers, below which a remark says so
@@ -231,15 +252,13 @@ ENOUGH = 0.98  # share of a run that its truth covers, below which a remark says
 
 def metrics(sol: Solution) -> dict[str, Any]:
     """Return errors where there is a truth, innovations, errors at the ends of gaps, and the use of the streams."""
-    rec, info, remarks = sol.recording, sol.trace.info, list(sol.remarks)
+    rec, info = sol.recording, sol.trace.info
     found: dict[str, Any] = {"start_s": sol.packed.start}
     if rec.truth is not None:
         error, sd = evaluate.ned_errors(sol.trace, rec.truth)
         share = float(np.isfinite(error[:, 0]).mean())
         dark = sol.hidden | ep.within(sol.packed.t, sol.gaps())
         found |= {"errors": evaluate.error_metrics(error, sd, dark), "scored_share": share}
-        if share < ENOUGH:
-            remarks.append(f"truth covers {share:.0%} of the epochs: errors are of these alone")
     found |= evaluate.innovation_metrics(info, sol.measurements)
     ends = [
         {"start_s": a, "end_s": b, "horizontal_m": at_end}
@@ -248,16 +267,13 @@ def metrics(sol: Solution) -> dict[str, Any]:
     ]
     uses = usage.usage(rec, sol.packed, info, sol.measurements, sol.hidden)
     found |= ({"outages": ends} if ends else {}) | usage.as_json(uses, usage.channels_of(info, sol.measurements))
-    unused = sorted(set(rec.aiding) - {m.name for m in sol.measurements})
-    found |= {"unused_streams": unused} if unused else {}
-    if sol.chosen.words:
+    if sol.chosen.findings:
         at = {"start_heading_deg": sol.chosen.heading_deg, "start_heading_probability": sol.chosen.probability}
         found["heading_bank"] = at
     if sol.noise is not None:
         found["noise_scan"] = sol.noise.metrics()
-    said = (sol.start.how, *sol.remarks)
     return found | {
-        "remarks": remarks, "start": sol.start.how, "notes": [note for note in sol.notes if note not in said],
+        "findings": [asdict(f) for f in sol.findings], "start": sol.start.how, "notes": rec.notes.splitlines()
     }  # fmt: skip
 
 

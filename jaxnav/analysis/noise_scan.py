@@ -33,6 +33,7 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.windows import hidden_windows, position_noise
 from jaxnav.data import epochs as ep
 from jaxnav.data.bank import most_probable
+from jaxnav.data.findings import finding
 from jaxnav.data.start import Start, ground_velocity, start
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Step
@@ -42,7 +43,7 @@ from jaxnav.maths import linalg
 from jaxnav.measurements import GNSS
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import BIASES
-from jaxnav.types import Epoch, Nav, Noise, Params, Recording
+from jaxnav.types import Epoch, Finding, Nav, Noise, Params, Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,6 +70,9 @@ HARM = 1.05  # of the drift over hidden windows, up to which other sd are taken
 LEAST_GAIN = 1.0  # of J, from which on other sd are taken
 
 
+VIBRATION = 300.0  # factor on the datasheet above which noise is vibration, a wrong unit or another grade
+
+
 class NoiseScan(NamedTuple):
     """What a scan chose."""
 
@@ -89,20 +93,18 @@ class NoiseScan(NamedTuple):
         return _scaled(params._replace(mounting=mounting), self.gyro, self.accel, self.position, self.velocity)
 
     @property
-    def words(self) -> str:
-        """The finding of the scan."""
+    def findings(self) -> list[Finding]:
+        """What the scan found."""
         if not self.fixes:
-            return f"noise of the datasheet: fewer than {LEAST_FIXES} fixes to choose it by; state filter.grade"
-        text = (
-            f"noise by likelihood: gyro {self.gyro:.3g} and accelerometer {self.accel:.3g} times the datasheet's, "
-            f"fixes {abs(self.latency):.2f} s {'late' if self.latency >= 0 else 'early'} (log-likelihood "
-            f"{self.gain:+.2f} a fix, {self.fixes} fixes of {self.part[0]:.0f} to {self.part[1]:.0f} s)"
-        )
-        if (self.position, self.velocity) != (1.0, 1.0):
-            text += f"; sd of positions {self.position:.2g}, of velocities {self.velocity:.2g} times the stated"
-        if max(self.gyro, self.accel) > 300.0:
-            text += "; a factor above 300 is strong vibration, a wrong unit or another grade: see jaxnav check"
-        return text
+            return [finding("noise.datasheet", limit=LEAST_FIXES)]
+        scale = f"; sd of positions {self.position:.2g}, of velocities {self.velocity:.2g} times the stated"
+        found = finding(
+            "noise.scan", gyro=self.gyro, accel=self.accel, size=abs(self.latency),
+            side="late" if self.latency >= 0 else "early", gain=self.gain, fixes=self.fixes, first=self.part[0],
+            last=self.part[1], scale=scale if (self.position, self.velocity) != (1.0, 1.0) else "",
+        )  # fmt: skip
+        most = max(self.gyro, self.accel)
+        return [found] + ([finding("noise.vibration", value=most, limit=VIBRATION)] if most > VIBRATION else [])
 
     def metrics(self) -> dict[str, float]:
         """Return what was chosen, as metrics.json has it."""

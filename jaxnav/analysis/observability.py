@@ -15,12 +15,13 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from jaxnav.data.findings import finding
 from jaxnav.filters.core import Filter, Step, masked
 from jaxnav.filters.run import run
 from jaxnav.maths import linalg
 from jaxnav.states.motion import MOTION
 from jaxnav.states.table import chosen
-from jaxnav.types import Epoch, Info, Nav, Params, StateParams
+from jaxnav.types import Epoch, Finding, Info, Nav, Params, StateParams
 
 BEYOND = 3.5  # sd that a state may go from where it started without a sentence
 UNSEEN = 0.9  # of the sd that was known before: what is left where a window or a run shows next to nothing
@@ -87,35 +88,24 @@ def observability(
     return Observability(state_names(filt), t[edges[:-1]], np.array(left), np.array(rank), np.array(condition))
 
 
-def in_words(found: Observability, window: float = 30.0) -> list[str]:
-    """How many directions the windows show, and which components none of them does."""
+def observability_findings(found: Observability, window: float = 30.0) -> list[Finding]:
+    """Return how many directions the windows observe, and which components none, or few, of them do."""
     n, least = len(found.names), found.left.min(0)
     span = " to ".join(str(r) for r in sorted({int(found.rank.min()), int(found.rank.max())}))
-    lines = [
-        f"{found.start.size} windows of {window:g} s show {span} of {n} directions of the state "
-        f"(median {np.median(found.rank):.0f})"
-    ]
+    median, count = float(np.median(found.rank)), found.start.size
+    out = [finding("observability.rank", value=median, count=count, window=window, span=span, n=n)]
     unseen = [name for name, share in zip(found.names, least, strict=True) if share > UNSEEN]
     seldom = [
         f"{name} ({int((share < UNSEEN).sum())})"
         for name, share, best in zip(found.names, found.left.T, least, strict=True)
         if best <= UNSEEN and (share < UNSEEN).mean() < 0.25
     ]
-    if unseen:
-        lines.append(
-            f"no window shows {', '.join(unseen)}: turns, changes of speed and tilts do; until then they stay what "
-            "they are taken for at the start"
-        )
-    if seldom:
-        lines.append(f"few windows show {', '.join(seldom)}")
-    return lines
+    out += [finding("observability.never", ", ".join(unseen))] if unseen else []
+    return out + ([finding("observability.seldom", ", ".join(seldom))] if seldom else [])
 
 
-def states_in_words(filt: Filter, params: Params, nav: Nav, info: Info) -> list[str]:
-    """What a run, ``info`` (E, ...) from ``nav``, found of its optional states that its user should know.
-
-    Those known no better at its end than before it, and those that went where what was known did not expect them.
-    """
+def state_findings(filt: Filter, params: Params, nav: Nav, info: Info) -> list[Finding]:
+    """Return the optional states of a run, ``info`` (E, ...) from ``nav``, unobserved or far from their prior."""
     own, names = chosen(filt.model.states), state_names(filt)[9:]
     if not own:
         return []
@@ -125,19 +115,16 @@ def states_in_words(filt: Filter, params: Params, nav: Nav, info: Info) -> list[
     went = np.abs(each(lambda name: np.asarray(info.nav.errors[name])[-1] - np.asarray(nav.errors.get(name, 0.0))))
     T = float(info.nav.t[-1] - nav.t)
     possible = np.sqrt(before**2 + each(lambda name: _driven(params.states[name], T)))
-    lines = []
+    out = []
     unseen = [name for name, was, now in zip(names, before, after, strict=True) if now > UNSEEN * was > 0]
     if unseen:
-        lines.append(f"this motion did not show {', '.join(unseen)}: at the end known no better than at the start")
+        out.append(finding("state.unobserved", ", ".join(unseen)))
     far = [
-        f"{name} ({x / sd:.0f} sd)" for name, x, sd in zip(names, went, possible, strict=True) if x > BEYOND * sd > 0
+        f"{name} ({x / sd:.0f} sigma)" for name, x, sd in zip(names, went, possible, strict=True) if x > BEYOND * sd > 0
     ]
     if far:
-        lines.append(
-            f"found where what was known before the run did not expect it: {', '.join(far)}: another grade of sensor, "
-            "a unit, a sensor that fails, or the error of something that is no state here"
-        )
-    return lines
+        out.append(finding("state.unexpected", ", ".join(far)))
+    return out
 
 
 def _driven(state: StateParams, T: float) -> np.ndarray:

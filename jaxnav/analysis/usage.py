@@ -1,5 +1,6 @@
 """What became of every sample of a recording in a run, and whether the innovations are what the filter expects."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -7,9 +8,10 @@ import numpy as np
 from jaxnav.analysis import evaluate, metrics
 from jaxnav.data.checkup.inertial import noise_floor
 from jaxnav.data.epochs import TICK, Packed
+from jaxnav.data.findings import finding
 from jaxnav.maths import units
 from jaxnav.measurements import Measurement, layout
-from jaxnav.types import ImuLog, Info, Params, Recording
+from jaxnav.types import Finding, ImuLog, Info, Params, Recording
 
 SURE = 0.9999  # probability of the bounds, of each channel
 LOUD, ALIKE = 1.25, 0.3  # NIS of all channels, correlation of neighbours, from which on they are worth a sentence
@@ -50,20 +52,19 @@ def usage(
     return found
 
 
-def usage_in_words(found: dict[str, Use]) -> list[str]:
-    """A sentence for every stream of which a user would miss samples."""
-    lines = []
+def usage_findings(found: dict[str, Use]) -> list[Finding]:
+    """Return a finding for every stream of which a user would miss samples."""
+    out = []
     for name, u in found.items():
         parts = [
             (u.before, "before the start"), (u.outside, "after the IMU's last sample, or the stop"),
             (u.refused, "refused by the filter's rule"), (u.hidden, "hidden as asked for"),
         ]  # fmt: skip
-        gone = [f"{n} {why}" for n, why in parts if n > MUCH * u.read]
-        if gone and u.used + u.refused + u.hidden > 0:
-            lines.append(f"{name}: {u.used} of {u.read} samples used; {', '.join(gone)}")
-        elif gone:
-            lines.append(f"{name}: none of {u.read} samples used: {', '.join(gone)}")
-    return lines
+        why = ", ".join(f"{n} {where}" for n, where in parts if n > MUCH * u.read)
+        if why:
+            code = "stream.unused" if u.used + u.refused + u.hidden > 0 else "stream.refused"
+            out.append(finding(code, name, float(u.used), used=u.used, read=u.read, why=why))
+    return out
 
 
 class Expected(NamedTuple):
@@ -95,64 +96,55 @@ def channels_of(info: Info, measurements: tuple[Measurement, ...]) -> dict[str, 
     return found
 
 
-def expected_in_words(found: dict[str, Expected]) -> list[str]:
-    """Which channels are not as expected, and what that usually means; empty where all are."""
-    large = {name: e for name, e in found.items() if e.value > max(e.high, 1.3)}
-    small = {name: e for name, e in found.items() if e.value < min(e.low, 0.7)}
-    lines = []
-    for which, said, means in (
-        (large, "larger", "noise, delay, lever arm, axes or the start are other than the filter is told"),
-        (small, "smaller", "the stated sd of the fixes, or the IMU's noise, are too large"),
-    ):
+def _worst(channels: dict[str, Expected], size: Callable[[Expected], float]) -> dict[str, Any]:
+    """Return subject and numbers of the three worst of some channels."""
+    names = sorted(channels, key=lambda name: -abs(size(channels[name])))
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return {"subject": ", ".join(names[:3]) + more, "names": names[:3]}
+
+
+def channel_findings(channels: dict[str, Expected]) -> list[Finding]:
+    """Return which channels' innovations are larger, or smaller, than their predicted variance."""
+    high = {name: e for name, e in channels.items() if e.value > max(e.high, 1.3)}
+    low = {name: e for name, e in channels.items() if e.value < min(e.low, 0.7)}
+    out = []
+    for code, which in (("nis.high", high), ("nis.low", low)):
         if which:
-            worst = sorted(which, key=lambda name: -abs(np.log(which[name].value)))
-            each = ", ".join(
-                f"{name} {which[name].value:.3g} (1; up to {which[name].high:.2f} would pass)"
-                if said == "larger"
-                else f"{name} {which[name].value:.2g} (from {which[name].low:.2f} on)"
-                for name in worst[:3]
-            )
-            more = f" and {len(worst) - 3} more" if len(worst) > 3 else ""
-            lines.append(
-                f"innovations squared are {said} than the filter expects in {each}{more}: {means}; "
-                "see jaxnav check, jaxnav tune"
-            )
-    return lines
+            worst = _worst(which, lambda e: float(np.log(e.value)))
+            names = worst.pop("names")
+            vector = ", ".join(f"{which[name].value:.3g}" for name in names)
+            first = which[names[0]]
+            limit = first.high if code == "nis.high" else first.low
+            out.append(finding(code, value=first.value, limit=limit, vector=vector, **worst))
+    return out
 
 
-def consistency_in_words(info: Info, channels: dict[str, Expected]) -> list[str]:
-    """Every way in which the innovations are not those of a filter that knows its errors; empty where they are.
+def consistency_findings(info: Info, channels: dict[str, Expected]) -> list[Finding]:
+    """Return every way in which the innovations are not those of a consistent filter.
 
     Channel by channel by their size; where each passes alone, all of them together; and as neighbours, for the
     innovations of a consistent filter are white.
     """
-    lines = expected_in_words(channels)
+    out = channel_findings(channels)
     together = whole(info)
-    if not lines and together is not None and together.value > max(together.high, LOUD):
-        lines.append(
-            f"innovations squared of all channels together are {together.value:.3g} times what the filter expects "
-            f"({together.high:.2f} would pass), though each alone passes: noise, a sensor or a delay is somewhat other "
-            "than it is told; see jaxnav check, jaxnav tune"
-        )
+    if not out and together is not None and together.value > max(together.high, LOUD):
+        out.append(finding("nis.overall", value=together.value, limit=together.high))
     alike = {name: e for name, e in channels.items() if e.correlation > max(ALIKE, 4 / np.sqrt(e.samples))}
     if alike:
-        worst = sorted(alike, key=lambda name: -alike[name].correlation)[:3]
-        each = ", ".join(f"{name} {alike[name].correlation:.2f}" for name in worst)
-        lines.append(
-            f"innovations are correlated from one to the next in {each}{' and more' if len(alike) > 3 else ''}: an "
-            "error lasts, as of a delay, a lever arm, a scale, or a receiver whose errors are slow (state "
-            "gnss_position_error)"
-        )
-    return lines
+        worst = _worst(alike, lambda e: e.correlation)
+        names = worst.pop("names")
+        vector = ", ".join(f"{alike[name].correlation:.2f}" for name in names)
+        out.append(finding("innovations.correlated", value=alike[names[0]].correlation, vector=vector, **worst))
+    return out
 
 
-def noise_in_words(imu: ImuLog, params: Params) -> list[str]:
-    """A sentence where the sensors, or an axis, are louder than the filter is told, even where they are quietest."""
+def noise_findings(imu: ImuLog, params: Params) -> list[Finding]:
+    """Return the sensors, or an axis, whose noise in the quietest seconds is far above the assumed."""
     floor = noise_floor(imu)
     if floor is None:
         return []
-    lines = []
-    for name, axes, nominal, unit, text in (
+    out = []
+    for name, axes, nominal, unit, unit_text in (
         ("gyro", floor[0], params.noise.gyro, units.DEG_PER_SQRT_HOUR, "deg/sqrt(h)"),
         ("accelerometer", floor[1], params.noise.accel, units.UG, "ug/sqrt(Hz)"),
     ):
@@ -161,17 +153,13 @@ def noise_in_words(imu: ImuLog, params: Params) -> list[str]:
         found, worst = float(np.median(axes)), int(axes.argmax())
         others = float(np.max(np.delete(axes, worst)))
         if found > LOUDER * known > 0:
-            lines.append(
-                f"{name} noise where it is quietest is {found / unit:.3g} {text}, {found / known:.0f} times what the "
-                "filter is told: vibration, another grade, or a unit; see filter.grade, jaxnav check, jaxnav tune"
-            )
+            value, limit = found / unit, known / unit
+            out.append(finding("imu.noise_high", name, value, limit, unit_text=unit_text, ratio=found / known))
         elif axes[worst] > LOUDER * known > 0 and axes[worst] > ALONE * others:
-            lines.append(
-                f"{name} {'xyz'[worst]} has a noise of {axes[worst] / unit:.3g} {text} where it is quietest, "
-                f"{axes[worst] / known:.0f} times what the filter is told, the other axes at most {others / unit:.3g}: "
-                "a sensor or wire that is failing, or values in coarse steps"
-            )
-    return lines
+            value, ratio = float(axes[worst]) / unit, float(axes[worst]) / known
+            subject = f"{name} {'xyz'[worst]}"
+            out.append(finding("imu.noise_axis", subject, value, others / unit, unit_text=unit_text, ratio=ratio))
+    return out
 
 
 def whole(info: Info) -> Expected | None:

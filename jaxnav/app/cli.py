@@ -168,6 +168,7 @@ def _first() -> bool:
 
 
 def _report(args: argparse.Namespace, outcome: "Outcome", out: Path | None) -> int:
+    from jaxnav.data.findings import text
     from jaxnav.data.json import to_json
 
     code = INTERRUPTED if outcome.stopped else int(outcome.failed)
@@ -175,7 +176,7 @@ def _report(args: argparse.Namespace, outcome: "Outcome", out: Path | None) -> i
         about = {"verb": args.verb, "out": None if out is None else str(out), "stopped": outcome.stopped or None}
         print(to_json(about | {"seconds": outcome.seconds, "metrics": outcome.metrics}))
     elif outcome.text and not args.quiet:
-        print(outcome.text)
+        print("\n".join([outcome.text, *text(outcome.findings)]))
         if out is not None:
             figures = sorted(p.name for p in out.glob("*.png"))
             print(f"\nresults in {out}" + (f", figures {', '.join(figures)}" if figures else ""))

@@ -1,8 +1,16 @@
-"""docs/commands.md from the rows of verbs: ``python -m jaxnav.app.commands > docs/commands.md``."""
+"""docs/commands.md and docs/findings.md from rows: ``python -m jaxnav.app.commands [findings] > docs/commands.md``."""
+
+import re
+import sys
 
 from jaxnav.app.cli import SHARED
 from jaxnav.app.verb import Argument
 from jaxnav.app.verbs import VERBS
+from jaxnav.data.findings import KINDS
+
+FINDINGS = """What `jaxnav check` and a run remark: `Solution.findings`, check.json, metrics.json, the terminal and the
+report. Each has a code, which is stable, a severity, a subject, value and limit with their unit, likely causes and what
+to do."""
 
 
 def page() -> str:
@@ -29,5 +37,22 @@ def _usage(argument: Argument) -> str:
     return f"{argument.name} {value}".strip() if argument.name.startswith("-") else value or argument.name
 
 
+def findings() -> str:
+    """Every kind of finding, as markdown."""
+    lines = [
+        "# Findings",
+        "",
+        FINDINGS,
+        "",
+        "| code | severity | message | likely causes | next |",
+        "|---|---|---|---|---|",
+    ]
+    plain = lambda text: re.sub(r"\{(\w+)[^}]*\}", r"*\1*", text).replace("|", "/")
+    for code, kind in KINDS.items():
+        cells = (kind.message, ", ".join(kind.causes), ", ".join(kind.actions))
+        lines.append(f"| `{code}` | {kind.severity.value} | {' | '.join(map(plain, cells))} |")
+    return "\n".join(lines) + "\n"
+
+
 if __name__ == "__main__":
-    print(page(), end="")
+    print(findings() if sys.argv[1:] == ["findings"] else page(), end="")

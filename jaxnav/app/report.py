@@ -10,6 +10,7 @@ from typing import Any
 from jaxnav.app.config import Config, as_dict
 from jaxnav.app.results import Outcome, picture, versions
 from jaxnav.data import atomic_write
+from jaxnav.data.findings import text
 from jaxnav.data.json import to_json
 
 STYLE = """
@@ -30,11 +31,12 @@ def write(folder: Path, verb: str, config: Config, outcome: Outcome, layout: Cal
         body = "\n".join(_image(path) for path in sorted(folder.glob("*.png")))
         if layout is not None:
             body += "\n<p>With <code>pip install 'jaxnav[report]'</code> the pictures here can be zoomed into.</p>"
+    said = "\n".join([outcome.text, *text(outcome.findings)])
     title = f"jaxnav {verb}: {outcome.text.splitlines()[0] if outcome.text else config.data.source}"
     parts = [
         "<!doctype html>", '<html lang="en"><head><meta charset="utf-8">', f"<title>{html.escape(title)}</title>",
         f"<style>{STYLE}</style>{head}</head><body>", f"<h1>{html.escape(title)}</h1>",
-        f"<pre>{html.escape(outcome.text)}</pre>", _parameters(outcome.metrics), body, _settings(config),
+        f"<pre>{html.escape(said)}</pre>", _parameters(outcome.metrics), body, _settings(config),
         _pairs("Versions", versions()), _pairs("Seconds", {k: f"{v:.2f}" for k, v in outcome.seconds.items()}),
         "<details><summary>Every figure of this run</summary><pre>",
         html.escape(_short(outcome.metrics)), "</pre></details></body></html>",

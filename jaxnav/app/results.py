@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from jaxnav.app.config import Config, as_dict
 from jaxnav.data.json import write_json
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Finding
 
 RUN = "run.json"
 
@@ -40,6 +40,7 @@ class Outcome(NamedTuple):
     layout: Callable[[], Any] | None = None  # makes what a report can be zoomed into
     config: Config | None = None  # that runs it again, where it is not the one that was given
     failed: bool = False  # exit code 1
+    findings: Sequence[Finding] = ()  # after the text
 
 
 @contextlib.contextmanager

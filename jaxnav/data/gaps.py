@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxnav.types import ImuLog
+from jaxnav.data.findings import finding
+from jaxnav.types import Finding, ImuLog
 
 SHORT = 0.2  # s: a shorter hole is bridged by the mean of its two sides, and nothing more is made of it
 SIDE = 0.5  # s, beside a hole, whose mean fills it
@@ -54,17 +55,19 @@ def fill(imu: ImuLog) -> tuple[ImuLog, Holes]:
     return filled, found
 
 
-def in_words(holes: Holes) -> str:
-    """A sentence, or nothing."""
+def gap_findings(holes: Holes) -> list[Finding]:
+    """Return the finding of the long holes, where there are any."""
     if not holes.begin.size:
-        return ""
+        return []
     length = holes.end - holes.begin
     i = int(length.argmax())
     turn, push = (float(n) * length[i] ** 0.5 for n in holes.noise[i])
-    return (
-        f"imu: {length.size} gap{'s' if length.size > 1 else ''} of over {SHORT:g} s, coasted through: the longest, "
-        f"{length[i]:.2f} s at t = {holes.begin[i]:.2f} s, may hide {np.degrees(turn):.1f} deg and {push:.1f} m/s (sd)."
-    )
+    return [
+        finding(
+            "imu.gaps", value=float(length[i]), limit=SHORT, count=length.size, at=float(holes.begin[i]),
+            angle=float(np.degrees(turn)), speed=push,
+        )
+    ]  # fmt: skip
 
 
 class _Log:

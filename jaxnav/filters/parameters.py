@@ -116,25 +116,16 @@ def mounting(
     return Mounting(*(jnp.asarray(v, float) for v in (lever_arm, time_offset, clock_drift, vehicle, wheel_arm)))
 
 
-def installed(params: Params, lever_arm: ArrayLike) -> tuple[Params, str]:
-    """Return parameters with a recording's lever arm where they state none, and the note of it.
+def installed(params: Params, lever_arm: ArrayLike) -> Params:
+    """Return parameters with a recording's lever arm where they state none.
 
     Args:
         params: parameters; a lever arm of zero is none.
         lever_arm: (3,) m, IMU -> antenna, body FRD.
     """
-    arm, stated = np.asarray(lever_arm, float), np.asarray(params.mounting.lever_arm, float)
-    if not arm.any() or np.allclose(arm, stated):
-        return params, ""
-    if stated.any():
-        return params, f"lever arm {_metres(stated)} m as stated in params; the recording has {_metres(arm)} m"
-    return params._replace(mounting=params.mounting._replace(lever_arm=jnp.asarray(arm))), (
-        f"lever arm {_metres(arm)} m from the recording; another one: params.mounting.lever_arm"
-    )
-
-
-def _metres(arm: np.ndarray) -> str:
-    return "(" + ", ".join(f"{a:g}" for a in np.broadcast_to(arm, 3)) + ")"
+    if np.any(np.asarray(params.mounting.lever_arm)) or not np.any(lever_arm):
+        return params
+    return params._replace(mounting=params.mounting._replace(lever_arm=jnp.asarray(lever_arm, float)))
 
 
 def late(params: Params, position: ArrayLike, velocity: ArrayLike) -> Params:

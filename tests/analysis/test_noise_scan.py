@@ -47,7 +47,7 @@ def test_it_finds_noise_and_latency(drive):
     N = (found.part[1] - found.part[0]) / noise_scan.CORRELATION_S
     at = [int(np.argmin(np.abs(axis - value))) for axis, value in zip(found.grid, (0.0, 1.0), strict=True)]
     assert 0.0 <= N * found.gain + found.coarse[*at] < 1.0  # what the boxes add to the coarse grid
-    assert f"{found.latency:.2f} s late" in found.words and found.figure().axes
+    assert f"{found.latency:.2f} s late" in found.findings[0].message and found.figure().axes
 
 
 def test_a_receiver_fault_is_no_noise(drive):
@@ -80,7 +80,10 @@ def test_it_finds_the_sd_of_the_fixes(drive, position, velocity, monkeypatch):
     fixes = found.applied(with_arm(rec)).measurements
     np.testing.assert_allclose(fixes["position"].scale, found.position)
     np.testing.assert_allclose(fixes["velocity"].scale, found.velocity)
-    assert f"sd of positions {found.position:.2g}, of velocities {found.velocity:.2g} times the stated" in found.words
+    assert (
+        f"sd of positions {found.position:.2g}, of velocities {found.velocity:.2g} times the stated"
+        in found.findings[0].message
+    )
     monkeypatch.setattr(noise_scan, "HARM", 0.0)
     assert scan_noise(rec, with_arm(rec)).position == 1.0
 
@@ -114,7 +117,7 @@ def test_what_is_stated_stays(drive):
 
 def test_a_few_fixes_are_too_few(drive):
     found = scan_noise(drive, with_arm(drive), stop=start(drive, with_arm(drive)).t + 8.0)
-    assert found.fixes == 0 and found.gyro == 1.0 and "fewer than" in found.words
+    assert found.fixes == 0 and found.gyro == 1.0 and found.findings[0].code == "noise.datasheet"
 
 
 def test_it_begins_where_the_vehicle_moves():
@@ -155,7 +158,7 @@ def test_navigate_without_params_takes_noise_and_lever_arm_from_the_recording(dr
     arm = np.array([1.5, -0.4, -1.8])
     rec = simulated(factor=1.0, latency=0.0, lever_arm_m=arm.tolist())
     solution = navigate(rec, EKF)
-    assert solution.noise is not None and solution.noise.words in solution.notes
+    assert solution.noise is not None and solution.noise.findings[0] in solution.findings
     assert any(note.startswith("lever arm (1.5, -0.4, -1.8) m from the recording") for note in solution.notes)
     truth = np.column_stack([np.interp(solution.t, rec.truth.t, c) for c in rec.truth.lla.T])
     off = (solution.lla - truth) * np.array([6.37e6, 6.37e6 * np.cos(truth[0, 0]), 1.0])

@@ -61,7 +61,7 @@ def test_rest_shows_neither_heading_nor_the_gyro_about_it(case, rest):
     assert max(left["position east"], left["velocity north"]) < 0.6 and (found.rank < 13).all()
     # tilt and the accelerometers' bias are one direction: together known, apart not
     assert left["accel_bias down"] < 0.5 < min(left["accel_bias forward"], left["accel_bias right"])
-    words = " ".join(obs.in_words(found, 20.0))
+    words = " ".join(f.message for f in obs.observability_findings(found, 20.0))
     assert "no window shows attitude up" in words and "gyro_bias down" in words and "of 15 directions" in words
 
 
@@ -102,8 +102,8 @@ def test_a_run_says_what_it_did_not_show(case):
     more = build("ekf15", cov_stride=5, states=("gyro_scale",))
     params = more.params("adis16465")
     epochs = jax.tree.map(lambda a: a[:8], case.packed.epochs)
-    words = obs.states_in_words(more, params, case.nav, run_jit(more, params, case.nav, epochs))
-    assert len(words) == 1 and "gyro_scale forward" in words[0] and "at the end known no better" in words[0]
+    (found,) = obs.state_findings(more, params, case.nav, run_jit(more, params, case.nav, epochs))
+    assert found.code == "state.unobserved" and "gyro_scale forward" in found.subject
 
 
 def test_a_run_says_which_state_went_too_far(case):
@@ -113,9 +113,8 @@ def test_a_run_says_which_state_went_too_far(case):
 
     def said(nav, bias):
         moved = epochs.imu._replace(gyro=epochs.imu.gyro + np.array([0.0, bias, 0.0]))
-        return " ".join(
-            obs.states_in_words(FILTER, params, nav, run_jit(FILTER, params, nav, epochs._replace(imu=moved)))
-        )
+        found = obs.state_findings(FILTER, params, nav, run_jit(FILTER, params, nav, epochs._replace(imu=moved)))
+        return " ".join(f.message for f in found)
 
     assert "gyro_bias right (" in said(case.nav, 6 * sd) and "gyro_bias" not in said(case.nav, 2 * sd)
     known = case.nav._replace(errors=case.nav.errors | {"gyro_bias": np.array([0.0, 6 * sd, 0.0])})

@@ -29,8 +29,9 @@ def test_every_sample_is_somewhere(case):
         assert u.read == total == u.before + u.outside + u.hidden + u.refused + u.used
         assert u.outside == int((later[name].t > 60.0).sum()) > 5 and u.hidden == 10 and u.refused == 0
     assert found["barometer"] == usage.Use(5, 0, 0, 0, 0, 0)
-    words = usage.usage_in_words(found)
-    assert len(words) == 2 and "after the IMU's last sample" in words[0] and "10 hidden as asked for" in words[0]
+    first, second, *rest = usage.usage_findings(found)
+    assert not rest and first.code == "stream.unused" and first.subject == "position" and second.subject == "velocity"
+    assert "after the IMU's last sample" in first.message and "10 hidden as asked for" in first.message
 
 
 def test_what_a_gate_refuses_is_counted(case):
@@ -43,23 +44,23 @@ def test_what_a_gate_refuses_is_counted(case):
     info = run_jit(filt, own, case.nav, packed.epochs)
     found = usage.usage(recording(case, aiding), packed, info, GNSS, np.zeros(packed.t.size, bool))
     assert found["position"].refused >= 1
-    assert any("refused by the filter's rule" in line for line in usage.usage_in_words(found))
+    assert any("refused by the filter's rule" in f.message for f in usage.usage_findings(found))
 
 
 def test_a_filter_that_is_a_little_too_sure_everywhere_is_told_so():
     """Each of six channels of sixty fixes may be 1.4 times too large; all of them may not. A consistent one passes."""
     rng = np.random.default_rng(0)
     _, names, _ = evaluate.channels(GNSS)
-    said = lambda z: usage.consistency_in_words(info_of(z), usage.channels_of(info_of(z), GNSS))
+    said = lambda z: usage.consistency_findings(info_of(z), usage.channels_of(info_of(z), GNSS))
     white = rng.normal(size=(200, 60, 6))
     assert sum(bool(said(z)) for z in white) <= 4
     lines = [said(np.sqrt(1.4) * z) for z in white]
     assert np.mean([bool(each) for each in lines]) > 0.7
-    assert np.mean(["all channels together" in "".join(each) for each in lines]) > 0.5
+    assert np.mean(["nis.overall" in [f.code for f in each] for each in lines]) > 0.5
     lasting = white[0].copy()
     lasting[1:, 2] = 0.3 * white[0][1:, 2] + 0.95 * np.sqrt(0.5) * (white[0][:-1, 2] + white[0][1:, 2])
-    found = [line for line in said(lasting) if "correlated from one to the next" in line]
-    assert len(found) == 1 and names[2] in found[0] and names[0] not in found[0]
+    (found,) = [f for f in said(lasting) if f.code == "innovations.correlated"]
+    assert names[2] in found.subject and names[0] not in found.subject and found.value > 0.3
 
 
 def info_of(z: np.ndarray) -> Info:
@@ -82,13 +83,14 @@ def test_bounds_hold_a_consistent_filter_however_its_innovations_are_correlated(
         z[0] = rng.normal(size=6)
         for i in range(1, 300):
             z[i] = correlation * z[i - 1] + white[i]
-        flagged += bool(usage.expected_in_words(usage.channels_of(info_of(z), GNSS)))
+        flagged += bool(usage.channel_findings(usage.channels_of(info_of(z), GNSS)))
     assert flagged <= 4
-    words = usage.expected_in_words(usage.channels_of(info_of(1.5 * z), GNSS))
+    words = usage.channel_findings(usage.channels_of(info_of(1.5 * z), GNSS))
     if correlation == 0.0:
-        assert len(words) == 1 and "larger than the filter expects" in words[0] and "and 3 more" in words[0]
-    small = usage.expected_in_words(usage.channels_of(info_of(0.4 * z), GNSS))
-    assert any("smaller than the filter expects" in line for line in small)
+        assert [f.code for f in words] == ["nis.high"] and words[0].subject.endswith("and 3 more")
+        assert words[0].value > words[0].limit > 1.0
+    small = usage.channel_findings(usage.channels_of(info_of(0.4 * z), GNSS))
+    assert any(f.code == "nis.low" and f.value < f.limit < 1.0 for f in small)
 
 
 def test_too_few_innovations_say_nothing():
@@ -103,9 +105,11 @@ def test_sensors_that_are_louder_than_told_are_named(case):
     quiet = case.imu._replace(
         gyro=told / root * rng.normal(size=case.imu.gyro.shape), accel=np.tile([0.0, 0.0, -9.81], (case.imu.t.size, 1))
     )
-    assert usage.noise_in_words(quiet, case.params) == []
-    loud = usage.noise_in_words(quiet._replace(gyro=20 * quiet.gyro), case.params)
-    assert len(loud) == 1 and loud[0].startswith("gyro noise") and 14 < float(loud[0].split(", ")[1].split(" ")[0]) < 23
+    assert usage.noise_findings(quiet, case.params) == []
+    loud = usage.noise_findings(quiet._replace(gyro=20 * quiet.gyro), case.params)
+    assert [(f.code, f.subject) for f in loud] == [("imu.noise_high", "gyro")] and 14 < loud[0].value / loud[
+        0
+    ].limit < 23
     one = quiet.gyro * [1.0, 20.0, 1.0]
-    alone = usage.noise_in_words(quiet._replace(gyro=one), case.params)
-    assert len(alone) == 1 and alone[0].startswith("gyro y") and "the other axes" in alone[0]
+    alone = usage.noise_findings(quiet._replace(gyro=one), case.params)
+    assert [(f.code, f.subject) for f in alone] == [("imu.noise_axis", "gyro y")] and alone[0].value > alone[0].limit

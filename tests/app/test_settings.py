@@ -60,6 +60,7 @@ def test_the_verb_prints_it_and_the_page_is_it(capsys):
     rows = {name for name in named if name.startswith(("states.", "measurements."))}
     assert 20 <= len(named) <= 30 and named - rows <= known and rows <= set(border.KEYS)
     assert (DOCS / "commands.md").read_text() == commands.page(), "python -m jaxnav.app.commands > docs/commands.md"
+    assert (DOCS / "findings.md").read_text() == commands.findings(), "python -m jaxnav.app.commands findings"
 
 
 def test_the_compiled_programs_are_counted_and_removed(tmp_path, monkeypatch, capsys):

@@ -44,19 +44,19 @@ def car() -> Recording:
 
 def bad(rec: Recording, *rows: str) -> set[str]:
     """Codes of what is wrong, by these checks or by all."""
-    return {f.code for row in rows or CHECKS for f in CHECKS[row].answer(rec) if f.bad}
+    return {f.code for row in rows or CHECKS for f in CHECKS[row].answer(rec) if f.warns}
 
 
 def test_nothing_is_wrong_with_what_is_right(car):
-    assert bad(car) - {"time.delay"} == set() and quick_notes(car) == []
-    said = " ".join(f.words for f in checkup(car))
+    assert bad(car) - {"time.late"} == set() and quick_notes(car) == []
+    said = " ".join(f.message for f in checkup(car))
     for part in (
         "IMU at 100 Hz",
         "wheel speed is",
-        "barometric height goes by",
-        "turns of the course",
+        "barometric height changes by",
+        "the course's rate",
         "chi^2",
-        "turns explain",
+        "rotations explain",
     ):
         assert part in said
 
@@ -73,22 +73,22 @@ DAMAGES = {
     "barometer.units": check.stream("barometer", lambda v: 3.28084 * v),
     "gyro.sign": check.imu(gyro=check.times(1, 1, -1)),
     "gyro.axes": check.imu(gyro=check.swapped(0, 2)),
-    "gyro.dead": check.imu(gyro=check.times(1, 0, 1)),
-    "gyro.stuck": check.imu(gyro=lambda a: np.where((ROWS(a) > 1000) & (ROWS(a) < 1150) & COLUMN, a[1001], a)),
+    "imu.dead": check.imu(gyro=check.times(1, 0, 1)),
+    "imu.stuck": check.imu(gyro=lambda a: np.where((ROWS(a) > 1000) & (ROWS(a) < 1150) & COLUMN, a[1001], a)),
     "accel.sign": check.imu(accel=check.times(-1, 1, 1)),
     "axes.gravity": check.imu(gyro=check.times(1, -1, -1), accel=check.times(1, -1, -1)),
     "imu.polled": check.polled,
     "imu.slow": lambda rec: rec._replace(imu=ImuLog(*(a[::20] for a in rec.imu))),
     "position.repeats": check.repeated,
     "time.offset": check.later(-18.0),
-    "mounting.yaw": check.imu(gyro=check.turned, accel=check.turned),
+    "mounting.turned": check.imu(gyro=check.turned, accel=check.turned),
     "time.overlap": check.later(30.0),
     "time.jump": check.stream("position", t=lambda t: np.where(t > 30.0, t - 0.3, t)),
     "time.apart": check.stream("velocity", t=lambda t: t - 0.06),
-    "velocity.short": lambda rec: rec._replace(
+    "stream.short": lambda rec: rec._replace(
         aiding=rec.aiding | {"velocity": Samples(*(a[: a.shape[0] // 2] for a in rec.aiding["velocity"]))}
     ),
-    "position.sd_jumps": lambda rec: rec._replace(
+    "stream.sd_jumps": lambda rec: rec._replace(
         aiding=rec.aiding
         | {
             "position": rec.aiding["position"]._replace(
@@ -104,8 +104,9 @@ DAMAGES = {
 def test_what_is_wrong_is_named(car, code):
     part = code.split(".")[0]
     rows = {
-        "velocity": ("velocity", "ends"), "speed": ("speed",), "barometer": ("barometer",),
-        "position": ("fixes", "stated"), "imu": ("sampling", "gravity"), "axes": ("gravity",),
+        "velocity": ("velocity",), "speed": ("speed",), "barometer": ("barometer",),
+        "position": ("fixes",), "stream": ("stated", "ends"), "imu": ("sampling", "gravity", "axes"),
+        "axes": ("gravity",),
         "gyro": ("axes", "turns"), "accel": ("together",), "mounting": ("together",), "compass": ("compass",),
         "time": ("overlap", "turns", "rhythm", "apart"),
     }  # fmt: skip
@@ -185,7 +186,7 @@ def test_a_stream_that_is_short_says_where(car):
     for rows, said in ((slice(None, half), "ends 34.8 s"), (slice(half, None), "begins 34.8 s")):
         cut = car._replace(aiding=car.aiding | {"velocity": Samples(*(a[rows] for a in v))})
         (finding,) = CHECKS["ends"].answer(cut)
-        assert finding.words.startswith(f"velocity {said}") and " and " not in finding.words, finding.words
+        assert finding.message.startswith(f"velocity {said}") and " and " not in finding.message, finding.message
 
 
 def test_the_detector_of_standstills_is_set_by_what_the_receiver_says():
@@ -202,7 +203,7 @@ def test_the_detector_of_standstills_is_set_by_what_the_receiver_says():
     lines = configuration(Data("drive"), rec, [accel, gyro]).splitlines()
     assert [line.split(" = ")[0] for line in lines if line.startswith("# ") and "st" in line][-2:] == [
         "# standing_accel_sd_mps2", "# standing_gyro_sd_deg_per_s"]  # fmt: skip
-    assert 0.8 < accel.value < 1.8 and "% of them and 0." in gyro.words
+    assert 0.8 < accel.value < 1.8 and "% of them and 0." in gyro.message
     t = np.arange(5.0, 198.0)
     found = stationary(rec.imu, t, 1.0, accel.value, gyro.value * DEG)
     speed = np.interp(t, rec.truth.t, np.linalg.norm(rec.truth.vel, axis=1))

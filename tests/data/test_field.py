@@ -10,6 +10,7 @@ from jaxnav import build, navigate
 from jaxnav.app import cli
 from jaxnav.data.canonical import write_recording
 from jaxnav.data.checkup import checkup
+from jaxnav.data.findings import line
 from jaxnav.data.formats.rtklib import write_pos
 from jaxnav.data.read import read
 from jaxnav.types import DataError, Recording
@@ -41,7 +42,7 @@ def jaxnav_in(folder: Path, *argv: str) -> int:
 @needs_field
 def test_a_short_log_is_checked(tmp_path, capsys):
     assert jaxnav_in(FIELD / "check_short_recording", "check", "rec", "--out", str(tmp_path / "out")) == 0
-    assert "turns of the course against the gyros" in capsys.readouterr().out
+    assert "the course" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("seconds", [3.0, 11.0, 12.0, 20.0, 39.0, 41.0])
@@ -95,7 +96,7 @@ def test_a_stream_that_ends_empty_says_why(drive, tmp_path, capsys):
     option = ["--set", f'data.options={{gnss="{tmp_path / "fixes.pos"}", axes="frd"}}']
     assert jaxnav_in(tmp_path, "check", "imu.csv", "--out", "checked", *option) == 0
     said = capsys.readouterr().out
-    assert "! position: no row is left of" in said and "nothing looks wrong" not in said
+    assert "WARNING stream.empty  position: no row is left of" in said and "nothing looks wrong" not in said
     assert jaxnav_in(tmp_path, "filter", "--data", "imu.csv", "--out", "run", *option) == 3
     said = capsys.readouterr().err
     assert "needs a stream of positions" in said and "no row is left of" in said and "the IMU's are at" in said
@@ -208,7 +209,7 @@ def test_a_receivers_topic_goes_before_a_filters_estimate():
 def test_a_rocket_that_falls_freely_is_read():
     rec = read(FIELD / "free_fall_rocket" / "rec")
     found = {f.code: f for f in checkup(rec)}
-    assert not found["imu.gravity_size"].bad and "free fall" in found["imu.gravity_size"].means
+    assert "imu.gravity_size" not in found and "free fall" in found["imu.gravity_moving"].causes[0]
 
 
 # ---------------------------------------------------------------------------- text tables
@@ -237,7 +238,7 @@ def test_a_phone_s_sensors_in_files_of_their_own(tmp_path):
 
 def means_of(rec: Recording, code: str) -> str:
     """What a finding of `checkup` says that it means."""
-    return next((finding.means for finding in checkup(rec) if finding.code == code), "")
+    return next((line(finding) for finding in checkup(rec) if finding.code == code), "")
 
 
 def test_the_sign_of_an_accelerometer_differs_from_other_axes(drive):

@@ -65,10 +65,11 @@ def test_an_epoch_gets_the_noise_of_a_hole_for_its_share_of_it():
 def test_a_log_without_holes_is_itself():
     imu = log(20.0)
     filled, holes = gaps.fill(imu)
-    assert filled is imu and gaps.in_words(holes) == ""
+    assert filled is imu and gaps.gap_findings(holes) == []
     short = without(imu, 10.0, 10.1)
     assert gaps.fill(short)[0] is short  # bridged as ever
-    assert gaps.in_words(gaps.holes(without(imu, 5.0, 7.0))).startswith("imu: 1 gap of over 0.2 s, coasted through")
+    (found,) = gaps.gap_findings(gaps.holes(without(imu, 5.0, 7.0)))
+    assert found.code == "imu.gaps" and found.value == pytest.approx(2.0, abs=0.02) and found.limit == 0.2
 
 
 def test_a_gap_of_any_length_is_coasted_and_the_covariance_knows(case):

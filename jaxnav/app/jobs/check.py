@@ -3,28 +3,29 @@
 import json
 import time
 import tomllib
+from dataclasses import asdict
 from pathlib import Path
 
 import jax
 import numpy as np
 
 from jaxnav import data as io
-from jaxnav.analysis.observability import in_words as in_words_of
-from jaxnav.analysis.observability import observability
+from jaxnav.analysis.observability import observability, observability_findings
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import checkup as plots_checkup
 from jaxnav.app.config import Config, Data, resolve
 from jaxnav.app.jobs.filtering import describe, describe_text
 from jaxnav.app.prepare import base_params, grade_of, measurements_of, standing_of, start_of
 from jaxnav.app.results import Outcome, picture
-from jaxnav.data.checkup import Finding, checkup
+from jaxnav.data.checkup import checkup
 from jaxnav.data.epochs import pack_recording
+from jaxnav.data.findings import finding
 from jaxnav.data.json import write_json
 from jaxnav.data.read import read
 from jaxnav.data.toml import inline
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import history_for
-from jaxnav.types import ConfigError, DataError, Recording
+from jaxnav.types import ConfigError, DataError, Finding, Recording
 
 MOST, WINDOW = 2000, 30.0  # epochs, and s at a time, in which it is asked what the motion shows of the states
 
@@ -41,22 +42,22 @@ def check(config: Config, folder: Path) -> Outcome:
     begin = time.perf_counter()
     found = checkup(rec)
     seconds["check"] = time.perf_counter() - begin
-    write_json(folder / "check.json", {"recording": describe(rec), "findings": [f._asdict() for f in found]})
-    seen: list[str] = []
     if "position" in rec.aiding:
         begin = time.perf_counter()
         (folder / "config.toml").write_text(configuration(config.data, rec, found), encoding="utf-8")
-        seen = shown(folder / "config.toml", rec)
+        found = found + shown(folder / "config.toml", rec)
         seconds["states"] = time.perf_counter() - begin
+    about = {"recording": describe(rec), "findings": [asdict(f) for f in found]}
+    write_json(folder / "check.json", about)
     if config.out.figures:
         with picture("the recording"):
             plots.save(plots_checkup.overview(rec), folder / "check.png")
-    about = {"findings": [f._asdict() for f in found], "wrong": sum(f.bad for f in found), "states": seen}
-    return Outcome(about, "\n".join([in_words(rec, found), *(f"  {line}" for line in seen)]), seconds)
+    wrong = sum(f.warns for f in found)
+    return Outcome(about | {"wrong": wrong}, in_words(rec, wrong), seconds, findings=found)
 
 
-def shown(file: Path, rec: Recording) -> list[str]:
-    """Return what the motion shows of the states that a configuration has, or why that cannot be said."""
+def shown(file: Path, rec: Recording) -> list[Finding]:
+    """Return what the motion observes of the states that a configuration has."""
     try:
         config = resolve([(str(file), tomllib.loads(file.read_text(encoding="utf-8")))])
         params = base_params(config, grade_of(config, None), rec.lever_arm)
@@ -67,9 +68,10 @@ def shown(file: Path, rec: Recording) -> list[str]:
         filt = build(config.filter.name, measurements, config.filter.cov_stride, history, states=config.filter.states)
         cut = lambda a: a[:MOST]
         first, epochs = jax.tree.map(lambda a: a[0], begin.navs), jax.tree.map(cut, packed.epochs)
-        return in_words_of(observability(filt, params, first, epochs, cut(packed.t), WINDOW), WINDOW)
+        seen = observability(filt, params, first, epochs, cut(packed.t), WINDOW)
+        return observability_findings(seen, WINDOW)
     except (ConfigError, DataError, ValueError) as error:
-        return [f"what its motion shows of the states is not known: {error}"]
+        return [finding("observability.unknown", why=str(error))]
 
 
 def convert(config: Config, folder: Path) -> Outcome:
@@ -89,18 +91,15 @@ def convert(config: Config, folder: Path) -> Outcome:
     return Outcome({"recording": about}, text, {"convert": time.perf_counter() - begin})
 
 
-def in_words(rec: Recording, found: list[Finding]) -> str:
-    """What a recording holds, what is wrong with it, and what else was seen."""
-    lines = [describe_text(describe(rec)), ""]
-    bad = [f for f in found if f.bad]
-    lines += [f"{len(bad)} of what was checked {'looks' if len(bad) == 1 else 'look'} wrong:"] if bad else []
-    lines += [f"  ! {f.words}: {f.means}" for f in bad]
-    lines += [f"  {f.words}{f': {f.means}' if f.means else ''}" for f in found if not f.bad]
-    if not bad:
-        lines.append("nothing looks wrong")
+def in_words(rec: Recording, wrong: int) -> str:
+    """Return what a recording holds, and how many findings warn."""
+    verdict = (
+        f"{wrong} of what was checked {'looks' if wrong == 1 else 'look'} wrong" if wrong else "nothing looks wrong"
+    )
+    lines = [describe_text(describe(rec)), "", verdict]
     if "position" not in rec.aiding:
         lines.append("there are no positions, so that no filter can be run on it")
-    return "\n".join([*lines, *(f"  {note}" for note in rec.notes.splitlines() if note not in "\n".join(lines))])
+    return "\n".join([*lines, *(f"  {note}" for note in rec.notes.splitlines())])
 
 
 def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
@@ -116,7 +115,7 @@ def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
         'name = "ekf15"  # errors of position, velocity, attitude and both biases; `jaxnav info` lists the others',
         f'grade = "auto"  # IMU noise and latency by likelihood, or a datasheet; {_noise(found)}',
     ]
-    good = {f.code for f in found if not f.bad}
+    good = {f.code for f in found if not f.warns}
     used, states, remarks = ["position", "velocity"], [], []
     if "speed" in rec.aiding:
         used.append("speed")
@@ -129,15 +128,15 @@ def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
         used.append("magnetometer")
         states.append("magnetometer_bias")
         remarks.append("the magnetometer turns with the gyros, as strong as the Earth's field is here")
-    yaw = next((f for f in found if f.code == "mounting.yaw" and not f.bad), None)
+    yaw = next((f for f in found if f.code == "mounting.yaw"), None)
     if yaw is not None and "speed" in rec.aiding:
         used.append("nonholonomic")
-        remarks.append(f"wheels do not slip sideways; {yaw.words}")
+        remarks.append(f"wheels do not slip sideways; {yaw.message}")
     lines.append(f"measurements = {json.dumps(used)}" + (f"  # {'; '.join(remarks)}" if remarks else ""))
     if "standstill.accel" in good:
         lines.append('# with "zero_velocity" and "zero_rate" where the vehicle stands, by these:')
         for f in (f for f in found if f.code.startswith("standstill.")):
-            lines.append(f"# {f.key.split('.')[1]} = {f.value:.3g}  # {f.words}")
+            lines.append(f"# {f.setting.split('.')[1]} = {f.value:.3g}  # {f.message}")
     if states:
         lines.append(f"states = {json.dumps(states)}  # what these read too much")
     lines += ["[start]", 'heading = "motion"  # found by alignment; or "course", "unknown", degrees']
@@ -147,24 +146,25 @@ def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
 def _timing(found: list[Finding]) -> list[str]:
     """Return settings of the clocks: what is early is the IMU's clock, what is late is the stream's."""
     by = {f.code: f for f in found if f.value is not None}
+    delay = by.get("time.late", by.get("time.delay"))
     tables: dict[str, list[str]] = {"mounting": [], "measurements.position": [], "measurements.velocity": []}
-    if "time.delay" in by:
-        delay, behind = by["time.delay"], by.get("velocity.latency")
+    if delay is not None:
+        behind = by.get("velocity.latency")
         gap = 0.0 if behind is None else float(behind.value or 0.0)  # s, velocity later than position
         first = float(delay.value or 0.0)
-        of_velocity = "velocity" in delay.key
+        of_velocity = "velocity" in delay.setting
         late = {"position": first - gap if of_velocity else first, "velocity": first if of_velocity else first + gap}
         offset = min(0.0, *late.values())
-        why = delay.words + (f"; {behind.words}" if behind is not None else "")
+        why = delay.message + (f"; {behind.message}" if behind is not None else "")
         settings = {("mounting", "time_offset_s"): offset}
         settings |= {(f"measurements.{name}", "latency_s"): t - offset for name, t in late.items()}
         for (table, key), value in settings.items():
             if abs(value) > 5e-3:
                 tables[table].append(f"{key} = {value:.3f}  # {why}")
     if "time.drift" in by:
-        tables["mounting"].append(f"clock_drift_ppm = {by['time.drift'].value:.0f}  # {by['time.drift'].words}")
+        tables["mounting"].append(f"clock_drift_ppm = {by['time.drift'].value:.0f}  # {by['time.drift'].message}")
     return [line for table, lines in tables.items() if lines for line in (f"[{table}]", *lines)]
 
 
 def _noise(found: list[Finding]) -> str:
-    return next((f.words for f in found if f.code == "imu.noise"), "see `jaxnav info`")
+    return next((f.message for f in found if f.code == "imu.noise"), "see `jaxnav info`")

@@ -110,7 +110,7 @@ def filter(config: Config, folder: Path) -> Outcome:
         interactive.run_layout, sol.trace, rec.truth, sol.fixes, sol.measurements, sol.gaps(), filt.model.states
     )
     ran = with_noise(config, sol.params, filt.model.measurements) if sol.noise is not None else config
-    return Outcome(found, summary(found, f.name, rec.name), seconds, "", layout, ran)
+    return Outcome(found, summary(found, f.name, rec.name), seconds, "", layout, ran, findings=sol.findings)
 
 
 def titled(config: Config, sol: Solution) -> str:
@@ -122,7 +122,7 @@ def titled(config: Config, sol: Solution) -> str:
 
 
 def summary(found: dict[str, Any], name: str, run: str) -> str:
-    """The table of a run for the terminal."""
+    """Return the table of a run for the terminal."""
     lines = [f"{name} on {run}, from t = {found['start_s']:.3f} s, IMU grade {found['grade']}"]
     errors = found.get("errors", {})
     rows = [
@@ -139,12 +139,9 @@ def summary(found: dict[str, Any], name: str, run: str) -> str:
         lines.append(f"NIS / dof {found['nis_per_dof']:.2f}, {share:.1f} % of fixes inside the 95 % bounds")
     else:
         lines.append("no fix was used: the solution is the IMU's alone")
-    lines += found["remarks"]
     for outage in found.get("outages", []):
         lines.append(
             f"outage {outage['start_s']:g} to {outage['end_s']:g} s: {outage['horizontal_m']:.2f} m at its end"
         )
-    if "unused_streams" in found:
-        lines.append(f"not used of the recording: {', '.join(found['unused_streams'])} (see filter.measurements)")
     lines += [found["start"], *found["notes"]]
     return "\n".join(lines)

@@ -18,6 +18,7 @@ from jaxnav.app.config import Config, as_dict
 from jaxnav.app.long import Long, identity
 from jaxnav.app.results import Outcome, picture
 from jaxnav.app.sources import scenario_of
+from jaxnav.data.findings import finding
 from jaxnav.data.json import write_json
 from jaxnav.filters.border import override
 from jaxnav.filters.catalogue import FILTERS, build
@@ -25,7 +26,7 @@ from jaxnav.filters.parameters import history_for
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params, sizes
-from jaxnav.types import ConfigError, FilterError, nearest
+from jaxnav.types import ConfigError, FilterError, Finding, nearest
 from tuning import checkpoint, distributed
 
 EVERY = 30.0  # s between two times that what is finished is kept
@@ -82,7 +83,7 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
         with picture("the runs"):
             for name, fig in plots_mc.figures(found, scenario.gnss.outages_s).items():
                 plots.save(fig, folder / f"{name}.png")
-    return Outcome(about, _text(about, scenario), seconds, stopped)
+    return Outcome(about, _text(about, scenario), seconds, stopped, findings=findings_of(about))
 
 
 def kept(config: Config, name: str, long: Long) -> dict[str, Any]:
@@ -157,25 +158,25 @@ def _per_run(found: dict[str, MonteCarlo]) -> dict[str, np.ndarray]:
 
 
 def _text(about: dict[str, Any], scenario: Scenario) -> str:
-    rows, notes = [], []
+    scored = [(name, one["scores"]) for name, one in about.items() if "scores" in one]
+    rows = [[name, score, *s.values()] for name, scores in scored for score, s in scores.items()]
+    head = ["filter", "RMS of a run", "mean", "sd", "5 %", "median", "95 %"]
+    runs = max(one["runs"] for one in about.values())
+    return "\n".join([f"{runs} runs of {scenario.name}", table(head, rows), ""])
+
+
+def findings_of(about: dict[str, Any]) -> list[Finding]:
+    """Return divergences and the consistency of every filter."""
+    out = []
     for name, one in about.items():
         bad = one["diverged"]
         if bad:
             first = ", ".join(f"{b['run']} ({b['t_s']:g} s)" for b in bad[:8]) + (", ..." if len(bad) > 8 else "")
-            notes.append(f"{name} diverged in {len(bad)} of {one['runs']} runs: {first}")
+            out.append(finding("mc.diverged", name, float(len(bad)), runs=one["runs"], first=first))
         if "scores" not in one:
             continue
-        rows += [[name, score, *s.values()] for score, s in one["scores"].items()]
-        notes.append(f"{name}: {_consistency(one)}")
-    head = ["filter", "RMS of a run", "mean", "sd", "5 %", "median", "95 %"]
-    runs = max(one["runs"] for one in about.values())
-    return "\n".join([f"{runs} runs of {scenario.name}", table(head, rows), "", *notes])
-
-
-def _consistency(one: dict[str, Any]) -> str:
-    nees, nis = one["anees"], one.get("anis")
-    text = f"ANEES / 9 {nees['mean']:.2f}, {100 * nees['share_inside']:.0f} % of epochs inside 95 % bounds"
-    if nis:
-        low, high = nis["bounds"]
-        text += f"; ANIS / dof {nis['mean']:.4f} (95 %: {low:.4f} to {high:.4f})"
-    return text
+        out.append(finding("mc.anees", name, one["anees"]["mean"], share=100 * one["anees"]["share_inside"]))
+        if one.get("anis"):
+            low, high = one["anis"]["bounds"]
+            out.append(finding("mc.anis", name, one["anis"]["mean"], high, low=low))
+    return out

@@ -73,7 +73,8 @@ def tune(config: Config, folder: Path, progress: bool = False, long: Long | None
         draw(folder, result)
     seconds["write"] = time.perf_counter() - begin
     stopped = "interrupted" if found.status is Status.INTERRUPTED else ""
-    return Outcome(found.metrics(), "\n".join([str(found), *result.lines]), seconds, stopped)
+    text = "\n".join([str(found), *result.lines])
+    return Outcome(found.metrics(), text, seconds, stopped, findings=found.findings)
 
 
 def by_runs(config: Config) -> bool:

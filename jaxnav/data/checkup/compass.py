@@ -5,11 +5,11 @@ from itertools import permutations
 import numpy as np
 
 from jaxnav.data.axes import DIRECTIONS, rotation
-from jaxnav.data.checkup.finding import Finding
+from jaxnav.data.findings import finding
 from jaxnav.data.magnetic import field_at
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
-from jaxnav.types import Recording
+from jaxnav.types import Finding, Recording
 
 LEAST_TURN, APART, MANY = 3.0 * DEG, (0.2, 0.5, 1.0), 20  # less is noise; s between readings; turns that are enough
 SURE, LOST = 0.8, 0.4  # shares of the field's changes that turns explain: of axes that belong together, that do not
@@ -29,31 +29,26 @@ def compass(rec: Recording) -> list[Finding]:
     if m is None or m.t.size < 20:
         return []
     strength, known = float(np.median(np.linalg.norm(m.value, axis=1))), None if p is None else field_at(p.value[0])
-    words = f"magnetic field of {strength:.1f} uT" + ("" if known is None else f", here {known.strength:.1f} uT")
+    here = "" if known is None else f", here {known.strength:.1f} uT"
     low, high = (LEAST * known.strength, MOST * known.strength) if known is not None else (15.0, 90.0)
-    wrong = not low < strength < high
-    code, means = ("compass.strength", "iron is near, or another unit") if wrong else ("compass", "")
-    found = [Finding(code, words, means, wrong)]
+    found = [finding("compass" if low < strength < high else "compass.strength", value=strength, here=here)]
     moved = _turns(rec)
     if moved is None:
         return found
     turn, *field = moved
     share = {letters: explained(turn, *(a @ R.T for a in field)) for letters, R in AXES.items()}
     best = max(share, key=lambda letters: share[letters])
-    own, most, words = share["frd"], share[best], "turns explain {:.0f} % of the changes of the magnetic field"
+    own, most = share["frd"], share[best]
     if own < LOST and most > SURE:
-        words = words.format(100 * max(own, 0.0))
-        means = f'with axes = "{best}" in [magnetometer] {100 * most:.0f} %, or turned about the axis of the turns'
-        return [*found, Finding("compass.axes", words, means, True)]
+        return [*found, finding("compass.axes", value=100 * max(own, 0.0), axes=best, most=100 * most)]
     iron = hard_iron(*moved)
     own = explained(turn, field[0] - iron, field[1])
-    words = words.format(100 * max(own, 0.0))
-    if own < LOST:
-        return [*found, Finding("compass.turns", words, "iron that moves, another clock, or axes askew", True)]
+    own = 100 * max(own, 0.0)
+    if own < 100 * LOST:
+        return [*found, finding("compass.inconsistent", value=own)]
     if np.linalg.norm(iron) > IRON:
-        words += f"; hard iron of {', '.join(f'{b:.0f}' for b in iron)} uT"
-        return [*found, Finding("compass.iron", words, "take it off, or add the state magnetometer_bias")]
-    return [*found, Finding("compass.turns", words)]
+        return [*found, finding("compass.iron", value=own, vector=", ".join(f"{b:.0f}" for b in iron))]
+    return [*found, finding("compass.turns", value=own)]
 
 
 def _turns(rec: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:

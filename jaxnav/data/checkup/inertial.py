@@ -3,14 +3,15 @@
 import numpy as np
 
 from jaxnav.data.checks import quiet_force
-from jaxnav.data.checkup.finding import Finding
 from jaxnav.data.checkup.motion import turns_with_course
-from jaxnav.data.gaps import holes, in_words
+from jaxnav.data.findings import finding
+from jaxnav.data.gaps import gap_findings, holes
 from jaxnav.maths import units
-from jaxnav.types import ImuLog, Recording
+from jaxnav.types import Finding, ImuLog, Recording, Severity
 
 QUIET = 0.05  # share of the windows that count as quiet
 G = 9.81
+LEAST_RATE_HZ = 10.0  # strapdown navigation loses rotation and vibration between samples
 STUCK = 20  # rows of one value in a row from which on an axis that otherwise changes hangs
 
 
@@ -20,20 +21,14 @@ def sampling(rec: Recording) -> list[Finding]:
     dt = np.diff(imu.t)
     usual = float(np.median(dt))
     jitter = float(np.std(dt[dt < 2.5 * usual]) / usual)
-    words = f"IMU at {1 / usual:.4g} Hz, intervals vary by {100 * jitter:.1f} %"
-    found = [Finding("imu", words)]
-    if 1 / usual < 10:
-        means = "strapdown navigation needs 10 Hz or more: what turns and shakes in between is lost"
-        found.append(Finding("imu.slow", words, means, True))
-    long = in_words(holes(imu))
-    if long:
-        found.append(Finding("imu.gaps", long))
+    found = [finding("imu.rate", value=1 / usual, jitter=100 * jitter)]
+    if 1 / usual < LEAST_RATE_HZ:
+        found.append(finding("imu.slow", value=1 / usual, limit=LEAST_RATE_HZ))
+    found += gap_findings(holes(imu))
     values = np.hstack([imu.gyro, imu.accel])
     same = float(np.mean(np.all(values[1:] == values[:-1], axis=1)))
     if same > 0.005:
-        words = f"{100 * same:.1f} % of the IMU's rows repeat the row before"
-        means = "the logger polled the sensor, and lost as many samples: repair = true in a column map mends it"
-        found.append(Finding("imu.polled", words, means, same > 0.01))
+        found.append(finding("imu.polled", value=100 * same, severity=None if same > 0.01 else Severity.INFO))
     return found
 
 
@@ -44,18 +39,15 @@ def axes(rec: Recording) -> list[Finding]:
         spread = values.std(0)
         for axis, own, column in zip("xyz", spread, values.T, strict=True):
             if own < 1e-3 * max(float(np.median(spread)), 1e-9):
-                words = f"{name} {axis} does not move: {column[0]:.3g} throughout"
-                found.append(Finding(f"{name}.dead", words, "a dead axis, or a column that is another", True))
+                found.append(finding("imu.dead", f"{name} {axis}", column[0]))
                 continue
             rows, begin = longest_repeat(column)
             if rows > STUCK and rows * float(np.median(rec.imu.dt)) > 1.0 and np.mean(np.diff(column) != 0) > 0.5:
-                words = f"{name} {axis} repeats {column[begin]:.4g} in {rows} rows from t = {rec.imu.t[begin]:.1f} s on"
-                found.append(Finding(f"{name}.stuck", words, "the sensor or its driver hung", True))
+                found.append(finding("imu.stuck", f"{name} {axis}", column[begin], rows=rows, at=rec.imu.t[begin]))
             top = np.abs(column).max()
             share = float(np.mean((np.abs(column[1:]) > 0.999 * top) & (column[1:] == column[:-1])))
             if share > 0.003 and column.size > 1000 and top > 3 * own:
-                words = f"{name} {axis} is at {top:.3g} in {100 * share:.1f} % of the rows"
-                found.append(Finding(f"{name}.clipped", words, "beyond the sensor's range", True))
+                found.append(finding("imu.clipped", f"{name} {axis}", float(top), share=100 * share))
     return found
 
 
@@ -83,24 +75,23 @@ def gravity(rec: Recording) -> list[Finding]:
         return []
     force = np.median(rec.imu.accel[rows].mean(1), 0)
     size = float(np.linalg.norm(force))
-    words = f"specific force where it is quiet: {', '.join(f'{f:.2f}' for f in force)} m/s^2, together {size:.2f}"
-    found = [Finding("imu.gravity", words)]
+    found = [finding("imu.gravity", value=size, vector=", ".join(f"{f:.2f}" for f in force))]
     if abs(size - G) > 0.35:
-        means = (
-            f"{100 * (size / G - 1):+.1f} % from gravity: a bias or scale error of the accelerometer, or never at rest"
-        )
-        elsewhere = abs(quiet_force(rec.imu) - G) < 0.35
-        if elsewhere:
-            means = "gravity shows in other seconds: a free fall, or another motion without turns"
-        found.append(Finding("imu.gravity_size", words, means, abs(size - G) > 0.7 and not elsewhere))
+        share = 100 * (size / G - 1)
+        if abs(quiet_force(rec.imu) - G) < 0.35:
+            found.append(finding("imu.gravity_moving", value=size, share=share))
+        else:
+            severity = None if abs(size - G) > 0.7 else Severity.INFO
+            found.append(finding("imu.gravity_size", value=size, share=share, severity=severity))
     axis = int(np.abs(force).argmax())
     if abs(force[axis]) > 0.9 * size and (axis, np.sign(force[axis])) != (2, -1.0):
         name = "xyz"[axis]
-        guess = 'FLU or ENU? say axes = "flu"' if axis == 2 else "the IMU lies on its side: say axes"
-        if axis == 2 and turns_with_course(rec):
-            guess = "gyro z agrees with the course: the accelerometer alone has the other sign, say accel_sign = -1"
-        means = f"{name} reads {force[axis]:+.1f} at rest, where forward, right, down has z = -9.8: {guess}"
-        found.append(Finding("axes.gravity", words, means, True))
+        cause, action = "the IMU lies on its side", "set axes"
+        if axis == 2:
+            cause, action = "axes forward, left, up or east, north, up", 'set axes = "flu"'
+            if turns_with_course(rec):
+                cause, action = "gyro z agrees with the course: the accelerometer's sign alone", "set accel_sign = -1"
+        found.append(finding("axes.gravity", name, float(force[axis]), cause=cause, action=action))
     return found
 
 
@@ -110,8 +101,7 @@ def noise(rec: Recording) -> list[Finding]:
     if floor is None:
         return []
     gyro, accel = np.median(floor[0]) / units.DEG_PER_SQRT_HOUR, np.median(floor[1]) / units.UG
-    words = f"noise where it is quiet: gyro {gyro:.2g} deg/sqrt(h), accelerometer {accel:.3g} ug/sqrt(Hz)"
-    return [Finding("imu.noise", words)]
+    return [finding("imu.noise", gyro=gyro, accel=accel)]
 
 
 def noise_floor(imu: ImuLog) -> tuple[np.ndarray, np.ndarray] | None:

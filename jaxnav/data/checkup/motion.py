@@ -1,16 +1,17 @@
 """The IMU against the fixes: turns, and the attitude that makes both go together."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxnav.data.alignment import Alignment, Believed, align
-from jaxnav.data.checkup.finding import Finding, level_velocity
+from jaxnav.data.checkup.shared import level_velocity
+from jaxnav.data.findings import finding
 from jaxnav.maths import units
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.states.grades import GRADES
-from jaxnav.types import ImuLog, Recording, Samples
+from jaxnav.types import Finding, ImuLog, Recording, Samples, Severity
 
 STEP = 0.1  # s, of the series that are correlated
 FARTHEST = 40.0  # s: leap seconds, and a logger that was started early
@@ -90,30 +91,25 @@ def turns(rec: Recording) -> list[Finding]:
     near = np.array([row[zero][np.abs(row[zero]).argmax()] for row in table])
     axis, j = np.unravel_index(np.abs(table).argmax(), table.shape)
     best, lag = float(table[axis, j]), float(lags[j] * STEP)
-    words = "turns of the course against the gyros: " + ", ".join(
-        f"{name} {c:+.2f}" for name, c in zip("xyz", near, strict=True)
-    )
+    vector = ", ".join(f"{name} {c:+.2f}" for name, c in zip("xyz", near, strict=True))
     seconds = STEP * x.weight.sum() - abs(lag)  # that overlap, about; few turns are alike by chance
     chance = np.tanh(SIGMAS / np.sqrt(max(seconds / SERIES - 3.0, 1.0)))  # Fisher's z
     if abs(best) > max(SURE, chance) and abs(lag) > 1.0 and abs(best) > 1.5 * np.abs(near).max():
-        words += f"; {'xyz'[axis]} {best:+.2f} if fixes are {lag:+.1f} s late"
-        return [Finding("time.offset", words, "clocks apart: another time scale (leap seconds), or time zone", True)]
+        return [finding("time.offset", "xyz"[axis], lag, best=best, setting="mounting.time_offset_s")]
     if abs(near[2]) > SURE and abs(near[2]) >= 0.8 * np.abs(near).max():
         w = x.weight
         slope = float((w * x.course * x.gyro[:, 2]).sum() / (w * x.course**2).sum())
-        words += f"; z turns by {slope:+.2f} of the course"
+        message = f"gyro z is {slope:+.2f} times the course's rate (correlations {vector})"
         if near[2] < 0:
-            return [Finding("gyro.sign", words, 'z turns the other way: up instead of down? say axes = "flu"', True)]
+            cause = 'z points up instead of down: axes = "flu"'
+            return [finding("gyro.sign", "gyro z", slope, message=message, cause=cause)]
         if abs(near[2]) > 0.9 and not 0.6 < abs(slope) < 1.6:
-            return [
-                Finding("gyro.units", words, "another unit: degrees for radians, or a rate of another length", True)
-            ]
-        return [Finding("gyro", words)]
+            cause = "degrees read as radians, or the reverse"
+            return [finding("gyro.units", "gyro z", slope, message=message, cause=cause)]
+        return [finding("gyro", value=slope, vector=vector)]
     if np.abs(near).max() > SURE and abs(near[2]) < 0.4:
-        i = int(np.abs(near).argmax())
-        means = f"turns show on {'xyz'[i]}: columns or axes are others"
-        return [Finding("gyro.axes", words, means, True)]
-    return [Finding("gyro", words)]
+        return [finding("gyro.axes", "xyz"[int(np.abs(near).argmax())], vector=vector)]
+    return [finding("gyro", vector=vector)]
 
 
 # ---------------------------------------------------------------------------- by alignment
@@ -153,31 +149,32 @@ def together(rec: Recording) -> list[Finding]:
     each = [(w, a) for w in windows if (a := aligned(rec.imu, rec, w)) is not None]
     moving = [(w, a) for w, a in each if a.sd[2] < 20 * DEG]
     if not moving:
-        return [Finding("motion", "too little motion to see whether IMU and fixes go together")] if each else []
-    chi2 = float(np.median([a.chi2 for _, a in moving]))
-    words = f"IMU and fixes go together to chi^2 {chi2:.2g} per degree of freedom in {len(moving)} windows"
+        return [finding("motion.little")] if each else []
+    chi2, count = float(np.median([a.chi2 for _, a in moving])), len(moving)
     if chi2 > BAD_FIT:
-        return [_what_else(rec, min(moving, key=lambda each: abs(each[1].chi2 - chi2)), words)]
+        return [_what_else(rec, min(moving, key=lambda each: abs(each[1].chi2 - chi2)), chi2, count)]
     name = "velocity" if "velocity" in rec.aiding and rec.aiding["velocity"].t.size > 10 else "position"
-    return [Finding("motion", words), *_timing(moving, name), *_arm(rec, moving), *_biases(moving), *_mounting(moving)]
+    together = finding("motion", value=chi2, count=count)
+    return [together, *_timing(moving, name), *_arm(rec, moving), *_biases(moving), *_mounting(moving)]
 
 
-def _what_else(rec: Recording, case: tuple[tuple[float, float], Alignment], words: str) -> Finding:
-    """Which mix-up of axes or units would make a bad fit a good one."""
+def _what_else(rec: Recording, case: tuple[tuple[float, float], Alignment], usual: float, count: int) -> Finding:
+    """Return which mix-up of axes or units makes a bad fit a good one; ``usual``: chi^2 in ``count`` windows."""
     window, was = case
     rows = (rec.imu.t > window[0] - 1) & (rec.imu.t <= window[1] + 1)
     imu = ImuLog(*(a[rows] for a in rec.imu))
     found = []
-    for code, means, other in _mixups(imu):
+    for code, cause, other in _mixups(imu):
         a = aligned(other, rec, window)
         if a is not None:
-            found.append((a.chi2, code, means))
+            found.append((a.chi2, code, cause))
     if found:
-        chi2, code, means = min(found)
+        chi2, code, cause = min(found)
         if chi2 < 0.35 * was.chi2:
-            return Finding(code, f"{words}; {chi2:.2g} if so", means, True)
-    means = "axes, units, times or columns are others than said, or fixes are worse than their sd"
-    return Finding("motion.misfit", words, means, was.chi2 > 3 * BAD_FIT)
+            message = f"IMU and fixes disagree: chi^2/dof {usual:.2g} in {count} windows, {chi2:.2g} with another IMU"
+            return finding(code, code.partition(".")[0], usual, chi2, message=message, cause=cause)
+    severity = None if was.chi2 > 3 * BAD_FIT else Severity.INFO
+    return finding("motion.misfit", value=usual, limit=BAD_FIT, count=count, severity=severity)
 
 
 def _mixups(imu: ImuLog) -> list[tuple[str, str, ImuLog]]:
@@ -209,10 +206,11 @@ def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> lis
     mean, mean_sd = float((weight * late).sum() / weight.sum()), float(1 / np.sqrt(weight.sum()))
     spread = float(np.sqrt((weight * (late - mean) ** 2).sum() / max(len(late) - 1, 1))) if len(late) > 1 else 1.0
     mean_sd *= max(spread, 1.0)
-    words = f"{name} is {abs(mean):.3f} s {'late' if mean >= 0 else 'early'} against the IMU (sd {mean_sd:.3f} s)"
-    bad = abs(mean) > max(0.15, 5 * mean_sd)
-    means = "" if abs(mean) < max(0.03, 3 * mean_sd) else "tell the filter, or let it be tuned"
-    found = [Finding("time.delay", words, means, bad, f"measurements.{name}.latency_s", mean if means else 0.0)]
+    late_enough = abs(mean) >= max(0.03, 3 * mean_sd)
+    numbers: dict[str, Any] = {"size": abs(mean), "side": "late" if mean >= 0 else "early", "sd": mean_sd}
+    code = "time.late" if abs(mean) > max(0.15, 5 * mean_sd) else "time.delay"
+    value, setting = mean if late_enough else 0.0, f"measurements.{name}.latency_s"
+    found = [finding(code, name, value, setting=setting, **numbers)]
     if len(late) >= 4 and np.ptp(t) >= 100.0:
         centred = t - (weight * t).sum() / weight.sum()
         power = float((weight * centred**2).sum())
@@ -221,9 +219,8 @@ def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> lis
         loose = max(1.0, float(np.sqrt((weight * left**2).sum() / max(len(late) - 2, 1))))
         drift_sd = loose / np.sqrt(power)
         if abs(drift) > max(4 * drift_sd, 100 * units.PPM):
-            words = f"that changes by {drift / units.PPM:+.0f} ppm (sd {drift_sd / units.PPM:.0f} ppm)"
-            means = "the IMU's clock gains or loses: see mounting.clock_drift_ppm"
-            found.append(Finding("time.drift", words, means, True, "mounting.clock_drift_ppm", drift / units.PPM))
+            setting, sd_ppm = "mounting.clock_drift_ppm", drift_sd / units.PPM
+            found.append(finding("time.drift", name, drift / units.PPM, setting=setting, sd=sd_ppm))
     return found
 
 
@@ -243,15 +240,14 @@ def _arm(rec: Recording, each: list[tuple[tuple[float, float], Alignment]]) -> l
     if not sure.any():
         return []
     where = ", ".join(f"{o:+.1f} ({s:.1f})" for o, s in zip(off, sd, strict=True))
-    words = f"the antenna seems to be {where} m forward, right, down from where it is said to be (sd)"
-    return [Finding("lever_arm", words, "say lever_arm_frd_m, or let it be tuned", True)]
+    return [finding("lever_arm", vector=where)]
 
 
 def _biases(each: list[tuple[tuple[float, float], Alignment]]) -> list[Finding]:
     best = min(each, key=lambda e: e[1].sd[3:9].sum())[1]
     gyro = ", ".join(f"{b / DEG:+.2f}" for b in best.gyro_bias)
     accel = ", ".join(f"{b:+.2f}" for b in best.accel_bias)
-    return [Finding("imu.bias", f"biases of the gyros {gyro} deg/s, of the accelerometers {accel} m/s^2")]
+    return [finding("imu.bias", gyro=gyro, accel=accel)]
 
 
 def _mounting(each: list[tuple[tuple[float, float], Alignment]]) -> list[Finding]:
@@ -265,10 +261,5 @@ def _mounting(each: list[tuple[tuple[float, float], Alignment]]) -> list[Finding
         return []
     middle = float(np.median(off)) / DEG
     spread = 1.4826 * float(np.median(np.abs(np.array(off) / DEG - middle)))
-    words = f"the IMU points {middle:+.1f} deg right of the course (median of {len(off)}, scatter {spread:.1f} deg)"
-    bad = abs(middle) > 20 and spread < 8
-    return [
-        Finding(
-            "mounting.yaw", words, "it is turned in the vehicle: say axes, or it moves sideways" if bad else "", bad
-        )
-    ]
+    code = "mounting.turned" if abs(middle) > 20 and spread < 8 else "mounting.yaw"
+    return [finding(code, value=middle, count=len(off), scatter=spread)]

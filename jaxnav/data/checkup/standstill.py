@@ -1,11 +1,14 @@
 """Where the vehicle stands by its receiver: what the IMU shows there, and what parts it from motion."""
 
+from typing import Any
+
 import numpy as np
 
-from jaxnav.data.checkup.finding import Finding, level_velocity
+from jaxnav.data.checkup.shared import level_velocity
 from jaxnav.data.epochs import Standing, driving, spreads
+from jaxnav.data.findings import finding
 from jaxnav.maths.units import DEG
-from jaxnav.types import Recording
+from jaxnav.types import Finding, Recording
 
 LEAST = 20  # windows at rest and in motion, or nothing can be told
 RIM = 1.0  # s before and after, in which the receiver must say the same: fixes are late
@@ -39,16 +42,14 @@ def standstill(rec: Recording) -> list[Finding]:
             best = max(best, (caught - false / FALSE, -a, -g, caught, false))  # of equals the tightest
     _, a, g, caught, false = best
     a, g = (_between(-x, own[moving]) for x, own in ((a, accel), (g, gyro)))
-    shown = f"{100 * caught:.0f} % of them and {100 * false:.1f} % of {moving.sum()} s in motion"
-    words = f"{rest.sum()} s at rest by the receiver"
+    shares: dict[str, Any] = {"caught": 100 * caught, "false": 100 * false, "moving": int(moving.sum())}
+    count = int(rest.sum())
     if caught < CAUGHT or false > FALSE:
-        words += f": no spread of the IMU parts them from motion, the best takes for rest {shown}"
-        return [Finding("standstill", words)]
-    force = f"{words}: there specific force spreads by less than {a:.3g} m/s^2 in {window:g} s"
-    rate = f"and the rate by less than {g / DEG:.3g} deg/s: both together take for rest {shown}"
+        return [finding("standstill", count=count, **shares)]
+    force, rate = "filter.standing_accel_sd_mps2", "filter.standing_gyro_sd_deg_per_s"
     return [
-        Finding("standstill.accel", force, "", False, "filter.standing_accel_sd_mps2", a),
-        Finding("standstill.gyro", rate, "", False, "filter.standing_gyro_sd_deg_per_s", g / DEG),
+        finding("standstill.accel", value=a, setting=force, count=count, window=window),
+        finding("standstill.gyro", value=g / DEG, setting=rate, **shares),
     ]
 
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from jaxnav.data.checkup.finding import Finding, level_velocity, local, rms, running
+from jaxnav.data.checkup.shared import level_velocity, local, rms, running
+from jaxnav.data.findings import finding
 from jaxnav.data.mend import EMPTY
 from jaxnav.maths.interpolation import columns_at
-from jaxnav.types import Recording
+from jaxnav.types import Finding, Recording, Severity
 
 SPAN = 2.0  # s, over which positions are differenced
 UNITS = {"km/h": 3.6, "knots": 1.943844, "feet per second": 3.28084, "mm/s": 1000.0, "cm/s": 100.0}
@@ -21,7 +22,7 @@ def empty(rec: Recording) -> list[Finding]:
         if words.startswith(EMPTY):
             others = [w.removeprefix(f"{name}: ") for w in rec.notes.splitlines() if w.startswith(f"{name}: ")]
             why = " ".join(w for w in others if w != words) or "they lie outside of the IMU's time, or say nothing"
-            found.append(Finding(f"{name}.empty", f"{name}: {words.rstrip('.')}", why.rstrip("."), True))
+            found.append(finding("stream.empty", name, words=words.rstrip("."), cause=why.rstrip(".")))
     return found
 
 
@@ -43,16 +44,15 @@ def velocity(rec: Recording) -> list[Finding]:
     sd = np.hypot(np.sqrt(2) * p.sd[n:][rows] / T, np.median(v.sd, 0))
     found = _level(shown[:, :2], said[:, :2], rms(sd[:, :2]))
     found += _vertical(shown[:, 2], said[:, 2], rms(sd[:, 2]), float(np.median(v.sd[:, 2])))
-    if not any(f.bad for f in found):
+    if not any(f.warns for f in found):
         found += _late(shown[:, :2], said[:, :2], a[rows])
     return found
 
 
 def _level(shown: np.ndarray, said: np.ndarray, sd: float) -> list[Finding]:
     off, size = rms(shown - said), rms(shown)
-    words = f"velocity and differences of positions are {off:.2f} m/s apart (rms; the speed is {size:.1f} m/s)"
     if off < max(0.35 * max(size, rms(said)), 3 * sd, 0.3):
-        return [Finding("velocity", words)]
+        return [finding("velocity", value=off, size=size)]
     tries = {
         "velocity.swapped: east and north look swapped": said[:, ::-1],
         "velocity.sign: east has the wrong sign": said * [-1, 1],
@@ -63,9 +63,9 @@ def _level(shown: np.ndarray, said: np.ndarray, sd: float) -> list[Finding]:
     tries |= {f"velocity.units: looks like {unit}, converted once too often": said * UNITS[unit] for unit in ("km/h",)}
     best = min(tries, key=lambda key: rms(shown - tries[key]))
     if rms(shown - tries[best]) < 0.4 * off:
-        code, means = best.split(": ")
-        return [Finding(code, words, means, True)]
-    return [Finding("velocity.columns", words, "the columns may be others, or the times", True)]
+        code, cause = best.split(": ")
+        return [finding(code, value=off, size=size, cause=cause)]
+    return [finding("velocity.columns", value=off, size=size, cause="other columns, or other times")]
 
 
 def _vertical(shown: np.ndarray, said: np.ndarray, sd: float, stated: float) -> list[Finding]:
@@ -73,10 +73,8 @@ def _vertical(shown: np.ndarray, said: np.ndarray, sd: float, stated: float) -> 
         return []  # not measured
     both = np.column_stack([shown - shown.mean(), said - said.mean()])
     corr = float(np.corrcoef(both.T)[0, 1]) if min(both.std(0)) > 1e-6 else 0.0
-    words = f"vertical velocity and differences of height correlate by {corr:+.2f}"
     bad = corr < -0.4 and rms(shown + said) < 0.7 * rms(shown - said)
-    means = "its sign is wrong: up is up here, most receivers say down" if bad else ""
-    return [Finding("velocity.vertical_sign" if bad else "velocity.vertical", words, means, bad)]
+    return [finding("velocity.vertical_sign" if bad else "velocity.vertical", value=corr)]
 
 
 def _late(shown: np.ndarray, said: np.ndarray, t: np.ndarray) -> list[Finding]:
@@ -89,10 +87,8 @@ def _late(shown: np.ndarray, said: np.ndarray, t: np.ndarray) -> list[Finding]:
     sd = rms(shown - said - late * acceleration) * np.sqrt(6 / power)  # differences overlap
     if abs(late) < max(0.05, 5 * sd):
         return []
-    age = "older" if late > 0 else "younger"
-    words = f"velocity is {abs(late):.2f} s {age} than the position beside it (sd {sd:.2f} s)"
-    means = "a receiver that differences positions: see measurements.velocity.latency_s"
-    return [Finding("velocity.latency", words, means, abs(late) > 0.4, "", late)]
+    side, severity = "older" if late > 0 else "younger", Severity.WARNING if abs(late) > 0.4 else None
+    return [finding("velocity.latency", value=late, size=abs(late), side=side, sd=sd, severity=severity)]
 
 
 def speed(rec: Recording) -> list[Finding]:
@@ -107,12 +103,10 @@ def speed(rec: Recording) -> list[Finding]:
     if fast.sum() < 10:
         return []
     ratio = float(np.median(turned[fast] / ground[fast]))
-    words = f"wheel speed is {ratio:.3f} times the receiver's (median)"
     near = min(UNITS, key=lambda unit: abs(np.log(max(ratio, 1e-9) / UNITS[unit])))
     if abs(np.log(max(ratio, 1e-9) / UNITS[near])) < 0.12:
-        return [Finding("speed.units", words, f"looks like {near}: say unit", True)]
-    bad = not 0.8 < ratio < 1.25
-    return [Finding("speed.scale" if bad else "speed", words, "another unit, or another wheel" if bad else "", bad)]
+        return [finding("speed.units", value=ratio, cause=f"looks like {near}")]
+    return [finding("speed" if 0.8 < ratio < 1.25 else "speed.scale", value=ratio)]
 
 
 def barometer(rec: Recording) -> list[Finding]:
@@ -128,13 +122,12 @@ def barometer(rec: Recording) -> list[Finding]:
     if spread < 1.5 * min(float(np.median(p.sd[:, 2])), 3.0):
         return []
     slope, corr = float(np.cov(height, said)[0, 1] / height.var(ddof=1)), float(np.corrcoef(height, said)[0, 1])
-    words = f"barometric height goes by {slope:+.2f} m with each metre of height (correlation {corr:+.2f})"
     if corr < -0.5:
-        return [Finding("barometer.sign", words, "it is upside down: a depth, or a pressure taken for a height", True)]
+        return [finding("barometer.sign", value=slope, corr=corr)]
     if corr > 0.7 and not 0.7 < slope < 1.4:
         unit = "feet" if 2.5 < slope < 4.2 else "another unit, or pressure"
-        return [Finding("barometer.units", words, f"looks like {unit}", True)]
-    return [Finding("barometer", words)]
+        return [finding("barometer.units", value=slope, corr=corr, cause=f"looks like {unit}")]
+    return [finding("barometer", value=slope, corr=corr)]
 
 
 def fixes(rec: Recording) -> list[Finding]:
@@ -145,24 +138,20 @@ def fixes(rec: Recording) -> list[Finding]:
     dt = np.diff(p.t)
     usual = float(np.median(dt))
     gaps = dt[dt > 2.5 * usual]
-    words = f"positions at {1 / usual:.3g} Hz"
-    found = [Finding("position", words + (f", {gaps.size} gaps, up to {gaps.max():.1f} s" if gaps.size else ""))]
+    long = f", {gaps.size} gaps, up to {gaps.max():.1f} s" if gaps.size else ""
+    found = [finding("position", value=1 / usual, gaps=long)]
     same = np.all(np.diff(p.value[:, :2], axis=0) == 0, axis=1)
     place, n = local(p.value)[:, :2], max(1, round(1.5 / usual))
     moves = np.hypot(*(place[2 * n :] - place[: -2 * n]).T) > 1.5 * n * usual if p.t.size > 2 * n + 20 else np.zeros(0)
     again = float(np.mean(same[n : n + moves.size][moves.astype(bool)])) if np.sum(moves) > 20 else 0.0
     if again > 0.3:
-        means = "the log repeats its last fix: new_where takes only those that changed"
-        words = f"{100 * again:.0f} % of the positions repeat the one before while the vehicle moves"
-        found.append(Finding("position.repeats", words, means, True))
+        found.append(finding("position.repeats", value=100 * again))
     second = np.diff(local(p.value), 2, axis=0)[(dt[1:] < 1.5 * usual) & (dt[:-1] < 1.5 * usual)]
     if second.size:
         noise = 1.4826 * np.median(np.abs(second), 0) / np.sqrt(6)  # of white noise; motion only adds
         stated = np.median(p.sd, 0)
         if (noise[:2] > 4 * stated[:2]).all() and usual <= 1.0:
-            means = "the stated sd is too small, or the vehicle jumps: say sd"
-            words = f"positions scatter by {noise[:2].max():.2g} m, their sd says {stated[:2].max():.2g} m"
-            found.append(Finding("position.sd", words, means))
+            found.append(finding("position.sd", value=float(noise[:2].max()), limit=float(stated[:2].max())))
     return found
 
 
@@ -177,6 +166,5 @@ def stated(rec: Recording) -> list[Finding]:
         worst = int(steps.argmax())
         if steps[worst] > np.log(JUMPY):
             axis, factor = ("east", "north", "up")[worst], float(np.exp(steps[worst]))
-            words = f"the sd that {name} states {axis} changes by a factor of {factor:.2g} a fix (median)"
-            found.append(Finding(f"{name}.sd_jumps", words, "another column, or a damaged one", True))
+            found.append(finding("stream.sd_jumps", f"{name} {axis}", factor))
     return found

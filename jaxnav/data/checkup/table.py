@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 from jaxnav.data.checks import require_double
 from jaxnav.data.checkup import compass, inertial, motion, standstill, streams, times
-from jaxnav.data.checkup.finding import Finding
-from jaxnav.types import Recording
+from jaxnav.data.findings import line
+from jaxnav.types import Finding, Recording
 
 
 class Check(NamedTuple):
@@ -51,4 +51,4 @@ def checkup(rec: Recording, quick: bool = False) -> list[Finding]:
 
 def quick_notes(rec: Recording) -> list[str]:
     """A sentence for each thing that looks wrong."""
-    return [f"{f.words}: {f.means}." for f in checkup(rec, quick=True) if f.bad]
+    return [f"{line(f)}." for f in checkup(rec, quick=True) if f.warns]

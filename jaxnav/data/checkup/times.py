@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from jaxnav.data.checkup.finding import Finding
-from jaxnav.types import Recording
+from jaxnav.data.findings import finding
+from jaxnav.types import Finding, Recording, Severity
 
 PAIR = ("position", "velocity")  # of one solution, so of one time
 EVEN = 0.02  # of an interval: how closely a stream keeps its rhythm, and
@@ -26,8 +26,7 @@ def ends(rec: Recording) -> list[Finding]:
         f"begins {late:.1f} s after" if late > least else "",
         f"ends {early:.1f} s before" if early > least else "",
     ]
-    words = f"{short} {' and '.join(filter(None, parts))} {long}"
-    return [Finding(f"{short}.short", words, "a file that is cut: what lies beyond has one of the two alone", True)]
+    return [finding("stream.short", short, parts=" and ".join(filter(None, parts)), other=long)]
 
 
 def rhythm(rec: Recording) -> list[Finding]:
@@ -38,11 +37,9 @@ def rhythm(rec: Recording) -> list[Finding]:
         odd = np.flatnonzero(np.abs(off) > OFF)
         if 0 < odd.size <= 3:
             k = odd[np.abs(off[odd]).argmax()]
-            words = (
-                f"{name} comes every {usual:.3g} s, but at t = {t[k + 1]:.2f} s by {abs(off[k]) * usual:.2g} s too "
-                f"{'late' if off[k] > 0 else 'early'}{f', and {odd.size - 1} more' if odd.size > 1 else ''}"
-            )
-            found.append(Finding("time.jump", words, "its clock jumped, or the receiver began anew", True))
+            side, more = "late" if off[k] > 0 else "early", f", and {odd.size - 1} more" if odd.size > 1 else ""
+            size = abs(off[k]) * usual
+            found.append(finding("time.jump", name, usual=usual, at=t[k + 1], size=size, side=side, more=more))
     return found
 
 
@@ -59,9 +56,7 @@ def apart(rec: Recording) -> list[Finding]:
     middle = float(np.median(near))
     if abs(middle) < APART * usual or np.mean(np.abs(near - middle) < EVEN * usual) < 0.5:
         return []
-    words = f"position comes {abs(middle):.2g} s {'after' if middle > 0 else 'before'} velocity, every time"
-    means = "one receiver gives both at once: the times of one are other than they say"
-    return [Finding("time.apart", words, means, True)]
+    return [finding("time.apart", value=middle, size=abs(middle), side="after" if middle > 0 else "before")]
 
 
 def _even(rec: Recording) -> dict[str, tuple[float, np.ndarray]]:
@@ -89,9 +84,6 @@ def overlap(rec: Recording) -> list[Finding]:
         share = float(np.mean((s.t >= first) & (s.t <= last)))
         covered = float((min(last, s.t[-1]) - max(first, s.t[0])) / max(last - first, 1e-9))
         if share < 0.9 or covered < 0.5:
-            words = (
-                f"{100 * share:.0f} % of {name} lies in the IMU's time, and covers {100 * max(covered, 0):.0f} % of it"
-            )
-            means = "another zero of time, another time scale, or another drive"
-            found.append(Finding("time.overlap", words, means, share < 0.9))
+            severity = None if share < 0.9 else Severity.INFO
+            found.append(finding("time.overlap", name, 100 * share, covered=100 * max(covered, 0), severity=severity))
     return found

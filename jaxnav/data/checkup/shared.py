@@ -1,22 +1,9 @@
-"""What a check answers, and what checks share."""
-
-from typing import NamedTuple
+"""What checks share."""
 
 import numpy as np
 
 from jaxnav.maths import earth
 from jaxnav.types import Samples
-
-
-class Finding(NamedTuple):
-    """The answer of one check."""
-
-    code: str  # what it is about: "velocity.swapped"
-    words: str  # with its figure
-    means: str = ""  # what it usually means, and what to do
-    bad: bool = False  # something is wrong, or looks as if it were
-    key: str = ""  # a setting that would mend it, as of the command line: "mounting.time_offset_s"
-    value: float | None = None  # of that setting
 
 
 def local(lla: np.ndarray) -> np.ndarray:

@@ -1,0 +1,409 @@
+"""KINDS: what a check, a run or a tuning may remark, and its words; numerics give the numbers.
+
+A new kind is a row here. docs/findings.md lists them.
+"""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from jaxnav.types import Finding, Severity
+
+INFO, WARNING = Severity.INFO, Severity.WARNING
+
+
+class Kind(NamedTuple):
+    """A kind of finding; in its texts stand the numbers of `finding` by name."""
+
+    severity: Severity
+    message: str  # one sentence: quantity, value, limit
+    causes: tuple[str, ...] = ()  # the likely ones first
+    actions: tuple[str, ...] = ()  # settings or commands
+    unit: str = ""  # of value and limit
+
+
+KINDS: dict[str, Kind] = {
+    # the IMU by itself
+    "imu.rate": Kind(INFO, "IMU at {value:.4g} Hz, intervals vary by {jitter:.1f} %", unit="Hz"),
+    "imu.slow": Kind(
+        WARNING,
+        "IMU at {value:.4g} Hz, below {limit:g} Hz",
+        ("rotation and vibration between samples are lost",),
+        ("log it at 10 Hz or more",),
+        "Hz",
+    ),
+    "imu.gaps": Kind(
+        INFO,
+        "imu: {count} gap(s) of over {limit:g} s, bridged by the mean of both sides: the longest, {value:.2f} s "
+        "at t = {at:.2f} s, leaves {angle:.1f} deg and {speed:.1f} m/s (1 sd)",
+        unit="s",
+    ),
+    "imu.polled": Kind(
+        WARNING,
+        "{value:.1f} % of the IMU's rows repeat the row before",
+        ("the logger polled the sensor, and lost as many samples",),
+        ("repair = true in a column map",),
+        "%",
+    ),
+    "imu.dead": Kind(
+        WARNING, "{subject} is constant, {value:.3g}", ("a failed axis", "another column"), ("choose the column",)
+    ),
+    "imu.stuck": Kind(
+        WARNING,
+        "{subject} repeats {value:.4g} in {rows} rows from t = {at:.1f} s on",
+        ("the sensor or its driver hung",),
+    ),
+    "imu.clipped": Kind(
+        WARNING, "{subject} is at {value:.3g} in {share:.1f} % of the rows", ("beyond the sensor's range",)
+    ),
+    "imu.gravity": Kind(INFO, "specific force at rest is {vector} m/s^2, norm {value:.2f} m/s^2", unit="m/s^2"),
+    "imu.gravity_size": Kind(
+        WARNING,
+        "specific force at rest is {value:.2f} m/s^2, {share:+.1f} % from gravity",
+        ("bias or scale error of the accelerometer", "a vehicle that never rests"),
+        unit="m/s^2",
+    ),
+    "imu.gravity_moving": Kind(
+        INFO,
+        "specific force in the quietest seconds is {value:.2f} m/s^2, {share:+.1f} % from gravity; other seconds "
+        "show gravity",
+        ("a free fall, or motion without rotation",),
+        unit="m/s^2",
+    ),
+    "imu.noise": Kind(
+        INFO, "noise in the quietest seconds: gyro {gyro:.2g} deg/sqrt(h), accelerometer {accel:.3g} ug/sqrt(Hz)"
+    ),
+    "imu.bias": Kind(INFO, "biases of the gyros {gyro} deg/s, of the accelerometers {accel} m/s^2"),
+    # axes and units of the IMU
+    "axes.gravity": Kind(
+        WARNING,
+        "accelerometer {subject} reads {value:+.1f} m/s^2 at rest; forward, right, down has z = -9.8",
+        ("{cause}",),
+        ("{action}",),
+        "m/s^2",
+    ),
+    "gyro": Kind(INFO, "correlation of the course's rate with the gyros: {vector}"),
+    "gyro.axes": Kind(
+        WARNING,
+        "the course's rate correlates with gyro {subject}, not z: {vector}",
+        ("other columns or axes",),
+        ("set axes",),
+    ),
+    **{
+        f"{sensor}.{what}": Kind(WARNING, "{message}", ("{cause}",), ("set axes, units or columns of the " + sensor,))
+        for sensor in ("gyro", "accel")
+        for what in ("sign", "swapped", "units")
+    },
+    "mounting.yaw": Kind(
+        INFO,
+        "the IMU points {value:+.1f} deg right of the course (median of {count}, scatter {scatter:.1f} deg)",
+        unit="deg",
+    ),
+    "mounting.turned": Kind(
+        WARNING,
+        "the IMU points {value:+.1f} deg right of the course (median of {count}, scatter {scatter:.1f} deg)",
+        ("it is turned in the vehicle", "the vehicle moves sideways"),
+        ("set axes",),
+        "deg",
+    ),
+    "lever_arm": Kind(
+        WARNING,
+        "the antenna is {vector} m forward, right, down from where it is stated (sd in brackets)",
+        ("another lever arm",),
+        ("set lever_arm_frd_m, or free it in jaxnav tune",),
+        "m",
+    ),
+    # times
+    "time.offset": Kind(
+        WARNING,
+        "the course's rate fits gyro {subject} if fixes are {value:+.1f} s late (correlation {best:+.2f})",
+        ("another time scale (leap seconds)", "another time zone"),
+        ("set mounting.time_offset_s",),
+        "s",
+    ),
+    "time.delay": Kind(INFO, "{subject} is {size:.3f} s {side} against the IMU (sd {sd:.3f} s)", unit="s"),
+    "time.late": Kind(
+        WARNING,
+        "{subject} is {size:.3f} s {side} against the IMU (sd {sd:.3f} s)",
+        ("latency of the receiver",),
+        ("set measurements.{subject}.latency_s, or jaxnav tune",),
+        "s",
+    ),
+    "time.drift": Kind(
+        WARNING,
+        "the delay changes by {value:+.0f} ppm (sd {sd:.0f} ppm)",
+        ("the IMU's clock gains or loses",),
+        ("set mounting.clock_drift_ppm",),
+        "ppm",
+    ),
+    "time.jump": Kind(
+        WARNING,
+        "{subject} comes every {usual:.3g} s, but at t = {at:.2f} s {size:.2g} s too {side}{more}",
+        ("its clock jumped, or the receiver restarted",),
+    ),
+    "time.apart": Kind(
+        WARNING,
+        "position comes {size:.2g} s {side} velocity, every time",
+        ("the times of one of them are wrong",),
+    ),
+    "time.overlap": Kind(
+        WARNING,
+        "{value:.0f} % of {subject} lies in the IMU's time, and covers {covered:.0f} % of it",
+        ("another zero of time", "another time scale", "another recording"),
+        unit="%",
+    ),
+    # streams
+    "stream.empty": Kind(WARNING, "{subject}: {words}", ("{cause}",)),
+    "stream.short": Kind(
+        WARNING, "{subject} {parts} {other}", ("a truncated file: beyond it one of the two is alone",)
+    ),
+    "stream.sd_jumps": Kind(
+        WARNING,
+        "the stated sd of {subject} changes by a factor of {value:.2g} a fix (median)",
+        ("another column", "a damaged one"),
+    ),
+    "position": Kind(INFO, "positions at {value:.3g} Hz{gaps}", unit="Hz"),
+    "position.repeats": Kind(
+        WARNING,
+        "{value:.0f} % of the positions repeat the one before while the vehicle moves",
+        ("the log repeats its last fix",),
+        ("new_where in a column map takes those that changed",),
+        "%",
+    ),
+    "position.sd": Kind(
+        INFO,
+        "positions scatter by {value:.2g} m, their stated sd is {limit:.2g} m",
+        ("a stated sd that is too small",),
+        ("set sd",),
+        "m",
+    ),
+    "velocity": Kind(
+        INFO,
+        "velocity differs from differences of positions by {value:.2f} m/s (rms; speed {size:.1f} m/s)",
+        unit="m/s",
+    ),
+    **{
+        f"velocity.{what}": Kind(
+            WARNING,
+            "velocity differs from differences of positions by {value:.2f} m/s (rms; speed {size:.1f} m/s)",
+            ("{cause}",),
+            unit="m/s",
+        )
+        for what in ("swapped", "sign", "units", "columns")
+    },
+    "velocity.vertical": Kind(INFO, "vertical velocity and differences of height correlate by {value:+.2f}"),
+    "velocity.vertical_sign": Kind(
+        WARNING,
+        "vertical velocity and differences of height correlate by {value:+.2f}",
+        ("wrong sign: up is positive here, most receivers give down",),
+    ),
+    "velocity.latency": Kind(
+        INFO,
+        "velocity is {size:.2f} s {side} than the position (sd {sd:.2f} s)",
+        ("a receiver that differences positions",),
+        ("set measurements.velocity.latency_s",),
+        "s",
+    ),
+    "speed": Kind(INFO, "wheel speed is {value:.3f} times the receiver's (median)"),
+    "speed.units": Kind(
+        WARNING, "wheel speed is {value:.3f} times the receiver's (median)", ("{cause}",), ("set unit",)
+    ),
+    "speed.scale": Kind(
+        WARNING, "wheel speed is {value:.3f} times the receiver's (median)", ("another unit", "another wheel radius")
+    ),
+    "barometer": Kind(
+        INFO, "barometric height changes by {value:+.2f} m per metre of height (correlation {corr:+.2f})"
+    ),
+    "barometer.sign": Kind(
+        WARNING,
+        "barometric height changes by {value:+.2f} m per metre of height (correlation {corr:+.2f})",
+        ("a depth, or a pressure read as a height",),
+    ),
+    "barometer.units": Kind(
+        WARNING,
+        "barometric height changes by {value:+.2f} m per metre of height (correlation {corr:+.2f})",
+        ("{cause}",),
+    ),
+    "compass": Kind(INFO, "magnetic field of {value:.1f} uT{here}", unit="uT"),
+    "compass.strength": Kind(
+        WARNING, "magnetic field of {value:.1f} uT{here}", ("iron nearby", "another unit"), unit="uT"
+    ),
+    "compass.axes": Kind(
+        WARNING,
+        "rotations explain {value:.0f} % of the changes of the magnetic field",
+        ('with axes = "{axes}" in [magnetometer] {most:.0f} %, or turned about the axis of rotation',),
+        ("set axes",),
+        "%",
+    ),
+    "compass.turns": Kind(INFO, "rotations explain {value:.0f} % of the changes of the magnetic field", unit="%"),
+    "compass.iron": Kind(
+        INFO,
+        "rotations explain {value:.0f} % of the changes of the magnetic field; hard iron of {vector} uT",
+        (),
+        ("add the state magnetometer_bias",),
+        "%",
+    ),
+    "compass.inconsistent": Kind(
+        WARNING,
+        "rotations explain {value:.0f} % of the changes of the magnetic field",
+        ("moving iron", "another clock", "axes that are not orthogonal to the IMU's"),
+        unit="%",
+    ),
+    # motion and standstill
+    "motion": Kind(INFO, "IMU and fixes agree: chi^2 {value:.2g} per degree of freedom in {count} windows"),
+    "motion.little": Kind(INFO, "too little motion to compare IMU and fixes"),
+    "motion.misfit": Kind(
+        WARNING,
+        "IMU and fixes disagree: chi^2 {value:.2g} per degree of freedom in {count} windows (limit {limit:g})",
+        ("axes, units, times or columns are wrong", "fixes are worse than their sd"),
+    ),
+    "standstill": Kind(
+        INFO,
+        "{count} s at rest by the receiver: no spread of the IMU separates them from motion, the best takes for rest "
+        "{caught:.0f} % of them and {false:.1f} % of {moving} s in motion",
+    ),
+    "standstill.accel": Kind(
+        INFO,
+        "{count} s at rest by the receiver: there specific force spreads by less than {value:.3g} m/s^2 in "
+        "{window:g} s",
+        unit="m/s^2",
+    ),
+    "standstill.gyro": Kind(
+        INFO,
+        "and the rate by less than {value:.3g} deg/s: both together take for rest {caught:.0f} % of them and "
+        "{false:.1f} % of {moving} s in motion",
+        unit="deg/s",
+    ),
+    # a run
+    "nis.high": Kind(
+        WARNING,
+        "innovations of {subject} exceed their predicted variance: {vector} times (limit {limit:.2f})",
+        ("noise set too low", "delay", "lever arm", "axes", "initialization"),
+        ("jaxnav check", "jaxnav tune"),
+    ),
+    "nis.low": Kind(
+        WARNING,
+        "innovations of {subject} are below their predicted variance: {vector} times (limit {limit:.2f})",
+        ("the stated sd of the fixes, or the IMU's noise, is too large",),
+        ("jaxnav tune",),
+    ),
+    "nis.overall": Kind(
+        WARNING,
+        "NIS/dof of all channels is {value:.3g} (limit {limit:.2f}), though each alone is within its bounds",
+        ("noise settings, a sensor or a delay is slightly wrong",),
+        ("jaxnav check", "jaxnav tune"),
+    ),
+    "innovations.correlated": Kind(
+        WARNING,
+        "innovations of {subject} are correlated from fix to fix: {vector}",
+        ("delay", "lever arm", "scale factor", "a receiver with slow errors"),
+        ("add the state gnss_position_error",),
+    ),
+    "stream.unused": Kind(INFO, "{subject}: {used} of {read} samples used; {why}"),
+    "stream.refused": Kind(WARNING, "{subject}: none of {read} samples used: {why}"),
+    "stream.extra": Kind(INFO, "not used of the recording: {subject}", (), ("add it to filter.measurements",)),
+    "imu.noise_high": Kind(
+        WARNING,
+        "{subject} noise in the quietest seconds is {value:.3g} {unit_text}, {ratio:.0f} times the assumed",
+        ("vibration", "another grade", "another unit"),
+        ("filter.grade", "jaxnav check", "jaxnav tune"),
+    ),
+    "imu.noise_axis": Kind(
+        WARNING,
+        "{subject} noise in the quietest seconds is {value:.3g} {unit_text}, {ratio:.0f} times the assumed; the "
+        "other axes have at most {limit:.3g}",
+        ("a failing sensor or wire", "coarse quantization"),
+    ),
+    "observability.rank": Kind(
+        INFO, "{count} windows of {window:g} s observe {span} of {n} directions of the state (median {value:.0f})"
+    ),
+    "observability.never": Kind(
+        INFO, "no window observes {subject}", (), ("turns, changes of speed and tilts do; until then the prior holds",)
+    ),
+    "observability.seldom": Kind(INFO, "few windows observe {subject}"),
+    "observability.unknown": Kind(INFO, "observability cannot be computed: {why}"),
+    "state.unobserved": Kind(INFO, "not observable in this motion: {subject}; their sd is as at the start"),
+    "state.unexpected": Kind(
+        WARNING,
+        "estimates far from their prior: {subject}",
+        ("another grade", "another unit", "a failing sensor", "an error that is no state of the filter"),
+    ),
+    "truth.share": Kind(INFO, "truth covers {value:.0f} % of the epochs; errors are of these alone", unit="%"),
+    "heading.hypotheses": Kind(
+        INFO, "heading unknown: {value:g} deg at the start is the most probable ({probability:.2f})", unit="deg"
+    ),
+    "noise.scan": Kind(
+        INFO,
+        "noise by likelihood: gyro {gyro:.3g} and accelerometer {accel:.3g} times the datasheet's, fixes {size:.2f} s "
+        "{side} (log-likelihood {gain:+.2f} a fix, {fixes} fixes of {first:.0f} to {last:.0f} s){scale}",
+    ),
+    "noise.vibration": Kind(
+        WARNING,
+        "noise by likelihood is {value:.3g} times the datasheet's (limit {limit:g})",
+        ("strong vibration", "another unit", "another grade"),
+        ("jaxnav check",),
+    ),
+    "noise.datasheet": Kind(
+        INFO, "noise of the datasheet: fewer than {limit:g} fixes to estimate it from", (), ("set filter.grade",)
+    ),
+    # tuning and Monte Carlo
+    "time.clocks": Kind(
+        WARNING,
+        "fixes are late by {vector}, and one delay is tuned for all",
+        ("loggers with separate clocks",),
+        ("jaxnav check", 'tune.own = ["timing"]'),
+    ),
+    "tune.aside": Kind(WARNING, "{subject} is left out from step {step} on: {why}"),
+    "tune.undetermined": Kind(INFO, "{message}"),
+    "mc.diverged": Kind(WARNING, "{subject} diverged in {value:.0f} of {runs} runs: {first}"),
+    "mc.anees": Kind(INFO, "{subject}: ANEES / 9 {value:.2f}, {share:.0f} % of epochs inside 95 % bounds"),
+    "mc.anis": Kind(INFO, "{subject}: ANIS / dof {value:.4f} (95 %: {low:.4f} to {limit:.4f})"),
+    "lever_arm.recorded": Kind(
+        INFO, "lever arm {vector} m from the recording", (), ("mounting.lever_arm_m sets another one",), "m"
+    ),
+    "lever_arm.stated": Kind(INFO, "lever arm {vector} m as stated; the recording has {other} m", unit="m"),
+}
+
+
+def finding(
+    code: str,
+    subject: str = "",
+    value: float | None = None,
+    limit: float | None = None,
+    *,
+    setting: str = "",
+    severity: Severity | None = None,
+    **numbers: Any,
+) -> Finding:
+    """Return a finding of a kind.
+
+    Args:
+        code: a row of `KINDS`.
+        subject: stream and channel, sensor and axis, or state.
+        value: what was found, in the kind's unit.
+        limit: what it is compared with.
+        setting: a setting that would take ``value``.
+        severity: in place of the kind's.
+        numbers: of the kind's texts.
+    """
+    kind = KINDS[code]
+    told = lambda text: text.format(subject=subject, value=value, limit=limit, **numbers)
+    causes, actions = (tuple(map(told, texts)) for texts in (kind.causes, kind.actions))
+    severity = kind.severity if severity is None else severity
+    return Finding(code, severity, subject, value, limit, kind.unit, told(kind.message), causes, actions, setting)
+
+
+def line(f: Finding) -> str:
+    """Return a finding in one line."""
+    likely = f"; likely: {', '.join(f.causes)}" if f.causes else ""
+    return f"{f.message}{likely}" + (f"; next: {', '.join(f.actions)}" if f.actions else "")
+
+
+def text(findings: Iterable[Finding]) -> list[str]:
+    """Return lines for a terminal: warnings with likely causes and next steps, then the rest."""
+    findings, lines = list(findings), []
+    for f in findings:
+        if f.warns:
+            lines.append(f"{f.severity.name} {f.code}  {f.message}")
+            lines += [f"        Likely: {', '.join(f.causes)}"] if f.causes else []
+            lines += [f"        Next:   {', '.join(f.actions)}"] if f.actions else []
+    return lines + [f"  {line(f)}" for f in findings if not f.warns]

@@ -12,9 +12,7 @@ FOLDERS = {
         "bakeoff": "filters tuned alike on the three papers' scenarios, ranked on runs and types that none has seen",
     },
     "speed": {
-        "budget": "the cost of tuning by gradient, CMA-ES, coordinate and random search",
         "first": "the first answer: seconds of whole commands, from an empty cache and from a full one",
-        "room": "mappings and memory that one process holds while it runs one study after the other",
         "speed": "speed beside a C++ floor, plain JAX, numpy and other packages; gradients, compilation, growth",
     },
     "recordings": {

@@ -16,6 +16,7 @@ from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.analysis.observability import state_findings
 from jaxnav.data import epochs as ep
 from jaxnav.data.bank import bank_jit
+from jaxnav.data.checkup.motion import turns
 from jaxnav.data.findings import finding, line
 from jaxnav.data.gaps import gap_findings, holes
 from jaxnav.data.solution import FORMATS, write_kml, write_solution
@@ -220,6 +221,8 @@ def navigate(
     findings += state_findings(filt, params, best, trace.info)
     findings += about.findings + ([] if found is None else found.findings) + gap_findings(holes(rec.imu))
     findings += _installation(stated, rec) + _coverage(trace, rec, chosen)
+    if any(f.warns for f in findings):
+        findings += [f for f in turns(rec) if f.warns]
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
         smooth, lag, findings, found,

@@ -14,7 +14,7 @@ from jaxnav.data.checks import ned_to_enu
 from jaxnav.data.columns import Files, column_of, known, rows_of, sd_of, sheet_of, side_by_side, table_of, times_of
 from jaxnav.data.files import FilePath, read_bytes
 from jaxnav.data.mend import GAP, LATE
-from jaxnav.data.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream, counted_from
+from jaxnav.data.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream, TimeScale, counted_from
 from jaxnav.data.sheet import column, open_sheet
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
@@ -24,7 +24,9 @@ from jaxnav.types import DataError, Track
 
 UNKNOWN_SD = 1e3  # m/s, of a component that nothing measured
 
-COMMON = tuple("file delimiter header time time_unit time_tag time_shift_s rate_hz skip where new_where".split())
+COMMON = tuple(
+    "file delimiter header time time_unit time_scale time_tag time_shift_s rate_hz skip where new_where".split()
+)
 TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", *COMMON)
 KEYS: dict[str, tuple[str, ...]] = {
     "imu": (*COMMON, *"gyro gyro_unit accel accel_unit accel_time axes sampling repair".split()),
@@ -133,11 +135,21 @@ def _with_imu(parts: Parts, files: Files, table: dict[str, Any]) -> Parts:
             raise DataError(f"{files.map}: imu: no time of the gyro lies within those of the accelerometer ({column})")
     refs = table["time"] if "time" in table else table["gyro"][0]
     lines = sheet_of(files, table, refs, "imu")[0].lines
-    rows = ImuRows(t[keep], gyro[keep], accel[keep], sampling, repair=bool(table.get("repair", False)))
+    scale = _scale(table, f"{files.map}: imu")
+    rows = ImuRows(t[keep], gyro[keep], accel[keep], sampling, repair=bool(table.get("repair", False)), scale=scale)
     if column is not None:
         words = f"imu: accelerations interpolated from times {column}: {keep.sum()} of {len(t)} gyro samples have one."
         parts = parts._replace(notes=(*parts.notes, words))
     return parts._replace(imu=rows, axes=table.get("axes", "frd"), lines=None if lines is None else lines[keep])
+
+
+def _scale(table: dict[str, Any], where: str) -> TimeScale:
+    """Return the time scale that a table states; dates are UTC, RTKLIB's tags GPS time."""
+    usual = {"iso": TimeScale.UTC}.get(str(table.get("time_unit")), TimeScale.UNKNOWN)
+    said = table.get("time_scale", TimeScale.GPS if "time_tag" in table else usual)
+    if said not in tuple(TimeScale):
+        raise DataError(f"{where}: time_scale: {units.nearest(str(said), tuple(TimeScale))}")
+    return TimeScale(said)
 
 
 def _accel_time(files: Files, table: dict[str, Any]) -> str | None:
@@ -184,7 +196,8 @@ def _stream(files: Files, table: dict[str, Any], name: str) -> Stream:
     if name == "velocity" and "speed_course" in table and "up" not in table and "down" not in table:
         sd = np.full(value.shape, 0.3) if sd is None else np.broadcast_to(sd, value.shape).copy()
         sd[:, 2] = UNKNOWN_SD
-    return Stream(t[keep], value[keep], None if sd is None else np.broadcast_to(sd, value.shape)[keep])
+    sd = None if sd is None else np.broadcast_to(sd, value.shape)[keep]
+    return Stream(t[keep], value[keep], sd, scale=_scale(table, f"{files.map}: {name}"))
 
 
 def _one(files: Files, table: dict[str, Any], keys: tuple[str, ...], stream: str) -> str:

@@ -117,7 +117,7 @@ KINDS: dict[str, Kind] = {
         WARNING,
         "the course's rate fits gyro {subject} if fixes are {value:+.1f} s late (correlation {best:+.2f})",
         ("another time scale (leap seconds)", "another time zone"),
-        ("set mounting.time_offset_s",),
+        ("set data.options.time_shift_s = {value:.1f}",),
         "s",
     ),
     "time.delay": Kind(INFO, "{subject} is {size:.3f} s {side} against the IMU (sd {sd:.3f} s)", unit="s"),

@@ -12,7 +12,7 @@ from jaxnav.data.axes import rotation
 from jaxnav.data.checks import check_recording, uncertainty
 from jaxnav.data.files import MAX_VALUE, Source
 from jaxnav.data.gps_time import GPS_EPOCH, WEEK, week_shift
-from jaxnav.data.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Parts, Stream
+from jaxnav.data.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Parts, Stream, TimeScale
 from jaxnav.measurements import with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples
 
@@ -34,6 +34,7 @@ class Changes(NamedTuple):
     accel_sign: float = 1.0  # -1: the accelerometer reads gravity, +9.8 downwards at rest, not specific force
     lever_arm: tuple[float, float, float] | None = None  # m, IMU -> antenna, body FRD
     time_shift_s: float = 0.0  # s, added to the times of the IMU
+    time_scale: str | None = None  # of the IMU: "gps" or "utc", see `jaxnav.data.timescale`
     sd: dict[str, float | list[float]] = {}  # by stream, instead of the file's
     repair: bool = False  # mend an IMU's log that was polled, see `jaxnav.data.polling`
 
@@ -61,6 +62,10 @@ def applied(parts: Parts, changes: Changes) -> Parts:
         imu = imu._replace(accel=-np.asarray(imu.accel, float))
     if imu is not None and changes.time_shift_s:
         imu = imu._replace(t=np.asarray(imu.t, float) + changes.time_shift_s)
+    if changes.time_scale is not None and changes.time_scale not in tuple(TimeScale):
+        raise DataError(f"{parts.file}: time_scale: expected {', '.join(TimeScale)}, got {changes.time_scale!r}")
+    if imu is not None and changes.time_scale is not None:
+        imu = imu._replace(scale=TimeScale(changes.time_scale))
     if imu is not None and changes.repair:
         imu = imu._replace(repair=True)
     said = {key: value for key, value in changes._asdict().items() if key in ("name", "axes") and value is not None}

@@ -1,5 +1,6 @@
 """What a reader hands over: the rows of a file in SI, as they stand there, for `jaxnav.data.mend` to make usable."""
 
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +9,14 @@ from jaxnav.types import DataError, Recording, Track
 
 RATES, INCREMENTS, INSTANTANEOUS = "rates", "increments", "instantaneous"
 SAMPLINGS = (RATES, INCREMENTS, INSTANTANEOUS)
+
+
+class TimeScale(StrEnum):
+    """What the times of a stream count."""
+
+    GPS = "gps"  # s since 1970 without leap seconds
+    UTC = "utc"  # s since 1970 as Unix time, behind GPS time by the leap seconds
+    UNKNOWN = "unknown"
 
 
 class ImuRows(NamedTuple):
@@ -19,6 +28,7 @@ class ImuRows(NamedTuple):
     sampling: str = RATES  # means over the interval that ends at t, increments over it, or instantaneous values at t
     dt: np.ndarray | None = None  # (N,) s that each row stands for, where the file says so
     repair: bool = False  # mend what polling did, see `jaxnav.data.polling`
+    scale: TimeScale = TimeScale.UNKNOWN
 
 
 class Stream(NamedTuple):
@@ -29,6 +39,7 @@ class Stream(NamedTuple):
     sd: np.ndarray | None = None  # (K, s), position and velocity ENU; None where the file has none
     corr: np.ndarray | None = None  # (K, s); None where the axes are independent
     turns: bool = False  # a vector in the axes of the IMU, to be turned into the body's with it
+    scale: TimeScale = TimeScale.UNKNOWN
 
 
 class Parts(NamedTuple):
@@ -76,6 +87,12 @@ def counted_from(parts: Parts, zero: int) -> Parts:
     aiding = {name: stream._replace(t=stream.t + shift) for name, stream in parts.aiding.items()}
     truth = None if parts.truth is None else parts.truth._replace(t=parts.truth.t + shift)
     return parts._replace(imu=imu, aiding=aiding, truth=truth, zero=zero)
+
+
+def scaled(parts: Parts, scale: TimeScale) -> Parts:
+    """Return parts whose streams are all of a time scale."""
+    aiding = {name: stream._replace(scale=scale) for name, stream in parts.aiding.items()}
+    return parts._replace(imu=None if parts.imu is None else parts.imu._replace(scale=scale), aiding=aiding)
 
 
 def parts_of(rec: Recording, file: str) -> Parts:

@@ -15,7 +15,8 @@ from jaxnav.data.column_map import TOP, column_names, read_map
 from jaxnav.data.files import FilePath
 from jaxnav.data.formats import dataflash, ekf2_replay, euroc, kfgins, navego, nmea, rosbag, rtklib, ubx, ulog
 from jaxnav.data.mend import Changes
-from jaxnav.data.parts import ImuRows, Parts, Stream, counted_from, parts_of
+from jaxnav.data.parts import ImuRows, Parts, Stream, TimeScale, counted_from, parts_of, scaled
+from jaxnav.data.timescale import recording
 from jaxnav.types import DataError, Recording
 
 HEAD = 4096  # bytes of a file that a reader sees to recognise it
@@ -45,7 +46,7 @@ def read(path: FilePath, **options: Any) -> Recording:
     Raises:
         DataError: not there, of no known format, an unknown option, or nothing that could be used; names the file.
     """
-    rec = mend.recording(read_parts(path, **options))
+    rec = recording(read_parts(path, **options))
     return rec._replace(notes="\n".join(filter(None, [rec.notes, *quick_notes(rec)])))
 
 
@@ -171,7 +172,7 @@ def _read_map(path: Path, folder: FilePath | None = None) -> Parts:
 def _read_pos(path: Path) -> Parts:
     notes: list[str] = []
     aiding = {name: Stream(*samples) for name, samples in rtklib.read_pos(path, notes).aiding.items()}
-    return Parts(os.fspath(path), aiding=aiding, notes=tuple(notes))
+    return scaled(Parts(os.fspath(path), aiding=aiding, notes=tuple(notes)), TimeScale.GPS)
 
 
 def _pos(path: Path, head: bytes) -> bool:

@@ -106,6 +106,9 @@ def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
     """Return a configuration that runs the recording, a remark on each line."""
     whole = lambda path: str(Path(path).resolve()).replace("\\", "/")
     options = {k: whole(v) if k == "gnss" else v for k, v in data.options.items()}
+    offset = next((f.value for f in found if f.code == "time.offset" and f.value is not None), 0.0)
+    if offset:
+        options["time_shift_s"] = round(float(options.get("time_shift_s", 0.0)) + offset, 2)
     lines = [
         "# jaxnav filter --config config.toml",
         "[data]",

@@ -95,7 +95,7 @@ def turns(rec: Recording) -> list[Finding]:
     seconds = STEP * x.weight.sum() - abs(lag)  # that overlap, about; few turns are alike by chance
     chance = np.tanh(SIGMAS / np.sqrt(max(seconds / SERIES - 3.0, 1.0)))  # Fisher's z
     if abs(best) > max(SURE, chance) and abs(lag) > 1.0 and abs(best) > 1.5 * np.abs(near).max():
-        return [finding("time.offset", "xyz"[axis], lag, best=best, setting="mounting.time_offset_s")]
+        return [finding("time.offset", "xyz"[axis], lag, best=best, setting="data.options.time_shift_s")]
     if abs(near[2]) > SURE and abs(near[2]) >= 0.8 * np.abs(near).max():
         w = x.weight
         slope = float((w * x.course * x.gyro[:, 2]).sum() / (w * x.course**2).sum())
@@ -140,13 +140,25 @@ def aligned(imu: ImuLog, rec: Recording, window: tuple[float, float], arm: float
     return align(imu, rec.aiding[name], name == "position", lla, *window, believed, rec.lever_arm)
 
 
+def alignments(rec: Recording, v: Samples) -> list[tuple[tuple[float, float], Alignment]]:
+    """Return the alignments in windows all along a recording; ``v``: its velocities (`level_velocity`)."""
+    return [(w, a) for w in windows_of(rec, v) if (a := aligned(rec.imu, rec, w)) is not None]
+
+
+def misfit(rec: Recording) -> float:
+    """Return chi^2 per degree of freedom of IMU and fixes, the median of windows; inf where there is none."""
+    v = level_velocity(rec.aiding)
+    if v is None or "position" not in rec.aiding:
+        return float("inf")
+    return float(np.median([a.chi2 for _, a in alignments(rec, v)] or [np.inf]))
+
+
 def together(rec: Recording) -> list[Finding]:
     """Alignments in several windows: does an attitude make both go together, how late are fixes, does that change?"""
     v = level_velocity(rec.aiding)
     if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > 0.1:
         return []
-    windows = windows_of(rec, v)
-    each = [(w, a) for w in windows if (a := aligned(rec.imu, rec, w)) is not None]
+    each = alignments(rec, v)
     moving = [(w, a) for w, a in each if a.sd[2] < 20 * DEG]
     if not moving:
         return [finding("motion.little")] if each else []

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxnav.data import gps_time
 from jaxnav.data.files import read_bytes
-from jaxnav.data.parts import Parts, Stream
+from jaxnav.data.parts import Parts, Stream, TimeScale, scaled
 from jaxnav.data.units import UNITS
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
@@ -156,7 +156,7 @@ def _parts(
         streams["velocity"] = Stream(t + leap, value, np.tile([SPEED_SD, SPEED_SD, UP_SD], (len(t), 1)))
         notes.append(f"velocity: NMEA states no sd; assumed are {SPEED_SD} m/s, and nothing is known upwards.")
     notes.append(f"UTC is taken as GPS time less {leap:g} s.")
-    return Parts(os.fspath(path), aiding=streams, notes=tuple(notes))
+    return scaled(Parts(os.fspath(path), aiding=streams, notes=tuple(notes)), TimeScale.GPS)
 
 
 def _sd(gst: list[Any] | None, hdop: Any, scale: float) -> list[float]:

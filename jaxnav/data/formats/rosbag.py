@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxnav.data.files import MAX_VALUE
-from jaxnav.data.parts import ImuRows, Parts, Stream
+from jaxnav.data.parts import ImuRows, Parts, Stream, TimeScale, scaled
 from jaxnav.data.units import pressure_height
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
@@ -17,6 +17,9 @@ from jaxnav.types import DataError
 RECEIVER = {"raw", "fix", "gps", "gnss", "receiver"}  # words of a topic
 ESTIMATE = {"filtered", "filter", "fused", "odometry", "odom", "global", "local", "ekf", "estimate", "estimated"}
 TESLA = 1e6  # microtesla
+
+
+A_DATE = 3e17  # ns since 1970, in 1979: stamps below count from start-up
 
 
 class Kind(NamedTuple):
@@ -58,12 +61,38 @@ def read(path: Path, topics: dict[str, str] | None = None) -> Parts:
             raise DataError(f"{path}: has no messages that are known, only {types or 'none'}")
         rows: dict[str, list[list[float]]] = {stream: [] for stream in chosen.values()}
         stamps: dict[str, list[int]] = {stream: [] for stream in chosen.values()}
+        heard: dict[str, list[int]] = {stream: [] for stream in chosen.values()}
         for c, received, raw in bag.messages([c for c in bag.connections if c.topic in chosen and c.msgtype in KINDS]):
             message: Any = bag.deserialize(raw, c.msgtype)
             stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
             stamps[chosen[c.topic]].append(stamp or received)
+            heard[chosen[c.topic]].append(received)
             rows[chosen[c.topic]].append(KINDS[c.msgtype].row(message))
-    return _parts(os.fspath(path), rows, stamps, notes)
+    return _parts(os.fspath(path), rows, _one_clock(stamps, heard, notes), notes)
+
+
+def _one_clock(stamps: dict[str, list[int]], heard: dict[str, list[int]], notes: list[str]) -> dict[str, list[int]]:
+    """Return stamps (ns) of one clock: those since start-up are moved by the times of reception where others are dates.
+
+    Args:
+        stamps: of the headers, by stream.
+        heard: when each message was recorded.
+        notes: gets a sentence for each stream that is moved.
+    """
+    date = {name: np.median(own) > A_DATE for name, own in stamps.items() if own}
+    if all(date.values()) or not any(date.values()):
+        return stamps
+    out = dict(stamps)
+    for name in (name for name, is_date in date.items() if not is_date):
+        late = np.array(heard[name]) - np.array(stamps[name])
+        offset = int(np.median(late))
+        out[name] = [stamp + offset for stamp in stamps[name]]
+        spread = float(np.ptp(np.quantile(late, [0.05, 0.95]))) / 1e9
+        notes.append(
+            f"{name}: its stamps count from start-up, others from 1970: the times of reception bridge the clocks "
+            f"(within {spread:.3f} s)."
+        )
+    return out
 
 
 def receivers_own(topic: str) -> int:
@@ -120,7 +149,8 @@ def _parts(file: str, rows: dict[str, list[Any]], stamps: dict[str, list[int]], 
             t, value, sd = t[keep], value[keep], sd[keep]
         # a magnetometer is taken to sit in the IMU's case
         aiding[stream] = Stream(t, value, None if np.isnan(sd).all() else sd, turns=stream == "magnetometer")
-    return Parts(file, imu, aiding, notes=tuple(notes), axes="flu", zero=zero // 10**9)
+    parts = Parts(file, imu, aiding, notes=tuple(notes), axes="flu", zero=zero // 10**9)
+    return scaled(parts, TimeScale.UTC)
 
 
 def _xyz(v: Any) -> list[float]:

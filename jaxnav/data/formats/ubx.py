@@ -10,7 +10,7 @@ import numpy as np
 from jaxnav.data.checks import ned_to_enu
 from jaxnav.data.files import read_bytes
 from jaxnav.data.gps_time import GPS_EPOCH, WEEK, leap_seconds
-from jaxnav.data.parts import Parts, Stream
+from jaxnav.data.parts import Parts, Stream, TimeScale, scaled
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 
@@ -81,7 +81,7 @@ def read(path: Path) -> Parts:
         tow = milliseconds / 1e3 + GPS_EPOCH
         week = np.round((np.median(t) - tow) / WEEK)  # a recording is shorter than half a week
         aiding["heading"] = Stream(tow + week * WEEK, angle[:, None], sd[:, None])
-    return Parts(os.fspath(path), aiding=aiding, notes=notes)
+    return scaled(Parts(os.fspath(path), aiding=aiding, notes=notes), TimeScale.GPS)
 
 
 def _row(m: Any) -> list[float]:

@@ -1,6 +1,7 @@
 """From a configuration to what a filter runs on: start, parameters, epochs."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from jaxnav.data import epochs as ep
 from jaxnav.data.start import Start, start
 from jaxnav.filters.border import in_user_units, override
 from jaxnav.filters.catalogue import FILTERS, build
+from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import datasheet_params, mounting
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
@@ -71,6 +73,19 @@ def measurements_of(config: Config) -> tuple[Measurement, ...]:
     return tuple(m for m in MEASUREMENTS.values() if m.name in names)
 
 
+def filter_of(config: Config, measurements: Sequence[Measurement], history: int = 2) -> Filter:
+    """Return the filter that [filter] names, with its optional states.
+
+    Raises:
+        ConfigError: states that are none, or that the filter cannot have.
+    """
+    f = config.filter
+    try:
+        return build(filter_name(config), measurements, f.cov_stride, history, states=f.states)
+    except ValueError as error:
+        raise ConfigError(f"filter.states: {error}") from error
+
+
 def base_params(
     config: Config, grade: Grade, lever_arm: np.ndarray, position_sd: Any = 3.0, velocity_sd: Any = 0.1
 ) -> Params:
@@ -79,10 +94,7 @@ def base_params(
     Raises:
         ConfigError: states that are none, or that the filter cannot have.
     """
-    try:
-        build(filter_name(config), measurements_of(config), states=config.filter.states)
-    except ValueError as error:
-        raise ConfigError(f"filter.states: {error}") from error
+    filter_of(config, measurements_of(config))
     start, entry = config.start, FILTERS[filter_name(config)]
     heading_sd = 360.0 / start.hypotheses if start.heading == "unknown" else start.heading_sd_deg
     params = datasheet_params(

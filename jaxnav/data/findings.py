@@ -89,9 +89,8 @@ KINDS: dict[str, Kind] = {
         ("set axes",),
     ),
     **{
-        f"{sensor}.{what}": Kind(WARNING, "{message}", ("{cause}",), ("set axes, units or columns of the " + sensor,))
-        for sensor in ("gyro", "accel")
-        for what in ("sign", "swapped", "units")
+        code: Kind(WARNING, "{message}", ("{cause}",), (f"set axes, units or columns of the {code.partition('.')[0]}",))
+        for code in ("gyro.sign", "gyro.swapped", "gyro.units", "accel.sign", "accel.swapped")
     },
     "mounting.yaw": Kind(
         INFO,

@@ -15,7 +15,7 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import checkup as plots_checkup
 from jaxnav.app.config import Config, Data, resolve
 from jaxnav.app.jobs.filtering import describe, describe_text
-from jaxnav.app.prepare import base_params, grade_of, measurements_of, standing_of, start_of
+from jaxnav.app.prepare import base_params, filter_of, grade_of, measurements_of, standing_of, start_of
 from jaxnav.app.results import Outcome, picture
 from jaxnav.data.checkup import checkup
 from jaxnav.data.epochs import pack_recording
@@ -23,7 +23,6 @@ from jaxnav.data.findings import finding
 from jaxnav.data.json import write_json
 from jaxnav.data.read import read
 from jaxnav.data.toml import inline
-from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import history_for
 from jaxnav.types import ConfigError, DataError, Finding, Recording
 
@@ -65,7 +64,7 @@ def shown(file: Path, rec: Recording) -> list[Finding]:
         params = begin.given(params)
         packed = pack_recording(rec, measurements, begin.t, stop=config.data.stop, standing=standing_of(config))
         history = history_for(params, 1 / float(np.median(rec.imu.dt)), np.ptp(rec.imu.t))
-        filt = build(config.filter.name, measurements, config.filter.cov_stride, history, states=config.filter.states)
+        filt = filter_of(config, measurements, history)
         cut = lambda a: a[:MOST]
         first, epochs = jax.tree.map(lambda a: a[0], begin.navs), jax.tree.map(cut, packed.epochs)
         seen = observability(filt, params, first, epochs, cut(packed.t), WINDOW)

@@ -17,7 +17,7 @@ from jaxnav.app.config import Config
 from jaxnav.app.prepare import (
     AUTO,
     base_params,
-    filter_name,
+    filter_of,
     grade_name,
     grade_of,
     measurements_of,
@@ -30,7 +30,6 @@ from jaxnav.app.results import Outcome, picture
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data.json import write_json
 from jaxnav.data.solution import FORMATS
-from jaxnav.filters.catalogue import build
 from jaxnav.types import ConfigError, nearest
 
 EARLIEST, LATEST = 3e8, 4e9  # s since 1970 that are a date, about 1980 to 2096
@@ -85,7 +84,7 @@ def filter(config: Config, folder: Path) -> Outcome:
             raise ConfigError(f"out.formats: no format {kind!r}: {nearest(kind, FORMATS)}")
     seconds, begin, f = {}, time.perf_counter(), config.filter
     rec, scenario = load(config), scenario_of(config)
-    filt = build(filter_name(config), measurements_of(config), f.cov_stride, states=f.states)
+    filt = filter_of(config, measurements_of(config))
     if (f.smooth or f.lag_s) and not filt.smooths:
         raise ConfigError(f"filter.smooth: {f.name}: its rule corrects by more than the covariance says")
     params = base_params(config, grade_of(config, scenario), rec.lever_arm)

@@ -14,7 +14,6 @@ from jaxnav.app.results import Outcome, stderr
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data.solution import COLUMNS, SD_COLUMNS, row_of
 from jaxnav.data.start import Start
-from jaxnav.filters.catalogue import build
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import DataError, ImuLog, Params, Recording, Samples
@@ -132,7 +131,7 @@ def started(config: Config, waiting: Waiting, begin: Start) -> Stream:
     assert rec is not None
     measurements = prepare.measurements_of(config)
     chosen = [m for m in measurements if not m.columns or m.name in rec.aiding]
-    filt = build(prepare.filter_name(config), chosen, config.filter.cov_stride, states=config.filter.states)
+    filt = prepare.filter_of(config, chosen)
     interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
     rate = 1 / float(np.median(rec.imu.dt))
     live = Stream(filt, params_of(config, rec), begin, interval=interval, rate=rate)

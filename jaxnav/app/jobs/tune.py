@@ -13,12 +13,11 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.app.config import Config, Tune, for_source
 from jaxnav.app.long import Long, identity
-from jaxnav.app.prepare import base_params, filter_name, grade_of, measurements_of, standing_of, start_of
+from jaxnav.app.prepare import base_params, filter_of, grade_of, measurements_of, standing_of, start_of
 from jaxnav.app.results import Outcome, picture, stderr
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data.start import Start
 from jaxnav.filters.border import unit_of
-from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
 from jaxnav.measurements import GNSS, MEASUREMENTS
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
@@ -176,7 +175,7 @@ def on_recordings(config: Config, long: Long, progress: bool, say: Callable[[str
         measurements = tuple(m for m in measurements if m.name in target.measurements)
     everywhere = set.intersection(*(set(rec.aiding) for rec in recs))
     chosen = tuple(m for m in measurements if not m.columns or m.name in everywhere or m.name == "velocity")
-    filt = build(filter_name(config), chosen, config.filter.cov_stride, states=config.filter.states)
+    filt = filter_of(config, chosen)
     free = free_of(config, filt, sheets[0], target.free if target else FREE_RECORDED)
     begins = [start_of(*each) for each in zip(configs, recs, sheets, strict=True)]
     found = tune_recordings(
@@ -217,7 +216,7 @@ def on_scenarios(config: Config, long: Long, progress: bool, say: Callable[[str]
     if t.objective == Tune().objective and not any(s.gnss.outages_s or s.gnss.random_outages for s in scenarios):
         config = dataclasses.replace(config, tune=dataclasses.replace(t, objective={"rmse": 1.0}))
     params = [simulated_params(each, scenario) for each, scenario in zip(configs, scenarios, strict=True)]
-    filt = build(filter_name(config), GNSS, config.filter.cov_stride, states=config.filter.states)
+    filt = filter_of(config, GNSS)
     free = free_of(config, filt, params[0], FREE_SIMULATED)
     found = tune_simulated(
         scenarios, filt, params, descent_of(config, long, progress), free=free.leaves, widths=free.widths,

@@ -9,6 +9,7 @@ from jaxnav.analysis import evaluate, metrics
 from jaxnav.data.checkup.inertial import noise_floor
 from jaxnav.data.epochs import TICK, Packed
 from jaxnav.data.findings import finding
+from jaxnav.data.missing import UNMEASURED_SD
 from jaxnav.maths import units
 from jaxnav.measurements import Measurement, layout
 from jaxnav.types import Finding, ImuLog, Info, Params, Recording
@@ -78,9 +79,11 @@ class Expected(NamedTuple):
 
 
 def channels_of(info: Info, measurements: tuple[Measurement, ...]) -> dict[str, Expected]:
-    """Return the normalised innovations squared by channel of a report, where there are ten or more."""
+    """Return the normalised innovations squared by channel of a report, where ten or more measured something."""
     order, names, _ = evaluate.channels(measurements)
     z = metrics.normalized_innovations(info)[:, order]
+    spread = np.sqrt(np.diagonal(np.asarray(info.S), axis1=-2, axis2=-1))[:, order]
+    z = np.where(spread < 0.1 * UNMEASURED_SD, z, np.nan)  # a receiver without a vertical velocity, say
     found = {}
     for name, column in zip(names, z.T, strict=True):
         there = np.isfinite(column)

@@ -62,7 +62,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit code."""
     parser = make_parser()
     try:
-        args = parser.parse_args(argv)
+        args, rest = parser.parse_known_args(argv)
+        if rest:
+            parser.error(f"unrecognized arguments: {' '.join(rest)}{_hint(args, rest)}")
     except SystemExit as stop:  # --help, --version, usage
         return int(stop.code or 0)
     try:
@@ -94,6 +96,15 @@ def make_parser() -> argparse.ArgumentParser:
         for argument in verb.arguments:
             argument.add_to(sub)
     return parser
+
+
+def _hint(args: argparse.Namespace, rest: list[str]) -> str:
+    """Return what was meant where one of the arguments without a name is a file, folder or scenario."""
+    takes = any(argument.name == "--data" for argument in VERBS[args.verb].arguments)
+    named = next((word for word in rest if not word.startswith("-")), None)
+    return (
+        f"\n  a recording or scenario is named by --data: jaxnav {args.verb} --data {named}" if takes and named else ""
+    )
 
 
 def _main(args: argparse.Namespace) -> int:

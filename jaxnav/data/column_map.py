@@ -22,8 +22,6 @@ from jaxnav.measurements import MEASUREMENTS, with_data
 from jaxnav.measurements.columns import QUANTITIES
 from jaxnav.types import DataError, Track
 
-UNKNOWN_SD = 1e3  # m/s, of a component that nothing measured
-
 COMMON = tuple(
     "file delimiter header time time_unit time_scale time_tag time_shift_s rate_hz skip where new_where".split()
 )
@@ -51,16 +49,31 @@ def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None
     Raises:
         DataError: a key, file, column or unit that is not known, or data that cannot be read.
     """
-    file = os.fspath(path)
-    table = _shared(_load(path), file)
+    file, table = os.fspath(path), _load(path)
     said = os.path.expandvars(table.get("folder", "."))
     if "$" in said:
         raise DataError(f"{file}: folder: {said} names an environment variable that is not set")
     where = Path(folder) if folder is not None else Path(path).parent / said
+    return described(table, file, where, base)
+
+
+def described(table: dict[str, Any], file: str, where: Path, base: Callable[..., Parts] | None = None) -> Parts:
+    """Return the parts that the tables of a column map describe.
+
+    Args:
+        table: the map, as in ``docs/formats.md``.
+        file: for messages.
+        where: folder of the data, or a .zip archive.
+        base: reads the file that the table [read] names, with its options.
+
+    Raises:
+        DataError: as `read_map`.
+    """
+    table = _shared(table, file)
     origin = np.array(_numbers(table["origin_deg"], 3, f"{file}: origin_deg")) if "origin_deg" in table else None
     files = Files(file, where, {}, None if origin is None else origin * [DEG, DEG, 1.0], 0)
     parts = Parts(file)
-    if "read" in table:
+    if "read" in table and base is not None:
         options = dict(table["read"])
         if "file" not in options:
             raise DataError(f"{file}: [read] needs a key file")
@@ -79,7 +92,7 @@ def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None
     if files.zero:
         notes.append(f"t = 0 is {files.zero} s in the file's time.")
     arm = np.array(_numbers(table.get("lever_arm_frd_m", parts.lever_arm.tolist()), 3, f"{file}: lever_arm_frd_m"))
-    name = table.get("name", Path(path).stem)
+    name = table.get("name", Path(file).stem)
     return parts._replace(file=file, aiding=aiding, truth=truth, notes=tuple(notes), lever_arm=arm, name=name)
 
 
@@ -129,7 +142,7 @@ def _with_imu(parts: Parts, files: Files, table: dict[str, Any]) -> Parts:
     if column is None:
         side_by_side(files, [t, gyro[:, 0], accel[:, 0]], "imu")
     else:
-        accel, covered = _interpolated(t, times_of(files, table | {"time": column}, "imu"), accel)
+        accel, covered = interpolated(t, times_of(files, table | {"time": column}, "imu"), accel)
         keep &= covered
         if not keep.any():
             raise DataError(f"{files.map}: imu: no time of the gyro lies within those of the accelerometer ({column})")
@@ -166,7 +179,7 @@ def _accel_time(files: Files, table: dict[str, Any]) -> str | None:
     return same if same != table["time"] and name in sheet.columns else None
 
 
-def _interpolated(t: np.ndarray, times: np.ndarray, accel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def interpolated(t: np.ndarray, times: np.ndarray, accel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate accelerations to the times of the gyro.
 
     Args:
@@ -195,7 +208,7 @@ def _stream(files: Files, table: dict[str, Any], name: str) -> Stream:
     sd = sd_of(files, table, name, value.shape[1])
     if name == "velocity" and "speed_course" in table and "up" not in table and "down" not in table:
         sd = np.full(value.shape, 0.3) if sd is None else np.broadcast_to(sd, value.shape).copy()
-        sd[:, 2] = UNKNOWN_SD
+        sd[:, 2] = missing.UNMEASURED_SD
     sd = None if sd is None else np.broadcast_to(sd, value.shape)[keep]
     return Stream(t[keep], value[keep], sd, scale=_scale(table, f"{files.map}: {name}"))
 

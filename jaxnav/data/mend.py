@@ -21,7 +21,6 @@ GAP = 2.5  # median steps: a longer one is a gap, whose length no sample covers
 APART = 3600.0  # s; rows on the two sides of a longer gap are two recordings, or a clock that was set
 EMPTY = "no row is left"
 LEAST_SD, MOST_SD = 1e-9, 1e9  # of a stated sd; others say nothing
-UNKNOWN_HEIGHT_SD = 1e3  # m
 LATE = 1e7  # s; later times are counted from the first sample, since a float would round them to 1e-7 s
 SLOW = 20.0  # Hz; an IMU slower than this averages the motion away
 
@@ -301,11 +300,11 @@ def _with_heights(value: np.ndarray, sd: np.ndarray, notes: list[str]) -> tuple[
     if lost.any():
         notes.append(
             f"position: {lost.sum()} of {len(lost)} rows have no height, or a mark for none: it is interpolated, with "
-            f"an sd of {UNKNOWN_HEIGHT_SD:g} m."
+            f"an sd of {missing.UNMEASURED_SD:g} m."
         )
         known, k = ~lost & ~none, np.arange(len(lost))
         value[lost, 2] = np.interp(k[lost], k[known], value[known, 2]) if known.any() else 0.0
-        sd[lost, 2] = UNKNOWN_HEIGHT_SD
+        sd[lost, 2] = missing.UNMEASURED_SD
     return value, sd
 
 

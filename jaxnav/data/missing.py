@@ -8,6 +8,7 @@ from jaxnav.maths.units import DEG
 HEIGHTS = (-999.0, -9999.0, -99999.0, -32768.0)  # m
 HIGHEST = 1e6  # m, from which on a height is none
 SPEEDS = (-1.0, 102.3, 511.0, 999.0)  # in the file's own unit
+UNMEASURED_SD = 1e3  # m or m/s, of a component that nothing measured
 FASTEST, SLACK = 3000.0, 1000.0  # m/s between fixes; m, of fixes that are close in time
 
 

@@ -13,7 +13,21 @@ from jaxnav.data import canonical, mend, units
 from jaxnav.data.checkup import quick_notes
 from jaxnav.data.column_map import TOP, column_names, read_map
 from jaxnav.data.files import FilePath
-from jaxnav.data.formats import dataflash, ekf2_replay, euroc, kfgins, navego, nmea, rosbag, rtklib, ubx, ulog
+from jaxnav.data.formats import (
+    dataflash,
+    ekf2_replay,
+    euroc,
+    kfgins,
+    kitti,
+    navego,
+    nmea,
+    novatel,
+    rosbag,
+    rtklib,
+    sensor_logger,
+    ubx,
+    ulog,
+)
 from jaxnav.data.mend import Changes
 from jaxnav.data.parts import ImuRows, Parts, Stream, TimeScale, counted_from, parts_of, scaled
 from jaxnav.data.timescale import recording
@@ -222,8 +236,11 @@ READERS: tuple[Reader, ...] = (
     Reader("ArduPilot DataFlash", dataflash.recognises, dataflash.read, options=("instance", "receiver")),
     Reader("UBX", ubx.recognises, ubx.read, "gnss"),
     Reader("RTKLIB .pos", _pos, _read_pos),
+    Reader("NovAtel ASCII", novatel.recognises, novatel.read, options=("imu",)),
     Reader("NMEA", nmea.recognises, nmea.read, "gnss", ("leap_seconds", "metres_per_hdop")),
     Reader("EKF2 replay", ekf2_replay.recognises, ekf2_replay.read),
+    Reader("Sensor Logger", sensor_logger.recognises, sensor_logger.read),
+    Reader("KITTI oxts", kitti.recognises, kitti.read),
     Reader("EuRoC", euroc.recognises, euroc.read),
     Reader("NaveGo .mat", navego.recognises, navego.read, options=("imu", "fixes")),
     Reader("our imu.csv", _imu_csv, _read_imu_csv),

@@ -95,7 +95,7 @@ def times(sheet: Sheet, name: str | int, unit: str, zero: int = 0) -> np.ndarray
     """
     cells = column(sheet, name)
     if unit == "iso":
-        return np.array([_date(cell) for cell in cells.tolist()]) - zero
+        return np.array([date(cell) for cell in cells.tolist()]) - zero
     if unit not in TICKS:
         raise DataError(f"{sheet.file}: time_unit: expected one of {', '.join(TICKS)}, iso, got {unit!r}")
     ticks = TICKS[unit]
@@ -116,7 +116,8 @@ def _number(cell: str) -> float:
         return float("nan")
 
 
-def _date(cell: Any) -> float:
+def date(cell: Any) -> float:
+    """Return s since 1970 of a date as ISO 8601 writes it, UTC where it has no zone; nan of anything else."""
     try:
         moment = datetime.datetime.fromisoformat(str(cell))
     except ValueError:

@@ -97,6 +97,16 @@ def test_too_few_innovations_say_nothing():
     assert usage.channels_of(info_of(np.full((5, 6), 9.0)), GNSS) == {}
 
 
+def test_a_component_that_nothing_measured_is_no_finding():
+    """A receiver without a vertical velocity states an sd of 1 km/s: its innovations are small, and mean nothing."""
+    z = np.random.default_rng(0).normal(size=(60, 6))
+    z[:, 5] *= 1e-3
+    info = info_of(z)
+    assert any(f.code == "nis.low" for f in usage.channel_findings(usage.channels_of(info, GNSS)))
+    silent = info._replace(nu=info.nu.at[:, 5].multiply(1e3), S=info.S.at[:, 5, 5].set(1e6))
+    assert not usage.channel_findings(usage.channels_of(silent, GNSS))
+
+
 def test_sensors_that_are_louder_than_told_are_named(case):
     """The case's own noise passes; five times and more does not, of the sensor that it is and by its size."""
     rng = np.random.default_rng(0)

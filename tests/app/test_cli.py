@@ -175,6 +175,13 @@ def test_usage_exits_2_help_0(capsys):
     assert "Exit codes" in capsys.readouterr().out
 
 
+def test_a_recording_without_data_before_it_is_told_how(capsys):
+    assert cli.main(["filter", "drive.bag"]) == 2
+    assert "unrecognized arguments: drive.bag\n  a recording" in (said := capsys.readouterr().err)
+    assert said.rstrip().endswith("jaxnav filter --data drive.bag")
+    assert cli.main(["info", "--nothing"]) == 2 and "--data" not in capsys.readouterr().err
+
+
 def edit(drive, tmp_path, file, change):
     folder = copy(drive, tmp_path / "bad")
     lines = (folder / file).read_text().splitlines(keepends=True)

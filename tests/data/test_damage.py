@@ -13,7 +13,10 @@ from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Recording
 
 from .test_formats import data, recording
+from .test_kitti import write as write_kitti
+from .test_novatel import write as write_novatel
 from .test_readers import nmea, write_ros1, write_ros2, write_ubx
+from .test_sensor_logger import write as write_phone
 
 COPIES = 30
 
@@ -135,6 +138,20 @@ def kfgins(folder: Path) -> tuple[Path, Callable]:
     return folder / "a.txt", lambda: read(folder / "a.txt")
 
 
+def novatel(folder: Path) -> tuple[Path, Callable]:
+    return write_novatel(folder / "a.log", recording()), lambda: read(folder / "a.log")
+
+
+def kitti(folder: Path) -> tuple[Path, Callable]:
+    write_kitti(folder / "drive", recording())
+    return folder / "drive" / "oxts" / "timestamps.txt", lambda: read(folder / "drive")
+
+
+def sensor_logger(folder: Path) -> tuple[Path, Callable]:
+    write_phone(folder / "phone", recording())
+    return folder / "phone" / "Gyroscope.csv", lambda: read(folder / "phone")
+
+
 def ros2(storage: str) -> Callable:
     def make(folder: Path) -> tuple[Path, Callable]:
         pytest.importorskip("rosbags")
@@ -181,6 +198,9 @@ FORMATS: dict[str, Callable] = {
     "euroc": euroc,
     "navego": navego,
     "kfgins": kfgins,
+    "novatel": novatel,
+    "kitti, timestamps.txt": kitti,
+    "sensor logger, Gyroscope.csv": sensor_logger,
 }
 
 

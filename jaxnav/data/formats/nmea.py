@@ -12,12 +12,12 @@ import numpy as np
 
 from jaxnav.data import gps_time
 from jaxnav.data.files import read_bytes
+from jaxnav.data.missing import UNMEASURED_SD
 from jaxnav.data.parts import Parts, Stream, TimeScale, scaled
 from jaxnav.data.units import UNITS
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 
-UP_SD = 1e3  # m/s: RMC has no vertical velocity
 SPEED_SD = 0.3  # m/s, assumed: NMEA states none
 DAY = 86400.0  # s
 HEADINGS = {"HDT": "headingT", "THS": "headt"}  # field of what two antennas say, deg
@@ -153,7 +153,7 @@ def _parts(
     if motion:
         t, speed, course = np.array(motion).T
         value = np.stack([speed * np.sin(course), speed * np.cos(course), np.zeros_like(speed)], axis=1)
-        streams["velocity"] = Stream(t + leap, value, np.tile([SPEED_SD, SPEED_SD, UP_SD], (len(t), 1)))
+        streams["velocity"] = Stream(t + leap, value, np.tile([SPEED_SD, SPEED_SD, UNMEASURED_SD], (len(t), 1)))
         notes.append(f"velocity: NMEA states no sd; assumed are {SPEED_SD} m/s, and nothing is known upwards.")
     notes.append(f"UTC is taken as GPS time less {leap:g} s.")
     return scaled(Parts(os.fspath(path), aiding=streams, notes=tuple(notes)), TimeScale.GPS)

@@ -37,6 +37,14 @@ KINDS: dict[str, Kind] = {
         "at t = {at:.2f} s, leaves {angle:.1f} deg and {speed:.1f} m/s (1 sd)",
         unit="s",
     ),
+    "imu.pause": Kind(
+        WARNING,
+        "imu: no samples for {value:.1f} s from t = {at:.2f} s ({count} gap(s) of over {limit:g} s): heading is "
+        "unknown behind it (sd {angle:.0f} deg) until the vehicle turns or accelerates",
+        ("the logger paused",),
+        ("run the parts by themselves: data.start, data.stop",),
+        "s",
+    ),
     "imu.polled": Kind(
         WARNING,
         "{value:.1f} % of the IMU's rows repeat the row before",

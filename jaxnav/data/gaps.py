@@ -7,6 +7,7 @@ with the mean of the whole log. How wrong such a fill is the log itself tells: t
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
 from jaxnav.data.findings import finding
 from jaxnav.types import Finding, ImuLog
@@ -15,7 +16,9 @@ SHORT = 0.2  # s: a shorter hole is bridged by the mean of its two sides, and no
 SIDE = 0.5  # s, beside a hole, whose mean fills it
 REACH = 1.0  # s, as far as a side's mean reaches
 WINDOWS = 200  # places where a fill is tried
-MOST_TURN = 1.0  # rad that a hole may hide: more is as good as unknown
+MOST_TURN = np.pi / np.sqrt(3.0)  # rad that a hole may hide: the sd of a heading of which nothing is known
+SURE = 0.9  # probability that the variance of what a hole hides is not larger than stated
+UNKNOWN = 30.0  # deg that a hole may hide, from which on the heading behind it is said to be unknown
 
 
 class Holes(NamedTuple):
@@ -62,9 +65,10 @@ def gap_findings(holes: Holes) -> list[Finding]:
     length = holes.end - holes.begin
     i = int(length.argmax())
     turn, push = (float(n) * length[i] ** 0.5 for n in holes.noise[i])
+    code = "imu.pause" if np.degrees(turn) > UNKNOWN else "imu.gaps"
     return [
         finding(
-            "imu.gaps", value=float(length[i]), limit=SHORT, count=length.size, at=float(holes.begin[i]),
+            code, value=float(length[i]), limit=SHORT, count=length.size, at=float(holes.begin[i]),
             angle=float(np.degrees(turn)), speed=push,
         )
     ]  # fmt: skip
@@ -117,8 +121,9 @@ def _noise(log: _Log, imu: ImuLog, length: float, begin: np.ndarray, end: np.nda
     if a.size:
         edges, values = _pieces(log, a, b)
         missed = log.between(a, b)[0] - (np.diff(edges)[:, :, None] * values).sum(1)
-        off = np.sqrt((missed**2).mean(0)) * (length / tried)
+        windows = max(1.0, float(imu.dt.sum()) / tried)  # that do not overlap: few tell little of a long hole
+        off = np.sqrt((missed**2).mean(0) * windows / chdtri(windows, SURE)) * (length / tried)
     else:
         off = np.hstack([imu.gyro, imu.accel]).std(0) * length
-    turn, push = (float(np.sqrt((part**2).mean())) for part in (off[:3], off[3:]))
+    turn, push = float(off[:3].max()), float(off[3:].max())  # a vehicle turns about one axis, and this is its heading
     return np.array([min(turn, MOST_TURN), push]) / np.sqrt(length)

@@ -62,7 +62,7 @@ def test_rest_shows_neither_heading_nor_the_gyro_about_it(case, rest):
     # tilt and the accelerometers' bias are one direction: together known, apart not
     assert left["accel_bias down"] < 0.5 < min(left["accel_bias forward"], left["accel_bias right"])
     words = " ".join(f.message for f in obs.observability_findings(found, 20.0))
-    assert "no window shows attitude up" in words and "gyro_bias down" in words and "of 15 directions" in words
+    assert "no window observes attitude up" in words and "gyro_bias down" in words and "of 15 directions" in words
 
 
 def test_information_is_carried_by_the_transitions_in_their_order(case, monkeypatch):

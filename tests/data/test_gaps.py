@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from benchmarks.simulated import pauses
 from jaxnav.data import gaps
 from jaxnav.data.epochs import louder_by, pack
 from jaxnav.filters.catalogue import build
@@ -70,6 +71,27 @@ def test_a_log_without_holes_is_itself():
     assert gaps.fill(short)[0] is short  # bridged as ever
     (found,) = gaps.gap_findings(gaps.holes(without(imu, 5.0, 7.0)))
     assert found.code == "imu.gaps" and found.value == pytest.approx(2.0, abs=0.02) and found.limit == 0.2
+
+
+def test_a_turn_about_one_axis_is_no_third_of_it():
+    """A vehicle turns about its vertical: the noise of a hole is that of its heading, not the mean of three axes."""
+    imu = log()
+    imu.gyro[:, :2] *= 1e-3
+    noise = gaps._noise(gaps._Log(imu), imu, 3.0, np.zeros(0), np.zeros(0))
+    level = ImuLog(imu.t, imu.dt, np.repeat(imu.gyro[:, 2:], 3, axis=1), imu.accel)
+    assert noise[0] == pytest.approx(gaps._noise(gaps._Log(level), level, 3.0, np.zeros(0), np.zeros(0))[0], rel=1e-9)
+
+
+def test_heading_behind_a_pause_is_as_wrong_as_it_says():
+    """A minute without anything, in four drives: errors of the size of the sd, and right a minute later."""
+    drives = [pauses.drive(seed, 270.0, 20.0) for seed in range(4)]
+    error, sd = np.array([pauses.headings(rec, 140.0, 200.0) for rec in drives]).transpose(2, 0, 1)
+    z = error / sd
+    assert np.median(sd[:, 0]) > 40.0 and np.median(sd[:, -1]) < 3.0 and np.abs(error[:, -1]).max() < 6.0
+    assert np.sqrt(np.mean(z**2)) < 2.0 and np.abs(z[:, :2]).max() < 2.5, z  # 2.8 by the mean of three axes
+    found = [f for rec in drives for f in gaps.gap_findings(gaps.holes(pauses.paused(rec, 140.0, 200.0).imu))]
+    assert sum(f.code == "imu.pause" and f.warns for f in found) >= 3  # one drive turns little
+    assert all(f.value == pytest.approx(60.0, abs=0.1) for f in found)
 
 
 def test_a_gap_of_any_length_is_coasted_and_the_covariance_knows(case):

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxnav.data import polling
-from jaxnav.data.axes import euler
+from jaxnav.data.axes import enu_to_ecef, euler, geodetic, local_to_lla
 from jaxnav.data.checks import check_imu, check_recording, check_samples, check_time, steps
 from jaxnav.data.files import FilePath, Source, Table, atomic_write, parse_numbers, read_bytes, read_columns, read_lines
-from jaxnav.data.gps_time import GPS_EPOCH, WEEK
+from jaxnav.data.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.maths.units import DEG, G0
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 
@@ -20,9 +20,15 @@ DRIVE_RPH = np.array([180.0, -6.79, 185.35]) * DEG  # rad, roll, pitch, yaw of t
 DRIVE_LEVER_ARM = np.array([0.0, -0.05, 0.0])  # m, IMU -> antenna, body FRD
 DRIVE_IMU_DELAY = -0.125  # s, what the author of the data adds to the stamps of the logger
 
-_POSITION = ("latitude", "longitude", "height", "sdn", "sde", "sdu", "sdne", "sdeu", "sdun")
 _VELOCITY = ("vn", "ve", "vu", "sdvn", "sdve", "sdvu", "sdvne", "sdveu", "sdvun")
-_UNITS = {"latitude": "deg", "longitude": "deg", "height": "m"}
+FORMS = {  # of the position: columns of value, of sd and of the roots of covariances
+    "deg": ("latitude longitude height", "sdn sde sdu sdne sdeu sdun"),
+    "dms": ("latitude longitude height", "sdn sde sdu sdne sdeu sdun"),
+    "ecef": ("x-ecef y-ecef z-ecef", "sdx sdy sdz sdxy sdyz sdzx"),
+    "baseline": ("e-baseline n-baseline u-baseline", "sdn sde sdu sden sdue sdnu"),
+}
+_VELOCITY_ECEF = tuple("vx vy vz sdvx sdvy sdvz sdvxy sdvyz sdvzx".split())
+DMS = "d'\""  # unit of degrees, minutes and seconds, three cells
 
 
 class PosFile(NamedTuple):
@@ -35,23 +41,40 @@ class PosFile(NamedTuple):
 
 
 def read_pos(path: FilePath, notes: list[str] | None = None) -> PosFile:
-    """A geodetic RTKLIB solution in degrees and GPST; t in seconds since 1970-01-01 in GPST, no leap seconds.
+    """Return an RTKLIB solution in any of its forms; t in seconds since 1970-01-01 in GPS time, no leap seconds.
 
-    Columns are found by the names in the header. RTKLIB stores a covariance c as sign(c) sqrt(|c|); here it becomes a
-    correlation, shrunk where the file's rounding makes the matrix singular. With a list of ``notes`` a cut last line is
-    left out and said there, and rows that repeat a time or state no sd stay, for `jaxnav.data.mend`. DataError names
-    file and line.
+    Columns are found by the names in the header: degrees, degrees with minutes and seconds, ECEF, or a baseline from
+    the header's reference position, between blanks, tabs or commas. RTKLIB stores a covariance c as sign(c) sqrt(|c|);
+    here it becomes a correlation, shrunk where the file's rounding makes the matrix singular. With a list of ``notes``
+    a cut last line is left out and said there, and rows that repeat a time or state no sd stay, for
+    `jaxnav.data.mend`. DataError names file and line.
     """
-    table, t = _read_table(path, notes)
+    head, table, t = _read_table(path, notes)
     column = dict(zip(table.names, table.values.T))
-    missing = [name for name in (*_POSITION, "Q", "ns") if name not in column]
+    value_names, sd_names = (names.split() for names in FORMS[head.form])
+    missing = [name for name in (*value_names, *sd_names, "Q", "ns") if name not in column]
     if missing:
         raise DataError(f"{table.source.file}: expected a column {missing[0]}, got {', '.join(table.names)}")
-    value = np.stack([column["latitude"] * DEG, column["longitude"] * DEG, column["height"]], axis=1)
-    aiding = {"position": _samples("position", t, value, [column[name] for name in _POSITION[3:]], table.source)}
-    if all(name in column for name in _VELOCITY) and any(column[name].any() for name in _VELOCITY[3:6]):
-        value = np.stack([column["ve"], column["vn"], column["vu"]], axis=1)
-        aiding["velocity"] = _samples("velocity", t, value, [column[name] for name in _VELOCITY[3:]], table.source)
+    value, roots = (np.stack([column[name] for name in names], axis=1) for names in (value_names, sd_names))
+    if head.form == "ecef":
+        lla = geodetic(value)
+        position = _turned("position", t, lla, roots, lla, table.source)
+        names = _VELOCITY_ECEF
+    else:
+        scale = np.array([DEG, DEG, 1.0])
+        lla = local_to_lla(value, head.reference) if head.form == "baseline" else value * scale
+        position = _samples("position", t, lla, list(roots.T), table.source)
+        names = _VELOCITY
+    aiding = {"position": position}
+    if all(name in column for name in names) and any(column[name].any() for name in names[3:6]):
+        v, roots = (np.stack([column[name] for name in some], axis=1) for some in (names[:3], names[3:]))
+        if head.form == "ecef":
+            v = np.einsum("kij,ki->kj", _axes(lla), v)
+            aiding["velocity"] = _turned("velocity", t, v, roots, lla, table.source)
+        else:
+            aiding["velocity"] = _samples("velocity", t, v[:, [1, 0, 2]], list(roots.T), table.source)
+    if head.geodetic and notes is not None:
+        notes.append("heights are above sea level, by the file's header: those of other sources may be ellipsoidal.")
     for name, samples in aiding.items() if notes is None else ():
         check_samples(name, samples, table.source)
     return PosFile(aiding, column["Q"].astype(int), column["ns"].astype(int), table.source)
@@ -160,28 +183,100 @@ def drive_rotation(rph: np.ndarray = DRIVE_RPH) -> np.ndarray:
     return euler(rph)
 
 
-def _read_table(path: FilePath, notes: list[str] | None) -> tuple[Table, np.ndarray]:
-    """The numeric columns of a ``.pos`` file, names without units, and the times in s since 1970 in GPST."""
-    file, header, rows = os.fspath(path), "", []
+class _Head(NamedTuple):
+    """What the header of a ``.pos`` file says."""
+
+    form: str  # a key of `FORMS`
+    reference: np.ndarray  # (3,) lat, lon rad, h m, where a baseline begins
+    geodetic: bool  # heights above sea level
+
+
+def _read_table(path: FilePath, notes: list[str] | None) -> tuple[_Head, Table, np.ndarray]:
+    """Return form, numeric columns with names without units, and times in s since 1970 in GPS time."""
+    file, header, rows, reference, level = os.fspath(path), "", [], "", False
     for i, line in read_lines(path, notes):
+        cells = line.replace(",", " ").split()
         if line.startswith("%"):
-            header = line if "Q" in line.split() else header
+            header = line if "Q" in cells else header
+            reference = line.partition(":")[2] if "ref pos" in line else reference
+            level = level or "/geodetic" in line
         else:
-            rows.append((i, line.split()))
-    words = header.lstrip("%").split()
+            rows.append((i, cells))
+    words = header.lstrip("%").replace(",", " ").split()
     if not words:
         raise DataError(f"{file}: expected a header line with column names (GPST latitude(deg) ... Q ...)")
-    if words[0] != "GPST":
-        raise DataError(f"{file}: expected times in GPST, got {words[0]}")
+    if words[0] not in BEHIND_UTC:
+        raise DataError(f"{file}: expected times in {', '.join(BEHIND_UTC)}, got {words[0]}")
     units = dict(word.rstrip(")").split("(", 1) for word in words[1:] if "(" in word)
-    for name, unit in _UNITS.items():
-        if units.get(name) != unit:
-            raise DataError(f"{file}: expected a column {name}({unit}), got {' '.join(words)}")
+    form = _form(units, file, " ".join(words))
     names = tuple(word.split("(")[0] for word in words[1:])
     if len(set(names)) != len(names):
         raise DataError(f"{file}: a column name stands twice in {' '.join(words)}")
-    table = parse_numbers([(i, cells[2:]) for i, cells in rows], len(names), path, names)
-    return table, np.array([_seconds(cells, f"{file}: line {i}") for i, cells in rows])
+    cells_of = names
+    if form == "dms":
+        parts = lambda name: (name, f"{name}'", f'{name}"') if name in ("latitude", "longitude") else (name,)
+        cells_of = tuple(part for name in names for part in parts(name))
+    table = parse_numbers([(i, cells[2:]) for i, cells in rows], len(cells_of), path, cells_of)
+    if form == "dms":
+        column = dict(zip(cells_of, table.values.T))
+        for name in ("latitude", "longitude"):
+            size = np.abs(column[name]) + column[f"{name}'"] / 60 + column[f'{name}"'] / 3600
+            column[name] = np.copysign(size, column[name])
+        table = table._replace(values=np.stack([column[name] for name in names], axis=1), names=names)
+    t = np.array([_seconds(cells, f"{file}: line {i}") for i, cells in rows])
+    if words[0] != "GPST":
+        t = t - BEHIND_UTC[words[0]]
+        t = t + np.array([leap_seconds(x) for x in t])
+    return _Head(form, _reference(reference, file) if form == "baseline" else np.zeros(3), level), table, t
+
+
+BEHIND_UTC = {"GPST": 0.0, "UTC": 0.0, "JST": 9 * 3600.0}  # s that a clock is ahead of UTC, but for leap seconds
+
+
+def _form(units: dict[str, str], file: str, header: str) -> str:
+    """Return the form whose columns a header has."""
+    if units.get("latitude") == units.get("longitude") and units.get("height") == "m":
+        form = {"deg": "deg", DMS: "dms"}.get(units["latitude"])
+        if form:
+            return form
+    for form in ("ecef", "baseline"):
+        if all(units.get(name) == "m" for name in FORMS[form][0].split()):
+            return form
+    raise DataError(
+        f"{file}: expected columns latitude(deg) longitude(deg) height(m), x-ecef(m) ... or e-baseline(m) ..., "
+        f"got {header}"
+    )
+
+
+def _reference(words: str, file: str) -> np.ndarray:
+    """Return where a baseline begins: latitude, longitude in degrees and height, or ECEF, as the header has it."""
+    try:
+        values = np.array([float(word) for word in words.replace(",", " ").split()])
+        if values.size == 3:
+            far = np.abs(values[0]) > 90.0
+            return geodetic(values[None])[0] if far else values * [DEG, DEG, 1.0]
+    except ValueError:
+        pass
+    raise DataError(f"{file}: baselines need a line '% ref pos : LATITUDE LONGITUDE HEIGHT', got {words.strip()!r}")
+
+
+def _axes(lla: np.ndarray) -> np.ndarray:
+    """Return matrices (K, 3, 3) from ENU to ECEF at positions (K, 3)."""
+    return np.array([enu_to_ecef(place) for place in lla])
+
+
+def _turned(name: str, t: np.ndarray, value: np.ndarray, roots: np.ndarray, lla: np.ndarray, source: Source) -> Samples:
+    """Return samples whose covariance the file states in ECEF: sd x, y, z, then signed roots of xy, yz, zx (K, 6)."""
+    cov = np.zeros((len(t), 3, 3))
+    cov[:, range(3), range(3)] = roots[:, :3] ** 2
+    for k, (i, j) in enumerate(((0, 1), (1, 2), (2, 0))):
+        cov[:, i, j] = cov[:, j, i] = np.sign(roots[:, 3 + k]) * roots[:, 3 + k] ** 2
+    turn = _axes(lla)
+    cov = np.einsum("kia,kij,kjb->kab", turn, cov, turn)
+    signed = lambda i, j: np.sign(cov[:, i, j]) * np.sqrt(np.abs(cov[:, i, j]))
+    sd = np.sqrt(np.maximum(cov[:, range(3), range(3)], 0.0))  # the file rounds
+    columns = [sd[:, 1], sd[:, 0], sd[:, 2], signed(0, 1), signed(0, 2), signed(1, 2)]
+    return _samples(name, t, value, columns, source)
 
 
 def _seconds(cells: list[str], where: str) -> float:

@@ -11,11 +11,22 @@ import numpy as np
 from jaxnav.data import missing, units
 from jaxnav.data.axes import enu_to_ecef, geodetic, local_to_lla, rotation
 from jaxnav.data.checks import ned_to_enu
-from jaxnav.data.columns import Files, column_of, known, rows_of, sd_of, sheet_of, side_by_side, table_of, times_of
+from jaxnav.data.columns import (
+    Files,
+    column_of,
+    known,
+    rows_of,
+    sd_of,
+    sheet_of,
+    side_by_side,
+    table_of,
+    time_columns,
+    times_of,
+)
 from jaxnav.data.files import FilePath, read_bytes
 from jaxnav.data.mend import GAP, LATE
 from jaxnav.data.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream, TimeScale, counted_from
-from jaxnav.data.sheet import column, open_sheet
+from jaxnav.data.sheet import DAYS, column, open_sheet
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import MEASUREMENTS, with_data
@@ -146,37 +157,39 @@ def _with_imu(parts: Parts, files: Files, table: dict[str, Any]) -> Parts:
         keep &= covered
         if not keep.any():
             raise DataError(f"{files.map}: imu: no time of the gyro lies within those of the accelerometer ({column})")
-    refs = table["time"] if "time" in table else table["gyro"][0]
+    refs = time_columns(table["time"])[0] if "time" in table else table["gyro"][0]
     lines = sheet_of(files, table, refs, "imu")[0].lines
     scale = _scale(table, f"{files.map}: imu")
     rows = ImuRows(t[keep], gyro[keep], accel[keep], sampling, repair=bool(table.get("repair", False)), scale=scale)
     if column is not None:
-        words = f"imu: accelerations interpolated from times {column}: {keep.sum()} of {len(t)} gyro samples have one."
+        told = " ".join(time_columns(column))
+        words = f"imu: accelerations interpolated from times {told}: {keep.sum()} of {len(t)} gyro samples have one."
         parts = parts._replace(notes=(*parts.notes, words))
     return parts._replace(imu=rows, axes=table.get("axes", "frd"), lines=None if lines is None else lines[keep])
 
 
 def _scale(table: dict[str, Any], where: str) -> TimeScale:
     """Return the time scale that a table states; dates are UTC, RTKLIB's tags GPS time."""
-    usual = {"iso": TimeScale.UTC}.get(str(table.get("time_unit")), TimeScale.UNKNOWN)
+    usual = TimeScale.UTC if table.get("time_unit") in ("iso", *DAYS) else TimeScale.UNKNOWN
     said = table.get("time_scale", TimeScale.GPS if "time_tag" in table else usual)
     if said not in tuple(TimeScale):
         raise DataError(f"{where}: time_scale: {units.nearest(str(said), tuple(TimeScale))}")
     return TimeScale(said)
 
 
-def _accel_time(files: Files, table: dict[str, Any]) -> str | None:
+def _accel_time(files: Files, table: dict[str, Any]) -> Any:
     """Return the accelerometer's time column: ``accel_time``, or the gyro's name of it in the accelerometer's file."""
     if "accel_time" in table:
-        return str(table["accel_time"])
+        return table["accel_time"]
     if not isinstance(table.get("file"), dict) or "time" not in table or "time_tag" in table:
         return None
     file_of = lambda ref: str(ref).partition(":")[0]
-    if file_of(table["time"]) != file_of(table["gyro"][0]):
+    refs = time_columns(table["time"])
+    if file_of(refs[0]) != file_of(table["gyro"][0]):
         return None
-    same = f"{file_of(table['accel'][0])}:{str(table['time']).partition(':')[2]}"
-    sheet, name = sheet_of(files, table, same, "imu")
-    return same if same != table["time"] and name in sheet.columns else None
+    same = [f"{file_of(table['accel'][0])}:{ref.partition(':')[2]}" for ref in refs]
+    there = all(name in sheet.columns for sheet, name in (sheet_of(files, table, ref, "imu") for ref in same))
+    return same if same != refs and there else None
 
 
 def interpolated(t: np.ndarray, times: np.ndarray, accel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

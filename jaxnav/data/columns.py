@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxnav.data import units
 from jaxnav.data.formats.rtklib import read_tag
-from jaxnav.data.sheet import Sheet, numbers, open_sheet, times
+from jaxnav.data.sheet import Sheet, column, numbers, open_sheet, times
 from jaxnav.types import DataError
 
 VALUES = ("gyro", "lla", "enu", "ned", "neu", "ecef", "speed_course", "value")  # keys that list columns
@@ -81,6 +81,11 @@ def side_by_side(files: Files, columns: list[np.ndarray], stream: str) -> np.nda
     return np.stack(columns, axis=1)
 
 
+def time_columns(refs: Any) -> list[str]:
+    """Return the columns of a key ``time``: one, or those of date and time of day."""
+    return [str(ref) for ref in refs] if isinstance(refs, list) else [str(refs)]
+
+
 def times_of(files: Files, table: dict[str, Any], stream: str) -> np.ndarray:
     """(N,) s, by the column ``time`` or, at ``rate_hz``, by the number of the row.
 
@@ -94,9 +99,16 @@ def times_of(files: Files, table: dict[str, Any], stream: str) -> np.ndarray:
         first = first[0] if isinstance(first, list) and first else first
         rows = len(column_of(files, table, first, stream))
         return np.arange(1, rows + 1) / float(table["rate_hz"]) + shift
-    sheet, name = sheet_of(files, table, table["time"], stream)
+    unit, refs = table.get("time_unit", "s"), time_columns(table["time"])
+    sheet, name = sheet_of(files, table, refs[0], stream)
+    if len(refs) > 1:  # date and time of day
+        if unit != "iso":
+            raise DataError(f'{files.map}: {stream}: time of {len(refs)} columns needs time_unit = "iso"')
+        cells = [column(*sheet_of(files, table, ref, stream)).tolist() for ref in refs]
+        name, joined = " ".join(refs), np.array([" ".join(map(str, row)) for row in zip(*cells)])
+        sheet = sheet._replace(columns={name: joined})
     if "time_tag" not in table:
-        return times(sheet, name, table.get("time_unit", "s"), files.zero) + shift
+        return times(sheet, name, unit, files.zero) + shift
     start, last = read_tag(files.folder / table["time_tag"])
     tick = times(sheet, name, table.get("time_unit", "s"))
     inner = tick[_skipped(files, table, stream, len(tick))]

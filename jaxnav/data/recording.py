@@ -27,7 +27,8 @@ def recording(
     ``imu``: `ImuLog`, or times (N,) s at the end of each sample, rates (N, 3) rad/s and specific force (N, 3) m/s^2,
     body FRD, means over the sample; a step is then the time since the sample before. Every other stream has the name of
     a measurement that carries data (`jaxnav.measurements.MEASUREMENTS`): `Samples`, or times (K,) s, values (K, s) and
-    sd (K, s) or one number for all; positions in rad, rad, m, with sd in ENU m. ``lever_arm``: (3,) m, IMU -> antenna.
+    sd (K, s) or one number for all; positions in rad, rad, m, with sd in ENU m. Rows that a
+    numpy mask hides are none. ``lever_arm``: (3,) m, IMU -> antenna.
 
     Raises:
         DataError: an unknown stream, or data that cannot be used; names the stream, the row and what is wrong.
@@ -51,10 +52,10 @@ def recording(
 
 def _imu(imu: ImuLog | Sequence[ArrayLike]) -> ImuLog:
     if isinstance(imu, ImuLog):
-        return ImuLog(*(np.asarray(a, float) for a in imu))
+        return ImuLog(*(_filled(a) for a in imu))
     if len(imu) != 3:
         raise DataError(f"imu: expected (t, gyro, accel), got {len(imu)} arrays")
-    t, gyro, accel = (np.asarray(a, float) for a in imu)
+    t, gyro, accel = (_filled(a) for a in imu)
     if t.ndim != 1 or t.size < 2:
         raise DataError(f"imu: t must be (N,) with N > 1, got {t.shape}")
     step = np.diff(t)
@@ -64,18 +65,32 @@ def _imu(imu: ImuLog | Sequence[ArrayLike]) -> ImuLog:
 def _samples(name: str, data: Any, size: int) -> Samples:
     if isinstance(data, Samples):
         require_double(name, data.value)
-        return Samples(*(np.asarray(a, float) for a in data))
+        return _unmasked(Samples(*(_filled(a) for a in data)), *data)
     if len(data) not in (3, 4):
         raise DataError(f"{name}: expected (t, value, sd) or (t, value, sd, corr), got {len(data)} arrays")
     require_double(name, data[1])
-    t, value = (np.asarray(a, float) for a in data[:2])
+    t, value = (_filled(a) for a in data[:2])
     if value.ndim == 1 and size == 1:
         value = value[:, None]
     try:
-        sd = np.broadcast_to(np.asarray(data[2], float), value.shape)
+        sd = np.broadcast_to(_filled(data[2]), value.shape)
     except ValueError as error:
         raise DataError(
             f"{name}: sd must be one number, ({size},) or {value.shape}, got {np.shape(data[2])}"
         ) from error
-    corr = np.zeros(value.shape) if len(data) == 3 else np.asarray(data[3], float)
-    return Samples(t, value, np.array(sd), corr)
+    corr = np.zeros(value.shape) if len(data) == 3 else _filled(data[3])
+    return _unmasked(Samples(t, value, np.array(sd), corr), *data)
+
+
+def _filled(a: Any) -> np.ndarray:
+    """Return float64, nan where a numpy mask hides an entry."""
+    return np.ma.filled(np.ma.asarray(a, float), np.nan) if np.ma.isMaskedArray(a) else np.asarray(a, float)
+
+
+def _unmasked(samples: Samples, *given: Any) -> Samples:
+    """Return the samples without the rows that a mask of one of their arrays hides."""
+    keep = np.ones(samples.t.shape, bool)
+    for a in given:
+        if np.ma.isMaskedArray(a) and np.ndim(a):
+            keep &= ~np.ma.getmaskarray(a).reshape(len(a), -1).any(axis=1)
+    return Samples(*(a[keep] for a in samples))

@@ -17,6 +17,8 @@ import numpy as np
 from jaxnav.data.files import MAX_BYTES, FilePath, read_bytes
 from jaxnav.types import DataError
 
+DAYS = {"excel": 25569.0, "matlab": 719529.0}  # days on which 1970 began, of units that count days
+DATE = re.compile(r"\s*(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T\s]+(\d{1,2}):(\d{1,2}):(\d{1,2}(?:\.\d*)?)\s*Z?\s*")
 TICKS = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000}  # units of time, how many a second
 MAX_BAD = 0.05  # share of lines of another width that may be left out
 
@@ -91,13 +93,17 @@ def numbers(sheet: Sheet, name: str | int) -> np.ndarray:
 def times(sheet: Sheet, name: str | int, unit: str, zero: int = 0) -> np.ndarray:
     """(N,) s since ``zero`` (s): ``unit`` is one of TICKS, or "iso" for dates, which are counted from 1970 in UTC.
 
+    "excel" and "matlab" are days, as those count them.
+
     Whole numbers are subtracted as such: a float would round nanoseconds since 1970 to 256 of them.
     """
     cells = column(sheet, name)
     if unit == "iso":
         return np.array([date(cell) for cell in cells.tolist()]) - zero
+    if unit in DAYS:
+        return (numbers(sheet, name) - DAYS[unit]) * 86400.0 - zero
     if unit not in TICKS:
-        raise DataError(f"{sheet.file}: time_unit: expected one of {', '.join(TICKS)}, iso, got {unit!r}")
+        raise DataError(f"{sheet.file}: time_unit: expected one of {', '.join((*TICKS, *DAYS))}, iso, got {unit!r}")
     ticks = TICKS[unit]
     if cells.dtype.kind == "U":
         try:
@@ -117,11 +123,20 @@ def _number(cell: str) -> float:
 
 
 def date(cell: Any) -> float:
-    """Return s since 1970 of a date as ISO 8601 writes it, UTC where it has no zone; nan of anything else."""
+    """Return s since 1970 of a date as ISO 8601 or RTKLIB (2025/7/8 19:34:18.5) writes it; nan of anything else.
+
+    Where it has no zone it is UTC.
+    """
     try:
         moment = datetime.datetime.fromisoformat(str(cell))
     except ValueError:
-        return float("nan")
+        parts = DATE.fullmatch(str(cell))
+        try:
+            year, month, day, hour, minute, seconds = parts.groups() if parts else ("0",) * 6
+            moment = datetime.datetime(int(year), int(month), int(day), int(hour), int(minute), tzinfo=datetime.UTC)
+            return moment.timestamp() + float(seconds)
+        except ValueError:
+            return float("nan")
     return (moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)).timestamp()
 
 

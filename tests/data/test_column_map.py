@@ -118,6 +118,29 @@ def test_dates(folder):
     assert rec.imu.t[0] == pytest.approx(0.0, abs=1e-6) and "t = 0 is 1699999980 s" in rec.notes
 
 
+@pytest.mark.parametrize("kind", ["two columns", "rtklib", "excel", "matlab"])
+def test_dates_of_other_programs(folder, kind):
+    """Date and time of day apart, with slashes and without leading zeros, and days as Excel and MATLAB count them."""
+    tick = 0.25 * np.arange(400)  # s
+    first, unit = '"t"', "iso"
+    if kind in ("excel", "matlab"):
+        unit = kind
+        day = {"excel": 45240.0, "matlab": 739200.0}[kind] + 22 / 24  # 2023-11-10 22:00
+        stamps, names = [repr(x) for x in (day + tick / 86400).tolist()], NAMES
+    else:
+        clock = [f"{22 + int(s // 3600)}:{int(s // 60) % 60}:{s % 60:06.3f}" for s in tick]
+        between, names = {"two columns": (",", ["d", *NAMES]), "rtklib": (" ", NAMES)}[kind]
+        date = "2023-11-10" if kind == "two columns" else "2023/11/10"
+        stamps = [f"{date}{between}{c}" for c in clock]
+        first = '["d", "t"]' if kind == "two columns" else first
+    rows = [f"{t}," + ",".join(map(repr, row)) for t, row in zip(stamps, imu_table()[:, 1:].tolist())]
+    (folder / "imu.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
+    rec = mapped(folder, IMU.replace('time = "t"', f"time = {first}") + f'time_unit = "{unit}"\n')
+    np.testing.assert_allclose(np.diff(rec.imu.t), 0.25, atol=3e-5)  # days leave 10 us
+    zero = int(re.search(r"t = 0 is (\d+) s", rec.notes).group(1))
+    assert zero + rec.imu.t[0] == pytest.approx(1699653600.0, abs=1e-4)
+
+
 FIXES = np.array(
     [
         [11.0, 48.0, 11.0, 500.0, 3, 1.5],
@@ -263,7 +286,11 @@ def test_a_map_over_another_reader(folder):
         ('time = "t"\n', "", "imu: expected a key time, or rate_hz"),
         ("[imu]", "[imuu]\n[imu]", "map.toml: imuu: unknown key; did you mean imu?"),
         ("[imu]", "[imu]\nsampling = 'mean'", "imu: sampling: expected one of rates, increments, instantaneous"),
-        ("[imu]", "[imu]\ntime_unit = 'min'", "time_unit: expected one of s, ms, us, ns, iso, got 'min'"),
+        (
+            "[imu]",
+            "[imu]\ntime_unit = 'min'",
+            "time_unit: expected one of s, ms, us, ns, excel, matlab, iso, got 'min'",
+        ),
         ("[imu]", "[imu]\naxes = 'fru'", "axes: expected right-handed axes"),
         ("[imu]", "lever_arm_frd_m = [1]\n[imu]", "lever_arm_frd_m: expected 3 numbers"),
         ("[imu]", "folder = '$NOT_SET_ANYWHERE'\n[imu]", "folder: .NOT_SET_ANYWHERE names an environment variable"),

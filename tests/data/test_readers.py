@@ -363,7 +363,7 @@ def test_ubx_against_what_was_written(tmp_path):
     assert recognise(tmp_path / "a.ubx").name == "UBX"
     parts = read_parts(tmp_path / "a.ubx")
     position, velocity = parts.aiding["position"], parts.aiding["velocity"]
-    assert len(position.t) == 7 and parts.notes == ("1 NAV-PVT have no fix in three dimensions.",)
+    assert len(position.t) == 7 and parts.notes == ("1 messages have no fix in three dimensions.",)
     # 2023-11-16 is a Thursday, four days into its week: 00:00:00.25 GPS time
     np.testing.assert_allclose(position.t, 1700092800.0 + 0.25 * np.arange(1, 8), atol=1e-6)
     np.testing.assert_allclose(position.value[0], [48.10001 * DEG, 11.5 * DEG, 500.0], rtol=1e-10)
@@ -374,6 +374,32 @@ def test_ubx_against_what_was_written(tmp_path):
     np.testing.assert_allclose(heading.t, 1700092800.0 + 0.25 * np.array([0, 1, 2, 5, 6, 7]), atol=1e-6)
     np.testing.assert_allclose(heading.value[:, 0] / DEG, 11.25 + np.array([0, 1, 2, 5, 6, 7]), atol=2e-5)
     np.testing.assert_allclose(heading.sd[0], 0.5 * DEG, atol=2e-7)  # told to 1e-5 deg
+
+
+def test_ubx_of_a_receiver_without_nav_pvt(tmp_path):
+    """Position, velocity and status in messages of their own; the week is NAV-SOL's."""
+    pyubx2 = pytest.importorskip("pyubx2")
+    message = lambda name, **fields: pyubx2.UBXMessage("NAV", name, pyubx2.GET, **fields).serialize()
+    out, bare = b"", b""
+    for k in range(6):
+        tow = 345600000 + 200 * k
+        place = {"lon": 11.5, "lat": 48.1 + 1e-5 * k, "height": 500000, "hMSL": 450000, "hAcc": 1500, "vAcc": 2500}
+        fix = message("NAV-POSLLH", iTOW=tow, **place)
+        if k != 4:
+            fix += message("NAV-VELNED", iTOW=tow, velN=100, velE=200, velD=-30, speed=226, gSpeed=224, sAcc=12)
+        bare += fix
+        out += fix + message("NAV-SOL", iTOW=tow, week=2288, gpsFix=3 if k else 2, gpsfixOK=1, wknSet=1, towSet=1)
+    (tmp_path / "a.ubx").write_bytes(out)
+    parts = read_parts(tmp_path / "a.ubx")
+    position, velocity = parts.aiding["position"], parts.aiding["velocity"]
+    assert parts.notes == ("1 messages have no fix in three dimensions.",)
+    np.testing.assert_allclose(position.t, 1700092800.0 + 0.2 * np.arange(1, 6), atol=1e-6)
+    np.testing.assert_allclose(position.value[0], [48.10001 * DEG, 11.5 * DEG, 500.0], rtol=1e-10)
+    np.testing.assert_allclose(position.sd[0], [1.5, 1.5, 2.5])
+    np.testing.assert_allclose(velocity.value[0], [2.0, 1.0, 0.3])
+    assert velocity.t.size == 4 and velocity.sd[0, 0] == pytest.approx(0.12)
+    (tmp_path / "b.ubx").write_bytes(bare)  # no status and no week: every fix, in seconds of the week
+    np.testing.assert_allclose(read_parts(tmp_path / "b.ubx").aiding["position"].t, 345600.0 + 0.2 * np.arange(6))
 
 
 def nmea(*bodies: str) -> str:

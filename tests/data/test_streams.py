@@ -54,3 +54,16 @@ def test_every_stream_has_a_column_for_each_channel():
             assert each.quantity in QUANTITIES and each.sd > 0
             assert each.names[0][1] == 1.0 and each.sd_names[0][1] == 1.0, name
     assert {row.name for row in with_data().values() if row.correlated} == {"position", "velocity"}
+
+
+def test_rows_that_a_mask_hides_are_none():
+    """A fix that numpy masks is left out; a masked sample of the IMU is nan, which is refused with its row."""
+    value = np.ma.masked_array(np.tile([0.7, 0.2, 50.0], (19, 1)))
+    value[3, 2], value.data[3, 2] = np.ma.masked, 9e9
+    rec = recording(IMU, position=(FIXES, value, 2.0))
+    np.testing.assert_array_equal(rec.aiding["position"].t, np.delete(FIXES, 3))
+    sd = np.ma.masked_greater(np.r_[np.full(18, 0.3), 99.0], 50.0)[:, None]
+    rec = recording(IMU, position=(FIXES, value.data[:3].repeat(7, 0)[:19], 2.0), speed=(FIXES, np.ones(19), sd))
+    assert rec.aiding["speed"].t.size == 18
+    with pytest.raises(DataError, match="gyro"):
+        recording((T, np.ma.masked_equal(np.zeros((400, 3)), 0.0), IMU[2]), position=(FIXES, value, 2.0))

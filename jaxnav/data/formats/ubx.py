@@ -1,4 +1,4 @@
-"""u-blox UBX, by `pyubx2`: NAV-PVT, the fixes beside an IMU's file."""
+"""u-blox UBX, by `pyubx2`: NAV-PVT, or NAV-POSLLH and NAV-VELNED of older receivers: fixes beside an IMU's file."""
 
 import datetime
 import os
@@ -17,6 +17,7 @@ from jaxnav.types import DataError
 SYNC = b"\xb5\x62"
 FIXED = (3, 4)  # fixType: in three dimensions, alone or with dead reckoning
 PVT = b"\x01\x07"  # class and number of NAV-PVT
+OLDER = ("NAV-POSLLH", "NAV-VELNED", "NAV-SOL", "NAV-STATUS", "NAV-TIMEGPS")
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -43,15 +44,17 @@ def frames(data: bytes) -> tuple[list[bytes], int]:
 
 
 def read(path: Path) -> Parts:
-    """Position and velocity of NAV-PVT, heading of NAV-RELPOSNED where the base moves along; hAcc, vAcc, sAcc are sd.
+    """Position and velocity of NAV-PVT, else of NAV-POSLLH and NAV-VELNED with the status of NAV-SOL or NAV-STATUS.
 
-    Times are s since 1970 in GPS time.
+    Heading is that of NAV-RELPOSNED where the base moves along. hAcc, vAcc and sAcc are the sd of each axis. Times are
+    s since 1970 in GPS time.
 
     Raises:
-        DataError: no NAV-PVT.
+        DataError: no fix in three dimensions.
     """
     import pyubx2
 
+    older: dict[str, dict[int, Any]] = {name: {} for name in OLDER}
     rows, pointed, without = [], [], 0
     intact, damaged = frames(read_bytes(path))
     for frame in intact:
@@ -62,19 +65,27 @@ def read(path: Path) -> Parts:
         if message.identity == "NAV-RELPOSNED" and getattr(message, "relPosHeadingValid", 0):
             if message.isMoving and message.relPosValid:
                 pointed.append([message.iTOW, message.relPosHeading * DEG, message.accHeading * DEG])
+        if message.identity in older:
+            older[message.identity][message.iTOW] = message
         if message.identity != "NAV-PVT":
             continue
         if message.fixType not in FIXED or not message.gnssFixOk or not message.validDate:
             without += 1
             continue
         rows.append(_row(message))
+    if not rows and not without:
+        rows, without = _older_rows(older)
     if not rows:
-        raise DataError(f"{path}: has no NAV-PVT with a fix in three dimensions ({without} without)")
-    said = {"NAV-PVT have no fix in three dimensions.": without, "NAV-PVT are damaged and left out.": damaged}
+        raise DataError(
+            f"{path}: has no NAV-PVT or NAV-POSLLH with a fix in three dimensions: {without} without one, {damaged} "
+            "damaged"
+        )
+    said = {"messages have no fix in three dimensions.": without, "NAV-PVT are damaged and left out.": damaged}
     notes = tuple(f"{count} {what}" for what, count in said.items() if count)
     t, lla, acc, vel, s_acc = np.split(np.array(rows), [1, 4, 6, 9], axis=1)
     position = Stream(t[:, 0], lla, acc[:, [0, 0, 1]])
-    velocity = Stream(t[:, 0], ned_to_enu(vel), np.repeat(s_acc, 3, axis=1))
+    moved = np.isfinite(vel[:, 0])
+    velocity = Stream(t[moved, 0], ned_to_enu(vel[moved]), np.repeat(s_acc[moved], 3, axis=1))
     aiding = {"position": position, "velocity": velocity}
     if pointed:
         milliseconds, angle, sd = np.array(pointed).T
@@ -82,6 +93,24 @@ def read(path: Path) -> Parts:
         week = np.round((np.median(t) - tow) / WEEK)  # a recording is shorter than half a week
         aiding["heading"] = Stream(tow + week * WEEK, angle[:, None], sd[:, None])
     return scaled(Parts(os.fspath(path), aiding=aiding, notes=notes), TimeScale.GPS)
+
+
+def _older_rows(older: dict[str, dict[int, Any]]) -> tuple[list[list[float]], int]:
+    """Return rows as those of `_row` of receivers without NAV-PVT, and how many positions are no fix in 3D."""
+    weeks = [m.week for m in older["NAV-SOL"].values() if m.wknSet]
+    weeks += [m.week for m in older["NAV-TIMEGPS"].values() if m.weekValid]
+    base = GPS_EPOCH + int(np.median(weeks)) * WEEK if weeks else 0.0  # else seconds of the week
+    fixed = {tow: m.gpsFix in FIXED and bool(m.gpsfixOK) for tow, m in older["NAV-SOL"].items()}
+    fixed |= {tow: m.gpsFix in FIXED and bool(m.gpsFixOk) for tow, m in older["NAV-STATUS"].items()}
+    rows, without = [], 0
+    for tow, p in older["NAV-POSLLH"].items():
+        if not fixed.get(tow, not fixed):
+            without += 1
+            continue
+        v = older["NAV-VELNED"].get(tow)
+        motion = [np.nan] * 4 if v is None else [v.velN / 100, v.velE / 100, v.velD / 100, v.sAcc / 100]  # cm/s
+        rows.append([base + tow / 1e3, p.lat * DEG, p.lon * DEG, p.height / 1e3, p.hAcc / 1e3, p.vAcc / 1e3, *motion])
+    return rows, without
 
 
 def _row(m: Any) -> list[float]:

@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxnav.data.checks import ned_to_enu
+from jaxnav.data.clock_rate import at_gps_rate
 from jaxnav.data.files import read_bytes
+from jaxnav.data.gps_time import WEEK
 from jaxnav.data.parts import ImuRows, Parts, Stream, with_fixes
 from jaxnav.data.units import UNITS
 from jaxnav.maths.units import DEG
@@ -18,6 +20,7 @@ from jaxnav.types import DataError
 SYNC, FMT, FMT_SIZE = b"\xa3\x95", 128, 89
 MILLIGAUSS = UNITS["field"]["mgauss"]
 FIX_3D = 3
+WEEK_AND_TIME = (("GWk", "Week"), ("GMS", "TimeMS"))  # columns of GPS week and ms of it, today and in the past
 DOWNWARD, SEES = 25, 4  # orientation and status of a rangefinder
 
 # format character: code of `struct`, and the factor to what the name of the column means
@@ -76,7 +79,8 @@ def read(path: Path, instance: int = 0, receiver: str | None = None) -> Parts:
     down = _rangefinder(_instance(logged, "RFND", 0))
     if down is not None:
         aiding["rangefinder"] = down
-    return Parts(os.fspath(path), rows, aiding, notes=tuple(notes))
+    parts = Parts(os.fspath(path), rows, aiding, notes=tuple(notes))
+    return at_gps_rate(parts, *_clocks(gps[f"GPS {number}"])) if gps else parts
 
 
 def _rangefinder(data: dict[str, np.ndarray] | None) -> Stream | None:
@@ -186,6 +190,15 @@ def _seconds(data: dict[str, np.ndarray]) -> np.ndarray:
     if "TimeUS" in data:
         return data["TimeUS"] / 1e6
     return data["T" if "T" in data else "TimeMS"] / 1e3
+
+
+def _clocks(gps: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the board's time and GPS time (K,) of the rows with a fix; nan where the log has none."""
+    week, second = (next((gps[name] for name in names if name in gps), None) for names in WEEK_AND_TIME)
+    fixed = gps["Status"] >= FIX_3D
+    if week is None or second is None or second is gps.get("TimeMS") and "T" not in gps:
+        return _seconds(gps)[fixed], np.full(np.count_nonzero(fixed), np.nan)
+    return _seconds(gps)[fixed], (week * WEEK + second / 1e3)[fixed]
 
 
 def _columns(data: dict[str, np.ndarray], *names: str) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxnav.data.axes import attitude
 from jaxnav.data.checks import ned_to_enu
+from jaxnav.data.clock_rate import at_gps_rate
 from jaxnav.data.parts import ImuRows, Parts, Stream, with_fixes
 from jaxnav.data.units import UNITS
 from jaxnav.maths.interpolation import columns_at
@@ -69,7 +70,12 @@ def read(path: Path, wheel_radius_m: float = 0.0, receiver: str | None = None) -
     truth = _truth(topics)
     if truth is not None and not truth.lla[:, 2].any():
         notes.append("The simulator's truth has no height: 0 m stands in its place.")
-    return Parts(os.fspath(path), imu, present, truth, notes=tuple(notes))
+    parts = Parts(os.fspath(path), imu, present, truth, notes=tuple(notes))
+    fix = topics.get(_first(topics, *GPS) or "", {})
+    if "time_utc_usec" not in fix:
+        return parts
+    known = (fix["time_utc_usec"] > 0) & (fix["fix_type"] >= FIX_3D)
+    return at_gps_rate(parts, _seconds(fix["timestamp"])[known], _seconds(fix["time_utc_usec"])[known])
 
 
 def _seconds(stamp: np.ndarray) -> np.ndarray:

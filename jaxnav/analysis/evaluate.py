@@ -53,10 +53,13 @@ def trace(info: Info, params: Params) -> Trace:
 
 
 def ned_errors(sol: Trace, truth: Track) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (E, 9) in the units of ERRORS and their sd by the filter; nan where there is no truth, as in its holes."""
+    """Errors (E, 9) in the units of ERRORS and their sd by the filter; nan where there is no truth, as in its holes.
+
+    Attitude errors are rotations about the axes of their sd: level forward, level right, down.
+    """
     e = metrics.errors(sol.track, truth)
     position, velocity = (np.asarray(a)[:, NED] * SIGN for a in (e.position, e.velocity))
-    error = np.concatenate([position, velocity, np.asarray(e.attitude) / DEG], 1)
+    error = np.concatenate([position, velocity, metrics.attitude_errors(sol.track, truth) / DEG], 1)
     error[~metrics.told_by(sol.track.t, truth.t)] = np.nan
     sd = np.concatenate([sol.sd[:, :3][:, NED], sol.sd[:, 3:6][:, NED], sol.sd_rph / DEG], 1)
     return error, sd

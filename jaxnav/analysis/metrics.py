@@ -47,6 +47,36 @@ def errors(solution: Track, truth: Track) -> Errors:
     return Errors(position, solution.vel - at(truth.vel), np.remainder(turn + np.pi, 2 * np.pi) - np.pi)
 
 
+def attitude_errors(solution: Track, truth: Track) -> np.ndarray:
+    """Return the rotation from the true attitude to a solution's, (E, 3) rad; nan where the truth has none.
+
+    Its components are about the horizontal axis forward, the horizontal axis to the right, and down: to first order
+    those of roll, pitch and heading while the vehicle is level, and still defined where it points up.
+    """
+    from scipy.spatial.transform import Rotation  # here, for it takes a while to load
+
+    after = np.clip(np.searchsorted(truth.t, solution.t), 1, max(truth.t.size - 1, 1))
+    before = after - 1
+    after = np.minimum(after, truth.t.size - 1)
+    known = np.isfinite(truth.rph[before]).all(1) & np.isfinite(truth.rph[after]).all(1)
+    known &= np.isfinite(solution.rph).all(1)
+    out = np.full(solution.rph.shape, np.nan)
+    if not known.any():
+        return out
+    before, after = before[known], after[known]
+    turn = lambda rph: Rotation.from_euler("ZYX", rph[:, ::-1])
+    first, step = turn(truth.rph[before]), truth.t[after] - truth.t[before]
+    share = np.where(step > 0, (solution.t[known] - truth.t[before]) / np.where(step > 0, step, 1.0), 0.0)
+    true = first * Rotation.from_rotvec(
+        np.clip(share, 0.0, 1.0)[:, None] * (first.inv() * turn(truth.rph[after])).as_rotvec()
+    )
+    north, east, down = (turn(solution.rph[known]) * true.inv()).as_rotvec().T
+    heading = solution.rph[known, 2]
+    s, c = np.sin(heading), np.cos(heading)
+    out[known] = np.stack([c * north + s * east, -s * north + c * east, down], axis=1)
+    return out
+
+
 def position_error(nav: Nav, lla: jax.Array) -> jax.Array:
     """ENU error in m of local level navigation against a true position, (3,); differentiable."""
     return earth.enu_difference(nav.pos, lla)

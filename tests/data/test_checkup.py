@@ -6,10 +6,12 @@ import pytest
 
 from benchmarks.recordings import check
 from benchmarks.recordings.start import simulated
+from benchmarks.simulated import pauses
 from jaxnav.app.config import Data
 from jaxnav.app.jobs.check import configuration
 from jaxnav.data import magnetic
 from jaxnav.data.checkup import CHECKS, checkup, inertial, quick_notes
+from jaxnav.data.checkup.motion import turns
 from jaxnav.data.checkup.standstill import standstill
 from jaxnav.data.epochs import Standing, stationary
 from jaxnav.data.read import read
@@ -119,6 +121,16 @@ def test_gyros_of_another_unit_turn_by_another_amount_than_the_course(car, facto
     """Between 0.6 and 1.6 of the course's turns a slip angle and its delay may explain the rest."""
     scaled = car._replace(imu=car.imu._replace(gyro=car.imu.gyro * [1.0, 1.0, factor]))
     assert ("gyro.units" in bad(scaled, "turns")) is wrong
+
+
+@pytest.mark.parametrize("factor, wrong", [(1.0, False), (180 / np.pi, True), (np.pi / 180, True)])
+def test_degrees_for_radians_show_with_positions_alone(factor, wrong):
+    """Their noise leaves a correlation of 0.45: the slope hides the unit, slope over correlation squared does not."""
+    rec = pauses.drive(0, 300.0)
+    seen = rec._replace(imu=rec.imu._replace(gyro=factor * rec.imu.gyro), aiding={"position": rec.aiding["position"]})
+    found = [f for f in turns(seen) if f.code == "gyro.units"]
+    assert bool(found) is wrong
+    assert not wrong or 0.4 < found[0].value / factor < 2.5
 
 
 def test_coarse_steps_and_a_loud_axis_are_noise_of_that_axis(car):

@@ -16,6 +16,7 @@ from jaxnav.types import Finding, ImuLog, Recording, Samples, Severity
 STEP = 0.1  # s, of the series that are correlated
 FARTHEST = 40.0  # s: leap seconds, and a logger that was started early
 SURE = 0.6  # correlation of turns that belong together
+LIKELY = 0.3  # correlation from which on the size of the turns tells the unit, whatever noise hides
 SERIES, SIGMAS = 2.0, 3.5  # s, between independent turn rates; of the largest chance correlation over all lags
 WINDOW = 20.0  # s, of an alignment
 BAD_FIT = 8.0  # chi^2 per degree of freedom
@@ -96,9 +97,13 @@ def turns(rec: Recording) -> list[Finding]:
     chance = np.tanh(SIGMAS / np.sqrt(max(seconds / SERIES - 3.0, 1.0)))  # Fisher's z
     if abs(best) > max(SURE, chance) and abs(lag) > 1.0 and abs(best) > 1.5 * np.abs(near).max():
         return [finding("time.offset", "xyz"[axis], lag, best=best, setting="data.options.time_shift_s")]
+    w = x.weight
+    slope = float((w * x.course * x.gyro[:, 2]).sum() / (w * x.course**2).sum())
+    size = abs(slope) / max(near[2] ** 2, 1e-6)  # noise of the course makes the slope that much smaller
+    if abs(near[2]) > max(LIKELY, chance) and not 0.1 < size < 10.0:
+        message = f"gyro z is about {size:.2g} times the course's rate (correlations {vector})"
+        return [finding("gyro.units", "gyro z", size, message=message, cause="degrees read as radians, or the reverse")]
     if abs(near[2]) > SURE and abs(near[2]) >= 0.8 * np.abs(near).max():
-        w = x.weight
-        slope = float((w * x.course * x.gyro[:, 2]).sum() / (w * x.course**2).sum())
         message = f"gyro z is {slope:+.2f} times the course's rate (correlations {vector})"
         if near[2] < 0:
             cause = 'z points up instead of down: axes = "flu"'

@@ -28,7 +28,8 @@ def test_errors_and_sd_are_north_east_down_and_roll_pitch_heading():
     sd = np.tile([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.07, 0.08, 0.09], (2, 1))
     sol = Trace(estimate, sd, np.tile([0.1, 0.2, 0.3], (2, 1)) * DEG, None)
     error, found = ned_errors(sol, truth)
-    np.testing.assert_allclose(error[0], [-2.0, 1.0, -3.0, 0.2, 0.1, 0.3, 1.0, -2.0, 3.0], rtol=1e-6)
+    np.testing.assert_allclose(error[0, :6], [-2.0, 1.0, -3.0, 0.2, 0.1, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(error[0, 6:], [1.0, -2.0, 3.0], atol=0.06)  # to first order those of Euler angles
     np.testing.assert_allclose(found[0], [2.0, 1.0, 3.0, 5.0, 4.0, 6.0, 0.1, 0.2, 0.3], rtol=1e-12)
 
 

@@ -13,7 +13,7 @@ DECISIVE = 3.0  # ratio of chi^2 of one scale and the other
 
 
 def recording(parts: Parts) -> Recording:
-    """Return the checked recording of parts, IMU and fixes in one time scale.
+    """Return the checked recording of parts, IMU and fixes in one time scale, which is the IMU's.
 
     Stated scales are converted. Where the IMU's stamps are a date of no stated scale and the fixes are in GPS time, the
     scale in which IMU and fixes agree is taken; where none is better, a note says so.
@@ -24,7 +24,12 @@ def recording(parts: Parts) -> Recording:
     rec, leap = mend.recording(parts), _leap_seconds(parts)
     if not leap or parts.imu is None:
         return rec
-    moved = mend.recording(parts._replace(imu=parts.imu._replace(t=np.asarray(parts.imu.t, float) + leap)))
+    scale = parts.aiding["position"].scale
+    aiding = {
+        name: stream._replace(t=np.asarray(stream.t, float) - leap) if stream.scale is scale else stream
+        for name, stream in parts.aiding.items()
+    }
+    moved = mend.recording(parts._replace(aiding=aiding))
     taken = f"imu: UTC is taken as GPS time less {abs(leap):g} s, the leap seconds of its date"
     if parts.imu.scale is not TimeScale.UNKNOWN:
         return _noted(moved, f"{taken}.")
@@ -41,7 +46,7 @@ def recording(parts: Parts) -> Recording:
 
 
 def _leap_seconds(parts: Parts) -> float:
-    """Return the seconds to add to the IMU's times if its scale differs from the fixes'; 0 where it cannot."""
+    """Return the seconds that the fixes' scale is ahead of the IMU's where these differ; 0 where it cannot."""
     imu, position = parts.imu, parts.aiding.get("position")
     if imu is None or position is None or imu.scale is position.scale or not np.isfinite(imu.t).any():
         return 0.0

@@ -222,8 +222,11 @@ def test_npz_header_that_asks_for_more_memory_than_there_is(tmp_path):
         (POS_HEAD + POS_ROW.format(1).replace("07/08", "13/08"), "line 2: expected a time"),
         (POS_HEAD + POS_ROW.format(1)[:-5] + "\n", "line 2: expected 13 columns, got 12"),
         (POS_HEAD + POS_ROW.format(1)[:-1], "line 2: has no line end"),
-        (POS_HEAD.replace("GPST", "UTC") + POS_ROW.format(1), "expected times in GPST, got UTC"),
-        (POS_HEAD.replace("latitude(deg)", "x-ecef(m)") + POS_ROW.format(1), "expected a column latitude(deg)"),
+        (POS_HEAD.replace("GPST", "TAI") + POS_ROW.format(1), "expected times in GPST, UTC, JST, got TAI"),
+        (
+            POS_HEAD.replace("latitude(deg)", "x-ecef(m)") + POS_ROW.format(1),
+            "expected columns latitude(deg) longitude(deg) height(m), x-ecef(m)",
+        ),
         (POS_HEAD.replace("sdne(m)", "extra") + POS_ROW.format(1), "expected a column sdne"),
         (POS_ROW.format(1), "expected a header line"),
         (POS_HEAD, "has no rows"),

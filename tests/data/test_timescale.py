@@ -48,6 +48,16 @@ def test_an_imu_in_gps_time_meets_fixes_in_utc(drive):
     assert behind(rec, drive) == pytest.approx(0.0, abs=1e-6)
 
 
+def test_what_the_imus_logger_stamped_stays_with_it(drive):
+    """A barometer in UTC beside fixes in GPS time moves with neither; the truth has the IMU's clock."""
+    made = parts(drive, imu=TimeScale.UTC)
+    height = drive.aiding["position"].value[:, 2:]
+    baro = Stream(drive.aiding["position"].t - LEAP, height, scale=TimeScale.UTC)
+    rec = recording(made._replace(aiding=made.aiding | {"barometer": baro}))
+    np.testing.assert_allclose(rec.aiding["barometer"].t, rec.aiding["position"].t)
+    np.testing.assert_array_equal(rec.aiding["barometer"].value, rec.aiding["position"].value[:, 2:])
+
+
 def test_stamps_that_are_gps_time_already_stay(drive):
     rec = recording(parts(drive, 0.0))
     assert behind(rec, drive) == pytest.approx(0.0, abs=1e-6) and "UTC" not in rec.notes
@@ -66,6 +76,7 @@ def test_a_time_scale_is_stated_by_an_option_or_a_map():
     pytest.importorskip("pyubx2")
     truth = np.genfromtxt(case.parent / "true_path.csv", delimiter=",", names=True)
     rec = read(case)
+    assert rec.imu.t[0] == pytest.approx(0.0, abs=1e-6)  # its own clock
     t = rec.aiding["position"].t
     lla = np.stack([np.interp(t, truth["t_s"], truth[name]) for name in ("lat_deg", "lon_deg", "h_m")], 1)
     lla[:, :2] = np.radians(lla[:, :2])

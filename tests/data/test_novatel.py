@@ -5,7 +5,7 @@ import pytest
 
 from jaxnav.data.formats.novatel import IMUS, crc32
 from jaxnav.data.gps_time import GPS_EPOCH, WEEK
-from jaxnav.data.read import read
+from jaxnav.data.read import read, recognise
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 
@@ -127,6 +127,13 @@ def test_damaged_lines_and_those_without_a_time_are_counted(drive, tmp_path):
     notes = read(path).notes
     assert "3 lines with a wrong checksum left out." in notes
     assert "1 lines from before the receiver knew the time left out." in notes
+
+
+def test_a_log_of_nmea_with_a_line_of_another_log_is_nmea(tmp_path):
+    version = line("VERSION", 'GPSCARD,"D2LR0RTT0S1","BFN","OEM","7.05","1.0","2019","09:00"')
+    (tmp_path / "a.log").write_text(version + "$GPGGA,100000.00,4806.0,N,01136.0,E,1,10,0.8,475.8,M,45.0,M,,*63\r\n")
+    (tmp_path / "b.log").write_text(version + line("BESTPOS", "INSUFFICIENT_OBS,NONE,0,0,0,0,WGS84,0,0,0"))
+    assert recognise(tmp_path / "a.log").name == "NMEA" and recognise(tmp_path / "b.log").name == "NovAtel ASCII"
 
 
 def test_fixes_alone_go_with_another_imu_in_gps_time(drive, tmp_path):

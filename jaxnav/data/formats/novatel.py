@@ -55,14 +55,16 @@ IMUS: dict[str, tuple[int, float, float]] = {
 LINE = re.compile(rb"[#%]([A-Z0-9]+)A,([^;\r\n*]*);([^\r\n*]*)\*([0-9a-fA-F]{8})")
 POSITIONS, VELOCITIES = ("BESTGNSSPOS", "BESTPOS"), ("BESTGNSSVEL", "BESTVEL")  # without the INS before with it
 SOLUTIONS = {"INSPVA": 0, "INSPVAS": 0, "INSPVAX": 1}  # 1: another order of the fields
-RAW = {"RAWIMU": 0, "RAWIMUS": 0, "RAWIMUX": 2, "RAWIMUSX": 2}  # fields before the week
+RAW = {"RAWIMUX": 2, "RAWIMUSX": 2, "RAWIMU": 0, "RAWIMUS": 0}  # fields before the week; those that state a type first
+WANTED = {*POSITIONS, *VELOCITIES, *SOLUTIONS, *RAW}
 Rows = list[tuple[list[bytes], list[bytes]]]  # fields of header and body of each line
 GOOD = {b"INS_SOLUTION_GOOD", b"INS_ALIGNMENT_COMPLETE"}
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Return whether it has a line of a log with a checksum."""
-    return bool(LINE.search(head))
+    """Return whether it has a line of a log that is read, or of others and no sentence of NMEA beside them."""
+    names = {match.group(1).decode() for match in LINE.finditer(head)}
+    return bool(names & WANTED) or (bool(names) and not re.search(rb"\$G[A-Z]{4},", head))
 
 
 def crc32(data: bytes) -> int:
@@ -81,11 +83,10 @@ def read(path: Path, imu: str | None = None) -> Parts:
         DataError: no line that could be read, or an IMU of no known type.
     """
     logs: dict[str, Rows] = defaultdict(list)
-    wanted, damaged = {*POSITIONS, *VELOCITIES, *SOLUTIONS, *RAW}, 0
-    untimed = 0
+    damaged = untimed = 0
     for match in LINE.finditer(read_bytes(path)):
         name, head, body, check = match.groups()
-        if name.decode() not in wanted:
+        if name.decode() not in WANTED:
             continue
         if crc32(match.group(0)[1:-9]) != int(check, 16):
             damaged += 1

@@ -257,6 +257,7 @@ def metrics(sol: Solution) -> dict[str, Any]:
     """Return errors where there is a truth, innovations, errors at the ends of gaps, and the use of the streams."""
     rec, info = sol.recording, sol.trace.info
     found: dict[str, Any] = {"start_s": sol.packed.start}
+    error = None
     if rec.truth is not None:
         error, sd = evaluate.ned_errors(sol.trace, rec.truth)
         share = float(np.isfinite(error[:, 0]).mean())
@@ -266,7 +267,7 @@ def metrics(sol: Solution) -> dict[str, Any]:
     ends = [
         {"start_s": a, "end_s": b, "horizontal_m": at_end}
         for a, b in sol.gaps()
-        if np.isfinite(at_end := _end_error(sol, a, b))
+        if np.isfinite(at_end := _end_error(sol, a, b, error))
     ]
     uses = usage.usage(rec, sol.packed, info, sol.measurements, sol.hidden)
     found |= ({"outages": ends} if ends else {}) | usage.as_json(uses, usage.channels_of(info, sol.measurements))
@@ -280,16 +281,19 @@ def metrics(sol: Solution) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _end_error(sol: Solution, start: float, end: float) -> float:
-    """Return the horizontal error (m) at the last epoch of a gap without a fix; nan where nothing shows it."""
+def _end_error(sol: Solution, start: float, end: float, error: np.ndarray | None) -> float:
+    """Return the horizontal error (m) at the last epoch of a gap without a fix; nan where nothing shows it.
+
+    By ``error`` (E, 9) where there is a truth, else by the first fix behind it.
+    """
     t, info = sol.packed.t, sol.trace.info
     valid, used = np.asarray(sol.packed.epochs.fix.valid)[:, :2], np.asarray(info.valid)[:, :2]
     lost = np.flatnonzero((t > start + ep.TICK) & (t <= end + ep.TICK) & ~used.all(axis=1))
     if not lost.size:
         return float("nan")
     i = int(lost[-1])
-    if sol.recording.truth is not None:
-        return float(np.hypot(*evaluate.ned_errors(sol.trace, sol.recording.truth)[0][i, :2]))
+    if error is not None:
+        return float(np.hypot(*error[i, :2]))
     return float(np.hypot(*np.asarray(info.residual)[i, :2])) if valid[i].all() else float("nan")
 
 

@@ -1,13 +1,14 @@
 """What is free: names of parameters, alone and in groups, and how each is tuned."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 
 from jaxnav.filters.border import KEYS, NAMES
 from jaxnav.filters.catalogue import FILTERS
+from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import UNITS, get, has
-from jaxnav.measurements import Measurement
+from jaxnav.measurements import MEASUREMENTS, Measurement
 from jaxnav.types import ConfigError, Params, nearest
 from tuning.transforms import LOG, TRANSFORMS, Transform, scaled
 
@@ -45,22 +46,30 @@ def of_rule(name: str) -> list[str]:
     return [f"rule.{leaf}" for leaf in FILTERS[name].tunable]
 
 
-def leaves_of(names: Iterable[str], short: Mapping[str, list[str]], params: Params, key: str = "free") -> list[str]:
-    """The dotted leaves of ``params`` that names stand for: of `groups`, dotted themselves, or keys of a configuration.
+def leaves_of(filt: Filter, params: Params, names: Iterable[str], key: str = "free") -> list[str]:
+    """Return the dotted leaves that names stand for, without driving noises of constant states.
+
+    Args:
+        filt: the filter.
+        params: its parameters.
+        names: groups of `groups`, dotted leaves, or keys of a configuration.
+        key: the setting, for messages.
 
     Raises:
-        ConfigError: no parameter is called so, or a state that the parameters have not; names ``key``.
+        ConfigError: an unknown name, or a state or parameter that the filter has not.
     """
-    found: list[str] = []
+    used = [MEASUREMENTS[name] for name in filt.model.measurements]
+    short = groups(used, filt.model.states, of_rule(filt.name) if filt.name else ())
+    leaves: list[str] = []
     for name in names:
         for leaf in short.get(name, [KEYS.get(name, name)]):
             if leaf in UNITS and leaf.startswith("states.") and not has(params, leaf):
                 raise ConfigError(f"{key}: {leaf}: the filter has no state {leaf.split('.')[1]}: see filter.states")
             if leaf not in UNITS and not leaf.startswith("rule.") or not has(params, leaf):
                 raise ConfigError(f"{key}: no parameter {leaf}: {nearest(leaf, [*short, *NAMES])}")
-            if name not in short or not constant(leaf, params):
-                found.append(leaf)
-    return list(dict.fromkeys(found))
+            if not constant(leaf, params):
+                leaves.append(leaf)
+    return list(dict.fromkeys(leaves))
 
 
 def constant(leaf: str, params: Params) -> bool:

@@ -47,6 +47,7 @@ class Used(NamedTuple):
     windows: Windows  # hidden (P, E)
     parts: dict[str, np.ndarray]  # masks (W,) of the windows
     truth: Track | None  # of the recording
+    known: dict[str, float] = {}  # true values of parameters, by leaf: a recording states none
 
     @property
     def t(self) -> np.ndarray:

@@ -5,16 +5,14 @@ Each prior is Gaussian about the datasheet in the unconstrained space (`tuning.t
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 
 from jaxnav.filters.core import Filter
-from jaxnav.filters.parameters import UNITS, get
-from jaxnav.measurements import MEASUREMENTS
+from jaxnav.filters.parameters import get
 from jaxnav.types import ConfigError, Params
-from tuning import free
-from tuning.free import transform_of
+from tuning.free import leaves_of, step_of, transform_of
 from tuning.transforms import LOG, Spec, believed, tied
 
 
@@ -48,21 +46,6 @@ def kind_of(leaf: str) -> str:
     return "angle" if last == "vehicle" else last if last in PRIORS else "noise"
 
 
-def leaves_of(filt: Filter, params: Params, names: Iterable[str]) -> list[str]:
-    """The leaves that names stand for: groups of `tuning.free.groups`, dotted leaves, or keys of a configuration.
-
-    Raises:
-        ConfigError: an unknown name, a leaf that the filter has not, or nothing at all.
-    """
-    chosen = [MEASUREMENTS[name] for name in filt.model.measurements]
-    rule = free.of_rule(filt.name) if filt.name else ()
-    found = free.leaves_of(names, free.groups(chosen, filt.model.states, rule), params)
-    found = [leaf for leaf in found if not free.constant(leaf, params)]
-    if not found:
-        raise ConfigError(f"nothing is left free of {', '.join(names)}")
-    return found
-
-
 def spec_of(
     filt: Filter, params: Params, names: Iterable[str], widths: Mapping[str, float] | None = None, priors: bool = True
 ) -> Spec:
@@ -73,15 +56,20 @@ def spec_of(
     Args:
         filt: the filter.
         params: the datasheet.
-        names: what is free, see `leaves_of`.
+        names: of free parameters, see `tuning.free.leaves_of`.
         widths: one sd by leaf, in place of `PRIORS`: a factor where the parameter is positive, else in SI.
         priors: False leaves them out.
+
+    Raises:
+        ConfigError: an unknown name, or no parameter at all.
     """
     spec: Spec = {}
-    widths = widths or {}
-    for leaf in leaves_of(filt, params, names):
+    widths, leaves = widths or {}, leaves_of(filt, params, names)
+    if not leaves:
+        raise ConfigError(f"no free parameter in {', '.join(names)}")
+    for leaf in leaves:
         if leaf.startswith("rule."):
-            spec[leaf] = free.step_of(leaf, filt.name)
+            spec[leaf] = step_of(leaf, filt.name)
             continue
         transform = transform_of(leaf)
         centre = jnp.asarray(get(params, leaf), float)
@@ -92,9 +80,3 @@ def spec_of(
         sd = math.log(width) if transform.forward is LOG.forward else float(transform.inverse(jnp.asarray(width)))
         spec[leaf] = believed(transform, centre, sd) if priors else transform
     return spec
-
-
-def in_words(leaf: str) -> tuple[float, str]:
-    """A leaf's factor to SI and its unit, as reports state it."""
-    unit: Any = UNITS.get(leaf)
-    return (1.0, "") if unit is None else (unit.factor, unit.text)

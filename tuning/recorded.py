@@ -40,6 +40,7 @@ from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import ConfigError, DataError, Finding, Info, Params, Recording
 from tuning import scoring
 from tuning.evidence import SLOW, Job, predicted
+from tuning.free import leaves_of
 from tuning.parts import (
     REACH,
     Layout,
@@ -53,8 +54,19 @@ from tuning.parts import (
     window_of,
     windows_of,
 )
-from tuning.priors import PRIORS, kind_of, leaves_of, spec_of
-from tuning.report import LEAST_WINDOWS, Row, Trial, Tuned, channels, ratios, rows_of, shown, spread, verdict
+from tuning.priors import PRIORS, kind_of, spec_of
+from tuning.report import (
+    LEAST_WINDOWS,
+    Row,
+    Trial,
+    Tuned,
+    channels,
+    ratios,
+    reported_candidate,
+    rows_of,
+    spread,
+    verdict,
+)
 from tuning.runs import Descent, check_objective, descend
 from tuning.status import Status
 from tuning.uncertainty import Covariance
@@ -127,7 +139,7 @@ def tune(
     require_x64(sheets[0])
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     begins = [start(r, p) if b is None else b for r, p, b in zip(recs, sheets, begins, strict=True)]
-    apart = leaves_of(filt, sheets[0], own) if own else []
+    apart = leaves_of(filt, sheets[0], own, "own")
     if apart and how is not None:
         raise ConfigError("tune.own goes with the tempered method, not with a gradient search")
     warnings = clocks(recs, begins) if DELAY not in apart else []
@@ -194,10 +206,10 @@ def tune(
     late = [u.t > u.layout.validation for u in used]
     nis = {name: channels(off[1], late, chosen) for name, off in offs.items()}
     scores = {name: spread(off[0][test]) for name, off in offs.items()}
-    told = shown(best, trials)
+    reported = reported_candidate(best)
     return Tuned(
         trials[best].params, kept_of(best), trials[best].filter, best, verdict(best, trials, scores, parts),
-        table(jobs[told], found[told]), trials, used, parts, int(np.unique(blocks).size), gain, scores, nis,
+        table(jobs[reported], found[reported]), trials, used, parts, int(np.unique(blocks).size), gain, scores, nis,
         jobs[best].spec, warnings, history, status, job.effective if how is None else math.nan,
     )  # fmt: skip
 

@@ -97,8 +97,8 @@ class Tuned:
         return text(self)
 
 
-def shown(best: str, trials: Mapping[str, Any]) -> str:
-    """The candidate whose parameters are told: the winner's, where the datasheet wins of what was tuned."""
+def reported_candidate(best: str) -> str:
+    """Return the candidate whose parameters the table has: the winner, and the tuned one if the datasheet won."""
     return best if best != "datasheet" else "tuned"
 
 
@@ -127,7 +127,7 @@ def verdict(
 
 def text(found: Tuned) -> str:
     """The table of `Tuned`, for a terminal."""
-    head = ["parameter", "datasheet", shown(found.chosen, found.trials), "95 %", "unit", "prior (1 sd)", ""]
+    head = ["parameter", "datasheet", reported_candidate(found.chosen), "95 %", "unit", "prior (1 sd)", ""]
     rows = [
         [r.name, f"{r.datasheet:.4g}", f"{r.value:.4g}", f"{r.low:.3g} to {r.high:.3g}", r.unit, r.prior, r.remark]
         for r in found.rows

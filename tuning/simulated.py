@@ -108,7 +108,7 @@ def tune_simulated(
         filt = filt.keeping(max(reach))
     spec = spec_of(filt, params[0], free, widths, priors)
     used = [_simulated(filt, s, p, counts, seed + i) for i, (s, p) in enumerate(zip(scenarios, params, strict=True))]
-    windows = [u.runs["test"].ends.shape[1] > 0 for u in used]
+    windows = [u.windows_hidden for u in used]
     if any(windows) and not all(windows):
         raise ConfigError("tune.more: scenarios with outages and without: their errors are not of one kind")
     check_objective(how.objective, windows=all(windows))

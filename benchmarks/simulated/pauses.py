@@ -2,14 +2,16 @@
 
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 
 from benchmarks.common import options, write_json
 from jaxnav.analysis.navigate import navigate
-from jaxnav.app.config import resolve
-from jaxnav.app.sources import load
 from jaxnav.filters.catalogue import build
 from jaxnav.maths.units import DEG
+from jaxnav.simulate.keys import Purpose, run_keys
+from jaxnav.simulate.scenarios import URBAN_SHORT
+from jaxnav.simulate.simulation import simulate_runs, to_recording
 from jaxnav.types import ImuLog, Recording, Samples
 
 LENGTHS, BEGINS = (1.0, 3.0, 20.0, 60.0, 200.0), (150.0, 220.0, 333.0)  # s
@@ -38,8 +40,9 @@ def headings(rec: Recording, begin: float, end: float) -> np.ndarray:
 
 def drive(seed: int, seconds: float = SECONDS, rate: float = RATE_HZ) -> Recording:
     """Return a simulated drive in a town with fixes of 2 m every second."""
-    fields = {"duration_s": seconds, "imu_rate_hz": rate, "gnss_rate_hz": 1.0, "outages_s": []}
-    return load(resolve([("", {"seed": seed, "data": {"source": "urban_short", "options": fields}})]))
+    scenario = URBAN_SHORT._replace(duration_s=seconds, imu_rate_hz=rate, gnss=URBAN_SHORT.gnss._replace(outages_s=()))
+    runs = simulate_runs(scenario, run_keys(seed, Purpose.SINGLE, np.arange(1)))
+    return to_recording(jax.tree.map(lambda a: a[0], runs), scenario)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

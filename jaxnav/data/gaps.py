@@ -43,9 +43,10 @@ def holes(imu: ImuLog) -> Holes:
 
 def fill(imu: ImuLog) -> tuple[ImuLog, Holes]:
     """The log with samples in its long holes, and what is to be known of those."""
-    found, log = holes(imu), _Log(imu)
+    found = holes(imu)
     if not found.begin.size:
         return imu, found
+    log = _Log(imu)
     t, dt, gyro, accel = [imu.t], [imu.dt], [imu.gyro], [imu.accel]
     for a, b in zip(found.begin, found.end, strict=True):
         edges, means = _pieces(log, np.array([a]), np.array([b]))

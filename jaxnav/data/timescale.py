@@ -21,9 +21,9 @@ def recording(parts: Parts) -> Recording:
     Raises:
         DataError: see `jaxnav.data.mend.recording`.
     """
-    rec, leap = mend.recording(parts), _leap_seconds(parts)
+    leap = _leap_seconds(parts)
     if not leap or parts.imu is None:
-        return rec
+        return mend.recording(parts)
     scale = parts.aiding["position"].scale
     aiding = {
         name: stream._replace(t=np.asarray(stream.t, float) - leap) if stream.scale is scale else stream
@@ -33,6 +33,7 @@ def recording(parts: Parts) -> Recording:
     taken = f"imu: UTC is taken as GPS time less {abs(leap):g} s, the leap seconds of its date"
     if parts.imu.scale is not TimeScale.UNKNOWN:
         return _noted(moved, f"{taken}.")
+    rec = mend.recording(parts)
     gps, utc = misfit(rec), misfit(moved)
     if utc < min(BAD_FIT, gps / DECISIVE):
         return _noted(moved, f"{taken}: IMU and fixes agree to chi^2/dof {utc:.2g} so, to {gps:.2g} else.")

@@ -15,8 +15,6 @@ NAMES = {leaf: f"{leaf}_{unit.suffix}" if unit.suffix else leaf for leaf, unit i
 KEYS = {name: leaf for leaf, name in NAMES.items()}
 TABLES = ("noise", "mounting", "states", "measurements", "rule")
 """The tables of a configuration that state parameters."""
-ROOTS = tuple(leaf for leaf, unit in UNITS.items() if unit.root and not leaf.endswith(".sd"))
-"""Leaves that may be a lower triangular root, see `jaxnav.types.Noise`."""
 
 
 def flat(tree: Mapping[str, Any], above: str = "") -> dict[str, Any]:

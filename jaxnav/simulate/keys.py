@@ -16,7 +16,6 @@ class Purpose(IntEnum):
     VALIDATION = 1
     TEST = 2
     SINGLE = 3  # `jaxnav simulate`
-    REDRAWN = 4  # new training runs at every step
     STUDY = 5  # Monte Carlo
 
 

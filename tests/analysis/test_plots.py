@@ -65,12 +65,20 @@ def track(east, north):
     return Track(T, lla, np.zeros((N, 3)), np.zeros((N, 3)))
 
 
+NAMES = (
+    "noise.gyro_deg_per_sqrt_hour", "noise.accel_ug_per_sqrt_hz",
+    "states.gyro_bias.driving_noise_deg_per_hour_per_sqrt_s", "states.accel_bias.driving_noise_ug_per_sqrt_s",
+    "measurements.position.latency_s",
+)  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def every_figure():
     error, sd = walk(0, N, 9), np.full((N, 9), 10.0)
     path = track(10.0 * T, walk(1, N))
     methods = {"EKF": np.abs(noise(2, 30)), "tuned": np.abs(noise(3, 30))}
-    history = [{"step": i, "loss": 1.0 / (i + 1), "grad_norm": 0.5**i, "params": {"arw": 2.0**-i}} for i in range(9)]
+    row = lambda i: {"step": i, "loss": 1 / (i + 1), "grad_norm": 0.5**i, "params": dict.fromkeys(NAMES, 2.0**-i)}
+    history = [row(i) for i in range(9)]
     S = np.broadcast_to(np.eye(3), (N, 3, 3))
     return {
         "trajectory": plots.trajectory(path, path, Samples(T, path.lla, error[:, :3], error[:, :3]), OUTAGES),
@@ -79,7 +87,6 @@ def every_figure():
         "innovations": plots_stats.innovations(T, noise(4, N, 3), S, np.ones((N, 3), bool), list("abc"), OUTAGES),
         "nis": plots_stats.nis(T, noise(5, N) ** 2, np.ones(N), OUTAGES),
         "outage_drift": plots_stats.outage_drift(methods),
-        "cdf": plots_stats.cdf(methods),
         "tuning": plots_stats.tuning(history),
     }
 
@@ -126,7 +133,7 @@ import sys
 import numpy as np
 from jaxnav.analysis.plots import base, stats
 assert "matplotlib" not in sys.modules and "scipy.stats" not in sys.modules
-base.save(stats.cdf({{"a": np.arange(5.0)}}), {str(tmp_path / "a.png")!r})
+base.save(stats.outage_drift({{"a": np.arange(5.0)}}), {str(tmp_path / "a.png")!r})
 assert "matplotlib.pyplot" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
@@ -139,12 +146,12 @@ assert "matplotlib.pyplot" not in sys.modules
 def test_save_is_reproducible_and_replaces(tmp_path):
     path = tmp_path / "a.png"
     path.write_text("old")
-    make = lambda: plots_stats.cdf({"a": np.arange(5.0)})
+    make = lambda: plots_stats.outage_drift({"a": np.arange(5.0)})
     assert plots.save(make(), path) == path
     plots.save(make(), tmp_path / "b.png")
     data = path.read_bytes()
     assert data == (tmp_path / "b.png").read_bytes() and b"Software" not in data
-    assert int.from_bytes(data[16:20], "big") == round(7.5 * 120)
+    assert int.from_bytes(data[16:20], "big") == round(10.0 * 120)
     assert sorted(os.listdir(tmp_path)) == ["a.png", "b.png"]
 
 
@@ -160,13 +167,13 @@ def test_save_leaves_the_old_file_and_no_temporary_on_failure(tmp_path, monkeypa
 
     monkeypatch.setattr(*((Figure, "savefig") if where == "savefig" else (os, "replace")), fail)
     with pytest.raises(OSError, match="disk full"):
-        plots.save(plots_stats.cdf({"a": np.arange(5.0)}), path)
+        plots.save(plots_stats.outage_drift({"a": np.arange(5.0)}), path)
     assert path.read_text() == "old" and os.listdir(tmp_path) == ["a.png"]
 
 
 def test_save_takes_png_only(tmp_path):
     with pytest.raises(ValueError, match="png"):
-        plots.save(plots_stats.cdf({"a": np.arange(5.0)}), tmp_path / "a.pdf")
+        plots.save(plots_stats.outage_drift({"a": np.arange(5.0)}), tmp_path / "a.pdf")
 
 
 # ---------------------------------------------------------------------------- one run
@@ -384,17 +391,6 @@ def test_outage_drift_over_a_decade_is_log_and_other_counts_are_boxes():
     apart = {"a": np.array([1.0, np.nan]), "b": np.array([np.nan, 2.0])}
     assert "0 of 0 windows" in plots_stats.outage_drift(apart).axes[1].get_title()
     assert plots_stats.outage_drift({"a": v - 1.0}).axes[0].get_xscale() == "linear"  # 0 m has no logarithm
-
-
-def test_cdf_marks_cep50_and_r95():
-    fig = plots_stats.cdf({"a": np.append(np.arange(101.0)[::-1], np.nan)})
-    (ax,) = fig.axes
-    x, y = line(ax, "a: CEP50 50.0 m, R95 95.0 m")
-    assert x.size == 102 and (np.diff(x) >= 0).all() and y[-1] == 100.0
-    points = [l for l in ax.lines if l.get_marker() in ("o", "s") and height(l).size]
-    marks = [(*np.asarray(l.get_xydata(), float)[0],) for l in points]
-    assert marks == [(50.0, 50.0), (95.0, 95.0)]
-    assert {"CEP50", "R95"} <= set(legend(fig))
 
 
 def history(n=10):

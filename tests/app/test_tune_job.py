@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -19,12 +20,13 @@ from jaxnav.filters.parameters import datasheet_params
 from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS, ZERO_RATE
 from jaxnav.simulate.keys import Purpose, run_keys
+from jaxnav.simulate.scenarios import URBAN
 from jaxnav.simulate.simulation import simulate_runs
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError
 from tuning import runs, uncertainty
 from tuning.priors import spec_of
-from tuning.simulated import as_runs
+from tuning.simulated import _known, as_runs
 from tuning.transforms import merged
 
 SETTINGS = {
@@ -203,6 +205,24 @@ def test_what_the_papers_are_about_is_tuned_by_the_command_line(source, name, fr
     if source != "gipkf_urban":  # nothing is hidden: each run counts by its error
         errors = np.array(found["per_window"]["datasheet_m"])[found["per_window"]["test"]]
         assert errors.size == 2 and before == pytest.approx(np.sqrt(np.mean(errors**2)))
+
+
+def test_the_figure_of_the_search_has_the_simulated_values(tmp_path, monkeypatch):
+    """0.2 s of latency, and the noise of the simulated grade, in the units of the names beside them."""
+    drawn = {}
+    monkeypatch.setattr(tune.plots, "save", lambda fig, path: None)
+    monkeypatch.setattr(tune.plots_stats, "outage_drift", lambda *_, **__: None)
+    monkeypatch.setattr(tune.plots_stats, "tuning", lambda history, truth: drawn.update(truth))
+    rows = [{"params": {"noise.gyro": np.full(3, 1e-4)}, "step": 0, "loss": 1.0}]
+    runs = SimpleNamespace(known=_known(URBAN._replace(gnss=URBAN.gnss._replace(latency_s=0.2))), windows_hidden=True)
+    found = SimpleNamespace(
+        parts={"test": np.ones(1, bool)}, chosen="tuned", used=[runs], history=rows,
+        trials=dict.fromkeys(("datasheet", "tuned"), SimpleNamespace(drift=np.ones(1))),
+    )  # fmt: skip
+    tune.draw(tmp_path, tune.Result(found, []))
+    assert drawn["measurements.position.latency_s"] == 0.2
+    gyro = GRADES[URBAN.imu.grade].arw * URBAN.imu.imu_noise_factor
+    assert drawn["noise.gyro_deg_per_sqrt_hour"] == pytest.approx(gyro / DEG_PER_SQRT_HOUR)
 
 
 def test_sources_of_which_one_hides_nothing_are_not_judged_together():

@@ -24,7 +24,7 @@ from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.measurement import clock_offset
 from jaxnav.types import ConfigError
 from tuning.export import ONE_CORRELATION_TIME
-from tuning.priors import leaves_of
+from tuning.free import leaves_of
 from tuning.targets import TARGETS, delay_of, kfgins_config
 
 KFGINS = os.environ.get("KFGINS_BIN")

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+LONGEST_TITLE = 36  # characters over a small panel; a longer name breaks before its last part
 DASHES = ("-", "--", "-.", ":")  # for more methods than colours, and for grey print
 
 
@@ -235,34 +236,6 @@ def _boxes(ax: "Axes", values: Sequence[Array], names: Sequence[str]) -> None:
         ax.set_ylim(bottom=0.0)
 
 
-def cdf(errors: Mapping[str, Array]) -> "Figure":
-    """Distribution of horizontal errors (N,) m by method, with CEP50 (half are below) and R95 (95 % are below)."""
-    known = _known("errors", errors)
-    fig = figure(7.5, 4.8)
-    ax = fig.subplots()
-    dress(ax, "", "Horizontal error (m)", "Share of errors below (%)")
-    for i, (name, v) in enumerate(known.items()):
-        cep, r95 = np.quantile(v, (0.5, 0.95))
-        _steps(ax, v, f"{name}: CEP50 {_metres(cep)}, R95 {_metres(r95)}", _style(i))
-        ax.plot([cep], [50.0], "o", color=COLORS[i % len(COLORS)], markersize=6)
-        ax.plot([r95], [95.0], "s", color=COLORS[i % len(COLORS)], markersize=6)
-    ax.plot([], [], "o", color="0.4", label="CEP50")
-    ax.plot([], [], "s", color="0.4", label="R95")
-    for share in (50.0, 95.0):
-        ax.axhline(share, color="0.5", linewidth=0.8, linestyle=":")
-    ax.set_yticks([0.0, 25.0, 50.0, 75.0, 95.0, 100.0])
-    ax.set_ylim(0.0, 102.0)
-    marks = np.array([np.quantile(v, (0.5, 0.95)) for v in known.values()])
-    if _log(ax, "x", marks, 20.0):
-        ax.set_xlim(left=0.1 * marks.min())
-    else:
-        ax.set_xlim(left=0.0)
-    tail = max(float(min(v.max(), 3.0 * r95)) for v, (_, r95) in zip(known.values(), marks))
-    ax.set_xlim(right=1.05 * tail or 1.0)
-    legend(fig, 2)
-    return fig
-
-
 def _column(history: Sequence[Mapping[str, Any]], key: str) -> Array:
     """One number a step, nan where the key is missing or None."""
     return np.array([np.nan if row.get(key) is None else float(row[key]) for row in history])
@@ -322,7 +295,8 @@ def _components(value: Any) -> Array:
 
 def _parameter(ax: "Axes", name: str, step: Array, values: Array, truth: Array | None, best: int | None) -> None:
     """One parameter, (steps, components)."""
-    ax.set_title(name, fontsize=8.5)
+    tables, dot, key = name.rpartition(".")
+    ax.set_title(name if len(name) <= LONGEST_TITLE else f"{tables}{dot}\n{key}", fontsize=8.5)
     everything = values if truth is None else np.concatenate([values.ravel(), truth])
     single = values.shape[1] == 1
     for i, v in enumerate(values.T):

@@ -17,16 +17,16 @@ from jaxnav.app.prepare import base_params, filter_of, grade_of, measurements_of
 from jaxnav.app.results import Outcome, picture, stderr
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.data.start import Start
-from jaxnav.filters.border import unit_of
+from jaxnav.filters.border import name_of, unit_of, user_value
 from jaxnav.filters.core import Filter
-from jaxnav.measurements import GNSS, MEASUREMENTS
+from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.types import ConfigError, Params, Recording, nearest
 from tuning import distributed, tune_simulated
 from tuning import tune as tune_recordings
-from tuning.free import constant, groups, leaves_of, of_rule, transform_of
+from tuning.free import leaves_of, transform_of
 from tuning.optimizers import OPTIMIZERS
-from tuning.report import Tuned, shown, user_history
+from tuning.report import Tuned, reported_candidate, user_history
 from tuning.runs import Descent, check_objective
 from tuning.status import Status
 from tuning.targets import TARGETS, Target
@@ -131,10 +131,9 @@ def free_of(config: Config, filt: Filter, params: Params, usual: tuple[str, ...]
         ConfigError: a name that is not known, nothing left, or a prior that is none.
     """
     t = config.tune
-    short = groups([MEASUREMENTS[name] for name in filt.model.measurements], params.states, of_rule(filt.name))
-    which = lambda key, names: leaves_of(names, short, params, f"tune.{key}")
+    which = lambda key, names: leaves_of(filt, params, names, f"tune.{key}")
     frozen = set(which("frozen", t.frozen))
-    leaves = [leaf for leaf in which("free", t.free or usual) if leaf not in frozen and not constant(leaf, params)]
+    leaves = [leaf for leaf in which("free", t.free or usual) if leaf not in frozen]
     if not leaves:
         raise ConfigError("tune.frozen: nothing is left free")
     widths = {}
@@ -251,7 +250,7 @@ def simulated_params(config: Config, scenario: Scenario) -> Params:
 def draw(folder: Path, result: Result) -> None:
     """Draw the candidates' drift over the test windows, the search, and the winner's run over the first recording."""
     found, test = result.found, result.found.parts["test"]
-    names = ("datasheet", shown(found.chosen, found.trials))
+    names = ("datasheet", reported_candidate(found.chosen))
     with picture("outage_drift"):
         drift = {name: found.trials[name].drift[test] for name in names}
         hidden = found.used[0].windows_hidden
@@ -260,7 +259,8 @@ def draw(folder: Path, result: Result) -> None:
     history = [row for row in user_history(found.history) if "params" in row]
     if history:
         with picture("the search"):
-            plots.save(plots_stats.tuning(history, {}), folder / "tuning.png")
+            true = {name_of(leaf): user_value(leaf, value) for leaf, value in found.used[0].known.items()}
+            plots.save(plots_stats.tuning(history, true), folder / "tuning.png")
     if result.recording is not None and result.start is not None:
         with picture("the run"):
             sol = navigate(result.recording, found.filter, found.params, begin=result.start)

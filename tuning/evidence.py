@@ -137,7 +137,7 @@ def seen_by_position(P: jax.Array, slow: slice | None) -> jax.Array:
 class Training(NamedTuple):
     """A recording's training part, as `_evidence` takes it."""
 
-    sheet: Params
+    datasheet: Params
     nav: Nav
     epochs: Epoch  # (E, ...)
     valid: jax.Array  # (P, E, m) not hidden
@@ -156,7 +156,7 @@ def training_of(filt: Filter, used: Used, size: int) -> Training:
     there = np.all(np.asarray(fix.valid)[:, :2], axis=1)
     at, known = ages(used.windows, used.packed.t, there, used.parts["training"], layout.window)
     return Training(
-        used.sheet, used.nav, epochs, jnp.stack([ep.hide(epochs, h, chosen).fix.valid for h in hidden]),
+        used.datasheet, used.nav, epochs, jnp.stack([ep.hide(epochs, h, chosen).fix.valid for h in hidden]),
         jnp.asarray(own & ~hidden), at, known, np.asarray(fix.sd)[:, :3][at],
     )  # fmt: skip
 
@@ -174,7 +174,7 @@ class Job:
         self, filt: Filter, spec: Spec, used: Sequence[Used], own: Sequence[str] = (), observations: float | None = None
     ):
         self.filt, self.spec, self.used = filt, spec, list(used)
-        self.raw = split(spec, used[0].sheet)
+        self.raw = split(spec, used[0].datasheet)
         first, self.back = ravel_pytree(self.raw)
         self.items = tuple(spec.items())
         self.leaves = [name for name in sorted(spec) for _ in range(np.size(self.raw[name]))]  # of each local number
@@ -194,7 +194,7 @@ class Job:
         self.parts = [p._replace(at=wide(p.at), there=wide(p.there), sd=wide(p.sd)) for p in parts]
         lengths = [float(u.layout.train - u.packed.start - u.layout.settle) / u.layout.window for u in used]
         self.effective = max(1.0, sum(lengths)) if observations is None else observations
-        self.flat = self.centre = self.numbers([u.sheet for u in used])  # centre of the priors
+        self.flat = self.centre = self.numbers([u.datasheet for u in used])  # centre of the priors
         self.width = np.array([_width(spec, self.leaves[i]) for i in self.origin])
 
     def evidence(self, flat: jax.Array) -> tuple[Evidence, Evidence]:
@@ -237,14 +237,14 @@ class Job:
         """
         total, count = np.zeros(self.owner.size), np.zeros(self.owner.size)
         for at, own, used in zip(self.places, params, self.used, strict=True):
-            whole = own._replace(states=used.sheet.states | own.states)
+            whole = own._replace(states=used.datasheet.states | own.states)
             total[at] += np.asarray(ravel_pytree(split(self.spec, whole))[0])
             count[at] += 1
         return jnp.asarray(total / count)
 
     def params(self, flat: jax.Array, recording: int = 0) -> Params:
         """The parameters that numbers (G,) stand for in a recording."""
-        return join(self.spec, self.back(jnp.asarray(flat)[self.places[recording]]), self.used[recording].sheet)
+        return join(self.spec, self.back(jnp.asarray(flat)[self.places[recording]]), self.used[recording].datasheet)
 
     def each(self, flat: jax.Array) -> list[Params]:
         """The same in every recording."""

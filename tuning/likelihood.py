@@ -102,7 +102,7 @@ def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Calla
 
 
 def rows(
-    found: Surface, spec: Spec, params: Params, sheet: Params, known: Mapping[str, float]
+    found: Surface, spec: Spec, params: Params, datasheet: Params, known: Mapping[str, float]
 ) -> tuple[list[Row], list[Finding]]:
     """Return every free number with its 95 % interval, and what the data do not determine.
 
@@ -110,14 +110,14 @@ def rows(
         found: the likelihood.
         spec: what is free.
         params: where the search ended.
-        sheet: where it began.
+        datasheet: where it began.
         known: true values by leaf, of what was simulated.
     """
     raw = split(spec, params)
     info = found.inform(ravel_pytree(raw)[0])
     cov = uncertainty.covariance(np.asarray(info.fisher), np.asarray(info.blocks))
     names, out = labels(spec, raw), []
-    for label, row in zip(names, rows_of(spec, raw, cov, split(spec, sheet)), strict=True):
+    for label, row in zip(names, rows_of(spec, raw, cov, split(spec, datasheet)), strict=True):
         leaf = label.partition("[")[0]
         remark = f"simulated with {user_value(leaf, known[leaf]):.4g}" if leaf in known else ""
         out.append(row._replace(remark=remark))

@@ -39,7 +39,7 @@ class Used(NamedTuple):
 
     name: str
     begin: Start
-    sheet: Params  # the datasheet, with the prior of this start
+    datasheet: Params  # the datasheet, with the prior of this start
     nav: Nav  # the start
     packed: ep.Packed  # the recording's own epochs, of which there may be fewer
     epochs: Epoch  # (E, ...), prepared
@@ -145,7 +145,7 @@ def runs_of(used: Used, filt: Filter, part: str, size: int) -> Run:
     scored = np.array([np.arange(most) < len(row) for row in rows])
     truth = truth_of(used, t)
     return Run(
-        many(used.sheet, phases), many(used.nav, phases), jax.tree.map(lambda *a: jnp.stack(a), *runs),
+        many(used.datasheet, phases), many(used.nav, phases), jax.tree.map(lambda *a: jnp.stack(a), *runs),
         jnp.asarray(ends), jnp.asarray(scored), jnp.asarray(own & ~hidden), many(own, phases),
         None if truth is None else many(truth, phases),
     )  # fmt: skip
@@ -156,7 +156,7 @@ def truth_of(used: Used, t: np.ndarray) -> Truth | None:
     if used.truth is None:
         return None
     t = np.where(np.isfinite(t), t, used.packed.t[-1])
-    t = t + np.asarray(clock_offset(used.sheet.mounting, used.nav._replace(t=jnp.asarray(t))))
+    t = t + np.asarray(clock_offset(used.datasheet.mounting, used.nav._replace(t=jnp.asarray(t))))
     known = told_by(t, used.truth.t)
     if not known.any():
         return None

@@ -47,7 +47,7 @@ def kind_of(leaf: str) -> str:
 
 
 def spec_of(
-    filt: Filter, params: Params, names: Iterable[str], widths: Mapping[str, float] | None = None, priors: bool = True
+    filt: Filter, params: Params, names: Iterable[str], prior_sd: Mapping[str, float] | None = None, priors: bool = True
 ) -> Spec:
     """Return how each free leaf is tuned, with its prior about ``params``; one number for all axes.
 
@@ -57,14 +57,14 @@ def spec_of(
         filt: the filter.
         params: the datasheet.
         names: of free parameters, see `tuning.free.leaves_of`.
-        widths: one sd by leaf, in place of `PRIORS`: a factor where the parameter is positive, else in SI.
+        prior_sd: one sd by leaf, in place of `PRIORS`: a factor where the parameter is positive, else in SI.
         priors: False leaves them out.
 
     Raises:
         ConfigError: an unknown name, or no parameter at all.
     """
     spec: Spec = {}
-    widths, leaves = widths or {}, leaves_of(filt, params, names)
+    prior_sd, leaves = prior_sd or {}, leaves_of(filt, params, names)
     if not leaves:
         raise ConfigError(f"no free parameter in {', '.join(names)}")
     for leaf in leaves:
@@ -76,7 +76,7 @@ def spec_of(
         if kind_of(leaf) in ("noise", "driving_noise", "tau", "scale", "sd") and centre.ndim < 2:
             transform = tied(transform)
             centre = jnp.exp(jnp.mean(jnp.log(centre)))
-        width = widths.get(leaf, PRIORS[kind_of(leaf)].sd)
+        width = prior_sd.get(leaf, PRIORS[kind_of(leaf)].sd)
         sd = math.log(width) if transform.forward is LOG.forward else float(transform.inverse(jnp.asarray(width)))
         spec[leaf] = believed(transform, centre, sd) if priors else transform
     return spec

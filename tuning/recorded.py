@@ -90,8 +90,8 @@ def tune(
     params: Params | Sequence[Params],
     *,
     free: Sequence[str] = ("noise", "fixes", "timing"),
-    own: Sequence[str] = (),
-    widths: Mapping[str, float] | None = None,
+    per_recording: Sequence[str] = (),
+    prior_sd: Mapping[str, float] | None = None,
     begin: Start | Sequence[Start] | None = None,
     stop: float | None = None,
     window: float | None = None,
@@ -100,7 +100,7 @@ def tune(
     extend: bool = True,
     standing: ep.Standing = ep.Standing(),
     how: Descent | None = None,
-    say: Callable[[str], None] = lambda line: None,
+    log: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
     """Tune ``params`` (such as ``filt.params("consumer")``, the datasheet) on a recording, or on several together.
 
@@ -109,9 +109,9 @@ def tune(
         filt: the filter.
         params: the datasheet, ``filt.params("consumer")``; one for each recording where lever arms differ.
         free: groups of `tuning.free.groups`, dotted leaves or their keys; one value for all recordings.
-        own: those of which each recording has a value of its own: "timing" of loggers with separate clocks, "noise" of
-            several IMUs on one vehicle.
-        widths: priors by leaf, one sd about ``params``: a factor where the parameter is positive, else in SI.
+        per_recording: free parameters with one value for each recording: "timing" of loggers with separate clocks,
+            "noise" of several IMUs on one vehicle.
+        prior_sd: priors by leaf, one sd about ``params``: a factor where the parameter is positive, else in SI.
         begin: `jaxnav.start` with settings of your own.
         stop: s, end of the data.
         window: s, length of the hidden windows; by default 3 to 15 by the recording's length.
@@ -120,7 +120,7 @@ def tune(
         extend: try a filter that estimates slow errors of the receiver.
         standing: the detector of standstills.
         how: minimise an objective by gradient over the training windows, in place of J.
-        say: called with a line on what is done.
+        log: called with a line on what is done.
 
     Raises:
         DataError: a recording that cannot be started from, or is too short for windows in every part.
@@ -129,35 +129,37 @@ def tune(
     make_room()
     several = lambda value: type(value) in (list, tuple)  # each of them is a named tuple itself
     recs: list[Any] = list(rec) if several(rec) else [rec]
-    sheets: list[Any] = list(params) if several(params) else [params] * len(recs)
+    datasheets: list[Any] = list(params) if several(params) else [params] * len(recs)
     begins: list[Any] = list(begin) if several(begin) and begin is not None else [begin] * len(recs)
-    if not recs or not len(recs) == len(sheets) == len(begins):
-        raise ValueError(f"{len(recs)} recordings, {len(sheets)} params and {len(begins)} begins do not go together")
-    for sheet in sheets:
-        require_params(filt, sheet)
-    sheets = [installed(p, r.lever_arm) for r, p in zip(recs, sheets, strict=True)]
-    require_x64(sheets[0])
+    if not recs or not len(recs) == len(datasheets) == len(begins):
+        raise ValueError(
+            f"{len(recs)} recordings, {len(datasheets)} params and {len(begins)} initializations: expected one each"
+        )
+    for datasheet in datasheets:
+        require_params(filt, datasheet)
+    datasheets = [installed(p, r.lever_arm) for r, p in zip(recs, datasheets, strict=True)]
+    require_x64(datasheets[0])
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    begins = [start(r, p) if b is None else b for r, p, b in zip(recs, sheets, begins, strict=True)]
-    apart = leaves_of(filt, sheets[0], own, "own")
-    if apart and how is not None:
-        raise ConfigError("tune.own goes with the tempered method, not with a gradient search")
-    warnings = clocks(recs, begins) if DELAY not in apart else []
+    begins = [start(r, p) if b is None else b for r, p, b in zip(recs, datasheets, begins, strict=True)]
+    separate = leaves_of(filt, datasheets[0], per_recording, "per_recording")
+    if separate and how is not None:
+        raise ConfigError("tune.per_recording goes with the tempered method, not with a gradient search")
+    warnings = clocks(recs, begins) if DELAY not in separate else []
     for warning in warnings:
-        say(line(warning))
+        log(line(warning))
     cut = [ep.pack_recording(r, chosen, b.t, 0.0, stop, standing) for r, b in zip(recs, begins, strict=True)]
     window = window_of(cut) if window is None else window
     layouts = [plan(packed, window) for packed in cut]
     scans = [NoiseScan()] * len(recs)
-    if set(SCANNED) & set(leaves_of(filt, sheets[0], free)):
-        scans = [scan(*each, chosen, say) for each in zip(recs, sheets, begins, layouts, strict=True)]
+    if set(SCANNED) & set(leaves_of(filt, datasheets[0], free)):
+        scans = [scan(*each, chosen, log) for each in zip(recs, datasheets, begins, layouts, strict=True)]
     samples = max(
         history_for(s.applied(p), 1 / float(np.median(r.imu.dt)), float(np.ptp(r.imu.t)), REACH)
-        for r, p, s in zip(recs, sheets, scans, strict=True)
+        for r, p, s in zip(recs, datasheets, scans, strict=True)
     )
     kept = lambda each: each.keeping(samples) if each.keeping else each
     filt = kept(filt)
-    used = made_ready(recs, filt, sheets, begins, cut, layouts, say)
+    used = prepare_recordings(recs, filt, datasheets, begins, cut, layouts, log)
     parts = pooled(used)
     for name, mask in parts.items():
         if not mask.any():
@@ -165,32 +167,33 @@ def tune(
                 f"{', '.join(u.name for u in used)}: no hidden window of {used[0].layout.window:g} s fits into the "
                 f"{name} part of {sum(u.packed.t[-1] - u.packed.start for u in used):.0f} s: it is too short to tune on"
             )
-    spec = spec_of(filt, used[0].sheet, free, widths, priors)
-    job = Job(filt, spec, used, apart, observations)
-    say(f"free: {', '.join(spec)}")
+    spec = spec_of(filt, used[0].datasheet, free, prior_sd, priors)
+    job = Job(filt, spec, used, separate, observations)
+    log(f"free: {', '.join(spec)}")
     history: list[dict[str, Any]] = []
-    auto = job.numbers([each.applied(u.sheet) for each, u in zip(scans, used, strict=True)])
+    auto = job.numbers([each.applied(u.datasheet) for each, u in zip(scans, used, strict=True)])
     job.centre_delays(auto)
     found = {"datasheet": job.flat, "auto": auto} if any(each.fixes for each in scans) else {"datasheet": job.flat}
     search_tuned = search if how is None else partial(descent, how=how)
-    found["tuned"], status = search_tuned("tuned", job, auto, history, say)
+    found["tuned"], status = search_tuned("tuned", job, auto, history, log)
     jobs = dict.fromkeys(found, job)
-    say("scoring the candidates on hidden windows")
+    log("scoring the candidates on hidden windows")
     score = lambda name: level_drift(jobs[name], found[name], chosen)
     offs = {name: score(name) for name in found}
     slow = 0.0 if status is Status.INTERRUPTED else correlation(offs["tuned"][1], used)
     if extend and how is None and slow > CORRELATED and filt.extended and SLOW not in filt.model.states:
-        say(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
+        log(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
         more = kept(filt.extended(SLOW))
         slowly = {SLOW: more.params().states[SLOW]}
-        whole = [u._replace(sheet=u.sheet._replace(states=u.sheet.states | slowly)) for u in used]
-        other = Job(more, spec | spec_of(more, whole[0].sheet, SLOW_LEAVES, widths, priors), whole, apart, observations)
+        whole = [u._replace(datasheet=u.datasheet._replace(states=u.datasheet.states | slowly)) for u in used]
+        wider = spec | spec_of(more, whole[0].datasheet, SLOW_LEAVES, prior_sd, priors)
+        other = Job(more, wider, whole, separate, observations)
         jobs["slow errors"] = other
         other.centre_delays(other.numbers(job.each(auto)))
-        at, status = search("slow errors", other, other.numbers(job.each(found["tuned"])), history, say)
+        at, status = search("slow errors", other, other.numbers(job.each(found["tuned"])), history, log)
         found["slow errors"], offs["slow errors"] = at, level_drift(other, at, chosen)
     params_of = lambda name: jobs[name].each(found[name])
-    kept_of = lambda name: [with_prior_of(p, s, spec) for p, s in zip(params_of(name), sheets, strict=True)]
+    kept_of = lambda name: [with_prior_of(p, s, spec) for p, s in zip(params_of(name), datasheets, strict=True)]
     trials = {
         name: Trial(
             jobs[name].filt, kept_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts),
@@ -232,36 +235,36 @@ def clocks(recs: Sequence[Recording], begins: Sequence[Start]) -> list[Finding]:
 
 def scan(
     rec: Recording,
-    sheet: Params,
+    datasheet: Params,
     begin: Start,
     layout: Layout,
     measurements: tuple[Any, ...],
-    say: Callable[[str], None],
+    log: Callable[[str], None],
 ) -> NoiseScan:
     """Return the noise scan of a training part, by the filter's measurements alone."""
     aiding = {m.name: rec.aiding[m.name] for m in measurements if m.name in rec.aiding}
-    found = scan_noise(rec._replace(aiding=aiding), sheet, begin=begin, stop=layout.train)
+    found = scan_noise(rec._replace(aiding=aiding), datasheet, begin=begin, stop=layout.train)
     for each in found.findings:
-        say(f"{rec.name}: {line(each)}")
+        log(f"{rec.name}: {line(each)}")
     return found
 
 
-def made_ready(
-    recs: Sequence[Recording], filt: Filter, sheets: Sequence[Params], begins: Sequence[Start],
-    cut: Sequence[ep.Packed], layouts: Sequence[Layout], say: Callable[[str], None],
+def prepare_recordings(
+    recs: Sequence[Recording], filt: Filter, datasheets: Sequence[Params], begins: Sequence[Start],
+    cut: Sequence[ep.Packed], layouts: Sequence[Layout], log: Callable[[str], None],
 ) -> list[Used]:  # fmt: skip
     """Return every recording with its epochs grown to one size, so that one program serves them all, and its parts."""
     E, K = (max(p.epochs.imu.dt.shape[axis] for p in cut) for axis in (0, 1))
     used = []
-    for rec, params, begin, packed, layout in zip(recs, sheets, begins, cut, layouts, strict=True):
+    for rec, params, begin, packed, layout in zip(recs, datasheets, begins, cut, layouts, strict=True):
         windows = windows_of(packed, layout, E)
         parts = parts_of(layout, windows)
-        say((f"{rec.name}: " if len(recs) > 1 else "") + in_words_of(layout, parts, packed))
+        log((f"{rec.name}: " if len(recs) > 1 else "") + in_words_of(layout, parts, packed))
         epochs = prepare(filt, ep.grown(packed.epochs, E, K) if len(recs) > 1 else packed.epochs)
-        sheet = begin.given(params)
+        datasheet = begin.given(params)
         train = jax.tree.map(lambda a, end=int(np.searchsorted(packed.t, layout.train + ep.TICK)): a[:end], epochs)
-        nav = most_probable(filt, sheet, begin.navs, train)
-        used.append(Used(rec.name, begin, sheet, nav, packed, epochs, layout, windows, parts, rec.truth))
+        nav = most_probable(filt, datasheet, begin.navs, train)
+        used.append(Used(rec.name, begin, datasheet, nav, packed, epochs, layout, windows, parts, rec.truth))
     return used
 
 
@@ -269,29 +272,29 @@ def made_ready(
 
 
 def search(
-    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], say: Callable[[str], None]
+    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], log: Callable[[str], None]
 ) -> tuple[jax.Array, Status]:
     """Minimise J from a point, with a line and a row of the history for each evaluation."""
 
     def report(i: int, at: scoring.Search) -> None:
         row = {"search": name, "step": i, "loss": float(at.best.nll)}
         history.append(row)
-        say(f"  {name}, evaluation {i}: J {row['loss']:.4f}")
+        log(f"  {name}, evaluation {i}: J {row['loss']:.4f}")
 
-    say(f"{name}: {len(job.flat)} numbers free")
+    log(f"{name}: {len(job.flat)} numbers free")
     ended = scoring.maximise(job.objective(), first, MOST, TOLERANCE, report)
     return ended.raw, scoring.status(ended, TOLERANCE)
 
 
 def descent(
-    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], say: Callable[[str], None], how: Descent
+    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], log: Callable[[str], None], how: Descent
 ) -> tuple[jax.Array, Status]:
     """Minimise an objective over the training windows from a point by gradient; the best by the validation windows."""
     size = lambda end: max(int(np.searchsorted(u.packed.t, getattr(u.layout, end) + ep.TICK)) for u in job.used)
     train = [runs_of(u, job.filt, "training", size("train")) for u in job.used]
     validation = [runs_of(u, job.filt, "validation", size("validation")) for u in job.used]
     check_objective(how.objective, all(r.truth is not None for r in (*train, *validation)))
-    say(f"{name}: {how.method} on " + ", ".join(f"{w:g} {key}" for key, w in how.objective.items()))
+    log(f"{name}: {how.method} on " + ", ".join(f"{w:g} {key}" for key, w in how.objective.items()))
     names = [f"{u.name}, phase {p}" for u in job.used for p in range(len(u.windows.hidden))]
     count = sum(int((r.keep & r.epochs.fix.valid.any(-1)).sum()) for r in train)
     ended = descend(job.filt, job.spec, job.params(first), train, validation, names, how, 1 / max(count, 1))

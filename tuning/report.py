@@ -106,9 +106,9 @@ def verdict(
     best: str, trials: Mapping[str, Trial], scores: Mapping[str, dict[str, float]], parts: Mapping[str, np.ndarray]
 ) -> str:
     """Return which candidate won, what it is worth on the test, and how the others did on the validation part."""
-    sheet = trials["datasheet"]
+    datasheet = trials["datasheet"]
     words = lambda name, t: (
-        f"{name} predicts by {sheet.nll - t.nll:+.2f}, drifts {max(t.ratios[:2]):.2f}, {max(t.ratios[2:]):.2f}"
+        f"{name} predicts by {datasheet.nll - t.nll:+.2f}, drifts {max(t.ratios[:2]):.2f}, {max(t.ratios[2:]):.2f}"
     )
     others = "; ".join(words(name, t) for name, t in trials.items() if name not in (best, "datasheet"))
     if best == "datasheet":
@@ -252,7 +252,7 @@ def write(found: Tuned, folder: Path, states: Sequence[str] = (), exports: bool 
     """
     folder.mkdir(parents=True, exist_ok=True)
     about = f"{' and '.join(u.name for u in found.used)}: {found.verdict}"
-    extra = [name for name in found.filter.model.states if name not in found.used[0].sheet.states]
+    extra = [name for name in found.filter.model.states if name not in found.used[0].datasheet.states]
     params: dict[str, Any] = {"filter": {"states": [*states, *extra]}} if extra else {}
     stated = lambda each: nested(in_user_units(each, dict.fromkeys([*noise_leaves(each), *found.spec])))
     head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"

@@ -38,7 +38,7 @@ class SimulatedRuns(NamedTuple):
     """The runs of a scenario."""
 
     name: str
-    sheet: Params  # that tuning starts from
+    datasheet: Params  # that tuning starts from
     t: np.ndarray  # (E,) s, the end of each epoch
     runs: dict[str, Run]  # by part, each with a leading axis
     known: dict[str, float]  # what was simulated, by leaf
@@ -77,11 +77,11 @@ def tune_simulated(
     how: Descent,
     *,
     free: Sequence[str] = ("noise", "timing", "rule"),
-    widths: Mapping[str, float] | None = None,
+    prior_sd: Mapping[str, float] | None = None,
     priors: bool = True,
     counts: tuple[int, int, int] = (8, 4, 8),
     seed: int = 0,
-    say: Callable[[str], None] = lambda line: None,
+    log: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
     """Tune a filter's parameters by gradient over simulated runs, and judge them on others.
 
@@ -91,11 +91,11 @@ def tune_simulated(
         params: of each scenario; what is free starts at the first one's.
         how: objective and search; the method "scoring" maximises the innovations' likelihood.
         free: groups of `tuning.free.groups`, dotted leaves or their keys.
-        widths: priors by leaf, see `tuning.priors.spec_of`.
+        prior_sd: priors by leaf, see `tuning.priors.spec_of`.
         priors: False leaves them out.
         counts: runs for training, validation and test, of each scenario.
         seed: of all runs.
-        say: called with a line on what is done.
+        log: called with a line on what is done.
 
     Raises:
         ConfigError: a name that is not known, or an objective that does not fit the scenarios.
@@ -106,19 +106,19 @@ def tune_simulated(
     if filt.keeping:
         reach = [history_for(p, s.imu_rate_hz, s.duration_s, REACH) for p, s in zip(params, scenarios, strict=True)]
         filt = filt.keeping(max(reach))
-    spec = spec_of(filt, params[0], free, widths, priors)
+    spec = spec_of(filt, params[0], free, prior_sd, priors)
     used = [_simulated(filt, s, p, counts, seed + i) for i, (s, p) in enumerate(zip(scenarios, params, strict=True))]
     windows = [u.windows_hidden for u in used]
     if any(windows) and not all(windows):
         raise ConfigError("tune.more: scenarios with outages and without: their errors are not of one kind")
     check_objective(how.objective, windows=all(windows))
     for u in used:
-        say(f"simulated runs of {u.name}: " + ", ".join(f"{n} {part}" for part, n in u.facts["runs"].items()))
-    say(f"free: {', '.join(spec)}")
+        log(f"simulated runs of {u.name}: " + ", ".join(f"{n} {part}" for part, n in u.facts["runs"].items()))
+    log(f"free: {', '.join(spec)}")
     surface = likelihood.surface([_source(filt, u) for u in used], spec, params[0])
-    ended = _search(filt, spec, used, surface, how, say)
+    ended = _search(filt, spec, used, surface, how, log)
     found = {"datasheet": params[0], "tuned": ended.params}
-    scored = {name: [_scored(filt, merged(p, u.sheet, leaves(spec)), u) for u in used] for name, p in found.items()}
+    scored = {name: [_scored(filt, merged(p, u.datasheet, leaves(spec)), u) for u in used] for name, p in found.items()}
     drift = {name: np.concatenate([e for s in rows for e in s.errors.values()]) for name, rows in scored.items()}
     parts = {
         part: np.concatenate([np.full(e.size, of == part) for s in scored["tuned"] for of, e in s.errors.items()])
@@ -202,16 +202,16 @@ def _source(filt: Filter, u: SimulatedRuns) -> likelihood.Source:
     r = u.runs["training"]
     count = r.keep.shape[0]
     block = jnp.broadcast_to(jnp.arange(count)[:, None], r.keep.shape)
-    return likelihood.Source(filt, u.sheet, likelihood.Likelihood(r.nav, r.epochs, r.keep, block, count))
+    return likelihood.Source(filt, u.datasheet, likelihood.Likelihood(r.nav, r.epochs, r.keep, block, count))
 
 
 def _search(
     filt: Filter, spec: Spec, used: Sequence[SimulatedRuns], surface: likelihood.Surface, how: Descent,
-    say: Callable[[str], None],
+    log: Callable[[str], None],
 ) -> Fit:  # fmt: skip
-    start = used[0].sheet
+    start = used[0].datasheet
     if how.method == "scoring":
-        note = lambda row: say(f"  {row['step']:3d}  {row['loss']:.6g}")
+        note = lambda row: log(f"  {row['step']:3d}  {row['loss']:.6g}")
         return likelihood.maximise(surface, spec, start, how.steps, note)
     train, validation = ([u.runs[part] for u in used] for part in ("training", "validation"))
     names = [f"{u.name}, training run {i}" for u in used for i in range(u.facts["runs"]["training"])]

@@ -59,7 +59,7 @@ def main(argv: list[str]) -> None:
     args = common.options("across", __doc__.splitlines()[0]).parse_args(argv)
     ekf = build("ekf15", measurements=["position"], cov_stride=5)
     sheet = ekf.params("consumer")
-    found = tune([drive(letter, 1) for letter in TUNED_ON], ekf, sheet, say=print)
+    found = tune([drive(letter, 1) for letter in TUNED_ON], ekf, sheet, log=print)
     print(found)
     others = [(rec, start(rec, sheet)) for rec in (drive(letter, 2) for letter in JUDGED_ON)]
     print(*(begin.how for _, begin in others), sep="\n")

@@ -103,8 +103,8 @@ def ours(sol: Solution, filt: Filter, params: Params, packed: ep.Packed, windows
 def tuned(rec: Recording, filt: Filter, sheet: Params, middle: float) -> dict[str, Tuned]:
     """What is found on either half alone."""
     found = {
-        "first": tune(rec, filt, sheet, stop=middle, say=print),
-        "second": tune(rec, filt, sheet, begin=start(rec, sheet, begin=middle), say=print),
+        "first": tune(rec, filt, sheet, stop=middle, log=print),
+        "second": tune(rec, filt, sheet, begin=start(rec, sheet, begin=middle), log=print),
     }
     for half, each in found.items():
         print(f"{half} half: {each.verdict}", flush=True)

@@ -87,10 +87,10 @@ def recording(imu: str, factor: float) -> dict:
     print("  normalised innovations, tuned:", np.round(scores["tuned"][1], 3))
     result: dict = {f"rmse_{name}": rmse for name, (rmse, _) in scores.items()}
     result |= {f"innovation_rms_{name}": rms for name, (_, rms) in scores.items()}
-    return result | {"innovation_rms": scores["tuned"][1], "imu": imu, "factor": factor} | told(said)
+    return result | {"innovation_rms": scores["tuned"][1], "imu": imu, "factor": factor} | parameters_of(said)
 
 
-def told(said: tuple[list[Row], list[Finding]]) -> dict:
+def parameters_of(said: tuple[list[Row], list[Finding]]) -> dict:
     """Print the parameters, the truth in the datasheet's place, and return them."""
     rows = {}
     for p in said[0]:

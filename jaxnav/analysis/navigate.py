@@ -234,10 +234,10 @@ def _installation(stated: Params, rec: Recording) -> list[Finding]:
     arm, mine = np.asarray(rec.lever_arm, float), np.broadcast_to(np.asarray(stated.mounting.lever_arm, float), 3)
     if not arm.any() or np.allclose(arm, mine):
         return []
-    told = lambda a: "(" + ", ".join(f"{x:g}" for x in a) + ")"
+    vector = lambda a: "(" + ", ".join(f"{x:g}" for x in a) + ")"
     if mine.any():
-        return [finding("lever_arm.stated", vector=told(mine), other=told(arm))]
-    return [finding("lever_arm.recorded", vector=told(arm))]
+        return [finding("lever_arm.stated", vector=vector(mine), other=vector(arm))]
+    return [finding("lever_arm.recorded", vector=vector(arm))]
 
 
 def _coverage(trace: evaluate.Trace, rec: Recording, measurements: tuple[Measurement, ...]) -> list[Finding]:

@@ -117,7 +117,7 @@ class Tune:
     free: tuple[str, ...] = ()  # groups, or dotted names such as noise.gyro; empty: noise and timing, with the fixes
     #   of recordings, or the rule of simulated runs
     frozen: tuple[str, ...] = ()  # taken out of ``free`` again
-    own: tuple[str, ...] = ()  # recordings together: what each has of its own, such as "timing", of ``free``
+    per_recording: tuple[str, ...] = ()  # several recordings: free parameters with one value for each, such as "timing"
     prior: dict[str, float] = dataclasses.field(default_factory=dict)  # name -> one sd about the datasheet: a factor
     #   for what is positive (2 is "within a factor 2"), else in the parameter's own unit
     priors: str = "datasheet"  # or "none": maximum likelihood, see `tuning.priors`

@@ -39,8 +39,8 @@ KINDS: dict[str, Kind] = {
     ),
     "imu.pause": Kind(
         WARNING,
-        "imu: no samples for {value:.1f} s from t = {at:.2f} s ({count} gap(s) of over {limit:g} s): heading is "
-        "unknown behind it (sd {angle:.0f} deg) until the vehicle turns or accelerates",
+        "imu: no samples for {value:.1f} s from t = {at:.2f} s ({count} gap(s) of over {limit:g} s): heading "
+        "after it is unknown (sd {angle:.0f} deg) until the vehicle turns or accelerates",
         ("the logger paused",),
         ("run the parts by themselves: data.start, data.stop",),
         "s",
@@ -147,15 +147,15 @@ KINDS: dict[str, Kind] = {
         "{subject} comes every {usual:.3g} s, but at t = {at:.2f} s {size:.2g} s too {side}{more}",
         ("its clock jumped, or the receiver restarted",),
     ),
-    "time.apart": Kind(
+    "time.stream_offset": Kind(
         WARNING,
-        "position comes {size:.2g} s {side} velocity, every time",
-        ("the times of one of them are wrong",),
+        "positions are stamped {size:.2g} s {side} velocities, constantly",
+        ("a constant offset of one of the time columns",),
     ),
     "time.overlap": Kind(
         WARNING,
-        "{value:.0f} % of {subject} lies in the IMU's time, and covers {covered:.0f} % of it",
-        ("another zero of time", "another time scale", "another recording"),
+        "{value:.0f} % of {subject} overlaps the IMU's time span, and covers {covered:.0f} % of it",
+        ("another time origin", "another time scale", "another recording"),
         unit="%",
     ),
     # streams
@@ -357,7 +357,7 @@ KINDS: dict[str, Kind] = {
         WARNING,
         "fixes are late by {vector}, and one delay is tuned for all",
         ("loggers with separate clocks",),
-        ("jaxnav check", 'tune.own = ["timing"]'),
+        ("jaxnav check", 'tune.per_recording = ["timing"]'),
     ),
     "tune.aside": Kind(WARNING, "{subject} is left out from step {step} on: {why}"),
     "tune.undetermined": Kind(INFO, "{message}"),

@@ -89,10 +89,10 @@ def test_scoring_says_how_well_each_parameter_is_known(tmp_path, capsys, monkeyp
      [[1, 0, 0], ["inf", 1, 0], [0, 0, 1]]],
 )  # fmt: skip
 def test_a_matrix_in_params_is_a_root(value):
-    sheet = datasheet_params(GRADES["adis16465"])
+    datasheet = datasheet_params(GRADES["adis16465"])
     section = config.resolve([("", {"noise": {"gyro_deg_per_sqrt_hour": value}})])
     with pytest.raises(ConfigError, match="noise.gyro_deg_per_sqrt_hour as a matrix must be lower triangular, 3 x 3"):
-        border.override(sheet, config.as_dict(section))
+        border.override(datasheet, config.as_dict(section))
 
 
 def test_a_root_in_params_is_in_users_units():
@@ -163,7 +163,8 @@ def test_settings_that_do_not_fit_are_named(changes, words):
 
 @pytest.mark.parametrize(
     "changes, words",
-    [({"free": ["noise"], "frozen": ["noise"]}, "nothing is left"), ({"own": ["gyr"]}, "tune.own: no parameter gyr"),
+    [({"free": ["noise"], "frozen": ["noise"]}, "nothing is left"),
+    ({"per_recording": ["gyr"]}, "tune.per_recording: no parameter gyr"),
      ({"prior": {"noise.gyro": 0.5}}, "factor above 1"), ({"prior": {"mounting.time_offset_s": 0.0}}, "above 0"),
      ({"free": ["states.gyro_scale.driving_noise"]}, "gyro_scale.driving_noise: the filter has no state gyro_scale")],
 )  # fmt: skip
@@ -176,8 +177,8 @@ def test_what_is_free_is_by_names_less_the_frozen_with_priors_in_users_units():
     found = free(prior={"noise.gyro": 2.0, "mounting.time_offset_s": 0.05}, frozen=["states.gyro_bias.driving_noise"])
     assert found.leaves[:2] == ["noise.gyro", "noise.accel"] and "states.gyro_bias.driving_noise" not in found.leaves
     assert {f"{P}.scale", f"{V}.latency", "measurements.zero_rate.sd"} <= set(found.leaves)
-    assert found.widths == {"noise.gyro": 2.0, "mounting.time_offset": 0.05}
-    spec = spec_of(build("ekf15"), datasheet_params(GRADES["adis16465"]), found.leaves[:2], found.widths)
+    assert found.prior_sd == {"noise.gyro": 2.0, "mounting.time_offset": 0.05}
+    spec = spec_of(build("ekf15"), datasheet_params(GRADES["adis16465"]), found.leaves[:2], found.prior_sd)
     assert spec["noise.gyro"].belief.sd == pytest.approx(np.log(2)) and spec["noise.gyro"].tie == ()
 
 

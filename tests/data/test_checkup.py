@@ -86,7 +86,7 @@ DAMAGES = {
     "mounting.turned": check.imu(gyro=check.turned, accel=check.turned),
     "time.overlap": check.later(30.0),
     "time.jump": check.stream("position", t=lambda t: np.where(t > 30.0, t - 0.3, t)),
-    "time.apart": check.stream("velocity", t=lambda t: t - 0.06),
+    "time.stream_offset": check.stream("velocity", t=lambda t: t - 0.06),
     "stream.short": lambda rec: rec._replace(
         aiding=rec.aiding | {"velocity": Samples(*(a[: a.shape[0] // 2] for a in rec.aiding["velocity"]))}
     ),

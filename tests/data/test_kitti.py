@@ -43,7 +43,7 @@ def test_a_drive_comes_back_with_its_attitude(drive, tmp_path):
         assert np.abs(turn).max() < 0.02  # rad: the nearest epoch of the truth
         np.testing.assert_allclose(rec.aiding["velocity"].value, rec.truth.vel)
         np.testing.assert_allclose(rec.aiding["position"].sd[0], 0.25)
-        assert "errors against it are no accuracy" in rec.notes
+        assert "errors against this truth do not measure accuracy" in rec.notes
 
 
 def test_a_missing_file_keeps_the_times_of_the_others(drive, tmp_path):

@@ -76,7 +76,7 @@ def test_a_drive_comes_back(drive, tmp_path, kind):
     np.testing.assert_allclose(rec.aiding["magnetometer"].value[0], [20.0, 5.0, 40.0])
     np.testing.assert_allclose(rec.aiding["barometer"].value, 0.0, atol=1e-6)
     turned = kind.startswith("ios") and "standardised" not in kind
-    assert ("signs of an iPhone" in rec.notes) is turned
+    assert ("sign of an iPhone" in rec.notes) is turned
 
 
 def test_the_zip_that_the_app_shares_and_another_mounting(drive, tmp_path):

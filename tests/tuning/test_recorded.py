@@ -55,15 +55,17 @@ def found(rec, ekf):
 @pytest.fixture(scope="module")
 def job(rec, ekf):
     begin = start(rec, ekf.params("adis16465"))
-    sheet = begin.given(ekf.params("adis16465"))
+    datasheet = begin.given(ekf.params("adis16465"))
     packed = ep.pack_recording(rec, GNSS, begin.t)
     layout = plan(packed, window_of([packed]))
     windows = windows_of(packed, layout, packed.t.size)
     nav = jax.tree.map(lambda a: a[0], begin.navs)
-    spec, parts = priors.spec_of(ekf, sheet, ("noise", "fixes")), parts_of(layout, windows)
+    spec, parts = priors.spec_of(ekf, datasheet, ("noise", "fixes")), parts_of(layout, windows)
 
     def use(packed=packed):
-        return Used("town", begin, sheet, nav, packed, prepare(ekf, packed.epochs), layout, windows, parts, rec.truth)
+        return Used(
+            "town", begin, datasheet, nav, packed, prepare(ekf, packed.epochs), layout, windows, parts, rec.truth
+        )
 
     def make(packed=packed):
         return Job(ekf, spec, [use(packed)])
@@ -74,13 +76,13 @@ def job(rec, ekf):
 
 def test_what_is_found_has_the_prior_that_was_given_and_not_the_posterior_of_one_start(found, ekf, rec):
     """A next run from these parameters starts from where the first one did."""
-    given, sheet = ekf.params("adis16465"), found.used[0].sheet
+    given, datasheet = ekf.params("adis16465"), found.used[0].datasheet
     for params in (found.params, *found.each, *(trial.params for trial in found.trials.values())):
         for name in ("gyro_bias", "accel_bias"):
             np.testing.assert_array_equal(params.states[name].sd, given.states[name].sd)
         np.testing.assert_array_equal(params.prior.attitude, given.prior.attitude)
         assert params.prior.correlated is None
-    assert np.asarray(sheet.states["gyro_bias"].sd).min() < 0.8 * given.states["gyro_bias"].sd
+    assert np.asarray(datasheet.states["gyro_bias"].sd).min() < 0.8 * given.states["gyro_bias"].sd
     again = start(rec, found.params)
     np.testing.assert_allclose(again.navs.errors["gyro_bias"], found.used[0].begin.navs.errors["gyro_bias"], atol=1e-5)
     np.testing.assert_allclose(again.prior.attitude, found.used[0].begin.prior.attitude, rtol=0.1)
@@ -139,8 +141,8 @@ def test_the_score_is_the_slope_of_the_objective(job):
 def test_the_prior_of_a_delay_is_centred_at_the_scan(ekf, job):
     """J grows by half the square of the distance to the scan's delay; the prior of the noise stays at the datasheet."""
     make, _, _ = job
-    mine = Job(ekf, priors.spec_of(ekf, make.use().sheet, ("timing", "noise.gyro")), [make.use()])
-    scanned = NoiseScan(10.0, 3.0, 0.25).applied(make.use().sheet)
+    mine = Job(ekf, priors.spec_of(ekf, make.use().datasheet, ("timing", "noise.gyro")), [make.use()])
+    scanned = NoiseScan(10.0, 3.0, 0.25).applied(make.use().datasheet)
     numbers = mine.numbers([scanned])
     assert float(get(mine.params(numbers), "mounting.time_offset")) == pytest.approx(0.25)
     before = float(mine.objective()(numbers).nll)
@@ -161,7 +163,7 @@ def test_the_scan_sees_the_training_part_by_the_filters_measurements(rec, job, m
 
     monkeypatch.setattr(recorded, "scan_noise", scan_noise)
     own = make.use()
-    recorded.scan(rec, own.sheet, own.begin, layout, GNSS[:1], lambda line: None)
+    recorded.scan(rec, own.datasheet, own.begin, layout, GNSS[:1], lambda line: None)
     assert seen == {"streams": {"position"}, "stop": layout.train}
 
 
@@ -214,8 +216,8 @@ def test_what_is_each_ones_own_has_its_own_numbers(ekf, job):
     np.testing.assert_allclose(found.score[G:], second.score[own], rtol=1e-12)
     np.testing.assert_allclose(found.fisher[G:, G:], second.fisher[np.ix_(own, own)], rtol=1e-12)
     assert not np.any(found.fisher[G:, :G][:, own])
-    timing = Job(ekf, priors.spec_of(ekf, make.use().sheet, ("timing",)), [make.use()] * 2, (recorded.DELAY,))
-    scans = [NoiseScan(latency=latency).applied(make.use().sheet) for latency in (0.2, -0.4)]
+    timing = Job(ekf, priors.spec_of(ekf, make.use().datasheet, ("timing",)), [make.use()] * 2, (recorded.DELAY,))
+    scans = [NoiseScan(latency=latency).applied(make.use().datasheet) for latency in (0.2, -0.4)]
     assert sorted(np.asarray(timing.numbers(scans)).tolist()) == pytest.approx([-4.0, 0.0, 0.0, 2.0])  # steps of 0.1 s
     shared = Job(ekf, timing.spec, [make.use()] * 2)  # what is shared is the mean
     assert sorted(np.asarray(shared.numbers(scans)).tolist()) == pytest.approx([-1.0, 0.0, 0.0])
@@ -226,13 +228,13 @@ def test_what_a_part_predicts_is_the_likelihood_in_the_objective(ekf, job):
     make, packed, layout = job
     mine, own = make(), make.use()
     evidence_ = mine.evidence(mine.flat)
-    _, info = windows_drift(ekf, own.sheet, own.nav, own.epochs, own.windows, GNSS)
+    _, info = windows_drift(ekf, own.datasheet, own.nav, own.epochs, own.windows, GNSS)
     early = layout._replace(train=packed.start + layout.settle - 1e-3, validation=layout.train)
     moved = own._replace(layout=early, parts=own.parts | {"validation": own.parts["training"]})
     expected = sum(float(e.value / e.number) for e in evidence_)
-    assert evidence.predicted(ekf, [own.sheet], [moved], [info]) == pytest.approx(expected, rel=1e-9)
+    assert evidence.predicted(ekf, [own.datasheet], [moved], [info]) == pytest.approx(expected, rel=1e-9)
     late = info._replace(ok=np.asarray(info.ok) & (packed.t < layout.train - 1.0))
-    assert evidence.predicted(ekf, [own.sheet], [moved], [late]) == np.inf
+    assert evidence.predicted(ekf, [own.datasheet], [moved], [late]) == np.inf
 
 
 def test_parts_do_not_meet(job):
@@ -384,11 +386,11 @@ def test_what_is_written_is_read_back(found, ekf, tmp_path):
 def test_ctrl_c_leaves_the_best_so_far(rec, ekf, found):
     """In the second evaluation of the search: the first one's numbers are judged, and the verdict is one."""
 
-    def say(line):
+    def log(line):
         if "tuned, evaluation 1" in line:
             raise KeyboardInterrupt
 
-    less = tuning.tune(rec, ekf, ekf.params("adis16465"), free=("noise", "fixes"), say=say)
+    less = tuning.tune(rec, ekf, ekf.params("adis16465"), free=("noise", "fixes"), log=log)
     assert (
         less.status is Status.INTERRUPTED
         and found.status is not Status.INTERRUPTED
@@ -423,8 +425,8 @@ def test_an_objective_is_minimised_by_gradient_over_the_training_windows(rec, ek
         for i, counts in ((first - 1, False), (first, True)):
             info = SimpleNamespace(nav=nav._replace(pos=one.truth.lla.at[i, 2].add(100.0)))
             assert (float(score_of("rmse")(info, one)) > 1.0) == counts
-    with pytest.raises(ConfigError, match="tune.own goes with the tempered method"):
-        tuning.tune([rec, rec], ekf, ekf.params("adis16465"), free=("noise",), own=("noise.gyro",), how=how)
+    with pytest.raises(ConfigError, match="tune.per_recording goes with the tempered method"):
+        tuning.tune([rec, rec], ekf, ekf.params("adis16465"), free=("noise",), per_recording=("noise.gyro",), how=how)
 
 
 def test_a_recording_that_is_too_short_is_refused(rec, ekf):
@@ -432,7 +434,7 @@ def test_a_recording_that_is_too_short_is_refused(rec, ekf):
     short = rec._replace(aiding=few, imu=type(rec.imu)(*(a[rec.imu.t < rec.imu.t[0] + 25] for a in rec.imu)))
     with pytest.raises(DataError, match="it is too short to tune on"):
         tuning.tune(short, ekf, ekf.params("adis16465"), free=("noise",))
-    with pytest.raises(ValueError, match="2 recordings, 1 params and 2 begins"):
+    with pytest.raises(ValueError, match="2 recordings, 1 params and 2 initializations"):
         tuning.tune([rec, short], ekf, [ekf.params("adis16465")])
 
 
@@ -456,7 +458,11 @@ def test_two_loggers_have_two_clocks(rec, ekf, tmp_path):
     """The same drive, once with the IMU's stamps 0.15 s late: each finds its own, all else is one for both."""
     later = rec._replace(name="late", imu=rec.imu._replace(t=rec.imu.t + 0.15), truth=None)
     both = tuning.tune(
-        [rec, later], ekf, ekf.params("adis16465"), free=("noise", "fixes", "timing"), own=("mounting.time_offset",)
+        [rec, later],
+        ekf,
+        ekf.params("adis16465"),
+        free=("noise", "fixes", "timing"),
+        per_recording=("mounting.time_offset",),
     )
     offsets = [float(p.mounting.time_offset) for p in both.each]
     assert both.chosen != "datasheet" and offsets[1] - offsets[0] == pytest.approx(-0.15, abs=0.01)

@@ -61,8 +61,8 @@ def tune(config: Config, folder: Path, progress: bool = False, long: Long | None
     simulated = by_runs(config)
     check(config, simulated)
     begin = time.perf_counter()
-    say = stderr if progress else lambda line: None
-    result = (on_scenarios if simulated else on_recordings)(config, long, progress, say)
+    log = stderr if progress else lambda line: None
+    result = (on_scenarios if simulated else on_recordings)(config, long, progress, log)
     found, seconds = result.found, {"tune": time.perf_counter() - begin}
     begin = time.perf_counter()
     found.write(folder, config.filter.states, exports=result.target is None)
@@ -120,8 +120,8 @@ class Free(NamedTuple):
     """What [tune] frees."""
 
     leaves: list[str]
-    own: list[str]  # of which each recording has a value of its own
-    widths: dict[str, float]  # priors in SI, by leaf
+    per_recording: list[str]  # leaves with one value for each recording
+    prior_sd: dict[str, float]  # priors in SI, by leaf
 
 
 def free_of(config: Config, filt: Filter, params: Params, usual: tuple[str, ...]) -> Free:
@@ -136,7 +136,7 @@ def free_of(config: Config, filt: Filter, params: Params, usual: tuple[str, ...]
     leaves = [leaf for leaf in which("free", t.free or usual) if leaf not in frozen]
     if not leaves:
         raise ConfigError("tune.frozen: nothing is left free")
-    widths = {}
+    prior_sd = {}
     for key, sd in t.prior.items():
         found = which("prior", (key,))
         if not set(found) & set(leaves):
@@ -146,14 +146,14 @@ def free_of(config: Config, filt: Filter, params: Params, usual: tuple[str, ...]
             if not sd > (1.0 if positive else 0.0):
                 what = "a factor above 1" if positive else "above 0"
                 raise ConfigError(f"tune.prior.{key}: one sd must be {what}, got {sd:g}")
-            widths[leaf] = sd if positive else sd * unit_of(leaf).factor
-    return Free(leaves, which("own", t.own), widths)
+            prior_sd[leaf] = sd if positive else sd * unit_of(leaf).factor
+    return Free(leaves, which("per_recording", t.per_recording), prior_sd)
 
 
 # ---------------------------------------------------------------------------- recordings
 
 
-def on_recordings(config: Config, long: Long, progress: bool, say: Callable[[str], None]) -> Result:
+def on_recordings(config: Config, long: Long, progress: bool, log: Callable[[str], None]) -> Result:
     """Tune on recordings: by tempered likelihood, or an objective by gradient where one is stated."""
     t = config.tune
     gradient = t.method in OPTIMIZERS or (t.method == "auto" and t.objective != Tune().objective)
@@ -165,22 +165,23 @@ def on_recordings(config: Config, long: Long, progress: bool, say: Callable[[str
     measurements = measurements_of(config)
     configs = [config, *(for_source(config, source) for source in t.more)]
     recs = [load(each) for each in configs]
-    sheets = [
+    datasheets = [
         base_params(each, grade_of(each, scenario_of(each)), rec.lever_arm)
         for each, rec in zip(configs, recs, strict=True)
     ]
     if target:
-        sheets = [target.shaped(sheet) for sheet in sheets]
+        datasheets = [target.shaped(datasheet) for datasheet in datasheets]
         measurements = tuple(m for m in measurements if m.name in target.measurements)
     everywhere = set.intersection(*(set(rec.aiding) for rec in recs))
     chosen = tuple(m for m in measurements if not m.columns or m.name in everywhere or m.name == "velocity")
     filt = filter_of(config, chosen)
-    free = free_of(config, filt, sheets[0], target.free if target else FREE_RECORDED)
-    begins = [start_of(*each) for each in zip(configs, recs, sheets, strict=True)]
+    free = free_of(config, filt, datasheets[0], target.free if target else FREE_RECORDED)
+    begins = [start_of(*each) for each in zip(configs, recs, datasheets, strict=True)]
     found = tune_recordings(
-        recs, filt, sheets, free=free.leaves, own=free.own, widths=free.widths, begin=begins, stop=config.data.stop,
-        window=t.outage_s or None, priors=t.priors != "none", extend=target is None, standing=standing_of(config),
-        how=descent_of(config, long, progress) if gradient else None, say=say,
+        recs, filt, datasheets, free=free.leaves, per_recording=free.per_recording, prior_sd=free.prior_sd,
+        begin=begins, stop=config.data.stop, window=t.outage_s or None, priors=t.priors != "none",
+        extend=target is None, standing=standing_of(config),
+        how=descent_of(config, long, progress) if gradient else None, log=log,
     )  # fmt: skip
     lines = [f"for {t.target} ({target.about}): {target.file}"] if target else []
     for rec, used in zip(recs, found.used, strict=True):
@@ -205,7 +206,7 @@ def for_target(config: Config, target: Target) -> Config:
 # ---------------------------------------------------------------------------- simulated
 
 
-def on_scenarios(config: Config, long: Long, progress: bool, say: Callable[[str], None]) -> Result:
+def on_scenarios(config: Config, long: Long, progress: bool, log: Callable[[str], None]) -> Result:
     """Tune over simulated runs of scenarios by gradient; where nothing is hidden, by default for the RMS error."""
     t = config.tune
     configs = [config, *(for_source(config, source) for source in t.more)]
@@ -218,8 +219,8 @@ def on_scenarios(config: Config, long: Long, progress: bool, say: Callable[[str]
     filt = filter_of(config, GNSS)
     free = free_of(config, filt, params[0], FREE_SIMULATED)
     found = tune_simulated(
-        scenarios, filt, params, descent_of(config, long, progress), free=free.leaves, widths=free.widths,
-        priors=t.priors != "none", counts=(t.runs, t.validation_runs, t.test_runs), seed=config.seed, say=say,
+        scenarios, filt, params, descent_of(config, long, progress), free=free.leaves, prior_sd=free.prior_sd,
+        priors=t.priors != "none", counts=(t.runs, t.validation_runs, t.test_runs), seed=config.seed, log=log,
     )  # fmt: skip
     return Result(found, [])
 

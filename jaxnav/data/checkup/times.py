@@ -56,7 +56,7 @@ def apart(rec: Recording) -> list[Finding]:
     middle = float(np.median(near))
     if abs(middle) < APART * usual or np.mean(np.abs(near - middle) < EVEN * usual) < 0.5:
         return []
-    return [finding("time.apart", value=middle, size=abs(middle), side="after" if middle > 0 else "before")]
+    return [finding("time.stream_offset", value=middle, size=abs(middle), side="after" if middle > 0 else "before")]
 
 
 def _even(rec: Recording) -> dict[str, tuple[float, np.ndarray]]:

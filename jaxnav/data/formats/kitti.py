@@ -15,8 +15,8 @@ FIELDS = 30
 LLA, RPY, NORTH_EAST, UP = slice(0, 3), slice(3, 6), slice(6, 8), 10
 ACCEL, GYRO, POSITION_SD, VELOCITY_SD = slice(11, 14), slice(17, 20), 23, 24
 FUSED = (
-    "position and velocity are the solution of the unit's own INS/GNSS, as the truth is: errors against it are no "
-    "accuracy (another receiver's fixes: option gnss)."
+    "position, velocity and truth are all the unit's INS/GNSS solution: errors against this truth do not measure "
+    "accuracy (fixes of a receiver: option gnss)."
 )
 
 

@@ -105,7 +105,7 @@ def read(path: Path, imu: str | None = None) -> Parts:
     parts = Parts(os.fspath(path), axes="rfu", zero=zero)
     if raw is not None:
         parts = parts._replace(imu=_imu(path, logs[raw], RAW[raw], imu, zero, notes))
-        notes.append('axes of the IMU taken as right, forward, up, SPAN\'s own: axes = "rfu" (option axes).')
+        notes.append('axes of the IMU taken as right, forward, up, as SPAN has them: axes = "rfu" (option axes).')
     found = {"position": _position(logs, zero, notes), "velocity": _velocity(logs, zero)}
     aiding = {name: stream for name, stream in found.items() if stream is not None}
     if parts.imu is None and not aiding:
@@ -113,9 +113,7 @@ def read(path: Path, imu: str | None = None) -> Parts:
     solution = next((name for name in SOLUTIONS if name in logs), None)
     truth = None if solution is None else _solution(logs[solution], SOLUTIONS[solution], zero)
     if truth is not None:
-        notes.append(
-            f"truth is {solution}, the receiver's own INS: no more exact than that, and fed by the same fixes."
-        )
+        notes.append(f"truth is {solution}, the receiver's INS/GNSS solution, which uses the same fixes.")
     notes.append(f"t = 0 is {zero} s since 1970 in GPS time.")
     parts = scaled(parts._replace(aiding=aiding), TimeScale.GPS)
     return parts._replace(truth=truth, notes=tuple(notes))

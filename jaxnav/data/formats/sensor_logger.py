@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxnav.data.column_map import described, interpolated
 from jaxnav.data.parts import ImuRows, Parts, TimeScale
-from jaxnav.data.sheet import column, numbers, open_sheet, times
+from jaxnav.data.sheet import Sheet, column, numbers, open_sheet, times
 from jaxnav.maths.units import G0
 from jaxnav.types import DataError
 
@@ -57,9 +57,9 @@ def read(path: Path) -> Parts:
         raise DataError(f"{path}: {' and '.join(chosen)}: expected samples at the same times, found none")
     if np.nanmedian(np.linalg.norm(accel, axis=1)) < IN_G:
         accel = accel * G0
-    if _upside_down(path, files, chosen):
+    if _is_negated(path, files, chosen):
         accel = -accel
-        notes.append(f"{chosen[0]}: signs of an iPhone turned (it states gravity, not specific force).")
+        notes.append(f"{chosen[0]}: sign of an iPhone's accelerations changed to specific force.")
     stamps, gyro = times(gyros, "time", "ns", zero), _xyz(gyros)
     accel, covered = interpolated(stamps, t, accel)
     notes.append(f'phone assumed flat, screen up and top forward: axes = "{FLAT}" (option axes).')
@@ -96,12 +96,12 @@ def _acceleration(files: set[str]) -> tuple[str, ...]:
     return ()
 
 
-def _xyz(sheet: Any) -> np.ndarray:
+def _xyz(sheet: Sheet) -> np.ndarray:
     return np.stack([numbers(sheet, axis) for axis in "xyz"], axis=1)
 
 
-def _upside_down(path: Path, files: set[str], chosen: tuple[str, ...]) -> bool:
-    """Return whether accelerations have an iPhone's sign, -9.8 m/s^2 along z of a phone on its back."""
+def _is_negated(path: Path, files: set[str], chosen: tuple[str, ...]) -> bool:
+    """Return whether accelerations are negative specific force, as an iPhone states: -9.8 m/s^2 along z face up."""
     if "Metadata.csv" not in files:
         return chosen[0] != TOTAL  # which an iPhone does not write
     sheet = open_sheet(path / "Metadata.csv", ",", header=True)

@@ -209,7 +209,7 @@ def test_an_outage_lasts_to_the_end_of_the_data():
 def used_of(rec: Recording, params) -> SimpleNamespace:
     """A recording as tuning uses it, whose clock is counted from 30 s."""
     nav = jax.tree.map(lambda a: a[0], starts(30.0))
-    return SimpleNamespace(truth=rec.truth, sheet=params, nav=nav, packed=SimpleNamespace(t=np.array([90.0])))
+    return SimpleNamespace(truth=rec.truth, datasheet=params, nav=nav, packed=SimpleNamespace(t=np.array([90.0])))
 
 
 def test_the_truth_of_a_tuning_run_is_at_the_time_that_the_clocks_give():
@@ -221,7 +221,7 @@ def test_the_truth_of_a_tuning_run_is_at_the_time_that_the_clocks_give():
     np.testing.assert_allclose(north, 12.0 * (t[1:3] + 0.25 + 0.01 * (t[1:3] - 30.0)), rtol=1e-9)
     np.testing.assert_allclose(np.asarray(truth.rate)[1:3, 0] * 6.37e6, 12.0, rtol=1e-6)
     late = rec._replace(truth=Track(*(a[-1:] + 1e3 * (i == 0) for i, a in enumerate(rec.truth))))
-    assert parts.truth_of(used_of(late, used.sheet), t) is None
+    assert parts.truth_of(used_of(late, used.datasheet), t) is None
 
 
 def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):

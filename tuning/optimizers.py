@@ -5,30 +5,30 @@ from functools import cache
 
 import optax
 
-Make = Callable[[int, float, float, float], optax.GradientTransformation]
-"""(steps, rate, clip, warmup) -> optimiser."""
+Make = Callable[..., optax.GradientTransformation]
+"""(steps, rate) -> optimiser."""
 
 
-def schedule(steps: int, rate: float, warmup: float = 0.0, end: float = 0.05) -> optax.Schedule:
-    """From ``rate`` down to ``end`` of it on a cosine, after a linear rise over the share ``warmup`` of the steps."""
-    steps = max(steps, 1)
-    rise = round(warmup * steps)
-    if not rise:
-        return optax.cosine_decay_schedule(rate, steps, alpha=end)
-    return optax.warmup_cosine_decay_schedule(rate / 100, rate, rise, max(steps, rise + 1), end * rate)
+def schedule(steps: int, rate: float) -> optax.Schedule:
+    """Return a cosine from ``rate`` to 5 % of it."""
+    return optax.cosine_decay_schedule(rate, max(steps, 1), alpha=0.05)
 
 
-@cache
-def adam(steps: int, rate: float = 0.05, clip: float = 1.0, warmup: float = 0.0) -> optax.GradientTransformation:
-    """Adam on a cosine schedule, clipped by global norm; a non-finite gradient skips its step."""
-    chain = optax.chain(optax.clip_by_global_norm(clip), optax.adam(schedule(steps, rate, warmup)))
-    return optax.apply_if_finite(chain, max_consecutive_errors=5)
+def guarded(optimizer: optax.GradientTransformation, clip: float) -> optax.GradientTransformation:
+    """Return an optimiser with a largest global norm of the gradient; a non-finite gradient skips its step."""
+    return optax.apply_if_finite(optax.chain(optax.clip_by_global_norm(clip), optimizer), max_consecutive_errors=5)
 
 
 @cache
-def lbfgs(steps: int, rate: float = 0.0, clip: float = 0.0, warmup: float = 0.0) -> optax.GradientTransformation:
-    """L-BFGS with a zoom line search: few steps of several evaluations each, for losses without noise."""
-    del steps, rate, clip, warmup  # the line search finds its own
+def adam(steps: int, rate: float = 0.05, clip: float = 1.0) -> optax.GradientTransformation:
+    """Return Adam on a cosine schedule."""
+    return guarded(optax.adam(schedule(steps, rate)), clip)
+
+
+@cache
+def lbfgs(steps: int, rate: float = 0.0) -> optax.GradientTransformation:
+    """Return L-BFGS with a zoom line search: few steps of several evaluations each, for losses without noise."""
+    del steps, rate  # the line search finds them
     search = optax.scale_by_zoom_linesearch(
         max_linesearch_steps=10, max_learning_rate=1.0, initial_guess_strategy="one"
     )
@@ -36,10 +36,9 @@ def lbfgs(steps: int, rate: float = 0.0, clip: float = 0.0, warmup: float = 0.0)
 
 
 @cache
-def sgd(steps: int, rate: float = 0.05, clip: float = 1.0, warmup: float = 0.0) -> optax.GradientTransformation:
-    """Gradient descent with momentum, same schedule and guards as Adam."""
-    chain = optax.chain(optax.clip_by_global_norm(clip), optax.sgd(schedule(steps, rate, warmup), momentum=0.9))
-    return optax.apply_if_finite(chain, max_consecutive_errors=5)
+def sgd(steps: int, rate: float = 0.05, clip: float = 1.0) -> optax.GradientTransformation:
+    """Return gradient descent with momentum, with the schedule and guards of Adam."""
+    return guarded(optax.sgd(schedule(steps, rate), momentum=0.9), clip)
 
 
 OPTIMIZERS: dict[str, Make] = {"adam": adam, "lbfgs": lbfgs, "sgd": sgd}

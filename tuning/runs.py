@@ -196,7 +196,7 @@ def descend(
     loss = loss_of(filt, tuple(sorted(how.objective.items())), free)
     try:
         return fit(
-            loss, spec, params, how.steps, OPTIMIZERS[how.method](how.steps, how.rate, 1.0, 0.0), validation=loss,
+            loss, spec, params, how.steps, OPTIMIZERS[how.method](how.steps, how.rate), validation=loss,
             cases=train, validation_cases=validation, names=names, prior_weight=prior_weight, progress=how.progress,
             explain=lambda found, i: why(filt, merged(found, _at(train, i).params, free), _at(train, i)),
             folder=how.keep, resume=how.resume, identity=how.identity, mesh=how.mesh,

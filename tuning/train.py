@@ -33,44 +33,37 @@ class Fit(NamedTuple):
     params: Any  # the best parameters met
     loss: float  # their loss, or their validation score
     history: list[dict[str, Any]]  # one row a step: step, loss, grad_norm, validation, params {name: value}
-    status: Status  # converged: no better for as long as `fit` was to wait
+    status: Status  # iteration_limit or interrupted
     aside: tuple[dict[str, Any], ...] = ()  # runs that failed: run, the first step at which it did, why
 
 
 class TrainState(NamedTuple):
     """Where training stands before a step: all that a checkpoint holds."""
 
-    raw: Any  # unconstrained parameters, with a leading axis of starts where there are several
+    raw: Any  # unconstrained parameters
     state: Any  # of the optimiser
-    best: Any  # like raw, without starts
+    best: Any  # like raw
     score: float  # of the best
     failed: int  # runs that failed with the best: fewer is better than any score
-    since: int  # step of the best
     step: int  # the next one
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _step(problem: Problem, optimizer: Any, many: bool, raw: Any, state: Any, data: Data) -> Any:
-    """One update of every start: new raw, new state, and loss, gradient norm, good runs at the old raw."""
-    optimizer = optax.with_extra_args_support(optimizer)
-
-    def one(raw: Any, state: Any) -> Any:
-        e = evaluate(problem, raw, data)
-        # a line search takes the runs that are good here, and refuses points where one of those fails
-        line = data._replace(weight=jnp.where(e.good, data.weight, 0.0))
-        updates, new = optimizer.update(
-            e.grad, state, raw, value=e.value, grad=e.grad, value_fn=lambda r: strict(problem, r, line)
-        )
-        return optax.apply_updates(raw, updates), new, e.value, optax.tree.norm(e.grad), e.good
-
-    return jax.vmap(one)(raw, state) if many else one(raw, state)
-
-
 @partial(jax.jit, static_argnums=(0, 1))
-def _score(problem: Problem, many: bool, raw: Any, data: Data) -> Any:
-    """Value and good runs of every start."""
-    one = lambda r: evaluate(problem, r, data, slopes=False)
-    e = jax.vmap(one)(raw) if many else one(raw)
+def _step(problem: Problem, optimizer: Any, raw: Any, state: Any, data: Data) -> Any:
+    """Return new raw, new state, and loss, gradient norm and good runs at the old raw."""
+    e = evaluate(problem, raw, data)
+    # a line search takes the runs that are good here, and refuses points where one of those fails
+    line = data._replace(weight=jnp.where(e.good, data.weight, 0.0))
+    updates, new = optax.with_extra_args_support(optimizer).update(
+        e.grad, state, raw, value=e.value, grad=e.grad, value_fn=lambda r: strict(problem, r, line)
+    )
+    return optax.apply_updates(raw, updates), new, e.value, optax.tree.norm(e.grad), e.good
+
+
+@partial(jax.jit, static_argnums=0)
+def _score(problem: Problem, raw: Any, data: Data) -> Any:
+    """Return value and good runs."""
+    e = evaluate(problem, raw, data, slopes=False)
     return e.value, e.good
 
 
@@ -92,8 +85,6 @@ def fit(
     aggregate: Aggregate = mean,
     clip: float | None = None,
     prior_weight: float = 1.0,
-    starts: Sequence[Any] = (),
-    patience: int | None = None,
     every: int = 1,
     folder: str | Path | None = None,
     resume: bool = False,
@@ -115,8 +106,7 @@ def fit(
     ``explain(params, run)`` says what went wrong.
 
     ``clip``: largest gradient norm of one run. ``prior_weight``: weight of the spec's beliefs, 1 / (epochs) beside a
-    likelihood per epoch. ``starts``: more starting parameters, searched side by side. ``patience``: stop after so many
-    steps without a better one. ``every``: steps between two validations; the last step has one, too. ``folder``:
+    likelihood per epoch. ``every``: steps between two validations; the last step has one, too. ``folder``:
     history.jsonl and a checkpoint after every step; ``resume`` goes on from it bit for bit, if it is of the same
     ``identity``. ``mesh``: devices to share the runs among.
 
@@ -138,11 +128,8 @@ def fit(
         judge = _job(
             validation, spec, params, validation_arguments, validation_cases, aggregate, None, prior_weight, mesh
         )
-    many = bool(starts)
-    raws = [split(spec, p) for p in (params, *starts)]
-    raw = jax.tree.map(lambda *a: jnp.stack(a), *raws) if many else raws[0]
-    state = jax.vmap(optimizer.init)(raw) if many else optimizer.init(raw)
-    at = TrainState(raw, state, raws[0], math.inf, np.iinfo(int).max, 0, 0)
+    raw = split(spec, params)
+    at = TrainState(raw, optimizer.init(raw), raw, math.inf, np.iinfo(int).max, 0)
     history = _History(folder, identity, list(names), explain, spec, params)
     if resume:
         at = history.reopen(at)
@@ -156,10 +143,7 @@ def fit(
                 train = (train[0], train[1]._replace(cases=groups))
                 judge = judge if validation is not None else train
             due = validation is None or at.step % every == 0 or at.step == steps
-            at = _advance(at, train, judge if due else None, validation is not None, optimizer, many, history, bar)
-            if patience is not None and at.step - 1 - at.since >= patience:
-                status = Status.CONVERGED
-                break
+            at = _advance(at, train, judge if due else None, validation is not None, optimizer, history, bar)
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
     finally:
@@ -197,34 +181,30 @@ def _advance(
     at: TrainState,
     train: tuple[Problem, Data],
     judge: tuple[Problem, Data] | None,
-    judged_apart: bool,
+    separate: bool,
     optimizer: Any,
-    many: bool,
     history: "_History",
     bar: Any,
 ) -> TrainState:
     """One step: evaluate, note, keep the best where there is a ``judge``, update, save."""
-    raw, state, value, norm, good = _step(train[0], optimizer, many, at.raw, at.state, train[1])
+    raw, state, value, norm, good = _step(train[0], optimizer, at.raw, at.state, train[1])
     score, fine = value, good
-    if judged_apart and judge is not None:
-        score, fine = _score(judge[0], many, at.raw, judge[1])
-    value, norm, score = (np.atleast_1d(np.asarray(a)) for a in (value, norm, score))
-    good, fine = (np.asarray(a).reshape(len(value), -1) for a in (good, fine))
-    if at.step == 0 and not np.isfinite(value).any():
-        raise ValueError(f"the loss of the starting parameters is {float(value[0])}")
-    failed = (~good).sum(1) + ((~fine).sum(1) if judged_apart else 0)
-    ranked = np.where(np.isfinite(score) & np.isfinite(value), score, np.inf)
-    first = int(np.lexsort((ranked, failed))[0])  # fewest failures, then the best score
-    mine = jax.tree.map(lambda a: np.asarray(a)[first], at.raw) if many else jax.tree.map(np.asarray, at.raw)
-    row = {"step": at.step, "loss": float(value[first]), "grad_norm": float(norm[first])}
-    if judged_apart and judge is not None:
-        row["validation"] = float(score[first])
-    if many:
-        row["losses"] = value.tolist()
-    if judge is not None and (at.step == 0 or (failed[first], ranked[first]) < (at.failed, at.score)):
-        at = at._replace(best=mine, score=float(ranked[first]), failed=int(failed[first]), since=at.step)
-    history.note(row, mine, good[first])
-    bar.set_postfix(loss=f"{row['loss']:.4g}", grad=f"{row['grad_norm']:.3g}", failed=int(failed[first]), refresh=False)
+    if separate and judge is not None:
+        score, fine = _score(judge[0], at.raw, judge[1])
+    value, norm, score = (float(a) for a in (value, norm, score))
+    good, fine = (np.atleast_1d(a) for a in (good, fine))
+    if at.step == 0 and not np.isfinite(value):
+        raise ValueError(f"the loss of the starting parameters is {value}")
+    failed = int((~good).sum() + ((~fine).sum() if separate else 0))
+    ranked = score if np.isfinite(score) and np.isfinite(value) else math.inf
+    best = jax.tree.map(np.asarray, at.raw)
+    row = {"step": at.step, "loss": value, "grad_norm": norm}
+    if separate and judge is not None:
+        row["validation"] = score
+    if judge is not None and (at.step == 0 or (failed, ranked) < (at.failed, at.score)):
+        at = at._replace(best=best, score=ranked, failed=failed)
+    history.note(row, best, good)
+    bar.set_postfix(loss=f"{value:.4g}", grad=f"{norm:.3g}", failed=failed, refresh=False)
     bar.update()
     at = at._replace(raw=raw, state=state, step=at.step + 1)
     history.save(at)
@@ -263,7 +243,7 @@ class _History:
     def save(self, at: TrainState) -> None:
         """Write the checkpoint after a step."""
         if self.folder is not None and distributed.writes():
-            head = {"score": at.score, "failed": at.failed, "since": at.since, "step": at.step, "aside": self.aside,
+            head = {"score": at.score, "failed": at.failed, "step": at.step, "aside": self.aside,
                     "history": self.digest.hexdigest()}  # fmt: skip
             checkpoint.save(self.folder / LAST, (at.raw, at.state, at.best), head, self.identity)
 
@@ -285,4 +265,4 @@ class _History:
             path.write_bytes(b"".join(lines))
         self.aside = head["aside"]
         raw, state, best = found.tree
-        return TrainState(raw, state, best, head["score"], head["failed"], head["since"], step)
+        return TrainState(raw, state, best, head["score"], head["failed"], step)

@@ -55,7 +55,8 @@ def damaged(folder: Path, rng: Rng) -> str:
     elif kind == "arm":
         path = folder / "recording.json"
         about = json.loads(path.read_text())
-        about["lever_arm_frd_m"] = (np.array(about["lever_arm_frd_m"]) + 5 * rng.normal(size=3)).tolist()
+        off = 5 * rng.normal(size=2)  # a vertical one is an offset in height, which shows in nothing
+        about["lever_arm_frd_m"] = (np.array(about["lever_arm_frd_m"]) + [*off, 0.0]).tolist()
         path.write_text(json.dumps(about))
     elif kind == BYTES:
         path = folder / str(rng.choice([*STREAMS, "recording.json"]))

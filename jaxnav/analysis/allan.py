@@ -135,6 +135,22 @@ def read_off(allan: Allan, axis: int = 0) -> ReadOff:
     return ReadOff(line(white, 0.5, 1.0), line(flat, 0.0, 1 / FLAT), line(walk, -0.5, np.sqrt(3.0)), hump)
 
 
+def at_least_rounding(found: ReadOff, step: float, dt: float) -> ReadOff:
+    """Return figures with at least the white noise of rounding, step / sqrt(12) a sample (Widrow and Kollar 2008).
+
+    Noise below a third of the step hardly changes the reading and does not show in the curve: nor do slower processes.
+
+    Args:
+        found: figures of one axis.
+        step: resolution of its readings in their unit, 0 for none.
+        dt: interval of the samples, s.
+    """
+    least = step * np.sqrt(dt / 12)
+    if found.N is not None and found.N.value >= least or not least:
+        return found
+    return found._replace(N=Line(float(least), dt, dt))
+
+
 def _slopes(u: np.ndarray, v: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Slope of v over u at every point, by weighted straight lines over a factor of 2.1 to either side."""
     w = weight * (np.abs(u[:, None] - u) < np.log(2.1))

@@ -34,6 +34,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+FULL_COVERAGE = 0.98  # share of a run that its truth covers, below which a finding says so
+UNLIKE_DATASHEET = 10.0  # factor on the datasheet's noise above which scale or unit of a gyro may pass for noise
+
+
 class Chosen(NamedTuple):
     """The start that was taken, of several."""
 
@@ -221,7 +225,7 @@ def navigate(
     findings += state_findings(filt, params, best, trace.info)
     findings += about.findings + ([] if found is None else found.findings) + gap_findings(holes(rec.imu))
     findings += _installation(stated, rec) + _coverage(trace, rec, chosen)
-    if any(f.warns for f in findings):
+    if any(f.warns for f in findings) or (found is not None and max(found.gyro, found.accel) > UNLIKE_DATASHEET):
         findings += [f for f in turns(rec) if f.warns]
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
@@ -246,11 +250,8 @@ def _coverage(trace: evaluate.Trace, rec: Recording, measurements: tuple[Measure
     found = [finding("stream.extra", ", ".join(unused))] if unused else []
     if rec.truth is not None:
         share = float(np.mean(told_by(trace.track.t, rec.truth.t)))
-        found += [finding("truth.share", value=100 * share)] if share < ENOUGH else []
+        found += [finding("truth.share", value=100 * share)] if share < FULL_COVERAGE else []
     return found
-
-
-ENOUGH = 0.98  # share of a run that its truth covers, below which a remark says so
 
 
 def metrics(sol: Solution) -> dict[str, Any]:

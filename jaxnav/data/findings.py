@@ -80,6 +80,13 @@ KINDS: dict[str, Kind] = {
     "imu.noise": Kind(
         INFO, "noise in the quietest seconds: gyro {gyro:.2g} deg/sqrt(h), accelerometer {accel:.3g} ug/sqrt(Hz)"
     ),
+    "imu.quantized": Kind(
+        WARNING,
+        "{subject} is read in steps of {value:.3g} {unit_text}, above three times its noise: white noise is that of "
+        "rounding, step / sqrt(12) a sample; slower noise does not show",
+        ("coarse quantization",),
+        ("log with more digits, or with a smaller range of the sensor",),
+    ),
     "imu.bias": Kind(INFO, "biases of the gyros {gyro} deg/s, of the accelerometers {accel} m/s^2"),
     # axes and units of the IMU
     "axes.gravity": Kind(

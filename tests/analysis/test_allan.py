@@ -13,6 +13,7 @@ from jaxnav.analysis.allan import (
     Line,
     ReadOff,
     allan_deviation,
+    at_least_rounding,
     gauss_markov_variance,
     read_off,
     regular,
@@ -20,6 +21,7 @@ from jaxnav.analysis.allan import (
 from jaxnav.app import cli, config
 from jaxnav.app.jobs.allan import grade
 from jaxnav.data import write_recording
+from jaxnav.data.read import read
 from jaxnav.maths.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR, G0, UG
 from jaxnav.simulate.imu import corrupt
 from jaxnav.states.grades import Grade
@@ -200,6 +202,18 @@ def test_irregular_steps_keep_every_integral():
         regular(imu._replace(t=imu.t + 2.0 * (imu.t > 30)))
 
 
+@pytest.mark.parametrize("share, at_least", [(0.1, 1.0), (0.14, 1.0), (1.0, 0.95)])
+def test_noise_below_the_resolution_is_not_taken_as_shown(share, at_least):
+    """White noise of ``share`` steps about the middle between two readings' borders: eight times too small at 0.14."""
+    step, dt = 1e-3, 0.01
+    true = share * step * np.sqrt(dt)
+    x = step * np.round(share * np.random.default_rng(3).normal(size=(60_000, 1)))
+    shown = read_off(allan_deviation(x, dt))
+    found = at_least_rounding(shown, step, dt)
+    assert found.N.value >= at_least * true and found.N.value < 3 * true
+    assert (found == shown) is (share == 1.0)
+
+
 @pytest.fixture
 def recording(tmp_path):
     """A minute at rest, then two seconds in which somebody lifts the unit."""
@@ -235,6 +249,21 @@ def test_verb(recording, tmp_path, monkeypatch, capsys):
     assert "longest rest is --start 0.0 --stop 60.0" in capsys.readouterr().out
     assert cli.main([*args, "--start", "100"]) == 3
     assert "samples between data.start and data.stop" in capsys.readouterr().err
+
+
+def test_a_coarse_axis_is_named(recording, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("JAXNAV_CACHE_DIR", "")
+    rec = read(recording)
+    step = 10 * rec.imu.gyro[:3000, 1].std()
+    rec.imu.gyro[:, 1] = step * np.round(rec.imu.gyro[:, 1] / step + 0.3)
+    write_recording(tmp_path / "coarse", rec)
+    out = tmp_path / "out"
+    assert cli.main(["allan", "--data", str(tmp_path / "coarse"), "--stop", "60", "--out", str(out)]) == 0
+    found = json.loads((out / "metrics.json").read_text())
+    assert [(f["code"], f["subject"]) for f in found["findings"]] == [("imu.quantized", "gyro y")]
+    assert "gyro y is read in steps" in capsys.readouterr().out
+    N = step * np.sqrt(0.02 / 12) / DEG_PER_SQRT_HOUR
+    assert found["gyro_y"]["N_deg_per_sqrt_hour"] == pytest.approx(N, rel=0.01)
 
 
 def test_a_grade_drives_its_bias_by_what_the_curve_shows():

@@ -182,3 +182,12 @@ def test_a_run_is_repeated_without_a_search(drive, tmp_path, monkeypatch):
     assert (out / "solution.csv").read_text() == (again / "solution.csv").read_text()
     stated = ["--set", "noise.accel_ug_per_sqrt_hz=500", "--set", "out.figures=false"]  # as a tuned.toml does
     assert cli.main(["filter", "--data", str(folder), "--out", str(tmp_path / "stated"), "--quiet", *stated]) == 0
+
+
+def test_a_wrong_scale_of_a_gyro_does_not_pass_for_its_noise():
+    """The noise that fits takes up 70 % of each turn and the run is consistent, but the turns tell."""
+    rec = simulated(1.0, 0.0)
+    wrong = rec._replace(imu=rec.imu._replace(gyro=rec.imu.gyro * [1.0, 1.0, 0.3]))
+    codes = {f.code: f for f in navigate(wrong, EKF).findings}
+    assert codes["gyro.units"].warns and 0.2 < codes["gyro.units"].value < 0.45
+    assert "gyro.units" not in {f.code for f in navigate(rec, EKF).findings}

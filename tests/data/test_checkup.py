@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from benchmarks.recordings import check
 from benchmarks.recordings.start import simulated
@@ -11,7 +12,7 @@ from jaxnav.app.config import Data
 from jaxnav.app.jobs.check import configuration
 from jaxnav.data import magnetic
 from jaxnav.data.checkup import CHECKS, checkup, inertial, quick_notes
-from jaxnav.data.checkup.motion import turns
+from jaxnav.data.checkup.motion import turns, turns_of
 from jaxnav.data.checkup.standstill import standstill
 from jaxnav.data.epochs import Standing, stationary
 from jaxnav.data.read import read
@@ -121,6 +122,35 @@ def test_gyros_of_another_unit_turn_by_another_amount_than_the_course(car, facto
     """Between 0.6 and 1.6 of the course's turns a slip angle and its delay may explain the rest."""
     scaled = car._replace(imu=car.imu._replace(gyro=car.imu.gyro * [1.0, 1.0, factor]))
     assert ("gyro.units" in bad(scaled, "turns")) is wrong
+
+
+def hovering(seed: int, seconds: float) -> Recording:
+    """Return a multirotor that holds its position: neither velocity nor yaw rate has to do with the other."""
+    rng, n = np.random.default_rng(seed), int(50 * seconds)
+    walk = lambda tau, sd: lfilter(
+        [1.0], [1.0, -np.exp(-0.02 / tau)], sd * np.sqrt(0.04 / tau) * rng.normal(size=(n, 3)), 0
+    )
+    t, vel = np.arange(1, n + 1) / 50, walk(3.0, rng.uniform(0.3, 1.5))
+    imu = ImuLog(t, np.full(n, 0.02), walk(1.0, rng.uniform(0.02, 0.3)), np.tile([0.0, 0.0, -9.8], (n, 1)))
+    v = vel[::10] + 0.1 * rng.normal(size=vel[::10].shape)
+    sample = lambda value, sd: Samples(t[::10], value, np.full(v.shape, sd), np.zeros_like(v))
+    aiding = {"position": sample(np.tile([0.8, 0.2, 100.0], (len(v), 1)), 1.0), "velocity": sample(v, 0.1)}
+    return Recording("hovering", imu, aiding, None, np.zeros(3))
+
+
+@pytest.mark.parametrize("seconds", [12.0, 20.0, 40.0])
+def test_a_hovering_multirotor_has_no_wrong_sign(seconds):
+    """A few seconds of motion correlate with a gyro by chance: at most 2 of 100, of three axes and 21 lags."""
+    warned = [seed for seed in range(100) if any(f.warns for f in turns(hovering(seed, seconds)))]
+    assert len(warned) <= 2
+
+
+def test_turns_over_a_gap_between_fixes_do_not_count(car):
+    """Interpolated over 11 s, velocities turn as nothing did."""
+    v = car.aiding["velocity"]
+    kept = (v.t < v.t[0] + 30) | (v.t > v.t[0] + 41)
+    x = turns_of(car._replace(aiding=car.aiding | {"velocity": Samples(*(a[kept] for a in v))}))
+    assert not x.weight[(x.t > v.t[0] + 30) & (x.t < v.t[0] + 40)].any() and x.weight[x.t < v.t[0] + 25].any()
 
 
 @pytest.mark.parametrize("factor, wrong", [(1.0, False), (180 / np.pi, True), (np.pi / 180, True)])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxnav import build, navigate
+from jaxnav.analysis.navigate import metrics
 from jaxnav.app import cli
 from jaxnav.data.canonical import write_recording
 from jaxnav.data.checkup import checkup
@@ -263,3 +264,12 @@ def test_a_recording_with_the_accelerometer_s_other_sign(tmp_path, capsys):
     assert np.degrees(np.abs(np.angle(np.exp(1j * apart)))).max() < 15.0  # 100 as it is, and with axes="flu"
     with pytest.raises(DataError, match="accel_sign: expected 1 or -1, got 2"):
         read(folder / "rec", accel_sign=2)
+
+
+@needs_field
+def test_a_tail_sitter_s_roll_is_inside_its_sd():
+    """Near 90 deg of pitch differences of Euler angles had 5 % of the rolls inside 3 sd; rotations have all."""
+    rec = read(FIELD / "nose_up_table" / "rec")
+    errors = metrics(navigate(rec, build("ekf15")))["errors"]
+    assert min(errors[angle]["inside_3sd"] for angle in ("roll_deg", "pitch_deg", "heading_deg")) > 0.95
+    assert errors["roll_deg"]["rms"] < 0.5  # 0.2 deg about the axes of the sd by the case's oracle

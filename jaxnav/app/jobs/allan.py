@@ -2,12 +2,13 @@
 
 import math
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxnav.analysis.allan import Allan, ReadOff, allan_deviation, read_off, regular
+from jaxnav.analysis.allan import Allan, ReadOff, allan_deviation, at_least_rounding, read_off, regular
 from jaxnav.analysis.plots import allan as plots_allan
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.tables import table
@@ -15,7 +16,9 @@ from jaxnav.app.config import Config
 from jaxnav.app.results import Outcome, picture
 from jaxnav.app.sources import load
 from jaxnav.data import atomic_write
+from jaxnav.data.checkup.inertial import resolution
 from jaxnav.data.epochs import TICK, driving, stationary
+from jaxnav.data.findings import finding
 from jaxnav.data.json import write_json
 from jaxnav.data.toml import to_toml
 from jaxnav.filters.border import NAMES, nested
@@ -47,22 +50,28 @@ def allan(config: Config, folder: Path) -> Outcome:
     gyro, accel, dt = regular(imu)
     found: dict[str, Any] = {"name": rec.name, "start_s": float(imu.t[0] - imu.dt[0]), "stop_s": float(imu.t[-1]),
                              "rate_hz": 1 / dt} | standing(config, imu, rec.aiding.get("velocity"))  # fmt: skip
-    groups, rows, read = [], {}, {}
+    groups, rows, read, findings = [], {}, {}, []
     for kind, data in (("gyro", gyro), ("accel", accel)):
         unit, si, _ = KINDS[kind]
-        curve = allan_deviation(data, dt)
-        figures = [read_off(curve, i) for i in range(3)]
+        curve, steps = allan_deviation(data, dt), resolution(getattr(imu, kind))
+        shown = [read_off(curve, i) for i in range(3)]
+        figures = [at_least_rounding(f, step, dt) for f, step in zip(shown, steps)]
+        findings += [
+            finding("imu.quantized", f"{kind} {axis}", step / si, unit_text=unit)
+            for axis, step, before, after in zip("xyz", steps, shown, figures)
+            if after != before
+        ]
         rows[kind], read[kind] = [in_units(kind, f) for f in figures], (curve, figures)
         groups.append((kind, unit, si, curve, figures))
         found |= {f"{kind}_{axis}": row for axis, row in zip("xyz", rows[kind])}
         found[f"{kind}_curve"] = as_table(curve, unit, si)
-    write_json(folder / "metrics.json", found)
+    write_json(folder / "metrics.json", found | {"findings": [asdict(f) for f in findings]})
     head = f"# read off the Allan deviation of {rec.name} at rest; use: jaxnav tune --params grade.toml\n"
     atomic_write(folder / "grade.toml", head + to_toml(grade(read)))
     if config.out.figures:
         with picture("the deviations"):
             plots.save(plots_allan.allan(groups), folder / "allan.png")
-    return Outcome(found, summary(found, rows), {"allan": time.perf_counter() - begin})
+    return Outcome(found, summary(found, rows), {"allan": time.perf_counter() - begin}, findings=findings)
 
 
 def span(imu: ImuLog, start: float | None, stop: float | None) -> ImuLog:

@@ -16,8 +16,10 @@ from jaxnav.types import Finding, ImuLog, Recording, Samples, Severity
 STEP = 0.1  # s, of the series that are correlated
 FARTHEST = 40.0  # s: leap seconds, and a logger that was started early
 SURE = 0.6  # correlation of turns that belong together
+CLEAR = 0.8  # correlation from which on a wrong scale shows; slip and its delay may explain 0.6 to 1.6
 LIKELY = 0.3  # correlation from which on the size of the turns tells the unit, whatever noise hides
 SERIES, SIGMAS = 2.0, 3.5  # s, between independent turn rates; of the largest chance correlation over all lags
+TURN_SD = 2 * DEG  # rad/s, by which gyros and course differ besides noise: slip, tilt, the smoothing
 WINDOW = 20.0  # s, of an alignment
 BAD_FIT = 8.0  # chi^2 per degree of freedom
 MOST_WINDOWS = 6
@@ -28,7 +30,7 @@ class Turns(NamedTuple):
 
     t: np.ndarray  # (N,) s
     course: np.ndarray  # (N,) rad/s, clockwise
-    weight: np.ndarray  # (N,) 0 where the vehicle hardly moves
+    weight: np.ndarray  # (N,) of the course's rate, 0 to 1; 0 where the vehicle hardly moves or fixes are missing
     gyro: np.ndarray  # (N, 3) rad/s
 
 
@@ -48,14 +50,21 @@ def turns_of(rec: Recording) -> Turns | None:
     vel = smooth(columns_at(t, v.t, v.value[:, :2]), n)
     acc = np.gradient(vel, STEP, axis=0)
     square = (vel**2).sum(1)
-    least = max(0.5, 3 * float(np.median(v.sd[:, :2])))
-    weight = (square > least**2).astype(float)
+    sd = float(np.median(v.sd[:, :2]))
+    least = max(0.5, 3 * sd)
+    # the rate has the variance 2 sd^2 / (speed T)^2 of two velocities T apart
+    weight = np.where(
+        square > least**2, 1 / (1 + 2 * (sd / (n * STEP * TURN_SD)) ** 2 / np.maximum(square, least**2)), 0
+    )
     course = np.where(weight > 0, (vel[:, 1] * acc[:, 0] - vel[:, 0] * acc[:, 1]) / np.maximum(square, least**2), 0.0)
+    steps = np.diff(v.t)
+    for i in np.flatnonzero(steps > max(2.5 * float(np.median(steps)), 2 * n * STEP)):
+        weight[(t > v.t[i] - n * STEP) & (t < v.t[i + 1] + n * STEP)] = 0.0
     total = np.vstack([np.zeros(3), np.cumsum(rec.imu.gyro * rec.imu.dt[:, None], 0)])
     when = np.concatenate([[rec.imu.t[0] - rec.imu.dt[0]], rec.imu.t])
     gyro = smooth(np.gradient(columns_at(t, when, total), STEP, axis=0), n)
     weight[:n], weight[-n:] = 0.0, 0.0  # a running mean ends there
-    if weight.sum() * STEP < 5.0 or np.sqrt((course**2).sum() / weight.sum()) < 0.5 * DEG:
+    if (weight > 0).sum() * STEP < 5.0 or np.sqrt((weight * course**2).sum() / weight.sum()) < 0.5 * DEG:
         return None
     return Turns(t, course, weight, gyro)
 
@@ -65,12 +74,12 @@ def correlation(x: Turns, axis: int, lag: int) -> float:
     a = slice(max(lag, 0), len(x.t) + min(lag, 0))
     b = slice(max(-lag, 0), len(x.t) + min(-lag, 0))
     w = x.weight[a]
-    if w.sum() < 50:
+    if (w > 0).sum() < 50:
         return 0.0
     c, g = x.course[a], x.gyro[b, axis]
-    c, g = w * (c - (w * c).sum() / w.sum()), w * (g - (w * g).sum() / w.sum())
-    size = float(np.sqrt((c**2).sum() * (g**2).sum()))
-    return float((c * g).sum() / size) if size > 0 else 0.0
+    c, g = c - (w * c).sum() / w.sum(), g - (w * g).sum() / w.sum()
+    size = float(np.sqrt((w * c**2).sum() * (w * g**2).sum()))
+    return float((w * c * g).sum() / size) if size > 0 else 0.0
 
 
 def turns_with_course(rec: Recording) -> bool:
@@ -93,26 +102,26 @@ def turns(rec: Recording) -> list[Finding]:
     axis, j = np.unravel_index(np.abs(table).argmax(), table.shape)
     best, lag = float(table[axis, j]), float(lags[j] * STEP)
     vector = ", ".join(f"{name} {c:+.2f}" for name, c in zip("xyz", near, strict=True))
-    seconds = STEP * x.weight.sum() - abs(lag)  # that overlap, about; few turns are alike by chance
+    seconds = STEP * float((x.weight > 0).sum()) - abs(lag)  # that overlap, about; few turns are alike by chance
     chance = np.tanh(SIGMAS / np.sqrt(max(seconds / SERIES - 3.0, 1.0)))  # Fisher's z
     if abs(best) > max(SURE, chance) and abs(lag) > 1.0 and abs(best) > 1.5 * np.abs(near).max():
         return [finding("time.offset", "xyz"[axis], lag, best=best, setting="data.options.time_shift_s")]
     w = x.weight
     slope = float((w * x.course * x.gyro[:, 2]).sum() / (w * x.course**2).sum())
     size = abs(slope) / max(near[2] ** 2, 1e-6)  # noise of the course makes the slope that much smaller
-    if abs(near[2]) > max(LIKELY, chance) and not 0.1 < size < 10.0:
+    unlike = not 0.1 < size < 10.0 if abs(near[2]) < CLEAR else not 0.6 < size < 1.6
+    if abs(near[2]) > max(LIKELY, chance) and unlike:
         message = f"gyro z is about {size:.2g} times the course's rate (correlations {vector})"
-        return [finding("gyro.units", "gyro z", size, message=message, cause="degrees read as radians, or the reverse")]
-    if abs(near[2]) > SURE and abs(near[2]) >= 0.8 * np.abs(near).max():
-        message = f"gyro z is {slope:+.2f} times the course's rate (correlations {vector})"
+        far = not 0.05 < size < 20.0
+        cause = "degrees read as radians, or the reverse" if far else "a wrong scale of the gyro"
+        return [finding("gyro.units", "gyro z", size, message=message, cause=cause)]
+    if abs(near[2]) > max(SURE, chance) and abs(near[2]) >= 0.8 * np.abs(near).max():
         if near[2] < 0:
+            message = f"gyro z is {slope:+.2f} times the course's rate (correlations {vector})"
             cause = 'z points up instead of down: axes = "flu"'
             return [finding("gyro.sign", "gyro z", slope, message=message, cause=cause)]
-        if abs(near[2]) > 0.9 and not 0.6 < abs(slope) < 1.6:
-            cause = "degrees read as radians, or the reverse"
-            return [finding("gyro.units", "gyro z", slope, message=message, cause=cause)]
         return [finding("gyro", value=slope, vector=vector)]
-    if np.abs(near).max() > SURE and abs(near[2]) < 0.4:
+    if np.abs(near).max() > max(SURE, chance) and abs(near[2]) < 0.4:
         return [finding("gyro.axes", "xyz"[int(np.abs(near).argmax())], vector=vector)]
     return [finding("gyro", vector=vector)]
 

@@ -65,7 +65,7 @@ def rules(tuned: dict[str, Any]) -> dict[str, tuple[Rule, Any]]:
 
 def load() -> dict[str, Recorded]:
     """The drive, its log mended and read early as in the benchmark of that name, and NaveGo's synthetic data."""
-    rec = io.read_drive(io.verify("rtkexplorer_drive"), imu_delay=drive.EARLY)
+    rec = drive.recording()
     data = drive.cut(rec, False, drive.START)
     params = drive.parameters(-0.21)
     white = {name: drive.WIDEN * getattr(params.noise, name) for name in ("gyro", "accel")}
@@ -73,7 +73,7 @@ def load() -> dict[str, Recorded]:
     made = {"drive": Recorded(data.nav, params, data.epochs, data.t, drive.measurements(False), drive.HISTORY, None)}
 
     folder = io.verify("navego_synthetic")
-    rec = io.read_navego(folder, "imu2")
+    rec = io.load("navego_synthetic")
     start = float(rec.aiding["position"].t[0])
     packed = epochs.pack(rec.imu, rec.aiding, 0.2, start=start)
     i = int(np.argmin(np.abs(rec.truth.t - start)))

@@ -50,7 +50,7 @@ def _packed(rec, interval, start, measurements=GNSS):
 def navego_case() -> Case:
     """Synthetic data of an ADIS16488 in a car, GNSS at 5 Hz; the start is the truth."""
     folder = io.verify("navego_synthetic")
-    rec = io.read_navego(folder, "imu2")
+    rec = io.load("navego_synthetic")
     start = float(rec.aiding["position"].t[0])
     i = int(np.argmin(np.abs(rec.truth.t - start)))
     nav = initial_nav(rec.truth.lla[i], rec.truth.vel[i], rec.truth.rph[i], t=start)
@@ -59,7 +59,7 @@ def navego_case() -> Case:
 
 def drive_case() -> Case:
     """The rtklibexplorer drive: consumer IMU and RTK at 4 Hz, white noise widened as its own benchmark does."""
-    rec = io.read_drive(io.verify("rtkexplorer_drive"), imu_delay=drive.EARLY)
+    rec = drive.recording()
     params, wide = drive.parameters(-0.21), drive.WIDEN
     noise = params.noise._replace(gyro=wide * params.noise.gyro, accel=wide * params.noise.accel)
     nav = drive.start_at(rec, drive.START)
@@ -70,6 +70,8 @@ def kth_case() -> Case:
     """The KTH car: position alone at 1 Hz."""
     rec = io.load("kth_gnss_ins")
     position = rec.aiding["position"]
+    position = position._replace(sd=np.full_like(position.sd, np.sqrt(3.0)))  # m, the course's setting
+    rec = rec._replace(aiding=rec.aiding | {"position": position})
     start = float(position.t[position.t >= rec.imu.t[0]][0])
     roll, pitch = alignment.level(rec.imu, start, start + 2.0)
     nav = initial_nav(position.value[position.t >= start][0], rph=(roll, pitch, np.deg2rad(320.0)), t=start)

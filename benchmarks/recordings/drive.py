@@ -9,6 +9,7 @@ Tuning for a block of the drive uses three stretches outside of it, each with it
 them; a guard of 8 s keeps every scored window clear of them.
 """
 
+import tomllib
 from functools import cache, partial
 from typing import NamedTuple
 
@@ -19,16 +20,17 @@ import numpy as np
 from benchmarks import common
 from jaxnav import data as io
 from jaxnav import measurements as ms
-from jaxnav.data import epochs
+from jaxnav.data import epochs, mend, timescale
 from jaxnav.data import start as alignment
-from jaxnav.data.formats.rtklib import DRIVE_LEVER_ARM
+from jaxnav.data.column_map import described
+from jaxnav.data.read import read_parts
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import datasheet_params, get, late, mounting, prior
 from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import units
 from jaxnav.states.grades import GRADES
-from jaxnav.types import Epoch, Nav, Params, Recording
+from jaxnav.types import Epoch, Nav, Params, Recording, Track
 from tuning import objectives
 from tuning.train import default_optimizer, fit
 from tuning.transforms import LOG, scaled
@@ -43,6 +45,7 @@ OUTAGE, EVERY, FIRST, LAST = 15.0, 45.0, 60.0, 30.0  # s
 PHASES = np.arange(0.0, 45.0, 5.0)
 INTERVAL = 0.25  # s, of the fixes
 START = 4.0  # s
+LEVER_ARM = np.array([0.0, -0.05, 0.0])  # m, IMU -> antenna, body FRD
 # the log is read 0.3 s early, so that what the filter estimates as time offset is positive: fixes are compared with
 # navigation that is already there
 EARLY = -0.30
@@ -75,8 +78,26 @@ def measurements(constraints: bool) -> tuple[ms.Measurement, ...]:
 
 def parameters(delay: float = AUTHOR_DELAY, drift: float = 0.0) -> Params:
     """The datasheet's figures and the timing that the data's author gives."""
-    install = mounting(DRIVE_LEVER_ARM, time_offset=delay - EARLY, clock_drift=drift)
+    install = mounting(LEVER_ARM, time_offset=delay - EARLY, clock_drift=drift)
     return late(datasheet_params(GRADES["consumer"], install=install), 0.0, 0.125)
+
+
+def recording(repair: bool = True) -> Recording:
+    """Return the drive read `EARLY`, with t = 0 at the first fix of the file; truth is the RTK, without attitude.
+
+    Args:
+        repair: mend the log of the IMU, whose writer polled the sensor.
+    """
+    dataset, folder = io.DATASETS["rtkexplorer_drive"], io.verify("rtkexplorer_drive")
+    table = tomllib.loads(dataset.map.read_text())
+    table["imu"] |= {"time_shift_s": EARLY, "repair": repair}
+    rec = timescale.recording(mend.applied(described(table, str(dataset.map), folder, read_parts), mend.Changes()))
+    file = io.read_pos(folder / table["read"]["file"]).aiding["position"].t
+    later = file[-1] - file[0] - rec.aiding["position"].t[-1]
+    moved = {name: s._replace(t=s.t + later) for name, s in rec.aiding.items()}
+    position, velocity = moved["position"], moved["velocity"]
+    truth = Track(position.t, position.value, velocity.value, np.full_like(position.value, np.nan))
+    return rec._replace(imu=rec.imu._replace(t=rec.imu.t + later), aiding=moved, truth=truth)
 
 
 def start_at(rec: Recording, time: float) -> Nav:
@@ -278,10 +299,10 @@ def row(name: str, r: dict) -> str:
             f" {r['vertical_rms_m']:7.2f} {r['outside_rms_m']:8.3f} {r['nis_mean']:7.2f}")  # fmt: skip
 
 
-def steps_taken(folder, last_fix: float) -> dict:
+def steps_taken(last_fix: float) -> dict:
     """What brought how much, one change after the other, before any tuning."""
     found = {}
-    raw, mended = (io.read_drive(folder, imu_delay=EARLY, repair=r) for r in (False, True))
+    raw, mended = recording(repair=False), recording()
     wide = lambda p: p._replace(noise=p.noise._replace(gyro=10 * p.noise.gyro, accel=10 * p.noise.accel))
     cases = {
         "log as it stands, datasheet": (raw, False, parameters()),
@@ -308,15 +329,14 @@ def main(argv: list[str]) -> None:
     what = "of tuning: innovations (no truth, no windows), or drift at the ends of hidden windows"
     parser.add_argument("--objective", choices=("likelihood", "drift"), default="likelihood", help=what)
     args = parser.parse_args(argv)
-    folder = io.verify("rtkexplorer_drive")
-    rec = io.read_drive(folder, imu_delay=EARLY)
+    rec = recording()
     last_fix = float(rec.aiding["position"].t[-1])
     header = (
         f"  {'':38} {'H rms':>6} {'median':>7} {'max':>7} {'V rms':>7} {'outside':>8} {'NIS/dof':>7}   m, 15 s hidden"
     )
     result: dict = {"seed": args.seed, "author": AUTHOR, "steps": args.steps, "objective": args.objective}
     print("What brought how much, untuned\n" + header)
-    result["steps_taken"] = steps_taken(folder, last_fix)
+    result["steps_taken"] = steps_taken(last_fix)
     print("Datasheet against tuned, every window held out\n" + header)
     for suffix, constraints in (("", False), ("_constraints", True)):
         data = cut(rec, constraints, START)

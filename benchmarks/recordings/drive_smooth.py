@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.recordings import drive
-from jaxnav import data as io
 from jaxnav.data import epochs
 from jaxnav.filters.core import Filter
 from jaxnav.filters.smoother import smooth
@@ -57,8 +56,7 @@ def scores(data: drive.Data, constraints: bool, by_block: dict[int, Params], las
 
 def study(steps: int) -> dict:
     """Datasheet and tuned, with the wheels' constraint and without."""
-    folder = io.verify("rtkexplorer_drive")
-    rec = io.read_drive(folder, imu_delay=drive.EARLY)
+    rec = drive.recording()
     last_fix, found = float(rec.aiding["position"].t[-1]), {}
     for suffix, constraints in (("", False), ("_constraints", True)):
         data = drive.cut(rec, constraints, drive.START)

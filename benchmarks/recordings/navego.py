@@ -5,12 +5,16 @@ reading the IMU samples as instantaneous values; the data hold means over each s
 this package and gives a better heading. The headline figures use the reference's reading, the others stand beside it.
 """
 
+from pathlib import Path
+from typing import NamedTuple
+
 import numpy as np
 
 from benchmarks import common
 from jaxnav import data as io
 from jaxnav.analysis import metrics
 from jaxnav.data import epochs
+from jaxnav.data.formats.matfiles import field, read_struct
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import change, datasheet_params
 from jaxnav.filters.run import initial_nav, run_jit, track
@@ -22,9 +26,30 @@ REFERENCE = dict(zip(KEYS, (0.2306, 0.3606, 0.5134, 0.01659, 0.01215, 0.006586, 
 SETTLED = 60.0  # s
 
 
-def parameters(folder, imu: str) -> Params:
+class Datasheet(NamedTuple):
+    """What NaveGo states about an IMU; float64 (the file stores small integers as uint8, whose squares wrap)."""
+
+    arw: np.ndarray  # (3,) rad/s/sqrt(Hz), root PSD
+    vrw: np.ndarray  # (3,) m/s^2/sqrt(Hz), root PSD
+    gb_sta: np.ndarray  # (3,) rad/s, static gyro bias: the imposed one lies within 10 % of it
+    ab_sta: np.ndarray  # (3,) m/s^2, static accelerometer bias
+    gb_dyn: np.ndarray  # (3,) rad/s, sd of the Gauss-Markov gyro bias
+    ab_dyn: np.ndarray  # (3,) m/s^2
+    gb_corr: np.ndarray  # (3,) s, its correlation time; the file's gb_psd is not sqrt(2 / gb_corr) gb_dyn
+    ab_corr: np.ndarray  # (3,) s
+    ini_align_err: np.ndarray  # (3,) rad, sd of the initial alignment
+
+
+def datasheet(folder: Path, imu: str) -> Datasheet:
+    """Return the datasheet of "imu1" or "imu2" in SI units."""
+    file = folder / f"{imu}.mat"
+    struct = read_struct(file, imu)
+    return Datasheet(*(field(struct, name, file, (3,)) for name in Datasheet._fields))
+
+
+def parameters(folder: Path, imu: str) -> Params:
     """The noise that made the data: start at truth with sd 5 m, 0.1 m/s and the alignment error of the data set."""
-    sheet = io.read_navego_datasheet(folder, imu)
+    sheet = datasheet(folder, imu)
     params = datasheet_params(GRADES["adis16488"], 5.0, 0.1)
     return change(
         params,
@@ -67,7 +92,7 @@ def main(argv: list[str]) -> None:
     parser.add_argument("--imu", choices=("imu1", "imu2"), default="imu2")
     args = parser.parse_args(argv)
     folder = io.verify("navego_synthetic")
-    rec, params = io.read_navego(folder, args.imu), parameters(folder, args.imu)
+    rec, params = io.load("navego_synthetic", imu=args.imu), parameters(folder, args.imu)
     rmse, innovation = solve(rec, params, instantaneous=True)
     rmse_means, innovation_means = solve(rec, params, instantaneous=False)
     reference = REFERENCE if args.imu == "imu2" else None

@@ -180,7 +180,7 @@ def with_more_states(duration: float) -> dict[str, dict[str, float]]:
     """Both with 21 and 33 states, on python-ins' own motion and on NaveGo's synthetic data."""
     given = {"sine": (build("ekf15").params("adis16465"), *sine_drive(duration, 0))}
     folder = io.verify("navego_synthetic")
-    rec, params = io.read_navego(folder, "imu2"), navego.parameters(folder, "imu2")
+    rec, params = io.load("navego_synthetic"), navego.parameters(folder, "imu2")
     packed, nav = navego.cut(rec, instantaneous=True)
     truth = np.column_stack([np.interp(packed.t, rec.truth.t, column) for column in rec.truth.lla.T])
     given["navego"] = (params, nav, packed.epochs, truth)
@@ -249,7 +249,7 @@ def ours_scored(rec: Recording, by_block: dict[int, Params]) -> np.ndarray:
 
 def on_the_drive(binary: Path | None, tuned: bool) -> dict[str, dict]:
     """KF-GINS and ours, by noise."""
-    rec = io.read_drive(io.verify("rtkexplorer_drive"), imu_delay=drive.EARLY)
+    rec = drive.recording()
     begin = begin_at(rec, drive.START, drive.parameters().prior)
     sheet = lambda *timing: like_kfgins(drive.parameters(*timing))[1]
     cases = {"datasheet": {0: sheet()}, "timing": {0: sheet(*drive.CLOCK)}}

@@ -13,7 +13,6 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from benchmarks.recordings import drive
-from jaxnav import data as io
 from jaxnav.analysis import metrics
 from jaxnav.analysis.evaluate import channels
 from jaxnav.analysis.tables import table
@@ -111,7 +110,7 @@ def innovations(data: drive.Data, by_block: dict[int, Params]) -> dict[str, dict
 
 def recover(steps: int, seed: int) -> dict:
     """The table: datasheet, tuned by innovations, tuned by drift; what the innovations say of the timing."""
-    rec = io.read_drive(io.verify("rtkexplorer_drive"), imu_delay=drive.EARLY)
+    rec = drive.recording()
     last_fix, data = float(rec.aiding["position"].t[-1]), drive.cut(rec, False, drive.START)
     likely, intervals = tune(rec)
     methods = {"datasheet": {0: drive.parameters()}, "tuned by innovations": likely}

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from benchmarks import common
-from benchmarks.recordings.wild import RECIPES
+from benchmarks.recordings.wild import sources
 from jaxnav import Stream, build, initial_nav, navigate, read, start
 from jaxnav.analysis.tables import table
 from jaxnav.data.start import Start
@@ -87,7 +87,7 @@ def grown(seconds: float) -> tuple[float, int]:
 def main(argv: list[str]) -> None:
     """Print the table, write the JSON."""
     parser = common.options("stream", __doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=RECIPES / "rtkexplorer.toml", help="default: a real drive")
+    parser.add_argument("--data", type=Path, default=sources()["rtkexplorer"], help="default: a real drive")
     parser.add_argument("--quick", action="store_true", help="growth over six minutes instead of an hour")
     args = parser.parse_args(argv)
     rec = read(args.data)

@@ -21,6 +21,7 @@ from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import Windows, drift, hidden_windows, position_noise
 from jaxnav.data import epochs as ep
 from jaxnav.data.bank import most_probable
+from jaxnav.data.datasets import RECORDINGS
 from jaxnav.data.start import Start, start
 from jaxnav.filters.catalogue import rows
 from jaxnav.filters.compiler import make_room
@@ -34,6 +35,7 @@ from tuning.evidence import seen_by_position, slow_errors
 from tuning.recorded import tune
 
 RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
+PINNED = {"kth": "kth_gnss_ins", "rtkexplorer": "rtkexplorer_drive", "umn": "umn_thor75"}  # maps of data sets
 PLAIN = {  # what is read without a recipe, below the folder of the data sets
     "navego_synthetic": "navego_synthetic",
     "px4_sitl": "ulog_samples/sample_px4_events.ulg",
@@ -48,7 +50,8 @@ SET_ON = ("px4_quad106", "rtkexplorer", "morpinet", "umn")  # that the recipe of
 def sources() -> dict[str, Path]:
     """Every recording by name."""
     data = Path(os.environ.get("JAXNAV_DATA_DIR", "."))
-    found = {path.stem: path for path in sorted(RECIPES.glob("*.toml"))}
+    found = {path.stem: path for path in RECIPES.glob("*.toml")}
+    found = dict(sorted((found | {name: RECORDINGS / f"{stem}.toml" for name, stem in PINNED.items()}).items()))
     return found | {name: data / path for name, path in PLAIN.items() if (data / path).exists()}
 
 

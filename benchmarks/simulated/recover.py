@@ -66,7 +66,7 @@ def split_like(params: Params) -> dict[str, jax.Array]:
 def recording(imu: str, factor: float) -> dict:
     """Tune on the recording with one of its IMUs."""
     folder = io.verify("navego_synthetic")
-    rec, true = io.read_navego(folder, imu), navego.parameters(folder, imu)
+    rec, true = io.load("navego_synthetic", imu=imu), navego.parameters(folder, imu)
     packed, nav = navego.cut(rec, instantaneous=False)
     filt = build("ekf15", cov_stride=packed.epochs.imu.dt.shape[1])
     block = (packed.t // BLOCK).astype(int)

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from jaxnav.data.datasets import DATASETS
 from jaxnav.data.toml import convert, describe, place, plain, quoted
 from jaxnav.filters.border import NAMES, TABLES, flat, nested
 from jaxnav.filters.parameters import UNITS
@@ -184,32 +185,6 @@ class Config:
         object.__setattr__(self, "_stated", stated)
 
 
-PRESETS: dict[str, dict[str, Any]] = {
-    "rtkexplorer_drive": {
-        # read early, so that the offset of the IMU's clock is positive: fixes meet navigation that is already there
-        "data": {"options": {"imu_delay": -0.3}},
-        "filter": {
-            "grade": "consumer",
-            "measurements": ["position", "velocity", "zero_velocity", "zero_rate"],
-            "standing_window_s": 2.0,
-            "standing_gyro_sd_deg_per_s": 3.5,
-            "standing_accel_sd_mps2": 0.15,
-        },
-        "measurements": {"velocity": {"latency_s": 0.125}},
-        "mounting": {"time_offset_s": 0.175},
-    },
-    "umn_thor75": {
-        "filter": {"grade": "adis1640x_airframe"},
-        "start": {"heading": "unknown", "tilt_sd_deg": 3.0},
-        "measurements": {"position": {"scale": 0.5}, "velocity": {"scale": 2.0}},
-        "mounting": {"time_offset_s": 0.1},
-    },
-    "navego_synthetic": {"filter": {"grade": "adis16488"}, "start": {"heading": "truth", "heading_sd_deg": 1.0}},
-    "kth_gnss_ins": {"filter": {"grade": "consumer"}, "start": {"heading": 320.0, "heading_sd_deg": 10.0}},
-}
-"""What a data set needs that its files do not say; under the user's own settings."""
-
-
 LIMITS: dict[str, tuple[float, float]] = {
     "seed": (0, 2**32 - 1),
     "data.imu_worse_by": (1.0, 1e3),
@@ -251,7 +226,8 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
     source = Data.source
     for _, tree in layers:
         source = tree.get("data", {}).get("source", source)
-    merged: dict[str, Any] = _checked(Config, PRESETS.get(source, {}), "preset")
+    preset = DATASETS[source].settings if source in DATASETS else {}
+    merged: dict[str, Any] = _checked(Config, preset, "preset")
     for _, tree in layers:
         merged = merge(merged, tree)
     names = [name for _, tree in layers for name in flat(tree)]

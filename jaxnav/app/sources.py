@@ -120,10 +120,7 @@ def load(config: Config) -> Recording:
             sim = equipped(sim, scenario, jax.random.fold_in(run_key(config.seed, Purpose.SINGLE, 0), EQUIPMENT))
         return to_recording(sim, scenario)
     if data.source in io.DATASETS:
-        try:
-            return io.load(data.source, **data.options)
-        except TypeError as error:
-            raise ConfigError(f"data.options: {error}") from error
+        return io.load(data.source, **data.options)
     if not data.source.strip():
         raise DataError("data.source: no name of a scenario, data set or recording")
     if Path(data.source).exists():

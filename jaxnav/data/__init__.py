@@ -11,10 +11,7 @@ from jaxnav.data.formats.kfgins import (
     read_rtk_track,
     write_kfgins_nav,
 )
-from jaxnav.data.formats.kth import read_kth
-from jaxnav.data.formats.navego import read_navego, read_navego_datasheet
-from jaxnav.data.formats.rtklib import PosFile, read_drive, read_imu_csv, read_pos, write_pos
-from jaxnav.data.formats.umn import read_umn
+from jaxnav.data.formats.rtklib import PosFile, read_pos, write_pos
 from jaxnav.data.solution import write_csv, write_geojson, write_kml, write_solution, write_tum
 
 __all__ = [
@@ -28,21 +25,15 @@ __all__ = [
     "fetch",
     "load",
     "locate",
-    "read_drive",
     "read_files",
     "read_imu",
-    "read_imu_csv",
     "read_kfgins_gnss",
     "read_kfgins_imu",
     "read_kfgins_nav",
-    "read_kth",
-    "read_navego",
-    "read_navego_datasheet",
     "read_pos",
     "read_recording",
     "read_rtk_track",
     "read_truth",
-    "read_umn",
     "verify",
     "write_csv",
     "write_geojson",

@@ -62,7 +62,7 @@ def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None
     """
     file, table = os.fspath(path), _load(path)
     said = os.path.expandvars(table.get("folder", "."))
-    if "$" in said:
+    if "$" in said and folder is None:
         raise DataError(f"{file}: folder: {said} names an environment variable that is not set")
     where = Path(folder) if folder is not None else Path(path).parent / said
     return described(table, file, where, base)

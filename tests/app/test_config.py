@@ -98,9 +98,9 @@ def test_resolved_goes_through_toml_and_run_json(tmp_path):
 def test_presets_lie_under_the_users_settings():
     assert resolve("data.source=rtkexplorer_drive").measurements.velocity.latency_s == 0.125
     stated = resolve("data.source=rtkexplorer_drive", measurements={"velocity": {"latency_s": 0.0}})
-    assert stated.measurements.velocity.latency_s == 0.0 and stated.mounting.time_offset_s == 0.175
-    for name, tree in config.PRESETS.items():
-        assert config.resolve([("", tree)]), name
+    assert stated.measurements.velocity.latency_s == 0.0 and stated.filter.standing_window_s == 2.0
+    for name, dataset in config.DATASETS.items():
+        assert config.resolve([("", dataset.settings)]), name
 
 
 def test_frozen():

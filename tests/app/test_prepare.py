@@ -86,18 +86,18 @@ def test_a_filter_with_an_observer_runs_from_the_command_line(tmp_path, monkeypa
 def test_a_further_source_has_its_own_presets_and_the_users_settings():
     drive = {"source": "rtkexplorer_drive", "stop": 300.0}
     first = resolved(data=drive, start={"tilt_sd_deg": 7.0}, noise={"gyro_deg_per_sqrt_hour": 0.4})
-    assert "zero_velocity" in first.filter.measurements and first.mounting.time_offset_s == 0.175
+    assert "zero_velocity" in first.filter.measurements and first.measurements.velocity.latency_s == 0.125
     town = config.for_source(first, "urban")
     assert (
         town.data == config.Data(source="urban")
         and "zero_velocity" not in town.filter.measurements
         and not town.filter.grade
     )
-    assert town.mounting.time_offset_s is None
+    assert not town.measurements.velocity.latency_s
     assert town.noise.gyro_deg_per_sqrt_hour == 0.4 and town.start.tilt_sd_deg == 7.0
     back = config.for_source(town, "rtkexplorer_drive")
     assert (
-        back.data.options == {"imu_delay": -0.3}
+        back.measurements.velocity.latency_s == 0.125
         and "zero_velocity" in back.filter.measurements
         and back.start.tilt_sd_deg == 7.0
     )

@@ -7,7 +7,6 @@ import pytest
 
 from benchmarks.__main__ import main
 from benchmarks.recordings import drive, navego, umn
-from jaxnav import data as io
 
 
 def result(tmp_path, benchmark, *options):
@@ -32,7 +31,7 @@ def test_umn_flight_from_an_unknown_heading(data_dir, tmp_path):
 
 
 def test_drive_untuned_on_the_mended_log_is_below_the_authors_filter(data_dir):
-    rec = io.read_drive(data_dir / "rtkexplorer_drive", imu_delay=drive.EARLY)
+    rec = drive.recording()
     params = drive.parameters(-0.21)
     params = params._replace(noise=params.noise._replace(gyro=10 * params.noise.gyro, accel=10 * params.noise.accel))
     data = drive.cut(rec, True, drive.START)

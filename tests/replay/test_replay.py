@@ -11,6 +11,7 @@ import jax
 import numpy as np
 import pytest
 
+from benchmarks.recordings.wild import sources
 from jaxnav import Recording, build, navigate, read
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
@@ -18,7 +19,6 @@ from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 
 KEPT = Path(__file__).with_name("solutions.json")
-RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
 SECONDS, POINTS = 40.0, 5
 SIMULATED = {"urban_short": "ekf15", "gipkf_urban": "ekf15_receiver"}
 RECORDED = {"kitti": "ekf15", "umn": "ekf15", "px4_fixed_wing": "ekf15", "comma2k19": "ekf15"}
@@ -33,7 +33,7 @@ def simulated(name: str) -> Recording:
 
 def solution(name: str) -> dict:
     """Some epochs of the first seconds of a recording's solution."""
-    rec = simulated(name) if name in SIMULATED else read(RECIPES / f"{name}.toml")
+    rec = simulated(name) if name in SIMULATED else read(sources()[name])
     filt = build((SIMULATED | RECORDED)[name], [m for m in ("position", "velocity") if m in rec.aiding], cov_stride=5)
     first = navigate(rec, filt, filt.params("consumer"), stop=float(rec.aiding["position"].t[0]) + 75.0 + SECONDS)
     at = np.linspace(0, first.t.size - 1, POINTS).astype(int)

@@ -1,67 +1,14 @@
-"""NaveGo's structs in MATLAB files, and its synthetic example with two of them for the IMU (ADIS16405, ADIS16488)."""
+"""NaveGo's structs in MATLAB files: IMU, fixes and reference."""
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from jaxnav.data.checks import check_recording, ned_to_enu, steps
-from jaxnav.data.files import FilePath, Source
-from jaxnav.data.formats.matfiles import field, read_struct, read_structs
+from jaxnav.data.checks import ned_to_enu
+from jaxnav.data.formats.matfiles import field, read_structs
 from jaxnav.data.parts import ImuRows, Parts, Stream
-from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
-
-IMUS = ("imu1", "imu2")
-
-
-class Datasheet(NamedTuple):
-    """What NaveGo states about an IMU; float64 (the file stores small integers as uint8, whose squares wrap)."""
-
-    arw: np.ndarray  # (3,) rad/s/sqrt(Hz), root PSD
-    vrw: np.ndarray  # (3,) m/s^2/sqrt(Hz), root PSD
-    gb_sta: np.ndarray  # (3,) rad/s, static gyro bias: the imposed one lies within 10 % of it
-    ab_sta: np.ndarray  # (3,) m/s^2, static accelerometer bias
-    gb_dyn: np.ndarray  # (3,) rad/s, sd of the Gauss-Markov gyro bias
-    ab_dyn: np.ndarray  # (3,) m/s^2
-    gb_corr: np.ndarray  # (3,) s, its correlation time; the file's gb_psd is not sqrt(2 / gb_corr) gb_dyn
-    ab_corr: np.ndarray  # (3,) s
-    ini_align: np.ndarray  # (3,) rad, roll, pitch, yaw at the start
-    ini_align_err: np.ndarray  # (3,) rad, sd of the initial alignment
-
-
-def read_navego(folder: FilePath, imu: str = "imu2") -> Recording:
-    """The simulated run with one of its IMUs; t in seconds from the first row, truth exact.
-
-    DataError names file, field and row.
-    """
-    folder, file = Path(folder), _imu_file(folder, imu)
-    log = read_struct(file, imu)
-    t = field(log, "t", file, (None,))
-    source = Source(str(file))
-    rates = field(log, "wb", file, (len(t), 3))
-    samples = ImuLog(t, steps(t, source), rates, field(log, "fb", file, (len(t), 3)))
-    gnss, ref = folder / "gnss.mat", folder / "ref.mat"
-    aiding, lever_arm = _read_gnss(gnss)
-    rec = Recording(f"navego_synthetic {imu}", samples, aiding, _read_truth(ref), lever_arm, "simulated by NaveGo")
-    sources = {"imu": source, "position": Source(str(gnss)), "velocity": Source(str(gnss)), "truth": Source(str(ref))}
-    return check_recording(rec, sources)
-
-
-def read_navego_datasheet(folder: FilePath, imu: str = "imu2") -> Datasheet:
-    """The datasheet of one of the two IMUs in SI units."""
-    file = _imu_file(folder, imu)
-    struct = read_struct(file, imu)
-    return Datasheet(*(field(struct, name, file, (3,)) for name in Datasheet._fields))
-
-
-def _imu_file(folder: FilePath, imu: str) -> Path:
-    if imu not in IMUS:
-        raise DataError(f"imu must be one of {', '.join(IMUS)}, got {imu!r}")
-    return Path(folder) / f"{imu}.mat"
-
-
-def _read_gnss(path: Path) -> tuple[dict[str, Samples], np.ndarray]:
-    return _fixes(read_struct(path, "gnss"), path)
+from jaxnav.types import DataError, Samples, Track
 
 
 def _fixes(gnss: Any, path: Path) -> tuple[dict[str, Samples], np.ndarray]:
@@ -77,10 +24,6 @@ def _fixes(gnss: Any, path: Path) -> tuple[dict[str, Samples], np.ndarray]:
     return aiding, field(gnss, "larm", path, (3,))
 
 
-def _read_truth(path: Path) -> Track:
-    return _track(read_struct(path, "ref"), path)
-
-
 def _track(ref: Any, path: Path) -> Track:
     t = field(ref, "t", path, (None,))
     n = len(t)
@@ -88,8 +31,6 @@ def _track(ref: Any, path: Path) -> Track:
     rph = np.stack([field(ref, name, path, (n,)) for name in ("roll", "pitch", "yaw")], axis=1)
     return Track(t, lla, ned_to_enu(field(ref, "vel", path, (n, 3))), rph)
 
-
-# ---------------------------------------------------------------------------- any recording in NaveGo's structs
 
 IMU_FIELDS, GNSS_FIELDS, REF_FIELDS = {"t", "wb", "fb"}, {"t", "lat", "stdm", "vel"}, {"t", "lat", "vel", "roll", "yaw"}
 

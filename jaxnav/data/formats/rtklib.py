@@ -1,24 +1,18 @@
-"""RTKLIB solutions (``.pos``), and the drive of the rtkexplorer: its IMU log, time tag and RTK solution."""
+"""RTKLIB solutions (``.pos``) and time tags."""
 
 import datetime
 import os
 import struct
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxnav.data import polling
-from jaxnav.data.axes import enu_to_ecef, euler, geodetic, local_to_lla
-from jaxnav.data.checks import check_imu, check_recording, check_samples, check_time, steps
-from jaxnav.data.files import FilePath, Source, Table, atomic_write, parse_numbers, read_bytes, read_columns, read_lines
+from jaxnav.data.axes import enu_to_ecef, geodetic, local_to_lla
+from jaxnav.data.checks import check_samples
+from jaxnav.data.files import FilePath, Source, Table, atomic_write, parse_numbers, read_bytes, read_lines
 from jaxnav.data.gps_time import GPS_EPOCH, WEEK, leap_seconds
-from jaxnav.maths.units import DEG, G0
-from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
-
-DRIVE_RPH = np.array([180.0, -6.79, 185.35]) * DEG  # rad, roll, pitch, yaw of the body's axes to the sensor's
-DRIVE_LEVER_ARM = np.array([0.0, -0.05, 0.0])  # m, IMU -> antenna, body FRD
-DRIVE_IMU_DELAY = -0.125  # s, what the author of the data adds to the stamps of the logger
+from jaxnav.maths.units import DEG
+from jaxnav.types import DataError, Samples
 
 _VELOCITY = ("vn", "ve", "vu", "sdvn", "sdve", "sdvu", "sdvne", "sdveu", "sdvun")
 FORMS = {  # of the position: columns of value, of sd and of the roots of covariances
@@ -105,82 +99,6 @@ def write_pos(
     lines = ["%  GPST " + " ".join(names)]
     lines += [f"{_stamp(t + t0)} {template % tuple(row)}" for t, row in zip(position.t, np.hstack(blocks).tolist())]
     atomic_write(path, "\n".join(lines) + "\n")
-
-
-def read_imu_csv(
-    path: FilePath,
-    tag_path: FilePath,
-    rotation: np.ndarray,
-    delay: float = DRIVE_IMU_DELAY,
-    origin: float = 0.0,
-    repair: bool = True,
-) -> ImuLog:
-    """The drive's IMU log: rates in deg/s and g in sensor axes with a tick in ms, and the RTKLIB tag that dates it.
-
-    ``rotation`` (3, 3) takes sensor axes to body FRD; ``t`` counts from ``origin`` (s since 1970, GPST). The first and
-    last row are dropped: the logger cuts them. The ticks are stretched to the last pair of the tag, as the author does,
-    and ``delay`` s is added; the innovations say that this stretch, 290 ppm, is wrong, and `Mounting.clock_drift` takes
-    it back. ``repair``: the logger polled a sensor that runs 0.5 % faster than it; mend the repeated and lost samples
-    and give them the sensor's even clock (`jaxnav.data.polling`). False takes the rows as they are. DataError names
-    file and line.
-    """
-    table = read_columns(path, 7, ",")
-    if len(table.values) < 4:
-        raise DataError(f"{table.source.file}: expected four rows or more, got {len(table.values)}")
-    lines = table.source.lines
-    source = Source(table.source.file, None if lines is None else lines[1:-1])
-    values = table.values[1:-1]
-    start, last = read_tag(tag_path)
-    tick = check_time(values[:, 6] / 1000.0, source, "imu")
-    t = (start - origin) + (tick - tick[0]) * (last / (tick[-1] - tick[0])) + delay
-    dt, readings = steps(t, source), values[:, :6]
-    check_imu(_body_imu(t, dt, readings, rotation), source)  # before mending, while a row still is a line of the file
-    mended = polling.repair(readings)
-    if repair and mended.lost.any():
-        index, read = np.arange(mended.lost.size), ~mended.lost
-        rate, first = np.polyfit(index[read], t[mended.poll[read]], 1)
-        t, readings = first + rate * index, mended.values
-        dt = np.full(t.size, rate)
-    return check_imu(_body_imu(t, dt, readings, rotation), Source(table.source.file, None))
-
-
-def _body_imu(t: np.ndarray, dt: np.ndarray, readings: np.ndarray, rotation: np.ndarray) -> ImuLog:
-    """Rows of force in g and rate in deg/s, sensor axes."""
-    return ImuLog(t, dt, readings[:, 3:6] * DEG @ rotation.T, readings[:, :3] * G0 @ rotation.T)
-
-
-def read_drive(folder: FilePath, imu_delay: float = DRIVE_IMU_DELAY, repair: bool = True) -> Recording:
-    """The rtkexplorer drive of 2025-07-08; t = 0 at the first GNSS row, truth is the RTK itself, without attitude.
-
-    The velocity is stamped as in the file. It is the position difference over the preceding 0.25 s, so it is 0.125 s
-    old at its stamp: give the filter ``velocity_latency = 0.125``; it is not independent of the position. The true
-    delay of the IMU lies between -0.19 s (against position) and -0.06 s (against velocity as stamped). ``repair``: see
-    `read_imu_csv`.
-    """
-    folder = Path(folder)
-    pos = read_pos(folder / "gnss_1934_sf.pos")
-    if "velocity" not in pos.aiding:
-        raise DataError(f"{pos.source.file}: expected velocity columns {', '.join(_VELOCITY)}")
-    origin = float(pos.aiding["position"].t[0])
-    imu = read_imu_csv(
-        folder / "imu_1934.csv", folder / "imu_1934.csv.tag", drive_rotation(), delay=imu_delay, origin=origin,
-        repair=repair,
-    )  # fmt: skip
-    aiding = {name: stream._replace(t=stream.t - origin) for name, stream in pos.aiding.items()}
-    position, velocity = aiding["position"], aiding["velocity"]
-    truth = Track(position.t, position.value, velocity.value, np.full((len(position.t), 3), np.nan))
-    notes = "t = 0 at the first GNSS row; velocity is a position difference, 0.125 s old at its stamp; truth is the RTK"
-    rec = Recording("rtkexplorer_drive", imu, aiding, truth, DRIVE_LEVER_ARM.copy(), notes)
-    return check_recording(rec, {"position": pos.source, "velocity": pos.source, "truth": pos.source})
-
-
-def drive_rotation(rph: np.ndarray = DRIVE_RPH) -> np.ndarray:
-    """(3, 3) sensor -> body FRD for the mounting angles roll, pitch, yaw in rad.
-
-    The rotation matrix of Euler angles that resolves reference axes along turned axes (Groves 2013, eq. 2.22), here
-    from the sensor's axes to the body's.
-    """
-    return euler(rph)
 
 
 class _Head(NamedTuple):

@@ -95,6 +95,7 @@ class Epoch(NamedTuple):
     imu: Any  # Imu (k, ...), or what `jaxnav.filters.run.prepare` made of it for a filter
     fix: Fix  # (m,)
     gap: Any = None  # (2,) root PSD that the noise of gyro and accelerometer has more, where samples are missing
+    auxiliary: dict[str, Any] = {}  # () each, by name of `jaxnav.measurements.auxiliary.AUXILIARY`
 
 
 class Origin(NamedTuple):
@@ -120,6 +121,7 @@ class Nav(NamedTuple):
     force: jax.Array  # (3,) m/s^2, last specific force, body, likewise
     origin: Origin
     errors: dict[str, jax.Array]  # (size,) estimates by name of `jaxnav.states.STATES`: measured minus true
+    auxiliary: dict[str, jax.Array] = {}  # () each, of the epoch, for the states of the filter that read it
 
 
 class ErrorInputs(NamedTuple):

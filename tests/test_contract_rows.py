@@ -19,6 +19,7 @@ from jaxnav.measurements.measurement import layout
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate_jit
 from jaxnav.states.grades import GRADES
+from jaxnav.states.state import Reading
 from jaxnav.states.table import BIASES, chosen, zeros
 from jaxnav.types import Epoch, Fix, Imu, Nav, Params
 from tuning.objectives import innovation_nll
@@ -218,7 +219,7 @@ def test_retract_and_observe_are_derivatives(frame):
                     M = (
                         jnp.eye(3)
                         if state.effect is None
-                        else state.effect(w, {"gyro": one.force, "accel": one.omega}[state.enters])
+                        else state.effect(Reading(w, {"gyro": one.force, "accel": one.omega}[state.enters]))
                     )
                     place = layout_of()[state.name]
                     readings[state.enters] = w + M @ x[place]
@@ -263,7 +264,11 @@ def test_every_row_says_what_it_is():
     for name, state in STATES.items():
         assert state.name == name and state.size == len(state.axes) >= 1
         assert state.enters in ("gyro", "accel", None)
-        assert state.effect is None or state.effect(jnp.ones((4, 3)), jnp.ones((4, 3))).shape == (4, 3, state.size)
+        assert state.effect is None or state.effect(Reading(jnp.ones((4, 3)), jnp.ones((4, 3)))).shape == (
+            4,
+            3,
+            state.size,
+        )
         assert all(unit.suffix for unit in state.units)
     for name, each in MEASUREMENTS.items():
         assert each.name == name and each.size == len(each.channels)

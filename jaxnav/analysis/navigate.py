@@ -26,7 +26,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, installed
 from jaxnav.filters.run import first_failure, require_params, require_x64, run_jit
 from jaxnav.filters.smoother import reach_of, smooth_jit
-from jaxnav.measurements import MEASUREMENTS, Measurement
+from jaxnav.measurements import AUXILIARY, MEASUREMENTS, Measurement
 from jaxnav.states.grades import GRADES
 from jaxnav.types import DataError, Epoch, FilterError, Finding, Info, Nav, Params, Recording, Samples, Track
 
@@ -191,6 +191,8 @@ def navigate(
         raise ValueError("this filter's rule corrects by more than the covariance says: it cannot be smoothed")
     if params is not None:
         require_params(filt, params)
+    if missing := set(filt.model.reads) - set(rec.aiding):
+        raise DataError(f"{rec.name}: has no stream {', '.join(sorted(missing))}, which states of the filter read")
     scan = params is None if scan is None else scan
     stated = filt.params(GRADES["consumer"]) if params is None else params
     params = installed(stated, rec.lever_arm)
@@ -246,7 +248,7 @@ def _installation(stated: Params, rec: Recording) -> list[Finding]:
 
 def _coverage(trace: evaluate.Trace, rec: Recording, measurements: tuple[Measurement, ...]) -> list[Finding]:
     """Return streams that no measurement takes, and a truth that covers a part of the run."""
-    unused = sorted(set(rec.aiding) - {m.name for m in measurements})
+    unused = sorted(set(rec.aiding) - {m.name for m in measurements} - set(AUXILIARY))
     found = [finding("stream.extra", ", ".join(unused))] if unused else []
     if rec.truth is not None:
         share = float(np.mean(told_by(trace.track.t, rec.truth.t)))

@@ -34,7 +34,7 @@ from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Params, nearest
 SAME = 2 * ep.TICK  # s: fixes that are as near are of one epoch
 AHEAD = 10.0  # s: a fix that is farther ahead of the samples was stamped by another clock
 RECENT = 400  # samples by whose spread a hole is judged
-VERSION = 1  # of what `to_bytes` writes
+VERSION = 2  # of what `to_bytes` writes
 
 
 class Now(NamedTuple):
@@ -115,6 +115,7 @@ class Stream:
         self.kept = [first]  # epochs' ends, oldest first
         self.samples: list[tuple[float, ...]] = []  # t, dt, gyro, accel of the last seconds
         self.fixes: list[tuple[float, str, np.ndarray, np.ndarray, np.ndarray]] = []  # t, name, value, sd, corr
+        self.auxiliary: dict[str, list[tuple[float, float]]] = {name: [] for name in filt.model.reads}  # t, value
         self.holes: list[tuple[float, float, float, float]] = []  # begin, end, root PSD of gyro and accelerometer
         self.t = begin.t  # s, of the last sample
         for size in (self.usual, 1):  # every program is compiled now, not at the first sample or fix
@@ -153,12 +154,20 @@ class Stream:
     def push(self, name: str, t: float, value: Any, sd: Any, corr: Any = None) -> Now:
         """A measurement ``name`` of the filter at its own time, early, late or twice; returns navigation of now.
 
-        ``value``, ``sd``, ``corr`` as in `Samples`. What is older than the stream remembers, or is not finite, changes
-        nothing and is counted in `refused`.
+        ``value``, ``sd``, ``corr`` as in `Samples`. An auxiliary value that states of the filter read comes likewise;
+        it is held from then on, and epochs that have run stay as they are. What is older than the stream remembers, or
+        is not finite, changes nothing and is counted in `refused`.
 
         Raises:
             ValueError: a measurement that the filter has not, or of another size.
         """
+        if name in self.auxiliary:
+            if math.isfinite(t) and np.isfinite(value).all():
+                self.auxiliary[name].append((float(t), float(np.ravel(value)[0])))
+                self.auxiliary[name].sort()
+            else:
+                self.refused[f"{name}: not finite"] += 1
+            return self.now
         if name not in self.slices:
             raise ValueError(f"the filter takes no {name!r}: {nearest(name, self.slices)}")
         size = self.slices[name].stop - self.slices[name].start
@@ -264,7 +273,13 @@ class Stream:
         held = gaps.Holes(found[:, 0], found[:, 1], found[:, 2:])
         gap = np.asarray(ep.louder_by(held, begin, np.array([end])))[0] if self.holes else np.zeros(2)
         fix: Any = (value, sd, corr, valid)
-        return Epoch(imu, Fix(*fix), gap)
+        return Epoch(imu, Fix(*fix), gap, {name: self._held(name, end) for name in self.auxiliary})
+
+    def _held(self, name: str, end: float) -> np.ndarray:
+        """The last auxiliary value before the end of an epoch, as `jaxnav.data.epochs.pack` takes it; 0 of none."""
+        known = self.auxiliary[name]
+        last = max(bisect_right(known, end + ep.TICK, key=itemgetter(0)) - 1, 0)
+        return np.array(known[last][1] if known else 0.0)
 
     def _between(self, begin: float, end: float) -> Imu:
         """The samples between two times, padded to a multiple of what is usual: each size is a program of its own."""
@@ -294,6 +309,8 @@ class Stream:
         begin = self.kept[0].t
         self.fixes = [each for each in self.fixes if each[0] > begin - SAME]
         self.holes = [each for each in self.holes if each[1] > begin]
+        for known in self.auxiliary.values():
+            del known[: max(bisect_right(known, begin, key=itemgetter(0)) - 1, 0)]
         first = bisect_right(self.samples, begin + ep.TICK, key=itemgetter(0))
         del self.samples[: max(0, min(first, len(self.samples) - RECENT))]
 
@@ -314,6 +331,7 @@ class Stream:
             "span": self.span, "refused": self.refused,
             "measurements": names, "states": list(self.filter.model.states),
             "fixes": [(t, name, *(a.tolist() for a in rest)) for t, name, *rest in self.fixes],
+            "auxiliary": self.auxiliary,
         }  # fmt: skip
         arrays["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
         out = io.BytesIO()
@@ -346,6 +364,7 @@ class Stream:
             stream.t = about["t"]
             stream.refused = Counter(about["refused"])
             stream.fixes = [(t, name, *map(np.array, rest)) for t, name, *rest in about["fixes"]]
+            stream.auxiliary = {name: [(t, v) for t, v in rows] for name, rows in about["auxiliary"].items()}
             stream.samples = [tuple(row) for row in rows["samples"].tolist()]
             stream.holes = [tuple(row) for row in rows["holes"].tolist()]
             count = len(rows["kept"]) + 1

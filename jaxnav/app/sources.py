@@ -10,7 +10,7 @@ from jaxnav import data as io
 from jaxnav.app.config import Config
 from jaxnav.data.read import read
 from jaxnav.filters.run import require_x64
-from jaxnav.measurements import with_data
+from jaxnav.measurements import MEASUREMENTS
 from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.readings import equipped
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
@@ -69,7 +69,7 @@ def _with(scenario: Scenario, key: str, value: Any) -> Scenario:
 
 def _sensors(name: str, value: Any) -> tuple[tuple[str, float], ...]:
     """Sensors by name with the sd of their noise, in the order of the table of measurements."""
-    own = list(with_data())
+    own = [name for name, each in MEASUREMENTS.items() if each.columns]
     if not isinstance(value, dict):
         raise ConfigError(f"{name} must be like {{barometer = 0.5}}, sd by measurement, got {value!r}")
     for sensor, sd in value.items():

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxnav.data.files import MAX_VALUE, Source, place
-from jaxnav.measurements import MEASUREMENTS, with_data
+from jaxnav.measurements import with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 
 MAX_DT = 2.0  # s; no inertial sample stands for longer
@@ -116,7 +116,7 @@ def require_double(name: str, value: np.ndarray) -> None:
 
 def uncertainty(name: str, sd: np.ndarray) -> str:
     """``3, 3, 6 m`` for a sentence."""
-    unit = MEASUREMENTS[name].columns[0].unit if name in with_data() else ""
+    unit = streams[name].columns[0].unit if name in (streams := with_data()) else ""
     return f"{', '.join(f'{x:g}' for x in sd)} {unit}".strip()
 
 

@@ -29,7 +29,7 @@ from jaxnav.data.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stre
 from jaxnav.data.sheet import DAYS, column, open_sheet
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
-from jaxnav.measurements import MEASUREMENTS, with_data
+from jaxnav.measurements import with_data
 from jaxnav.measurements.columns import QUANTITIES
 from jaxnav.types import DataError, Track
 
@@ -300,7 +300,7 @@ def _scalar(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     value = _mean(files, table, table["value"], name)
     if name == "barometer" and table.get("unit") in units.PRESSURE:
         return units.pressure_height(value * units.PRESSURE[table["unit"]])[:, None]
-    kind = MEASUREMENTS[name].columns[0].quantity
+    kind = with_data()[name].columns[0].quantity
     default = QUANTITIES[kind][1]
     return value[:, None] * units.factor(table, "unit", kind, f"{files.map}: {name}", default)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxnav.data import gaps
 from jaxnav.data.checks import require_double
-from jaxnav.measurements import GNSS, Measurement, layout
+from jaxnav.measurements import AUXILIARY, GNSS, Measurement, layout
 from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Recording, Samples, nearest
 
 TICK = 1e-6  # s: times closer than this are one
@@ -74,19 +74,24 @@ def pack(
 
     ``interval``: s, nominal fix interval, the length of epochs without a fix. ``cuts``: the ends of epochs where they
     are already known (`cut_times`). A hole in the IMU's stream is coasted through (`jaxnav.data.gaps`), with as much
-    more noise in its epochs as the rest of the log says that it hides.
+    more noise in its epochs as the rest of the log says that it hides. Of auxiliary streams
+    (`jaxnav.measurements.auxiliary.AUXILIARY`) an epoch has the last value before its end.
 
     Raises:
         DataError: a stream that no measurement takes, of another shape, unsorted, not finite, with an sd <= 0 or in
             degrees; a fix between the given ``cuts``; or epochs without end.
     """
     slices = layout(measurements)
+    auxiliary = {name: s for name, s in aiding.items() if name in AUXILIARY}
+    aiding = {name: s for name, s in aiding.items() if name not in auxiliary}
     for name in aiding:
         if name not in slices:
             raise DataError(f"no measurement of the filter takes {name!r}: {nearest(name, slices)}")
     _check_imu(imu)
     for name, stream in aiding.items():
         _check_samples(name, stream, slices[name].stop - slices[name].start)
+    for name, stream in auxiliary.items():
+        _check_samples(name, stream, 1)
     if not (np.isfinite(interval) and interval > 0):
         raise DataError(f"interval must be positive, got {interval} s")
     imu, holes = gaps.fill(imu)
@@ -95,7 +100,7 @@ def pack(
     samples = cut_imu(imu, begin, cuts)
     fix = _align_fixes(aiding, slices, sum(m.size for m in measurements), begin, cuts)
     gap = louder_by(holes, begin, cuts) if holes.begin.size else None
-    epochs = Epoch(Imu(*(jnp.asarray(a, float) for a in samples)), fix, gap)
+    epochs = Epoch(Imu(*(jnp.asarray(a, float) for a in samples)), fix, gap, _held(auxiliary, cuts))
     return Packed(epochs, cuts, begin)
 
 
@@ -158,6 +163,12 @@ def cut_imu(imu: ImuLog, start: float, cuts: np.ndarray) -> tuple[np.ndarray, np
     real = np.arange(k) < counts[:, None]
     index = np.where(real, index, (first + np.maximum(counts - 1, 0))[:, None])  # padding repeats the last sample
     return np.where(real, dt[index], 0.0), gyro[index], accel[index]
+
+
+def _held(auxiliary: dict[str, Samples], cuts: np.ndarray) -> dict[str, jax.Array]:
+    """Return the last value (E,) of each auxiliary stream before the ends of epochs; the first one before that."""
+    last = lambda s: np.maximum(np.searchsorted(s.t, cuts + TICK) - 1, 0)
+    return {name: jnp.asarray(s.value[last(s), 0], float) for name, s in auxiliary.items()}
 
 
 def louder_by(holes: gaps.Holes, start: float, cuts: np.ndarray) -> jnp.ndarray:
@@ -223,7 +234,8 @@ def grown(epochs: Epoch, size: int, samples: int) -> Epoch:
     nothing = lambda a, *n: np.pad(a, [(0, k) for k in n] + [(0, 0)] * (a.ndim - len(n)))
     imu = jax.tree.map(wide, epochs.imu)._replace(dt=nothing(epochs.imu.dt, more, longer))
     fix = jax.tree.map(rows, epochs.fix)._replace(valid=nothing(epochs.fix.valid, more))
-    return Epoch(imu, fix, None if epochs.gap is None else nothing(epochs.gap, more))
+    gap = None if epochs.gap is None else nothing(epochs.gap, more)
+    return Epoch(imu, fix, gap, {name: rows(a) for name, a in epochs.auxiliary.items()})
 
 
 def stack_epochs(runs: Sequence[Epoch]) -> Epoch:
@@ -241,6 +253,8 @@ def stack_epochs(runs: Sequence[Epoch]) -> Epoch:
     if any(epochs.gap is not None for epochs in runs):
         none = lambda epochs: np.zeros((epochs.imu.dt.shape[0], 2))
         runs = [epochs if epochs.gap is not None else epochs._replace(gap=none(epochs)) for epochs in runs]
+    common = set.intersection(*(set(epochs.auxiliary) for epochs in runs))
+    runs = [epochs._replace(auxiliary={name: epochs.auxiliary[name] for name in sorted(common)}) for epochs in runs]
     return jax.tree.map(lambda *a: np.stack(a), *(grown(epochs, size, samples) for epochs in runs))
 
 
@@ -369,9 +383,10 @@ def pack_recording(
     carried = {m.name for m in measurements if m.columns}
     for name in sorted(carried - set(rec.aiding) - {"velocity"}):
         raise DataError(f"{rec.name}: has no stream {name}, which the filter takes")
-    aiding = {name: s for name, s in rec.aiding.items() if name in carried}
+    aiding = {name: s for name, s in rec.aiding.items() if name in carried or name in AUXILIARY}
     interval = interval or float(np.median(np.diff(rec.aiding["position"].t)))
-    cuts = cut_times(rec.imu, aiding, interval, start, stop)
+    measured = {name: s for name, s in aiding.items() if name in carried}
+    cuts = cut_times(rec.imu, measured, interval, start, stop)
     still = None
     if names & {"zero_velocity", "zero_rate"}:
         still = stationary(rec.imu, cuts, *standing)

@@ -13,7 +13,7 @@ from jaxnav.data.checks import check_recording, uncertainty
 from jaxnav.data.files import MAX_VALUE, Source
 from jaxnav.data.gps_time import GPS_EPOCH, WEEK, week_shift
 from jaxnav.data.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Parts, Stream, TimeScale
-from jaxnav.measurements import with_data
+from jaxnav.measurements import AUXILIARY, with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples
 
 MAX_BAD = 0.05  # share of rows that may be left out; more, and the file is not what it is taken for
@@ -316,9 +316,9 @@ def _with_sd(name: str, sd: np.ndarray, notes: list[str]) -> np.ndarray:
     if name not in (streams := with_data()) or not lost.any():
         return sd
     assumed = np.resize([column.sd for column in streams[name].columns], sd.shape[1])
-    if whole.all():
+    if whole.all() and name not in AUXILIARY:
         notes.append(f"{name}: the file states no sd; assumed are {uncertainty(name, assumed)}.")
-    else:
+    elif not whole.all():
         words = f"{lost.any(axis=1).sum()} of {len(sd)} rows state no sd on an axis"
         notes.append(f"{name}: {words}; assumed there are {uncertainty(name, assumed)}.")
     return np.where(lost, assumed, sd)

@@ -14,6 +14,7 @@ UNITS: dict[str, dict[str, float]] = {
     "acceleration": {"m/s^2": 1.0, "g": G0, "mg": 1e-3 * G0},
     "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "mm/s": 1e-3, "cm/s": 1e-2, "knots": 1852 / 3600, "mph": 0.44704},
     "length": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048},
+    "temperature": {"degC": 1.0},
     "field": {"uT": 1.0, "nT": 1e-3, "T": 1e6, "gauss": 100.0, "mgauss": 0.1},  # to microtesla
 }
 PRESSURE = {"Pa": 1.0, "hPa": 100.0, "kPa": 1000.0}

@@ -6,7 +6,7 @@ innovation, lets the rule correct, and feeds back. Splitting it so is exact, bec
 not depend on P.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any, NamedTuple, Protocol
@@ -226,6 +226,12 @@ def shift(past: Nav, recent: Nav, n: jax.Array) -> Nav:
     return select(i < past.t.size, old, recent)
 
 
+def with_auxiliary(past: Nav, values: Mapping[str, jax.Array]) -> Nav:
+    """Return the samples ``past`` (w, ...) with the auxiliary values () of an epoch in the last of them."""
+    held = {name: a.at[-1].set(values[name]) for name, a in past.auxiliary.items()}
+    return past._replace(auxiliary=held)
+
+
 @cache
 def make_filter(
     propagate: Callable[..., Any],
@@ -264,7 +270,8 @@ def make_filter(
         return own | given
 
     def init(params: Params, nav: Nav) -> FilterState:
-        nav, T = model.enter(nav._replace(errors=estimates(nav.errors))), jnp.zeros(())
+        unknown = {name: jnp.zeros(()) for name in model.reads}  # until the first epoch
+        nav, T = model.enter(nav._replace(errors=estimates(nav.errors), auxiliary=unknown)), jnp.zeros(())
         P = depending(params, model.covariance(params, nav))
         # feeding back an error of zero changes nothing, but gives u and a derivative to all that an error reaches
         x = depending(params, jnp.zeros(model.n_states))
@@ -365,6 +372,8 @@ def make_filter(
 
     def advance(params: Params, state: FilterState, epoch: Epoch) -> Step:
         noise = params.noise if epoch.gap is None else louder(params.noise, epoch.gap)
+        if model.reads:
+            state = state._replace(past=with_auxiliary(state.past, epoch.auxiliary))
         predicted, moved = transition(params._replace(noise=noise), state, epoch.imu)
         new, info, x_after = corrected(params, predicted, epoch.fix)
         # a run that fails freezes at its last good state, so that the others of a batch go on and nothing is nan

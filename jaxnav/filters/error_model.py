@@ -77,6 +77,7 @@ class ErrorModel(NamedTuple):
     report: Callable[..., tuple[Nav, jax.Array, jax.Array]]  # (nav, x, P) of the frame -> of local level
     # (past (w, ...), x (n,) at its end) -> x (w, n) at each of its samples
     earlier: Callable[[Nav, jax.Array], jax.Array]
+    reads: tuple[str, ...] = ()  # auxiliary values that its states' effects depend on
 
 
 def _same(nav: Nav) -> Nav:
@@ -185,7 +186,7 @@ def error_model(
         states, tuple(m.name for m in measurements), n, sum(m.size for m in measurements),
         retract, absorb, covariance, transition, with_second_order if form == "full" else None,
         stack(measurements, own, motion.leave, motion.enu_rows),
-        motion.enter or _same, report, earlier,
+        motion.enter or _same, report, earlier, tuple(sorted({name for s in own for name in s.reads})),
     )  # fmt: skip
 
 

@@ -40,12 +40,15 @@ def require_shapes(filt: Filter, nav: Nav, epochs: Epoch) -> None:
     """
     imu, fix, m = epochs.imu, epochs.fix, filt.model.n_channels
     E = jnp.shape(fix.valid)[0] if jnp.ndim(fix.valid) else 0
+    if missing := set(filt.model.reads) - set(epochs.auxiliary):
+        raise ValueError(f"epochs.auxiliary has no {', '.join(sorted(missing))}, which states of the filter read")
     expected: dict[str, tuple[Any, tuple[Any, ...]]] = {
         "nav.pos": (nav.pos, (3,)),
         "nav.vel": (nav.vel, (3,)),
         "nav.q": (nav.q, (4,)),
     }
     expected |= {f"epochs.fix.{name}": (leaf, (E, m)) for name, leaf in fix._asdict().items()}
+    expected |= {f"epochs.auxiliary.{name}": (leaf, (E,)) for name, leaf in epochs.auxiliary.items()}
     if isinstance(imu, Imu):
         sizes = {"dt": (E, None), "gyro": (E, None, 3), "accel": (E, None, 3)}
         expected |= {f"epochs.imu.{name}": (getattr(imu, name), size) for name, size in sizes.items()}

@@ -1,6 +1,7 @@
 """MEASUREMENTS: every kind of measurement by name; a new one is a file beside this and a line here."""
 
 from jaxnav.measurements.air import AIRSPEED, SIDESLIP
+from jaxnav.measurements.auxiliary import AUXILIARY, Auxiliary
 from jaxnav.measurements.barometer import BAROMETER
 from jaxnav.measurements.direction import BASELINE, COURSE, HEADING, YAW_RATE
 from jaxnav.measurements.gnss import POSITION, VELOCITY
@@ -35,12 +36,12 @@ MEASUREMENTS: dict[str, Measurement] = {
 GNSS = (POSITION, VELOCITY)
 
 
-def with_data() -> dict[str, Measurement]:
-    """The rows that a recording carries a stream of, by name."""
-    return {name: each for name, each in MEASUREMENTS.items() if each.columns}
+def with_data() -> dict[str, Measurement | Auxiliary]:
+    """The rows that a recording carries a stream of, by name: measurements, and what optional states read."""
+    return {name: each for name, each in MEASUREMENTS.items() if each.columns} | AUXILIARY
 
 
 __all__ = [
-    "BAROMETER", "GNSS", "MEASUREMENTS", "NONHOLONOMIC", "POSITION", "SPEED", "VELOCITY", "ZERO_RATE", "ZERO_VELOCITY",
-    "Measurement", "clock_offset", "counted_from", "layout", "with_data",
+    "AUXILIARY", "BAROMETER", "GNSS", "MEASUREMENTS", "NONHOLONOMIC", "POSITION", "SPEED", "VELOCITY", "ZERO_RATE",
+    "ZERO_VELOCITY", "Measurement", "clock_offset", "counted_from", "layout", "with_data",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ Names = tuple[tuple[str, float], ...]
 """Names that a column may have in a CSV file, each with the factor to SI; the first is written."""
 
 QUANTITIES = {"length": ("m", "m"), "speed": ("m/s", "m/s"), "angle": ("rad", "deg"), "rate": ("rad/s", "rad/s"),
-              "field": ("uT", "uT")}  # fmt: skip
+              "field": ("uT", "uT"), "temperature": ("degC", "degC")}  # fmt: skip
 """By quantity: the unit in a recording, and the one that a column map takes by default."""
 _ALSO = {"rad": (("rad", 1.0), ("deg", DEG)), "radps": (("radps", 1.0), ("degps", DEG))}
 

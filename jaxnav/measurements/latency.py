@@ -26,7 +26,7 @@ import jax.numpy as jnp
 
 from jaxnav.maths import earth, rotations
 from jaxnav.states.sensors import OTHER
-from jaxnav.states.state import State
+from jaxnav.states.state import Reading, State
 from jaxnav.types import Nav
 
 
@@ -38,6 +38,7 @@ class Interval(NamedTuple):
     S1: jax.Array  # (3,) m, its first moment about the instant of the measurement
     q_then: jax.Array  # (4,) body -> ENU at that instant
     q_now: jax.Array  # (4,) at the end
+    auxiliary: dict[str, jax.Array] = {}  # () each, at the end
 
 
 def interval(then: Nav, now: Nav, age: jax.Array) -> Interval:
@@ -50,6 +51,7 @@ def interval(then: Nav, now: Nav, age: jax.Array) -> Interval:
         age * now.vel - displacement + 0.5 * age**2 * up,
         then.q,
         now.q,
+        now.auxiliary,
     )
 
 
@@ -64,7 +66,7 @@ def error_then(between: Interval, states: Sequence[State]) -> jax.Array:
         Rows: position (m), velocity (m/s) and attitude (rad) error in ENU at the earlier instant. Columns: the same and
         the optional states at the end.
     """
-    age, S0, S1, q_then, q_now = between
+    age, S0, S1, q_then, q_now, auxiliary = between
     C_then, C_now = rotations.to_dcm(q_then), rotations.to_dcm(q_now)
     eye, zero = jnp.eye(3), jnp.zeros((3, 3))
     A0, A1 = -rotations.skew(S0), -rotations.skew(S1)
@@ -79,12 +81,13 @@ def error_then(between: Interval, states: Sequence[State]) -> jax.Array:
     readings = {"accel": C.T @ S0}
     if any(state.effect is not None for state in states):
         readings["gyro"] = rotations.log(rotations.multiply(rotations.conjugate(q_then), q_now))
+    held = {name: age * value for name, value in auxiliary.items()}
     columns = [motion]
     for state in states:
         if state.enters is None:
             columns.append(jnp.zeros((9, state.size)))
         else:
             own, other = state.enters, OTHER[state.enters]
-            M = age * eye if state.effect is None else state.effect(readings[own], readings[other])
+            M = age * eye if state.effect is None else state.effect(Reading(readings[own], readings[other], held))
             columns.append(-through[state.enters] @ M)  # an error of the state lowers the reading that is used
     return jnp.concatenate(columns, 1)

@@ -19,7 +19,7 @@ from jaxnav.measurements.columns import Column
 from jaxnav.states.motion import MOTION
 from jaxnav.states.second_order import SECOND_ORDER_S, reliability
 from jaxnav.states.sensors import OTHER
-from jaxnav.states.state import State
+from jaxnav.states.state import Reading, State
 from jaxnav.types import Fix, Mounting, Nav, Params
 
 FIXES_ALIKE = 2 * SECOND_ORDER_S
@@ -148,7 +148,7 @@ def rows_of(o: Observation, nav: Nav, states: Sequence[State]) -> jax.Array:
             through = o.rows[state.enters]
             w = readings[state.enters] if o.reading is None else o.reading
             other = readings[OTHER[state.enters]]
-            row = row - (through if state.effect is None else through @ state.effect(w, other))
+            row = row - (through if state.effect is None else through @ state.effect(Reading(w, other, nav.auxiliary)))
         blocks.append(row)
     return jnp.concatenate(blocks, 1)
 

@@ -27,7 +27,7 @@ def observe_zero_velocity(theta: Sd, mounting: Mounting, nav: Nav, kin: Kinemati
 def observe_zero_rate(theta: Sd, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
     """What the gyros read is the Earth's rate and their errors: value is their mean over the standstill."""
     w_ie = earth.earth_rate(kin.lla[0])
-    w = corrected_reading(fix.value, "gyro", nav.errors, nav.force)
+    w = corrected_reading(fix.value, "gyro", nav.errors, nav.force, nav.auxiliary)
     rows = {"gyro": jnp.eye(3), "attitude": -kin.C.T @ rotations.skew(w_ie)}
     return Observation(w - kin.C.T @ w_ie, rows, jnp.broadcast_to(theta.sd, (3,)), reading=w)
 

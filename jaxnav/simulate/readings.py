@@ -18,7 +18,7 @@ from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, matched_params
 from jaxnav.states.grades import GRADES
 from jaxnav.states.sensors import OTHER
-from jaxnav.states.state import State
+from jaxnav.states.state import Reading, State
 from jaxnav.states.table import chosen
 from jaxnav.types import Fix, Nav, Params, StateParams
 
@@ -84,11 +84,12 @@ def with_states(sim: Simulated, params: Params, names: Sequence[str], key: jax.A
     truth = sim.truth._replace(errors=sim.truth.errors | errors)
     imu = sim.epochs.imu
     readings = {"gyro": imu.gyro, "accel": imu.accel}
+    auxiliary = {name: value[:, None] for name, value in sim.epochs.auxiliary.items()}
     for state in chosen(names):
         if state.enters is None:
             continue
         w, other, s = readings[state.enters], readings[OTHER[state.enters]], errors[state.name][:, None, :, None]
-        M = jnp.eye(3) if state.effect is None else state.effect(w, other)
+        M = jnp.eye(3) if state.effect is None else state.effect(Reading(w, other, auxiliary))
         readings[state.enters] = w + (M @ s)[..., 0]
     value = sim.epochs.fix.value
     late = errors.get("clock_offset", jnp.zeros((truth.t.size, 1)))

@@ -4,14 +4,14 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.maths import units
-from jaxnav.states.state import UserUnit, constant
+from jaxnav.states.state import Reading, UserUnit, constant
 
 PER_G = units.DEG_PER_HOUR / units.G0  # rad/s per m/s^2
 
 
-def forces(w: jax.Array, other: jax.Array) -> jax.Array:
+def forces(reading: Reading) -> jax.Array:
     """M (..., 3, 9) of the force o: rate axis i reads s_3i o_x + s_3i+1 o_y + s_3i+2 o_z."""
-    o = other[..., None, :]
+    o = reading.other[..., None, :]
     zero = jnp.zeros_like(o)
     rows = [jnp.concatenate([o if i == axis else zero for i in range(3)], -1) for axis in range(3)]
     return jnp.concatenate(rows, -2)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.maths import units
-from jaxnav.states.state import State, UserUnit, constant
+from jaxnav.states.state import Reading, State, UserUnit, constant
 
 PAIRS = (("x", "y"), ("x", "z"), ("y", "x"), ("y", "z"), ("z", "x"), ("z", "y"))
 """(axis that reads, axis that it sees): the sensor's axis is turned by so many rad towards the other."""
@@ -17,9 +17,9 @@ for _i, (_row, _seen) in enumerate(PAIRS):
     _OTHER["xyz".index(_row), _i, "xyz".index(_seen)] = 1.0
 
 
-def crossed(w: jax.Array, other: jax.Array) -> jax.Array:
+def crossed(reading: Reading) -> jax.Array:
     """M (..., 3, 6): column i has the seen axis of `PAIRS` in the row of the reading one."""
-    return jnp.einsum("rij,...j->...ri", _OTHER, w)
+    return jnp.einsum("rij,...j->...ri", _OTHER, reading.own)
 
 
 def _misalignment(sensor: str) -> State:

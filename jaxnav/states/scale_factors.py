@@ -4,12 +4,12 @@ import jax
 import numpy as np
 
 from jaxnav.maths import units
-from jaxnav.states.state import BODY, State, UserUnit, constant
+from jaxnav.states.state import BODY, Reading, State, UserUnit, constant
 
 
-def diagonal(w: jax.Array, other: jax.Array) -> jax.Array:
+def diagonal(reading: Reading) -> jax.Array:
     """M = diag(w), (..., 3, 3)."""
-    return w[..., None] * np.eye(3)
+    return reading.own[..., None] * np.eye(3)
 
 
 def _scale(sensor: str) -> State:

@@ -1,6 +1,6 @@
 """Error states beyond position, velocity and attitude, as objects: what each is, and where it enters."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import jax
@@ -9,20 +9,31 @@ from jaxnav.maths.units import Unit
 from jaxnav.types import StateParams
 
 
+class Reading(NamedTuple):
+    """What the effect of an error state depends on."""
+
+    own: jax.Array  # (..., 3) w: rad/s of the gyro, or m/s^2 of the accelerometer
+    other: jax.Array  # (..., 3) o: of the other sensor
+    auxiliary: Mapping[str, jax.Array] = {}  # a: (...) each
+
+
+Effect = Callable[[Reading], jax.Array]
+
+
 class State(NamedTuple):
     """One optional error state: a row of `STATES`.
 
-    The truth of a sensor that it enters is w, that of the other sensor o, and what is read is w + M(w, o) s, where s is
-    the state.
+    The truth of a sensor that it enters is w, that of the other sensor o, and what is read is w + M(w, o, a) s, where s
+    is the state and a are auxiliary values, such as a temperature.
     """
 
     name: str
     axes: tuple[str, ...]  # names of its components, as many as it is long
     enters: str | None  # "gyro" or "accel", whose reading it changes; None: only measurements see it
-    # w, o (..., 3) -> M (..., 3, size), linear in them: rad/s of the gyro, m/s^2 of the accelerometer; None: M = I
-    effect: Callable[[jax.Array, jax.Array], jax.Array] | None
+    effect: Effect | None  # -> M (..., 3, size), linear in w, o and a together; None: M = I
     defaults: StateParams  # plain numbers: what is believed where no datasheet says anything
     units: StateParams  # of `Unit`: how each leaf is stated at the border
+    reads: tuple[str, ...] = ()  # auxiliary values, by name of `jaxnav.measurements.auxiliary.AUXILIARY`
 
     @property
     def size(self) -> int:
@@ -53,8 +64,8 @@ def state_units(size: int, unit: UserUnit, noise: UserUnit | None = None) -> Sta
 
 def constant(
     name: str, axes: tuple[str, ...], sd: float, unit: UserUnit, enters: str | None = None,
-    effect: Callable[[jax.Array, jax.Array], jax.Array] | None = None,
+    effect: Effect | None = None, reads: tuple[str, ...] = (),
 ) -> State:  # fmt: skip
     """Return a state that stays constant unless driven; ``sd`` in ``unit``."""
     units = state_units(len(axes), unit)
-    return State(name, axes, enters, effect, StateParams(sd * unit.factor, 0.0, float("inf")), units)
+    return State(name, axes, enters, effect, StateParams(sd * unit.factor, 0.0, float("inf")), units, reads)

@@ -18,7 +18,7 @@ from jaxnav.maths import linalg
 from jaxnav.maths.components import running
 from jaxnav.states.motion import MOTION
 from jaxnav.states.sensors import OTHER
-from jaxnav.states.state import State
+from jaxnav.states.state import Reading, State
 from jaxnav.types import ErrorInputs, Forcing, Noise, Params, StateParams
 
 Blocks = dict[tuple[str, str], jax.Array]
@@ -168,9 +168,10 @@ def _entered(maps: Maps, sums: EpochSums, points: ErrorInputs, states: Sequence[
     parts: dict[str, jax.Array] = {s.name: jnp.zeros((9, s.size)) for s in states}
     readings = {"gyro": points.gyro, "accel": points.accel}
     for sensor, integrals in (("gyro", _turns), ("accel", _pushes)):
-        own, both = [s for s in states if s.enters == sensor], (readings[sensor], readings[OTHER[sensor]])
+        own = [s for s in states if s.enters == sensor]
+        reading = Reading(readings[sensor], readings[OTHER[sensor]], points.nav.auxiliary)
         if own:
-            CM = jnp.concatenate([sums.C if s.effect is None else sums.C @ s.effect(*both) for s in own], -1)
+            CM = jnp.concatenate([sums.C if s.effect is None else sums.C @ s.effect(reading) for s in own], -1)
             columns = jnp.split(integrals(maps, sums, CM), np.cumsum([s.size for s in own])[:-1], 1)
             parts |= dict(zip((s.name for s in own), columns, strict=True))
     return jnp.concatenate([parts[s.name] for s in states], 1)

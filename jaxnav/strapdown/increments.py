@@ -54,7 +54,7 @@ def coned(dt: Any, omega0: Vector, force0: Vector, omega: Vector, force: Vector)
 
 def increments(nav: Nav, imu: Imu) -> Increments:
     """Remove biases, then correct for coning, sculling and rotation within the sample."""
-    clean = corrected(imu, nav.errors)
+    clean = corrected(imu, nav)
     omega, force = split(clean.gyro), split(clean.accel)
     # the state carries the rates before this epoch's bias correction: one sample in an epoch sees that difference
     omega0 = tuple(before(a, b) for a, b in zip(nav.omega, omega, strict=True))
@@ -68,7 +68,7 @@ def after(nav: Nav, t: jax.Array, pos: Vector, vel: Vector, q: Quaternion, omega
     stack = lambda v: jnp.stack(v, -1)
     return Nav(
         t, stack(pos), stack(vel), stack(q), stack(omega), stack(force),
-        *jax.tree.map(lambda a: jnp.broadcast_to(a, (w, *a.shape)), (nav.origin, nav.errors)),
+        *jax.tree.map(lambda a: jnp.broadcast_to(a, (w, *a.shape)), (nav.origin, nav.errors, nav.auxiliary)),
     )  # fmt: skip
 
 

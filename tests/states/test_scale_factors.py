@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.states.sensors import corrected_reading
+from jaxnav.states.state import Reading
 from jaxnav.states.table import STATES
 
 
@@ -18,4 +19,4 @@ def test_taking_scale_and_bias_out_gives_the_truth_back():
 
 def test_the_effect_of_a_scale_error_is_the_reading_of_its_own_axis():
     w = jnp.array([0.1, -0.2, 9.8])
-    np.testing.assert_array_equal(STATES["accel_scale"].effect(w, 0 * w), np.diag(w))
+    np.testing.assert_array_equal(STATES["accel_scale"].effect(Reading(w, 0 * w)), np.diag(w))

@@ -7,7 +7,6 @@ The sums need nothing of the state but the biases, and those enter so weakly tha
 preintegration: Forster et al. 2017): sums made with the biases in are good for many runs on the same samples.
 """
 
-from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -34,7 +33,7 @@ from jaxnav.maths.components import (
 from jaxnav.states.sensors import OTHER, corrected_reading
 from jaxnav.states.table import STATES
 from jaxnav.strapdown.increments import coned
-from jaxnav.types import Imu
+from jaxnav.types import Imu, Nav
 
 
 class Readings(NamedTuple):
@@ -147,7 +146,7 @@ def unbiased(rows: jax.Array, b_g: Vector, b_a: Vector) -> BodyInterval:
     return BodyInterval(body, *(add(a, scale(-1.0, b)) for a, b in ((omega, b_g), (force, b_a))))
 
 
-def as_biases(rows: jax.Array, errors: Mapping[str, jax.Array]) -> tuple[Vector, Vector]:
+def as_biases(rows: jax.Array, nav: Nav) -> tuple[Vector, Vector]:
     """What gyro (rad/s) and accelerometer (m/s^2) read too much over each interval, of rows of `SummedIntervals`.
 
     Biases as they are; errors that depend on the reading at the interval's mean, so that 3,000 ppm of scale cost 2 mm
@@ -159,11 +158,11 @@ def as_biases(rows: jax.Array, errors: Mapping[str, jax.Array]) -> tuple[Vector,
     means = {"gyro": divide_or_zero(t, scale(2.0, q[1:])), "accel": divide_or_zero(t, rotate(conjugate(half), dv))}
 
     def excess(sensor: str) -> Vector:
-        own = [name for name in errors if STATES[name].enters == sensor]
+        errors, own = nav.errors, [name for name in nav.errors if STATES[name].enters == sensor]
         if all(STATES[name].effect is None for name in own):
             return split(sum((errors[name] for name in own), jnp.zeros(3)))
         raw, other = jnp.stack(means[sensor], -1), jnp.stack(means[OTHER[sensor]], -1)
-        return split(raw - corrected_reading(raw, sensor, errors, other))
+        return split(raw - corrected_reading(raw, sensor, errors, other, nav.auxiliary))
 
     return excess("gyro"), excess("accel")
 

@@ -254,7 +254,7 @@ def _samples(nav: Nav, u: Forcing | None, imu: Imu, stride: int, keep: jax.Array
 
 def remove_errors(nav: Nav, imu: Imu) -> Imu:
     """Samples without the errors of the sensors."""
-    return corrected(imu, nav.errors)
+    return corrected(imu, nav)
 
 
 def filled(a: jax.Array, size: int) -> jax.Array:
@@ -318,7 +318,7 @@ def propagate(
     if isinstance(imu, SummedIntervals):
         n = imu.whole.shape[1]
         whole = filled(imu.whole.T, size).T
-        clean = [unbiased(rows, *as_biases(rows, nav.errors)) for rows in (whole, imu.parts)]
+        clean = [unbiased(rows, *as_biases(rows, nav)) for rows in (whole, imu.parts)]
         out, path = _intervals(stride, nav, u, clean[0], clean[1], imu.place)
         return out, jax.tree.map(lambda a: a[:n], path)
     k = imu.dt.size

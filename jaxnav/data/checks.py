@@ -3,19 +3,17 @@
 import numpy as np
 
 from jaxnav.data.files import MAX_VALUE, Source, place
-from jaxnav.measurements import with_data
+from jaxnav.measurements import POSITION, with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 
 MAX_DT = 2.0  # s; no inertial sample stands for longer
 MAX_GAPS = 0.1  # share of the rows that may come after a gap; more, and it is dt that is wrong
 MIN_DT = 1e-6  # s
-FASTEST = 20_000.0  # m/s, beyond what leaves the Earth
 MAX_RATE = 35.0  # rad/s, 2000 deg/s: full scale of the fastest common gyros
 MAX_FORCE = 5000.0  # m/s^2
 GRAVITY, GRAVITY_TOLERANCE = 9.8, 2.2  # m/s^2; accelerometers of public logs are off by up to 2
 QUIET_SPEED = 10.0  # m/s: weighs a turn against vibration when looking for a quiet window
 MAX_LEVER_ARM = 100.0  # m
-LOWEST, HIGHEST = -12e3, 50e6  # m, the deepest trench and beyond the satellites
 
 
 def check_recording(rec: Recording, sources: dict[str, Source] | None = None) -> Recording:
@@ -97,9 +95,11 @@ def check_samples(name: str, samples: Samples, source: Source) -> Samples:
         _require(determinant > 0.0, source, name, "correlations of a positive definite covariance", corr)
     if name == "position":
         _geodetic(value, source, name)
-    if name == "velocity":
-        speed = np.linalg.norm(value, axis=1)
-        _require(speed < FASTEST, source, name, f"a speed below {FASTEST:g} m/s", speed)
+    elif name in streams:
+        for column, x in zip(streams[name].columns, value.T):
+            low, high = column.plausible
+            words = f"{column.names[0][0]} within {low:g} and {high:g} (another unit?)"
+            _require((x >= low) & (x <= high), source, name, words, x)
     return samples
 
 
@@ -172,8 +172,9 @@ def _geodetic(lla: np.ndarray, source: Source, stream: str) -> None:
     _require(
         np.abs(lla[:, 1]) <= 2 * np.pi, source, stream, "longitude within 2 pi rad, 360 deg (degrees as radians?)", lla
     )
+    low, high = POSITION.columns[2].plausible
     height = lla[:, 2]
-    _require((height > LOWEST) & (height < HIGHEST), source, stream, "a height above the ellipsoid in m", lla)
+    _require((height >= low) & (height <= high), source, stream, "a height above the ellipsoid in m", lla)
 
 
 def _overlap(name: str, t: np.ndarray, imu: ImuLog, source: Source) -> None:

@@ -254,6 +254,8 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]
         raise DataError(f"{file}: {name}: states no sd: give one, sd={{{name!r}: ...}}")
     if name == "position":
         value, given = _with_heights(value, given, notes)
+    elif name in (streams := with_data()) and value.shape[1] == streams[name].size:
+        value = np.where(missing.no_value(value, streams[name].columns), np.nan, value)
     none = ~np.isfinite(value).all(axis=1)
     if none.any():
         notes.append(f"{name}: {none.sum()} of {len(t)} rows have no value, or a mark for none, and are left out.")

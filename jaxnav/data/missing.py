@@ -1,31 +1,44 @@
 """Values that stand for none, and positions that no vehicle reaches: what loggers write where they have no fix."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jaxnav.maths import earth
-from jaxnav.maths.units import DEG
+from jaxnav.measurements import POSITION
+from jaxnav.measurements.columns import Column
 
-HEIGHTS = (-999.0, -9999.0, -99999.0, -32768.0)  # m
-HIGHEST = 1e6  # m, from which on a height is none
 SPEEDS = (-1.0, 102.3, 511.0, 999.0)  # in the file's own unit
 UNMEASURED_SD = 1e3  # m or m/s, of a component that nothing measured
 FASTEST, SLACK = 3000.0, 1000.0  # m/s between fixes; m, of fixes that are close in time
 
 
-def no_height(height: np.ndarray) -> np.ndarray:
-    """Return which heights (K,) m stand for none."""
-    return np.isin(np.round(height, 3), HEIGHTS) | ~(np.abs(height) < HIGHEST)
+def without_value(value: np.ndarray, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
+    """Return which values (K, s) are marks for none, and which are beyond what is plausible, by their columns."""
+    low, high = np.array([c.plausible for c in columns]).T
+    mark = np.stack([np.isclose(x[:, None], c.marks, 5e-8, 0.0).any(1) for x, c in zip(value.T, columns)], 1)
+    return mark, (value < low * (1 - np.sign(low) * 1e-12)) | (value > high * (1 + np.sign(high) * 1e-12))
+
+
+def no_value(value: np.ndarray, columns: Sequence[Column]) -> np.ndarray:
+    """Return which values (K, s) stand for none.
+
+    Where most are beyond what is plausible the unit is another, which is for a check to refuse.
+    """
+    mark, beyond = without_value(value, columns)
+    return mark | (beyond & (beyond.mean(0) < 0.5))
 
 
 def no_position(lla: np.ndarray) -> np.ndarray:
-    """Return which positions (K, 3), lat, lon rad, h m, stand for none: 0, 0 exactly, 91 or 181 deg, beyond a pole.
+    """Return which positions (K, 3), lat, lon rad, h m, stand for none: 0, 0 exactly, or a mark or beyond a pole."""
+    none = no_value(lla[:, :2], POSITION.columns[:2]).any(1)
+    return np.asarray(none | (lla[:, :2] == 0).all(1))
 
-    Where most are beyond a pole the unit is another, which is for a check to refuse.
-    """
-    lat, lon = np.abs(lla[:, :2]).T
-    mark = ((lat == 0) & (lon == 0)) | np.isclose(lat, 91 * DEG, 1e-12) | np.isclose(lon, 181 * DEG, 1e-12)
-    beyond = (lat > 90 * DEG * (1 + 1e-12)) | (lon > 360 * DEG * (1 + 1e-12))
-    return mark | (beyond & (beyond.mean() < 0.5))
+
+def no_height(height: np.ndarray) -> np.ndarray:
+    """Return which heights (K,) m stand for none."""
+    mark, beyond = without_value(height[:, None], POSITION.columns[2:])
+    return np.asarray((mark | beyond)[:, 0] | np.isnan(height))
 
 
 def no_speed(speed: np.ndarray) -> np.ndarray:

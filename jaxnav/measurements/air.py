@@ -52,7 +52,7 @@ AIRSPEED = Measurement(
     "airspeed", ("forward",), observe_airspeed, AirspeedParams(1.0, 0.0, 0.0),
     AirspeedParams(Unit(), Unit("s", text="s", step=0.1),
                    Unit(step=0.02)),
-    states=("wind",), columns=(column("airspeed_mps", "speed", 1.0),),
+    states=("wind",), columns=(column("airspeed_mps", "speed", 1.0, plausible=(-100.0, 3000.0)),),
 )  # fmt: skip
 """True airspeed: value forward m/s, its own sd."""
 SIDESLIP = Measurement(

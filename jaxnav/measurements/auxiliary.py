@@ -18,7 +18,7 @@ class Auxiliary(NamedTuple):
         return len(self.columns)
 
 
-TEMPERATURE = Auxiliary("temperature", (column("temperature_degc", "temperature", 1.0),))
+TEMPERATURE = Auxiliary("temperature", (column("temperature_degc", "temperature", 1.0, plausible=(-100.0, 200.0)),))
 """Temperature of the IMU, deg C."""
 
 AUXILIARY: dict[str, Auxiliary] = {each.name: each for each in (TEMPERATURE,)}

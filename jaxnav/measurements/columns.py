@@ -1,5 +1,6 @@
 """Values of a stream of data: their columns in files, quantity, and the sd assumed where a file states none."""
 
+import math
 from typing import NamedTuple
 
 from jaxnav.maths.units import DEG
@@ -20,6 +21,8 @@ class Column(NamedTuple):
     sd_names: Names
     quantity: str  # of its sd; a key of `QUANTITIES`
     sd: float  # assumed where none is stated, in the unit of the quantity
+    plausible: tuple[float, float] = (-math.inf, math.inf)  # range of its value in a recording; beyond it there is none
+    marks: tuple[float, ...] = ()  # values that loggers write where they have none
 
     @property
     def unit(self) -> str:
@@ -27,7 +30,14 @@ class Column(NamedTuple):
         return QUANTITIES[self.quantity][0]
 
 
-def column(name: str, quantity: str, sd: float, sd_name: str = "") -> Column:
+def column(
+    name: str,
+    quantity: str,
+    sd: float,
+    sd_name: str = "",
+    plausible: tuple[float, float] = (-math.inf, math.inf),
+    marks: tuple[float, ...] = (),
+) -> Column:
     """Return a column of a file; the unit is the last part of its name.
 
     Args:
@@ -35,8 +45,10 @@ def column(name: str, quantity: str, sd: float, sd_name: str = "") -> Column:
         quantity: a key of `QUANTITIES`.
         sd: assumed where none is stated, in the unit of the quantity.
         sd_name: of the column of its sd; the default is ``sd_`` and the unit.
+        plausible: range of its value in a recording, in SI.
+        marks: values that stand for none, in SI.
     """
-    return Column(_names(name), _names(sd_name or f"sd_{name.rpartition('_')[2]}"), quantity, sd)
+    return Column(_names(name), _names(sd_name or f"sd_{name.rpartition('_')[2]}"), quantity, sd, plausible, marks)
 
 
 def _names(name: str) -> Names:

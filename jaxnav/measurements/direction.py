@@ -82,7 +82,7 @@ _AGED = (Unit(), Unit("s", text="s", step=0.1))
 HEADING = Measurement(
     "heading", ("heading",), observe_heading, HeadingParams(1.0, 0.0, 0.0),
     HeadingParams(*_AGED, Unit("deg", DEG, text="deg", step=DEG)),
-    columns=(column("heading_rad", "angle", 0.1),),
+    columns=(column("heading_rad", "angle", 0.1, plausible=(-13.0, 13.0)),),
 )  # fmt: skip
 """Heading by two antennas: value rad from north, clockwise, of the line from the first to the second, its own sd."""
 BASELINE = Measurement(
@@ -96,11 +96,11 @@ BASELINE = Measurement(
 """Line between two antennas: value (3,) m ENU, first -> second, its own sd."""
 COURSE = Measurement(
     "course", ("course",), observe_course, AgedParams(1.0, 0.0), AgedParams(*_AGED),
-    columns=(column("course_rad", "angle", 0.1),),
+    columns=(column("course_rad", "angle", 0.1, plausible=(-13.0, 13.0)),),
 )  # fmt: skip
 """Course over ground: value rad from north, clockwise, its own sd; give none below walking pace."""
 YAW_RATE = Measurement(
     "yaw_rate", ("down",), observe_yaw_rate, AgedParams(1.0, 0.0), AgedParams(*_AGED),
-    columns=(column("rate_radps", "rate", 0.05),),
+    columns=(column("rate_radps", "rate", 0.05, plausible=(-35.0, 35.0)),),
 )  # fmt: skip
 """Turn rate by the wheels of both sides: value rad/s about the body's z, its own sd."""

@@ -1,12 +1,13 @@
 """GNSS position and velocity of the antenna."""
 
+import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxnav.maths import earth, rotations
-from jaxnav.maths.units import Unit
+from jaxnav.maths.units import DEG, Unit
 from jaxnav.measurements.columns import Column, column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
@@ -51,13 +52,15 @@ def _units(name: str) -> FixParams:
     return FixParams(scale, latency)
 
 
+SPEEDS = (-20e3, 20e3)  # m/s; beyond it a vehicle leaves the Earth
 ENU, NED = ("east", "north", "up"), ("north", "east", "down")
 POSITION = Measurement(
     "position", ENU, observe_position, FixParams((1.0, 1.0, 1.0), 0.0), _units("position"), receiver=True,
     states=("gnss_position_error", "lever_arm_error", "clock_offset"),
     columns=(
-        column("lat_rad", "length", 3.0, "sd_e_m"), column("lon_rad", "length", 3.0, "sd_n_m"),
-        column("h_m", "length", 6.0, "sd_u_m"),
+        column("lat_rad", "length", 3.0, "sd_e_m", (-math.pi / 2, math.pi / 2), (91 * DEG, -91 * DEG)),
+        column("lon_rad", "length", 3.0, "sd_n_m", (-2 * math.pi, 2 * math.pi), (181 * DEG, -181 * DEG)),
+        column("h_m", "length", 6.0, "sd_u_m", (-12e3, 1e6), (-999.0, -9999.0, -99999.0, -32768.0)),
     ),
     correlated=True, reported=NED,
 )  # fmt: skip
@@ -66,8 +69,8 @@ VELOCITY = Measurement(
     "velocity", ENU, observe_velocity, FixParams((1.0, 1.0, 1.0), 0.0), _units("velocity"), receiver=True,
     states=("lever_arm_error", "clock_offset"),
     columns=(
-        column("ve_mps", "speed", 0.3, "sd_e_mps"), column("vn_mps", "speed", 0.3, "sd_n_mps"),
-        Column((("vu_mps", 1.0), ("vd_mps", -1.0)), (("sd_u_mps", 1.0),), "speed", 0.6),
+        column("ve_mps", "speed", 0.3, "sd_e_mps", SPEEDS), column("vn_mps", "speed", 0.3, "sd_n_mps", SPEEDS),
+        Column((("vu_mps", 1.0), ("vd_mps", -1.0)), (("sd_u_mps", 1.0),), "speed", 0.6, SPEEDS),
     ),
     correlated=True, reported=NED,
 )  # fmt: skip

@@ -38,6 +38,6 @@ RANGEFINDER = Measurement(
         Unit(), Unit("s", text="s", step=0.1),
         Unit("m", text="m", step=10.0),
     ),
-    states=("ground_height",), columns=(column("range_m", "length", 0.2),),
+    states=("ground_height",), columns=(column("range_m", "length", 0.2, plausible=(0.0, 3e4), marks=(0.0,)),),
 )  # fmt: skip
 """Radar or laser height: value m along the body's down axis to level ground, its own sd."""

@@ -54,6 +54,6 @@ MAGNETOMETER = Measurement(
         Unit("ut", text="uT", step=1.0),
     ),
     states=("magnetometer_bias", "declination_error"),
-    columns=tuple(column(f"{axis}_ut", "field", 3.0, f"sd_{axis}_ut") for axis in "xyz"),
+    columns=tuple(column(f"{axis}_ut", "field", 3.0, f"sd_{axis}_ut", (-2e3, 2e3)) for axis in "xyz"),
 )  # fmt: skip
 """Magnetic field: value (3,) uT, body, its own sd."""

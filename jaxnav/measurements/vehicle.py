@@ -107,14 +107,16 @@ NONHOLONOMIC = Measurement(
 SPEED = Measurement(
     "speed", ("forward",), observe_speed, SpeedParams(1.0, 0.0),
     SpeedParams(Unit(), Unit(step=0.02)), states=("vehicle_axes", "odometer_scale"),
-    columns=(column("speed_mps", "speed", 0.3),),
+    columns=(column("speed_mps", "speed", 0.3, plausible=(-500.0, 500.0)),),
 )  # fmt: skip
 """Wheel speed: value forward m/s, its own sd."""
 WHEELS = Measurement(
     "wheels", ("left", "right"), observe_wheels, WheelsParams(1.0, 0.0, 1.0),
     WheelsParams(Unit(), Unit(step=0.02), Unit("m", text="m", step=0.02)),
     states=("vehicle_axes", "odometer_scale"),
-    columns=(column("left_mps", "speed", 0.1, "sd_left_mps"), column("right_mps", "speed", 0.1, "sd_right_mps")),
+    columns=tuple(
+        column(f"{side}_mps", "speed", 0.1, f"sd_{side}_mps", (-500.0, 500.0)) for side in ("left", "right")
+    ),
 )  # fmt: skip
 """Speed of the wheels of both sides, none of which steers: value (2,) forward m/s, left and right, their own sd."""
 LEVEL = Measurement("level", ("up",), observe_level, LevelParams(0.1), LevelParams(Unit("mps", text="m/s")))

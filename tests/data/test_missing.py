@@ -9,7 +9,7 @@ from jaxnav.data import mend
 from jaxnav.data.canonical import write_recording
 from jaxnav.data.checkup import checkup
 from jaxnav.data.gps_time import WEEK, leap_seconds
-from jaxnav.data.parts import ImuRows
+from jaxnav.data.parts import ImuRows, Stream
 from jaxnav.data.read import read
 from jaxnav.types import DataError
 from tests.data.conftest import fixes
@@ -66,6 +66,27 @@ def test_a_position_that_no_vehicle_reaches_is_left_out(drive, rows):
     assert f"position: {far.sum()} of {len(value)} rows are farther" in rec.notes
     swift = drive.aiding["position"].value + np.array([2500.0 / 6.371e6, 0.0, 0.0]) * np.arange(len(value))[:, None]
     assert len(mend.recording(fixes(drive, value=swift)).aiding["position"].t) == len(value)
+
+
+@pytest.mark.parametrize(
+    "name, usual, bad", [("barometer", 120.0, -9999.0), ("barometer", 120.0, 3e5), ("rangefinder", 8.0, 0.0),
+                         ("rangefinder", 8.0, -0.1), ("airspeed", 20.0, 65535.0), ("heading", 1.0, 655.35)],
+)  # fmt: skip
+def test_a_value_that_is_a_mark_or_implausible_is_none(drive, name, usual, bad):
+    """By its row: a few are left out and counted, the strict reader refuses them."""
+    t = np.arange(drive.imu.t[0] + 1, drive.imu.t[-1] - 1)
+    value = np.where((np.arange(t.size) > 3) & (np.arange(t.size) < 7), bad, usual)[:, None]
+    parts = fixes(drive)
+    rec = mend.recording(parts._replace(aiding=parts.aiding | {name: Stream(t, value)}))
+    assert rec.aiding[name].t.size == t.size - 3 and (rec.aiding[name].value == usual).all()
+    assert f"{name}: 3 of {t.size} rows have no value" in rec.notes
+
+
+def test_where_most_are_implausible_the_unit_is_another(drive):
+    t = np.arange(drive.imu.t[0] + 1, drive.imu.t[-1] - 1)
+    parts, degrees = fixes(drive), np.linspace(20.0, 350.0, t.size)[:, None]
+    with pytest.raises(DataError, match="heading.*heading_rad within -13 and 13 .another unit"):
+        mend.recording(parts._replace(aiding=parts.aiding | {"heading": Stream(t, degrees)}))
 
 
 def test_an_axis_without_sd_has_the_assumed_one(drive):

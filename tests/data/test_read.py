@@ -244,10 +244,10 @@ def test_a_cut_last_line_of_our_own_folder_is_said(tmp_path):
 def test_a_misspelt_file_is_said(tmp_path):
     io.write_recording(tmp_path / "run", recording())
     (tmp_path / "run" / "velocity.csv").rename(tmp_path / "run" / "vel.csv")
-    (tmp_path / "run" / "temperature.csv").write_text("t\n1\n")
+    (tmp_path / "run" / "lidar.csv").write_text("t\n1\n")
     rec = read(tmp_path / "run")
     assert "vel.csv is not read; did you mean velocity.csv?" in rec.notes
-    assert "temperature.csv is not read." in rec.notes and "velocity" not in rec.aiding
+    assert "lidar.csv is not read." in rec.notes and "velocity" not in rec.aiding
 
 
 @pytest.mark.parametrize("file", ["run", "run.npz"])

@@ -1,0 +1,154 @@
+"""A rule, a reader and a measurement are each one file (here: one section) and one row.
+
+A state that reads a temperature is in tests/states/test_temperature.py, a verb in tests/app/test_verbs.py.
+"""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnav import build, navigate
+from jaxnav.analysis.navigate import metrics
+from jaxnav.app import cli
+from jaxnav.app.config import resolve
+from jaxnav.app.sources import load
+from jaxnav.data import read as reading
+from jaxnav.data import write_recording
+from jaxnav.data.parts import ImuRows, Parts, Stream
+from jaxnav.filters.catalogue import FILTERS, Entry
+from jaxnav.filters.core import Correction, Filter, Innovation, Rule
+from jaxnav.filters.parameters import change
+from jaxnav.maths import linalg
+from jaxnav.maths.units import Unit
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.measurements.columns import column
+from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
+from jaxnav.states.table import BIASES
+from jaxnav.types import Fix, Leaf, Mounting, Nav, Params, Recording, Samples
+
+QUICK = ["--set", "out.figures=false", "--set", "filter.cov_stride=10", "--set", "filter.grade='consumer'"]
+
+
+@pytest.fixture(scope="module")
+def drive() -> Recording:
+    """A drive of 60 s with receiver faults."""
+    options = {"duration_s": 60.0, "imu_rate_hz": 25.0, "outages_s": []}
+    return load(resolve([("", {"data": {"source": "urban_short", "options": options}})]))
+
+
+def filtered(data: Path, out: Path, *flags: str) -> dict:
+    """Metrics of `jaxnav filter`."""
+    assert cli.main(["filter", "--data", str(data), "--out", str(out), *QUICK, *flags]) == 0
+    return json.loads((out / "metrics.json").read_text())
+
+
+# ---------------------------------------------------------------------------- a rule: Cauchy weights, by channel
+
+
+class Cauchy(NamedTuple):
+    """Of Cauchy weights."""
+
+    scale: jax.Array  # () sd at which a channel has half its weight
+
+
+def correct_cauchy(theta: Cauchy, memory: tuple[()], z: Innovation) -> Correction:
+    S = z.H @ z.P @ z.H.T + z.R
+    weight = 1 / (1 + z.nu**2 / (theta.scale**2 * jnp.diag(S)))
+    K, P = linalg.update(z.P, z.H, z.R / jnp.sqrt(weight[:, None] * weight))
+    return Correction(K @ z.nu, P, memory, z.valid)
+
+
+CAUCHY = Entry(
+    BIASES, lambda: Rule(lambda n, m: (), correct_cauchy), lambda: Cauchy(jnp.array(2.0)), {"scale": "log"}, "toy",
+    more=True,
+)  # fmt: skip
+
+
+def test_a_rule_is_a_row(drive, tmp_path, monkeypatch):
+    """It runs by its name, has its setting, and keeps out a fix that is 300 m off."""
+    monkeypatch.setitem(FILTERS, "ekf15_cauchy", CAUCHY)
+    position = drive.aiding["position"]
+    far = position.value.copy()
+    far[30, 0] += 300.0 / 6.37e6
+    write_recording(
+        tmp_path / "drive", drive._replace(aiding=drive.aiding | {"position": position._replace(value=far)})
+    )
+    run = lambda *flags: filtered(tmp_path / "drive", tmp_path / "out", *flags)["errors"]["horizontal_m"]["max"]
+    cauchy, plain = run("--filter", "ekf15_cauchy"), run("--filter", "ekf15")
+    assert cauchy < 0.4 * plain
+    assert run("--filter", "ekf15_cauchy", "--set", "rule.scale=1e6") == pytest.approx(plain, rel=1e-3)
+
+
+# ---------------------------------------------------------------------------- a reader: a log of lines
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    return head.startswith(b"TOYLOG 1\n")
+
+
+def read_toy(path: Path) -> Parts:
+    rows = [line.split() for line in path.read_text().splitlines()[1:]]
+    table = lambda kind: np.array([row[1:] for row in rows if row[0] == kind], float)
+    imu, fix = table("I"), table("F")
+    return Parts(str(path), ImuRows(imu[:, 0], imu[:, 1:4], imu[:, 4:7]), {"position": Stream(fix[:, 0], fix[:, 1:4])})
+
+
+def test_a_reader_is_a_row(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr(reading, "READERS", (reading.Reader("toy log", recognises, read_toy), *reading.READERS))
+    imu, position = drive.imu, drive.aiding["position"]
+    rows = [("I", t, *w, *f) for t, w, f in zip(imu.t, imu.gyro, imu.accel)]
+    rows += [("F", t, *value) for t, value in zip(position.t, position.value)]
+    text = "\n".join(" ".join(map(str, row)) for row in rows)
+    (tmp_path / "drive.toy").write_text(f"TOYLOG 1\n{text}\n")
+    rec = reading.read(tmp_path / "drive.toy")
+    np.testing.assert_allclose(rec.imu.gyro, imu.gyro)
+    np.testing.assert_allclose(rec.aiding["position"].value, position.value)
+    assert "position: the file states no sd; assumed are 3, 3, 6 m." in rec.notes
+    assert filtered(tmp_path / "drive.toy", tmp_path / "out")["nis_per_dof"] < 3.0
+
+
+# ---------------------------------------------------------------------------- a measurement: a Doppler radar
+
+
+class RadarParams(NamedTuple):
+    """Of a radar that sees the speed along the body's forward axis."""
+
+    factor: Leaf  # () what it reads of the speed
+
+
+def observe_radar(theta: RadarParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    forward = theta.factor * kin.C[:, 0]
+    rows = {"velocity": forward[None], "attitude": jnp.cross(forward, kin.vel)[None]}
+    return Observation((forward @ kin.vel)[None] - fix.value, rows, fix.sd)
+
+
+RADAR = Measurement(
+    "radar", ("forward",), observe_radar, RadarParams(1.0), RadarParams(Unit(step=0.02)),
+    columns=(column("forward_mps", "speed", 0.1, plausible=(-100.0, 100.0)),),
+)  # fmt: skip
+
+
+def test_a_measurement_is_a_row_with_a_stream_and_settings(drive, tmp_path, monkeypatch):
+    monkeypatch.setitem(MEASUREMENTS, "radar", RADAR)
+    t = drive.imu.t[::5]
+    speed = np.hypot(*(np.interp(t, drive.truth.t, v) for v in drive.truth.vel[:, :2].T))[:, None]
+    radar = Samples(t, 0.5 * speed, np.full_like(speed, 0.05), np.zeros_like(speed))
+    write_recording(tmp_path / "drive", drive._replace(aiding=drive.aiding | {"radar": radar}))
+    assert (tmp_path / "drive" / "radar.csv").read_text().startswith("t_s,forward_mps,sd_mps\n")
+    rec = reading.read(tmp_path / "drive")
+    filt = build("ekf15", ["position", "velocity", "radar"], cov_stride=10)
+    params = filt.params("consumer")
+
+    def velocity(filt: Filter, params: Params) -> float:
+        """RMS of the north velocity, 20 s of it without fixes."""
+        sol = navigate(rec, filt, params, outages=[(30.0, 50.0)])
+        return metrics(sol)["errors"]["vn_mps"]["rms"]
+
+    right = velocity(filt, change(params, {"measurements.radar.factor": 0.5}))
+    plain = build("ekf15", cov_stride=10)
+    assert right < 0.7 * velocity(plain, plain.params("consumer")) and right < 0.2 * velocity(filt, params)

@@ -41,8 +41,9 @@ if TYPE_CHECKING:
     from jaxnav.data.start import course, level, start
     from jaxnav.filters.catalogue import FILTERS, build
     from jaxnav.filters.compiler import cache, enable_x64, fast_compiler, make_room
-    from jaxnav.filters.core import Correction, Filter, Innovation, Rule, make_filter
+    from jaxnav.filters.core import Filter, make_filter
     from jaxnav.filters.parameters import datasheet_params, mounting
+    from jaxnav.filters.rule import Correction, Innovation, Rule
     from jaxnav.filters.run import initial_nav, prepare, require_params, require_x64, run, run_jit, track
     from jaxnav.filters.smoother import smooth
     from jaxnav.measurements import (
@@ -90,8 +91,9 @@ _HOMES = {
     "data.start": "course level start",
     "filters.catalogue": "FILTERS build",
     "filters.compiler": "cache enable_x64 fast_compiler make_room",
-    "filters.core": "Correction Filter Innovation Rule make_filter",
+    "filters.core": "Filter make_filter",
     "filters.parameters": "datasheet_params mounting",
+    "filters.rule": "Correction Innovation Rule",
     "filters.run": "initial_nav prepare require_params require_x64 run run_jit track",
     "filters.smoother": "smooth",
     "measurements": "GNSS MEASUREMENTS NONHOLONOMIC POSITION SPEED VELOCITY ZERO_RATE ZERO_VELOCITY",

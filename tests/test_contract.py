@@ -10,9 +10,9 @@ import pytest
 from jaxnav import FILTERS, GNSS, NONHOLONOMIC, build, make_filter
 from jaxnav.analysis import metrics
 from jaxnav.filters.catalogue import FRAMES, Entry
-from jaxnav.filters.core import Innovation, Rule
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.papers.gpid import gpid_params
+from jaxnav.filters.rule import Innovation, Rule
 from jaxnav.filters.rules.combinators import only
 from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import SCENARIOS
@@ -27,7 +27,7 @@ DIVERGES = {"gpid_literal", "gipkf_literal", "gipkf_literal_shift"}  # as printe
 
 @pytest.fixture(scope="module")
 def drive():
-    return simulate_jit(SCENARIO, jax.random.key(5))
+    return simulate_jit(jax.random.key(5), SCENARIO)
 
 
 def wider(epochs: Epoch) -> Epoch:

@@ -43,7 +43,7 @@ def sizes(names=EVERY) -> np.ndarray:
 def drive():
     """Some epochs of a drive in town; the truth has every error of the sensors."""
     scenario = SCENARIOS["urban_short"]
-    sim = simulate_jit(scenario, jax.random.key(5))
+    sim = simulate_jit(jax.random.key(5), scenario)
     cut = lambda tree: jax.tree.map(lambda a: a[20 : 20 + EPOCHS], tree)
     start = jax.tree.map(lambda a: a[19], sim.truth)
     return scenario, start._replace(errors={}), cut(sim.epochs)

@@ -55,6 +55,15 @@ def test_public_names_are_where_the_package_says():
         jaxnav.bild  # noqa: B018
 
 
+def test_random_keys_come_first():
+    """As in jax.random: functions that draw take the key, or the keys, before anything else."""
+    for path in [*ROOT.rglob("*.py"), *(ROOT.parent / "tuning").glob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+                drawn = [a.arg for a in node.args.args[1:] if ast.unparse(a.annotation or a) == "jax.Array"]
+                assert not {"key", "keys"} & set(drawn), (path.name, node.name)
+
+
 def test_the_command_line_can_be_stopped_before_jax_is_there():
     code = "import sys, jaxnav.app.console; sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0

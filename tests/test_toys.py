@@ -21,8 +21,9 @@ from jaxnav.data import read as reading
 from jaxnav.data import write_recording
 from jaxnav.data.parts import ImuRows, Parts, Stream
 from jaxnav.filters.catalogue import FILTERS, Entry
-from jaxnav.filters.core import Correction, Filter, Innovation, Rule
+from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import change
+from jaxnav.filters.rule import Correction, Innovation, Rule
 from jaxnav.maths import linalg
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import MEASUREMENTS

@@ -206,7 +206,7 @@ def draw(plan: Plan) -> Runs:
         counts = {Purpose.TRAIN: train, Purpose.VALIDATION: validation} if i < len(plan.trained) else {}
         counts[Purpose.TEST] = test
         keys = jnp.concatenate([run_keys(plan.seed, part, np.arange(n)) for part, n in counts.items()])
-        sims = simulate_runs(kind.scenario, keys)  # all at once, since a scenario takes longer to compile than to run
+        sims = simulate_runs(keys, kind.scenario)  # all at once, since a scenario takes longer to compile than to run
         nominal = jax.tree.map(lambda a, n=len(keys): jnp.broadcast_to(a, (n, *jnp.shape(a))), kind.nominal)
         case, first = ContestRuns(nominal, sims.initial, sims.epochs, sims.truth), 0
         for part, n in counts.items():

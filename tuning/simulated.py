@@ -153,7 +153,7 @@ def tune_simulated(
 
 def _simulated(filt: Filter, scenario: Scenario, params: Params, counts: tuple[int, ...], seed: int) -> SimulatedRuns:
     keys = [run_keys(seed, part, np.arange(n)) for part, n in zip(PARTS.values(), counts, strict=True)]
-    sims = simulate_runs(scenario, jnp.concatenate(keys))  # at once: a scenario takes longer to compile than to run
+    sims = simulate_runs(jnp.concatenate(keys), scenario)  # at once: a scenario takes longer to compile than to run
     whole, edges = as_runs(filt, sims, params), np.cumsum((0, *counts))
     runs = {
         part: jax.tree.map(lambda x, a=a, b=b: x[a:b], whole)

@@ -13,9 +13,9 @@ import numpy as np
 
 from benchmarks.papers.nine_states import KEPT, correct_nine, nine_params
 from jaxnav.filters.catalogue import FILTERS
-from jaxnav.filters.core import Innovation
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.parameters import datasheet_params
+from jaxnav.filters.rule import Innovation
 from jaxnav.filters.run import initial_nav
 from jaxnav.maths import linalg
 from jaxnav.states.grades import GRADES

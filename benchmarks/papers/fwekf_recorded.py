@@ -17,11 +17,12 @@ from jaxnav import measurements as ms
 from jaxnav.analysis import metrics
 from jaxnav.data import epochs
 from jaxnav.filters.catalogue import FRAMES
-from jaxnav.filters.core import Filter, Rule, make_filter
+from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import reset
 from jaxnav.filters.papers.fuzzy_combined import fuzzy_combined
 from jaxnav.filters.papers.fwekf import fwekf
+from jaxnav.filters.rule import Rule
 from jaxnav.filters.rules.combinators import only
 from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.rules.robust import gate, gate_params, huber, huber_params
@@ -86,7 +87,7 @@ def load() -> dict[str, Recorded]:
 def injected(data: Recorded) -> jax.Array:
     """Offsets of the fixes by all kinds of fault, (kinds, E, 6) ENU m and m/s."""
     noise = jnp.zeros((data.t.size, 6))
-    return jnp.stack([offsets(f, jax.random.key(0), jnp.asarray(data.t), noise) for f in FAULTS.values()])
+    return jnp.stack([offsets(jax.random.key(0), f, jnp.asarray(data.t), noise) for f in FAULTS.values()])
 
 
 @partial(jax.jit, static_argnums=0)

@@ -13,12 +13,13 @@ from jax.flatten_util import ravel_pytree
 from benchmarks.papers.learned import FREE as LEARNED
 from benchmarks.papers.learned import learned, learned_params
 from jaxnav.filters.catalogue import FRAMES
-from jaxnav.filters.core import Filter, Rule, make_filter
+from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import observer, poles
 from jaxnav.filters.papers.fuzzy_combined import combined_params, fuzzy_combined
 from jaxnav.filters.papers.fwekf import Fwekf, fwekf, fwekf_params, limits, printed_inputs
 from jaxnav.filters.parameters import change
+from jaxnav.filters.rule import Rule
 from jaxnav.filters.rules import adaptive, fuzzy, robust
 from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.run import run
@@ -81,7 +82,7 @@ class Errors(NamedTuple):
 
 @cache
 def _simulator(scenario: str):
-    return jax.jit(jax.vmap(partial(simulate, SCENARIOS[scenario])))
+    return jax.jit(jax.vmap(partial(simulate, scenario=SCENARIOS[scenario])))
 
 
 def draw(names: tuple[str, ...], key: jax.Array, runs: int) -> dict[str, Runs]:
@@ -293,7 +294,7 @@ RATES = (10, 50, 100)  # Hz, of the fixes; the paper names none
 def by_rate(rate: int, key: jax.Array, runs: int) -> dict[str, dict[str, dict]]:
     """The paper's second case with fixes at this rate: what its text and its figures show, by what R is told."""
     scenario = SCENARIOS["fwekf"]._replace(gnss_rate_hz=float(rate))
-    sim = jax.jit(jax.vmap(partial(simulate, scenario)))(jax.random.split(key, runs))
+    sim = jax.jit(jax.vmap(partial(simulate, scenario=scenario)))(jax.random.split(key, runs))
     found: dict[str, dict[str, dict]] = {}
     for told_as, sd in (("printed", (PRINTED, PRINTED)), ("matched", (10.0, 0.2))):
         case = Runs(sim, *(jnp.asarray(s) for s in sd))

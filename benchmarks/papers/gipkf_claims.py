@@ -75,7 +75,7 @@ def rank(M: np.ndarray, unit: np.ndarray, least: float) -> int:
 def growth(filters: dict[str, tuple[Filter, Params]]) -> dict[str, float]:
     """Rate at which a small error grows on a circle with fixes of 1 Hz, 1/s; negative is stable."""
     circle = Circle(10.0, 126.0)
-    shape = shape_of(circle, jax.random.key(0), 126.0)
+    shape = shape_of(jax.random.key(0), circle, 126.0)
     lat, lon, h = SCENARIOS["gipkf_urban"].start_deg_m
     navs, epochs = stability.perfect(shape, [lat * units.DEG, lon * units.DEG, h], round(circle.period_s))
     return {name: stability.growth_rate(filt, params, navs, epochs) for name, (filt, params) in filters.items()}

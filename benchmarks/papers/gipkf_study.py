@@ -64,7 +64,7 @@ def drive(scenario: Scenario, keys: jax.Array) -> Drives:
     """One drive a key (B,), one after the other."""
 
     def one(key):
-        sim = simulate(scenario, key)
+        sim = simulate(key, scenario)
         return Drives(sim.initial, sim.epochs, sim.truth)
 
     return jax.lax.map(one, keys)

@@ -100,7 +100,7 @@ def growth_rates(periods: tuple[int, ...]) -> dict[int, dict[str, float]]:
     """
     sheet = matched_params(CIRCLE)
     lat, lon, h = CIRCLE.start_deg_m
-    shape = shape_of(CIRCLE.motion, jax.random.key(0), CIRCLE.duration_s)
+    shape = shape_of(jax.random.key(0), CIRCLE.motion, CIRCLE.duration_s)
     start = jnp.array([np.deg2rad(lat), np.deg2rad(lon), h])
     navs, epochs = robustness.perfect(shape, start, round(CIRCLE.motion.period_s))
     thetas = {"kf": gpid_params(0.0, 0.0)} | {

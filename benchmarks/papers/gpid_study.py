@@ -98,7 +98,7 @@ class Study(NamedTuple):
 @partial(jax.jit, static_argnums=0)
 def hours(scenario: Scenario, keys: jax.Array) -> Simulated:
     """One hour a key, (S, ...)."""
-    return jax.lax.map(partial(simulate, scenario), keys)
+    return jax.lax.map(partial(simulate, scenario=scenario), keys)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxnav.filters.core import Rule
 from jaxnav.filters.papers.fuzzy_combined import combined_params, deciding
 from jaxnav.filters.papers.fwekf import Limits
+from jaxnav.filters.rule import Rule
 from tuning.transforms import IDENTITY, Spec
 
 UNITS = 8  # of the hidden layer: 59 numbers with two blocks, where the two fuzzy systems have 78

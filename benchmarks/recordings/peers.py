@@ -63,7 +63,7 @@ def horizontal(lla: np.ndarray, truth: np.ndarray) -> np.ndarray:
 def one_run(seed: int, binary: Path | None) -> dict[str, np.ndarray]:
     """Errors (W,) m at the ends of the windows, by filter."""
     params = matched_params(SCENARIO)
-    sim: Simulated = jax.jit(partial(simulate, SCENARIO))(run_keys(seed, Purpose.STUDY, np.arange(1))[0])
+    sim: Simulated = jax.jit(partial(simulate, scenario=SCENARIO))(run_keys(seed, Purpose.STUDY, np.arange(1))[0])
     t, truth = np.asarray(sim.truth.t), np.asarray(sim.truth.pos)
     hidden = ep.within(t, WINDOWS)
     last = np.array([np.flatnonzero(ep.within(t, [w]))[-1] for w in WINDOWS])

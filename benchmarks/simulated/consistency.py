@@ -110,7 +110,7 @@ def rows(filt: Filter, scenario: Scenario, params: Any, attitude: jax.Array, key
     start = scenario.start._replace(prior_tilt_sd_deg=attitude[0] / DEG, prior_heading_sd_deg=attitude[1] / DEG)
 
     def one(key):
-        sim = simulate(scenario, key)
+        sim = simulate(key, scenario)
         initial = perturb(jax.random.fold_in(key, 1), sim.start, start)
         return run(filt, params, initial, sim.epochs, partial(row, filt), sim.truth)
 

@@ -93,7 +93,7 @@ def spoilt(kind: tuple, sims: Simulated, keys: jax.Array) -> tuple[jax.Array, ja
     """Fixes (B, E, 6) with a fault, and where it is, (E,) bool."""
 
     def one(value, t, key):
-        offset = faults.offsets(kind, key, t, jnp.zeros((t.size, 6)))
+        offset = faults.offsets(key, kind, t, jnp.zeros((t.size, 6)))
         return jnp.concatenate([jax.vmap(earth.move)(value[:, :3], offset[:, :3]), value[:, 3:] + offset[:, 3:]], 1)
 
     t = sims.truth.t
@@ -118,7 +118,7 @@ def study(runs: int, seed: int) -> dict:
     """Every kind by every rule."""
     what = scenario()
     known = matched_params(what)
-    draw = jax.jit(jax.vmap(partial(simulate, what)))
+    draw = jax.jit(jax.vmap(partial(simulate, scenario=what)))
     keys = run_keys(seed, Purpose.STUDY, np.arange(runs))
     found: dict[str, dict[str, list]] = {kind: {} for kind in ("none", *KINDS)}
     for begin in range(0, runs, CHUNK):

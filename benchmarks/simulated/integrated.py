@@ -68,7 +68,7 @@ def main(argv: list[str]) -> None:
     parser.add_argument("--repeats", type=int, default=4, help="default 4; the published figures are of 40")
     parser.add_argument("--seed", type=int, default=0, help="default 0")
     args = parser.parse_args(argv)
-    make = jax.jit(jax.vmap(lambda key: overstated(simulate(INTEGRATING, key))))
+    make = jax.jit(jax.vmap(lambda key: overstated(simulate(key, INTEGRATING))))
     sims = make(jax.random.split(jax.random.key(args.seed), args.repeats + HELD))
     held = jax.tree.map(lambda a: a[args.repeats :], sims)
     stride = INTEGRATING.imu_rate_hz / INTEGRATING.gnss_rate_hz

@@ -41,7 +41,7 @@ def headings(rec: Recording, begin: float, end: float) -> np.ndarray:
 def drive(seed: int, seconds: float = SECONDS, rate: float = RATE_HZ) -> Recording:
     """Return a simulated drive in a town with fixes of 2 m every second."""
     scenario = URBAN_SHORT._replace(duration_s=seconds, imu_rate_hz=rate, gnss=URBAN_SHORT.gnss._replace(outages_s=()))
-    runs = simulate_runs(scenario, run_keys(seed, Purpose.SINGLE, np.arange(1)))
+    runs = simulate_runs(run_keys(seed, Purpose.SINGLE, np.arange(1)), scenario)
     return to_recording(jax.tree.map(lambda a: a[0], runs), scenario)
 
 

@@ -183,7 +183,7 @@ def simulated(study: Study, factor: float, seed: int) -> dict:
     """Repeat the recovery on fresh data; coverage of the intervals, and RMSE held out."""
     what = scenario(study)
     true = truth_of(what)
-    make = jax.jit(jax.vmap(partial(simulate, what)))
+    make = jax.jit(jax.vmap(partial(simulate, scenario=what)))
     N, R = study.repeats, study.runs
     drives = make(jax.random.split(jax.random.key(seed), N * R + study.held))
     sims = jax.tree.map(lambda a: a[: N * R].reshape(N, R, *a.shape[1:]), drives)

@@ -41,7 +41,7 @@ def errors(filt: Filter, what: Scenario, params: Params, keys: jax.Array, reach:
     """Horizontal errors (R, E) of the filter, the smoother and the lagged one, and NEES (R, E) of the smoother."""
 
     def one(key):
-        sim = simulate(what, key)
+        sim = simulate(key, what)
         off = lambda info: jnp.linalg.norm(jax.vmap(metrics.position_error)(info.nav, sim.truth.pos)[:, :2], axis=1)
         filtered, whole = smooth(filt, params, sim.initial, sim.epochs)
         _, lagged = smooth(filt, params, sim.initial, sim.epochs, reach, most)

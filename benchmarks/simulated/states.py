@@ -63,10 +63,10 @@ def runs_of(
     """The ends of the runs with these keys, their truth with ``errors``; ``sensors``: names and sd of further ones."""
 
     def one(key):
-        sim = with_states(simulate(scenario, key), params, errors, jax.random.fold_in(key, ERROR_KEY))
+        sim = with_states(jax.random.fold_in(key, ERROR_KEY), simulate(key, scenario), params, errors)
         for i, (name, sd) in enumerate(sensors):
             least = LEAST_SPEED if name == "course" else 0.0
-            sim = with_sensor(sim, params, name, sd, jax.random.fold_in(key, SENSOR_KEY + i), least)
+            sim = with_sensor(jax.random.fold_in(key, SENSOR_KEY + i), sim, params, name, sd, least)
         rows = run(filt, params, sim.initial, sim.epochs, partial(final, filt), sim.truth)
         return jax.tree.map(lambda a: a[-1], rows)
 

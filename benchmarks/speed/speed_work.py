@@ -100,7 +100,7 @@ def drives(seconds: int) -> Simulated:
     """The runs of which batches are made, fields (runs, ...)."""
     keys = jax.random.split(jax.random.key(SEED), DISTINCT if seconds <= 60 else 1)
     scenario = SCENARIO._replace(duration_s=float(seconds))
-    return jax.jit(jax.vmap(simulate, (None, 0)), static_argnums=0)(scenario, keys)
+    return jax.jit(jax.vmap(partial(simulate, scenario=scenario)))(keys)
 
 
 @lru_cache(maxsize=4)

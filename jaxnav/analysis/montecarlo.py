@@ -122,7 +122,7 @@ def _chunk(filt: Filter, scenario: Scenario, many: bool, params: Params, limit: 
     """Scores, what the course is made of, and times, of the runs with these keys (chunk,)."""
 
     def one(key: jax.Array) -> Any:
-        sim = simulate(scenario, key)
+        sim = simulate(key, scenario)
 
         def candidate(params: Params) -> Any:
             rows = run(filt, params, sim.initial, sim.epochs, _row, sim.truth)

@@ -114,10 +114,10 @@ def load(config: Config) -> Recording:
     data, scenario = config.data, scenario_of(config)
     require_x64(jnp.zeros((), float))
     if scenario is not None:
-        sims = simulate_runs(scenario, run_key(config.seed, Purpose.SINGLE, 0)[None])
+        sims = simulate_runs(run_key(config.seed, Purpose.SINGLE, 0)[None], scenario)
         sim = jax.tree.map(lambda a: a[0], sims)
         if scenario.sensors or scenario.sensor_states:
-            sim = equipped(sim, scenario, jax.random.fold_in(run_key(config.seed, Purpose.SINGLE, 0), EQUIPMENT))
+            sim = equipped(jax.random.fold_in(run_key(config.seed, Purpose.SINGLE, 0), EQUIPMENT), sim, scenario)
         return to_recording(sim, scenario)
     if data.source in io.DATASETS:
         return io.load(data.source, **data.options)

@@ -4,8 +4,9 @@ import os
 import re
 import tomllib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -36,12 +37,23 @@ from jaxnav.types import DataError, Recording
 HEAD = 4096  # bytes of a file that a reader sees to recognise it
 
 
+class ReadFile(Protocol):
+    """What reads the files of a format; its options are keyword arguments that the row names."""
+
+    def __call__(self, path: Path, /) -> Parts:
+        """Return what the file or folder holds.
+
+        Raises:
+            DataError: it cannot be used; names the file and the line or field.
+        """
+
+
 class Reader(NamedTuple):
     """A format. Adding one is a file of its own and a row in `READERS`."""
 
     name: str  # for people
     recognises: Callable[[Path, bytes], bool]  # (path, its first HEAD bytes, b"" of a folder): is it mine? Never raises
-    read: Callable[..., Parts]  # (path, **options) -> what the file holds; DataError
+    read: ReadFile
     extra: str = ""  # group of optional dependencies that it needs: pip install 'jaxnav[EXTRA]'
     options: tuple[str, ...] = ()  # keyword arguments of ``read``
 
@@ -82,7 +94,7 @@ def read_parts(path: FilePath, gnss: FilePath | None = None, **options: Any) -> 
 
 def _read(row: Reader, path: Path, options: dict[str, Any]) -> Parts:
     try:
-        return row.read(path, **options)
+        return partial(row.read, **options)(path)
     except DataError:
         raise
     except ImportError as error:

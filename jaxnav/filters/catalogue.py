@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxnav.filters.core import Feedback, Filter, Rule, make_filter
+from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.error_model import ErrorModel, error_model
 from jaxnav.filters.feedback import observer, open_loop, poles, reset
 from jaxnav.filters.papers.fuzzy_combined import combined_params, fuzzy_combined
@@ -14,6 +14,7 @@ from jaxnav.filters.papers.fwekf import fwekf, fwekf_literal, fwekf_params
 from jaxnav.filters.papers.gip_kf import gip_kf, gip_kf_params, literal
 from jaxnav.filters.papers.gpid import gpid, gpid_params, literal_params
 from jaxnav.filters.parameters import datasheet_params, grade_of
+from jaxnav.filters.rule import Feedback, Rule
 from jaxnav.filters.rules.adaptive import fading, fading_params, iae, iae_params, sage_husa, sage_husa_params
 from jaxnav.filters.rules.combinators import only
 from jaxnav.filters.rules.kalman import kalman
@@ -24,15 +25,16 @@ from jaxnav.states.grades import Grade
 from jaxnav.states.table import BIASES
 from jaxnav.strapdown import inertial_quaternion, local_level, tangent_frame
 from jaxnav.strapdown.fast import local_level as fast_local_level
+from jaxnav.strapdown.mechanization import Preintegrate, Propagate
 from jaxnav.types import Params, nearest
 
 
 class Frame(NamedTuple):
     """How a filter navigates; its error model has the same name."""
 
-    propagate: Callable[..., Any]  # the plain form
-    fast: Callable[..., Any] | None = None  # equal to it by test
-    preintegrate: Callable[..., Any] | None = None  # what the fast form can do before it knows the state
+    propagate: Propagate  # the plain form
+    fast: Propagate | None = None  # equal to it by test
+    preintegrate: Preintegrate | None = None  # what the fast form can do before it knows the state
 
 
 FRAMES: dict[str, Frame] = {

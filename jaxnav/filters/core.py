@@ -9,7 +9,7 @@ not depend on P.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,72 +17,12 @@ from jax import lax
 
 from jaxnav.filters.error_model import ErrorModel
 from jaxnav.filters.parameters import datasheet_params
+from jaxnav.filters.rule import Correction, Feedback, Innovation, Rule, Transition, only_if, select
 from jaxnav.maths import linalg
 from jaxnav.states.motion import A, reset_covariance, reset_rows
 from jaxnav.states.table import BIASES, chosen, zeros
+from jaxnav.strapdown.mechanization import Preintegrate, Propagate
 from jaxnav.types import Epoch, Fix, Forcing, Imu, Info, Nav, Noise, Params
-
-
-class Innovation(NamedTuple):
-    """What a rule sees of a fix; the rows of missing channels are zero in nu and H, and identity in R."""
-
-    nu: jax.Array  # (m,) y - H x
-    H: jax.Array  # (m, n)
-    R: jax.Array  # (m, m)
-    P: jax.Array  # (n, n) predicted covariance
-    valid: jax.Array  # (m,) bool
-    T: jax.Array  # () s, length of this epoch
-    age: jax.Array  # (m,) s since each channel was last used
-
-
-class Correction(NamedTuple):
-    """What a rule answers."""
-
-    delta: jax.Array  # (n,) change of x
-    P: jax.Array  # (n, n) covariance after the correction
-    memory: Any  # the rule's own state
-    used: jax.Array  # (m,) bool, channels that it accepted
-    fade: Any = 1.0  # () or (n,): fade P fade is carried on to the next prediction
-    drive: Forcing | None = None  # a model error for the sensors to absorb
-
-
-class Extrapolate(Protocol):
-    """A rule's own prediction, at every epoch, with a fix or without."""
-
-    def __call__(self, theta: Any, memory: Any, x0: jax.Array, x: jax.Array, /) -> tuple[jax.Array, Any]:
-        """``x0`` (n,) after the last feedback, ``x`` (n,) predicted from it -> x and the memory to go on with."""
-
-
-class Transport(Protocol):
-    """How error states that a rule holds move: over every epoch, and with T = 0 at the reset of the attitude."""
-
-    def __call__(self, theta: Any, memory: Any, transition: "Transition", T: jax.Array, /) -> Any:
-        """``T`` () s, the epoch's length -> memory."""
-
-
-class Feedback(Protocol):
-    """What becomes of an estimated error: taken out of navigation, kept, or handed on in part."""
-
-    def __call__(
-        self, theta: Any, retract: Callable[[Nav, jax.Array], Nav], nav: Nav, x: jax.Array, T: jax.Array, /
-    ) -> tuple[Nav, jax.Array, Any]:
-        """``x`` (n,) error, ``T`` () s since the last one -> navigation, the error that is left, the drive or None."""
-
-    def __hash__(self) -> int: ...
-
-
-class Rule(NamedTuple):
-    """What a paper changes. Must be finite with H = 0 and T = 0: its answer is discarded where nothing is valid."""
-
-    init: Callable[[int, int], Any]  # (n, m) -> memory
-    correct: Callable[[Any, Any, Innovation], Correction]  # (theta, memory, innovation)
-    extrapolate: Extrapolate = lambda theta, memory, x0, x: (x, memory)
-    estimates: tuple[str, ...] = ()  # optional states that it moves by itself, without their being in x
-    smooths: bool = False  # its correction is one of the covariance, so that a smoother can go back over it
-    transport: Transport | None = None
-
-
-NEVER = 1e9  # s since what has not happened yet: a rule's memory is finite
 
 
 @jax.tree_util.register_dataclass
@@ -111,14 +51,6 @@ class FilterState(NamedTuple):
     ok: jax.Array  # () bool: everything has been finite so far; the state is frozen from the first failure on
 
 
-class Transition(NamedTuple):
-    """How the error state moved over an epoch: x -> Phi x + d, with noise of covariance Q."""
-
-    Phi: jax.Array  # (n, n)
-    Q: jax.Array  # (n, n)
-    d: jax.Array  # (n,)
-
-
 class Step(NamedTuple):
     """One epoch: what `jaxnav.filters.run.run` may keep a record of."""
 
@@ -142,7 +74,7 @@ class Filter(NamedTuple):
     step: Callable[[Params, FilterState, Epoch], tuple[FilterState, Info]]
     model: ErrorModel
     prepare: Callable[[Epoch], Epoch]  # epochs (E, ...) of one run -> the same with `Prepared` samples
-    transition: Callable[[Params, FilterState, Imu | Prepared], tuple[FilterState, "Transition"]]
+    transition: Callable[[Params, FilterState, Imu | Prepared], tuple[FilterState, Transition]]
     advance: Callable[[Params, FilterState, Epoch], "Step"]  # `step`, with what lies between
     # (grade or its name, **what `jaxnav.filters.parameters.datasheet_params` takes) -> parameters for this filter
     params: Callable[..., Params] = datasheet_params
@@ -152,23 +84,12 @@ class Filter(NamedTuple):
     name: str = ""  # in the catalogue
 
 
-def only_if(flag: jax.Array, c: Correction, z: Innovation, memory: Any) -> Correction:
-    """The correction where the flag is true, else one that changes nothing."""
-    nothing = jax.tree.map(jnp.zeros_like, c.drive)
-    return select(flag, c, Correction(jnp.zeros(z.P.shape[0]), z.P, memory, jnp.zeros_like(z.valid), drive=nothing))
-
-
 def _require_shapes(c: Correction, z: Innovation) -> None:
     """Raise ValueError, when traced, for a correction that does not fit what the rule was shown."""
     n, m = z.P.shape[0], z.nu.shape[0]
     for name, shape in (("delta", (n,)), ("P", (n, n)), ("used", (m,))):
         if jnp.shape(found := getattr(c, name)) != shape:
             raise ValueError(f"the rule's Correction.{name} has shape {jnp.shape(found)}, expected {shape}")
-
-
-def select(flag: jax.Array, a: Any, b: Any) -> Any:
-    """``a`` where the flag is true, else ``b``, leaf by leaf; the flag's axes, if any, are the first of each leaf."""
-    return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(flag, range(flag.ndim, jnp.ndim(a))), a, b), a, b)
 
 
 @jax.custom_jvp
@@ -234,23 +155,21 @@ def with_auxiliary(past: Nav, values: Mapping[str, jax.Array]) -> Nav:
 
 @cache
 def make_filter(
-    propagate: Callable[..., Any],
+    propagate: Propagate,
     model: ErrorModel,
     rule: Rule,
     feedback: Feedback,
     cov_stride: int = 1,
     history: int = 2,
-    preintegrate: Callable[..., Any] | None = None,
+    preintegrate: Preintegrate | None = None,
 ) -> Filter:
     """Compose a filter.
 
-    ``propagate``: (nav, u, imu, stride, keep) -> states after the samples ``keep``, path; see `jaxnav.strapdown`.
     ``cov_stride``: the error dynamics see means over so many IMU samples. From 2 to 10 local level navigation, too,
     adds gravity and Coriolis after so many of them only, while attitude and velocity are integrated at every one. 10
     instead of 1 costs less than a millimetre at 100 Hz. ``history``: how many samples of navigation are kept for
     measurements that are older than the end of the epoch; cover the largest latency, beyond it the oldest two are
     extended in a straight line.
-    ``preintegrate``: (imu, rate and force before, stride, keep) -> what ``propagate`` may be given for the samples.
 
     Raises:
         ValueError: ``history`` below 2; when traced, epochs that were prepared for a filter with another stride or

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxnav.maths import linalg, rotations
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, latency
-from jaxnav.measurements.measurement import stack
+from jaxnav.measurements.measurement import ObserveFix, stack
 from jaxnav.states import table
 from jaxnav.states.motion import A, V, prior_sd
 from jaxnav.states.second_order import second_order
@@ -24,11 +24,18 @@ from jaxnav.strapdown.errors import tangent_frame as tangent_errors
 from jaxnav.types import ErrorInputs, Forcing, Nav, Params, nearest
 
 
+class Dynamics(Protocol):
+    """The differential equation of position, velocity and attitude errors in one frame."""
+
+    def __call__(self, point: ErrorInputs, form: Literal["full", "simple"]) -> Blocks:
+        """Return the blocks of F at one point; "simple" has the terms of the papers' models alone."""
+
+
 class MotionErrors(NamedTuple):
     """Errors of position, velocity and attitude in one frame; no conversions where that is local level."""
 
     retract: Callable[[Nav, jax.Array], Nav]  # of position and velocity
-    dynamics: Callable[..., Blocks]  # (point: ErrorInputs, form)
+    dynamics: Dynamics
     enter: Callable[[Nav], Nav] | None = None  # local level navigation -> the frame's
     leave: Callable[[Nav], Nav] | None = None  # the inverse
     enu_rows: Callable[[Nav, Nav], jax.Array] | None = None  # (nav, the same in local level) -> d(ENU error)/dx (9, 9)
@@ -71,10 +78,9 @@ class ErrorModel(NamedTuple):
     discretize: Callable[[Params, ErrorInputs, jax.Array, Forcing | None], tuple[jax.Array, jax.Array, jax.Array]]
     # (nav and P (n, n) at the epoch's start, Phi (n, n), T () s) -> see `jaxnav.states.second_order.second_order`
     second_order: Callable[[Nav, jax.Array, jax.Array, jax.Array], tuple[jax.Array, jax.Array]] | None
-    # (params, past (w, ...), fix, predicted P (n, n) or None) -> y (m,), H (m, n), R (m, m)
-    observe: Callable[..., tuple[jax.Array, jax.Array, jax.Array]]
+    observe: ObserveFix
     enter: Callable[[Nav], Nav]  # local level navigation -> the frame's
-    report: Callable[..., tuple[Nav, jax.Array, jax.Array]]  # (nav, x, P) of the frame -> of local level
+    report: Callable[[Nav, jax.Array, jax.Array], tuple[Nav, jax.Array, jax.Array]]  # (nav, x, P) -> in local level
     # (past (w, ...), x (n,) at its end) -> x (w, n) at each of its samples
     earlier: Callable[[Nav, jax.Array], jax.Array]
     reads: tuple[str, ...] = ()  # auxiliary values that its states' effects depend on

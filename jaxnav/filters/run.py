@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import Any
+from typing import Any, Protocol
 
 import chex
 import jax
@@ -152,6 +152,15 @@ def prepare(filt: Filter, epochs: Epoch) -> Epoch:
     return filt.prepare(epochs) if epochs.fix.valid.ndim == 2 else jax.vmap(filt.prepare)(epochs)
 
 
+class Record(Protocol):
+    """What a run keeps of each epoch."""
+
+    def __call__(self, step: Step, beside: Any, /) -> Any:
+        """Return a pytree; ``beside`` is the epoch's part of what the run was given along."""
+
+    def __hash__(self) -> int: ...
+
+
 def keep_info(step: Step, beside: Any) -> Info:
     """The record of a plain run."""
     return step.info
@@ -162,7 +171,7 @@ def run(
     params: Params,
     nav: Nav,
     epochs: Epoch,
-    record: Callable[[Step, Any], Any] = keep_info,
+    record: Record = keep_info,
     along: Any = None,
 ) -> Any:
     """Filter all epochs (fields (E, ...)) from ``nav``, as they come or by `prepare`.

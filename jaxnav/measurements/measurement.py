@@ -153,12 +153,21 @@ def rows_of(o: Observation, nav: Nav, states: Sequence[State]) -> jax.Array:
     return jnp.concatenate(blocks, 1)
 
 
+class ObserveFix(Protocol):
+    """All measurements of a filter at once."""
+
+    def __call__(
+        self, params: Params, past: Nav, fix: Fix, P: jax.Array | None = None, /
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return y (m,), H (m, n), R (m, m) by navigation ``past`` (w, ...) and the predicted covariance P (n, n)."""
+
+
 def stack(
     measurements: tuple[Measurement, ...],
     states: tuple[State, ...],
     leave: Callable[[Nav], Nav] | None = None,
     enu_rows: Callable[[Nav, Nav], jax.Array] | None = None,
-) -> Callable[..., tuple[jax.Array, jax.Array, jax.Array]]:
+) -> ObserveFix:
     """Return ``observe(params, past, fix, P=None) -> y (m,), H (m, n), R (m, m)`` of these measurements.
 
     Each measurement is compared with navigation at its own instant: the end of ``past`` minus the clock offset and its

@@ -133,7 +133,7 @@ FAULTS: dict[type, Callable[[Any, jax.Array, jax.Array, jax.Array], jax.Array]] 
 """Type of a fault -> ``(fault, key, t (E,), noise (E, 6)) -> offset (E, 6)`` of position (ENU m) and velocity."""
 
 
-def offsets(faults: tuple[Any, ...], key: jax.Array, t: jax.Array, noise: jax.Array) -> jax.Array:
+def offsets(key: jax.Array, faults: tuple[Any, ...], t: jax.Array, noise: jax.Array) -> jax.Array:
     """The sum of all faults (E, 6), ENU m and m/s, at regular times t (E,) s on receiver noise (E, 6).
 
     Raises:

@@ -97,7 +97,7 @@ def fixes(
     lla, vel = jax.vmap(antenna, (0, None))(seen, jnp.asarray(receiver.lever_arm_m, float))
     sd = jnp.asarray([*receiver.position_sd_m, *receiver.velocity_sd_mps], float)
     error = _noise(key, t.shape[0], interval, sd, receiver)
-    error = error + fault.offsets(faults, jax.random.fold_in(key, 3), t, error)
+    error = error + fault.offsets(jax.random.fold_in(key, 3), faults, t, error)
     error = jnp.where(hidden[:, None], 0.0, error)
     value = jnp.concatenate([jax.vmap(earth.move)(lla, error[:, :3]), vel + error[:, 3:]], 1)
     valid = jnp.broadcast_to(~hidden[:, None], value.shape)

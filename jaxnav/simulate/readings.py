@@ -39,7 +39,7 @@ def expected(measurement: Measurement, params: Params, truth: Nav) -> jax.Array:
     return jax.vmap(one)(truth)
 
 
-def equipped(sim: Simulated, scenario: Scenario, key: jax.Array) -> Simulated:
+def equipped(key: jax.Array, sim: Simulated, scenario: Scenario) -> Simulated:
     """The run with the further states and sensors of the scenario; what to expect of both is their rows' defaults.
 
     A course is not told below `WALKING` m/s.
@@ -47,15 +47,15 @@ def equipped(sim: Simulated, scenario: Scenario, key: jax.Array) -> Simulated:
     params = matched_params(scenario)
     further = [name for name in scenario.sensor_states if name not in params.states]
     params = params._replace(states=params.states | datasheet_states(GRADES[scenario.imu.grade], further))
-    sim = with_states(sim, params, scenario.sensor_states, jax.random.fold_in(key, 0))
+    sim = with_states(jax.random.fold_in(key, 0), sim, params, scenario.sensor_states)
     for i, (name, sd) in enumerate(scenario.sensors, 1):
         least = WALKING if name == "course" else 0.0
-        sim = with_sensor(sim, params, name, sd, jax.random.fold_in(key, i), least)
+        sim = with_sensor(jax.random.fold_in(key, i), sim, params, name, sd, least)
     return sim
 
 
 def with_sensor(
-    sim: Simulated, params: Params, name: str, sd: float, key: jax.Array, least_speed: float = 0.0
+    key: jax.Array, sim: Simulated, params: Params, name: str, sd: float, least_speed: float = 0.0
 ) -> Simulated:
     """The run with a further measurement behind the channels that are there, its noise ``sd``.
 
@@ -70,13 +70,13 @@ def with_sensor(
     return sim._replace(epochs=sim.epochs._replace(fix=fix))
 
 
-def with_states(sim: Simulated, params: Params, names: Sequence[str], key: jax.Array) -> Simulated:
+def with_states(key: jax.Array, sim: Simulated, params: Params, names: Sequence[str]) -> Simulated:
     """The run with the errors that these states are, in the truth, the IMU's samples and the receiver's fixes.
 
     Other sensors have them when they are put on top by `with_sensor`, after this.
     """
     errors = {
-        state.name: drawn(state, params.states[state.name], sim, jax.random.fold_in(key, i))
+        state.name: drawn(jax.random.fold_in(key, i), state, params.states[state.name], sim)
         for i, state in enumerate(chosen(names))
     }
     if "vehicle_axes" in errors:
@@ -128,7 +128,7 @@ def askew(sim: Simulated, params: Params, angles: jax.Array) -> Simulated:
     return sim._replace(epochs=epochs, truth=truth, start=turned(sim.start), initial=turned(sim.initial))
 
 
-def drawn(state: State, believed: StateParams, sim: Simulated, key: jax.Array) -> jax.Array:
+def drawn(key: jax.Array, state: State, believed: StateParams, sim: Simulated) -> jax.Array:
     """A state's course (E, size): constant, a walk, or a Gauss-Markov process of the root PSD and time constant."""
     E, interval = sim.truth.t.size, sim.truth.t[1] - sim.truth.t[0]
     first, steps = normal(key, (state.size,)), normal(jax.random.fold_in(key, 1), (E, state.size))

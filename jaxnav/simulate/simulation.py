@@ -103,18 +103,18 @@ def _observe(keys: jax.Array, scenario: Scenario, seen: Nav, t: jax.Array) -> tu
     return fix, hidden, outages
 
 
-def simulate(scenario: Scenario, key: jax.Array) -> Simulated:
+def simulate(key: jax.Array, scenario: Scenario) -> Simulated:
     """One run from a key; pure, to be jitted (scenario static) and vmapped over keys.
 
     Raises:
         ValueError: a scenario that does not fit together (at trace time).
         DataError: float32.
     """
-    shape = shape_of(scenario.motion, jax.random.fold_in(key, DRIVE), scenario.duration_s)
-    return simulate_shape(scenario, shape, key)
+    shape = shape_of(jax.random.fold_in(key, DRIVE), scenario.motion, scenario.duration_s)
+    return simulate_shape(key, scenario, shape)
 
 
-def simulate_shape(scenario: Scenario, shape: Shape, key: jax.Array) -> Simulated:
+def simulate_shape(key: jax.Array, scenario: Scenario, shape: Shape) -> Simulated:
     """`simulate` on any shape, the scenario's motion aside: one of your own, or of a recorded track.
 
     Raises:
@@ -151,7 +151,7 @@ def simulate_shape(scenario: Scenario, shape: Shape, key: jax.Array) -> Simulate
     return Simulated(epochs, truth._replace(origin=origin), start, initial, hidden, outages)
 
 
-simulate_jit = jax.jit(simulate, static_argnums=0)
+simulate_jit = jax.jit(simulate, static_argnums=1)
 """`simulate`, compiled once for a scenario."""
 
 
@@ -182,7 +182,7 @@ def matched_params(scenario: Scenario, rule: Any = (), feedback: Any = ()) -> Pa
 SAMPLE, EPOCH = 300.0, 1000.0  # bytes of a simulated IMU sample and of an epoch, with intermediate results
 
 
-def simulate_runs(scenario: Scenario, keys: jax.Array) -> Simulated:
+def simulate_runs(keys: jax.Array, scenario: Scenario) -> Simulated:
     """Return runs of the scenario, one for each of ``keys`` (B,).
 
     Raises:
@@ -192,16 +192,16 @@ def simulate_runs(scenario: Scenario, keys: jax.Array) -> Simulated:
         epochs, samples = sizes(scenario)
         hours = f"{len(keys)} runs of {scenario.duration_s:g} s at {scenario.imu_rate_hz:g} Hz"
         require_memory(len(keys) * epochs * (samples * SAMPLE + EPOCH), hours)
-        return _runs_jit(scenario, keys)
+        return _runs_jit(keys, scenario)
     except DataError:
         raise
     except ValueError as error:
         raise ConfigError(f"data.options: {error}") from error
 
 
-@partial(jax.jit, static_argnums=0)
-def _runs_jit(scenario: Scenario, keys: jax.Array) -> Simulated:
-    return jax.vmap(partial(simulate, scenario))(keys)
+@partial(jax.jit, static_argnums=1)
+def _runs_jit(keys: jax.Array, scenario: Scenario) -> Simulated:
+    return jax.vmap(partial(simulate, scenario=scenario))(keys)
 
 
 def to_recording(sim: Simulated, scenario: Scenario, t0: float = 0.0) -> Recording:

@@ -16,9 +16,9 @@ from jaxnav.simulate.simulation import simulate_jit, to_recording
 def runs():
     """A drive, filtered and smoothed, at the ends of epochs and at every sample; truth at the IMU's rate."""
     what = URBAN_SHORT._replace(duration_s=70.0)
-    rec = to_recording(simulate_jit(what, jax.random.key(5)), what)
+    rec = to_recording(simulate_jit(jax.random.key(5), what), what)
     fine = what._replace(gnss_rate_hz=what.imu_rate_hz)  # the same drive, its truth at every sample
-    truth = to_recording(simulate_jit(fine, jax.random.key(5)), fine).truth
+    truth = to_recording(simulate_jit(jax.random.key(5), fine), fine).truth
     ekf = build("ekf15", cov_stride=5)
     params = ekf.params("adis16465")
     params = params._replace(mounting=params.mounting._replace(lever_arm=rec.lever_arm))

@@ -38,7 +38,7 @@ def found():
 
 
 def test_scores_are_those_of_a_run_by_hand(found):
-    sim = simulate_jit(SCENARIO, run_key(SEED, Purpose.STUDY, 5))
+    sim = simulate_jit(run_key(SEED, Purpose.STUDY, 5), SCENARIO)
     info = run_jit(FILTER, PARAMS, sim.initial, sim.epochs)
     position = np.asarray(jax.vmap(metrics.position_error)(info.nav, sim.truth.pos))
     velocity = np.asarray(info.nav.vel - sim.truth.vel)
@@ -92,7 +92,7 @@ def test_a_run_beyond_the_limit_is_a_divergence(found):
     assert 0 < limited.scores.ok.sum() < RUNS
     about = summary(limited)
     for bad in about["diverged"]:
-        sim = simulate_jit(SCENARIO, run_key(SEED, Purpose.STUDY, bad["run"]))
+        sim = simulate_jit(run_key(SEED, Purpose.STUDY, bad["run"]), SCENARIO)
         info = run_jit(FILTER, PARAMS, sim.initial, sim.epochs)
         error = np.hypot(*np.asarray(jax.vmap(metrics.position_error)(info.nav, sim.truth.pos))[:, :2].T)
         assert bad["t_s"] == sim.truth.t[np.argmax(error > limit)]

@@ -23,7 +23,7 @@ from jaxnav.types import DataError
 def driven():
     """A recording with an outage, where it can start, a filter and its parameters."""
     what = URBAN_SHORT._replace(duration_s=60.0, gnss=URBAN_SHORT.gnss._replace(outages_s=((30.0, 36.0),)))
-    rec = to_recording(simulate_jit(what, jax.random.key(2)), what)
+    rec = to_recording(simulate_jit(jax.random.key(2), what), what)
     ekf = build("ekf15", cov_stride=5)
     params = ekf.params("consumer", install=mounting(rec.lever_arm))
     return rec, ekf, params, start(rec, params)

@@ -126,7 +126,7 @@ def test_what_a_lost_run_and_a_users_own_objective_score(monkeypatch, tmp_path):
     c = resolved()
     scenario, filt = scenario_of(c), build("kf9_simple", cov_stride=25)
     params = tune.simulated_params(c, scenario)
-    sims = simulate_runs(scenario, run_keys(0, Purpose.TRAIN, np.arange(2)))
+    sims = simulate_runs(run_keys(0, Purpose.TRAIN, np.arange(2)), scenario)
     several = as_runs(filt, sims, params)
     r = jax.tree.map(lambda a: a[0], several)
     loss = runs.loss_of(filt, (("mine:score", 2.0),), ("noise.gyro",))

@@ -11,9 +11,10 @@ from jax import lax
 
 from benchmarks.papers import stability as robustness
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.core import Filter, Innovation
+from jaxnav.filters.core import Filter
 from jaxnav.filters.papers import gpid
 from jaxnav.filters.parameters import datasheet_params
+from jaxnav.filters.rule import Innovation
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
 from jaxnav.simulate.trajectories import Circle, circle

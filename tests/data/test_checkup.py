@@ -234,7 +234,7 @@ def test_a_stream_that_is_short_says_where(car):
 def test_the_detector_of_standstills_is_set_by_what_the_receiver_says():
     """A car that stands with its engine on: thresholds between what the IMU shows at rest and in motion."""
     scenario = URBAN._replace(motion=URBAN.motion._replace(standstill_s=60.0), duration_s=200.0)
-    rec = to_recording(simulate_jit(scenario, jax.random.key(4)), scenario)
+    rec = to_recording(simulate_jit(jax.random.key(4), scenario), scenario)
     rng = np.random.default_rng(0)
     shaken = rec.imu.accel + 0.5 * rng.normal(size=rec.imu.accel.shape)  # 0.87 m/s^2 in all, always
     boarding = ((rec.imu.t > 20) & (rec.imu.t < 24))[:, None]  # as much as the drive itself
@@ -257,7 +257,7 @@ def test_the_detector_of_standstills_is_set_by_what_the_receiver_says():
 def test_no_threshold_where_rest_looks_like_motion(car):
     """An IMU that shakes more than the vehicle moves tells nothing."""
     scenario = URBAN._replace(motion=URBAN.motion._replace(standstill_s=60.0), duration_s=200.0)
-    rec = to_recording(simulate_jit(scenario, jax.random.key(4)), scenario)
+    rec = to_recording(simulate_jit(jax.random.key(4), scenario), scenario)
     rng = np.random.default_rng(1)
     loud = ImuLog(rec.imu.t, rec.imu.dt, *(rng.normal(size=(rec.imu.t.size, 3)) * [1, 1, 1] for _ in range(2)))
     assert [f.code for f in standstill(rec._replace(imu=loud))] == ["standstill"]

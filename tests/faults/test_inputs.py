@@ -13,9 +13,10 @@ from jaxnav import initial_nav
 from jaxnav.app import cli
 from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.compiler import require_memory
-from jaxnav.filters.core import Correction, Rule, make_filter
+from jaxnav.filters.core import make_filter
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import reset
+from jaxnav.filters.rule import Correction, Rule
 from jaxnav.filters.run import run
 from jaxnav.types import DataError
 from tuning import checkpoint

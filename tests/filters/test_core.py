@@ -13,11 +13,12 @@ from jaxnav.analysis import metrics
 from jaxnav.data.epochs import pack
 from jaxnav.filters import core
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.core import Correction, Innovation, Rule, make_filter, masked, shift
+from jaxnav.filters.core import make_filter, masked, shift
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import Poles, observer, open_loop, reset
 from jaxnav.filters.papers.gpid import literal_params
 from jaxnav.filters.parameters import datasheet_params, history_for
+from jaxnav.filters.rule import Correction, Innovation, Rule
 from jaxnav.filters.rules.kalman import correct as kalman_correct
 from jaxnav.filters.run import first_failure, run, run_jit
 from jaxnav.maths import earth, rotations

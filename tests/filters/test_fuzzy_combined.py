@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.learned import learned, learned_params
-from jaxnav.filters.core import Innovation
 from jaxnav.filters.papers.fuzzy_combined import CombinedMemory, combined_params, deciding, fuzzy_combined, inputs
 from jaxnav.filters.papers.fwekf import Window
+from jaxnav.filters.rule import Innovation
 from jaxnav.filters.rules.kalman import kalman
 from tests.conftest import leaves_equal
 

@@ -9,10 +9,11 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from jaxnav.filters.catalogue import FRAMES, build
-from jaxnav.filters.core import Innovation, make_filter
+from jaxnav.filters.core import make_filter
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import observer, poles
 from jaxnav.filters.papers import fwekf
+from jaxnav.filters.rule import Innovation
 from jaxnav.filters.rules import fuzzy
 from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.run import initial_nav, run

@@ -10,11 +10,11 @@ import pytest
 from benchmarks.papers import nine_states
 from benchmarks.papers.gipkf_study import reset_balanced
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.core import Innovation, only_if
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.papers import gip_kf
 from jaxnav.filters.papers.gip_kf import gip_kf_params
 from jaxnav.filters.parameters import datasheet_params, get, prior, put
+from jaxnav.filters.rule import Innovation, only_if
 from jaxnav.filters.run import run
 from jaxnav.maths import earth, rotations
 from jaxnav.states.motion import A, P, V

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from benchmarks.simulated.faults import SEEN, spoilt
 from jaxnav import build
 from jaxnav.analysis import metrics
-from jaxnav.filters.core import Innovation, Transition
+from jaxnav.filters.rule import Innovation, Transition
 from jaxnav.filters.rules.kalman import correct as kalman
 from jaxnav.filters.rules.receiver import KINDS, OFFSET, Hypotheses, receiver, receiver_params
 from jaxnav.filters.rules.robust import gate
@@ -134,7 +134,7 @@ def drives():
     filt = build("ekf15_receiver", cov_stride=5)
     params = matched_params(what)._replace(rule=THETA)
     keys = jax.random.split(jax.random.key(3), 2)
-    sims = jax.jit(jax.vmap(partial(simulate, what)))(keys)
+    sims = jax.jit(jax.vmap(partial(simulate, scenario=what)))(keys)
 
     @jax.jit
     def errors(value):
@@ -163,7 +163,7 @@ def test_without_faults_it_costs_nothing_and_with_one_it_holds(drives):
 def test_hypotheses_turn_with_the_attitude_at_a_reset():
     """With a healthy receiver for certain and a large attitude error, P is the Kalman filter's after every fix."""
     what = SCENARIOS["urban_short"]._replace(duration_s=10.0, imu_rate_hz=25.0, gnss_rate_hz=5.0)
-    sim = simulate(what, jax.random.key(0))
+    sim = simulate(jax.random.key(0), what)
     params = matched_params(what)
     params = params._replace(prior=params.prior._replace(attitude=jnp.array([0.05, 0.05, 0.4])))
     sound = THETA._replace(wrong=jnp.zeros(()))

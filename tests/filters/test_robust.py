@@ -9,8 +9,9 @@ import pytest
 from scipy.stats import chi2
 
 from jaxnav import GNSS, build, initial_nav
-from jaxnav.filters.core import Innovation, masked
+from jaxnav.filters.core import masked
 from jaxnav.filters.papers.gpid import gpid, gpid_params
+from jaxnav.filters.rule import Innovation
 from jaxnav.filters.rules import robust
 from jaxnav.filters.rules.adaptive import fading, fading_params, iae, iae_params, sage_husa, sage_husa_params
 from jaxnav.filters.rules.kalman import correct as kalman_correct

@@ -28,7 +28,7 @@ FAR, CLOSE = {"enu_m": 2e-3, "vel_mps": 1e-3, "rph_deg": 1e-2}, 1e-3
 
 def simulated(name: str) -> Recording:
     what = SCENARIOS[name]
-    return to_recording(simulate_jit(what, jax.random.key(2)), what)
+    return to_recording(simulate_jit(jax.random.key(2), what), what)
 
 
 def solution(name: str) -> dict:

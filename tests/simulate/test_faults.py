@@ -14,7 +14,7 @@ T = jnp.arange(1, 2001) / 100.0  # 20 s
 def test_a_slides_velocity_is_that_of_its_position(back, end):
     """By central differences; it begins at rest, and is there and back, or all the way out, when it stops."""
     fault = Slide(5.0, 15.0, (60.0, -30.0, 0.0), back=back)
-    found = np.asarray(offsets((fault,), jax.random.key(0), T, jnp.zeros((T.size, 6))))
+    found = np.asarray(offsets(jax.random.key(0), (fault,), T, jnp.zeros((T.size, 6))))
     inside = slice(501, 1498)
     slope = (found[2:, :3] - found[:-2, :3]) / 0.02
     np.testing.assert_allclose(found[1:-1, 3:][inside], slope[inside], atol=1e-3)

@@ -18,7 +18,7 @@ NAMES = ("lever_arm_error", "clock_offset", "gyro_misalignment")
 
 @pytest.fixture(scope="module")
 def sim():
-    return simulate_jit(URBAN_SHORT, jax.random.key(2))
+    return simulate_jit(jax.random.key(2), URBAN_SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def params():
 
 
 def test_fixes_and_samples_have_the_errors_that_the_truth_says(sim, params):
-    other = with_states(sim, params, NAMES, jax.random.key(1))
+    other = with_states(jax.random.key(1), sim, params, NAMES)
     e = {name: np.asarray(other.truth.errors[name][0]) for name in NAMES}
     C = np.asarray(jax.vmap(rotations.to_dcm)(sim.truth.q))
     moved = earth.enu_path(np.asarray(other.epochs.fix.value[:, :3]), np.asarray(sim.epochs.fix.value[:, :3]))
@@ -63,13 +63,13 @@ def test_an_imu_that_sits_askew_sees_the_same_drive(sim, params):
 
 
 def test_a_sensor_reads_what_is_expected_of_the_truth_and_noise(sim, params):
-    other = with_sensor(sim, params, "speed", 0.1, jax.random.key(3))
+    other = with_sensor(jax.random.key(3), sim, params, "speed", 0.1)
     forward = np.einsum("eji,ej->ei", np.asarray(jax.vmap(rotations.to_dcm)(sim.truth.q)), np.asarray(sim.truth.vel))[
         :, 0
     ]
     noise = np.asarray(other.epochs.fix.value[:, 6]) - forward
     assert 0.07 < noise.std() < 0.13 and other.epochs.fix.value.shape == (sim.truth.t.size, 7)
-    slow = with_sensor(sim, params, "course", 0.05, jax.random.key(3), least_speed=3.0)
+    slow = with_sensor(jax.random.key(3), sim, params, "course", 0.05, least_speed=3.0)
     there = np.hypot(*np.asarray(sim.truth.vel)[:, :2].T) >= 3.0
     np.testing.assert_array_equal(slow.epochs.fix.valid[:, 6], there)
     assert 0 < there.sum() < there.size
@@ -78,7 +78,7 @@ def test_a_sensor_reads_what_is_expected_of_the_truth_and_noise(sim, params):
 def test_a_scenario_with_sensors_is_a_recording_with_their_streams():
     """In outages too, with the noise that is said about what their models expect; drawn states are in them."""
     scenario = URBAN_SHORT._replace(sensors=(("wheels", 0.1), ("barometer", 0.5)), sensor_states=("barometer_bias",))
-    sim = equipped(simulate_jit(URBAN_SHORT, jax.random.key(2)), scenario, jax.random.key(9))
+    sim = equipped(jax.random.key(9), simulate_jit(jax.random.key(2), URBAN_SHORT), scenario)
     rec = to_recording(sim, scenario)
     assert list(rec.aiding) == ["position", "velocity", "wheels", "barometer"]
     assert rec.aiding["barometer"].t.size == 80 > rec.aiding["position"].t.size
@@ -87,5 +87,5 @@ def test_a_scenario_with_sensors_is_a_recording_with_their_streams():
     assert np.std(off) == pytest.approx(0.5, rel=0.3) and abs(off.mean()) < 0.2
     speed = np.linalg.norm(np.asarray(sim.truth.vel), axis=1)
     np.testing.assert_allclose(rec.aiding["wheels"].value.mean(1), speed, atol=0.35)
-    alone = to_recording(simulate_jit(URBAN_SHORT, jax.random.key(2)), URBAN_SHORT)
+    alone = to_recording(simulate_jit(jax.random.key(2), URBAN_SHORT), URBAN_SHORT)
     np.testing.assert_array_equal(alone.aiding["position"].value, rec.aiding["position"].value)

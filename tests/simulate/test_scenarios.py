@@ -29,7 +29,7 @@ quick = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 def runs(scenario, n=40):
     """Many runs of a scenario."""
-    return quick(jax.vmap(partial(simulate, scenario)))(KEYS[:n])
+    return quick(jax.vmap(partial(simulate, scenario=scenario)))(KEYS[:n])
 
 
 def angles(a, b):
@@ -42,7 +42,7 @@ def angles(a, b):
 def test_every_scenario_is_printable_hashable_and_can_be_traced(name):
     scenario = SCENARIOS[name]
     E, k = sizes(scenario)
-    sim = jax.eval_shape(partial(simulate, scenario), jax.random.key(0))
+    sim = jax.eval_shape(partial(simulate, scenario=scenario), jax.random.key(0))
     assert (
         sim.epochs.imu.gyro.shape == (E, k, 3) and sim.truth.pos.shape == (E, 3) and sim.epochs.fix.sd.shape == (E, 6)
     )
@@ -173,7 +173,7 @@ def test_kinds_of_faults_and_motions_are_told_apart():
     a, b = Constant(1.0, 2.0, (3.0, 0.0, 0.0)), Ramp(1.0, 2.0, (3.0, 0.0, 0.0))
     assert tuple(a) == tuple(b) and a != b and (a,) != (b,) and not a == b
     assert a == Constant(1.0, 2.0, (3.0, 0.0, 0.0)) and hash(a) == hash(a._replace())
-    offset = jax.jit(lambda f, t: faults.offsets((f,), jax.random.key(0), t, jnp.zeros((3, 6))), static_argnums=0)
+    offset = jax.jit(lambda f, t: faults.offsets(jax.random.key(0), (f,), t, jnp.zeros((3, 6))), static_argnums=0)
     t = jnp.array([1.2, 1.5, 2.0])
     np.testing.assert_allclose(offset(a, t)[:, 0], 3.0)
     np.testing.assert_allclose(offset(b, t)[:, 0], [0.6, 1.5, 3.0])

@@ -298,7 +298,7 @@ def test_random_faults_have_their_size_and_correlation():
 
     def extra(fault):
         noise = jnp.zeros((N, 6))
-        draw = jax.jit(jax.vmap(lambda key: faults.offsets((fault,), key, T, noise)))
+        draw = jax.jit(jax.vmap(lambda key: faults.offsets(key, (fault,), T, noise)))
         return np.asarray(draw(jax.random.split(jax.random.key(0), 60)))[:, window] / np.concatenate(sizes)
 
     white = extra(White(600.0, 1100.0, *sizes))
@@ -315,14 +315,14 @@ def test_faults_that_are_none_are_refused():
         (("constant", 1.0), "must be one of Constant, Ramp"),
     ):
         with pytest.raises(ValueError, match=r"faults\[0\].*" + words):
-            faults.offsets((fault,), jax.random.key(0), T, noise)
+            faults.offsets(jax.random.key(0), (fault,), T, noise)
 
 
 def test_faults_of_one_receiver_have_keys_of_their_own():
     noise = jnp.zeros((N, 6))
     a = White(0.0, 500.0, (1.0,) * 3)
-    both = faults.offsets((a, a), jax.random.key(1), T, noise)
-    alone = faults.offsets((a,), jax.random.key(1), T, noise)
+    both = faults.offsets(jax.random.key(1), (a, a), T, noise)
+    alone = faults.offsets(jax.random.key(1), (a,), T, noise)
     second = np.asarray(both - alone)[:500, :3]
     assert inside_bounds(second**2) and abs(np.mean(second * alone[:500, :3])) < 4 / np.sqrt(1500)
 

@@ -36,7 +36,7 @@ quick = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 @pytest.fixture(scope="module")
 def batch():
     """Many short runs."""
-    return quick(jax.vmap(partial(simulate, SHORT)))(KEYS)
+    return quick(jax.vmap(partial(simulate, scenario=SHORT)))(KEYS)
 
 
 def inside_bounds(squares, dof_each=1):
@@ -57,7 +57,7 @@ def streams(seconds, *more):
     """For each motion: start, error-free samples at 100 Hz (s, 100, 3), true points (s, ...)."""
 
     def stream(motion):
-        shape = shape_of(motion, jax.random.key(0), seconds)
+        shape = shape_of(jax.random.key(0), motion, seconds)
         way = quick(lambda: travel(shape, START, 0.01, 100, seconds, imu.sense))()
         p, (omega, force) = way.start
         q = rotations.from_dcm(rotations.from_rph(p.rph))
@@ -108,7 +108,7 @@ def test_noise_free_imu_navigates_back_for_an_hour(frame, capsys):
 
 
 def test_at_rest_only_gravity_is_felt():
-    way = quick(lambda: travel(shape_of(Static(), jax.random.key(0), 1.0), START, 0.01, 10, 2, imu.sense))()
+    way = quick(lambda: travel(shape_of(jax.random.key(0), Static(), 1.0), START, 0.01, 10, 2, imu.sense))()
     gyro, accel = (a.reshape(-1, 3) for a in way.means)
     g = earth.gravity(START[0], START[2])
     np.testing.assert_allclose(accel, np.tile([0, 0, -g], (20, 1)), atol=1e-9)
@@ -158,7 +158,7 @@ def drifting():
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(GRADES, "drifting", Grade(0.0, 0.0, 0.01, 0.1, 0.01, 0.1, 5.0, "no white noise"))
-        return quick(partial(simulate, other))(KEYS[0])
+        return quick(partial(simulate, scenario=other))(KEYS[0])
 
 
 def test_truth_biases_are_those_of_the_imu(drifting):
@@ -177,7 +177,7 @@ def test_truth_biases_are_those_of_the_imu(drifting):
 
 
 def test_batch_is_a_loop_and_a_key_is_a_run(batch):
-    one = quick(partial(simulate, SHORT))
+    one = quick(partial(simulate, scenario=SHORT))
     alone = one(KEYS[2])
     chex.assert_trees_all_close(alone, jax.tree.map(lambda a: a[2], batch), rtol=1e-9, atol=1e-9)
     chex.assert_trees_all_equal(alone, one(KEYS[2]))
@@ -231,26 +231,26 @@ ROUND = SHORT._replace(  # cheap to compile
 
 def test_a_late_fix_tells_where_the_antenna_was():
     late = ROUND._replace(gnss=ROUND.gnss._replace(latency_s=0.2))
-    once, often = (quick(partial(simulate, s))(KEYS[0]) for s in (late, ROUND._replace(gnss_rate_hz=5.0)))
+    once, often = (quick(partial(simulate, scenario=s))(KEYS[0]) for s in (late, ROUND._replace(gnss_rate_hz=5.0)))
     np.testing.assert_allclose(once.epochs.fix.value, often.epochs.fix.value[3::5], rtol=0, atol=1e-9)
     np.testing.assert_allclose(once.truth.pos, often.truth.pos[4::5], rtol=0, atol=1e-9)
     np.testing.assert_array_equal(once.epochs.fix.valid[:, 0], ~((np.arange(1, 21) > 12) & (np.arange(1, 21) <= 15)))
     known = matched_params(late).measurements
     assert known["position"].latency == known["velocity"].latency == 0.2
     with pytest.raises(ValueError, match="less than an epoch"):
-        simulate(ROUND._replace(gnss=ROUND.gnss._replace(latency_s=1.0)), KEYS[0])
+        simulate(KEYS[0], ROUND._replace(gnss=ROUND.gnss._replace(latency_s=1.0)))
 
 
 def test_any_shape_can_be_simulated():
     # the scenario's motion does not matter then, and neither does that of others
-    own = quick(partial(simulate_shape, ROUND, shape_of(Static(), KEYS[0], 20.0)))(KEYS[0])
-    named = quick(partial(simulate, ROUND._replace(motion=Static())))(KEYS[0])
+    own = quick(partial(simulate_shape, scenario=ROUND, shape=shape_of(KEYS[0], Static(), 20.0)))(KEYS[0])
+    named = quick(partial(simulate, scenario=ROUND._replace(motion=Static())))(KEYS[0])
     chex.assert_trees_all_equal(own, named)
 
 
 def test_an_alignment_is_not_part_of_the_recording():
     aligned = ROUND._replace(motion=Static(), start=START_OF._replace(alignment_s=5.0))
-    sim = quick(partial(simulate, aligned))(KEYS[0])
+    sim = quick(partial(simulate, scenario=aligned))(KEYS[0])
     rec = to_recording(sim, aligned)
     packed = pack(rec.imu, rec.aiding, 1.0)
     np.testing.assert_allclose(packed.t, sim.truth.t, atol=1e-9)

@@ -124,13 +124,13 @@ def test_late_points_are_where_the_vehicle_was():
 
 def test_static_straight_and_circle():
     t = np.array([0.0, 7.0, 126.0])
-    still, rate = watched(shape_of(Static((1.0, 2.0, 3.0)), KEY, 1.0), t)
+    still, rate = watched(shape_of(KEY, Static((1.0, 2.0, 3.0)), 1.0), t)
     np.testing.assert_allclose(still.rph / units.DEG, np.tile([1.0, 2.0, 3.0], (3, 1)))
     assert not still.vel.any() and not any(leaf.any() for leaf in rate)
-    climb, _ = watched(shape_of(Straight(20.0, 90.0, 30.0), KEY, 1.0), t)
+    climb, _ = watched(shape_of(KEY, Straight(20.0, 90.0, 30.0), 1.0), t)
     np.testing.assert_allclose(climb.vel, np.tile([20 * np.cos(np.pi / 6), 0, 10], (3, 1)), atol=1e-12)
     np.testing.assert_allclose(climb.rph[0], [0, np.pi / 6, np.pi / 2])
-    round_, rate = watched(shape_of(Circle(10.0, 126.0, 90.0, banked=True), KEY, 1.0), t)
+    round_, rate = watched(shape_of(KEY, Circle(10.0, 126.0, 90.0, banked=True), 1.0), t)
     w = 2 * np.pi / 126
     np.testing.assert_allclose(round_.vel[0], [10, 0, 0], atol=1e-12)
     np.testing.assert_allclose(rate.vel[0], [0, -10 * w, 0], atol=1e-12)  # clockwise: to the right, south
@@ -139,23 +139,23 @@ def test_static_straight_and_circle():
 
 
 def test_a_banked_turn_is_felt_along_the_bodys_down_axis():
-    shape = shape_of(Circle(50.0, 60.0, banked=True), KEY, 1.0)
+    shape = shape_of(KEY, Circle(50.0, 60.0, banked=True), 1.0)
     _, force = quick(lambda: travel(shape, START, 0.1, 10, 3, imu.sense))().ends[1]
     # standard gravity for the local one, and the Earth's rotation: 2 w v = 7e-3
     assert np.abs(force[:, 1]).max() < 0.02 and force[:, 2].max() < -10
 
 
 def test_a_small_circle_closes_and_a_snake_comes_back_to_its_line():
-    lla = quick(lambda: travel(shape_of(Circle(), KEY, 1.0), START, 1.0, 63, 2, where))().ends[1]
+    lla = quick(lambda: travel(shape_of(KEY, Circle(), 1.0), START, 1.0, 63, 2, where))().ends[1]
     half, full = (np.asarray(earth.enu_difference(p, jnp.asarray(START))) for p in lla)
     np.testing.assert_allclose(half, [2 * 10 * 126 / (2 * np.pi), 0, 0], atol=0.02)  # opposite, to the right
     assert np.abs(full).max() < 0.03  # ENU turns with the meridians
-    snake = shape_of(SShape(10.0, 60.0, 60.0), KEY, 1.0)
+    snake = shape_of(KEY, SShape(10.0, 60.0, 60.0), 1.0)
     motion, rate = watched(snake, np.linspace(0, 60, 241))
     np.testing.assert_allclose(np.linalg.norm(motion.vel, axis=1), 10)
     assert np.abs(motion.rph[:, 2]).max() == pytest.approx(60 * units.DEG)
     assert rate.rph[:, 2].max() == pytest.approx(60 * units.DEG * 2 * np.pi / 60)
-    banked, rate = watched(shape_of(SShape(10.0, 60.0, 60.0, banked=True), KEY, 1.0), np.linspace(0, 60, 241))
+    banked, rate = watched(shape_of(KEY, SShape(10.0, 60.0, 60.0, banked=True), 1.0), np.linspace(0, 60, 241))
     np.testing.assert_allclose(np.tan(banked.rph[:, 0]) * units.G0, 10 * rate.rph[:, 2], atol=1e-12)  # balanced
     east = quick(lambda: travel(snake, START, 0.5, 30, 4, where))().ends[1][:, 1] - START[1]
     assert abs(east[-1]) < 1e-3 * abs(east[0])  # after a whole period
@@ -163,7 +163,7 @@ def test_a_small_circle_closes_and_a_snake_comes_back_to_its_line():
 
 def test_launch_move_is_the_papers_equation_33():
     tau = np.array([0.0, 3.0, 11.0, 20.0])
-    move = shape_of(LaunchMove(), KEY, 40.0)
+    move = shape_of(KEY, LaunchMove(), 40.0)
     motion, rate = watched(move, 20 + tau)
     c = 20 / np.pi
     np.testing.assert_allclose(motion.vel[:, 1], 1.5 * (tau - c * np.sin(tau / c)), atol=1e-12)
@@ -194,7 +194,7 @@ def test_launch_move_is_the_papers_equation_33():
 )
 def test_motions_that_make_no_shape(motion, words):
     with pytest.raises(ValueError, match=words):
-        shape_of(motion, KEY, 10.0)
+        shape_of(KEY, motion, 10.0)
 
 
 # ---------------------------------------------------------------------------- routes and drives
@@ -211,7 +211,7 @@ def test_smooth_pieces_rise_by_one_within_their_rate():
 def test_waypoints_are_passed_at_their_speeds():
     points = ((0.0, 0.0, 0.0), (0.0, 100.0, 2.0), (80.0, 180.0, 5.0), (200.0, 150.0, 0.0), (260.0, 60.0, 0.0))
     route = Waypoints(points, (0.0, 8.0, 12.0, 0.0, 6.0), (3.0, 0.0, 0.0, 4.0, 0.0))
-    shape = shape_of(route, KEY, 1.0)
+    shape = shape_of(KEY, route, 1.0)
     t = 0.05 * np.arange(1, 2401)
     point, _ = quick(lambda: travel(shape, START, 0.05, 1, 2400, where))().ends
     at = np.asarray(jax.vmap(earth.enu_difference)(point.lla, jnp.broadcast_to(START, point.lla.shape)))
@@ -258,7 +258,7 @@ def test_a_drive_keeps_to_what_a_car_does():
 def test_traffic_is_stop_and_go():
     def speeds(traffic):
         def one(key):
-            shape, t = shape_of(Urban(20.0, 20.0, traffic), key, 300.0), 0.2 * jnp.arange(1501.0)
+            shape, t = shape_of(key, Urban(20.0, 20.0, traffic), 300.0), 0.2 * jnp.arange(1501.0)
             return jnp.linalg.norm(jax.vmap(shape)(t).vel, axis=-1)
 
         return np.asarray(quick(jax.vmap(one))(jax.random.split(jax.random.key(1), 24)))

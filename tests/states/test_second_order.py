@@ -109,7 +109,7 @@ def test_a_parked_vehicle_does_not_learn_its_heading():
     @jax.jit
     @jax.vmap
     def ends(key):
-        sim = simulate(scenario, key)
+        sim = simulate(key, scenario)
         initial = perturb(jax.random.fold_in(key, 1), sim.start, scenario.start)
         record = lambda step, truth: (state_error(step.info.nav, truth, filt.model.states)[8], step.info.P[8, 8])
         return run(filt, params, initial, sim.epochs, record, sim.truth)

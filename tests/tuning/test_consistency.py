@@ -35,7 +35,7 @@ PRINTED = ("gipkf_literal", "gipkf_literal_shift", "fwekf_literal")  # whose err
 
 @cache
 def drives():
-    make = jax.jit(jax.vmap(partial(simulate, SCENARIO)))
+    make = jax.jit(jax.vmap(partial(simulate, scenario=SCENARIO)))
     return make(jax.random.split(jax.random.key(0), TRAIN)), make(jax.random.split(jax.random.key(1), TEST))
 
 

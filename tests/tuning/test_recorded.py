@@ -38,7 +38,7 @@ def rec():
     """Two minutes in town; the receiver states a third of its sd."""
     gnss = URBAN_SHORT.gnss._replace(outages_s=(), position_sd_m=(0.5, 0.5, 1.0), velocity_sd_mps=(0.05, 0.05, 0.08))
     what = URBAN_SHORT._replace(duration_s=130.0, imu_rate_hz=20.0, gnss_rate_hz=1.0, gnss=gnss)
-    made = to_recording(simulate_jit(what, jax.random.key(4)), what)
+    made = to_recording(simulate_jit(jax.random.key(4), what), what)
     return made._replace(aiding={name: s._replace(sd=s.sd / 3) for name, s in made.aiding.items()})
 
 
@@ -443,7 +443,7 @@ def test_two_drives_of_one_imu_tell_more_than_one(rec, ekf, found):
     """Together: one number for both, windows of both, intervals that are narrower where the data speak."""
     what = URBAN_SHORT._replace(duration_s=160.0, imu_rate_hz=20.0, gnss_rate_hz=1.0)
     gnss = what.gnss._replace(outages_s=(), position_sd_m=(0.5, 0.5, 1.0), velocity_sd_mps=(0.05, 0.05, 0.08))
-    other = to_recording(simulate_jit(what._replace(gnss=gnss), jax.random.key(9)), what)
+    other = to_recording(simulate_jit(jax.random.key(9), what._replace(gnss=gnss)), what)
     other = other._replace(aiding={name: s._replace(sd=s.sd / 3) for name, s in other.aiding.items()})
     both = tuning.tune([rec, other], ekf, ekf.params("adis16465"), free=("noise", "fixes"))
     assert [u.windows.hidden.shape for u in both.used] == 2 * [(PHASES, both.used[1].packed.t.size)]

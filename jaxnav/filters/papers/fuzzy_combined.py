@@ -24,8 +24,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.filters.core import Correction, Innovation, Rule
 from jaxnav.filters.papers.fwekf import Limits, Window, fading, limits, push, weighted, window
+from jaxnav.filters.rule import Correction, Innovation, Rule
 from jaxnav.filters.rules import fuzzy
 from jaxnav.filters.rules.robust import BLOCK, by_block, inflated, require_blocks
 

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxnav.filters.core import Correction, Innovation, Rule
+from jaxnav.filters.rule import Correction, Innovation, Rule
 from jaxnav.filters.rules import fuzzy
 from jaxnav.maths import linalg, units
 

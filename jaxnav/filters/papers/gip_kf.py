@@ -30,7 +30,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.filters.core import Correction, Innovation, Rule
+from jaxnav.filters.rule import Correction, Innovation, Rule
 from jaxnav.maths import linalg
 from jaxnav.states.motion import A, V
 from jaxnav.states.table import BIASES

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxnav.filters.core import Correction, Innovation, Rule
+from jaxnav.filters.rule import Correction, Innovation, Rule
 from jaxnav.maths import linalg
 from jaxnav.states.motion import MOTION
 from jaxnav.states.table import BIASES, mask

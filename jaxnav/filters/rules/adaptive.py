@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxnav.filters.core import Correction, Extrapolate, Innovation, Rule
+from jaxnav.filters.rule import Correction, Extrapolate, Innovation, Rule
 from jaxnav.filters.rules.robust import inflated, require_plain
 
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.filters.core import Correction, Innovation, Rule, only_if
+from jaxnav.filters.rule import Correction, Innovation, Rule, only_if
 from jaxnav.filters.rules import kalman
 
 

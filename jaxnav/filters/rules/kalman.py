@@ -3,7 +3,7 @@
 from functools import cache
 from typing import Any
 
-from jaxnav.filters.core import Correction, Innovation, Rule
+from jaxnav.filters.rule import Correction, Innovation, Rule
 from jaxnav.maths import linalg
 
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import logsumexp
 
-from jaxnav.filters.core import NEVER, Correction, Innovation, Rule, Transition
+from jaxnav.filters.rule import NEVER, Correction, Innovation, Rule, Transition
 from jaxnav.maths import linalg
 
 OFFSET = 6  # o (3,) m, o' (3,) m/s

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtri
 
-from jaxnav.filters.core import NEVER, Correction, Innovation, Rule, masked, only_if, select
+from jaxnav.filters.core import masked
+from jaxnav.filters.rule import NEVER, Correction, Innovation, Rule, only_if, select
 from jaxnav.maths import linalg
 
 LONGER = 1.5  # of the interval between fixes: what is longer is an outage

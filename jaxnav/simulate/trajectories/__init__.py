@@ -39,7 +39,7 @@ MOTIONS: dict[type, Callable[[Any, jax.Array, float], Shape]] = {
 """Type of a motion -> ``(motion, key, duration s) -> shape``; only `Urban` is random."""
 
 
-def shape_of(motion: Any, key: jax.Array, duration: float) -> Shape:
+def shape_of(key: jax.Array, motion: Any, duration: float) -> Shape:
     """The shape of a motion over ``duration`` s.
 
     Raises:

@@ -1,0 +1,96 @@
+"""What a filter is made of besides its mechanization and error model: a rule and a feedback, and what they see."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav.types import Forcing, Nav
+
+NEVER = 1e9  # s since what has not happened yet: a rule's memory is finite
+
+
+class Transition(NamedTuple):
+    """How the error state moved over an epoch: x -> Phi x + d, with noise of covariance Q."""
+
+    Phi: jax.Array  # (n, n)
+    Q: jax.Array  # (n, n)
+    d: jax.Array  # (n,)
+
+
+class Innovation(NamedTuple):
+    """What a rule sees of a fix; the rows of missing channels are zero in nu and H, and identity in R."""
+
+    nu: jax.Array  # (m,) y - H x
+    H: jax.Array  # (m, n)
+    R: jax.Array  # (m, m)
+    P: jax.Array  # (n, n) predicted covariance
+    valid: jax.Array  # (m,) bool
+    T: jax.Array  # () s, length of this epoch
+    age: jax.Array  # (m,) s since each channel was last used
+
+
+class Correction(NamedTuple):
+    """What a rule answers."""
+
+    delta: jax.Array  # (n,) change of x
+    P: jax.Array  # (n, n) covariance after the correction
+    memory: Any  # the rule's own state
+    used: jax.Array  # (m,) bool, channels that it accepted
+    fade: Any = 1.0  # () or (n,): fade P fade is carried on to the next prediction
+    drive: Forcing | None = None  # a model error for the sensors to absorb
+
+
+class Correct(Protocol):
+    """A rule's correction by a fix."""
+
+    def __call__(self, theta: Any, memory: Any, z: Innovation, /) -> Correction:
+        """Return the correction by ``z``, with the rule's parameters ``theta`` and its ``memory``."""
+
+
+class Extrapolate(Protocol):
+    """A rule's own prediction, at every epoch, with a fix or without."""
+
+    def __call__(self, theta: Any, memory: Any, x0: jax.Array, x: jax.Array, /) -> tuple[jax.Array, Any]:
+        """``x0`` (n,) after the last feedback, ``x`` (n,) predicted from it -> x and the memory to go on with."""
+
+
+class Transport(Protocol):
+    """How error states that a rule holds move: over every epoch, and with T = 0 at the reset of the attitude."""
+
+    def __call__(self, theta: Any, memory: Any, transition: Transition, T: jax.Array, /) -> Any:
+        """``T`` () s, the epoch's length -> memory."""
+
+
+class Feedback(Protocol):
+    """What becomes of an estimated error: taken out of navigation, kept, or handed on in part."""
+
+    def __call__(
+        self, theta: Any, retract: Callable[[Nav, jax.Array], Nav], nav: Nav, x: jax.Array, T: jax.Array, /
+    ) -> tuple[Nav, jax.Array, Any]:
+        """``x`` (n,) error, ``T`` () s since the last one -> navigation, the error that is left, the drive or None."""
+
+    def __hash__(self) -> int: ...
+
+
+class Rule(NamedTuple):
+    """What a paper changes. Must be finite with H = 0 and T = 0: its answer is discarded where nothing is valid."""
+
+    init: Callable[[int, int], Any]  # (n, m) -> memory
+    correct: Correct
+    extrapolate: Extrapolate = lambda theta, memory, x0, x: (x, memory)
+    estimates: tuple[str, ...] = ()  # optional states that it moves by itself, without their being in x
+    smooths: bool = False  # its correction is one of the covariance, so that a smoother can go back over it
+    transport: Transport | None = None
+
+
+def select(flag: jax.Array, a: Any, b: Any) -> Any:
+    """``a`` where the flag is true, else ``b``, leaf by leaf; the flag's axes, if any, are the first of each leaf."""
+    return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(flag, range(flag.ndim, jnp.ndim(a))), a, b), a, b)
+
+
+def only_if(flag: jax.Array, c: Correction, z: Innovation, memory: Any) -> Correction:
+    """The correction where the flag is true, else one that changes nothing."""
+    nothing = jax.tree.map(jnp.zeros_like, c.drive)
+    return select(flag, c, Correction(jnp.zeros(z.P.shape[0]), z.P, memory, jnp.zeros_like(z.valid), drive=nothing))

@@ -14,8 +14,8 @@ test: $(VENV)/ready
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
 
 # contract, layout and numbers
-QUICK = tests/test_layout.py tests/test_contract.py tests/maths tests/data/test_epochs.py tests/data/test_gaps.py \
-  tests/data/test_polling.py tests/data/test_start.py tests/filters/test_reference.py tests/strapdown/test_plain.py \
+QUICK = tests/test_layout.py tests/test_contract.py tests/maths tests/filters/test_epochs.py tests/filters/test_gaps.py \
+  tests/io/test_polling.py tests/initialization/test_start.py tests/filters/test_reference.py tests/strapdown/test_plain.py \
   tests/analysis/test_usage.py tests/app/test_config.py
 quick: $(VENV)/ready
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" $(QUICK)

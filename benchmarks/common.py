@@ -8,7 +8,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from jaxnav.data import atomic_write
+from jaxnav.io import atomic_write
 
 
 def options(name: str, description: str) -> argparse.ArgumentParser:

@@ -22,30 +22,20 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jaxnav.analysis.navigate import Solution, navigate
     from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
-    from jaxnav.analysis.stream import Now, Stream
-    from jaxnav.data.bank import heading_bank, with_headings
-    from jaxnav.data.epochs import (
-        Packed,
-        constraint_samples,
-        cut_times,
-        hide,
-        outage_windows,
-        pack,
-        stack_epochs,
-        stationary,
-    )
-    from jaxnav.data.read import read
-    from jaxnav.data.recording import recording
-    from jaxnav.data.start import course, level, start
     from jaxnav.filters.catalogue import FILTERS, build
     from jaxnav.filters.compiler import cache, enable_x64, fast_compiler, make_room
     from jaxnav.filters.core import Filter, make_filter
+    from jaxnav.filters.epochs import Packed, cut_times, hide, outage_windows, pack, stack_epochs
     from jaxnav.filters.parameters import datasheet_params, mounting
     from jaxnav.filters.rule import Correction, Innovation, Rule
     from jaxnav.filters.run import initial_nav, prepare, require_params, require_x64, run, run_jit, track
     from jaxnav.filters.smoother import smooth
+    from jaxnav.filters.standstill import constraint_samples, stationary
+    from jaxnav.initialization.bank import heading_bank, with_headings
+    from jaxnav.initialization.start import course, level, start
+    from jaxnav.io.read import read
+    from jaxnav.io.recording import recording
     from jaxnav.measurements import (
         GNSS,
         MEASUREMENTS,
@@ -56,8 +46,10 @@ if TYPE_CHECKING:
         ZERO_RATE,
         ZERO_VELOCITY,
     )
+    from jaxnav.navigation import Solution, navigate
     from jaxnav.states import STATES, State
     from jaxnav.states.grades import GRADES, Grade
+    from jaxnav.stream import Now, Stream
     from jaxnav.types import (
         ConfigError,
         DataError,
@@ -81,14 +73,14 @@ if TYPE_CHECKING:
 
 # Imported when first asked for: the command line is there, and can be stopped, before jax is.
 _HOMES = {
-    "analysis.navigate": "Solution navigate",
+    "navigation": "Solution navigate",
     "analysis.noise_scan": "NoiseScan scan_noise",
-    "analysis.stream": "Now Stream",
-    "data.epochs": "Packed constraint_samples cut_times hide outage_windows pack stack_epochs stationary",
-    "data.read": "read",
-    "data.recording": "recording",
-    "data.bank": "heading_bank with_headings",
-    "data.start": "course level start",
+    "stream": "Now Stream",
+    "filters.epochs": "Packed cut_times hide outage_windows pack stack_epochs",
+    "io.read": "read",
+    "io.recording": "recording",
+    "initialization.bank": "heading_bank with_headings",
+    "initialization.start": "course level start",
     "filters.catalogue": "FILTERS build",
     "filters.compiler": "cache enable_x64 fast_compiler make_room",
     "filters.core": "Filter make_filter",
@@ -96,6 +88,7 @@ _HOMES = {
     "filters.rule": "Correction Innovation Rule",
     "filters.run": "initial_nav prepare require_params require_x64 run run_jit track",
     "filters.smoother": "smooth",
+    "filters.standstill": "constraint_samples stationary",
     "measurements": "GNSS MEASUREMENTS NONHOLONOMIC POSITION SPEED VELOCITY ZERO_RATE ZERO_VELOCITY",
     "states": "STATES State",
     "states.grades": "GRADES Grade",
@@ -103,7 +96,10 @@ _HOMES = {
     "Recording Samples StateParams Track",
 }
 _HOME = {name: f"jaxnav.{home}" for home, names in _HOMES.items() for name in names.split()}
-_FOLDERS = ("analysis", "app", "data", "filters", "maths", "measurements", "simulate", "states", "strapdown", "types")
+_FOLDERS = (
+    "analysis", "app", "checkup", "filters", "initialization", "io", "maths", "measurements", "simulate", "states",
+    "strapdown", "types",
+)  # fmt: skip
 __all__ = sorted(_HOME)
 
 

@@ -2,7 +2,7 @@
 
 Two kinds. *Traced* types hold jax arrays and flow through jit, vmap and grad (`Imu`, `Fix`, `Epoch`, `Nav`,
 `Noise`, `Mounting`, `Prior`, `Params`, `Info`). *Host* types hold numpy arrays and are what readers return
-(`ImuLog`, `Samples`, `Track`, `Recording`); `jaxnav.data.epochs.pack` turns them into epochs.
+(`ImuLog`, `Samples`, `Track`, `Recording`); `jaxnav.filters.epochs.pack` turns them into epochs.
 
 Frames: ``n`` local level ENU, ``b`` body FRD (forward, right, down). A specific force at rest is (0, 0, -g) in b.
 """
@@ -40,9 +40,9 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """A remark of a check, a run or a tuning: data first, a sentence second (`jaxnav.data.findings`)."""
+    """A remark of a check, a run or a tuning: data first, a sentence second (`jaxnav.checkup.findings`)."""
 
-    code: str  # "nis.high": stable, a row of `jaxnav.data.findings.KINDS`
+    code: str  # "nis.high": stable, a row of `jaxnav.checkup.findings.KINDS`
     severity: Severity
     subject: str = ""  # stream and channel, sensor and axis, or state
     value: float | None = None

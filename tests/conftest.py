@@ -28,7 +28,7 @@ progress.NOTICED = float("inf")  # what compiles goes with the machine, and is n
 jax.config.update("jax_enable_compilation_cache", False)
 jax.config.update("jax_disable_most_optimizations", True)  # the suite's time is compilation
 
-from jaxnav.data.epochs import Packed, pack  # noqa: E402
+from jaxnav.filters.epochs import Packed, pack  # noqa: E402
 from jaxnav.filters.parameters import change, datasheet_params  # noqa: E402
 from jaxnav.filters.run import initial_nav  # noqa: E402
 from jaxnav.maths.units import DEG  # noqa: E402

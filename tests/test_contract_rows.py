@@ -22,7 +22,7 @@ from jaxnav.states.grades import GRADES
 from jaxnav.states.state import Reading
 from jaxnav.states.table import BIASES, chosen, zeros
 from jaxnav.types import Epoch, Fix, Imu, Nav, Params
-from tuning.objectives import innovation_nll
+from tuning.fit.objectives import innovation_nll
 
 ALL = tuple(MEASUREMENTS.values())
 MORE = tuple(name for name in STATES if name not in BIASES)

@@ -13,22 +13,22 @@ import numpy as np
 import pytest
 
 from jaxnav import build, navigate
-from jaxnav.analysis.navigate import metrics
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import load
-from jaxnav.data import read as reading
-from jaxnav.data import write_recording
-from jaxnav.data.parts import ImuRows, Parts, Stream
 from jaxnav.filters.catalogue import FILTERS, Entry
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import change
 from jaxnav.filters.rule import Correction, Innovation, Rule
+from jaxnav.io import read as reading
+from jaxnav.io import write_recording
+from jaxnav.io.parts import ImuRows, Parts, Stream
 from jaxnav.maths import linalg
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
+from jaxnav.navigation import metrics
 from jaxnav.states.table import BIASES
 from jaxnav.types import Fix, Leaf, Mounting, Nav, Params, Recording, Samples
 

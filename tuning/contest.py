@@ -28,11 +28,11 @@ from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import matched_params, simulate_runs
 from jaxnav.types import ConfigError, Epoch, Nav, Params, nearest
-from tuning.free import of_rule, step_of
-from tuning.optimizers import adam
-from tuning.status import Status
-from tuning.train import fit
-from tuning.transforms import LOG, Spec, tied
+from tuning.fit.optimizers import adam
+from tuning.fit.status import Status
+from tuning.fit.train import fit
+from tuning.fit.transforms import LOG, Spec, tied
+from tuning.recordings.free import of_rule, step_of
 
 REFERENCES = ("ekf9", "ekf15")  # always in: the Kalman filter without and with bias states
 SCALES = ("measurements.position.scale", "measurements.velocity.scale")

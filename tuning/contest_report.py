@@ -11,11 +11,11 @@ import numpy as np
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.analysis.tables import cell, table
-from jaxnav.data.json import write_json
 from jaxnav.filters.parameters import get
+from jaxnav.io.json import write_json
 from tuning.contest import REFERENCES, Entrant, Plan, Scores
-from tuning.transforms import labels, split
-from tuning.validation import paired_ratio
+from tuning.fit.transforms import labels, split
+from tuning.recordings.validation import paired_ratio
 
 GROUPS = ("trained", "unseen")
 COLUMNS = ("position_m", "velocity_mps", "attitude_deg")

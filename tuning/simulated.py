@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.analysis import metrics
-from jaxnav.data.epochs import TICK
-from jaxnav.data.findings import finding
+from jaxnav.checkup.findings import finding
 from jaxnav.filters.core import Filter
+from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import get, history_for
 from jaxnav.filters.run import first_failure, prepare, require_params, run
 from jaxnav.maths import earth
@@ -20,14 +20,15 @@ from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate_runs
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError, FilterError, Fix, Info, Params
-from tuning import likelihood, objectives
-from tuning.parts import REACH
-from tuning.priors import spec_of
-from tuning.report import LEAST_WINDOWS, Trial, Tuned, channels, ratios, spread, verdict
-from tuning.runs import Descent, Run, Truth, check_objective, descend, many
-from tuning.train import Fit
-from tuning.transforms import Spec, leaves, merged
-from tuning.validation import paired_gain
+from tuning.fit import objectives
+from tuning.fit.train import Fit
+from tuning.fit.transforms import Spec, leaves, merged
+from tuning.recordings import likelihood
+from tuning.recordings.parts import REACH
+from tuning.recordings.priors import spec_of
+from tuning.recordings.report import LEAST_WINDOWS, Trial, Tuned, channels, ratios, spread, verdict
+from tuning.recordings.runs import Descent, Run, Truth, check_objective, descend, many
+from tuning.recordings.validation import paired_gain
 
 PARTS = {"training": Purpose.TRAIN, "validation": Purpose.VALIDATION, "test": Purpose.TEST}
 """The purposes of the runs, whose keys never meet."""
@@ -90,8 +91,8 @@ def tune_simulated(
         filt: a filter of position and velocity.
         params: of each scenario; what is free starts at the first one's.
         how: objective and search; the method "scoring" maximises the innovations' likelihood.
-        free: groups of `tuning.free.groups`, dotted leaves or their keys.
-        prior_sd: priors by leaf, see `tuning.priors.spec_of`.
+        free: groups of `tuning.recordings.free.groups`, dotted leaves or their keys.
+        prior_sd: priors by leaf, see `tuning.recordings.priors.spec_of`.
         priors: False leaves them out.
         counts: runs for training, validation and test, of each scenario.
         seed: of all runs.
@@ -167,7 +168,7 @@ def as_runs(filt: Filter, sims: Simulated, params: Params) -> Run:
     t = sims.truth.t[:, None]
     ends = jnp.sum(t <= sims.outages[:, :, 1:] + TICK, axis=-1) - 1
     keep = ~sims.hidden
-    halfway = 0.5 * sims.truth.t[:, -1:]  # as of a recording, see `jaxnav.data.start.halfway`
+    halfway = 0.5 * sims.truth.t[:, -1:]  # as of a recording, see `jaxnav.initialization.start.halfway`
     nav, true = counted_from(sims.initial, halfway[:, 0]), counted_from(sims.truth, halfway)
     whole, offset = jnp.ones_like(keep), clock_offset(params.mounting, true)[..., None]
     rate = jax.vmap(jax.vmap(lambda pos, vel: earth.move(pos, vel) - pos))(true.pos, true.vel)

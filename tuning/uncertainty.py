@@ -7,7 +7,7 @@ information of a Gaussian whose mean and covariance both depend on the parameter
 
 It needs first derivatives only, by forward differentiation of one run, and is never negative. The scores of blocks of
 time or of runs give the sandwich F^-1 (sum_b g_b g_b') F^-1, which holds where the model does not (White 1982).
-Everything is in the unconstrained numbers of `tuning.transforms`, where a Gaussian is a fair approximation.
+Everything is in the unconstrained numbers of `tuning.fit.transforms`, where a Gaussian is a fair approximation.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ from scipy.special import ndtri, stdtrit
 from jaxnav.filters.run import FREEDOM, student_constant
 from jaxnav.maths import linalg
 from jaxnav.types import Info
-from tuning.transforms import Spec, labels, penalty, reported, values
+from tuning.fit.transforms import Spec, labels, penalty, reported, values
 
 VAGUE = 1.0  # sd of an unconstrained number beyond which it is not determined: a factor e where it is a logarithm
 

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.recordings import drive, navego
-from jaxnav import data as io
+from jaxnav import io
 from jaxnav import measurements as ms
 from jaxnav.analysis import metrics
-from jaxnav.data import epochs
+from jaxnav.filters import epochs
 from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.error_model import error_model

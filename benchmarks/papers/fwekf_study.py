@@ -28,8 +28,8 @@ from jaxnav.maths.units import DEG
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import Simulated, matched_params, simulate
 from jaxnav.types import Params
-from tuning.train import fit
-from tuning.transforms import IDENTITY, Spec
+from tuning.fit.train import fit
+from tuning.fit.transforms import IDENTITY, Spec
 
 PRINTED = math.sqrt(0.001)  # "R in all sensors was selected as 0.001", read as a variance
 

@@ -29,8 +29,8 @@ from jaxnav.maths import units
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.types import Params
-from tuning.transforms import IDENTITY, LOG, Spec
-from tuning.transforms import scaled as scaled_by
+from tuning.fit.transforms import IDENTITY, LOG, Spec
+from tuning.fit.transforms import scaled as scaled_by
 
 TUNED = Path(__file__).with_name("gipkf_tuned.json")  # what such runs found
 SETS = {"nominal": "gipkf_urban", "uncalibrated": "gipkf_urban_uncalibrated", "stress": "gipkf_urban_stress"}

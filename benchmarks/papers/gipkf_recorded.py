@@ -12,16 +12,16 @@ import numpy as np
 
 from benchmarks.papers.gipkf_study import LENGTHS
 from benchmarks.recordings import drive, navego
-from jaxnav import data as io
+from jaxnav import io
 from jaxnav.analysis import metrics
-from jaxnav.data import epochs
-from jaxnav.data import start as alignment
-from jaxnav.data.epochs import Packed
+from jaxnav.filters import epochs
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
+from jaxnav.filters.epochs import Packed
 from jaxnav.filters.papers.gip_kf import gip_kf_params
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import initial_nav, run
+from jaxnav.initialization import start as alignment
 from jaxnav.maths import units
 from jaxnav.measurements import GNSS, POSITION, Measurement
 from jaxnav.states.grades import GRADES

@@ -20,9 +20,9 @@ from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import simulate
 from jaxnav.states.motion import A
 from jaxnav.types import Epoch, Info, Nav, Params
-from tuning.optimizers import adam
-from tuning.train import fit
-from tuning.transforms import Spec, join
+from tuning.fit.optimizers import adam
+from tuning.fit.train import fit
+from tuning.fit.transforms import Spec, join
 
 LENGTHS = (10.0, 11.0, 22.0)  # s
 SAMPLES = 10  # of the IMU in an epoch

@@ -35,8 +35,8 @@ from jaxnav.filters.papers.gpid import gpid_params, literal_params
 from jaxnav.simulate.scenarios import CIRCLE, READINGS, REPRO, Scenario
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.simulate.trajectories import shape_of
-from tuning.train import default_optimizer, fit
-from tuning.transforms import LOG
+from tuning.fit.train import default_optimizer, fit
+from tuning.fit.transforms import LOG
 
 SEEDS, TRAINING = 24, 6
 RIVALS = (

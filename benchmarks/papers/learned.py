@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxnav.filters.papers.fuzzy_combined import combined_params, deciding
 from jaxnav.filters.papers.fwekf import Limits
 from jaxnav.filters.rule import Rule
-from tuning.transforms import IDENTITY, Spec
+from tuning.fit.transforms import IDENTITY, Spec
 
 UNITS = 8  # of the hidden layer: 59 numbers with two blocks, where the two fuzzy systems have 78
 HIGHEST = 1.2  # of the weight a, as of the fuzzy systems

@@ -16,15 +16,15 @@ from benchmarks.recordings.wild import PHASES, RECIPES, SETTLE
 from jaxnav import build, read, start
 from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import drift, hidden_windows
-from jaxnav.data import epochs as ep
-from jaxnav.data.bank import most_probable
-from jaxnav.data.checkup import checkup
-from jaxnav.data.start import Start
+from jaxnav.checkup import checkup
+from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import prepare
+from jaxnav.initialization.bank import most_probable
+from jaxnav.initialization.start import Start
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import Params, Recording
-from tuning.recorded import spread, tune
+from tuning.recordings.recorded import spread, tune
 
 TUNED_ON, JUDGED_ON = ("h", "i"), ("j", "k")
 WINDOW = 10.0

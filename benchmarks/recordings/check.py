@@ -1,4 +1,4 @@
-"""`jaxnav.data.checkup` on recordings that are damaged in one way each, and on those that are not.
+"""`jaxnav.checkup` on recordings that are damaged in one way each, and on those that are not.
 
 A damage counts as named where a finding that says that something is wrong has its code, or where the recording is
 refused with a sentence that names it. A false alarm is a finding of wrong in a recording as it is; what is known to be
@@ -15,9 +15,9 @@ from benchmarks import common
 from benchmarks.recordings.wild import sources
 from jaxnav import read
 from jaxnav.analysis.tables import table
-from jaxnav.data.checks import check_recording
-from jaxnav.data.checkup import checkup
-from jaxnav.data.findings import line
+from jaxnav.checkup import checkup
+from jaxnav.checkup.findings import line
+from jaxnav.io.checks import check_recording
 from jaxnav.maths import rotations
 from jaxnav.types import DataError, ImuLog, Recording, Samples
 

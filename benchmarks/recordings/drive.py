@@ -18,23 +18,25 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
-from jaxnav import data as io
+from jaxnav import io
 from jaxnav import measurements as ms
-from jaxnav.data import epochs, mend, timescale
-from jaxnav.data import start as alignment
-from jaxnav.data.column_map import described
-from jaxnav.data.read import read_parts
+from jaxnav.filters import epochs
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import datasheet_params, get, late, mounting, prior
 from jaxnav.filters.run import initial_nav, run
+from jaxnav.filters.standstill import constraint_samples, stationary
+from jaxnav.initialization import start as alignment
+from jaxnav.io import mend, timescale
+from jaxnav.io.column_map import described
+from jaxnav.io.read import read_parts
 from jaxnav.maths import units
 from jaxnav.states.grades import GRADES
 from jaxnav.types import Epoch, Nav, Params, Recording, Track
-from tuning import objectives
-from tuning.train import default_optimizer, fit
-from tuning.transforms import LOG, scaled
-from tuning.validation import paired_gain
+from tuning.fit import objectives
+from tuning.fit.train import default_optimizer, fit
+from tuning.fit.transforms import LOG, scaled
+from tuning.recordings.validation import paired_gain
 
 AUTHOR = {  # the data author's own filter on this protocol: horizontal RMS, median, max, vertical RMS in m
     "without constraints": (6.30, 2.49, 27.3, 0.60),
@@ -112,8 +114,8 @@ def start_at(rec: Recording, time: float) -> Nav:
 def cut(rec: Recording, constraints: bool, start: float, stop: float | None = None, nav: Nav | None = None) -> Data:
     """Epochs from ``start`` with the pseudo-measurements at their ends."""
     cuts = epochs.cut_times(rec.imu, rec.aiding, INTERVAL, start, stop)
-    standing = epochs.stationary(rec.imu, cuts, STILL, ACCEL_SPREAD, GYRO_SPREAD)
-    made = epochs.constraint_samples(rec.imu, cuts, nonholonomic=constraints, standing=standing, window=STILL)
+    standing = stationary(rec.imu, cuts, STILL, ACCEL_SPREAD, GYRO_SPREAD)
+    made = constraint_samples(rec.imu, cuts, nonholonomic=constraints, standing=standing, window=STILL)
     chosen = measurements(constraints)
     packed = epochs.pack(rec.imu, rec.aiding | made, INTERVAL, chosen, start=start, cuts=cuts)
     filt = build("ekf15", chosen, cov_stride=packed.epochs.imu.dt.shape[1], history=HISTORY)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.recordings import drive
-from jaxnav.data import epochs
+from jaxnav.filters import epochs
 from jaxnav.filters.core import Filter
 from jaxnav.filters.smoother import smooth
 from jaxnav.types import Epoch, Nav, Params

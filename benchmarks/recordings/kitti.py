@@ -17,12 +17,13 @@ from benchmarks.recordings.wild import RECIPES
 from jaxnav import Solution, build, navigate, read, start
 from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import Windows, drift, hidden_windows
-from jaxnav.data import epochs as ep
+from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
+from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import change, datasheet_params
 from jaxnav.states.grades import Grade
 from jaxnav.types import Params, Recording
-from tuning.recorded import Tuned, spread, tune
+from tuning.recordings.recorded import Tuned, spread, tune
 
 # the metadata file that ships with the recording, of samples at 100 Hz
 ACCEL, GYRO, ACCEL_WALK, GYRO_WALK = 0.01, 1.75e-4, 1.67e-4 * 10, 2.91e-6 * 10
@@ -129,12 +130,12 @@ def main(argv: list[str]) -> None:
             ours(sol, sol.filter, sol.params, packed, windows)
         )
         begin = time.perf_counter()
-        ends = np.searchsorted(rec.aiding["position"].t, packed.t[windows.end] - ep.TICK)
+        ends = np.searchsorted(rec.aiding["position"].t, packed.t[windows.end] - TICK)
         off = np.empty(windows.end.size)
         for p in range(PHASES):
             at = rec.aiding["position"].t
             of = windows.phase == p
-            hidden = ((at[:, None] > windows.start[of] + ep.TICK) & (at[:, None] <= windows.start[of] + WINDOW)).any(1)
+            hidden = ((at[:, None] > windows.start[of] + TICK) & (at[:, None] <= windows.start[of] + WINDOW)).any(1)
             error = isam(hidden, sd)[ends[of]]
             off[of] = np.hypot(error[:, 0], error[:, 1])
         seconds = time.perf_counter() - begin

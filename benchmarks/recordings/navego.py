@@ -11,15 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import common
-from jaxnav import data as io
+from jaxnav import io
 from jaxnav.analysis import metrics
-from jaxnav.data import epochs
-from jaxnav.data.formats.matfiles import field, read_struct
+from jaxnav.filters import epochs
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import change, datasheet_params
 from jaxnav.filters.run import initial_nav, run_jit, track
+from jaxnav.io.formats.matfiles import field, read_struct
 from jaxnav.states.grades import GRADES
-from jaxnav.types import Nav, Params, Recording
+from jaxnav.types import ImuLog, Nav, Params, Recording
 
 KEYS = ("north_m", "east_m", "down_m", "vn_mps", "ve_mps", "vd_mps", "roll_deg", "pitch_deg", "heading_deg")
 REFERENCE = dict(zip(KEYS, (0.2306, 0.3606, 0.5134, 0.01659, 0.01215, 0.006586, 0.01743, 0.03459, 0.1271), strict=True))
@@ -65,9 +65,14 @@ def parameters(folder: Path, imu: str) -> Params:
     )
 
 
+def from_instantaneous(imu: ImuLog) -> ImuLog:
+    """Means by the trapezoid from samples that are instantaneous values at ``t``; one row less."""
+    return ImuLog(imu.t[1:], imu.dt[1:], 0.5 * (imu.gyro[1:] + imu.gyro[:-1]), 0.5 * (imu.accel[1:] + imu.accel[:-1]))
+
+
 def cut(rec: Recording, instantaneous: bool) -> tuple[epochs.Packed, Nav]:
     """The epochs of 0.2 s, and the start at truth."""
-    imu = epochs.from_instantaneous(rec.imu) if instantaneous else rec.imu
+    imu = from_instantaneous(rec.imu) if instantaneous else rec.imu
     start = float(rec.aiding["position"].t[0])
     i = int(np.argmin(np.abs(rec.truth.t - start)))
     nav = initial_nav(rec.truth.lla[i], rec.truth.vel[i], rec.truth.rph[i], t=start)

@@ -22,14 +22,13 @@ from benchmarks import common
 from benchmarks.recordings import drive, navego, peers_kfgins
 from benchmarks.speed.speed_peers import found as installed
 from benchmarks.speed.speed_peers import python_ins
-from jaxnav import build, recording
-from jaxnav import data as io
+from jaxnav import build, io, recording
 from jaxnav.analysis.tables import table
-from jaxnav.data import epochs as ep
-from jaxnav.data.start import Start
+from jaxnav.filters import epochs as ep
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import initial_nav, run_jit
+from jaxnav.initialization.start import Start
 from jaxnav.maths import earth, units
 from jaxnav.measurements import POSITION
 from jaxnav.simulate.keys import Purpose, run_keys
@@ -39,8 +38,8 @@ from jaxnav.states.grades import GRADES
 from jaxnav.states.table import STATES
 from jaxnav.types import Epoch, Fix, Imu, ImuLog, Nav, Params, Recording, StateParams
 from tuning import tune
-from tuning.recorded import spread
-from tuning.targets import TARGETS
+from tuning.recordings.recorded import spread
+from tuning.recordings.targets import TARGETS
 
 LIKE = TARGETS["kfgins"]
 WINDOWS = ((60.0, 75.0), (100.0, 115.0), (140.0, 155.0))  # s, simulated

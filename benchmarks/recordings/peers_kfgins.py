@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.recordings import drive
-from jaxnav.data import epochs
-from jaxnav.data.formats.kfgins import read_kfgins_nav
-from jaxnav.data.start import Start
+from jaxnav.filters import epochs
+from jaxnav.initialization.start import Start
+from jaxnav.io.formats.kfgins import read_kfgins_nav
 from jaxnav.maths import earth, rotations
 from jaxnav.types import Params, Recording, Track
-from tuning.targets import delay_of, write_kfgins
+from tuning.recordings.targets import delay_of, write_kfgins
 
 RESULT = "KF_GINS_Navresult.nav"
 LIMIT = 300  # s of a run

@@ -23,10 +23,11 @@ from jaxnav.maths import units
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import GNSS
 from jaxnav.types import Params
-from tuning import scoring, uncertainty
-from tuning.transforms import LOG, Spec, join, scaled, split, tied
+from tuning import uncertainty
+from tuning.fit.transforms import LOG, Spec, join, scaled, split, tied
+from tuning.recordings import scoring
+from tuning.recordings.validation import paired_gain
 from tuning.uncertainty import Information
-from tuning.validation import paired_gain
 
 SPEC: Spec = {
     "noise.gyro": tied(LOG), "noise.accel": tied(LOG),

@@ -21,14 +21,14 @@ from scipy.spatial.transform import Rotation
 from benchmarks import common
 from jaxnav import build, navigate, read
 from jaxnav.analysis.metrics import chi2_bounds
-from jaxnav.data import start as starting
-from jaxnav.data.alignment import rotations_since
-from jaxnav.data.datasets import load
+from jaxnav.initialization import start as starting
+from jaxnav.initialization.alignment import rotations_since
+from jaxnav.io.datasets import load
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
 from jaxnav.states.grades import GRADES
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
-from tuning.recorded import tune
+from tuning.recordings.recorded import tune
 
 RATE, SPAN = 100.0, 70.0  # Hz, s
 TUNED_SPAN = 240.0  # s, of a drive that is tuned

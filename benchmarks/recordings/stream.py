@@ -15,8 +15,8 @@ from benchmarks import common
 from benchmarks.recordings.wild import sources
 from jaxnav import Stream, build, initial_nav, navigate, read, start
 from jaxnav.analysis.tables import table
-from jaxnav.data.start import Start
 from jaxnav.filters.compiler import held
+from jaxnav.initialization.start import Start
 from jaxnav.maths import earth
 from jaxnav.types import Info
 

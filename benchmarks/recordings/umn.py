@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
-from jaxnav import data as io
+from jaxnav import io
 from jaxnav.analysis import metrics
-from jaxnav.data import epochs
-from jaxnav.data import start as alignment
-from jaxnav.data.bank import bank_jit, with_headings
+from jaxnav.filters import epochs
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import change, datasheet_params, mounting
 from jaxnav.filters.run import initial_nav, track
+from jaxnav.initialization import start as alignment
+from jaxnav.initialization.bank import bank_jit, with_headings
 from jaxnav.maths import units
 from jaxnav.states.grades import GRADES
 from jaxnav.types import Params

@@ -19,20 +19,19 @@ from jaxnav.analysis.noise_scan import scan_noise
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import Windows, drift, hidden_windows, position_noise
-from jaxnav.data import epochs as ep
-from jaxnav.data.bank import most_probable
-from jaxnav.data.datasets import RECORDINGS
-from jaxnav.data.start import Start, start
+from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import rows
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, installed
+from jaxnav.initialization.bank import most_probable
+from jaxnav.initialization.start import Start, start
+from jaxnav.io.datasets import RECORDINGS
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
-from jaxnav.measurements import GNSS, MEASUREMENTS
 from jaxnav.types import DataError, Info, Params, Recording
-from tuning.evidence import seen_by_position, slow_errors
-from tuning.recorded import tune
+from tuning.recordings.evidence import seen_by_position, slow_errors
+from tuning.recordings.recorded import tune
 
 RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
 PINNED = {"kth": "kth_gnss_ins", "rtkexplorer": "rtkexplorer_drive", "umn": "umn_thor75"}  # maps of data sets
@@ -119,47 +118,6 @@ def drifts(rec: Recording, sensors: tuple[str, ...], states: tuple[str, ...], wi
     filt = build("ekf15", (*streams, *sensors), cov_stride=5, states=states)
     params = filt.params("consumer")
     return hidden_drift(rec, filt, params, start(rec, params), window, 2 * window)[2]
-
-
-def sensors_of(rec: Recording) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
-    """What else a recording measures: measurements to filter with and the states that belong to them, by stream."""
-    beside = {"speed": ("nonholonomic",), "airspeed": ("sideslip",)}
-    found = {}
-    for row in MEASUREMENTS.values():
-        if row.name in rec.aiding and row not in GNSS:
-            named = (row.name, *beside.get(row.name, ()))
-            states = dict.fromkeys(state for name in named for state in MEASUREMENTS[name].states)
-            found[row.name] = (named, tuple(states))
-    return found
-
-
-def with_sensors(path: Path) -> list[dict]:
-    """Drift of one recording with each of its other sensors and, before all of them, without."""
-    rec, rows_of = read(path), []
-    for name, (sensors, states) in {"": ((), ()), **sensors_of(rec)}.items():
-        error = drifts(rec, sensors, states, window_of(rec))
-        if not len(error):  # too short to hide anything
-            return []
-        level, up = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
-        rows_of.append({
-            "sensor": name, "with": [*sensors, *states], "windows": len(error),
-            **{f"{k}_rms_m": float(np.sqrt(np.mean(e**2))) for k, e in (("level", level), ("up", up))},
-        })  # fmt: skip
-    return rows_of
-
-
-def sensors_table(results: dict[str, dict]) -> str:
-    """Of all recordings that have any."""
-    lines = []
-    for name, result in results.items():
-        rows_of = result.get("rows", [])
-        for r in rows_of[1:]:
-            first = rows_of[0]
-            ratios = [f"{r[k] / first[k]:.2f}" for k in ("level_rms_m", "up_rms_m")]
-            lines.append([name, " + ".join(r["with"]), r["windows"], first["level_rms_m"], r["level_rms_m"], ratios[0],
-                          first["up_rms_m"], r["up_rms_m"], ratios[1]])  # fmt: skip
-    head = ["recording", "with", "windows", "RMS without m", "with m", "ratio", "height without m", "with m", "ratio"]
-    return table(head, lines)
 
 
 def tuned(name: str, path: Path) -> dict:
@@ -308,7 +266,6 @@ def main(argv: list[str]) -> None:
     parser.add_argument(
         "--auto", action="store_true", help="the noise scan of the first part, judged on the rest, instead"
     )
-    parser.add_argument("--sensors", action="store_true", help="the drift with every other sensor instead, and without")
     args = parser.parse_args(argv)
     chosen = sources()
     if args.only:
@@ -330,16 +287,6 @@ def main(argv: list[str]) -> None:
                 print(f"{name}: {r['drift_ratio'] if r['ran'] else r['why']}", flush=True)
                 common.write_json(args.json, results)
         print(scan_table(results))
-        return
-    if args.sensors:
-        for name, path in chosen.items():
-            try:
-                results[name] = {"ran": True, "rows": with_sensors(path)}
-            except (DataError, ValueError) as error:
-                results[name] = {"ran": False, "why": str(error)}
-            print(f"{name}: {results[name].get('why', 'done')}", flush=True)
-            common.write_json(args.json, results)
-        print(sensors_table(results))
         return
     tracks: dict | None = {} if args.figure else None
     for name, path in chosen.items():

@@ -36,9 +36,9 @@ from jaxnav.analysis.tables import table
 from jaxnav.app import cli, config, settings
 from jaxnav.filters.compiler import make_room
 from jaxnav.types import ConfigError, DataError
-from tuning.checkpoint import CheckpointError
-from tuning.train import fit
-from tuning.transforms import LOG
+from tuning.fit.checkpoint import CheckpointError
+from tuning.fit.train import fit
+from tuning.fit.transforms import LOG
 
 QUICK = ["--set", "out.figures=false", "--set", "filter.cov_stride=25", "--set", "out.formats=[]"]
 SHARE = 0.95  # of the time inside 3 sd

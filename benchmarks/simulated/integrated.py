@@ -24,7 +24,7 @@ from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import INTEGRATING
 from jaxnav.simulate.simulation import Simulated, matched_params, simulate, to_recording
 from jaxnav.types import Params
-from tuning.recorded import tune
+from tuning.recordings.recorded import tune
 
 OVERSTATED = 5.0  # the receiver's sd of the position against its white noise
 HELD, SETTLED = 20, 60.0  # drives to score on; s of each that are the start's

@@ -6,9 +6,9 @@ import jax
 import numpy as np
 
 from benchmarks.common import options, write_json
-from jaxnav.analysis.navigate import navigate
 from jaxnav.filters.catalogue import build
 from jaxnav.maths.units import DEG
+from jaxnav.navigation import navigate
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_runs, to_recording

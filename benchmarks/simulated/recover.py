@@ -16,7 +16,7 @@ from jax.flatten_util import ravel_pytree
 
 from benchmarks import common
 from benchmarks.recordings import navego
-from jaxnav import data as io
+from jaxnav import io
 from jaxnav.analysis import metrics
 from jaxnav.filters.border import component
 from jaxnav.filters.catalogue import build
@@ -26,10 +26,11 @@ from jaxnav.simulate.scenarios import URBAN_SHORT, Scenario
 from jaxnav.simulate.simulation import matched_params, simulate
 from jaxnav.states.grades import GRADES
 from jaxnav.types import Finding, Params
-from tuning import scoring, uncertainty
-from tuning.likelihood import Surface, rows
-from tuning.report import Row
-from tuning.transforms import LOG, Spec, join, labels, split, tied
+from tuning import uncertainty
+from tuning.fit.transforms import LOG, Spec, join, labels, split, tied
+from tuning.recordings import scoring
+from tuning.recordings.likelihood import Surface, rows
+from tuning.recordings.report import Row
 from tuning.uncertainty import Information
 
 SPEC: Spec = {

@@ -137,8 +137,8 @@ def devices(label: str, n: str, seconds: str, runs: str, repeats: str) -> dict[s
     from jax.sharding import PartitionSpec
 
     from benchmarks.speed import speed_work as work
-    from tuning import distributed
-    from tuning.batch import RUNS
+    from tuning.fit import distributed
+    from tuning.fit.batch import RUNS
 
     noise, nav, epochs = work.still(int(seconds), int(runs))
     mesh = distributed.mesh(2)

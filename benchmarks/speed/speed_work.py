@@ -23,7 +23,7 @@ from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, matched_params, simulate
 from jaxnav.states.table import BIASES
 from jaxnav.types import Epoch, Fix, Imu, Info, Nav, Params
-from tuning.objectives import innovation_nll
+from tuning.fit.objectives import innovation_nll
 
 RATE = 100  # Hz
 TURN, LONG, PAUSE = 0.1, 1.0, 0.01  # s, see `turn`

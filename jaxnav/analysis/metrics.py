@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtri  # the inverse chi-square law without the second that scipy.stats takes to load
 
-from jaxnav.data.epochs import TICK
+from jaxnav.filters.gaps import TICK
 from jaxnav.maths import earth, linalg, rotations
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.types import Info, Nav, Track

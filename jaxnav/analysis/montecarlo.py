@@ -16,9 +16,9 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxnav.analysis import metrics
 from jaxnav.analysis.progress import bar as progress_bar
-from jaxnav.data.epochs import TICK
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter, Step
+from jaxnav.filters.gaps import TICK
 from jaxnav.filters.run import require_params, run
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
@@ -221,7 +221,7 @@ def monte_carlo(
     the chunks that are finished.
 
     ``mesh``: devices of one automatic axis, of one process or several, that share each chunk, as of
-    `tuning.distributed.mesh`; all processes end with the same.
+    `tuning.fit.distributed.mesh`; all processes end with the same.
     ``keep`` hears what is finished after each chunk, ``begun`` goes on from there, bit for bit.
 
     Memory for an hour of IMU at 10 Hz and GNSS at 1 Hz: about 25 MB a run of the chunk, 1 MB more for each candidate,

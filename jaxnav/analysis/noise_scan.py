@@ -31,14 +31,14 @@ import numpy as np
 
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.windows import hidden_windows, position_noise
-from jaxnav.data import epochs as ep
-from jaxnav.data.bank import most_probable
-from jaxnav.data.findings import finding
-from jaxnav.data.start import Start, ground_velocity, start
+from jaxnav.checkup.findings import finding
+from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.parameters import datasheet_states, history_for
 from jaxnav.filters.run import prepare, run, student_nll
+from jaxnav.initialization.bank import most_probable
+from jaxnav.initialization.start import Start, ground_velocity, start
 from jaxnav.maths import linalg
 from jaxnav.measurements import GNSS
 from jaxnav.states.grades import GRADES

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxnav.data.findings import finding
+from jaxnav.checkup.findings import finding
 from jaxnav.filters.core import Filter, Step, masked
 from jaxnav.filters.run import run
 from jaxnav.maths import linalg

@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxnav.analysis import evaluate, metrics
-from jaxnav.data.checkup.inertial import noise_floor
-from jaxnav.data.epochs import TICK, Packed
-from jaxnav.data.findings import finding
-from jaxnav.data.missing import UNMEASURED_SD
+from jaxnav.checkup.findings import finding
+from jaxnav.checkup.inertial import noise_floor
+from jaxnav.filters.epochs import Packed
+from jaxnav.filters.gaps import TICK
+from jaxnav.io.missing import UNMEASURED_SD
 from jaxnav.maths import units
 from jaxnav.measurements import Measurement, layout
 from jaxnav.types import Finding, ImuLog, Info, Params, Recording

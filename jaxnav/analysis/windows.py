@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.data import epochs as ep
+from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import run
 from jaxnav.measurements import Measurement

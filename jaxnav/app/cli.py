@@ -179,8 +179,8 @@ def _first() -> bool:
 
 
 def _report(args: argparse.Namespace, outcome: "Outcome", out: Path | None) -> int:
-    from jaxnav.data.findings import text
-    from jaxnav.data.json import to_json
+    from jaxnav.checkup.findings import text
+    from jaxnav.io.json import to_json
 
     code = INTERRUPTED if outcome.stopped else int(outcome.failed)
     if args.json:
@@ -210,7 +210,7 @@ def _start_jax(args: argparse.Namespace) -> None:
     enable_x64()
     gc.set_threshold(COLLECT)
     if hasattr(args, "devices"):
-        from tuning import distributed
+        from tuning.fit import distributed
 
         if args.devices < 0:
             raise ConfigError(f"--devices must be 0 (all) or more, got {args.devices}")

@@ -6,7 +6,7 @@ import sys
 from jaxnav.app.cli import SHARED
 from jaxnav.app.verb import Argument
 from jaxnav.app.verbs import VERBS
-from jaxnav.data.findings import KINDS
+from jaxnav.checkup.findings import KINDS
 
 FINDINGS = """What `jaxnav check` and a run remark: `Solution.findings`, check.json, metrics.json, the terminal and the
 report. Each has a code, which is stable, a severity, a subject, value and limit with their unit, likely causes and what

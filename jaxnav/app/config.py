@@ -15,10 +15,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxnav.data.datasets import DATASETS
-from jaxnav.data.toml import convert, describe, place, plain, quoted
 from jaxnav.filters.border import NAMES, TABLES, flat, nested
 from jaxnav.filters.parameters import UNITS
+from jaxnav.io.datasets import DATASETS
+from jaxnav.io.toml import convert, describe, place, plain, quoted
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import GNSS
 from jaxnav.types import ConfigError, nearest
@@ -121,9 +121,9 @@ class Tune:
     per_recording: tuple[str, ...] = ()  # several recordings: free parameters with one value for each, such as "timing"
     prior: dict[str, float] = dataclasses.field(default_factory=dict)  # name -> one sd about the datasheet: a factor
     #   for what is positive (2 is "within a factor 2"), else in the parameter's own unit
-    priors: str = "datasheet"  # or "none": maximum likelihood, see `tuning.priors`
+    priors: str = "datasheet"  # or "none": maximum likelihood, see `tuning.recordings.priors`
     # auto: tempered for recordings, adam for simulated runs and for an objective of your own; also sgd, lbfgs, and
-    method: str = "auto"  # scoring, for simulated runs and the objective nll; tempered: see `tuning.recorded`
+    method: str = "auto"  # scoring, for simulated runs and the objective nll; `tuning.recordings.recorded`: tempered
     objective: dict[str, float] = dataclasses.field(
         default_factory=lambda: {"log_drift": 1.0, "nll": 1.0}
     )  # of a gradient method: name -> weight

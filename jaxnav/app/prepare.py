@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from jaxnav.app.config import Config, as_dict, changed
-from jaxnav.data import epochs as ep
-from jaxnav.data.start import Start, start
 from jaxnav.filters.border import in_user_units, override
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import datasheet_params, mounting
+from jaxnav.filters.standstill import Standing
+from jaxnav.initialization.start import Start, start
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.simulate.scenarios import Scenario
@@ -117,10 +117,10 @@ def with_noise(config: Config, params: Params, measurements: tuple[str, ...]) ->
     return changed(config, {"filter.grade": DATASHEET, **values})
 
 
-def standing_of(config: Config) -> ep.Standing:
+def standing_of(config: Config) -> Standing:
     """The detector of standstills that [filter] states."""
     f = config.filter
-    return ep.Standing(f.standing_window_s, f.standing_accel_sd_mps2, f.standing_gyro_sd_deg_per_s * DEG)
+    return Standing(f.standing_window_s, f.standing_accel_sd_mps2, f.standing_gyro_sd_deg_per_s * DEG)
 
 
 def start_of(config: Config, rec: Recording, params: Params) -> Start:

@@ -9,9 +9,9 @@ from typing import Any
 
 from jaxnav.app.config import Config, as_dict
 from jaxnav.app.results import Outcome, picture, versions
-from jaxnav.data import atomic_write
-from jaxnav.data.findings import text
-from jaxnav.data.json import to_json
+from jaxnav.checkup.findings import text
+from jaxnav.io import atomic_write
+from jaxnav.io.json import to_json
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 1040px; color: #222; padding: 0 1rem }

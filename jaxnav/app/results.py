@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxnav.app.config import Config, as_dict
-from jaxnav.data.json import write_json
+from jaxnav.io.json import write_json
 from jaxnav.types import DataError, Finding
 
 RUN = "run.json"

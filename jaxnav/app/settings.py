@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxnav.app import config
-from jaxnav.data.toml import inline, to_toml
 from jaxnav.filters.border import KEYS, NAMES, user_value
 from jaxnav.filters.parameters import UNITS
+from jaxnav.io.toml import inline, to_toml
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.states.table import BIASES, STATES
 

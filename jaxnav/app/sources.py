@@ -6,10 +6,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxnav import data as io
+from jaxnav import io
 from jaxnav.app.config import Config
-from jaxnav.data.read import read
 from jaxnav.filters.run import require_x64
+from jaxnav.io.read import read
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.readings import equipped

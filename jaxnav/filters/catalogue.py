@@ -50,7 +50,7 @@ class Entry(NamedTuple):
     states: tuple[str, ...]  # optional ones that it has by itself
     rule: Callable[..., Rule]  # (); of one that is gated (sizes of its blocks), of a watched one (slices of the fix)
     theta: Callable[[], Any]  # default parameters of the rule
-    tunable: dict[str, str]  # leaves of theta worth tuning -> name of their transform in `tuning.transforms`
+    tunable: dict[str, str]  # leaves of theta worth tuning -> name of their transform in `tuning.fit.transforms`
     citation: str
     form: str = "full"  # of the error model
     frame: str = "local_level"  # the paper's own, of FRAMES

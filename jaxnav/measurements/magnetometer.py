@@ -14,7 +14,7 @@ from jaxnav.types import Fix, Leaf, Mounting, Nav
 
 
 class MagnetometerParams(NamedTuple):
-    """Of a magnetometer, and of the field where it is; `jaxnav.data.magnetic` looks the field up."""
+    """Of a magnetometer, and of the field where it is; `jaxnav.initialization.magnetic` looks the field up."""
 
     sd_scale: Leaf  # () factor on its own sd
     latency: Leaf  # () s, its age when it is stamped

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxnav.data.epochs import TICK
+from jaxnav.filters.gaps import TICK
 from jaxnav.simulate.kinds import told_apart
 from jaxnav.simulate.processes import gauss_markov, normal
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxnav.data.epochs import TICK
+from jaxnav.filters.gaps import TICK
 from jaxnav.maths import earth, rotations
 from jaxnav.simulate import faults as fault
 from jaxnav.simulate.processes import gauss_markov, normal

@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.data import start as alignment
 from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.parameters import datasheet_params, late, mounting
 from jaxnav.filters.run import require_x64, track
+from jaxnav.initialization import start as alignment
 from jaxnav.maths import earth, rotations, units
 from jaxnav.measurements import GNSS, MEASUREMENTS, layout
 from jaxnav.simulate import gnss, imu

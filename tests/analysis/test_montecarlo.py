@@ -20,7 +20,7 @@ from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate_jit
 from tests.conftest import leaves_equal, told
-from tuning import checkpoint
+from tuning.fit import checkpoint
 
 SCENARIO = SCENARIOS["gpid_circle_no_fault"]
 SCENARIO = SCENARIO._replace(

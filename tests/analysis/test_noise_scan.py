@@ -11,7 +11,7 @@ from jaxnav.analysis.noise_scan import FINE_BOX, _in_motion, _vertex
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import load
-from jaxnav.data.canonical import write_recording
+from jaxnav.io.canonical import write_recording
 from jaxnav.types import Recording, Samples
 
 FACTOR, LATENCY = 10.0, 0.2

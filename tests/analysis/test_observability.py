@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxnav.analysis import observability as obs
-from jaxnav.data.epochs import pack
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.epochs import pack
 from jaxnav.filters.parameters import put
 from jaxnav.filters.run import run_jit
 from jaxnav.types import ImuLog, Samples, StateParams

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from jaxnav.analysis import evaluate, usage
-from jaxnav.data.epochs import hide, pack
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.epochs import hide, pack
 from jaxnav.filters.run import run_jit
 from jaxnav.measurements import GNSS
 from jaxnav.types import Info, Nav, Recording, Samples

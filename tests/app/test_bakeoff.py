@@ -21,10 +21,10 @@ from jaxnav.states.table import BIASES
 from jaxnav.types import Epoch, Fix, Imu, Info
 from tuning import contest, contest_report
 from tuning.contest import ContestRuns, Kind, Plan
-from tuning.status import Status
-from tuning.train import Fit
-from tuning.transforms import labels, split
-from tuning.validation import paired_ratio
+from tuning.fit.status import Status
+from tuning.fit.train import Fit
+from tuning.fit.transforms import labels, split
+from tuning.recordings.validation import paired_ratio
 
 E, METRES = 30, 1e-7  # epochs; rad of latitude a metre, nearly
 SD = {"ekf9": 6.0, "ekf15": 3.0, "gpid": 1.5}  # m, of the fixes that each toy sees

@@ -10,15 +10,15 @@ import jax
 import numpy as np
 import pytest
 
-from jaxnav.analysis import navigate
+from jaxnav import navigation as navigate
 from jaxnav.app import cli, config, prepare, sources
 from jaxnav.app.jobs import filtering
 from jaxnav.app.results import staged
-from jaxnav.data import read_recording, write_recording
+from jaxnav.io import read_recording, write_recording
 from jaxnav.types import FilterError
-from tuning import runs
-from tuning.status import Status
-from tuning.train import Fit
+from tuning.fit.status import Status
+from tuning.fit.train import Fit
+from tuning.recordings import runs
 
 SMALL = ["--set", "data.options.standstill_s=4", "--set", "filter.cov_stride=25", "--set", "out.figures=false"]
 TINY = [
@@ -235,7 +235,7 @@ def test_files_that_nobody_reads_are_named(drive, tmp_path, capsys):
 def test_absent_data_and_fetched_data_exit_3(monkeypatch, tmp_path, capsys):
     fails(capsys, ["filter", "--data", "urban_shrt"], 3, "urban_shrt", "did you mean urban_short?")
     monkeypatch.setenv("JAXNAV_DATA_DIR", str(tmp_path))
-    monkeypatch.setattr("jaxnav.data.datasets._cache", lambda name: tmp_path / "cache" / name)
+    monkeypatch.setattr("jaxnav.io.datasets._cache", lambda name: tmp_path / "cache" / name)
     fails(capsys, ["filter", "--data", "umn_thor75"], 3, "jaxnav data fetch umn_thor75")
     fails(capsys, ["data", "check", "umn_thor"], 3, "did you mean umn_thor75?")
     assert cli.main(["data", "list", "--json"]) == 0

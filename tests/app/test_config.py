@@ -8,7 +8,7 @@ import tomllib
 import pytest
 
 from jaxnav.app import config
-from jaxnav.data.toml import to_toml
+from jaxnav.io.toml import to_toml
 from jaxnav.types import ConfigError
 
 

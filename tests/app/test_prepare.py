@@ -9,27 +9,28 @@ import numpy as np
 import pytest
 
 from jaxnav.analysis import evaluate
-from jaxnav.analysis.navigate import Solution
 from jaxnav.app import cli, config, prepare
 from jaxnav.app.jobs import tune
 from jaxnav.app.unused import unused
 from jaxnav.app.verbs import VERBS
-from jaxnav.data import epochs, start
-from jaxnav.data import start as alignment
-from jaxnav.data.toml import to_toml
-from jaxnav.filters import border
+from jaxnav.filters import border, epochs
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.parameters import datasheet_params, get, history_for, mounting, put
 from jaxnav.filters.run import initial_nav
+from jaxnav.filters.standstill import driving
+from jaxnav.initialization import start
+from jaxnav.initialization import start as alignment
+from jaxnav.io.toml import to_toml
 from jaxnav.maths import earth
 from jaxnav.measurements import counted_from
+from jaxnav.navigation import Solution
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError, DataError, Epoch, ImuLog, Info, Recording, Samples, Track
-from tuning import parts, runs
-from tuning.priors import spec_of
-from tuning.transforms import join, labels, split
+from tuning.fit.transforms import join, labels, split
+from tuning.recordings import parts, runs
+from tuning.recordings.priors import spec_of
 
 
 def resolved(**sections) -> config.Config:
@@ -177,9 +178,9 @@ def test_a_start_without_a_velocity_beside_it_is_refused():
 
 def test_what_drives_by_the_receiver_is_no_standstill():
     rec, t = northward(), np.array([0.2, 10.0, 30.5, 70.0])
-    np.testing.assert_array_equal(epochs.driving(rec.aiding["velocity"], t), [True, True, True, False])  # the last: far
+    np.testing.assert_array_equal(driving(rec.aiding["velocity"], t), [True, True, True, False])  # the last: far
     slow = rec.aiding["velocity"]._replace(value=np.full((59, 3), 0.3))
-    assert not epochs.driving(slow, t).any()
+    assert not driving(slow, t).any()
     c = resolved(
         filter={"measurements": ["position", "velocity", "zero_velocity"]}, start={"heading": 0.0}
     )  # a drive without any vibration

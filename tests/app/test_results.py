@@ -13,7 +13,7 @@ import pytest
 from jaxnav.analysis.tables import cell, table
 from jaxnav.app import results
 from jaxnav.app.results import staged
-from jaxnav.data.json import to_json
+from jaxnav.io.json import to_json
 
 
 def test_the_current_folder_can_be_the_output(tmp_path, monkeypatch):

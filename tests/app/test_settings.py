@@ -29,7 +29,8 @@ def test_every_setting_is_there_and_says_what_it_is():
         and "1 to 1000" in found["filter", "cov_stride"]
     )
     assert found["noise", "gyro_deg_per_sqrt_hour"].startswith("deg/sqrt(h), one number, one an axis")
-    assert "tempered for recordings" in found["tune", "method"] and "see `tuning.recorded`" in found["tune", "method"]
+    assert "tempered for recordings" in found["tune", "method"]
+    assert "`tuning.recordings.recorded`: tempered" in found["tune", "method"]
     assert all(found.values())
     assert found["tune", "prior"].endswith("else in the parameter's own unit")
 

@@ -10,7 +10,7 @@ import pytest
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
 from jaxnav.app.jobs.stream import Event, paced, parsed, played, stream
-from jaxnav.data import read_recording
+from jaxnav.io import read_recording
 from jaxnav.types import DataError
 
 

@@ -13,10 +13,10 @@ from jaxnav.app import cli, config
 from jaxnav.app.jobs import tune
 from jaxnav.app.long import Long
 from jaxnav.app.sources import scenario_of
-from jaxnav.data.toml import to_toml
 from jaxnav.filters import border
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import datasheet_params
+from jaxnav.io.toml import to_toml
 from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS, ZERO_RATE
 from jaxnav.simulate.keys import Purpose, run_keys
@@ -24,10 +24,11 @@ from jaxnav.simulate.scenarios import URBAN
 from jaxnav.simulate.simulation import simulate_runs
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError
-from tuning import runs, uncertainty
-from tuning.priors import spec_of
+from tuning import uncertainty
+from tuning.fit.transforms import merged
+from tuning.recordings import runs
+from tuning.recordings.priors import spec_of
 from tuning.simulated import _known, as_runs
-from tuning.transforms import merged
 
 SETTINGS = {
     "data": {"source": "urban_short"},

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.recordings import navego
 from benchmarks.simulated import recover
-from tuning.transforms import split
+from tuning.fit.transforms import split
 
 
 def test_simulated_noise_comes_back_from_ten_times_too_much(tmp_path):

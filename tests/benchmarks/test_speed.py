@@ -22,7 +22,7 @@ from jaxnav.filters.rules.kalman import kalman
 from jaxnav.maths import earth
 from jaxnav.states.table import BIASES
 from tests import reference
-from tuning.objectives import innovation_nll
+from tuning.fit.objectives import innovation_nll
 
 
 @pytest.fixture(scope="module")

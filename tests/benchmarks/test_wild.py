@@ -8,7 +8,6 @@ import pytest
 from benchmarks.recordings import check, start, wild
 from jaxnav import build, navigate, read
 from jaxnav.maths import earth
-from jaxnav.types import Recording
 
 QUICK = ("comma2k19", "kitti", "ekf2_replay")
 
@@ -94,18 +93,3 @@ def test_damages_are_named(data_dir, tmp_path, capsys):
     check.main(["--quick"])
     named = int(capsys.readouterr().out.split(" of 25 damages named")[0].split()[-1])
     assert named >= 21
-
-
-def test_every_further_sensor_is_tried_with_what_belongs_to_it():
-    """Wheels with the constraint of wheels, pitot with that of flight, each with its states; a receiver's own not."""
-    names = ("position", "velocity", "speed", "barometer", "airspeed")
-    rec = Recording("", None, dict.fromkeys(names), None, np.zeros(3))
-    assert wild.sensors_of(rec) == {
-        "speed": (("speed", "nonholonomic"), ("vehicle_axes", "odometer_scale")),
-        "barometer": (("barometer",), ("barometer_bias",)),
-        "airspeed": (("airspeed", "sideslip"), ("wind",)),
-    }
-    rows = [{"with": [], "windows": 3, "level_rms_m": 2.0, "up_rms_m": 4.0},
-            {"with": ["barometer"], "windows": 3, "level_rms_m": 3.0, "up_rms_m": 1.0}]  # fmt: skip
-    line = wild.sensors_table({"a": {"rows": rows}, "none": {"rows": []}}).splitlines()[-1]
-    assert line.split() == ["a", "barometer", "3", "2.00", "3.00", "1.50", "4.00", "1.00", "0.25"]

@@ -13,7 +13,7 @@ from hypothesis import settings as how
 from hypothesis import strategies as st
 
 from jaxnav.app import config, settings
-from jaxnav.data import read_recording, write_recording
+from jaxnav.io import read_recording, write_recording
 from jaxnav.types import ConfigError, DataError, ImuLog, Recording, Samples
 
 TRIES = int(os.environ.get("JAXNAV_FUZZ", "1"))

@@ -19,9 +19,9 @@ from jaxnav.filters.feedback import reset
 from jaxnav.filters.rule import Correction, Rule
 from jaxnav.filters.run import run
 from jaxnav.types import DataError
-from tuning import checkpoint
-from tuning.train import fit
-from tuning.transforms import LOG
+from tuning.fit import checkpoint
+from tuning.fit.train import fit
+from tuning.fit.transforms import LOG
 
 SMALL = ["--set", "out.figures=false", "--set", "filter.cov_stride=25"]
 

@@ -10,10 +10,10 @@ import pytest
 from jax.custom_derivatives import SymbolicZero
 
 from jaxnav.analysis import metrics
-from jaxnav.data.epochs import pack
 from jaxnav.filters import core
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import make_filter, masked, shift
+from jaxnav.filters.epochs import pack
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import Poles, observer, open_loop, reset
 from jaxnav.filters.papers.gpid import literal_params

@@ -16,7 +16,7 @@ from jaxnav.maths import earth
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.types import Epoch, Params
 from tests.conftest import GRADE, all_finite
-from tuning.objectives import innovation_nll
+from tuning.fit.objectives import innovation_nll
 
 EPOCHS = 15
 #: leaves and steps; even near the origin a step must move positions by far more than 1e-11 m, what latitude resolves

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from jaxnav.analysis.montecarlo import monte_carlo
-from jaxnav.analysis.navigate import navigate
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.parameters import change, datasheet_params
 from jaxnav.filters.run import require_params, run, run_jit
+from jaxnav.navigation import navigate
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.states.grades import GRADES
 from jaxnav.types import DataError
-from tuning.recorded import tune
+from tuning.recordings.recorded import tune
 
 
 def test_what_is_not_one_run_of_the_filter_is_refused_by_its_field(case):

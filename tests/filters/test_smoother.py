@@ -8,9 +8,9 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from jaxnav.analysis import metrics
-from jaxnav.data.epochs import hide
 from jaxnav.filters.catalogue import FRAMES, build
 from jaxnav.filters.core import make_filter
+from jaxnav.filters.epochs import hide
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import open_loop
 from jaxnav.filters.parameters import get, put

@@ -10,9 +10,9 @@ import pytest
 from jax import lax
 
 from jaxnav.analysis.metrics import chi2_bounds, nees
-from jaxnav.data.epochs import pack
 from jaxnav.filters.catalogue import FRAMES, build
 from jaxnav.filters.compiler import enable_x64
+from jaxnav.filters.epochs import pack
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.run import run
 from jaxnav.maths import earth, rotations, units

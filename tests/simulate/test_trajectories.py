@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav import data as io
+from jaxnav import io
 from jaxnav.filters.compiler import enable_x64
 from jaxnav.maths import earth, rotations, units
 from jaxnav.simulate import imu

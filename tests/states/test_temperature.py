@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from jaxnav import build, navigate, read, start
-from jaxnav.analysis.stream import Stream
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import load
-from jaxnav.data import write_recording
 from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.parameters import installed
 from jaxnav.filters.run import initial_nav
+from jaxnav.io import write_recording
 from jaxnav.maths.units import DEG, DEG_PER_HOUR
 from jaxnav.measurements import with_data
 from jaxnav.states.state import BODY, UserUnit, constant
 from jaxnav.states.table import STATES, zeros
+from jaxnav.stream import Stream
 from jaxnav.types import DataError, Fix, Imu, Recording, Samples
 
 SLOPE = np.array([30.0, -20.0, 60.0]) * DEG_PER_HOUR  # rad/s per deg C

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav.data.epochs import hide, pack
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import padded
+from jaxnav.filters.epochs import hide, pack
 from jaxnav.filters.run import prepare, run, run_jit
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
@@ -15,7 +15,7 @@ from jaxnav.strapdown.fast import local_level
 from jaxnav.types import Forcing
 from tests.conftest import leaves_equal
 from tests.strapdown.test_mechanization import ANYWHERE, lively
-from tuning.objectives import innovation_nll
+from tuning.fit.objectives import innovation_nll
 
 propagate = jax.jit(local_level.propagate, static_argnums=3)
 preintegrate = jax.jit(local_level.preintegrate, static_argnums=2)

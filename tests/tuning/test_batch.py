@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from tuning import batch
-from tuning.train import fit
-from tuning.transforms import LOG
+from tuning.fit import batch
+from tuning.fit.train import fit
+from tuning.fit.transforms import LOG
 
 START = {name: jnp.asarray(1.0 + 0.3 * i) for i, name in enumerate("abcde")}
 CASES = [jnp.linspace(0.5, 2.0, 3)]

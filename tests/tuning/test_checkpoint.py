@@ -16,10 +16,10 @@ import numpy as np
 import optax
 import pytest
 
-from tuning import checkpoint, optimizers
-from tuning.checkpoint import CheckpointError
-from tuning.train import fit
-from tuning.transforms import LOG, scaled
+from tuning.fit import checkpoint, optimizers
+from tuning.fit.checkpoint import CheckpointError
+from tuning.fit.train import fit
+from tuning.fit.transforms import LOG, scaled
 
 
 class Two(NamedTuple):
@@ -130,7 +130,7 @@ JOB = """
 import sys, time, jax, jax.numpy as jnp, optax
 jax.config.update("jax_enable_x64", True)
 from tests.tuning.test_checkpoint import RUNS, SPEC, START, valley
-from tuning.train import fit
+from tuning.fit.train import fit
 print("ready", flush=True)
 def explain(p, i): pass
 fit(valley, SPEC, START, 400, optax.adam(0.05), cases=RUNS, folder=sys.argv[1], resume=len(sys.argv) > 2)

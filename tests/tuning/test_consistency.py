@@ -19,9 +19,9 @@ from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate
 from tuning.contest import applied, datasheet, spec_of
-from tuning.objectives import innovation_nll
-from tuning.optimizers import adam
-from tuning.train import fit
+from tuning.fit.objectives import innovation_nll
+from tuning.fit.optimizers import adam
+from tuning.fit.train import fit
 
 SCENARIO = SCENARIOS["urban_short"]._replace(duration_s=90.0)
 SETTLED = 40.0  # s

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from jaxnav.data.epochs import pack
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.epochs import pack
 from jaxnav.filters.parameters import datasheet_params, put
 from jaxnav.filters.run import run
 from tests.conftest import GRADE, gnss, simulate_drive, start
-from tuning import scoring, uncertainty
-from tuning.objectives import innovation_nll
-from tuning.transforms import factor, join, split
+from tuning import uncertainty
+from tuning.fit.objectives import innovation_nll
+from tuning.fit.transforms import factor, join, split
+from tuning.recordings import scoring
 
 EVERY, RATE, VRW = 4, 20.0, 0.3  # samples a fix; Hz; m/s^2/sqrt(Hz), large enough to show between two fixes
 FIX = np.array([[1.0, 0, 0], [0.8, 0.6, 0], [0, 0, 1.0]])  # east and north of a fix's position are alike in 0.8

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from jaxnav.types import ConfigError
-from tuning import distributed
+from tuning.fit import distributed
 
 JOB = """
 import json, sys
 import jax
 jax.config.update("jax_enable_x64", True)
-from tuning import distributed
+from tuning.fit import distributed
 port, processes, index, devices, folder = sys.argv[1:]
 if int(devices) > 1:
     distributed.use_cpu_devices(int(devices))
@@ -28,7 +28,7 @@ if int(processes) > 1:
     distributed.start(f"127.0.0.1:{port}", int(processes), int(index))
 import numpy as np
 from tests.tuning.test_distributed import collectives, filter_problem, local_level, naive, problem
-from tuning.train import _step, fit
+from tuning.fit.train import _step, fit
 import optax
 mesh = distributed.mesh()
 spec, start, cases = problem()
@@ -63,7 +63,7 @@ def local_level(params, y):
 def problem():
     from typing import NamedTuple
 
-    from tuning.transforms import IDENTITY
+    from tuning.fit.transforms import IDENTITY
 
     class Params(NamedTuple):
         log: jax.Array
@@ -80,8 +80,8 @@ def filter_problem():
     from jaxnav.filters.run import initial_nav, run
     from jaxnav.states.grades import GRADES
     from jaxnav.types import Epoch, Fix, Imu
-    from tuning import objectives
-    from tuning.transforms import LOG
+    from tuning.fit import objectives
+    from tuning.fit.transforms import LOG
 
     nav, many = initial_nav((0.8, 0.2, 100.0)), lambda a: jnp.broadcast_to(jnp.asarray(a, float), (2, 4, *np.shape(a)))
     imu = Imu(many(np.full(3, 0.1)), many(np.zeros((3, 3))), many(np.tile([0.0, 0.0, -9.8], (3, 1))))
@@ -97,14 +97,14 @@ def filter_problem():
 
 def collectives(mesh, loss, spec, start, cases) -> dict[str, int]:
     """How many collectives the compiled step has, and how many inside of a loop's body."""
-    from tuning import train
-    from tuning.optimizers import adam
-    from tuning.transforms import split
+    from tuning.fit import train
+    from tuning.fit.optimizers import adam
+    from tuning.fit.transforms import split
 
     optimizer, raw = adam(5), split(spec, start)
     job, data = train._job(loss, spec, start, (), cases, train.mean, None, 1.0, mesh)
     place = lambda tree: distributed.replicate(tree, mesh)
-    text = train._step.lower(job, optimizer, False, place(raw), place(optimizer.init(raw)), data).compile().as_text()
+    text = train._step.lower(job, optimizer, place(raw), place(optimizer.init(raw)), data).compile().as_text()
     return count(text)
 
 

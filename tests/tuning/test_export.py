@@ -11,7 +11,7 @@ from jaxnav.measurements import MEASUREMENTS
 from jaxnav.states.grades import GRADES
 from jaxnav.types import Fix
 from tests.conftest import told
-from tuning.export import (
+from tuning.recordings.export import (
     EKF2_STEP,
     EKF3_STEP,
     EXPORTS,

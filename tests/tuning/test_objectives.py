@@ -8,10 +8,10 @@ import pytest
 from scipy.stats import multivariate_normal, multivariate_t
 
 from jaxnav.types import Info
-from tuning import objectives
-from tuning.status import Status
-from tuning.train import fit
-from tuning.transforms import LOG, scaled
+from tuning.fit import objectives
+from tuning.fit.status import Status
+from tuning.fit.train import fit
+from tuning.fit.transforms import LOG, scaled
 
 E, M = 6, 4
 

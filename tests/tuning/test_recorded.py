@@ -13,23 +13,24 @@ from scipy import stats
 import tuning
 from jaxnav.analysis.noise_scan import NoiseScan
 from jaxnav.analysis.windows import drift as windows_drift
-from jaxnav.data import epochs as ep
-from jaxnav.data.start import start
+from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import FREEDOM, prepare
+from jaxnav.initialization.start import start
 from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import ConfigError, DataError, Samples
-from tuning import evidence, priors, recorded, report
-from tuning.evidence import Job
-from tuning.parts import PHASES, Layout, Used, ages, parts_of, plan, runs_of, window_of, windows_of
-from tuning.recorded import choose, correlation
-from tuning.report import Trial, ratios
-from tuning.runs import Descent, score_of
-from tuning.status import Status
+from tuning.fit.status import Status
+from tuning.recordings import evidence, priors, recorded, report
+from tuning.recordings.evidence import Job
+from tuning.recordings.parts import PHASES, Layout, Used, ages, parts_of, plan, runs_of, window_of, windows_of
+from tuning.recordings.recorded import choose, correlation
+from tuning.recordings.report import Trial, ratios
+from tuning.recordings.runs import Descent, score_of
 from tuning.uncertainty import gaussian
 
 
@@ -413,7 +414,7 @@ def test_an_objective_is_minimised_by_gradient_over_the_training_windows(rec, ek
     for part, begin, end in (
         ("training", packed.start + layout.settle, layout.train), ("validation", layout.train, layout.validation),
     ):  # fmt: skip
-        size = int(np.searchsorted(packed.t, end + ep.TICK))
+        size = int(np.searchsorted(packed.t, end + TICK))
         r, t = runs_of(used, ekf, part, size), packed.t[:size]
         keep, scored = np.asarray(r.keep), np.asarray(r.scored)
         assert scored.sum() == used.parts[part].sum() and (t[np.asarray(r.ends)[scored]] <= end).all()

@@ -14,18 +14,18 @@ from jaxnav import build, recording
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
 from jaxnav.app.jobs.tune import by_runs, for_target
-from jaxnav.data.epochs import pack_recording
-from jaxnav.data.formats.kfgins import read_kfgins_gnss, read_kfgins_imu
-from jaxnav.data.start import Start
+from jaxnav.filters.epochs import pack_recording
 from jaxnav.filters.parameters import change, get, mounting
 from jaxnav.filters.run import run_jit
+from jaxnav.initialization.start import Start
+from jaxnav.io.formats.kfgins import read_kfgins_gnss, read_kfgins_imu
 from jaxnav.maths import units
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.measurement import clock_offset
 from jaxnav.types import ConfigError
-from tuning.export import ONE_CORRELATION_TIME
-from tuning.free import leaves_of
-from tuning.targets import TARGETS, delay_of, kfgins_config
+from tuning.recordings.export import ONE_CORRELATION_TIME
+from tuning.recordings.free import leaves_of
+from tuning.recordings.targets import TARGETS, delay_of, kfgins_config
 
 KFGINS = os.environ.get("KFGINS_BIN")
 

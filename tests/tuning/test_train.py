@@ -9,10 +9,10 @@ import numpy as np
 import optax
 import pytest
 
-from tuning import optimizers
-from tuning.status import Status
-from tuning.train import default_optimizer, fit
-from tuning.transforms import LOG, believed, scaled
+from tuning.fit import optimizers
+from tuning.fit.status import Status
+from tuning.fit.train import default_optimizer, fit
+from tuning.fit.transforms import LOG, believed, scaled
 
 
 class Two(NamedTuple):
@@ -60,9 +60,9 @@ def test_start_that_is_not_finite_is_an_error():
 
 
 def test_ctrl_c_returns_the_best_so_far(monkeypatch):
-    import tuning.train
+    import tuning.fit.train
 
-    real, calls = tuning.train._step, []
+    real, calls = tuning.fit.train._step, []
 
     def step(*args):
         calls.append(1)
@@ -70,7 +70,7 @@ def test_ctrl_c_returns_the_best_so_far(monkeypatch):
             raise KeyboardInterrupt
         return real(*args)
 
-    monkeypatch.setattr(tuning.train, "_step", step)
+    monkeypatch.setattr(tuning.fit.train, "_step", step)
     result = fit(bowl, SPEC, START, 150, default_optimizer(150, 0.1, 10.0), arguments=(jnp.array(2.0),))
     assert result.status is Status.INTERRUPTED and len(result.history) == 3
     assert result.loss == min(row["loss"] for row in result.history)

@@ -10,7 +10,7 @@ from jaxnav.filters.papers.gpid import gpid_params
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.states.grades import GRADES
 from tests.conftest import leaves_equal
-from tuning.transforms import (
+from tuning.fit.transforms import (
     IDENTITY,
     LOG,
     SIGNED,

@@ -9,8 +9,9 @@ import pytest
 from jax import lax
 from jax.flatten_util import ravel_pytree
 
-from tuning import scoring, uncertainty
-from tuning.transforms import IDENTITY, LOG, believed, factor, join, split, tied
+from tuning import uncertainty
+from tuning.fit.transforms import IDENTITY, LOG, believed, factor, join, split, tied
+from tuning.recordings import scoring
 
 
 class Innovations(NamedTuple):

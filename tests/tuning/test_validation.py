@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tuning.validation import paired_gain
+from tuning.recordings.validation import paired_gain
 
 
 def test_gain_is_the_ratio_of_the_rms_and_the_interval_holds_it():

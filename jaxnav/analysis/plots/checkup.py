@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxnav.analysis.plots.base import BLUE, COLORS, GREEN, PURPLE, VERMILION, dress, figure
-from jaxnav.data.checkup.motion import turns_of
-from jaxnav.data.checkup.shared import level_velocity
+from jaxnav.checkup.motion import turns_of
+from jaxnav.checkup.shared import level_velocity
 from jaxnav.maths.units import DEG
 from jaxnav.types import Recording
 

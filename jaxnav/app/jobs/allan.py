@@ -15,13 +15,14 @@ from jaxnav.analysis.tables import table
 from jaxnav.app.config import Config
 from jaxnav.app.results import Outcome, picture
 from jaxnav.app.sources import load
-from jaxnav.data import atomic_write
-from jaxnav.data.checkup.inertial import resolution
-from jaxnav.data.epochs import TICK, driving, stationary
-from jaxnav.data.findings import finding
-from jaxnav.data.json import write_json
-from jaxnav.data.toml import to_toml
+from jaxnav.checkup.findings import finding
+from jaxnav.checkup.inertial import resolution
 from jaxnav.filters.border import NAMES, nested
+from jaxnav.filters.gaps import TICK
+from jaxnav.filters.standstill import driving, stationary
+from jaxnav.io import atomic_write
+from jaxnav.io.json import write_json
+from jaxnav.io.toml import to_toml
 from jaxnav.maths.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, UG
 from jaxnav.types import DataError, ImuLog, Samples
 

@@ -10,8 +10,9 @@ from jaxnav.app.results import Outcome, picture
 from jaxnav.filters.border import override
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.types import ConfigError
-from tuning import contest_report, distributed
+from tuning import contest_report
 from tuning.contest import Kind, Plan, contest, filters
+from tuning.fit import distributed
 
 
 def bakeoff(config: Config, folder: Path, progress: bool = False, devices: int = 1) -> Outcome:

@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from jaxnav import data as io
+from jaxnav import io
 from jaxnav.analysis.observability import observability, observability_findings
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import checkup as plots_checkup
@@ -17,13 +17,13 @@ from jaxnav.app.config import Config, Data, resolve
 from jaxnav.app.jobs.filtering import describe, describe_text
 from jaxnav.app.prepare import base_params, filter_of, grade_of, measurements_of, standing_of, start_of
 from jaxnav.app.results import Outcome, picture
-from jaxnav.data.checkup import checkup
-from jaxnav.data.epochs import pack_recording
-from jaxnav.data.findings import finding
-from jaxnav.data.json import write_json
-from jaxnav.data.read import read
-from jaxnav.data.toml import inline
+from jaxnav.checkup import checkup
+from jaxnav.checkup.findings import finding
+from jaxnav.filters.epochs import pack_recording
 from jaxnav.filters.parameters import history_for
+from jaxnav.io.json import write_json
+from jaxnav.io.read import read
+from jaxnav.io.toml import inline
 from jaxnav.types import ConfigError, DataError, Finding, Recording
 
 MOST, WINDOW = 2000, 30.0  # epochs, and s at a time, in which it is asked what the motion shows of the states

@@ -11,8 +11,8 @@ import numpy as np
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.tables import table
 from jaxnav.app.results import Outcome, picture
-from jaxnav.data.json import plain
-from jaxnav.data.sheet import numbers, open_sheet
+from jaxnav.io.json import plain
+from jaxnav.io.sheet import numbers, open_sheet
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnav import data as io
-from jaxnav.analysis.navigate import Solution, navigate
+from jaxnav import io
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import interactive
 from jaxnav.analysis.tables import table
@@ -28,8 +27,9 @@ from jaxnav.app.prepare import (
 )
 from jaxnav.app.results import Outcome, picture
 from jaxnav.app.sources import load, scenario_of
-from jaxnav.data.json import write_json
-from jaxnav.data.solution import FORMATS
+from jaxnav.io.json import write_json
+from jaxnav.io.solution import FORMATS
+from jaxnav.navigation import Solution, navigate
 from jaxnav.types import ConfigError, nearest
 
 EARLIEST, LATEST = 3e8, 4e9  # s since 1970 that are a date, about 1980 to 2096

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 
-from jaxnav import data as io
+from jaxnav import io
 from jaxnav.analysis.tables import table
 from jaxnav.app.jobs.filtering import describe, describe_text
 from jaxnav.app.results import Outcome, git_hash, versions

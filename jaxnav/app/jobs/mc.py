@@ -18,16 +18,16 @@ from jaxnav.app.config import Config, as_dict
 from jaxnav.app.long import Long, identity
 from jaxnav.app.results import Outcome, picture
 from jaxnav.app.sources import scenario_of
-from jaxnav.data.findings import finding
-from jaxnav.data.json import write_json
+from jaxnav.checkup.findings import finding
 from jaxnav.filters.border import override
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.parameters import history_for
+from jaxnav.io.json import write_json
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params, sizes
 from jaxnav.types import ConfigError, FilterError, Finding, nearest
-from tuning import checkpoint, distributed
+from tuning.fit import checkpoint, distributed
 
 EVERY = 30.0  # s between two times that what is finished is kept
 LEAF: Any = 0

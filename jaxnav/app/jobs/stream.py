@@ -7,15 +7,15 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from jaxnav.analysis.stream import Now, Stream
 from jaxnav.app import prepare
 from jaxnav.app.config import Config
 from jaxnav.app.results import Outcome, stderr
 from jaxnav.app.sources import load, scenario_of
-from jaxnav.data.solution import COLUMNS, SD_COLUMNS, row_of
-from jaxnav.data.start import Start
+from jaxnav.initialization.start import Start
+from jaxnav.io.solution import COLUMNS, SD_COLUMNS, row_of
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import MEASUREMENTS
+from jaxnav.stream import Now, Stream
 from jaxnav.types import DataError, ImuLog, Params, Recording, Samples
 
 AGAIN = 1.0  # s of data between two tries to start

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxnav.analysis.navigate import navigate
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.app.config import Config, Tune, for_source
@@ -16,21 +15,23 @@ from jaxnav.app.long import Long, identity
 from jaxnav.app.prepare import base_params, filter_of, grade_of, measurements_of, standing_of, start_of
 from jaxnav.app.results import Outcome, picture, stderr
 from jaxnav.app.sources import load, scenario_of
-from jaxnav.data.start import Start
 from jaxnav.filters.border import name_of, unit_of, user_value
 from jaxnav.filters.core import Filter
+from jaxnav.initialization.start import Start
 from jaxnav.measurements import GNSS
+from jaxnav.navigation import navigate
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.types import ConfigError, Params, Recording, nearest
-from tuning import distributed, tune_simulated
 from tuning import tune as tune_recordings
-from tuning.free import leaves_of, transform_of
-from tuning.optimizers import OPTIMIZERS
-from tuning.report import Tuned, reported_candidate, user_history
-from tuning.runs import Descent, check_objective
-from tuning.status import Status
-from tuning.targets import TARGETS, Target
-from tuning.transforms import LOG
+from tuning import tune_simulated
+from tuning.fit import distributed
+from tuning.fit.optimizers import OPTIMIZERS
+from tuning.fit.status import Status
+from tuning.fit.transforms import LOG
+from tuning.recordings.free import leaves_of, transform_of
+from tuning.recordings.report import Tuned, reported_candidate, user_history
+from tuning.recordings.runs import Descent, check_objective
+from tuning.recordings.targets import TARGETS, Target
 
 METHODS = ("auto", "tempered", "scoring", *OPTIMIZERS)
 RUNS = ("runs", "Horizontal error of a run, RMS (m)")  # what a figure of errors shows where no window is hidden

@@ -10,7 +10,7 @@ from jaxnav.filters.border import TABLES
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
 
-# ten minutes at usual rates: recordings of similar ones share its programs (`jaxnav.data.epochs.of_shared_size`)
+# ten minutes at usual rates: recordings of similar ones share its programs (`jaxnav.filters.epochs.of_shared_size`)
 WARM: dict[str, Any] = {"data": {"source": "urban", "options": {"duration_s": 600.0, "imu_rate_hz": 100.0}}}
 
 

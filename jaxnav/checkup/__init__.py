@@ -1,0 +1,5 @@
+"""What was read, checked against itself: `checkup` of a recording, a row of `CHECKS` for each question."""
+
+from jaxnav.checkup.table import CHECKS, checkup, quick_notes
+
+__all__ = ["CHECKS", "checkup", "quick_notes"]

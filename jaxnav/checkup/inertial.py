@@ -1,0 +1,164 @@
+"""The IMU by itself: sampling, axes that are dead or clipped, gravity and noise where it is quiet."""
+
+import numpy as np
+
+from jaxnav.checkup.findings import finding
+from jaxnav.checkup.motion import turns_with_course
+from jaxnav.filters.gaps import SHORT, Holes, holes
+from jaxnav.maths import units
+from jaxnav.types import Finding, ImuLog, Recording, Severity
+
+QUIET = 0.05  # share of the windows that count as quiet
+G = 9.81
+QUIET_SPEED = 10.0  # m/s: weighs a turn against vibration when looking for a quiet window
+UNKNOWN = 30.0  # deg that a hole may hide, from which on the heading behind it is said to be unknown
+LEAST_RATE_HZ = 10.0  # strapdown navigation loses rotation and vibration between samples
+STUCK = 20  # rows of one value in a row from which on an axis that otherwise changes hangs
+
+
+def sampling(rec: Recording) -> list[Finding]:
+    """Rate, jitter, gaps and repeated rows."""
+    imu = rec.imu
+    dt = np.diff(imu.t)
+    usual = float(np.median(dt))
+    jitter = float(np.std(dt[dt < 2.5 * usual]) / usual)
+    found = [finding("imu.rate", value=1 / usual, jitter=100 * jitter)]
+    if 1 / usual < LEAST_RATE_HZ:
+        found.append(finding("imu.slow", value=1 / usual, limit=LEAST_RATE_HZ))
+    found += gap_findings(holes(imu))
+    values = np.hstack([imu.gyro, imu.accel])
+    same = float(np.mean(np.all(values[1:] == values[:-1], axis=1)))
+    if same > 0.005:
+        found.append(finding("imu.polled", value=100 * same, severity=None if same > 0.01 else Severity.INFO))
+    return found
+
+
+def axes(rec: Recording) -> list[Finding]:
+    """Axes that show nothing, and axes that are clipped."""
+    found = []
+    for name, values in (("gyro", rec.imu.gyro), ("accel", rec.imu.accel)):
+        spread = values.std(0)
+        for axis, own, column in zip("xyz", spread, values.T, strict=True):
+            if own < 1e-3 * max(float(np.median(spread)), 1e-9):
+                found.append(finding("imu.dead", f"{name} {axis}", column[0]))
+                continue
+            rows, begin = longest_repeat(column)
+            if rows > STUCK and rows * float(np.median(rec.imu.dt)) > 1.0 and np.mean(np.diff(column) != 0) > 0.5:
+                found.append(finding("imu.stuck", f"{name} {axis}", column[begin], rows=rows, at=rec.imu.t[begin]))
+            top = np.abs(column).max()
+            share = float(np.mean((np.abs(column[1:]) > 0.999 * top) & (column[1:] == column[:-1])))
+            if share > 0.003 and column.size > 1000 and top > 3 * own:
+                found.append(finding("imu.clipped", f"{name} {axis}", float(top), share=100 * share))
+    return found
+
+
+def longest_repeat(column: np.ndarray) -> tuple[int, int]:
+    """Rows of the longest run of one value in a row, and where it begins."""
+    edges = np.flatnonzero(np.concatenate([[True], np.diff(column) != 0, [True]]))
+    lengths = np.diff(edges)
+    return int(lengths.max()), int(edges[lengths.argmax()])
+
+
+def quiet(imu: ImuLog, span: float = 1.0) -> tuple[np.ndarray, int]:
+    """Windows (W, n) of rows in which the IMU is quietest, and their length."""
+    n = max(2, round(span / float(np.median(imu.dt))))
+    m = imu.t.size // n
+    rows = np.arange(m * n).reshape(m, n)
+    unrest = np.sqrt(imu.accel[rows].var(1).sum(-1)) + G * np.sqrt(imu.gyro[rows].var(1).sum(-1))
+    unrest = unrest + G * np.linalg.norm(imu.gyro[rows].mean(1) - np.median(imu.gyro, 0), axis=-1)
+    return rows[np.argsort(unrest)[: max(3, int(QUIET * m))]], n
+
+
+def gravity(rec: Recording) -> list[Finding]:
+    """Specific force where it is quiet: its size, and which axis it lies on."""
+    rows, _ = quiet(rec.imu)
+    if len(rows) < 3:
+        return []
+    force = np.median(rec.imu.accel[rows].mean(1), 0)
+    size = float(np.linalg.norm(force))
+    found = [finding("imu.gravity", value=size, vector=", ".join(f"{f:.2f}" for f in force))]
+    if abs(size - G) > 0.35:
+        share = 100 * (size / G - 1)
+        if abs(quiet_force(rec.imu) - G) < 0.35:
+            found.append(finding("imu.gravity_moving", value=size, share=share))
+        else:
+            severity = None if abs(size - G) > 0.7 else Severity.INFO
+            found.append(finding("imu.gravity_size", value=size, share=share, severity=severity))
+    axis = int(np.abs(force).argmax())
+    if abs(force[axis]) > 0.9 * size and (axis, np.sign(force[axis])) != (2, -1.0):
+        name = "xyz"[axis]
+        cause, action = "the IMU lies on its side", "set axes"
+        if axis == 2:
+            cause, action = "axes forward, left, up or east, north, up", 'set axes = "flu"'
+            if turns_with_course(rec):
+                cause, action = "gyro z agrees with the course: the accelerometer's sign alone", "set accel_sign = -1"
+        found.append(finding("axes.gravity", name, float(force[axis]), cause=cause, action=action))
+    return found
+
+
+def quiet_force(imu: ImuLog) -> float:
+    """Return the mean specific force (m/s^2) of 2 s that is nearest to gravity, of the quieter half of the log.
+
+    Quiet is a small spread of the specific force and a small rate: in a steady turn the force is as constant as at
+    rest, but it is not gravity. A vehicle that falls freely, or hovers, shows gravity in other seconds.
+    """
+    n = min(len(imu.t), max(1, round(2.0 / float(np.median(imu.dt)))))
+    m = len(imu.t) // n
+    accel, gyro = imu.accel[: m * n].reshape(m, n, 3), imu.gyro[: m * n].reshape(m, n, 3)
+    unrest = np.sqrt(accel.var(axis=1).sum(axis=-1)) + QUIET_SPEED * np.linalg.norm(gyro.mean(axis=1), axis=-1)
+    force = np.linalg.norm(accel.mean(axis=1), axis=-1)[unrest <= np.median(unrest)]
+    return float(force[np.argmin(np.abs(force - G))])
+
+
+def gap_findings(holes: Holes) -> list[Finding]:
+    """Return the finding of the long holes, where there are any."""
+    if not holes.begin.size:
+        return []
+    length = holes.end - holes.begin
+    i = int(length.argmax())
+    turn, push = (float(n) * length[i] ** 0.5 for n in holes.noise[i])
+    code = "imu.pause" if np.degrees(turn) > UNKNOWN else "imu.gaps"
+    return [
+        finding(
+            code, value=float(length[i]), limit=SHORT, count=length.size, at=float(holes.begin[i]),
+            angle=float(np.degrees(turn)), speed=push,
+        )
+    ]  # fmt: skip
+
+
+def noise(rec: Recording) -> list[Finding]:
+    """White noise where it is quiet: an upper limit of the sensor's own."""
+    floor = noise_floor(rec.imu)
+    if floor is None:
+        return []
+    gyro, accel = np.median(floor[0]) / units.DEG_PER_SQRT_HOUR, np.median(floor[1]) / units.UG
+    return [finding("imu.noise", gyro=gyro, accel=accel)]
+
+
+def noise_floor(imu: ImuLog) -> tuple[np.ndarray, np.ndarray] | None:
+    """Root PSD (3,) of gyro rad/s/sqrt(Hz) and accelerometer m/s^2/sqrt(Hz) where it is quiet; None of too few samples.
+
+    By third differences, in which motion of f Hz is (2 pi f dt)^3 of itself and white noise is sqrt(20) of itself. An
+    axis in coarse steps has at least the noise of rounding: step / sqrt(12) a sample.
+    """
+    if imu.t.size < 40:
+        return None
+    rows, n = quiet(imu)
+    if n < 10 or len(rows) < 3:
+        return None
+    root = np.sqrt(float(np.median(imu.dt)))
+    spread = lambda a: np.median(np.diff(a[rows], n=3, axis=1).std(1) / np.sqrt(20), 0)
+    own = lambda a: root * np.maximum(spread(a), resolution(a) / np.sqrt(12))
+    return own(imu.gyro), own(imu.accel)
+
+
+def resolution(values: np.ndarray) -> np.ndarray:
+    """The step (c,) in which columns (K, c) are told: the smallest difference of two values; 0 if they vary freely."""
+    steps = []
+    for column in values.T:
+        size = float(np.abs(column).max())
+        levels = np.unique(column)
+        gaps = np.diff(levels)
+        gaps = gaps[gaps > 1e-9 * size]  # two ways of writing one value
+        steps.append(float(gaps.min()) if gaps.size and 4 * levels.size < column.size else 0.0)
+    return np.array(steps)

@@ -1,0 +1,169 @@
+"""Streams against each other: velocity and positions, wheel and barometer, and what the fixes say of themselves."""
+
+import numpy as np
+
+from jaxnav.checkup.findings import finding
+from jaxnav.checkup.shared import EMPTY, level_velocity, local, rms
+from jaxnav.maths.interpolation import columns_at, running
+from jaxnav.types import Finding, Recording, Severity
+
+SPAN = 2.0  # s, over which positions are differenced
+UNITS = {"km/h": 3.6, "knots": 1.943844, "feet per second": 3.28084, "mm/s": 1000.0, "cm/s": 100.0}
+JUMPY = 1.15  # times: the step of a stated sd from one fix to the next, in the median
+AXES = np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]])
+
+
+def empty(rec: Recording) -> list[Finding]:
+    """Return which streams of the file have no row left, from the reader's notes."""
+    found = []
+    for line in rec.notes.splitlines():
+        name, _, words = line.partition(": ")
+        if words.startswith(EMPTY):
+            others = [w.removeprefix(f"{name}: ") for w in rec.notes.splitlines() if w.startswith(f"{name}: ")]
+            why = " ".join(w for w in others if w != words) or "they lie outside of the IMU's time, or say nothing"
+            found.append(finding("stream.empty", name, words=words.rstrip("."), cause=why.rstrip(".")))
+    return found
+
+
+def velocity(rec: Recording) -> list[Finding]:
+    """Velocity against differences of positions, over `SPAN` s."""
+    if not {"position", "velocity"} <= set(rec.aiding):
+        return []
+    p, v = rec.aiding["position"], rec.aiding["velocity"]
+    if min(p.t.size, v.t.size) < 20:
+        return []
+    n = max(1, round(SPAN / float(np.median(np.diff(p.t)))))
+    a, b = p.t[:-n], p.t[n:]
+    rows = (a >= v.t[0]) & (b <= v.t[-1]) & (b - a < 2 * n * float(np.median(np.diff(p.t))))
+    if rows.sum() < 10:
+        return []
+    T, place, total = (b - a)[rows, None], local(p.value), running(v.t, v.value)
+    shown = (place[n:] - place[:-n])[rows] / T
+    said = (columns_at(b[rows], v.t, total) - columns_at(a[rows], v.t, total)) / T
+    sd = np.hypot(np.sqrt(2) * p.sd[n:][rows] / T, np.median(v.sd, 0))
+    found = _level(shown[:, :2], said[:, :2], rms(sd[:, :2]))
+    found += _vertical(shown[:, 2], said[:, 2], rms(sd[:, 2]), float(np.median(v.sd[:, 2])))
+    if not any(f.warns for f in found):
+        found += _late(shown[:, :2], said[:, :2], a[rows])
+    return found
+
+
+def _level(shown: np.ndarray, said: np.ndarray, sd: float) -> list[Finding]:
+    off, size = rms(shown - said), rms(shown)
+    if off < max(0.35 * max(size, rms(said)), 3 * sd, 0.3):
+        return [finding("velocity", value=off, size=size)]
+    tries = {
+        "velocity.swapped: east and north look swapped": said[:, ::-1],
+        "velocity.sign: east has the wrong sign": said * [-1, 1],
+        "velocity.sign: north has the wrong sign": said * [1, -1],
+        "velocity.sign: both have the wrong sign": -said,
+    }
+    tries |= {f"velocity.units: looks like {unit}": said / k for unit, k in UNITS.items()}
+    tries |= {f"velocity.units: looks like {unit}, converted once too often": said * UNITS[unit] for unit in ("km/h",)}
+    best = min(tries, key=lambda key: rms(shown - tries[key]))
+    if rms(shown - tries[best]) < 0.4 * off:
+        code, cause = best.split(": ")
+        return [finding(code, value=off, size=size, cause=cause)]
+    return [finding("velocity.columns", value=off, size=size, cause="other columns, or other times")]
+
+
+def _vertical(shown: np.ndarray, said: np.ndarray, sd: float, stated: float) -> list[Finding]:
+    if stated > 50 or rms(said) < 0.05:
+        return []  # not measured
+    both = np.column_stack([shown - shown.mean(), said - said.mean()])
+    corr = float(np.corrcoef(both.T)[0, 1]) if min(both.std(0)) > 1e-6 else 0.0
+    bad = corr < -0.4 and rms(shown + said) < 0.7 * rms(shown - said)
+    return [finding("velocity.vertical_sign" if bad else "velocity.vertical", value=corr)]
+
+
+def _late(shown: np.ndarray, said: np.ndarray, t: np.ndarray) -> list[Finding]:
+    """Velocity that is older than the position beside it is wrong by acceleration times that."""
+    acceleration = np.gradient(said, t, axis=0)
+    power = float((acceleration**2).sum())
+    if power < 1.0:
+        return []
+    late = float(((shown - said) * acceleration).sum() / power)
+    sd = rms(shown - said - late * acceleration) * np.sqrt(6 / power)  # differences overlap
+    if abs(late) < max(0.05, 5 * sd):
+        return []
+    side, severity = "older" if late > 0 else "younger", Severity.WARNING if abs(late) > 0.4 else None
+    return [finding("velocity.latency", value=late, size=abs(late), side=side, sd=sd, severity=severity)]
+
+
+def speed(rec: Recording) -> list[Finding]:
+    """Wheel speed against the receiver's."""
+    fixes, wheel = level_velocity(rec.aiding), rec.aiding.get("speed")
+    if fixes is None or wheel is None or wheel.t.size < 20:
+        return []
+    rows = (fixes.t >= wheel.t[0]) & (fixes.t <= wheel.t[-1])
+    ground = np.hypot(*fixes.value[rows, :2].T)
+    turned = np.abs(np.interp(fixes.t[rows], wheel.t, wheel.value[:, 0]))
+    fast = ground > max(1.0, 3 * float(np.median(fixes.sd[:, :2])))
+    if fast.sum() < 10:
+        return []
+    ratio = float(np.median(turned[fast] / ground[fast]))
+    near = min(UNITS, key=lambda unit: abs(np.log(max(ratio, 1e-9) / UNITS[unit])))
+    if abs(np.log(max(ratio, 1e-9) / UNITS[near])) < 0.12:
+        return [finding("speed.units", value=ratio, cause=f"looks like {near}")]
+    return [finding("speed" if 0.8 < ratio < 1.25 else "speed.scale", value=ratio)]
+
+
+def barometer(rec: Recording) -> list[Finding]:
+    """Barometric height against the receiver's: slope, and sign."""
+    p, baro = rec.aiding.get("position"), rec.aiding.get("barometer")
+    if p is None or baro is None or baro.t.size < 20:
+        return []
+    rows = (p.t >= baro.t[0]) & (p.t <= baro.t[-1])
+    if rows.sum() < 20:
+        return []
+    height, said = p.value[rows, 2], np.interp(p.t[rows], baro.t, baro.value[:, 0])
+    spread = float(height.std())
+    if spread < 1.5 * min(float(np.median(p.sd[:, 2])), 3.0):
+        return []
+    slope, corr = float(np.cov(height, said)[0, 1] / height.var(ddof=1)), float(np.corrcoef(height, said)[0, 1])
+    if corr < -0.5:
+        return [finding("barometer.sign", value=slope, corr=corr)]
+    if corr > 0.7 and not 0.7 < slope < 1.4:
+        unit = "feet" if 2.5 < slope < 4.2 else "another unit, or pressure"
+        return [finding("barometer.units", value=slope, corr=corr, cause=f"looks like {unit}")]
+    return [finding("barometer", value=slope, corr=corr)]
+
+
+def fixes(rec: Recording) -> list[Finding]:
+    """What positions say of themselves: rate, gaps, repeats, and scatter against the stated sd."""
+    p = rec.aiding.get("position")
+    if p is None or p.t.size < 20:
+        return []
+    dt = np.diff(p.t)
+    usual = float(np.median(dt))
+    gaps = dt[dt > 2.5 * usual]
+    long = f", {gaps.size} gaps, up to {gaps.max():.1f} s" if gaps.size else ""
+    found = [finding("position", value=1 / usual, gaps=long)]
+    same = np.all(np.diff(p.value[:, :2], axis=0) == 0, axis=1)
+    place, n = local(p.value)[:, :2], max(1, round(1.5 / usual))
+    moves = np.hypot(*(place[2 * n :] - place[: -2 * n]).T) > 1.5 * n * usual if p.t.size > 2 * n + 20 else np.zeros(0)
+    again = float(np.mean(same[n : n + moves.size][moves.astype(bool)])) if np.sum(moves) > 20 else 0.0
+    if again > 0.3:
+        found.append(finding("position.repeats", value=100 * again))
+    second = np.diff(local(p.value), 2, axis=0)[(dt[1:] < 1.5 * usual) & (dt[:-1] < 1.5 * usual)]
+    if second.size:
+        noise = 1.4826 * np.median(np.abs(second), 0) / np.sqrt(6)  # of white noise; motion only adds
+        stated = np.median(p.sd, 0)
+        if (noise[:2] > 4 * stated[:2]).all() and usual <= 1.0:
+            found.append(finding("position.sd", value=float(noise[:2].max()), limit=float(stated[:2].max())))
+    return found
+
+
+def stated(rec: Recording) -> list[Finding]:
+    """What fixes state as their sd, from one to the next: receivers are slow to change their mind."""
+    found = []
+    for name in ("position", "velocity"):
+        s = rec.aiding.get(name)
+        if s is None or s.t.size < 20:
+            continue
+        steps = np.median(np.abs(np.diff(np.log(np.maximum(s.sd, 1e-12)), axis=0)), 0)
+        worst = int(steps.argmax())
+        if steps[worst] > np.log(JUMPY):
+            axis, factor = ("east", "north", "up")[worst], float(np.exp(steps[worst]))
+            found.append(finding("stream.sd_jumps", f"{name} {axis}", factor))
+    return found

@@ -1,0 +1,54 @@
+"""CHECKS: a row for each question; a new one is a function and a line here."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from jaxnav.checkup import compass, inertial, motion, standstill, streams, times
+from jaxnav.checkup.findings import line
+from jaxnav.filters.epochs import require_double
+from jaxnav.types import Finding, Recording
+
+
+class Check(NamedTuple):
+    """A question to a recording."""
+
+    answer: Callable[[Recording], list[Finding]]  # nothing where it cannot be asked
+    quick: bool = True  # milliseconds: asked at every read
+
+
+CHECKS: dict[str, Check] = {
+    "empty": Check(streams.empty, False),
+    "sampling": Check(inertial.sampling),
+    "axes": Check(inertial.axes),
+    "gravity": Check(inertial.gravity),
+    "noise": Check(inertial.noise),
+    "overlap": Check(times.overlap),
+    "ends": Check(times.ends),
+    "rhythm": Check(times.rhythm),
+    "apart": Check(times.apart),
+    "fixes": Check(streams.fixes),
+    "stated": Check(streams.stated),
+    "velocity": Check(streams.velocity),
+    "speed": Check(streams.speed),
+    "barometer": Check(streams.barometer),
+    "compass": Check(compass.compass),
+    "standstill": Check(standstill.standstill, False),
+    "turns": Check(motion.turns, False),
+    "together": Check(motion.together, False),
+}
+
+
+def checkup(rec: Recording, quick: bool = False) -> list[Finding]:
+    """What the checks say of a recording; ``quick``: only those that take no time.
+
+    Raises:
+        DataError: positions in float32.
+    """
+    for name, samples in rec.aiding.items():
+        require_double(name, samples.value)
+    return [finding for check in CHECKS.values() if check.quick or not quick for finding in check.answer(rec)]
+
+
+def quick_notes(rec: Recording) -> list[str]:
+    """A sentence for each thing that looks wrong."""
+    return [f"{line(f)}." for f in checkup(rec, quick=True) if f.warns]

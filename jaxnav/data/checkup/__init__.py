@@ -1,5 +1,0 @@
-"""What was read, checked against itself: `checkup` of a recording, a row of `CHECKS` for each question."""
-
-from jaxnav.data.checkup.table import CHECKS, checkup, quick_notes
-
-__all__ = ["CHECKS", "checkup", "quick_notes"]

@@ -1,0 +1,1 @@
+"""Where navigation starts: leveling, alignment in motion, compass, bank of headings."""

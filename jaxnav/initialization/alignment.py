@@ -1,0 +1,396 @@
+"""In-motion alignment: attitude, sensor biases and the fixes' delay from some seconds of IMU samples and fixes.
+
+With R(t) the rotation since t0 that the gyros show, R' = R [w - b_g x], R(t0) = 1, the velocity in ENU is
+
+    v(t) = v(t0) + C(t0) S(t) + c(t),    S(t) = int R (f - b_a) dt,    c(t) = int g - (2 w_ie + w_en) x v dt
+
+and the position its integral. Unknown are C(t0), b_g, b_a and the delay of the fixes: one that is stamped t is of
+t - delay. First differences of velocities, or second ones of positions, do without v(t0) and the position there. A
+first guess is the solution of Wahba's problem, an SVD that has no local minimum (Wu and Pan 2013, velocity integration
+formula; Markley 1988); then Gauss-Newton, with the full covariance of the differences and priors on all but the
+attitude. Where heading cannot be seen its standard deviation says so.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.spatial.transform import Rotation
+
+from jaxnav.filters.gaps import TICK
+from jaxnav.maths import earth
+from jaxnav.maths.interpolation import running
+from jaxnav.types import ImuLog, Samples
+
+MARGIN = 0.7  # s: the largest delay that is looked for, either way
+MOST_FIXES = 240  # of a window; more are thinned out
+FASTEST = 125.0  # Hz; faster samples are put together
+DELAYS = np.arange(-0.65, 0.66, 0.05)  # s, of which the first guess takes the best
+DRIFT = 0.01  # m/s/sqrt(s): what scale errors, vibration and rounding do to S
+VERTICAL_SD = 1.0  # m/s, of a vertical velocity that is not measured: taken for steady, else gravity is lost
+LEAST_CHI2 = 0.1  # fixes may be better than they say by so much; how much worse is open
+UNKNOWN = 10.0  # rad, prior of the attitude: nothing is known
+ITERATIONS = 10
+MINIMA = 5  # of the delay that are followed
+TEMPER = 0.2  # of a difference of two sums of squares, where a Gaussian would have 0.5: models are not that good
+MOTION = 6.0  # standard deviations of a chi-square that a change of velocity must stand out by
+TILT, SOON = 1e-5, 0.02  # rad/s, s: steps of the differences that gyro bias and delay are differentiated by
+RECENT = 5.0  # s before the end that velocity there is fitted to
+
+
+class Believed(NamedTuple):
+    """Standard deviations of what is unknown beside the attitude, about zero: (3,) or one number."""
+
+    gyro_bias: Any  # rad/s
+    accel_bias: Any  # m/s^2
+    delay: float = 0.3  # s
+    arm: float = 0.0  # m, of what is not known of the lever arm; 0: it is as given, and not among the unknowns
+
+
+class Alignment(NamedTuple):
+    """What a window says of its end."""
+
+    t: float  # s
+    C: np.ndarray  # (3, 3) body -> ENU
+    vel: np.ndarray  # (3,) m/s, ENU, of the IMU
+    P_vel: np.ndarray  # (3, 3 + n) covariance of the velocity with itself and with the n unknowns of ``P``
+    gyro_bias: np.ndarray  # (3,) rad/s, measured minus true
+    accel_bias: np.ndarray  # (3,) m/s^2
+    delay: float  # s, by which fixes are stamped too late, beyond what was known
+    P: np.ndarray  # (10, 10) covariance of attitude (rotation in ENU, rad), gyro and accelerometer bias, delay, and arm
+    chi2: float  # of the whitened differences, per degree of freedom, by the fixes' own sd
+    fixes: int
+    arm: np.ndarray  # (3,) m, IMU -> antenna, body; (13, 13) is P where it was among the unknowns
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviations (10,) or (13,), in the order of ``P``."""
+        return np.sqrt(np.diag(self.P))
+
+    @property
+    def vel_sd(self) -> np.ndarray:
+        """Standard deviations (3,) m/s of the velocity."""
+        return np.sqrt(np.diag(self.P_vel))
+
+    @property
+    def joint(self) -> np.ndarray:
+        """Covariance (3 + n, 3 + n) of the velocity and the unknowns of ``P``."""
+        return np.block([[self.P_vel], [self.P_vel[:, 3:].T, self.P]])
+
+
+class Seen(NamedTuple):
+    """What K fixes show: differences D z of the fixes z, what is known of them taken out."""
+
+    t: np.ndarray  # (K,) s
+    positions: bool  # else velocities
+    rest: np.ndarray  # (K, 3) m or m/s: the fixes without what gravity and Coriolis do
+    pushed: np.ndarray  # (3,) m/s, what these do to velocity up to the last fix
+    D: np.ndarray  # (M, K)
+    beta: np.ndarray  # (M, 3) m/s, the differences, in ENU as it stood at the window's begin
+    covariances: list[np.ndarray]  # (M, M) for each axis, from the fixes' own sd
+    drift: np.ndarray  # (M, M), and from the samples
+    spin: np.ndarray  # (3,) rad/s, rotation of ENU
+
+
+def align(
+    imu: ImuLog, fixes: Samples, positions: bool, lla: np.ndarray, begin: float, end: float, believed: Believed,
+    arm: np.ndarray,
+) -> Alignment | None:  # fmt: skip
+    """Align over (begin, end] s; None where there are too few fixes or samples in it.
+
+    ``fixes``: positions (rad, rad, m) or velocities (ENU m/s), as ``positions`` says, at IMU times from which all known
+    delays are taken out. ``lla`` (3,): about where. ``arm`` (3,) m: IMU -> antenna, body.
+    """
+    fixes = inside(fixes, begin, end)
+    samples = _window(imu, begin, end)
+    if fixes.t.size < 5 or samples.t.size < 10:
+        return None
+    seen = _seen(fixes, positions, lla, begin)
+    C, x, P, chi2, noise = _solve(samples, seen, believed, arm)
+    R_end, G = _rotation_at_end(samples, x[:3])
+    reference = (
+        Rotation.from_rotvec(-seen.spin * (end - begin)).as_matrix() @ C
+    )  # the attitude at the begin, in ENU now
+    forward = np.eye(len(P))
+    forward[:3, 3:6] = reference @ G
+    arm = arm + x[7:] if x.size > 7 else arm
+    at_end = lambda C, x: _velocity(samples, seen, fixes, C, x[:7], arm, max(noise, 1.0))
+    vel, vel_sd = at_end(reference, x)
+    moved = [at_end(Rotation.from_rotvec(TILT * e).as_matrix() @ reference, x)[0] for e in np.eye(3)]
+    steps = np.repeat([TILT, 1e-3, SOON], [3, 3, 1])
+    moved += [at_end(reference, x + np.pad(step, (0, x.size - 7)))[0] for step in np.diag(steps)]
+    J = np.zeros((3, len(P)))  # of the velocity by the unknowns at the begin; that of the arm is small
+    J[:, :10] = (np.array(moved) - vel).T / np.concatenate([np.full(3, TILT), steps])
+    P_vel = np.hstack([J @ P @ J.T + np.diag(vel_sd**2 + DRIFT**2 * RECENT), J @ P @ forward.T])
+    P = forward @ P @ forward.T
+    return Alignment(
+        end, reference @ R_end, vel, P_vel, x[:3], x[3:6], float(x[6]), P, chi2, fixes.t.size, arm,
+    )  # fmt: skip
+
+
+def inside(fixes: Samples, begin: float, end: float) -> Samples:
+    """The fixes that keep `MARGIN` from both ends, so that a delay has room; thinned out to `MOST_FIXES`."""
+    rows = np.flatnonzero((fixes.t >= begin + MARGIN) & (fixes.t <= end - MARGIN))
+    return Samples(*(a[rows[:: max(1, -(-rows.size // MOST_FIXES))]] for a in fixes))
+
+
+# ---------------------------------------------------------------------------- what the fixes show
+
+
+@jax.jit
+def _surroundings(lla: jax.Array, vel: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Rate of the Earth, rate of ENU over it at this velocity, rad/s, and gravity, m/s^2."""
+    lat, _, h = lla
+    return earth.earth_rate(lat), earth.transport_rate(lat, h, vel), earth.gravity(lat, h)
+
+
+def _seen(fixes: Samples, positions: bool, lla: np.ndarray, begin: float) -> Seen:
+    t = fixes.t
+    z = earth.enu_path(fixes.value, fixes.value[0]) if positions else fixes.value
+    vel = np.gradient(z, t, axis=0) if positions else z
+    rate, over, g = (np.asarray(a) for a in _surroundings(lla, vel.mean(0)))
+    push = np.array([0.0, 0.0, -float(g)]) - np.cross(2 * rate + over, vel)
+    pushed = running(t, push)
+    rest = z - (running(t, pushed) if positions else pushed)
+    D = _differences(t, positions)
+    middle = (np.abs(D) @ t) / np.abs(D).sum(1)
+    back = Rotation.from_rotvec((rate + over) * (middle - begin)[:, None]).as_matrix()  # ENU has turned since
+    beta = np.einsum("kij,kj->ki", back, D @ rest)
+    sd = fixes.sd.copy()
+    if not positions:
+        sd[:, 2] = np.minimum(sd[:, 2], VERTICAL_SD)
+    drift = DRIFT**2 * _drift(t, positions) + 1e-12 * np.eye(len(D))
+    covariances = [D @ (s[:, None] ** 2 * D.T) for s in sd.T]
+    return Seen(t, positions, rest, pushed[-1], D, beta, covariances, drift, rate + over)
+
+
+def _differences(t: np.ndarray, positions: bool) -> np.ndarray:
+    """D (M, K): neighbouring differences of velocities, or of the mean velocities between neighbouring positions."""
+    first = np.diff(np.eye(t.size), axis=0)
+    return np.diff(first / np.diff(t)[:, None], axis=0) if positions else first
+
+
+def _drift(t: np.ndarray, positions: bool) -> np.ndarray:
+    """Covariance (M, M) of the differences for white noise of unit density in the acceleration."""
+    dt = np.diff(t)
+    if not positions:
+        return np.diag(dt)
+    # a second difference weighs the acceleration with a triangle over its two intervals
+    a, b = dt[:-1], dt[1:]
+    return np.diag((a + b) / 3) + np.diag(b[:-1] / 6, 1) + np.diag(b[:-1] / 6, -1)
+
+
+# ---------------------------------------------------------------------------- what the samples make of an attitude
+
+
+def _window(imu: ImuLog, begin: float, end: float) -> ImuLog:
+    """The samples in (begin, end], each from the one before on, so that there is no hole; fast ones put together."""
+    rows = (imu.t > begin + TICK) & (imu.t <= end + TICK)
+    t, gyro, accel = imu.t[rows], imu.gyro[rows], imu.accel[rows]
+    if not t.size:
+        return ImuLog(t, t, gyro, accel)
+    if end - t[-1] > TICK:  # the last sample is held up to the end
+        t, gyro, accel = np.append(t, end), np.vstack([gyro, gyro[-1]]), np.vstack([accel, accel[-1]])
+    dt = np.diff(t, prepend=begin)
+    together = max(1, int(1 / (FASTEST * float(np.median(dt)))))
+    if together > 1:
+        first = np.arange(0, t.size, together)
+        span = np.add.reduceat(dt, first)
+        gyro, accel = (np.add.reduceat(a * dt[:, None], first) / span[:, None] for a in (gyro, accel))
+        t, dt = t[np.append(first[1:], t.size) - 1], span
+    return ImuLog(t, dt, gyro, accel)
+
+
+def rotations_since(gyro: np.ndarray, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """R in the middle and at the end of every sample, (N, 3, 3) each, by prefix products."""
+    ends = Rotation.from_rotvec(gyro * dt[:, None]).as_matrix()
+    half, n = Rotation.from_rotvec(0.5 * gyro * dt[:, None]).as_matrix(), 1
+    while n < len(ends):
+        ends[n:] = ends[:-n] @ ends[n:]
+        n *= 2
+    return np.concatenate([np.eye(3)[None], ends[:-1]]) @ half, ends
+
+
+class Series(NamedTuple):
+    """Running integrals of the samples with biases taken out, in the body's axes at the window's begin."""
+
+    middle: np.ndarray  # (N, 3, 3) R in the middle of each sample
+    a: np.ndarray  # (N, 3, 1 + 3) specific force, and its derivative by the accelerometer bias
+    S: np.ndarray  # (N, 3, 4) integral of a up to each sample
+    twice: np.ndarray  # (N, 3, 4) integral of S
+
+
+def _series(imu: ImuLog, x: np.ndarray) -> Series:
+    """For x = gyro bias (3), accelerometer bias (3), ..."""
+    middle, _ = rotations_since(imu.gyro - x[:3], imu.dt)
+    a = np.concatenate([np.einsum("nij,nj->ni", middle, imu.accel - x[3:6])[:, :, None], -middle], 2)
+    dt = imu.dt[:, None, None]
+    before = lambda sums: np.concatenate([np.zeros((1, 3, 4)), sums[:-1]])
+    S = before(np.cumsum(a * dt, 0))
+    return Series(middle, a, S, before(np.cumsum(S * dt + 0.5 * a * dt**2, 0)))
+
+
+def _path(imu: ImuLog, series: Series, x: np.ndarray, t: np.ndarray, positions: bool, arm: np.ndarray) -> np.ndarray:
+    """What the antenna's velocity or position changes by up to t - delay, and its derivative, (K, 3, 4)."""
+    t = t - x[6]
+    i = np.minimum(np.searchsorted(imu.t, t), imu.t.size - 1)
+    into = (t - (imu.t - imu.dt)[i])[:, None, None]
+    if positions:
+        path = series.twice[i] + series.S[i] * into + 0.5 * series.a[i] * into**2
+        lever = series.middle[i] @ arm
+    else:
+        path = series.S[i] + series.a[i] * into
+        lever = np.einsum("kij,kj->ki", series.middle[i], np.cross(imu.gyro[i] - x[:3], arm))
+    path[:, :, 0] += lever
+    return path
+
+
+def _rotation_at_end(imu: ImuLog, bias: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """R at the end, and d(its rotation, in the axes of the begin) / d(gyro bias), (3, 3)."""
+    middle, ends = rotations_since(imu.gyro - bias, imu.dt)
+    return ends[-1], -np.einsum("nij,n->ij", middle, imu.dt)
+
+
+# ---------------------------------------------------------------------------- least squares
+
+
+def _wahba(a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """The rotation C that minimises sum weight |b - C a|^2."""
+    U, _, Vt = np.linalg.svd((b * weight).T @ a)
+    return U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+
+
+def _skew(a: np.ndarray) -> np.ndarray:
+    """(M, 3) -> (M, 3, 3)."""
+    zero = np.zeros(len(a))
+    x, y, z = a.T
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(-1, 3, 3)
+
+
+class Fit(NamedTuple):
+    """A solution of the least squares, at the window's begin."""
+
+    C: np.ndarray  # (3, 3) body -> ENU
+    x: np.ndarray  # (7,) gyro bias, accelerometer bias, delay, and (10,) what the lever arm has more
+    P: np.ndarray  # (10, 10) or (13, 13) covariance of attitude and x
+    chi2: float  # per degree of freedom, by the fixes' own sd
+    noise: float  # what the variance of the fixes was scaled with
+
+
+def _solve(imu: ImuLog, seen: Seen, believed: Believed, arm: np.ndarray) -> Fit:
+    """Gauss-Newton from Wahba's solutions; once more with the noise that the fixes turn out to have."""
+    sd = np.concatenate([np.full(3, UNKNOWN), *(np.broadcast_to(s, 3) for s in believed[:2]), [believed.delay]])
+    sd = np.concatenate([np.maximum(sd, 1e-12), np.full(3 if believed.arm else 0, believed.arm)])
+    more = np.zeros(sd.size - 10)
+    guesses = [(C, np.concatenate([x, more])) for C, x in _guesses(imu, seen, believed.delay, arm)]
+    found = [_descend(imu, seen, C, x, sd, 1.0, arm) for C, x in guesses]
+    best = min(found, key=lambda each: each.cost)
+    chi2 = best.left
+    noise = max(chi2, LEAST_CHI2)
+    last = _descend(imu, seen, best.C, best.x, sd, noise, arm)
+    P = sd[:, None] * np.linalg.inv(last.N) * sd * max(last.left, 1.0)
+    # other minima that fit nearly as well: what a mixture of all would have for a covariance about the best
+    weights = np.exp([-TEMPER * (each.cost - best.cost) / noise for each in found])
+    for each, weight in zip(found, weights / weights.sum(), strict=True):
+        turn = Rotation.from_matrix(each.C @ best.C.T).as_rotvec()
+        off = np.concatenate([turn, each.x - best.x])
+        P = P + weight * np.outer(off, off)
+    if not _moved(seen, last.roots):
+        P[2, :], P[:, 2] = 0.0, 0.0
+        P[2, 2] = UNKNOWN**2
+    return Fit(last.C, last.x, P, chi2, noise)
+
+
+class Descent(NamedTuple):
+    """Where Gauss-Newton ended."""
+
+    C: np.ndarray
+    x: np.ndarray
+    N: np.ndarray  # information, in units of the priors' sd
+    cost: float  # sum of squares, with the priors'
+    left: float  # chi^2 per degree of freedom
+    roots: list[np.ndarray]  # that the differences were whitened by
+
+
+def _descend(
+    imu: ImuLog, seen: Seen, C: np.ndarray, x: np.ndarray, sd: np.ndarray, noise: float, arm: np.ndarray
+) -> Descent:
+    roots = [np.linalg.cholesky(noise * c + seen.drift) for c in seen.covariances]
+    for _ in range(ITERATIONS):
+        J, r = _linear(imu, seen, C, x, arm)
+        white = np.concatenate(
+            [solve_triangular(L, np.column_stack([J[:, a], r[:, a]]), lower=True) for a, L in enumerate(roots)]
+        )
+        A, r = white[:, :-1] * sd, white[:, -1]
+        N, offset = A.T @ A + np.eye(sd.size), np.concatenate([np.zeros(3), x]) / sd
+        delta = sd * np.linalg.solve(N, A.T @ r - offset)
+        delta *= min(1.0, 0.5 / max(float(np.linalg.norm(delta[:3])), 1e-12))
+        C, x = Rotation.from_rotvec(delta[:3]).as_matrix() @ C, x + delta[3:]
+        x[6] = np.clip(x[6], -MARGIN, MARGIN)
+        if float(np.abs(delta[:3]).max()) < 1e-5:
+            break
+    return Descent(C, x, N, float(r @ r + offset @ offset), float(r @ r / max(r.size - 6, 1)), roots)
+
+
+def _guesses(imu: ImuLog, seen: Seen, delay_sd: float, arm: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """C and x without biases: Wahba's solution for the delays that fit better than those beside them, best first.
+
+    Of who walks or sways, a period of delay looks like none, and half of it like the opposite heading.
+    """
+    series, found = _series(imu, np.zeros(7)), []
+    weight = 1 / np.stack([np.diag(c) + np.diag(seen.drift) for c in seen.covariances], 1)
+    for delay in DELAYS:
+        x = np.concatenate([np.zeros(6), [delay]])
+        a = seen.D @ _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0]
+        C = _wahba(a, seen.beta, weight)
+        found.append((float((weight * (seen.beta - a @ C.T) ** 2).sum()) + (delay / delay_sd) ** 2, C, x))
+    cost = np.array([np.inf, *(each[0] for each in found), np.inf])
+    lows = np.flatnonzero((cost[1:-1] <= cost[:-2]) & (cost[1:-1] <= cost[2:]))
+    return [found[i][1:] for i in lows[np.argsort(cost[1:-1][lows])][:MINIMA]]
+
+
+def _linear(imu: ImuLog, seen: Seen, C: np.ndarray, x: np.ndarray, arm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """J (M, 3, 3 + x), what the differences change by with attitude and x, and what is left of them, (M, 3)."""
+    arm, eye = arm + x[7:] if x.size > 7 else arm, np.eye(x.size)
+    look = lambda series, x: seen.D @ _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0]
+    series = _series(imu, x)
+    path = _path(imu, series, x, seen.t, seen.positions, arm)
+    here = seen.D @ path[:, :, 0]
+    J = np.zeros((*here.shape, 3 + x.size))
+    J[:, :, :3] = -_skew(here @ C.T)
+    for j in range(3):
+        off = x + TILT * eye[j]
+        J[:, :, 3 + j] = (look(_series(imu, off), off) - here) @ C.T / TILT
+    J[:, :, 6:9] = np.einsum("ij,kjl->kil", C, np.einsum("mk,kij->mij", seen.D, path[:, :, 1:]))
+    later, sooner = (x + sign * SOON * eye[6] for sign in (1, -1))
+    J[:, :, 9] = (look(series, later) - look(series, sooner)) @ C.T / (2 * SOON)
+    for j in range(x.size - 7):  # the path is linear in the lever arm
+        by = _path(imu, series, x, seen.t, seen.positions, arm + np.eye(3)[j])[:, :, 0] - path[:, :, 0]
+        J[:, :, 10 + j] = seen.D @ by @ C.T
+    return J, seen.beta - here @ C.T
+
+
+def _moved(seen: Seen, roots: list[np.ndarray]) -> bool:
+    """Do the fixes show a change of level velocity that is no noise? Without one an IMU's own shows any heading."""
+    white = np.concatenate([solve_triangular(L, seen.beta[:, a], lower=True) for a, L in enumerate(roots[:2])])
+    return float(white @ white) > white.size + MOTION * np.sqrt(2 * white.size)
+
+
+def _velocity(
+    imu: ImuLog, seen: Seen, fixes: Samples, C: np.ndarray, x: np.ndarray, arm: np.ndarray, noise: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the IMU's velocity at the window's end by the latest fixes and the samples, and its sd by their noise."""
+    last = max(4 if seen.positions else 1, int((seen.t > seen.t[-1] - RECENT).sum()))
+    series = _series(imu, x)
+    rest = (seen.rest - _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0] @ C.T)[-last:]
+    t, end = seen.t[-last:], imu.t[-1] + x[6]
+    gained = _path(imu, series, x, np.array([end]), False, np.zeros(3))[0, :, 0] @ C.T  # S at the end
+    pushed = seen.pushed * (end - seen.t[0]) / (seen.t[-1] - seen.t[0])
+    sd = np.sqrt(noise) * fixes.sd[-last:]
+    if not seen.positions:
+        weight = 1 / sd**2
+        return (rest * weight).sum(0) / weight.sum(0) + gained + pushed, 1 / np.sqrt(weight.sum(0))
+    line = np.column_stack([np.ones(last), t - t.mean()])
+    fit = np.linalg.lstsq(line, rest, rcond=None)[0][1]
+    return fit + gained + pushed, np.sqrt(np.mean(sd**2, 0) / np.sum((t - t.mean()) ** 2))

@@ -1,0 +1,53 @@
+"""Heading without motion: by two antennas, or by the Earth's magnetic field."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.initialization.magnetic import field_of, heading_of
+from jaxnav.maths.units import DEG
+from jaxnav.measurements.direction import HEADING
+from jaxnav.types import Params, Recording
+
+USABLE = 20 * DEG  # sd of a heading that one filter can still start with
+NEAR, INSTANT = 1.0, 0.1  # s, at most from a start to what points; within which a vehicle does not turn
+HARD_IRON = 3.0  # uT, sd of what is left of a calibrated magnetometer's
+BENT = 0.3  # of the field's strength, from which on iron is too near, or the axes are others
+LEAST_TILT_SD = 0.3 * DEG  # what scale errors and misalignment leave of a tilt, however long it is looked at
+
+
+class Pointed(NamedTuple):
+    """A heading that needs no motion."""
+
+    heading: float  # rad
+    sd: float  # rad
+    words: str
+    magnetic: bool = False
+
+
+def pointed_by(rec: Recording, known: Params, rp: tuple[float, float], tilt_sd: float, t: float) -> Pointed | None:
+    """Heading at ``t`` s by two antennas, else by the magnetometer; None where it is not known to `USABLE`.
+
+    ``rp``, ``tilt_sd``: roll and pitch there, and their sd, rad. By the samples within `NEAR` s.
+    """
+    near = {name: np.abs(rec.aiding[name].t - t) < NEAR for name in ("heading", "magnetometer") if name in rec.aiding}
+    if near.get("heading", np.zeros(1)).any():
+        s, theta = rec.aiding["heading"], known.measurements.get("heading", HEADING.defaults)
+        i = int(np.argmin(np.abs(s.t - t)))
+        angle, sd = float(s.value[i, 0]) - float(theta.yaw), float(s.sd[i, 0] * theta.sd_scale)
+        if sd <= USABLE:
+            return Pointed(angle, max(sd, LEAST_TILT_SD), f"{angle / DEG % 360:.1f} deg by two antennas")
+    if not near.get("magnetometer", np.zeros(1)).any():
+        return None
+    field = field_of(known, rec.aiding["position"].value[0])
+    compass = rec.aiding["magnetometer"]
+    closest = np.abs(compass.t - t).min()
+    seen = compass.value[np.abs(compass.t - t) <= max(INSTANT, closest)].mean(0)  # it may turn
+    angle, level, bent = heading_of(seen, *rp, field)
+    if bent > BENT * field.strength:
+        return None
+    sd = math.sqrt((HARD_IRON / level) ** 2 + (math.tan(field.inclination) * tilt_sd) ** 2 + field.sd**2)
+    if sd > USABLE:
+        return None
+    return Pointed(angle, sd, f"{angle / DEG % 360:.1f} deg by the magnetometer", True)

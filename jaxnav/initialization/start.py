@@ -1,0 +1,407 @@
+"""Where navigation starts: levelling at rest, heading by motion, by what points, by the course, or as hypotheses.
+
+`start` finds all of it in a recording; the functions before it are its parts, as are `alignment`, `pointing`, `bank`.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.filters.gaps import TICK
+from jaxnav.filters.parameters import datasheet_params, datasheet_states, mounting
+from jaxnav.filters.run import initial_nav
+from jaxnav.initialization.alignment import Alignment, Believed, align
+from jaxnav.initialization.bank import with_headings
+from jaxnav.initialization.magnetic import Field, field_of
+from jaxnav.initialization.pointing import LEAST_TILT_SD, USABLE, Pointed, pointed_by
+from jaxnav.maths import earth, rotations
+from jaxnav.maths.units import DEG
+from jaxnav.states.grades import GRADES
+from jaxnav.states.table import BIASES
+from jaxnav.types import ConfigError, DataError, ImuLog, Nav, Params, Prior, Recording, Samples
+
+
+def level(imu: ImuLog, start: float, stop: float) -> tuple[float, float]:
+    """Roll and pitch (rad) from the mean specific force between two times, at rest.
+
+    An accelerometer bias b tilts it by b / g, 1 mrad for 1 mg.
+
+    Raises:
+        DataError: no sample between the times.
+    """
+    inside = (imu.t > start) & (imu.t <= stop)
+    if not inside.any():
+        raise DataError(f"imu: no sample in {start:.3f} to {stop:.3f} s to level with")
+    roll, pitch = levelled(jnp.asarray(np.average(imu.accel[inside], axis=0, weights=imu.dt[inside])))
+    return float(roll), float(pitch)
+
+
+def levelled(force: jax.Array) -> jax.Array:
+    """Roll and pitch (2,) rad that a mean specific force (3,) m/s^2, body FRD, shows at rest."""
+    fx, fy, fz = force
+    return jnp.stack([jnp.arctan2(-fy, -fz), jnp.arctan2(fx, jnp.hypot(fy, fz))])
+
+
+def course(velocity: Samples, min_speed: float, after: float = -np.inf) -> tuple[float, float]:
+    """Time (s) and course over ground (rad from north, clockwise) of the first velocity faster than ``min_speed``.
+
+    And than three times its own sd. It is the heading of a vehicle that does not slip and drives forward.
+
+    Raises:
+        DataError: never that fast.
+    """
+    speed, sd = np.hypot(velocity.value[:, 0], velocity.value[:, 1]), velocity.sd[:, :2].max(1)
+    fast = (speed >= min_speed) & (speed > 3 * sd) & (velocity.t >= after)
+    if not fast.any():
+        raise DataError(
+            f"velocity: never faster than {min_speed:g} m/s and 3 sd after {after:g} s, no course to start from"
+        )
+    i = int(np.argmax(fast))
+    return float(velocity.t[i]), float(np.arctan2(velocity.value[i, 0], velocity.value[i, 1]))
+
+
+_rph, _moved = jax.jit(rotations.to_rph), jax.jit(earth.move)  # one program each, where they are called by themselves
+
+
+# ---------------------------------------------------------------------------- the start of a recording
+
+LEAST_VELOCITY_SD = 0.1  # m/s, of an alignment: what scale errors, misalignment and thrust between fixes leave
+APART = 2.0  # s, at most, from the first position to the velocity beside it
+CHORD = 4.0  # s, over which 3 m of noise are 1 m/s
+
+
+class Start(NamedTuple):
+    """Where a recording's navigation starts."""
+
+    navs: Nav  # (B, ...) one, or one for each hypothesis of the heading
+    prior: Prior  # standard deviations there, and how attitude and biases are correlated
+    t: float  # s
+    how: str  # in words: from what, and how sure
+    states: dict[str, np.ndarray] = {}  # standard deviations (size,) of the sensor states that it found
+    alignment: Alignment | None = None  # in motion, what it found
+    field: Field | None = None  # magnetic, where the recording has a magnetometer
+
+    def given(self, params: Params) -> Params:
+        """The parameters with what is known at this start as their prior."""
+        own = {name: params.states[name]._replace(sd=jnp.asarray(sd)) for name, sd in self.states.items()}
+        params = params._replace(prior=self.prior, states=params.states | own)
+        if self.field is None or "magnetometer" not in params.measurements:
+            return params
+        there = {name: jnp.asarray(getattr(self.field, name)) for name in ("declination", "inclination", "strength")}
+        magnetometer = params.measurements["magnetometer"]._replace(**there)
+        return params._replace(measurements=params.measurements | {"magnetometer": magnetometer})
+
+
+class Attitude(NamedTuple):
+    """What is known of the attitude at a time."""
+
+    t: float  # s
+    rph: tuple[float, float, float]  # rad, roll, pitch, heading
+    sd: tuple[float, float]  # rad, of each tilt and of the heading
+    words: str
+    unknown: bool = False  # the heading
+    alignment: Alignment | None = None  # that it came from, if it came from one
+    pointed: Pointed | None = None  # what gave the heading, where motion did not
+
+
+def start(
+    rec: Recording,
+    params: Params | None = None,
+    *,
+    begin: float | None = None,
+    heading: float | str = "motion",
+    course_speed_mps: float = 5.0,
+    position_sd_m: Any = None,
+    velocity_sd_mps: Any = None,
+    tilt_sd_deg: float = 2.0,
+    heading_sd_deg: float = 5.0,
+    hypotheses: int = 12,
+) -> Start:
+    """Position and velocity from a fix; attitude as said, from ``begin`` s on.
+
+    ``heading``: "motion" aligns (`jaxnav.initialization.alignment`) over 10 s to a minute, until heading is known to
+    10 deg; two antennas show it better, a magnetometer where motion does not; else it is unknown. "unknown" starts
+    ``hypotheses`` of it, see `heading_bank`. "course" takes the first velocity above ``course_speed_mps``, of a vehicle
+    that drives straight ahead. "truth" is the recording's, a number degrees. All but "motion" and "truth" level by a
+    standstill, else by motion, else take the vehicle for flat; ``tilt_sd_deg``, ``heading_sd_deg`` are theirs.
+    ``params``: a filter's, of which timing, lever arm, the biases' priors and the magnetic field count; None is a
+    consumer's IMU, the recording's lever arm and no delays. The other sd are of the start, one number or one an axis in
+    ENU; None is the fix's own and 0.5 m or 0.3 m/s.
+
+    What lies up to the start is all that is used, and of a compass the second after it: a live filter starts likewise.
+
+    Raises:
+        DataError: fewer than two positions, never fast enough for a course, no truth with attitude where it is asked
+            for.
+        ConfigError: a heading or an sd that is none.
+    """
+    position = rec.aiding.get("position")
+    for key, sd in (("position_sd_m", position_sd_m), ("velocity_sd_mps", velocity_sd_mps)):
+        if sd is not None and (np.shape(sd) not in ((), (3,)) or not np.all(np.asarray(sd) > 0)):
+            raise ConfigError(f"start.{key} must be one number or 3, > 0, got {sd!r}")
+    if position is None or position.t.size < 2:
+        why = [line for line in rec.notes.splitlines() if line.startswith("position")]
+        raise DataError("\n".join([f"{rec.name}: needs a stream of positions to start from", *why]))
+    if isinstance(heading, str) and heading not in ("motion", "course", "unknown", "truth"):
+        raise ConfigError(f'start.heading must be "motion", "course", "unknown", "truth" or degrees, got {heading!r}')
+    if not isinstance(heading, str) and not np.all(np.isfinite(heading)):
+        raise ConfigError(f"start.heading must be finite, got {heading!r}")
+    known = recorded_timing(rec) if params is None else params
+    from_t = max(rec.imu.t[0] - rec.imu.dt[0], -math.inf if begin is None else begin)
+    velocity = ground_velocity(rec)
+    sds = (tilt_sd_deg * DEG, (360.0 / hypotheses if heading == "unknown" else heading_sd_deg) * DEG)
+    if heading == "motion":
+        at = _in_motion(rec, known, velocity, from_t, hypotheses)
+    elif heading == "truth":
+        at = _true_attitude(rec, known, position, from_t, sds)
+    else:
+        at = _as_said(rec, known, velocity, from_t, heading, course_speed_mps, sds)
+    t, lla, vel, sd = _first_fix(rec, known, position, velocity, at.t)
+    aligned_velocity = at.alignment is not None and t <= at.t + TICK
+    if at.alignment is not None and aligned_velocity:
+        vel, sd = at.alignment.vel, (sd[0], np.hypot(at.alignment.vel_sd, LEAST_VELOCITY_SD))
+    elif "velocity" in rec.aiding and np.abs(rec.aiding["velocity"].t - t).min() > APART:
+        raise DataError(f"velocity: none within {APART:g} s of the first position, at {t:.3f} s: set data.start")
+    nav = initial_nav(lla, vel, at.rph, halfway(rec))._replace(t=jnp.asarray(t, float))
+    angles = 2 * np.pi * np.arange(hypotheses) / hypotheses if at.unknown else np.array([at.rph[2]])
+    navs = with_headings(nav, angles, rec.lever_arm)
+    attitude_sd, states, correlated = np.array([at.sd[0], at.sd[0], at.sd[1]]), {}, None
+    if at.alignment is not None:
+        found = at.alignment
+        biases = {"gyro_bias": (found.gyro_bias, found.sd[3:6]), "accel_bias": (found.accel_bias, found.sd[6:9])}
+        biases = {name: bias for name, bias in biases.items() if name in known.states}
+        states = {name: bias_sd for name, (_, bias_sd) in biases.items()}
+        navs = navs._replace(errors={n: jnp.tile(jnp.asarray(b), (len(angles), 1)) for n, (b, _) in biases.items()})
+        # a tilt in ENU axes turns with the heading: where that is not the alignment's, its correlations are left out
+        if not at.unknown and at.pointed is None:
+            attitude_sd = np.maximum(found.sd[:3], LEAST_TILT_SD)
+            correlated = jnp.asarray(correlation_root(_covariance(found, aligned_velocity)))
+    prior = Prior(
+        jnp.asarray(sd[0] if position_sd_m is None else position_sd_m, float),
+        jnp.asarray(sd[1] if velocity_sd_mps is None else velocity_sd_mps, float),
+        jnp.asarray(attitude_sd, float),
+        correlated,
+    )
+    about = f"{hypotheses} hypotheses" if at.unknown else f"sd {at.sd[1] / DEG:.2g} deg"
+    how = [f"starts at t = {t:.3f} s: {at.words} ({about})", *_remarks(at)]
+    field = field_of(known, lla) if "magnetometer" in rec.aiding else None
+    if field is not None:
+        how.append(field.words)
+    return Start(navs, prior, t, "; ".join(line for line in how if line), states, at.alignment, field)
+
+
+LENGTHS = (10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)  # s of the windows that are tried one after the other
+KNOWN = 10 * DEG  # sd of a heading that is known
+BAD_FIT = 9.0  # chi^2 per degree of freedom from which on fixes and IMU do not belong together
+
+
+def _in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, hypotheses: int) -> Attitude:
+    """By alignment over windows that grow until heading is known; else its tilt and an unknown heading."""
+    position = rec.aiding["position"]
+    begin = max(begin, float(position.t[0]) - 1.0)
+    half = 0.5 * (min(float(position.t[-1]), float(rec.imu.t[-1])) - begin)
+    ends = [begin + min(length, half) for length in LENGTHS if length <= half or length == LENGTHS[0]]
+    first: Alignment | None = None
+    last: Alignment | None = None
+    for end in ends:
+        t = float(position.t[min(int(np.searchsorted(position.t, end - TICK)), position.t.size - 2)])
+        found = aligned(rec, known, begin, t)
+        first, last = first or found, found or last
+        if found is not None and found.sd[2] <= KNOWN:
+            break
+    if first is None or last is None:
+        rp, by, sd = _levelled(rec, known, velocity, begin, begin, 10 * DEG)
+        if (pointed := pointed_by(rec, known, rp, sd, begin)) is not None:
+            words = f"level by {by} (sd {sd / DEG:.2g} deg), heading {pointed.words}"
+            return Attitude(begin, (*rp, pointed.heading), (sd, pointed.sd), words, pointed=pointed)
+        sds = (sd, 2 * np.pi / hypotheses)
+        return Attitude(begin, (*rp, 0.0), sds, f"level by {by} (sd {sd / DEG:.2g} deg), heading unknown", True)
+    unknown = last.sd[2] > USABLE
+    best = first if unknown else last
+    rph = np.asarray(_rph(best.C))
+    tilt = float(max(best.sd[:2].max(), LEAST_TILT_SD))
+    words = (
+        f"aligned over {best.t - begin:.0f} s by {best.fixes} fixes: roll {rph[0] / DEG:.1f}, pitch {rph[1] / DEG:.1f} "
+        f"deg (sd {tilt / DEG:.2g} deg), heading "
+    )
+    pointed = pointed_by(rec, known, (float(rph[0]), float(rph[1])), tilt, best.t)
+    if pointed is not None and (unknown or (not pointed.magnetic and pointed.sd < best.sd[2])):
+        words, rph = f"{words}{pointed.words}", np.array([rph[0], rph[1], pointed.heading])
+        return Attitude(best.t, tuple(rph), (tilt, pointed.sd), words, False, best, pointed)
+    if unknown:
+        words += "not shown by the motion"
+        return Attitude(best.t, tuple(rph), (tilt, 2 * np.pi / hypotheses), words, True, best)
+    words += f"{rph[2] / DEG % 360:.1f} deg"
+    return Attitude(best.t, tuple(rph), (tilt, float(best.sd[2])), words, False, best)
+
+
+def aligned(rec: Recording, params: Params, begin: float, end: float) -> Alignment | None:
+    """Align over (begin, end] s by the velocities, by the positions where those fit badly.
+
+    ``params``: a filter's; its delays are taken out of the fixes' times first, its biases' priors are the alignment's.
+    None where there are too few fixes.
+    """
+    grade = datasheet_states(GRADES["consumer"], BIASES) | params.states
+    believed = Believed(np.asarray(grade["gyro_bias"].sd), np.asarray(grade["accel_bias"].sd))
+    lla = rec.aiding["position"].value[0]
+    best: Alignment | None = None
+    for name in ("velocity", "position"):
+        if name not in rec.aiding:
+            continue
+        fixes = rec.aiding[name]
+        offset = _clock_offset(rec, params, 0.5 * (begin + end))
+        fixes = fixes._replace(t=fixes.t - offset - float(params.measurements[name].latency))
+        found = align(
+            rec.imu, fixes, name == "position", lla, begin, end, believed, np.asarray(params.mounting.lever_arm)
+        )
+        if found is not None and (best is None or (found.chi2 < best.chi2 and found.sd[2] < 2 * best.sd[2])):
+            best = found
+        if best is not None and best.chi2 < BAD_FIT:
+            break
+    return best
+
+
+def _remarks(at: Attitude) -> list[str]:
+    """What a user should hear of an alignment."""
+    said: list[str] = []
+    found = at.alignment
+    if found is None:
+        return said
+    if abs(found.delay) > max(3 * found.sd[9], 0.03):
+        late = "late" if found.delay > 0 else "early"
+        said.append(
+            f"fixes look {abs(found.delay):.2f} s {late} (sd {found.sd[9]:.2f} s): see "
+            "measurements.position.latency_s, measurements.velocity.latency_s"
+        )
+    if abs(at.rph[0]) > 90 * DEG:
+        said.append("the IMU hangs upside down, or its axes are not forward, right, down")
+    if found.chi2 > BAD_FIT:
+        said.append(
+            f"fixes and IMU do not go together (chi^2 per degree of freedom {found.chi2:.0f}): axes, units or times "
+            "may be wrong, see jaxnav check"
+        )
+    return said
+
+
+def _covariance(found: Alignment, aligned_velocity: bool) -> np.ndarray:
+    """Return that of velocity, attitude and biases (12, 12), SI, ENU; a fix's velocity is independent of the rest."""
+    P = found.joint[:12, :12]
+    P[:3, :3] += LEAST_VELOCITY_SD**2 * np.eye(3)
+    if not aligned_velocity:
+        P[:3, 3:], P[3:, :3] = 0.0, 0.0
+    return P
+
+
+def correlation_root(P: np.ndarray) -> np.ndarray:
+    """Lower root of the correlations of a covariance (n, n): its rows have length one."""
+    sd = np.sqrt(np.diag(P))
+    n = len(sd)
+    C = P / np.outer(sd, sd)
+    root = np.linalg.cholesky((1 - 1e-9) * 0.5 * (C + C.T) + 1e-9 * np.eye(n))
+    return root / np.linalg.norm(root, axis=1, keepdims=True)
+
+
+def _as_said(
+    rec: Recording, known: Params, velocity: Samples, begin: float, heading: float | str, least_speed: float,
+    sds: tuple[float, float],
+) -> Attitude:  # fmt: skip
+    """Level by what there is, heading by course, degrees or unknown."""
+    at, angle, why = begin, 0.0, "unknown"
+    if heading == "course":
+        at, angle = course(velocity, least_speed, begin)
+        why = f"by course over ground at t = {at:.3f} s"
+    elif not isinstance(heading, str):
+        angle, why = heading * DEG, f"{heading:g} deg as said"
+    (roll, pitch), by, tilt = _levelled(rec, known, velocity, begin, at, sds[0])
+    words = f"level by {by} (sd {tilt / DEG:.2g} deg), heading {why}"
+    return Attitude(at, (roll, pitch, angle), (tilt, sds[1]), words, heading == "unknown")
+
+
+def recorded_timing(rec: Recording) -> Params:
+    """Parameters of a filter that knows a recording's lever arm and of no delays."""
+    return datasheet_params(GRADES["consumer"], install=mounting(rec.lever_arm))
+
+
+def halfway(rec: Recording) -> float:
+    """Stamp, s, that drift of the clock is counted from, wherever a run starts: its offset there is the mean one."""
+    return 0.5 * float(rec.imu.t[0] + rec.imu.t[-1])
+
+
+def _clock_offset(rec: Recording, known: Params, t: float) -> float:
+    """What is known of GNSS time minus the IMU's stamp ``t``, s."""
+    return float(known.mounting.time_offset) + float(known.mounting.clock_drift) * (t - halfway(rec))
+
+
+def ground_velocity(rec: Recording) -> Samples:
+    """Return the stream of velocities, or differences of the positions where there is none."""
+    return rec.aiding.get("velocity") or _differences(rec.aiding["position"])
+
+
+def _differences(position: Samples) -> Samples:
+    """Mean velocity over the last `CHORD` s of positions, whose noise would else pass for motion."""
+    n = max(1, min(round(CHORD / float(np.median(np.diff(position.t)))), position.t.size - 1))
+    dt = (position.t[n:] - position.t[:-n])[:, None]
+    value = earth.enu_path(position.value[n:], position.value[:-n]) / dt
+    return Samples(position.t[n:], value, 1.5 * position.sd[n:] / dt, np.zeros_like(value))
+
+
+def _levelled(
+    rec: Recording, known: Params, velocity: Samples, begin: float, at: float, sd: float
+) -> tuple[tuple[float, float], str, float]:
+    """Roll and pitch (rad), by what, and their sd: from a standstill at ``begin``, else from motion before ``at``.
+
+    Where there is not enough of that either, flat.
+
+    Raises:
+        DataError: nothing to level by, and specific force that points down: z is up.
+    """
+    after = velocity.t >= begin
+    moving = after & (np.hypot(velocity.value[:, 0], velocity.value[:, 1]) > 0.5)
+    until = velocity.t[np.argmax(moving)] if moving.any() else velocity.t[-1]
+    until = min(until - 0.5, begin + 30.0)
+    if until - begin >= 2.0:
+        return level(rec.imu, begin, until), f"standing from {begin:.1f} to {until:.1f} s", sd
+    found = aligned(rec, known, max(begin, at - LENGTHS[0]), at) if at - begin >= 0.5 * LENGTHS[0] else None
+    if found is not None:
+        roll, pitch, _ = np.asarray(_rph(found.C)).tolist()
+        return (roll, pitch), "motion", max(float(found.sd[:2].max()), LEAST_TILT_SD)
+    down = float(rec.imu.accel[(rec.imu.t > begin) & (rec.imu.t <= begin + 30.0), 2].mean())
+    if down > 0:
+        raise DataError(f"imu: z of specific force is {down:+.1f} m/s^2 on average: body axes are forward, right, down")
+    return (0.0, 0.0), "taking it for flat, for want of a standstill", sd
+
+
+def _interpolated(rec: Recording, t: float) -> np.ndarray:
+    truth = rec.truth
+    assert truth is not None
+    return np.array([np.interp(t, truth.t, np.unwrap(c)) for c in truth.rph.T])
+
+
+def _true_attitude(
+    rec: Recording, known: Params, position: Samples, begin: float, sds: tuple[float, float]
+) -> Attitude:
+    """What the truth says at the first fix from ``begin`` on."""
+    sure = np.isfinite(rec.truth.rph).all(1) if rec.truth is not None else np.zeros(0, bool)
+    if rec.truth is None or not sure.all():
+        raise DataError(f'{rec.name}: has no true attitude, which start.heading = "truth" asks for')
+    i = int(np.searchsorted(position.t, max(begin, rec.truth.t[0]) - TICK))
+    t = float(position.t[min(i, position.t.size - 1)])
+    roll, pitch, heading = _interpolated(rec, t + _clock_offset(rec, known, t))
+    return Attitude(t, (roll, pitch, heading), sds, "level and heading by the truth")
+
+
+def _first_fix(
+    rec: Recording, known: Params, position: Samples, velocity: Samples, begin: float
+) -> tuple[float, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Time, position, velocity and their sd at the first fix from ``begin`` on; moved on by the position's latency."""
+    i = int(np.searchsorted(position.t, begin - TICK))
+    if i >= position.t.size - 1:
+        raise DataError(f"position: no fix after {begin:.3f} s to start from")
+    t = float(position.t[i])
+    j = int(np.argmin(np.abs(velocity.t - t)))
+    late = _clock_offset(rec, known, t) + float(known.measurements["position"].latency)
+    lla = _moved(position.value[i], late * velocity.value[j])
+    return t, np.asarray(lla), velocity.value[j], (np.hypot(position.sd[i], 0.5), np.hypot(velocity.sd[j], 0.3))

@@ -1,0 +1,336 @@
+"""A column map: a few lines of TOML that say what the columns of somebody's files are; see ``docs/formats.md``."""
+
+import os
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxnav.io import missing, units
+from jaxnav.io.checks import ned_to_enu
+from jaxnav.io.columns import (
+    Files,
+    column_of,
+    known,
+    rows_of,
+    sd_of,
+    sheet_of,
+    side_by_side,
+    table_of,
+    time_columns,
+    times_of,
+)
+from jaxnav.io.files import FilePath, read_bytes
+from jaxnav.io.mend import GAP, LATE
+from jaxnav.io.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream, TimeScale, counted_from
+from jaxnav.io.sheet import DAYS, column, open_sheet
+from jaxnav.maths.axes import enu_to_ecef, geodetic, local_to_lla, rotation
+from jaxnav.maths.interpolation import columns_at
+from jaxnav.maths.units import DEG
+from jaxnav.measurements import with_data
+from jaxnav.measurements.columns import QUANTITIES
+from jaxnav.types import DataError, Track
+
+COMMON = tuple(
+    "file delimiter header time time_unit time_scale time_tag time_shift_s rate_hz skip where new_where".split()
+)
+TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", *COMMON)
+KEYS: dict[str, tuple[str, ...]] = {
+    "imu": (*COMMON, *"gyro gyro_unit accel accel_unit accel_time axes sampling repair".split()),
+    "position": (*COMMON, *"lla enu ned ecef unit h_unit sd sd_enu sd_ned".split()),
+    "velocity": (*COMMON, *"enu ned neu ecef speed_course up down unit course_unit sd sd_enu sd_ned".split()),
+    "truth": (*COMMON, *"lla enu ned ecef unit h_unit velocity_enu velocity_ned velocity_ecef rph rph_unit".split()),
+    "magnetometer": (*COMMON, "value", "unit", "axes", "sd"),
+    "baseline": (*COMMON, *"enu ned unit sd sd_enu sd_ned".split()),
+    "wheels": (*COMMON, "left", "right", "unit", "radius", "sd"),
+}
+SCALAR = (*COMMON, "value", "unit", "sd")  # of every other stream
+
+
+def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None = None) -> Parts:
+    """The parts that a column map describes.
+
+    Args:
+        path: the map.
+        base: reads the file that the table [read] names, with its options.
+        folder: of the data, instead of the map's ``folder``, which counts from the map's own.
+
+    Raises:
+        DataError: a key, file, column or unit that is not known, or data that cannot be read.
+    """
+    file, table = os.fspath(path), _load(path)
+    said = os.path.expandvars(table.get("folder", "."))
+    if "$" in said and folder is None:
+        raise DataError(f"{file}: folder: {said} names an environment variable that is not set")
+    where = Path(folder) if folder is not None else Path(path).parent / said
+    return described(table, file, where, base)
+
+
+def described(table: dict[str, Any], file: str, where: Path, base: Callable[..., Parts] | None = None) -> Parts:
+    """Return the parts that the tables of a column map describe.
+
+    Args:
+        table: the map, as in ``docs/formats.md``.
+        file: for messages.
+        where: folder of the data, or a .zip archive.
+        base: reads the file that the table [read] names, with its options.
+
+    Raises:
+        DataError: as `read_map`.
+    """
+    table = _shared(table, file)
+    origin = np.array(_numbers(table["origin_deg"], 3, f"{file}: origin_deg")) if "origin_deg" in table else None
+    files = Files(file, where, {}, None if origin is None else origin * [DEG, DEG, 1.0], 0)
+    parts = Parts(file)
+    if "read" in table and base is not None:
+        options = dict(table["read"])
+        if "file" not in options:
+            raise DataError(f"{file}: [read] needs a key file")
+        options |= {key: where / options[key] for key in ("gnss",) if key in options}
+        parts = base(where / options.pop("file"), **options)
+        files = files._replace(zero=parts.zero)
+    if "imu" in table:
+        zero = times_of(files, table["imu"], "imu")
+        first = float(zero[0]) if len(zero) and np.isfinite(zero[0]) else 0.0
+        files = files._replace(zero=int(first) if first >= LATE else 0)
+        parts = _with_imu(counted_from(parts, files.zero), files, table["imu"])
+    aiding = parts.aiding | {key: _stream(files, table[key], key) for key in with_data() if key in table}
+    truth = _truth(files, table["truth"]) if "truth" in table else parts.truth
+    notes = [*parts.notes, *([table["notes"]] if "notes" in table else [])]
+    notes += [note for sheet in files.opened.values() for note in sheet.notes]
+    if files.zero:
+        notes.append(f"t = 0 is {files.zero} s in the file's time.")
+    arm = np.array(_numbers(table.get("lever_arm_frd_m", parts.lever_arm.tolist()), 3, f"{file}: lever_arm_frd_m"))
+    name = table.get("name", Path(file).stem)
+    return parts._replace(file=file, aiding=aiding, truth=truth, notes=tuple(notes), lever_arm=arm, name=name)
+
+
+def _load(path: FilePath) -> dict[str, Any]:
+    try:
+        return tomllib.loads(read_bytes(path).decode("utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(f"{os.fspath(path)}: cannot be read as TOML: {error}") from error
+
+
+def _shared(table: dict[str, Any], file: str) -> dict[str, Any]:
+    """The map with what stands above its tables in every one of them that does not say otherwise."""
+    known(table, (*TOP, *with_data()), file)
+    shared = {key: table[key] for key in COMMON if key in table}
+    out = {key: value for key, value in table.items() if key not in shared}
+    for name in ("imu", "truth", *with_data()):
+        if isinstance(out.get(name), dict):
+            other = {"rate_hz": "time", "time": "rate_hz"}  # a table has one of the two
+            own = {k: v for k, v in shared.items() if other.get(k) not in out[name]}
+            out[name] = own | out[name]
+    return out
+
+
+def _numbers(value: Any, size: int, where: str) -> list[float]:
+    good = isinstance(value, list) and len(value) == size
+    if not good or not all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in value):
+        raise DataError(f"{where}: expected {size} numbers, got {value!r}")
+    return value
+
+
+# ---------------------------------------------------------------------------- streams
+
+
+def _with_imu(parts: Parts, files: Files, table: dict[str, Any]) -> Parts:
+    known(table, KEYS["imu"], f"{files.map}: imu")
+    sampling = table.get("sampling", RATES)
+    if sampling not in SAMPLINGS:
+        raise DataError(f"{files.map}: imu: sampling: {units.nearest(str(sampling), SAMPLINGS)}")
+    kinds = ("angle", "speed") if sampling == INCREMENTS else ("rate", "acceleration")
+    scales = [
+        units.factor(table, f"{key}_unit", kind, f"{files.map}: imu") for key, kind in zip(("gyro", "accel"), kinds)
+    ]
+    gyro, accel = (table_of(files, table, key, "imu") * scale for key, scale in zip(("gyro", "accel"), scales))
+    t = times_of(files, table, "imu")
+    keep = rows_of(files, table, "imu", len(t))
+    column = _accel_time(files, table)
+    if column is None:
+        side_by_side(files, [t, gyro[:, 0], accel[:, 0]], "imu")
+    else:
+        accel, covered = interpolated(t, times_of(files, table | {"time": column}, "imu"), accel)
+        keep &= covered
+        if not keep.any():
+            raise DataError(f"{files.map}: imu: no time of the gyro lies within those of the accelerometer ({column})")
+    refs = time_columns(table["time"])[0] if "time" in table else table["gyro"][0]
+    lines = sheet_of(files, table, refs, "imu")[0].lines
+    scale = _scale(table, f"{files.map}: imu")
+    rows = ImuRows(t[keep], gyro[keep], accel[keep], sampling, repair=bool(table.get("repair", False)), scale=scale)
+    if column is not None:
+        told = " ".join(time_columns(column))
+        words = f"imu: accelerations interpolated from times {told}: {keep.sum()} of {len(t)} gyro samples have one."
+        parts = parts._replace(notes=(*parts.notes, words))
+    return parts._replace(imu=rows, axes=table.get("axes", "frd"), lines=None if lines is None else lines[keep])
+
+
+def _scale(table: dict[str, Any], where: str) -> TimeScale:
+    """Return the time scale that a table states; dates are UTC, RTKLIB's tags GPS time."""
+    usual = TimeScale.UTC if table.get("time_unit") in ("iso", *DAYS) else TimeScale.UNKNOWN
+    said = table.get("time_scale", TimeScale.GPS if "time_tag" in table else usual)
+    if said not in tuple(TimeScale):
+        raise DataError(f"{where}: time_scale: {units.nearest(str(said), tuple(TimeScale))}")
+    return TimeScale(said)
+
+
+def _accel_time(files: Files, table: dict[str, Any]) -> Any:
+    """Return the accelerometer's time column: ``accel_time``, or the gyro's name of it in the accelerometer's file."""
+    if "accel_time" in table:
+        return table["accel_time"]
+    if not isinstance(table.get("file"), dict) or "time" not in table or "time_tag" in table:
+        return None
+    file_of = lambda ref: str(ref).partition(":")[0]
+    refs = time_columns(table["time"])
+    if file_of(refs[0]) != file_of(table["gyro"][0]):
+        return None
+    same = [f"{file_of(table['accel'][0])}:{ref.partition(':')[2]}" for ref in refs]
+    there = all(name in sheet.columns for sheet, name in (sheet_of(files, table, ref, "imu") for ref in same))
+    return same if same != refs and there else None
+
+
+def interpolated(t: np.ndarray, times: np.ndarray, accel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Interpolate accelerations to the times of the gyro.
+
+    Args:
+        t: (N,) s, of the gyro.
+        times: (M,) s, of the accelerometer, in any order.
+        accel: (M, 3) m/s^2.
+
+    Returns:
+        (N, 3) m/s^2, and (N,) bool: between two samples that are at most `GAP` usual steps from each other.
+    """
+    times, first = np.unique(times, return_index=True)
+    after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
+    before = after - 1
+    step, usual = times[after] - times[before], np.median(np.diff(times))
+    at_sample = np.minimum(np.abs(t - times[after]), np.abs(t - times[before])) < 0.01 * usual
+    between = (t >= times[0]) & (t <= times[-1]) & (step <= GAP * usual)
+    return columns_at(t, times, accel[first]), at_sample | between
+
+
+def _stream(files: Files, table: dict[str, Any], name: str) -> Stream:
+    known(table, KEYS.get(name, SCALAR), f"{files.map}: {name}")
+    value = BUILD.get(name, _scalar)(files, table, name)
+    t = times_of(files, table, name)
+    side_by_side(files, [t, value[:, 0]], name)
+    keep = rows_of(files, table, name, len(t))
+    sd = sd_of(files, table, name, value.shape[1])
+    if name == "velocity" and "speed_course" in table and "up" not in table and "down" not in table:
+        sd = np.full(value.shape, 0.3) if sd is None else np.broadcast_to(sd, value.shape).copy()
+        sd[:, 2] = missing.UNMEASURED_SD
+    sd = None if sd is None else np.broadcast_to(sd, value.shape)[keep]
+    return Stream(t[keep], value[keep], sd, scale=_scale(table, f"{files.map}: {name}"))
+
+
+def _one(files: Files, table: dict[str, Any], keys: tuple[str, ...], stream: str) -> str:
+    found = [key for key in keys if key in table]
+    if len(found) != 1:
+        raise DataError(f"{files.map}: {stream}: expected one of the keys {', '.join(keys)}, got {len(found)}")
+    return found[0]
+
+
+def _position(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+    key = _one(files, table, ("lla", "enu", "ned", "ecef"), name)
+    values = table_of(files, table, key, name)
+    if key == "lla":
+        scale = units.factor(table, "unit", "angle", f"{files.map}: {name}", "deg")
+        height = units.factor(table, "h_unit", "length", f"{files.map}: {name}", "m")
+        return values * np.array([scale, scale, height])
+    values = values * units.factor(table, "unit", "length", f"{files.map}: {name}", "m")
+    if key == "ecef":
+        return geodetic(values)
+    if files.origin is None:
+        raise DataError(f"{files.map}: {name}: local metres need origin_deg = [lat, lon, height]")
+    return local_to_lla(values if key == "enu" else ned_to_enu(values), files.origin)
+
+
+def _velocity(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+    key = _one(files, table, ("enu", "ned", "neu", "speed_course"), name)
+    scale = units.factor(table, "unit", "speed", f"{files.map}: {name}", "m/s")
+    if key != "speed_course":
+        order = {"enu": [0, 1, 2], "neu": [1, 0, 2], "ned": [1, 0, 2]}[key]
+        sign = np.array([1.0, 1.0, -1.0 if key == "ned" else 1.0])
+        return table_of(files, table, key, name)[:, order] * sign * scale
+    speed, course = table_of(files, table, key, name, 2).T
+    speed = np.where(missing.no_speed(speed), np.nan, speed)
+    course = course * units.factor(table, "course_unit", "angle", f"{files.map}: {name}", "deg")
+    key = "up" if "up" in table else "down"
+    up = column_of(files, table, table[key], name) * scale if key in table else np.zeros_like(speed)
+    up = -up if key == "down" else up
+    return np.stack([speed * scale * np.sin(course), speed * scale * np.cos(course), up], axis=1)
+
+
+def _field(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+    scale = units.factor(table, "unit", "field", f"{files.map}: {name}", "uT")
+    return table_of(files, table, "value", name) * scale @ rotation(table.get("axes", "frd")).T
+
+
+def _baseline(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+    key = _one(files, table, ("enu", "ned"), name)
+    value = table_of(files, table, key, name) * units.factor(table, "unit", "length", f"{files.map}: {name}", "m")
+    return ned_to_enu(value) if key == "ned" else value
+
+
+def _wheels(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+    where = f"{files.map}: {name}"
+    if "left" not in table or "right" not in table:
+        raise DataError(f"{where}: expected the keys left and right")
+    value = np.column_stack([_mean(files, table, table[side], name) for side in ("left", "right")])
+    if "radius" not in table:
+        return value * units.factor(table, "unit", "speed", where, "m/s")
+    radius = table["radius"]
+    if not isinstance(radius, (int, float)) or isinstance(radius, bool) or not radius > 0:
+        raise DataError(f"{where}: radius: expected metres, got {radius!r}")
+    return value * radius * units.factor(table, "unit", "rate", where, "rad/s")
+
+
+def _mean(files: Files, table: dict[str, Any], refs: Any, name: str) -> np.ndarray:
+    """A column, or the mean of several, as of the wheels of an axle."""
+    columns = [column_of(files, table, ref, name) for ref in (refs if isinstance(refs, list) else [refs])]
+    return side_by_side(files, columns, name).mean(axis=1)
+
+
+def _scalar(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+    if "value" not in table:
+        raise DataError(f"{files.map}: {name}: expected a key value")
+    value = _mean(files, table, table["value"], name)
+    if name == "barometer" and table.get("unit") in units.PRESSURE:
+        return units.pressure_height(value * units.PRESSURE[table["unit"]])[:, None]
+    kind = with_data()[name].columns[0].quantity
+    default = QUANTITIES[kind][1]
+    return value[:, None] * units.factor(table, "unit", kind, f"{files.map}: {name}", default)
+
+
+BUILD = {
+    "position": _position, "velocity": _velocity, "magnetometer": _field, "baseline": _baseline, "wheels": _wheels,
+}  # fmt: skip
+"""What makes the values of a stream; of every other one `_scalar`."""
+
+
+def _truth(files: Files, table: dict[str, Any]) -> Track:
+    known(table, KEYS["truth"], f"{files.map}: truth")
+    where = f"{files.map}: truth"
+    lla = _position(files, table, "truth")
+    key = _one(files, table, ("velocity_enu", "velocity_ned", "velocity_ecef"), "truth")
+    vel = table_of(files, table, key, "truth")
+    if key == "velocity_ned":
+        vel = ned_to_enu(vel)
+    if key == "velocity_ecef":
+        vel = np.stack([v @ enu_to_ecef(place) for v, place in zip(vel, lla)])
+    rph = np.full_like(lla, np.nan)
+    if "rph" in table:
+        rph = table_of(files, table, "rph", "truth") * units.factor(table, "rph_unit", "angle", where, "deg")
+    t = times_of(files, table, "truth")
+    keep = rows_of(files, table, "truth", len(t)) & np.isfinite(np.column_stack([t, lla, vel])).all(axis=1)
+    return Track(t[keep], lla[keep], vel[keep], rph[keep])
+
+
+def column_names(path: FilePath) -> list[str]:
+    """The names of the columns of any table, for a message."""
+    sheet = open_sheet(path)
+    named = [key for key in sheet.columns if not key.isdigit()]
+    return named or [f"{key} ({column(sheet, key)[0]})" for key in sheet.columns]

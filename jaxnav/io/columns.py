@@ -1,0 +1,164 @@
+"""The columns that a table of a column map names, as numbers: `jaxnav.io.column_map` makes streams of them."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxnav.io import units
+from jaxnav.io.formats.rtklib import read_tag
+from jaxnav.io.sheet import Sheet, column, numbers, open_sheet, times
+from jaxnav.types import DataError
+
+VALUES = ("gyro", "lla", "enu", "ned", "neu", "ecef", "speed_course", "value")  # keys that list columns
+
+
+class Files(NamedTuple):
+    """Where a table of the map finds its columns."""
+
+    map: str  # the file of the map, for messages
+    folder: Path
+    opened: dict[tuple[Any, ...], Sheet]  # so that a file is read once
+    origin: np.ndarray | None  # (3,) lat, lon rad, h m of local metres
+    zero: int  # s, subtracted from all times
+
+
+def known(table: dict[str, Any], keys: tuple[str, ...], where: str) -> None:
+    """DataError for the first key that is not one of ``keys``, with the nearest."""
+    for key in table:
+        if key not in keys:
+            raise DataError(f"{where}: {key}: unknown key; {units.nearest(key, keys)}")
+
+
+def sheet_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> tuple[Sheet, str]:
+    """The sheet and the column's name in it, of ``COLUMN`` or, where ``file`` is a table, ``FILE:COLUMN``."""
+    name, _, rest = str(ref).partition(":")
+    file = table.get("file")
+    if isinstance(file, dict):
+        if name not in file:
+            raise DataError(f"{files.map}: {key}: column {ref!r}: {units.nearest(name, tuple(file))} (FILE:COLUMN)")
+        path, ref = file[name], rest
+    elif isinstance(file, str):
+        path = file
+    else:
+        raise DataError(f"{files.map}: {key}: expected a key file, text or a table of names")
+    cache = (path, table.get("delimiter"), table.get("header"))
+    if cache not in files.opened:
+        files.opened[cache] = open_sheet(_found(files, path), *cache[1:])
+    return files.opened[cache], str(ref)
+
+
+def _found(files: Files, pattern: str) -> Path:
+    """The one file of this name or pattern."""
+    path = files.folder / pattern
+    if "*" not in pattern:
+        return path
+    found = sorted(files.folder.glob(pattern))
+    if len(found) != 1:
+        raise DataError(f"{path}: expected one file, found {len(found)}")
+    return found[0]
+
+
+def column_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> np.ndarray:
+    """(N,) numbers of one column."""
+    sheet, name = sheet_of(files, table, ref, key)
+    return numbers(sheet, name)
+
+
+def table_of(files: Files, table: dict[str, Any], key: str, stream: str, size: int = 3) -> np.ndarray:
+    """(N, size) of the columns that ``key`` of the table lists."""
+    refs = table.get(key)
+    if not isinstance(refs, list) or len(refs) != size:
+        raise DataError(f"{files.map}: {stream}: {key}: expected a list of {size} columns, got {refs!r}")
+    return side_by_side(files, [column_of(files, table, ref, stream) for ref in refs], stream)
+
+
+def side_by_side(files: Files, columns: list[np.ndarray], stream: str) -> np.ndarray:
+    """(N, k) of columns (N,); DataError where they differ in length."""
+    sizes = [len(c) for c in columns]
+    if len(set(sizes)) != 1:
+        raise DataError(f"{files.map}: {stream}: columns have different lengths: {sizes}")
+    return np.stack(columns, axis=1)
+
+
+def time_columns(refs: Any) -> list[str]:
+    """Return the columns of a key ``time``: one, or those of date and time of day."""
+    return [str(ref) for ref in refs] if isinstance(refs, list) else [str(refs)]
+
+
+def times_of(files: Files, table: dict[str, Any], stream: str) -> np.ndarray:
+    """(N,) s, by the column ``time`` or, at ``rate_hz``, by the number of the row.
+
+    With ``time_tag``, an RTKLIB time tag, the column counts ticks, which are stretched to the tag's.
+    """
+    shift = table.get("time_shift_s", 0.0)
+    if ("rate_hz" in table) == ("time" in table):
+        raise DataError(f"{files.map}: {stream}: expected a key time, or rate_hz where there is no such column")
+    if "rate_hz" in table:
+        first = next((table[key] for key in VALUES if key in table), None)
+        first = first[0] if isinstance(first, list) and first else first
+        rows = len(column_of(files, table, first, stream))
+        return np.arange(1, rows + 1) / float(table["rate_hz"]) + shift
+    unit, refs = table.get("time_unit", "s"), time_columns(table["time"])
+    sheet, name = sheet_of(files, table, refs[0], stream)
+    if len(refs) > 1:  # date and time of day
+        if unit != "iso":
+            raise DataError(f'{files.map}: {stream}: time of {len(refs)} columns needs time_unit = "iso"')
+        cells = [column(*sheet_of(files, table, ref, stream)).tolist() for ref in refs]
+        name, joined = " ".join(refs), np.array([" ".join(map(str, row)) for row in zip(*cells)])
+        sheet = sheet._replace(columns={name: joined})
+    if "time_tag" not in table:
+        return times(sheet, name, unit, files.zero) + shift
+    start, last = read_tag(files.folder / table["time_tag"])
+    tick = times(sheet, name, table.get("time_unit", "s"))
+    inner = tick[_skipped(files, table, stream, len(tick))]
+    return (start - files.zero) + (tick - inner[0]) * (last / (inner[-1] - inner[0])) + shift
+
+
+def _skipped(files: Files, table: dict[str, Any], stream: str, n: int) -> slice:
+    """All rows but those that ``skip = [first, last]`` leaves out at the start and at the end."""
+    skip = table.get("skip", [0, 0])
+    if len(skip) != 2 or min(skip) < 0 or sum(skip) > n - 2:
+        raise DataError(f"{files.map}: {stream}: skip: expected rows to leave out at start and end, got {skip}")
+    return slice(skip[0], n - skip[1])
+
+
+def rows_of(files: Files, table: dict[str, Any], stream: str, n: int) -> np.ndarray:
+    """(N,) bool, rows not to ``skip`` that meet all of ``where`` and are new in one of the columns of ``new_where``."""
+    keep = np.zeros(n, bool)
+    keep[_skipped(files, table, stream, n)] = True
+    compare = {">=": np.greater_equal, "<=": np.less_equal, "!=": np.not_equal, ">": np.greater, "<": np.less}
+    for ref, wanted in table.get("where", {}).items():
+        sign = next((s for s in compare if str(wanted).startswith(s)), "")
+        try:
+            value = float(str(wanted).removeprefix(sign))
+        except ValueError:
+            raise DataError(f"{files.map}: {stream}: where: {ref}: expected 3 or '>=3', got {wanted!r}") from None
+        keep &= compare.get(sign, np.equal)(column_of(files, table, ref, stream), value)
+    if "new_where" in table:
+        watched = [column_of(files, table, ref, stream) for ref in table["new_where"]]
+        keep &= np.any([np.r_[True, c[1:] != c[:-1]] for c in watched], axis=0)
+    return keep
+
+
+def sd_of(files: Files, table: dict[str, Any], stream: str, size: int) -> np.ndarray | None:
+    """(N or 1, size) sd, ENU; None where the table says none."""
+    given = [key for key in ("sd", "sd_enu", "sd_ned") if key in table]
+    if not given:
+        return None
+    value = table[given[0]]
+    entries = value if isinstance(value, list) else [value] * size
+    if len(given) > 1 or len(entries) != size:
+        raise DataError(f"{files.map}: {stream}: expected one of sd, sd_enu, sd_ned with {size} entries")
+    columns = np.broadcast_arrays(*(np.atleast_1d(_sd(files, table, entry, stream)) for entry in entries))
+    return np.stack(columns, axis=1)[:, [1, 0, 2] if given[0] == "sd_ned" else slice(None)]
+
+
+def _sd(files: Files, table: dict[str, Any], entry: Any, stream: str) -> Any:
+    """A number, a column, or ``{column = "HDOP", times = 2.5}``."""
+    if isinstance(entry, (int, float)):
+        return float(entry)
+    if isinstance(entry, dict):
+        known(entry, ("column", "times"), f"{files.map}: {stream}: sd")
+        return column_of(files, table, entry.get("column"), stream) * float(entry.get("times", 1.0))
+    return column_of(files, table, entry, stream)

@@ -1,0 +1,123 @@
+"""u-blox UBX, by `pyubx2`: NAV-PVT, or NAV-POSLLH and NAV-VELNED of older receivers: fixes beside an IMU's file."""
+
+import datetime
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxnav.io.checks import ned_to_enu
+from jaxnav.io.files import read_bytes
+from jaxnav.io.gps_time import GPS_EPOCH, WEEK, leap_seconds
+from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
+from jaxnav.maths.units import DEG
+from jaxnav.types import DataError
+
+SYNC = b"\xb5\x62"
+FIXED = (3, 4)  # fixType: in three dimensions, alone or with dead reckoning
+PVT = b"\x01\x07"  # class and number of NAV-PVT
+OLDER = ("NAV-POSLLH", "NAV-VELNED", "NAV-SOL", "NAV-STATUS", "NAV-TIMEGPS")
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """A message of UBX near the start whose checksum is right: text or RTCM may stand between."""
+    return bool(frames(head)[0])
+
+
+def frames(data: bytes) -> tuple[list[bytes], int]:
+    """Return the messages with a right checksum, and the number of NAV-PVT that are damaged.
+
+    A length that is damaged swallows nothing: what comes after its sync bytes is searched again.
+    """
+    found, lost, at = [], 0, -1
+    while (at := data.find(SYNC, at + 1)) >= 0:
+        end = at + 6 + int.from_bytes(data[at + 4 : at + 6], "little")
+        if end + 2 <= len(data):
+            sums = np.cumsum(np.frombuffer(data[at + 2 : end], np.uint8), dtype=np.int64)
+            if data[end : end + 2] == bytes([int(sums[-1]) & 255, int(sums.sum()) & 255]):
+                found.append(data[at : end + 2])
+                at = end + 1
+                continue
+        lost += data[at + 2 : at + 4] == PVT
+    return found, lost
+
+
+def read(path: Path) -> Parts:
+    """Position and velocity of NAV-PVT, else of NAV-POSLLH and NAV-VELNED with the status of NAV-SOL or NAV-STATUS.
+
+    Heading is that of NAV-RELPOSNED where the base moves along. hAcc, vAcc and sAcc are the sd of each axis. Times are
+    s since 1970 in GPS time.
+
+    Raises:
+        DataError: no fix in three dimensions.
+    """
+    import pyubx2
+
+    older: dict[str, dict[int, Any]] = {name: {} for name in OLDER}
+    rows, pointed, without = [], [], 0
+    intact, damaged = frames(read_bytes(path))
+    for frame in intact:
+        try:
+            message = pyubx2.UBXReader.parse(frame)
+        except pyubx2.UBXParseError:  # of a kind that it does not know
+            continue
+        if message.identity == "NAV-RELPOSNED" and getattr(message, "relPosHeadingValid", 0):
+            if message.isMoving and message.relPosValid:
+                pointed.append([message.iTOW, message.relPosHeading * DEG, message.accHeading * DEG])
+        if message.identity in older:
+            older[message.identity][message.iTOW] = message
+        if message.identity != "NAV-PVT":
+            continue
+        if message.fixType not in FIXED or not message.gnssFixOk or not message.validDate:
+            without += 1
+            continue
+        rows.append(_row(message))
+    if not rows and not without:
+        rows, without = _older_rows(older)
+    if not rows:
+        raise DataError(
+            f"{path}: has no NAV-PVT or NAV-POSLLH with a fix in three dimensions: {without} without one, {damaged} "
+            "damaged"
+        )
+    said = {"messages have no fix in three dimensions.": without, "NAV-PVT are damaged and left out.": damaged}
+    notes = tuple(f"{count} {what}" for what, count in said.items() if count)
+    t, lla, acc, vel, s_acc = np.split(np.array(rows), [1, 4, 6, 9], axis=1)
+    position = Stream(t[:, 0], lla, acc[:, [0, 0, 1]])
+    moved = np.isfinite(vel[:, 0])
+    velocity = Stream(t[moved, 0], ned_to_enu(vel[moved]), np.repeat(s_acc[moved], 3, axis=1))
+    aiding = {"position": position, "velocity": velocity}
+    if pointed:
+        milliseconds, angle, sd = np.array(pointed).T
+        tow = milliseconds / 1e3 + GPS_EPOCH
+        week = np.round((np.median(t) - tow) / WEEK)  # a recording is shorter than half a week
+        aiding["heading"] = Stream(tow + week * WEEK, angle[:, None], sd[:, None])
+    return scaled(Parts(os.fspath(path), aiding=aiding, notes=notes), TimeScale.GPS)
+
+
+def _older_rows(older: dict[str, dict[int, Any]]) -> tuple[list[list[float]], int]:
+    """Return rows as those of `_row` of receivers without NAV-PVT, and how many positions are no fix in 3D."""
+    weeks = [m.week for m in older["NAV-SOL"].values() if m.wknSet]
+    weeks += [m.week for m in older["NAV-TIMEGPS"].values() if m.weekValid]
+    base = GPS_EPOCH + int(np.median(weeks)) * WEEK if weeks else 0.0  # else seconds of the week
+    fixed = {tow: m.gpsFix in FIXED and bool(m.gpsfixOK) for tow, m in older["NAV-SOL"].items()}
+    fixed |= {tow: m.gpsFix in FIXED and bool(m.gpsFixOk) for tow, m in older["NAV-STATUS"].items()}
+    rows, without = [], 0
+    for tow, p in older["NAV-POSLLH"].items():
+        if not fixed.get(tow, not fixed):
+            without += 1
+            continue
+        v = older["NAV-VELNED"].get(tow)
+        motion = [np.nan] * 4 if v is None else [v.velN / 100, v.velE / 100, v.velD / 100, v.sAcc / 100]  # cm/s
+        rows.append([base + tow / 1e3, p.lat * DEG, p.lon * DEG, p.height / 1e3, p.hAcc / 1e3, p.vAcc / 1e3, *motion])
+    return rows, without
+
+
+def _row(m: Any) -> list[float]:
+    """T s, lat, lon rad, height above the ellipsoid m, hAcc, vAcc m, velN, velE, velD, sAcc m/s."""
+    moment = datetime.datetime(m.year, m.month, m.day, m.hour, m.min, min(m.second, 59), tzinfo=datetime.UTC)
+    tow = m.iTOW / 1e3
+    utc = moment.timestamp()
+    week = round((utc + leap_seconds(utc) - GPS_EPOCH - tow) / WEEK)
+    values = [m.height, m.hAcc, m.vAcc, m.velN, m.velE, m.velD, m.sAcc]
+    return [GPS_EPOCH + week * WEEK + tow, m.lat * DEG, m.lon * DEG, *(v / 1e3 for v in values)]

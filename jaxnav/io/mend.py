@@ -1,0 +1,340 @@
+"""From the rows of a file to a recording that passes every check; whatever that takes is a sentence in its notes.
+
+What can be left out without harm is left out and counted; what would make the rest a guess is one `DataError`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.checkup.shared import EMPTY
+from jaxnav.io import missing, polling
+from jaxnav.io.checks import check_recording, uncertainty
+from jaxnav.io.files import MAX_VALUE, Source
+from jaxnav.io.gps_time import GPS_EPOCH, WEEK, week_shift
+from jaxnav.io.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Parts, Stream, TimeScale
+from jaxnav.maths.axes import rotation
+from jaxnav.measurements import AUXILIARY, with_data
+from jaxnav.types import DataError, ImuLog, Recording, Samples
+
+MAX_BAD = 0.05  # share of rows that may be left out; more, and the file is not what it is taken for
+GAP = 2.5  # median steps: a longer one is a gap, whose length no sample covers
+APART = 3600.0  # s; rows on the two sides of a longer gap are two recordings, or a clock that was set
+LEAST_SD, MOST_SD = 1e-9, 1e9  # of a stated sd; others say nothing
+LATE = 1e7  # s; later times are counted from the first sample, since a float would round them to 1e-7 s
+SLOW = 20.0  # Hz; an IMU slower than this averages the motion away
+
+
+class Changes(NamedTuple):
+    """What a user says about a recording beside its file; None is as in the file."""
+
+    name: str | None = None
+    axes: str | list[float] | None = None  # of the sensor, see `jaxnav.maths.axes.rotation`
+    accel_sign: float = 1.0  # -1: the accelerometer reads gravity, +9.8 downwards at rest, not specific force
+    lever_arm: tuple[float, float, float] | None = None  # m, IMU -> antenna, body FRD
+    time_shift_s: float = 0.0  # s, added to the times of the IMU
+    time_scale: str | None = None  # of the IMU: "gps" or "utc", see `jaxnav.io.timescale`
+    sd: dict[str, float | list[float]] = {}  # by stream, instead of the file's
+    repair: bool = False  # mend an IMU's log that was polled, see `jaxnav.io.polling`
+
+
+def applied(parts: Parts, changes: Changes) -> Parts:
+    """The parts with what the user says instead of what the file says.
+
+    Raises:
+        DataError: an sd for a stream that is not there, or of another size, or another sign than 1 and -1.
+    """
+    unknown = set(changes.sd) - set(parts.aiding)
+    if unknown:
+        raise DataError(f"{parts.file}: sd: no stream {sorted(unknown)[0]}, it has {', '.join(parts.aiding) or 'none'}")
+    aiding = dict(parts.aiding)
+    for name, sd in changes.sd.items():
+        value = np.asarray(aiding[name].value)
+        try:
+            aiding[name] = aiding[name]._replace(sd=np.broadcast_to(np.asarray(sd, float), value.shape))
+        except ValueError:
+            raise DataError(f"{parts.file}: sd: {name}: expected 1 or {value.shape[1]} numbers, got {sd!r}") from None
+    imu = parts.imu
+    if changes.accel_sign not in (1, -1):
+        raise DataError(f"{parts.file}: accel_sign: expected 1 or -1, got {changes.accel_sign!r}")
+    if imu is not None and changes.accel_sign < 0:
+        imu = imu._replace(accel=-np.asarray(imu.accel, float))
+    if imu is not None and changes.time_shift_s:
+        imu = imu._replace(t=np.asarray(imu.t, float) + changes.time_shift_s)
+    if changes.time_scale is not None and changes.time_scale not in tuple(TimeScale):
+        raise DataError(f"{parts.file}: time_scale: expected {', '.join(TimeScale)}, got {changes.time_scale!r}")
+    if imu is not None and changes.time_scale is not None:
+        imu = imu._replace(scale=TimeScale(changes.time_scale))
+    if imu is not None and changes.repair:
+        imu = imu._replace(repair=True)
+    said = {key: value for key, value in changes._asdict().items() if key in ("name", "axes") and value is not None}
+    if changes.lever_arm is not None:
+        said["lever_arm"] = np.asarray(changes.lever_arm, float)
+    return parts._replace(imu=imu, aiding=aiding, **said)
+
+
+def recording(parts: Parts) -> Recording:
+    """The checked recording that the parts hold, in body FRD, with a sentence in ``notes`` for every liberty taken.
+
+    Raises:
+        DataError: no IMU, more than one row in twenty unusable, or anything that `check_recording` refuses.
+    """
+    if parts.imu is None:
+        held = ", ".join(parts.aiding) or "nothing that is read"
+        raise DataError(f"{parts.file}: holds {held} and no IMU: read the IMU's file with gnss={parts.file!r}")
+    notes = list(parts.notes)
+    turn = rotation(parts.axes)
+    imu = _imu(parts.imu, turn, parts, notes)
+    aiding = {}
+    streams = without_fix(parts.aiding)
+    for key, stream in streams.items():
+        if stream.turns:
+            stream = stream._replace(value=stream.value @ turn.T)
+        samples = _samples(key, stream, imu, parts.file, notes)
+        if samples is not None:
+            aiding[key] = samples
+    truth = parts.truth
+    if imu.t[0] >= LATE:  # the IMU's zero is everybody's
+        zero = float(imu.t[0] - imu.dt[0])
+        notes.append(f"t = 0 is {zero:.6f} s in the file's time.")
+        imu = imu._replace(t=imu.t - zero)
+        aiding = {key: samples._replace(t=samples.t - zero) for key, samples in aiding.items()}
+        truth = None if truth is None else truth._replace(t=truth.t - zero)
+    if "velocity" not in aiding and "position" in aiding:
+        notes.append("There is no velocity: position only.")
+    name, arm = parts.name or parts.file, np.asarray(parts.lever_arm, float)
+    rec = Recording(name, imu, aiding, truth, arm, "\n".join(dict.fromkeys(notes)))
+    return check_recording(rec, dict.fromkeys(("imu", "truth", "lever_arm", *aiding), Source(parts.file)))
+
+
+def without_fix(aiding: dict[str, Stream]) -> dict[str, Stream]:
+    """Return the streams with nan for velocities of exactly 0 at the time of a position that stands for none."""
+    if not {"position", "velocity"} <= set(aiding):
+        return aiding
+    position, velocity = aiding["position"], aiding["velocity"]
+    lost = np.asarray(position.t)[missing.no_position(np.asarray(position.value, float))]
+    zero = np.isin(velocity.t, lost) & (np.asarray(velocity.value)[:, :2] == 0).all(axis=1)
+    value = np.where(zero[:, None], np.nan, velocity.value)
+    return aiding | {"velocity": velocity._replace(value=value)}
+
+
+def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[str]) -> ImuLog:
+    values = np.hstack([rows.gyro, rows.accel])
+    keep = usable("imu", rows.t, values, parts.file, notes, parts.lines)
+    keep &= _one_piece(rows.t, keep, notes)
+    t, values = rows.t[keep], values[keep]
+    if len(t) < 3:
+        raise DataError(f"{parts.file}: imu: expected three rows or more, got {len(t)}")
+    if rows.repair:
+        t, values = _mended(t, values, notes)
+        rows, keep = rows._replace(dt=None), np.ones(len(t), bool)
+    dt = _intervals(t, None if rows.dt is None else rows.dt[keep], notes)
+    repeated = int(np.count_nonzero(np.all(values[1:] == values[:-1], axis=1)))
+    if repeated:
+        notes.append(f"imu: {repeated} of {len(t)} rows repeat the row before: the logger may have polled the sensor.")
+    if rows.sampling == INCREMENTS:
+        values = values / dt[:, None]
+    elif rows.sampling == INSTANTANEOUS:
+        whole = np.r_[False, t[1:] - dt[1:] - t[:-1] < 1e-9]  # behind a gap a value has no neighbour
+        values = np.where(whole[:, None], 0.5 * (values + np.roll(values, 1, axis=0)), values)
+    imu = ImuLog(t, dt, values[:, :3] @ turn.T, values[:, 3:] @ turn.T)
+    _look(imu, notes)
+    return imu
+
+
+def _mended(t: np.ndarray, values: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values of a polled log with the sensor's even clock; unchanged where it has gaps or nothing is lost."""
+    step = np.diff(t)
+    if (step > GAP * np.median(step)).any():
+        notes.append("imu: it has gaps, so that its repeated rows are not mended.")
+        return t, values
+    mended = polling.repair(values)
+    if not mended.lost.any():
+        return t, values
+    index, seen = np.arange(mended.lost.size), ~mended.lost
+    interval, first = np.polyfit(index[seen], t[mended.poll[seen]], 1)
+    repeated = int(polling.repeats(values).sum())
+    notes.append(
+        f"imu: {repeated} repeated rows are taken out and {mended.lost.sum()} lost samples filled in; "
+        f"the sensor's clock gives one every {1e3 * interval:.5g} ms."
+    )
+    return first + interval * index, mended.values
+
+
+def usable(
+    name: str, t: np.ndarray, values: np.ndarray, file: str, notes: list[str], lines: np.ndarray | None = None
+) -> np.ndarray:
+    """(N,) bool, rows that are finite and later than all before; DataError where more than a few are not."""
+    if not len(t):
+        raise DataError(f"{file}: {name}: has no rows")
+    finite = np.isfinite(t) & np.all(np.abs(values) < MAX_VALUE, axis=1)
+    index = np.flatnonzero(finite)
+    s = t[index]
+    # one time that jumps ahead and back is wrong itself; not all that come after it
+    spike = np.r_[False, (s[1:-1] > s[2:]) & (s[2:] > s[:-2]), False] if len(s) > 2 else np.zeros(len(s), bool)
+    index, s = index[~spike], s[~spike]
+    latest = np.r_[-np.inf, np.maximum.accumulate(s)[:-1]] if len(s) else s
+    keep, same = np.zeros(len(t), bool), np.zeros(len(t), bool)
+    keep[index[s > latest]] = True
+    same[index[s == latest]] = True
+    for bad, what, share in (
+        (~finite, "that cannot be read", MAX_BAD),
+        (same, "at the time of the row before", 1.0),
+        (finite & ~keep & ~same, "whose time runs backwards", MAX_BAD),
+    ):
+        if not bad.any():
+            continue
+        first = int(np.argmax(bad))
+        at = f"line {int(lines[first])}" if lines is not None else f"row {first}"
+        sentence = f"{name}: {bad.sum()} of {len(t)} rows {what}"
+        if bad.sum() > max(2, share * len(t)):
+            raise DataError(f"{file}: {at}: {sentence}, this is the first")
+        notes.append(f"{sentence} are left out, the first at {at}.")
+    if not keep.any():
+        raise DataError(f"{file}: {name}: has no row that can be used")
+    return keep
+
+
+def _one_piece(t: np.ndarray, keep: np.ndarray, notes: list[str]) -> np.ndarray:
+    """(N,) bool, rows of the longest piece between gaps of more than an hour."""
+    piece = np.zeros(len(t), int)
+    index = np.flatnonzero(keep)
+    piece[index] = np.r_[0, np.cumsum(np.diff(t[index]) > APART)]
+    longest = int(np.argmax(np.bincount(piece[index])))
+    dropped = int(np.count_nonzero(piece[index] != longest))
+    if dropped:
+        notes.append(f"imu: {dropped} rows that are more than an hour from the rest are left out.")
+    return piece == longest
+
+
+def _intervals(t: np.ndarray, stated: np.ndarray | None, notes: list[str]) -> np.ndarray:
+    """(N,) s that each row stands for: the time since the row before, and the usual step at the start and after gaps.
+
+    Whether a gap can be navigated through is not for a reader to say: the interval shows that no sample covers it.
+    """
+    step = np.diff(t)
+    usual = float(np.median(step))
+    gap = step > GAP * usual
+    # rows closer than a microsecond cannot stand for the time between them
+    dt = np.maximum(np.r_[usual, np.where(gap, usual, step)], 1e-6)
+    if gap.any():
+        i = int(np.argmax(step))
+        many = f"{gap.sum()} gaps" if gap.sum() > 1 else "one gap"
+        notes.append(f"The IMU has {many}, the longest {step[i]:.3g} s long, {t[i] - t[0]:.1f} s after its start.")
+    if usual > 1.0 / SLOW:
+        notes.append(f"The IMU comes at {1.0 / usual:.3g} Hz: strapdown navigation loses what happens in between.")
+    return dt if stated is None else stated
+
+
+def _look(imu: ImuLog, notes: list[str]) -> None:
+    """A sentence where gravity is on the wrong axis."""
+    force = np.average(imu.accel, axis=0, weights=imu.dt)
+    size = float(np.linalg.norm(force))
+    if not 8.0 < size < 11.6 or force[2] < -0.5 * size:
+        return
+    looks = (
+        "the axes look like 'flu' or 'rfu', or the accelerometer has the other sign (accel_sign = -1): "
+        "jaxnav check says which"
+        if force[2] > 0.7 * size
+        else "the IMU is mounted on its side: give axes"
+    )
+    mean = ", ".join(f"{x:.1f}" for x in force)
+    notes.append(f"The mean specific force is ({mean}) m/s^2, where FRD at rest reads (0, 0, -9.8): {looks}.")
+
+
+def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]) -> Samples | None:
+    """The usable rows within the IMU's time, with an sd; None where none is left."""
+    t, value = np.asarray(stream.t, float), np.asarray(stream.value, float)
+    if not len(t):
+        return None
+    t = _same_epoch(name, t, imu, notes)
+    corr = np.zeros_like(value) if stream.corr is None else np.asarray(stream.corr, float)
+    given = np.full_like(value, np.nan) if stream.sd is None else np.array(stream.sd, float)
+    if stream.sd is None and name not in with_data():
+        raise DataError(f"{file}: {name}: states no sd: give one, sd={{{name!r}: ...}}")
+    if name == "position":
+        value, given = _with_heights(value, given, notes)
+    elif name in (streams := with_data()) and value.shape[1] == streams[name].size:
+        value = np.where(missing.no_value(value, streams[name].columns), np.nan, value)
+    none = ~np.isfinite(value).all(axis=1)
+    if none.any():
+        notes.append(f"{name}: {none.sum()} of {len(t)} rows have no value, or a mark for none, and are left out.")
+    t, value, given, corr = t[~none], value[~none], given[~none], corr[~none]
+    if not len(t):
+        notes.append(f"{name}: {EMPTY} of {len(none)}.")
+        return None
+    given = _with_sd(name, given, notes)
+    keep = usable(name, t, value, file, notes)
+    if name == "position":
+        far = np.zeros(len(t), bool)
+        far[keep] = missing.unreachable(t[keep], value[keep])
+        if far.any():
+            notes.append(
+                f"position: {far.sum()} of {len(t)} rows are farther from the others than {missing.FASTEST:g} m/s "
+                f"allow and are left out, the first at {t[np.argmax(far)]:.1f} s."
+            )
+        keep &= ~far
+    good = np.all((given > LEAST_SD) & (given < MOST_SD), axis=1)  # nan too
+    if np.any(keep & ~good):
+        notes.append(f"{name}: {np.count_nonzero(keep & ~good)} of {len(t)} rows whose sd says nothing are left out.")
+    inside = (t > imu.t[0] - imu.dt[0]) & (t <= imu.t[-1])
+    outside = int(np.count_nonzero(keep & good & ~inside))
+    if outside:
+        notes.append(f"{name}: {outside} of {len(t)} rows lie before the IMU's first sample or after its last.")
+    keep &= good & inside
+    if not keep.any():
+        theirs = f"{np.nanmin(t):.1f} to {np.nanmax(t):.1f}" if np.isfinite(t).any() else "no time"
+        notes.append(
+            f"{name}: {EMPTY} of {len(t)}, at {theirs} s; the IMU's are at {imu.t[0]:.1f} to {imu.t[-1]:.1f} s."
+        )
+        return None
+    again = np.mean(np.all(value[keep][1:] == value[keep][:-1], axis=1)) if keep.sum() > 1 else 0.0
+    if again > 0.2 and name in ("position", "velocity"):
+        notes.append(f"{name}: {100 * again:.0f} % of the rows repeat the row before: standing, or polled?")
+    return Samples(t[keep], value[keep], given[keep], corr[keep])
+
+
+def _with_heights(value: np.ndarray, sd: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and sd (K, 3): nan where there is no fix, heights that are missing interpolated and unsure."""
+    none = ~np.isfinite(value[:, :2]).all(axis=1) | missing.no_position(value)
+    lost = missing.no_height(value[:, 2]) & ~none
+    value = np.where(none[:, None], np.nan, value)
+    if lost.any():
+        notes.append(
+            f"position: {lost.sum()} of {len(lost)} rows have no height, or a mark for none: it is interpolated, with "
+            f"an sd of {missing.UNMEASURED_SD:g} m."
+        )
+        known, k = ~lost & ~none, np.arange(len(lost))
+        value[lost, 2] = np.interp(k[lost], k[known], value[known, 2]) if known.any() else 0.0
+        sd[lost, 2] = missing.UNMEASURED_SD
+    return value, sd
+
+
+def _with_sd(name: str, sd: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Return sd (K, s) with what is assumed on axes that state none; a row that alone states none stays as it is."""
+    none = ~(sd > LEAST_SD)
+    whole = np.asarray(none.all(axis=1))
+    lost = none & (~whole[:, None] | whole.all())
+    if name not in (streams := with_data()) or not lost.any():
+        return sd
+    assumed = np.resize([column.sd for column in streams[name].columns], sd.shape[1])
+    if whole.all() and name not in AUXILIARY:
+        notes.append(f"{name}: the file states no sd; assumed are {uncertainty(name, assumed)}.")
+    elif not whole.all():
+        words = f"{lost.any(axis=1).sum()} of {len(sd)} rows state no sd on an axis"
+        notes.append(f"{name}: {words}; assumed there are {uncertainty(name, assumed)}.")
+    return np.where(lost, assumed, sd)
+
+
+def _same_epoch(name: str, t: np.ndarray, imu: ImuLog, notes: list[str]) -> np.ndarray:
+    """Return times in the IMU's week: of another week, or s since 1970 where the IMU counts s of the week."""
+    first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
+    weeks = week_shift(t[np.isfinite(t)], imu.t)
+    if weeks:
+        notes.append(f"{name}: its times are {-weeks / WEEK:+g} weeks from the IMU's, and are taken for the same week.")
+        return t + weeks
+    if not (imu.t[-1] < 2 * WEEK and first >= GPS_EPOCH):
+        return t
+    week = np.round((np.nanmedian(t) - GPS_EPOCH - float(np.median(imu.t))) / WEEK)
+    notes.append(f"{name}: times since 1970 are taken as seconds of GPS week {week:.0f}, which is what the IMU counts.")
+    return t - GPS_EPOCH - week * WEEK

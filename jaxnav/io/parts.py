@@ -1,0 +1,103 @@
+"""What a reader hands over: the rows of a file in SI, as they stand there, for `jaxnav.io.mend` to make usable."""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.types import DataError, Recording, Track
+
+RATES, INCREMENTS, INSTANTANEOUS = "rates", "increments", "instantaneous"
+SAMPLINGS = (RATES, INCREMENTS, INSTANTANEOUS)
+
+
+class TimeScale(StrEnum):
+    """What the times of a stream count."""
+
+    GPS = "gps"  # s since 1970 without leap seconds
+    UTC = "utc"  # s since 1970 as Unix time, behind GPS time by the leap seconds
+    UNKNOWN = "unknown"
+
+
+class ImuRows(NamedTuple):
+    """Rows of an inertial sensor in file order, nan where a cell could not be read."""
+
+    t: np.ndarray  # (N,) s
+    gyro: np.ndarray  # (N, 3) rad/s, or rad where sampling is "increments"; sensor axes
+    accel: np.ndarray  # (N, 3) m/s^2 of specific force, or m/s; sensor axes
+    sampling: str = RATES  # means over the interval that ends at t, increments over it, or instantaneous values at t
+    dt: np.ndarray | None = None  # (N,) s that each row stands for, where the file says so
+    repair: bool = False  # mend what polling did, see `jaxnav.io.polling`
+    scale: TimeScale = TimeScale.UNKNOWN
+
+
+class Stream(NamedTuple):
+    """Rows of a measurement in file order, nan where a cell could not be read."""
+
+    t: np.ndarray  # (K,) s
+    value: np.ndarray  # (K, s) as in `jaxnav.types.Samples`: lat, lon rad, h m; ENU m/s; m/s; m; uT; rad
+    sd: np.ndarray | None = None  # (K, s), position and velocity ENU; None where the file has none
+    corr: np.ndarray | None = None  # (K, s); None where the axes are independent
+    turns: bool = False  # a vector in the axes of the IMU, to be turned into the body's with it
+    scale: TimeScale = TimeScale.UNKNOWN
+
+
+class Parts(NamedTuple):
+    """The halves of a recording that one file holds; what it lacks is None or empty."""
+
+    file: str  # for messages
+    imu: ImuRows | None = None
+    aiding: dict[str, Stream] = {}
+    truth: Track | None = None
+    lever_arm: np.ndarray = np.zeros(3)  # (3,) m, IMU -> antenna, body FRD
+    notes: tuple[str, ...] = ()  # sentences for the user: what was assumed, dropped or looks odd
+    axes: str = "frd"  # of the sensor, see `jaxnav.maths.axes.rotation`
+    name: str = ""
+    lines: np.ndarray | None = None  # (N,) line of each row of the imu, where the file has lines
+    zero: int = 0  # s of the file's own time, subtracted from all times
+
+
+def with_fixes(file: str, receivers: dict[str, np.ndarray], chosen: str | None, notes: list[str]) -> str:
+    """Return the receiver to read: the one asked for, else the first that mostly has a fix, else that with most fixes.
+
+    Args:
+        file: for the message.
+        receivers: which messages (N,) have a fix in three dimensions by name, the usual receiver first.
+        chosen: name that the user gave.
+        notes: gets a sentence where there are several.
+
+    Raises:
+        DataError: a name that is not there.
+    """
+    names = ", ".join(receivers)
+    if chosen is not None and chosen not in receivers:
+        raise DataError(f"{file}: receiver: no {chosen}, it has {names or 'none'}")
+    counts = {name: int(np.count_nonzero(fixed)) for name, fixed in receivers.items()}
+    mostly = (name for name, fixed in receivers.items() if 2 * counts[name] > fixed.size)
+    name = chosen or next(mostly, max(counts, key=lambda name: counts[name]))
+    if len(receivers) > 1:
+        notes.append(f"position is {name} with {counts[name]} fixes, of {names} (option receiver).")
+    return name
+
+
+def counted_from(parts: Parts, zero: int) -> Parts:
+    """Return parts whose times count from ``zero`` s of the file's own time."""
+    shift = parts.zero - zero
+    imu = None if parts.imu is None else parts.imu._replace(t=parts.imu.t + shift)
+    aiding = {name: stream._replace(t=stream.t + shift) for name, stream in parts.aiding.items()}
+    truth = None if parts.truth is None else parts.truth._replace(t=parts.truth.t + shift)
+    return parts._replace(imu=imu, aiding=aiding, truth=truth, zero=zero)
+
+
+def scaled(parts: Parts, scale: TimeScale) -> Parts:
+    """Return parts whose streams are all of a time scale."""
+    aiding = {name: stream._replace(scale=scale) for name, stream in parts.aiding.items()}
+    return parts._replace(imu=None if parts.imu is None else parts.imu._replace(scale=scale), aiding=aiding)
+
+
+def parts_of(rec: Recording, file: str) -> Parts:
+    """A finished recording as parts, so that options and another file's fixes can be put on it."""
+    aiding = {name: Stream(*samples) for name, samples in rec.aiding.items()}
+    imu = ImuRows(rec.imu.t, rec.imu.gyro, rec.imu.accel, dt=rec.imu.dt)
+    notes = tuple(rec.notes.split("\n")) if rec.notes else ()
+    return Parts(file, imu, aiding, rec.truth, rec.lever_arm, notes, name=rec.name)

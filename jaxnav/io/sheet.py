@@ -1,0 +1,256 @@
+"""Any table as columns by name: text, ``.npy``, ``.npz``, ``.mat``, each alone or inside a zip archive; leniently.
+
+A cell that is no number is nan, a line of another width is left out: what becomes of them is `jaxnav.io.mend`'s.
+"""
+
+import datetime
+import difflib
+import io
+import re
+import zipfile
+from collections import Counter
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxnav.io.files import MAX_BYTES, FilePath, read_bytes
+from jaxnav.types import DataError
+
+DAYS = {"excel": 25569.0, "matlab": 719529.0}  # days on which 1970 began, of units that count days
+DATE = re.compile(r"\s*(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T\s]+(\d{1,2}):(\d{1,2}):(\d{1,2}(?:\.\d*)?)\s*Z?\s*")
+TICKS = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000}  # units of time, how many a second
+MAX_BAD = 0.05  # share of lines of another width that may be left out
+
+
+class Sheet(NamedTuple):
+    """Columns of equal or different length, as text where the file is text."""
+
+    file: str
+    columns: dict[str, np.ndarray]  # by name; text columns also by number from 1
+    lines: np.ndarray | None  # of the rows, where the file has lines
+    notes: tuple[str, ...] = ()
+    twice: tuple[str, ...] = ()  # names that stand above several columns
+
+
+def open_sheet(path: FilePath, delimiter: str | None = None, header: bool | None = None) -> Sheet:
+    """The columns of a file; ``delimiter`` and whether there is a header are found out where they are None.
+
+    Raises:
+        DataError: not there, or no table.
+    """
+    data, file = contents(path), str(path)
+    if data.startswith(b"\x93NUMPY"):
+        return Sheet(file, _flat({"": _npy(io.BytesIO(data), file)}), None)
+    if data.startswith(b"PK\x03\x04"):
+        return Sheet(file, _npz(data, file), None)
+    if data.startswith(b"MATLAB"):
+        return Sheet(file, _flat(_mat(data, file)), None)
+    return _text(data, file, delimiter, header)
+
+
+def contents(path: FilePath) -> bytes:
+    """The bytes of a file, or of ``archive.zip/member``."""
+    path = Path(path)
+    archive = next((parent for parent in path.parents if parent.suffix == ".zip" and parent.is_file()), None)
+    if archive is None:
+        return read_bytes(path)
+    try:
+        with zipfile.ZipFile(io.BytesIO(read_bytes(archive))) as opened:
+            member = path.relative_to(archive).as_posix()
+            if opened.getinfo(member).file_size > MAX_BYTES:
+                raise DataError(f"{path}: unpacks to more than {MAX_BYTES} bytes")
+            return opened.read(member)
+    except DataError:
+        raise
+    except Exception as error:  # zipfile and zlib raise a dozen kinds on a damaged archive
+        raise DataError(f"{path}: cannot be read from the archive: {error}") from error
+
+
+def column(sheet: Sheet, name: str | int) -> np.ndarray:
+    """The column of this name, or of this number from 1, as it stands; DataError names the nearest."""
+    if name in sheet.twice:
+        raise DataError(f"{sheet.file}: the name {name} stands above several columns: say their numbers, from 1")
+    if str(name) not in sheet.columns:
+        near = difflib.get_close_matches(str(name), sheet.columns, n=1)
+        known = [key for key in sheet.columns if not key.isdigit()] or list(sheet.columns)
+        hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(known[:40])}"
+        raise DataError(f"{sheet.file}: no column {name}: {hint}")
+    return sheet.columns[str(name)]
+
+
+def numbers(sheet: Sheet, name: str | int) -> np.ndarray:
+    """(N,) float64, nan where a cell is no number."""
+    cells = column(sheet, name)
+    if cells.dtype.kind != "U":
+        return cells.astype(np.float64)
+    try:
+        return cells.astype(np.float64)
+    except ValueError:
+        return np.array([_number(cell) for cell in cells.tolist()])
+
+
+def times(sheet: Sheet, name: str | int, unit: str, zero: int = 0) -> np.ndarray:
+    """(N,) s since ``zero`` (s): ``unit`` is one of TICKS, or "iso" for dates, which are counted from 1970 in UTC.
+
+    "excel" and "matlab" are days, as those count them.
+
+    Whole numbers are subtracted as such: a float would round nanoseconds since 1970 to 256 of them.
+    """
+    cells = column(sheet, name)
+    if unit == "iso":
+        return np.array([date(cell) for cell in cells.tolist()]) - zero
+    if unit in DAYS:
+        return (numbers(sheet, name) - DAYS[unit]) * 86400.0 - zero
+    if unit not in TICKS:
+        raise DataError(f"{sheet.file}: time_unit: expected one of {', '.join((*TICKS, *DAYS))}, iso, got {unit!r}")
+    ticks = TICKS[unit]
+    if cells.dtype.kind == "U":
+        try:
+            cells = cells.astype(np.int64)
+        except (ValueError, OverflowError):  # not whole numbers
+            pass
+    if cells.dtype.kind in "iu":
+        return (cells.astype(np.int64) - zero * ticks) / ticks
+    return numbers(sheet, name) / ticks - zero
+
+
+def _number(cell: str) -> float:
+    try:
+        return float("nan") if "_" in cell else float(cell)
+    except ValueError:
+        return float("nan")
+
+
+def date(cell: Any) -> float:
+    """Return s since 1970 of a date as ISO 8601 or RTKLIB (2025/7/8 19:34:18.5) writes it; nan of anything else.
+
+    Where it has no zone it is UTC.
+    """
+    try:
+        moment = datetime.datetime.fromisoformat(str(cell))
+    except ValueError:
+        parts = DATE.fullmatch(str(cell))
+        try:
+            year, month, day, hour, minute, seconds = parts.groups() if parts else ("0",) * 6
+            moment = datetime.datetime(int(year), int(month), int(day), int(hour), int(minute), tzinfo=datetime.UTC)
+            return moment.timestamp() + float(seconds)
+        except ValueError:
+            return float("nan")
+    return (moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)).timestamp()
+
+
+def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) -> Sheet:
+    text = data.decode("utf-8-sig", errors="replace")
+    if "\0" in text[:4096]:
+        raise DataError(f"{file}: expected text, got binary data that no reader knows")
+    lines = [(i, line.strip("\r")) for i, line in enumerate(text.split("\n"), start=1)]
+    notes = []
+    if lines[-1][1].strip() and len(lines) > 2:
+        notes.append(f"{Path(file).name}: the last line has no line end and is left out: it may have been cut.")
+        lines.pop()
+    lines = [(i, line) for i, line in lines if line.strip()]
+    comments = [line.lstrip("#% ") for _, line in lines[:100] if line.lstrip()[:1] in ("#", "%")]
+    lines = [(i, line) for i, line in lines if line.lstrip()[:1] not in ("#", "%")]
+    if not lines:
+        raise DataError(f"{file}: has no rows")
+    if re.fullmatch(r"sep=.", lines[0][1].strip(), re.IGNORECASE):  # Excel's
+        delimiter = lines.pop(0)[1].strip()[-1] if delimiter is None else delimiter
+    delimiter = _delimiter([line for _, line in lines[-50:]]) if delimiter is None else delimiter
+    rows = [(i, _cells(line, delimiter)) for i, line in lines]
+    width = Counter(len(cells) for _, cells in rows).most_common(1)[0][0]
+    if delimiter != "," and _decimal_commas(rows):
+        rows = [(i, [cell.replace(",", ".") for cell in cells]) for i, cells in rows]
+        notes.append(f"{Path(file).name}: commas are taken for decimal points.")
+    names: list[str] = _cells(comments[-1], delimiter) if comments else []
+    before = next((k for k, (_, cells) in enumerate(rows) if len(cells) == width), 0)
+    text_only = lambda cells: not any(np.isfinite(_number(cell)) for cell in cells)
+    if header or (header is None and text_only(rows[before][1])):
+        names = rows[before][1]
+        if before:
+            notes.append(f"{Path(file).name}: {before} lines before the header are left out.")
+        rows = rows[before + 1 :]
+        if rows and len(rows[0][1]) == width and len(rows) > 1 and header is None and text_only(rows[0][1]):
+            notes.append(f"{Path(file).name}: the line of units below the header is left out.")
+            rows.pop(0)
+    whole = [row for row in rows if len(row[1]) == width]
+    if len(rows) - len(whole) > max(2, MAX_BAD * len(rows)) or not whole:
+        bad = next((i for i, cells in rows if len(cells) != width), 1)
+        raise DataError(f"{file}: line {bad}: expected {width} columns like most lines")
+    if len(whole) < len(rows):
+        bad = next(i for i, cells in rows if len(cells) != width)
+        notes.append(f"{Path(file).name}: {len(rows) - len(whole)} lines of another width left out, first line {bad}.")
+    cells = np.array([cells for _, cells in whole])
+    columns = {str(k + 1): cells[:, k] for k in range(width)}
+    if len(names) == width:
+        columns |= {name: cells[:, k] for k, name in enumerate(names)}
+    twice = tuple(name for name, count in Counter(names).items() if count > 1)
+    return Sheet(file, columns, np.array([i for i, _ in whole]), tuple(notes), twice)
+
+
+def _delimiter(lines: list[str]) -> str:
+    """Return what stands between cells: semicolons or tabs where all lines have as many, else commas, else space."""
+    for mark in (";", "\t"):
+        counts = {line.count(mark) for line in lines}
+        if len(counts) == 1 and counts != {0}:
+            return mark
+    total = {mark: sum(line.count(mark) for line in lines) for mark in (",", ";", "\t")}
+    best = max(total, key=lambda mark: total[mark])
+    return best if total[best] else "space"
+
+
+def _decimal_commas(rows: list[tuple[int, list[str]]]) -> bool:
+    """Return whether the cells of the last lines have decimal commas and no decimal points."""
+    cells = [cell for _, row in rows[-20:] for cell in row]
+    return any(re.fullmatch(r"[+-]?\d+,\d+([eE][+-]?\d+)?", c) for c in cells) and not any("." in c for c in cells)
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    cells = line.split() if delimiter == "space" else line.split(delimiter)
+    return [cell.strip().strip('"') for cell in cells]
+
+
+def _npy(stream: io.BytesIO, file: str) -> np.ndarray:
+    try:
+        return np.lib.format.read_array(stream, allow_pickle=False)
+    except Exception as error:  # numpy raises a dozen kinds on a damaged file
+        raise DataError(f"{file}: cannot be read as an array: {error}") from error
+
+
+def _npz(data: bytes, file: str) -> dict[str, np.ndarray]:
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            return _flat({key: arrays[key] for key in arrays.files})
+    except Exception as error:
+        raise DataError(f"{file}: cannot be read as .npz: {error}") from error
+
+
+def _mat(data: bytes, file: str) -> dict[str, Any]:
+    try:
+        from scipy.io import loadmat
+
+        found = loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=False)
+    except Exception as error:  # scipy raises a dozen kinds on a damaged file
+        raise DataError(f"{file}: cannot be read as a MATLAB file: {error}") from error
+    return {key: value for key, value in found.items() if not key.startswith("__")}
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
+    """Numbers of nested structs by dotted path; of a table each column as ``path[0]``, .. (or by number from 1)."""
+    out: dict[str, np.ndarray] = {}
+    for key, value in values.items():
+        path = f"{prefix}{key}"
+        if hasattr(value, "_fieldnames"):
+            out |= _flat({name: getattr(value, name) for name in value._fieldnames}, f"{path}.")
+            continue
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub":
+            continue
+        if array.dtype.kind != "f" or array.itemsize < 8:
+            array = array.astype(np.int64 if array.dtype.kind in "iub" else np.float64)
+        if array.ndim == 1:
+            out[path or "1"] = array
+        elif array.ndim == 2:
+            tall = array if array.shape[0] >= array.shape[1] else array.T
+            out |= {f"{path}[{k}]" if path else str(k + 1): tall[:, k] for k in range(tall.shape[1])}
+    return out

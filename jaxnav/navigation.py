@@ -1,0 +1,323 @@
+"""A recording through a filter in one call: start, cut, filter, and the solution on the host."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxnav.analysis import evaluate, usage
+from jaxnav.analysis.dense import dense
+from jaxnav.analysis.metrics import told_by
+from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
+from jaxnav.analysis.observability import state_findings
+from jaxnav.checkup.findings import finding, line
+from jaxnav.checkup.inertial import gap_findings
+from jaxnav.checkup.motion import turns
+from jaxnav.filters import epochs as ep
+from jaxnav.filters.compiler import require_memory
+from jaxnav.filters.core import Filter
+from jaxnav.filters.gaps import TICK, holes
+from jaxnav.filters.parameters import history_for, installed
+from jaxnav.filters.run import first_failure, require_params, require_x64, run_jit
+from jaxnav.filters.smoother import reach_of, smooth_jit
+from jaxnav.filters.standstill import Standing
+from jaxnav.initialization.bank import bank_jit
+from jaxnav.initialization.start import Start, start
+from jaxnav.io.solution import FORMATS, write_kml, write_solution
+from jaxnav.measurements import AUXILIARY, MEASUREMENTS, Measurement
+from jaxnav.states.grades import GRADES
+from jaxnav.types import DataError, Epoch, FilterError, Finding, Info, Nav, Params, Recording, Samples, Track
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+FULL_COVERAGE = 0.98  # share of a run that its truth covers, below which a finding says so
+UNLIKE_DATASHEET = 10.0  # factor on the datasheet's noise above which scale or unit of a gyro may pass for noise
+
+
+class Chosen(NamedTuple):
+    """The start that was taken, of several."""
+
+    best: int = 0
+    heading_deg: float = math.nan
+    probability: float = 1.0
+
+    @property
+    def findings(self) -> list[Finding]:
+        """The heading, where there were several."""
+        if math.isnan(self.heading_deg):
+            return []
+        return [finding("heading.hypotheses", value=self.heading_deg, probability=self.probability)]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a filter made of a recording: E epochs, times in GNSS time, angles in rad, ENU and FRD as everywhere."""
+
+    t: np.ndarray  # (E,) s
+    lla: np.ndarray  # (E, 3) lat rad, lon rad, height m
+    vel: np.ndarray  # (E, 3) m/s, ENU
+    rph: np.ndarray  # (E, 3) rad, roll, pitch, heading
+    sd: np.ndarray  # (E, 9) position m, velocity m/s, attitude rad, each in E, N, U
+    innovations: np.ndarray  # (E, m) measurement channels, 0 where there is none
+    used: np.ndarray  # (E, m) bool, what the filter accepted
+    ok: np.ndarray  # (E,) bool, False from the first epoch that was not finite on
+    trace: evaluate.Trace  # the same as figures and writers take it; `trace.info` has everything else
+    params: Params
+    recording: Recording
+    measurements: tuple[Measurement, ...]
+    start: Start
+    chosen: Chosen  # of `start.navs`
+    outages: tuple[tuple[float, float], ...]  # s, windows whose fixes were hidden
+    filter: Filter  # with the history that the latencies needed
+    packed: ep.Packed = field(repr=False)  # what the filter ran over, before fixes were hidden
+    hidden: np.ndarray = field(repr=False)  # (E,) bool, epochs in `outages`
+    smoothed: bool
+    lag: float  # s, 0 where it is not of fixed lag
+    findings: list[Finding]  # on innovations, streams, noise, states and the initialization
+    noise: NoiseScan | None = None  # where the noise was found from the recording
+
+    @property
+    def nav(self) -> Nav:
+        """The navigation state that the filter started from."""
+        return jax.tree.map(lambda a: a[self.chosen.best], self.start.navs)
+
+    @property
+    def epochs(self) -> Epoch:
+        """What the filter ran over."""
+        return ep.hide(self.packed.epochs, self.hidden, self.measurements)
+
+    @property
+    def fixes(self) -> Samples:
+        """Positions of the recording."""
+        return self.recording.aiding["position"]
+
+    def gaps(self) -> list[tuple[float, float]]:
+        """Return windows without positions, s: hidden ones, and those of over 5 intervals and 3 s.
+
+        The end of the data is where a last gap ends.
+        """
+        t = self.fixes.t
+        long = max(5 * float(np.median(np.diff(t))), 3.0)
+        t = np.append(t, max(t[-1], self.packed.t[-1]))
+        gaps = np.flatnonzero(np.diff(t) > long)
+        return sorted([(float(t[i]), float(t[i + 1])) for i in gaps] + list(self.outages))
+
+    def at_imu_rate(self) -> tuple[Track, np.ndarray]:
+        """The solution at every sample of the IMU, in GNSS time, and its sd (N, 9), as filtered or as smoothed."""
+        return dense(self.filter, self.params, self.nav, self.epochs, self.smoothed, self.lag)
+
+    def write(self, path: str | Path, format: str = "", imu_rate: bool = False) -> None:
+        """Write it as "csv", "kml", "pos" or "nav"; by default what the file's name ends with.
+
+        Args:
+            path: the file.
+            format: in place of what its name ends with.
+            imu_rate: one row for every sample of the IMU, see `at_imu_rate`.
+
+        Raises:
+            DataError: another format, or a file that cannot be written.
+        """
+        kind = format or Path(path).suffix.removeprefix(".")
+        if kind not in FORMATS:
+            raise DataError(f"{path}: format must be one of {', '.join(FORMATS)}, got {kind!r}")
+        track, sd = self.at_imu_rate() if imu_rate else (self.trace.track, self.trace.sd)
+        if kind == "kml":
+            write_kml(path, track, self.fixes, self.recording.name)
+        else:
+            write_solution(path, track, kind, sd)
+
+    def plot(self) -> "dict[str, Figure]":
+        """Figures by name: trajectory, innovations, NIS, biases, and errors where the recording has a truth."""
+        rec, states = self.recording, self.filter.model.states
+        found = evaluate.figures(self.trace, rec.truth, self.fixes, self.measurements, self.gaps(), rec.errors, states)
+        if self.noise is not None and self.noise.fixes:
+            found["noise_scan"] = self.noise.figure()
+        return found
+
+    @property
+    def notes(self) -> list[str]:
+        """Everything that a user should know of: initialization, findings, and what the reader notes."""
+        return [self.start.how, *map(line, self.findings), *self.recording.notes.splitlines()]
+
+    def metrics(self) -> dict[str, Any]:
+        """Return all figures of the run, as metrics.json has them."""
+        return metrics(self)
+
+
+def navigate(
+    rec: Recording,
+    filt: Filter,
+    params: Params | None = None,
+    *,
+    scan: bool | None = None,
+    begin: Start | Callable[[Recording, Params], Start] = start,
+    stop: float | None = None,
+    outages: Sequence[Sequence[float]] = (),
+    interval: float = 0.0,
+    standing: Standing = Standing(),
+    smooth: bool = False,
+    lag: float = 0.0,
+) -> Solution:
+    """Filter a recording from where it can start.
+
+    The filter keeps as much history as the latencies need.
+
+    Args:
+        rec: the recording.
+        filt: a filter, such as ``jaxnav.build("ekf15")``.
+        params: its parameters, such as ``filt.params("consumer")``, a datasheet; None is that one, scanned. The lever
+            arm is the recording's unless they state one.
+        scan: find noise and latency from the recording (`jaxnav.scan_noise`), about ``params``; None: where these are
+            None.
+        begin: an initialization, or what makes it of recording and parameters: `jaxnav.start` with settings of your
+            own, ``partial(jaxnav.start, heading="course")``. Its standard deviations replace those of ``params.prior``.
+        stop: s, end of the data.
+        outages: windows (start, end) s whose receiver's fixes are hidden.
+        interval: s, length of epochs without a fix; 0 is the median of the position's.
+        standing: the detector of standstills.
+        smooth: each epoch by all fixes, past and future (`jaxnav.filters.smoother`); innovations stay the filter's.
+        lag: s, in place of that by past fixes and those of the next seconds.
+
+    Raises:
+        DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
+        FilterError: a run that stops being finite; says when.
+        ValueError: params that are not the filter's, or a filter that cannot be smoothed.
+    """
+    if (smooth or lag) and not filt.smooths:
+        raise ValueError("this filter's rule corrects by more than the covariance says: it cannot be smoothed")
+    if params is not None:
+        require_params(filt, params)
+    if missing := set(filt.model.reads) - set(rec.aiding):
+        raise DataError(f"{rec.name}: has no stream {', '.join(sorted(missing))}, which states of the filter read")
+    scan = params is None if scan is None else scan
+    stated = filt.params(GRADES["consumer"]) if params is None else params
+    params = installed(stated, rec.lever_arm)
+    require_x64(params)
+    initialize = begin if callable(begin) else lambda rec, params: begin
+    found = None
+    if scan:
+        found = scan_noise(rec, params, begin=initialize(rec, params), stop=stop, outages=outages)
+        params = found.applied(params)
+    begin = initialize(rec, params)
+    params = begin.given(params)
+    chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    packed = ep.pack_recording(rec, chosen, begin.t, interval, stop, standing)
+    if filt.keeping:
+        filt = filt.keeping(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
+    hidden = ep.in_windows(packed.t, outages)
+    epochs = ep.hide(packed.epochs, hidden, chosen)
+    info, about = execute(filt, params, begin.navs, epochs)
+    failure = first_failure(info, packed.t)
+    if failure:
+        raise FilterError(f"run {rec.name}: {failure}")
+    best = jax.tree.map(lambda a: a[about.best], begin.navs)
+    if smooth or lag:
+        within = () if smooth else reach_of(packed.t, lag)
+        _, info = smooth_jit(filt, params, best, epochs, *within)
+    trace = evaluate.trace(info, params)
+    nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
+    windows = tuple((float(a), float(b)) for a, b in outages)
+    findings = usage.consistency_findings(trace.info, usage.channels_of(trace.info, chosen))
+    findings += usage.usage_findings(usage.usage(rec, packed, trace.info, chosen, hidden))
+    findings += usage.noise_findings(rec.imu, params)
+    findings += state_findings(filt, params, best, trace.info)
+    findings += about.findings + ([] if found is None else found.findings) + gap_findings(holes(rec.imu))
+    findings += _installation(stated, rec) + _coverage(trace, rec, chosen)
+    if any(f.warns for f in findings) or (found is not None and max(found.gyro, found.accel) > UNLIKE_DATASHEET):
+        findings += [f for f in turns(rec) if f.warns]
+    return Solution(
+        *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
+        smooth, lag, findings, found,
+    )  # fmt: skip
+
+
+def _installation(stated: Params, rec: Recording) -> list[Finding]:
+    """Return which lever arm counts, where the recording's and the stated one differ."""
+    arm, mine = np.asarray(rec.lever_arm, float), np.broadcast_to(np.asarray(stated.mounting.lever_arm, float), 3)
+    if not arm.any() or np.allclose(arm, mine):
+        return []
+    vector = lambda a: "(" + ", ".join(f"{x:g}" for x in a) + ")"
+    if mine.any():
+        return [finding("lever_arm.stated", vector=vector(mine), other=vector(arm))]
+    return [finding("lever_arm.recorded", vector=vector(arm))]
+
+
+def _coverage(trace: evaluate.Trace, rec: Recording, measurements: tuple[Measurement, ...]) -> list[Finding]:
+    """Return streams that no measurement takes, and a truth that covers a part of the run."""
+    unused = sorted(set(rec.aiding) - {m.name for m in measurements} - set(AUXILIARY))
+    found = [finding("stream.extra", ", ".join(unused))] if unused else []
+    if rec.truth is not None:
+        share = float(np.mean(told_by(trace.track.t, rec.truth.t)))
+        found += [finding("truth.share", value=100 * share)] if share < FULL_COVERAGE else []
+    return found
+
+
+def metrics(sol: Solution) -> dict[str, Any]:
+    """Return errors where there is a truth, innovations, errors at the ends of gaps, and the use of the streams."""
+    rec, info = sol.recording, sol.trace.info
+    found: dict[str, Any] = {"start_s": sol.packed.start}
+    error = None
+    if rec.truth is not None:
+        error, sd = evaluate.ned_errors(sol.trace, rec.truth)
+        share = float(np.isfinite(error[:, 0]).mean())
+        dark = sol.hidden | ep.within(sol.packed.t, sol.gaps())
+        found |= {"errors": evaluate.error_metrics(error, sd, dark), "scored_share": share}
+    found |= evaluate.innovation_metrics(info, sol.measurements)
+    ends = [
+        {"start_s": a, "end_s": b, "horizontal_m": at_end}
+        for a, b in sol.gaps()
+        if np.isfinite(at_end := _end_error(sol, a, b, error))
+    ]
+    uses = usage.usage(rec, sol.packed, info, sol.measurements, sol.hidden)
+    found |= ({"outages": ends} if ends else {}) | usage.as_json(uses, usage.channels_of(info, sol.measurements))
+    if sol.chosen.findings:
+        at = {"start_heading_deg": sol.chosen.heading_deg, "start_heading_probability": sol.chosen.probability}
+        found["heading_bank"] = at
+    if sol.noise is not None:
+        found["noise_scan"] = sol.noise.metrics()
+    return found | {
+        "findings": [asdict(f) for f in sol.findings], "start": sol.start.how, "notes": rec.notes.splitlines()
+    }  # fmt: skip
+
+
+def _end_error(sol: Solution, start: float, end: float, error: np.ndarray | None) -> float:
+    """Return the horizontal error (m) at the last epoch of a gap without a fix; nan where nothing shows it.
+
+    By ``error`` (E, 9) where there is a truth, else by the first fix behind it.
+    """
+    t, info = sol.packed.t, sol.trace.info
+    valid, used = np.asarray(sol.packed.epochs.fix.valid)[:, :2], np.asarray(info.valid)[:, :2]
+    lost = np.flatnonzero((t > start + TICK) & (t <= end + TICK) & ~used.all(axis=1))
+    if not lost.size:
+        return float("nan")
+    i = int(lost[-1])
+    if error is not None:
+        return float(np.hypot(*error[i, :2]))
+    return float(np.hypot(*np.asarray(info.residual)[i, :2])) if valid[i].all() else float("nan")
+
+
+def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[Info, Chosen]:
+    """The run from ``navs`` (B, ...); of several starts the most probable one.
+
+    Epochs are padded to sizes that recordings share, so that the compiled program is found again.
+    """
+    E, K = epochs.imu.dt.shape
+    n, m = filt.model.n_states, filt.model.n_channels
+    starts = navs.t.shape[0]
+    require_memory(
+        8.0 * E * (starts * (2 * n**2 + 2 * m**2 + 100) + 14 * K), f"a run of {E:,} epochs from {starts} starts"
+    )
+    own, epochs = slice(epochs.imu.dt.shape[0]), ep.of_shared_size(epochs)
+    if navs.t.shape[0] == 1:
+        info = jax.device_get(run_jit(filt, params, jax.tree.map(lambda a: a[0], navs), epochs))
+        return jax.tree.map(lambda a: a[own], info), Chosen()
+    bank = jax.device_get(bank_jit(filt, params, navs, epochs))
+    best = int(bank.best)
+    about = Chosen(best, 360.0 * best / navs.t.shape[0], float(bank.probability[best]))
+    return jax.tree.map(lambda a: a[best][own], bank.info), about

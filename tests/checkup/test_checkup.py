@@ -1,0 +1,263 @@
+"""A recording against itself: what is wrong is named, what is right is left alone."""
+
+import jax
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from benchmarks.recordings import check
+from benchmarks.recordings.start import simulated
+from benchmarks.simulated import pauses
+from jaxnav.app.config import Data
+from jaxnav.app.jobs.check import configuration
+from jaxnav.checkup import CHECKS, checkup, inertial, quick_notes
+from jaxnav.checkup.motion import turns, turns_of
+from jaxnav.checkup.standstill import standstill
+from jaxnav.filters.standstill import Standing, stationary
+from jaxnav.initialization import magnetic
+from jaxnav.io.read import read
+from jaxnav.maths import rotations
+from jaxnav.maths.units import DEG
+from jaxnav.measurements.magnetometer import field
+from jaxnav.simulate.scenarios import URBAN
+from jaxnav.simulate.simulation import simulate_jit, to_recording
+from jaxnav.states.grades import GRADES
+from jaxnav.types import ImuLog, Recording, Samples
+
+
+@pytest.fixture(scope="module")
+def car() -> Recording:
+    """A car for 70 s with fixes, wheels, barometer and compass, nothing wrong but a delay of at most 0.3 s."""
+    rec, _ = simulated("car", "consumer", True, np.random.default_rng(5))
+    truth, position = rec.truth, rec.aiding["position"]
+    k = np.arange(0.5, 69.0, 0.1)
+    column = lambda value, sd: Samples(k, value[:, None], np.full((k.size, 1), sd), np.zeros((k.size, 1)))
+    speed = np.interp(k, truth.t, np.hypot(truth.vel[:, 0], truth.vel[:, 1]))
+    hill = 20 * np.sin(2 * np.pi * k / 60)
+    lla = position.value + np.column_stack([np.zeros((position.t.size, 2)), np.interp(position.t, k, hill)])
+    here = magnetic.field_at(position.value[0])
+    earth = np.asarray(field(here.declination, here.inclination, here.strength))
+    rph = np.column_stack([np.interp(k, truth.t, np.unwrap(angle)) for angle in truth.rph.T])
+    seen = np.array([np.asarray(rotations.from_rph(angles)).T @ earth for angles in rph])
+    three = Samples(k, seen, np.full(seen.shape, 1.0), np.zeros(seen.shape))
+    streams = {"position": position._replace(value=lla), "speed": column(speed, 0.1), "barometer": column(hill, 0.5),
+               "magnetometer": three}  # fmt: skip
+    return rec._replace(aiding=rec.aiding | streams)
+
+
+def bad(rec: Recording, *rows: str) -> set[str]:
+    """Codes of what is wrong, by these checks or by all."""
+    return {f.code for row in rows or CHECKS for f in CHECKS[row].answer(rec) if f.warns}
+
+
+def test_nothing_is_wrong_with_what_is_right(car):
+    assert bad(car) - {"time.late"} == set() and quick_notes(car) == []
+    said = " ".join(f.message for f in checkup(car))
+    for part in (
+        "IMU at 100 Hz",
+        "wheel speed is",
+        "barometric height changes by",
+        "the course's rate",
+        "chi^2",
+        "rotations explain",
+    ):
+        assert part in said
+
+
+ROWS, COLUMN = lambda a: np.arange(len(a))[:, None], np.array([False, True, False])
+DAMAGES = {
+    "velocity.swapped": check.stream("velocity", check.swapped(0, 1)),
+    "velocity.sign": check.stream("velocity", check.times(-1, 1, 1)),
+    "velocity.units": check.stream("velocity", lambda v: 3.6 * v),
+    "speed.units": check.stream("speed", lambda v: 3.6 * v),
+    "barometer.sign": check.stream("barometer", lambda v: -v),
+    "compass.axes": check.stream("magnetometer", lambda m: m @ np.diag([1.0, -1.0, -1.0])),
+    "compass.strength": check.stream("magnetometer", lambda m: m / 100),
+    "barometer.units": check.stream("barometer", lambda v: 3.28084 * v),
+    "gyro.sign": check.imu(gyro=check.times(1, 1, -1)),
+    "gyro.axes": check.imu(gyro=check.swapped(0, 2)),
+    "imu.dead": check.imu(gyro=check.times(1, 0, 1)),
+    "imu.stuck": check.imu(gyro=lambda a: np.where((ROWS(a) > 1000) & (ROWS(a) < 1150) & COLUMN, a[1001], a)),
+    "accel.sign": check.imu(accel=check.times(-1, 1, 1)),
+    "axes.gravity": check.imu(gyro=check.times(1, -1, -1), accel=check.times(1, -1, -1)),
+    "imu.polled": check.polled,
+    "imu.slow": lambda rec: rec._replace(imu=ImuLog(*(a[::20] for a in rec.imu))),
+    "position.repeats": check.repeated,
+    "time.offset": check.later(-18.0),
+    "mounting.turned": check.imu(gyro=check.turned, accel=check.turned),
+    "time.overlap": check.later(30.0),
+    "time.jump": check.stream("position", t=lambda t: np.where(t > 30.0, t - 0.3, t)),
+    "time.stream_offset": check.stream("velocity", t=lambda t: t - 0.06),
+    "stream.short": lambda rec: rec._replace(
+        aiding=rec.aiding | {"velocity": Samples(*(a[: a.shape[0] // 2] for a in rec.aiding["velocity"]))}
+    ),
+    "stream.sd_jumps": lambda rec: rec._replace(
+        aiding=rec.aiding
+        | {
+            "position": rec.aiding["position"]._replace(
+                sd=rec.aiding["position"].sd
+                * np.random.default_rng(0).uniform(0.6, 1.4, rec.aiding["position"].sd.shape)
+            )
+        }
+    ),
+}
+
+
+@pytest.mark.parametrize("code", DAMAGES)
+def test_what_is_wrong_is_named(car, code):
+    part = code.split(".")[0]
+    rows = {
+        "velocity": ("velocity",), "speed": ("speed",), "barometer": ("barometer",),
+        "position": ("fixes",), "stream": ("stated", "ends"), "imu": ("sampling", "gravity", "axes"),
+        "axes": ("gravity",),
+        "gyro": ("axes", "turns"), "accel": ("together",), "mounting": ("together",), "compass": ("compass",),
+        "time": ("overlap", "turns", "rhythm", "apart"),
+    }  # fmt: skip
+    found = bad(check.as_floats(DAMAGES[code](car)), *rows[part])
+    assert code in found, found
+
+
+@pytest.mark.parametrize("factor, wrong", [(0.5, True), (0.7, False), (1.0, False), (1.5, False), (1.8, True)])
+def test_gyros_of_another_unit_turn_by_another_amount_than_the_course(car, factor, wrong):
+    """Between 0.6 and 1.6 of the course's turns a slip angle and its delay may explain the rest."""
+    scaled = car._replace(imu=car.imu._replace(gyro=car.imu.gyro * [1.0, 1.0, factor]))
+    assert ("gyro.units" in bad(scaled, "turns")) is wrong
+
+
+def hovering(seed: int, seconds: float) -> Recording:
+    """Return a multirotor that holds its position: neither velocity nor yaw rate has to do with the other."""
+    rng, n = np.random.default_rng(seed), int(50 * seconds)
+    walk = lambda tau, sd: lfilter(
+        [1.0], [1.0, -np.exp(-0.02 / tau)], sd * np.sqrt(0.04 / tau) * rng.normal(size=(n, 3)), 0
+    )
+    t, vel = np.arange(1, n + 1) / 50, walk(3.0, rng.uniform(0.3, 1.5))
+    imu = ImuLog(t, np.full(n, 0.02), walk(1.0, rng.uniform(0.02, 0.3)), np.tile([0.0, 0.0, -9.8], (n, 1)))
+    v = vel[::10] + 0.1 * rng.normal(size=vel[::10].shape)
+    sample = lambda value, sd: Samples(t[::10], value, np.full(v.shape, sd), np.zeros_like(v))
+    aiding = {"position": sample(np.tile([0.8, 0.2, 100.0], (len(v), 1)), 1.0), "velocity": sample(v, 0.1)}
+    return Recording("hovering", imu, aiding, None, np.zeros(3))
+
+
+@pytest.mark.parametrize("seconds", [12.0, 20.0, 40.0])
+def test_a_hovering_multirotor_has_no_wrong_sign(seconds):
+    """A few seconds of motion correlate with a gyro by chance: at most 2 of 100, of three axes and 21 lags."""
+    warned = [seed for seed in range(100) if any(f.warns for f in turns(hovering(seed, seconds)))]
+    assert len(warned) <= 2
+
+
+def test_turns_over_a_gap_between_fixes_do_not_count(car):
+    """Interpolated over 11 s, velocities turn as nothing did."""
+    v = car.aiding["velocity"]
+    kept = (v.t < v.t[0] + 30) | (v.t > v.t[0] + 41)
+    x = turns_of(car._replace(aiding=car.aiding | {"velocity": Samples(*(a[kept] for a in v))}))
+    assert not x.weight[(x.t > v.t[0] + 30) & (x.t < v.t[0] + 40)].any() and x.weight[x.t < v.t[0] + 25].any()
+
+
+@pytest.mark.parametrize("factor, wrong", [(1.0, False), (180 / np.pi, True), (np.pi / 180, True)])
+def test_degrees_for_radians_show_with_positions_alone(factor, wrong):
+    """Their noise leaves a correlation of 0.45: the slope hides the unit, slope over correlation squared does not."""
+    rec = pauses.drive(0, 300.0)
+    seen = rec._replace(imu=rec.imu._replace(gyro=factor * rec.imu.gyro), aiding={"position": rec.aiding["position"]})
+    found = [f for f in turns(seen) if f.code == "gyro.units"]
+    assert bool(found) is wrong
+    assert not wrong or 0.4 < found[0].value / factor < 2.5
+
+
+def test_coarse_steps_and_a_loud_axis_are_noise_of_that_axis(car):
+    """A step q has at least the noise q / sqrt(12) a sample, moving or not; white noise is that of its axis alone."""
+    root, rng = np.sqrt(np.median(car.imu.dt)), np.random.default_rng(0)
+    coarse = car.imu.gyro.copy()
+    coarse[:, 1] = 0.01 * np.round(coarse[:, 1] / 0.01)
+    assert inertial.resolution(coarse) == pytest.approx([0.0, 0.01, 0.0])
+    floor, _ = inertial.noise_floor(car.imu)
+    again, _ = inertial.noise_floor(car.imu._replace(gyro=coarse))
+    assert again[1] >= 0.999 * root * 0.01 / np.sqrt(12) and again[[0, 2]] == pytest.approx(floor[[0, 2]], rel=0.2)
+    loud = car.imu.gyro + np.array([0.0, 0.0, 0.02]) * rng.normal(size=car.imu.gyro.shape)
+    again, _ = inertial.noise_floor(car.imu._replace(gyro=loud))
+    assert again[2] == pytest.approx(0.02 * root, rel=0.1) and again[:2] == pytest.approx(floor[:2], rel=0.2)
+
+
+@pytest.mark.parametrize("kind", ["walk", "mower"])
+def test_motion_is_no_noise(kind):
+    """Steps at 1.9 Hz and turns that never rest: the noise of a tactical IMU is found, by first differences 7 to 11."""
+    rec, _ = simulated(kind, "tactical", True, np.random.default_rng(0))
+    gyro, accel = inertial.noise_floor(rec.imu)
+    assert np.median(gyro) == pytest.approx(GRADES["tactical"].arw, rel=0.15)
+    assert np.median(accel) == pytest.approx(GRADES["tactical"].vrw, rel=0.15)
+
+
+def test_every_check_answers_where_there_is_little_or_nothing(car):
+    """A few rows, an IMU alone, one fix: no exception, no warning."""
+    few = ImuLog(*(a[:20] for a in car.imu))
+    alone = car._replace(aiding={}, truth=None)
+    for rec in (alone, alone._replace(imu=few), car._replace(imu=few)):
+        for name, row in CHECKS.items():
+            assert isinstance(row.answer(rec), list), name
+    one = {name: Samples(*(a[:1] for a in s)) for name, s in car.aiding.items()}
+    assert isinstance(checkup(car._replace(aiding=one)), list)
+
+
+def test_a_read_says_what_looks_wrong(car, tmp_path):
+    from jaxnav.io import write_recording
+
+    write_recording(tmp_path / "right", car)
+    write_recording(tmp_path / "wrong", DAMAGES["velocity.swapped"](car))
+    assert "look" not in read(tmp_path / "right").notes
+    assert "east and north look swapped" in read(tmp_path / "wrong").notes
+
+
+def test_the_overview_draws_every_stream(car):
+    """A row a stream, and lines of finite values in all other panels."""
+    from jaxnav.analysis.plots.checkup import overview
+
+    first, *others = overview(car).axes
+    assert [tick.get_text() for tick in first.get_yticklabels()] == ["imu", *car.aiding]
+    for ax in others:
+        lines = ax.get_lines()
+        assert lines and all(np.isfinite(line.get_ydata()).any() for line in lines), ax.get_title()
+    down = next(line for line in others[-1].get_lines() if line.get_label() == "down")
+    assert len(down.get_xdata()) == car.imu.t.size // 100  # means over a second, at its end
+    second = car.imu.accel[:100, 2].mean()
+    assert (down.get_xdata()[0], down.get_ydata()[0]) == pytest.approx((car.imu.t[99], second))
+
+
+def test_a_stream_that_is_short_says_where(car):
+    """The second half is gone, or the first."""
+    v = car.aiding["velocity"]
+    half = v.t.size // 2
+    for rows, said in ((slice(None, half), "ends 34.8 s"), (slice(half, None), "begins 34.8 s")):
+        cut = car._replace(aiding=car.aiding | {"velocity": Samples(*(a[rows] for a in v))})
+        (finding,) = CHECKS["ends"].answer(cut)
+        assert finding.message.startswith(f"velocity {said}") and " and " not in finding.message, finding.message
+
+
+def test_the_detector_of_standstills_is_set_by_what_the_receiver_says():
+    """A car that stands with its engine on: thresholds between what the IMU shows at rest and in motion."""
+    scenario = URBAN._replace(motion=URBAN.motion._replace(standstill_s=60.0), duration_s=200.0)
+    rec = to_recording(simulate_jit(jax.random.key(4), scenario), scenario)
+    rng = np.random.default_rng(0)
+    shaken = rec.imu.accel + 0.5 * rng.normal(size=rec.imu.accel.shape)  # 0.87 m/s^2 in all, always
+    boarding = ((rec.imu.t > 20) & (rec.imu.t < 24))[:, None]  # as much as the drive itself
+    turned = rec.imu.gyro + 0.3 * boarding * rng.normal(size=shaken.shape)
+    shaken += 3 * boarding * rng.normal(size=shaken.shape)
+    rec = rec._replace(imu=rec.imu._replace(accel=shaken, gyro=turned))
+    accel, gyro = standstill(rec)
+    lines = configuration(Data("drive"), rec, [accel, gyro]).splitlines()
+    assert [line.split(" = ")[0] for line in lines if line.startswith("# ") and "st" in line][-2:] == [
+        "# standing_accel_sd_mps2", "# standing_gyro_sd_deg_per_s"]  # fmt: skip
+    assert 0.8 < accel.value < 1.8 and "% of them and 0." in gyro.message
+    t = np.arange(5.0, 198.0)
+    found = stationary(rec.imu, t, 1.0, accel.value, gyro.value * DEG)
+    speed = np.interp(t, rec.truth.t, np.linalg.norm(rec.truth.vel, axis=1))
+    assert found[t < 59].mean() > 0.85 and found[speed > 0.5].mean() < 0.03
+    assert not stationary(rec.imu, t, *Standing()).any()  # the default takes the engine for motion
+    assert standstill(rec._replace(aiding={})) == []
+
+
+def test_no_threshold_where_rest_looks_like_motion(car):
+    """An IMU that shakes more than the vehicle moves tells nothing."""
+    scenario = URBAN._replace(motion=URBAN.motion._replace(standstill_s=60.0), duration_s=200.0)
+    rec = to_recording(simulate_jit(jax.random.key(4), scenario), scenario)
+    rng = np.random.default_rng(1)
+    loud = ImuLog(rec.imu.t, rec.imu.dt, *(rng.normal(size=(rec.imu.t.size, 3)) * [1, 1, 1] for _ in range(2)))
+    assert [f.code for f in standstill(rec._replace(imu=loud))] == ["standstill"]

@@ -1,0 +1,144 @@
+"""What tuning minimises: scalars of an `Info` (fields (E, ...)), smooth, finite, with data to leave out as masks.
+
+A run that stops being finite is frozen from there on and has no innovations any more, which would look like good ones:
+where an epoch that counts is frozen, what takes an `Info` is infinite. `tuning.fit.train.fit` leaves such a run out of
+the step and names it; an objective of your own says so by `sound`.
+
+Those of one run come first, and need no truth unless they say so; then what puts the scores of many runs together.
+"""
+
+from collections.abc import Callable
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+
+from jaxnav.analysis import metrics
+from jaxnav.filters.run import negative_log_likelihood
+from jaxnav.types import Info
+
+
+def masked_mean(values: jax.Array, keep: jax.Array) -> jax.Array:
+    """Mean over the entries where ``keep``; 0 if there are none."""
+    return jnp.sum(jnp.where(keep, values, 0.0)) / jnp.maximum(jnp.sum(keep), 1)
+
+
+def sound(info: Info, keep: jax.Array, value: jax.Array) -> jax.Array:
+    """``value``, of a run; inf where an epoch that counts, ``keep`` (E,) bool, is frozen."""
+    return jnp.where(jnp.any(keep & ~info.ok), jnp.inf, value)
+
+
+def innovation_nll(info: Info, keep: jax.Array) -> jax.Array:
+    """Mean negative log-likelihood of the innovations per epoch; ``keep`` (E,) bool. Needs no truth."""
+    measured = keep & info.valid.any(-1)
+    return sound(info, keep, masked_mean(jax.vmap(negative_log_likelihood)(info), measured))
+
+
+def rmse(error: jax.Array, keep: jax.Array) -> jax.Array:
+    """Root mean square per axis of an error (E, a) over ``keep`` (E,) or (E, a): supervised, (a,)."""
+    keep = jnp.broadcast_to(keep if keep.ndim == error.ndim else keep[:, None], error.shape)
+    count = jnp.maximum(keep.sum(0), 1)
+    mean = jnp.sum(jnp.where(keep, error, 0.0) ** 2, axis=0) / count
+    some = mean > 0
+    return jnp.where(some, jnp.sqrt(jnp.where(some, mean, 1.0)), 0.0)
+
+
+def outage_error(info: Info, ends: jax.Array) -> jax.Array:
+    """Horizontal distance (m) from each hidden fix at ``ends`` (W,) int: what a receiver's return would show, (W,).
+
+    It compares at the fix's own time and at the antenna, through the same measurement model as an update. inf at
+    epochs that are frozen.
+    """
+    east, north = info.residual[ends, 0], info.residual[ends, 1]
+    d2 = east**2 + north**2
+    some = d2 > 0
+    return jnp.where(info.ok[ends], jnp.where(some, jnp.sqrt(jnp.where(some, d2, 1.0)), 0.0), jnp.inf)
+
+
+def drift(info: Info, ends: jax.Array, keep: jax.Array) -> jax.Array:
+    """Log of the RMS end-of-outage error over the windows where ``keep`` (W,)."""
+    return 0.5 * jnp.log(masked_mean(outage_error(info, ends) ** 2, keep) + 1e-6)
+
+
+def log_mean_drift(info: Info, ends: jax.Array, keep: jax.Array) -> jax.Array:
+    """Mean log end-of-outage error over the windows where ``keep`` (W,): every window counts alike, not the worst."""
+    return masked_mean(0.5 * jnp.log(outage_error(info, ends) ** 2 + 1e-2), keep)
+
+
+# ---------------------------------------------------------------------------- consistency
+
+
+def channel_nis(info: Info, keep: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Mean squared normalised innovation of each channel, (m,), 1 if consistent, and how many there were, (m,)."""
+    used = keep[:, None] & info.valid
+    square = info.nu**2 / jnp.diagonal(info.S, axis1=1, axis2=2)
+    count = used.sum(0)
+    return sound(info, keep, jnp.sum(jnp.where(used, square, 0.0), 0) / jnp.maximum(count, 1)), count
+
+
+def consistency(info: Info, keep: jax.Array) -> jax.Array:
+    """Mean over channels of log² of the normalised innovation squared: 0 where all are consistent, ().
+
+    Times half the epochs it is near a chi-square value of one degree of freedom a channel, since the logarithm of a
+    mean of n such values has variance 2 / n. By itself it is bought by inflating R: use it beside a likelihood.
+    """
+    ratio, count = channel_nis(info, keep)
+    some = (count > 0) & (ratio > 0)
+    return sound(info, keep, masked_mean(jnp.log(jnp.where(some, ratio, 1.0)) ** 2, some))
+
+
+def whiteness(info: Info, keep: jax.Array, lags: int = 5) -> jax.Array:
+    """Mean squared autocorrelation of the normalised innovations over channels and lags, (): 1 / epochs if white.
+
+    Lags count epochs; pairs of which one has no measurement are left out.
+    """
+    used = keep[:, None] & info.valid
+    z = jnp.where(used, info.nu / jnp.sqrt(jnp.diagonal(info.S, axis1=1, axis2=2)), 0.0)
+    mean = masked_mean(_autocorrelation(z, used, lags) ** 2, jnp.broadcast_to(used.any(0), (lags, z.shape[1])))
+    return sound(info, keep, mean)
+
+
+def _autocorrelation(z: jax.Array, used: jax.Array, lags: int) -> jax.Array:
+    """Of z (E, m), zero where not used, at lags 1 ..: (lags, m)."""
+    power = jnp.sum(z**2, 0) / jnp.maximum(used.sum(0), 1)
+    power = jnp.where(power > 0, power, 1.0)
+    pairs = [jnp.sum(used[d:] & used[:-d], 0) for d in range(1, lags + 1)]
+    products = [jnp.sum(z[d:] * z[:-d], 0) for d in range(1, lags + 1)]
+    return jnp.stack([a / (jnp.maximum(n, 1) * power) for a, n in zip(products, pairs, strict=True)])
+
+
+def error_consistency(error: jax.Array, P: jax.Array, keep: jax.Array) -> jax.Array:
+    """log² of the normalised estimation error squared per degree of freedom, 0 if consistent, (): needs the truth.
+
+    ``error`` (E, a) and the covariance ``P`` (E, a, a) that the filter states for it.
+    """
+    nees = masked_mean(jax.vmap(metrics.nees)(error, P), keep) / error.shape[1]
+    return jnp.log(jnp.where(nees > 0, nees, 1.0)) ** 2
+
+
+# ---------------------------------------------------------------------------- over runs
+
+
+@cache
+def tail(share: float) -> Callable[[jax.Array, jax.Array], jax.Array]:
+    """An aggregate: the mean over the worst ``share`` of the runs, CVaR; 0 is the worst run alone.
+
+    Of values (B,) with weights (B,); for `tuning.fit.train.fit`. Runs of weight zero do not enter.
+    """
+    if not 0 <= share <= 1:
+        raise ValueError(f"the share of the worst runs must be in [0, 1], got {share}")
+
+    def aggregate(values: jax.Array, weight: jax.Array) -> jax.Array:
+        order = jnp.argsort(jnp.where(weight > 0, -values, jnp.inf))
+        w = weight[order]
+        most = jnp.maximum(share * w.sum(), w[0])
+        taken = jnp.clip(most - (jnp.cumsum(w) - w), 0.0, w)  # the last run enters in part
+        return jnp.sum(jax.lax.stop_gradient(taken) * values[order]) / most
+
+    return aggregate
+
+
+def log_mean(values: jax.Array, weight: jax.Array) -> jax.Array:
+    """An aggregate: mean of the logarithms of positive values, so that easy and hard scenarios count alike."""
+    some = weight > 0
+    return jnp.sum(jnp.where(some, weight * jnp.log(jnp.where(some, values, 1.0)), 0.0)) / weight.sum()

@@ -1,0 +1,1 @@
+"""Noise of recordings: split, evidence, priors, search, verdict, report, exports."""

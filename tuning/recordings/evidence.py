@@ -1,0 +1,257 @@
+"""What recordings' training parts show of free parameters: J of `tuning.recordings.recorded` and its information."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from jaxnav.analysis.windows import position_noise
+from jaxnav.filters import epochs as ep
+from jaxnav.filters.core import Filter, Step
+from jaxnav.filters.gaps import TICK
+from jaxnav.filters.run import run
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.states import table
+from jaxnav.types import Epoch, Info, Nav, Params
+from tuning.fit.transforms import Spec, join, split
+from tuning.recordings.parts import Used, ages
+from tuning.recordings.priors import kind_of
+from tuning.uncertainty import Information, gaussian, pushed, rejected
+
+SLOW = "gnss_position_error"
+
+
+class Evidence(NamedTuple):
+    """Sums over what the training part shows: value (), score (P,), information (P, P), and of how many."""
+
+    value: jax.Array
+    score: jax.Array
+    fisher: jax.Array
+    number: jax.Array
+
+
+class Seen(NamedTuple):
+    """What is kept of an epoch."""
+
+    nu: jax.Array
+    S: jax.Array
+    valid: jax.Array
+    far: jax.Array  # the rule rejected some of it
+    ok: jax.Array
+    residual: jax.Array  # (3,) of the position
+    P: jax.Array  # (3, 3) of what a fix tells, its own noise apart
+
+
+def _keep(slow: slice | None, step: Step, beside: Any) -> Seen:
+    info = step.info
+    P = seen_by_position(info.P, slow)
+    return Seen(info.nu, info.S, info.valid, rejected(info), info.ok, info.residual[:3], P)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _evidence(
+    filt: Filter, items: tuple[Any, ...], flat: jax.Array, like: Any, params: Params, nav: Nav, epochs: Epoch,
+    valid: jax.Array, keep: jax.Array, at: jax.Array, there: jax.Array, sd: jax.Array,
+) -> tuple[Evidence, Evidence]:  # fmt: skip
+    """Of innovations and of hidden fixes; valid (P, E, m), keep (P, E), at and there (P, A), sd (P, A, 3)."""
+    spec, (_, back) = dict(items), ravel_pytree(like)
+    keep_seen = partial(_keep, slow_errors(filt))
+
+    def phase(valid: jax.Array, keep: jax.Array, at: jax.Array, there: jax.Array, sd: jax.Array) -> Any:
+        def outputs(r: jax.Array) -> Any:
+            own = join(spec, back(r), params)
+            seen = run(filt, own, nav, epochs._replace(fix=epochs.fix._replace(valid=valid)), keep_seen)
+            C = seen.P[at] + position_noise(own, sd)
+            return (seen.nu, seen.S, seen.residual[at], C), (seen.valid, seen.far, seen.ok)
+
+        ((nu, S, y, C), (seen, outlying, ok)), (dnu, dS, dy, dC) = pushed(outputs, flat)
+        own = jax.vmap(gaussian, (0, 0, 0, 1, 1, 0))(nu, S, seen, dnu, dS, outlying)
+        three = jnp.ones((at.size, 3), bool)
+        far = jax.vmap(partial(gaussian, heavy=True), (0, 0, 0, 1, 1))(y, C, three, dy, dC)
+        lost = jnp.where((keep & ~ok).any(), jnp.inf, 0.0)
+        counts = keep & seen.any(-1)
+
+        def total(parts: Any, mask: jax.Array) -> Any:
+            value, score, fisher = (jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0).sum(0) for a in parts)
+            return Evidence(value, score, fisher, mask.sum())
+
+        innovations = total(own, counts)
+        return innovations._replace(value=innovations.value + lost), total(far, there)
+
+    both = jax.vmap(phase)(valid, keep, at, there, sd)
+    return jax.tree.map(lambda a: a.sum(0), both)
+
+
+@jax.jit
+def _nll(nu: jax.Array, S: jax.Array, valid: jax.Array, heavy: jax.Array) -> jax.Array:
+    """Of residuals (A, m), each alone."""
+    m = nu.shape[-1]
+    one = lambda nu, S, valid, heavy: gaussian(nu, S, valid, jnp.zeros((0, m)), jnp.zeros((0, m, m)), heavy)[0]
+    return jax.vmap(one)(nu, S, valid, heavy)
+
+
+def predicted(filt: Filter, params: Sequence[Params], used: Sequence[Used], infos: Sequence[Info]) -> float:
+    """How badly a candidate predicts the validation parts of recordings: the likelihood in J, there, without priors.
+
+    Mean negative log-likelihood of an innovation, plus that of a hidden fix by a Student t; ``infos`` (P, E, ...) of
+    its runs with hidden windows.
+    """
+    slow = slow_errors(filt)
+    shown: list[list[np.ndarray]] = [[], []]
+    for own, u, info in zip(params, used, infos, strict=True):
+        part = (u.t > u.layout.train + TICK) & (u.t <= u.layout.validation + TICK)
+        counts = part & ~u.windows.hidden & np.asarray(info.valid).any(-1)
+        lost = not np.asarray(info.ok)[:, part].all()
+        pick = lambda a, counts=counts: jnp.asarray(np.asarray(a)[counts])
+        innovations = _nll(*map(pick, (info.nu, info.S, info.valid, rejected(info))))
+        there = np.all(np.asarray(u.packed.epochs.fix.valid)[:, :2], axis=1)
+        at, known = ages(u.windows, u.packed.t, there, u.parts["validation"], u.layout.window)
+        phase, column = np.nonzero(known)
+        epoch = at[phase, column]
+        sd = jnp.asarray(np.asarray(u.packed.epochs.fix.sd)[epoch, :3])
+        C = seen_by_position(jnp.asarray(np.asarray(info.P)[phase, epoch]), slow) + position_noise(own, sd)
+        y = jnp.asarray(np.asarray(info.residual)[phase, epoch, :3])
+        every = jnp.ones(y.shape, bool)
+        hidden = _nll(y, C, every, every[:, 0])
+        for into, values in zip(shown, (innovations, hidden), strict=True):
+            into.append(np.where(lost, np.inf, np.asarray(values)))
+    return float(sum(np.mean(np.concatenate(values)) for values in shown))
+
+
+def slow_errors(filt: Filter) -> slice | None:
+    """Return where a filter's covariance has the slow errors of a receiver, None where it has none."""
+    return table.layout(table.chosen(filt.model.states)).get(SLOW)
+
+
+def seen_by_position(P: jax.Array, slow: slice | None) -> jax.Array:
+    """Covariance (..., 3, 3) m^2, ENU, of what a fix tells, its own noise apart: position and the receiver's error."""
+    if slow is None:
+        return P[..., :3, :3]
+    cross = P[..., :3, slow]
+    return P[..., :3, :3] + cross + jnp.swapaxes(cross, -1, -2) + P[..., slow, slow]
+
+
+class Training(NamedTuple):
+    """A recording's training part, as `_evidence` takes it."""
+
+    datasheet: Params
+    nav: Nav
+    epochs: Epoch  # (E, ...)
+    valid: jax.Array  # (P, E, m) not hidden
+    keep: jax.Array  # (P, E) counts
+    at: np.ndarray  # (P, A) epochs of hidden fixes
+    there: np.ndarray  # (P, A) which are any
+    sd: np.ndarray  # (P, A, 3) m
+
+
+def training_of(filt: Filter, used: Used, size: int) -> Training:
+    """The first ``size`` epochs; what comes after the training part in them does not count."""
+    chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    epochs, t = jax.tree.map(lambda a: a[:size], used.epochs), used.t[:size]
+    hidden, layout, fix = used.windows.hidden[:, :size], used.layout, used.packed.epochs.fix
+    own = (t >= used.packed.start + layout.settle) & (t <= layout.train + TICK)
+    there = np.all(np.asarray(fix.valid)[:, :2], axis=1)
+    at, known = ages(used.windows, used.packed.t, there, used.parts["training"], layout.window)
+    return Training(
+        used.datasheet, used.nav, epochs, jnp.stack([ep.hide(epochs, h, chosen).fix.valid for h in hidden]),
+        jnp.asarray(own & ~hidden), at, known, np.asarray(fix.sd)[:, :3][at],
+    )  # fmt: skip
+
+
+class Job:
+    """The objective of recordings that are tuned on together, for a search.
+
+    ``observations``: as how many the likelihood counts; by default the windows that fit into the training parts.
+
+    Its numbers (G,) are those of the first recording, in the order of `ravel_pytree`, then for each of the others what
+    it has of its ``own``; all else is shared.
+    """
+
+    def __init__(
+        self, filt: Filter, spec: Spec, used: Sequence[Used], own: Sequence[str] = (), observations: float | None = None
+    ):
+        self.filt, self.spec, self.used = filt, spec, list(used)
+        self.raw = split(spec, used[0].datasheet)
+        first, self.back = ravel_pytree(self.raw)
+        self.items = tuple(spec.items())
+        self.leaves = [name for name in sorted(spec) for _ in range(np.size(self.raw[name]))]  # of each local number
+        apart = np.flatnonzero(np.isin(self.leaves, own))
+        self.places = [np.arange(first.size)]  # of a recording's numbers among all
+        for r in range(1, len(used)):
+            mine = self.places[0].copy()
+            mine[apart] = first.size + (r - 1) * apart.size + np.arange(apart.size)
+            self.places.append(mine)
+        #: of each number: whose it is, and which of that recording's
+        self.owner = np.concatenate([np.zeros(first.size, int), np.repeat(np.arange(1, len(used)), apart.size)])
+        self.origin = np.concatenate([np.arange(first.size), np.tile(apart, len(used) - 1)])
+        size = max(int(np.searchsorted(u.packed.t, u.layout.train + TICK)) for u in used)
+        parts = [training_of(filt, u, size) for u in used]
+        most = max(p.at.shape[1] for p in parts)
+        wide = lambda a: np.pad(a, [(0, 0), (0, most - a.shape[1])] + [(0, 0)] * (a.ndim - 2))
+        self.parts = [p._replace(at=wide(p.at), there=wide(p.there), sd=wide(p.sd)) for p in parts]
+        lengths = [float(u.layout.train - u.packed.start - u.layout.settle) / u.layout.window for u in used]
+        self.effective = max(1.0, sum(lengths)) if observations is None else observations
+        self.flat = self.centre = self.numbers([u.datasheet for u in used])  # centre of the priors
+        self.width = np.array([_width(spec, self.leaves[i]) for i in self.origin])
+
+    def evidence(self, flat: jax.Array) -> tuple[Evidence, Evidence]:
+        """Of innovations, of hidden fixes, of all recordings."""
+        found = [
+            _evidence(self.filt, self.items, flat[at], self.raw, *part)
+            for at, part in zip(self.places, self.parts, strict=True)
+        ]
+        G = flat.size
+
+        def among_all(e: Evidence, at: np.ndarray) -> Evidence:
+            score, fisher = jnp.zeros(G).at[at].set(e.score), jnp.zeros((G, G)).at[np.ix_(at, at)].set(e.fisher)
+            return e._replace(score=score, fisher=fisher)
+
+        together = [tuple(among_all(e, at) for e in both) for at, both in zip(self.places, found, strict=True)]
+        return jax.tree.map(lambda *each: sum(each), *together)
+
+    def objective(self) -> Callable[[jax.Array], Information]:
+        """J and its information, as `tuning.recordings.scoring.maximise` takes it."""
+
+        def inform(flat: jax.Array) -> Information:
+            mean = [jax.tree.map(lambda a, e=e: a / jnp.maximum(e.number, 1), e) for e in self.evidence(flat)]
+            off = (flat - self.centre) / self.width
+            value = self.effective * sum(e.value for e in mean) + 0.5 * jnp.sum(off**2)
+            score = self.effective * sum(e.score for e in mean) + off / self.width
+            fisher = self.effective * sum(e.fisher for e in mean) + jnp.diag(1 / jnp.asarray(self.width) ** 2)
+            return Information(value, score, fisher, jnp.zeros((1, flat.size)))
+
+        return inform
+
+    def centre_delays(self, flat: jax.Array) -> None:
+        """Centre the priors of the delays at numbers (G,)."""
+        time = np.array([kind_of(self.leaves[i]) == "time" for i in self.origin])
+        self.centre = jnp.where(time, flat, self.centre)
+
+    def numbers(self, params: Sequence[Params]) -> jax.Array:
+        """Return the unconstrained numbers (G,) of parameters, those of each recording; the mean of what is shared.
+
+        States that they lack have the datasheet's.
+        """
+        total, count = np.zeros(self.owner.size), np.zeros(self.owner.size)
+        for at, own, used in zip(self.places, params, self.used, strict=True):
+            whole = own._replace(states=used.datasheet.states | own.states)
+            total[at] += np.asarray(ravel_pytree(split(self.spec, whole))[0])
+            count[at] += 1
+        return jnp.asarray(total / count)
+
+    def params(self, flat: jax.Array, recording: int = 0) -> Params:
+        """The parameters that numbers (G,) stand for in a recording."""
+        return join(self.spec, self.back(jnp.asarray(flat)[self.places[recording]]), self.used[recording].datasheet)
+
+    def each(self, flat: jax.Array) -> list[Params]:
+        """The same in every recording."""
+        return [self.params(flat, r) for r in range(len(self.used))]
+
+
+def _width(spec: Spec, name: str) -> float:
+    belief = spec[name].belief
+    return 1e3 if belief is None else belief.sd

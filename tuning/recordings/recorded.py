@@ -1,0 +1,371 @@
+"""`tune`: a filter's noise, fixes and clocks from recordings without truth, in a way that does no harm.
+
+A recording is split in time: training, validation, and a test that nothing looks at before the end. What is minimised
+over the training part is
+
+    J(x) = N (mean negative log-likelihood of an innovation + H(x)) + 1/2 sum ((x - datasheet) / sd)^2
+
+with x the unconstrained numbers (`tuning.recordings.priors`). The likelihood is *tempered*: it counts as N
+observations, the number of hidden windows that fit into the training parts, and not as thousands of epochs, for
+innovations are not white where a receiver's errors are not, and then no prior would weigh anything beside them. H is
+the *horizon likelihood*: the mean negative log-likelihood of hidden fixes at several ages of hidden windows, by a
+Student t, a proper score of what users of a filter care about. Both have an information matrix, so that the method of
+scoring minimises J.
+
+The search starts at the noise scan's numbers (`jaxnav.analysis.noise_scan`, of the training part), and the prior of a
+delay is centred there. Where the position's innovations are correlated from fix to fix, as of a receiver whose errors
+are slow, a filter that estimates them (`gnss_position_error`) is tuned as well. The candidate that predicts the
+validation part best, its innovations and its hidden fixes, wins, if neither the datasheet nor the scan drifts less over
+the hidden windows of training and validation. The winner is judged once, on the test.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
+from jaxnav.analysis.windows import drift
+from jaxnav.checkup.findings import finding, line
+from jaxnav.filters import epochs as ep
+from jaxnav.filters.compiler import make_room
+from jaxnav.filters.core import Filter
+from jaxnav.filters.gaps import TICK
+from jaxnav.filters.parameters import history_for, installed, with_prior_of
+from jaxnav.filters.run import prepare, require_params, require_x64
+from jaxnav.filters.standstill import Standing
+from jaxnav.initialization.bank import most_probable
+from jaxnav.initialization.start import Start, start
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.types import ConfigError, DataError, Finding, Info, Params, Recording
+from tuning.fit.status import Status
+from tuning.recordings import scoring
+from tuning.recordings.evidence import SLOW, Job, predicted
+from tuning.recordings.free import leaves_of
+from tuning.recordings.parts import (
+    REACH,
+    Layout,
+    Used,
+    blocks_of,
+    in_words_of,
+    parts_of,
+    plan,
+    pooled,
+    runs_of,
+    window_of,
+    windows_of,
+)
+from tuning.recordings.priors import PRIORS, kind_of, spec_of
+from tuning.recordings.report import (
+    LEAST_WINDOWS,
+    Row,
+    Trial,
+    Tuned,
+    channels,
+    ratios,
+    reported_candidate,
+    rows_of,
+    spread,
+    verdict,
+)
+from tuning.recordings.runs import Descent, check_objective, descend
+from tuning.recordings.validation import paired_gain
+from tuning.uncertainty import Covariance
+
+MOST, TOLERANCE = 25, 0.02  # evaluations of one search; gain in J that is worth another
+DELAY = "mounting.time_offset"
+SCANNED = ("noise.gyro", "noise.accel", DELAY)  # what the noise scan finds
+FAR = 2.0  # sd of a prior beyond which a parameter is said to be far
+FEW = 1.25  # times the datasheet's drift that the few windows of validation may show by chance
+CORRELATED = 0.15  # of a position's innovations from fix to fix, from which on slow errors are tried
+SLOW_LEAVES = (f"states.{SLOW}.driving_noise", f"states.{SLOW}.tau")
+
+
+# ---------------------------------------------------------------------------- the function
+
+
+def tune(
+    rec: Recording | Sequence[Recording],
+    filt: Filter,
+    params: Params | Sequence[Params],
+    *,
+    free: Sequence[str] = ("noise", "fixes", "timing"),
+    per_recording: Sequence[str] = (),
+    prior_sd: Mapping[str, float] | None = None,
+    begin: Start | Sequence[Start] | None = None,
+    stop: float | None = None,
+    window: float | None = None,
+    priors: bool = True,
+    observations: float | None = None,
+    extend: bool = True,
+    standing: Standing = Standing(),
+    how: Descent | None = None,
+    log: Callable[[str], None] = lambda line: None,
+) -> Tuned:
+    """Tune ``params`` (such as ``filt.params("consumer")``, the datasheet) on a recording, or on several together.
+
+    Args:
+        rec: a recording, or several, each with an initialization of its own.
+        filt: the filter.
+        params: the datasheet, ``filt.params("consumer")``; one for each recording where lever arms differ.
+        free: groups of `tuning.recordings.free.groups`, dotted leaves or their keys; one value for all recordings.
+        per_recording: free parameters with one value for each recording: "timing" of loggers with separate clocks,
+            "noise" of several IMUs on one vehicle.
+        prior_sd: priors by leaf, one sd about ``params``: a factor where the parameter is positive, else in SI.
+        begin: `jaxnav.start` with settings of your own.
+        stop: s, end of the data.
+        window: s, length of the hidden windows; by default 3 to 15 by the recording's length.
+        priors: False: maximum likelihood.
+        observations: N, by default the windows that fit into the training parts.
+        extend: try a filter that estimates slow errors of the receiver.
+        standing: the detector of standstills.
+        how: minimise an objective by gradient over the training windows, in place of J.
+        log: called with a line on what is done.
+
+    Raises:
+        DataError: a recording that cannot be started from, or is too short for windows in every part.
+        ValueError: the filter stops being finite with ``params``, or an unknown name.
+    """
+    make_room()
+    several = lambda value: type(value) in (list, tuple)  # each of them is a named tuple itself
+    recs: list[Any] = list(rec) if several(rec) else [rec]
+    datasheets: list[Any] = list(params) if several(params) else [params] * len(recs)
+    begins: list[Any] = list(begin) if several(begin) and begin is not None else [begin] * len(recs)
+    if not recs or not len(recs) == len(datasheets) == len(begins):
+        raise ValueError(
+            f"{len(recs)} recordings, {len(datasheets)} params and {len(begins)} initializations: expected one each"
+        )
+    for datasheet in datasheets:
+        require_params(filt, datasheet)
+    datasheets = [installed(p, r.lever_arm) for r, p in zip(recs, datasheets, strict=True)]
+    require_x64(datasheets[0])
+    chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    begins = [start(r, p) if b is None else b for r, p, b in zip(recs, datasheets, begins, strict=True)]
+    separate = leaves_of(filt, datasheets[0], per_recording, "per_recording")
+    if separate and how is not None:
+        raise ConfigError("tune.per_recording goes with the tempered method, not with a gradient search")
+    warnings = clocks(recs, begins) if DELAY not in separate else []
+    for warning in warnings:
+        log(line(warning))
+    cut = [ep.pack_recording(r, chosen, b.t, 0.0, stop, standing) for r, b in zip(recs, begins, strict=True)]
+    window = window_of(cut) if window is None else window
+    layouts = [plan(packed, window) for packed in cut]
+    scans = [NoiseScan()] * len(recs)
+    if set(SCANNED) & set(leaves_of(filt, datasheets[0], free)):
+        scans = [scan(*each, chosen, log) for each in zip(recs, datasheets, begins, layouts, strict=True)]
+    samples = max(
+        history_for(s.applied(p), 1 / float(np.median(r.imu.dt)), float(np.ptp(r.imu.t)), REACH)
+        for r, p, s in zip(recs, datasheets, scans, strict=True)
+    )
+    kept = lambda each: each.keeping(samples) if each.keeping else each
+    filt = kept(filt)
+    used = prepare_recordings(recs, filt, datasheets, begins, cut, layouts, log)
+    parts = pooled(used)
+    for name, mask in parts.items():
+        if not mask.any():
+            raise DataError(
+                f"{', '.join(u.name for u in used)}: no hidden window of {used[0].layout.window:g} s fits into the "
+                f"{name} part of {sum(u.packed.t[-1] - u.packed.start for u in used):.0f} s: it is too short to tune on"
+            )
+    spec = spec_of(filt, used[0].datasheet, free, prior_sd, priors)
+    job = Job(filt, spec, used, separate, observations)
+    log(f"free: {', '.join(spec)}")
+    history: list[dict[str, Any]] = []
+    auto = job.numbers([each.applied(u.datasheet) for each, u in zip(scans, used, strict=True)])
+    job.centre_delays(auto)
+    found = {"datasheet": job.flat, "auto": auto} if any(each.fixes for each in scans) else {"datasheet": job.flat}
+    search_tuned = search if how is None else partial(descent, how=how)
+    found["tuned"], status = search_tuned("tuned", job, auto, history, log)
+    jobs = dict.fromkeys(found, job)
+    log("scoring the candidates on hidden windows")
+    score = lambda name: level_drift(jobs[name], found[name], chosen)
+    offs = {name: score(name) for name in found}
+    slow = 0.0 if status is Status.INTERRUPTED else correlation(offs["tuned"][1], used)
+    if extend and how is None and slow > CORRELATED and filt.extended and SLOW not in filt.model.states:
+        log(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
+        more = kept(filt.extended(SLOW))
+        slowly = {SLOW: more.params().states[SLOW]}
+        whole = [u._replace(datasheet=u.datasheet._replace(states=u.datasheet.states | slowly)) for u in used]
+        wider = spec | spec_of(more, whole[0].datasheet, SLOW_LEAVES, prior_sd, priors)
+        other = Job(more, wider, whole, separate, observations)
+        jobs["slow errors"] = other
+        other.centre_delays(other.numbers(job.each(auto)))
+        at, status = search("slow errors", other, other.numbers(job.each(found["tuned"])), history, log)
+        found["slow errors"], offs["slow errors"] = at, level_drift(other, at, chosen)
+    params_of = lambda name: jobs[name].each(found[name])
+    kept_of = lambda name: [with_prior_of(p, s, spec) for p, s in zip(params_of(name), datasheets, strict=True)]
+    trials = {
+        name: Trial(
+            jobs[name].filt, kept_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts),
+            predicted(jobs[name].filt, params_of(name), used, off[1]),
+        )
+        for name, off in offs.items()
+    }  # fmt: skip
+    best = choose(trials)
+    test, blocks = parts["test"], blocks_of(used)[parts["test"]]
+    gain = None
+    if best != "datasheet" and np.unique(blocks).size >= LEAST_WINDOWS and np.isfinite(offs[best][0]).all():
+        gain = paired_gain(offs["datasheet"][0][test], offs[best][0][test], blocks)
+    late = [u.t > u.layout.validation for u in used]
+    nis = {name: channels(off[1], late, chosen) for name, off in offs.items()}
+    scores = {name: spread(off[0][test]) for name, off in offs.items()}
+    reported = reported_candidate(best)
+    return Tuned(
+        trials[best].params, kept_of(best), trials[best].filter, best, verdict(best, trials, scores, parts),
+        table(jobs[reported], found[reported]), trials, used, parts, int(np.unique(blocks).size), gain, scores, nis,
+        jobs[best].spec, warnings, history, status, job.effective if how is None else math.nan,
+    )  # fmt: skip
+
+
+# ---------------------------------------------------------------------------- parts of the recording
+
+
+def clocks(recs: Sequence[Recording], begins: Sequence[Start]) -> list[Finding]:
+    """Return a warning where recordings that are to share one delay were logged by clocks that do not agree."""
+    seen = [(r.name, b.alignment.delay, b.alignment.sd[9]) for r, b in zip(recs, begins, strict=True) if b.alignment]
+    if not seen:
+        return []
+    low, high = min(seen, key=lambda each: each[1]), max(seen, key=lambda each: each[1])
+    if high[1] - low[1] < max(0.1, 4 * float(np.hypot(low[2], high[2]))):
+        return []
+    return [
+        finding("time.clocks", vector=", ".join(f"{name} {delay:+.2f} s (sd {sd:.2f})" for name, delay, sd in seen))
+    ]
+
+
+def scan(
+    rec: Recording,
+    datasheet: Params,
+    begin: Start,
+    layout: Layout,
+    measurements: tuple[Any, ...],
+    log: Callable[[str], None],
+) -> NoiseScan:
+    """Return the noise scan of a training part, by the filter's measurements alone."""
+    aiding = {m.name: rec.aiding[m.name] for m in measurements if m.name in rec.aiding}
+    found = scan_noise(rec._replace(aiding=aiding), datasheet, begin=begin, stop=layout.train)
+    for each in found.findings:
+        log(f"{rec.name}: {line(each)}")
+    return found
+
+
+def prepare_recordings(
+    recs: Sequence[Recording], filt: Filter, datasheets: Sequence[Params], begins: Sequence[Start],
+    cut: Sequence[ep.Packed], layouts: Sequence[Layout], log: Callable[[str], None],
+) -> list[Used]:  # fmt: skip
+    """Return every recording with its epochs grown to one size, so that one program serves them all, and its parts."""
+    E, K = (max(p.epochs.imu.dt.shape[axis] for p in cut) for axis in (0, 1))
+    used = []
+    for rec, params, begin, packed, layout in zip(recs, datasheets, begins, cut, layouts, strict=True):
+        windows = windows_of(packed, layout, E)
+        parts = parts_of(layout, windows)
+        log((f"{rec.name}: " if len(recs) > 1 else "") + in_words_of(layout, parts, packed))
+        epochs = prepare(filt, ep.grown(packed.epochs, E, K) if len(recs) > 1 else packed.epochs)
+        datasheet = begin.given(params)
+        train = jax.tree.map(lambda a, end=int(np.searchsorted(packed.t, layout.train + TICK)): a[:end], epochs)
+        nav = most_probable(filt, datasheet, begin.navs, train)
+        used.append(Used(rec.name, begin, datasheet, nav, packed, epochs, layout, windows, parts, rec.truth))
+    return used
+
+
+# ---------------------------------------------------------------------------- candidates
+
+
+def search(
+    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], log: Callable[[str], None]
+) -> tuple[jax.Array, Status]:
+    """Minimise J from a point, with a line and a row of the history for each evaluation."""
+
+    def report(i: int, at: scoring.Search) -> None:
+        row = {"search": name, "step": i, "loss": float(at.best.nll)}
+        history.append(row)
+        log(f"  {name}, evaluation {i}: J {row['loss']:.4f}")
+
+    log(f"{name}: {len(job.flat)} numbers free")
+    ended = scoring.maximise(job.objective(), first, MOST, TOLERANCE, report)
+    return ended.raw, scoring.status(ended, TOLERANCE)
+
+
+def descent(
+    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], log: Callable[[str], None], how: Descent
+) -> tuple[jax.Array, Status]:
+    """Minimise an objective over the training windows from a point by gradient; the best by the validation windows."""
+    size = lambda end: max(int(np.searchsorted(u.packed.t, getattr(u.layout, end) + TICK)) for u in job.used)
+    train = [runs_of(u, job.filt, "training", size("train")) for u in job.used]
+    validation = [runs_of(u, job.filt, "validation", size("validation")) for u in job.used]
+    check_objective(how.objective, all(r.truth is not None for r in (*train, *validation)))
+    log(f"{name}: {how.method} on " + ", ".join(f"{w:g} {key}" for key, w in how.objective.items()))
+    names = [f"{u.name}, phase {p}" for u in job.used for p in range(len(u.windows.hidden))]
+    count = sum(int((r.keep & r.epochs.fix.valid.any(-1)).sum()) for r in train)
+    ended = descend(job.filt, job.spec, job.params(first), train, validation, names, how, 1 / max(count, 1))
+    history.extend(ended.history)
+    return job.numbers([ended.params] * len(job.used)), ended.status
+
+
+def correlation(infos: Sequence[Info], used: Sequence[Used]) -> float:
+    """Of the position's normalised innovations from one fix to the next, before the test part; 0 of fewer than 30.
+
+    ``infos`` (P, E, ...) of each recording; a hidden window between two fixes keeps them apart.
+    """
+    product, square, count = 0.0, 0.0, 0
+    for info, one in zip(infos, used, strict=True):
+        z = np.asarray(info.nu)[..., :3] / np.sqrt(np.diagonal(np.asarray(info.S), axis1=-2, axis2=-1)[..., :3])
+        own = (one.t > one.packed.start + one.layout.settle) & (one.t < one.layout.validation)
+        for valid, row in zip(np.asarray(info.valid)[..., :3], z, strict=True):
+            at = np.flatnonzero(valid.all(1) & own)
+            apart = np.diff(one.t[at])
+            near = apart < 1.5 * np.median(apart) if apart.size else np.zeros(0, bool)
+            a, b = row[at[:-1]][near], row[at[1:]][near]
+            product, square, count = product + (a * b).sum(), square + 0.5 * (a**2 + b**2).sum(), count + near.sum()
+    return float(product / square) if count >= 30 else 0.0
+
+
+def level_drift(job: Job, flat: jax.Array, measurements: tuple[Any, ...]) -> tuple[np.ndarray, list[Info]]:
+    """Horizontal drift (W,) m at the ends of the windows of all recordings, and the runs (P, E, ...) of each."""
+    runs = [
+        drift(job.filt, params, u.nav, u.epochs, u.windows, measurements)
+        for params, u in zip(job.each(flat), job.used, strict=True)
+    ]
+    return np.concatenate([np.hypot(error[:, 0], error[:, 1]) for error, _ in runs]), [info for _, info in runs]
+
+
+def choose(trials: Mapping[str, Trial]) -> str:
+    """Return the candidate that predicts the validation part best, of those that do no harm; else the datasheet.
+
+    The scan's numbers compete with the datasheet, all others with the better of both.
+    """
+    best = "datasheet"
+    if "auto" in trials and trials["auto"].nll < trials[best].nll and does_no_harm(trials["auto"], trials[best]):
+        best = "auto"
+    limit = trials[best]
+    passed = {name: t.nll for name, t in trials.items() if t.nll < limit.nll and does_no_harm(t, limit)}
+    return min(passed, key=lambda name: passed[name]) if passed else best
+
+
+def does_no_harm(trial: Trial, other: Trial) -> bool:
+    """Return whether it drifts less than another, and on the few windows of validation not much more."""
+    ratios = np.array(trial.ratios) / np.array(other.ratios)
+    return max(ratios[:2]) < 1.0 and max(ratios[2:]) < FEW
+
+
+# ---------------------------------------------------------------------------- in words
+
+
+def table(job: Job, flat: jax.Array) -> list[Row]:
+    """Return every free number with the 95 % of the tempered posterior, its prior, and a remark."""
+    cov = np.linalg.inv(np.asarray(job.objective()(flat).fisher))
+    sd, far = np.sqrt(np.diag(cov)), np.abs(np.asarray(flat - job.centre)) / job.width
+    rows = []
+    for r, (at, used) in enumerate(zip(job.places, job.used, strict=True)):
+        local = Covariance(cov[np.ix_(at, at)], cov[np.ix_(at, at)], 0)
+        for i, row in zip(at, rows_of(job.spec, job.back(flat[at]), local, job.back(job.flat[at])), strict=True):
+            if job.owner[i] != r:
+                continue
+            remark = "the data add nothing to the prior" if sd[i] > 0.9 * job.width[i] else ""
+            if far[i] > FAR:
+                remark = f"{far[i]:.1f} sd from the datasheet: {PRIORS[kind_of(job.leaves[job.origin[i]])].far}"
+            rows.append(row._replace(name=row.name + (f" of {used.name}" if r else ""), remark=remark))
+    return rows

@@ -1,0 +1,112 @@
+"""The method of scoring: a likelihood's own Newton method, with the information in place of the Hessian.
+
+For up to a few tens of parameters one pass of forward derivatives gives likelihood, gradient and information together,
+and ten passes do what hundreds of gradient steps do. Damped as by Levenberg and Marquardt; pure, so that many problems
+run side by side under vmap.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.filters.compiler import make_room
+from tuning.fit.status import Status
+from tuning.uncertainty import Information
+
+LONGEST = 1.5  # of a step in any unconstrained number: a factor 4.5
+TOLERANCE = 1e-3  # gain in log-likelihood that is worth another evaluation
+RIDGE = 1e-3  # of the information: as if every number were known to 30 of its units
+
+
+class Search(NamedTuple):
+    """Where one search stands."""
+
+    raw: jax.Array  # (P,) the best so far
+    best: Information  # there
+    damping: jax.Array  # ()
+    trial: jax.Array  # (P,) what to evaluate next
+    expected: jax.Array  # () decrease of the negative log-likelihood that the trial promises
+    steps: jax.Array  # () accepted
+    interrupted: jax.Array | bool = False  # by Ctrl-C, with the best so far
+
+
+def propose(raw: jax.Array, info: Information, damping: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The next trial (P,) and the decrease that it promises.
+
+    A step that is too long is cut number by number, so that one that the data do not tell holds up no other, or as a
+    whole, where that promises more: what is left of numbers that only make sense together may lead uphill.
+    """
+    F = info.fisher
+    A = F + damping * jnp.diag(jnp.diag(F)) + RIDGE * jnp.eye(raw.size)
+    step = -jnp.linalg.solve(A, info.score)
+    whole = step * (LONGEST / jnp.maximum(jnp.abs(step).max(), LONGEST))
+    steps = jnp.stack([jnp.clip(step, -LONGEST, LONGEST), whole])
+    gain = jax.vmap(lambda s: -(info.score @ s + 0.5 * s @ F @ s))(steps)
+    best = jnp.argmax(gain)
+    return raw + steps[best], gain[best]
+
+
+def begin(raw: jax.Array, info: Information) -> Search:
+    """A search from ``raw``, whose information is known."""
+    damping = jnp.full((), 1e-2)
+    trial, expected = propose(raw, info, damping)
+    return Search(raw, info, damping, trial, expected, jnp.zeros((), int))
+
+
+def advance(search: Search, info: Information) -> Search:
+    """Take or refuse the trial, given its information; a refused one is tried again shorter."""
+    good = jnp.isfinite(info.nll) & jnp.isfinite(info.fisher).all() & (info.nll < search.best.nll)
+    pick = lambda a, b: jax.tree.map(lambda x, y: jnp.where(good, x, y), a, b)
+    raw, best = pick((search.trial, info), (search.raw, search.best))
+    damping = jnp.clip(jnp.where(good, search.damping / 5, search.damping * 8), 1e-6, 1e6)
+    trial, expected = propose(raw, best, damping)
+    return Search(raw, best, damping, trial, expected, search.steps + good)
+
+
+def converged(search: Search, tolerance: float = TOLERANCE) -> bool:
+    """Nothing more to be had: no trial promises that much, or none that promised it could be taken."""
+    return not np.any((np.asarray(search.expected) > tolerance) & (np.asarray(search.damping) < 1e5))
+
+
+def status(search: Search, tolerance: float = TOLERANCE) -> Status:
+    """Return how a search ended."""
+    if search.interrupted:
+        return Status.INTERRUPTED
+    return Status.CONVERGED if converged(search, tolerance) else Status.ITERATION_LIMIT
+
+
+def maximise(
+    inform: Callable[[jax.Array], Information],
+    raw: jax.Array,
+    most: int = 40,
+    tolerance: float = TOLERANCE,
+    report: Callable[[int, Search], None] = lambda i, search: None,
+) -> Search:
+    """Search until the promised gain in log-likelihood is below ``tolerance``, or ``most`` evaluations are spent.
+
+    ``raw`` is (P,), or (N, P) for N problems that ``inform`` evaluates together; then all go on until all are done.
+    Ctrl-C ends the search with what it has.
+
+    Raises:
+        ValueError: the likelihood of the start is not finite.
+    """
+    make_room()
+    many = raw.ndim == 2
+    start, step = (jax.vmap(begin), jax.vmap(advance)) if many else (begin, advance)
+    start, step = jax.jit(start), jax.jit(step)
+    first = inform(raw)
+    if not np.isfinite(first.nll).all():
+        raise ValueError("the likelihood of the starting parameters is not finite")
+    search = start(raw, first)
+    try:
+        for i in range(1, most):
+            if converged(search, tolerance):
+                break
+            search = step(search, inform(search.trial))
+            report(i, search)
+    except KeyboardInterrupt:
+        return search._replace(interrupted=True)
+    return search

@@ -1,0 +1,155 @@
+"""Other people's filters as targets: noise tuned with what they measure and estimate, and told in their words.
+
+Noise that was tuned with our measurements does not carry over to a filter that has others. A target says which of the
+receiver's measurements the other filter takes, which states it has and which shape its processes have, so that
+`tuning.tune` runs a filter like it; then it writes what was found.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.filters.run import track
+from jaxnav.initialization.start import Start
+from jaxnav.io import atomic_write
+from jaxnav.io.formats.kfgins import write_kfgins_gnss, write_kfgins_imu
+from jaxnav.io.gps_time import WEEK
+from jaxnav.maths import units
+from jaxnav.types import DataError, ImuLog, Params, Recording, Samples
+from tuning.recordings import export
+
+
+class Target(NamedTuple):
+    """Another filter."""
+
+    about: str  # what it is like, in words
+    filter: str  # of the catalogue, like it
+    measurements: tuple[str, ...]  # of the receiver's, those that it takes
+    states: tuple[str, ...]  # that it has besides the filter's own
+    free: tuple[str, ...]  # what of it is worth tuning
+    shaped: Callable[[Params], Params]  # a datasheet with its processes
+    write: Callable[[Path, Recording, Params, Start], None]  # what was found, into a folder
+    file: str  # the one to begin with
+
+
+def _walks(params: Params) -> Params:
+    """Biases as random walks, as autopilots have them."""
+    walk = {
+        name: state._replace(tau=np.full_like(np.asarray(state.tau), np.inf)) for name, state in params.states.items()
+    }
+    return params._replace(states=walk)
+
+
+def _one_time(params: Params) -> Params:
+    """Every state a Gauss-Markov process of one correlation time; a constant one may then change by its sd."""
+    time, states = export.ONE_CORRELATION_TIME, {}
+    for name, state in params.states.items():
+        drive = np.asarray(state.driving_noise, float)
+        slow = np.broadcast_to(np.asarray(state.sd) * np.sqrt(2 / time), drive.shape)
+        states[name] = state._replace(
+            tau=np.full_like(np.asarray(state.tau, float), time), driving_noise=np.where(drive > 0, drive, slow)
+        )
+    return params._replace(states=states)
+
+
+def _export(name: str) -> Callable[[Path, Recording, Params, Start], None]:
+    """A writer of one file of `tuning.recordings.export.EXPORTS`."""
+
+    def write(folder: Path, rec: Recording, params: Params, begin: Start) -> None:
+        stated = export.stated_sd({stream: samples.sd for stream, samples in rec.aiding.items()})
+        export.write_export(folder, name, f"jaxnav tune --for: {rec.name}", params, stated)
+
+    return write
+
+
+def write_kfgins(folder: Path, rec: Recording, params: Params, begin: Start) -> None:
+    """A job that KF-GINS runs as it is, from within the folder: ``KF-GINS kf-gins.yaml``, with samples and fixes.
+
+    It knows no delay and no clock: the fixes' times are moved to the IMU's clock, their sd scaled.
+
+    Raises:
+        DataError: no position.
+    """
+    if "position" not in rec.aiding:
+        raise DataError(f"{rec.name}: KF-GINS takes positions, and there are none")
+    fixes = rec.aiding["position"]
+    # it starts from a sample, not from the moment before the first one
+    before = lambda a: np.concatenate([a[:1], a])
+    t, dt, *readings = rec.imu
+    times = np.concatenate([[t[0] - dt[0]], t])
+    write_kfgins_imu(folder / "kfgins_imu.txt", ImuLog(times, before(dt), *(before(a) for a in readings)))
+    scaled = fixes.sd * export.axes_of(params.measurements["position"].scale)
+    moved = Samples(fixes.t - delay_of(params, begin, fixes.t), fixes.value, scaled, fixes.corr)
+    write_kfgins_gnss(folder / "kfgins_gnss.txt", moved, float(rec.imu.t[0]))
+    atomic_write(folder / "kf-gins.yaml", kfgins_config(rec, params, begin))
+
+
+def delay_of(params: Params, begin: Start, t: np.ndarray) -> np.ndarray:
+    """How late the fixes that are stamped ``t`` (K,) s are by the IMU's clock, (K,) s."""
+    origin = float(np.ravel(begin.navs.origin.t)[0])
+    late = float(params.mounting.time_offset) + float(params.measurements["position"].latency)
+    return late + float(params.mounting.clock_drift) * (t - origin)
+
+
+def kfgins_config(rec: Recording, params: Params, begin: Start) -> str:
+    """Return the text of a kf-gins.yaml for files in the same folder: mean and sd of the initialization ``begin``."""
+    first, params = track(begin.navs), begin.given(params)
+    week = np.floor(rec.imu.t[0] / WEEK) * WEEK
+    row = lambda values: f"[{', '.join(f'{v:.12g}' for v in np.ravel(values))}]"
+    ned = lambda values: row(export.axes_of(values)[[1, 0, 2]])
+    lla, vel = first.lla[0] / np.array([units.DEG, units.DEG, 1.0]), first.vel[0][[1, 0, 2]] * np.array([1, 1, -1])
+    prior, sd = params.prior, {name: export.axes_of(state.sd) for name, state in params.states.items()}
+    zero = np.zeros(3)
+    known = lambda name, unit: row(sd.get(name, zero) / unit)
+    mean = lambda name, unit: row(np.asarray(begin.navs.errors[name])[0] / unit if name in begin.navs.errors else zero)
+    lines = [
+        "imupath: kfgins_imu.txt", "gnsspath: kfgins_gnss.txt", "outputpath: .",
+        "imudatalen: 7", f"imudatarate: {round(1 / float(np.median(rec.imu.dt)))}",
+        f"starttime: {begin.t - week:.9f}", "endtime: -1",
+        f"initpos: {row(lla)}", f"initvel: {row(vel)}", f"initatt: {row(first.rph[0] / units.DEG)}",
+        f"initgyrbias: {mean('gyro_bias', units.DEG_PER_HOUR)}  # deg/h",
+        f"initaccbias: {mean('accel_bias', units.MGAL)}  # mGal",
+        f"initgyrscale: {mean('gyro_scale', units.PPM)}", f"initaccscale: {mean('accel_scale', units.PPM)}",
+        f"initposstd: {ned(prior.position)}", f"initvelstd: {ned(prior.velocity)}",
+        f"initattstd: {ned(np.asarray(prior.attitude) / units.DEG)}",
+        f"initbgstd: {known('gyro_bias', units.DEG_PER_HOUR)}  # deg/h",
+        f"initbastd: {known('accel_bias', units.MGAL)}  # mGal",
+        f"initsgstd: {known('gyro_scale', units.PPM)}  # ppm", f"initsastd: {known('accel_scale', units.PPM)}  # ppm",
+        f"antlever: {row(params.mounting.lever_arm)}",
+    ]  # fmt: skip
+    scale = tuple(float(sd.get(name, zero).max()) / units.PPM for name in ("gyro_scale", "accel_scale"))
+    return "\n".join(
+        [f"# jaxnav tune --for kfgins: {rec.name}", *lines, export.kfgins_yaml(params, (scale[0], scale[1]))]
+    )
+
+
+WHITE: tuple[str, ...] = ("noise.gyro", "noise.accel", "fixes")
+DRIVES: tuple[str, ...] = ("states.gyro_bias.driving_noise", "states.accel_bias.driving_noise")
+ALL = (*WHITE, *DRIVES, "timing")
+BOTH: tuple[str, ...] = ("position", "velocity")
+TARGETS: dict[str, Target] = {
+    "kfgins": Target(
+        "positions alone; biases and scale factors of one correlation time; 21 states", "ekf15", ("position",),
+        ("gyro_scale", "accel_scale"), ALL, _one_time, write_kfgins, "kf-gins.yaml",
+    ),
+    "navego": Target(
+        "position and velocity; biases of the datasheet's kind; 15 states", "ekf15", BOTH, (), ALL,
+        lambda params: params, _export("tuned_navego.m"), "tuned_navego.m",
+    ),
+    "px4": Target(
+        "position and velocity; biases that walk", "ekf15", BOTH, (), ALL,
+        _walks, _export("tuned_px4.params"), "tuned_px4.params",
+    ),
+    "ardupilot": Target(
+        "position and velocity; biases that walk", "ekf15", BOTH, (), ALL,
+        _walks, _export("tuned_ardupilot.parm"), "tuned_ardupilot.parm",
+    ),
+    "robot_localization": Target(
+        "position and velocity, no biases", "ekf9", BOTH, (), WHITE,
+        lambda params: params,
+        _export("tuned_robot_localization.yaml"), "tuned_robot_localization.yaml",
+    ),
+}  # fmt: skip
+"""What `tune --for` takes: a new one is a row."""

@@ -221,6 +221,14 @@ def test_the_overview_draws_every_stream(car):
     assert (down.get_xdata()[0], down.get_ydata()[0]) == pytest.approx((car.imu.t[99], second))
 
 
+def test_the_overview_of_an_imu_alone_warns_of_nothing(car):
+    """Warnings are errors here: a legend of a panel without lines was one, on the user's terminal."""
+    from jaxnav.analysis.plots.checkup import overview
+
+    axes = overview(car._replace(aiding={})).axes
+    assert [bool(ax.get_legend()) for ax in axes] == [False, False, True, False, True]
+
+
 def test_a_stream_that_is_short_says_where(car):
     """The second half is gone, or the first."""
     v = car.aiding["velocity"]

@@ -24,6 +24,8 @@ def overview(rec: Recording) -> "Figure":
     axes = fig.subplots(5, 1, sharex=True, height_ratios=[1, 1.3, 1.3, 1.3, 1.3])
     for draw, ax in zip((_streams, _speed, _turns, _height, _force), axes, strict=True):
         draw(ax, rec)
+        if ax.get_legend_handles_labels()[0]:
+            ax.legend(fontsize=8, loc="upper right", ncols=4)
     axes[-1].set_xlabel("t (s)", fontsize=9)
     return fig
 
@@ -58,7 +60,6 @@ def _speed(ax: "Axes", rec: Recording) -> None:
     if "speed" in rec.aiding:
         t, speed = _thin(rec.aiding["speed"].t, rec.aiding["speed"].value[:, 0])
         ax.plot(t, speed, color=VERMILION, lw=1, label="wheels")
-    ax.legend(fontsize=8, loc="upper right")
 
 
 def _turns(ax: "Axes", rec: Recording) -> None:
@@ -73,7 +74,6 @@ def _turns(ax: "Axes", rec: Recording) -> None:
             faint = 1.0 if name == "z" else 0.4
             ax.plot(*_thin(x.t, column / DEG), lw=0.7, color=color, label=f"gyro {name}", alpha=faint)
         ax.plot(*_thin(x.t, np.where(x.weight > 0, x.course / DEG, np.nan)), lw=1, color=BLUE, label="course")
-    ax.legend(fontsize=8, loc="upper right", ncols=4)
 
 
 def _height(ax: "Axes", rec: Recording) -> None:
@@ -84,7 +84,6 @@ def _height(ax: "Axes", rec: Recording) -> None:
     if "barometer" in rec.aiding:
         b = rec.aiding["barometer"]
         ax.plot(*_thin(b.t, b.value[:, 0] - b.value[:, 0].mean()), color=VERMILION, lw=1, label="barometer")
-    ax.legend(fontsize=8, loc="upper right")
 
 
 def _force(ax: "Axes", rec: Recording) -> None:
@@ -94,4 +93,3 @@ def _force(ax: "Axes", rec: Recording) -> None:
     mean = rec.imu.accel[: m * n].reshape(m, n, 3).mean(1)
     for name, column, color in zip(("forward", "right", "down"), mean.T, COLORS, strict=False):
         ax.plot(*_thin(rec.imu.t[n - 1 : m * n : n], column), lw=1, color=color, label=name)
-    ax.legend(fontsize=8, loc="upper right", ncols=3)

@@ -31,7 +31,7 @@ class Datasheet(NamedTuple):
 
     arw: np.ndarray  # (3,) rad/s/sqrt(Hz), root PSD
     vrw: np.ndarray  # (3,) m/s^2/sqrt(Hz), root PSD
-    gb_sta: np.ndarray  # (3,) rad/s, static gyro bias: the imposed one lies within 10 % of it
+    gb_sta: np.ndarray  # (3,) rad/s, static gyro bias; the simulated one is within 10 % of it
     ab_sta: np.ndarray  # (3,) m/s^2, static accelerometer bias
     gb_dyn: np.ndarray  # (3,) rad/s, sd of the Gauss-Markov gyro bias
     ab_dyn: np.ndarray  # (3,) m/s^2

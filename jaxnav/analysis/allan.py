@@ -135,20 +135,20 @@ def read_off(allan: Allan, axis: int = 0) -> ReadOff:
     return ReadOff(line(white, 0.5, 1.0), line(flat, 0.0, 1 / FLAT), line(walk, -0.5, np.sqrt(3.0)), hump)
 
 
-def at_least_rounding(found: ReadOff, step: float, dt: float) -> ReadOff:
+def at_least_rounding(found: ReadOff, deviation: float, step: float, dt: float) -> ReadOff:
     """Return figures with at least the white noise of rounding, step / sqrt(12) a sample (Widrow and Kollar 2008).
 
     Noise below a third of the step hardly changes the reading and does not show in the curve: nor do slower processes.
 
     Args:
         found: figures of one axis.
+        deviation: of the curve at the interval of the samples, in the unit of the readings.
         step: resolution of its readings in their unit, 0 for none.
         dt: interval of the samples, s.
     """
-    least = step * np.sqrt(dt / 12)
-    if found.N is not None and found.N.value >= least or not least:
+    if deviation >= step / np.sqrt(12):
         return found
-    return found._replace(N=Line(float(least), dt, dt))
+    return found._replace(N=Line(float(step * np.sqrt(dt / 12)), dt, dt))
 
 
 def _slopes(u: np.ndarray, v: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -88,6 +88,9 @@ def _states(name: str, value: Any) -> tuple[str, ...]:
         chosen(value)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error
+    for state in chosen(value):
+        if state.reads:
+            raise ConfigError(f"{name}: {state.name} reads {', '.join(state.reads)}, which a simulated run has not")
     return tuple(each for each in value if each not in BIASES)  # these every simulated IMU has by its grade
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import level_velocity
-from jaxnav.initialization.alignment import Alignment, Believed, align
+from jaxnav.initialization.alignment import Alignment, AlignmentPrior, align
 from jaxnav.maths import units
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
@@ -52,7 +52,7 @@ def turns_of(rec: Recording) -> Turns | None:
     square = (vel**2).sum(1)
     sd = float(np.median(v.sd[:, :2]))
     least = max(0.5, 3 * sd)
-    # the rate has the variance 2 sd^2 / (speed T)^2 of two velocities T apart
+    # a rate from two velocities over the interval T has the variance 2 sd^2 / (speed T)^2
     weight = np.where(
         square > least**2, 1 / (1 + 2 * (sd / (n * STEP * TURN_SD)) ** 2 / np.maximum(square, least**2)), 0
     )
@@ -149,7 +149,7 @@ def aligned(imu: ImuLog, rec: Recording, window: tuple[float, float], arm: float
     """By the velocities, else the positions."""
     name = "velocity" if "velocity" in rec.aiding and rec.aiding["velocity"].t.size > 10 else "position"
     grade = GRADES["consumer"]
-    believed = Believed(2 * grade.gyro_turn_on, 2 * grade.accel_turn_on, 0.3, arm)
+    believed = AlignmentPrior(2 * grade.gyro_turn_on, 2 * grade.accel_turn_on, 0.3, arm)
     lla = rec.aiding["position"].value[0]
     return align(imu, rec.aiding[name], name == "position", lla, *window, believed, rec.lever_arm)
 

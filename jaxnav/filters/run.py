@@ -153,15 +153,15 @@ def prepare(filt: Filter, epochs: Epoch) -> Epoch:
 
 
 class Record(Protocol):
-    """What a run keeps of each epoch."""
+    """What a run records of each epoch."""
 
-    def __call__(self, step: Step, beside: Any, /) -> Any:
-        """Return a pytree; ``beside`` is the epoch's part of what the run was given along."""
+    def __call__(self, step: Step, along: Any, /) -> Any:
+        """Return a pytree of the epoch; ``along`` is the epoch's element of the argument of that name of `run`."""
 
     def __hash__(self) -> int: ...
 
 
-def keep_info(step: Step, beside: Any) -> Info:
+def keep_info(step: Step, along: Any) -> Info:
     """The record of a plain run."""
     return step.info
 
@@ -174,11 +174,20 @@ def run(
     record: Record = keep_info,
     along: Any = None,
 ) -> Any:
-    """Filter all epochs (fields (E, ...)) from ``nav``, as they come or by `prepare`.
+    """Filter all epochs of one run.
 
-    Returns the records of the epochs, with a leading axis E: `Info`, or what ``record(step, beside)`` keeps of each,
-    where ``beside`` is that epoch's part of ``along``, a tree of arrays (E, ...), such as the truth. Rematerialised per
-    epoch: a gradient keeps one state an epoch instead of every sample's.
+    Rematerialised per epoch: a gradient keeps one state an epoch instead of every sample's.
+
+    Args:
+        filt: the filter.
+        params: its parameters.
+        nav: navigation at the start, local level.
+        epochs: fields (E, ...), as they come or by `prepare`.
+        record: what is recorded of each epoch.
+        along: arrays (E, ...) of which ``record`` gets each epoch's element, such as the truth.
+
+    Returns:
+        The records, with a leading axis E: `Info` by default.
 
     Raises:
         DataError: float32 input (at trace time).
@@ -192,9 +201,9 @@ def run(
     @jax.checkpoint
     def one(state: FilterState, i: jax.Array) -> tuple[FilterState, Any]:
         # looked up rather than scanned over: a scan under vmap first copies all its data, time to the front
-        epoch, beside = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, keepdims=False), (epochs, along))
+        epoch, own = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, keepdims=False), (epochs, along))
         step = filt.advance(params, state, epoch)
-        return step.after, record(step, beside)
+        return step.after, record(step, own)
 
     return lax.scan(one, filt.init(params, nav), jnp.arange(epochs.fix.sd.shape[0]))[1]
 

@@ -39,7 +39,7 @@ TILT, SOON = 1e-5, 0.02  # rad/s, s: steps of the differences that gyro bias and
 RECENT = 5.0  # s before the end that velocity there is fitted to
 
 
-class Believed(NamedTuple):
+class AlignmentPrior(NamedTuple):
     """Standard deviations of what is unknown beside the attitude, about zero: (3,) or one number."""
 
     gyro_bias: Any  # rad/s
@@ -94,7 +94,7 @@ class Seen(NamedTuple):
 
 
 def align(
-    imu: ImuLog, fixes: Samples, positions: bool, lla: np.ndarray, begin: float, end: float, believed: Believed,
+    imu: ImuLog, fixes: Samples, positions: bool, lla: np.ndarray, begin: float, end: float, believed: AlignmentPrior,
     arm: np.ndarray,
 ) -> Alignment | None:  # fmt: skip
     """Align over (begin, end] s; None where there are too few fixes or samples in it.
@@ -278,7 +278,7 @@ class Fit(NamedTuple):
     noise: float  # what the variance of the fixes was scaled with
 
 
-def _solve(imu: ImuLog, seen: Seen, believed: Believed, arm: np.ndarray) -> Fit:
+def _solve(imu: ImuLog, seen: Seen, believed: AlignmentPrior, arm: np.ndarray) -> Fit:
     """Gauss-Newton from Wahba's solutions; once more with the noise that the fixes turn out to have."""
     sd = np.concatenate([np.full(3, UNKNOWN), *(np.broadcast_to(s, 3) for s in believed[:2]), [believed.delay]])
     sd = np.concatenate([np.maximum(sd, 1e-12), np.full(3 if believed.arm else 0, believed.arm)])

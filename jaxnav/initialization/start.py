@@ -13,7 +13,7 @@ import numpy as np
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import datasheet_params, datasheet_states, mounting
 from jaxnav.filters.run import initial_nav
-from jaxnav.initialization.alignment import Alignment, Believed, align
+from jaxnav.initialization.alignment import Alignment, AlignmentPrior, align
 from jaxnav.initialization.bank import with_headings
 from jaxnav.initialization.magnetic import Field, field_of
 from jaxnav.initialization.pointing import LEAST_TILT_SD, USABLE, Pointed, pointed_by
@@ -245,7 +245,7 @@ def aligned(rec: Recording, params: Params, begin: float, end: float) -> Alignme
     None where there are too few fixes.
     """
     grade = datasheet_states(GRADES["consumer"], BIASES) | params.states
-    believed = Believed(np.asarray(grade["gyro_bias"].sd), np.asarray(grade["accel_bias"].sd))
+    believed = AlignmentPrior(np.asarray(grade["gyro_bias"].sd), np.asarray(grade["accel_bias"].sd))
     lla = rec.aiding["position"].value[0]
     best: Alignment | None = None
     for name in ("velocity", "position"):

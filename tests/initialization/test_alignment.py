@@ -10,14 +10,14 @@ from jaxnav.analysis.metrics import chi2_bounds
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.error_model import MOTION_ERRORS, error_model
 from jaxnav.initialization import alignment
-from jaxnav.initialization.alignment import Believed, _window, align, rotations_since
+from jaxnav.initialization.alignment import AlignmentPrior, _window, align, rotations_since
 from jaxnav.initialization.start import aligned, correlation_root, start
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
 from jaxnav.types import ImuLog, Samples
 
 RUNS = 6
-BELIEVED = Believed(0.5 * DEG, 0.2)
+BELIEVED = AlignmentPrior(0.5 * DEG, 0.2)
 
 
 @pytest.mark.parametrize("kind", ["car", "aircraft", "walk", "robot"])

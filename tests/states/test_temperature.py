@@ -18,7 +18,7 @@ from jaxnav.measurements import with_data
 from jaxnav.states.state import BODY, UserUnit, constant
 from jaxnav.states.table import STATES, zeros
 from jaxnav.stream import Stream
-from jaxnav.types import DataError, Fix, Imu, Recording, Samples
+from jaxnav.types import ConfigError, DataError, Fix, Imu, Recording, Samples
 
 SLOPE = np.array([30.0, -20.0, 60.0]) * DEG_PER_HOUR  # rad/s per deg C
 TOY = constant(
@@ -131,3 +131,8 @@ def test_a_column_map_has_a_table_for_it(drive, tmp_path):
         '[read]\nfile = "."\n[temperature]\nfile = "temperature.csv"\ntime = "t_s"\nvalue = "temperature_degc"\n'
     )
     assert "temperature" in with_data() and "temperature" in read(tmp_path / "map.toml").aiding
+
+
+def test_a_simulated_run_has_no_temperature():
+    with pytest.raises(ConfigError, match="sensor_states: gyro_temperature reads temperature, which a simulated run"):
+        load(resolve([("", {"data": {"source": "urban_short", "options": {"sensor_states": [TOY.name]}}})]))

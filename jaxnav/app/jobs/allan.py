@@ -56,7 +56,7 @@ def allan(config: Config, folder: Path) -> Outcome:
         unit, si, _ = KINDS[kind]
         curve, steps = allan_deviation(data, dt), resolution(getattr(imu, kind))
         shown = [read_off(curve, i) for i in range(3)]
-        figures = [at_least_rounding(f, step, dt) for f, step in zip(shown, steps)]
+        figures = [at_least_rounding(*each, dt) for each in zip(shown, curve.deviation[0], steps)]
         findings += [
             finding("imu.quantized", f"{kind} {axis}", step / si, unit_text=unit)
             for axis, step, before, after in zip("xyz", steps, shown, figures)

@@ -33,6 +33,7 @@ FOLDERS = {
         "states": "optional error states: consistent with them, not without",
         "consistency": "NEES and NIS of matched simulations: late and precise fixes, large attitude errors",
         "pauses": "heading behind a pause of the log: error and stated sd",
+        "parked": "heading of vehicles that are parked first or stop in between: error and stated sd",
         "damage": "thousands of damaged recordings, settings and checkpoints, and signals: what comes out",
         "faults": "faults of a receiver, twenty-four kinds: rules beside a filter that is told when",
         "integrated": "a receiver that adds up its velocity: what tuning makes of it, against the filter that knows",

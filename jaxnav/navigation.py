@@ -16,7 +16,7 @@ from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.analysis.observability import state_findings
 from jaxnav.checkup.findings import finding, line
 from jaxnav.checkup.inertial import gap_findings
-from jaxnav.checkup.motion import turns
+from jaxnav.checkup.motion import mixups
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import Filter
@@ -230,7 +230,7 @@ def navigate(
     findings += about.findings + ([] if found is None else found.findings) + gap_findings(holes(rec.imu))
     findings += _installation(stated, rec) + _coverage(trace, rec, chosen)
     if any(f.warns for f in findings) or (found is not None and max(found.gyro, found.accel) > UNLIKE_DATASHEET):
-        findings += [f for f in turns(rec) if f.warns]
+        findings += mixups(rec)
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
         smooth, lag, findings, found,

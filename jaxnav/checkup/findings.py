@@ -52,6 +52,13 @@ KINDS: dict[str, Kind] = {
         ("repair = true in a column map",),
         "%",
     ),
+    "imu.lost": Kind(
+        WARNING,
+        "{value:.0f} % of the IMU's rows are missing between others (limit {limit:g} %)",
+        ("the logger or its link is too slow",),
+        ("log at a lower rate, or without loss",),
+        "%",
+    ),
     "imu.dead": Kind(
         WARNING, "{subject} is constant, {value:.3g}", ("a failed axis", "another column"), ("choose the column",)
     ),
@@ -63,18 +70,11 @@ KINDS: dict[str, Kind] = {
     "imu.clipped": Kind(
         WARNING, "{subject} is at {value:.3g} in {share:.1f} % of the rows", ("beyond the sensor's range",)
     ),
-    "imu.gravity": Kind(INFO, "specific force at rest is {vector} m/s^2, norm {value:.2f} m/s^2", unit="m/s^2"),
+    "imu.gravity": Kind(INFO, "specific force {when} is {vector} m/s^2, norm {value:.2f} m/s^2", unit="m/s^2"),
     "imu.gravity_size": Kind(
         WARNING,
-        "specific force at rest is {value:.2f} m/s^2, {share:+.1f} % from gravity",
-        ("bias or scale error of the accelerometer", "a vehicle that never rests"),
-        unit="m/s^2",
-    ),
-    "imu.gravity_moving": Kind(
-        INFO,
-        "specific force in the quietest seconds is {value:.2f} m/s^2, {share:+.1f} % from gravity; other seconds "
-        "show gravity",
-        ("a free fall, or motion without rotation",),
+        "specific force {when} is {value:.2f} m/s^2, {share:+.1f} % from gravity",
+        ("bias or scale error of the accelerometer",),
         unit="m/s^2",
     ),
     "imu.noise": Kind(
@@ -88,6 +88,20 @@ KINDS: dict[str, Kind] = {
         ("log with more digits, or with a smaller range of the sensor",),
     ),
     "imu.bias": Kind(INFO, "biases of the gyros {gyro} deg/s, of the accelerometers {accel} m/s^2"),
+    "gyro.bias": Kind(
+        WARNING,
+        "gyro {subject} has a bias of {value:+.2f} deg/s (sd {sd:.2f} deg/s, limit {limit:g} deg/s)",
+        ("a sensor that was not calibrated", "another column"),
+        ("set states.gyro_bias.sd_deg_per_s, or subtract it",),
+        "deg/s",
+    ),
+    "accel.bias": Kind(
+        WARNING,
+        "accelerometer {subject} has a bias of {value:+.2f} m/s^2 (sd {sd:.2f} m/s^2, limit {limit:g} m/s^2)",
+        ("a scale error (along gravity)", "a sensor that was not calibrated"),
+        ("set states.accel_bias.sd_mg, or subtract it",),
+        "m/s^2",
+    ),
     # axes and units of the IMU
     "axes.gravity": Kind(
         WARNING,
@@ -97,15 +111,25 @@ KINDS: dict[str, Kind] = {
         "m/s^2",
     ),
     "gyro": Kind(INFO, "correlation of the course's rate with the gyros: {vector}"),
-    "gyro.axes": Kind(
-        WARNING,
-        "the course's rate correlates with gyro {subject}, not z: {vector}",
-        ("other columns or axes",),
-        ("set axes",),
-    ),
     **{
-        code: Kind(WARNING, "{message}", ("{cause}",), (f"set axes, units or columns of the {code.partition('.')[0]}",))
-        for code in ("gyro.sign", "gyro.swapped", "gyro.units", "accel.sign", "accel.swapped")
+        code: Kind(
+            WARNING,
+            "IMU and fixes agree better with a change: chi^2/dof {was:.3g} before, {then:.3g} after, log-likelihood "
+            "{gain:+.0f}",
+            ("{cause}",),
+            (action,),
+        )
+        for code, action in {
+            "gyro.sign": "set axes or the sign of the gyro's columns",
+            "gyro.swapped": "set axes or columns of the gyro",
+            "gyro.units": "set the unit of the gyro",
+            "gyro.scale": "set the scale of the gyro's columns",
+            "accel.sign": "set axes or the sign of the accelerometer's columns",
+            "accel.swapped": "set axes or columns of the accelerometer",
+            "imu.swapped": "set axes",
+            "fixes.swapped": "choose the columns of latitude and longitude",
+            "fixes.sign": "set the sign of latitude or longitude",
+        }.items()
     },
     "mounting.yaw": Kind(
         INFO,
@@ -129,8 +153,9 @@ KINDS: dict[str, Kind] = {
     # times
     "time.offset": Kind(
         WARNING,
-        "the course's rate fits gyro {subject} if fixes are {value:+.1f} s late (correlation {best:+.2f})",
-        ("another time scale (leap seconds)", "another time zone"),
+        "IMU and fixes agree better if fixes are {value:+.1f} s late: chi^2/dof {was:.3g} before, {then:.3g} after, "
+        "log-likelihood {gain:+.0f}",
+        ("{cause}", "another time zone"),
         ("set data.options.time_shift_s = {value:.1f}",),
         "s",
     ),
@@ -290,7 +315,8 @@ KINDS: dict[str, Kind] = {
     # a run
     "nis.high": Kind(
         WARNING,
-        "innovations of {subject} exceed their predicted variance: {vector} times (limit {limit:.2f})",
+        "innovations of {subject} exceed their predicted variance: {vector} times (limit {limit:.2f}); stated standard "
+        "deviations are too small",
         ("noise set too low", "delay", "lever arm", "axes", "initialization"),
         ("jaxnav check", "jaxnav tune"),
     ),
@@ -308,7 +334,7 @@ KINDS: dict[str, Kind] = {
     ),
     "innovations.correlated": Kind(
         WARNING,
-        "innovations of {subject} are correlated from fix to fix: {vector}",
+        "innovations of {subject} are correlated from fix to fix: {vector}; stated standard deviations are too small",
         ("delay", "lever arm", "scale factor", "a receiver with slow errors"),
         ("add the state gnss_position_error",),
     ),

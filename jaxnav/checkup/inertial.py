@@ -4,8 +4,10 @@ import numpy as np
 
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import turns_with_course
+from jaxnav.checkup.shared import level_velocity
 from jaxnav.filters.gaps import SHORT, Holes, holes
 from jaxnav.maths import units
+from jaxnav.maths.interpolation import columns_at
 from jaxnav.types import Finding, ImuLog, Recording, Severity
 
 QUIET = 0.05  # share of the windows that count as quiet
@@ -13,6 +15,8 @@ G = 9.81
 QUIET_SPEED = 10.0  # m/s: weighs a turn against vibration when looking for a quiet window
 UNKNOWN = 30.0  # deg that a hole may hide, from which on the heading behind it is said to be unknown
 LEAST_RATE_HZ = 10.0  # strapdown navigation loses rotation and vibration between samples
+STEADY = 0.15  # m/s^2 by the fixes, beside their noise, below which specific force is gravity
+LOST = 0.1  # share of the rows, missing between others, from which on a log is said to lose them
 STUCK = 20  # rows of one value in a row from which on an axis that otherwise changes hangs
 
 
@@ -25,6 +29,10 @@ def sampling(rec: Recording) -> list[Finding]:
     found = [finding("imu.rate", value=1 / usual, jitter=100 * jitter)]
     if 1 / usual < LEAST_RATE_HZ:
         found.append(finding("imu.slow", value=1 / usual, limit=LEAST_RATE_HZ))
+    missing = np.maximum(np.round(dt[dt < SHORT] / usual) - 1, 0).sum()
+    share = float(missing / (missing + dt.size))
+    if share > LOST:
+        found.append(finding("imu.lost", value=100 * share, limit=100 * LOST))
     found += gap_findings(holes(imu))
     values = np.hstack([imu.gyro, imu.accel])
     same = float(np.mean(np.all(values[1:] == values[:-1], axis=1)))
@@ -69,21 +77,45 @@ def quiet(imu: ImuLog, span: float = 1.0) -> tuple[np.ndarray, int]:
     return rows[np.argsort(unrest)[: max(3, int(QUIET * m))]], n
 
 
+def steady(rec: Recording) -> np.ndarray | None:
+    """Return rows (W, n) of 2 s in which the fixes say that the vehicle accelerates by less than `STEADY`.
+
+    None without fixes, or where there are too few such seconds.
+    """
+    v = level_velocity(rec.aiding)
+    if v is None:
+        return None
+    n = max(2, round(2.0 / float(np.median(rec.imu.dt))))
+    rows = np.arange(rec.imu.t.size // n * n).reshape(-1, n)
+    begin, end = rec.imu.t[rows[:, 0]], rec.imu.t[rows[:, -1]]
+    middle = 0.5 * (begin + end)
+    over = max(2.0, 2 * float(np.median(np.diff(v.t))))  # noise of velocities is the less, the longer
+    covered = (middle - over > v.t[0]) & (middle + over < v.t[-1])
+    at = lambda t: columns_at(t, v.t, v.value)
+    halves = [at(middle) - at(middle - over), at(middle + over) - at(middle)]  # 2 s of a circle are not steady
+    change = np.max([np.linalg.norm(h[:, :2], axis=1) for h in halves], 0)
+    if float(np.median(v.sd[:, 2])) < 1.0:
+        change = np.hypot(change, np.max([np.abs(h[:, 2]) for h in halves], 0))
+    noise = 1.5 * np.sqrt(2) * float(np.median(v.sd[:, :2]))
+    keep = covered & (change < STEADY * over + noise) & (end - begin < 2.5)
+    return rows[keep] if keep.sum() >= 3 else None
+
+
 def gravity(rec: Recording) -> list[Finding]:
-    """Specific force where it is quiet: its size, and which axis it lies on."""
-    rows, _ = quiet(rec.imu)
+    """Specific force where the fixes show no acceleration: its size, and which axis it lies on."""
+    rows, when = steady(rec), "where the fixes show no acceleration"
+    known = rows is not None
+    if rows is None:
+        rows, when = quiet(rec.imu)[0], "in the quietest seconds"
     if len(rows) < 3:
         return []
     force = np.median(rec.imu.accel[rows].mean(1), 0)
-    size = float(np.linalg.norm(force))
-    found = [finding("imu.gravity", value=size, vector=", ".join(f"{f:.2f}" for f in force))]
+    size = float(np.median(np.linalg.norm(rec.imu.accel[rows].mean(1), axis=1)))
+    found = [finding("imu.gravity", value=size, vector=", ".join(f"{f:.2f}" for f in force), when=when)]
+    sure = known or level_velocity(rec.aiding) is None and abs(quiet_force(rec.imu) - G) > 0.35
     if abs(size - G) > 0.35:
-        share = 100 * (size / G - 1)
-        if abs(quiet_force(rec.imu) - G) < 0.35:
-            found.append(finding("imu.gravity_moving", value=size, share=share))
-        else:
-            severity = None if abs(size - G) > 0.7 else Severity.INFO
-            found.append(finding("imu.gravity_size", value=size, share=share, severity=severity))
+        severity = None if sure and abs(size - G) > 0.7 else Severity.INFO
+        found.append(finding("imu.gravity_size", value=size, share=100 * (size / G - 1), when=when, severity=severity))
     axis = int(np.abs(force).argmax())
     if abs(force[axis]) > 0.9 * size and (axis, np.sign(force[axis])) != (2, -1.0):
         name = "xyz"[axis]

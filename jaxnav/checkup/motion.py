@@ -3,24 +3,27 @@
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import stdtrit
 
+from jaxnav.checkup.alternatives import Best, Change, aligned, best, changed, changes, moves, source, thinned
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import level_velocity
-from jaxnav.initialization.alignment import Alignment, AlignmentPrior, align
+from jaxnav.initialization.alignment import Alignment
 from jaxnav.maths import units
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
-from jaxnav.states.grades import GRADES
-from jaxnav.types import Finding, ImuLog, Recording, Samples, Severity
+from jaxnav.types import Finding, Recording, Samples, Severity
 
 STEP = 0.1  # s, of the series that are correlated
 FARTHEST = 40.0  # s: leap seconds, and a logger that was started early
 SURE = 0.6  # correlation of turns that belong together
-CLEAR = 0.8  # correlation from which on a wrong scale shows; slip and its delay may explain 0.6 to 1.6
-LIKELY = 0.3  # correlation from which on the size of the turns tells the unit, whatever noise hides
-SERIES, SIGMAS = 2.0, 3.5  # s, between independent turn rates; of the largest chance correlation over all lags
+LIKELY = 0.4  # correlation from which on a lag is tried
 TURN_SD = 2 * DEG  # rad/s, by which gyros and course differ besides noise: slip, tilt, the smoothing
 WINDOW = 20.0  # s, of an alignment
+SIGMAS = 3.0  # of a bias beyond its limit
+MOST_GYRO_BIAS, MOST_ACCEL_BIAS = 2 * DEG, 0.5  # rad/s, m/s^2: more is no bias of a consumer's sensor
+SD_WORTH = 6  # degrees of freedom that the stated sd of delays are worth against their scatter
+CHANCE = 5e-4  # of a drift of the clock that is none
 BAD_FIT = 8.0  # chi^2 per degree of freedom
 MOST_WINDOWS = 6
 
@@ -89,53 +92,51 @@ def turns_with_course(rec: Recording) -> bool:
     return x is not None and max(correlation(x, 2, lag) for lag in range(-most, most + 1)) > SURE
 
 
-def turns(rec: Recording) -> list[Finding]:
-    """Which gyro shows the turns of the course, with which sign, size and lag."""
+def lags_of(rec: Recording) -> list[tuple[float, int, float]]:
+    """Return up to three lags (s) at which the course's rate is most like a gyro's, with its axis and the correlation.
+
+    Lags below a second are a delay, which alignments find.
+    """
     x = turns_of(rec)
     if x is None:
         return []
     most = min(round(FARTHEST / STEP), x.t.size // 2)
     lags = np.arange(-most, most + 1)
-    table = np.array([[correlation(x, axis, int(lag)) for lag in lags] for axis in range(3)])
-    zero = np.abs(lags) <= round(1.0 / STEP)
-    near = np.array([row[zero][np.abs(row[zero]).argmax()] for row in table])
-    axis, j = np.unravel_index(np.abs(table).argmax(), table.shape)
-    best, lag = float(table[axis, j]), float(lags[j] * STEP)
+    table = np.abs([[correlation(x, axis, int(lag)) for lag in lags] for axis in range(3)])
+    best = table.max(0)
+    peak = np.r_[False, (best[1:-1] >= best[:-2]) & (best[1:-1] >= best[2:]), False]
+    at = np.flatnonzero(peak & (np.abs(lags) * STEP > 1.0) & (best > LIKELY))
+    at = at[np.argsort(-best[at])][:3]
+    return [(float(lags[i] * STEP), int(table[:, i].argmax()), float(best[i])) for i in at]
+
+
+def turns(rec: Recording) -> list[Finding]:
+    """Correlation of the course's rate with the gyros, read within a second of it."""
+    x = turns_of(rec)
+    if x is None:
+        return []
+    most = min(round(1.0 / STEP), x.t.size // 2)
+    table = np.array([[correlation(x, axis, lag) for lag in range(-most, most + 1)] for axis in range(3)])
+    near = table[range(3), np.abs(table).argmax(1)]
+    slope = float((x.weight * x.course * x.gyro[:, 2]).sum() / (x.weight * x.course**2).sum())
     vector = ", ".join(f"{name} {c:+.2f}" for name, c in zip("xyz", near, strict=True))
-    seconds = STEP * float((x.weight > 0).sum()) - abs(lag)  # that overlap, about; few turns are alike by chance
-    chance = np.tanh(SIGMAS / np.sqrt(max(seconds / SERIES - 3.0, 1.0)))  # Fisher's z
-    if abs(best) > max(SURE, chance) and abs(lag) > 1.0 and abs(best) > 1.5 * np.abs(near).max():
-        return [finding("time.offset", "xyz"[axis], lag, best=best, setting="data.options.time_shift_s")]
-    w = x.weight
-    slope = float((w * x.course * x.gyro[:, 2]).sum() / (w * x.course**2).sum())
-    size = abs(slope) / max(near[2] ** 2, 1e-6)  # noise of the course makes the slope that much smaller
-    unlike = not 0.1 < size < 10.0 if abs(near[2]) < CLEAR else not 0.6 < size < 1.6
-    if abs(near[2]) > max(LIKELY, chance) and unlike:
-        message = f"gyro z is about {size:.2g} times the course's rate (correlations {vector})"
-        far = not 0.05 < size < 20.0
-        cause = "degrees read as radians, or the reverse" if far else "a wrong scale of the gyro"
-        return [finding("gyro.units", "gyro z", size, message=message, cause=cause)]
-    if abs(near[2]) > max(SURE, chance) and abs(near[2]) >= 0.8 * np.abs(near).max():
-        if near[2] < 0:
-            message = f"gyro z is {slope:+.2f} times the course's rate (correlations {vector})"
-            cause = 'z points up instead of down: axes = "flu"'
-            return [finding("gyro.sign", "gyro z", slope, message=message, cause=cause)]
-        return [finding("gyro", value=slope, vector=vector)]
-    if np.abs(near).max() > max(SURE, chance) and abs(near[2]) < 0.4:
-        return [finding("gyro.axes", "xyz"[int(np.abs(near).argmax())], vector=vector)]
-    return [finding("gyro", vector=vector)]
+    return [finding("gyro", value=slope, vector=vector)]
 
 
 # ---------------------------------------------------------------------------- by alignment
 
 
 def windows_of(rec: Recording, v: Samples) -> list[tuple[float, float]]:
-    """Windows of `WINDOW` s all along the recording, in each part of it the one with the most change of velocity."""
+    """Return windows all along the recording, in each part of it the one with the most change of velocity.
+
+    Of `WINDOW` s, by positions alone twice that: it takes them longer to show an acceleration.
+    """
+    usual = WINDOW if source(rec)[0] == "velocity" else 2 * WINDOW
     first, last = max(rec.imu.t[0], v.t[0]), min(rec.imu.t[-1], v.t[-1])
-    count = int(np.clip((last - first) // (1.5 * WINDOW), 1, MOST_WINDOWS))
-    if last - first < 0.5 * WINDOW:
+    count = int(np.clip((last - first) // usual, 1, MOST_WINDOWS))
+    if last - first < 0.5 * usual:
         return []
-    length, found = min(WINDOW, last - first), []
+    length, found = min(usual, last - first), []
     for k in range(count):
         lo, hi = first + k * (last - first) / count, first + (k + 1) * (last - first) / count
         begins = np.arange(lo, max(hi - length, lo) + 1e-6, 5.0)
@@ -145,18 +146,9 @@ def windows_of(rec: Recording, v: Samples) -> list[tuple[float, float]]:
     return found
 
 
-def aligned(imu: ImuLog, rec: Recording, window: tuple[float, float], arm: float = 0.0) -> Alignment | None:
-    """By the velocities, else the positions."""
-    name = "velocity" if "velocity" in rec.aiding and rec.aiding["velocity"].t.size > 10 else "position"
-    grade = GRADES["consumer"]
-    believed = AlignmentPrior(2 * grade.gyro_turn_on, 2 * grade.accel_turn_on, 0.3, arm)
-    lla = rec.aiding["position"].value[0]
-    return align(imu, rec.aiding[name], name == "position", lla, *window, believed, rec.lever_arm)
-
-
 def alignments(rec: Recording, v: Samples) -> list[tuple[tuple[float, float], Alignment]]:
     """Return the alignments in windows all along a recording; ``v``: its velocities (`level_velocity`)."""
-    return [(w, a) for w in windows_of(rec, v) if (a := aligned(rec.imu, rec, w)) is not None]
+    return [(w, a) for w in windows_of(rec, v) if (a := aligned(rec, w)) is not None]
 
 
 def misfit(rec: Recording) -> float:
@@ -172,56 +164,54 @@ def together(rec: Recording) -> list[Finding]:
     v = level_velocity(rec.aiding)
     if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > 0.1:
         return []
+    rec = thinned(rec)
     each = alignments(rec, v)
+    mixed, found = mixup(rec, each), []
+    if mixed is not None:
+        found.append(named(mixed))
+        rec = changed(rec, mixed.change)
+        each = alignments(rec, level_velocity(rec.aiding) or v)
     moving = [(w, a) for w, a in each if a.sd[2] < 20 * DEG]
     if not moving:
-        return [finding("motion.little")] if each else []
+        return found or ([finding("motion.little")] if each else [])
     chi2, count = float(np.median([a.chi2 for _, a in moving])), len(moving)
     if chi2 > BAD_FIT:
-        return [_what_else(rec, min(moving, key=lambda each: abs(each[1].chi2 - chi2)), chi2, count)]
-    name = "velocity" if "velocity" in rec.aiding and rec.aiding["velocity"].t.size > 10 else "position"
-    together = finding("motion", value=chi2, count=count)
-    return [together, *_timing(moving, name), *_arm(rec, moving), *_biases(moving), *_mounting(moving)]
+        severity = None if chi2 > 3 * BAD_FIT else Severity.INFO
+        return [*found, finding("motion.misfit", value=chi2, limit=BAD_FIT, count=count, severity=severity)]
+    name, _ = source(rec)
+    found.append(finding("motion", value=chi2, count=count))
+    return [*found, *_timing(moving, name), *_arm(rec, moving), *_biases(moving), *_mounting(moving)]
 
 
-def _what_else(rec: Recording, case: tuple[tuple[float, float], Alignment], usual: float, count: int) -> Finding:
-    """Return which mix-up of axes or units makes a bad fit a good one; ``usual``: chi^2 in ``count`` windows."""
-    window, was = case
-    rows = (rec.imu.t > window[0] - 1) & (rec.imu.t <= window[1] + 1)
-    imu = ImuLog(*(a[rows] for a in rec.imu))
-    found = []
-    for code, cause, other in _mixups(imu):
-        a = aligned(other, rec, window)
-        if a is not None:
-            found.append((a.chi2, code, cause))
-    if found:
-        chi2, code, cause = min(found)
-        if chi2 < 0.35 * was.chi2:
-            message = f"IMU and fixes disagree: chi^2/dof {usual:.2g} in {count} windows, {chi2:.2g} with another IMU"
-            return finding(code, code.partition(".")[0], usual, chi2, message=message, cause=cause)
-    severity = None if was.chi2 > 3 * BAD_FIT else Severity.INFO
-    return finding("motion.misfit", value=usual, limit=BAD_FIT, count=count, severity=severity)
+def mixup(rec: Recording, each: list[tuple[tuple[float, float], Alignment]]) -> Best | None:
+    """Return the change of axes, signs, units, scale or time that the fixes speak for; None where none is."""
+    tried = changes() + [
+        Change(
+            "time.offset", "xyz"[axis], f"another time scale (leap seconds) or zone: fixes {lag:+.1f} s late", late=lag
+        )
+        for lag, axis, _ in lags_of(rec)
+    ]
+    return best(rec, [(w, a) for w, a in each if moves(rec, w)], tried)
 
 
-def _mixups(imu: ImuLog) -> list[tuple[str, str, ImuLog]]:
-    out = []
-    for sensor in ("gyro", "accel"):
-        values = getattr(imu, sensor)
-        for i, axis in enumerate("xyz"):
-            sign = np.ones(3)
-            sign[i] = -1
-            out.append(
-                (f"{sensor}.sign", f"{sensor} {axis} has the wrong sign", imu._replace(**{sensor: values * sign}))
-            )
-        for a, b in ((0, 1), (0, 2), (1, 2)):
-            order = [0, 1, 2]
-            order[a], order[b] = b, a
-            means = f"{sensor} {'xyz'[a]} and {'xyz'[b]} are swapped"
-            out.append((f"{sensor}.swapped", means, imu._replace(**{sensor: values[:, order]})))
-    out.append(("gyro.sign", "all gyros have the wrong sign", imu._replace(gyro=-imu.gyro)))
-    out.append(("gyro.units", "the gyro's unit is another: degrees for radians", imu._replace(gyro=imu.gyro * DEG)))
-    out.append(("gyro.units", "the gyro's unit is another: radians for degrees", imu._replace(gyro=imu.gyro / DEG)))
-    return out
+def mixups(rec: Recording) -> list[Finding]:
+    """Return the finding of `mixup`, where there is one."""
+    v = level_velocity(rec.aiding)
+    if v is None or "position" not in rec.aiding:
+        return []
+    rec = thinned(rec)
+    found = mixup(rec, alignments(rec, v))
+    return [] if found is None else [named(found)]
+
+
+def named(found: Best) -> Finding:
+    """Return the finding of a change."""
+    change = found.change
+    cause = ", or ".join((change.cause, *(other.cause for other in found.others)))
+    numbers: dict[str, Any] = {"gain": found.gain, "was": found.was, "then": found.then, "cause": cause}
+    if change.code == "time.offset":
+        return finding("time.offset", change.subject, change.late, setting="data.options.time_shift_s", **numbers)
+    return finding(change.code, change.subject, **numbers)
 
 
 def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> list[Finding]:
@@ -242,26 +232,36 @@ def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> lis
         power = float((weight * centred**2).sum())
         drift = float((weight * centred * late).sum() / power)
         left = late - mean - drift * centred
-        loose = max(1.0, float(np.sqrt((weight * left**2).sum() / max(len(late) - 2, 1))))
-        drift_sd = loose / np.sqrt(power)
-        if abs(drift) > max(4 * drift_sd, 100 * units.PPM):
+        dof = SD_WORTH + len(late) - 2
+        drift_sd = np.sqrt(max(1.0, (SD_WORTH + float((weight * left**2).sum())) / dof) / power)
+        if abs(drift) > max(float(stdtrit(dof, 1 - CHANCE)) * drift_sd, 100 * units.PPM):
             setting, sd_ppm = "mounting.clock_drift_ppm", drift_sd / units.PPM
             found.append(finding("time.drift", name, drift / units.PPM, setting=setting, sd=sd_ppm))
     return found
 
 
+def arm_of(rec: Recording, each: list[tuple[tuple[float, float], Alignment]]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return what the lever arm that fits has more than the stated one, and its sd, (3,) m each, over all windows."""
+    found = []
+    for window, plain in each:
+        a = aligned(rec, window, arm=5.0)
+        if a is not None and a.P.shape[0] == 13 and a.chi2 < 1.2 * plain.chi2:  # no other minimum
+            found.append((a.arm - rec.lever_arm, np.linalg.inv(a.P[10:, 10:]) - np.eye(3) / 25.0))
+    if not found:
+        return None
+    arms, N = (np.array(column) for column in zip(*found, strict=True))
+    P = np.linalg.inv(N.sum(0) + np.eye(3) / 25.0)
+    mean = P @ np.einsum("kij,kj->i", N, arms)
+    off = arms - mean
+    scatter = float(np.einsum("ki,kij,kj->", off, N, off)) / max(3 * (len(arms) - 1), 1)
+    return mean, np.sqrt(max(1.0, scatter) * np.diag(P))
+
+
 def _arm(rec: Recording, each: list[tuple[tuple[float, float], Alignment]]) -> list[Finding]:
-    """The lever arm that fits, over all windows."""
-    total, right = np.zeros((3, 3)), np.zeros(3)
-    for window, _ in each:
-        a = aligned(rec.imu, rec, window, arm=5.0)
-        if a is not None and a.P.shape[0] == 13:
-            N = np.linalg.inv(a.P[10:, 10:]) - np.eye(3) / 25.0
-            total, right = total + N, right + N @ (a.arm - rec.lever_arm)
-    if not total.any():
+    found = arm_of(rec, each)
+    if found is None:
         return []
-    P = np.linalg.inv(total + np.eye(3) / 25.0)
-    off, sd = P @ right, np.sqrt(np.diag(P))
+    off, sd = found
     sure = np.abs(off) > np.maximum(8 * sd, 1.5)
     if not sure.any():
         return []
@@ -270,10 +270,26 @@ def _arm(rec: Recording, each: list[tuple[tuple[float, float], Alignment]]) -> l
 
 
 def _biases(each: list[tuple[tuple[float, float], Alignment]]) -> list[Finding]:
-    best = min(each, key=lambda e: e[1].sd[3:9].sum())[1]
-    gyro = ", ".join(f"{b / DEG:+.2f}" for b in best.gyro_bias)
-    accel = ", ".join(f"{b:+.2f}" for b in best.accel_bias)
-    return [finding("imu.bias", gyro=gyro, accel=accel)]
+    """Biases, weighted means over the windows; those that no sensor of its kind has are wrong."""
+    bias, sd = (
+        np.array(a) for a in zip(*((np.r_[a.gyro_bias, a.accel_bias], a.sd[3:9]) for _, a in each), strict=True)
+    )
+    weight = 1 / sd**2
+    mean, mean_sd = (weight * bias).sum(0) / weight.sum(0), 1 / np.sqrt(weight.sum(0))
+    mean_sd *= np.sqrt(np.maximum(1.0, (weight * (bias - mean) ** 2).mean(0)))
+    units = np.repeat([DEG, 1.0], 3)
+    gyro, accel = (", ".join(f"{b:+.2f}" for b in part) for part in np.split(mean / units, 2))
+    found = [finding("imu.bias", gyro=gyro, accel=accel)]
+    large = np.abs(mean) - SIGMAS * mean_sd > np.repeat([MOST_GYRO_BIAS, MOST_ACCEL_BIAS], 3)
+    for code, part, unit, most in (
+        ("gyro.bias", slice(3), DEG, MOST_GYRO_BIAS),
+        ("accel.bias", slice(3, 6), 1.0, MOST_ACCEL_BIAS),
+    ):
+        if large[part].any():
+            worst = int(np.argmax(np.abs(mean[part]) * large[part]))
+            value = float(mean[part][worst] / unit)
+            found.append(finding(code, "xyz"[worst], value, most / unit, sd=float(mean_sd[part][worst] / unit)))
+    return found
 
 
 def _mounting(each: list[tuple[tuple[float, float], Alignment]]) -> list[Finding]:
@@ -287,5 +303,5 @@ def _mounting(each: list[tuple[tuple[float, float], Alignment]]) -> list[Finding
         return []
     middle = float(np.median(off)) / DEG
     spread = 1.4826 * float(np.median(np.abs(np.array(off) / DEG - middle)))
-    code = "mounting.turned" if abs(middle) > 20 and spread < 8 else "mounting.yaw"
+    code = "mounting.turned" if abs(middle) > max(20, 5 * spread) else "mounting.yaw"
     return [finding(code, value=middle, count=len(off), scatter=spread)]

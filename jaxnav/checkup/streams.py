@@ -20,7 +20,10 @@ def empty(rec: Recording) -> list[Finding]:
         name, _, words = line.partition(": ")
         if words.startswith(EMPTY):
             others = [w.removeprefix(f"{name}: ") for w in rec.notes.splitlines() if w.startswith(f"{name}: ")]
-            why = " ".join(w for w in others if w != words) or "they lie outside of the IMU's time, or say nothing"
+            why = (
+                " ".join(w for w in others if w != words and "states no sd" not in w)
+                or "they lie outside of the IMU's time, or say nothing"
+            )
             found.append(finding("stream.empty", name, words=words.rstrip("."), cause=why.rstrip(".")))
     return found
 

@@ -32,6 +32,7 @@ VERTICAL_SD = 1.0  # m/s, of a vertical velocity that is not measured: taken for
 LEAST_CHI2 = 0.1  # fixes may be better than they say by so much; how much worse is open
 UNKNOWN = 10.0  # rad, prior of the attitude: nothing is known
 ITERATIONS = 10
+POOR = 2.0  # chi^2 per degree of freedom from which on other headings are tried
 MINIMA = 5  # of the delay that are followed
 TEMPER = 0.2  # of a difference of two sums of squares, where a Gaussian would have 0.5: models are not that good
 MOTION = 6.0  # standard deviations of a chi-square that a change of velocity must stand out by
@@ -103,10 +104,10 @@ def align(
     delays are taken out. ``lla`` (3,): about where. ``arm`` (3,) m: IMU -> antenna, body.
     """
     fixes = inside(fixes, begin, end)
-    samples = _window(imu, begin, end)
+    samples = window(imu, begin, end)
     if fixes.t.size < 5 or samples.t.size < 10:
         return None
-    seen = _seen(fixes, positions, lla, begin)
+    seen = differences(fixes, positions, lla, begin)
     C, x, P, chi2, noise = _solve(samples, seen, believed, arm)
     R_end, G = _rotation_at_end(samples, x[:3])
     reference = (
@@ -145,7 +146,8 @@ def _surroundings(lla: jax.Array, vel: jax.Array) -> tuple[jax.Array, jax.Array,
     return earth.earth_rate(lat), earth.transport_rate(lat, h, vel), earth.gravity(lat, h)
 
 
-def _seen(fixes: Samples, positions: bool, lla: np.ndarray, begin: float) -> Seen:
+def differences(fixes: Samples, positions: bool, lla: np.ndarray, begin: float) -> Seen:
+    """Return the differences of fixes (rad, rad, m or ENU m/s) in a window that begins at ``begin`` s, near ``lla``."""
     t = fixes.t
     z = earth.enu_path(fixes.value, fixes.value[0]) if positions else fixes.value
     vel = np.gradient(z, t, axis=0) if positions else z
@@ -184,7 +186,7 @@ def _drift(t: np.ndarray, positions: bool) -> np.ndarray:
 # ---------------------------------------------------------------------------- what the samples make of an attitude
 
 
-def _window(imu: ImuLog, begin: float, end: float) -> ImuLog:
+def window(imu: ImuLog, begin: float, end: float) -> ImuLog:
     """The samples in (begin, end], each from the one before on, so that there is no hole; fast ones put together."""
     rows = (imu.t > begin + TICK) & (imu.t <= end + TICK)
     t, gyro, accel = imu.t[rows], imu.gyro[rows], imu.accel[rows]
@@ -213,37 +215,51 @@ def rotations_since(gyro: np.ndarray, dt: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 class Series(NamedTuple):
-    """Running integrals of the samples with biases taken out, in the body's axes at the window's begin."""
+    """Running integrals of the samples with biases taken out, in the body's axes at the window's begin.
+
+    Columns of the last axis: the value, its derivative by the accelerometer bias (3), and by the gyro bias (3).
+    """
 
     middle: np.ndarray  # (N, 3, 3) R in the middle of each sample
-    a: np.ndarray  # (N, 3, 1 + 3) specific force, and its derivative by the accelerometer bias
-    S: np.ndarray  # (N, 3, 4) integral of a up to each sample
-    twice: np.ndarray  # (N, 3, 4) integral of S
+    turn: np.ndarray  # (N, 3, 3) minus the derivative of R's rotation by the gyro bias, there
+    a: np.ndarray  # (N, 3, 7) specific force
+    S: np.ndarray  # (N, 3, 7) integral of a up to each sample
+    twice: np.ndarray  # (N, 3, 7) integral of S
 
 
 def _series(imu: ImuLog, x: np.ndarray) -> Series:
-    """For x = gyro bias (3), accelerometer bias (3), ..."""
+    """For x = gyro bias (3), accelerometer bias (3), ...; with a gyro bias b, R turns by -b times its own integral."""
     middle, _ = rotations_since(imu.gyro - x[:3], imu.dt)
-    a = np.concatenate([np.einsum("nij,nj->ni", middle, imu.accel - x[3:6])[:, :, None], -middle], 2)
     dt = imu.dt[:, None, None]
-    before = lambda sums: np.concatenate([np.zeros((1, 3, 4)), sums[:-1]])
+    whole = np.cumsum(middle * dt, 0)
+    turn = whole - 0.5 * middle * dt
+    force = np.einsum("nij,nj->ni", middle, imu.accel - x[3:6])[:, :, None]
+    a = np.concatenate([force, -middle, _skew(force[:, :, 0]) @ turn], 2)
+    before = lambda sums: np.concatenate([np.zeros((1, 3, 7)), sums[:-1]])
     S = before(np.cumsum(a * dt, 0))
-    return Series(middle, a, S, before(np.cumsum(S * dt + 0.5 * a * dt**2, 0)))
+    return Series(middle, turn, a, S, before(np.cumsum(S * dt + 0.5 * a * dt**2, 0)))
 
 
 def _path(imu: ImuLog, series: Series, x: np.ndarray, t: np.ndarray, positions: bool, arm: np.ndarray) -> np.ndarray:
-    """What the antenna's velocity or position changes by up to t - delay, and its derivative, (K, 3, 4)."""
+    """What the antenna's velocity or position changes by up to t - delay, and its derivatives, (K, 3, 7)."""
     t = t - x[6]
     i = np.minimum(np.searchsorted(imu.t, t), imu.t.size - 1)
     into = (t - (imu.t - imu.dt)[i])[:, None, None]
     if positions:
         path = series.twice[i] + series.S[i] * into + 0.5 * series.a[i] * into**2
-        lever = series.middle[i] @ arm
     else:
         path = series.S[i] + series.a[i] * into
-        lever = np.einsum("kij,kj->ki", series.middle[i], np.cross(imu.gyro[i] - x[:3], arm))
-    path[:, :, 0] += lever
+    if arm.any():
+        path = path + _lever(series, i, imu.gyro[i] - x[:3], positions, arm)
     return path
+
+
+def _lever(series: Series, i: np.ndarray, rate: np.ndarray, positions: bool, arm: np.ndarray) -> np.ndarray:
+    """Return what the lever arm adds at samples ``i`` (K,), (K, 3, 7); ``rate`` (K, 3) rad/s there."""
+    R, turn = series.middle[i], series.turn[i]
+    lever = R @ arm if positions else np.einsum("kij,kj->ki", R, np.cross(rate, arm))
+    by_gyro = _skew(lever) @ turn + (0 * R if positions else R @ _skew(arm[None])[0])
+    return np.concatenate([lever[:, :, None], 0 * R, by_gyro], 2)
 
 
 def _rotation_at_end(imu: ImuLog, bias: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -278,17 +294,26 @@ class Fit(NamedTuple):
     noise: float  # what the variance of the fixes was scaled with
 
 
+def prior_sd(believed: AlignmentPrior) -> np.ndarray:
+    """Return standard deviations (10,) or (13,) of attitude and all unknowns."""
+    sd = np.concatenate([np.full(3, UNKNOWN), *(np.broadcast_to(s, 3) for s in believed[:2]), [believed.delay]])
+    return np.concatenate([np.maximum(sd, 1e-12), np.full(3 if believed.arm else 0, believed.arm)])
+
+
 def _solve(imu: ImuLog, seen: Seen, believed: AlignmentPrior, arm: np.ndarray) -> Fit:
     """Gauss-Newton from Wahba's solutions; once more with the noise that the fixes turn out to have."""
-    sd = np.concatenate([np.full(3, UNKNOWN), *(np.broadcast_to(s, 3) for s in believed[:2]), [believed.delay]])
-    sd = np.concatenate([np.maximum(sd, 1e-12), np.full(3 if believed.arm else 0, believed.arm)])
+    sd = prior_sd(believed)
     more = np.zeros(sd.size - 10)
     guesses = [(C, np.concatenate([x, more])) for C, x in _guesses(imu, seen, believed.delay, arm)]
-    found = [_descend(imu, seen, C, x, sd, 1.0, arm) for C, x in guesses]
+    found = [descend(imu, seen, C, x, sd, 1.0, arm) for C, x in guesses]
     best = min(found, key=lambda each: each.cost)
+    if best.left > POOR:  # a bias may have led the first guess to another heading
+        turned = [Rotation.from_rotvec([0.0, 0.0, k * np.pi / 2]).as_matrix() @ best.C for k in (1, 2, 3)]
+        found += [descend(imu, seen, C, best.x, sd, 1.0, arm) for C in turned]
+        best = min(found, key=lambda each: each.cost)
     chi2 = best.left
     noise = max(chi2, LEAST_CHI2)
-    last = _descend(imu, seen, best.C, best.x, sd, noise, arm)
+    last = descend(imu, seen, best.C, best.x, sd, noise, arm)
     P = sd[:, None] * np.linalg.inv(last.N) * sd * max(last.left, 1.0)
     # other minima that fit nearly as well: what a mixture of all would have for a covariance about the best
     weights = np.exp([-TEMPER * (each.cost - best.cost) / noise for each in found])
@@ -313,11 +338,13 @@ class Descent(NamedTuple):
     roots: list[np.ndarray]  # that the differences were whitened by
 
 
-def _descend(
-    imu: ImuLog, seen: Seen, C: np.ndarray, x: np.ndarray, sd: np.ndarray, noise: float, arm: np.ndarray
-) -> Descent:
+def descend(
+    imu: ImuLog, seen: Seen, C: np.ndarray, x: np.ndarray, sd: np.ndarray, noise: float, arm: np.ndarray,
+    iterations: int = ITERATIONS,
+) -> Descent:  # fmt: skip
+    """Run Gauss-Newton from attitude ``C`` at the begin and ``x``, with the prior ``sd`` of both."""
     roots = [np.linalg.cholesky(noise * c + seen.drift) for c in seen.covariances]
-    for _ in range(ITERATIONS):
+    for _ in range(iterations):
         J, r = _linear(imu, seen, C, x, arm)
         white = np.concatenate(
             [solve_triangular(L, np.column_stack([J[:, a], r[:, a]]), lower=True) for a, L in enumerate(roots)]
@@ -338,16 +365,23 @@ def _guesses(imu: ImuLog, seen: Seen, delay_sd: float, arm: np.ndarray) -> list[
 
     Of who walks or sways, a period of delay looks like none, and half of it like the opposite heading.
     """
+    found = by_attitude(imu, seen, DELAYS, arm)
+    cost = np.array([np.inf, *(left + (delay / delay_sd) ** 2 for left, _, delay in found), np.inf])
+    lows = np.flatnonzero((cost[1:-1] <= cost[:-2]) & (cost[1:-1] <= cost[2:]))
+    lows = lows[np.argsort(cost[1:-1][lows])][:MINIMA]
+    return [(found[i][1], np.concatenate([np.zeros(6), found[i][2:]])) for i in lows]
+
+
+def by_attitude(imu: ImuLog, seen: Seen, delays: np.ndarray, arm: np.ndarray) -> list[tuple[float, np.ndarray, float]]:
+    """Solve Wahba's problem for every delay, s: weighted sum of squares, attitude (3, 3) at the begin, delay."""
     series, found = _series(imu, np.zeros(7)), []
     weight = 1 / np.stack([np.diag(c) + np.diag(seen.drift) for c in seen.covariances], 1)
-    for delay in DELAYS:
+    for delay in delays:
         x = np.concatenate([np.zeros(6), [delay]])
         a = seen.D @ _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0]
         C = _wahba(a, seen.beta, weight)
-        found.append((float((weight * (seen.beta - a @ C.T) ** 2).sum()) + (delay / delay_sd) ** 2, C, x))
-    cost = np.array([np.inf, *(each[0] for each in found), np.inf])
-    lows = np.flatnonzero((cost[1:-1] <= cost[:-2]) & (cost[1:-1] <= cost[2:]))
-    return [found[i][1:] for i in lows[np.argsort(cost[1:-1][lows])][:MINIMA]]
+        found.append((float((weight * (seen.beta - a @ C.T) ** 2).sum()), C, float(delay)))
+    return found
 
 
 def _linear(imu: ImuLog, seen: Seen, C: np.ndarray, x: np.ndarray, arm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -359,10 +393,8 @@ def _linear(imu: ImuLog, seen: Seen, C: np.ndarray, x: np.ndarray, arm: np.ndarr
     here = seen.D @ path[:, :, 0]
     J = np.zeros((*here.shape, 3 + x.size))
     J[:, :, :3] = -_skew(here @ C.T)
-    for j in range(3):
-        off = x + TILT * eye[j]
-        J[:, :, 3 + j] = (look(_series(imu, off), off) - here) @ C.T / TILT
-    J[:, :, 6:9] = np.einsum("ij,kjl->kil", C, np.einsum("mk,kij->mij", seen.D, path[:, :, 1:]))
+    by = C @ np.einsum("mk,kij->mij", seen.D, path[:, :, 1:])
+    J[:, :, 3:6], J[:, :, 6:9] = by[:, :, 3:], by[:, :, :3]
     later, sooner = (x + sign * SOON * eye[6] for sign in (1, -1))
     J[:, :, 9] = (look(series, later) - look(series, sooner)) @ C.T / (2 * SOON)
     for j in range(x.size - 7):  # the path is linear in the lever arm

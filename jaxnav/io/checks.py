@@ -43,7 +43,7 @@ def check_imu(imu: ImuLog, source: Source) -> ImuLog:
     t = check_time(imu.t, source, "imu")
     n = len(t)
     dt = _bounded(imu.dt, (n,), source, "imu dt")
-    _require((dt >= MIN_DT) & (dt <= MAX_DT), source, "imu", f"dt in [{MIN_DT:g}, {MAX_DT:g}] s", dt)
+    _require((dt >= MIN_DT) & (dt <= MAX_DT), source, "imu", f"dt in [{MIN_DT:g}, {MAX_DT:g}] s{_unit_of(dt)}", dt)
     hole = np.r_[0.0, (t[1:] - dt[1:]) - t[:-1]]
     slack = 0.5 * np.median(dt)
     gap = hole >= slack  # time that no sample covers
@@ -125,7 +125,7 @@ def steps(t: np.ndarray, source: Source) -> np.ndarray:
     dt = np.diff(t)
     usual = np.median(dt)
     dt = np.r_[usual, np.where((dt > MAX_DT) & (usual <= MAX_DT), usual, dt)]
-    _require((dt >= MIN_DT) & (dt <= MAX_DT), source, "imu", f"dt in [{MIN_DT:g}, {MAX_DT:g}] s", dt)
+    _require((dt >= MIN_DT) & (dt <= MAX_DT), source, "imu", f"dt in [{MIN_DT:g}, {MAX_DT:g}] s{_unit_of(dt)}", dt)
     return dt
 
 
@@ -176,9 +176,17 @@ def _require(ok: np.ndarray, source: Source, stream: str, expected: str, got: np
         raise DataError(f"{place(source, i, stream)}: {label}expected {expected}, got {got[i]}")
 
 
+def _unit_of(dt: np.ndarray) -> str:
+    """Return which unit of time samples ``dt`` (N,) s apart suggest, or nothing."""
+    usual = float(np.median(dt))
+    units = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+    fits = [name for name, k in units.items() if usual > MAX_DT and 5e-4 < usual * k < 0.2]
+    return f" (times in {fits[0]}? set time_unit)" if fits else ""
+
+
 def _guess(force: float, dt: float) -> str:
     guesses = []
-    if abs(force - 1.0) < 0.15:
+    if abs(force - 1.0) < 0.35:
         guesses.append("g instead of m/s^2")
     if abs(force / (GRAVITY * dt) - 1.0) < 0.2:
         guesses.append("increments instead of rates")

@@ -283,9 +283,14 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]
         notes.append(f"{name}: {outside} of {len(t)} rows lie before the IMU's first sample or after its last.")
     keep &= good & inside
     if not keep.any():
-        theirs = f"{np.nanmin(t):.1f} to {np.nanmax(t):.1f}" if np.isfinite(t).any() else "no time"
+        theirs, hint = "no time", ""
+        if np.isfinite(t).any():
+            first, last = float(np.nanmin(t)), float(np.nanmax(t))
+            theirs, longer = f"{first:.1f} to {last:.1f}", (last - first) / max(float(np.ptp(imu.t)), 1e-9)
+            near = [unit for unit, k in (("milliseconds", 1e3), ("microseconds", 1e6)) if 0.5 < longer / k < 2.0]
+            hint = f" ({longer:.3g} times as long: {near[0]}? set time_unit)" if near else ""
         notes.append(
-            f"{name}: {EMPTY} of {len(t)}, at {theirs} s; the IMU's are at {imu.t[0]:.1f} to {imu.t[-1]:.1f} s."
+            f"{name}: {EMPTY} of {len(t)}, at {theirs} s; the IMU's are at {imu.t[0]:.1f} to {imu.t[-1]:.1f} s{hint}."
         )
         return None
     again = np.mean(np.all(value[keep][1:] == value[keep][:-1], axis=1)) if keep.sum() > 1 else 0.0

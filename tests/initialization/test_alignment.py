@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.recordings.start import difference, simulated
+from benchmarks.recordings.start import difference
+from benchmarks.simulated.vehicles import simulated
 from jaxnav.analysis.metrics import chi2_bounds
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.error_model import MOTION_ERRORS, error_model
 from jaxnav.initialization import alignment
-from jaxnav.initialization.alignment import AlignmentPrior, _window, align, rotations_since
+from jaxnav.initialization.alignment import AlignmentPrior, align, rotations_since
 from jaxnav.initialization.start import aligned, correlation_root, start
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
@@ -57,6 +58,21 @@ def test_a_known_delay_is_not_found_again():
     seen, known = (aligned(rec, p, 5.0, 20.0) for p in (params, told))
     assert seen.delay == pytest.approx(late, abs=4 * seen.sd[9]) and abs(known.delay) < 4 * known.sd[9]
     np.testing.assert_allclose(known.C, seen.C, atol=5e-3)
+
+
+@pytest.mark.parametrize("positions", [False, True], ids=["velocity", "positions"])
+def test_derivatives_by_biases_delay_and_arm_are_those_of_differences(positions):
+    rec, _ = simulated("aircraft", "consumer", True, np.random.default_rng(4))
+    fixes = alignment.inside(rec.aiding["position" if positions else "velocity"], 20.0, 40.0)
+    imu, lla = alignment.window(rec.imu, 20.0, 40.0), rec.aiding["position"].value[0]
+    seen = alignment.differences(fixes, positions, lla, 20.0)
+    x, arm = np.array([0.01, -0.02, 0.015, 0.1, 0.05, -0.1, 0.05, 0.3, -0.2, 0.1]), np.array([1.0, 0.5, -2.0])
+    C = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix()
+    J, _ = alignment._linear(imu, seen, C, x, arm)
+    for j in (*range(6), 7, 8, 9):  # the delay is differenced over 0.04 s
+        step = 1e-6 * np.eye(10)[j]
+        ahead, behind = (alignment._linear(imu, seen, C, x + sign * step, arm)[1] for sign in (1, -1))
+        np.testing.assert_allclose(J[:, :, 3 + j], -(ahead - behind) / 2e-6, atol=2e-5)
 
 
 def standing(seconds=30.0, rate=100.0):
@@ -122,7 +138,7 @@ def test_fast_samples_are_put_together_by_their_means():
     t = 0.0025 * np.arange(1, 1000)
     rng = np.random.default_rng(0)
     imu = ImuLog(t, np.full(t.size, 0.0025), rng.normal(size=(t.size, 3)), rng.normal(size=(t.size, 3)))
-    found = _window(imu, 0.0, t[-1])
+    found = alignment.window(imu, 0.0, t[-1])
     assert found.t.size == 333 and found.dt.sum() == pytest.approx(t[-1])
     for name in ("gyro", "accel"):
         own, all_of_it = getattr(found, name), getattr(imu, name).sum(0) * 0.0025

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.recordings.start import simulated
+from benchmarks.simulated.vehicles import simulated
 from jaxnav.filters.catalogue import build
 from jaxnav.initialization import magnetic, start
 from jaxnav.initialization.pointing import pointed_by

@@ -153,7 +153,7 @@ BEHIND_UTC = {"GPST": 0.0, "UTC": 0.0, "JST": 9 * 3600.0}  # s that a clock is a
 
 def _form(units: dict[str, str], file: str, header: str) -> str:
     """Return the form whose columns a header has."""
-    if units.get("latitude") == units.get("longitude") and units.get("height") == "m":
+    if "latitude" in units and units["latitude"] == units.get("longitude") and units.get("height") == "m":
         form = {"deg": "deg", DMS: "dms"}.get(units["latitude"])
         if form:
             return form

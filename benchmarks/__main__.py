@@ -32,6 +32,7 @@ FOLDERS = {
         "recover": "noise parameters back from innovations alone, started 10 times off",
         "states": "optional error states: consistent with them, not without",
         "consistency": "NEES and NIS of matched simulations: late and precise fixes, large attitude errors",
+        "verdict": "the verdict of tune where a part of the recording has a receiver fault",
         "pauses": "heading behind a pause of the log: error and stated sd",
         "parked": "heading of vehicles that are parked first or stop in between: error and stated sd",
         "damage": "thousands of damaged recordings, settings and checkpoints, and signals: what comes out",

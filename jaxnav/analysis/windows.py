@@ -13,6 +13,8 @@ from jaxnav.filters.run import run
 from jaxnav.measurements import Measurement
 from jaxnav.types import Epoch, Info, Nav, Params
 
+RECEIVER_ERROR = "gnss_position_error"  # state that a measured position has more than the true one
+
 
 class Windows(NamedTuple):
     """W windows in P runs: start < t <= start + length, in which no fix of the receiver is used."""
@@ -47,19 +49,34 @@ def hidden_windows(
 def drift(
     filt: Filter, params: Params, nav: Nav, epochs: Epoch, windows: Windows, measurements: tuple[Measurement, ...]
 ) -> tuple[np.ndarray, Info]:
-    """Estimate minus fix, (W, 3) ENU m, at each window's end, through the measurement model; and the runs (P, E, ...).
+    """Return the written position minus the fix at each window's end, and the runs.
 
-    The first three channels must be the position's.
+    Through the measurement model of a position, the first three channels, but without a receiver's error that the
+    filter estimates: that is no part of the position that it writes.
+
+    Args:
+        filt: the filter.
+        params: its parameters.
+        nav: the start.
+        epochs: (E, ...) of the recording.
+        windows: the hidden windows.
+        measurements: the filter's, the position first.
+
+    Returns:
+        (W, 3) m, ENU, inf where the run failed; and the runs (P, E, ...).
     """
     hide = lambda h: ep.hide(epochs, h, measurements).fix.valid
-    info = _phases(filt, params, nav, epochs, jnp.stack([hide(h) for h in windows.hidden]))
+    info = phases(filt, params, nav, epochs, jnp.stack([hide(h) for h in windows.hidden]))
     residual = np.asarray(info.residual)[windows.phase, windows.end, :3]
+    if RECEIVER_ERROR in info.nav.errors:
+        residual = residual - np.asarray(info.nav.errors[RECEIVER_ERROR])[windows.phase, windows.end]
     ok = np.asarray(info.ok)[windows.phase, windows.end]
     return np.where(ok[:, None], residual, np.inf), info
 
 
 @partial(jax.jit, static_argnums=0)
-def _phases(filt: Filter, params: Params, nav: Nav, epochs: Epoch, valid: jax.Array) -> Any:
+def phases(filt: Filter, params: Params, nav: Nav, epochs: Epoch, valid: jax.Array) -> Any:
+    """Return the runs (P, E, ...) with each row of ``valid`` (P, E, m) in place of the fixes' own."""
     one = lambda v: run(filt, params, nav, epochs._replace(fix=epochs.fix._replace(valid=v)))
     return jax.vmap(one)(valid)
 

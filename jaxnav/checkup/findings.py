@@ -392,6 +392,13 @@ KINDS: dict[str, Kind] = {
         ("loggers with separate clocks",),
         ("jaxnav check", 'tune.per_recording = ["timing"]'),
     ),
+    "tune.fault": Kind(
+        WARNING,
+        "{value:.0f} of {of} hidden windows of the {subject} part, from t = {first:.0f} to {last:.0f} s, disagree with "
+        "every candidate: {done}",
+        ("a receiver fault", "a motion that the rest of the recording has not"),
+        ("data.start, data.stop", 'filter.name = "ekf15_receiver"'),
+    ),
     "tune.aside": Kind(WARNING, "{subject} is left out from step {step} on: {why}"),
     "tune.undetermined": Kind(INFO, "{message}"),
     "mc.diverged": Kind(WARNING, "{subject} diverged in {value:.0f} of {runs} runs: {first}"),

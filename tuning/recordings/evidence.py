@@ -95,10 +95,16 @@ def _nll(nu: jax.Array, S: jax.Array, valid: jax.Array, heavy: jax.Array) -> jax
 
 
 def predicted(filt: Filter, params: Sequence[Params], used: Sequence[Used], infos: Sequence[Info]) -> float:
-    """How badly a candidate predicts the validation parts of recordings: the likelihood in J, there, without priors.
+    """Return how badly a candidate predicts the validation parts of recordings.
 
-    Mean negative log-likelihood of an innovation, plus that of a hidden fix by a Student t; ``infos`` (P, E, ...) of
-    its runs with hidden windows.
+    Mean negative log-likelihood of an innovation, plus that of a hidden fix, both by a Student t, so that no fix counts
+    without bound.
+
+    Args:
+        filt: the candidate's filter.
+        params: its parameters in each recording.
+        used: the recordings.
+        infos: (P, E, ...) of its runs with hidden windows.
     """
     slow = slow_errors(filt)
     shown: list[list[np.ndarray]] = [[], []]
@@ -107,7 +113,7 @@ def predicted(filt: Filter, params: Sequence[Params], used: Sequence[Used], info
         counts = part & ~u.windows.hidden & np.asarray(info.valid).any(-1)
         lost = not np.asarray(info.ok)[:, part].all()
         pick = lambda a, counts=counts: jnp.asarray(np.asarray(a)[counts])
-        innovations = _nll(*map(pick, (info.nu, info.S, info.valid, rejected(info))))
+        innovations = _nll(*map(pick, (info.nu, info.S, info.valid, np.ones(np.shape(info.ok), bool))))
         there = np.all(np.asarray(u.packed.epochs.fix.valid)[:, :2], axis=1)
         at, known = ages(u.windows, u.packed.t, there, u.parts["validation"], u.layout.window)
         phase, column = np.nonzero(known)

@@ -44,6 +44,7 @@ from jaxnav.types import ConfigError, DataError, Finding, Info, Params, Recordin
 from tuning.fit.status import Status
 from tuning.recordings import scoring
 from tuning.recordings.evidence import SLOW, Job, predicted
+from tuning.recordings.faults import suspect_windows, without_faults
 from tuning.recordings.free import leaves_of
 from tuning.recordings.parts import (
     REACH,
@@ -72,7 +73,7 @@ from tuning.recordings.report import (
     verdict,
 )
 from tuning.recordings.runs import Descent, check_objective, descend
-from tuning.recordings.validation import paired_gain
+from tuning.recordings.validation import paired_gain, smaller
 from tuning.uncertainty import Covariance
 
 MOST, TOLERANCE = 25, 0.02  # evaluations of one search; gain in J that is worth another
@@ -80,6 +81,7 @@ DELAY = "mounting.time_offset"
 SCANNED = ("noise.gyro", "noise.accel", DELAY)  # what the noise scan finds
 FAR = 2.0  # sd of a prior beyond which a parameter is said to be far
 FEW = 1.25  # times the datasheet's drift that the few windows of validation may show by chance
+FEW_BLOCKS, CLEAR = 4, 0.8  # of windows, from which on a ratio has an interval; a ratio that needs none
 CORRELATED = 0.15  # of a position's innovations from fix to fix, from which on slow errors are tried
 SLOW_LEAVES = (f"states.{SLOW}.driving_noise", f"states.{SLOW}.tau")
 
@@ -170,6 +172,8 @@ def tune(
                 f"{', '.join(u.name for u in used)}: no hidden window of {used[0].layout.window:g} s fits into the "
                 f"{name} part of {sum(u.packed.t[-1] - u.packed.start for u in used):.0f} s: it is too short to tune on"
             )
+    absent = {m.name for m in chosen if m.columns and not any(m.name in r.aiding for r in recs)}
+    free = [leaf for leaf in leaves_of(filt, used[0].datasheet, free) if leaf.split(".")[1] not in absent]
     spec = spec_of(filt, used[0].datasheet, free, prior_sd, priors)
     job = Job(filt, spec, used, separate, observations)
     log(f"free: {', '.join(spec)}")
@@ -196,6 +200,13 @@ def tune(
         at, status = search("slow errors", other, other.numbers(job.each(found["tuned"])), history, log)
         found["slow errors"], offs["slow errors"] = at, level_drift(other, at, chosen)
     params_of = lambda name: jobs[name].each(found[name])
+    plain = [name for name in ("datasheet", "auto") if name in offs]
+    suspect = [
+        suspect_windows(u, [params_of(name)[r] for name in plain], [offs[name][1][r] for name in plain])
+        for r, u in enumerate(used)
+    ]
+    parts, faults = without_faults(parts, np.concatenate(suspect), np.concatenate([u.starts for u in used]))
+    warnings = [*warnings, *faults]
     kept_of = lambda name: [with_prior_of(p, s, spec) for p, s in zip(params_of(name), datasheets, strict=True)]
     trials = {
         name: Trial(
@@ -204,7 +215,7 @@ def tune(
         )
         for name, off in offs.items()
     }  # fmt: skip
-    best = choose(trials)
+    best = choose(trials, parts, blocks_of(used))
     test, blocks = parts["test"], blocks_of(used)[parts["test"]]
     gain = None
     if best != "datasheet" and np.unique(blocks).size >= LEAST_WINDOWS and np.isfinite(offs[best][0]).all():
@@ -332,23 +343,44 @@ def level_drift(job: Job, flat: jax.Array, measurements: tuple[Any, ...]) -> tup
     return np.concatenate([np.hypot(error[:, 0], error[:, 1]) for error, _ in runs]), [info for _, info in runs]
 
 
-def choose(trials: Mapping[str, Trial]) -> str:
+def choose(trials: Mapping[str, Trial], parts: Mapping[str, np.ndarray], blocks: np.ndarray) -> str:
     """Return the candidate that predicts the validation part best, of those that do no harm; else the datasheet.
 
-    The scan's numbers compete with the datasheet, all others with the better of both.
+    The scan's numbers, three by likelihood, compete with the datasheet and must not drift more; all others, of many
+    numbers, compete with the better of both and must drift less by more than chance.
+
+    Args:
+        trials: the candidates.
+        parts: masks (W,) of the windows.
+        blocks: (W,) which windows are drawn together.
     """
-    best = "datasheet"
+    best, seen = "datasheet", parts["training"] | parts["validation"]
     if "auto" in trials and trials["auto"].nll < trials[best].nll and does_no_harm(trials["auto"], trials[best]):
         best = "auto"
     limit = trials[best]
-    passed = {name: t.nll for name, t in trials.items() if t.nll < limit.nll and does_no_harm(t, limit)}
+    better = lambda t: t.nll < limit.nll and does_no_harm(t, limit) and drifts_less(t, limit, seen, blocks)
+    passed = {name: t.nll for name, t in trials.items() if better(t)}
     return min(passed, key=lambda name: passed[name]) if passed else best
 
 
 def does_no_harm(trial: Trial, other: Trial) -> bool:
     """Return whether it drifts less than another, and on the few windows of validation not much more."""
     ratios = np.array(trial.ratios) / np.array(other.ratios)
-    return max(ratios[:2]) < 1.0 and max(ratios[2:]) < FEW
+    return bool(max(ratios[:2]) < 1.0 and max(ratios[2:]) < FEW)
+
+
+def drifts_less(trial: Trial, other: Trial, seen: np.ndarray, blocks: np.ndarray) -> bool:
+    """Return whether it drifts less than another by more than chance.
+
+    Args:
+        trial: the candidate.
+        other: the candidate that it is to replace.
+        seen: (W,) windows of training and validation.
+        blocks: (W,) which windows are one; of fewer than `FEW_BLOCKS` a ratio below `CLEAR` is enough.
+    """
+    if np.unique(blocks[seen]).size < FEW_BLOCKS:
+        return bool(trial.ratios[0] < CLEAR * other.ratios[0])
+    return smaller(other.drift[seen], trial.drift[seen], blocks[seen])
 
 
 # ---------------------------------------------------------------------------- in words

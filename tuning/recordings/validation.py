@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import stdtrit
 
 
 class PairedGain(NamedTuple):
@@ -42,6 +43,28 @@ def paired_gain(
     low, high = np.percentile(np.sqrt(b / a), [2.5, 97.5])
     rms = lambda e: float(np.sqrt(np.mean(e**2)))
     return PairedGain(rms(before) / rms(after), float(low), float(high), rms(before), rms(after))
+
+
+def smaller(before: np.ndarray, after: np.ndarray, blocks: np.ndarray, chance: float = 0.025) -> bool:
+    """Return whether errors became smaller by more than chance: a one-sided t test of log RMS ratios, a block each.
+
+    Of few blocks a bootstrap's interval is too narrow.
+
+    Args:
+        before: (W,) errors.
+        after: (W,) of the same windows; inf where a run failed.
+        blocks: (W,) which windows are one.
+        chance: that it says so where nothing changed.
+    """
+    labels, member = np.unique(blocks, return_inverse=True)
+    if labels.size < 2 or not np.isfinite(after).all():
+        return False
+    mean = [np.bincount(member, e**2) / np.bincount(member) + 1e-6 for e in (before, after)]
+    change = np.log(np.where(np.isfinite(mean[0]), mean[0], np.inf) / mean[1])
+    if not np.isfinite(change).all():  # a run that failed before
+        change = np.clip(change, -50.0, 50.0)
+    spread = change.std(ddof=1) / np.sqrt(labels.size)
+    return bool(change.mean() > stdtrit(labels.size - 1, 1 - chance) * spread)
 
 
 class PairedRatio(NamedTuple):

@@ -1,0 +1,94 @@
+"""Parts of a recording in which the receiver is at fault: fixes that no candidate explains as it explains the others.
+
+A fault in one part would choose the winner: whoever bears it best gains more there than anybody can elsewhere. What is
+looked at are normalised innovations by the candidates that are not tuned, relative to the median of each, so that noise
+that is set too low everywhere is no fault. An epoch is suspect if the innovations of `BLOCK` s about it, or its own,
+are too large by all of them; so is a window that has one, or whose last hidden fix is that far from all predictions.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.analysis.windows import position_noise
+from jaxnav.checkup.findings import finding
+from jaxnav.types import Finding, Info, Params
+from tuning.recordings.parts import Used
+
+BLOCK = 10.0  # s
+LARGE = 4.0  # times a candidate's median of NIS/dof, of a block, and at least that
+SINGLE = 30.0  # times, of one epoch
+AROUND = 5.0  # s, about a suspect epoch
+MOST = 0.5  # of a part's windows, beyond which none is left out: what is usual is no fault
+LEAST = 2  # suspect epochs or windows of a part that are worth a finding
+
+
+def suspect_epochs(t: np.ndarray, infos: Sequence[Info]) -> np.ndarray:
+    """Return the epochs (E,) that no candidate explains.
+
+    Args:
+        t: (E,) s, inf where an epoch was added.
+        infos: (P, E, ...) runs of each candidate.
+    """
+    suspect = np.isfinite(t)
+    block = np.where(suspect, np.floor((np.where(suspect, t, 0.0) - t[0]) / BLOCK), -1).astype(int)
+    for info in infos:
+        dof = np.asarray(info.valid).sum(-1)
+        seen = dof > 0
+        ratio = np.where(seen, np.asarray(info.nis) / np.maximum(dof, 1), np.inf).min(0)  # of the runs that see it
+        there = np.isfinite(ratio) & (block >= 0)
+        sums, counts = (np.bincount(block[there], w, block.max() + 1) for w in (ratio[there], None))
+        mean = sums / np.maximum(counts, 1)
+        usual = max(1.0, float(np.median(mean[counts > 0])) if (counts > 0).any() else 1.0)
+        high = there & ((ratio > SINGLE * usual) | (mean[np.maximum(block, 0)] > LARGE * usual))
+        suspect = suspect & high
+    return np.asarray(suspect)
+
+
+def suspect_windows(used: Used, params: Sequence[Params], infos: Sequence[Info]) -> np.ndarray:
+    """Return the windows (W,) of a recording that judge nothing.
+
+    Args:
+        used: the recording.
+        params: of each candidate that is not tuned.
+        infos: its runs (P, E, ...) with hidden windows.
+    """
+    windows, t = used.windows, used.t
+    times = t[suspect_epochs(t, infos)]
+    near = [np.any((times > s - AROUND) & (times < t[e] + AROUND)) for s, e in zip(windows.start, windows.end)]
+    lost = np.ones(len(windows.end), bool)
+    sd = np.asarray(used.packed.epochs.fix.sd)[windows.end, :3]
+    for own, info in zip(params, infos, strict=True):
+        at = windows.phase, windows.end
+        C = np.asarray(info.P)[at][:, :3, :3] + np.asarray(position_noise(own, jnp.asarray(sd)))
+        y = np.asarray(info.residual)[at][:, :3]
+        square = np.einsum("wi,wij,wj->w", y, np.linalg.inv(C), y) / 3
+        lost &= square > SINGLE * max(1.0, float(np.median(square)))
+    return np.array(near, bool) | lost
+
+
+def without_faults(
+    parts: Mapping[str, np.ndarray], suspect: np.ndarray, windows: np.ndarray
+) -> tuple[dict[str, np.ndarray], list[Finding]]:
+    """Return the parts without suspect windows, and a finding for each part that has some.
+
+    Args:
+        parts: masks (W,) of the windows.
+        suspect: (W,) bool.
+        windows: (W,) s, their starts.
+    """
+    kept, findings = dict(parts), []
+    for name, mask in parts.items():
+        bad = mask & suspect
+        if bad.sum() < LEAST:
+            continue
+        leave = bad.sum() <= MOST * mask.sum()
+        if leave:
+            kept[name] = mask & ~suspect
+        first, last = windows[bad].min(), windows[bad].max()
+        done = "are left out" if leave else "too many to be left out"
+        findings.append(
+            finding("tune.fault", name, float(bad.sum()), of=int(mask.sum()), first=first, last=last, done=done)
+        )
+    return kept, findings

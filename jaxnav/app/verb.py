@@ -91,7 +91,7 @@ DATA = Argument("--data", "scenario, data set or recording ([data] source)", "da
 PATH = Argument("path", "file or folder of any known format, or a column map", "data.source", "PATH", reads=True)
 FILTER = Argument("--filter", "see `jaxnav info` ([filter] name)", "filter.name", value="NAME")
 PARAMS = Argument("--params", "parameters of this file, such as an earlier tuned.toml", reads=True, value="FILE")
-RESUME = Argument("--resume", "go on from the checkpoint in --out, bit for bit")
+RESUME = Argument("--resume", "go on from the checkpoint in --out")
 DEVICES = (
     Argument("--devices", "share runs among N, 0: all there", value="N", type=int, more={"default": 1}),
     Argument("--coordinator", "of several processes, private networks only", value="HOST:PORT"),

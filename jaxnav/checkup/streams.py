@@ -123,7 +123,10 @@ def barometer(rec: Recording) -> list[Finding]:
     spread = float(height.std())
     if spread < 1.5 * min(float(np.median(p.sd[:, 2])), 3.0):
         return []
-    slope, corr = float(np.cov(height, said)[0, 1] / height.var(ddof=1)), float(np.corrcoef(height, said)[0, 1])
+    corr, noise = float(np.corrcoef(height, said)[0, 1]), float(np.median(p.sd[:, 2]))
+    # noise of the receiver's height makes the slope smaller (Fuller 1987, section 1.1)
+    own = max(height.var(ddof=1) - noise**2, corr**2 * height.var(ddof=1))
+    slope = float(np.cov(height, said)[0, 1] / own)
     if corr < -0.5:
         return [finding("barometer.sign", value=slope, corr=corr)]
     if corr > 0.7 and not 0.7 < slope < 1.4:

@@ -24,6 +24,7 @@ from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import ConfigError, DataError, Samples
+from tuning.fit import checkpoint
 from tuning.fit.status import Status
 from tuning.recordings import evidence, faults, priors, recorded, report
 from tuning.recordings.evidence import Job
@@ -312,6 +313,27 @@ def test_the_datasheet_stays_unless_all_is_better():
     assert chosen(auto=trial(1.2 * before, -0.5), tuned=better) == "tuned"  # auto does harm
 
 
+def test_a_search_that_was_killed_goes_on_from_its_best_and_a_finished_one_is_not_searched_again(tmp_path, job):
+    """What is on the disk after each evaluation is all that the next process has."""
+    mine, said = job[0](), []
+    kept = recorded.Checkpoints(tmp_path, identity="job")
+    whole, status = recorded.search("tuned", mine, mine.flat, [], said.append, kept)
+    stored = checkpoint.load(tmp_path / "tuned.npz", mine.flat, "job")
+    np.testing.assert_array_equal(stored.tree, whole)
+    assert stored.head["status"] == status.value == "converged"
+    checkpoint.save(tmp_path / "tuned.npz", mine.flat + 0.1, {"status": None}, "job")  # as after a kill
+    history = []
+    again, _ = recorded.search("tuned", mine, mine.flat, history, said.append, kept._replace(resume=True))
+    np.testing.assert_allclose(again, whole, atol=0.3)
+    assert history and "goes on from" in " ".join(said)
+    history.clear()
+    same, _ = recorded.search("tuned", mine, mine.flat, history, said.append, kept._replace(resume=True))
+    np.testing.assert_array_equal(same, again)
+    assert not history
+    with pytest.raises(checkpoint.CheckpointError):
+        recorded.search("tuned", mine, mine.flat, [], said.append, kept._replace(resume=True, identity="another"))
+
+
 def test_a_gain_by_chance_is_none():
     """Of errors that only scatter, 97 of 100 verdicts stay; a gain of a fifth in every block is one."""
     rng, blocks = np.random.default_rng(0), np.arange(24) // 3
@@ -322,10 +344,10 @@ def test_a_gain_by_chance_is_none():
 
 
 def test_a_part_with_a_receiver_fault_is_named_and_does_not_judge(rec, ekf):
-    """Positions 40 m off for 4 s: windows that touch them are left out of that part alone."""
+    """Positions 40 m off for 3 s: windows that touch them are left out of that part alone."""
     p = rec.aiding["position"]
-    begin = 0.92 * p.t[-1]
-    moved = p.value + np.where((p.t > begin) & (p.t < begin + 4.0), 40.0 / 6.4e6, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    begin = p.t[-1] - 3.5
+    moved = p.value + np.where((p.t > begin) & (p.t < begin + 3.0), 40.0 / 6.4e6, 0.0)[:, None] * [1.0, 0.0, 0.0]
     bad = rec._replace(aiding=rec.aiding | {"position": p._replace(value=moved)})
     begun = start(bad, ekf.params("adis16465"))
     packed = ep.pack_recording(bad, GNSS, begun.t)

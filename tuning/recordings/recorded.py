@@ -22,9 +22,11 @@ the hidden windows of training and validation. The winner is judged once, on the
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
@@ -41,6 +43,7 @@ from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.start import Start, start
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import ConfigError, DataError, Finding, Info, Params, Recording
+from tuning.fit import checkpoint
 from tuning.fit.status import Status
 from tuning.recordings import scoring
 from tuning.recordings.evidence import SLOW, Job, predicted
@@ -86,6 +89,14 @@ CORRELATED = 0.15  # of a position's innovations from fix to fix, from which on 
 SLOW_LEAVES = (f"states.{SLOW}.driving_noise", f"states.{SLOW}.tau")
 
 
+class Checkpoints(NamedTuple):
+    """Where searches keep what they have, and whether they go on from there."""
+
+    folder: Path
+    resume: bool = False
+    identity: str = ""  # of the job, so that another job's checkpoint is refused
+
+
 # ---------------------------------------------------------------------------- the function
 
 
@@ -105,6 +116,7 @@ def tune(
     extend: bool = True,
     standing: Standing = Standing(),
     how: Descent | None = None,
+    checkpoints: Checkpoints | None = None,
     log: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
     """Tune ``params`` (such as ``filt.params("consumer")``, the datasheet) on a recording, or on several together.
@@ -125,11 +137,13 @@ def tune(
         extend: try a filter that estimates slow errors of the receiver.
         standing: the detector of standstills.
         how: minimise an objective by gradient over the training windows, in place of J.
+        checkpoints: where the searches keep the best so far, after each evaluation.
         log: called with a line on what is done.
 
     Raises:
         DataError: a recording that cannot be started from, or is too short for windows in every part.
         ValueError: the filter stops being finite with ``params``, or an unknown name.
+        CheckpointError: nothing usable to resume from.
     """
     make_room()
     several = lambda value: type(value) in (list, tuple)  # each of them is a named tuple itself
@@ -181,7 +195,7 @@ def tune(
     auto = job.numbers([each.applied(u.datasheet) for each, u in zip(scans, used, strict=True)])
     job.centre_delays(auto)
     found = {"datasheet": job.flat, "auto": auto} if any(each.fixes for each in scans) else {"datasheet": job.flat}
-    search_tuned = search if how is None else partial(descent, how=how)
+    search_tuned = partial(search, checkpoints=checkpoints) if how is None else partial(descent, how=how)
     found["tuned"], status = search_tuned("tuned", job, auto, history, log)
     jobs = dict.fromkeys(found, job)
     log("scoring the candidates on hidden windows")
@@ -197,7 +211,7 @@ def tune(
         other = Job(more, wider, whole, separate, observations)
         jobs["slow errors"] = other
         other.centre_delays(other.numbers(job.each(auto)))
-        at, status = search("slow errors", other, other.numbers(job.each(found["tuned"])), history, log)
+        at, status = search("slow errors", other, other.numbers(job.each(found["tuned"])), history, log, checkpoints)
         found["slow errors"], offs["slow errors"] = at, level_drift(other, at, chosen)
     params_of = lambda name: jobs[name].each(found[name])
     plain = [name for name in ("datasheet", "auto") if name in offs]
@@ -286,18 +300,37 @@ def prepare_recordings(
 
 
 def search(
-    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], log: Callable[[str], None]
-) -> tuple[jax.Array, Status]:
-    """Minimise J from a point, with a line and a row of the history for each evaluation."""
+    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], log: Callable[[str], None],
+    checkpoints: Checkpoints | None = None,
+) -> tuple[jax.Array, Status]:  # fmt: skip
+    """Minimise J from a point, with a line and a row of the history for each evaluation.
+
+    Raises:
+        CheckpointError: nothing usable to resume from.
+    """
+    path = None if checkpoints is None else checkpoints.folder / f"{name.replace(' ', '_')}.npz"
+
+    def keep(at: jax.Array, status: Status | None) -> None:
+        if path is not None and checkpoints is not None:
+            checkpoint.save(path, at, {"status": None if status is None else status.value}, checkpoints.identity)
 
     def report(i: int, at: scoring.Search) -> None:
         row = {"search": name, "step": i, "loss": float(at.best.nll)}
         history.append(row)
+        keep(at.raw, None)
         log(f"  {name}, evaluation {i}: J {row['loss']:.4f}")
 
     log(f"{name}: {len(job.flat)} numbers free")
-    ended = scoring.maximise(job.objective(), first, MOST, TOLERANCE, report)
-    return ended.raw, scoring.status(ended, TOLERANCE)
+    if path is not None and checkpoints is not None and checkpoints.resume and (name == "tuned" or path.exists()):
+        stored = checkpoint.load(path, first, checkpoints.identity)
+        first, ended = jnp.asarray(stored.tree), stored.head["status"]
+        log(f"  {name}: goes on from {path}" if ended is None else f"  {name}: finished in {path}")
+        if ended in (Status.CONVERGED, Status.ITERATION_LIMIT):
+            return first, Status(ended)
+    found = scoring.maximise(job.objective(), first, MOST, TOLERANCE, report)
+    status = scoring.status(found, TOLERANCE)
+    keep(found.raw, status)
+    return found.raw, status
 
 
 def descent(

@@ -29,6 +29,7 @@ from tuning.fit.optimizers import OPTIMIZERS
 from tuning.fit.status import Status
 from tuning.fit.transforms import LOG
 from tuning.recordings.free import leaves_of, transform_of
+from tuning.recordings.recorded import Checkpoints
 from tuning.recordings.report import Tuned, reported_candidate, user_history
 from tuning.recordings.runs import Descent, check_objective
 from tuning.recordings.targets import TARGETS, Target
@@ -158,8 +159,7 @@ def on_recordings(config: Config, long: Long, progress: bool, log: Callable[[str
     """Tune on recordings: by tempered likelihood, or an objective by gradient where one is stated."""
     t = config.tune
     gradient = t.method in OPTIMIZERS or (t.method == "auto" and t.objective != Tune().objective)
-    if long.resume and not gradient:
-        raise ConfigError("--resume: the tempered method keeps no checkpoints, it takes some forty evaluations")
+    checkpoints = None if gradient or long.keep is None else Checkpoints(long.keep, long.resume, identity(config))
     target = TARGETS[t.target] if t.target else None
     if target:
         config = for_target(config, target)
@@ -182,7 +182,7 @@ def on_recordings(config: Config, long: Long, progress: bool, log: Callable[[str
         recs, filt, datasheets, free=free.leaves, per_recording=free.per_recording, prior_sd=free.prior_sd,
         begin=begins, stop=config.data.stop, window=t.outage_s or None, priors=t.priors != "none",
         extend=target is None, standing=standing_of(config),
-        how=descent_of(config, long, progress) if gradient else None, log=log,
+        how=descent_of(config, long, progress) if gradient else None, checkpoints=checkpoints, log=log,
     )  # fmt: skip
     lines = [f"for {t.target} ({target.about}): {target.file}"] if target else []
     for rec, used in zip(recs, found.used, strict=True):

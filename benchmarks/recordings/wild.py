@@ -139,7 +139,7 @@ def tuned(name: str, path: Path) -> dict:
     clock = next((r for r in found.rows if r.name == "clock_drift"), None)
     return {
         "ran": True, "drift_ratio": after / before, "datasheet_m": before, "tuned_m": after,
-        "interval": None if found.gain is None else [1 / found.gain.high, 1 / found.gain.low],
+        "interval": None if found.interval is None else [found.interval.low, found.interval.high],
         "nis": found.nis[found.chosen], "chosen": found.chosen, "n_eff": found.effective,
         "far": [r.name for r in found.rows if "sd from the datasheet" in r.remark],
         "windows": found.counts, "set_on": name in SET_ON,
@@ -153,7 +153,8 @@ def tuned(name: str, path: Path) -> dict:
 def tuning_table(results: dict[str, dict]) -> str:
     """The ratios of all recordings."""
     rows = [
-        [name, r["chosen"], r["datasheet_m"], r["tuned_m"], f"{r['drift_ratio']:.2f}",
+        [name, r["chosen"], r["datasheet_m"], r["tuned_m"],
+         "{:.2f} ({:.2f} to {:.2f})".format(r["drift_ratio"], *r["interval"]),
          " ".join(f"{v:.2f}" for v in r["candidates"].values()), r["windows"]["test"], f"{r['n_eff']:.0f}",
          "" if r["clock_ppm"] is None else f"{r['clock_ppm'][0]:.0f}", r["evaluations"], f"{r['seconds']:.0f}",
          *(" ".join(f"{h[k]:.2f}" for h in r["honest"].values()) for k in ("error_over_sd", "inside_95", "nis"))]
@@ -170,19 +171,22 @@ CHI2_2 = 5.99  # 95 % of chi-square with two degrees of freedom
 
 
 def judged(rec: Recording, filt: Filter, params: Params, begin: Start, split: float) -> dict:
-    """Hidden windows after ``split`` s by these parameters: RMS m, error / stated sd, share inside 95 %, NIS / dof."""
+    """Hidden windows after ``split`` s by these parameters: RMS m, error / stated sd, share inside 95 %, NIS / dof.
+
+    RMS is of the written position; the stated sd is of a fix and its prediction, which has the receiver's error.
+    """
     length = window_of(rec)
     packed, windows, error, info = hidden_drift(rec, filt, params, begin, length, 3 * length)
     late, after = windows.start > split, packed.t > split
     at = windows.end[late]
     P = seen_by_position(jnp.asarray(info.P)[windows.phase[late], at], slow_errors(filt))
     S = np.asarray(P + position_noise(params, packed.epochs.fix.sd[at, :3]))[:, :2, :2]
-    error = error[late, :2]
-    z2 = np.einsum("wi,wij,wj->w", error, np.linalg.inv(S), error)
+    error, told = error[late, :2], np.asarray(info.residual)[windows.phase[late], at, :2]
+    z2 = np.einsum("wi,wij,wj->w", told, np.linalg.inv(S), told)
     valid, nis = np.asarray(info.valid)[:, after].sum(-1), np.asarray(info.nis)[:, after]
     return {
         "windows": int(late.sum()), "rms_m": float(np.sqrt(np.mean(np.sum(error**2, 1)))),
-        "error_over_sd": float(np.sqrt(np.mean(np.sum(error**2, 1) / np.trace(S, axis1=1, axis2=2)))),
+        "error_over_sd": float(np.sqrt(np.mean(np.sum(told**2, 1) / np.trace(S, axis1=1, axis2=2)))),
         "inside_95": float(np.mean(z2 < CHI2_2)), "nis": float(nis[valid > 0].sum() / valid.sum()),
     }  # fmt: skip
 

@@ -32,7 +32,7 @@ from tuning.recordings.parts import PHASES, Layout, Used, ages, parts_of, plan, 
 from tuning.recordings.recorded import choose, correlation
 from tuning.recordings.report import Trial, ratios
 from tuning.recordings.runs import Descent, score_of
-from tuning.recordings.validation import smaller
+from tuning.recordings.validation import block_ratio
 from tuning.uncertainty import gaussian
 
 
@@ -335,12 +335,14 @@ def test_a_search_that_was_killed_goes_on_from_its_best_and_a_finished_one_is_no
 
 
 def test_a_gain_by_chance_is_none():
-    """Of errors that only scatter, 97 of 100 verdicts stay; a gain of a fifth in every block is one."""
+    """Of errors that only scatter, 97 of 100 intervals hold one; a gain of a fifth in every block is one."""
     rng, blocks = np.random.default_rng(0), np.arange(24) // 3
     draws = [np.abs(rng.normal(size=(2, 24))) for _ in range(400)]
-    assert np.mean([smaller(a, b, blocks) for a, b in draws]) < 0.04
-    assert all(smaller(a, 0.8 * a, blocks) for a, _ in draws[:20])
-    assert not smaller(draws[0][0], np.full(24, np.inf), blocks)
+    assert np.mean([block_ratio(a, b, blocks).high < 1.0 for a, b in draws]) < 0.04
+    found = block_ratio(draws[0][0], 0.8 * draws[0][0], blocks)
+    assert found == pytest.approx((0.8, 0.8, 0.8), abs=1e-4)
+    assert block_ratio(draws[0][0], np.full(24, np.inf), blocks).low > 1e3
+    assert block_ratio(draws[0][0], draws[0][1], np.zeros(24)).high == np.inf
 
 
 def test_a_part_with_a_receiver_fault_is_named_and_does_not_judge(rec, ekf):

@@ -76,7 +76,7 @@ from tuning.recordings.report import (
     verdict,
 )
 from tuning.recordings.runs import Descent, check_objective, descend
-from tuning.recordings.validation import paired_gain, smaller
+from tuning.recordings.validation import block_ratio, paired_gain
 from tuning.uncertainty import Covariance
 
 MOST, TOLERANCE = 25, 0.02  # evaluations of one search; gain in J that is worth another
@@ -234,14 +234,16 @@ def tune(
     gain = None
     if best != "datasheet" and np.unique(blocks).size >= LEAST_WINDOWS and np.isfinite(offs[best][0]).all():
         gain = paired_gain(offs["datasheet"][0][test], offs[best][0][test], blocks)
+    interval = block_ratio(offs["datasheet"][0][test], offs[best][0][test], blocks)
     late = [u.t > u.layout.validation for u in used]
     nis = {name: channels(off[1], late, chosen) for name, off in offs.items()}
     scores = {name: spread(off[0][test]) for name, off in offs.items()}
     reported = reported_candidate(best)
     return Tuned(
-        trials[best].params, kept_of(best), trials[best].filter, best, verdict(best, trials, scores, parts),
+        trials[best].params, kept_of(best), trials[best].filter, best, verdict(best, trials, scores, parts, interval),
         table(jobs[reported], found[reported]), trials, used, parts, int(np.unique(blocks).size), gain, scores, nis,
         jobs[best].spec, warnings, history, status, job.effective if how is None else math.nan,
+        interval,
     )  # fmt: skip
 
 
@@ -413,7 +415,10 @@ def drifts_less(trial: Trial, other: Trial, seen: np.ndarray, blocks: np.ndarray
     """
     if np.unique(blocks[seen]).size < FEW_BLOCKS:
         return bool(trial.ratios[0] < CLEAR * other.ratios[0])
-    return smaller(other.drift[seen], trial.drift[seen], blocks[seen])
+    return (
+        np.isfinite(trial.drift[seen]).all()
+        and block_ratio(other.drift[seen], trial.drift[seen], blocks[seen]).high < 1.0
+    )
 
 
 # ---------------------------------------------------------------------------- in words

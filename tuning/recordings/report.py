@@ -23,7 +23,7 @@ from jaxnav.types import DataError, Finding, Info, Params
 from tuning.fit.status import Status
 from tuning.fit.transforms import LOG, Spec, Transform, reported, values
 from tuning.recordings.export import sd_by_stream, stated_sd, write_exports
-from tuning.recordings.validation import PairedGain
+from tuning.recordings.validation import PairedGain, PairedRatio
 from tuning.uncertainty import Covariance, intervals
 
 if TYPE_CHECKING:
@@ -79,6 +79,7 @@ class Tuned:
     history: list[dict[str, Any]] = field(default_factory=list)
     status: Status = Status.CONVERGED
     effective: float = math.nan  # N of a tempered likelihood
+    interval: PairedRatio | None = None  # the winner's drift over the datasheet's on the test
 
     @property
     def counts(self) -> dict[str, int]:
@@ -103,8 +104,9 @@ def reported_candidate(best: str) -> str:
 
 
 def verdict(
-    best: str, trials: Mapping[str, Trial], scores: Mapping[str, dict[str, float]], parts: Mapping[str, np.ndarray]
-) -> str:
+    best: str, trials: Mapping[str, Trial], scores: Mapping[str, dict[str, float]], parts: Mapping[str, np.ndarray],
+    interval: PairedRatio | None = None,
+) -> str:  # fmt: skip
     """Return which candidate won, what it is worth on the test, and how the others did on the validation part."""
     datasheet = trials["datasheet"]
     words = lambda name, t: (
@@ -117,9 +119,10 @@ def verdict(
             f"training and validation windows, on validation alone ({others})"
         )
     rms = {name: score["rms_m"] for name, score in scores.items()}
+    sure = "" if interval is None else f" (95 %: {interval.low:.2f} to {interval.high:.2f})"
     against = f" and {rms[best] / rms['auto']:.2f} of the noise scan's" if "auto" in rms and best != "auto" else ""
     return (
-        f"{best}: {rms[best] / rms['datasheet']:.2f} of the datasheet's{against} RMS drift over "
+        f"{best}: {rms[best] / rms['datasheet']:.2f}{sure} of the datasheet's{against} RMS drift over "
         f"{int(parts['test'].sum())} test windows ({rms['datasheet']:.2f} to {rms[best]:.2f} m); "
         f"{words(best, trials[best])}" + (f"; {others}" if others else "")
     )
@@ -236,6 +239,7 @@ def metrics(found: Tuned) -> dict[str, Any]:
         "windows": {name: found.counts[name] for name in ("training", "validation", "test")},
         "test": found.test, "nis_by_channel": found.nis,
         "drift_ratio": found.test[found.chosen]["rms_m"] / found.test["datasheet"]["rms_m"],
+        "drift_ratio_95": None if found.interval is None else [found.interval.low, found.interval.high],
         "paired_gain": None if found.gain is None else found.gain._asdict(),
         "against_datasheet": {k: list(t.ratios) for k, t in found.trials.items()},
         "per_window": {"recording": named, "start_s": np.concatenate([u.starts for u in found.used]),

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
+FAILED = 1e6  # m: what a run that failed counts as
+
 
 class PairedGain(NamedTuple):
     """How much smaller an error became; every figure follows from the paired errors alone."""
@@ -45,33 +47,31 @@ def paired_gain(
     return PairedGain(rms(before) / rms(after), float(low), float(high), rms(before), rms(after))
 
 
-def smaller(before: np.ndarray, after: np.ndarray, blocks: np.ndarray, chance: float = 0.025) -> bool:
-    """Return whether errors became smaller by more than chance: a one-sided t test of log RMS ratios, a block each.
+def block_ratio(before: np.ndarray, after: np.ndarray, blocks: np.ndarray, level: float = 0.95) -> "PairedRatio":
+    """Return the ratio of RMS errors, after to before, and its interval by Student's t over blocks' log ratios.
 
     Of few blocks a bootstrap's interval is too narrow.
 
     Args:
-        before: (W,) errors.
-        after: (W,) of the same windows; inf where a run failed.
+        before: (W,) errors; inf where a run failed.
+        after: (W,) of the same windows, likewise.
         blocks: (W,) which windows are one.
-        chance: that it says so where nothing changed.
+        level: of the interval; of one block it is (0, inf).
     """
     labels, member = np.unique(blocks, return_inverse=True)
-    if labels.size < 2 or not np.isfinite(after).all():
-        return False
-    mean = [np.bincount(member, e**2) / np.bincount(member) + 1e-6 for e in (before, after)]
-    change = np.log(np.where(np.isfinite(mean[0]), mean[0], np.inf) / mean[1])
-    if not np.isfinite(change).all():  # a run that failed before
-        change = np.clip(change, -50.0, 50.0)
-    spread = change.std(ddof=1) / np.sqrt(labels.size)
-    return bool(change.mean() > stdtrit(labels.size - 1, 1 - chance) * spread)
+    mean = [np.bincount(member, np.minimum(e, FAILED) ** 2) / np.bincount(member) + 1e-6 for e in (before, after)]
+    change, ratio = 0.5 * np.log(mean[1] / mean[0]), np.sqrt(np.mean(after**2) / np.mean(before**2))
+    if labels.size < 2:
+        return PairedRatio(float(ratio), 0.0, float("inf"))
+    half = stdtrit(labels.size - 1, 0.5 + 0.5 * level) * change.std(ddof=1) / np.sqrt(labels.size)
+    return PairedRatio(float(ratio), *(float(np.exp(change.mean() + sign * half)) for sign in (-1, 1)))
 
 
 class PairedRatio(NamedTuple):
-    """How many times larger one error is than another of the same runs, in the geometric mean."""
+    """How many times larger one error is than another of the same runs."""
 
     ratio: float
-    low: float  # 95 % interval, percentiles of the bootstrap
+    low: float  # 95 % interval
     high: float
 
 

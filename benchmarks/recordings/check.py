@@ -385,9 +385,9 @@ def main(argv: list[str]) -> None:
     count, wrong = sum(cell["named"] for cell in every), sum(bool(a) for a in alarms.values())
     rows = []
     for name, row in cells.items():
-        told = [cell for cell in row.values() if "hidden" not in cell]
+        shown = [cell for cell in row.values() if "hidden" not in cell]
         missed = [key for key, cell in row.items() if not cell.get("named", True)]
-        rows.append([name, f"{len(told) - len(missed)} of {len(told)}", len(row) - len(told), "; ".join(missed)])
+        rows.append([name, f"{len(shown) - len(missed)} of {len(shown)}", len(row) - len(shown), "; ".join(missed)])
     print(table(["damage", "named", "cannot show", "missed"], rows))
     print(table(["recording", "false alarms"], [[name, "; ".join(said)] for name, said in alarms.items() if said]))
     print(f"{count} of {len(every)} cells named; false alarms on {wrong} of {len(alarms)} recordings")

@@ -181,12 +181,12 @@ def judged(rec: Recording, filt: Filter, params: Params, begin: Start, split: fl
     at = windows.end[late]
     P = seen_by_position(jnp.asarray(info.P)[windows.phase[late], at], slow_errors(filt))
     S = np.asarray(P + position_noise(params, packed.epochs.fix.sd[at, :3]))[:, :2, :2]
-    error, told = error[late, :2], np.asarray(info.residual)[windows.phase[late], at, :2]
-    z2 = np.einsum("wi,wij,wj->w", told, np.linalg.inv(S), told)
+    error, residual = error[late, :2], np.asarray(info.residual)[windows.phase[late], at, :2]
+    z2 = np.einsum("wi,wij,wj->w", residual, np.linalg.inv(S), residual)
     valid, nis = np.asarray(info.valid)[:, after].sum(-1), np.asarray(info.nis)[:, after]
     return {
         "windows": int(late.sum()), "rms_m": float(np.sqrt(np.mean(np.sum(error**2, 1)))),
-        "error_over_sd": float(np.sqrt(np.mean(np.sum(told**2, 1) / np.trace(S, axis1=1, axis2=2)))),
+        "error_over_sd": float(np.sqrt(np.mean(np.sum(residual**2, 1) / np.trace(S, axis1=1, axis2=2)))),
         "inside_95": float(np.mean(z2 < CHI2_2)), "nis": float(nis[valid > 0].sum() / valid.sum()),
     }  # fmt: skip
 

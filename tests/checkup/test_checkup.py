@@ -159,6 +159,15 @@ def test_a_short_recording_has_no_other_clock(span):
         assert not [f for f in mixups(rec)], kind
 
 
+@pytest.mark.parametrize("kind", ["jet", "thermal", "coach", "table"])
+def test_gravity_is_where_the_fixes_do_not_accelerate(kind):
+    """A pull-up and a steady turn are quiet and show more than gravity; a scale of 10 % is named all the same."""
+    rec, _ = simulated(kind, "tactical", True, np.random.default_rng(3), span=120.0, late=0.0)
+    assert not bad(rec, "gravity")
+    larger = rec._replace(imu=rec.imu._replace(accel=1.1 * rec.imu.accel))
+    assert bad(larger, "gravity", "together") & {"imu.gravity_size", "accel.bias"}
+
+
 def hovering(seed: int, seconds: float) -> Recording:
     """Return a multirotor that holds its position: neither velocity nor yaw rate has to do with the other."""
     rng, n = np.random.default_rng(seed), int(50 * seconds)

@@ -208,6 +208,17 @@ def test_fixes_outside_the_imu_and_without_sd():
     assert "position" not in late.aiding and "no row is left" in late.notes
 
 
+def test_times_in_milliseconds_are_said():
+    """Of the fixes alone they lie outside of the IMU's time; of the IMU they are no samples of an IMU."""
+    whole = parts()
+    fixes = whole.aiding["position"]
+    off = fixes._replace(t=1000 * (fixes.t - fixes.t[0]) + 50.0)
+    rec = mend.recording(whole._replace(aiding={"position": off}))
+    assert "position" not in rec.aiding and "milliseconds? set time_unit" in rec.notes
+    with pytest.raises(DataError, match="times in milliseconds"):
+        mend.recording(rows(t=1000 * whole.imu.t)._replace(aiding={}))
+
+
 def test_gravity_on_the_wrong_axis_is_said():
     accel = parts().imu.accel
     assert "look like 'flu'" in mend.recording(rows(accel=accel * [1, -1, -1])).notes

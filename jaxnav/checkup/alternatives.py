@@ -1,4 +1,4 @@
-"""Which change of axes, signs, units, scale, bias or time makes IMU and fixes agree: by log-likelihood, over windows.
+"""Which change of axes, signs, units, scale or time scale makes IMU and fixes agree: by log-likelihood, over windows.
 
 A window has M differences of fixes in three axes with standard deviations that are right up to a factor. With S the
 least weighted sum of their squares over attitude and delay, the log-likelihood with that factor at its best is
@@ -166,7 +166,7 @@ class Search(NamedTuple):
 
 def search(rec: Recording, windows: Sequence[tuple[float, float]], tried: Sequence[Change]) -> Search:
     """Try changes in every window: all by Wahba's problem, which knows of no bias; the `FEW` best with biases."""
-    cases = [case for begin, end in windows if (case := _case(rec, begin, end)) is not None]
+    cases = [_case(rec, begin, end) for begin, end in windows]
     n = np.array([3 * len(case.seen.D) for case in cases])
     every = [Change("", "", ""), *tried]
     guesses = [[_guess(rec, case, change) for case in cases] for change in every]
@@ -198,11 +198,9 @@ def _steady(seen: Seen) -> np.ndarray:
     return np.outer(ramp, ramp @ seen.beta / (ramp @ ramp))
 
 
-def _case(rec: Recording, begin: float, end: float) -> Case | None:
+def _case(rec: Recording, begin: float, end: float) -> Case:
     name, fixes = source(rec)
     inside = alignment.inside(fixes, begin, end)
-    if inside.t.size < 5:
-        return None
     seen = alignment.differences(inside, name == "position", rec.aiding["position"].value[0], begin)
     return Case(begin, end, _whitened(seen), _whitened(seen, prior().accel_bias if seen.positions else 0.0))
 
@@ -255,16 +253,17 @@ class Best(NamedTuple):
 
 
 def best(rec: Recording, each: Sequence[tuple[tuple[float, float], Alignment]], tried: Sequence[Change]) -> Best | None:
-    """Return the change that is worth enough, in two windows at least; None where none is.
+    """Return the change that is worth enough, in two windows where there are two; None where none is.
 
     Args:
         rec: the recording.
-        each: windows in which the fixes move, and the alignments there without a change.
+        each: windows, and the alignments there without a change; those count in which the fixes move.
         tried: the changes.
     """
-    found = search(rec, [w for w, _ in each], tried)
-    if not found.size.any():
+    each = [(window, a) for window, a in each if moves(rec, window)]
+    if not each:
         return None
+    found = search(rec, [w for w, _ in each], tried)
     total = found.gain.sum(1)
     close: list[int] = []
     for i in np.argsort(-total):

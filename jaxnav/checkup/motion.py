@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from jaxnav.checkup.alternatives import Best, Change, aligned, best, changed, changes, moves, source, thinned
+from jaxnav.checkup.alternatives import Best, Change, aligned, best, changed, changes, source, thinned
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import level_velocity
 from jaxnav.initialization.alignment import Alignment
@@ -26,6 +26,7 @@ SD_WORTH = 6  # degrees of freedom that the stated sd of delays are worth agains
 CHANCE = 5e-4  # of a drift of the clock that is none
 BAD_FIT = 8.0  # chi^2 per degree of freedom
 MOST_WINDOWS = 6
+SLOW = 0.1  # s between samples, beyond which their means say too little of the motion
 
 
 class Turns(NamedTuple):
@@ -162,7 +163,7 @@ def misfit(rec: Recording) -> float:
 def together(rec: Recording) -> list[Finding]:
     """Alignments in several windows: does an attitude make both go together, how late are fixes, does that change?"""
     v = level_velocity(rec.aiding)
-    if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > 0.1:
+    if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > SLOW:
         return []
     rec = thinned(rec)
     each = alignments(rec, v)
@@ -191,13 +192,13 @@ def mixup(rec: Recording, each: list[tuple[tuple[float, float], Alignment]]) -> 
         )
         for lag, axis, _ in lags_of(rec)
     ]
-    return best(rec, [(w, a) for w, a in each if moves(rec, w)], tried)
+    return best(rec, each, tried)
 
 
 def mixups(rec: Recording) -> list[Finding]:
     """Return the finding of `mixup`, where there is one."""
     v = level_velocity(rec.aiding)
-    if v is None or "position" not in rec.aiding:
+    if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > SLOW:
         return []
     rec = thinned(rec)
     found = mixup(rec, alignments(rec, v))

@@ -334,6 +334,22 @@ def test_a_search_that_was_killed_goes_on_from_its_best_and_a_finished_one_is_no
         recorded.search("tuned", mine, mine.flat, [], said.append, kept._replace(resume=True, identity="another"))
 
 
+def test_delays_that_initialization_finds_are_the_centres_of_their_priors(rec, ekf, job):
+    """A velocity that is 1 s older than the position beside it has a latency of its own; fixes have the alignment's delay."""
+    own = job[0].use()
+    v = rec.aiding["velocity"]
+    older = np.column_stack([np.interp(v.t - 1.0, v.t, c) for c in v.value.T])
+    fine = rec.aiding | {name: s._replace(sd=3 * s.sd) for name, s in rec.aiding.items()}
+    late = rec._replace(aiding=fine | {"velocity": fine["velocity"]._replace(value=older)})
+    params = recorded.initialized(NoiseScan(), own, late)
+    assert float(get(params, "measurements.velocity.latency")) == pytest.approx(1.0, abs=0.3)
+    plain = recorded.initialized(NoiseScan(), own, rec._replace(aiding=fine))
+    assert float(get(plain, "measurements.velocity.latency")) == 0.0
+    aligned = SimpleNamespace(delay=0.46, sd=np.full(10, 0.02))
+    begun = own._replace(begin=own.begin._replace(alignment=aligned))
+    assert float(get(recorded.initialized(NoiseScan(), begun, rec), "mounting.time_offset")) == pytest.approx(0.46)
+
+
 def test_a_gain_by_chance_is_none():
     """Of errors that only scatter, 97 of 100 intervals hold one; a gain of a fifth in every block is one."""
     rng, blocks = np.random.default_rng(0), np.arange(24) // 3

@@ -32,17 +32,18 @@ import numpy as np
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.analysis.windows import drift
 from jaxnav.checkup.findings import finding, line
+from jaxnav.checkup.streams import velocity
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.compiler import make_room
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK
-from jaxnav.filters.parameters import history_for, installed, with_prior_of
+from jaxnav.filters.parameters import history_for, installed, put, with_prior_of
 from jaxnav.filters.run import prepare, require_params, require_x64
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.start import Start, start
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.types import ConfigError, DataError, Finding, Info, Params, Recording
+from jaxnav.types import ConfigError, DataError, Finding, Info, Params, Recording, Samples
 from tuning.fit import checkpoint
 from tuning.fit.status import Status
 from tuning.recordings import scoring
@@ -81,6 +82,8 @@ from tuning.uncertainty import Covariance
 
 MOST, TOLERANCE = 25, 0.02  # evaluations of one search; gain in J that is worth another
 DELAY = "mounting.time_offset"
+VELOCITY_DELAY = "measurements.velocity.latency"
+SURE_DELAY = 3.0  # sd of an alignment's delay, from which on it is known
 SCANNED = ("noise.gyro", "noise.accel", DELAY)  # what the noise scan finds
 FAR = 2.0  # sd of a prior beyond which a parameter is said to be far
 FEW = 1.25  # times the datasheet's drift that the few windows of validation may show by chance
@@ -193,10 +196,11 @@ def tune(
     log(f"free: {', '.join(spec)}")
     history: list[dict[str, Any]] = []
     auto = job.numbers([each.applied(u.datasheet) for each, u in zip(scans, used, strict=True)])
-    job.centre_delays(auto)
+    centre = job.numbers([initialized(*each) for each in zip(scans, used, recs, strict=True)])
+    job.centre_delays(centre)
     found = {"datasheet": job.flat, "auto": auto} if any(each.fixes for each in scans) else {"datasheet": job.flat}
     search_tuned = partial(search, checkpoints=checkpoints) if how is None else partial(descent, how=how)
-    found["tuned"], status = search_tuned("tuned", job, auto, history, log)
+    found["tuned"], status = search_tuned("tuned", job, centre, history, log)
     jobs = dict.fromkeys(found, job)
     log("scoring the candidates on hidden windows")
     score = lambda name: level_drift(jobs[name], found[name], chosen)
@@ -210,7 +214,7 @@ def tune(
         wider = spec | spec_of(more, whole[0].datasheet, SLOW_LEAVES, prior_sd, priors)
         other = Job(more, wider, whole, separate, observations)
         jobs["slow errors"] = other
-        other.centre_delays(other.numbers(job.each(auto)))
+        other.centre_delays(other.numbers(job.each(centre)))
         at, status = search("slow errors", other, other.numbers(job.each(found["tuned"])), history, log, checkpoints)
         found["slow errors"], offs["slow errors"] = at, level_drift(other, at, chosen)
     params_of = lambda name: jobs[name].each(found[name])
@@ -277,6 +281,22 @@ def scan(
     for each in found.findings:
         log(f"{rec.name}: {line(each)}")
     return found
+
+
+def initialized(scan: NoiseScan, used: Used, rec: Recording) -> Params:
+    """Return the datasheet with the scan's noise and the delays that are known before a search, each stream's own.
+
+    The fixes' by the scan, else by the alignment at the start; beyond it the velocity's against positions, in the
+    training part.
+    """
+    params, found = scan.applied(used.datasheet), used.begin.alignment
+    if not scan.fixes and found is not None and abs(found.delay) > SURE_DELAY * found.sd[9]:
+        params = put(params, DELAY, params.mounting.time_offset + found.delay)
+    early = {name: Samples(*(a[s.t <= used.layout.train] for a in s)) for name, s in rec.aiding.items()}
+    late = [f.value for f in velocity(rec._replace(aiding=early)) if f.code == "velocity.latency"]
+    if late and "velocity" in params.measurements:
+        params = put(params, VELOCITY_DELAY, params.measurements["velocity"].latency + late[0])
+    return params
 
 
 def prepare_recordings(

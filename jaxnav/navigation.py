@@ -26,6 +26,7 @@ from jaxnav.filters.run import first_failure, require_params, require_x64, run_j
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.bank import bank_jit
+from jaxnav.initialization.parked import moves_off, spread_again
 from jaxnav.initialization.start import Start, start
 from jaxnav.io.solution import FORMATS, write_kml, write_solution
 from jaxnav.measurements import AUXILIARY, MEASUREMENTS, Measurement
@@ -212,7 +213,9 @@ def navigate(
         filt = filt.keeping(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
     hidden = ep.in_windows(packed.t, outages)
     epochs = ep.hide(packed.epochs, hidden, chosen)
-    info, about = execute(filt, params, begin.navs, epochs)
+    off = moves_off(rec, begin.t) if begin.navs.t.shape[0] > 1 else None
+    parked = 0 if off is None else int(np.searchsorted(packed.t, off))
+    info, about = execute(filt, params, begin.navs, epochs, parked)
     failure = first_failure(info, packed.t)
     if failure:
         raise FilterError(f"run {rec.name}: {failure}")
@@ -302,10 +305,20 @@ def _end_error(sol: Solution, start: float, end: float, error: np.ndarray | None
     return float(np.hypot(*np.asarray(info.residual)[i, :2])) if valid[i].all() else float("nan")
 
 
-def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[Info, Chosen]:
-    """The run from ``navs`` (B, ...); of several starts the most probable one.
+def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch, parked: int = 0) -> tuple[Info, Chosen]:
+    """Run from ``navs``; of several starts the most probable one.
 
     Epochs are padded to sizes that recordings share, so that the compiled program is found again.
+
+    Args:
+        filt: the filter.
+        params: its parameters.
+        navs: (B, ...) starts.
+        epochs: (E, ...) of the recording.
+        parked: epochs before the vehicle moves off; headings of several starts are spread once more there.
+
+    Returns:
+        The run (E, ...), and the start that was taken.
     """
     E, K = epochs.imu.dt.shape
     n, m = filt.model.n_states, filt.model.n_channels
@@ -319,5 +332,16 @@ def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[Inf
         return jax.tree.map(lambda a: a[own], info), Chosen()
     bank = jax.device_get(bank_jit(filt, params, navs, epochs))
     best = int(bank.best)
-    about = Chosen(best, 360.0 * best / navs.t.shape[0], float(bank.probability[best]))
-    return jax.tree.map(lambda a: a[best][own], bank.info), about
+    about = Chosen(best, 360.0 * best / starts, float(bank.probability[best]))
+    again = None
+    if 1 < parked < E:
+        again = spread_again(filt, params, jax.tree.map(lambda a: a[best][:parked], bank.info), starts)
+    if again is None:
+        return jax.tree.map(lambda a: a[best][own], bank.info), about
+    rest = ep.grown(jax.tree.map(lambda a: a[parked:E], epochs), *epochs.imu.dt.shape)
+    later = jax.device_get(bank_jit(filt, *again, rest))
+    second = int(later.best)
+    best = (best + second) % starts  # the hypothesis that had that heading when it moved off
+    about = Chosen(best, 360.0 * best / starts, float(later.probability[second]))
+    joined = lambda a, b: np.concatenate([a[best][:parked], b[second][: E - parked]])
+    return jax.tree.map(joined, bank.info, later.info), about

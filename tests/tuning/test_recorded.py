@@ -335,7 +335,7 @@ def test_a_search_that_was_killed_goes_on_from_its_best_and_a_finished_one_is_no
 
 
 def test_delays_that_initialization_finds_are_the_centres_of_their_priors(rec, ekf, job):
-    """A velocity that is 1 s older than the position beside it has a latency of its own; fixes have the alignment's delay."""
+    """A velocity that is 1 s older than the positions has a latency of its own; fixes have the alignment's delay."""
     own = job[0].use()
     v = rec.aiding["velocity"]
     older = np.column_stack([np.interp(v.t - 1.0, v.t, c) for c in v.value.T])

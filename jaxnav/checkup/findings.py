@@ -110,6 +110,12 @@ KINDS: dict[str, Kind] = {
         ("{action}",),
         "m/s^2",
     ),
+    "gyro.turns": Kind(
+        WARNING,
+        "{subject} is about {value:.2g} times the course's rate (correlations {vector})",
+        ("another scale or unit",),
+        ("set the unit, or the scale of its column",),
+    ),
     "gyro": Kind(INFO, "correlation of the course's rate with the gyros: {vector}"),
     **{
         code: Kind(

@@ -17,6 +17,7 @@ from jaxnav.types import Finding, Recording, Samples, Severity
 STEP = 0.1  # s, of the series that are correlated
 FARTHEST = 40.0  # s: leap seconds, and a logger that was started early
 SURE = 0.6  # correlation of turns that belong together
+CLEAR = 0.8  # correlation from which on a wrong scale shows; slip and its delay may explain 0.6 to 1.6
 LIKELY = 0.4  # correlation from which on a lag is tried
 TURN_SD = 2 * DEG  # rad/s, by which gyros and course differ besides noise: slip, tilt, the smoothing
 WINDOW = 20.0  # s, of an alignment
@@ -121,6 +122,9 @@ def turns(rec: Recording) -> list[Finding]:
     near = table[range(3), np.abs(table).argmax(1)]
     slope = float((x.weight * x.course * x.gyro[:, 2]).sum() / (x.weight * x.course**2).sum())
     vector = ", ".join(f"{name} {c:+.2f}" for name, c in zip("xyz", near, strict=True))
+    size = abs(slope) / max(near[2] ** 2, 1e-6)  # noise of the course makes the slope that much smaller
+    if abs(near[2]) > CLEAR and not 0.6 < size < 1.6:
+        return [finding("gyro.turns", "gyro z", size, vector=vector)]
     return [finding("gyro", value=slope, vector=vector)]
 
 
@@ -196,13 +200,13 @@ def mixup(rec: Recording, each: list[tuple[tuple[float, float], Alignment]]) -> 
 
 
 def mixups(rec: Recording) -> list[Finding]:
-    """Return the finding of `mixup`, where there is one."""
+    """Return the finding of `mixup`, where there is one, else of gyro z that does not turn as the course does."""
     v = level_velocity(rec.aiding)
     if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > SLOW:
         return []
     rec = thinned(rec)
     found = mixup(rec, alignments(rec, v))
-    return [] if found is None else [named(found)]
+    return [f for f in turns(rec) if f.warns] if found is None else [named(found)]
 
 
 def named(found: Best) -> Finding:

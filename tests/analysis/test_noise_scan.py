@@ -189,5 +189,5 @@ def test_a_wrong_scale_of_a_gyro_does_not_pass_for_its_noise():
     rec = simulated(1.0, 0.0)
     wrong = rec._replace(imu=rec.imu._replace(gyro=rec.imu.gyro * [1.0, 1.0, 0.3]))
     codes = {f.code: f for f in navigate(wrong, EKF).findings}
-    assert codes["gyro.units"].warns and 0.2 < codes["gyro.units"].value < 0.45
-    assert "gyro.units" not in {f.code for f in navigate(rec, EKF).findings}
+    assert codes["gyro.turns"].warns and 0.2 < codes["gyro.turns"].value < 0.45
+    assert "gyro.turns" not in {f.code for f in navigate(rec, EKF).findings}

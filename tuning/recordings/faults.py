@@ -1,9 +1,9 @@
 """Parts of a recording in which the receiver is at fault: fixes that no candidate explains as it explains the others.
 
-A fault in one part would choose the winner: whoever bears it best gains more there than anybody can elsewhere. What is
-looked at are normalised innovations by the candidates that are not tuned, relative to the median of each, so that noise
-that is set too low everywhere is no fault. An epoch is suspect if the innovations of `BLOCK` s about it, or its own,
-are too large by all of them; so is a window that has one, or whose last hidden fix is that far from all predictions.
+A fault in one part would choose the winner: the candidate that bears it best gains more there than any can elsewhere.
+Normalised innovations by the candidates that are not tuned show it, relative to the median of each, so that noise that
+is set too low everywhere is no fault. An epoch is suspect if the innovations of `BLOCK` s about it, or its own, are too
+large by all of them; so is a window that has one, or whose last hidden fix is that far from all predictions.
 """
 
 from collections.abc import Mapping, Sequence

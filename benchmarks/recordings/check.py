@@ -3,8 +3,8 @@
 Every damage on every recording that has what it damages: eight real ones and sixteen simulated. A cell counts as named
 where a finding that says that something is wrong has the damage's code, or where the recording is refused with a
 sentence that names it. A cell that is not named and that physics cannot show is marked with the reason, which the
-undamaged recording gives (`Damage.hidden`). A false alarm is a warning on a recording as it is; what is known to be
-wrong with it (docs/recordings.md) is listed in `KNOWN`.
+undamaged recording gives (`Damage.hidden`). A false alarm is a warning on a recording as it is, except the
+faults in `KNOWN` (docs/recordings.md).
 """
 
 from collections.abc import Callable, Iterable, Sequence

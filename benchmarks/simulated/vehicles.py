@@ -111,8 +111,8 @@ def simulated(
     lla0 = (rng.uniform(-60, 60), rng.uniform(-180, 180), 300.0)
     frame, imu = sim.generate_imu(t, lla0, np.degrees(rph), vel, sensor_type="increment")
     dt, g = np.full(t.size - 1, 1 / RATE), GRADES[grade]
-    apart = 3e-3 if grade == "consumer" else 2e-4  # scale errors and misalignment, sd
-    skewed = lambda a: a @ (np.eye(3) + apart * rng.normal(size=(3, 3)))
+    skew = 3e-3 if grade == "consumer" else 2e-4  # scale errors and misalignment, sd
+    skewed = lambda a: a @ (np.eye(3) + skew * rng.normal(size=(3, 3)))
     noise = lambda root, turn_on: root * np.sqrt(RATE) * rng.normal(size=(dt.size, 3)) + turn_on * rng.normal(size=3)
     gyro = skewed(imu.iloc[1:, :3].to_numpy() * RATE) + noise(g.arw, g.gyro_turn_on)
     accel = skewed(imu.iloc[1:, 3:].to_numpy() * RATE) + noise(g.vrw, g.accel_turn_on)

@@ -158,7 +158,6 @@ def moves(rec: Recording, window: tuple[float, float]) -> bool:
 class Search(NamedTuple):
     """What the changes are worth in the windows of a recording."""
 
-    changes: list[Change]
     gain: np.ndarray  # (changes, windows) log-likelihood
     left: np.ndarray  # (windows,) log-likelihood without a change against constant acceleration, which needs no IMU
     size: np.ndarray  # (windows,) differences
@@ -183,7 +182,7 @@ def search(rec: Recording, windows: Sequence[tuple[float, float]], tried: Sequen
         level = [case.seen.beta - _steady(case.seen) for case in cases]
         still = np.array([(b**2 / [c[0, 0] for c in case.seen.covariances]).sum() for b, case in zip(level, cases)])
         left = worth(np.stack([still, S[0]]))[0]
-    return Search(list(tried), gain, left, n)
+    return Search(gain, left, n)
 
 
 def _ramp(seen: Seen) -> np.ndarray:

@@ -15,7 +15,7 @@ G = 9.81
 QUIET_SPEED = 10.0  # m/s: weighs a turn against vibration when looking for a quiet window
 UNKNOWN = 30.0  # deg that a hole may hide, from which on the heading behind it is said to be unknown
 LEAST_RATE_HZ = 10.0  # strapdown navigation loses rotation and vibration between samples
-STEADY = 0.15  # m/s^2 by the fixes, beside their noise, below which specific force is gravity
+STEADY = 0.15  # m/s^2 by the fixes, more than their noise, below which specific force is gravity
 LOST = 0.1  # share of the rows, missing between others, from which on a log is said to lose them
 STUCK = 20  # rows of one value in a row from which on an axis that otherwise changes hangs
 
@@ -102,7 +102,7 @@ def steady(rec: Recording) -> np.ndarray | None:
 
 
 def gravity(rec: Recording) -> list[Finding]:
-    """Specific force where the fixes show no acceleration: its size, and which axis it lies on."""
+    """Compare specific force with gravity where the fixes show no acceleration: size, and axis."""
     rows, when = steady(rec), "where the fixes show no acceleration"
     known = rows is not None
     if rows is None:

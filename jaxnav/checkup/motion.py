@@ -94,8 +94,8 @@ def turns_with_course(rec: Recording) -> bool:
     return x is not None and max(correlation(x, 2, lag) for lag in range(-most, most + 1)) > SURE
 
 
-def lags_of(rec: Recording) -> list[tuple[float, int, float]]:
-    """Return up to three lags (s) at which the course's rate is most like a gyro's, with its axis and the correlation.
+def lags_of(rec: Recording) -> list[tuple[float, int]]:
+    """Return up to three lags (s) at which the course's rate is most like a gyro's, with its axis.
 
     Lags below a second are a delay, which alignments find.
     """
@@ -109,7 +109,7 @@ def lags_of(rec: Recording) -> list[tuple[float, int, float]]:
     peak = np.r_[False, (best[1:-1] >= best[:-2]) & (best[1:-1] >= best[2:]), False]
     at = np.flatnonzero(peak & (np.abs(lags) * STEP > 1.0) & (best > LIKELY))
     at = at[np.argsort(-best[at])][:3]
-    return [(float(lags[i] * STEP), int(table[:, i].argmax()), float(best[i])) for i in at]
+    return [(float(lags[i] * STEP), int(table[:, i].argmax())) for i in at]
 
 
 def turns(rec: Recording) -> list[Finding]:
@@ -194,7 +194,7 @@ def mixup(rec: Recording, each: list[tuple[tuple[float, float], Alignment]]) -> 
         Change(
             "time.offset", "xyz"[axis], f"another time scale (leap seconds) or zone: fixes {lag:+.1f} s late", late=lag
         )
-        for lag, axis, _ in lags_of(rec)
+        for lag, axis in lags_of(rec)
     ]
     return best(rec, each, tried)
 

@@ -95,7 +95,7 @@ class Seen(NamedTuple):
 
 
 def align(
-    imu: ImuLog, fixes: Samples, positions: bool, lla: np.ndarray, begin: float, end: float, believed: AlignmentPrior,
+    imu: ImuLog, fixes: Samples, positions: bool, lla: np.ndarray, begin: float, end: float, prior: AlignmentPrior,
     arm: np.ndarray,
 ) -> Alignment | None:  # fmt: skip
     """Align over (begin, end] s; None where there are too few fixes or samples in it.
@@ -108,7 +108,7 @@ def align(
     if fixes.t.size < 5 or samples.t.size < 10:
         return None
     seen = differences(fixes, positions, lla, begin)
-    C, x, P, chi2, noise = _solve(samples, seen, believed, arm)
+    C, x, P, chi2, noise = _solve(samples, seen, prior, arm)
     R_end, G = _rotation_at_end(samples, x[:3])
     reference = (
         Rotation.from_rotvec(-seen.spin * (end - begin)).as_matrix() @ C
@@ -294,17 +294,17 @@ class Fit(NamedTuple):
     noise: float  # what the variance of the fixes was scaled with
 
 
-def prior_sd(believed: AlignmentPrior) -> np.ndarray:
+def prior_sd(prior: AlignmentPrior) -> np.ndarray:
     """Return standard deviations (10,) or (13,) of attitude and all unknowns."""
-    sd = np.concatenate([np.full(3, UNKNOWN), *(np.broadcast_to(s, 3) for s in believed[:2]), [believed.delay]])
-    return np.concatenate([np.maximum(sd, 1e-12), np.full(3 if believed.arm else 0, believed.arm)])
+    sd = np.concatenate([np.full(3, UNKNOWN), *(np.broadcast_to(s, 3) for s in prior[:2]), [prior.delay]])
+    return np.concatenate([np.maximum(sd, 1e-12), np.full(3 if prior.arm else 0, prior.arm)])
 
 
-def _solve(imu: ImuLog, seen: Seen, believed: AlignmentPrior, arm: np.ndarray) -> Fit:
+def _solve(imu: ImuLog, seen: Seen, prior: AlignmentPrior, arm: np.ndarray) -> Fit:
     """Gauss-Newton from Wahba's solutions; once more with the noise that the fixes turn out to have."""
-    sd = prior_sd(believed)
+    sd = prior_sd(prior)
     more = np.zeros(sd.size - 10)
-    guesses = [(C, np.concatenate([x, more])) for C, x in _guesses(imu, seen, believed.delay, arm)]
+    guesses = [(C, np.concatenate([x, more])) for C, x in _guesses(imu, seen, prior.delay, arm)]
     found = [descend(imu, seen, C, x, sd, 1.0, arm) for C, x in guesses]
     best = min(found, key=lambda each: each.cost)
     if best.left > POOR:  # a bias may have led the first guess to another heading

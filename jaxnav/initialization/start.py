@@ -245,7 +245,7 @@ def aligned(rec: Recording, params: Params, begin: float, end: float) -> Alignme
     None where there are too few fixes.
     """
     grade = datasheet_states(GRADES["consumer"], BIASES) | params.states
-    believed = AlignmentPrior(np.asarray(grade["gyro_bias"].sd), np.asarray(grade["accel_bias"].sd))
+    prior = AlignmentPrior(np.asarray(grade["gyro_bias"].sd), np.asarray(grade["accel_bias"].sd))
     lla = rec.aiding["position"].value[0]
     best: Alignment | None = None
     for name in ("velocity", "position"):
@@ -254,9 +254,7 @@ def aligned(rec: Recording, params: Params, begin: float, end: float) -> Alignme
         fixes = rec.aiding[name]
         offset = _clock_offset(rec, params, 0.5 * (begin + end))
         fixes = fixes._replace(t=fixes.t - offset - float(params.measurements[name].latency))
-        found = align(
-            rec.imu, fixes, name == "position", lla, begin, end, believed, np.asarray(params.mounting.lever_arm)
-        )
+        found = align(rec.imu, fixes, name == "position", lla, begin, end, prior, np.asarray(params.mounting.lever_arm))
         if found is not None and (best is None or (found.chi2 < best.chi2 and found.sd[2] < 2 * best.sd[2])):
             best = found
         if best is not None and best.chi2 < BAD_FIT:

@@ -159,6 +159,19 @@ def test_a_short_recording_has_no_other_clock(span):
         assert not [f for f in mixups(rec)], kind
 
 
+def test_noise_of_the_receivers_height_makes_no_other_unit():
+    """Heights that vary by 2.5 m, known to 1.5 m: the slope is 0.7 by regression, and 1 in truth; feet stay feet."""
+    rng, t = np.random.default_rng(0), np.arange(1.0, 400.0)
+    height = 2.5 * np.sqrt(2) * np.sin(2 * np.pi * t / 90)
+    lla = np.column_stack([np.full(t.size, 0.8), np.full(t.size, 0.2), height + 1.5 * rng.normal(size=t.size)])
+    column = lambda value, sd: Samples(t, value, np.full(value.shape, sd), np.zeros(value.shape))
+    imu = ImuLog(t, np.ones(t.size), np.zeros((t.size, 3)), np.zeros((t.size, 3)))
+    for factor, code in ((1.0, "barometer"), (3.28084, "barometer.units")):
+        aiding = {"position": column(lla, 1.5), "barometer": column(factor * height[:, None], 0.1)}
+        (found,) = CHECKS["barometer"].answer(Recording("hill", imu, aiding, None, np.zeros(3)))
+        assert found.code == code and found.value == pytest.approx(factor, rel=0.1)
+
+
 @pytest.mark.parametrize("kind", ["jet", "thermal", "coach", "table"])
 def test_gravity_is_where_the_fixes_do_not_accelerate(kind):
     """A pull-up and a steady turn are quiet and show more than gravity; a scale of 10 % is named all the same."""

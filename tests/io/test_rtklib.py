@@ -140,8 +140,9 @@ def test_a_southern_latitude_of_zero_degrees_keeps_its_sign(tmp_path):
     assert (lat < 0).all() and (lat > -0.2).all()
 
 
-def test_another_header_is_refused_with_the_forms(tmp_path):
+@pytest.mark.parametrize("old, new", [("(deg)", "(rad)"), ("latitude(deg) ", "")], ids=["rad", "no latitude"])
+def test_another_header_is_refused_with_the_forms(tmp_path, old, new):
     head, lines = rows("deg")
-    (tmp_path / "a.pos").write_text("\n".join(["%  GPST  " + head.replace("(deg)", "(rad)"), *lines]) + "\n")
+    (tmp_path / "a.pos").write_text("\n".join(["%  GPST  " + head.replace(old, new), *lines]) + "\n")
     with pytest.raises(DataError, match=r"expected columns latitude\(deg\) .* x-ecef\(m\)"):
         io.read_pos(tmp_path / "a.pos")

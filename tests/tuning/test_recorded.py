@@ -24,57 +24,18 @@ from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import ConfigError, DataError, Samples
-from tuning.fit import checkpoint
 from tuning.fit.status import Status
-from tuning.recordings import evidence, faults, priors, recorded, report
+from tuning.recordings import evidence, priors, recorded, report
 from tuning.recordings.evidence import Job
-from tuning.recordings.parts import PHASES, Layout, Used, ages, parts_of, plan, runs_of, window_of, windows_of
-from tuning.recordings.recorded import choose, correlation
-from tuning.recordings.report import Trial, ratios
+from tuning.recordings.parts import PHASES, Layout, ages, parts_of, runs_of, windows_of
+from tuning.recordings.recorded import correlation
 from tuning.recordings.runs import Descent, score_of
-from tuning.recordings.validation import block_ratio
 from tuning.uncertainty import gaussian
-
-
-@pytest.fixture(scope="module")
-def rec():
-    """Two minutes in town; the receiver states a third of its sd."""
-    gnss = URBAN_SHORT.gnss._replace(outages_s=(), position_sd_m=(0.5, 0.5, 1.0), velocity_sd_mps=(0.05, 0.05, 0.08))
-    what = URBAN_SHORT._replace(duration_s=130.0, imu_rate_hz=20.0, gnss_rate_hz=1.0, gnss=gnss)
-    made = to_recording(simulate_jit(jax.random.key(4), what), what)
-    return made._replace(aiding={name: s._replace(sd=s.sd / 3) for name, s in made.aiding.items()})
-
-
-@pytest.fixture(scope="module")
-def ekf():
-    return build("ekf15", cov_stride=5)
 
 
 @pytest.fixture(scope="module")
 def found(rec, ekf):
     return tuning.tune(rec, ekf, ekf.params("adis16465"), free=("noise", "fixes"))
-
-
-@pytest.fixture(scope="module")
-def job(rec, ekf):
-    begin = start(rec, ekf.params("adis16465"))
-    datasheet = begin.given(ekf.params("adis16465"))
-    packed = ep.pack_recording(rec, GNSS, begin.t)
-    layout = plan(packed, window_of([packed]))
-    windows = windows_of(packed, layout, packed.t.size)
-    nav = jax.tree.map(lambda a: a[0], begin.navs)
-    spec, parts = priors.spec_of(ekf, datasheet, ("noise", "fixes")), parts_of(layout, windows)
-
-    def use(packed=packed):
-        return Used(
-            "town", begin, datasheet, nav, packed, prepare(ekf, packed.epochs), layout, windows, parts, rec.truth
-        )
-
-    def make(packed=packed):
-        return Job(ekf, spec, [use(packed)])
-
-    make.use, make.spec = use, spec
-    return make, packed, layout
 
 
 def test_what_is_found_has_the_prior_that_was_given_and_not_the_posterior_of_one_start(found, ekf, rec):
@@ -287,53 +248,6 @@ def test_priors_are_about_the_datasheet_and_named_by_kind(ekf):
         priors.spec_of(ekf, params, ("states.gyro_scale.driving_noise",))
 
 
-def test_the_datasheet_stays_unless_all_is_better():
-    part = np.repeat([0, 1, 2], [8, 4, 2])
-    parts, blocks = {"training": part == 0, "validation": part == 1}, np.arange(14) // 2
-    before = 4.0 + np.sin(np.arange(14.0))
-    own = lambda *by: before * np.array([1.0, *by])[part + 1]  # training, validation, test
-    trial = lambda after, nll=0.0: Trial(SimpleNamespace(), SimpleNamespace(), after, ratios(before, after, parts), nll)
-    chosen = lambda **trials: choose({"datasheet": trial(before, 1.0)} | trials, parts, blocks)
-    half = trial(0.5 * before)
-    assert half.ratios == pytest.approx((0.5,) * 4, rel=2e-3)
-    assert chosen(tuned=half) == "tuned"
-    assert (
-        chosen(tuned=trial(own(0.1, 1.1, 0.1))) == "tuned"
-    )  # better in training, a little worse in validation: by chance
-    rng = np.random.default_rng(3)
-    assert chosen(tuned=trial(before * np.repeat(np.exp(0.8 * rng.normal(size=7)), 2) * 0.8)) == "datasheet"  # no more
-    assert chosen(tuned=trial(own(0.1, 1.3, 0.1))) == "datasheet"
-    assert chosen(tuned=half, slow=trial(0.9 * before, -1.0)) == "slow"  # predicts best
-    assert chosen(tuned=trial(1.01 * before, -9.0)) == "datasheet"  # and drifts more
-    assert chosen(tuned=trial(0.5 * before, 1.1)) == "datasheet"  # predicts worse
-    assert chosen(tuned=trial(np.where(before > 0, np.inf, 0.0))) == "datasheet"
-    better = trial(0.8 * before, -1.0)
-    assert chosen(auto=half, tuned=better) == "auto"  # predicts better and drifts more
-    assert chosen(auto=half, tuned=trial(0.4 * before, -1.0)) == "tuned"
-    assert chosen(auto=trial(1.2 * before, -0.5), tuned=better) == "tuned"  # auto does harm
-
-
-def test_a_search_that_was_killed_goes_on_from_its_best_and_a_finished_one_is_not_searched_again(tmp_path, job):
-    """What is on the disk after each evaluation is all that the next process has."""
-    mine, said = job[0](), []
-    kept = recorded.Checkpoints(tmp_path, identity="job")
-    whole, status = recorded.search("tuned", mine, mine.flat, [], said.append, kept)
-    stored = checkpoint.load(tmp_path / "tuned.npz", mine.flat, "job")
-    np.testing.assert_array_equal(stored.tree, whole)
-    assert stored.head["status"] == status.value == "converged"
-    checkpoint.save(tmp_path / "tuned.npz", mine.flat + 0.1, {"status": None}, "job")  # as after a kill
-    history = []
-    again, _ = recorded.search("tuned", mine, mine.flat, history, said.append, kept._replace(resume=True))
-    np.testing.assert_allclose(again, whole, atol=0.3)
-    assert history and "goes on from" in " ".join(said)
-    history.clear()
-    same, _ = recorded.search("tuned", mine, mine.flat, history, said.append, kept._replace(resume=True))
-    np.testing.assert_array_equal(same, again)
-    assert not history
-    with pytest.raises(checkpoint.CheckpointError):
-        recorded.search("tuned", mine, mine.flat, [], said.append, kept._replace(resume=True, identity="another"))
-
-
 def test_delays_that_initialization_finds_are_the_centres_of_their_priors(rec, ekf, job):
     """A velocity that is 1 s older than the positions has a latency of its own; fixes have the alignment's delay."""
     own = job[0].use()
@@ -350,40 +264,6 @@ def test_delays_that_initialization_finds_are_the_centres_of_their_priors(rec, e
     assert float(get(recorded.initialized(NoiseScan(), begun, rec), "mounting.time_offset")) == pytest.approx(0.46)
 
 
-def test_a_gain_by_chance_is_none():
-    """Of errors that only scatter, 97 of 100 intervals hold one; a gain of a fifth in every block is one."""
-    rng, blocks = np.random.default_rng(0), np.arange(24) // 3
-    draws = [np.abs(rng.normal(size=(2, 24))) for _ in range(400)]
-    assert np.mean([block_ratio(a, b, blocks).high < 1.0 for a, b in draws]) < 0.04
-    found = block_ratio(draws[0][0], 0.8 * draws[0][0], blocks)
-    assert found == pytest.approx((0.8, 0.8, 0.8), abs=1e-4)
-    assert block_ratio(draws[0][0], np.full(24, np.inf), blocks).low > 1e3
-    assert block_ratio(draws[0][0], draws[0][1], np.zeros(24)).high == np.inf
-
-
-def test_a_part_with_a_receiver_fault_is_named_and_does_not_judge(rec, ekf):
-    """Positions 40 m off for 3 s: windows that touch them are left out of that part alone."""
-    p = rec.aiding["position"]
-    begin = p.t[-1] - 3.5
-    moved = p.value + np.where((p.t > begin) & (p.t < begin + 3.0), 40.0 / 6.4e6, 0.0)[:, None] * [1.0, 0.0, 0.0]
-    bad = rec._replace(aiding=rec.aiding | {"position": p._replace(value=moved)})
-    begun = start(bad, ekf.params("adis16465"))
-    packed = ep.pack_recording(bad, GNSS, begun.t)
-    layout = plan(packed, 5.0)
-    windows = windows_of(packed, layout, packed.t.size)
-    datasheet = begun.given(ekf.params("adis16465"))
-    nav = jax.tree.map(lambda a: a[0], begun.navs)
-    _, info = windows_drift(ekf, datasheet, nav, packed.epochs, windows, GNSS)
-    used = Used(
-        bad.name, begun, datasheet, nav, packed, packed.epochs, layout, windows, parts_of(layout, windows), None
-    )
-    suspect = faults.suspect_windows(used, [datasheet], [info])
-    kept, findings = faults.without_faults(used.parts, suspect, windows.start)
-    assert [f.subject for f in findings] == ["test"] and kept["test"].sum() < used.parts["test"].sum()
-    near = (windows.start < begin + 19.0) & (windows.start > begin - 15.0)
-    assert not suspect[~near].any()
-
-
 def test_a_prior_is_told_as_it_is():
     """Of a factor, of a step in the user's unit, of none."""
     params = build("ekf15").params("consumer")
@@ -392,6 +272,13 @@ def test_a_prior_is_told_as_it_is():
     assert report.prior_in_words(spec["mounting.time_offset"], 1e-3, "ms") == "within 100 ms"
     free = priors.spec_of(build("ekf15"), params, ("noise.gyro",), priors=False)
     assert report.prior_in_words(free["noise.gyro"], 1.0, "deg") == "none"
+
+
+def test_parameters_of_streams_that_no_recording_has_are_not_free(rec):
+    leaves = ["noise.gyro", "measurements.position.scale", "measurements.velocity.latency", "states.gyro_bias.sd"]
+    alone = rec._replace(aiding={"position": rec.aiding["position"]})
+    assert recorded.measured(leaves, [alone]) == [leaf for leaf in leaves if "velocity" not in leaf]
+    assert recorded.measured(leaves, [alone, rec]) == leaves
 
 
 def test_correlation_from_fix_to_fix_is_an_autoregressions():

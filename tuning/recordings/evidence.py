@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxnav.analysis.windows import position_noise
+from jaxnav.analysis.windows import RECEIVER_ERROR, position_noise
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.gaps import TICK
@@ -22,7 +22,7 @@ from tuning.recordings.parts import Used, ages
 from tuning.recordings.priors import kind_of
 from tuning.uncertainty import Information, gaussian, pushed, rejected
 
-SLOW = "gnss_position_error"
+SLOW = RECEIVER_ERROR
 
 
 class Evidence(NamedTuple):

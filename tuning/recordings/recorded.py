@@ -22,11 +22,9 @@ the hidden windows of training and validation. The winner is judged once, on the
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
@@ -44,9 +42,8 @@ from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.start import Start, start
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import ConfigError, DataError, Finding, Info, Params, Recording, Samples
-from tuning.fit import checkpoint
 from tuning.fit.status import Status
-from tuning.recordings import scoring
+from tuning.recordings.choice import choose
 from tuning.recordings.evidence import SLOW, Job, predicted
 from tuning.recordings.faults import suspect_windows, without_faults
 from tuning.recordings.free import leaves_of
@@ -59,7 +56,6 @@ from tuning.recordings.parts import (
     parts_of,
     plan,
     pooled,
-    runs_of,
     window_of,
     windows_of,
 )
@@ -76,28 +72,18 @@ from tuning.recordings.report import (
     spread,
     verdict,
 )
-from tuning.recordings.runs import Descent, check_objective, descend
+from tuning.recordings.runs import Descent
+from tuning.recordings.search import Checkpoints, descent, search
 from tuning.recordings.validation import block_ratio, paired_gain
 from tuning.uncertainty import Covariance
 
-MOST, TOLERANCE = 25, 0.02  # evaluations of one search; gain in J that is worth another
 DELAY = "mounting.time_offset"
 VELOCITY_DELAY = "measurements.velocity.latency"
 SURE_DELAY = 3.0  # sd of an alignment's delay, from which on it is known
 SCANNED = ("noise.gyro", "noise.accel", DELAY)  # what the noise scan finds
 FAR = 2.0  # sd of a prior beyond which a parameter is said to be far
-FEW = 1.25  # times the datasheet's drift that the few windows of validation may show by chance
-FEW_BLOCKS, CLEAR = 4, 0.8  # of windows, from which on a ratio has an interval; a ratio that needs none
 CORRELATED = 0.15  # of a position's innovations from fix to fix, from which on slow errors are tried
 SLOW_LEAVES = (f"states.{SLOW}.driving_noise", f"states.{SLOW}.tau")
-
-
-class Checkpoints(NamedTuple):
-    """Where searches keep what they have, and whether they go on from there."""
-
-    folder: Path
-    resume: bool = False
-    identity: str = ""  # of the job, so that another job's checkpoint is refused
 
 
 # ---------------------------------------------------------------------------- the function
@@ -189,9 +175,7 @@ def tune(
                 f"{', '.join(u.name for u in used)}: no hidden window of {used[0].layout.window:g} s fits into the "
                 f"{name} part of {sum(u.packed.t[-1] - u.packed.start for u in used):.0f} s: it is too short to tune on"
             )
-    absent = {m.name for m in chosen if m.columns and not any(m.name in r.aiding for r in recs)}
-    free = [leaf for leaf in leaves_of(filt, used[0].datasheet, free) if leaf.split(".")[1] not in absent]
-    spec = spec_of(filt, used[0].datasheet, free, prior_sd, priors)
+    spec = spec_of(filt, used[0].datasheet, measured(leaves_of(filt, used[0].datasheet, free), recs), prior_sd, priors)
     job = Job(filt, spec, used, separate, observations)
     log(f"free: {', '.join(spec)}")
     history: list[dict[str, Any]] = []
@@ -225,11 +209,14 @@ def tune(
     ]
     parts, faults = without_faults(parts, np.concatenate(suspect), np.concatenate([u.starts for u in used]))
     warnings = [*warnings, *faults]
+    split = np.cumsum([len(u.starts) for u in used])[:-1]
+    by_recording = [dict(zip(parts, each)) for each in zip(*(np.split(mask, split) for mask in parts.values()))]
+    judged = [u._replace(parts=own) for u, own in zip(used, by_recording, strict=True)]
     kept_of = lambda name: [with_prior_of(p, s, spec) for p, s in zip(params_of(name), datasheets, strict=True)]
     trials = {
         name: Trial(
             jobs[name].filt, kept_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts),
-            predicted(jobs[name].filt, params_of(name), used, off[1]),
+            predicted(jobs[name].filt, params_of(name), judged, off[1]),
         )
         for name, off in offs.items()
     }  # fmt: skip
@@ -283,6 +270,13 @@ def scan(
     return found
 
 
+def measured(leaves: Sequence[str], recs: Sequence[Recording]) -> list[str]:
+    """Return the leaves without those of measurements whose stream no recording has."""
+    streams = {name for rec in recs for name in rec.aiding}
+    lacking = {name for name, row in MEASUREMENTS.items() if row.columns and name not in streams}
+    return [leaf for leaf in leaves if not (leaf.startswith("measurements.") and leaf.split(".")[1] in lacking)]
+
+
 def initialized(scan: NoiseScan, used: Used, rec: Recording) -> Params:
     """Return the datasheet with the scan's noise and the delays that are known before a search, each stream's own.
 
@@ -321,56 +315,6 @@ def prepare_recordings(
 # ---------------------------------------------------------------------------- candidates
 
 
-def search(
-    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], log: Callable[[str], None],
-    checkpoints: Checkpoints | None = None,
-) -> tuple[jax.Array, Status]:  # fmt: skip
-    """Minimise J from a point, with a line and a row of the history for each evaluation.
-
-    Raises:
-        CheckpointError: nothing usable to resume from.
-    """
-    path = None if checkpoints is None else checkpoints.folder / f"{name.replace(' ', '_')}.npz"
-
-    def keep(at: jax.Array, status: Status | None) -> None:
-        if path is not None and checkpoints is not None:
-            checkpoint.save(path, at, {"status": None if status is None else status.value}, checkpoints.identity)
-
-    def report(i: int, at: scoring.Search) -> None:
-        row = {"search": name, "step": i, "loss": float(at.best.nll)}
-        history.append(row)
-        keep(at.raw, None)
-        log(f"  {name}, evaluation {i}: J {row['loss']:.4f}")
-
-    log(f"{name}: {len(job.flat)} numbers free")
-    if path is not None and checkpoints is not None and checkpoints.resume and (name == "tuned" or path.exists()):
-        stored = checkpoint.load(path, first, checkpoints.identity)
-        first, ended = jnp.asarray(stored.tree), stored.head["status"]
-        log(f"  {name}: goes on from {path}" if ended is None else f"  {name}: finished in {path}")
-        if ended in (Status.CONVERGED, Status.ITERATION_LIMIT):
-            return first, Status(ended)
-    found = scoring.maximise(job.objective(), first, MOST, TOLERANCE, report)
-    status = scoring.status(found, TOLERANCE)
-    keep(found.raw, status)
-    return found.raw, status
-
-
-def descent(
-    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], log: Callable[[str], None], how: Descent
-) -> tuple[jax.Array, Status]:
-    """Minimise an objective over the training windows from a point by gradient; the best by the validation windows."""
-    size = lambda end: max(int(np.searchsorted(u.packed.t, getattr(u.layout, end) + TICK)) for u in job.used)
-    train = [runs_of(u, job.filt, "training", size("train")) for u in job.used]
-    validation = [runs_of(u, job.filt, "validation", size("validation")) for u in job.used]
-    check_objective(how.objective, all(r.truth is not None for r in (*train, *validation)))
-    log(f"{name}: {how.method} on " + ", ".join(f"{w:g} {key}" for key, w in how.objective.items()))
-    names = [f"{u.name}, phase {p}" for u in job.used for p in range(len(u.windows.hidden))]
-    count = sum(int((r.keep & r.epochs.fix.valid.any(-1)).sum()) for r in train)
-    ended = descend(job.filt, job.spec, job.params(first), train, validation, names, how, 1 / max(count, 1))
-    history.extend(ended.history)
-    return job.numbers([ended.params] * len(job.used)), ended.status
-
-
 def correlation(infos: Sequence[Info], used: Sequence[Used]) -> float:
     """Of the position's normalised innovations from one fix to the next, before the test part; 0 of fewer than 30.
 
@@ -396,49 +340,6 @@ def level_drift(job: Job, flat: jax.Array, measurements: tuple[Any, ...]) -> tup
         for params, u in zip(job.each(flat), job.used, strict=True)
     ]
     return np.concatenate([np.hypot(error[:, 0], error[:, 1]) for error, _ in runs]), [info for _, info in runs]
-
-
-def choose(trials: Mapping[str, Trial], parts: Mapping[str, np.ndarray], blocks: np.ndarray) -> str:
-    """Return the candidate that predicts the validation part best, of those that do no harm; else the datasheet.
-
-    The scan's numbers, three by likelihood, compete with the datasheet and must not drift more; all others, of many
-    numbers, compete with the better of both and must drift less by more than chance.
-
-    Args:
-        trials: the candidates.
-        parts: masks (W,) of the windows.
-        blocks: (W,) which windows are drawn together.
-    """
-    best, seen = "datasheet", parts["training"] | parts["validation"]
-    if "auto" in trials and trials["auto"].nll < trials[best].nll and does_no_harm(trials["auto"], trials[best]):
-        best = "auto"
-    limit = trials[best]
-    better = lambda t: t.nll < limit.nll and does_no_harm(t, limit) and drifts_less(t, limit, seen, blocks)
-    passed = {name: t.nll for name, t in trials.items() if better(t)}
-    return min(passed, key=lambda name: passed[name]) if passed else best
-
-
-def does_no_harm(trial: Trial, other: Trial) -> bool:
-    """Return whether it drifts less than another, and on the few windows of validation not much more."""
-    ratios = np.array(trial.ratios) / np.array(other.ratios)
-    return bool(max(ratios[:2]) < 1.0 and max(ratios[2:]) < FEW)
-
-
-def drifts_less(trial: Trial, other: Trial, seen: np.ndarray, blocks: np.ndarray) -> bool:
-    """Return whether it drifts less than another by more than chance.
-
-    Args:
-        trial: the candidate.
-        other: the candidate that it is to replace.
-        seen: (W,) windows of training and validation.
-        blocks: (W,) which windows are one; of fewer than `FEW_BLOCKS` a ratio below `CLEAR` is enough.
-    """
-    if np.unique(blocks[seen]).size < FEW_BLOCKS:
-        return bool(trial.ratios[0] < CLEAR * other.ratios[0])
-    return (
-        np.isfinite(trial.drift[seen]).all()
-        and block_ratio(other.drift[seen], trial.drift[seen], blocks[seen]).high < 1.0
-    )
 
 
 # ---------------------------------------------------------------------------- in words

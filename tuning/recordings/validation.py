@@ -47,7 +47,15 @@ def paired_gain(
     return PairedGain(rms(before) / rms(after), float(low), float(high), rms(before), rms(after))
 
 
-def block_ratio(before: np.ndarray, after: np.ndarray, blocks: np.ndarray, level: float = 0.95) -> "PairedRatio":
+class PairedRatio(NamedTuple):
+    """How many times larger one error is than another of the same runs."""
+
+    ratio: float
+    low: float  # 95 % interval
+    high: float
+
+
+def block_ratio(before: np.ndarray, after: np.ndarray, blocks: np.ndarray, level: float = 0.95) -> PairedRatio:
     """Return the ratio of RMS errors, after to before, and its interval by Student's t over blocks' log ratios.
 
     Of few blocks a bootstrap's interval is too narrow.
@@ -65,14 +73,6 @@ def block_ratio(before: np.ndarray, after: np.ndarray, blocks: np.ndarray, level
         return PairedRatio(float(ratio), 0.0, float("inf"))
     half = stdtrit(labels.size - 1, 0.5 + 0.5 * level) * change.std(ddof=1) / np.sqrt(labels.size)
     return PairedRatio(float(ratio), *(float(np.exp(change.mean() + sign * half)) for sign in (-1, 1)))
-
-
-class PairedRatio(NamedTuple):
-    """How many times larger one error is than another of the same runs."""
-
-    ratio: float
-    low: float  # 95 % interval
-    high: float
 
 
 def paired_ratio(a: np.ndarray, b: np.ndarray, seed: int = 0, draws: int = 10_000) -> PairedRatio:

@@ -29,9 +29,9 @@ from tuning.fit.optimizers import OPTIMIZERS
 from tuning.fit.status import Status
 from tuning.fit.transforms import LOG
 from tuning.recordings.free import leaves_of, transform_of
-from tuning.recordings.recorded import Checkpoints
 from tuning.recordings.report import Tuned, reported_candidate, user_history
 from tuning.recordings.runs import Descent, check_objective
+from tuning.recordings.search import Checkpoints
 from tuning.recordings.targets import TARGETS, Target
 
 METHODS = ("auto", "tempered", "scoring", *OPTIMIZERS)

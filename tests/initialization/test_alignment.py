@@ -15,6 +15,7 @@ from jaxnav.initialization.alignment import AlignmentPrior, align, rotations_sin
 from jaxnav.initialization.start import aligned, correlation_root, start
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
+from jaxnav.states.grades import GRADES
 from jaxnav.types import ImuLog, Samples
 
 RUNS = 6
@@ -73,6 +74,16 @@ def test_derivatives_by_biases_delay_and_arm_are_those_of_differences(positions)
         step = 1e-6 * np.eye(10)[j]
         ahead, behind = (alignment._linear(imu, seen, C, x + sign * step, arm)[1] for sign in (1, -1))
         np.testing.assert_allclose(J[:, :, 3 + j], -(ahead - behind) / 2e-6, atol=2e-5)
+
+
+def test_a_bias_does_not_lead_to_another_heading():
+    """A ship that hardly turns, with 1 deg/s on gyro z: from the first guess alone chi^2 is 4.4 and heading lost."""
+    rec, _ = simulated("ship", "consumer", True, np.random.default_rng(1), span=60.0, late=0.0)
+    grade = GRADES["consumer"]
+    prior = AlignmentPrior(2 * grade.gyro_turn_on, 2 * grade.accel_turn_on)
+    lla = rec.aiding["position"].value[0]
+    found = align(rec.imu, rec.aiding["velocity"], False, lla, 10.5, 30.5, prior, np.zeros(3))
+    assert found.chi2 < 1.5 and found.sd[2] < 10 * DEG
 
 
 def standing(seconds=30.0, rate=100.0):

@@ -15,7 +15,14 @@ def test_a_search_that_was_killed_goes_on_from_its_best_and_a_finished_one_is_no
     stored = checkpoint.load(tmp_path / "tuned.npz", mine.flat, "job")
     np.testing.assert_array_equal(stored.tree, whole)
     assert stored.head["status"] == status.value == "converged"
-    checkpoint.save(tmp_path / "tuned.npz", mine.flat + 0.1, {"status": None}, "job")  # as after a kill
+
+    def kill(line):
+        if "evaluation 1" in line:
+            raise SystemExit
+
+    with pytest.raises(SystemExit):
+        search("tuned", mine, mine.flat, [], kill, kept)
+    assert checkpoint.load(tmp_path / "tuned.npz", mine.flat, "job").head["status"] is None
     history = []
     again, _ = search("tuned", mine, mine.flat, history, said.append, kept._replace(resume=True))
     np.testing.assert_allclose(again, whole, atol=0.3)

@@ -11,7 +11,9 @@ import copy
 import difflib
 import os
 import random
+import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -26,7 +28,8 @@ SWAPS = {
     ast.And: ast.Or, ast.Or: ast.And, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
 }  # fmt: skip
 COPIED = ("jaxnav", "tuning", "benchmarks", "tests", "docs", "README.md", "pyproject.toml", "Makefile", "CHANGELOG.md")
-LIMIT = 420  # s of a run of tests; one that hangs has noticed
+CPU_LIMIT = 420  # s of processor time of a run of tests, whatever runs on the machine at the same time
+WALL_LIMIT = 2400  # s; a mutant on which the nearest tests hang is seen
 
 
 def mutants(tree: ast.Module) -> Iterator[ast.AST]:
@@ -90,14 +93,22 @@ def nearest(path: Path) -> list[list[str]]:
     ]
 
 
+def limit_cpu() -> None:
+    """Limit the processor time of this process to `CPU_LIMIT`."""
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT, CPU_LIMIT + 10))
+
+
 def killed(work: Path, path: Path) -> str:
     """Which run of tests noticed; empty if none did."""
     for step, tests in enumerate(nearest(path)):
         argv = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "not slow", "-p", "no:cacheprovider", *tests]
         env = os.environ | {"PYTHONPATH": str(work), "MPLBACKEND": "Agg"}
         try:
-            code = subprocess.run(argv, cwd=work, env=env, capture_output=True, timeout=LIMIT).returncode
+            code = subprocess.run(argv, cwd=work, env=env, capture_output=True, timeout=WALL_LIMIT,
+                                  preexec_fn=limit_cpu).returncode  # fmt: skip
         except subprocess.TimeoutExpired:
+            code = -signal.SIGXCPU
+        if code in (-signal.SIGXCPU, -signal.SIGKILL):
             return "hangs" if step == 0 else ""  # the folder's tests alone may take longer
         if code not in (0, 5):
             return ("near", "folder")[step if len(nearest(path)) == 2 else 1]

@@ -6,7 +6,7 @@ Frames: ``e`` ECEF, ``n`` local level ENU (east, north, up), ``b`` body FRD (for
 ``C_nb`` and ``q_nb`` (scalar first) take b to n; a suffix names the axes: ``v_n``, ``f_b``, ``w_ie_n``.
 Units: SI and radians; degrees, deg/h, mg only in files, plots and the command line, with the unit in the name
 (`jaxnav.maths.units`). Time in seconds. Noise as sd or root PSD, never as variance.
-Specific force: what an accelerometer senses; at rest (0, 0, -g) in FRD.
+Specific force: reading of an accelerometer; at rest (0, 0, -g) in FRD.
 Error state: x = estimate - truth; ``truth = retract(estimate, x)``; C_est = exp([phi x]) C_true.
 Epoch: the IMU samples since the last fix, and the fix that ends them. Innovation: y - H x. NIS, NEES: innovation and
 error squared in units of their covariance, chi-square distributed if the filter is consistent.
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
     from jaxnav.filters.catalogue import FILTERS, build
-    from jaxnav.filters.compiler import cache, enable_x64, fast_compiler, make_room
+    from jaxnav.filters.compiler import cache, clear_caches_if_needed, enable_x64, fast_compiler
     from jaxnav.filters.core import Filter, make_filter
     from jaxnav.filters.epochs import Packed, cut_times, hide, outage_windows, pack, stack_epochs
     from jaxnav.filters.parameters import datasheet_params, mounting
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from jaxnav.filters.smoother import smooth
     from jaxnav.filters.standstill import constraint_samples, stationary
     from jaxnav.initialization.bank import heading_bank, with_headings
-    from jaxnav.initialization.start import course, level, start
+    from jaxnav.initialization.initialize import coarse_leveling, course, initialize
     from jaxnav.io.read import read
     from jaxnav.io.recording import recording
     from jaxnav.measurements import (
@@ -80,9 +80,9 @@ _HOMES = {
     "io.read": "read",
     "io.recording": "recording",
     "initialization.bank": "heading_bank with_headings",
-    "initialization.start": "course level start",
+    "initialization.initialize": "coarse_leveling course initialize",
     "filters.catalogue": "FILTERS build",
-    "filters.compiler": "cache enable_x64 fast_compiler make_room",
+    "filters.compiler": "cache enable_x64 fast_compiler clear_caches_if_needed",
     "filters.core": "Filter make_filter",
     "filters.parameters": "datasheet_params mounting",
     "filters.rule": "Correction Innovation Rule",
@@ -104,7 +104,7 @@ __all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, a folder of the package, or its version."""
+    """Return a public name, a folder of the package, or its version."""
     if name in _HOME:
         value = getattr(importlib.import_module(_HOME[name]), name)
         globals()[name] = value

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxnav.analysis import evaluate, usage
 from jaxnav.analysis.dense import dense
-from jaxnav.analysis.metrics import told_by
+from jaxnav.analysis.metrics import covered_by
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.analysis.observability import state_findings
 from jaxnav.checkup.findings import finding, line
@@ -26,8 +26,8 @@ from jaxnav.filters.run import first_failure, require_params, require_x64, run_j
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.bank import bank_jit
+from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.initialization.parked import moves_off, spread_again
-from jaxnav.initialization.start import Start, start
 from jaxnav.io.solution import FORMATS, write_kml, write_solution
 from jaxnav.measurements import AUXILIARY, MEASUREMENTS, Measurement
 from jaxnav.states.grades import GRADES
@@ -58,7 +58,7 @@ class Chosen(NamedTuple):
 
 @dataclass(frozen=True)
 class Solution:
-    """What a filter made of a recording: E epochs, times in GNSS time, angles in rad, ENU and FRD as everywhere."""
+    """Solution of a recording: E epochs, times in GNSS time, angles in rad, ENU and FRD as everywhere."""
 
     t: np.ndarray  # (E,) s
     lla: np.ndarray  # (E, 3) lat rad, lon rad, height m
@@ -66,17 +66,17 @@ class Solution:
     rph: np.ndarray  # (E, 3) rad, roll, pitch, heading
     sd: np.ndarray  # (E, 9) position m, velocity m/s, attitude rad, each in E, N, U
     innovations: np.ndarray  # (E, m) measurement channels, 0 where there is none
-    used: np.ndarray  # (E, m) bool, what the filter accepted
+    used: np.ndarray  # (E, m) bool, accepted by the filter
     ok: np.ndarray  # (E,) bool, False from the first epoch that was not finite on
     trace: evaluate.Trace  # the same as figures and writers take it; `trace.info` has everything else
     params: Params
     recording: Recording
     measurements: tuple[Measurement, ...]
-    start: Start
-    chosen: Chosen  # of `start.navs`
-    outages: tuple[tuple[float, float], ...]  # s, windows whose fixes were hidden
+    initialization: Initialization
+    chosen: Chosen  # of `initialization.navs`
+    outages: tuple[tuple[float, float], ...]  # s, windows with hidden fixes
     filter: Filter  # with the history that the latencies needed
-    packed: ep.Packed = field(repr=False)  # what the filter ran over, before fixes were hidden
+    packed: ep.Packed = field(repr=False)  # epochs of the filter, before fixes were hidden
     hidden: np.ndarray = field(repr=False)  # (E,) bool, epochs in `outages`
     smoothed: bool
     lag: float  # s, 0 where it is not of fixed lag
@@ -86,11 +86,11 @@ class Solution:
     @property
     def nav(self) -> Nav:
         """The navigation state that the filter started from."""
-        return jax.tree.map(lambda a: a[self.chosen.best], self.start.navs)
+        return jax.tree.map(lambda a: a[self.chosen.best], self.initialization.navs)
 
     @property
     def epochs(self) -> Epoch:
-        """What the filter ran over."""
+        """Return the epochs of the filter."""
         return ep.hide(self.packed.epochs, self.hidden, self.measurements)
 
     @property
@@ -99,7 +99,7 @@ class Solution:
         return self.recording.aiding["position"]
 
     def gaps(self) -> list[tuple[float, float]]:
-        """Return windows without positions, s: hidden ones, and those of over 5 intervals and 3 s.
+        """Return windows without positions, s: hidden ones, and gaps of over 5 intervals and 3 s.
 
         The end of the data is where a last gap ends.
         """
@@ -110,15 +110,15 @@ class Solution:
         return sorted([(float(t[i]), float(t[i + 1])) for i in gaps] + list(self.outages))
 
     def at_imu_rate(self) -> tuple[Track, np.ndarray]:
-        """The solution at every sample of the IMU, in GNSS time, and its sd (N, 9), as filtered or as smoothed."""
+        """Return the solution at every sample of the IMU, in GNSS time, and its sd (N, 9), filtered or smoothed."""
         return dense(self.filter, self.params, self.nav, self.epochs, self.smoothed, self.lag)
 
     def write(self, path: str | Path, format: str = "", imu_rate: bool = False) -> None:
-        """Write it as "csv", "kml", "pos" or "nav"; by default what the file's name ends with.
+        """Write it as "csv", "kml", "pos" or "nav"; by default the ending of the file's name.
 
         Args:
             path: the file.
-            format: in place of what its name ends with.
+            format: in place of the ending of its name.
             imu_rate: one row for every sample of the IMU, see `at_imu_rate`.
 
         Raises:
@@ -143,8 +143,8 @@ class Solution:
 
     @property
     def notes(self) -> list[str]:
-        """Everything that a user should know of: initialization, findings, and what the reader notes."""
-        return [self.start.how, *map(line, self.findings), *self.recording.notes.splitlines()]
+        """Return all remarks for a user: initialization, findings, and notes of the reader."""
+        return [self.initialization.how, *map(line, self.findings), *self.recording.notes.splitlines()]
 
     def metrics(self) -> dict[str, Any]:
         """Return all figures of the run, as metrics.json has them."""
@@ -157,7 +157,7 @@ def navigate(
     params: Params | None = None,
     *,
     scan: bool | None = None,
-    begin: Start | Callable[[Recording, Params], Start] = start,
+    initialization: Initialization | Callable[[Recording, Params], Initialization] = initialize,
     stop: float | None = None,
     outages: Sequence[Sequence[float]] = (),
     interval: float = 0.0,
@@ -176,21 +176,21 @@ def navigate(
             arm is the recording's unless they state one.
         scan: find noise and latency from the recording (`jaxnav.scan_noise`), about ``params``; None: where these are
             None.
-        begin: an initialization, or what makes it of recording and parameters: `jaxnav.start` with settings of your
-            own, ``partial(jaxnav.start, heading="course")``. Its standard deviations replace those of ``params.prior``.
+        initialization: one, or a function that makes it of recording and parameters: `jaxnav.initialize` with other
+            settings, ``partial(jaxnav.initialize, heading="course")``. Its sd replace ``params.prior``.
         stop: s, end of the data.
-        outages: windows (start, end) s whose receiver's fixes are hidden.
+        outages: windows (start, end) s with the receiver's fixes hidden.
         interval: s, length of epochs without a fix; 0 is the median of the position's.
         standing: the detector of standstills.
         smooth: each epoch by all fixes, past and future (`jaxnav.filters.smoother`); innovations stay the filter's.
-        lag: s, in place of that by past fixes and those of the next seconds.
+        lag: s, in place of that by past fixes and the fixes of the next seconds.
 
     Raises:
         DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
         FilterError: a run that stops being finite; says when.
         ValueError: params that are not the filter's, or a filter that cannot be smoothed.
     """
-    if (smooth or lag) and not filt.smooths:
+    if (smooth or lag) and not filt.supports_smoothing:
         raise ValueError("this filter's rule corrects by more than the covariance says: it cannot be smoothed")
     if params is not None:
         require_params(filt, params)
@@ -200,17 +200,17 @@ def navigate(
     stated = filt.params(GRADES["consumer"]) if params is None else params
     params = installed(stated, rec.lever_arm)
     require_x64(params)
-    initialize = begin if callable(begin) else lambda rec, params: begin
+    make = initialization if callable(initialization) else lambda rec, params: initialization
     found = None
     if scan:
-        found = scan_noise(rec, params, begin=initialize(rec, params), stop=stop, outages=outages)
+        found = scan_noise(rec, params, initialization=make(rec, params), stop=stop, outages=outages)
         params = found.applied(params)
-    begin = initialize(rec, params)
-    params = begin.given(params)
+    begin = make(rec, params)
+    params = begin.apply_to(params)
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     packed = ep.pack_recording(rec, chosen, begin.t, interval, stop, standing)
-    if filt.keeping:
-        filt = filt.keeping(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
+    if filt.with_history:
+        filt = filt.with_history(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
     hidden = ep.in_windows(packed.t, outages)
     epochs = ep.hide(packed.epochs, hidden, chosen)
     off = moves_off(rec, begin.t) if begin.navs.t.shape[0] > 1 else None
@@ -226,7 +226,7 @@ def navigate(
     trace = evaluate.trace(info, params)
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
     windows = tuple((float(a), float(b)) for a, b in outages)
-    findings = usage.consistency_findings(trace.info, usage.channels_of(trace.info, chosen))
+    findings = usage.consistency_findings(trace.info, usage.nis_by_channel(trace.info, chosen))
     findings += usage.usage_findings(usage.usage(rec, packed, trace.info, chosen, hidden))
     findings += usage.noise_findings(rec.imu, params)
     findings += state_findings(filt, params, best, trace.info)
@@ -256,7 +256,7 @@ def _coverage(trace: evaluate.Trace, rec: Recording, measurements: tuple[Measure
     unused = sorted(set(rec.aiding) - {m.name for m in measurements} - set(AUXILIARY))
     found = [finding("stream.extra", ", ".join(unused))] if unused else []
     if rec.truth is not None:
-        share = float(np.mean(told_by(trace.track.t, rec.truth.t)))
+        share = float(np.mean(covered_by(trace.track.t, rec.truth.t)))
         found += [finding("truth.share", value=100 * share)] if share < FULL_COVERAGE else []
     return found
 
@@ -278,14 +278,15 @@ def metrics(sol: Solution) -> dict[str, Any]:
         if np.isfinite(at_end := _end_error(sol, a, b, error))
     ]
     uses = usage.usage(rec, sol.packed, info, sol.measurements, sol.hidden)
-    found |= ({"outages": ends} if ends else {}) | usage.as_json(uses, usage.channels_of(info, sol.measurements))
+    found |= ({"outages": ends} if ends else {}) | usage.as_json(uses, usage.nis_by_channel(info, sol.measurements))
     if sol.chosen.findings:
         at = {"start_heading_deg": sol.chosen.heading_deg, "start_heading_probability": sol.chosen.probability}
         found["heading_bank"] = at
     if sol.noise is not None:
         found["noise_scan"] = sol.noise.metrics()
     return found | {
-        "findings": [asdict(f) for f in sol.findings], "start": sol.start.how, "notes": rec.notes.splitlines()
+        "findings": [asdict(f) for f in sol.findings], "initialization": sol.initialization.how,
+        "notes": rec.notes.splitlines(),
     }  # fmt: skip
 
 
@@ -326,10 +327,10 @@ def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch, parked: int 
     require_memory(
         8.0 * E * (starts * (2 * n**2 + 2 * m**2 + 100) + 14 * K), f"a run of {E:,} epochs from {starts} starts"
     )
-    own, epochs = slice(epochs.imu.dt.shape[0]), ep.of_shared_size(epochs)
+    recorded, epochs = slice(epochs.imu.dt.shape[0]), ep.pad_to_bucket(epochs)
     if navs.t.shape[0] == 1:
         info = jax.device_get(run_jit(filt, params, jax.tree.map(lambda a: a[0], navs), epochs))
-        return jax.tree.map(lambda a: a[own], info), Chosen()
+        return jax.tree.map(lambda a: a[recorded], info), Chosen()
     bank = jax.device_get(bank_jit(filt, params, navs, epochs))
     best = int(bank.best)
     about = Chosen(best, 360.0 * best / starts, float(bank.probability[best]))
@@ -337,8 +338,8 @@ def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch, parked: int 
     if 1 < parked < E:
         again = spread_again(filt, params, jax.tree.map(lambda a: a[best][:parked], bank.info), starts)
     if again is None:
-        return jax.tree.map(lambda a: a[best][own], bank.info), about
-    rest = ep.grown(jax.tree.map(lambda a: a[parked:E], epochs), *epochs.imu.dt.shape)
+        return jax.tree.map(lambda a: a[best][recorded], bank.info), about
+    rest = ep.pad_epochs(jax.tree.map(lambda a: a[parked:E], epochs), *epochs.imu.dt.shape)
     later = jax.device_get(bank_jit(filt, *again, rest))
     second = int(later.best)
     best = (best + second) % starts  # the hypothesis that had that heading when it moved off

@@ -1,8 +1,8 @@
-"""The same filter sample by sample: what a live vehicle does with it.
+"""The same filter sample by sample, for a live vehicle.
 
 A fix belongs to its time and not to its arrival. The stream keeps the states after the last fixes, the samples and the
-fixes of the last ``lag`` seconds; whatever arrives in between is put into its place, and the epochs after it are run
-again, as `jaxnav.filters.epochs.pack` would have cut them. Order and delay of what arrives make no difference, and the
+fixes of the last ``lag`` seconds; a late arrival is put into its place, and the epochs after it are run
+again, as `jaxnav.filters.epochs.pack` would have cut them. Order and delay of arrivals make no difference, and the
 solution is that of a batch, to the bit where both are compiled for epochs of about as many samples. Between two fixes
 navigation of *now* is predicted from the last epoch's end.
 """
@@ -27,15 +27,15 @@ from jaxnav.filters.core import Filter, FilterState
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import history_for
 from jaxnav.filters.run import require_params, require_x64
-from jaxnav.initialization.start import Start
+from jaxnav.initialization.initialize import Initialization
 from jaxnav.maths import rotations
 from jaxnav.measurements import MEASUREMENTS, layout
 from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Params, nearest
 
 SAME = 2 * TICK  # s: fixes that are as near are of one epoch
 AHEAD = 10.0  # s: a fix that is farther ahead of the samples was stamped by another clock
-RECENT = 400  # samples by whose spread a hole is judged
-VERSION = 2  # of what `to_bytes` writes
+RECENT = 400  # samples of the spread by which a hole is judged
+VERSION = 2  # of the format of `to_bytes`
 
 
 class Now(NamedTuple):
@@ -60,10 +60,10 @@ class Committed(NamedTuple):
 
 @partial(jax.jit, static_argnums=0)
 def _advance(filt: Filter, params: Params, state: FilterState, epoch: Epoch, once: int) -> FilterState:
-    """The state after an epoch, in a loop that is gone through once.
+    """Return the state after an epoch, in a loop of one step.
 
-    XLA writes the body of a loop as it does in `jaxnav.filters.run.run`, so that both round alike; of a loop whose
-    length it knew it would keep the body alone.
+    XLA writes the body of a loop as it does in `jaxnav.filters.run.run`, so that both round alike; for a loop of known
+    length it would keep the body alone.
     """
     only = jax.tree.map(lambda a: jnp.asarray(a)[None], epoch)
     one = lambda i, s: filt.advance(params, s, jax.tree.map(lambda a: a[i], only)).after
@@ -72,7 +72,7 @@ def _advance(filt: Filter, params: Params, state: FilterState, epoch: Epoch, onc
 
 @partial(jax.jit, static_argnums=0)
 def _predict(filt: Filter, params: Params, state: FilterState, imu: Imu) -> tuple[FilterState, jax.Array]:
-    """The state after samples (k,), and what is told of it: t, lla, vel, rph, sd, ok in one array (20,)."""
+    """Return the state after samples (k,), and its report: t, lla, vel, rph, sd, ok in one array (20,)."""
     state = filt.predict(params, state, imu)
     nav, _, P = filt.model.report(jax.tree.map(lambda a: a[-1], state.past), state.x, state.P)
     rph = rotations.to_rph(rotations.to_dcm(nav.q))
@@ -84,7 +84,7 @@ def _predict(filt: Filter, params: Params, state: FilterState, imu: Imu) -> tupl
 class Stream:
     """A filter that is fed as data comes.
 
-    ``filt``: as of `jaxnav.build`. ``params``: its parameters. ``begin``: as of `jaxnav.start`, with one heading.
+    ``filt``: as of `jaxnav.build`. ``params``: its parameters. ``begin``: as of `jaxnav.initialize`, with one heading.
     ``interval``: s, length of epochs without a fix, as `navigate` takes it. ``lag``: s, how late a fix may come.
     ``rate``: Hz of the IMU, for which its programs are compiled. ``span``: s of running that the history for latencies
     is to cover.
@@ -94,7 +94,7 @@ class Stream:
     """
 
     def __init__(
-        self, filt: Filter, params: Params, begin: Start, *, interval: float = 1.0, lag: float = 1.0,
+        self, filt: Filter, params: Params, begin: Initialization, *, interval: float = 1.0, lag: float = 1.0,
         rate: float = 100.0, span: float = 3600.0,
     ):  # fmt: skip
         if begin.navs.t.shape[0] != 1:
@@ -103,14 +103,14 @@ class Stream:
             )
         if not (math.isfinite(interval) and interval > 0 and math.isfinite(lag) and lag >= 0):
             raise ValueError(f"interval must be positive and lag not negative, got {interval} s and {lag} s")
-        self.params = begin.given(params)
+        self.params = begin.apply_to(params)
         require_x64(self.params)
         require_params(filt, self.params)
-        self.filter = filt.keeping(history_for(self.params, rate, span)) if filt.keeping else filt
+        self.filter = filt.with_history(history_for(self.params, rate, span)) if filt.with_history else filt
         self.interval, self.lag, self.rate, self.span = interval, lag, rate, span
         self.usual = 4 * math.ceil((rate * interval + 2) / 4)  # samples of an epoch, its ends cut into two
         self.slices = layout(tuple(MEASUREMENTS[name] for name in filt.model.measurements))
-        self.refused: Counter[str] = Counter()  # what was not used, by stream and reason
+        self.refused: Counter[str] = Counter()  # unused data, by stream and reason
         nav = jax.tree.map(lambda a: a[0], begin.navs)
         first = Committed(begin.t, begin.t, 0, jax.jit(self.filter.init)(self.params, nav))
         self.kept = [first]  # epochs' ends, oldest first
@@ -123,14 +123,22 @@ class Stream:
             self._present(first.state, _nothing(size))
         jax.block_until_ready(_advance(self.filter, self.params, first.state, self._epoch(begin.t, begin.t, False), 1))
 
-    # ------------------------------------------------------------------------ what comes in
+    # ------------------------------------------------------------------------ arrival of data
 
     def push_imu(self, t: float, gyro: Any, accel: Any, dt: float | None = None) -> Now:
-        """A sample: mean angular rate (3,) rad/s and specific force (3,) m/s^2, FRD, over ``dt`` s up to ``t``.
+        """Add an IMU sample and return navigation at its time.
 
-        ``dt`` is the time since the last sample unless said otherwise. A sample that is not finite, or not later than
-        the last one, changes nothing and is counted in `refused`. A hole is coasted through by the mean of the last
-        half second, and the covariance says so.
+        A sample that is not finite, or not later than the last one, changes nothing and is counted in `refused`. A hole
+        is bridged by the mean of the last half second, with a larger covariance.
+
+        Args:
+            t: s, end of the sample's interval.
+            gyro: (3,) rad/s, mean angular rate, body FRD.
+            accel: (3,) m/s^2, mean specific force, body FRD.
+            dt: s, length of the interval; None is the time since the last sample.
+
+        Returns:
+            Navigation at ``t``.
         """
         row = np.array([t, *np.ravel(gyro), *np.ravel(accel)], float)
         if row.size != 7:
@@ -153,14 +161,24 @@ class Stream:
         return self.now
 
     def push(self, name: str, t: float, value: Any, sd: Any, corr: Any = None) -> Now:
-        """A measurement ``name`` of the filter at its own time, early, late or twice; returns navigation of now.
+        """Add a measurement at its time, early, late or twice, and return the present navigation.
 
-        ``value``, ``sd``, ``corr`` as in `Samples`. An auxiliary value that states of the filter read comes likewise;
-        it is held from then on, and epochs that have run stay as they are. What is older than the stream remembers, or
-        is not finite, changes nothing and is counted in `refused`.
+        An auxiliary value that states of the filter read comes the same way; it is held from then on, and epochs that
+        have run stay as they are. Data older than the stream's memory, or not finite, change nothing and are counted in
+        `refused`.
+
+        Args:
+            name: a measurement of the filter, such as "position", or an auxiliary value.
+            t: s, time of validity, on the IMU's clock.
+            value: (size,) in the units of `Samples`: positions in rad, rad, m.
+            sd: (size,) standard deviation, ENU m of a position.
+            corr: (size,) correlations as in `Fix`; None is none.
+
+        Returns:
+            Navigation at the last sample.
 
         Raises:
-            ValueError: a measurement that the filter has not, or of another size.
+            ValueError: a measurement that the filter lacks, or of another size.
         """
         if name in self.auxiliary:
             if math.isfinite(t) and np.isfinite(value).all():
@@ -218,13 +236,13 @@ class Stream:
             self.kept.pop()
         last = self.kept[-1]
         fill = _empty_before(t - last.anchor, self.interval)
-        while len(self.kept) > 1 and last.empty > fill and last.t > last.anchor:  # the fix makes it no epoch of its own
+        while len(self.kept) > 1 and last.empty > fill and last.t > last.anchor:  # the fix needs no extra epoch
             self.kept.pop()
             last = self.kept[-1]
         self._run()
 
     def _due(self) -> bool:
-        """Run what the last sample completes; whether there was anything."""
+        """Run the epochs that the last sample completes; return whether there were any."""
         last = self.kept[-1]
         fix = any(last.t + SAME < t <= self.t + TICK for t, *_ in self.fixes)
         empty = self.t >= last.anchor + (last.empty + 2) * self.interval
@@ -262,28 +280,28 @@ class Stream:
         return (following, False) if self.t >= following + self.interval else None
 
     def _epoch(self, begin: float, end: float, fixed: bool) -> Epoch:
-        """Samples and fixes of one epoch, as `jaxnav.filters.epochs.pack` cuts them."""
+        """Return samples and fixes of one epoch, as `jaxnav.filters.epochs.pack` cuts them."""
         imu = self._between(begin, end)
         m = max(s.stop for s in self.slices.values())
         value, sd, corr, valid = np.zeros(m), np.ones(m), np.zeros(m), np.zeros(m, bool)
         for t, name, y, spread, both in self.fixes if fixed else ():
             if abs(t - end) <= SAME:
-                own = self.slices[name]
-                value[own], sd[own], corr[own], valid[own] = y, spread, both, True
+                place = self.slices[name]
+                value[place], sd[place], corr[place], valid[place] = y, spread, both, True
         found = np.array(self.holes).reshape(-1, 4)
         held = gaps.Holes(found[:, 0], found[:, 1], found[:, 2:])
-        gap = np.asarray(ep.louder_by(held, begin, np.array([end])))[0] if self.holes else np.zeros(2)
+        gap = np.asarray(ep.gap_noise(held, begin, np.array([end])))[0] if self.holes else np.zeros(2)
         fix: Any = (value, sd, corr, valid)
         return Epoch(imu, Fix(*fix), gap, {name: self._held(name, end) for name in self.auxiliary})
 
     def _held(self, name: str, end: float) -> np.ndarray:
-        """The last auxiliary value before the end of an epoch, as `jaxnav.filters.epochs.pack` takes it; 0 of none."""
+        """Return the last auxiliary value before the end of an epoch, as `jaxnav.filters.epochs.pack`; 0 for none."""
         known = self.auxiliary[name]
         last = max(bisect_right(known, end + TICK, key=itemgetter(0)) - 1, 0)
         return np.array(known[last][1] if known else 0.0)
 
     def _between(self, begin: float, end: float) -> Imu:
-        """The samples between two times, padded to a multiple of what is usual: each size is a program of its own."""
+        """Return the samples between two times, padded to a multiple of the usual number: each size is compiled."""
         first = bisect_right(self.samples, begin + TICK, key=itemgetter(0))
         rows = [row for row in self.samples[first:] if row[0] - row[1] < end - TICK]
         if not rows or end <= begin + TICK:
@@ -297,13 +315,13 @@ class Stream:
         return Imu(*samples)
 
     def _present(self, state: FilterState, imu: Imu) -> None:
-        """Predict, and keep what is told."""
+        """Predict, and keep the report."""
         self.ahead, reported = _predict(self.filter, self.params, state, imu)
         self.seen, now = self.t, _now(np.asarray(reported))
         self.now = now if now.ok else getattr(self, "now", now)._replace(ok=False)  # the last that was finite
 
     def _forget(self) -> None:
-        """Drop what no fix that may still come can need."""
+        """Drop data that no fix can need any more."""
         oldest = self.t - self.lag
         while len(self.kept) > 1 and self.kept[1].t <= oldest:
             self.kept.pop(0)
@@ -344,8 +362,14 @@ class Stream:
         return [[np.asarray(leaf) for leaf in jax.tree.leaves(state)] for state in states]
 
     @classmethod
-    def from_bytes(cls, data: bytes, filt: Filter, params: Params, begin: Start) -> "Stream":
-        """The stream that wrote ``data``, with the same filter, parameters and start.
+    def from_bytes(cls, data: bytes, filt: Filter, params: Params, begin: Initialization) -> "Stream":
+        """Restore a stream from `to_bytes`; it continues equal to the bit.
+
+        Args:
+            data: bytes of a stream with the same filter.
+            filt: the filter.
+            params: its parameters.
+            begin: the initialization of the stream.
 
         Raises:
             DataError: bytes of something else, or of a stream of another filter.
@@ -354,8 +378,8 @@ class Stream:
             with np.load(io.BytesIO(data), allow_pickle=False) as found:
                 about = json.loads(bytes(found["about"]))
                 rows = {key: found[key] for key in found.files if key != "about"}
-            own = about["version"], about["measurements"], about["states"]
-            if own != (VERSION, list(filt.model.measurements), list(filt.model.states)):
+            stored = about["version"], about["measurements"], about["states"]
+            if stored != (VERSION, list(filt.model.measurements), list(filt.model.states)):
                 raise DataError("the bytes are of a stream with another filter")
             stream = cls(filt, params, begin, **{key: about[key] for key in ("interval", "lag", "rate", "span")})
             leaves, tree = jax.tree.flatten(stream.kept[0].state)
@@ -374,13 +398,13 @@ class Stream:
             stream.ahead, stream.seen, stream.now = states[-1], stream.t, _now(rows["now"])
         except DataError:
             raise
-        except Exception as error:  # whatever a damaged archive raises
+        except Exception as error:  # any error of a damaged archive
             raise DataError(f"the bytes are no stream of jaxnav: {error}") from error
         return stream
 
 
 def _nothing(size: int) -> Imu:
-    """Samples that last no time."""
+    """Return samples that last no time."""
     none: Any = (np.zeros(size), np.zeros((size, 3)), np.zeros((size, 3)))
     return Imu(*none)
 

@@ -1,7 +1,7 @@
 """The data of the package: NamedTuples with shape, unit and frame on every field, no logic.
 
 Two kinds. *Traced* types hold jax arrays and flow through jit, vmap and grad (`Imu`, `Fix`, `Epoch`, `Nav`,
-`Noise`, `Mounting`, `Prior`, `Params`, `Info`). *Host* types hold numpy arrays and are what readers return
+`Noise`, `Mounting`, `Prior`, `Params`, `Info`). *Host* types hold numpy arrays and come from readers
 (`ImuLog`, `Samples`, `Track`, `Recording`); `jaxnav.filters.epochs.pack` turns them into epochs.
 
 Frames: ``n`` local level ENU, ``b`` body FRD (forward, right, down). A specific force at rest is (0, 0, -g) in b.
@@ -60,13 +60,13 @@ class Finding:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """``did you mean X?``, or the list of what there is."""
+    """Return ``did you mean X?``, or the list of known names."""
     known = list(known)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     return f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
 
 
-# ---------------------------------------------------------------------------- traced: what a filter consumes
+# ---------------------------------------------------------------------------- traced: inputs of a filter
 
 
 class Imu(NamedTuple):
@@ -92,7 +92,7 @@ class Fix(NamedTuple):
 class Epoch(NamedTuple):
     """IMU samples since the last fix, and the fix that ends them."""
 
-    imu: Any  # Imu (k, ...), or what `jaxnav.filters.run.prepare` made of it for a filter
+    imu: Any  # Imu (k, ...), or the result of `jaxnav.filters.run.prepare` for a filter
     fix: Fix  # (m,)
     gap: Any = None  # (2,) root PSD that the noise of gyro and accelerometer has more, where samples are missing
     auxiliary: dict[str, Any] = {}  # () each, by name of `jaxnav.measurements.auxiliary.AUXILIARY`
@@ -107,10 +107,10 @@ class Origin(NamedTuple):
 
 
 class Nav(NamedTuple):
-    """Navigation state; one type for every mechanization, which says what ``pos``, ``vel`` and ``q`` mean.
+    """Navigation state; one type for every mechanization, which defines ``pos``, ``vel`` and ``q``.
 
-    Local level: pos = (lat rad, lon rad, h m), vel ENU m/s, q body -> ENU. That is what a filter is started with and
-    what it reports, whatever frame it works in.
+    Local level: pos = (lat rad, lon rad, h m), vel ENU m/s, q body -> ENU. A filter is initialized with it and
+    reports it, in any frame.
     """
 
     t: jax.Array  # () s since the start of the run
@@ -125,7 +125,7 @@ class Nav(NamedTuple):
 
 
 class ErrorInputs(NamedTuple):
-    """What the error dynamics see of an epoch: b points, each one sample or the mean over several."""
+    """Path of an epoch for the error dynamics: b points, each one sample or the mean over several."""
 
     nav: Nav  # (b, ...) when each has passed
     C: jax.Array  # (b, 3, 3) body -> axes of the frame, at its middle
@@ -151,7 +151,7 @@ class Noise(NamedTuple):
     """White noise of the inertial sensors, root PSD, body.
 
     One number for all axes, or one an axis, or a lower triangular root L (3, 3) for noise that is correlated between
-    the axes: L L' is then the spectral density, and the norms of the rows of L are the axes' own.
+    the axes: L L' is then the spectral density, and the norms of the rows of L are the root PSDs of the axes.
     """
 
     gyro: Leaf  # (), (3,) or (3, 3) rad/s/sqrt(Hz), angular random walk
@@ -159,13 +159,13 @@ class Noise(NamedTuple):
 
 
 class StateParams(NamedTuple):
-    """What is known of one of `jaxnav.states.STATES`: a first-order Gauss-Markov process, in units of the state.
+    """Prior and process of one of `jaxnav.states.STATES`: a first-order Gauss-Markov process, in units of the state.
 
     Each leaf broadcasts to the state's axes. ``tau = inf`` is a random walk, ``driving_noise = 0`` a constant.
     """
 
     sd: Leaf  # () or (size,) at the start
-    driving_noise: Leaf  # (), (size,) or a root (size, size) as in `Noise`; per sqrt(s), root PSD of what drives it
+    driving_noise: Leaf  # (), (size,) or a root (size, size) as in `Noise`; per sqrt(s), root PSD of the driving noise
     tau: Leaf  # () or (size,) s
 
 
@@ -180,7 +180,7 @@ class Mounting(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """Standard deviations at the start, each of which broadcasts to its axes, and what of them is correlated."""
+    """Initial standard deviations, each of which broadcasts to its axes, and their correlations."""
 
     position: Leaf  # () or (3,) m, ENU
     velocity: Leaf  # () or (3,) m/s, ENU
@@ -195,17 +195,17 @@ class Params(NamedTuple):
     noise: Noise
     prior: Prior
     states: dict[str, StateParams]  # of each optional state of the filter, by name
-    measurements: dict[str, Any]  # of each of its measurements, by name: that measurement's own NamedTuple
+    measurements: dict[str, Any]  # of each of its measurements, by name: a NamedTuple of the measurement's
     mounting: Mounting
-    rule: Any = ()  # theta of the rule, its own NamedTuple
+    rule: Any = ()  # theta of the rule, a NamedTuple
     feedback: Any = ()  # theta of the feedback
 
 
-# ---------------------------------------------------------------------------- traced: what a filter returns
+# ---------------------------------------------------------------------------- traced: outputs of a filter
 
 
 class Info(NamedTuple):
-    """The corrected solution and the innovation statistics, one row an epoch; local level, whatever the frame."""
+    """The corrected solution and the innovation statistics, one row an epoch; local level in any frame."""
 
     nav: Nav  # (E, ...) corrected: retract(nav, x), at the end of the epoch
     P: jax.Array  # (E, n, n) covariance after the correction; position, velocity and attitude errors in ENU
@@ -219,7 +219,7 @@ class Info(NamedTuple):
     ok: jax.Array  # (E,) bool; False from the first epoch that was not finite on: the state is frozen there
 
 
-# ---------------------------------------------------------------------------- host: what readers return
+# ---------------------------------------------------------------------------- host: outputs of readers
 
 
 class ImuLog(NamedTuple):

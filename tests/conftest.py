@@ -19,7 +19,7 @@ with warnings.catch_warnings():  # the compiler warns of the oracle's escape seq
 
 from jaxnav.analysis import progress  # noqa: E402
 from jaxnav.app.cli import COLLECT  # noqa: E402
-from jaxnav.filters.compiler import enable_x64, fast_compiler, make_room  # noqa: E402
+from jaxnav.filters.compiler import clear_caches_if_needed, enable_x64, fast_compiler  # noqa: E402
 
 fast_compiler()
 enable_x64()
@@ -42,7 +42,7 @@ GRADE = Grade(2e-4, 2e-3, 1e-3, 2e-2, 1e-4, 2e-3, 100.0, "made up for tests: a g
 def pytest_runtest_teardown(item, nextitem) -> None:
     """Between modules, drop the compiled functions of a process that has collected many: two workers share a laptop."""
     if nextitem is None or nextitem.path != item.path:
-        make_room(maps=8_000, resident=1.3 * 2**30)
+        clear_caches_if_needed(maps=8_000, resident=1.3 * 2**30)
 
 
 class Case(NamedTuple):

@@ -89,7 +89,7 @@ def nearest(path: Path) -> list[list[str]]:
     ]
     return [
         *([near] if near else []),
-        [str(folder), "tests/test_contract.py", "tests/test_contract_rows.py", "tests/replay", "tests/faults"],
+        ["tests/replay", str(folder), "tests/test_contract.py", "tests/test_contract_rows.py", "tests/faults"],
     ]
 
 
@@ -100,7 +100,8 @@ def limit_cpu() -> None:
 
 def killed(work: Path, path: Path) -> str:
     """Which run of tests noticed; empty if none did."""
-    for step, tests in enumerate(nearest(path)):
+    runs = nearest(path)
+    for step, tests in enumerate(runs):
         argv = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "not slow", "-p", "no:cacheprovider", *tests]
         env = os.environ | {"PYTHONPATH": str(work), "MPLBACKEND": "Agg"}
         try:
@@ -109,9 +110,9 @@ def killed(work: Path, path: Path) -> str:
         except subprocess.TimeoutExpired:
             code = -signal.SIGXCPU
         if code in (-signal.SIGXCPU, -signal.SIGKILL):
-            return "hangs" if step == 0 else ""  # the folder's tests alone may take longer
+            return "hangs" if step == 0 and len(runs) == 2 else ""  # a folder's tests alone may take longer
         if code not in (0, 5):
-            return ("near", "folder")[step if len(nearest(path)) == 2 else 1]
+            return ("near", "folder")[step if len(runs) == 2 else 1]
     return ""
 
 
@@ -120,6 +121,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=50, help="how many, default 50")
     parser.add_argument("--seed", type=int, default=0, help="of the places")
+    parser.add_argument("--first", type=int, default=1, help="number of the first place to try, to resume")
     args = parser.parse_args()
     chance = random.Random(args.seed)
     files = sorted(p.relative_to(ROOT) for part in ("jaxnav", "tuning") for p in (ROOT / part).rglob("*.py"))
@@ -129,7 +131,7 @@ def main() -> None:
         work = Path(folder)
         for name in COPIED:
             (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, work / name)
-        for n, (path, which) in enumerate(chance.sample(places, args.count), 1):
+        for n, (path, which) in list(enumerate(chance.sample(places, args.count), 1))[args.first - 1 :]:
             source = (ROOT / path).read_text()
             mutant, plain, begin = broken(source, which), ast.unparse(ast.parse(source)), time.perf_counter()
             (work / path).write_text(mutant)
@@ -139,7 +141,7 @@ def main() -> None:
             diff = difflib.unified_diff(plain.splitlines(), mutant.splitlines(), n=0, lineterm="")
             print("\n".join(f"      {line}" for line in list(diff)[3:]), flush=True)
             (work / path).write_text(source)
-    print(f"{seen} of {args.count} were seen")
+    print(f"{seen} of {args.count - args.first + 1} were seen")
 
 
 if __name__ == "__main__":

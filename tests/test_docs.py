@@ -1,5 +1,9 @@
 """The library user's page runs as it is printed; the other pages quote files, list names and link as they say."""
 
+import ast
+import builtins
+import contextlib
+import importlib
 import re
 import tomllib
 from pathlib import Path
@@ -9,10 +13,14 @@ import pytest
 
 import jaxnav
 import tuning
-from jaxnav.app import config, prepare
+from jaxnav.app import config, prepare, settings
 from jaxnav.app.jobs import tune
+from jaxnav.checkup.findings import KINDS
 from jaxnav.filters.catalogue import build
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.states.grades import GRADES
+from jaxnav.states.table import STATES
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "library.md"
@@ -60,6 +68,80 @@ def test_configurations_and_their_keys_are_known(page):
         params = prepare.base_params(c, GRADES["consumer"], np.zeros(3))
         filt = build(c.filter.name, prepare.measurements_of(c), states=c.filter.states)
         tune.free_of(c, filt, params, tune.FREE_RECORDED)
+
+
+def identifiers() -> set[str]:
+    """Return every word of code and of its strings, library, benchmarks and tests, and every part of a file's name."""
+    found: set[str] = set()
+    for path in (p for folder in ("jaxnav", "tuning", "benchmarks", "tests") for p in (ROOT / folder).rglob("*.py")):
+        found |= {*re.findall(r"[A-Za-z_]\w*", path.read_text(encoding="utf-8")), path.stem, path.parent.name}
+    return found | {part for path in ROOT.glob("docs/**/*") for part in path.name.split(".")}
+
+
+def members() -> dict[str, set[str]]:
+    """Return names that modules and classes define, by the last part of the owner's name."""
+    owners: dict[str, set[str]] = {}
+    for path in (p for folder in ("jaxnav", "tuning", "benchmarks") for p in (ROOT / folder).rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for owner, body in (
+            (path.stem, tree.body),
+            *((n.name, n.body) for n in tree.body if isinstance(n, ast.ClassDef)),
+        ):
+            names = owners.setdefault(owner, set())
+            for node in body:
+                for name in ast.walk(node) if isinstance(node, ast.Assign | ast.AnnAssign) else ():
+                    names |= {name.id} if isinstance(name, ast.Name) else set()
+                names |= {node.name} if isinstance(node, ast.FunctionDef | ast.ClassDef) else set()
+                names |= {a.asname or a.name for a in node.names} if isinstance(node, ast.ImportFrom) else set()
+    return owners
+
+
+def exists(name: str, words: set[str], owners: dict[str, set[str]], dotted: set[str]) -> bool:
+    """Is a dotted name of a page one of the package, a setting, a file or a word of the sources?"""
+    parts = name.split(".")
+    if parts[0] in ("jaxnav", "tuning", "benchmarks"):
+        for count in range(len(parts), 0, -1):
+            with contextlib.suppress(ImportError):
+                thing = importlib.import_module(".".join(parts[:count]))
+                return all((thing := getattr(thing, part, None)) is not None for part in parts[count:])
+        return False
+    if name in dotted or parts[-1] in ("py", "csv", "json", "jsonl", "toml", "html", "png", "mat"):
+        return True
+    if len(parts) == 2 and parts[0] in owners and parts[1] not in owners[parts[0]] and parts[0] not in PARAMETERS:
+        return False
+    return all(part in words for part in parts)
+
+
+PARAMETERS = {"noise", "mounting", "prior", "states", "measurements", "rule", "imu", "gnss", "system"}
+PARAMETERS |= {*MEASUREMENTS, *STATES}
+"""First parts of dotted names of parameters, and of other software's."""
+
+
+FOREIGN = {"bias_walk", "EstimationModel", "jax.vmap", "gc.set_threshold", "v0.2.0"}  # of pyins, jax, python; a tag
+COLUMNS = re.compile(r"[a-z_0-9]+_(rad|deg|degps|radps|mps|mps2|g|m|s|ut|degc)|(corr|pitch|heading)_.*")
+"""Columns of CSV files, whose names are made of quantity and unit (tests/io/test_promises.py reads each)."""
+
+
+def test_every_name_between_backticks_exists():
+    words, owners = identifiers() | set(SCENARIOS) | FOREIGN, members()
+    keys = {f"{section.name}.{key.name}" for section in settings.sections() for key in section.settings}
+    words |= {key.rpartition(".")[2] for key in keys}
+    functions = set.union(*owners.values()) | set(dir(builtins))
+    unknown = []
+    for page in PAGES:
+        text = re.sub(r"```.*?```", "", page.read_text(), flags=re.S)
+        for tick in re.findall(r"`([^`\n]+)`", text):
+            name = re.fullmatch(r"([A-Za-z]\w*(?:\.\w+)*)(\(.*\))?", tick)
+            column = page.name == "formats.md" and COLUMNS.fullmatch(tick)
+            if not name or column or name[1] in FOREIGN:
+                continue
+            called = not name[2] or name[1].rpartition(".")[2] in functions  # what is called is defined
+            if not called or not exists(name[1], words, owners, keys | set(KINDS)):
+                unknown.append(f"{page.name}: {tick}")
+    assert not unknown
+    assert not exists("components.again", words, owners, set()) and not exists(
+        "jaxnav.robustness", words, owners, set()
+    )
 
 
 def test_every_public_name_is_in_the_api_and_has_a_docstring():

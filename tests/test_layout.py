@@ -61,8 +61,8 @@ def test_random_keys_come_first():
     for path in [*ROOT.rglob("*.py"), *(ROOT.parent / "tuning").glob("*.py")]:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
-                drawn = [a.arg for a in node.args.args[1:] if ast.unparse(a.annotation or a) == "jax.Array"]
-                assert not {"key", "keys"} & set(drawn), (path.name, node.name)
+                draw_state = [a.arg for a in node.args.args[1:] if ast.unparse(a.annotation or a) == "jax.Array"]
+                assert not {"key", "keys"} & set(draw_state), (path.name, node.name)
 
 
 def test_the_command_line_can_be_stopped_before_jax_is_there():

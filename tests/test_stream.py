@@ -9,10 +9,10 @@ import jax
 import numpy as np
 import pytest
 
-from jaxnav import build, mounting, navigate, start
+from jaxnav import build, initialize, mounting, navigate
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.run import run_jit
-from jaxnav.initialization.start import Start
+from jaxnav.initialization.initialize import Initialization
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
@@ -26,7 +26,7 @@ def driven():
     rec = to_recording(simulate_jit(jax.random.key(2), what), what)
     ekf = build("ekf15", cov_stride=5)
     params = ekf.params("consumer", install=mounting(rec.lever_arm))
-    return rec, ekf, params, start(rec, params)
+    return rec, ekf, params, initialize(rec, params)
 
 
 drive = pytest.fixture(scope="module", name="drive")(driven)
@@ -61,12 +61,12 @@ def test_it_is_the_batch(drive):
     To rounding: this suite compiles without most optimizations. As users run it, it is to the bit, see below.
     """
     rec, ekf, params, begin = drive
-    sol = navigate(rec, ekf, params, begin=begin)
+    sol = navigate(rec, ekf, params, initialization=begin)
     stream, seen = Stream(ekf, params, begin, rate=25.0), {}
     compiled = _advance._cache_size(), _predict._cache_size()
     packed, nav = ep.pack_recording(rec, GNSS, begin.t), jax.tree.map(lambda a: a[0], begin.navs)
     batch = run_jit(
-        stream.filter, begin.given(params), nav, ep.of_shared_size(packed.epochs), lambda step, _: step.after
+        stream.filter, begin.apply_to(params), nav, ep.pad_to_bucket(packed.epochs), lambda step, _: step.after
     )
     for row in events(rec, begin.t):
         feed(stream, rec, [row])
@@ -101,7 +101,7 @@ def test_it_is_the_batch_to_the_bit(emitters):
             ends |= {round(each.t, 6): each.state for each in stream.kept}
         packed, nav = t.ep.pack_recording(rec, t.GNSS, begin.t), jax.tree.map(lambda a: a[0], begin.navs)
         epochs = t.ep.of_shared_size(packed.epochs)
-        batch = t.run_jit(stream.filter, begin.given(params), nav, epochs, lambda step, _: step.after)
+        batch = t.run_jit(stream.filter, begin.apply_to(params), nav, epochs, lambda step, _: step.after)
         rows = [i for i, when in enumerate(packed.t) if round(float(when), 6) in ends]
         assert len(rows) >= packed.t.size - 1, len(rows)
         for i in rows:
@@ -210,7 +210,7 @@ def test_nothing_that_comes_in_brings_it_down(drive):
 
 def test_a_start_that_is_not_one_is_refused(drive):
     rec, ekf, params, begin = drive
-    bank = Start(jax.tree.map(lambda a: np.repeat(a, 12, 0), begin.navs), begin.prior, begin.t, "")
+    bank = Initialization(jax.tree.map(lambda a: np.repeat(a, 12, 0), begin.navs), begin.prior, begin.t, "")
     with pytest.raises(ValueError, match="12 headings"):
         Stream(ekf, params, bank)
     with pytest.raises(ValueError, match="interval must be positive"):

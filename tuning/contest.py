@@ -2,7 +2,7 @@
 
 Every filter starts from the datasheet and has the same steps of the same optimiser on the same runs. Free are factors
 on the noise and the prior that each scenario's datasheet gives, so that one tuning serves scenarios with different
-sensors, and what the filter's rule and feedback have of their own. What is minimised is the mean logarithm of the
+sensors, and the parameters of the filter's rule and feedback. The objective is the mean logarithm of the
 position's RMS error over the runs: scenarios that are hard count no more than those that are easy.
 """
 
@@ -19,7 +19,7 @@ from jax.sharding import Mesh
 
 from jaxnav.analysis import metrics
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.compiler import make_room
+from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, put
 from jaxnav.filters.run import prepare, run
@@ -43,11 +43,11 @@ class Kind(NamedTuple):
     """A type of scenario."""
 
     scenario: Scenario
-    nominal: Params  # what every filter is nominal: datasheet, start, installation
+    nominal: Params  # nominal parameters of every filter: datasheet, start, installation
 
 
 class Plan(NamedTuple):
-    """What every filter gets alike."""
+    """Budget of every filter."""
 
     trained: tuple[Kind, ...]
     unseen: tuple[Kind, ...]
@@ -69,7 +69,7 @@ class ContestRuns(NamedTuple):
 
 
 class Scores(NamedTuple):
-    """What a filter does on the test: K kinds, those trained on first, of S runs each; the same for all filters."""
+    """Results of a filter on the test: K kinds, training kinds first, of S runs each; the same for all filters."""
 
     rms: np.ndarray  # (K, S, 3) position m, velocity m/s, attitude deg; the limit where it diverged
     ok: np.ndarray  # (K, S) bool
@@ -88,7 +88,7 @@ class Entrant(NamedTuple):
 
 
 def filters(text: str) -> list[str]:
-    """The filters that a list A,B,... names, or all of them; the references first.
+    """Return the filters that a list A,B,... names, or all of them; the references first.
 
     Raises:
         ConfigError: there is no such filter.
@@ -100,11 +100,11 @@ def filters(text: str) -> list[str]:
     return list(dict.fromkeys([*REFERENCES, *given]))
 
 
-# ---------------------------------------------------------------------------- what is free, and what it does
+# ---------------------------------------------------------------------------- free parameters, and their effect
 
 
 def spec_of(name: str) -> Spec:
-    """What a filter has to tune: its factors, and the leaves of its rule and feedback, dotted names of `Params`."""
+    """Return the free parameters of a filter: its factors, and the leaves of its rule and feedback, dotted names."""
     entry = FILTERS[name]
     factors = ["noise.gyro", "noise.accel", "prior.attitude"]
     factors += [f"states.{state}.{leaf}" for leaf in ("driving_noise", "sd") for state in entry.states]
@@ -115,7 +115,7 @@ def spec_of(name: str) -> Spec:
 
 
 def datasheet(name: str) -> Params:
-    """The start: every factor one, rule and feedback as they come."""
+    """Return the start: every factor one, rule and feedback as they come."""
     entry, one = FILTERS[name], jnp.ones(())
     nominal = matched_params(Scenario())
     params = jax.tree.map(lambda _: one, nominal)
@@ -125,7 +125,7 @@ def datasheet(name: str) -> Params:
 
 
 def applied(params: Params, nominal: Params) -> Params:
-    """What a scenario's filter runs with: the factors of ``params`` on what it was nominal."""
+    """Return the parameters of a scenario's filter: the factors of ``params`` on the nominal ones."""
     times = partial(jax.tree.map, lambda factor, nominal: (factor * nominal.T).T)  # the rows of a root, if it is one
     scaled = {
         part: times(getattr(params, part), getattr(nominal, part))
@@ -192,7 +192,7 @@ def contest(
 
 
 class Runs(NamedTuple):
-    """What filters are tuned and ranked on, a case with S runs for every kind."""
+    """Training, validation and test runs, a case with S runs for every kind."""
 
     train: list[ContestRuns]
     validation: list[ContestRuns]
@@ -210,15 +210,15 @@ def draw(plan: Plan) -> Runs:
         nominal = jax.tree.map(lambda a, n=len(keys): jnp.broadcast_to(a, (n, *jnp.shape(a))), kind.nominal)
         case, first = ContestRuns(nominal, sims.initial, sims.epochs, sims.truth), 0
         for part, n in counts.items():
-            own = jax.tree.map(lambda a, first=first, n=n: a[first : first + n], case)
-            {Purpose.TRAIN: runs.train, Purpose.VALIDATION: runs.validation, Purpose.TEST: runs.test}[part].append(own)
+            some = jax.tree.map(lambda a, first=first, n=n: a[first : first + n], case)
+            {Purpose.TRAIN: runs.train, Purpose.VALIDATION: runs.validation, Purpose.TEST: runs.test}[part].append(some)
             first += n
     return runs
 
 
 def _enter(name: str, plan: Plan, runs: Runs, progress: bool, mesh: Mesh | None) -> Entrant | None:
     """One filter tuned and scored; None where Ctrl-C cut its tuning short, which would not be the same budget."""
-    make_room()
+    clear_caches_if_needed()
     begin = time.perf_counter()
     filt, spec, start = filter_for(name, plan), spec_of(name), datasheet(name)
     before = scores_of(filt, start, runs.test, plan.limit_m)
@@ -243,7 +243,7 @@ def _enter(name: str, plan: Plan, runs: Runs, progress: bool, mesh: Mesh | None)
 
 
 def filter_for(name: str, plan: Plan) -> Filter:
-    """The filter that serves all scenarios of the plan: its history covers them."""
+    """Return the filter that serves all scenarios of the plan: its history covers them."""
     kinds = (*plan.trained, *plan.unseen)
     history = max(history_for(k.nominal, k.scenario.imu_rate_hz, k.scenario.duration_s) for k in kinds)
     return build(name, cov_stride=plan.cov_stride, history=history)
@@ -262,7 +262,7 @@ def together(cases: list[ContestRuns]) -> tuple[list[ContestRuns], list[int]]:
 
 
 def scores_of(filt: Filter, params: Params, test: list[ContestRuns], limit_m: float) -> Scores:
-    """The errors of the test's runs; one that diverged counts as the limit."""
+    """Return the errors of the test's runs; one that diverged counts as the limit."""
     scored = [jax.device_get(_errors(filt, params, case)) for case in test]
     rms, largest, finite = (np.stack(a) for a in zip(*scored, strict=True))
     ok = finite & np.isfinite(rms).all(-1) & (largest < limit_m)

@@ -1,4 +1,4 @@
-"""What a bake-off says: a table, a figure, and JSON with every error beside its summary."""
+"""Report of a bake-off: a table, a figure, and JSON with every error and its summary."""
 
 import textwrap
 from collections.abc import Mapping
@@ -71,7 +71,7 @@ def _group(
 
 
 def text(result: Mapping[str, Any]) -> str:
-    """The table for the terminal."""
+    """Return the table for the terminal."""
     filters, groups = result["filters"], [g for g in GROUPS if result[g]]
     references = [r for r in next(iter(filters.values()))["trained"]["against"] if r != "untuned"]
     head = ["filter", "free"]
@@ -98,7 +98,7 @@ def text(result: Mapping[str, Any]) -> str:
 
 
 def ratio(r: Mapping[str, float]) -> str:
-    """A ratio with its interval."""
+    """Return a ratio with its interval."""
     return f"{cell(r['ratio'])} ({cell(r['low'])}-{cell(r['high'])})"
 
 

@@ -1,4 +1,4 @@
-"""Tuning over simulated runs of scenarios: training, validation and test runs whose random numbers never meet."""
+"""Tuning over simulated runs of scenarios: training, validation and test runs share no random numbers."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ from tuning.recordings.runs import Descent, Run, Truth, check_objective, descend
 from tuning.recordings.validation import paired_gain
 
 PARTS = {"training": Purpose.TRAIN, "validation": Purpose.VALIDATION, "test": Purpose.TEST}
-"""The purposes of the runs, whose keys never meet."""
+"""The purposes of the runs, with separate keys."""
 runs_jit = jax.jit(jax.vmap(run, (None, 0, 0, 0)), static_argnums=0)
 
 
@@ -42,7 +42,7 @@ class SimulatedRuns(NamedTuple):
     datasheet: Params  # that tuning starts from
     t: np.ndarray  # (E,) s, the end of each epoch
     runs: dict[str, Run]  # by part, each with a leading axis
-    known: dict[str, float]  # what was simulated, by leaf
+    known: dict[str, float]  # simulated values, by leaf
 
     @property
     def fix(self) -> Fix:
@@ -58,7 +58,7 @@ class SimulatedRuns(NamedTuple):
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What metrics.json says of it."""
+        """Return the facts of the runs for metrics.json."""
         return {"runs": {part: int(r.keep.shape[0]) for part, r in self.runs.items()}}
 
     @property
@@ -67,7 +67,7 @@ class SimulatedRuns(NamedTuple):
         return self.runs["test"].ends.shape[1] > 0
 
     def needs(self, blocks: int) -> str:
-        """Return what an interval of so many blocks needs."""
+        """Return the number of runs that an interval of so many blocks needs."""
         return f"{blocks} test runs: tune.test_runs"
 
 
@@ -87,16 +87,16 @@ def tune_simulated(
     """Tune a filter's parameters by gradient over simulated runs, and judge them on others.
 
     Args:
-        scenarios: what is simulated; their runs count alike.
+        scenarios: the simulated cases; their runs count alike.
         filt: a filter of position and velocity.
-        params: of each scenario; what is free starts at the first one's.
+        params: of each scenario; free parameters start at the first one's.
         how: objective and search; the method "scoring" maximises the innovations' likelihood.
         free: groups of `tuning.recordings.free.groups`, dotted leaves or their keys.
         prior_sd: priors by leaf, see `tuning.recordings.priors.spec_of`.
         priors: False leaves them out.
         counts: runs for training, validation and test, of each scenario.
         seed: of all runs.
-        log: called with a line on what is done.
+        log: called with a line on each step.
 
     Raises:
         ConfigError: a name that is not known, or an objective that does not fit the scenarios.
@@ -104,9 +104,9 @@ def tune_simulated(
     """
     for each in params:
         require_params(filt, each)
-    if filt.keeping:
+    if filt.with_history:
         reach = [history_for(p, s.imu_rate_hz, s.duration_s, REACH) for p, s in zip(params, scenarios, strict=True)]
-        filt = filt.keeping(max(reach))
+        filt = filt.with_history(max(reach))
     spec = spec_of(filt, params[0], free, prior_sd, priors)
     used = [_simulated(filt, s, p, counts, seed + i) for i, (s, p) in enumerate(zip(scenarios, params, strict=True))]
     windows = [u.windows_hidden for u in used]
@@ -168,7 +168,7 @@ def as_runs(filt: Filter, sims: Simulated, params: Params) -> Run:
     t = sims.truth.t[:, None]
     ends = jnp.sum(t <= sims.outages[:, :, 1:] + TICK, axis=-1) - 1
     keep = ~sims.hidden
-    halfway = 0.5 * sims.truth.t[:, -1:]  # as of a recording, see `jaxnav.initialization.start.halfway`
+    halfway = 0.5 * sims.truth.t[:, -1:]  # as of a recording, see `jaxnav.initialization.initialize.halfway`
     nav, true = counted_from(sims.initial, halfway[:, 0]), counted_from(sims.truth, halfway)
     whole, offset = jnp.ones_like(keep), clock_offset(params.mounting, true)[..., None]
     rate = jax.vmap(jax.vmap(lambda pos, vel: earth.move(pos, vel) - pos))(true.pos, true.vel)
@@ -199,7 +199,7 @@ def _blocks(r: Run) -> np.ndarray:
 
 
 def _source(filt: Filter, u: SimulatedRuns) -> likelihood.Source:
-    """Return what the likelihood takes of a scenario: its training runs, each a block."""
+    """Return the likelihood's data of a scenario: its training runs, each a block."""
     r = u.runs["training"]
     count = r.keep.shape[0]
     block = jnp.broadcast_to(jnp.arange(count)[:, None], r.keep.shape)

@@ -1,7 +1,7 @@
-"""What the data say of each free parameter: intervals, and which combinations they cannot tell apart.
+"""Uncertainty of each free parameter: intervals, and indistinguishable combinations.
 
 A filter's innovations are independent and Gaussian where its model holds, so their likelihood has the expected
-information of a Gaussian whose mean and covariance both depend on the parameters (Kay 1993, eq. 3.31):
+information of a Gaussian with mean and covariance both depending on the parameters (Kay 1993, eq. 3.31):
 
     F_jk = sum_t  tr(S^-1 dS_j S^-1 dS_k) / 2 + dnu_j' S^-1 dnu_k
 
@@ -42,9 +42,9 @@ class Information(NamedTuple):
 def information(
     solve: Callable[[jax.Array], Info], raw: jax.Array, keep: jax.Array, block: jax.Array, count: int
 ) -> Information:
-    """The information in the innovations of ``solve(raw (P,)) -> Info (E, ...)``.
+    """Return the information in the innovations of ``solve(raw (P,)) -> Info (E, ...)``.
 
-    ``keep`` (E,) bool: epochs that count. ``block`` (E,) int in [0, count): what is drawn together in the sandwich.
+    ``keep`` (E,) bool: epochs that count. ``block`` (E,) int in [0, count): group of the sandwich estimate.
     """
 
     def innovations(r: jax.Array) -> Any:
@@ -64,7 +64,7 @@ def information(
 def pushed(outputs: Callable[[jax.Array], tuple[Any, Any]], raw: jax.Array) -> tuple[tuple[Any, Any], Any]:
     """``outputs(raw (P,)) -> (values, rest)`` and the forward derivatives of the values, their leading axis P.
 
-    One copy of what is inside is compiled: its values come with the slopes, and all batches of directions are equal.
+    The body is compiled once: its values come with the slopes, and all batches of directions are equal.
     """
 
     def push(v: jax.Array) -> Any:
@@ -80,7 +80,7 @@ def pushed(outputs: Callable[[jax.Array], tuple[Any, Any]], raw: jax.Array) -> t
 
 
 def rejected(info: Info) -> jax.Array:
-    """(E,) bool: epochs of which the rule rejected something."""
+    """(E,) bool: epochs with a rejected channel."""
     return (info.valid & ~info.used).any(-1)
 
 
@@ -88,7 +88,7 @@ def gaussian(nu: jax.Array, S: jax.Array, valid: jax.Array, dnu: jax.Array, dS: 
     """Negative log-likelihood (), score (P,) and information (P, P) of a residual nu (m,) of covariance S (m, m).
 
     ``dnu`` (P, m) and ``dS`` (P, m, m) are their derivatives. Missing channels have nu = 0 and an identity row in S.
-    ``heavy`` () bool: a Student t of `FREEDOM` in place of the Gaussian, which makes little of what lies far out.
+    ``heavy`` () bool: a Student t of `FREEDOM` in place of the Gaussian, which gives outliers little weight.
     """
     inv = linalg.inverse(S)
     w, A, m = inv @ nu, inv @ dS, valid.sum()
@@ -101,16 +101,16 @@ def gaussian(nu: jax.Array, S: jax.Array, valid: jax.Array, dnu: jax.Array, dS: 
 
 
 def total(parts: Information) -> Information:
-    """The information of independent runs (leading axis) together; their blocks stay apart."""
+    """Return the information of independent runs (leading axis) together; their blocks stay separate."""
     nll, score, fisher = (a.sum(0) for a in parts[:3])
     return Information(nll, score, fisher, parts.blocks.reshape(-1, parts.blocks.shape[-1]))
 
 
-def with_belief(info: Information, spec: Spec, raw: dict[str, jax.Array]) -> Information:
+def with_prior(info: Information, spec: Spec, raw: dict[str, jax.Array]) -> Information:
     """With the beliefs of the spec: the likelihood becomes a posterior density."""
     flat, back = ravel_pytree(raw)
     value, slope = jax.value_and_grad(lambda r: penalty(spec, back(r)))(flat)
-    stiff = [0.0 if (belief := spec[name].belief) is None else belief.sd**-2 for name in sorted(spec)]
+    stiff = [0.0 if (prior := spec[name].prior) is None else prior.sd**-2 for name in sorted(spec)]
     curve = jnp.concatenate([jnp.full(jnp.size(raw[name]), k) for name, k in zip(sorted(spec), stiff, strict=True)])
     return Information(info.nll + value, info.score + slope, info.fisher + jnp.diag(curve), info.blocks)
 
@@ -129,7 +129,7 @@ class Covariance(NamedTuple):
 def covariance(bread: np.ndarray, blocks: np.ndarray) -> Covariance:
     """From information or Hessian (P, P) and the blocks' scores (K, P), both of the same sum.
 
-    A direction that the data say nothing of gets an sd of 1e6, so that it is seen for what it is.
+    A direction without information gets an sd of 1e6, so that it is seen.
     """
     bread, blocks = np.asarray(bread, float), np.asarray(blocks, float)
     value, vector = np.linalg.eigh(0.5 * (bread + bread.T))
@@ -160,9 +160,9 @@ def intervals(spec: Spec, raw: dict[str, jax.Array], cov: Covariance, level: flo
     left out, since it is then too small more often than not.
     """
     flat, back = ravel_pytree(raw)
-    tell = lambda r: ravel_pytree(reported(spec, back(r)))[0]
+    numbers = lambda r: ravel_pytree(reported(spec, back(r)))[0]
     show = lambda t: np.asarray(ravel_pytree(values(spec, back(t)))[0])
-    J = np.asarray(jax.jacfwd(tell)(flat))
+    J = np.asarray(jax.jacfwd(numbers)(flat))
     sd = lambda C: np.sqrt(np.diag(J @ C @ J.T))
     quantile = float(ndtri(0.5 + level / 2))
     half = quantile * sd(cov.model)
@@ -170,7 +170,7 @@ def intervals(spec: Spec, raw: dict[str, jax.Array], cov: Covariance, level: flo
         wide = float(stdtrit(cov.blocks - 1, 0.5 + level / 2)) * sd(cov.sandwich)
         half = np.maximum(half, wide)
     # beyond e^200 nothing is known anyway, and an exponential would overflow
-    low, value, high = (show(jnp.clip(tell(flat) + h, -200, 200)).tolist() for h in (-half, 0.0, half))
+    low, value, high = (show(jnp.clip(numbers(flat) + h, -200, 200)).tolist() for h in (-half, 0.0, half))
     size = (half / quantile).tolist()
     rows = zip(labels(spec, raw), value, low, high, size, strict=True)
     return [Interval(name, v, a, b, s, s < VAGUE) for name, v, a, b, s in rows]
@@ -182,7 +182,7 @@ MOST_NAMED = 6  # parameters of one combination
 def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = VAGUE) -> list[str]:
     """In words, which parameters or combinations of them the data do not determine; empty where they do all.
 
-    One sentence for each principal axis of the covariance (P, P) whose sd exceeds ``vague``.
+    One sentence for each principal axis of the covariance (P, P) with an sd above ``vague``.
     """
     value, vector = np.linalg.eigh(np.asarray(cov, float))
     out = []
@@ -198,7 +198,7 @@ def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = VAGUE)
         up = [names[i] for i in part if axis[i] * axis[part[0]] > 0]
         down = [names[i] for i in part if axis[i] * axis[part[0]] < 0]
         how = f"{_and(up)} may rise" + (f" while {_and(down)} fall" if down else " together")
-        out.append(f"{_and([names[i] for i in part])} cannot be told apart: {how}, one sd along it is {size}")
+        out.append(f"{_and([names[i] for i in part])} are not distinguishable: {how}, one sd along it is {size}")
     return out
 
 

@@ -21,7 +21,7 @@ from jaxnav.filters.epochs import Packed
 from jaxnav.filters.papers.gip_kf import gip_kf_params
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import initial_nav, run
-from jaxnav.initialization import start as alignment
+from jaxnav.initialization import initialize as alignment
 from jaxnav.maths import units
 from jaxnav.measurements import GNSS, POSITION, Measurement
 from jaxnav.states.grades import GRADES
@@ -73,7 +73,7 @@ def kth_case() -> Case:
     position = position._replace(sd=np.full_like(position.sd, np.sqrt(3.0)))  # m, the course's setting
     rec = rec._replace(aiding=rec.aiding | {"position": position})
     start = float(position.t[position.t >= rec.imu.t[0]][0])
-    roll, pitch = alignment.level(rec.imu, start, start + 2.0)
+    roll, pitch = alignment.coarse_leveling(rec.imu, start, start + 2.0)
     nav = initial_nav(position.value[position.t >= start][0], rph=(roll, pitch, np.deg2rad(320.0)), t=start)
     params = datasheet_params(GRADES["consumer"], heading_sd=10 * units.DEG)
     return Case(1.0, _packed(rec, 1.0, start, (POSITION,)), nav, params, (POSITION,))

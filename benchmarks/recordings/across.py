@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks import common
 from benchmarks.recordings.wild import PHASES, RECIPES, SETTLE
-from jaxnav import build, read, start
+from jaxnav import build, initialize, read
 from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import drift, hidden_windows
 from jaxnav.checkup import checkup
@@ -21,7 +21,7 @@ from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import prepare
 from jaxnav.initialization.bank import most_probable
-from jaxnav.initialization.start import Start
+from jaxnav.initialization.initialize import Initialization
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import Params, Recording
 from tuning.recordings.recorded import spread, tune
@@ -43,12 +43,12 @@ def drive(letter: str, unit: int) -> Recording:
     return rec._replace(aiding={"position": fixes._replace(t=fixes.t - late)})
 
 
-def judged(rec: Recording, begin: Start, filt: Filter, params: Params) -> np.ndarray:
+def judged(rec: Recording, begin: Initialization, filt: Filter, params: Params) -> np.ndarray:
     """Horizontal drift (W,) m over hidden windows of a whole recording, from one start for all parameters."""
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     packed = ep.pack_recording(rec, chosen, begin.t)
     windows = hidden_windows(packed, WINDOW, 3 * WINDOW, PHASES, SETTLE)
-    epochs, params = prepare(filt, packed.epochs), begin.given(params)
+    epochs, params = prepare(filt, packed.epochs), begin.apply_to(params)
     nav = most_probable(filt, params, begin.navs, epochs)
     error, _ = drift(filt, params, nav, epochs, windows, chosen)
     return np.hypot(error[:, 0], error[:, 1])
@@ -61,7 +61,7 @@ def main(argv: list[str]) -> None:
     sheet = ekf.params("consumer")
     found = tune([drive(letter, 1) for letter in TUNED_ON], ekf, sheet, log=print)
     print(found)
-    others = [(rec, start(rec, sheet)) for rec in (drive(letter, 2) for letter in JUDGED_ON)]
+    others = [(rec, initialize(rec, sheet)) for rec in (drive(letter, 2) for letter in JUDGED_ON)]
     print(*(begin.how for _, begin in others), sep="\n")
     results: dict[str, dict] = {}
     for name, trial in found.trials.items():

@@ -23,7 +23,7 @@ from jaxnav.checkup import checkup, motion
 from jaxnav.checkup.alternatives import aligned
 from jaxnav.checkup.findings import line
 from jaxnav.checkup.shared import level_velocity
-from jaxnav.filters.compiler import make_room
+from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.io.checks import check_recording
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
@@ -342,7 +342,7 @@ def matrix(recordings: Iterable[Recording], damages: Sequence[Damage] = DAMAGES)
     """Return the cells by damage and recording: {"named", "said"}, or {"hidden"} where it cannot show."""
     cells: dict[str, dict[str, dict]] = {damage.name: {} for damage in damages}
     for rec in recordings:
-        make_room()
+        clear_caches_if_needed()
         for damage in damages:
             if any(rec.truth is None if n == "truth" else n not in rec.aiding for n in damage.needs):
                 continue

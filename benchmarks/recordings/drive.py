@@ -26,7 +26,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import datasheet_params, get, late, mounting, prior
 from jaxnav.filters.run import initial_nav, run
 from jaxnav.filters.standstill import constraint_samples, stationary
-from jaxnav.initialization import start as alignment
+from jaxnav.initialization import initialize as alignment
 from jaxnav.io import mend, timescale
 from jaxnav.io.column_map import described
 from jaxnav.io.read import read_parts

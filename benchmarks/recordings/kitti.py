@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks import common
 from benchmarks.recordings.wild import RECIPES
-from jaxnav import Solution, build, navigate, read, start
+from jaxnav import Solution, build, initialize, navigate, read
 from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import Windows, drift, hidden_windows
 from jaxnav.filters import epochs as ep
@@ -105,7 +105,7 @@ def tuned(rec: Recording, filt: Filter, sheet: Params, middle: float) -> dict[st
     """What is found on either half alone."""
     found = {
         "first": tune(rec, filt, sheet, stop=middle, log=print),
-        "second": tune(rec, filt, sheet, begin=start(rec, sheet, begin=middle), log=print),
+        "second": tune(rec, filt, sheet, initialization=initialize(rec, sheet, t_start=middle), log=print),
     }
     for half, each in found.items():
         print(f"{half} half: {each.verdict}", flush=True)
@@ -124,7 +124,7 @@ def main(argv: list[str]) -> None:
         sheet = datasheet_params(SHEET, measurements=["position"])
         sheet = change(sheet, {"measurements.position.scale": np.full(3, sd / FILE_SD)})
         sol = navigate(rec, filt, sheet)
-        packed = ep.pack_recording(rec, sol.measurements, sol.start.t)
+        packed = ep.pack_recording(rec, sol.measurements, sol.initialization.t)
         windows = hidden_windows(packed, WINDOW, EVERY, PHASES, SETTLE)
         results["jaxnav" if name == "file" else f"jaxnav, {name}"] = score(
             ours(sol, sol.filter, sol.params, packed, windows)
@@ -148,7 +148,7 @@ def main(argv: list[str]) -> None:
         for half, each in tuned(rec, filt, sheet, middle).items():
             judged = late if half == "first" else windows.start + WINDOW < middle
             # the start is that of the whole recording: what was tuned is handed over
-            off[judged] = ours(sol, each.filter, sol.start.given(each.params), packed, windows)[judged]
+            off[judged] = ours(sol, each.filter, sol.initialization.apply_to(each.params), packed, windows)[judged]
         kept = ~np.isnan(off)
         results["jaxnav, tuned"] = score(off[kept])
         for name in ("jaxnav", "gtsam"):

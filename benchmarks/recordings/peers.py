@@ -25,10 +25,10 @@ from benchmarks.speed.speed_peers import python_ins
 from jaxnav import build, io, recording
 from jaxnav.analysis.tables import table
 from jaxnav.filters import epochs as ep
-from jaxnav.filters.compiler import make_room
+from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import initial_nav, run_jit
-from jaxnav.initialization.start import Start
+from jaxnav.initialization.initialize import Initialization
 from jaxnav.maths import earth, units
 from jaxnav.measurements import POSITION
 from jaxnav.simulate.keys import Purpose, run_keys
@@ -73,7 +73,10 @@ def one_run(seed: int, binary: Path | None) -> dict[str, np.ndarray]:
     call = python_ins(params, sim.initial, epochs, 0.1)
     if call is not None:
         errors["python-ins, 15 states"] = horizontal(call()[last], truth[last])
-    rec, begin = as_recording(sim), Start(jax.tree.map(lambda a: a[None], sim.initial), params.prior, 0.0, "given")
+    rec, begin = (
+        as_recording(sim),
+        Initialization(jax.tree.map(lambda a: a[None], sim.initial), params.prior, 0.0, "given"),
+    )
     like, sheet = like_kfgins(params)
     packed = ep.pack_recording(rec, (POSITION,), 0.0)
     hidden = ep.within(packed.t, WINDOWS)
@@ -186,7 +189,7 @@ def with_more_states(duration: float) -> dict[str, dict[str, float]]:
     found = {}
     for name, case in given.items():
         for states in (SCALES, (*SCALES, "gyro_misalignment", "accel_misalignment")):
-            make_room()
+            clear_caches_if_needed()
             found[f"{name}, {15 + sum(STATES[s].size for s in states)} states"] = beside(*case, states)
     return found
 
@@ -202,9 +205,9 @@ def crop(rec: Recording, first: float, last: float) -> Recording:
     return rec._replace(name=f"{first:.0f} to {last:.0f} s", imu=ImuLog(*(a[keep] for a in rec.imu)), aiding=aiding)
 
 
-def begin_at(rec: Recording, time: float, prior) -> Start:
+def begin_at(rec: Recording, time: float, prior) -> Initialization:
     """Where the drive's protocol starts a stretch."""
-    return Start(jax.tree.map(lambda a: jnp.asarray(a)[None], drive.start_at(rec, time)), prior, time, "given")
+    return Initialization(jax.tree.map(lambda a: jnp.asarray(a)[None], drive.start_at(rec, time)), prior, time, "given")
 
 
 def tuned_for(rec: Recording, sheet: Params) -> dict[int, Params]:
@@ -218,7 +221,7 @@ def tuned_for(rec: Recording, sheet: Params) -> dict[int, Params]:
         begins = [begin_at(rec, a if a == drive.START else a + 2.0, sheet.prior if a == drive.START else MOVING)
                   for a, _ in spans]  # fmt: skip
         recs = [crop(rec, a, b) for a, b in spans]
-        found = tune(recs, like, sheet, free=LIKE.free, begin=begins, window=drive.OUTAGE, extend=False)
+        found = tune(recs, like, sheet, free=LIKE.free, initialization=begins, window=drive.OUTAGE, extend=False)
         print(f"  without block {block}: {found.verdict}", flush=True)
         out[block] = found.params._replace(prior=sheet.prior)
     return out
@@ -228,7 +231,7 @@ def ours_scored(rec: Recording, by_block: dict[int, Params]) -> np.ndarray:
     """Errors (W,) m of our filter of the same kind, like `peers_kfgins.scored`."""
     like, _ = like_kfgins(by_block[0])
     nav, last_fix = drive.start_at(rec, drive.START), float(rec.aiding["position"].t[-1])
-    like = like.keeping(drive.HISTORY) if like.keeping else like
+    like = like.with_history(drive.HISTORY) if like.with_history else like
     packed = ep.pack_recording(rec, (POSITION,), drive.START)
     found: dict[float, float] = {}
     for offset in drive.PHASES:

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.recordings import drive
 from jaxnav.filters import epochs
-from jaxnav.initialization.start import Start
+from jaxnav.initialization.initialize import Initialization
 from jaxnav.io.formats.kfgins import read_kfgins_nav
 from jaxnav.maths import earth, rotations
 from jaxnav.types import Params, Recording, Track
@@ -19,7 +19,7 @@ RESULT = "KF_GINS_Navresult.nav"
 LIMIT = 300  # s of a run
 
 
-def run(binary: Path, rec: Recording, params: Params, begin: Start) -> Track:
+def run(binary: Path, rec: Recording, params: Params, begin: Initialization) -> Track:
     """Its solution, every sample."""
     with tempfile.TemporaryDirectory() as folder:
         write_kfgins(Path(folder), rec, params, begin)
@@ -39,7 +39,7 @@ def without(rec: Recording, windows: list[tuple[float, float]]) -> Recording:
     return rec._replace(aiding=aiding)
 
 
-def antenna_errors(track: Track, rec: Recording, params: Params, begin: Start, at: np.ndarray) -> np.ndarray:
+def antenna_errors(track: Track, rec: Recording, params: Params, begin: Initialization, at: np.ndarray) -> np.ndarray:
     """Of the fixes ``at`` (W,) int: the solution's antenna minus the fix at the fix's own time, (W, 3) m ENU."""
     fixes = rec.aiding["position"]
     t = fixes.t[at] - delay_of(params, begin, fixes.t[at])
@@ -52,7 +52,7 @@ def antenna_errors(track: Track, rec: Recording, params: Params, begin: Start, a
     return np.array(errors)
 
 
-def scored(binary: Path, rec: Recording, by_block: dict[int, Params], begin: Start) -> np.ndarray:
+def scored(binary: Path, rec: Recording, by_block: dict[int, Params], begin: Initialization) -> np.ndarray:
     """Horizontal errors (W,) m of all windows, each run with the parameters of its block."""
     fixes, last_fix, found = rec.aiding["position"], float(rec.aiding["position"].t[-1]), {}
     for offset in drive.PHASES:

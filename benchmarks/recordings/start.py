@@ -21,7 +21,7 @@ from benchmarks import common
 from benchmarks.simulated.vehicles import MOTIONS, simulated
 from jaxnav import build, navigate, read
 from jaxnav.analysis.metrics import chi2_bounds
-from jaxnav.initialization import start as starting
+from jaxnav.initialization import initialize as starting
 from jaxnav.initialization.alignment import rotations_since
 from jaxnav.io.datasets import load
 from jaxnav.maths import rotations
@@ -36,7 +36,7 @@ FIXES = {"velocity": (1.5, True), "positions 2 m": (2.0, False), "positions 3 cm
 """sd of positions, m, and whether there are velocities of sd 0.1 m/s."""
 
 
-def difference(found: starting.Start, truth: Track) -> np.ndarray:
+def difference(found: starting.Initialization, truth: Track) -> np.ndarray:
     """Rotation (3,) rad in ENU from the true attitude to that of the start."""
     rph = np.array([np.interp(found.t, truth.t, np.unwrap(c)) for c in truth.rph.T])
     true = np.asarray(rotations.from_rph(jnp.asarray(rph)))
@@ -53,7 +53,7 @@ def study(runs: int, seed: int) -> dict:
         kind, fixes, grade = cases[i % len(cases)]
         sd, velocity = FIXES[fixes]
         rec, late = simulated(kind, grade, velocity, rng, sd)
-        found = starting.start(rec, filt.params(grade), begin=float(rng.uniform(0, 5)))
+        found = starting.initialize(rec, filt.params(grade), t_start=float(rng.uniform(0, 5)))
         known = found.navs.t.shape[0] == 1 and found.alignment is not None
         row = {"motion": kind, "grade": grade, "fixes": fixes, "late_s": late, "known": known}
         if known:
@@ -95,8 +95,8 @@ def tuned(drives: int, seed: int) -> dict:
         rec, late = simulated("car", "consumer", True, rng, span=TUNED_SPAN)
         fit = tune(rec, filt, filt.params("consumer"))
         sol = navigate(rec, fit.filter, fit.params)
-        at = sol.start._replace(navs=jax.tree.map(lambda a: a[None], sol.nav))
-        error, sd = difference(at, rec.truth)[2], float(sol.start.prior.attitude[2])
+        at = sol.initialization._replace(navs=jax.tree.map(lambda a: a[None], sol.nav))
+        error, sd = difference(at, rec.truth)[2], float(sol.initialization.prior.attitude[2])
         row = {"late_s": late, "chosen": fit.chosen, "heading_deg": error / DEG, "sd_deg": sd / DEG, "z": error / sd}
         rows.append(row)
         print(
@@ -151,7 +151,7 @@ def recorded() -> dict:
         )
         found[name] = []
         for begin in begins:
-            at = starting.start(rec, build("ekf15").params(grade), begin=begin)
+            at = starting.initialize(rec, build("ekf15").params(grade), t_start=begin)
             rph = np.asarray(rotations.to_rph(rotations.to_dcm(at.navs.q[0])))
             true = np.array([np.interp(at.t, truth.t, np.unwrap(c)) for c in truth.rph.T])
             off = np.degrees((rph - true + np.pi) % (2 * np.pi) - np.pi)

@@ -13,10 +13,10 @@ import numpy as np
 
 from benchmarks import common
 from benchmarks.recordings.wild import sources
-from jaxnav import Stream, build, initial_nav, navigate, read, start
+from jaxnav import Stream, build, initial_nav, initialize, navigate, read
 from jaxnav.analysis.tables import table
-from jaxnav.filters.compiler import held
-from jaxnav.initialization.start import Start
+from jaxnav.filters.compiler import process_usage
+from jaxnav.initialization.initialize import Initialization
 from jaxnav.maths import earth
 from jaxnav.types import Info
 
@@ -63,13 +63,13 @@ def apart(ends: dict, info: Info, t: np.ndarray) -> tuple[float, float]:
     return float(far.max()), float(other.mean())
 
 
-def grown(seconds: float) -> tuple[float, int]:
+def pad_epochs(seconds: float) -> tuple[float, int]:
     """MiB by which a stream of 100 Hz at rest, with fixes at 1 Hz, grows after its first 6 minutes; samples kept."""
     lla, rng, rate = (0.6, 0.2, 100.0), np.random.default_rng(1), 100.0
     ekf = build("ekf15", measurements=("position", "velocity"))
     params = ekf.params("consumer")
     nav = jax.tree.map(lambda a: np.asarray(a)[None], initial_nav(lla))
-    live = Stream(ekf, params, Start(nav, params.prior, 0.0, "at rest"))
+    live = Stream(ekf, params, Initialization(nav, params.prior, 0.0, "at rest"))
     before, most = 0.0, 0
     noise = rng.normal(size=(4096, 6)) * ([1e-3] * 3 + [1e-2] * 3)
     for i in range(1, round(seconds * rate)):
@@ -79,9 +79,9 @@ def grown(seconds: float) -> tuple[float, int]:
             live.push("position", t, lla, (1.5, 1.5, 3.0))
             live.push("velocity", t, (0.0, 0.0, 0.0), 0.1)
         if i == round(360 * rate):
-            before = held().resident
+            before = process_usage().resident
         most = max(most, len(live.samples))
-    return (held().resident - before) / 2**20, most
+    return (process_usage().resident - before) / 2**20, most
 
 
 def main(argv: list[str]) -> None:
@@ -94,8 +94,8 @@ def main(argv: list[str]) -> None:
     names = [name for name in ("position", "velocity") if name in rec.aiding]
     ekf = build("ekf15", measurements=names)
     params = ekf.params("consumer")
-    begin = start(rec, params)
-    sol = navigate(rec, ekf, params, begin=begin)
+    begin = initialize(rec, params)
+    sol = navigate(rec, ekf, params, initialization=begin)
     interval, rate = float(np.median(np.diff(rec.aiding["position"].t))), 1 / float(np.median(rec.imu.dt))
     make = lambda: Stream(ekf, params, begin, interval=interval, rate=rate)
     moment = time.perf_counter()
@@ -118,7 +118,7 @@ def main(argv: list[str]) -> None:
         for a, b in zip(jax.tree.leaves(live.kept[-1].state), jax.tree.leaves(two.kept[-1].state), strict=True)
     )
     far, other = apart(ends, sol.trace.info, sol.trace.info.nav.t)
-    hour, kept = grown(360.0 + 3600.0 * (0.1 if args.quick else 1.0))
+    hour, kept = pad_epochs(360.0 + 3600.0 * (0.1 if args.quick else 1.0))
     result = {
         "samples": len(taken), "push_ms_median": 1e3 * float(np.median(taken)),
         "push_ms_p99": 1e3 * float(np.quantile(taken, 0.99)), "times_real_time": float(np.ptp(rec.imu.t)) / seconds,

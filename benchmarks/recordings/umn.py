@@ -15,7 +15,7 @@ from jaxnav.filters import epochs
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import change, datasheet_params, mounting
 from jaxnav.filters.run import initial_nav, track
-from jaxnav.initialization import start as alignment
+from jaxnav.initialization import initialize as alignment
 from jaxnav.initialization.bank import bank_jit, with_headings
 from jaxnav.maths import units
 from jaxnav.states.grades import GRADES
@@ -55,7 +55,7 @@ def main(argv: list[str]) -> None:
     rec = io.load("umn_thor75")
     position, velocity = rec.aiding["position"], rec.aiding["velocity"]
     start = float(position.t[0])
-    roll, pitch = alignment.level(rec.imu, start, start + 20.0)
+    roll, pitch = alignment.coarse_leveling(rec.imu, start, start + 20.0)
     packed = epochs.pack(rec.imu, rec.aiding, 1.0, start=start)
     nav = initial_nav(position.value[0], velocity.value[0], (roll, pitch, 0.0), t=start)
     headings = np.arange(HEADINGS) * 2 * np.pi / HEADINGS

@@ -21,11 +21,11 @@ from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import Windows, drift, hidden_windows, position_noise
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import rows
-from jaxnav.filters.compiler import make_room
+from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, installed
 from jaxnav.initialization.bank import most_probable
-from jaxnav.initialization.start import Start, start
+from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.io.datasets import RECORDINGS
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
@@ -68,7 +68,7 @@ def window_of(rec: Recording) -> float:
 
 def one(name: str, path: Path, tracks: dict | None) -> dict:
     """One recording from its file to its figures."""
-    make_room()
+    clear_caches_if_needed()
     begin = time.perf_counter()
     try:
         rec = read(path)
@@ -78,7 +78,7 @@ def one(name: str, path: Path, tracks: dict | None) -> dict:
     except (DataError, ValueError) as error:
         return {"ran": False, "lines": lines_of(path), "why": str(error)}
     seconds = time.perf_counter() - begin
-    start, length = sol.start, window_of(rec)
+    start, length = sol.initialization, window_of(rec)
     found = evaluate.innovation_metrics(sol.trace.info, sol.measurements)
     packed = sol.packed
     windows = hidden_windows(packed, length, 3 * length, PHASES, SETTLE)
@@ -100,11 +100,11 @@ def one(name: str, path: Path, tracks: dict | None) -> dict:
 
 
 def hidden_drift(
-    rec: Recording, filt: Filter, params: Params, begin: Start, length: float, every: float
+    rec: Recording, filt: Filter, params: Params, begin: Initialization, length: float, every: float
 ) -> tuple[ep.Packed, Windows, np.ndarray, Info]:
     """Return epochs, windows of ``length`` s each ``every`` s, estimate minus fix at their ends (W, 3) m, and runs."""
-    params, chosen = begin.given(params), rows(filt.model.measurements)
-    filt = filt.keeping(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
+    params, chosen = begin.apply_to(params), rows(filt.model.measurements)
+    filt = filt.with_history(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
     packed = ep.pack_recording(rec, chosen, begin.t)
     windows = hidden_windows(packed, length, every, PHASES, SETTLE)
     nav = most_probable(filt, params, begin.navs, packed.epochs)
@@ -113,16 +113,16 @@ def hidden_drift(
 
 def drifts(rec: Recording, sensors: tuple[str, ...], states: tuple[str, ...], window: float) -> np.ndarray:
     """Estimate minus fix at the ends of the windows, (W, 3) m ENU."""
-    make_room()
+    clear_caches_if_needed()
     streams = [key for key in ("position", "velocity") if key in rec.aiding]
     filt = build("ekf15", (*streams, *sensors), cov_stride=5, states=states)
     params = filt.params("consumer")
-    return hidden_drift(rec, filt, params, start(rec, params), window, 2 * window)[2]
+    return hidden_drift(rec, filt, params, initialize(rec, params), window, 2 * window)[2]
 
 
 def tuned(name: str, path: Path) -> dict:
     """One recording tuned without truth on its first part and judged on its last."""
-    make_room()
+    clear_caches_if_needed()
     begin = time.perf_counter()
     try:
         rec = read(path)
@@ -135,7 +135,7 @@ def tuned(name: str, path: Path) -> dict:
     split, honest = found.used[0].layout.validation, {}
     for key in dict.fromkeys(k for k in ("datasheet", "auto", found.chosen) if k in found.trials):
         trial = found.trials[key]
-        honest[key] = judged(rec, trial.filter, trial.params, found.used[0].begin, split)
+        honest[key] = judged(rec, trial.filter, trial.params, found.used[0].initialization, split)
     clock = next((r for r in found.rows if r.name == "clock_drift"), None)
     return {
         "ran": True, "drift_ratio": after / before, "datasheet_m": before, "tuned_m": after,
@@ -170,7 +170,7 @@ JUDGED = 0.6  # share of a recording that the noise scan may see; the rest judge
 CHI2_2 = 5.99  # 95 % of chi-square with two degrees of freedom
 
 
-def judged(rec: Recording, filt: Filter, params: Params, begin: Start, split: float) -> dict:
+def judged(rec: Recording, filt: Filter, params: Params, begin: Initialization, split: float) -> dict:
     """Hidden windows after ``split`` s by these parameters: RMS m, error / stated sd, share inside 95 %, NIS / dof.
 
     RMS is of the written position; the stated sd is of a fix and its prediction, which has the receiver's error.
@@ -193,15 +193,15 @@ def judged(rec: Recording, filt: Filter, params: Params, begin: Start, split: fl
 
 def scanned(path: Path) -> dict:
     """One recording by a consumer's datasheet and by the noise scan of its first part, both judged on the rest."""
-    make_room()
+    clear_caches_if_needed()
     try:
         rec = read(path)
         filt = build("ekf15", [key for key in ("position", "velocity") if key in rec.aiding], cov_stride=5)
         params, _ = installed(filt.params("consumer"), rec.lever_arm)
-        begin = start(rec, params)
+        begin = initialize(rec, params)
         split = begin.t + JUDGED * (float(rec.aiding["position"].t[-1]) - begin.t)
         watch = time.perf_counter()
-        found = scan_noise(rec, params, begin=begin, stop=split)
+        found = scan_noise(rec, params, initialization=begin, stop=split)
         seconds = time.perf_counter() - watch
         before, after = (judged(rec, filt, p, begin, split) for p in (params, found.applied(params)))
     except (DataError, ValueError) as error:

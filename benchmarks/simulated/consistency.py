@@ -24,7 +24,7 @@ from jaxnav.maths.units import DEG
 from jaxnav.simulate.gnss import Receiver
 from jaxnav.simulate.imu import ImuErrors
 from jaxnav.simulate.keys import Purpose, run_keys
-from jaxnav.simulate.scenarios import Scenario, Start
+from jaxnav.simulate.scenarios import InitialErrors, Scenario
 from jaxnav.simulate.simulation import matched_params, perturb, simulate
 from jaxnav.simulate.trajectories import SShape, Urban
 from jaxnav.types import Nav, Prior
@@ -81,7 +81,7 @@ def scenario_of(cell: Cell) -> Scenario:
         name="consistency", duration_s=SECONDS, imu_rate_hz=RATE_HZ, motion=VEHICLES[cell.vehicle],
         imu=ImuErrors(cell.grade),
         gnss=Receiver((position,) * 3, (velocity,) * 3, latency_s=cell.latency, lever_arm_m=(0.3, -0.2, -1.2)),
-        start=Start((max(position, 0.1),) * 3, (max(velocity, 0.1),) * 3),
+        start=InitialErrors((max(position, 0.1),) * 3, (max(velocity, 0.1),) * 3),
     )  # fmt: skip
 
 

@@ -34,7 +34,7 @@ from benchmarks.simulated.damage_rows import DAMAGES, Rng
 from jaxnav import read
 from jaxnav.analysis.tables import table
 from jaxnav.app import cli, config, settings
-from jaxnav.filters.compiler import make_room
+from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.types import ConfigError, DataError
 from tuning.fit.checkpoint import CheckpointError
 from tuning.fit.train import fit
@@ -86,7 +86,9 @@ def sentences(folder: Path) -> set[str]:
     """What a run says of itself, without numbers."""
     found = json.loads((folder / "metrics.json").read_text())
     plain = lambda text: re.sub(r"-?\d+(\.\d+)?(e[-+]\d+)?", "#", text)
-    return {plain(line) for line in [*(f["message"] for f in found["findings"]), *found["notes"], found["start"]]}
+    return {
+        plain(line) for line in [*(f["message"] for f in found["findings"]), *found["notes"], found["initialization"]]
+    }
 
 
 def recordings(tries: int, seed: int, report: list[dict]) -> dict[str, int]:
@@ -101,7 +103,7 @@ def recordings(tries: int, seed: int, report: list[dict]) -> dict[str, int]:
         assert spoken(["filter", *whole])[0] == 0
         usual = sentences(run)
         for i in range(tries):
-            make_room()
+            clear_caches_if_needed()
             rng = np.random.default_rng([seed, i])
             folder = Path(name) / "bad"
             shutil.rmtree(folder, ignore_errors=True)

@@ -17,7 +17,7 @@ from benchmarks import common
 from jaxnav import build
 from jaxnav.analysis import metrics
 from jaxnav.analysis.tables import table
-from jaxnav.filters.compiler import make_room
+from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import change
 from jaxnav.filters.run import run
@@ -78,7 +78,7 @@ def main(argv: list[str]) -> None:
     best = float(rms_of(slow, truth_of(sheet._replace(states=states)), held))
     rows = []
     for i in range(args.repeats):
-        make_room()
+        clear_caches_if_needed()
         begin = time.perf_counter()
         found = tune(to_recording(jax.tree.map(lambda a, i=i: a[i], sims), INTEGRATING), plain, sheet)
         numbers = {r.name: (r.value, r.low, r.high) for r in found.rows}

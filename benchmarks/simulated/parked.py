@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.common import options, write_json
 from benchmarks.simulated.vehicles import simulated
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.compiler import make_room
+from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.maths.units import DEG
 from jaxnav.navigation import navigate
 
@@ -22,7 +22,7 @@ BEFORE = 60.0  # s in motion before a stop in between
 
 def one(kind: str, grade: str, rest: tuple[float, float], seed: int) -> dict:
     """Return heading z (rms) after moving off, the error and sd there, and how far the sd shrank at rest."""
-    make_room()
+    clear_caches_if_needed()
     rng = np.random.default_rng([seed, int(rest[1]), *map(ord, kind + grade)])
     rec, _ = simulated(kind, grade, True, rng, span=rest[1] + MOVING, late=0.0, rest=rest)
     sol = navigate(rec, build("ekf15", cov_stride=5))
@@ -38,7 +38,7 @@ def one(kind: str, grade: str, rest: tuple[float, float], seed: int) -> dict:
         "kind": kind, "grade": grade, "rest_s": rest, "z": float(np.sqrt(np.mean(z**2))),
         "error_deg": float(np.sqrt(np.mean(error[after] ** 2)) / DEG), "sd_deg": float(np.median(sd[after]) / DEG),
         "sd_at_rest_deg": float(sd[still][-1] / DEG) if still.any() else None, "shrunk": shrunk, "z_at_rest": off,
-        "starts_s": float(sol.t[0]), "how": sol.start.how,
+        "starts_s": float(sol.t[0]), "how": sol.initialization.how,
     }  # fmt: skip
 
 

@@ -119,8 +119,8 @@ def simulated(
     lla = np.column_stack([np.radians(frame.lat), np.radians(frame.lon), frame.alt])
     enu = np.column_stack([frame.VE, frame.VN, -frame.VD])
     truth = Track(t, lla, enu, np.radians(frame[["roll", "pitch", "heading"]].to_numpy()))
-    drawn, sd = rng.uniform(0, 0.3), sd or (1.5 if with_velocity else 0.03)
-    late = drawn if late is None else late
+    draw_state, sd = rng.uniform(0, 0.3), sd or (1.5 if with_velocity else 0.03)
+    late = draw_state if late is None else late
     k = np.arange(0.5, span, 1 / fix_hz)
     at = lambda a: np.column_stack([np.interp(k - late, t, c) for c in a.T])
     metres = np.array([6.37e6, 6.37e6 * np.cos(lla[0, 0]), 1.0])

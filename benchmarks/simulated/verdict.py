@@ -14,7 +14,7 @@ from benchmarks.common import options, write_json
 from jaxnav.analysis.windows import phases
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.compiler import make_room
+from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.maths import earth
 from jaxnav.measurements import MEASUREMENTS
@@ -74,7 +74,7 @@ def true_drift(found: Tuned, filt: Filter, params: Params, rec: Recording, fault
 
 def one(number: int, seed: int) -> dict:
     """Tune one drive, and judge the verdict."""
-    make_room()
+    clear_caches_if_needed()
     gnss = URBAN_SHORT.gnss._replace(outages_s=())
     imu = URBAN_SHORT.imu._replace(imu_noise_factor=NOISE)
     scenario = URBAN_SHORT._replace(duration_s=SECONDS, imu_rate_hz=RATE_HZ, gnss=gnss, imu=imu)

@@ -1,1 +1,1 @@
-"""What a run, many runs or a resting sensor say of themselves; figures."""
+"""Statistics and figures of one run, of many runs and of a resting sensor."""

@@ -84,7 +84,7 @@ def allan_deviation(x: np.ndarray, dt: float, per_decade: int = 20) -> Allan:
     m = np.unique(np.round(np.geomspace(1, largest, max(2, int(per_decade * np.log10(largest))))).astype(int))
     variance = np.empty((m.size, x.shape[1]))
     for i, size in enumerate(m):
-        step = max(1, size // 32)  # neighbours tell hardly more than one of them
+        step = max(1, size // 32)  # neighbouring clusters are nearly equal
         second = total[2 * size :: step] - 2 * total[size:-size:step] + total[: -2 * size : step]
         variance[i] = np.mean(second**2, axis=0) / (2.0 * size**2)
     N = n + 1  # points of the phase
@@ -172,7 +172,7 @@ def _median(values: np.ndarray, weight: np.ndarray) -> float:
 
 
 def _fit_gauss_markov(tau: np.ndarray, deviation: np.ndarray, edf: np.ndarray) -> GaussMarkov | None:
-    """Least squares of N^2 / tau + Gauss-Markov, each point relative to what the fit says of it.
+    """Least squares of N^2 / tau + Gauss-Markov, each point relative to the fit at it.
 
     None unless the curve falls again behind the hump, the hump stands out of the white noise, and the fit is as good
     as the degrees of freedom promise.
@@ -205,7 +205,7 @@ def _fit_gauss_markov(tau: np.ndarray, deviation: np.ndarray, edf: np.ndarray) -
 def regular(imu: ImuLog, max_gap: float = 1.0) -> tuple[np.ndarray, np.ndarray, float]:
     """Gyro and accelerometer (n, 3) as means over equal steps, and the step (s).
 
-    A stream whose steps differ is resampled through its running integral, which keeps every cluster's mean.
+    A stream with unequal steps is resampled through its running integral, which keeps every cluster's mean.
 
     Raises:
         DataError: a gap longer than ``max_gap`` s.

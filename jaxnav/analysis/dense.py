@@ -1,6 +1,6 @@
 """The solution at every sample of the IMU, as filtered or by all fixes.
 
-Between two fixes navigation is the mechanization's. What the filter, or the smoother, says of its error at both ends of
+Between two fixes navigation is the mechanization's. The error estimate of filter or smoother at both ends of
 an epoch is carried through it in a straight line: over a second the error of an INS bends by millimetres.
 """
 
@@ -30,22 +30,22 @@ def dense(
     Raises:
         ValueError: smoothing with a rule that has no way back; a filter that keeps no history.
     """
-    if (smooth or lag) and not filt.smooths:
+    if (smooth or lag) and not filt.supports_smoothing:
         raise ValueError("this filter's rule corrects by more than the covariance says: it cannot be smoothed")
-    if filt.keeping is None:
+    if filt.with_history is None:
         raise ValueError("this filter keeps no history of navigation")
-    filt = filt.keeping(max(int(epochs.imu.dt.shape[1]), jax.eval_shape(filt.init, params, nav).past.t.shape[0]))
+    filt = filt.with_history(max(int(epochs.imu.dt.shape[1]), jax.eval_shape(filt.init, params, nav).past.t.shape[0]))
     ends = float(nav.t) + np.cumsum(np.asarray(epochs.imu.dt).sum(1))
     within = smoother.reach_of(ends, lag) if lag and not smooth else (None, 0)
-    reported, variance, own = jax.device_get(_dense(filt, params, nav, epochs, smooth or lag > 0, *within))
-    flat = lambda a: a.reshape(-1, *a.shape[2:])[own.ravel()]
+    reported, variance, in_epoch = jax.device_get(_dense(filt, params, nav, epochs, smooth or lag > 0, *within))
+    flat = lambda a: a.reshape(-1, *a.shape[2:])[in_epoch.ravel()]
     reported, variance = jax.tree.map(flat, reported), flat(variance)
     found = track(reported)
     return found._replace(t=found.t + np.asarray(clock_offset(params.mounting, reported))), np.sqrt(variance)
 
 
-def _keep(step: Step, beside: Any) -> tuple[smoother.Forward, FilterState]:
-    return smoother.keep(step, beside)[0], step.predicted
+def _keep(step: Step, along: Any) -> tuple[smoother.Forward, FilterState]:
+    return smoother.keep(step, along)[0], step.predicted
 
 
 @partial(jax.jit, static_argnums=(0, 4, 6))
@@ -71,13 +71,13 @@ def _dense(
         past: Nav, t0: jax.Array, begin: jax.Array, end: jax.Array, last: jax.Array, P0: jax.Array, P1: jax.Array,
         P2: jax.Array,
     ) -> tuple[Nav, jax.Array, jax.Array]:  # fmt: skip
-        own = past.t > t0 + 1e-9
+        in_epoch = past.t > t0 + 1e-9
         share = jnp.clip((past.t - t0) / jnp.maximum(past.t[-1] - t0, 1e-9), 0.0, 1.0)
         final = jnp.arange(past.t.size) == past.t.size - 1
         x = jnp.where(final[:, None], last, begin + share[:, None] * (end - begin))
         P = jnp.where(final[:, None, None], P2, P0 + share[:, None, None] * (P1 - P0))
         reported, _, P = jax.vmap(model.report)(jax.vmap(model.retract)(past, x), jnp.zeros_like(x), P)
-        return reported, jnp.diagonal(P, axis1=1, axis2=2)[:, :9], own
+        return reported, jnp.diagonal(P, axis1=1, axis2=2)[:, :9], in_epoch
 
     t0 = before(first.past.t[-1], predicted.past.t[:, -1])
     return jax.vmap(epoch)(predicted.past, t0, begin, end, last, P0, P1, P2)

@@ -1,4 +1,4 @@
-"""What a run says of itself: errors against truth in north, east, down, innovations, NIS, and its figures."""
+"""Evaluation of a run: errors against truth in north, east, down, innovations, NIS, and its figures."""
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -37,7 +37,7 @@ class Trace(NamedTuple):
 
 
 def trace(info: Info, params: Params) -> Trace:
-    """A run (E, ...) of local level navigation on the host."""
+    """Return a run (E, ...) of local level navigation on the host."""
     info = jax.tree.map(np.asarray, info)
     found = track(info.nav)
     variance = np.diagonal(info.P, axis1=1, axis2=2)
@@ -60,7 +60,7 @@ def ned_errors(sol: Trace, truth: Track) -> tuple[np.ndarray, np.ndarray]:
     e = metrics.errors(sol.track, truth)
     position, velocity = (np.asarray(a)[:, NED] * SIGN for a in (e.position, e.velocity))
     error = np.concatenate([position, velocity, metrics.attitude_errors(sol.track, truth) / DEG], 1)
-    error[~metrics.told_by(sol.track.t, truth.t)] = np.nan
+    error[~metrics.covered_by(sol.track.t, truth.t)] = np.nan
     sd = np.concatenate([sol.sd[:, :3][:, NED], sol.sd[:, 3:6][:, NED], sol.sd_rph / DEG], 1)
     return error, sd
 
@@ -85,24 +85,24 @@ def _spread(a: np.ndarray) -> dict[str, float]:
     return {"rms": float(np.sqrt(np.mean(a**2))), "p95": float(np.quantile(a, 0.95)), "max": float(a.max())}
 
 
-def channels(measurements: tuple[Measurement, ...]) -> tuple[list[int], list[str], np.ndarray]:
-    """Order of channels in reports (north, east, down), their names and the sign of each."""
+def channel_names(measurements: tuple[Measurement, ...]) -> tuple[list[int], list[str], np.ndarray]:
+    """Return the order of channels in reports (north, east, down), their names and the sign of each."""
     order, names, sign = [], [], []
     for m, s in zip(measurements, layout(measurements).values(), strict=True):
-        own = np.arange(s.start, s.stop)
+        places = np.arange(s.start, s.stop)
         if m.reported:
-            own = own[NED]
+            places = places[NED]
             sign += [1.0, 1.0, -1.0]
         else:
-            sign += [1.0] * own.size
-        order += own.tolist()
+            sign += [1.0] * places.size
+        order += places.tolist()
         names += [f"{m.name.replace('_', ' ')} {axis}" for axis in m.reported or m.channels]
     return order, names, np.array(sign)
 
 
 def innovation_metrics(info: Info, measurements: tuple[Measurement, ...]) -> dict[str, Any]:
     """RMS of the normalised innovations by channel, NIS by degree of freedom and its share inside 95 % bounds."""
-    order, names, _ = channels(measurements)
+    order, names, _ = channel_names(measurements)
     z = metrics.normalized_innovations(info)[:, order]
     rms = {name: float(metrics.rms(z[:, i])) for i, name in enumerate(names) if np.isfinite(z[:, i]).any()}
     dof = info.valid.sum(1)
@@ -123,14 +123,14 @@ def figures(
     true_errors: tuple[np.ndarray, dict[str, np.ndarray]] | None = None,
     states: tuple[str, ...] = BIASES,
 ) -> "dict[str, Figure]":
-    """The figures of one run, by name of file; ``states``: the optional ones of its filter, in their order."""
+    """Draw the figures of one run, by name of file; ``states``: its optional ones, in their order."""
     t, info = sol.track.t, sol.info
     valid, P = np.asarray(info.valid), np.asarray(info.P)
     found = {"trajectory": plots.trajectory(sol.track, truth, fixes, outages)}
     if truth is not None:
         error, sd = ned_errors(sol, truth)
         found["errors"] = plots.errors(t, error, sd, outages)
-    order, names, sign = channels(measurements)
+    order, names, sign = channel_names(measurements)
     nu, S = np.asarray(info.nu)[:, order] * sign, np.asarray(info.S)[:, order][:, :, order]
     if valid.any():
         found["innovations"] = plots_stats.innovations(t, nu, S, valid[:, order], names, outages, None)

@@ -24,22 +24,22 @@ class Errors(NamedTuple):
     attitude: np.ndarray  # (..., 3) rad, roll, pitch, heading, each in (-pi, pi]; nan where the truth has none
 
 
-def told_by(t: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Times (E,) at which a truth known at ``times`` (N,) says anything, bool (E,): within it, and not in a hole of it.
+def covered_by(t: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return at which times (E,) a truth known at ``times`` (N,) has a value, bool (E,): within it and not in a gap.
 
     A hole is longer than `HOLE` of its intervals, for a line across it would be scored as an error of the solution.
     """
     after = np.clip(np.searchsorted(times, t - TICK), 1, max(times.size - 1, 1))
-    apart = np.diff(times)
-    if not apart.size:
+    steps = np.diff(times)
+    if not steps.size:
         return np.abs(t - times[0]) <= TICK
     on = np.abs(t - times[np.clip(np.searchsorted(times, t - TICK), 0, times.size - 1)]) <= TICK
-    whole = apart[after - 1] <= HOLE * np.median(apart)
+    whole = steps[after - 1] <= HOLE * np.median(steps)
     return (t >= times[0] - TICK) & (t <= times[-1] + TICK) & (whole | on)
 
 
 def errors(solution: Track, truth: Track) -> Errors:
-    """Errors of a solution at its own times against a truth that is interpolated linearly to them (host arrays)."""
+    """Errors of a solution at its times against a truth that is interpolated linearly to them (host arrays)."""
     unwrapped = np.where(np.isfinite(truth.rph), np.unwrap(np.nan_to_num(truth.rph), axis=0), np.nan)
     at = lambda a: columns_at(solution.t, truth.t, a)
     position = earth.enu_path(solution.lla, at(earth.continuous(truth.lla)))
@@ -51,7 +51,7 @@ def attitude_errors(solution: Track, truth: Track) -> np.ndarray:
     """Return the rotation from the true attitude to a solution's, (E, 3) rad; nan where the truth has none.
 
     Its components are about the horizontal axis forward, the horizontal axis to the right, and down: to first order
-    those of roll, pitch and heading while the vehicle is level, and still defined where it points up.
+    these are errors of roll, pitch and heading while the vehicle is level, and still defined where it points up.
     """
     from scipy.spatial.transform import Rotation  # here, for it takes a while to load
 
@@ -85,7 +85,7 @@ def position_error(nav: Nav, lla: jax.Array) -> jax.Array:
 def state_error(nav: Nav, truth: Nav, states: Iterable[str] = ()) -> jax.Array:
     """X = estimate - truth, (9 + size of the states,), of local level navigation: ENU, and the states in their order.
 
-    Motion by the error model's own definition, C_est = exp([phi x]) C_true.
+    Motion as the error model defines it, C_est = exp([phi x]) C_true.
     """
     phi = rotations.log(rotations.multiply(nav.q, rotations.conjugate(truth.q)))
     optional = [nav.errors[name] - truth.errors[name] for name in states]

@@ -1,6 +1,6 @@
-"""Monte Carlo: many simulated runs of a filter, in chunks of bounded memory, and what they say together.
+"""Monte Carlo: many simulated runs of a filter, in chunks of bounded memory, and their statistics.
 
-A run is simulated, filtered and scored inside the compiled function from its own key, so that only a few live at a
+A run is simulated, filtered and scored inside the compiled function from its key, so that only a few are in memory at a
 time, and its result depends on nothing else: not on how many others there are, nor on their order.
 """
 
@@ -16,7 +16,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxnav.analysis import metrics
 from jaxnav.analysis.progress import bar as progress_bar
-from jaxnav.filters.compiler import make_room
+from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.run import require_params, run
@@ -27,7 +27,7 @@ from jaxnav.states.motion import A, P, V
 from jaxnav.types import Nav, Params
 
 QUANTITIES = ("horizontal", "vertical", "velocity", "tilt", "yaw")
-"""Absolute errors whose course in time is kept: m, m, m/s, rad, rad; tilt is about both level axes."""
+"""Absolute errors kept over time: m, m, m/s, rad, rad; tilt is about both level axes."""
 BINS = np.logspace(-8, 6, 14 * 24 + 1)  # of their histogram: 10 % wide
 
 
@@ -44,7 +44,7 @@ class Row(NamedTuple):
 
 
 class Scores(NamedTuple):
-    """What is kept of each run: arrays, leading axes (runs,) or (candidates, runs); errors over its finite epochs."""
+    """Results of each run: arrays, leading axes (runs,) or (candidates, runs); errors over its finite epochs."""
 
     position: Any  # (..., 3) m RMS, ENU
     horizontal: Any  # (...,) m RMS
@@ -68,7 +68,7 @@ class Course(NamedTuple):
     runs: np.ndarray  # (..., E) finite ones
     mean: np.ndarray  # (..., E, 5) of `QUANTITIES`
     sd: np.ndarray  # (..., E, 5)
-    counts: np.ndarray  # (..., E, 5, bins) histogram over `BINS`, what is outside counted in the outermost
+    counts: np.ndarray  # (..., E, 5, bins) histogram over `BINS`, values outside counted in the outermost
     nees: np.ndarray  # (..., E) mean
     nis: np.ndarray  # (..., E) mean over the runs with a fix
     dof: np.ndarray  # (..., E) mean of those
@@ -76,7 +76,7 @@ class Course(NamedTuple):
 
 
 class MonteCarlo(NamedTuple):
-    """What `monte_carlo` returns."""
+    """Result of `monte_carlo`."""
 
     runs: np.ndarray  # (N,) numbers of the finished runs
     scores: Scores
@@ -94,14 +94,14 @@ def _row(step: Step, truth: Nav) -> Row:
 
 
 def _magnitudes(rows: Row) -> jax.Array:
-    """The `QUANTITIES` (..., 5)."""
+    """Return the `QUANTITIES` (..., 5)."""
     p, v, a = rows.position, rows.velocity, rows.attitude
     level = [jnp.linalg.norm(x[..., :2], axis=-1) for x in (p, a)]
     return jnp.stack([level[0], abs(p[..., 2]), jnp.linalg.norm(v, axis=-1), level[1], abs(a[..., 2])], axis=-1)
 
 
 def _scores(rows: Row, sim: Simulated, limit: jax.Array) -> Scores:
-    """The scores of rows (E, ...) of one run."""
+    """Return the scores of rows (E, ...) of one run."""
     t, size, ok = sim.truth.t, _magnitudes(rows), rows.ok
     count = jnp.maximum(ok.sum(), 1)
     mean = lambda a: jnp.where(ok.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0).sum(0) / count
@@ -119,7 +119,7 @@ def _scores(rows: Row, sim: Simulated, limit: jax.Array) -> Scores:
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def _chunk(filt: Filter, scenario: Scenario, many: bool, params: Params, limit: jax.Array, keys: jax.Array) -> Any:
-    """Scores, what the course is made of, and times, of the runs with these keys (chunk,)."""
+    """Return scores, statistics over time, and times, of the runs with these keys (chunk,)."""
 
     def one(key: jax.Array) -> Any:
         sim = simulate(key, scenario)
@@ -137,7 +137,7 @@ def _chunk(filt: Filter, scenario: Scenario, many: bool, params: Params, limit: 
 
 
 class Sums(NamedTuple):
-    """What adds up over the runs, (C, E, ...)."""
+    """Sums over the runs, (C, E, ...)."""
 
     runs: np.ndarray
     first: np.ndarray  # (C, E, 5)
@@ -149,8 +149,8 @@ class Sums(NamedTuple):
     fixes: np.ndarray
 
 
-class Begun(NamedTuple):
-    """What is finished of the runs, on the host."""
+class Progress(NamedTuple):
+    """Results of the finished runs, on the host."""
 
     done: int  # runs
     t: np.ndarray  # (E,) s
@@ -159,7 +159,7 @@ class Begun(NamedTuple):
 
 
 def _sums(rows: tuple[np.ndarray, ...]) -> Sums:
-    """Sums over rows (N, C, E, ...)."""
+    """Return sums over rows (N, C, E, ...)."""
     size, nees, nis, dof, ok = rows
     N, C, E, _ = size.shape
     kept = np.where(ok[..., None], size, 0.0)
@@ -174,7 +174,7 @@ def _sums(rows: tuple[np.ndarray, ...]) -> Sums:
 
 
 def _shared(keys: jax.Array, mesh: Mesh | None) -> jax.Array:
-    """The keys of a chunk among the devices."""
+    """Return the keys of a chunk among the devices."""
     if mesh is None:
         return keys
     raw = np.asarray(jax.random.key_data(keys))  # every process has all of them
@@ -210,8 +210,8 @@ def monte_carlo(
     limit_m: float = np.inf,
     progress: bool = False,
     mesh: Mesh | None = None,
-    begun: Begun | None = None,
-    keep: Callable[[Begun], None] | None = None,
+    resume: Progress | None = None,
+    keep: Callable[[Progress], None] | None = None,
 ) -> MonteCarlo:
     """Simulate, filter and score runs of a scenario (for the channels of `jaxnav.measurements.GNSS`).
 
@@ -222,7 +222,7 @@ def monte_carlo(
 
     ``mesh``: devices of one automatic axis, of one process or several, that share each chunk, as of
     `tuning.fit.distributed.mesh`; all processes end with the same.
-    ``keep`` hears what is finished after each chunk, ``begun`` goes on from there, bit for bit.
+    ``keep`` gets the results after each chunk, ``resume`` continues from them, bit for bit.
 
     Memory for an hour of IMU at 10 Hz and GNSS at 1 Hz: about 25 MB a run of the chunk, 1 MB more for each candidate,
     and 100 MB a candidate for the histograms.
@@ -238,39 +238,39 @@ def monte_carlo(
         raise ValueError(f"a chunk of {chunk} runs cannot be shared among {mesh.size} devices")
     require_params(filt, jax.tree.map(lambda a: a[0], params) if candidates else params)
     sizes(scenario)
-    make_room()
+    clear_caches_if_needed()
     keys = run_keys(seed, Purpose.STUDY, np.resize(numbers, -(-numbers.size // chunk) * chunk))
     limit, stopped = jnp.asarray(limit_m, float), False
-    bar = progress_bar(numbers.size, "run", progress, begun.done if begun else 0)
+    bar = progress_bar(numbers.size, "run", progress, resume.done if resume else 0)
     try:
-        for begin in range(begun.done if begun else 0, numbers.size, chunk):
-            own = _shared(keys[begin : begin + chunk], mesh)
-            out = _gathered(_chunk(filt, scenario, candidates, params, limit, own))
+        for begin in range(resume.done if resume else 0, numbers.size, chunk):
+            part = _shared(keys[begin : begin + chunk], mesh)
+            out = _gathered(_chunk(filt, scenario, candidates, params, limit, part))
             score, rows, (t, *_) = jax.tree.map(lambda a: a[: numbers.size - begin], out)  # noqa: B023
             if not candidates:
                 score, rows = jax.tree.map(lambda a: a[:, None], (score, rows))
             more = _sums(rows)
-            sums = more if begun is None else Sums(*map(np.add, begun.sums, more))
-            scores = score if begun is None else jax.tree.map(lambda *a: np.concatenate(a), begun.scores, score)
-            begun = Begun(begin + len(score.ok), t, scores, sums)
+            sums = more if resume is None else Sums(*map(np.add, resume.sums, more))
+            scores = score if resume is None else jax.tree.map(lambda *a: np.concatenate(a), resume.scores, score)
+            resume = Progress(begin + len(score.ok), t, scores, sums)
             if keep is not None:
-                keep(begun)
+                keep(resume)
             bar.update(len(score.ok))
     except KeyboardInterrupt:
-        if begun is None:
+        if resume is None:
             raise
         stopped = True
     bar.close()
-    assert begun is not None  # at least one chunk is finished
-    found = jax.tree.map(lambda a: np.moveaxis(a, 0, 1), begun.scores)
-    course = _course(begun.t, begun.sums)
+    assert resume is not None  # at least one chunk is finished
+    found = jax.tree.map(lambda a: np.moveaxis(a, 0, 1), resume.scores)
+    course = _course(resume.t, resume.sums)
     if not candidates:
         found = jax.tree.map(lambda a: a[0], found)
         course = Course(course.t, *(a[0] for a in course[1:]))
     return MonteCarlo(numbers[: found.ok.shape[-1]], found, course, stopped)
 
 
-# ---------------------------------------------------------------------------- what they say together
+# ---------------------------------------------------------------------------- statistics over all runs
 
 
 def percentile(course: Course, q: float) -> np.ndarray:
@@ -287,7 +287,7 @@ def summary(found: MonteCarlo, probability: float = 0.95) -> dict[str, Any]:
     """Plain numbers of one candidate: each score over the runs, who diverged, and consistency with chi-square bounds.
 
     Statistics are over the runs that did not diverge, percentiles of them exact. Angles in degrees. ``anees`` is per
-    degree of freedom, at the last epoch and as the share of epochs whose mean over the runs is inside its bounds: in
+    degree of freedom, at the last epoch and as the share of epochs with a mean over the runs inside its bounds: in
     time NEES is correlated, so that its mean over time has none. ``anis`` is of all fixes, white if all is consistent.
     """
     s, c = found.scores, found.course

@@ -1,4 +1,4 @@
-"""IMU noise, latency and sd of the fixes by a likelihood scan: what a run takes where no datasheet is named.
+"""IMU noise, latency and sd of the fixes by a likelihood scan: the default where no datasheet is named.
 
 A datasheet knows nothing of vibration, mounting and a receiver's latency. Three numbers make up for most of it: a
 factor on the white noise of the gyros (g), one on that of the accelerometers (a), and the latency of the fixes (d).
@@ -38,7 +38,7 @@ from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.parameters import datasheet_states, history_for
 from jaxnav.filters.run import prepare, run, student_nll
 from jaxnav.initialization.bank import most_probable
-from jaxnav.initialization.start import Start, ground_velocity, start
+from jaxnav.initialization.initialize import Initialization, ground_velocity, initialize
 from jaxnav.maths import linalg
 from jaxnav.measurements import GNSS
 from jaxnav.states.grades import GRADES
@@ -74,7 +74,7 @@ VIBRATION = 300.0  # factor on the datasheet above which noise is vibration, a w
 
 
 class NoiseScan(NamedTuple):
-    """What a scan chose."""
+    """Result of a scan."""
 
     gyro: float = 1.0  # factor on the white noise of the gyros
     accel: float = 1.0  # on that of the accelerometers
@@ -84,17 +84,21 @@ class NoiseScan(NamedTuple):
     gain: float = 0.0  # of J / N, the penalized log-likelihood of a fix, over factors of 1 and no latency
     coarse: np.ndarray = np.zeros((0, 0))  # (L, C) J of the coarse grid, latency by common factor, 0 at its maximum
     grid: tuple[np.ndarray, np.ndarray] = (np.zeros(0), np.zeros(0))  # (L,) s and (C,) factors of it
-    part: tuple[float, float] = (0.0, 0.0)  # s, whose fixes count
+    part: tuple[float, float] = (0.0, 0.0)  # s, interval of the fixes that count
     fixes: int = 0
 
     def applied(self, params: Params) -> Params:
-        """Return parameters with this noise, latency and sd of the fixes."""
+        """Return parameters with this noise, latency and sd of the fixes.
+
+        Args:
+            params: parameters of a filter with the measurements of the scan.
+        """
         mounting = params.mounting._replace(time_offset=params.mounting.time_offset + self.latency)
         return _scaled(params._replace(mounting=mounting), self.gyro, self.accel, self.position, self.velocity)
 
     @property
     def findings(self) -> list[Finding]:
-        """What the scan found."""
+        """Return the findings of the scan."""
         if not self.fixes:
             return [finding("noise.datasheet", limit=LEAST_FIXES)]
         scale = f"; sd of positions {self.position:.2g}, of velocities {self.velocity:.2g} times the stated"
@@ -107,7 +111,7 @@ class NoiseScan(NamedTuple):
         return [found] + ([finding("noise.vibration", value=most, limit=VIBRATION)] if most > VIBRATION else [])
 
     def metrics(self) -> dict[str, float]:
-        """Return what was chosen, as metrics.json has it."""
+        """Return the chosen values, as in metrics.json."""
         names = ("gyro", "accel", "latency", "gain", "position", "velocity")
         return {"latency_s" if name == "latency" else name: getattr(self, name) for name in names}
 
@@ -142,7 +146,7 @@ def _fit(
         params: its parameters, with factors of 1.
         nav: initial navigation.
         epochs: (L, E, ...), with the fixes moved by a latency each, or with other windows hidden.
-        counted: (L, E) bool, epochs whose innovations count.
+        counted: (L, E) bool, epochs with innovations that count.
         hidden: (L, E) bool, epochs with hidden positions that count; their mean horizontal error squared is drift^2.
         factors: (P, 4) on the white noise of gyros and accelerometers, on the stated sd of positions and velocities.
     """
@@ -153,9 +157,9 @@ def _fit(
         return jnp.where(info.ok, -nll, -jnp.inf), info.residual[:3], info.P[:3, :3]
 
     def one(epochs: Epoch, counted: jax.Array, hidden: jax.Array, factor: jax.Array) -> jax.Array:
-        own = _scaled(params, *factor)
-        density, y, P = run(filt, own, nav, epochs, record)
-        S = P + position_noise(own, epochs.fix.sd[:, :3])
+        scaled = _scaled(params, *factor)
+        density, y, P = run(filt, scaled, nav, epochs, record)
+        S = P + position_noise(scaled, epochs.fix.sd[:, :3])
         nis = jax.vmap(linalg.normalized)(y, S)
         far = -student_nll(nis, jnp.asarray(3), 3) - 0.5 * jax.vmap(linalg.log_determinant)(S)
         mean = lambda value, mask: jnp.where(mask, value, 0.0).sum() / jnp.maximum(mask.sum(), 1)
@@ -178,18 +182,20 @@ def _scaled(params: Params, gyro: Any, accel: Any, *sd: Any) -> Params:
 class _Objective:
     """J over one part of a recording; epochs of a latency are cut once."""
 
-    def __init__(self, rec: Recording, params: Params, begin: Start, end: float, outages: Sequence[Any]) -> None:
+    def __init__(
+        self, rec: Recording, params: Params, begin: Initialization, end: float, outages: Sequence[Any]
+    ) -> None:
         self.rec, self.begin, self.end, self.outages = rec, begin, end, outages
         self.rows = tuple(m for m in GNSS if m.name in rec.aiding)
         states = datasheet_states(GRADES["consumer"], BIASES) | params.states
-        self.params = begin.given(params._replace(states=states, rule=(), feedback=()))
+        self.params = begin.apply_to(params._replace(states=states, rule=(), feedback=()))
         rate, span = 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))
         self.filt = build("ekf15", self.rows, 5, history_for(self.params, rate, span))
         self.first = begin.t + min(WARM_UP_S, 0.25 * (end - begin.t))
         self.effective = (end - self.first) / CORRELATION_S
         packed = self._packed(0.0)
         E, K = packed.epochs.imu.dt.shape
-        self.size: tuple[int, ...] = ep.shared_size(E + 2), ep.shared_size(K + 1)  # other latencies need a little more
+        self.size: tuple[int, ...] = ep.bucket_size(E + 2), ep.bucket_size(K + 1)  # other latencies need a little more
         self.nav = most_probable(self.filt, self.params, begin.navs, packed.epochs)
         self.cuts: dict[float, tuple[Epoch, np.ndarray]] = {}
         self.scales = np.zeros(2)  # log10 of the factors on the stated sd of positions and velocities
@@ -206,7 +212,7 @@ class _Objective:
             packed = self._packed(latency)
             counted = (packed.t > self.first) & np.asarray(packed.epochs.fix.valid).any(1)
             self.cuts[latency] = packed.epochs, counted
-            size = map(ep.shared_size, packed.epochs.imu.dt.shape)
+            size = map(ep.bucket_size, packed.epochs.imu.dt.shape)
             self.size = tuple(max(a, b) for a, b in zip(self.size, size, strict=True))
         return self.cuts[latency]
 
@@ -214,7 +220,7 @@ class _Objective:
         """Return J (L, P) at every latency (L,), s, with every pair of factors (P, 2), log10."""
         latencies, logs = np.round(latencies, 6), np.round(logs, 6)
         parts = [self.at(float(latency)) for latency in latencies]
-        epochs = ep.stack_epochs([ep.grown(epochs, *self.size) for epochs, _ in parts])
+        epochs = ep.stack_epochs([ep.pad_epochs(epochs, *self.size) for epochs, _ in parts])
         counted = np.stack([np.pad(c, (0, self.size[0] - c.size)) for _, c in parts])
         mean = self.fit(epochs, counted, np.zeros_like(counted), logs, np.tile(self.scales, (len(logs), 1)))[0]
         noise = ((logs[:, 0] - logs[:, 1]) / RATIO_SD) ** 2 + (logs.mean(1) / COMMON_SD) ** 2
@@ -242,14 +248,15 @@ class _Objective:
             return np.zeros(2)
         there = np.asarray(packed.epochs.fix.valid)[:, :3].all(1)
         wide = lambda mask: np.pad(mask, ((0, 0), (0, self.size[0] - counted.size)))
-        runs = ep.stack_epochs([ep.grown(ep.hide(epochs, h, self.rows), *self.size) for h in windows.hidden])
+        runs = ep.stack_epochs([ep.pad_epochs(ep.hide(epochs, h, self.rows), *self.size) for h in windows.hidden])
         shown, known = wide(counted & ~windows.hidden), wide(there & windows.hidden)
 
         def at(scales: np.ndarray, most: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
             """Return points (P, 4), J being -inf where the drift exceeds ``most`` m, and the drift (P,) m."""
             logs = np.tile([gyro, accel], (len(scales), 1))
-            own, far, square = self.fit(runs, shown, known, logs, scales).mean(1)
-            J, drift = self.effective * (own + far) - 0.5 * ((scales / SCALE_SD) ** 2).sum(1), np.sqrt(square)
+            shown_nll, far, square = self.fit(runs, shown, known, logs, scales).mean(1)
+            J = self.effective * (shown_nll + far) - 0.5 * ((scales / SCALE_SD) ** 2).sum(1)
+            drift = np.sqrt(square)
             agreed = np.isfinite(J) & (drift <= most)
             return np.column_stack([scales, np.zeros(len(scales)), np.where(agreed, J, -np.inf)]), drift
 
@@ -308,7 +315,7 @@ def scan_noise(
     rec: Recording,
     params: Params,
     *,
-    begin: Start | None = None,
+    initialization: Initialization | None = None,
     stop: float | None = None,
     outages: Sequence[Sequence[float]] = (),
 ) -> NoiseScan:
@@ -318,8 +325,8 @@ def scan_noise(
         rec: the recording, with positions.
         params: parameters with the datasheet's noise, such as ``filt.params("consumer")``, and the lever arm (m, body
             FRD). A latency that they state or estimate and a scale of the fixes that they state stay.
-        begin: where navigation starts, by default `jaxnav.start`; after a long standstill the scan begins later.
-        stop: s, end of what may be looked at.
+        initialization: by default `jaxnav.initialize`; after a long standstill the scan begins later.
+        stop: s, end of the interval that the scan may use.
         outages: (start, end) s, windows whose fixes are hidden.
 
     Returns:
@@ -329,7 +336,7 @@ def scan_noise(
     Raises:
         DataError: a recording that cannot be started from or cut.
     """
-    begin = start(rec, params) if begin is None else begin
+    begin = initialize(rec, params) if initialization is None else initialization
     last = min(np.inf if stop is None else stop, float(rec.aiding["position"].t[-1]), float(rec.imu.t[-1]))
     begin = _in_motion(rec, params, begin, last)
     end = min(begin.t + WARM_UP_S + SCANNED_S, last)
@@ -373,7 +380,7 @@ def _timed(params: Params) -> bool:
     return any(float(age) != 0 for age in ages) or "clock_offset" in params.states
 
 
-def _in_motion(rec: Recording, params: Params, begin: Start, last: float) -> Start:
+def _in_motion(rec: Recording, params: Params, begin: Initialization, last: float) -> Initialization:
     """Return the start, or a later one just before the first motion where the vehicle is parked for long."""
     velocity = ground_velocity(rec)
     speed = np.hypot(velocity.value[:, 0], velocity.value[:, 1])
@@ -381,4 +388,4 @@ def _in_motion(rec: Recording, params: Params, begin: Start, last: float) -> Sta
     first = float(velocity.t[np.argmax(moving)]) if moving.any() else begin.t
     if first < begin.t + PARKED_S or last < first + PARKED_S:
         return begin
-    return start(rec, params, begin=first - MARGIN_S)
+    return initialize(rec, params, t_start=first - MARGIN_S)

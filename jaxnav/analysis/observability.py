@@ -1,12 +1,12 @@
-"""What a motion shows of a filter's states: how much surer some seconds of fixes make each, and how many directions.
+"""Observability of a filter's states in a motion: gain of each by a window of fixes, and the number of directions.
 
-Over a window, with Phi the transition since its first epoch and H, R the model of each fix, the fixes tell
+Over a window, with Phi the transition since its first epoch and H, R the model of each fix, the information of fixes
 
     G = sum Phi' H' R^-1 H Phi
 
-of the error at the window's start (the observability Gramian; Maybeck 1979, section 5.7). In units of what is known
-before, S = diag(sd), an eigenvalue of S G S above one is a direction that the window knows better than the prior does.
-Process noise is left out, so that what cannot be seen so cannot be seen at all.
+on the error at the window's start (the observability Gramian; Maybeck 1979, section 5.7). In units of the prior sd,
+S = diag(sd), an eigenvalue of S G S above one is a direction that the window knows better than the prior does.
+Process noise is left out, so that a direction unobserved here is unobservable.
 """
 
 from functools import partial
@@ -24,7 +24,7 @@ from jaxnav.states.table import chosen
 from jaxnav.types import Epoch, Finding, Info, Nav, Params, StateParams
 
 BEYOND = 3.5  # sd that a state may go from where it started without a sentence
-UNSEEN = 0.9  # of the sd that was known before: what is left where a window or a run shows next to nothing
+UNSEEN = 0.9  # of the prior sd: the posterior of a nearly unobserved state
 ENU = ("east", "north", "up")
 
 
@@ -39,7 +39,7 @@ class Observability(NamedTuple):
 
 
 def state_names(filt: Filter) -> tuple[str, ...]:
-    """A name for each component of the error state."""
+    """Return a name for each component of the error state."""
     motion = [f"{name} {axis}" for name in MOTION for axis in ENU]
     optional = [f"{s.name} {axis}" if s.size > 1 else s.name for s in chosen(filt.model.states) for axis in s.axes]
     return (*motion, *optional)
@@ -61,14 +61,14 @@ def observability(
 ) -> Observability:
     """How windows of ``window`` s see the states of a filter on the run from ``nav`` over ``epochs`` (E, ...).
 
-    ``t`` (E,) s are the epochs' ends; what is known before is the diagonal of the filter's P at the start.
+    ``t`` (E,) s are the epochs' ends; the prior is the diagonal of the filter's P at the start.
 
-    The names are of local level; in another frame its own first, second and third axis stand for east, north and up.
+    The names are of local level; in another frame its first, second and third axis stand for east, north and up.
 
     Raises:
         ValueError: data shorter than a window.
     """
-    Phi, told = map(np.asarray, _seen(filt, params, nav, epochs))
+    Phi, information = map(np.asarray, _seen(filt, params, nav, epochs))
     sd = np.sqrt(np.diag(np.asarray(filt.model.covariance(params, filt.model.enter(nav)))))
     edges = np.searchsorted(t, np.arange(t[0], t[-1] + 1e-6, window))
     if edges.size < 2:
@@ -78,7 +78,7 @@ def observability(
         since, G = np.eye(sd.size), np.zeros((sd.size, sd.size))
         for i in range(first, last):
             since = Phi[i] @ since if i > first else since
-            G += since.T @ told[i] @ since
+            G += since.T @ information[i] @ since
         scaled = G * np.outer(sd, sd)
         values = np.linalg.eigvalsh(0.5 * (scaled + scaled.T))
         above = values[values > 1.0]
@@ -106,10 +106,10 @@ def observability_findings(found: Observability, window: float = 30.0) -> list[F
 
 def state_findings(filt: Filter, params: Params, nav: Nav, info: Info) -> list[Finding]:
     """Return the optional states of a run, ``info`` (E, ...) from ``nav``, unobserved or far from their prior."""
-    own, names = chosen(filt.model.states), state_names(filt)[9:]
-    if not own:
+    states, names = chosen(filt.model.states), state_names(filt)[9:]
+    if not states:
         return []
-    each = lambda value: np.concatenate([np.broadcast_to(value(s.name), (s.size,)) for s in own])
+    each = lambda value: np.concatenate([np.broadcast_to(value(s.name), (s.size,)) for s in states])
     before = each(lambda name: np.asarray(params.states[name].sd))
     after = np.sqrt(np.diagonal(np.asarray(info.P[-1])))[9:]
     went = np.abs(each(lambda name: np.asarray(info.nav.errors[name])[-1] - np.asarray(nav.errors.get(name, 0.0))))

@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from tqdm import tqdm
 
 QUIET = 30.0  # s between lines where nobody watches, and before the first
-NOTICED = 1.5  # s of compiling that nobody needs to hear of
+NOTICED = 1.5  # s of compiling without a message
 TICK = 0.25  # s between looks
 COMPILING = "compiling (first time, about 20 s; cached from then on)"
-# jax's own files that are on the stack while it traces, lowers and compiles
+# files of jax that are on the stack while it traces, lowers and compiles
 STAGES = ("jax/_src/interpreters/partial_eval.py", "jax/_src/interpreters/mlir.py", "jax/_src/compiler.py")
 
 
@@ -29,23 +29,23 @@ class _Lines:
 
 
 class Bar(tqdm):
-    """A bar whose first step, in which programs compile, does not count in its estimate of the rest."""
+    """A progress bar; its estimate of the remaining time excludes the first step, in which programs compile."""
 
     n: float
-    begun = False
+    started = False
 
     def update(self, n: float | None = 1) -> bool | None:
-        """Steps are done."""
-        if self.disable or self.begun:
+        """Advance by finished steps."""
+        if self.disable or self.started:
             return super().update(n)
-        self.begun = True
+        self.started = True
         self.n = self.initial = self.last_print_n = self.n + (n or 0)
         self.start_t = self.last_print_t = self._time()
         return None
 
 
 def bar(total: int, unit: str, show: bool, done: int = 0) -> Bar:
-    """On stderr, of ``total`` steps of which some are ``done``; silent unless ``show``."""
+    """Return a bar on stderr, of ``total`` steps with ``done`` finished; silent unless ``show``."""
     if sys.stderr.isatty():
         return Bar(total=total, initial=done, unit=unit, disable=not show)
     return Bar(

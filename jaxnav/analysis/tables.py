@@ -16,7 +16,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 
 def cell(value: Any) -> str:
-    """A number with three significant digits, anything else as it is."""
+    """Return a number with three significant digits, anything else as it is."""
     if isinstance(value, float):
         return "-" if math.isnan(value) else f"{value:#.3g}".rstrip(".") if 1e-3 <= abs(value) < 1e4 else f"{value:.3g}"
     return str(value)

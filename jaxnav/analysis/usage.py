@@ -1,4 +1,4 @@
-"""What became of every sample of a recording in a run, and whether the innovations are what the filter expects."""
+"""Use of every sample of a recording in a run, and consistency of the innovations."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -16,8 +16,8 @@ from jaxnav.measurements import Measurement, layout
 from jaxnav.types import Finding, ImuLog, Info, Params, Recording
 
 SURE = 0.9999  # probability of the bounds, of each channel
-LOUD, ALIKE = 1.25, 0.3  # NIS of all channels, correlation of neighbours, from which on they are worth a sentence
-LOUDER = 5.0  # times the noise that the filter is told, from which on it is worth a sentence
+MIN_NIS, MIN_CORRELATION = 1.25, 0.3  # NIS of all channels and correlation of neighbours below these make no finding
+MAX_NOISE_RATIO = 5.0  # times the assumed noise; above it is a finding
 ALONE = 3.0  # times the noise of the other axes, from which on an axis is named
 MUCH = 0.02  # share of a stream that is left out without a word
 
@@ -36,7 +36,7 @@ class Use(NamedTuple):
 def usage(
     rec: Recording, packed: Packed, info: Info, measurements: tuple[Measurement, ...], hidden: np.ndarray
 ) -> dict[str, Use]:
-    """By stream; ``hidden`` (E,) bool: the epochs whose fixes are hidden. What no measurement takes is used 0 times."""
+    """Return the use by stream; ``hidden`` (E,) bool: epochs with hidden fixes. An unmeasured stream has 0 used."""
     slices, found = layout(measurements), {}
     for name, s in rec.aiding.items():
         if name not in slices:
@@ -44,18 +44,18 @@ def usage(
             continue
         before = int((s.t <= packed.start + TICK).sum())
         outside = int((s.t > packed.t[-1] + TICK).sum())
-        own = slice(slices[name].start, slices[name].stop)
-        there = np.asarray(packed.epochs.fix.valid)[:, own].any(1)
+        place = slice(slices[name].start, slices[name].stop)
+        there = np.asarray(packed.epochs.fix.valid)[:, place].any(1)
         receiver = next(m.receiver for m in measurements if m.name == name)
         lost = there & hidden if receiver else np.zeros_like(there)
-        used = np.asarray(info.used)[:, own].any(1) & there & ~lost
+        used = np.asarray(info.used)[:, place].any(1) & there & ~lost
         refused = int((there & ~lost & ~used).sum())
         found[name] = Use(s.t.size, before, outside, int(lost.sum()), refused, int(used.sum()))
     return found
 
 
 def usage_findings(found: dict[str, Use]) -> list[Finding]:
-    """Return a finding for every stream of which a user would miss samples."""
+    """Return a finding for every stream with unused samples that a user would miss."""
     out = []
     for name, u in found.items():
         parts = [
@@ -69,7 +69,7 @@ def usage_findings(found: dict[str, Use]) -> list[Finding]:
     return out
 
 
-class Expected(NamedTuple):
+class ChannelNis(NamedTuple):
     """Normalised innovations squared of a channel: 1 if the filter expects them as they are."""
 
     value: float
@@ -79,9 +79,9 @@ class Expected(NamedTuple):
     correlation: float  # of neighbouring innovations
 
 
-def channels_of(info: Info, measurements: tuple[Measurement, ...]) -> dict[str, Expected]:
+def nis_by_channel(info: Info, measurements: tuple[Measurement, ...]) -> dict[str, ChannelNis]:
     """Return the normalised innovations squared by channel of a report, where ten or more measured something."""
-    order, names, _ = evaluate.channels(measurements)
+    order, names, _ = evaluate.channel_names(measurements)
     z = metrics.normalized_innovations(info)[:, order]
     spread = np.sqrt(np.diagonal(np.asarray(info.S), axis1=-2, axis2=-1))[:, order]
     z = np.where(spread < 0.1 * UNMEASURED_SD, z, np.nan)  # a receiver without a vertical velocity, say
@@ -96,18 +96,18 @@ def channels_of(info: Info, measurements: tuple[Measurement, ...]) -> dict[str, 
         r = float(np.clip(np.mean(x[1:] * x[:-1]) / max(value, 1e-300), 0.0, 0.99))
         independent = max(2.0, n * (1 - r) / (1 + r))
         low, high = metrics.chi2_bounds(independent, 1, SURE)
-        found[name] = Expected(value, float(low / independent), float(high / independent), n, r)
+        found[name] = ChannelNis(value, float(low / independent), float(high / independent), n, r)
     return found
 
 
-def _worst(channels: dict[str, Expected], size: Callable[[Expected], float]) -> dict[str, Any]:
+def _worst(channels: dict[str, ChannelNis], size: Callable[[ChannelNis], float]) -> dict[str, Any]:
     """Return subject and numbers of the three worst of some channels."""
     names = sorted(channels, key=lambda name: -abs(size(channels[name])))
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return {"subject": ", ".join(names[:3]) + more, "names": names[:3]}
 
 
-def channel_findings(channels: dict[str, Expected]) -> list[Finding]:
+def channel_findings(channels: dict[str, ChannelNis]) -> list[Finding]:
     """Return which channels' innovations are larger, or smaller, than their predicted variance."""
     high = {name: e for name, e in channels.items() if e.value > max(e.high, 1.3)}
     low = {name: e for name, e in channels.items() if e.value < min(e.low, 0.7)}
@@ -123,17 +123,17 @@ def channel_findings(channels: dict[str, Expected]) -> list[Finding]:
     return out
 
 
-def consistency_findings(info: Info, channels: dict[str, Expected]) -> list[Finding]:
-    """Return every way in which the innovations are not those of a consistent filter.
+def consistency_findings(info: Info, channels: dict[str, ChannelNis]) -> list[Finding]:
+    """Return every inconsistency of the innovations with a consistent filter.
 
     Channel by channel by their size; where each passes alone, all of them together; and as neighbours, for the
     innovations of a consistent filter are white.
     """
     out = channel_findings(channels)
-    together = whole(info)
-    if not out and together is not None and together.value > max(together.high, LOUD):
+    together = nis_overall(info)
+    if not out and together is not None and together.value > max(together.high, MIN_NIS):
         out.append(finding("nis.overall", value=together.value, limit=together.high))
-    alike = {name: e for name, e in channels.items() if e.correlation > max(ALIKE, 4 / np.sqrt(e.samples))}
+    alike = {name: e for name, e in channels.items() if e.correlation > max(MIN_CORRELATION, 4 / np.sqrt(e.samples))}
     if alike:
         worst = _worst(alike, lambda e: e.correlation)
         names = worst.pop("names")
@@ -143,7 +143,7 @@ def consistency_findings(info: Info, channels: dict[str, Expected]) -> list[Find
 
 
 def noise_findings(imu: ImuLog, params: Params) -> list[Finding]:
-    """Return the sensors, or an axis, whose noise in the quietest seconds is far above the assumed."""
+    """Return the sensors, or an axis, with noise in the quietest seconds far above the assumed."""
     floor = noise_floor(imu)
     if floor is None:
         return []
@@ -156,28 +156,28 @@ def noise_findings(imu: ImuLog, params: Params) -> list[Finding]:
         known = float(np.sqrt(np.mean((np.linalg.norm(size, axis=1) if size.ndim == 2 else size) ** 2)))
         found, worst = float(np.median(axes)), int(axes.argmax())
         others = float(np.max(np.delete(axes, worst)))
-        if found > LOUDER * known > 0:
+        if found > MAX_NOISE_RATIO * known > 0:
             value, limit = found / unit, known / unit
             out.append(finding("imu.noise_high", name, value, limit, unit_text=unit_text, ratio=found / known))
-        elif axes[worst] > LOUDER * known > 0 and axes[worst] > ALONE * others:
+        elif axes[worst] > MAX_NOISE_RATIO * known > 0 and axes[worst] > ALONE * others:
             value, ratio = float(axes[worst]) / unit, float(axes[worst]) / known
             subject = f"{name} {'xyz'[worst]}"
             out.append(finding("imu.noise_axis", subject, value, others / unit, unit_text=unit_text, ratio=ratio))
     return out
 
 
-def whole(info: Info) -> Expected | None:
-    """NIS per degree of freedom over all epochs whose channels were all used; None where there are fewer than ten."""
+def nis_overall(info: Info) -> ChannelNis | None:
+    """Return NIS per degree of freedom over epochs with all channels used; None for fewer than ten."""
     valid = np.asarray(info.valid)
-    own = valid.any(1) & (np.asarray(info.used) == valid).all(1)
-    dof = int(valid[own].sum())
-    if own.sum() < 10:
+    complete = valid.any(1) & (np.asarray(info.used) == valid).all(1)
+    dof = int(valid[complete].sum())
+    if complete.sum() < 10:
         return None
     low, high = metrics.chi2_bounds(dof, 1, SURE)
-    return Expected(float(np.asarray(info.nis)[own].sum() / dof), float(low / dof), float(high / dof), dof, 0.0)
+    return ChannelNis(float(np.asarray(info.nis)[complete].sum() / dof), float(low / dof), float(high / dof), dof, 0.0)
 
 
-def as_json(uses: dict[str, Use], channels: dict[str, Expected]) -> dict[str, Any]:
+def as_json(uses: dict[str, Use], channels: dict[str, ChannelNis]) -> dict[str, Any]:
     """Both as plain values."""
     return {
         "streams": {name: u._asdict() for name, u in uses.items()},

@@ -76,13 +76,13 @@ def drift(
 
 @partial(jax.jit, static_argnums=0)
 def phases(filt: Filter, params: Params, nav: Nav, epochs: Epoch, valid: jax.Array) -> Any:
-    """Return the runs (P, E, ...) with each row of ``valid`` (P, E, m) in place of the fixes' own."""
+    """Return the runs (P, E, ...) with each row of ``valid`` (P, E, m) in place of the fixes' ``valid``."""
     one = lambda v: run(filt, params, nav, epochs._replace(fix=epochs.fix._replace(valid=v)))
     return jax.vmap(one)(valid)
 
 
 def position_noise(params: Params, sd: jax.Array) -> jax.Array:
-    """Return covariances (A, 3, 3) m^2, ENU, of the white noise of positions whose receiver states ``sd`` (A, 3) m."""
+    """Return covariances (A, 3, 3) m^2, ENU, of the white noise of positions with stated ``sd`` (A, 3) m."""
     scale = jnp.asarray(params.measurements["position"].scale)
     size = jnp.linalg.norm(scale, axis=-1) if scale.ndim == 2 else jnp.broadcast_to(scale, (3,))
     return jax.vmap(jnp.diag)((size * sd) ** 2)

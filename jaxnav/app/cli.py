@@ -32,6 +32,7 @@ SHARED = (
     Argument("--out", "folder of the results (default out/VERB)", value="DIR", type=Path),
     Argument("--json", "the result as JSON on stdout, and nothing else there"),
     Argument("--quiet", "print nothing but errors"),
+    Argument("--verbose", "print remarks in addition to warnings"),
 )
 """Arguments of every verb."""
 COLLECT = 20_000  # new objects until the garbage collector looks; at Python's 700 it takes a third of tracing
@@ -39,7 +40,7 @@ COLLECT = 20_000  # new objects until the garbage collector looks; at Python's 7
 
 EXAMPLES = """\
 a recording:
-  jaxnav check drive.bag                                    what looks wrong, and a configuration that runs it
+  jaxnav check drive.bag                                    faults of the log, and a configuration that runs it
   jaxnav filter --data drive.bag --out out/run              solution, figures, report.html
   jaxnav filter --data drive.bag --smooth --out out/smooth  by all fixes
   jaxnav tune --data drive.bag --out out/tuned              noise, fixes and clocks, without truth
@@ -80,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The arguments of every verb."""
+    """Return the arguments of every verb."""
     shared = argparse.ArgumentParser(add_help=False)
     for argument in SHARED:
         argument.add_to(shared)
@@ -99,7 +100,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def _hint(args: argparse.Namespace, rest: list[str]) -> str:
-    """Return what was meant where one of the arguments without a name is a file, folder or scenario."""
+    """Return a hint where one of the arguments without a name is a file, folder or scenario."""
     takes = any(argument.name == "--data" for argument in VERBS[args.verb].arguments)
     named = next((word for word in rest if not word.startswith("-")), None)
     return (
@@ -129,7 +130,7 @@ def _main(args: argparse.Namespace) -> int:
 
 
 def _inputs(args: argparse.Namespace, config: configuration.Config) -> list[str]:
-    """The files and folders that a run reads, which its results must not touch."""
+    """Return the files and folders that a run reads, which its results must not touch."""
     from jaxnav.simulate.scenarios import SCENARIOS
 
     named = [source for source in (config.data.source, *config.tune.more) if source not in SCENARIOS] + [args.config]
@@ -141,7 +142,7 @@ def _inputs(args: argparse.Namespace, config: configuration.Config) -> list[str]
 
 
 def resolve(args: argparse.Namespace) -> configuration.Config:
-    """The configuration: the verb's defaults, the file, --params, the flags, then --set."""
+    """Return the configuration: the verb's defaults, the file, --params, the flags, then --set."""
     verb = VERBS[args.verb]
     layers: list[tuple[str, dict[str, Any]]] = [(args.verb, verb.defaults(args))]
     if args.config is not None:
@@ -179,7 +180,7 @@ def _first() -> bool:
 
 
 def _report(args: argparse.Namespace, outcome: "Outcome", out: Path | None) -> int:
-    from jaxnav.checkup.findings import text
+    from jaxnav.app.results import terminal
     from jaxnav.io.json import to_json
 
     code = INTERRUPTED if outcome.stopped else int(outcome.failed)
@@ -187,7 +188,8 @@ def _report(args: argparse.Namespace, outcome: "Outcome", out: Path | None) -> i
         about = {"verb": args.verb, "out": None if out is None else str(out), "stopped": outcome.stopped or None}
         print(to_json(about | {"seconds": outcome.seconds, "metrics": outcome.metrics}))
     elif outcome.text and not args.quiet:
-        print("\n".join([outcome.text, *text(outcome.findings)]))
+        color = sys.stdout.isatty() and "NO_COLOR" not in os.environ and os.environ.get("TERM") != "dumb"
+        print("\n".join(terminal(outcome, args.verbose, color)))
         if out is not None:
             figures = sorted(p.name for p in out.glob("*.png"))
             print(f"\nresults in {out}" + (f", figures {', '.join(figures)}" if figures else ""))

@@ -1,16 +1,16 @@
 """docs/commands.md and docs/findings.md from rows: ``python -m jaxnav.app.commands [findings] > docs/commands.md``."""
 
-import re
 import sys
 
 from jaxnav.app.cli import SHARED
 from jaxnav.app.verb import Argument
 from jaxnav.app.verbs import VERBS
-from jaxnav.checkup.findings import KINDS
+from jaxnav.checkup.examples import EXAMPLES
+from jaxnav.checkup.findings import KINDS, finding
 
-FINDINGS = """What `jaxnav check` and a run remark: `Solution.findings`, check.json, metrics.json, the terminal and the
-report. Each has a code, which is stable, a severity, a subject, value and limit with their unit, likely causes and what
-to do."""
+FINDINGS = """Remarks of `jaxnav check` and of a run. They are in `Solution.findings`, check.json, metrics.json, on the
+terminal and in the report. Each has a stable code, a severity, a subject, value and limit with their unit, likely
+causes and actions."""
 
 
 def page() -> str:
@@ -24,7 +24,7 @@ def page() -> str:
 
 
 def _rows(arguments: tuple[Argument, ...]) -> list[str]:
-    """A table of arguments."""
+    """Return a table of arguments."""
     if not arguments:
         return []
     rows = [f"| `{_usage(a)}` | {a.help.replace('|', '/')} |" for a in arguments]
@@ -44,13 +44,13 @@ def findings() -> str:
         "",
         FINDINGS,
         "",
-        "| code | severity | message | likely causes | next |",
+        "| code | severity | example | likely causes | next |",
         "|---|---|---|---|---|",
     ]
-    plain = lambda text: re.sub(r"\{(\w+)[^}]*\}", r"*\1*", text).replace("|", "/")
     for code, kind in KINDS.items():
-        cells = (kind.message, ", ".join(kind.causes), ", ".join(kind.actions))
-        lines.append(f"| `{code}` | {kind.severity.value} | {' | '.join(map(plain, cells))} |")
+        example = finding(code, **EXAMPLES[code])
+        cells = (example.message, ", ".join(example.causes), ", ".join(example.actions))
+        lines.append(f"| `{code}` | {kind.severity.value} | {' | '.join(text.replace('|', '/') for text in cells)} |")
     return "\n".join(lines) + "\n"
 
 

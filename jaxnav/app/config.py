@@ -29,7 +29,7 @@ Root = Numbers | tuple[tuple[float, ...], ...]  # or a lower triangular matrix
 
 @dataclasses.dataclass(frozen=True)
 class Data:
-    """What is read or simulated."""
+    """The recording, or the scenario to simulate."""
 
     source: str = "urban"  # a scenario, a data set of `jaxnav data list`, or a path to a canonical recording
     start: float | None = None  # s, use the recording from here
@@ -41,16 +41,16 @@ class Data:
 
 @dataclasses.dataclass(frozen=True)
 class Filter:
-    """Which filter runs, and on what."""
+    """The filter and its options."""
 
     name: str = "ekf15"  # see `jaxnav info`
     grade: str = ""  # IMU datasheet, or "auto": noise and latency by likelihood; empty: the scenario's, else auto
-    states: tuple[str, ...] = ()  # optional error states on top of the filter's own, see `jaxnav.states.STATES`
+    states: tuple[str, ...] = ()  # optional error states in addition to the filter's, see `jaxnav.states.STATES`
     measurements: tuple[str, ...] = tuple(m.name for m in GNSS)  # the filter's, see `jaxnav.measurements.MEASUREMENTS`
     cov_stride: int = 5  # the error dynamics see means over so many IMU samples
     interval_s: float = 0.0  # nominal fix interval; 0: the median of the position's
     smooth: bool = False  # each epoch by all fixes, those after it too
-    lag_s: float = 0.0  # or by those of the next seconds alone
+    lag_s: float = 0.0  # or by the fixes of the next seconds alone
     outages: tuple[tuple[float, ...], ...] = ()  # (start, end) s, fixes hidden from the filter
     standing_window_s: float = 1.0  # of the standstill detector: both sd, root sum square of axes, below these
     standing_accel_sd_mps2: float = 0.2  # of the specific force within the window
@@ -58,14 +58,14 @@ class Filter:
 
 
 @dataclasses.dataclass(frozen=True)
-class Start:
-    """Where navigation starts: position and velocity from the first fix, level from standing, heading as said."""
+class Initialization:
+    """Initial navigation: position and velocity by the first fix, level by a standstill, heading as stated."""
 
     heading: float | str = "motion"  # "motion", "course", "unknown", "truth" or degrees
     course_speed_mps: float = 5.0  # least speed for a course
-    position_sd_m: Numbers | None = None  # None: the fix's own sd, and 0.5 m
-    velocity_sd_mps: Numbers | None = None  # None: the fix's own sd, and 0.3 m/s
-    tilt_sd_deg: float = 2.0  # of levelling; what is aligned in motion has its own
+    position_sd_m: Numbers | None = None  # None: the fix's sd, and 0.5 m
+    velocity_sd_mps: Numbers | None = None  # None: the fix's sd, and 0.3 m/s
+    tilt_sd_deg: float = 2.0  # of levelling; an alignment in motion estimates its sd
     heading_sd_deg: float = 5.0  # of a course, or of degrees
     hypotheses: int = 12  # of an unknown heading, each with an sd of their spacing
 
@@ -97,7 +97,7 @@ def _sections_of_rows() -> dict[str, Any]:
 MODEL_HELP = {
     "noise": "White noise of the IMU, in place of the datasheet's.",
     "mounting": "Antenna, clock and vehicle relative to the IMU, in place of the recording's.",
-    "states": "Error states: prior sd, driving noise, correlation time. A datasheet states those of the biases.",
+    "states": "Error states: prior sd, driving noise, correlation time. A datasheet gives the values of the biases.",
     "measurements": "Measurement models: factors on the stated sd, latencies, constants.",
     "rule": "Parameters of the filter's rule, by name.",
 }
@@ -113,22 +113,22 @@ else:
 
 @dataclasses.dataclass(frozen=True)
 class Tune:
-    """What is tuned, for what, on what."""
+    """The tuned parameters, their priors, the objective and the data."""
 
     free: tuple[str, ...] = ()  # groups, or dotted names such as noise.gyro; empty: noise and timing, with the fixes
     #   of recordings, or the rule of simulated runs
     frozen: tuple[str, ...] = ()  # taken out of ``free`` again
     per_recording: tuple[str, ...] = ()  # several recordings: free parameters with one value for each, such as "timing"
     prior: dict[str, float] = dataclasses.field(default_factory=dict)  # name -> one sd about the datasheet: a factor
-    #   for what is positive (2 is "within a factor 2"), else in the parameter's own unit
+    #   for a positive parameter (2 is "within a factor 2"), else in the parameter's unit
     priors: str = "datasheet"  # or "none": maximum likelihood, see `tuning.recordings.priors`
-    # auto: tempered for recordings, adam for simulated runs and for an objective of your own; also sgd, lbfgs, and
+    # auto: tempered for recordings, adam for simulated runs and for a custom objective; also sgd, lbfgs, and
     method: str = "auto"  # scoring, for simulated runs and the objective nll; `tuning.recordings.recorded`: tempered
     objective: dict[str, float] = dataclasses.field(
         default_factory=lambda: {"log_drift": 1.0, "nll": 1.0}
     )  # of a gradient method: name -> weight
     steps: int = 40  # updates of a gradient method, evaluations of scoring
-    rate: float = 0.1  # of a gradient method: a step of 0.1 is 10 % of what is positive
+    rate: float = 0.1  # of a gradient method: a step of 0.1 is 10 % of a positive parameter
     more: tuple[str, ...] = ()  # further sources to tune on together, as [data] source
     target: str = ""  # another filter, tuned as it measures and estimates: kfgins, navego, px4, ardupilot, ...
     outage_s: float = 0.0  # recorded: length of the hidden windows; 0: by the recording's length
@@ -148,14 +148,14 @@ class Mc:
 
 @dataclasses.dataclass(frozen=True)
 class Bakeoff:
-    """Filters against each other; [tune] has the budget (steps, rate, runs), [mc] limit_m what diverged."""
+    """Filters against each other; budget of [tune] (steps, rate, runs), divergence limit of [mc] limit_m."""
 
-    unseen: tuple[str, ...] = ()  # scenarios to test on that no filter is tuned on, besides those of [data] source
+    unseen: tuple[str, ...] = ()  # test scenarios without tuning, in addition to those of [data] source
 
 
 @dataclasses.dataclass(frozen=True)
 class Out:
-    """What is written."""
+    """Output files."""
 
     formats: tuple[str, ...] = ("csv", "kml", "geojson")  # of the solution; also tum, pos, nav
     figures: bool = True  # draw them
@@ -169,7 +169,7 @@ class Config:
     seed: int = 0
     data: Data = Data()
     filter: Filter = Filter()
-    start: Start = Start()
+    initialization: Initialization = Initialization()
     noise: Noise = Noise()
     mounting: Mounting = Mounting()
     states: States = States()
@@ -179,7 +179,7 @@ class Config:
     mc: Mc = Mc()
     bakeoff: Bakeoff = Bakeoff()
     out: Out = Out()
-    stated: dataclasses.InitVar[frozenset[str]] = frozenset()  # names of what somebody set, defaults' values too
+    stated: dataclasses.InitVar[frozenset[str]] = frozenset()  # names of all stated settings
 
     def __post_init__(self, stated: frozenset[str]) -> None:
         object.__setattr__(self, "_stated", stated)
@@ -195,10 +195,10 @@ LIMITS: dict[str, tuple[float, float]] = {
     "filter.standing_accel_sd_mps2": (0.0, 1e3),
     "filter.standing_gyro_sd_deg_per_s": (0.0, 1e4),
     "filter.interval_s": (0.0, 60.0),
-    "start.course_speed_mps": (0.1, 100.0),
-    "start.tilt_sd_deg": (1e-6, 90.0),
-    "start.heading_sd_deg": (1e-6, 180.0),
-    "start.hypotheses": (2, 360),
+    "initialization.course_speed_mps": (0.1, 100.0),
+    "initialization.tilt_sd_deg": (1e-6, 90.0),
+    "initialization.heading_sd_deg": (1e-6, 180.0),
+    "initialization.hypotheses": (2, 360),
     "mounting.time_offset_s": (-10.0, 10.0),
     "mounting.clock_drift_ppm": (-1e5, 1e5),
     "measurements.position.latency_s": (-10.0, 10.0),
@@ -241,7 +241,7 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
 
 
 def for_source(config: Config, source: str) -> Config:
-    """The same job on another source: with that source's presets, and without what belongs to the first one's data."""
+    """Return the same job on another source: with its presets, and without settings of the first one's data."""
     default, preset = _values(Config()), _values(resolve([("", {"data": {"source": config.data.source}})]))
     stated: frozenset[str] = getattr(config, "_stated", frozenset())
     chosen = {k: v for k, v in _values(config).items() if k in stated or v not in (default[k], preset[k])}
@@ -251,7 +251,7 @@ def for_source(config: Config, source: str) -> Config:
 
 
 def read(path: str | Path) -> dict[str, Any]:
-    """The tree of a TOML file, or of the configuration in a run.json.
+    """Read the tree of a TOML file, or of the configuration in a run.json.
 
     Raises:
         ConfigError: not readable, not TOML or JSON, unknown key, wrong type; names the file and line.
@@ -334,7 +334,7 @@ def _replaced(section: Any, path: list[str], value: Any) -> Any:
 
 
 def as_dict(config: Config) -> dict[str, Any]:
-    """The resolved configuration as a tree for TOML or JSON; what is None is left out."""
+    """Return the resolved configuration as a tree for TOML or JSON, without None."""
     return plain(dataclasses.asdict(config))
 
 
@@ -342,7 +342,7 @@ def as_dict(config: Config) -> dict[str, Any]:
 
 
 def _checked(kind: type, tree: Any, where: str, text: str = "", path: str = "") -> dict[str, Any]:
-    """The tree with every key known and every value of its field's type."""
+    """Return the tree with every key known and every value of its field's type."""
     if not isinstance(tree, Mapping):
         raise ConfigError(f"{place(where, text, path)}: [{path.rstrip('.')}] is a section, got {tree!r}")
     known = {field.name for field in dataclasses.fields(kind)}
@@ -366,7 +366,7 @@ def _checked(kind: type, tree: Any, where: str, text: str = "", path: str = "") 
 
 
 def _near_key(name: str, path: str, hints: Mapping[str, Any]) -> str:
-    """The nearest key in the section, or in any section."""
+    """Return the nearest key in the section, or in any section."""
     here = [path + k for k in hints]
     if difflib.get_close_matches(name, here, n=1, cutoff=0.7):
         return nearest(name, here)

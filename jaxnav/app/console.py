@@ -15,7 +15,7 @@ INTERRUPTED, TERMINATED = 130, 143  # exit codes
 
 
 class Terminated(BaseException):
-    """SIGTERM: what is half written is cleared away, as it is at Ctrl-C."""
+    """SIGTERM: half-written files are removed, as at Ctrl-C."""
 
 
 def console() -> NoReturn:
@@ -36,16 +36,16 @@ def console() -> NoReturn:
                 _thread.interrupt_main(number)
             heard.wait(0.2)
 
-    def swallowed(what: "sys.UnraisableHookArgs") -> None:
+    def swallowed(error: "sys.UnraisableHookArgs") -> None:
         # jax hears of garbage collection; an interrupt that falls into such a callback would be printed and lost
-        number = {KeyboardInterrupt: signal.SIGINT, Terminated: signal.SIGTERM}.get(what.exc_type)
+        number = {KeyboardInterrupt: signal.SIGINT, Terminated: signal.SIGTERM}.get(error.exc_type)
         if number is not None:
             threading.Timer(0.05, again, [number]).start()  # not now: it would be lost in here as well
         else:
-            sys.__unraisablehook__(what)
+            sys.__unraisablehook__(error)
 
     def at_once(number: int, frame: "FrameType | None") -> None:
-        os._exit(128 + number)  # nothing is begun, and an exception would leave a half imported library, which crashes
+        os._exit(128 + number)  # an exception would leave a half imported library, which crashes
 
     def terminated(number: int, frame: "FrameType | None") -> None:
         heard.set()
@@ -72,4 +72,4 @@ def console() -> NoReturn:
     sys.stderr.flush()
     if code not in (INTERRUPTED, TERMINATED):  # there the compiler's threads may still be at work, and crash its end
         atexit._run_exitfuncs()
-    os._exit(code)  # taking down what the system takes anyway would cost half a second
+    os._exit(code)  # a regular exit would take half a second to free memory

@@ -1,4 +1,4 @@
-"""Long jobs: where they keep what is finished, who shares the work, and what job it was."""
+"""Long jobs: their checkpoints, devices and processes, and the fingerprint of a job."""
 
 import hashlib
 import json
@@ -18,7 +18,7 @@ class Long(NamedTuple):
 
 
 def identity(config: Config) -> str:
-    """A short name of everything that a checkpoint depends on."""
+    """Return a short name of everything that a checkpoint depends on."""
     tree = as_dict(config)
     tree = {k: v for k, v in tree.items() if k != "out"} | {"versions": versions()}
     return hashlib.sha256(json.dumps(tree, sort_keys=True, default=str).encode()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""From a configuration to what a filter runs on: start, parameters, epochs."""
+"""From a configuration to the arguments of a filter: initialization, parameters, epochs."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import datasheet_params, mounting
 from jaxnav.filters.standstill import Standing
-from jaxnav.initialization.start import Start, start
+from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.simulate.scenarios import Scenario
@@ -20,7 +20,7 @@ from jaxnav.states.grades import GRADES, Grade
 from jaxnav.types import ConfigError, Params, Recording, nearest
 
 AUTO, DATASHEET = "auto", "consumer"
-"""Grade whose noise and latency are found from the recording, and the datasheet whose noise is scaled for it."""
+"""Grade with noise and latency from the recording, and the datasheet that is scaled for it."""
 NOISE = ("noise.gyro", "noise.accel")
 
 
@@ -28,7 +28,7 @@ NOISE = ("noise.gyro", "noise.accel")
 
 
 def filter_name(config: Config) -> str:
-    """The filter's name, known.
+    """Return the filter's name, known.
 
     Raises:
         ConfigError: it is not in FILTERS.
@@ -45,7 +45,7 @@ def grade_name(config: Config, scenario: Scenario | None) -> str:
 
 
 def grade_of(config: Config, scenario: Scenario | None) -> Grade:
-    """Return the IMU's datasheet; a consumer's, whose noise is then scaled, for "auto".
+    """Return the IMU's datasheet; for "auto" a consumer's, to be scaled.
 
     Raises:
         ConfigError: it is not in GRADES.
@@ -89,13 +89,13 @@ def filter_of(config: Config, measurements: Sequence[Measurement], history: int 
 def base_params(
     config: Config, grade: Grade, lever_arm: np.ndarray, position_sd: Any = 3.0, velocity_sd: Any = 0.1
 ) -> Params:
-    """The datasheet's parameters under those that the configuration states; the prior of the start by [start].
+    """Return the datasheet's parameters with the stated ones; the prior of the start by [initialization].
 
     Raises:
         ConfigError: states that are none, or that the filter cannot have.
     """
     filter_of(config, measurements_of(config))
-    start, entry = config.start, FILTERS[filter_name(config)]
+    start, entry = config.initialization, FILTERS[filter_name(config)]
     heading_sd = 360.0 / start.hypotheses if start.heading == "unknown" else start.heading_sd_deg
     params = datasheet_params(
         grade, position_sd, velocity_sd, start.tilt_sd_deg * DEG, heading_sd * DEG,
@@ -118,11 +118,11 @@ def with_noise(config: Config, params: Params, measurements: tuple[str, ...]) ->
 
 
 def standing_of(config: Config) -> Standing:
-    """The detector of standstills that [filter] states."""
+    """Return the detector of standstills that [filter] states."""
     f = config.filter
     return Standing(f.standing_window_s, f.standing_accel_sd_mps2, f.standing_gyro_sd_deg_per_s * DEG)
 
 
-def start_of(config: Config, rec: Recording, params: Params) -> Start:
-    """Return the initialization that [start] states."""
-    return start(rec, params, begin=config.data.start, **dataclasses.asdict(config.start))
+def initialization_of(config: Config, rec: Recording, params: Params) -> Initialization:
+    """Return the initialization that [initialization] states."""
+    return initialize(rec, params, t_start=config.data.start, **dataclasses.asdict(config.initialization))

@@ -1,4 +1,4 @@
-"""report.html: one file that opens without a network, with what a run says, its pictures, settings and versions."""
+"""report.html: one file that opens without a network, with findings, pictures, settings and versions of a run."""
 
 import base64
 import html
@@ -9,7 +9,7 @@ from typing import Any
 
 from jaxnav.app.config import Config, as_dict
 from jaxnav.app.results import Outcome, picture, versions
-from jaxnav.checkup.findings import text
+from jaxnav.checkup.findings import remarks, warnings
 from jaxnav.io import atomic_write
 from jaxnav.io.json import to_json
 
@@ -22,16 +22,16 @@ border-bottom: 1px solid #ddd } img { max-width: 100% } summary { cursor: pointe
 
 
 def write(folder: Path, verb: str, config: Config, outcome: Outcome, layout: Callable[[], Any] | None = None) -> None:
-    """Write it beside what the run has written; a part that fails is a warning, and left out.
+    """Write the report next to the run's files; a part that fails is a warning, and left out.
 
-    ``layout`` makes what can be zoomed into, where bokeh is there; else the pictures stand for it.
+    ``layout`` makes the interactive figures, where bokeh is installed; else the pictures stand for them.
     """
     head, body = interactive(layout)
     if not body:
         body = "\n".join(_image(path) for path in sorted(folder.glob("*.png")))
         if layout is not None:
             body += "\n<p>With <code>pip install 'jaxnav[report]'</code> the pictures here can be zoomed into.</p>"
-    said = "\n".join([outcome.text, *text(outcome.findings)])
+    said = "\n".join([*warnings(outcome.findings), outcome.text, *remarks(outcome.findings)])
     title = f"jaxnav {verb}: {outcome.text.splitlines()[0] if outcome.text else config.data.source}"
     parts = [
         "<!doctype html>", '<html lang="en"><head><meta charset="utf-8">', f"<title>{html.escape(title)}</title>",
@@ -45,7 +45,7 @@ def write(folder: Path, verb: str, config: Config, outcome: Outcome, layout: Cal
 
 
 def interactive(layout: Callable[[], Any] | None) -> tuple[str, str]:
-    """Scripts for the head and the body of what can be zoomed into; empty without bokeh."""
+    """Return scripts of the interactive figures for head and body; empty without bokeh."""
     if layout is None:
         return "", ""
     try:
@@ -82,7 +82,7 @@ def _parameters(metrics: Mapping[str, Any]) -> str:
 
 
 def _settings(config: Config) -> str:
-    """What was set, other than the defaults."""
+    """Return the settings that differ from the defaults."""
     plain = as_dict(Config())
     changed = {}
     for section, fields in as_dict(config).items():

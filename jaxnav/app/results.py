@@ -1,4 +1,4 @@
-"""What a job leaves: a folder that is whole or not there, run.json written last, and tables for the terminal."""
+"""Output of a job: a folder that is complete or absent, run.json written last, and tables for the terminal."""
 
 import contextlib
 import glob
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxnav.app.config import Config, as_dict
+from jaxnav.checkup.findings import remarks, warnings
 from jaxnav.io.json import write_json
 from jaxnav.types import DataError, Finding
 
@@ -23,7 +24,7 @@ RUN = "run.json"
 
 @contextlib.contextmanager
 def picture(name: str) -> Iterator[None]:
-    """A picture that cannot be drawn is a warning: what was worked out is worth more."""
+    """Turn an error in drawing into a warning: the results are worth more than a picture."""
     try:
         yield
     except Exception as error:
@@ -31,24 +32,36 @@ def picture(name: str) -> Iterator[None]:
 
 
 class Outcome(NamedTuple):
-    """What a verb hands to the command line."""
+    """Result of a verb for the command line."""
 
     metrics: dict[str, Any]
     text: str  # for the terminal
     seconds: dict[str, float]  # wall time by part
     stopped: str = ""  # why it ended early
-    layout: Callable[[], Any] | None = None  # makes what a report can be zoomed into
+    layout: Callable[[], Any] | None = None  # makes the interactive figures of a report
     config: Config | None = None  # that runs it again, where it is not the one that was given
     failed: bool = False  # exit code 1
-    findings: Sequence[Finding] = ()  # after the text
+    findings: Sequence[Finding] = ()  # warnings before the text, others after it
+    verdict: str = ""  # last line where no finding warns
+
+
+def terminal(outcome: Outcome, verbose: bool, color: bool) -> list[str]:
+    """Return the lines of a result for a terminal: warnings, text, remarks if ``verbose``, and a verdict."""
+    warned = sum(f.warns for f in outcome.findings)
+    hidden = 0 if verbose else len(outcome.findings) - warned
+    lines = [*warnings(outcome.findings, color), *([""] if warned else []), outcome.text]
+    lines += remarks(outcome.findings) if verbose else []
+    verdict = f"{warned} warning{'s' * (warned > 1)}: see above" if warned else outcome.verdict
+    more = f"{hidden} remark{'s' * (hidden > 1)}: --verbose" if hidden else ""
+    return lines + ["; ".join(part for part in (verdict, more) if part)] * bool(verdict or more)
 
 
 @contextlib.contextmanager
 def staged(out: Path, verb: str, inputs: Sequence[str | Path] = ()) -> Iterator[Path]:
-    """A folder to write into beside ``out``; what it holds moves there when all went well, run.json last.
+    """Yield a folder to write into next to ``out``; its files move there when all went well, run.json last.
 
-    A failure leaves ``out`` as it was. Files that an earlier run of the same verb left and the new one has not are
-    removed; nothing else is: an ``out`` that holds anybody else's files, or one of the ``inputs``, is refused before
+    A failure leaves ``out`` as it was. Files of an earlier run of the same verb that the new one does not write are
+    removed; nothing else is: an ``out`` with any other files, or with one of the ``inputs``, is refused before
     the work begins, and a file that appeared there meanwhile is kept under another name.
 
     Raises:
@@ -60,7 +73,7 @@ def staged(out: Path, verb: str, inputs: Sequence[str | Path] = ()) -> Iterator[
     except OSError as error:
         raise DataError(f"{out}: cannot be used: {error.strerror or error}") from error
     temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
-    _clear_after_the_dead(out)
+    _remove_stale_folders(out)
     try:
         temporary.mkdir(parents=True)
         yield temporary
@@ -83,8 +96,8 @@ def staged(out: Path, verb: str, inputs: Sequence[str | Path] = ()) -> Iterator[
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _clear_after_the_dead(out: Path) -> None:
-    """Remove what killed runs left beside ``out``: hidden folders of processes that are no more."""
+def _remove_stale_folders(out: Path) -> None:
+    """Remove hidden folders next to ``out`` of killed processes."""
     for path in out.parent.glob(f".{glob.escape(out.name)}.*.tmp"):
         number = path.name.removesuffix(".tmp").rpartition(".")[2]
         if number.isdecimal() and not _alive(int(number)):
@@ -98,7 +111,7 @@ def _alive(process: int) -> bool:
         return False
     except (OSError, OverflowError):  # another user's
         return True
-    try:  # one that was killed and that nobody waited for is dead as well: some containers never do
+    try:  # a killed process without a waiting parent is dead as well: in some containers it stays
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (OSError, IndexError):  # not Linux, or gone just now
         return True
@@ -116,10 +129,10 @@ def _refuse_others(out: Path, verb: str, inputs: Sequence[str | Path]) -> None:
         raise DataError(f"{out}: holds the result of jaxnav {about.get('verb')}: choose another --out for {verb}")
     if files and about is None:
         some = ", ".join(files[:3]) + (", ..." if len(files) > 3 else "")
-        raise DataError(f"{out}: holds {some}, which no jaxnav {verb} wrote: choose a folder of its own for --out")
+        raise DataError(f"{out}: holds {some}, which no jaxnav {verb} wrote: choose an empty folder for --out")
     for path in (Path(p).resolve() for p in inputs):
-        if path == out or (path.parent == out and path.name != RUN):  # run.json is re-run where it lies
-            raise DataError(f"{path}: is read by this run and lies in its --out: choose another folder")
+        if path == out or (path.parent == out and path.name != RUN):  # run.json is re-run in its folder
+            raise DataError(f"{path}: is an input of this run inside its --out: choose another folder")
 
 
 def _keep(path: Path) -> None:
@@ -129,7 +142,7 @@ def _keep(path: Path) -> None:
 
 
 def _about(run: Path) -> dict[str, Any] | None:
-    """What a run.json says, None where there is none that can be read."""
+    """Return the content of a run.json, None where none can be read."""
     try:
         about = json.loads(run.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -138,7 +151,7 @@ def _about(run: Path) -> dict[str, Any] | None:
 
 
 def _listed(run: Path) -> list[str]:
-    """The files that a run.json says are its own; only names, never paths."""
+    """Return the files that a run.json lists as written by its run; only names, never paths."""
     files = (_about(run) or {"files": []})["files"]
     return [f for f in files if isinstance(f, str) and f == Path(f).name and f not in ("", ".", "..")]
 
@@ -146,9 +159,9 @@ def _listed(run: Path) -> list[str]:
 def write_run(folder: Path, verb: str, read: Sequence[str], config: Config, outcome: Outcome) -> None:
     """Write run.json: sections ``read`` of the configuration, versions, device, seed, wall times, metrics, files."""
     files = sorted(p.name for p in folder.iterdir())
-    own = {k: v for k, v in as_dict(config).items() if k in read or not isinstance(v, Mapping)}
+    used = {k: v for k, v in as_dict(config).items() if k in read or not isinstance(v, Mapping)}
     about = {
-        "verb": verb, "config": own, "seed": config.seed, "versions": versions(), "git": git_hash(),
+        "verb": verb, "config": used, "seed": config.seed, "versions": versions(), "git": git_hash(),
         "device": device(), "seconds": outcome.seconds, "stopped": outcome.stopped or None,
         "text": outcome.text, "metrics": outcome.metrics, "files": [*files, RUN],
     }  # fmt: skip
@@ -156,7 +169,7 @@ def write_run(folder: Path, verb: str, read: Sequence[str], config: Config, outc
 
 
 def versions() -> dict[str, str]:
-    """Versions of what the numbers depend on."""
+    """Return versions of all packages that the numbers depend on."""
     names = ("jaxnav", "jax", "jaxlib", "numpy", "scipy", "optax")
     found = {"python": platform.python_version()}
     for name in names:
@@ -166,7 +179,7 @@ def versions() -> dict[str, str]:
 
 
 def device() -> str:
-    """The device that jax computes on, in words."""
+    """Return the device that jax computes on, in words."""
     import jax
 
     first = jax.devices()[0]
@@ -174,7 +187,7 @@ def device() -> str:
 
 
 def git_hash() -> str | None:
-    """The commit of a source checkout; None for an installed package."""
+    """Return the commit of a source checkout; None for an installed package."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return None
@@ -188,5 +201,5 @@ def git_hash() -> str | None:
 
 
 def stderr(text: str) -> None:
-    """A line of progress, apart from the results."""
+    """Print a line of progress to stderr; results go to stdout."""
     print(text, file=sys.stderr, flush=True)

@@ -1,6 +1,6 @@
-"""Every setting, its default, its limits and what it is: read from the configuration's own source.
+"""Every setting, its default, its limits and its description: read from the configuration's source.
 
-What stands beside a field there is what a user reads, so that nothing is said twice and nothing is left out.
+The remark next to a field there is the user's text, so that it is written once.
 """
 
 import ast
@@ -31,7 +31,7 @@ class Setting(NamedTuple):
 
 
 class Section(NamedTuple):
-    """One table of the configuration; without a name, what stands above all tables."""
+    """One table of the configuration; without a name, the keys above all tables."""
 
     name: str
     words: str
@@ -68,7 +68,7 @@ def _default(section: str, name: str, value: Any) -> Any:
 
 
 def _words(kind: type, section: str, name: str, said: dict[tuple[str, str], str]) -> str:
-    """Return the remark next to a field, or what its row says; with its limits."""
+    """Return the remark next to a field, or the text of its row; with its limits."""
     if section == "states":
         return ", ".join(STATES[name].axes) + ("; by the datasheet of filter.grade" if name in BIASES else "")
     if section == "measurements":
@@ -83,7 +83,7 @@ def _words(kind: type, section: str, name: str, said: dict[tuple[str, str], str]
 
 
 def _remarks() -> dict[tuple[str, str], str]:
-    """By class and field, the remark beside it, with those on lines of their own right above and, indented, below."""
+    """By class and field, the remark next to it, with comment lines right above and, indented, below."""
     text = Path(config.__file__).read_text(encoding="utf-8")
     remarks, alone = {}, set()
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
@@ -110,8 +110,8 @@ def _remarks() -> dict[tuple[str, str], str]:
 
 
 def commented() -> str:
-    """A configuration with every setting, all of them remarks: what is uncommented is set."""
-    lines = ["# Every setting of jaxnav with its default; take the mark away from what you set.", ""]
+    """Return a configuration with every setting, commented out."""
+    lines = ["# Every setting of jaxnav with its default; remove the comment mark to set one.", ""]
     for section in sections():
         if section.name:
             lines += ["", f"# {section.words}", f"[{section.name}]"]
@@ -136,7 +136,7 @@ def page() -> str:
 
 
 def _toml(value: Any) -> str:
-    """A default as TOML; nothing where there is none."""
+    """Return a default as TOML; nothing where there is none."""
     if value is None:
         return ""
     if isinstance(value, dict):

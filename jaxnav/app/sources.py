@@ -12,18 +12,18 @@ from jaxnav.filters.run import require_x64
 from jaxnav.io.read import read
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.simulate.keys import Purpose, run_key
-from jaxnav.simulate.readings import equipped
+from jaxnav.simulate.readings import with_equipment
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import simulate_runs, to_recording
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import BIASES, chosen
 from jaxnav.types import ConfigError, DataError, Recording, nearest
 
-EQUIPMENT = 5  # folded into a run's key, beside the purposes of `jaxnav.simulate.simulation`
+EQUIPMENT = 5  # folded into a run's key, in addition to the purposes of `jaxnav.simulate.simulation`
 
 
 def scenario_of(config: Config) -> Scenario | None:
-    """The scenario that [data] names, with its options; None if the source is none.
+    """Return the scenario that [data] names, with its options; None if the source is none.
 
     Raises:
         ConfigError: an unknown option, or one of the wrong type.
@@ -47,7 +47,7 @@ def scenario_of(config: Config) -> Scenario | None:
 
 
 def _with(scenario: Scenario, key: str, value: Any) -> Scenario:
-    """The scenario with one option, a field of its own or of one of its groups."""
+    """Return the scenario with one option, a field of it or of one of its groups."""
     name, groups = f"data.options.{key}", [g for g in scenario._fields if hasattr(getattr(scenario, g), "_fields")]
     owners = {field: group for group in groups for field in getattr(scenario, group)._fields}
     plain = [field for field in scenario._fields if field not in groups and field not in ("name", "faults")]
@@ -69,19 +69,19 @@ def _with(scenario: Scenario, key: str, value: Any) -> Scenario:
 
 def _sensors(name: str, value: Any) -> tuple[tuple[str, float], ...]:
     """Sensors by name with the sd of their noise, in the order of the table of measurements."""
-    own = [name for name, each in MEASUREMENTS.items() if each.columns]
+    known = [name for name, each in MEASUREMENTS.items() if each.columns]
     if not isinstance(value, dict):
         raise ConfigError(f"{name} must be like {{barometer = 0.5}}, sd by measurement, got {value!r}")
     for sensor, sd in value.items():
-        if sensor not in own:
-            raise ConfigError(f"{name}: no sensor {sensor!r}: {nearest(sensor, own)}")
+        if sensor not in known:
+            raise ConfigError(f"{name}: no sensor {sensor!r}: {nearest(sensor, known)}")
         if isinstance(sd, bool) or not isinstance(sd, (int, float)) or not 0 < sd < 1e6:
             raise ConfigError(f"{name}.{sensor}: the sd of its noise must be a positive number, got {sd!r}")
-    return tuple((each, float(value[each])) for each in own if each in value)
+    return tuple((each, float(value[each])) for each in known if each in value)
 
 
 def _states(name: str, value: Any) -> tuple[str, ...]:
-    """Names of further states whose errors are drawn."""
+    """Return names of further states with drawn errors."""
     if not isinstance(value, (list, tuple)) or not all(isinstance(each, str) for each in value):
         raise ConfigError(f"{name} must be names of states, got {value!r}")
     try:
@@ -97,7 +97,7 @@ def _states(name: str, value: Any) -> tuple[str, ...]:
 def _like(name: str, value: Any, default: Any) -> Any:
     """``value`` with the type of ``default``: numbers, text, or tuples of them."""
     if isinstance(default, tuple) and isinstance(value, (list, tuple)):
-        inner = default[0] if default else (0.0, 0.0)  # what may be empty are windows of time
+        inner = default[0] if default else (0.0, 0.0)  # windows of time may be empty
         if isinstance(inner, tuple) or len(value) == len(default):
             return tuple(_like(name, v, inner) for v in value)
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -120,7 +120,7 @@ def load(config: Config) -> Recording:
         sims = simulate_runs(run_key(config.seed, Purpose.SINGLE, 0)[None], scenario)
         sim = jax.tree.map(lambda a: a[0], sims)
         if scenario.sensors or scenario.sensor_states:
-            sim = equipped(jax.random.fold_in(run_key(config.seed, Purpose.SINGLE, 0), EQUIPMENT), sim, scenario)
+            sim = with_equipment(jax.random.fold_in(run_key(config.seed, Purpose.SINGLE, 0), EQUIPMENT), sim, scenario)
         return to_recording(sim, scenario)
     if data.source in io.DATASETS:
         return io.load(data.source, **data.options)

@@ -1,4 +1,4 @@
-"""Settings that somebody made and that the job at hand does not use: said, not passed over."""
+"""Settings that are stated and not used by the job at hand: reported, not ignored."""
 
 from operator import attrgetter
 
@@ -10,9 +10,9 @@ from jaxnav.simulate.scenarios import SCENARIOS
 
 
 def unused(verb: Verb, config: Config) -> list[str]:
-    """What has no effect, a line each: ``key: why``.
+    """Return the settings without effect, a line each: ``key: why``.
 
-    Only of what a verb reads otherwise: a file may hold the sections of other verbs.
+    Only of sections that the verb reads: a file may hold the sections of other verbs.
     """
     simulated = config.data.source in SCENARIOS or verb.simulates
     why = verb.unused(config, simulated)

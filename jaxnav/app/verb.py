@@ -1,4 +1,4 @@
-"""What a verb of the command line is: its arguments, what it reads of the configuration, and the work.
+"""A verb of the command line: its arguments, its sections of the configuration, and its work.
 
 Verbs are rows of `jaxnav.app.verbs.VERBS`; parser, dispatch, run.json, completion, the settings named as unused and
 docs/commands.md come from the rows. A row's module imports its job inside `Verb.run`: other verbs do not wait for it.
@@ -25,7 +25,7 @@ class Argument(NamedTuple):
     value: str = ""  # how its value is called in the help; "" is none: an option is a switch then
     type: Callable[[str], Any] = str
     reads: bool = False  # names a file or folder that the run reads
-    more: Mapping[str, Any] = {}  # what else `argparse.ArgumentParser.add_argument` takes
+    more: Mapping[str, Any] = {}  # further arguments of `argparse.ArgumentParser.add_argument`
 
     @property
     def attribute(self) -> str:
@@ -72,7 +72,7 @@ class Verb(NamedTuple):
     help: str  # a line
     run: Callable[[Job], "Outcome"]
     arguments: tuple[Argument, ...] = ()
-    sections: tuple[str, ...] = ()  # of the configuration that it reads and run.json holds, besides the seed
+    sections: tuple[str, ...] = ()  # of the configuration that it reads and run.json holds, in addition to the seed
     writes: Callable[[argparse.Namespace], bool] = lambda args: True  # into --out
     needs_jax: bool = True  # float64, kept programs and devices are set before it runs
     report: bool = False  # write report.html
@@ -98,4 +98,4 @@ DEVICES = (
     Argument("--processes", "how many; under Slurm or MPI all is found", value="N", type=int),
     Argument("--process", "number of this one, from 0", value="I", type=int),
 )
-"""Arguments of verbs whose runs several devices or processes may share."""
+"""Arguments of verbs that several devices or processes may share."""

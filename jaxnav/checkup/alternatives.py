@@ -2,7 +2,7 @@
 
 A window has M differences of fixes in three axes with standard deviations that are right up to a factor. With S the
 least weighted sum of their squares over attitude and delay, the log-likelihood with that factor at its best is
--n/2 log S, n = 3 M; so a change is worth n/2 log(S0 / S1), whatever sd the fixes state. All changes are tried by the
+-n/2 log S, n = 3 M; so a change is worth n/2 log(S0 / S1), for any stated sd of the fixes. All changes are tried by the
 closed solution of Wahba's problem (`jaxnav.initialization.alignment.by_attitude`), the best ones by whole alignments.
 """
 
@@ -14,13 +14,13 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from jaxnav.initialization import alignment
-from jaxnav.initialization.alignment import Alignment, AlignmentPrior, Seen, align
+from jaxnav.initialization.alignment import Alignment, AlignmentPrior, DifferencedFixes, align
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ImuLog, Recording, Samples
 
-GAIN = 0.08  # log-likelihood a difference, least, of a change that is more than what models leave over
+GAIN = 0.08  # log-likelihood a difference, least, of a change beyond imperfections of the model
 TOTAL = 20.0  # log-likelihood over all windows, least
 EACH = 4.0  # log-likelihood, least, in the second best window
 FLOOR = 0.02  # of S a difference: no fit is taken for better
@@ -36,7 +36,7 @@ SCALES = (0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.5, 2.0)  # tried for the gyros
 
 
 class Change(NamedTuple):
-    """A change of what was read, as y = A x of each sample."""
+    """A change of the data, as y = A x of each sample."""
 
     code: str  # of its finding
     subject: str
@@ -52,8 +52,8 @@ class Case(NamedTuple):
 
     begin: float  # s
     end: float  # s
-    seen: Seen  # whitened
-    coarse: Seen  # likewise; of positions, with what an accelerometer bias does taken for noise
+    seen: DifferencedFixes  # whitened
+    coarse: DifferencedFixes  # the same; of positions, with the effect of an accelerometer bias as noise
 
 
 def _flip(*axes: int) -> np.ndarray:
@@ -150,13 +150,13 @@ def aligned(rec: Recording, window: tuple[float, float], arm: float = 0.0) -> Al
 def moves(rec: Recording, window: tuple[float, float]) -> bool:
     """Return whether the fixes of a window vary by more than their noise, which second differences show."""
     name, fixes = source(rec)
-    inside = alignment.inside(fixes, *window)
+    inside = alignment.within_margin(fixes, *window)
     z = (earth.enu_path(inside.value, inside.value[:1]) if name == "position" else inside.value)[:, :2]
     return len(z) > 4 and bool((z.std(0) > 2 * np.diff(z, 2, axis=0).std(0) / np.sqrt(6)).any())
 
 
 class Search(NamedTuple):
-    """What the changes are worth in the windows of a recording."""
+    """Log-likelihood gains of the changes in the windows of a recording."""
 
     gain: np.ndarray  # (changes, windows) log-likelihood
     left: np.ndarray  # (windows,) log-likelihood without a change against constant acceleration, which needs no IMU
@@ -179,36 +179,36 @@ def search(rec: Recording, windows: Sequence[tuple[float, float]], tried: Sequen
         rows = [0, *(i + 1 for i in few)]
         S = np.array([[_with_biases(rec, case, every[i], g) for case, g in zip(cases, guesses[i])] for i in rows])
         gain[few] = worth(S)
-        level = [case.seen.beta - _steady(case.seen) for case in cases]
+        level = [case.seen.target - _steady(case.seen) for case in cases]
         still = np.array([(b**2 / [c[0, 0] for c in case.seen.covariances]).sum() for b, case in zip(level, cases)])
         left = worth(np.stack([still, S[0]]))[0]
     return Search(gain, left, n)
 
 
-def _ramp(seen: Seen) -> np.ndarray:
-    """Return what a constant acceleration of one makes of the differences, (M,)."""
+def _ramp(seen: DifferencedFixes) -> np.ndarray:
+    """Return the effect of a unit acceleration on the differences, (M,)."""
     t = seen.t - seen.t[0]
     return np.asarray(seen.D @ (0.5 * t**2 if seen.positions else t))
 
 
-def _steady(seen: Seen) -> np.ndarray:
+def _steady(seen: DifferencedFixes) -> np.ndarray:
     """Return the constant acceleration that fits best in the differences, (M, 3)."""
     ramp = _ramp(seen)
-    return np.outer(ramp, ramp @ seen.beta / (ramp @ ramp))
+    return np.outer(ramp, ramp @ seen.target / (ramp @ ramp))
 
 
 def _case(rec: Recording, begin: float, end: float) -> Case:
     name, fixes = source(rec)
-    inside = alignment.inside(fixes, begin, end)
+    inside = alignment.within_margin(fixes, begin, end)
     seen = alignment.differences(inside, name == "position", rec.aiding["position"].value[0], begin)
     return Case(begin, end, _whitened(seen), _whitened(seen, prior().accel_bias if seen.positions else 0.0))
 
 
-def _read(rec: Recording, case: Case, seen: Seen, change: Change) -> tuple[ImuLog, Seen]:
+def _read(rec: Recording, case: Case, seen: DifferencedFixes, change: Change) -> tuple[ImuLog, DifferencedFixes]:
     """Return samples and differences of a window with a change undone."""
     imu = alignment.window(rec.imu._replace(t=rec.imu.t + change.late), case.begin, case.end)
     imu = imu._replace(gyro=imu.gyro @ change.gyro.T, accel=imu.accel @ change.accel.T)
-    return imu, seen._replace(beta=seen.beta @ change.fixes.T, rest=seen.rest @ change.fixes.T)
+    return imu, seen._replace(target=seen.target @ change.fixes.T, gravity_free=seen.gravity_free @ change.fixes.T)
 
 
 def _guess(rec: Recording, case: Case, change: Change) -> tuple[float, np.ndarray, float] | None:
@@ -227,8 +227,8 @@ def _with_biases(rec: Recording, case: Case, change: Change, guess: tuple[float,
     return alignment.descend(imu, seen, guess[1], x, sd, 1.0, rec.lever_arm, SHORT).cost
 
 
-def _whitened(seen: Seen, accel_sd: float = 0.0) -> Seen:
-    """Return differences of unit variance: those of fixes that follow each other are correlated by -1/2.
+def _whitened(seen: DifferencedFixes, accel_sd: float = 0.0) -> DifferencedFixes:
+    """Return differences of unit variance: differences of neighbouring fixes are correlated by -1/2.
 
     ``accel_sd``: m/s^2, of a constant acceleration that is taken for noise.
     """
@@ -236,9 +236,9 @@ def _whitened(seen: Seen, accel_sd: float = 0.0) -> Seen:
     level = level + accel_sd**2 * np.outer(_ramp(seen), _ramp(seen))
     root = np.linalg.cholesky(level)
     ratio = [np.trace(c + seen.drift) / np.trace(level) for c in seen.covariances]
-    D, beta = (solve_triangular(root, a, lower=True) for a in (seen.D, seen.beta))
+    D, target = (solve_triangular(root, a, lower=True) for a in (seen.D, seen.target))
     eye = np.eye(len(D))
-    return seen._replace(D=D, beta=beta, covariances=[r * eye for r in ratio], drift=0 * eye)
+    return seen._replace(D=D, target=target, covariances=[r * eye for r in ratio], drift=0 * eye)
 
 
 class Best(NamedTuple):

@@ -11,7 +11,7 @@ from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.types import Finding, Recording
 
-LEAST_TURN, APART, MANY = 3.0 * DEG, (0.2, 0.5, 1.0), 20  # less is noise; s between readings; turns that are enough
+LEAST_TURN, STEPS, MANY = 3.0 * DEG, (0.2, 0.5, 1.0), 20  # less is noise; s between readings; turns that are enough
 SURE, LOST = 0.8, 0.4  # shares of the field's changes that turns explain: of axes that belong together, that do not
 MOST, LEAST = 1.3, 0.7  # times the field of the place
 IRON = 10.0  # uT of hard iron from which on it is said
@@ -20,7 +20,7 @@ AXES = {
     for letters in map("".join, permutations(DIRECTIONS, 3))
     if abs(np.linalg.det(np.array([DIRECTIONS[x] for x in letters], float)) - 1.0) < 1e-9
 }
-"""The 24 ways in which axes can lie along axes, by name."""
+"""The 24 directions of three axes along three axes, by name."""
 
 
 def compass(rec: Recording) -> list[Finding]:
@@ -38,17 +38,16 @@ def compass(rec: Recording) -> list[Finding]:
     turn, *field = moved
     share = {letters: explained(turn, *(a @ R.T for a in field)) for letters, R in AXES.items()}
     best = max(share, key=lambda letters: share[letters])
-    own, most = share["frd"], share[best]
-    if own < LOST and most > SURE:
-        return [*found, finding("compass.axes", value=100 * max(own, 0.0), axes=best, most=100 * most)]
+    as_is, most = share["frd"], share[best]
+    if as_is < LOST and most > SURE:
+        return [*found, finding("compass.axes", value=100 * max(as_is, 0.0), axes=best, most=100 * most)]
     iron = hard_iron(*moved)
-    own = explained(turn, field[0] - iron, field[1])
-    own = 100 * max(own, 0.0)
-    if own < 100 * LOST:
-        return [*found, finding("compass.inconsistent", value=own)]
+    without = 100 * max(explained(turn, field[0] - iron, field[1]), 0.0)
+    if without < 100 * LOST:
+        return [*found, finding("compass.inconsistent", value=without)]
     if np.linalg.norm(iron) > IRON:
-        return [*found, finding("compass.iron", value=own, vector=", ".join(f"{b:.0f}" for b in iron))]
-    return [*found, finding("compass.turns", value=own)]
+        return [*found, finding("compass.iron", value=without, vector=", ".join(f"{b:.0f}" for b in iron))]
+    return [*found, finding("compass.turns", value=without)]
 
 
 def _turns(rec: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
@@ -59,8 +58,8 @@ def _turns(rec: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     m, imu = rec.aiding["magnetometer"], rec.imu
     when = np.concatenate([[imu.t[0] - imu.dt[0]], imu.t])
     angle = columns_at(m.t, when, np.vstack([np.zeros(3), np.cumsum(imu.gyro * imu.dt[:, None], 0)]))
-    for apart in APART:
-        n = max(1, round(apart / max(float(np.median(np.diff(m.t))), 1e-3)))
+    for step in STEPS:
+        n = max(1, round(step / max(float(np.median(np.diff(m.t))), 1e-3)))
         if m.t.size <= n:
             break
         turn, covered = angle[n:] - angle[:-n], (m.t[n:] <= imu.t[-1]) & (m.t[:-n] >= when[0])
@@ -77,7 +76,7 @@ def explained(turn: np.ndarray, middle: np.ndarray, change: np.ndarray) -> float
 
 
 def hard_iron(turn: np.ndarray, middle: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """What (3,) uT taken off the field explains most; nothing along an axis that nothing turns about."""
+    """Return the hard iron (3,) uT that explains most; zero along an axis without rotation about it."""
     x, y, z = turn.T
     zero = np.zeros_like(x)
     skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], 1).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""KINDS: what a check, a run or a tuning may remark, and its words; numerics give the numbers.
+"""KINDS: findings of a check, a run or a tuning, and their texts; numerics give the numbers.
 
 A new kind is a row here. docs/findings.md lists them.
 """
@@ -66,15 +66,20 @@ KINDS: dict[str, Kind] = {
         WARNING,
         "{subject} repeats {value:.4g} in {rows} rows from t = {at:.1f} s on",
         ("the sensor or its driver hung",),
+        ("leave that part out: data.start, data.stop",),
     ),
     "imu.clipped": Kind(
-        WARNING, "{subject} is at {value:.3g} in {share:.1f} % of the rows", ("beyond the sensor's range",)
+        WARNING,
+        "{subject} is at {value:.3g} in {share:.1f} % of the rows",
+        ("beyond the sensor's range",),
+        ("choose a larger range of the sensor",),
     ),
     "imu.gravity": Kind(INFO, "specific force {when} is {vector} m/s^2, norm {value:.2f} m/s^2", unit="m/s^2"),
     "imu.gravity_size": Kind(
         WARNING,
         "specific force {when} is {value:.2f} m/s^2, {share:+.1f} % from gravity",
         ("bias or scale error of the accelerometer",),
+        ("set the unit or the scale of the accelerometer's columns",),
         unit="m/s^2",
     ),
     "imu.noise": Kind(
@@ -183,28 +188,35 @@ KINDS: dict[str, Kind] = {
     "time.jump": Kind(
         WARNING,
         "{subject} comes every {usual:.3g} s, but at t = {at:.2f} s {size:.2g} s too {side}{more}",
-        ("its clock jumped, or the receiver restarted",),
+        ("a jump of its clock, or a restart of the receiver",),
+        ("run the parts by themselves: data.start, data.stop",),
     ),
     "time.stream_offset": Kind(
         WARNING,
         "positions are stamped {size:.2g} s {side} velocities, constantly",
         ("a constant offset of one of the time columns",),
+        ("set time_shift_s in the stream's table of a column map",),
     ),
     "time.overlap": Kind(
         WARNING,
         "{value:.0f} % of {subject} overlaps the IMU's time span, and covers {covered:.0f} % of it",
         ("another time origin", "another time scale", "another recording"),
+        ("set data.options.time_shift_s, or choose the file of the same drive",),
         unit="%",
     ),
     # streams
-    "stream.empty": Kind(WARNING, "{subject}: {words}", ("{cause}",)),
+    "stream.empty": Kind(WARNING, "{subject}: {words}", ("{cause}",), ("choose the columns, or correct the times",)),
     "stream.short": Kind(
-        WARNING, "{subject} {parts} {other}", ("a truncated file: beyond it one of the two is alone",)
+        WARNING,
+        "{subject} {parts} {other}",
+        ("a truncated file: beyond it one of the two is alone",),
+        ("copy the log again, or set data.stop",),
     ),
     "stream.sd_jumps": Kind(
         WARNING,
         "the stated sd of {subject} changes by a factor of {value:.2g} a fix (median)",
         ("another column", "a damaged one"),
+        ("choose the column of the sd, or set sd",),
     ),
     "position": Kind(INFO, "positions at {value:.3g} Hz{gaps}", unit="Hz"),
     "position.repeats": Kind(
@@ -227,19 +239,21 @@ KINDS: dict[str, Kind] = {
         unit="m/s",
     ),
     **{
-        f"velocity.{what}": Kind(
+        f"velocity.{kind}": Kind(
             WARNING,
             "velocity differs from differences of positions by {value:.2f} m/s (rms; speed {size:.1f} m/s)",
             ("{cause}",),
+            ("choose the columns, or set the unit of the velocity",),
             unit="m/s",
         )
-        for what in ("swapped", "sign", "units", "columns")
+        for kind in ("swapped", "sign", "units", "columns")
     },
     "velocity.vertical": Kind(INFO, "vertical velocity and differences of height correlate by {value:+.2f}"),
     "velocity.vertical_sign": Kind(
         WARNING,
         "vertical velocity and differences of height correlate by {value:+.2f}",
         ("wrong sign: up is positive here, most receivers give down",),
+        ("choose the column as down instead of up",),
     ),
     "velocity.latency": Kind(
         INFO,
@@ -253,7 +267,10 @@ KINDS: dict[str, Kind] = {
         WARNING, "wheel speed is {value:.3f} times the receiver's (median)", ("{cause}",), ("set unit",)
     ),
     "speed.scale": Kind(
-        WARNING, "wheel speed is {value:.3f} times the receiver's (median)", ("another unit", "another wheel radius")
+        WARNING,
+        "wheel speed is {value:.3f} times the receiver's (median)",
+        ("another unit", "another wheel radius"),
+        ("set the unit, or free measurements.speed.scale in jaxnav tune",),
     ),
     "barometer": Kind(
         INFO, "barometric height changes by {value:+.2f} m per metre of height (correlation {corr:+.2f})"
@@ -262,15 +279,21 @@ KINDS: dict[str, Kind] = {
         WARNING,
         "barometric height changes by {value:+.2f} m per metre of height (correlation {corr:+.2f})",
         ("a depth, or a pressure read as a height",),
+        ("choose the column of the height, or set the unit Pa or hPa",),
     ),
     "barometer.units": Kind(
         WARNING,
         "barometric height changes by {value:+.2f} m per metre of height (correlation {corr:+.2f})",
         ("{cause}",),
+        ("set the unit of the barometer",),
     ),
     "compass": Kind(INFO, "magnetic field of {value:.1f} uT{here}", unit="uT"),
     "compass.strength": Kind(
-        WARNING, "magnetic field of {value:.1f} uT{here}", ("iron nearby", "another unit"), unit="uT"
+        WARNING,
+        "magnetic field of {value:.1f} uT{here}",
+        ("iron nearby", "another unit"),
+        ("set the unit, or leave the magnetometer out of filter.measurements",),
+        unit="uT",
     ),
     "compass.axes": Kind(
         WARNING,
@@ -291,6 +314,7 @@ KINDS: dict[str, Kind] = {
         WARNING,
         "rotations explain {value:.0f} % of the changes of the magnetic field",
         ("moving iron", "another clock", "axes that are not orthogonal to the IMU's"),
+        ("leave the magnetometer out of filter.measurements",),
         unit="%",
     ),
     # motion and standstill
@@ -300,6 +324,7 @@ KINDS: dict[str, Kind] = {
         WARNING,
         "IMU and fixes disagree: chi^2 {value:.2g} per degree of freedom in {count} windows (limit {limit:g})",
         ("axes, units, times or columns are wrong", "fixes are worse than their sd"),
+        ("jaxnav check with other axes, units or time_shift_s in data.options",),
     ),
     "standstill": Kind(
         INFO,
@@ -345,7 +370,12 @@ KINDS: dict[str, Kind] = {
         ("add the state gnss_position_error",),
     ),
     "stream.unused": Kind(INFO, "{subject}: {used} of {read} samples used; {why}"),
-    "stream.refused": Kind(WARNING, "{subject}: none of {read} samples used: {why}"),
+    "stream.refused": Kind(
+        WARNING,
+        "{subject}: none of {read} samples used: {why}",
+        ("fixes far from the prediction", "times outside the run"),
+        ("jaxnav check", "jaxnav tune"),
+    ),
     "stream.extra": Kind(INFO, "not used of the recording: {subject}", (), ("add it to filter.measurements",)),
     "imu.noise_high": Kind(
         WARNING,
@@ -358,6 +388,7 @@ KINDS: dict[str, Kind] = {
         "{subject} noise in the quietest seconds is {value:.3g} {unit_text}, {ratio:.0f} times the assumed; the "
         "other axes have at most {limit:.3g}",
         ("a failing sensor or wire", "coarse quantization"),
+        ("replace the sensor, or set noise.gyro or noise.accel per axis",),
     ),
     "observability.rank": Kind(
         INFO, "{count} windows of {window:g} s observe {span} of {n} directions of the state (median {value:.0f})"
@@ -372,6 +403,7 @@ KINDS: dict[str, Kind] = {
         WARNING,
         "estimates far from their prior: {subject}",
         ("another grade", "another unit", "a failing sensor", "an error that is no state of the filter"),
+        ("jaxnav check", "set the prior sd in [states]"),
     ),
     "truth.share": Kind(INFO, "truth covers {value:.0f} % of the epochs; errors are of these alone", unit="%"),
     "heading.hypotheses": Kind(
@@ -405,9 +437,19 @@ KINDS: dict[str, Kind] = {
         ("a receiver fault", "a motion that the rest of the recording has not"),
         ("data.start, data.stop", 'filter.name = "ekf15_receiver"'),
     ),
-    "tune.aside": Kind(WARNING, "{subject} is left out from step {step} on: {why}"),
+    "tune.aside": Kind(
+        WARNING,
+        "{subject} is left out from step {step} on: {why}",
+        ("parameters far from the start",),
+        ("set a smaller tune.rate",),
+    ),
     "tune.undetermined": Kind(INFO, "{message}"),
-    "mc.diverged": Kind(WARNING, "{subject} diverged in {value:.0f} of {runs} runs: {first}"),
+    "mc.diverged": Kind(
+        WARNING,
+        "{subject} diverged in {value:.0f} of {runs} runs: {first}",
+        ("noise set too low", "an initial error beyond its prior"),
+        ("jaxnav tune", "set the initial sd in [initialization]"),
+    ),
     "mc.anees": Kind(INFO, "{subject}: ANEES / 9 {value:.2f}, {share:.0f} % of epochs inside 95 % bounds"),
     "mc.anis": Kind(INFO, "{subject}: ANIS / dof {value:.4f} (95 %: {low:.4f} to {limit:.4f})"),
     "lever_arm.recorded": Kind(
@@ -432,17 +474,17 @@ def finding(
     Args:
         code: a row of `KINDS`.
         subject: stream and channel, sensor and axis, or state.
-        value: what was found, in the kind's unit.
-        limit: what it is compared with.
+        value: the quantity found, in the kind's unit.
+        limit: the limit that it is compared with.
         setting: a setting that would take ``value``.
         severity: in place of the kind's.
         numbers: of the kind's texts.
     """
     kind = KINDS[code]
-    told = lambda text: text.format(subject=subject, value=value, limit=limit, **numbers)
-    causes, actions = (tuple(map(told, texts)) for texts in (kind.causes, kind.actions))
+    write = lambda text: text.format(subject=subject, value=value, limit=limit, **numbers)
+    causes, actions = (tuple(map(write, texts)) for texts in (kind.causes, kind.actions))
     severity = kind.severity if severity is None else severity
-    return Finding(code, severity, subject, value, limit, kind.unit, told(kind.message), causes, actions, setting)
+    return Finding(code, severity, subject, value, limit, kind.unit, write(kind.message), causes, actions, setting)
 
 
 def line(f: Finding) -> str:
@@ -451,12 +493,23 @@ def line(f: Finding) -> str:
     return f"{f.message}{likely}" + (f"; next: {', '.join(f.actions)}" if f.actions else "")
 
 
-def text(findings: Iterable[Finding]) -> list[str]:
-    """Return lines for a terminal: warnings with likely causes and next steps, then the rest."""
-    findings, lines = list(findings), []
+def warnings(findings: Iterable[Finding], color: bool = False) -> list[str]:
+    """Return at most three lines per warning: message, likely causes, next steps.
+
+    Args:
+        findings: findings of any severity.
+        color: highlight the severity by an escape sequence of a terminal.
+    """
+    lines: list[str] = []
     for f in findings:
         if f.warns:
-            lines.append(f"{f.severity.name} {f.code}  {f.message}")
+            name = f"\033[1;33m{f.severity.name}\033[0m" if color else f.severity.name
+            lines.append(f"{name} {f.code}  {f.message}")
             lines += [f"        Likely: {', '.join(f.causes)}"] if f.causes else []
             lines += [f"        Next:   {', '.join(f.actions)}"] if f.actions else []
-    return lines + [f"  {line(f)}" for f in findings if not f.warns]
+    return lines
+
+
+def remarks(findings: Iterable[Finding]) -> list[str]:
+    """Return one line per finding that is no warning."""
+    return [f"  {line(f)}" for f in findings if not f.warns]

@@ -46,8 +46,8 @@ def axes(rec: Recording) -> list[Finding]:
     found = []
     for name, values in (("gyro", rec.imu.gyro), ("accel", rec.imu.accel)):
         spread = values.std(0)
-        for axis, own, column in zip("xyz", spread, values.T, strict=True):
-            if own < 1e-3 * max(float(np.median(spread)), 1e-9):
+        for axis, sd, column in zip("xyz", spread, values.T, strict=True):
+            if sd < 1e-3 * max(float(np.median(spread)), 1e-9):
                 found.append(finding("imu.dead", f"{name} {axis}", column[0]))
                 continue
             rows, begin = longest_repeat(column)
@@ -55,7 +55,7 @@ def axes(rec: Recording) -> list[Finding]:
                 found.append(finding("imu.stuck", f"{name} {axis}", column[begin], rows=rows, at=rec.imu.t[begin]))
             top = np.abs(column).max()
             share = float(np.mean((np.abs(column[1:]) > 0.999 * top) & (column[1:] == column[:-1])))
-            if share > 0.003 and column.size > 1000 and top > 3 * own:
+            if share > 0.003 and column.size > 1000 and top > 3 * sd:
                 found.append(finding("imu.clipped", f"{name} {axis}", float(top), share=100 * share))
     return found
 
@@ -119,7 +119,7 @@ def gravity(rec: Recording) -> list[Finding]:
     axis = int(np.abs(force).argmax())
     if abs(force[axis]) > 0.9 * size and (axis, np.sign(force[axis])) != (2, -1.0):
         name = "xyz"[axis]
-        cause, action = "the IMU lies on its side", "set axes"
+        cause, action = "the IMU is mounted on its side", "set axes"
         if axis == 2:
             cause, action = "axes forward, left, up or east, north, up", 'set axes = "flu"'
             if turns_with_course(rec):
@@ -159,7 +159,7 @@ def gap_findings(holes: Holes) -> list[Finding]:
 
 
 def noise(rec: Recording) -> list[Finding]:
-    """White noise where it is quiet: an upper limit of the sensor's own."""
+    """White noise in the quietest seconds: an upper limit of the sensor's noise."""
     floor = noise_floor(rec.imu)
     if floor is None:
         return []
@@ -180,12 +180,12 @@ def noise_floor(imu: ImuLog) -> tuple[np.ndarray, np.ndarray] | None:
         return None
     root = np.sqrt(float(np.median(imu.dt)))
     spread = lambda a: np.median(np.diff(a[rows], n=3, axis=1).std(1) / np.sqrt(20), 0)
-    own = lambda a: root * np.maximum(spread(a), resolution(a) / np.sqrt(12))
-    return own(imu.gyro), own(imu.accel)
+    white = lambda a: root * np.maximum(spread(a), resolution(a) / np.sqrt(12))
+    return white(imu.gyro), white(imu.accel)
 
 
 def resolution(values: np.ndarray) -> np.ndarray:
-    """The step (c,) in which columns (K, c) are told: the smallest difference of two values; 0 if they vary freely."""
+    """Return the resolution (c,) of columns (K, c): the smallest difference of two values; 0 if they vary freely."""
     steps = []
     for column in values.T:
         size = float(np.abs(column).max())

@@ -19,7 +19,7 @@ FARTHEST = 40.0  # s: leap seconds, and a logger that was started early
 SURE = 0.6  # correlation of turns that belong together
 CLEAR = 0.8  # correlation from which on a wrong scale shows; slip and its delay may explain 0.6 to 1.6
 LIKELY = 0.4  # correlation from which on a lag is tried
-TURN_SD = 2 * DEG  # rad/s, by which gyros and course differ besides noise: slip, tilt, the smoothing
+TURN_SD = 2 * DEG  # rad/s, difference of gyros and course by slip, tilt and smoothing, in addition to noise
 WINDOW = 20.0  # s, of an alignment
 SIGMAS = 3.0  # of a bias beyond its limit
 MOST_GYRO_BIAS, MOST_ACCEL_BIAS = 2 * DEG, 0.5  # rad/s, m/s^2: more is no bias of a consumer's sensor
@@ -40,7 +40,7 @@ class Turns(NamedTuple):
 
 
 def smooth(a: np.ndarray, n: int) -> np.ndarray:
-    """Running mean (N, c) over n."""
+    """Return running mean (N, c) over n."""
     kernel = np.ones(n) / n
     return np.column_stack([np.convolve(c, kernel, "same") for c in a.T])
 
@@ -246,7 +246,7 @@ def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> lis
 
 
 def arm_of(rec: Recording, each: list[tuple[tuple[float, float], Alignment]]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return what the lever arm that fits has more than the stated one, and its sd, (3,) m each, over all windows."""
+    """Return the correction of the lever arm, and its sd, (3,) m each, over all windows."""
     found = []
     for window, plain in each:
         a = aligned(rec, window, arm=5.0)

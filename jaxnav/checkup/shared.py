@@ -1,4 +1,4 @@
-"""What checks share."""
+"""Functions that several checks use."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ def local(lla: np.ndarray) -> np.ndarray:
 
 
 def level_velocity(aiding: dict[str, Samples]) -> Samples | None:
-    """The stream of velocities, or what positions give over two seconds where there is none."""
+    """Return the stream of velocities, or differences of positions over two seconds where there is none."""
     if "velocity" in aiding and aiding["velocity"].t.size > 10:
         return aiding["velocity"]
     position = aiding.get("position")

@@ -1,4 +1,4 @@
-"""Where the vehicle stands by its receiver: what the IMU shows there, and what parts it from motion."""
+"""Standstills by the receiver: statistics of the IMU there, and the limits that separate them from motion."""
 
 from typing import Any
 
@@ -6,11 +6,11 @@ import numpy as np
 
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import level_velocity
-from jaxnav.filters.standstill import Standing, driving, spreads
+from jaxnav.filters.standstill import Standing, is_driving, spreads
 from jaxnav.maths.units import DEG
 from jaxnav.types import Finding, Recording
 
-LEAST = 20  # windows at rest and in motion, or nothing can be told
+LEAST = 20  # windows at rest and in motion; with fewer there is no result
 RIM = 1.0  # s before and after, in which the receiver must say the same: fixes are late
 CAUGHT = 0.5  # of the windows at rest, at least, that must be seen
 FALSE = 0.01  # of the windows in motion, at most, that may pass for a standstill
@@ -30,8 +30,8 @@ def standstill(rec: Recording) -> list[Finding]:
     speed = np.hypot(*v.value[:, :2].T)
     slow = lambda at: np.interp(at, v.t, speed) < 0.3 + 2 * np.median(v.sd[:, :2])
     around = [t - window - RIM, t - window, t - window / 2, t, t + RIM]
-    rest = covered & np.all([slow(at) & ~driving(v, at) for at in around], 0)
-    moving = covered & ~np.any([slow(at) for at in around], 0) | covered & driving(v, t)
+    rest = covered & np.all([slow(at) & ~is_driving(v, at) for at in around], 0)
+    moving = covered & ~np.any([slow(at) for at in around], 0) | covered & is_driving(v, t)
     if min(rest.sum(), moving.sum()) < LEAST:
         return []
     best = (-np.inf, 0.0, 0.0, 0.0, 0.0)
@@ -41,7 +41,7 @@ def standstill(rec: Recording) -> list[Finding]:
             caught, false = float(still[rest].mean()), float(still[moving].mean())
             best = max(best, (caught - false / FALSE, -a, -g, caught, false))  # of equals the tightest
     _, a, g, caught, false = best
-    a, g = (_between(-x, own[moving]) for x, own in ((a, accel), (g, gyro)))
+    a, g = (_between(-x, y[moving]) for x, y in ((a, accel), (g, gyro)))
     shares: dict[str, Any] = {"caught": 100 * caught, "false": 100 * false, "moving": int(moving.sum())}
     count = int(rest.sum())
     if caught < CAUGHT or false > FALSE:

@@ -1,4 +1,4 @@
-"""Streams against each other: velocity and positions, wheel and barometer, and what the fixes say of themselves."""
+"""Streams against each other: velocity and positions, wheel and barometer, and fixes against their stated sd."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def empty(rec: Recording) -> list[Finding]:
             others = [w.removeprefix(f"{name}: ") for w in rec.notes.splitlines() if w.startswith(f"{name}: ")]
             why = (
                 " ".join(w for w in others if w != words and "states no sd" not in w)
-                or "they lie outside of the IMU's time, or say nothing"
+                or "they are outside of the IMU's time, or hold no values"
             )
             found.append(finding("stream.empty", name, words=words.rstrip("."), cause=why.rstrip(".")))
     return found
@@ -80,7 +80,7 @@ def _vertical(shown: np.ndarray, said: np.ndarray, sd: float, stated: float) -> 
 
 
 def _late(shown: np.ndarray, said: np.ndarray, t: np.ndarray) -> list[Finding]:
-    """Velocity that is older than the position beside it is wrong by acceleration times that."""
+    """Velocity that is older than its position is wrong by acceleration times that age."""
     acceleration = np.gradient(said, t, axis=0)
     power = float((acceleration**2).sum())
     if power < 1.0:
@@ -125,8 +125,8 @@ def barometer(rec: Recording) -> list[Finding]:
         return []
     corr, noise = float(np.corrcoef(height, said)[0, 1]), float(np.median(p.sd[:, 2]))
     # noise of the receiver's height makes the slope smaller (Fuller 1987, section 1.1)
-    own = max(height.var(ddof=1) - noise**2, corr**2 * height.var(ddof=1))
-    slope = float(np.cov(height, said)[0, 1] / own)
+    variance = max(height.var(ddof=1) - noise**2, corr**2 * height.var(ddof=1))
+    slope = float(np.cov(height, said)[0, 1] / variance)
     if corr < -0.5:
         return [finding("barometer.sign", value=slope, corr=corr)]
     if corr > 0.7 and not 0.7 < slope < 1.4:
@@ -136,7 +136,7 @@ def barometer(rec: Recording) -> list[Finding]:
 
 
 def fixes(rec: Recording) -> list[Finding]:
-    """What positions say of themselves: rate, gaps, repeats, and scatter against the stated sd."""
+    """Check positions by themselves: rate, gaps, repeats, and scatter against the stated sd."""
     p = rec.aiding.get("position")
     if p is None or p.t.size < 20:
         return []
@@ -161,7 +161,7 @@ def fixes(rec: Recording) -> list[Finding]:
 
 
 def stated(rec: Recording) -> list[Finding]:
-    """What fixes state as their sd, from one to the next: receivers are slow to change their mind."""
+    """Check the stated sd of fixes, from one to the next: it changes slowly."""
     found = []
     for name in ("position", "velocity"):
         s = rec.aiding.get(name)

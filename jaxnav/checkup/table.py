@@ -25,7 +25,7 @@ CHECKS: dict[str, Check] = {
     "overlap": Check(times.overlap),
     "ends": Check(times.ends),
     "rhythm": Check(times.rhythm),
-    "apart": Check(times.apart),
+    "stream_offset": Check(times.stream_offset),
     "fixes": Check(streams.fixes),
     "stated": Check(streams.stated),
     "velocity": Check(streams.velocity),
@@ -39,7 +39,7 @@ CHECKS: dict[str, Check] = {
 
 
 def checkup(rec: Recording, quick: bool = False) -> list[Finding]:
-    """What the checks say of a recording; ``quick``: only those that take no time.
+    """Return the findings of the checks on a recording; ``quick``: only of the fast ones.
 
     Raises:
         DataError: positions in float32.
@@ -50,5 +50,5 @@ def checkup(rec: Recording, quick: bool = False) -> list[Finding]:
 
 
 def quick_notes(rec: Recording) -> list[str]:
-    """A sentence for each thing that looks wrong."""
+    """Return a sentence for each warning of the fast checks."""
     return [f"{line(f)}." for f in checkup(rec, quick=True) if f.warns]

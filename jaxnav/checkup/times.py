@@ -1,4 +1,4 @@
-"""Times of the streams: against the IMU's, against one another, and each against its own rhythm."""
+"""Times of the streams: against the IMU's, against one another, and each against its usual interval."""
 
 import numpy as np
 
@@ -7,8 +7,8 @@ from jaxnav.types import Finding, Recording, Severity
 
 PAIR = ("position", "velocity")  # of one solution, so of one time
 EVEN = 0.02  # of an interval: how closely a stream keeps its rhythm, and
-OFF = 0.1  # how far off it is worth a sentence
-APART = 0.05  # of an interval between two streams of one receiver
+OFF = 0.1  # of an interval, deviation that is a finding
+MIN_OFFSET = 0.05  # of an interval between two streams of one receiver
 SHORT = 0.75  # of the time of position, below which the other stream ends, or begins, too soon
 
 
@@ -30,10 +30,10 @@ def ends(rec: Recording) -> list[Finding]:
 
 
 def rhythm(rec: Recording) -> list[Finding]:
-    """A stream at even intervals that leaves its rhythm once or twice, by less than an interval."""
+    """Find a stream at even intervals that leaves its rhythm once or twice, by less than an interval."""
     found = []
     for name, (usual, t) in _even(rec).items():
-        off = _beside(np.diff(t) / usual)
+        off = _fraction(np.diff(t) / usual)
         odd = np.flatnonzero(np.abs(off) > OFF)
         if 0 < odd.size <= 3:
             k = odd[np.abs(off[odd]).argmax()]
@@ -43,8 +43,8 @@ def rhythm(rec: Recording) -> list[Finding]:
     return found
 
 
-def apart(rec: Recording) -> list[Finding]:
-    """Position and velocity at the same even intervals, one always beside the other."""
+def stream_offset(rec: Recording) -> list[Finding]:
+    """Find a constant offset between position and velocity at the same even intervals."""
     even = _even(rec)
     if len(even) < 2:
         return []
@@ -54,7 +54,7 @@ def apart(rec: Recording) -> list[Finding]:
     if abs(usual / other - 1) > 1e-3 or near.size < 10:
         return []
     middle = float(np.median(near))
-    if abs(middle) < APART * usual or np.mean(np.abs(near - middle) < EVEN * usual) < 0.5:
+    if abs(middle) < MIN_OFFSET * usual or np.mean(np.abs(near - middle) < EVEN * usual) < 0.5:
         return []
     return [finding("time.stream_offset", value=middle, size=abs(middle), side="after" if middle > 0 else "before")]
 
@@ -66,18 +66,18 @@ def _even(rec: Recording) -> dict[str, tuple[float, np.ndarray]]:
         s = rec.aiding.get(name)
         if s is not None and s.t.size >= 20:
             usual = float(np.median(np.diff(s.t)))
-            if np.mean(np.abs(_beside(np.diff(s.t) / usual)) < EVEN) >= 0.9:
+            if np.mean(np.abs(_fraction(np.diff(s.t) / usual)) < EVEN) >= 0.9:
                 found[name] = (usual, s.t)
     return found
 
 
-def _beside(intervals: np.ndarray) -> np.ndarray:
-    """What is beside whole intervals."""
+def _fraction(intervals: np.ndarray) -> np.ndarray:
+    """Return the distance from whole intervals."""
     return intervals - np.round(intervals)
 
 
 def overlap(rec: Recording) -> list[Finding]:
-    """How much of each stream lies within the IMU's time."""
+    """Return how much of each stream is within the IMU's time."""
     first, last = rec.imu.t[0], rec.imu.t[-1]
     found = []
     for name, s in rec.aiding.items():

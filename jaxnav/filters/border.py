@@ -74,7 +74,7 @@ def override(params: Params, stated: Mapping[str, Any]) -> Params:
 
 
 def _rule_value(params: Params, name: str, value: Any) -> Any:
-    """Return what [rule] states, in the shape that the filter's rule has it in."""
+    """Return the value of a key of [rule], in the shape of the rule's parameter."""
     try:
         old = get(params, name)
         new = np.asarray(value, float)
@@ -87,12 +87,12 @@ def _rule_value(params: Params, name: str, value: Any) -> Any:
 
 def _check_root(name: str, value: Any) -> None:
     """Raise ConfigError unless it is a lower triangular 3 x 3 with a positive diagonal."""
-    what = f"{name} as a matrix must be lower triangular, 3 x 3, with a positive diagonal, got {value!r}"
+    expected = f"{name} as a matrix must be lower triangular, 3 x 3, with a positive diagonal, got {value!r}"
     if [np.size(row) for row in value] != [3, 3, 3]:
-        raise ConfigError(what)
+        raise ConfigError(expected)
     L = np.array(value)
     if np.any(np.triu(L, 1)) or not np.all(np.diag(L) > 0) or not np.isfinite(L).all():
-        raise ConfigError(what)
+        raise ConfigError(expected)
 
 
 def in_user_units(params: Params, leaves: Iterable[str]) -> dict[str, Any]:
@@ -101,7 +101,7 @@ def in_user_units(params: Params, leaves: Iterable[str]) -> dict[str, Any]:
 
 
 def noise_leaves(params: Params) -> list[str]:
-    """The leaves of ``params`` that are noise: positive numbers that are no prior's."""
+    """Return the leaves of ``params`` that are noise: positive numbers that are no prior's."""
     prior = lambda leaf: leaf.startswith("states.") and leaf.endswith(".sd")
     return [leaf for leaf, unit in UNITS.items() if unit.step is None and not prior(leaf) and has(params, leaf)]
 
@@ -112,7 +112,7 @@ def unit_of(leaf: str) -> Unit:
 
 
 def name_of(leaf: str) -> str:
-    """Return the key of a leaf in a configuration; a rule's parameter is its own."""
+    """Return the key of a leaf in a configuration; a parameter of a rule keeps its name."""
     return NAMES.get(leaf, leaf)
 
 
@@ -123,7 +123,7 @@ def component(label: str) -> str:
 
 
 def user_value(leaf: str, value: Any, short: bool = True) -> Any:
-    """A leaf's value in a user's units, as plain numbers; ``short``: axes that agree are one number."""
+    """Return a leaf's value in a user's units, as plain numbers; ``short``: axes that agree are one number."""
     value = np.asarray(value, float) / unit_of(leaf).factor
     same = short and value.ndim and np.all(value == value.flat[0]) and leaf in UNITS and UNITS[leaf].step is None
     return float(value.flat[0]) if same else value.tolist()

@@ -34,7 +34,7 @@ class Frame(NamedTuple):
 
     propagate: Propagate  # the plain form
     fast: Propagate | None = None  # equal to it by test
-    preintegrate: Preintegrate | None = None  # what the fast form can do before it knows the state
+    preintegrate: Preintegrate | None = None  # the part of the fast form that needs no state
 
 
 FRAMES: dict[str, Frame] = {
@@ -48,17 +48,17 @@ class Entry(NamedTuple):
     """One filter of the catalogue."""
 
     states: tuple[str, ...]  # optional ones that it has by itself
-    rule: Callable[..., Rule]  # (); of one that is gated (sizes of its blocks), of a watched one (slices of the fix)
+    rule: Callable[..., Rule]  # of (), of (block sizes) with `gates_all_measurements`, or of (slices of the fix)
     theta: Callable[[], Any]  # default parameters of the rule
     tunable: dict[str, str]  # leaves of theta worth tuning -> name of their transform in `tuning.fit.transforms`
     citation: str
     form: str = "full"  # of the error model
-    frame: str = "local_level"  # the paper's own, of FRAMES
+    frame: str = "local_level"  # of the paper, a key of FRAMES
     feedback: Feedback = reset
     feedback_theta: Callable[[], Any] = lambda: ()  # default parameters of the feedback
-    more: bool = False  # may have further states: a paper's rule knows its own alone
-    watched: bool = False  # its rule is made of the receiver's channels, and sees all
-    gated: bool = False  # sees all that carries data, each measurement a block; others see the receiver's alone
+    accepts_extra_states: bool = False  # a paper's rule is defined for the paper's states alone
+    needs_receiver_slices: bool = False  # its rule gets the slices of the receiver's channels, and all channels
+    gates_all_measurements: bool = False  # each measurement with data is a block of the rule; else the receiver's alone
     named: dict[str, str] = {}  # further leaves that are free by name alone: ``rule.NAME``, never with the group
 
 
@@ -75,14 +75,20 @@ ROBUST: dict[str, tuple[Callable[..., Rule], Callable[[], Any], dict[str, str], 
     "iae": (iae, iae_params, {"floor": "log"}, "Mohamed & Schwarz 1999, R only"),
     "fading": (fading, fading_params, {"tau": "log"}, "Sorenson & Sacks 1971"),
 }
-"""Rules made of a rule: constructor, default parameters, what is worth tuning of them, citation."""
+"""Rules made of a rule: constructor, default parameters, the parameters to tune, citation."""
 
 
 def _robust(states: tuple[str, ...], name: str) -> Entry:
-    """A robust Kalman filter."""
+    """Return a robust Kalman filter."""
     make, theta, tunable, citation = ROBUST[name]
     return Entry(
-        states, lambda *sizes: make(kalman(), *sizes), theta, tunable, citation, more=True, gated=name == "gate"
+        states,
+        lambda *sizes: make(kalman(), *sizes),
+        theta,
+        tunable,
+        citation,
+        accepts_extra_states=True,
+        gates_all_measurements=name == "gate",
     )
 
 
@@ -92,15 +98,15 @@ _GIP_KF = "Journal of Control (English Edition) 1(1), 2022, 49-57"
 _GIP_TUNABLE = {"log_rl": "identity"}  # only its ratios to R_m matter
 _GIP_NAMED = {"log_rm": "identity", "rl_lower": "identity", "rm_lower": "identity"}
 FILTERS: dict[str, Entry] = {
-    "ekf15": Entry(BIASES, kalman, lambda: (), {}, "Groves 2013, chapter 14", more=True),
-    "ekf9": Entry((), kalman, lambda: (), {}, "Groves 2013, chapter 14, without bias states", more=True),
+    "ekf15": Entry(BIASES, kalman, lambda: (), {}, "Groves 2013, chapter 14", accepts_extra_states=True),
+    "ekf9": Entry((), kalman, lambda: (), {}, "Groves 2013, chapter 14, no bias states", accepts_extra_states=True),
     "kf9_simple": Entry((), kalman, lambda: (), {}, f"{_ANSARI}, eqs. 9-15, the paper's standard KF", "simple"),
     "gpid": Entry((), gpid, lambda: gpid_params(0.003, 0.1), _GPID, f"{_ANSARI}, on position states"),
     "gpid15": Entry(BIASES, gpid, lambda: gpid_params(0.003, 0.1, 15), _GPID, f"{_ANSARI}, with bias states"),
     "gpid15_gate": Entry(
         BIASES, lambda *sizes: gate(gpid(), *sizes), lambda: gate_params(rule=gpid_params(0.003, 0.1, 15)),
         {f"rule.{name}": kind for name, kind in _GPID.items()}, f"{_ANSARI}, with bias states, behind a gate",
-        gated=True,
+        gates_all_measurements=True,
     ),
     "gpid_literal": Entry(
         (), gpid, lambda: literal_params(1.0, 0.0), _GPID, f"{_ANSARI}, scheme 1 as printed", "simple",
@@ -140,9 +146,9 @@ FILTERS: dict[str, Entry] = {
     ),
     "ekf15_receiver": Entry(
         BIASES, receiver, receiver_params, {"wrong": "log", "well": "log", "late": "log"},
-        "hypotheses of the receiver by Blom & Bar-Shalom 1988", more=True, watched=True,
+        "hypotheses of the receiver by Blom & Bar-Shalom 1988", accepts_extra_states=True, needs_receiver_slices=True,
     ),
-    **{f"ekf{n}_{name}": _robust(own, name) for n, own in ((9, ()), (15, BIASES)) for name in ROBUST},
+    **{f"ekf{n}_{name}": _robust(states, name) for n, states in ((9, ()), (15, BIASES)) for name in ROBUST},
 }  # fmt: skip
 
 
@@ -156,24 +162,27 @@ def build(
     fast: bool = True,
     states: Sequence[str] = (),
 ) -> Filter:
-    """The named filter (see `jaxnav.filters.core.make_filter` for the options).
+    """Return a filter of the catalogue.
 
-    ``measurements``: rows of `MEASUREMENTS` or their names, the receiver's first. ``states``: names of optional states
-    on top of the filter's own, rows of `jaxnav.states.STATES`.
-
-    ``fast``: navigate by the frame's fast form where it has one; the plain form gives the same.
-
-    ``frame`` and ``feedback`` replace the filter's own; a feedback with parameters finds them in `Params.feedback`.
-
-    A paper's rule sees the receiver's channels, a gate every measurement with data; the rest gets a plain Kalman update
-    after it.
+    A paper's rule is applied to the receiver's channels, a gate to every measurement with data; the others get a Kalman
+    update after it.
 
     >>> build("ekf15", measurements=("position", "velocity", "barometer"), states=("barometer_bias",)).model.states
     ('gyro_bias', 'accel_bias', 'barometer_bias')
 
+    Args:
+        name: a key of `FILTERS`.
+        measurements: rows of `MEASUREMENTS` or their names, the receiver's first.
+        cov_stride: IMU samples per point of the error dynamics, see `jaxnav.filters.core.make_filter`.
+        history: samples of navigation kept for late measurements.
+        feedback: in place of the filter's; its parameters are in `Params.feedback`.
+        frame: in place of the filter's, a key of `FRAMES`.
+        fast: navigate by the frame's fast form where it has one; the plain form gives the same.
+        states: optional states in addition to the filter's, names of `jaxnav.states.STATES`.
+
     Raises:
-        ValueError: no such filter, frame, state or measurement, a receiver's measurement that does
-            not come first, states for a paper's rule, or a state that nothing of the filter sees.
+        ValueError: no such filter, frame, state or measurement, a receiver's measurement that does not come first,
+            states for a paper's rule, or a state that no measurement of the filter observes.
     """
     if name not in FILTERS:
         raise ValueError(f"no filter {name!r}: {nearest(name, FILTERS)}")
@@ -182,8 +191,8 @@ def build(
     if frame not in FRAMES:
         raise ValueError(f"no frame {frame!r}; known are {', '.join(FRAMES)}")
     chosen = rows(measurements)
-    if states and not entry.more:
-        raise ValueError(f"the rule of {name} knows its own states alone, not {', '.join(states)}: see ekf9 or ekf15")
+    if states and not entry.accepts_extra_states:
+        raise ValueError(f"{name} has the states of its paper, not {', '.join(states)}: use ekf9 or ekf15")
     others = [not each.receiver for each in chosen]
     if others != sorted(others):
         raise ValueError(f"constraints come after the receiver's: {[each.name for each in chosen]}")
@@ -193,21 +202,22 @@ def build(
     quick = fast and home.fast is not None
     mechanize, preintegrate = (home.fast, home.preintegrate) if quick else (home.propagate, None)
     built = make_filter(mechanize, model, rule, feedback or entry.feedback, cov_stride, history, preintegrate)
-    own = tuple(states)
-    extended = _extended(name, chosen, cov_stride, history, feedback, frame, fast, own) if entry.more else None
-    return _named(built, name, extended)
+    extra = None
+    if entry.accepts_extra_states:
+        extra = _extended(name, chosen, cov_stride, history, feedback, frame, fast, tuple(states))
+    return _named(built, name, extra)
 
 
 def _rule(entry: Entry, chosen: tuple[Measurement, ...]) -> Rule:
-    """The entry's rule on what it is to see; the rest is left to a Kalman update."""
-    if entry.watched:
+    """Return the entry's rule on the receiver's channels; the others get a Kalman update."""
+    if entry.needs_receiver_slices:
         places = {name: s for name, s in layout(chosen).items() if name in ("position", "velocity")}
         if "position" not in places:
             raise ValueError(f"a rule that watches the receiver needs its position, not {[m.name for m in chosen]}")
         return entry.rule(places["position"].start, places["velocity"].start if "velocity" in places else None)
-    seen = [each.receiver or (entry.gated and bool(each.columns)) for each in chosen]
+    seen = [each.receiver or (entry.gates_all_measurements and bool(each.columns)) for each in chosen]
     sizes = tuple(each.size for each, see in zip(chosen, seen, strict=True) if see)
-    rule = entry.rule(sizes) if entry.gated and set(sizes) != {BLOCK} else entry.rule()
+    rule = entry.rule(sizes) if entry.gates_all_measurements and set(sizes) != {BLOCK} else entry.rule()
     if all(seen) or rule is kalman():
         return rule
     return only(rule, tuple(np.flatnonzero(np.repeat(seen, [each.size for each in chosen])).tolist()))
@@ -218,17 +228,17 @@ def _extended(
     name: str, chosen: tuple[Measurement, ...], cov_stride: int, history: int, feedback: Any, frame: str, fast: bool,
     states: tuple[str, ...],
 ) -> Callable[..., Filter]:  # fmt: skip
-    """`Filter.extended` of a filter that was built so."""
+    """Return `Filter.with_states` of a filter built with these arguments."""
     return lambda *more: build(name, chosen, cov_stride, history, feedback, frame, fast, (*states, *more))
 
 
 @cache
-def _named(built: Filter, name: str, extended: Callable[..., Filter] | None) -> Filter:
-    """The filter with the catalogue's parameters, whatever history it keeps."""
-    keeping = built.keeping
-    assert keeping is not None  # make_filter gives it
-    kept = lambda samples: _named(keeping(samples), name, extended)
-    return built._replace(params=_params(name, built.model), keeping=kept, extended=extended, name=name)
+def _named(built: Filter, name: str, with_states: Callable[..., Filter] | None) -> Filter:
+    """Return the filter with the catalogue's parameters, at any length of history."""
+    with_history = built.with_history
+    assert with_history is not None  # make_filter gives it
+    kept = lambda samples: _named(with_history(samples), name, with_states)
+    return built._replace(params=_params(name, built.model), with_history=kept, with_states=with_states, name=name)
 
 
 @cache
@@ -244,7 +254,7 @@ def _params(name: str, model: ErrorModel) -> Callable[..., Params]:
 
 
 def rows(measurements: Sequence[Measurement | str]) -> tuple[Measurement, ...]:
-    """The measurements themselves, of which some are given by name.
+    """Return rows of `MEASUREMENTS`, some of which are given by name.
 
     Raises:
         ValueError: a name that is not in `MEASUREMENTS`, or a measurement that comes twice.

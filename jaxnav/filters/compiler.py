@@ -19,7 +19,7 @@ CACHE = "JAXNAV_CACHE_DIR"  # environment: folder of compiled programs; empty tu
 LOG = logging.getLogger("jaxnav")
 EMITTERS = "xla_cpu_use_fusion_emitters"  # off: XLA's older emitter writes the kernels, in half of the time
 MOST = 0.9  # of the memory that one job may take
-KNOWN = (0, 10)  # jaxlib up to here has the flag; XLA ends a process whose flags it does not know
+FLAG_VERSIONS = (0, 10)  # last jaxlib that has the flag; XLA ends a process with an unknown flag
 
 
 def enable_x64() -> None:
@@ -39,74 +39,85 @@ def fast_compiler() -> bool:
 
 
 def fast_flags(given: str) -> str:
-    """The value ``given`` of XLA_FLAGS with the option of `fast_compiler`, where that sets it."""
+    """Return the value ``given`` of XLA_FLAGS with the option of `fast_compiler`, where that sets it."""
     version = metadata.version("jaxlib").split(".")
-    if EMITTERS in given or (int(version[0]), int(version[1])) > KNOWN:
+    if EMITTERS in given or (int(version[0]), int(version[1])) > FLAG_VERSIONS:
         return given
     return f"{given} --{EMITTERS}=false".strip()
 
 
 def cache(folder: str | Path | None = None) -> Path | None:
-    """Keep compiled programs, small ones included, for the next process; returns the folder, None where turned off.
+    """Keep compiled programs, small ones included, for the next process.
 
-    ``folder``: by default the one named by the environment variable JAXNAV_CACHE_DIR (empty turns the cache off), else
-    jaxnav's in the user's cache folder. Programs of another jaxlib or processor lie apart from these.
+    Args:
+        folder: by default that of the environment variable JAXNAV_CACHE_DIR (empty turns the cache off), else a folder
+            of jaxnav in the user's cache folder. Programs of another jaxlib or processor are in folders of their
+            versions.
+
+    Returns:
+        The folder, None where turned off.
     """
     home = cache_home() if folder is None else Path(folder)
     if home is None:
         return None
-    own = home / f"jaxlib-{metadata.version('jaxlib')}-{_processor()}"
-    jax.config.update("jax_compilation_cache_dir", str(own))
+    folder = home / f"jaxlib-{metadata.version('jaxlib')}-{_processor()}"
+    jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    return own
+    return folder
 
 
-class Held(NamedTuple):
-    """What this process holds of the system; zeros where it does not say (only Linux does)."""
+class ProcessUsage(NamedTuple):
+    """Resources that this process holds; zeros where the system does not report them (only Linux does)."""
 
     maps: int  # memory mappings: every compiled kernel keeps some, and past the system's limit the compiler crashes
     resident: int  # bytes of memory
 
 
-def held() -> Held:
-    """Mappings and memory of this process."""
+def process_usage() -> ProcessUsage:
+    """Return mappings and memory of this process."""
     try:
         maps = Path("/proc/self/maps").read_bytes().count(b"\n")
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except OSError:
-        return Held(0, 0)
-    return Held(maps, pages * os.sysconf("SC_PAGE_SIZE"))
+        return ProcessUsage(0, 0)
+    return ProcessUsage(maps, pages * os.sysconf("SC_PAGE_SIZE"))
 
 
-def make_room(maps: int = 30_000, resident: float | None = None) -> bool:
-    """Drop all compiled programs where this process holds too much, and say so; returns whether it did.
+def clear_caches_if_needed(maps: int = 30_000, resident: float | None = None) -> bool:
+    """Drop all compiled programs if this process holds too much memory, and log it.
 
-    Called by Monte Carlo, tuning and the bake-off before they compile, and by whoever loops over many filters. What is
-    still needed compiles again. ``maps``: Linux allows 65,530 (`vm.max_map_count`), and tuning one more filter may add
-    ten thousand. ``resident``: bytes, by default half of the machine's memory.
+    Called by Monte Carlo, tuning and the bake-off before they compile, and by a user who loops over many filters.
+    Programs in use compile again.
+
+    Args:
+        maps: limit of memory mappings; Linux allows 65,530 (`vm.max_map_count`), one more filter may add ten thousand.
+        resident: bytes, limit of resident memory; None is half of the machine's memory.
+
+    Returns:
+        Whether programs were dropped.
     """
-    now = held()
+    now = process_usage()
     most = _memory() / 2 if resident is None else resident
     if now.maps <= maps and now.resident <= most:
         return False
     jax.clear_caches()
     gc.collect()
-    if sys.platform == "linux":  # what was freed in small pieces goes back to the system only when asked for
+    if sys.platform == "linux":  # small freed pieces return to the system only on request
         getattr(ctypes.CDLL(None), "malloc_trim", lambda pad: 0)(0)
     LOG.warning("dropped all compiled programs, which held %d mappings, %.1f GiB", now.maps, now.resident / 2**30)
     return True
 
 
-def require_memory(size: float, what: str) -> None:
-    """Refuse what this machine cannot hold, before it is begun: the system would end the process without a word.
+def require_memory(size: float, subject: str) -> None:
+    """Refuse work beyond this machine's memory before it starts: the system would end the process without a message.
 
     Raises:
         DataError: ``size`` bytes are more than `MOST` of its memory.
     """
     if size > MOST * _memory():
         raise DataError(
-            f"{what} takes about {size / 2**30:.3g} GiB of memory, this machine has {_memory() / 2**30:.3g}"
+            f"{subject} takes about {size / 2**30:.3g} GiB of memory, this machine has {_memory() / 2**30:.3g}"
         )
 
 
@@ -121,7 +132,7 @@ def _memory() -> float:
 
 
 def cache_home() -> Path | None:
-    """The user's folder of compiled programs, or None where it is turned off."""
+    """Return the user's folder of compiled programs, or None where it is turned off."""
     if CACHE in os.environ:
         return Path(os.environ[CACHE]) if os.environ[CACHE] else None
     if sys.platform == "win32":
@@ -134,7 +145,7 @@ def cache_home() -> Path | None:
 
 
 def _processor() -> str:
-    """The processor's instruction set and model as a short name of a folder."""
+    """Return the processor's instruction set and model as a short name of a folder."""
     name = platform.machine()
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as lines:

@@ -28,19 +28,19 @@ from jaxnav.types import Epoch, Fix, Forcing, Imu, Info, Nav, Noise, Params
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Prepared:
-    """The samples of an epoch, and what needs no state of them: worked out once for all runs of a filter."""
+    """The samples of an epoch with every quantity that needs no state, computed once for all runs of a filter."""
 
     n: jax.Array  # () int, samples that are not padding
     keep: jax.Array  # (w,) int, the last of them
     T: jax.Array  # (b,) s, of each point of the path
-    samples: Any  # what `propagate` takes
+    samples: Any  # argument of `propagate`
     stride: int = field(metadata={"static": True})  # samples of a point: only filters of the same take it
 
 
 class FilterState(NamedTuple):
-    """What the next step needs."""
+    """State that one step hands to the next."""
 
-    past: Nav  # (w, ...) the last w samples of navigation, newest last: what delayed measurements are compared with
+    past: Nav  # (w, ...) navigation at the last w samples, newest last: delayed measurements are compared with it
     x: jax.Array  # (n,) error state that is not fed back
     P: jax.Array  # (n, n)
     u: Forcing | None  # feedback in force, of an observer
@@ -52,7 +52,7 @@ class FilterState(NamedTuple):
 
 
 class Step(NamedTuple):
-    """One epoch: what `jaxnav.filters.run.run` may keep a record of."""
+    """One epoch, as `jaxnav.filters.run.run` may record it."""
 
     before: FilterState
     predicted: FilterState
@@ -75,17 +75,17 @@ class Filter(NamedTuple):
     model: ErrorModel
     prepare: Callable[[Epoch], Epoch]  # epochs (E, ...) of one run -> the same with `Prepared` samples
     transition: Callable[[Params, FilterState, Imu | Prepared], tuple[FilterState, Transition]]
-    advance: Callable[[Params, FilterState, Epoch], "Step"]  # `step`, with what lies between
-    # (grade or its name, **what `jaxnav.filters.parameters.datasheet_params` takes) -> parameters for this filter
+    advance: Callable[[Params, FilterState, Epoch], "Step"]  # `step`, with the intermediate results
+    # (grade or its name, **arguments of `jaxnav.filters.parameters.datasheet_params`) -> parameters for this filter
     params: Callable[..., Params] = datasheet_params
-    keeping: Callable[[int], "Filter"] | None = None  # the same filter with another ``history``
-    extended: Callable[..., "Filter"] | None = None  # (*names of states) -> the same filter with those on top
-    smooths: bool = False  # see `Rule`
+    with_history: Callable[[int], "Filter"] | None = None  # the same filter with another ``history``
+    with_states: Callable[..., "Filter"] | None = None  # (*names of states) -> the same filter with those on top
+    supports_smoothing: bool = False  # see `Rule`
     name: str = ""  # in the catalogue
 
 
 def _require_shapes(c: Correction, z: Innovation) -> None:
-    """Raise ValueError, when traced, for a correction that does not fit what the rule was shown."""
+    """Raise ValueError, when traced, for a correction whose shapes do not fit the innovation."""
     n, m = z.P.shape[0], z.nu.shape[0]
     for name, shape in (("delta", (n,)), ("P", (n, n)), ("used", (m,))):
         if jnp.shape(found := getattr(c, name)) != shape:
@@ -93,8 +93,8 @@ def _require_shapes(c: Correction, z: Innovation) -> None:
 
 
 @jax.custom_jvp
-def depending(params: Params, a: jax.Array) -> jax.Array:
-    """``a``, with a derivative in all parameters: numerically zero, symbolically not.
+def with_structural_derivative(params: Params, a: jax.Array) -> jax.Array:
+    """Return ``a`` with a derivative in all parameters: numerically zero, symbolically not.
 
     A scan differentiates its body again and again until it knows which parts of its carry have a derivative. Where the
     same parts of its start have one it knows at once, and a gradient takes an eighth to a quarter less time to trace.
@@ -102,14 +102,14 @@ def depending(params: Params, a: jax.Array) -> jax.Array:
     return a
 
 
-@depending.defjvp
+@with_structural_derivative.defjvp
 def _depending_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
     leaves = [t.sum() for t in jax.tree.leaves(tangents[0]) if t.dtype != jax.dtypes.float0]
     return primals[1], tangents[1] + jnp.where(False, sum(leaves), 0.0)
 
 
 def without_nan(fix: Fix) -> Fix:
-    """Return a fix whose missing channels hold numbers: a masked nan still makes the gradient nan."""
+    """Return a fix with finite numbers in missing channels: a masked nan still makes the gradient nan."""
     filled = lambda a, value: jnp.where(fix.valid | jnp.isfinite(a), a, value)
     return Fix(filled(fix.value, 1.0), filled(fix.sd, 1.0), filled(fix.corr, 0.0), fix.valid)
 
@@ -121,7 +121,7 @@ def masked(y: jax.Array, H: jax.Array, R: jax.Array, valid: jax.Array) -> tuple[
 
 
 def padded(imu: Imu, stride: int) -> Imu:
-    """Samples (k,) up to a multiple of ``stride``: padding repeats the last one and lasts no time."""
+    """Pad samples (k,) to a multiple of ``stride``: padding repeats the last one and lasts no time."""
     more = -imu.dt.shape[0] % stride
     if not more:
         return imu
@@ -129,19 +129,19 @@ def padded(imu: Imu, stride: int) -> Imu:
     return Imu(jnp.concatenate([imu.dt, jnp.zeros(more, imu.dt.dtype)]), held(imu.gyro), held(imu.accel))
 
 
-def louder(noise: Noise, more: jax.Array) -> Noise:
-    """The noise with root PSDs ``more`` (2,) of gyro and accelerometer added, independent and alike on all axes."""
+def inflate_noise(noise: Noise, more: jax.Array) -> Noise:
+    """Return the noise with root PSDs ``more`` (2,) of gyro and accelerometer added, independent on all axes."""
 
-    def both(own: jax.Array, extra: jax.Array) -> jax.Array:
-        if jnp.ndim(own) == 2:
-            return jnp.concatenate([own, extra * jnp.eye(3)], 1)
-        return jnp.where(extra > 0, jnp.hypot(own, jnp.where(extra > 0, extra, 1.0)), own)
+    def both(root: jax.Array, extra: jax.Array) -> jax.Array:
+        if jnp.ndim(root) == 2:
+            return jnp.concatenate([root, extra * jnp.eye(3)], 1)
+        return jnp.where(extra > 0, jnp.hypot(root, jnp.where(extra > 0, extra, 1.0)), root)
 
     return Noise(both(noise.gyro, more[0]), both(noise.accel, more[1]))
 
 
 def shift(past: Nav, recent: Nav, n: jax.Array) -> Nav:
-    """The last w of the samples ``past`` (w, ...) and n further ones, of which ``recent`` (w, ...) are the last w."""
+    """Return the last w of the samples ``past`` (w, ...) and n further ones, ``recent`` (w, ...) with their last w."""
     i = n + jnp.arange(past.t.size)
     old = jax.tree.map(lambda a: a[jnp.minimum(i, past.t.size - 1)], past)
     return select(i < past.t.size, old, recent)
@@ -165,11 +165,17 @@ def make_filter(
 ) -> Filter:
     """Compose a filter.
 
-    ``cov_stride``: the error dynamics see means over so many IMU samples. From 2 to 10 local level navigation, too,
-    adds gravity and Coriolis after so many of them only, while attitude and velocity are integrated at every one. 10
-    instead of 1 costs less than a millimetre at 100 Hz. ``history``: how many samples of navigation are kept for
-    measurements that are older than the end of the epoch; cover the largest latency, beyond it the oldest two are
-    extended in a straight line.
+    Args:
+        propagate: mechanization of a frame.
+        model: error state and its transition.
+        rule: correction by a fix.
+        feedback: use of the corrected error state.
+        cov_stride: IMU samples per point of the error dynamics, which are means over them. From 2 to 10 local level
+            navigation adds gravity and Coriolis once per point, while attitude and velocity are integrated at every
+            sample. 10 instead of 1 costs less than a millimetre at 100 Hz.
+        history: samples of navigation kept for measurements older than the end of the epoch; must cover the largest
+            latency, beyond it the oldest two are extrapolated linearly.
+        preintegrate: state-free part of a fast mechanization.
 
     Raises:
         ValueError: ``history`` below 2; when traced, epochs that were prepared for a filter with another stride or
@@ -179,21 +185,21 @@ def make_filter(
         raise ValueError(f"history must be at least 2 samples, got {history}")
 
     def estimates(given: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        """Zero of what the filter estimates, and what is known at the start."""
-        own = zeros((*model.states, *(name for name in rule.estimates if name not in model.states)))
+        """Return zero for estimated states, and the known values of the start."""
+        blank = zeros((*model.states, *(name for name in rule.estimates if name not in model.states)))
         for state in chosen(given):
             if jnp.shape(given[state.name]) != (state.size,):
                 raise ValueError(
                     f"{state.name} of the start has shape {jnp.shape(given[state.name])}, not ({state.size},)"
                 )
-        return own | given
+        return blank | given
 
     def init(params: Params, nav: Nav) -> FilterState:
         unknown = {name: jnp.zeros(()) for name in model.reads}  # until the first epoch
         nav, T = model.enter(nav._replace(errors=estimates(nav.errors), auxiliary=unknown)), jnp.zeros(())
-        P = depending(params, model.covariance(params, nav))
+        P = with_structural_derivative(params, model.covariance(params, nav))
         # feeding back an error of zero changes nothing, but gives u and a derivative to all that an error reaches
-        x = depending(params, jnp.zeros(model.n_states))
+        x = with_structural_derivative(params, jnp.zeros(model.n_states))
         start, x, u = feedback(params.feedback, model.retract, nav, x, T)
         moved = {
             sensor: sum(
@@ -268,9 +274,9 @@ def make_filter(
         until = jnp.maximum(state.T, jnp.max(jnp.where(c.used, age, 0.0)))
         feed = partial(feedback, params.feedback, model.retract)
         if c.drive and not set(BIASES) <= set(state.past.errors):
-            raise ValueError(f"a rule whose drive the sensors absorb needs Rule(..., estimates={BIASES})")
+            raise ValueError(f"a rule with a drive that the sensors absorb needs Rule(..., estimates={BIASES})")
         past = jax.vmap(model.absorb, (0, None))(state.past, c.drive) if c.drive else state.past
-        # with a history, samples before the end have had other errors; two samples lie within a sample time
+        # with a history, earlier samples have had other errors; two samples are one sample time from each other
         xs = model.earlier(past, x) if history > 2 else jnp.broadcast_to(x, (history, *x.shape))
         after, xs_after, us = jax.vmap(feed, (0, 0, None))(past, xs, until)
         x_after, u = xs_after[-1], jax.tree.map(lambda a: a[-1], us)
@@ -290,7 +296,7 @@ def make_filter(
         return new._replace(ok=ok), Info(reported, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok), x
 
     def advance(params: Params, state: FilterState, epoch: Epoch) -> Step:
-        noise = params.noise if epoch.gap is None else louder(params.noise, epoch.gap)
+        noise = params.noise if epoch.gap is None else inflate_noise(params.noise, epoch.gap)
         if model.reads:
             state = state._replace(past=with_auxiliary(state.past, epoch.auxiliary))
         predicted, moved = transition(params._replace(noise=noise), state, epoch.imu)
@@ -316,11 +322,20 @@ def make_filter(
         new = advance(params, state, epoch)
         return new.after, new.info
 
-    def keeping(samples: int) -> Filter:
+    def with_history(samples: int) -> Filter:
         return make_filter(propagate, model, rule, feedback, cov_stride, samples, preintegrate)
 
     return Filter(
-        init, predict, correct, step, model, prepare, transition, advance, keeping=keeping, smooths=rule.smooths
+        init,
+        predict,
+        correct,
+        step,
+        model,
+        prepare,
+        transition,
+        advance,
+        with_history=with_history,
+        supports_smoothing=rule.supports_smoothing,
     )
 
 

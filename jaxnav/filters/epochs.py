@@ -14,15 +14,15 @@ import numpy as np
 
 from jaxnav.filters import gaps
 from jaxnav.filters.gaps import TICK
-from jaxnav.filters.standstill import Standing, constraint_samples, driving, stationary
+from jaxnav.filters.standstill import Standing, constraint_samples, is_driving, stationary
 from jaxnav.measurements import AUXILIARY, GNSS, Measurement, layout
 from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Recording, Samples, nearest
 
-MOST_EPOCHS = 10_000_000  # of a recording: ten minutes a microsecond apart, or a year at 0.3 Hz
+MOST_EPOCHS = 10_000_000  # of a recording: ten minutes in steps of a microsecond, or a year at 0.3 Hz
 
 
 class Packed(NamedTuple):
-    """Epochs for a filter, and what the host needs to know of them."""
+    """Epochs for a filter, and their times and counts for the host."""
 
     epochs: Epoch  # fields (E, k, ...) and (E, m), jax
     t: np.ndarray  # (E,) s, end of each epoch
@@ -43,7 +43,14 @@ def require_double(name: str, value: np.ndarray) -> None:
 def cut_times(
     imu: ImuLog, aiding: dict[str, Samples], interval: float, start: float | None = None, stop: float | None = None
 ) -> np.ndarray:
-    """Ends of epochs, (E,) s: every fix between start and stop, and every ``interval`` seconds where there is none.
+    """Return the ends of epochs, (E,) s: every fix in the span, and every ``interval`` where there is none.
+
+    Args:
+        imu: the IMU's samples.
+        aiding: streams of measurements by name.
+        interval: s, length of epochs without a fix.
+        start: s, begin of the span; None is that of the IMU.
+        stop: s, its end; None is that of the IMU.
 
     Raises:
         DataError: the IMU does not cover the span, or no time is left.
@@ -61,7 +68,7 @@ def cut_times(
         raise DataError(f"interval = {interval:g} s cuts {stop - start:g} s into more than {MOST_EPOCHS:,} epochs")
     cuts = []
     for a, b in zip(edges[:-1], edges[1:], strict=True):
-        n = max(1, int(np.ceil((b - a) / interval - 1e-3)))  # a fix 0.1 % late starts no epoch of its own
+        n = max(1, int(np.ceil((b - a) / interval - 1e-3)))  # a fix 0.1 % late starts no extra epoch
         cuts.append(np.concatenate([a + interval * np.arange(1, n), [b]]))
     return np.concatenate(cuts)
 
@@ -75,16 +82,26 @@ def pack(
     stop: float | None = None,
     cuts: np.ndarray | None = None,
 ) -> Packed:
-    """Cut a recording into epochs for a filter made with ``measurements``.
+    """Cut a recording into epochs for a filter.
 
-    ``interval``: s, nominal fix interval, the length of epochs without a fix. ``cuts``: the ends of epochs where they
-    are already known (`cut_times`). A hole in the IMU's stream is coasted through (`jaxnav.filters.gaps`), with as much
-    more noise in its epochs as the rest of the log says that it hides. Of auxiliary streams
-    (`jaxnav.measurements.auxiliary.AUXILIARY`) an epoch has the last value before its end.
+    A hole in the IMU's stream is filled (`jaxnav.filters.gaps`), with the noise that such a fill has elsewhere in the
+    log. Of auxiliary streams (`jaxnav.measurements.auxiliary.AUXILIARY`) an epoch has the last value before its end.
+
+    Args:
+        imu: the IMU's samples.
+        aiding: streams of measurements by name.
+        interval: s, nominal fix interval, the length of epochs without a fix.
+        measurements: rows of the filter, in its order.
+        start: s, begin of the span; None is that of the IMU.
+        stop: s, its end; None is that of the IMU.
+        cuts: (E,) s, known ends of epochs (`cut_times`).
+
+    Returns:
+        Epochs (E, k, ...) with their times and counts.
 
     Raises:
-        DataError: a stream that no measurement takes, of another shape, unsorted, not finite, with an sd <= 0 or in
-            degrees; a fix between the given ``cuts``; or epochs without end.
+        DataError: a stream that no measurement uses, of another shape, unsorted, not finite, with an sd <= 0 or in
+            degrees; a fix between the given ``cuts``; or too many epochs.
     """
     slices = layout(measurements)
     auxiliary = {name: s for name, s in aiding.items() if name in AUXILIARY}
@@ -104,7 +121,7 @@ def pack(
     begin = float(imu.t[0] - imu.dt[0] if start is None else start)
     samples = cut_imu(imu, begin, cuts)
     fix = _align_fixes(aiding, slices, sum(m.size for m in measurements), begin, cuts)
-    gap = louder_by(holes, begin, cuts) if holes.begin.size else None
+    gap = gap_noise(holes, begin, cuts) if holes.begin.size else None
     epochs = Epoch(Imu(*(jnp.asarray(a, float) for a in samples)), fix, gap, _held(auxiliary, cuts))
     return Packed(epochs, cuts, begin)
 
@@ -156,7 +173,7 @@ def cut_imu(imu: ImuLog, start: float, cuts: np.ndarray) -> tuple[np.ndarray, np
     ends, dt = edges[1:], np.diff(edges)
     mid = ends - dt / 2
     source = np.clip(np.searchsorted(imu.t, mid), 0, imu.t.size - 1)
-    hole = mid < (imu.t - imu.dt)[source] - TICK  # before the sample's own interval: a gap in the stream
+    hole = mid < (imu.t - imu.dt)[source] - TICK  # before the sample's interval: a gap in the stream
     before = np.where(hole, np.maximum(source - 1, 0), source)
     gyro = 0.5 * (imu.gyro[source] + imu.gyro[before])
     accel = 0.5 * (imu.accel[source] + imu.accel[before])
@@ -176,7 +193,7 @@ def _held(auxiliary: dict[str, Samples], cuts: np.ndarray) -> dict[str, jax.Arra
     return {name: jnp.asarray(s.value[last(s), 0], float) for name, s in auxiliary.items()}
 
 
-def louder_by(holes: gaps.Holes, start: float, cuts: np.ndarray) -> jnp.ndarray:
+def gap_noise(holes: gaps.Holes, start: float, cuts: np.ndarray) -> jnp.ndarray:
     """Root PSD (E, 2) that holes add to the noise of epochs: that of the hole, for the share of it in the epoch."""
     begin = np.concatenate([[start], cuts[:-1]])
     shared = np.minimum(cuts[:, None], holes.end) - np.maximum(begin[:, None], holes.begin)
@@ -207,30 +224,36 @@ def _shown(valid: jax.Array, hidden: jax.Array, receiver: jax.Array) -> jax.Arra
 
 
 def hide(epochs: Epoch, hidden: np.ndarray, measurements: tuple[Measurement, ...] = GNSS) -> Epoch:
-    """Take the receiver's channels out of the epochs where ``hidden`` (E,); constraints stay."""
+    """Return epochs without the receiver's channels where ``hidden``; constraints stay.
+
+    Args:
+        epochs: (E, ...) of one run.
+        hidden: (E,) bool.
+        measurements: rows of the filter, in its order.
+    """
     receiver = np.concatenate([np.full(m.size, m.receiver) for m in measurements])
     valid = _shown(epochs.fix.valid, jnp.asarray(hidden), receiver)
     return epochs._replace(fix=epochs.fix._replace(valid=valid))
 
 
-def shared_size(n: int) -> int:
-    """The least size that is not below n of those that arrays are padded to: 4, 5, 6 or 7 times a power of two."""
+def bucket_size(n: int) -> int:
+    """Return the least size not below n of those that arrays are padded to: 4, 5, 6 or 7 times a power of two."""
     step = 2 ** max(0, n.bit_length() - 3)
     return -(-n // step) * step
 
 
-def of_shared_size(epochs: Epoch) -> Epoch:
-    """Epochs (E, K) of one run, up to sizes that recordings share: what is compiled for one of them serves others.
+def pad_to_bucket(epochs: Epoch) -> Epoch:
+    """Pad epochs (E, K) of one run to sizes that recordings share: a program compiled for one of them serves others.
 
-    See `grown`.
+    See `pad_epochs`.
     """
-    return grown(epochs, *map(shared_size, epochs.imu.dt.shape))
+    return pad_epochs(epochs, *map(bucket_size, epochs.imu.dt.shape))
 
 
-def grown(epochs: Epoch, size: int, samples: int) -> Epoch:
+def pad_epochs(epochs: Epoch, size: int, samples: int) -> Epoch:
     """Epochs (E, K) of one run as (size, samples), neither of them less than it was.
 
-    What is added lasts no time and has no fix, so that it changes nothing; it comes last, in an epoch and in the run.
+    Padding lasts no time and has no fix, so that it changes nothing; it comes last, in an epoch and in the run.
     """
     more, longer = size - epochs.imu.dt.shape[0], samples - epochs.imu.dt.shape[1]
     epochs = jax.device_get(epochs)  # on the host, where no program is compiled for it
@@ -244,9 +267,12 @@ def grown(epochs: Epoch, size: int, samples: int) -> Epoch:
 
 
 def stack_epochs(runs: Sequence[Epoch]) -> Epoch:
-    """Epochs (E, K, ...) of recordings of different lengths as one batch (B, E, K, ...), for `jax.vmap` over `run`.
+    """Stack epochs of recordings of different lengths into one batch (B, E, K, ...), for `jax.vmap` over `run`.
 
-    Shorter ones are as in `grown`; a run's own epochs come first.
+    Shorter ones are padded as in `pad_epochs`; a run's recorded epochs come first.
+
+    Args:
+        runs: epochs (E, K, ...) of each recording.
 
     Raises:
         ValueError: nothing to stack, or runs of different measurements.
@@ -260,15 +286,23 @@ def stack_epochs(runs: Sequence[Epoch]) -> Epoch:
         runs = [epochs if epochs.gap is not None else epochs._replace(gap=none(epochs)) for epochs in runs]
     common = set.intersection(*(set(epochs.auxiliary) for epochs in runs))
     runs = [epochs._replace(auxiliary={name: epochs.auxiliary[name] for name in sorted(common)}) for epochs in runs]
-    return jax.tree.map(lambda *a: np.stack(a), *(grown(epochs, size, samples) for epochs in runs))
+    return jax.tree.map(lambda *a: np.stack(a), *(pad_epochs(epochs, size, samples) for epochs in runs))
 
 
 def outage_windows(t: np.ndarray, starts: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Windows start < t <= start + length: hidden (E,) bool, and each window's last epoch (W,).
+    """Return the epochs in windows start < t <= start + length, and each window's last epoch.
 
     >>> hidden, last = outage_windows(np.arange(10.0), np.array([2.0, 6.0]), 2.0)
     >>> np.flatnonzero(hidden), last
     (array([3, 4, 7, 8]), array([4, 8]))
+
+    Args:
+        t: (E,) s, ends of epochs.
+        starts: (W,) s.
+        length: s, of every window.
+
+    Returns:
+        Hidden epochs (E,) bool, and the last epoch of each window (W,) int.
 
     Raises:
         DataError: a window in which no epoch ends.
@@ -298,7 +332,7 @@ def pack_recording(
     ``interval``: s, of epochs without a fix; 0 is the median of the position's.
 
     Raises:
-        DataError: a measurement whose stream the recording lacks, or as in `pack`.
+        DataError: a measurement without a stream in the recording, or as in `pack`.
         ConfigError: a detector of standstills that takes a drive for one.
     """
     names = {m.name for m in measurements}
@@ -328,7 +362,7 @@ def _check_standing(rec: Recording, t: np.ndarray) -> None:
     """
     if "velocity" not in rec.aiding or not t.size:
         return
-    moving = driving(rec.aiding["velocity"], t)
+    moving = is_driving(rec.aiding["velocity"], t)
     if moving.mean() > FALSE_STANDSTILLS:
         raise ConfigError(
             f"filter.standing_accel_sd_mps2, standing_gyro_sd_deg_per_s: {moving.sum()} of {t.size} epochs that these "

@@ -1,4 +1,4 @@
-"""The error state of a filter put together: a frame's motion, the optional states and what the measurements see."""
+"""The error state of a filter put together: a frame's motion, the optional states and the measurements' rows."""
 
 from collections.abc import Callable
 from functools import cache, partial
@@ -39,7 +39,7 @@ class MotionErrors(NamedTuple):
     enter: Callable[[Nav], Nav] | None = None  # local level navigation -> the frame's
     leave: Callable[[Nav], Nav] | None = None  # the inverse
     enu_rows: Callable[[Nav, Nav], jax.Array] | None = None  # (nav, the same in local level) -> d(ENU error)/dx (9, 9)
-    velocity_axes: Callable[[Nav], jax.Array] | None = None  # axes of attitude -> those of velocity, (3, 3)
+    velocity_axes: Callable[[Nav], jax.Array] | None = None  # rotation from the axes of attitude to velocity's, (3, 3)
     vertical: int = 2  # which axis of velocity is vertical
 
 
@@ -91,10 +91,10 @@ def _same(nav: Nav) -> Nav:
 
 
 def inverse_rows(J: jax.Array) -> jax.Array:
-    """J^-1 (9, 9) of `MotionErrors.enu_rows`: rotations on the diagonal, off it only what position does to others."""
-    own = np.kron(np.eye(3), np.ones((3, 3)))
-    turn = (own * J).T
-    return turn - turn @ ((1 - own) * J) @ turn
+    """Return J^-1 (9, 9) of `MotionErrors.enu_rows`: rotations on the diagonal, off it only columns of position."""
+    diagonal = np.kron(np.eye(3), np.ones((3, 3)))
+    turn = (diagonal * J).T
+    return turn - turn @ ((1 - diagonal) * J) @ turn
 
 
 @cache
@@ -104,7 +104,7 @@ def error_model(
     form: Literal["full", "simple"] = "full",
     measurements: tuple[Measurement, ...] = GNSS,
 ) -> ErrorModel:
-    """The error model of a frame with these optional states, observed through ``measurements``.
+    """Return the error model of a frame with these optional states, observed through ``measurements``.
 
     ``form``: "simple" has the terms of the papers' models alone.
 
@@ -115,10 +115,10 @@ def error_model(
         raise ValueError(f"no frame {frame!r}: {nearest(frame, MOTION_ERRORS)}")
     if form not in ("full", "simple"):
         raise ValueError(f"form is 'full' or 'simple', got {form!r}")
-    own, motion = table.chosen(states), MOTION_ERRORS[frame]
-    _check_seen(own, measurements)
-    n = 9 + sum(s.size for s in own)
-    slices = table.layout(own)
+    rows, motion = table.chosen(states), MOTION_ERRORS[frame]
+    _check_seen(rows, measurements)
+    n = 9 + sum(s.size for s in rows)
+    slices = table.layout(rows)
 
     def retract(nav: Nav, x: jax.Array) -> Nav:
         q = rotations.normalize(rotations.multiply(rotations.exp(-x[A]), nav.q))
@@ -126,14 +126,14 @@ def error_model(
         return motion.retract(nav, x)._replace(q=q, errors=errors)
 
     def absorb(nav: Nav, forcing: Forcing) -> Nav:
-        """An estimate that accelerates too much by ``forcing.accel`` has an accelerometer bias too small by that."""
+        """Return navigation with sensor biases that absorb ``forcing``: an excess acceleration lowers the bias."""
         C = rotations.to_dcm(nav.q)
         accel = motion.velocity_axes(nav).T @ forcing.accel if motion.velocity_axes else forcing.accel
         moved = {"gyro_bias": C.T @ forcing.omega, "accel_bias": C.T @ accel}
         return nav._replace(errors=nav.errors | {name: nav.errors[name] + b for name, b in moved.items()})
 
     def covariance(params: Params, nav: Nav) -> jax.Array:
-        optional = [jnp.broadcast_to(params.states[s.name].sd, (s.size,)) for s in own]
+        optional = [jnp.broadcast_to(params.states[s.name].sd, (s.size,)) for s in rows]
         sd = jnp.concatenate([prior_sd(params.prior), *optional])
         root = jnp.diag(sd)
         if params.prior.correlated is not None:
@@ -144,7 +144,7 @@ def error_model(
         return linalg.square(root)
 
     def correlated_root(sd: jax.Array, rows: jax.Array) -> jax.Array:
-        """Root (n, n + 12) of the covariance in ENU with these correlations of what the filter has of the biases."""
+        """Return the root (n, n + 12) of the ENU covariance, correlated with the biases that the filter estimates."""
         places = {"velocity": V, "attitude": A} | {name: slices[name] for name in BIASES if name in slices}
         alone, together = jnp.ones(n), jnp.zeros((n, 12))
         for i, name in enumerate(("velocity", "attitude", *BIASES)):
@@ -158,10 +158,10 @@ def error_model(
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
         # W in GPID eq. 29 is lumped: over an epoch of a second it changes the gains of the attitude
         lumped = form == "simple" and frame == "local_level"
-        return discretize(partial(motion.dynamics, form=form), params, own, points, T, u, lumped)
+        return discretize(partial(motion.dynamics, form=form), params, rows, points, T, u, lumped)
 
     def with_second_order(nav: Nav, Phi: jax.Array, P: jax.Array, T: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return Phi (n, n) for large attitude errors, and what they add to Q of position and velocity, (6, 6)."""
+        """Return Phi (n, n) for large attitude errors, and their share of Q of position and velocity, (6, 6)."""
         axes = motion.velocity_axes(nav) if motion.velocity_axes else None
         return second_order(Phi, P, T, motion.vertical, axes)
 
@@ -182,7 +182,7 @@ def error_model(
 
         def sample(nav: Nav) -> jax.Array:
             then = motion.leave(nav) if motion.leave else nav
-            B = latency.error_then(latency.interval(then, local, now.t - nav.t), own)
+            B = latency.error_then(latency.interval(then, local, now.t - nav.t), rows)
             change = B @ x_enu - x_enu[:9]
             return x.at[:9].add(change if J is None else inverse_rows(J) @ change)
 
@@ -191,8 +191,8 @@ def error_model(
     return ErrorModel(
         states, tuple(m.name for m in measurements), n, sum(m.size for m in measurements),
         retract, absorb, covariance, transition, with_second_order if form == "full" else None,
-        stack(measurements, own, motion.leave, motion.enu_rows),
-        motion.enter or _same, report, earlier, tuple(sorted({name for s in own for name in s.reads})),
+        stack(measurements, rows, motion.leave, motion.enu_rows),
+        motion.enter or _same, report, earlier, tuple(sorted({name for s in rows for name in s.reads})),
     )  # fmt: skip
 
 
@@ -204,5 +204,5 @@ def _check_seen(states: tuple[State, ...], measurements: tuple[Measurement, ...]
             by = [m.name for m in MEASUREMENTS.values() if state.name in m.states]
             raise ValueError(
                 f"state {state.name!r} is seen by no sensor and none of {[m.name for m in measurements]}: "
-                f"add a measurement that sees it, {' or '.join(by) or 'of which there is none'}"
+                f"add a measurement that sees it, {' or '.join(by) or 'none of which exists'}"
             )

@@ -1,4 +1,4 @@
-"""What is done with the corrected error state: (theta, retract, nav, x, T) -> nav, x, u.
+"""Feedback of the corrected error state: (theta, retract, nav, x, T) -> nav, x, u.
 
 u is None but for an observer. T is the length of the epoch, or the time between fixes of one kind where that is longer.
 """
@@ -17,7 +17,7 @@ Applied = tuple[Nav, jax.Array, Forcing | None]
 
 
 def reset(theta: Any, retract: Retract, nav: Nav, x: jax.Array, T: jax.Array) -> Applied:
-    """Closed loop: the error is removed from navigation and its estimate starts again from zero."""
+    """Remove the error from navigation (closed loop); its estimate starts again from zero."""
     return retract(nav, x), jnp.zeros_like(x), None
 
 
@@ -42,9 +42,9 @@ def observer(theta: Poles, retract: Retract, nav: Nav, x: jax.Array, T: jax.Arra
     """Continuous correction (FWEKF paper, eqs. 17-20): rates and accelerations drive the error to zero.
 
     The paper has gains for continuous time and no values of them. With its poles at tau they are 1/tau, 1/tau^2 and
-    2/tau, which is unstable for T >= tau; these put the poles of the sampled system at exp(-T/tau), whatever T, and
+    2/tau, which is unstable for T >= tau; these put the poles of the sampled system at exp(-T/tau) for any T, and
     tend to those for T << tau. The next epoch must not be several times longer than T. Biases are reset, having no
-    drive of their own.
+    driving noise.
     """
     T = jnp.where(T > 0, T, 1.0)
     spin = -jnp.expm1(-T / theta.attitude) / T

@@ -1,7 +1,7 @@
-"""Holes in an IMU's stream: what is put in, and how wrong that may be.
+"""Gaps in an IMU's stream: samples that fill them, and the error of this fill.
 
-Each half of a hole is filled with the mean of the half second beside it; what is farther than a second from both sides
-with the mean of the whole log. How wrong such a fill is the log itself tells: the same is done where it has no hole.
+Each half of a gap is filled with the mean of the half second next to it; beyond one second from both sides, with the
+mean of the whole log. The log itself shows the error of such a fill: it is tried in places without a gap.
 """
 
 from typing import NamedTuple
@@ -13,11 +13,11 @@ from jaxnav.types import ImuLog
 
 TICK = 1e-6  # s: times closer than this are one
 SHORT = 0.2  # s: a shorter hole is bridged by the mean of its two sides, and nothing more is made of it
-SIDE = 0.5  # s, beside a hole, whose mean fills it
+SIDE = 0.5  # s, next to a hole; its mean fills the hole
 REACH = 1.0  # s, as far as a side's mean reaches
 WINDOWS = 200  # places where a fill is tried
-MOST_TURN = np.pi / np.sqrt(3.0)  # rad that a hole may hide: the sd of a heading of which nothing is known
-SURE = 0.9  # probability that the variance of what a hole hides is not larger than stated
+MOST_TURN = np.pi / np.sqrt(3.0)  # rad that a hole may hide: the sd of an unknown heading
+SURE = 0.9  # probability that the hidden variance is not above the stated one
 
 
 class Holes(NamedTuple):
@@ -29,7 +29,7 @@ class Holes(NamedTuple):
 
 
 def holes(imu: ImuLog) -> Holes:
-    """The long holes of a log, and what a fill may miss in each."""
+    """Return the long holes of a log, and the error that a fill may have in each."""
     begin, end = imu.t[:-1], imu.t[1:] - imu.dt[1:]
     where = np.flatnonzero(end - begin > SHORT)
     begin, end = begin[where], end[where]
@@ -41,7 +41,7 @@ def holes(imu: ImuLog) -> Holes:
 
 
 def fill(imu: ImuLog) -> tuple[ImuLog, Holes]:
-    """The log with samples in its long holes, and what is to be known of those."""
+    """Return the log with samples in its long holes, and the holes."""
     found = holes(imu)
     if not found.begin.size:
         return imu, found
@@ -72,7 +72,7 @@ class _Log:
         self.mean_of_all = values.mean(0)
 
     def between(self, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Integral (K, 6) and length of what is covered (K,) from a to b."""
+        """Return the integral (K, 6) and length (K,) of the covered part from a to b."""
         at = lambda t: np.column_stack([np.interp(t, self.t, c) for c in (*self.sum.T, self.time)])
         d = at(b) - at(a)
         return d[:, :6], d[:, 6]
@@ -95,7 +95,7 @@ def _pieces(log: _Log, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _noise(log: _Log, imu: ImuLog, length: float, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Root PSD (2,) of what a fill of ``length`` s misses, by filling so much elsewhere in the log."""
+    """Return the root PSD (2,) of the error of a fill of ``length`` s, by fills of that length elsewhere in the log."""
     first, last = float(imu.t[0] - imu.dt[0]) + SIDE, float(imu.t[-1]) - SIDE
     tried = min(length, max(0.25 * (last - first), 1e-3))
     a = np.linspace(first, last - tried, WINDOWS)
@@ -105,7 +105,7 @@ def _noise(log: _Log, imu: ImuLog, length: float, begin: np.ndarray, end: np.nda
     if a.size:
         edges, values = _pieces(log, a, b)
         missed = log.between(a, b)[0] - (np.diff(edges)[:, :, None] * values).sum(1)
-        windows = max(1.0, float(imu.dt.sum()) / tried)  # that do not overlap: few tell little of a long hole
+        windows = max(1.0, float(imu.dt.sum()) / tried)  # that do not overlap: few say little about a long hole
         off = np.sqrt((missed**2).mean(0) * windows / chdtri(windows, SURE)) * (length / tried)
     else:
         off = np.hstack([imu.gyro, imu.accel]).std(0) * length

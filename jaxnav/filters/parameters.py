@@ -30,10 +30,10 @@ MOUNTING_UNITS = Mounting(
 
 
 def get(tree: Any, name: str) -> Any:
-    """The leaf at a dotted name.
+    """Return the leaf at a dotted name.
 
     Raises:
-        ValueError: no such name; the message lists what there is.
+        ValueError: no such name; the message lists the known ones.
     """
     for part in name.split("."):
         fields = _fields(tree)
@@ -51,12 +51,12 @@ def has(tree: Any, name: str) -> bool:
 
 
 def _fields(tree: Any) -> dict[str, Any]:
-    """The branches of a node, by name."""
+    """Return the branches of a node, by name."""
     return tree if isinstance(tree, dict) else tree._asdict() if hasattr(tree, "_asdict") else {}
 
 
 def put(tree: Any, name: str, value: Any) -> Any:
-    """The tree with the leaf at a dotted name replaced."""
+    """Return the tree with the leaf at a dotted name replaced."""
     first, _, rest = name.partition(".")
     branch = get(tree, first)
     new = {first: put(branch, rest, value) if rest else value}
@@ -64,7 +64,7 @@ def put(tree: Any, name: str, value: Any) -> Any:
 
 
 def change(params: Params, values: Mapping[str, ArrayLike]) -> Params:
-    """The parameters with these values by dotted name, in SI: ``change(params, {"states.gyro_bias.tau": 100.0})``.
+    """Return the parameters with values by dotted name, in SI: ``change(params, {"states.gyro_bias.tau": 100.0})``.
 
     Raises:
         ValueError: a name that is not there.
@@ -81,8 +81,8 @@ def parameter_units() -> dict[str, Unit]:
     found |= {f"measurements.{name}": each.units for name, each in MEASUREMENTS.items()}
     return {
         f"{group}.{leaf}": unit
-        for group, own in found.items()
-        for leaf, unit in own._asdict().items()
+        for group, fields in found.items()
+        for leaf, unit in fields._asdict().items()
         if isinstance(unit, Unit)
     }
 
@@ -92,7 +92,7 @@ UNITS: dict[str, Unit] = parameter_units()
 
 
 def strong(tree: Any) -> Any:
-    """The tree's numbers as strongly typed arrays: from Python floats every train step would compile twice."""
+    """Return the tree's numbers as strongly typed arrays: from Python floats every train step would compile twice."""
     return jax.tree.map(lambda v: jnp.asarray(v, float), tree, is_leaf=lambda v: isinstance(v, tuple) and _plain(v))
 
 
@@ -112,7 +112,15 @@ def mounting(
     vehicle: ArrayLike = (0.0, 0.0),
     wheel_arm: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Mounting:
-    """An installation: arms in body FRD m, time in s, drift in s/s, the vehicle's axes in the body's in rad."""
+    """Return an installation.
+
+    Args:
+        lever_arm: (3,) m, IMU -> antenna, body FRD.
+        time_offset: s, GNSS time minus the IMU's stamp.
+        clock_drift: s/s, growth of that offset.
+        vehicle: (2,) rad, pitch and yaw of the vehicle's axes in the body's.
+        wheel_arm: (3,) m, IMU -> wheel axle, body FRD.
+    """
     return Mounting(*(jnp.asarray(v, float) for v in (lever_arm, time_offset, clock_drift, vehicle, wheel_arm)))
 
 
@@ -129,14 +137,14 @@ def installed(params: Params, lever_arm: ArrayLike) -> Params:
 
 
 def late(params: Params, position: ArrayLike, velocity: ArrayLike) -> Params:
-    """The parameters with a receiver's position and velocity so old, s, when they are stamped."""
+    """Return the parameters with latencies, s, of a receiver's position and velocity."""
     old = {"position": position, "velocity": velocity}
     moved = {name: params.measurements[name]._replace(latency=jnp.asarray(age, float)) for name, age in old.items()}
     return params._replace(measurements=params.measurements | moved)
 
 
 def grade_of(grade: str | Grade) -> Grade:
-    """The grade itself, or that of a name.
+    """Return the grade, or that of a name.
 
     Raises:
         ValueError: a name that is not in `jaxnav.states.grades.GRADES`.
@@ -149,17 +157,17 @@ def grade_of(grade: str | Grade) -> Grade:
 
 
 def datasheet_states(grade: Grade, names: Iterable[str]) -> dict[str, StateParams]:
-    """What a datasheet says of these states, and the rows' own defaults where it is silent.
+    """Return the datasheet's parameters of these states, and the rows' defaults for states it does not give.
 
     A drifting bias of sd s and time tau drives with root PSD s sqrt(2 / tau), as a random walk, since the turn-on bias,
-    which is the same state, does not decay; a walk of the grade's own comes on top.
+    which is the same state, does not decay; a walk of the grade is added to it.
     """
     drive = np.sqrt(2 / grade.tau)
-    told = {
+    given = {
         "gyro_bias": (grade.gyro_turn_on, np.hypot(grade.gyro_instability * drive, grade.gyro_walk), np.inf),
         "accel_bias": (grade.accel_turn_on, np.hypot(grade.accel_instability * drive, grade.accel_walk), np.inf),
     }
-    return {s.name: strong(StateParams(*told.get(s.name, s.defaults))) for s in chosen(names)}
+    return {s.name: strong(StateParams(*given.get(s.name, s.defaults))) for s in chosen(names)}
 
 
 def datasheet_params(
@@ -174,9 +182,19 @@ def datasheet_params(
     states: Iterable[str] = BIASES,
     measurements: Iterable[str] = tuple(MEASUREMENTS),
 ) -> Params:
-    """Filter parameters straight from a datasheet: what an engineer starts with.
+    """Return filter parameters of a datasheet, the usual first choice.
 
-    Prior: position (m) and velocity (m/s) sd in ENU, tilt and heading in rad; the states' by `datasheet_states`.
+    Args:
+        grade: the datasheet.
+        position_sd: (3,) m, initial, ENU.
+        velocity_sd: (3,) m/s, initial, ENU.
+        tilt_sd: rad, initial.
+        heading_sd: rad, initial.
+        install: the installation; None is all zero.
+        rule: parameters of the rule.
+        feedback: parameters of the feedback.
+        states: names of optional states; their parameters by `datasheet_states`.
+        measurements: names of measurements, with the defaults of their rows.
     """
     return Params(
         Noise(jnp.asarray(grade.arw, float), jnp.asarray(grade.vrw, float)),
@@ -196,16 +214,16 @@ def with_prior_of(params: Params, before: Params, tuned: Iterable[str] = ()) -> 
     the prior, of mean zero.
 
     Args:
-        params: parameters of one run, such as of `jaxnav.Start.given`.
+        params: parameters of one run, such as of `jaxnav.Initialization.given`.
         before: parameters with the prior; of a state that they lack, the sd of ``params`` stays.
         tuned: dotted leaves that stay as they are.
     """
     tuned = set(tuned)
     states = {
-        name: own._replace(sd=before.states[name].sd)
+        name: of_state._replace(sd=before.states[name].sd)
         if name in before.states and f"states.{name}.sd" not in tuned
-        else own
-        for name, own in params.states.items()
+        else of_state
+        for name, of_state in params.states.items()
     }
     return params._replace(prior=before.prior, states=states)
 

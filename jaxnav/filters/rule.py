@@ -1,4 +1,4 @@
-"""What a filter is made of besides its mechanization and error model: a rule and a feedback, and what they see."""
+"""The parts of a filter after its mechanization and error model: a rule and a feedback, and their arguments."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jaxnav.types import Forcing, Nav
 
-NEVER = 1e9  # s since what has not happened yet: a rule's memory is finite
+NEVER_USED_AGE = 1e9  # s, age of an event that has not happened yet: a rule's memory is finite
 
 
 class Transition(NamedTuple):
@@ -20,7 +20,7 @@ class Transition(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """What a rule sees of a fix; the rows of missing channels are zero in nu and H, and identity in R."""
+    """A fix for a rule; the rows of missing channels are zero in nu and H, and identity in R."""
 
     nu: jax.Array  # (m,) y - H x
     H: jax.Array  # (m, n)
@@ -32,11 +32,11 @@ class Innovation(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """What a rule answers."""
+    """Result of a rule."""
 
     delta: jax.Array  # (n,) change of x
     P: jax.Array  # (n, n) covariance after the correction
-    memory: Any  # the rule's own state
+    memory: Any  # the rule's state
     used: jax.Array  # (m,) bool, channels that it accepted
     fade: Any = 1.0  # () or (n,): fade P fade is carried on to the next prediction
     drive: Forcing | None = None  # a model error for the sensors to absorb
@@ -50,7 +50,7 @@ class Correct(Protocol):
 
 
 class Extrapolate(Protocol):
-    """A rule's own prediction, at every epoch, with a fix or without."""
+    """A rule's prediction, at every epoch, with a fix or without."""
 
     def __call__(self, theta: Any, memory: Any, x0: jax.Array, x: jax.Array, /) -> tuple[jax.Array, Any]:
         """``x0`` (n,) after the last feedback, ``x`` (n,) predicted from it -> x and the memory to go on with."""
@@ -64,7 +64,7 @@ class Transport(Protocol):
 
 
 class Feedback(Protocol):
-    """What becomes of an estimated error: taken out of navigation, kept, or handed on in part."""
+    """Use of an estimated error: taken out of navigation, kept, or handed on in part."""
 
     def __call__(
         self, theta: Any, retract: Callable[[Nav, jax.Array], Nav], nav: Nav, x: jax.Array, T: jax.Array, /
@@ -75,22 +75,22 @@ class Feedback(Protocol):
 
 
 class Rule(NamedTuple):
-    """What a paper changes. Must be finite with H = 0 and T = 0: its answer is discarded where nothing is valid."""
+    """The part that a paper changes. Must be finite with H = 0 and T = 0: discarded where nothing is valid."""
 
     init: Callable[[int, int], Any]  # (n, m) -> memory
     correct: Correct
     extrapolate: Extrapolate = lambda theta, memory, x0, x: (x, memory)
     estimates: tuple[str, ...] = ()  # optional states that it moves by itself, without their being in x
-    smooths: bool = False  # its correction is one of the covariance, so that a smoother can go back over it
+    supports_smoothing: bool = False  # its correction is one of the covariance, so that a smoother can go back over it
     transport: Transport | None = None
 
 
 def select(flag: jax.Array, a: Any, b: Any) -> Any:
-    """``a`` where the flag is true, else ``b``, leaf by leaf; the flag's axes, if any, are the first of each leaf."""
+    """Return ``a`` where the flag is true, else ``b``, leaf by leaf; its axes, if any, are the first of each leaf."""
     return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(flag, range(flag.ndim, jnp.ndim(a))), a, b), a, b)
 
 
 def only_if(flag: jax.Array, c: Correction, z: Innovation, memory: Any) -> Correction:
-    """The correction where the flag is true, else one that changes nothing."""
+    """Return the correction where the flag is true, else one that changes nothing."""
     nothing = jax.tree.map(jnp.zeros_like, c.drive)
     return select(flag, c, Correction(jnp.zeros(z.P.shape[0]), z.P, memory, jnp.zeros_like(z.valid), drive=nothing))

@@ -33,7 +33,7 @@ def require_x64(*trees: Any) -> None:
 
 
 def require_shapes(filt: Filter, nav: Nav, epochs: Epoch) -> None:
-    """Refuse what is not one run's start and epochs for this filter, before it ends in an error from inside a scan.
+    """Refuse a start and epochs that are not those of one run of this filter, before an error from inside a scan.
 
     Raises:
         ValueError: names the field.
@@ -107,7 +107,7 @@ _MAKE = 'filt.params("consumer") makes those of the filter'
 
 @cache
 def _expected(make: Callable[..., Params]) -> Params | None:
-    """The shapes of the parameters of a filter of the catalogue; None of another, whose rule has parameters unknown."""
+    """Return shapes of the parameters of a filter of the catalogue; None for a rule of unknown parameters."""
     return None if make is datasheet_params else jax.eval_shape(make)
 
 
@@ -117,11 +117,11 @@ def _missing(filt: Filter, params: Params) -> list[str]:
         ("states", filt.model.states, params.states),
         ("measurements", filt.model.measurements, params.measurements),
     )
-    return [f"{group}[{name!r}]" for group, names, own in groups for name in names if name not in own]
+    return [f"{group}[{name!r}]" for group, names, has in groups for name in names if name not in has]
 
 
 def _kind(theta: Any) -> str:
-    """The type of a rule's parameters, and its fields."""
+    """Return the type of a rule's parameters, and its fields."""
     fields = ", ".join(getattr(theta, "_fields", ()))
     return f"{type(theta).__name__}({fields})"
 
@@ -144,16 +144,20 @@ def _shapes(expected: Params | None, name: str) -> list[tuple[int, ...]]:
 
 @partial(jax.jit, static_argnums=0)
 def prepare(filt: Filter, epochs: Epoch) -> Epoch:
-    """Epochs of one run (E, ...) or of many (B, E, ...) for many runs of this filter: what needs no state is done once.
+    """Compute the state-free part of epochs, once for many runs of a filter.
 
-    In local level, at a stride of 2 to 10, that is most of what is done at every sample; then biases enter in first
-    order (`jaxnav.strapdown.fast.local_level.preintegrate`). Only filters of the same stride and history take them.
+    In local level, at a stride of 2 to 10, that is most of the work at every sample; then biases enter in first
+    order (`jaxnav.strapdown.fast.local_level.preintegrate`).
+
+    Args:
+        filt: the filter; only filters of the same stride and history take the result.
+        epochs: of one run (E, ...) or many (B, E, ...).
     """
     return filt.prepare(epochs) if epochs.fix.valid.ndim == 2 else jax.vmap(filt.prepare)(epochs)
 
 
 class Record(Protocol):
-    """What a run records of each epoch."""
+    """Record of an epoch, made during a run."""
 
     def __call__(self, step: Step, along: Any, /) -> Any:
         """Return a pytree of the epoch; ``along`` is the epoch's element of the argument of that name of `run`."""
@@ -162,7 +166,7 @@ class Record(Protocol):
 
 
 def keep_info(step: Step, along: Any) -> Info:
-    """The record of a plain run."""
+    """Return the record of a plain run."""
     return step.info
 
 
@@ -183,8 +187,8 @@ def run(
         params: its parameters.
         nav: navigation at the start, local level.
         epochs: fields (E, ...), as they come or by `prepare`.
-        record: what is recorded of each epoch.
-        along: arrays (E, ...) of which ``record`` gets each epoch's element, such as the truth.
+        record: makes the record of each epoch.
+        along: arrays (E, ...); ``record`` gets each epoch's element, such as the truth.
 
     Returns:
         The records, with a leading axis E: `Info` by default.
@@ -201,9 +205,9 @@ def run(
     @jax.checkpoint
     def one(state: FilterState, i: jax.Array) -> tuple[FilterState, Any]:
         # looked up rather than scanned over: a scan under vmap first copies all its data, time to the front
-        epoch, own = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, keepdims=False), (epochs, along))
+        epoch, extra = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, keepdims=False), (epochs, along))
         step = filt.advance(params, state, epoch)
-        return step.after, record(step, own)
+        return step.after, record(step, extra)
 
     return lax.scan(one, filt.init(params, nav), jnp.arange(epochs.fix.sd.shape[0]))[1]
 
@@ -215,9 +219,16 @@ run_jit = jax.jit(run, static_argnums=(0, 4))
 def initial_nav(
     lla: Any, vel: Any = (0.0, 0.0, 0.0), rph: Any = (0.0, 0.0, 0.0), t: Any = 0.0, azimuth: Any = 0.0
 ) -> Nav:
-    """Local level start: (lat rad, lon rad, h m), ENU m/s, roll pitch heading rad, s; nothing known of sensor errors.
+    """Return initial navigation in local level, with sensor errors of zero.
 
-    Frames that do not travel along have their origin there and then, and their first axis at ``azimuth`` (rad).
+    Frames that do not travel along have their origin there and then.
+
+    Args:
+        lla: (3,) latitude rad, longitude rad, height m.
+        vel: (3,) m/s, ENU.
+        rph: (3,) rad, roll, pitch, heading of FRD against NED.
+        t: s.
+        azimuth: rad, of the first axis of such a frame, clockwise from north.
 
     Raises:
         DataError: a position in float32.
@@ -239,7 +250,11 @@ def _angles(q: jax.Array) -> jax.Array:
 
 
 def track(nav: Nav) -> Track:
-    """A local level solution (E, ...) on the host."""
+    """Return a local level solution on the host.
+
+    Args:
+        nav: (E, ...) navigation in local level.
+    """
     return Track(*(np.asarray(a) for a in (nav.t, nav.pos, nav.vel, _angles(nav.q))))
 
 
@@ -253,10 +268,10 @@ def first_failure(info: Info, t: np.ndarray) -> str | None:
 
 
 def negative_log_likelihood(info: Info) -> jax.Array:
-    """-log N(nu; 0, S) of one epoch's valid channels, (): what truth-free tuning minimises.
+    """Return -log N(nu; 0, S) of one epoch's valid channels, (): the truth-free objective of tuning.
 
-    An epoch of which the rule rejected something is scored by a Student t of the same S and `FREEDOM`: by a Gaussian a
-    single outlier would weigh more than all that the filter believes, and left out it would pay to reject.
+    An epoch with a rejected channel is scored by a Student t of the same S and `FREEDOM`: by a Gaussian a
+    single outlier would outweigh all accepted fixes, and left out it would reward rejection.
     """
     # missing channels have nu = 0 and an identity row in S: they add nothing
     m = info.valid.sum()
@@ -271,7 +286,7 @@ def student_nll(nis: jax.Array, m: jax.Array, most: int) -> jax.Array:
 
 
 def student_constant(m: jax.Array, most: int) -> jax.Array:
-    """Minus the log of what makes a Student t of m channels, at most ``most``, and `FREEDOM` a density, ()."""
+    """Return minus the log of the constant that makes a Student t of m channels, at most ``most``, a density, ()."""
     n = np.arange(most + 1)
     every = gammaln(0.5 * FREEDOM) - gammaln(0.5 * (FREEDOM + n)) + 0.5 * n * np.log(FREEDOM * np.pi)
     return jnp.asarray(every)[m]

@@ -1,7 +1,7 @@
 """Rauch-Tung-Striebel smoother on a closed loop: each epoch by all fixes, those after it too (Rauch et al. 1965).
 
-A filter with feedback corrects navigation at each fix, so that its error state begins anew. What is smoothed is the
-error of navigation as it stands after the feedback of epoch k: a_k is what the filter still estimates of it (zero where
+A filter with feedback corrects navigation at each fix, and its error state restarts. The smoothed quantity is the
+error of navigation after the feedback of epoch k: a_k is its estimate that is not fed back (zero where
 all is fed back), P_k its covariance, x-_k, P-_k the prediction, x+_k the estimate before the feedback. Backward from
 s = a, P at the last epoch:
 
@@ -12,7 +12,7 @@ s = a, P at the last epoch:
 
 and smoothed navigation is retract(navigation, s_k). The feedback only moves the point that the error is counted from,
 by the known f. J turns the attitude by -f_phi / 2 (`reset_rows`): an attitude error after the correction has other
-axes than before. So it is the smoother of the same linear problem, linearised where the filter was, whatever was fed
+axes than before. So it is the smoother of the same linear problem, linearised where the filter was, for any feed
 back (docs/theory.md).
 """
 
@@ -32,7 +32,7 @@ from jaxnav.types import Epoch, Info, Nav, Params
 
 
 class Forward(NamedTuple):
-    """What the filter leaves of an epoch for the way back."""
+    """Results of an epoch that the backward pass needs."""
 
     nav: Nav  # after the feedback, in the filter's frame
     a: jax.Array  # (n,) estimate after it
@@ -42,8 +42,8 @@ class Forward(NamedTuple):
     Phi: jax.Array  # (n, n) from the epoch before
 
 
-def keep(step: Step, beside: Any) -> tuple[Forward, Info]:
-    """A record for `jaxnav.filters.run.run`."""
+def keep(step: Step, along: Any) -> tuple[Forward, Info]:
+    """Return a record for `jaxnav.filters.run.run`."""
     after, predicted = step.after, step.predicted
     nav = jax.tree.map(lambda a: a[-1], after.past)
     forward = Forward(nav, after.x, after.P, step.corrected, (predicted.x, predicted.P), step.transition.Phi)
@@ -53,20 +53,28 @@ def keep(step: Step, beside: Any) -> tuple[Forward, Info]:
 def smooth(
     filt: Filter, params: Params, nav: Nav, epochs: Epoch, reach: jax.Array | None = None, most: int = 0
 ) -> tuple[Info, Info]:
-    """Filter and smooth: what `run` gives, and the same with navigation and covariance by all fixes.
+    """Filter and smooth: the result of `run`, and the same with navigation and covariance by all fixes.
 
-    ``reach`` (E,) int: of each epoch the last one whose fixes are used, at most ``most`` epochs later (`reach_of`): a
-    smoother of fixed lag, as a live system may run it behind its filter. None: all of them.
+    Differentiable. Memory: 4 n^2 numbers an epoch.
 
-    The smoothed `Info` has nav (E, ...), x (E, n), what smoothing takes off the filter's navigation, and P (E, n, n) in
-    local level. Its innovations are the filter's; residuals of position and velocity are of smoothed navigation where
-    all of the error is fed back, but for what the change of attitude does to the lever arm. Differentiable. Memory:
-    4 n^2 numbers an epoch.
+    Args:
+        filt: a filter whose correction is the covariance's.
+        params: its parameters.
+        nav: initial navigation.
+        epochs: (E, ...) of one run.
+        reach: (E,) int, for each epoch the last one whose fixes are used (`reach_of`): a smoother of fixed lag, as a
+            live system may run it behind its filter. None: all of them.
+        most: largest number of epochs of that lag.
+
+    Returns:
+        The filter's `Info`, and the smoothed one: nav (E, ...), x (E, n), the smoother's correction of navigation, and
+        P (E, n, n) in local level. Its innovations are the filter's; residuals of position and velocity are of smoothed
+        navigation where all of the error is fed back, but for the effect of attitude changes on the lever arm.
 
     Raises:
-        ValueError: a filter whose correction is not one of the covariance.
+        ValueError: a filter with another correction than the covariance's.
     """
-    if not filt.smooths:
+    if not filt.supports_smoothing:
         raise ValueError(
             "this filter's rule corrects by more than the covariance says, so that its steps cannot be gone back: "
             "smoothing is for Kalman, robust, adaptive and fading rules"
@@ -79,7 +87,7 @@ def smooth(
     _, correction, _ = jax.vmap(filt.model.report)(moved, forward.x - forward.predicted[0], P)
     residual = info.residual
     for name, place in layout(tuple(MEASUREMENTS[name] for name in filt.model.measurements)).items():
-        if name in MOTION:  # what it takes off navigation, that it takes off the residual before the correction
+        if name in MOTION:  # a correction of navigation also leaves the residual before the correction
             taken = x[:, MOTION[name]] + correction[:, MOTION[name]]
             residual = residual.at[:, place].add(-taken)
     return info, info._replace(nav=found, x=x, P=P, residual=residual)
@@ -90,7 +98,7 @@ smooth_jit = jax.jit(smooth, static_argnums=(0, 5))
 
 
 def backward(forward: Forward) -> tuple[jax.Array, jax.Array]:
-    """What `Forward` says of every epoch by all fixes: s (E, n) and P_k|N (E, n, n)."""
+    """Return the smoothed error s (E, n) and covariance P_k|N (E, n, n) of every epoch of `Forward`."""
     last = jax.tree.map(lambda a: a[-1], forward)
     later = jax.tree.map(lambda a: a[1:], forward)
     here = jax.tree.map(lambda a: a[:-1], forward)
@@ -104,7 +112,7 @@ def backward(forward: Forward) -> tuple[jax.Array, jax.Array]:
 
 
 def one_back(now: Forward, after: Forward, s_next: jax.Array, P_next: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """S and P_k|N of an epoch from those of the next."""
+    """Return s and P_k|N of an epoch from those of the next."""
     x, P = after.predicted
     G = linalg.times(now.P @ after.Phi.T, scaled_inverse(P))
     fed = after.x - after.a
@@ -137,7 +145,7 @@ def lagged(forward: Forward, reach: jax.Array, most: int) -> tuple[jax.Array, ja
 
 
 def scaled_inverse(P: jax.Array) -> jax.Array:
-    """P^-1 of a covariance whose units are far apart: of its correlations, then scaled back."""
+    """Return P^-1 of a covariance with units of different size: of its correlations, then scaled back."""
     sd = jnp.sqrt(jnp.diag(P))
     sd = jnp.where(sd > 0, sd, 1.0)
     eye = jnp.eye(P.shape[0])

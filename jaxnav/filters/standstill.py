@@ -1,4 +1,4 @@
-"""A vehicle at rest, and what its wheels and wings hold to: pseudo-measurements at the ends of epochs. Host numpy."""
+"""A vehicle at rest, and constraints of wheels and wings: pseudo-measurements at the ends of epochs. Host numpy."""
 
 import math
 from typing import Any, NamedTuple
@@ -18,17 +18,27 @@ class Standing(NamedTuple):
 
 
 def stationary(imu: ImuLog, t: np.ndarray, window: float, accel_sd: float, gyro_sd: float) -> np.ndarray:
-    """Causal detector: does the vehicle stand at each of ``t`` (E,)? From the samples of the ``window`` s before.
+    """Detect standstills at ``t`` from the samples before (causal).
 
-    True where the standard deviations of specific force (m/s^2) and rate (rad/s) over the window, each the root sum of
-    squares of the axes, are below the thresholds and the whole window is covered by data.
+    True where the standard deviations of specific force and rate over the window, each the root sum of squares of the
+    axes, are below the thresholds and data cover the whole window.
+
+    Args:
+        imu: the IMU's samples.
+        t: (E,) s.
+        window: s, length of the window before each time.
+        accel_sd: m/s^2, threshold of specific force.
+        gyro_sd: rad/s, threshold of the rate.
+
+    Returns:
+        (E,) bool.
     """
     covered, accel, gyro = spreads(imu, t, window)
     return covered & (accel < accel_sd) & (gyro < gyro_sd)
 
 
 def spreads(imu: ImuLog, t: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What `stationary` goes by at ``t``: is the window covered (E,), sd of specific force and of rate in it (E,)."""
+    """Return for windows that end at ``t``: covered (E,), sd of specific force (E,) and of rate (E,)."""
     sums = lambda a: np.concatenate([np.zeros((1, 3)), np.cumsum(a, 0)])
     last = np.searchsorted(imu.t, t + TICK)
     first = np.searchsorted(imu.t, t - window + TICK)
@@ -46,10 +56,10 @@ def spreads(imu: ImuLog, t: np.ndarray, window: float) -> tuple[np.ndarray, np.n
     return covered, spread(imu.accel), spread(imu.gyro)
 
 
-def driving(velocity: Samples, t: np.ndarray) -> np.ndarray:
-    """Does the receiver say at the times ``t`` (E,) that the vehicle moves: over 0.5 m/s and 3 sd; bool (E,).
+def is_driving(velocity: Samples, t: np.ndarray) -> np.ndarray:
+    """Return where the receiver's speed is above 0.5 m/s and 3 sd at the times ``t`` (E,), bool (E,).
 
-    By the velocity nearest in time, within a second.
+    The velocity is the nearest in time, within a second.
     """
     after = np.clip(np.searchsorted(velocity.t, t), 1, max(velocity.t.size - 1, 1)) % velocity.t.size
     near = np.where(np.abs(velocity.t[after] - t) < np.abs(velocity.t[after - 1] - t), after, after - 1)
@@ -74,10 +84,19 @@ def constraint_samples(
     standing: np.ndarray | None = None,
     window: float = 1.0,
 ) -> dict[str, Samples]:
-    """Pseudo-measurements at the ends of epochs, for `pack` with ``cuts``.
+    """Return pseudo-measurements at the ends of epochs, for `pack` with ``cuts``.
 
-    ``nonholonomic``, ``sideslip``, ``level``: one at every end. ``standing`` (E,) bool (`stationary`): zero velocity
-    and zero rate there.
+    Args:
+        imu: the IMU's samples.
+        cuts: (E,) s, ends of epochs.
+        nonholonomic: wheels without slip, at every end.
+        sideslip: an aircraft without sideslip, at every end.
+        level: a constant height, at every end.
+        standing: (E,) bool (`stationary`): zero velocity and zero rate there.
+        window: s, over which the mean rate of a standstill is taken.
+
+    Returns:
+        Streams by measurement name.
     """
 
     def samples(t: np.ndarray, value: np.ndarray) -> Samples:

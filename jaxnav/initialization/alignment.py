@@ -26,8 +26,8 @@ from jaxnav.types import ImuLog, Samples
 MARGIN = 0.7  # s: the largest delay that is looked for, either way
 MOST_FIXES = 240  # of a window; more are thinned out
 FASTEST = 125.0  # Hz; faster samples are put together
-DELAYS = np.arange(-0.65, 0.66, 0.05)  # s, of which the first guess takes the best
-DRIFT = 0.01  # m/s/sqrt(s): what scale errors, vibration and rounding do to S
+DELAYS = np.arange(-0.65, 0.66, 0.05)  # s, tried in the first guess
+DRIFT = 0.01  # m/s/sqrt(s): effect of scale errors, vibration and rounding on S
 VERTICAL_SD = 1.0  # m/s, of a vertical velocity that is not measured: taken for steady, else gravity is lost
 LEAST_CHI2 = 0.1  # fixes may be better than they say by so much; how much worse is open
 UNKNOWN = 10.0  # rad, prior of the attitude: nothing is known
@@ -41,16 +41,16 @@ RECENT = 5.0  # s before the end that velocity there is fitted to
 
 
 class AlignmentPrior(NamedTuple):
-    """Standard deviations of what is unknown beside the attitude, about zero: (3,) or one number."""
+    """Standard deviations of the unknowns other than attitude, about zero: (3,) or one number."""
 
     gyro_bias: Any  # rad/s
     accel_bias: Any  # m/s^2
     delay: float = 0.3  # s
-    arm: float = 0.0  # m, of what is not known of the lever arm; 0: it is as given, and not among the unknowns
+    arm: float = 0.0  # m, of the lever arm's error; 0: it is as given, and not among the unknowns
 
 
 class Alignment(NamedTuple):
-    """What a window says of its end."""
+    """Estimate at the end of a window."""
 
     t: float  # s
     C: np.ndarray  # (3, 3) body -> ENU
@@ -58,9 +58,9 @@ class Alignment(NamedTuple):
     P_vel: np.ndarray  # (3, 3 + n) covariance of the velocity with itself and with the n unknowns of ``P``
     gyro_bias: np.ndarray  # (3,) rad/s, measured minus true
     accel_bias: np.ndarray  # (3,) m/s^2
-    delay: float  # s, by which fixes are stamped too late, beyond what was known
+    delay: float  # s, by which fixes are stamped too late, beyond the known delay
     P: np.ndarray  # (10, 10) covariance of attitude (rotation in ENU, rad), gyro and accelerometer bias, delay, and arm
-    chi2: float  # of the whitened differences, per degree of freedom, by the fixes' own sd
+    chi2: float  # of the whitened differences, per degree of freedom, by the fixes' stated sd
     fixes: int
     arm: np.ndarray  # (3,) m, IMU -> antenna, body; (13, 13) is P where it was among the unknowns
 
@@ -80,16 +80,16 @@ class Alignment(NamedTuple):
         return np.block([[self.P_vel], [self.P_vel[:, 3:].T, self.P]])
 
 
-class Seen(NamedTuple):
-    """What K fixes show: differences D z of the fixes z, what is known of them taken out."""
+class DifferencedFixes(NamedTuple):
+    """Differences D z of K fixes z, without gravity and Coriolis."""
 
     t: np.ndarray  # (K,) s
     positions: bool  # else velocities
-    rest: np.ndarray  # (K, 3) m or m/s: the fixes without what gravity and Coriolis do
-    pushed: np.ndarray  # (3,) m/s, what these do to velocity up to the last fix
+    gravity_free: np.ndarray  # (K, 3) m or m/s: the fixes without gravity and Coriolis
+    gravity_dv: np.ndarray  # (3,) m/s, effect of gravity and Coriolis on velocity up to the last fix
     D: np.ndarray  # (M, K)
-    beta: np.ndarray  # (M, 3) m/s, the differences, in ENU as it stood at the window's begin
-    covariances: list[np.ndarray]  # (M, M) for each axis, from the fixes' own sd
+    target: np.ndarray  # (M, 3) m/s, the differences, in ENU as it stood at the window's begin
+    covariances: list[np.ndarray]  # (M, M) for each axis, from the fixes' stated sd
     drift: np.ndarray  # (M, M), and from the samples
     spin: np.ndarray  # (3,) rad/s, rotation of ENU
 
@@ -103,7 +103,7 @@ def align(
     ``fixes``: positions (rad, rad, m) or velocities (ENU m/s), as ``positions`` says, at IMU times from which all known
     delays are taken out. ``lla`` (3,): about where. ``arm`` (3,) m: IMU -> antenna, body.
     """
-    fixes = inside(fixes, begin, end)
+    fixes = within_margin(fixes, begin, end)
     samples = window(imu, begin, end)
     if fixes.t.size < 5 or samples.t.size < 10:
         return None
@@ -130,13 +130,13 @@ def align(
     )  # fmt: skip
 
 
-def inside(fixes: Samples, begin: float, end: float) -> Samples:
-    """The fixes that keep `MARGIN` from both ends, so that a delay has room; thinned out to `MOST_FIXES`."""
+def within_margin(fixes: Samples, begin: float, end: float) -> Samples:
+    """Return the fixes that keep `MARGIN` from both ends, for a delay; thinned to `MOST_FIXES`."""
     rows = np.flatnonzero((fixes.t >= begin + MARGIN) & (fixes.t <= end - MARGIN))
     return Samples(*(a[rows[:: max(1, -(-rows.size // MOST_FIXES))]] for a in fixes))
 
 
-# ---------------------------------------------------------------------------- what the fixes show
+# ---------------------------------------------------------------------------- differences of the fixes
 
 
 @jax.jit
@@ -146,25 +146,25 @@ def _surroundings(lla: jax.Array, vel: jax.Array) -> tuple[jax.Array, jax.Array,
     return earth.earth_rate(lat), earth.transport_rate(lat, h, vel), earth.gravity(lat, h)
 
 
-def differences(fixes: Samples, positions: bool, lla: np.ndarray, begin: float) -> Seen:
+def differences(fixes: Samples, positions: bool, lla: np.ndarray, begin: float) -> DifferencedFixes:
     """Return the differences of fixes (rad, rad, m or ENU m/s) in a window that begins at ``begin`` s, near ``lla``."""
     t = fixes.t
     z = earth.enu_path(fixes.value, fixes.value[0]) if positions else fixes.value
     vel = np.gradient(z, t, axis=0) if positions else z
     rate, over, g = (np.asarray(a) for a in _surroundings(lla, vel.mean(0)))
     push = np.array([0.0, 0.0, -float(g)]) - np.cross(2 * rate + over, vel)
-    pushed = running(t, push)
-    rest = z - (running(t, pushed) if positions else pushed)
+    gravity_dv = running(t, push)
+    rest = z - (running(t, gravity_dv) if positions else gravity_dv)
     D = _differences(t, positions)
     middle = (np.abs(D) @ t) / np.abs(D).sum(1)
     back = Rotation.from_rotvec((rate + over) * (middle - begin)[:, None]).as_matrix()  # ENU has turned since
-    beta = np.einsum("kij,kj->ki", back, D @ rest)
+    target = np.einsum("kij,kj->ki", back, D @ rest)
     sd = fixes.sd.copy()
     if not positions:
         sd[:, 2] = np.minimum(sd[:, 2], VERTICAL_SD)
     drift = DRIFT**2 * _drift(t, positions) + 1e-12 * np.eye(len(D))
     covariances = [D @ (s[:, None] ** 2 * D.T) for s in sd.T]
-    return Seen(t, positions, rest, pushed[-1], D, beta, covariances, drift, rate + over)
+    return DifferencedFixes(t, positions, rest, gravity_dv[-1], D, target, covariances, drift, rate + over)
 
 
 def _differences(t: np.ndarray, positions: bool) -> np.ndarray:
@@ -183,11 +183,11 @@ def _drift(t: np.ndarray, positions: bool) -> np.ndarray:
     return np.diag((a + b) / 3) + np.diag(b[:-1] / 6, 1) + np.diag(b[:-1] / 6, -1)
 
 
-# ---------------------------------------------------------------------------- what the samples make of an attitude
+# ---------------------------------------------------------------------------- prediction of an attitude by the samples
 
 
 def window(imu: ImuLog, begin: float, end: float) -> ImuLog:
-    """The samples in (begin, end], each from the one before on, so that there is no hole; fast ones put together."""
+    """Return the samples in (begin, end], each from the one before on, without gaps; fast ones are merged."""
     rows = (imu.t > begin + TICK) & (imu.t <= end + TICK)
     t, gyro, accel = imu.t[rows], imu.gyro[rows], imu.accel[rows]
     if not t.size:
@@ -228,7 +228,7 @@ class Series(NamedTuple):
 
 
 def _series(imu: ImuLog, x: np.ndarray) -> Series:
-    """For x = gyro bias (3), accelerometer bias (3), ...; with a gyro bias b, R turns by -b times its own integral."""
+    """For x = gyro bias (3), accelerometer bias (3), ...; with a gyro bias b, R turns by -b times its integral."""
     middle, _ = rotations_since(imu.gyro - x[:3], imu.dt)
     dt = imu.dt[:, None, None]
     whole = np.cumsum(middle * dt, 0)
@@ -241,7 +241,7 @@ def _series(imu: ImuLog, x: np.ndarray) -> Series:
 
 
 def _path(imu: ImuLog, series: Series, x: np.ndarray, t: np.ndarray, positions: bool, arm: np.ndarray) -> np.ndarray:
-    """What the antenna's velocity or position changes by up to t - delay, and its derivatives, (K, 3, 7)."""
+    """Return the change of the antenna's velocity or position up to t - delay, and its derivatives, (K, 3, 7)."""
     t = t - x[6]
     i = np.minimum(np.searchsorted(imu.t, t), imu.t.size - 1)
     into = (t - (imu.t - imu.dt)[i])[:, None, None]
@@ -255,7 +255,7 @@ def _path(imu: ImuLog, series: Series, x: np.ndarray, t: np.ndarray, positions: 
 
 
 def _lever(series: Series, i: np.ndarray, rate: np.ndarray, positions: bool, arm: np.ndarray) -> np.ndarray:
-    """Return what the lever arm adds at samples ``i`` (K,), (K, 3, 7); ``rate`` (K, 3) rad/s there."""
+    """Return the lever arm's part at samples ``i`` (K,), (K, 3, 7); ``rate`` (K, 3) rad/s there."""
     R, turn = series.middle[i], series.turn[i]
     lever = R @ arm if positions else np.einsum("kij,kj->ki", R, np.cross(rate, arm))
     by_gyro = _skew(lever) @ turn + (0 * R if positions else R @ _skew(arm[None])[0])
@@ -272,7 +272,7 @@ def _rotation_at_end(imu: ImuLog, bias: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _wahba(a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """The rotation C that minimises sum weight |b - C a|^2."""
+    """Return the rotation C that minimises sum weight |b - C a|^2."""
     U, _, Vt = np.linalg.svd((b * weight).T @ a)
     return U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
 
@@ -288,10 +288,10 @@ class Fit(NamedTuple):
     """A solution of the least squares, at the window's begin."""
 
     C: np.ndarray  # (3, 3) body -> ENU
-    x: np.ndarray  # (7,) gyro bias, accelerometer bias, delay, and (10,) what the lever arm has more
+    x: np.ndarray  # (7,) gyro bias, accelerometer bias, delay, and (10,) correction of the lever arm
     P: np.ndarray  # (10, 10) or (13, 13) covariance of attitude and x
-    chi2: float  # per degree of freedom, by the fixes' own sd
-    noise: float  # what the variance of the fixes was scaled with
+    chi2: float  # per degree of freedom, by the fixes' stated sd
+    noise: float  # factor on the variance of the fixes
 
 
 def prior_sd(prior: AlignmentPrior) -> np.ndarray:
@@ -300,7 +300,7 @@ def prior_sd(prior: AlignmentPrior) -> np.ndarray:
     return np.concatenate([np.maximum(sd, 1e-12), np.full(3 if prior.arm else 0, prior.arm)])
 
 
-def _solve(imu: ImuLog, seen: Seen, prior: AlignmentPrior, arm: np.ndarray) -> Fit:
+def _solve(imu: ImuLog, seen: DifferencedFixes, prior: AlignmentPrior, arm: np.ndarray) -> Fit:
     """Gauss-Newton from Wahba's solutions; once more with the noise that the fixes turn out to have."""
     sd = prior_sd(prior)
     more = np.zeros(sd.size - 10)
@@ -315,7 +315,7 @@ def _solve(imu: ImuLog, seen: Seen, prior: AlignmentPrior, arm: np.ndarray) -> F
     noise = max(chi2, LEAST_CHI2)
     last = descend(imu, seen, best.C, best.x, sd, noise, arm)
     P = sd[:, None] * np.linalg.inv(last.N) * sd * max(last.left, 1.0)
-    # other minima that fit nearly as well: what a mixture of all would have for a covariance about the best
+    # other minima that fit nearly as well: covariance of a mixture of all about the best
     weights = np.exp([-TEMPER * (each.cost - best.cost) / noise for each in found])
     for each, weight in zip(found, weights / weights.sum(), strict=True):
         turn = Rotation.from_matrix(each.C @ best.C.T).as_rotvec()
@@ -339,7 +339,7 @@ class Descent(NamedTuple):
 
 
 def descend(
-    imu: ImuLog, seen: Seen, C: np.ndarray, x: np.ndarray, sd: np.ndarray, noise: float, arm: np.ndarray,
+    imu: ImuLog, seen: DifferencedFixes, C: np.ndarray, x: np.ndarray, sd: np.ndarray, noise: float, arm: np.ndarray,
     iterations: int = ITERATIONS,
 ) -> Descent:  # fmt: skip
     """Run Gauss-Newton from attitude ``C`` at the begin and ``x``, with the prior ``sd`` of both."""
@@ -360,8 +360,10 @@ def descend(
     return Descent(C, x, N, float(r @ r + offset @ offset), float(r @ r / max(r.size - 6, 1)), roots)
 
 
-def _guesses(imu: ImuLog, seen: Seen, delay_sd: float, arm: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """C and x without biases: Wahba's solution for the delays that fit better than those beside them, best first.
+def _guesses(
+    imu: ImuLog, seen: DifferencedFixes, delay_sd: float, arm: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return C and x without biases: Wahba's solution for delays that fit better than their neighbours, best first.
 
     Of who walks or sways, a period of delay looks like none, and half of it like the opposite heading.
     """
@@ -372,20 +374,24 @@ def _guesses(imu: ImuLog, seen: Seen, delay_sd: float, arm: np.ndarray) -> list[
     return [(found[i][1], np.concatenate([np.zeros(6), found[i][2:]])) for i in lows]
 
 
-def by_attitude(imu: ImuLog, seen: Seen, delays: np.ndarray, arm: np.ndarray) -> list[tuple[float, np.ndarray, float]]:
+def by_attitude(
+    imu: ImuLog, seen: DifferencedFixes, delays: np.ndarray, arm: np.ndarray
+) -> list[tuple[float, np.ndarray, float]]:
     """Solve Wahba's problem for every delay, s: weighted sum of squares, attitude (3, 3) at the begin, delay."""
     series, found = _series(imu, np.zeros(7)), []
     weight = 1 / np.stack([np.diag(c) + np.diag(seen.drift) for c in seen.covariances], 1)
     for delay in delays:
         x = np.concatenate([np.zeros(6), [delay]])
         a = seen.D @ _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0]
-        C = _wahba(a, seen.beta, weight)
-        found.append((float((weight * (seen.beta - a @ C.T) ** 2).sum()), C, float(delay)))
+        C = _wahba(a, seen.target, weight)
+        found.append((float((weight * (seen.target - a @ C.T) ** 2).sum()), C, float(delay)))
     return found
 
 
-def _linear(imu: ImuLog, seen: Seen, C: np.ndarray, x: np.ndarray, arm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """J (M, 3, 3 + x), what the differences change by with attitude and x, and what is left of them, (M, 3)."""
+def _linear(
+    imu: ImuLog, seen: DifferencedFixes, C: np.ndarray, x: np.ndarray, arm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return J (M, 3, 3 + x), derivatives of the differences by attitude and x, and the residual, (M, 3)."""
     arm, eye = arm + x[7:] if x.size > 7 else arm, np.eye(x.size)
     look = lambda series, x: seen.D @ _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0]
     series = _series(imu, x)
@@ -400,29 +406,29 @@ def _linear(imu: ImuLog, seen: Seen, C: np.ndarray, x: np.ndarray, arm: np.ndarr
     for j in range(x.size - 7):  # the path is linear in the lever arm
         by = _path(imu, series, x, seen.t, seen.positions, arm + np.eye(3)[j])[:, :, 0] - path[:, :, 0]
         J[:, :, 10 + j] = seen.D @ by @ C.T
-    return J, seen.beta - here @ C.T
+    return J, seen.target - here @ C.T
 
 
-def _moved(seen: Seen, roots: list[np.ndarray]) -> bool:
-    """Do the fixes show a change of level velocity that is no noise? Without one an IMU's own shows any heading."""
-    white = np.concatenate([solve_triangular(L, seen.beta[:, a], lower=True) for a, L in enumerate(roots[:2])])
+def _moved(seen: DifferencedFixes, roots: list[np.ndarray]) -> bool:
+    """Do the fixes show a change of level velocity above noise? Without one the IMU's noise shows any heading."""
+    white = np.concatenate([solve_triangular(L, seen.target[:, a], lower=True) for a, L in enumerate(roots[:2])])
     return float(white @ white) > white.size + MOTION * np.sqrt(2 * white.size)
 
 
 def _velocity(
-    imu: ImuLog, seen: Seen, fixes: Samples, C: np.ndarray, x: np.ndarray, arm: np.ndarray, noise: float
+    imu: ImuLog, seen: DifferencedFixes, fixes: Samples, C: np.ndarray, x: np.ndarray, arm: np.ndarray, noise: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the IMU's velocity at the window's end by the latest fixes and the samples, and its sd by their noise."""
     last = max(4 if seen.positions else 1, int((seen.t > seen.t[-1] - RECENT).sum()))
     series = _series(imu, x)
-    rest = (seen.rest - _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0] @ C.T)[-last:]
+    rest = (seen.gravity_free - _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0] @ C.T)[-last:]
     t, end = seen.t[-last:], imu.t[-1] + x[6]
     gained = _path(imu, series, x, np.array([end]), False, np.zeros(3))[0, :, 0] @ C.T  # S at the end
-    pushed = seen.pushed * (end - seen.t[0]) / (seen.t[-1] - seen.t[0])
+    gravity_dv = seen.gravity_dv * (end - seen.t[0]) / (seen.t[-1] - seen.t[0])
     sd = np.sqrt(noise) * fixes.sd[-last:]
     if not seen.positions:
         weight = 1 / sd**2
-        return (rest * weight).sum(0) / weight.sum(0) + gained + pushed, 1 / np.sqrt(weight.sum(0))
+        return (rest * weight).sum(0) / weight.sum(0) + gained + gravity_dv, 1 / np.sqrt(weight.sum(0))
     line = np.column_stack([np.ones(last), t - t.mean()])
     fit = np.linalg.lstsq(line, rest, rcond=None)[0][1]
-    return fit + gained + pushed, np.sqrt(np.mean(sd**2, 0) / np.sum((t - t.mean()) ** 2))
+    return fit + gained + gravity_dv, np.sqrt(np.mean(sd**2, 0) / np.sum((t - t.mean()) ** 2))

@@ -22,10 +22,19 @@ class Bank(NamedTuple):
 
 
 def heading_bank(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> Bank:
-    """Unknown heading: run the filter from each of ``navs`` (B, ...) and weigh them by likelihood (a Gaussian sum).
+    """Run the filter from each of several headings and weigh the runs by likelihood (a Gaussian sum).
 
-    One linear filter cannot start with a heading sd of 100 deg, many that start 20 or 30 deg apart can, one of which
-    is near enough. Give each a heading prior of about their spacing. They differ once the vehicle accelerates.
+    One linear filter cannot start with a heading sd of 100 deg, many that start 20 or 30 deg from each other can:
+    one of them is near enough. Their fits differ once the vehicle accelerates.
+
+    Args:
+        filt: the filter.
+        params: its parameters, with a heading prior of about the spacing of the headings.
+        navs: (B, ...) initial navigation of each heading.
+        epochs: (E, ...) of one run.
+
+    Returns:
+        The runs with their probabilities.
     """
     info = jax.vmap(run, (None, None, 0, None))(filt, params, navs, epochs)
     nll = jnp.sum(jax.vmap(jax.vmap(negative_log_likelihood))(info), axis=1)
@@ -34,9 +43,12 @@ def heading_bank(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> Bank
 
 
 def with_headings(nav: Nav, headings: np.ndarray, arm: Any = None) -> Nav:
-    """A start (local level frame) turned to each heading (B,), rad: Nav with a leading axis B.
+    """Return initial navigation with each of several headings, (B, ...).
 
-    ``arm``: (3,) m, IMU -> antenna, body, where ``nav`` is at the antenna: the IMUs of the turned starts are around it.
+    Args:
+        nav: initial navigation in local level.
+        headings: (B,) rad from north, clockwise.
+        arm: (3,) m, IMU -> antenna, body FRD, where ``nav`` is at the antenna: the IMUs are then around it.
     """
     return _turned(nav, jnp.asarray(headings, float), jnp.zeros(3) if arm is None else jnp.asarray(arm, float))
 

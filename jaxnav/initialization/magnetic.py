@@ -11,7 +11,7 @@ from jaxnav.measurements.magnetometer import MAGNETOMETER
 from jaxnav.types import Params
 
 YEAR = 2025.0  # that the field is looked up for: declination changes by 0.2 deg a year at most, far from the poles
-LOST_DECLINATION = 10 * DEG  # sd of a declination that nobody knows, away from the poles
+LOST_DECLINATION = 10 * DEG  # sd of an unknown declination, away from the poles
 INSTALL = (
     "pip install 'jaxnav[magnetic]', or set [measurements.magnetometer] declination_deg, inclination_deg, strength_ut"
 )
@@ -29,7 +29,7 @@ class Field(NamedTuple):
 
 @cache
 def _model() -> Any:
-    """The model's newest coefficients; None where the package is not installed."""
+    """Return the model's newest coefficients; None where the package is not installed."""
     try:
         from pygeomag import GeoMag
     except ImportError:
@@ -38,7 +38,7 @@ def _model() -> Any:
 
 
 def field_at(lla: np.ndarray, year: float = YEAR) -> Field | None:
-    """The model's field at (3,) rad, rad, m; None where the package is not installed."""
+    """Return the model's field at (3,) rad, rad, m; None where the package is not installed."""
     model = _model()
     if model is None:
         return None
@@ -52,22 +52,22 @@ def field_at(lla: np.ndarray, year: float = YEAR) -> Field | None:
 
 
 def field_of(params: Params, lla: np.ndarray) -> Field:
-    """What ``params`` say of the field; where they say nothing, which is the row's defaults, the model's at ``lla``."""
+    """Return the field in ``params``; where they hold the row's defaults, the model's at ``lla``."""
     default = MAGNETOMETER.defaults
     stated = params.measurements.get("magnetometer", default)
-    own = float(stated.declination), float(stated.inclination), float(stated.strength)
-    if not np.allclose(own, [default.declination, default.inclination, default.strength], rtol=1e-12):
-        return Field(*own, 1 * DEG, "")
+    values = float(stated.declination), float(stated.inclination), float(stated.strength)
+    if not np.allclose(values, [default.declination, default.inclination, default.strength], rtol=1e-12):
+        return Field(*values, 1 * DEG, "")
     found = field_at(lla)
     if found is not None:
         return found
-    return Field(*own, LOST_DECLINATION, f"magnetic declination unknown: {INSTALL}")
+    return Field(*values, LOST_DECLINATION, f"magnetic declination unknown: {INSTALL}")
 
 
 def heading_of(field: np.ndarray, roll: float, pitch: float, known: Field) -> tuple[float, float, float]:
     """Heading (rad) that a field (3,) uT, body, shows at a roll and pitch (rad); its level part, how bent it is (uT).
 
-    Hard iron of b uT turns the heading by b over the level part. Bent is how far level and downward part together are
+    Hard iron of b uT turns the heading by b over the level part. Bent is the difference of level and downward part
     from those of the ``known`` field.
     """
     x, y, z = field

@@ -1,7 +1,7 @@
 """A vehicle that is parked first: its heading drifts away with the gyro's bias until motion shows it.
 
-Hypotheses of the heading that start 30 deg apart become wide while nothing shows it, and one linear filter cannot take
-in what its first turn says then. So when it moves off, hypotheses are spread over the circle once more, about the
+Hypotheses of the heading at steps of 30 deg become wide while nothing shows it, and one linear filter cannot take
+in the information of its first turn. So when it moves off, hypotheses are spread over the circle once more, about the
 position, velocity, tilt and biases that the standstill has left.
 """
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxnav.filters.core import Filter
 from jaxnav.initialization.bank import with_headings
-from jaxnav.initialization.start import ground_velocity
+from jaxnav.initialization.initialize import ground_velocity
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
 from jaxnav.states.motion import A, P, V
@@ -54,6 +54,6 @@ def spread_again(filt: Filter, params: Params, info: Info, count: int) -> tuple[
     tilt = float(sd[A][:2].max())
     attitude = jnp.asarray([tilt, tilt, 2 * np.pi / count])
     slices = layout(chosen(filt.model.states))
-    states = {name: params.states[name]._replace(sd=jnp.asarray(sd[own])) for name, own in slices.items()}
+    states = {name: params.states[name]._replace(sd=jnp.asarray(sd[place])) for name, place in slices.items()}
     prior = Prior(jnp.asarray(sd[P]), jnp.asarray(sd[V]), attitude)
     return params._replace(prior=prior, states=params.states | states), navs

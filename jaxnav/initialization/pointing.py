@@ -11,13 +11,13 @@ from jaxnav.measurements.direction import HEADING
 from jaxnav.types import Params, Recording
 
 USABLE = 20 * DEG  # sd of a heading that one filter can still start with
-NEAR, INSTANT = 1.0, 0.1  # s, at most from a start to what points; within which a vehicle does not turn
-HARD_IRON = 3.0  # uT, sd of what is left of a calibrated magnetometer's
+NEAR, INSTANT = 1.0, 0.1  # s, at most from a start to a heading sensor; within which a vehicle does not turn
+HARD_IRON = 3.0  # uT, sd of the remaining hard iron of a calibrated magnetometer
 BENT = 0.3  # of the field's strength, from which on iron is too near, or the axes are others
-LEAST_TILT_SD = 0.3 * DEG  # what scale errors and misalignment leave of a tilt, however long it is looked at
+LEAST_TILT_SD = 0.3 * DEG  # tilt error by scale errors and misalignment, after any averaging
 
 
-class Pointed(NamedTuple):
+class HeadingSource(NamedTuple):
     """A heading that needs no motion."""
 
     heading: float  # rad
@@ -26,7 +26,9 @@ class Pointed(NamedTuple):
     magnetic: bool = False
 
 
-def pointed_by(rec: Recording, known: Params, rp: tuple[float, float], tilt_sd: float, t: float) -> Pointed | None:
+def heading_by_sensor(
+    rec: Recording, known: Params, rp: tuple[float, float], tilt_sd: float, t: float
+) -> HeadingSource | None:
     """Heading at ``t`` s by two antennas, else by the magnetometer; None where it is not known to `USABLE`.
 
     ``rp``, ``tilt_sd``: roll and pitch there, and their sd, rad. By the samples within `NEAR` s.
@@ -37,7 +39,7 @@ def pointed_by(rec: Recording, known: Params, rp: tuple[float, float], tilt_sd: 
         i = int(np.argmin(np.abs(s.t - t)))
         angle, sd = float(s.value[i, 0]) - float(theta.yaw), float(s.sd[i, 0] * theta.sd_scale)
         if sd <= USABLE:
-            return Pointed(angle, max(sd, LEAST_TILT_SD), f"{angle / DEG % 360:.1f} deg by two antennas")
+            return HeadingSource(angle, max(sd, LEAST_TILT_SD), f"{angle / DEG % 360:.1f} deg by two antennas")
     if not near.get("magnetometer", np.zeros(1)).any():
         return None
     field = field_of(known, rec.aiding["position"].value[0])
@@ -50,4 +52,4 @@ def pointed_by(rec: Recording, known: Params, rp: tuple[float, float], tilt_sd: 
     sd = math.sqrt((HARD_IRON / level) ** 2 + (math.tan(field.inclination) * tilt_sd) ** 2 + field.sd**2)
     if sd > USABLE:
         return None
-    return Pointed(angle, sd, f"{angle / DEG % 360:.1f} deg by the magnetometer", True)
+    return HeadingSource(angle, sd, f"{angle / DEG % 360:.1f} deg by the magnetometer", True)

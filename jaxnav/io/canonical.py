@@ -1,4 +1,4 @@
-"""The project's own formats: a folder of CSV files, or one ``.npz``; see ``docs/formats.md``.
+"""The project's formats: a folder of CSV files, or one ``.npz``; see ``docs/formats.md``.
 
 Columns are found by name, the unit is in the name, and a column may come in any of the units listed here. Both forms
 round trip to the last bit: that is why the writer gives angles in radians.
@@ -37,7 +37,7 @@ _OPTIONAL_NAN = frozenset(name for column in RPH for name, _ in column)
 
 
 def read_recording(path: FilePath) -> Recording:
-    """A folder of CSV files (``imu.csv`` at least) or one ``.npz``; DataError names file, line or row, and field."""
+    """Read a folder of CSV files (``imu.csv`` at least) or one ``.npz``; DataError names file, line, and field."""
     path = Path(path)
     if not path.is_dir():
         rec = read_npz(path)
@@ -46,7 +46,7 @@ def read_recording(path: FilePath) -> Recording:
 
 
 def read_folder(path: FilePath, notes: list[str] | None = None) -> Recording:
-    """A folder of CSV files; with a list of ``notes`` a cut last line is left out and, like unread files, said there.
+    """Read a folder of CSV files; with a list of ``notes`` a cut last line is left out and, like unread files, noted.
 
     Raises:
         DataError: as `read_recording`.
@@ -88,7 +88,7 @@ def read_files(
     notes: str = "",
     said: list[str] | None = None,
 ) -> Recording:
-    """A recording from CSV files at explicit paths; ``aiding`` by measurement name, ``lever_arm`` (3,) m FRD.
+    """Read CSV files at explicit paths; ``aiding`` by measurement name, ``lever_arm`` (3,) m FRD.
 
     With a list ``said`` a cut last line is left out of a file and said there; else it is a DataError.
     """
@@ -180,10 +180,10 @@ def _read_stream(path: FilePath, key: str, notes: list[str] | None = None) -> tu
     correlations = _columns(table, corr) if _has_any(table, corr) else zeros
     t = _columns(table, ((("t_s", 1.0),),))[:, 0]
     samples = Samples(t, values, _columns(table, sd), correlations)
-    own = {name for column in (*value, *sd, *corr) for name, _ in column}
-    wrong = [name for name in table.names if name.startswith(("sd_", "corr_")) and name not in own]
+    known = {name for column in (*value, *sd, *corr) for name, _ in column}
+    wrong = [name for name in table.names if name.startswith(("sd_", "corr_")) and name not in known]
     if wrong:
-        raise DataError(f"{table.source.file}: no column {wrong[0]} is known: expected {', '.join(sorted(own))}")
+        raise DataError(f"{table.source.file}: no column {wrong[0]} is known: expected {', '.join(sorted(known))}")
     return samples, table.source
 
 
@@ -191,8 +191,8 @@ def _stream_columns(key: str, width: int) -> tuple[tuple[Names, ...], tuple[Name
     """Columns of value, sd and correlation."""
     if key not in (streams := with_data()):
         return _numbered(width)
-    own = streams[key]
-    return tuple(c.names for c in own.columns), tuple(c.sd_names for c in own.columns), CORR if own.correlated else ()
+    row = streams[key]
+    return tuple(c.names for c in row.columns), tuple(c.sd_names for c in row.columns), CORR if row.correlated else ()
 
 
 def _numbered(width: int) -> tuple[tuple[Names, ...], tuple[Names, ...], tuple[Names, ...]]:

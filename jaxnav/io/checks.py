@@ -1,4 +1,4 @@
-"""What every reader ends with: data that passes here is finite, ordered, in SI and in range."""
+"""The last step of every reader: data that passes here is finite, ordered, in SI and in range."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ MAX_LEVER_ARM = 100.0  # m
 
 
 def check_recording(rec: Recording, sources: dict[str, Source] | None = None) -> Recording:
-    """The recording itself if every stream is usable, else a DataError that names file, line or row, and field.
+    """Return the recording if every stream is usable, else raise DataError with file, line or row, and field.
 
     ``sources`` says where "imu", "truth", "lever_arm" and each aiding came from; the default is the recording's name.
     """
@@ -39,7 +39,7 @@ def check_recording(rec: Recording, sources: dict[str, Source] | None = None) ->
 
 
 def check_imu(imu: ImuLog, source: Source) -> ImuLog:
-    """The log itself if times, steps, units and ranges are right."""
+    """Return the log if times, steps, units and ranges are right."""
     t = check_time(imu.t, source, "imu")
     n = len(t)
     dt = _bounded(imu.dt, (n,), source, "imu dt")
@@ -64,7 +64,7 @@ def check_imu(imu: ImuLog, source: Source) -> ImuLog:
 
 
 def check_samples(name: str, samples: Samples, source: Source) -> Samples:
-    """The stream itself if times, values, standard deviations and correlations are usable."""
+    """Return the stream if times, values, standard deviations and correlations are usable."""
     n = len(check_time(samples.t, source, name))
     width = np.shape(samples.value)[1] if np.ndim(samples.value) == 2 else 3
     if name in (streams := with_data()) and width != streams[name].size:
@@ -96,7 +96,7 @@ def uncertainty(name: str, sd: np.ndarray) -> str:
 
 
 def check_track(track: Track, source: Source) -> Track:
-    """The track itself; only its angles may be nan (unknown)."""
+    """Return the track if it is usable; only its angles may be nan (unknown)."""
     n = len(check_time(track.t, source, "truth"))
     _geodetic(_bounded(track.lla, (n, 3), source, "truth position"), source, "truth")
     _bounded(track.vel, (n, 3), source, "truth velocity")
@@ -108,7 +108,7 @@ def check_track(track: Track, source: Source) -> Track:
 
 
 def check_time(t: np.ndarray, source: Source, stream: str) -> np.ndarray:
-    """The times themselves if there are any and they strictly increase."""
+    """Return the times if there are any and they strictly increase."""
     t = np.asarray(t)
     if t.ndim != 1 or not len(t):
         raise DataError(f"{source.file}: {stream} time must have rows, got shape {t.shape}")
@@ -177,7 +177,7 @@ def _require(ok: np.ndarray, source: Source, stream: str, expected: str, got: np
 
 
 def _unit_of(dt: np.ndarray) -> str:
-    """Return which unit of time samples ``dt`` (N,) s apart suggest, or nothing."""
+    """Return the unit of time that steps of ``dt`` (N,) s suggest, or nothing."""
     usual = float(np.median(dt))
     units = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
     fits = [name for name, k in units.items() if usual > MAX_DT and 5e-4 < usual * k < 0.2]

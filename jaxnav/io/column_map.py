@@ -1,4 +1,4 @@
-"""A column map: a few lines of TOML that say what the columns of somebody's files are; see ``docs/formats.md``."""
+"""A column map: a few lines of TOML that give the meaning of a file's columns; see ``docs/formats.md``."""
 
 import os
 import tomllib
@@ -50,12 +50,12 @@ SCALAR = (*COMMON, "value", "unit", "sd")  # of every other stream
 
 
 def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None = None) -> Parts:
-    """The parts that a column map describes.
+    """Read the parts that a column map describes.
 
     Args:
         path: the map.
         base: reads the file that the table [read] names, with its options.
-        folder: of the data, instead of the map's ``folder``, which counts from the map's own.
+        folder: of the data, instead of the map's ``folder``, which is relative to the map.
 
     Raises:
         DataError: a key, file, column or unit that is not known, or data that cannot be read.
@@ -115,15 +115,15 @@ def _load(path: FilePath) -> dict[str, Any]:
 
 
 def _shared(table: dict[str, Any], file: str) -> dict[str, Any]:
-    """The map with what stands above its tables in every one of them that does not say otherwise."""
+    """Return the map with its top-level keys in every table that does not set them."""
     known(table, (*TOP, *with_data()), file)
     shared = {key: table[key] for key in COMMON if key in table}
     out = {key: value for key, value in table.items() if key not in shared}
     for name in ("imu", "truth", *with_data()):
         if isinstance(out.get(name), dict):
             other = {"rate_hz": "time", "time": "rate_hz"}  # a table has one of the two
-            own = {k: v for k, v in shared.items() if other.get(k) not in out[name]}
-            out[name] = own | out[name]
+            inherited = {k: v for k, v in shared.items() if other.get(k) not in out[name]}
+            out[name] = inherited | out[name]
     return out
 
 
@@ -156,14 +156,14 @@ def _with_imu(parts: Parts, files: Files, table: dict[str, Any]) -> Parts:
         accel, covered = interpolated(t, times_of(files, table | {"time": column}, "imu"), accel)
         keep &= covered
         if not keep.any():
-            raise DataError(f"{files.map}: imu: no time of the gyro lies within those of the accelerometer ({column})")
+            raise DataError(f"{files.map}: imu: no time of the gyro is within those of the accelerometer ({column})")
     refs = time_columns(table["time"])[0] if "time" in table else table["gyro"][0]
     lines = sheet_of(files, table, refs, "imu")[0].lines
     scale = _scale(table, f"{files.map}: imu")
     rows = ImuRows(t[keep], gyro[keep], accel[keep], sampling, repair=bool(table.get("repair", False)), scale=scale)
     if column is not None:
-        told = " ".join(time_columns(column))
-        words = f"imu: accelerations interpolated from times {told}: {keep.sum()} of {len(t)} gyro samples have one."
+        times = " ".join(time_columns(column))
+        words = f"imu: accelerations interpolated from times {times}: {keep.sum()} of {len(t)} gyro samples have one."
         parts = parts._replace(notes=(*parts.notes, words))
     return parts._replace(imu=rows, axes=table.get("axes", "frd"), lines=None if lines is None else lines[keep])
 
@@ -289,7 +289,7 @@ def _wheels(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
 
 
 def _mean(files: Files, table: dict[str, Any], refs: Any, name: str) -> np.ndarray:
-    """A column, or the mean of several, as of the wheels of an axle."""
+    """Return a column, or the mean of several, as of the wheels of an axle."""
     columns = [column_of(files, table, ref, name) for ref in (refs if isinstance(refs, list) else [refs])]
     return side_by_side(files, columns, name).mean(axis=1)
 
@@ -308,7 +308,7 @@ def _scalar(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
 BUILD = {
     "position": _position, "velocity": _velocity, "magnetometer": _field, "baseline": _baseline, "wheels": _wheels,
 }  # fmt: skip
-"""What makes the values of a stream; of every other one `_scalar`."""
+"""Makers of a stream's values; `_scalar` for every other one."""
 
 
 def _truth(files: Files, table: dict[str, Any]) -> Track:
@@ -330,7 +330,7 @@ def _truth(files: Files, table: dict[str, Any]) -> Track:
 
 
 def column_names(path: FilePath) -> list[str]:
-    """The names of the columns of any table, for a message."""
+    """Return the names of the columns of any table, for a message."""
     sheet = open_sheet(path)
     named = [key for key in sheet.columns if not key.isdigit()]
     return named or [f"{key} ({column(sheet, key)[0]})" for key in sheet.columns]

@@ -31,7 +31,7 @@ def known(table: dict[str, Any], keys: tuple[str, ...], where: str) -> None:
 
 
 def sheet_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> tuple[Sheet, str]:
-    """The sheet and the column's name in it, of ``COLUMN`` or, where ``file`` is a table, ``FILE:COLUMN``."""
+    """Return the sheet and the column's name of ``COLUMN`` or, where ``file`` is a table, ``FILE:COLUMN``."""
     name, _, rest = str(ref).partition(":")
     file = table.get("file")
     if isinstance(file, dict):
@@ -49,7 +49,7 @@ def sheet_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> tuple[S
 
 
 def _found(files: Files, pattern: str) -> Path:
-    """The one file of this name or pattern."""
+    """Return the one file of this name or pattern."""
     path = files.folder / pattern
     if "*" not in pattern:
         return path
@@ -136,8 +136,8 @@ def rows_of(files: Files, table: dict[str, Any], stream: str, n: int) -> np.ndar
             raise DataError(f"{files.map}: {stream}: where: {ref}: expected 3 or '>=3', got {wanted!r}") from None
         keep &= compare.get(sign, np.equal)(column_of(files, table, ref, stream), value)
     if "new_where" in table:
-        watched = [column_of(files, table, ref, stream) for ref in table["new_where"]]
-        keep &= np.any([np.r_[True, c[1:] != c[:-1]] for c in watched], axis=0)
+        needs_receiver_slices = [column_of(files, table, ref, stream) for ref in table["new_where"]]
+        keep &= np.any([np.r_[True, c[1:] != c[:-1]] for c in needs_receiver_slices], axis=0)
     return keep
 
 
@@ -155,7 +155,7 @@ def sd_of(files: Files, table: dict[str, Any], stream: str, size: int) -> np.nda
 
 
 def _sd(files: Files, table: dict[str, Any], entry: Any, stream: str) -> Any:
-    """A number, a column, or ``{column = "HDOP", times = 2.5}``."""
+    """Return a number, a column, or ``{column = "HDOP", times = 2.5}``."""
     if isinstance(entry, (int, float)):
         return float(entry)
     if isinstance(entry, dict):

@@ -1,6 +1,6 @@
 """Public recordings, by name: pinned upstream commit, hash of every file, licence and column map. None is shipped.
 
-What is known of them is data, in ``recordings/`` next to this file. A data set is looked for in
+Their properties are data, in ``recordings/`` next to this file. A data set is looked for in
 ``$JAXNAV_DATA_DIR/NAME`` and then in the cache that `fetch` fills; only `fetch` downloads.
 """
 
@@ -35,9 +35,9 @@ class Dataset(NamedTuple):
     licence: str
     files: tuple[DataFile, ...]
     map: Path | None = None  # column map; None: the folder, or its only file, is read as it is
-    fixes_only: bool = False  # without an IMU: what goes with another recording
+    fixes_only: bool = False  # without an IMU: fixes for another recording
     options: dict[str, Any] = {}  # of `jaxnav.io.read.read`
-    settings: dict[str, Any] = {}  # what its files do not state, under the user's own settings
+    settings: dict[str, Any] = {}  # values that its files lack; the user's settings take precedence
 
 
 def _datasets() -> dict[str, Dataset]:
@@ -67,7 +67,7 @@ def find(name: str) -> Dataset:
 
 
 def locate(name: str) -> Path:
-    """The folder that holds every file of a data set; DataError says how to get it."""
+    """Return the folder that holds every file of a data set; DataError says how to get it."""
     files = [file.name for file in find(name).files]
     home = os.environ.get(DATA_DIR)
     if home and _holds(Path(home) / name, files):
@@ -80,7 +80,7 @@ def locate(name: str) -> Path:
 
 
 def verify(name: str) -> Path:
-    """The folder of a data set after every file's sha256 was found right."""
+    """Return the folder of a data set after a check of every file's sha256."""
     folder = locate(name)
     for file in find(name).files:
         digest = hashlib.sha256(read_bytes(folder / file.name)).hexdigest()

@@ -1,4 +1,4 @@
-"""Reading text strictly and writing files whole: what every format here is built on."""
+"""Strict reading of text and atomic writing of files: the base of every format."""
 
 import os
 from pathlib import Path
@@ -37,7 +37,7 @@ def place(source: Source, row: int, stream: str = "") -> str:
 
 
 def read_bytes(path: FilePath) -> bytes:
-    """The bytes of a file; DataError where it is absent, unreadable, a folder or too large."""
+    """Read a file; DataError where it is absent, unreadable, a folder or too large."""
     try:
         size = os.stat(path).st_size
         if size > MAX_BYTES:
@@ -48,7 +48,7 @@ def read_bytes(path: FilePath) -> bytes:
 
 
 def read_lines(path: FilePath, notes: list[str] | None = None) -> list[tuple[int, str]]:
-    """The lines of a UTF-8 text that are not blank, each with its number from 1.
+    """Read the lines of a UTF-8 text that are not blank, each with its number from 1.
 
     A last line without a line end may have been cut: a DataError, or where there is a list of ``notes`` it is left out
     and said there.
@@ -100,12 +100,12 @@ def parse_numbers(
 
 
 def read_columns(path: FilePath, width: int, delimiter: str | None = None, notes: list[str] | None = None) -> Table:
-    """A table without a header: ``width`` numbers a line; delimiter None is white space; ``notes`` as `read_lines`."""
+    """Read a table without a header: ``width`` numbers a line; delimiter None: white space; ``notes``: `read_lines`."""
     return parse_numbers([(i, line.split(delimiter)) for i, line in read_lines(path, notes)], width, path)
 
 
 def read_csv(path: FilePath, nan: frozenset[str] = frozenset(), notes: list[str] | None = None) -> Table:
-    """A comma-separated table whose first line names the columns; ``notes`` as in `read_lines`."""
+    """Read a comma-separated table with the names of its columns in the first line; ``notes`` as in `read_lines`."""
     lines = read_lines(path, notes)
     if not lines:
         raise DataError(f"{os.fspath(path)}: is empty, expected a header line")
@@ -140,13 +140,13 @@ def atomic_write(path: FilePath, data: str | bytes) -> None:
 
 
 def format_csv(names: list[str], columns: np.ndarray) -> str:
-    """A header and rows of the shortest text that reads back to the same float64."""
+    """Return a header and rows of the shortest text that reads back to the same float64."""
     rows = [",".join(names)] + [",".join(map(repr, row)) for row in np.asarray(columns, dtype=np.float64).tolist()]
     return "\n".join(rows) + "\n"
 
 
 def _number(cell: str) -> float:
-    if "_" in cell:  # Python's own digit grouping, which no file format means
+    if "_" in cell:  # digit grouping of Python, which no file format means
         raise ValueError(cell)
     return float(cell)
 

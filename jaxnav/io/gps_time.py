@@ -6,7 +6,7 @@ import numpy as np
 
 GPS_EPOCH, WEEK = 315964800.0, 604800.0  # s: 1980-01-06 counted from 1970; a week
 ROLL_OVER = 1024 * WEEK  # s, after which old receivers count weeks from 0
-LEAPS = (  # year, month from whose first day on UTC is a second later still (IERS Bulletin C)
+LEAPS = (  # year and month from the start of which UTC is a second later still (IERS Bulletin C)
     (1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7), (1993, 7),
     (1994, 7), (1996, 1), (1997, 7), (1999, 1), (2006, 1), (2009, 1), (2012, 7), (2015, 7), (2017, 1),
 )  # fmt: skip

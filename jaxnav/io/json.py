@@ -22,7 +22,7 @@ def to_json(tree: Any, indent: int | None = None) -> str:
 
 
 def plain(tree: Any) -> Any:
-    """A tree of what JSON knows."""
+    """Return a tree of JSON types."""
     if isinstance(tree, Mapping):
         return {str(k): plain(v) for k, v in tree.items()}
     if isinstance(tree, (list, tuple)):

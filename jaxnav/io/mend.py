@@ -1,6 +1,6 @@
-"""From the rows of a file to a recording that passes every check; whatever that takes is a sentence in its notes.
+"""From the rows of a file to a recording that passes every check; every change is a sentence in its notes.
 
-What can be left out without harm is left out and counted; what would make the rest a guess is one `DataError`.
+Harmless omissions are made and counted; a loss that would make the rest a guess is one `DataError`.
 """
 
 from typing import NamedTuple
@@ -17,16 +17,16 @@ from jaxnav.maths.axes import rotation
 from jaxnav.measurements import AUXILIARY, with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples
 
-MAX_BAD = 0.05  # share of rows that may be left out; more, and the file is not what it is taken for
-GAP = 2.5  # median steps: a longer one is a gap, whose length no sample covers
-APART = 3600.0  # s; rows on the two sides of a longer gap are two recordings, or a clock that was set
+MAX_BAD = 0.05  # share of rows that may be left out; with more, the file is probably of another kind
+GAP = 2.5  # median steps: a longer one is a gap, without samples
+MAX_GAP = 3600.0  # s; rows on the two sides of a longer gap are two recordings, or a clock that was set
 LEAST_SD, MOST_SD = 1e-9, 1e9  # of a stated sd; others say nothing
 LATE = 1e7  # s; later times are counted from the first sample, since a float would round them to 1e-7 s
 SLOW = 20.0  # Hz; an IMU slower than this averages the motion away
 
 
 class Changes(NamedTuple):
-    """What a user says about a recording beside its file; None is as in the file."""
+    """Settings of a user in place of a file's values; None is as in the file."""
 
     name: str | None = None
     axes: str | list[float] | None = None  # of the sensor, see `jaxnav.maths.axes.rotation`
@@ -39,7 +39,7 @@ class Changes(NamedTuple):
 
 
 def applied(parts: Parts, changes: Changes) -> Parts:
-    """The parts with what the user says instead of what the file says.
+    """Return the parts with the user's settings in place of the file's values.
 
     Raises:
         DataError: an sd for a stream that is not there, or of another size, or another sign than 1 and -1.
@@ -74,7 +74,7 @@ def applied(parts: Parts, changes: Changes) -> Parts:
 
 
 def recording(parts: Parts) -> Recording:
-    """The checked recording that the parts hold, in body FRD, with a sentence in ``notes`` for every liberty taken.
+    """Return the checked recording of the parts, in body FRD, with a sentence in ``notes`` for every change.
 
     Raises:
         DataError: no IMU, more than one row in twenty unusable, or anything that `check_recording` refuses.
@@ -143,7 +143,7 @@ def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[str]) -> Imu
 
 
 def _mended(t: np.ndarray, values: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Times and values of a polled log with the sensor's even clock; unchanged where it has gaps or nothing is lost."""
+    """Return times and values of a polled log on the sensor's even clock; unchanged with gaps or without losses."""
     step = np.diff(t)
     if (step > GAP * np.median(step)).any():
         notes.append("imu: it has gaps, so that its repeated rows are not mended.")
@@ -177,16 +177,16 @@ def usable(
     keep, same = np.zeros(len(t), bool), np.zeros(len(t), bool)
     keep[index[s > latest]] = True
     same[index[s == latest]] = True
-    for bad, what, share in (
+    for bad, problem, share in (
         (~finite, "that cannot be read", MAX_BAD),
         (same, "at the time of the row before", 1.0),
-        (finite & ~keep & ~same, "whose time runs backwards", MAX_BAD),
+        (finite & ~keep & ~same, "with a time before the row before", MAX_BAD),
     ):
         if not bad.any():
             continue
         first = int(np.argmax(bad))
         at = f"line {int(lines[first])}" if lines is not None else f"row {first}"
-        sentence = f"{name}: {bad.sum()} of {len(t)} rows {what}"
+        sentence = f"{name}: {bad.sum()} of {len(t)} rows {problem}"
         if bad.sum() > max(2, share * len(t)):
             raise DataError(f"{file}: {at}: {sentence}, this is the first")
         notes.append(f"{sentence} are left out, the first at {at}.")
@@ -199,7 +199,7 @@ def _one_piece(t: np.ndarray, keep: np.ndarray, notes: list[str]) -> np.ndarray:
     """(N,) bool, rows of the longest piece between gaps of more than an hour."""
     piece = np.zeros(len(t), int)
     index = np.flatnonzero(keep)
-    piece[index] = np.r_[0, np.cumsum(np.diff(t[index]) > APART)]
+    piece[index] = np.r_[0, np.cumsum(np.diff(t[index]) > MAX_GAP)]
     longest = int(np.argmax(np.bincount(piece[index])))
     dropped = int(np.count_nonzero(piece[index] != longest))
     if dropped:
@@ -222,12 +222,12 @@ def _intervals(t: np.ndarray, stated: np.ndarray | None, notes: list[str]) -> np
         many = f"{gap.sum()} gaps" if gap.sum() > 1 else "one gap"
         notes.append(f"The IMU has {many}, the longest {step[i]:.3g} s long, {t[i] - t[0]:.1f} s after its start.")
     if usual > 1.0 / SLOW:
-        notes.append(f"The IMU comes at {1.0 / usual:.3g} Hz: strapdown navigation loses what happens in between.")
+        notes.append(f"The IMU comes at {1.0 / usual:.3g} Hz: strapdown navigation loses the motion in between.")
     return dt if stated is None else stated
 
 
 def _look(imu: ImuLog, notes: list[str]) -> None:
-    """A sentence where gravity is on the wrong axis."""
+    """Note gravity on the wrong axis."""
     force = np.average(imu.accel, axis=0, weights=imu.dt)
     size = float(np.linalg.norm(force))
     if not 8.0 < size < 11.6 or force[2] < -0.5 * size:
@@ -243,7 +243,7 @@ def _look(imu: ImuLog, notes: list[str]) -> None:
 
 
 def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]) -> Samples | None:
-    """The usable rows within the IMU's time, with an sd; None where none is left."""
+    """Return the usable rows within the IMU's time, with an sd; None where none is left."""
     t, value = np.asarray(stream.t, float), np.asarray(stream.value, float)
     if not len(t):
         return None
@@ -276,11 +276,11 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]
         keep &= ~far
     good = np.all((given > LEAST_SD) & (given < MOST_SD), axis=1)  # nan too
     if np.any(keep & ~good):
-        notes.append(f"{name}: {np.count_nonzero(keep & ~good)} of {len(t)} rows whose sd says nothing are left out.")
+        notes.append(f"{name}: {np.count_nonzero(keep & ~good)} of {len(t)} rows without a usable sd are left out.")
     inside = (t > imu.t[0] - imu.dt[0]) & (t <= imu.t[-1])
     outside = int(np.count_nonzero(keep & good & ~inside))
     if outside:
-        notes.append(f"{name}: {outside} of {len(t)} rows lie before the IMU's first sample or after its last.")
+        notes.append(f"{name}: {outside} of {len(t)} rows are before the IMU's first sample or after its last.")
     keep &= good & inside
     if not keep.any():
         theirs, hint = "no time", ""
@@ -316,7 +316,7 @@ def _with_heights(value: np.ndarray, sd: np.ndarray, notes: list[str]) -> tuple[
 
 
 def _with_sd(name: str, sd: np.ndarray, notes: list[str]) -> np.ndarray:
-    """Return sd (K, s) with what is assumed on axes that state none; a row that alone states none stays as it is."""
+    """Return sd (K, s) with assumed values on axes without any; a single row without one stays as it is."""
     none = ~(sd > LEAST_SD)
     whole = np.asarray(none.all(axis=1))
     lost = none & (~whole[:, None] | whole.all())
@@ -341,5 +341,5 @@ def _same_epoch(name: str, t: np.ndarray, imu: ImuLog, notes: list[str]) -> np.n
     if not (imu.t[-1] < 2 * WEEK and first >= GPS_EPOCH):
         return t
     week = np.round((np.nanmedian(t) - GPS_EPOCH - float(np.median(imu.t))) / WEEK)
-    notes.append(f"{name}: times since 1970 are taken as seconds of GPS week {week:.0f}, which is what the IMU counts.")
+    notes.append(f"{name}: times since 1970 are taken as seconds of GPS week {week:.0f}, the IMU's time scale.")
     return t - GPS_EPOCH - week * WEEK

@@ -1,4 +1,4 @@
-"""Values that stand for none, and positions that no vehicle reaches: what loggers write where they have no fix."""
+"""Values that stand for none, and positions that no vehicle reaches, as loggers write them without a fix."""
 
 from collections.abc import Sequence
 
@@ -8,13 +8,13 @@ from jaxnav.maths import earth
 from jaxnav.measurements import POSITION
 from jaxnav.measurements.columns import Column
 
-SPEEDS = (-1.0, 102.3, 511.0, 999.0)  # in the file's own unit
+SPEEDS = (-1.0, 102.3, 511.0, 999.0)  # in the file's unit
 UNMEASURED_SD = 1e3  # m or m/s, of a component that nothing measured
 FASTEST, SLACK = 3000.0, 1000.0  # m/s between fixes; m, of fixes that are close in time
 
 
 def without_value(value: np.ndarray, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
-    """Return which values (K, s) are marks for none, and which are beyond what is plausible, by their columns."""
+    """Return which values (K, s) are marks for none, and which are outside the plausible range of their columns."""
     low, high = np.array([c.plausible for c in columns]).T
     mark = np.stack([np.isclose(x[:, None], c.marks, 5e-8, 0.0).any(1) for x, c in zip(value.T, columns)], 1)
     return mark, (value < low * (1 - np.sign(low) * 1e-12)) | (value > high * (1 + np.sign(high) * 1e-12))
@@ -23,7 +23,7 @@ def without_value(value: np.ndarray, columns: Sequence[Column]) -> tuple[np.ndar
 def no_value(value: np.ndarray, columns: Sequence[Column]) -> np.ndarray:
     """Return which values (K, s) stand for none.
 
-    Where most are beyond what is plausible the unit is another, which is for a check to refuse.
+    Where most are outside the plausible range the unit is probably another, and a check refuses it.
     """
     mark, beyond = without_value(value, columns)
     return mark | (beyond & (beyond.mean(0) < 0.5))
@@ -49,7 +49,7 @@ def no_speed(speed: np.ndarray) -> np.ndarray:
 def unreachable(t: np.ndarray, lla: np.ndarray) -> np.ndarray:
     """Return which positions are farther from the others than `FASTEST` allows.
 
-    Fixes that follow each other within reach are a piece; the longest piece is right, and so is what is in reach of it.
+    Fixes within reach of each other are a piece; the longest piece is right, and so are fixes in reach of it.
 
     Args:
         t: (K,) s, increasing.

@@ -1,4 +1,4 @@
-"""What a reader hands over: the rows of a file in SI, as they stand there, for `jaxnav.io.mend` to make usable."""
+"""Output of a reader: the rows of a file in SI, as written, for `jaxnav.io.mend` to make usable."""
 
 from enum import StrEnum
 from typing import NamedTuple
@@ -12,7 +12,7 @@ SAMPLINGS = (RATES, INCREMENTS, INSTANTANEOUS)
 
 
 class TimeScale(StrEnum):
-    """What the times of a stream count."""
+    """Origin and rate of a stream's times."""
 
     GPS = "gps"  # s since 1970 without leap seconds
     UTC = "utc"  # s since 1970 as Unix time, behind GPS time by the leap seconds
@@ -27,7 +27,7 @@ class ImuRows(NamedTuple):
     accel: np.ndarray  # (N, 3) m/s^2 of specific force, or m/s; sensor axes
     sampling: str = RATES  # means over the interval that ends at t, increments over it, or instantaneous values at t
     dt: np.ndarray | None = None  # (N,) s that each row stands for, where the file says so
-    repair: bool = False  # mend what polling did, see `jaxnav.io.polling`
+    repair: bool = False  # repair effects of polling, see `jaxnav.io.polling`
     scale: TimeScale = TimeScale.UNKNOWN
 
 
@@ -43,18 +43,18 @@ class Stream(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """The halves of a recording that one file holds; what it lacks is None or empty."""
+    """The halves of a recording in one file; a missing one is None or empty."""
 
     file: str  # for messages
     imu: ImuRows | None = None
     aiding: dict[str, Stream] = {}
     truth: Track | None = None
     lever_arm: np.ndarray = np.zeros(3)  # (3,) m, IMU -> antenna, body FRD
-    notes: tuple[str, ...] = ()  # sentences for the user: what was assumed, dropped or looks odd
+    notes: tuple[str, ...] = ()  # sentences for the user: assumptions, omissions, oddities
     axes: str = "frd"  # of the sensor, see `jaxnav.maths.axes.rotation`
     name: str = ""
     lines: np.ndarray | None = None  # (N,) line of each row of the imu, where the file has lines
-    zero: int = 0  # s of the file's own time, subtracted from all times
+    zero: int = 0  # s of the file's time, subtracted from all times
 
 
 def with_fixes(file: str, receivers: dict[str, np.ndarray], chosen: str | None, notes: list[str]) -> str:
@@ -81,7 +81,7 @@ def with_fixes(file: str, receivers: dict[str, np.ndarray], chosen: str | None, 
 
 
 def counted_from(parts: Parts, zero: int) -> Parts:
-    """Return parts whose times count from ``zero`` s of the file's own time."""
+    """Return parts with times that count from ``zero`` s of the file's time."""
     shift = parts.zero - zero
     imu = None if parts.imu is None else parts.imu._replace(t=parts.imu.t + shift)
     aiding = {name: stream._replace(t=stream.t + shift) for name, stream in parts.aiding.items()}
@@ -90,13 +90,13 @@ def counted_from(parts: Parts, zero: int) -> Parts:
 
 
 def scaled(parts: Parts, scale: TimeScale) -> Parts:
-    """Return parts whose streams are all of a time scale."""
+    """Return parts with all streams in one time scale."""
     aiding = {name: stream._replace(scale=scale) for name, stream in parts.aiding.items()}
     return parts._replace(imu=None if parts.imu is None else parts.imu._replace(scale=scale), aiding=aiding)
 
 
 def parts_of(rec: Recording, file: str) -> Parts:
-    """A finished recording as parts, so that options and another file's fixes can be put on it."""
+    """Return a finished recording as parts, for options and another file's fixes."""
     aiding = {name: Stream(*samples) for name, samples in rec.aiding.items()}
     imu = ImuRows(rec.imu.t, rec.imu.gyro, rec.imu.accel, dt=rec.imu.dt)
     notes = tuple(rec.notes.split("\n")) if rec.notes else ()

@@ -1,10 +1,10 @@
 """Repair a log whose writer polled a free-running sensor: host numpy.
 
-A logger that reads the sensor's newest sample on its own clock, a little slower than the sensor's, sees the sensor's
-phase slide past its own. Where the two meet, jitter makes it read one sample twice and miss another: a burst with n
+A logger that reads the sensor's newest sample on a clock a little slower than the sensor's sees the sensor's
+phase slide past its phase. Where the two meet, jitter makes it read one sample twice and miss another: a burst with n
 repeated rows and n + 1 lost samples, once per beat of the two rates. Integrated as it stands, each event adds the
 difference of two neighbouring samples times the sample time: under vibration, a random walk of angle far above the
-sensor's own (on a car with 5 deg/s of vibration, 0.1 deg/sqrt(s)).
+sensor's (on a car with 5 deg/s of vibration, 0.1 deg/sqrt(s)).
 
 Here the repeated rows go, each lost sample gets its place and a value, and the stream gets the sensor's even clock.
 The sensor is assumed to be the faster of the two; a log without repeated rows passes unchanged.
@@ -18,7 +18,7 @@ ORDER = 12  # of the autoregressive model of the vibration
 CLEAN = 160  # samples that the model is fitted to
 REACH = 10  # polls: how far before a repeated row its lost sample can be
 SLACK = 1.5  # polls: how far a lost sample may be from where the beat of the two clocks puts it
-APART = 60  # polls without a repeat that separate two bursts
+BURST_GAP = 60  # polls without a repeat that separate two bursts
 
 
 class Repaired(NamedTuple):
@@ -52,7 +52,7 @@ def repair(values: np.ndarray) -> Repaired:
     at = np.flatnonzero(repeated)
     lost_after: list[int] = []
     if at.size:
-        for burst in np.split(at, np.flatnonzero(np.diff(at) > APART) + 1):
+        for burst in np.split(at, np.flatnonzero(np.diff(at) > BURST_GAP) + 1):
             lost_after += _locate(values, repeated, burst)
     kept = np.flatnonzero(~repeated)
     where = np.searchsorted(kept, lost_after, side="right")
@@ -135,7 +135,7 @@ def _costs(
     begin, end = max(0, low - 2 * ORDER), min(values.shape[0], high + ORDER)
     window = np.arange(begin, end)[~repeated[begin:end]]
     before = np.searchsorted(window, [p for p in lost if p >= begin], side="right")
-    after = np.searchsorted(window, candidates, side="right")  # a candidate comes behind what is lost already
+    after = np.searchsorted(window, candidates, side="right")  # a candidate comes behind a lost one
     M, K = before.size + 1, candidates.size
     n = window.size + M
     if n <= ORDER:  # at an end of the log: too short to predict anything
@@ -146,7 +146,7 @@ def _costs(
     source = np.clip(np.cumsum(~mask, 1) - 1, 0, window.size - 1)
     x = np.where(mask[..., None], 0.0, (values[window] - model.mean)[source])  # (K, n, c)
     left = sum(x[:, ORDER - i : n - i] * model.taps[:, i] for i in range(ORDER + 1))  # (K, n - ORDER, c)
-    # what a lost sample adds to each prediction error: its tap, (K, n - ORDER, M, c)
+    # effect of a lost sample on each prediction error: its tap, (K, n - ORDER, M, c)
     tap = np.arange(ORDER, n)[:, None] - missing[:, None]
     adds = np.where(((tap >= 0) & (tap <= ORDER))[..., None], model.taps.T[np.clip(tap, 0, ORDER)], 0.0)
     normal = np.einsum("knic,knjc->kcij", adds, adds) + 1e-9 * np.eye(M)
@@ -164,7 +164,7 @@ def _fill(stream: np.ndarray, lost: np.ndarray) -> np.ndarray:
     index, known = np.arange(lost.size), ~lost
     for c in range(out.shape[1]):
         out[lost, c] = np.interp(index[lost], index[known], stream[known, c])
-    for group in np.split(at, np.flatnonzero(np.diff(at) > APART) + 1):
+    for group in np.split(at, np.flatnonzero(np.diff(at) > BURST_GAP) + 1):
         begin, end = max(0, group[0] - 2 * ORDER), min(lost.size, group[-1] + 2 * ORDER)
         model = _nearby_model(stream, lost, group[0], group[-1] + 1)
         if model is None or end - begin <= ORDER:

@@ -1,4 +1,4 @@
-"""``read(path)``: any recording of a format that `READERS` knows, recognised by what the file is."""
+"""``read(path)``: any recording of a format that `READERS` knows, recognised by its content."""
 
 import os
 import re
@@ -38,10 +38,10 @@ HEAD = 4096  # bytes of a file that a reader sees to recognise it
 
 
 class ReadFile(Protocol):
-    """What reads the files of a format; its options are keyword arguments that the row names."""
+    """Reader of the files of a format; its options are keyword arguments that the row names."""
 
     def __call__(self, path: Path, /) -> Parts:
-        """Return what the file or folder holds.
+        """Return the contents of the file or folder.
 
         Raises:
             DataError: it cannot be used; names the file and the line or field.
@@ -49,7 +49,7 @@ class ReadFile(Protocol):
 
 
 class Reader(NamedTuple):
-    """A format. Adding one is a file of its own and a row in `READERS`."""
+    """A format. Adding one is a file and a row in `READERS`."""
 
     name: str  # for people
     recognises: Callable[[Path, bytes], bool]  # (path, its first HEAD bytes, b"" of a folder): is it mine? Never raises
@@ -59,7 +59,7 @@ class Reader(NamedTuple):
 
 
 def read(path: FilePath, **options: Any) -> Recording:
-    """The recording in a file or folder; its ``notes`` say, a sentence a line, what was assumed, left out, looks wrong.
+    """Read the recording in a file or folder; its ``notes`` list, a sentence a line, assumptions, omissions and doubts.
 
     `jaxnav.checkup.checkup` asks it more, and takes longer.
 
@@ -67,7 +67,7 @@ def read(path: FilePath, **options: Any) -> Recording:
         path: file or folder of a format in `READERS`, or a column map (``docs/formats.md``).
         options: ``gnss``, a file with the fixes where ``path`` holds the IMU alone; the fields of
             `jaxnav.io.mend.Changes` (``axes``, ``accel_sign``, ``lever_arm``, ``sd``, ``time_shift_s``, ``name``);
-            what the format's own reader takes.
+            options of the format's reader.
 
     Raises:
         DataError: not there, of no known format, an unknown option, or nothing that could be used; names the file.
@@ -77,15 +77,15 @@ def read(path: FilePath, **options: Any) -> Recording:
 
 
 def read_parts(path: FilePath, gnss: FilePath | None = None, **options: Any) -> Parts:
-    """What a file holds, before it is made usable; options as for `read`."""
+    """Return the contents of a file, before mending; options as for `read`."""
     path = Path(path)
     row = recognise(path)
-    own = {key: value for key, value in options.items() if key in row.options}
-    changes = {key: value for key, value in options.items() if key in Changes._fields and key not in own}
-    for key in options.keys() - own.keys() - changes.keys():
+    reader = {key: value for key, value in options.items() if key in row.options}
+    changes = {key: value for key, value in options.items() if key in Changes._fields and key not in reader}
+    for key in options.keys() - reader.keys() - changes.keys():
         hint = units.nearest(key, (*row.options, *Changes._fields, "gnss"))
         raise DataError(f"{path}: {row.name}: no option {key}: {hint}")
-    parts = _read(row, path, own)
+    parts = _read(row, path, reader)
     if gnss is not None:
         other = counted_from(read_parts(gnss), parts.zero)
         parts = parts._replace(aiding=parts.aiding | other.aiding, notes=parts.notes + other.notes)
@@ -100,15 +100,15 @@ def _read(row: Reader, path: Path, options: dict[str, Any]) -> Parts:
     except ImportError as error:
         raise DataError(f"{path}: a {row.name} file needs {error.name}: pip install 'jaxnav[{row.extra}]'") from error
     except Exception as error:  # damage that no check foresaw, in here or in an optional package
-        what = " ".join(f"{type(error).__name__}: {error}".split())
-        raise DataError(f"{path}: cannot be read as {row.name}: {what}") from error
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise DataError(f"{path}: cannot be read as {row.name}: {reason}") from error
 
 
 def recognise(path: FilePath) -> Reader:
-    """The row of `READERS` whose format a file or folder has.
+    """Return the row of `READERS` for a file or folder.
 
     Raises:
-        DataError: it is not there, or of none; says what to do.
+        DataError: it does not exist, or no format fits.
     """
     path = Path(path)
     head = b""
@@ -141,7 +141,7 @@ def _unknown(path: Path) -> str:
     return f"{path}: a table that no reader knows; describe its columns in a column map (docs/formats.md): {names}"
 
 
-# ---------------------------------------------------------------------------- our own formats
+# ---------------------------------------------------------------------------- the project's formats
 
 
 def _folder(path: Path, head: bytes) -> bool:
@@ -160,7 +160,7 @@ def _npz(path: Path, head: bytes) -> bool:
 
 
 def _tail(path: Path) -> bytes:
-    """The end of a zip archive, which lists its members."""
+    """Return the end of a zip archive, which lists its members."""
     with open(path, "rb") as file:
         file.seek(max(0, path.stat().st_size - HEAD))
         return file.read()
@@ -206,7 +206,7 @@ def _pos(path: Path, head: bytes) -> bool:
 
 
 def _seven(head: bytes) -> np.ndarray | None:
-    """The whole rows of a text of seven numbers a line; None of any other."""
+    """Return the complete rows of a text of seven numbers a line; None of any other."""
     rows = [line.split() for line in head.split(b"\n")[:-1]][:20]
     try:
         return np.array(rows, float) if len(rows) > 1 and all(len(row) == 7 for row in rows) else None

@@ -1,4 +1,4 @@
-"""A recording from arrays, for those whose data are in no file that `jaxnav.io` reads."""
+"""A recording from arrays, for data in no file that `jaxnav.io` reads."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -23,16 +23,23 @@ def recording(
     notes: str = "",
     **streams: Stream,
 ) -> Recording:
-    """A checked recording: ``recording((t, gyro, accel), position=(t, lla, sd), velocity=(t, enu, sd))``.
+    """Return a checked recording from arrays.
 
-    ``imu``: `ImuLog`, or times (N,) s at the end of each sample, rates (N, 3) rad/s and specific force (N, 3) m/s^2,
-    body FRD, means over the sample; a step is then the time since the sample before. Every other stream has the name of
-    a measurement that carries data (`jaxnav.measurements.MEASUREMENTS`): `Samples`, or times (K,) s, values (K, s) and
-    sd (K, s) or one number for all; positions in rad, rad, m, with sd in ENU m. Rows that a
-    numpy mask hides are none. ``lever_arm``: (3,) m, IMU -> antenna.
+    ``recording((t, gyro, accel), position=(t, lla, sd), velocity=(t, enu, sd))``. Rows that a numpy mask hides are left
+    out.
+
+    Args:
+        imu: `ImuLog`, or times (N,) s at the end of each sample, rates (N, 3) rad/s and specific force (N, 3) m/s^2,
+            body FRD, means over the sample; a step is then the time since the sample before.
+        name: of the recording, for messages and figures.
+        lever_arm: (3,) m, IMU -> antenna, body FRD.
+        truth: true trajectory, where known.
+        notes: remarks for the user, one per line.
+        **streams: by name of a measurement with data (`jaxnav.measurements.MEASUREMENTS`): `Samples`, or times (K,) s,
+            values (K, s) and sd (K, s) or one number for all; positions in rad, rad, m, with sd in ENU m.
 
     Raises:
-        DataError: an unknown stream, or data that cannot be used; names the stream, the row and what is wrong.
+        DataError: an unknown stream, or unusable data; names the stream, the row and the problem.
 
     Five seconds at rest on the equator, with a fix each second:
 

@@ -1,6 +1,6 @@
 """Any table as columns by name: text, ``.npy``, ``.npz``, ``.mat``, each alone or inside a zip archive; leniently.
 
-A cell that is no number is nan, a line of another width is left out: what becomes of them is `jaxnav.io.mend`'s.
+A cell without a number is nan, a line of another width is left out: `jaxnav.io.mend` decides about them.
 """
 
 import datetime
@@ -34,7 +34,7 @@ class Sheet(NamedTuple):
 
 
 def open_sheet(path: FilePath, delimiter: str | None = None, header: bool | None = None) -> Sheet:
-    """The columns of a file; ``delimiter`` and whether there is a header are found out where they are None.
+    """Open the columns of a file; ``delimiter`` and header are detected where they are None.
 
     Raises:
         DataError: not there, or no table.
@@ -50,7 +50,7 @@ def open_sheet(path: FilePath, delimiter: str | None = None, header: bool | None
 
 
 def contents(path: FilePath) -> bytes:
-    """The bytes of a file, or of ``archive.zip/member``."""
+    """Read a file, or ``archive.zip/member``."""
     path = Path(path)
     archive = next((parent for parent in path.parents if parent.suffix == ".zip" and parent.is_file()), None)
     if archive is None:
@@ -68,7 +68,7 @@ def contents(path: FilePath) -> bytes:
 
 
 def column(sheet: Sheet, name: str | int) -> np.ndarray:
-    """The column of this name, or of this number from 1, as it stands; DataError names the nearest."""
+    """Return the column of this name, or of this number from 1, as it stands; DataError names the nearest."""
     if name in sheet.twice:
         raise DataError(f"{sheet.file}: the name {name} stands above several columns: say their numbers, from 1")
     if str(name) not in sheet.columns:
@@ -189,7 +189,7 @@ def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) ->
 
 
 def _delimiter(lines: list[str]) -> str:
-    """Return what stands between cells: semicolons or tabs where all lines have as many, else commas, else space."""
+    """Return the mark between cells: semicolons or tabs where all lines have as many, else commas, else space."""
     for mark in (";", "\t"):
         counts = {line.count(mark) for line in lines}
         if len(counts) == 1 and counts != {0}:

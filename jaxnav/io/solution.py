@@ -77,7 +77,7 @@ def _sd_in_degrees(sd: np.ndarray) -> np.ndarray:
 
 
 def write_kml(path: FilePath, track: Track, fixes: Samples | None = None, name: str = "solution") -> None:
-    """A KML line of the track, and if given the position fixes as points."""
+    """Write a KML line of the track, and if given the position fixes as points."""
     places = [f"<Placemark><name>{escape(name)}</name><LineString><altitudeMode>absolute</altitudeMode>"]
     places += ["<coordinates>", *_coordinates(track.lla), "</coordinates></LineString></Placemark>"]
     if fixes is not None:

@@ -1,4 +1,4 @@
-"""Values of TOML and the types of fields: conversion, what is expected in words, where a key stands, writing."""
+"""Values of TOML and the types of fields: conversion, expected values in words, line of a key, writing."""
 
 import json
 import math
@@ -36,7 +36,7 @@ def convert(value: Any, hint: Any) -> tuple[bool, Any]:
 
 
 def describe(hint: Any) -> str:
-    """What values a type takes, in words."""
+    """Return the values that a type takes, in words."""
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
         return " or ".join(describe(a) for a in args if a is not type(None))
@@ -67,14 +67,14 @@ def place(where: str, text: str, name: str) -> str:
 
 
 def plain(value: Any) -> Any:
-    """The value as TOML and JSON have it: tables without what is None, lists for tuples."""
+    """Return the value in types of TOML and JSON: tables without None, lists for tuples."""
     if isinstance(value, Mapping):
         return {k: plain(v) for k, v in value.items() if v is not None}
     return [plain(v) for v in value] if isinstance(value, (list, tuple)) else value
 
 
 def to_toml(tree: Mapping[str, Any], section: str = "") -> str:
-    """A tree as TOML text."""
+    """Return a tree as TOML text."""
     lines = [f"{quoted(k)} = {_toml(v)}" for k, v in tree.items() if not isinstance(v, Mapping)]
     if section and (lines or not tree):
         lines = [f"[{section}]", *lines]

@@ -22,13 +22,13 @@ SEA_LEVEL = 101325.0  # Pa, standard atmosphere
 
 
 def nearest(word: str, known: tuple[str, ...] | dict[str, Any]) -> str:
-    """``did you mean X?`` or what is known."""
+    """Return ``did you mean X?`` or the known names."""
     near = difflib.get_close_matches(word, list(known), n=1)
     return f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}, got {word!r}"
 
 
 def factor(table: dict[str, Any], key: str, kind: str, where: str, default: str | None = None) -> float:
-    """The factor to SI of the unit that ``key`` of a table names.
+    """Return the factor to SI of the unit that ``key`` of a table names.
 
     Raises:
         DataError: it names none and there is no default, or one of another quantity.

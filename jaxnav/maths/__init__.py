@@ -1,1 +1,1 @@
-"""Earth, rotations, small matrices, units: what knows nothing of navigation."""
+"""Earth, rotations, small matrices, units: mathematics without navigation."""

@@ -15,8 +15,8 @@ def rotation(axes: str | Sequence[float]) -> np.ndarray:
     """(3, 3) sensor -> body FRD.
 
     Args:
-        axes: where the sensor's x, y, z point, as letters of forward, back, left, right, up, down (``"flu"``); or what
-            the body's x, y, z are in the sensor's axes (``"x,-y,-z"``); or roll, pitch, yaw in degrees of the body's
+        axes: directions of the sensor's x, y, z, as letters of forward, back, left, right, up, down (``"flu"``); or
+            the body's x, y, z in the sensor's axes (``"x,-y,-z"``); or roll, pitch, yaw in degrees of the body's
             axes in the sensor's (Groves 2013, eq. 2.22).
 
     Raises:

@@ -1,6 +1,6 @@
 """Vectors and quaternions as tuples of their components: scalars in a scan, (k,) arrays over samples.
 
-A scan whose carry is made of scalars is what `vmap` turns into long loops over a batch, several times faster than
+`vmap` turns a scan with a carry of scalars into long loops over a batch, several times faster than
 arrays of three; and an array over samples is one loop for each component. No function here is transcendental.
 """
 
@@ -19,12 +19,12 @@ remat = partial(jax.checkpoint, prevent_cse=False)
 
 
 def split(a: Any) -> tuple[jax.Array, ...]:
-    """The components along the last axis."""
+    """Return the components along the last axis."""
     return tuple(jnp.unstack(jnp.asarray(a), axis=-1))
 
 
 def add(*vectors: tuple[Any, ...]) -> tuple[Any, ...]:
-    """The sum, component by component."""
+    """Return the sum, component by component."""
     return tuple(sum(c[1:], c[0]) for c in zip(*vectors, strict=True))
 
 
@@ -34,7 +34,7 @@ def scale(s: Any, v: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """A x b."""
+    """Return a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
@@ -69,12 +69,12 @@ def _products_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[
     q = products(first, steps)
     start = tuple(before(a, b) for a, b in zip(first, q, strict=True))
     turned = multiply(multiply(start, d_steps), conjugate(q))
-    begun = multiply(d_first, conjugate(first))
-    return q, multiply(tuple(a + jnp.cumsum(b) for a, b in zip(begun, turned, strict=True)), q)
+    offset = multiply(d_first, conjugate(first))
+    return q, multiply(tuple(a + jnp.cumsum(b) for a, b in zip(offset, turned, strict=True)), q)
 
 
 def conjugate(q: Quaternion) -> Quaternion:
-    """The inverse of a unit quaternion."""
+    """Return the inverse of a unit quaternion."""
     return q[0], -q[1], -q[2], -q[3]
 
 
@@ -86,13 +86,13 @@ def rotate(q: Quaternion, v: Vector) -> Vector:
 
 
 def exp_small_angle(phi: Vector) -> Quaternion:
-    """The rotation by a small vector phi, to fifth order: 1e-11 at 0.1 rad."""
+    """Return the rotation by a small vector phi, to fifth order: 1e-11 at 0.1 rad."""
     n2 = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
     return (1 - n2 / 8 * (1 - n2 / 48), *scale(0.5 * (1 - n2 / 24 * (1 - n2 / 80)), phi))
 
 
 def exp(phi: Vector) -> Quaternion:
-    """The rotation by phi, to 1e-13 up to half a turn and 1e-9 up to a whole one.
+    """Return the rotation by phi, to 1e-13 up to half a turn and 1e-9 up to a whole one.
 
     By a series of a quarter of it, squared twice.
     """
@@ -107,7 +107,7 @@ def exp(phi: Vector) -> Quaternion:
 
 
 def normalize(q: Quaternion) -> Quaternion:
-    """Unit length again."""
+    """Return a quaternion of unit length."""
     return scale(1 / jnp.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), q)
 
 
@@ -123,9 +123,9 @@ def to_dcm(q: Quaternion) -> jax.Array:
 
 
 def running(a: jax.Array) -> jax.Array:
-    """The sums of a (k, ...) over its rows up to each, same shape.
+    """Return the sums of a (k, ...) over its rows up to each, same shape.
 
-    In a scan, which costs a batch a fraction of what `jnp.cumsum`, there a reduction over windows, does.
+    By a scan, at a fraction of the cost of `jnp.cumsum` in a batch, which is a reduction over windows there.
     """
 
     def step(total: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -136,5 +136,5 @@ def running(a: jax.Array) -> jax.Array:
 
 
 def before(first: Any, a: jax.Array) -> jax.Array:
-    """A component at the start of each sample, from that at the ends (k,) and the first start."""
+    """Return a component at the start of each sample, from that at the ends (k,) and the first start."""
     return jnp.concatenate([jnp.asarray(first)[None], a[:-1]])

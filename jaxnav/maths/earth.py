@@ -48,7 +48,7 @@ def transport_rate(lat: jax.Array, h: jax.Array, vel: jax.Array) -> jax.Array:
 
 
 def metres_per_radian(lla: jax.Array) -> jax.Array:
-    """What a change of (lat, lon, h) is worth in metres of (north, east, up), (3,): m/rad, m/rad, 1."""
+    """Return metres of (north, east, up) per unit of (lat, lon, h), (3,): m/rad, m/rad, 1."""
     lat, _, h = jnp.unstack(lla)
     meridian, prime = radii(lat)
     return jnp.stack([meridian + h, (prime + h) * jnp.cos(lat), jnp.ones_like(h)])
@@ -57,8 +57,8 @@ def metres_per_radian(lla: jax.Array) -> jax.Array:
 def enu_difference(lla: jax.Array, reference: jax.Array) -> jax.Array:
     """Position minus a near reference in metres of ENU at ``lla``, (3,).
 
-    First order in the distance: wrong by distance^2 / (2 radius) in height, 1 mm at 100 m. Longitudes may be turns
-    apart.
+    First order in the distance: wrong by distance^2 / (2 radius) in height, 1 mm at 100 m. Longitudes may
+    differ by 360 deg.
 
     A minute of latitude is a nautical mile:
 
@@ -73,7 +73,7 @@ def enu_difference(lla: jax.Array, reference: jax.Array) -> jax.Array:
 
 
 def move(lla: jax.Array, enu: jax.Array) -> jax.Array:
-    """The position a small ENU displacement (m) away, (3,) lat, lon, h: first order, inverse of `enu_difference`."""
+    """Return the position after an ENU displacement (m), (3,) lat, lon, h: first order, inverse of `enu_difference`."""
     east, north, up = jnp.unstack(enu)
     return lla + jnp.stack([north, east, up]) / metres_per_radian(lla)
 

@@ -9,18 +9,18 @@ from jax import lax
 
 
 def _with_rows(A: jax.Array, B: jax.Array) -> jax.Array:
-    """A B'; a gradient multiplies by B as it lies in memory."""
+    """Return a B'; a gradient multiplies by B in its memory layout."""
     return lax.dot_general(A, B, (((1,), (1,)), ((), ())))
 
 
 def _applied(A: jax.Array, B: jax.Array) -> jax.Array:
-    """A B; a gradient multiplies by A' laid out anew: a batch is slow at products over the first axis of both."""
+    """Return A B; a gradient multiplies by A' in a new layout: a batch is slow at products over first axes."""
     return lax.dot_general(A.T, B, (((0,), (0,)), ((), ())))
 
 
 @jax.custom_jvp
 def times(A: jax.Array, B: jax.Array) -> jax.Array:
-    """A B, (n, m); in a batch its gradient takes half the time that of ``A @ B`` does."""
+    """Return a B, (n, m); in a batch its gradient takes half the time that of ``A @ B`` does."""
     return A @ B
 
 
@@ -32,7 +32,7 @@ def _times_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax
 
 @jax.custom_jvp
 def sandwich(A: jax.Array, P: jax.Array) -> jax.Array:
-    """A P A', (m, m), of A (m, n) and a symmetric P (n, n); its gradient takes fewer products than that of the two."""
+    """Return A P A', (m, m), of A (m, n) and a symmetric P (n, n); its gradient takes fewer products than two."""
     return A @ P @ A.T
 
 
@@ -65,11 +65,12 @@ def _swept(S: jax.Array) -> tuple[jax.Array, jax.Array]:
     """
     m, log_det = S.shape[0], jnp.zeros((), S.dtype)
     for k in range(m):
-        own = np.arange(m) == k
+        diagonal = np.arange(m) == k
         pivot = jnp.where(S[k, k] > 0, S[k, k], jnp.nan)
         row = S[k] / pivot
         rest = S - S[:, k, None] * row
-        S = jnp.where(own[:, None] & own, -1 / pivot, jnp.where(own[:, None], row, jnp.where(own, row[:, None], rest)))
+        here, row_k, column_k = diagonal[:, None] & diagonal, diagonal[:, None], diagonal
+        S = jnp.where(here, -1 / pivot, jnp.where(row_k, row, jnp.where(column_k, row[:, None], rest)))
         log_det += jnp.log(pivot)
     return -S, log_det
 
@@ -98,7 +99,7 @@ def solve(S: jax.Array, b: jax.Array) -> jax.Array:
 
 @jax.custom_jvp
 def normalized(v: jax.Array, S: jax.Array) -> jax.Array:
-    """The square of v (m,) in units of its covariance S (m, m), v' S^-1 v, (): the NIS of an innovation."""
+    """Return the square of v (m,) in units of its covariance S (m, m), v' S^-1 v, (): the NIS of an innovation."""
     return v @ solve(S, v)
 
 
@@ -116,7 +117,7 @@ def gain(P: jax.Array, H: jax.Array, S: jax.Array) -> jax.Array:
 
 @jax.custom_jvp
 def update(P: jax.Array, H: jax.Array, R: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The Kalman gain (n, m) and the covariance (n, n) after a correction with it, in Joseph form.
+    """Return the Kalman gain (n, m) and the covariance (n, n) after a correction with it, in Joseph form.
 
     Of the covariances P (n, n) and R (m, m), symmetric, and H (m, n); nan where H P H' + R is not positive definite.
     """

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # NED -> ENU and back: its own inverse
+ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # NED -> ENU and back: equal to its inverse
 
 
 def skew(v: jax.Array) -> jax.Array:
@@ -32,7 +32,7 @@ def multiply(p: jax.Array, q: jax.Array) -> jax.Array:
 
 
 def conjugate(q: jax.Array) -> jax.Array:
-    """The inverse rotation of a unit quaternion."""
+    """Return the inverse rotation of a unit quaternion."""
     return q * np.array([1.0, -1.0, -1.0, -1.0])
 
 
@@ -47,7 +47,7 @@ def exp(phi: jax.Array) -> jax.Array:
 
 
 def log(q: jax.Array) -> jax.Array:
-    """Unit quaternion -> rotation vector, rad, (3,), of length at most pi: the inverse of `exp`."""
+    """Return the rotation vector, rad, (3,), of a unit quaternion, of length at most pi: the inverse of `exp`."""
     q = jnp.where(q[0] < 0, -q, q)
     s2 = q[1:] @ q[1:]
     small = s2 < 1e-4
@@ -58,12 +58,12 @@ def log(q: jax.Array) -> jax.Array:
 
 
 def normalize(q: jax.Array) -> jax.Array:
-    """A quaternion that integration has moved off unit length, brought back."""
+    """Return a quaternion of unit length, which integration has changed."""
     return q / jnp.sqrt(q @ q)
 
 
 def to_dcm(q: jax.Array) -> jax.Array:
-    """Unit quaternion q_ab -> C_ab, (3, 3): ``C_ab @ v_b = v_a``."""
+    """Return C_ab, (3, 3), of a unit quaternion q_ab: ``C_ab @ v_b = v_a``."""
     w, x, y, z = jnp.unstack(q)
     return jnp.stack(
         [

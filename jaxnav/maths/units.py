@@ -26,7 +26,7 @@ class Unit(NamedTuple):
     factor: float = 1.0  # the user's unit in SI
     shape: tuple[int, ...] = ()  # of one value an axis
     text: str = ""  # the unit in words
-    step: float | None = None  # SI, what a tuner's step of 1 is worth; None: positive, a step is a factor e
+    step: float | None = None  # SI, value of a tuner's step of 1; None: positive, a step is a factor e
     root: bool = False  # may also be a lower triangular matrix, for noise that is correlated between the axes
     endless: bool = False  # may be inf
     zero: bool = False  # of a positive one: may be 0

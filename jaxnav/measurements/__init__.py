@@ -1,4 +1,4 @@
-"""MEASUREMENTS: every kind of measurement by name; a new one is a file beside this and a line here."""
+"""MEASUREMENTS: every kind of measurement by name; a new one is a file in this folder and a line here."""
 
 from jaxnav.measurements.air import AIRSPEED, SIDESLIP
 from jaxnav.measurements.auxiliary import AUXILIARY, Auxiliary
@@ -37,7 +37,7 @@ GNSS = (POSITION, VELOCITY)
 
 
 def with_data() -> dict[str, Measurement | Auxiliary]:
-    """The rows that a recording carries a stream of, by name: measurements, and what optional states read."""
+    """Return the rows with a stream in a recording, by name: measurements, and auxiliary values of optional states."""
     return {name: each for name, each in MEASUREMENTS.items() if each.columns} | AUXILIARY
 
 

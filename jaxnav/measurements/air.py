@@ -1,4 +1,4 @@
-"""What the air around an aircraft shows: how fast it comes, and that it comes from ahead."""
+"""Measurements of the air around an aircraft: airspeed, and flight without sideslip."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from jaxnav.types import Fix, Leaf, Mounting, Nav
 class AirspeedParams(NamedTuple):
     """Of a pitot tube along the body's x."""
 
-    sd_scale: Leaf  # () factor on its own sd
+    sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped
     scale: Leaf  # () scale error; 0 is none
 
@@ -54,9 +54,9 @@ AIRSPEED = Measurement(
                    Unit(step=0.02)),
     states=("wind",), columns=(column("airspeed_mps", "speed", 1.0, plausible=(-100.0, 3000.0)),),
 )  # fmt: skip
-"""True airspeed: value forward m/s, its own sd."""
+"""True airspeed: value forward m/s, sd."""
 SIDESLIP = Measurement(
     "sideslip", ("right",), observe_sideslip, SideslipParams(1.0), SideslipParams(Unit("mps", text="m/s")),
     states=("wind",),
 )  # fmt: skip
-"""An aircraft flies without slipping: no value; sd = its parameter times the fix's own sd (1 by default)."""
+"""An aircraft flies without sideslip: no value; sd = its parameter times the fix's sd (1 by default)."""

@@ -13,7 +13,7 @@ from jaxnav.types import Fix, Leaf, Mounting, Nav
 class BarometerParams(NamedTuple):
     """Of a barometer."""
 
-    sd_scale: Leaf  # () factor on its own sd
+    sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped
 
 
@@ -30,4 +30,4 @@ BAROMETER = Measurement(
     states=("barometer_bias",),
     columns=(column("height_m", "length", 1.0, plausible=(-12e3, 1e5), marks=(-9999.0, -99999.0)),),
 )  # fmt: skip
-"""Height by air pressure: value m above the ellipsoid but for its bias, its own sd."""
+"""Height by air pressure: value m above the ellipsoid but for its bias, sd."""

@@ -41,7 +41,7 @@ def column(
     """Return a column of a file; the unit is the last part of its name.
 
     Args:
-        name: as it is written, ``height_m``; what is written in rad is also read in deg.
+        name: name in files, ``height_m``; a column in rad is also read in deg.
         quantity: a key of `QUANTITIES`.
         sd: assumed where none is stated, in the unit of the quantity.
         sd_name: of the column of its sd; the default is ``sd_`` and the unit.

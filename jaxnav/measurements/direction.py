@@ -18,7 +18,7 @@ SLOWEST = 0.1  # m/s or m: below it a direction means nothing, and its row is bo
 class HeadingParams(NamedTuple):
     """Of a heading by two antennas."""
 
-    sd_scale: Leaf  # () factor on its own sd
+    sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped
     yaw: Leaf  # () rad, of the line from the first antenna to the second in body axes, to the right of forward
 
@@ -26,7 +26,7 @@ class HeadingParams(NamedTuple):
 class BaselineParams(NamedTuple):
     """Of the line from one antenna to another."""
 
-    sd_scale: Leaf  # () factor on its own sd
+    sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped
     arm: Leaf  # (3,) m, first antenna -> second, body
 
@@ -34,7 +34,7 @@ class BaselineParams(NamedTuple):
 class AgedParams(NamedTuple):
     """Of a sensor that is only late."""
 
-    sd_scale: Leaf  # () factor on its own sd
+    sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped
 
 
@@ -47,7 +47,7 @@ def azimuth(d: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def turned(angle: jax.Array) -> jax.Array:
-    """The angle within +-pi, (1,)."""
+    """Return the angle within +-pi, (1,)."""
     return (jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi)[None]
 
 
@@ -84,7 +84,7 @@ HEADING = Measurement(
     HeadingParams(*_AGED, Unit("deg", DEG, text="deg", step=DEG)),
     columns=(column("heading_rad", "angle", 0.1, plausible=(-13.0, 13.0)),),
 )  # fmt: skip
-"""Heading by two antennas: value rad from north, clockwise, of the line from the first to the second, its own sd."""
+"""Heading by two antennas: value rad from north, clockwise, of the line from the first to the second, sd."""
 BASELINE = Measurement(
     "baseline", ("east", "north", "up"), observe_baseline, BaselineParams(1.0, 0.0, (1.0, 0.0, 0.0)),
     BaselineParams(*_AGED, Unit("m", 1.0, (3,), "m", step=0.1)),
@@ -93,14 +93,14 @@ BASELINE = Measurement(
         column("u_m", "length", 0.04, "sd_u_m"),
     ),
 )  # fmt: skip
-"""Line between two antennas: value (3,) m ENU, first -> second, its own sd."""
+"""Line between two antennas: value (3,) m ENU, first -> second, sd."""
 COURSE = Measurement(
     "course", ("course",), observe_course, AgedParams(1.0, 0.0), AgedParams(*_AGED),
     columns=(column("course_rad", "angle", 0.1, plausible=(-13.0, 13.0)),),
 )  # fmt: skip
-"""Course over ground: value rad from north, clockwise, its own sd; give none below walking pace."""
+"""Course over ground: value rad from north, clockwise, sd; give none below walking pace."""
 YAW_RATE = Measurement(
     "yaw_rate", ("down",), observe_yaw_rate, AgedParams(1.0, 0.0), AgedParams(*_AGED),
     columns=(column("rate_radps", "rate", 0.05, plausible=(-35.0, 35.0)),),
 )  # fmt: skip
-"""Turn rate by the wheels of both sides: value rad/s about the body's z, its own sd."""
+"""Turn rate by the wheels of both sides: value rad/s about the body's z, sd."""

@@ -16,7 +16,7 @@ from jaxnav.types import Fix, Leaf, Mounting, Nav
 class FixParams(NamedTuple):
     """Of a receiver's position or velocity; as a root L the covariance of a fix is L D C D L' (`Fix`)."""
 
-    scale: Leaf  # (), (3,) or a lower triangular root (3, 3): factor on the fix's own sd, ENU
+    scale: Leaf  # (), (3,) or a lower triangular root (3, 3): factor on the fix's sd, ENU
     latency: Leaf  # () s, its age when it is stamped
 
 
@@ -35,7 +35,7 @@ def observe_position(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinema
 
 
 def observe_velocity(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """V + C (w x l) - y; the Earth's own rate times an arm is below 1e-4 m/s."""
+    """V + C (w x l) - y; the Earth's rate times an arm is below 1e-4 m/s."""
     arm = arm_of(mounting, nav)
     swing = kin.C @ jnp.cross(nav.omega, arm)
     rows = {

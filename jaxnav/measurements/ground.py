@@ -15,7 +15,7 @@ STEEPEST = 0.2  # cosine of the tilt, 78 deg: beyond it the beam does not meet t
 class RangeParams(NamedTuple):
     """Of a rangefinder."""
 
-    sd_scale: Leaf  # () factor on its own sd
+    sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped
     ground: Leaf  # () m, height of level ground above the ellipsoid; the state ``ground_height`` comes on top
 
@@ -40,4 +40,4 @@ RANGEFINDER = Measurement(
     ),
     states=("ground_height",), columns=(column("range_m", "length", 0.2, plausible=(0.0, 3e4), marks=(0.0,)),),
 )  # fmt: skip
-"""Radar or laser height: value m along the body's down axis to level ground, its own sd."""
+"""Radar or laser height: value m along the body's down axis to level ground, sd."""

@@ -87,7 +87,7 @@ def error_then(between: Interval, states: Sequence[State]) -> jax.Array:
         if state.enters is None:
             columns.append(jnp.zeros((9, state.size)))
         else:
-            own, other = state.enters, OTHER[state.enters]
-            M = age * eye if state.effect is None else state.effect(Reading(readings[own], readings[other], held))
+            this, other = state.enters, OTHER[state.enters]
+            M = age * eye if state.effect is None else state.effect(Reading(readings[this], readings[other], held))
             columns.append(-through[state.enters] @ M)  # an error of the state lowers the reading that is used
     return jnp.concatenate(columns, 1)

@@ -16,7 +16,7 @@ from jaxnav.types import Fix, Leaf, Mounting, Nav
 class MagnetometerParams(NamedTuple):
     """Of a magnetometer, and of the field where it is; `jaxnav.initialization.magnetic` looks the field up."""
 
-    sd_scale: Leaf  # () factor on its own sd
+    sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped
     declination: Leaf  # () rad, of the horizontal field from north to east
     inclination: Leaf  # () rad, of the field below the horizon
@@ -56,4 +56,4 @@ MAGNETOMETER = Measurement(
     states=("magnetometer_bias", "declination_error"),
     columns=tuple(column(f"{axis}_ut", "field", 3.0, f"sd_{axis}_ut", (-2e3, 2e3)) for axis in "xyz"),
 )  # fmt: skip
-"""Magnetic field: value (3,) uT, body, its own sd."""
+"""Magnetic field: value (3,) uT, body, sd."""

@@ -37,22 +37,22 @@ class Kinematics(NamedTuple):
 class Observation(NamedTuple):
     """Residual (estimate minus measurement), its derivative and its noise, of one measurement of size s.
 
-    ``rows`` has d y / d error, (s, k), by what is in error: "position" m, "velocity" m/s and "attitude" rad in ENU,
+    ``rows`` has d y / d error, (s, k), by quantity: "position" m, "velocity" m/s and "attitude" rad in ENU,
     "gyro" or "accel" for the body rate or specific force that navigation goes by, or an optional state by its name.
     """
 
     y: jax.Array  # (s,)
     rows: dict[str, jax.Array]
     sd: jax.Array  # (s,) of the noise
-    root: jax.Array | float = 1.0  # (), (s,) or lower triangular (s, s): what multiplies noise of that sd
-    reading: jax.Array | None = None  # (3,) true reading that "gyro" or "accel" means; None: navigation's own last one
+    root: jax.Array | float = 1.0  # (), (s,) or lower triangular (s, s): factor on noise of that sd
+    reading: jax.Array | None = None  # (3,) true reading that "gyro" or "accel" means; None: navigation's last one
 
 
 class Observe(Protocol):
     """The model of one measurement."""
 
     def __call__(self, theta: Any, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-        """``theta``: its own parameters. ``nav``, ``kin``: the estimate at its time. ``fix``: its own channels (s,)."""
+        """``theta``: its parameters. ``nav``, ``kin``: the estimate at its time. ``fix``: its channels (s,)."""
 
 
 class Measurement(NamedTuple):
@@ -61,11 +61,11 @@ class Measurement(NamedTuple):
     name: str
     channels: tuple[str, ...]  # their names, in the order of a `Fix`
     observe: Observe
-    defaults: Any  # its own NamedTuple of plain numbers; a leaf ``latency`` (s) is its age when it is stamped
+    defaults: Any  # its parameters, a NamedTuple of plain numbers; a leaf ``latency`` (s) is its age at its stamp
     units: Any  # the same of `Unit`
-    receiver: bool = False  # comes of a GNSS receiver: what a paper's rule sees, and what an outage hides
+    receiver: bool = False  # from a GNSS receiver: a paper's rule is for these, and an outage hides them
     states: tuple[str, ...] = ()  # optional states that its rows may name
-    columns: tuple[Column, ...] = ()  # of its values in files, one a channel; () for what carries no data
+    columns: tuple[Column, ...] = ()  # of its values in files, one a channel; () for a constraint without data
     correlated: bool = False  # its files may state the correlations of three axes
     reported: tuple[str, ...] = ()  # names of its channels in reports, in their order; () is as ``channels``
 
@@ -78,14 +78,14 @@ class Measurement(NamedTuple):
 def clock_offset(mounting: Mounting, nav: Nav) -> jax.Array:
     """GNSS time minus the IMU's stamps ``nav.t``, s, of their shape.
 
-    What passes between two fixes is still measured by the IMU's clock: of the way without fixes the share
+    The motion between two fixes is still measured by the IMU's clock: of the displacement without fixes the share
     ``clock_drift`` is lost, 1 m in 10 km at 100 ppm.
     """
     return mounting.time_offset + mounting.clock_drift * (nav.t - nav.origin.t)
 
 
 def counted_from(nav: Nav, t: ArrayLike) -> Nav:
-    """Navigation whose clock has drifted nothing at stamp ``t`` s: halfway, offset and drift are least correlated."""
+    """Return navigation with no clock drift at stamp ``t`` s: halfway, offset and drift are least correlated."""
     return nav._replace(origin=nav.origin._replace(t=jnp.broadcast_to(jnp.asarray(t, float), nav.origin.t.shape)))
 
 
@@ -97,7 +97,7 @@ def layout(measurements: Iterable[Measurement]) -> dict[str, slice]:
 
 
 def at(past: Nav, t: jax.Array) -> Nav:
-    """The navigation state at time ``t`` by linear interpolation between the samples of ``past`` (w, ...).
+    """Return the navigation state at time ``t`` by linear interpolation between the samples of ``past`` (w, ...).
 
     Outside of them the nearest two are extended, but rate and specific force are held: they are noisy.
     """
@@ -115,10 +115,10 @@ def at(past: Nav, t: jax.Array) -> Nav:
 
 
 def covariance(root: jax.Array | float, sd: jax.Array, corr: jax.Array, valid: jax.Array) -> jax.Array:
-    """R = L D C D L' (s, s) of a fix with its own ``sd`` D and correlations C (`Fix`); ``root`` is L or its diagonal.
+    """R = L D C D L' (s, s) of a fix with stated ``sd`` D and correlations C (`Fix`); ``root`` is L or its diagonal.
 
-    The correlation of two channels of which one is missing is dropped. What a missing channel says of its sd means
-    nothing, so with a full L its share in another channel is taken at that channel's own sd: R of those that are there
+    The correlation of two channels is dropped if one is missing. The sd of a missing channel means
+    nothing, so with a full L its share in another channel is taken at that channel's sd: R of the present channels
     does not depend on those that are not.
     """
     C = jnp.eye(sd.size)
@@ -137,7 +137,7 @@ def covariance(root: jax.Array | float, sd: jax.Array, corr: jax.Array, valid: j
 def rows_of(o: Observation, nav: Nav, states: Sequence[State]) -> jax.Array:
     """H (s, n) of an observation, its motion in ENU; rows of states that the filter lacks are dropped.
 
-    A state that enters the gyro or the accelerometer lowers what navigation goes by, d w / d s = -M.
+    A state that enters the gyro or the accelerometer lowers the reading of navigation, d w / d s = -M.
     """
     s = o.y.shape[0]
     blocks = [o.rows.get(name, jnp.zeros((s, 3))) for name in MOTION]
@@ -170,9 +170,9 @@ def stack(
 ) -> ObserveFix:
     """Return ``observe(params, past, fix, P=None) -> y (m,), H (m, n), R (m, m)`` of these measurements.
 
-    Each measurement is compared with navigation at its own instant: the end of ``past`` minus the clock offset and its
+    Each measurement is compared with navigation at its time of validity: the end of ``past`` minus clock offset and
     latency. H refers to the error at the end (`jaxnav.measurements.latency`). R is `covariance` of each. With the
-    predicted covariance P (n, n) the R of a receiver's vectors holds what a large attitude error adds in second order,
+    predicted covariance P (n, n) the R of a receiver's vectors holds the second-order effect of a large attitude error,
     by lever arm and age: -phi x (H (phi / 2, s)), see `jaxnav.states.second_order.reliability`.
 
     Args:
@@ -183,7 +183,7 @@ def stack(
     """
     slices = layout(measurements)
     m = sum(each.size for each in measurements)
-    # of attitude and the optional states, those whose effect turns with the attitude
+    # of attitude and the optional states, the ones with an effect that turns with the attitude
     in_body = np.concatenate([np.ones(3), *(np.full(s.size, float(s.enters is not None)) for s in states)])
 
     def observe(
@@ -199,19 +199,19 @@ def stack(
         mounting = params.mounting._replace(time_offset=offset)
         for each in measurements:
             theta = params.measurements[each.name]
-            own = Fix(*(leaf[slices[each.name]] for leaf in fix))
+            part = Fix(*(leaf[slices[each.name]] for leaf in fix))
             age = offset + getattr(theta, "latency", 0.0)
             clock = each.receiver and "clock_offset" in now.errors
             if clock:
                 age = age + now.errors["clock_offset"][0]
 
             def seen(
-                age: jax.Array, each: Measurement = each, theta: Any = theta, own: Fix = own
+                age: jax.Array, each: Measurement = each, theta: Any = theta, part: Fix = part
             ) -> tuple[Nav, Nav, Observation]:
                 nav = at(past, now.t - age)
                 local = leave(nav) if leave else nav
                 kin = Kinematics(local.pos, local.vel, rotations.to_dcm(local.q))
-                return nav, local, each.observe(theta, mounting, nav, kin, own)
+                return nav, local, each.observe(theta, mounting, nav, kin, part)
 
             nav, local, o = seen(age)
             if clock:
@@ -220,7 +220,7 @@ def stack(
             H = rows_of(o, nav, states)
             B = latency.error_then(latency.interval(local, local_now, age), states)
             H = H[:, :9] @ B + jnp.concatenate([jnp.zeros((each.size, 9)), H[:, 9:]], 1)
-            cov = covariance(o.root, o.sd, own.corr, own.valid)
+            cov = covariance(o.root, o.sd, part.corr, part.valid)
             if P is not None and each.receiver and each.size == 3:
                 reliable, moment = reliability(H[:, 6:] * in_body, P)
                 H = H.at[:, 8].multiply(reliable)

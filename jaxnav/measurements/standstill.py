@@ -1,4 +1,4 @@
-"""What is known of a vehicle that stands: it does not move and does not turn."""
+"""Constraints of a vehicle at rest: zero velocity and zero rotation."""
 
 from typing import NamedTuple
 
@@ -25,7 +25,7 @@ def observe_zero_velocity(theta: Sd, mounting: Mounting, nav: Nav, kin: Kinemati
 
 
 def observe_zero_rate(theta: Sd, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """What the gyros read is the Earth's rate and their errors: value is their mean over the standstill."""
+    """Compare the gyros with the Earth's rate and their errors: value is their mean over the standstill."""
     w_ie = earth.earth_rate(kin.lla[0])
     w = corrected_reading(fix.value, "gyro", nav.errors, nav.force, nav.auxiliary)
     rows = {"gyro": jnp.eye(3), "attitude": -kin.C.T @ rotations.skew(w_ie)}

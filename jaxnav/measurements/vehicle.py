@@ -1,4 +1,4 @@
-"""What a vehicle on the ground shows: wheels neither slide nor lift, how fast they roll, and that it stays level."""
+"""Constraints and speeds of a vehicle on the ground: wheels without slip, wheel speeds, a constant height."""
 
 from typing import Any, NamedTuple
 
@@ -27,14 +27,14 @@ class LevelParams(NamedTuple):
 class SpeedParams(NamedTuple):
     """Of a wheel speed."""
 
-    sd_scale: Leaf  # () factor on its own sd
+    sd_scale: Leaf  # () factor on the stated sd
     scale: Leaf  # () scale error; 0 is none
 
 
 class WheelsParams(NamedTuple):
     """Of the wheels of two sides."""
 
-    sd_scale: Leaf  # () factor on their own sd
+    sd_scale: Leaf  # () factor on the stated sd
     scale: Leaf  # () scale error; 0 is none
     track: Leaf  # () m, between the two
 
@@ -80,13 +80,13 @@ def observe_speed(theta: SpeedParams, mounting: Mounting, nav: Nav, kin: Kinemat
 
 
 def observe_wheels(theta: WheelsParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """Likewise of both sides: v_forward + w_z b / 2 on the left, less it on the right; b is the track."""
+    """Return the same for both sides: v_forward + w_z b / 2 on the left, less it on the right; b is the track."""
     sides = [jnp.stack([jnp.zeros(()), side * 0.5 * theta.track, jnp.zeros(())]) for side in (-1.0, 1.0)]
     return _rolled(theta, [vehicle_velocity(mounting, nav, kin, side) for side in sides], nav, fix)
 
 
 def _rolled(theta: SpeedParams | WheelsParams, points: list[Any], nav: Nav, fix: Fix) -> Observation:
-    """What wheels at points, (velocity, rows) of `vehicle_velocity`, read forward."""
+    """Return the forward speed of wheels at points, (velocity, rows) of `vehicle_velocity`."""
     scale = 1 + theta.scale + nav.errors.get("odometer_scale", jnp.zeros(1))[0]
     v = jnp.stack([velocity[0] for velocity, _ in points])
     rows = {name: scale * jnp.stack([rows[name][0] for _, rows in points]) for name in points[0][1]}
@@ -103,13 +103,13 @@ NONHOLONOMIC = Measurement(
     NonholonomicParams(Unit("mps", shape=(2,), text="m/s")),
     states=("vehicle_axes",),
 )  # fmt: skip
-"""Wheels neither slide sideways nor lift: no value; sd = its parameter times the fix's own sd (1 by default)."""
+"""Wheels neither slide sideways nor lift: no value; sd = its parameter times the fix's sd (1 by default)."""
 SPEED = Measurement(
     "speed", ("forward",), observe_speed, SpeedParams(1.0, 0.0),
     SpeedParams(Unit(), Unit(step=0.02)), states=("vehicle_axes", "odometer_scale"),
     columns=(column("speed_mps", "speed", 0.3, plausible=(-500.0, 500.0)),),
 )  # fmt: skip
-"""Wheel speed: value forward m/s, its own sd."""
+"""Wheel speed: value forward m/s, sd."""
 WHEELS = Measurement(
     "wheels", ("left", "right"), observe_wheels, WheelsParams(1.0, 0.0, 1.0),
     WheelsParams(Unit(), Unit(step=0.02), Unit("m", text="m", step=0.02)),
@@ -118,6 +118,6 @@ WHEELS = Measurement(
         column(f"{side}_mps", "speed", 0.1, f"sd_{side}_mps", (-500.0, 500.0)) for side in ("left", "right")
     ),
 )  # fmt: skip
-"""Speed of the wheels of both sides, none of which steers: value (2,) forward m/s, left and right, their own sd."""
+"""Speed of the wheels of both sides, none of which steers: value (2,) forward m/s, left and right, sd."""
 LEVEL = Measurement("level", ("up",), observe_level, LevelParams(0.1), LevelParams(Unit("mps", text="m/s")))
-"""A boat, or a robot on a floor, keeps its height: no value; sd = its parameter times the fix's own sd."""
+"""A boat, or a robot on a floor, keeps its height: no value; sd = its parameter times the fix's sd."""

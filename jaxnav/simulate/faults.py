@@ -1,4 +1,4 @@
-"""Faults of a receiver in an interval of time, as multipath makes them: what is added to its fixes.
+"""Faults of a receiver in an interval of time, as multipath makes them: errors added to its fixes.
 
 A fault is a frozen tuple of plain numbers, in force for start < t <= stop; the receiver's stated sd does not know of
 it. Position and velocity are ENU.
@@ -11,13 +11,13 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.filters.gaps import TICK
-from jaxnav.simulate.kinds import told_apart
+from jaxnav.simulate.kinds import hashed_by_type
 from jaxnav.simulate.processes import gauss_markov, normal
 
 Axes = tuple[float, float, float]
 
 
-@told_apart
+@hashed_by_type
 class Constant(NamedTuple):
     """A constant offset; with a stop of inf, a jump that stays."""
 
@@ -25,10 +25,10 @@ class Constant(NamedTuple):
     stop_s: float
     position_m: Axes = (0.0, 0.0, 0.0)
     velocity_mps: Axes = (0.0, 0.0, 0.0)
-    random_sign: bool = False  # each axis of each has a sign of its own, from the key
+    random_sign: bool = False  # each axis of each has a random sign, from the key
 
 
-@told_apart
+@hashed_by_type
 class Ramp(NamedTuple):
     """An offset that grows from zero to these sizes."""
 
@@ -39,7 +39,7 @@ class Ramp(NamedTuple):
     random_sign: bool = False
 
 
-@told_apart
+@hashed_by_type
 class White(NamedTuple):
     """More white noise."""
 
@@ -49,7 +49,7 @@ class White(NamedTuple):
     velocity_sd_mps: Axes = (0.0, 0.0, 0.0)
 
 
-@told_apart
+@hashed_by_type
 class GaussMarkov(NamedTuple):
     """Time-correlated noise."""
 
@@ -60,16 +60,16 @@ class GaussMarkov(NamedTuple):
     tau_s: float = 60.0
 
 
-@told_apart
+@hashed_by_type
 class Burst(NamedTuple):
-    """The receiver's own noise times a factor."""
+    """The receiver's noise times a factor."""
 
     start_s: float
     stop_s: float
     factor: float
 
 
-@told_apart
+@hashed_by_type
 class Slide(NamedTuple):
     """Position and velocity that slide away together, up to so many metres, and back, or not: then they jump back."""
 
@@ -134,7 +134,7 @@ FAULTS: dict[type, Callable[[Any, jax.Array, jax.Array, jax.Array], jax.Array]] 
 
 
 def offsets(key: jax.Array, faults: tuple[Any, ...], t: jax.Array, noise: jax.Array) -> jax.Array:
-    """The sum of all faults (E, 6), ENU m and m/s, at regular times t (E,) s on receiver noise (E, 6).
+    """Return the sum of all faults (E, 6), ENU m and m/s, at regular times t (E,) s on receiver noise (E, 6).
 
     Raises:
         ValueError: no fault, or one that stops before it starts.

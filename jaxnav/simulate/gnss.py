@@ -22,13 +22,13 @@ class Receiver(NamedTuple):
     gnss_noise_factor: float = 1.0  # real noise against stated
     correlated_share: float = 0.0  # of the noise's variance: first-order Gauss-Markov, the rest is white
     correlation_s: float = 60.0
-    slow_position_sd_m: float = 0.0  # on each axis, beside all noise: first-order Gauss-Markov
+    slow_position_sd_m: float = 0.0  # on each axis, in addition to all noise: first-order Gauss-Markov
     slow_position_s: float = 300.0  # its time constant
     integrates_velocity: bool = False  # errors of its velocity add up in its position, and fade over slow_position_s
     outlier_probability: float = 0.0  # of a fix
     outlier_factor: float = 10.0  # sd of an outlier, in sd of the receiver
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # IMU -> antenna, body FRD
-    latency_s: float = 0.0  # a fix tells where the antenna was so long before its stamp; less than a fix interval
+    latency_s: float = 0.0  # age of a fix at its stamp; less than a fix interval
     outages_s: tuple[tuple[float, float], ...] = ()  # start < t <= end
     outage_shift_s: float = 0.0  # each of them is moved to later by a random time up to this
     random_outages: int = 0  # this many more from the key, after the standstill
@@ -38,7 +38,7 @@ class Receiver(NamedTuple):
 def antenna(nav: Nav, lever_arm: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Position (lat, lon, h) and velocity (ENU m/s) of the antenna of local level navigation, (3,) each.
 
-    ``lever_arm``: (3,) m, body FRD. The Earth's own rate does not move the antenna.
+    ``lever_arm``: (3,) m, body FRD. The Earth's rotation is neglected.
     """
     C = rotations.to_dcm(nav.q)
     turning = C @ nav.omega - earth.earth_rate(nav.pos[0])
@@ -64,7 +64,7 @@ def _noise(key: jax.Array, n: int, interval: float, sd: jax.Array, receiver: Rec
 
 
 def _slow(key: jax.Array, velocity: jax.Array, interval: float, receiver: Receiver) -> jax.Array:
-    """Slow errors (n, 3) ENU m of the position of a receiver whose velocity has errors (n, 3) m/s."""
+    """Return slow errors (n, 3) ENU m of position from a receiver with velocity errors (n, 3) m/s."""
     tau = receiver.slow_position_s
     slow = receiver.slow_position_sd_m * gauss_markov(normal(key, velocity.shape), interval, tau)
     if not receiver.integrates_velocity:
@@ -86,9 +86,9 @@ def fixes(
     receiver: Receiver,
     faults: tuple[Any, ...] = (),
 ) -> Fix:
-    """Fixes (E, 6) for `jaxnav.measurements.GNSS`, stamped ``t`` (E,) s every ``interval`` s.
+    """Return fixes (E, 6) for `jaxnav.measurements.GNSS`, stamped ``t`` (E,) s every ``interval`` s.
 
-    ``seen`` (E, ...): the truth that they tell, that of ``latency_s`` before ``t``. ``hidden`` (E,) bool: there the fix
+    ``seen`` (E, ...): the true values of the fixes, ``latency_s`` before ``t``. ``hidden`` (E,) bool: there the fix
     is not valid and its value is the antenna's without any error, so that the end of an outage can be scored by it.
 
     Raises:
@@ -111,7 +111,7 @@ def inside(t: jax.Array, windows: jax.Array) -> jax.Array:
 
 
 def outages(key: jax.Array, receiver: Receiver, start: float, stop: float) -> jax.Array:
-    """All outages of a run (W, 2) s; the random ones lie between ``start`` and ``stop``.
+    """Return all outages of a run (W, 2) s; the random ones are between ``start`` and ``stop``.
 
     Raises:
         ValueError: they do not fit.

@@ -21,12 +21,12 @@ SPIN = np.array([0.0, 0.0, earth.RATE])  # rad/s, of the Earth, ECEF
 
 
 class ImuErrors(NamedTuple):
-    """An IMU's errors: those of its grade, and what a datasheet's noise figures leave out (none of it by default)."""
+    """Errors of an IMU: those of its grade, and others that a datasheet leaves out (none of it by default)."""
 
     grade: str = "adis16465"  # in `jaxnav.states.grades.GRADES`
     imu_noise_factor: float = 1.0  # on the grade's white noise and drift, not on its turn-on biases
     fixed_bias: bool = False  # the turn-on biases have exactly the grade's size and a random sign, axis by axis
-    gyro_bias_sd_deg_per_hour: float = 0.0  # of another constant bias, which the datasheet does not tell
+    gyro_bias_sd_deg_per_hour: float = 0.0  # of another constant bias, which the datasheet leaves out
     accel_bias_sd_mg: float = 0.0
     gyro_scale_sd_ppm: float = 0.0
     accel_scale_sd_ppm: float = 0.0
@@ -60,12 +60,12 @@ def sense(point: Point) -> tuple[jax.Array, jax.Array]:
 
 
 def _pair(gyro: ArrayLike, accel: ArrayLike) -> jax.Array:
-    """A size of the gyro and one of the accelerometer, each one number or one an axis, as (2, 3)."""
+    """Return a size of the gyro and one of the accelerometer, each one number or one an axis, as (2, 3)."""
     return jnp.stack([jnp.broadcast_to(jnp.asarray(a, float), (3,)) for a in (gyro, accel)])
 
 
 def _biases(key: jax.Array, first: jax.Array, drift: jax.Array, dt: float, grade: Grade, e: ImuErrors) -> jax.Array:
-    """True biases (n, 2, 3) from unit normal numbers: of the turn-on (2, 3) and of the drift (n, 2, 3)."""
+    """Return true biases (n, 2, 3) from unit normal numbers: of the turn-on (2, 3) and of the drift (n, 2, 3)."""
     turn_on = _pair(grade.gyro_turn_on, grade.accel_turn_on) * (jnp.sign(first) if e.fixed_bias else first)
     untold = _pair(e.gyro_bias_sd_deg_per_hour * units.DEG_PER_HOUR, e.accel_bias_sd_mg * units.MG)
     turn_on = turn_on + untold * normal(jax.random.fold_in(key, 1), (2, 3))
@@ -80,9 +80,9 @@ def _biases(key: jax.Array, first: jax.Array, drift: jax.Array, dt: float, grade
 def _deform(key: jax.Array, factor: jax.Array, e: ImuErrors) -> jax.Array:
     """Scale errors and angles between axes as matrices, (2, 3, 3), from unit normal numbers (2, 3) for the scale."""
     angles = units.MRAD * _pair(e.gyro_misalignment_sd_mrad, e.accel_misalignment_sd_mrad)[..., None]
-    apart = angles * normal(jax.random.fold_in(key, 3), (2, 3, 3)) * (1 - np.eye(3))
+    skew = angles * normal(jax.random.fold_in(key, 3), (2, 3, 3)) * (1 - np.eye(3))
     scale = 1 + units.PPM * _pair(e.gyro_scale_sd_ppm, e.accel_scale_sd_ppm) * factor
-    return scale[..., None] * np.eye(3) + apart
+    return scale[..., None] * np.eye(3) + skew
 
 
 def _vibration(key: jax.Array, n: int, dt: float, e: ImuErrors) -> jax.Array:
@@ -104,17 +104,17 @@ def corrupt(
 ) -> tuple[Imu, dict[str, jax.Array]]:
     """Put the errors of a grade, and more, on regular samples (n, ...); ``errors.grade`` is not looked up.
 
-    Returns what the IMU puts out and its true errors (n, size) by name of `jaxnav.states.STATES`: taken out they leave
+    Returns the IMU's output and its true errors (n, size) by name of `jaxnav.states.STATES`: without them there remain
     misalignment, vibration, quantisation and white noise. Vibration is felt by the sensors only, the truth does not
     shake.
     """
     n = imu.dt.shape[0]
-    drawn = normal(key, (2 + 2 * n, 2, 3))  # axis 1: gyro, accelerometer
-    bias = _biases(key, drawn[0], drawn[2 : 2 + n], dt, grade, errors)
+    draw_state = normal(key, (2 + 2 * n, 2, 3))  # axis 1: gyro, accelerometer
+    bias = _biases(key, draw_state[0], draw_state[2 : 2 + n], dt, grade, errors)
     # a root PSD becomes the sd of a mean over dt
-    noise = errors.imu_noise_factor * _pair(grade.arw, grade.vrw) / np.sqrt(dt) * drawn[2 + n :]
+    noise = errors.imu_noise_factor * _pair(grade.arw, grade.vrw) / np.sqrt(dt) * draw_state[2 + n :]
     signal = jnp.stack([imu.gyro, imu.accel], 1)
-    deformed = _deform(key, drawn[1], errors)
+    deformed = _deform(key, draw_state[1], errors)
     out = jnp.einsum("sij,nsj->nsi", deformed, signal) + bias + noise
     if errors.vibration_hz:
         out = out + _vibration(key, n, dt, errors)

@@ -1,4 +1,4 @@
-"""The keys of simulated runs: of a seed, of what the run is for, and of its number."""
+"""The keys of simulated runs: of a seed, of the purpose of the run, and of its number."""
 
 from enum import IntEnum
 from functools import partial
@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 
 
 class Purpose(IntEnum):
-    """What a run is for; runs of one purpose never meet those of another."""
+    """Purpose of a run; runs of two purposes share no key."""
 
     TRAIN = 0
     VALIDATION = 1
@@ -20,10 +20,10 @@ class Purpose(IntEnum):
 
 
 def run_keys(seed: int, purpose: Purpose, numbers: ArrayLike) -> jax.Array:
-    """The keys (N,) of runs with these numbers (N,)."""
+    """Return the keys (N,) of runs with these numbers (N,)."""
     return jax.vmap(partial(run_key, seed, purpose))(np.asarray(numbers, np.uint32))
 
 
 def run_key(seed: int, purpose: Purpose, run: Any) -> jax.Array:
-    """The key of a run (); the number may be traced."""
+    """Return the key of a run (); the number may be traced."""
     return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), int(purpose)), run)

@@ -1,11 +1,11 @@
-"""Named tuples that stand for what a compiled function is made for."""
+"""Named tuples that are static arguments of compiled functions."""
 
 from typing import Any, TypeVar
 
 Class = TypeVar("Class", bound=type)
 
 
-def told_apart(cls: Class) -> Class:
+def hashed_by_type(cls: Class) -> Class:
     """Make tuples of this class equal to tuples of this class only.
 
     By themselves tuples are equal by their values alone: as a static argument a ramp would be taken for a constant

@@ -21,7 +21,7 @@ def gauss_markov(white: jax.Array, dt: ArrayLike, tau: ArrayLike) -> jax.Array:
 
 
 def normal(key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-    """The numbers of ``jax.random.normal(key, shape, float)``, worked out in a loop.
+    """Return the numbers of ``jax.random.normal(key, shape, float)``, computed in a loop.
 
     Else the compiler copies the inverse of the error function, some hundred operations, into everybody who uses them.
     """

@@ -1,7 +1,7 @@
-"""What other sensors would read, and errors that are states, on top of a simulated run: by the models that filter it.
+"""Readings of other sensors, and errors that are states, added to a simulated run: by the models that filter it.
 
-A measurement's residual is what is expected minus what is read, so that what the truth is expected to give is its
-residual against zero. Errors of a state are drawn from what is believed of it, `Params.states`.
+A measurement's residual is expected minus measured, so that the value expected of the truth is its
+residual against zero. Errors of a state are drawn from its prior, `Params.states`.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ WALKING = 1.5  # m/s
 
 
 def expected(measurement: Measurement, params: Params, truth: Nav) -> jax.Array:
-    """Residuals (E, s) against zero at the true epochs (E, ...): what an ideal sensor reads, of a position m ENU."""
+    """Return residuals (E, s) against zero at the true epochs (E, ...): an ideal reading, of a position m ENU."""
     zero = jnp.zeros(measurement.size)
     blind = Fix(zero, zero + 1.0, zero, zero > -1)
     theta = params.measurements[measurement.name]
@@ -39,10 +39,10 @@ def expected(measurement: Measurement, params: Params, truth: Nav) -> jax.Array:
     return jax.vmap(one)(truth)
 
 
-def equipped(key: jax.Array, sim: Simulated, scenario: Scenario) -> Simulated:
-    """The run with the further states and sensors of the scenario; what to expect of both is their rows' defaults.
+def with_equipment(key: jax.Array, sim: Simulated, scenario: Scenario) -> Simulated:
+    """Return the run with the further states and sensors of the scenario, by the defaults of their rows.
 
-    A course is not told below `WALKING` m/s.
+    There is no course below `WALKING` m/s.
     """
     params = matched_params(scenario)
     further = [name for name in scenario.sensor_states if name not in params.states]
@@ -57,7 +57,7 @@ def equipped(key: jax.Array, sim: Simulated, scenario: Scenario) -> Simulated:
 def with_sensor(
     key: jax.Array, sim: Simulated, params: Params, name: str, sd: float, least_speed: float = 0.0
 ) -> Simulated:
-    """The run with a further measurement behind the channels that are there, its noise ``sd``.
+    """Return the run with a further measurement behind the channels that are there, its noise ``sd``.
 
     At every epoch, or at those that are faster than ``least_speed`` m/s: a course means nothing at rest.
     """
@@ -71,16 +71,16 @@ def with_sensor(
 
 
 def with_states(key: jax.Array, sim: Simulated, params: Params, names: Sequence[str]) -> Simulated:
-    """The run with the errors that these states are, in the truth, the IMU's samples and the receiver's fixes.
+    """Return the run with the errors that these states are, in the truth, the IMU's samples and the receiver's fixes.
 
     Other sensors have them when they are put on top by `with_sensor`, after this.
     """
     errors = {
-        state.name: drawn(jax.random.fold_in(key, i), state, params.states[state.name], sim)
+        state.name: draw_state(jax.random.fold_in(key, i), state, params.states[state.name], sim)
         for i, state in enumerate(chosen(names))
     }
     if "vehicle_axes" in errors:
-        sim = askew(sim, params, errors["vehicle_axes"][0])
+        sim = with_axes_error(sim, params, errors["vehicle_axes"][0])
     truth = sim.truth._replace(errors=sim.truth.errors | errors)
     imu = sim.epochs.imu
     readings = {"gyro": imu.gyro, "accel": imu.accel}
@@ -103,14 +103,14 @@ def with_states(key: jax.Array, sim: Simulated, params: Params, names: Sequence[
     return sim._replace(epochs=epochs, truth=truth)
 
 
-def askew(sim: Simulated, params: Params, angles: jax.Array) -> Simulated:
-    """The run with its IMU turned in the vehicle by pitch and yaw (2,) rad on top of `Mounting.vehicle`.
+def with_axes_error(sim: Simulated, params: Params, angles: jax.Array) -> Simulated:
+    """Return the run with its IMU turned in the vehicle by pitch and yaw (2,) rad in addition to `Mounting.vehicle`.
 
-    The lever arm stays what it is in the IMU's axes, so that the antenna moves.
+    The lever arm stays constant in the IMU's axes, so that the antenna moves.
     """
     axes = lambda v: rotations.to_dcm(rotations.exp(jnp.concatenate([jnp.zeros(1), v])))
     before, after = axes(params.mounting.vehicle), axes(params.mounting.vehicle + angles)
-    turn = before @ after.T  # from the new axes to the old: what is along the vehicle stays so
+    turn = before @ after.T  # from the new axes to the old: a vector along the vehicle stays along it
     bend = lambda v: v @ turn
     q = rotations.from_dcm(turn)
 
@@ -128,12 +128,12 @@ def askew(sim: Simulated, params: Params, angles: jax.Array) -> Simulated:
     return sim._replace(epochs=epochs, truth=truth, start=turned(sim.start), initial=turned(sim.initial))
 
 
-def drawn(key: jax.Array, state: State, believed: StateParams, sim: Simulated) -> jax.Array:
-    """A state's course (E, size): constant, a walk, or a Gauss-Markov process of the root PSD and time constant."""
+def draw_state(key: jax.Array, state: State, prior: StateParams, sim: Simulated) -> jax.Array:
+    """Return a state over time (E, size): constant, a walk, or a Gauss-Markov process of its root PSD and tau."""
     E, interval = sim.truth.t.size, sim.truth.t[1] - sim.truth.t[0]
     first, steps = normal(key, (state.size,)), normal(jax.random.fold_in(key, 1), (E, state.size))
-    endless = jnp.isinf(jnp.asarray(believed.tau, float)).all()
-    walk = believed.sd * first + believed.driving_noise * jnp.sqrt(interval) * jnp.cumsum(steps, 0)
-    tau = jnp.where(jnp.isinf(believed.tau), 1.0, believed.tau)
-    bounded = believed.driving_noise * jnp.sqrt(tau / 2) * gauss_markov(steps, interval, tau)
+    endless = jnp.isinf(jnp.asarray(prior.tau, float)).all()
+    walk = prior.sd * first + prior.driving_noise * jnp.sqrt(interval) * jnp.cumsum(steps, 0)
+    tau = jnp.where(jnp.isinf(prior.tau), 1.0, prior.tau)
+    bounded = prior.driving_noise * jnp.sqrt(tau / 2) * gauss_markov(steps, interval, tau)
     return jnp.where(endless, walk, bounded)

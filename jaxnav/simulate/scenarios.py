@@ -1,4 +1,4 @@
-"""SCENARIOS: what is simulated, by name; frozen, hashable and printable. Units are in the names of the fields.
+"""SCENARIOS: simulated cases by name; frozen, hashable and printable. Units are in the names of the fields.
 
 A scenario holds groups: how the vehicle moves, its IMU, its receiver, the receiver's faults, and the start that a
 filter is given. No two of its fields have the same name, so that one can be set by its name alone.
@@ -14,8 +14,8 @@ from jaxnav.simulate.imu import ImuErrors
 from jaxnav.simulate.trajectories import Circle, LaunchMove, Urban
 
 
-class Start(NamedTuple):
-    """What a filter starts with: the truth plus errors of these sizes, biases zero; or an alignment at rest."""
+class InitialErrors(NamedTuple):
+    """Initial values of a filter: the truth plus errors of these sizes, biases zero; or an alignment at rest."""
 
     prior_position_sd_m: tuple[float, float, float] = (2.0, 2.0, 4.0)  # ENU
     prior_velocity_sd_mps: tuple[float, float, float] = (0.1, 0.1, 0.1)  # ENU
@@ -23,7 +23,7 @@ class Start(NamedTuple):
     prior_heading_sd_deg: float = 3.0
     fixed_errors: bool = False  # the errors are `PATTERN` times these sizes in every run, not drawn
     # s at rest before the run: roll and pitch then come from the mean specific force, accelerometer bias and all, and
-    # the tilt's sd above is what they are expected to be
+    # the tilt's sd above is their expected error
     alignment_s: float = 0.0
     calibrate_gyro: bool = False  # the gyro's mean over the alignment, less the Earth's rate, is the start's bias
 
@@ -32,7 +32,7 @@ PATTERN = (1.0, -1.0, 0.5)  # E, N, U
 
 
 class Scenario(NamedTuple):
-    """One simulated case; everything static, what is random comes from the key of `simulation.simulate`."""
+    """One simulated case; everything static, random values come from the key of `simulation.simulate`."""
 
     name: str = "urban"
     duration_s: float = 300.0  # alignment included
@@ -43,8 +43,8 @@ class Scenario(NamedTuple):
     imu: ImuErrors = ImuErrors()
     gnss: Receiver = Receiver()
     faults: tuple[Fault, ...] = ()
-    start: Start = Start()
-    # beside IMU and receiver, of one run (`jaxnav.simulate.readings.equipped`): names of measurements and the sd of
+    start: InitialErrors = InitialErrors()
+    # other sensors of one run (`jaxnav.simulate.readings.with_equipment`): names of measurements and the sd of
     # their noise in SI, read at every fix's time and in outages; names of further states, drawn from their priors
     sensors: tuple[tuple[str, float], ...] = ()
     sensor_states: tuple[str, ...] = ()
@@ -59,7 +59,7 @@ URBAN_SHORT = Scenario(
     gnss=_ROOF._replace(outages_s=((50.0, 60.0),)),
 )  # fmt: skip
 TRAFFIC = URBAN._replace(name="urban_traffic", motion=Urban(traffic=0.6))
-# a receiver that integrates its velocity, with an error of minutes beside
+# a receiver that integrates its velocity, with an additional error of minutes
 INTEGRATING = Scenario(
     name="urban_integrating", imu_rate_hz=20.0, motion=Urban(standstill_s=10.0),
     gnss=_ROOF._replace(
@@ -87,8 +87,8 @@ CIRCLE = Scenario(
     motion=Circle(10.0, 126.0), imu=ImuErrors("tactical", fixed_bias=True),
     gnss=Receiver(position_sd_m=(5.0, 5.0, 5.0), velocity_sd_mps=(0.1, 0.1, 0.1)),
     faults=READINGS["constant"],
-    # what levelling and gyrocompassing with these sensors give
-    start=Start((5.0, 5.0, 5.0), (0.1, 0.1, 0.1), prior_tilt_sd_deg=0.003, prior_heading_sd_deg=0.04),
+    # result of levelling and gyrocompassing with these sensors
+    start=InitialErrors((5.0, 5.0, 5.0), (0.1, 0.1, 0.1), prior_tilt_sd_deg=0.003, prior_heading_sd_deg=0.04),
 )  # fmt: skip
 # speed, turn rate and start of the configuration that comes nearest to the paper's tables
 REPRO = CIRCLE._replace(
@@ -113,7 +113,7 @@ GIPKF = Scenario(
         outages_s=((150.0, 160.0), (230.0, 241.0), (310.0, 332.0)), outage_shift_s=55.0,
     ),
     # 16 mg at rest tilt by 0.92 deg
-    start=Start((3.0, 3.0, 5.0), (0.05, 0.05, 0.05), prior_tilt_sd_deg=0.92, prior_heading_sd_deg=2.0,
+    start=InitialErrors((3.0, 3.0, 5.0), (0.05, 0.05, 0.05), prior_tilt_sd_deg=0.92, prior_heading_sd_deg=2.0,
                 alignment_s=30.0, calibrate_gyro=True),
 )  # fmt: skip
 _UNCALIBRATED = GIPKF._replace(name="gipkf_urban_uncalibrated", start=GIPKF.start._replace(calibrate_gyro=False))
@@ -131,7 +131,7 @@ FWEKF = Scenario(
     name="fwekf", duration_s=40.0, imu_rate_hz=100.0, gnss_rate_hz=10.0, start_deg_m=(37.5, 127.0, 50.0),
     motion=LaunchMove(), imu=ImuErrors("fwekf"),
     gnss=Receiver(position_sd_m=(10.0, 10.0, 10.0), velocity_sd_mps=(0.2, 0.2, 0.2)),
-    start=Start((10.0, 10.0, 10.0), (0.2, 0.2, 0.2), prior_tilt_sd_deg=1.0, prior_heading_sd_deg=1.0),
+    start=InitialErrors((10.0, 10.0, 10.0), (0.2, 0.2, 0.2), prior_tilt_sd_deg=1.0, prior_heading_sd_deg=1.0),
 )  # fmt: skip
 _SIDEWAYS = (30.0, 30.0, 0.0)  # m, E and N
 
@@ -177,7 +177,7 @@ SCENARIOS: dict[str, Scenario] = {
 
 
 def describe(scenario: Scenario) -> str:
-    """The scenario in lines of ``field = value``, a line for every field of a group."""
+    """Return the scenario in lines of ``field = value``, a line for every field of a group."""
     lines: dict[str, Any] = {}
     for name, value in scenario._asdict().items():
         if hasattr(value, "_asdict"):

@@ -1,6 +1,6 @@
 """A truth, its IMU and GNSS with errors, and a start for a filter, from a scenario and a key; vmap over keys.
 
-Each purpose has its own key folded in: another GNSS noise, IMU or start does not change the drive.
+Each purpose has a key folded in: another GNSS noise, IMU or start does not change the drive.
 """
 
 from functools import partial
@@ -13,12 +13,12 @@ import numpy as np
 from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.parameters import datasheet_params, late, mounting
 from jaxnav.filters.run import require_x64, track
-from jaxnav.initialization import start as alignment
+from jaxnav.initialization import initialize as alignment
 from jaxnav.maths import earth, rotations, units
 from jaxnav.measurements import GNSS, MEASUREMENTS, layout
 from jaxnav.simulate import gnss, imu
 from jaxnav.simulate.processes import normal
-from jaxnav.simulate.scenarios import PATTERN, Scenario, Start
+from jaxnav.simulate.scenarios import PATTERN, InitialErrors, Scenario
 from jaxnav.simulate.trajectories import Point, Shape, shape_of, travel
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Nav, Origin, Params, Recording, Samples, Track
@@ -30,7 +30,7 @@ class Simulated(NamedTuple):
     """One run, or many with a leading axis; E epochs of k samples, fixes for `jaxnav.measurements.GNSS`."""
 
     epochs: Epoch  # (E, k, ...) and (E, 6); in an outage not valid, but with the antenna's values free of error
-    truth: Nav  # (E, ...) at the end of each epoch; errors are what the IMU's really were
+    truth: Nav  # (E, ...) at the end of each epoch; errors are the IMU's true ones
     start: Nav  # () the truth where the run starts: t = 0, or the end of the alignment
     initial: Nav  # () the start for a filter
     hidden: jax.Array  # (E,) bool, in an outage
@@ -45,8 +45,8 @@ def sizes(scenario: Scenario) -> tuple[int, int]:
     """
     rate, grade, aligned = scenario.gnss_rate_hz, scenario.imu.grade, scenario.start.alignment_s
     for name in ("imu_rate_hz", "gnss_rate_hz", "duration_s"):
-        if not 0 < (own := getattr(scenario, name)) < np.inf:
-            raise ValueError(f"{name} must be positive and finite, got {own:g}")
+        if not 0 < (value := getattr(scenario, name)) < np.inf:
+            raise ValueError(f"{name} must be positive and finite, got {value:g}")
     k, E, before = scenario.imu_rate_hz / rate, scenario.duration_s * rate, aligned * rate
     if abs(k - round(k)) > 1e-9 or round(k) < 1:
         raise ValueError(f"imu_rate_hz must be a multiple of gnss_rate_hz, got {scenario.imu_rate_hz:g} and {rate:g}")
@@ -64,10 +64,10 @@ def sizes(scenario: Scenario) -> tuple[int, int]:
     return round(E) - round(before), round(k)
 
 
-def perturb(key: jax.Array, nav: Nav, start: Start) -> Nav:
-    """A start with errors drawn from its prior, or by the pattern; nothing known of the sensors' errors."""
-    drawn = normal(key, (3, 3))
-    e_pos, e_vel, e_att = jnp.tile(jnp.asarray(PATTERN, float), (3, 1)) if start.fixed_errors else drawn
+def perturb(key: jax.Array, nav: Nav, start: InitialErrors) -> Nav:
+    """Return a start with errors drawn from its prior, or by the pattern, and sensor errors of zero."""
+    draw_state = normal(key, (3, 3))
+    e_pos, e_vel, e_att = jnp.tile(jnp.asarray(PATTERN, float), (3, 1)) if start.fixed_errors else draw_state
     tilt, heading = start.prior_tilt_sd_deg, start.prior_heading_sd_deg
     phi = units.DEG * jnp.asarray([tilt, tilt, heading], float) * e_att
     return nav._replace(
@@ -78,8 +78,8 @@ def perturb(key: jax.Array, nav: Nav, start: Start) -> Nav:
     )
 
 
-def _align(nav: Nav, still: Imu, start: Start) -> Nav:
-    """Give a perturbed start what samples (n, ...) at rest tell: roll, pitch and, if wanted, the gyro's bias."""
+def _align(nav: Nav, still: Imu, start: InitialErrors) -> Nav:
+    """Replace roll, pitch and, on request, the gyro bias of a perturbed start by those of samples (n, ...) at rest."""
     heading = rotations.to_rph(rotations.to_dcm(nav.q))[2]
     C = rotations.from_rph(jnp.stack([*alignment.levelled(still.accel.mean(0)), heading]))
     bias = still.gyro.mean(0) - C.T @ earth.earth_rate(nav.pos[0])
@@ -87,14 +87,14 @@ def _align(nav: Nav, still: Imu, start: Start) -> Nav:
 
 
 def _nav(seen: tuple[Point, tuple[jax.Array, jax.Array]], errors: dict[str, jax.Array], origin: Origin) -> Nav:
-    """Truth (...,) of points and what the IMU feels there."""
+    """Return the truth (...,) of points and the IMU's readings there."""
     point, (omega, force) = seen
     q = rotations.from_dcm(rotations.from_rph(point.rph))
     return Nav(point.t, point.lla, point.vel, q, omega, force, origin, errors)
 
 
 def _observe(keys: jax.Array, scenario: Scenario, seen: Nav, t: jax.Array) -> tuple[Fix, jax.Array, jax.Array]:
-    """Fixes (n, 6) at t (n,) s of the truth ``seen`` (n, ...), where they are hidden (n,), and the outages (W, 2)."""
+    """Return fixes (n, 6) at t (n,) s of the truth ``seen`` (n, ...), their hidden mask (n,), and outages (W, 2)."""
     standstill = max(scenario.start.alignment_s, getattr(scenario.motion, "standstill_s", 0.0))
     outages = gnss.outages(keys[OUTAGES], scenario.gnss, standstill, scenario.duration_s)
     hidden = gnss.inside(t, outages)
@@ -115,7 +115,7 @@ def simulate(key: jax.Array, scenario: Scenario) -> Simulated:
 
 
 def simulate_shape(key: jax.Array, scenario: Scenario, shape: Shape) -> Simulated:
-    """`simulate` on any shape, the scenario's motion aside: one of your own, or of a recorded track.
+    """`simulate` on any shape instead of the scenario's motion, such as that of a recorded track.
 
     Raises:
         ValueError, DataError: as `simulate`.
@@ -156,7 +156,7 @@ simulate_jit = jax.jit(simulate, static_argnums=1)
 
 
 def matched_params(scenario: Scenario, rule: Any = (), feedback: Any = ()) -> Params:
-    """The parameters that know what was simulated: the grade's datasheet, and the scenario's prior and installation.
+    """Return the parameters of the simulation: the grade's datasheet, and the scenario's prior and installation.
 
     Of the errors beyond a grade's datasheet they know nothing, nor of faults and correlated noise.
     """

@@ -1,7 +1,7 @@
-"""The error state: what it is made of, how it moves from fix to fix, and what datasheets say of it.
+"""The error state: its parts, its motion from fix to fix, and its parameters by datasheet.
 
-Position, velocity and attitude belong to the frame (`jaxnav.strapdown.errors`). What else may be estimated is a row of
-`STATES`, one file each; a filter is built with those that it is to have.
+Position, velocity and attitude belong to the frame (`jaxnav.strapdown.errors`). Every other state is a row of
+`STATES`, one file each; a filter is built with the states that it is to have.
 """
 
 from jaxnav.states.state import State

@@ -1,4 +1,4 @@
-"""What a barometer reads too high: weather, temperature, and the height that its own zero has."""
+"""Bias of a barometric height: weather, temperature, and the reference height of the sensor."""
 
 from jaxnav.states.state import State, UserUnit, state_units
 from jaxnav.types import StateParams

@@ -1,4 +1,4 @@
-"""Biases of the inertial sensors: they add to what is read."""
+"""Biases of the inertial sensors, added to the true reading."""
 
 from jaxnav.maths import units
 from jaxnav.states.state import BODY, State, UserUnit, state_units

@@ -1,4 +1,4 @@
-"""What specific force does to the gyros of small sensors: G_g of Groves 2013, eq. 4.17, row by row."""
+"""Effect of specific force on the gyros of small sensors: G_g of Groves 2013, eq. 4.17, row by row."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""The slow part of a receiver's position error: ionosphere, multipath, orbits, and what its own filter keeps."""
+"""The slow part of a receiver's position error: ionosphere, multipath, orbits, and the memory of its filter."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""How sensors sit and how their clocks run, as far as it is not known: on top of what `Mounting` states."""
+"""Errors of mounting and clocks of the sensors, in addition to the values of `Mounting`."""
 
 from jaxnav.maths import units
 from jaxnav.states.state import BODY, UserUnit, constant

@@ -19,7 +19,7 @@ for _i, (_row, _seen) in enumerate(PAIRS):
 
 def crossed(reading: Reading) -> jax.Array:
     """M (..., 3, 6): column i has the seen axis of `PAIRS` in the row of the reading one."""
-    return jnp.einsum("rij,...j->...ri", _OTHER, reading.own)
+    return jnp.einsum("rij,...j->...ri", _OTHER, reading.this)
 
 
 def _misalignment(sensor: str) -> State:
@@ -30,4 +30,4 @@ def _misalignment(sensor: str) -> State:
 GYRO_MISALIGNMENT = _misalignment("gyro")
 """rad, `PAIRS`: a constant unless it is driven."""
 ACCEL_MISALIGNMENT = _misalignment("accel")
-"""rad, `PAIRS`. What turns gyros and accelerometers alike turns the body's axes, and only the prior holds it."""
+"""rad, `PAIRS`. A rotation common to gyros and accelerometers is one of the body's axes: only the prior bounds it."""

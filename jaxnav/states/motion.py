@@ -15,9 +15,9 @@ P, V, A = MOTION.values()
 
 
 def prior_sd(prior: Prior) -> jax.Array:
-    """The prior's standard deviations side by side, (9,)."""
-    own = (prior.position, prior.velocity, prior.attitude)
-    return jnp.concatenate([jnp.broadcast_to(sd, (3,)) for sd in own])
+    """Return the prior's standard deviations side by side, (9,)."""
+    blocks = (prior.position, prior.velocity, prior.attitude)
+    return jnp.concatenate([jnp.broadcast_to(sd, (3,)) for sd in blocks])
 
 
 def reset_rows(phi: jax.Array, M: jax.Array) -> jax.Array:

@@ -1,4 +1,4 @@
-"""Scale factor errors of the inertial sensors: what is read is (1 + s) times the truth, axis by axis."""
+"""Scale factor errors of the inertial sensors: the reading is (1 + s) times the truth, axis by axis."""
 
 import jax
 import numpy as np
@@ -9,7 +9,7 @@ from jaxnav.states.state import BODY, Reading, State, UserUnit, constant
 
 def diagonal(reading: Reading) -> jax.Array:
     """M = diag(w), (..., 3, 3)."""
-    return reading.own[..., None] * np.eye(3)
+    return reading.this[..., None] * np.eye(3)
 
 
 def _scale(sensor: str) -> State:

@@ -24,7 +24,7 @@ def second_order(
 ) -> tuple[jax.Array, jax.Array]:
     """Return the transition and the noise of position and velocity with large attitude errors.
 
-    phi and s last longer than an epoch, so what they do in second order is correlated from epoch to epoch: as white
+    phi and s last longer than an epoch, so their second-order effect is correlated from epoch to epoch: as white
     noise of acceleration with the same power at low frequencies it counts 2 tau / T times, with tau =
     `SECOND_ORDER_S`.
 
@@ -32,7 +32,7 @@ def second_order(
         Phi: (n, n) transition of the epoch.
         P: (n, n) covariance at its start.
         T: () s, its length.
-        vertical: which axis of velocity is vertical.
+        vertical: index of the vertical axis of velocity.
         axes: (3, 3) rotation from the axes of attitude to those of velocity; None where they are the same.
 
     Returns:
@@ -46,14 +46,14 @@ def second_order(
 
 
 def _up(vertical: int, axes: jax.Array | None) -> jax.Array:
-    """The vertical in the axes of attitude, (3,)."""
+    """Return the vertical in the axes of attitude, (3,)."""
     return jnp.asarray(np.eye(3)[vertical]) if axes is None else axes[vertical]
 
 
 def reliability(
     L: jax.Array, P: jax.Array, vertical: int = 2, axes: jax.Array | None = None
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the reliability ratio of the heading's column, (), and the second moment of what is left out, (3, 3).
+    """Return the reliability ratio of the heading's column, (), and the second moment of the rest, (3, 3).
 
     A column l with an error e counts r = |l|^2 / (|l|^2 + E|e|^2) times, as a regressor that is measured with errors
     does (Fuller 1987, section 1.1). Only the heading's: gravity makes the other columns large. The rest, (1 - r) l, is
@@ -62,7 +62,7 @@ def reliability(
     Args:
         L: (3, n - 6) derivative of a vector by the errors of attitude phi and by the optional states s.
         P: (n, n) covariance; of a phi beyond `LARGEST` the moment is bounded.
-        vertical: which axis of the vector is vertical.
+        vertical: index of the vertical axis of the vector.
         axes: (3, 3) rotation from the axes of phi to those of the vector; None where they are the same.
     """
     up = _up(vertical, axes)
@@ -80,7 +80,7 @@ def cross_moment(L: jax.Array, P: jax.Array, axes: jax.Array | None = None) -> j
     """Return E[(phi x w) (phi x w)'], (3, 3), with w = L (phi / 2, s), for Gaussian errors of covariance P.
 
     With A = E[phi phi'], X = E[phi w'] and W = E[w w'] the fourth moments are products of second ones (Isserlis 1918):
-    those of A and W, those of X and X, and the square of the mean E[phi x w] (Jazwinski 1970, section 9.3: the Gaussian
+    of A and W, of X and X, and the square of the mean E[phi x w] (Jazwinski 1970, section 9.3: the Gaussian
     second-order filter).
 
     Args:

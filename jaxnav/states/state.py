@@ -1,4 +1,4 @@
-"""Error states beyond position, velocity and attitude, as objects: what each is, and where it enters."""
+"""Error states beyond position, velocity and attitude, as objects: quantity, unit, process and effect of each."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -10,9 +10,9 @@ from jaxnav.types import StateParams
 
 
 class Reading(NamedTuple):
-    """What the effect of an error state depends on."""
+    """Arguments of the effect of an error state."""
 
-    own: jax.Array  # (..., 3) w: rad/s of the gyro, or m/s^2 of the accelerometer
+    this: jax.Array  # (..., 3) w: rad/s of the gyro, or m/s^2 of the accelerometer
     other: jax.Array  # (..., 3) o: of the other sensor
     auxiliary: Mapping[str, jax.Array] = {}  # a: (...) each
 
@@ -23,7 +23,7 @@ Effect = Callable[[Reading], jax.Array]
 class State(NamedTuple):
     """One optional error state: a row of `STATES`.
 
-    The truth of a sensor that it enters is w, that of the other sensor o, and what is read is w + M(w, o, a) s, where s
+    The truth of a sensor that it enters is w, that of the other sensor o, and its reading w + M(w, o, a) s, where s
     is the state and a are auxiliary values, such as a temperature.
     """
 
@@ -31,7 +31,7 @@ class State(NamedTuple):
     axes: tuple[str, ...]  # names of its components, as many as it is long
     enters: str | None  # "gyro" or "accel", whose reading it changes; None: only measurements see it
     effect: Effect | None  # -> M (..., 3, size), linear in w, o and a together; None: M = I
-    defaults: StateParams  # plain numbers: what is believed where no datasheet says anything
+    defaults: StateParams  # plain numbers, used where no datasheet gives a value
     units: StateParams  # of `Unit`: how each leaf is stated at the border
     reads: tuple[str, ...] = ()  # auxiliary values, by name of `jaxnav.measurements.auxiliary.AUXILIARY`
 

@@ -1,10 +1,10 @@
-"""What the vehicle moves in: the magnetic field that its iron bends, wind, and the ground below it."""
+"""Errors by the surroundings of the vehicle: the magnetic field that its iron bends, wind, and the ground."""
 
 from jaxnav.maths import units
 from jaxnav.states.state import BODY, State, UserUnit, constant
 
 MAGNETOMETER_BIAS = constant("magnetometer_bias", BODY, 5.0, UserUnit("ut", 1.0, "uT"))
-"""uT, body: hard iron, what a magnetometer reads too much."""
+"""uT, body: hard iron, the bias of a magnetometer."""
 DECLINATION_ERROR = constant("declination_error", ("east",), 3.0, UserUnit("deg", units.DEG, "deg"))
 """rad: the field points further east by that, on top of the magnetometer's ``declination``."""
 _CALM: State = constant("wind", ("east", "north"), 5.0, UserUnit("mps", 1.0, "m/s"))

@@ -1,4 +1,4 @@
-"""STATES: every optional error state by name; a new one is a file beside this and a line here."""
+"""STATES: every optional error state by name; a new one is a file in this folder and a line here."""
 
 from collections.abc import Iterable
 
@@ -45,7 +45,7 @@ BIASES = ("gyro_bias", "accel_bias")
 
 
 def chosen(names: Iterable[str]) -> tuple[State, ...]:
-    """The rows of these names, in their order.
+    """Return the rows of these names, in their order.
 
     Raises:
         ValueError: a name that is not in `STATES`, or one that comes twice.

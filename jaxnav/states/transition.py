@@ -3,7 +3,7 @@
     p' = v,   v' = A(f) phi + B C M_a(f_b) s + u_a,   phi' = G C M_g(w_b) s + u_g,   s' = -s / tau + white noise
 
 and the slow rest (Coriolis, transport, gravity). f is specific force in the axes of the frame, C takes the body to
-them, s are the optional states (`jaxnav.states.STATES`), M their effect on what the sensors read, u an observer's
+them, s are the optional states (`jaxnav.states.STATES`), M their effect on the sensors' readings, u an observer's
 forcing. B and G stand before C in the frame's blocks: -1, but for the inertial frame's axes.
 """
 
@@ -34,7 +34,7 @@ INTEGRALS = {"gyro": (3, 2, 1), "accel": (2, 1, 0), None: (0, 0, 0)}
 
 
 def assemble(blocks: Blocks) -> jax.Array:
-    """A (9, 9) matrix from 3x3 blocks by (row, column) names of `MOTION`; zero elsewhere.
+    """Return a (9, 9) matrix from 3x3 blocks by (row, column) names of `MOTION`; zero elsewhere.
 
     Raises:
         ValueError: a block of another name.
@@ -47,26 +47,26 @@ def assemble(blocks: Blocks) -> jax.Array:
 
 
 class Maps(NamedTuple):
-    """The fast blocks: A(f) = sum f_i force[i], and B and G, what stands before C."""
+    """The fast blocks: A(f) = sum f_i force[i], and B and G, the factors before C."""
 
     force: jax.Array  # (3, 3, 3)
     accel: jax.Array  # (3, 3)
     gyro: jax.Array  # (3, 3)
 
     def A(self, f: jax.Array) -> jax.Array:
-        """The block of velocity by attitude for specific forces (..., 3): (..., 3, 3)."""
+        """Return the block of velocity by attitude for specific forces (..., 3): (..., 3, 3)."""
         return jnp.tensordot(f, self.force, 1)
 
 
 class EpochSums(NamedTuple):
-    """The points of an epoch, piecewise constants, and what adds up along them."""
+    """The points of an epoch, piecewise constants, and their running sums."""
 
     C: jax.Array  # (b, 3, 3)
     force: jax.Array  # (b, 3) m/s^2
     T: jax.Array  # (b,) s
     end: jax.Array  # (b,) s, of each point since the epoch's start
     weights: jax.Array  # (b, 2), see `_weights`
-    done: jax.Array  # (b, 2, 3) m, m/s: what specific force has done by then to the position and velocity at the end
+    done: jax.Array  # (b, 2, 3) m, m/s: effect of the specific force so far on position and velocity at the end
 
 
 def discretize(
@@ -85,9 +85,9 @@ def discretize(
     motion, are summed over the points in closed form, without error. The slow rest S is taken at the epoch's mean
     point, half of it before and half after (Strang 1968): the error is of third order in the epoch's length. After a
     second it is below 3e-6 of a block's largest entry in a local level case, but for position by attitude: 4e-5. That
-    is what lets the covariance move once an epoch instead of at every sample.
+    is the reason why the covariance may move once an epoch instead of at every sample.
 
-    White noise is integrated by Gauss' rule with three points, what drives the states with two. ``lumped``: white noise
+    White noise is integrated by Gauss' rule with three points, the states' driving noise with two. ``lumped``: it
     enters at the end of each point, Q = G T, as textbook filters have it.
 
     Navigation holds an estimate constant while a Gauss-Markov state decays, so that the error of an estimate b grows by
@@ -110,17 +110,17 @@ def discretize(
     each = [params.states[s.name] for s in states]
     tau = jnp.concatenate([jnp.broadcast_to(p.tau, (s.size,)) for p, s in zip(each, states, strict=True)])
     lost = -jnp.expm1(-0.5 * total / tau)  # in half an epoch
-    kept, forgotten = 1 - lost, lost * jnp.concatenate([point.nav.errors[s.name] for s in states])
+    kept, clear_stale = 1 - lost, lost * jnp.concatenate([point.nav.errors[s.name] for s in states])
     E = _entered(maps, sums, points, states)
-    slow_E, own = linalg.times(slow, E), jnp.zeros((kept.size, W.shape[1]))
+    slow_E, kept_W = linalg.times(slow, E), jnp.zeros((kept.size, W.shape[1]))
     moved, driven = _driven(E, kept, each, states, total)
-    W = jnp.block([[W, *(linalg.times(slow, root) for root in moved)], [own, *(driven for _ in moved)]])
+    W = jnp.block([[W, *(linalg.times(slow, root) for root in moved)], [kept_W, *(driven for _ in moved)]])
     Phi = jnp.block([[Phi, slow_E * kept], [jnp.zeros((kept.size, 9)), jnp.diag(kept * kept)]])
-    return Phi, linalg.square(W), jnp.concatenate([d + slow_E @ forgotten, (1 + kept) * forgotten])
+    return Phi, linalg.square(W), jnp.concatenate([d + slow_E @ clear_stale, (1 + kept) * clear_stale])
 
 
 def _blocks(dynamics: Callable[[ErrorInputs], Blocks], point: ErrorInputs) -> tuple[Maps, Blocks]:
-    """The fast blocks as maps and the slow ones, at one point; none but A depends on specific force."""
+    """Return the fast blocks as maps and the slow ones, at one point; none but A depends on specific force."""
     eye = jnp.eye(3)
 
     def at(force: jax.Array) -> tuple[jax.Array, Blocks]:
@@ -144,7 +144,7 @@ def _shares(T: jax.Array) -> jax.Array:
 
 
 def _weights(T: jax.Array, left: jax.Array) -> jax.Array:
-    """(b, 2): what an acceleration over T (b,) s does to position and velocity ``left`` (b,) s after that."""
+    """Return the effect (b, 2) of an acceleration over T (b,) s on position and velocity ``left`` (b,) s after that."""
     return jnp.stack([T * (left + 0.5 * T), T], -1)
 
 
@@ -164,21 +164,21 @@ def _nilpotent(maps: Maps, sums: EpochSums, u: Forcing | None) -> tuple[jax.Arra
 
 
 def _entered(maps: Maps, sums: EpochSums, points: ErrorInputs, states: Sequence[State]) -> jax.Array:
-    """E (9, k): what constant optional states do to motion over the epoch, by their columns C M."""
+    """Return E (9, k): effect of constant optional states on motion over the epoch, by their columns C M."""
     parts: dict[str, jax.Array] = {s.name: jnp.zeros((9, s.size)) for s in states}
     readings = {"gyro": points.gyro, "accel": points.accel}
     for sensor, integrals in (("gyro", _turns), ("accel", _pushes)):
-        own = [s for s in states if s.enters == sensor]
+        entering = [s for s in states if s.enters == sensor]
         reading = Reading(readings[sensor], readings[OTHER[sensor]], points.nav.auxiliary)
-        if own:
-            CM = jnp.concatenate([sums.C if s.effect is None else sums.C @ s.effect(reading) for s in own], -1)
-            columns = jnp.split(integrals(maps, sums, CM), np.cumsum([s.size for s in own])[:-1], 1)
-            parts |= dict(zip((s.name for s in own), columns, strict=True))
+        if entering:
+            CM = jnp.concatenate([sums.C if s.effect is None else sums.C @ s.effect(reading) for s in entering], -1)
+            columns = jnp.split(integrals(maps, sums, CM), np.cumsum([s.size for s in entering])[:-1], 1)
+            parts |= dict(zip((s.name for s in entering), columns, strict=True))
     return jnp.concatenate([parts[s.name] for s in states], 1)
 
 
 def _turns(maps: Maps, sums: EpochSums, CM: jax.Array) -> jax.Array:
-    """(9, k): what a rate CM (b, 3, k), in the axes of the frame, does to position, velocity and attitude."""
+    """Return (9, k): effect of a rate CM (b, 3, k), in the axes of the frame, on position, velocity and attitude."""
     _, f, T, _, weights, _ = sums
     b, _, k = CM.shape
     flat = CM.reshape(b, -1)
@@ -193,14 +193,14 @@ def _turns(maps: Maps, sums: EpochSums, CM: jax.Array) -> jax.Array:
 
 
 def _pushes(maps: Maps, sums: EpochSums, CM: jax.Array) -> jax.Array:
-    """(9, k): what an acceleration CM (b, 3, k), in the axes of the frame, does to position, velocity and attitude."""
+    """Return (9, k): effect of an acceleration CM (b, 3, k), axes of the frame, on position, velocity, attitude."""
     b, _, k = CM.shape
     to_position, to_velocity = maps.accel @ (sums.weights.T @ CM.reshape(b, -1)).reshape(2, 3, k)
     return jnp.concatenate([to_position, to_velocity, jnp.zeros((3, k))])
 
 
 def _white(maps: Maps, sums: EpochSums, noise: Noise, lumped: bool) -> jax.Array:
-    """(9, 6 moments): what white noise of gyros and accelerometers at some moments does at the epoch's end."""
+    """Return (9, 6 moments): effect of the sensors' white noise at some moments at the epoch's end."""
     C, f, T, end, _, done = sums
     total = end[-1]
     if lumped:
@@ -224,10 +224,10 @@ def _white(maps: Maps, sums: EpochSums, noise: Noise, lumped: bool) -> jax.Array
 def _driven(
     E: jax.Array, kept: jax.Array, each: Sequence[StateParams], states: Sequence[State], total: jax.Array
 ) -> tuple[list[jax.Array], jax.Array]:
-    """What unit noise that drives the states does at Gauss' two points: to motion, each (9, k), and to them, (k, k).
+    """Return the effect of the states' unit driving noise at Gauss' points: on motion, (9, k) each, on them, (k, k).
 
-    Of what a state does over the whole epoch, noise with the share s of it to come does s, s^2 or s^3, by how many
-    integrals lie between: exact while C and f are constant. The variance from two points is 35/36 of the
+    Noise with the share s of the epoch to come has s, s^2 or s^3 of the effect of a constant state, by how many
+    integrals are between: exact while C and f are constant. The variance from two points is 35/36 of the
     exact one through two integrals and 91/108 through three.
     """
     starts = np.cumsum([0, *(s.size for s in states)])

@@ -1,6 +1,6 @@
-"""What mechanizations do before and after their scans, vectorised over samples because nothing here is sequential.
+"""Vectorised work of mechanizations before and after their scans, where no sample depends on another.
 
-Before: from IMU samples to what strapdown integrates, bias-free rotation vectors and velocity increments. After: the
+Before: from IMU samples to bias-free rotation vectors and velocity increments. After: the
 states that measurements are compared with, and the path for the error dynamics.
 """
 
@@ -43,7 +43,7 @@ def coned(dt: Any, omega0: Vector, force0: Vector, omega: Vector, force: Vector)
     Rate and force are taken as linear in time through this sample and the one before it (Savage 1998, two-sample
     forms): theta = w dt + (w0 x w) dt^2 / 12 and dv = f dt + (w dt) x (f dt) / 2 + (w0 x f + f0 x w) dt^2 / 12, where
     the subscript 0 marks the sample before. The first sample of a run has none and gets no such correction. The third
-    order of the rotation, w x (w x f) dt^3 / 6, is kept as well: in a steady turn it is what adds up.
+    order of the rotation, w x (w x f) dt^3 / 6, is kept as well: it adds up in a steady turn.
     """
     turn = cross(omega, force)
     sculling = scale(dt**2 / 12, add(cross(omega0, force), cross(force0, omega)))
@@ -73,7 +73,7 @@ def after(nav: Nav, t: jax.Array, pos: Vector, vel: Vector, q: Quaternion, omega
 
 
 def sampled(nav: Nav, states: Nav, q: Quaternion, force: Vector) -> ErrorInputs:
-    """The path of single samples, from the states (k,) after them, their attitudes and body forces (m/s^2)."""
+    """Return the path of single samples, from the states (k,) after them, their attitudes and body forces (m/s^2)."""
     C = to_dcm(tuple(jnp.concatenate([jnp.asarray(a)[None], b]) for a, b in zip(split(nav.q), q, strict=True)))
     C = 0.5 * (C[:-1] + C[1:])
     turned = jnp.stack([sum(C[:, i, j] * force[j] for j in range(3)) for i in range(3)], -1)
@@ -83,7 +83,7 @@ def sampled(nav: Nav, states: Nav, q: Quaternion, force: Vector) -> ErrorInputs:
 def trace(
     nav: Nav, inc: Increments, pos: Vector, vel: Vector, q: Quaternion, stride: int, keep: jax.Array | None
 ) -> tuple[Nav, ErrorInputs]:
-    """What a mechanization returns, from the components (k,) after each sample; ``q`` of unit length.
+    """Return the result of a mechanization, from the components (k,) after each sample; ``q`` of unit length.
 
     The last state or those after the samples ``keep`` (w,), and the path at every ``stride`` samples.
     """

@@ -10,7 +10,7 @@ N as it stood at the origin's time; ``q`` takes body FRD to I. A(t) = exp(-[u x]
 the Earth's rate in N. The observer's feedback adds its rate, in I, to eq. 1, and its acceleration, in N, to eq. 12:
 the printed u_w and u_a of eqs. 19 and 20 are the same vectors in body axes (eq. 20 lacks the A' that takes N to I).
 
-Gravity is the project's, which contains the centrifugal part. The paper's eq. 12 has it apart, - u x (u x r), against
+Gravity is the project's, which contains the centrifugal part. The paper's eq. 12 has it as a term, - u x (u x r), with
 gravity held at its value at the origin; here it must not stand a second time.
 """
 

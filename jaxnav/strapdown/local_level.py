@@ -5,7 +5,7 @@
     C' = C [w_ib x] - [(w_ie + w_en) x] C + [s x] C
 
 C takes the body (FRD) to ENU; w_ie is the Earth's rate, w_en the transport rate of ENU at velocity v, M and N the
-ellipsoid's radii; a and s are an observer's forcing, zero without one. What the sensors integrate over a sample, theta
+ellipsoid's radii; a and s are an observer's forcing, zero without one. The increments over a sample, theta
 and dv, comes from `jaxnav.strapdown.increments`, with coning and sculling. The rest is of second order in the sample
 time: velocity by the midpoint rule, position with the mean velocity, latitude and height taken half-way.
 
@@ -42,7 +42,7 @@ def propagate(
         lat, _, h = half
         w_ie, g = earth.earth_rate(lat), jnp.array([0.0, 0.0, -1.0]) * earth.gravity(lat, h)
 
-        def gravity_coriolis(v: jax.Array) -> jax.Array:  # what is not specific force: gravity, Coriolis, transport
+        def gravity_coriolis(v: jax.Array) -> jax.Array:  # all but specific force: gravity, Coriolis, transport
             return dt * (g + a - jnp.cross(2 * w_ie + earth.transport_rate(lat, h, v), v))
 
         dv_n = rotations.to_dcm(q) @ dv_b

@@ -1,4 +1,4 @@
-"""What a filter takes for a mechanization: two functions, of each of which a frame has its own."""
+"""The two functions of a mechanization, one of each per frame."""
 
 from typing import Any, Protocol
 
@@ -13,12 +13,12 @@ class Propagate(Protocol):
     def __call__(
         self, nav: Nav, u: Forcing | None, imu: Any, stride: int = 1, keep: jax.Array | None = None, /
     ) -> tuple[Nav, ErrorInputs]:
-        """Return navigation and what the error dynamics see of the way.
+        """Return navigation and the path for the error dynamics.
 
         Args:
             nav: navigation at the start, in the frame.
             u: feedback of an observer, None without one.
-            imu: samples (k, ...), or what `Preintegrate` made of them.
+            imu: samples (k, ...), or the result of `Preintegrate`.
             stride: samples of a point of the path.
             keep: (w,) int, the samples after which navigation is returned; None: after the last.
 
@@ -30,9 +30,9 @@ class Propagate(Protocol):
 
 
 class Preintegrate(Protocol):
-    """What of a mechanization needs no navigation state, worked out once for all runs."""
+    """The part of a mechanization that needs no navigation state, computed once for all runs."""
 
     def __call__(self, imu: Imu, last: tuple[jax.Array, jax.Array], stride: int, keep: jax.Array, /) -> Any:
-        """Return what `Propagate` takes; ``last``: rate (3,) rad/s and force (3,) m/s^2 of the sample before."""
+        """Return samples for `Propagate`; ``last``: rate (3,) rad/s and force (3,) m/s^2 of the sample before."""
 
     def __hash__(self) -> int: ...

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxnav import build, navigate, start
+from jaxnav import build, initialize, navigate
 from jaxnav.analysis import metrics
 from jaxnav.filters.run import initial_nav
 from jaxnav.maths import earth
@@ -22,10 +22,10 @@ def runs():
     ekf = build("ekf15", cov_stride=5)
     params = ekf.params("adis16465")
     params = params._replace(mounting=params.mounting._replace(lever_arm=rec.lever_arm))
-    begin = start(rec, params)
+    begin = initialize(rec, params)
     found = {}
     for smooth in (False, True):
-        sol = navigate(rec, ekf, params, begin=begin, smooth=smooth)
+        sol = navigate(rec, ekf, params, initialization=begin, smooth=smooth)
         found[smooth] = sol, *sol.at_imu_rate()
     return rec, truth, found
 
@@ -34,7 +34,7 @@ def runs():
 def test_every_sample_has_its_navigation_and_epochs_end_as_before(runs, smooth):
     rec, _, found = runs
     sol, track, sd = found[smooth]
-    own = rec.imu.t[(rec.imu.t > sol.start.t + 1e-6) & (rec.imu.t <= sol.t[-1] + 1e-6)]
+    own = rec.imu.t[(rec.imu.t > sol.initialization.t + 1e-6) & (rec.imu.t <= sol.t[-1] + 1e-6)]
     np.testing.assert_allclose(track.t, own, atol=1e-9)
     ends = np.searchsorted(track.t, sol.t - 1e-6)
     np.testing.assert_allclose(track.t[ends], sol.t, atol=1e-9)

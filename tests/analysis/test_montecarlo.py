@@ -154,12 +154,12 @@ def test_the_course_is_the_mean_over_the_runs(found):
 
 
 def test_figures_show_each_filter_and_its_bounds(found):
-    drawn = figures({"one": found, "two": found}, SCENARIO.gnss.outages_s)
-    assert set(drawn) == {"mc_errors", "mc_consistency", "mc_spread"}
-    ax = drawn["mc_consistency"].axes[0]
+    draw_state = figures({"one": found, "two": found}, SCENARIO.gnss.outages_s)
+    assert set(draw_state) == {"mc_errors", "mc_consistency", "mc_spread"}
+    ax = draw_state["mc_consistency"].axes[0]
     low = [line for line in ax.lines if line.get_label() == "95 % bounds"][0]
     np.testing.assert_allclose(low.get_ydata(), chi2.ppf(0.025, 9 * RUNS) / (9 * RUNS), rtol=1e-9)
-    yaw = drawn["mc_errors"].axes[4].lines[0]
+    yaw = draw_state["mc_errors"].axes[4].lines[0]
     np.testing.assert_allclose(yaw.get_ydata(), np.degrees(percentile(found.course, 50)[:, 4]))
 
 
@@ -208,8 +208,8 @@ def test_runs_that_are_kept_go_on_to_the_bit(found, tmp_path):
     assert [each.done for each in seen] == [4, 8]
     checkpoint.save(tmp_path / "mc.npz", seen[-1], {}, "job")
     leaves = checkpoint.load(tmp_path / "mc.npz", None, "job").tree
-    begun = jax.tree.unflatten(jax.tree.structure(seen[-1]), leaves)._replace(done=8)
-    whole = monte_carlo(FILTER, SCENARIO, PARAMS, RUNS, SEED, chunk=4, begun=begun)
+    finished = jax.tree.unflatten(jax.tree.structure(seen[-1]), leaves)._replace(done=8)
+    whole = monte_carlo(FILTER, SCENARIO, PARAMS, RUNS, SEED, chunk=4, resume=finished)
     leaves_equal(whole.scores, found.scores)
     leaves_equal(whole.course, found.course)
 

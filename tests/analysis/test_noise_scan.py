@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from jaxnav import build, navigate, scan_noise, start
+from jaxnav import build, initialize, navigate, scan_noise
 from jaxnav.analysis import noise_scan
 from jaxnav.analysis.noise_scan import FINE_BOX, _in_motion, _vertex
 from jaxnav.app import cli
@@ -90,7 +90,7 @@ def test_it_finds_the_sd_of_the_fixes(drive, position, velocity, monkeypatch):
 
 def test_the_sd_maximise_innovations_hidden_fixes_and_prior_together(drive):
     """Parabolas of known maxima: innovations at 0.1 of the stated sd, hidden fixes at 1; where these drift more, no."""
-    begin = start(drive, with_arm(drive))
+    begin = initialize(drive, with_arm(drive))
     objective = noise_scan._Objective(drive, with_arm(drive), begin, begin.t + 115.0, ())
     k = 8.0 / objective.effective
 
@@ -116,7 +116,7 @@ def test_what_is_stated_stays(drive):
 
 
 def test_a_few_fixes_are_too_few(drive):
-    found = scan_noise(drive, with_arm(drive), stop=start(drive, with_arm(drive)).t + 8.0)
+    found = scan_noise(drive, with_arm(drive), stop=initialize(drive, with_arm(drive)).t + 8.0)
     assert found.fixes == 0 and found.gyro == 1.0 and found.findings[0].code == "noise.datasheet"
 
 
@@ -138,7 +138,7 @@ def test_it_begins_where_the_vehicle_moves():
         gyro=np.concatenate([rest(imu.gyro), imu.gyro]), accel=np.concatenate([rest(imu.accel), imu.accel]),
     )  # fmt: skip
     rec = rec._replace(imu=long, aiding={"position": position, "velocity": velocity})
-    begin = start(rec, with_arm(rec), begin=float(long.t[0]))
+    begin = initialize(rec, with_arm(rec), t_start=float(long.t[0]))
     assert begin.t < t0 - 100.0
     assert _in_motion(rec, with_arm(rec), begin, float(imu.t[-1])).t > t0 - 15.0
 

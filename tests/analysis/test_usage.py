@@ -50,8 +50,8 @@ def test_what_a_gate_refuses_is_counted(case):
 def test_a_filter_that_is_a_little_too_sure_everywhere_is_told_so():
     """Each of six channels of sixty fixes may be 1.4 times too large; all of them may not. A consistent one passes."""
     rng = np.random.default_rng(0)
-    _, names, _ = evaluate.channels(GNSS)
-    said = lambda z: usage.consistency_findings(info_of(z), usage.channels_of(info_of(z), GNSS))
+    _, names, _ = evaluate.channel_names(GNSS)
+    said = lambda z: usage.consistency_findings(info_of(z), usage.nis_by_channel(info_of(z), GNSS))
     white = rng.normal(size=(200, 60, 6))
     assert sum(bool(said(z)) for z in white) <= 4
     lines = [said(np.sqrt(1.4) * z) for z in white]
@@ -83,18 +83,18 @@ def test_bounds_hold_a_consistent_filter_however_its_innovations_are_correlated(
         z[0] = rng.normal(size=6)
         for i in range(1, 300):
             z[i] = correlation * z[i - 1] + white[i]
-        flagged += bool(usage.channel_findings(usage.channels_of(info_of(z), GNSS)))
+        flagged += bool(usage.channel_findings(usage.nis_by_channel(info_of(z), GNSS)))
     assert flagged <= 4
-    words = usage.channel_findings(usage.channels_of(info_of(1.5 * z), GNSS))
+    words = usage.channel_findings(usage.nis_by_channel(info_of(1.5 * z), GNSS))
     if correlation == 0.0:
         assert [f.code for f in words] == ["nis.high"] and words[0].subject.endswith("and 3 more")
         assert words[0].value > words[0].limit > 1.0
-    small = usage.channel_findings(usage.channels_of(info_of(0.4 * z), GNSS))
+    small = usage.channel_findings(usage.nis_by_channel(info_of(0.4 * z), GNSS))
     assert any(f.code == "nis.low" and f.value < f.limit < 1.0 for f in small)
 
 
 def test_too_few_innovations_say_nothing():
-    assert usage.channels_of(info_of(np.full((5, 6), 9.0)), GNSS) == {}
+    assert usage.nis_by_channel(info_of(np.full((5, 6), 9.0)), GNSS) == {}
 
 
 def test_a_component_that_nothing_measured_is_no_finding():
@@ -102,9 +102,9 @@ def test_a_component_that_nothing_measured_is_no_finding():
     z = np.random.default_rng(0).normal(size=(60, 6))
     z[:, 5] *= 1e-3
     info = info_of(z)
-    assert any(f.code == "nis.low" for f in usage.channel_findings(usage.channels_of(info, GNSS)))
+    assert any(f.code == "nis.low" for f in usage.channel_findings(usage.nis_by_channel(info, GNSS)))
     silent = info._replace(nu=info.nu.at[:, 5].multiply(1e3), S=info.S.at[:, 5, 5].set(1e6))
-    assert not usage.channel_findings(usage.channels_of(silent, GNSS))
+    assert not usage.channel_findings(usage.nis_by_channel(silent, GNSS))
 
 
 def test_sensors_that_are_louder_than_told_are_named(case):

@@ -8,7 +8,7 @@ import pytest
 from jaxnav.analysis.windows import RECEIVER_ERROR, drift, hidden_windows, phases
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
-from jaxnav.initialization.start import start
+from jaxnav.initialization.initialize import initialize
 from jaxnav.maths import earth
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
@@ -21,8 +21,8 @@ def test_drift_is_that_of_the_written_position(states):
     what = URBAN_SHORT._replace(imu_rate_hz=10.0, gnss=URBAN_SHORT.gnss._replace(outages_s=()))
     rec = to_recording(simulate_jit(jax.random.key(1), what), what)
     filt = build("ekf15", states=states, cov_stride=5)
-    begin = start(rec, filt.params("consumer"))
-    params = begin.given(filt.params("consumer"))
+    begin = initialize(rec, filt.params("consumer"))
+    params = begin.apply_to(filt.params("consumer"))
     params = params._replace(mounting=params.mounting._replace(lever_arm=jnp.zeros(3)))
     nav = jax.tree.map(lambda a: a[0], begin.navs)
     packed = ep.pack_recording(rec, GNSS, begin.t)

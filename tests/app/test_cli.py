@@ -320,14 +320,14 @@ def test_an_output_folder_that_holds_the_input_is_refused(drive, tmp_path, capsy
     assert "holds the result of jaxnav simulate" in capsys.readouterr().err
     mine = copy(drive, tmp_path / "mine")  # without a run.json
     assert cli.main(["filter", "--data", str(mine), "--out", str(mine)]) == 3
-    assert "choose a folder of its own" in capsys.readouterr().err
+    assert "choose an empty folder" in capsys.readouterr().err
     assert {p.name: p.read_bytes() for p in drive.iterdir()} == before
     tuned = tmp_path / "tuned"
     tuned.mkdir()
     (tuned / "run.json").write_text('{"verb": "filter", "files": ["tuned.toml", "run.json"]}')
     (tuned / "tuned.toml").write_text("[noise]\n")
     argv = ["filter", "--data", str(drive), "--params", str(tuned / "tuned.toml"), "--out", str(tuned)]
-    assert cli.main(argv) == 3 and "is read by this run" in capsys.readouterr().err
+    assert cli.main(argv) == 3 and "is an input of this run" in capsys.readouterr().err
     assert (tuned / "tuned.toml").exists()
 
 

@@ -28,9 +28,9 @@ def test_layers_later_wins():
         ("filter.smooth=true", True),
         ("filter.interval_s=1", 1.0),
         ("filter.outages=[[1, 2], [3.5, 4]]", ((1.0, 2.0), (3.5, 4.0))),
-        ("start.heading=90", 90.0),
-        ("start.heading=unknown", "unknown"),
-        ("start.position_sd_m=[1, 2, 3]", (1.0, 2.0, 3.0)),
+        ("initialization.heading=90", 90.0),
+        ("initialization.heading=unknown", "unknown"),
+        ("initialization.position_sd_m=[1, 2, 3]", (1.0, 2.0, 3.0)),
         ("states.gyro_bias.tau_s=inf", float("inf")),
         ("tune.objective=nll", {"nll": 1.0}),
         ("tune.objective={drift = 1, nll = 0.1}", {"drift": 1.0, "nll": 0.1}),
@@ -51,11 +51,11 @@ def test_set_takes_toml_values_and_types(setting, value):
     [
         ("filter.nam=3", "unknown key filter.nam: did you mean filter.name?"),
         ("filtr.name=3", "unknown key filtr: did you mean filter?"),
-        ("filter.tilt_sd_deg=3", "did you mean start.tilt_sd_deg?"),
+        ("filter.tilt_sd_deg=3", "did you mean initialization.tilt_sd_deg?"),
         ("filter.cov_stride=1.5", "filter.cov_stride must be a whole number, got 1.5"),
         ("filter.smooth=1", "filter.smooth must be true or false, got 1"),
         ("tune.steps=true", "tune.steps must be a whole number, got True"),
-        ("start.tilt_sd_deg=nan", "start.tilt_sd_deg must be a number"),
+        ("initialization.tilt_sd_deg=nan", "initialization.tilt_sd_deg must be a number"),
         ("filter=3", r"\[filter\] is a section"),
         ("seed=-1", r"seed must be in \[0, 4294967295\], got -1"),
         ("filter.cov_stride=0", r"filter.cov_stride must be in \[1, 1000\], got 0"),
@@ -84,7 +84,12 @@ def test_file_errors_name_file_and_line(tmp_path):
 
 
 def test_resolved_goes_through_toml_and_run_json(tmp_path):
-    settings = ["filter.outages=[[1, 2]]", "states.gyro_bias.tau_s=inf", "data.options.imu='imu1'", "start.heading=30"]
+    settings = [
+        "filter.outages=[[1, 2]]",
+        "states.gyro_bias.tau_s=inf",
+        "data.options.imu='imu1'",
+        "initialization.heading=30",
+    ]
     c = resolve(*settings, "mounting.lever_arm_m=[0, 1, -2]", "tune.objective={nll = 1}")
     assert config.resolve([("toml", tomllib.loads(to_toml(config.as_dict(c))))]) == c
     run = tmp_path / "run.json"

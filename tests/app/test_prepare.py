@@ -17,9 +17,8 @@ from jaxnav.filters import border, epochs
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.parameters import datasheet_params, get, history_for, mounting, put
 from jaxnav.filters.run import initial_nav
-from jaxnav.filters.standstill import driving
-from jaxnav.initialization import start
-from jaxnav.initialization import start as alignment
+from jaxnav.filters.standstill import is_driving
+from jaxnav.initialization import initialize as alignment
 from jaxnav.io.toml import to_toml
 from jaxnav.maths import earth
 from jaxnav.measurements import counted_from
@@ -86,7 +85,7 @@ def test_a_filter_with_an_observer_runs_from_the_command_line(tmp_path, monkeypa
 
 def test_a_further_source_has_its_own_presets_and_the_users_settings():
     drive = {"source": "rtkexplorer_drive", "stop": 300.0}
-    first = resolved(data=drive, start={"tilt_sd_deg": 7.0}, noise={"gyro_deg_per_sqrt_hour": 0.4})
+    first = resolved(data=drive, initialization={"tilt_sd_deg": 7.0}, noise={"gyro_deg_per_sqrt_hour": 0.4})
     assert "zero_velocity" in first.filter.measurements and first.measurements.velocity.latency_s == 0.125
     town = config.for_source(first, "urban")
     assert (
@@ -95,20 +94,20 @@ def test_a_further_source_has_its_own_presets_and_the_users_settings():
         and not town.filter.grade
     )
     assert not town.measurements.velocity.latency_s
-    assert town.noise.gyro_deg_per_sqrt_hour == 0.4 and town.start.tilt_sd_deg == 7.0
+    assert town.noise.gyro_deg_per_sqrt_hour == 0.4 and town.initialization.tilt_sd_deg == 7.0
     back = config.for_source(town, "rtkexplorer_drive")
     assert (
         back.measurements.velocity.latency_s == 0.125
         and "zero_velocity" in back.filter.measurements
-        and back.start.tilt_sd_deg == 7.0
+        and back.initialization.tilt_sd_deg == 7.0
     )
 
 
 def test_a_setting_that_equals_a_default_is_a_setting():
     """The preset of the other source does not take its place."""
-    first = resolved(data={"source": "urban"}, start={"heading_sd_deg": 5.0})
-    assert config.for_source(first, "navego_synthetic").start.heading_sd_deg == 5.0
-    assert config.for_source(resolved(data={"source": "urban"}), "navego_synthetic").start.heading_sd_deg == 1.0
+    first = resolved(data={"source": "urban"}, initialization={"heading_sd_deg": 5.0})
+    assert config.for_source(first, "navego_synthetic").initialization.heading_sd_deg == 5.0
+    assert config.for_source(resolved(data={"source": "urban"}), "navego_synthetic").initialization.heading_sd_deg == 1.0
 
 
 def positions(moves_at: float) -> Samples:
@@ -121,18 +120,18 @@ def positions(moves_at: float) -> Samples:
 
 
 def test_noise_of_positions_is_no_course():
-    begin, heading = alignment.course(start._differences(positions(120.0)), 5.0)
+    begin, heading = alignment.course(alignment._differences(positions(120.0)), 5.0)
     assert 120 < begin < 126 and abs(heading) < 0.5
     with pytest.raises(DataError, match="3 sd"):
-        alignment.course(start._differences(positions(1e9)), 5.0)
+        alignment.course(alignment._differences(positions(1e9)), 5.0)
 
 
 @pytest.mark.parametrize("sd", [[1.0, 2.0], -1.0, [1.0, 0.0, 1.0]])
 def test_sd_of_the_start_are_one_or_three_positive_numbers(tmp_path, monkeypatch, capsys, sd):
     monkeypatch.chdir(tmp_path)
-    setting = f"start.position_sd_m={sd}"
+    setting = f"initialization.position_sd_m={sd}"
     assert cli.main(["filter", "--data", "urban_short", "--out", "f", "--set", setting]) == 2
-    assert "start.position_sd_m must be one number or 3, > 0" in capsys.readouterr().err
+    assert "initialization.position_sd_m must be one number or 3, > 0" in capsys.readouterr().err
 
 
 def northward(late: float = 0.0) -> Recording:
@@ -147,10 +146,10 @@ def northward(late: float = 0.0) -> Recording:
     return Recording("northward", imu, {"position": position, "velocity": velocity}, truth, np.zeros(3))
 
 
-def begun(config, rec: Recording):
+def started(config, rec: Recording):
     """Where a job starts in a recording."""
     params = prepare.base_params(config, prepare.grade_of(config, None), rec.lever_arm)
-    return prepare.start_of(config, rec, params)
+    return prepare.initialization_of(config, rec, params)
 
 
 def starts(origin: float):
@@ -162,9 +161,14 @@ def test_navigation_starts_where_the_vehicle_is_by_then():
     # its clock drifts by 1 %, so that where the run starts, 29 s before half-time, it is 0.29 s early
     late = {"position": {"latency_s": 0.3}}
     c = resolved(
-        mounting={"time_offset_s": 0.39, "clock_drift_ppm": 1e4}, measurements=late, start={"heading": "course"}
+        mounting={"time_offset_s": 0.39, "clock_drift_ppm": 1e4},
+        measurements=late,
+        initialization={"heading": "course"},
     )
-    nav, on_time = begun(c, northward(0.4)).navs, begun(resolved(start={"heading": "course"}), northward()).navs
+    nav, on_time = (
+        started(c, northward(0.4)).navs,
+        started(resolved(initialization={"heading": "course"}), northward()).navs,
+    )
     assert float(nav.t[0]) == 1.0 and float(nav.origin.t[0]) == pytest.approx(30.05)
     np.testing.assert_allclose(earth.enu_difference(nav.pos[0], on_time.pos[0]), 0, atol=0.02)
 
@@ -173,16 +177,16 @@ def test_a_start_without_a_velocity_beside_it_is_refused():
     rec = northward()
     velocity = Samples(*(a[20:] for a in rec.aiding["velocity"]))
     with pytest.raises(DataError, match=r"velocity: none within 2 s of the first position, at 1.000 s: set data.start"):
-        begun(resolved(start={"heading": 0.0}), rec._replace(aiding=rec.aiding | {"velocity": velocity}))
+        started(resolved(initialization={"heading": 0.0}), rec._replace(aiding=rec.aiding | {"velocity": velocity}))
 
 
 def test_what_drives_by_the_receiver_is_no_standstill():
     rec, t = northward(), np.array([0.2, 10.0, 30.5, 70.0])
-    np.testing.assert_array_equal(driving(rec.aiding["velocity"], t), [True, True, True, False])  # the last: far
+    np.testing.assert_array_equal(is_driving(rec.aiding["velocity"], t), [True, True, True, False])  # the last: far
     slow = rec.aiding["velocity"]._replace(value=np.full((59, 3), 0.3))
-    assert not driving(slow, t).any()
+    assert not is_driving(slow, t).any()
     c = resolved(
-        filter={"measurements": ["position", "velocity", "zero_velocity"]}, start={"heading": 0.0}
+        filter={"measurements": ["position", "velocity", "zero_velocity"]}, initialization={"heading": 0.0}
     )  # a drive without any vibration
     with pytest.raises(ConfigError, match=r"standing_gyro_sd_deg_per_s: 59 of 60 epochs .* the first at 1.000 s"):
         epochs.pack_recording(rec, prepare.measurements_of(c), 0.0, 1.0)
@@ -192,10 +196,10 @@ def test_what_drives_by_the_receiver_is_no_standstill():
 def test_z_up_is_said_where_motion_levels_and_refused_where_nothing_does():
     rec = northward()
     upside = rec._replace(imu=rec.imu._replace(accel=-rec.imu.accel))
-    start = begun(resolved(), upside)
+    start = started(resolved(), upside)
     assert "the IMU hangs upside down, or its axes are not forward, right, down" in start.how
     with pytest.raises(DataError, match=r"imu: z of specific force is \+9.8"):
-        begun(resolved(start={"heading": "course"}), upside)
+        started(resolved(initialization={"heading": "course"}), upside)
 
 
 def test_an_outage_lasts_to_the_end_of_the_data():
@@ -280,8 +284,8 @@ def test_history_covers_what_is_known_and_what_tuning_adds():
     ("filter", {"data": {"source": "rtkexplorer_drive", "imu_worse_by": 2.0}}, ["data.imu_worse_by"]),
     ("filter", {"filter": {"outages": [[1.0, 2.0]]}, "data": {"imu_worse_by": 2.0, "stop": 9.0}}, []),
     ("tune", {"filter": {"outages": [[1.0, 2.0]]}, "data": {"stop": 9.0}}, ["filter.outages", "data.stop"]),
-    ("tune", {"tune": {"method": "lbfgs", "rate": 0.3}, "start": {"heading": 3.0}}, ["tune.rate"]),
-    ("mc", {"data": {"source": "gipkf_urban"}, "start": {"heading": 3.0}}, ["start.heading"]),
+    ("tune", {"tune": {"method": "lbfgs", "rate": 0.3}, "initialization": {"heading": 3.0}}, ["tune.rate"]),
+    ("mc", {"data": {"source": "gipkf_urban"}, "initialization": {"heading": 3.0}}, ["initialization.heading"]),
     ("mc", {"data": {"source": "gipkf_urban"}, "filter": {"cov_stride": 7}}, []),
     ("filter", {"filter": {"name": "ekf9"}, "states": {"gyro_bias": {"tau_s": 9.0}}}, ["states.gyro_bias.tau_s"]),
     ("bakeoff", {"data": {"source": "urban,gipkf_urban"}, "filter": {"cov_stride": 10}}, []),

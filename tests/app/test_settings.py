@@ -32,7 +32,7 @@ def test_every_setting_is_there_and_says_what_it_is():
     assert "tempered for recordings" in found["tune", "method"]
     assert "`tuning.recordings.recorded`: tempered" in found["tune", "method"]
     assert all(found.values())
-    assert found["tune", "prior"].endswith("else in the parameter's own unit")
+    assert found["tune", "prior"].endswith("else in the parameter's unit")
 
 
 def test_what_it_prints_is_a_configuration_with_the_defaults():

@@ -180,7 +180,7 @@ def test_what_is_free_is_by_names_less_the_frozen_with_priors_in_users_units():
     assert {f"{P}.scale", f"{V}.latency", "measurements.zero_rate.sd"} <= set(found.leaves)
     assert found.prior_sd == {"noise.gyro": 2.0, "mounting.time_offset": 0.05}
     spec = spec_of(build("ekf15"), datasheet_params(GRADES["adis16465"]), found.leaves[:2], found.prior_sd)
-    assert spec["noise.gyro"].belief.sd == pytest.approx(np.log(2)) and spec["noise.gyro"].tie == ()
+    assert spec["noise.gyro"].prior.sd == pytest.approx(np.log(2)) and spec["noise.gyro"].tie == ()
 
 
 @pytest.mark.parametrize(
@@ -211,10 +211,10 @@ def test_what_the_papers_are_about_is_tuned_by_the_command_line(source, name, fr
 
 def test_the_figure_of_the_search_has_the_simulated_values(tmp_path, monkeypatch):
     """0.2 s of latency, and the noise of the simulated grade, in the units of the names beside them."""
-    drawn = {}
+    draw_state = {}
     monkeypatch.setattr(tune.plots, "save", lambda fig, path: None)
     monkeypatch.setattr(tune.plots_stats, "outage_drift", lambda *_, **__: None)
-    monkeypatch.setattr(tune.plots_stats, "tuning", lambda history, truth: drawn.update(truth))
+    monkeypatch.setattr(tune.plots_stats, "tuning", lambda history, truth: draw_state.update(truth))
     rows = [{"params": {"noise.gyro": np.full(3, 1e-4)}, "step": 0, "loss": 1.0}]
     runs = SimpleNamespace(known=_known(URBAN._replace(gnss=URBAN.gnss._replace(latency_s=0.2))), windows_hidden=True)
     found = SimpleNamespace(
@@ -222,9 +222,9 @@ def test_the_figure_of_the_search_has_the_simulated_values(tmp_path, monkeypatch
         trials=dict.fromkeys(("datasheet", "tuned"), SimpleNamespace(drift=np.ones(1))),
     )  # fmt: skip
     tune.draw(tmp_path, tune.Result(found, []))
-    assert drawn["measurements.position.latency_s"] == 0.2
+    assert draw_state["measurements.position.latency_s"] == 0.2
     gyro = GRADES[URBAN.imu.grade].arw * URBAN.imu.imu_noise_factor
-    assert drawn["noise.gyro_deg_per_sqrt_hour"] == pytest.approx(gyro / DEG_PER_SQRT_HOUR)
+    assert draw_state["noise.gyro_deg_per_sqrt_hour"] == pytest.approx(gyro / DEG_PER_SQRT_HOUR)
 
 
 def test_sources_of_which_one_hides_nothing_are_not_judged_together():

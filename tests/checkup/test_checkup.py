@@ -116,7 +116,7 @@ def test_what_is_wrong_is_named(car, code):
         "position": ("fixes",), "stream": ("stated", "ends"), "imu": ("sampling", "gravity", "axes"),
         "axes": ("gravity",),
         "gyro": ("axes", "together"), "accel": ("together",), "mounting": ("together",), "compass": ("compass",),
-        "time": ("overlap", "together", "rhythm", "apart"),
+        "time": ("overlap", "together", "rhythm", "stream_offset"),
     }  # fmt: skip
     found = bad(check.as_floats(DAMAGES[code](car)), *rows[part])
     assert code in found, found

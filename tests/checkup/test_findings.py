@@ -7,17 +7,21 @@ from pathlib import Path
 from string import Formatter
 
 import jaxnav
-from jaxnav.checkup.findings import KINDS, finding, line, text
+from jaxnav.app.results import Outcome, terminal
+from jaxnav.checkup.examples import EXAMPLES
+from jaxnav.checkup.findings import KINDS, finding, line, warnings
 from jaxnav.types import Severity
 
-HERE = Path("jaxnav/checkup/findings.py")
+HERE = {Path("jaxnav/checkup/findings.py"), Path("jaxnav/checkup/examples.py")}
 POSITIONAL = ("code", "subject", "value", "limit")
 
 
 def sources():
     """Return the syntax tree of every module but the table's own."""
     root = Path(jaxnav.__file__).parents[1]
-    files = [f for folder in ("jaxnav", "tuning") for f in (root / folder).rglob("*.py") if f != root / HERE]
+    files = [
+        f for folder in ("jaxnav", "tuning") for f in (root / folder).rglob("*.py") if f.relative_to(root) not in HERE
+    ]
     return {f.relative_to(root): ast.parse(f.read_text(encoding="utf-8")) for f in files}
 
 
@@ -67,11 +71,19 @@ def test_words_end_without_a_stop_and_say_what_to_do():
         for words in chain((kind.message,), kind.causes, kind.actions):
             assert words and not words.endswith("."), code
             assert words == words.strip() and "  " not in words, code
+        assert kind.severity is Severity.INFO or (kind.causes and kind.actions), f"{code} warns without a next step"
+
+
+def test_every_kind_has_an_example():
+    assert list(EXAMPLES) == list(KINDS)
+    for code, numbers in EXAMPLES.items():
+        message = finding(code, **numbers).message
+        assert message and "{" not in message and "None" not in message, code
 
 
 def test_a_warning_prints_code_cause_and_next_step():
     late = finding("time.late", "position", 0.2, size=0.2, side="late", sd=0.01)
-    shown = text([late])
+    shown = warnings([late])
     assert shown[0] == "WARNING time.late  position is 0.200 s late against the IMU (sd 0.010 s)"
     assert shown[1].strip() == "Likely: latency of the receiver"
     assert shown[2].split() == ["Next:", "set", "measurements.position.latency_s,", "or", "jaxnav", "tune"]
@@ -79,5 +91,19 @@ def test_a_warning_prints_code_cause_and_next_step():
         "; likely: latency of the receiver; next: set measurements.position.latency_s, or jaxnav tune"
     )
     known = finding("time.delay", "position", 0.0, size=0.0, side="late", sd=0.01)
-    assert text([known, late])[-1].startswith("  position is 0.000 s late")  # notes after the warnings
     assert finding("time.delay", size=0, side="late", sd=1, severity=Severity.WARNING).warns
+    assert warnings([known]) == []
+
+
+def test_the_terminal_shows_warnings_first_and_ends_with_a_verdict():
+    late = finding("time.late", "position", 0.2, size=0.2, side="late", sd=0.01)
+    known = finding("time.delay", "velocity", 0.0, size=0.0, side="late", sd=0.01)
+    clean = Outcome({}, "a table", {}, findings=[known], verdict="consistent: NIS/dof 1.02")
+    assert terminal(clean, False, False) == ["a table", "consistent: NIS/dof 1.02; 1 remark: --verbose"]
+    assert terminal(clean, True, False)[1:] == [f"  {line(known)}", "consistent: NIS/dof 1.02"]
+    both = clean._replace(findings=[known, late, late])
+    shown = terminal(both, False, False)
+    assert shown[:3] == warnings([late]) and shown[6:8] == ["", "a table"]
+    assert shown[-1] == "2 warnings: see above; 1 remark: --verbose"
+    assert terminal(both, False, True)[0] == "\033[1;33mWARNING\033[0m" + shown[0].removeprefix("WARNING")
+    assert terminal(Outcome({}, "a table", {}), False, False) == ["a table"]

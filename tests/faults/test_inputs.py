@@ -93,8 +93,8 @@ def test_files(drive, tmp_path, capsys, fault):
 
 
 SETTINGS = {
-    "start.heading=inf": (2, ["start.heading", "finite"]),
-    "start.heading=nan": (2, ["start.heading", "a number"]),
+    "initialization.heading=inf": (2, ["initialization.heading", "finite"]),
+    "initialization.heading=nan": (2, ["initialization.heading", "a number"]),
     "filter.interval_s=1e-9": (3, ["interval", "epochs"]),
     "out.formats=['cvs']": (2, ["cvs", "csv"]),
     "filter.states=['gnss_error']": (2, ["gnss_error", "gnss_position_error"]),

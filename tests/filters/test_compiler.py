@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxnav.filters import compiler
-from jaxnav.filters.compiler import EMITTERS, held, make_room
+from jaxnav.filters.compiler import EMITTERS, clear_caches_if_needed, process_usage
 
 
 @pytest.mark.parametrize(
@@ -60,17 +60,17 @@ def test_no_cache_where_it_is_turned_off(monkeypatch):
     assert compiler.cache() is None and compiler.cache_home() is None
 
 
-@pytest.mark.skipif(held().maps == 0, reason="the system does not say what a process holds")
+@pytest.mark.skipif(process_usage().maps == 0, reason="the system does not say what a process holds")
 def test_many_programs_fit_into_a_few_mappings(caplog):
     """Sixty programs, twice as many as the limit lets live; each is right, also after it was dropped."""
-    x, base, programs = jnp.arange(4.0), held().maps, []
+    x, base, programs = jnp.arange(4.0), process_usage().maps, []
     most, dropped = base, 0
     for i in range(60):
         programs.append(jax.jit(lambda x, i=i: jnp.sin(x) @ jnp.ones(4) * i))
         np.testing.assert_allclose(programs[-1](x), i * np.sin(x).sum())
-        most = max(most, held().maps)
-        dropped += make_room(maps=base + 40, resident=np.inf)
+        most = max(most, process_usage().maps)
+        dropped += clear_caches_if_needed(maps=base + 40, resident=np.inf)
     assert dropped >= 1 and most < base + 150
     assert "dropped all compiled programs" in caplog.text
     np.testing.assert_allclose(programs[3](x), 3 * np.sin(x).sum())
-    assert make_room(maps=10**9, resident=np.inf) is False
+    assert clear_caches_if_needed(maps=10**9, resident=np.inf) is False

@@ -9,10 +9,10 @@ from jaxnav.checkup import checkup
 from jaxnav.filters import gaps
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import padded
-from jaxnav.filters.epochs import cut_times, hide, of_shared_size, outage_windows, pack, shared_size, stack_epochs
+from jaxnav.filters.epochs import bucket_size, cut_times, hide, outage_windows, pack, pad_to_bucket, stack_epochs
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.run import run_jit
-from jaxnav.filters.standstill import constraint_samples, driving, mean_rate, stationary
+from jaxnav.filters.standstill import constraint_samples, is_driving, mean_rate, stationary
 from jaxnav.io.recording import recording
 from jaxnav.maths import earth
 from jaxnav.measurements import GNSS, NONHOLONOMIC, POSITION, SPEED, VELOCITY
@@ -166,15 +166,15 @@ def test_instantaneous_samples_become_means():
 
 @pytest.mark.parametrize("n, size", [(1, 1), (3, 3), (7, 7), (9, 10), (50, 56), (57, 64), (64, 64), (1000, 1024)])
 def test_shared_sizes_are_few_and_near(n, size):
-    assert shared_size(n) == size
-    assert len({shared_size(k) for k in range(1, 10_001)}) < 60
+    assert bucket_size(n) == size
+    assert len({bucket_size(k) for k in range(1, 10_001)}) < 60
 
 
 @pytest.mark.parametrize("name", ["ekf15_gate", "gpid15"])
 def test_padding_to_a_shared_size_changes_nothing(case, name):
     """Of values and of what a rule remembers; epochs and samples that were added last no time."""
     filt, epochs = build(name, cov_stride=5), jax.tree.map(lambda a: a[:50], case.packed.epochs)
-    more = of_shared_size(epochs)
+    more = pad_to_bucket(epochs)
     assert more.imu.dt.shape == (56, 20) and not more.fix.valid[50:].any() and not more.imu.dt[50:].any()
     own = case.params._replace(rule=filt.params("consumer").rule)
     alone, among = run_jit(filt, own, case.nav, epochs), run_jit(filt, own, case.nav, more)
@@ -303,4 +303,4 @@ def test_driving_is_what_noise_cannot_be():
     value = np.array([[1.6, 0, 9], [0, 2.1, 0], [0.4, 0, 0], [9.0, 0, 0]])
     sd = np.array([[0.5, 0.1, 0.1], [0.1, 0.5, 0.1], [0.01] * 3, [0.1] * 3])
     velocity = Samples(np.arange(1.0, 5.0), value, sd, np.zeros((4, 3)))
-    assert driving(velocity, np.array([1.0, 2.2, 3.1, 4.4, 5.5])).tolist() == [False, True, False, True, False]
+    assert is_driving(velocity, np.array([1.0, 2.2, 3.1, 4.4, 5.5])).tolist() == [False, True, False, True, False]

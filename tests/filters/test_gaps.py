@@ -9,7 +9,7 @@ from benchmarks.simulated import pauses
 from jaxnav.checkup.inertial import gap_findings
 from jaxnav.filters import gaps
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.epochs import louder_by, pack
+from jaxnav.filters.epochs import gap_noise, pack
 from jaxnav.filters.run import run_jit
 from jaxnav.types import ImuLog
 
@@ -60,7 +60,7 @@ def test_what_a_long_hole_hides_grows_with_its_length():
 def test_an_epoch_gets_the_noise_of_a_hole_for_its_share_of_it():
     """From 2 to 3.5 s, in epochs of half a second, two seconds and one second."""
     holes = gaps.Holes(np.array([2.0]), np.array([3.5]), np.array([[0.1, 2.0]]))
-    found = np.asarray(louder_by(holes, 1.5, np.array([2.0, 2.5, 4.5, 5.5])))
+    found = np.asarray(gap_noise(holes, 1.5, np.array([2.0, 2.5, 4.5, 5.5])))
     np.testing.assert_allclose(found, np.sqrt([0.0, 1.0, 0.5, 0.0])[:, None] * [0.1, 2.0], atol=1e-12)
 
 

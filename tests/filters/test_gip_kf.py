@@ -164,12 +164,12 @@ def test_weights_change_as_biases_are_learnt():
     """After t s with fixes the increment is that of R_m (1 + growth t), and less noise is added to the attitude."""
     theta, z = gip_kf_params(0.01, 0.2, growth=0.05, unlearnt=(0.2, 0.3)), an_innovation()
     rule = gip_kf.gip_kf()
-    for t, grown in ((0.0, 1.0), (40.0, 3.0), (gip_kf.LEARNT, 31.0), (2 * gip_kf.LEARNT, 31.0)):
+    for t, pad_epochs in ((0.0, 1.0), (40.0, 3.0), (gip_kf.LEARNT, 31.0), (2 * gip_kf.LEARNT, 31.0)):
         c = jax.jit(rule.correct)(theta, t, z)
-        share = 1 / (1 + grown * (1 / 0.2 - 1))
+        share = 1 / (1 + pad_epochs * (1 / 0.2 - 1))
         np.testing.assert_allclose(c.drive.accel, share * z.nu[V] / 0.5, rtol=1e-12)
         K = z.P @ H3.T @ np.linalg.inv(H3 @ z.P @ H3.T + z.R)
-        extra = np.diag([0.0] * 3 + [(0.2 / grown) ** 2 * 0.5] * 3 + [(0.3 / grown) ** 2 * 0.5] * 3)
+        extra = np.diag([0.0] * 3 + [(0.2 / pad_epochs) ** 2 * 0.5] * 3 + [(0.3 / pad_epochs) ** 2 * 0.5] * 3)
         np.testing.assert_allclose(c.P, (np.eye(9) - K @ H3) @ z.P + extra, atol=1e-11)
         assert c.memory == t + 0.5
     second, least = (rule.correct(theta, 40.0, z._replace(T=jnp.asarray(T))) for T in (0.0, 1e-12))

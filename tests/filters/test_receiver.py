@@ -13,13 +13,13 @@ from jaxnav import build
 from jaxnav.analysis import metrics
 from jaxnav.filters.rule import Innovation, Transition
 from jaxnav.filters.rules.kalman import correct as kalman
-from jaxnav.filters.rules.receiver import KINDS, OFFSET, Hypotheses, receiver, receiver_params
+from jaxnav.filters.rules.receiver import FAULT_MODELS, OFFSET, Hypotheses, receiver, receiver_params
 from jaxnav.filters.rules.robust import gate
 from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate
 
-N, T, NAMES = 9, 0.2, ("healthy", "noisy", *KINDS)
+N, T, NAMES = 9, 0.2, ("healthy", "noisy", *FAULT_MODELS)
 RULE, THETA = receiver(), receiver_params()
 
 
@@ -74,7 +74,7 @@ def test_weights_are_bayes_rule_on_a_jump_process():
     for i in range(1, len(NAMES)):
         healthy += old[i] * max(ends[i], 1e-300) * density(dev0[i], P0[i])
         healthy += old[i] * max(lost[i], 1e-300) * density(dev0[i], P0[i] + wide)
-    i = NAMES.index("jumped")
+    i = NAMES.index("jump")
     opened = np.diag(np.r_[np.zeros(N), np.repeat([60.0**2, 10.0**2], 3)])
     jumped = old[i] * (1 - fades[i]) * density(np.asarray(memory.dev[i]), np.asarray(memory.P[i]))
     jumped += old[0] * 1e-3 * T * density(dev0[0], P0[0] + opened)
@@ -104,11 +104,11 @@ def test_hypotheses_move_with_the_error_state():
     A[N : N + 3, N + 3 :] = T * np.eye(3)
     walk = 2.0**2 * np.array([[T**3 / 3, T**2 / 2], [T**2 / 2, T]])
     Q[N:, N:] = np.kron(walk, np.eye(3))
-    i = NAMES.index("slide")
+    i = NAMES.index("ramp")
     np.testing.assert_allclose(after.dev[i], A @ np.asarray(memory.dev[i]), rtol=1e-12)
     np.testing.assert_allclose(after.P[i], A @ np.asarray(memory.P[i]) @ A.T + Q, rtol=1e-9, atol=1e-12)
     A[N : N + 3, N + 3 :] = 0.0
-    i = NAMES.index("apart")
+    i = NAMES.index("independent jumps")
     np.testing.assert_allclose(after.dev[i], A @ np.asarray(memory.dev[i]), rtol=1e-12)
     assert after.age[0] == memory.age[0] and after.age[1] == memory.age[1] + T and after.since == 2 * T
 

@@ -21,8 +21,8 @@ from jaxnav.filters.rules.robust import (
     gate_params,
     huber,
     huber_params,
+    inflate_block,
     inflated,
-    jumped,
     squared_by_block,
     student_t,
     student_t_params,
@@ -186,7 +186,7 @@ def test_recovery_makes_the_innovation_likely_and_leaves_the_attitude_alone(outl
     z = outlier
     S = z.H @ z.P @ z.H.T + z.R
     factor = squared_by_block(z.nu, S)[0] / 3
-    P = jumped(z, S, jnp.array([factor, 1.0]), BLOCKS)
+    P = inflate_block(z, S, jnp.array([factor, 1.0]), BLOCKS)
     assert np.linalg.eigvalsh(P - z.P).min() > -1e-9 * np.abs(P).max()
     wide = z.H @ P @ z.H.T + z.R
     assert squared_by_block(z.nu, wide)[0] == pytest.approx(3.0)
@@ -194,7 +194,7 @@ def test_recovery_makes_the_innovation_likely_and_leaves_the_attitude_alone(outl
     turned, plain = (kalman_correct((), (), z._replace(P=p)).delta for p in (P, z.P))
     assert np.abs(turned[6:]).max() < 0.5 * np.abs(plain[6:]).max()  # though the position goes nearly all the way
     assert turned[0] > 0.9 * z.nu[0] > 1.2 * plain[0]
-    one = jumped(innovation([30.0, 0, 0, 0, 0, 0], (True,) + (False,) * 5), S, jnp.array([5.0, 1.0]), BLOCKS)
+    one = inflate_block(innovation([30.0, 0, 0, 0, 0, 0], (True,) + (False,) * 5), S, jnp.array([5.0, 1.0]), BLOCKS)
     assert all_finite(one)
 
 
@@ -469,7 +469,7 @@ def test_a_gate_sees_everything_with_data_and_no_constraint():
 
 @pytest.mark.parametrize("channels, bound", [(1, 10.828), (2, 13.816), (3, 16.266)])
 def test_blocks_of_all_sizes_pass_as_many_sound_fixes(channels, bound):
-    assert robust.passed_by(0.999, channels) == pytest.approx(bound, abs=1e-3)
+    assert robust.healthy_bound(0.999, channels) == pytest.approx(bound, abs=1e-3)
 
 
 def test_the_window_of_iae_has_this_fix_in_it():

@@ -163,7 +163,7 @@ def test_what_cannot_be_gone_back_is_refused(case):
     for name in ("gpid", "gipkf"):
         with pytest.raises(ValueError, match="smoothing is for Kalman, robust, adaptive and fading rules"):
             smooth(build(name), case.params, case.nav, case.packed.epochs)
-    assert all(build(name).smooths for name in ("ekf15", "ekf9", "ekf15_gate", "ekf15_huber", "fwekf15"))
+    assert all(build(name).supports_smoothing for name in ("ekf15", "ekf9", "ekf15_gate", "ekf15_huber", "fwekf15"))
 
 
 def test_the_record_costs_a_plain_run_nothing(case):

@@ -12,7 +12,7 @@ from jaxnav.filters.catalogue import build
 from jaxnav.filters.error_model import MOTION_ERRORS, error_model
 from jaxnav.initialization import alignment
 from jaxnav.initialization.alignment import AlignmentPrior, align, rotations_since
-from jaxnav.initialization.start import aligned, correlation_root, start
+from jaxnav.initialization.initialize import aligned, correlation_root, initialize
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
 from jaxnav.states.grades import GRADES
@@ -30,7 +30,7 @@ def test_attitude_biases_and_delay_lie_within_their_covariance(kind, velocity):
     params = build("ekf15").params("consumer")
     for _ in range(RUNS):
         rec, late = simulated(kind, "consumer", velocity, rng)
-        found = start(rec, params)
+        found = initialize(rec, params)
         assert found.alignment is not None and found.navs.t.shape[0] == 1
         phi = difference(found, rec.truth)
         squares.append(phi @ np.linalg.solve(found.alignment.P[:3, :3], phi))
@@ -64,7 +64,7 @@ def test_a_known_delay_is_not_found_again():
 @pytest.mark.parametrize("positions", [False, True], ids=["velocity", "positions"])
 def test_derivatives_by_biases_delay_and_arm_are_those_of_differences(positions):
     rec, _ = simulated("aircraft", "consumer", True, np.random.default_rng(4))
-    fixes = alignment.inside(rec.aiding["position" if positions else "velocity"], 20.0, 40.0)
+    fixes = alignment.within_margin(rec.aiding["position" if positions else "velocity"], 20.0, 40.0)
     imu, lla = alignment.window(rec.imu, 20.0, 40.0), rec.aiding["position"].value[0]
     seen = alignment.differences(fixes, positions, lla, 20.0)
     x, arm = np.array([0.01, -0.02, 0.015, 0.1, 0.05, -0.1, 0.05, 0.3, -0.2, 0.1]), np.array([1.0, 0.5, -2.0])

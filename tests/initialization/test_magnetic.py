@@ -6,8 +6,8 @@ import pytest
 
 from benchmarks.simulated.vehicles import simulated
 from jaxnav.filters.catalogue import build
-from jaxnav.initialization import magnetic, start
-from jaxnav.initialization.pointing import pointed_by
+from jaxnav.initialization import initialize, magnetic
+from jaxnav.initialization.pointing import heading_by_sensor
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
 from jaxnav.measurements.magnetometer import field
@@ -55,15 +55,15 @@ def test_a_field_shows_the_heading_at_any_tilt(rph):
 def test_a_compass_starts_what_stands():
     known = magnetic.field_at(LLA)
     rec = standing((0.02, -0.03, 2.5), magnetometer=(by_field((0.02, -0.03, 2.5), known, (0.5, -0.5, 0.5)), 1.0))
-    begin = start.start(rec)
+    begin = initialize.initialize(rec)
     heading = float(rotations.to_rph(rotations.to_dcm(begin.navs.q[0]))[2])
     assert begin.navs.t.shape == (1,) and abs(heading - 2.5) < 3 * float(begin.prior.attitude[2]) < 0.9
     assert abs(heading - 2.5) < 5 * DEG and "by the magnetometer" in begin.how and "World Magnetic Model" in begin.how
     stated = build("ekf15", ("position", "magnetometer")).params()
-    given = begin.given(stated).measurements["magnetometer"]
+    given = begin.apply_to(stated).measurements["magnetometer"]
     assert float(given.declination) == pytest.approx(known.declination)
     own = stated.measurements["magnetometer"]._replace(declination=jnp.asarray(0.5))
-    said = start.start(rec, stated._replace(measurements=stated.measurements | {"magnetometer": own}))
+    said = initialize.initialize(rec, stated._replace(measurements=stated.measurements | {"magnetometer": own}))
     assert float(said.field.declination) == 0.5  # what the user states is taken
 
 
@@ -71,7 +71,7 @@ def test_a_compass_is_as_uncertain_as_its_tilt_times_the_tangent_of_the_inclinat
     known = magnetic.field_at(LLA)
     rec = standing((0.0, 0.0, 1.0), magnetometer=(by_field((0.0, 0.0, 1.0), known), 1.0))
     params = build("ekf15", ("position", "magnetometer")).params()
-    sd = [pointed_by(rec, params, (0.0, 0.0), tilt, 10.0).sd for tilt in (0.0, 3 * DEG)]
+    sd = [heading_by_sensor(rec, params, (0.0, 0.0), tilt, 10.0).sd for tilt in (0.0, 3 * DEG)]
     assert sd[1] ** 2 - sd[0] ** 2 == pytest.approx((np.tan(known.inclination) * 3 * DEG) ** 2, rel=1e-4)
     assert np.tan(known.inclination) > 1.5
 
@@ -80,7 +80,7 @@ def test_a_compass_is_as_uncertain_as_its_tilt_times_the_tangent_of_the_inclinat
 def test_a_compass_near_iron_is_not_believed(iron):
     known = magnetic.field_at(LLA)
     rec = standing((0.0, 0.0, 1.0), magnetometer=(by_field((0.0, 0.0, 1.0), known, iron), 1.0))
-    begin = start.start(rec)
+    begin = initialize.initialize(rec)
     assert begin.navs.t.shape == (12,) and "magnetometer" not in begin.how
 
 
@@ -89,7 +89,10 @@ def test_two_antennas_are_surer_than_motion():
     rec, _ = simulated("car", "consumer", True, np.random.default_rng(5))
     angle = np.interp(rec.aiding["position"].t, rec.truth.t, np.unwrap(rec.truth.rph[:, 2]))[:, None]
     by_antennas = Samples(rec.aiding["position"].t, angle, np.full_like(angle, 2e-3), np.zeros_like(angle))
-    without, begin = start.start(rec), start.start(rec._replace(aiding=rec.aiding | {"heading": by_antennas}))
+    without, begin = (
+        initialize.initialize(rec),
+        initialize.initialize(rec._replace(aiding=rec.aiding | {"heading": by_antennas})),
+    )
     assert "two antennas" in begin.how and "two antennas" not in without.how
     assert float(begin.prior.attitude[2]) < 0.3 * float(without.prior.attitude[2])
     heading = float(rotations.to_rph(rotations.to_dcm(begin.navs.q[0]))[2])
@@ -101,11 +104,11 @@ def test_two_antennas_come_first():
     known = magnetic.field_at(LLA)
     streams = {"heading": (1.2 + 0.5, 0.01), "magnetometer": (by_field((0.0, 0.0, 1.0), known), 1.0)}
     rec = standing((0.0, 0.0, 1.2), **streams)
-    params = start.recorded_timing(rec)
+    params = initialize.recorded_timing(rec)
     own = params.measurements["heading"]._replace(yaw=jnp.asarray(0.5))  # the line points to the right
-    begin = start.start(rec, params._replace(measurements=params.measurements | {"heading": own}))
+    begin = initialize.initialize(rec, params._replace(measurements=params.measurements | {"heading": own}))
     heading = float(rotations.to_rph(rotations.to_dcm(begin.navs.q[0]))[2])
     assert heading == pytest.approx(1.2, abs=1e-9) and "two antennas" in begin.how
     assert float(begin.prior.attitude[2]) == pytest.approx(0.01)
     vague = standing((0.0, 0.0, 1.2), heading=(1.7, 0.5))
-    assert start.start(vague).navs.t.shape == (12,)
+    assert initialize.initialize(vague).navs.t.shape == (12,)

@@ -25,7 +25,7 @@ def test_heading_is_unknown_at_rest_and_consistent_in_motion(parked):
     true = np.interp(sol.t, rec.truth.t, np.unwrap(rec.truth.rph[:, 2]))
     error, sd = (sol.rph[:, 2] - true + np.pi) % (2 * np.pi) - np.pi, sol.sd[:, 8]
     still, after = (sol.t > 15.0) & (sol.t < REST - 1.0), sol.t > REST + 20.0
-    assert sol.t[0] < 15.0 and sol.start.navs.t.shape[0] == 12
+    assert sol.t[0] < 15.0 and sol.initialization.navs.t.shape[0] == 12
     assert sd[still].min() > 25 * DEG and sd[still][-1] > 0.8 * sd[still].max()  # it shows nothing
     assert sd[after].max() < 5 * DEG and np.sqrt(np.mean((error[after] / sd[after]) ** 2)) < 2.0
     assert np.diff(sol.t).min() > 0 and sol.ok.all()

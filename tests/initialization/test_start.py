@@ -9,7 +9,7 @@ from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import track
 from jaxnav.initialization.bank import heading_bank, with_headings
-from jaxnav.initialization.start import course, level
+from jaxnav.initialization.initialize import coarse_leveling, course
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, ImuLog, Samples
@@ -26,21 +26,21 @@ def resting(roll, pitch, heading=1.0, bias=0.0, n=200, noise=0.0):
 
 @pytest.mark.parametrize("roll, pitch", [(0.0, 0.0), (0.3, -0.2), (-2.9, 0.1), (1.2, 1.4), (0.0, -1.5)])
 def test_level_recovers_the_tilt(roll, pitch):
-    np.testing.assert_allclose(level(resting(roll, pitch), 0.0, 10.0), [roll, pitch], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(coarse_leveling(resting(roll, pitch), 0.0, 10.0), [roll, pitch], rtol=0, atol=1e-12)
 
 
 def test_level_averages_between_the_times():
     imu = resting(0.1, 0.2, noise=0.05)
-    np.testing.assert_allclose(level(imu, 0.0, 10.0), [0.1, 0.2], atol=2e-3)
+    np.testing.assert_allclose(coarse_leveling(imu, 0.0, 10.0), [0.1, 0.2], atol=2e-3)
     shaken = imu._replace(accel=np.where((imu.t > 1.0)[:, None], 50.0, imu.accel))
-    assert level(shaken, 0.0, 1.0) == level(imu, 0.0, 1.0)
-    roll, _ = level(resting(0.0, 0.0, bias=np.array([0.0, 9.81e-3, 0.0])), 0.0, 10.0)
+    assert coarse_leveling(shaken, 0.0, 1.0) == coarse_leveling(imu, 0.0, 1.0)
+    roll, _ = coarse_leveling(resting(0.0, 0.0, bias=np.array([0.0, 9.81e-3, 0.0])), 0.0, 10.0)
     assert roll == pytest.approx(-1e-3, abs=1e-8)  # 1 mrad for 1 mg
     uneven = imu._replace(accel=np.tile([0.0, 0.0, -9.81], (200, 1)), dt=np.where(np.arange(200) < 100, 0.001, 0.009))
     uneven.accel[:100, 1] = -1.0  # a tenth of the time
-    assert level(uneven, 0.0, 10.0)[0] == pytest.approx(np.arctan2(0.1, 9.81), rel=1e-12)
+    assert coarse_leveling(uneven, 0.0, 10.0)[0] == pytest.approx(np.arctan2(0.1, 9.81), rel=1e-12)
     with pytest.raises(DataError, match="no sample in 50.000 to 60.000 s to level with"):
-        level(imu, 50.0, 60.0)
+        coarse_leveling(imu, 50.0, 60.0)
 
 
 def test_course_is_that_of_the_first_fast_enough_velocity():

@@ -102,7 +102,7 @@ def test_an_unknown_type_is_said(drive, tmp_path):
         body = t[1:].partition("*")[0].replace(";00,11,", ";00,99,")
         other.append(f"%{body}*{crc32(body.encode()):08x}\n")
     path.write_text("".join(other))
-    with pytest.raises(DataError, match="has an IMU of type 99, whose scale is not known"):
+    with pytest.raises(DataError, match="has an IMU of type 99, with an unknown scale"):
         read(path)
 
 

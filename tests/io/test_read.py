@@ -176,11 +176,11 @@ def test_repeated_and_swapped_and_wild_times():
     rec = mend.recording(rows(t=t))
     assert len(rec.imu.t) == 397 and (np.diff(rec.imu.t) > 0).all()
     assert "1 of 400 rows at the time of the row before" in rec.notes
-    assert "2 of 400 rows whose time runs backwards" in rec.notes
+    assert "2 of 400 rows with a time before the row before" in rec.notes
 
 
 def test_reversed_times_are_refused():
-    with pytest.raises(DataError, match="a.log: row 1: imu: 399 of 400 rows whose time runs backwards"):
+    with pytest.raises(DataError, match="a.log: row 1: imu: 399 of 400 rows with a time before the row before"):
         mend.recording(rows(t=parts().imu.t[::-1]))
 
 
@@ -201,8 +201,8 @@ def test_fixes_outside_the_imu_and_without_sd():
     fixes = whole.aiding["position"]
     early = fixes._replace(t=fixes.t - 1.0, sd=np.where(np.arange(7)[:, None] == 5, np.nan, [1.0, 1.0, 2.0]))
     rec = mend.recording(whole._replace(aiding={"position": early}))
-    assert "position: 1 of 7 rows lie before the IMU's first sample or after its last." in rec.notes
-    assert "position: 1 of 7 rows whose sd says nothing are left out." in rec.notes
+    assert "position: 1 of 7 rows are before the IMU's first sample or after its last." in rec.notes
+    assert "position: 1 of 7 rows without a usable sd are left out." in rec.notes
     assert len(rec.aiding["position"].t) == 5
     late = mend.recording(whole._replace(aiding={"position": fixes._replace(t=fixes.t + 100.0)}))
     assert "position" not in late.aiding and "no row is left" in late.notes

@@ -64,7 +64,7 @@ def test_a_map_may_mend_a_polled_log_with_a_time_tag():
     data("rtkexplorer_drive")
     rec = io.load("rtkexplorer_drive")
     assert "1138 repeated rows are taken out and 1419 lost samples filled in" in rec.notes
-    assert "13 of 2197 rows lie before" in rec.notes and np.median(rec.imu.dt) == pytest.approx(0.009952, abs=1e-6)
+    assert "13 of 2197 rows are before" in rec.notes and np.median(rec.imu.dt) == pytest.approx(0.009952, abs=1e-6)
 
 
 # ---------------------------------------------------------------------------- PX4 ULog

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxnav.io import mend
-from jaxnav.io.formats.rosbag import receivers_own
+from jaxnav.io.formats.rosbag import from_receiver
 from jaxnav.io.parts import with_fixes
 from jaxnav.io.read import read_parts
 from jaxnav.types import DataError
@@ -85,4 +85,4 @@ def test_a_dead_first_receiver_does_not_hide_the_second(shares, chosen):
     ],
 )
 def test_words_of_a_receivers_topic(receiver, estimate):
-    assert receivers_own(receiver) > receivers_own(estimate)
+    assert from_receiver(receiver) > from_receiver(estimate)

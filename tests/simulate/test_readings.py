@@ -8,7 +8,7 @@ import pytest
 from jaxnav.filters.parameters import datasheet_states
 from jaxnav.maths import earth, rotations
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.simulate.readings import askew, equipped, expected, with_sensor, with_states
+from jaxnav.simulate.readings import expected, with_axes_error, with_equipment, with_sensor, with_states
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import matched_params, simulate_jit, to_recording
 from jaxnav.states.grades import GRADES
@@ -49,7 +49,7 @@ def test_fixes_and_samples_have_the_errors_that_the_truth_says(sim, params):
 def test_an_imu_that_sits_askew_sees_the_same_drive(sim, params):
     """What it reads is the same in ENU, and wheels do not slip along the axes that its state tells."""
     angles = jnp.array([0.03, -0.05])
-    other = askew(sim, params, angles)
+    other = with_axes_error(sim, params, angles)
     C, turned = (np.asarray(jax.vmap(rotations.to_dcm)(nav.q)) for nav in (sim.truth, other.truth))
     for name in ("omega", "force"):
         seen = [np.einsum("eij,ej->ei", M, np.asarray(getattr(nav, name)))
@@ -78,7 +78,7 @@ def test_a_sensor_reads_what_is_expected_of_the_truth_and_noise(sim, params):
 def test_a_scenario_with_sensors_is_a_recording_with_their_streams():
     """In outages too, with the noise that is said about what their models expect; drawn states are in them."""
     scenario = URBAN_SHORT._replace(sensors=(("wheels", 0.1), ("barometer", 0.5)), sensor_states=("barometer_bias",))
-    sim = equipped(jax.random.key(9), simulate_jit(jax.random.key(2), URBAN_SHORT), scenario)
+    sim = with_equipment(jax.random.key(9), simulate_jit(jax.random.key(2), URBAN_SHORT), scenario)
     rec = to_recording(sim, scenario)
     assert list(rec.aiding) == ["position", "velocity", "wheels", "barometer"]
     assert rec.aiding["barometer"].t.size == 80 > rec.aiding["position"].t.size

@@ -15,7 +15,7 @@ from jaxnav.maths.units import DEG
 from jaxnav.measurements.measurement import FIXES_ALIKE
 from jaxnav.simulate.gnss import Receiver
 from jaxnav.simulate.imu import ImuErrors
-from jaxnav.simulate.scenarios import Scenario, Start
+from jaxnav.simulate.scenarios import InitialErrors, Scenario
 from jaxnav.simulate.simulation import matched_params, perturb, simulate
 from jaxnav.simulate.trajectories import Static
 from jaxnav.states.grades import GRADES
@@ -101,7 +101,7 @@ def test_a_parked_vehicle_does_not_learn_its_heading():
     scenario = Scenario(
         name="parked", duration_s=10.0, imu_rate_hz=20.0, motion=Static(), imu=ImuErrors("consumer"),
         gnss=Receiver((2.0,) * 3, (0.1,) * 3),
-        start=Start((2.0,) * 3, (0.1,) * 3, prior_tilt_sd_deg=1.0, prior_heading_sd_deg=20.0),
+        start=InitialErrors((2.0,) * 3, (0.1,) * 3, prior_tilt_sd_deg=1.0, prior_heading_sd_deg=20.0),
     )  # fmt: skip
     params = matched_params(scenario)
     filt = build("ekf15", history=history_for(params, 20.0, 10.0))

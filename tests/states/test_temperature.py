@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav import build, navigate, read, start
+from jaxnav import build, initialize, navigate, read
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import load
 from jaxnav.filters.catalogue import FRAMES
@@ -107,9 +107,9 @@ def test_the_slope_of_a_drive_is_found_through_its_files(drive, tmp_path):
 def test_a_stream_holds_the_temperature_as_the_batch_does(drive):
     filt = build("ekf15", states=(TOY.name,), cov_stride=10)
     params = installed(filt.params("adis16465"), drive.lever_arm)
-    begin = start(drive, params)
+    begin = initialize(drive, params)
     stop = begin.t + 20.0
-    sol = navigate(drive, filt, params, begin=begin, stop=stop)
+    sol = navigate(drive, filt, params, initialization=begin, stop=stop)
     live = Stream(filt, params, begin, rate=50.0)
     order = {"temperature": 0, "position": 1, "velocity": 1}
     rows = [(t, order[name], name, i) for name, s in drive.aiding.items() for i, t in enumerate(s.t)]

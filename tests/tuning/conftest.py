@@ -6,7 +6,7 @@ import pytest
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.run import prepare
-from jaxnav.initialization.start import start
+from jaxnav.initialization.initialize import initialize
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
@@ -31,8 +31,8 @@ def ekf():
 
 @pytest.fixture(scope="module")
 def job(rec, ekf):
-    begin = start(rec, ekf.params("adis16465"))
-    datasheet = begin.given(ekf.params("adis16465"))
+    begin = initialize(rec, ekf.params("adis16465"))
+    datasheet = begin.apply_to(ekf.params("adis16465"))
     packed = ep.pack_recording(rec, GNSS, begin.t)
     layout = plan(packed, window_of([packed]))
     windows = windows_of(packed, layout, packed.t.size)

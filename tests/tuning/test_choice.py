@@ -8,7 +8,7 @@ import pytest
 
 from jaxnav.analysis.windows import drift as windows_drift
 from jaxnav.filters import epochs as ep
-from jaxnav.initialization.start import start
+from jaxnav.initialization.initialize import initialize
 from jaxnav.measurements import GNSS
 from tuning.recordings import faults
 from tuning.recordings.choice import choose
@@ -49,11 +49,11 @@ def test_a_part_with_a_receiver_fault_is_named_and_does_not_judge(rec, ekf):
     begin = p.t[-1] - 3.5
     moved = p.value + np.where((p.t > begin) & (p.t < begin + 3.0), 40.0 / 6.4e6, 0.0)[:, None] * [1.0, 0.0, 0.0]
     bad = rec._replace(aiding=rec.aiding | {"position": p._replace(value=moved)})
-    begun = start(bad, ekf.params("adis16465"))
+    begun = initialize(bad, ekf.params("adis16465"))
     packed = ep.pack_recording(bad, GNSS, begun.t)
     layout = plan(packed, 5.0)
     windows = windows_of(packed, layout, packed.t.size)
-    datasheet = begun.given(ekf.params("adis16465"))
+    datasheet = begun.apply_to(ekf.params("adis16465"))
     nav = jax.tree.map(lambda a: a[0], begun.navs)
     _, info = windows_drift(ekf, datasheet, nav, packed.epochs, windows, GNSS)
     used = Used(

@@ -18,7 +18,7 @@ from jaxnav.filters.catalogue import build
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import FREEDOM, prepare, student_nll
-from jaxnav.initialization.start import start
+from jaxnav.initialization.initialize import initialize
 from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
@@ -47,9 +47,11 @@ def test_what_is_found_has_the_prior_that_was_given_and_not_the_posterior_of_one
         np.testing.assert_array_equal(params.prior.attitude, given.prior.attitude)
         assert params.prior.correlated is None
     assert np.asarray(datasheet.states["gyro_bias"].sd).min() < 0.8 * given.states["gyro_bias"].sd
-    again = start(rec, found.params)
-    np.testing.assert_allclose(again.navs.errors["gyro_bias"], found.used[0].begin.navs.errors["gyro_bias"], atol=1e-5)
-    np.testing.assert_allclose(again.prior.attitude, found.used[0].begin.prior.attitude, rtol=0.1)
+    again = initialize(rec, found.params)
+    np.testing.assert_allclose(
+        again.navs.errors["gyro_bias"], found.used[0].initialization.navs.errors["gyro_bias"], atol=1e-5
+    )
+    np.testing.assert_allclose(again.prior.attitude, found.used[0].initialization.prior.attitude, rtol=0.1)
 
 
 # ---------------------------------------------------------------------------- what is minimised
@@ -127,7 +129,7 @@ def test_the_scan_sees_the_training_part_by_the_filters_measurements(rec, job, m
 
     monkeypatch.setattr(recorded, "scan_noise", scan_noise)
     own = make.use()
-    recorded.scan(rec, own.datasheet, own.begin, layout, GNSS[:1], lambda line: None)
+    recorded.scan(rec, own.datasheet, own.initialization, layout, GNSS[:1], lambda line: None)
     assert seen == {"streams": {"position"}, "stop": layout.train}
 
 
@@ -147,7 +149,7 @@ def test_recordings_together_are_the_sum_of_each(ekf, job):
     one, own = make(), make.use()
     E, K = packed.epochs.imu.dt.shape
     padded = own._replace(
-        epochs=prepare(ekf, ep.grown(packed.epochs, E + 7, K + 2)), windows=windows_of(packed, own.layout, E + 7)
+        epochs=prepare(ekf, ep.pad_epochs(packed.epochs, E + 7, K + 2)), windows=windows_of(packed, own.layout, E + 7)
     )
     both, x = Job(ekf, make.spec, [padded, padded]), one.flat + 0.1
     for a, b in zip(one.evidence(x), both.evidence(x), strict=True):
@@ -232,12 +234,12 @@ def test_priors_are_about_the_datasheet_and_named_by_kind(ekf):
         "measurements.position.scale", "measurements.velocity.scale", "mounting.time_offset", "mounting.clock_drift",
         "measurements.velocity.latency",
     }  # fmt: skip
-    assert spec["noise.gyro"].belief.sd == pytest.approx(np.log(3)) and spec["noise.accel"].belief.sd == pytest.approx(
+    assert spec["noise.gyro"].prior.sd == pytest.approx(np.log(3)) and spec["noise.accel"].prior.sd == pytest.approx(
         np.log(10)
     )
-    assert spec["noise.gyro"].belief.centre == (pytest.approx(0.23 * DEG_PER_SQRT_HOUR),)
-    assert spec["mounting.time_offset"].belief.sd == pytest.approx(1.0)  # a step is 0.1 s
-    assert all(t.belief is None for t in priors.spec_of(ekf, params, ("noise",), priors=False).values())
+    assert spec["noise.gyro"].prior.centre == (pytest.approx(0.23 * DEG_PER_SQRT_HOUR),)
+    assert spec["mounting.time_offset"].prior.sd == pytest.approx(1.0)  # a step is 0.1 s
+    assert all(t.prior is None for t in priors.spec_of(ekf, params, ("noise",), priors=False).values())
     scaled = build("ekf15", states=("gyro_scale",))
     assert "states.gyro_scale.driving_noise" not in priors.spec_of(
         scaled, scaled.params("consumer"), ("noise",)
@@ -260,7 +262,7 @@ def test_delays_that_initialization_finds_are_the_centres_of_their_priors(rec, e
     plain = recorded.initialized(NoiseScan(), own, rec._replace(aiding=fine))
     assert float(get(plain, "measurements.velocity.latency")) == 0.0
     aligned = SimpleNamespace(delay=0.46, sd=np.full(10, 0.02))
-    begun = own._replace(begin=own.begin._replace(alignment=aligned))
+    begun = own._replace(initialization=own.initialization._replace(alignment=aligned))
     assert float(get(recorded.initialized(NoiseScan(), begun, rec), "mounting.time_offset")) == pytest.approx(0.46)
 
 
@@ -268,10 +270,10 @@ def test_a_prior_is_told_as_it_is():
     """Of a factor, of a step in the user's unit, of none."""
     params = build("ekf15").params("consumer")
     spec = priors.spec_of(build("ekf15"), params, ("noise.gyro", "mounting.time_offset"), {"noise.gyro": 4.0})
-    assert report.prior_in_words(spec["noise.gyro"], 1.0, "deg") == "within a factor 4"
-    assert report.prior_in_words(spec["mounting.time_offset"], 1e-3, "ms") == "within 100 ms"
+    assert report.describe_prior(spec["noise.gyro"], 1.0, "deg") == "within a factor 4"
+    assert report.describe_prior(spec["mounting.time_offset"], 1e-3, "ms") == "within 100 ms"
     free = priors.spec_of(build("ekf15"), params, ("noise.gyro",), priors=False)
-    assert report.prior_in_words(free["noise.gyro"], 1.0, "deg") == "none"
+    assert report.describe_prior(free["noise.gyro"], 1.0, "deg") == "none"
 
 
 def test_parameters_of_streams_that_no_recording_has_are_not_free(rec):

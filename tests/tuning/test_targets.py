@@ -17,7 +17,7 @@ from jaxnav.app.jobs.tune import by_runs, for_target
 from jaxnav.filters.epochs import pack_recording
 from jaxnav.filters.parameters import change, get, mounting
 from jaxnav.filters.run import run_jit
-from jaxnav.initialization.start import Start
+from jaxnav.initialization.initialize import Initialization
 from jaxnav.io.formats.kfgins import read_kfgins_gnss, read_kfgins_imu
 from jaxnav.maths import units
 from jaxnav.measurements import MEASUREMENTS
@@ -39,7 +39,9 @@ def rec(case):
 @pytest.fixture(scope="module")
 def begin(case):
     nav = case.nav._replace(origin=case.nav.origin._replace(t=jnp.asarray(30.0)))
-    return Start(jax.tree.map(lambda a: jnp.asarray(a)[None], nav), case.params.prior, float(case.nav.t), "given")
+    return Initialization(
+        jax.tree.map(lambda a: jnp.asarray(a)[None], nav), case.params.prior, float(case.nav.t), "given"
+    )
 
 
 @pytest.mark.parametrize("name", TARGETS)

@@ -12,7 +12,7 @@ import pytest
 from tuning.fit import optimizers
 from tuning.fit.status import Status
 from tuning.fit.train import default_optimizer, fit
-from tuning.fit.transforms import LOG, believed, scaled
+from tuning.fit.transforms import LOG, scaled, with_prior
 
 
 class Two(NamedTuple):
@@ -154,8 +154,8 @@ def test_lbfgs_needs_few_steps_and_keeps_out_of_what_fails():
     assert np.isfinite(inside.loss) and inside.loss < 0.05
 
 
-def test_a_belief_pulls_towards_its_centre():
-    spec = {"width": believed(LOG, 4.0, 0.5)}
+def test_a_prior_pulls_towards_its_centre():
+    spec = {"width": with_prior(LOG, 4.0, 0.5)}
     found = fit(lambda p: 2.0 * jnp.log(p.width) ** 2, spec, START, 100, optax.adam(0.1), prior_weight=1.0)
     # 2 r^2 + (r - log 4)^2 / 0.5 is least at a half of log 4
     assert float(found.params.width) == pytest.approx(2.0, rel=1e-2)
@@ -164,9 +164,9 @@ def test_a_belief_pulls_towards_its_centre():
 def test_new_cases_are_drawn_once_a_step():
     steps = []
 
-    def drawn(step):
+    def draw_state(step):
         steps.append(step)
         return [jnp.array([1.0, 2.0]) + 0.1 * step]
 
-    fit(lambda p, centre: (jnp.log(p.width / centre)) ** 2, SPEC, START, 3, optax.adam(0.1), cases=drawn)
+    fit(lambda p, centre: (jnp.log(p.width / centre)) ** 2, SPEC, START, 3, optax.adam(0.1), cases=draw_state)
     assert steps == [0, 1, 2, 3]

@@ -15,7 +15,6 @@ from tuning.fit.transforms import (
     LOG,
     SIGNED,
     TRANSFORMS,
-    believed,
     factor,
     get,
     interval,
@@ -28,6 +27,7 @@ from tuning.fit.transforms import (
     split,
     tied,
     values,
+    with_prior,
 )
 
 PARAMS = datasheet_params(GRADES["adis16465"], rule=gpid_params(0.01, 0.1))
@@ -147,9 +147,9 @@ def test_a_root_is_free_from_any_start_and_told_as_sd_and_correlations():
     assert labels(spec, raw) == ["noise.accel", *names]
     shown = values(spec, reported(spec, raw))
     np.testing.assert_allclose(ravel_pytree(shown)[0], [PARAMS.noise.accel, *SD, *CORR], rtol=1e-12)
-    # a belief has the datasheet's sd and no correlation, however the datasheet says it
+    # a prior has the datasheet's sd and no correlation, however the datasheet says it
     for datasheet in (2.0, np.full(3, 2.0), 2 * np.eye(3)):
-        cost = penalty({"noise.gyro": believed(factor(3), datasheet, 0.5)}, raw)
+        cost = penalty({"noise.gyro": with_prior(factor(3), datasheet, 0.5)}, raw)
         z = np.append(np.log(SD / 2), raw["noise.gyro"][3:])
         assert cost == pytest.approx(0.5 * np.sum((z / 0.5) ** 2))
     with pytest.raises(ValueError, match="cannot be tied"):

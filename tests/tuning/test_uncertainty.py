@@ -10,7 +10,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 
 from tuning import uncertainty
-from tuning.fit.transforms import IDENTITY, LOG, believed, factor, join, split, tied
+from tuning.fit.transforms import IDENTITY, LOG, factor, join, split, tied, with_prior
 from tuning.recordings import scoring
 
 
@@ -180,7 +180,7 @@ def test_combinations_that_the_data_cannot_tell_apart_are_named():
     got = inform(only_sum, jnp.zeros(2), 100)
     cov = uncertainty.covariance(got.fisher, got.blocks)
     (text,) = uncertainty.identifiability(["a", "b"], cov.model)
-    assert "cannot be told apart" in text and "while" in text and "any amount" in text
+    assert "not distinguishable" in text and "while" in text and "any amount" in text
     found = uncertainty.intervals(spec, {"a": jnp.zeros(()), "b": jnp.zeros(())}, cov)
     assert not any(i.identified for i in found)
     idle = inform(lambda r: white(y)(r[:1].repeat(2) * jnp.array([1.0, 0.0])), jnp.zeros(2), 100)
@@ -189,23 +189,23 @@ def test_combinations_that_the_data_cannot_tell_apart_are_named():
     assert uncertainty.identifiability(["a"], np.array([[0.01]])) == []
     many = 40 * np.ones((40, 40)) + 1e-4 * np.eye(40)  # a combination of all, to which each adds a sixth of one
     (text,) = uncertainty.identifiability([f"p{i}" for i in range(40)], many)
-    assert text.count(", p") >= 4 and "cannot be told apart" in text
+    assert text.count(", p") >= 4 and "not distinguishable" in text
 
 
-def test_a_belief_determines_what_the_data_do_not():
+def test_a_prior_determines_what_the_data_do_not():
     y = jnp.asarray(np.random.default_rng(5).normal(size=100))
-    spec = {"a": LOG, "b": believed(LOG, 3.0, 0.5)}
+    spec = {"a": LOG, "b": with_prior(LOG, 3.0, 0.5)}
     raw = {"a": jnp.zeros(()), "b": jnp.log(3.0) + 1.0}
     flat, _ = ravel_pytree(raw)
     plain = inform(lambda r: white(y)(r * jnp.array([1.0, 0.0])), flat, 100)
-    got = uncertainty.with_belief(plain, spec, raw)
+    got = uncertainty.with_prior(plain, spec, raw)
     assert got.score[1] == pytest.approx(1.0 / 0.25) and got.nll - plain.nll == pytest.approx(2.0)
     sd = [i.sd for i in uncertainty.intervals(spec, raw, uncertainty.covariance(got.fisher, got.blocks))]
     assert sd == pytest.approx([np.sqrt(1 / 200), 0.5], rel=1e-3)
     assert plain.fisher[0, 0] == got.fisher[0, 0]
 
 
-def test_ties_and_beliefs_in_a_spec():
+def test_ties_and_priors_in_a_spec():
     class Leaves(NamedTuple):
         scale: jax.Array
         tau: jax.Array

@@ -26,24 +26,24 @@ Aggregate = Callable[[jax.Array, jax.Array], jax.Array]
 
 
 def mean(values: jax.Array, weight: jax.Array) -> jax.Array:
-    """The weighted mean over runs (B,); runs of weight zero do not enter."""
+    """Return the weighted mean over runs (B,); runs of weight zero do not enter."""
     return jnp.sum(values * weight) / jnp.sum(weight)
 
 
 class Problem(NamedTuple):
-    """What is minimised; static, so everything in it is hashable."""
+    """The minimisation problem; static, so everything in it is hashable."""
 
     losses: tuple[Callable[..., jax.Array], ...]  # of a group: (params, case, *arguments) -> ()
     free: tuple[tuple[str, Transform], ...]  # the items of the spec
     counts: tuple[int, ...] = ()  # runs of every group; empty: one loss (params, *arguments) -> () without runs
     aggregate: Aggregate = mean
     clip: float | None = None  # largest norm of one run's gradient
-    prior_weight: float = 1.0  # weight of the beliefs: 1 / (epochs) beside a likelihood per epoch
-    mesh: Mesh | None = None  # whose devices share the runs
+    prior_weight: float = 1.0  # weight of the priors: 1 / (epochs) with a likelihood per epoch
+    mesh: Mesh | None = None  # devices that share the runs
 
 
 class Data(NamedTuple):
-    """What it is minimised on; arrays."""
+    """The data of the problem; arrays."""
 
     params: Any
     arguments: tuple[Any, ...]
@@ -54,7 +54,7 @@ class Data(NamedTuple):
 class Evaluated(NamedTuple):
     """One point; B runs, one of them where there are none."""
 
-    value: jax.Array  # () over the runs that are good, and the beliefs
+    value: jax.Array  # () over the finite runs, and the priors
     grad: Any  # like raw
     values: jax.Array  # (B,) of the runs
     slopes: jax.Array  # (B, P) gradients of the runs before clipping, flat; (B, 0) where none was asked for
@@ -62,34 +62,34 @@ class Evaluated(NamedTuple):
 
 
 def evaluate(problem: Problem, raw: Any, data: Data, slopes: bool = True) -> Evaluated:
-    """Value, gradient and what each run had of both; runs that are not finite are left out.
+    """Return value and gradient, and both of each run; runs that are not finite are left out.
 
     Where all of them fail, value and gradient are nan.
     """
     spec, (flat, back) = dict(problem.free), ravel_pytree(raw)
     rows = _rows(problem, slopes, raw, data)
     values, G = rows[:, 0], rows[:, 1:]
-    believed, slope = jax.value_and_grad(lambda r: problem.prior_weight * penalty(spec, r))(raw)
+    prior, slope = jax.value_and_grad(lambda r: problem.prior_weight * penalty(spec, r))(raw)
     add = lambda grad: jax.tree.map(jnp.add, back(grad), slope)
     zero = jnp.zeros_like(flat)
-    if not problem.counts:  # one loss without runs: what it gives is passed on as it is
-        return Evaluated(values[0] + believed, add(G[0] if slopes else zero), values, G, jnp.isfinite(values))
+    if not problem.counts:  # one loss without runs: its value is passed on as it is
+        return Evaluated(values[0] + prior, add(G[0] if slopes else zero), values, G, jnp.isfinite(values))
     good = jnp.isfinite(rows).all(1)
     weight = jnp.where(good, data.weight, 0.0)
     share, value = _weights(problem.aggregate, jnp.where(good, values, 0.0), weight)
     if not slopes:
-        return Evaluated(value + believed, add(zero), values, G, good)
+        return Evaluated(value + prior, add(zero), values, G, good)
     used = jnp.where(good[:, None], G, 0.0)
     if problem.clip is not None:
         square = jnp.sum(used**2, axis=1)
         long = square > problem.clip**2
         used = used * jnp.where(long, problem.clip / jnp.sqrt(jnp.where(long, square, 1.0)), 1.0)[:, None]
     grad = jnp.where(good.any(), share @ used, jnp.nan)
-    return Evaluated(value + believed, add(grad), values, G, good)
+    return Evaluated(value + prior, add(grad), values, G, good)
 
 
 def _weights(aggregate: Aggregate, values: jax.Array, weight: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """What each run's value counts, (B,), and the aggregate, ()."""
+    """Return each run's weight, (B,), and the aggregate, ()."""
     value, share = jax.value_and_grad(aggregate)(values, weight)
     return jnp.where(weight > 0, share, 0.0), value
 
@@ -112,14 +112,14 @@ def _rows(problem: Problem, slopes: bool, raw: Any, data: Data) -> jax.Array:
 
     rows, at, parts = gathered(raw, data), 0, []
     for count in problem.counts:  # each device had its share of every group
-        own = -(-count // n)
-        parts.append(rows[:, at : at + own].reshape(n * own, -1)[:count])
-        at += own
+        share = -(-count // n)
+        parts.append(rows[:, at : at + share].reshape(n * share, -1)[:count])
+        at += share
     return jnp.concatenate(parts)
 
 
 def _local(problem: Problem, slopes: bool, raw: Any, data: Data) -> list[jax.Array]:
-    """The rows of this device's runs, by group."""
+    """Return the rows of this device's runs, by group."""
 
     def one(loss: Any, case: Any) -> Any:
         return _row(lambda r: loss(join(dict(problem.free), r, data.params), case, *data.arguments), slopes, raw)
@@ -134,7 +134,7 @@ def _row(call: Callable[[Any], jax.Array], slopes: bool, raw: Any) -> jax.Array:
     flat, back = ravel_pytree(raw)
     if flat.size <= FORWARDS:
         push = lambda v: jax.jvp(lambda r: call(back(r)), (flat,), (v,))
-        with suppress(TypeError):  # an objective whose derivative is given backwards alone
+        with suppress(TypeError):  # an objective with a reverse derivative alone
             value, grad = jax.vmap(push, out_axes=(None, 0))(jnp.eye(flat.size, dtype=flat.dtype))
             return jnp.concatenate([value[None], grad])
     value, slope = jax.value_and_grad(call)(raw)
@@ -143,7 +143,7 @@ def _row(call: Callable[[Any], jax.Array], slopes: bool, raw: Any) -> jax.Array:
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
 def strict(problem: Problem, raw: Any, data: Data) -> jax.Array:
-    """The value, inf where a run of positive weight fails: what a line search goes by; its gradient is `evaluate`'s."""
+    """Return the value, inf where a run of positive weight fails, for a line search; its gradient is `evaluate`'s."""
     e = evaluate(problem, raw, data, slopes=False)
     return jnp.where((e.good | (data.weight == 0)).all(), e.value, jnp.inf)
 

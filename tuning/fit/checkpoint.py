@@ -1,7 +1,7 @@
 """The state of a long job in one file: whole or not at all, checked before it is used, without pickle.
 
 An ``.npz`` with the leaves and a JSON head, and the SHA-256 of all its bytes behind it, where zip readers do not look.
-It is written beside its place, flushed to the disk and then renamed, so that a crash at any moment leaves the old one.
+It is written under another name, flushed to the disk and renamed, so that a crash at any moment leaves the old one.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxnav.types import DataError
 
-MAX_BYTES = 1 << 30  # of what is unpacked
+MAX_BYTES = 1 << 30  # of the unpacked file
 DIGEST = hashlib.sha256().digest_size
 
 
@@ -26,7 +26,7 @@ class CheckpointError(DataError):
 
 
 class Checkpoint(NamedTuple):
-    """What was saved."""
+    """The saved state."""
 
     tree: Any
     head: dict[str, Any]
@@ -35,7 +35,7 @@ class Checkpoint(NamedTuple):
 def save(path: str | os.PathLike[str], tree: Any, head: dict[str, Any], identity: str = "") -> None:
     """Write the leaves of ``tree`` and the plain values of ``head`` (JSON; floats come back bit for bit).
 
-    ``identity`` says what job it is of; `load` asks for the same.
+    ``identity`` identifies the job; `load` asks for the same.
 
     Raises:
         CheckpointError: a leaf of a type that numpy does not have.
@@ -67,7 +67,7 @@ def save(path: str | os.PathLike[str], tree: Any, head: dict[str, Any], identity
 
 
 def load(path: str | os.PathLike[str], like: Any, identity: str = "") -> Checkpoint:
-    """Read what `save` wrote for a tree of the structure, shapes and dtypes of ``like``; its leaves where that is None.
+    """Read a checkpoint for a tree of the structure, shapes and dtypes of ``like``; its leaves where that is None.
 
     Raises:
         CheckpointError: absent, damaged in any way, or of another job.
@@ -77,7 +77,7 @@ def load(path: str | os.PathLike[str], like: Any, identity: str = "") -> Checkpo
         about, leaves = _read(path)
     except OSError as error:
         raise CheckpointError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # zip, json, numpy and zlib each have their own
+    except Exception as error:  # zip, json, numpy and zlib each have other types
         raise CheckpointError(f"{path}: damaged checkpoint ({error}); start without --resume") from error
     if about["identity"] != identity:
         raise CheckpointError(f"{path}: of another job: saved {about['identity']!r}, this is {identity!r}")

@@ -1,4 +1,4 @@
-"""Runs shared among the devices of one machine, or of several processes and machines, on jax's own runtime.
+"""Runs shared among the devices of one machine, or of several processes and machines, on jax's runtime.
 
 Every process makes the same data and keeps its share of it; after each step all hold the same numbers, and process 0
 writes. Ports of the runtime are not authenticated: use it inside a private network only.
@@ -21,7 +21,7 @@ def use_cpu_devices(count: int) -> None:
 
 
 def start(coordinator: str | None = None, processes: int | None = None, index: int | None = None) -> None:
-    """Join the other processes, by three flags, or by what Slurm or Open MPI say where there is none.
+    """Join the other processes, by three flags, or by the variables of Slurm or Open MPI where there is none.
 
     Before anything else of jax. A process that dies stops all within the heartbeat's timeout (100 s).
 
@@ -58,12 +58,12 @@ def writes() -> bool:
 
 
 def replicate(tree: Any, where: Mesh | None) -> Any:
-    """The tree on every device."""
+    """Return the tree on every device."""
     return tree if where is None else jax.tree.map(lambda a: _place(np.asarray(a), where, PartitionSpec()), tree)
 
 
 def share(tree: Any, where: Mesh | None) -> Any:
-    """Runs (B, ...) cut among the devices; the last run fills up what does not divide."""
+    """Split runs (B, ...) among the devices; copies of the last run fill up the remainder."""
     if where is None:
         return tree
     n = where.shape[RUNS]

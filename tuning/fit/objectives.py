@@ -1,10 +1,10 @@
-"""What tuning minimises: scalars of an `Info` (fields (E, ...)), smooth, finite, with data to leave out as masks.
+"""Objectives of tuning: scalars of an `Info` (fields (E, ...)), smooth, finite, with masks for omitted data.
 
 A run that stops being finite is frozen from there on and has no innovations any more, which would look like good ones:
-where an epoch that counts is frozen, what takes an `Info` is infinite. `tuning.fit.train.fit` leaves such a run out of
-the step and names it; an objective of your own says so by `sound`.
+where an epoch that counts is frozen, an objective of an `Info` is infinite. `tuning.fit.train.fit` leaves such a run
+out of the step and names it; a custom objective calls `inf_if_frozen` for that.
 
-Those of one run come first, and need no truth unless they say so; then what puts the scores of many runs together.
+Objectives of one run come first, and need no truth unless they say so; then the aggregates over many runs.
 """
 
 from collections.abc import Callable
@@ -19,23 +19,44 @@ from jaxnav.types import Info
 
 
 def masked_mean(values: jax.Array, keep: jax.Array) -> jax.Array:
-    """Mean over the entries where ``keep``; 0 if there are none."""
+    """Return the mean over the entries where ``keep``; 0 if there are none.
+
+    Args:
+        values: any shape.
+        keep: bool, of the same shape.
+    """
     return jnp.sum(jnp.where(keep, values, 0.0)) / jnp.maximum(jnp.sum(keep), 1)
 
 
-def sound(info: Info, keep: jax.Array, value: jax.Array) -> jax.Array:
-    """``value``, of a run; inf where an epoch that counts, ``keep`` (E,) bool, is frozen."""
+def inf_if_frozen(info: Info, keep: jax.Array, value: jax.Array) -> jax.Array:
+    """Return ``value``, or inf where an epoch that counts is frozen.
+
+    Args:
+        info: of one run, (E, ...).
+        keep: (E,) bool, epochs that count.
+        value: an objective of the run.
+    """
     return jnp.where(jnp.any(keep & ~info.ok), jnp.inf, value)
 
 
 def innovation_nll(info: Info, keep: jax.Array) -> jax.Array:
-    """Mean negative log-likelihood of the innovations per epoch; ``keep`` (E,) bool. Needs no truth."""
+    """Return the mean negative log-likelihood of the innovations per epoch, (); needs no truth.
+
+    Args:
+        info: of one run, (E, ...).
+        keep: (E,) bool, epochs that count.
+    """
     measured = keep & info.valid.any(-1)
-    return sound(info, keep, masked_mean(jax.vmap(negative_log_likelihood)(info), measured))
+    return inf_if_frozen(info, keep, masked_mean(jax.vmap(negative_log_likelihood)(info), measured))
 
 
 def rmse(error: jax.Array, keep: jax.Array) -> jax.Array:
-    """Root mean square per axis of an error (E, a) over ``keep`` (E,) or (E, a): supervised, (a,)."""
+    """Return the root mean square per axis of an error, (a,); needs the truth.
+
+    Args:
+        error: (E, a).
+        keep: (E,) or (E, a) bool.
+    """
     keep = jnp.broadcast_to(keep if keep.ndim == error.ndim else keep[:, None], error.shape)
     count = jnp.maximum(keep.sum(0), 1)
     mean = jnp.sum(jnp.where(keep, error, 0.0) ** 2, axis=0) / count
@@ -44,10 +65,14 @@ def rmse(error: jax.Array, keep: jax.Array) -> jax.Array:
 
 
 def outage_error(info: Info, ends: jax.Array) -> jax.Array:
-    """Horizontal distance (m) from each hidden fix at ``ends`` (W,) int: what a receiver's return would show, (W,).
+    """Return the horizontal distance (m) from each hidden fix, as at a receiver's return, (W,).
 
-    It compares at the fix's own time and at the antenna, through the same measurement model as an update. inf at
+    It compares at the fix's time and at the antenna, through the same measurement model as an update. inf at
     epochs that are frozen.
+
+    Args:
+        info: of one run, (E, ...).
+        ends: (W,) int, last epochs of hidden windows.
     """
     east, north = info.residual[ends, 0], info.residual[ends, 1]
     d2 = east**2 + north**2
@@ -56,12 +81,24 @@ def outage_error(info: Info, ends: jax.Array) -> jax.Array:
 
 
 def drift(info: Info, ends: jax.Array, keep: jax.Array) -> jax.Array:
-    """Log of the RMS end-of-outage error over the windows where ``keep`` (W,)."""
+    """Return the log of the RMS end-of-outage error over the windows that count, ().
+
+    Args:
+        info: of one run, (E, ...).
+        ends: (W,) int, last epochs of hidden windows.
+        keep: (W,) bool, windows that count.
+    """
     return 0.5 * jnp.log(masked_mean(outage_error(info, ends) ** 2, keep) + 1e-6)
 
 
 def log_mean_drift(info: Info, ends: jax.Array, keep: jax.Array) -> jax.Array:
-    """Mean log end-of-outage error over the windows where ``keep`` (W,): every window counts alike, not the worst."""
+    """Return the mean log end-of-outage error, (): every window counts alike, not the worst.
+
+    Args:
+        info: of one run, (E, ...).
+        ends: (W,) int, last epochs of hidden windows.
+        keep: (W,) bool, windows that count.
+    """
     return masked_mean(0.5 * jnp.log(outage_error(info, ends) ** 2 + 1e-2), keep)
 
 
@@ -69,33 +106,47 @@ def log_mean_drift(info: Info, ends: jax.Array, keep: jax.Array) -> jax.Array:
 
 
 def channel_nis(info: Info, keep: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Mean squared normalised innovation of each channel, (m,), 1 if consistent, and how many there were, (m,)."""
+    """Return the mean squared normalised innovation per channel, (m,), 1 if consistent, and the number, (m,).
+
+    Args:
+        info: of one run, (E, ...).
+        keep: (E,) bool, epochs that count.
+    """
     used = keep[:, None] & info.valid
     square = info.nu**2 / jnp.diagonal(info.S, axis1=1, axis2=2)
     count = used.sum(0)
-    return sound(info, keep, jnp.sum(jnp.where(used, square, 0.0), 0) / jnp.maximum(count, 1)), count
+    return inf_if_frozen(info, keep, jnp.sum(jnp.where(used, square, 0.0), 0) / jnp.maximum(count, 1)), count
 
 
 def consistency(info: Info, keep: jax.Array) -> jax.Array:
-    """Mean over channels of log² of the normalised innovation squared: 0 where all are consistent, ().
+    """Return the mean over channels of log² of the normalised innovation squared, (): 0 where all are consistent.
 
     Times half the epochs it is near a chi-square value of one degree of freedom a channel, since the logarithm of a
-    mean of n such values has variance 2 / n. By itself it is bought by inflating R: use it beside a likelihood.
+    mean of n such values has variance 2 / n. Alone it is minimised by inflating R: add a likelihood.
+
+    Args:
+        info: of one run, (E, ...).
+        keep: (E,) bool, epochs that count.
     """
     ratio, count = channel_nis(info, keep)
     some = (count > 0) & (ratio > 0)
-    return sound(info, keep, masked_mean(jnp.log(jnp.where(some, ratio, 1.0)) ** 2, some))
+    return inf_if_frozen(info, keep, masked_mean(jnp.log(jnp.where(some, ratio, 1.0)) ** 2, some))
 
 
 def whiteness(info: Info, keep: jax.Array, lags: int = 5) -> jax.Array:
-    """Mean squared autocorrelation of the normalised innovations over channels and lags, (): 1 / epochs if white.
+    """Return the mean squared autocorrelation of normalised innovations over channels and lags: 1 / epochs if white.
 
-    Lags count epochs; pairs of which one has no measurement are left out.
+    Pairs with a missing measurement are left out.
+
+    Args:
+        info: of one run, (E, ...).
+        keep: (E,) bool, epochs that count.
+        lags: largest lag, epochs.
     """
     used = keep[:, None] & info.valid
     z = jnp.where(used, info.nu / jnp.sqrt(jnp.diagonal(info.S, axis1=1, axis2=2)), 0.0)
     mean = masked_mean(_autocorrelation(z, used, lags) ** 2, jnp.broadcast_to(used.any(0), (lags, z.shape[1])))
-    return sound(info, keep, mean)
+    return inf_if_frozen(info, keep, mean)
 
 
 def _autocorrelation(z: jax.Array, used: jax.Array, lags: int) -> jax.Array:
@@ -108,9 +159,12 @@ def _autocorrelation(z: jax.Array, used: jax.Array, lags: int) -> jax.Array:
 
 
 def error_consistency(error: jax.Array, P: jax.Array, keep: jax.Array) -> jax.Array:
-    """log² of the normalised estimation error squared per degree of freedom, 0 if consistent, (): needs the truth.
+    """Return log² of the normalised estimation error squared per degree of freedom: 0 if consistent; needs the truth.
 
-    ``error`` (E, a) and the covariance ``P`` (E, a, a) that the filter states for it.
+    Args:
+        error: (E, a).
+        P: (E, a, a), the filter's covariance of it.
+        keep: (E,) bool, epochs that count.
     """
     nees = masked_mean(jax.vmap(metrics.nees)(error, P), keep) / error.shape[1]
     return jnp.log(jnp.where(nees > 0, nees, 1.0)) ** 2
@@ -121,9 +175,12 @@ def error_consistency(error: jax.Array, P: jax.Array, keep: jax.Array) -> jax.Ar
 
 @cache
 def tail(share: float) -> Callable[[jax.Array, jax.Array], jax.Array]:
-    """An aggregate: the mean over the worst ``share`` of the runs, CVaR; 0 is the worst run alone.
+    """Return an aggregate: the mean over the worst ``share`` of the runs, CVaR; 0 is the worst run alone.
 
     Of values (B,) with weights (B,); for `tuning.fit.train.fit`. Runs of weight zero do not enter.
+
+    Args:
+        share: 0 to 1.
     """
     if not 0 <= share <= 1:
         raise ValueError(f"the share of the worst runs must be in [0, 1], got {share}")
@@ -139,6 +196,11 @@ def tail(share: float) -> Callable[[jax.Array, jax.Array], jax.Array]:
 
 
 def log_mean(values: jax.Array, weight: jax.Array) -> jax.Array:
-    """An aggregate: mean of the logarithms of positive values, so that easy and hard scenarios count alike."""
+    """Return the mean of the logarithms of positive values, an aggregate: easy and hard scenarios count alike.
+
+    Args:
+        values: (B,), of each run.
+        weight: (B,).
+    """
     some = weight > 0
     return jnp.sum(jnp.where(some, weight * jnp.log(jnp.where(some, values, 1.0)), 0.0)) / weight.sum()

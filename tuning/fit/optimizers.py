@@ -1,4 +1,4 @@
-"""Optimisers by name, all of optax; what each is good for stands beside it."""
+"""Optimisers by name, all of optax, each with its use."""
 
 from collections.abc import Callable
 from functools import cache

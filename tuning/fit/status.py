@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class Status(StrEnum):
-    """How a search ended; its best point is kept whatever it is."""
+    """How a search ended; its best point is kept in any case."""
 
     CONVERGED = "converged"
     ITERATION_LIMIT = "iteration_limit"

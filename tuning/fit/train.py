@@ -15,7 +15,7 @@ import optax
 from jax.sharding import Mesh
 
 from jaxnav.analysis.progress import bar as progress_bar
-from jaxnav.filters.compiler import make_room
+from jaxnav.filters.compiler import clear_caches_if_needed
 from tuning.fit import checkpoint, distributed
 from tuning.fit.batch import Aggregate, Data, Problem, evaluate, mean, strict
 from tuning.fit.optimizers import adam as default_optimizer
@@ -28,7 +28,7 @@ LAST, HISTORY = "last.npz", "history.jsonl"
 
 
 class Fit(NamedTuple):
-    """What training leaves."""
+    """Result of training."""
 
     params: Any  # the best parameters met
     loss: float  # their loss, or their validation score
@@ -91,37 +91,53 @@ def fit(
     identity: str = "",
     mesh: Mesh | None = None,
 ) -> Fit:
-    """Minimise ``loss(params, *arguments) -> ()`` over the leaves that ``spec`` frees, by ``steps`` updates.
+    """Minimise ``loss(params, *arguments) -> ()`` over the leaves that ``spec`` frees.
 
-    Data belong into ``arguments``: fits of one loss to other data of the same shapes then compile once. The best is by
-    ``validation(params, *validation_arguments)`` if there is one, else by the loss itself, and the start counts.
-    Ctrl-C ends the run with what it has.
+    Data belong into ``arguments``: fits of one loss to other data of the same shapes then compile once. The best point
+    is that of the validation if there is one, else of the loss, and the start counts. Ctrl-C ends the run with the best
+    so far. A run of ``cases`` that is not finite is left out of the step and named in `Fit.aside`; parameters that fail
+    fewer runs are better than any that fail more.
 
-    With ``cases``, a list of groups each with a leading axis of runs, the loss is of one run,
-    ``loss(params, case, *arguments)`` (one for all groups, or a list of one a group), likewise the validation with
-    ``validation_cases``. A function of the step that makes such a list draws new runs, noise or windows for every
-    step, of the same shapes and of the step's number alone, so that a resumed job sees the same. The runs are put
-    together by ``aggregate``. A run that is not finite is left out of the step and named in `Fit.aside`; parameters
-    that fail fewer runs are better than any that fail more. ``names`` are of the runs of all groups;
-    ``explain(params, run)`` says what went wrong.
+    Args:
+        loss: objective; with ``cases`` of one run, ``loss(params, case, *arguments)``, one for all groups or one per
+            group.
+        spec: transforms of the free leaves, by dotted name.
+        params: the start.
+        steps: number of updates.
+        optimizer: of optax; None is Adam (`tuning.fit.optimizers.adam`).
+        arguments: further arguments of the loss.
+        validation: ``validation(params, *validation_arguments)``, of one run with ``validation_cases``.
+        validation_arguments: its further arguments.
+        progress: show a bar.
+        cases: groups of runs, each with a leading axis; or a function of the step that makes such a list of the same
+            shapes (new runs, noise or windows), of the step's number alone, so that a resumed job sees the same.
+        validation_cases: groups of runs of the validation.
+        names: of the runs of all groups, for messages.
+        explain: ``explain(params, run)`` says why a run failed.
+        aggregate: objective of all runs from those of each.
+        clip: largest gradient norm of one run.
+        prior_weight: weight of the spec's priors, 1 / (epochs) with a likelihood per epoch.
+        every: steps between two validations; the last step has one, too.
+        folder: for history.jsonl and a checkpoint after every step.
+        resume: continue from the checkpoint, bit for bit.
+        identity: of the job; a checkpoint of another one is refused.
+        mesh: devices that share the runs.
 
-    ``clip``: largest gradient norm of one run. ``prior_weight``: weight of the spec's beliefs, 1 / (epochs) beside a
-    likelihood per epoch. ``every``: steps between two validations; the last step has one, too. ``folder``:
-    history.jsonl and a checkpoint after every step; ``resume`` goes on from it bit for bit, if it is of the same
-    ``identity``. ``mesh``: devices to share the runs among.
+    Returns:
+        The best parameters with the history of the search.
 
     Raises:
-        ValueError: the loss of the start is not finite, fewer than 0 steps, or validations not at least one step apart.
+        ValueError: the loss of the start is not finite, fewer than 0 steps, or less than one step between validations.
         CheckpointError: nothing usable to resume from.
     """
     if steps < 0:
         raise ValueError(f"steps must be 0 or more, got {steps}")
     if every < 1:
         raise ValueError(f"every must be 1 or more steps, got {every}")
-    make_room()
+    clear_caches_if_needed()
     optimizer = default_optimizer(steps) if optimizer is None else optimizer
-    drawn = cases if callable(cases) else None
-    first = drawn(0) if drawn is not None else cases
+    draw_state = cases if callable(cases) else None
+    first = draw_state(0) if draw_state is not None else cases
     train = _job(loss, spec, params, arguments, first, aggregate, clip, prior_weight, mesh)
     judge = train
     if validation is not None:
@@ -138,8 +154,8 @@ def fit(
     bar = progress_bar(steps + 1, "step", progress, at.step)
     try:
         while at.step <= steps:
-            if drawn is not None and at.step:
-                groups = tuple(distributed.share(group, mesh) for group in drawn(at.step))
+            if draw_state is not None and at.step:
+                groups = tuple(distributed.share(group, mesh) for group in draw_state(at.step))
                 train = (train[0], train[1]._replace(cases=groups))
                 judge = judge if validation is not None else train
             due = validation is None or at.step % every == 0 or at.step == steps
@@ -162,7 +178,7 @@ def _job(
     prior_weight: float,
     mesh: Any,
 ) -> tuple[Problem, Data]:
-    """The static part and the arrays of a loss."""
+    """Return the static part and the arrays of a loss."""
     losses = (loss,) if callable(loss) else tuple(loss)
     items = tuple(spec.items())
     if cases is None:
@@ -248,7 +264,7 @@ class _History:
             checkpoint.save(self.folder / LAST, (at.raw, at.state, at.best), head, self.identity)
 
     def reopen(self, at: TrainState) -> TrainState:
-        """The saved standing; rows of the history that are later than it are dropped."""
+        """Return to the saved state; rows of the history that are later than it are dropped."""
         if self.folder is None:
             raise ValueError("resume needs a folder")
         found = checkpoint.load(self.folder / LAST, (at.raw, at.state, at.best), self.identity)

@@ -1,21 +1,21 @@
 """Which parameters are free, and the unconstrained numbers an optimiser moves instead of them.
 
-A spec is a dict from the dotted name of a leaf of `Params` to a `Transform`; what it does not name is frozen:
+A spec is a dict from the dotted name of a leaf of `Params` to a `Transform`; all other leaves are frozen:
 
     spec = {"noise.gyro": LOG, "mounting.time_offset": scaled(0.01)}
     raw = split(spec, params)            # dict of unconstrained arrays
     params = join(spec, raw, params)     # with the free leaves replaced
 
-Axes that share a value, leaves that share one, and beliefs are part of a leaf's transform:
+Axes that share a value, leaves that share one, and priors are part of a leaf's transform:
 
     spec = {
-        "noise.gyro": believed(LOG, datasheet, math.log(3)),  # within a factor 3 of the datasheet, one sd
+        "noise.gyro": with_prior(LOG, datasheet, math.log(3)),  # within a factor 3 of the datasheet, one sd
         "measurements.position.scale": tied(LOG, (0, 0, 1)),  # east and north alike
         "states.gyro_bias.tau": tied(LOG, also=("states.accel_bias.tau",)),
         "measurements.velocity.scale": factor(3),             # correlated between the axes
     }
 
-What is positive moves in its logarithm:
+A positive parameter moves in its logarithm:
 
     >>> import jaxnav
     >>> params = jaxnav.build("ekf15").params("consumer")
@@ -41,8 +41,8 @@ Spec = dict[str, "Transform"]
 SMALL = 0.01  # of a gain of any sign: below it steps are even, above it they grow with the gain
 
 
-class Belief(NamedTuple):
-    """What is known of a parameter before any data: Gaussian in the unconstrained space."""
+class GaussianPrior(NamedTuple):
+    """Prior of a parameter: Gaussian in the unconstrained space."""
 
     centre: tuple[float, ...]  # SI, one number or one an axis
     sd: float  # of the unconstrained number: log(2) with LOG says "within a factor 2"
@@ -55,8 +55,8 @@ class Transform(NamedTuple):
     inverse: Callable[[jax.Array], jax.Array]
     tie: tuple[int, ...] | None = None  # which free number each axis of the leaf takes; () is one for all axes
     also: tuple[str, ...] = ()  # other leaves that take the same value
-    belief: Belief | None = None
-    axes: int = 0  # n of a matrix (n, n), whose numbers are n sd and n (n - 1) / 2 correlations; 0 is no matrix
+    prior: GaussianPrior | None = None
+    axes: int = 0  # n of a matrix (n, n) with n sd and n (n - 1) / 2 correlations; 0 is no matrix
 
 
 LOG = Transform(jnp.exp, jnp.log)
@@ -91,25 +91,25 @@ def tied(transform: Transform, tie: tuple[int, ...] | None = (), also: tuple[str
     return transform._replace(tie=tie, also=also)
 
 
-def believed(transform: Transform, centre: Any, sd: float) -> Transform:
-    """With a Gaussian prior about ``centre`` (SI), sd in the unconstrained space: what makes a fit a MAP estimate."""
+def with_prior(transform: Transform, centre: Any, sd: float) -> Transform:
+    """Add a Gaussian prior about ``centre`` (SI), sd in the unconstrained space: a fit is then a MAP estimate."""
     if not sd > 0:
-        raise ValueError(f"the sd of a belief must be > 0, got {sd}")
-    return transform._replace(belief=Belief(tuple(np.ravel(np.asarray(centre, float)).tolist()), float(sd)))
+        raise ValueError(f"the sd of a prior must be > 0, got {sd}")
+    return transform._replace(prior=GaussianPrior(tuple(np.ravel(np.asarray(centre, float)).tolist()), float(sd)))
 
 
 @cache
 def factor(n: int) -> Transform:
-    """A lower triangular root L (n, n) of a covariance or density L L'; may start from its diagonal () or (n,).
+    """Return a lower triangular root L (n, n) of a covariance or density L L'; may start from its diagonal () or (n,).
 
-    By n (n + 1) / 2 numbers. First the logarithms of the axes' sd, the norms of the rows of L: what `LOG` has for each.
+    By n (n + 1) / 2 numbers. First the logarithms of the axes' sd, the norms of the rows of L, as `LOG` has for each.
     Then the inverse hyperbolic tangents z of the partial correlations of axes i > j given those before j, which may be
     any numbers (Lewandowski, Kurowicka & Joe 2009): row i of L is its sd times
 
         tanh z_0,  tanh z_1 / cosh z_0,  ...,  1 / (cosh z_0 cosh z_1 ...)
 
-    One learning rate suits both and other logarithms: neither depends on the axes' units, and N samples tell them to
-    1 / sqrt(2 N) and 1 / sqrt(N) whatever their values (Fisher 1915).
+    One learning rate suits both and other logarithms: neither depends on the axes' units, and N samples give them to
+    1 / sqrt(2 N) and 1 / sqrt(N) at any values (Fisher 1915).
     """
     lower = np.tril_indices(n, -1)
 
@@ -120,7 +120,7 @@ def factor(n: int) -> Transform:
 
     def inverse(value: Any) -> jax.Array:
         L = _matrix(value, n)
-        square = jnp.cumsum(L[:, ::-1] ** 2, 1)[:, ::-1]  # of what is left of a row from each column on
+        square = jnp.cumsum(L[:, ::-1] ** 2, 1)[:, ::-1]  # of the rest of a row from each column on
         sinh = L[lower] / jnp.sqrt(square[lower[0], lower[1] + 1])
         return jnp.concatenate([0.5 * jnp.log(square[:, 0]), jnp.arcsinh(sinh)])
 
@@ -133,12 +133,12 @@ def _matrix(value: jax.Array, n: int) -> jax.Array:
 
 
 SIGNED = Transform(lambda raw: SMALL * jnp.sinh(raw), lambda value: jnp.arcsinh(value / SMALL))
-"""A gain of any sign, zero included: a step of 0.1 is 10 % of what is large, and 0.001 about zero."""
+"""A gain of any sign, zero included: a step of 0.1 is 10 % of a large gain, and 0.001 about zero."""
 TRANSFORMS: dict[str, Transform] = {"log": LOG, "identity": IDENTITY, "signed": SIGNED}
 
 
 def split(spec: Spec, params: Any) -> dict[str, jax.Array]:
-    """The free leaves as unconstrained float arrays; axes that are tied start at their mean.
+    """Return the free leaves as unconstrained float arrays; axes that are tied start at their mean.
 
     Raises:
         ValueError: a leaf is outside of its transform's range, such as a log of zero.
@@ -162,7 +162,7 @@ def _untie(transform: Transform, value: Any) -> jax.Array:
 
 
 def join(spec: Spec, raw: dict[str, jax.Array], params: Any) -> Any:
-    """``params`` with the free leaves replaced by what ``raw`` stands for; the rest is kept."""
+    """Return ``params`` with the free leaves replaced by the values of ``raw``; the rest is kept."""
     for name, transform in spec.items():
         value = transform.forward(raw[name])
         if transform.tie is not None:
@@ -177,18 +177,18 @@ def join(spec: Spec, raw: dict[str, jax.Array], params: Any) -> Any:
 
 
 def penalty(spec: Spec, raw: dict[str, jax.Array]) -> jax.Array:
-    """Minus the log of the beliefs' density, without its constant: what a MAP estimate adds to the likelihood, ()."""
+    """Minus the log density of the priors, without its constant: a MAP estimate adds it to the likelihood, ()."""
     total = jnp.zeros(())
     for name, transform in spec.items():
-        if transform.belief is not None:
-            centre = np.array(transform.belief.centre)
+        if transform.prior is not None:
+            centre = np.array(transform.prior.centre)
             middle = _untie(transform, centre if centre.size > 1 else centre[0])
-            total += 0.5 * jnp.sum(((raw[name] - middle) / transform.belief.sd) ** 2)
+            total += 0.5 * jnp.sum(((raw[name] - middle) / transform.prior.sd) ** 2)
     return total
 
 
 def labels(spec: Spec, raw: dict[str, jax.Array]) -> list[str]:
-    """The name of every free number in the order of `jax.flatten_util.ravel_pytree`: ``noise.gyro[2]``.
+    """Return the name of every free number in the order of `jax.flatten_util.ravel_pytree`: ``noise.gyro[2]``.
 
     ``noise.gyro[2,0]`` is of the correlation of the axes 2 and 0; the numbers of a table are counted row by row.
     """
@@ -201,7 +201,7 @@ def labels(spec: Spec, raw: dict[str, jax.Array]) -> list[str]:
 
 
 def reported(spec: Spec, raw: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """The unconstrained numbers whose `values` a user reads, like ``raw``: of correlations not the partial ones."""
+    """Return the unconstrained numbers of a user's `values`, like ``raw``: full correlations, not partial ones."""
 
     def one(n: int, r: jax.Array) -> jax.Array:
         U = factor(n).forward(r.at[:n].set(0.0))
@@ -212,7 +212,7 @@ def reported(spec: Spec, raw: dict[str, jax.Array]) -> dict[str, jax.Array]:
 
 
 def values(spec: Spec, reported: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """The parameters, number by number, of what is `reported`: of a matrix the axes' sd and the correlations."""
+    """Return the parameters, number by number, of `reported` numbers: of a matrix the axes' sd and the correlations."""
     both = lambda n, t: jnp.concatenate([jnp.exp(t[:n]), jnp.tanh(t[n:])])
     return {
         name: both(spec[name].axes, t) if spec[name].axes else spec[name].forward(t) for name, t in reported.items()
@@ -224,8 +224,8 @@ def leaves(spec: Spec) -> tuple[str, ...]:
     return tuple(leaf for name, transform in spec.items() for leaf in (name, *transform.also))
 
 
-def merged(params: Any, own: Any, free: tuple[str, ...]) -> Any:
-    """``own`` with the leaves in ``free`` from ``params``."""
+def merged(params: Any, into: Any, free: tuple[str, ...]) -> Any:
+    """Return ``into`` with the leaves in ``free`` from ``params``."""
     for leaf in free:
-        own = put(own, leaf, get(params, leaf))
-    return own
+        into = put(into, leaf, get(params, leaf))
+    return into

@@ -1,4 +1,4 @@
-"""Which candidate of `tune` wins: what predicts best of those that do no harm."""
+"""Choice of `tune`: the best prediction among the candidates that do no harm."""
 
 from collections.abc import Mapping
 

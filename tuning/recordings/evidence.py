@@ -1,4 +1,4 @@
-"""What recordings' training parts show of free parameters: J of `tuning.recordings.recorded` and its information."""
+"""Likelihood of free parameters in recordings' training parts: J of `tuning.recordings.recorded`, its information."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -25,8 +25,8 @@ from tuning.uncertainty import Information, gaussian, pushed, rejected
 SLOW = RECEIVER_ERROR
 
 
-class Evidence(NamedTuple):
-    """Sums over what the training part shows: value (), score (P,), information (P, P), and of how many."""
+class ScoreSums(NamedTuple):
+    """Sums over the training part: value (), score (P,), information (P, P), and number of terms."""
 
     value: jax.Array
     score: jax.Array
@@ -34,8 +34,8 @@ class Evidence(NamedTuple):
     number: jax.Array
 
 
-class Seen(NamedTuple):
-    """What is kept of an epoch."""
+class EpochRecord(NamedTuple):
+    """Record of an epoch."""
 
     nu: jax.Array
     S: jax.Array
@@ -43,33 +43,33 @@ class Seen(NamedTuple):
     far: jax.Array  # the rule rejected some of it
     ok: jax.Array
     residual: jax.Array  # (3,) of the position
-    P: jax.Array  # (3, 3) of what a fix tells, its own noise apart
+    P: jax.Array  # (3, 3) of a predicted fix, without its noise
 
 
-def _keep(slow: slice | None, step: Step, beside: Any) -> Seen:
+def _keep(slow: slice | None, step: Step, along: Any) -> EpochRecord:
     info = step.info
     P = seen_by_position(info.P, slow)
-    return Seen(info.nu, info.S, info.valid, rejected(info), info.ok, info.residual[:3], P)
+    return EpochRecord(info.nu, info.S, info.valid, rejected(info), info.ok, info.residual[:3], P)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _evidence(
     filt: Filter, items: tuple[Any, ...], flat: jax.Array, like: Any, params: Params, nav: Nav, epochs: Epoch,
     valid: jax.Array, keep: jax.Array, at: jax.Array, there: jax.Array, sd: jax.Array,
-) -> tuple[Evidence, Evidence]:  # fmt: skip
+) -> tuple[ScoreSums, ScoreSums]:  # fmt: skip
     """Of innovations and of hidden fixes; valid (P, E, m), keep (P, E), at and there (P, A), sd (P, A, 3)."""
     spec, (_, back) = dict(items), ravel_pytree(like)
     keep_seen = partial(_keep, slow_errors(filt))
 
     def phase(valid: jax.Array, keep: jax.Array, at: jax.Array, there: jax.Array, sd: jax.Array) -> Any:
         def outputs(r: jax.Array) -> Any:
-            own = join(spec, back(r), params)
-            seen = run(filt, own, nav, epochs._replace(fix=epochs.fix._replace(valid=valid)), keep_seen)
-            C = seen.P[at] + position_noise(own, sd)
+            moved = join(spec, back(r), params)
+            seen = run(filt, moved, nav, epochs._replace(fix=epochs.fix._replace(valid=valid)), keep_seen)
+            C = seen.P[at] + position_noise(moved, sd)
             return (seen.nu, seen.S, seen.residual[at], C), (seen.valid, seen.far, seen.ok)
 
         ((nu, S, y, C), (seen, outlying, ok)), (dnu, dS, dy, dC) = pushed(outputs, flat)
-        own = jax.vmap(gaussian, (0, 0, 0, 1, 1, 0))(nu, S, seen, dnu, dS, outlying)
+        terms = jax.vmap(gaussian, (0, 0, 0, 1, 1, 0))(nu, S, seen, dnu, dS, outlying)
         three = jnp.ones((at.size, 3), bool)
         far = jax.vmap(partial(gaussian, heavy=True), (0, 0, 0, 1, 1))(y, C, three, dy, dC)
         lost = jnp.where((keep & ~ok).any(), jnp.inf, 0.0)
@@ -77,9 +77,9 @@ def _evidence(
 
         def total(parts: Any, mask: jax.Array) -> Any:
             value, score, fisher = (jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0).sum(0) for a in parts)
-            return Evidence(value, score, fisher, mask.sum())
+            return ScoreSums(value, score, fisher, mask.sum())
 
-        innovations = total(own, counts)
+        innovations = total(terms, counts)
         return innovations._replace(value=innovations.value + lost), total(far, there)
 
     both = jax.vmap(phase)(valid, keep, at, there, sd)
@@ -108,7 +108,7 @@ def predicted(filt: Filter, params: Sequence[Params], used: Sequence[Used], info
     """
     slow = slow_errors(filt)
     shown: list[list[np.ndarray]] = [[], []]
-    for own, u, info in zip(params, used, infos, strict=True):
+    for fitted, u, info in zip(params, used, infos, strict=True):
         part = (u.t > u.layout.train + TICK) & (u.t <= u.layout.validation + TICK)
         counts = part & ~u.windows.hidden & np.asarray(info.valid).any(-1)
         lost = not np.asarray(info.ok)[:, part].all()
@@ -119,7 +119,7 @@ def predicted(filt: Filter, params: Sequence[Params], used: Sequence[Used], info
         phase, column = np.nonzero(known)
         epoch = at[phase, column]
         sd = jnp.asarray(np.asarray(u.packed.epochs.fix.sd)[epoch, :3])
-        C = seen_by_position(jnp.asarray(np.asarray(info.P)[phase, epoch]), slow) + position_noise(own, sd)
+        C = seen_by_position(jnp.asarray(np.asarray(info.P)[phase, epoch]), slow) + position_noise(fitted, sd)
         y = jnp.asarray(np.asarray(info.residual)[phase, epoch, :3])
         every = jnp.ones(y.shape, bool)
         hidden = _nll(y, C, every, every[:, 0])
@@ -134,7 +134,7 @@ def slow_errors(filt: Filter) -> slice | None:
 
 
 def seen_by_position(P: jax.Array, slow: slice | None) -> jax.Array:
-    """Covariance (..., 3, 3) m^2, ENU, of what a fix tells, its own noise apart: position and the receiver's error."""
+    """Covariance (..., 3, 3) m^2, ENU, of a predicted fix without its noise: position and the receiver's slow error."""
     if slow is None:
         return P[..., :3, :3]
     cross = P[..., :3, slow]
@@ -155,16 +155,16 @@ class Training(NamedTuple):
 
 
 def training_of(filt: Filter, used: Used, size: int) -> Training:
-    """The first ``size`` epochs; what comes after the training part in them does not count."""
+    """Return the first ``size`` epochs; epochs after the training part in them do not count."""
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     epochs, t = jax.tree.map(lambda a: a[:size], used.epochs), used.t[:size]
     hidden, layout, fix = used.windows.hidden[:, :size], used.layout, used.packed.epochs.fix
-    own = (t >= used.packed.start + layout.settle) & (t <= layout.train + TICK)
+    counts = (t >= used.packed.start + layout.settle) & (t <= layout.train + TICK)
     there = np.all(np.asarray(fix.valid)[:, :2], axis=1)
     at, known = ages(used.windows, used.packed.t, there, used.parts["training"], layout.window)
     return Training(
         used.datasheet, used.nav, epochs, jnp.stack([ep.hide(epochs, h, chosen).fix.valid for h in hidden]),
-        jnp.asarray(own & ~hidden), at, known, np.asarray(fix.sd)[:, :3][at],
+        jnp.asarray(counts & ~hidden), at, known, np.asarray(fix.sd)[:, :3][at],
     )  # fmt: skip
 
 
@@ -173,27 +173,32 @@ class Job:
 
     ``observations``: as how many the likelihood counts; by default the windows that fit into the training parts.
 
-    Its numbers (G,) are those of the first recording, in the order of `ravel_pytree`, then for each of the others what
-    it has of its ``own``; all else is shared.
+    Its numbers (G,) are those of the first recording, in the order of `ravel_pytree`, then for each of the others
+    its ``per_recording`` ones; all else is shared.
     """
 
     def __init__(
-        self, filt: Filter, spec: Spec, used: Sequence[Used], own: Sequence[str] = (), observations: float | None = None
+        self,
+        filt: Filter,
+        spec: Spec,
+        used: Sequence[Used],
+        per_recording: Sequence[str] = (),
+        observations: float | None = None,
     ):
         self.filt, self.spec, self.used = filt, spec, list(used)
         self.raw = split(spec, used[0].datasheet)
         first, self.back = ravel_pytree(self.raw)
         self.items = tuple(spec.items())
         self.leaves = [name for name in sorted(spec) for _ in range(np.size(self.raw[name]))]  # of each local number
-        apart = np.flatnonzero(np.isin(self.leaves, own))
+        single = np.flatnonzero(np.isin(self.leaves, per_recording))
         self.places = [np.arange(first.size)]  # of a recording's numbers among all
         for r in range(1, len(used)):
             mine = self.places[0].copy()
-            mine[apart] = first.size + (r - 1) * apart.size + np.arange(apart.size)
+            mine[single] = first.size + (r - 1) * single.size + np.arange(single.size)
             self.places.append(mine)
-        #: of each number: whose it is, and which of that recording's
-        self.owner = np.concatenate([np.zeros(first.size, int), np.repeat(np.arange(1, len(used)), apart.size)])
-        self.origin = np.concatenate([np.arange(first.size), np.tile(apart, len(used) - 1)])
+        #: of each number: its recording, and its index in that recording
+        self.owner = np.concatenate([np.zeros(first.size, int), np.repeat(np.arange(1, len(used)), single.size)])
+        self.origin = np.concatenate([np.arange(first.size), np.tile(single, len(used) - 1)])
         size = max(int(np.searchsorted(u.packed.t, u.layout.train + TICK)) for u in used)
         parts = [training_of(filt, u, size) for u in used]
         most = max(p.at.shape[1] for p in parts)
@@ -204,7 +209,7 @@ class Job:
         self.flat = self.centre = self.numbers([u.datasheet for u in used])  # centre of the priors
         self.width = np.array([_width(spec, self.leaves[i]) for i in self.origin])
 
-    def evidence(self, flat: jax.Array) -> tuple[Evidence, Evidence]:
+    def evidence(self, flat: jax.Array) -> tuple[ScoreSums, ScoreSums]:
         """Of innovations, of hidden fixes, of all recordings."""
         found = [
             _evidence(self.filt, self.items, flat[at], self.raw, *part)
@@ -212,7 +217,7 @@ class Job:
         ]
         G = flat.size
 
-        def among_all(e: Evidence, at: np.ndarray) -> Evidence:
+        def among_all(e: ScoreSums, at: np.ndarray) -> ScoreSums:
             score, fisher = jnp.zeros(G).at[at].set(e.score), jnp.zeros((G, G)).at[np.ix_(at, at)].set(e.fisher)
             return e._replace(score=score, fisher=fisher)
 
@@ -238,26 +243,26 @@ class Job:
         self.centre = jnp.where(time, flat, self.centre)
 
     def numbers(self, params: Sequence[Params]) -> jax.Array:
-        """Return the unconstrained numbers (G,) of parameters, those of each recording; the mean of what is shared.
+        """Return the unconstrained numbers (G,) of each recording's parameters; the mean of shared ones.
 
         States that they lack have the datasheet's.
         """
         total, count = np.zeros(self.owner.size), np.zeros(self.owner.size)
-        for at, own, used in zip(self.places, params, self.used, strict=True):
-            whole = own._replace(states=used.datasheet.states | own.states)
+        for at, each, used in zip(self.places, params, self.used, strict=True):
+            whole = each._replace(states=used.datasheet.states | each.states)
             total[at] += np.asarray(ravel_pytree(split(self.spec, whole))[0])
             count[at] += 1
         return jnp.asarray(total / count)
 
     def params(self, flat: jax.Array, recording: int = 0) -> Params:
-        """The parameters that numbers (G,) stand for in a recording."""
+        """Return the parameters that numbers (G,) stand for in a recording."""
         return join(self.spec, self.back(jnp.asarray(flat)[self.places[recording]]), self.used[recording].datasheet)
 
     def each(self, flat: jax.Array) -> list[Params]:
-        """The same in every recording."""
+        """Return the same in every recording."""
         return [self.params(flat, r) for r in range(len(self.used))]
 
 
 def _width(spec: Spec, name: str) -> float:
-    belief = spec[name].belief
-    return 1e3 if belief is None else belief.sd
+    prior = spec[name].prior
+    return 1e3 if prior is None else prior.sd

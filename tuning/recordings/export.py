@@ -1,6 +1,7 @@
 """Parameters in the words of other software: KF-GINS, NaveGo, PX4, ArduPilot, robot_localization.
 
-For each number a remark says whether the target wants a density or a value per step, and what has no counterpart.
+A remark on each number says whether the target wants a density or a value per step; the last one lists values without
+counterpart.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,23 +15,27 @@ from jaxnav.maths import units
 from jaxnav.measurements import Measurement
 from jaxnav.types import Fix, Params, StateParams
 
-ONE_CORRELATION_TIME = 4 * units.HOUR  # s, what stands for a random walk where only a Gauss-Markov process can be told
+ONE_CORRELATION_TIME = 4 * units.HOUR  # s, in place of a random walk where a target has Gauss-Markov processes alone
 
 
 def axes_of(value: Any) -> np.ndarray:
-    """One number an axis; of a root, which is correlated noise, the norms of its rows."""
+    """Return one number per axis; for the root of a correlated noise, the norms of its rows.
+
+    Args:
+        value: (), (3,) or a lower triangular root (3, 3).
+    """
     value = np.asarray(value, float)
     return np.linalg.norm(value, axis=1) if value.ndim == 2 else np.broadcast_to(value, (3,))
 
 
 def _remark(leaves: Mapping[str, Any], mark: str) -> list[str]:
-    """A comment line, where some of the leaves are correlated between the axes."""
+    """Return a comment line, where some of the leaves are correlated between the axes."""
     correlated = [name for name, value in leaves.items() if np.any(np.tril(np.atleast_2d(value), -1))]
     return [f"{mark} correlations between the axes are left out of {', '.join(correlated)}"] if correlated else []
 
 
 def _sensors(params: Params) -> dict[str, Any]:
-    """White noise and what drives the biases, by name; zero where the filter has no biases."""
+    """White noise and driving noise of the biases, by name; zero where the filter has no biases."""
     still = StateParams(0.0, 0.0, np.inf)
     drives = {name: params.states.get(name, still).driving_noise for name in ("gyro_bias", "accel_bias")}
     return {"gyro": params.noise.gyro, "accel": params.noise.accel, **drives}
@@ -41,12 +46,16 @@ def _tau(params: Params, name: str) -> np.ndarray:
 
 
 def kfgins_yaml(params: Params, scale_ppm: tuple[float, float] = (0.0, 0.0)) -> str:
-    """The ``imunoise`` of a KF-GINS yaml: deg/sqrt(h), m/s/sqrt(h), deg/h, mGal, ppm, h; body FRD as here.
+    """Return the ``imunoise`` of a KF-GINS yaml: deg/sqrt(h), m/s/sqrt(h), deg/h, mGal, ppm, h; body FRD as here.
 
     A Gauss-Markov bias of root PSD q and time T has the sd q sqrt(T / 2). KF-GINS has one T for all: the gyro's, and
-    the sd of the accelerometers keep their q with it. A random walk is told as a process of 4 h, which within less
-    than that drives alike. ``scale_ppm``: sd of gyro and accelerometer scale errors, as given.
-    KF-GINS knows no correlation between axes; where there is some, the axes' own sd are told, and a comment says so.
+    the sd of the accelerometers keep their q with it. A random walk is written as a process of 4 h, with the same
+    driving noise over shorter times. KF-GINS has no correlation between axes; where there is some, the axes' sd are
+    written, and a comment says so.
+
+    Args:
+        params: tuned parameters.
+        scale_ppm: sd of gyro and accelerometer scale errors, ppm.
     """
     tau, sensors = _tau(params, "gyro_bias"), _sensors(params)
     time = float(tau[0]) if np.isfinite(tau).all() and np.ptp(tau) == 0 else ONE_CORRELATION_TIME
@@ -65,10 +74,13 @@ def kfgins_yaml(params: Params, scale_ppm: tuple[float, float] = (0.0, 0.0)) -> 
 
 
 def navego_fields(params: Params) -> str:
-    """NaveGo's fields of an ``imu`` struct in SI as assignments, and factors on the receiver's ``stdm`` and ``stdv``.
+    """Return assignments of NaveGo's ``imu`` struct in SI, and factors on the receiver's ``stdm`` and ``stdv``.
 
-    ``gb_psd`` and ``ab_psd`` are the root PSD that drives the biases, which is what its filter takes; ``gb_dyn`` is
+    ``gb_psd`` and ``ab_psd`` are the root PSD of the biases' driving noise, as its filter takes them; ``gb_dyn`` is
     the sd of a Gauss-Markov bias. Receiver axes are north, east, down. Correlations between axes as in `kfgins_yaml`.
+
+    Args:
+        params: tuned parameters.
     """
     sensors = _sensors(params)
     fields = {"arw": axes_of(sensors["gyro"]), "vrw": axes_of(sensors["accel"])}
@@ -108,7 +120,12 @@ def stated_sd(sd: Mapping[str, np.ndarray]) -> StatedSd:
 
 
 def sd_by_stream(fix: Fix, measurements: Sequence[Measurement]) -> dict[str, np.ndarray]:
-    """Return the sd (N, size) of the valid fixes (..., m) of a filter, by measurement."""
+    """Return the sd (N, size) of the valid fixes of a filter, by measurement.
+
+    Args:
+        fix: (..., m) of all epochs.
+        measurements: rows of the filter, in its order.
+    """
     sd, valid = (np.asarray(a).reshape(-1, np.shape(a)[-1]) for a in (fix.sd, fix.valid))
     ends = np.cumsum([m.size for m in measurements])
     return {m.name: sd[valid[:, end - m.size], end - m.size : end] for m, end in zip(measurements, ends, strict=True)}
@@ -127,10 +144,14 @@ def _delays(params: Params) -> tuple[float, float]:
 
 
 def px4_params(params: Params, stated: StatedSd = StatedSd()) -> str:
-    """PX4's EKF2 as lines of ``param set``: noise per step, floors for the receiver's own sd, delay, antenna.
+    """Return PX4's EKF2 as lines of ``param set``: noise per step, lower limits of the receiver's sd, delay, antenna.
 
     EKF2 adds (EKF2_GYR_NOISE dt)^2 to the variance of an angle at every prediction of 10 ms (PX4-Autopilot,
-    EKF/covariance.cpp), so that a root PSD q becomes q / sqrt(dt); likewise accelerometers and what drives the biases.
+    EKF/covariance.cpp), so that a root PSD q becomes q / sqrt(dt); so do accelerometers and biases' driving noise.
+
+    Args:
+        params: tuned parameters.
+        stated: sd that the receiver states, for the lower limits.
     """
     sensors, arm = _sensors(params), axes_of(params.mounting.lever_arm)
     scale = {name: float(axes_of(params.measurements[name].scale).max()) for name in ("position", "velocity")}
@@ -140,8 +161,8 @@ def px4_params(params: Params, stated: StatedSd = StatedSd()) -> str:
         ("EKF2_ACC_NOISE", _per_step(sensors["accel"], EKF2_STEP), "m/s^2, of a step of 10 ms"),
         ("EKF2_GYR_B_NOISE", _per_step(sensors["gyro_bias"], EKF2_STEP), "rad/s^2, drives the gyros' biases"),
         ("EKF2_ACC_B_NOISE", _per_step(sensors["accel_bias"], EKF2_STEP), "m/s^3, drives the accelerometers' biases"),
-        ("EKF2_GPS_P_NOISE", stated.position * scale["position"], "m, a floor under what the receiver states"),
-        ("EKF2_GPS_V_NOISE", stated.velocity * scale["velocity"], "m/s, a floor under what the receiver states"),
+        ("EKF2_GPS_P_NOISE", stated.position * scale["position"], "m, lower limit of the receiver's sd"),
+        ("EKF2_GPS_V_NOISE", stated.velocity * scale["velocity"], "m/s, lower limit of the receiver's sd"),
         ("EKF2_GPS_DELAY", 1e3 * max(float(np.mean(late)), 0.0), "ms, one for position and velocity"),
         *((f"EKF2_GPS_POS_{axis}", a, "m, antenna, body") for axis, a in zip("XYZ", arm, strict=True)),
     ]  # fmt: skip
@@ -149,7 +170,12 @@ def px4_params(params: Params, stated: StatedSd = StatedSd()) -> str:
 
 
 def ardupilot_parm(params: Params, stated: StatedSd = StatedSd()) -> str:
-    """ArduPilot's EKF3 as a ``.parm`` file; noise per step of 12 ms as in `px4_params` (AP_NavEKF3, EKF_TARGET_DT)."""
+    """Return ArduPilot's EKF3 as a ``.parm`` file; noise per step of 12 ms (AP_NavEKF3, EKF_TARGET_DT).
+
+    Args:
+        params: tuned parameters.
+        stated: sd that the receiver states, for the lower limits.
+    """
     sensors, arm = _sensors(params), axes_of(params.mounting.lever_arm)
     p, v = (axes_of(params.measurements[name].scale) for name in ("position", "velocity"))
     rows = [
@@ -157,9 +183,9 @@ def ardupilot_parm(params: Params, stated: StatedSd = StatedSd()) -> str:
         ("EK3_ACC_P_NSE", _per_step(sensors["accel"], EKF3_STEP), "m/s^2, of a step of 12 ms"),
         ("EK3_GBIAS_P_NSE", _per_step(sensors["gyro_bias"], EKF3_STEP), "rad/s^2, drives the gyros' biases"),
         ("EK3_ABIAS_P_NSE", _per_step(sensors["accel_bias"], EKF3_STEP), "m/s^3, drives the accelerometers' biases"),
-        ("EK3_POSNE_M_NSE", stated.position * float(p[:2].max()), "m, a floor under what the receiver states"),
-        ("EK3_VELNE_M_NSE", stated.velocity * float(v[:2].max()), "m/s, a floor under what the receiver states"),
-        ("EK3_VELD_M_NSE", stated.velocity * float(v[2]), "m/s, a floor under what the receiver states"),
+        ("EK3_POSNE_M_NSE", stated.position * float(p[:2].max()), "m, lower limit of the receiver's sd"),
+        ("EK3_VELNE_M_NSE", stated.velocity * float(v[:2].max()), "m/s, lower limit of the receiver's sd"),
+        ("EK3_VELD_M_NSE", stated.velocity * float(v[2]), "m/s, lower limit of the receiver's sd"),
         ("GPS_DELAY_MS", round(1e3 * max(float(np.mean(_delays(params))), 0.0)), "ms; GPS1_DELAY_MS from 4.6 on"),
         *((f"GPS_POS1_{axis}", a, "m, antenna; GPS1_POS_ from 4.6 on") for axis, a in zip("XYZ", arm, strict=True)),
     ]  # fmt: skip
@@ -167,10 +193,14 @@ def ardupilot_parm(params: Params, stated: StatedSd = StatedSd()) -> str:
 
 
 def robot_localization_yaml(params: Params, imu_rate_hz: float = 100.0) -> str:
-    """What of the parameters robot_localization can be told: covariances of its messages, for it has no IMU model.
+    """Return parameters for robot_localization: covariances of its messages, for it has no IMU model.
 
     Its EKF takes rates and accelerations as measurements of a model of constant acceleration, so that a root PSD q is
     the variance q^2 rate of each sample, to be written into ``sensor_msgs/Imu``; biases and delays have no counterpart.
+
+    Args:
+        params: tuned parameters.
+        imu_rate_hz: Hz, rate of the IMU's messages.
     """
     square = lambda q: ", ".join(f"{v:.6g}" for v in axes_of(q) ** 2 * imu_rate_hz)
     scale = lambda name: ", ".join(f"{v:.6g}" for v in axes_of(params.measurements[name].scale) ** 2)
@@ -187,7 +217,7 @@ def robot_localization_yaml(params: Params, imu_rate_hz: float = 100.0) -> str:
 
 
 def _lines(rows: list[tuple[str, float, str]], form: str, mark: str, params: Params) -> str:
-    """Settings with a remark on each, and what has no counterpart."""
+    """Return settings with a remark on each, and the values without counterpart."""
     late = _delays(params)
     out = _remark(_sensors(params), mark)
     out += [f"{form.format(key=key, value=value)}  {mark} {text}" for key, value, text in rows]
@@ -210,16 +240,31 @@ EXPORTS: dict[str, Callable[[Params, StatedSd], str]] = {
     "tuned_ardupilot.parm": ardupilot_parm,
     "tuned_robot_localization.yaml": lambda params, stated: robot_localization_yaml(params),
 }
-"""Files that `jaxnav tune` writes beside tuned.toml: a new one is a function and a line here."""
+"""Files that `jaxnav tune` writes next to tuned.toml: a new one is a function and a line here."""
 
 
 def write_exports(folder: Path, head: str, params: Params, stated: StatedSd) -> None:
-    """Write them all, ``head`` as a comment on top."""
+    """Write the files of all of `EXPORTS`.
+
+    Args:
+        folder: an existing folder.
+        head: comment on top of each file.
+        params: tuned parameters.
+        stated: sd that the receiver states.
+    """
     for name in EXPORTS:
         write_export(folder, name, head, params, stated)
 
 
 def write_export(folder: Path, name: str, head: str, params: Params, stated: StatedSd) -> None:
-    """Write one of `EXPORTS`."""
+    """Write the file of one row of `EXPORTS`.
+
+    Args:
+        folder: an existing folder.
+        name: the row.
+        head: comment on top.
+        params: tuned parameters.
+        stated: sd that the receiver states.
+    """
     mark = "%" if name.endswith(".m") else "#"
     atomic_write(folder / name, f"{mark} {head}\n{EXPORTS[name](params, stated)}")

@@ -2,8 +2,8 @@
 
 A fault in one part would choose the winner: the candidate that bears it best gains more there than any can elsewhere.
 Normalised innovations by the candidates that are not tuned show it, relative to the median of each, so that noise that
-is set too low everywhere is no fault. An epoch is suspect if the innovations of `BLOCK` s about it, or its own, are too
-large by all of them; so is a window that has one, or whose last hidden fix is that far from all predictions.
+is set too low everywhere is no fault. An epoch is suspect if its innovation, or those of `BLOCK` s about it, are
+too large by all of them; so is a window with a suspect epoch, or with a last hidden fix that far from all predictions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ BLOCK = 10.0  # s
 LARGE = 4.0  # times a candidate's median of NIS/dof, of a block, and at least that
 SINGLE = 30.0  # times, of one epoch
 AROUND = 5.0  # s, about a suspect epoch
-MOST = 0.5  # of a part's windows, beyond which none is left out: what is usual is no fault
+MOST = 0.5  # of a part's windows, beyond which none is left out: a frequent deviation is no fault
 LEAST = 2  # suspect epochs or windows of a part that are worth a finding
 
 
@@ -59,9 +59,9 @@ def suspect_windows(used: Used, params: Sequence[Params], infos: Sequence[Info])
     near = [np.any((times > s - AROUND) & (times < t[e] + AROUND)) for s, e in zip(windows.start, windows.end)]
     lost = np.ones(len(windows.end), bool)
     sd = np.asarray(used.packed.epochs.fix.sd)[windows.end, :3]
-    for own, info in zip(params, infos, strict=True):
+    for candidate, info in zip(params, infos, strict=True):
         at = windows.phase, windows.end
-        C = np.asarray(info.P)[at][:, :3, :3] + np.asarray(position_noise(own, jnp.asarray(sd)))
+        C = np.asarray(info.P)[at][:, :3, :3] + np.asarray(position_noise(candidate, jnp.asarray(sd)))
         y = np.asarray(info.residual)[at][:, :3]
         square = np.einsum("wi,wij,wj->w", y, np.linalg.inv(C), y) / 3
         lost &= square > SINGLE * max(1.0, float(np.median(square)))

@@ -1,4 +1,4 @@
-"""What is free: names of parameters, alone and in groups, and how each is tuned."""
+"""Free parameters: names of leaves, alone and in groups, and their transforms."""
 
 from collections.abc import Iterable
 
@@ -14,7 +14,7 @@ from tuning.fit.transforms import LOG, TRANSFORMS, Transform, scaled
 
 
 def transform_of(leaf: str) -> Transform:
-    """Logarithms of what is positive, steps of a unit's worth of what is not."""
+    """Return the logarithm for a positive parameter, else steps of a unit."""
     unit = UNITS.get(leaf)
     return LOG if unit is None or unit.step is None else scaled(unit.step)
 
@@ -22,7 +22,7 @@ def transform_of(leaf: str) -> Transform:
 def groups(
     measurements: Iterable[Measurement], states: Iterable[str], rule: Iterable[str] = ()
 ) -> dict[str, list[str]]:
-    """What short names stand for, with these measurements and states; ``rule``: its leaves, see `of_rule`."""
+    """Return the leaves of each short name, with these measurements and states; ``rule``: its leaves, see `of_rule`."""
     measurements, states = tuple(measurements), tuple(states)
     used = [m.name for m in measurements]
     fixes = [name for name in ("position", "velocity") if name in used]
@@ -42,7 +42,7 @@ def groups(
 
 
 def of_rule(name: str) -> list[str]:
-    """The leaves of a filter's rule that are worth tuning."""
+    """Return the leaves of a filter's rule that are worth tuning."""
     return [f"rule.{leaf}" for leaf in FILTERS[name].tunable]
 
 

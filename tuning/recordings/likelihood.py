@@ -23,7 +23,7 @@ from tuning.uncertainty import Information
 
 
 class Likelihood(NamedTuple):
-    """What the innovations say of the parameters is read off here: the training data, every fix of it once."""
+    """The training data for the likelihood of the parameters, every fix of it once."""
 
     nav: Nav  # (B, ...)
     epochs: Epoch  # (B, E, ...), prepared for the filter
@@ -36,7 +36,7 @@ class Source(NamedTuple):
     """The data of one source, and the filter and parameters that it is run with."""
 
     filter: Filter
-    params: Params  # its own, where they are not free
+    params: Params  # of this recording, where they are not free
     whole: Likelihood
 
 
@@ -50,14 +50,14 @@ class Surface(NamedTuple):
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def _inform(
-    filt: Filter, items: Any, count: int, flat: jax.Array, like: Any, params: Params, own: Any, whole: Likelihood
+    filt: Filter, items: Any, count: int, flat: jax.Array, like: Any, params: Params, fixed: Any, whole: Likelihood
 ) -> Information:
     spec, (_, back) = dict(items), ravel_pytree(like)
     free = leaves(spec)
 
     def one(nav: Nav, epochs: Epoch, keep: jax.Array, block: jax.Array) -> Information:
         def solve(r: jax.Array) -> Info:
-            return run(filt, merged(join(spec, back(r), params), own, free), nav, epochs)
+            return run(filt, merged(join(spec, back(r), params), fixed, free), nav, epochs)
 
         return uncertainty.information(solve, flat, keep, block, count)
 
@@ -66,7 +66,7 @@ def _inform(
 
 
 def surface(sources: Sequence[Source], spec: Spec, params: Params) -> Surface:
-    """The likelihood of all sources together, with the spec's beliefs."""
+    """Return the likelihood of all sources together, with the spec's priors."""
     raw = split(spec, params)
     _, back = ravel_pytree(raw)
     items = tuple(spec.items())
@@ -78,14 +78,14 @@ def surface(sources: Sequence[Source], spec: Spec, params: Params) -> Surface:
         ]
         nll, score, fisher = (sum(p[i] for p in parts) for i in range(3))
         whole = Information(nll, score, fisher, jnp.concatenate([p.blocks for p in parts]))
-        return uncertainty.with_belief(whole, spec, back(flat))
+        return uncertainty.with_prior(whole, spec, back(flat))
 
     count = sum(int(np.sum(m.whole.keep & np.asarray(m.whole.epochs.fix.valid).any(-1))) for m in sources)
     return Surface(inform, raw, count)
 
 
 def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Callable[[dict[str, Any]], None]) -> Fit:
-    """The most likely parameters by the method of scoring, one history row an evaluation."""
+    """Maximise the likelihood by the method of scoring, one history row an evaluation."""
     flat, back = ravel_pytree(found.raw)
     history: list[dict[str, Any]] = []
 
@@ -105,14 +105,14 @@ def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Calla
 def rows(
     found: Surface, spec: Spec, params: Params, datasheet: Params, known: Mapping[str, float]
 ) -> tuple[list[Row], list[Finding]]:
-    """Return every free number with its 95 % interval, and what the data do not determine.
+    """Return every free number with its 95 % interval, and the undetermined combinations.
 
     Args:
         found: the likelihood.
-        spec: what is free.
+        spec: the free parameters.
         params: where the search ended.
         datasheet: where it began.
-        known: true values by leaf, of what was simulated.
+        known: true values by leaf, of a simulation.
     """
     raw = split(spec, params)
     info = found.inform(ravel_pytree(raw)[0])

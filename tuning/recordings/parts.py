@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.analysis.metrics import told_by
+from jaxnav.analysis.metrics import covered_by
 from jaxnav.analysis.windows import Windows, hidden_windows
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK
-from jaxnav.initialization.start import Start
+from jaxnav.initialization.initialize import Initialization
 from jaxnav.maths import earth
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.measurements import MEASUREMENTS, clock_offset
@@ -20,7 +20,7 @@ from jaxnav.types import Epoch, Fix, Nav, Params, Track
 from tuning.recordings.runs import Run, Truth, many
 
 PHASES = 5  # runs with windows shifted against each other
-REACH = 0.3  # s, of delay that tuning may add to what is known
+REACH = 0.3  # s, of delay that tuning may add to the known one
 SLOPE = 0.05  # s, half of the time over which a true velocity is taken
 AGES = (0.0, 1 / 3, 2 / 3, 1.0)  # of a window: where its hidden fixes are looked at
 
@@ -39,10 +39,10 @@ class Used(NamedTuple):
     """A recording that is tuned on; arrays of E epochs, for all recordings the same number."""
 
     name: str
-    begin: Start
+    initialization: Initialization
     datasheet: Params  # the datasheet, with the prior of this start
     nav: Nav  # the start
-    packed: ep.Packed  # the recording's own epochs, of which there may be fewer
+    packed: ep.Packed  # the recorded epochs, of which there may be fewer
     epochs: Epoch  # (E, ...), prepared
     layout: Layout
     windows: Windows  # hidden (P, E)
@@ -52,7 +52,7 @@ class Used(NamedTuple):
 
     @property
     def t(self) -> np.ndarray:
-        """(E,) s, the end of each epoch; what was added comes after all time."""
+        """(E,) s, the end of each epoch; inf in padding."""
         return np.pad(self.packed.t, (0, self.windows.hidden.shape[1] - self.packed.t.size), constant_values=np.inf)
 
     @property
@@ -67,8 +67,8 @@ class Used(NamedTuple):
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What metrics.json says of it."""
-        return {"layout_s": self.layout._asdict(), "start": self.begin.how}
+        """Return the facts of the recording for metrics.json."""
+        return {"layout_s": self.layout._asdict(), "initialization": self.initialization.how}
 
     @property
     def windows_hidden(self) -> bool:
@@ -76,7 +76,7 @@ class Used(NamedTuple):
         return True
 
     def needs(self, blocks: int) -> str:
-        """Return what an interval of so many blocks needs."""
+        """Return the length of recording that an interval of so many blocks needs."""
         return f"{blocks * self.layout.every / 0.35:.0f} s of recording"
 
 
@@ -96,7 +96,7 @@ def plan(packed: ep.Packed, window: float) -> Layout:
 
 
 def windows_of(packed: ep.Packed, layout: Layout, size: int) -> Windows:
-    """The hidden windows of a recording, over ``size`` epochs of which its own come first."""
+    """Return the hidden windows of a recording, over ``size`` epochs with the recorded ones first."""
     windows = hidden_windows(packed, layout.window, layout.every, PHASES, layout.settle)
     return windows._replace(hidden=np.pad(windows.hidden, [(0, 0), (0, size - packed.t.size)]))
 
@@ -107,13 +107,13 @@ def pooled(used: Sequence[Used]) -> dict[str, np.ndarray]:
 
 
 def blocks_of(used: Sequence[Used]) -> np.ndarray:
-    """The block of time (W,) of every window of all recordings: windows that overlap are one."""
+    """Return the block of time (W,) of every window of all recordings: windows that overlap are one."""
     numbers = [np.floor((u.windows.start - u.layout.validation) / u.layout.every) for u in used]
     return np.concatenate([b + 1e6 * i for i, b in enumerate(numbers)])
 
 
 def parts_of(layout: Layout, windows: Windows) -> dict[str, np.ndarray]:
-    """Masks (W,): windows that lie within a part."""
+    """Return masks (W,) of the windows inside each part."""
     end = windows.start + layout.window
     return {
         "training": end <= layout.train + TICK,
@@ -136,7 +136,7 @@ def runs_of(used: Used, filt: Filter, part: str, size: int) -> Run:
         "training": (used.packed.start + layout.settle, layout.train),
         "validation": (layout.train, layout.validation),
     }[part]
-    own, hidden, phases = (t > begin) & (t <= end + TICK), windows.hidden[:, :size], len(windows.hidden)
+    inside, hidden, phases = (t > begin) & (t <= end + TICK), windows.hidden[:, :size], len(windows.hidden)
     epochs = jax.tree.map(lambda a: a[:size], used.epochs)
     measurements = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     runs = [ep.hide(epochs, h, measurements) for h in hidden]
@@ -147,7 +147,7 @@ def runs_of(used: Used, filt: Filter, part: str, size: int) -> Run:
     truth = truth_of(used, t)
     return Run(
         many(used.datasheet, phases), many(used.nav, phases), jax.tree.map(lambda *a: jnp.stack(a), *runs),
-        jnp.asarray(ends), jnp.asarray(scored), jnp.asarray(own & ~hidden), many(own, phases),
+        jnp.asarray(ends), jnp.asarray(scored), jnp.asarray(inside & ~hidden), many(inside, phases),
         None if truth is None else many(truth, phases),
     )  # fmt: skip
 
@@ -158,7 +158,7 @@ def truth_of(used: Used, t: np.ndarray) -> Truth | None:
         return None
     t = np.where(np.isfinite(t), t, used.packed.t[-1])
     t = t + np.asarray(clock_offset(used.datasheet.mounting, used.nav._replace(t=jnp.asarray(t))))
-    known = told_by(t, used.truth.t)
+    known = covered_by(t, used.truth.t)
     if not known.any():
         return None
     at = lambda t: columns_at(t, used.truth.t, earth.continuous(used.truth.lla))
@@ -166,8 +166,8 @@ def truth_of(used: Used, t: np.ndarray) -> Truth | None:
     return Truth(jnp.asarray(at(t)), jnp.asarray(rate), jnp.asarray(known))
 
 
-def in_words_of(layout: Layout, parts: Mapping[str, np.ndarray], packed: ep.Packed) -> str:
-    """The split, in a sentence."""
+def describe_parts(layout: Layout, parts: Mapping[str, np.ndarray], packed: ep.Packed) -> str:
+    """Return the split, in a sentence."""
     counts = ", ".join(f"{int(mask.sum())} {name}" for name, mask in parts.items())
     return (
         f"training to {layout.train:.0f} s, validation to {layout.validation:.0f} s, test to {packed.t[-1]:.0f} s; "

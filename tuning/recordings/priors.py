@@ -1,4 +1,4 @@
-"""What is free in a filter, and what is believed of it before any data: a datasheet is right within a factor.
+"""Free parameters of a filter and their priors: a datasheet is right within a factor.
 
 Each prior is Gaussian about the datasheet in the unconstrained space (`tuning.fit.transforms`); `PRIORS` says how wide.
 """
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import get
 from jaxnav.types import ConfigError, Params
-from tuning.fit.transforms import LOG, Spec, believed, tied
+from tuning.fit.transforms import LOG, Spec, tied, with_prior
 from tuning.recordings.free import leaves_of, step_of, transform_of
 
 
@@ -20,13 +20,13 @@ class Prior(NamedTuple):
     """How far from the datasheet a parameter may be."""
 
     sd: float  # one sd: a factor where the parameter is positive, else in SI
-    far: str  # what it usually means where the data say that it is far from there
+    far: str  # likely cause where the data put it far from there
 
 
 PRIORS: dict[str, Prior] = {
     "noise": Prior(10.0, "vibration, scale errors or a delay pass for noise, or another grade"),
-    "driving_noise": Prior(10.0, "what is not modelled passes for a bias that drifts"),
-    "tau": Prior(5.0, "what is slow is a walk, or what is fast is noise"),
+    "driving_noise": Prior(10.0, "an unmodelled error passes for a bias that drifts"),
+    "tau": Prior(5.0, "a slow error is a walk, or a fast one is noise"),
     "scale": Prior(3.0, "the receiver's sd are not meant as such, or its errors are not white"),
     "sd": Prior(3.0, "the start is other than said"),
     "time": Prior(0.1, "logged by another clock, or a receiver that filters for long"),
@@ -37,7 +37,7 @@ PRIORS: dict[str, Prior] = {
 
 
 def kind_of(leaf: str) -> str:
-    """The row of `PRIORS` for a leaf."""
+    """Return the row of `PRIORS` for a leaf."""
     last = leaf.rpartition(".")[2]
     if last in ("time_offset", "latency"):
         return "time"
@@ -78,5 +78,5 @@ def spec_of(
             centre = jnp.exp(jnp.mean(jnp.log(centre)))
         width = prior_sd.get(leaf, PRIORS[kind_of(leaf)].sd)
         sd = math.log(width) if transform.forward is LOG.forward else float(transform.inverse(jnp.asarray(width)))
-        spec[leaf] = believed(transform, centre, sd) if priors else transform
+        spec[leaf] = with_prior(transform, centre, sd) if priors else transform
     return spec

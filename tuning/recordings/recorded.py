@@ -1,20 +1,20 @@
 """`tune`: a filter's noise, fixes and clocks from recordings without truth, in a way that does no harm.
 
-A recording is split in time: training, validation, and a test that nothing looks at before the end. What is minimised
+A recording is split in time: training, validation, and a test that is used only at the end. The objective
 over the training part is
 
     J(x) = N (mean negative log-likelihood of an innovation + H(x)) + 1/2 sum ((x - datasheet) / sd)^2
 
 with x the unconstrained numbers (`tuning.recordings.priors`). The likelihood is *tempered*: it counts as N
 observations, the number of hidden windows that fit into the training parts, and not as thousands of epochs, for
-innovations are not white where a receiver's errors are not, and then no prior would weigh anything beside them. H is
+innovations are not white where a receiver's errors are not, and then no prior would have any weight. H is
 the *horizon likelihood*: the mean negative log-likelihood of hidden fixes at several ages of hidden windows, by a
-Student t, a proper score of what users of a filter care about. Both have an information matrix, so that the method of
+Student t, a proper score of the error that a user sees. Both have an information matrix, so that the method of
 scoring minimises J.
 
 The search starts at the noise scan's numbers (`jaxnav.analysis.noise_scan`, of the training part), and the prior of a
-delay is centred there. Where the position's innovations are correlated from fix to fix, as of a receiver whose errors
-are slow, a filter that estimates them (`gnss_position_error`) is tuned as well. The candidate that predicts the
+delay is centred there. Where the position's innovations are correlated from fix to fix, as of a receiver with slow
+errors, a filter that estimates them (`gnss_position_error`) is tuned as well. The candidate that predicts the
 validation part best, its innovations and its hidden fixes, wins, if neither the datasheet nor the scan drifts less over
 the hidden windows of training and validation. The winner is judged once, on the test.
 """
@@ -32,14 +32,14 @@ from jaxnav.analysis.windows import drift
 from jaxnav.checkup.findings import finding, line
 from jaxnav.checkup.streams import velocity
 from jaxnav.filters import epochs as ep
-from jaxnav.filters.compiler import make_room
+from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import history_for, installed, put, with_prior_of
 from jaxnav.filters.run import prepare, require_params, require_x64
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.bank import most_probable
-from jaxnav.initialization.start import Start, start
+from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import ConfigError, DataError, Finding, Info, Params, Recording, Samples
 from tuning.fit.status import Status
@@ -52,7 +52,7 @@ from tuning.recordings.parts import (
     Layout,
     Used,
     blocks_of,
-    in_words_of,
+    describe_parts,
     parts_of,
     plan,
     pooled,
@@ -80,7 +80,7 @@ from tuning.uncertainty import Covariance
 DELAY = "mounting.time_offset"
 VELOCITY_DELAY = "measurements.velocity.latency"
 SURE_DELAY = 3.0  # sd of an alignment's delay, from which on it is known
-SCANNED = ("noise.gyro", "noise.accel", DELAY)  # what the noise scan finds
+SCANNED = ("noise.gyro", "noise.accel", DELAY)  # estimated by the noise scan
 FAR = 2.0  # sd of a prior beyond which a parameter is said to be far
 CORRELATED = 0.15  # of a position's innovations from fix to fix, from which on slow errors are tried
 SLOW_LEAVES = (f"states.{SLOW}.driving_noise", f"states.{SLOW}.tau")
@@ -97,7 +97,7 @@ def tune(
     free: Sequence[str] = ("noise", "fixes", "timing"),
     per_recording: Sequence[str] = (),
     prior_sd: Mapping[str, float] | None = None,
-    begin: Start | Sequence[Start] | None = None,
+    initialization: Initialization | Sequence[Initialization] | None = None,
     stop: float | None = None,
     window: float | None = None,
     priors: bool = True,
@@ -111,14 +111,14 @@ def tune(
     """Tune ``params`` (such as ``filt.params("consumer")``, the datasheet) on a recording, or on several together.
 
     Args:
-        rec: a recording, or several, each with an initialization of its own.
+        rec: a recording, or several, each with an initialization.
         filt: the filter.
         params: the datasheet, ``filt.params("consumer")``; one for each recording where lever arms differ.
         free: groups of `tuning.recordings.free.groups`, dotted leaves or their keys; one value for all recordings.
         per_recording: free parameters with one value for each recording: "timing" of loggers with separate clocks,
             "noise" of several IMUs on one vehicle.
         prior_sd: priors by leaf, one sd about ``params``: a factor where the parameter is positive, else in SI.
-        begin: `jaxnav.start` with settings of your own.
+        initialization: one per recording, or one for all; by default `jaxnav.initialize`.
         stop: s, end of the data.
         window: s, length of the hidden windows; by default 3 to 15 by the recording's length.
         priors: False: maximum likelihood.
@@ -127,18 +127,19 @@ def tune(
         standing: the detector of standstills.
         how: minimise an objective by gradient over the training windows, in place of J.
         checkpoints: where the searches keep the best so far, after each evaluation.
-        log: called with a line on what is done.
+        log: called with a line on each step.
 
     Raises:
         DataError: a recording that cannot be started from, or is too short for windows in every part.
         ValueError: the filter stops being finite with ``params``, or an unknown name.
         CheckpointError: nothing usable to resume from.
     """
-    make_room()
+    clear_caches_if_needed()
     several = lambda value: type(value) in (list, tuple)  # each of them is a named tuple itself
     recs: list[Any] = list(rec) if several(rec) else [rec]
     datasheets: list[Any] = list(params) if several(params) else [params] * len(recs)
-    begins: list[Any] = list(begin) if several(begin) and begin is not None else [begin] * len(recs)
+    given: Any = initialization
+    begins: list[Any] = list(given) if several(given) and given is not None else [given] * len(recs)
     if not recs or not len(recs) == len(datasheets) == len(begins):
         raise ValueError(
             f"{len(recs)} recordings, {len(datasheets)} params and {len(begins)} initializations: expected one each"
@@ -148,7 +149,7 @@ def tune(
     datasheets = [installed(p, r.lever_arm) for r, p in zip(recs, datasheets, strict=True)]
     require_x64(datasheets[0])
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    begins = [start(r, p) if b is None else b for r, p, b in zip(recs, datasheets, begins, strict=True)]
+    begins = [initialize(r, p) if b is None else b for r, p, b in zip(recs, datasheets, begins, strict=True)]
     separate = leaves_of(filt, datasheets[0], per_recording, "per_recording")
     if separate and how is not None:
         raise ConfigError("tune.per_recording goes with the tempered method, not with a gradient search")
@@ -165,7 +166,7 @@ def tune(
         history_for(s.applied(p), 1 / float(np.median(r.imu.dt)), float(np.ptp(r.imu.t)), REACH)
         for r, p, s in zip(recs, datasheets, scans, strict=True)
     )
-    kept = lambda each: each.keeping(samples) if each.keeping else each
+    kept = lambda each: each.with_history(samples) if each.with_history else each
     filt = kept(filt)
     used = prepare_recordings(recs, filt, datasheets, begins, cut, layouts, log)
     parts = pooled(used)
@@ -190,9 +191,9 @@ def tune(
     score = lambda name: level_drift(jobs[name], found[name], chosen)
     offs = {name: score(name) for name in found}
     slow = 0.0 if status is Status.INTERRUPTED else correlation(offs["tuned"][1], used)
-    if extend and how is None and slow > CORRELATED and filt.extended and SLOW not in filt.model.states:
+    if extend and how is None and slow > CORRELATED and filt.with_states and SLOW not in filt.model.states:
         log(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
-        more = kept(filt.extended(SLOW))
+        more = kept(filt.with_states(SLOW))
         slowly = {SLOW: more.params().states[SLOW]}
         whole = [u._replace(datasheet=u.datasheet._replace(states=u.datasheet.states | slowly)) for u in used]
         wider = spec | spec_of(more, whole[0].datasheet, SLOW_LEAVES, prior_sd, priors)
@@ -211,7 +212,7 @@ def tune(
     warnings = [*warnings, *faults]
     split = np.cumsum([len(u.starts) for u in used])[:-1]
     by_recording = [dict(zip(parts, each)) for each in zip(*(np.split(mask, split) for mask in parts.values()))]
-    judged = [u._replace(parts=own) for u, own in zip(used, by_recording, strict=True)]
+    judged = [u._replace(parts=each) for u, each in zip(used, by_recording, strict=True)]
     kept_of = lambda name: [with_prior_of(p, s, spec) for p, s in zip(params_of(name), datasheets, strict=True)]
     trials = {
         name: Trial(
@@ -241,7 +242,7 @@ def tune(
 # ---------------------------------------------------------------------------- parts of the recording
 
 
-def clocks(recs: Sequence[Recording], begins: Sequence[Start]) -> list[Finding]:
+def clocks(recs: Sequence[Recording], begins: Sequence[Initialization]) -> list[Finding]:
     """Return a warning where recordings that are to share one delay were logged by clocks that do not agree."""
     seen = [(r.name, b.alignment.delay, b.alignment.sd[9]) for r, b in zip(recs, begins, strict=True) if b.alignment]
     if not seen:
@@ -257,33 +258,33 @@ def clocks(recs: Sequence[Recording], begins: Sequence[Start]) -> list[Finding]:
 def scan(
     rec: Recording,
     datasheet: Params,
-    begin: Start,
+    begin: Initialization,
     layout: Layout,
     measurements: tuple[Any, ...],
     log: Callable[[str], None],
 ) -> NoiseScan:
     """Return the noise scan of a training part, by the filter's measurements alone."""
     aiding = {m.name: rec.aiding[m.name] for m in measurements if m.name in rec.aiding}
-    found = scan_noise(rec._replace(aiding=aiding), datasheet, begin=begin, stop=layout.train)
+    found = scan_noise(rec._replace(aiding=aiding), datasheet, initialization=begin, stop=layout.train)
     for each in found.findings:
         log(f"{rec.name}: {line(each)}")
     return found
 
 
 def measured(leaves: Sequence[str], recs: Sequence[Recording]) -> list[str]:
-    """Return the leaves without those of measurements whose stream no recording has."""
+    """Return the leaves without those of measurements that no recording has."""
     streams = {name for rec in recs for name in rec.aiding}
     lacking = {name for name, row in MEASUREMENTS.items() if row.columns and name not in streams}
     return [leaf for leaf in leaves if not (leaf.startswith("measurements.") and leaf.split(".")[1] in lacking)]
 
 
 def initialized(scan: NoiseScan, used: Used, rec: Recording) -> Params:
-    """Return the datasheet with the scan's noise and the delays that are known before a search, each stream's own.
+    """Return the datasheet with the scan's noise and the delays that are known before a search, per stream.
 
     The fixes' by the scan, else by the alignment at the start; beyond it the velocity's against positions, in the
     training part.
     """
-    params, found = scan.applied(used.datasheet), used.begin.alignment
+    params, found = scan.applied(used.datasheet), used.initialization.alignment
     if not scan.fixes and found is not None and abs(found.delay) > SURE_DELAY * found.sd[9]:
         params = put(params, DELAY, params.mounting.time_offset + found.delay)
     early = {name: Samples(*(a[s.t <= used.layout.train] for a in s)) for name, s in rec.aiding.items()}
@@ -294,7 +295,7 @@ def initialized(scan: NoiseScan, used: Used, rec: Recording) -> Params:
 
 
 def prepare_recordings(
-    recs: Sequence[Recording], filt: Filter, datasheets: Sequence[Params], begins: Sequence[Start],
+    recs: Sequence[Recording], filt: Filter, datasheets: Sequence[Params], begins: Sequence[Initialization],
     cut: Sequence[ep.Packed], layouts: Sequence[Layout], log: Callable[[str], None],
 ) -> list[Used]:  # fmt: skip
     """Return every recording with its epochs grown to one size, so that one program serves them all, and its parts."""
@@ -303,9 +304,9 @@ def prepare_recordings(
     for rec, params, begin, packed, layout in zip(recs, datasheets, begins, cut, layouts, strict=True):
         windows = windows_of(packed, layout, E)
         parts = parts_of(layout, windows)
-        log((f"{rec.name}: " if len(recs) > 1 else "") + in_words_of(layout, parts, packed))
-        epochs = prepare(filt, ep.grown(packed.epochs, E, K) if len(recs) > 1 else packed.epochs)
-        datasheet = begin.given(params)
+        log((f"{rec.name}: " if len(recs) > 1 else "") + describe_parts(layout, parts, packed))
+        epochs = prepare(filt, ep.pad_epochs(packed.epochs, E, K) if len(recs) > 1 else packed.epochs)
+        datasheet = begin.apply_to(params)
         train = jax.tree.map(lambda a, end=int(np.searchsorted(packed.t, layout.train + TICK)): a[:end], epochs)
         nav = most_probable(filt, datasheet, begin.navs, train)
         used.append(Used(rec.name, begin, datasheet, nav, packed, epochs, layout, windows, parts, rec.truth))
@@ -318,16 +319,16 @@ def prepare_recordings(
 def correlation(infos: Sequence[Info], used: Sequence[Used]) -> float:
     """Of the position's normalised innovations from one fix to the next, before the test part; 0 of fewer than 30.
 
-    ``infos`` (P, E, ...) of each recording; a hidden window between two fixes keeps them apart.
+    ``infos`` (P, E, ...) of each recording; pairs across a hidden window do not count.
     """
     product, square, count = 0.0, 0.0, 0
     for info, one in zip(infos, used, strict=True):
         z = np.asarray(info.nu)[..., :3] / np.sqrt(np.diagonal(np.asarray(info.S), axis1=-2, axis2=-1)[..., :3])
-        own = (one.t > one.packed.start + one.layout.settle) & (one.t < one.layout.validation)
+        counts = (one.t > one.packed.start + one.layout.settle) & (one.t < one.layout.validation)
         for valid, row in zip(np.asarray(info.valid)[..., :3], z, strict=True):
-            at = np.flatnonzero(valid.all(1) & own)
-            apart = np.diff(one.t[at])
-            near = apart < 1.5 * np.median(apart) if apart.size else np.zeros(0, bool)
+            at = np.flatnonzero(valid.all(1) & counts)
+            steps = np.diff(one.t[at])
+            near = steps < 1.5 * np.median(steps) if steps.size else np.zeros(0, bool)
             a, b = row[at[:-1]][near], row[at[1:]][near]
             product, square, count = product + (a * b).sum(), square + 0.5 * (a**2 + b**2).sum(), count + near.sum()
     return float(product / square) if count >= 30 else 0.0

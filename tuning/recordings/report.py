@@ -1,4 +1,4 @@
-"""What tuning finds and leaves: the table of its parameters, the verdict, its files."""
+"""Report of tuning: the table of its parameters, the verdict, its files."""
 
 import math
 import tomllib
@@ -54,19 +54,19 @@ class Trial(NamedTuple):
     params: Params
     drift: np.ndarray  # (W,) m, horizontal, at the end of each window; RMS of runs without windows
     ratios: tuple[float, float, float, float]  # RMS, mean log: training and validation together, validation alone
-    nll: float  # of what the validation part shows
+    nll: float  # of the validation part
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """What tuning found, and whether it is any better; prints as a table."""
+    """Result of tuning, and its verdict; prints as a table."""
 
     params: Params  # the winner's, the datasheet's where nothing beats it; with the prior that `tune` was given
     each: list[Params]  # of every recording or scenario
     filter: Filter  # that they are for: the winner may have a state more
     chosen: str  # of `trials`
     verdict: str
-    rows: list[Row]  # of the winner; where that is the datasheet, of what was tuned
+    rows: list[Row]  # of the winner; where that is the datasheet, of the tuned candidate
     trials: dict[str, Trial]
     used: "Sequence[Used | SimulatedRuns]" = field(repr=False)  # the recordings, or the runs of each scenario
     parts: dict[str, np.ndarray]  # masks (W,) of the windows of all of them, one after the other
@@ -75,7 +75,7 @@ class Tuned:
     test: dict[str, dict[str, float]]  # by candidate: rms_m, median_m, max_m
     nis: dict[str, dict[str, float]]  # by candidate: normalised innovations squared by channel, on the test
     spec: Spec
-    findings: list[Finding]  # on the search and on what the data determine
+    findings: list[Finding]  # on the search and on undetermined parameters
     history: list[dict[str, Any]] = field(default_factory=list)
     status: Status = Status.CONVERGED
     effective: float = math.nan  # N of a tempered likelihood
@@ -91,7 +91,13 @@ class Tuned:
         return metrics(self)
 
     def write(self, folder: str | Path, states: Sequence[str] = (), exports: bool = True) -> None:
-        """Write tuned.toml, the same for other software, history.jsonl and metrics.json, see `write`."""
+        """Write tuned.toml, the same for other software, history.jsonl and metrics.json, see `write`.
+
+        Args:
+            folder: an existing folder, or one to make.
+            states: states that the user added to the filter's, for tuned.toml.
+            exports: write the formats of other software.
+        """
         write(self, Path(folder), states, exports)
 
     def __str__(self) -> str:
@@ -107,7 +113,7 @@ def verdict(
     best: str, trials: Mapping[str, Trial], scores: Mapping[str, dict[str, float]], parts: Mapping[str, np.ndarray],
     interval: PairedRatio | None = None,
 ) -> str:  # fmt: skip
-    """Return which candidate won, what it is worth on the test, and how the others did on the validation part."""
+    """Return the winner, its ratio on the test, and the ratios of the others on the validation part."""
     datasheet = trials["datasheet"]
     words = lambda name, t: (
         f"{name} predicts by {datasheet.nll - t.nll:+.2f}, drifts {max(t.ratios[:2]):.2f}, {max(t.ratios[2:]):.2f}"
@@ -129,7 +135,7 @@ def verdict(
 
 
 def text(found: Tuned) -> str:
-    """The table of `Tuned`, for a terminal."""
+    """Return the table of `Tuned`, for a terminal."""
     head = ["parameter", "datasheet", reported_candidate(found.chosen), "95 %", "unit", "prior (1 sd)", ""]
     rows = [
         [r.name, f"{r.datasheet:.4g}", f"{r.value:.4g}", f"{r.low:.3g} to {r.high:.3g}", r.unit, r.prior, r.remark]
@@ -188,30 +194,30 @@ def rows_of(spec: Spec, raw: Mapping[str, jax.Array], cov: Covariance, before: M
     """Return every free number with its 95 % interval.
 
     Args:
-        spec: what is free.
+        spec: the free parameters.
         raw: the unconstrained numbers.
         cov: their covariance.
-        before: those of the datasheet.
+        before: numbers of the datasheet.
     """
-    told = lambda raw: np.asarray(ravel_pytree(values(spec, reported(spec, raw)))[0])
+    numbers = lambda raw: np.asarray(ravel_pytree(values(spec, reported(spec, raw)))[0])
     rows = []
-    for interval, start in zip(intervals(spec, dict(raw), cov), told(dict(before)), strict=True):
+    for interval, start in zip(intervals(spec, dict(raw), cov), numbers(dict(before)), strict=True):
         leaf, _, index = interval.name.partition("[")
         unit = unit_of(leaf)
         factor, text = (1.0, "correlation") if "," in index else (unit.factor, unit.text)
         value, low, high, datasheet = (v / factor for v in (interval.value, interval.low, interval.high, float(start)))
-        prior = prior_in_words(spec[leaf], factor, text)
+        prior = describe_prior(spec[leaf], factor, text)
         rows.append(Row(short(interval.name), value, low, high, datasheet, text, prior, ""))
     return rows
 
 
-def prior_in_words(transform: Transform, unit: float, text: str) -> str:
-    """A prior in words: how far one sd is."""
-    if transform.belief is None:
+def describe_prior(transform: Transform, unit: float, text: str) -> str:
+    """Return a prior in words: how far one sd is."""
+    if transform.prior is None:
         return "none"
     if transform.forward is LOG.forward:
-        return f"within a factor {math.exp(transform.belief.sd):.3g}"
-    return f"within {float(transform.forward(jnp.asarray(transform.belief.sd))) / unit:.3g} {text}".rstrip()
+        return f"within a factor {math.exp(transform.prior.sd):.3g}"
+    return f"within {float(transform.forward(jnp.asarray(transform.prior.sd))) / unit:.3g} {text}".rstrip()
 
 
 def short(label: str) -> str:
@@ -251,8 +257,8 @@ def metrics(found: Tuned) -> dict[str, Any]:
 def write(found: Tuned, folder: Path, states: Sequence[str] = (), exports: bool = True) -> None:
     """Write tuned.toml, the same for other software (``exports``), history.jsonl and metrics.json.
 
-    A recording that has some of its own has a tuned_N.toml beside, N its number. ``states`` that the filter was given
-    beside its own are told in tuned.toml where the winner has one more.
+    A recording with separate parameters gets a tuned_N.toml, N its number. ``states`` that the user added to the
+    filter's are written to tuned.toml where the winner has one more.
     """
     folder.mkdir(parents=True, exist_ok=True)
     about = f"{' and '.join(u.name for u in found.used)}: {found.verdict}"
@@ -261,9 +267,9 @@ def write(found: Tuned, folder: Path, states: Sequence[str] = (), exports: bool 
     stated = lambda each: nested(in_user_units(each, dict.fromkeys([*noise_leaves(each), *found.spec])))
     head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
     atomic_write(folder / "tuned.toml", head + to_toml(params | stated(found.params)))
-    for number, (used, own) in enumerate(zip(found.used[1:], found.each[1:], strict=True), start=2):
-        if any(np.any(np.asarray(get(own, leaf)) != np.asarray(get(found.params, leaf))) for leaf in found.spec):
-            text = f"# jaxnav tune: {used.name}, which has some of its own\n" + to_toml(params | stated(own))
+    for number, (used, each) in enumerate(zip(found.used[1:], found.each[1:], strict=True), start=2):
+        if any(np.any(np.asarray(get(each, leaf)) != np.asarray(get(found.params, leaf))) for leaf in found.spec):
+            text = f"# jaxnav tune: {used.name}, which has separate parameters\n" + to_toml(params | stated(each))
             atomic_write(folder / f"tuned_{number}.toml", text)
     if exports:
         rows = tuple(MEASUREMENTS[name] for name in found.filter.model.measurements)
@@ -274,10 +280,14 @@ def write(found: Tuned, folder: Path, states: Sequence[str] = (), exports: bool 
 
 
 def load(path: str | Path, params: Params) -> Params:
-    """``params`` with what a tuned.toml says of them, such as ``load("out/tuned/tuned.toml", ekf.params("consumer"))``.
+    """Return parameters with the values of a tuned.toml, as ``load("out/tuned/tuned.toml", ekf.params("consumer"))``.
+
+    Args:
+        path: the file.
+        params: parameters of the filter, for all that the file leaves out.
 
     Raises:
-        DataError: no such file, or no TOML. ConfigError: values that cannot be meant.
+        DataError: no such file, or no TOML. ConfigError: unusable values.
     """
     path = Path(path)
     try:

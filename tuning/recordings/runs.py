@@ -1,4 +1,4 @@
-"""Runs that a gradient is taken over, of recordings or simulated, and what is minimised over them, by name."""
+"""Runs of recordings or simulations for gradients, and the objectives over them, by name."""
 
 import importlib
 import os
@@ -42,7 +42,7 @@ class Run(NamedTuple):
     epochs: Epoch  # (E, ...), prepared for the filter
     ends: jax.Array  # (W,) int, last epoch of each window
     scored: jax.Array  # (W,) bool, windows that count here
-    keep: jax.Array  # (E,) bool, epochs whose innovations count
+    keep: jax.Array  # (E,) bool, epochs with innovations that count
     part: jax.Array  # (E,) bool, epochs of this part of the data, hidden or not
     truth: Truth | None = None
 
@@ -113,7 +113,7 @@ def score_of(name: str) -> Score:
         sys.path.append(here)
     try:
         users = getattr(importlib.import_module(module), function)
-    except Exception as error:  # whatever a user's module does when it is imported
+    except Exception as error:  # any error of a user's module at import
         raise ConfigError(f"tune.objective: {name!r} cannot be imported: {type(error).__name__}: {error}") from error
     if not callable(users):
         raise ConfigError(f"tune.objective: {name!r} is no function: {users!r}")
@@ -139,7 +139,7 @@ def loss_of(
     def loss(params: Params, r: Run) -> jax.Array:
         params = merged(params, r.params, free)
         info = run(filt, params, r.nav, r.epochs)
-        if r.truth is not None:  # where navigation was by then, if the clocks are further apart than at the start
+        if r.truth is not None:  # navigation's time at the truth's, if the clocks have drifted since the start
             later = clock_offset(params.mounting, info.nav) - clock_offset(r.params.mounting, info.nav)
             r = r._replace(truth=r.truth._replace(lla=r.truth.lla + later[:, None] * r.truth.rate))
         total = sum((w * score_of(name)(info, r) for name, w in weights if w), jnp.zeros(()))
@@ -153,7 +153,7 @@ def loss_of(
 
 
 class Descent(NamedTuple):
-    """A gradient search: what it minimises, how, and where it keeps its checkpoints."""
+    """A gradient search: its objective, method and checkpoints."""
 
     objective: Mapping[str, float]  # weight by name
     method: str = "adam"  # a row of `tuning.fit.optimizers.OPTIMIZERS`
@@ -180,10 +180,10 @@ def descend(
 
     Args:
         filt: the filter.
-        spec: what is free.
+        spec: the free parameters.
         params: the start.
         train: groups of runs, each with a leading axis.
-        validation: likewise.
+        validation: the same.
         names: of the training runs, of all groups.
         how: objective and search.
         prior_weight: weight of the priors next to an objective per epoch.

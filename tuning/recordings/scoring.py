@@ -1,7 +1,7 @@
-"""The method of scoring: a likelihood's own Newton method, with the information in place of the Hessian.
+"""The method of scoring: Newton's method on a likelihood, with the information in place of the Hessian.
 
 For up to a few tens of parameters one pass of forward derivatives gives likelihood, gradient and information together,
-and ten passes do what hundreds of gradient steps do. Damped as by Levenberg and Marquardt; pure, so that many problems
+and ten passes equal hundreds of gradient steps. Damped as by Levenberg and Marquardt; pure, so that many problems
 run side by side under vmap.
 """
 
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.filters.compiler import make_room
+from jaxnav.filters.compiler import clear_caches_if_needed
 from tuning.fit.status import Status
 from tuning.uncertainty import Information
 
@@ -27,17 +27,17 @@ class Search(NamedTuple):
     raw: jax.Array  # (P,) the best so far
     best: Information  # there
     damping: jax.Array  # ()
-    trial: jax.Array  # (P,) what to evaluate next
+    trial: jax.Array  # (P,) the next point to evaluate
     expected: jax.Array  # () decrease of the negative log-likelihood that the trial promises
     steps: jax.Array  # () accepted
     interrupted: jax.Array | bool = False  # by Ctrl-C, with the best so far
 
 
 def propose(raw: jax.Array, info: Information, damping: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The next trial (P,) and the decrease that it promises.
+    """Return the next trial (P,) and the decrease that it promises.
 
-    A step that is too long is cut number by number, so that one that the data do not tell holds up no other, or as a
-    whole, where that promises more: what is left of numbers that only make sense together may lead uphill.
+    A step that is too long is cut number by number, so that an undetermined one holds up no other, or as a
+    whole, where that promises more: the rest of numbers that only make sense together may lead uphill.
     """
     F = info.fisher
     A = F + damping * jnp.diag(jnp.diag(F)) + RIDGE * jnp.eye(raw.size)
@@ -50,7 +50,7 @@ def propose(raw: jax.Array, info: Information, damping: jax.Array) -> tuple[jax.
 
 
 def begin(raw: jax.Array, info: Information) -> Search:
-    """A search from ``raw``, whose information is known."""
+    """Return a search from ``raw`` with its information."""
     damping = jnp.full((), 1e-2)
     trial, expected = propose(raw, info, damping)
     return Search(raw, info, damping, trial, expected, jnp.zeros((), int))
@@ -88,12 +88,12 @@ def maximise(
     """Search until the promised gain in log-likelihood is below ``tolerance``, or ``most`` evaluations are spent.
 
     ``raw`` is (P,), or (N, P) for N problems that ``inform`` evaluates together; then all go on until all are done.
-    Ctrl-C ends the search with what it has.
+    Ctrl-C ends the search with the best so far.
 
     Raises:
         ValueError: the likelihood of the start is not finite.
     """
-    make_room()
+    clear_caches_if_needed()
     many = raw.ndim == 2
     start, step = (jax.vmap(begin), jax.vmap(advance)) if many else (begin, advance)
     start, step = jax.jit(start), jax.jit(step)

@@ -20,7 +20,7 @@ MOST, TOLERANCE = 25, 0.02  # evaluations of one search; gain in J that is worth
 
 
 class Checkpoints(NamedTuple):
-    """Where searches keep what they have, and whether they go on from there."""
+    """Folder of the searches' checkpoints, and whether they resume from there."""
 
     folder: Path
     resume: bool = False

@@ -1,8 +1,8 @@
-"""Other people's filters as targets: noise tuned with what they measure and estimate, and told in their words.
+"""Other filters as targets: noise tuned with their measurements and states, and written in their format.
 
 Noise that was tuned with our measurements does not carry over to a filter that has others. A target says which of the
 receiver's measurements the other filter takes, which states it has and which shape its processes have, so that
-`tuning.tune` runs a filter like it; then it writes what was found.
+`tuning.tune` runs a filter like it; then it writes the result.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxnav.filters.run import track
-from jaxnav.initialization.start import Start
+from jaxnav.initialization.initialize import Initialization
 from jaxnav.io import atomic_write
 from jaxnav.io.formats.kfgins import write_kfgins_gnss, write_kfgins_imu
 from jaxnav.io.gps_time import WEEK
@@ -24,13 +24,13 @@ from tuning.recordings import export
 class Target(NamedTuple):
     """Another filter."""
 
-    about: str  # what it is like, in words
+    about: str  # a similar filter, in words
     filter: str  # of the catalogue, like it
     measurements: tuple[str, ...]  # of the receiver's, those that it takes
-    states: tuple[str, ...]  # that it has besides the filter's own
-    free: tuple[str, ...]  # what of it is worth tuning
+    states: tuple[str, ...]  # in addition to the filter's
+    free: tuple[str, ...]  # parameters to tune
     shaped: Callable[[Params], Params]  # a datasheet with its processes
-    write: Callable[[Path, Recording, Params, Start], None]  # what was found, into a folder
+    write: Callable[[Path, Recording, Params, Initialization], None]  # the result, into a folder
     file: str  # the one to begin with
 
 
@@ -54,18 +54,18 @@ def _one_time(params: Params) -> Params:
     return params._replace(states=states)
 
 
-def _export(name: str) -> Callable[[Path, Recording, Params, Start], None]:
-    """A writer of one file of `tuning.recordings.export.EXPORTS`."""
+def _export(name: str) -> Callable[[Path, Recording, Params, Initialization], None]:
+    """Return a writer of one file of `tuning.recordings.export.EXPORTS`."""
 
-    def write(folder: Path, rec: Recording, params: Params, begin: Start) -> None:
+    def write(folder: Path, rec: Recording, params: Params, begin: Initialization) -> None:
         stated = export.stated_sd({stream: samples.sd for stream, samples in rec.aiding.items()})
         export.write_export(folder, name, f"jaxnav tune --for: {rec.name}", params, stated)
 
     return write
 
 
-def write_kfgins(folder: Path, rec: Recording, params: Params, begin: Start) -> None:
-    """A job that KF-GINS runs as it is, from within the folder: ``KF-GINS kf-gins.yaml``, with samples and fixes.
+def write_kfgins(folder: Path, rec: Recording, params: Params, begin: Initialization) -> None:
+    """Write a job for KF-GINS, run from within the folder: ``KF-GINS kf-gins.yaml``, with samples and fixes.
 
     It knows no delay and no clock: the fixes' times are moved to the IMU's clock, their sd scaled.
 
@@ -86,16 +86,16 @@ def write_kfgins(folder: Path, rec: Recording, params: Params, begin: Start) -> 
     atomic_write(folder / "kf-gins.yaml", kfgins_config(rec, params, begin))
 
 
-def delay_of(params: Params, begin: Start, t: np.ndarray) -> np.ndarray:
+def delay_of(params: Params, begin: Initialization, t: np.ndarray) -> np.ndarray:
     """How late the fixes that are stamped ``t`` (K,) s are by the IMU's clock, (K,) s."""
     origin = float(np.ravel(begin.navs.origin.t)[0])
     late = float(params.mounting.time_offset) + float(params.measurements["position"].latency)
     return late + float(params.mounting.clock_drift) * (t - origin)
 
 
-def kfgins_config(rec: Recording, params: Params, begin: Start) -> str:
+def kfgins_config(rec: Recording, params: Params, begin: Initialization) -> str:
     """Return the text of a kf-gins.yaml for files in the same folder: mean and sd of the initialization ``begin``."""
-    first, params = track(begin.navs), begin.given(params)
+    first, params = track(begin.navs), begin.apply_to(params)
     week = np.floor(rec.imu.t[0] / WEEK) * WEEK
     row = lambda values: f"[{', '.join(f'{v:.12g}' for v in np.ravel(values))}]"
     ned = lambda values: row(export.axes_of(values)[[1, 0, 2]])
@@ -152,4 +152,4 @@ TARGETS: dict[str, Target] = {
         _export("tuned_robot_localization.yaml"), "tuned_robot_localization.yaml",
     ),
 }  # fmt: skip
-"""What `tune --for` takes: a new one is a row."""
+"""Targets of `tune --for`: a new one is a row."""

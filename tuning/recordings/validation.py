@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-FAILED = 1e6  # m: what a run that failed counts as
+FAILED = 1e6  # m: error of a failed run
 
 
 class PairedGain(NamedTuple):
@@ -23,8 +23,8 @@ def paired_gain(
 ) -> PairedGain:
     """Ratio of RMS errors of the same windows or runs (W,) before and after, with a block-bootstrap interval.
 
-    ``blocks`` (W,) names what is drawn together: windows that overlap in time are not independent, so resampling them
-    one by one would make the interval too narrow. None draws each on its own.
+    ``blocks`` (W,) names the windows that are drawn together: windows that overlap in time are not independent, so
+    resampling them one by one would make the interval too narrow. None draws each alone.
 
     Raises:
         ValueError: shapes differ, fewer than two blocks, or an error that is not finite.
@@ -62,7 +62,7 @@ def block_ratio(before: np.ndarray, after: np.ndarray, blocks: np.ndarray, level
 
     Args:
         before: (W,) errors; inf where a run failed.
-        after: (W,) of the same windows, likewise.
+        after: (W,) of the same windows.
         blocks: (W,) which windows are one.
         level: of the interval; of one block it is (0, inf).
     """

@@ -47,7 +47,7 @@ def _panel(ax: "Axes", tau: np.ndarray, deviation: np.ndarray, edf: np.ndarray) 
 
 
 def _lines(ax: "Axes", tau: np.ndarray, found: ReadOff, si: float) -> None:
-    """The asymptotes, thick where they were read off."""
+    """Draw the asymptotes, thick where they were read off."""
     shapes = (
         ("N / √τ", found.N, lambda v, t: v / np.sqrt(t), VERMILION, "--"),
         ("0.664 B", found.B, lambda v, t: FLAT * v * np.ones_like(t), GREEN, ":"),

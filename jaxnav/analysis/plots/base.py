@@ -1,4 +1,4 @@
-"""Figures of one run: trajectory, errors and sensor biases; and what all figures share.
+"""Figures of one run: trajectory, errors and sensor biases; and the common style of all figures.
 
 Host numpy arrays in, a `matplotlib.figure.Figure` out, written by `save`; no pyplot, so no display and no global
 state. Angles and biases are drawn in deg, deg/h (or deg/s) and mg, errors in the order north, east, down. Every figure
@@ -31,7 +31,7 @@ COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 
 
 def figure(width: float, height: float) -> "Figure":
-    """An empty figure in inches, laid out so that no label is clipped."""
+    """Return an empty figure in inches, laid out so that no label is clipped."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
@@ -57,13 +57,13 @@ def save(fig: "Figure", path: str | os.PathLike[str]) -> Path:
 
 
 def name(fig: "Figure", text: str) -> None:
-    """Say above a figure what it is of."""
+    """Write the subject of a figure above it."""
     more = fig.get_suptitle()
     fig.suptitle(f"{text}: {more}" if more else text, x=0.01, ha="left", fontsize=8, color="0.35")
 
 
 def dress(ax: "Axes", title: str = "", xlabel: str = "", ylabel: str = "") -> None:
-    """The common look of a panel."""
+    """Give a panel the common look."""
     ax.set_title(title, fontsize=9)
     ax.set_xlabel(xlabel, fontsize=9)
     ax.set_ylabel(ylabel, fontsize=9)
@@ -98,9 +98,9 @@ def legend(fig: "Figure", columns: int = 6) -> None:
     columns = min(columns, len(entries))
     look: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "fontsize": 8.5, "frameon": False}
     box = fig.legend(list(entries.values()), list(entries), **look)
-    for drawn in box.legend_handles:
-        if drawn is not None and getattr(drawn, "get_marker", str)() == ".":
-            drawn.set(markersize=8, alpha=1.0)  # dots are too small to tell their colour
+    for draw_state in box.legend_handles:
+        if draw_state is not None and getattr(draw_state, "get_marker", str)() == ".":
+            draw_state.set(markersize=8, alpha=1.0)  # the colour of small dots is hard to see
 
 
 def time_axis(ax: "Axes", t: Array, outages: Outages) -> None:
@@ -150,7 +150,7 @@ def times(t: Array) -> Array:
 
 
 def table(name: str, values: Array, shape: tuple[int, ...]) -> Array:
-    """The values as floats, or the reason why their shape is wrong."""
+    """Return the values as floats; raise the reason why their shape is wrong."""
     out = np.asarray(values, float)
     if out.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {out.shape}")
@@ -164,7 +164,7 @@ def remark(ax: "Axes", text: str) -> None:
 
 
 def percent(inside: Array) -> str:
-    """The share of true values, "98.7 %"."""
+    """Return the share of true values, "98.7 %"."""
     return f"{100.0 * np.mean(inside):.1f} %"
 
 

@@ -1,4 +1,4 @@
-"""One picture of what a recording holds: streams in time, speed, turns, height, specific force."""
+"""One picture of the contents of a recording: streams in time, speed, turns, height, specific force."""
 
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ MOST = 20_000  # points of a line
 def overview(rec: Recording) -> "Figure":
     """Five panels over time; `jaxnav check` writes it."""
     fig = figure(11, 9.5)
-    fig.suptitle(f"{rec.name}: what was read, against itself", fontsize=11)
+    fig.suptitle(f"{rec.name}: the recording against itself", fontsize=11)
     axes = fig.subplots(5, 1, sharex=True, height_ratios=[1, 1.3, 1.3, 1.3, 1.3])
     for draw, ax in zip((_streams, _speed, _turns, _height, _force), axes, strict=True):
         draw(ax, rec)

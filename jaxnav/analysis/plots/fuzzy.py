@@ -24,7 +24,7 @@ def memberships(
     labels: Sequence[Sequence[str]],
     before: fuzzy.System | None = None,
 ) -> "Figure":
-    """The sets of each input over its span; ``labels`` name the sets. Those of ``before`` are drawn in dashes."""
+    """Draw the sets of each input over its span; ``labels`` name the sets. The sets of ``before`` are dashed."""
     shape = np.shape(table)
     fig = figure(3.6 * len(shape), 2.9)
     for i, ax in enumerate(fig.subplots(1, len(shape), squeeze=False)[0]):
@@ -53,7 +53,7 @@ def surface(
     points: int = 81,
     labels: Sequence[str] | None = None,
 ) -> "Figure":
-    """The answer of a system of two inputs over their spans, with the centres of its rules and their consequents.
+    """Draw the answer of a system of two inputs over their spans, with the centres and consequents of its rules.
 
     ``labels`` name the consequents, by default their numbers.
     """

@@ -112,8 +112,8 @@ def _errors(sol: "Trace", truth: "Track", shared: Any, outages: Outages) -> list
               ("Attitude error, 3 sd dotted", "deg", ("roll", "pitch", "heading")))  # fmt: skip
     out = []
     for k, (title, unit, names) in enumerate(groups):
-        own = slice(3 * k, 3 * k + 3)
-        out.append(_lines(_axes(title, unit, shared, outages), sol.track.t, error[:, own], names, 3 * sd[:, own]))
+        axes = slice(3 * k, 3 * k + 3)
+        out.append(_lines(_axes(title, unit, shared, outages), sol.track.t, error[:, axes], names, 3 * sd[:, axes]))
     return out
 
 
@@ -135,15 +135,15 @@ def _innovations(sol: "Trace", measurements: tuple[Any, ...], shared: Any, outag
     info, t = sol.info, sol.track.t
     z = np.asarray(info.nu) / np.sqrt(np.diagonal(np.asarray(info.S), axis1=1, axis2=2))
     out = []
-    for m, own in zip(measurements, layout(measurements).values(), strict=True):
+    for m, channels in zip(measurements, layout(measurements).values(), strict=True):
         fig = _axes(
             f"Innovations of {m.name.replace('_', ' ')}, in their sd; refused ones are crosses", "", shared, outages
         )
-        for i in range(own.start, own.stop):
+        for i in range(channels.start, channels.stop):
             valid, used = np.asarray(info.valid)[:, i], np.asarray(info.used)[:, i]
             good, gone = np.flatnonzero(valid & used), np.flatnonzero(valid & ~used)
             thin = good[_thin(good.size)]
-            k = i - own.start
+            k = i - channels.start
             fig.scatter(t[thin], z[thin, i], size=3, color=COLORS[k % len(COLORS)], legend_label=m.channels[k])
             if gone.size:
                 fig.scatter(t[gone], z[gone, i], size=6, marker="x", color="black", legend_label="refused")

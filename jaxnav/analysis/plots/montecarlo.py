@@ -21,7 +21,7 @@ UNIT = np.array([1.0, 1.0, 1.0, 180 / np.pi, 180 / np.pi])
 
 
 def figures(found: Mapping[str, MonteCarlo], outages: Outages = ()) -> "dict[str, Figure]":
-    """The figures of these runs (one candidate each), by name of file."""
+    """Draw the figures of these runs (one candidate each), by name of file."""
     return {
         "mc_errors": errors(found, outages),
         "mc_consistency": consistency(found, outages),
@@ -76,15 +76,15 @@ def consistency(found: Mapping[str, MonteCarlo], outages: Outages = ()) -> "Figu
 def spread(found: Mapping[str, MonteCarlo]) -> "Figure":
     """Histograms over the runs that did not diverge of their horizontal and vertical RMS."""
     fig = figure(9.0, 3.6)
-    for ax, what in zip(fig.subplots(1, 2), ("horizontal", "vertical")):
-        values = {name: getattr(one.scores, what)[one.scores.ok] for name, one in found.items()}
+    for ax, axis in zip(fig.subplots(1, 2), ("horizontal", "vertical")):
+        values = {name: getattr(one.scores, axis)[one.scores.ok] for name, one in found.items()}
         every = np.concatenate(list(values.values()))
         every = every[every > 0]
         low, high = (every.min(), every.max()) if every.size else (1.0, 2.0)
         edges = np.geomspace(low / 1.02, high * 1.02, 1 + int(np.clip(2 * np.sqrt(every.size / len(values)), 5, 40)))
         for i, (name, some) in enumerate(values.items()):
             ax.hist(some, edges, histtype="step", linewidth=1.4, label=f"{name} ({some.size} runs)", **_style(i))
-        dress(ax, xlabel=f"{what.capitalize()} RMS of a run (m)", ylabel="Runs")
+        dress(ax, xlabel=f"{axis.capitalize()} RMS of a run (m)", ylabel="Runs")
         _log(ax, "x", edges, 1.0)
     legend(fig)
     return fig

@@ -40,7 +40,7 @@ DASHES = ("-", "--", "-.", ":")  # for more methods than colours, and for grey p
 
 
 def _known(name: str, errors: Mapping[str, Array]) -> dict[str, Array]:
-    """The finite values of each curve, or an error that names a curve without any."""
+    """Return the finite values of each curve; raise an error that names a curve without any."""
     known = {k: np.asarray(v, float).ravel() for k, v in errors.items()}
     known = {k: v[np.isfinite(v)] for k, v in known.items()}
     empty = [k for k, v in known.items() if not v.size]
@@ -78,7 +78,7 @@ def _metres(value: Any) -> str:
 
 
 def _steps(ax: "Axes", values: Array, label: str, style: dict[str, Any]) -> None:
-    """The share of values at or below x, in percent."""
+    """Return the share of values at or below x, in percent."""
     x = np.sort(values)
     share = 100.0 * np.arange(x.size + 1) / x.size
     ax.plot(np.concatenate([x[:1], x]), share, drawstyle="steps-post", linewidth=1.4, label=label, **style)
@@ -175,11 +175,11 @@ def _bounds(ax: "Axes", t: Array, lo: Array, hi: Array) -> None:
 def outage_drift(
     drift: Mapping[str, Array],
     labels: Mapping[str, str] | None = None,
-    what: tuple[str, str] = ("windows", "Horizontal error at the end of the outage (m)"),
+    labelled: tuple[str, str] = ("windows", "Horizontal error at the end of the outage (m)"),
 ) -> "Figure":
     """Horizontal errors (W,) m at the end of each outage window, by method; ``labels`` renames methods.
 
-    ``what``: of something else than windows their name, and that of the error.
+    ``labelled``: names of the samples and of their error.
 
     Left the share of windows below x. Right, of two methods, one point a window (they must come in the same order);
     otherwise a box for each method.
@@ -188,27 +188,27 @@ def outage_drift(
     labels = {k: (labels or {}).get(k, k) for k in known}
     fig = figure(10.0, 4.8)
     left, right = fig.subplots(1, 2, width_ratios=(1.2, 1.0))
-    dress(left, "", what[1], f"Share of {what[0]} below (%)")
+    dress(left, "", labelled[1], f"Share of {labelled[0]} below (%)")
     for i, (name, v) in enumerate(known.items()):
-        summary = f"RMS {_metres(np.sqrt(np.mean(v**2)))}, median {_metres(np.median(v))}, {v.size} {what[0]}"
+        summary = f"RMS {_metres(np.sqrt(np.mean(v**2)))}, median {_metres(np.median(v))}, {v.size} {labelled[0]}"
         _steps(left, v, f"{labels[name]}: {summary}", _style(i))
     left.set_ylim(0.0, 102.0)
     if not _log(left, "x", np.concatenate(list(known.values())), 10.0):
         left.set_xlim(left=0.0)
     if len(known) == 2:
-        _paired(right, [np.asarray(drift[k], float) for k in known], list(labels.values()), what[0])
+        _paired(right, [np.asarray(drift[k], float) for k in known], list(labels.values()), labelled[0])
     else:
         _boxes(right, list(known.values()), list(labels.values()))
     legend(fig, 1 if len(known) < 4 else 2)
     return fig
 
 
-def _paired(ax: "Axes", pair: Sequence[Array], names: Sequence[str], what: str) -> None:
+def _paired(ax: "Axes", pair: Sequence[Array], names: Sequence[str], samples: str) -> None:
     before, after = pair
     if before.shape != after.shape:
-        raise ValueError(f"drift of two methods must be over the same {what}, got {before.shape} and {after.shape}")
+        raise ValueError(f"drift of two methods must be over the same {samples}, got {before.shape} and {after.shape}")
     both = np.isfinite(before) & np.isfinite(after)
-    title = f"{names[1]} is smaller in {int((after < before)[both].sum())} of {int(both.sum())} {what}"
+    title = f"{names[1]} is smaller in {int((after < before)[both].sum())} of {int(both.sum())} {samples}"
     dress(ax, title, f"{names[0]} (m)", f"{names[1]} (m)")
     ax.set_aspect("equal")
     ax.plot(before[both], after[both], "o", color=BLUE, alpha=0.6, markersize=5, markeredgewidth=0)
@@ -287,7 +287,7 @@ def tuning(history: Sequence[Mapping[str, Any]], truth: Mapping[str, Any] | None
 
 
 def _components(value: Any) -> Array:
-    """A parameter's numbers; of a lower triangular root those that are not always zero, row by row."""
+    """Return a parameter's numbers; of a lower triangular root those that are not always zero, row by row."""
     value = np.asarray(value, float)
     root = value.ndim == 2 and value.shape[0] == value.shape[1] and not np.triu(value, 1).any()
     return value[np.tril_indices(len(value))] if root else value.ravel()

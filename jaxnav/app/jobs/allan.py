@@ -19,7 +19,7 @@ from jaxnav.checkup.findings import finding
 from jaxnav.checkup.inertial import resolution
 from jaxnav.filters.border import NAMES, nested
 from jaxnav.filters.gaps import TICK
-from jaxnav.filters.standstill import driving, stationary
+from jaxnav.filters.standstill import is_driving, stationary
 from jaxnav.io import atomic_write
 from jaxnav.io.json import write_json
 from jaxnav.io.toml import to_toml
@@ -36,11 +36,11 @@ KINDS = {
              "K_deg_per_hour_per_sqrt_s": DEG_PER_HOUR, "gauss_markov_sd_deg_per_hour": DEG_PER_HOUR}),
     "accel": ("µg", UG, {"N_ug_per_sqrt_hz": UG, "B_ug": UG, "K_ug_per_sqrt_s": UG, "gauss_markov_sd_ug": UG}),
 }  # fmt: skip
-"""Sensor -> unit of the curve, its size in SI, and what is read off with the size of its unit."""
+"""Sensor -> unit of the curve, its size in SI, and the quantities read off with the size of their unit."""
 
 
 def allan(config: Config, folder: Path) -> Outcome:
-    """Allan deviation of the recording between data.start and data.stop, and what it shows.
+    """Compute the Allan deviation of the recording between data.start and data.stop, and the noise that it shows.
 
     Raises:
         DataError: too few samples, or a gap.
@@ -76,7 +76,7 @@ def allan(config: Config, folder: Path) -> Outcome:
 
 
 def span(imu: ImuLog, start: float | None, stop: float | None) -> ImuLog:
-    """The samples that lie between two times.
+    """Return the samples between two times.
 
     Raises:
         DataError: fewer than `SHORTEST`.
@@ -93,7 +93,7 @@ def span(imu: ImuLog, start: float | None, stop: float | None) -> ImuLog:
 
 
 def standing(config: Config, imu: ImuLog, velocity: Samples | None = None) -> dict[str, Any]:
-    """The share of time at rest by the detector of [filter], and by the receiver if there; the longest rest (s)."""
+    """Return the share of time at rest by the detector of [filter] and by the receiver, and the longest rest (s)."""
     f = config.filter
     window = f.standing_window_s
     t = np.arange(imu.t[0] - imu.dt[0] + window, imu.t[-1] + TICK, window)
@@ -101,7 +101,7 @@ def standing(config: Config, imu: ImuLog, velocity: Samples | None = None) -> di
         return {}
     rest = stationary(imu, t, window, f.standing_accel_sd_mps2, f.standing_gyro_sd_deg_per_s * DEG)
     if velocity is not None:
-        rest &= ~driving(velocity, t - window / 2) & ~driving(velocity, t)
+        rest &= ~is_driving(velocity, t - window / 2) & ~is_driving(velocity, t)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], rest.astype(int), [0]]))).reshape(-1, 2)
     if not edges.size:
         return {"share_at_rest": 0.0, "longest_rest_s": None}
@@ -110,7 +110,7 @@ def standing(config: Config, imu: ImuLog, velocity: Samples | None = None) -> di
 
 
 def in_units(kind: str, found: ReadOff) -> dict[str, float | None]:
-    """What was read off, in the units of its names; None where the data do not show it."""
+    """Return the quantities read off, in the units of their names; None where the data do not show one."""
     hump = found.gauss_markov
     lines = [None if line is None else line.value for line in found[:3]]
     values = [*lines, None if hump is None else hump.sd]
@@ -121,8 +121,8 @@ def in_units(kind: str, found: ReadOff) -> dict[str, float | None]:
 def grade(read: dict[str, tuple[Allan, list[ReadOff]]]) -> dict[str, Any]:
     """Return settings of the noise that shows at rest, with [tune] prior: one sd as a factor.
 
-    White noise by axis; what drives a bias from its random walk, else from its Gauss-Markov hump. The prior is the
-    figure's own uncertainty, by the degrees of freedom of the curve where it was read, and `MOTION`.
+    White noise by axis; the driving noise of a bias by its random walk, else by its Gauss-Markov hump. The prior is the
+    figure's uncertainty, by the degrees of freedom of the curve where it was read, and `MOTION`.
     """
     params: dict[str, Any] = {}
     prior: dict[str, float] = {}
@@ -146,7 +146,7 @@ def _white(axis: ReadOff) -> tuple[float, float] | None:
 
 
 def _driven(axis: ReadOff) -> tuple[float, float] | None:
-    """Root PSD of what drives the bias."""
+    """Return the root PSD of the bias's driving noise."""
     if axis.K is not None:
         return axis.K.value, math.sqrt(axis.K.start * axis.K.stop)
     hump = axis.gauss_markov
@@ -154,12 +154,12 @@ def _driven(axis: ReadOff) -> tuple[float, float] | None:
 
 
 def as_table(curve: Allan, unit: str, si: float) -> dict[str, Any]:
-    """The curve for JSON."""
+    """Return the curve for JSON."""
     return {"unit": unit, "tau_s": curve.tau, "deviation": (curve.deviation / si).T, "edf": curve.edf}
 
 
 def summary(found: dict[str, Any], rows: dict[str, list[dict[str, float | None]]]) -> str:
-    """The tables for the terminal."""
+    """Return the tables for the terminal."""
     lines = [f"{found['name']}: {found['start_s']:.1f} to {found['stop_s']:.1f} s at {found['rate_hz']:.4g} Hz"]
     if found.get("share_at_rest", 1.0) < 1.0:
         rest = found["longest_rest_s"]

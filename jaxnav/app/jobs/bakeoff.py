@@ -16,7 +16,7 @@ from tuning.fit import distributed
 
 
 def bakeoff(config: Config, folder: Path, progress: bool = False, devices: int = 1) -> Outcome:
-    """Tune and rank the filters of [filter] name, on the scenarios of [data] source and those of [bakeoff] unseen.
+    """Tune and rank the filters of [filter] name, on the scenarios of [data] source and of [bakeoff] unseen.
 
     Raises:
         ConfigError: a filter or scenario that is not known, or one that does not fit.
@@ -34,7 +34,7 @@ def bakeoff(config: Config, folder: Path, progress: bool = False, devices: int =
 
 
 def plan_of(config: Config) -> Plan:
-    """The plan that a configuration states.
+    """Return the plan that a configuration states.
 
     Raises:
         ConfigError: see `bakeoff`.

@@ -15,7 +15,7 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import checkup as plots_checkup
 from jaxnav.app.config import Config, Data, resolve
 from jaxnav.app.jobs.filtering import describe, describe_text
-from jaxnav.app.prepare import base_params, filter_of, grade_of, measurements_of, standing_of, start_of
+from jaxnav.app.prepare import base_params, filter_of, grade_of, initialization_of, measurements_of, standing_of
 from jaxnav.app.results import Outcome, picture
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
@@ -26,7 +26,7 @@ from jaxnav.io.read import read
 from jaxnav.io.toml import inline
 from jaxnav.types import ConfigError, DataError, Finding, Recording
 
-MOST, WINDOW = 2000, 30.0  # epochs, and s at a time, in which it is asked what the motion shows of the states
+MOST, WINDOW = 2000, 30.0  # epochs in all, and length s of a window, of the observability analysis
 
 
 def check(config: Config, folder: Path) -> Outcome:
@@ -52,16 +52,16 @@ def check(config: Config, folder: Path) -> Outcome:
         with picture("the recording"):
             plots.save(plots_checkup.overview(rec), folder / "check.png")
     wrong = sum(f.warns for f in found)
-    return Outcome(about | {"wrong": wrong}, in_words(rec, wrong), seconds, findings=found)
+    return Outcome(about | {"wrong": wrong}, in_words(rec), seconds, findings=found, verdict="no faults found")
 
 
 def shown(file: Path, rec: Recording) -> list[Finding]:
-    """Return what the motion observes of the states that a configuration has."""
+    """Return observability findings of the states in a configuration."""
     try:
         config = resolve([(str(file), tomllib.loads(file.read_text(encoding="utf-8")))])
         params = base_params(config, grade_of(config, None), rec.lever_arm)
-        begin, measurements = start_of(config, rec, params), measurements_of(config)
-        params = begin.given(params)
+        begin, measurements = initialization_of(config, rec, params), measurements_of(config)
+        params = begin.apply_to(params)
         packed = pack_recording(rec, measurements, begin.t, stop=config.data.stop, standing=standing_of(config))
         history = history_for(params, 1 / float(np.median(rec.imu.dt)), np.ptp(rec.imu.t))
         filt = filter_of(config, measurements, history)
@@ -90,12 +90,9 @@ def convert(config: Config, folder: Path) -> Outcome:
     return Outcome({"recording": about}, text, {"convert": time.perf_counter() - begin})
 
 
-def in_words(rec: Recording, wrong: int) -> str:
-    """Return what a recording holds, and how many findings warn."""
-    verdict = (
-        f"{wrong} of what was checked {'looks' if wrong == 1 else 'look'} wrong" if wrong else "nothing looks wrong"
-    )
-    lines = [describe_text(describe(rec)), "", verdict]
+def in_words(rec: Recording) -> str:
+    """Return a table of a recording's streams, and the notes of its reader."""
+    lines = [describe_text(describe(rec)), ""]
     if "position" not in rec.aiding:
         lines.append("there are no positions, so that no filter can be run on it")
     return "\n".join([*lines, *(f"  {note}" for note in rec.notes.splitlines())])
@@ -111,7 +108,7 @@ def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
     lines = [
         "# jaxnav filter --config config.toml",
         "[data]",
-        f'source = "{whole(data.source)}"  # what was checked',
+        f'source = "{whole(data.source)}"  # the checked recording',
         *([f"options = {inline(options)}"] if options else []),
         "[filter]",
         'name = "ekf15"  # errors of position, velocity, attitude and both biases; `jaxnav info` lists the others',
@@ -140,13 +137,13 @@ def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
         for f in (f for f in found if f.code.startswith("standstill.")):
             lines.append(f"# {f.setting.split('.')[1]} = {f.value:.3g}  # {f.message}")
     if states:
-        lines.append(f"states = {json.dumps(states)}  # what these read too much")
-    lines += ["[start]", 'heading = "motion"  # found by alignment; or "course", "unknown", degrees']
+        lines.append(f"states = {json.dumps(states)}  # estimated biases")
+    lines += ["[initialization]", 'heading = "motion"  # found by alignment; or "course", "unknown", degrees']
     return "\n".join([*lines, *_timing(found)]) + "\n"
 
 
 def _timing(found: list[Finding]) -> list[str]:
-    """Return settings of the clocks: what is early is the IMU's clock, what is late is the stream's."""
+    """Return settings of the clocks: an early stream is the IMU's clock, a late one the stream's latency."""
     by = {f.code: f for f in found if f.value is not None}
     delay = by.get("time.late", by.get("time.delay"))
     tables: dict[str, list[str]] = {"mounting": [], "measurements.position": [], "measurements.velocity": []}

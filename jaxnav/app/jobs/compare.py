@@ -17,12 +17,12 @@ from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 
-LEFT_OUT = ("per_window", "per_run", "low", "high", "correlation", "samples", "p95")  # what would bury the rest
-DRAWN = ("horizontal_m", "height_m", "heading_deg")  # differences over time
+LEFT_OUT = ("per_window", "per_run", "low", "high", "correlation", "samples", "p95")  # too many for a table
+DRAWN = {"horizontal_m": "distance, m", "height_m": "height difference, m", "heading_deg": "heading, deg"}  # over time
 
 
 class Run(NamedTuple):
-    """A finished run, as its folder tells it."""
+    """A finished run, read from its folder."""
 
     name: str
     about: dict[str, Any]  # run.json
@@ -32,7 +32,7 @@ class Run(NamedTuple):
 
 
 def load(folder: str | Path) -> Run:
-    """A run by its folder.
+    """Return a run by its folder.
 
     Raises:
         DataError: it holds no run of jaxnav, or one that cannot be read.
@@ -53,7 +53,7 @@ def load(folder: str | Path) -> Run:
 
 
 def show(folder: str) -> Outcome:
-    """What a finished run said, and what it was made with."""
+    """Return the text of a finished run, and its configuration and versions."""
     run = load(folder)
     about = run.about
     made = ", ".join(f"{k} {v}" for k, v in about.get("versions", {}).items())
@@ -63,7 +63,7 @@ def show(folder: str) -> Outcome:
 
 
 def compare(folders: Sequence[str], out: Path, figures: bool = True) -> Outcome:
-    """Runs side by side: figures that differ, settings that differ, tracks over one another.
+    """Compare runs: figures that differ, settings that differ, tracks over one another.
 
     Raises:
         DataError: runs of different verbs.
@@ -125,7 +125,7 @@ def _ratio(values: Sequence[Any]) -> float:
 
 
 def difference_from(first: Run, other: Run) -> dict[str, np.ndarray] | None:
-    """The other's solution from the first's, at the times that the first has of both; None where they share none."""
+    """Return the second solution minus the first, at the first's times that both have; None for no common times."""
     if not first.t.size or not other.t.size:
         return None
     both = (first.t >= other.t[0]) & (first.t <= other.t[-1])
@@ -141,7 +141,7 @@ def difference_from(first: Run, other: Run) -> dict[str, np.ndarray] | None:
 
 
 def draw(runs: Sequence[Run], names: Sequence[str], differences: Sequence[dict[str, np.ndarray] | None]) -> Any:
-    """The tracks over one another, and how far each is from the first."""
+    """Draw the tracks over one another, and the distance of each from the first."""
     fig = plots.figure(9.5, 9.5)
     parts: Any = fig.subfigures(2, 1, height_ratios=[1.2, 1.0])
     top, bottom = parts
@@ -155,7 +155,7 @@ def draw(runs: Sequence[Run], names: Sequence[str], differences: Sequence[dict[s
     ax.set_aspect("equal", adjustable="datalim")
     ax.legend(fontsize=8)
     for ax, key in zip(plots.panels(bottom, len(DRAWN), 1, "t (s)"), DRAWN, strict=True):
-        ax.set_ylabel(key.replace("_", ", ").replace("horizontal", "apart").replace("height", "above"), fontsize=8)
+        ax.set_ylabel(DRAWN[key], fontsize=8)
         for i, difference in enumerate(differences):
             if difference is not None:
                 ax.plot(difference["t"], difference[key], color=plots.COLORS[(i + 1) % 7], lw=1, label=names[i + 1])

@@ -19,9 +19,9 @@ from jaxnav.app.prepare import (
     filter_of,
     grade_name,
     grade_of,
+    initialization_of,
     measurements_of,
     standing_of,
-    start_of,
     states_noise,
     with_noise,
 )
@@ -54,7 +54,7 @@ def simulate(config: Config, folder: Path) -> Outcome:
 
 
 def describe(rec: Any) -> dict[str, Any]:
-    """What a recording holds."""
+    """Return the streams of a recording."""
     streams = {"imu": rec.imu.t, **{name: s.t for name, s in rec.aiding.items()}}
     if rec.truth is not None:
         streams["truth"] = rec.truth.t
@@ -85,14 +85,14 @@ def filter(config: Config, folder: Path) -> Outcome:
     seconds, begin, f = {}, time.perf_counter(), config.filter
     rec, scenario = load(config), scenario_of(config)
     filt = filter_of(config, measurements_of(config))
-    if (f.smooth or f.lag_s) and not filt.smooths:
+    if (f.smooth or f.lag_s) and not filt.supports_smoothing:
         raise ConfigError(f"filter.smooth: {f.name}: its rule corrects by more than the covariance says")
     params = base_params(config, grade_of(config, scenario), rec.lever_arm)
     seconds["read"], begin = time.perf_counter() - begin, time.perf_counter()
     sol = navigate(
         rec, filt, params, scan=grade_name(config, scenario) == AUTO and not states_noise(config),
-        begin=partial(start_of, config), stop=config.data.stop, outages=f.outages, interval=f.interval_s,
-        standing=standing_of(config), smooth=f.smooth, lag=f.lag_s,
+        initialization=partial(initialization_of, config), stop=config.data.stop, outages=f.outages,
+        interval=f.interval_s, standing=standing_of(config), smooth=f.smooth, lag=f.lag_s,
     )  # fmt: skip
     seconds["filter"], begin = time.perf_counter() - begin, time.perf_counter()
     found = sol.metrics() | {"grade": grade_name(config, scenario)}
@@ -109,7 +109,10 @@ def filter(config: Config, folder: Path) -> Outcome:
         interactive.run_layout, sol.trace, rec.truth, sol.fixes, sol.measurements, sol.gaps(), filt.model.states
     )
     ran = with_noise(config, sol.params, filt.model.measurements) if sol.noise is not None else config
-    return Outcome(found, summary(found, f.name, rec.name), seconds, "", layout, ran, findings=sol.findings)
+    verdict = f"consistent: NIS/dof {found['nis_per_dof']:.2f}" if np.isfinite(found["nis_per_dof"]) else ""
+    return Outcome(
+        found, summary(found, f.name, rec.name), seconds, "", layout, ran, findings=sol.findings, verdict=verdict
+    )
 
 
 def titled(config: Config, sol: Solution) -> str:
@@ -142,5 +145,5 @@ def summary(found: dict[str, Any], name: str, run: str) -> str:
         lines.append(
             f"outage {outage['start_s']:g} to {outage['end_s']:g} s: {outage['horizontal_m']:.2f} m at its end"
         )
-    lines += [found["start"], *found["notes"]]
+    lines += [found["initialization"], *found["notes"]]
     return "\n".join(lines)

@@ -46,20 +46,20 @@ def info(clear: bool = False) -> Outcome:
 
 
 def programs(clear: bool = False) -> str:
-    """What is kept of compiled programs, in a sentence; removed if asked for."""
+    """Describe the cache of compiled programs, in a sentence; clear it on request."""
     home = cache_home()
     if home is None:
         return f"no compiled programs are kept: {CACHE} is empty"
-    own = [path for path in home.glob("jaxlib-*") if path.is_dir()]  # what else lies there is not ours
-    files = [path for folder in own for path in folder.rglob("*") if path.is_file()]
+    folders = [path for path in home.glob("jaxlib-*") if path.is_dir()]  # other files there are not from jaxnav
+    files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
     held = f"{len(files)} files, {sum(path.stat().st_size for path in files) / 2**20:.1f} MiB, in {home}"
-    for folder in own if clear else ():
+    for folder in folders if clear else ():
         shutil.rmtree(folder, ignore_errors=True)
     return f"compiled programs{' removed' if clear else ''}: {held}"
 
 
 def where() -> dict[str, str | None]:
-    """The folder of each data set, None where it is not here."""
+    """Return the folder of each data set, None where it is not here."""
     found: dict[str, str | None] = {}
     for name in io.DATASETS:
         try:

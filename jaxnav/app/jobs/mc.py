@@ -29,17 +29,17 @@ from jaxnav.simulate.simulation import matched_params, sizes
 from jaxnav.types import ConfigError, FilterError, Finding, nearest
 from tuning.fit import checkpoint, distributed
 
-EVERY = 30.0  # s between two times that what is finished is kept
+EVERY = 30.0  # s between two checkpoints
 LEAF: Any = 0
-SHAPE = montecarlo.Begun(
+SHAPE = montecarlo.Progress(
     LEAF, LEAF, montecarlo.Scores(*[LEAF] * len(montecarlo.Scores._fields)), montecarlo.Sums(*[LEAF] * 8)
-)  # the structure of what is kept
+)  # the structure of a checkpoint
 
 
 def mc(config: Config, folder: Path, progress: bool = False, long: Long | None = None) -> Outcome:
     """Run every filter of [filter] name over the same simulated runs; table, metrics, figures.
 
-    What is finished is kept now and then where ``long`` says so, and a resumed job goes on from there, bit for bit.
+    With ``long``, finished runs are checkpointed now and then, and a resumed job continues from there, bit for bit.
 
     The filters know the scenario's datasheet, prior and installation; parameters of the configuration go first.
 
@@ -87,7 +87,7 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
 
 
 def kept(config: Config, name: str, long: Long) -> dict[str, Any]:
-    """Where a filter's runs begin, and what keeps those that are finished.
+    """Return the checkpoint of a filter's runs to resume from, and the function that writes it.
 
     Raises:
         CheckpointError: nothing usable to resume from.
@@ -95,23 +95,23 @@ def kept(config: Config, name: str, long: Long) -> dict[str, Any]:
     if long.keep is None:
         return {}
     path, job, written = long.keep / f"mc_{name}.npz", f"{name} {identity(config)}", [time.monotonic()]
-    begun = None
+    finished = None
     if long.resume and path.exists():
         leaves = checkpoint.load(path, None, job).tree
-        begun = jax.tree.unflatten(jax.tree.structure(SHAPE), leaves)
-        begun = begun._replace(done=int(begun.done))
+        finished = jax.tree.unflatten(jax.tree.structure(SHAPE), leaves)
+        finished = finished._replace(done=int(finished.done))
 
-    def keep(now: montecarlo.Begun) -> None:
+    def keep(now: montecarlo.Progress) -> None:
         if time.monotonic() > written[0] + EVERY or now.done >= config.mc.runs:
             if distributed.writes():
                 checkpoint.save(path, now, {}, job)
             written[0] = time.monotonic()
 
-    return {"begun": begun, "keep": keep}
+    return {"resume": finished, "keep": keep}
 
 
 def scenario_to_run(config: Config) -> Scenario:
-    """The scenario that [data] names, fit to be simulated.
+    """Return the scenario that [data] names, fit to be simulated.
 
     Raises:
         ConfigError: there is none, or one that does not fit together.
@@ -132,7 +132,7 @@ def scenario_to_run(config: Config) -> Scenario:
 
 
 def as_specified(config: Config, scenario: Scenario) -> Scenario:
-    """The scenario as the filters know it: with the grade of [filter], if one is named."""
+    """Return the scenario as the filters know it: with the grade of [filter], if one is named."""
     if not config.filter.grade:
         return scenario
     pre.grade_of(config, scenario)
@@ -140,7 +140,7 @@ def as_specified(config: Config, scenario: Scenario) -> Scenario:
 
 
 def _each(config: Config) -> list[Config]:
-    """The configuration with each of the filters, which [filter] name separates by commas."""
+    """Return the configuration with each of the filters, which [filter] name separates by commas."""
     names = [name.strip() for name in config.filter.name.split(",")]
     each = [dataclasses.replace(config, filter=dataclasses.replace(config.filter, name=name)) for name in names]
     for one in each:

@@ -1,4 +1,4 @@
-"""`jaxnav stream`: the solution as the data comes, from standard input or from a recording played at its own pace."""
+"""`jaxnav stream`: the solution as data arrive, from standard input or from a recording in real time."""
 
 import sys
 import time
@@ -11,7 +11,7 @@ from jaxnav.app import prepare
 from jaxnav.app.config import Config
 from jaxnav.app.results import Outcome, stderr
 from jaxnav.app.sources import load, scenario_of
-from jaxnav.initialization.start import Start
+from jaxnav.initialization.initialize import Initialization
 from jaxnav.io.solution import COLUMNS, SD_COLUMNS, row_of
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import MEASUREMENTS
@@ -19,7 +19,7 @@ from jaxnav.stream import Now, Stream
 from jaxnav.types import DataError, ImuLog, Params, Recording, Samples
 
 AGAIN = 1.0  # s of data between two tries to start
-REMEMBERED = 120.0  # s of what came that a start may use
+REMEMBERED = 120.0  # s of data that initialization may use
 SURE, PATIENT = 10.0 * DEG, 60.0  # sd of a heading that is good enough, and s after which another is taken, too
 
 
@@ -32,14 +32,14 @@ class Event(NamedTuple):
 
 
 class Waiting:
-    """What came before navigation could start."""
+    """Data before navigation has started."""
 
     def __init__(self, config: Config, lever_arm: np.ndarray):
         self.config, self.lever_arm, self.tried, self.count = config, lever_arm, -np.inf, 0
         self.events: list[Event] = []  # of the last `REMEMBERED` seconds
 
-    def add(self, event: Event) -> Start | None:
-        """The start, once what came tells it with one heading."""
+    def add(self, event: Event) -> Initialization | None:
+        """Return the initialization, once the data give it with one heading."""
         self.events.append(event)
         self.count += 1
         if event.name == "imu" or event.t < self.tried + AGAIN:
@@ -48,7 +48,7 @@ class Waiting:
         self.events = [each for each in self.events if each.t > event.t - REMEMBERED]
         rec = self.recording()
         try:
-            begin = prepare.start_of(self.config, rec, params_of(self.config, rec)) if rec else None
+            begin = prepare.initialization_of(self.config, rec, params_of(self.config, rec)) if rec else None
         except DataError:  # too little so far
             return None
         if begin is None or begin.navs.t.shape[0] != 1:
@@ -57,7 +57,7 @@ class Waiting:
         return begin if sure else None
 
     def recording(self) -> Recording | None:
-        """What came, as a recording; None where that is nothing."""
+        """Return the data as a recording; None where there are none."""
         imu = np.array([(e.t, *e.values) for e in self.events if e.name == "imu"])
         aiding = {}
         for name in dict.fromkeys(e.name for e in self.events if e.name != "imu"):
@@ -72,7 +72,7 @@ class Waiting:
 
 
 def params_of(config: Config, rec: Recording) -> Params:
-    """The filter's parameters by the configuration."""
+    """Return the filter's parameters by the configuration."""
     return prepare.base_params(config, prepare.grade_of(config, scenario_of(config)), rec.lever_arm)
 
 
@@ -81,7 +81,7 @@ def stream(
 ) -> Outcome:
     """Write a row of the solution every so many seconds of data: of [data] source, or of ``lines`` where there are any.
 
-    ``speed``: of a recording against its own time; 0 is as fast as it goes.
+    ``speed``: of a recording, as a multiple of real time; 0 is as fast as possible.
 
     Raises:
         DataError: data that cannot be used; ends without a start.
@@ -125,8 +125,8 @@ def stream(
     return Outcome(result, "\n".join(text), {"stream": time.perf_counter() - begin})
 
 
-def started(config: Config, waiting: Waiting, begin: Start) -> Stream:
-    """The stream from the start on, with what came after it."""
+def started(config: Config, waiting: Waiting, begin: Initialization) -> Stream:
+    """Return the stream from the start on, with the data after it."""
     rec = waiting.recording()
     assert rec is not None
     measurements = prepare.measurements_of(config)
@@ -142,7 +142,7 @@ def started(config: Config, waiting: Waiting, begin: Start) -> Stream:
 
 
 def feed(live: Stream, event: Event) -> None:
-    """One event into the stream; what its filter does not take is counted."""
+    """Put one event into the stream; events that its filter does not use are counted."""
     if event.name == "imu":
         live.push_imu(event.t, event.values[:3], event.values[3:])
     elif event.name in live.slices:
@@ -153,7 +153,7 @@ def feed(live: Stream, event: Event) -> None:
 
 
 def played(rec: Recording) -> list[Event]:
-    """A recording's samples and fixes in the order of their times."""
+    """Return a recording's samples and fixes in the order of their times."""
     imu = rec.imu
     events = [Event(float(t), "imu", (*g, *a)) for t, g, a in zip(imu.t, imu.gyro.tolist(), imu.accel.tolist())]
     for name, s in rec.aiding.items():
@@ -189,5 +189,5 @@ def parsed(lines: IO[str], bad: list[str]) -> Iterator[Event]:
 
 
 def line(now: Now) -> str:
-    """A row of the solution."""
+    """Return a row of the solution."""
     return ",".join(map(repr, row_of(now.t, now.lla, now.vel, now.rph, now.sd)))

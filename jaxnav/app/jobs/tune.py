@@ -12,12 +12,12 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.app.config import Config, Tune, for_source
 from jaxnav.app.long import Long, identity
-from jaxnav.app.prepare import base_params, filter_of, grade_of, measurements_of, standing_of, start_of
+from jaxnav.app.prepare import base_params, filter_of, grade_of, initialization_of, measurements_of, standing_of
 from jaxnav.app.results import Outcome, picture, stderr
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.filters.border import name_of, unit_of, user_value
 from jaxnav.filters.core import Filter
-from jaxnav.initialization.start import Start
+from jaxnav.initialization.initialize import Initialization
 from jaxnav.measurements import GNSS
 from jaxnav.navigation import navigate
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
@@ -35,18 +35,18 @@ from tuning.recordings.search import Checkpoints
 from tuning.recordings.targets import TARGETS, Target
 
 METHODS = ("auto", "tempered", "scoring", *OPTIMIZERS)
-RUNS = ("runs", "Horizontal error of a run, RMS (m)")  # what a figure of errors shows where no window is hidden
+RUNS = ("runs", "Horizontal error of a run, RMS (m)")  # labels of a figure of errors where no window is hidden
 FREE_RECORDED = ("noise", "fixes", "timing")
 FREE_SIMULATED = ("noise", "timing", "rule")
 
 
 class Result(NamedTuple):
-    """What tuning found, and what goes with it."""
+    """Result of tuning, and its context."""
 
     found: Tuned
     lines: list[str]  # after the table
     recording: Recording | None = None  # the first one
-    start: Start | None = None  # of it
+    initialization: Initialization | None = None  # of it
     target: Target | None = None
 
 
@@ -68,8 +68,8 @@ def tune(config: Config, folder: Path, progress: bool = False, long: Long | None
     found, seconds = result.found, {"tune": time.perf_counter() - begin}
     begin = time.perf_counter()
     found.write(folder, config.filter.states, exports=result.target is None)
-    if result.target and result.recording and result.start:
-        result.target.write(folder, result.recording, found.params, result.start)
+    if result.target and result.recording and result.initialization:
+        result.target.write(folder, result.recording, found.params, result.initialization)
     if config.out.figures:
         draw(folder, result)
     seconds["write"] = time.perf_counter() - begin
@@ -119,7 +119,7 @@ def descent_of(config: Config, long: Long, progress: bool) -> Descent:
 
 
 class Free(NamedTuple):
-    """What [tune] frees."""
+    """The leaves that [tune] frees."""
 
     leaves: list[str]
     per_recording: list[str]  # leaves with one value for each recording
@@ -127,7 +127,7 @@ class Free(NamedTuple):
 
 
 def free_of(config: Config, filt: Filter, params: Params, usual: tuple[str, ...]) -> Free:
-    """Return what [tune] frees: leaves of names, less the frozen ones.
+    """Return the free leaves of [tune]: leaves of names, less the frozen ones.
 
     Raises:
         ConfigError: a name that is not known, nothing left, or a prior that is none.
@@ -146,8 +146,8 @@ def free_of(config: Config, filt: Filter, params: Params, usual: tuple[str, ...]
         for leaf in found:
             positive = transform_of(leaf).forward is LOG.forward
             if not sd > (1.0 if positive else 0.0):
-                what = "a factor above 1" if positive else "above 0"
-                raise ConfigError(f"tune.prior.{key}: one sd must be {what}, got {sd:g}")
+                limit = "a factor above 1" if positive else "above 0"
+                raise ConfigError(f"tune.prior.{key}: one sd must be {limit}, got {sd:g}")
             prior_sd[leaf] = sd if positive else sd * unit_of(leaf).factor
     return Free(leaves, which("per_recording", t.per_recording), prior_sd)
 
@@ -177,16 +177,16 @@ def on_recordings(config: Config, long: Long, progress: bool, log: Callable[[str
     chosen = tuple(m for m in measurements if not m.columns or m.name in everywhere or m.name == "velocity")
     filt = filter_of(config, chosen)
     free = free_of(config, filt, datasheets[0], target.free if target else FREE_RECORDED)
-    begins = [start_of(*each) for each in zip(configs, recs, datasheets, strict=True)]
+    begins = [initialization_of(*each) for each in zip(configs, recs, datasheets, strict=True)]
     found = tune_recordings(
         recs, filt, datasheets, free=free.leaves, per_recording=free.per_recording, prior_sd=free.prior_sd,
-        begin=begins, stop=config.data.stop, window=t.outage_s or None, priors=t.priors != "none",
+        initialization=begins, stop=config.data.stop, window=t.outage_s or None, priors=t.priors != "none",
         extend=target is None, standing=standing_of(config),
         how=descent_of(config, long, progress) if gradient else None, checkpoints=checkpoints, log=log,
     )  # fmt: skip
     lines = [f"for {t.target} ({target.about}): {target.file}"] if target else []
     for rec, used in zip(recs, found.used, strict=True):
-        notes = [used.facts["start"], *rec.notes.splitlines()]
+        notes = [used.facts["initialization"], *rec.notes.splitlines()]
         lines += notes if len(recs) == 1 else [f"{rec.name}: {line}" for line in notes]
     return Result(found, lines, recs[0], begins[0], target)
 
@@ -197,11 +197,11 @@ def for_target(config: Config, target: Target) -> Config:
     Raises:
         ConfigError: settings that are the target's to say.
     """
-    plain, own = Config(), config.filter
+    plain, chosen = Config(), config.filter
     for key, value in (("name", target.filter), ("states", target.states)):
-        if getattr(own, key) not in (getattr(plain.filter, key), value):
-            raise ConfigError(f"filter.{key}: tune.target says what filter it is: {target.about}")
-    return dataclasses.replace(config, filter=dataclasses.replace(own, name=target.filter, states=target.states))
+        if getattr(chosen, key) not in (getattr(plain.filter, key), value):
+            raise ConfigError(f"filter.{key}: tune.target sets it: {target.about}")
+    return dataclasses.replace(config, filter=dataclasses.replace(chosen, name=target.filter, states=target.states))
 
 
 # ---------------------------------------------------------------------------- simulated
@@ -227,22 +227,22 @@ def on_scenarios(config: Config, long: Long, progress: bool, log: Callable[[str]
 
 
 def require_plain(config: Config, scenario: Scenario) -> None:
-    """Raise ConfigError for what only a recording can be tuned with."""
+    """Raise ConfigError for settings that need a recording."""
     if measurements_of(config) != GNSS:
         raise ConfigError("filter: constraints are tuned on recordings: simulate one, and tune with --data FOLDER")
-    if config.start.heading == "unknown":
-        raise ConfigError('start.heading = "unknown" cannot be tuned: give degrees, "course" or "truth"')
+    if config.initialization.heading == "unknown":
+        raise ConfigError('initialization.heading = "unknown" cannot be tuned: give degrees, "course" or "truth"')
     if scenario.sensors or scenario.sensor_states:
         raise ConfigError("data.options.sensors: tuned on recordings: simulate one, and tune with --data FOLDER")
-    start, own = config.start, scenario.start
-    if own.prior_tilt_sd_deg > start.tilt_sd_deg or own.prior_heading_sd_deg > start.heading_sd_deg:
-        raise ConfigError("start: tilt_sd_deg and heading_sd_deg must not be below the scenario's own")
+    start, simulated = config.initialization, scenario.start
+    if simulated.prior_tilt_sd_deg > start.tilt_sd_deg or simulated.prior_heading_sd_deg > start.heading_sd_deg:
+        raise ConfigError("initialization: tilt_sd_deg and heading_sd_deg must not be below the scenario's")
 
 
 def simulated_params(config: Config, scenario: Scenario) -> Params:
     """Return the parameters that a scenario's filter starts from."""
-    start, own = config.start, scenario.start
-    sd = start.position_sd_m or own.prior_position_sd_m, start.velocity_sd_mps or own.prior_velocity_sd_mps
+    start, simulated = config.initialization, scenario.start
+    sd = start.position_sd_m or simulated.prior_position_sd_m, start.velocity_sd_mps or simulated.prior_velocity_sd_mps
     return base_params(config, grade_of(config, scenario), np.array(scenario.gnss.lever_arm_m), *sd)
 
 
@@ -256,15 +256,15 @@ def draw(folder: Path, result: Result) -> None:
     with picture("outage_drift"):
         drift = {name: found.trials[name].drift[test] for name in names}
         hidden = found.used[0].windows_hidden
-        fig = plots_stats.outage_drift(drift) if hidden else plots_stats.outage_drift(drift, what=RUNS)
+        fig = plots_stats.outage_drift(drift) if hidden else plots_stats.outage_drift(drift, labelled=RUNS)
         plots.save(fig, folder / ("outage_drift.png" if hidden else "run_error.png"))
     history = [row for row in user_history(found.history) if "params" in row]
     if history:
         with picture("the search"):
             true = {name_of(leaf): user_value(leaf, value) for leaf, value in found.used[0].known.items()}
             plots.save(plots_stats.tuning(history, true), folder / "tuning.png")
-    if result.recording is not None and result.start is not None:
+    if result.recording is not None and result.initialization is not None:
         with picture("the run"):
-            sol = navigate(result.recording, found.filter, found.params, begin=result.start)
+            sol = navigate(result.recording, found.filter, found.params, initialization=result.initialization)
             for name, fig in sol.plot().items():
                 plots.save(fig, folder / f"{name}.png")

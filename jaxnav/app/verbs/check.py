@@ -17,11 +17,11 @@ def run(job: Job) -> "Outcome":
 
 
 def unused(config: Config, simulated: bool) -> dict[str, str]:
-    """Settings without effect where a recording is read whole."""
+    """Return settings without effect where a recording is read whole."""
     return no_effect("the whole recording is read", "data.start", "data.stop")
 
 
 VERB = Verb(
-    "check", "check a recording against itself: what looks wrong, and a configuration that runs it", run, (PATH,),
+    "check", "find faults of data, units, axes and clocks; write a configuration that runs the recording", run, (PATH,),
     sections=("data", "out"), unused=unused,
 )  # fmt: skip

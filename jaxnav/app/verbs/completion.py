@@ -1,4 +1,4 @@
-"""`jaxnav completion SHELL`: what a shell completes by the tab key."""
+"""`jaxnav completion SHELL`: completion of arguments by the tab key."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ FOLDERS = ("out",)
 
 
 def run(job: Job) -> "Outcome":
-    """The script."""
+    """Return the script."""
     from jaxnav.app.cli import make_parser
     from jaxnav.app.results import Outcome
 
@@ -23,7 +23,7 @@ def run(job: Job) -> "Outcome":
 
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
-    """The script that a shell sources to complete verbs, options, filters, scenarios and files.
+    """Return the script that a shell sources to complete verbs, options, filters, scenarios and files.
 
     Raises:
         DataError: shtab, which writes it, is not installed.
@@ -50,6 +50,6 @@ def _verbs(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser
 
 
 VERB = Verb(
-    "completion", "what a shell completes by the tab key, as a script for it", run,
-    (Argument("shell", "whose script it is", more={"choices": SHELLS}),), writes=lambda args: False, needs_jax=False,
+    "completion", "print a script that completes arguments by the tab key", run,
+    (Argument("shell", "name of the shell", more={"choices": SHELLS}),), writes=lambda args: False, needs_jax=False,
 )  # fmt: skip

@@ -17,7 +17,7 @@ def run(job: Job) -> "Outcome":
 
 
 VERB = Verb(
-    "config", "print every setting with its default and what it is, as a configuration to fill in", run,
+    "config", "print every setting with its default and description, as a configuration to fill in", run,
     (Argument("--markdown", "as a page of the docs"),),
     writes=lambda args: False, needs_jax=False,
 )  # fmt: skip

@@ -21,7 +21,7 @@ def run(job: Job) -> "Outcome":
 VERB = Verb(
     "data", "list, fetch or check public data sets", run,
     (
-        Argument("action", "what to do", more={"choices": ("list", "fetch", "check")}),
+        Argument("action", "list, fetch or check", more={"choices": ("list", "fetch", "check")}),
         Argument("name", "of the data set; check also takes a path", more={"nargs": "?"}),
     ),
     writes=lambda args: False,

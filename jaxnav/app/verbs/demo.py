@@ -10,7 +10,7 @@ DEFAULTS: dict[str, Any] = {
     "filter": {"cov_stride": 10},
     "tune": {"steps": 24, "rate": 0.25, "runs": 6, "validation_runs": 8, "test_runs": 12, "free": ["noise", "latency"]},
 }
-"""An IMU three times noisier than its datasheet, and fixes 0.1 s late, of which the parameters state nothing."""
+"""An IMU three times noisier than its datasheet, and fixes 0.1 s late; the parameters state neither."""
 
 VERB = Verb(
     "demo", "simulate, tune by gradient and draw the figures: no data, no network, two minutes the first time", run,

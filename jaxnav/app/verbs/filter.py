@@ -10,7 +10,7 @@ from jaxnav.filters.border import TABLES
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
 
-# ten minutes at usual rates: recordings of similar ones share its programs (`jaxnav.filters.epochs.of_shared_size`)
+# ten minutes at usual rates: recordings of similar ones share its programs (`jaxnav.filters.epochs.pad_to_bucket`)
 WARM: dict[str, Any] = {"data": {"source": "urban", "options": {"duration_s": 600.0, "imu_rate_hz": 100.0}}}
 
 
@@ -23,16 +23,16 @@ def run(job: Job) -> "Outcome":
 
 
 def defaults(args: argparse.Namespace) -> dict[str, Any]:
-    """What is compiled where nothing is named."""
+    """Return the recording to compile for where none is named."""
     return WARM if args.warm and not (args.data or args.config) else {}
 
 
 def unused(config: Config, simulated: bool) -> dict[str, str]:
-    """Settings without effect where the motion shows the start."""
-    if config.start.heading != "motion":
+    """Return settings without effect where the motion shows the start."""
+    if config.initialization.heading != "motion":
         return {}
-    found = ("start.course_speed_mps", "start.tilt_sd_deg", "start.heading_sd_deg")
-    return no_effect('start.heading = "motion" finds it by itself', *found)
+    found = ("initialization.course_speed_mps", "initialization.tilt_sd_deg", "initialization.heading_sd_deg")
+    return no_effect('initialization.heading = "motion" finds it by itself', *found)
 
 
 VERB = Verb(
@@ -44,9 +44,9 @@ VERB = Verb(
         FILTER,
         PARAMS,
         Argument("--smooth", "by all fixes, those after it too ([filter] smooth)", "filter.smooth"),
-        Argument("--lag", "by those of the next S seconds ([filter] lag_s)", "filter.lag_s", value="S", type=float),
+        Argument("--lag", "by the fixes of the next S seconds ([filter] lag_s)", "filter.lag_s", value="S", type=float),
         Argument("--warm", "compile for recordings like this one and write nothing: before a demo"),
     ),
-    sections=("data", "filter", "start", *TABLES, "out"), writes=lambda args: not args.warm, report=True,
+    sections=("data", "filter", "initialization", *TABLES, "out"), writes=lambda args: not args.warm, report=True,
     defaults=defaults, unused=unused,
 )  # fmt: skip

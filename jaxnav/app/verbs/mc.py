@@ -3,7 +3,7 @@
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
-from jaxnav.app.config import Config, Start
+from jaxnav.app.config import Config, Initialization
 from jaxnav.app.verb import DATA, DEVICES, FILTER, PARAMS, RESUME, Argument, Job, Verb, no_effect
 from jaxnav.filters.border import TABLES
 
@@ -19,12 +19,14 @@ def run(job: Job) -> "Outcome":
 
 
 def unused(config: Config, simulated: bool) -> dict[str, str]:
-    """Settings without effect where scenarios are run whole and hide fixes by themselves."""
+    """Return settings without effect where scenarios are run whole and hide fixes by themselves."""
     return {
         **no_effect("scenarios hide fixes by themselves", "filter.outages"),
         **no_effect("is of jaxnav filter", "filter.smooth", "filter.lag_s"),
         **no_effect("a simulated run is used whole", "data.start", "data.stop"),
-        **no_effect("filters start as the scenario says", *(f"start.{field.name}" for field in fields(Start))),
+        **no_effect(
+            "filters start as the scenario says", *(f"initialization.{f.name}" for f in fields(Initialization))
+        ),
     }
 
 

@@ -20,12 +20,12 @@ def run(job: Job) -> "Outcome":
 
 
 VERB = Verb(
-    "stream", "the solution as data comes: from standard input, or from a recording at its own pace", run,
+    "stream", "the solution as data arrive: from standard input, or from a recording in real time", run,
     (
         DATA,
         FILTER,
         PARAMS,
-        Argument("--speed", "of a recording, times its own (0: all)", value="X", type=float, more={"default": 0.0}),
+        Argument("--speed", "multiple of real time (0: no wait)", value="X", type=float, more={"default": 0.0}),
         Argument("--every", "s of data between rows", value="S", type=float, more={"default": 1.0}),
     ),
     writes=lambda args: False,

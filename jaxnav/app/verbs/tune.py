@@ -10,7 +10,7 @@ from jaxnav.filters.border import TABLES
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
 
-SECTIONS = ("data", "filter", "start", *TABLES, "tune", "out")
+SECTIONS = ("data", "filter", "initialization", *TABLES, "tune", "out")
 
 
 def run(job: Job) -> "Outcome":
@@ -21,7 +21,7 @@ def run(job: Job) -> "Outcome":
 
 
 def unused(config: Config, simulated: bool) -> dict[str, str]:
-    """Settings without effect where fixes are hidden by the tuner, and by the method."""
+    """Return settings without effect where fixes are hidden by the tuner, and by the method."""
     found = no_effect("tuning hides fixes by itself", "filter.outages")
     found |= no_effect("is of jaxnav filter", "filter.smooth", "filter.lag_s")
     if simulated:
@@ -31,7 +31,7 @@ def unused(config: Config, simulated: bool) -> dict[str, str]:
         found |= filter.unused(config, simulated)
         found |= no_effect("is of simulated runs", "tune.runs", "tune.validation_runs", "tune.test_runs")
     if config.tune.method in ("lbfgs", "scoring"):
-        found |= no_effect(f"{config.tune.method} finds its own steps", "tune.rate")
+        found |= no_effect(f"{config.tune.method} chooses its steps", "tune.rate")
     return found
 
 

@@ -3,19 +3,19 @@
     S = H P- H' + R / a^2,    K = P- H' S^-1,    P+ = (I - K H) P- (I - K H)' + K R K' / a^2     (24, 27)
     P-(k+1) = a^2 Phi P+ Phi' + Q                                                               (26)
 
-with a from the residuals of the last n fixes, of which x1 is large if their mean is (a bias), x2 if their size is:
+with a from the residuals of the last n fixes: x1 is large if their mean is (a bias), x2 if their size is:
 
     x1^2 = mean over channels of rbar_i^2 / Phat_ii,    x2 = log10(1 + mean over channels of Phat_ii / Pr_ii)
 
 rbar and Phat are the means of r and r r' over the same window (31, 32), of at most n fixes and of the fixes there are
 while it fills; Pr = H P- H' + R (28). The paper prints n + 1 terms in eq. 31, and takes mean and covariance as they
-are, in metres: divided by the sample's own covariance, x1 lies between 0 and 1 and is 1 / sqrt(n) for white residuals.
-A filter that is told the truth has x2 = log10(2).
+are, in metres: divided by the sample covariance, x1 is between 0 and 1 and is 1 / sqrt(n) for white residuals.
+A filter with the true noise has x2 = log10(2).
 
 The printed weights R a^(-2(k+1)), Q a^(-2(k+1)) (eqs. 21, 22) are the same filter as long as a is constant, see
 `fwekf_literal`.
 
-Fading lets the covariance of what no fix observes grow by a^2 each time, without end: heading at rest. It ends where a
+Fading lets the covariance of an unobserved state grow by a^2 each time, without end: heading at rest. It ends where a
 standard deviation reaches `Fwekf.limit`: 1 + (a^2 - 1) (1 - P_ii / limit_i^2)^2 multiplies state i instead of a^2, and
 1 beyond, so that with a <= 2 fading by itself takes no standard deviation past its limit. It is the same for a < 1: a
 filter's answer then has no kink where its weight crosses 1.
@@ -86,12 +86,12 @@ def fwekf_params(low: float = 1.0, high: float = 1.2, limit: Limits | None = Non
 
 
 def window(n: int, m: int) -> Window:
-    """An empty window of n fixes."""
+    """Return an empty window of n fixes."""
     return Window(jnp.zeros((n, m)), jnp.zeros((n, m), bool))
 
 
 def push(past: Window, z: Innovation) -> Window:
-    """The window with a fix at its end; the oldest leaves it."""
+    """Return the window with a fix at its end; the oldest leaves it."""
     return Window(*(jnp.concatenate([a[1:], b[None]]) for a, b in zip(past, (z.nu, z.valid), strict=True)))
 
 
@@ -115,7 +115,7 @@ def inputs(past: Window, z: Innovation) -> jax.Array:
 def printed_inputs(past: Window, z: Innovation) -> jax.Array:
     """Eqs. 31 and 32 as printed, (2,): root mean square over the channels of the mean, and mean of the mean squares.
 
-    In metres and metres per second as they come; ``past`` has n + 1 residuals, all of which eq. 31 adds up and divides
+    In metres and metres per second as they come; ``past`` has n + 1 residuals: eq. 31 adds up all of them and divides
     by n.
     """
     residual = jnp.where(past.valid, past.residual, 0.0)
@@ -137,7 +137,7 @@ def fading(limit: Limits, a: jax.Array, P: jax.Array) -> jax.Array:
 
 
 def weighted(z: Innovation, R: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Kalman update with ``R`` (m, m) in place of the fix's own: delta (n,), P (n, n)."""
+    """Kalman update with ``R`` (m, m) in place of the fix's R: delta (n,), P (n, n)."""
     K, P = linalg.update(z.P, z.H, R)
     return K @ z.nu, P
 
@@ -149,7 +149,7 @@ def fwekf(
     conjunction: fuzzy.Conjunction = fuzzy.product,
     seen: Callable[[Window, Innovation], jax.Array] = inputs,
 ) -> Rule:
-    """The rule with a window of ``n`` fixes and any table of two inputs, which ``seen`` makes of the window.
+    """Return the rule with a window of ``n`` fixes and any table of two inputs, which ``seen`` computes.
 
     The paper's Figure 9 rises for 5 s: 50 fixes at 10 Hz. Its text has "max/min used for or/and", its eq. 30 a product.
     """
@@ -161,7 +161,7 @@ def fwekf(
         delta, P = weighted(z, z.R / a**2)
         return Correction(delta, P, memory, z.valid, fading(theta.limit, a, P))
 
-    return Rule(lambda _, m: window(rows, m), correct, smooths=True)
+    return Rule(lambda _, m: window(rows, m), correct, supports_smoothing=True)
 
 
 class Literal(NamedTuple):
@@ -169,14 +169,14 @@ class Literal(NamedTuple):
 
     past: Window
     k: jax.Array  # () fixes so far
-    scale: jax.Array  # () what the carried covariance has been multiplied by
+    scale: jax.Array  # () product of the factors on the carried covariance
 
 
 @cache
 def fwekf_literal(n: int = 50, table: Any = TABLE, conjunction: fuzzy.Conjunction = fuzzy.product) -> Rule:
-    """The weights as printed, R a^(-2(k+1)) and Q a^(-2(k+1)), for comparison with `fwekf`.
+    """Return the weights as printed, R a^(-2(k+1)) and Q a^(-2(k+1)), for comparison with `fwekf`.
 
-    Its covariance shrinks by a^-2 a fix, and is reported so; what is carried on is multiplied back, so that the model's
+    Its covariance shrinks by a^-2 a fix, and is reported so; the carried one is multiplied back, so that the model's
     Q may be added to it. With a constant a, and no limit in force, the gains are those of `fwekf`. With one that varies
     the form is wrong: all of R and Q jumps by (a_k / a_(k-1))^(-2(k+1)) against a covariance that does not. And it is
     out of numbers when a^(2(k+1)) reaches 1e308, after 1945 fixes at a = 1.2: the run then stops being finite.

@@ -1,17 +1,17 @@
 """Incremental predictive Kalman filter GIP-KF (Journal of Control, English Edition, 01(01), July 2022, pp. 49-57).
 
-The paper's error model has an unknown input m, x(k+1) = F x(k) + m(k) + w (23), whose increment is what makes the
+The paper's error model has an unknown input m, x(k+1) = F x(k) + m(k) + w (23). Its increment makes the
 residual small at least cost (32-34), nu = y - H (the prediction without it):
 
     dm = G nu,  G = (H' R_l H + R_m)^-1 H' R_l,    x- = x_predicted + dm,    x+ = x- + K (y - H x-)         (33, 35, 36)
 
-K and P are those of the Kalman filter: they know nothing of m. "Gain" in eq. 34 is the whole of dm, and "equation
+K and P are those of the Kalman filter, without m. "Gain" in eq. 34 is the whole of dm, and "equation
 (29)" before eq. 35 means eq. 33.
 
 `literal` is the recursion as printed, x_predicted = (I + F_k) x_k - F_k-1 x_k-1 = F x_k + m, where m = x_k - F x_k-1 is
 all that the model left unexplained, the Kalman correction included. In open loop (`gipkf_literal`) x carries the whole
-error; under reset (`gipkf_literal_shift`) both past states are shifted by what navigation was corrected by, which
-leaves m as it is. A tilt and the m that balances it cannot be told apart in an earth-fixed frame, so that m walks.
+error; under reset (`gipkf_literal_shift`) both past states are shifted by the correction of navigation, which
+leaves m as it is. A tilt and the m that balances it are indistinguishable in an earth-fixed frame, so that m walks.
 
 `gip_kf` works: both past states start from zero after a correction, and of dm the velocity part becomes accelerometer
 bias, dm_v / T in body axes, which turns with the vehicle and holds through an outage, and its attitude part gyro bias,
@@ -19,7 +19,7 @@ as the paper's Fig. 3 has it. With diagonal weights there is none: it takes an R
 ``kappa`` (not in the paper), kappa (x+ - F x)_attitude / T.
 
 R_m and Q have an index k in print (32, 35), and the biases that they stand for are learnt once: after t seconds with
-fixes R_m is (1 + growth t) times what it was at the start, and the part ``unlearnt`` of the process noise is
+fixes R_m is (1 + growth t) times its initial value, and the part ``unlearnt`` of the process noise is
 1 / (1 + growth t) of it. With both zero the weights are constant.
 """
 
@@ -40,7 +40,7 @@ LEARNT = 600.0  # s after which weights stay as they are: biases drift
 
 
 class GipKf(NamedTuple):
-    """Parameters: weights L diag(exp(log)) L' with L unit lower triangular, positive definite whatever the numbers."""
+    """Parameters: weights L diag(exp(log)) L' with L unit lower triangular, positive definite for any numbers."""
 
     log_rl: jax.Array  # (m,) of the residual, per channel: log of 1/m^2, s^2/m^2 in ENU
     rl_lower: jax.Array  # (m (m - 1) / 2,) couplings, row by row below the diagonal of L; 0 is a diagonal weight
@@ -67,7 +67,7 @@ def gip_kf_params(
     """
     for name, share in (("position", position), ("velocity", velocity)):
         if not 0 < share < 1:
-            raise ValueError(f"{name}: a share lies between 0 and 1, got {share:g}")
+            raise ValueError(f"{name}: a share is between 0 and 1, got {share:g}")
     if growth < 0:
         raise ValueError(f"growth: R_m cannot shrink below zero, got {growth:g} 1/s")
     odds = lambda share: np.log(1 / share - 1)
@@ -100,18 +100,18 @@ def gain(theta: GipKf, H: jax.Array, valid: jax.Array) -> jax.Array:
 
 
 def _update(theta: GipKf, z: Innovation) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The increment dm (n,), x+ minus the prediction without it (n,), and P."""
+    """Return the increment dm (n,), x+ minus the prediction without it (n,), and P."""
     dm = gain(theta, z.H, z.valid) @ z.nu
     K, P = linalg.update(z.P, z.H, z.R)
     return dm, dm + K @ (z.nu - z.H @ dm), P
 
 
 def correct(theta: GipKf, t: jax.Array, z: Innovation) -> Correction:
-    """The working form; needs the feedback `reset`. ``t`` () s: how long there were fixes."""
-    grown = 1 + theta.growth * jnp.minimum(t, LEARNT)
-    dm, delta, P = _update(theta._replace(log_rm=theta.log_rm + jnp.log(grown)), z)
+    """Correct by the working form; needs the feedback `reset`. ``t`` () s: time with fixes so far."""
+    pad_epochs = 1 + theta.growth * jnp.minimum(t, LEARNT)
+    dm, delta, P = _update(theta._replace(log_rm=theta.log_rm + jnp.log(pad_epochs)), z)
     T = jnp.where(z.T > 0, z.T, 1.0)
-    P = P.at[3:9, 3:9].add(jnp.diag((theta.unlearnt / grown) ** 2 * z.T))
+    P = P.at[3:9, 3:9].add(jnp.diag((theta.unlearnt / pad_epochs) ** 2 * z.T))
     gyro = theta.kappa * delta[A] / T + dm[A] / T
     return Correction(delta, P, t + z.T, z.valid, drive=Forcing(gyro, dm[V] / T))
 
@@ -129,11 +129,11 @@ def correct_literal(theta: GipKf, m: jax.Array, z: Innovation) -> Correction:
 
 @cache
 def gip_kf() -> Rule:
-    """The working form; it remembers how long it learnt, what it learnt is in the sensors' biases."""
+    """Return the working form; its memory is the time of learning, the sensors' biases hold the result."""
     return Rule(lambda n, m: jnp.zeros(()), correct, estimates=BIASES)
 
 
 @cache
 def literal() -> Rule:
-    """The recursion as printed, from x = m = 0."""
+    """Return the recursion as printed, from x = m = 0."""
     return Rule(lambda n, m: jnp.zeros(n), correct_literal, extrapolate_literal)

@@ -5,11 +5,11 @@
     x_D(k) = kd M K (yt(k-1) - yt(k-2))             (26, 32)
     yt(k) = y(k) - H x+(k)                          (21)
 
-K is the Kalman gain, whose covariance recursion (28-33) the integral and derivative leave alone. The paper's form has
-M = I and leak = 1: `literal`, which diverges on the paper's own circle for both printed gain pairs (a double integrator
+K is the Kalman gain; integral and derivative do not enter its covariance recursion (28-33). The paper's form has
+M = I and leak = 1: `literal`, which diverges on the paper's circle for both printed gain pairs (a double integrator
 on the weakly observable heading). The default acts on the position states only, which is stable.
 
-Anti-windup, of which the paper has nothing: where the channels that observe a state are missing, or a gate has rejected
+Anti-windup, which the paper lacks: where the channels that observe a state are missing, or a gate has rejected
 them, its x_I stands still and is not applied, nor is its x_D. Added at every fix, it would push a position that nothing
 corrects. With all channels there the equations are the paper's.
 """
@@ -34,17 +34,17 @@ class Gpid(NamedTuple):
     ki: jax.Array  # () or (m,) integral gain per channel
     kd: jax.Array  # () or (m,) derivative gain per channel
     states: jax.Array  # (n,) 1 where integral and derivative act
-    leak: jax.Array  # () what the integral keeps from one fix to the next; 1 is a pure integral, 0 none
-    reset: jax.Array  # () s; what a channel has left behind is forgotten when it has not been used for longer
+    leak: jax.Array  # () share of the integral that stays from one fix to the next; 1 is a pure integral, 0 none
+    reset: jax.Array  # () s; the memory of a channel that has not been used for longer is cleared
 
 
 class GpidMemory(NamedTuple):
-    """Integral state and the last two a-posteriori residuals; a missing channel keeps its own."""
+    """Integral state and the last two a-posteriori residuals; a missing channel keeps its values."""
 
     integral: jax.Array  # (n,)
     last: jax.Array  # (m,)
     before: jax.Array  # (m,)
-    loop: jax.Array  # (n, m) how much of its own error each channel takes out of a state, the parts of diag(K H)
+    loop: jax.Array  # (n, m) share of its error that each channel takes out of a state, the parts of diag(K H)
 
 
 def gpid_params(
@@ -62,20 +62,20 @@ def gpid_params(
 
 
 def literal_params(ki: ArrayLike, kd: ArrayLike, n_states: int = 9) -> Gpid:
-    """The paper's printed form: integral and derivative act on every state."""
+    """Return the paper's printed form: integral and derivative act on every state."""
     return gpid_params(ki, kd, n_states, (*MOTION, *BIASES)[: n_states // 3])
 
 
 def share(loop: jax.Array, channels: jax.Array) -> jax.Array:
-    """The part of each state's feedback (n,) through ``channels`` (m,) bool; 1 where a state has none by itself."""
+    """Return the part of each state's feedback (n,) through ``channels`` (m,) bool; 1 for a state without feedback."""
     total = loop.sum(1)
     some = total > 0
     part = jnp.where(channels, loop, 0.0).sum(1) / jnp.where(some, total, 1.0)
     return jnp.where(some, part, channels.any())
 
 
-def forgotten(memory: GpidMemory, stale: jax.Array) -> GpidMemory:
-    """The memory without what the ``stale`` (m,) channels have left in it."""
+def clear_stale(memory: GpidMemory, stale: jax.Array) -> GpidMemory:
+    """Return the memory without the parts of the ``stale`` (m,) channels."""
     drop = lambda a: jnp.where(stale, 0.0, a)
     kept = memory.integral * share(memory.loop, ~stale)
     return GpidMemory(kept, drop(memory.last), drop(memory.before), drop(memory.loop))
@@ -83,7 +83,7 @@ def forgotten(memory: GpidMemory, stale: jax.Array) -> GpidMemory:
 
 def correct(theta: Gpid, memory: GpidMemory, z: Innovation) -> Correction:
     """One correction; missing channels have columns of zeros in K, and add nothing to the integral."""
-    memory = forgotten(memory, z.age > theta.reset)
+    memory = clear_stale(memory, z.age > theta.reset)
     K, P = linalg.update(z.P, z.H, z.R)
     loop = jnp.where(z.valid, jnp.abs(K * z.H.T), memory.loop)
     acting = share(loop, z.valid)

@@ -1,6 +1,6 @@
 """Rules that learn how good the fixes are, or forget old ones, each made of another rule: Sage-Husa, IAE, fading.
 
-R is learnt as a factor per channel on the R that comes with the fix, so that a receiver's own sd keeps its say. A
+R is learnt as a factor per channel on the R that comes with the fix, so that the receiver's sd still counts. A
 channel that is missing, or that the inner rule rejects, teaches nothing: its memory stands still.
 """
 
@@ -15,7 +15,7 @@ from jaxnav.filters.rules.robust import inflated, require_plain
 
 
 class ScaleMemory(NamedTuple):
-    """What has been learnt, and the inner rule's memory."""
+    """Learnt factors, and the inner rule's memory."""
 
     learnt: jax.Array  # (m,) or (window, m) variance over the R of the fix
     rule: Any
@@ -62,7 +62,11 @@ def sage_husa(rule: Rule) -> Rule:
         return c._replace(memory=ScaleMemory(jnp.where(c.used, learnt, memory.learnt), c.memory))
 
     return Rule(
-        lambda n, m: ScaleMemory(jnp.ones(m), rule.init(n, m)), correct, _passed_on(rule), rule.estimates, rule.smooths
+        lambda n, m: ScaleMemory(jnp.ones(m), rule.init(n, m)),
+        correct,
+        _passed_on(rule),
+        rule.estimates,
+        rule.supports_smoothing,
     )
 
 
@@ -83,7 +87,7 @@ def iae(rule: Rule, window: int = 20) -> Rule:
     """Innovation-based adaptive estimation: R is the mean of nu nu' - H P H' over the last ``window`` fixes.
 
     This one included, and never below the floor (Mehra 1970; Mohamed & Schwarz 1999). The window starts out full of the
-    fixes' own R.
+    stated R.
     """
     require_plain(rule)
 
@@ -99,7 +103,7 @@ def iae(rule: Rule, window: int = 20) -> Rule:
         correct,
         _passed_on(rule),
         rule.estimates,
-        rule.smooths,
+        rule.supports_smoothing,
     )
 
 
@@ -119,7 +123,7 @@ def fading_params(tau: float = 300.0, rule: Any = ()) -> Fading:
 def fading(rule: Rule) -> Rule:
     """P carried on from a fix is P exp(T / tau), which ages old fixes at a fixed rate (Sorenson & Sacks 1971).
 
-    What the fixes do not observe loses its memory too: heading, at rest.
+    Unobserved states lose their memory too: heading, at rest.
     """
     require_plain(rule)
 

@@ -18,23 +18,23 @@ def only(rule: Rule, channels: tuple[int, ...]) -> Rule:
     A rule that works once per fix (an integral, a residual window) would otherwise act at the rate of the constraints,
     and take a wheel's residual for a receiver's. The two groups must have independent noise.
     """
-    own = np.array(channels, int)
+    seen = np.array(channels, int)
 
     def correct(theta: Any, memory: Any, z: Innovation) -> Correction:
-        other = np.setdiff1d(np.arange(z.nu.size), own)
-        part = z._replace(nu=z.nu[own], H=z.H[own], R=z.R[np.ix_(own, own)], valid=z.valid[own], age=z.age[own])
+        other = np.setdiff1d(np.arange(z.nu.size), seen)
+        part = z._replace(nu=z.nu[seen], H=z.H[seen], R=z.R[np.ix_(seen, seen)], valid=z.valid[seen], age=z.age[seen])
         c = only_if(part.valid.any(), rule.correct(theta, memory, part), part, memory)
         rest = z._replace(nu=z.nu[other] - z.H[other] @ c.delta, H=z.H[other], R=z.R[np.ix_(other, other)], P=c.P)
         k = kalman.correct((), (), rest._replace(valid=z.valid[other]))
-        used = jnp.zeros_like(z.valid).at[own].set(c.used).at[other].set(k.used)
+        used = jnp.zeros_like(z.valid).at[seen].set(c.used).at[other].set(k.used)
         return c._replace(delta=c.delta + k.delta, P=k.P, used=used)
 
     def init(n: int, m: int) -> Any:
-        if own.max(initial=-1) >= m:
-            raise ValueError(f"the rule is to see {own.size} channels, the filter has {m}")
-        return rule.init(n, own.size)
+        if seen.max(initial=-1) >= m:
+            raise ValueError(f"the rule is to see {seen.size} channels, the filter has {m}")
+        return rule.init(n, seen.size)
 
     def extrapolate(theta: Any, memory: Any, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, Any]:
         return rule.extrapolate(theta, memory, x0, x)
 
-    return Rule(init, correct, extrapolate, rule.estimates, rule.smooths, rule.transport)
+    return Rule(init, correct, extrapolate, rule.estimates, rule.supports_smoothing, rule.transport)

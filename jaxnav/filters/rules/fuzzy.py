@@ -5,7 +5,7 @@
     y = sum_r w_r y_label(r)(x) / sum_r w_r                 (eq. 29)
 
 There is one rule for each combination of sets. A table of integers says which consequent each rule has; its shape says
-how many sets each input has. Everything is done with log w, whose softmax is the weighted mean: far from all centres
+how many sets each input has. Everything is done with log w: its softmax is the weighted mean. Far from all centres
 the paper's products underflow to 0/0, there the rule that is nearest in standard deviations wins. Of sets of unequal
 width that is the widest at the very end, so clip an input to where its sets are.
 
@@ -35,7 +35,7 @@ class System(NamedTuple):
 
     centres: jax.Array  # (sum s_i,) for each input its first centre, then softplus^-1 of the gaps to the next
     widths: jax.Array  # (sum s_i,) softplus^-1 of the width beyond `NARROWEST`
-    consequents: jax.Array  # (L, 1 + I) logit of where y lies between the bounds: constant and slopes
+    consequents: jax.Array  # (L, 1 + I) logit of the position of y between the bounds: constant and slopes
     bounds: jax.Array  # (2,) of y
 
 
@@ -60,7 +60,7 @@ def system(
     if min(min(row) for row in widths) <= NARROWEST:
         raise ValueError(f"widths must be above {NARROWEST}, got {widths}")
     if y.min() <= low or y.max() >= high:
-        raise ValueError(f"consequents must lie between {low} and {high}, got {y}")
+        raise ValueError(f"consequents must be between {low} and {high}, got {y}")
     raw = [np.concatenate([row[:1], _unsoftplus(np.diff(row))]) for row in centres]
     share = (y - low) / (high - low)
     logit = np.zeros((y.size, 1 + len(centres)))
@@ -103,7 +103,7 @@ def _check(theta: System, table: np.ndarray) -> None:
 
 
 def infer(theta: System, table: Any, x: jax.Array, conjunction: Conjunction = product) -> jax.Array:
-    """The answer y, (), to inputs ``x`` (I,); ``table`` is static, integers below L, (s_1, ..., s_I).
+    """Return the answer y, (), to inputs ``x`` (I,); ``table`` is static, integers below L, (s_1, ..., s_I).
 
     Raises:
         ValueError: parameters for another number of sets, inputs or labels (at trace time).

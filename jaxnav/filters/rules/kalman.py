@@ -8,7 +8,7 @@ from jaxnav.maths import linalg
 
 
 def correct(theta: Any, memory: Any, z: Innovation) -> Correction:
-    """Optimal gain, Joseph form; no parameters of its own."""
+    """Optimal gain, Joseph form; no parameters."""
     K, P = linalg.update(z.P, z.H, z.R)
     return Correction(K @ z.nu, P, memory, z.valid)
 
@@ -16,4 +16,4 @@ def correct(theta: Any, memory: Any, z: Innovation) -> Correction:
 @cache
 def kalman() -> Rule:
     """Without memory."""
-    return Rule(lambda n, m: (), correct, smooths=True)
+    return Rule(lambda n, m: (), correct, supports_smoothing=True)

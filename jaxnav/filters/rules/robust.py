@@ -1,6 +1,6 @@
 """Rules that bear faulty fixes, each made of another rule: gate, Huber and Student-t weights.
 
-They change what the inner rule sees of a fix (which channels, what R), so that each goes with any paper's rule. A block
+They change the inner rule's fix (which channels, which R), so that each goes with any paper's rule. A block
 is three consecutive channels: a receiver's position, its velocity.
 """
 
@@ -14,10 +14,10 @@ import numpy as np
 from scipy.special import chdtri
 
 from jaxnav.filters.core import masked
-from jaxnav.filters.rule import NEVER, Correction, Innovation, Rule, only_if, select
+from jaxnav.filters.rule import NEVER_USED_AGE, Correction, Innovation, Rule, only_if, select
 from jaxnav.maths import linalg
 
-LONGER = 1.5  # of the interval between fixes: what is longer is an outage
+LONGER = 1.5  # of the interval between fixes: a longer one is an outage
 BLOCK = 3  # channels of a receiver's measurement
 
 
@@ -27,13 +27,13 @@ def by_block(a: jax.Array) -> jax.Array:
 
 
 def own_blocks(S: jax.Array) -> jax.Array:
-    """The blocks on the diagonal of S (m, m), as (m / 3, 3, 3)."""
+    """Return the blocks on the diagonal of S (m, m), as (m / 3, 3, 3)."""
     i = jnp.arange(S.shape[0] // BLOCK)
     return S.reshape(i.size, BLOCK, i.size, BLOCK)[i, :, i, :]
 
 
 def squared_by_block(v: jax.Array, S: jax.Array) -> jax.Array:
-    """Every block's own v' S^-1 v, (m / 3,), from v (m,) and S (m, m)."""
+    """Return v' S^-1 v of every block, (m / 3,), from v (m,) and S (m, m)."""
     return jax.vmap(linalg.normalized)(by_block(v), own_blocks(S))
 
 
@@ -44,9 +44,9 @@ def inflated(R: jax.Array, factor: jax.Array) -> jax.Array:
 
 
 def require_plain(rule: Rule) -> None:
-    """Raise ValueError for a rule that keeps error states of its own, which no other rule can hold within."""
+    """Raise ValueError for a rule with error states, which no other rule can contain."""
     if rule.transport is not None:
-        raise ValueError("a rule that keeps error states of its own, as `receiver`, cannot be inside of another")
+        raise ValueError("a rule with error states, as `receiver`, cannot be inside of another")
 
 
 def require_blocks(m: int) -> None:
@@ -80,10 +80,10 @@ def gate_params(threshold: float = 16.27, timeout: float = 30.0, rule: Any = ())
     return Gate(jnp.asarray(threshold, float), jnp.asarray(timeout, float), rule)
 
 
-def jumped(z: Innovation, S: jax.Array, factor: jax.Array, blocks: Sequence[slice]) -> jax.Array:
+def inflate_block(z: Innovation, S: jax.Array, factor: jax.Array, blocks: Sequence[slice]) -> jax.Array:
     """P (n, n) after each block's measured quantity has jumped, S (m, m) of that block becoming S times its factor.
 
-    ``factor`` (blocks,) >= 1. The jump is independent of all that P knows, and lies in the states that would be
+    ``factor`` (blocks,) >= 1. The jump is independent of all that P knows, and is in the states that would be
     responsible were their errors independent: for a position, in position.
     """
     P = z.P
@@ -95,8 +95,8 @@ def jumped(z: Innovation, S: jax.Array, factor: jax.Array, blocks: Sequence[slic
     return P
 
 
-def passed_by(share: float, channels: int) -> float:
-    """What nu' S^-1 nu of so many channels is below, for that share of sound fixes."""
+def healthy_bound(share: float, channels: int) -> float:
+    """Return the bound of nu' S^-1 nu of so many channels, for that share of healthy fixes."""
     return float(chdtri(channels, 1 - share))
 
 
@@ -109,12 +109,12 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
 
     Recovery: receivers' faults end, while a filter that has drifted off by more than its P never comes back by itself.
     So after ``timeout`` the filter is held to be wrong, and the block is accepted with P widened by a jump
-    (see `jumped`) that makes the innovation likely again: nu' S^-1 nu is then its number of channels. A plain
+    (see `inflate_block`) that makes the innovation likely again: nu' S^-1 nu is then its number of channels. A plain
     acceptance moves a filter that is too sure of itself by little, and the next fix is rejected again; R in place of P
     would move it even less. Inflating all of P lets a lasting fault turn the attitude through its correlations. The
-    inner rule starts anew, too: an integral of the filter that was wrong would be applied again at every recovery.
+    inner rule restarts, too: an integral of the filter that was wrong would be applied again at every recovery.
 
-    The time counts only fixes that were rejected, not outages: what passes between two fixes counts as `LONGER` of
+    The time counts only fixes that were rejected, not outages: an interval between two fixes counts as `LONGER` of
     their shortest interval at most, and a fix after a tunnel is tested like any other.
     """
     require_plain(rule)
@@ -128,21 +128,21 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
 
     def init(n: int, m: int) -> GateMemory:
         count = len(blocks(m))
-        return GateMemory(jnp.zeros(count), jnp.zeros(count), jnp.full(count, NEVER), rule.init(n, m))
+        return GateMemory(jnp.zeros(count), jnp.zeros(count), jnp.full(count, NEVER_USED_AGE), rule.init(n, m))
 
     def correct(theta: Gate, memory: GateMemory, z: Innovation) -> Correction:
-        own = blocks(z.nu.size)
-        stops = np.cumsum(own)
-        places = [slice(stop - size, stop) for stop, size in zip(stops, own, strict=True)]
-        share = np.array([passed_by(0.999, size) / passed_by(0.999, BLOCK) for size in own])
+        widths = blocks(z.nu.size)
+        stops = np.cumsum(widths)
+        places = [slice(stop - size, stop) for stop, size in zip(stops, widths, strict=True)]
+        share = np.array([healthy_bound(0.999, size) / healthy_bound(0.999, BLOCK) for size in widths])
         S = z.H @ z.P @ z.H.T + z.R
         count = jnp.stack([z.valid[b].sum() for b in places])
         d2 = jnp.stack([linalg.normalized(z.nu[b], S[b, b]) for b in places])
         far = (count > 0) & (d2 > theta.threshold * share)
         late = far & (memory.rejected >= theta.timeout)
         out = far & ~late
-        P = jumped(z, S, jnp.where(late, jnp.maximum(d2 / jnp.maximum(count, 1), 1.0), 1.0), places)
-        keep = z.valid & ~jnp.repeat(out, np.array(own), total_repeat_length=z.nu.size)
+        P = inflate_block(z, S, jnp.where(late, jnp.maximum(d2 / jnp.maximum(count, 1), 1.0), 1.0), places)
+        keep = z.valid & ~jnp.repeat(out, np.array(widths), total_repeat_length=z.nu.size)
         nu, H, R = masked(z.nu, z.H, z.R, keep)
         seen = z._replace(nu=nu, H=H, R=R, P=P, valid=keep)
         inner = select(late.any(), rule.init(z.P.shape[0], z.nu.size), memory.rule)
@@ -160,7 +160,7 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
         x, inner = rule.extrapolate(theta.rule, memory.rule, x0, x)
         return x, memory._replace(rule=inner)
 
-    return Rule(init, correct, extrapolate, rule.estimates, rule.smooths)
+    return Rule(init, correct, extrapolate, rule.estimates, rule.supports_smoothing)
 
 
 # ---------------------------------------------------------------------------- weights

@@ -23,7 +23,7 @@ FIX_3D = 3
 WEEK_AND_TIME = (("GWk", "Week"), ("GMS", "TimeMS"))  # columns of GPS week and ms of it, today and in the past
 DOWNWARD, SEES = 25, 4  # orientation and status of a rangefinder
 
-# format character: code of `struct`, and the factor to what the name of the column means
+# format character: code of `struct`, and the factor to the unit in the name of the column
 CODES: dict[str, tuple[str, float]] = {
     "b": ("b", 1.0), "B": ("B", 1.0), "M": ("B", 1.0), "h": ("h", 1.0), "H": ("H", 1.0), "i": ("i", 1.0),
     "I": ("I", 1.0), "q": ("q", 1.0), "Q": ("Q", 1.0), "f": ("f", 1.0), "d": ("d", 1.0), "g": ("e", 1.0),
@@ -42,7 +42,7 @@ class Format(NamedTuple):
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """A log opens with the format of its formats, in bytes or as text."""
+    """Return whether a log opens with the format of its formats, in bytes or as text."""
     return head.startswith(SYNC + bytes([FMT])) or bool(re.match(rb"FMT, *128, *89, *FMT,", head))
 
 
@@ -96,7 +96,7 @@ def _rangefinder(data: dict[str, np.ndarray] | None) -> Stream | None:
 def read_messages(path: Path, notes: list[str] | None = None) -> dict[str, dict[str, np.ndarray]]:
     """Every kind of message: its numeric columns (N,) by name, in the unit that the format's character means.
 
-    What is no message is passed over; ``notes`` gets a sentence on how much.
+    Bytes without a message are skipped; ``notes`` gets their number.
     """
     data = read_bytes(path)
     rows, formats, passed = _binary(data) if data.startswith(SYNC) else _text(data)
@@ -117,7 +117,7 @@ def _format(kind: str, columns: str, name: str) -> Format | None:
 
 
 def _binary(data: bytes) -> tuple[dict[str, list[Any]], dict[str, Format], str]:
-    """Rows by name, formats, and what was passed over: from a damaged message to the next sync bytes."""
+    """Return rows by name, formats, and the skipped part: from a damaged message to the next sync bytes."""
     formats: dict[int, Format] = {}
     rows: dict[str, list[Any]] = {}
     sizes = {FMT: FMT_SIZE}
@@ -155,7 +155,7 @@ def _text(data: bytes) -> tuple[dict[str, list[Any]], dict[str, Format], str]:
     formats: dict[str, Format] = {}
     rows: dict[str, list[Any]] = {}
     lines = data.decode(errors="replace").split("\n")
-    passed = 1 if lines.pop().strip() else 0  # what follows the last line end was cut
+    passed = 1 if lines.pop().strip() else 0  # a last line without an end is cut
     for line in lines:
         cells = [cell.strip() for cell in line.split(",")]
         if cells[0] == "FMT" and len(cells) > 5:
@@ -221,7 +221,7 @@ def _gps(logged: dict[str, dict[str, Any]], notes: list[str], number: int) -> di
     course = gps["GCrs"] * DEG
     vel = np.stack([gps["Spd"] * np.cos(course), gps["Spd"] * np.sin(course), gps["VZ"]], axis=1)
     sd: list[np.ndarray | None] = [None, None]
-    if accuracy is not None:  # a message of its own with the same time
+    if accuracy is not None:  # another message with the same time
         found = np.searchsorted(_seconds(accuracy), t, side="left").clip(max=len(accuracy["HAcc"]) - 1)
         same = np.abs(_seconds(accuracy)[found] - t) < 0.05
         table = np.where(same[:, None], _columns(accuracy, "HAcc", "VAcc", "SAcc")[found], np.nan)

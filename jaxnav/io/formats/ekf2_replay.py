@@ -16,7 +16,7 @@ SENSORS = {"imu": 6, "gps": 6, "baro": 1, "mag": 3, "airspeed": 2, "range": 2, "
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """The first lines are a whole number, the name of a sensor and numbers."""
+    """Return whether the first lines are a whole number, the name of a sensor and numbers."""
     lines = head.split(b"\n")[:-1][:20]
     names = "|".join(SENSORS).encode()
     return bool(lines) and all(re.match(rb"\d+,(" + names + rb"),[-\d.,einfa+]+\r?$", line) for line in lines)

@@ -15,7 +15,7 @@ PLACES = ("data.csv", "imu0/data.csv", "mav0/imu0/data.csv")
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """A folder with an IMU's ``data.csv``, or that file: nanoseconds, w_RS_S and a_RS_S in its first line."""
+    """Return whether it is a folder with an IMU's ``data.csv``, or that file, by its first line."""
     if path.is_dir():
         file = _file(path)
         if file is None:
@@ -26,7 +26,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path) -> Parts:
-    """The IMU in its own axes, which no file says how they lie in the body: give ``axes``; t in s since 1970."""
+    """Read the IMU in its axes; no file gives their directions in the body: set ``axes``; t in s since 1970."""
     file = _file(path) if path.is_dir() else path
     if file is None:
         raise DataError(f"{path}: expected one of {', '.join(PLACES)}")

@@ -45,7 +45,7 @@ def _weeks_on(t: np.ndarray, notes: list[str] | None) -> np.ndarray:
 
 
 def read_rtk_track(path: FilePath) -> Samples:
-    """The hour-long RTK track of KF-GINS's data (``GNSS-RTK.txt``): the format of `read_kfgins_gnss`, no IMU."""
+    """Read the hour-long RTK track of KF-GINS's data (``GNSS-RTK.txt``): the format of `read_kfgins_gnss`, no IMU."""
     return read_kfgins_gnss(path)
 
 

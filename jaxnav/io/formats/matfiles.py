@@ -11,7 +11,7 @@ from jaxnav.types import DataError
 
 
 def read_struct(path: FilePath, name: str) -> Any:
-    """The struct of this name; a file that is no MATLAB file of version 5 or has no such struct is a DataError."""
+    """Read the struct of this name; no MATLAB file of version 5, or no such struct, is a DataError."""
     found = read_structs(path, [name])
     if name not in found:
         raise DataError(f"{os.fspath(path)}: expected a struct {name}")
@@ -31,7 +31,7 @@ def read_structs(path: FilePath, names: list[str] | None = None) -> dict[str, An
 
 
 def field(struct: Any, name: str, path: FilePath, shape: tuple[int | None, ...]) -> np.ndarray:
-    """One field as float64 (small integers come as uint8, whose arithmetic wraps); None in shape is any length."""
+    """Return one field as float64 (small integers come as uint8, which overflows); None in shape is any length."""
     if not hasattr(struct, name):
         raise DataError(f"{os.fspath(path)}: expected a field {name}")
     value = getattr(struct, name)

@@ -36,14 +36,14 @@ IMU_FIELDS, GNSS_FIELDS, REF_FIELDS = {"t", "wb", "fb"}, {"t", "lat", "stdm", "v
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """A MATLAB file with a struct that has wb and fb, or a folder of MATLAB files one of which has."""
+    """Return whether it is a MATLAB file with wb and fb in a struct, or a folder with one."""
     if not path.is_dir() and not head.startswith(b"MATLAB 5"):
         return False
     return bool(_having(_structs(path), IMU_FIELDS))
 
 
 def read(path: Path, imu: str = "", fixes: str = "") -> Parts:
-    """The IMU, the fixes and the reference of NaveGo's structs in one file or in the files of a folder; t as there.
+    """Read the IMU, the fixes and the reference of NaveGo's structs in a file or a folder; t as there.
 
     Args:
         path: the file or folder.
@@ -55,14 +55,14 @@ def read(path: Path, imu: str = "", fixes: str = "") -> Parts:
     """
     structs, notes = _structs(path), []
     chosen = {}
-    for what, name, fields in (("imu", imu, IMU_FIELDS), ("fixes", fixes, GNSS_FIELDS), ("reference", "", REF_FIELDS)):
+    for part, name, fields in (("imu", imu, IMU_FIELDS), ("fixes", fixes, GNSS_FIELDS), ("reference", "", REF_FIELDS)):
         found = _having(structs, fields)
         if name and name not in found:
-            raise DataError(f"{path}: {what}: no struct {name}, it has {', '.join(found)}")
+            raise DataError(f"{path}: {part}: no struct {name}, it has {', '.join(found)}")
         if found:
-            chosen[what] = name or found[0]
+            chosen[part] = name or found[0]
         if len(found) > 1 and not name:
-            notes.append(f"The {what} is {found[0]}, of {', '.join(found)}.")
+            notes.append(f"The {part} is {found[0]}, of {', '.join(found)}.")
     file, log = structs[chosen["imu"]]
     t = field(log, "t", file, (None,))
     rows = ImuRows(t, field(log, "wb", file, (len(t), 3)), field(log, "fb", file, (len(t), 3)))

@@ -20,12 +20,12 @@ from jaxnav.types import DataError
 
 SPEED_SD = 0.3  # m/s, assumed: NMEA states none
 DAY = 86400.0  # s
-HEADINGS = {"HDT": "headingT", "THS": "headt"}  # field of what two antennas say, deg
+HEADINGS = {"HDT": "headingT", "THS": "headt"}  # field of a two-antenna heading, deg
 KNOTS = UNITS["speed"]["knots"]
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Return whether it has a sentence, behind whatever a logger writes before it."""
+    """Return whether it has a sentence, after any prefix of a logger."""
     return bool(re.search(rb"\$[A-Z]{2}(GGA|RMC|GST|GSA|GSV|VTG|GLL|ZDA),[^\r\n$]*,[^\r\n$]*[\r\n]", head))
 
 
@@ -42,12 +42,12 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
     """Position of GGA, horizontal velocity of RMC or VTG, heading of HDT or THS; t in s since 1970 in GPS time.
 
     Args:
-        path: the text; what stands between the sentences is passed over.
-        leap_seconds: of GPS time on UTC, which is what NMEA tells; None: those of the date.
+        path: the text; other lines are skipped.
+        leap_seconds: of GPS time on UTC, the time scale of NMEA; None: those of the date.
         metres_per_hdop: sd of east and north, where there is no GST, as a multiple of HDOP; up has twice that.
 
     Raises:
-        DataError: no fix, or no sentence that tells the date.
+        DataError: no fix, or no sentence with the date.
     """
     import pynmeagps
 
@@ -87,9 +87,9 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
     if not fixes:
         raise DataError(f"{path}: has no GGA with a fix in three dimensions")
     if first_day is None:
-        raise DataError(f"{path}: has no RMC or ZDA, which would tell the date")
-    own = "RMC" if any(row[0] == "RMC" for row in motion) else "VTG"
-    moved = [row[1:] for row in motion if row[0] == own]
+        raise DataError(f"{path}: has no RMC or ZDA, the sentences with the date")
+    kind = "RMC" if any(row[0] == "RMC" for row in motion) else "VTG"
+    moved = [row[1:] for row in motion if row[0] == kind]
     leap = gps_time.leap_seconds(first_day) if leap_seconds is None else leap_seconds
     parts = _parts(path, fixes, moved, spread, first_day, leap, metres_per_hdop)
     if pointed:
@@ -102,7 +102,7 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
         f"sentences have no checksum and are {'taken' if len(lines) == bare else 'left out'}.": bare,
         "GGA have no height and are left out: fixes in two dimensions.": level,
     }
-    return parts._replace(notes=(*parts.notes, *(f"{count} {what}" for what, count in said.items() if count)))
+    return parts._replace(notes=(*parts.notes, *(f"{count} {text}" for text, count in said.items() if count)))
 
 
 def _numeric(*fields: Any) -> bool:

@@ -62,7 +62,7 @@ GOOD = {b"INS_SOLUTION_GOOD", b"INS_ALIGNMENT_COMPLETE"}
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Return whether it has a line of a log that is read, or of others and no sentence of NMEA beside them."""
+    """Return whether it has a line of a known log, or of others and no sentence of NMEA."""
     names = {match.group(1).decode() for match in LINE.finditer(head)}
     return bool(names & WANTED) or (bool(names) and not re.search(rb"\$G[A-Z]{4},", head))
 
@@ -76,7 +76,7 @@ def read(path: Path, imu: str | None = None) -> Parts:
     """IMU in increments, position and velocity of the receiver, the receiver's INS as truth; t in GPS time since 1970.
 
     Args:
-        path: the text; other logs and what stands between are passed over.
+        path: the text; other logs and lines are skipped.
         imu: row of `IMUS`, where the log states no type (RAWIMU and RAWIMUS).
 
     Raises:
@@ -128,7 +128,7 @@ def _imu(path: Path, rows: Rows, first: int, name: str | None, zero: int, notes:
         kinds = Counter(int(_number(body[1])) for _, body in rows) if first else Counter()
         kind = kinds.most_common(1)[0][0] if kinds else None
         if kind not in names:
-            said = "states no type of IMU" if kind is None else f"has an IMU of type {kind}, whose scale is not known"
+            said = "states no type of IMU" if kind is None else f"has an IMU of type {kind}, with an unknown scale"
             raise DataError(f"{path}: the log {said}: option imu = one of {', '.join(IMUS)}")
         name = names[kind]
         notes.append(f"IMU is {name}, by the log.")

@@ -14,7 +14,7 @@ from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 
 
 def read_npz(path: FilePath) -> Recording:
-    """The recording that `write_npz` wrote, not checked for its meaning; DataError names file and array."""
+    """Read a file of `write_npz`, without checks of its values; DataError names file and array."""
     file = os.fspath(path)
     arrays = _arrays(file)
     streams = sorted({key.split("/")[1] for key in arrays if key.startswith("aiding/") and key.count("/") == 2})

@@ -23,15 +23,15 @@ A_DATE = 3e17  # ns since 1970, in 1979: stamps below count from start-up
 
 
 class Kind(NamedTuple):
-    """What becomes of the messages of a type."""
+    """Stream of the messages of a type."""
 
     stream: str
     row: Callable[[Any], list[float]]  # value, then sd, of a message
-    asked: str = ""  # what it must be: read only where ``topics`` names one, for the type does not say
+    asked: str = ""  # the quantity it must hold: read only where ``topics`` names one, for the type does not say
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """The magic of the three containers, or a folder with the metadata of a ROS 2 bag."""
+    """Return whether it has the magic of one of the three containers, or the metadata of a ROS 2 bag."""
     if path.is_dir():
         return (path / "metadata.yaml").is_file() and bool([*path.glob("*.db3*"), *path.glob("*.mcap*")])
     sqlite = head.startswith(b"SQLite format 3\0") and (path.parent / "metadata.yaml").is_file()
@@ -79,7 +79,7 @@ def _one_clock(stamps: dict[str, list[int]], heard: dict[str, list[int]], notes:
         heard: when each message was recorded.
         notes: gets a sentence for each stream that is moved.
     """
-    date = {name: np.median(own) > A_DATE for name, own in stamps.items() if own}
+    date = {name: np.median(times) > A_DATE for name, times in stamps.items() if times}
     if all(date.values()) or not any(date.values()):
         return stamps
     out = dict(stamps)
@@ -95,7 +95,7 @@ def _one_clock(stamps: dict[str, list[int]], heard: dict[str, list[int]], notes:
     return out
 
 
-def receivers_own(topic: str) -> int:
+def from_receiver(topic: str) -> int:
     """Return how much a topic's name is that of a receiver's fixes, and not of a filter's estimate; 0 for neither."""
     words = set(re.split(r"[^a-z]+", topic.lower()))
     return len(words & RECEIVER) - len(words & ESTIMATE)
@@ -119,7 +119,7 @@ def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[st
             known = ", ".join(counts.get(stream, {})) or "none of a type that is known"
             raise DataError(f"{path}: topics: {stream}: no {topic}, it has {known}")
     for stream, of in counts.items():
-        raw = receivers_own if stream in ("position", "velocity") else lambda topic: 0
+        raw = from_receiver if stream in ("position", "velocity") else lambda topic: 0
         best = topics.get(stream) or max(of, key=lambda topic: (raw(topic), of[topic]))
         if len(of) > 1 and stream not in topics:
             notes.append(f"{stream} is {best}, of {', '.join(sorted(of))}.")

@@ -26,7 +26,7 @@ DMS = "d'\""  # unit of degrees, minutes and seconds, three cells
 
 
 class PosFile(NamedTuple):
-    """What a ``.pos`` file holds."""
+    """Contents of a ``.pos`` file."""
 
     aiding: dict[str, Samples]  # "position", and "velocity" where the file has one
     quality: np.ndarray  # (K,) Q: 1 fixed, 2 float, 3 SBAS, 4 DGPS, 5 single, 6 PPP
@@ -102,7 +102,7 @@ def write_pos(
 
 
 class _Head(NamedTuple):
-    """What the header of a ``.pos`` file says."""
+    """Header of a ``.pos`` file."""
 
     form: str  # a key of `FORMS`
     reference: np.ndarray  # (3,) lat, lon rad, h m, where a baseline begins
@@ -152,7 +152,7 @@ BEHIND_UTC = {"GPST": 0.0, "UTC": 0.0, "JST": 9 * 3600.0}  # s that a clock is a
 
 
 def _form(units: dict[str, str], file: str, header: str) -> str:
-    """Return the form whose columns a header has."""
+    """Return the form with the columns of a header."""
     if "latitude" in units and units["latitude"] == units.get("longitude") and units.get("height") == "m":
         form = {"deg": "deg", DMS: "dms"}.get(units["latitude"])
         if form:

@@ -37,7 +37,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path) -> Parts:
-    """IMU, location, barometer and magnetometer; t in UTC since 1970. The phone lies flat, top forward: else ``axes``.
+    """IMU, location, barometer and magnetometer; t in UTC since 1970. The phone is flat, top forward: else ``axes``.
 
     Specific force is the total acceleration, else the uncalibrated, else the sum of acceleration and gravity. An iPhone
     states it with the opposite sign (its Metadata.csv says whether the app has standardised that).
@@ -89,7 +89,7 @@ def _files(path: Path) -> set[str]:
 
 
 def _acceleration(files: set[str]) -> tuple[str, ...]:
-    """Return the files whose sum is gravity and acceleration; empty where there are none."""
+    """Return the files that add up to gravity and acceleration; empty where there are none."""
     for names in ((TOTAL,), (UNCALIBRATED,), (LINEAR, DOWN)):
         if files.issuperset(names):
             return names
@@ -110,7 +110,7 @@ def _is_negated(path: Path, files: set[str], chosen: tuple[str, ...]) -> bool:
 
 
 def _aiding(path: Path, files: set[str]) -> dict[str, Any]:
-    """Return the column map of what the phone measures besides the IMU."""
+    """Return the column map of the phone's other sensors."""
     table: dict[str, Any] = {"time": "time", "time_unit": "ns", "time_scale": "utc"}
     file = next((name for name in FIXES if name in files), None)
     if file is not None:

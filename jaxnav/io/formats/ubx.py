@@ -1,4 +1,4 @@
-"""u-blox UBX, by `pyubx2`: NAV-PVT, or NAV-POSLLH and NAV-VELNED of older receivers: fixes beside an IMU's file."""
+"""u-blox UBX, by `pyubx2`: NAV-PVT, or NAV-POSLLH and NAV-VELNED of older receivers: fixes for an IMU's file."""
 
 import datetime
 import os
@@ -21,14 +21,14 @@ OLDER = ("NAV-POSLLH", "NAV-VELNED", "NAV-SOL", "NAV-STATUS", "NAV-TIMEGPS")
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """A message of UBX near the start whose checksum is right: text or RTCM may stand between."""
+    """Return whether there is a UBX message with a right checksum near the start: text or RTCM may be in between."""
     return bool(frames(head)[0])
 
 
 def frames(data: bytes) -> tuple[list[bytes], int]:
     """Return the messages with a right checksum, and the number of NAV-PVT that are damaged.
 
-    A length that is damaged swallows nothing: what comes after its sync bytes is searched again.
+    After a message with a damaged length the search continues behind its sync bytes.
     """
     found, lost, at = [], 0, -1
     while (at := data.find(SYNC, at + 1)) >= 0:
@@ -81,7 +81,7 @@ def read(path: Path) -> Parts:
             "damaged"
         )
     said = {"messages have no fix in three dimensions.": without, "NAV-PVT are damaged and left out.": damaged}
-    notes = tuple(f"{count} {what}" for what, count in said.items() if count)
+    notes = tuple(f"{count} {text}" for text, count in said.items() if count)
     t, lla, acc, vel, s_acc = np.split(np.array(rows), [1, 4, 6, 9], axis=1)
     position = Stream(t[:, 0], lla, acc[:, [0, 0, 1]])
     moved = np.isfinite(vel[:, 0])
@@ -96,7 +96,7 @@ def read(path: Path) -> Parts:
 
 
 def _older_rows(older: dict[str, dict[int, Any]]) -> tuple[list[list[float]], int]:
-    """Return rows as those of `_row` of receivers without NAV-PVT, and how many positions are no fix in 3D."""
+    """Return rows as in `_row` of receivers without NAV-PVT, and the number of positions without a fix in 3D."""
     weeks = [m.week for m in older["NAV-SOL"].values() if m.wknSet]
     weeks += [m.week for m in older["NAV-TIMEGPS"].values() if m.weekValid]
     base = GPS_EPOCH + int(np.median(weeks)) * WEEK if weeks else 0.0  # else seconds of the week

@@ -19,24 +19,24 @@ MAGIC = b"ULog\x01\x12\x35"
 NEVER = 2**31 - 1  # timestamp_relative of a sensor that has not measured
 GAUSS = UNITS["field"]["gauss"]
 FIX_3D = 3
-GPS = ("vehicle_gps_position", "sensor_gps")  # what PX4's own filter takes comes first
+GPS = ("vehicle_gps_position", "sensor_gps")  # the input of PX4's filter comes first
 DOWNWARD = 25  # orientation of a rangefinder that looks down
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """The first seven bytes."""
+    """Return whether the first seven bytes are those of ULog."""
     return head.startswith(MAGIC)
 
 
 def read(path: Path, wheel_radius_m: float = 0.0, receiver: str | None = None) -> Parts:
-    """What a log has, see docs/formats.md, truth where it is simulated; t in s of its clock.
+    """Read a log, see docs/formats.md, with truth where it is simulated; t in s of its clock.
 
     Body FRD, as in the log. Heights are above the ellipsoid where the log has such, else above sea level, which a note
-    says. ``eph``, ``epv`` and ``s_variance_m_s`` are taken as sd of each axis, as PX4's own filter does.
+    says. ``eph``, ``epv`` and ``s_variance_m_s`` are taken as sd of each axis, as in PX4's filter.
 
     Args:
         path: the log.
-        wheel_radius_m: of the wheels, whose encoders count angles; 0 leaves them out.
+        wheel_radius_m: of the wheels, since encoders count angles; 0 leaves them out.
         receiver: topic and instance of the fixes, such as "sensor_gps 1"; default the first that mostly has a fix.
 
     Raises:
@@ -50,7 +50,7 @@ def read(path: Path, wheel_radius_m: float = 0.0, receiver: str | None = None) -
         topics.setdefault(data.name, data.data)
     notes: list[str] = []
     if log.file_corruption:
-        notes.append("The log is damaged; what could be read of it is used.")
+        notes.append("The log is damaged; its readable part is used.")
     if log.dropouts:
         lost = sum(d.duration for d in log.dropouts) / 1e3
         notes.append(f"The logger dropped data {len(log.dropouts)} times, {lost:.1f} s in all.")
@@ -91,7 +91,7 @@ def _vector(data: dict[str, np.ndarray], name: str) -> np.ndarray:
 
 
 def _first(data: dict[str, Any], *names: str) -> str | None:
-    """The first of the names that is there."""
+    """Return the first of the names that is there."""
     return next((name for name in names if name in data), None)
 
 
@@ -145,13 +145,13 @@ def _gnss(topics: dict[str, dict[str, np.ndarray]], notes: list[str]) -> dict[st
 
 
 def _height(data: dict[str, np.ndarray]) -> str:
-    """The field above the ellipsoid if it is filled in, else the one above sea level."""
+    """Return the field above the ellipsoid if it is filled in, else the one above sea level."""
     names = [name for name in ("altitude_ellipsoid_m", "alt_ellipsoid", "altitude_msl_m", "alt") if name in data]
     return next((name for name in names if np.any(data[name])), names[-1])
 
 
 def _relative(data: dict[str, np.ndarray], name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times of a sensor inside the old sensor_combined, and which rows are new measurements."""
+    """Return times of a sensor inside the old sensor_combined, and which rows are new measurements."""
     offset = data[f"{name}_timestamp_relative"].astype(np.int64)
     t = (data["timestamp"].astype(np.int64) + offset) / 1e6
     return t, (offset != NEVER) & np.r_[True, np.diff(t) > 0.0]
@@ -223,7 +223,7 @@ def _wheels(topics: dict[str, dict[str, np.ndarray]], radius: float, notes: list
 
 
 def _truth(topics: dict[str, dict[str, np.ndarray]]) -> Track | None:
-    """The simulator's own state, at the times of its position."""
+    """Return the simulator's true state, at the times of its position."""
     names = [f"vehicle_{part}_groundtruth" for part in ("global_position", "local_position", "attitude")]
     if any(name not in topics for name in names):
         return None

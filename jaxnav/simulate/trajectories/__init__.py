@@ -1,4 +1,4 @@
-"""Trajectories as smooth functions of time that jax can differentiate, and what a sensor feels along them.
+"""Trajectories as smooth functions of time that jax can differentiate, and a sensor's readings along them.
 
 A *motion* (`Circle`, `Urban`, ...) is a frozen tuple of plain numbers in a user's units; `shape_of` makes its shape,
 a function ``t -> Motion(vel, rph)``. `travel` integrates a shape to position and means over samples.
@@ -40,7 +40,7 @@ MOTIONS: dict[type, Callable[[Any, jax.Array, float], Shape]] = {
 
 
 def shape_of(key: jax.Array, motion: Any, duration: float) -> Shape:
-    """The shape of a motion over ``duration`` s.
+    """Return the shape of a motion over ``duration`` s.
 
     Raises:
         ValueError: no motion, or numbers that make none.

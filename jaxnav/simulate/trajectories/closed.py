@@ -7,18 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.maths import units
-from jaxnav.simulate.kinds import told_apart
+from jaxnav.simulate.kinds import hashed_by_type
 from jaxnav.simulate.trajectories.motion import Motion, Shape, level_motion
 
 
-@told_apart
+@hashed_by_type
 class Static(NamedTuple):
     """At rest."""
 
     rph_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # roll, pitch, heading
 
 
-@told_apart
+@hashed_by_type
 class Straight(NamedTuple):
     """Straight on at constant speed and heading (on the globe: along a rhumb line)."""
 
@@ -27,7 +27,7 @@ class Straight(NamedTuple):
     climb_deg: float = 0.0
 
 
-@told_apart
+@hashed_by_type
 class Circle(NamedTuple):
     """Round and round on the level, nose along the track; clockwise, or with a negative period anticlockwise."""
 
@@ -37,7 +37,7 @@ class Circle(NamedTuple):
     banked: bool = False  # lean into the turn, so that the specific force has no lateral part
 
 
-@told_apart
+@hashed_by_type
 class SShape(NamedTuple):
     """A snake on the level, nose along the track: the heading swings as a sine, at constant speed."""
 
@@ -48,7 +48,7 @@ class SShape(NamedTuple):
     banked: bool = False
 
 
-@told_apart
+@hashed_by_type
 class LaunchMove(NamedTuple):
     """At rest, then the FWEKF paper's eq. 33, level and nose ahead: 3 sin^2(tau / 2c) m/s^2 with c = 20 s / pi.
 
@@ -61,7 +61,7 @@ class LaunchMove(NamedTuple):
 
 
 def static(motion: Static) -> Shape:
-    """`Static` as a shape."""
+    """Return `Static` as a shape."""
     rph = np.array(motion.rph_deg) * units.DEG
     return lambda t: Motion(0 * t * jnp.ones(3), 0 * t + rph)
 

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.maths import units
-from jaxnav.simulate.kinds import told_apart
+from jaxnav.simulate.kinds import hashed_by_type
 from jaxnav.simulate.trajectories.motion import Motion, Shape
 from jaxnav.simulate.trajectories.pieces import BUMP_MEAN, BUMP_PEAK, PEAK, Profile, join_pieces, profile
 
 
-@told_apart
+@hashed_by_type
 class Urban(NamedTuple):
     """A random drive in town: streets and crossings, stops, turns of 40 to 110 deg, bends, lane changes, hills."""
 
@@ -29,7 +29,7 @@ class Waves(NamedTuple):
     phase: jax.Array  # (M,) rad
 
     def __call__(self, distance: jax.Array) -> jax.Array:
-        """The feature at a distance in m."""
+        """Return the feature at a distance in m."""
         return jnp.sum(self.amplitude * jnp.sin(self.number * distance + self.phase))
 
 
@@ -42,7 +42,7 @@ def waves(uniform: jax.Array, rms: float, shortest: float, longest: float) -> Wa
 
 DRAWS = 18  # random numbers of a leg
 CREEPS = 3  # spurts of a queue
-SHORTEST_LEG = 11.0  # s: what `_legs` cannot undercut
+SHORTEST_LEG = 11.0  # s: lower limit of `_legs`
 PITCH_GAIN = 0.25 * units.DEG  # rad per m/s^2, nose up when the car speeds up
 ROLL_GAIN = 0.3 * units.DEG  # rad per m/s^2, the car leans out of a turn
 
@@ -78,7 +78,7 @@ def _legs(uniform: jax.Array, speed_max: float, queue: jax.Array) -> tuple[jax.A
     T_wait = jnp.where(stop, draw(2.0, 20.0), 0.0)
     T_cruise, T_lane = draw(4.0, 18.0), jnp.where(chance(0.5), draw(4.0, 6.0), 0.0)
 
-    easy = 1.2 * T_cruise / cruise  # rad: what 1.2 m/s^2 across allows at a rate of one per piece
+    easy = 1.2 * T_cruise / cruise  # rad: limit of 1.2 m/s^2 across at a rate of one per piece
     bend = draw(-1.0, 1.0) * jnp.minimum(30 * units.DEG, easy / PEAK)
     swing = draw(-1.0, 1.0) * jnp.minimum(10 * units.DEG, easy / BUMP_PEAK)
     lane = sign() * 3.3 / (cruise * jnp.maximum(T_lane, 1.0) * BUMP_MEAN)  # rad, for 3.3 m to the side
@@ -107,7 +107,7 @@ BRAKED = 4  # pieces of a street up to where a queue stands
 
 
 def _streets(key: jax.Array, uniform: jax.Array, speed_max: float, traffic: float) -> list[jax.Array]:
-    """The pieces of all streets one after the other, from random numbers (`DRAWS`, n); traffic has its own."""
+    """Return the pieces of all streets, from random numbers (`DRAWS`, n); traffic has a separate one."""
     n = uniform.shape[1]
     if traffic == 0:
         return [a.ravel() for a in _legs(uniform, speed_max, jnp.zeros(n, bool))]
@@ -135,11 +135,11 @@ def urban(
     hills = waves(road[0], 1.0 * units.DEG, 150.0, 600.0)
     ripple = waves(road[1], 0.3 * units.DEG, 20.0, 80.0)
     camber = waves(road[2], 0.4 * units.DEG, 30.0, 200.0)
-    wander = waves(road[3], 0.3 * units.DEG, 60.0, 200.0)  # of the heading: nobody drives a ruler's line
+    weave = waves(road[3], 0.3 * units.DEG, 60.0, 200.0)  # of the heading: no driver keeps a straight line
 
     def along_road(t: jax.Array) -> Profile:
         at = profile(pieces, t)
-        return at._replace(heading=at.heading + wander(at.distance))
+        return at._replace(heading=at.heading + weave(at.distance))
 
     def shape(t: jax.Array) -> Motion:
         (s, v, heading), rate = jax.jvp(along_road, (t,), (jnp.ones_like(t),))

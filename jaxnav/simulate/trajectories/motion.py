@@ -1,4 +1,4 @@
-"""What a shape is: velocity and attitude as a function of time that jax can differentiate."""
+"""A shape: velocity and attitude as a function of time that jax can differentiate."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from jax.typing import ArrayLike
 
 
 class Motion(NamedTuple):
-    """What a shape says of one instant."""
+    """A shape at one instant."""
 
     vel: jax.Array  # (3,) m/s, ENU
     rph: jax.Array  # (3,) rad, roll, pitch, heading of FRD against NED

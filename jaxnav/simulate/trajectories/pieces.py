@@ -1,4 +1,4 @@
-"""Smooth pieces of a drive: what speed and heading are made of."""
+"""Smooth pieces of a drive: speed and heading."""
 
 from typing import NamedTuple
 
@@ -86,7 +86,7 @@ def join_pieces(
 
 def profile(pieces: Pieces, t: jax.Array) -> Profile:
     """Distance, speed and heading at one time; after the last piece the vehicle goes on straight at constant speed."""
-    i = jnp.maximum(jnp.sum(pieces.t <= t) - 1, 0)  # the last that has begun
+    i = jnp.maximum(jnp.sum(pieces.t <= t) - 1, 0)  # the last that has started
     p = Pieces(*(a[i] for a in pieces))
     T = jnp.where(p.T > 0, p.T, 1.0)
     u = jnp.clip((t - p.t) / T, 0, 1)

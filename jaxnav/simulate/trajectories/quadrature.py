@@ -28,12 +28,12 @@ class Point(NamedTuple):
 
 
 class Travel(NamedTuple):
-    """A trajectory of E epochs of k samples, and what a sensor feels on it."""
+    """A trajectory of E epochs of k samples, and a sensor's readings on it."""
 
-    start: tuple[Point, Any]  # at t = 0, and what is felt there
+    start: tuple[Point, Any]  # at t = 0, and the reading there
     ends: tuple[Point, Any]  # (E, ...) at the end of every epoch
     late: tuple[Point, Any]  # (E, ...) ``lag`` s before these
-    means: Any  # (E, k, ...) means of what is felt over every sample
+    means: Any  # (E, k, ...) means of the reading over every sample
 
 
 # Gauss-Legendre on [0, 1] with three points: the 3-stage Gauss collocation
@@ -43,7 +43,7 @@ _POWERS = np.linalg.inv(np.vander(NODES, 3, increasing=True)).T  # (3 nodes, 3) 
 
 
 def partial_weights(u: float | np.ndarray) -> np.ndarray:
-    """Weights (..., 3) that integrate from 0 to ``u`` what is known at the nodes; `WEIGHTS` at u = 1."""
+    """Weights (..., 3) that integrate values at the nodes from 0 to ``u``; `WEIGHTS` at u = 1."""
     n = np.arange(1, 4)
     return np.power.outer(u, n) / n @ _POWERS.T
 
@@ -78,7 +78,7 @@ def travel(
 ) -> Travel:
     """Follow a shape from ``start`` (lat rad, lon rad, h m) at t = 0 through epochs of k samples of ``dt`` s.
 
-    ``feel`` is what a sensor makes of one point, ``lag`` (s, less than an epoch) how long before the end of an epoch
+    ``feel`` returns a sensor's reading at a point, ``lag`` (s, less than an epoch) how long before the end of an epoch
     it is looked at once more. Exact to nanometres where the shape is smooth over a sample. Epoch after epoch: memory
     holds the result only.
 

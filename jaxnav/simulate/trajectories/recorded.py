@@ -23,7 +23,7 @@ LAM = 0.05  # s^3, of the attitude's smoothing: bends shorter than about 2 s are
 
 
 class Recorded(NamedTuple):
-    """A shape, and what a scenario needs to follow it with `jaxnav.simulate.simulation.simulate_shape`."""
+    """A shape, and the start of a scenario along it with `jaxnav.simulate.simulation.simulate_shape`."""
 
     shape: Shape
     start_deg_m: tuple[float, float, float]  # latitude, longitude, height at its t = 0
@@ -42,7 +42,7 @@ def _along(t: np.ndarray, speed: np.ndarray) -> np.ndarray:
 
 
 def _smooth(t: np.ndarray, rph: np.ndarray) -> "BSpline":
-    """A C2 smoothing spline through angles (N, 3)."""
+    """Return a C2 smoothing spline through angles (N, 3)."""
     from scipy.interpolate import BSpline, make_smoothing_spline
 
     fits = [make_smoothing_spline(t, each, lam=LAM) for each in rph.T]
@@ -50,10 +50,10 @@ def _smooth(t: np.ndarray, rph: np.ndarray) -> "BSpline":
 
 
 def recorded(t: np.ndarray, lla: np.ndarray, sd_m: ArrayLike = 0.02, rph: np.ndarray | None = None) -> Recorded:
-    """A semi-synthetic motion: a quintic smoothing spline (C4) through positions, its velocity and its attitude.
+    """Return a semi-synthetic motion: a quintic smoothing spline (C4) through positions, its velocity and its attitude.
 
-    ``t`` (N,) s, increasing, its first is the shape's 0; ``lla`` (N, 3) lat rad, lon rad, h m; ``sd_m`` what the
-    track's noise is, () or (N,) or (N, 3) ENU m: the spline leaves the points by about that much. ``rph`` (N, 3) rad,
+    ``t`` (N,) s, increasing, its first is the shape's 0; ``lla`` (N, 3) lat rad, lon rad, h m; ``sd_m`` the
+    track's noise, () or (N,) or (N, 3) ENU m: the spline leaves the points by about that much. ``rph`` (N, 3) rad,
     or None: the nose then is along the track, the heading bridged where the vehicle is slower than 1 m/s, and the roll
     is zero; attitude is a C2 spline.
 

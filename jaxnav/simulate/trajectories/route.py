@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.simulate.kinds import told_apart
+from jaxnav.simulate.kinds import hashed_by_type
 from jaxnav.simulate.trajectories.motion import Motion, Shape
 from jaxnav.simulate.trajectories.pieces import join_pieces, profile
 from jaxnav.simulate.trajectories.splines import from_scipy
 
 
-@told_apart
+@hashed_by_type
 class Waypoints(NamedTuple):
     """A smooth path through points, nose along the track; goes straight on after the last unless it stops there."""
 

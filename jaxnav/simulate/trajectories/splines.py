@@ -30,7 +30,7 @@ class Spline(NamedTuple):
 
 
 def from_scipy(spline: "BSpline") -> Spline:
-    """A scipy B-spline with values (c,) or () as a table of polynomials: Taylor's at the start of every piece."""
+    """Return a scipy B-spline with values (c,) or () as a table of Taylor polynomials at the start of every piece."""
     inner = np.unique(spline.t[spline.k : spline.c.shape[0] + 1])
     starts = inner[:-1]
     taylor = [spline.derivative(d)(starts) / math.factorial(d) for d in range(spline.k, 0, -1)] + [spline(starts)]

@@ -6,7 +6,7 @@ differentiating p. With v' = g(r) - 2 u x v + f_N and f_N = A C f,
 
     p' = v' + u x v = g(r) + u x (u x r) - u x p + f_N,
 
-in which gravity's centrifugal part cancels the double cross product up to what is constant. So, with a wrong C and
+in which gravity's centrifugal part cancels the double cross product up to a constant. So, with a wrong C and
 sensor errors,
 
     dr' = dp - u x dr
@@ -38,12 +38,12 @@ def retract(nav: Nav, x: jax.Array) -> Nav:
 
 
 def velocity_axes(nav: Nav) -> jax.Array:
-    """Axes of the attitude (I) -> those of position and velocity (N), (3, 3)."""
+    """Return the rotation from the axes of attitude (I) to those of position and velocity (N), (3, 3)."""
     return rotations.to_dcm(turned(nav.origin, nav.t))
 
 
 def dynamics(point: ErrorInputs, form: Literal["full", "simple"]) -> Blocks:
-    """The 3x3 blocks of F in x' = F x, at one point of the path."""
+    """Return the 3x3 blocks of F in x' = F x, at one point of the path."""
     origin = point.nav.origin
     to_n = velocity_axes(point.nav)
     spin = rotations.skew(earth_rate(origin))

@@ -22,7 +22,7 @@ def retract(nav: Nav, x: jax.Array) -> Nav:
 
 
 def dynamics(point: ErrorInputs, form: Literal["full", "simple"]) -> Blocks:
-    """The 3x3 blocks of F in x' = F x, at one point of the path."""
+    """Return the 3x3 blocks of F in x' = F x, at one point of the path."""
     lat, _, h = jnp.unstack(point.nav.pos)
     vel = point.nav.vel
     ve, vn, vu = jnp.unstack(vel)

@@ -3,7 +3,7 @@
     dr' = dv,    dv' = -[f x] phi - 2 w x dv + dg/dr dr - C b_a,    phi' = -w x phi - C b_g
 
 all in the axes of the frame. The simple form has no gravity gradient: that is the GIP-KF paper's eq. 22. (Its eqs. 18
-and 19 print -[f x] phi together with -C dw, of which one has the wrong sign with either definition of phi; eq. 19 lacks
+and 19 print -[f x] phi together with -C dw: one of them has the wrong sign with either definition of phi; eq. 19 lacks
 the minus of the Coriolis term, which 18 and 22 have.)
 """
 
@@ -25,7 +25,7 @@ def retract(nav: Nav, x: jax.Array) -> Nav:
 
 
 def dynamics(point: ErrorInputs, form: Literal["full", "simple"]) -> Blocks:
-    """The 3x3 blocks of F in x' = F x, at one point of the path."""
+    """Return the 3x3 blocks of F in x' = F x, at one point of the path."""
     origin = point.nav.origin
     spin = rotations.skew(earth_rate(origin))
     blocks = {

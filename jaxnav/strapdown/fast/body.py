@@ -1,6 +1,6 @@
-"""What the body does over samples and intervals of some, in its own axes: the fast half of a two-speed strapdown.
+"""Motion of the body over samples and intervals, in body axes: the fast half of a two-speed strapdown.
 
-Savage (1998) integrates rotation and specific force at the rate of the sensors, and what turns with the Earth more
+Savage (1998) integrates rotation and specific force at the rate of the sensors, and the Earth's part more
 slowly. All intervals of an epoch are summed up at once, sample by sample: m steps on n numbers, components (m, n).
 
 The sums need nothing of the state but the biases, and those enter so weakly that the first order will do (as in
@@ -45,7 +45,7 @@ class Readings(NamedTuple):
 
 
 class Body(NamedTuple):
-    """What the body did since an interval began, in its own axes then."""
+    """Motion of the body since an interval began, in its axes at that time."""
 
     t: Any  # s
     q: Quaternion  # its rotation
@@ -71,7 +71,7 @@ class SummedIntervals(NamedTuple):
 
 
 def readings(imu: Imu, omega: jax.Array, force: jax.Array, m: int) -> tuple[Readings, Readings]:
-    """The samples (k,) in intervals of m, (m, n), and the one before each interval, (n,).
+    """Return the samples (k,) in intervals of m, (m, n), and the one before each interval, (n,).
 
     ``omega`` (rad/s) and ``force`` (m/s^2), (3,), are those before the first sample.
     """
@@ -123,11 +123,11 @@ def sums(
 
 
 def unbiased(rows: jax.Array, b_g: Vector, b_a: Vector) -> BodyInterval:
-    """What sensors without the biases b_g (rad/s) and b_a (m/s^2) would have seen, of rows of `SummedIntervals`.
+    """Return the interval without the biases b_g (rad/s) and b_a (m/s^2), of rows of `SummedIntervals`.
 
     A bias of the rate turns by t C b_g, C the mean rotation, and specific force with it, of which the integral of t f
     is t dv - displacement. First order in the biases and in how far the body turns: in intervals of 0.1 s at 0.3 rad/s
-    less than 0.3 % of what a bias does is lost (tests/strapdown/test_preintegration.py).
+    less than 0.3 % of a bias's effect is lost (tests/strapdown/test_preintegration.py).
     """
     t, *v = jnp.unstack(rows)
     q, dv, displacement, mean, omega, force = (tuple(v[a:b]) for a, b in pairwise((0, 4, 7, 10, 14, 17, 20)))
@@ -147,7 +147,7 @@ def unbiased(rows: jax.Array, b_g: Vector, b_a: Vector) -> BodyInterval:
 
 
 def as_biases(rows: jax.Array, nav: Nav) -> tuple[Vector, Vector]:
-    """What gyro (rad/s) and accelerometer (m/s^2) read too much over each interval, of rows of `SummedIntervals`.
+    """Return the errors of gyro (rad/s) and accelerometer (m/s^2) readings per interval, of rows of `SummedIntervals`.
 
     Biases as they are; errors that depend on the reading at the interval's mean, so that 3,000 ppm of scale cost 2 mm
     after a minute at 0.2 rad/s, and centimetres at 1 rad/s.
@@ -158,9 +158,9 @@ def as_biases(rows: jax.Array, nav: Nav) -> tuple[Vector, Vector]:
     means = {"gyro": divide_or_zero(t, scale(2.0, q[1:])), "accel": divide_or_zero(t, rotate(conjugate(half), dv))}
 
     def excess(sensor: str) -> Vector:
-        errors, own = nav.errors, [name for name in nav.errors if STATES[name].enters == sensor]
-        if all(STATES[name].effect is None for name in own):
-            return split(sum((errors[name] for name in own), jnp.zeros(3)))
+        errors, names = nav.errors, [name for name in nav.errors if STATES[name].enters == sensor]
+        if all(STATES[name].effect is None for name in names):
+            return split(sum((errors[name] for name in names), jnp.zeros(3)))
         raw, other = jnp.stack(means[sensor], -1), jnp.stack(means[OTHER[sensor]], -1)
         return split(raw - corrected_reading(raw, sensor, errors, other, nav.auxiliary))
 

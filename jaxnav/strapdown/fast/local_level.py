@@ -7,7 +7,7 @@
 Second order in the sample time. Not for the poles, where longitude and the transport rate are singular.
 
 Only the body's rotation is truly sequential. With it, each interval's thrust is known in ENU as it stood at the first
-sample; what is left turns with the Earth and the way travelled, 1e-4 rad/s, and is integrated one interval after the
+sample; the rest turns with the Earth and the distance travelled, 1e-4 rad/s, and is integrated one interval after the
 other. An interval is one sample, or up to `INTERVAL` where the error dynamics see means over so many: then the fast
 half, `body`, still takes every sample, and only gravity, Coriolis and the way are added more slowly. The Earth is a
 series of second order about the first sample of a block, so that no transcendental is in the loop: while a block lasts
@@ -59,11 +59,11 @@ from jaxnav.strapdown.increments import after, sampled, thin
 from jaxnav.types import ErrorInputs, Forcing, Imu, Nav
 
 INTERVAL = 10  # samples, at most: a tenth of a second at 100 Hz
-BLOCK = 100  # samples at once; the Earth is looked up and ENU's turn is summed up anew for each block
+BLOCK = 100  # samples at once; Earth's quantities are computed and ENU's rotation summed up once per block
 
 
 class Level(NamedTuple):
-    """What is integrated beside the body's rotation, since the first sample but for velocity and height."""
+    """Integrals in addition to the body's rotation, since the first sample but for velocity and height."""
 
     vel: Vector  # m/s, ENU
     north: Any  # rad, latitude
@@ -73,11 +73,11 @@ class Level(NamedTuple):
 
 
 class VelocityIncrement(NamedTuple):
-    """What the specific force does in an interval, in ENU of the block's first sample."""
+    """Effect of the specific force in an interval, in ENU of the block's first sample."""
 
     t: Any  # s
     dv: Vector  # m/s
-    gained: Vector  # m/s, mean over t of what had been added to the velocity by then; () is half of dv
+    gained: Vector  # m/s, mean over t of the velocity added by then; () is half of dv
 
 
 def surface(lat: jax.Array) -> tuple[jax.Array, ...]:
@@ -97,7 +97,7 @@ def series(f: Callable[..., Any], x: jax.Array) -> list[tuple[Any, ...]]:
 def increment(
     ground: list[tuple[Any, ...]], u: tuple[Vector, Vector], samples: int, x: Level, thrust: VelocityIncrement
 ) -> Level:
-    """The change over an interval of some samples, its thrust in ENU of the block's first one.
+    """Return the change over an interval of some samples, its thrust in ENU of the block's first one.
 
     ``ground``: `series` of `surface`; ``u``: feedback of an observer, () without one.
     """
@@ -123,7 +123,7 @@ def increment(
 
     dv = seen(dv)
     gained = seen(gained) if gained else scale(0.5, dv)
-    # of what grows in the interval the mean: half of it for one sample, of many the exact integral's shares
+    # mean of a quantity that grows in the interval: half of it for one sample, for many the exact integral's shares
     s = (1 - 1 / samples**2) / 6
     en = transport(x.vel)
     turn = add(ie, en, scale(-t, spin)) if spin else add(ie, en)
@@ -174,25 +174,25 @@ def attitudes(nav: Nav, spin: Vector, body: Body) -> tuple[Quaternion, Quaternio
 
 
 def thrust_of(q: Quaternion, body: Body) -> VelocityIncrement:
-    """What ``body`` does, from attitude ``q`` on."""
+    """Return the velocity increment of ``body`` from attitude ``q`` on."""
     return VelocityIncrement(
         body.t, rotate(q, body.dv), rotate(q, divide_or_zero(body.t, body.displacement)) if body.displacement else ()
     )
 
 
 def unit(nav: Nav) -> Nav:
-    """With a quaternion of length one; products of many wander off by a rounding error each."""
+    """Return navigation with a quaternion of length one; products of many drift by a rounding error each."""
     return nav._replace(q=jnp.stack(normalize(split(nav.q)), -1))
 
 
 def _block(m: int, nav: Nav, u: Forcing | None, given: BodyInterval) -> tuple[Nav, ErrorInputs, Callable[..., Any]]:
-    """The states after all intervals (n,) of m samples, the path, and the function that has those inside them."""
+    """Return the states after all intervals (n,) of m samples, the path, and the function of states inside them."""
     whole, omega, force = given
     spin, push = map(split, u) if u else ((), ())
     q_starts, q_ends, q_means = attitudes(nav, spin, whole)
     lat, lon, h = split(nav.pos)
     zero, t = jnp.zeros_like(lat), running(whole.t)
-    # about a latitude that is taken as a constant: the derivative by it comes from the series' own variable
+    # about a constant latitude: the derivative by it comes from the series' variable
     centre = lax.stop_gradient(lat)
     change = partial(increment, series(surface, centre), (spin, push), m)
     start = Level(split(nav.vel), lat - centre, zero, h, (zero, zero, zero))
@@ -229,7 +229,7 @@ def _block(m: int, nav: Nav, u: Forcing | None, given: BodyInterval) -> tuple[Na
 
 
 def _samples(nav: Nav, u: Forcing | None, imu: Imu, stride: int, keep: jax.Array) -> tuple[Nav, ErrorInputs]:
-    """The states after the samples ``keep`` (w,) and the path, by intervals of one sample.
+    """Return the states after the samples ``keep`` (w,) and the path, by intervals of one sample.
 
     They are corrected in a loop over up to `INTERVAL` rows of them.
     """
@@ -253,7 +253,7 @@ def _samples(nav: Nav, u: Forcing | None, imu: Imu, stride: int, keep: jax.Array
 
 
 def remove_errors(nav: Nav, imu: Imu) -> Imu:
-    """Samples without the errors of the sensors."""
+    """Return samples without the errors of the sensors."""
     return corrected(imu, nav)
 
 
@@ -266,7 +266,7 @@ def filled(a: jax.Array, size: int) -> jax.Array:
 def _intervals(
     m: int, nav: Nav, u: Forcing | None, whole: BodyInterval, parts: BodyInterval, place: jax.Array
 ) -> tuple[Nav, ErrorInputs]:
-    """The states after the first samples, ``parts`` (w,), of the intervals ``place``, and the path of all (n,).
+    """Return the states after the first samples, ``parts`` (w,), of the intervals ``place``, and the path of all (n,).
 
     More intervals than a block holds are a multiple of that.
     """
@@ -294,7 +294,7 @@ def _intervals(
 
 
 def preintegrate(imu: Imu, last: tuple[Any, Any], stride: int, keep: jax.Array) -> Imu | SummedIntervals:
-    """What `propagate` can do with samples (k,) before it knows the state; ``last``: rate and force before them.
+    """Compute the part of `propagate` that needs no state, of samples (k,); ``last``: rate and force before them.
 
     For a stride of 2 to 10, the sums over intervals of so many samples, and up to the samples ``keep`` (w,). They have
     the biases in them, which are taken out in first order. Else the samples themselves.
@@ -312,7 +312,7 @@ def propagate(
 
     Returns the last state, or those after the samples ``keep`` (w,), and the path at every ``stride`` samples: where it
     ends, and its means for the error dynamics. ``pos`` is (lat rad, lon rad, h m), ``vel`` is ENU m/s, ``q`` takes body
-    FRD to ENU. A sample of dt = 0 changes nothing. ``imu`` may be what `preintegrate` made of the samples.
+    FRD to ENU. A sample of dt = 0 changes nothing. ``imu`` may be the result of `preintegrate`.
     """
     size = BLOCK // stride if stride <= INTERVAL else 1
     if isinstance(imu, SummedIntervals):

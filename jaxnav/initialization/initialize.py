@@ -1,6 +1,6 @@
-"""Where navigation starts: levelling at rest, heading by motion, by what points, by the course, or as hypotheses.
+"""Initialization of navigation: levelling at rest, heading by motion, by a sensor, by the course, or as hypotheses.
 
-`start` finds all of it in a recording; the functions before it are its parts, as are `alignment`, `pointing`, `bank`.
+`initialize` finds all of it in a recording; its parts are the functions before it, `alignment`, `pointing` and `bank`.
 """
 
 import math
@@ -16,7 +16,7 @@ from jaxnav.filters.run import initial_nav
 from jaxnav.initialization.alignment import Alignment, AlignmentPrior, align
 from jaxnav.initialization.bank import with_headings
 from jaxnav.initialization.magnetic import Field, field_of
-from jaxnav.initialization.pointing import LEAST_TILT_SD, USABLE, Pointed, pointed_by
+from jaxnav.initialization.pointing import LEAST_TILT_SD, USABLE, HeadingSource, heading_by_sensor
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
 from jaxnav.states.grades import GRADES
@@ -24,10 +24,18 @@ from jaxnav.states.table import BIASES
 from jaxnav.types import ConfigError, DataError, ImuLog, Nav, Params, Prior, Recording, Samples
 
 
-def level(imu: ImuLog, start: float, stop: float) -> tuple[float, float]:
-    """Roll and pitch (rad) from the mean specific force between two times, at rest.
+def coarse_leveling(imu: ImuLog, start: float, stop: float) -> tuple[float, float]:
+    """Return roll and pitch from the mean specific force between two times, at rest (Groves 2013, eq. 5.101).
 
     An accelerometer bias b tilts it by b / g, 1 mrad for 1 mg.
+
+    Args:
+        imu: the IMU's samples.
+        start: s.
+        stop: s.
+
+    Returns:
+        Roll and pitch, rad.
 
     Raises:
         DataError: no sample between the times.
@@ -46,9 +54,17 @@ def levelled(force: jax.Array) -> jax.Array:
 
 
 def course(velocity: Samples, min_speed: float, after: float = -np.inf) -> tuple[float, float]:
-    """Time (s) and course over ground (rad from north, clockwise) of the first velocity faster than ``min_speed``.
+    """Return the course over ground of the first velocity faster than ``min_speed`` and three times its sd.
 
-    And than three times its own sd. It is the heading of a vehicle that does not slip and drives forward.
+    It is the heading of a vehicle that does not slip and drives forward.
+
+    Args:
+        velocity: ENU m/s.
+        min_speed: m/s.
+        after: s, earliest time.
+
+    Returns:
+        Time, s, and course, rad from north, clockwise.
 
     Raises:
         DataError: never that fast.
@@ -66,28 +82,28 @@ def course(velocity: Samples, min_speed: float, after: float = -np.inf) -> tuple
 _rph, _moved = jax.jit(rotations.to_rph), jax.jit(earth.move)  # one program each, where they are called by themselves
 
 
-# ---------------------------------------------------------------------------- the start of a recording
+# ---------------------------------------------------------------------------- initialization of a recording
 
-LEAST_VELOCITY_SD = 0.1  # m/s, of an alignment: what scale errors, misalignment and thrust between fixes leave
-APART = 2.0  # s, at most, from the first position to the velocity beside it
+LEAST_VELOCITY_SD = 0.1  # m/s, of an alignment: errors by scale factors, misalignment and thrust between fixes
+MAX_STREAM_OFFSET = 2.0  # s, at most, from the first position to the nearest velocity
 CHORD = 4.0  # s, over which 3 m of noise are 1 m/s
 
 
-class Start(NamedTuple):
-    """Where a recording's navigation starts."""
+class Initialization(NamedTuple):
+    """Initial navigation of a recording, with its standard deviations."""
 
     navs: Nav  # (B, ...) one, or one for each hypothesis of the heading
     prior: Prior  # standard deviations there, and how attitude and biases are correlated
     t: float  # s
-    how: str  # in words: from what, and how sure
+    how: str  # in words: source and sd of attitude and heading
     states: dict[str, np.ndarray] = {}  # standard deviations (size,) of the sensor states that it found
-    alignment: Alignment | None = None  # in motion, what it found
+    alignment: Alignment | None = None  # in motion, its result
     field: Field | None = None  # magnetic, where the recording has a magnetometer
 
-    def given(self, params: Params) -> Params:
-        """The parameters with what is known at this start as their prior."""
-        own = {name: params.states[name]._replace(sd=jnp.asarray(sd)) for name, sd in self.states.items()}
-        params = params._replace(prior=self.prior, states=params.states | own)
+    def apply_to(self, params: Params) -> Params:
+        """Return the parameters with the sd of this initialization as their prior."""
+        states = {name: params.states[name]._replace(sd=jnp.asarray(sd)) for name, sd in self.states.items()}
+        params = params._replace(prior=self.prior, states=params.states | states)
         if self.field is None or "magnetometer" not in params.measurements:
             return params
         there = {name: jnp.asarray(getattr(self.field, name)) for name in ("declination", "inclination", "strength")}
@@ -96,7 +112,7 @@ class Start(NamedTuple):
 
 
 class Attitude(NamedTuple):
-    """What is known of the attitude at a time."""
+    """Attitude and its sd at a time."""
 
     t: float  # s
     rph: tuple[float, float, float]  # rad, roll, pitch, heading
@@ -104,14 +120,14 @@ class Attitude(NamedTuple):
     words: str
     unknown: bool = False  # the heading
     alignment: Alignment | None = None  # that it came from, if it came from one
-    pointed: Pointed | None = None  # what gave the heading, where motion did not
+    heading_source: HeadingSource | None = None  # source of the heading, where motion was not
 
 
-def start(
+def initialize(
     rec: Recording,
     params: Params | None = None,
     *,
-    begin: float | None = None,
+    t_start: float | None = None,
     heading: float | str = "motion",
     course_speed_mps: float = 5.0,
     position_sd_m: Any = None,
@@ -119,52 +135,61 @@ def start(
     tilt_sd_deg: float = 2.0,
     heading_sd_deg: float = 5.0,
     hypotheses: int = 12,
-) -> Start:
-    """Position and velocity from a fix; attitude as said, from ``begin`` s on.
+) -> Initialization:
+    """Return the initial navigation of a recording: position and velocity by a fix, attitude by ``heading``.
 
-    ``heading``: "motion" aligns (`jaxnav.initialization.alignment`) over 10 s to a minute, until heading is known to
-    10 deg; two antennas show it better, a magnetometer where motion does not; else it is unknown. "unknown" starts
-    ``hypotheses`` of it, see `heading_bank`. "course" takes the first velocity above ``course_speed_mps``, of a vehicle
-    that drives straight ahead. "truth" is the recording's, a number degrees. All but "motion" and "truth" level by a
-    standstill, else by motion, else take the vehicle for flat; ``tilt_sd_deg``, ``heading_sd_deg`` are theirs.
-    ``params``: a filter's, of which timing, lever arm, the biases' priors and the magnetic field count; None is a
-    consumer's IMU, the recording's lever arm and no delays. The other sd are of the start, one number or one an axis in
-    ENU; None is the fix's own and 0.5 m or 0.3 m/s.
+    Only data up to the start are used, and of a compass the second after it, as in a live filter.
 
-    What lies up to the start is all that is used, and of a compass the second after it: a live filter starts likewise.
+    Args:
+        rec: the recording, with positions.
+        params: parameters of a filter; timing, lever arm, the biases' priors and the magnetic field count. None is a
+            consumer's IMU, the recording's lever arm and no delays.
+        t_start: s, earliest time; None is the begin of the recording.
+        heading: "motion" aligns in motion (`jaxnav.initialization.alignment`) over 10 s to a minute, until the heading
+            is known to 10 deg; else two antennas or a magnetometer give it, else it is unknown. "unknown" starts
+            ``hypotheses`` (`heading_bank`). "course" takes the first velocity above ``course_speed_mps``. "truth" is
+            the recording's truth, a number degrees. All but "motion" and "truth" level by a standstill, else by motion,
+            else take the vehicle for flat.
+        course_speed_mps: m/s, least speed for a course.
+        position_sd_m: initial sd, m, one number or one per axis in ENU; None is the fix's sd and 0.5 m.
+        velocity_sd_mps: initial sd, m/s, likewise; None is the fix's sd and 0.3 m/s.
+        tilt_sd_deg: deg, of levelling.
+        heading_sd_deg: deg, of a course or of degrees.
+        hypotheses: number of headings where it is unknown.
 
     Raises:
-        DataError: fewer than two positions, never fast enough for a course, no truth with attitude where it is asked
-            for.
-        ConfigError: a heading or an sd that is none.
+        DataError: fewer than two positions, never fast enough for a course, or no truth with attitude for "truth".
+        ConfigError: an unusable heading or sd.
     """
     position = rec.aiding.get("position")
     for key, sd in (("position_sd_m", position_sd_m), ("velocity_sd_mps", velocity_sd_mps)):
         if sd is not None and (np.shape(sd) not in ((), (3,)) or not np.all(np.asarray(sd) > 0)):
-            raise ConfigError(f"start.{key} must be one number or 3, > 0, got {sd!r}")
+            raise ConfigError(f"initialization.{key} must be one number or 3, > 0, got {sd!r}")
     if position is None or position.t.size < 2:
         why = [line for line in rec.notes.splitlines() if line.startswith("position")]
         raise DataError("\n".join([f"{rec.name}: needs a stream of positions to start from", *why]))
     if isinstance(heading, str) and heading not in ("motion", "course", "unknown", "truth"):
-        raise ConfigError(f'start.heading must be "motion", "course", "unknown", "truth" or degrees, got {heading!r}')
+        choices = '"motion", "course", "unknown", "truth" or degrees'
+        raise ConfigError(f"initialization.heading must be {choices}, got {heading!r}")
     if not isinstance(heading, str) and not np.all(np.isfinite(heading)):
-        raise ConfigError(f"start.heading must be finite, got {heading!r}")
+        raise ConfigError(f"initialization.heading must be finite, got {heading!r}")
     known = recorded_timing(rec) if params is None else params
-    from_t = max(rec.imu.t[0] - rec.imu.dt[0], -math.inf if begin is None else begin)
+    from_t = max(rec.imu.t[0] - rec.imu.dt[0], -math.inf if t_start is None else t_start)
     velocity = ground_velocity(rec)
     sds = (tilt_sd_deg * DEG, (360.0 / hypotheses if heading == "unknown" else heading_sd_deg) * DEG)
     if heading == "motion":
-        at = _in_motion(rec, known, velocity, from_t, hypotheses)
+        at = _align_in_motion(rec, known, velocity, from_t, hypotheses)
     elif heading == "truth":
         at = _true_attitude(rec, known, position, from_t, sds)
     else:
-        at = _as_said(rec, known, velocity, from_t, heading, course_speed_mps, sds)
+        at = _attitude_from_setting(rec, known, velocity, from_t, heading, course_speed_mps, sds)
     t, lla, vel, sd = _first_fix(rec, known, position, velocity, at.t)
     aligned_velocity = at.alignment is not None and t <= at.t + TICK
     if at.alignment is not None and aligned_velocity:
         vel, sd = at.alignment.vel, (sd[0], np.hypot(at.alignment.vel_sd, LEAST_VELOCITY_SD))
-    elif "velocity" in rec.aiding and np.abs(rec.aiding["velocity"].t - t).min() > APART:
-        raise DataError(f"velocity: none within {APART:g} s of the first position, at {t:.3f} s: set data.start")
+    elif "velocity" in rec.aiding and np.abs(rec.aiding["velocity"].t - t).min() > MAX_STREAM_OFFSET:
+        near = f"within {MAX_STREAM_OFFSET:g} s of the first position"
+        raise DataError(f"velocity: none {near}, at {t:.3f} s: set data.start")
     nav = initial_nav(lla, vel, at.rph, halfway(rec))._replace(t=jnp.asarray(t, float))
     angles = 2 * np.pi * np.arange(hypotheses) / hypotheses if at.unknown else np.array([at.rph[2]])
     navs = with_headings(nav, angles, rec.lever_arm)
@@ -176,7 +201,7 @@ def start(
         states = {name: bias_sd for name, (_, bias_sd) in biases.items()}
         navs = navs._replace(errors={n: jnp.tile(jnp.asarray(b), (len(angles), 1)) for n, (b, _) in biases.items()})
         # a tilt in ENU axes turns with the heading: where that is not the alignment's, its correlations are left out
-        if not at.unknown and at.pointed is None:
+        if not at.unknown and at.heading_source is None:
             attitude_sd = np.maximum(found.sd[:3], LEAST_TILT_SD)
             correlated = jnp.asarray(correlation_root(_covariance(found, aligned_velocity)))
     prior = Prior(
@@ -190,7 +215,7 @@ def start(
     field = field_of(known, lla) if "magnetometer" in rec.aiding else None
     if field is not None:
         how.append(field.words)
-    return Start(navs, prior, t, "; ".join(line for line in how if line), states, at.alignment, field)
+    return Initialization(navs, prior, t, "; ".join(line for line in how if line), states, at.alignment, field)
 
 
 LENGTHS = (10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)  # s of the windows that are tried one after the other
@@ -198,7 +223,7 @@ KNOWN = 10 * DEG  # sd of a heading that is known
 BAD_FIT = 9.0  # chi^2 per degree of freedom from which on fixes and IMU do not belong together
 
 
-def _in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, hypotheses: int) -> Attitude:
+def _align_in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, hypotheses: int) -> Attitude:
     """By alignment over windows that grow until heading is known; else its tilt and an unknown heading."""
     position = rec.aiding["position"]
     begin = max(begin, float(position.t[0]) - 1.0)
@@ -214,9 +239,9 @@ def _in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, h
             break
     if first is None or last is None:
         rp, by, sd = _levelled(rec, known, velocity, begin, begin, 10 * DEG)
-        if (pointed := pointed_by(rec, known, rp, sd, begin)) is not None:
-            words = f"level by {by} (sd {sd / DEG:.2g} deg), heading {pointed.words}"
-            return Attitude(begin, (*rp, pointed.heading), (sd, pointed.sd), words, pointed=pointed)
+        if (source := heading_by_sensor(rec, known, rp, sd, begin)) is not None:
+            words = f"level by {by} (sd {sd / DEG:.2g} deg), heading {source.words}"
+            return Attitude(begin, (*rp, source.heading), (sd, source.sd), words, heading_source=source)
         sds = (sd, 2 * np.pi / hypotheses)
         return Attitude(begin, (*rp, 0.0), sds, f"level by {by} (sd {sd / DEG:.2g} deg), heading unknown", True)
     unknown = last.sd[2] > USABLE
@@ -227,10 +252,10 @@ def _in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, h
         f"aligned over {best.t - begin:.0f} s by {best.fixes} fixes: roll {rph[0] / DEG:.1f}, pitch {rph[1] / DEG:.1f} "
         f"deg (sd {tilt / DEG:.2g} deg), heading "
     )
-    pointed = pointed_by(rec, known, (float(rph[0]), float(rph[1])), tilt, best.t)
-    if pointed is not None and (unknown or (not pointed.magnetic and pointed.sd < best.sd[2])):
-        words, rph = f"{words}{pointed.words}", np.array([rph[0], rph[1], pointed.heading])
-        return Attitude(best.t, tuple(rph), (tilt, pointed.sd), words, False, best, pointed)
+    source = heading_by_sensor(rec, known, (float(rph[0]), float(rph[1])), tilt, best.t)
+    if source is not None and (unknown or (not source.magnetic and source.sd < best.sd[2])):
+        words, rph = f"{words}{source.words}", np.array([rph[0], rph[1], source.heading])
+        return Attitude(best.t, tuple(rph), (tilt, source.sd), words, False, best, source)
     if unknown:
         words += "not shown by the motion"
         return Attitude(best.t, tuple(rph), (tilt, 2 * np.pi / hypotheses), words, True, best)
@@ -263,7 +288,7 @@ def aligned(rec: Recording, params: Params, begin: float, end: float) -> Alignme
 
 
 def _remarks(at: Attitude) -> list[str]:
-    """What a user should hear of an alignment."""
+    """Return remarks on an alignment for a user."""
     said: list[str] = []
     found = at.alignment
     if found is None:
@@ -302,11 +327,11 @@ def correlation_root(P: np.ndarray) -> np.ndarray:
     return root / np.linalg.norm(root, axis=1, keepdims=True)
 
 
-def _as_said(
+def _attitude_from_setting(
     rec: Recording, known: Params, velocity: Samples, begin: float, heading: float | str, least_speed: float,
     sds: tuple[float, float],
 ) -> Attitude:  # fmt: skip
-    """Level by what there is, heading by course, degrees or unknown."""
+    """Return level by standstill or motion, heading by course, degrees or unknown."""
     at, angle, why = begin, 0.0, "unknown"
     if heading == "course":
         at, angle = course(velocity, least_speed, begin)
@@ -329,7 +354,7 @@ def halfway(rec: Recording) -> float:
 
 
 def _clock_offset(rec: Recording, known: Params, t: float) -> float:
-    """What is known of GNSS time minus the IMU's stamp ``t``, s."""
+    """Return the known part of GNSS time minus the IMU's stamp ``t``, s."""
     return float(known.mounting.time_offset) + float(known.mounting.clock_drift) * (t - halfway(rec))
 
 
@@ -339,7 +364,7 @@ def ground_velocity(rec: Recording) -> Samples:
 
 
 def _differences(position: Samples) -> Samples:
-    """Mean velocity over the last `CHORD` s of positions, whose noise would else pass for motion."""
+    """Return the mean velocity over the last `CHORD` s of positions: over shorter times noise looks like motion."""
     n = max(1, min(round(CHORD / float(np.median(np.diff(position.t)))), position.t.size - 1))
     dt = (position.t[n:] - position.t[:-n])[:, None]
     value = earth.enu_path(position.value[n:], position.value[:-n]) / dt
@@ -349,7 +374,7 @@ def _differences(position: Samples) -> Samples:
 def _levelled(
     rec: Recording, known: Params, velocity: Samples, begin: float, at: float, sd: float
 ) -> tuple[tuple[float, float], str, float]:
-    """Roll and pitch (rad), by what, and their sd: from a standstill at ``begin``, else from motion before ``at``.
+    """Return roll and pitch (rad), source, and sd: from a standstill at ``begin``, else by motion at ``at``.
 
     Where there is not enough of that either, flat.
 
@@ -361,7 +386,7 @@ def _levelled(
     until = velocity.t[np.argmax(moving)] if moving.any() else velocity.t[-1]
     until = min(until - 0.5, begin + 30.0)
     if until - begin >= 2.0:
-        return level(rec.imu, begin, until), f"standing from {begin:.1f} to {until:.1f} s", sd
+        return coarse_leveling(rec.imu, begin, until), f"standing from {begin:.1f} to {until:.1f} s", sd
     found = aligned(rec, known, max(begin, at - LENGTHS[0]), at) if at - begin >= 0.5 * LENGTHS[0] else None
     if found is not None:
         roll, pitch, _ = np.asarray(_rph(found.C)).tolist()
@@ -381,10 +406,10 @@ def _interpolated(rec: Recording, t: float) -> np.ndarray:
 def _true_attitude(
     rec: Recording, known: Params, position: Samples, begin: float, sds: tuple[float, float]
 ) -> Attitude:
-    """What the truth says at the first fix from ``begin`` on."""
+    """Return the truth's attitude at the first fix from ``begin`` on."""
     sure = np.isfinite(rec.truth.rph).all(1) if rec.truth is not None else np.zeros(0, bool)
     if rec.truth is None or not sure.all():
-        raise DataError(f'{rec.name}: has no true attitude, which start.heading = "truth" asks for')
+        raise DataError(f'{rec.name}: has no true attitude, which initialization.heading = "truth" asks for')
     i = int(np.searchsorted(position.t, max(begin, rec.truth.t[0]) - TICK))
     t = float(position.t[min(i, position.t.size - 1)])
     roll, pitch, heading = _interpolated(rec, t + _clock_offset(rec, known, t))

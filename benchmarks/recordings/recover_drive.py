@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 
 from benchmarks.recordings import drive
 from jaxnav.analysis import metrics
-from jaxnav.analysis.evaluate import channels
+from jaxnav.analysis.evaluate import channel_names
 from jaxnav.analysis.tables import table
 from jaxnav.filters.border import component
 from jaxnav.filters.parameters import UNITS, prior, put
@@ -92,7 +92,7 @@ def tune(rec) -> tuple[dict[int, Params], list[list[uncertainty.Interval]]]:
 
 def innovations(data: drive.Data, by_block: dict[int, Params]) -> dict[str, dict]:
     """NIS of each GNSS channel over all blocks, each with its own parameters, and autocorrelations; nothing hidden."""
-    order, names, _ = channels(drive.measurements(False))
+    order, names, _ = channel_names(drive.measurements(False))
     block = np.searchsorted(drive.BLOCKS, data.t)
     z = np.full((data.t.size, len(names)), np.nan)
     for b in np.unique(block):

@@ -23,6 +23,9 @@ FREEDOM = 4.0  # of the Student t that stands for outliers in a likelihood
 def require_x64(*trees: Any) -> None:
     """Refuse float32: latitude in float32 steps by 0.4 m.
 
+    Args:
+        *trees: parameters, navigation, epochs.
+
     Raises:
         DataError: some leaf is a float of less than 64 bits.
     """

@@ -29,7 +29,7 @@ def add(*vectors: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def scale(s: Any, v: tuple[Any, ...]) -> tuple[Any, ...]:
-    """S v."""
+    """Return s v."""
     return tuple(s * c for c in v)
 
 

@@ -9,7 +9,7 @@ from jax import lax
 
 
 def _with_rows(A: jax.Array, B: jax.Array) -> jax.Array:
-    """Return a B'; a gradient multiplies by B in its memory layout."""
+    """Return A B'; a gradient multiplies by B in its memory layout."""
     return lax.dot_general(A, B, (((1,), (1,)), ((), ())))
 
 
@@ -20,7 +20,7 @@ def _applied(A: jax.Array, B: jax.Array) -> jax.Array:
 
 @jax.custom_jvp
 def times(A: jax.Array, B: jax.Array) -> jax.Array:
-    """Return a B, (n, m); in a batch its gradient takes half the time that of ``A @ B`` does."""
+    """Return A B, (n, m); in a batch its gradient takes half the time that of ``A @ B`` does."""
     return A @ B
 
 

@@ -34,7 +34,7 @@ def through_air(nav: Nav, kin: Kinematics) -> tuple[jax.Array, dict[str, jax.Arr
 
 
 def observe_airspeed(theta: AirspeedParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """(1 + scale) v_x - y."""
+    """Return (1 + scale) v_x - y."""
     v, rows = through_air(nav, kin)
     scale = 1 + theta.scale
     return Observation(
@@ -43,7 +43,7 @@ def observe_airspeed(theta: AirspeedParams, mounting: Mounting, nav: Nav, kin: K
 
 
 def observe_sideslip(theta: SideslipParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """v_y = 0."""
+    """Return v_y."""
     v, rows = through_air(nav, kin)
     return Observation(v[1:2], {name: row[1:2] for name, row in rows.items()}, fix.sd, theta.sd)
 

@@ -18,7 +18,7 @@ class BarometerParams(NamedTuple):
 
 
 def observe_barometer(theta: BarometerParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """H + b - y."""
+    """Return h + b - y."""
     bias = nav.errors.get("barometer_bias", jnp.zeros(1))
     rows = {"position": jnp.array([[0.0, 0.0, 1.0]]), "barometer_bias": jnp.ones((1, 1))}
     return Observation(kin.lla[2:] + bias - fix.value, rows, fix.sd, theta.sd_scale)

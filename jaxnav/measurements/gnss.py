@@ -26,7 +26,7 @@ def arm_of(mounting: Mounting, nav: Nav) -> jax.Array:
 
 
 def observe_position(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """P + C l + e - y, where e is the state ``gnss_position_error`` and ``lever_arm_error`` is a part of l."""
+    """Return p + C l + e - y, where e is the state ``gnss_position_error`` and ``lever_arm_error`` is a part of l."""
     arm = kin.C @ arm_of(mounting, nav)
     y = earth.enu_difference(kin.lla, fix.value) + arm + nav.errors.get("gnss_position_error", jnp.zeros(3))
     rows = {"position": jnp.eye(3), "attitude": -rotations.skew(arm), "gnss_position_error": jnp.eye(3),
@@ -35,7 +35,7 @@ def observe_position(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinema
 
 
 def observe_velocity(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """V + C (w x l) - y; the Earth's rate times an arm is below 1e-4 m/s."""
+    """Return v + C (w x l) - y; the Earth's rate times an arm is below 1e-4 m/s."""
     arm = arm_of(mounting, nav)
     swing = kin.C @ jnp.cross(nav.omega, arm)
     rows = {

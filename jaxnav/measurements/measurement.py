@@ -115,7 +115,7 @@ def at(past: Nav, t: jax.Array) -> Nav:
 
 
 def covariance(root: jax.Array | float, sd: jax.Array, corr: jax.Array, valid: jax.Array) -> jax.Array:
-    """R = L D C D L' (s, s) of a fix with stated ``sd`` D and correlations C (`Fix`); ``root`` is L or its diagonal.
+    """Return R = L D C D L' (s, s) of a fix with stated sd D and correlations C (`Fix`); ``root`` is L or its diagonal.
 
     The correlation of two channels is dropped if one is missing. The sd of a missing channel means
     nothing, so with a full L its share in another channel is taken at that channel's sd: R of the present channels
@@ -135,7 +135,7 @@ def covariance(root: jax.Array | float, sd: jax.Array, corr: jax.Array, valid: j
 
 
 def rows_of(o: Observation, nav: Nav, states: Sequence[State]) -> jax.Array:
-    """H (s, n) of an observation, its motion in ENU; rows of states that the filter lacks are dropped.
+    """Return H (s, n) of an observation, its motion in ENU; rows of states that the filter lacks are dropped.
 
     A state that enters the gyro or the accelerometer lowers the reading of navigation, d w / d s = -M.
     """

@@ -20,7 +20,7 @@ class Sd(NamedTuple):
 
 
 def observe_zero_velocity(theta: Sd, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """V = 0."""
+    """Return v."""
     return Observation(kin.vel, {"velocity": jnp.eye(3)}, jnp.broadcast_to(theta.sd, (3,)))
 
 

@@ -69,13 +69,13 @@ def vehicle_velocity(
 def observe_nonholonomic(
     theta: NonholonomicParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix
 ) -> Observation:
-    """No velocity to the right and down."""
+    """Return the velocity to the right and down."""
     v, rows = vehicle_velocity(mounting, nav, kin)
     return Observation(v[1:], {name: row[1:] for name, row in rows.items()}, fix.sd, theta.sd)
 
 
 def observe_speed(theta: SpeedParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """(1 + scale) v_forward - y, where the state ``odometer_scale`` is a part of the scale."""
+    """Return (1 + scale) v_forward - y, where the state ``odometer_scale`` is a part of the scale."""
     return _rolled(theta, [vehicle_velocity(mounting, nav, kin)], nav, fix)
 
 
@@ -94,7 +94,7 @@ def _rolled(theta: SpeedParams | WheelsParams, points: list[Any], nav: Nav, fix:
 
 
 def observe_level(theta: LevelParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
-    """v_up = 0."""
+    """Return v_up."""
     return Observation(kin.vel[2:], {"velocity": jnp.array([[0.0, 0.0, 1.0]])}, fix.sd, theta.sd)
 
 

@@ -10,7 +10,7 @@ PER_G = units.DEG_PER_HOUR / units.G0  # rad/s per m/s^2
 
 
 def forces(reading: Reading) -> jax.Array:
-    """M (..., 3, 9) of the force o: rate axis i reads s_3i o_x + s_3i+1 o_y + s_3i+2 o_z."""
+    """Return M (..., 3, 9) of the force o: rate axis i reads s_3i o_x + s_3i+1 o_y + s_3i+2 o_z."""
     o = reading.other[..., None, :]
     zero = jnp.zeros_like(o)
     rows = [jnp.concatenate([o if i == axis else zero for i in range(3)], -1) for axis in range(3)]

@@ -18,7 +18,7 @@ for _i, (_row, _seen) in enumerate(PAIRS):
 
 
 def crossed(reading: Reading) -> jax.Array:
-    """M (..., 3, 6): column i has the seen axis of `PAIRS` in the row of the reading one."""
+    """Return M (..., 3, 6): column i has the seen axis of `PAIRS` in the row of the reading one."""
     return jnp.einsum("rij,...j->...ri", _OTHER, reading.this)
 
 

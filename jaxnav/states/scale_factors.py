@@ -8,7 +8,7 @@ from jaxnav.states.state import BODY, Reading, State, UserUnit, constant
 
 
 def diagonal(reading: Reading) -> jax.Array:
-    """M = diag(w), (..., 3, 3)."""
+    """Return M = diag(w), (..., 3, 3)."""
     return reading.this[..., None] * np.eye(3)
 
 

@@ -138,7 +138,7 @@ def _exponential(S: jax.Array) -> jax.Array:
 
 
 def _shares(T: jax.Array) -> jax.Array:
-    """T / sum T along the last axis, alike where all are zero."""
+    """Return T / sum T along the last axis, alike where all are zero."""
     total = T.sum(-1, keepdims=True)
     return jnp.where(total > 0, T / jnp.where(total > 0, total, 1.0), 1.0 / T.shape[-1])
 
@@ -149,7 +149,7 @@ def _weights(T: jax.Array, left: jax.Array) -> jax.Array:
 
 
 def _nilpotent(maps: Maps, sums: EpochSums, u: Forcing | None) -> tuple[jax.Array, jax.Array]:
-    """N (9, 9) and d (9,) of p' = v, v' = A(f) phi + u, phi' = u, exactly for piecewise constants."""
+    """Return N (9, 9) and d (9,) of p' = v, v' = A(f) phi + u, phi' = u, exactly for piecewise constants."""
     _, f, T, end, weights, done = sums
     total = end[-1]
     A_w, A_T = maps.A(done[-1])

@@ -107,7 +107,9 @@ def test_a_setting_that_equals_a_default_is_a_setting():
     """The preset of the other source does not take its place."""
     first = resolved(data={"source": "urban"}, initialization={"heading_sd_deg": 5.0})
     assert config.for_source(first, "navego_synthetic").initialization.heading_sd_deg == 5.0
-    assert config.for_source(resolved(data={"source": "urban"}), "navego_synthetic").initialization.heading_sd_deg == 1.0
+    assert (
+        config.for_source(resolved(data={"source": "urban"}), "navego_synthetic").initialization.heading_sd_deg == 1.0
+    )
 
 
 def positions(moves_at: float) -> Samples:

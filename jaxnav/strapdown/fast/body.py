@@ -168,6 +168,6 @@ def as_biases(rows: jax.Array, nav: Nav) -> tuple[Vector, Vector]:
 
 
 def divide_or_zero(t: Any, v: tuple[Any, ...]) -> tuple[Any, ...]:
-    """V / t, zero where t is."""
+    """Return v / t, zero where t is."""
     some = t > 0
     return scale(jnp.where(some, 1 / jnp.where(some, t, 1.0), 0.0), v)

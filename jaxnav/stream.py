@@ -32,9 +32,9 @@ from jaxnav.maths import rotations
 from jaxnav.measurements import MEASUREMENTS, layout
 from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Params, nearest
 
-SAME = 2 * TICK  # s: fixes that are as near are of one epoch
-AHEAD = 10.0  # s: a fix that is farther ahead of the samples was stamped by another clock
-RECENT = 400  # samples of the spread by which a hole is judged
+SAME_EPOCH_S = 2 * TICK  # s: fixes that are as near are of one epoch
+MAX_AHEAD_S = 10.0  # s: a fix that is farther ahead of the samples was stamped by another clock
+SPREAD_SAMPLES = 400  # samples of the spread by which a hole is judged
 VERSION = 2  # of the format of `to_bytes`
 
 
@@ -150,7 +150,7 @@ class Stream:
             self.refused["imu: not later than the one before"] += 1
             return self.now
         usual = t - self.t if dt is None else dt
-        if t - usual - self.t > gaps.SHORT or (dt is None and usual > gaps.SHORT):
+        if t - usual - self.t > gaps.MIN_GAP_S or (dt is None and usual > gaps.MIN_GAP_S):
             usual = self._bridge(t, usual if dt is not None else None)
         else:
             usual = min(usual, t - self.t) if dt is None else usual
@@ -196,11 +196,11 @@ class Stream:
         y, spread, both = np.ravel(np.asarray(value, float)), wide(sd, 1.0), wide(corr, 0.0)
         if not (math.isfinite(t) and np.isfinite([y, spread, both]).all() and (spread > 0).all()):
             self.refused[f"{name}: not finite, or an sd that is not positive"] += 1
-        elif t <= self.kept[0].t + SAME:
+        elif t <= self.kept[0].t + SAME_EPOCH_S:
             self.refused[f"{name}: older than the last {self.lag:g} s"] += 1
-        elif t > self.t + AHEAD:
-            self.refused[f"{name}: more than {AHEAD:g} s ahead of the IMU"] += 1
-        elif any(n == name and abs(s - t) <= SAME for s, n, *_ in self.fixes):
+        elif t > self.t + MAX_AHEAD_S:
+            self.refused[f"{name}: more than {MAX_AHEAD_S:g} s ahead of the IMU"] += 1
+        elif any(n == name and abs(s - t) <= SAME_EPOCH_S for s, n, *_ in self.fixes):
             self.refused[f"{name}: there already"] += 1
         else:
             self.fixes.append((float(t), name, y, spread, both))
@@ -217,22 +217,22 @@ class Stream:
 
     def _bridge(self, t: float, dt: float | None) -> float:
         """Fill the hole before a sample that lasts ``dt``; returns how long it lasts."""
-        recent = np.array(self.samples[-RECENT:]).reshape(-1, 8)
-        usual = dt if dt is not None else float(np.median(recent[:, 1])) if recent.size else gaps.SHORT
+        recent = np.array(self.samples[-SPREAD_SAMPLES:]).reshape(-1, 8)
+        usual = dt if dt is not None else float(np.median(recent[:, 1])) if recent.size else gaps.MIN_GAP_S
         usual = min(usual, t - self.t)
         begin, end = self.t, t - usual
         if end - begin > TICK and recent.size:
-            side = recent[recent[:, 0] > begin - gaps.SIDE]
+            side = recent[recent[:, 0] > begin - gaps.SIDE_S]
             spread = np.sqrt(recent[:, 2:].reshape(-1, 2, 3).var(0).mean(-1))
             noise = spread * math.sqrt(end - begin)  # as if it stayed that wrong for as long as the hole lasts
-            noise[0] = min(noise[0], gaps.MOST_TURN / math.sqrt(end - begin))
+            noise[0] = min(noise[0], gaps.MAX_HIDDEN_TURN / math.sqrt(end - begin))
             self.holes.append((begin, end, float(noise[0]), float(noise[1])))
             self._sample(end, end - begin, *np.split(side[:, 2:].mean(0), 2))
         return usual
 
     def _again(self, t: float) -> None:
         """Run the epochs again from before a fix at ``t`` on."""
-        while len(self.kept) > 1 and self.kept[-1].t > t - SAME:
+        while len(self.kept) > 1 and self.kept[-1].t > t - SAME_EPOCH_S:
             self.kept.pop()
         last = self.kept[-1]
         fill = _empty_before(t - last.anchor, self.interval)
@@ -244,7 +244,7 @@ class Stream:
     def _due(self) -> bool:
         """Run the epochs that the last sample completes; return whether there were any."""
         last = self.kept[-1]
-        fix = any(last.t + SAME < t <= self.t + TICK for t, *_ in self.fixes)
+        fix = any(last.t + SAME_EPOCH_S < t <= self.t + TICK for t, *_ in self.fixes)
         empty = self.t >= last.anchor + (last.empty + 2) * self.interval
         if fix or empty:
             self._run()
@@ -271,7 +271,7 @@ class Stream:
     def _next(self) -> tuple[float, bool] | None:
         """End of the next epoch, and whether a fix ends it; None where it is not complete."""
         last = self.kept[-1]
-        times = [t for t, *_ in self.fixes if last.t + SAME < t <= self.t + TICK]
+        times = [t for t, *_ in self.fixes if last.t + SAME_EPOCH_S < t <= self.t + TICK]
         following = last.anchor + (last.empty + 1) * self.interval
         if times:
             if last.empty < _empty_before(times[0] - last.anchor, self.interval):
@@ -285,7 +285,7 @@ class Stream:
         m = max(s.stop for s in self.slices.values())
         value, sd, corr, valid = np.zeros(m), np.ones(m), np.zeros(m), np.zeros(m, bool)
         for t, name, y, spread, both in self.fixes if fixed else ():
-            if abs(t - end) <= SAME:
+            if abs(t - end) <= SAME_EPOCH_S:
                 place = self.slices[name]
                 value[place], sd[place], corr[place], valid[place] = y, spread, both, True
         found = np.array(self.holes).reshape(-1, 4)
@@ -326,12 +326,12 @@ class Stream:
         while len(self.kept) > 1 and self.kept[1].t <= oldest:
             self.kept.pop(0)
         begin = self.kept[0].t
-        self.fixes = [each for each in self.fixes if each[0] > begin - SAME]
+        self.fixes = [each for each in self.fixes if each[0] > begin - SAME_EPOCH_S]
         self.holes = [each for each in self.holes if each[1] > begin]
         for known in self.auxiliary.values():
             del known[: max(bisect_right(known, begin, key=itemgetter(0)) - 1, 0)]
         first = bisect_right(self.samples, begin + TICK, key=itemgetter(0))
-        del self.samples[: max(0, min(first, len(self.samples) - RECENT))]
+        del self.samples[: max(0, min(first, len(self.samples) - SPREAD_SAMPLES))]
 
     # ------------------------------------------------------------------------ a restart
 

@@ -24,7 +24,7 @@ from jaxnav.filters.compiler import clear_caches_if_needed, enable_x64, fast_com
 fast_compiler()
 enable_x64()
 gc.set_threshold(COLLECT)
-progress.NOTICED = float("inf")  # what compiles goes with the machine, and is no part of what a test expects
+progress.SILENT_COMPILING_S = float("inf")  # what compiles goes with the machine, and is no part of what a test expects
 jax.config.update("jax_enable_compilation_cache", False)
 jax.config.update("jax_disable_most_optimizations", True)  # the suite's time is compilation
 

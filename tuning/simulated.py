@@ -24,9 +24,9 @@ from tuning.fit import objectives
 from tuning.fit.train import Fit
 from tuning.fit.transforms import Spec, leaves, merged
 from tuning.recordings import likelihood
-from tuning.recordings.parts import REACH
+from tuning.recordings.parts import MAX_ADDED_DELAY_S
 from tuning.recordings.priors import spec_of
-from tuning.recordings.report import LEAST_WINDOWS, Trial, Tuned, channels, ratios, spread, verdict
+from tuning.recordings.report import MIN_WINDOWS, Trial, Tuned, channels, ratios, spread, verdict
 from tuning.recordings.runs import Descent, Run, Truth, check_objective, descend, many
 from tuning.recordings.validation import paired_gain
 
@@ -105,7 +105,10 @@ def tune_simulated(
     for each in params:
         require_params(filt, each)
     if filt.with_history:
-        reach = [history_for(p, s.imu_rate_hz, s.duration_s, REACH) for p, s in zip(params, scenarios, strict=True)]
+        reach = [
+            history_for(p, s.imu_rate_hz, s.duration_s, MAX_ADDED_DELAY_S)
+            for p, s in zip(params, scenarios, strict=True)
+        ]
         filt = filt.with_history(max(reach))
     spec = spec_of(filt, params[0], free, prior_sd, priors)
     used = [_simulated(filt, s, p, counts, seed + i) for i, (s, p) in enumerate(zip(scenarios, params, strict=True))]
@@ -135,7 +138,7 @@ def tune_simulated(
     }  # fmt: skip
     moved = any(np.any(np.asarray(get(ended.params, leaf)) != np.asarray(get(params[0], leaf))) for leaf in spec)
     best, gain = "tuned" if moved else "datasheet", None
-    if moved and np.unique(blocks).size >= LEAST_WINDOWS:
+    if moved and np.unique(blocks).size >= MIN_WINDOWS:
         gain = paired_gain(drift["datasheet"][parts["test"]], drift["tuned"][parts["test"]], blocks)
     scores = {name: spread(off[parts["test"]]) for name, off in drift.items()}
     rows, findings = likelihood.rows(surface, spec, ended.params, params[0], used[0].known)

@@ -25,9 +25,9 @@ from jaxnav.maths import linalg
 from jaxnav.types import Info
 from tuning.fit.transforms import Spec, labels, penalty, reported, values
 
-VAGUE = 1.0  # sd of an unconstrained number beyond which it is not determined: a factor e where it is a logarithm
+MAX_SD = 1.0  # sd of an unconstrained number beyond which it is not determined: a factor e where it is a logarithm
 
-TOGETHER = 8  # directions that are differentiated side by side: more at once take longer on a processor
+DIRECTIONS_PER_PASS = 8  # directions that are differentiated side by side: more at once take longer on a processor
 
 
 class Information(NamedTuple):
@@ -71,7 +71,7 @@ def pushed(outputs: Callable[[jax.Array], tuple[Any, Any]], raw: jax.Array) -> t
         values, slopes, rest = jax.jvp(outputs, (raw,), (v,), has_aux=True)
         return (values, rest), slopes
 
-    turns = -(-raw.size // TOGETHER)
+    turns = -(-raw.size // DIRECTIONS_PER_PASS)
     each = -(-raw.size // turns)
     directions = jnp.eye(turns * each, raw.size).reshape(turns, each, raw.size)
     found, slopes = lax.map(jax.vmap(push, out_axes=(None, 0)), directions)
@@ -173,13 +173,13 @@ def intervals(spec: Spec, raw: dict[str, jax.Array], cov: Covariance, level: flo
     low, value, high = (show(jnp.clip(numbers(flat) + h, -200, 200)).tolist() for h in (-half, 0.0, half))
     size = (half / quantile).tolist()
     rows = zip(labels(spec, raw), value, low, high, size, strict=True)
-    return [Interval(name, v, a, b, s, s < VAGUE) for name, v, a, b, s in rows]
+    return [Interval(name, v, a, b, s, s < MAX_SD) for name, v, a, b, s in rows]
 
 
-MOST_NAMED = 6  # parameters of one combination
+MAX_NAMED = 6  # parameters of one combination
 
 
-def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = VAGUE) -> list[str]:
+def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = MAX_SD) -> list[str]:
     """In words, which parameters or combinations of them the data do not determine; empty where they do all.
 
     One sentence for each principal axis of the covariance (P, P) with an sd above ``vague``.
@@ -190,7 +190,7 @@ def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = VAGUE)
         sd = float(np.sqrt(max(variance, 0.0)))
         if sd < vague:
             break
-        part = [i for i in np.argsort(-np.abs(axis)) if abs(axis[i]) > 0.3 * np.abs(axis).max()][:MOST_NAMED]
+        part = [i for i in np.argsort(-np.abs(axis)) if abs(axis[i]) > 0.3 * np.abs(axis).max()][:MAX_NAMED]
         size = f"a factor {np.exp(sd):.3g}" if sd < np.log(1e3) else "any amount"
         if len(part) == 1:
             out.append(f"{names[part[0]]} is not determined by these data: one sd is {size}")

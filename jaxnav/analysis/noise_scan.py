@@ -50,27 +50,27 @@ if TYPE_CHECKING:
 
 COMMON = np.arange(-0.5, 4.0, 0.5)  # log10 of the common factor, coarse grid
 LATENCIES = np.arange(-1, 8) / 10  # s, coarse grid
-AT_ONCE = 3  # latencies by one call of the compiled function
+LATENCIES_PER_CALL = 3  # latencies by one call of the compiled function
 COARSE_BOX, FINE_BOX = np.array([0.5, 0.5, 0.05]), np.array([0.25, 0.25, 0.025])
 """Steps of a box: log10 of the gyro and of the accelerometer factor, s."""
 SQUARE = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"), -1).reshape(9, 2)
-MOST_BOXES = 5  # coarse ones
+MAX_COARSE_BOXES = 5  # coarse ones
 RATIO_SD, COMMON_SD, LATENCY_SD = 0.5, 1.5, 0.1  # decades, decades, s
 CORRELATION_S = 10.0  # s, between independent innovations
 SCANNED_S, WARM_UP_S = 180.0, 20.0  # s, of the part that counts at most; before it, to settle
-LEAST_FIXES = 20  # that count
+MIN_FIXES = 20  # that count
 MOVING_MPS, PARKED_S = 1.0, 30.0  # ground speed of motion; s at rest from which on the scan begins later
 MARGIN_S = 15.0  # s, before the first motion
 SCALES = np.arange(-1.25, 1.0, 0.25)  # log10 of the factor on the positions' stated sd, coarse grid
 SCALE_STEP = 0.25  # of a box: log10 of the factors on the sd of positions and velocities
 SCALE_SD = 0.5  # decades
-WINDOW_S, PHASES = 10.0, AT_ONCE  # hidden windows: length, runs with windows in other places
-SHORT_S, LEAST_WINDOWS = 5.0, 8  # length where eight of `WINDOW_S` do not fit; number
-HARM = 1.05  # of the drift over hidden windows, up to which other sd are taken
-LEAST_GAIN = 1.0  # of J, from which on other sd are taken
+WINDOW_S, PHASES = 10.0, LATENCIES_PER_CALL  # hidden windows: length, runs with windows in other places
+SHORT_S, MIN_WINDOWS = 5.0, 8  # length where eight of `WINDOW_S` do not fit; number
+MAX_DRIFT_RATIO = 1.05  # of the drift over hidden windows, up to which other sd are taken
+MIN_GAIN = 1.0  # of J, from which on other sd are taken
 
 
-VIBRATION = 300.0  # factor on the datasheet above which noise is vibration, a wrong unit or another grade
+VIBRATION_FACTOR = 300.0  # factor on the datasheet above which noise is vibration, a wrong unit or another grade
 
 
 class NoiseScan(NamedTuple):
@@ -100,7 +100,7 @@ class NoiseScan(NamedTuple):
     def findings(self) -> list[Finding]:
         """Return the findings of the scan."""
         if not self.fixes:
-            return [finding("noise.datasheet", limit=LEAST_FIXES)]
+            return [finding("noise.datasheet", limit=MIN_FIXES)]
         scale = f"; sd of positions {self.position:.2g}, of velocities {self.velocity:.2g} times the stated"
         found = finding(
             "noise.scan", gyro=self.gyro, accel=self.accel, size=abs(self.latency),
@@ -108,7 +108,9 @@ class NoiseScan(NamedTuple):
             last=self.part[1], scale=scale if (self.position, self.velocity) != (1.0, 1.0) else "",
         )  # fmt: skip
         most = max(self.gyro, self.accel)
-        return [found] + ([finding("noise.vibration", value=most, limit=VIBRATION)] if most > VIBRATION else [])
+        return [found] + (
+            [finding("noise.vibration", value=most, limit=VIBRATION_FACTOR)] if most > VIBRATION_FACTOR else []
+        )
 
     def metrics(self) -> dict[str, float]:
         """Return the chosen values, as in metrics.json."""
@@ -244,7 +246,7 @@ class _Objective:
         packed, (epochs, counted) = self._packed(round(latency, 6)), self.at(round(latency, 6))
         length = WINDOW_S if self.end - self.first >= 8 * WINDOW_S else SHORT_S
         windows = hidden_windows(packed, length, PHASES * length, PHASES, self.first - packed.start)
-        if windows.start.size < LEAST_WINDOWS:
+        if windows.start.size < MIN_WINDOWS:
             return np.zeros(2)
         there = np.asarray(packed.epochs.fix.valid)[:, :3].all(1)
         wide = lambda mask: np.pad(mask, ((0, 0), (0, self.size[0] - counted.size)))
@@ -262,11 +264,11 @@ class _Objective:
 
         line, drift = at(np.column_stack([SCALES, np.zeros_like(SCALES)]))
         stated = int(np.argmin(np.abs(SCALES)))
-        most = HARM * drift[stated]
+        most = MAX_DRIFT_RATIO * drift[stated]
         first = line[np.argmax(np.where(drift <= most, line[:, 3], -np.inf)), :3]
         steps = SCALE_STEP * np.array([1.0, float(len(self.rows) > 1), 0.0])
         centre, points = _climb(lambda centre: at(centre[:2] + steps[:2] * SQUARE, most)[0], first)
-        if points[:, 3].max() < line[stated, 3] + LEAST_GAIN:
+        if points[:, 3].max() < line[stated, 3] + MIN_GAIN:
             return np.zeros(2)
         return _vertex(points, centre, steps)[:2]
 
@@ -280,7 +282,7 @@ class _Objective:
 
 def _climb(box: Callable[[np.ndarray], np.ndarray], centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the centre (3,) of a box with the maximum in its middle, or of the last tried, and its points (n, 4)."""
-    for _ in range(MOST_BOXES):
+    for _ in range(MAX_COARSE_BOXES):
         points = box(centre)
         best = points[np.argmax(points[:, 3]), :3]
         if np.allclose(best, centre):
@@ -342,12 +344,14 @@ def scan_noise(
     end = min(begin.t + WARM_UP_S + SCANNED_S, last)
     objective = _Objective(rec, params, begin, end, outages)
     fixes = int(objective.at(0.0)[1].sum())
-    if fixes < LEAST_FIXES:
+    if fixes < MIN_FIXES:
         return NoiseScan()
-    latencies, free = (np.zeros(AT_ONCE), 0.0) if _timed(params) else (LATENCIES, 1.0)
+    latencies, free = (np.zeros(LATENCIES_PER_CALL), 0.0) if _timed(params) else (LATENCIES, 1.0)
     steps = np.array([1.0, 1.0, free])
     logs = np.stack([COMMON, COMMON], 1)
-    coarse = np.concatenate([objective(latencies[i : i + AT_ONCE], logs) for i in range(0, latencies.size, AT_ONCE)])
+    coarse = np.concatenate(
+        [objective(latencies[i : i + LATENCIES_PER_CALL], logs) for i in range(0, latencies.size, LATENCIES_PER_CALL)]
+    )
     i, j = np.unravel_index(np.argmax(coarse), coarse.shape)
     centre = np.array([COMMON[j], COMMON[j], latencies[i]])
     centre, _ = _climb(partial(objective.box, steps=steps * COARSE_BOX), centre)

@@ -23,8 +23,8 @@ from jaxnav.states.motion import MOTION
 from jaxnav.states.table import chosen
 from jaxnav.types import Epoch, Finding, Info, Nav, Params, StateParams
 
-BEYOND = 3.5  # sd that a state may go from where it started without a sentence
-UNSEEN = 0.9  # of the prior sd: the posterior of a nearly unobserved state
+MAX_STATE_SIGMAS = 3.5  # sd that a state may go from where it started without a sentence
+UNOBSERVED_SD_RATIO = 0.9  # of the prior sd: the posterior of a nearly unobserved state
 ENU = ("east", "north", "up")
 
 
@@ -94,11 +94,11 @@ def observability_findings(found: Observability, window: float = 30.0) -> list[F
     span = " to ".join(str(r) for r in sorted({int(found.rank.min()), int(found.rank.max())}))
     median, count = float(np.median(found.rank)), found.start.size
     out = [finding("observability.rank", value=median, count=count, window=window, span=span, n=n)]
-    unseen = [name for name, share in zip(found.names, least, strict=True) if share > UNSEEN]
+    unseen = [name for name, share in zip(found.names, least, strict=True) if share > UNOBSERVED_SD_RATIO]
     seldom = [
-        f"{name} ({int((share < UNSEEN).sum())})"
+        f"{name} ({int((share < UNOBSERVED_SD_RATIO).sum())})"
         for name, share, best in zip(found.names, found.left.T, least, strict=True)
-        if best <= UNSEEN and (share < UNSEEN).mean() < 0.25
+        if best <= UNOBSERVED_SD_RATIO and (share < UNOBSERVED_SD_RATIO).mean() < 0.25
     ]
     out += [finding("observability.never", ", ".join(unseen))] if unseen else []
     return out + ([finding("observability.seldom", ", ".join(seldom))] if seldom else [])
@@ -116,11 +116,13 @@ def state_findings(filt: Filter, params: Params, nav: Nav, info: Info) -> list[F
     T = float(info.nav.t[-1] - nav.t)
     possible = np.sqrt(before**2 + each(lambda name: _driven(params.states[name], T)))
     out = []
-    unseen = [name for name, was, now in zip(names, before, after, strict=True) if now > UNSEEN * was > 0]
+    unseen = [name for name, was, now in zip(names, before, after, strict=True) if now > UNOBSERVED_SD_RATIO * was > 0]
     if unseen:
         out.append(finding("state.unobserved", ", ".join(unseen)))
     far = [
-        f"{name} ({x / sd:.0f} sigma)" for name, x, sd in zip(names, went, possible, strict=True) if x > BEYOND * sd > 0
+        f"{name} ({x / sd:.0f} sigma)"
+        for name, x, sd in zip(names, went, possible, strict=True)
+        if x > MAX_STATE_SIGMAS * sd > 0
     ]
     if far:
         out.append(finding("state.unexpected", ", ".join(far)))

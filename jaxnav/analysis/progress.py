@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 from tqdm import tqdm
 
-QUIET = 30.0  # s between lines where nobody watches, and before the first
-NOTICED = 1.5  # s of compiling without a message
-TICK = 0.25  # s between looks
+LOG_INTERVAL_S = 30.0  # s between lines where nobody watches, and before the first
+SILENT_COMPILING_S = 1.5  # s of compiling without a message
+POLL_INTERVAL_S = 0.25  # s between looks
 COMPILING = "compiling (first time, about 20 s; cached from then on)"
 # files of jax that are on the stack while it traces, lowers and compiles
 STAGES = ("jax/_src/interpreters/partial_eval.py", "jax/_src/interpreters/mlir.py", "jax/_src/compiler.py")
@@ -49,14 +49,15 @@ def bar(total: int, unit: str, show: bool, done: int = 0) -> Bar:
     if sys.stderr.isatty():
         return Bar(total=total, initial=done, unit=unit, disable=not show)
     return Bar(
-        total=total, initial=done, unit=unit, disable=not show, file=_Lines(), mininterval=QUIET, delay=QUIET,
+        total=total, initial=done, unit=unit, disable=not show, file=_Lines(),
+        mininterval=LOG_INTERVAL_S, delay=LOG_INTERVAL_S,
         bar_format="{n_fmt}/{total_fmt} {unit}s [{elapsed}<{remaining}, {rate_fmt}{postfix}]",
     )  # fmt: skip
 
 
 @contextmanager
 def compiling(show: bool) -> Iterator[None]:
-    """While the block runs: say so on stderr when the calling thread has compiled for longer than `NOTICED`.
+    """While the block runs: say so on stderr when the calling thread has compiled for longer than `SILENT_COMPILING_S`.
 
     On a terminal with the seconds, for as long as it lasts; elsewhere once.
     """
@@ -75,12 +76,12 @@ def compiling(show: bool) -> Iterator[None]:
 
 def _watch(thread: int, over: threading.Event) -> None:
     spent, since, line = 0.0, time.monotonic(), None
-    while not over.wait(TICK):
+    while not over.wait(POLL_INTERVAL_S):
         now = time.monotonic()
         busy = compiles(thread)
         spent += now - since if busy else 0.0
         since = now
-        if spent < NOTICED:
+        if spent < SILENT_COMPILING_S:
             continue
         if not sys.stderr.isatty():
             print(f"{COMPILING} ...", file=sys.stderr, flush=True)

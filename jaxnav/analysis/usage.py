@@ -15,11 +15,11 @@ from jaxnav.maths import units
 from jaxnav.measurements import Measurement, layout
 from jaxnav.types import Finding, ImuLog, Info, Params, Recording
 
-SURE = 0.9999  # probability of the bounds, of each channel
+BOUND_PROBABILITY = 0.9999  # probability of the bounds, of each channel
 MIN_NIS, MIN_CORRELATION = 1.25, 0.3  # NIS of all channels and correlation of neighbours below these make no finding
 MAX_NOISE_RATIO = 5.0  # times the assumed noise; above it is a finding
-ALONE = 3.0  # times the noise of the other axes, from which on an axis is named
-MUCH = 0.02  # share of a stream that is left out without a word
+AXIS_NOISE_RATIO = 3.0  # times the noise of the other axes, from which on an axis is named
+MAX_UNUSED_SHARE = 0.02  # share of a stream that is left out without a word
 
 
 class Use(NamedTuple):
@@ -62,7 +62,7 @@ def usage_findings(found: dict[str, Use]) -> list[Finding]:
             (u.before, "before the start"), (u.outside, "after the IMU's last sample, or the stop"),
             (u.refused, "refused by the filter's rule"), (u.hidden, "hidden as asked for"),
         ]  # fmt: skip
-        why = ", ".join(f"{n} {where}" for n, where in parts if n > MUCH * u.read)
+        why = ", ".join(f"{n} {where}" for n, where in parts if n > MAX_UNUSED_SHARE * u.read)
         if why:
             code = "stream.unused" if u.used + u.refused + u.hidden > 0 else "stream.refused"
             out.append(finding(code, name, float(u.used), used=u.used, read=u.read, why=why))
@@ -95,7 +95,7 @@ def nis_by_channel(info: Info, measurements: tuple[Measurement, ...]) -> dict[st
         value = float(np.mean(x**2))
         r = float(np.clip(np.mean(x[1:] * x[:-1]) / max(value, 1e-300), 0.0, 0.99))
         independent = max(2.0, n * (1 - r) / (1 + r))
-        low, high = metrics.chi2_bounds(independent, 1, SURE)
+        low, high = metrics.chi2_bounds(independent, 1, BOUND_PROBABILITY)
         found[name] = ChannelNis(value, float(low / independent), float(high / independent), n, r)
     return found
 
@@ -159,7 +159,7 @@ def noise_findings(imu: ImuLog, params: Params) -> list[Finding]:
         if found > MAX_NOISE_RATIO * known > 0:
             value, limit = found / unit, known / unit
             out.append(finding("imu.noise_high", name, value, limit, unit_text=unit_text, ratio=found / known))
-        elif axes[worst] > MAX_NOISE_RATIO * known > 0 and axes[worst] > ALONE * others:
+        elif axes[worst] > MAX_NOISE_RATIO * known > 0 and axes[worst] > AXIS_NOISE_RATIO * others:
             value, ratio = float(axes[worst]) / unit, float(axes[worst]) / known
             subject = f"{name} {'xyz'[worst]}"
             out.append(finding("imu.noise_axis", subject, value, others / unit, unit_text=unit_text, ratio=ratio))
@@ -173,7 +173,7 @@ def nis_overall(info: Info) -> ChannelNis | None:
     dof = int(valid[complete].sum())
     if complete.sum() < 10:
         return None
-    low, high = metrics.chi2_bounds(dof, 1, SURE)
+    low, high = metrics.chi2_bounds(dof, 1, BOUND_PROBABILITY)
     return ChannelNis(float(np.asarray(info.nis)[complete].sum() / dof), float(low / dof), float(high / dof), dof, 0.0)
 
 

@@ -20,17 +20,17 @@ from jaxnav.maths.units import DEG
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ImuLog, Recording, Samples
 
-GAIN = 0.08  # log-likelihood a difference, least, of a change beyond imperfections of the model
-TOTAL = 20.0  # log-likelihood over all windows, least
-EACH = 4.0  # log-likelihood, least, in the second best window
-FLOOR = 0.02  # of S a difference: no fit is taken for better
-FEW, SHORT = 12, 3  # changes that biases are estimated for, in so many iterations
-SCREEN, MOST = 0.02, 4  # log-likelihood a difference then, least, and how many changes are aligned
-RATE, FIX_RATE = 50.0, 5.0  # Hz of the samples, their means, and of the fixes that windows are aligned with here
+MIN_GAIN_PER_DIFFERENCE = 0.08  # log-likelihood a difference, least, of a change beyond imperfections of the model
+MIN_GAIN = 20.0  # log-likelihood over all windows, least
+MIN_WINDOW_GAIN = 4.0  # log-likelihood, least, in the second best window
+MIN_SQUARES = 0.02  # of S a difference: no fit is taken for better
+MAX_WITH_BIASES, BIAS_ITERATIONS = 12, 3  # changes that biases are estimated for, in so many iterations
+MIN_SCREENING_GAIN, MAX_ALIGNED = 0.02, 4  # log-likelihood a difference then, least, and how many changes are aligned
+SAMPLE_RATE_HZ, FIX_RATE_HZ = 50.0, 5.0  # of the IMU's means and of the fixes in an alignment
 FIXES = {"position", "velocity"}
-CLOSE = 12.0  # log-likelihood within which changes are equal, but for where the nose points
-ALONG = 15 * DEG  # sd of the heading of an IMU's x axis less the course: how IMUs are mounted
-TILT = 40 * DEG  # sd of the angle of its z axis to down
+EQUAL_GAIN = 12.0  # log-likelihood within which changes are equal, but for where the nose points
+NOSE_SD = 15 * DEG  # sd of the heading of an IMU's x axis less the course: how IMUs are mounted
+TILT_SD = 40 * DEG  # sd of the angle of its z axis to down
 COARSE = alignment.DELAYS[::3]
 SCALES = (0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.5, 2.0)  # tried for the gyros
 
@@ -114,15 +114,15 @@ def changed(rec: Recording, change: Change) -> Recording:
 
 
 def thinned(rec: Recording) -> Recording:
-    """Return the recording with means over IMU samples and every k-th fix, `RATE` and `FIX_RATE` a second at least."""
+    """Return the recording thinned to `SAMPLE_RATE_HZ` (means of samples) and `FIX_RATE_HZ` (every k-th fix)."""
     every = lambda t, rate: max(1, int(1 / (rate * float(np.median(np.diff(t)))) + 1e-6)) if len(t) > 2 else 1
-    imu, k = rec.imu, every(rec.imu.t, RATE)
+    imu, k = rec.imu, every(rec.imu.t, SAMPLE_RATE_HZ)
     first = np.arange(0, imu.t.size, k)
     dt = np.add.reduceat(imu.dt, first)
     mean = lambda a: np.add.reduceat(a * imu.dt[:, None], first) / dt[:, None]
     log = ImuLog(imu.t[np.append(first[1:], imu.t.size) - 1], dt, mean(imu.gyro), mean(imu.accel))
     fixes = {
-        n: Samples(*(a[:: every(rec.aiding[n].t, FIX_RATE)] for a in rec.aiding[n])) for n in FIXES & set(rec.aiding)
+        n: Samples(*(a[:: every(rec.aiding[n].t, FIX_RATE_HZ)] for a in rec.aiding[n])) for n in FIXES & set(rec.aiding)
     }
     return rec._replace(imu=log, aiding=rec.aiding | fixes)
 
@@ -164,15 +164,17 @@ class Search(NamedTuple):
 
 
 def search(rec: Recording, windows: Sequence[tuple[float, float]], tried: Sequence[Change]) -> Search:
-    """Try changes in every window: all by Wahba's problem, which knows of no bias; the `FEW` best with biases."""
+    """Try changes in every window: all by Wahba's problem, without biases; the `MAX_WITH_BIASES` best with biases."""
     cases = [_case(rec, begin, end) for begin, end in windows]
     n = np.array([3 * len(case.seen.D) for case in cases])
     every = [Change("", "", ""), *tried]
     guesses = [[_guess(rec, case, change) for case in cases] for change in every]
     S = np.array([[g[0] if g is not None else np.nan for g in row] for row in guesses]).reshape(len(every), -1)
-    worth = lambda S: np.nan_to_num(0.5 * n * np.log(np.maximum(S[:1] / n, FLOOR) / np.maximum(S[1:] / n, FLOOR)))
+    worth = lambda S: np.nan_to_num(
+        0.5 * n * np.log(np.maximum(S[:1] / n, MIN_SQUARES) / np.maximum(S[1:] / n, MIN_SQUARES))
+    )
     first = worth(S).sum(1)
-    few = [i for i in np.argsort(-first)[:FEW] if first[i] > 0.5 * TOTAL]
+    few = [i for i in np.argsort(-first)[:MAX_WITH_BIASES] if first[i] > 0.5 * MIN_GAIN]
     gain = np.full((len(tried), len(cases)), -np.inf)
     left = np.zeros(len(cases))
     if few:
@@ -224,7 +226,7 @@ def _with_biases(rec: Recording, case: Case, change: Change, guess: tuple[float,
         return float("nan")
     x, (imu, seen) = np.array([*np.zeros(6), guess[2]]), _read(rec, case, case.seen, change)
     sd = alignment.prior_sd(prior())
-    return alignment.descend(imu, seen, guess[1], x, sd, 1.0, rec.lever_arm, SHORT).cost
+    return alignment.descend(imu, seen, guess[1], x, sd, 1.0, rec.lever_arm, BIAS_ITERATIONS).cost
 
 
 def _whitened(seen: DifferencedFixes, accel_sd: float = 0.0) -> DifferencedFixes:
@@ -268,10 +270,10 @@ def best(rec: Recording, each: Sequence[tuple[tuple[float, float], Alignment]], 
     for i in np.argsort(-total):
         scaled = any(tried[i].code == tried[j].code == "gyro.scale" for j in close)  # one scale stands for all
         enough = (
-            total[i] > max(0.5 * TOTAL, SCREEN * found.size.sum())
-            and total[i] + found.left.sum() > GAIN * found.size.sum()
+            total[i] > max(0.5 * MIN_GAIN, MIN_SCREENING_GAIN * found.size.sum())
+            and total[i] + found.left.sum() > MIN_GAIN_PER_DIFFERENCE * found.size.sum()
         )
-        if enough and len(close) < MOST and not scaled:
+        if enough and len(close) < MAX_ALIGNED and not scaled:
             close.append(int(i))
     ranked = []
     for i in close:
@@ -280,16 +282,19 @@ def best(rec: Recording, each: Sequence[tuple[tuple[float, float], Alignment]], 
             (begin, end), before = each[j]
             a = aligned(other, (begin - tried[i].late, end - tried[i].late))
             if a is not None:
-                was.append(max(before.chi2, FLOOR))
+                was.append(max(before.chi2, MIN_SQUARES))
                 after.append(a)
                 dof.append((2 if source(rec)[0] == "position" else 3) * before.fixes)
             if len(was) == 2 and was[0] * was[1] < after[0].chi2 * after[1].chi2:
                 break  # worse where it should be best
         else:
-            then = [max(a.chi2, FLOOR) for a in after]
+            then = [max(a.chi2, MIN_SQUARES) for a in after]
             gain = 0.5 * np.array(dof) * np.log(np.array(was) / then)
             most = np.sort(gain)[::-1]
-            if gain.sum() < max(TOTAL, GAIN * sum(dof)) or most[min(1, len(most) - 1)] < EACH:
+            if (
+                gain.sum() < max(MIN_GAIN, MIN_GAIN_PER_DIFFERENCE * sum(dof))
+                or most[min(1, len(most) - 1)] < MIN_WINDOW_GAIN
+            ):
                 continue
             if gain[gain > 0].sum() > -4 * gain[gain < 0].sum():
                 total_gain, middle = float(gain.sum()), (float(np.median(was)), float(np.median(then)))
@@ -297,14 +302,14 @@ def best(rec: Recording, each: Sequence[tuple[tuple[float, float], Alignment]], 
     if not ranked:
         return None
     ranked.sort(key=lambda row: -row[0])
-    others = [row.change for score, row in ranked[1:] if score > ranked[0][0] - CLOSE]
+    others = [row.change for score, row in ranked[1:] if score > ranked[0][0] - EQUAL_GAIN]
     return ranked[0][1]._replace(others=others)
 
 
 def _nose(found: Sequence[Alignment]) -> float:
     """Return half the squared angles of x to the course, where both are known, and of z to down, in their sd."""
     tilt = np.median([np.arccos(np.clip(-a.C[2, 2], -1, 1)) for a in found])
-    upright = min(0.5 * float(tilt / TILT) ** 2, 2 * CLOSE)
+    upright = min(0.5 * float(tilt / TILT_SD) ** 2, 2 * EQUAL_GAIN)
     off = [
         np.arctan2(a.C[0, 0], a.C[1, 0]) - np.arctan2(a.vel[0], a.vel[1])
         for a in found
@@ -313,4 +318,4 @@ def _nose(found: Sequence[Alignment]) -> float:
     if not off:
         return upright
     angle = float(np.abs(np.angle(np.mean(np.exp(1j * np.array(off))))))
-    return upright + min(0.5 * (angle / ALONG) ** 2, 2 * CLOSE)
+    return upright + min(0.5 * (angle / NOSE_SD) ** 2, 2 * EQUAL_GAIN)

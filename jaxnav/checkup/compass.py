@@ -11,10 +11,10 @@ from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.types import Finding, Recording
 
-LEAST_TURN, STEPS, MANY = 3.0 * DEG, (0.2, 0.5, 1.0), 20  # less is noise; s between readings; turns that are enough
-SURE, LOST = 0.8, 0.4  # shares of the field's changes that turns explain: of axes that belong together, that do not
-MOST, LEAST = 1.3, 0.7  # times the field of the place
-IRON = 10.0  # uT of hard iron from which on it is said
+MIN_TURN, STEPS_S, MIN_TURNS = 3.0 * DEG, (0.2, 0.5, 1.0), 20  # above noise; between readings; enough for a check
+EXPLAINED_SHARE, UNEXPLAINED_SHARE = 0.8, 0.4  # of the field's changes by turns: right axes, wrong axes
+MAX_FIELD_RATIO, MIN_FIELD_RATIO = 1.3, 0.7  # times the field of the place
+MIN_HARD_IRON_UT = 10.0  # uT of hard iron from which on it is said
 AXES = {
     letters: np.asarray(rotation(letters))
     for letters in map("".join, permutations(DIRECTIONS, 3))
@@ -30,7 +30,9 @@ def compass(rec: Recording) -> list[Finding]:
         return []
     strength, known = float(np.median(np.linalg.norm(m.value, axis=1))), None if p is None else field_at(p.value[0])
     here = "" if known is None else f", here {known.strength:.1f} uT"
-    low, high = (LEAST * known.strength, MOST * known.strength) if known is not None else (15.0, 90.0)
+    low, high = (
+        (MIN_FIELD_RATIO * known.strength, MAX_FIELD_RATIO * known.strength) if known is not None else (15.0, 90.0)
+    )
     found = [finding("compass" if low < strength < high else "compass.strength", value=strength, here=here)]
     moved = _turns(rec)
     if moved is None:
@@ -39,13 +41,13 @@ def compass(rec: Recording) -> list[Finding]:
     share = {letters: explained(turn, *(a @ R.T for a in field)) for letters, R in AXES.items()}
     best = max(share, key=lambda letters: share[letters])
     as_is, most = share["frd"], share[best]
-    if as_is < LOST and most > SURE:
+    if as_is < UNEXPLAINED_SHARE and most > EXPLAINED_SHARE:
         return [*found, finding("compass.axes", value=100 * max(as_is, 0.0), axes=best, most=100 * most)]
     iron = hard_iron(*moved)
     without = 100 * max(explained(turn, field[0] - iron, field[1]), 0.0)
-    if without < 100 * LOST:
+    if without < 100 * UNEXPLAINED_SHARE:
         return [*found, finding("compass.inconsistent", value=without)]
-    if np.linalg.norm(iron) > IRON:
+    if np.linalg.norm(iron) > MIN_HARD_IRON_UT:
         return [*found, finding("compass.iron", value=without, vector=", ".join(f"{b:.0f}" for b in iron))]
     return [*found, finding("compass.turns", value=without)]
 
@@ -53,18 +55,18 @@ def compass(rec: Recording) -> list[Finding]:
 def _turns(rec: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Turn of the body (K, 3) rad between two readings, their mean (K, 3) and change (K, 3) uT.
 
-    Readings as near in time as turns of `LEAST_TURN` allow; None where it hardly turns.
+    Readings as near in time as turns of `MIN_TURN` allow; None where it hardly turns.
     """
     m, imu = rec.aiding["magnetometer"], rec.imu
     when = np.concatenate([[imu.t[0] - imu.dt[0]], imu.t])
     angle = columns_at(m.t, when, np.vstack([np.zeros(3), np.cumsum(imu.gyro * imu.dt[:, None], 0)]))
-    for step in STEPS:
+    for step in STEPS_S:
         n = max(1, round(step / max(float(np.median(np.diff(m.t))), 1e-3)))
         if m.t.size <= n:
             break
         turn, covered = angle[n:] - angle[:-n], (m.t[n:] <= imu.t[-1]) & (m.t[:-n] >= when[0])
-        rows = covered & (np.linalg.norm(turn, axis=1) > LEAST_TURN)
-        if rows.sum() >= MANY:
+        rows = covered & (np.linalg.norm(turn, axis=1) > MIN_TURN)
+        if rows.sum() >= MIN_TURNS:
             return turn[rows], 0.5 * (m.value[n:] + m.value[:-n])[rows], (m.value[n:] - m.value[:-n])[rows]
     return None
 

@@ -5,19 +5,19 @@ import numpy as np
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import turns_with_course
 from jaxnav.checkup.shared import level_velocity
-from jaxnav.filters.gaps import SHORT, Holes, holes
+from jaxnav.filters.gaps import MIN_GAP_S, Holes, holes
 from jaxnav.maths import units
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.types import Finding, ImuLog, Recording, Severity
 
-QUIET = 0.05  # share of the windows that count as quiet
+QUIET_SHARE = 0.05  # share of the windows that count as quiet
 G = 9.81
 QUIET_SPEED = 10.0  # m/s: weighs a turn against vibration when looking for a quiet window
-UNKNOWN = 30.0  # deg that a hole may hide, from which on the heading behind it is said to be unknown
-LEAST_RATE_HZ = 10.0  # strapdown navigation loses rotation and vibration between samples
-STEADY = 0.15  # m/s^2 by the fixes, more than their noise, below which specific force is gravity
-LOST = 0.1  # share of the rows, missing between others, from which on a log is said to lose them
-STUCK = 20  # rows of one value in a row from which on an axis that otherwise changes hangs
+UNKNOWN_HEADING_DEG = 30.0  # deg that a hole may hide, from which on the heading behind it is said to be unknown
+MIN_RATE_HZ = 10.0  # strapdown navigation loses rotation and vibration between samples
+MAX_STEADY_ACCEL = 0.15  # m/s^2 by the fixes, more than their noise, below which specific force is gravity
+MAX_LOST_SHARE = 0.1  # share of the rows, missing between others, from which on a log is said to lose them
+MAX_REPEATED_ROWS = 20  # rows of one value in a row from which on an axis that otherwise changes hangs
 
 
 def sampling(rec: Recording) -> list[Finding]:
@@ -27,12 +27,12 @@ def sampling(rec: Recording) -> list[Finding]:
     usual = float(np.median(dt))
     jitter = float(np.std(dt[dt < 2.5 * usual]) / usual)
     found = [finding("imu.rate", value=1 / usual, jitter=100 * jitter)]
-    if 1 / usual < LEAST_RATE_HZ:
-        found.append(finding("imu.slow", value=1 / usual, limit=LEAST_RATE_HZ))
-    missing = np.maximum(np.round(dt[dt < SHORT] / usual) - 1, 0).sum()
+    if 1 / usual < MIN_RATE_HZ:
+        found.append(finding("imu.slow", value=1 / usual, limit=MIN_RATE_HZ))
+    missing = np.maximum(np.round(dt[dt < MIN_GAP_S] / usual) - 1, 0).sum()
     share = float(missing / (missing + dt.size))
-    if share > LOST:
-        found.append(finding("imu.lost", value=100 * share, limit=100 * LOST))
+    if share > MAX_LOST_SHARE:
+        found.append(finding("imu.lost", value=100 * share, limit=100 * MAX_LOST_SHARE))
     found += gap_findings(holes(imu))
     values = np.hstack([imu.gyro, imu.accel])
     same = float(np.mean(np.all(values[1:] == values[:-1], axis=1)))
@@ -51,7 +51,11 @@ def axes(rec: Recording) -> list[Finding]:
                 found.append(finding("imu.dead", f"{name} {axis}", column[0]))
                 continue
             rows, begin = longest_repeat(column)
-            if rows > STUCK and rows * float(np.median(rec.imu.dt)) > 1.0 and np.mean(np.diff(column) != 0) > 0.5:
+            if (
+                rows > MAX_REPEATED_ROWS
+                and rows * float(np.median(rec.imu.dt)) > 1.0
+                and np.mean(np.diff(column) != 0) > 0.5
+            ):
                 found.append(finding("imu.stuck", f"{name} {axis}", column[begin], rows=rows, at=rec.imu.t[begin]))
             top = np.abs(column).max()
             share = float(np.mean((np.abs(column[1:]) > 0.999 * top) & (column[1:] == column[:-1])))
@@ -74,11 +78,11 @@ def quiet(imu: ImuLog, span: float = 1.0) -> tuple[np.ndarray, int]:
     rows = np.arange(m * n).reshape(m, n)
     unrest = np.sqrt(imu.accel[rows].var(1).sum(-1)) + G * np.sqrt(imu.gyro[rows].var(1).sum(-1))
     unrest = unrest + G * np.linalg.norm(imu.gyro[rows].mean(1) - np.median(imu.gyro, 0), axis=-1)
-    return rows[np.argsort(unrest)[: max(3, int(QUIET * m))]], n
+    return rows[np.argsort(unrest)[: max(3, int(QUIET_SHARE * m))]], n
 
 
 def steady(rec: Recording) -> np.ndarray | None:
-    """Return rows (W, n) of 2 s in which the fixes say that the vehicle accelerates by less than `STEADY`.
+    """Return rows (W, n) of 2 s in which the fixes say that the vehicle accelerates by less than `MAX_STEADY_ACCEL`.
 
     None without fixes, or where there are too few such seconds.
     """
@@ -97,7 +101,7 @@ def steady(rec: Recording) -> np.ndarray | None:
     if float(np.median(v.sd[:, 2])) < 1.0:
         change = np.hypot(change, np.max([np.abs(h[:, 2]) for h in halves], 0))
     noise = 1.5 * np.sqrt(2) * float(np.median(v.sd[:, :2]))
-    keep = covered & (change < STEADY * over + noise) & (end - begin < 2.5)
+    keep = covered & (change < MAX_STEADY_ACCEL * over + noise) & (end - begin < 2.5)
     return rows[keep] if keep.sum() >= 3 else None
 
 
@@ -149,10 +153,10 @@ def gap_findings(holes: Holes) -> list[Finding]:
     length = holes.end - holes.begin
     i = int(length.argmax())
     turn, push = (float(n) * length[i] ** 0.5 for n in holes.noise[i])
-    code = "imu.pause" if np.degrees(turn) > UNKNOWN else "imu.gaps"
+    code = "imu.pause" if np.degrees(turn) > UNKNOWN_HEADING_DEG else "imu.gaps"
     return [
         finding(
-            code, value=float(length[i]), limit=SHORT, count=length.size, at=float(holes.begin[i]),
+            code, value=float(length[i]), limit=MIN_GAP_S, count=length.size, at=float(holes.begin[i]),
             angle=float(np.degrees(turn)), speed=push,
         )
     ]  # fmt: skip

@@ -14,20 +14,20 @@ from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.types import Finding, Recording, Samples, Severity
 
-STEP = 0.1  # s, of the series that are correlated
-FARTHEST = 40.0  # s: leap seconds, and a logger that was started early
-SURE = 0.6  # correlation of turns that belong together
-CLEAR = 0.8  # correlation from which on a wrong scale shows; slip and its delay may explain 0.6 to 1.6
-LIKELY = 0.4  # correlation from which on a lag is tried
+STEP_S = 0.1  # s, of the series that are correlated
+MAX_LAG_S = 40.0  # s: leap seconds, and a logger that was started early
+SAME_CORRELATION = 0.6  # correlation of turns that belong together
+SCALE_CORRELATION = 0.8  # correlation from which on a wrong scale shows; slip and its delay may explain 0.6 to 1.6
+MIN_LAG_CORRELATION = 0.4  # correlation from which on a lag is tried
 TURN_SD = 2 * DEG  # rad/s, difference of gyros and course by slip, tilt and smoothing, in addition to noise
-WINDOW = 20.0  # s, of an alignment
-SIGMAS = 3.0  # of a bias beyond its limit
-MOST_GYRO_BIAS, MOST_ACCEL_BIAS = 2 * DEG, 0.5  # rad/s, m/s^2: more is no bias of a consumer's sensor
-SD_WORTH = 6  # degrees of freedom that the stated sd of delays are worth against their scatter
-CHANCE = 5e-4  # of a drift of the clock that is none
-BAD_FIT = 8.0  # chi^2 per degree of freedom
-MOST_WINDOWS = 6
-SLOW = 0.1  # s between samples, beyond which their means say too little of the motion
+WINDOW_S = 20.0  # s, of an alignment
+BIAS_SIGMAS = 3.0  # of a bias beyond its limit
+MAX_GYRO_BIAS, MAX_ACCEL_BIAS = 2 * DEG, 0.5  # rad/s, m/s^2: more is no bias of a consumer's sensor
+STATED_SD_DOF = 6  # degrees of freedom that the stated sd of delays are worth against their scatter
+DRIFT_FALSE_ALARM = 5e-4  # of a drift of the clock that is none
+MAX_CHI2_PER_DOF = 8.0  # chi^2 per degree of freedom
+MAX_WINDOWS = 6
+MAX_SAMPLE_INTERVAL_S = 0.1  # s between samples, beyond which their means say too little of the motion
 
 
 class Turns(NamedTuple):
@@ -50,26 +50,26 @@ def turns_of(rec: Recording) -> Turns | None:
     v = level_velocity(rec.aiding)
     if v is None or v.t[-1] - v.t[0] < 10.0:
         return None
-    t = np.arange(v.t[0], v.t[-1], STEP)
-    n = max(3, round(max(1.0, float(np.median(np.diff(v.t)))) / STEP))
+    t = np.arange(v.t[0], v.t[-1], STEP_S)
+    n = max(3, round(max(1.0, float(np.median(np.diff(v.t)))) / STEP_S))
     vel = smooth(columns_at(t, v.t, v.value[:, :2]), n)
-    acc = np.gradient(vel, STEP, axis=0)
+    acc = np.gradient(vel, STEP_S, axis=0)
     square = (vel**2).sum(1)
     sd = float(np.median(v.sd[:, :2]))
     least = max(0.5, 3 * sd)
     # a rate from two velocities over the interval T has the variance 2 sd^2 / (speed T)^2
     weight = np.where(
-        square > least**2, 1 / (1 + 2 * (sd / (n * STEP * TURN_SD)) ** 2 / np.maximum(square, least**2)), 0
+        square > least**2, 1 / (1 + 2 * (sd / (n * STEP_S * TURN_SD)) ** 2 / np.maximum(square, least**2)), 0
     )
     course = np.where(weight > 0, (vel[:, 1] * acc[:, 0] - vel[:, 0] * acc[:, 1]) / np.maximum(square, least**2), 0.0)
     steps = np.diff(v.t)
-    for i in np.flatnonzero(steps > max(2.5 * float(np.median(steps)), 2 * n * STEP)):
-        weight[(t > v.t[i] - n * STEP) & (t < v.t[i + 1] + n * STEP)] = 0.0
+    for i in np.flatnonzero(steps > max(2.5 * float(np.median(steps)), 2 * n * STEP_S)):
+        weight[(t > v.t[i] - n * STEP_S) & (t < v.t[i + 1] + n * STEP_S)] = 0.0
     total = np.vstack([np.zeros(3), np.cumsum(rec.imu.gyro * rec.imu.dt[:, None], 0)])
     when = np.concatenate([[rec.imu.t[0] - rec.imu.dt[0]], rec.imu.t])
-    gyro = smooth(np.gradient(columns_at(t, when, total), STEP, axis=0), n)
+    gyro = smooth(np.gradient(columns_at(t, when, total), STEP_S, axis=0), n)
     weight[:n], weight[-n:] = 0.0, 0.0  # a running mean ends there
-    if (weight > 0).sum() * STEP < 5.0 or np.sqrt((weight * course**2).sum() / weight.sum()) < 0.5 * DEG:
+    if (weight > 0).sum() * STEP_S < 5.0 or np.sqrt((weight * course**2).sum() / weight.sum()) < 0.5 * DEG:
         return None
     return Turns(t, course, weight, gyro)
 
@@ -90,8 +90,8 @@ def correlation(x: Turns, axis: int, lag: int) -> float:
 def turns_with_course(rec: Recording) -> bool:
     """Whether gyro z turns as the course does, read within a second of it: it points down then."""
     x = turns_of(rec)
-    most = 0 if x is None else min(round(1.0 / STEP), x.t.size // 2)
-    return x is not None and max(correlation(x, 2, lag) for lag in range(-most, most + 1)) > SURE
+    most = 0 if x is None else min(round(1.0 / STEP_S), x.t.size // 2)
+    return x is not None and max(correlation(x, 2, lag) for lag in range(-most, most + 1)) > SAME_CORRELATION
 
 
 def lags_of(rec: Recording) -> list[tuple[float, int]]:
@@ -102,14 +102,14 @@ def lags_of(rec: Recording) -> list[tuple[float, int]]:
     x = turns_of(rec)
     if x is None:
         return []
-    most = min(round(FARTHEST / STEP), x.t.size // 2)
+    most = min(round(MAX_LAG_S / STEP_S), x.t.size // 2)
     lags = np.arange(-most, most + 1)
     table = np.abs([[correlation(x, axis, int(lag)) for lag in lags] for axis in range(3)])
     best = table.max(0)
     peak = np.r_[False, (best[1:-1] >= best[:-2]) & (best[1:-1] >= best[2:]), False]
-    at = np.flatnonzero(peak & (np.abs(lags) * STEP > 1.0) & (best > LIKELY))
+    at = np.flatnonzero(peak & (np.abs(lags) * STEP_S > 1.0) & (best > MIN_LAG_CORRELATION))
     at = at[np.argsort(-best[at])][:3]
-    return [(float(lags[i] * STEP), int(table[:, i].argmax())) for i in at]
+    return [(float(lags[i] * STEP_S), int(table[:, i].argmax())) for i in at]
 
 
 def turns(rec: Recording) -> list[Finding]:
@@ -117,13 +117,13 @@ def turns(rec: Recording) -> list[Finding]:
     x = turns_of(rec)
     if x is None:
         return []
-    most = min(round(1.0 / STEP), x.t.size // 2)
+    most = min(round(1.0 / STEP_S), x.t.size // 2)
     table = np.array([[correlation(x, axis, lag) for lag in range(-most, most + 1)] for axis in range(3)])
     near = table[range(3), np.abs(table).argmax(1)]
     slope = float((x.weight * x.course * x.gyro[:, 2]).sum() / (x.weight * x.course**2).sum())
     vector = ", ".join(f"{name} {c:+.2f}" for name, c in zip("xyz", near, strict=True))
     size = abs(slope) / max(near[2] ** 2, 1e-6)  # noise of the course makes the slope that much smaller
-    if abs(near[2]) > CLEAR and not 0.6 < size < 1.6:
+    if abs(near[2]) > SCALE_CORRELATION and not 0.6 < size < 1.6:
         return [finding("gyro.turns", "gyro z", size, vector=vector)]
     return [finding("gyro", value=slope, vector=vector)]
 
@@ -134,11 +134,11 @@ def turns(rec: Recording) -> list[Finding]:
 def windows_of(rec: Recording, v: Samples) -> list[tuple[float, float]]:
     """Return windows all along the recording, in each part of it the one with the most change of velocity.
 
-    Of `WINDOW` s, by positions alone twice that: it takes them longer to show an acceleration.
+    Of `WINDOW_S` s, by positions alone twice that: it takes them longer to show an acceleration.
     """
-    usual = WINDOW if source(rec)[0] == "velocity" else 2 * WINDOW
+    usual = WINDOW_S if source(rec)[0] == "velocity" else 2 * WINDOW_S
     first, last = max(rec.imu.t[0], v.t[0]), min(rec.imu.t[-1], v.t[-1])
-    count = int(np.clip((last - first) // usual, 1, MOST_WINDOWS))
+    count = int(np.clip((last - first) // usual, 1, MAX_WINDOWS))
     if last - first < 0.5 * usual:
         return []
     length, found = min(usual, last - first), []
@@ -167,7 +167,7 @@ def misfit(rec: Recording) -> float:
 def together(rec: Recording) -> list[Finding]:
     """Alignments in several windows: does an attitude make both go together, how late are fixes, does that change?"""
     v = level_velocity(rec.aiding)
-    if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > SLOW:
+    if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > MAX_SAMPLE_INTERVAL_S:
         return []
     rec = thinned(rec)
     each = alignments(rec, v)
@@ -180,9 +180,9 @@ def together(rec: Recording) -> list[Finding]:
     if not moving:
         return found or ([finding("motion.little")] if each else [])
     chi2, count = float(np.median([a.chi2 for _, a in moving])), len(moving)
-    if chi2 > BAD_FIT:
-        severity = None if chi2 > 3 * BAD_FIT else Severity.INFO
-        return [*found, finding("motion.misfit", value=chi2, limit=BAD_FIT, count=count, severity=severity)]
+    if chi2 > MAX_CHI2_PER_DOF:
+        severity = None if chi2 > 3 * MAX_CHI2_PER_DOF else Severity.INFO
+        return [*found, finding("motion.misfit", value=chi2, limit=MAX_CHI2_PER_DOF, count=count, severity=severity)]
     name, _ = source(rec)
     found.append(finding("motion", value=chi2, count=count))
     return [*found, *_timing(moving, name), *_arm(rec, moving), *_biases(moving), *_mounting(moving)]
@@ -202,7 +202,7 @@ def mixup(rec: Recording, each: list[tuple[tuple[float, float], Alignment]]) -> 
 def mixups(rec: Recording) -> list[Finding]:
     """Return the finding of `mixup`, where there is one, else of gyro z that does not turn as the course does."""
     v = level_velocity(rec.aiding)
-    if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > SLOW:
+    if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > MAX_SAMPLE_INTERVAL_S:
         return []
     rec = thinned(rec)
     found = mixup(rec, alignments(rec, v))
@@ -237,9 +237,9 @@ def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> lis
         power = float((weight * centred**2).sum())
         drift = float((weight * centred * late).sum() / power)
         left = late - mean - drift * centred
-        dof = SD_WORTH + len(late) - 2
-        drift_sd = np.sqrt(max(1.0, (SD_WORTH + float((weight * left**2).sum())) / dof) / power)
-        if abs(drift) > max(float(stdtrit(dof, 1 - CHANCE)) * drift_sd, 100 * units.PPM):
+        dof = STATED_SD_DOF + len(late) - 2
+        drift_sd = np.sqrt(max(1.0, (STATED_SD_DOF + float((weight * left**2).sum())) / dof) / power)
+        if abs(drift) > max(float(stdtrit(dof, 1 - DRIFT_FALSE_ALARM)) * drift_sd, 100 * units.PPM):
             setting, sd_ppm = "mounting.clock_drift_ppm", drift_sd / units.PPM
             found.append(finding("time.drift", name, drift / units.PPM, setting=setting, sd=sd_ppm))
     return found
@@ -285,10 +285,10 @@ def _biases(each: list[tuple[tuple[float, float], Alignment]]) -> list[Finding]:
     units = np.repeat([DEG, 1.0], 3)
     gyro, accel = (", ".join(f"{b:+.2f}" for b in part) for part in np.split(mean / units, 2))
     found = [finding("imu.bias", gyro=gyro, accel=accel)]
-    large = np.abs(mean) - SIGMAS * mean_sd > np.repeat([MOST_GYRO_BIAS, MOST_ACCEL_BIAS], 3)
+    large = np.abs(mean) - BIAS_SIGMAS * mean_sd > np.repeat([MAX_GYRO_BIAS, MAX_ACCEL_BIAS], 3)
     for code, part, unit, most in (
-        ("gyro.bias", slice(3), DEG, MOST_GYRO_BIAS),
-        ("accel.bias", slice(3, 6), 1.0, MOST_ACCEL_BIAS),
+        ("gyro.bias", slice(3), DEG, MAX_GYRO_BIAS),
+        ("accel.bias", slice(3, 6), 1.0, MAX_ACCEL_BIAS),
     ):
         if large[part].any():
             worst = int(np.argmax(np.abs(mean[part]) * large[part]))

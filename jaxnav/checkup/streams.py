@@ -7,9 +7,9 @@ from jaxnav.checkup.shared import EMPTY, level_velocity, local, rms
 from jaxnav.maths.interpolation import columns_at, running
 from jaxnav.types import Finding, Recording, Severity
 
-SPAN = 2.0  # s, over which positions are differenced
+SPAN_S = 2.0  # s, over which positions are differenced
 UNITS = {"km/h": 3.6, "knots": 1.943844, "feet per second": 3.28084, "mm/s": 1000.0, "cm/s": 100.0}
-JUMPY = 1.15  # times: the step of a stated sd from one fix to the next, in the median
+MAX_SD_STEP = 1.15  # times: the step of a stated sd from one fix to the next, in the median
 AXES = np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]])
 
 
@@ -29,13 +29,13 @@ def empty(rec: Recording) -> list[Finding]:
 
 
 def velocity(rec: Recording) -> list[Finding]:
-    """Velocity against differences of positions, over `SPAN` s."""
+    """Velocity against differences of positions, over `SPAN_S` s."""
     if not {"position", "velocity"} <= set(rec.aiding):
         return []
     p, v = rec.aiding["position"], rec.aiding["velocity"]
     if min(p.t.size, v.t.size) < 20:
         return []
-    n = max(1, round(SPAN / float(np.median(np.diff(p.t)))))
+    n = max(1, round(SPAN_S / float(np.median(np.diff(p.t)))))
     a, b = p.t[:-n], p.t[n:]
     rows = (a >= v.t[0]) & (b <= v.t[-1]) & (b - a < 2 * n * float(np.median(np.diff(p.t))))
     if rows.sum() < 10:
@@ -169,7 +169,7 @@ def stated(rec: Recording) -> list[Finding]:
             continue
         steps = np.median(np.abs(np.diff(np.log(np.maximum(s.sd, 1e-12)), axis=0)), 0)
         worst = int(steps.argmax())
-        if steps[worst] > np.log(JUMPY):
+        if steps[worst] > np.log(MAX_SD_STEP):
             axis, factor = ("east", "north", "up")[worst], float(np.exp(steps[worst]))
             found.append(finding("stream.sd_jumps", f"{name} {axis}", factor))
     return found

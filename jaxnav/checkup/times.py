@@ -6,10 +6,10 @@ from jaxnav.checkup.findings import finding
 from jaxnav.types import Finding, Recording, Severity
 
 PAIR = ("position", "velocity")  # of one solution, so of one time
-EVEN = 0.02  # of an interval: how closely a stream keeps its rhythm, and
-OFF = 0.1  # of an interval, deviation that is a finding
+MAX_JITTER = 0.02  # of an interval: how closely a stream keeps its rhythm, and
+MIN_JUMP = 0.1  # of an interval, deviation that is a finding
 MIN_OFFSET = 0.05  # of an interval between two streams of one receiver
-SHORT = 0.75  # of the time of position, below which the other stream ends, or begins, too soon
+MIN_COVERAGE = 0.75  # of the time of position, below which the other stream ends, or begins, too soon
 
 
 def ends(rec: Recording) -> list[Finding]:
@@ -19,7 +19,7 @@ def ends(rec: Recording) -> list[Finding]:
     spans = {name: rec.aiding[name].t[[0, -1]] for name in PAIR}
     short, long = sorted(PAIR, key=lambda name: float(np.ptp(spans[name])))
     late, early = (spans[short] - spans[long]) * [1, -1]
-    if np.ptp(spans[short]) >= SHORT * np.ptp(spans[long]):
+    if np.ptp(spans[short]) >= MIN_COVERAGE * np.ptp(spans[long]):
         return []
     least = 0.1 * np.ptp(spans[long])
     parts = [
@@ -34,7 +34,7 @@ def rhythm(rec: Recording) -> list[Finding]:
     found = []
     for name, (usual, t) in _even(rec).items():
         off = _fraction(np.diff(t) / usual)
-        odd = np.flatnonzero(np.abs(off) > OFF)
+        odd = np.flatnonzero(np.abs(off) > MIN_JUMP)
         if 0 < odd.size <= 3:
             k = odd[np.abs(off[odd]).argmax()]
             side, more = "late" if off[k] > 0 else "early", f", and {odd.size - 1} more" if odd.size > 1 else ""
@@ -54,7 +54,7 @@ def stream_offset(rec: Recording) -> list[Finding]:
     if abs(usual / other - 1) > 1e-3 or near.size < 10:
         return []
     middle = float(np.median(near))
-    if abs(middle) < MIN_OFFSET * usual or np.mean(np.abs(near - middle) < EVEN * usual) < 0.5:
+    if abs(middle) < MIN_OFFSET * usual or np.mean(np.abs(near - middle) < MAX_JITTER * usual) < 0.5:
         return []
     return [finding("time.stream_offset", value=middle, size=abs(middle), side="after" if middle > 0 else "before")]
 
@@ -66,7 +66,7 @@ def _even(rec: Recording) -> dict[str, tuple[float, np.ndarray]]:
         s = rec.aiding.get(name)
         if s is not None and s.t.size >= 20:
             usual = float(np.median(np.diff(s.t)))
-            if np.mean(np.abs(_fraction(np.diff(s.t) / usual)) < EVEN) >= 0.9:
+            if np.mean(np.abs(_fraction(np.diff(s.t) / usual)) < MAX_JITTER) >= 0.9:
                 found[name] = (usual, s.t)
     return found
 

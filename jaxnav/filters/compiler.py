@@ -18,7 +18,7 @@ from jaxnav.types import DataError
 CACHE = "JAXNAV_CACHE_DIR"  # environment: folder of compiled programs; empty turns the cache off
 LOG = logging.getLogger("jaxnav")
 EMITTERS = "xla_cpu_use_fusion_emitters"  # off: XLA's older emitter writes the kernels, in half of the time
-MOST = 0.9  # of the memory that one job may take
+MAX_MEMORY_SHARE = 0.9  # of the memory that one job may take
 FLAG_VERSIONS = (0, 10)  # last jaxlib that has the flag; XLA ends a process with an unknown flag
 
 
@@ -113,9 +113,9 @@ def require_memory(size: float, subject: str) -> None:
     """Refuse work beyond this machine's memory before it starts: the system would end the process without a message.
 
     Raises:
-        DataError: ``size`` bytes are more than `MOST` of its memory.
+        DataError: ``size`` bytes are more than `MAX_MEMORY_SHARE` of its memory.
     """
-    if size > MOST * _memory():
+    if size > MAX_MEMORY_SHARE * _memory():
         raise DataError(
             f"{subject} takes about {size / 2**30:.3g} GiB of memory, this machine has {_memory() / 2**30:.3g}"
         )

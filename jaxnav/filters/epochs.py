@@ -18,7 +18,7 @@ from jaxnav.filters.standstill import Standing, constraint_samples, is_driving, 
 from jaxnav.measurements import AUXILIARY, GNSS, Measurement, layout
 from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Recording, Samples, nearest
 
-MOST_EPOCHS = 10_000_000  # of a recording: ten minutes in steps of a microsecond, or a year at 0.3 Hz
+MAX_EPOCHS = 10_000_000  # of a recording: ten minutes in steps of a microsecond, or a year at 0.3 Hz
 
 
 class Packed(NamedTuple):
@@ -64,8 +64,8 @@ def cut_times(
     times = np.unique(times[(times > start + TICK) & (times <= stop + TICK)])
     times = times[np.diff(times, prepend=-np.inf) > 2 * TICK]  # a fix belongs to a cut within that
     edges = np.concatenate([[start], times, [stop] if times.size == 0 or stop - times[-1] > 2 * TICK else []])
-    if (stop - start) / interval > MOST_EPOCHS:
-        raise DataError(f"interval = {interval:g} s cuts {stop - start:g} s into more than {MOST_EPOCHS:,} epochs")
+    if (stop - start) / interval > MAX_EPOCHS:
+        raise DataError(f"interval = {interval:g} s cuts {stop - start:g} s into more than {MAX_EPOCHS:,} epochs")
     cuts = []
     for a, b in zip(edges[:-1], edges[1:], strict=True):
         n = max(1, int(np.ceil((b - a) / interval - 1e-3)))  # a fix 0.1 % late starts no extra epoch
@@ -316,7 +316,7 @@ def outage_windows(t: np.ndarray, starts: np.ndarray, length: float) -> tuple[np
 # ---------------------------------------------------------------------------- a whole recording
 
 
-FALSE_STANDSTILLS = 0.1  # of the epochs at rest by the detector, at most, that are in motion by the receiver
+MAX_FALSE_STANDSTILLS = 0.1  # of the epochs at rest by the detector, at most, that are in motion by the receiver
 
 
 def pack_recording(
@@ -358,12 +358,12 @@ def pack_recording(
 def _check_standing(rec: Recording, t: np.ndarray) -> None:
     """Raise ConfigError where the detector takes a smooth drive for a standstill.
 
-    One in `FALSE_STANDSTILLS` is let pass: which epochs these are must not be known where fixes are hidden.
+    One in `MAX_FALSE_STANDSTILLS` is let pass: which epochs these are must not be known where fixes are hidden.
     """
     if "velocity" not in rec.aiding or not t.size:
         return
     moving = is_driving(rec.aiding["velocity"], t)
-    if moving.mean() > FALSE_STANDSTILLS:
+    if moving.mean() > MAX_FALSE_STANDSTILLS:
         raise ConfigError(
             f"filter.standing_accel_sd_mps2, standing_gyro_sd_deg_per_s: {moving.sum()} of {t.size} epochs that these "
             f"take for rest have a velocity of over 0.5 m/s, the first at {t[moving][0]:.3f} s: lower them"

@@ -12,16 +12,16 @@ from scipy.special import chdtri
 from jaxnav.types import ImuLog
 
 TICK = 1e-6  # s: times closer than this are one
-SHORT = 0.2  # s: a shorter hole is bridged by the mean of its two sides, and nothing more is made of it
-SIDE = 0.5  # s, next to a hole; its mean fills the hole
-REACH = 1.0  # s, as far as a side's mean reaches
-WINDOWS = 200  # places where a fill is tried
-MOST_TURN = np.pi / np.sqrt(3.0)  # rad that a hole may hide: the sd of an unknown heading
-SURE = 0.9  # probability that the hidden variance is not above the stated one
+MIN_GAP_S = 0.2  # s: a shorter hole is bridged by the mean of its two sides, and nothing more is made of it
+SIDE_S = 0.5  # s, next to a hole; its mean fills the hole
+SIDE_REACH_S = 1.0  # s, as far as a side's mean reaches
+MAX_TRIALS = 200  # places where a fill is tried
+MAX_HIDDEN_TURN = np.pi / np.sqrt(3.0)  # rad that a hole may hide: the sd of an unknown heading
+BOUND_PROBABILITY = 0.9  # probability that the hidden variance is not above the stated one
 
 
 class Holes(NamedTuple):
-    """G holes longer than `SHORT`."""
+    """G holes longer than `MIN_GAP_S`."""
 
     begin: np.ndarray  # (G,) s
     end: np.ndarray  # (G,) s
@@ -31,7 +31,7 @@ class Holes(NamedTuple):
 def holes(imu: ImuLog) -> Holes:
     """Return the long holes of a log, and the error that a fill may have in each."""
     begin, end = imu.t[:-1], imu.t[1:] - imu.dt[1:]
-    where = np.flatnonzero(end - begin > SHORT)
+    where = np.flatnonzero(end - begin > MIN_GAP_S)
     begin, end = begin[where], end[where]
     if not where.size:
         return Holes(begin, end, np.zeros((0, 2)))
@@ -86,9 +86,9 @@ class _Log:
 
 def _pieces(log: _Log, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Edges (K, p + 1) of the pieces that fill holes of one length from a to b (K,), and their values (K, p, 6)."""
-    reach = min(REACH, 0.5 * float(b[0] - a[0]))
-    left, right = log.mean(a - SIDE, a), log.mean(b, b + SIDE)
-    if b[0] - a[0] <= 2 * REACH:
+    reach = min(SIDE_REACH_S, 0.5 * float(b[0] - a[0]))
+    left, right = log.mean(a - SIDE_S, a), log.mean(b, b + SIDE_S)
+    if b[0] - a[0] <= 2 * SIDE_REACH_S:
         return np.column_stack([a, a + reach, b]), np.stack([left, right], 1)
     middle = np.broadcast_to(log.mean_of_all, left.shape)
     return np.column_stack([a, a + reach, b - reach, b]), np.stack([left, middle, right], 1)
@@ -96,18 +96,18 @@ def _pieces(log: _Log, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def _noise(log: _Log, imu: ImuLog, length: float, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Return the root PSD (2,) of the error of a fill of ``length`` s, by fills of that length elsewhere in the log."""
-    first, last = float(imu.t[0] - imu.dt[0]) + SIDE, float(imu.t[-1]) - SIDE
+    first, last = float(imu.t[0] - imu.dt[0]) + SIDE_S, float(imu.t[-1]) - SIDE_S
     tried = min(length, max(0.25 * (last - first), 1e-3))
-    a = np.linspace(first, last - tried, WINDOWS)
+    a = np.linspace(first, last - tried, MAX_TRIALS)
     b = a + tried
-    clear = ~((a[:, None] - SIDE < end) & (b[:, None] + SIDE > begin)).any(1)
+    clear = ~((a[:, None] - SIDE_S < end) & (b[:, None] + SIDE_S > begin)).any(1)
     a, b = a[clear], b[clear]
     if a.size:
         edges, values = _pieces(log, a, b)
         missed = log.between(a, b)[0] - (np.diff(edges)[:, :, None] * values).sum(1)
         windows = max(1.0, float(imu.dt.sum()) / tried)  # that do not overlap: few say little about a long hole
-        off = np.sqrt((missed**2).mean(0) * windows / chdtri(windows, SURE)) * (length / tried)
+        off = np.sqrt((missed**2).mean(0) * windows / chdtri(windows, BOUND_PROBABILITY)) * (length / tried)
     else:
         off = np.hstack([imu.gyro, imu.accel]).std(0) * length
     turn, push = float(off[:3].max()), float(off[3:].max())  # a vehicle turns about one axis, and this is its heading
-    return np.array([min(turn, MOST_TURN), push]) / np.sqrt(length)
+    return np.array([min(turn, MAX_HIDDEN_TURN), push]) / np.sqrt(length)

@@ -23,21 +23,21 @@ from jaxnav.maths import earth
 from jaxnav.maths.interpolation import running
 from jaxnav.types import ImuLog, Samples
 
-MARGIN = 0.7  # s: the largest delay that is looked for, either way
-MOST_FIXES = 240  # of a window; more are thinned out
-FASTEST = 125.0  # Hz; faster samples are put together
+MAX_DELAY_S = 0.7  # s: the largest delay that is looked for, either way
+MAX_ALIGNMENT_FIXES = 240  # of a window; more are thinned out
+MAX_SAMPLE_RATE_HZ = 125.0  # Hz; faster samples are put together
 DELAYS = np.arange(-0.65, 0.66, 0.05)  # s, tried in the first guess
-DRIFT = 0.01  # m/s/sqrt(s): effect of scale errors, vibration and rounding on S
+DRIVING_NOISE = 0.01  # m/s/sqrt(s): effect of scale errors, vibration and rounding on S
 VERTICAL_SD = 1.0  # m/s, of a vertical velocity that is not measured: taken for steady, else gravity is lost
-LEAST_CHI2 = 0.1  # fixes may be better than they say by so much; how much worse is open
-UNKNOWN = 10.0  # rad, prior of the attitude: nothing is known
+MIN_NOISE_FACTOR = 0.1  # fixes may be better than they say by so much; how much worse is open
+UNKNOWN_ATTITUDE_SD = 10.0  # rad, prior of the attitude: nothing is known
 ITERATIONS = 10
-POOR = 2.0  # chi^2 per degree of freedom from which on other headings are tried
-MINIMA = 5  # of the delay that are followed
-TEMPER = 0.2  # of a difference of two sums of squares, where a Gaussian would have 0.5: models are not that good
-MOTION = 6.0  # standard deviations of a chi-square that a change of velocity must stand out by
-TILT, SOON = 1e-5, 0.02  # rad/s, s: steps of the differences that gyro bias and delay are differentiated by
-RECENT = 5.0  # s before the end that velocity there is fitted to
+MAX_CHI2_PER_DOF = 2.0  # chi^2 per degree of freedom from which on other headings are tried
+MAX_MINIMA = 5  # of the delay that are followed
+COST_WEIGHT = 0.2  # of a difference of two sums of squares, where a Gaussian would have 0.5: models are not that good
+MIN_MOTION_SIGMAS = 6.0  # standard deviations of a chi-square that a change of velocity must stand out by
+RATE_STEP, DELAY_STEP = 1e-5, 0.02  # rad/s, s: steps of the differences that gyro bias and delay are differentiated by
+VELOCITY_SPAN_S = 5.0  # s before the end that velocity there is fitted to
 
 
 class AlignmentPrior(NamedTuple):
@@ -118,12 +118,12 @@ def align(
     arm = arm + x[7:] if x.size > 7 else arm
     at_end = lambda C, x: _velocity(samples, seen, fixes, C, x[:7], arm, max(noise, 1.0))
     vel, vel_sd = at_end(reference, x)
-    moved = [at_end(Rotation.from_rotvec(TILT * e).as_matrix() @ reference, x)[0] for e in np.eye(3)]
-    steps = np.repeat([TILT, 1e-3, SOON], [3, 3, 1])
+    moved = [at_end(Rotation.from_rotvec(RATE_STEP * e).as_matrix() @ reference, x)[0] for e in np.eye(3)]
+    steps = np.repeat([RATE_STEP, 1e-3, DELAY_STEP], [3, 3, 1])
     moved += [at_end(reference, x + np.pad(step, (0, x.size - 7)))[0] for step in np.diag(steps)]
     J = np.zeros((3, len(P)))  # of the velocity by the unknowns at the begin; that of the arm is small
-    J[:, :10] = (np.array(moved) - vel).T / np.concatenate([np.full(3, TILT), steps])
-    P_vel = np.hstack([J @ P @ J.T + np.diag(vel_sd**2 + DRIFT**2 * RECENT), J @ P @ forward.T])
+    J[:, :10] = (np.array(moved) - vel).T / np.concatenate([np.full(3, RATE_STEP), steps])
+    P_vel = np.hstack([J @ P @ J.T + np.diag(vel_sd**2 + DRIVING_NOISE**2 * VELOCITY_SPAN_S), J @ P @ forward.T])
     P = forward @ P @ forward.T
     return Alignment(
         end, reference @ R_end, vel, P_vel, x[:3], x[3:6], float(x[6]), P, chi2, fixes.t.size, arm,
@@ -131,9 +131,9 @@ def align(
 
 
 def within_margin(fixes: Samples, begin: float, end: float) -> Samples:
-    """Return the fixes that keep `MARGIN` from both ends, for a delay; thinned to `MOST_FIXES`."""
-    rows = np.flatnonzero((fixes.t >= begin + MARGIN) & (fixes.t <= end - MARGIN))
-    return Samples(*(a[rows[:: max(1, -(-rows.size // MOST_FIXES))]] for a in fixes))
+    """Return the fixes that keep `MAX_DELAY_S` from both ends, for a delay; thinned to `MAX_ALIGNMENT_FIXES`."""
+    rows = np.flatnonzero((fixes.t >= begin + MAX_DELAY_S) & (fixes.t <= end - MAX_DELAY_S))
+    return Samples(*(a[rows[:: max(1, -(-rows.size // MAX_ALIGNMENT_FIXES))]] for a in fixes))
 
 
 # ---------------------------------------------------------------------------- differences of the fixes
@@ -162,7 +162,7 @@ def differences(fixes: Samples, positions: bool, lla: np.ndarray, begin: float) 
     sd = fixes.sd.copy()
     if not positions:
         sd[:, 2] = np.minimum(sd[:, 2], VERTICAL_SD)
-    drift = DRIFT**2 * _drift(t, positions) + 1e-12 * np.eye(len(D))
+    drift = DRIVING_NOISE**2 * _drift(t, positions) + 1e-12 * np.eye(len(D))
     covariances = [D @ (s[:, None] ** 2 * D.T) for s in sd.T]
     return DifferencedFixes(t, positions, rest, gravity_dv[-1], D, target, covariances, drift, rate + over)
 
@@ -195,7 +195,7 @@ def window(imu: ImuLog, begin: float, end: float) -> ImuLog:
     if end - t[-1] > TICK:  # the last sample is held up to the end
         t, gyro, accel = np.append(t, end), np.vstack([gyro, gyro[-1]]), np.vstack([accel, accel[-1]])
     dt = np.diff(t, prepend=begin)
-    together = max(1, int(1 / (FASTEST * float(np.median(dt)))))
+    together = max(1, int(1 / (MAX_SAMPLE_RATE_HZ * float(np.median(dt)))))
     if together > 1:
         first = np.arange(0, t.size, together)
         span = np.add.reduceat(dt, first)
@@ -296,7 +296,7 @@ class Fit(NamedTuple):
 
 def prior_sd(prior: AlignmentPrior) -> np.ndarray:
     """Return standard deviations (10,) or (13,) of attitude and all unknowns."""
-    sd = np.concatenate([np.full(3, UNKNOWN), *(np.broadcast_to(s, 3) for s in prior[:2]), [prior.delay]])
+    sd = np.concatenate([np.full(3, UNKNOWN_ATTITUDE_SD), *(np.broadcast_to(s, 3) for s in prior[:2]), [prior.delay]])
     return np.concatenate([np.maximum(sd, 1e-12), np.full(3 if prior.arm else 0, prior.arm)])
 
 
@@ -307,23 +307,23 @@ def _solve(imu: ImuLog, seen: DifferencedFixes, prior: AlignmentPrior, arm: np.n
     guesses = [(C, np.concatenate([x, more])) for C, x in _guesses(imu, seen, prior.delay, arm)]
     found = [descend(imu, seen, C, x, sd, 1.0, arm) for C, x in guesses]
     best = min(found, key=lambda each: each.cost)
-    if best.left > POOR:  # a bias may have led the first guess to another heading
+    if best.left > MAX_CHI2_PER_DOF:  # a bias may have led the first guess to another heading
         turned = [Rotation.from_rotvec([0.0, 0.0, k * np.pi / 2]).as_matrix() @ best.C for k in (1, 2, 3)]
         found += [descend(imu, seen, C, best.x, sd, 1.0, arm) for C in turned]
         best = min(found, key=lambda each: each.cost)
     chi2 = best.left
-    noise = max(chi2, LEAST_CHI2)
+    noise = max(chi2, MIN_NOISE_FACTOR)
     last = descend(imu, seen, best.C, best.x, sd, noise, arm)
     P = sd[:, None] * np.linalg.inv(last.N) * sd * max(last.left, 1.0)
     # other minima that fit nearly as well: covariance of a mixture of all about the best
-    weights = np.exp([-TEMPER * (each.cost - best.cost) / noise for each in found])
+    weights = np.exp([-COST_WEIGHT * (each.cost - best.cost) / noise for each in found])
     for each, weight in zip(found, weights / weights.sum(), strict=True):
         turn = Rotation.from_matrix(each.C @ best.C.T).as_rotvec()
         off = np.concatenate([turn, each.x - best.x])
         P = P + weight * np.outer(off, off)
     if not _moved(seen, last.roots):
         P[2, :], P[:, 2] = 0.0, 0.0
-        P[2, 2] = UNKNOWN**2
+        P[2, 2] = UNKNOWN_ATTITUDE_SD**2
     return Fit(last.C, last.x, P, chi2, noise)
 
 
@@ -354,7 +354,7 @@ def descend(
         delta = sd * np.linalg.solve(N, A.T @ r - offset)
         delta *= min(1.0, 0.5 / max(float(np.linalg.norm(delta[:3])), 1e-12))
         C, x = Rotation.from_rotvec(delta[:3]).as_matrix() @ C, x + delta[3:]
-        x[6] = np.clip(x[6], -MARGIN, MARGIN)
+        x[6] = np.clip(x[6], -MAX_DELAY_S, MAX_DELAY_S)
         if float(np.abs(delta[:3]).max()) < 1e-5:
             break
     return Descent(C, x, N, float(r @ r + offset @ offset), float(r @ r / max(r.size - 6, 1)), roots)
@@ -370,7 +370,7 @@ def _guesses(
     found = by_attitude(imu, seen, DELAYS, arm)
     cost = np.array([np.inf, *(left + (delay / delay_sd) ** 2 for left, _, delay in found), np.inf])
     lows = np.flatnonzero((cost[1:-1] <= cost[:-2]) & (cost[1:-1] <= cost[2:]))
-    lows = lows[np.argsort(cost[1:-1][lows])][:MINIMA]
+    lows = lows[np.argsort(cost[1:-1][lows])][:MAX_MINIMA]
     return [(found[i][1], np.concatenate([np.zeros(6), found[i][2:]])) for i in lows]
 
 
@@ -401,8 +401,8 @@ def _linear(
     J[:, :, :3] = -_skew(here @ C.T)
     by = C @ np.einsum("mk,kij->mij", seen.D, path[:, :, 1:])
     J[:, :, 3:6], J[:, :, 6:9] = by[:, :, 3:], by[:, :, :3]
-    later, sooner = (x + sign * SOON * eye[6] for sign in (1, -1))
-    J[:, :, 9] = (look(series, later) - look(series, sooner)) @ C.T / (2 * SOON)
+    later, sooner = (x + sign * DELAY_STEP * eye[6] for sign in (1, -1))
+    J[:, :, 9] = (look(series, later) - look(series, sooner)) @ C.T / (2 * DELAY_STEP)
     for j in range(x.size - 7):  # the path is linear in the lever arm
         by = _path(imu, series, x, seen.t, seen.positions, arm + np.eye(3)[j])[:, :, 0] - path[:, :, 0]
         J[:, :, 10 + j] = seen.D @ by @ C.T
@@ -412,14 +412,14 @@ def _linear(
 def _moved(seen: DifferencedFixes, roots: list[np.ndarray]) -> bool:
     """Do the fixes show a change of level velocity above noise? Without one the IMU's noise shows any heading."""
     white = np.concatenate([solve_triangular(L, seen.target[:, a], lower=True) for a, L in enumerate(roots[:2])])
-    return float(white @ white) > white.size + MOTION * np.sqrt(2 * white.size)
+    return float(white @ white) > white.size + MIN_MOTION_SIGMAS * np.sqrt(2 * white.size)
 
 
 def _velocity(
     imu: ImuLog, seen: DifferencedFixes, fixes: Samples, C: np.ndarray, x: np.ndarray, arm: np.ndarray, noise: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the IMU's velocity at the window's end by the latest fixes and the samples, and its sd by their noise."""
-    last = max(4 if seen.positions else 1, int((seen.t > seen.t[-1] - RECENT).sum()))
+    last = max(4 if seen.positions else 1, int((seen.t > seen.t[-1] - VELOCITY_SPAN_S).sum()))
     series = _series(imu, x)
     rest = (seen.gravity_free - _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0] @ C.T)[-last:]
     t, end = seen.t[-last:], imu.t[-1] + x[6]

@@ -16,7 +16,7 @@ from jaxnav.filters.run import initial_nav
 from jaxnav.initialization.alignment import Alignment, AlignmentPrior, align
 from jaxnav.initialization.bank import with_headings
 from jaxnav.initialization.magnetic import Field, field_of
-from jaxnav.initialization.pointing import LEAST_TILT_SD, USABLE, HeadingSource, heading_by_sensor
+from jaxnav.initialization.pointing import MAX_HEADING_SD, MIN_TILT_SD, HeadingSource, heading_by_sensor
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
 from jaxnav.states.grades import GRADES
@@ -84,9 +84,9 @@ _rph, _moved = jax.jit(rotations.to_rph), jax.jit(earth.move)  # one program eac
 
 # ---------------------------------------------------------------------------- initialization of a recording
 
-LEAST_VELOCITY_SD = 0.1  # m/s, of an alignment: errors by scale factors, misalignment and thrust between fixes
+MIN_VELOCITY_SD = 0.1  # m/s, of an alignment: errors by scale factors, misalignment and thrust between fixes
 MAX_STREAM_OFFSET = 2.0  # s, at most, from the first position to the nearest velocity
-CHORD = 4.0  # s, over which 3 m of noise are 1 m/s
+CHORD_S = 4.0  # s, over which 3 m of noise are 1 m/s
 
 
 class Initialization(NamedTuple):
@@ -186,7 +186,7 @@ def initialize(
     t, lla, vel, sd = _first_fix(rec, known, position, velocity, at.t)
     aligned_velocity = at.alignment is not None and t <= at.t + TICK
     if at.alignment is not None and aligned_velocity:
-        vel, sd = at.alignment.vel, (sd[0], np.hypot(at.alignment.vel_sd, LEAST_VELOCITY_SD))
+        vel, sd = at.alignment.vel, (sd[0], np.hypot(at.alignment.vel_sd, MIN_VELOCITY_SD))
     elif "velocity" in rec.aiding and np.abs(rec.aiding["velocity"].t - t).min() > MAX_STREAM_OFFSET:
         near = f"within {MAX_STREAM_OFFSET:g} s of the first position"
         raise DataError(f"velocity: none {near}, at {t:.3f} s: set data.start")
@@ -202,7 +202,7 @@ def initialize(
         navs = navs._replace(errors={n: jnp.tile(jnp.asarray(b), (len(angles), 1)) for n, (b, _) in biases.items()})
         # a tilt in ENU axes turns with the heading: where that is not the alignment's, its correlations are left out
         if not at.unknown and at.heading_source is None:
-            attitude_sd = np.maximum(found.sd[:3], LEAST_TILT_SD)
+            attitude_sd = np.maximum(found.sd[:3], MIN_TILT_SD)
             correlated = jnp.asarray(correlation_root(_covariance(found, aligned_velocity)))
     prior = Prior(
         jnp.asarray(sd[0] if position_sd_m is None else position_sd_m, float),
@@ -218,9 +218,9 @@ def initialize(
     return Initialization(navs, prior, t, "; ".join(line for line in how if line), states, at.alignment, field)
 
 
-LENGTHS = (10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)  # s of the windows that are tried one after the other
-KNOWN = 10 * DEG  # sd of a heading that is known
-BAD_FIT = 9.0  # chi^2 per degree of freedom from which on fixes and IMU do not belong together
+WINDOWS_S = (10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)  # s of the windows that are tried one after the other
+KNOWN_HEADING_SD = 10 * DEG  # sd of a heading that is known
+MAX_CHI2_PER_DOF = 9.0  # chi^2 per degree of freedom from which on fixes and IMU do not belong together
 
 
 def _align_in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, hypotheses: int) -> Attitude:
@@ -228,14 +228,14 @@ def _align_in_motion(rec: Recording, known: Params, velocity: Samples, begin: fl
     position = rec.aiding["position"]
     begin = max(begin, float(position.t[0]) - 1.0)
     half = 0.5 * (min(float(position.t[-1]), float(rec.imu.t[-1])) - begin)
-    ends = [begin + min(length, half) for length in LENGTHS if length <= half or length == LENGTHS[0]]
+    ends = [begin + min(length, half) for length in WINDOWS_S if length <= half or length == WINDOWS_S[0]]
     first: Alignment | None = None
     last: Alignment | None = None
     for end in ends:
         t = float(position.t[min(int(np.searchsorted(position.t, end - TICK)), position.t.size - 2)])
         found = aligned(rec, known, begin, t)
         first, last = first or found, found or last
-        if found is not None and found.sd[2] <= KNOWN:
+        if found is not None and found.sd[2] <= KNOWN_HEADING_SD:
             break
     if first is None or last is None:
         rp, by, sd = _levelled(rec, known, velocity, begin, begin, 10 * DEG)
@@ -244,10 +244,10 @@ def _align_in_motion(rec: Recording, known: Params, velocity: Samples, begin: fl
             return Attitude(begin, (*rp, source.heading), (sd, source.sd), words, heading_source=source)
         sds = (sd, 2 * np.pi / hypotheses)
         return Attitude(begin, (*rp, 0.0), sds, f"level by {by} (sd {sd / DEG:.2g} deg), heading unknown", True)
-    unknown = last.sd[2] > USABLE
+    unknown = last.sd[2] > MAX_HEADING_SD
     best = first if unknown else last
     rph = np.asarray(_rph(best.C))
-    tilt = float(max(best.sd[:2].max(), LEAST_TILT_SD))
+    tilt = float(max(best.sd[:2].max(), MIN_TILT_SD))
     words = (
         f"aligned over {best.t - begin:.0f} s by {best.fixes} fixes: roll {rph[0] / DEG:.1f}, pitch {rph[1] / DEG:.1f} "
         f"deg (sd {tilt / DEG:.2g} deg), heading "
@@ -282,7 +282,7 @@ def aligned(rec: Recording, params: Params, begin: float, end: float) -> Alignme
         found = align(rec.imu, fixes, name == "position", lla, begin, end, prior, np.asarray(params.mounting.lever_arm))
         if found is not None and (best is None or (found.chi2 < best.chi2 and found.sd[2] < 2 * best.sd[2])):
             best = found
-        if best is not None and best.chi2 < BAD_FIT:
+        if best is not None and best.chi2 < MAX_CHI2_PER_DOF:
             break
     return best
 
@@ -301,7 +301,7 @@ def _remarks(at: Attitude) -> list[str]:
         )
     if abs(at.rph[0]) > 90 * DEG:
         said.append("the IMU hangs upside down, or its axes are not forward, right, down")
-    if found.chi2 > BAD_FIT:
+    if found.chi2 > MAX_CHI2_PER_DOF:
         said.append(
             f"fixes and IMU do not go together (chi^2 per degree of freedom {found.chi2:.0f}): axes, units or times "
             "may be wrong, see jaxnav check"
@@ -312,7 +312,7 @@ def _remarks(at: Attitude) -> list[str]:
 def _covariance(found: Alignment, aligned_velocity: bool) -> np.ndarray:
     """Return that of velocity, attitude and biases (12, 12), SI, ENU; a fix's velocity is independent of the rest."""
     P = found.joint[:12, :12]
-    P[:3, :3] += LEAST_VELOCITY_SD**2 * np.eye(3)
+    P[:3, :3] += MIN_VELOCITY_SD**2 * np.eye(3)
     if not aligned_velocity:
         P[:3, 3:], P[3:, :3] = 0.0, 0.0
     return P
@@ -364,8 +364,8 @@ def ground_velocity(rec: Recording) -> Samples:
 
 
 def _differences(position: Samples) -> Samples:
-    """Return the mean velocity over the last `CHORD` s of positions: over shorter times noise looks like motion."""
-    n = max(1, min(round(CHORD / float(np.median(np.diff(position.t)))), position.t.size - 1))
+    """Return the mean velocity over the last `CHORD_S` s of positions: over shorter times noise looks like motion."""
+    n = max(1, min(round(CHORD_S / float(np.median(np.diff(position.t)))), position.t.size - 1))
     dt = (position.t[n:] - position.t[:-n])[:, None]
     value = earth.enu_path(position.value[n:], position.value[:-n]) / dt
     return Samples(position.t[n:], value, 1.5 * position.sd[n:] / dt, np.zeros_like(value))
@@ -387,10 +387,10 @@ def _levelled(
     until = min(until - 0.5, begin + 30.0)
     if until - begin >= 2.0:
         return coarse_leveling(rec.imu, begin, until), f"standing from {begin:.1f} to {until:.1f} s", sd
-    found = aligned(rec, known, max(begin, at - LENGTHS[0]), at) if at - begin >= 0.5 * LENGTHS[0] else None
+    found = aligned(rec, known, max(begin, at - WINDOWS_S[0]), at) if at - begin >= 0.5 * WINDOWS_S[0] else None
     if found is not None:
         roll, pitch, _ = np.asarray(_rph(found.C)).tolist()
-        return (roll, pitch), "motion", max(float(found.sd[:2].max()), LEAST_TILT_SD)
+        return (roll, pitch), "motion", max(float(found.sd[:2].max()), MIN_TILT_SD)
     down = float(rec.imu.accel[(rec.imu.t > begin) & (rec.imu.t <= begin + 30.0), 2].mean())
     if down > 0:
         raise DataError(f"imu: z of specific force is {down:+.1f} m/s^2 on average: body axes are forward, right, down")

@@ -10,8 +10,8 @@ from jaxnav.maths.units import DEG
 from jaxnav.measurements.magnetometer import MAGNETOMETER
 from jaxnav.types import Params
 
-YEAR = 2025.0  # that the field is looked up for: declination changes by 0.2 deg a year at most, far from the poles
-LOST_DECLINATION = 10 * DEG  # sd of an unknown declination, away from the poles
+MODEL_YEAR = 2025.0  # of the field: declination changes by 0.2 deg a year at most, far from the poles
+UNKNOWN_DECLINATION_SD = 10 * DEG  # sd of an unknown declination, away from the poles
 INSTALL = (
     "pip install 'jaxnav[magnetic]', or set [measurements.magnetometer] declination_deg, inclination_deg, strength_ut"
 )
@@ -37,7 +37,7 @@ def _model() -> Any:
     return GeoMag()
 
 
-def field_at(lla: np.ndarray, year: float = YEAR) -> Field | None:
+def field_at(lla: np.ndarray, year: float = MODEL_YEAR) -> Field | None:
     """Return the model's field at (3,) rad, rad, m; None where the package is not installed."""
     model = _model()
     if model is None:
@@ -61,7 +61,7 @@ def field_of(params: Params, lla: np.ndarray) -> Field:
     found = field_at(lla)
     if found is not None:
         return found
-    return Field(*values, LOST_DECLINATION, f"magnetic declination unknown: {INSTALL}")
+    return Field(*values, UNKNOWN_DECLINATION_SD, f"magnetic declination unknown: {INSTALL}")
 
 
 def heading_of(field: np.ndarray, roll: float, pitch: float, known: Field) -> tuple[float, float, float]:

@@ -18,24 +18,27 @@ from jaxnav.states.motion import A, P, V
 from jaxnav.states.table import chosen, layout
 from jaxnav.types import Info, Nav, Params, Prior, Recording
 
-WIDE = 45 * DEG  # sd of the heading of a hypothesis, beyond which they are spread once more
-SLOW, SIGMAS = 0.5, 4.0  # m/s, and sd of a velocity, below which a vehicle is parked
-BEFORE = 1.0  # s before its velocity says so
+MAX_HYPOTHESIS_SD = 45 * DEG  # sd of the heading of a hypothesis, beyond which they are spread once more
+MAX_PARKED_SPEED, PARKED_SIGMAS = 0.5, 4.0  # m/s, and sd of a velocity, below which a vehicle is parked
+LEAD_S = 1.0  # s before its velocity says so
 
 
 def moves_off(rec: Recording, begin: float) -> float | None:
     """Return when a vehicle that is parked at ``begin`` s moves off, s; None if it never does."""
     v = ground_velocity(rec)
-    speed, least = np.hypot(v.value[:, 0], v.value[:, 1]), max(SLOW, SIGMAS * float(np.median(v.sd[:, :2])))
+    speed, least = (
+        np.hypot(v.value[:, 0], v.value[:, 1]),
+        max(MAX_PARKED_SPEED, PARKED_SIGMAS * float(np.median(v.sd[:, :2]))),
+    )
     fast = (speed > least) & (v.t > begin)
     fast[:-1] &= fast[1:]  # two in a row
-    return float(v.t[np.argmax(fast)]) - BEFORE if fast.any() else None
+    return float(v.t[np.argmax(fast)]) - LEAD_S if fast.any() else None
 
 
 def spread_again(filt: Filter, params: Params, info: Info, count: int) -> tuple[Params, Nav] | None:
     """Return parameters and ``count`` starts (B, ...) after the last epoch of a standstill.
 
-    None where the heading is known better than `WIDE`.
+    None where the heading is known better than `MAX_HYPOTHESIS_SD`.
 
     Args:
         filt: the filter.
@@ -45,7 +48,7 @@ def spread_again(filt: Filter, params: Params, info: Info, count: int) -> tuple[
     """
     nav, cov = jax.tree.map(lambda a: jnp.asarray(a[-1]), info.nav), np.asarray(info.P[-1])
     sd = np.sqrt(np.diag(cov))
-    if not sd[8] > WIDE:
+    if not sd[8] > MAX_HYPOTHESIS_SD:
         return None
     C, arm = rotations.to_dcm(nav.q), params.mounting.lever_arm
     heading = float(rotations.to_rph(C)[2])

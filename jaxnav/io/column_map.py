@@ -23,7 +23,7 @@ from jaxnav.io.columns import (
     times_of,
 )
 from jaxnav.io.files import FilePath, read_bytes
-from jaxnav.io.mend import GAP, LATE
+from jaxnav.io.mend import GAP_STEPS, MAX_TIME_S
 from jaxnav.io.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream, TimeScale, counted_from
 from jaxnav.io.sheet import DAYS, column, open_sheet
 from jaxnav.maths.axes import enu_to_ecef, geodetic, local_to_lla, rotation
@@ -94,7 +94,7 @@ def described(table: dict[str, Any], file: str, where: Path, base: Callable[...,
     if "imu" in table:
         zero = times_of(files, table["imu"], "imu")
         first = float(zero[0]) if len(zero) and np.isfinite(zero[0]) else 0.0
-        files = files._replace(zero=int(first) if first >= LATE else 0)
+        files = files._replace(zero=int(first) if first >= MAX_TIME_S else 0)
         parts = _with_imu(counted_from(parts, files.zero), files, table["imu"])
     aiding = parts.aiding | {key: _stream(files, table[key], key) for key in with_data() if key in table}
     truth = _truth(files, table["truth"]) if "truth" in table else parts.truth
@@ -201,14 +201,14 @@ def interpolated(t: np.ndarray, times: np.ndarray, accel: np.ndarray) -> tuple[n
         accel: (M, 3) m/s^2.
 
     Returns:
-        (N, 3) m/s^2, and (N,) bool: between two samples that are at most `GAP` usual steps from each other.
+        (N, 3) m/s^2, and (N,) bool: between two samples that are at most `GAP_STEPS` usual steps from each other.
     """
     times, first = np.unique(times, return_index=True)
     after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
     before = after - 1
     step, usual = times[after] - times[before], np.median(np.diff(times))
     at_sample = np.minimum(np.abs(t - times[after]), np.abs(t - times[before])) < 0.01 * usual
-    between = (t >= times[0]) & (t <= times[-1]) & (step <= GAP * usual)
+    between = (t >= times[0]) & (t <= times[-1]) & (step <= GAP_STEPS * usual)
     return columns_at(t, times, accel[first]), at_sample | between
 
 

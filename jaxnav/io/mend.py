@@ -17,12 +17,12 @@ from jaxnav.maths.axes import rotation
 from jaxnav.measurements import AUXILIARY, with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples
 
-MAX_BAD = 0.05  # share of rows that may be left out; with more, the file is probably of another kind
-GAP = 2.5  # median steps: a longer one is a gap, without samples
-MAX_GAP = 3600.0  # s; rows on the two sides of a longer gap are two recordings, or a clock that was set
-LEAST_SD, MOST_SD = 1e-9, 1e9  # of a stated sd; others say nothing
-LATE = 1e7  # s; later times are counted from the first sample, since a float would round them to 1e-7 s
-SLOW = 20.0  # Hz; an IMU slower than this averages the motion away
+MAX_BAD_SHARE = 0.05  # share of rows that may be left out; with more, the file is probably of another kind
+GAP_STEPS = 2.5  # median steps: a longer one is a gap, without samples
+MAX_GAP_S = 3600.0  # s; rows on the two sides of a longer gap are two recordings, or a clock that was set
+MIN_SD, MAX_SD = 1e-9, 1e9  # of a stated sd; others say nothing
+MAX_TIME_S = 1e7  # s; later times are counted from the first sample, since a float would round them to 1e-7 s
+MIN_RATE_HZ = 20.0  # Hz; an IMU slower than this averages the motion away
 
 
 class Changes(NamedTuple):
@@ -94,7 +94,7 @@ def recording(parts: Parts) -> Recording:
         if samples is not None:
             aiding[key] = samples
     truth = parts.truth
-    if imu.t[0] >= LATE:  # the IMU's zero is everybody's
+    if imu.t[0] >= MAX_TIME_S:  # the IMU's zero is everybody's
         zero = float(imu.t[0] - imu.dt[0])
         notes.append(f"t = 0 is {zero:.6f} s in the file's time.")
         imu = imu._replace(t=imu.t - zero)
@@ -145,7 +145,7 @@ def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[str]) -> Imu
 def _mended(t: np.ndarray, values: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Return times and values of a polled log on the sensor's even clock; unchanged with gaps or without losses."""
     step = np.diff(t)
-    if (step > GAP * np.median(step)).any():
+    if (step > GAP_STEPS * np.median(step)).any():
         notes.append("imu: it has gaps, so that its repeated rows are not mended.")
         return t, values
     mended = polling.repair(values)
@@ -178,9 +178,9 @@ def usable(
     keep[index[s > latest]] = True
     same[index[s == latest]] = True
     for bad, problem, share in (
-        (~finite, "that cannot be read", MAX_BAD),
+        (~finite, "that cannot be read", MAX_BAD_SHARE),
         (same, "at the time of the row before", 1.0),
-        (finite & ~keep & ~same, "with a time before the row before", MAX_BAD),
+        (finite & ~keep & ~same, "with a time before the row before", MAX_BAD_SHARE),
     ):
         if not bad.any():
             continue
@@ -199,7 +199,7 @@ def _one_piece(t: np.ndarray, keep: np.ndarray, notes: list[str]) -> np.ndarray:
     """(N,) bool, rows of the longest piece between gaps of more than an hour."""
     piece = np.zeros(len(t), int)
     index = np.flatnonzero(keep)
-    piece[index] = np.r_[0, np.cumsum(np.diff(t[index]) > MAX_GAP)]
+    piece[index] = np.r_[0, np.cumsum(np.diff(t[index]) > MAX_GAP_S)]
     longest = int(np.argmax(np.bincount(piece[index])))
     dropped = int(np.count_nonzero(piece[index] != longest))
     if dropped:
@@ -214,14 +214,14 @@ def _intervals(t: np.ndarray, stated: np.ndarray | None, notes: list[str]) -> np
     """
     step = np.diff(t)
     usual = float(np.median(step))
-    gap = step > GAP * usual
+    gap = step > GAP_STEPS * usual
     # rows closer than a microsecond cannot stand for the time between them
     dt = np.maximum(np.r_[usual, np.where(gap, usual, step)], 1e-6)
     if gap.any():
         i = int(np.argmax(step))
         many = f"{gap.sum()} gaps" if gap.sum() > 1 else "one gap"
         notes.append(f"The IMU has {many}, the longest {step[i]:.3g} s long, {t[i] - t[0]:.1f} s after its start.")
-    if usual > 1.0 / SLOW:
+    if usual > 1.0 / MIN_RATE_HZ:
         notes.append(f"The IMU comes at {1.0 / usual:.3g} Hz: strapdown navigation loses the motion in between.")
     return dt if stated is None else stated
 
@@ -270,11 +270,11 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]
         far[keep] = missing.unreachable(t[keep], value[keep])
         if far.any():
             notes.append(
-                f"position: {far.sum()} of {len(t)} rows are farther from the others than {missing.FASTEST:g} m/s "
+                f"position: {far.sum()} of {len(t)} rows are farther from the others than {missing.MAX_SPEED:g} m/s "
                 f"allow and are left out, the first at {t[np.argmax(far)]:.1f} s."
             )
         keep &= ~far
-    good = np.all((given > LEAST_SD) & (given < MOST_SD), axis=1)  # nan too
+    good = np.all((given > MIN_SD) & (given < MAX_SD), axis=1)  # nan too
     if np.any(keep & ~good):
         notes.append(f"{name}: {np.count_nonzero(keep & ~good)} of {len(t)} rows without a usable sd are left out.")
     inside = (t > imu.t[0] - imu.dt[0]) & (t <= imu.t[-1])
@@ -317,7 +317,7 @@ def _with_heights(value: np.ndarray, sd: np.ndarray, notes: list[str]) -> tuple[
 
 def _with_sd(name: str, sd: np.ndarray, notes: list[str]) -> np.ndarray:
     """Return sd (K, s) with assumed values on axes without any; a single row without one stays as it is."""
-    none = ~(sd > LEAST_SD)
+    none = ~(sd > MIN_SD)
     whole = np.asarray(none.all(axis=1))
     lost = none & (~whole[:, None] | whole.all())
     if name not in (streams := with_data()) or not lost.any():

@@ -10,7 +10,7 @@ from jaxnav.measurements.columns import Column
 
 SPEEDS = (-1.0, 102.3, 511.0, 999.0)  # in the file's unit
 UNMEASURED_SD = 1e3  # m or m/s, of a component that nothing measured
-FASTEST, SLACK = 3000.0, 1000.0  # m/s between fixes; m, of fixes that are close in time
+MAX_SPEED, MAX_JUMP = 3000.0, 1000.0  # m/s between fixes; m, of fixes that are close in time
 
 
 def without_value(value: np.ndarray, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
@@ -47,7 +47,7 @@ def no_speed(speed: np.ndarray) -> np.ndarray:
 
 
 def unreachable(t: np.ndarray, lla: np.ndarray) -> np.ndarray:
-    """Return which positions are farther from the others than `FASTEST` allows.
+    """Return which positions are farther from the others than `MAX_SPEED` allows.
 
     Fixes within reach of each other are a piece; the longest piece is right, and so are fixes in reach of it.
 
@@ -60,7 +60,7 @@ def unreachable(t: np.ndarray, lla: np.ndarray) -> np.ndarray:
     lat, lon = lla[:, 0], lla[:, 1]
     axis = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
     place = (earth.A + lla[:, 2:]) * axis  # of a sphere
-    within = lambda i, j: np.linalg.norm(place[i] - place[j], axis=-1) <= FASTEST * np.abs(t[i] - t[j]) + SLACK
+    within = lambda i, j: np.linalg.norm(place[i] - place[j], axis=-1) <= MAX_SPEED * np.abs(t[i] - t[j]) + MAX_JUMP
     index = np.arange(len(t))
     piece = np.r_[0, np.cumsum(~within(index[1:], index[:-1]))]
     inside = np.flatnonzero(piece == np.bincount(piece).argmax())

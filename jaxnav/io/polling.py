@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 ORDER = 12  # of the autoregressive model of the vibration
-CLEAN = 160  # samples that the model is fitted to
-REACH = 10  # polls: how far before a repeated row its lost sample can be
-SLACK = 1.5  # polls: how far a lost sample may be from where the beat of the two clocks puts it
+MODEL_SAMPLES = 160  # samples that the model is fitted to
+MAX_LEAD_POLLS = 10  # polls: how far before a repeated row its lost sample can be
+MAX_OFF_POLLS = 1.5  # polls: how far a lost sample may be from where the beat of the two clocks puts it
 BURST_GAP = 60  # polls without a repeat that separate two bursts
 
 
@@ -74,7 +74,7 @@ def _model(rows: np.ndarray) -> _Model:
 
 def _nearby_model(values: np.ndarray, bad: np.ndarray, first: int, last: int) -> _Model | None:
     """From the clean samples before row ``first``, or, at the start of a log, after row ``last``; None without any."""
-    for part in (slice(max(0, first - CLEAN), first), slice(last, last + CLEAN)):
+    for part in (slice(max(0, first - MODEL_SAMPLES), first), slice(last, last + MODEL_SAMPLES)):
         clean = values[part][~bad[part]]
         if clean.shape[0] >= 3 * ORDER:
             return _model(clean)
@@ -97,13 +97,13 @@ def _locate(values: np.ndarray, repeated: np.ndarray, burst: np.ndarray) -> list
 
     The logger is ahead of its slot from a lost sample to the next repeated row, and for longer each time.
     """
-    model = _nearby_model(values, repeated, burst[0] - REACH, burst[-1] + REACH)
+    model = _nearby_model(values, repeated, burst[0] - MAX_LEAD_POLLS, burst[-1] + MAX_LEAD_POLLS)
     if model is None:
         return []
-    period = float(np.median(np.diff(burst))) if burst.size > 1 else REACH - 1.5
+    period = float(np.median(np.diff(burst))) if burst.size > 1 else MAX_LEAD_POLLS - 1.5
     edges = [*burst, min(int(burst[-1] + np.ceil(period)), values.shape[0] - 1)]
     lost: list[int] = []
-    low = max(int(burst[0]) - REACH, 1)
+    low = max(int(burst[0]) - MAX_LEAD_POLLS, 1)
     for i, high in enumerate(edges):
         candidates = np.arange(low, high)[~repeated[low:high]]
         if candidates.size == 0:
@@ -111,7 +111,7 @@ def _locate(values: np.ndarray, repeated: np.ndarray, burst: np.ndarray) -> list
         ahead = period * (i + 0.5) / len(edges)
         cost = (
             _costs(values, repeated, model, lost, candidates, low, high)
-            + ((high - 1 - candidates - ahead) / SLACK) ** 2
+            + ((high - 1 - candidates - ahead) / MAX_OFF_POLLS) ** 2
         )
         lost.append(int(candidates[np.argmin(cost)]))
         low = int(high)

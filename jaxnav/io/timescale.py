@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxnav.checkup.motion import BAD_FIT, misfit
+from jaxnav.checkup.motion import MAX_CHI2_PER_DOF, misfit
 from jaxnav.io import mend
 from jaxnav.io.gps_time import leap_seconds
 from jaxnav.io.parts import Parts, TimeScale
@@ -35,9 +35,9 @@ def recording(parts: Parts) -> Recording:
         return _noted(moved, f"{taken}.")
     rec = mend.recording(parts)
     gps, utc = misfit(rec), misfit(moved)
-    if utc < min(BAD_FIT, gps / DECISIVE):
+    if utc < min(MAX_CHI2_PER_DOF, gps / DECISIVE):
         return _noted(moved, f"{taken}: IMU and fixes agree to chi^2/dof {utc:.2g} so, to {gps:.2g} else.")
-    if gps < min(BAD_FIT, utc / DECISIVE):
+    if gps < min(MAX_CHI2_PER_DOF, utc / DECISIVE):
         return rec
     return _noted(
         rec,

@@ -50,7 +50,7 @@ def test_a_fill_misses_about_what_it_says(length):
 def test_what_a_long_hole_hides_grows_with_its_length():
     """A hole longer than a quarter of the log cannot be tried in it: what is missed is taken to grow in proportion."""
     imu, none = log(40.0), np.zeros(0)
-    longest = 0.25 * (40.0 - 2 * gaps.SIDE - 0.02)
+    longest = 0.25 * (40.0 - 2 * gaps.SIDE_S - 0.02)
     missed = [
         gaps._noise(gaps._Log(imu), imu, length, none, none) * np.sqrt(length) for length in (longest, 2 * longest)
     ]

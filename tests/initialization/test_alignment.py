@@ -103,7 +103,7 @@ def test_at_rest_the_tilt_is_known_and_the_heading_is_not():
     found = align(imu, fixes, False, np.array([0.8, 0.1, 100.0]), 0.0, 30.0, BELIEVED, np.zeros(3))
     rph = np.asarray(rotations.to_rph(jnp.asarray(found.C)))
     np.testing.assert_allclose(rph[:2], [0.1, -0.2], atol=4 * found.sd[:2].max())
-    assert found.sd[2] >= alignment.UNKNOWN and found.sd[:2].max() < 2 * DEG
+    assert found.sd[2] >= alignment.UNKNOWN_ATTITUDE_SD and found.sd[:2].max() < 2 * DEG
     assert (np.abs(found.gyro_bias - [2e-3, -1e-3, 3e-3]) < 4 * found.sd[3:6]).all()
     assert align(imu, fixes, False, np.zeros(3), 0.0, 3.0, BELIEVED, np.zeros(3)) is None  # too few fixes
 

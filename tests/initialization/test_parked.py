@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.simulated.vehicles import simulated
 from jaxnav.filters.catalogue import build
-from jaxnav.initialization.parked import WIDE, moves_off, spread_again
+from jaxnav.initialization.parked import MAX_HYPOTHESIS_SD, moves_off, spread_again
 from jaxnav.maths.units import DEG
 from jaxnav.navigation import navigate
 
@@ -49,7 +49,7 @@ def test_headings_are_spread_about_what_the_standstill_left(parked):
     filt = build("ekf15", cov_stride=10)
     params, navs = spread_again(filt, sol.params, info, 12)
     sd = np.sqrt(np.diag(info.P[-1]))
-    assert sd[8] > WIDE and float(params.prior.attitude[2]) == pytest.approx(np.pi / 6)
+    assert sd[8] > MAX_HYPOTHESIS_SD and float(params.prior.attitude[2]) == pytest.approx(np.pi / 6)
     np.testing.assert_allclose(params.states["gyro_bias"].sd, sd[9:12])
     np.testing.assert_allclose(np.asarray(navs.pos)[:, 2], info.nav.pos[-1][2], atol=0.1)
     assert len({round(float(q), 6) for q in np.asarray(navs.q)[:, 0]}) > 6

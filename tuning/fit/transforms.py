@@ -38,7 +38,7 @@ import numpy as np
 from jaxnav.filters.parameters import get, put
 
 Spec = dict[str, "Transform"]
-SMALL = 0.01  # of a gain of any sign: below it steps are even, above it they grow with the gain
+LINEAR_GAIN = 0.01  # of a gain of any sign: below it steps are even, above it they grow with the gain
 
 
 class GaussianPrior(NamedTuple):
@@ -132,7 +132,7 @@ def _matrix(value: jax.Array, n: int) -> jax.Array:
     return value.reshape(n, n) if value.size == n * n else jnp.diag(jnp.broadcast_to(value, (n,)))
 
 
-SIGNED = Transform(lambda raw: SMALL * jnp.sinh(raw), lambda value: jnp.arcsinh(value / SMALL))
+SIGNED = Transform(lambda raw: LINEAR_GAIN * jnp.sinh(raw), lambda value: jnp.arcsinh(value / LINEAR_GAIN))
 """A gain of any sign, zero included: a step of 0.1 is 10 % of a large gain, and 0.001 about zero."""
 TRANSFORMS: dict[str, Transform] = {"log": LOG, "identity": IDENTITY, "signed": SIGNED}
 

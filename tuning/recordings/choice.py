@@ -7,8 +7,8 @@ import numpy as np
 from tuning.recordings.report import Trial
 from tuning.recordings.validation import block_ratio
 
-FEW = 1.25  # times the datasheet's drift that the few windows of validation may show by chance
-FEW_BLOCKS, CLEAR = 4, 0.8  # of windows, from which on a ratio has an interval; a ratio that needs none
+MAX_VALIDATION_RATIO = 1.25  # times the datasheet's drift that the few windows of validation may show by chance
+MIN_BLOCKS, CLEAR_RATIO = 4, 0.8  # of windows, from which on a ratio has an interval; a ratio that needs none
 
 
 def choose(trials: Mapping[str, Trial], parts: Mapping[str, np.ndarray], blocks: np.ndarray) -> str:
@@ -34,7 +34,7 @@ def choose(trials: Mapping[str, Trial], parts: Mapping[str, np.ndarray], blocks:
 def does_no_harm(trial: Trial, other: Trial) -> bool:
     """Return whether it drifts less than another, and on the few windows of validation not much more."""
     ratios = np.array(trial.ratios) / np.array(other.ratios)
-    return bool(max(ratios[:2]) < 1.0 and max(ratios[2:]) < FEW)
+    return bool(max(ratios[:2]) < 1.0 and max(ratios[2:]) < MAX_VALIDATION_RATIO)
 
 
 def drifts_less(trial: Trial, other: Trial, seen: np.ndarray, blocks: np.ndarray) -> bool:
@@ -44,10 +44,10 @@ def drifts_less(trial: Trial, other: Trial, seen: np.ndarray, blocks: np.ndarray
         trial: the candidate.
         other: the candidate that it is to replace.
         seen: (W,) windows of training and validation.
-        blocks: (W,) which windows are one; of fewer than `FEW_BLOCKS` a ratio below `CLEAR` is enough.
+        blocks: (W,) which windows are one; of fewer than `MIN_BLOCKS` a ratio below `CLEAR_RATIO` is enough.
     """
-    if np.unique(blocks[seen]).size < FEW_BLOCKS:
-        return bool(trial.ratios[0] < CLEAR * other.ratios[0])
+    if np.unique(blocks[seen]).size < MIN_BLOCKS:
+        return bool(trial.ratios[0] < CLEAR_RATIO * other.ratios[0])
     return (
         np.isfinite(trial.drift[seen]).all()
         and block_ratio(other.drift[seen], trial.drift[seen], blocks[seen]).high < 1.0

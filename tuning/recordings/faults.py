@@ -2,7 +2,7 @@
 
 A fault in one part would choose the winner: the candidate that bears it best gains more there than any can elsewhere.
 Normalised innovations by the candidates that are not tuned show it, relative to the median of each, so that noise that
-is set too low everywhere is no fault. An epoch is suspect if its innovation, or those of `BLOCK` s about it, are
+is set too low everywhere is no fault. An epoch is suspect if its innovation, or those of `BLOCK_S` s about it, are
 too large by all of them; so is a window with a suspect epoch, or with a last hidden fix that far from all predictions.
 """
 
@@ -16,12 +16,12 @@ from jaxnav.checkup.findings import finding
 from jaxnav.types import Finding, Info, Params
 from tuning.recordings.parts import Used
 
-BLOCK = 10.0  # s
-LARGE = 4.0  # times a candidate's median of NIS/dof, of a block, and at least that
-SINGLE = 30.0  # times, of one epoch
-AROUND = 5.0  # s, about a suspect epoch
-MOST = 0.5  # of a part's windows, beyond which none is left out: a frequent deviation is no fault
-LEAST = 2  # suspect epochs or windows of a part that are worth a finding
+BLOCK_S = 10.0  # s
+MAX_BLOCK_RATIO = 4.0  # times a candidate's median of NIS/dof, of a block, and at least that
+MAX_EPOCH_RATIO = 30.0  # times, of one epoch
+AROUND_S = 5.0  # s, about a suspect epoch
+MAX_LEFT_OUT_SHARE = 0.5  # of a part's windows, beyond which none is left out: a frequent deviation is no fault
+MIN_SUSPECTS = 2  # suspect epochs or windows of a part that are worth a finding
 
 
 def suspect_epochs(t: np.ndarray, infos: Sequence[Info]) -> np.ndarray:
@@ -32,7 +32,7 @@ def suspect_epochs(t: np.ndarray, infos: Sequence[Info]) -> np.ndarray:
         infos: (P, E, ...) runs of each candidate.
     """
     suspect = np.isfinite(t)
-    block = np.where(suspect, np.floor((np.where(suspect, t, 0.0) - t[0]) / BLOCK), -1).astype(int)
+    block = np.where(suspect, np.floor((np.where(suspect, t, 0.0) - t[0]) / BLOCK_S), -1).astype(int)
     for info in infos:
         dof = np.asarray(info.valid).sum(-1)
         seen = dof > 0
@@ -41,7 +41,7 @@ def suspect_epochs(t: np.ndarray, infos: Sequence[Info]) -> np.ndarray:
         sums, counts = (np.bincount(block[there], w, block.max() + 1) for w in (ratio[there], None))
         mean = sums / np.maximum(counts, 1)
         usual = max(1.0, float(np.median(mean[counts > 0])) if (counts > 0).any() else 1.0)
-        high = there & ((ratio > SINGLE * usual) | (mean[np.maximum(block, 0)] > LARGE * usual))
+        high = there & ((ratio > MAX_EPOCH_RATIO * usual) | (mean[np.maximum(block, 0)] > MAX_BLOCK_RATIO * usual))
         suspect = suspect & high
     return np.asarray(suspect)
 
@@ -56,7 +56,7 @@ def suspect_windows(used: Used, params: Sequence[Params], infos: Sequence[Info])
     """
     windows, t = used.windows, used.t
     times = t[suspect_epochs(t, infos)]
-    near = [np.any((times > s - AROUND) & (times < t[e] + AROUND)) for s, e in zip(windows.start, windows.end)]
+    near = [np.any((times > s - AROUND_S) & (times < t[e] + AROUND_S)) for s, e in zip(windows.start, windows.end)]
     lost = np.ones(len(windows.end), bool)
     sd = np.asarray(used.packed.epochs.fix.sd)[windows.end, :3]
     for candidate, info in zip(params, infos, strict=True):
@@ -64,7 +64,7 @@ def suspect_windows(used: Used, params: Sequence[Params], infos: Sequence[Info])
         C = np.asarray(info.P)[at][:, :3, :3] + np.asarray(position_noise(candidate, jnp.asarray(sd)))
         y = np.asarray(info.residual)[at][:, :3]
         square = np.einsum("wi,wij,wj->w", y, np.linalg.inv(C), y) / 3
-        lost &= square > SINGLE * max(1.0, float(np.median(square)))
+        lost &= square > MAX_EPOCH_RATIO * max(1.0, float(np.median(square)))
     return np.array(near, bool) | lost
 
 
@@ -81,9 +81,9 @@ def without_faults(
     kept, findings = dict(parts), []
     for name, mask in parts.items():
         bad = mask & suspect
-        if bad.sum() < LEAST:
+        if bad.sum() < MIN_SUSPECTS:
             continue
-        leave = bad.sum() <= MOST * mask.sum()
+        leave = bad.sum() <= MAX_LEFT_OUT_SHARE * mask.sum()
         if leave:
             kept[name] = mask & ~suspect
         first, last = windows[bad].min(), windows[bad].max()

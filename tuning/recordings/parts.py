@@ -20,8 +20,8 @@ from jaxnav.types import Epoch, Fix, Nav, Params, Track
 from tuning.recordings.runs import Run, Truth, many
 
 PHASES = 5  # runs with windows shifted against each other
-REACH = 0.3  # s, of delay that tuning may add to the known one
-SLOPE = 0.05  # s, half of the time over which a true velocity is taken
+MAX_ADDED_DELAY_S = 0.3  # s, of delay that tuning may add to the known one
+SLOPE_S = 0.05  # s, half of the time over which a true velocity is taken
 AGES = (0.0, 1 / 3, 2 / 3, 1.0)  # of a window: where its hidden fixes are looked at
 
 
@@ -162,7 +162,7 @@ def truth_of(used: Used, t: np.ndarray) -> Truth | None:
     if not known.any():
         return None
     at = lambda t: columns_at(t, used.truth.t, earth.continuous(used.truth.lla))
-    rate = (at(t + SLOPE) - at(t - SLOPE)) / (2 * SLOPE)
+    rate = (at(t + SLOPE_S) - at(t - SLOPE_S)) / (2 * SLOPE_S)
     return Truth(jnp.asarray(at(t)), jnp.asarray(rate), jnp.asarray(known))
 
 

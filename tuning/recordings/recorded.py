@@ -48,7 +48,7 @@ from tuning.recordings.evidence import SLOW, Job, predicted
 from tuning.recordings.faults import suspect_windows, without_faults
 from tuning.recordings.free import leaves_of
 from tuning.recordings.parts import (
-    REACH,
+    MAX_ADDED_DELAY_S,
     Layout,
     Used,
     blocks_of,
@@ -61,7 +61,7 @@ from tuning.recordings.parts import (
 )
 from tuning.recordings.priors import PRIORS, kind_of, spec_of
 from tuning.recordings.report import (
-    LEAST_WINDOWS,
+    MIN_WINDOWS,
     Row,
     Trial,
     Tuned,
@@ -79,10 +79,10 @@ from tuning.uncertainty import Covariance
 
 DELAY = "mounting.time_offset"
 VELOCITY_DELAY = "measurements.velocity.latency"
-SURE_DELAY = 3.0  # sd of an alignment's delay, from which on it is known
+KNOWN_DELAY_SIGMAS = 3.0  # sd of an alignment's delay, from which on it is known
 SCANNED = ("noise.gyro", "noise.accel", DELAY)  # estimated by the noise scan
-FAR = 2.0  # sd of a prior beyond which a parameter is said to be far
-CORRELATED = 0.15  # of a position's innovations from fix to fix, from which on slow errors are tried
+FAR_SIGMAS = 2.0  # sd of a prior beyond which a parameter is said to be far
+MIN_CORRELATION = 0.15  # of a position's innovations from fix to fix, from which on slow errors are tried
 SLOW_LEAVES = (f"states.{SLOW}.driving_noise", f"states.{SLOW}.tau")
 
 
@@ -163,7 +163,7 @@ def tune(
     if set(SCANNED) & set(leaves_of(filt, datasheets[0], free)):
         scans = [scan(*each, chosen, log) for each in zip(recs, datasheets, begins, layouts, strict=True)]
     samples = max(
-        history_for(s.applied(p), 1 / float(np.median(r.imu.dt)), float(np.ptp(r.imu.t)), REACH)
+        history_for(s.applied(p), 1 / float(np.median(r.imu.dt)), float(np.ptp(r.imu.t)), MAX_ADDED_DELAY_S)
         for r, p, s in zip(recs, datasheets, scans, strict=True)
     )
     kept = lambda each: each.with_history(samples) if each.with_history else each
@@ -191,7 +191,7 @@ def tune(
     score = lambda name: level_drift(jobs[name], found[name], chosen)
     offs = {name: score(name) for name in found}
     slow = 0.0 if status is Status.INTERRUPTED else correlation(offs["tuned"][1], used)
-    if extend and how is None and slow > CORRELATED and filt.with_states and SLOW not in filt.model.states:
+    if extend and how is None and slow > MIN_CORRELATION and filt.with_states and SLOW not in filt.model.states:
         log(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
         more = kept(filt.with_states(SLOW))
         slowly = {SLOW: more.params().states[SLOW]}
@@ -224,7 +224,7 @@ def tune(
     best = choose(trials, parts, blocks_of(used))
     test, blocks = parts["test"], blocks_of(used)[parts["test"]]
     gain = None
-    if best != "datasheet" and np.unique(blocks).size >= LEAST_WINDOWS and np.isfinite(offs[best][0]).all():
+    if best != "datasheet" and np.unique(blocks).size >= MIN_WINDOWS and np.isfinite(offs[best][0]).all():
         gain = paired_gain(offs["datasheet"][0][test], offs[best][0][test], blocks)
     interval = block_ratio(offs["datasheet"][0][test], offs[best][0][test], blocks)
     late = [u.t > u.layout.validation for u in used]
@@ -285,7 +285,7 @@ def initialized(scan: NoiseScan, used: Used, rec: Recording) -> Params:
     training part.
     """
     params, found = scan.applied(used.datasheet), used.initialization.alignment
-    if not scan.fixes and found is not None and abs(found.delay) > SURE_DELAY * found.sd[9]:
+    if not scan.fixes and found is not None and abs(found.delay) > KNOWN_DELAY_SIGMAS * found.sd[9]:
         params = put(params, DELAY, params.mounting.time_offset + found.delay)
     early = {name: Samples(*(a[s.t <= used.layout.train] for a in s)) for name, s in rec.aiding.items()}
     late = [f.value for f in velocity(rec._replace(aiding=early)) if f.code == "velocity.latency"]
@@ -357,7 +357,7 @@ def table(job: Job, flat: jax.Array) -> list[Row]:
             if job.owner[i] != r:
                 continue
             remark = "the data add nothing to the prior" if sd[i] > 0.9 * job.width[i] else ""
-            if far[i] > FAR:
+            if far[i] > FAR_SIGMAS:
                 remark = f"{far[i]:.1f} sd from the datasheet: {PRIORS[kind_of(job.leaves[job.origin[i]])].far}"
             rows.append(row._replace(name=row.name + (f" of {used.name}" if r else ""), remark=remark))
     return rows

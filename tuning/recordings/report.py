@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from tuning.recordings.parts import Used
     from tuning.simulated import SimulatedRuns
 
-LEAST_WINDOWS = 8  # blocks of time, or runs, that an interval needs
-LEAST_LOG_M = 0.1  # m: smaller drifts count as this in mean logarithms
+MIN_WINDOWS = 8  # blocks of time, or runs, that an interval needs
+MIN_LOG_M = 0.1  # m: smaller drifts count as this in mean logarithms
 
 
 class Row(NamedTuple):
@@ -152,8 +152,8 @@ def text(found: Tuned) -> str:
         lines.append(f"drift {g.gain:.2f} times smaller on the test (95 %: {g.low:.2f} to {g.high:.2f})")
     elif found.chosen != "datasheet":
         lines.append(
-            f"no interval: {found.blocks} blocks of windows in the test, it takes {LEAST_WINDOWS} "
-            f"({found.used[0].needs(LEAST_WINDOWS)})"
+            f"no interval: {found.blocks} blocks of windows in the test, it takes {MIN_WINDOWS} "
+            f"({found.used[0].needs(MIN_WINDOWS)})"
         )
     return "\n".join(lines)
 
@@ -164,7 +164,7 @@ def ratios(before: np.ndarray, after: np.ndarray, parts: Mapping[str, np.ndarray
     for mask in (parts["training"] | parts["validation"], parts["validation"]):
         a, b = before[mask], after[mask]
         out.append(float(np.sqrt(np.mean(b**2) / np.mean(a**2))))
-        log = lambda e: 0.5 * np.log(e**2 + LEAST_LOG_M**2)
+        log = lambda e: 0.5 * np.log(e**2 + MIN_LOG_M**2)
         out.append(float(np.exp(np.mean(log(b) - log(a)))))
     return out[0], out[1], out[2], out[3]
 

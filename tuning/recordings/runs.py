@@ -23,7 +23,7 @@ from tuning.fit.optimizers import OPTIMIZERS
 from tuning.fit.train import Fit, fit
 from tuning.fit.transforms import Spec, leaves, merged
 
-LOST = 1e5  # m: a run that is so far from a fix has diverged
+DIVERGED_M = 1e5  # m: a run that is so far from a fix has diverged
 
 
 class Truth(NamedTuple):
@@ -143,7 +143,7 @@ def loss_of(
             later = clock_offset(params.mounting, info.nav) - clock_offset(r.params.mounting, info.nav)
             r = r._replace(truth=r.truth._replace(lla=r.truth.lla + later[:, None] * r.truth.rate))
         total = sum((w * score_of(name)(info, r) for name, w in weights if w), jnp.zeros(()))
-        near = jnp.all(jnp.where(info.valid, jnp.abs(info.residual), 0.0) < LOST)
+        near = jnp.all(jnp.where(info.valid, jnp.abs(info.residual), 0.0) < DIVERGED_M)
         return jnp.where(info.ok.all() & near, total, jnp.inf)
 
     return loss
@@ -224,9 +224,9 @@ def why(filt: Filter, params: Params, r: Run) -> str:
     failure = first_failure(info, t)
     if failure:
         return failure
-    far = np.flatnonzero((np.abs(np.where(info.valid, info.residual, 0.0)) >= LOST).any(-1))
+    far = np.flatnonzero((np.abs(np.where(info.valid, info.residual, 0.0)) >= DIVERGED_M).any(-1))
     if far.size:
-        return f"further than {LOST:g} from a measurement at t = {t[far[0]]:.3f} s"
+        return f"further than {DIVERGED_M:g} from a measurement at t = {t[far[0]]:.3f} s"
     return "its gradient is not finite"
 
 

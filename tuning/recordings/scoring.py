@@ -16,9 +16,9 @@ from jaxnav.filters.compiler import clear_caches_if_needed
 from tuning.fit.status import Status
 from tuning.uncertainty import Information
 
-LONGEST = 1.5  # of a step in any unconstrained number: a factor 4.5
-TOLERANCE = 1e-3  # gain in log-likelihood that is worth another evaluation
-RIDGE = 1e-3  # of the information: as if every number were known to 30 of its units
+MAX_STEP = 1.5  # of a step in any unconstrained number: a factor 4.5
+MIN_GAIN = 1e-3  # gain in log-likelihood that is worth another evaluation
+RIDGE_SHARE = 1e-3  # of the information: as if every number were known to 30 of its units
 
 
 class Search(NamedTuple):
@@ -40,10 +40,10 @@ def propose(raw: jax.Array, info: Information, damping: jax.Array) -> tuple[jax.
     whole, where that promises more: the rest of numbers that only make sense together may lead uphill.
     """
     F = info.fisher
-    A = F + damping * jnp.diag(jnp.diag(F)) + RIDGE * jnp.eye(raw.size)
+    A = F + damping * jnp.diag(jnp.diag(F)) + RIDGE_SHARE * jnp.eye(raw.size)
     step = -jnp.linalg.solve(A, info.score)
-    whole = step * (LONGEST / jnp.maximum(jnp.abs(step).max(), LONGEST))
-    steps = jnp.stack([jnp.clip(step, -LONGEST, LONGEST), whole])
+    whole = step * (MAX_STEP / jnp.maximum(jnp.abs(step).max(), MAX_STEP))
+    steps = jnp.stack([jnp.clip(step, -MAX_STEP, MAX_STEP), whole])
     gain = jax.vmap(lambda s: -(info.score @ s + 0.5 * s @ F @ s))(steps)
     best = jnp.argmax(gain)
     return raw + steps[best], gain[best]
@@ -66,12 +66,12 @@ def advance(search: Search, info: Information) -> Search:
     return Search(raw, best, damping, trial, expected, search.steps + good)
 
 
-def converged(search: Search, tolerance: float = TOLERANCE) -> bool:
+def converged(search: Search, tolerance: float = MIN_GAIN) -> bool:
     """Nothing more to be had: no trial promises that much, or none that promised it could be taken."""
     return not np.any((np.asarray(search.expected) > tolerance) & (np.asarray(search.damping) < 1e5))
 
 
-def status(search: Search, tolerance: float = TOLERANCE) -> Status:
+def status(search: Search, tolerance: float = MIN_GAIN) -> Status:
     """Return how a search ended."""
     if search.interrupted:
         return Status.INTERRUPTED
@@ -82,7 +82,7 @@ def maximise(
     inform: Callable[[jax.Array], Information],
     raw: jax.Array,
     most: int = 40,
-    tolerance: float = TOLERANCE,
+    tolerance: float = MIN_GAIN,
     report: Callable[[int, Search], None] = lambda i, search: None,
 ) -> Search:
     """Search until the promised gain in log-likelihood is below ``tolerance``, or ``most`` evaluations are spent.

@@ -16,7 +16,7 @@ from tuning.recordings.evidence import Job
 from tuning.recordings.parts import runs_of
 from tuning.recordings.runs import Descent, check_objective, descend
 
-MOST, TOLERANCE = 25, 0.02  # evaluations of one search; gain in J that is worth another
+MAX_EVALUATIONS, MIN_GAIN = 25, 0.02  # evaluations of one search; gain in J that is worth another
 
 
 class Checkpoints(NamedTuple):
@@ -55,8 +55,8 @@ def search(
         log(f"  {name}: goes on from {path}" if ended is None else f"  {name}: finished in {path}")
         if ended in (Status.CONVERGED, Status.ITERATION_LIMIT):
             return first, Status(ended)
-    found = scoring.maximise(job.objective(), first, MOST, TOLERANCE, report)
-    status = scoring.status(found, TOLERANCE)
+    found = scoring.maximise(job.objective(), first, MAX_EVALUATIONS, MIN_GAIN, report)
+    status = scoring.status(found, MIN_GAIN)
     keep(found.raw, status)
     return found.raw, status
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-FAILED = 1e6  # m: error of a failed run
+FAILED_M = 1e6  # m: error of a failed run
 
 
 class PairedGain(NamedTuple):
@@ -67,7 +67,7 @@ def block_ratio(before: np.ndarray, after: np.ndarray, blocks: np.ndarray, level
         level: of the interval; of one block it is (0, inf).
     """
     labels, member = np.unique(blocks, return_inverse=True)
-    mean = [np.bincount(member, np.minimum(e, FAILED) ** 2) / np.bincount(member) + 1e-6 for e in (before, after)]
+    mean = [np.bincount(member, np.minimum(e, FAILED_M) ** 2) / np.bincount(member) + 1e-6 for e in (before, after)]
     change, ratio = 0.5 * np.log(mean[1] / mean[0]), np.sqrt(np.mean(after**2) / np.mean(before**2))
     if labels.size < 2:
         return PairedRatio(float(ratio), 0.0, float("inf"))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST = 20_000  # points of a line
+MAX_POINTS = 20_000  # points of a line
 
 
 def overview(rec: Recording) -> "Figure":
@@ -31,7 +31,7 @@ def overview(rec: Recording) -> "Figure":
 
 
 def _thin(*columns: np.ndarray) -> list[np.ndarray]:
-    step = max(1, len(columns[0]) // MOST)
+    step = max(1, len(columns[0]) // MAX_POINTS)
     return [c[::step] for c in columns]
 
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from jaxnav.measurements import Measurement
     from jaxnav.types import Samples, Track
 
-MOST = 6000  # points of a line: longer ones are thinned, so that a report of an hour stays below 5 MB
+MAX_POINTS = 6000  # points of a line: longer ones are thinned, so that a report of an hour stays below 5 MB
 WIDTH = 1000
 
 
@@ -43,7 +43,7 @@ def run_layout(
 
 
 def _thin(n: int) -> slice:
-    return slice(None, None, max(1, -(-n // MOST)))
+    return slice(None, None, max(1, -(-n // MAX_POINTS)))
 
 
 def _axes(title: str, unit: str, shared: Any, outages: Outages) -> Any:

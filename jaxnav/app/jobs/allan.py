@@ -26,8 +26,8 @@ from jaxnav.io.toml import to_toml
 from jaxnav.maths.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, UG
 from jaxnav.types import DataError, ImuLog, Samples
 
-SHORTEST = 100  # samples
-MOTION = 2.0  # factor, one sd, by which noise in motion is another than at rest
+MIN_SAMPLES = 100  # samples
+MOTION_FACTOR = 2.0  # factor, one sd, by which noise in motion is another than at rest
 LEAVES = {sensor: (f"noise.{sensor}", f"states.{sensor}_bias.driving_noise") for sensor in ("gyro", "accel")}
 """White noise and the bias's driving noise, by sensor."""
 
@@ -79,14 +79,14 @@ def span(imu: ImuLog, start: float | None, stop: float | None) -> ImuLog:
     """Return the samples between two times.
 
     Raises:
-        DataError: fewer than `SHORTEST`.
+        DataError: fewer than `MIN_SAMPLES`.
     """
     first = -np.inf if start is None else start
     last = np.inf if stop is None else stop
     inside = (imu.t - imu.dt >= first - TICK) & (imu.t <= last + TICK)
-    if inside.sum() < SHORTEST:
+    if inside.sum() < MIN_SAMPLES:
         raise DataError(
-            f"imu: {inside.sum()} samples between data.start and data.stop, at least {SHORTEST} are needed; "
+            f"imu: {inside.sum()} samples between data.start and data.stop, at least {MIN_SAMPLES} are needed; "
             f"it covers {imu.t[0] - imu.dt[0]:.3f} to {imu.t[-1]:.3f} s"
         )
     return ImuLog(*(a[inside] for a in imu))
@@ -122,7 +122,7 @@ def grade(read: dict[str, tuple[Allan, list[ReadOff]]]) -> dict[str, Any]:
     """Return settings of the noise that shows at rest, with [tune] prior: one sd as a factor.
 
     White noise by axis; the driving noise of a bias by its random walk, else by its Gauss-Markov hump. The prior is the
-    figure's uncertainty, by the degrees of freedom of the curve where it was read, and `MOTION`.
+    figure's uncertainty, by the degrees of freedom of the curve where it was read, and `MOTION_FACTOR`.
     """
     params: dict[str, Any] = {}
     prior: dict[str, float] = {}
@@ -136,7 +136,7 @@ def grade(read: dict[str, tuple[Allan, list[ReadOff]]]) -> dict[str, Any]:
             usual = float(np.exp(np.mean([math.log(value) for value, _ in known])))  # of an axis that shows nothing
             params[NAMES[leaf]] = [float(f"{(usual if (f := of(axis)) is None else f[0]) / si:.5g}") for axis in axes]
             edf = np.mean([np.interp(math.log(tau), np.log(curve.tau), curve.edf) for _, tau in known])
-            prior[leaf] = float(f"{math.exp(math.hypot(1 / math.sqrt(2 * edf), math.log(MOTION))):.3g}")
+            prior[leaf] = float(f"{math.exp(math.hypot(1 / math.sqrt(2 * edf), math.log(MOTION_FACTOR))):.3g}")
     return nested(params) | {"tune": {"prior": prior}}
 
 

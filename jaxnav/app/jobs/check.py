@@ -26,7 +26,7 @@ from jaxnav.io.read import read
 from jaxnav.io.toml import inline
 from jaxnav.types import ConfigError, DataError, Finding, Recording
 
-MOST, WINDOW = 2000, 30.0  # epochs in all, and length s of a window, of the observability analysis
+MAX_EPOCHS, WINDOW_S = 2000, 30.0  # epochs in all, and length s of a window, of the observability analysis
 
 
 def check(config: Config, folder: Path) -> Outcome:
@@ -65,10 +65,10 @@ def shown(file: Path, rec: Recording) -> list[Finding]:
         packed = pack_recording(rec, measurements, begin.t, stop=config.data.stop, standing=standing_of(config))
         history = history_for(params, 1 / float(np.median(rec.imu.dt)), np.ptp(rec.imu.t))
         filt = filter_of(config, measurements, history)
-        cut = lambda a: a[:MOST]
+        cut = lambda a: a[:MAX_EPOCHS]
         first, epochs = jax.tree.map(lambda a: a[0], begin.navs), jax.tree.map(cut, packed.epochs)
-        seen = observability(filt, params, first, epochs, cut(packed.t), WINDOW)
-        return observability_findings(seen, WINDOW)
+        seen = observability(filt, params, first, epochs, cut(packed.t), WINDOW_S)
+        return observability_findings(seen, WINDOW_S)
     except (ConfigError, DataError, ValueError) as error:
         return [finding("observability.unknown", why=str(error))]
 

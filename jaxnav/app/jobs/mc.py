@@ -29,7 +29,7 @@ from jaxnav.simulate.simulation import matched_params, sizes
 from jaxnav.types import ConfigError, FilterError, Finding, nearest
 from tuning.fit import checkpoint, distributed
 
-EVERY = 30.0  # s between two checkpoints
+CHECKPOINT_INTERVAL_S = 30.0  # s between two checkpoints
 LEAF: Any = 0
 SHAPE = montecarlo.Progress(
     LEAF, LEAF, montecarlo.Scores(*[LEAF] * len(montecarlo.Scores._fields)), montecarlo.Sums(*[LEAF] * 8)
@@ -102,7 +102,7 @@ def kept(config: Config, name: str, long: Long) -> dict[str, Any]:
         finished = finished._replace(done=int(finished.done))
 
     def keep(now: montecarlo.Progress) -> None:
-        if time.monotonic() > written[0] + EVERY or now.done >= config.mc.runs:
+        if time.monotonic() > written[0] + CHECKPOINT_INTERVAL_S or now.done >= config.mc.runs:
             if distributed.writes():
                 checkpoint.save(path, now, {}, job)
             written[0] = time.monotonic()

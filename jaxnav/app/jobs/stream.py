@@ -18,9 +18,9 @@ from jaxnav.measurements import MEASUREMENTS
 from jaxnav.stream import Now, Stream
 from jaxnav.types import DataError, ImuLog, Params, Recording, Samples
 
-AGAIN = 1.0  # s of data between two tries to start
-REMEMBERED = 120.0  # s of data that initialization may use
-SURE, PATIENT = 10.0 * DEG, 60.0  # sd of a heading that is good enough, and s after which another is taken, too
+RETRY_INTERVAL_S = 1.0  # s of data between two tries to start
+MEMORY_S = 120.0  # s of data that initialization may use
+SURE_HEADING_SD, MAX_WAIT_S = 10.0 * DEG, 60.0  # sd of a sure heading; s after which another is taken, too
 
 
 class Event(NamedTuple):
@@ -36,16 +36,16 @@ class Waiting:
 
     def __init__(self, config: Config, lever_arm: np.ndarray):
         self.config, self.lever_arm, self.tried, self.count = config, lever_arm, -np.inf, 0
-        self.events: list[Event] = []  # of the last `REMEMBERED` seconds
+        self.events: list[Event] = []  # of the last `MEMORY_S` seconds
 
     def add(self, event: Event) -> Initialization | None:
         """Return the initialization, once the data give it with one heading."""
         self.events.append(event)
         self.count += 1
-        if event.name == "imu" or event.t < self.tried + AGAIN:
+        if event.name == "imu" or event.t < self.tried + RETRY_INTERVAL_S:
             return None
         self.tried = event.t
-        self.events = [each for each in self.events if each.t > event.t - REMEMBERED]
+        self.events = [each for each in self.events if each.t > event.t - MEMORY_S]
         rec = self.recording()
         try:
             begin = prepare.initialization_of(self.config, rec, params_of(self.config, rec)) if rec else None
@@ -53,7 +53,7 @@ class Waiting:
             return None
         if begin is None or begin.navs.t.shape[0] != 1:
             return None
-        sure = float(begin.prior.attitude[2]) < SURE or event.t > self.events[0].t + PATIENT
+        sure = float(begin.prior.attitude[2]) < SURE_HEADING_SD or event.t > self.events[0].t + MAX_WAIT_S
         return begin if sure else None
 
     def recording(self) -> Recording | None:

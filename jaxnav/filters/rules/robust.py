@@ -17,7 +17,7 @@ from jaxnav.filters.core import masked
 from jaxnav.filters.rule import NEVER_USED_AGE, Correction, Innovation, Rule, only_if, select
 from jaxnav.maths import linalg
 
-LONGER = 1.5  # of the interval between fixes: a longer one is an outage
+OUTAGE_RATIO = 1.5  # of the interval between fixes: a longer one is an outage
 BLOCK = 3  # channels of a receiver's measurement
 
 
@@ -114,8 +114,8 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
     would move it even less. Inflating all of P lets a lasting fault turn the attitude through its correlations. The
     inner rule restarts, too: an integral of the filter that was wrong would be applied again at every recovery.
 
-    The time counts only fixes that were rejected, not outages: an interval between two fixes counts as `LONGER` of
-    their shortest interval at most, and a fix after a tunnel is tested like any other.
+    The time counts only fixes that were rejected, not outages: an interval between two fixes counts as `OUTAGE_RATIO`
+    of their shortest interval at most, and a fix after a tunnel is tested like any other.
     """
     require_plain(rule)
 
@@ -150,7 +150,7 @@ def gate(rule: Rule, sizes: tuple[int, ...] | None = None) -> Rule:
         # the time since the block's last fix, and not that since the last epoch, which may have been empty
         there, age = count > 0, jnp.stack([z.age[b].max() for b in places])
         since = age - memory.seen
-        rejected = memory.rejected + jnp.minimum(since, LONGER * memory.interval)
+        rejected = memory.rejected + jnp.minimum(since, OUTAGE_RATIO * memory.interval)
         last = (rejected, age), (memory.rejected, memory.seen)
         rejected, old = (jnp.where(out, a, jnp.where(there, 0.0, b)) for a, b in zip(*last, strict=True))
         interval = jnp.where(there & (since > 0), jnp.minimum(memory.interval, since), memory.interval)

@@ -13,19 +13,19 @@ FOLDERS = {
     },
     "speed": {
         "first": "the first answer: seconds of whole commands, from an empty cache and from a full one",
-        "speed": "speed beside a C++ floor, plain JAX, numpy and other packages; gradients, compilation, growth",
+        "speed": "speed against a C++ floor, plain JAX, numpy and other packages; gradients, compilation, growth",
     },
     "recordings": {
         "navego": "NaveGo's synthetic data against the figures of an independent filter",
         "drive": "a real drive: hidden GNSS windows, datasheet against tuned, held out",
-        "check": "what a recording says of itself, damaged in one way each and as it is",
+        "check": "findings on recordings, damaged in one way each and as they are",
         "start": "starts in motion: attitude, its sd and the delay of the fixes, simulated and recorded",
         "across": "several drives tuned together, judged on another IMU of the kind",
         "wild": "recordings as their users have them, from file to solution",
         "sensors": "barometer, compass, wheels, airspeed: drift of recordings with them and without",
-        "peers": "KF-GINS, python-ins and filterpy beside ours: the same samples, noise, hidden windows and scores",
-        "kitti": "a drive beside GTSAM: the same hidden windows, the same sigmas",
-        "stream": "the filter sample by sample: beside the batch, with late fixes, across a restart; time of a sample",
+        "peers": "KF-GINS, python-ins and filterpy: the same samples, noise, hidden windows and scores",
+        "kitti": "a drive against GTSAM: the same hidden windows, the same sigmas",
+        "stream": "the filter sample by sample: against the batch, with late fixes, across a restart; time of a sample",
         "umn": "a fixed-wing flight from an unknown heading, against the onboard filter",
     },
     "simulated": {
@@ -35,9 +35,9 @@ FOLDERS = {
         "verdict": "the verdict of tune where a part of the recording has a receiver fault",
         "pauses": "heading behind a pause of the log: error and stated sd",
         "parked": "heading of vehicles that are parked first or stop in between: error and stated sd",
-        "damage": "thousands of damaged recordings, settings and checkpoints, and signals: what comes out",
-        "faults": "faults of a receiver, twenty-four kinds: rules beside a filter that is told when",
-        "integrated": "a receiver that adds up its velocity: what tuning makes of it, against the filter that knows",
+        "damage": "thousands of damaged recordings, settings and checkpoints, and signals: outcomes",
+        "faults": "faults of a receiver, twenty-five kinds: rules against a filter with the known time",
+        "integrated": "a receiver that integrates its velocity: tuning against the filter with the true numbers",
         "smooth": "the smoother in outages, simulated and of a drive: consistent, and how near inside of them",
     },
 }
@@ -50,8 +50,8 @@ def main(argv: list[str]) -> int:
         print("usage: python -m benchmarks NAME [--json F] [options]\n", file=sys.stderr)
         for folder, names in FOLDERS.items():
             print(f"{folder}:", file=sys.stderr)
-            for name, what in names.items():
-                print(f"  {name:10} {what}", file=sys.stderr)
+            for name, help in names.items():
+                print(f"  {name:10} {help}", file=sys.stderr)
         return 2
     from jaxnav.app.cli import COLLECT
     from jaxnav.filters.compiler import enable_x64, fast_compiler

@@ -1,4 +1,4 @@
-"""What the benchmarks share: options, output, and the environment that a figure was made in."""
+"""Shared parts of the benchmarks: options, output, and the environment of a figure."""
 
 import argparse
 import json
@@ -14,7 +14,7 @@ from jaxnav.io import atomic_write
 def options(name: str, description: str) -> argparse.ArgumentParser:
     """The option that every benchmark has; those that draw random numbers or have a short form add theirs."""
     parser = argparse.ArgumentParser(prog=f"python -m benchmarks {name}", description=description)
-    parser.add_argument("--json", type=Path, metavar="F", help="write every figure, and what it came from, to F")
+    parser.add_argument("--json", type=Path, metavar="F", help="write every figure, and its environment, to F")
     return parser
 
 
@@ -27,7 +27,7 @@ def environment() -> dict:
 
 
 def write_json(path: Path | None, result: dict) -> None:
-    """Write the result with the environment beside it; nothing without a path."""
+    """Write the result with its environment; nothing without a path."""
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
         text = json.dumps(result | {"environment": environment()}, indent=1, default=plain) + "\n"

@@ -1,9 +1,9 @@
 """Filters tuned alike on the three papers' scenarios, ranked on other runs and on types that no tuning has seen.
 
 Each paper's scenarios are a contest of their own, all of 400 fixes with ten IMU samples each: its sensors, motion and
-faults, three types to train on and three unseen. What a filter is told is the sensors' datasheet, the start and the
-installation of the paper's plain scenario, in every type: of faults, wrong starts, correlated fixes and late ones it
-knows nothing. Every filter starts there, with its rule's own values, and has the same steps on the same runs.
+faults, three types to train on and three unseen. A filter is configured with the sensors' datasheet, the start and the
+installation of the paper's plain scenario, in every type: without faults, wrong starts, correlated and late fixes.
+Every filter starts there, with its rule's default values, and has the same steps on the same runs.
 """
 
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ QUICK_BUDGET: dict[str, Any] = {"steps": 2, "rate": 0.2, "runs": (1, 1, 2)}
 class Contest(NamedTuple):
     """The types of one paper."""
 
-    plain: Scenario  # what the filters are told of
+    plain: Scenario  # of the filters' configuration
     trained: tuple[Scenario, ...]
     unseen: tuple[Scenario, ...]
 
@@ -75,7 +75,7 @@ CONTESTS = {
 
 
 def plan(which: Contest, budget: Mapping[str, Any], seed: int) -> Plan:
-    """The contest with what the filters are told: in every type what they would be in the plain one."""
+    """Return the contest with the filters' configuration: in every type that of the plain one."""
     told = matched_params(which.plain)
     trained, unseen = (tuple(Kind(each, told) for each in group) for group in (which.trained, which.unseen))
     return Plan(trained, unseen, **budget, seed=seed, cov_stride=10)
@@ -101,9 +101,9 @@ def summary(results: Mapping[str, dict]) -> str:
 
 
 def main(argv: list[str]) -> int:
-    """Print the tables, write the JSON, and a figure for each contest beside it; 130 if Ctrl-C cut it short."""
+    """Print the tables, write the JSON, and a figure for each contest; 130 if Ctrl-C cut it short."""
     parser = common.options("bakeoff", __doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="one paper's filter beside the references, 2 steps")
+    parser.add_argument("--quick", action="store_true", help="one paper's filter and the references, 2 steps")
     parser.add_argument("--seed", type=int, default=0, help="of all runs, default 0")
     parser.add_argument("--contest", choices=tuple(CONTESTS), action="append", help="only this one; may be repeated")
     parser.add_argument(

@@ -1,8 +1,8 @@
 """Floating-point operations of one filter cycle: a covariance prediction and an update by the rule.
 
 By hand as in textbooks: dense matrices, (a, b) times (b, c) costs a c (2 b - 1), an inverse 2 n^3, every formula as it
-is printed. From the program: what the compiler counts in what is run here (Joseph's form), but with an inverse at
-2 n^3, which is what its sweeps take: the compiler also counts choices, and works values out again for each user.
+printed. From the program: the compiler's count of the operations that run here (Joseph's form), but with an inverse at
+2 n^3, the cost of its sweeps: the compiler also counts choices, and repeated values once per user.
 """
 
 from functools import partial
@@ -47,7 +47,7 @@ def increment_by_hand(n: int, m: int = CHANNELS) -> int:
 
 def literal_by_hand(n: int, m: int = CHANNELS) -> int:
     """Eqs. 29 to 36: both past states, H (I + F) and H F, the increment, and the Kalman filter."""
-    state = n + 2 * product(n, n, 1) + 2 * n - product(n, n, 1)  # one F x is the Kalman filter's own
+    state = n + 2 * product(n, n, 1) + 2 * n - product(n, n, 1)  # one F x is counted with the Kalman filter
     residual = 2 * product(m, n, n) + 2 * product(m, n, 1) + 2 * m
     return kalman_by_hand(n, m) + state + residual + increment_by_hand(n, m)
 
@@ -80,13 +80,13 @@ def cycle(rule, theta, P, Phi, Q, H, R, y):
 
 
 def count(function, *arguments) -> int:
-    """What the compiler counts in a function of these arguments."""
+    """Return the compiler's count of operations of a function of these arguments."""
     analysis = jax.jit(function).lower(*arguments).compile().cost_analysis()
     return round(((analysis[0] if isinstance(analysis, list) else analysis) or {})["flops"])
 
 
 def of(name: str) -> dict:
-    """By hand, from the compiled program, and of the frame's Phi and Q beside it."""
+    """Count by hand, from the compiled program, and of the frame's Phi and Q."""
     entry = FILTERS[name]
     model = error_model("tangent", entry.states, entry.form)
     n = model.n_states
@@ -102,7 +102,7 @@ def of(name: str) -> dict:
 
 
 def nine_cycle(theta, P, Phi, Q, H, R, y):
-    """As `cycle` for `nine_states`, whose covariance alone is predicted, (9, 9); x is that of 15 states."""
+    """As `cycle` for `nine_states`, which predicts only its covariance, (9, 9); x is that of 15 states."""
     P = jnp.zeros((15, 15)).at[np.ix_(KEPT, KEPT)].set(Phi @ P @ Phi.T + Q)
     z = Innovation(y, H, R, P, jnp.ones(y.size, bool), jnp.asarray(1.0), jnp.ones(y.size))
     c = correct_nine(theta, (jnp.asarray(3.0), jnp.asarray(0.1)), z)

@@ -1,8 +1,8 @@
-"""Fuzzy weighted filter: the paper's launch, and twelve cases in which a Kalman filter is or is not told the truth.
+"""Fuzzy weighted filter: the paper's launch, and twelve cases with right and wrong noise of a Kalman filter.
 
 Every case is a 40 s run, 20 s of alignment and 20 s of motion, with fixes ten times a second. Its score is the RMS over
-the motion of the 3-D position error of the corrected INS, which is what the paper plots: navigation that the observer
-steers, before the filter's own estimate of what is left is taken off (that one is in the JSON too). A case's figure is
+the motion of the 3-D position error of the corrected INS, as the paper plots it: navigation that the observer
+steers, before the filter's remaining estimate is taken off (that one is in the JSON too). A case's figure is
 the mean of its runs. The parameters of the tuned rules come from gradients on six cases, with runs of other keys; of
 the other cases they have seen nothing.
 """
@@ -42,7 +42,7 @@ from jaxnav.analysis.tables import table
 from jaxnav.filters.core import Filter
 from jaxnav.types import DataError
 
-TUNED = Path(__file__).with_name("fwekf_tuned.json")  # what tuning found: "tuned" of its JSON
+TUNED = Path(__file__).with_name("fwekf_tuned.json")  # result of tuning: "tuned" of its JSON
 PAPER = {"position_below_0.005_m_s": 10.0, "velocity_below_0.02_mps_s": 10.0, "position_with_noise_after_20_s_m": 0.5}
 SHOWN = ("ekf", "fwekf_hand", "fwekf_1.0_tuned")  # in the figures
 
@@ -72,9 +72,9 @@ def settles(size: np.ndarray, t: np.ndarray, bound: float) -> float:
 
 
 def convergence(test: dict[str, Runs], found: dict[str, tuple[Filter, Any]], judged: dict) -> dict:
-    """What the paper's text says of convergence: the noise-free case, and those with noise after 20 and 40 s.
+    """Check the paper's text on convergence: the noise-free case, and those with noise after 20 and 40 s.
 
-    Heading is not seen before the vehicle moves; what is left of its error then shows once more in position.
+    Heading is unobserved before the vehicle moves; the rest of its error then shows once more in position.
     """
     result: dict = {"paper": PAPER}
     for method in ("ekf", "fwekf_hand"):
@@ -111,7 +111,7 @@ def tune_all(
 
 
 def stored() -> dict[str, Any]:
-    """The tuned rules that a full run found, from the file beside this one."""
+    """Return the tuned rules of a full run, from the file in this folder."""
     raw = json.loads(TUNED.read_text())
     return {name: plain_tree(recipe.start(), raw[name]) for name, recipe in RECIPES.items()}
 
@@ -195,11 +195,11 @@ def options() -> argparse.ArgumentParser:
     parser = common.options("fwekf", __doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="6 cases, 8 runs each, nothing recorded")
     parser.add_argument("--seed", type=int, default=0, help="of all runs (default: %(default)s)")
-    what = "tune the rules anew in N steps (the stored ones took up to 140); without it the stored ones are judged"
-    parser.add_argument("--steps", type=int, default=0, metavar="N", help=what)
+    help = "tune the rules again in N steps (the stored ones took up to 140); without it the stored ones are judged"
+    parser.add_argument("--steps", type=int, default=0, metavar="N", help=help)
     parser.add_argument("--tune", metavar="A,B", help=f"with --steps, of {', '.join(RECIPES)} these (default: all)")
     parser.add_argument("--progress", action="store_true", help="show the tuning's progress")
-    parser.add_argument("--figures", type=Path, metavar="DIR", help="folder for figures (default: beside the JSON)")
+    parser.add_argument("--figures", type=Path, metavar="DIR", help="folder for figures (default: that of the JSON)")
     return parser
 
 
@@ -211,11 +211,11 @@ def main(argv: list[str]) -> None:
         options().error(f"--tune takes some of {', '.join(RECIPES)}, and goes with --steps")
     key, count = jax.random.key(args.seed), 8 if args.quick else 64
     if args.steps:
-        print(f"rules tuned anew: {args.steps} steps, 64 runs of {', '.join(TRAIN)}", flush=True)
+        print(f"rules tuned again: {args.steps} steps, 64 runs of {', '.join(TRAIN)}", flush=True)
         tuned, losses = tune_all(key, 64, args.steps, args.progress, chosen)
         tuned = stored() | tuned
     else:
-        print(f"rules tuned before, from benchmarks/{TUNED.name}; --steps N tunes anew", flush=True)
+        print(f"rules tuned before, from benchmarks/{TUNED.name}; --steps N tunes again", flush=True)
         tuned, losses = stored(), {}
     test = draw(QUICK if args.quick else tuple(CASES), jax.random.fold_in(key, 1), count)
     compared = methods(tuned, args.quick)

@@ -18,7 +18,7 @@ SPANS = ((0.0, 1.0), (0.0, 6.0))
 LABELS = ("Z", "S", "L", "NS")
 NAMES = ("mean of the residuals, x1", "size of the residuals, x2")
 AXES = ("east", "north", "up")
-SHOWN = {  # method -> what a reader calls it
+SHOWN = {  # method -> name in a figure
     "ekf": "EKF", "fwekf_hand": "FWEKF by hand", "fwekf_1.0_tuned": "FWEKF tuned, a ≥ 1",
     "fwekf_0.9_tuned": "FWEKF tuned, a ≥ 0.9", "fuzzy_combined_tuned": "fading or a new R, tuned",
 }  # fmt: skip

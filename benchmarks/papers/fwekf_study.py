@@ -1,4 +1,4 @@
-"""The launch of the FWEKF paper in twelve cases: what each filter gets, what it is scored by, how it is tuned."""
+"""The launch of the FWEKF paper in twelve cases: configuration of each filter, scores, tuning."""
 
 import math
 from collections.abc import Callable
@@ -35,7 +35,7 @@ PRINTED = math.sqrt(0.001)  # "R in all sensors was selected as 0.001", read as 
 
 
 class Case(NamedTuple):
-    """A scenario, and the standard deviations that the filter is told."""
+    """A scenario, and the filter's assumed standard deviations."""
 
     scenario: str
     position_sd_m: float
@@ -51,7 +51,7 @@ CASES = {
     "C4": Case("fwekf_jump", 10.0, 0.2, "fixes 30 m off east and north for 3 s"),
     "C4b": Case("fwekf_jump", PRINTED, PRINTED, "the same, R = 0.001"),
     "C4c": Case("fwekf_step", 10.0, 0.2, "fixes 30 m off from 30 s on"),
-    "C5": Case("fwekf_attitude", 10.0, 0.2, "start 5 deg off, told 1 deg"),
+    "C5": Case("fwekf_attitude", 10.0, 0.2, "start 5 deg off, assumed 1 deg"),
     "C5b": Case("fwekf_attitude", PRINTED, PRINTED, "the same, R = 0.001"),
     "C6": Case("fwekf_bias", 10.0, 0.2, "IMU biases of 3e-4 rad/s and 3e-3 m/s^2"),
     "C6b": Case("fwekf_bias_10", 10.0, 0.2, "ten times these"),
@@ -64,7 +64,7 @@ ONE = ((0,),)  # the table of a constant weight
 
 
 class Runs(NamedTuple):
-    """One case: what a filter gets and what it is judged by, (S, ...), and the sd it is told."""
+    """One case: data of a filter and truth, (S, ...), and the assumed sd."""
 
     sim: Simulated
     position_sd: jax.Array  # ()
@@ -105,7 +105,7 @@ def parameters(theta: Any) -> Params:
 
 
 def told(params: Params, runs: Runs) -> Params:
-    """The parameters with what the filter is told of the fixes."""
+    """Return the parameters with the assumed sd of the fixes."""
     true = SCENARIOS["fwekf"].gnss
     scales = runs.position_sd / true.position_sd_m[0], runs.velocity_sd / true.velocity_sd_mps[0]
     names = ("measurements.position.scale", "measurements.velocity.scale")
@@ -140,7 +140,7 @@ class Scores(NamedTuple):
     position: jax.Array  # m, RMS
     velocity: jax.Array  # m/s, RMS
     attitude: jax.Array  # rad, RMS
-    filter_position: jax.Array  # m, RMS of the filter's own
+    filter_position: jax.Array  # m, RMS of the filter's position
     axes: jax.Array  # (S, 3, 3) RMS of position, velocity and attitude by E, N and U
     aligned: jax.Array  # (S, 3) m, error at the end of the alignment
     end: jax.Array  # (S, 3) m, and of the motion
@@ -148,7 +148,7 @@ class Scores(NamedTuple):
 
 @partial(jax.jit, static_argnums=0)
 def scores(filt: Filter, params: Params, runs: Runs) -> Scores:
-    """What each run is judged by."""
+    """Return the scores of each run."""
 
     def one(sim):
         e = navigate(filt, told(params, runs), sim)[0]
@@ -188,7 +188,7 @@ def printed() -> Rule:
 
 
 def printed_params() -> Fwekf:
-    """Table 1 with NS = 0.98; sets by what the launch's fixes show: means of 2 m and more, squares of 40 m^2 and more.
+    """Table 1 with NS = 0.98; sets by the launch's fixes: means of 2 m and more, squares of 40 m^2 and more.
 
     The paper's Figure 3 has no figures on its axes. With R matched and all well the mean of 50 residuals is 0.8 m and
     their mean square 50 m^2, over the six channels.
@@ -229,7 +229,7 @@ RECIPES = {
 def tune(recipe: Recipe, train: dict[str, Runs], key, steps: int, progress: bool):
     """The rule's parameters after ``steps`` steps on the training cases, and the history of the loss.
 
-    One case that is chaotic can have a gradient of 1e14 beside others of order one: each is clipped by itself.
+    One chaotic case can have a gradient of 1e14 where others are of order one: each is clipped by itself.
     """
     cases = jax.tree.map(lambda *a: jnp.stack(a), *train.values())
     training, held = jax.random.split(key)
@@ -292,7 +292,7 @@ RATES = (10, 50, 100)  # Hz, of the fixes; the paper names none
 
 
 def by_rate(rate: int, key: jax.Array, runs: int) -> dict[str, dict[str, dict]]:
-    """The paper's second case with fixes at this rate: what its text and its figures show, by what R is told."""
+    """The paper's second case with fixes at this rate: claims of its text and figures, by the assumed R."""
     scenario = SCENARIOS["fwekf"]._replace(gnss_rate_hz=float(rate))
     sim = jax.jit(jax.vmap(partial(simulate, scenario=scenario)))(jax.random.split(key, runs))
     found: dict[str, dict[str, dict]] = {}

@@ -2,7 +2,7 @@
 
 Three sets of drives with an ADIS16488A and 1 Hz fixes: nominal, uncalibrated (the gyros' biases at switch-on stay) and
 stress (scale errors, correlated fixes, a lever arm and a latency that no filter knows). The error is the horizontal
-distance of the IMU at the end of an outage. Tuned means: by gradient on other drives, outages drawn anew at each step.
+distance of the IMU at the end of an outage. Tuned means: by gradient on other drives, with new outages at each step.
 """
 
 import json
@@ -32,7 +32,7 @@ from jaxnav.types import Params
 from tuning.fit.transforms import IDENTITY, LOG, Spec
 from tuning.fit.transforms import scaled as scaled_by
 
-TUNED = Path(__file__).with_name("gipkf_tuned.json")  # what such runs found
+TUNED = Path(__file__).with_name("gipkf_tuned.json")  # results of such runs
 SETS = {"nominal": "gipkf_urban", "uncalibrated": "gipkf_urban_uncalibrated", "stress": "gipkf_urban_stress"}
 TRAIN, TEST, FIRST_TEST = 48, 64, 1000  # drives
 # by its turns and brakes a drive's heading and its velocity along and across walk at random so fast, for up to 22 s
@@ -111,7 +111,7 @@ def scaled(params: Params, factors: dict[str, Any]) -> Params:
 
 
 def noise_figures(name: str) -> Params:
-    """The grade's noise and biases and the start's; nothing of scale errors, nor of what the stress set adds."""
+    """The grade's noise and biases and the start's; without scale errors and errors of the stress set."""
     return late(matched_params(scenario(name))._replace(mounting=mounting()), 0.0, 0.0)
 
 
@@ -176,7 +176,7 @@ def start_of(method: str, name: str) -> Params:
 
 
 def tuned_params(name: str, key: jax.Array, train: int, steps: int, only: tuple[str, ...] = ()) -> dict[str, Params]:
-    """Parameters of every method on one set: tuned, or of ``only`` some, and without steps, what a full run found."""
+    """Parameters of every method on one set: tuned, or of ``only`` some, and without steps, of a full run."""
     params = {method: start_of(method, name) for method in ROWS}
     if not steps or only:
         found = json.loads(TUNED.read_text())[name]
@@ -215,7 +215,7 @@ def one_set(name: str, params: dict[str, Params], key: jax.Array, test: int) -> 
 
 
 def consistency(name: str, drives: study.Drives, windows: jax.Array) -> dict:
-    """NEES of the datasheet's EKF15 around each outage, and of it without what makes it consistent."""
+    """NEES of the datasheet's EKF15 around each outage, and without its consistent parts."""
     bounds = metrics.chi2_bounds(9, windows.shape[0])
     print(f"\nNEES of 9 states before | at the end of each outage, 95 % bounds {bounds[0]:.2f} to {bounds[1]:.2f}")
     found: dict = {"bounds": bounds}
@@ -236,7 +236,7 @@ def consistency(name: str, drives: study.Drives, windows: jax.Array) -> dict:
 def crippled(params: Params, drives: study.Drives, windows: jax.Array, gip: dict) -> dict:
     """The datasheet's EKF made worse, and by how much the tuned GIP-KF then seems better."""
     found = {}
-    print("\nnominal, a crippled EKF15, and what GIP-KF then gains at 10, 11 and 22 s (the paper: about 80 % at 22 s)")
+    print("\nnominal, a crippled EKF15, and GIP-KF's gain at 10, 11 and 22 s (the paper: about 80 % at 22 s)")
     for name, factors in CRIPPLED.items():
         s = study.score(plain_ekf15(), scaled(params, factors), drives, windows)
         found[name] = study.summary(s, None)
@@ -271,7 +271,7 @@ def figures(path: Path, params: dict[str, Params], drives: study.Drives, windows
 
 
 def show_claims(result: dict) -> None:
-    """What the text claims beside its table."""
+    """Print the claims of the text beyond its table."""
     print("\nobservability, ranks over a minute: x of eqs. 22 and 26; (x, m) of eq. 23, all that rounding leaves")
     for name, r in result["observability"].items():
         print(f"  {name:12} {r['state']} of {r['state_of']}; {r['input']} of {r['input_of']}, {r['input_by_rounding']}")
@@ -282,17 +282,17 @@ def show_claims(result: dict) -> None:
 
 
 def main(argv: list[str]) -> None:
-    """Print the tables; write the JSON, and beside it the figures."""
+    """Print the tables; write the JSON and the figures."""
     parser = common.options("gipkf", __doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the nominal set, 8 drives, no tuning, nothing recorded")
     parser.add_argument("--seed", type=int, default=0, help="of the drives, default 0")
-    what = "of tuning, default 50; 0 takes what such runs found, as --quick does"
-    parser.add_argument("--steps", type=int, default=50, help=what)
+    help = "of tuning, default 50; 0 takes stored results of such runs, as --quick does"
+    parser.add_argument("--steps", type=int, default=50, help=help)
     args = parser.parse_args(argv)
     steps, train, test = (0, 0, 8) if args.quick else (args.steps, TRAIN, TEST)
     key = jax.random.key(args.seed)
     result: dict = {"seed": args.seed, "steps": steps, "paper": PAPER, "tuned": {}}
-    for name in reversed(["nominal"] if args.quick else list(SETS)):  # nominal last: what follows is on it
+    for name in reversed(["nominal"] if args.quick else list(SETS)):  # nominal last: later parts use it
         params = tuned_params(name, key, train, steps)
         result["tuned"][name] = {m: {leaf: get(params[m], leaf) for leaf in spec} for m, spec in SPECS.items()}
         result[name], drives, windows = one_set(name, params, key, test)

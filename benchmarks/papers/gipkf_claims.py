@@ -1,4 +1,4 @@
-"""What the GIP-KF paper claims beside its table: observability, stability, what outages leave, Figures 7 to 10."""
+"""Claims of the GIP-KF paper beyond its table: observability, stability, errors after outages, Figures 7 to 10."""
 
 from functools import partial
 from pathlib import Path
@@ -20,8 +20,8 @@ from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.trajectories import Circle, shape_of
 from jaxnav.types import Epoch, Info, Nav, Params
 
-# of the largest singular value, below which one counts as zero, in units that make P0 one: what a filter can use, and
-# what is not zero by rounding, such as through the Earth's rate
+# of the largest singular value, below which one counts as zero, in units that make P0 one: usable for a filter, and
+# not zero by rounding, such as through the Earth's rate
 USABLE, ROUNDING = 1e-4, 1e-10
 AGAIN = 2.0  # times the error before the outage, below which it has converged again
 
@@ -35,7 +35,7 @@ def _transitions(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> jax.A
 def ranks(filt: Filter, params: Params, drives: study.Drives, span: int = 60) -> dict[str, dict[str, int]]:
     """Ranks of the observability matrices over ``span`` s of a drive at rest and in motion.
 
-    ``state``: x by the F of eq. 22 and the H of eq. 26. ``input``: x beside a constant unknown input m of eq. 23.
+    ``state``: x by the F of eq. 22 and the H of eq. 26. ``input``: x with a constant unknown input m of eq. 23.
     """
     one = jax.tree.map(lambda a: a[0], drives)
     Phi = np.asarray(_transitions(filt, params, one.initial, one.epochs))

@@ -58,7 +58,7 @@ def navego_case() -> Case:
 
 
 def drive_case() -> Case:
-    """The rtklibexplorer drive: consumer IMU and RTK at 4 Hz, white noise widened as its own benchmark does."""
+    """The rtklibexplorer drive: consumer IMU and RTK at 4 Hz, white noise widened as in `drive.py`."""
     rec = drive.recording()
     params, wide = drive.parameters(-0.21), drive.WIDEN
     noise = params.noise._replace(gyro=wide * params.noise.gyro, accel=wide * params.noise.accel)

@@ -1,6 +1,6 @@
 """The outage study: simulated drives whose GNSS is hidden by masks, scoring at the ends of outages, tuning by gradient.
 
-A drive is simulated once with every fix. Where outages lie is drawn anew for every step of training, and once for the
+A drive is simulated once with every fix. Outages are drawn at new places for every step of training, and once for the
 drives that are scored. All filters are scored by the distance of the IMU's true position at the end of an outage.
 """
 
@@ -29,7 +29,7 @@ SAMPLES = 10  # of the IMU in an epoch
 EARLIEST, LATEST = np.array([150.0, 230.0, 310.0]), np.array([205.0, 285.0, 370.0])  # s, of an outage's start
 SETTLED = 60.0  # s after the start: errors outside of outages count from then on
 OUTSIDE = 0.3  # weight of the error outside of outages in training
-BATCH, LAST = 12, 20  # drives of a training step; iterates whose mean is the result
+BATCH, LAST = 12, 20  # drives of a training step; iterates of the mean
 
 
 def reset_balanced(theta, retract, nav: Nav, x: jax.Array, T: jax.Array):
@@ -39,7 +39,7 @@ def reset_balanced(theta, retract, nav: Nav, x: jax.Array, T: jax.Array):
     C_est' g + b_est = C' g + b. Corrected to first order, they leave g phi^2 / 2 in the vertical bias: for 16 mg 1 to
     10 mm/s^2, when the covariance has that bias to less than 1. Here the balance is kept.
     """
-    up = jnp.zeros(3).at[1].set(earth.gravity(nav.origin.lla[0], nav.origin.lla[2]))  # what holds the IMU up
+    up = jnp.zeros(3).at[1].set(earth.gravity(nav.origin.lla[0], nav.origin.lla[2]))  # force that supports the IMU
     bend = rotations.to_dcm(rotations.exp(x[A])) @ up - up - jnp.cross(x[A], up)
     after = retract(nav, x)
     return (
@@ -119,7 +119,7 @@ def objective(filt: Filter):
 def tune(
     filt: Filter, params: Params, spec: Spec, drives: Drives, key: jax.Array, steps: int, rate: float = 0.1
 ) -> tuple[Params, list[float]]:
-    """Adam on minibatches with outages drawn anew; the mean of the last iterates, and the losses met."""
+    """Adam on minibatches with new outages; the mean of the last iterates, and the losses met."""
     found = fit(
         objective(filt), spec, params, steps, adam(steps, rate), arguments=(drives,),
         cases=lambda step: [jax.random.fold_in(key, step)[None]],
@@ -130,7 +130,7 @@ def tune(
 
 
 class Scores(NamedTuple):
-    """What the drives gave, (B, ...)."""
+    """Results of the drives, (B, ...)."""
 
     ends: jax.Array  # (B, 3, 3) m, error at the end of each outage, ENU
     outside: jax.Array  # (B,) m, RMS of the horizontal error outside of outages

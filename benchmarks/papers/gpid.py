@@ -1,4 +1,4 @@
-"""GPID paper (Ansari et al. 2024): Tables 3 and 4 and Figures 3-9, its numbers beside ours, and what beats what.
+"""GPID paper (Ansari et al. 2024): Tables 3 and 4 and Figures 3-9, its numbers and ours, and rivals.
 
 An hour on a circle with a GNSS fault from 600 to 1100 s. Three configurations: `literal` is the paper as printed,
 `working` has integral and derivative on the position states only, both with the sensors of Table 1; `fitted` is the
@@ -70,7 +70,7 @@ def configurations(seed: int, count: int) -> dict[str, Study]:
 
 
 def tables(runs: dict[str, Study]) -> dict[str, list[dict]]:
-    """Rows of Tables 3 and 4, the paper's number beside ours, for every configuration."""
+    """Rows of Tables 3 and 4, with the paper's number, for every configuration."""
     result: dict[str, list[dict]] = {}
     for table, (quantities, paper) in TABLES.items():
         result[table] = []
@@ -144,7 +144,7 @@ def tuned_gains(seed: int, count: int, steps: int) -> dict:
 
 
 def rivals(seed: int, count: int, steps: int, names: tuple[str, ...]) -> dict[str, dict]:
-    """Every reading of the fault: the working form, robust filters, and a KF whose noise is tuned for that reading."""
+    """Every reading of the fault: the working form, robust filters, and a KF with noise tuned for that reading."""
     train, test = (keys_of(seed, purpose, n) for purpose, n in ((1, TRAINING), (0, count)))
     sheet = matched_params(CIRCLE)
     result: dict[str, dict] = {}

@@ -1,4 +1,4 @@
-"""What the GPID paper claims beside its two tables: readings of its noise, its gains, how fast it settles, its cost.
+"""Claims of the GPID paper beyond its two tables: readings of its noise, its gains, settling times, cost.
 
 *Readings*: the printed form and its neighbours with the fitted noise, and the fitted noise as units that were not
 converted (0.001 deg/sqrt(h) taken for 0.001 deg a sample at 50 Hz, 0.03 m/s/sqrt(h) for 0.03 m/s/sqrt(s)). Latitude,
@@ -50,7 +50,7 @@ RULES = (
 
 
 def held(sims: Simulated) -> Simulated:
-    """Fixes of 10 Hz whose error is drawn once a second: eqs. 44 and 45 with an error that stays between fixes."""
+    """Fixes of 10 Hz with errors drawn once a second: eqs. 44 and 45 with an error that stays between fixes."""
 
     def one(sim: Simulated) -> Simulated:
         value, truth = sim.epochs.fix.value, sim.truth
@@ -99,7 +99,7 @@ def readings(seed: int, count: int) -> tuple[dict[str, dict], Study]:
 
 
 def kilometres(latitude: float) -> dict[str, float]:
-    """Table 4's last column over the length of its own latitude and longitude columns, s^0.5: sqrt(3600) = 60."""
+    """Table 4's last column over the length of its latitude and longitude columns, s^0.5: sqrt(3600) = 60."""
     worth = np.asarray(earth.metres_per_radian(jnp.array([latitude * units.DEG, 0.0, 0.0])))[:2] * units.DEG
     return {s: 1e3 * km / float(np.hypot(*(worth * TABLE4[s][:2]))) for s, km in KILOMETRES.items()}
 
@@ -175,7 +175,7 @@ def claims(seed: int, count: int, folder: Path) -> tuple[dict[str, Any], Study]:
             lat, lon, alt = (tables["table4"][scheme][q]["ours"] for q in TABLES["table4"][0])
             print(f"    {scheme:10}" + "".join(f"{v:10.3g}" for v in (*angles, 1e5 * lat, 1e5 * lon, alt)))
     by_latitude = {str(lat): kilometres(lat) for lat in (20, 28, 30)}
-    print("\nTable 4's km over its own columns, by latitude (sqrt(3600) = 60):", by_latitude)
+    print("\nTable 4's km over its other columns, by latitude (sqrt(3600) = 60):", by_latitude)
     settled = {name: values.tolist() for name, values in settling(printed).items()}
     own = settling(study(paper_filter(10), [fitted_params(*g) for g in SCHEMES.values()],
                          hours(REPRO, keys_of(seed, 0, 1))))  # fmt: skip

@@ -27,7 +27,7 @@ COLUMNS = (
     "ve_mps", "vn_mps", "vu_mps", "tilt_deg", "heading_deg",
 )  # fmt: skip
 SCHEMES = {"kf": (0.0, 0.0), "scheme_1": (1.0, 0.0), "scheme_2": (1.5, 3.0)}  # printed ki, kd; the KF has none
-SCORED = ("tilt_deg", "heading_deg", "horizontal_m", "altitude_m")  # what tuning weighs, in logarithms
+SCORED = ("tilt_deg", "heading_deg", "horizontal_m", "altitude_m")  # scores of tuning, in logarithms
 # of the paper: columns of `COLUMNS`, and its numbers
 TABLE3 = {
     "kf": (0.0665, 0.0683, 0.1538),
@@ -48,7 +48,7 @@ def paper_filter(stride: int) -> Filter:
 
 
 def fitted_params(ki: float = 0.0, kd: float = 0.0) -> Params:
-    """The configuration that comes nearest to the paper's tables, found by search, not told by the paper.
+    """The configuration nearest to the paper's tables, found by search, not stated in the paper.
 
     Process noise 444 (gyro) and 87 (accelerometer) times Table 1, sd of velocity 0.59 and of vertical position 26
     times the receiver's; integral and derivative on the position states.

@@ -36,7 +36,7 @@ class Learned(NamedTuple):
 
 
 def learned_params(seed: int = 0) -> Learned:
-    """Random features of the inputs, of which nothing is made yet."""
+    """Random features of the inputs, with zero output weights."""
     one, two = jax.random.split(jax.random.key(seed))
     normal = lambda key, *shape: jax.random.normal(key, shape, float)
     net = Network(normal(one, UNITS, 3), normal(two, UNITS), jnp.zeros((3, UNITS)), jnp.array([FADE, SHARE, SHARE]))
@@ -56,4 +56,4 @@ def learned(n: int = 20, witness: int = -1) -> Rule:
 
 
 FREE: Spec = dict.fromkeys((f"rule.net.{leaf}" for leaf in Network._fields), IDENTITY)
-"""What is trained."""
+"""Trained leaves."""

@@ -1,4 +1,4 @@
-"""Nearly a filter of 15 states with a covariance of nine: what the GIP-KF's idea of an increment is worth beyond it."""
+"""Nearly a filter of 15 states with a covariance of nine: value of the GIP-KF's increment beyond it."""
 
 from functools import cache
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from jaxnav.types import Forcing
 
 
 class NineKf(NamedTuple):
-    """Parameters of `nine_states`: gains of what has no covariance."""
+    """Parameters of `nine_states`: gains of states without a covariance."""
 
     walk: jax.Array  # () growth of the position's variance in an epoch, in variances of a fix
     lag: jax.Array  # () s: a correction of velocity moves the position as if it had been off for so long
@@ -31,7 +31,7 @@ def nine_params(
     walk: float = 0.001, lag: float = 5.0, vertical: tuple[float, float, float] = (0.06, 0.25, 0.01),
     kappa: float = 1e-5, early: float = 1e-5, delay: float = 5.0, fade: float = 1e-3, fading: float = 15.0,
 ) -> NineKf:  # fmt: skip
-    """`NineKf` from plain numbers; the defaults are for gyros whose biases were calibrated at rest."""
+    """`NineKf` from plain numbers; the defaults are for gyros with biases calibrated at rest."""
     return NineKf(*(jnp.asarray(v, float) for v in (walk, lag, vertical, kappa, early, delay, fade, fading)))
 
 
@@ -63,7 +63,7 @@ def correct_nine(theta: NineKf, memory: tuple[jax.Array, jax.Array], z: Innovati
 def nine_states() -> Rule:
     """Not the paper's: nearly a filter of 15 states with a covariance of nine, for a car in the tangent frame at 1 Hz.
 
-    Position, what is vertical and the bias of the z gyro follow by constant gains, in the spirit of the increment; the
+    Position, vertical states and the bias of the z gyro follow by constant gains, in the spirit of the increment; the
     other biases are states. For the model of 15 states, GNSS position and velocity, and no lever arm; of P only the
     rows and columns of `KEPT` have a meaning.
     """

@@ -2,7 +2,7 @@
 
 Two ways that know nothing of each other. The matrices of the paper's filter in closed form, from the gains of a run:
 `paper_matrix` as printed and `exact_matrix` as it should be. And the derivative of `Filter.step` itself, for any
-filter in any frame: `transitions`. Their product over a trajectory is a monodromy matrix, whose largest eigenvalue is
+filter in any frame: `transitions`. Their product over a trajectory is a monodromy matrix; its largest eigenvalue is
 the growth over that trajectory if it is gone through again and again: `multipliers`, `growth_rate`.
 """
 
@@ -60,7 +60,7 @@ def exact_matrix(
         e+   = (I - K H) A e - leak x_I - M K (ki + kd) yt(k) + M K kd yt(k-1)
         x_I+ = leak x_I + M K ki yt(k),    yt(k+1) = H e+
 
-    A (n, n), K (n, m), H (m, n); ki and kd () or (m,), states (n,), leak (). In closed loop e is what is left in the
+    A (n, n), K (n, m), H (m, n); ki and kd () or (m,), states (n,), leak (). In closed loop e is the remaining error of
     navigation. With A = H = 1 and kd = 0 it has abs(eigenvalue)^2 = 1 - K; with kd it needs K < 2 / (1 + ki/2 + 2 kd).
     """
     n, m = K.shape
@@ -77,7 +77,7 @@ def exact_matrix(
 
 
 def _parts(state: FilterState) -> list[jax.Array]:
-    """What an error lives in besides navigation: x, the observer's drive, the rule's memory; real numbers only."""
+    """Parts of an error other than navigation: x, the observer's drive, the rule's memory; real numbers only."""
     leaves = jax.tree.leaves((state.x, state.u, state.memory))
     return [a for a in leaves if jnp.issubdtype(a.dtype, jnp.floating)]
 
@@ -109,7 +109,7 @@ def _displace(model: ErrorModel, state: FilterState, s: jax.Array, back: jax.Arr
 
 
 def _read(state: FilterState) -> tuple[jax.Array, jax.Array]:
-    """What `_displace` has moved: the numbers of navigation at the end, and the rest."""
+    """Read the parts that `_displace` has moved: the numbers of navigation at the end, and the rest."""
     return _numbers(_last(state)), jnp.concatenate([a.ravel() for a in _parts(state)])
 
 
@@ -117,13 +117,13 @@ def _measure(model: ErrorModel, state: FilterState) -> jax.Array:
     """The matrix from small changes of `_numbers` to the error in ENU that they are, (n, 16)."""
     nav = _last(state)
     J = jax.jacfwd(lambda e: _numbers(model.retract(nav, -e)))(jnp.zeros(model.n_states))
-    size = jnp.sqrt((J * J).sum(0))  # radians of latitude beside metres per second
+    size = jnp.sqrt((J * J).sum(0))  # radians of latitude and metres per second differ in size
     J = J / size
     return _to_enu(model, nav, state.P) @ (jnp.linalg.inv(J.T @ J) @ J.T / size[:, None])
 
 
 def _along(filt: Filter, params: Params, navs: Nav, epochs: Epoch, P: jax.Array, step: Callable) -> tuple:
-    """The covariance (n, n), in ENU, after the epochs, and what ``step(state, epoch)`` finds from every truth."""
+    """The covariance (n, n), in ENU, after the epochs, and the results of ``step(state, epoch)`` at every truth."""
     model = filt.model
 
     def one(P, x):
@@ -163,7 +163,7 @@ def settle(
     """The covariance (n, n), in ENU, that comes back after the epochs, by going through them again and again.
 
     Arguments as for `transitions`. From `Params.prior`; stops when a round changes no element by more than
-    ``tolerance`` of the two sd, or after so many rounds: the variance of what is not observed grows for ever.
+    ``tolerance`` of the two sd, or after so many rounds: the variance of an unobserved state grows for ever.
     """
     model = filt.model
 
@@ -210,7 +210,7 @@ def transitions(filt: Filter, params: Params, navs: Nav, epochs: Epoch, P: jax.A
 def linear_model(
     filt: Filter, params: Params, navs: Nav, epochs: Epoch, P: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """What a filter takes for the error's dynamics: A (E, n, n), Kalman gain K (E, n, m), H (E, m, n) of every epoch.
+    """A filter's model of the error's dynamics: A (E, n, n), Kalman gain K (E, n, m), H (E, m, n) of every epoch.
 
     Arguments as for `transitions`; in the axes of the frame.
     """

@@ -1,1 +1,1 @@
-"""Recorded data: drives, flights, walks, and other people's filters beside ours."""
+"""Recorded data: drives, flights, walks, and filters of other people."""

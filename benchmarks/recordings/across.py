@@ -1,8 +1,8 @@
-"""Tuned on one unit's drives, judged on another unit's other drives: what is learned belongs to the kind of IMU.
+"""Tuned on one unit's drives, judged on another unit's other drives: results belong to the kind of IMU.
 
 An RC car carries two IMUs of one kind. `tuning.tune` has the first one's drives h and i together, a consumer's
-datasheet, and no truth; each drive was logged by a clock of its own, and is shifted by the delay that `jaxnav check`
-sees in it. What it chooses, and all that it tried, then runs through drives j and k with the second IMU's
+datasheet, and no truth; each drive was logged by another clock, and is shifted by the delay that `jaxnav check`
+finds in it. The winner and all candidates then run through drives j and k with the second IMU's
 readings: horizontal distance to the last hidden fix of windows of 10 s, every third part of the time hidden in turn.
 """
 

@@ -1,6 +1,6 @@
 """`jaxnav.checkup` on recordings that are damaged in one way each, and on those that are not.
 
-Every damage on every recording that has what it damages: eight real ones and sixteen simulated. A cell counts as named
+Every damage on every recording with the damaged stream: eight real ones and sixteen simulated. A cell counts as named
 where a finding that says that something is wrong has the damage's code, or where the recording is refused with a
 sentence that names it. A cell that is not named and that physics cannot show is marked with the reason, which the
 undamaged recording gives (`Damage.hidden`). A false alarm is a warning on a recording as it is, except the
@@ -29,7 +29,7 @@ from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, ImuLog, Recording, Samples
 
-KNOWN = {  # what is wrong with the recordings as they are
+KNOWN = {  # faults of the recordings as they are
     "rtkexplorer": {"time.drift"},  # the tag stretches the ticks by 290 ppm
     "phone": {
         "imu.slow",
@@ -142,7 +142,7 @@ class Damage(NamedTuple):
     needs: tuple[str, ...] = ("position",)  # streams, and "truth"
 
 
-# ---------------------------------------------------------------------------- what cannot show
+# ---------------------------------------------------------------------------- damages that cannot show
 
 
 def shows(rec: Recording, bad: Recording) -> str:
@@ -174,7 +174,7 @@ _WINDOWS: dict = {}
 
 
 def fits_better(rec: Recording, bad: Recording) -> str:
-    """The IMU as it was must fit the fixes better than the damaged one, whatever the attitude."""
+    """The IMU as it was must fit the fixes better than the damaged one, at any attitude."""
     gain = 0.0
     for window, a in windows(rec):
         other = aligned(bad, window)
@@ -300,7 +300,7 @@ DAMAGES = (
 
 
 def named(rec: Recording, codes: tuple[str, ...]) -> tuple[bool, str]:
-    """Is one of the codes among what is wrong, or in the words of a refusal? And what was said."""
+    """Return whether one of the codes is found, or in the words of a refusal; and the output."""
     try:
         check_recording(rec)
     except DataError as error:
@@ -311,7 +311,7 @@ def named(rec: Recording, codes: tuple[str, ...]) -> tuple[bool, str]:
 
 
 def as_floats(rec: Recording) -> Recording:
-    """Plain arrays, whatever the damage made of them."""
+    """Plain arrays after any damage."""
     return rec._replace(imu=ImuLog(*(np.ascontiguousarray(a, float) for a in rec.imu)))
 
 
@@ -321,7 +321,7 @@ REAL = ("umn", "rtkexplorer", "px4_quad106", "kth", "kitti", "navego_synthetic",
 MOVING = ("car", "aircraft", "coach", "walk")  # each with two IMUs, and fixes at 1 and 5 Hz
 CLEAN = ("ship", "train", "thermal", "jet", "mower", "walk", "coach", "table")
 GRADED = ("consumer", "adis16465", "tactical")
-LENGTH = 180.0  # s, of what is simulated
+LENGTH = 180.0  # s, of a simulation
 
 
 def vehicle(kind: str, grade: str, fix_hz: float, seed: int) -> Recording:
@@ -358,7 +358,7 @@ def matrix(recordings: Iterable[Recording], damages: Sequence[Damage] = DAMAGES)
 
 
 def alarms_of(rec: Recording, known: Iterable[str] = ()) -> list[str]:
-    """Return what is called wrong in a recording as it is."""
+    """Return the warnings on a recording as it is."""
     return [f"{f.code}: {f.message}" for f in checkup(rec) if f.warns and f.code not in known]
 
 
@@ -366,8 +366,8 @@ def main(argv: list[str]) -> None:
     """Print the table, write the JSON."""
     parser = common.options("check", __doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="three recordings and two simulated ones, one alarm each")
-    parser.add_argument("--only", help="damages whose name has this in it")
-    parser.add_argument("--seed", type=int, default=0, help="of what is simulated, default 0")
+    parser.add_argument("--only", help="damages with this in their name")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulations, default 0")
     args = parser.parse_args(argv)
     found, own = sources(), args.seed
     damages = [d for d in DAMAGES if not args.only or args.only in d.name]

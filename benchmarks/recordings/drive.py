@@ -5,8 +5,8 @@ hidden fix, through the measurement model, so lever arm and timing count. Four f
 `tuned` with GNSS and standstill updates, `datasheet_constraints` and `tuned_constraints` with the non-holonomic
 constraint too. Nothing reads a fix before its time; mending the IMU log takes a fixed lag of 0.3 s.
 
-Tuning for a block of the drive uses three stretches outside of it, each with its own start, and hidden windows within
-them; a guard of 8 s keeps every scored window clear of them.
+Tuning for a block of the drive uses three stretches outside of it, each with an initialization, and hidden windows
+within them; a guard of 8 s keeps every scored window clear of them.
 """
 
 import tomllib
@@ -38,7 +38,7 @@ from tuning.fit.train import default_optimizer, fit
 from tuning.fit.transforms import LOG, scaled
 from tuning.recordings.validation import paired_gain
 
-AUTHOR = {  # the data author's own filter on this protocol: horizontal RMS, median, max, vertical RMS in m
+AUTHOR = {  # the data author's filter on this protocol: horizontal RMS, median, max, vertical RMS in m
     "without constraints": (6.30, 2.49, 27.3, 0.60),
     "with constraints": (5.40, 2.12, 26.5, 1.19),
 }
@@ -48,7 +48,7 @@ PHASES = np.arange(0.0, 45.0, 5.0)
 INTERVAL = 0.25  # s, of the fixes
 START = 4.0  # s
 LEVER_ARM = np.array([0.0, -0.05, 0.0])  # m, IMU -> antenna, body FRD
-# the log is read 0.3 s early, so that what the filter estimates as time offset is positive: fixes are compared with
+# the log is read 0.3 s early, so that the estimated time offset is positive: fixes are compared with
 # navigation that is already there
 EARLY = -0.30
 AUTHOR_DELAY = -0.125  # s, the delay of the IMU log that the author of the data found by hand
@@ -88,7 +88,7 @@ def recording(repair: bool = True) -> Recording:
     """Return the drive read `EARLY`, with t = 0 at the first fix of the file; truth is the RTK, without attitude.
 
     Args:
-        repair: mend the log of the IMU, whose writer polled the sensor.
+        repair: mend the log of the IMU, which was polled.
     """
     dataset, folder = io.DATASETS["rtkexplorer_drive"], io.verify("rtkexplorer_drive")
     table = tomllib.loads(dataset.map.read_text())
@@ -123,7 +123,7 @@ def cut(rec: Recording, constraints: bool, start: float, stop: float | None = No
 
 
 def window_starts(last_fix: float, offset: float, length: float = OUTAGE, every: float = EVERY) -> np.ndarray:
-    """Starts (W,) s of the windows of one phase that lie within the data."""
+    """Starts (W,) s of the windows of one phase inside the data."""
     starts = FIRST + offset + every * np.arange(100)
     return starts[starts + length <= last_fix - LAST]
 
@@ -160,9 +160,9 @@ def solve(filt: Filter, params: Params, nav: Nav, data: Epoch, valid: jax.Array)
 
 
 def spec(constraints: bool) -> dict:
-    """What tuning may change: white noise of the IMU and of the fixes, timing, and what the wheels need.
+    """Free parameters: white noise of the IMU and of the fixes, timing, and those of the wheels.
 
-    Bias instabilities stay at the datasheet's: two minutes tell nothing of a drift over ten.
+    Bias instabilities stay at the datasheet's: two minutes have no information on a drift over ten.
     """
     white = ("noise.gyro", "noise.accel", "measurements.position.scale", "measurements.velocity.scale")
     free = dict.fromkeys(white, LOG)
@@ -183,7 +183,7 @@ def stack(trees: list):
 
 
 def over_stretches(weight: jax.Array, values: jax.Array) -> jax.Array:
-    """The weighted mean over stretches (B,); those of weight zero may have failed."""
+    """The weighted mean over stretches (B,); stretches of weight zero may have failed."""
     return weight @ jnp.where(weight > 0, values, 0.0) / weight.sum()
 
 
@@ -255,7 +255,7 @@ def score(data: Data, params: Params, valid: jax.Array):
 
 
 def summary(horizontal: np.ndarray, vertical: np.ndarray, outside: np.ndarray, nis: float, begin: np.ndarray) -> dict:
-    """The figures of one row of the table, each following from the errors beside it."""
+    """The figures of one row of the table, each computed from its errors."""
     rms = lambda e: float(np.sqrt(np.mean(np.square(e))))
     order = np.argsort(begin, kind="stable")
     return {
@@ -302,7 +302,7 @@ def row(name: str, r: dict) -> str:
 
 
 def steps_taken(last_fix: float) -> dict:
-    """What brought how much, one change after the other, before any tuning."""
+    """Gain of each change, one after the other, before any tuning."""
     found = {}
     raw, mended = recording(repair=False), recording()
     wide = lambda p: p._replace(noise=p.noise._replace(gyro=10 * p.noise.gyro, accel=10 * p.noise.accel))
@@ -328,8 +328,8 @@ def main(argv: list[str]) -> None:
     parser.add_argument("--quick", action="store_true", help="3 steps of tuning")
     parser.add_argument("--seed", type=int, default=0, help="of the bootstrap, default 0")
     parser.add_argument("--steps", type=int, default=100, help="steps of tuning for each block, default 100")
-    what = "of tuning: innovations (no truth, no windows), or drift at the ends of hidden windows"
-    parser.add_argument("--objective", choices=("likelihood", "drift"), default="likelihood", help=what)
+    help = "of tuning: innovations (no truth, no windows), or drift at the ends of hidden windows"
+    parser.add_argument("--objective", choices=("likelihood", "drift"), default="likelihood", help=help)
     args = parser.parse_args(argv)
     rec = recording()
     last_fix = float(rec.aiding["position"].t[-1])
@@ -337,7 +337,7 @@ def main(argv: list[str]) -> None:
         f"  {'':38} {'H rms':>6} {'median':>7} {'max':>7} {'V rms':>7} {'outside':>8} {'NIS/dof':>7}   m, 15 s hidden"
     )
     result: dict = {"seed": args.seed, "author": AUTHOR, "steps": args.steps, "objective": args.objective}
-    print("What brought how much, untuned\n" + header)
+    print("Gain of each change, untuned\n" + header)
     result["steps_taken"] = steps_taken(last_fix)
     print("Datasheet against tuned, every window held out\n" + header)
     for suffix, constraints in (("", False), ("_constraints", True)):

@@ -21,7 +21,7 @@ WINDOWS = {"15": (15.0, 45.0, np.arange(0.0, 45.0, 5.0)), "45": (45.0, 90.0, np.
 
 @partial(jax.jit, static_argnums=0)
 def inside(filt: Filter, params: Params, nav: Nav, data: Epoch, valid: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Residuals of the smoothed positions (E, 3) m ENU and their covariance with the fix's own (E, 3, 3)."""
+    """Residuals of the smoothed positions (E, 3) m ENU and their covariance with the fix's (E, 3, 3)."""
     found = smooth(filt, params, nav, drive.with_valid(data, valid))[1]
     noise = jax.vmap(jnp.diag)((params.measurements["position"].scale * data.fix.sd[:, :3]) ** 2)
     return found.residual[:, :3], found.P[:, :3, :3] + noise

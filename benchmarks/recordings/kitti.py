@@ -1,8 +1,8 @@
-"""KITTI's drive 0027 as GTSAM ships it: this filter beside GTSAM's incremental smoother on the same hidden windows.
+"""KITTI's drive 0027 as GTSAM ships it: this filter and GTSAM's incremental smoother on the same hidden windows.
 
 Both get the same IMU, the same fixes of 1 Hz, hidden for 15 s at a time, and the sigmas of the file that comes with
 them. GTSAM: pre-integrated IMU factors, biases that walk, a prior on the position of every fix that is not hidden, and
-`ISAM2`, which relinearises the whole past; what it knows at a window's end came from before it. ours: `ekf15` from a
+`ISAM2`, which relinearises the whole past; its estimate at a window's end uses earlier fixes. ours: `ekf15` from a
 start in motion. Then ours tuned without truth on one half of the time and judged on the other, each half in turn.
 """
 
@@ -27,7 +27,7 @@ from tuning.recordings.recorded import Tuned, spread, tune
 
 # the metadata file that ships with the recording, of samples at 100 Hz
 ACCEL, GYRO, ACCEL_WALK, GYRO_WALK = 0.01, 1.75e-4, 1.67e-4 * 10, 2.91e-6 * 10
-ACCEL_BIAS, GYRO_BIAS = 0.1, 5e-5  # m/s^2, rad/s: sd at the start that GTSAM's own example takes
+ACCEL_BIAS, GYRO_BIAS = 0.1, 5e-5  # m/s^2, rad/s: initial sd of GTSAM's example
 SHEET = Grade(GYRO, ACCEL, GYRO_BIAS, ACCEL_BIAS, 0.0, 0.0, 3600.0, "GTSAM", GYRO_WALK, ACCEL_WALK)
 FILE_SD = 0.07  # m, of a fix in docs/recipes/kitti.toml
 SD = {"file": FILE_SD, "example": FILE_SD**0.5}  # as the number reads; as GTSAM's example takes it, for a variance
@@ -41,7 +41,7 @@ FILES = (("KittiEquivBiasedImu.txt", " "), ("KittiGps_converted.txt", ","))
 def isam(hidden: np.ndarray, sd: float) -> np.ndarray:
     """Estimate minus fix (N, 3) m at every fix as ISAM2 knows it when it comes, the fixes of a mask (N,) kept from it.
 
-    In the files' own metres, z up, axes of the IMU forward, left, up.
+    In metres of the files, z up, axes of the IMU forward, left, up.
     """
     import gtsam
     from gtsam.symbol_shorthand import B, V, X
@@ -102,7 +102,7 @@ def ours(sol: Solution, filt: Filter, params: Params, packed: ep.Packed, windows
 
 
 def tuned(rec: Recording, filt: Filter, sheet: Params, middle: float) -> dict[str, Tuned]:
-    """What is found on either half alone."""
+    """Results on either half alone."""
     found = {
         "first": tune(rec, filt, sheet, stop=middle, log=print),
         "second": tune(rec, filt, sheet, initialization=initialize(rec, sheet, t_start=middle), log=print),
@@ -147,7 +147,7 @@ def main(argv: list[str]) -> None:
         sheet = datasheet_params(SHEET, measurements=["position"])
         for half, each in tuned(rec, filt, sheet, middle).items():
             judged = late if half == "first" else windows.start + WINDOW < middle
-            # the start is that of the whole recording: what was tuned is handed over
+            # the start is that of the whole recording: the tuned parameters are handed over
             off[judged] = ours(sol, each.filter, sol.initialization.apply_to(each.params), packed, windows)[judged]
         kept = ~np.isnan(off)
         results["jaxnav, tuned"] = score(off[kept])

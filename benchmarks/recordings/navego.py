@@ -2,7 +2,7 @@
 
 The reference is python-ins 1.0.1 on imu2 with the same start, noise and measurement sd. Its figures were made by
 reading the IMU samples as instantaneous values; the data hold means over each sample, which is the default reading of
-this package and gives a better heading. The headline figures use the reference's reading, the others stand beside it.
+this package and gives a better heading. The headline figures use the reference's reading, the others follow it.
 """
 
 from pathlib import Path
@@ -27,7 +27,7 @@ SETTLED = 60.0  # s
 
 
 class Datasheet(NamedTuple):
-    """What NaveGo states about an IMU; float64 (the file stores small integers as uint8, whose squares wrap)."""
+    """NaveGo's data on an IMU; float64 (the file stores small integers as uint8, whose squares wrap)."""
 
     arw: np.ndarray  # (3,) rad/s/sqrt(Hz), root PSD
     vrw: np.ndarray  # (3,) m/s^2/sqrt(Hz), root PSD

@@ -1,12 +1,12 @@
-"""Other people's filters beside ours: the same samples, fixes, noise, hidden windows and scores.
+"""Filters of other people: the same samples, fixes, noise, hidden windows and scores.
 
-Simulated drives in town, where the truth is known: python-ins and KF-GINS (its own executable, where the environment
+Simulated drives in town, where the truth is known: python-ins and KF-GINS (its executable, where the environment
 variable KFGINS_BIN names it) with the true noise, and filterpy's Kalman filter on the fixes alone, with a constant
-velocity, for what an IMU is worth. Then the drive of `benchmarks.recordings.drive`: KF-GINS and a filter of ours that
-measures and estimates the same (positions; 21 states) with the datasheet's noise, with the drive's timing, and with
-what `jaxnav tune --for kfgins` makes of stretches that do not touch the window's quarter. Errors are horizontal, at the
+velocity, for the value of an IMU. Then the drive of `benchmarks.recordings.drive`: KF-GINS and a filter of ours that
+measures and estimates the same (positions; 21 states) with the datasheet's noise, with the drive's timing, and with the
+result of `jaxnav tune --for kfgins` on stretches that do not touch the window's quarter. Errors are horizontal, at the
 last hidden fix. Between them python-ins with scale factors (21 states), and with misalignment too (33): an hour of its
-own motion, of sensors that have both, and NaveGo's synthetic data. GTSAM: `python -m benchmarks kitti`.
+sine motion, of sensors that have both, and NaveGo's synthetic data. GTSAM: `python -m benchmarks kitti`.
 """
 
 import os
@@ -103,7 +103,7 @@ def as_recording(sim: Simulated) -> Recording:
 
 
 def like_kfgins(params: Params) -> tuple[Filter, Params]:
-    """A filter of ours that measures and estimates what KF-GINS does, and the parameters in its shape."""
+    """A filter with the measurements and states of KF-GINS, and the parameters in its shape."""
     like = build(LIKE.filter, LIKE.measurements, cov_stride=10, states=LIKE.states)
     own = like.params("consumer").states
     states = params.states | {name: own[name] for name in LIKE.states}
@@ -179,7 +179,7 @@ def beside(params: Params, nav: Nav, epochs: Epoch, truth: np.ndarray, states: t
 
 
 def with_more_states(duration: float) -> dict[str, dict[str, float]]:
-    """Both with 21 and 33 states, on python-ins' own motion and on NaveGo's synthetic data."""
+    """Both with 21 and 33 states, on python-ins' sine motion and on NaveGo's synthetic data."""
     given = {"sine": (build("ekf15").params("adis16465"), *sine_drive(duration, 0))}
     folder = io.verify("navego_synthetic")
     rec, params = io.load("navego_synthetic"), navego.parameters(folder, "imu2")
@@ -198,7 +198,7 @@ def with_more_states(duration: float) -> dict[str, dict[str, float]]:
 
 
 def crop(rec: Recording, first: float, last: float) -> Recording:
-    """What lies between two times."""
+    """Samples between two times."""
     keep = (rec.imu.t > first) & (rec.imu.t <= last)
     inside = lambda s: (s.t > first) & (s.t <= last)
     aiding = {n: type(s)(*(a[inside(s)] for a in s)) for n, s in rec.aiding.items()}
@@ -211,7 +211,7 @@ def begin_at(rec: Recording, time: float, prior) -> Initialization:
 
 
 def tuned_for(rec: Recording, sheet: Params) -> dict[int, Params]:
-    """For each block of the drive what `tune --for kfgins` makes of the stretches outside of it."""
+    """For each block of the drive the result of `tune --for kfgins` on the stretches outside of it."""
     like, _ = like_kfgins(sheet)
     edges = [drive.START, *drive.BLOCKS, float(rec.aiding["position"].t[-1])]
     out = {}

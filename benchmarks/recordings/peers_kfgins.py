@@ -1,4 +1,4 @@
-"""KF-GINS's own executable on the drive of `benchmarks.recordings.drive`: the same hidden windows, the same score."""
+"""KF-GINS's executable on the drive of `benchmarks.recordings.drive`: the same hidden windows, the same score."""
 
 import subprocess
 import tempfile
@@ -40,7 +40,7 @@ def without(rec: Recording, windows: list[tuple[float, float]]) -> Recording:
 
 
 def antenna_errors(track: Track, rec: Recording, params: Params, begin: Initialization, at: np.ndarray) -> np.ndarray:
-    """Of the fixes ``at`` (W,) int: the solution's antenna minus the fix at the fix's own time, (W, 3) m ENU."""
+    """Of the fixes ``at`` (W,) int: the solution's antenna minus the fix at the fix's time, (W, 3) m ENU."""
     fixes = rec.aiding["position"]
     t = fixes.t[at] - delay_of(params, begin, fixes.t[at])
     lla = np.stack([np.interp(t, track.t, track.lla[:, i]) for i in range(3)], 1)

@@ -2,7 +2,7 @@
 
 The drive is cut into four blocks; each is scored by parameters that saw only the stretches outside of it. Drift is the
 horizontal error at the end of the 15 s windows of `drive.py`; innovations are of the same block with nothing
-hidden, so that consistency, which a larger R alone could buy, stands beside what it costs.
+hidden, so that consistency, which a larger R alone could buy, is shown with its cost.
 """
 
 from functools import partial
@@ -91,7 +91,7 @@ def tune(rec) -> tuple[dict[int, Params], list[list[uncertainty.Interval]]]:
 
 
 def innovations(data: drive.Data, by_block: dict[int, Params]) -> dict[str, dict]:
-    """NIS of each GNSS channel over all blocks, each with its own parameters, and autocorrelations; nothing hidden."""
+    """NIS of each GNSS channel over all blocks, each with its parameters, and autocorrelations; nothing hidden."""
     order, names, _ = channel_names(drive.measurements(False))
     block = np.searchsorted(drive.BLOCKS, data.t)
     z = np.full((data.t.size, len(names)), np.nan)
@@ -110,7 +110,7 @@ def innovations(data: drive.Data, by_block: dict[int, Params]) -> dict[str, dict
 
 
 def recover(steps: int, seed: int) -> dict:
-    """The table: datasheet, tuned by innovations, tuned by drift; what the innovations say of the timing."""
+    """The table: datasheet, tuned by innovations, tuned by drift; and the estimates of the timing."""
     rec = drive.recording()
     last_fix, data = float(rec.aiding["position"].t[-1]), drive.cut(rec, False, drive.START)
     likely, intervals = tune(rec)
@@ -155,7 +155,7 @@ def recover(steps: int, seed: int) -> dict:
 
 
 def unit_of(i: uncertainty.Interval) -> Unit:
-    """What the user's parameter is inside."""
+    """The user's parameter of an interval."""
     return UNITS[i.name.partition("[")[0]]
 
 

@@ -1,4 +1,4 @@
-"""What further sensors are worth on recordings: drift in hidden windows with them and without.
+"""Value of further sensors on recordings: drift in hidden windows with them and without.
 
 A consumer's datasheet, the sd that the recordings state or their rows assume, the same windows; nothing is
 tuned. Barometers are judged by height, all others by the horizontal.
@@ -16,7 +16,7 @@ from jaxnav.analysis.tables import table
 
 
 class Trial(NamedTuple):
-    """A recording, what is added to its position and velocity, and how it is judged."""
+    """A recording, additions to its position and velocity, and its score."""
 
     recording: str
     sensors: tuple[str, ...]

@@ -88,7 +88,7 @@ def study(runs: int, seed: int) -> dict:
 
 
 def tuned(drives: int, seed: int) -> dict:
-    """Heading error over its sd at the start of `navigate` with what `tune` found, on simulated drives of a car."""
+    """Heading error over its sd at the start of `navigate` with the result of `tune`, on simulated drives of a car."""
     rng, rows = np.random.default_rng(seed), []
     filt = build("ekf15", cov_stride=5)
     for i in range(drives):
@@ -117,7 +117,7 @@ def onboard(data: Path) -> Track:
 
 
 def against_gyros(rec: Recording, reference: Track, span: float = 5.0) -> float:
-    """How far (deg, median) a reference's attitude departs within ``span`` s from what the gyros integrate to."""
+    """Difference (deg, median) of a reference's attitude within ``span`` s from the integral of the gyros."""
     imu, off = rec.imu, []
     at = lambda t: Rotation.from_matrix(np.asarray(rotations.from_rph(jnp.asarray(
         [np.interp(t, reference.t, np.unwrap(c)) for c in reference.rph.T]))))  # fmt: skip
@@ -146,9 +146,7 @@ def recorded() -> dict:
             print(f"  {name}: {error}")
             continue
         truth = rec.truth if reference is None else reference(data)
-        print(
-            f"  {name}: in 5 s the reference departs by {against_gyros(rec, truth):.1f} deg (median) from its own gyros"
-        )
+        print(f"  {name}: in 5 s the reference departs by {against_gyros(rec, truth):.1f} deg (median) from its gyros")
         found[name] = []
         for begin in begins:
             at = starting.initialize(rec, build("ekf15").params(grade), t_start=begin)
@@ -166,8 +164,8 @@ def recorded() -> dict:
 def main(argv: list[str]) -> None:
     """Print the tables, write the JSON."""
     parser = common.options("start", __doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=396, help="simulated, default 396; 0: only what is recorded")
-    parser.add_argument("--seed", type=int, default=0, help="of what is simulated, default 0")
+    parser.add_argument("--runs", type=int, default=396, help="simulated, default 396; 0: only recorded starts")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulations, default 0")
     parser.add_argument("--tune", type=int, default=0, metavar="N", help="N drives tuned, then started again, instead")
     args = parser.parse_args(argv)
     if args.tune:

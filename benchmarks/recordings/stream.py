@@ -1,4 +1,4 @@
-"""The filter sample by sample on a recording: beside the batch, with late fixes, across a restart; time of a sample.
+"""The filter sample by sample on a recording: against the batch, with late fixes, across a restart; time of a sample.
 
 Every sample of the recording is pushed as it comes, fixes after the sample at which they are due. *late*: each fix
 comes up to half a second late. *restart*: from bytes in the middle. Differences are of positions at the ends of epochs.

@@ -1,6 +1,6 @@
 """A fixed-wing flight (UMN UAV Lab, flight 75) from the first fix, heading unknown, against the onboard filter.
 
-Twelve filters start level with headings 30 deg apart; the innovations of the whole flight say which was right, and the
+Twelve filters start level with headings in steps of 30 deg; the innovations of the whole flight choose one, and the
 figures are that filter's. The onboard solution is another filter of the same sensors, not independent truth.
 """
 
@@ -23,7 +23,7 @@ from jaxnav.types import Params
 
 AIRBORNE = (212.0, 578.0)  # s
 HEADINGS = 12
-# what the innovations' likelihood prefers to the nominal 2/2/4 m, 0.2 m/s and no delay: 6.6 instead of 10.0 per fix;
+# preferred by the innovations' likelihood to the nominal 2/2/4 m, 0.2 m/s and no delay: 6.6 instead of 10.0 per fix;
 # the onboard filter had no part in it
 POSITION_SCALE, VELOCITY_SCALE, TIME_OFFSET = 0.5, 2.0, 0.1  # of the nominal sd; s
 DIVERGED = (5.0, 10.0)  # sd, s: an error above the one for as long as the other

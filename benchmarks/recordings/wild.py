@@ -1,6 +1,6 @@
 """Recordings as their users have them: each from its files to a solution by one command, no setting about its start.
 
-Every recipe of docs/recipes that is read, and what needs none, through `jaxnav.navigate` with a consumer's datasheet
+Every recipe of docs/recipes, and recordings that need none, through `jaxnav.navigate` with a consumer's datasheet
 and the streams of position and velocity that it has. The drift is the horizontal distance to the last hidden fix of
 windows all along the recording (10 s, of recordings shorter than two minutes 5 s; every third part of the time).
 """
@@ -35,7 +35,7 @@ from tuning.recordings.recorded import tune
 
 RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
 PINNED = {"kth": "kth_gnss_ins", "rtkexplorer": "rtkexplorer_drive", "umn": "umn_thor75"}  # maps of data sets
-PLAIN = {  # what is read without a recipe, below the folder of the data sets
+PLAIN = {  # recordings without a recipe, below the folder of the data sets
     "navego_synthetic": "navego_synthetic",
     "px4_sitl": "ulog_samples/sample_px4_events.ulg",
     "px4_sitl_truth": "ulog_samples/sample_logging_tagged_and_default_params.ulg",

@@ -144,7 +144,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", type=int, default=RUNS, help=f"default {RUNS}")
     parser.add_argument("--seed", type=int, default=0, help="default 0")
     parser.add_argument("--quick", action="store_true", help="six cells")
-    parser.add_argument("--only", default="", metavar="TEXT", help="cells whose name contains all of these words")
+    parser.add_argument("--only", default="", metavar="TEXT", help="cells with all of these words in their name")
     args = parser.parse_args(argv)
     chosen = [c for c in cells() if all(word in c.name.split() for word in args.only.split())]
     if args.quick:

@@ -1,7 +1,7 @@
 """Thousands of damaged inputs: a solution, a solution with a sentence, or one clear error; never anything else.
 
-*Recordings*: a simulated drive whose files are damaged (`damage_rows.py`) at random places and in random size,
-through `jaxnav filter`. *Silent wrong* is a solution of which an error against truth is outside its own 3 sd for more
+*Recordings*: a simulated drive with files damaged (`damage_rows.py`) at random places and in random size,
+through `jaxnav filter`. *Silent wrong* is a solution with an error against truth outside its 3 sd for more
 than 5 % of the time, with no sentence that the drive as it is does not have. *Formats*: one file of each recording of
 docs/recipes, read. *Configurations*: random values of random settings. *Checkpoints*: bytes of a fit's checkpoint and
 history. *Signals*: Ctrl-C, SIGTERM and kill at random times of `filter`, `simulate`, `tune` and `mc`, and once more:
@@ -47,7 +47,7 @@ STREAMS = ("imu.csv", "position.csv", "velocity.csv")
 
 
 def damaged(folder: Path, rng: Rng) -> str:
-    """Damage a folder; says what was done."""
+    """Damage a folder; return the damage."""
     kind = str(rng.choice([*DAMAGES, BYTES, BYTES, "gone", "arm"]))
     path = folder / str(rng.choice(STREAMS))
     if kind == "gone":
@@ -71,7 +71,7 @@ def damaged(folder: Path, rng: Rng) -> str:
 
 
 def spoken(argv: list[str]) -> tuple[int, str]:
-    """The command line in this process: exit code (-1 of an exception), and what it said."""
+    """The command line in this process: exit code (-1 of an exception), and its output."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         try:
@@ -83,7 +83,7 @@ def spoken(argv: list[str]) -> tuple[int, str]:
 
 
 def sentences(folder: Path) -> set[str]:
-    """What a run says of itself, without numbers."""
+    """Sentences of a run, without numbers."""
     found = json.loads((folder / "metrics.json").read_text())
     plain = lambda text: re.sub(r"-?\d+(\.\d+)?(e[-+]\d+)?", "#", text)
     return {
@@ -92,7 +92,7 @@ def sentences(folder: Path) -> set[str]:
 
 
 def recordings(tries: int, seed: int, report: list[dict]) -> dict[str, int]:
-    """Counts over damaged recordings; ``report`` collects what should not be."""
+    """Counts over damaged recordings; ``report`` collects failures."""
     counts = Counter(
         {k: 0 for k in ("tried", "solution", "said", "clear_error", "traceback", "silent_wrong", "killed")}
     )
@@ -122,7 +122,7 @@ def recordings(tries: int, seed: int, report: list[dict]) -> dict[str, int]:
 
 
 def outcome(code: int, said: str, run: Path, usual: set[str]) -> str:
-    """What a run came to."""
+    """Outcome of a run."""
     if code in (1, 2, 3) and "Traceback" not in said and not (run / "solution.csv").exists():
         return "clear_error"
     if code != 0 or "Traceback" in said:
@@ -265,7 +265,7 @@ FINISHED = {"simulate": "imu.csv", "filter": "metrics.json", "tune": "metrics.js
 
 
 def signals(tries: int, seed: int, report: list[dict]) -> dict[str, int]:
-    """Runs that end by a signal, and the next one: whole results or none, nothing of either left beside."""
+    """Runs that end by a signal, and the next one: complete results or none, nothing of either left behind."""
     counts = Counter({k: 0 for k in ("tried", "stopped", "finished", "traceback", "half_written", "left_behind")})
     with tempfile.TemporaryDirectory() as name:
         drive = Path(name) / "drive"

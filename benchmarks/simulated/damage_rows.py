@@ -70,7 +70,7 @@ def stuck(rows: Table, rng: Rng) -> None:
 
 
 def biased(rows: Table, rng: Rng) -> None:
-    """A column is off by its own spread, and some times that."""
+    """A column is off by its spread, and some times that."""
     column = _column(rows, rng)
     spread = float(np.std([float(row[column]) for row in rows[1:]])) or 1.0
     off = spread * float(rng.choice([-3.0, 0.3, 3.0, 30.0]))
@@ -79,7 +79,7 @@ def biased(rows: Table, rng: Rng) -> None:
 
 
 def noisy(rows: Table, rng: Rng) -> None:
-    """A column with the noise of its own spread."""
+    """A column with the noise of its spread."""
     column = _column(rows, rng)
     spread = float(np.std([float(row[column]) for row in rows[1:]])) or 1.0
     _each(rows, slice(1, None), column, lambda x: x + float(rng.choice([0.1, 1.0])) * spread * rng.normal())

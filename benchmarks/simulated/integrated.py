@@ -1,6 +1,6 @@
-"""A receiver whose position is its own velocity added up, with an error of minutes: what tuning makes of it.
+"""A receiver whose position is the integral of its velocity, with an error of minutes: result of tuning.
 
-Repeats of a drive in town (`urban_integrating`) whose position fixes state five times their white noise, each tuned
+Repeats of a drive in town (`urban_integrating`) with a stated sd of five times the white noise of positions, each tuned
 by `tuning.tune` from the datasheet without truth. Where it chooses the filter with slow errors: how often the
 intervals of the white noise of position and velocity hold the truth. Of all: the clock's drift, which is none, and the
 position on drives that no repeat has seen, against the filter that knows every number.
@@ -33,7 +33,7 @@ TRUE = {"position.scale": 1 / OVERSTATED, "velocity.scale": 1.0}
 
 
 def truth_of(sheet: Params) -> Params:
-    """The parameters that made the data; what adds up and what is slow fade alike, and are one process."""
+    """The parameters that made the data; integrated and slow errors fade alike, and are one process."""
     receiver, interval = INTEGRATING.gnss, 1 / INTEGRATING.gnss_rate_hz
     tau = receiver.slow_position_s
     drive = np.sqrt(2 * receiver.slow_position_sd_m**2 / tau + receiver.velocity_sd_mps[0] ** 2 * interval)
@@ -44,7 +44,7 @@ def truth_of(sheet: Params) -> Params:
 
 
 def overstated(sim: Simulated) -> Simulated:
-    """The run as its receiver tells it."""
+    """The run with the receiver's stated sd."""
     fix = sim.epochs.fix
     return sim._replace(epochs=sim.epochs._replace(fix=fix._replace(sd=fix.sd.at[..., :3].multiply(OVERSTATED))))
 

@@ -20,7 +20,7 @@ SECONDS, RATE_HZ = 600.0, 50.0
 
 
 def paused(rec: Recording, begin: float, end: float) -> Recording:
-    """Return a recording without what came in a pause."""
+    """Return a recording without the data of a pause."""
     keep = lambda t: (t <= begin) | (t > end)
     aiding = {name: Samples(*(a[keep(s.t)] for a in s)) for name, s in rec.aiding.items()}
     return rec._replace(imu=ImuLog(*(a[keep(rec.imu.t)] for a in rec.imu)), aiding=aiding)

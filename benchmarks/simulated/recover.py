@@ -1,9 +1,9 @@
 """Noise parameters back from the innovations alone, started a factor off in every one of them; truth only scores.
 
 `--data navego`: NaveGo's synthetic recording, IMU samples read as means (which they are). `--data simulated`: many
-repeats of a short drive whose noise is known: how often the 95 % intervals hold the truth, and what the tuned filter
-does on drives that no repeat has seen, against the filter that knows the true noise. `--data drive`: the real drive,
-see `benchmarks.recordings.recover_drive`.
+repeats of a short drive with known noise: how often the 95 % intervals hold the truth, and the error of the tuned
+filter on drives that no repeat has seen, against the filter with the true noise. `--data drive`: the real drive, see
+`benchmarks.recordings.recover_drive`.
 """
 
 from functools import partial
@@ -103,7 +103,7 @@ def parameters_of(said: tuple[list[Row], list[Finding]]) -> dict:
 
 
 def show(fixes: int):
-    """A line for every evaluation: the likelihood, and what the next step promises."""
+    """A line for every evaluation: the likelihood, and the expected gain of the next step."""
 
     def report(i: int, search: scoring.Search) -> None:
         nll = np.asarray(search.best.nll) / fixes

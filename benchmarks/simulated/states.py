@@ -1,6 +1,6 @@
 """Optional error states: is a filter that has them consistent, and one that lacks them not?
 
-Simulated urban drives whose sensors have the errors; NEES of all states at the last epoch, over runs that are
+Simulated urban drives with sensors that have the errors; NEES of all states at the last epoch, over runs that are
 independent, so that the mean has chi-square bounds. Errors of a state are pooled over runs and axes.
 """
 
@@ -44,7 +44,7 @@ class Final(NamedTuple):
 
 
 def knowing(params: Params, scenario: Scenario, filt: Filter, errors: Sequence[str] = ()) -> Params:
-    """The parameters with what the rows of `STATES` believe of further states, the filter's and the truth's."""
+    """The parameters with the defaults of the rows of `STATES` for further states, the filter's and the truth's."""
     names = [name for name in dict.fromkeys((*filt.model.states, *errors)) if name not in params.states]
     return params._replace(states=params.states | datasheet_states(GRADES[scenario.imu.grade], names))
 
@@ -99,7 +99,7 @@ def bounds(n: int, runs: int) -> list[float]:
 
 
 def inside(found: Final, columns: slice) -> float:
-    """Share of errors inside their own 95 % interval, pooled over runs and axes."""
+    """Share of errors inside their 95 % interval, pooled over runs and axes."""
     return float(np.mean(np.abs(found.error[:, columns]) <= ndtri(0.975) * found.sd[:, columns]))
 
 
@@ -116,7 +116,7 @@ def scale(runs: int, seed: int) -> dict[str, Any]:
 
 
 def barometer(runs: int, seed: int) -> dict[str, Any]:
-    """A barometer whose bias walks: 16 states against 15 that take it for the height, and against none."""
+    """A barometer with a walking bias: 16 states against 15 that take it for the height, and against none."""
     urban = SCENARIOS["urban"]
     scenario = urban._replace(duration_s=urban.gnss.outages_s[-1][1])  # ends where the last outage does
     channels, bias = (*GNSS, "barometer"), ("barometer_bias",)
@@ -145,7 +145,7 @@ def receiver(runs: int, seed: int) -> dict[str, Any]:
 
 
 class Row(NamedTuple):
-    """A study of the table: states, and the sensors beside the receiver with the sd of their noise."""
+    """A study of the table: states, and further sensors with the sd of their noise."""
 
     states: tuple[str, ...] = ()
     sensors: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""Simulated vehicles that are not the library's own: random courses of a kind, through python-ins' IMU."""
+"""Simulated vehicles that are not the library's: random courses of a kind, through python-ins' IMU."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""The verdict of `tune` on simulated drives of which half have a receiver fault in one part: true drift, parts named.
+"""The verdict of `tune` on simulated drives, half with a receiver fault in one part: true drift, parts named.
 
 A drive in town with an IMU that is three times noisier than its datasheet. The fault is in the training, validation or
 test part by turns: a step, a ramp of the position alone, noise, or a slide of position and velocity together that jumps

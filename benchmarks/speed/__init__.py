@@ -1,1 +1,1 @@
-"""What it costs to run, to compile and to tune."""
+"""Cost of running, compiling and tuning."""

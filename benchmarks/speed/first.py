@@ -1,6 +1,6 @@
 """The first answer: seconds from the command to its end, from an empty cache of compiled programs and from a full one.
 
-Each command is a process of its own; beside it how often that is `import jax; jax.jit(lambda x: x)(1.)`.
+Each command is a separate process; its time is given in multiples of `import jax; jax.jit(lambda x: x)(1.)`.
 """
 
 import os

@@ -1,8 +1,8 @@
-"""Speed: ours beside a C++ floor, plain JAX, a numpy loop and other packages; every ratio is of one run.
+"""Speed: jaxnav against a C++ floor, plain JAX, a numpy loop and other packages; every ratio is of one run.
 
 One thread on one processor, processor time, medians of repeats that take turns. A ratio is to the row that is named;
 less is faster. The floor, the plain forms and the numpy loop do the work of our stride 1 and give the same positions;
-stride 10 moves the covariance every ten samples. Bars are what is aimed at, met or not.
+stride 10 moves the covariance every ten samples. Bars are goals, met or not.
 """
 
 import importlib.metadata

@@ -1,4 +1,4 @@
-"""What the speed benchmark measures in a process of its own: first calls, peak memory, two devices.
+"""Separate processes of the speed benchmark: first calls, peak memory, two devices.
 
 ``python -m benchmarks.speed.speed_child TASK [ARGUMENT...]`` prints one line of JSON; `ask` starts it.
 """
@@ -27,7 +27,7 @@ def pinned() -> dict[str, str]:
     one = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
     given = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
     cpus = os.environ.get(CPUS) or ",".join(map(str, sorted(given)))
-    # without a cache on disk: what compiling costs is part of the tables
+    # without a cache on disk: compile times are part of the tables
     own = {"XLA_FLAGS": fast_flags(ONE_THREAD), "JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "false"}
     return {**os.environ, **one, **own, CPUS: cpus}
 
@@ -93,7 +93,7 @@ def first_calls(names: str) -> dict[str, float]:
         form = form_of(label)
         arguments = work.inputs(form, n, *work.still(10, 1))
         jax.clear_caches()
-        gc.collect()  # or what the forms before left is looked through again and again while this one is traced
+        gc.collect()  # or garbage of the forms before is searched again and again while this one is traced
         function = jax.jit(work.slope(form.loss(n), 1) if gradient else form.forward(n))
         start = time.process_time()
         jax.block_until_ready(function(*arguments))
@@ -113,14 +113,14 @@ def resident(what: str) -> int:
 
 
 def memory(label: str, n: str, seconds: str, runs: str) -> dict[str, float]:
-    """Peak memory of a gradient over what was there before it, compiling not counted; bytes per IMU sample and run."""
+    """Peak memory of a gradient over the memory before, compiling not counted; bytes per IMU sample and run."""
     import jax
 
     from benchmarks.speed import speed_work as work
 
     arguments = work.still(int(seconds), int(runs))
     call = jax.jit(work.slope(form_of(label).loss(int(n)), int(runs))).lower(*arguments).compile()
-    Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
+    Path("/proc/self/clear_refs").write_text("5")  # the peak restarts
     before = resident("VmRSS")
     start = time.process_time()
     jax.block_until_ready(call(*arguments))

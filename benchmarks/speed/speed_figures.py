@@ -1,4 +1,4 @@
-"""How cost grows with the length of a run and with the batch, log-log, beside slope 1."""
+"""Cost against the length of a run and the size of a batch, log-log, with slope 1."""
 
 from pathlib import Path
 

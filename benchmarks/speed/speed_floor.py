@@ -24,7 +24,7 @@ def compiler() -> str | None:
 
 
 def compiler_version() -> str:
-    """What it calls itself."""
+    """Name and version of the compiler."""
     name = compiler()
     if name is None:
         return "none"

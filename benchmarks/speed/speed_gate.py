@@ -10,7 +10,7 @@ from typing import Any
 
 BASELINE = Path(__file__).with_name("speed_baseline.json")
 TABLES = ("single", "batch", "states", "gradient", "compile", "scaling", "peers")
-SLOPES = ("stride 10", "stride 10, prepared")  # forms whose gradient has bars
+SLOPES = ("stride 10", "stride 10, prepared")  # forms with bars on their gradient
 WORSE = 1.5  # times the baseline's ratio
 
 
@@ -23,7 +23,7 @@ def least(result: Result, of: str, *names: str, key: str = "ratio") -> float:
 
 
 def bars(result: Result) -> list[dict[str, Any]]:
-    """What is aimed at, and whether it is met; bars whose rows were not measured are left out."""
+    """Goals, and whether they are met; bars without measured rows are left out."""
     aims = [(*aim, True) for aim in upper(result)] + [(*aim, False) for aim in lower(result)]
     return [
         {"bar": text, "value": value, "limit": limit, "at_most": at_most, "met": (value <= limit) == at_most}
@@ -32,7 +32,7 @@ def bars(result: Result) -> list[dict[str, Any]]:
 
 
 def upper(result: Result) -> Iterator[tuple[str, float, float]]:
-    """Text, value and what it may be at most."""
+    """Text, value and upper limit."""
     for n, limit in ((9, 6.0), (15, 4.0)):
         one, many = f"{n} states", f"{n} states, 256 runs"
         for table, name, what in (("single", one, "scalar floor, one run"), ("batch", many, "8-lane floor, 256 runs")):
@@ -60,7 +60,7 @@ def upper(result: Result) -> Iterator[tuple[str, float, float]]:
 
 
 def lower(result: Result) -> Iterator[tuple[str, float, float]]:
-    """Text, value and what it must be at least."""
+    """Text, value and lower limit."""
     for n, at10, at1 in ((9, 8.0, 2.4), (15, 7.0, 1.8)):
         many = f"{n} states, 256 runs"
         nested = least(result, "batch", f"nested scan, {many}")
@@ -108,7 +108,7 @@ def gates_all_measurements(name: str) -> bool:
 
 
 def worse(result: Result, mode: str, path: Path = BASELINE) -> list[str]:
-    """Rows whose ratio is more than `WORSE` times the baseline's, and rows of it that are missing, in words."""
+    """Rows with a ratio of more than `WORSE` times the baseline's, and rows of it that are missing, in words."""
     if not path.exists() or mode not in (before := json.loads(path.read_text())):
         return [f"no baseline of the {mode} form in {path}"]
     found = []
@@ -123,7 +123,7 @@ def worse(result: Result, mode: str, path: Path = BASELINE) -> list[str]:
 
 
 def gate(result: Result, mode: str, path: Path = BASELINE) -> int:
-    """Print what is worse than the baseline; 1 if anything is."""
+    """Print the rows worse than the baseline; 1 if there are any."""
     found = worse(result, mode, path)
     for line in found:
         print(f"gate: {line}", file=sys.stderr)

@@ -177,7 +177,7 @@ def given(n: int, params: Params, nav: Nav, epochs: Epoch) -> Given:
 
 @jax.jit
 def covariance(g: Given) -> jax.Array:
-    """The last one, by Joseph's form: what the packages are compared with."""
+    """The last covariance, by Joseph's form: the packages are compared with it."""
 
     def sample(P, x):
         Phi, sd = x

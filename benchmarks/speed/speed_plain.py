@@ -1,7 +1,7 @@
 """The same filter as a good user of JAX writes it first: dense matrices, one sample after the other.
 
 Three forms: one scan over samples with a `lax.cond` for the fix; a scan over epochs with one over samples inside; and
-that with `jax.checkpoint` on the epoch, for gradients. They are what the package is compared with, so that nothing of
+that with `jax.checkpoint` on the epoch, for gradients. The package is compared with them, so that nothing of
 the package's filter is used here, and nothing should be made faster.
 """
 
@@ -19,7 +19,7 @@ from jaxnav.types import Epoch, Fix, Imu, Nav, Params
 
 
 class Noise(NamedTuple):
-    """All noise of a filter of 15 states, in SI: what a gradient of the benchmark is by."""
+    """All noise of a filter of 15 states, in SI: variables of the benchmark's gradient."""
 
     gyro: jax.Array
     accel: jax.Array
@@ -63,7 +63,7 @@ class State(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What the nested forms give for each epoch."""
+    """Result of the nested forms for each epoch."""
 
     lla: jax.Array  # (E, 3)
     vel: jax.Array  # (E, 3)

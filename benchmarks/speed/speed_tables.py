@@ -1,4 +1,4 @@
-"""The tables of the speed benchmark: what is timed, beside what, and the ratios."""
+"""The tables of the speed benchmark: times and ratios."""
 
 import os
 from functools import partial
@@ -38,7 +38,7 @@ from jaxnav.filters.run import prepare
 
 
 class Sizes(NamedTuple):
-    """What is run."""
+    """Sizes of the runs."""
 
     states: tuple[int, ...] = (9, 15)
     lengths: tuple[int, ...] = (60, 600, 3600)  # s, of one run; the last is the single run's
@@ -103,7 +103,7 @@ def batch(sizes: Sizes) -> dict[str, dict]:
     rows = {}
     for runs in sizes.batches:
         seconds = sizes.seconds if runs < sizes.large[0] else sizes.large[1]
-        # the naive form and that of first order are told by batches of hundreds
+        # the naive form and that of first order differ most in batches of hundreds
         plain = sizes.plain if runs <= 256 else (NESTED,)
         forms = (*plain, *OURS)
         for n in sizes.states:
@@ -128,7 +128,7 @@ def batch(sizes: Sizes) -> dict[str, dict]:
 
 
 def larger(sizes: Sizes) -> dict[str, dict]:
-    """More states in a batch, beside 15 of them in the same turns."""
+    """More states in a batch, with 15 of them in the same turns."""
     rows, runs, ten = {}, min(sizes.batches[-1], 256), next(f for f in OURS if f.label == "stride 10")
     for n in BESIDES:
         calls = {name_of(ten, m, runs): executable(ten, m, sizes.seconds, runs).call for m in (15, n)}
@@ -164,12 +164,12 @@ def gradient(sizes: Sizes) -> dict[str, dict]:
         hour = speed_child.ask("memory", "stride 10", n, sizes.lengths[-1], 8)
         name = "stride 10, 15 states, an hour of 8 runs"
         rows[name] = hour | {"ratio_to": "500 bytes per step", "ratio": hour["bytes_per_step"] / 500}
-        show("peak memory of the process over what was there before", {name: rows[name]}, ("bytes_per_step",))
+        show("peak memory of the process over the memory before", {name: rows[name]}, ("bytes_per_step",))
     return rows
 
 
 def compiling(sizes: Sizes) -> dict[str, dict]:
-    """First calls with an empty and with a warm cache on disk; in the quick form what compiling took here."""
+    """First calls with an empty and with a warm cache on disk; in the quick form the compile times here."""
     rows: dict[str, dict] = {}
     forward, backward = [NESTED, *OURS], [CHECKPOINT, *(f for f in OURS if sizes.full or "stride 10" in f.label)]
     if not sizes.full:
@@ -270,5 +270,5 @@ def peers(sizes: Sizes) -> tuple[dict[str, dict], dict[str, dict]]:
     notes |= {k: f"  (on {s // RATE} s)" for k, s in steps.items() if s != seconds * RATE}
     for name, note in notes.items():
         rows[name]["note"] = note
-    show(f"one run of {seconds} s, {n} states, beside other packages", rows)
+    show(f"one run of {seconds} s, {n} states, with other packages", rows)
     return rows, accuracy

@@ -1,7 +1,7 @@
 """The workload of the speed benchmark, the forms that are compared on it, and how they are timed.
 
 A drive in town at 100 Hz with a fix of position and velocity every second. The filter takes biases as random walks:
-that is what all rivals know.
+as all rivals do.
 """
 
 import statistics
@@ -55,7 +55,7 @@ def forward(filt: Filter) -> Callable[[Noise, Nav, Epoch], Info]:
 
 
 def solution(filt: Filter) -> Callable[[Noise, Nav, Epoch], speed_plain.Solution]:
-    """What the plain forms give."""
+    """Result of the plain forms."""
 
     def call(noise: Noise, nav: Nav, epochs: Epoch) -> speed_plain.Solution:
         info = forward(filt)(noise, nav, epochs)
@@ -88,7 +88,7 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("stride 10", {"cov_stride": 10}),
     ("stride 10, prepared", {"cov_stride": 10, "prepared": True}),
 )
-"""Ours: label and options of `build`. Prepared: what needs no state was summed up before, and is not timed again."""
+"""Ours: label and options of `build`. Prepared: the state-free part was summed up before, and is not timed again."""
 OURS = tuple(_ours(label, **options) for label, options in VARIANTS)
 
 
@@ -97,7 +97,7 @@ OURS = tuple(_ours(label, **options) for label, options in VARIANTS)
 
 @lru_cache(maxsize=4)
 def drives(seconds: int) -> Simulated:
-    """The runs of which batches are made, fields (runs, ...)."""
+    """The runs of all batches, fields (runs, ...)."""
     keys = jax.random.split(jax.random.key(SEED), DISTINCT if seconds <= 60 else 1)
     scenario = SCENARIO._replace(duration_s=float(seconds))
     return jax.jit(jax.vmap(partial(simulate, scenario=scenario)))(keys)
@@ -105,7 +105,7 @@ def drives(seconds: int) -> Simulated:
 
 @lru_cache(maxsize=4)
 def arguments(seconds: int, runs: int) -> tuple[Noise, Nav, Epoch]:
-    """What a form is called with; fields (runs, ...), or of one run without that axis."""
+    """Arguments of a form; fields (runs, ...), or of one run without that axis."""
     some = drives(seconds)
     take = 0 if runs == 1 else np.arange(runs) % some.hidden.shape[0]
     return speed_plain.noise_of(PARAMS()), *jax.tree.map(lambda a: a[take], (some.initial, some.epochs))
@@ -138,7 +138,7 @@ class Executable(NamedTuple):
 
 
 def release() -> None:
-    """Drop what was compiled: a process can map only so many functions, fewer than all tables need."""
+    """Drop compiled programs: a process can map only so many functions, fewer than all tables need."""
     executable.cache_clear()
     jax.clear_caches()
 
@@ -162,7 +162,7 @@ def slope(loss: Callable, runs: int) -> Callable:
 
 
 def inputs(form: Form, n: int, noise: Noise, nav: Nav, epochs: Epoch) -> tuple[Noise, Nav, Epoch]:
-    """What the form takes of a run's data."""
+    """Arguments of the form from a run's data."""
     return noise, nav, epochs if form.ready is None else prepare(form.ready(n), epochs)
 
 
@@ -178,7 +178,7 @@ def executable(form: Form, n: int, seconds: int, runs: int, gradient: bool = Fal
 
 
 def settled() -> float:
-    """Processor seconds of this process once it rests: what a call leaves behind is tidied up after its result."""
+    """Processor seconds of this process once it rests: garbage of a call is collected after its result."""
     now = time.process_time()
     for _ in range(100):
         time.sleep(PAUSE)
@@ -192,7 +192,7 @@ def turn(call: Callable[[], Any]) -> float:
     """Processor seconds of a call, repeated for `TURN` seconds at least.
 
     Unless a call takes `LONG`, one that is not counted goes ahead: after a rival's it takes up to ten times as long.
-    The turn ends when the process rests, for what a call leaves to be tidied up is its own.
+    The turn ends when the process rests, so that garbage of a call counts for it.
     """
     for counted in (False, True):
         start, done = time.process_time(), 0
@@ -243,7 +243,7 @@ def rms(lla: Any, reference: Any) -> list[float]:
 def table(taken: Rounds, steps: dict[str, int] | int, to: str) -> dict[str, dict]:
     """Rows of a table: microseconds per IMU sample and run, and the ratio to one of them, less being faster.
 
-    Both are medians over the rounds, the ratio that of what was measured in the same round.
+    Both are medians over the rounds, the ratio that of values of the same round.
     """
     each = lambda name: steps if isinstance(steps, int) else steps[name]
     us = {name: [1e6 * s / each(name) for s in seconds] for name, seconds in taken.items()}

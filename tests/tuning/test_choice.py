@@ -61,6 +61,7 @@ def test_a_part_with_a_receiver_fault_is_named_and_does_not_judge(rec, ekf):
     )
     suspect = faults.suspect_windows(used, [datasheet], [info])
     kept, findings = faults.without_faults(used.parts, suspect, windows.start)
-    assert [f.subject for f in findings] == ["test"] and kept["test"].sum() < used.parts["test"].sum()
+    assert [(f.code, f.subject) for f in findings] == [("tune.fault", "test")]
+    assert kept["test"].sum() < used.parts["test"].sum()
     near = (windows.start < begin + 19.0) & (windows.start > begin - 15.0)
     assert not suspect[~near].any()

@@ -252,7 +252,7 @@ def test_a_misspelt_name_is_an_error_that_names_the_nearest():
         (lambda: build("ekf15", states=("gyro_scal",)), "did you mean gyro_scale"),
         (lambda: build("ekf15", ("position", "velocty")), "did you mean velocity"),
         (lambda: build("ekf15").params("consumr"), "did you mean consumer"),
-        (lambda: build("gpid", states=("gyro_scale",)), "knows its own states alone"),
+        (lambda: build("gpid", states=("gyro_scale",)), "has the states of its paper"),
         (lambda: build("ekf15", states=("gyro_bias",)), "comes twice"),
         (lambda: build("ekf15", ("position", "position")), "comes twice"),
     ):
@@ -278,4 +278,4 @@ def test_every_row_says_what_it_is():
         assert all(leaf.endswith(("sd", "sd_scale", "scale")) for leaf, unit in each.units._asdict().items()
                    if unit.step is None), name  # fmt: skip
     assert len(KEYS) == len(NAMES) == len(UNITS)
-    assert {e.more for e in FILTERS.values()} == {True, False}
+    assert {e.accepts_extra_states for e in FILTERS.values()} == {True, False}

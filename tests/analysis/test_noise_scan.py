@@ -84,7 +84,7 @@ def test_it_finds_the_sd_of_the_fixes(drive, position, velocity, monkeypatch):
         f"sd of positions {found.position:.2g}, of velocities {found.velocity:.2g} times the stated"
         in found.findings[0].message
     )
-    monkeypatch.setattr(noise_scan, "HARM", 0.0)
+    monkeypatch.setattr(noise_scan, "MAX_DRIFT_RATIO", 0.0)
     assert scan_noise(rec, with_arm(rec)).position == 1.0
 
 

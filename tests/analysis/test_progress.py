@@ -11,7 +11,7 @@ from jaxnav.analysis import progress
 
 
 def steps(capsys, monkeypatch, every: float, show: bool = True) -> str:
-    monkeypatch.setattr(progress, "QUIET", every)
+    monkeypatch.setattr(progress, "LOG_INTERVAL_S", every)
     bar = progress.bar(4, "step", show, 1)
     for _ in range(3):
         bar.set_postfix(loss="0.5", refresh=False)
@@ -48,8 +48,8 @@ def test_an_estimate_leaves_the_first_step_out(monkeypatch):
 
 
 def test_compiling_is_said_once_and_waiting_is_not(capsys, monkeypatch):
-    monkeypatch.setattr(progress, "NOTICED", 0.02)
-    monkeypatch.setattr(progress, "TICK", 0.01)
+    monkeypatch.setattr(progress, "SILENT_COMPILING_S", 0.02)
+    monkeypatch.setattr(progress, "POLL_INTERVAL_S", 0.01)
     with progress.compiling(True):
         time.sleep(0.1)
     assert capsys.readouterr().err == ""

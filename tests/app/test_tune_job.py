@@ -56,7 +56,7 @@ def flags(**changes) -> list[str]:
 
 
 def test_scoring_says_how_well_each_parameter_is_known(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(uncertainty, "TOGETHER", 10)  # all directions at once compile once
+    monkeypatch.setattr(uncertainty, "DIRECTIONS_PER_PASS", 10)  # all directions at once compile once
     argv = flags(method="scoring", objective="nll", steps=9, more=["urban_short"],
                  free=["noise", "fixes", "latency"], frozen=[f"{V}.latency_s"],
                  prior={"noise.accel_ug_per_sqrt_hz": 1.01, f"{P}.latency_s": 1e-6})  # fmt: skip

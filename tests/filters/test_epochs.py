@@ -108,7 +108,7 @@ def test_a_hole_in_the_stream_is_bridged_by_the_mean_of_its_sides(monkeypatch):
     imu = stream(rate=50.0)
     keep = np.r_[0:80, 110:200]  # about 0.6 s
     cut = ImuLog(*(a[keep] for a in imu))
-    monkeypatch.setattr(gaps, "SHORT", 1.0)  # longer holes are coasted through, see test_gaps.py
+    monkeypatch.setattr(gaps, "MIN_GAP_S", 1.0)  # longer holes are coasted through, see test_gaps.py
     packed = pack(cut, {"position": fixes([imu.t[50], imu.t[95], imu.t[150]])}, 1.0)  # one of them within the hole
     assert packed.epochs.imu.dt.sum() == pytest.approx(imu.t[-1] - imu.t[0] + imu.dt[0])
     dt, gyro = np.asarray(packed.epochs.imu.dt), np.asarray(packed.epochs.imu.gyro)

@@ -42,7 +42,7 @@ def jaxnav_in(folder: Path, *argv: str) -> int:
 
 @needs_field
 def test_a_short_log_is_checked(tmp_path, capsys):
-    assert jaxnav_in(FIELD / "check_short_recording", "check", "rec", "--out", str(tmp_path / "out")) == 0
+    assert jaxnav_in(FIELD / "check_short_recording", "check", "rec", "--verbose", "--out", str(tmp_path / "out")) == 0
     assert "the course" in capsys.readouterr().out
 
 

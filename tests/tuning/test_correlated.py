@@ -43,7 +43,7 @@ def problem():
     solve = lambda r: run(filt, join(SPEC, back(r), params), nav, packed.epochs)
     keep, block = jnp.ones(E, bool), jnp.arange(E) // 10
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(uncertainty, "TOGETHER", 6)  # a divisor of the directions compiles once
+        patch.setattr(uncertainty, "DIRECTIONS_PER_PASS", 6)  # a divisor of the directions compiles once
         inform = jax.jit(lambda r: uncertainty.information(solve, r, keep, block, E // 10)).lower(raw).compile()
     nll = jax.jit(lambda rs: jax.lax.map(lambda r: E * innovation_nll(solve(r), keep), rs))
     return inform, nll, ravel_pytree(split(SPEC, exact))[0], raw, back

@@ -123,7 +123,7 @@ def test_the_scan_sees_the_training_part_by_the_filters_measurements(rec, job, m
     make, _, layout = job
     seen = {}
 
-    def scan_noise(rec, params, begin, stop):
+    def scan_noise(rec, params, *, initialization, stop):
         seen.update(streams=set(rec.aiding), stop=stop)
         return NoiseScan()
 

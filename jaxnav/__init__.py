@@ -70,6 +70,7 @@ if TYPE_CHECKING:
         StateParams,
         Track,
     )
+    from tuning.solving.solve import Solved, solve
 
 # Imported when first asked for: the command line is there, and can be stopped, before jax is.
 _HOMES = {
@@ -96,6 +97,7 @@ _HOMES = {
     "Recording Samples StateParams Track",
 }
 _HOME = {name: f"jaxnav.{home}" for home, names in _HOMES.items() for name in names.split()}
+_HOME |= dict.fromkeys(("Solved", "solve"), "tuning.solving.solve")  # the one interface that tunes
 _FOLDERS = (
     "analysis", "app", "checkup", "filters", "initialization", "io", "maths", "measurements", "simulate", "states",
     "strapdown", "types",

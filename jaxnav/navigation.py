@@ -14,6 +14,7 @@ from jaxnav.analysis.dense import dense
 from jaxnav.analysis.metrics import covered_by
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.analysis.observability import state_findings
+from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding, line
 from jaxnav.checkup.inertial import gap_findings
 from jaxnav.checkup.motion import mixups
@@ -82,6 +83,7 @@ class Solution:
     lag: float  # s, 0 where it is not of fixed lag
     findings: list[Finding]  # on innovations, streams, noise, states and the initialization
     noise: NoiseScan | None = None  # where the noise was found from the recording
+    sd_factor: float = 1.0  # that the filter's sd are multiplied by
 
     @property
     def nav(self) -> Nav:
@@ -111,7 +113,8 @@ class Solution:
 
     def at_imu_rate(self) -> tuple[Track, np.ndarray]:
         """Return the solution at every sample of the IMU, in GNSS time, and its sd (N, 9), filtered or smoothed."""
-        return dense(self.filter, self.params, self.nav, self.epochs, self.smoothed, self.lag)
+        track, sd = dense(self.filter, self.params, self.nav, self.epochs, self.smoothed, self.lag)
+        return track, self.sd_factor * sd
 
     def write(self, path: str | Path, format: str = "", imu_rate: bool = False) -> None:
         """Write it as "csv", "kml", "pos" or "nav"; by default the ending of the file's name.
@@ -144,7 +147,13 @@ class Solution:
     @property
     def notes(self) -> list[str]:
         """Return all remarks for a user: initialization, findings, and notes of the reader."""
-        return [self.initialization.how, *map(line, self.findings), *self.recording.notes.splitlines()]
+        return [self.initialization.how, *map(line, self.findings), *self.notes_of_reader]
+
+    @property
+    def notes_of_reader(self) -> list[str]:
+        """Return the remarks of the recording that are no findings of the run as well."""
+        said = {f"{line(f)}." for f in self.findings}
+        return [note for note in self.recording.notes.splitlines() if note not in said]
 
     def metrics(self) -> dict[str, Any]:
         """Return all figures of the run, as metrics.json has them."""
@@ -164,6 +173,7 @@ def navigate(
     standing: Standing = Standing(),
     smooth: bool = False,
     lag: float = 0.0,
+    sd_factor: float = 1.0,
 ) -> Solution:
     """Filter a recording from where it can start.
 
@@ -184,6 +194,7 @@ def navigate(
         standing: the detector of standstills.
         smooth: each epoch by all fixes, past and future (`jaxnav.filters.smoother`); innovations stay the filter's.
         lag: s, in place of that by past fixes and the fixes of the next seconds.
+        sd_factor: multiplies the stated sd of the solution, such as that of a calibration by hidden fixes.
 
     Raises:
         DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
@@ -224,6 +235,7 @@ def navigate(
         within = () if smooth else reach_of(packed.t, lag)
         _, info = smooth_jit(filt, params, best, epochs, *within)
     trace = evaluate.trace(info, params)
+    trace = trace._replace(sd=sd_factor * trace.sd, sd_rph=sd_factor * trace.sd_rph)
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
     windows = tuple((float(a), float(b)) for a, b in outages)
     findings = usage.consistency_findings(trace.info, usage.nis_by_channel(trace.info, chosen))
@@ -234,9 +246,10 @@ def navigate(
     findings += _installation(stated, rec) + _coverage(trace, rec, chosen)
     if any(f.warns for f in findings) or (found is not None and max(found.gyro, found.accel) > UNLIKE_DATASHEET):
         findings += mixups(rec)
+    findings += [f for f in checkup(rec, quick=True) if f.warns]
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
-        smooth, lag, findings, found,
+        smooth, lag, findings, found, sd_factor,
     )  # fmt: skip
 
 
@@ -286,7 +299,7 @@ def metrics(sol: Solution) -> dict[str, Any]:
         found["noise_scan"] = sol.noise.metrics()
     return found | {
         "findings": [asdict(f) for f in sol.findings], "initialization": sol.initialization.how,
-        "notes": rec.notes.splitlines(),
+        "notes": sol.notes_of_reader,
     }  # fmt: skip
 
 

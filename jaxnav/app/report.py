@@ -3,45 +3,106 @@
 import base64
 import html
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from jaxnav.app.config import Config, as_dict
-from jaxnav.app.results import Outcome, picture, versions
-from jaxnav.checkup.findings import remarks, warnings
+from jaxnav.app.results import Card, Outcome, Table, picture, versions
+from jaxnav.checkup.findings import remarks
 from jaxnav.io import atomic_write
 from jaxnav.io.json import to_json
+from jaxnav.types import Finding
 
 STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 1040px; color: #222; padding: 0 1rem }
-pre { background: #f6f6f6; padding: 1rem; overflow-x: auto; font-size: 13px; line-height: 1.35 }
-table { border-collapse: collapse; font-size: 13px } td, th { padding: .2rem .8rem .2rem 0; text-align: left;
-border-bottom: 1px solid #ddd } img { max-width: 100% } summary { cursor: pointer } h1 { font-size: 1.5rem }
+:root { --ink: #222; --paper: #fff; --soft: #f5f5f5; --line: #ddd; --good: #1a7f37; --care: #9a6700; --bad: #cf222e }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #ddd; --paper: #16181c; --soft: #22252b; --line: #3a3f47; --good: #3fb950; --care: #d29922;
+    --bad: #f85149 }
+  .bk-root, .figures { background: #fff; border-radius: 6px }
+}
+body { font: 15px/1.45 system-ui, sans-serif; margin: 1.5rem auto; max-width: 1040px; padding: 0 1rem;
+  color: var(--ink); background: var(--paper) }
+h1 { font-size: 1.4rem } h2 { font-size: 1.1rem; margin-top: 1.8rem } img { max-width: 100% }
+summary { cursor: pointer }
+pre { background: var(--soft); padding: 1rem; overflow-x: auto; font-size: 13px; line-height: 1.35 }
+table { border-collapse: collapse; font-size: 14px } .wide { overflow-x: auto }
+td, th { padding: .25rem .9rem .25rem 0; text-align: left; border-bottom: 1px solid var(--line); vertical-align: top }
+.card { border: 1px solid var(--line); border-left: 6px solid var(--line); border-radius: 6px; padding: .8rem 1rem;
+  margin: .8rem 0; background: var(--soft) }
+.card p { margin: .2rem 0 } .card code { background: var(--paper); padding: .1rem .3rem; user-select: all }
+.good { border-left-color: var(--good) } .care { border-left-color: var(--care) } .bad { border-left-color: var(--bad) }
+.verdict { font-size: 1.3rem; font-weight: 600 } .good .verdict { color: var(--good) }
+.care .verdict { color: var(--care) } .bad .verdict { color: var(--bad) }
+.figures { overflow-x: auto } details { margin: 1rem 0 }
 """
 
 
 def write(folder: Path, verb: str, config: Config, outcome: Outcome, layout: Callable[[], Any] | None = None) -> None:
     """Write the report next to the run's files; a part that fails is a warning, and left out.
 
-    ``layout`` makes the interactive figures, where bokeh is installed; else the pictures stand for them.
+    It begins with the answer: verdict and numbers, findings with their next steps, figures; the rest is folded.
+
+    Args:
+        folder: with the run's figures.
+        verb: of the command line.
+        config: of the run.
+        outcome: its result.
+        layout: makes the interactive figures, where bokeh is installed; else the pictures stand for them.
     """
     head, body = interactive(layout)
     if not body:
         body = "\n".join(_image(path) for path in sorted(folder.glob("*.png")))
         if layout is not None:
             body += "\n<p>With <code>pip install 'jaxnav[report]'</code> the pictures here can be zoomed into.</p>"
-    said = "\n".join([*warnings(outcome.findings), outcome.text, *remarks(outcome.findings)])
-    title = f"jaxnav {verb}: {outcome.text.splitlines()[0] if outcome.text else config.data.source}"
+    first = outcome.text.splitlines()[0] if outcome.text and outcome.card is None else config.data.source
+    title = f"jaxnav {verb}: {first}"
+    text = f"<pre>{html.escape(outcome.text)}</pre>"
     parts = [
-        "<!doctype html>", '<html lang="en"><head><meta charset="utf-8">', f"<title>{html.escape(title)}</title>",
+        "<!doctype html>", '<html lang="en"><head><meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">', f"<title>{html.escape(title)}</title>",
         f"<style>{STYLE}</style>{head}</head><body>", f"<h1>{html.escape(title)}</h1>",
-        f"<pre>{html.escape(said)}</pre>", _parameters(outcome.metrics), body, _settings(config),
-        _pairs("Versions", versions()), _pairs("Seconds", {k: f"{v:.2f}" for k, v in outcome.seconds.items()}),
-        "<details><summary>Every figure of this run</summary><pre>",
-        html.escape(_short(outcome.metrics)), "</pre></details></body></html>",
+        _card(outcome.card), _findings(outcome.findings), "" if outcome.card else text,
+        f'<div class="figures">{body}</div>', *map(_table, outcome.tables), _parameters(outcome.metrics),
+        _folded("All remarks", f"<pre>{html.escape(chr(10).join(remarks(outcome.findings)))}</pre>"),
+        _folded("The run in numbers", text) if outcome.card else "",
+        _folded("Settings and versions", _settings(config) + _pairs("Versions", versions())
+                + _pairs("Seconds", {k: f"{v:.2f}" for k, v in outcome.seconds.items()})),
+        _folded("Every figure of this run", f"<pre>{html.escape(_short(outcome.metrics))}</pre>"), "</body></html>",
     ]  # fmt: skip
-    atomic_write(folder / "report.html", "\n".join(parts) + "\n")
+    atomic_write(folder / "report.html", "\n".join(part for part in parts if part) + "\n")
+
+
+def _card(card: Card | None) -> str:
+    """Return the answer of a run."""
+    if card is None:
+        return ""
+    rows = Table("", ("", "stated (1 sd)", "tested"), [[row.name, row.stated, row.tested] for row in card.rows])
+    return (
+        f'<div class="card {card.color}"><p class="verdict">{html.escape(card.verdict)}</p>'
+        f"<p>{html.escape(card.why)}</p>{_table(rows)}</div>"
+    )
+
+
+def _findings(findings: Sequence[Finding]) -> str:
+    """Return a card for each warning: what, likely cause, next step."""
+    cards = []
+    for f in (f for f in findings if f.warns):
+        likely = f"<p>Likely: {html.escape(', '.join(f.causes))}</p>" if f.causes else ""
+        steps = "".join(f"<p>Next: <code>{html.escape(step)}</code></p>" for step in f.actions)
+        cards.append(f'<div class="card care"><p><b>{f.code}</b> {html.escape(f.message)}</p>{likely}{steps}</div>')
+    return "\n".join(cards)
+
+
+def _table(rows: Table) -> str:
+    line = lambda cells, tag: "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+    title = f"<h2>{html.escape(rows.title)}</h2>" if rows.title else ""
+    body = "".join(line(row, "td") for row in rows.rows)
+    return f'{title}<div class="wide"><table>{line(rows.head, "th")}{body}</table></div>'
+
+
+def _folded(title: str, body: str) -> str:
+    return f"<details><summary>{title}</summary>{body}</details>" if body not in ("", "<pre></pre>") else ""
 
 
 def interactive(layout: Callable[[], Any] | None) -> tuple[str, str]:
@@ -71,14 +132,10 @@ def _parameters(metrics: Mapping[str, Any]) -> str:
     rows = metrics.get("parameters")
     if not isinstance(rows, Mapping) or not rows:
         return ""
-    columns = ["value", "low", "high", "datasheet", "unit"]
     number = lambda v: f"{v:.4g}" if isinstance(v, float) else "" if v is None else str(v)
-    row_of = lambda cells: "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>"
-    lines = [
-        row_of([name, *(number(row.get(k)) for k in columns)]) for name, row in rows.items() if isinstance(row, Mapping)
-    ]
-    head = "<tr><th>parameter</th><th>value</th><th>95 % from</th><th>to</th><th>datasheet</th><th>unit</th></tr>"
-    return f"<h2>Parameters</h2><table>{head}{''.join(lines)}</table>"
+    columns = ("value", "low", "high", "datasheet", "unit")
+    lines = [[name, *(number(row.get(k)) for k in columns)] for name, row in rows.items() if isinstance(row, Mapping)]
+    return _table(Table("Parameters", ("parameter", "value", "95 % from", "to", "datasheet", "unit"), lines))
 
 
 def _settings(config: Config) -> str:

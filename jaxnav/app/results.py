@@ -31,6 +31,31 @@ def picture(name: str) -> Iterator[None]:
         stderr(f"jaxnav: warning: no picture of {name}: {type(error).__name__}: {' '.join(str(error).split())}")
 
 
+class CardRow(NamedTuple):
+    """A number of the answer."""
+
+    name: str
+    stated: str
+    tested: str
+
+
+class Card(NamedTuple):
+    """The answer of a run, at the top of its report."""
+
+    verdict: str
+    color: str  # "good", "care", "bad"
+    why: str  # one line
+    rows: list[CardRow]
+
+
+class Table(NamedTuple):
+    """A table of a report."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: list[list[str]]
+
+
 class Outcome(NamedTuple):
     """Result of a verb for the command line."""
 
@@ -42,7 +67,9 @@ class Outcome(NamedTuple):
     config: Config | None = None  # that runs it again, where it is not the one that was given
     failed: bool = False  # exit code 1
     findings: Sequence[Finding] = ()  # warnings before the text, others after it
-    verdict: str = ""  # last line where no finding warns
+    verdict: str = ""  # last line where no finding warns, or a card has one
+    card: Card | None = None
+    tables: Sequence[Table] = ()  # of the report
 
 
 def terminal(outcome: Outcome, verbose: bool, color: bool) -> list[str]:
@@ -51,7 +78,7 @@ def terminal(outcome: Outcome, verbose: bool, color: bool) -> list[str]:
     hidden = 0 if verbose else len(outcome.findings) - warned
     lines = [*warnings(outcome.findings, color), *([""] if warned else []), outcome.text]
     lines += remarks(outcome.findings) if verbose else []
-    verdict = f"{warned} warning{'s' * (warned > 1)}: see above" if warned else outcome.verdict
+    verdict = f"{warned} warning{'s' * (warned > 1)}: see above" if warned and not outcome.card else outcome.verdict
     more = f"{hidden} remark{'s' * (hidden > 1)}: --verbose" if hidden else ""
     return lines + ["; ".join(part for part in (verdict, more) if part)] * bool(verdict or more)
 

@@ -348,8 +348,8 @@ KINDS: dict[str, Kind] = {
         WARNING,
         "innovations of {subject} exceed their predicted variance: {vector} times (limit {limit:.2f}); stated standard "
         "deviations are too small",
-        ("noise set too low", "delay", "lever arm", "axes", "initialization"),
-        ("jaxnav check", "jaxnav tune"),
+        ("noise set too low", "delay", "a receiver fault", "lever arm", "axes", "initialization"),
+        ("jaxnav check", "jaxnav tune", 'filter.name = "ekf15_receiver"'),
     ),
     "nis.low": Kind(
         WARNING,
@@ -444,6 +444,32 @@ KINDS: dict[str, Kind] = {
         ("set a smaller tune.rate",),
     ),
     "tune.undetermined": Kind(INFO, "{message}"),
+    # a solution
+    "solve.applied": Kind(
+        INFO, "{subject} = {value:g} is applied: {why}", (), ("set {subject} to keep another value",)
+    ),
+    "solve.measurement": Kind(
+        INFO,
+        "{subject} is taken: {value:.2f} times the horizontal drift without it, log-likelihood of a hidden fix "
+        "{gain:+.2f}",
+    ),
+    "solve.left_out": Kind(
+        INFO,
+        "{subject} is left out: {value:.2f} times the horizontal drift without it, log-likelihood of a hidden fix "
+        "{gain:+.2f}",
+        (),
+        ("filter.measurements of jaxnav filter takes it all the same",),
+    ),
+    "solve.inflated": Kind(
+        INFO, "{subject} are {value:.2f} times the filter's: errors of {count} hidden fixes of the test part ask for it"
+    ),
+    "solve.short": Kind(
+        INFO,
+        "{value:.0f} s are too short to tune and to test: no hidden window fits into every part",
+        (),
+        ("record {limit:.0f} s or more",),
+        "s",
+    ),
     "mc.diverged": Kind(
         WARNING,
         "{subject} diverged in {value:.0f} of {runs} runs: {first}",

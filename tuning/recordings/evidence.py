@@ -106,7 +106,6 @@ def predicted(filt: Filter, params: Sequence[Params], used: Sequence[Used], info
         used: the recordings.
         infos: (P, E, ...) of its runs with hidden windows.
     """
-    slow = slow_errors(filt)
     shown: list[list[np.ndarray]] = [[], []]
     for fitted, u, info in zip(params, used, infos, strict=True):
         part = (u.t > u.layout.train + TICK) & (u.t <= u.layout.validation + TICK)
@@ -114,18 +113,51 @@ def predicted(filt: Filter, params: Sequence[Params], used: Sequence[Used], info
         lost = not np.asarray(info.ok)[:, part].all()
         pick = lambda a, counts=counts: jnp.asarray(np.asarray(a)[counts])
         innovations = _nll(*map(pick, (info.nu, info.S, info.valid, np.ones(np.shape(info.ok), bool))))
-        there = np.all(np.asarray(u.packed.epochs.fix.valid)[:, :2], axis=1)
-        at, known = ages(u.windows, u.packed.t, there, u.parts["validation"], u.layout.window)
-        phase, column = np.nonzero(known)
-        epoch = at[phase, column]
-        sd = jnp.asarray(np.asarray(u.packed.epochs.fix.sd)[epoch, :3])
-        C = seen_by_position(jnp.asarray(np.asarray(info.P)[phase, epoch]), slow) + position_noise(fitted, sd)
-        y = jnp.asarray(np.asarray(info.residual)[phase, epoch, :3])
-        every = jnp.ones(y.shape, bool)
-        hidden = _nll(y, C, every, every[:, 0])
+        hidden = hidden_fixes(filt, fitted, u, info, u.parts["validation"]).nll()
         for into, values in zip(shown, (innovations, hidden), strict=True):
             into.append(np.where(lost, np.inf, np.asarray(values)))
     return float(sum(np.mean(np.concatenate(values)) for values in shown))
+
+
+class HiddenFixes(NamedTuple):
+    """K hidden fixes of a run, at `tuning.recordings.parts.AGES` of its windows, and their predictions."""
+
+    residual: np.ndarray  # (K, 3) m, ENU, predicted minus measured
+    covariance: np.ndarray  # (K, 3, 3) m^2, of the residual
+    age: np.ndarray  # (K,) s since the window's start
+
+    def nll(self) -> np.ndarray:
+        """Negative log-likelihood (K,) of each, by a Student t."""
+        every = jnp.ones(self.residual.shape, bool)
+        return np.asarray(_nll(jnp.asarray(self.residual), jnp.asarray(self.covariance), every, every[:, 0]))
+
+    def nees(self) -> np.ndarray:
+        """Horizontal error squared over its covariance, (K,): chi-square of 2 degrees of freedom."""
+        y = self.residual[:, :2]
+        return np.asarray(np.einsum("ki,kij,kj->k", y, np.linalg.inv(self.covariance[:, :2, :2]), y))
+
+
+def hidden_fixes(filt: Filter, params: Params, used: Used, info: Info, mask: np.ndarray) -> HiddenFixes:
+    """Return the hidden fixes of some windows.
+
+    Args:
+        filt: the filter.
+        params: its parameters.
+        used: the recording.
+        info: (P, E, ...) runs with hidden windows.
+        mask: (W,) the windows.
+    """
+    fix, windows = used.packed.epochs.fix, used.windows
+    there = np.all(np.asarray(fix.valid)[:, :2], axis=1)
+    at, known = ages(windows, used.packed.t, there, mask, used.layout.window)
+    phase, column = np.nonzero(known)
+    epoch = at[phase, column]
+    sd = jnp.asarray(np.asarray(fix.sd)[epoch, :3])
+    P = seen_by_position(jnp.asarray(np.asarray(info.P)[phase, epoch]), slow_errors(filt))
+    begins = [windows.start[(windows.phase == p) & mask] for p in range(len(windows.hidden))]
+    age = [t - begins[p][begins[p] < t].max() for p, t in zip(phase, used.packed.t[epoch], strict=True)]
+    covariance = np.asarray(P + position_noise(params, sd))
+    return HiddenFixes(np.asarray(info.residual)[phase, epoch, :3], covariance, np.array(age))
 
 
 def slow_errors(filt: Filter) -> slice | None:

@@ -104,6 +104,7 @@ def tune(
     observations: float | None = None,
     extend: bool = True,
     standing: Standing = Standing(),
+    scans: Sequence[NoiseScan] | None = None,
     how: Descent | None = None,
     checkpoints: Checkpoints | None = None,
     log: Callable[[str], None] = lambda line: None,
@@ -125,6 +126,7 @@ def tune(
         observations: N, by default the windows that fit into the training parts.
         extend: try a filter that estimates slow errors of the receiver.
         standing: the detector of standstills.
+        scans: noise scans of the training parts, one per recording; by default they are made.
         how: minimise an objective by gradient over the training windows, in place of J.
         checkpoints: where the searches keep the best so far, after each evaluation.
         log: called with a line on each step.
@@ -159,8 +161,9 @@ def tune(
     cut = [ep.pack_recording(r, chosen, b.t, 0.0, stop, standing) for r, b in zip(recs, begins, strict=True)]
     window = window_of(cut) if window is None else window
     layouts = [plan(packed, window) for packed in cut]
-    scans = [NoiseScan()] * len(recs)
-    if set(SCANNED) & set(leaves_of(filt, datasheets[0], free)):
+    if scans is None and not set(SCANNED) & set(leaves_of(filt, datasheets[0], free)):
+        scans = [NoiseScan()] * len(recs)
+    elif scans is None:
         scans = [scan(*each, chosen, log) for each in zip(recs, datasheets, begins, layouts, strict=True)]
     samples = max(
         history_for(s.applied(p), 1 / float(np.median(r.imu.dt)), float(np.ptp(r.imu.t)), MAX_ADDED_DELAY_S)

@@ -39,7 +39,7 @@ def run_layout(
     rows += _errors(sol, truth, shared, outages) if truth is not None else _sd(sol, shared, outages)
     rows += _innovations(sol, tuple(measurements), shared, outages)
     rows += _biases(sol, states, shared, outages)
-    return column(*rows)
+    return column(*rows, sizing_mode="stretch_width", max_width=WIDTH)
 
 
 def _thin(n: int) -> slice:
@@ -51,7 +51,7 @@ def _axes(title: str, unit: str, shared: Any, outages: Outages) -> Any:
     from bokeh.plotting import figure
 
     fig = figure(
-        title=title, width=WIDTH, height=230, x_range=shared, x_axis_label="t (s)", y_axis_label=unit,
+        title=title, sizing_mode="stretch_width", height=230, x_range=shared, x_axis_label="t (s)", y_axis_label=unit,
         tools="xpan,xwheel_zoom,box_zoom,reset,save,crosshair", active_scroll="xwheel_zoom", output_backend="webgl",
     )  # fmt: skip
     for begin, end in outages:
@@ -65,7 +65,7 @@ def _track(sol: "Trace", truth: "Track | None", fixes: "Samples | None") -> Any:
 
     origin = sol.track.lla[0]
     fig = figure(
-        title="Track, m east and north of the start", width=WIDTH, height=620, match_aspect=True,
+        title="Track, m east and north of the start", sizing_mode="stretch_width", height=620, match_aspect=True,
         x_axis_label="east (m)", y_axis_label="north (m)", tools="pan,wheel_zoom,box_zoom,reset,save",
         active_scroll="wheel_zoom",
     )  # fmt: skip

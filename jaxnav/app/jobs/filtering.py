@@ -79,9 +79,7 @@ def filter(config: Config, folder: Path) -> Outcome:
         FilterError: the filter stopped being finite. ConfigError: an unknown format of the solution, or a filter that
             cannot be smoothed.
     """
-    for kind in config.out.formats:  # before the work, not after it
-        if kind not in FORMATS:
-            raise ConfigError(f"out.formats: no format {kind!r}: {nearest(kind, FORMATS)}")
+    require_formats(config)
     seconds, begin, f = {}, time.perf_counter(), config.filter
     rec, scenario = load(config), scenario_of(config)
     filt = filter_of(config, measurements_of(config))
@@ -93,6 +91,7 @@ def filter(config: Config, folder: Path) -> Outcome:
         rec, filt, params, scan=grade_name(config, scenario) == AUTO and not states_noise(config),
         initialization=partial(initialization_of, config), stop=config.data.stop, outages=f.outages,
         interval=f.interval_s, standing=standing_of(config), smooth=f.smooth, lag=f.lag_s,
+        sd_factor=f.sd_factor,
     )  # fmt: skip
     seconds["filter"], begin = time.perf_counter() - begin, time.perf_counter()
     found = sol.metrics() | {"grade": grade_name(config, scenario)}
@@ -100,10 +99,7 @@ def filter(config: Config, folder: Path) -> Outcome:
         sol.write(folder / f"solution.{kind}", imu_rate=config.out.imu_rate)
     write_json(folder / "metrics.json", found)
     if config.out.figures:
-        with picture("the run"):
-            for name, fig in sol.plot().items():
-                plots.name(fig, titled(config, sol))
-                plots.save(fig, folder / f"{name}.png")
+        draw(folder, config, sol)
     seconds["write"] = time.perf_counter() - begin
     layout = partial(
         interactive.run_layout, sol.trace, rec.truth, sol.fixes, sol.measurements, sol.gaps(), filt.model.states
@@ -113,6 +109,21 @@ def filter(config: Config, folder: Path) -> Outcome:
     return Outcome(
         found, summary(found, f.name, rec.name), seconds, "", layout, ran, findings=sol.findings, verdict=verdict
     )
+
+
+def require_formats(config: Config) -> None:
+    """Raise ConfigError for an unknown format of the solution, before the work and not after it."""
+    for kind in config.out.formats:
+        if kind not in FORMATS:
+            raise ConfigError(f"out.formats: no format {kind!r}: {nearest(kind, FORMATS)}")
+
+
+def draw(folder: Path, config: Config, sol: Solution) -> None:
+    """Draw the figures of a run."""
+    with picture("the run"):
+        for name, fig in sol.plot().items():
+            plots.name(fig, titled(config, sol))
+            plots.save(fig, folder / f"{name}.png")
 
 
 def titled(config: Config, sol: Solution) -> str:

@@ -15,11 +15,13 @@ from jaxnav.app.verbs import (
     info,
     mc,
     simulate,
+    solve,
     stream,
     tune,
 )
 
 ROWS = (
-    demo, check, convert, simulate, filter, stream, tune, bakeoff, mc, compare, allan, config, completion, info, data,
+    demo, solve, check, convert, simulate, filter, stream, tune, bakeoff, mc, compare, allan, config, completion, info,
+    data,
 )  # fmt: skip
 VERBS: dict[str, Verb] = {row.VERB.name: row.VERB for row in ROWS}

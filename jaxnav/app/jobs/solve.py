@@ -1,0 +1,168 @@
+"""`jaxnav solve`: the best trajectory of a recording, its files and its verdict."""
+
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from jaxnav.analysis.plots import interactive
+from jaxnav.analysis.tables import table
+from jaxnav.app.config import Config, as_dict, changed
+from jaxnav.app.config import Filter as FilterSection
+from jaxnav.app.jobs.filtering import draw, require_formats, summary
+from jaxnav.app.prepare import AUTO, DATASHEET, initialization_of
+from jaxnav.app.results import Card, CardRow, Outcome, Table, stderr
+from jaxnav.app.sources import load
+from jaxnav.filters.border import TABLES, flat, in_user_units, nested, override
+from jaxnav.filters.core import Filter
+from jaxnav.filters.parameters import UNITS, get, has, installed
+from jaxnav.io import atomic_write
+from jaxnav.io.json import write_json
+from jaxnav.io.toml import to_toml
+from jaxnav.maths.units import DEG
+from jaxnav.states.table import BIASES
+from jaxnav.types import Params
+from tuning.fit.status import Status
+from tuning.solving.corrections import DRIFT, OFFSET
+from tuning.solving.hidden import COV_STRIDE
+from tuning.solving.solve import CARE, CONSISTENT, UNUSABLE, Solved, solve
+
+COLORS = {CONSISTENT: "good", CARE: "care", UNUSABLE: "bad"}
+
+
+def run(config: Config, folder: Path, fast: bool, progress: bool) -> Outcome:
+    """Solve the recording of [data]; solution, tuned.toml, exports, metrics, figures.
+
+    Raises:
+        ConfigError: an unknown format of the solution.
+        DataError: a recording that cannot be used.
+        FilterError: the filter stops being finite.
+    """
+    require_formats(config)
+    begin, seconds = time.perf_counter(), {}
+    rec = load(config)
+    seconds["read"], begin = time.perf_counter() - begin, time.perf_counter()
+    log = partial(timed, begin) if progress else lambda line: None
+    found = solve(
+        rec, partial(datasheet, config), fast=fast, initialization=partial(initialization_of, config),
+        stop=config.data.stop, kept=kept(config), log=log,
+    )  # fmt: skip
+    seconds["solve"], begin = time.perf_counter() - begin, time.perf_counter()
+    sol, again = found.solution, reproducing(config, found)
+    for kind in config.out.formats:
+        sol.write(folder / f"solution.{kind}", imu_rate=config.out.imu_rate)
+    if found.tuned is not None:
+        found.tuned.write(folder)
+    atomic_write(folder / "tuned.toml", parameters(again, found))
+    metrics = found.metrics() | {"grade": AUTO}
+    if found.tuned is not None:
+        metrics["parameters"] = found.tuned.metrics()["parameters"]
+    write_json(folder / "metrics.json", metrics)
+    if config.out.figures:
+        draw(folder, again, sol)
+    seconds["write"] = time.perf_counter() - begin
+    layout = partial(
+        interactive.run_layout, sol.trace, rec.truth, sol.fixes, sol.measurements, sol.gaps(), sol.filter.model.states
+    )
+    stopped = "interrupted: the best so far is written" if found.status is Status.INTERRUPTED else ""
+    text = "\n".join([*lines(found), "", summary(metrics, "ekf15", rec.name)])
+    return Outcome(
+        metrics, text, seconds, stopped, layout, again, findings=found.findings,
+        verdict=f"{found.verdict}: {found.why}", card=card(found),
+        tables=tables(found),
+    )  # fmt: skip
+
+
+def timed(begin: float, line: str) -> None:
+    """Print a line of progress with the seconds since ``begin``."""
+    stderr(f"{time.perf_counter() - begin:6.1f} s  {line}")
+
+
+def kept(config: Config) -> list[str]:
+    """Return the settings of the clock that the user states."""
+    stated = [OFFSET] if "time_shift_s" in config.data.options else []
+    return stated + ([DRIFT] if config.mounting.clock_drift_ppm is not None else [])
+
+
+def datasheet(config: Config, filt: Filter) -> Params:
+    """Return a consumer's datasheet with the parameters that the configuration states."""
+    return override(filt.params(DATASHEET), as_dict(config))
+
+
+def reproducing(config: Config, found: Solved) -> Config:
+    """Return the configuration of `jaxnav filter` that gives the same solution without searching."""
+    sol, standing, params = found.solution, found.standing, found.params
+    start = installed(datasheet(config, sol.filter), sol.recording.lever_arm)
+    leaves = [leaf for leaf in UNITS if has(params, leaf) and np.any(get(params, leaf) != get(start, leaf))]
+    values = {name: tuple(v) if isinstance(v, list) else v for name, v in in_user_units(params, leaves).items()}
+    extra = tuple(name for name in sol.filter.model.states if name not in BIASES)
+    chosen = FilterSection(
+        name=sol.filter.name, grade=DATASHEET, states=extra, measurements=tuple(sol.filter.model.measurements),
+        cov_stride=COV_STRIDE, smooth=sol.smoothed, sd_factor=sol.sd_factor,
+        standing_accel_sd_mps2=standing.accel_sd, standing_gyro_sd_deg_per_s=standing.gyro_sd / DEG,
+    )  # fmt: skip
+    options = dict(config.data.options)
+    if OFFSET in found.settings:
+        options["time_shift_s"] = float(options.get("time_shift_s", 0.0)) + found.settings[OFFSET]
+    return changed(config, values | {"filter": chosen, "data.options": options})
+
+
+def parameters(config: Config, found: Solved) -> str:
+    """Return tuned.toml: filter and parameters of the solution, for ``jaxnav filter --params``."""
+    stated = as_dict(config)
+    tables = {"filter": {key: stated["filter"][key] for key in ("states", "measurements")}}
+    tables |= nested(flat({table: stated[table] for table in TABLES if table in stated}))
+    return f"# jaxnav solve: {found.verdict}: {found.why}\n# use: jaxnav filter --params tuned.toml\n{to_toml(tables)}"
+
+
+def lines(found: Solved) -> list[str]:
+    """Return the answer for the terminal: accuracy as stated and as tested, and the drift."""
+    rows = [[row.name, row.stated, row.tested] for row in card(found).rows]
+    return [table(["", "stated (1 sd)", "tested"], rows)]
+
+
+def tables(found: Solved) -> list[Table]:
+    """Return the tables of the report: drift before and after, consistency by age, measurements that were tried."""
+    out = []
+    if found.drift_m:
+        title = f"Drift over hidden windows of {found.window_s:g} s of the test part, RMS"
+        names = {"datasheet": "datasheet", "auto": "noise by likelihood", "solution": "this solution"}
+        out.append(Table(title, ("filter", "drift (m)"), [[names[k], f"{v:.2f}"] for k, v in found.drift_m.items()]))
+    if found.calibration is not None:
+        rows = [
+            [f"{a.age_s:.1f}", f"{a.error_m:.2f}", f"{a.stated_m:.2f}", f"{100 * a.inside_95:.0f}", str(a.fixes)]
+            for a in found.calibration.ages
+        ]
+        head = ("s without fixes", "error (m)", "stated (m, with the fix's)", "inside 95 %, %", "fixes")
+        out.append(Table("Hidden fixes of the test part, RMS", head, rows))
+    if found.tried:
+        said = lambda taken: "taken" if taken else "left out"
+        rows = [
+            [", ".join(r.option.measurements), f"{r.drift_ratio:.2f}", f"{r.gain:+.2f}", said(r.taken)]
+            for r in found.tried
+        ]
+        columns = ("measurement", "drift, ratio", "log-likelihood of a hidden fix", "")
+        out.append(Table("Measurements that were tried", columns, rows))
+    return out
+
+
+def card(found: Solved) -> Card:
+    """Return the answer: verdict and five numbers."""
+    sol, c, drift = found.solution, found.calibration, found.drift_m
+    sd = np.median(sol.sd[sol.ok], axis=0)
+    truth = sol.metrics().get("errors", {})
+    error = lambda key, unit: f"{truth[key]['rms']:.3g} {unit} RMS against truth" if key in truth else ""
+    hidden = "" if c is None else f"{100 * c.after.inside_95:.0f} % of hidden fixes inside the stated 95 %"
+    uses = sol.metrics()["streams"]["position"]
+    rows = [
+        CardRow("horizontal position", f"{np.hypot(sd[0], sd[1]):.2f} m", error("horizontal_m", "m") or hidden),
+        CardRow("velocity north", f"{sd[4]:.3f} m/s", error("vn_mps", "m/s")),
+        CardRow("heading", f"{sd[8] / DEG:.2f} deg", error("heading_deg", "deg")),
+        CardRow("fixes used", f"{uses['used']} of {uses['read']}", ""),
+    ]
+    if c is not None:
+        last = c.ages[-1]
+        rows.append(CardRow(f"after {last.age_s:.0f} s without fixes", f"{last.stated_m:.2f} m",
+                        f"{last.error_m:.2f} m RMS, by the datasheet {drift['datasheet']:.2f} m"))  # fmt: skip
+    return Card(found.verdict, COLORS[found.verdict], found.why, rows)

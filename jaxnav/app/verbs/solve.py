@@ -1,0 +1,33 @@
+"""`jaxnav solve`."""
+
+from typing import TYPE_CHECKING
+
+from jaxnav.app.config import Config
+from jaxnav.app.verb import PATH, Argument, Job, Verb, no_effect
+from jaxnav.filters.border import TABLES
+
+if TYPE_CHECKING:
+    from jaxnav.app.results import Outcome
+
+
+def run(job: Job) -> "Outcome":
+    """See `jaxnav.app.jobs.solve`."""
+    from jaxnav.app.jobs import solve
+
+    return solve.run(job.config, job.folder, job.args.fast, job.progress)
+
+
+def unused(config: Config, simulated: bool) -> dict[str, str]:
+    """Return settings that are found from the recording."""
+    chosen = (
+        "name", "grade", "states", "measurements", "cov_stride", "interval_s", "smooth", "lag_s", "sd_factor",
+        "outages", "standing_window_s", "standing_accel_sd_mps2", "standing_gyro_sd_deg_per_s",
+    )  # fmt: skip
+    return no_effect("is found from the recording", *(f"filter.{key}" for key in chosen))
+
+
+VERB = Verb(
+    "solve", "the best trajectory of a recording, without settings: check, tune, smooth, and a verdict", run,
+    (PATH, Argument("--fast", "do not tune")),
+    sections=("data", "filter", "initialization", *TABLES, "out"), report=True, unused=unused,
+)  # fmt: skip

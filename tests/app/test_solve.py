@@ -1,0 +1,62 @@
+"""`jaxnav solve`: an answer, its files, and a run that reproduces it without searching."""
+
+import json
+
+import numpy as np
+import pytest
+
+from jaxnav.app import cli
+
+SETTINGS = (
+    "data.options.duration_s=150.0", "data.options.imu_rate_hz=50.0", "data.options.outages_s=[]",
+    "data.options.sensors={speed = 0.03}", "data.options.position_sd_m=[2.0, 2.0, 3.0]",
+    "data.options.velocity_sd_mps=[0.3, 0.3, 0.3]",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    out = tmp_path_factory.mktemp("solve") / "out"
+    sets = [word for setting in SETTINGS for word in ("--set", setting)]
+    assert cli.main(["solve", "urban_short", "--fast", "--quiet", "--out", str(out), *sets]) == 0
+    return out, json.loads((out / "metrics.json").read_text())
+
+
+def test_it_writes_solution_parameters_and_a_report_that_begins_with_the_verdict(solved):
+    out, found = solved
+    for name in ("solution.csv", "solution.kml", "solution.geojson", "tuned.toml", "run.json", "trajectory.png"):
+        assert (out / name).stat().st_size > 100, name
+    page = (out / "report.html").read_text()
+    body = page[page.rindex("<body>") :]
+    assert f'<p class="verdict">{found["verdict"]}</p>' in body[:400]
+    for part in (
+        "Hidden fixes of the test part",
+        "this solution",
+        "prefers-color-scheme: dark",
+        "after 5 s without fixes",
+    ):
+        assert part in page or "after 10 s without fixes" in page, part
+
+
+def test_wheel_speeds_are_taken_and_drift_less(solved):
+    _, found = solved
+    taken = {name for row in found["measurements"] if row["taken"] for name in row["names"]}
+    assert "speed" in taken
+    codes = {(f["code"], f["subject"]) for f in found["findings"]}
+    assert ("solve.measurement", "speed") in codes
+    left = {" and ".join(row["names"]) for row in found["measurements"] if not row["taken"]}
+    assert {subject for code, subject in codes if code == "solve.left_out"} == left
+    (row,) = [row for row in found["measurements"] if row["names"] == ["speed"]]
+    assert row["drift_ratio"] < 0.6 and row["gain"] > 0
+    assert found["drift_m"]["solution"] < found["drift_m"]["datasheet"]
+    assert found["drift_ratio"] == pytest.approx(found["drift_m"]["solution"] / found["drift_m"]["datasheet"])
+
+
+def test_the_run_reproduces_it_without_searching(solved, tmp_path):
+    out, _ = solved
+    assert cli.main(["filter", "--config", str(out / "run.json"), "--quiet", "--out", str(tmp_path / "again"),
+                     "--set", "out.figures=false"]) == 0  # fmt: skip
+    first, again = (np.genfromtxt(p / "solution.csv", delimiter=",", names=True) for p in (out, tmp_path / "again"))
+    assert first.dtype == again.dtype
+    for name in first.dtype.names:
+        np.testing.assert_allclose(first[name], again[name], rtol=1e-9, atol=1e-9)

@@ -1,0 +1,131 @@
+"""`solve` in parts: corrections of the clock, measurements that help, the verdict."""
+
+import jax
+import numpy as np
+import pytest
+
+from jaxnav.checkup.findings import finding
+from jaxnav.filters.catalogue import build
+from jaxnav.maths.units import PPM
+from jaxnav.simulate.scenarios import URBAN_SHORT
+from jaxnav.simulate.simulation import simulate_jit, to_recording
+from jaxnav.types import DataError, Samples
+from tuning.solving import corrections, solve
+from tuning.solving.calibration import Calibration, Consistency
+from tuning.solving.corrections import DRIFT, OFFSET, correct
+from tuning.solving.sensors import Option, options, standing_of
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Three minutes in town."""
+    gnss = URBAN_SHORT.gnss._replace(outages_s=(), position_sd_m=(0.5, 0.5, 1.0))
+    what = URBAN_SHORT._replace(duration_s=180.0, imu_rate_hz=50.0, gnss=gnss)
+    return to_recording(simulate_jit(jax.random.key(2), what), what)
+
+
+# ---------------------------------------------------------------------------- corrections
+
+
+def test_leap_seconds_are_taken_out_and_the_setting_is_named(drive):
+    late = drive._replace(aiding={n: s._replace(t=s.t + 18.0) for n, s in drive.aiding.items()})
+    found = correct(late)
+    assert found.settings == {OFFSET: pytest.approx(18.0, abs=0.11)}
+    assert np.allclose(found.recording.imu.t - drive.imu.t, found.settings[OFFSET])
+    assert [f.code for f in found.applied] == ["solve.applied"] and OFFSET in found.applied[0].actions[0]
+    assert "time.offset" not in {f.code for f in found.found}
+
+
+def test_a_setting_of_the_user_stays(drive, monkeypatch):
+    said = [finding("time.offset", "x", 18.0, was=9.0, then=1.0, gain=99.0, cause="leap seconds"),
+            finding("time.drift", "velocity", 250.0, sd=20.0)]  # fmt: skip
+    monkeypatch.setattr(corrections, "checkup", lambda rec: said)
+    kept = correct(drive, (OFFSET, DRIFT))
+    assert kept.settings == {} and kept.recording is drive and kept.found == said
+    found = correct(drive, (OFFSET,))
+    assert found.settings == {DRIFT: 250} and [f.code for f in found.found] == ["time.offset"]
+    params = build("ekf15").params("consumer")
+    assert float(found.clock(params).mounting.clock_drift) == pytest.approx(250 * PPM)
+
+
+def test_a_drive_in_order_is_left_alone(drive):
+    found = correct(drive)
+    assert found.settings == {} and found.recording is drive
+
+
+def test_stated_sd_grow_by_the_factor_of_the_calibration(drive, monkeypatch):
+    monkeypatch.setattr(solve, "calibrate", lambda final: calibrated(0.95)._replace(factor=2.0))
+    monkeypatch.setattr(solve, "options", lambda rec, found: [])
+    found = solve.solve(drive, fast=True, smooth=False)
+    assert "solve.inflated" in {f.code for f in found.findings}
+    P = np.asarray(found.solution.trace.info.P)
+    np.testing.assert_allclose(found.solution.sd, 2 * np.sqrt(np.diagonal(P, axis1=1, axis2=2)[:, :9]))
+    np.testing.assert_allclose(found.solution.at_imu_rate()[1][-1], found.solution.sd[-1], rtol=1e-6)
+
+
+# ---------------------------------------------------------------------------- measurements
+
+
+def test_options_are_of_streams_and_findings(drive):
+    speed = Samples(np.arange(3.0), np.ones((3, 1)), np.ones((3, 1)), np.zeros((3, 1)))
+    rec = drive._replace(aiding=drive.aiding | {"speed": speed})
+    yaw = finding("mounting.yaw", value=2.0, count=9, scatter=1.0)
+    assert options(drive, []) == []
+    assert options(rec, [yaw]) == [Option(("speed",)), Option(("nonholonomic",))]
+    turned = finding("mounting.yaw", value=40.0, count=9, scatter=1.0)
+    assert options(rec, [turned]) == [Option(("speed",))]
+    level = finding("standstill.accel", value=0.07, setting="", count=30, window=1.0)
+    assert options(drive, [level]) == [Option(("zero_velocity", "zero_rate"))]
+    assert standing_of([level]).accel_sd == 0.07 and standing_of([]).accel_sd == 0.2
+
+
+# ---------------------------------------------------------------------------- verdict
+
+
+def calibrated(inside, fixes=80):
+    same = Consistency(1.0, inside, fixes)
+    return Calibration(1.0, same, same, [])
+
+
+@pytest.mark.parametrize(
+    ("nis", "inside", "verdict", "why"),
+    [
+        (1.0, 0.95, "consistent", "NIS/dof 1.00, 95 % of 80"),
+        (1.5, 0.95, "usable with care", "larger than their sd"),
+        (0.6, 0.95, "usable with care", "smaller than their sd"),
+        (1.0, 0.85, "usable with care", "too small"),
+        (1.0, 1.0, "usable with care", "too large"),
+        (5.0, 0.95, "not usable", "contradict"),
+        (1.0, 0.5, "not usable", "contradict"),
+    ],
+)
+def test_the_verdict_is_of_the_test_part(nis, inside, verdict, why):
+    found = solve.judge(nis, calibrated(inside), [])
+    assert found[0] == verdict and why in found[1]
+
+
+def test_exchanged_axes_make_no_trajectory():
+    mixed = finding("gyro.sign", "gyro z", was=9.0, then=1.0, gain=99.0, cause="gyro z has the wrong sign")
+    assert solve.judge(1.0, calibrated(0.95), [mixed]) == ("not usable", "gyro.sign: gyro z has the wrong sign")
+
+
+def test_every_fault_of_the_verdict_is_a_kind():
+    from jaxnav.checkup.findings import KINDS
+
+    assert solve.MIXED_UP <= set(KINDS)
+
+
+def test_a_recording_without_positions_is_refused(drive):
+    with pytest.raises(DataError, match="no positions"):
+        solve.solve(drive._replace(aiding={}))
+
+
+def test_a_short_recording_says_from_which_length_on_it_can_be_tested(drive):
+    short = drive._replace(
+        imu=drive.imu._replace(**{k: getattr(drive.imu, k)[:1000] for k in ("t", "dt", "gyro", "accel")}),
+        aiding={n: Samples(*(a[s.t < 20.0] for a in s)) for n, s in drive.aiding.items()},
+    )
+    found = solve.solve(short)
+    assert found.verdict == "usable with care" and found.tuned is None and found.calibration is None
+    (said,) = [f for f in found.findings if f.code == "solve.short"]
+    assert "record 120 s" in said.actions[0] and "too short" in found.why

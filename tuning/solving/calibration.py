@@ -1,0 +1,80 @@
+"""Stated standard deviations against the errors of hidden fixes, by age, and a factor for them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tuning.recordings.parts import AGES
+from tuning.solving.hidden import Scored
+
+CHI2_95 = 5.991  # of 2 degrees of freedom
+MIN_FACTOR = 1.1  # of sd that are too small on the test part, below which they stay as they are
+
+
+class Consistency(NamedTuple):
+    """Horizontal errors of hidden fixes against their stated sd."""
+
+    error_over_sd: float  # rms; 1 where the sd are right
+    inside_95: float  # share inside the stated 95 %
+    fixes: int  # hidden
+
+
+class Age(NamedTuple):
+    """The same at one age of the windows."""
+
+    age_s: float  # mean
+    error_m: float  # rms, horizontal
+    stated_m: float  # rms, horizontal, with the fix's noise
+    inside_95: float
+    fixes: int
+
+
+class Calibration(NamedTuple):
+    """Stated sd on data that are kept aside."""
+
+    factor: float  # that the stated sd are multiplied by
+    before: Consistency  # on the test part, as the filter states them
+    after: Consistency  # and with the factor
+    ages: list[Age]  # of the test part, with the factor
+
+
+def calibrate(final: Scored) -> Calibration:
+    """Compare hidden fixes of the test part with their stated sd, and find the factor that the sd need.
+
+    The factor is of the training and validation windows; it applies where the test windows say as well that the sd are
+    too small. Sd that are too large stay.
+
+    Args:
+        final: the filter, over the windows.
+    """
+    known, test = final.hidden("training", "validation"), final.hidden("test")
+    rms = lambda nees: float(np.sqrt(np.mean(nees) / 2)) if nees.size else 1.0
+    earlier, before = rms(known.nees()), consistency(test.nees())
+    too_small = min(earlier, before.error_over_sd) > MIN_FACTOR
+    factor = earlier if too_small else 1.0
+    nees = test.nees() / factor**2
+    step = final.used.layout.window / (len(AGES) - 1)
+    place = np.rint(test.age / step).astype(int)
+    square = lambda a: float(np.sqrt(np.mean(a)))
+    rows = []
+    for i in np.unique(place):
+        at = place == i
+        stated = factor**2 * np.trace(test.covariance[at][:, :2, :2], axis1=1, axis2=2)
+        error = (test.residual[at, :2] ** 2).sum(1)
+        rows.append(
+            Age(
+                float(test.age[at].mean()),
+                square(error),
+                square(stated),
+                consistency(nees[at]).inside_95,
+                int(at.sum()),
+            )
+        )
+    return Calibration(factor, before, consistency(nees), rows)
+
+
+def consistency(nees: np.ndarray) -> Consistency:
+    """Return the consistency of errors squared over their covariance (K,), of 2 degrees of freedom."""
+    if not nees.size:
+        return Consistency(float("nan"), float("nan"), 0)
+    return Consistency(float(np.sqrt(np.mean(nees) / 2)), float(np.mean(nees <= CHI2_95)), int(nees.size))

@@ -1,0 +1,78 @@
+"""A filter over a recording with hidden windows, for several filters that are compared on the same windows."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.analysis.windows import drift
+from jaxnav.filters import epochs as ep
+from jaxnav.filters.core import Filter
+from jaxnav.filters.parameters import history_for
+from jaxnav.filters.standstill import Standing
+from jaxnav.initialization.initialize import Initialization
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.types import Info, Params, Recording
+from tuning.recordings.evidence import HiddenFixes, hidden_fixes
+from tuning.recordings.parts import MAX_ADDED_DELAY_S, Layout, Used
+from tuning.recordings.recorded import prepare_recordings
+
+COV_STRIDE = 5  # IMU samples per point of the error dynamics, as in the configuration
+
+
+class Scored(NamedTuple):
+    """A filter with parameters, and its runs with hidden windows."""
+
+    filter: Filter
+    params: Params  # with the prior of the start
+    used: Used
+    error: np.ndarray  # (W, 3) m, ENU, at the end of each window
+    info: Info  # (P, E, ...)
+
+    @property
+    def horizontal(self) -> np.ndarray:
+        """(W,) m, at the end of each window."""
+        return np.hypot(self.error[:, 0], self.error[:, 1])
+
+    def rms(self, part: str) -> float:
+        """Horizontal drift over the windows of a part, m."""
+        return float(np.sqrt(np.mean(self.horizontal[self.used.parts[part]] ** 2)))
+
+    def hidden(self, *parts: str) -> HiddenFixes:
+        """Return the hidden fixes of some parts, with their predictions."""
+        mask = np.any([self.used.parts[part] for part in parts], 0)
+        return hidden_fixes(self.filter, self.params, self.used, self.info, mask)
+
+
+class Bench(NamedTuple):
+    """A recording, and the windows that filters are compared on."""
+
+    recording: Recording
+    initialization: Callable[[Recording, Params], Initialization]
+    begin: Initialization  # by the datasheet
+    layout: Layout
+    standing: Standing
+    stop: float | None  # s
+    history: int = 2  # samples of navigation that every filter keeps, so that filters share their programs
+    parts: dict[str, np.ndarray] | None = None  # masks (W,) of the windows; None: all of them
+
+    def reaching(self, params: Params) -> "Bench":
+        """Return the bench with a history for parameters and the delay that tuning may add to theirs."""
+        rate, span = 1 / float(np.median(self.recording.imu.dt)), float(np.ptp(self.recording.imu.t))
+        return self._replace(history=history_for(params, rate, span, MAX_ADDED_DELAY_S))
+
+    def score(self, filt: Filter, params: Params) -> Scored:
+        """Run a filter over all windows.
+
+        Args:
+            filt: the filter.
+            params: its parameters, with the lever arm.
+        """
+        rec, chosen = self.recording, tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+        packed = ep.pack_recording(rec, chosen, self.begin.t, 0.0, self.stop, self.standing)
+        filt = filt.with_history(self.history) if filt.with_history else filt
+        (used,) = prepare_recordings([rec], filt, [params], [self.begin], [packed], [self.layout], lambda line: None)
+        error, info = drift(filt, used.datasheet, used.nav, used.epochs, used.windows, chosen)
+        return Scored(
+            filt, used.datasheet, used if self.parts is None else used._replace(parts=self.parts), error, info
+        )

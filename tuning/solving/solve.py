@@ -1,0 +1,225 @@
+"""`solve`: from a recording to its best trajectory, with stated sd that are calibrated and a verdict."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxnav.analysis.evaluate import innovation_metrics
+from jaxnav.checkup.findings import finding
+from jaxnav.filters import epochs as ep
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.core import Filter
+from jaxnav.filters.parameters import installed
+from jaxnav.filters.standstill import Standing
+from jaxnav.initialization.initialize import Initialization, initialize
+from jaxnav.measurements import GNSS, MEASUREMENTS
+from jaxnav.navigation import Solution, navigate
+from jaxnav.types import DataError, Finding, Params, Recording
+from tuning.fit.status import Status
+from tuning.recordings.faults import suspect_windows, without_faults
+from tuning.recordings.parts import parts_of, plan, window_of, windows_of
+from tuning.recordings.recorded import scan, tune
+from tuning.recordings.report import Tuned
+from tuning.solving.calibration import Calibration, calibrate
+from tuning.solving.corrections import Corrections, correct
+from tuning.solving.hidden import COV_STRIDE, Bench, Scored
+from tuning.solving.sensors import Tried, choose, finding_of, options, standing_of
+
+CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
+NIS_LIMITS, INSIDE_LIMITS = (0.7, 1.4), (0.90, 0.99)  # of a consistent solution, on the test part
+MAX_NIS, MIN_INSIDE = 4.0, 0.6  # beyond these a solution is not usable
+MIN_SPAN_S = 120.0  # s, of a recording with several windows in every part
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The best trajectory of a recording, and how far it can be trusted."""
+
+    solution: Solution  # smoothed; stated sd with the factor of the calibration
+    params: Params  # the filter's, without the prior of the start
+    verdict: str  # "consistent", "usable with care", "not usable"
+    why: str  # in one line
+    findings: list[Finding]
+    settings: dict[str, float]  # that the check of the recording established
+    standing: Standing
+    tried: list[Tried]  # measurements
+    tuned: Tuned | None  # None where nothing was tuned
+    calibration: Calibration | None  # None where no window could be hidden
+    drift_m: dict[str, float]  # RMS over the test windows: of the datasheet, of the noise scan, of the solution
+    window_s: float  # length of these windows
+    test_nis: float  # NIS over degrees of freedom on the test part
+    status: Status = Status.CONVERGED
+
+    def metrics(self) -> dict[str, Any]:
+        """All figures, as metrics.json has them."""
+        c, drift = self.calibration, self.drift_m
+        ratio = lambda over: drift["solution"] / drift[over] if drift.get(over) else None
+        return self.solution.metrics() | {
+            "verdict": self.verdict, "why": self.why, "test_nis": self.test_nis, "settings": self.settings,
+            "calibration": None if c is None else c._asdict() | {
+                "before": c.before._asdict(), "after": c.after._asdict(), "ages": [a._asdict() for a in c.ages]},
+            "drift_m": drift, "drift_ratio": ratio("datasheet"), "against_auto": ratio("auto"),
+            "measurements": [{"names": row.option.measurements, "drift_ratio": row.drift_ratio, "gain": row.gain,
+                              "taken": row.taken} for row in self.tried],
+            "tuning": None if self.tuned is None else self.tuned.verdict, "status": self.status.value,
+            "findings": [asdict(f) for f in self.findings],
+        }  # fmt: skip
+
+
+def consumer(filt: Filter) -> Params:
+    """Return the datasheet that noise is scaled from."""
+    return filt.params("consumer")
+
+
+def solve(
+    rec: Recording,
+    datasheet: Callable[[Filter], Params] = consumer,
+    *,
+    fast: bool = False,
+    smooth: bool = True,
+    initialization: Callable[[Recording, Params], Initialization] = initialize,
+    stop: float | None = None,
+    kept: Sequence[str] = (),
+    log: Callable[[str], None] = lambda line: None,
+) -> Solved:
+    """Find the best trajectory of a recording, without settings and without truth.
+
+    The recording is checked and its clock corrected (`tuning.solving.corrections`); noise is found by likelihood;
+    measurements that predict better are added (`tuning.solving.sensors`); the filter is tuned (`tuning.tune`), and runs
+    over the whole recording by all fixes. A test part that none of this uses says how far the stated sd are right.
+
+    Args:
+        rec: the recording, with positions.
+        datasheet: from a filter to its parameters, which noise and scales are found about; lever arms are the
+            recording's unless it states one.
+        fast: do not tune.
+        smooth: each epoch by all fixes, past and future.
+        initialization: makes the initialization of a recording and parameters.
+        stop: s, end of the data.
+        kept: settings that stay as they are: of `tuning.solving.corrections.CORRECTED`.
+        log: called with a line on each step.
+
+    Raises:
+        DataError: a recording without positions, or that cannot be started from.
+        FilterError: the filter stops being finite.
+    """
+    if "position" not in rec.aiding:
+        raise DataError(f"{rec.name}: has no positions, so that no filter can be run on it")
+    log("checking the recording")
+    checked = correct(rec, kept)
+    rec, standing = checked.recording, standing_of(checked.found)
+    names = [m.name for m in GNSS if m.name in rec.aiding]
+    filt = build("ekf15", names, COV_STRIDE)
+    datasheet_of = lambda f: installed(checked.clock(datasheet(f)), rec.lever_arm)
+    begin = initialization(rec, datasheet_of(filt))
+    packed = ep.pack_recording(rec, tuple(MEASUREMENTS[n] for n in names), begin.t, 0.0, stop, standing)
+    layout = plan(packed, window_of([packed]))
+    bench = Bench(rec, initialization, begin, layout, standing, stop)
+    windows = windows_of(packed, layout, packed.t.size)
+    counts = {name: int(mask.sum()) for name, mask in parts_of(layout, windows).items()}
+    findings = [*checked.applied]
+    if not all(counts.values()):
+        return _short(filt, datasheet_of(filt), bench, smooth, checked, log)
+    log("noise by likelihood")
+    found = scan(rec, datasheet_of(filt), begin, layout, tuple(MEASUREMENTS[n] for n in names), log)
+    bench = bench.reaching(found.applied(datasheet_of(filt)))
+    plain = {"datasheet": bench.score(filt, datasheet_of(filt))}
+    if found.fixes:
+        plain["auto"] = bench.score(filt, found.applied(datasheet_of(filt)))
+    bench, plain, faults = _without_faults(bench, plain)
+    findings += faults
+    level = plain.get("auto", plain["datasheet"])
+    best, tried = choose(bench, level, lambda f: found.applied(datasheet_of(f)), options(rec, checked.found), log)
+    findings += [finding_of(row) for row in tried]
+    tuned, final, params = None, best, found.applied(datasheet_of(best.filter))
+    if not fast:
+        tuned = tune(
+            rec, best.filter, datasheet_of(best.filter), initialization=begin, stop=stop, window=layout.window,
+            standing=standing, scans=[found], log=log,
+        )  # fmt: skip
+        findings += tuned.findings
+        params = tuned.params
+        final = bench.score(tuned.filter, params)
+    log("calibrating the stated standard deviations")
+    calibration = calibrate(final)
+    if calibration.factor > 1.0:
+        findings.append(finding("solve.inflated", "stated sd", calibration.factor, count=calibration.after.fixes))
+    log("the whole recording")
+    sol = navigate(
+        rec, final.filter, params, scan=False, initialization=initialization, stop=stop,
+        standing=standing, smooth=smooth, sd_factor=calibration.factor,
+    )  # fmt: skip
+    nis = _test_nis(sol, layout.validation)
+    findings += sol.findings
+    drift = {name: each.rms("test") for name, each in (*plain.items(), ("solution", final))}
+    verdict, why = judge(nis, calibration, findings)
+    status = Status.CONVERGED if tuned is None else tuned.status
+    return Solved(sol, params, verdict, why, findings, checked.settings, standing, tried, tuned, calibration, drift,
+                  layout.window, nis, status)  # fmt: skip
+
+
+def _without_faults(bench: Bench, plain: dict[str, Scored]) -> tuple[Bench, dict[str, Scored], list[Finding]]:
+    """Leave windows with a receiver's fault out of the parts."""
+    used = plain["datasheet"].used
+    each = list(plain.values())
+    suspect = suspect_windows(used, [s.params for s in each], [s.info for s in each])
+    parts, faults = without_faults(used.parts, suspect, used.starts)
+    bench = bench._replace(parts=parts)
+    return bench, {name: s._replace(used=s.used._replace(parts=parts)) for name, s in plain.items()}, faults
+
+
+def _short(
+    filt: Filter, params: Params, bench: Bench, smooth: bool, checked: Corrections, log: Callable[[str], None]
+) -> Solved:
+    """Solve a recording that is too short for windows in every part: noise by likelihood, no test."""
+    log("too short to hide fixes in every part: noise by likelihood alone")
+    sol = navigate(
+        bench.recording, filt, params, scan=True, initialization=bench.initialization,
+        stop=bench.stop, standing=bench.standing, smooth=smooth,
+    )  # fmt: skip
+    span = float(sol.t[-1] - sol.t[0])
+    found = [*checked.applied, finding("solve.short", "", span, MIN_SPAN_S), *sol.findings]
+    nis = innovation_metrics(sol.trace.info, sol.measurements)["nis_per_dof"]
+    why = f"{span:.0f} s are too short to test the stated standard deviations"
+    params = params if sol.noise is None else sol.noise.applied(params)
+    return Solved(sol, params, CARE, why, found, checked.settings, bench.standing, [], None, None, {},
+                  bench.layout.window, nis)  # fmt: skip
+
+
+def _test_nis(sol: Solution, begin: float) -> float:
+    """NIS over degrees of freedom from ``begin`` s on."""
+    info, late = sol.trace.info, sol.packed.t > begin
+    return float(np.asarray(info.nis)[late].sum() / max(np.asarray(info.valid)[late].sum(), 1))
+
+
+def judge(nis: float, c: Calibration, findings: Sequence[Finding]) -> tuple[str, str]:
+    """Return the verdict on a solution, and why in one line.
+
+    Args:
+        nis: over degrees of freedom, on the test part.
+        c: hidden fixes of the test part.
+        findings: all of the run.
+    """
+    inside = c.after.inside_95
+    said = f"NIS/dof {nis:.2f}, {100 * inside:.0f} % of {c.after.fixes} hidden fixes inside the stated 95 %"
+    broken = [f for f in findings if f.warns and f.code in MIXED_UP]
+    if broken:
+        return UNUSABLE, f"{broken[0].code}: {', '.join(broken[0].causes) or broken[0].message}"
+    if nis > MAX_NIS or inside < MIN_INSIDE:
+        return UNUSABLE, f"{said}: IMU and fixes contradict each other"
+    low, high = NIS_LIMITS
+    if not low <= nis <= high:
+        return CARE, f"{said}: innovations are {'larger' if nis > high else 'smaller'} than their sd"
+    low, high = INSIDE_LIMITS
+    if not low <= inside <= high:
+        return CARE, f"{said}: stated sd are too {'small' if inside < low else 'large'} without fixes"
+    return CONSISTENT, said
+
+
+MIXED_UP = {
+    "gyro.sign", "gyro.swapped", "gyro.units", "gyro.scale", "gyro.turns", "accel.sign", "accel.swapped", "imu.swapped",
+    "fixes.swapped", "fixes.sign", "time.offset",
+}  # fmt: skip
+"""Codes of faults without which there is no right trajectory."""

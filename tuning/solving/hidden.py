@@ -52,7 +52,7 @@ class Bench(NamedTuple):
     begin: Initialization  # by the datasheet
     layout: Layout
     standing: Standing
-    stop: float | None  # s
+    stop: float  # s, the last epoch
     history: int = 2  # samples of navigation that every filter keeps, so that filters share their programs
     parts: dict[str, np.ndarray] | None = None  # masks (W,) of the windows; None: all of them
 

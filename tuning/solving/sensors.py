@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxnav.checkup.findings import finding
-from jaxnav.filters.catalogue import build
+from jaxnav.filters.catalogue import build, rows
 from jaxnav.filters.core import Filter
+from jaxnav.filters.parameters import get, has, put
 from jaxnav.filters.standstill import Standing
 from jaxnav.maths.units import DEG
-from jaxnav.measurements import MEASUREMENTS
+from jaxnav.measurements import GNSS, MEASUREMENTS, layout
 from jaxnav.types import Finding, Params, Recording
 from tuning.recordings.choice import MIN_BLOCKS
 from tuning.recordings.parts import blocks_of
@@ -18,7 +19,11 @@ from tuning.recordings.validation import block_ratio
 from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 
 MAX_RATIO = 1.02  # of the horizontal drift on training and validation windows, up to which a measurement does no harm
+MIN_NIS, ROUNDS = 1.2, 2  # NIS of a measurement's channels from which on its sd grows, in so many rounds
 MAX_YAW_DEG, MAX_YAW_SCATTER_DEG = 10.0, 5.0  # deg, of an IMU whose x axis is the vehicle's
+
+
+RECEIVER = {m.name for m in GNSS}
 
 
 class Option(NamedTuple):
@@ -26,6 +31,18 @@ class Option(NamedTuple):
 
     measurements: tuple[str, ...]
     states: tuple[str, ...] = ()
+
+
+class Choice(NamedTuple):
+    """The filter with the taken measurements."""
+
+    best: Scored
+    tried: list["Tried"]
+    factors: dict[str, float]  # on sd of measurements, by leaf, where the recording asks for larger ones
+
+    def applied(self, params: Params) -> Params:
+        """Return parameters with these sd."""
+        return larger(params, self.factors)
 
 
 class Tried(NamedTuple):
@@ -72,8 +89,8 @@ def standing_of(found: Sequence[Finding]) -> Standing:
 
 def choose(
     bench: Bench, plain: Scored, params_of: Callable[[Filter], Params], tried: Sequence[Option],
-    log: Callable[[str], None],
-) -> tuple[Scored, list[Tried]]:  # fmt: skip
+    begin: Callable[[], None] = lambda: None,
+) -> Choice:  # fmt: skip
     """Add measurements one after the other, each if it predicts better than without it.
 
     The training and the validation windows decide: no more horizontal drift, less drift in three dimensions by more
@@ -84,24 +101,59 @@ def choose(
         plain: the filter without them.
         params_of: parameters of a filter, such as the datasheet with the scan's noise.
         tried: in their order.
-        log: called with a line on each.
+        begin: called before each.
 
     Returns:
-        The filter with the taken ones, scored, and what each did.
+        The filter with the taken ones, scored, what each did, and the factors on sd.
     """
-    best, done = plain, []
+    best, done, factors = plain, list[Tried](), dict[str, float]()
     for option in tried:
+        begin()
         names = {*best.filter.model.measurements, *option.measurements}
         filt = build(best.filter.name, [name for name in MEASUREMENTS if name in names], COV_STRIDE)
         more = [s for s in (*best.filter.model.states, *option.states) if s not in filt.model.states]
         if more and filt.with_states is not None:
             filt = filt.with_states(*more)
-        new = bench.score(filt, params_of(filt))
+        params, own = params_of(filt), dict(factors)
+        new = bench.score(filt, larger(params, own))
+        for _ in range(ROUNDS):
+            if grown := growth(new):
+                own = {leaf: own.get(leaf, 1.0) * grown.get(leaf, 1.0) for leaf in {*own, *grown}}
+                new = bench.score(filt, larger(params, own))
         row = compare(option, best, new)
         done.append(row)
-        log(f"{', '.join(option.measurements)}: drift {row.drift_ratio:.2f}, {'taken' if row.taken else 'left out'}")
-        best = new if row.taken else best
-    return best, done
+        if row.taken:
+            best, factors = new, own
+    return Choice(best, done, factors)
+
+
+def larger(params: Params, factors: dict[str, float]) -> Params:
+    """Return parameters with leaves multiplied by factors."""
+    for leaf, factor in factors.items():
+        params = put(params, leaf, factor * get(params, leaf))
+    return params
+
+
+def growth(run: Scored) -> dict[str, float]:
+    """Return the factors on the sd of measurements, by leaf, that innovations of the training part ask for.
+
+    A measurement that is new shows errors of the others too: each has its own factor, and none is below one.
+
+    Args:
+        run: the filter with all measurements.
+    """
+    used, info, found = run.used, run.info, dict[str, float]()
+    places = layout(rows(run.filter.model.measurements))
+    counts = (used.t <= used.layout.train) & ~used.windows.hidden
+    square = np.asarray(info.nu) ** 2 / np.diagonal(np.asarray(info.S), axis1=-2, axis2=-1)
+    for name, place in places.items():
+        own = np.asarray(info.valid)[..., place] & counts[..., None]
+        nis = float(square[..., place][own].mean()) if own.any() else 0.0
+        if nis > MIN_NIS:
+            ends = ("sd_scale", "sd") if name not in RECEIVER else ("scale",)
+            leaf = next(leaf for end in ends if has(run.params, leaf := f"measurements.{name}.{end}"))
+            found[leaf] = nis**0.5
+    return found
 
 
 def compare(option: Option, before: Scored, after: Scored) -> Tried:

@@ -23,13 +23,18 @@ from tuning.recordings.parts import parts_of, plan, window_of, windows_of
 from tuning.recordings.recorded import scan, tune
 from tuning.recordings.report import Tuned
 from tuning.solving.calibration import Calibration, calibrate
-from tuning.solving.corrections import Corrections, correct
+from tuning.solving.corrections import correct
 from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 from tuning.solving.sensors import Tried, choose, finding_of, options, standing_of
+from tuning.solving.stages import Stage, Stages
 
 CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
 NIS_LIMITS, INSIDE_LIMITS = (0.7, 1.4), (0.90, 0.99)  # of a consistent solution, on the test part
 MAX_NIS, MIN_INSIDE = 4.0, 0.6  # beyond these a solution is not usable
+CHECK, NOISE, SCORES = Stage("check", 1.0), Stage("noise by likelihood", 4.0), Stage("drift without fixes", 5.0)
+OPTION_WEIGHT = 6.0
+TUNE, CALIBRATE = Stage("tuning", 20.0), Stage("calibration of the stated sd", 0.2)
+WHOLE = Stage("the whole recording", 4.0)
 MIN_SPAN_S = 120.0  # s, of a recording with several windows in every part
 
 
@@ -107,7 +112,8 @@ def solve(
     """
     if "position" not in rec.aiding:
         raise DataError(f"{rec.name}: has no positions, so that no filter can be run on it")
-    log("checking the recording")
+    stages = Stages([CHECK, NOISE, SCORES, TUNE, CALIBRATE, WHOLE], log)
+    stages.next()
     checked = correct(rec, kept)
     rec, standing = checked.recording, standing_of(checked.found)
     names = [m.name for m in GNSS if m.name in rec.aiding]
@@ -116,48 +122,56 @@ def solve(
     begin = initialization(rec, datasheet_of(filt))
     packed = ep.pack_recording(rec, tuple(MEASUREMENTS[n] for n in names), begin.t, 0.0, stop, standing)
     layout = plan(packed, window_of([packed]))
-    bench = Bench(rec, initialization, begin, layout, standing, stop)
+    bench = Bench(rec, initialization, begin, layout, standing, float(packed.t[-1]))
     windows = windows_of(packed, layout, packed.t.size)
     counts = {name: int(mask.sum()) for name, mask in parts_of(layout, windows).items()}
-    findings = [*checked.applied]
+    findings = [*checked.applied, *(f for f in checked.found if f.warns)]
     if not all(counts.values()):
-        return _short(filt, datasheet_of(filt), bench, smooth, checked, log)
-    log("noise by likelihood")
+        return _short(filt, datasheet_of(filt), bench, smooth, checked.settings, findings)
+    tried_ones = options(rec, checked.found)
+    each = [Stage(", ".join(option.measurements), OPTION_WEIGHT) for option in tried_ones]
+    stages.replace([NOISE, SCORES, *each, *([] if fast else [TUNE]), CALIBRATE, WHOLE])
+    stages.next()
     found = scan(rec, datasheet_of(filt), begin, layout, tuple(MEASUREMENTS[n] for n in names), log)
+    stages.next()
     bench = bench.reaching(found.applied(datasheet_of(filt)))
     plain = {"datasheet": bench.score(filt, datasheet_of(filt))}
     if found.fixes:
         plain["auto"] = bench.score(filt, found.applied(datasheet_of(filt)))
     bench, plain, faults = _without_faults(bench, plain)
-    findings += faults
+    findings += [*found.findings, *faults]
     level = plain.get("auto", plain["datasheet"])
-    best, tried = choose(bench, level, lambda f: found.applied(datasheet_of(f)), options(rec, checked.found), log)
-    findings += [finding_of(row) for row in tried]
-    tuned, final, params = None, best, found.applied(datasheet_of(best.filter))
+    choice = choose(bench, level, lambda f: found.applied(datasheet_of(f)), tried_ones, stages.next)
+    findings += [finding_of(row) for row in choice.tried]
+    final, start = choice.best, choice.applied(datasheet_of(choice.best.filter))
+    tuned, params = None, found.applied(start)
     if not fast:
+        stages.next()
         tuned = tune(
-            rec, best.filter, datasheet_of(best.filter), initialization=begin, stop=stop, window=layout.window,
+            rec, final.filter, start, initialization=begin, stop=bench.stop, window=layout.window,
             standing=standing, scans=[found], log=log,
         )  # fmt: skip
         findings += tuned.findings
         params = tuned.params
         final = bench.score(tuned.filter, params)
-    log("calibrating the stated standard deviations")
+    stages.next()
     calibration = calibrate(final)
     if calibration.factor > 1.0:
         findings.append(finding("solve.inflated", "stated sd", calibration.factor, count=calibration.after.fixes))
-    log("the whole recording")
+    stages.next()
     sol = navigate(
-        rec, final.filter, params, scan=False, initialization=initialization, stop=stop,
-        standing=standing, smooth=smooth, sd_factor=calibration.factor,
+        rec, final.filter, params, scan=False, initialization=initialization, stop=stop, standing=standing,
+        smooth=smooth, sd_factor=calibration.factor,
     )  # fmt: skip
     nis = _test_nis(sol, layout.validation)
-    findings += sol.findings
+    findings = distinct([*findings, *sol.findings])
     drift = {name: each.rms("test") for name, each in (*plain.items(), ("solution", final))}
     verdict, why = judge(nis, calibration, findings)
     status = Status.CONVERGED if tuned is None else tuned.status
-    return Solved(sol, params, verdict, why, findings, checked.settings, standing, tried, tuned, calibration, drift,
-                  layout.window, nis, status)  # fmt: skip
+    return Solved(
+        sol, params, verdict, why, findings, checked.settings, standing, choice.tried, tuned, calibration, drift,
+        layout.window, nis, status,
+    )  # fmt: skip
 
 
 def _without_faults(bench: Bench, plain: dict[str, Scored]) -> tuple[Bench, dict[str, Scored], list[Finding]]:
@@ -171,21 +185,25 @@ def _without_faults(bench: Bench, plain: dict[str, Scored]) -> tuple[Bench, dict
 
 
 def _short(
-    filt: Filter, params: Params, bench: Bench, smooth: bool, checked: Corrections, log: Callable[[str], None]
+    filt: Filter, params: Params, bench: Bench, smooth: bool, settings: dict[str, float], findings: Sequence[Finding]
 ) -> Solved:
     """Solve a recording that is too short for windows in every part: noise by likelihood, no test."""
-    log("too short to hide fixes in every part: noise by likelihood alone")
     sol = navigate(
         bench.recording, filt, params, scan=True, initialization=bench.initialization,
         stop=bench.stop, standing=bench.standing, smooth=smooth,
     )  # fmt: skip
     span = float(sol.t[-1] - sol.t[0])
-    found = [*checked.applied, finding("solve.short", "", span, MIN_SPAN_S), *sol.findings]
+    found = distinct([*findings, finding("solve.short", "", span, MIN_SPAN_S), *sol.findings])
     nis = innovation_metrics(sol.trace.info, sol.measurements)["nis_per_dof"]
-    why = f"{span:.0f} s are too short to test the stated standard deviations"
+    verdict, why = judge(nis, None, found)
     params = params if sol.noise is None else sol.noise.applied(params)
-    return Solved(sol, params, CARE, why, found, checked.settings, bench.standing, [], None, None, {},
+    return Solved(sol, params, verdict, why, found, settings, bench.standing, [], None, None, {},
                   bench.layout.window, nis)  # fmt: skip
+
+
+def distinct(findings: Sequence[Finding]) -> list[Finding]:
+    """Return the findings, each once."""
+    return list({(f.code, f.subject, f.message): f for f in findings}.values())
 
 
 def _test_nis(sol: Solution, begin: float) -> float:
@@ -194,19 +212,21 @@ def _test_nis(sol: Solution, begin: float) -> float:
     return float(np.asarray(info.nis)[late].sum() / max(np.asarray(info.valid)[late].sum(), 1))
 
 
-def judge(nis: float, c: Calibration, findings: Sequence[Finding]) -> tuple[str, str]:
+def judge(nis: float, c: Calibration | None, findings: Sequence[Finding]) -> tuple[str, str]:
     """Return the verdict on a solution, and why in one line.
 
     Args:
         nis: over degrees of freedom, on the test part.
-        c: hidden fixes of the test part.
+        c: hidden fixes of the test part; None where there is none.
         findings: all of the run.
     """
-    inside = c.after.inside_95
-    said = f"NIS/dof {nis:.2f}, {100 * inside:.0f} % of {c.after.fixes} hidden fixes inside the stated 95 %"
     broken = [f for f in findings if f.warns and f.code in MIXED_UP]
     if broken:
         return UNUSABLE, f"{broken[0].code}: {', '.join(broken[0].causes) or broken[0].message}"
+    if c is None:
+        return CARE, "too short to test the stated standard deviations"
+    inside = c.after.inside_95
+    said = f"NIS/dof {nis:.2f}, {100 * inside:.0f} % of {c.after.fixes} hidden fixes inside the stated 95 %"
     if nis > MAX_NIS or inside < MIN_INSIDE:
         return UNUSABLE, f"{said}: IMU and fixes contradict each other"
     low, high = NIS_LIMITS

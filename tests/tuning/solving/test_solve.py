@@ -1,5 +1,7 @@
 """`solve` in parts: corrections of the clock, measurements that help, the verdict."""
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from jaxnav.types import DataError, Samples
 from tuning.solving import corrections, solve
 from tuning.solving.calibration import Calibration, Consistency
 from tuning.solving.corrections import DRIFT, OFFSET, correct
-from tuning.solving.sensors import Option, options, standing_of
+from tuning.solving.sensors import Option, growth, larger, options, standing_of
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +79,26 @@ def test_options_are_of_streams_and_findings(drive):
     level = finding("standstill.accel", value=0.07, setting="", count=30, window=1.0)
     assert options(drive, [level]) == [Option(("zero_velocity", "zero_rate"))]
     assert standing_of([level]).accel_sd == 0.07 and standing_of([]).accel_sd == 0.2
+
+
+def test_the_sd_of_measurements_grow_to_their_innovations():
+    """Wheel speeds of three times their sd in the training part; larger ones after it do not count."""
+    filt = build("ekf15", ("position", "speed"))
+    t, rng = np.arange(400.0), np.random.default_rng(0)
+    nu = rng.normal(size=(1, 400, 4)) * [1.0, 1.0, 1.0, 3.0]
+    nu[:, 200:] *= 100.0
+    info = SimpleNamespace(nu=nu, S=np.broadcast_to(np.eye(4), (1, 400, 4, 4)), valid=np.ones((1, 400, 4), bool))
+    hidden = np.zeros((1, 400), bool)
+    used = SimpleNamespace(t=t, layout=SimpleNamespace(train=199.5), windows=SimpleNamespace(hidden=hidden))
+    run = SimpleNamespace(used=used, info=info, filter=filt, params=filt.params("consumer"))
+    grown = growth(run)
+    assert grown == {"measurements.speed.sd_scale": pytest.approx(3.0, rel=0.15)}
+    grown["measurements.position.scale"] = 2.0
+    new = larger(run.params, grown).measurements
+    assert float(new["speed"].sd_scale) == pytest.approx(3.0, rel=0.15)
+    np.testing.assert_allclose(new["position"].scale, 2.0 * np.asarray(run.params.measurements["position"].scale))
+    info.nu[:] = 0.5
+    assert growth(run) == {}  # never smaller: neighbours may be correlated
 
 
 # ---------------------------------------------------------------------------- verdict

@@ -1,0 +1,36 @@
+"""Progress of a job of known stages: which one runs, and about how long the rest takes."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+
+class Stage(NamedTuple):
+    """A part of a job."""
+
+    name: str
+    weight: float  # its usual share of the time
+
+
+class Stages:
+    """Writes a line at the beginning of each stage.
+
+    The rest is estimated from the time so far and the weights of what is done and what is left.
+    """
+
+    def __init__(
+        self, stages: Sequence[Stage], log: Callable[[str], None], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.stages, self.log, self.clock, self.begun, self.done = list(stages), log, clock, clock(), 0
+
+    def replace(self, stages: Sequence[Stage]) -> None:
+        """Replace the stages that are not begun."""
+        self.stages[self.done :] = stages
+
+    def next(self) -> None:
+        """Begin the next stage."""
+        weights = [stage.weight for stage in self.stages]
+        before, spent = sum(weights[: self.done]), self.clock() - self.begun
+        left = f", about {spent * sum(weights[self.done :]) / before:.0f} s left" if before else ""
+        self.log(f"{self.done + 1} of {len(self.stages)}: {self.stages[self.done].name}{left}")
+        self.done += 1

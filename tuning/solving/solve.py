@@ -31,10 +31,10 @@ from tuning.solving.stages import Stage, Stages
 CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
 NIS_LIMITS, INSIDE_LIMITS = (0.7, 1.4), (0.90, 0.99)  # of a consistent solution, on the test part
 MAX_NIS, MIN_INSIDE = 4.0, 0.6  # beyond these a solution is not usable
-CHECK, NOISE, SCORES = Stage("check", 1.0), Stage("noise by likelihood", 4.0), Stage("drift without fixes", 5.0)
-OPTION_WEIGHT = 6.0
-TUNE, CALIBRATE = Stage("tuning", 20.0), Stage("calibration of the stated sd", 0.2)
-WHOLE = Stage("the whole recording", 4.0)
+CHECK, NOISE, SCORES = Stage("check", 1.0), Stage("noise by likelihood", 4.0), Stage("drift without fixes", 3.5)
+OPTION_WEIGHT = 3.5
+TUNE, CALIBRATE = Stage("tuning", 15.0), Stage("calibration of the stated sd", 0.1)
+WHOLE = Stage("the whole recording", 2.5)
 MIN_SPAN_S = 120.0  # s, of a recording with several windows in every part
 
 

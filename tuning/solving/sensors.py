@@ -94,8 +94,8 @@ def choose(
     """Add measurements one after the other, each if it predicts better than without it.
 
     Each is tried with its sd as stated and with larger ones that its innovations ask for (`growth`), by the likelihood
-    of the hidden fixes. The training and the validation windows decide: no more horizontal drift, less drift in three dimensions by more
-    than chance, and a higher likelihood of the hidden fixes of the validation part.
+    of the hidden fixes. The training and the validation windows decide: no more horizontal drift, less drift in three
+    dimensions by more than chance, and a higher likelihood of the hidden fixes of the validation part.
 
     Args:
         bench: the recording and its windows.

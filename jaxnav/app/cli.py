@@ -40,6 +40,8 @@ COLLECT = 20_000  # new objects until the garbage collector looks; at Python's 7
 
 EXAMPLES = """\
 a recording:
+  jaxnav solve drive.bag --out out/drive                    the best trajectory, calibrated sd, a verdict
+or by its parts:
   jaxnav check drive.bag                                    faults of the log, and a configuration that runs it
   jaxnav filter --data drive.bag --out out/run              solution, figures, report.html
   jaxnav filter --data drive.bag --smooth --out out/smooth  by all fixes

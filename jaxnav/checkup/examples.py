@@ -108,6 +108,10 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "tune.aside": {"subject": "run 17", "step": 4, "why": "not finite from t = 31.000 s on"},
     "tune.undetermined": {"message": "noise.accel and states.accel_bias are not distinguishable"},
     "solve.applied": {"subject": "data.options.time_shift_s", "value": 18.0, "why": "IMU and fixes agree better"},
+    "solve.axes": {
+        "subject": "data.options.axes", "axes": "flu",
+        "why": "accelerometer z reads +9.8 m/s^2 at rest; forward, right, down has z = -9.8",
+    },
     "solve.measurement": {"subject": "speed", "value": 0.41, "gain": 0.82},
     "solve.left_out": {"subject": "barometer", "value": 1.01, "gain": -0.03},
     "solve.inflated": {"subject": "stated sd", "value": 1.4, "count": 88},

@@ -448,6 +448,12 @@ KINDS: dict[str, Kind] = {
     "solve.applied": Kind(
         INFO, "{subject} = {value:g} is applied: {why}", (), ("set {subject} to keep another value",)
     ),
+    "solve.axes": Kind(
+        INFO,
+        '{subject} = "{axes}" is applied: {why}; gyro z turns against the course',
+        (),
+        ("set {subject} to keep other axes",),
+    ),
     "solve.measurement": Kind(
         INFO,
         "{subject} is taken: {value:.2f} times the horizontal drift without it, log-likelihood of a hidden fix "

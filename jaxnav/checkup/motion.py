@@ -89,9 +89,19 @@ def correlation(x: Turns, axis: int, lag: int) -> float:
 
 def turns_with_course(rec: Recording) -> bool:
     """Whether gyro z turns as the course does, read within a second of it: it points down then."""
+    return max(_course_correlations(rec)) > SAME_CORRELATION
+
+
+def turns_against_course(rec: Recording) -> bool:
+    """Whether gyro z turns against the course: it points up then."""
+    return min(_course_correlations(rec)) < -SAME_CORRELATION
+
+
+def _course_correlations(rec: Recording) -> list[float]:
+    """Of the course's rate with gyro z, read within a second of it; 0 where there are no turns."""
     x = turns_of(rec)
     most = 0 if x is None else min(round(1.0 / STEP_S), x.t.size // 2)
-    return x is not None and max(correlation(x, 2, lag) for lag in range(-most, most + 1)) > SAME_CORRELATION
+    return [0.0] if x is None else [correlation(x, 2, lag) for lag in range(-most, most + 1)]
 
 
 def lags_of(rec: Recording) -> list[tuple[float, int]]:

@@ -59,7 +59,7 @@ def read_folder(path: FilePath, notes: list[str] | None = None) -> Recording:
     if "position" not in files and others:
         raise DataError(
             f"{path}: no position.csv, and {', '.join(others)} is not read: expected imu.csv, {', '.join(known)} or "
-            "aiding_NAME.csv"
+            "aiding_NAME.csv; other names and columns: a column map (docs/formats.md)"
         )
     if notes is not None:
         notes += [

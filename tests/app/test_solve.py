@@ -2,10 +2,18 @@
 
 import json
 
+import jax
 import numpy as np
 import pytest
 
 from jaxnav.app import cli
+from jaxnav.app.config import resolve
+from jaxnav.app.jobs import solve
+from jaxnav.app.sources import load
+from jaxnav.io import write_recording
+from jaxnav.simulate.scenarios import SCENARIOS
+from jaxnav.simulate.simulation import simulate_jit, to_recording
+from tuning.solving.corrections import turned
 
 SETTINGS = (
     "data.options.duration_s=150.0", "data.options.imu_rate_hz=50.0", "data.options.outages_s=[]",
@@ -50,6 +58,20 @@ def test_wheel_speeds_are_taken_and_drift_less(solved):
     assert row["drift_ratio"] < 0.6 and row["gain"] > 0
     assert found["drift_m"]["solution"] < found["drift_m"]["datasheet"]
     assert found["drift_ratio"] == pytest.approx(found["drift_m"]["solution"] / found["drift_m"]["datasheet"])
+
+
+def test_a_recording_with_z_up_is_read_again_by_the_setting(tmp_path):
+    """What run.json states is what was solved."""
+    scenario = SCENARIOS["urban_short"]._replace(duration_s=120.0, imu_rate_hz=50.0)
+    rec = to_recording(simulate_jit(jax.random.key(3), scenario), scenario)
+    write_recording(tmp_path / "up", turned(rec, "flu"))
+    config = resolve([("test", {"data": {"source": str(tmp_path / "up")}})])
+    found = solve.corrected(config, load(config))
+    assert found.settings == {"data.options.axes": "flu"}
+    np.testing.assert_allclose(found.recording.imu.gyro, rec.imu.gyro, atol=1e-12)
+    assert solve.with_options(config, found.settings).data.options == {"axes": "flu"}
+    stated = solve.with_options(config, {"data.options.axes": "frd"})
+    assert solve.corrected(stated, load(stated)).settings == {}
 
 
 def test_the_run_reproduces_it_without_searching(solved, tmp_path):

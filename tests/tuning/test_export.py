@@ -35,6 +35,14 @@ def noise(gyro, accel, gyro_bias, accel_bias, **others):
     return told(datasheet_params(GRADE), gyro=gyro, accel=accel, gyro_bias=gyro_bias, accel_bias=accel_bias, **both)
 
 
+def test_a_filter_of_positions_alone_is_written_with_the_defaults_of_a_velocity(tmp_path):
+    both = noise(1e-4, 1e-3, 1e-6, 1e-5)
+    write_exports(tmp_path, "", both, StatedSd())
+    first = [(tmp_path / name).read_text() for name in EXPORTS]
+    write_exports(tmp_path, "", both._replace(measurements={"position": both.measurements["position"]}), StatedSd())
+    assert [(tmp_path / name).read_text() for name in EXPORTS] == first
+
+
 def fields(text: str) -> dict[str, np.ndarray]:
     """Numbers by name of every line that has some."""
     lines = [re.split(r"[:=]", line.partition("#")[0], maxsplit=1) for line in text.splitlines()]

@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxnav.filters.parameters import strong
 from jaxnav.io import atomic_write
 from jaxnav.maths import units
-from jaxnav.measurements import Measurement
+from jaxnav.measurements import GNSS, Measurement
 from jaxnav.types import Fix, Params, StateParams
 
 ONE_CORRELATION_TIME = 4 * units.HOUR  # s, in place of a random walk where a target has Gauss-Markov processes alone
@@ -249,9 +250,11 @@ def write_exports(folder: Path, head: str, params: Params, stated: StatedSd) -> 
     Args:
         folder: an existing folder.
         head: comment on top of each file.
-        params: tuned parameters.
+        params: tuned parameters; of a position or velocity that they lack, the defaults.
         stated: sd that the receiver states.
     """
+    fixes = {m.name: strong(m.defaults) for m in GNSS}  # the other programs have both
+    params = params._replace(measurements=fixes | params.measurements)
     for name in EXPORTS:
         write_export(folder, name, head, params, stated)
 

@@ -1,71 +1,79 @@
-"""Corrections that the check of a recording establishes: the offset of a clock, and its rate."""
+"""Corrections that the check of a recording establishes: axes of both sensors, offset and rate of the IMU's clock."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
+from jaxnav.checkup.motion import turns_against_course
 from jaxnav.filters.parameters import put
+from jaxnav.maths.axes import rotation
 from jaxnav.maths.units import PPM
 from jaxnav.types import Finding, Params, Recording
 
-OFFSET, DRIFT = "data.options.time_shift_s", "mounting.clock_drift_ppm"
-CORRECTED = {"time.offset": OFFSET, "time.drift": DRIFT}  # codes of findings, and the settings that take their values
+AXES, OFFSET, DRIFT = "data.options.axes", "data.options.time_shift_s", "mounting.clock_drift_ppm"
+UP = "flu"  # axes of an IMU whose z axis points up
 
 
 class Corrections(NamedTuple):
     """Settings that a check established, and a recording that is read with them."""
 
     recording: Recording
-    settings: dict[str, float]  # in a user's units
+    settings: dict[str, float | str]  # in a user's units
     found: list[Finding]  # by the check of the corrected recording
     applied: list[Finding]  # a finding for each setting
 
     def clock(self, params: Params) -> Params:
         """Return parameters with the rate of the IMU's clock."""
         drift = self.settings.get(DRIFT)
-        return (
-            params if drift is None else put(params, "mounting.clock_drift", params.mounting.clock_drift + drift * PPM)
-        )
+        if drift is None:
+            return params
+        return put(params, "mounting.clock_drift", params.mounting.clock_drift + float(drift) * PPM)
 
 
 def correct(rec: Recording, kept: Sequence[str] = ()) -> Corrections:
-    """Check a recording and apply the offset and the rate of the IMU's clock that IMU and fixes speak for.
+    """Check a recording and apply what IMU and fixes speak for.
 
-    Right-handed axes of both sensors need no correction, since the alignment finds any attitude. A fault of one sensor
-    is none that can be corrected with confidence: it stays a finding.
+    Axes: z up, where gravity and the turns of gyro z agree. The alignment finds any attitude, so that other
+    right-handed axes need no setting. A fault of one sensor cannot be corrected with confidence: it stays a finding.
 
     Args:
         rec: the recording.
-        kept: settings that are the user's, and stay as they are.
+        kept: settings that are the user's, and stay as they are: "data.options.axes", "data.options.time_shift_s",
+            "mounting.clock_drift_ppm".
 
     Returns:
-        The recording with the IMU's times shifted onto the fixes', and what was found.
+        The recording in body axes, with the IMU's times shifted onto the fixes', and what was found.
     """
     found = checkup(rec)
-    settings, applied = {}, []
-    offset = _value(found, "time.offset", kept)
-    if offset is not None:
-        offset = round(offset, 2)
-        rec = rec._replace(imu=rec.imu._replace(t=rec.imu.t + offset))
-        settings[OFFSET] = offset
-        applied.append(finding("solve.applied", OFFSET, offset, why=_message(found, "time.offset")))
+    settings, applied = dict[str, float | str](), list[Finding]()
+    up = [f for f in found if f.code == "axes.gravity" and f.subject == "z" and (f.value or 0.0) > 0.0]
+    if up and AXES not in kept and turns_against_course(rec):
+        rec, settings[AXES] = turned(rec, UP), UP
+        applied.append(finding("solve.axes", AXES, axes=UP, why=up[0].message))
         found = checkup(rec)
-    drift = _value(found, "time.drift", kept)
-    if drift is not None:
-        settings[DRIFT] = round(drift)
-        applied.append(
-            finding("solve.applied", DRIFT, round(drift), why=_message(found, "time.drift"), unit_text="ppm")
-        )
-    done = {code for code, setting in CORRECTED.items() if setting in settings}
-    return Corrections(rec, settings, [f for f in found if f.code not in done], applied)
+    offset = _first(found, "time.offset")
+    if offset is not None and OFFSET not in kept:
+        shift = round(float(offset.value or 0.0), 2)
+        rec, settings[OFFSET] = rec._replace(imu=rec.imu._replace(t=rec.imu.t + shift)), shift
+        applied.append(finding("solve.applied", OFFSET, shift, why=offset.message))
+        found = checkup(rec)
+    drift = _first(found, "time.drift")
+    if drift is not None and DRIFT not in kept:
+        settings[DRIFT] = float(round(drift.value or 0.0))
+        applied.append(finding("solve.applied", DRIFT, float(round(drift.value or 0.0)), why=drift.message))
+        found = [f for f in found if f is not drift]
+    return Corrections(rec, settings, found, applied)
 
 
-def _value(found: Sequence[Finding], code: str, kept: Sequence[str]) -> float | None:
-    """Return the value of a finding, None where there is none or its setting is the user's."""
-    values = [f.value for f in found if f.code == code and CORRECTED[code] not in kept]
-    return values[0] if values else None
+def turned(rec: Recording, axes: str) -> Recording:
+    """Return the recording with the sensors' axes turned to the body's."""
+    turn = rotation(axes)
+    imu, aiding = rec.imu._replace(gyro=rec.imu.gyro @ turn.T, accel=rec.imu.accel @ turn.T), dict(rec.aiding)
+    if "magnetometer" in aiding:
+        aiding["magnetometer"] = aiding["magnetometer"]._replace(value=aiding["magnetometer"].value @ turn.T)
+    return rec._replace(imu=imu, aiding=aiding)
 
 
-def _message(found: Sequence[Finding], code: str) -> str:
-    return next(f.message for f in found if f.code == code)
+def _first(found: Sequence[Finding], code: str) -> Finding | None:
+    return next((f for f in found if f.code == code), None)

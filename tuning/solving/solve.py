@@ -23,7 +23,7 @@ from tuning.recordings.parts import parts_of, plan, window_of, windows_of
 from tuning.recordings.recorded import scan, tune
 from tuning.recordings.report import Tuned
 from tuning.solving.calibration import Calibration, calibrate
-from tuning.solving.corrections import correct
+from tuning.solving.corrections import Corrections, correct
 from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 from tuning.solving.sensors import Tried, choose, finding_of, options, standing_of
 from tuning.solving.stages import Stage, Stages
@@ -47,7 +47,7 @@ class Solved:
     verdict: str  # "consistent", "usable with care", "not usable"
     why: str  # in one line
     findings: list[Finding]
-    settings: dict[str, float]  # that the check of the recording established
+    settings: dict[str, float | str]  # that the check of the recording established
     standing: Standing
     tried: list[Tried]  # measurements
     tuned: Tuned | None  # None where nothing was tuned
@@ -86,7 +86,7 @@ def solve(
     smooth: bool = True,
     initialization: Callable[[Recording, Params], Initialization] = initialize,
     stop: float | None = None,
-    kept: Sequence[str] = (),
+    check: Callable[[Recording], Corrections] = correct,
     log: Callable[[str], None] = lambda line: None,
 ) -> Solved:
     """Find the best trajectory of a recording, without settings and without truth.
@@ -103,7 +103,7 @@ def solve(
         smooth: each epoch by all fixes, past and future.
         initialization: makes the initialization of a recording and parameters.
         stop: s, end of the data.
-        kept: settings that stay as they are: of `tuning.solving.corrections.CORRECTED`.
+        check: checks and corrects the recording, such as ``partial(tuning.solving.corrections.correct, kept=...)``.
         log: called with a line on each step.
 
     Raises:
@@ -114,7 +114,7 @@ def solve(
         raise DataError(f"{rec.name}: has no positions, so that no filter can be run on it")
     stages = Stages([CHECK, NOISE, SCORES, TUNE, CALIBRATE, WHOLE], log)
     stages.next()
-    checked = correct(rec, kept)
+    checked = check(rec)
     rec, standing = checked.recording, standing_of(checked.found)
     names = [m.name for m in GNSS if m.name in rec.aiding]
     filt = build("ekf15", names, COV_STRIDE)
@@ -185,7 +185,12 @@ def _without_faults(bench: Bench, plain: dict[str, Scored]) -> tuple[Bench, dict
 
 
 def _short(
-    filt: Filter, params: Params, bench: Bench, smooth: bool, settings: dict[str, float], findings: Sequence[Finding]
+    filt: Filter,
+    params: Params,
+    bench: Bench,
+    smooth: bool,
+    settings: dict[str, float | str],
+    findings: Sequence[Finding],
 ) -> Solved:
     """Solve a recording that is too short for windows in every part: noise by likelihood, no test."""
     sol = navigate(

@@ -1,6 +1,7 @@
 """`jaxnav solve`: the best trajectory of a recording, its files and its verdict."""
 
 import time
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -22,12 +23,13 @@ from jaxnav.io.json import write_json
 from jaxnav.io.toml import to_toml
 from jaxnav.maths.units import DEG
 from jaxnav.states.table import BIASES
-from jaxnav.types import Params
+from jaxnav.types import Params, Recording
 from tuning.fit.status import Status
-from tuning.solving.corrections import DRIFT, OFFSET
+from tuning.solving.corrections import AXES, DRIFT, OFFSET, Corrections, correct
 from tuning.solving.hidden import COV_STRIDE
 from tuning.solving.solve import CARE, CONSISTENT, UNUSABLE, Solved, solve
 
+OPTIONS = "data.options."
 COLORS = {CONSISTENT: "good", CARE: "care", UNUSABLE: "bad"}
 
 
@@ -46,7 +48,7 @@ def run(config: Config, folder: Path, fast: bool, progress: bool) -> Outcome:
     log = partial(timed, begin) if progress else lambda line: None
     found = solve(
         rec, partial(datasheet, config), fast=fast, initialization=partial(initialization_of, config),
-        stop=config.data.stop, kept=kept(config), log=log,
+        stop=config.data.stop, check=partial(corrected, config), log=log,
     )  # fmt: skip
     seconds["solve"], begin = time.perf_counter() - begin, time.perf_counter()
     sol, again = found.solution, reproducing(config, found)
@@ -79,10 +81,18 @@ def timed(begin: float, line: str) -> None:
     stderr(f"{time.perf_counter() - begin:6.1f} s  {line}")
 
 
-def kept(config: Config) -> list[str]:
-    """Return the settings of the clock that the user states."""
-    stated = [OFFSET] if "time_shift_s" in config.data.options else []
-    return stated + ([DRIFT] if config.mounting.clock_drift_ppm is not None else [])
+def corrected(config: Config, rec: Recording) -> Corrections:
+    """Check the recording, and read it again with the settings that this establishes; the user's settings stay."""
+    kept = [name for name in (AXES, OFFSET) if name.removeprefix(OPTIONS) in config.data.options]
+    found = correct(rec, kept + ([DRIFT] if config.mounting.clock_drift_ppm is not None else []))
+    again = with_options(config, found.settings)
+    return found if again == config else found._replace(recording=load(again))
+
+
+def with_options(config: Config, settings: Mapping[str, float | str]) -> Config:
+    """Return the configuration with the settings of the reader among ``settings``."""
+    own = {name.removeprefix(OPTIONS): value for name, value in settings.items() if name.startswith(OPTIONS)}
+    return changed(config, {"data.options": {**config.data.options, **own}})
 
 
 def datasheet(config: Config, filt: Filter) -> Params:
@@ -102,10 +112,7 @@ def reproducing(config: Config, found: Solved) -> Config:
         cov_stride=COV_STRIDE, smooth=sol.smoothed, sd_factor=sol.sd_factor,
         standing_accel_sd_mps2=standing.accel_sd, standing_gyro_sd_deg_per_s=standing.gyro_sd / DEG,
     )  # fmt: skip
-    options = dict(config.data.options)
-    if OFFSET in found.settings:
-        options["time_shift_s"] = float(options.get("time_shift_s", 0.0)) + found.settings[OFFSET]
-    return changed(config, values | {"filter": chosen, "data.options": options})
+    return changed(with_options(config, found.settings), values | {"filter": chosen})
 
 
 def parameters(config: Config, found: Solved) -> str:

@@ -14,7 +14,7 @@ from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import DataError, Samples
 from tuning.solving import corrections, solve
 from tuning.solving.calibration import Calibration, Consistency
-from tuning.solving.corrections import DRIFT, OFFSET, correct
+from tuning.solving.corrections import AXES, DRIFT, OFFSET, correct, turned
 from tuning.solving.sensors import Option, growth, larger, options, standing_of
 
 
@@ -38,10 +38,21 @@ def test_leap_seconds_are_taken_out_and_the_setting_is_named(drive):
     assert "time.offset" not in {f.code for f in found.found}
 
 
+def test_an_imu_with_z_up_is_turned_where_both_sensors_say_so(drive):
+    up = turned(drive, "flu")
+    found = correct(up)
+    assert found.settings == {AXES: "flu"} and found.applied[0].code == "solve.axes"
+    np.testing.assert_allclose(found.recording.imu.accel, drive.imu.accel)
+    np.testing.assert_allclose(found.recording.imu.gyro, drive.imu.gyro)
+    assert correct(up, (AXES,)).settings == {}
+    one = drive._replace(imu=drive.imu._replace(accel=up.imu.accel))  # the accelerometer alone
+    assert AXES not in correct(one).settings
+
+
 def test_a_setting_of_the_user_stays(drive, monkeypatch):
     said = [finding("time.offset", "x", 18.0, was=9.0, then=1.0, gain=99.0, cause="leap seconds"),
             finding("time.drift", "velocity", 250.0, sd=20.0)]  # fmt: skip
-    monkeypatch.setattr(corrections, "checkup", lambda rec: said)
+    monkeypatch.setattr(corrections, "checkup", lambda rec: list(said))
     kept = correct(drive, (OFFSET, DRIFT))
     assert kept.settings == {} and kept.recording is drive and kept.found == said
     found = correct(drive, (OFFSET,))

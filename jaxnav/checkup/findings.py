@@ -450,7 +450,7 @@ KINDS: dict[str, Kind] = {
     ),
     "solve.axes": Kind(
         INFO,
-        '{subject} = "{axes}" is applied: {why}; gyro z turns against the course',
+        '{subject} = "{axes}" is applied: {why}; the gyros agree',
         (),
         ("set {subject} to keep other axes",),
     ),

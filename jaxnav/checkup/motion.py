@@ -89,19 +89,9 @@ def correlation(x: Turns, axis: int, lag: int) -> float:
 
 def turns_with_course(rec: Recording) -> bool:
     """Whether gyro z turns as the course does, read within a second of it: it points down then."""
-    return max(_course_correlations(rec)) > SAME_CORRELATION
-
-
-def turns_against_course(rec: Recording) -> bool:
-    """Whether gyro z turns against the course: it points up then."""
-    return min(_course_correlations(rec)) < -SAME_CORRELATION
-
-
-def _course_correlations(rec: Recording) -> list[float]:
-    """Of the course's rate with gyro z, read within a second of it; 0 where there are no turns."""
     x = turns_of(rec)
     most = 0 if x is None else min(round(1.0 / STEP_S), x.t.size // 2)
-    return [0.0] if x is None else [correlation(x, 2, lag) for lag in range(-most, most + 1)]
+    return x is not None and max(correlation(x, 2, lag) for lag in range(-most, most + 1)) > SAME_CORRELATION
 
 
 def lags_of(rec: Recording) -> list[tuple[float, int]]:
@@ -164,6 +154,19 @@ def windows_of(rec: Recording, v: Samples) -> list[tuple[float, float]]:
 def alignments(rec: Recording, v: Samples) -> list[tuple[tuple[float, float], Alignment]]:
     """Return the alignments in windows all along a recording; ``v``: its velocities (`level_velocity`)."""
     return [(w, a) for w in windows_of(rec, v) if (a := aligned(rec, w)) is not None]
+
+
+def both_point_up(rec: Recording) -> bool:
+    """Whether both sensors have z up, where gravity says so: the fixes speak against a wrong sign of the accelerometer.
+
+    A gyro z that turns with the course points down.
+    """
+    if turns_with_course(rec):
+        return False
+    sign = Change("accel.sign", "accel", "the accelerometer has the wrong sign", accel=-np.eye(3))
+    other = changed(thinned(rec), sign)
+    v = level_velocity(other.aiding)
+    return v is not None and best(other, alignments(other, v), [sign]) is not None
 
 
 def misfit(rec: Recording) -> float:

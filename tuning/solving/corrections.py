@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
-from jaxnav.checkup.motion import turns_against_course
+from jaxnav.checkup.motion import both_point_up
 from jaxnav.filters.parameters import put
 from jaxnav.maths.axes import rotation
 from jaxnav.maths.units import PPM
@@ -34,7 +34,7 @@ class Corrections(NamedTuple):
 def correct(rec: Recording, kept: Sequence[str] = ()) -> Corrections:
     """Check a recording and apply what IMU and fixes speak for.
 
-    Axes: z up, where gravity and the turns of gyro z agree. The alignment finds any attitude, so that other
+    Axes: z up, where both sensors agree in that. The alignment finds any attitude, so that other
     right-handed axes need no setting. A fault of one sensor cannot be corrected with confidence: it stays a finding.
 
     Args:
@@ -48,7 +48,7 @@ def correct(rec: Recording, kept: Sequence[str] = ()) -> Corrections:
     found = checkup(rec)
     settings, applied = dict[str, float | str](), list[Finding]()
     up = [f for f in found if f.code == "axes.gravity" and f.subject == "z" and (f.value or 0.0) > 0.0]
-    if up and AXES not in kept and turns_against_course(rec):
+    if up and AXES not in kept and both_point_up(rec):
         rec, settings[AXES] = turned(rec, UP), UP
         applied.append(finding("solve.axes", AXES, axes=UP, why=up[0].message))
         found = checkup(rec)

@@ -89,9 +89,14 @@ def correlation(x: Turns, axis: int, lag: int) -> float:
 
 def turns_with_course(rec: Recording) -> bool:
     """Whether gyro z turns as the course does, read within a second of it: it points down then."""
+    return max(_correlations(rec)) > SAME_CORRELATION
+
+
+def _correlations(rec: Recording) -> list[float]:
+    """Of the course's rate with gyro z, read within a second of it; 0 where there are no turns."""
     x = turns_of(rec)
     most = 0 if x is None else min(round(1.0 / STEP_S), x.t.size // 2)
-    return x is not None and max(correlation(x, 2, lag) for lag in range(-most, most + 1)) > SAME_CORRELATION
+    return [0.0] if x is None else [correlation(x, 2, lag) for lag in range(-most, most + 1)]
 
 
 def lags_of(rec: Recording) -> list[tuple[float, int]]:
@@ -157,12 +162,14 @@ def alignments(rec: Recording, v: Samples) -> list[tuple[tuple[float, float], Al
 
 
 def both_point_up(rec: Recording) -> bool:
-    """Whether both sensors have z up, where gravity says so: the fixes speak against a wrong sign of the accelerometer.
+    """Whether the gyros have z up where gravity says so of the accelerometer.
 
-    A gyro z that turns with the course points down.
+    By turns against the course; where they are not clear, the fixes must speak against another sign of the
+    accelerometer.
     """
-    if turns_with_course(rec):
-        return False
+    near = _correlations(rec)
+    if max(map(abs, near)) > SAME_CORRELATION:
+        return min(near) < -SAME_CORRELATION and max(near) < SAME_CORRELATION
     sign = Change("accel.sign", "accel", "the accelerometer has the wrong sign", accel=-np.eye(3))
     other = changed(thinned(rec), sign)
     v = level_velocity(other.aiding)

@@ -21,16 +21,16 @@ class Stages:
     def __init__(
         self, stages: Sequence[Stage], log: Callable[[str], None], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.stages, self.log, self.clock, self.begun, self.done = list(stages), log, clock, clock(), 0
+        self.stages, self.log, self.clock, self.started, self.done = list(stages), log, clock, clock(), 0
 
     def replace(self, stages: Sequence[Stage]) -> None:
-        """Replace the stages that are not begun."""
+        """Replace the stages that have not started."""
         self.stages[self.done :] = stages
 
     def next(self) -> None:
         """Begin the next stage."""
         weights = [stage.weight for stage in self.stages]
-        before, spent = sum(weights[: self.done]), self.clock() - self.begun
+        before, spent = sum(weights[: self.done]), self.clock() - self.started
         left = f", about {spent * sum(weights[self.done :]) / before:.0f} s left" if before else ""
         self.log(f"{self.done + 1} of {len(self.stages)}: {self.stages[self.done].name}{left}")
         self.done += 1

@@ -87,6 +87,7 @@ class Fix(NamedTuple):
     sd: jax.Array  # (m,) standard deviation: ENU m or m/s for GNSS
     corr: jax.Array  # (m,) correlation of channel i with the next channel of its block of three (cyclic: EN, NU, UE)
     valid: jax.Array  # (m,) bool
+    auxiliary: Any = {}  # (s, a) by measurement: finite values of its channels that its model reads; of one: (s, a)
 
 
 class Epoch(NamedTuple):
@@ -238,6 +239,8 @@ class Samples(NamedTuple):
     value: np.ndarray  # (K, s)
     sd: np.ndarray  # (K, s), > 0
     corr: np.ndarray  # (K, s), see `Fix.corr`; zeros where the axes are independent
+    valid: np.ndarray | None = None  # (K, s) bool, channels that are there; None: all
+    auxiliary: np.ndarray | None = None  # (K, s, a), see `Fix.auxiliary`; None where the measurement has none
 
 
 class Track(NamedTuple):

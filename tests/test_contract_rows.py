@@ -1,4 +1,7 @@
-"""What every row of STATES and MEASUREMENTS owes every frame: the tables are iterated, nothing is named here."""
+"""What every row of STATES and MEASUREMENTS owes every frame: the tables are iterated, nothing is named here.
+
+Those of satellites, which need auxiliary values: tests/measurements/test_satellites.py.
+"""
 
 from functools import cache, partial
 
@@ -24,8 +27,9 @@ from jaxnav.states.table import BIASES, chosen, zeros
 from jaxnav.types import Epoch, Fix, Imu, Nav, Params
 from tuning.fit.objectives import innovation_nll
 
-ALL = tuple(MEASUREMENTS.values())
-MORE = tuple(name for name in STATES if name not in BIASES)
+ALL = tuple(each for each in MEASUREMENTS.values() if not each.auxiliary)
+OF_SATELLITES = {name for each in MEASUREMENTS.values() for name in each.needs}
+MORE = tuple(name for name in STATES if name not in {*BIASES, *OF_SATELLITES})
 EVERY = (*BIASES, *MORE)
 #: errors as of a fix: their third order is negligible and their first stands clear of rounding in latitude
 MOTION_SIZES = np.repeat([3.0, 0.3, 1e-3], 3)

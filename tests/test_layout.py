@@ -11,8 +11,8 @@ import jaxnav
 
 ROOT = Path(__file__).parents[1] / "jaxnav"
 ORDER = (
-    "types", "maths", "states", "strapdown", "measurements", "filters", "initialization", "checkup", "io", "simulate",
-    "analysis", "navigation", "stream", "app",
+    "types", "maths", "states", "strapdown", "measurements", "gnss", "filters", "initialization", "checkup", "io",
+    "simulate", "analysis", "navigation", "stream", "app",
 )  # fmt: skip
 
 

@@ -7,12 +7,13 @@ import numpy as np
 
 from benchmarks.common import options, write_json
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.epochs import sample_rows
 from jaxnav.maths.units import DEG
 from jaxnav.navigation import navigate
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_runs, to_recording
-from jaxnav.types import ImuLog, Recording, Samples
+from jaxnav.types import ImuLog, Recording
 
 LENGTHS, BEGINS = (1.0, 3.0, 20.0, 60.0, 200.0), (150.0, 220.0, 333.0)  # s
 BEHIND = (1.0, 5.0, 10.0, 20.0, 30.0, 60.0)  # s
@@ -22,7 +23,7 @@ SECONDS, RATE_HZ = 600.0, 50.0
 def paused(rec: Recording, begin: float, end: float) -> Recording:
     """Return a recording without the data of a pause."""
     keep = lambda t: (t <= begin) | (t > end)
-    aiding = {name: Samples(*(a[keep(s.t)] for a in s)) for name, s in rec.aiding.items()}
+    aiding = {name: sample_rows(s, keep(s.t)) for name, s in rec.aiding.items()}
     return rec._replace(imu=ImuLog(*(a[keep(rec.imu.t)] for a in rec.imu)), aiding=aiding)
 
 

@@ -70,9 +70,9 @@ def _default(section: str, name: str, value: Any) -> Any:
 def _words(kind: type, section: str, name: str, said: dict[tuple[str, str], str]) -> str:
     """Return the remark next to a field, or the text of its row; with its limits."""
     if section == "states":
-        return ", ".join(STATES[name].axes) + ("; by the datasheet of filter.grade" if name in BIASES else "")
+        return _listed(STATES[name].axes) + ("; by the datasheet of filter.grade" if name in BIASES else "")
     if section == "measurements":
-        return ", ".join(MEASUREMENTS[name].channels)
+        return _listed(MEASUREMENTS[name].channels)
     words = said.get((kind.__name__, name), "")
     unit = UNITS.get(KEYS.get(f"{section}.{name}", ""))
     if unit is not None:
@@ -80,6 +80,11 @@ def _words(kind: type, section: str, name: str, said: dict[tuple[str, str], str]
         words = ", ".join(part for part in (unit.text, many if unit.shape else "one number") if part)
     low_high = config.LIMITS.get(f"{section}.{name}")
     return words + ("" if low_high is None else f" ({low_high[0]:g} to {low_high[1]:g})").lstrip("" if words else " ")
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    """``east, north, up``; of many the first and the last."""
+    return ", ".join(names) if len(names) < 10 else f"{names[0]} to {names[-1]}"
 
 
 def _remarks() -> dict[tuple[str, str], str]:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from jaxnav.filters.epochs import sample_rows
 from jaxnav.initialization import alignment
 from jaxnav.initialization.alignment import Alignment, AlignmentPrior, DifferencedFixes, align
 from jaxnav.maths import earth
@@ -121,9 +122,7 @@ def thinned(rec: Recording) -> Recording:
     dt = np.add.reduceat(imu.dt, first)
     mean = lambda a: np.add.reduceat(a * imu.dt[:, None], first) / dt[:, None]
     log = ImuLog(imu.t[np.append(first[1:], imu.t.size) - 1], dt, mean(imu.gyro), mean(imu.accel))
-    fixes = {
-        n: Samples(*(a[:: every(rec.aiding[n].t, FIX_RATE_HZ)] for a in rec.aiding[n])) for n in FIXES & set(rec.aiding)
-    }
+    fixes = {n: sample_rows(s, slice(None, None, every(s.t, FIX_RATE_HZ))) for n, s in rec.aiding.items() if n in FIXES}
     return rec._replace(imu=log, aiding=rec.aiding | fixes)
 
 

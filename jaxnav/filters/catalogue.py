@@ -20,6 +20,7 @@ from jaxnav.filters.rules.combinators import only
 from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.rules.receiver import receiver, receiver_params
 from jaxnav.filters.rules.robust import BLOCK, gate, gate_params, huber, huber_params, student_t, student_t_params
+from jaxnav.filters.rules.satellites import gate_satellites
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, layout
 from jaxnav.states.grades import Grade
 from jaxnav.states.table import BIASES
@@ -164,8 +165,8 @@ def build(
 ) -> Filter:
     """Return a filter of the catalogue.
 
-    A paper's rule is applied to the receiver's channels, a gate to every measurement with data; the others get a Kalman
-    update after it.
+    A paper's rule is applied to the receiver's fixes, a gate to every measurement with data; the others get a Kalman
+    update after it. States that a measurement needs, as pseudoranges a receiver clock, are added.
 
     >>> build("ekf15", measurements=("position", "velocity", "barometer"), states=("barometer_bias",)).model.states
     ('gyro_bias', 'accel_bias', 'barometer_bias')
@@ -191,6 +192,8 @@ def build(
     if frame not in FRAMES:
         raise ValueError(f"no frame {frame!r}; known are {', '.join(FRAMES)}")
     chosen = rows(measurements)
+    needed = dict.fromkeys(state for each in chosen for state in each.needs)
+    states = (*states, *(state for state in needed if state not in (*entry.states, *states)))
     if states and not entry.accepts_extra_states:
         raise ValueError(f"{name} has the states of its paper, not {', '.join(states)}: use ekf9 or ekf15")
     others = [not each.receiver for each in chosen]
@@ -209,13 +212,26 @@ def build(
 
 
 def _rule(entry: Entry, chosen: tuple[Measurement, ...]) -> Rule:
-    """Return the entry's rule on the receiver's channels; the others get a Kalman update."""
+    """Return the entry's rule, behind a gate of satellites where there are any."""
+    rule, ranges = _rule_of_fixes(entry, chosen), [bool(each.auxiliary) for each in chosen]
+    if not any(ranges):
+        return rule
+    return gate_satellites(rule, tuple(np.flatnonzero(np.repeat(ranges, [each.size for each in chosen])).tolist()))
+
+
+def _rule_of_fixes(entry: Entry, chosen: tuple[Measurement, ...]) -> Rule:
+    """Return the entry's rule on the receiver's fixes; the others get a Kalman update."""
     if entry.needs_receiver_slices:
         places = {name: s for name, s in layout(chosen).items() if name in ("position", "velocity")}
         if "position" not in places:
             raise ValueError(f"a rule that watches the receiver needs its position, not {[m.name for m in chosen]}")
         return entry.rule(places["position"].start, places["velocity"].start if "velocity" in places else None)
-    seen = [each.receiver or (entry.gates_all_measurements and bool(each.columns)) for each in chosen]
+    seen = [not each.auxiliary and (each.receiver or (entry.gates_all_measurements and bool(each.columns)))
+            for each in chosen]  # fmt: skip
+    if not any(seen):
+        if entry.rule is kalman or entry.gates_all_measurements:
+            return kalman()
+        raise ValueError(f"the rule is for fixes, and none is in {[m.name for m in chosen]}: use ekf15 or ekf15_gate")
     sizes = tuple(each.size for each, see in zip(chosen, seen, strict=True) if see)
     rule = entry.rule(sizes) if entry.gates_all_measurements and set(sizes) != {BLOCK} else entry.rule()
     if all(seen) or rule is kalman():

@@ -20,7 +20,7 @@ from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.rule import Correction, Feedback, Innovation, Rule, Transition, only_if, select
 from jaxnav.maths import linalg
 from jaxnav.states.motion import A, reset_covariance, reset_rows
-from jaxnav.states.table import BIASES, chosen, zeros
+from jaxnav.states.table import BIASES, chosen, layout, zeros
 from jaxnav.strapdown.mechanization import Preintegrate, Propagate
 from jaxnav.types import Epoch, Fix, Forcing, Imu, Info, Nav, Noise, Params
 
@@ -111,7 +111,7 @@ def _depending_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple
 def without_nan(fix: Fix) -> Fix:
     """Return a fix with finite numbers in missing channels: a masked nan still makes the gradient nan."""
     filled = lambda a, value: jnp.where(fix.valid | jnp.isfinite(a), a, value)
-    return Fix(filled(fix.value, 1.0), filled(fix.sd, 1.0), filled(fix.corr, 0.0), fix.valid)
+    return fix._replace(value=filled(fix.value, 1.0), sd=filled(fix.sd, 1.0), corr=filled(fix.corr, 0.0))
 
 
 def masked(y: jax.Array, H: jax.Array, R: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -254,7 +254,22 @@ def make_filter(
         return transition(params, state, imu)[0]
 
     def correct(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info]:
+        if model.restart:
+            state, _ = restarted(params, state, Transition(state.P, state.P, state.x), fix)
         return corrected(params, state, fix)[:2]
+
+    places = layout(chosen(model.states))
+
+    def restarted(params: Params, state: FilterState, moved: Transition, fix: Fix) -> tuple[FilterState, Transition]:
+        """Return the predicted state, and the transition to it, where states of new channels restart."""
+        assert model.restart is not None
+        new, sd = model.restart(params, fix)
+        kept, prior = jnp.where(new, 0.0, 1.0), jnp.diag(jnp.where(new, sd**2, 0.0))
+        only_kept = lambda M: kept[:, None] * M * kept + prior
+        errors = {name: state.past.errors[name] * kept[place] for name, place in places.items()}
+        past = state.past._replace(errors=state.past.errors | errors)
+        state = state._replace(past=past, x=kept * state.x, P=only_kept(state.P))
+        return state, Transition(kept[:, None] * moved.Phi, only_kept(moved.Q), kept * moved.d)
 
     def corrected(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info, jax.Array]:
         nav, age = jax.tree.map(lambda a: a[-1], state.past), state.age + state.T
@@ -300,6 +315,8 @@ def make_filter(
         if model.reads:
             state = state._replace(past=with_auxiliary(state.past, epoch.auxiliary))
         predicted, moved = transition(params._replace(noise=noise), state, epoch.imu)
+        if model.restart:
+            predicted, moved = restarted(params, predicted, moved, epoch.fix)
         new, info, x_after = corrected(params, predicted, epoch.fix)
         # a run that fails freezes at its last good state, so that the others of a batch go on and nothing is nan
         frozen = state._replace(ok=jnp.array(False))

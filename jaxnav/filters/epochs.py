@@ -40,6 +40,12 @@ def require_double(name: str, value: np.ndarray) -> None:
         raise DataError(f"position: latitude and longitude must be float64, got {dtype}, which has steps of 0.8 m")
 
 
+def sample_rows(samples: Samples, rows: np.ndarray | slice) -> Samples:
+    """Return some rows of a stream, by a mask (K,), indices or a slice."""
+    more = (None if a is None else a[rows] for a in (samples.valid, samples.auxiliary))
+    return Samples(samples.t[rows], samples.value[rows], samples.sd[rows], samples.corr[rows], *more)
+
+
 def cut_times(
     imu: ImuLog, aiding: dict[str, Samples], interval: float, start: float | None = None, stop: float | None = None
 ) -> np.ndarray:
@@ -103,7 +109,7 @@ def pack(
         DataError: a stream that no measurement uses, of another shape, unsorted, not finite, with an sd <= 0 or in
             degrees; a fix between the given ``cuts``; or too many epochs.
     """
-    slices = layout(measurements)
+    slices, by_name = layout(measurements), {m.name: m for m in measurements}
     auxiliary = {name: s for name, s in aiding.items() if name in AUXILIARY}
     aiding = {name: s for name, s in aiding.items() if name not in auxiliary}
     for name in aiding:
@@ -111,7 +117,7 @@ def pack(
             raise DataError(f"no measurement of the filter takes {name!r}: {nearest(name, slices)}")
     _check_imu(imu)
     for name, stream in aiding.items():
-        _check_samples(name, stream, slices[name].stop - slices[name].start)
+        _check_samples(name, stream, slices[name].stop - slices[name].start, by_name[name].auxiliary)
     for name, stream in auxiliary.items():
         _check_samples(name, stream, 1)
     if not (np.isfinite(interval) and interval > 0):
@@ -120,7 +126,7 @@ def pack(
     cuts = cut_times(imu, aiding, interval, start, stop) if cuts is None else cuts
     begin = float(imu.t[0] - imu.dt[0] if start is None else start)
     samples = cut_imu(imu, begin, cuts)
-    fix = _align_fixes(aiding, slices, sum(m.size for m in measurements), begin, cuts)
+    fix = _align_fixes(aiding, measurements, begin, cuts)
     gap = gap_noise(holes, begin, cuts) if holes.begin.size else None
     epochs = Epoch(Imu(*(jnp.asarray(a, float) for a in samples)), fix, gap, _held(auxiliary, cuts))
     return Packed(epochs, cuts, begin)
@@ -139,14 +145,19 @@ def _check_imu(imu: ImuLog) -> None:
         raise DataError(f"imu: dt must be > 0, is {imu.dt.min():g} at t = {imu.t[int(imu.dt.argmin())]:.3f} s")
 
 
-def _check_samples(name: str, s: Samples, size: int) -> None:
+def _check_samples(name: str, s: Samples, size: int, auxiliary: tuple[str, ...] = ()) -> None:
     """Raise DataError for a stream that a filter cannot use."""
     K = np.shape(s.t)[0] if np.ndim(s.t) == 1 else -1
     for field in ("value", "sd", "corr"):
         if np.shape(getattr(s, field)) != (K, size):
             raise DataError(f"{name}: {field} must be {(K, size)}, got {np.shape(getattr(s, field))}")
+    if s.valid is not None and np.shape(s.valid) != (K, size):
+        raise DataError(f"{name}: valid must be {(K, size)}, got {np.shape(s.valid)}")
+    more = np.zeros((K, size, 0)) if s.auxiliary is None else s.auxiliary
+    if np.shape(more) != (K, size, len(auxiliary)):
+        raise DataError(f"{name}: auxiliary must be {(K, size, len(auxiliary))}, got {np.shape(more)}")
     require_double(name, s.value)
-    _check_rows(name, s.t, *s[1:])
+    _check_rows(name, s.t, s.value, s.sd, s.corr, more)
     if not np.all(s.sd > 0):
         raise DataError(f"{name}: sd must be > 0, is {s.sd.min():g} at t = {s.t[int(s.sd.min(1).argmin())]:.3f} s")
     if name == "position" and K and np.abs(s.value[:, :2]).max() > 2 * np.pi:
@@ -201,8 +212,11 @@ def gap_noise(holes: gaps.Holes, start: float, cuts: np.ndarray) -> jnp.ndarray:
     return jnp.asarray(np.sqrt(density))
 
 
-def _align_fixes(aiding: dict[str, Samples], slices: dict[str, slice], m: int, start: float, cuts: np.ndarray) -> Fix:
-    E = cuts.size
+def _align_fixes(
+    aiding: dict[str, Samples], measurements: tuple[Measurement, ...], start: float, cuts: np.ndarray
+) -> Fix:
+    E, m, slices = cuts.size, sum(each.size for each in measurements), layout(measurements)
+    auxiliary = {each.name: np.zeros((E, each.size, len(each.auxiliary))) for each in measurements if each.auxiliary}
     value, sd = np.zeros((E, m)), np.ones((E, m))
     corr, valid = np.zeros((E, m)), np.zeros((E, m), bool)
     for name, s in aiding.items():
@@ -214,8 +228,11 @@ def _align_fixes(aiding: dict[str, Samples], slices: dict[str, slice], m: int, s
         rows = where[hit]
         for field, data in ((value, s.value), (sd, s.sd), (corr, s.corr)):
             field[rows, slices[name]] = data[hit]
-        valid[rows, slices[name]] = True
-    return Fix(jnp.asarray(value, float), jnp.asarray(sd, float), jnp.asarray(corr, float), jnp.asarray(valid))
+        valid[rows, slices[name]] = True if s.valid is None else s.valid[hit]
+        if name in auxiliary and s.auxiliary is not None:
+            auxiliary[name][rows] = s.auxiliary[hit]
+    fix = Fix(jnp.asarray(value, float), jnp.asarray(sd, float), jnp.asarray(corr, float), jnp.asarray(valid))
+    return fix._replace(auxiliary={name: jnp.asarray(a, float) for name, a in auxiliary.items()})
 
 
 @jax.jit
@@ -261,7 +278,9 @@ def pad_epochs(epochs: Epoch, size: int, samples: int) -> Epoch:
     wide = lambda a: rows(np.concatenate([a, np.repeat(a[:, -1:], longer, 1)], 1))
     nothing = lambda a, *n: np.pad(a, [(0, k) for k in n] + [(0, 0)] * (a.ndim - len(n)))
     imu = jax.tree.map(wide, epochs.imu)._replace(dt=nothing(epochs.imu.dt, more, longer))
-    fix = jax.tree.map(rows, epochs.fix)._replace(valid=nothing(epochs.fix.valid, more))
+    fix = jax.tree.map(rows, epochs.fix)._replace(
+        valid=nothing(epochs.fix.valid, more), auxiliary={k: nothing(a, more) for k, a in epochs.fix.auxiliary.items()}
+    )
     gap = None if epochs.gap is None else nothing(epochs.gap, more)
     return Epoch(imu, fix, gap, {name: rows(a) for name, a in epochs.auxiliary.items()})
 
@@ -336,7 +355,7 @@ def pack_recording(
         ConfigError: a detector of standstills that takes a drive for one.
     """
     names = {m.name for m in measurements}
-    carried = {m.name for m in measurements if m.columns}
+    carried = {m.name for m in measurements if m.has_data}
     for name in sorted(carried - set(rec.aiding) - {"velocity"}):
         raise DataError(f"{rec.name}: has no stream {name}, which the filter takes")
     aiding = {name: s for name, s in rec.aiding.items() if name in carried or name in AUXILIARY}

@@ -21,7 +21,7 @@ from jaxnav.strapdown import inertial_quaternion, tangent_frame
 from jaxnav.strapdown.errors import inertial_quaternion as inertial_errors
 from jaxnav.strapdown.errors import local_level as local_level_errors
 from jaxnav.strapdown.errors import tangent_frame as tangent_errors
-from jaxnav.types import ErrorInputs, Forcing, Nav, Params, nearest
+from jaxnav.types import ErrorInputs, Fix, Forcing, Nav, Params, nearest
 
 
 class Dynamics(Protocol):
@@ -84,6 +84,11 @@ class ErrorModel(NamedTuple):
     # (past (w, ...), x (n,) at its end) -> x (w, n) at each of its samples
     earlier: Callable[[Nav, jax.Array], jax.Array]
     reads: tuple[str, ...] = ()  # auxiliary values that its states' effects depend on
+    # (params, fix) -> which states restart before the fix, (n,) bool, and their sd then, (n,); None: never
+    restart: Callable[[Params, Fix], tuple[jax.Array, jax.Array]] | None = None
+    auxiliary: tuple[
+        tuple[str, int, int], ...
+    ] = ()  # measurements with auxiliary values, their channels, values of each
 
 
 def _same(nav: Nav) -> Nav:
@@ -188,11 +193,22 @@ def error_model(
 
         return jax.vmap(sample)(past)
 
+    renewed = [(m.name, name) for m in measurements for name in m.restarts if name in slices]
+
+    def restart(params: Params, fix: Fix) -> tuple[jax.Array, jax.Array]:
+        new, sd = jnp.zeros(n, bool), jnp.zeros(n)
+        for measurement, name in renewed:
+            place = slices[name]
+            new = new.at[place].set(fix.auxiliary[measurement][:, -1] > 0)
+            sd = sd.at[place].set(params.states[name].sd)
+        return new, sd
+
     return ErrorModel(
         states, tuple(m.name for m in measurements), n, sum(m.size for m in measurements),
         retract, absorb, covariance, transition, with_second_order if form == "full" else None,
         stack(measurements, rows, motion.leave, motion.enu_rows),
         motion.enter or _same, report, earlier, tuple(sorted({name for s in rows for name in s.reads})),
+        restart if renewed else None, tuple((m.name, m.size, len(m.auxiliary)) for m in measurements if m.auxiliary),
     )  # fmt: skip
 
 

@@ -50,7 +50,10 @@ def require_shapes(filt: Filter, nav: Nav, epochs: Epoch) -> None:
         "nav.vel": (nav.vel, (3,)),
         "nav.q": (nav.q, (4,)),
     }
-    expected |= {f"epochs.fix.{name}": (leaf, (E, m)) for name, leaf in fix._asdict().items()}
+    channels = {name: leaf for name, leaf in fix._asdict().items() if name != "auxiliary"}
+    expected |= {f"epochs.fix.{name}": (leaf, (E, m)) for name, leaf in channels.items()}
+    for name, size, values in filt.model.auxiliary:
+        expected[f"epochs.fix.auxiliary[{name!r}]"] = (fix.auxiliary.get(name, np.zeros(0)), (E, size, values))
     expected |= {f"epochs.auxiliary.{name}": (leaf, (E,)) for name, leaf in epochs.auxiliary.items()}
     if isinstance(imu, Imu):
         sizes = {"dt": (E, None), "gyro": (E, None, 3), "accel": (E, None, 3)}

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial.transform import Rotation
 
+from jaxnav.filters.epochs import sample_rows
 from jaxnav.filters.gaps import TICK
 from jaxnav.maths import earth
 from jaxnav.maths.interpolation import running
@@ -133,7 +134,7 @@ def align(
 def within_margin(fixes: Samples, begin: float, end: float) -> Samples:
     """Return the fixes that keep `MAX_DELAY_S` from both ends, for a delay; thinned to `MAX_ALIGNMENT_FIXES`."""
     rows = np.flatnonzero((fixes.t >= begin + MAX_DELAY_S) & (fixes.t <= end - MAX_DELAY_S))
-    return Samples(*(a[rows[:: max(1, -(-rows.size // MAX_ALIGNMENT_FIXES))]] for a in fixes))
+    return sample_rows(fixes, rows[:: max(1, -(-rows.size // MAX_ALIGNMENT_FIXES))])
 
 
 # ---------------------------------------------------------------------------- differences of the fixes

@@ -278,7 +278,7 @@ def aligned(rec: Recording, params: Params, begin: float, end: float) -> Alignme
             continue
         fixes = rec.aiding[name]
         offset = _clock_offset(rec, params, 0.5 * (begin + end))
-        fixes = fixes._replace(t=fixes.t - offset - float(params.measurements[name].latency))
+        fixes = fixes._replace(t=fixes.t - offset - latency_of(params, name))
         found = align(rec.imu, fixes, name == "position", lla, begin, end, prior, np.asarray(params.mounting.lever_arm))
         if found is not None and (best is None or (found.chi2 < best.chi2 and found.sd[2] < 2 * best.sd[2])):
             best = found
@@ -358,6 +358,11 @@ def _clock_offset(rec: Recording, known: Params, t: float) -> float:
     return float(known.mounting.time_offset) + float(known.mounting.clock_drift) * (t - halfway(rec))
 
 
+def latency_of(params: Params, name: str) -> float:
+    """Return the latency, s, of a measurement; 0 where the filter has none of that name."""
+    return float(getattr(params.measurements.get(name), "latency", 0.0))
+
+
 def ground_velocity(rec: Recording) -> Samples:
     """Return the stream of velocities, or differences of the positions where there is none."""
     return rec.aiding.get("velocity") or _differences(rec.aiding["position"])
@@ -425,6 +430,6 @@ def _first_fix(
         raise DataError(f"position: no fix after {begin:.3f} s to start from")
     t = float(position.t[i])
     j = int(np.argmin(np.abs(velocity.t - t)))
-    late = _clock_offset(rec, known, t) + float(known.measurements["position"].latency)
+    late = _clock_offset(rec, known, t) + latency_of(known, "position")
     lla = _moved(position.value[i], late * velocity.value[j])
     return t, np.asarray(lla), velocity.value[j], (np.hypot(position.sd[i], 0.5), np.hypot(velocity.sd[j], 0.3))

@@ -11,9 +11,9 @@ from jaxnav.checkup.shared import EMPTY
 from jaxnav.io import missing, polling
 from jaxnav.io.checks import check_recording, uncertainty
 from jaxnav.io.files import MAX_VALUE, Source
-from jaxnav.io.gps_time import GPS_EPOCH, WEEK, week_shift
 from jaxnav.io.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Parts, Stream, TimeScale
 from jaxnav.maths.axes import rotation
+from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, week_shift
 from jaxnav.measurements import AUXILIARY, with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples
 
@@ -260,6 +260,7 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]
     if none.any():
         notes.append(f"{name}: {none.sum()} of {len(t)} rows have no value, or a mark for none, and are left out.")
     t, value, given, corr = t[~none], value[~none], given[~none], corr[~none]
+    rows = np.flatnonzero(~none)
     if not len(t):
         notes.append(f"{name}: {EMPTY} of {len(none)}.")
         return None
@@ -296,7 +297,8 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]
     again = np.mean(np.all(value[keep][1:] == value[keep][:-1], axis=1)) if keep.sum() > 1 else 0.0
     if again > 0.2 and name in ("position", "velocity"):
         notes.append(f"{name}: {100 * again:.0f} % of the rows repeat the row before: standing, or polled?")
-    return Samples(t[keep], value[keep], given[keep], corr[keep])
+    valid, auxiliary = (None if a is None else a[rows[keep]] for a in (stream.valid, stream.auxiliary))
+    return Samples(t[keep], value[keep], given[keep], corr[keep], valid, auxiliary)
 
 
 def _with_heights(value: np.ndarray, sd: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:

@@ -38,6 +38,8 @@ class Stream(NamedTuple):
     value: np.ndarray  # (K, s) as in `jaxnav.types.Samples`: lat, lon rad, h m; ENU m/s; m/s; m; uT; rad
     sd: np.ndarray | None = None  # (K, s), position and velocity ENU; None where the file has none
     corr: np.ndarray | None = None  # (K, s); None where the axes are independent
+    valid: np.ndarray | None = None  # (K, s) bool; None: all
+    auxiliary: np.ndarray | None = None  # (K, s, a), as in `jaxnav.types.Samples`
     turns: bool = False  # a vector in the axes of the IMU, to be turned into the body's with it
     scale: TimeScale = TimeScale.UNKNOWN
 

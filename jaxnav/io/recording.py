@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxnav.filters.epochs import require_double
+from jaxnav.filters.epochs import require_double, sample_rows
 from jaxnav.io.checks import check_recording
 from jaxnav.measurements import with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track, nearest
@@ -73,7 +73,8 @@ def _imu(imu: ImuLog | Sequence[ArrayLike]) -> ImuLog:
 def _samples(name: str, data: Any, size: int) -> Samples:
     if isinstance(data, Samples):
         require_double(name, data.value)
-        return _unmasked(Samples(*(_filled(a) for a in data)), *data)
+        numbers = Samples(_filled(data.t), _filled(data.value), _filled(data.sd), _filled(data.corr), *data[4:])
+        return _unmasked(numbers, *data[:4])
     if len(data) not in (3, 4):
         raise DataError(f"{name}: expected (t, value, sd) or (t, value, sd, corr), got {len(data)} arrays")
     require_double(name, data[1])
@@ -101,4 +102,4 @@ def _unmasked(samples: Samples, *given: Any) -> Samples:
     for a in given:
         if np.ma.isMaskedArray(a) and np.ndim(a):
             keep &= ~np.ma.getmaskarray(a).reshape(len(a), -1).any(axis=1)
-    return Samples(*(a[keep] for a in samples))
+    return sample_rows(samples, keep)

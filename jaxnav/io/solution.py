@@ -11,8 +11,8 @@ from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.files import FilePath, atomic_write, format_csv
 from jaxnav.io.formats.kfgins import write_kfgins_nav
 from jaxnav.io.formats.rtklib import write_pos
-from jaxnav.io.gps_time import GPS_EPOCH
 from jaxnav.maths.axes import lla_to_local
+from jaxnav.maths.gps_time import GPS_EPOCH
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Samples, Track
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from jaxnav.checkup.motion import MAX_CHI2_PER_DOF, misfit
 from jaxnav.io import mend
-from jaxnav.io.gps_time import leap_seconds
 from jaxnav.io.parts import Parts, TimeScale
+from jaxnav.maths.gps_time import leap_seconds
 from jaxnav.types import Recording
 
 FIRST, LAST = 3e8, 4e9  # s since 1970 that are a date, about 1980 to 2096

@@ -4,7 +4,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 
@@ -56,6 +55,20 @@ def _square_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[ja
     return square(*primals), half + half.T
 
 
+UNROLLED = 12  # rows, above which a loop sweeps: the program of 28 unrolled ones compiles for minutes
+
+
+def _sweep(k: jax.Array | int, S: jax.Array, log_det: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Sweep row k of S (m, m)."""
+    diagonal = jnp.arange(S.shape[0]) == k
+    pivot = jnp.where(S[k, k] > 0, S[k, k], jnp.nan)
+    row = S[k] / pivot
+    rest = S - S[:, k, None] * row
+    here, row_k, column_k = diagonal[:, None] & diagonal, diagonal[:, None], diagonal
+    S = jnp.where(here, -1 / pivot, jnp.where(row_k, row, jnp.where(column_k, row[:, None], rest)))
+    return S, log_det + jnp.log(pivot)
+
+
 @jax.custom_jvp
 def _swept(S: jax.Array) -> tuple[jax.Array, jax.Array]:
     """S^-1 (m, m) and log |S| () of a covariance, by sweeping one row after the other (Goodnight 1979).
@@ -64,14 +77,11 @@ def _swept(S: jax.Array) -> tuple[jax.Array, jax.Array]:
     same time may wait for each other for ever on a machine of two processors (jaxlib 0.10).
     """
     m, log_det = S.shape[0], jnp.zeros((), S.dtype)
-    for k in range(m):
-        diagonal = np.arange(m) == k
-        pivot = jnp.where(S[k, k] > 0, S[k, k], jnp.nan)
-        row = S[k] / pivot
-        rest = S - S[:, k, None] * row
-        here, row_k, column_k = diagonal[:, None] & diagonal, diagonal[:, None], diagonal
-        S = jnp.where(here, -1 / pivot, jnp.where(row_k, row, jnp.where(column_k, row[:, None], rest)))
-        log_det += jnp.log(pivot)
+    if m > UNROLLED:
+        S, log_det = lax.fori_loop(0, m, lambda k, swept: _sweep(k, *swept), (S, log_det))
+    else:
+        for k in range(m):
+            S, log_det = _sweep(k, S, log_det)
     return -S, log_det
 
 

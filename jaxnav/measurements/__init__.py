@@ -8,6 +8,7 @@ from jaxnav.measurements.gnss import POSITION, VELOCITY
 from jaxnav.measurements.ground import RANGEFINDER
 from jaxnav.measurements.magnetometer import MAGNETOMETER
 from jaxnav.measurements.measurement import Measurement, clock_offset, counted_from, layout
+from jaxnav.measurements.satellites import PSEUDORANGE, RANGE_RATE
 from jaxnav.measurements.standstill import ZERO_RATE, ZERO_VELOCITY
 from jaxnav.measurements.vehicle import LEVEL, NONHOLONOMIC, SPEED, WHEELS
 
@@ -16,6 +17,8 @@ MEASUREMENTS: dict[str, Measurement] = {
     for each in (
         POSITION,
         VELOCITY,
+        PSEUDORANGE,
+        RANGE_RATE,
         ZERO_VELOCITY,
         ZERO_RATE,
         NONHOLONOMIC,
@@ -42,6 +45,6 @@ def with_data() -> dict[str, Measurement | Auxiliary]:
 
 
 __all__ = [
-    "AUXILIARY", "BAROMETER", "GNSS", "MEASUREMENTS", "NONHOLONOMIC", "POSITION", "SPEED", "VELOCITY", "ZERO_RATE",
-    "ZERO_VELOCITY", "Measurement", "clock_offset", "counted_from", "layout", "with_data",
+    "AUXILIARY", "BAROMETER", "GNSS", "MEASUREMENTS", "NONHOLONOMIC", "POSITION", "PSEUDORANGE", "RANGE_RATE", "SPEED",
+    "VELOCITY", "ZERO_RATE", "ZERO_VELOCITY", "Measurement", "clock_offset", "counted_from", "layout", "with_data",
 ]  # fmt: skip

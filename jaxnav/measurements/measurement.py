@@ -68,11 +68,21 @@ class Measurement(NamedTuple):
     columns: tuple[Column, ...] = ()  # of its values in files, one a channel; () for a constraint without data
     correlated: bool = False  # its files may state the correlations of three axes
     reported: tuple[str, ...] = ()  # names of its channels in reports, in their order; () is as ``channels``
+    auxiliary: tuple[
+        str, ...
+    ] = ()  # values of each channel that its model reads; its channels are then tested one by one
+    needs: tuple[str, ...] = ()  # optional states that a filter with it has
+    restarts: tuple[str, ...] = ()  # states of its channels that restart where the last auxiliary value is 1
 
     @property
     def size(self) -> int:
         """How many channels it has."""
         return len(self.channels)
+
+    @property
+    def has_data(self) -> bool:
+        """Has it a stream in a recording? A constraint has none."""
+        return bool(self.columns or self.auxiliary)
 
 
 def clock_offset(mounting: Mounting, nav: Nav) -> jax.Array:
@@ -94,6 +104,11 @@ def layout(measurements: Iterable[Measurement]) -> dict[str, slice]:
     measurements = tuple(measurements)
     stops = np.cumsum([m.size for m in measurements]).tolist()
     return {m.name: slice(stop - m.size, stop) for m, stop in zip(measurements, stops, strict=True)}
+
+
+def part_of(fix: Fix, name: str, place: slice) -> Fix:
+    """Return the channels ``place`` of a fix, with the auxiliary values of measurement ``name``."""
+    return Fix(fix.value[place], fix.sd[place], fix.corr[place], fix.valid[place], fix.auxiliary.get(name))
 
 
 def at(past: Nav, t: jax.Array) -> Nav:
@@ -183,6 +198,7 @@ def stack(
     """
     slices = layout(measurements)
     m = sum(each.size for each in measurements)
+    rates = [s for s in states if s.rate_of in {other.name for other in states}]
     # of attitude and the optional states, the ones with an effect that turns with the attitude
     in_body = np.concatenate([np.ones(3), *(np.full(s.size, float(s.enters is not None)) for s in states)])
 
@@ -199,7 +215,7 @@ def stack(
         mounting = params.mounting._replace(time_offset=offset)
         for each in measurements:
             theta = params.measurements[each.name]
-            part = Fix(*(leaf[slices[each.name]] for leaf in fix))
+            part = part_of(fix, each.name, slices[each.name])
             age = offset + getattr(theta, "latency", 0.0)
             clock = each.receiver and "clock_offset" in now.errors
             if clock:
@@ -217,6 +233,12 @@ def stack(
             if clock:
                 slope = jax.jvp(lambda age: seen(age)[2].y, (age,), (jnp.ones_like(age),))[1]
                 o = o._replace(rows=o.rows | {"clock_offset": slope[:, None]})
+            for rate in rates:  # the state that it is the rate of was less at the measurement's time
+                if (row := o.rows.get(rate.rate_of)) is not None:
+                    o = o._replace(
+                        y=o.y - age * row @ now.errors[rate.name],
+                        rows=o.rows | {rate.name: o.rows.get(rate.name, 0.0) - age * row},
+                    )
             H = rows_of(o, nav, states)
             B = latency.error_then(latency.interval(local, local_now, age), states)
             H = H[:, :9] @ B + jnp.concatenate([jnp.zeros((each.size, 9)), H[:, 9:]], 1)

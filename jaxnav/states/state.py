@@ -34,6 +34,7 @@ class State(NamedTuple):
     defaults: StateParams  # plain numbers, used where no datasheet gives a value
     units: StateParams  # of `Unit`: how each leaf is stated at the border
     reads: tuple[str, ...] = ()  # auxiliary values, by name of `jaxnav.measurements.auxiliary.AUXILIARY`
+    rate_of: str = ""  # the state that grows by this one per second, where a filter has both
 
     @property
     def size(self) -> int:

@@ -13,6 +13,7 @@ from jaxnav.states.gnss_position_error import GNSS_POSITION_ERROR
 from jaxnav.states.installation import CLOCK_OFFSET, LEVER_ARM_ERROR, ODOMETER_SCALE, VEHICLE_AXES
 from jaxnav.states.misalignment import ACCEL_MISALIGNMENT, GYRO_MISALIGNMENT
 from jaxnav.states.motion import MOTION
+from jaxnav.states.receiver_clock import INTER_SYSTEM_BIAS, RANGE_ERROR, RECEIVER_CLOCK_BIAS, RECEIVER_CLOCK_DRIFT
 from jaxnav.states.scale_factors import ACCEL_SCALE, GYRO_SCALE
 from jaxnav.states.state import State
 from jaxnav.states.surroundings import DECLINATION_ERROR, GROUND_HEIGHT, MAGNETOMETER_BIAS, WIND
@@ -38,6 +39,10 @@ STATES: dict[str, State] = {
         DECLINATION_ERROR,
         WIND,
         GROUND_HEIGHT,
+        RECEIVER_CLOCK_BIAS,
+        RECEIVER_CLOCK_DRIFT,
+        INTER_SYSTEM_BIAS,
+        RANGE_ERROR,
     )
 }
 BIASES = ("gyro_bias", "accel_bias")

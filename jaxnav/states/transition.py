@@ -2,9 +2,10 @@
 
     p' = v,   v' = A(f) phi + B C M_a(f_b) s + u_a,   phi' = G C M_g(w_b) s + u_g,   s' = -s / tau + white noise
 
-and the slow rest (Coriolis, transport, gravity). f is specific force in the axes of the frame, C takes the body to
-them, s are the optional states (`jaxnav.states.STATES`), M their effect on the sensors' readings, u an observer's
-forcing. B and G stand before C in the frame's blocks: -1, but for the inertial frame's axes.
+and the slow rest (Coriolis, transport, gravity); a state may be the rate of another one. f is specific force in the
+axes of the frame, C takes the body to them, s are the optional states (`jaxnav.states.STATES`), M their effect on the
+sensors' readings, u an observer's forcing. B and G stand before C in the frame's blocks: -1, but for the inertial
+frame's axes.
 """
 
 from collections.abc import Callable, Sequence
@@ -110,13 +111,31 @@ def discretize(
     each = [params.states[s.name] for s in states]
     tau = jnp.concatenate([jnp.broadcast_to(p.tau, (s.size,)) for p, s in zip(each, states, strict=True)])
     lost = -jnp.expm1(-0.5 * total / tau)  # in half an epoch
-    kept, clear_stale = 1 - lost, lost * jnp.concatenate([point.nav.errors[s.name] for s in states])
+    held = jnp.concatenate([point.nav.errors[s.name] for s in states])
+    kept, clear_stale = 1 - lost, lost * held
     E = _entered(maps, sums, points, states)
     slow_E, kept_W = linalg.times(slow, E), jnp.zeros((kept.size, W.shape[1]))
     moved, driven = _driven(E, kept, each, states, total)
-    W = jnp.block([[W, *(linalg.times(slow, root) for root in moved)], [kept_W, *(driven for _ in moved)]])
-    Phi = jnp.block([[Phi, slow_E * kept], [jnp.zeros((kept.size, 9)), jnp.diag(kept * kept)]])
-    return Phi, linalg.square(W), jnp.concatenate([d + slow_E @ clear_stale, (1 + kept) * clear_stale])
+    among, stale, later = jnp.diag(kept * kept), (1 + kept) * clear_stale, [driven for _ in moved]
+    if (rates := _rates(states)).any():
+        growth = total * kept[:, None] * rates * kept
+        among, stale = among + growth, stale - growth @ held
+        later = [driven + total * (0.5 + 0.5 * at) * rates @ driven for at in GAUSS2]
+    W = jnp.block([[W, *(linalg.times(slow, root) for root in moved)], [kept_W, *later]])
+    Phi = jnp.block([[Phi, slow_E * kept], [jnp.zeros((kept.size, 9)), among]])
+    return Phi, linalg.square(W), jnp.concatenate([d + slow_E @ clear_stale, stale])
+
+
+def _rates(states: Sequence[State]) -> np.ndarray:
+    """Return (k, k): 1 in the row of a state that grows by another one, in the column of that one."""
+    stops = np.cumsum([s.size for s in states]).tolist()
+    starts = {s.name: stop - s.size for s, stop in zip(states, stops, strict=True)}
+    found = np.zeros((stops[-1], stops[-1]))
+    for s in states:
+        if s.rate_of in starts:
+            i = np.arange(s.size)
+            found[starts[s.rate_of] + i, starts[s.name] + i] = 1.0
+    return found
 
 
 def _blocks(dynamics: Callable[[ErrorInputs], Blocks], point: ErrorInputs) -> tuple[Maps, Blocks]:

@@ -23,7 +23,7 @@ needs_field = pytest.mark.skipif(not FIELD.is_dir(), reason="needs JAXNAV_DATA_D
 def until(rec: Recording, seconds: float) -> Recording:
     """Return the first ``seconds`` of a recording's fixes."""
     last = rec.imu.t[0] + seconds
-    first = lambda samples: type(samples)(*(a[samples.t <= last] for a in samples))
+    first = lambda log: type(log)(*(None if a is None else a[log.t <= last] for a in log))
     return rec._replace(aiding={name: first(samples) for name, samples in rec.aiding.items()})
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from jaxnav.io.formats.novatel import IMUS, crc32
-from jaxnav.io.gps_time import GPS_EPOCH, WEEK
 from jaxnav.io.read import read, recognise
+from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 

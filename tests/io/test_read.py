@@ -10,10 +10,10 @@ import pytest
 from jaxnav import io
 from jaxnav.io import mend
 from jaxnav.io import read as reading
-from jaxnav.io.gps_time import GPS_EPOCH, WEEK
 from jaxnav.io.parts import ImuRows, Parts, Stream
 from jaxnav.io.read import Reader, read, read_parts, recognise
 from jaxnav.maths.axes import euler, lla_to_local, local_to_lla, rotation
+from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.rotations import from_rph, to_dcm
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Track

@@ -70,7 +70,8 @@ def test_gradients_are_finite_where_there_is_no_direction(name, rph):
     row, nav = MEASUREMENTS[name], initial_nav([0.8, 0.1, 100.0], rph=rph)
     nav = nav._replace(errors={each: jnp.zeros(STATES[each].size) for each in row.states})
     size = row.size
-    fix = Fix(jnp.zeros(size), jnp.ones(size), jnp.zeros(size), jnp.zeros(size, bool))
+    nothing = jnp.zeros((size, len(row.auxiliary)))
+    fix = Fix(jnp.zeros(size), jnp.ones(size), jnp.zeros(size), jnp.zeros(size, bool), nothing)
 
     def total(theta, nav):
         kin = Kinematics(nav.pos, nav.vel, rotations.to_dcm(nav.q))

@@ -41,7 +41,7 @@ from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.types import ConfigError, DataError, Finding, Info, Params, Recording, Samples
+from jaxnav.types import ConfigError, DataError, Finding, Info, Params, Recording
 from tuning.fit.status import Status
 from tuning.recordings.choice import choose
 from tuning.recordings.evidence import SLOW, Job, predicted
@@ -290,7 +290,7 @@ def initialized(scan: NoiseScan, used: Used, rec: Recording) -> Params:
     params, found = scan.applied(used.datasheet), used.initialization.alignment
     if not scan.fixes and found is not None and abs(found.delay) > KNOWN_DELAY_SIGMAS * found.sd[9]:
         params = put(params, DELAY, params.mounting.time_offset + found.delay)
-    early = {name: Samples(*(a[s.t <= used.layout.train] for a in s)) for name, s in rec.aiding.items()}
+    early = {name: ep.sample_rows(s, s.t <= used.layout.train) for name, s in rec.aiding.items()}
     late = [f.value for f in velocity(rec._replace(aiding=early)) if f.code == "velocity.latency"]
     if late and "velocity" in params.measurements:
         params = put(params, VELOCITY_DELAY, params.measurements["velocity"].latency + late[0])

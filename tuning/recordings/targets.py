@@ -15,8 +15,8 @@ from jaxnav.filters.run import track
 from jaxnav.initialization.initialize import Initialization
 from jaxnav.io import atomic_write
 from jaxnav.io.formats.kfgins import write_kfgins_gnss, write_kfgins_imu
-from jaxnav.io.gps_time import WEEK
 from jaxnav.maths import units
+from jaxnav.maths.gps_time import WEEK
 from jaxnav.types import DataError, ImuLog, Params, Recording, Samples
 from tuning.recordings import export
 

@@ -11,6 +11,12 @@ from jaxnav.filters.rule import Correction, Innovation, Rule, only_if
 from jaxnav.filters.rules import kalman
 
 
+def channels_of(z: Innovation, channels: np.ndarray) -> Innovation:
+    """Return some channels (k,) of an innovation."""
+    R = z.R[np.ix_(channels, channels)]
+    return z._replace(nu=z.nu[channels], H=z.H[channels], R=R, valid=z.valid[channels], age=z.age[channels])
+
+
 @cache
 def only(rule: Rule, channels: tuple[int, ...]) -> Rule:
     """``rule`` sees these channels, the others get a plain Kalman update after it.
@@ -22,10 +28,9 @@ def only(rule: Rule, channels: tuple[int, ...]) -> Rule:
 
     def correct(theta: Any, memory: Any, z: Innovation) -> Correction:
         other = np.setdiff1d(np.arange(z.nu.size), seen)
-        part = z._replace(nu=z.nu[seen], H=z.H[seen], R=z.R[np.ix_(seen, seen)], valid=z.valid[seen], age=z.age[seen])
+        part, rest = channels_of(z, seen), channels_of(z, other)
         c = only_if(part.valid.any(), rule.correct(theta, memory, part), part, memory)
-        rest = z._replace(nu=z.nu[other] - z.H[other] @ c.delta, H=z.H[other], R=z.R[np.ix_(other, other)], P=c.P)
-        k = kalman.correct((), (), rest._replace(valid=z.valid[other]))
+        k = kalman.correct((), (), rest._replace(nu=rest.nu - rest.H @ c.delta, P=c.P))
         used = jnp.zeros_like(z.valid).at[seen].set(c.used).at[other].set(k.used)
         return c._replace(delta=c.delta + k.delta, P=k.P, used=used)
 

@@ -11,9 +11,9 @@ import numpy as np
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.clock_rate import at_gps_rate
 from jaxnav.io.files import read_bytes
-from jaxnav.io.gps_time import WEEK
 from jaxnav.io.parts import ImuRows, Parts, Stream, with_fixes
 from jaxnav.io.units import UNITS
+from jaxnav.maths.gps_time import WEEK
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 

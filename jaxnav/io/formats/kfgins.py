@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxnav.io.checks import check_imu, check_samples, check_track, increments_to_means, ned_to_enu, steps
 from jaxnav.io.files import FilePath, Source, atomic_write, read_columns
-from jaxnav.io.gps_time import WEEK, unrolled
+from jaxnav.maths.gps_time import WEEK, unrolled
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, ImuLog, Samples, Track
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxnav.io import gps_time
 from jaxnav.io.files import read_bytes
 from jaxnav.io.missing import UNMEASURED_SD
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
 from jaxnav.io.units import UNITS
+from jaxnav.maths import gps_time
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from jaxnav.io.files import read_bytes
-from jaxnav.io.gps_time import GPS_EPOCH, WEEK
 from jaxnav.io.parts import INCREMENTS, ImuRows, Parts, Stream, TimeScale, scaled
 from jaxnav.io.units import nearest
+from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG, MG
 from jaxnav.types import DataError, Track
 

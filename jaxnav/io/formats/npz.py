@@ -18,13 +18,20 @@ def read_npz(path: FilePath) -> Recording:
     file = os.fspath(path)
     arrays = _arrays(file)
     streams = sorted({key.split("/")[1] for key in arrays if key.startswith("aiding/") and key.count("/") == 2})
-    aiding = {name: Samples(*_group(arrays, f"aiding/{name}", Samples._fields, file)) for name in streams}
+    aiding = {name: _samples(arrays, f"aiding/{name}", file) for name in streams}
     imu = ImuLog(*_group(arrays, "imu", ImuLog._fields, file))
     has_truth = any(key.startswith("truth/") for key in arrays)
     truth = Track(*_group(arrays, "truth", Track._fields, file)) if has_truth else None
     name, notes = (str(arrays.get(key, "")) for key in ("name", "notes"))
     (lever_arm,) = _group(arrays, "", ("lever_arm",), file)
     return Recording(name or file, imu, aiding, truth, lever_arm, notes)
+
+
+def _samples(arrays: dict[str, np.ndarray], group: str, file: str) -> Samples:
+    """Return a stream, of which ``valid`` and ``auxiliary`` may be left out."""
+    valid = arrays.get(f"{group}/valid")
+    t, value, sd, corr = _group(arrays, group, Samples._fields[:4], file)
+    return Samples(t, value, sd, corr, None if valid is None else valid > 0, arrays.get(f"{group}/auxiliary"))
 
 
 def write_npz(path: FilePath, rec: Recording) -> None:
@@ -34,7 +41,8 @@ def write_npz(path: FilePath, rec: Recording) -> None:
         raise DataError(f"{os.fspath(path)}: expected stream names of letters, digits and _")
     if rec.truth is not None:
         groups["truth"] = rec.truth
-    arrays = {f"{group}/{field}": array for group, data in groups.items() for field, array in data._asdict().items()}
+    arrays = {f"{group}/{field}": array for group, data in groups.items()
+              for field, array in data._asdict().items() if array is not None}  # fmt: skip
     arrays |= {"lever_arm": rec.lever_arm, "name": np.array(rec.name), "notes": np.array(rec.notes)}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
@@ -65,7 +73,7 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, file: str) -> np.n
         if version not in read:
             raise DataError(f"{file}: {member.filename}: expected .npy version 1 or 2, got {version}")
         shape, _, dtype = read[version](stream)
-        if dtype.kind not in "fU" or math.prod(shape) * dtype.itemsize > member.file_size:
+        if dtype.kind not in "fUb" or math.prod(shape) * dtype.itemsize > member.file_size:
             raise DataError(f"{file}: {member.filename}: expected floats or text, got {dtype} of shape {shape}")
         if dtype.kind == "f" and dtype.itemsize < 8:  # 0.4 m of latitude, and of time 0.06 s after a week
             raise DataError(f"{file}: {member.filename}: expected float64, got {dtype}: the digits are already lost")

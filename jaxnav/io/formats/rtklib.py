@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxnav.io.checks import check_samples
 from jaxnav.io.files import FilePath, Source, Table, atomic_write, parse_numbers, read_bytes, read_lines
-from jaxnav.io.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.maths.axes import enu_to_ecef, geodetic, local_to_lla
+from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Samples
 

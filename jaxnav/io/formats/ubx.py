@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.files import read_bytes
-from jaxnav.io.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
+from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 

@@ -1,0 +1,1 @@
+"""Raw GNSS on the host: orbits, atmosphere, corrected ranges, single-point solutions."""

@@ -1,0 +1,143 @@
+"""From observations and ephemerides to corrected ranges: satellite clock, flight, Earth rotation, atmosphere."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.gnss.atmosphere import klobuchar, saastamoinen
+from jaxnav.gnss.orbits import HALF_STEP, Ephemeris, chosen, state, turned
+from jaxnav.gnss.ranges import LIGHT, Ranges, epochs, rows_of, streams, without_clock
+from jaxnav.gnss.single_point import SinglePoint, geodetic, single_point
+from jaxnav.maths.earth import RATE
+from jaxnav.maths.gps_time import GPS_EPOCH
+from jaxnav.types import DataError, Samples
+
+
+class Observations(NamedTuple):
+    """Rows of a receiver, one a satellite and epoch, first frequency."""
+
+    t: np.ndarray  # (N,) s GPS since 1970, the receiver's stamp
+    satellite: np.ndarray  # (N,) int, `jaxnav.gnss.ranges.number`
+    pseudorange: np.ndarray  # (N,) m
+    range_rate: np.ndarray  # (N,) m/s, -wavelength times Doppler; nan where there is none
+    cn0: np.ndarray  # (N,) dB-Hz
+
+
+class Ionosphere(NamedTuple):
+    """Broadcast coefficients of `klobuchar`."""
+
+    alpha: np.ndarray  # (4,)
+    beta: np.ndarray  # (4,)
+
+
+class Masks(NamedTuple):
+    """Satellites that are left out."""
+
+    elevation_deg: float = 10.0  # below it
+    cn0_dbhz: float = 25.0  # below it
+
+
+def sight(position: np.ndarray, receiver: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return azimuth, elevation (N,) rad of satellites, and the receiver's latitude and longitude (N,) rad."""
+    lat, lon, _ = geodetic(receiver).T
+    off = position - receiver
+    east = -np.sin(lon) * off[:, 0] + np.cos(lon) * off[:, 1]
+    level = np.cos(lon) * off[:, 0] + np.sin(lon) * off[:, 1]
+    north = -np.sin(lat) * level + np.cos(lat) * off[:, 2]
+    up = np.cos(lat) * level + np.sin(lat) * off[:, 2]
+    return np.arctan2(east, north), np.arctan2(up, np.hypot(east, north)), lat, lon
+
+
+def at_reception(
+    eph: Ephemeris, t: np.ndarray, pseudorange: np.ndarray, receiver: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return satellites (N, 3) m in the axes of the time of reception, and their clock errors (N,) s.
+
+    A signal left at ``t - pseudorange / c`` by the satellite's clock, whatever the receiver's clock is off. The Earth
+    turns during distance / c; without a ``receiver`` (N, 3) m that is pseudorange / c, which its clock makes wrong.
+    """
+    emitted = t - pseudorange / LIGHT
+    _, clock = state(eph, emitted)
+    position, clock = state(eph, emitted - clock)
+    flight = pseudorange if receiver is None else np.linalg.norm(position - receiver, axis=1)
+    return turned(position, RATE * flight / LIGHT), clock
+
+
+def corrected(
+    seen: Observations, eph: Ephemeris, receiver: np.ndarray | None, ionosphere: Ionosphere | None = None
+) -> Ranges:
+    """Return corrected ranges of the observations that have a valid ephemeris.
+
+    Args:
+        seen: rows of the receiver.
+        eph: columns (K,) of ephemerides.
+        receiver: (N, 3) m, ECEF, approximate, of each row; None: not known, so that elevations are 90 deg and the
+            atmosphere stays.
+        ionosphere: coefficients; None leaves the ionosphere in.
+    """
+    own = chosen(eph, seen.satellite, seen.t)
+    known = own >= 0
+    seen = Observations(*(a[known] for a in seen))
+    receiver = None if receiver is None else receiver[known]
+    eph = Ephemeris(*(a[own[known]] for a in eph))
+    rate = np.where(np.isfinite(seen.range_rate), seen.range_rate, 0.0)
+    steps = [at_reception(eph, seen.t + h, seen.pseudorange + h * rate, receiver) for h in (0.0, -HALF_STEP, HALF_STEP)]
+    (position, clock), (before, clock_before), (after, clock_after) = steps
+    pseudorange = seen.pseudorange + LIGHT * clock
+    range_rate = seen.range_rate + LIGHT * (clock_after - clock_before) / (2 * HALF_STEP)
+    elevation = np.full(seen.t.size, math.pi / 2)
+    if receiver is not None:
+        azimuth, elevation, lat, lon = sight(position, receiver)
+        pseudorange = pseudorange - saastamoinen(lat, geodetic(receiver)[:, 2], elevation)
+        if ionosphere is not None:
+            tow = seen.t - GPS_EPOCH
+            pseudorange = pseudorange - klobuchar(*ionosphere, lat, lon, azimuth, elevation, tow)
+    velocity = (after - before) / (2 * HALF_STEP)
+    return Ranges(seen.t, seen.satellite, pseudorange, range_rate, position, velocity, elevation, seen.cn0)
+
+
+def solved(
+    seen: Observations, eph: Ephemeris, ionosphere: Ionosphere | None = None, masks: Masks = Masks()
+) -> tuple[Ranges, SinglePoint]:
+    """Return corrected ranges above the masks, and the single-point solution by them.
+
+    Raises:
+        DataError: no epoch with a solution.
+    """
+    order = np.lexsort((seen.satellite, seen.t))
+    seen = Observations(*(a[order] for a in seen))
+    seen = Observations(*(a[np.isfinite(seen.pseudorange) & (seen.cn0 >= masks.cn0_dbhz)] for a in seen))
+    found = single_point(corrected(seen, eph, None))
+    if not found.t.size:
+        raise DataError("no epoch has satellites enough with valid ephemerides for a single-point solution")
+    for _ in range(2):
+        nearest = np.abs(seen.t[:, None] - found.t).argmin(1) if found.t.size < 2 else _nearest(found.t, seen.t)
+        ranges = corrected(seen, eph, found.position[nearest], ionosphere)
+        ranges = rows_of(ranges, ranges.elevation >= math.radians(masks.elevation_deg))
+        found = single_point(ranges)
+        if not found.t.size:
+            raise DataError(f"no epoch has satellites enough above {masks.elevation_deg:g} deg for a solution")
+    return ranges, found
+
+
+def _nearest(times: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Return the index of the nearest of sorted ``times`` (E,) for each of t (N,)."""
+    i = np.clip(np.searchsorted(times, t), 1, times.size - 1)
+    return np.where(t - times[i - 1] <= times[i] - t, i - 1, i)
+
+
+def aiding_of(ranges: Ranges, found: SinglePoint) -> tuple[dict[str, Samples], tuple[str, ...]]:
+    """Return the streams of a recording and notes: ranges and rates, and position and velocity by single points.
+
+    Times are those of reception, the receiver's stamps less its clock's error.
+    """
+    ranges, note = without_clock(ranges, found.t, found.clock)
+    times, of = epochs(ranges.t)
+    bias = np.interp(times, found.t, found.clock) / LIGHT
+    ranges = ranges._replace(t=(times - bias)[of])
+    position, velocity = found.samples()
+    kept = {"position": position, "velocity": velocity} if velocity.t.size else {"position": position}
+    per = np.bincount(of)
+    words = f"satellites: {per.min()} to {per.max()}, {np.median(per):g} in the median, in {times.size} epochs."
+    return kept | streams(ranges), tuple(filter(None, (words, note)))

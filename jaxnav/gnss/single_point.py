@@ -1,0 +1,159 @@
+"""Position, velocity and clock of a receiver at each epoch by itself: robust weighted least squares."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxnav.gnss.ranges import LIGHT, Ranges, epochs
+from jaxnav.maths import earth
+from jaxnav.measurements.satellites import (
+    CONSTELLATION,
+    CONSTELLATIONS,
+    MIN_ELEVATION,
+    PSEUDORANGE,
+    RANGE_RATE,
+    REFERENCE_CN0,
+)
+from jaxnav.states.receiver_clock import RANGE_ERROR
+from jaxnav.types import Samples
+
+STEPS = 12  # Gauss-Newton steps, the last of them with weights of the residuals
+ROBUST_FROM = 5  # step from which on large residuals lose weight
+KNEE = 1.5  # sd of a residual beyond which its weight falls (Huber 1964)
+MAX_SD = 100.0  # m, horizontal: a worse geometry is no solution
+NEAR_CLOCKS = 3  # constellations on the receiver's clock, the first of `CONSTELLATIONS`
+FAR_ABOVE, FAR_BELOW = 1e6, -1e5  # m of height beyond which a solution is none
+
+
+class SinglePoint(NamedTuple):
+    """Solutions of E epochs, by the satellites of each alone."""
+
+    t: np.ndarray  # (E,) s
+    position: np.ndarray  # (E, 3) m, ECEF
+    cov: np.ndarray  # (E, 3, 3) m^2, ECEF
+    clock: np.ndarray  # (E,) m
+    velocity: np.ndarray  # (E, 3) m/s, ECEF; nan where there is none
+    velocity_cov: np.ndarray  # (E, 3, 3) m^2/s^2
+    satellites: np.ndarray  # (E,) int
+
+    def samples(self) -> tuple[Samples, Samples]:
+        """Return position and velocity as streams of a recording, ENU, with times less the receiver's clock error."""
+        lla = geodetic(self.position)
+        t = self.t - self.clock / LIGHT
+        to_enu = np.swapaxes(_axes(lla[:, 0], lla[:, 1]), 1, 2)
+        moved = np.isfinite(self.velocity).all(1)
+        return _samples(t, lla, self.cov, to_enu), _samples(
+            t[moved], np.einsum("eij,ej->ei", to_enu, self.velocity)[moved], self.velocity_cov[moved], to_enu[moved]
+        )
+
+
+def _samples(t: np.ndarray, value: np.ndarray, cov: np.ndarray, to_enu: np.ndarray) -> Samples:
+    P = to_enu @ cov @ np.swapaxes(to_enu, 1, 2)
+    sd = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+    i, j = np.arange(3), np.array([1, 2, 0])
+    return Samples(t, value, sd, 0.999 * P[:, i, j] / (sd[:, i] * sd[:, j]))
+
+
+def geodetic(position: np.ndarray) -> np.ndarray:
+    """Return latitude, longitude rad and height m (N, 3) of ECEF positions (N, 3) m: `jaxnav.maths.earth`, host."""
+    x, y, z = position.T
+    p, b = np.hypot(x, y), earth.A * (1 - earth.F)
+    tan_beta = z * earth.A / (p * b)
+    for _ in range(3):
+        cos_beta = 1 / np.sqrt(1 + tan_beta**2)
+        tan_lat = (z + earth.E2 / (1 - earth.E2) * b * (tan_beta * cos_beta) ** 3) / (
+            p - earth.E2 * earth.A * cos_beta**3
+        )
+        tan_beta = (1 - earth.F) * tan_lat
+    lat = np.arctan(tan_lat)
+    _, prime = earth.radii(lat, np)
+    return np.stack([lat, np.arctan2(y, x), p * np.cos(lat) + z * np.sin(lat) - earth.A**2 / prime], 1)
+
+
+def _axes(lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
+    """Return rotations ENU -> ECEF, (N, 3, 3)."""
+    sl, cl, so, co = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
+    zero = np.zeros_like(sl)
+    return np.stack([np.stack([-so, co, zero], -1), np.stack([-sl * co, -sl * so, cl], -1),
+                     np.stack([cl * co, cl * so, sl], -1)], -1)  # fmt: skip
+
+
+def sd_of(theta: tuple[float, ...], elevation: np.ndarray, cn0: np.ndarray) -> np.ndarray:
+    """Return the sd of `jaxnav.measurements.satellites.weight` on the host."""
+    floor, slant, scale = theta[:3]
+    slant = slant / np.sin(np.maximum(elevation, MIN_ELEVATION))
+    return np.asarray(np.hypot(floor, slant) * 10 ** ((REFERENCE_CN0 - cn0) / scale))
+
+
+def single_point(ranges: Ranges) -> SinglePoint:
+    """Return the epochs with satellites enough for a solution, each by itself.
+
+    The sd of a pseudorange is that of its weight and of its slow error together; both by their defaults.
+    """
+    times, of = epochs(ranges.t)
+    order = np.arange(of.size) - np.searchsorted(of, of)  # of a row within its epoch
+    width = int(order.max(initial=0)) + 1
+    wide = lambda a, empty: _padded(a, of, order, (times.size, width), empty)
+    valid = wide(np.isfinite(ranges.pseudorange), False)
+    s, z = wide(ranges.position, 2e7), wide(np.nan_to_num(ranges.pseudorange), 0.0)
+    sd = np.hypot(sd_of(PSEUDORANGE.defaults, ranges.elevation, ranges.cn0), RANGE_ERROR.defaults.sd)
+    system = wide(ranges.satellite // CONSTELLATION, 0)
+    clocks = np.stack([np.isin(system, own) for own in _clock_groups()], -1).astype(float)
+    weight = valid / wide(sd, 1.0) ** 2
+    there = (clocks * valid[..., None]).any(1)
+    x, clock = np.zeros((times.size, 3)), np.zeros((times.size, clocks.shape[-1]))
+    huber = np.ones_like(weight)
+    for step in range(STEPS):
+        off = s - x[:, None]
+        distance = np.linalg.norm(off, axis=-1)
+        H = np.concatenate([-off / distance[..., None], clocks], -1)
+        r = z - distance - np.einsum("esc,ec->es", clocks, clock)
+        delta, N = _solved(H, r, weight * huber, there)
+        x, clock = x + delta[:, :3], clock + delta[:, 3:]
+        if step >= ROBUST_FROM:
+            after = (r - np.einsum("esk,ek->es", H, delta)) * np.sqrt(weight)
+            huber = 1 / np.maximum(np.abs(after) / KNEE, 1.0)
+    cov = np.linalg.inv(N)[:, :3, :3]
+    count = valid.sum(1)
+    lla = geodetic(x)
+    good = (count >= 3 + there.sum(1)) & (np.trace(cov, axis1=1, axis2=2) < 2 * MAX_SD**2)
+    good &= (lla[:, 2] < FAR_ABOVE) & (lla[:, 2] > FAR_BELOW)
+    first = there.argmax(1)
+    velocity, velocity_cov = _velocity(ranges, s, x, wide)
+    return SinglePoint(times[good], x[good], cov[good], clock[np.arange(times.size), first][good], velocity[good],
+                       velocity_cov[good], count[good])  # fmt: skip
+
+
+def _velocity(ranges: Ranges, s: np.ndarray, x: np.ndarray, wide) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+    """Return velocities (E, 3) m/s at positions ``x`` (E, 3) by the range rates, and their covariances."""
+    valid, v = wide(np.isfinite(ranges.range_rate), False), wide(ranges.velocity, 0.0)
+    weight = valid / wide(sd_of(RANGE_RATE.defaults, ranges.elevation, ranges.cn0), 1.0) ** 2
+    u = (s - x[:, None]) / np.linalg.norm(s - x[:, None], axis=-1)[..., None]
+    z = wide(np.nan_to_num(ranges.range_rate), 0.0) - np.einsum("esi,esi->es", u, v)
+    H, huber = np.concatenate([-u, np.ones_like(z)[..., None]], -1), np.ones_like(z)
+    for _ in range(STEPS - ROBUST_FROM):
+        found, N = _solved(H, z, weight * huber, np.ones((z.shape[0], 1), bool))
+        huber = 1 / np.maximum(np.abs(z - np.einsum("esk,ek->es", H, found)) * np.sqrt(weight) / KNEE, 1.0)
+    enough = valid.sum(1) >= 4
+    return np.where(enough[:, None], found[:, :3], np.nan), np.linalg.inv(N)[:, :3, :3]
+
+
+def _solved(H: np.ndarray, r: np.ndarray, weight: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least squares solution (E, k) and its normal matrix; clocks that are not ``there`` stay at zero."""
+    N = np.einsum("esi,es,esj->eij", H, weight, H)
+    absent = np.concatenate([np.zeros((there.shape[0], 3), bool), ~there], 1)
+    N = N + np.eye(N.shape[-1]) * np.where(absent, 1.0, 1e-9)[:, None]
+    return np.linalg.solve(N, np.einsum("esi,es->ei", H, weight * r)[..., None])[..., 0], N
+
+
+def _clock_groups() -> tuple[tuple[int, ...], ...]:
+    """Return the constellations, by index, that share a clock."""
+    last = len(CONSTELLATIONS)
+    return (tuple(range(NEAR_CLOCKS)), (NEAR_CLOCKS,), (NEAR_CLOCKS + 1,), tuple(range(NEAR_CLOCKS + 2, last)))
+
+
+def _padded(a: np.ndarray, of: np.ndarray, order: np.ndarray, shape: tuple[int, int], empty: float) -> np.ndarray:
+    """Return rows (N, ...) as (E, width, ...)."""
+    out = np.full((*shape, *a.shape[1:]), empty, a.dtype if a.dtype == bool else float)
+    out[of, order] = a
+    return out

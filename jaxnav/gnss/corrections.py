@@ -76,11 +76,11 @@ def corrected(
             atmosphere stays.
         ionosphere: coefficients; None leaves the ionosphere in.
     """
-    own = chosen(eph, seen.satellite, seen.t)
-    known = own >= 0
+    match = chosen(eph, seen.satellite, seen.t)
+    known = match >= 0
     seen = Observations(*(a[known] for a in seen))
     receiver = None if receiver is None else receiver[known]
-    eph = Ephemeris(*(a[own[known]] for a in eph))
+    eph = Ephemeris(*(a[match[known]] for a in eph))
     rate = np.where(np.isfinite(seen.range_rate), seen.range_rate, 0.0)
     steps = [at_reception(eph, seen.t + h, seen.pseudorange + h * rate, receiver) for h in (0.0, -HALF_STEP, HALF_STEP)]
     (position, clock), (before, clock_before), (after, clock_after) = steps

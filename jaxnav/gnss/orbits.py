@@ -56,14 +56,14 @@ def chosen(eph: Ephemeris, satellite: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Return for each row (N,) the healthy ephemeris with the nearest toe, -1 where none is valid."""
     found = np.full(t.shape, -1)
     for number in np.unique(satellite):
-        own = np.flatnonzero((eph.satellite == number) & (eph.health == 0))
+        usable = np.flatnonzero((eph.satellite == number) & (eph.health == 0))
         system = CONSTELLATIONS[int(number) // CONSTELLATION]
-        if not own.size or system not in MU:
+        if not usable.size or system not in MU:
             continue
         rows = satellite == number
-        far = np.abs(t[rows][:, None] - eph.toe[own])
+        far = np.abs(t[rows][:, None] - eph.toe[usable])
         best = far.argmin(1)
-        found[rows] = np.where(far[np.arange(best.size), best] <= VALID_S[system], own[best], -1)
+        found[rows] = np.where(far[np.arange(best.size), best] <= VALID_S[system], usable[best], -1)
     return found
 
 
@@ -105,8 +105,8 @@ def state(eph: Ephemeris, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _geostationary(satellite: np.ndarray, systems: np.ndarray) -> np.ndarray:
     """Return which are BeiDou's satellites in a geostationary orbit, of which the elements are in tilted axes."""
-    own = satellite % CONSTELLATION
-    return (systems == "C") & ((own <= 5) | (own >= 59))
+    prn = satellite % CONSTELLATION
+    return (systems == "C") & ((prn <= 5) | (prn >= 59))
 
 
 def _from_tilted(position: np.ndarray, tk: np.ndarray) -> np.ndarray:

@@ -44,8 +44,8 @@ def number(name: str) -> int:
 
 def name(satellite: int) -> str:
     """Return the name of a satellite in RINEX by its `number`."""
-    system, own = divmod(int(satellite), CONSTELLATION)
-    return f"{CONSTELLATIONS[system]}{own:02d}"
+    system, prn = divmod(int(satellite), CONSTELLATION)
+    return f"{CONSTELLATIONS[system]}{prn:02d}"
 
 
 def rows_of(ranges: Ranges, rows: np.ndarray) -> Ranges:
@@ -88,10 +88,10 @@ def streams(ranges: Ranges) -> dict[str, Samples]:
     kept = slot >= 0
     row, column = of[kept], slot[kept]
     auxiliary = np.zeros((times.size, SLOTS, len(SATELLITE)))
-    own = np.column_stack(
+    columns = np.column_stack(
         [ranges.satellite, ranges.position, ranges.velocity, ranges.elevation, ranges.cn0, np.zeros(ranges.t.size)]
     )
-    auxiliary[row, column] = own[kept]
+    auxiliary[row, column] = columns[kept]
     before = np.zeros(SLOTS)
     for e in range(times.size):
         here = auxiliary[e, :, 0]
@@ -123,9 +123,9 @@ def ranges_of(aiding: dict[str, Samples]) -> Ranges:
             values[key][at] = np.where(s.valid, s.value, np.nan)
             table[at] = np.where(s.valid[..., None], s.auxiliary, table[at])
     e, i = np.nonzero(np.isfinite(values["pseudorange"]) | np.isfinite(values["range_rate"]))
-    own = table[e, i]
-    return Ranges(times[e], own[:, 0].astype(int), values["pseudorange"][e, i], values["range_rate"][e, i],
-                  own[:, 1:4], own[:, 4:7], own[:, 7], own[:, 8])  # fmt: skip
+    columns = table[e, i]
+    return Ranges(times[e], columns[:, 0].astype(int), values["pseudorange"][e, i], values["range_rate"][e, i],
+                  columns[:, 1:4], columns[:, 4:7], columns[:, 7], columns[:, 8])  # fmt: skip
 
 
 def without_clock(ranges: Ranges, t: np.ndarray, bias: np.ndarray) -> tuple[Ranges, str]:
@@ -148,7 +148,6 @@ def without_clock(ranges: Ranges, t: np.ndarray, bias: np.ndarray) -> tuple[Rang
     taken = np.append(0.0, np.cumsum(steps))
     at = np.searchsorted(t, ranges.t, side="right") - 1
     ranges = ranges._replace(pseudorange=ranges.pseudorange - taken[np.clip(at, 0, t.size - 1)])
-    bias = bias - taken
     course = _smooth(t, bias - taken)
     ranges = ranges._replace(
         pseudorange=ranges.pseudorange - course(ranges.t), range_rate=ranges.range_rate - course(ranges.t, 1)

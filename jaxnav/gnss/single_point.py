@@ -17,9 +17,9 @@ from jaxnav.measurements.satellites import (
 from jaxnav.states.receiver_clock import RANGE_ERROR
 from jaxnav.types import Samples
 
-STEPS = 12  # Gauss-Newton steps, the last of them with weights of the residuals
-ROBUST_FROM = 5  # step from which on large residuals lose weight
-KNEE = 1.5  # sd of a residual beyond which its weight falls (Huber 1964)
+STEPS = 27  # Gauss-Newton steps
+HUBER_FROM, CAUCHY_FROM = 9, 18  # steps from which on large residuals lose weight, and all but all of it
+KNEE, CAUCHY = 1.5, 2.4  # sd of a residual (Huber 1964; Holland and Welsch 1977)
 MAX_SD = 100.0  # m, horizontal: a worse geometry is no solution
 NEAR_CLOCKS = 3  # constellations on the receiver's clock, the first of `CONSTELLATIONS`
 FAR_ABOVE, FAR_BELOW = 1e6, -1e5  # m of height beyond which a solution is none
@@ -98,21 +98,19 @@ def single_point(ranges: Ranges) -> SinglePoint:
     s, z = wide(ranges.position, 2e7), wide(np.nan_to_num(ranges.pseudorange), 0.0)
     sd = np.hypot(sd_of(PSEUDORANGE.defaults, ranges.elevation, ranges.cn0), RANGE_ERROR.defaults.sd)
     system = wide(ranges.satellite // CONSTELLATION, 0)
-    clocks = np.stack([np.isin(system, own) for own in _clock_groups()], -1).astype(float)
+    clocks = np.stack([np.isin(system, group) for group in _clock_groups()], -1).astype(float)
     weight = valid / wide(sd, 1.0) ** 2
     there = (clocks * valid[..., None]).any(1)
     x, clock = np.zeros((times.size, 3)), np.zeros((times.size, clocks.shape[-1]))
-    huber = np.ones_like(weight)
+    robust = np.ones_like(weight)
     for step in range(STEPS):
         off = s - x[:, None]
         distance = np.linalg.norm(off, axis=-1)
         H = np.concatenate([-off / distance[..., None], clocks], -1)
         r = z - distance - np.einsum("esc,ec->es", clocks, clock)
-        delta, N = _solved(H, r, weight * huber, there)
+        delta, N = _solved(H, r, weight * robust, there)
         x, clock = x + delta[:, :3], clock + delta[:, 3:]
-        if step >= ROBUST_FROM:
-            after = (r - np.einsum("esk,ek->es", H, delta)) * np.sqrt(weight)
-            huber = 1 / np.maximum(np.abs(after) / KNEE, 1.0)
+        robust = robust_weight((r - np.einsum("esk,ek->es", H, delta)) * np.sqrt(weight), step)
     cov = np.linalg.inv(N)[:, :3, :3]
     count = valid.sum(1)
     lla = geodetic(x)
@@ -124,16 +122,25 @@ def single_point(ranges: Ranges) -> SinglePoint:
                        velocity_cov[good], count[good])  # fmt: skip
 
 
+def robust_weight(residual: np.ndarray, step: int) -> np.ndarray:
+    """Return the factor on the weight of a residual in units of its sd: 1, then Huber's, then Cauchy's."""
+    if step < HUBER_FROM:
+        return np.ones_like(residual)
+    if step < CAUCHY_FROM:
+        return np.asarray(1 / np.maximum(np.abs(residual) / KNEE, 1.0))
+    return np.asarray(1 / (1 + (residual / CAUCHY) ** 2))
+
+
 def _velocity(ranges: Ranges, s: np.ndarray, x: np.ndarray, wide) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
     """Return velocities (E, 3) m/s at positions ``x`` (E, 3) by the range rates, and their covariances."""
     valid, v = wide(np.isfinite(ranges.range_rate), False), wide(ranges.velocity, 0.0)
     weight = valid / wide(sd_of(RANGE_RATE.defaults, ranges.elevation, ranges.cn0), 1.0) ** 2
     u = (s - x[:, None]) / np.linalg.norm(s - x[:, None], axis=-1)[..., None]
     z = wide(np.nan_to_num(ranges.range_rate), 0.0) - np.einsum("esi,esi->es", u, v)
-    H, huber = np.concatenate([-u, np.ones_like(z)[..., None]], -1), np.ones_like(z)
-    for _ in range(STEPS - ROBUST_FROM):
-        found, N = _solved(H, z, weight * huber, np.ones((z.shape[0], 1), bool))
-        huber = 1 / np.maximum(np.abs(z - np.einsum("esk,ek->es", H, found)) * np.sqrt(weight) / KNEE, 1.0)
+    H, robust = np.concatenate([-u, np.ones_like(z)[..., None]], -1), np.ones_like(z)
+    for step in range(HUBER_FROM, STEPS):
+        found, N = _solved(H, z, weight * robust, np.ones((z.shape[0], 1), bool))
+        robust = robust_weight((z - np.einsum("esk,ek->es", H, found)) * np.sqrt(weight), step)
     enough = valid.sum(1) >= 4
     return np.where(enough[:, None], found[:, :3], np.nan), np.linalg.inv(N)[:, :3, :3]
 

@@ -15,15 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from jaxnav.io.checks import MAX_LEVER_ARM, check_recording, increments_to_means, steps
+from jaxnav.gnss.ranges import ranges_of, streams
+from jaxnav.io.checks import MAX_LEVER_ARM, check_recording, check_samples, increments_to_means, steps
 from jaxnav.io.files import FilePath, Source, Table, atomic_write, format_csv, read_bytes, read_csv
+from jaxnav.io.formats import raw_table
 from jaxnav.io.formats.npz import read_npz, write_npz
+from jaxnav.io.sheet import open_sheet
 from jaxnav.maths.units import DEG, G0
 from jaxnav.measurements import MEASUREMENTS, with_data
 from jaxnav.measurements.columns import Names
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 
 AXES = ("x", "y", "z")
+SATELLITES, RANGES = "satellites.csv", ("pseudorange", "range_rate")
 GYRO: tuple[Names, ...] = tuple(((f"gyro_{a}_radps", 1.0), (f"gyro_{a}_degps", DEG)) for a in AXES)
 DTHETA: tuple[Names, ...] = tuple(((f"dtheta_{a}_rad", 1.0), (f"dtheta_{a}_deg", DEG)) for a in AXES)
 ACCEL: tuple[Names, ...] = tuple(((f"accel_{a}_mps2", 1.0), (f"accel_{a}_g", G0)) for a in AXES)
@@ -52,7 +56,7 @@ def read_folder(path: FilePath, notes: list[str] | None = None) -> Recording:
         DataError: as `read_recording`.
     """
     path = Path(path)
-    known = [f"{name}.csv" for name in (*with_data(), "truth")]
+    known = [*(f"{name}.csv" for name in (*with_data(), "truth")), SATELLITES]
     files = {Path(name).stem: path / name for name in known if (path / name).exists()}
     files |= {file.stem.removeprefix("aiding_"): file for file in sorted(path.glob("aiding_*.csv"))}
     others = sorted({file.name for file in path.glob("*.csv")} - {file.name for file in files.values()} - {"imu.csv"})
@@ -66,10 +70,16 @@ def read_folder(path: FilePath, notes: list[str] | None = None) -> Recording:
             f"{name} is not read{_meant(name, [file for file in known if Path(file).stem not in files])}"
             for name in others
         ]
-    truth = files.pop("truth", None)
+    truth, satellites = files.pop("truth", None), files.pop(Path(SATELLITES).stem, None)
     about = _read_about(path / "recording.json")
     name = about["name"] or path.name
-    return read_files(path / "imu.csv", files, truth, about["lever_arm_frd_m"], name, about["notes"], notes)
+    rec = read_files(path / "imu.csv", files, truth, about["lever_arm_frd_m"], name, about["notes"], notes)
+    if satellites is None:
+        return rec
+    ranges = streams(raw_table.project_rows(open_sheet(satellites)))
+    for key, samples in ranges.items():
+        check_samples(key, samples, Source(str(satellites)))
+    return rec._replace(aiding=rec.aiding | ranges)
 
 
 def _meant(name: str, absent: list[str]) -> str:
@@ -155,7 +165,11 @@ def _files(rec: Recording) -> Iterator[tuple[str, str]]:
     imu, track = rec.imu, rec.truth
     names = ["t_s", "dt_s", *_names(GYRO), *_names(ACCEL)]
     yield "imu.csv", format_csv(names, np.column_stack([imu.t, imu.dt, imu.gyro, imu.accel]))
+    if ranges := {key: rec.aiding[key] for key in RANGES if key in rec.aiding}:
+        yield SATELLITES, raw_table.table(ranges_of(ranges))
     for key, samples in rec.aiding.items():
+        if key in RANGES:
+            continue
         if not re.fullmatch(r"\w+", key):
             raise DataError(f"aiding stream {key!r}: expected a name of letters, digits and _")
         columns = [name for part in _stream_columns(key, samples.value.shape[1]) for name in _names(part)]

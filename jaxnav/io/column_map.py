@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.gnss.corrections import Masks
+from jaxnav.gnss.ranges import Ranges, number
+from jaxnav.gnss.ranges import rows_of as rows_of_ranges
 from jaxnav.io import missing, units
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.columns import (
@@ -23,6 +26,7 @@ from jaxnav.io.columns import (
     times_of,
 )
 from jaxnav.io.files import FilePath, read_bytes
+from jaxnav.io.formats import raw_table
 from jaxnav.io.mend import GAP_STEPS, MAX_TIME_S
 from jaxnav.io.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream, TimeScale, counted_from
 from jaxnav.io.sheet import DAYS, column, open_sheet
@@ -36,7 +40,7 @@ from jaxnav.types import DataError, Track
 COMMON = tuple(
     "file delimiter header time time_unit time_scale time_tag time_shift_s rate_hz skip where new_where".split()
 )
-TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", *COMMON)
+TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", "satellites", *COMMON)
 KEYS: dict[str, tuple[str, ...]] = {
     "imu": (*COMMON, *"gyro gyro_unit accel accel_unit accel_time axes sampling repair".split()),
     "position": (*COMMON, *"lla enu ned ecef unit h_unit sd sd_enu sd_ned".split()),
@@ -44,6 +48,11 @@ KEYS: dict[str, tuple[str, ...]] = {
     "truth": (*COMMON, *"lla enu ned ecef unit h_unit velocity_enu velocity_ned velocity_ecef rph rph_unit".split()),
     "magnetometer": (*COMMON, "value", "unit", "axes", "sd"),
     "baseline": (*COMMON, *"enu ned unit sd sd_enu sd_ned".split()),
+    "satellites": (
+        *COMMON,
+        *"satellite pseudorange range_rate position velocity emission clock clock_rate delays".split(),
+        *"elevation cn0 elevation_mask_deg cn0_mask_dbhz".split(),
+    ),
     "wheels": (*COMMON, "left", "right", "unit", "radius", "sd"),
 }
 SCALAR = (*COMMON, "value", "unit", "sd")  # of every other stream
@@ -97,6 +106,9 @@ def described(table: dict[str, Any], file: str, where: Path, base: Callable[...,
         files = files._replace(zero=int(first) if first >= MAX_TIME_S else 0)
         parts = _with_imu(counted_from(parts, files.zero), files, table["imu"])
     aiding = parts.aiding | {key: _stream(files, table[key], key) for key in with_data() if key in table}
+    if "satellites" in table:
+        ranges, said_of = _satellites(files, table["satellites"])
+        aiding, parts = ranges | aiding, parts._replace(notes=(*parts.notes, *said_of))
     truth = _truth(files, table["truth"]) if "truth" in table else parts.truth
     notes = [*parts.notes, *([table["notes"]] if "notes" in table else [])]
     notes += [note for sheet in files.opened.values() for note in sheet.notes]
@@ -119,7 +131,7 @@ def _shared(table: dict[str, Any], file: str) -> dict[str, Any]:
     known(table, (*TOP, *with_data()), file)
     shared = {key: table[key] for key in COMMON if key in table}
     out = {key: value for key, value in table.items() if key not in shared}
-    for name in ("imu", "truth", *with_data()):
+    for name in ("imu", "truth", "satellites", *with_data()):
         if isinstance(out.get(name), dict):
             other = {"rate_hz": "time", "time": "rate_hz"}  # a table has one of the two
             inherited = {k: v for k, v in shared.items() if other.get(k) not in out[name]}
@@ -224,6 +236,37 @@ def _stream(files: Files, table: dict[str, Any], name: str) -> Stream:
         sd[:, 2] = missing.UNMEASURED_SD
     sd = None if sd is None else np.broadcast_to(sd, value.shape)[keep]
     return Stream(t[keep], value[keep], sd, scale=_scale(table, f"{files.map}: {name}"))
+
+
+def _satellites(files: Files, table: dict[str, Any]) -> tuple[dict[str, Stream], tuple[str, ...]]:
+    """Corrected ranges of a table with one row a satellite and epoch, with fixes by single points, and notes."""
+    stream = "satellites"
+    where = f"{files.map}: {stream}"
+    known(table, KEYS[stream], where)
+    for key in ("satellite", "pseudorange"):
+        if key not in table:
+            raise DataError(f"{where}: expected a key {key}, a column")
+    get = lambda key: column_of(files, table, table[key], stream)
+    t = times_of(files, table, stream)
+    maybe = lambda key, empty: get(key) if key in table else np.full(t.size, empty)
+    names = column(*sheet_of(files, table, table["satellite"], stream))
+    delays = table.get("delays", [])
+    late = sum((column_of(files, table, ref, stream) for ref in delays), np.zeros(t.size))
+    ranges = Ranges(
+        t, np.array([number(str(cell).strip()) for cell in names]), get("pseudorange") + maybe("clock", 0.0) - late,
+        maybe("range_rate", np.nan) + maybe("clock_rate", 0.0), table_of(files, table, "position", stream),
+        table_of(files, table, "velocity", stream) if "velocity" in table else np.full((t.size, 3), np.nan),
+        maybe("elevation", np.nan) * DEG, maybe("cn0", raw_table.USUAL_CN0),
+    )  # fmt: skip
+    side_by_side(files, [t, ranges.pseudorange, ranges.range_rate, ranges.position[:, 0]], stream)
+    if table.get("emission", False):
+        ranges = raw_table.to_reception(ranges)
+    masks = {"elevation_deg": table.get("elevation_mask_deg", 10.0), "cn0_dbhz": table.get("cn0_mask_dbhz", 25.0)}
+    found, notes = raw_table.solved(
+        rows_of_ranges(ranges, rows_of(files, table, stream, t.size)), where, Masks(**masks)
+    )
+    scale = _scale(table, where)
+    return {key: Stream(*samples)._replace(scale=scale) for key, samples in found.items()}, notes
 
 
 def _one(files: Files, table: dict[str, Any], keys: tuple[str, ...], stream: str) -> str:

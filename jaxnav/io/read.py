@@ -23,6 +23,8 @@ from jaxnav.io.formats import (
     navego,
     nmea,
     novatel,
+    raw_table,
+    rinex,
     rosbag,
     rtklib,
     sensor_logger,
@@ -67,7 +69,7 @@ def read(path: FilePath, **options: Any) -> Recording:
         path: file or folder of a format in `READERS`, or a column map (``docs/formats.md``).
         options: ``gnss``, a file with the fixes where ``path`` holds the IMU alone; the fields of
             `jaxnav.io.mend.Changes` (``axes``, ``accel_sign``, ``lever_arm``, ``sd``, ``time_shift_s``, ``name``);
-            options of the format's reader.
+            options of the reader of either file.
 
     Raises:
         DataError: not there, of no known format, an unknown option, or nothing that could be used; names the file.
@@ -80,14 +82,16 @@ def read_parts(path: FilePath, gnss: FilePath | None = None, **options: Any) -> 
     """Return the contents of a file, before mending; options as for `read`."""
     path = Path(path)
     row = recognise(path)
+    others = () if gnss is None else recognise(gnss).options
     reader = {key: value for key, value in options.items() if key in row.options}
+    fixes = {key: value for key, value in options.items() if key in others and key not in reader}
     changes = {key: value for key, value in options.items() if key in Changes._fields and key not in reader}
-    for key in options.keys() - reader.keys() - changes.keys():
-        hint = units.nearest(key, (*row.options, *Changes._fields, "gnss"))
+    for key in options.keys() - reader.keys() - fixes.keys() - changes.keys():
+        hint = units.nearest(key, (*row.options, *others, *Changes._fields, "gnss"))
         raise DataError(f"{path}: {row.name}: no option {key}: {hint}")
     parts = _read(row, path, reader)
     if gnss is not None:
-        other = counted_from(read_parts(gnss), parts.zero)
+        other = counted_from(read_parts(gnss, **fixes), parts.zero)
         parts = parts._replace(aiding=parts.aiding | other.aiding, notes=parts.notes + other.notes)
     return mend.applied(parts._replace(name=parts.name or path.stem), Changes(**changes))
 
@@ -239,6 +243,7 @@ def _read_kfgins_gnss(path: Path) -> Parts:
     return Parts(os.fspath(path), aiding={"position": position}, notes=tuple(notes))
 
 
+MASKS = ("elevation_mask_deg", "cn0_mask_dbhz")  # of raw GNSS
 READERS: tuple[Reader, ...] = (
     Reader("our folder of CSV", _folder, _read_folder),
     Reader("our .npz", _npz, lambda path: parts_of(canonical.read_recording(path), os.fspath(path))),
@@ -246,7 +251,9 @@ READERS: tuple[Reader, ...] = (
     Reader("ROS bag", rosbag.recognises, rosbag.read, "ros", ("topics",)),
     Reader("PX4 ULog", ulog.recognises, ulog.read, "ulog", ("wheel_radius_m", "receiver")),
     Reader("ArduPilot DataFlash", dataflash.recognises, dataflash.read, options=("instance", "receiver")),
-    Reader("UBX", ubx.recognises, ubx.read, "gnss"),
+    Reader("UBX", ubx.recognises, ubx.read, "gnss", ("spp", *MASKS)),
+    Reader("RINEX observations", rinex.recognises, rinex.read, options=("nav", *MASKS)),
+    Reader("raw GNSS table", raw_table.recognises, raw_table.read, options=MASKS),
     Reader("RTKLIB .pos", _pos, _read_pos),
     Reader("NovAtel ASCII", novatel.recognises, novatel.read, options=("imu",)),
     Reader("NMEA", nmea.recognises, nmea.read, "gnss", ("leap_seconds", "metres_per_hdop")),

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from jaxnav.filters.epochs import require_double, sample_rows
 from jaxnav.io.checks import check_recording
-from jaxnav.measurements import with_data
+from jaxnav.measurements import MEASUREMENTS, with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track, nearest
 
 Stream = Samples | Sequence[ArrayLike]
@@ -51,6 +51,7 @@ def recording(
     (np.float64(5.0), (5, 3))
     """
     known = {name: row.size for name, row in with_data().items()}
+    known |= {name: row.size for name, row in MEASUREMENTS.items() if row.auxiliary}
     for stream in streams:
         if stream not in known:
             raise DataError(f"no measurement takes a stream {stream!r}: {nearest(stream, known)}")

@@ -22,7 +22,7 @@ SATELLITE = ("satellite", "x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps", "el
 """Auxiliary values of a channel: number (`jaxnav.gnss.satellites`), position and velocity in ECEF, elevation, carrier
 to noise density, and 1 at the first epoch of another satellite in the slot."""
 CONSTELLATION = (
-    100  # a satellite's number is that times the index of its constellation in `CONSTELLATIONS`, plus its own
+    100  # a satellite's number is that times the index of its constellation in `CONSTELLATIONS`, plus its PRN
 )
 CONSTELLATIONS = "GJSECRI"
 """GPS, QZSS and SBAS on one clock; Galileo, BeiDou, and GLONASS or NavIC, each with an ``inter_system_bias``."""
@@ -54,8 +54,8 @@ def satellites(fix: Fix) -> Satellites:
     table = jnp.asarray(fix.auxiliary)
     system = jnp.floor_divide(table[:, 0], CONSTELLATION)
     third = CONSTELLATIONS.index("R")
-    own = jnp.stack([system == CONSTELLATIONS.index("E"), system == CONSTELLATIONS.index("C"), system >= third], 1)
-    return Satellites(table[:, 1:4], table[:, 4:7], table[:, 7], table[:, 8], own.astype(table.dtype))
+    further = jnp.stack([system == CONSTELLATIONS.index("E"), system == CONSTELLATIONS.index("C"), system >= third], 1)
+    return Satellites(table[:, 1:4], table[:, 4:7], table[:, 7], table[:, 8], further.astype(table.dtype))
 
 
 def weight(theta: SatelliteParams, elevation: jax.Array, cn0: jax.Array) -> jax.Array:

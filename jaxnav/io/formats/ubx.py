@@ -1,4 +1,8 @@
-"""u-blox UBX, by `pyubx2`: NAV-PVT, or NAV-POSLLH and NAV-VELNED of older receivers: fixes for an IMU's file."""
+"""u-blox UBX, by `pyubx2`: fixes for an IMU's file, and corrected ranges where it has raw measurements.
+
+Fixes are those of NAV-PVT, or of NAV-POSLLH and NAV-VELNED of older receivers; ranges those of RXM-RAWX with the
+ephemerides of RXM-SFRBX.
+"""
 
 import datetime
 import os
@@ -7,6 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.gnss.corrections import Masks, Observations, aiding_of, solved
+from jaxnav.gnss.messages import Messages
+from jaxnav.gnss.orbits import stacked
+from jaxnav.gnss.ranges import number
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.files import read_bytes
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
@@ -17,6 +25,10 @@ from jaxnav.types import DataError
 SYNC = b"\xb5\x62"
 FIXED = (3, 4)  # fixType: in three dimensions, alone or with dead reckoning
 PVT = b"\x01\x07"  # class and number of NAV-PVT
+SYSTEM = {0: "G", 1: "S", 2: "E", 3: "C", 5: "J"}  # gnssId
+FIRST_SIGNAL = {"G": (0,), "S": (0,), "E": (0, 1), "C": (0, 1), "J": (0,)}  # sigId of the first frequency
+WAVELENGTH = {"C": 299_792_458.0 / 1561.098e6}  # m, of BeiDou B1I
+L1 = 299_792_458.0 / 1575.42e6  # m, of the others
 OLDER = ("NAV-POSLLH", "NAV-VELNED", "NAV-SOL", "NAV-STATUS", "NAV-TIMEGPS")
 
 
@@ -43,17 +55,24 @@ def frames(data: bytes) -> tuple[list[bytes], int]:
     return found, lost
 
 
-def read(path: Path) -> Parts:
+def read(path: Path, spp: bool = False, elevation_mask_deg: float = 10.0, cn0_mask_dbhz: float = 25.0) -> Parts:
     """Position and velocity of NAV-PVT, else of NAV-POSLLH and NAV-VELNED with the status of NAV-SOL or NAV-STATUS.
 
     Heading is that of NAV-RELPOSNED where the base moves along. hAcc, vAcc and sAcc are the sd of each axis. Times are
-    s since 1970 in GPS time.
+    s since 1970 in GPS time. Where there are RXM-RAWX and RXM-SFRBX, pseudoranges and range rates as well.
+
+    Args:
+        path: the file.
+        spp: position and velocity by single points of the ranges instead of the receiver's.
+        elevation_mask_deg: deg; lower satellites are left out of the ranges.
+        cn0_mask_dbhz: dB-Hz; weaker ones likewise.
 
     Raises:
-        DataError: no fix in three dimensions.
+        DataError: no fix in three dimensions, or with ``spp`` no epoch with a solution.
     """
     import pyubx2
 
+    raw = Raw()
     older: dict[str, dict[int, Any]] = {name: {} for name in OLDER}
     rows, pointed, without = [], [], 0
     intact, damaged = frames(read_bytes(path))
@@ -65,6 +84,7 @@ def read(path: Path) -> Parts:
         if message.identity == "NAV-RELPOSNED" and getattr(message, "relPosHeadingValid", 0):
             if message.isMoving and message.relPosValid:
                 pointed.append([message.iTOW, message.relPosHeading * DEG, message.accHeading * DEG])
+        raw.take(message)
         if message.identity in older:
             older[message.identity][message.iTOW] = message
         if message.identity != "NAV-PVT":
@@ -75,13 +95,17 @@ def read(path: Path) -> Parts:
         rows.append(_row(message))
     if not rows and not without:
         rows, without = _older_rows(older)
+    ranges, about = raw.streams(path, Masks(elevation_mask_deg, cn0_mask_dbhz), spp)
+    if ranges and (spp or not rows):
+        streams = {name: Stream(*samples) for name, samples in ranges.items()}
+        return scaled(Parts(os.fspath(path), aiding=streams, notes=about), TimeScale.GPS)
     if not rows:
         raise DataError(
             f"{path}: has no NAV-PVT or NAV-POSLLH with a fix in three dimensions: {without} without one, {damaged} "
             "damaged"
         )
     said = {"messages have no fix in three dimensions.": without, "NAV-PVT are damaged and left out.": damaged}
-    notes = tuple(f"{count} {text}" for text, count in said.items() if count)
+    notes = tuple(f"{count} {text}" for text, count in said.items() if count) + about
     t, lla, acc, vel, s_acc = np.split(np.array(rows), [1, 4, 6, 9], axis=1)
     position = Stream(t[:, 0], lla, acc[:, [0, 0, 1]])
     moved = np.isfinite(vel[:, 0])
@@ -92,7 +116,57 @@ def read(path: Path) -> Parts:
         tow = milliseconds / 1e3 + GPS_EPOCH
         week = np.round((np.median(t) - tow) / WEEK)  # a recording is shorter than half a week
         aiding["heading"] = Stream(tow + week * WEEK, angle[:, None], sd[:, None])
+    aiding |= {name: Stream(*ranges[name]) for name in ("pseudorange", "range_rate") if name in ranges}
     return scaled(Parts(os.fspath(path), aiding=aiding, notes=notes), TimeScale.GPS)
+
+
+class Raw:
+    """Raw measurements and navigation messages of a file."""
+
+    def __init__(self) -> None:
+        self.messages = Messages()
+        self.rows: list[tuple[float, int, float, float, float]] = []
+        self.t = np.nan
+
+    def take(self, message: Any) -> None:
+        """Take a message, of any kind."""
+        if message.identity == "RXM-SFRBX" and message.gnssId in SYSTEM and np.isfinite(self.t):
+            words = [getattr(message, f"dwrd_{i + 1:02d}") for i in range(message.numWords)]
+            self.messages.take(f"{SYSTEM[message.gnssId]}{message.svId:02d}", words, self.t)
+        if message.identity != "RXM-RAWX" or not message.numMeas:
+            return
+        self.t = GPS_EPOCH + message.week * WEEK + message.rcvTow
+        for i in range(1, message.numMeas + 1):
+            get = lambda key, i=i: getattr(message, f"{key}_{i:02d}")
+            system = SYSTEM.get(get("gnssId"), "")
+            if not system or get("sigId") not in FIRST_SIGNAL[system] or not get("prValid"):
+                continue
+            try:
+                satellite = number(f"{system}{get('svId') - (120 if system == 'S' else 0)}")
+            except DataError:
+                continue
+            rate = -get("doMes") * WAVELENGTH.get(system, L1)
+            self.rows.append((self.t, satellite, get("prMes"), rate, float(get("cno"))))
+
+    def streams(self, path: Path, masks: Masks, needed: bool) -> tuple[dict[str, Any], tuple[str, ...]]:
+        """Return the streams of the ranges and notes; nothing where there are none.
+
+        Raises:
+            DataError: they are ``needed``, and no epoch has a solution.
+        """
+        eph = stacked(list(self.messages.found.values()))
+        if not self.rows and not needed:
+            return {}, ()
+        table = np.array(self.rows).reshape(-1, 5)
+        seen = Observations(table[:, 0], table[:, 1].astype(int), *table[:, 2:].T)
+        try:
+            if not self.rows or not eph.satellite.size:
+                raise DataError(f"{len(self.rows)} raw measurements, {eph.satellite.size} ephemerides")
+            return aiding_of(*solved(seen, eph, self.messages.ionosphere, masks))
+        except DataError as error:
+            if needed:
+                raise DataError(f"{path}: {error}") from error
+            return {}, (f"Its raw measurements are not used: {error}.",)
 
 
 def _older_rows(older: dict[str, dict[int, Any]]) -> tuple[list[list[float]], int]:

@@ -1,0 +1,154 @@
+"""Orbits against Kepler's laws, messages of known numbers, and satellites that another program computed."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+from jaxnav.gnss.corrections import Masks, Observations, at_reception, corrected, solved
+from jaxnav.gnss.messages import Messages
+from jaxnav.gnss.orbits import Ephemeris, chosen, stacked, state, turned
+from jaxnav.gnss.ranges import LIGHT, Ranges, number, rows_of
+from jaxnav.gnss.single_point import single_point
+from jaxnav.io.formats.rinex import read_navigation, read_observations
+from jaxnav.maths.earth import RATE
+from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
+from tests.gnss.sky import T0, TOKYO, constellation, ephemeris, inav, lnav
+
+TOKYO_DATA = Path(os.environ.get("JAXNAV_DATA_DIR", "")) / "ixr_tokyo" / "2020-11-05"
+needs_tokyo = pytest.mark.skipif(not TOKYO_DATA.is_dir(), reason="needs JAXNAV_DATA_DIR")
+
+
+def repeated(eph: Ephemeris, n: int) -> Ephemeris:
+    return Ephemeris(*(np.repeat(np.atleast_1d(a), n) for a in eph))
+
+
+def test_orbits_keep_keplers_laws():
+    """Without harmonics: radius by e, plane by i0, areas swept per time constant, in axes that do not turn."""
+    still = dict.fromkeys(("cuc", "cus", "crc", "crs", "cic", "cis", "idot", "omega_dot", "delta_n"), np.asarray(0.0))
+    eph = ephemeris("G05", 2)._replace(**still)
+    t = T0 + np.arange(0.0, 3600.0, 10.0)
+    position, _ = state(repeated(eph, t.size), t)
+    inertial = turned(position, -RATE * (t - t[0]))
+    radius = np.linalg.norm(inertial, axis=1)
+    a, e = float(eph.sqrt_a) ** 2, float(eph.e)
+    assert a * (1 - e) - 1 < radius.min() and radius.max() < a * (1 + e) + 1
+    area = np.cross(inertial[1:-1], (inertial[2:] - inertial[:-2]) / 20.0)
+    momentum = np.sqrt(3.986005e14 * a * (1 - e**2))
+    np.testing.assert_allclose(np.linalg.norm(area, axis=1), momentum, rtol=1e-6)
+    np.testing.assert_allclose(area[:, 2] / momentum, np.cos(0.96), rtol=1e-6)
+
+
+def test_an_ephemeris_is_the_nearest_healthy_one():
+    early, late = ephemeris("G05", toe=360_000.0), ephemeris("G05", toe=367_200.0)
+    ill = ephemeris("G05", toe=364_500.0)._replace(health=np.asarray(1.0))
+    eph = stacked([early, late, ill, ephemeris("G06")])
+    begin = GPS_EPOCH + 2130 * WEEK
+    sats = np.array([number("G05"), number("G05"), number("G06"), number("G07"), number("R01")])
+    t = begin + np.array([361_000.0, 366_000.0, 364_500.0, 364_500.0, 364_500.0])
+    assert chosen(eph, sats, t).tolist() == [0, 1, 3, -1, -1]
+    assert chosen(eph, sats[:1], t[:1] + 90_000.0).tolist() == [-1]
+
+
+@pytest.mark.parametrize("satellite, encoded", [("G05", lnav), ("J02", lnav), ("E11", inav)])
+def test_messages_read_back_to_the_orbit(satellite, encoded):
+    """Within the steps of the message: 1 dm of position, 1e-10 s of the clock."""
+    eph = ephemeris(satellite, 3)
+    got = Messages()
+    parts = encoded(eph)
+    for words in parts:
+        assert not got.found
+        got.take(satellite, words, T0)
+    (found,) = got.found.values()
+    there, clock = state(repeated(eph, 1), np.array([T0]))
+    read, read_clock = state(repeated(found, 1), np.array([T0]))
+    assert np.linalg.norm(read - there) < 0.1 and abs(float((read_clock - clock)[0])) < 1e-9
+    mixed = Messages()
+    for words in (*parts[:-2], *encoded(eph, issue=8)[-2:]):
+        mixed.take(satellite, words, T0)
+    assert not mixed.found  # of two issues
+
+
+def observations(eph: Ephemeris, place: np.ndarray, bias: float = 1234.5, t: float = T0) -> Observations:
+    """What a receiver at rest measures, light time solved by iteration; no atmosphere."""
+    n = eph.satellite.size
+    times, pseudorange = np.full(n, t), np.full(n, 2.2e7)
+    received = times - bias / LIGHT  # true time
+
+    def measured(received):
+        flight = np.full(n, 0.07)
+        for _ in range(6):
+            s, clock = state(eph, received - flight)
+            flight = np.linalg.norm(turned(s, RATE * flight) - place, axis=1) / LIGHT
+        return LIGHT * (flight - clock)
+
+    pseudorange = measured(received) + bias
+    rate = (measured(received + 0.5) - measured(received - 0.5)) / 1.0
+    return Observations(times, eph.satellite.astype(int), pseudorange, rate + 2.0, np.full(n, 45.0))
+
+
+def test_corrections_leave_distance_and_clock():
+    """From a receiver with a clock of 4 us: the solution is the place, the clock and rest."""
+    eph = constellation()
+    seen = observations(eph, TOKYO)
+    ranges = corrected(seen, eph, np.tile(TOKYO, (seen.t.size, 1)))
+    from jaxnav.gnss.atmosphere import saastamoinen
+    from jaxnav.gnss.single_point import geodetic
+
+    up = ranges.elevation > 0.2
+    assert up.sum() >= 6
+    lla = geodetic(TOKYO[None])
+    air = saastamoinen(lla[:, 0], lla[:, 2], ranges.elevation)
+    distance = np.linalg.norm(ranges.position - TOKYO, axis=1)
+    np.testing.assert_allclose((ranges.pseudorange + air - distance)[up], 1234.5, atol=2e-3)
+    u = (ranges.position - TOKYO) / distance[:, None]
+    np.testing.assert_allclose((ranges.range_rate - np.sum(u * ranges.velocity, 1))[up], 2.0, atol=1e-3)
+    clear = rows_of(ranges._replace(pseudorange=ranges.pseudorange + air), up)
+    found = single_point(clear)
+    np.testing.assert_allclose(found.position, TOKYO[None], atol=0.02)
+    np.testing.assert_allclose(found.clock, 1234.5, atol=0.02)
+    np.testing.assert_allclose(found.velocity, 0.0, atol=2e-3)
+    # from nothing known, with the atmosphere that is not there taken out: some metres, in height
+    _, alone = solved(seen, eph, masks=Masks(12.0))
+    assert np.linalg.norm(alone.position - TOKYO) < 25.0
+
+
+@needs_tokyo
+def test_orbits_are_those_of_another_program():
+    """The satellites of the rows beside the messages, median below 2 cm; QZSS by its orbit's radius."""
+    eph, ionosphere = read_navigation(TOKYO_DATA / "base.nav")
+    assert ionosphere is None
+    rows = scipy.io.loadmat(TOKYO_DATA / "GNSSTCData_GQ.mat")["GNSSTCData"]
+    rows = rows[(rows[:, 3] > 0) & (rows[:, 0] % 7 == 0)]
+    far = np.linalg.norm(rows[:, 5:8], axis=1) > 3e7
+    satellite = np.where(far, 100, 0) + rows[:, 3].astype(int)
+    t = GPS_EPOCH + 2130 * WEEK + rows[:, 2]
+    nothing = np.zeros((t.size, 3))
+    ranges = Ranges(rows[:, 2], satellite, rows[:, 4], rows[:, 8], rows[:, 5:8], nothing, np.radians(rows[:, 13]),
+                    rows[:, 14])  # fmt: skip
+    found = single_point(rows_of(ranges, np.lexsort((satellite, t))))
+    receiver = np.stack([np.interp(rows[:, 2], found.t, found.position[:, i]) for i in range(3)], 1)
+    distance = np.linalg.norm(rows[:, 5:8] - receiver, axis=1)
+    chosen_rows = Ephemeris(*(a[chosen(eph, satellite, t)] for a in eph))
+    position, clock = at_reception(chosen_rows, t, distance, receiver)
+    # the rows have the signal leave at distance / c before, by GPS time and not the satellite's
+    velocity = (at_reception(chosen_rows, t + 0.5, distance, receiver)[0] - position) / 0.5
+    off = np.linalg.norm(position + velocity * clock[:, None] - rows[:, 5:8], axis=1)
+    assert np.median(off[~far]) < 0.02 and np.median(off[far]) < 0.02
+
+
+@needs_tokyo
+def test_a_station_stands_still():
+    """Single points of a station over 70 minutes: 3 m horizontal about their mean, 0.05 m/s by Doppler."""
+    eph, _ = read_navigation(TOKYO_DATA / "base.nav")
+    seen, notes = read_observations(TOKYO_DATA / "base_GQ_L1.obs")
+    assert any("have no pseudorange" in note for note in notes)
+    _, found = solved(Observations(*(a[(seen.t % 10) < 0.5] for a in seen)), eph)
+    position, velocity = found.samples()
+    lla = position.value
+    metres = (lla - lla.mean(0)) * np.array([6.36e6, 6.38e6 * np.cos(lla[0, 0]), 1.0])
+    assert np.sqrt(np.mean(np.sum(metres[:, :2] ** 2, 1))) < 3.0
+    assert np.sqrt(np.mean(velocity.value**2)) < 0.05
+    assert np.linalg.norm(found.position.mean(0) - TOKYO) < 15.0

@@ -23,6 +23,7 @@ FOLDERS = {
         "across": "several drives tuned together, judged on another IMU of the kind",
         "wild": "recordings as their users have them, from file to solution",
         "solve": "every recording by one command: verdict, drift, calibration, time",
+        "tight": "tight coupling in Tokyo: windows with a few satellites, against loose coupling",
         "sensors": "barometer, compass, wheels, airspeed: drift of recordings with them and without",
         "peers": "KF-GINS, python-ins and filterpy: the same samples, noise, hidden windows and scores",
         "kitti": "a drive against GTSAM: the same hidden windows, the same sigmas",

@@ -240,6 +240,7 @@ def navigate(
     windows = tuple((float(a), float(b)) for a, b in outages)
     findings = usage.consistency_findings(trace.info, usage.nis_by_channel(trace.info, chosen))
     findings += usage.usage_findings(usage.usage(rec, packed, trace.info, chosen, hidden))
+    findings += usage.satellite_findings(packed, trace.info, chosen)
     findings += usage.noise_findings(rec.imu, params)
     findings += state_findings(filt, params, best, trace.info)
     findings += about.findings + ([] if found is None else found.findings) + gap_findings(holes(rec.imu))
@@ -266,7 +267,9 @@ def _installation(stated: Params, rec: Recording) -> list[Finding]:
 
 def _coverage(trace: evaluate.Trace, rec: Recording, measurements: tuple[Measurement, ...]) -> list[Finding]:
     """Return streams that no measurement takes, and a truth that covers a part of the run."""
-    unused = sorted(set(rec.aiding) - {m.name for m in measurements} - set(AUXILIARY))
+    used = {m.name for m in measurements}
+    replaced = {m.name for m in MEASUREMENTS.values() if m.receiver and not m.auxiliary and "pseudorange" in used}
+    unused = sorted(set(rec.aiding) - used - replaced - set(AUXILIARY))
     found = [finding("stream.extra", ", ".join(unused))] if unused else []
     if rec.truth is not None:
         share = float(np.mean(covered_by(trace.track.t, rec.truth.t)))

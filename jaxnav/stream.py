@@ -103,6 +103,9 @@ class Stream:
             )
         if not (math.isfinite(interval) and interval > 0 and math.isfinite(lag) and lag >= 0):
             raise ValueError(f"interval must be positive and lag not negative, got {interval} s and {lag} s")
+        if filt.model.auxiliary:
+            names = ", ".join(name for name, *_ in filt.model.auxiliary)
+            raise ValueError(f"a stream takes fixes and no {names}: use navigate, or a filter without them")
         self.params = begin.apply_to(params)
         require_x64(self.params)
         require_params(filt, self.params)

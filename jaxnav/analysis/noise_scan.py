@@ -35,7 +35,7 @@ from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Step
-from jaxnav.filters.parameters import datasheet_states, history_for
+from jaxnav.filters.parameters import datasheet_states, history_for, strong
 from jaxnav.filters.run import prepare, run, student_nll
 from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, ground_velocity, initialize
@@ -190,7 +190,8 @@ class _Objective:
         self.rec, self.begin, self.end, self.outages = rec, begin, end, outages
         self.rows = tuple(m for m in GNSS if m.name in rec.aiding)
         states = datasheet_states(GRADES["consumer"], BIASES) | params.states
-        self.params = begin.apply_to(params._replace(states=states, rule=(), feedback=()))
+        fixes = {m.name: strong(m.defaults) for m in self.rows} | params.measurements  # a filter may take ranges alone
+        self.params = begin.apply_to(params._replace(states=states, measurements=fixes, rule=(), feedback=()))
         rate, span = 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))
         self.filt = build("ekf15", self.rows, 5, history_for(self.params, rate, span))
         self.first = begin.t + min(WARM_UP_S, 0.25 * (end - begin.t))

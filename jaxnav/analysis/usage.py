@@ -10,9 +10,12 @@ from jaxnav.checkup.findings import finding
 from jaxnav.checkup.inertial import noise_floor
 from jaxnav.filters.epochs import Packed
 from jaxnav.filters.gaps import TICK
+from jaxnav.gnss import ranges
 from jaxnav.io.missing import UNMEASURED_SD
 from jaxnav.maths import units
 from jaxnav.measurements import Measurement, layout
+from jaxnav.measurements.measurement import references
+from jaxnav.measurements.satellites import SATELLITE
 from jaxnav.types import Finding, ImuLog, Info, Params, Recording
 
 BOUND_PROBABILITY = 0.9999  # probability of the bounds, of each channel
@@ -36,9 +39,14 @@ class Use(NamedTuple):
 def usage(
     rec: Recording, packed: Packed, info: Info, measurements: tuple[Measurement, ...], hidden: np.ndarray
 ) -> dict[str, Use]:
-    """Return the use by stream; ``hidden`` (E,) bool: epochs with hidden fixes. An unmeasured stream has 0 used."""
-    slices, found = layout(measurements), {}
+    """Return the use by stream; ``hidden`` (E,) bool: epochs with hidden fixes. An unmeasured stream has 0 used.
+
+    Fixes that ranges of satellites stand for are left out (`jaxnav.measurements.measurement.references`).
+    """
+    slices, found, compared = layout(measurements), {}, references(measurements)
     for name, s in rec.aiding.items():
+        if name in compared:
+            continue
         if name not in slices:
             found[name] = Use(s.t.size, 0, 0, 0, 0, 0)
             continue
@@ -66,6 +74,33 @@ def usage_findings(found: dict[str, Use]) -> list[Finding]:
         if why:
             code = "stream.unused" if u.used + u.refused + u.hidden > 0 else "stream.refused"
             out.append(finding(code, name, float(u.used), used=u.used, read=u.read, why=why))
+    return out
+
+
+MIN_REJECTED, MIN_REJECTED_SHARE = 10, 0.1  # pseudoranges of a satellite, and share of them, that a finding names
+
+
+def satellite_findings(packed: Packed, info: Info, measurements: tuple[Measurement, ...]) -> list[Finding]:
+    """Return a finding for every satellite of which the gate rejected more than a few pseudoranges."""
+    place = layout(measurements).get("pseudorange")
+    if place is None:
+        return []
+    number = np.asarray(packed.epochs.fix.auxiliary["pseudorange"])[..., SATELLITE.index("satellite")]
+    valid, used, nu = (np.asarray(a)[:, place] for a in (info.valid, info.used, info.nu))
+    out = []
+    for each in np.unique(number[valid]):
+        seen = valid & (number == each)
+        refused = seen & ~used
+        count, read = int(refused.sum()), int(seen.sum())
+        if count < max(MIN_REJECTED, MIN_REJECTED_SHARE * read):
+            continue
+        t = packed.t[refused.any(1)]
+        size = float(np.median(np.abs(nu[refused])))
+        out.append(
+            finding(
+                "satellite.rejected", ranges.name(int(each)), size, rejected=count, read=read, first=t[0], last=t[-1]
+            )
+        )
     return out
 
 

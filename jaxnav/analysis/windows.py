@@ -23,6 +23,7 @@ class Windows(NamedTuple):
     phase: np.ndarray  # (W,) int, the run
     start: np.ndarray  # (W,) s
     end: np.ndarray  # (W,) int, the window's last epoch with a position, where the drift is measured
+    satellites: int = 0  # the highest ones that a window keeps
 
 
 def hidden_windows(
@@ -65,7 +66,7 @@ def drift(
     Returns:
         (W, 3) m, ENU, inf where the run failed; and the runs (P, E, ...).
     """
-    hide = lambda h: ep.hide(epochs, h, measurements).fix.valid
+    hide = lambda h: ep.hide(epochs, h, measurements, windows.satellites).fix.valid
     info = phases(filt, params, nav, epochs, jnp.stack([hide(h) for h in windows.hidden]))
     residual = np.asarray(info.residual)[windows.phase, windows.end, :3]
     if RECEIVER_ERROR in info.nav.errors:

@@ -133,6 +133,7 @@ class Tune:
     more: tuple[str, ...] = ()  # further sources to tune on together, as [data] source
     target: str = ""  # another filter, tuned as it measures and estimates: kfgins, navego, px4, ardupilot, ...
     outage_s: float = 0.0  # recorded: length of the hidden windows; 0: by the recording's length
+    hidden_satellites: int = 0  # satellites, the highest, that a hidden window keeps (filters with pseudorange)
     runs: int = 8  # simulated: for training
     validation_runs: int = 4  # to choose the best step
     test_runs: int = 8  # to judge
@@ -210,6 +211,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "tune.validation_runs": (1, 1_000_000),
     "tune.test_runs": (1, 1_000_000),
     "tune.outage_s": (0.0, 3600.0),
+    "tune.hidden_satellites": (0, 14),
     "mc.runs": (1, 10_000_000),
     "mc.chunk": (1, 10_000),
     "mc.limit_m": (1e-3, math.inf),

@@ -82,6 +82,9 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "nis.low": {"subject": "position", "vector": "east 0.1, north 0.1", "limit": 0.31},
     "nis.overall": {"value": 1.41, "limit": 1.25},
     "innovations.correlated": {"subject": "position", "vector": "east 0.91, north 0.88"},
+    "satellite.rejected": {
+        "subject": "G24", "rejected": 180, "read": 400, "value": 102.0, "first": 61.0, "last": 97.0
+    },
     "stream.unused": {"subject": "position", "used": 60, "read": 70, "why": "10 before the start"},
     "stream.refused": {"subject": "velocity", "read": 240, "why": "240 rejected by the rule"},
     "stream.extra": {"subject": "barometer"},

@@ -377,6 +377,13 @@ KINDS: dict[str, Kind] = {
         ("jaxnav check", "jaxnav tune"),
     ),
     "stream.extra": Kind(INFO, "not used of the recording: {subject}", (), ("add it to filter.measurements",)),
+    "satellite.rejected": Kind(
+        WARNING,
+        "{subject}: {rejected} of {read} pseudoranges rejected, {value:.0f} m off in the median, {first:.0f} to "
+        "{last:.0f} s",
+        ("a reflected signal", "a fault of the satellite", "a wrong ephemeris"),
+        ("raise data.options elevation_mask_deg or cn0_mask_dbhz", 'jaxnav tune with tune.free = ["ranges"]'),
+    ),
     "imu.noise_high": Kind(
         WARNING,
         "{subject} noise in the quietest seconds is {value:.3g} {unit_text}, {ratio:.0f} times the assumed",

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from jaxnav.filters.error_model import ErrorModel
@@ -274,6 +275,8 @@ def make_filter(
     def corrected(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info, jax.Array]:
         nav, age = jax.tree.map(lambda a: a[-1], state.past), state.age + state.T
         fix = without_nan(fix)
+        if model.compared:  # its residual is reported all the same
+            fix = fix._replace(valid=fix.valid & ~np.array(model.compared))
         x, memory = rule.extrapolate(params.rule, state.memory, state.x0, state.x)
         y, H, R = model.observe(params, state.past, fix, state.P if model.second_order else None)
         residual = y - H @ x

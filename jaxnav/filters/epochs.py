@@ -6,6 +6,7 @@ Regular, irregular, late and missing fixes then have one shape, and hiding a fix
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -16,6 +17,7 @@ from jaxnav.filters import gaps
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.standstill import Standing, constraint_samples, is_driving, stationary
 from jaxnav.measurements import AUXILIARY, GNSS, Measurement, layout
+from jaxnav.measurements.satellites import SATELLITE
 from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Recording, Samples, nearest
 
 MAX_EPOCHS = 10_000_000  # of a recording: ten minutes in steps of a microsecond, or a year at 0.3 Hz
@@ -240,16 +242,30 @@ def _shown(valid: jax.Array, hidden: jax.Array, receiver: jax.Array) -> jax.Arra
     return valid & ~(hidden[..., None] & receiver)
 
 
-def hide(epochs: Epoch, hidden: np.ndarray, measurements: tuple[Measurement, ...] = GNSS) -> Epoch:
+@partial(jax.jit, static_argnums=2)
+def _highest(valid: jax.Array, elevation: jax.Array, count: int) -> jax.Array:
+    """Return the valid channels (E, s) of the highest satellites of each epoch."""
+    order = jnp.argsort(jnp.argsort(jnp.where(valid, -elevation, jnp.inf), axis=-1), axis=-1)
+    return valid & (order < count)
+
+
+def hide(epochs: Epoch, hidden: np.ndarray, measurements: tuple[Measurement, ...] = GNSS, satellites: int = 0) -> Epoch:
     """Return epochs without the receiver's channels where ``hidden``; constraints stay.
 
     Args:
         epochs: (E, ...) of one run.
         hidden: (E,) bool.
         measurements: rows of the filter, in its order.
+        satellites: how many of the highest of an epoch stay.
     """
     receiver = np.concatenate([np.full(m.size, m.receiver) for m in measurements])
     valid = _shown(epochs.fix.valid, jnp.asarray(hidden), receiver)
+    for name, place in layout(measurements).items() if satellites else ():
+        if name in epochs.fix.auxiliary:
+            there = epochs.fix.valid[..., place]
+            elevation = epochs.fix.auxiliary[name][..., SATELLITE.index("elevation_rad")]
+            kept = jnp.where(jnp.asarray(hidden)[..., None], _highest(there, elevation, satellites), there)
+            valid = valid.at[..., place].set(kept)
     return epochs._replace(fix=epochs.fix._replace(valid=valid))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxnav.maths import linalg, rotations
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, latency
-from jaxnav.measurements.measurement import ObserveFix, stack
+from jaxnav.measurements.measurement import ObserveFix, references, stack
 from jaxnav.states import table
 from jaxnav.states.motion import A, V, prior_sd
 from jaxnav.states.second_order import second_order
@@ -86,6 +86,7 @@ class ErrorModel(NamedTuple):
     reads: tuple[str, ...] = ()  # auxiliary values that its states' effects depend on
     # (params, fix) -> which states restart before the fix, (n,) bool, and their sd then, (n,); None: never
     restart: Callable[[Params, Fix], tuple[jax.Array, jax.Array]] | None = None
+    compared: tuple[bool, ...] = ()  # (m,) channels that are only compared with (`references`); () is none
     auxiliary: tuple[
         tuple[str, int, int], ...
     ] = ()  # measurements with auxiliary values, their channels, values of each
@@ -195,6 +196,9 @@ def error_model(
 
     renewed = [(m.name, name) for m in measurements for name in m.restarts if name in slices]
 
+    only = references(measurements)
+    compared = tuple(m.name in only for m in measurements for _ in m.channels)
+
     def restart(params: Params, fix: Fix) -> tuple[jax.Array, jax.Array]:
         new, sd = jnp.zeros(n, bool), jnp.zeros(n)
         for measurement, name in renewed:
@@ -208,7 +212,8 @@ def error_model(
         retract, absorb, covariance, transition, with_second_order if form == "full" else None,
         stack(measurements, rows, motion.leave, motion.enu_rows),
         motion.enter or _same, report, earlier, tuple(sorted({name for s in rows for name in s.reads})),
-        restart if renewed else None, tuple((m.name, m.size, len(m.auxiliary)) for m in measurements if m.auxiliary),
+        restart if renewed else None, compared if any(compared) else (),
+        tuple((m.name, m.size, len(m.auxiliary)) for m in measurements if m.auxiliary),
     )  # fmt: skip
 
 

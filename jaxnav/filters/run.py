@@ -286,6 +286,20 @@ def negative_log_likelihood(info: Info) -> jax.Array:
     return jnp.where((info.valid & ~info.used).any(), far, near) + 0.5 * linalg.log_determinant(info.S)
 
 
+def gated_nll(info: Info, alone: np.ndarray) -> jax.Array:
+    """Return -log of the density of one epoch's innovations, (), where a gate tests channels ``alone`` (m,) bool.
+
+    A rejected one of them has a Student t of its own, so that the others keep their weight.
+    """
+    out = info.valid & ~info.used & alone
+    keep = info.valid & ~out
+    nu, S = jnp.where(keep, info.nu, 0.0), jnp.where(keep[:, None] & keep, info.S, jnp.eye(keep.size))
+    rest = info._replace(nu=nu, S=S, valid=keep, nis=linalg.normalized(nu, S))
+    variance = jnp.diag(info.S)
+    single = student_nll(info.nu**2 / variance, jnp.asarray(1), 1) + 0.5 * jnp.log(variance)
+    return negative_log_likelihood(rest) + jnp.sum(jnp.where(out, single, 0.0))
+
+
 def student_nll(nis: jax.Array, m: jax.Array, most: int) -> jax.Array:
     """-log of a Student t of m channels, at most ``most``, and unit scale at a normalised square, ()."""
     return 0.5 * (FREEDOM + m) * jnp.log1p(nis / FREEDOM) + student_constant(m, most)

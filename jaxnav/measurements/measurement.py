@@ -106,6 +106,18 @@ def layout(measurements: Iterable[Measurement]) -> dict[str, slice]:
     return {m.name: slice(stop - m.size, stop) for m, stop in zip(measurements, stops, strict=True)}
 
 
+def references(measurements: Iterable[Measurement]) -> tuple[str, ...]:
+    """Return the measurements that a filter is only compared with: fixes of a receiver whose ranges it takes."""
+    measurements = tuple(measurements)
+    ranges = any(m.auxiliary for m in measurements)
+    return tuple(m.name for m in measurements if ranges and m.receiver and not m.auxiliary)
+
+
+def tested_alone(measurements: Iterable[Measurement]) -> np.ndarray:
+    """Return which channels (m,) bool of a filter a gate tests one by one: those of satellites."""
+    return np.array([bool(m.auxiliary) for m in measurements for _ in m.channels])
+
+
 def part_of(fix: Fix, name: str, place: slice) -> Fix:
     """Return the channels ``place`` of a fix, with the auxiliary values of measurement ``name``."""
     return Fix(fix.value[place], fix.sd[place], fix.corr[place], fix.valid[place], fix.auxiliary.get(name))

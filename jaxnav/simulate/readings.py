@@ -13,7 +13,9 @@ from jaxnav.filters.parameters import datasheet_states
 from jaxnav.maths import earth, rotations
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.measurements.measurement import Kinematics
+from jaxnav.measurements.satellites import PSEUDORANGE
 from jaxnav.simulate.processes import gauss_markov, normal
+from jaxnav.simulate.satellites import with_satellites
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, matched_params
 from jaxnav.states.grades import GRADES
@@ -23,6 +25,7 @@ from jaxnav.states.table import chosen
 from jaxnav.types import Fix, Nav, Params, StateParams
 
 WALKING = 1.5  # m/s
+SKY = 1000  # of the key of the satellites
 
 
 def expected(measurement: Measurement, params: Params, truth: Nav) -> jax.Array:
@@ -51,7 +54,15 @@ def with_equipment(key: jax.Array, sim: Simulated, scenario: Scenario) -> Simula
     for i, (name, sd) in enumerate(scenario.sensors, 1):
         least = WALKING if name == "course" else 0.0
         sim = with_sensor(jax.random.fold_in(key, i), sim, params, name, sd, least)
-    return sim
+    return sim if scenario.sky is None else with_sky(jax.random.fold_in(key, SKY), sim, scenario)
+
+
+def with_sky(key: jax.Array, sim: Simulated, scenario: Scenario) -> Simulated:
+    """Return the run with the satellites of the scenario, by the defaults of their measurements and states."""
+    assert scenario.sky is not None
+    params = matched_params(scenario)
+    states = datasheet_states(GRADES[scenario.imu.grade], PSEUDORANGE.needs)
+    return with_satellites(key, sim, params._replace(states=params.states | states), scenario.sky)
 
 
 def with_sensor(
@@ -66,7 +77,8 @@ def with_sensor(
     value = exact + sd * normal(key, exact.shape) if measurement.columns else jnp.zeros_like(exact)
     there = jnp.linalg.norm(sim.truth.vel[:, :2], axis=1, keepdims=True) >= least_speed
     more = Fix(value, jnp.full_like(value, sd), jnp.zeros_like(value), jnp.broadcast_to(there, value.shape))
-    fix = jax.tree.map(lambda a, b: jnp.concatenate([a, b], 1), f, more)
+    fix = jax.tree.map(lambda a, b: jnp.concatenate([a, b], 1), f._replace(auxiliary={}), more)
+    fix = fix._replace(auxiliary=f.auxiliary)
     return sim._replace(epochs=sim.epochs._replace(fix=fix))
 
 

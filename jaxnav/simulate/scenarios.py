@@ -11,6 +11,7 @@ from jaxnav.maths.units import DEG_PER_HOUR, MG
 from jaxnav.simulate.faults import Burst, Constant, Fault, GaussMarkov, Ramp, White
 from jaxnav.simulate.gnss import Receiver
 from jaxnav.simulate.imu import ImuErrors
+from jaxnav.simulate.sky import Sky
 from jaxnav.simulate.trajectories import Circle, LaunchMove, Urban
 
 
@@ -48,6 +49,7 @@ class Scenario(NamedTuple):
     # their noise in SI, read at every fix's time and in outages; names of further states, drawn from their priors
     sensors: tuple[tuple[str, float], ...] = ()
     sensor_states: tuple[str, ...] = ()
+    sky: Sky | None = None  # satellites of one run, for tight coupling; measured at every epoch, in outages too
 
 
 # ---------------------------------------------------------------------------- drives in town
@@ -66,6 +68,15 @@ INTEGRATING = Scenario(
         position_sd_m=(0.3, 0.3, 0.3), velocity_sd_mps=(0.05, 0.05, 0.05),
         slow_position_sd_m=1.5, integrates_velocity=True,
     ),
+)  # fmt: skip
+
+# a street: houses of 30 deg on both sides, and by turns a few satellites or none
+STREET = Scenario(
+    name="street", duration_s=240.0, imu_rate_hz=50.0, gnss_rate_hz=2.0, motion=Urban(standstill_s=10.0),
+    gnss=_ROOF._replace(position_sd_m=(4.0, 4.0, 8.0)),
+    sky=Sky(house_deg=30.0, street_deg=30.0, few=tuple(
+        (60.0 + 30.0 * i, 75.0 + 30.0 * i, k) for i, k in enumerate((5, 3, 1, 0, 2, 4))
+    )),
 )  # fmt: skip
 
 # ---------------------------------------------------------------------------- Ansari et al. 2024: an hour on a circle
@@ -164,6 +175,7 @@ SCENARIOS: dict[str, Scenario] = {
         URBAN_SHORT,
         TRAFFIC,
         INTEGRATING,
+        STREET,
         CIRCLE,
         REPRO,
         *_GPID,

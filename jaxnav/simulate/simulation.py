@@ -21,6 +21,7 @@ from jaxnav.simulate.processes import normal
 from jaxnav.simulate.scenarios import PATTERN, InitialErrors, Scenario
 from jaxnav.simulate.trajectories import Point, Shape, shape_of, travel
 from jaxnav.states.grades import GRADES
+from jaxnav.states.receiver_clock import SLOTS
 from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Nav, Origin, Params, Recording, Samples, Track
 
 DRIVE, SENSOR, RECEIVER, OUTAGES, START = range(5)  # the purposes that are folded into the key
@@ -179,6 +180,17 @@ def matched_params(scenario: Scenario, rule: Any = (), feedback: Any = ()) -> Pa
     return params._replace(states=params.states | {"gyro_bias": known})
 
 
+def _satellites(fix: Fix, t: np.ndarray) -> dict[str, Samples]:
+    """Return the streams of the satellites, whose channels are the last ones."""
+    found, first = {}, fix.value.shape[1] - 2 * SLOTS
+    for i, name in enumerate(("pseudorange", "range_rate")):
+        place = slice(first + i * SLOTS, first + (i + 1) * SLOTS)
+        some = np.asarray(fix.valid[:, place].any(1))
+        value, sd, corr, there = (np.asarray(a[some, place]) for a in (fix.value, fix.sd, fix.corr, fix.valid))
+        found[name] = Samples(t[some], np.where(there, value, 0.0), sd, corr, there, fix.auxiliary[name][some])
+    return found
+
+
 SAMPLE, EPOCH = 300.0, 1000.0  # bytes of a simulated IMU sample and of an epoch, with intermediate results
 
 
@@ -215,6 +227,8 @@ def to_recording(sim: Simulated, scenario: Scenario, t0: float = 0.0) -> Recordi
     for name, s in layout(m for m in sensors if m.columns or m.receiver).items():
         seen = fix.valid[:, s].all(1)
         aiding[name] = Samples(t[seen], fix.value[seen, s], fix.sd[seen, s], fix.corr[seen, s])
+    if scenario.sky is not None:
+        aiding |= _satellites(fix, t)
     navs = jax.tree.map(
         lambda a, b: jnp.concatenate([a[None], b]), *(n._replace(errors={}) for n in (sim.start, sim.truth))
     )

@@ -1,6 +1,7 @@
 """Cutting recordings into epochs: nothing of the stream is lost, and every fix ends an epoch."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -15,8 +16,9 @@ from jaxnav.filters.run import run_jit
 from jaxnav.filters.standstill import constraint_samples, is_driving, mean_rate, stationary
 from jaxnav.io.recording import recording
 from jaxnav.maths import earth
-from jaxnav.measurements import GNSS, NONHOLONOMIC, POSITION, SPEED, VELOCITY
-from jaxnav.types import DataError, ImuLog, Samples
+from jaxnav.measurements import GNSS, MEASUREMENTS, NONHOLONOMIC, POSITION, SPEED, VELOCITY
+from jaxnav.measurements.satellites import SATELLITE
+from jaxnav.types import DataError, Epoch, Fix, ImuLog, Samples
 from tests.conftest import gnss, leaves_equal, told
 
 
@@ -304,3 +306,19 @@ def test_driving_is_what_noise_cannot_be():
     sd = np.array([[0.5, 0.1, 0.1], [0.1, 0.5, 0.1], [0.01] * 3, [0.1] * 3])
     velocity = Samples(np.arange(1.0, 5.0), value, sd, np.zeros((4, 3)))
     assert is_driving(velocity, np.array([1.0, 2.2, 3.1, 4.4, 5.5])).tolist() == [False, True, False, True, False]
+
+
+def test_a_hidden_window_may_keep_the_highest_satellites():
+    rows = (MEASUREMENTS["position"], MEASUREMENTS["pseudorange"])
+    E, s = 4, MEASUREMENTS["pseudorange"].size
+    elevation = np.tile(np.linspace(0.2, 1.4, s), (E, 1))
+    auxiliary = np.zeros((E, s, len(SATELLITE)))
+    auxiliary[..., SATELLITE.index("elevation_rad")] = elevation
+    valid = np.ones((E, 3 + s), bool)
+    valid[:, -1] = False  # the highest is not there
+    fix = Fix(*(jnp.zeros((E, 3 + s)) for _ in range(3)), jnp.asarray(valid), {"pseudorange": jnp.asarray(auxiliary)})
+    hidden = np.array([False, True, True, False])
+    left = lambda k: np.asarray(hide(Epoch(None, fix), hidden, rows, k).fix.valid)
+    assert left(3)[1].nonzero()[0].tolist() == [3 + s - 4, 3 + s - 3, 3 + s - 2]
+    assert left(0)[2].sum() == 0
+    np.testing.assert_array_equal(left(3)[[0, 3]], valid[[0, 3]])

@@ -285,3 +285,36 @@ def test_papers_filters_take_no_satellites():
         build("gpid15", ("position", "velocity", "pseudorange"))
     with pytest.raises(ValueError, match="the rule is for fixes"):
         build("ekf15_huber", ("pseudorange",))
+
+
+def test_the_likelihood_gives_a_rejected_satellite_a_tail_of_its_own():
+    """Its value by the parts, its score by finite differences, and the others as if it were not there."""
+    from jaxnav.filters.run import gated_nll, negative_log_likelihood, student_nll
+    from jaxnav.types import Info
+    from tuning.uncertainty import gated
+
+    rng = np.random.default_rng(4)
+    m, alone = 5, np.array([False, False, True, True, True])
+    root = rng.normal(size=(2, m, m))
+    nu, S = jnp.asarray(rng.normal(size=m) + [0, 0, 0, 30.0, 0]), jnp.asarray(root[0] @ root[0].T + np.eye(m))
+    valid, used = jnp.array([1, 1, 1, 1, 0], bool), jnp.array([1, 1, 1, 0, 0], bool)
+    nu, S = jnp.where(valid, nu, 0.0), jnp.where(valid[:, None] & valid, S, jnp.eye(m))
+
+    def info_of(nu, S, valid, used):
+        blank = dict.fromkeys(Info._fields)
+        nis = nu @ jnp.linalg.solve(S, nu)
+        return Info(**(blank | {"nu": nu, "S": S, "valid": valid, "used": used, "nis": nis}))
+
+    found = gated_nll(info_of(nu, S, valid, used), alone)
+    kept = jnp.array([0, 1, 2])
+    rest = info_of(nu[kept], S[jnp.ix_(kept, kept)], valid[kept], used[kept])
+    tail = student_nll(nu[3] ** 2 / S[3, 3], jnp.asarray(1), 1) + 0.5 * jnp.log(S[3, 3])
+    np.testing.assert_allclose(found, negative_log_likelihood(rest) + tail, rtol=1e-12)
+    dnu, dS = jnp.asarray(rng.normal(size=(1, m))), jnp.asarray(root[1] + root[1].T)[None]
+    dnu, dS = jnp.where(valid, dnu, 0.0), jnp.where(valid[:, None] & valid, dS, 0.0)
+    value, score, fisher = gated(nu, S, valid, dnu, dS, used, alone)
+    np.testing.assert_allclose(value, found, rtol=1e-12)
+    step = 1e-6
+    moved = lambda h: gated_nll(info_of(nu + h * dnu[0], S + h * dS[0], valid, used), alone)
+    np.testing.assert_allclose(score[0], (moved(step) - moved(-step)) / (2 * step), rtol=1e-6)
+    assert float(fisher[0, 0]) > 0

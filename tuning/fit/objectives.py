@@ -12,9 +12,10 @@ from functools import cache
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxnav.analysis import metrics
-from jaxnav.filters.run import negative_log_likelihood
+from jaxnav.filters.run import gated_nll, negative_log_likelihood
 from jaxnav.types import Info
 
 
@@ -48,6 +49,18 @@ def innovation_nll(info: Info, keep: jax.Array) -> jax.Array:
     """
     measured = keep & info.valid.any(-1)
     return inf_if_frozen(info, keep, masked_mean(jax.vmap(negative_log_likelihood)(info), measured))
+
+
+def gated_innovation_nll(info: Info, keep: jax.Array, alone: np.ndarray) -> jax.Array:
+    """Return `innovation_nll` of a filter with satellites, (), by `jaxnav.filters.run.gated_nll`.
+
+    Args:
+        info: of one run, (E, ...).
+        keep: (E,) bool, epochs that count.
+        alone: (m,) bool, channels that a gate tests one by one.
+    """
+    measured = keep & info.valid.any(-1)
+    return inf_if_frozen(info, keep, masked_mean(jax.vmap(lambda row: gated_nll(row, alone))(info), measured))
 
 
 def rmse(error: jax.Array, keep: jax.Array) -> jax.Array:

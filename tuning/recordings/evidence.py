@@ -15,12 +15,13 @@ from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.run import run
 from jaxnav.measurements import MEASUREMENTS
+from jaxnav.measurements.measurement import tested_alone
 from jaxnav.states import table
 from jaxnav.types import Epoch, Info, Nav, Params
 from tuning.fit.transforms import Spec, join, split
 from tuning.recordings.parts import Used, ages
 from tuning.recordings.priors import kind_of
-from tuning.uncertainty import Information, gaussian, pushed, rejected
+from tuning.uncertainty import Information, gated, gaussian, pushed
 
 SLOW = RECEIVER_ERROR
 
@@ -40,7 +41,7 @@ class EpochRecord(NamedTuple):
     nu: jax.Array
     S: jax.Array
     valid: jax.Array
-    far: jax.Array  # the rule rejected some of it
+    used: jax.Array
     ok: jax.Array
     residual: jax.Array  # (3,) of the position
     P: jax.Array  # (3, 3) of a predicted fix, without its noise
@@ -49,7 +50,7 @@ class EpochRecord(NamedTuple):
 def _keep(slow: slice | None, step: Step, along: Any) -> EpochRecord:
     info = step.info
     P = seen_by_position(info.P, slow)
-    return EpochRecord(info.nu, info.S, info.valid, rejected(info), info.ok, info.residual[:3], P)
+    return EpochRecord(info.nu, info.S, info.valid, info.used, info.ok, info.residual[:3], P)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -60,16 +61,20 @@ def _evidence(
     """Of innovations and of hidden fixes; valid (P, E, m), keep (P, E), at and there (P, A), sd (P, A, 3)."""
     spec, (_, back) = dict(items), ravel_pytree(like)
     keep_seen = partial(_keep, slow_errors(filt))
+    alone = tested_alone(MEASUREMENTS[name] for name in filt.model.measurements)
 
     def phase(valid: jax.Array, keep: jax.Array, at: jax.Array, there: jax.Array, sd: jax.Array) -> Any:
         def outputs(r: jax.Array) -> Any:
             moved = join(spec, back(r), params)
             seen = run(filt, moved, nav, epochs._replace(fix=epochs.fix._replace(valid=valid)), keep_seen)
             C = seen.P[at] + position_noise(moved, sd)
-            return (seen.nu, seen.S, seen.residual[at], C), (seen.valid, seen.far, seen.ok)
+            return (seen.nu, seen.S, seen.residual[at], C), (seen.valid, seen.used, seen.ok)
 
-        ((nu, S, y, C), (seen, outlying, ok)), (dnu, dS, dy, dC) = pushed(outputs, flat)
-        terms = jax.vmap(gaussian, (0, 0, 0, 1, 1, 0))(nu, S, seen, dnu, dS, outlying)
+        ((nu, S, y, C), (seen, used, ok)), (dnu, dS, dy, dC) = pushed(outputs, flat)
+        if alone.any():
+            terms = jax.vmap(partial(gated, alone=alone), (0, 0, 0, 1, 1, 0))(nu, S, seen, dnu, dS, used)
+        else:
+            terms = jax.vmap(gaussian, (0, 0, 0, 1, 1, 0))(nu, S, seen, dnu, dS, (seen & ~used).any(-1))
         three = jnp.ones((at.size, 3), bool)
         far = jax.vmap(partial(gaussian, heavy=True), (0, 0, 0, 1, 1))(y, C, three, dy, dC)
         lost = jnp.where((keep & ~ok).any(), jnp.inf, 0.0)
@@ -194,8 +199,9 @@ def training_of(filt: Filter, used: Used, size: int) -> Training:
     counts = (t >= used.packed.start + layout.settle) & (t <= layout.train + TICK)
     there = np.all(np.asarray(fix.valid)[:, :2], axis=1)
     at, known = ages(used.windows, used.packed.t, there, used.parts["training"], layout.window)
+    valid = jnp.stack([ep.hide(epochs, h, chosen, layout.satellites).fix.valid for h in hidden])
     return Training(
-        used.datasheet, used.nav, epochs, jnp.stack([ep.hide(epochs, h, chosen).fix.valid for h in hidden]),
+        used.datasheet, used.nav, epochs, valid,
         jnp.asarray(counts & ~hidden), at, known, np.asarray(fix.sd)[:, :3][at],
     )  # fmt: skip
 

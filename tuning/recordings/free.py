@@ -37,8 +37,20 @@ def groups(
         "lever_arm": ["mounting.lever_arm"],
         "vehicle": ["mounting.vehicle", "mounting.wheel_arm"] if {"nonholonomic", "speed"} & set(used) else [],
         "prior": [f"states.{state}.sd" for state in states],
+        "ranges": _ranges(measurements, states),
         "rule": list(rule),
     }
+
+
+def _ranges(measurements: tuple[Measurement, ...], states: tuple[str, ...]) -> list[str]:
+    """Return weights of satellites, and sd, driving noise and tau of their errors and of the receiver's clock."""
+    rows = [m for m in measurements if m.auxiliary]
+    needed = {state for m in rows for state in m.needs} & set(states)
+    weights = [f"measurements.{m.name}.{leaf}" for m in rows for leaf, unit in m.units._asdict().items()
+               if unit.step is None]  # fmt: skip
+    slow = {name for m in rows for name in m.restarts} & needed
+    processes = [f"states.{state}.driving_noise" for state in states if state in needed]
+    return [*weights, *processes, *(f"states.{state}.{leaf}" for state in sorted(slow) for leaf in ("sd", "tau"))]
 
 
 def of_rule(name: str) -> list[str]:

@@ -33,6 +33,7 @@ class Layout(NamedTuple):
     settle: float  # nothing counts before this long after the start
     train: float  # time at which the training part ends
     validation: float  # and the validation part
+    satellites: int = 0  # that hidden windows keep
 
 
 class Used(NamedTuple):
@@ -98,7 +99,8 @@ def plan(packed: ep.Packed, window: float) -> Layout:
 def windows_of(packed: ep.Packed, layout: Layout, size: int) -> Windows:
     """Return the hidden windows of a recording, over ``size`` epochs with the recorded ones first."""
     windows = hidden_windows(packed, layout.window, layout.every, PHASES, layout.settle)
-    return windows._replace(hidden=np.pad(windows.hidden, [(0, 0), (0, size - packed.t.size)]))
+    hidden = np.pad(windows.hidden, [(0, 0), (0, size - packed.t.size)])
+    return windows._replace(hidden=hidden, satellites=layout.satellites)
 
 
 def pooled(used: Sequence[Used]) -> dict[str, np.ndarray]:
@@ -139,7 +141,7 @@ def runs_of(used: Used, filt: Filter, part: str, size: int) -> Run:
     inside, hidden, phases = (t > begin) & (t <= end + TICK), windows.hidden[:, :size], len(windows.hidden)
     epochs = jax.tree.map(lambda a: a[:size], used.epochs)
     measurements = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    runs = [ep.hide(epochs, h, measurements) for h in hidden]
+    runs = [ep.hide(epochs, h, measurements, windows.satellites) for h in hidden]
     rows = [np.flatnonzero((windows.phase == p) & used.parts[part]) for p in range(phases)]
     most = max(1, *(len(row) for row in rows))
     ends = np.array([np.pad(windows.end[row], (0, most - len(row))) for row in rows])

@@ -100,6 +100,7 @@ def tune(
     initialization: Initialization | Sequence[Initialization] | None = None,
     stop: float | None = None,
     window: float | None = None,
+    hidden_satellites: int = 0,
     priors: bool = True,
     observations: float | None = None,
     extend: bool = True,
@@ -122,6 +123,7 @@ def tune(
         initialization: one per recording, or one for all; by default `jaxnav.initialize`.
         stop: s, end of the data.
         window: s, length of the hidden windows; by default 3 to 15 by the recording's length.
+        hidden_satellites: satellites, the highest, that a hidden window keeps.
         priors: False: maximum likelihood.
         observations: N, by default the windows that fit into the training parts.
         extend: try a filter that estimates slow errors of the receiver.
@@ -160,7 +162,7 @@ def tune(
         log(line(warning))
     cut = [ep.pack_recording(r, chosen, b.t, 0.0, stop, standing) for r, b in zip(recs, begins, strict=True)]
     window = window_of(cut) if window is None else window
-    layouts = [plan(packed, window) for packed in cut]
+    layouts = [plan(packed, window)._replace(satellites=hidden_satellites) for packed in cut]
     if scans is None and not set(SCANNED) & set(leaves_of(filt, datasheets[0], free)):
         scans = [NoiseScan()] * len(recs)
     elif scans is None:

@@ -180,7 +180,8 @@ def on_recordings(config: Config, long: Long, progress: bool, log: Callable[[str
     begins = [initialization_of(*each) for each in zip(configs, recs, datasheets, strict=True)]
     found = tune_recordings(
         recs, filt, datasheets, free=free.leaves, per_recording=free.per_recording, prior_sd=free.prior_sd,
-        initialization=begins, stop=config.data.stop, window=t.outage_s or None, priors=t.priors != "none",
+        initialization=begins, stop=config.data.stop, window=t.outage_s or None, hidden_satellites=t.hidden_satellites,
+        priors=t.priors != "none",
         extend=target is None, standing=standing_of(config),
         how=descent_of(config, long, progress) if gradient else None, checkpoints=checkpoints, log=log,
     )  # fmt: skip

@@ -1,0 +1,281 @@
+"""Tight coupling in Tokyo: windows in which k satellites are left, tuned on the first half, judged on the second.
+
+Bars: RMS at 3, 4, 5 satellites at most 3.5, 3.3, 2.9 m, at 2 at most 8 m, at 0 at most 1.1 times the loosely coupled
+filter's, with all at most 1.6 m; NEES/2 at 3 satellites and with all within 0.4 to 1.6.
+"""
+
+import os
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import scipy.io
+
+from benchmarks import common
+from jaxnav.analysis.tables import table
+from jaxnav.filters import epochs as ep
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.core import Filter
+from jaxnav.filters.run import prepare, run, run_jit
+from jaxnav.gnss.corrections import at_reception
+from jaxnav.gnss.orbits import Ephemeris, chosen
+from jaxnav.gnss.ranges import LIGHT, Ranges, epochs, rows_of, streams, without_clock
+from jaxnav.gnss.single_point import SinglePoint, geodetic, single_point
+from jaxnav.io.datasets import DATA_DIR
+from jaxnav.io.formats.rinex import read_navigation
+from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.measurements.measurement import tested_alone
+from jaxnav.navigation import navigate
+from jaxnav.types import DataError, ImuLog, Params, Recording
+from tuning.fit.objectives import gated_innovation_nll
+from tuning.fit.transforms import join, penalty, split
+from tuning.recordings.priors import spec_of
+
+DAY, GPS_WEEK, ORIGIN = "ixr_tokyo/2020-11-05", 2130, 364_400.0  # s of the week that is t = 0
+IMU_BEHIND = 17.96  # s, of its clock behind GPS time (data/README.md)
+LEVER_ARM = np.array([0.0, 0.0, -0.6])  # m
+QZSS_RADIUS = 3e7  # m; GPS and QZSS share numbers there
+LENGTH, EVERY, PHASES = 30.0, 60.0, 6
+TIGHT, LOOSE = ("position", "pseudorange", "range_rate"), ("position", "velocity")
+KS = (0, 1, 2, 3, 4, 5)
+STEPS, RATE = 25, 0.2
+SURE = 0.3  # m between fixed RTK and the receiver's solution
+BARS = {"2": 8.0, "3": 3.5, "4": 3.3, "5": 2.9}
+
+
+class Case(NamedTuple):
+    """The drive."""
+
+    recording: Recording
+    ranges: Ranges
+    t: np.ndarray  # (R,) s, of a reference that is sure
+    lla: np.ndarray  # (R, 3) of the antenna
+
+
+def load(folder: Path) -> Case:
+    """The drive with corrected ranges, single points, and the reference: fixed RTK that the receiver confirms."""
+    rows = scipy.io.loadmat(folder / "GNSSTCData_GQ.mat")["GNSSTCData"]
+    rows = rows[rows[:, 3] > 0]
+    satellite = rows[:, 3].astype(int) + 100 * (np.linalg.norm(rows[:, 5:8], axis=1) > QZSS_RADIUS)
+    order = np.lexsort((satellite, rows[:, 2]))
+    rows, satellite = rows[order], satellite[order]
+    t, moment = rows[:, 2] - ORIGIN, rows[:, 2] + GPS_EPOCH + GPS_WEEK * WEEK
+    ranges = Ranges(t, satellite, rows[:, 4], rows[:, 8] + LIGHT * rows[:, 9], rows[:, 5:8], np.zeros((t.size, 3)),
+                    np.radians(rows[:, 13]), rows[:, 14])  # fmt: skip
+    first = single_point(ranges)
+    receiver = np.stack([np.interp(t, first.t, x) for x in first.position.T], 1)
+    eph, _ = read_navigation(folder / "base.nav")
+    own = Ephemeris(*(a[chosen(eph, satellite, moment)] for a in eph))
+    distance = np.linalg.norm(ranges.position - receiver, axis=1)
+    rate = ranges.range_rate - np.interp(t, first.t, np.gradient(first.clock, first.t))
+    before, after = (at_reception(own, moment + h, distance + h * rate, receiver)[0] for h in (-0.5, 0.5))
+    ranges = ranges._replace(velocity=after - before)
+    ranges, _ = without_clock(ranges, first.t, first.clock)
+    sensor = scipy.io.loadmat(folder / "IMUData1105.mat")["IMUData"]
+    sensor = sensor[sensor[:, 0] + IMU_BEHIND - ORIGIN < t[-1] + 1.0]
+    body = lambda a: np.stack([a[:, 1], a[:, 0], -a[:, 2]], 1)  # right, forward, up -> FRD
+    stamps = sensor[:, 0] + IMU_BEHIND - ORIGIN
+    steps = np.diff(stamps, prepend=2 * stamps[0] - stamps[1])
+    imu = ImuLog(stamps, steps, body(sensor[:, 4:7]), body(sensor[:, 1:4]))
+    rec = Recording("tokyo", imu, fixes(single_point(ranges)) | streams(ranges), None, LEVER_ARM)
+    rtk, other = (np.loadtxt(folder / name, delimiter=",") for name in ("RTK1105.csv", "ubox1105.csv"))
+    near = np.stack([np.interp(rtk[:, 0], other[:, 0], x) for x in other[:, 1:4].T], 1)
+    sure = (rtk[:, 4] == 1) & (np.linalg.norm(rtk[:, 1:4] - near, axis=1) < SURE)
+    return Case(rec, ranges, rtk[sure, 0] - ORIGIN, geodetic(rtk[sure, 1:4]))
+
+
+def fixes(found: SinglePoint) -> dict[str, Any]:
+    """Single points as streams; their times are GPS time already."""
+    return dict(zip(LOOSE, found._replace(clock=np.zeros_like(found.clock)).samples(), strict=True))
+
+
+def free_of(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The groups that are tuned."""
+    return ("noise", "ranges") if "pseudorange" in names else ("noise", "fixes")
+
+
+def tuned(filt: Filter, params: Params, nav: Any, whole: ep.Packed, half: float) -> Params:
+    """The parameters after 25 steps of Adam on the innovations of the first half, with the priors of `tune`."""
+    spec = spec_of(filt, params, free_of(filt.model.measurements))
+    size = int(np.searchsorted(whole.t, half))
+    first = prepare(filt, jax.tree.map(lambda a: a[:size], whole.epochs))
+    mask = jnp.asarray(whole.t[:size] > whole.start + 30.0)
+    effective = (half - whole.start) / LENGTH
+    alone = tested_alone(MEASUREMENTS[name] for name in filt.model.measurements)
+
+    def loss(raw: Any) -> jax.Array:
+        moved = join(spec, raw, params)
+        return effective * gated_innovation_nll(run(filt, moved, nav, first), mask, alone) + penalty(spec, raw)
+
+    raw, optimizer = split(spec, params), optax.adam(RATE)
+    step = jax.jit(jax.value_and_grad(loss))
+    state, best = optimizer.init(raw), (np.inf, raw)
+    for _ in range(STEPS):
+        value, slope = step(raw)
+        best = min(best, (float(value), raw), key=lambda each: each[0])
+        updates, state = optimizer.update(slope, state, raw)
+        raw = optax.apply_updates(raw, updates)
+    return join(spec, best[1], params)
+
+
+def windows(t: np.ndarray, start: float, phases: int) -> list[np.ndarray]:
+    """Hidden epochs (E,) of each phase: 30 s every 60 s."""
+    shift = EVERY / PHASES
+    return [((t - start - 30.0 - p * shift) % EVERY < LENGTH) & (t > start + 30.0) for p in range(phases)]
+
+
+def ends(hidden: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """The last epoch of each window that is whole."""
+    last = np.flatnonzero(hidden[:-1] & ~hidden[1:])
+    return last[t[last] - t[0] > LENGTH]
+
+
+def errors(case: Case, lla: np.ndarray, sd: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Horizontal errors (E, 2) m of the antenna, their sd (E, 2), and which have a reference (E,)."""
+    i = np.clip(np.searchsorted(case.t, t), 1, case.t.size - 1)
+    i = np.where(np.abs(case.t[i] - t) < np.abs(case.t[i - 1] - t), i, i - 1)
+    known = np.abs(case.t[i] - t) < 0.05
+    scale = np.array([6.378e6 * np.cos(case.lla[0, 0]), 6.357e6])
+    return (lla[:, [1, 0]] - case.lla[i][:, [1, 0]]) * scale, sd[:, :2], known
+
+
+def figures(error: np.ndarray, sd: np.ndarray) -> dict[str, float]:
+    """RMS, 95 % and NEES/2 of horizontal errors (W, 2)."""
+    size = np.hypot(error[:, 0], error[:, 1])
+    return {
+        "rms_m": float(np.sqrt(np.mean(size**2))), "p95_m": float(np.percentile(size, 95)),
+        "nees": float(np.mean(np.sum((error / sd) ** 2, 1)) / 2), "windows": len(size),
+    }  # fmt: skip
+
+
+class Method(NamedTuple):
+    """A filter with parameters, ready to run."""
+
+    filt: Filter
+    params: Params
+    nav: Any
+    packed: ep.Packed
+
+
+def method(case: Case, names: tuple[str, ...], states: tuple[str, ...] = (), tune: bool = True) -> Method:
+    """A filter by the noise scan of the first half, tuned there or not."""
+    rec = case.recording
+    half = 0.5 * float(rec.aiding["position"].t[0] + rec.aiding["position"].t[-1])
+    filt = build("ekf15", names, 5, states=states)
+    sol = navigate(rec, filt, filt.params("consumer"), scan=True, stop=half)
+    params, rows = sol.params, tuple(MEASUREMENTS[name] for name in names)
+    if tune:
+        nav, packed = sol.nav, ep.pack_recording(rec, rows, float(sol.nav.t))
+        params = tuned(sol.filter, params, nav, packed, half)
+    return Method(sol.filter, params, sol.nav, ep.pack_recording(rec, rows, float(sol.nav.t)))
+
+
+def judged(case: Case, one: Method, k: int | None, phases: int) -> dict[str, float]:
+    """Errors at the ends of windows with k satellites in the second half; None: all epochs, nothing hidden."""
+    t, half = one.packed.t, 0.5 * (one.packed.start + one.packed.t[-1])
+    rows = tuple(MEASUREMENTS[name] for name in one.filt.model.measurements)
+    tight = "pseudorange" in one.filt.model.measurements
+    every: list[tuple[np.ndarray, np.ndarray]] = []
+    hidden_of = [np.zeros(t.size, bool)] if k is None else windows(t, one.packed.start, phases)
+    for hidden in hidden_of:
+        packed = one.packed if tight or not k or k < 4 else with_few(case, one, hidden, k)
+        hide = hidden if tight or not k or k < 4 else np.zeros(t.size, bool)
+        info = run_jit(one.filt, one.params, one.nav, prepare(one.filt, ep.hide(packed.epochs, hide, rows, k or 0)))
+        lla = antenna(info.nav)
+        sd = np.sqrt(np.diagonal(np.asarray(info.P), axis1=1, axis2=2))
+        error, spread, known = errors(case, lla, sd, t)
+        at = np.flatnonzero(t > half) if k is None else ends(hidden, t)
+        second = known & (t > half)
+        # the constant error of an atmosphere that is not corrected, the same for every method
+        off = np.median(base_error(case, one)[second], 0)
+        at = at[second[at]]
+        every.append((error[at] - off, spread[at]))
+    return figures(*(np.concatenate(a) for a in zip(*every, strict=True)))
+
+
+def base_error(case: Case, one: Method) -> np.ndarray:
+    """Error (E, 2) of the single points at the epochs of a filter."""
+    position = case.recording.aiding["position"]
+    lla = np.stack([np.interp(one.packed.t, position.t, x) for x in position.value.T], 1)
+    return errors(case, lla, lla, one.packed.t)[0]
+
+
+def antenna(nav: Any) -> np.ndarray:
+    """Latitude, longitude and height (E, 3) of the antenna, which is above the IMU."""
+    lla = np.array(nav.pos)
+    lla[:, 2] += -LEVER_ARM[2]
+    return lla
+
+
+def with_few(case: Case, one: Method, hidden: np.ndarray, k: int) -> ep.Packed:
+    """The epochs of the loosely coupled filter with single points of the k highest satellites in windows."""
+    times, of = epochs(case.ranges.t)
+    inside = np.interp(times, one.packed.t, hidden.astype(float)) > 0.5
+    rank = np.zeros(of.size, int)
+    for e in np.flatnonzero(inside):
+        rows = np.flatnonzero(of == e)
+        rank[rows[np.argsort(-case.ranges.elevation[rows])]] = np.arange(rows.size)
+    found = single_point(rows_of(case.ranges, ~inside[of] | (rank < k)))
+    rec = case.recording._replace(aiding=fixes(found))
+    rows = tuple(MEASUREMENTS[name] for name in one.filt.model.measurements)
+    return ep.pack(rec.imu, rec.aiding, 0.2, rows, one.packed.start, cuts=one.packed.t)
+
+
+def main(argv: list[str]) -> int:
+    """Print the table, write the JSON."""
+    parser = common.options("tight", __doc__ or "")
+    parser.add_argument("--quick", action="store_true", help="two phases of the windows")
+    args = parser.parse_args(argv)
+    folder = Path(os.environ.get(DATA_DIR, "")) / DAY
+    if not folder.is_dir():
+        raise DataError(f"{folder}: not there: set {DATA_DIR}")
+    case, phases = load(folder), 2 if args.quick else PHASES
+    begin = time.perf_counter()
+    methods = {
+        "loose": method(case, LOOSE, ("gnss_position_error",)),
+        "tight, not tuned": method(case, TIGHT, tune=False),
+        "tight": method(case, TIGHT),
+    }
+    print(f"tuned in {time.perf_counter() - begin:.0f} s", flush=True)
+    found = {name: {str(k): judged(case, one, k, phases) for k in KS} for name, one in methods.items()}
+    every = {name: judged(case, one, None, phases) for name, one in methods.items()}
+    rows = []
+    for k in (*map(str, KS), "all"):
+        each = [every[name] if k == "all" else found[name][k] for name in methods]
+        rows.append([k, *(f"{e['rms_m']:.1f} ({e['p95_m']:.1f})" for e in each), *(f"{e['nees']:.2f}" for e in each)])
+    head = ["satellites", *methods, *(f"NEES/2 {name}" for name in methods)]
+    print(table(head, rows))
+    values = {leaf: np.asarray(v).tolist() for leaf, v in tuned_values(methods["tight"].params).items()}
+    print(values)
+    result = {
+        "windows": {k: e | {"loose_rms_m": found["loose"][k]["rms_m"]} for k, e in found["tight"].items()},
+        "all": every["tight"] | {"loose_rms_m": every["loose"]["rms_m"]}, "not_tuned": found["tight, not tuned"],
+        "loose": found["loose"], "tuned": values,
+    }  # fmt: skip
+    for line in bars(result):
+        print(line)
+    common.write_json(args.json, result)
+    return 0
+
+
+def tuned_values(params: Params) -> dict[str, Any]:
+    """The tuned numbers."""
+    rows = {f"{name}.{leaf}": v for name in TIGHT[1:] for leaf, v in params.measurements[name]._asdict().items()}
+    return rows | {
+        f"{name}.{leaf}": v for name in ("range_error", "receiver_clock_bias", "receiver_clock_drift")
+        for leaf, v in params.states[name]._asdict().items()
+    } | {"noise.gyro": params.noise.gyro, "noise.accel": params.noise.accel}  # fmt: skip
+
+
+def bars(result: dict[str, Any]) -> list[str]:
+    """Each bar with its figure."""
+    at, every = result["windows"], result["all"]
+    found = [f"{k} satellites: {at[k]['rms_m']:.1f} m (bar {bar})" for k, bar in BARS.items()]
+    found.append(f"0 satellites: {at['0']['rms_m'] / at['0']['loose_rms_m']:.2f} of loosely coupled (bar 1.1)")
+    found.append(f"all: {every['rms_m']:.2f} m (bar 1.6), NEES/2 {every['nees']:.2f} (0.4 to 1.6)")
+    return [*found, f"3 satellites: NEES/2 {at['3']['nees']:.2f} (0.4 to 1.6)"]

@@ -56,7 +56,7 @@ def test_the_installed_command_line_filters(environment):
 from jaxnav.app import cli
 import jaxnav, json
 run = ["filter", "--data", "urban_short", "--out", "run", "--quiet", "--set", "filter.cov_stride=25"]
-few = ["--set", "data.options.duration_s=30", "--set", "out.figures=false"]
+few = ["--set", "data.options.duration_s=30", "--set", "out.figures=none"]
 print(json.dumps([cli.main([*run, *few]), jaxnav.__version__]))
 """
     rc, version = json.loads(ask(environment, code).splitlines()[-1])

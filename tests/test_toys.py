@@ -32,7 +32,7 @@ from jaxnav.navigation import metrics
 from jaxnav.states.table import BIASES
 from jaxnav.types import Fix, Leaf, Mounting, Nav, Params, Recording, Samples
 
-QUICK = ["--set", "out.figures=false", "--set", "filter.cov_stride=10", "--set", "filter.grade='consumer'"]
+QUICK = ["--set", "out.figures=none", "--set", "filter.cov_stride=10", "--set", "filter.grade='consumer'"]
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,7 @@ from tuning.fit.checkpoint import CheckpointError
 from tuning.fit.train import fit
 from tuning.fit.transforms import LOG
 
-QUICK = ["--set", "out.figures=false", "--set", "filter.cov_stride=25", "--set", "out.formats=[]"]
+QUICK = ["--set", "out.figures=none", "--set", "filter.cov_stride=25", "--set", "out.formats=[]"]
 SHARE = 0.95  # of the time inside 3 sd
 BYTES = "bytes"  # of any file: changed, added, gone
 STREAMS = ("imu.csv", "position.csv", "velocity.csv")

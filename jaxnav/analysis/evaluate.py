@@ -85,6 +85,9 @@ def _spread(a: np.ndarray) -> dict[str, float]:
     return {"rms": float(np.sqrt(np.mean(a**2))), "p95": float(np.quantile(a, 0.95)), "max": float(a.max())}
 
 
+MAX_PANELS, FEW_PANELS = 24, 12  # channels that a figure of innovations shows, and of more, such as satellites'
+
+
 def channel_names(measurements: tuple[Measurement, ...]) -> tuple[list[int], list[str], np.ndarray]:
     """Return the order of channels in reports (north, east, down), their names and the sign of each."""
     order, names, sign = [], [], []
@@ -133,7 +136,8 @@ def figures(
     order, names, sign = channel_names(measurements)
     nu, S = np.asarray(info.nu)[:, order] * sign, np.asarray(info.S)[:, order][:, :, order]
     if valid.any():
-        found["innovations"] = plots_stats.innovations(t, nu, S, valid[:, order], names, outages, None)
+        most = None if valid.any(0).sum() <= MAX_PANELS else FEW_PANELS
+        found["innovations"] = plots_stats.innovations(t, nu, S, valid[:, order], names, outages, most)
         found["nis"] = plots_stats.nis(t, np.asarray(info.nis), valid.sum(1), outages)
     if set(BIASES) <= set(states) & set(info.nav.errors):
         b_g, b_a = (np.asarray(info.nav.errors[name]) for name in BIASES)

@@ -125,7 +125,7 @@ def _main(args: argparse.Namespace) -> int:
         return _report(args, outcome, None) if _first() else 0
     with results.staged(out, args.verb, _inputs(args, config)) as folder:
         outcome = _work(args, config, folder, out)
-        if config.out.figures and verb.report:
+        if config.out.figures != "none" and verb.report:
             report.write(folder, args.verb, config, outcome, outcome.layout)
         results.write_run(folder, args.verb, verb.sections, outcome.config or config, outcome)
     return _report(args, outcome, out)

@@ -160,7 +160,7 @@ class Out:
     """Output files."""
 
     formats: tuple[str, ...] = ("csv", "kml", "geojson")  # of the solution; also tum, pos, nav
-    figures: bool = True  # draw them
+    figures: str = "report"  # in report.html; "files": as PNG files as well; "none"
     imu_rate: bool = False  # the solution at every sample of the IMU, not at the ends of epochs alone
 
 

@@ -11,13 +11,14 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxnav.app.config import Config, as_dict
 from jaxnav.checkup.findings import remarks, warnings
 from jaxnav.io.json import write_json
-from jaxnav.types import DataError, Finding
+from jaxnav.types import ConfigError, DataError, Finding
 
 RUN = "run.json"
 
@@ -29,6 +30,21 @@ def picture(name: str) -> Iterator[None]:
         yield
     except Exception as error:
         stderr(f"jaxnav: warning: no picture of {name}: {type(error).__name__}: {' '.join(str(error).split())}")
+
+
+FIGURES = ("report", "files", "none")
+
+
+def draws(config: Config, interactive: bool = False) -> bool:
+    """Return whether figures are drawn as files, which a report embeds; ``interactive``: it shows the run by bokeh.
+
+    Raises:
+        ConfigError: another value of ``out.figures``.
+    """
+    kind = config.out.figures
+    if kind not in FIGURES:
+        raise ConfigError(f"out.figures must be one of {', '.join(FIGURES)}, got {kind!r}")
+    return kind == "files" or (kind == "report" and not (interactive and find_spec("bokeh") is not None))
 
 
 class CardRow(NamedTuple):

@@ -21,7 +21,7 @@ from jaxnav.strapdown import inertial_quaternion, tangent_frame
 from jaxnav.strapdown.errors import inertial_quaternion as inertial_errors
 from jaxnav.strapdown.errors import local_level as local_level_errors
 from jaxnav.strapdown.errors import tangent_frame as tangent_errors
-from jaxnav.types import ErrorInputs, Fix, Forcing, Nav, Params, nearest
+from jaxnav.types import ErrorInputs, Fix, Forcing, Nav, Params, StateParams, nearest
 
 
 class Dynamics(Protocol):
@@ -94,6 +94,13 @@ class ErrorModel(NamedTuple):
 
 def _same(nav: Nav) -> Nav:
     return nav
+
+
+def _stationary(process: StateParams) -> jax.Array:
+    """Return the sd of a Gauss-Markov process that has run for long; of a walk, that of its start."""
+    lasting = jnp.isinf(process.tau)
+    tau = jnp.where(lasting, 1.0, process.tau)
+    return jnp.where(lasting, process.sd, process.driving_noise * jnp.sqrt(0.5 * tau))
 
 
 def inverse_rows(J: jax.Array) -> jax.Array:
@@ -204,7 +211,7 @@ def error_model(
         for measurement, name in renewed:
             place = slices[name]
             new = new.at[place].set(fix.auxiliary[measurement][:, -1] > 0)
-            sd = sd.at[place].set(params.states[name].sd)
+            sd = sd.at[place].set(_stationary(params.states[name]))
         return new, sd
 
     return ErrorModel(

@@ -254,7 +254,7 @@ def test_verb(recording, tmp_path, monkeypatch, capsys):
     assert "states" not in layer  # no drift shows in a minute
     assert config.resolve([("", layer)]).noise.gyro_deg_per_sqrt_hour is not None
 
-    args = ["allan", "--data", str(recording), "--set", "out.figures=false", "--out", str(out)]
+    args = ["allan", "--data", str(recording), "--set", "out.figures=none", "--out", str(out)]
     assert cli.main([*args, "--set", "filter.standing_gyro_sd_deg_per_s=0.1"]) == 0
     assert "longest rest is --start 0.0 --stop 60.0" in capsys.readouterr().out
     assert cli.main([*args, "--start", "100"]) == 3

@@ -171,7 +171,8 @@ def test_navigate_without_params_takes_noise_and_lever_arm_from_the_recording(dr
 def test_a_run_is_repeated_without_a_search(drive, tmp_path, monkeypatch):
     folder, out = tmp_path / "drive", tmp_path / "out"
     write_recording(folder, drive)
-    assert cli.main(["filter", "--data", str(folder), "--out", str(out), "--quiet"]) == 0
+    files = ["--set", "out.figures=files"]
+    assert cli.main(["filter", "--data", str(folder), "--out", str(out), "--quiet", *files]) == 0
     run = json.loads((out / "run.json").read_text())
     assert run["config"]["filter"]["grade"] == "consumer" and run["config"]["mounting"]["time_offset_s"] > 0.1
     assert run["metrics"]["grade"] == "auto" and run["metrics"]["noise_scan"]["latency_s"] > 0.1
@@ -180,7 +181,7 @@ def test_a_run_is_repeated_without_a_search(drive, tmp_path, monkeypatch):
     again = tmp_path / "again"
     assert cli.main(["filter", "--config", str(out / "run.json"), "--out", str(again), "--quiet"]) == 0
     assert (out / "solution.csv").read_text() == (again / "solution.csv").read_text()
-    stated = ["--set", "noise.accel_ug_per_sqrt_hz=500", "--set", "out.figures=false"]  # as a tuned.toml does
+    stated = ["--set", "noise.accel_ug_per_sqrt_hz=500", "--set", "out.figures=none"]  # as a tuned.toml does
     assert cli.main(["filter", "--data", str(folder), "--out", str(tmp_path / "stated"), "--quiet", *stated]) == 0
 
 

@@ -20,7 +20,7 @@ from tuning.fit.status import Status
 from tuning.fit.train import Fit
 from tuning.recordings import runs
 
-SMALL = ["--set", "data.options.standstill_s=4", "--set", "filter.cov_stride=25", "--set", "out.figures=false"]
+SMALL = ["--set", "data.options.standstill_s=4", "--set", "filter.cov_stride=25", "--set", "out.figures=none"]
 TINY = [
     "--set",
     "tune.runs=1",
@@ -90,6 +90,8 @@ def test_filter_writes_everything_and_json_parses(drive, tmp_path, capsys):
         outages,
         "--set",
         "filter.cov_stride=25",
+        "--set",
+        "out.figures=files",
     ]
     assert cli.main([*argv, "--out", "r"]) == 0
     said = capsys.readouterr()
@@ -108,7 +110,7 @@ def test_filter_writes_everything_and_json_parses(drive, tmp_path, capsys):
     assert json.loads(cli.Path("r/metrics.json").read_text()) == metrics
 
     # the same file re-runs the job to the same numbers, over the old folder, whose surplus goes
-    plain = ["--set", "out.figures=false"]
+    plain = ["--set", "out.figures=none"]
     assert cli.main(["filter", "--config", "r/run.json", "--out", "again", "--quiet", *plain]) == 0
     assert capsys.readouterr() == ("", "")
     assert cli.Path("again/solution.csv").read_bytes() == cli.Path("r/solution.csv").read_bytes()
@@ -295,7 +297,7 @@ def test_debug_shows_the_traceback(capsys):
 
 def test_unwritable_out_exits_3(drive, capsys):
     cli.Path("file").write_text("")
-    assert cli.main(["simulate", "--data", "urban_short", "--out", "file/r", "--set", "out.figures=false"]) == 3
+    assert cli.main(["simulate", "--data", "urban_short", "--out", "file/r", "--set", "out.figures=none"]) == 3
     assert "cannot be written" in capsys.readouterr().err
 
 

@@ -15,7 +15,7 @@ from jaxnav.app.jobs import compare
 def runs(tmp_path_factory):
     """A run, and the same 30 m further east and turned by 2 deg, at other times, by another seed."""
     folder = tmp_path_factory.mktemp("runs")
-    argv = ["filter", "--data", "urban_short", "--quiet", "--set", "filter.cov_stride=25", "--set", "out.figures=false"]
+    argv = ["filter", "--data", "urban_short", "--quiet", "--set", "filter.cov_stride=25", "--set", "out.figures=none"]
     assert cli.main([*argv, "--out", str(folder / "a")]) == 0
     shutil.copytree(folder / "a", folder / "b")
     with open(folder / "a" / "solution.csv", newline="") as lines:

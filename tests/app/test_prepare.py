@@ -78,7 +78,7 @@ def test_what_is_not_free_has_no_prior():
 
 def test_a_filter_with_an_observer_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    flags = ["--set", "out.figures=false", "--set", "data.options.duration_s=30", "--json"]
+    flags = ["--set", "out.figures=none", "--set", "data.options.duration_s=30", "--json"]
     assert cli.main(["filter", "--data", "urban_short", "--filter", "fwekf", "--out", "f", *flags]) == 0
     assert "nis_per_dof" in capsys.readouterr().out
 

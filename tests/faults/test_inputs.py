@@ -23,7 +23,7 @@ from tuning.fit import checkpoint
 from tuning.fit.train import fit
 from tuning.fit.transforms import LOG
 
-SMALL = ["--set", "out.figures=false", "--set", "filter.cov_stride=25"]
+SMALL = ["--set", "out.figures=none", "--set", "filter.cov_stride=25"]
 
 
 @pytest.fixture(scope="module")

@@ -177,7 +177,7 @@ def test_mesh_and_flags_are_checked():
 def test_monte_carlo_on_devices_and_processes_is_that_of_one(tmp_path):
     """Every figure of `jaxnav mc` to rounding; two devices of one process and of two to the bit."""
     code = "import sys; from jaxnav.app.console import console; sys.exit(console())"
-    job = "mc --data urban_short --runs 6 --set mc.chunk=4 --set out.figures=false --set filter.cov_stride=25 --quiet"
+    job = "mc --data urban_short --runs 6 --set mc.chunk=4 --set out.figures=none --set filter.cov_stride=25 --quiet"
 
     def start(name, *more):
         return subprocess.Popen([sys.executable, "-c", code, *job.split(), "--out", str(tmp_path / name), *more])

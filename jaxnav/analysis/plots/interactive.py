@@ -136,6 +136,8 @@ def _innovations(sol: "Trace", measurements: tuple[Any, ...], shared: Any, outag
     z = np.asarray(info.nu) / np.sqrt(np.diagonal(np.asarray(info.S), axis1=1, axis2=2))
     out = []
     for m, channels in zip(measurements, layout(measurements).values(), strict=True):
+        if not np.asarray(info.valid)[:, channels].any():
+            continue
         fig = _axes(
             f"Innovations of {m.name.replace('_', ' ')}, in their sd; refused ones are crosses", "", shared, outages
         )

@@ -13,7 +13,7 @@ from jaxnav.analysis.plots import allan as plots_allan
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.tables import table
 from jaxnav.app.config import Config
-from jaxnav.app.results import Outcome, picture
+from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.app.sources import load
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.inertial import resolution
@@ -69,7 +69,7 @@ def allan(config: Config, folder: Path) -> Outcome:
     write_json(folder / "metrics.json", found | {"findings": [asdict(f) for f in findings]})
     head = f"# read off the Allan deviation of {rec.name} at rest; use: jaxnav tune --params grade.toml\n"
     atomic_write(folder / "grade.toml", head + to_toml(grade(read)))
-    if config.out.figures:
+    if draws(config):
         with picture("the deviations"):
             plots.save(plots_allan.allan(groups), folder / "allan.png")
     return Outcome(found, summary(found, rows), {"allan": time.perf_counter() - begin}, findings=findings)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from jaxnav.app.config import Config, as_dict
 from jaxnav.app.jobs import mc
-from jaxnav.app.results import Outcome, picture
+from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.filters.border import override
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.types import ConfigError
@@ -27,7 +27,7 @@ def bakeoff(config: Config, folder: Path, progress: bool = False, devices: int =
     found, stopped = contest(names, plan, progress, distributed.mesh(devices))
     result = contest_report.verdict(found, plan)
     contest_report.write(folder, result)
-    if config.out.figures:
+    if draws(config):
         with picture("the ranking"):
             contest_report.draw(result, folder / "bakeoff.png")
     return Outcome(result, contest_report.text(result), {"bakeoff": time.perf_counter() - begin}, stopped)

@@ -16,7 +16,7 @@ from jaxnav.analysis.plots import checkup as plots_checkup
 from jaxnav.app.config import Config, Data, resolve
 from jaxnav.app.jobs.filtering import describe, describe_text
 from jaxnav.app.prepare import base_params, filter_of, grade_of, initialization_of, measurements_of, standing_of
-from jaxnav.app.results import Outcome, picture
+from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
 from jaxnav.filters.epochs import pack_recording
@@ -48,7 +48,7 @@ def check(config: Config, folder: Path) -> Outcome:
         seconds["states"] = time.perf_counter() - begin
     about = {"recording": describe(rec), "findings": [asdict(f) for f in found]}
     write_json(folder / "check.json", about)
-    if config.out.figures:
+    if draws(config):
         with picture("the recording"):
             plots.save(plots_checkup.overview(rec), folder / "check.png")
     wrong = sum(f.warns for f in found)

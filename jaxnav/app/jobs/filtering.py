@@ -25,7 +25,7 @@ from jaxnav.app.prepare import (
     states_noise,
     with_noise,
 )
-from jaxnav.app.results import Outcome, picture
+from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.io.json import write_json
 from jaxnav.io.solution import FORMATS
@@ -98,7 +98,7 @@ def filter(config: Config, folder: Path) -> Outcome:
     for kind in config.out.formats:
         sol.write(folder / f"solution.{kind}", imu_rate=config.out.imu_rate)
     write_json(folder / "metrics.json", found)
-    if config.out.figures:
+    if draws(config, interactive=True):
         draw(folder, config, sol)
     seconds["write"] = time.perf_counter() - begin
     layout = partial(

@@ -16,7 +16,7 @@ from jaxnav.analysis.tables import table
 from jaxnav.app import prepare as pre
 from jaxnav.app.config import Config, as_dict
 from jaxnav.app.long import Long, identity
-from jaxnav.app.results import Outcome, picture
+from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.app.sources import scenario_of
 from jaxnav.checkup.findings import finding
 from jaxnav.filters.border import override
@@ -79,7 +79,7 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
         raise FilterError(f"every run of {', '.join(about)} on {scenario.name} diverged")
     write_json(folder / "metrics.json", about)
     np.savez_compressed(folder / "runs.npz", **_per_run(found))  # type: ignore[arg-type]
-    if config.out.figures:
+    if draws(config):
         with picture("the runs"):
             for name, fig in plots_mc.figures(found, scenario.gnss.outages_s).items():
                 plots.save(fig, folder / f"{name}.png")

@@ -13,7 +13,7 @@ from jaxnav.app.config import Config, as_dict, changed
 from jaxnav.app.config import Filter as FilterSection
 from jaxnav.app.jobs.filtering import draw, require_formats, summary
 from jaxnav.app.prepare import AUTO, DATASHEET, initialization_of
-from jaxnav.app.results import Card, CardRow, Outcome, Table, stderr
+from jaxnav.app.results import Card, CardRow, Outcome, Table, draws, stderr
 from jaxnav.app.sources import load
 from jaxnav.filters.border import TABLES, flat, in_user_units, nested, override
 from jaxnav.filters.core import Filter
@@ -61,7 +61,7 @@ def run(config: Config, folder: Path, fast: bool, progress: bool) -> Outcome:
     if found.tuned is not None:
         metrics["parameters"] = found.tuned.metrics()["parameters"]
     write_json(folder / "metrics.json", metrics)
-    if config.out.figures:
+    if draws(config, interactive=True):
         draw(folder, again, sol)
     seconds["write"] = time.perf_counter() - begin
     layout = partial(

@@ -13,7 +13,7 @@ from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.app.config import Config, Tune, for_source
 from jaxnav.app.long import Long, identity
 from jaxnav.app.prepare import base_params, filter_of, grade_of, initialization_of, measurements_of, standing_of
-from jaxnav.app.results import Outcome, picture, stderr
+from jaxnav.app.results import Outcome, draws, picture, stderr
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.filters.border import name_of, unit_of, user_value
 from jaxnav.filters.core import Filter
@@ -70,7 +70,7 @@ def tune(config: Config, folder: Path, progress: bool = False, long: Long | None
     found.write(folder, config.filter.states, exports=result.target is None)
     if result.target and result.recording and result.initialization:
         result.target.write(folder, result.recording, found.params, result.initialization)
-    if config.out.figures:
+    if draws(config):
         draw(folder, result)
     seconds["write"] = time.perf_counter() - begin
     stopped = "interrupted" if found.status is Status.INTERRUPTED else ""

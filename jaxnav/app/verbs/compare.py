@@ -14,7 +14,7 @@ def run(job: Job) -> "Outcome":
 
     if len(job.args.paths) == 1:
         return compare.show(job.args.paths[0])
-    return compare.compare(job.args.paths, job.folder, job.config.out.figures)
+    return compare.compare(job.args.paths, job.folder, job.config.out.figures != "none")
 
 
 VERB = Verb(

@@ -201,7 +201,7 @@ def crop(rec: Recording, first: float, last: float) -> Recording:
     """Samples between two times."""
     keep = (rec.imu.t > first) & (rec.imu.t <= last)
     inside = lambda s: (s.t > first) & (s.t <= last)
-    aiding = {n: type(s)(*(a[inside(s)] for a in s)) for n, s in rec.aiding.items()}
+    aiding = {n: ep.sample_rows(s, inside(s)) for n, s in rec.aiding.items()}
     return rec._replace(name=f"{first:.0f} to {last:.0f} s", imu=ImuLog(*(a[keep] for a in rec.imu)), aiding=aiding)
 
 

@@ -15,6 +15,7 @@ from jaxnav.app.unused import unused
 from jaxnav.app.verbs import VERBS
 from jaxnav.filters import border, epochs
 from jaxnav.filters.catalogue import FILTERS, build
+from jaxnav.filters.epochs import sample_rows
 from jaxnav.filters.parameters import datasheet_params, get, history_for, mounting, put
 from jaxnav.filters.run import initial_nav
 from jaxnav.filters.standstill import is_driving
@@ -177,7 +178,7 @@ def test_navigation_starts_where_the_vehicle_is_by_then():
 
 def test_a_start_without_a_velocity_beside_it_is_refused():
     rec = northward()
-    velocity = Samples(*(a[20:] for a in rec.aiding["velocity"]))
+    velocity = sample_rows(rec.aiding["velocity"], slice(20, None))
     with pytest.raises(DataError, match=r"velocity: none within 2 s of the first position, at 1.000 s: set data.start"):
         started(resolved(initialization={"heading": 0.0}), rec._replace(aiding=rec.aiding | {"velocity": velocity}))
 
@@ -206,7 +207,7 @@ def test_z_up_is_said_where_motion_levels_and_refused_where_nothing_does():
 
 def test_an_outage_lasts_to_the_end_of_the_data():
     rec = northward()
-    short = rec._replace(aiding={k: Samples(*(a[:40] for a in s)) for k, s in rec.aiding.items()})
+    short = rec._replace(aiding={k: sample_rows(s, slice(None, 40)) for k, s in rec.aiding.items()})
     gaps = lambda rec: Solution.gaps(
         SimpleNamespace(fixes=rec.aiding["position"], packed=SimpleNamespace(t=np.arange(1.0, 61.0)), outages=())
     )

@@ -3,7 +3,7 @@
 import builtins
 import re
 
-import matplotlib
+import matplotlib.figure
 import pytest
 
 from jaxnav.app import cli, report

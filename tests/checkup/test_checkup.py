@@ -13,6 +13,7 @@ from jaxnav.app.jobs.check import configuration
 from jaxnav.checkup import CHECKS, alternatives, checkup, inertial, quick_notes
 from jaxnav.checkup.motion import mixups, turns_of
 from jaxnav.checkup.standstill import standstill
+from jaxnav.filters.epochs import sample_rows
 from jaxnav.filters.standstill import Standing, stationary
 from jaxnav.initialization import magnetic
 from jaxnav.io.read import read
@@ -98,7 +99,8 @@ DAMAGES = {
     "time.jump": check.stream("position", t=lambda t: np.where(t > 30.0, t - 0.3, t)),
     "time.stream_offset": check.stream("velocity", t=lambda t: t - 0.06),
     "stream.short": lambda rec: rec._replace(
-        aiding=rec.aiding | {"velocity": Samples(*(a[: a.shape[0] // 2] for a in rec.aiding["velocity"]))}
+        aiding=rec.aiding
+        | {"velocity": sample_rows(rec.aiding["velocity"], slice(None, rec.aiding["velocity"].t.size // 2))}
     ),
     "stream.sd_jumps": lambda rec: rec._replace(
         aiding=rec.aiding
@@ -211,7 +213,7 @@ def test_turns_over_a_gap_between_fixes_do_not_count(car):
     """Interpolated over 11 s, velocities turn as nothing did."""
     v = car.aiding["velocity"]
     kept = (v.t < v.t[0] + 30) | (v.t > v.t[0] + 41)
-    x = turns_of(car._replace(aiding=car.aiding | {"velocity": Samples(*(a[kept] for a in v))}))
+    x = turns_of(car._replace(aiding=car.aiding | {"velocity": sample_rows(v, kept)}))
     assert not x.weight[(x.t > v.t[0] + 30) & (x.t < v.t[0] + 40)].any() and x.weight[x.t < v.t[0] + 25].any()
 
 
@@ -254,7 +256,7 @@ def test_every_check_answers_where_there_is_little_or_nothing(car):
     for rec in (alone, alone._replace(imu=few), car._replace(imu=few)):
         for name, row in CHECKS.items():
             assert isinstance(row.answer(rec), list), name
-    one = {name: Samples(*(a[:1] for a in s)) for name, s in car.aiding.items()}
+    one = {name: sample_rows(s, slice(None, 1)) for name, s in car.aiding.items()}
     assert isinstance(checkup(car._replace(aiding=one)), list)
 
 
@@ -295,7 +297,7 @@ def test_a_stream_that_is_short_says_where(car):
     v = car.aiding["velocity"]
     half = v.t.size // 2
     for rows, said in ((slice(None, half), "ends 34.8 s"), (slice(half, None), "begins 34.8 s")):
-        cut = car._replace(aiding=car.aiding | {"velocity": Samples(*(a[rows] for a in v))})
+        cut = car._replace(aiding=car.aiding | {"velocity": sample_rows(v, rows)})
         (finding,) = CHECKS["ends"].answer(cut)
         assert finding.message.startswith(f"velocity {said}") and " and " not in finding.message, finding.message
 

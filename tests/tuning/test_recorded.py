@@ -15,6 +15,7 @@ from jaxnav.analysis.noise_scan import NoiseScan
 from jaxnav.analysis.windows import drift as windows_drift
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.epochs import sample_rows
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import FREEDOM, prepare, student_nll
@@ -23,7 +24,7 @@ from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
-from jaxnav.types import ConfigError, DataError, Samples
+from jaxnav.types import ConfigError, DataError
 from tuning.fit.status import Status
 from tuning.recordings import evidence, priors, recorded, report
 from tuning.recordings.evidence import Job
@@ -403,7 +404,7 @@ def test_an_objective_is_minimised_by_gradient_over_the_training_windows(rec, ek
 
 
 def test_a_recording_that_is_too_short_is_refused(rec, ekf):
-    few = {name: Samples(*(a[:25] for a in s)) for name, s in rec.aiding.items()}
+    few = {name: sample_rows(s, slice(None, 25)) for name, s in rec.aiding.items()}
     short = rec._replace(aiding=few, imu=type(rec.imu)(*(a[rec.imu.t < rec.imu.t[0] + 25] for a in rec.imu)))
     with pytest.raises(DataError, match="it is too short to tune on"):
         tuning.tune(short, ekf, ekf.params("adis16465"), free=("noise",))

@@ -8,6 +8,7 @@ import pytest
 
 from jaxnav.checkup.findings import finding
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.epochs import sample_rows
 from jaxnav.maths.units import PPM
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
@@ -156,7 +157,7 @@ def test_a_recording_without_positions_is_refused(drive):
 def test_a_short_recording_says_from_which_length_on_it_can_be_tested(drive):
     short = drive._replace(
         imu=drive.imu._replace(**{k: getattr(drive.imu, k)[:1000] for k in ("t", "dt", "gyro", "accel")}),
-        aiding={n: Samples(*(a[s.t < 20.0] for a in s)) for n, s in drive.aiding.items()},
+        aiding={n: sample_rows(s, s.t < 20.0) for n, s in drive.aiding.items()},
     )
     found = solve.solve(short)
     assert found.verdict == "usable with care" and found.tuned is None and found.calibration is None

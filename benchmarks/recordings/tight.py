@@ -208,8 +208,11 @@ def method(
     return Method(sol.filter, params, sol.nav, packed)
 
 
-def judged(case: Case, one: Method, k: int | None, phases: int) -> dict[str, float]:
-    """Errors at the ends of windows with k satellites in the second half; None: all epochs, nothing hidden."""
+def judged(case: Case, one: Method, k: int | None, phases: int, off: np.ndarray) -> dict[str, float]:
+    """Errors at the ends of windows with k satellites in the second half; None: all epochs, nothing hidden.
+
+    Less ``off`` (2,) m, the filter's `constant` error there.
+    """
     t, half = one.packed.t, 0.5 * (one.packed.start + one.packed.t[-1])
     rows = tuple(MEASUREMENTS[name] for name in one.filt.model.measurements)
     tight = "pseudorange" in one.filt.model.measurements
@@ -224,18 +227,18 @@ def judged(case: Case, one: Method, k: int | None, phases: int) -> dict[str, flo
         error, spread, known = errors(case, lla, sd, t)
         at = np.flatnonzero(t > half) if k is None else ends(hidden, t)
         second = known & (t > half)
-        # the constant error of an atmosphere that is not corrected, the same for every method
-        off = np.median(base_error(case, one)[second], 0)
         at = at[second[at]]
         every.append((error[at] - off, spread[at]))
     return figures(*(np.concatenate(a) for a in zip(*every, strict=True)))
 
 
-def base_error(case: Case, one: Method) -> np.ndarray:
-    """Error (E, 2) of the single points at the epochs of a filter."""
-    position = case.recording.aiding["position"]
-    lla = np.stack([np.interp(one.packed.t, position.t, x) for x in position.value.T], 1)
-    return errors(case, lla, lla, one.packed.t)[0]
+def constant(case: Case, one: Method) -> np.ndarray:
+    """The median error (2,) m of a filter with all satellites in the second half: of the atmosphere, mostly."""
+    t, half = one.packed.t, 0.5 * (one.packed.start + one.packed.t[-1])
+    info = run_jit(one.filt, one.params, one.nav, prepare(one.filt, one.packed.epochs))
+    lla = antenna(info.nav)
+    error, _, known = errors(case, lla, lla, t)
+    return np.asarray(np.median(error[known & (t > half)], 0))
 
 
 def antenna(nav: Any) -> np.ndarray:
@@ -276,8 +279,9 @@ def main(argv: list[str]) -> int:
         "tight": method(case, TIGHT, imu=loose.params),
     }
     print(f"tuned in {time.perf_counter() - begin:.0f} s", flush=True)
-    found = {name: {str(k): judged(case, one, k, phases) for k in KS} for name, one in methods.items()}
-    every = {name: judged(case, one, None, phases) for name, one in methods.items()}
+    off = {name: constant(case, one) for name, one in methods.items()}
+    found = {name: {str(k): judged(case, one, k, phases, off[name]) for k in KS} for name, one in methods.items()}
+    every = {name: judged(case, one, None, phases, off[name]) for name, one in methods.items()}
     rows = []
     for k in (*map(str, KS), "all"):
         each = [every[name] if k == "all" else found[name][k] for name in methods]

@@ -104,6 +104,11 @@ def observability_findings(found: Observability, window: float = 30.0) -> list[F
     return out + ([finding("observability.seldom", ", ".join(seldom))] if seldom else [])
 
 
+def _grown(rate: StateParams, T: float) -> np.ndarray:
+    """Return the variance of the integral of a walk of this prior over T s."""
+    return (T * np.asarray(rate.sd)) ** 2 + np.asarray(rate.driving_noise) ** 2 * T**3 / 3
+
+
 def state_findings(filt: Filter, params: Params, nav: Nav, info: Info) -> list[Finding]:
     """Return the optional states of a run, ``info`` (E, ...) from ``nav``, unobserved or far from their prior."""
     states, names = chosen(filt.model.states), state_names(filt)[9:]
@@ -114,7 +119,9 @@ def state_findings(filt: Filter, params: Params, nav: Nav, info: Info) -> list[F
     after = np.sqrt(np.diagonal(np.asarray(info.P[-1])))[9:]
     went = np.abs(each(lambda name: np.asarray(info.nav.errors[name])[-1] - np.asarray(nav.errors.get(name, 0.0))))
     T = float(info.nav.t[-1] - nav.t)
-    possible = np.sqrt(before**2 + each(lambda name: _driven(params.states[name], T)))
+    rates = {s.rate_of: params.states[s.name] for s in states if s.rate_of}
+    grown = each(lambda name: _grown(rates[name], T) if name in rates else 0.0)  # of a state that grows by another one
+    possible = np.sqrt(before**2 + each(lambda name: _driven(params.states[name], T)) + grown)
     out = []
     unseen = [name for name, was, now in zip(names, before, after, strict=True) if now > UNOBSERVED_SD_RATIO * was > 0]
     if unseen:

@@ -94,12 +94,12 @@ def base_params(
     Raises:
         ConfigError: states that are none, or that the filter cannot have.
     """
-    filter_of(config, measurements_of(config))
+    states = filter_of(config, measurements_of(config)).model.states
     start, entry = config.initialization, FILTERS[filter_name(config)]
     heading_sd = 360.0 / start.hypotheses if start.heading == "unknown" else start.heading_sd_deg
     params = datasheet_params(
         grade, position_sd, velocity_sd, start.tilt_sd_deg * DEG, heading_sd * DEG,
-        mounting(lever_arm), entry.theta(), states=(*entry.states, *config.filter.states),
+        mounting(lever_arm), entry.theta(), states=states,
     )  # fmt: skip
     return override(params._replace(feedback=entry.feedback_theta()), as_dict(config))
 

@@ -119,7 +119,7 @@ def load(config: Config) -> Recording:
     if scenario is not None:
         sims = simulate_runs(run_key(config.seed, Purpose.SINGLE, 0)[None], scenario)
         sim = jax.tree.map(lambda a: a[0], sims)
-        if scenario.sensors or scenario.sensor_states:
+        if scenario.sensors or scenario.sensor_states or scenario.sky is not None:
             sim = with_equipment(jax.random.fold_in(run_key(config.seed, Purpose.SINGLE, 0), EQUIPMENT), sim, scenario)
         return to_recording(sim, scenario)
     if data.source in io.DATASETS:

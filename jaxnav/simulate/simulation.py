@@ -227,7 +227,7 @@ def to_recording(sim: Simulated, scenario: Scenario, t0: float = 0.0) -> Recordi
     for name, s in layout(m for m in sensors if m.columns or m.receiver).items():
         seen = fix.valid[:, s].all(1)
         aiding[name] = Samples(t[seen], fix.value[seen, s], fix.sd[seen, s], fix.corr[seen, s])
-    if scenario.sky is not None:
+    if "pseudorange" in fix.auxiliary:
         aiding |= _satellites(fix, t)
     navs = jax.tree.map(
         lambda a, b: jnp.concatenate([a[None], b]), *(n._replace(errors={}) for n in (sim.start, sim.truth))

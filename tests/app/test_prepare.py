@@ -1,5 +1,6 @@
 """From a configuration to parameters and a start: for every filter, and where it is easily wrong."""
 
+import json
 import tomllib
 from types import SimpleNamespace
 
@@ -307,3 +308,17 @@ def test_parameters_are_finite(key):
         params_of(resolved(filter={"name": "gpid"}, **border.nested({key: value})))
     walk = params_of(resolved(states={"gyro_bias": {"tau_s": np.inf}}))
     assert np.isinf(walk.states["gyro_bias"].tau).all()
+
+
+def test_a_street_is_filtered_by_its_satellites(tmp_path, capsys):
+    """From the command line: the states that ranges need are added; the fixes are compared alone."""
+    sets = [
+        "filter.measurements=['position', 'pseudorange', 'range_rate']", "filter.cov_stride=25", "out.figures=none",
+        "data.options.duration_s=70", "filter.grade=consumer",
+    ]  # fmt: skip
+    argv = ["filter", "--data", "street", "--quiet", "--json", "--out", str(tmp_path / "out")]
+    assert cli.main([*argv, *(word for each in sets for word in ("--set", each))]) == 0
+    metrics = json.loads(capsys.readouterr().out)["metrics"]
+    assert 0.7 < metrics["nis_per_dof"] < 1.4 and metrics["errors"]["horizontal_m"]["rms"] < 10.0
+    assert any(name.startswith("pseudorange") for name in metrics["innovation_rms"])
+    assert not any(name.startswith("position") for name in metrics["innovation_rms"])

@@ -31,6 +31,7 @@ from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.initialization.parked import moves_off, spread_again
 from jaxnav.io.solution import FORMATS, write_kml, write_solution
 from jaxnav.measurements import AUXILIARY, MEASUREMENTS, Measurement
+from jaxnav.measurements.measurement import references
 from jaxnav.states.grades import GRADES
 from jaxnav.types import DataError, Epoch, FilterError, Finding, Info, Nav, Params, Recording, Samples, Track
 
@@ -268,8 +269,7 @@ def _installation(stated: Params, rec: Recording) -> list[Finding]:
 def _coverage(trace: evaluate.Trace, rec: Recording, measurements: tuple[Measurement, ...]) -> list[Finding]:
     """Return streams that no measurement takes, and a truth that covers a part of the run."""
     used = {m.name for m in measurements}
-    replaced = {m.name for m in MEASUREMENTS.values() if m.receiver and not m.auxiliary and "pseudorange" in used}
-    unused = sorted(set(rec.aiding) - used - replaced - set(AUXILIARY))
+    unused = sorted(set(rec.aiding) - used - set(references(measurements)) - set(AUXILIARY))
     found = [finding("stream.extra", ", ".join(unused))] if unused else []
     if rec.truth is not None:
         share = float(np.mean(covered_by(trace.track.t, rec.truth.t)))

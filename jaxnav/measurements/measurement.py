@@ -68,10 +68,9 @@ class Measurement(NamedTuple):
     columns: tuple[Column, ...] = ()  # of its values in files, one a channel; () for a constraint without data
     correlated: bool = False  # its files may state the correlations of three axes
     reported: tuple[str, ...] = ()  # names of its channels in reports, in their order; () is as ``channels``
-    auxiliary: tuple[
-        str, ...
-    ] = ()  # values of each channel that its model reads; its channels are then tested one by one
+    auxiliary: tuple[str, ...] = ()  # values of each channel that its model reads; a gate then tests its channels alone
     needs: tuple[str, ...] = ()  # optional states that a filter with it has
+    replaces: tuple[str, ...] = ()  # measurements of the same signals, which a filter with it is only compared with
     restarts: tuple[str, ...] = ()  # states of its channels that restart where the last auxiliary value is 1
 
     @property
@@ -107,10 +106,8 @@ def layout(measurements: Iterable[Measurement]) -> dict[str, slice]:
 
 
 def references(measurements: Iterable[Measurement]) -> tuple[str, ...]:
-    """Return the measurements that a filter is only compared with: fixes of a receiver whose ranges it takes."""
-    measurements = tuple(measurements)
-    ranges = any(m.auxiliary for m in measurements)
-    return tuple(m.name for m in measurements if ranges and m.receiver and not m.auxiliary)
+    """Return what a filter of these measurements is only compared with: fixes of a receiver whose ranges it takes."""
+    return tuple(dict.fromkeys(name for m in measurements for name in m.replaces))
 
 
 def tested_alone(measurements: Iterable[Measurement]) -> np.ndarray:

@@ -144,12 +144,12 @@ PSEUDORANGE = Measurement(
     states=("receiver_clock_bias", "receiver_clock_drift", "inter_system_bias", "range_error", "lever_arm_error",
             "clock_offset"),
     auxiliary=SATELLITE, needs=("receiver_clock_bias", "receiver_clock_drift", "inter_system_bias", "range_error"),
-    restarts=("range_error",),
+    replaces=("position",), restarts=("range_error",),
 )  # fmt: skip
 """Pseudoranges of satellites: value m a slot, sd a factor on `SatelliteParams`."""
 RANGE_RATE = Measurement(
     "range_rate", _SLOTS, observe_range_rate, SatelliteParams(0.05, 0.03, 20.0, 0.0), _units("mps", "m/s"),
     receiver=True, states=("receiver_clock_drift", "lever_arm_error", "clock_offset"),
-    auxiliary=SATELLITE, needs=("receiver_clock_drift",),
+    auxiliary=SATELLITE, needs=("receiver_clock_drift",), replaces=("velocity",),
 )  # fmt: skip
 """Range rates of satellites, Doppler or time-differenced carrier phase: value m/s a slot, sd a factor likewise."""

@@ -319,3 +319,11 @@ def test_the_likelihood_gives_a_rejected_satellite_a_tail_of_its_own():
     moved = lambda h: gated_nll(info_of(nu + h * dnu[0], S + h * dS[0], valid, used), alone)
     np.testing.assert_allclose(score[0], (moved(step) - moved(-step)) / (2 * step), rtol=1e-6)
     assert float(fisher[0, 0]) > 0
+
+
+def test_fixes_of_the_same_signals_are_compared_alone():
+    compared = lambda *names: np.flatnonzero(build("ekf15", names).model.compared).tolist()
+    assert compared("position", "velocity", "pseudorange") == [0, 1, 2]
+    assert compared("position", "velocity", "range_rate") == [3, 4, 5]
+    assert compared("position", "velocity", "pseudorange", "range_rate") == list(range(6))
+    assert compared("position", "velocity") == []

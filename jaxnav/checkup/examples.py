@@ -82,12 +82,12 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "nis.low": {"subject": "position", "vector": "east 0.1, north 0.1", "limit": 0.31},
     "nis.overall": {"value": 1.41, "limit": 1.25},
     "innovations.correlated": {"subject": "position", "vector": "east 0.91, north 0.88"},
-    "satellite.rejected": {
-        "subject": "G24", "rejected": 180, "read": 400, "value": 102.0, "first": 61.0, "last": 97.0
-    },
     "stream.unused": {"subject": "position", "used": 60, "read": 70, "why": "10 before the start"},
     "stream.refused": {"subject": "velocity", "read": 240, "why": "240 rejected by the rule"},
     "stream.extra": {"subject": "barometer"},
+    "satellite.rejected": {
+        "subject": "G24", "rejected": 180, "read": 400, "value": 102.0, "first": 61.0, "last": 97.0
+    },
     "imu.noise_high": {"subject": "gyro", "value": 9.3, "unit_text": "deg/sqrt(h)", "ratio": 31.0},
     "imu.noise_axis": {"subject": "gyro y", "value": 9.3, "unit_text": "deg/sqrt(h)", "ratio": 31.0, "limit": 0.4},
     "observability.rank": {"count": 8, "window": 30.0, "span": "9 to 15", "n": 15, "value": 13.0},

@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 
@@ -60,7 +61,7 @@ UNROLLED = 12  # rows, above which a loop sweeps: the program of 28 unrolled one
 
 def _sweep(k: jax.Array | int, S: jax.Array, log_det: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Sweep row k of S (m, m)."""
-    diagonal = jnp.arange(S.shape[0]) == k
+    diagonal = (np if isinstance(k, int) else jnp).arange(S.shape[0]) == k  # a constant where the loop is unrolled
     pivot = jnp.where(S[k, k] > 0, S[k, k], jnp.nan)
     row = S[k] / pivot
     rest = S - S[:, k, None] * row

@@ -34,7 +34,7 @@ SETTINGS = {
     "data": {"source": "urban_short"},
     "filter": {"name": "kf9_simple", "cov_stride": 25},
     "tune": {"runs": 2, "validation_runs": 1, "test_runs": 2, "steps": 2},
-    "out": {"figures": False},
+    "out": {"figures": "none"},
 }
 
 P, V = "measurements.position", "measurements.velocity"

@@ -25,10 +25,11 @@ from jaxnav.filters.run import prepare, run, run_jit, student_nll
 from jaxnav.gnss.corrections import at_reception
 from jaxnav.gnss.orbits import Ephemeris, chosen
 from jaxnav.gnss.ranges import LIGHT, Ranges, epochs, rows_of, streams, without_clock
-from jaxnav.gnss.single_point import SinglePoint, geodetic, single_point
+from jaxnav.gnss.single_point import SinglePoint, single_point
 from jaxnav.io.datasets import DATA_DIR
 from jaxnav.io.formats.rinex import read_navigation
 from jaxnav.maths import linalg
+from jaxnav.maths.axes import geodetic
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.measurement import tested_alone

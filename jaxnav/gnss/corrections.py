@@ -8,7 +8,8 @@ import numpy as np
 from jaxnav.gnss.atmosphere import klobuchar, saastamoinen
 from jaxnav.gnss.orbits import HALF_STEP, Ephemeris, chosen, state, turned
 from jaxnav.gnss.ranges import LIGHT, Ranges, epochs, rows_of, streams, without_clock
-from jaxnav.gnss.single_point import SinglePoint, geodetic, single_point
+from jaxnav.gnss.single_point import SinglePoint, single_point
+from jaxnav.maths.axes import enu_to_ecef, geodetic
 from jaxnav.maths.earth import RATE
 from jaxnav.maths.gps_time import GPS_EPOCH
 from jaxnav.types import DataError, Samples
@@ -38,15 +39,10 @@ class Masks(NamedTuple):
     cn0_dbhz: float = 25.0  # below it
 
 
-def sight(position: np.ndarray, receiver: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return azimuth, elevation (N,) rad of satellites, and the receiver's latitude and longitude (N,) rad."""
-    lat, lon, _ = geodetic(receiver).T
-    off = position - receiver
-    east = -np.sin(lon) * off[:, 0] + np.cos(lon) * off[:, 1]
-    level = np.cos(lon) * off[:, 0] + np.sin(lon) * off[:, 1]
-    north = -np.sin(lat) * level + np.cos(lat) * off[:, 2]
-    up = np.cos(lat) * level + np.sin(lat) * off[:, 2]
-    return np.arctan2(east, north), np.arctan2(up, np.hypot(east, north)), lat, lon
+def sight(position: np.ndarray, receiver: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return azimuth and elevation (N,) rad of satellites from receivers, both (N, 3) m, ECEF."""
+    east, north, up = np.einsum("nj,nji->in", position - receiver, enu_to_ecef(geodetic(receiver)))
+    return np.arctan2(east, north), np.arctan2(up, np.hypot(east, north))
 
 
 def at_reception(
@@ -88,8 +84,9 @@ def corrected(
     range_rate = seen.range_rate + LIGHT * (clock_after - clock_before) / (2 * HALF_STEP)
     elevation = np.full(seen.t.size, math.pi / 2)
     if receiver is not None:
-        azimuth, elevation, lat, lon = sight(position, receiver)
-        pseudorange = pseudorange - saastamoinen(lat, geodetic(receiver)[:, 2], elevation)
+        azimuth, elevation = sight(position, receiver)
+        lat, lon, h = geodetic(receiver).T
+        pseudorange = pseudorange - saastamoinen(lat, h, elevation)
         if ionosphere is not None:
             tow = seen.t - GPS_EPOCH
             pseudorange = pseudorange - klobuchar(*ionosphere, lat, lon, azimuth, elevation, tow)
@@ -112,8 +109,7 @@ def solved(
     if not found.t.size:
         raise DataError("no epoch has satellites enough with valid ephemerides for a single-point solution")
     for _ in range(2):
-        nearest = np.abs(seen.t[:, None] - found.t).argmin(1) if found.t.size < 2 else _nearest(found.t, seen.t)
-        ranges = corrected(seen, eph, found.position[nearest], ionosphere)
+        ranges = corrected(seen, eph, found.position[_nearest(found.t, seen.t)], ionosphere)
         ranges = rows_of(ranges, ranges.elevation >= math.radians(masks.elevation_deg))
         found = single_point(ranges)
         if not found.t.size:

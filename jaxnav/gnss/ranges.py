@@ -1,15 +1,19 @@
 """Corrected ranges to satellites, one row a satellite and epoch, and the streams of a recording made of them."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.interpolate import BSpline, make_lsq_spline
 
 from jaxnav.measurements.satellites import CONSTELLATION, CONSTELLATIONS, SATELLITE
 from jaxnav.states.receiver_clock import SLOTS
 from jaxnav.types import DataError, Samples
 
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
+
 LIGHT = 299_792_458.0  # m/s
+FREQUENCY = {"G": 1575.42e6, "J": 1575.42e6, "S": 1575.42e6, "E": 1575.42e6, "C": 1561.098e6, "I": 1176.45e6}
+"""Hz, of the first frequency of each constellation."""
 CLOCK_STEP = 1e-3 * LIGHT  # m; receivers set their clock by milliseconds
 KNOT_S = 60.0  # s between knots of the clock's course that is taken out
 
@@ -157,8 +161,10 @@ def without_clock(ranges: Ranges, t: np.ndarray, bias: np.ndarray) -> tuple[Rang
     return ranges, f"pseudorange: the receiver's clock is taken out, {bias[0]:.0f} m, {drift:.1f} m/s{jumps}."
 
 
-def _smooth(t: np.ndarray, y: np.ndarray) -> BSpline:
+def _smooth(t: np.ndarray, y: np.ndarray) -> "BSpline":
     """Return a cubic spline through y (E,) at t (E,) with a knot every `KNOT_S`; outliers lose weight (Huber)."""
+    from scipy.interpolate import make_lsq_spline
+
     every = max(5, round(KNOT_S / float(np.median(np.diff(t)))))  # epochs a knot, so that each piece has some
     inner, degree = t[every:-5:every], min(3, t.size - 1)
     knots = np.concatenate([np.full(degree + 1, t[0]), inner, np.full(degree + 1, t[-1])])

@@ -5,15 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxnav.gnss.ranges import LIGHT, Ranges, epochs
-from jaxnav.maths import earth
-from jaxnav.measurements.satellites import (
-    CONSTELLATION,
-    CONSTELLATIONS,
-    MIN_ELEVATION,
-    PSEUDORANGE,
-    RANGE_RATE,
-    REFERENCE_CN0,
-)
+from jaxnav.maths.axes import enu_to_ecef, geodetic
+from jaxnav.measurements.satellites import CONSTELLATION, CONSTELLATIONS, PSEUDORANGE, RANGE_RATE, weight
 from jaxnav.states.receiver_clock import RANGE_ERROR
 from jaxnav.types import Samples
 
@@ -40,7 +33,7 @@ class SinglePoint(NamedTuple):
         """Return position and velocity as streams of a recording, ENU, with times less the receiver's clock error."""
         lla = geodetic(self.position)
         t = self.t - self.clock / LIGHT
-        to_enu = np.swapaxes(_axes(lla[:, 0], lla[:, 1]), 1, 2)
+        to_enu = np.swapaxes(enu_to_ecef(lla), 1, 2)
         moved = np.isfinite(self.velocity).all(1)
         return _samples(t, lla, self.cov, to_enu), _samples(
             t[moved], np.einsum("eij,ej->ei", to_enu, self.velocity)[moved], self.velocity_cov[moved], to_enu[moved]
@@ -54,37 +47,6 @@ def _samples(t: np.ndarray, value: np.ndarray, cov: np.ndarray, to_enu: np.ndarr
     return Samples(t, value, sd, 0.999 * P[:, i, j] / (sd[:, i] * sd[:, j]))
 
 
-def geodetic(position: np.ndarray) -> np.ndarray:
-    """Return latitude, longitude rad and height m (N, 3) of ECEF positions (N, 3) m: `jaxnav.maths.earth`, host."""
-    x, y, z = position.T
-    p, b = np.hypot(x, y), earth.A * (1 - earth.F)
-    tan_beta = z * earth.A / (p * b)
-    for _ in range(3):
-        cos_beta = 1 / np.sqrt(1 + tan_beta**2)
-        tan_lat = (z + earth.E2 / (1 - earth.E2) * b * (tan_beta * cos_beta) ** 3) / (
-            p - earth.E2 * earth.A * cos_beta**3
-        )
-        tan_beta = (1 - earth.F) * tan_lat
-    lat = np.arctan(tan_lat)
-    _, prime = earth.radii(lat, np)
-    return np.stack([lat, np.arctan2(y, x), p * np.cos(lat) + z * np.sin(lat) - earth.A**2 / prime], 1)
-
-
-def _axes(lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
-    """Return rotations ENU -> ECEF, (N, 3, 3)."""
-    sl, cl, so, co = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
-    zero = np.zeros_like(sl)
-    return np.stack([np.stack([-so, co, zero], -1), np.stack([-sl * co, -sl * so, cl], -1),
-                     np.stack([cl * co, cl * so, sl], -1)], -1)  # fmt: skip
-
-
-def sd_of(theta: tuple[float, ...], elevation: np.ndarray, cn0: np.ndarray) -> np.ndarray:
-    """Return the sd of `jaxnav.measurements.satellites.weight` on the host."""
-    floor, slant, scale = theta[:3]
-    slant = slant / np.sin(np.maximum(elevation, MIN_ELEVATION))
-    return np.asarray(np.hypot(floor, slant) * 10 ** ((REFERENCE_CN0 - cn0) / scale))
-
-
 def single_point(ranges: Ranges) -> SinglePoint:
     """Return the epochs with satellites enough for a solution, each by itself.
 
@@ -96,21 +58,21 @@ def single_point(ranges: Ranges) -> SinglePoint:
     wide = lambda a, empty: _padded(a, of, order, (times.size, width), empty)
     valid = wide(np.isfinite(ranges.pseudorange), False)
     s, z = wide(ranges.position, 2e7), wide(np.nan_to_num(ranges.pseudorange), 0.0)
-    sd = np.hypot(sd_of(PSEUDORANGE.defaults, ranges.elevation, ranges.cn0), RANGE_ERROR.defaults.sd)
+    sd = np.hypot(weight(PSEUDORANGE.defaults, ranges.elevation, ranges.cn0, np), RANGE_ERROR.defaults.sd)
     system = wide(ranges.satellite // CONSTELLATION, 0)
     clocks = np.stack([np.isin(system, group) for group in _clock_groups()], -1).astype(float)
-    weight = valid / wide(sd, 1.0) ** 2
+    known = valid / wide(sd, 1.0) ** 2
     there = (clocks * valid[..., None]).any(1)
     x, clock = np.zeros((times.size, 3)), np.zeros((times.size, clocks.shape[-1]))
-    robust = np.ones_like(weight)
+    robust = np.ones_like(known)
     for step in range(STEPS):
         off = s - x[:, None]
         distance = np.linalg.norm(off, axis=-1)
         H = np.concatenate([-off / distance[..., None], clocks], -1)
         r = z - distance - np.einsum("esc,ec->es", clocks, clock)
-        delta, N = _solved(H, r, weight * robust, there)
+        delta, N = _solved(H, r, known * robust, there)
         x, clock = x + delta[:, :3], clock + delta[:, 3:]
-        robust = robust_weight((r - np.einsum("esk,ek->es", H, delta)) * np.sqrt(weight), step)
+        robust = robust_weight((r - np.einsum("esk,ek->es", H, delta)) * np.sqrt(known), step)
     cov = np.linalg.inv(N)[:, :3, :3]
     count = valid.sum(1)
     lla = geodetic(x)
@@ -134,13 +96,13 @@ def robust_weight(residual: np.ndarray, step: int) -> np.ndarray:
 def _velocity(ranges: Ranges, s: np.ndarray, x: np.ndarray, wide) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
     """Return velocities (E, 3) m/s at positions ``x`` (E, 3) by the range rates, and their covariances."""
     valid, v = wide(np.isfinite(ranges.range_rate), False), wide(ranges.velocity, 0.0)
-    weight = valid / wide(sd_of(RANGE_RATE.defaults, ranges.elevation, ranges.cn0), 1.0) ** 2
+    known = valid / wide(weight(RANGE_RATE.defaults, ranges.elevation, ranges.cn0, np), 1.0) ** 2
     u = (s - x[:, None]) / np.linalg.norm(s - x[:, None], axis=-1)[..., None]
     z = wide(np.nan_to_num(ranges.range_rate), 0.0) - np.einsum("esi,esi->es", u, v)
     H, robust = np.concatenate([-u, np.ones_like(z)[..., None]], -1), np.ones_like(z)
     for step in range(HUBER_FROM, STEPS):
-        found, N = _solved(H, z, weight * robust, np.ones((z.shape[0], 1), bool))
-        robust = robust_weight((z - np.einsum("esk,ek->es", H, found)) * np.sqrt(weight), step)
+        found, N = _solved(H, z, known * robust, np.ones((z.shape[0], 1), bool))
+        robust = robust_weight((z - np.einsum("esk,ek->es", H, found)) * np.sqrt(known), step)
     enough = valid.sum(1) >= 4
     return np.where(enough[:, None], found[:, :3], np.nan), np.linalg.inv(N)[:, :3, :3]
 

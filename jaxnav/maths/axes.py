@@ -76,9 +76,11 @@ def geodetic(r: np.ndarray) -> np.ndarray:
 
 
 def enu_to_ecef(origin: np.ndarray) -> np.ndarray:
-    """(3, 3) whose columns are east, north and up at ``origin`` (lat, lon rad, h) in ECEF."""
-    sl, cl, so, co = np.sin(origin[0]), np.cos(origin[0]), np.sin(origin[1]), np.cos(origin[1])
-    return np.array([[-so, -sl * co, cl * co], [co, -sl * so, cl * so], [0.0, cl, sl]])
+    """(..., 3, 3) whose columns are east, north and up at ``origin`` (..., 3) lat, lon rad, h, in ECEF."""
+    lat, lon, _ = np.moveaxis(np.asarray(origin, float), -1, 0)
+    sl, cl, so, co = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
+    rows = [[-so, -sl * co, cl * co], [co, -sl * so, cl * so], [np.zeros_like(sl), cl, sl]]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def local_to_lla(enu: np.ndarray, origin: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ positive where the range grows, and is corrected for the satellite's clock rate.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -58,10 +58,10 @@ def satellites(fix: Fix) -> Satellites:
     return Satellites(table[:, 1:4], table[:, 4:7], table[:, 7], table[:, 8], further.astype(table.dtype))
 
 
-def weight(theta: SatelliteParams, elevation: jax.Array, cn0: jax.Array) -> jax.Array:
-    """Return the sd (s,) of `SatelliteParams`."""
-    slant = theta.slant_sd / jnp.sin(jnp.maximum(elevation, MIN_ELEVATION))
-    return jnp.sqrt(theta.floor_sd**2 + slant**2) * 10 ** ((REFERENCE_CN0 - cn0) / theta.cn0_scale)
+def weight(theta: SatelliteParams, elevation: Any, cn0: Any, xp: Any = jnp) -> Any:
+    """Return the sd (s,) m or m/s of `SatelliteParams`; ``elevation`` rad, ``cn0`` dB-Hz; ``xp``: np on the host."""
+    slant = theta.slant_sd / xp.sin(xp.maximum(elevation, MIN_ELEVATION))
+    return xp.sqrt(theta.floor_sd**2 + slant**2) * 10 ** ((REFERENCE_CN0 - cn0) / theta.cn0_scale)
 
 
 class Sight(NamedTuple):

@@ -95,7 +95,7 @@ def test_corrections_leave_distance_and_clock():
     seen = observations(eph, TOKYO)
     ranges = corrected(seen, eph, np.tile(TOKYO, (seen.t.size, 1)))
     from jaxnav.gnss.atmosphere import saastamoinen
-    from jaxnav.gnss.single_point import geodetic
+    from jaxnav.maths.axes import geodetic
 
     up = ranges.elevation > 0.2
     assert up.sum() >= 6

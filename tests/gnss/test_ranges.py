@@ -115,12 +115,11 @@ def test_the_stated_covariance_is_that_of_the_errors():
     """Noise of the stated size over 400 epochs: NEES of the horizontal position within its bounds."""
     rng = np.random.default_rng(5)
     sky = overhead(TOKYO, 9)
-    from jaxnav.gnss.single_point import sd_of
-    from jaxnav.measurements.satellites import PSEUDORANGE
+    from jaxnav.measurements.satellites import PSEUDORANGE, weight
     from jaxnav.states.receiver_clock import RANGE_ERROR
 
     one = ranges_at(TOKYO, sky)
-    sd = np.hypot(sd_of(PSEUDORANGE.defaults, one.elevation, one.cn0), RANGE_ERROR.defaults.sd)
+    sd = np.hypot(weight(PSEUDORANGE.defaults, one.elevation, one.cn0, np), RANGE_ERROR.defaults.sd)
     parts = [one._replace(t=one.t + k, pseudorange=one.pseudorange + sd * rng.normal(size=9)) for k in range(400)]
     found = single_point(joined(parts))
     off = found.position - TOKYO

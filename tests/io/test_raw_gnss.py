@@ -92,7 +92,7 @@ def imu_of(t: np.ndarray) -> ImuLog:
 
 def near(parts, metres: float) -> None:
     """Position and rest of a receiver whose atmosphere is corrected and not there."""
-    from jaxnav.gnss.single_point import geodetic
+    from jaxnav.maths.axes import geodetic
 
     lla = np.asarray(parts.aiding["position"].value)
     assert lla.shape[0] == EPOCHS

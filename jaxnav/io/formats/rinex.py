@@ -8,17 +8,15 @@ import numpy as np
 
 from jaxnav.gnss.corrections import Ionosphere, Masks, Observations, aiding_of, solved
 from jaxnav.gnss.orbits import Ephemeris, stacked
-from jaxnav.gnss.ranges import LIGHT, number
+from jaxnav.gnss.ranges import FREQUENCY, LIGHT, number
 from jaxnav.io.files import read_bytes
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
-from jaxnav.measurements.satellites import CONSTELLATIONS
 from jaxnav.types import DataError
 
 FIRST_BAND = {"G": "1", "J": "1", "S": "1", "E": "1", "C": "2", "I": "5"}
-FREQUENCY = {"G": 1575.42e6, "J": 1575.42e6, "S": 1575.42e6, "E": 1575.42e6, "C": 1561.098e6, "I": 1176.45e6}  # Hz
 CODES = "CPWXBIQSL"  # tracking codes, the best first
-KEPLER = {"G": 8, "J": 8, "E": 8, "C": 8}
+KEPLER, KEPLER_LINES = "GJEC", 8  # constellations whose messages are elements of an orbit, and lines of those
 OTHER_LINES = {"R": 4, "S": 4, "I": 8}
 BEIDOU_BEHIND = 14.0  # s, BeiDou time less GPS time
 
@@ -178,12 +176,12 @@ def read_navigation(path: Path) -> tuple[Ephemeris, Ionosphere | None]:
     while i < len(body):
         line = body[i]
         system = line[:1] if version >= 3 else "G"
-        if system in KEPLER and not line.startswith("   "):
+        if system and system in KEPLER and not line.startswith("   "):
             try:
-                rows.append(_ephemeris(system, body[i : i + KEPLER[system]], version))
+                rows.append(_ephemeris(system, body[i : i + KEPLER_LINES], version))
             except (ValueError, IndexError, DataError):
                 pass  # a cut or damaged message: the next one of the satellite is as good
-            i += KEPLER[system]
+            i += KEPLER_LINES
         else:
             i += OTHER_LINES.get(system, 1)
     if not rows:
@@ -241,6 +239,3 @@ def made(*values: float) -> Ephemeris:
     if not np.isfinite(values).all():
         raise ValueError("a number is missing")
     return Ephemeris(*(np.asarray(v) for v in values))
-
-
-__all__ = ["CONSTELLATIONS", "read", "read_navigation", "read_observations", "recognises"]

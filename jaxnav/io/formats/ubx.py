@@ -14,7 +14,7 @@ import numpy as np
 from jaxnav.gnss.corrections import Masks, Observations, aiding_of, solved
 from jaxnav.gnss.messages import Messages
 from jaxnav.gnss.orbits import stacked
-from jaxnav.gnss.ranges import number
+from jaxnav.gnss.ranges import FREQUENCY, LIGHT, number
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.files import read_bytes
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
@@ -27,8 +27,6 @@ FIXED = (3, 4)  # fixType: in three dimensions, alone or with dead reckoning
 PVT = b"\x01\x07"  # class and number of NAV-PVT
 SYSTEM = {0: "G", 1: "S", 2: "E", 3: "C", 5: "J"}  # gnssId
 FIRST_SIGNAL = {"G": (0,), "S": (0,), "E": (0, 1), "C": (0, 1), "J": (0,)}  # sigId of the first frequency
-WAVELENGTH = {"C": 299_792_458.0 / 1561.098e6}  # m, of BeiDou B1I
-L1 = 299_792_458.0 / 1575.42e6  # m, of the others
 OLDER = ("NAV-POSLLH", "NAV-VELNED", "NAV-SOL", "NAV-STATUS", "NAV-TIMEGPS")
 
 
@@ -145,7 +143,7 @@ class Raw:
                 satellite = number(f"{system}{get('svId') - (120 if system == 'S' else 0)}")
             except DataError:
                 continue
-            rate = -get("doMes") * WAVELENGTH.get(system, L1)
+            rate = -get("doMes") * LIGHT / FREQUENCY[system]
             self.rows.append((self.t, satellite, get("prMes"), rate, float(get("cno"))))
 
     def streams(self, path: Path, masks: Masks, needed: bool) -> tuple[dict[str, Any], tuple[str, ...]]:

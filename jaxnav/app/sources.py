@@ -13,13 +13,14 @@ from jaxnav.io.read import read
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.readings import with_equipment
+from jaxnav.simulate.satellites import with_sky
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import simulate_runs, to_recording
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import BIASES, chosen
 from jaxnav.types import ConfigError, DataError, Recording, nearest
 
-EQUIPMENT = 5  # folded into a run's key, in addition to the purposes of `jaxnav.simulate.simulation`
+EQUIPMENT, SKY = 5, 6  # folded into a run's key, in addition to the purposes of `jaxnav.simulate.simulation`
 
 
 def scenario_of(config: Config) -> Scenario | None:
@@ -119,8 +120,11 @@ def load(config: Config) -> Recording:
     if scenario is not None:
         sims = simulate_runs(run_key(config.seed, Purpose.SINGLE, 0)[None], scenario)
         sim = jax.tree.map(lambda a: a[0], sims)
-        if scenario.sensors or scenario.sensor_states or scenario.sky is not None:
-            sim = with_equipment(jax.random.fold_in(run_key(config.seed, Purpose.SINGLE, 0), EQUIPMENT), sim, scenario)
+        key = run_key(config.seed, Purpose.SINGLE, 0)
+        if scenario.sensors or scenario.sensor_states:
+            sim = with_equipment(jax.random.fold_in(key, EQUIPMENT), sim, scenario)
+        if scenario.sky is not None:
+            sim = with_sky(jax.random.fold_in(key, SKY), sim, scenario)
         return to_recording(sim, scenario)
     if data.source in io.DATASETS:
         return io.load(data.source, **data.options)

@@ -289,7 +289,7 @@ def negative_log_likelihood(info: Info) -> jax.Array:
 def gated_nll(info: Info, alone: np.ndarray) -> jax.Array:
     """Return -log of the density of one epoch's innovations, (), where a gate tests channels ``alone`` (m,) bool.
 
-    A rejected one of them has a Student t of its own, so that the others keep their weight.
+    Each rejected channel is scored by a separate Student t, so that the others keep their weight.
     """
     out = info.valid & ~info.used & alone
     keep = info.valid & ~out

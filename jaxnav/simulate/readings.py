@@ -5,6 +5,7 @@ residual against zero. Errors of a state are drawn from its prior, `Params.state
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +14,7 @@ from jaxnav.filters.parameters import datasheet_states
 from jaxnav.maths import earth, rotations
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.measurements.measurement import Kinematics
-from jaxnav.measurements.satellites import PSEUDORANGE
 from jaxnav.simulate.processes import gauss_markov, normal
-from jaxnav.simulate.satellites import with_satellites
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, matched_params
 from jaxnav.states.grades import GRADES
@@ -25,21 +24,25 @@ from jaxnav.states.table import chosen
 from jaxnav.types import Fix, Nav, Params, StateParams
 
 WALKING = 1.5  # m/s
-SKY = 1000  # of the key of the satellites
 
 
-def expected(measurement: Measurement, params: Params, truth: Nav) -> jax.Array:
-    """Return residuals (E, s) against zero at the true epochs (E, ...): an ideal reading, of a position m ENU."""
+def expected(
+    measurement: Measurement, params: Params, truth: Nav, valid: jax.Array | None = None, auxiliary: Any = None
+) -> jax.Array:
+    """Return residuals (E, s) against zero at the true epochs (E, ...): an ideal reading, of a position m ENU.
+
+    ``valid`` (E, s) bool and ``auxiliary`` (E, s, a): of a measurement that has auxiliary values.
+    """
     zero = jnp.zeros(measurement.size)
-    blind = Fix(zero, zero + 1.0, zero, zero > -1)
     theta = params.measurements[measurement.name]
 
-    def one(nav: Nav) -> jax.Array:
+    def one(nav: Nav, valid: jax.Array | None, auxiliary: Any) -> jax.Array:
         kin = Kinematics(nav.pos, nav.vel, rotations.to_dcm(nav.q))
+        blind = Fix(zero, zero + 1.0, zero, zero > -1 if valid is None else valid, auxiliary)
         at_it = blind._replace(value=nav.pos) if measurement.name == "position" else blind
         return measurement.observe(theta, params.mounting, nav, kin, at_it).y
 
-    return jax.vmap(one)(truth)
+    return jax.vmap(one)(truth, valid, auxiliary)
 
 
 def with_equipment(key: jax.Array, sim: Simulated, scenario: Scenario) -> Simulated:
@@ -54,15 +57,7 @@ def with_equipment(key: jax.Array, sim: Simulated, scenario: Scenario) -> Simula
     for i, (name, sd) in enumerate(scenario.sensors, 1):
         least = WALKING if name == "course" else 0.0
         sim = with_sensor(jax.random.fold_in(key, i), sim, params, name, sd, least)
-    return sim if scenario.sky is None else with_sky(jax.random.fold_in(key, SKY), sim, scenario)
-
-
-def with_sky(key: jax.Array, sim: Simulated, scenario: Scenario) -> Simulated:
-    """Return the run with the satellites of the scenario, by the defaults of their measurements and states."""
-    assert scenario.sky is not None
-    params = matched_params(scenario)
-    states = datasheet_states(GRADES[scenario.imu.grade], PSEUDORANGE.needs)
-    return with_satellites(key, sim, params._replace(states=params.states | states), scenario.sky)
+    return sim
 
 
 def with_sensor(

@@ -10,16 +10,19 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxnav.maths import earth, rotations
+from jaxnav.filters.parameters import datasheet_states
+from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
-from jaxnav.measurements.measurement import Kinematics
 from jaxnav.measurements.satellites import PSEUDORANGE, RANGE_RATE, weight
 from jaxnav.simulate.gnss import inside
 from jaxnav.simulate.processes import gauss_markov, normal
-from jaxnav.simulate.simulation import Simulated
+from jaxnav.simulate.readings import expected
+from jaxnav.simulate.scenarios import Scenario
+from jaxnav.simulate.simulation import Simulated, matched_params
 from jaxnav.simulate.sky import Sky
+from jaxnav.states.grades import GRADES
 from jaxnav.states.receiver_clock import SLOTS
-from jaxnav.types import Fix, Nav, Params
+from jaxnav.types import Fix, Params
 
 RADIUS, INCLINATION, PLANES = 26_560e3, 55.0 * DEG, 6  # m, rad, of GPS
 MU = 3.986005e14  # m^3/s^2
@@ -87,6 +90,14 @@ def clock(key: jax.Array, params: Params, t: jax.Array) -> tuple[jax.Array, jax.
     return bias.sd * first[1] + jnp.cumsum(grown), rate
 
 
+def with_sky(key: jax.Array, sim: Simulated, scenario: Scenario) -> Simulated:
+    """Return the run with the satellites of the scenario, by the defaults of their measurements and states."""
+    assert scenario.sky is not None
+    params = matched_params(scenario)
+    states = datasheet_states(GRADES[scenario.imu.grade], PSEUDORANGE.needs)
+    return with_satellites(key, sim, params._replace(states=params.states | states), scenario.sky)
+
+
 def with_satellites(key: jax.Array, sim: Simulated, params: Params, sky: Sky) -> Simulated:
     """Return the run with pseudoranges and range rates behind its channels; a fix needs four satellites.
 
@@ -125,14 +136,7 @@ def with_satellites(key: jax.Array, sim: Simulated, params: Params, sky: Sky) ->
     fixes = [fix._replace(valid=fix.valid & (valid.sum(1) >= FIX_SATELLITES)[:, None])]
     for i, row in enumerate((PSEUDORANGE, RANGE_RATE)):
         theta = params.measurements[row.name]
-
-        def exact(nav: Nav, auxiliary: jax.Array, valid: jax.Array, row=row, theta=theta) -> jax.Array:  # type: ignore[no-untyped-def]
-            zero = jnp.zeros(SLOTS)
-            blind = Fix(zero, zero + 1.0, zero, valid, auxiliary)
-            kin = Kinematics(nav.pos, nav.vel, rotations.to_dcm(nav.q))
-            return row.observe(theta, params.mounting, nav, kin, blind).y
-
-        value = jax.vmap(exact)(truth, table, valid)
+        value = expected(row, params, truth, valid, table)
         noise = weight(theta, of_slot(elevation), of_slot(cn0)) * normal(jax.random.fold_in(key, 2 + i), value.shape)
         value = value + noise
         if i == 0:

@@ -13,8 +13,7 @@ from jaxnav.filters.parameters import datasheet_states
 from jaxnav.filters.run import run
 from jaxnav.maths import earth
 from jaxnav.measurements.satellites import PSEUDORANGE, SATELLITE
-from jaxnav.simulate.readings import with_sky
-from jaxnav.simulate.satellites import clock, orbits, seen, slots
+from jaxnav.simulate.satellites import clock, orbits, seen, slots, with_sky
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params, simulate, to_recording
 from jaxnav.simulate.sky import Sky

@@ -6,7 +6,7 @@ import pytest
 
 from jaxnav import build
 from jaxnav.filters.parameters import change
-from jaxnav.simulate.readings import with_sky
+from jaxnav.simulate.satellites import with_sky
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import simulate, to_recording
 from jaxnav.types import ConfigError

@@ -15,7 +15,7 @@ class Stage(NamedTuple):
 class Stages:
     """Writes a line at the beginning of each stage.
 
-    The rest is estimated from the time so far and the weights of what is done and what is left.
+    The remaining time is estimated from the elapsed time and the weights of the finished and remaining stages.
     """
 
     def __init__(

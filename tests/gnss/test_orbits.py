@@ -41,6 +41,33 @@ def test_orbits_keep_keplers_laws():
     np.testing.assert_allclose(area[:, 2] / momentum, np.cos(0.96), rtol=1e-6)
 
 
+def test_a_clock_is_its_polynomial_less_relativity_and_group_delay():
+    """Where sin E = 1 at toe, a minute after toc; F = -2 sqrt(mu) / c^2 (IS-GPS-200N, 20.3.3.3.3.1)."""
+    eph = ephemeris("G05", 2)._replace(af2=np.asarray(1e-14))
+    eph = eph._replace(m0=0.5 * np.pi - eph.e, toc=eph.toe - 60.0)
+    _, clock = state(repeated(eph, 1), np.atleast_1d(eph.toe))
+    relativity = -2 * np.sqrt(3.986005e14) / LIGHT**2 * float(eph.e) * float(eph.sqrt_a)
+    polynomial = float(eph.af0) + 60 * float(eph.af1) + 3600e-14
+    np.testing.assert_allclose(clock, polynomial + relativity - float(eph.group_delay), rtol=0, atol=1e-16)
+
+
+def test_a_geostationary_satellite_stands_still_over_the_equator():
+    """BeiDou's elements are in axes tilted by 5 deg: a node on the opposite side, an inclination of 5 deg."""
+    still = dict.fromkeys(
+        ("e", "cuc", "cus", "crc", "crs", "cic", "cis", "idot", "omega_dot", "delta_n", "toe_of_week"), np.asarray(0.0)
+    )
+    radius = (3.986004418e14 / RATE**2) ** (1 / 3)
+    eph = ephemeris("C03")._replace(
+        **still, sqrt_a=np.sqrt(radius), omega0=np.asarray(np.pi), i0=np.radians(5.0), omega=np.asarray(0.3)
+    )
+    t = float(eph.toe) + np.arange(0.0, 3600.0, 300.0)
+    position, _ = state(repeated(eph, t.size), t)
+    assert np.abs(position[:, 2]).max() < 1.0 and np.abs(position - position[0]).max() < 1.0
+    np.testing.assert_allclose(np.linalg.norm(position, axis=1), radius, rtol=1e-9)
+    moving, _ = state(repeated(eph._replace(satellite=np.asarray(number("C11"))), t.size), t)
+    assert np.abs(moving[:, 2]).max() > 1e5
+
+
 def test_an_ephemeris_is_the_nearest_healthy_one():
     early, late = ephemeris("G05", toe=360_000.0), ephemeris("G05", toe=367_200.0)
     ill = ephemeris("G05", toe=364_500.0)._replace(health=np.asarray(1.0))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jaxnav.gnss.corrections import at_reception
 from jaxnav.gnss.orbits import Ephemeris, state
 from jaxnav.gnss.ranges import LIGHT, name, ranges_of
 from jaxnav.io import canonical
@@ -159,8 +160,6 @@ def test_a_ubx_stream_of_our_own_making_decodes_to_the_same_orbits(tmp_path, enc
     for row in auxiliary[auxiliary[:, 0] > 0]:
         one = repeated(Ephemeris(*(a[eph.satellite == row[0]] for a in eph)), 1)
         k = list(eph.satellite[up]).index(row[0])
-        from jaxnav.gnss.corrections import at_reception
-
         exact, _ = at_reception(one, np.array([T0 + 5]), rows[5][2][k : k + 1], TOKYO[None])
         assert np.linalg.norm(exact[0] - row[1:4]) < 0.2  # the steps of the message
     (tmp_path / "none.ubx").write_bytes((tmp_path / "log.ubx").read_bytes()[:400])
@@ -201,7 +200,7 @@ def test_googles_columns(tmp_path, seen):
     lines = ["utcTimeMillis,Svid,ConstellationType,SignalType,RawPseudorangeMeters,PseudorangeRateMetersPerSecond,"
              "Cn0DbHz,SvPositionXEcefMeters,SvPositionYEcefMeters,SvPositionZEcefMeters,SvVelocityXEcefMetersPerSecond,"
              "SvVelocityYEcefMetersPerSecond,SvVelocityZEcefMetersPerSecond,SvClockBiasMeters,"
-             "SvClockDriftMetersPerSecond,SvElevationDegrees"]  # fmt: skip
+             "SvClockDriftMetersPerSecond,SvElevationDegrees,IsrbMeters"]  # fmt: skip
     own = Ephemeris(*(a[up] for a in eph))
     for t, sats, pseudorange, rate, cn0 in rows:
         emitted = t - pseudorange / LIGHT
@@ -212,8 +211,9 @@ def test_googles_columns(tmp_path, seen):
         drift = state(own, emitted + 0.5)[1] - state(own, emitted - 0.5)[1]
         utc = t[0] - leap_seconds(t[0])
         for i, s in enumerate(sats):
-            cells = [utc * 1e3, s % 100, 1, "GPS_L1_CA", pseudorange[i], rate[i], cn0[i], *there[i], *speed[i],
-                     LIGHT * clock[i], LIGHT * drift[i], 45.0]  # fmt: skip
+            signal_bias = 100.0 * (s % 3)
+            cells = [utc * 1e3, s % 100, 1, "GPS_L1_CA", pseudorange[i] + signal_bias, rate[i], cn0[i], *there[i],
+                     *speed[i], LIGHT * clock[i], LIGHT * drift[i], 45.0, signal_bias]  # fmt: skip
             lines.append(",".join(str(c) for c in cells))
         lines.append(lines[-1].replace("GPS_L1_CA", "GPS_L5_Q"))
     (tmp_path / "device_gnss.csv").write_text("\n".join(lines) + "\n")
@@ -221,7 +221,15 @@ def test_googles_columns(tmp_path, seen):
     parts = raw_table.read(tmp_path / "device_gnss.csv")
     near(parts, 0.5)
     assert float(parts.aiding["position"].t[0]) == pytest.approx(T0 - 3e5 / LIGHT, abs=1e-3)
+    assert float(parts.aiding["pseudorange"].t[0]) == float(parts.aiding["position"].t[0])
     found = ranges_of(parts.aiding)
+    first = found.t == found.t[0]
+    for s, velocity in zip(found.satellite[first], found.velocity[first], strict=True):
+        k = list(rows[0][1]).index(s)
+        one = repeated(Ephemeris(*(a[k] for a in own)), 1)
+        p, r = rows[0][2][k : k + 1], rows[0][3][k : k + 1]
+        before, after = (at_reception(one, np.array([T0 + h]), p + h * r, TOKYO[None])[0] for h in (-0.5, 0.5))
+        np.testing.assert_allclose(velocity, (after - before)[0], atol=1e-3)  # in axes that turn on
     u = (found.position - TOKYO) / np.linalg.norm(found.position - TOKYO, axis=1)[:, None]
     left = found.range_rate - np.sum(u * found.velocity, 1)
     assert np.abs(left - np.median(left)).max() < 2e-3
@@ -241,6 +249,7 @@ position = ["SvPositionXEcefMeters", "SvPositionYEcefMeters", "SvPositionZEcefMe
 velocity = ["SvVelocityXEcefMetersPerSecond", "SvVelocityYEcefMetersPerSecond", "SvVelocityZEcefMetersPerSecond"]
 emission = true
 clock = "SvClockBiasMeters"
+delays = ["IsrbMeters"]
 clock_rate = "SvClockDriftMetersPerSecond"
 where = { SvElevationDegrees = 45 }
 """

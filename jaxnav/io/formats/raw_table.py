@@ -139,12 +139,16 @@ def google_rows(sheet: Sheet) -> Ranges:
 
 
 def to_reception(ranges: Ranges) -> Ranges:
-    """Return rows with satellites in the axes of reception, from those of emission, which turn as the range grows."""
+    """Return rows with satellites in the axes of reception, from those of emission.
+
+    Velocities are derivatives by the time of reception: a second there is 1 - r / c seconds of emission where the range
+    grows by r m/s, and the axes turn by a longer flight.
+    """
     flight = np.nan_to_num(ranges.pseudorange) / LIGHT
     position, velocity = (turned(a, RATE * flight) for a in (ranges.position, ranges.velocity))
-    spin = RATE * np.nan_to_num(ranges.range_rate) / LIGHT
+    growth = np.nan_to_num(ranges.range_rate)[:, None] / LIGHT
     across = np.stack([position[:, 1], -position[:, 0], np.zeros(flight.size)], 1)
-    return ranges._replace(position=position, velocity=velocity + spin[:, None] * across)
+    return ranges._replace(position=position, velocity=(1 - growth) * velocity + RATE * growth * across)
 
 
 def _google(kind: int, svid: int) -> int:

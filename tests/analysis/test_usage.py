@@ -6,10 +6,11 @@ import pytest
 
 from jaxnav.analysis import evaluate, usage
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.epochs import hide, pack
+from jaxnav.filters.epochs import Packed, hide, pack
 from jaxnav.filters.run import run_jit
-from jaxnav.measurements import GNSS
-from jaxnav.types import Info, Nav, Recording, Samples
+from jaxnav.measurements import GNSS, MEASUREMENTS
+from jaxnav.measurements.satellites import SATELLITE
+from jaxnav.types import Epoch, Fix, Info, Nav, Recording, Samples
 
 
 def recording(case, aiding=None) -> Recording:
@@ -123,3 +124,24 @@ def test_sensors_that_are_louder_than_told_are_named(case):
     one = quiet.gyro * [1.0, 20.0, 1.0]
     alone = usage.noise_findings(quiet._replace(gyro=one), case.params)
     assert [(f.code, f.subject) for f in alone] == [("imu.noise_axis", "gyro y")] and alone[0].value > alone[0].limit
+
+
+def test_a_satellite_that_the_gate_rejects_is_named():
+    """G05 is in slot 1, then in slot 2: 12 of 40 rejected at 100 m; G07 once, which is no finding."""
+    row, E = MEASUREMENTS["pseudorange"], 40
+    auxiliary = np.zeros((E, row.size, len(SATELLITE)))
+    auxiliary[:20, 0, 0], auxiliary[20:, 1, 0] = 5, 5
+    auxiliary[20:, 0, 0] = auxiliary[:20, 1, 0] = 7
+    valid = np.zeros((E, row.size), bool)
+    valid[:, :2] = True
+    used, nu = valid.copy(), np.zeros((E, row.size))
+    used[15:20, 0] = used[20:27, 1] = used[30, 0] = False
+    nu[15:20, 0] = nu[20:27, 1] = 100.0
+    info = Info(**dict.fromkeys(Info._fields) | {"valid": valid, "used": used, "nu": nu})
+    blank = jnp.zeros((E, row.size))
+    fix = Fix(blank, blank, blank, jnp.asarray(valid), {"pseudorange": jnp.asarray(auxiliary)})
+    packed = Packed(Epoch(None, fix), np.arange(1.0, E + 1), 0.0)
+    (found,) = usage.satellite_findings(packed, info, (row,))
+    assert found.code == "satellite.rejected" and found.subject == "G05" and found.value == 100.0 and found.warns
+    assert "12 of 40" in found.message and "16 to 27 s" in found.message
+    assert usage.satellite_findings(packed, info, GNSS) == []

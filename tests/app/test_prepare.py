@@ -320,5 +320,6 @@ def test_a_street_is_filtered_by_its_satellites(tmp_path, capsys):
     assert cli.main([*argv, *(word for each in sets for word in ("--set", each))]) == 0
     metrics = json.loads(capsys.readouterr().out)["metrics"]
     assert 0.7 < metrics["nis_per_dof"] < 1.4 and metrics["errors"]["horizontal_m"]["rms"] < 10.0
+    assert not [f["code"] for f in metrics["findings"] if f["severity"] == "warning"]
     assert any(name.startswith("pseudorange") for name in metrics["innovation_rms"])
     assert not any(name.startswith("position") for name in metrics["innovation_rms"])

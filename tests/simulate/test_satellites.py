@@ -66,6 +66,8 @@ def test_a_clock_has_the_spread_of_its_states():
     free = np.asarray(bias - bias[:, :1] - (t - t[0]) * drift[:, :1])[:, -1]
     T = 19.0
     assert np.var(free) == pytest.approx(b * T + f * T**3 / 3, rel=0.1)
+    one = np.asarray(bias[:, 1] - bias[:, 0] - drift[:, 0])  # a second of it
+    assert np.var(one) == pytest.approx(b + f / 3, rel=0.08)
     assert np.var(np.asarray(drift - drift[:, :1])[:, -1]) == pytest.approx(f * T, rel=0.1)
 
 

@@ -22,14 +22,14 @@ from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import prepare, run, run_jit, student_nll
-from jaxnav.gnss.corrections import at_reception
+from jaxnav.gnss.corrections import at_reception, solved
 from jaxnav.gnss.orbits import Ephemeris, chosen
 from jaxnav.gnss.ranges import LIGHT, Ranges, epochs, rows_of, streams, without_clock
 from jaxnav.gnss.single_point import SinglePoint, single_point
 from jaxnav.io.datasets import DATA_DIR
-from jaxnav.io.formats.rinex import read_navigation
+from jaxnav.io.formats.rinex import read_navigation, read_observations
 from jaxnav.maths import linalg
-from jaxnav.maths.axes import geodetic
+from jaxnav.maths.axes import geodetic, lla_to_local
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.measurement import tested_alone
@@ -267,16 +267,26 @@ def main(argv: list[str]) -> int:
     """Print the table, write the JSON."""
     parser = common.options("tight", __doc__ or "")
     parser.add_argument("--quick", action="store_true", help="two phases of the windows")
+    parser.add_argument("--checks", action="store_true", help="time of a run and the station alone")
     args = parser.parse_args(argv)
     folder = Path(os.environ.get(DATA_DIR, "")) / DAY
     if not folder.is_dir():
         raise DataError(f"{folder}: not there: set {DATA_DIR}")
     case, phases = load(folder), 2 if args.quick else PHASES
     begin = time.perf_counter()
+    fast = method(case, TIGHT, tune=False)
+    times, still = seconds(fast), station(folder)
+    print(f"a run of {times['run_s']:.0f} s: {times['warm_s']:.1f} s, {times['first_s']:.1f} s with its compilation")
+    print(
+        f"station: {still['horizontal_m']:.2f} m horizontal, {still['velocity_mps']:.3f} m/s, {still['epochs']} epochs"
+    )
+    if args.checks:
+        common.write_json(args.json, {"seconds": times, "station": still})
+        return 0
     loose = method(case, LOOSE, (SLOW,))
     methods = {
         "loose": loose,
-        "tight, not tuned": method(case, TIGHT, tune=False),
+        "tight, not tuned": fast,
         "tight": method(case, TIGHT, imu=loose.params),
     }
     print(f"tuned in {time.perf_counter() - begin:.0f} s", flush=True)
@@ -294,12 +304,34 @@ def main(argv: list[str]) -> int:
     result = {
         "windows": {k: e | {"loose_rms_m": found["loose"][k]["rms_m"]} for k, e in found["tight"].items()},
         "all": every["tight"] | {"loose_rms_m": every["loose"]["rms_m"]}, "not_tuned": found["tight, not tuned"],
-        "loose": found["loose"], "tuned": values,
+        "loose": found["loose"], "tuned": values, "seconds": times, "station": still,
     }  # fmt: skip
     for line in bars(result):
         print(line)
     common.write_json(args.json, result)
     return 0
+
+
+def station(folder: Path) -> dict[str, float]:
+    """Single points of a standing station: spread about their mean and velocity by Doppler, RMS."""
+    seen, _ = read_observations(folder / "base_GQ_L1.obs")
+    _, found = solved(seen, read_navigation(folder / "base.nav")[0])
+    position, velocity = (stream.value for stream in found.samples())
+    metres = lla_to_local(position, position.mean(0))[:, :2]
+    return {
+        "horizontal_m": float(np.sqrt(np.mean(np.sum(metres**2, 1)))),
+        "velocity_mps": float(np.sqrt(np.mean(np.sum(velocity**2, 1)))), "epochs": len(position),
+    }  # fmt: skip
+
+
+def seconds(one: Method) -> dict[str, float]:
+    """Times of one run of all epochs, the first with its compilation."""
+    epochs, found = prepare(one.filt, one.packed.epochs), []
+    for _ in range(3):
+        begin = time.perf_counter()
+        jax.block_until_ready(run_jit(one.filt, one.params, one.nav, epochs))
+        found.append(time.perf_counter() - begin)
+    return {"first_s": found[0], "warm_s": min(found), "run_s": float(one.packed.t[-1] - one.packed.start)}
 
 
 def tuned_values(params: Params) -> dict[str, Any]:

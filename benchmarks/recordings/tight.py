@@ -326,10 +326,10 @@ def station(folder: Path) -> dict[str, float]:
 
 def seconds(one: Method) -> dict[str, float]:
     """Times of one run of all epochs, the first with its compilation."""
-    epochs, found = prepare(one.filt, one.packed.epochs), []
+    prepared, found = prepare(one.filt, one.packed.epochs), []
     for _ in range(3):
         begin = time.perf_counter()
-        jax.block_until_ready(run_jit(one.filt, one.params, one.nav, epochs))
+        jax.block_until_ready(run_jit(one.filt, one.params, one.nav, prepared))
         found.append(time.perf_counter() - begin)
     return {"first_s": found[0], "warm_s": min(found), "run_s": float(one.packed.t[-1] - one.packed.start)}
 

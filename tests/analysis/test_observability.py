@@ -9,8 +9,9 @@ from jaxnav.analysis import observability as obs
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.epochs import pack
 from jaxnav.filters.parameters import put
-from jaxnav.filters.run import run_jit
-from jaxnav.types import ImuLog, Samples, StateParams
+from jaxnav.filters.run import initial_nav, run_jit
+from jaxnav.states.table import zeros
+from jaxnav.types import ImuLog, Info, Samples, StateParams
 
 FILTER = build("ekf15", cov_stride=5)
 
@@ -119,3 +120,18 @@ def test_a_run_says_which_state_went_too_far(case):
     assert "gyro_bias right (" in said(case.nav, 6 * sd) and "gyro_bias" not in said(case.nav, 2 * sd)
     known = case.nav._replace(errors=case.nav.errors | {"gyro_bias": np.array([0.0, 6 * sd, 0.0])})
     assert "gyro_bias" not in said(known, 6 * sd)
+
+
+def test_a_clock_may_go_as_far_as_its_drift_takes_it():
+    """200 m in 70 s at a drift of sd 3 m/s is as expected, 2 km is not; the bias alone has an sd of 30 m."""
+    filt = build("ekf9", ("pseudorange", "range_rate"))
+    params, n = filt.params(), filt.model.n_states
+    nav = initial_nav([0.8, 0.1, 100.0])._replace(errors=zeros(filt.model.states))
+
+    def codes(bias):
+        errors = nav.errors | {"receiver_clock_bias": jnp.full(1, bias)}
+        end = jax.tree.map(lambda a: jnp.asarray(a)[None], nav._replace(t=nav.t + 70.0, errors=errors))
+        info = Info(**dict.fromkeys(Info._fields) | {"nav": end, "P": 1e-4 * jnp.eye(n)[None]})
+        return [f.code for f in obs.state_findings(filt, params, nav, info)]
+
+    assert codes(200.0) == [] and codes(2000.0) == ["state.unexpected"]

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxnav.filters import smoother
 from jaxnav.filters.core import Filter, FilterState, Step
+from jaxnav.filters.programs import stored
 from jaxnav.filters.run import run, track
 from jaxnav.measurements import clock_offset
 from jaxnav.states.motion import A, reset_covariance
@@ -48,7 +49,7 @@ def _keep(step: Step, along: Any) -> tuple[smoother.Forward, FilterState]:
     return smoother.keep(step, along)[0], step.predicted
 
 
-@partial(jax.jit, static_argnums=(0, 4, 6))
+@partial(stored, static_argnums=(0, 4, 6))
 def _dense(
     filt: Filter, params: Params, nav: Nav, epochs: Epoch, smooth: bool, reach: jax.Array | None, most: int
 ) -> tuple[Nav, jax.Array, jax.Array]:

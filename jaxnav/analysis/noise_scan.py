@@ -36,6 +36,7 @@ from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.parameters import datasheet_states, history_for, strong
+from jaxnav.filters.programs import stored
 from jaxnav.filters.run import prepare, run, student_nll
 from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, ground_velocity, initialize
@@ -137,7 +138,7 @@ class NoiseScan(NamedTuple):
 # ---------------------------------------------------------------------------- the objective
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(stored, static_argnums=(0,))
 def _fit(
     filt: Filter, params: Params, nav: Nav, epochs: Epoch, counted: jax.Array, hidden: jax.Array, factors: jax.Array
 ) -> jax.Array:

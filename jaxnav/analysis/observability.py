@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxnav.checkup.findings import finding
 from jaxnav.filters.core import Filter, Step, masked
+from jaxnav.filters.programs import stored
 from jaxnav.filters.run import run
 from jaxnav.maths import linalg
 from jaxnav.states.motion import MOTION
@@ -45,7 +46,7 @@ def state_names(filt: Filter) -> tuple[str, ...]:
     return (*motion, *optional)
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(stored, static_argnums=(0,))
 def _seen(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> tuple[jax.Array, jax.Array]:
     """Phi (E, n, n) of each epoch, and H' R^-1 H (E, n, n) of its fixes."""
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from tqdm import tqdm
 
 LOG_INTERVAL_S = 30.0  # s between lines where nobody watches, and before the first
-SILENT_COMPILING_S = 1.5  # s of compiling without a message
+SILENT_COMPILING_S = 4.0  # s of compiling, or of loading programs, without a message
 POLL_INTERVAL_S = 0.25  # s between looks
 COMPILING = "compiling (first time, about 20 s; cached from then on)"
 # files of jax that are on the stack while it traces, lowers and compiles

@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
+from jaxnav.filters.programs import stored
 from jaxnav.filters.run import run
 from jaxnav.measurements import Measurement
 from jaxnav.types import Epoch, Info, Nav, Params
@@ -75,7 +76,7 @@ def drift(
     return np.where(ok[:, None], residual, np.inf), info
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(stored, static_argnums=(0,))
 def phases(filt: Filter, params: Params, nav: Nav, epochs: Epoch, valid: jax.Array) -> Any:
     """Return the runs (P, E, ...) with each row of ``valid`` (P, E, m) in place of the fixes' ``valid``."""
     one = lambda v: run(filt, params, nav, epochs._replace(fix=epochs.fix._replace(valid=v)))

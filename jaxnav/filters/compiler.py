@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import jax
 
+from jaxnav.filters import programs
 from jaxnav.types import DataError
 
 CACHE = "JAXNAV_CACHE_DIR"  # environment: folder of compiled programs; empty turns the cache off
@@ -59,11 +60,13 @@ def cache(folder: str | Path | None = None) -> Path | None:
     """
     home = cache_home() if folder is None else Path(folder)
     if home is None:
+        programs.keep_in(None)
         return None
     folder = home / f"jaxlib-{metadata.version('jaxlib')}-{_processor()}"
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    programs.keep_in(folder)
     return folder
 
 
@@ -101,6 +104,7 @@ def clear_caches_if_needed(maps: int = 30_000, resident: float | None = None) ->
     most = _memory() / 2 if resident is None else resident
     if now.maps <= maps and now.resident <= most:
         return False
+    programs.clear()
     jax.clear_caches()
     gc.collect()
     if sys.platform == "linux":  # small freed pieces return to the system only on request

@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxnav.filters import gaps
 from jaxnav.filters.gaps import TICK
+from jaxnav.filters.programs import stored
 from jaxnav.filters.standstill import Standing, constraint_samples, is_driving, stationary
 from jaxnav.measurements import AUXILIARY, GNSS, Measurement, layout
 from jaxnav.measurements.satellites import SATELLITE
@@ -237,12 +238,12 @@ def _align_fixes(
     return fix._replace(auxiliary={name: jnp.asarray(a, float) for name, a in auxiliary.items()})
 
 
-@jax.jit
+@stored
 def _shown(valid: jax.Array, hidden: jax.Array, receiver: jax.Array) -> jax.Array:
     return valid & ~(hidden[..., None] & receiver)
 
 
-@partial(jax.jit, static_argnums=2)
+@partial(stored, static_argnums=(2,))
 def _highest(valid: jax.Array, elevation: jax.Array, count: int) -> jax.Array:
     """Return the valid channels (E, s) of the highest satellites of each epoch."""
     order = jnp.argsort(jnp.argsort(jnp.where(valid, -elevation, jnp.inf), axis=-1), axis=-1)

@@ -13,6 +13,7 @@ from scipy.special import gammaln
 
 from jaxnav.filters.core import Filter, FilterState, Step
 from jaxnav.filters.parameters import UNITS, datasheet_params, get, has
+from jaxnav.filters.programs import stored
 from jaxnav.maths import linalg, rotations
 from jaxnav.states.table import STATES
 from jaxnav.types import DataError, Epoch, Imu, Info, Nav, Origin, Params, Track
@@ -148,7 +149,7 @@ def _shapes(expected: Params | None, name: str) -> list[tuple[int, ...]]:
     return list(dict.fromkeys([(), jnp.shape(get(expected, name)), *root]))
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(stored, static_argnums=(0,))
 def prepare(filt: Filter, epochs: Epoch) -> Epoch:
     """Compute the state-free part of epochs, once for many runs of a filter.
 
@@ -218,7 +219,7 @@ def run(
     return lax.scan(one, filt.init(params, nav), jnp.arange(epochs.fix.sd.shape[0]))[1]
 
 
-run_jit = jax.jit(run, static_argnums=(0, 4))
+run_jit = stored(run, (0, 4))
 """`run`, compiled once for a filter and shapes."""
 
 
@@ -245,12 +246,12 @@ def initial_nav(
     return Nav(t, lla, vel, _attitude(rph), zero, zero, Origin(lla, azimuth, t), {})
 
 
-@jax.jit
+@stored
 def _attitude(rph: jax.Array) -> jax.Array:
     return rotations.from_dcm(rotations.from_rph(rph))
 
 
-@jax.jit
+@stored
 def _angles(q: jax.Array) -> jax.Array:
     return jax.vmap(lambda q: rotations.to_rph(rotations.to_dcm(q)))(q)
 

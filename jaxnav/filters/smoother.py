@@ -24,6 +24,7 @@ import numpy as np
 from jax import lax
 
 from jaxnav.filters.core import Filter, Step
+from jaxnav.filters.programs import stored
 from jaxnav.filters.run import run
 from jaxnav.maths import linalg
 from jaxnav.measurements import MEASUREMENTS, layout
@@ -93,7 +94,7 @@ def smooth(
     return info, info._replace(nav=found, x=x, P=P, residual=residual)
 
 
-smooth_jit = jax.jit(smooth, static_argnums=(0, 5))
+smooth_jit = stored(smooth, (0, 5))
 """`smooth`, compiled once for a filter and shapes."""
 
 

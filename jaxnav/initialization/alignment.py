@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxnav.filters.epochs import sample_rows
 from jaxnav.filters.gaps import TICK
+from jaxnav.filters.programs import stored
 from jaxnav.maths import earth
 from jaxnav.maths.interpolation import running
 from jaxnav.types import ImuLog, Samples
@@ -140,7 +141,7 @@ def within_margin(fixes: Samples, begin: float, end: float) -> Samples:
 # ---------------------------------------------------------------------------- differences of the fixes
 
 
-@jax.jit
+@stored
 def _surroundings(lla: jax.Array, vel: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Rate of the Earth, rate of ENU over it at this velocity, rad/s, and gravity, m/s^2."""
     lat, _, h = lla

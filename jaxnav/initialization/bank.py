@@ -8,6 +8,7 @@ import numpy as np
 from jax.scipy.special import logsumexp
 
 from jaxnav.filters.core import Filter
+from jaxnav.filters.programs import stored
 from jaxnav.filters.run import negative_log_likelihood, run
 from jaxnav.maths import earth, rotations
 from jaxnav.types import Epoch, Info, Nav, Params
@@ -53,7 +54,7 @@ def with_headings(nav: Nav, headings: np.ndarray, arm: Any = None) -> Nav:
     return _turned(nav, jnp.asarray(headings, float), jnp.zeros(3) if arm is None else jnp.asarray(arm, float))
 
 
-@jax.jit
+@stored
 def _turned(nav: Nav, headings: jax.Array, arm: jax.Array) -> Nav:
     roll_pitch = rotations.to_rph(rotations.to_dcm(nav.q))[:2]
 
@@ -64,7 +65,7 @@ def _turned(nav: Nav, headings: jax.Array, arm: jax.Array) -> Nav:
     return jax.vmap(one)(headings)
 
 
-bank_jit = jax.jit(heading_bank, static_argnums=0)
+bank_jit = stored(heading_bank, (0,))
 """`heading_bank`, compiled once for a filter and shapes."""
 
 

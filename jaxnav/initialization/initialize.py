@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import datasheet_params, datasheet_states, mounting
+from jaxnav.filters.programs import stored
 from jaxnav.filters.run import initial_nav
 from jaxnav.initialization.alignment import Alignment, AlignmentPrior, align
 from jaxnav.initialization.bank import with_headings
@@ -79,7 +80,7 @@ def course(velocity: Samples, min_speed: float, after: float = -np.inf) -> tuple
     return float(velocity.t[i]), float(np.arctan2(velocity.value[i, 0], velocity.value[i, 1]))
 
 
-_rph, _moved = jax.jit(rotations.to_rph), jax.jit(earth.move)  # one program each, where they are called by themselves
+_rph, _moved = stored(rotations.to_rph), stored(earth.move)  # one program each, where they are called by themselves
 
 
 # ---------------------------------------------------------------------------- initialization of a recording

@@ -13,6 +13,7 @@ from jaxnav.analysis.windows import RECEIVER_ERROR, position_noise
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter, Step
 from jaxnav.filters.gaps import TICK
+from jaxnav.filters.programs import stored
 from jaxnav.filters.run import run
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.measurement import tested_alone
@@ -53,7 +54,7 @@ def _keep(slow: slice | None, step: Step, along: Any) -> EpochRecord:
     return EpochRecord(info.nu, info.S, info.valid, info.used, info.ok, info.residual[:3], P)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(stored, static_argnums=(0, 1))
 def _evidence(
     filt: Filter, items: tuple[Any, ...], flat: jax.Array, like: Any, params: Params, nav: Nav, epochs: Epoch,
     valid: jax.Array, keep: jax.Array, at: jax.Array, there: jax.Array, sd: jax.Array,
@@ -91,7 +92,7 @@ def _evidence(
     return jax.tree.map(lambda a: a.sum(0), both)
 
 
-@jax.jit
+@stored
 def _nll(nu: jax.Array, S: jax.Array, valid: jax.Array, heavy: jax.Array) -> jax.Array:
     """Of residuals (A, m), each alone."""
     m = nu.shape[-1]
@@ -226,7 +227,9 @@ class Job:
         self.filt, self.spec, self.used = filt, spec, list(used)
         self.raw = split(spec, used[0].datasheet)
         first, self.back = ravel_pytree(self.raw)
-        self.items = tuple(spec.items())
+        self.items = tuple(
+            (name, t._replace(prior=None)) for name, t in spec.items()
+        )  # priors are no part of a program
         self.leaves = [name for name in sorted(spec) for _ in range(np.size(self.raw[name]))]  # of each local number
         single = np.flatnonzero(np.isin(self.leaves, per_recording))
         self.places = [np.arange(first.size)]  # of a recording's numbers among all

@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jaxnav.checkup.findings import finding
 from jaxnav.filters.border import component, user_value
 from jaxnav.filters.core import Filter
+from jaxnav.filters.programs import stored
 from jaxnav.filters.run import run
 from jaxnav.types import Epoch, Finding, Info, Nav, Params
 from tuning import uncertainty
@@ -48,7 +49,7 @@ class Surface(NamedTuple):
     epochs: int  # fixes that count
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
+@partial(stored, static_argnums=(0, 1, 2))
 def _inform(
     filt: Filter, items: Any, count: int, flat: jax.Array, like: Any, params: Params, fixed: Any, whole: Likelihood
 ) -> Information:
@@ -69,7 +70,7 @@ def surface(sources: Sequence[Source], spec: Spec, params: Params) -> Surface:
     """Return the likelihood of all sources together, with the spec's priors."""
     raw = split(spec, params)
     _, back = ravel_pytree(raw)
-    items = tuple(spec.items())
+    items = tuple((name, t._replace(prior=None)) for name, t in spec.items())
 
     def inform(flat: jax.Array) -> Information:
         parts = [

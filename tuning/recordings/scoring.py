@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.filters.compiler import clear_caches_if_needed
+from jaxnav.filters.programs import stored
 from tuning.fit.status import Status
 from tuning.uncertainty import Information
 
@@ -66,6 +67,10 @@ def advance(search: Search, info: Information) -> Search:
     return Search(raw, best, damping, trial, expected, search.steps + good)
 
 
+_BEGIN, _ADVANCE = stored(begin), stored(advance)
+_BEGIN_MANY, _ADVANCE_MANY = stored(jax.vmap(begin)), stored(jax.vmap(advance))
+
+
 def converged(search: Search, tolerance: float = MIN_GAIN) -> bool:
     """Nothing more to be had: no trial promises that much, or none that promised it could be taken."""
     return not np.any((np.asarray(search.expected) > tolerance) & (np.asarray(search.damping) < 1e5))
@@ -94,9 +99,7 @@ def maximise(
         ValueError: the likelihood of the start is not finite.
     """
     clear_caches_if_needed()
-    many = raw.ndim == 2
-    start, step = (jax.vmap(begin), jax.vmap(advance)) if many else (begin, advance)
-    start, step = jax.jit(start), jax.jit(step)
+    start, step = (_BEGIN_MANY, _ADVANCE_MANY) if raw.ndim == 2 else (_BEGIN, _ADVANCE)
     first = inform(raw)
     if not np.isfinite(first.nll).all():
         raise ValueError("the likelihood of the starting parameters is not finite")

@@ -90,14 +90,30 @@ def _track(sol: "Trace", truth: "Track | None", fixes: "Samples | None") -> Any:
     return fig
 
 
-def _lines(fig: Any, t: np.ndarray, values: np.ndarray, names: Sequence[str], band: np.ndarray | None = None) -> Any:
+def _lines(
+    fig: Any, t: np.ndarray, values: np.ndarray, names: Sequence[str], band: np.ndarray | None = None,
+    centre: np.ndarray | None = None,
+) -> Any:  # fmt: skip
+    """Draw ``values`` (E, k), and ``band`` (E, k) above and below of zero or of ``centre`` (E, k), dotted."""
+    from bokeh.models import ColumnDataSource, Line
+
     thin = _thin(t.size)
+    columns = {"t": t[thin]} | {name: values[thin, i] for i, name in enumerate(names)}
+    if band is not None:
+        middle = np.zeros_like(band) if centre is None else centre
+        sides = {f"{side} {name}": (middle + sign * band)[thin, i] for i, name in enumerate(names)
+                 for side, sign in (("above", 1), ("below", -1))}  # fmt: skip
+        columns |= sides
+    source = ColumnDataSource(columns)
     for i, name in enumerate(names):
-        colour = COLORS[i % len(COLORS)]
-        if band is not None:
-            for sign in (-1, 1):
-                fig.line(t[thin], sign * band[thin, i], color=colour, line_dash="dotted", alpha=0.6)
-        fig.line(t[thin], values[thin, i], color=colour, legend_label=name)
+        for side in ("above", "below") if band is not None else ():
+            style = {"line_color": COLORS[i], "line_dash": "dotted", "line_alpha": 0.6}
+            fig.add_glyph(source, Line(x="t", y=f"{side} {name}", **style))
+        fig.line("t", name, source=source, color=COLORS[i], legend_label=name)
+    return _legend(fig)
+
+
+def _legend(fig: Any) -> Any:
     fig.legend.click_policy = "hide"
     fig.legend.label_text_font_size = "8pt"
     return fig
@@ -151,9 +167,7 @@ def _innovations(sol: "Trace", measurements: tuple[Any, ...], shared: Any, outag
                 fig.scatter(t[gone], z[gone, i], size=6, marker="x", color="black", legend_label="refused")
         for level in (-3, 3):
             fig.add_layout(Span(location=level, dimension="width", line_color=ORANGE, line_dash="dashed"))
-        fig.legend.click_policy = "hide"
-        fig.legend.label_text_font_size = "8pt"
-        out.append(fig)
+        out.append(_legend(fig))
     return out
 
 
@@ -168,14 +182,5 @@ def _biases(sol: "Trace", states: Sequence[str], shared: Any, outages: Outages) 
         if name in places and name in sol.info.nav.errors:
             value = np.asarray(sol.info.nav.errors[name]) / factor
             sd = np.sqrt(variance[:, places[name]]) / factor
-            fig = _axes(title, unit, shared, outages)
-            thin = _thin(sol.track.t.size)
-            for i, axis in enumerate("xyz"):
-                fig.line(sol.track.t[thin], value[thin, i], color=COLORS[i], legend_label=axis)
-                for sign in (-1, 1):
-                    fig.line(sol.track.t[thin], value[thin, i] + sign * sd[thin, i], color=COLORS[i], alpha=0.4,
-                             line_dash="dotted")  # fmt: skip
-            fig.legend.click_policy = "hide"
-            fig.legend.label_text_font_size = "8pt"
-            out.append(fig)
+            out.append(_lines(_axes(title, unit, shared, outages), sol.track.t, value, "xyz", sd, value))
     return out

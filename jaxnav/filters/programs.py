@@ -1,0 +1,284 @@
+"""Traced programs on disk: a second process does not trace a function that it finds the program of.
+
+jax's own cache keeps what was compiled (`jaxnav.filters.compiler.cache`), and finds it by the traced program; tracing a
+filter takes ten times as long as reading both.
+"""
+
+import dataclasses
+import functools
+import hashlib
+import logging
+import os
+import pickle
+import tempfile
+import time
+import types
+from collections.abc import Callable, Sequence
+from enum import Enum
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import export
+
+LOG = logging.getLogger("jaxnav")
+PACKAGES = ("jaxnav", "tuning")  # whose sources are part of a program's name
+LIBRARIES = ("jax", "jaxlib", "numpy", "builtins", "_operator", "operator", "functools")
+SETTINGS = (
+    "jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_disable_most_optimizations",
+    "jax_numpy_dtype_promotion",
+)  # fmt: skip
+"""Settings of jax that a program depends on."""
+PLAIN = (type(None), bool, int, float, complex, str, bytes, Enum, Path, np.dtype, slice, types.EllipsisType)
+"""Types whose text is their value."""
+OLD_S = 30 * 86_400.0  # programs of other sources that were not used for that long are removed
+_LOADED: list[dict[Any, Any]] = []  # programs in memory, of each stored function
+
+
+class UnknownArgument(Exception):
+    """A static argument that has no description: the function is traced in each process."""
+
+
+class _Home:
+    """Folder of the programs; None: none is kept."""
+
+    folder: Path | None = None
+
+
+def keep_in(folder: Path | None) -> None:
+    """Keep programs of `stored` functions in ``folder``, that of one jaxlib and processor; None keeps none."""
+    _Home.folder = folder
+
+
+def clear() -> None:
+    """Drop the programs in memory."""
+    for programs in _LOADED:
+        programs.clear()
+
+
+def stored(function: Callable[..., Any], static_argnums: Sequence[int] = ()) -> Callable[..., Any]:
+    """Return `jax.jit` of a function whose traced program is kept on disk, where `keep_in` has named a folder.
+
+    Under a transformation of jax, with arrays on another device, or with a static argument that is no part of this
+    library it is `jax.jit` and nothing else.
+
+    Args:
+        function: a function of this library.
+        static_argnums: places of arguments that are no arrays; they are given by position.
+    """
+    static = frozenset(static_argnums)
+    jitted = jax.jit(function, static_argnums=tuple(static))
+    programs: dict[Any, Program | None] = {}
+    _LOADED.append(programs)
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        moving = [a for i, a in enumerate(args) if i not in static]
+        leaves, tree = jax.tree.flatten((moving, kwargs))
+        if _Home.folder is None or not all(map(_is_plain, leaves)):
+            return jitted(*args, **kwargs)
+        key = *(args[i] for i in sorted(static) if i < len(args)), tree, tuple(map(_kind, leaves))
+        if key not in programs:
+            whole = lambda moving, kwargs: jitted(*_merged(args, moving, static), **kwargs)
+            programs[key] = _program(_Home.folder, function, key, whole, leaves)
+        program = programs[key]
+        if program is None:
+            return jitted(*args, **kwargs)
+        return jax.tree.unflatten(program.tree, program.call(*leaves))
+
+    return call
+
+
+class Program(NamedTuple):
+    """A traced program of flat arguments and results."""
+
+    call: Callable[..., list[jax.Array]]
+    tree: Any  # structure of its results
+
+
+def _merged(args: Sequence[Any], moving: Sequence[Any], static: frozenset[int]) -> list[Any]:
+    """Return ``args`` with other values of those that are not static."""
+    rest = iter(moving)
+    return [a if i in static else next(rest) for i, a in enumerate(args)]
+
+
+def _program(
+    home: Path, function: Callable[..., Any], key: tuple[Any, ...], whole: Callable[..., Any], leaves: list[Any]
+) -> Program | None:
+    """Return the program of a file, or trace it and write the file; None where it cannot be kept."""
+    try:
+        path = _path(home, function, key)
+        return _load(path) or _save(path, *_traced(whole, key[-2], leaves, function.__name__))
+    except (UnknownArgument, ImportError, ValueError) as reason:  # ValueError: jax cannot export it
+        LOG.debug("%s is traced in each process: %s", function.__qualname__, reason)
+        return None
+
+
+def _is_plain(leaf: Any) -> bool:
+    """Return whether it is a value on the default device, of a dtype of numpy."""
+    if not isinstance(leaf, jax.Array):
+        return isinstance(leaf, np.ndarray | np.generic | bool | int | float | complex)
+    if isinstance(leaf, jax.core.Tracer):
+        return False
+    return not jnp.issubdtype(leaf.dtype, jax.dtypes.extended) and leaf.devices() == _default_devices()
+
+
+@functools.cache
+def _default_devices() -> set[Any]:
+    return {jax.devices()[0]}
+
+
+def _kind(leaf: Any) -> tuple[Any, ...]:
+    """Return shape, dtype and whether the dtype is weak."""
+    return np.shape(leaf), jax.dtypes.canonicalize_dtype(jax.dtypes.result_type(leaf)), _is_weak(leaf)
+
+
+def _is_weak(leaf: Any) -> bool:
+    return bool(getattr(leaf, "weak_type", isinstance(leaf, bool | int | float | complex)))
+
+
+# ---------------------------------------------------------------------------- files
+
+
+def _path(home: Path, function: Callable[..., Any], key: tuple[Any, ...]) -> Path:
+    """Return the file of a program, whose name is a digest of all that it depends on but jaxlib and the processor.
+
+    Raises:
+        UnknownArgument: see `described`.
+    """
+    *static, tree, kinds = key
+    options = jax.__version__, jax.default_backend(), jax.device_count(), os.environ.get("XLA_FLAGS", "")
+    settings = [jax.config.values.get(name) for name in SETTINGS]
+    whole = described(function), [described(s) for s in static], str(tree), str(kinds), options, settings
+    name = hashlib.blake2b(repr(whole).encode(), digest_size=16).hexdigest()
+    return home / f"programs-{_sources()}" / name
+
+
+@functools.cache
+def _sources() -> str:
+    """Return a digest of the sources of `PACKAGES`."""
+    found, home = hashlib.blake2b(digest_size=8), Path(__file__).parents[2]
+    for package in PACKAGES:
+        for path in sorted((home / package).rglob("*.py")):
+            found.update(str(path.relative_to(home)).encode() + path.read_bytes())
+    return found.hexdigest()
+
+
+def _traced(whole: Callable[..., Any], tree: Any, leaves: list[Any], name: str) -> tuple[export.Exported, Any]:
+    """Return the exported program of flat arguments, and the structure of its results."""
+    structure = []
+
+    def flat(*leaves: Any) -> list[Any]:
+        found, out = jax.tree.flatten(whole(*jax.tree.unflatten(tree, leaves)))
+        structure.append(out)
+        return found
+
+    flat.__name__ = name
+    return export.export(jax.jit(flat))(*leaves), structure[-1]
+
+
+def _load(path: Path) -> Program | None:
+    """Return the program of a file, None where there is none that this process can read."""
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    try:
+        tree, program = pickle.loads(data)
+        return Program(jax.jit(export.deserialize(program).call), tree)
+    except Exception as error:  # of pickle or flatbuffers: a file that is cut is written again
+        LOG.debug("%s is not readable: %s", path, error)
+        return None
+
+
+def _save(path: Path, program: export.Exported, tree: Any) -> Program:
+    """Write a program, whole or not at all, and return it."""
+    data = pickle.dumps((tree, bytes(program.serialize())))
+    try:
+        if not path.parent.is_dir():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _remove_old(path.parent)
+        os.utime(path.parent)
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            file.write(data)
+        os.replace(file.name, path)
+    except OSError as error:  # a full or read-only disk
+        LOG.debug("%s is not kept: %s", path, error)
+    return Program(jax.jit(program.call), tree)
+
+
+def _remove_old(own: Path) -> None:
+    """Remove the programs of other sources that were not used for long."""
+    for folder in own.parent.glob("programs-*"):
+        if folder != own and time.time() - folder.stat().st_mtime > OLD_S:
+            for file in folder.iterdir():
+                file.unlink(missing_ok=True)
+            folder.rmdir()
+
+
+# ---------------------------------------------------------------------------- names
+
+
+def described(value: Any) -> str:
+    """Return a description of a static argument that is the same in every process: what it computes is in it.
+
+    A function is its name, the constants of its code, its defaults and what it closes over; its code itself is in the
+    digest of the sources.
+
+    Raises:
+        UnknownArgument: an object of another kind, or of a module outside of `PACKAGES`.
+    """
+    return _described(value, {})
+
+
+def _described(value: Any, seen: dict[int, int]) -> str:
+    again = functools.partial(_described, seen=seen)
+    if isinstance(value, PLAIN):
+        return repr(value)
+    if isinstance(value, type | types.BuiltinFunctionType | np.ufunc | jnp.ufunc):
+        return _name_of(value)
+    if isinstance(value, tuple | list):
+        return f"{type(value).__qualname__}({','.join(map(again, value))})"
+    if isinstance(value, dict):
+        return f"{{{','.join(f'{again(k)}:{again(v)}' for k, v in value.items())}}}"
+    if isinstance(value, frozenset | set):
+        return f"set({sorted(map(again, value))})"
+    if isinstance(value, np.ndarray | np.generic | jax.Array) and not isinstance(value, jax.core.Tracer):
+        array = np.asarray(value)
+        return f"{array.dtype}{array.shape}{hashlib.blake2b(array.tobytes(), digest_size=16).hexdigest()}"
+    if id(value) in seen:  # a function may close over itself
+        return f"#{seen[id(value)]}"
+    seen[id(value)] = len(seen)
+    if isinstance(value, functools.partial):
+        return f"partial({again(value.func)},{again(value.args)},{again(value.keywords)})"
+    if isinstance(value, types.MethodType):
+        return f"{again(value.__self__)}.{value.__func__.__qualname__}"
+    if isinstance(value, types.FunctionType):
+        return _described_function(value, again)
+    if dataclasses.is_dataclass(value):
+        return f"{_name_of(type(value))}({','.join(again(getattr(value, f.name)) for f in dataclasses.fields(value))})"
+    if (inner := getattr(value, "__wrapped__", None)) is not None:  # of functools.cache, jax.jit, jax.custom_jvp
+        return f"{type(value).__qualname__}({again(inner)})"
+    raise UnknownArgument(f"{type(value).__module__}.{type(value).__qualname__}")
+
+
+def _described_function(function: types.FunctionType, again: Callable[[Any], str]) -> str:
+    code, cells = function.__code__, function.__closure__ or ()
+    constants = [c for c in code.co_consts if not isinstance(c, types.CodeType)]
+    within = [cell.cell_contents for cell in cells]
+    parts = function.__defaults__, function.__kwdefaults__, within, constants, getattr(function, "__wrapped__", None)
+    return f"{_name_of(function)}:{code.co_firstlineno}({','.join(map(again, parts))})"
+
+
+def _name_of(value: Any) -> str:
+    """Return module and name.
+
+    Raises:
+        UnknownArgument: of a module whose sources are not in the digest.
+    """
+    module = getattr(value, "__module__", None) or type(value).__module__
+    if module.partition(".")[0] not in (*PACKAGES, *LIBRARIES):
+        raise UnknownArgument(f"{module}.{value}")
+    return f"{module}.{getattr(value, '__qualname__', getattr(value, '__name__', ''))}"

@@ -1,0 +1,132 @@
+"""Programs on disk: named by all that they depend on, found by another process, and never in the way."""
+
+import os
+import subprocess
+import sys
+from functools import partial
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxnav.filters import programs
+from jaxnav.filters.catalogue import FILTERS, build
+from jaxnav.filters.run import keep_info
+
+CODE = """
+import sys, jax.numpy as jnp, jaxnav
+from jaxnav.filters import programs
+jaxnav.enable_x64()
+programs.keep_in(__import__("pathlib").Path(sys.argv[1]))
+from jaxnav.maths import rotations
+made = programs._save
+programs._save = lambda *args: print("made") or made(*args)
+print(repr(programs.stored(rotations.to_rph)(jnp.eye(3)).tolist()))
+from jaxnav.filters.catalogue import FILTERS, build
+print(programs.described([build(name) for name in FILTERS]))
+"""
+
+
+@pytest.fixture
+def home(tmp_path):
+    programs.keep_in(tmp_path)
+    yield tmp_path
+    programs.keep_in(None)
+
+
+def doubled(scale, x, shift=0.0):
+    return scale * x + shift
+
+
+doubled.__module__ = "jaxnav.made_up"
+
+
+def files(home):
+    return sorted(home.rglob("programs-*/*"))
+
+
+def test_another_process_finds_the_program_and_names_filters_alike(tmp_path):
+    run = lambda: subprocess.run(
+        [sys.executable, "-c", CODE, str(tmp_path)], check=True, capture_output=True, text=True,
+        env=os.environ | {"PYTHONHASHSEED": str(len(files(tmp_path)))},
+    ).stdout.split("\n", 1)  # fmt: skip
+    first, second = run(), run()
+    assert first[0] == "made" and "made" not in second[0]
+    assert [second[0], second[1]] == first[1].split("\n", 1) and len(files(tmp_path)) == 1
+
+
+def test_a_program_gives_what_jit_gives(home):
+    chex.clear_trace_counter()
+    call = programs.stored(chex.assert_max_traces(doubled, n=4), static_argnums=(0,))
+    for x in (jnp.arange(3.0), np.arange(3.0) + 1):
+        np.testing.assert_array_equal(call(2.0, x, shift=jnp.ones(3)), 2 * np.asarray(x) + 1)
+    assert len(files(home)) == 1
+    assert call(2.0, 3.0) == 6.0 and call(2.0, jnp.ones(())) == 2.0 and call(3.0, 1.0) == 3.0
+    assert len(files(home)) == 4
+
+
+def test_under_a_transformation_it_is_jit(home):
+    call = programs.stored(doubled, static_argnums=(0,))
+    assert jax.grad(partial(call, 3.0))(2.0) == 3.0
+    np.testing.assert_array_equal(jax.vmap(partial(call, 2.0))(jnp.arange(3.0)), [0.0, 2.0, 4.0])
+    assert jax.jit(partial(call, 2.0))(4.0) == 8.0 and files(home) == []
+
+
+def test_nothing_is_written_without_a_folder(tmp_path):
+    programs.keep_in(None)
+    assert programs.stored(doubled, static_argnums=(0,))(2.0, 3.0) == 6.0 and files(tmp_path) == []
+
+
+def test_a_static_argument_of_the_user_is_no_part_of_a_name(home):
+    """Its source may change without a change of ours."""
+    call = programs.stored(lambda f, x: f(x), static_argnums=(0,))
+    assert call(lambda x: x + 1, 2.0) == 3.0 and files(home) == []
+
+
+def test_a_file_that_is_cut_is_written_again(home):
+    assert programs.stored(doubled, static_argnums=(0,))(2.0, 3.0) == 6.0
+    (file,) = files(home)
+    whole = file.read_bytes()
+    file.write_bytes(whole[:100])
+    assert programs.stored(doubled, static_argnums=(0,))(2.0, 3.0) == 6.0
+    assert files(home) == [file] and file.stat().st_size > 100
+
+
+def test_programs_of_other_sources_go_when_they_are_old(home):
+    old, young = home / "programs-old", home / "programs-young"
+    for folder in (old, young):
+        folder.mkdir()
+        (folder / "a").write_bytes(b"")
+    os.utime(old, (0, 0))
+    programs.stored(doubled, static_argnums=(0,))(2.0, 3.0)
+    assert not old.exists() and (young / "a").exists()
+
+
+def test_what_differs_has_another_description():
+    """Filters of the catalogue, their history, stride, measurements and states, and functions closing over numbers."""
+    filters = [build(name) for name in FILTERS]
+    filters += [build("ekf15", cov_stride=5), build("ekf15", history=9), build("ekf15", ("position",))]
+    filters += [build("ekf15", states=("gyro_scale",)), build("ekf15", frame="tangent"), build("ekf15", fast=False)]
+    described = [programs.described(f) for f in filters]
+    assert len(set(described)) == len(described)
+    closing = lambda a: lambda x: x + a
+    functions = [closing(1), closing(2), closing(np.ones(2)), closing(np.zeros(2)), lambda x: x * 3, lambda x: x * 4]
+    for f in functions:
+        f.__module__ = "jaxnav.made_up"
+    assert len({programs.described(f) for f in functions}) == len(functions)
+    assert programs.described(keep_info) == programs.described(keep_info)
+
+
+def test_a_function_may_close_over_itself():
+    def again(n):
+        return again(n - 1) if n else 0
+
+    again.__module__ = "jaxnav.made_up"
+    assert "#0" in programs.described(again)
+
+
+def test_an_object_without_a_description_is_named():
+    with pytest.raises(programs.UnknownArgument, match="object"):
+        programs.described((1, object()))

@@ -46,7 +46,7 @@ def state_names(filt: Filter) -> tuple[str, ...]:
     return (*motion, *optional)
 
 
-@partial(stored, static_argnums=(0,))
+@partial(stored, static_argnums=(0,), once=True)
 def _seen(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> tuple[jax.Array, jax.Array]:
     """Phi (E, n, n) of each epoch, and H' R^-1 H (E, n, n) of its fixes."""
 

@@ -34,6 +34,7 @@ SETTINGS = (
 PLAIN = (type(None), bool, int, float, complex, str, bytes, Enum, Path, np.dtype, slice, types.EllipsisType)
 """Types whose text is their value."""
 OLD_S = 30 * 86_400.0  # programs of other sources that were not used for that long are removed
+UNOPTIMIZED = {"xla_backend_optimization_level": 0}
 _LOADED: list[dict[Any, Any]] = []  # programs in memory, of each stored function
 
 
@@ -58,7 +59,7 @@ def clear() -> None:
         programs.clear()
 
 
-def stored(function: Callable[..., Any], static_argnums: Sequence[int] = ()) -> Callable[..., Any]:
+def stored(function: Callable[..., Any], static_argnums: Sequence[int] = (), once: bool = False) -> Callable[..., Any]:
     """Return `jax.jit` of a function whose traced program is kept on disk, where `keep_in` has named a folder.
 
     Under a transformation of jax, with arrays on another device, or with a static argument that is no part of this
@@ -67,9 +68,10 @@ def stored(function: Callable[..., Any], static_argnums: Sequence[int] = ()) -> 
     Args:
         function: a function of this library.
         static_argnums: places of arguments that are no arrays; they are given by position.
+        once: it runs once, so that half of the compilation is worth more than half of the run.
     """
-    static = frozenset(static_argnums)
-    jitted = jax.jit(function, static_argnums=tuple(static))
+    static, options = frozenset(static_argnums), UNOPTIMIZED if once else None
+    jitted = jax.jit(function, static_argnums=tuple(static), compiler_options=options)
     programs: dict[Any, Program | None] = {}
     _LOADED.append(programs)
 
@@ -82,7 +84,7 @@ def stored(function: Callable[..., Any], static_argnums: Sequence[int] = ()) -> 
         key = *(args[i] for i in sorted(static) if i < len(args)), tree, tuple(map(_kind, leaves))
         if key not in programs:
             whole = lambda moving, kwargs: jitted(*_merged(args, moving, static), **kwargs)
-            programs[key] = _program(_Home.folder, function, key, whole, leaves)
+            programs[key] = _program(_Home.folder, function, key, whole, leaves, options)
         program = programs[key]
         if program is None:
             return jitted(*args, **kwargs)
@@ -105,12 +107,14 @@ def _merged(args: Sequence[Any], moving: Sequence[Any], static: frozenset[int]) 
 
 
 def _program(
-    home: Path, function: Callable[..., Any], key: tuple[Any, ...], whole: Callable[..., Any], leaves: list[Any]
-) -> Program | None:
+    home: Path, function: Callable[..., Any], key: tuple[Any, ...], whole: Callable[..., Any], leaves: list[Any],
+    options: dict[str, Any] | None,
+) -> Program | None:  # fmt: skip
     """Return the program of a file, or trace it and write the file; None where it cannot be kept."""
     try:
         path = _path(home, function, key)
-        return _load(path) or _save(path, *_traced(whole, key[-2], leaves, function.__name__))
+        exported, out = _load(path) or _save(path, *_traced(whole, key[-2], leaves, function.__name__))
+        return Program(jax.jit(exported.call, compiler_options=options), out)
     except (UnknownArgument, ImportError, ValueError) as reason:  # ValueError: jax cannot export it
         LOG.debug("%s is traced in each process: %s", function.__qualname__, reason)
         return None
@@ -179,7 +183,7 @@ def _traced(whole: Callable[..., Any], tree: Any, leaves: list[Any], name: str) 
     return export.export(jax.jit(flat))(*leaves), structure[-1]
 
 
-def _load(path: Path) -> Program | None:
+def _load(path: Path) -> tuple[export.Exported, Any] | None:
     """Return the program of a file, None where there is none that this process can read."""
     try:
         data = path.read_bytes()
@@ -187,13 +191,13 @@ def _load(path: Path) -> Program | None:
         return None
     try:
         tree, program = pickle.loads(data)
-        return Program(jax.jit(export.deserialize(program).call), tree)
+        return export.deserialize(program), tree
     except Exception as error:  # of pickle or flatbuffers: a file that is cut is written again
         LOG.debug("%s is not readable: %s", path, error)
         return None
 
 
-def _save(path: Path, program: export.Exported, tree: Any) -> Program:
+def _save(path: Path, program: export.Exported, tree: Any) -> tuple[export.Exported, Any]:
     """Write a program, whole or not at all, and return it."""
     data = pickle.dumps((tree, bytes(program.serialize())))
     try:
@@ -206,7 +210,7 @@ def _save(path: Path, program: export.Exported, tree: Any) -> Program:
         os.replace(file.name, path)
     except OSError as error:  # a full or read-only disk
         LOG.debug("%s is not kept: %s", path, error)
-    return Program(jax.jit(program.call), tree)
+    return program, tree
 
 
 def _remove_old(own: Path) -> None:

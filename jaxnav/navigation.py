@@ -14,6 +14,7 @@ from jaxnav.analysis.dense import dense
 from jaxnav.analysis.metrics import covered_by
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.analysis.observability import state_findings
+from jaxnav.analysis.plots import interactive
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding, line
 from jaxnav.checkup.inertial import gap_findings
@@ -144,6 +145,13 @@ class Solution:
         if self.noise is not None and self.noise.fixes:
             found["noise_scan"] = self.noise.figure()
         return found
+
+    def layout(self) -> Any:
+        """Return the interactive figures, by bokeh (extra ``report``)."""
+        rec = self.recording
+        return interactive.run_layout(
+            self.trace, rec.truth, self.fixes, self.measurements, self.gaps(), self.filter.model.states
+        )
 
     @property
     def notes(self) -> list[str]:

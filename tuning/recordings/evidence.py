@@ -18,7 +18,7 @@ from jaxnav.filters.run import run
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.measurement import tested_alone
 from jaxnav.states import table
-from jaxnav.types import Epoch, Info, Nav, Params
+from jaxnav.types import Epoch, Info, Leaf, Nav, Params
 from tuning.fit.transforms import Spec, join, split
 from tuning.recordings.parts import Used, ages
 from tuning.recordings.priors import kind_of
@@ -30,10 +30,10 @@ SLOW = RECEIVER_ERROR
 class ScoreSums(NamedTuple):
     """Sums over the training part: value (), score (P,), information (P, P), and number of terms."""
 
-    value: jax.Array
-    score: jax.Array
-    fisher: jax.Array
-    number: jax.Array
+    value: Leaf
+    score: Leaf
+    fisher: Leaf
+    number: Leaf
 
 
 class EpochRecord(NamedTuple):
@@ -251,17 +251,20 @@ class Job:
         self.width = np.array([_width(spec, self.leaves[i]) for i in self.origin])
 
     def evidence(self, flat: jax.Array) -> tuple[ScoreSums, ScoreSums]:
-        """Of innovations, of hidden fixes, of all recordings."""
+        """Of innovations, of hidden fixes, of all recordings; on the host, as `objective`."""
+        numbers = np.asarray(flat)
         found = [
-            _evidence(self.filt, self.items, flat[at], self.raw, *part)
+            _evidence(self.filt, self.items, numbers[at], self.raw, *part)
             for at, part in zip(self.places, self.parts, strict=True)
         ]
         G = flat.size
 
         def among_all(e: ScoreSums, at: np.ndarray) -> ScoreSums:
-            score, fisher = jnp.zeros(G).at[at].set(e.score), jnp.zeros((G, G)).at[np.ix_(at, at)].set(e.fisher)
+            score, fisher = np.zeros(G), np.zeros((G, G))
+            score[at], fisher[np.ix_(at, at)] = e.score, e.fisher
             return e._replace(score=score, fisher=fisher)
 
+        found = jax.device_get(found)
         together = [tuple(among_all(e, at) for e in both) for at, both in zip(self.places, found, strict=True)]
         return jax.tree.map(lambda *each: sum(each), *together)
 
@@ -269,11 +272,11 @@ class Job:
         """J and its information, as `tuning.recordings.scoring.maximise` takes it."""
 
         def inform(flat: jax.Array) -> Information:
-            mean = [jax.tree.map(lambda a, e=e: a / jnp.maximum(e.number, 1), e) for e in self.evidence(flat)]
-            off = (flat - self.centre) / self.width
-            value = self.effective * sum(e.value for e in mean) + 0.5 * jnp.sum(off**2)
+            mean = [jax.tree.map(lambda a, e=e: a / np.maximum(e.number, 1), e) for e in self.evidence(flat)]
+            off = (np.asarray(flat) - np.asarray(self.centre)) / self.width
+            value = self.effective * sum(e.value for e in mean) + 0.5 * np.sum(off**2)
             score = self.effective * sum(e.score for e in mean) + off / self.width
-            fisher = self.effective * sum(e.fisher for e in mean) + jnp.diag(1 / jnp.asarray(self.width) ** 2)
+            fisher = self.effective * sum(e.fisher for e in mean) + np.diag(1 / self.width**2)
             return Information(value, score, fisher, jnp.zeros((1, flat.size)))
 
         return inform

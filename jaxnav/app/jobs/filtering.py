@@ -10,7 +10,6 @@ import numpy as np
 
 from jaxnav import io
 from jaxnav.analysis.plots import base as plots
-from jaxnav.analysis.plots import interactive
 from jaxnav.analysis.tables import table
 from jaxnav.app.config import Config
 from jaxnav.app.prepare import (
@@ -101,13 +100,10 @@ def filter(config: Config, folder: Path) -> Outcome:
     if draws(config, interactive=True):
         draw(folder, config, sol)
     seconds["write"] = time.perf_counter() - begin
-    layout = partial(
-        interactive.run_layout, sol.trace, rec.truth, sol.fixes, sol.measurements, sol.gaps(), filt.model.states
-    )
     ran = with_noise(config, sol.params, filt.model.measurements) if sol.noise is not None else config
     verdict = f"consistent: NIS/dof {found['nis_per_dof']:.2f}" if np.isfinite(found["nis_per_dof"]) else ""
     return Outcome(
-        found, summary(found, f.name, rec.name), seconds, "", layout, ran, findings=sol.findings, verdict=verdict
+        found, summary(found, f.name, rec.name), seconds, "", sol.layout, ran, findings=sol.findings, verdict=verdict
     )
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnav.analysis.plots import interactive
 from jaxnav.analysis.tables import table
 from jaxnav.app.config import Config, as_dict, changed
 from jaxnav.app.config import Filter as FilterSection
@@ -64,13 +63,10 @@ def run(config: Config, folder: Path, fast: bool, progress: bool) -> Outcome:
     if draws(config, interactive=True):
         draw(folder, again, sol)
     seconds["write"] = time.perf_counter() - begin
-    layout = partial(
-        interactive.run_layout, sol.trace, rec.truth, sol.fixes, sol.measurements, sol.gaps(), sol.filter.model.states
-    )
     stopped = "interrupted: the best so far is written" if found.status is Status.INTERRUPTED else ""
     text = "\n".join([*lines(found), "", summary(metrics, "ekf15", rec.name)])
     return Outcome(
-        metrics, text, seconds, stopped, layout, again, findings=found.findings,
+        metrics, text, seconds, stopped, sol.layout, again, findings=found.findings,
         verdict=f"{found.verdict}: {found.why}", card=card(found),
         tables=tables(found),
     )  # fmt: skip

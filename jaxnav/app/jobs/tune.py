@@ -4,7 +4,7 @@ import dataclasses
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -70,12 +70,11 @@ def tune(config: Config, folder: Path, progress: bool = False, long: Long | None
     found.write(folder, config.filter.states, exports=result.target is None)
     if result.target and result.recording and result.initialization:
         result.target.write(folder, result.recording, found.params, result.initialization)
-    if draws(config):
-        draw(folder, result)
+    pictures, layout = draw(folder, result, config) if config.out.figures != "none" else ([], None)
     seconds["write"] = time.perf_counter() - begin
     stopped = "interrupted" if found.status is Status.INTERRUPTED else ""
     text = "\n".join([str(found), *result.lines])
-    return Outcome(found.metrics(), text, seconds, stopped, findings=found.findings)
+    return Outcome(found.metrics(), text, seconds, stopped, layout, findings=found.findings, pictures=pictures)
 
 
 def by_runs(config: Config) -> bool:
@@ -250,22 +249,35 @@ def simulated_params(config: Config, scenario: Scenario) -> Params:
 # ---------------------------------------------------------------------------- figures
 
 
-def draw(folder: Path, result: Result) -> None:
-    """Draw the candidates' drift over the test windows, the search, and the winner's run over the first recording."""
-    found, test = result.found, result.found.parts["test"]
+def draw(folder: Path, result: Result, config: Config) -> tuple[list[str], Callable[[], Any] | None]:
+    """Draw the candidates' drift over the test windows and the search, and run the winner over the first recording.
+
+    Returns:
+        Names of the files, and what makes the interactive figures of that run.
+    """
+    found, test, files = result.found, result.found.parts["test"], []
+
+    def save(fig: Any, name: str) -> None:
+        plots.save(fig, folder / name)
+        files.append(name)
+
     names = ("datasheet", reported_candidate(found.chosen))
-    with picture("outage_drift"):
+    with picture("the drift"):
         drift = {name: found.trials[name].drift[test] for name in names}
-        hidden = found.used[0].windows_hidden
-        fig = plots_stats.outage_drift(drift) if hidden else plots_stats.outage_drift(drift, labelled=RUNS)
-        plots.save(fig, folder / ("outage_drift.png" if hidden else "run_error.png"))
+        if found.used[0].windows_hidden:
+            save(plots_stats.outage_drift(drift), "outage_drift.png")
+        else:
+            save(plots_stats.outage_drift(drift, labelled=RUNS), "run_error.png")
     history = [row for row in user_history(found.history) if "params" in row]
     if history:
         with picture("the search"):
             true = {name_of(leaf): user_value(leaf, value) for leaf, value in found.used[0].known.items()}
-            plots.save(plots_stats.tuning(history, true), folder / "tuning.png")
-    if result.recording is not None and result.initialization is not None:
-        with picture("the run"):
-            sol = navigate(result.recording, found.filter, found.params, initialization=result.initialization)
-            for name, fig in sol.plot().items():
-                plots.save(fig, folder / f"{name}.png")
+            save(plots_stats.tuning(history, true), "tuning.png")
+    if result.recording is None or result.initialization is None:
+        return files, None
+    sol = None
+    with picture("the run"):
+        sol = navigate(result.recording, found.filter, found.params, initialization=result.initialization)
+        for name, fig in sol.plot().items() if draws(config, interactive=True) else ():
+            plots.save(fig, folder / f"{name}.png")
+    return files, None if sol is None else sol.layout

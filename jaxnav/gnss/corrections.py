@@ -23,6 +23,15 @@ class Observations(NamedTuple):
     pseudorange: np.ndarray  # (N,) m
     range_rate: np.ndarray  # (N,) m/s, -wavelength times Doppler; nan where there is none
     cn0: np.ndarray  # (N,) dB-Hz
+    phase: np.ndarray  # (N,) m, wavelength times carrier phase; nan where there is none
+    slipped: np.ndarray  # (N,) bool, lock was lost since the satellite's row before
+    interval: np.ndarray  # (N,) s before ``t`` that the range rate is the mean over; 0: it is that at ``t``
+
+    @classmethod
+    def of(cls, table: np.ndarray) -> "Observations":
+        """Return rows from the columns of ``table`` (N, 7), in the order of the fields but the last."""
+        t, satellite, code, rate, cn0, phase, slipped = table.T
+        return cls(t, satellite.astype(int), code, rate, cn0, phase, slipped > 0, np.zeros(t.size))
 
 
 class Ionosphere(NamedTuple):
@@ -37,6 +46,46 @@ class Masks(NamedTuple):
 
     elevation_deg: float = 10.0  # below it
     cn0_dbhz: float = 25.0  # below it
+
+
+RATES = ("doppler", "phase")
+"""Where range rates come from: the option ``rates`` of readers."""
+MAX_GAP = 1.5  # epochs between two phases that are differenced
+
+
+def with_rates(seen: Observations, rates: str) -> tuple[Observations, tuple[str, ...]]:
+    """Return the rows with range rates by Doppler, or by differences of carrier phase, and a note on those.
+
+    A difference is the mean over its interval, and so as old as half of it. Doppler is not put in its place where lock
+    was lost: its errors are ten times larger.
+
+    Args:
+        seen: rows in order of their epochs.
+        rates: one of `RATES`.
+
+    Raises:
+        DataError: another ``rates``, or no phase that goes on for two epochs.
+    """
+    if rates not in RATES:
+        raise DataError(f"rates must be one of {', '.join(RATES)}, got {rates!r}")
+    if rates == "doppler":
+        return seen, ()
+    order = np.lexsort((seen.t, seen.satellite))
+    t, phase, satellite = seen.t[order], seen.phase[order], seen.satellite[order]
+    step = float(np.median(np.diff(np.unique(t)))) if t.size > 1 else 0.0
+    interval, change = np.diff(t, prepend=t[:1]), np.diff(phase, prepend=phase[:1])
+    goes_on = np.diff(satellite, prepend=-1) == 0
+    good = goes_on & ~seen.slipped[order] & (interval > 0) & (interval < MAX_GAP * step) & np.isfinite(change)
+    if not good.any():
+        raise DataError("rates='phase': no satellite has a carrier phase in two epochs that follow each other")
+    rate, over = np.full(t.size, np.nan), np.zeros(t.size)
+    rate[order[good]], over[order[good]] = change[good] / interval[good], interval[good]
+    lost = 100 * (1 - good.mean())
+    note = (
+        f"range_rate: carrier phase over {step:g} s, none in {lost:.1f} % of the rows (lock lost); as old as half "
+        f"of that: set measurements.range_rate.latency_s = {step / 2:g}."
+    )
+    return seen._replace(range_rate=rate, interval=over), (note,)
 
 
 def sight(position: np.ndarray, receiver: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -91,7 +140,23 @@ def corrected(
             tow = seen.t - GPS_EPOCH
             pseudorange = pseudorange - klobuchar(*ionosphere, lat, lon, azimuth, elevation, tow)
     velocity = (after - before) / (2 * HALF_STEP)
+    if receiver is not None and seen.interval.any():
+        past = at_reception(eph, seen.t - seen.interval, seen.pseudorange - seen.interval * rate, receiver)[0]
+        range_rate = range_rate + at_the_end(position, velocity, past, receiver, seen.interval)
     return Ranges(seen.t, seen.satellite, pseudorange, range_rate, position, velocity, elevation, seen.cn0)
+
+
+def at_the_end(
+    position: np.ndarray, velocity: np.ndarray, past: np.ndarray, receiver: np.ndarray, interval: np.ndarray
+) -> np.ndarray:
+    """Return a satellite's range rate less its mean over the ``interval`` (N,) s before, m/s, from a fixed receiver.
+
+    ``position``, ``past`` (N, 3) m at both ends of it and ``velocity`` (N, 3) m/s at the end, ECEF; 0 for no interval.
+    """
+    distance = np.linalg.norm(position - receiver, axis=1)
+    rate = np.sum((position - receiver) * velocity, 1) / distance
+    mean = (distance - np.linalg.norm(past - receiver, axis=1)) / np.where(interval > 0, interval, 1.0)
+    return np.where(interval > 0, rate - mean, 0.0)
 
 
 def solved(

@@ -113,7 +113,9 @@ def observations(eph: Ephemeris, place: np.ndarray, bias: float = 1234.5, t: flo
 
     pseudorange = measured(received) + bias
     rate = (measured(received + 0.5) - measured(received - 0.5)) / 1.0
-    return Observations(times, eph.satellite.astype(int), pseudorange, rate + 2.0, np.full(n, 45.0))
+    phase = pseudorange + 1000.0 * np.arange(n)  # cycles that are not known
+    return Observations(times, eph.satellite.astype(int), pseudorange, rate + 2.0, np.full(n, 45.0), phase,
+                        np.zeros(n, bool), np.zeros(n))  # fmt: skip
 
 
 def test_corrections_leave_distance_and_clock():

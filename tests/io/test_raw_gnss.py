@@ -55,10 +55,10 @@ def observation_file(path, rows) -> None:
             "  2020    11     5     5    15    0.0000000     GPS         TIME OF FIRST OBS",
             f"{'':60}END OF HEADER"]  # fmt: skip
     body = []
-    for k, (_, sats, pseudorange, rate, cn0) in enumerate(rows):
+    for k, (_, sats, pseudorange, rate, cn0, phase, slipped, _) in enumerate(rows):
         body.append(f"> 2020 11  5  5 15 {k:2d}.0000000  0 {len(sats):2d}")
-        for s, p, r, c in zip(sats, pseudorange, rate, cn0, strict=True):
-            body.append(f"{name(s)}{p:14.3f}  {0.0:14.3f}  {-r / L1:14.3f}  {c:14.3f}  ")
+        for s, p, r, c, phi, lost in zip(sats, pseudorange, rate, cn0, phase, slipped, strict=True):
+            body.append(f"{name(s)}{p:14.3f}  {phi / L1:14.3f}{int(lost)} {-r / L1:14.3f}  {c:14.3f}  ")
     path.write_text("\n".join(head + body) + "\n")
 
 
@@ -66,13 +66,14 @@ def ubx_file(path, rows, eph, encoded=lnav) -> None:
     pyubx2 = pytest.importorskip("pyubx2")
     frames = []
     system = {"G": 0, "E": 2}
-    for k, (t, sats, pseudorange, rate, cn0) in enumerate(rows):
+    for k, (t, sats, pseudorange, rate, cn0, phase, slipped, _) in enumerate(rows):
         values = {"rcvTow": t[0] - GPS_EPOCH - 2130 * WEEK, "week": 2130, "leapS": 18, "numMeas": len(sats),
                   "reserved1": 0}  # fmt: skip
-        for i, (s, p, r, c) in enumerate(zip(sats, pseudorange, rate, cn0, strict=True), 1):
-            each = {"prMes": p, "cpMes": 0.0, "doMes": -r / L1, "gnssId": system[name(s)[0]], "svId": int(s) % 100,
-                    "sigId": 0, "freqId": 0, "locktime": 9, "cno": int(c), "prStd": 1, "cpStd": 1, "doStd": 1,
-                    "prValid": 1, "cpValid": 0, "halfCyc": 0, "subHalfCyc": 0, "reserved3": 0}  # fmt: skip
+        for i, (s, p, r, c, phi, lost) in enumerate(zip(sats, pseudorange, rate, cn0, phase, slipped, strict=True), 1):
+            each = {"prMes": p, "cpMes": phi / L1, "doMes": -r / L1, "gnssId": system[name(s)[0]], "svId": int(s) % 100,
+                    "sigId": 0, "freqId": 0, "locktime": 0 if lost else 1000 * (k + 1),
+                    "cno": int(c), "prStd": 1, "cpStd": 1, "doStd": 1,
+                    "prValid": 1, "cpValid": 1, "halfCyc": 0, "subHalfCyc": 0, "reserved3": 0}  # fmt: skip
             values |= {f"{key}_{i:02d}": value for key, value in each.items()}
         frames.append(pyubx2.UBXMessage("RXM", "RXM-RAWX", pyubx2.GET, **values).serialize())
         if k:
@@ -167,6 +168,31 @@ def test_a_ubx_stream_of_our_own_making_decodes_to_the_same_orbits(tmp_path, enc
         ubx.read(tmp_path / "none.ubx", spp=True)
 
 
+@pytest.mark.parametrize("kind", ["rinex", "ubx"])
+def test_range_rates_by_carrier_phase(tmp_path, seen, kind):
+    """Equal to Doppler's but for the clock, whose 40 m/s only the phase has; nothing where lock was lost."""
+    rows, eph, _ = seen
+    rows = [(*row[:6], (np.arange(row[6].size) == 1) & (k == 8), row[7]) for k, row in enumerate(rows)]
+    if kind == "rinex":
+        observation_file(tmp_path / "rover.obs", rows)
+        navigation_file(tmp_path / "rover.nav", eph)
+        by = lambda rates: rinex.read(tmp_path / "rover.obs", rates=rates)
+    else:
+        ubx_file(tmp_path / "log.ubx", rows, eph)
+        by = lambda rates: ubx.read(tmp_path / "log.ubx", rates=rates)
+    doppler, phase = (by(rates).aiding["range_rate"] for rates in ("doppler", "phase"))
+    assert "latency_s = 0.5" in " ".join(by("phase").notes)
+    assert doppler.t.size == EPOCHS and phase.t.size == EPOCHS - 1  # the first epoch has none before it
+    both = doppler.valid[1:] & phase.valid
+    lost = np.argwhere(doppler.valid[1:] & ~phase.valid)
+    assert len(lost) == 1 and lost[0, 0] == 7 and doppler.auxiliary[8, lost[0, 1], 0] == rows[0][1][1]
+    off = np.where(both, phase.value - doppler.value[1:], np.nan)
+    off = off - np.nanmedian(off, 1, keepdims=True)
+    assert np.nanmax(np.abs(off)) < (2e-3 if kind == "rinex" else 1e-3)  # of a satellite, in the digits of the file
+    with pytest.raises(DataError, match="doppler, phase, got 'code'"):
+        by("code")
+
+
 def test_the_folder_of_a_recording_keeps_the_satellites(tmp_path, seen):
     rows, eph, _ = seen
     observation_file(tmp_path / "rover.obs", rows)
@@ -202,7 +228,7 @@ def test_googles_columns(tmp_path, seen):
              "SvVelocityYEcefMetersPerSecond,SvVelocityZEcefMetersPerSecond,SvClockBiasMeters,"
              "SvClockDriftMetersPerSecond,SvElevationDegrees,IsrbMeters"]  # fmt: skip
     own = Ephemeris(*(a[up] for a in eph))
-    for t, sats, pseudorange, rate, cn0 in rows:
+    for t, sats, pseudorange, rate, cn0, *_ in rows:
         emitted = t - pseudorange / LIGHT
         _, clock = state(own, emitted)
         emitted = emitted - clock

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnav.gnss.corrections import Ionosphere, Masks, Observations, aiding_of, solved
+from jaxnav.gnss.corrections import Ionosphere, Masks, Observations, aiding_of, solved, with_rates
 from jaxnav.gnss.orbits import Ephemeris, stacked
 from jaxnav.gnss.ranges import FREQUENCY, LIGHT, number
 from jaxnav.io.files import read_bytes
@@ -27,7 +27,10 @@ def recognises(path: Path, head: bytes) -> bool:
     return b"RINEX VERSION / TYPE" in first and first[20:21] == b"O"
 
 
-def read(path: Path, nav: str | None = None, elevation_mask_deg: float = 10.0, cn0_mask_dbhz: float = 25.0) -> Parts:
+def read(
+    path: Path, nav: str | None = None, elevation_mask_deg: float = 10.0, cn0_mask_dbhz: float = 25.0,
+    rates: str = "doppler",
+) -> Parts:  # fmt: skip
     """Position and velocity by single points, and corrected ranges, of an observation file.
 
     Args:
@@ -36,6 +39,7 @@ def read(path: Path, nav: str | None = None, elevation_mask_deg: float = 10.0, c
             one in the folder.
         elevation_mask_deg: deg; lower satellites are left out.
         cn0_mask_dbhz: dB-Hz; weaker ones are left out.
+        rates: range rates by "doppler" or by differences of carrier "phase".
 
     Raises:
         DataError: no navigation messages, or no epoch with a solution.
@@ -44,6 +48,7 @@ def read(path: Path, nav: str | None = None, elevation_mask_deg: float = 10.0, c
     eph, ionosphere = read_navigation(messages)
     seen, notes = read_observations(path)
     try:
+        seen, about = with_rates(seen, rates)
         ranges, found = solved(seen, eph, ionosphere, Masks(elevation_mask_deg, cn0_mask_dbhz))
     except DataError as error:
         raise DataError(f"{path}: {error} ({len(set(eph.satellite))} satellites in {messages})") from error
@@ -51,7 +56,7 @@ def read(path: Path, nav: str | None = None, elevation_mask_deg: float = 10.0, c
     if ionosphere is None:
         more += (f"pseudorange: {messages.name} states no ionosphere, its delay is left in.",)
     streams = {name: Stream(*samples) for name, samples in aiding.items()}
-    return scaled(Parts(os.fspath(path), aiding=streams, notes=(*notes, *more)), TimeScale.GPS)
+    return scaled(Parts(os.fspath(path), aiding=streams, notes=(*notes, *about, *more)), TimeScale.GPS)
 
 
 def _messages_of(path: Path) -> Path:
@@ -98,7 +103,7 @@ def _gps(year: int, month: int, day: int, hour: int, minute: int, second: float)
 
 
 def read_observations(path: Path) -> tuple[Observations, tuple[str, ...]]:
-    """Return code, Doppler and C/N0 of the first frequency of RINEX 3, and notes.
+    """Return code, Doppler, carrier phase and C/N0 of the first frequency of RINEX 3, and notes.
 
     Raises:
         DataError: RINEX 2, another time scale than that of GPS, or no observation.
@@ -111,7 +116,7 @@ def read_observations(path: Path) -> tuple[Observations, tuple[str, ...]]:
     if scale not in ("GPS", "GAL", "QZS", ""):
         raise DataError(f"{path}: times in {scale}, expected GPS")
     places = {system: _places(system, names) for system, names in types.items() if system in FIRST_BAND}
-    rows: list[tuple[float, int, float, float, float]] = []
+    rows: list[tuple[float, ...]] = []
     t, without, damaged = np.nan, 0, 0
     for line in body:
         if line.startswith(">"):
@@ -125,22 +130,25 @@ def read_observations(path: Path) -> tuple[Observations, tuple[str, ...]]:
         if np.isnan(t) or system not in places:
             continue
         try:
-            value = [_number(line[3 + 16 * i : 17 + 16 * i]) if i is not None else np.nan for i in places[system]]
+            cells = ["" if i is None else line[3 + 16 * i : 19 + 16 * i] for i in places[system]]
+            value = [_number(cell[:14]) for cell in cells]
+            slipped = cells[-1][14:15] not in ("", " ", "0")  # the flag of lock, of the phase
             satellite = number(line[:3])
         except (ValueError, DataError):
             damaged += 1
             continue
-        code, doppler, cn0 = value
+        code, doppler, cn0, cycles = value
         if not np.isfinite(code) or code <= 0:
             without += 1
             continue
         rate = -doppler * LIGHT / FREQUENCY[system] if doppler else np.nan
-        rows.append((t, satellite, code, rate, cn0 if np.isfinite(cn0) else 40.0))
+        phase = cycles * LIGHT / FREQUENCY[system] if cycles else np.nan
+        rows.append((t, satellite, code, rate, cn0 if np.isfinite(cn0) else 40.0, phase, slipped))
     if not rows:
         raise DataError(f"{path}: has no pseudorange of the first frequency of {', '.join(FIRST_BAND)}")
     said = {"rows have no pseudorange.": without, "lines are damaged and left out.": damaged}
     table = np.array(rows)
-    seen = Observations(table[:, 0], table[:, 1].astype(int), table[:, 2], table[:, 3], table[:, 4])
+    seen = Observations.of(table)
     return seen, tuple(f"{count} {words}" for words, count in said.items() if count)
 
 
@@ -156,10 +164,10 @@ def _types(head: list[str]) -> dict[str, list[str]]:
 
 
 def _places(system: str, names: list[str]) -> tuple[int | None, ...]:
-    """Return the columns of code, Doppler and C/N0 of the first frequency, by the best tracking code that is there."""
+    """Return the columns of code, Doppler, C/N0 and phase of the first frequency, by the best tracking code."""
     band = FIRST_BAND[system]
     best = next((code for code in CODES if f"C{band}{code}" in names), "")
-    return tuple(names.index(f"{kind}{band}{best}") if f"{kind}{band}{best}" in names else None for kind in "CDS")
+    return tuple(names.index(f"{kind}{band}{best}") if f"{kind}{band}{best}" in names else None for kind in "CDSL")
 
 
 # ---------------------------------------------------------------------------- navigation messages

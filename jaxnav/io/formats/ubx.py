@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnav.gnss.corrections import Masks, Observations, aiding_of, solved
+from jaxnav.gnss.corrections import Masks, Observations, aiding_of, solved, with_rates
 from jaxnav.gnss.messages import Messages
 from jaxnav.gnss.orbits import stacked
 from jaxnav.gnss.ranges import FREQUENCY, LIGHT, number
@@ -53,7 +53,10 @@ def frames(data: bytes) -> tuple[list[bytes], int]:
     return found, lost
 
 
-def read(path: Path, spp: bool = False, elevation_mask_deg: float = 10.0, cn0_mask_dbhz: float = 25.0) -> Parts:
+def read(
+    path: Path, spp: bool = False, elevation_mask_deg: float = 10.0, cn0_mask_dbhz: float = 25.0,
+    rates: str = "doppler",
+) -> Parts:  # fmt: skip
     """Position and velocity of NAV-PVT, else of NAV-POSLLH and NAV-VELNED with the status of NAV-SOL or NAV-STATUS.
 
     Heading is that of NAV-RELPOSNED where the base moves along. hAcc, vAcc and sAcc are the sd of each axis. Times are
@@ -64,6 +67,7 @@ def read(path: Path, spp: bool = False, elevation_mask_deg: float = 10.0, cn0_ma
         spp: position and velocity by single points of the ranges instead of the receiver's.
         elevation_mask_deg: deg; lower satellites are left out of the ranges.
         cn0_mask_dbhz: dB-Hz; weaker ones likewise.
+        rates: range rates by "doppler" or by differences of carrier "phase".
 
     Raises:
         DataError: no fix in three dimensions, or with ``spp`` no epoch with a solution.
@@ -93,7 +97,7 @@ def read(path: Path, spp: bool = False, elevation_mask_deg: float = 10.0, cn0_ma
         rows.append(_row(message))
     if not rows and not without:
         rows, without = _older_rows(older)
-    ranges, about = raw.streams(path, Masks(elevation_mask_deg, cn0_mask_dbhz), spp)
+    ranges, about = raw.streams(path, Masks(elevation_mask_deg, cn0_mask_dbhz), spp, rates)
     if ranges and (spp or not rows):
         streams = {name: Stream(*samples) for name, samples in ranges.items()}
         return scaled(Parts(os.fspath(path), aiding=streams, notes=about), TimeScale.GPS)
@@ -123,8 +127,9 @@ class Raw:
 
     def __init__(self) -> None:
         self.messages = Messages()
-        self.rows: list[tuple[float, int, float, float, float]] = []
+        self.rows: list[tuple[float, ...]] = []
         self.t = np.nan
+        self.lock: dict[int, float] = {}  # ms of lock of a satellite's carrier at its last row
 
     def take(self, message: Any) -> None:
         """Take a message, of any kind."""
@@ -143,24 +148,28 @@ class Raw:
                 satellite = number(f"{system}{get('svId') - (120 if system == 'S' else 0)}")
             except DataError:
                 continue
-            rate = -get("doMes") * LIGHT / FREQUENCY[system]
-            self.rows.append((self.t, satellite, get("prMes"), rate, float(get("cno"))))
+            wavelength, lock = LIGHT / FREQUENCY[system], float(get("locktime"))
+            phase = get("cpMes") * wavelength if get("cpValid") else np.nan
+            slipped, self.lock[satellite] = lock < self.lock.get(satellite, 0.0) or lock == 0.0, lock
+            row = self.t, satellite, get("prMes"), -get("doMes") * wavelength, float(get("cno")), phase, slipped
+            self.rows.append(row)
 
-    def streams(self, path: Path, masks: Masks, needed: bool) -> tuple[dict[str, Any], tuple[str, ...]]:
+    def streams(self, path: Path, masks: Masks, needed: bool, rates: str) -> tuple[dict[str, Any], tuple[str, ...]]:
         """Return the streams of the ranges and notes; nothing where there are none.
 
         Raises:
-            DataError: they are ``needed``, and no epoch has a solution.
+            DataError: they are ``needed``, and no epoch has a solution; ``rates`` of which there are none.
         """
         eph = stacked(list(self.messages.found.values()))
         if not self.rows and not needed:
             return {}, ()
-        table = np.array(self.rows).reshape(-1, 5)
-        seen = Observations(table[:, 0], table[:, 1].astype(int), *table[:, 2:].T)
+        rows = np.array(self.rows, float).reshape(-1, 7)
+        seen, about = with_rates(Observations.of(rows), rates)
         try:
             if not self.rows or not eph.satellite.size:
                 raise DataError(f"{len(self.rows)} raw measurements, {eph.satellite.size} ephemerides")
-            return aiding_of(*solved(seen, eph, self.messages.ionosphere, masks))
+            aiding, notes = aiding_of(*solved(seen, eph, self.messages.ionosphere, masks))
+            return aiding, (*about, *notes)
         except DataError as error:
             if needed:
                 raise DataError(f"{path}: {error}") from error

@@ -86,7 +86,7 @@ class Outcome(NamedTuple):
     verdict: str = ""  # last line where no finding warns, or a card has one
     card: Card | None = None
     tables: Sequence[Table] = ()  # of the report
-    pictures: Sequence[str] = ()  # PNG files that a report shows beside the interactive figures
+    pictures: Sequence[str] = ()  # PNG files that a report shows above the interactive figures
 
 
 def terminal(outcome: Outcome, verbose: bool, color: bool) -> list[str]:

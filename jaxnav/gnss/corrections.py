@@ -29,7 +29,11 @@ class Observations(NamedTuple):
 
     @classmethod
     def of(cls, table: np.ndarray) -> "Observations":
-        """Return rows from the columns of ``table`` (N, 7), in the order of the fields but the last."""
+        """Return rows, range rates at their time.
+
+        Args:
+            table: (N, 7) the fields but the last, in their order.
+        """
         t, satellite, code, rate, cn0, phase, slipped = table.T
         return cls(t, satellite.astype(int), code, rate, cn0, phase, slipped > 0, np.zeros(t.size))
 
@@ -164,6 +168,12 @@ def solved(
 ) -> tuple[Ranges, SinglePoint]:
     """Return corrected ranges above the masks, and the single-point solution by them.
 
+    Args:
+        seen: rows of the receiver, in any order.
+        eph: columns (K,) of ephemerides.
+        ionosphere: coefficients; None leaves the ionosphere in.
+        masks: satellites that are left out.
+
     Raises:
         DataError: no epoch with a solution.
     """
@@ -191,7 +201,12 @@ def _nearest(times: np.ndarray, t: np.ndarray) -> np.ndarray:
 def aiding_of(ranges: Ranges, found: SinglePoint) -> tuple[dict[str, Samples], tuple[str, ...]]:
     """Return the streams of a recording and notes: ranges and rates, and position and velocity by single points.
 
-    Times are those of reception, the receiver's stamps less its clock's error.
+    Args:
+        ranges: corrected rows, in order of their times.
+        found: the single points of them.
+
+    Returns:
+        Streams by name, and notes. Times are those of reception, the receiver's stamps less its clock's error.
     """
     ranges, note = without_clock(ranges, found.t, found.clock)
     times, of = epochs(ranges.t)

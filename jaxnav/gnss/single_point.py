@@ -51,6 +51,9 @@ def single_point(ranges: Ranges) -> SinglePoint:
     """Return the epochs with satellites enough for a solution, each by itself.
 
     The sd of a pseudorange is that of its weight and of its slow error together; both by their defaults.
+
+    Args:
+        ranges: corrected rows, in order of their times.
     """
     times, of = epochs(ranges.t)
     order = np.arange(of.size) - np.searchsorted(of, of)  # of a row within its epoch

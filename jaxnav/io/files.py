@@ -1,6 +1,8 @@
 """Strict reading of text and atomic writing of files: the base of every format."""
 
 import os
+import warnings
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -99,13 +101,59 @@ def parse_numbers(
     return Table(names, array, Source(file, np.array([line for line, _ in rows])))
 
 
+def clean_table(
+    path: FilePath, names: tuple[str, ...] | int, delimiter: str | None, nan: frozenset[str] = frozenset()
+) -> Table | None:
+    """Return the table of a file without a fault, None of any other: `parse_numbers` then says where the fault is.
+
+    By numpy's parser: a fifth of the time, and no memory but the table's. ``names`` of the columns in the first line,
+    or how many there are in a file without them.
+    """
+    head, width = (1, len(names)) if isinstance(names, tuple) else (0, names)
+    try:
+        if os.stat(path).st_size > MAX_BYTES:
+            return None
+        with open(path, "rb") as file:
+            count, end = 0, b""
+            for block in iter(partial(file.read, 1 << 20), b""):
+                count, end = count + block.count(b"\n"), block[-1:]
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # of a file without numbers
+            values = np.loadtxt(path, np.float64, None, delimiter, skiprows=head, ndmin=2, encoding="utf-8-sig")
+    except (OSError, ValueError, UserWarning):
+        return None
+    if end != b"\n" or values.shape != (count - head, width) or not values.size:
+        return None  # a cut or blank line, or another number of columns
+    allowed = np.array([name in nan for name in names]) if isinstance(names, tuple) else False
+    if not ((np.abs(values) < MAX_VALUE) | (np.isnan(values) & allowed)).all():
+        return None
+    lines = np.arange(head + 1, count + 1)
+    return Table(names if isinstance(names, tuple) else (), values, Source(os.fspath(path), lines))
+
+
+def clean_csv(path: FilePath, nan: frozenset[str]) -> Table | None:
+    """Return `clean_table` of a comma-separated file with a header of more than one name."""
+    try:
+        with open(path, encoding="utf-8-sig") as file:
+            names = tuple(name.strip() for name in file.readline(1 << 16).split(","))
+    except (OSError, ValueError):
+        return None
+    if not 1 < len(names) == len(set(names)) or all(map(_is_number, names)):
+        return None
+    return clean_table(path, names, ",", nan)
+
+
 def read_columns(path: FilePath, width: int, delimiter: str | None = None, notes: list[str] | None = None) -> Table:
     """Read a table without a header: ``width`` numbers a line; delimiter None: white space; ``notes``: `read_lines`."""
+    if (clean := clean_table(path, width, delimiter)) is not None:
+        return clean
     return parse_numbers([(i, line.split(delimiter)) for i, line in read_lines(path, notes)], width, path)
 
 
 def read_csv(path: FilePath, nan: frozenset[str] = frozenset(), notes: list[str] | None = None) -> Table:
     """Read a comma-separated table with the names of its columns in the first line; ``notes`` as in `read_lines`."""
+    if (clean := clean_csv(path, nan)) is not None:
+        return clean
     lines = read_lines(path, notes)
     if not lines:
         raise DataError(f"{os.fspath(path)}: is empty, expected a header line")

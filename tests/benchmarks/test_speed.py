@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.speed import speed_child, speed_floor, speed_gate, speed_peers, speed_plain, speed_tables
+from benchmarks.speed import parallel, speed_child, speed_floor, speed_gate, speed_peers, speed_plain, speed_tables
 from benchmarks.speed.speed_work import PARAMS, SIDE, distance, exponent, forward, over_runs, table, turn
 from jaxnav.filters.catalogue import FRAMES, build
 from jaxnav.filters.core import make_filter
@@ -194,3 +194,15 @@ def test_more_states_have_a_bar_and_fifteen_have_none():
     }
     (row,) = speed_gate.bars(result)
     assert row["value"] == 2.6 and not row["met"]
+
+
+def test_covariances_parallel_in_time_are_the_sequential_ones():
+    """Nine states, a fix of two channels in every third epoch."""
+    rng = np.random.default_rng(0)
+    E, n, m = 40, 9, 2
+    Phi = np.eye(n) + 0.1 * rng.normal(size=(E, n, n))
+    root = 0.1 * rng.normal(size=(E, n, n))
+    H = rng.normal(size=(E, m, n)) * (np.arange(E) % 3 == 0)[:, None, None]
+    steps = parallel.Chain(*map(jnp.asarray, (Phi, root @ root.transpose(0, 2, 1), H, np.tile(np.eye(m), (E, 1, 1)))))
+    one, other = parallel.sequential(jnp.eye(n), steps), parallel.parallel(jnp.eye(n), steps)
+    np.testing.assert_allclose(other, one, rtol=1e-8, atol=1e-9 * np.abs(one).max())

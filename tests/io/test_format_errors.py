@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from jaxnav import io
-from jaxnav.io import datasets
+from jaxnav.io import datasets, files
 from jaxnav.io.datasets import DATA_DIR, DataFile, Dataset
 from jaxnav.io.formats import navego
 from jaxnav.io.formats.rtklib import read_tag
@@ -364,6 +364,32 @@ def mutations(draw, content: bytes) -> bytes:
         else:
             mutated[i:j] = {"cut": b"", "double": bytes(mutated[i:j]) * 2, "put": put}[kind]
     return bytes(mutated)
+
+
+def test_the_quick_parser_reads_what_the_strict_one_reads(tmp_path, monkeypatch):
+    """A damaged file is left to the strict one, or both read the same numbers from the same lines."""
+    content = "t_s,a,b\n" + "".join(f"{k * 0.1!r},{k / 3!r},-{k}e-3\n" for k in range(6))
+    file, read = tmp_path / "table.csv", {"quick": 0, "left": 0}
+
+    @settings(FUZZ, max_examples=300)
+    @given(mutations(content.encode()))
+    def run(mutated):
+        file.write_bytes(mutated)
+        for quick, strict in (
+            (files.clean_csv(file, frozenset({"b"})), lambda: files.read_csv(file, frozenset({"b"}))),
+            (files.clean_table(file, 3, ","), lambda: files.read_columns(file, 3, ",")),
+        ):
+            read["left" if quick is None else "quick"] += 1
+            if quick is not None:
+                with monkeypatch.context() as patch:
+                    patch.setattr(files, "clean_table", lambda *args: None)
+                    table = strict()
+                np.testing.assert_array_equal(quick.values, table.values)
+                np.testing.assert_array_equal(quick.source.lines, table.source.lines)
+                assert quick.names == table.names
+
+    run()
+    assert read["quick"] > 20 and read["left"] > 100
 
 
 def good_files() -> dict:

@@ -24,7 +24,7 @@ from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK, holes
 from jaxnav.filters.parameters import history_for, installed
-from jaxnav.filters.run import first_failure, require_params, require_x64, run_jit
+from jaxnav.filters.run import first_failure, require_params, require_x64, run_in_chunks
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.bank import bank_jit
@@ -333,7 +333,7 @@ def _end_error(sol: Solution, start: float, end: float, error: np.ndarray | None
 def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch, parked: int = 0) -> tuple[Info, Chosen]:
     """Run from ``navs``; of several starts the most probable one.
 
-    Epochs are padded to sizes that recordings share, so that the compiled program is found again.
+    Epochs are padded to sizes that recordings share, or cut into such, so that the compiled program is found again.
 
     Args:
         filt: the filter.
@@ -351,10 +351,9 @@ def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch, parked: int 
     require_memory(
         8.0 * E * (starts * (2 * n**2 + 2 * m**2 + 100) + 14 * K), f"a run of {E:,} epochs from {starts} starts"
     )
+    if starts == 1:
+        return run_in_chunks(filt, params, jax.tree.map(lambda a: a[0], navs), epochs), Chosen()
     recorded, epochs = slice(epochs.imu.dt.shape[0]), ep.pad_to_bucket(epochs)
-    if navs.t.shape[0] == 1:
-        info = jax.device_get(run_jit(filt, params, jax.tree.map(lambda a: a[0], navs), epochs))
-        return jax.tree.map(lambda a: a[recorded], info), Chosen()
     bank = jax.device_get(bank_jit(filt, params, navs, epochs))
     best = int(bank.best)
     about = Chosen(best, 360.0 * best / starts, float(bank.probability[best]))

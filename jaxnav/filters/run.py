@@ -12,6 +12,7 @@ from jax import lax
 from scipy.special import gammaln
 
 from jaxnav.filters.core import Filter, FilterState, Step
+from jaxnav.filters.epochs import bucket_size, pad_epochs, pad_to_bucket
 from jaxnav.filters.parameters import UNITS, datasheet_params, get, has
 from jaxnav.filters.programs import stored
 from jaxnav.maths import linalg, rotations
@@ -208,6 +209,17 @@ def run(
     require_x64(params, nav, epochs)
     require_params(filt, params)
     require_shapes(filt, nav, epochs)
+    return resume(filt, params, filt.init(params, nav), epochs, record, along)[1]
+
+
+def resume(
+    filt: Filter, params: Params, state: FilterState, epochs: Epoch, record: Record = keep_info, along: Any = None
+) -> tuple[FilterState, Any]:
+    """Filter the epochs that follow a state of the filter; see `run`.
+
+    Returns:
+        The state after them, and the records.
+    """
 
     @jax.checkpoint
     def one(state: FilterState, i: jax.Array) -> tuple[FilterState, Any]:
@@ -216,11 +228,47 @@ def run(
         step = filt.advance(params, state, epoch)
         return step.after, record(step, extra)
 
-    return lax.scan(one, filt.init(params, nav), jnp.arange(epochs.fix.sd.shape[0]))[1]
+    return lax.scan(one, state, jnp.arange(epochs.fix.sd.shape[0]))
 
 
 run_jit = stored(run, (0, 4))
 """`run`, compiled once for a filter and shapes."""
+CHUNK = 1024  # epochs of one call of `run_in_chunks`
+
+
+@partial(stored, static_argnums=(0,))
+def _begin(filt: Filter, params: Params, nav: Nav) -> FilterState:
+    return filt.init(params, nav)
+
+
+_resume = stored(resume, (0,))
+
+
+def run_in_chunks(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info:
+    """Filter the epochs of one run, however many, by one program in constant memory beyond its arguments and result.
+
+    Args:
+        filt: the filter.
+        params: its parameters.
+        nav: navigation at the start, local level.
+        epochs: fields (E, ...) on the host.
+
+    Returns:
+        The run (E, ...) on the host, that of `run`.
+    """
+    require_x64(params, nav, epochs)
+    require_params(filt, params)
+    require_shapes(filt, nav, epochs)
+    E, K = np.shape(epochs.imu.dt)
+    if E <= CHUNK:
+        info = jax.device_get(run_jit(filt, params, nav, pad_to_bucket(epochs)))
+        return jax.tree.map(lambda a: a[:E], info)
+    state, parts = _begin(filt, params, nav), []
+    for i in range(0, E, CHUNK):
+        part = pad_epochs(jax.tree.map(lambda a, i=i: a[i : i + CHUNK], epochs), CHUNK, bucket_size(K))
+        state, info = _resume(filt, params, state, part)
+        parts.append(jax.device_get(info))
+    return jax.tree.map(lambda *a: np.concatenate(a)[:E], *parts)
 
 
 def initial_nav(

@@ -187,8 +187,14 @@ def test_what_is_free_is_by_names_less_the_frozen_with_priors_in_users_units():
     "source, name, free, changes",
     [
         ("gpid_circle", "gpid_literal", ["rule"], {"data": {"options": {"duration_s": 80.0}}}),
-        ("fwekf", "fwekf", ["rule"], {}),
-        ("gipkf_urban", "gipkf", ["rule.log_rl", "rule.log_rm", "rule.rm_lower"], {"tune": {"rate": 0.01}}),
+        pytest.param("fwekf", "fwekf", ["rule"], {}, marks=pytest.mark.slow),
+        pytest.param(
+            "gipkf_urban",
+            "gipkf",
+            ["rule.log_rl", "rule.log_rm", "rule.rm_lower"],
+            {"tune": {"rate": 0.01}},
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_what_the_papers_are_about_is_tuned_by_the_command_line(source, name, free, changes, capsys):
@@ -221,7 +227,7 @@ def test_the_figure_of_the_search_has_the_simulated_values(tmp_path, monkeypatch
         parts={"test": np.ones(1, bool)}, chosen="tuned", used=[runs], history=rows,
         trials=dict.fromkeys(("datasheet", "tuned"), SimpleNamespace(drift=np.ones(1))),
     )  # fmt: skip
-    tune.draw(tmp_path, tune.Result(found, []))
+    tune.draw(tmp_path, tune.Result(found, []), config.Config())
     assert draw_state["measurements.position.latency_s"] == 0.2
     gyro = GRADES[URBAN.imu.grade].arw * URBAN.imu.imu_noise_factor
     assert draw_state["noise.gyro_deg_per_sqrt_hour"] == pytest.approx(gyro / DEG_PER_SQRT_HOUR)

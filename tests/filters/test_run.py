@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from jaxnav.analysis.montecarlo import monte_carlo
+from jaxnav.filters import run as run_module
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.parameters import change, datasheet_params
-from jaxnav.filters.run import require_params, run, run_jit
+from jaxnav.filters.run import require_params, run, run_in_chunks, run_jit
 from jaxnav.navigation import navigate
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.states.grades import GRADES
@@ -94,3 +95,16 @@ def test_float32_is_refused(case):
     made_too_early = jax.tree.map(lambda a: jnp.asarray(a).astype(jnp.float32), case.params)
     with pytest.raises(DataError, match="enable_x64"):
         run_jit(build("ekf15"), made_too_early, case.nav, case.packed.epochs)
+
+
+def test_a_long_run_in_chunks_is_one_run(case, monkeypatch):
+    """Late fixes look back over the cut, and the last chunk is padded; 60 epochs by chunks of 25."""
+    filt = build("ekf15", cov_stride=5, history=9)
+    params = change(case.params, {"measurements.velocity.latency": 0.2})
+    epochs = case.packed.epochs
+    whole = run_jit(filt, params, case.nav, epochs)
+    monkeypatch.setattr(run_module, "CHUNK", 25)
+    parts = run_in_chunks(filt, params, case.nav, epochs)
+    assert epochs.imu.dt.shape[0] > 50 and isinstance(parts.P, np.ndarray)
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
+        np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-12)

@@ -189,8 +189,6 @@ def cut_imu(imu: ImuLog, start: float, cuts: np.ndarray) -> tuple[np.ndarray, np
     source = np.clip(np.searchsorted(imu.t, mid), 0, imu.t.size - 1)
     hole = mid < (imu.t - imu.dt)[source] - TICK  # before the sample's interval: a gap in the stream
     before = np.where(hole, np.maximum(source - 1, 0), source)
-    gyro = 0.5 * (imu.gyro[source] + imu.gyro[before])
-    accel = 0.5 * (imu.accel[source] + imu.accel[before])
     epoch = np.searchsorted(cuts, ends - 2 * TICK)
     counts = np.bincount(epoch, minlength=cuts.size)
     k = int(counts.max())
@@ -198,7 +196,9 @@ def cut_imu(imu: ImuLog, start: float, cuts: np.ndarray) -> tuple[np.ndarray, np
     index = first[:, None] + np.arange(k)
     real = np.arange(k) < counts[:, None]
     index = np.where(real, index, (first + np.maximum(counts - 1, 0))[:, None])  # padding repeats the last sample
-    return np.where(real, dt[index], 0.0), gyro[index], accel[index]
+    later, earlier = source[index], before[index]
+    mean = lambda a: 0.5 * (a[later] + a[earlier]) if hole.any() else a[later]
+    return np.where(real, dt[index], 0.0), mean(imu.gyro), mean(imu.accel)
 
 
 def _held(auxiliary: dict[str, Samples], cuts: np.ndarray) -> dict[str, jax.Array]:

@@ -1,6 +1,7 @@
 """Tuning over simulated runs of scenarios: training, validation and test runs share no random numbers."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,6 +13,7 @@ from jaxnav.checkup.findings import finding
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import get, history_for
+from jaxnav.filters.programs import stored
 from jaxnav.filters.run import first_failure, prepare, require_params, run
 from jaxnav.maths import earth
 from jaxnav.measurements import GNSS, clock_offset, counted_from
@@ -19,7 +21,7 @@ from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate_runs
 from jaxnav.states.grades import GRADES
-from jaxnav.types import ConfigError, FilterError, Fix, Info, Params
+from jaxnav.types import ConfigError, Epoch, FilterError, Fix, Info, Nav, Params
 from tuning.fit import objectives
 from tuning.fit.train import Fit
 from tuning.fit.transforms import Spec, leaves, merged
@@ -32,7 +34,12 @@ from tuning.recordings.validation import paired_gain
 
 PARTS = {"training": Purpose.TRAIN, "validation": Purpose.VALIDATION, "test": Purpose.TEST}
 """The purposes of the runs, with separate keys."""
-runs_jit = jax.jit(jax.vmap(run, (None, 0, 0, 0)), static_argnums=0)
+
+
+@partial(stored, static_argnums=(0,))
+def runs_jit(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info:
+    """Return the runs (B, E, ...) of parameters, starts and epochs with a leading axis each."""
+    return jax.vmap(partial(run, filt))(params, nav, epochs)
 
 
 class SimulatedRuns(NamedTuple):
@@ -238,8 +245,11 @@ def _scored(filt: Filter, params: Params, u: SimulatedRuns) -> _Scored:
         FilterError: a run stopped being finite; names run and time.
     """
     errors, infos = {}, {}
-    for part, r in u.runs.items():
-        info = jax.device_get(runs_jit(filt, many(params, r.keep.shape[0]), r.nav, r.epochs))
+    nav, epochs = jax.tree.map(lambda *a: jnp.concatenate(a), *((r.nav, r.epochs) for r in u.runs.values()))
+    every = jax.device_get(runs_jit(filt, many(params, nav.t.shape[0]), nav, epochs))  # one program for all parts
+    ends = np.cumsum([r.keep.shape[0] for r in u.runs.values()])
+    for (part, r), end in zip(u.runs.items(), ends, strict=True):
+        info = jax.tree.map(lambda a, end=end, n=r.keep.shape[0]: a[end - n : end], every)
         for i in range(r.keep.shape[0]):
             failure = first_failure(jax.tree.map(lambda a, i=i: a[i], info), info.nav.t[i])
             if failure:

@@ -15,6 +15,7 @@ import time
 import types
 from collections.abc import Callable, Sequence
 from enum import Enum
+from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ from jax import export
 
 LOG = logging.getLogger("jaxnav")
 PACKAGES = ("jaxnav", "tuning")  # whose sources are part of a program's name
-LIBRARIES = ("jax", "jaxlib", "numpy", "builtins", "_operator", "operator", "functools")
+LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "builtins", "_operator", "operator", "functools")
 SETTINGS = (
     "jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_disable_most_optimizations",
     "jax_numpy_dtype_promotion",
@@ -88,9 +89,18 @@ def stored(function: Callable[..., Any], static_argnums: Sequence[int] = (), onc
         program = programs[key]
         if program is None:
             return jitted(*args, **kwargs)
-        return jax.tree.unflatten(program.tree, program.call(*leaves))
+        return jax.tree.unflatten(program.tree, list(map(_uncommitted, program.call(*leaves))))
 
+    call.jitted = jitted  # type: ignore[attr-defined]  # for a look at what is compiled
     return call
+
+
+def _uncommitted(a: jax.Array) -> jax.Array:
+    """Return an array of the CPU that is bound to no device, as the results of `jax.jit` are.
+
+    Those of an exported program are bound, and a function that takes bound and free arrays by turns compiles twice.
+    """
+    return jax.device_put(np.asarray(a)) if a.committed and jax.default_backend() == "cpu" else a
 
 
 class Program(NamedTuple):
@@ -153,9 +163,10 @@ def _path(home: Path, function: Callable[..., Any], key: tuple[Any, ...]) -> Pat
         UnknownArgument: see `described`.
     """
     *static, tree, kinds = key
-    options = jax.__version__, jax.default_backend(), jax.device_count(), os.environ.get("XLA_FLAGS", "")
+    versions = jax.__version__, metadata.version("optax")
+    device = jax.default_backend(), jax.device_count(), os.environ.get("XLA_FLAGS", "")
     settings = [jax.config.values.get(name) for name in SETTINGS]
-    whole = described(function), [described(s) for s in static], str(tree), str(kinds), options, settings
+    whole = described(function), [described(s) for s in static], str(tree), str(kinds), versions, device, settings
     name = hashlib.blake2b(repr(whole).encode(), digest_size=16).hexdigest()
     return home / f"programs-{_sources()}" / name
 

@@ -63,6 +63,7 @@ def test_a_program_gives_what_jit_gives(home):
     for x in (jnp.arange(3.0), np.arange(3.0) + 1):
         np.testing.assert_array_equal(call(2.0, x, shift=jnp.ones(3)), 2 * np.asarray(x) + 1)
     assert len(files(home)) == 1
+    assert not call(2.0, jnp.arange(3.0), shift=jnp.ones(3)).committed  # else what takes it compiles again
     assert call(2.0, 3.0) == 6.0 and call(2.0, jnp.ones(())) == 2.0 and call(3.0, 1.0) == 3.0
     assert len(files(home)) == 4
 

@@ -104,7 +104,7 @@ def collectives(mesh, loss, spec, start, cases) -> dict[str, int]:
     optimizer, raw = adam(5), split(spec, start)
     job, data = train._job(loss, spec, start, (), cases, train.mean, None, 1.0, mesh)
     place = lambda tree: distributed.replicate(tree, mesh)
-    text = train._step.lower(job, optimizer, place(raw), place(optimizer.init(raw)), data).compile().as_text()
+    text = train._step.jitted.lower(job, optimizer, place(raw), place(optimizer.init(raw)), data).compile().as_text()
     return count(text)
 
 

@@ -16,6 +16,7 @@ from jax.sharding import Mesh
 
 from jaxnav.analysis.progress import bar as progress_bar
 from jaxnav.filters.compiler import clear_caches_if_needed
+from jaxnav.filters.programs import stored
 from tuning.fit import checkpoint, distributed
 from tuning.fit.batch import Aggregate, Data, Problem, evaluate, mean, strict
 from tuning.fit.optimizers import adam as default_optimizer
@@ -48,7 +49,7 @@ class TrainState(NamedTuple):
     step: int  # the next one
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(stored, static_argnums=(0, 1))
 def _step(problem: Problem, optimizer: Any, raw: Any, state: Any, data: Data) -> Any:
     """Return new raw, new state, and loss, gradient norm and good runs at the old raw."""
     e = evaluate(problem, raw, data)
@@ -60,7 +61,7 @@ def _step(problem: Problem, optimizer: Any, raw: Any, state: Any, data: Data) ->
     return optax.apply_updates(raw, updates), new, e.value, optax.tree.norm(e.grad), e.good
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(stored, static_argnums=(0,))
 def _score(problem: Problem, raw: Any, data: Data) -> Any:
     """Return value and good runs."""
     e = evaluate(problem, raw, data, slopes=False)

@@ -68,7 +68,7 @@ def advance(search: Search, info: Information) -> Search:
 
 
 _BEGIN, _ADVANCE = stored(begin), stored(advance)
-_BEGIN_MANY, _ADVANCE_MANY = stored(jax.vmap(begin)), stored(jax.vmap(advance))
+_BEGIN_MANY, _ADVANCE_MANY = jax.jit(jax.vmap(begin)), jax.jit(jax.vmap(advance))
 
 
 def converged(search: Search, tolerance: float = MIN_GAIN) -> bool:

@@ -48,7 +48,7 @@ def fast_flags(given: str) -> str:
 
 
 def cache(folder: str | Path | None = None) -> Path | None:
-    """Keep compiled programs, small ones included, for the next process.
+    """Keep compiled programs, small ones included, and what was traced (`programs`) for the next process.
 
     Args:
         folder: by default that of the environment variable JAXNAV_CACHE_DIR (empty turns the cache off), else a folder

@@ -64,7 +64,8 @@ def stored(function: Callable[..., Any], static_argnums: Sequence[int] = (), onc
     """Return `jax.jit` of a function whose traced program is kept on disk, where `keep_in` has named a folder.
 
     Under a transformation of jax, with arrays on another device, or with a static argument that is no part of this
-    library it is `jax.jit` and nothing else.
+    library it is `jax.jit` and nothing else. A constant of a module is that of the sources: who changes one at run time
+    turns the cache off.
 
     Args:
         function: a function of this library.
@@ -125,7 +126,7 @@ def _program(
         path = _path(home, function, key)
         exported, out = _load(path) or _save(path, *_traced(whole, key[-2], leaves, function.__name__))
         return Program(jax.jit(exported.call, compiler_options=options), out)
-    except (UnknownArgument, ImportError, ValueError) as reason:  # ValueError: jax cannot export it
+    except (UnknownArgument, ImportError, NotImplementedError, ValueError) as reason:  # the last two: not exportable
         LOG.debug("%s is traced in each process: %s", function.__qualname__, reason)
         return None
 

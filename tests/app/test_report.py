@@ -56,3 +56,13 @@ def test_what_cannot_be_drawn_is_a_warning_and_parameters_are_a_table(tmp_path, 
     assert "no picture of the run to zoom into: ValueError: no colour" in capsys.readouterr().err
     page = (tmp_path / "report.html").read_text()
     assert "<td>noise.gyro</td><td>0.25</td><td>0.1</td><td>0.5</td><td>0.2</td>" in page
+
+
+def test_pictures_that_a_run_names_are_shown_with_the_interactive_figures(tmp_path):
+    """The drift of a tune job; files of the run itself are what the interactive figures show."""
+    figure = pytest.importorskip("bokeh.plotting").figure
+    for name in ("outage_drift.png", "nis.png"):
+        matplotlib.figure.Figure().savefig(tmp_path / name)
+    report.write(tmp_path, "tune", Config(), Outcome({}, "tuned", {}, pictures=["outage_drift.png"]), lambda: figure())
+    page = (tmp_path / "report.html").read_text()
+    assert re.findall(r'<img alt="([^"]*)"', page) == ["outage drift"] and "Bokeh" in page

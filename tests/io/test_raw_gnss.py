@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxnav.gnss.corrections import at_reception
+from jaxnav.gnss.corrections import Observations, at_reception, with_rates
 from jaxnav.gnss.orbits import Ephemeris, state
 from jaxnav.gnss.ranges import LIGHT, name, ranges_of
 from jaxnav.io import canonical
@@ -191,6 +191,14 @@ def test_range_rates_by_carrier_phase(tmp_path, seen, kind):
     assert np.nanmax(np.abs(off)) < (2e-3 if kind == "rinex" else 1e-3)  # of a satellite, in the digits of the file
     with pytest.raises(DataError, match="doppler, phase, got 'code'"):
         by("code")
+
+
+def test_a_phase_is_not_differenced_over_a_gap(seen):
+    """Two epochs are missing: the next one has no rate, of any satellite."""
+    rows = [row for k, row in enumerate(seen[0]) if k not in (7, 8)]
+    found, _ = with_rates(Observations(*(np.concatenate(a) for a in zip(*rows, strict=True))), "phase")
+    rated = {round(t - T0) for t in found.t[np.isfinite(found.range_rate)]}
+    assert rated == set(range(1, EPOCHS)) - {7, 8, 9}
 
 
 def test_the_folder_of_a_recording_keeps_the_satellites(tmp_path, seen):

@@ -55,18 +55,11 @@ def chain(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> tuple[jax.Ar
     return filt.init(params, nav).P, run(filt, params, nav, epochs, record, epochs)
 
 
-def updated(P: jax.Array, H: jax.Array, R: jax.Array) -> jax.Array:
-    """Return the covariance after a fix."""
-    K = P @ H.T @ linalg.inverse(H @ P @ H.T + R)
-    rest = jnp.eye(P.shape[0]) - K @ H
-    return rest @ P @ rest.T + K @ R @ K.T
-
-
 def sequential(P: jax.Array, steps: Chain) -> jax.Array:
     """Return the covariances (E, n, n) after each fix, one after the other."""
 
     def one(P: jax.Array, step: Chain) -> tuple[jax.Array, jax.Array]:
-        P = updated(step.Phi @ P @ step.Phi.T + step.Q, step.H, step.R)
+        _, P = linalg.update(linalg.sandwich(step.Phi, P) + step.Q, step.H, step.R)
         return P, P
 
     return jax.lax.scan(one, P, steps)[1]
@@ -81,14 +74,13 @@ def element(step: Chain) -> Element:
 
 
 def inverse(M: jax.Array) -> jax.Array:
-    """Return M^-1 (n, n) by elimination; two calls of LAPACK at a time may wait for each other for ever."""
-    own_of = lambda k: jnp.arange(M.shape[0]) == k
+    """Return M^-1 (n, n) by Gauss-Jordan elimination: parallel LAPACK calls can deadlock on two cores (jaxlib 0.10)."""
 
     def step(k: jax.Array, M: jax.Array) -> jax.Array:
-        own = own_of(k)
-        row = jnp.where(own, 1.0, M[k]) / M[k, k]
-        column = jnp.where(own, 0.0, M[:, k])
-        return jnp.where(own[:, None], row, jnp.where(own, 0.0, M) - column[:, None] * row)
+        pivot = jnp.arange(M.shape[0]) == k
+        row = jnp.where(pivot, 1.0, M[k]) / M[k, k]
+        column = jnp.where(pivot, 0.0, M[:, k])
+        return jnp.where(pivot[:, None], row, jnp.where(pivot, 0.0, M) - column[:, None] * row)
 
     return jax.lax.fori_loop(0, M.shape[0], step, M)
 
@@ -104,7 +96,7 @@ def product(i: Element, j: Element) -> Element:
 def parallel(P: jax.Array, steps: Chain) -> jax.Array:
     """Return the covariances (E, n, n) after each fix, by an associative scan."""
     first = jax.tree.map(lambda a: a[0], steps)
-    begin = updated(first.Phi @ P @ first.Phi.T + first.Q, first.H, first.R)
+    _, begin = linalg.update(linalg.sandwich(first.Phi, P) + first.Q, first.H, first.R)
     every = jax.vmap(element)(steps)
     every = Element(every.A.at[0].set(0.0), every.C.at[0].set(begin), every.J.at[0].set(0.0))
     return jax.lax.associative_scan(product, every).C

@@ -126,7 +126,7 @@ def _main(args: argparse.Namespace) -> int:
     with results.staged(out, args.verb, _inputs(args, config)) as folder:
         outcome = _work(args, config, folder, out)
         if config.out.figures != "none" and verb.report:
-            report.write(folder, args.verb, config, outcome, outcome.layout)
+            report.write(folder, args.verb, config, outcome)
         results.write_run(folder, args.verb, verb.sections, outcome.config or config, outcome)
     return _report(args, outcome, out)
 

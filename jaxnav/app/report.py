@@ -38,7 +38,7 @@ td, th { padding: .25rem .9rem .25rem 0; text-align: left; border-bottom: 1px so
 """
 
 
-def write(folder: Path, verb: str, config: Config, outcome: Outcome, layout: Callable[[], Any] | None = None) -> None:
+def write(folder: Path, verb: str, config: Config, outcome: Outcome) -> None:
     """Write the report next to the run's files; a part that fails is a warning, and left out.
 
     It begins with the answer: verdict and numbers, findings with their next steps, figures; the rest is folded.
@@ -47,13 +47,12 @@ def write(folder: Path, verb: str, config: Config, outcome: Outcome, layout: Cal
         folder: with the run's figures.
         verb: of the command line.
         config: of the run.
-        outcome: its result.
-        layout: makes the interactive figures, where bokeh is installed; else the pictures stand for them.
+        outcome: its result. Without bokeh its PNG files stand for the interactive figures.
     """
-    head, body = interactive(layout)
+    head, body = interactive(outcome.layout)
     drawn = [path for path in sorted(folder.glob("*.png")) if not body or path.name in outcome.pictures]
     body = "\n".join([*map(_image, drawn), *([body] if body else [])])
-    if layout is not None and not head:
+    if outcome.layout is not None and not head:
         body += "\n<p>With <code>pip install 'jaxnav[report]'</code> the pictures here can be zoomed into.</p>"
     first = outcome.text.splitlines()[0] if outcome.text and outcome.card is None else config.data.source
     title = f"jaxnav {verb}: {first}"

@@ -39,8 +39,8 @@ UNOPTIMIZED = {"xla_backend_optimization_level": 0}
 _LOADED: list[dict[Any, Any]] = []  # programs in memory, of each stored function
 
 
-class UnknownArgument(Exception):
-    """A static argument that has no description: the function is traced in each process."""
+class NotKept(Exception):
+    """Why a function is traced in each process: a static argument without a description, or a step without export."""
 
 
 class _Home:
@@ -126,7 +126,7 @@ def _program(
         path = _path(home, function, key)
         exported, out = _load(path) or _save(path, *_traced(whole, key[-2], leaves, function.__name__))
         return Program(jax.jit(exported.call, compiler_options=options), out)
-    except (UnknownArgument, ImportError, NotImplementedError, ValueError) as reason:  # the last two: not exportable
+    except NotKept as reason:
         LOG.debug("%s is traced in each process: %s", function.__qualname__, reason)
         return None
 
@@ -161,7 +161,7 @@ def _path(home: Path, function: Callable[..., Any], key: tuple[Any, ...]) -> Pat
     """Return the file of a program, whose name is a digest of all that it depends on but jaxlib and the processor.
 
     Raises:
-        UnknownArgument: see `described`.
+        NotKept: see `described`.
     """
     *static, tree, kinds = key
     versions = jax.__version__, metadata.version("optax")
@@ -183,7 +183,13 @@ def _sources() -> str:
 
 
 def _traced(whole: Callable[..., Any], tree: Any, leaves: list[Any], name: str) -> tuple[export.Exported, Any]:
-    """Return the exported program of flat arguments, and the structure of its results."""
+    """Return the exported program of flat arguments, and the structure of its results.
+
+    Errors of the function itself, such as arguments of a wrong shape, pass through.
+
+    Raises:
+        NotKept: it calls back into Python or another program that jax does not export.
+    """
     structure = []
 
     def flat(*leaves: Any) -> list[Any]:
@@ -192,7 +198,12 @@ def _traced(whole: Callable[..., Any], tree: Any, leaves: list[Any], name: str) 
         return found
 
     flat.__name__ = name
-    return export.export(jax.jit(flat))(*leaves), structure[-1]
+    jitted = jax.jit(flat)
+    jitted.trace(*leaves)  # jax keeps it for the export
+    try:
+        return export.export(jitted)(*leaves), structure[-1]
+    except (NotImplementedError, ValueError) as error:
+        raise NotKept(str(error)) from error
 
 
 def _load(path: Path) -> tuple[export.Exported, Any] | None:
@@ -244,7 +255,7 @@ def described(value: Any) -> str:
     digest of the sources.
 
     Raises:
-        UnknownArgument: an object of another kind, or of a module outside of `PACKAGES`.
+        NotKept: an object of another kind, or of a module outside of `PACKAGES`.
     """
     return _described(value, {})
 
@@ -277,7 +288,7 @@ def _described(value: Any, seen: dict[int, int]) -> str:
         return f"{_name_of(type(value))}({','.join(again(getattr(value, f.name)) for f in dataclasses.fields(value))})"
     if (inner := getattr(value, "__wrapped__", None)) is not None:  # of functools.cache, jax.jit, jax.custom_jvp
         return f"{type(value).__qualname__}({again(inner)})"
-    raise UnknownArgument(f"{type(value).__module__}.{type(value).__qualname__}")
+    raise NotKept(f"{type(value).__module__}.{type(value).__qualname__}")
 
 
 def _described_function(function: types.FunctionType, again: Callable[[Any], str]) -> str:
@@ -292,9 +303,9 @@ def _name_of(value: Any) -> str:
     """Return module and name.
 
     Raises:
-        UnknownArgument: of a module whose sources are not in the digest.
+        NotKept: of a module whose sources are not in the digest.
     """
     module = getattr(value, "__module__", None) or type(value).__module__
     if module.partition(".")[0] not in (*PACKAGES, *LIBRARIES):
-        raise UnknownArgument(f"{module}.{value}")
+        raise NotKept(f"{module}.{value}")
     return f"{module}.{getattr(value, '__qualname__', getattr(value, '__name__', ''))}"

@@ -215,7 +215,15 @@ def run(
 def resume(
     filt: Filter, params: Params, state: FilterState, epochs: Epoch, record: Record = keep_info, along: Any = None
 ) -> tuple[FilterState, Any]:
-    """Filter the epochs that follow a state of the filter; see `run`.
+    """Filter the epochs that follow a state of the filter; arguments are not checked.
+
+    Args:
+        filt: the filter.
+        params: its parameters.
+        state: the state before them.
+        epochs: fields (E, ...), as they come or by `prepare`.
+        record: makes the record of each epoch.
+        along: arrays (E, ...), see `run`.
 
     Returns:
         The state after them, and the records.
@@ -255,14 +263,17 @@ def run_in_chunks(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info
 
     Returns:
         The run (E, ...) on the host, that of `run`.
+
+    Raises:
+        DataError, ValueError: as `run`.
     """
-    require_x64(params, nav, epochs)
-    require_params(filt, params)
-    require_shapes(filt, nav, epochs)
     E, K = np.shape(epochs.imu.dt)
     if E <= CHUNK:
         info = jax.device_get(run_jit(filt, params, nav, pad_to_bucket(epochs)))
         return jax.tree.map(lambda a: a[:E], info)
+    require_x64(params, nav, epochs)
+    require_params(filt, params)
+    require_shapes(filt, nav, epochs)
     state, parts = _begin(filt, params, nav), []
     for i in range(0, E, CHUNK):
         part = pad_epochs(jax.tree.map(lambda a, i=i: a[i : i + CHUNK], epochs), CHUNK, bucket_size(K))

@@ -40,7 +40,7 @@ def test_without_bokeh_the_pictures_are_in_it(tmp_path, monkeypatch):
     monkeypatch.setattr(builtins, "__import__", missing)
     fig = matplotlib.figure.Figure()
     fig.savefig(tmp_path / "nis.png")
-    report.write(tmp_path, "filter", Config(), Outcome({}, "a <run> of 3 m", {}), lambda: None)
+    report.write(tmp_path, "filter", Config(), Outcome({}, "a <run> of 3 m", {}, layout=lambda: None))
     page = (tmp_path / "report.html").read_text()
     assert "data:image/png;base64," in page and "a &lt;run&gt; of 3 m" in page and "jaxnav[report]" in page
 
@@ -52,7 +52,7 @@ def test_what_cannot_be_drawn_is_a_warning_and_parameters_are_a_table(tmp_path, 
         raise ValueError("no colour")
 
     rows = {"noise.gyro": {"value": 0.25, "low": 0.1, "high": 0.5, "datasheet": 0.2, "unit": "deg/sqrt(h)"}}
-    report.write(tmp_path, "tune", Config(), Outcome({"parameters": rows}, "tuned", {"tune": 1.0}), fails)
+    report.write(tmp_path, "tune", Config(), Outcome({"parameters": rows}, "tuned", {"tune": 1.0}, layout=fails))
     assert "no picture of the run to zoom into: ValueError: no colour" in capsys.readouterr().err
     page = (tmp_path / "report.html").read_text()
     assert "<td>noise.gyro</td><td>0.25</td><td>0.1</td><td>0.5</td><td>0.2</td>" in page
@@ -63,6 +63,6 @@ def test_pictures_that_a_run_names_are_shown_with_the_interactive_figures(tmp_pa
     figure = pytest.importorskip("bokeh.plotting").figure
     for name in ("outage_drift.png", "nis.png"):
         matplotlib.figure.Figure().savefig(tmp_path / name)
-    report.write(tmp_path, "tune", Config(), Outcome({}, "tuned", {}, pictures=["outage_drift.png"]), lambda: figure())
+    report.write(tmp_path, "tune", Config(), Outcome({}, "tuned", {}, layout=figure, pictures=["outage_drift.png"]))
     page = (tmp_path / "report.html").read_text()
     assert re.findall(r'<img alt="([^"]*)"', page) == ["outage drift"] and "Bokeh" in page

@@ -129,5 +129,22 @@ def test_a_function_may_close_over_itself():
 
 
 def test_an_object_without_a_description_is_named():
-    with pytest.raises(programs.UnknownArgument, match="object"):
+    with pytest.raises(programs.NotKept, match="object"):
         programs.described((1, object()))
+
+
+def test_an_error_of_the_function_is_the_callers_and_a_callback_is_not_exported(home):
+    """The first passes through with one trace; the second is `jax.jit`, with nothing written."""
+    chex.clear_trace_counter()
+
+    @chex.assert_max_traces(n=1)
+    def refuses(x):
+        raise ValueError("x has shape")
+
+    refuses.__module__ = "jaxnav.made_up"
+    with pytest.raises(ValueError, match="x has shape"):
+        programs.stored(refuses)(1.0)
+    seen = []
+    calls_back = lambda x: jax.debug.callback(seen.append, x) or x + 1
+    calls_back.__module__ = "jaxnav.made_up"
+    assert programs.stored(calls_back)(1.0) == 2.0 and files(home) == []

@@ -49,6 +49,9 @@ def read(
     seen, notes = read_observations(path)
     try:
         seen, about = with_rates(seen, rates)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+    try:
         ranges, found = solved(seen, eph, ionosphere, Masks(elevation_mask_deg, cn0_mask_dbhz))
     except DataError as error:
         raise DataError(f"{path}: {error} ({len(set(eph.satellite))} satellites in {messages})") from error

@@ -164,7 +164,10 @@ class Raw:
         if not self.rows and not needed:
             return {}, ()
         rows = np.array(self.rows, float).reshape(-1, 7)
-        seen, about = with_rates(Observations.of(rows), rates)
+        try:
+            seen, about = with_rates(Observations.of(rows), rates)
+        except DataError as error:
+            raise DataError(f"{path}: {error}") from error
         try:
             if not self.rows or not eph.satellite.size:
                 raise DataError(f"{len(self.rows)} raw measurements, {eph.satellite.size} ephemerides")

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -24,10 +25,10 @@ from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK, holes
 from jaxnav.filters.parameters import history_for, installed
-from jaxnav.filters.run import first_failure, require_params, require_x64, run_in_chunks
+from jaxnav.filters.run import CHUNK, first_failure, in_chunks, joined, require_params, require_x64, run_in_chunks
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.filters.standstill import Standing
-from jaxnav.initialization.bank import bank_jit
+from jaxnav.initialization.bank import bank_jit, choose
 from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.initialization.parked import moves_off, spread_again
 from jaxnav.io.solution import FORMATS, write_kml, write_solution
@@ -348,24 +349,37 @@ def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch, parked: int 
     E, K = epochs.imu.dt.shape
     n, m = filt.model.n_states, filt.model.n_channels
     starts = navs.t.shape[0]
+    whole = starts if E <= CHUNK else 1  # runs that are kept
     require_memory(
-        8.0 * E * (starts * (2 * n**2 + 2 * m**2 + 100) + 14 * K), f"a run of {E:,} epochs from {starts} starts"
+        8.0 * E * (whole * (2 * n**2 + 2 * m**2 + 100) + 14 * K), f"a run of {E:,} epochs from {starts} starts"
     )
+    at = lambda i, navs: jax.tree.map(lambda a: a[i], navs)
     if starts == 1:
-        return run_in_chunks(filt, params, jax.tree.map(lambda a: a[0], navs), epochs), Chosen()
-    recorded, epochs = slice(epochs.imu.dt.shape[0]), ep.pad_to_bucket(epochs)
-    bank = jax.device_get(bank_jit(filt, params, navs, epochs))
-    best = int(bank.best)
-    about = Chosen(best, 360.0 * best / starts, float(bank.probability[best]))
-    again = None
-    if 1 < parked < E:
-        again = spread_again(filt, params, jax.tree.map(lambda a: a[best][:parked], bank.info), starts)
+        return run_in_chunks(filt, params, at(0, navs), epochs), Chosen()
+    size = ep.bucket_size(E), ep.bucket_size(K)  # of a part of the run as well: one program
+    from_best = _best_of_long if E > CHUNK else partial(_best_of_short, size)
+    best, probability, info = from_best(filt, params, navs, epochs)
+    again = spread_again(filt, params, at(slice(parked), info), starts) if 1 < parked < E else None
     if again is None:
-        return jax.tree.map(lambda a: a[best][recorded], bank.info), about
-    rest = ep.pad_epochs(jax.tree.map(lambda a: a[parked:E], epochs), *epochs.imu.dt.shape)
-    later = jax.device_get(bank_jit(filt, *again, rest))
-    second = int(later.best)
+        return info, Chosen(best, 360.0 * best / starts, probability)
+    second, probability, later = from_best(filt, *again, jax.tree.map(lambda a: a[parked:], epochs))
     best = (best + second) % starts  # the hypothesis that had that heading when it moved off
-    about = Chosen(best, 360.0 * best / starts, float(later.probability[second]))
-    joined = lambda a, b: np.concatenate([a[best][:parked], b[second][: E - parked]])
-    return jax.tree.map(joined, bank.info, later.info), about
+    about = Chosen(best, 360.0 * best / starts, probability)
+    return jax.tree.map(lambda a, b: np.concatenate([a[:parked], b]), info, later), about
+
+
+def _best_of_short(
+    size: tuple[int, int], filt: Filter, params: Params, navs: Nav, epochs: Epoch
+) -> tuple[int, float, Info]:
+    """Return the most probable start, its probability and its run (E, ...), by one program for all starts."""
+    E = epochs.imu.dt.shape[0]
+    bank = jax.device_get(bank_jit(filt, params, navs, ep.pad_epochs(epochs, *size)))
+    best = int(bank.best)
+    return best, float(bank.probability[best]), jax.tree.map(lambda a: a[best][:E], bank.info)
+
+
+def _best_of_long(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[int, float, Info]:
+    """Return the same of a long run: one run at a time, of which one is kept."""
+    best, probability = choose(filt, params, navs, epochs)
+    nav = jax.tree.map(lambda a: a[best], navs)
+    return best, probability, joined(in_chunks(filt, params, nav, epochs), epochs.imu.dt.shape[0])

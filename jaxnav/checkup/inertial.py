@@ -34,8 +34,7 @@ def sampling(rec: Recording) -> list[Finding]:
     if share > MAX_LOST_SHARE:
         found.append(finding("imu.lost", value=100 * share, limit=100 * MAX_LOST_SHARE))
     found += gap_findings(holes(imu))
-    values = np.hstack([imu.gyro, imu.accel])
-    same = float(np.mean(np.all(values[1:] == values[:-1], axis=1)))
+    same = float(np.mean(np.logical_and.reduce([a[1:] == a[:-1] for a in (*imu.gyro.T, *imu.accel.T)])))
     if same > 0.005:
         found.append(finding("imu.polled", value=100 * same, severity=None if same > 0.01 else Severity.INFO))
     return found
@@ -75,10 +74,11 @@ def quiet(imu: ImuLog, span: float = 1.0) -> tuple[np.ndarray, int]:
     """Windows (W, n) of rows in which the IMU is quietest, and their length."""
     n = max(2, round(span / float(np.median(imu.dt))))
     m = imu.t.size // n
-    rows = np.arange(m * n).reshape(m, n)
-    unrest = np.sqrt(imu.accel[rows].var(1).sum(-1)) + G * np.sqrt(imu.gyro[rows].var(1).sum(-1))
-    unrest = unrest + G * np.linalg.norm(imu.gyro[rows].mean(1) - np.median(imu.gyro, 0), axis=-1)
-    return rows[np.argsort(unrest)[: max(3, int(QUIET_SHARE * m))]], n
+    accel, gyro = (a[: m * n].reshape(m, n, 3) for a in (imu.accel, imu.gyro))
+    unrest = np.sqrt(accel.var(1).sum(-1)) + G * np.sqrt(gyro.var(1).sum(-1))
+    unrest = unrest + G * np.linalg.norm(gyro.mean(1) - np.median(imu.gyro, 0), axis=-1)
+    quietest = np.argsort(unrest)[: max(3, int(QUIET_SHARE * m))]
+    return quietest[:, None] * n + np.arange(n), n
 
 
 def steady(rec: Recording) -> np.ndarray | None:

@@ -1,6 +1,7 @@
 """Run a filter over epochs: one nested scan, pure, to be jitted, vmapped and differentiated."""
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from functools import cache, partial
 from typing import Any, Protocol
 
@@ -241,7 +242,7 @@ def resume(
 
 run_jit = stored(run, (0, 4))
 """`run`, compiled once for a filter and shapes."""
-CHUNK = 1024  # epochs of one call of `run_in_chunks`
+CHUNK = 1024  # epochs of one call of the program of `in_chunks`
 
 
 @partial(stored, static_argnums=(0,))
@@ -250,6 +251,29 @@ def _begin(filt: Filter, params: Params, nav: Nav) -> FilterState:
 
 
 _resume = stored(resume, (0,))
+
+
+def in_chunks(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Iterator[Info]:
+    """Yield the run of `CHUNK` epochs after the other, by one program: (CHUNK, ...) each, the last one padded.
+
+    Args:
+        filt: the filter.
+        params: its parameters.
+        nav: navigation at the start, local level.
+        epochs: fields (E, ...) on the host.
+
+    Raises:
+        DataError, ValueError: as `run`.
+    """
+    require_x64(params, nav, epochs)
+    require_params(filt, params)
+    require_shapes(filt, nav, epochs)
+    E, K = np.shape(epochs.imu.dt)
+    state = _begin(filt, params, nav)
+    for i in range(0, E, CHUNK):
+        part = pad_epochs(jax.tree.map(lambda a, i=i: a[i : i + CHUNK], epochs), CHUNK, bucket_size(K))
+        state, info = _resume(filt, params, state, part)
+        yield info
 
 
 def run_in_chunks(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info:
@@ -267,19 +291,21 @@ def run_in_chunks(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info
     Raises:
         DataError, ValueError: as `run`.
     """
-    E, K = np.shape(epochs.imu.dt)
+    E = np.shape(epochs.imu.dt)[0]
     if E <= CHUNK:
         info = jax.device_get(run_jit(filt, params, nav, pad_to_bucket(epochs)))
         return jax.tree.map(lambda a: a[:E], info)
-    require_x64(params, nav, epochs)
-    require_params(filt, params)
-    require_shapes(filt, nav, epochs)
-    state, parts = _begin(filt, params, nav), []
-    for i in range(0, E, CHUNK):
-        part = pad_epochs(jax.tree.map(lambda a, i=i: a[i : i + CHUNK], epochs), CHUNK, bucket_size(K))
-        state, info = _resume(filt, params, state, part)
-        parts.append(jax.device_get(info))
-    return jax.tree.map(lambda *a: np.concatenate(a)[:E], *parts)
+    return joined(in_chunks(filt, params, nav, epochs), E)
+
+
+def joined(parts: Iterator[Info], size: int) -> Info:
+    """Return the first ``size`` epochs of `in_chunks` on the host; no two copies of them are held at a time."""
+    first = next(parts)
+    whole = jax.tree.map(lambda a: np.empty((size, *a.shape[1:]), a.dtype), first)
+    for i, part in enumerate(itertools.chain([first], parts)):
+        rows = np.arange(i * CHUNK, min((i + 1) * CHUNK, size))
+        jax.tree.map(lambda into, a, rows=rows: into.__setitem__(rows, np.asarray(a)[: rows.size]), whole, part)
+    return whole
 
 
 def initial_nav(

@@ -9,7 +9,7 @@ from jax.scipy.special import logsumexp
 
 from jaxnav.filters.core import Filter
 from jaxnav.filters.programs import stored
-from jaxnav.filters.run import negative_log_likelihood, run
+from jaxnav.filters.run import in_chunks, negative_log_likelihood, run
 from jaxnav.maths import earth, rotations
 from jaxnav.types import Epoch, Info, Nav, Params
 
@@ -38,8 +38,7 @@ def heading_bank(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> Bank
         The runs with their probabilities.
     """
     info = jax.vmap(run, (None, None, 0, None))(filt, params, navs, epochs)
-    nll = jnp.sum(jax.vmap(jax.vmap(negative_log_likelihood))(info), axis=1)
-    score = jnp.where(info.ok[:, -1], -nll, -jnp.inf)
+    score = jax.vmap(_score)(info)
     return Bank(info, jnp.exp(score - logsumexp(score)), jnp.argmax(score))
 
 
@@ -67,6 +66,41 @@ def _turned(nav: Nav, headings: jax.Array, arm: jax.Array) -> Nav:
 
 bank_jit = stored(heading_bank, (0,))
 """`heading_bank`, compiled once for a filter and shapes."""
+
+
+LOST = 1e-12  # of the most probable's, the probability below which a heading is given up in a long run
+
+
+def choose(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[int, float]:
+    """Return the most probable of several starts and its probability, in memory that does not grow with the run.
+
+    The runs go side by side, `jaxnav.filters.run.CHUNK` epochs at a time, by the program that filters the recording;
+    those of headings that are `LOST` end there.
+
+    Args:
+        filt: the filter.
+        params: its parameters.
+        navs: (B, ...) starts.
+        epochs: (E, ...) of one run, on the host.
+    """
+    starts = navs.t.shape[0]
+    score, running = np.zeros(starts), list(range(starts))
+    runs = [in_chunks(filt, params, jax.tree.map(lambda a, i=i: a[i], navs), epochs) for i in range(starts)]
+    while len(running) > 1:
+        parts = [next(runs[i], None) for i in running]
+        if parts[0] is None:
+            break
+        score[running] += [float(_score(info)) for info in parts]
+        score[score < score.max() + np.log(LOST)] = -np.inf
+        running = [i for i in running if np.isfinite(score[i])] or running
+    best = int(np.argmax(score))
+    return best, 1.0 / float(np.exp(score - score[best]).sum()) if np.isfinite(score[best]) else 1.0 / starts
+
+
+@stored
+def _score(info: Info) -> jax.Array:
+    """Return the log-likelihood of the innovations of a run (E, ...), -inf of one that is not finite."""
+    return jnp.where(info.ok[-1], -jax.vmap(negative_log_likelihood)(info).sum(), -jnp.inf)
 
 
 def most_probable(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> Nav:

@@ -4,7 +4,7 @@ import os
 import warnings
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 
@@ -38,15 +38,24 @@ def place(source: Source, row: int, stream: str = "") -> str:
     return f"{source.file}: {stream} row {row}" if stream else f"{source.file}: row {row}"
 
 
-def read_bytes(path: FilePath) -> bytes:
-    """Read a file; DataError where it is absent, unreadable, a folder or too large."""
+def open_bytes(path: FilePath) -> IO[bytes]:
+    """Open a file; DataError where it is absent, unreadable, a folder or too large."""
     try:
         size = os.stat(path).st_size
         if size > MAX_BYTES:
             raise DataError(f"{os.fspath(path)}: {size} bytes, expected at most {MAX_BYTES}")
-        return Path(path).read_bytes()
+        return open(path, "rb")
     except OSError as error:
         raise DataError(f"{os.fspath(path)}: cannot be read: {error.strerror or error}") from error
+
+
+def read_bytes(path: FilePath) -> bytes:
+    """Read a file; DataError as `open_bytes`."""
+    with open_bytes(path) as stream:
+        try:
+            return stream.read()
+        except OSError as error:
+            raise DataError(f"{os.fspath(path)}: cannot be read: {error.strerror or error}") from error
 
 
 def read_lines(path: FilePath, notes: list[str] | None = None) -> list[tuple[int, str]]:

@@ -3,6 +3,7 @@
 Harmless omissions are made and counted; a loss that would make the rest a guess is one `DataError`.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -119,25 +120,25 @@ def without_fix(aiding: dict[str, Stream]) -> dict[str, Stream]:
 
 
 def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[str]) -> ImuLog:
-    values = np.hstack([rows.gyro, rows.accel])
-    keep = usable("imu", rows.t, values, parts.file, notes, parts.lines)
+    columns = (*rows.gyro.T, *rows.accel.T)
+    keep = usable("imu", rows.t, columns, parts.file, notes, parts.lines)
     keep &= _one_piece(rows.t, keep, notes)
-    t, values = rows.t[keep], values[keep]
+    t, gyro, accel, stated = (a if a is None or keep.all() else a[keep] for a in (rows.t, *rows[1:3], rows.dt))
     if len(t) < 3:
         raise DataError(f"{parts.file}: imu: expected three rows or more, got {len(t)}")
     if rows.repair:
-        t, values = _mended(t, values, notes)
-        rows, keep = rows._replace(dt=None), np.ones(len(t), bool)
-    dt = _intervals(t, None if rows.dt is None else rows.dt[keep], notes)
-    repeated = int(np.count_nonzero(np.all(values[1:] == values[:-1], axis=1)))
+        t, values = _mended(t, np.hstack([gyro, accel]), notes)
+        gyro, accel, stated = values[:, :3], values[:, 3:], None
+    dt = _intervals(t, stated, notes)
+    repeated = int(np.logical_and.reduce([a[1:] == a[:-1] for a in (*gyro.T, *accel.T)]).sum())
     if repeated:
         notes.append(f"imu: {repeated} of {len(t)} rows repeat the row before: the logger may have polled the sensor.")
     if rows.sampling == INCREMENTS:
-        values = values / dt[:, None]
+        gyro, accel = gyro / dt[:, None], accel / dt[:, None]
     elif rows.sampling == INSTANTANEOUS:
         whole = np.r_[False, t[1:] - dt[1:] - t[:-1] < 1e-9]  # behind a gap a value has no neighbour
-        values = np.where(whole[:, None], 0.5 * (values + np.roll(values, 1, axis=0)), values)
-    imu = ImuLog(t, dt, values[:, :3] @ turn.T, values[:, 3:] @ turn.T)
+        gyro, accel = (np.where(whole[:, None], 0.5 * (a + np.roll(a, 1, axis=0)), a) for a in (gyro, accel))
+    imu = ImuLog(t, dt, gyro @ turn.T, accel @ turn.T)
     _look(imu, notes)
     return imu
 
@@ -162,12 +163,15 @@ def _mended(t: np.ndarray, values: np.ndarray, notes: list[str]) -> tuple[np.nda
 
 
 def usable(
-    name: str, t: np.ndarray, values: np.ndarray, file: str, notes: list[str], lines: np.ndarray | None = None
-) -> np.ndarray:
+    name: str, t: np.ndarray, columns: Iterable[np.ndarray], file: str, notes: list[str],
+    lines: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """(N,) bool, rows that are finite and later than all before; DataError where more than a few are not."""
     if not len(t):
         raise DataError(f"{file}: {name}: has no rows")
-    finite = np.isfinite(t) & np.all(np.abs(values) < MAX_VALUE, axis=1)
+    finite = np.isfinite(t)
+    for column in columns:
+        finite &= np.abs(column) < MAX_VALUE
     index = np.flatnonzero(finite)
     s = t[index]
     # one time that jumps ahead and back is wrong itself; not all that come after it
@@ -265,7 +269,7 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]
         notes.append(f"{name}: {EMPTY} of {len(none)}.")
         return None
     given = _with_sd(name, given, notes)
-    keep = usable(name, t, value, file, notes)
+    keep = usable(name, t, value.T, file, notes)
     if name == "position":
         far = np.zeros(len(t), bool)
         far[keep] = missing.unreachable(t[keep], value[keep])

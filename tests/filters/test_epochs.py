@@ -10,7 +10,16 @@ from jaxnav.checkup import checkup
 from jaxnav.filters import gaps
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import padded
-from jaxnav.filters.epochs import bucket_size, cut_times, hide, outage_windows, pack, pad_to_bucket, stack_epochs
+from jaxnav.filters.epochs import (
+    bucket_size,
+    cut_imu,
+    cut_times,
+    hide,
+    outage_windows,
+    pack,
+    pad_to_bucket,
+    stack_epochs,
+)
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.run import run_jit
 from jaxnav.filters.standstill import constraint_samples, is_driving, mean_rate, stationary
@@ -61,6 +70,21 @@ def test_every_piece_of_the_stream_is_kept(stride):
         assert (dt[e, : i + 1] > 0).all() and not dt[e, i + 1 :].any()
         np.testing.assert_array_equal(gyro[e, i:], np.broadcast_to(gyro[e, i], gyro[e, i:].shape))
         np.testing.assert_array_equal(accel[e, i:], np.broadcast_to(accel[e, i], accel[e, i:].shape))
+
+
+@pytest.mark.parametrize("block", [1, 3])
+def test_a_long_stream_is_cut_in_blocks(block, monkeypatch):
+    """Holes, split samples and fixes on a sample at the seams: the same numbers as in one piece."""
+    rng = np.random.default_rng(block)
+    dt = np.where(rng.random(400) < 0.05, 0.17, 0.01)
+    t = np.cumsum(dt)
+    imu = ImuLog(t, np.minimum(dt, 0.011), rng.normal(size=(400, 3)), rng.normal(size=(400, 3)))
+    cuts = np.unique([*rng.uniform(0.05, t[-1], 40), *rng.choice(t[10:], 20), t[-1] - 0.5 * TICK])
+    whole = cut_imu(imu, 0.02, cuts)
+    monkeypatch.setattr("jaxnav.filters.epochs.BLOCK", block)
+    for part, one in zip(cut_imu(imu, 0.02, cuts), whole, strict=True):
+        np.testing.assert_array_equal(part, one)
+    np.testing.assert_allclose(whole[0].sum(1), np.diff(cuts, prepend=0.02), atol=2 * TICK)
 
 
 def test_fixes_stand_at_the_end_of_their_epoch():

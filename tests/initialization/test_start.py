@@ -5,13 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxnav.filters import run as run_module
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import track
-from jaxnav.initialization.bank import heading_bank, with_headings
+from jaxnav.initialization.bank import choose, heading_bank, with_headings
 from jaxnav.initialization.initialize import coarse_leveling, course
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
+from jaxnav.navigation import execute
 from jaxnav.types import DataError, ImuLog, Samples
 from tests.conftest import GRADE
 
@@ -76,6 +78,28 @@ def test_heading_bank_picks_the_true_heading(case):
     assert bank.probability.sum() == pytest.approx(1.0) and bank.probability[3] > 0.9
     end = np.asarray(track(jax.tree.map(lambda a: a[:, -1], bank.info.nav)).rph[:, 2])
     assert abs(np.remainder(end[3] - case.truth.rph[300, 2] + np.pi, 2 * np.pi) - np.pi) < 1.5 * DEG
+
+
+def test_headings_of_a_long_run_are_given_up_when_they_are_lost(case, monkeypatch):
+    """The choice of the whole bank by chunks; runs that are lost end, the one that wins is the bank's."""
+    monkeypatch.setattr("jaxnav.filters.run.CHUNK", 5)
+    monkeypatch.setattr("jaxnav.navigation.CHUNK", 5)
+    epochs = jax.tree.map(lambda a: a[:15], case.packed.epochs)
+    headings = case.truth.rph[0, 2] + 0.2 + np.arange(8) * np.pi / 4 - 3 * np.pi / 4
+    params, filt = datasheet_params(GRADE, heading_sd=25 * DEG), build("kf9_simple")
+    navs = with_headings(case.nav, headings)
+    navs = navs._replace(vel=navs.vel.at[1].set(1e200))  # a run that fails
+    bank = jax.jit(heading_bank, static_argnums=0)(filt, params, navs, epochs)
+    best, probability = choose(filt, params, navs, epochs)
+    assert best == 3 and probability == pytest.approx(float(bank.probability[3]), abs=1e-9)
+    counts, one = [], run_module.in_chunks
+    count = lambda *args: (counts.append(info.ok.size) or info for info in one(*args))
+    monkeypatch.setattr("jaxnav.initialization.bank.in_chunks", count)
+    choose(filt, params, navs, epochs)
+    assert 8 * 5 <= sum(counts) < 8 * 15
+    info, about = execute(filt, params, navs, epochs)
+    assert about.best == 3 and info.ok.shape == (15,)
+    np.testing.assert_allclose(info.P, bank.info.P[3], rtol=1e-6, atol=1e-12)
 
 
 def test_a_hypothesis_that_fails_is_none(case):

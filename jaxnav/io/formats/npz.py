@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnav.io.files import MAX_BYTES, FilePath, atomic_write, read_bytes
+from jaxnav.io.files import MAX_BYTES, FilePath, atomic_write, open_bytes
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 
 
@@ -50,9 +50,8 @@ def write_npz(path: FilePath, rec: Recording) -> None:
 
 
 def _arrays(file: str) -> dict[str, np.ndarray]:
-    data = read_bytes(file)
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        with open_bytes(file) as stream, zipfile.ZipFile(stream) as archive:
             total = sum(member.file_size for member in archive.infolist())
             if total > MAX_BYTES:
                 raise DataError(f"{file}: unpacks to {total} bytes, expected at most {MAX_BYTES}")
@@ -80,7 +79,7 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, file: str) -> np.n
     with archive.open(member) as stream:
         array = np.lib.format.read_array(stream, allow_pickle=False)
     # one byte order and one precision from here on
-    return array.astype(np.float64) if dtype.kind == "f" else array
+    return array.astype(np.float64, copy=False) if dtype.kind == "f" else array
 
 
 def _group(arrays: dict[str, np.ndarray], group: str, fields: tuple[str, ...], file: str) -> list[np.ndarray]:

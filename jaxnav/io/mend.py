@@ -123,7 +123,10 @@ def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[str]) -> Imu
     columns = (*rows.gyro.T, *rows.accel.T)
     keep = usable("imu", rows.t, columns, parts.file, notes, parts.lines)
     keep &= _one_piece(rows.t, keep, notes)
-    t, gyro, accel, stated = (a if a is None or keep.all() else a[keep] for a in (rows.t, *rows[1:3], rows.dt))
+    if not keep.all():
+        stated = None if rows.dt is None else rows.dt[keep]
+        rows = rows._replace(t=rows.t[keep], gyro=rows.gyro[keep], accel=rows.accel[keep], dt=stated)
+    t, gyro, accel, stated = rows.t, rows.gyro, rows.accel, rows.dt
     if len(t) < 3:
         raise DataError(f"{parts.file}: imu: expected three rows or more, got {len(t)}")
     if rows.repair:

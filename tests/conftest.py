@@ -19,8 +19,15 @@ with warnings.catch_warnings():  # the compiler warns of the oracle's escape seq
 
 from jaxnav.analysis import progress  # noqa: E402
 from jaxnav.app.cli import COLLECT  # noqa: E402
+from jaxnav.filters import programs  # noqa: E402
 from jaxnav.filters.compiler import clear_caches_if_needed, enable_x64, fast_compiler  # noqa: E402
 
+# a program of a test runs once or twice: passes of XLA that take long and make it faster are left out
+SLOW_PASSES = (
+    "simplify-while-loops", "while-loop-invariant-code-motion", "while-loop-constant-sinking", "reshape-mover",
+    "simplify-conditional", "tree_reduction_rewriter",
+)  # fmt: skip
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_disable_hlo_passes={','.join(SLOW_PASSES)}".strip()
 fast_compiler()
 enable_x64()
 gc.set_threshold(COLLECT)
@@ -40,9 +47,10 @@ GRADE = Grade(2e-4, 2e-3, 1e-3, 2e-2, 1e-4, 2e-3, 100.0, "made up for tests: a g
 
 
 def pytest_runtest_teardown(item, nextitem) -> None:
-    """Between modules, drop the compiled functions of a process that has collected many: two workers share a laptop."""
+    """Between modules, keep nothing on disk, and drop compiled functions of a process that has collected many."""
     if nextitem is None or nextitem.path != item.path:
-        clear_caches_if_needed(maps=8_000, resident=1.3 * 2**30)
+        programs.keep_in(None)
+        clear_caches_if_needed(resident=2.0 * 2**30)  # two workers share a laptop
 
 
 class Case(NamedTuple):

@@ -68,6 +68,14 @@ def test_a_program_gives_what_jit_gives(home):
     assert len(files(home)) == 4
 
 
+def test_one_that_runs_once_is_kept_as_well(home):
+    """Its options of the compiler are those of the outermost program, with a file and without."""
+    call = programs.stored(doubled, static_argnums=(0,), once=True)
+    assert [float(call(2.0, x)) for x in (2.0, 2.5)] == [4.0, 5.0] and len(files(home)) == 1
+    programs.keep_in(None)
+    assert float(call(2.0, 3.0)) == 6.0
+
+
 def test_under_a_transformation_it_is_jit(home):
     call = programs.stored(doubled, static_argnums=(0,))
     assert jax.grad(partial(call, 3.0))(2.0) == 3.0

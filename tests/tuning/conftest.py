@@ -26,7 +26,7 @@ def rec():
 
 @pytest.fixture(scope="module")
 def ekf():
-    return build("ekf15", cov_stride=5)
+    return build("ekf15", cov_stride=5, history=9)  # what `tune` takes for this recording: one program for both
 
 
 @pytest.fixture(scope="module")

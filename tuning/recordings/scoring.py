@@ -105,6 +105,7 @@ def maximise(
         raise ValueError("the likelihood of the starting parameters is not finite")
     search = start(raw, first)
     try:
+        report(0, search)  # the start
         for i in range(1, most):
             if converged(search, tolerance):
                 break

@@ -73,7 +73,7 @@ def stored(function: Callable[..., Any], static_argnums: Sequence[int] = (), onc
         once: it runs once, so that half of the compilation is worth more than half of the run.
     """
     static, options = frozenset(static_argnums), UNOPTIMIZED if once else None
-    plain = jax.jit(function, static_argnums=tuple(static))
+    plain = jax.jit(function, static_argnums=tuple(static))  # within another: options are the outermost's
     jitted = plain if options is None else jax.jit(function, static_argnums=tuple(static), compiler_options=options)
     programs: dict[Any, Program | None] = {}
     _LOADED.append(programs)
@@ -86,7 +86,9 @@ def stored(function: Callable[..., Any], static_argnums: Sequence[int] = (), onc
             return jitted(*args, **kwargs)
         key = *(args[i] for i in sorted(static) if i < len(args)), tree, tuple(map(_kind, leaves))
         if key not in programs:
-            whole = lambda moving, kwargs: plain(*_merged(args, moving, static), **kwargs)  # options are the outermost's
+            whole = lambda moving, kwargs: plain(
+                *_merged(args, moving, static), **kwargs
+            )  # options are the outermost's
             programs[key] = _program(_Home.folder, function, key, whole, leaves, options)
         program = programs[key]
         if program is None:

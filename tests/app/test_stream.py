@@ -55,7 +55,7 @@ def test_what_never_moves_has_no_start():
 def test_events_come_at_their_own_pace():
     events = [Event(0.0, "imu", ()), Event(0.3, "imu", ()), Event(0.6, "imu", ())]
     begin = time.monotonic()
-    assert list(paced(events, 3.0)) == events and 0.19 < time.monotonic() - begin < 0.6
+    assert list(paced(iter(events), 3.0)) == events and 0.19 < time.monotonic() - begin < 0.6
     bad: list[str] = []
     good = list(parsed(io.StringIO("velocity,1,1,2,3,.1,.1,.1\nvelocity,1,1\nimu,x,1,2,3,4,5,6\n\n"), bad))
     assert good == [Event(1.0, "velocity", (1.0, 2.0, 3.0, 0.1, 0.1, 0.1))] and len(bad) == 2

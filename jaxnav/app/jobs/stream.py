@@ -1,7 +1,9 @@
 """`jaxnav stream`: the solution as data arrive, from standard input or from a recording in real time."""
 
+import heapq
 import sys
 import time
+from collections import deque
 from collections.abc import Iterator
 from typing import IO, Any, NamedTuple
 
@@ -19,6 +21,7 @@ from jaxnav.stream import Now, Stream
 from jaxnav.types import DataError, ImuLog, Params, Recording, Samples
 
 RETRY_INTERVAL_S = 1.0  # s of data between two tries to start
+TIMED = 100_000  # last samples whose times are reported
 MEMORY_S = 120.0  # s of data that initialization may use
 SURE_HEADING_SD, MAX_WAIT_S = 10.0 * DEG, 60.0  # sd of a sure heading; s after which another is taken, too
 
@@ -94,7 +97,8 @@ def stream(
     else:
         arm, events = np.zeros(3), parsed(lines, bad)
     waiting, live, due = Waiting(config, arm), None, -np.inf
-    taken, begin, rows = [], time.perf_counter(), 0
+    taken: deque[float] = deque(maxlen=TIMED)
+    begin, rows = time.perf_counter(), 0
     for event in events:
         if live is None:
             found = waiting.add(event)
@@ -152,20 +156,24 @@ def feed(live: Stream, event: Event) -> None:
         live.refused[f"{event.name}: the filter takes none"] += 1
 
 
-def played(rec: Recording) -> list[Event]:
+def played(rec: Recording) -> Iterator[Event]:
     """Return a recording's samples and fixes in the order of their times."""
     imu = rec.imu
-    events = [Event(float(t), "imu", (*g, *a)) for t, g, a in zip(imu.t, imu.gyro.tolist(), imu.accel.tolist())]
-    for name, s in rec.aiding.items():
-        if name in MEASUREMENTS:
-            events += [Event(float(t), name, (*v, *d)) for t, v, d in zip(s.t, s.value.tolist(), s.sd.tolist())]
-    return sorted(events, key=lambda e: (e.t, e.name))
+    streams = [_events("imu", imu.t, imu.gyro, imu.accel)]
+    streams += [_events(name, s.t, s.value, s.sd) for name, s in rec.aiding.items() if name in MEASUREMENTS]
+    return heapq.merge(*streams, key=lambda e: (e.t, e.name))
 
 
-def paced(events: list[Event], speed: float) -> Iterator[Event]:
+def _events(name: str, t: np.ndarray, *values: np.ndarray) -> Iterator[Event]:
+    for i in range(t.size):
+        yield Event(float(t[i]), name, tuple(x for a in values for x in a[i].tolist()))
+
+
+def paced(events: Iterator[Event], speed: float) -> Iterator[Event]:
     """Each at its time, so many times faster; 0: at once."""
-    begin, first = time.monotonic(), events[0].t if events else 0.0
+    begin, first = time.monotonic(), None
     for event in events:
+        first = event.t if first is None else first
         if speed > 0:
             time.sleep(max(0.0, (event.t - first) / speed - (time.monotonic() - begin)))
         yield event

@@ -22,7 +22,7 @@ from jaxnav.filters.run import run
 from jaxnav.maths import linalg
 from jaxnav.states.motion import MOTION
 from jaxnav.states.table import chosen
-from jaxnav.types import Epoch, Finding, Info, Nav, Params, StateParams
+from jaxnav.types import DataError, Epoch, Finding, Info, Nav, Params, StateParams
 
 MAX_STATE_SIGMAS = 3.5  # sd that a state may go from where it started without a sentence
 UNOBSERVED_SD_RATIO = 0.9  # of the prior sd: the posterior of a nearly unobserved state
@@ -67,13 +67,13 @@ def observability(
     The names are of local level; in another frame its first, second and third axis stand for east, north and up.
 
     Raises:
-        ValueError: data shorter than a window.
+        DataError: data shorter than a window.
     """
-    Phi, information = map(np.asarray, _seen(filt, params, nav, epochs))
-    sd = np.sqrt(np.diag(np.asarray(filt.model.covariance(params, filt.model.enter(nav)))))
     edges = np.searchsorted(t, np.arange(t[0], t[-1] + 1e-6, window))
     if edges.size < 2:
-        raise ValueError(f"data of {t[-1] - t[0]:.0f} s hold no window of {window:g} s")
+        raise DataError(f"data of {t[-1] - t[0]:.0f} s hold no window of {window:g} s")
+    Phi, information = map(np.asarray, _seen(filt, params, nav, epochs))
+    sd = np.sqrt(np.diag(np.asarray(filt.model.covariance(params, filt.model.enter(nav)))))
     left, rank, condition = [], [], []
     for first, last in zip(edges[:-1], edges[1:], strict=True):
         since, G = np.eye(sd.size), np.zeros((sd.size, sd.size))

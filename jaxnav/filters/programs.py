@@ -86,9 +86,7 @@ def stored(function: Callable[..., Any], static_argnums: Sequence[int] = (), onc
             return jitted(*args, **kwargs)
         key = *(args[i] for i in sorted(static) if i < len(args)), tree, tuple(map(_kind, leaves))
         if key not in programs:
-            whole = lambda moving, kwargs: plain(
-                *_merged(args, moving, static), **kwargs
-            )  # options are the outermost's
+            whole = lambda moving, kwargs: plain(*_merged(args, moving, static), **kwargs)
             programs[key] = _program(_Home.folder, function, key, whole, leaves, options)
         program = programs[key]
         if program is None:

@@ -15,6 +15,7 @@ from jaxnav.analysis.observability import Observability, observability_findings
 from jaxnav.app.jobs.check import shown
 from jaxnav.app.jobs.mc import findings_of
 from jaxnav.checkup import CHECKS, checkup
+from jaxnav.filters import programs
 from jaxnav.filters.catalogue import Filter
 from jaxnav.maths.units import DEG
 from jaxnav.simulate.scenarios import SCENARIOS
@@ -118,6 +119,9 @@ def test_states_that_few_or_no_windows_observe(tmp_path, drive):
     assert found["observability.never"] == "gyro_bias z" and found["observability.seldom"] == "gyro_bias y (1)"
     (tmp_path / "config.toml").write_text("[filter]\nname = 'none'\n")
     assert codes(shown(tmp_path / "config.toml", drive)) == {"observability.unknown"}
+    (tmp_path / "config.toml").write_text("[filter]\nname = 'ekf9'\n")
+    programs.keep_in(tmp_path / "programs")  # as the command line does
+    assert "observability.unknown" not in codes(shown(tmp_path / "config.toml", drive))
 
 
 def test_monte_carlo_names_divergence_and_consistency():

@@ -65,11 +65,12 @@ def shown(file: Path, rec: Recording) -> list[Finding]:
         packed = pack_recording(rec, measurements, begin.t, stop=config.data.stop, standing=standing_of(config))
         history = history_for(params, 1 / float(np.median(rec.imu.dt)), np.ptp(rec.imu.t))
         filt = filter_of(config, measurements, history)
-    except (ConfigError, DataError, ValueError) as error:
+        cut = lambda a: a[:MAX_EPOCHS]
+        first, epochs = jax.tree.map(lambda a: a[0], begin.navs), jax.tree.map(cut, packed.epochs)
+        seen = observability(filt, params, first, epochs, cut(packed.t), WINDOW_S)
+    except (ConfigError, DataError) as error:
         return [finding("observability.unknown", why=str(error))]
-    cut = lambda a: a[:MAX_EPOCHS]
-    first, epochs = jax.tree.map(lambda a: a[0], begin.navs), jax.tree.map(cut, packed.epochs)
-    return observability_findings(observability(filt, params, first, epochs, cut(packed.t), WINDOW_S), WINDOW_S)
+    return observability_findings(seen, WINDOW_S)
 
 
 def convert(config: Config, folder: Path) -> Outcome:

@@ -24,6 +24,7 @@ from jax import lax
 from jaxnav.filters import epochs as ep
 from jaxnav.filters import gaps
 from jaxnav.filters.core import Filter, FilterState
+from jaxnav.filters.cutting import cut_imu
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import history_for
 from jaxnav.filters.run import require_params, require_x64
@@ -311,7 +312,7 @@ class Stream:
             return _nothing(self.usual)
         table = np.array(rows)
         log = ImuLog(table[:, 0], table[:, 1], table[:, 2:5], table[:, 5:8])
-        dt, gyro, accel = (a[0] for a in ep.cut_imu(log, begin, np.array([end])))
+        dt, gyro, accel = (a[0] for a in cut_imu(log, begin, np.array([end])))
         more = -dt.size % self.usual
         hold = lambda a: np.concatenate([a, np.repeat(a[-1:], more, 0)])
         samples: Any = (np.concatenate([dt, np.zeros(more)]), hold(gyro), hold(accel))

@@ -10,9 +10,9 @@ from jaxnav.checkup import checkup
 from jaxnav.filters import gaps
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import padded
+from jaxnav.filters.cutting import cut_imu
 from jaxnav.filters.epochs import (
     bucket_size,
-    cut_imu,
     cut_times,
     hide,
     outage_windows,
@@ -81,7 +81,7 @@ def test_a_long_stream_is_cut_in_blocks(block, monkeypatch):
     imu = ImuLog(t, np.minimum(dt, 0.011), rng.normal(size=(400, 3)), rng.normal(size=(400, 3)))
     cuts = np.unique([*rng.uniform(0.05, t[-1], 40), *rng.choice(t[10:], 20), t[-1] - 0.5 * TICK])
     whole = cut_imu(imu, 0.02, cuts)
-    monkeypatch.setattr("jaxnav.filters.epochs.BLOCK", block)
+    monkeypatch.setattr("jaxnav.filters.cutting.BLOCK", block)
     for part, one in zip(cut_imu(imu, 0.02, cuts), whole, strict=True):
         np.testing.assert_array_equal(part, one)
     np.testing.assert_allclose(whole[0].sum(1), np.diff(cuts, prepend=0.02), atol=2 * TICK)

@@ -50,7 +50,7 @@ def pytest_runtest_teardown(item, nextitem) -> None:
     """Between modules, keep nothing on disk, and drop compiled functions of a process that has collected many."""
     if nextitem is None or nextitem.path != item.path:
         programs.keep_in(None)
-        clear_caches_if_needed(resident=2.0 * 2**30)  # two workers share a laptop
+        clear_caches_if_needed(resident=1.6 * 2**30)  # two workers share a laptop
 
 
 class Case(NamedTuple):

@@ -254,17 +254,7 @@ _resume = stored(resume, (0,))
 
 
 def in_chunks(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Iterator[Info]:
-    """Yield the run of `CHUNK` epochs after the other, by one program: (CHUNK, ...) each, the last one padded.
-
-    Args:
-        filt: the filter.
-        params: its parameters.
-        nav: navigation at the start, local level.
-        epochs: fields (E, ...) on the host.
-
-    Raises:
-        DataError, ValueError: as `run`.
-    """
+    """Yield the run of `run_in_chunks` by one program: (CHUNK, ...) each, the last one padded."""
     require_x64(params, nav, epochs)
     require_params(filt, params)
     require_shapes(filt, nav, epochs)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import logsumexp
+from scipy.special import softmax
 
 from jaxnav.filters.core import Filter
 from jaxnav.filters.programs import stored
@@ -94,7 +95,7 @@ def choose(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[int,
         score[score < score.max() + np.log(LOST)] = -np.inf
         running = [i for i in running if np.isfinite(score[i])] or running
     best = int(np.argmax(score))
-    return best, 1.0 / float(np.exp(score - score[best]).sum()) if np.isfinite(score[best]) else 1.0 / starts
+    return best, float(softmax(score)[best]) if np.isfinite(score[best]) else 1.0 / starts
 
 
 @stored

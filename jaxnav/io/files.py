@@ -2,6 +2,8 @@
 
 import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -38,13 +40,15 @@ def place(source: Source, row: int, stream: str = "") -> str:
     return f"{source.file}: {stream} row {row}" if stream else f"{source.file}: row {row}"
 
 
-def open_bytes(path: FilePath) -> IO[bytes]:
+@contextmanager
+def open_bytes(path: FilePath) -> Iterator[IO[bytes]]:
     """Open a file; DataError where it is absent, unreadable, a folder or too large."""
     try:
         size = os.stat(path).st_size
         if size > MAX_BYTES:
             raise DataError(f"{os.fspath(path)}: {size} bytes, expected at most {MAX_BYTES}")
-        return open(path, "rb")
+        with open(path, "rb") as stream:
+            yield stream
     except OSError as error:
         raise DataError(f"{os.fspath(path)}: cannot be read: {error.strerror or error}") from error
 
@@ -52,10 +56,7 @@ def open_bytes(path: FilePath) -> IO[bytes]:
 def read_bytes(path: FilePath) -> bytes:
     """Read a file; DataError as `open_bytes`."""
     with open_bytes(path) as stream:
-        try:
-            return stream.read()
-        except OSError as error:
-            raise DataError(f"{os.fspath(path)}: cannot be read: {error.strerror or error}") from error
+        return stream.read()
 
 
 def read_lines(path: FilePath, notes: list[str] | None = None) -> list[tuple[int, str]]:

@@ -11,15 +11,7 @@ from jaxnav.filters import gaps
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import padded
 from jaxnav.filters.cutting import cut_imu
-from jaxnav.filters.epochs import (
-    bucket_size,
-    cut_times,
-    hide,
-    outage_windows,
-    pack,
-    pad_to_bucket,
-    stack_epochs,
-)
+from jaxnav.filters.epochs import bucket_size, cut_times, hide, outage_windows, pack, pad_to_bucket, stack_epochs
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.run import run_jit
 from jaxnav.filters.standstill import constraint_samples, is_driving, mean_rate, stationary

@@ -15,6 +15,7 @@ def test_a_search_that_was_killed_goes_on_from_its_best_and_a_finished_one_is_no
     stored = checkpoint.load(tmp_path / "tuned.npz", mine.flat, "job")
     np.testing.assert_array_equal(stored.tree, whole)
     assert stored.head["status"] == status.value == "converged"
+    assert "evaluation 0" in said[1]  # the start
 
     def kill(line):
         if "evaluation 1" in line:

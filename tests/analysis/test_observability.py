@@ -11,7 +11,7 @@ from jaxnav.filters.epochs import pack
 from jaxnav.filters.parameters import put
 from jaxnav.filters.run import initial_nav, run_jit
 from jaxnav.states.table import zeros
-from jaxnav.types import ImuLog, Info, Samples, StateParams
+from jaxnav.types import DataError, ImuLog, Info, Samples, StateParams
 
 FILTER = build("ekf15", cov_stride=5)
 
@@ -94,7 +94,7 @@ def test_a_drive_shows_its_heading(case):
     found = obs.observability(FILTER, case.params, case.nav, case.packed.epochs, case.packed.t, 20.0)
     left = dict(zip(found.names, found.left.min(0), strict=True))
     assert left["attitude up"] < 0.5 and found.rank.max() >= 12 and (found.condition > 1).all()
-    with pytest.raises(ValueError, match="hold no window of 100 s"):
+    with pytest.raises(DataError, match="hold no window of 100 s"):
         obs.observability(FILTER, case.params, case.nav, case.packed.epochs, case.packed.t, 100.0)
 
 

@@ -24,6 +24,7 @@ class Vehicle(NamedTuple):
     current: float = 0.0  # m/s, sd of a constant horizontal velocity on top
     straight: float = 0.0  # share of the time without a turn
     circle: float = 0.0  # rad/s, mean rate of turn
+    sideways: float = 0.0  # rate of the crab angle over that of the heading
 
 
 VEHICLES = {
@@ -43,6 +44,8 @@ MOTIONS = tuple(VEHICLES)
 VEHICLES |= {
     "coach": Vehicle(0.25, (9.0, 7.0), 0.2, (20.0, 40.0), straight=0.8),
     "thermal": Vehicle(0.1, (28.0, 3.0), 2.0, (15.0, 40.0), True, circle=0.3),
+    "steep": Vehicle(0.25, (30.0, 3.0), 2.0, (15.0, 40.0), True, circle=0.4),  # banks by 50 deg
+    "quadrotor": Vehicle(0.3, (5.0, 3.0), 1.0, (6.0, 20.0), sway=0.1, circle=0.2, sideways=1.0),
     "table": Vehicle(0.0, (0.0, 0.0), 0.0, sway=0.0),
 }
 
@@ -74,7 +77,7 @@ def motion(
     rate = np.gradient(heading, t)
     roll = np.arctan(speed * rate / 9.8) if own.banked else own.sway * wave(3, 12) * go
     pitch = np.arcsin(np.clip(climb / np.maximum(speed, 5.0), -0.5, 0.5)) + own.sway * wave(3, 12) * go
-    crab = own.crab * wave(10, 30) if own.crab else 0.0
+    crab = own.crab * wave(10, 30) if own.crab else own.sideways * (heading - first)
     drift = own.current * rng.normal(size=2) if own.current else np.zeros(2)
     vel = np.stack([speed * np.cos(heading + crab) + drift[0], speed * np.sin(heading + crab) + drift[1], -climb], 1)
     return vel, np.stack([roll, pitch, heading], 1)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from jaxnav.checkup.alternatives import Best, Change, aligned, best, changed, changes, source, thinned
+from jaxnav.checkup.alternatives import SCALES, Best, Change, aligned, best, changed, changes, source, thinned
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import level_velocity
 from jaxnav.initialization.alignment import Alignment
@@ -26,6 +26,8 @@ MAX_GYRO_BIAS, MAX_ACCEL_BIAS = 2 * DEG, 0.5  # rad/s, m/s^2: more is no bias of
 STATED_SD_DOF = 6  # degrees of freedom that the stated sd of delays are worth against their scatter
 DRIFT_FALSE_ALARM = 5e-4  # of a drift of the clock that is none
 MAX_CHI2_PER_DOF = 8.0  # chi^2 per degree of freedom
+MIN_SCALE_GAIN = 0.2  # of log chi^2, the median of the windows, from which on another scale of gyro z fits better
+MAX_HEADING_SD = 20 * DEG  # of an alignment that counts
 MAX_WINDOWS = 6
 MAX_SAMPLE_INTERVAL_S = 0.1  # s between samples, beyond which their means say too little of the motion
 
@@ -118,7 +120,11 @@ def lags_of(rec: Recording) -> list[tuple[float, int]]:
 
 
 def turns(rec: Recording) -> list[Finding]:
-    """Correlation of the course's rate with the gyros, read within a second of it."""
+    """Correlation of the course's rate with the gyros, read within a second of it.
+
+    A vehicle that banks turns about its y axis as well, and one that flies sideways turns its course alone: gyro z is
+    at fault only where the alignments fit better with its scale changed.
+    """
     x = turns_of(rec)
     if x is None:
         return []
@@ -128,9 +134,24 @@ def turns(rec: Recording) -> list[Finding]:
     slope = float((x.weight * x.course * x.gyro[:, 2]).sum() / (x.weight * x.course**2).sum())
     vector = ", ".join(f"{name} {c:+.2f}" for name, c in zip("xyz", near, strict=True))
     size = abs(slope) / max(near[2] ** 2, 1e-6)  # noise of the course makes the slope that much smaller
-    if abs(near[2]) > SCALE_CORRELATION and not 0.6 < size < 1.6:
+    if abs(near[2]) > SCALE_CORRELATION and not 0.6 < size < 1.6 and _scaled_fits_better(rec, size):
         return [finding("gyro.turns", "gyro z", size, vector=vector)]
     return [finding("gyro", value=slope, vector=vector)]
+
+
+def _scaled_fits_better(rec: Recording, size: float) -> bool:
+    """Return whether alignments speak for another scale of gyro z, such as 1 / ``size``; True where there is none."""
+    v = level_velocity(rec.aiding)
+    if v is None or "position" not in rec.aiding:
+        return True
+    plain = thinned(rec)
+    known = [(w, a) for w, a in alignments(plain, v) if a.sd[2] < MAX_HEADING_SD]
+
+    def gain(scale: float) -> float:
+        other = changed(plain, Change("gyro.turns", "gyro z", "", gyro=np.diag([1.0, 1.0, scale])))
+        return float(np.median([np.log(a.chi2 / b.chi2) for w, a in known if (b := aligned(other, w)) is not None]))
+
+    return not known or max(map(gain, (1 / max(size, 1e-3), *SCALES))) > MIN_SCALE_GAIN
 
 
 # ---------------------------------------------------------------------------- by alignment
@@ -196,7 +217,7 @@ def together(rec: Recording) -> list[Finding]:
         found.append(named(mixed))
         rec = changed(rec, mixed.change)
         each = alignments(rec, level_velocity(rec.aiding) or v)
-    moving = [(w, a) for w, a in each if a.sd[2] < 20 * DEG]
+    moving = [(w, a) for w, a in each if a.sd[2] < MAX_HEADING_SD]
     if not moving:
         return found or ([finding("motion.little")] if each else [])
     chi2, count = float(np.median([a.chi2 for _, a in moving])), len(moving)

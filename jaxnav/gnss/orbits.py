@@ -5,10 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxnav.maths.earth import RATE
 from jaxnav.measurements.satellites import CONSTELLATION, CONSTELLATIONS
 
 MU = {"G": 3.986005e14, "J": 3.986005e14, "E": 3.986004418e14, "C": 3.986004418e14}  # m^3/s^2
+EARTH_RATE = {"G": 7.2921151467e-5, "J": 7.2921151467e-5, "E": 7.2921151467e-5, "C": 7.292115e-5}
+"""rad/s, the Earth's rate that the elements are made for: IS-GPS-200N table 20-IV, IS-QZSS-PNT-005, Galileo OS SIS ICD
+table 67, BDS-SIS-ICD-B1I-3.0. That of WGS 84 for GPS turns the satellites by 14 m at the end of a week."""
 RELATIVITY = -4.442807633e-10  # s/sqrt(m), times e sqrt(a) sin E
 VALID_S = {"G": 7200.0, "J": 7200.0, "E": 14_400.0, "C": 7200.0}  # s about toe
 GEO_TILT = math.radians(-5.0)
@@ -77,7 +79,7 @@ def state(eph: Ephemeris, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         t: (N,) s of emission, GPS since 1970.
     """
     systems = np.array([CONSTELLATIONS[int(n) // CONSTELLATION] for n in eph.satellite])
-    mu = np.array([MU[s] for s in systems])
+    mu, rate = (np.array([of[s] for s in systems]) for of in (MU, EARTH_RATE))
     tk, a = t - eph.toe, eph.sqrt_a**2
     M = eph.m0 + (np.sqrt(mu / a**3) + eph.delta_n) * tk
     E = M
@@ -91,8 +93,8 @@ def state(eph: Ephemeris, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     i = eph.i0 + eph.idot * tk + eph.cis * s2 + eph.cic * c2
     x, y = r * np.cos(u), r * np.sin(u)
     geo = _geostationary(eph.satellite, systems)
-    turn = eph.omega_dot - np.where(geo, 0.0, RATE)
-    node = eph.omega0 + turn * tk - RATE * eph.toe_of_week
+    turn = eph.omega_dot - np.where(geo, 0.0, rate)
+    node = eph.omega0 + turn * tk - rate * eph.toe_of_week
     position = np.stack([
         x * np.cos(node) - y * np.cos(i) * np.sin(node), x * np.sin(node) + y * np.cos(i) * np.cos(node), y * np.sin(i)
     ], -1)  # fmt: skip
@@ -113,7 +115,7 @@ def _from_tilted(position: np.ndarray, tk: np.ndarray) -> np.ndarray:
     """Return ECEF positions (N, 3) of geostationary satellites from the axes of their elements."""
     x, y, z = position.T
     y, z = y * math.cos(GEO_TILT) + z * math.sin(GEO_TILT), -y * math.sin(GEO_TILT) + z * math.cos(GEO_TILT)
-    return turned(np.stack([x, y, z], -1), RATE * tk)
+    return turned(np.stack([x, y, z], -1), EARTH_RATE["C"] * tk)
 
 
 def turned(position: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -209,6 +209,17 @@ def test_a_hovering_multirotor_has_no_wrong_sign(seconds):
     assert len(warned) <= 2
 
 
+@pytest.mark.parametrize("kind", ["steep", "quadrotor"])
+def test_a_banked_and_a_sideways_flight_have_right_gyros(kind):
+    """Their gyro z reads some 0.6 and 0.5 times the course's rate; with a wrong scale on top it is named."""
+    rec, _ = simulated(kind, "consumer", True, np.random.default_rng(3))
+    (said,) = CHECKS["turns"].answer(rec)
+    assert said.code == "gyro" and not 0.7 < said.value < 1.4
+    assert bad(rec, "turns", "together") <= {"time.late", "mounting.turned"}
+    wrong = rec._replace(imu=rec.imu._replace(gyro=rec.imu.gyro * [1.0, 1.0, 0.5]))
+    assert bad(wrong, "turns") == {"gyro.turns"}
+
+
 def test_turns_over_a_gap_between_fixes_do_not_count(car):
     """Interpolated over 11 s, velocities turn as nothing did."""
     v = car.aiding["velocity"]

@@ -218,6 +218,7 @@ class Info(NamedTuple):
     used: jax.Array  # (E, m) bool, those the rule accepted
     nis: jax.Array  # (E,) nu' S^-1 nu over the valid channels
     ok: jax.Array  # (E,) bool; False from the first epoch that was not finite on: the state is frozen there
+    log_det: jax.Array  # (E,) log |S|
 
 
 # ---------------------------------------------------------------------------- host: outputs of readers

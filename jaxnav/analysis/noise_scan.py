@@ -156,7 +156,7 @@ def _fit(
 
     def record(step: Step, along: None) -> tuple[jax.Array, jax.Array, jax.Array]:
         info = step.info
-        nll = student_nll(info.nis, info.valid.sum(), info.valid.size) + 0.5 * linalg.log_determinant(info.S)
+        nll = student_nll(info.nis, info.valid.sum(), info.valid.size) + 0.5 * info.log_det
         return jnp.where(info.ok, -nll, -jnp.inf), info.residual[:3], info.P[:3, :3]
 
     def one(epochs: Epoch, counted: jax.Array, hidden: jax.Array, factor: jax.Array) -> jax.Array:

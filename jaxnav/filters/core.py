@@ -20,6 +20,7 @@ from jaxnav.filters.error_model import ErrorModel
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.rule import Correction, Feedback, Innovation, Rule, Transition, only_if, select
 from jaxnav.maths import linalg
+from jaxnav.measurements.measurement import as_rows
 from jaxnav.states.motion import A, reset_covariance, reset_rows
 from jaxnav.states.table import BIASES, chosen, layout, zeros
 from jaxnav.strapdown.mechanization import Preintegrate, Propagate
@@ -143,9 +144,11 @@ def inflate_noise(noise: Noise, more: jax.Array) -> Noise:
 
 def shift(past: Nav, recent: Nav, n: jax.Array) -> Nav:
     """Return the last w of the samples ``past`` (w, ...) and n further ones, ``recent`` (w, ...) with their last w."""
-    i = n + jnp.arange(past.t.size)
-    old = jax.tree.map(lambda a: a[jnp.minimum(i, past.t.size - 1)], past)
-    return select(i < past.t.size, old, recent)
+    (old, _), (new, back), w = as_rows(past), as_rows(recent), past.t.size
+    i = n + jnp.arange(w)
+    stays, at = i < w, jnp.minimum(i, w - 1)
+    moved = jax.vmap(back)(jnp.where(stays[:, None], old[at], new))
+    return moved._replace(t=jnp.where(stays, past.t[at], recent.t))
 
 
 def with_auxiliary(past: Nav, values: Mapping[str, jax.Array]) -> Nav:
@@ -281,13 +284,14 @@ def make_filter(
         y, H, R = model.observe(params, state.past, fix, state.P if model.second_order else None)
         residual = y - H @ x
         y, H, R = masked(y, H, R, fix.valid)
-        z = Innovation(y - H @ x, H, R, state.P, fix.valid, state.T, age)
+        S = linalg.sandwich(H, state.P) + R
+        inverse, log_det = linalg.swept(S)
+        z = Innovation(y - H @ x, H, R, state.P, fix.valid, state.T, age, (H, R, state.P, inverse))
         c = rule.correct(params.rule, memory, z)
         _require_shapes(c, z)
         c = only_if(fix.valid.any(), c, z, memory)
         x = x + c.delta
-        S = linalg.sandwich(H, state.P) + R
-        nis = linalg.normalized(z.nu, S)
+        nis = linalg.normalized(z.nu, S, inverse)
         # how long an observer's drive may have to last: with two streams a short epoch can come before a long one
         until = jnp.maximum(state.T, jnp.max(jnp.where(c.used, age, 0.0)))
         feed = partial(feedback, params.feedback, model.retract)
@@ -311,7 +315,9 @@ def make_filter(
         )
         ok = state.ok & finite(new) & jnp.all(jnp.diag(c.P) >= 0)
         reported, x_enu, P_enu = model.report(model.retract(nav, x), x, reset_covariance(x[A], c.P))
-        return new._replace(ok=ok), Info(reported, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok), x
+        return new._replace(ok=ok), Info(
+            reported, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok, log_det
+        ), x  # fmt: skip
 
     def advance(params: Params, state: FilterState, epoch: Epoch) -> Step:
         noise = params.noise if epoch.gap is None else inflate_noise(params.noise, epoch.gap)
@@ -335,6 +341,7 @@ def make_filter(
             used=jnp.zeros_like(info.used),
             nis=jnp.zeros(()),
             ok=info.ok,
+            log_det=jnp.zeros(()),
         )
         return Step(state, predicted, moved, select(info.ok, new, frozen), select(info.ok, info, quiet), x_after)
 

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from jaxnav.types import Forcing, Nav
 
@@ -29,6 +30,13 @@ class Innovation(NamedTuple):
     valid: jax.Array  # (m,) bool
     T: jax.Array  # () s, length of this epoch
     age: jax.Array  # (m,) s since each channel was last used
+    swept: tuple[jax.Array, ...] = ()  # H, R and P, and the inverse of H P H' + R
+
+    @property
+    def inverse(self) -> jax.Array | None:
+        """Return the inverse of H P H' + R, (m, m); None where one of them has been replaced since it was swept."""
+        same = self.swept and all(a is b for a, b in zip((self.H, self.R, self.P), self.swept[:3], strict=True))
+        return self.swept[3] if same else None
 
 
 class Correction(NamedTuple):
@@ -87,7 +95,15 @@ class Rule(NamedTuple):
 
 def select(flag: jax.Array, a: Any, b: Any) -> Any:
     """Return ``a`` where the flag is true, else ``b``, leaf by leaf; its axes, if any, are the first of each leaf."""
-    return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(flag, range(flag.ndim, jnp.ndim(a))), a, b), a, b)
+
+    def leaf(a: Any, b: Any) -> jax.Array:
+        shape, dtype = jnp.broadcast_shapes(jnp.shape(a), jnp.shape(b)), jnp.result_type(a, b)
+        a, b = (jnp.broadcast_to(jnp.asarray(x, dtype), shape) for x in (a, b))
+        if flag.ndim == 0:
+            return lax.select(flag, a, b)  # one equation, with a flag of any size three
+        return jnp.where(jnp.expand_dims(flag, range(flag.ndim, a.ndim)), a, b)
+
+    return jax.tree.map(leaf, a, b)
 
 
 def only_if(flag: jax.Array, c: Correction, z: Innovation, memory: Any) -> Correction:

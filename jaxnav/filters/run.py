@@ -359,7 +359,7 @@ def negative_log_likelihood(info: Info) -> jax.Array:
     m = info.valid.sum()
     far = student_nll(info.nis, m, info.valid.shape[-1])
     near = 0.5 * (info.nis + m * jnp.log(2 * jnp.pi))
-    return jnp.where((info.valid & ~info.used).any(), far, near) + 0.5 * linalg.log_determinant(info.S)
+    return jnp.where((info.valid & ~info.used).any(), far, near) + 0.5 * info.log_det
 
 
 def gated_nll(info: Info, alone: np.ndarray) -> jax.Array:
@@ -370,7 +370,8 @@ def gated_nll(info: Info, alone: np.ndarray) -> jax.Array:
     out = info.valid & ~info.used & alone
     keep = info.valid & ~out
     nu, S = jnp.where(keep, info.nu, 0.0), jnp.where(keep[:, None] & keep, info.S, jnp.eye(keep.size))
-    rest = info._replace(nu=nu, S=S, valid=keep, nis=linalg.normalized(nu, S))
+    inverse, log_det = linalg.swept(S)
+    rest = info._replace(nu=nu, S=S, valid=keep, nis=linalg.normalized(nu, S, inverse), log_det=log_det)
     variance = jnp.diag(info.S)
     single = student_nll(info.nu**2 / variance, jnp.asarray(1), 1) + 0.5 * jnp.log(variance)
     return negative_log_likelihood(rest) + jnp.sum(jnp.where(out, single, 0.0))

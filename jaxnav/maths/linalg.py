@@ -1,6 +1,6 @@
 """The small linear algebra that every filter shares."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -56,6 +56,11 @@ def _square_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[ja
     return square(*primals), half + half.T
 
 
+def trace(M: jax.Array) -> jax.Array:
+    """Return the sum of the diagonal of M (n, n), ()."""
+    return jnp.sum(M * np.eye(M.shape[0]))
+
+
 UNROLLED = 12  # rows, above which a loop sweeps: the program of 28 unrolled ones compiles for minutes
 
 
@@ -70,9 +75,16 @@ def _sweep(k: jax.Array | int, S: jax.Array, log_det: jax.Array) -> tuple[jax.Ar
     return S, log_det + jnp.log(pivot)
 
 
+class Swept(NamedTuple):
+    """Inverse and determinant of a covariance S (m, m)."""
+
+    inverse: jax.Array  # (m, m) S^-1
+    log_det: jax.Array  # () log |S|
+
+
 @jax.custom_jvp
-def _swept(S: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """S^-1 (m, m) and log |S| () of a covariance, by sweeping one row after the other (Goodnight 1979).
+def swept(S: jax.Array) -> Swept:
+    """Sweep a covariance S (m, m), symmetric, one row after the other (Goodnight 1979); nan if not positive definite.
 
     In plain operations, which a batch does side by side. LAPACK's are run by as many threads as there are; two at the
     same time may wait for each other for ever on a machine of two processors (jaxlib 0.10).
@@ -83,24 +95,24 @@ def _swept(S: jax.Array) -> tuple[jax.Array, jax.Array]:
     else:
         for k in range(m):
             S, log_det = _sweep(k, S, log_det)
-    return -S, log_det
+    return Swept(-S, log_det)
 
 
-@_swept.defjvp
-def _swept_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+@swept.defjvp
+def _swept_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Swept, Swept]:
     (S,), (dS,) = primals, tangents
-    inv, log_det = _swept(S)
-    return (inv, log_det), (-_applied(inv, _with_rows(dS, inv)), jnp.sum(inv * dS))
+    inv, log_det = swept(S)
+    return Swept(inv, log_det), Swept(-_applied(inv, _with_rows(dS, inv)), jnp.sum(inv * dS))
 
 
 def inverse(S: jax.Array) -> jax.Array:
     """S^-1 of a covariance S (m, m), symmetric; nan where S is not positive definite."""
-    return _swept(S)[0]
+    return swept(S).inverse
 
 
 def log_determinant(S: jax.Array) -> jax.Array:
     """Logarithm of |S|, (), of a covariance S (m, m), symmetric; nan where S is not positive definite."""
-    return _swept(S)[1]
+    return swept(S).log_det
 
 
 def solve(S: jax.Array, b: jax.Array) -> jax.Array:
@@ -108,16 +120,23 @@ def solve(S: jax.Array, b: jax.Array) -> jax.Array:
     return inverse(S) @ b
 
 
+def normalized(v: jax.Array, S: jax.Array, inv: jax.Array | None = None) -> jax.Array:
+    """Return the square of v (m,) in units of its covariance S (m, m), v' S^-1 v, (): the NIS of an innovation.
+
+    ``inv``: S^-1, where S was `swept` already.
+    """
+    return _normalized(v, S, swept(S).inverse if inv is None else inv)
+
+
 @jax.custom_jvp
-def normalized(v: jax.Array, S: jax.Array) -> jax.Array:
-    """Return the square of v (m,) in units of its covariance S (m, m), v' S^-1 v, (): the NIS of an innovation."""
-    return v @ solve(S, v)
+def _normalized(v: jax.Array, S: jax.Array, inv: jax.Array) -> jax.Array:
+    return v @ inv @ v
 
 
-@normalized.defjvp
+@_normalized.defjvp  # inv moves with S: that is in the rule
 def _normalized_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
-    (v, S), (dv, dS) = primals, tangents
-    w = solve(S, v)
+    (v, _, inv), (dv, dS, _) = primals, tangents
+    w = inv @ v
     return v @ w, w @ (2 * dv - dS @ w)
 
 
@@ -126,27 +145,32 @@ def gain(P: jax.Array, H: jax.Array, S: jax.Array) -> jax.Array:
     return solve(S, H @ P).T
 
 
-@jax.custom_jvp
-def update(P: jax.Array, H: jax.Array, R: jax.Array) -> tuple[jax.Array, jax.Array]:
+def update(P: jax.Array, H: jax.Array, R: jax.Array, inv: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
     """Return the Kalman gain (n, m) and the covariance (n, n) after a correction with it, in Joseph form.
 
     Of the covariances P (n, n) and R (m, m), symmetric, and H (m, n); nan where H P H' + R is not positive definite.
+    ``inv``: the inverse of H P H' + R, where it was `swept` already.
     """
-    K = gain(P, H, sandwich(H, P) + R)
+    return _update(P, H, R, swept(sandwich(H, P) + R).inverse if inv is None else inv)
+
+
+@jax.custom_jvp
+def _update(P: jax.Array, H: jax.Array, R: jax.Array, inv: jax.Array) -> tuple[jax.Array, jax.Array]:
+    K = (inv @ (H @ P)).T
     return K, joseph(P, K, H, R)
 
 
-@update.defjvp
+@_update.defjvp  # inv moves with the others: that is in the rule
 def _update_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """In closed form: P after the correction does not change with the gain, which is the best one.
 
     Parellier, Barrau and Bonnabel (2023) walk back through the filter so; transposed, this is their step.
     """
-    (P, H, R), (dP, dH, dR) = primals, tangents
-    K, after = update(P, H, R)
+    (P, H, R, inv), (dP, dH, dR, _) = primals, tangents
+    K, after = _update(P, H, R, inv)
     A = jnp.eye(P.shape[0], dtype=P.dtype) - K @ H
     AdP, KdR, dHP = _applied(A, dP), _applied(K, dR), dH @ after
-    dK = _with_rows(_with_rows(AdP, H) - KdR + dHP.T, inverse(sandwich(H, P) + R)) - _applied(K, dH @ K)
+    dK = _with_rows(_with_rows(AdP, H) - KdR + dHP.T, inv) - _applied(K, dH @ K)
     half = 0.5 * (_with_rows(AdP, A) + _with_rows(KdR, K)) - _applied(K, dHP)
     return (K, after), (dK, half + half.T)
 

@@ -10,25 +10,43 @@ import numpy as np
 ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # NED -> ENU and back: equal to its inverse
 
 
+def _table(shape: tuple[int, ...], entries: str) -> np.ndarray:
+    """Return a constant array from its entries, such as "012+" for 1 at [0, 1, 2] and "012-" for -1."""
+    table = np.zeros(shape)
+    for entry in entries.split():
+        table[tuple(map(int, entry[:-1]))] = 1.0 if entry.endswith("+") else -1.0
+    return table
+
+
+# Products with constant tables: one equation of a compiled program where the components take twenty.
+SKEW = _table((3, 3, 3), "012- 021+ 102+ 120- 201- 210+").reshape(9, 3)
+"""[v x] by (row, column), component of v."""
+PRODUCT = _table(
+    (4, 4, 4), "000+ 011- 022- 033-  101+ 110+ 123+ 132-  202+ 220+ 231+ 213-  303+ 330+ 312+ 321-"
+).reshape(4, 16)
+"""Hamilton's product p q by component, (component of p, component of q)."""
+DCM = _table(
+    (3, 3, 4, 4),
+    "0000+ 0011+ 0022- 0033-  1100+ 1111- 1122+ 1133-  2200+ 2211- 2222- 2233+ "
+    "0112+ 0121+ 0103- 0130-  0213+ 0231+ 0202+ 0220+  1012+ 1021+ 1003+ 1030+ "
+    "1223+ 1232+ 1201- 1210-  2013+ 2031+ 2002- 2020-  2123+ 2132+ 2101+ 2110+",
+).reshape(9, 16)
+"""Direction cosines by (row, column), (component of q, component of q)."""
+
+
 def skew(v: jax.Array) -> jax.Array:
     """[v x], (3, 3): ``skew(a) @ b = a x b``."""
-    x, y, z = jnp.unstack(v)
-    zero = jnp.zeros_like(x)
-    return jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
+    return jnp.matmul(SKEW, v).reshape(3, 3)
+
+
+def axial(M: jax.Array) -> jax.Array:
+    """Return the mean of a x b, (3,), for vectors of mean product M = E[a b'] (3, 3)."""
+    return jnp.matmul(-SKEW.T, M.reshape(9))
 
 
 def multiply(p: jax.Array, q: jax.Array) -> jax.Array:
     """Quaternion product: first q, then p."""
-    a, b, c, d = jnp.unstack(p)
-    e, f, g, h = jnp.unstack(q)
-    return jnp.stack(
-        [
-            a * e - b * f - c * g - d * h,
-            a * f + b * e + c * h - d * g,
-            a * g - b * h + c * e + d * f,
-            a * h + b * g - c * f + d * e,
-        ]
-    )
+    return jnp.matmul(PRODUCT, jnp.outer(p, q).reshape(16))
 
 
 def conjugate(q: jax.Array) -> jax.Array:
@@ -64,14 +82,7 @@ def normalize(q: jax.Array) -> jax.Array:
 
 def to_dcm(q: jax.Array) -> jax.Array:
     """Return C_ab, (3, 3), of a unit quaternion q_ab: ``C_ab @ v_b = v_a``."""
-    w, x, y, z = jnp.unstack(q)
-    return jnp.stack(
-        [
-            jnp.stack([w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)]),
-            jnp.stack([2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)]),
-            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z]),
-        ]
-    )
+    return jnp.matmul(DCM, jnp.outer(q, q).reshape(16)).reshape(3, 3)
 
 
 def from_dcm(C: jax.Array) -> jax.Array:

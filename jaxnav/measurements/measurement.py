@@ -5,13 +5,16 @@ A filter is made with a tuple of these, and a `Fix` then carries their channels 
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
+from scipy.linalg import block_diag
 
 from jaxnav.maths import rotations
 from jaxnav.measurements import latency
@@ -120,40 +123,61 @@ def part_of(fix: Fix, name: str, place: slice) -> Fix:
     return Fix(fix.value[place], fix.sd[place], fix.corr[place], fix.valid[place], fix.auxiliary.get(name))
 
 
+def as_rows(past: Nav) -> tuple[jax.Array, Callable[[jax.Array], Nav]]:
+    """Return samples ``past`` (w, ...) as one array (w, k), and the function of a row (k,) to a sample.
+
+    Time, origin and auxiliary values are those of the last sample: they have no derivative, or are the same at all.
+    """
+    last = jax.tree.map(lambda leaf: leaf[-1], past)
+    moving = lambda nav: nav._replace(t=None, origin=None, auxiliary={})
+    back = ravel_pytree(moving(last))[1]
+    rows = jax.vmap(lambda nav: ravel_pytree(nav)[0])(moving(past))
+    return rows, lambda row: back(row)._replace(t=last.t, origin=last.origin, auxiliary=last.auxiliary)
+
+
 def at(past: Nav, t: jax.Array) -> Nav:
     """Return the navigation state at time ``t`` by linear interpolation between the samples of ``past`` (w, ...).
 
     Outside of them the nearest two are extended, but rate and specific force are held: they are noisy.
     """
-    w = past.t.shape[0]
+    rows, back = as_rows(past)
+    (w, k), times = rows.shape, past.t
     if w > 2:
-        i = jnp.clip(jnp.sum(past.t <= t) - 1, 0, w - 2)
-        past = jax.tree.map(lambda leaf: lax.dynamic_slice_in_dim(leaf, i, 2), past)
-    before, after = jax.tree.map(lambda leaf: leaf[0], past), jax.tree.map(lambda leaf: leaf[1], past)
-    gap = after.t - before.t
-    share = jnp.where(gap > 0, (t - before.t) / jnp.where(gap > 0, gap, 1.0), 1.0)
-    blend = lambda share, a, b: jax.tree.map(lambda a, b: a + share * (b - a), a, b)
-    rates = lambda nav: {"omega": nav.omega, "force": nav.force}
-    nav, held = blend(share, before, after), blend(jnp.clip(share, 0.0, 1.0), rates(before), rates(after))
-    return nav._replace(t=t, q=rotations.normalize(nav.q), **held)
+        i = jnp.clip(jnp.sum(times <= t) - 1, 0, w - 2)
+        rows, times = (lax.dynamic_slice_in_dim(a, i, 2) for a in (rows, times))
+    (before, after), (first, last) = rows, times
+    gap = last - first
+    share = jnp.where(gap > 0, (t - first) / jnp.where(gap > 0, gap, 1.0), 1.0)
+    held = np.isin(np.arange(k), np.arange(10, 16))  # rate and force, behind position, velocity and quaternion
+    nav = back(before + jnp.where(held, jnp.clip(share, 0.0, 1.0), share) * (after - before))
+    return nav._replace(t=t, q=rotations.normalize(nav.q))
 
 
-def covariance(root: jax.Array | float, sd: jax.Array, corr: jax.Array, valid: jax.Array) -> jax.Array:
-    """Return R = L D C D L' (s, s) of a fix with stated sd D and correlations C (`Fix`); ``root`` is L or its diagonal.
+def covariance(
+    roots: Sequence[jax.Array | float], sizes: Sequence[int], sd: jax.Array, corr: jax.Array, valid: jax.Array
+) -> jax.Array:
+    """Return R = L D C D L' (m, m) of a fix with stated sd D and correlations C (`Fix`).
 
     The correlation of two channels is dropped if one is missing. The sd of a missing channel means
     nothing, so with a full L its share in another channel is taken at that channel's sd: R of the present channels
     does not depend on those that are not.
+
+    Args:
+        roots: L of each measurement, (s, s), or its diagonal, () or (s,).
+        sizes: s of each measurement; correlations are of those with three channels.
+        sd: (m,) of all channels, side by side.
+        corr: (m,) likewise.
+        valid: (m,) bool, likewise.
     """
-    C = jnp.eye(sd.size)
-    if sd.size == 3:
-        i, j = np.arange(3), np.array([1, 2, 0])
-        c = jnp.where(valid & valid[j], corr, 0.0)
-        C = C.at[i, j].set(c).at[j, i].set(c)
-    if jnp.ndim(root) < 2:
-        sd = root * sd
+    cyclic = np.eye(3)[[1, 2, 0]]
+    following = block_diag(*(cyclic if s == 3 else np.zeros((s, s)) for s in sizes))
+    half = jnp.where(valid[:, None] & valid, following * corr[:, None], 0.0)
+    C = jnp.eye(sd.size) + half + half.T
+    if all(jnp.ndim(root) < 2 for root in roots):
+        sd = jnp.concatenate([jnp.broadcast_to(root, (s,)) for root, s in zip(roots, sizes, strict=True)]) * sd
         return C * (sd[:, None] * sd)
-    M = root * jnp.where(valid, sd, sd[:, None])
+    full = [root if jnp.ndim(root) == 2 else root * jnp.eye(s) for root, s in zip(roots, sizes, strict=True)]
+    M = jax.scipy.linalg.block_diag(*full) * jnp.where(valid, sd, sd[:, None])
     R = M @ C @ M.T
     return 0.5 * (R + R.T)
 
@@ -205,16 +229,16 @@ def stack(
         leave: navigation of the filter's frame -> local level; None in local level itself.
         enu_rows: (navigation, the same in local level) -> d(error in ENU) / d(error in the frame), (9, 9); likewise.
     """
-    slices = layout(measurements)
-    m = sum(each.size for each in measurements)
+    slices, sizes = layout(measurements), [each.size for each in measurements]
     rates = [s for s in states if s.rate_of in {other.name for other in states}]
     # of attitude and the optional states, the ones with an effect that turns with the attitude
     in_body = np.concatenate([np.ones(3), *(np.full(s.size, float(s.enters is not None)) for s in states)])
+    vectors = [each.name for each in measurements if each.receiver and each.size == 3]
 
     def observe(
         params: Params, past: Nav, fix: Fix, P: jax.Array | None = None
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        parts, now = [], jax.tree.map(lambda a: a[-1], past)
+        now = jax.tree.map(lambda a: a[-1], past)
         local_now = leave(now) if leave else now
         J = enu_rows(now, local_now) if enu_rows else None
         if J is not None and P is not None:
@@ -222,47 +246,49 @@ def stack(
             P = wide @ P @ wide.T
         offset = clock_offset(params.mounting, now)
         mounting = params.mounting._replace(time_offset=offset)
-        for each in measurements:
-            theta = params.measurements[each.name]
+
+        def then(age: jax.Array) -> tuple[Nav, Kinematics, jax.Array]:
+            """Return navigation before ``age`` s, the same in ENU, and d(error then) / d(error now)."""
+            nav = at(past, now.t - age)
+            local = leave(nav) if leave else nav
+            kin = Kinematics(local.pos, local.vel, rotations.to_dcm(local.q))
+            return nav, kin, latency.error_then(latency.interval(local, local_now, age), states)
+
+        drifts = "clock_offset" in now.errors
+        late = [offset + getattr(params.measurements[each.name], "latency", 0.0) for each in measurements]
+        if drifts:
+            known = now.errors["clock_offset"][0]
+            late = [age + known if each.receiver else age for age, each in zip(late, measurements, strict=True)]
+        ages = jnp.stack(late)
+        thens = jax.vmap(then)(ages)
+        seen, rows = [], {}
+        for i, each in enumerate(measurements):
             part = part_of(fix, each.name, slices[each.name])
-            age = offset + getattr(theta, "latency", 0.0)
-            clock = each.receiver and "clock_offset" in now.errors
-            if clock:
-                age = age + now.errors["clock_offset"][0]
-
-            def seen(
-                age: jax.Array, each: Measurement = each, theta: Any = theta, part: Fix = part
-            ) -> tuple[Nav, Nav, Observation]:
-                nav = at(past, now.t - age)
-                local = leave(nav) if leave else nav
-                kin = Kinematics(local.pos, local.vel, rotations.to_dcm(local.q))
-                return nav, local, each.observe(theta, mounting, nav, kin, part)
-
-            nav, local, o = seen(age)
-            if clock:
-                slope = jax.jvp(lambda age: seen(age)[2].y, (age,), (jnp.ones_like(age),))[1]
-                o = o._replace(rows=o.rows | {"clock_offset": slope[:, None]})
+            model = partial(each.observe, params.measurements[each.name], mounting, fix=part)
+            nav, kin, B = jax.tree.map(lambda a, i=i: a[i], thens)
+            o = model(nav, kin)
+            if each.receiver and drifts:
+                slope = jax.jvp(lambda age, model=model: model(*then(age)[:2]).y, (ages[i],), (jnp.ones_like(offset),))
+                o = o._replace(rows=o.rows | {"clock_offset": slope[1][:, None]})
             for rate in rates:  # the state that it is the rate of was less at the measurement's time
                 if (row := o.rows.get(rate.rate_of)) is not None:
                     o = o._replace(
-                        y=o.y - age * row @ now.errors[rate.name],
-                        rows=o.rows | {rate.name: o.rows.get(rate.name, 0.0) - age * row},
+                        y=o.y - ages[i] * row @ now.errors[rate.name],
+                        rows=o.rows | {rate.name: o.rows.get(rate.name, 0.0) - ages[i] * row},
                     )
             H = rows_of(o, nav, states)
-            B = latency.error_then(latency.interval(local, local_now, age), states)
-            H = H[:, :9] @ B + jnp.concatenate([jnp.zeros((each.size, 9)), H[:, 9:]], 1)
-            cov = covariance(o.root, o.sd, part.corr, part.valid)
-            if P is not None and each.receiver and each.size == 3:
-                reliable, moment = reliability(H[:, 6:] * in_body, P)
-                H = H.at[:, 8].multiply(reliable)
-                cov += FIXES_ALIKE * moment
-            parts.append((o.y, H, cov))
-        H = jnp.concatenate([p[1] for p in parts])
+            rows[each.name] = H[:, :9] @ B + jnp.pad(H[:, 9:], ((0, 0), (9, 0)))
+            seen.append(o)
+        R = covariance([o.root for o in seen], sizes, jnp.concatenate([o.sd for o in seen]), fix.corr, fix.valid)
+        if P is not None and vectors:
+            effects = jnp.stack([rows[name][:, 6:] for name in vectors]) * in_body
+            reliable, moments = jax.vmap(lambda L: reliability(L, P))(effects)
+            for name, ratio, moment in zip(vectors, reliable, moments, strict=True):
+                rows[name] = rows[name].at[:, 8].multiply(ratio)
+                R = R.at[slices[name], slices[name]].add(FIXES_ALIKE * moment)
+        H = jnp.concatenate([rows[each.name] for each in measurements])
         if J is not None:
             H = jnp.concatenate([H[:, :9] @ J, H[:, 9:]], 1)
-        R = jnp.zeros((m, m))
-        for (_, _, block), s in zip(parts, slices.values(), strict=True):
-            R = R.at[s, s].set(block)
-        return jnp.concatenate([p[0] for p in parts]), H, R
+        return jnp.concatenate([o.y for o in seen]), H, R
 
     return observe

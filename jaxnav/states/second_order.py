@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.maths import linalg
+from jaxnav.maths import linalg, rotations
 
 SECOND_ORDER_S = 2.0  # s, how long a large error lasts before fixes show it: from `benchmarks consistency`
 LARGEST = 0.7  # rad, of an attitude error that has an expansion to second order: its sd on all axes together
@@ -68,11 +68,11 @@ def reliability(
     up = _up(vertical, axes)
     column, W = L[:, :3] @ up, linalg.sandwich(L, P[6:, 6:])
     # an error S of the vector gives the column the error S x up
-    size, wrong = column @ column, jnp.trace(W) - W[vertical, vertical]
+    size, wrong = column @ column, jnp.sum(W * np.diag(np.arange(3) != vertical))
     reliable = jnp.where(size > 0, size / jnp.where(size > 0, size + wrong, 1.0), 1.0)
     rest = (1 - reliable) * column
     A = P[6:9, 6:9]
-    bound = LARGEST**2 / jnp.maximum(jnp.trace(A), LARGEST**2)
+    bound = LARGEST**2 / jnp.maximum(linalg.trace(A), LARGEST**2)
     return reliable, bound * (cross_moment(L, P, axes) + (up @ A @ up) * jnp.outer(rest, rest))
 
 
@@ -93,9 +93,8 @@ def cross_moment(L: jax.Array, P: jax.Array, axes: jax.Array | None = None) -> j
     A, X, W = P[6:9, 6:9], PL[:3], linalg.times(L, PL)
     if axes is not None:
         A, X = axes @ A @ axes.T, axes @ X
-    mean = jnp.stack([X[1, 2] - X[2, 1], X[2, 0] - X[0, 2], X[0, 1] - X[1, 0]])
-    a, x, w, eye = jnp.trace(A), jnp.trace(X), jnp.trace(W), jnp.eye(3)
-    AW = A @ W
-    of_A_W = (a * w - jnp.trace(AW)) * eye - w * A - a * W + AW + AW.T
-    of_X_X = (jnp.sum(X**2) - x**2) * eye - X @ X.T - X.T @ X + x * (X + X.T)
-    return of_A_W + of_X_X + jnp.outer(mean, mean)
+    mean = rotations.axial(X)
+    a, x, w = linalg.trace(A), linalg.trace(X), linalg.trace(W)
+    AW, XX = A @ W, X @ X.T + X.T @ X
+    scalar = a * w - linalg.trace(AW) + 0.5 * linalg.trace(XX) - x**2
+    return scalar * np.eye(3) - w * A - a * W + AW + AW.T - XX + x * (X + X.T) + jnp.outer(mean, mean)

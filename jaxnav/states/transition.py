@@ -95,7 +95,8 @@ def discretize(
     b / tau: that is part of d.
     """
     total = T.sum()
-    point = jax.tree.map(lambda a: jnp.tensordot(_shares(T), a, 1), points)
+    shares = _shares(T)
+    point = jax.tree.map(lambda a: jnp.tensordot(shares, a, 1), points)
     maps, slow_blocks = _blocks(dynamics, point)
     slow = _exponential(assemble(slow_blocks) * (0.5 * total))
     end = running(T)
@@ -112,18 +113,18 @@ def discretize(
     tau = jnp.concatenate([jnp.broadcast_to(p.tau, (s.size,)) for p, s in zip(each, states, strict=True)])
     lost = -jnp.expm1(-0.5 * total / tau)  # in half an epoch
     held = jnp.concatenate([point.nav.errors[s.name] for s in states])
-    kept, clear_stale = 1 - lost, lost * held
+    kept, decayed = 1 - lost, lost * held
     E = _entered(maps, sums, points, states)
     slow_E, kept_W = linalg.times(slow, E), jnp.zeros((kept.size, W.shape[1]))
     moved, driven = _driven(E, kept, each, states, total)
-    among, stale, later = jnp.diag(kept * kept), (1 + kept) * clear_stale, [driven for _ in moved]
+    among, stale, later = jnp.diag(kept * kept), (1 + kept) * decayed, [driven for _ in moved]
     if (rates := _rates(states)).any():
         growth = total * kept[:, None] * rates * kept
         among, stale = among + growth, stale - growth @ held
         later = [driven + total * (0.5 + 0.5 * at) * rates @ driven for at in GAUSS2]
     W = jnp.block([[W, *(linalg.times(slow, root) for root in moved)], [kept_W, *later]])
     Phi = jnp.block([[Phi, slow_E * kept], [jnp.zeros((kept.size, 9)), among]])
-    return Phi, linalg.square(W), jnp.concatenate([d + slow_E @ clear_stale, stale])
+    return Phi, linalg.square(W), jnp.concatenate([d + slow_E @ decayed, stale])
 
 
 def _rates(states: Sequence[State]) -> np.ndarray:

@@ -43,7 +43,8 @@ def toy(name: str) -> Filter:
         nav = initial_nav(jnp.stack([jnp.zeros(()), jnp.zeros(()), height]))
         zero, eye = jnp.zeros(6), jnp.eye(6)
         flags = jnp.ones(6, bool)
-        return (height, ok), Info(nav, jnp.eye(9), jnp.zeros(9), zero, eye, zero, flags, flags, jnp.zeros(()), ok)
+        nothing = jnp.zeros(())
+        return (height, ok), Info(nav, jnp.eye(9), jnp.zeros(9), zero, eye, zero, flags, flags, nothing, ok, nothing)
 
     def advance(params, state, epoch):
         after, info = step(params, state, epoch)

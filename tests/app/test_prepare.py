@@ -256,7 +256,7 @@ def test_supervised_tuning_sees_the_clocks_apart(monkeypatch):
 def test_a_solution_is_told_at_gnss_time():
     t, none = np.array([10.0, 30.0, 50.0]), jnp.zeros(3)
     nav = counted_from(jax.vmap(initial_nav)(jnp.zeros((3, 3)))._replace(t=jnp.asarray(t)), 30.0)
-    info = Info(nav, jnp.zeros((3, 9, 9)), *[none] * 8)
+    info = Info(nav, jnp.zeros((3, 9, 9)), *[none] * 9)
     params = params_of(resolved(mounting={"time_offset_s": 0.25, "clock_drift_ppm": 1e4}))
     np.testing.assert_allclose(evaluate.trace(info, params).track.t, t + [0.05, 0.25, 0.45], rtol=1e-12)
 

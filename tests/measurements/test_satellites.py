@@ -306,7 +306,8 @@ def test_the_likelihood_gives_a_rejected_satellite_a_tail_of_its_own():
     def info_of(nu, S, valid, used):
         blank = dict.fromkeys(Info._fields)
         nis = nu @ jnp.linalg.solve(S, nu)
-        return Info(**(blank | {"nu": nu, "S": S, "valid": valid, "used": used, "nis": nis}))
+        return Info(**(blank | {"nu": nu, "S": S, "valid": valid, "used": used, "nis": nis,
+                               "log_det": jnp.linalg.slogdet(S)[1]}))  # fmt: skip
 
     found = gated_nll(info_of(nu, S, valid, used), alone)
     kept = jnp.array([0, 1, 2])

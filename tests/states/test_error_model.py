@@ -394,12 +394,12 @@ def test_a_root_correlates_the_channels_of_a_fix():
     # a diagonal is the same in either form, also with channels missing
     for gone in ((), (0,), (1,), (0, 2)):
         valid = jnp.ones(3, bool).at[np.array(gone, int)].set(False)
-        a, b = (covariance(root, sd, corr, valid) for root in (jnp.diag(L), jnp.diag(jnp.diag(L))))
+        a, b = (covariance([root], [3], sd, corr, valid) for root in (jnp.diag(L), jnp.diag(jnp.diag(L))))
         np.testing.assert_allclose(a, b, rtol=1e-15)
     # what the missing channel says changes nothing in those that are there; up takes its share of it at its own sd
     valid = jnp.array([True, False, True])
-    a = covariance(jnp.asarray(L), sd, corr, valid)
-    b = covariance(jnp.asarray(L), sd.at[1].set(77.0), corr.at[:2].set(0.9), valid)
+    a = covariance([jnp.asarray(L)], [3], sd, corr, valid)
+    b = covariance([jnp.asarray(L)], [3], sd.at[1].set(77.0), corr.at[:2].set(0.9), valid)
     there = np.ix_([0, 2], [0, 2])
     np.testing.assert_array_equal(a[there], b[there])
     east, up = np.array([2.0, 0, 0]), np.array([-0.4, 0.9 * 3.0, 3.0 * 3.0])

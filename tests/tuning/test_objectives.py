@@ -31,7 +31,7 @@ def info():
     residual = jnp.asarray(rng.normal(size=(E, M)) * 10)
     empty = jnp.zeros(E)
     return Info(empty, empty, empty, *map(jnp.asarray, (nu, S)), residual, jnp.asarray(valid), jnp.asarray(valid),
-                jnp.asarray(nis), jnp.ones(E, bool))  # fmt: skip
+                jnp.asarray(nis), jnp.ones(E, bool), jnp.linalg.slogdet(jnp.asarray(S))[1])  # fmt: skip
 
 
 def test_innovation_nll_is_the_gaussian_density_of_what_was_measured(info):
@@ -116,7 +116,8 @@ def test_consistency_is_a_chi_square_value_of_one_degree_a_channel():
 def made(nu, S, valid=None):
     valid = jnp.ones(nu.shape, bool) if valid is None else valid
     empty = jnp.zeros(nu.shape[0])
-    return Info(empty, empty, empty, nu, jnp.asarray(S), nu, valid, valid, empty, jnp.ones(nu.shape[0], bool))
+    done = jnp.ones(nu.shape[0], bool)
+    return Info(empty, empty, empty, nu, jnp.asarray(S), nu, valid, valid, empty, done, jnp.linalg.slogdet(S)[1])
 
 
 def test_whiteness_of_white_and_of_an_autoregression():

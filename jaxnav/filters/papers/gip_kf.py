@@ -102,7 +102,7 @@ def gain(theta: GipKf, H: jax.Array, valid: jax.Array) -> jax.Array:
 def _update(theta: GipKf, z: Innovation) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return the increment dm (n,), x+ minus the prediction without it (n,), and P."""
     dm = gain(theta, z.H, z.valid) @ z.nu
-    K, P = linalg.update(z.P, z.H, z.R)
+    K, P = linalg.update(z.P, z.H, z.R, z.inverse)
     return dm, dm + K @ (z.nu - z.H @ dm), P
 
 

@@ -84,7 +84,7 @@ def clear_stale(memory: GpidMemory, stale: jax.Array) -> GpidMemory:
 def correct(theta: Gpid, memory: GpidMemory, z: Innovation) -> Correction:
     """One correction; missing channels have columns of zeros in K, and add nothing to the integral."""
     memory = clear_stale(memory, z.age > theta.reset)
-    K, P = linalg.update(z.P, z.H, z.R)
+    K, P = linalg.update(z.P, z.H, z.R, z.inverse)
     loop = jnp.where(z.valid, jnp.abs(K * z.H.T), memory.loop)
     acting = share(loop, z.valid)
     M = theta.states * acting

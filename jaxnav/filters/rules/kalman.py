@@ -9,7 +9,7 @@ from jaxnav.maths import linalg
 
 def correct(theta: Any, memory: Any, z: Innovation) -> Correction:
     """Optimal gain, Joseph form; no parameters."""
-    K, P = linalg.update(z.P, z.H, z.R)
+    K, P = linalg.update(z.P, z.H, z.R, z.inverse)
     return Correction(K @ z.nu, P, memory, z.valid)
 
 

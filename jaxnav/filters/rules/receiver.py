@@ -216,10 +216,10 @@ def kalman_update(
 ) -> tuple[jax.Array, ...]:
     """Return mean, covariance and log weight after a fix: Kalman update and Bayes' rule."""
     S = linalg.sandwich(H, P) + z.R
-    nu, inv = z.nu - H @ dev, linalg.inverse(S)
+    nu, (inv, log_det) = z.nu - H @ dev, linalg.swept(S)
     K = P @ H.T @ inv
     after = linalg.joseph(P, K, H, z.R)
-    return dev + K @ nu, after, weight - 0.5 * (nu @ inv @ nu + linalg.log_determinant(S))
+    return dev + K @ nu, after, weight - 0.5 * (nu @ inv @ nu + log_det)
 
 
 def _channels(m: int, position: int, velocity: int | None) -> np.ndarray:

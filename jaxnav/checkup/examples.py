@@ -102,6 +102,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "gyro": 71.0, "accel": 67.0, "size": 0.08, "side": "late", "gain": 4.2, "fixes": 720, "first": 15.0,
         "last": 195.0, "scale": ", sd of position 0.18 times the stated",
     },
+    "noise.harm": {"value": 3.1, "limit": 1.02, "kept": "the datasheet's noise and this delay"},
     "noise.vibration": {"value": 392.0, "limit": 300.0},
     "noise.datasheet": {"limit": 10.0},
     "time.clocks": {"vector": "0.02 s in drive_1, 0.41 s in drive_2"},

@@ -421,6 +421,13 @@ KINDS: dict[str, Kind] = {
         "noise by likelihood: gyro {gyro:.3g} and accelerometer {accel:.3g} times the datasheet's, fixes {size:.2f} s "
         "{side} (log-likelihood {gain:+.2f} a fix, {fixes} fixes of {first:.0f} to {last:.0f} s){scale}",
     ),
+    "noise.harm": Kind(
+        INFO,
+        "noise by likelihood drifts {value:.2f} times as far as the datasheet over hidden windows (limit {limit:g}): "
+        "{kept} is taken",
+        ("scale, unit or axes of a sensor", "an unmodelled delay"),
+        ("jaxnav check",),
+    ),
     "noise.vibration": Kind(
         WARNING,
         "noise by likelihood is {value:.3g} times the datasheet's (limit {limit:g})",

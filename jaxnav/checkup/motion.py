@@ -5,7 +5,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from jaxnav.checkup.alternatives import SCALES, Best, Change, aligned, best, changed, changes, source, thinned
+from jaxnav.checkup.alternatives import (
+    MIN_GAIN,
+    MIN_GAIN_PER_DIFFERENCE,
+    MIN_SQUARES,
+    SCALES,
+    Best,
+    Change,
+    aligned,
+    best,
+    changed,
+    changes,
+    source,
+    thinned,
+)
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import level_velocity
 from jaxnav.initialization.alignment import Alignment
@@ -26,7 +39,6 @@ MAX_GYRO_BIAS, MAX_ACCEL_BIAS = 2 * DEG, 0.5  # rad/s, m/s^2: more is no bias of
 STATED_SD_DOF = 6  # degrees of freedom that the stated sd of delays are worth against their scatter
 DRIFT_FALSE_ALARM = 5e-4  # of a drift of the clock that is none
 MAX_CHI2_PER_DOF = 8.0  # chi^2 per degree of freedom
-MIN_SCALE_GAIN = 0.2  # of log chi^2, the median of the windows, from which on another scale of gyro z fits better
 MAX_HEADING_SD = 20 * DEG  # of an alignment that counts
 MAX_WINDOWS = 6
 MAX_SAMPLE_INTERVAL_S = 0.1  # s between samples, beyond which their means say too little of the motion
@@ -146,12 +158,17 @@ def _scaled_fits_better(rec: Recording, size: float) -> bool:
         return True
     plain = thinned(rec)
     known = [(w, a) for w, a in alignments(plain, v) if a.sd[2] < MAX_HEADING_SD]
+    axes = 2 if source(plain)[0] == "position" else 3
 
     def gain(scale: float) -> float:
+        """Return the gain in log-likelihood beyond what imperfect models may show (`alternatives.best`)."""
         other = changed(plain, Change("gyro.turns", "gyro z", "", gyro=np.diag([1.0, 1.0, scale])))
-        return float(np.median([np.log(a.chi2 / b.chi2) for w, a in known if (b := aligned(other, w)) is not None]))
+        pairs = [(a, b) for w, a in known if (b := aligned(other, w)) is not None]
+        dof = np.array([axes * a.fixes for a, _ in pairs])
+        better = 0.5 * dof @ np.log([a.chi2 / max(b.chi2, MIN_SQUARES) for a, b in pairs])
+        return float(better - max(MIN_GAIN, MIN_GAIN_PER_DIFFERENCE * dof.sum()))
 
-    return not known or max(map(gain, (1 / max(size, 1e-3), *SCALES))) > MIN_SCALE_GAIN
+    return not known or max(map(gain, (1 / max(size, 1e-3), *SCALES))) > 0.0
 
 
 # ---------------------------------------------------------------------------- by alignment
@@ -260,14 +277,36 @@ def named(found: Best) -> Finding:
     return finding(change.code, change.subject, **numbers)
 
 
-def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> list[Finding]:
-    """How late the stream ``name`` is against the IMU, and whether that changes."""
-    t = np.array([0.5 * (w[0] + w[1]) for w, _ in each])
-    late, sd = np.array([a.delay for _, a in each]), np.array([np.hypot(a.sd[9], 0.005) for _, a in each])
+def delay_of(rec: Recording) -> tuple[float, float] | None:
+    """Return the delay of the fixes by alignments all along a recording, s, and its sd; None where none is known."""
+    v = level_velocity(rec.aiding)
+    if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > MAX_SAMPLE_INTERVAL_S:
+        return None
+    moving = [(w, a) for w, a in alignments(thinned(rec), v) if a.sd[2] < MAX_HEADING_SD]
+    if not moving or float(np.median([a.chi2 for _, a in moving])) > MAX_CHI2_PER_DOF:
+        return None
+    return _mean_delay(*_delays(moving))
+
+
+def _delays(each: list[tuple[tuple[float, float], Alignment]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the delays of alignments and their sd, (K,) s."""
+    return np.array([a.delay for _, a in each]), np.array([np.hypot(a.sd[9], 0.005) for _, a in each])
+
+
+def _mean_delay(late: np.ndarray, sd: np.ndarray) -> tuple[float, float]:
+    """Return the weighted mean of delays (K,) s and its sd, by their scatter where that is larger than stated."""
     weight = 1 / sd**2
     mean, mean_sd = float((weight * late).sum() / weight.sum()), float(1 / np.sqrt(weight.sum()))
     spread = float(np.sqrt((weight * (late - mean) ** 2).sum() / max(len(late) - 1, 1))) if len(late) > 1 else 1.0
-    mean_sd *= max(spread, 1.0)
+    return mean, mean_sd * max(spread, 1.0)
+
+
+def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> list[Finding]:
+    """How late the stream ``name`` is against the IMU, and whether that changes."""
+    t = np.array([0.5 * (w[0] + w[1]) for w, _ in each])
+    late, sd = _delays(each)
+    weight = 1 / sd**2
+    mean, mean_sd = _mean_delay(late, sd)
     late_enough = abs(mean) >= max(0.03, 3 * mean_sd)
     numbers: dict[str, Any] = {"size": abs(mean), "side": "late" if mean >= 0 else "early", "sd": mean_sd}
     code = "time.late" if abs(mean) > max(0.15, 5 * mean_sd) else "time.delay"

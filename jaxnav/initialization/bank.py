@@ -9,8 +9,10 @@ from jax.scipy.special import logsumexp
 from scipy.special import softmax
 
 from jaxnav.filters.core import Filter
+from jaxnav.filters.lanes import lanes, ready, repeated, taken
 from jaxnav.filters.programs import stored
 from jaxnav.filters.run import in_chunks, negative_log_likelihood, run
+from jaxnav.filters.scores import innovation_nll
 from jaxnav.maths import earth, rotations
 from jaxnav.types import Epoch, Info, Nav, Params
 
@@ -105,6 +107,11 @@ def _score(info: Info) -> jax.Array:
 
 
 def most_probable(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> Nav:
-    """Of several starts ``navs`` (B, ...) the one that the innovations of ``epochs`` (E, ...) speak for."""
-    best = 0 if navs.t.shape[0] == 1 else int(bank_jit(filt, params, navs, epochs).best)
-    return jax.tree.map(lambda a: a[best], navs)
+    """Return of several starts ``navs`` (B, ...) the one that the innovations of ``epochs`` (E, ...) speak for."""
+    count, first = navs.t.shape[0], taken(navs, 0)
+    if count == 1:
+        return first
+    prepared = ready(filt, params, first, epochs)
+    valid = np.broadcast_to(prepared.fix.valid, (count, *prepared.fix.valid.shape))
+    record = lanes(filt, repeated(params, count), navs, prepared, valid)
+    return taken(navs, int(np.argmin(innovation_nll(record, heavy=False).sum(1))))

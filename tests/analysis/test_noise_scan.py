@@ -1,13 +1,14 @@
 """The noise scan: noise and latency of simulated recordings, receiver faults, standstill, what is stated stays."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 
 from jaxnav import build, initialize, navigate, scan_noise
 from jaxnav.analysis import noise_scan
-from jaxnav.analysis.noise_scan import FINE_BOX, _in_motion, _vertex
+from jaxnav.analysis.noise_scan import FINE_BOX, NoiseScan, _in_motion, _vertex
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import load
@@ -88,28 +89,63 @@ def test_it_finds_the_sd_of_the_fixes(drive, position, velocity, monkeypatch):
     assert scan_noise(rec, with_arm(rec)).position == 1.0
 
 
-def test_the_sd_maximise_innovations_hidden_fixes_and_prior_together(drive):
+class Made(noise_scan._Objective):
+    """An objective of known means of innovations, hidden fixes and drift, in place of runs."""
+
+    effective, rows = 10.0, ("position", "velocity")
+
+    def __init__(self, fit):
+        self.fit = fit
+
+
+def test_the_sd_maximise_innovations_hidden_fixes_and_prior_together():
     """Parabolas of known maxima: innovations at 0.1 of the stated sd, hidden fixes at 1; where these drift more, no."""
-    begin = initialize(drive, with_arm(drive))
-    objective = noise_scan._Objective(drive, with_arm(drive), begin, begin.t + 115.0, ())
-    k = 8.0 / objective.effective
 
-    def fit(epochs, counted, hidden, logs, scales, drift=1.0):
-        p = scales[:, 0]
-        return np.stack([-k * (p + 1.0) ** 2, -k * p**2, np.where(p < -0.3, drift, 1.0)])[:, None].repeat(3, 1)
+    def fit(points, hidden, drift=1.0):
+        p = points[:, 3]
+        return -0.8 * (p + 1.0) ** 2, -0.8 * p**2, np.where(p < -0.3, drift, 1.0)
 
-    objective.fit = fit
     # d/dp of -8 (p + 1)^2 - 8 p^2 - (p / 0.5)^2 / 2 is 0
-    np.testing.assert_allclose(objective.best_scales(1.0, 1.0, 0.2), [-16 / 36, 0.0], atol=1e-9)
-    objective.fit = lambda *args: fit(*args, drift=2.0)
-    np.testing.assert_allclose(objective.best_scales(1.0, 1.0, 0.2), [-0.25, 0.0], atol=1e-9)  # within the limit
+    found = Made(fit).best_scales(np.array([1.0, 1.0, 0.2]), [()])
+    np.testing.assert_allclose(found, [-16 / 36, 0.0], atol=1e-9)
+    found = Made(partial(fit, drift=2.0)).best_scales(np.array([1.0, 1.0, 0.2]), [()])
+    np.testing.assert_allclose(found, [-0.25, 0.0], atol=1e-9)  # within the limit
+
+
+@pytest.mark.parametrize(
+    ("drift", "taken"),
+    [([1.0, 2.0, 3.0, 1.0], 0), ([1.1, 1.01, 3.0, 1.0], 1), ([1.1, 1.1, 0.3, 1.0], 2), ([1.1, 1.1, 1.1, 1.0], 3)],
+)
+def test_a_scan_is_taken_as_far_as_it_does_no_harm(drift, taken):
+    """All of it, else with the stated sd of the fixes, else its delay alone, else the datasheet."""
+    point = np.array([2.0, 1.5, 0.2, -0.5, 0.3])
+    kept = [point, [2.0, 1.5, 0.2, 0.0, 0.0], [0.0, 0.0, 0.2, 0.0, 0.0], np.zeros(5)]
+    found, ratio, harm = Made(lambda points, hidden: (points[:, 0], points[:, 0], np.array(drift))).harmless(
+        point, [()]
+    )
+    np.testing.assert_array_equal(found, kept[taken])
+    assert (ratio, harm) == (drift[taken], drift[0])
+    plain = NoiseScan(latency=0.2, fixes=50, drift_ratio=0.3, harm=1.1)
+    assert [f.code for f in plain.findings] == ["noise.scan", "noise.harm"]
+    assert "the datasheet's noise and this delay is taken" in plain.findings[1].message
+    assert plain.metrics()["harm"] == 1.1 and "harm" not in NoiseScan().metrics()
+
+
+@pytest.mark.parametrize("early", [0.46, -0.6])
+def test_a_delay_that_alignments_show_is_found(early):
+    """Fixes that are early, or later than the grid of an unknown delay reaches with its prior."""
+    rec = simulated(factor=1.0, latency=0.0)
+    rec = rec._replace(aiding={name: s._replace(t=s.t - early) for name, s in rec.aiding.items()})
+    found = scan_noise(rec, with_arm(rec))
+    assert found.latency == pytest.approx(-early, abs=0.02)
+    assert 0.5 < found.gyro < 2.0 and 0.5 < found.accel < 2.0 and found.drift_ratio < 0.7
 
 
 def test_what_is_stated_stays(drive):
     params = with_arm(drive)
-    stated = params._replace(mounting=params.mounting._replace(time_offset=np.asarray(0.05)))
+    stated = params._replace(mounting=params.mounting._replace(time_offset=np.asarray(0.18)))
     found = scan_noise(drive, stated)
-    assert found.latency == 0.0 and found.accel > 3.0 and float(found.applied(stated).mounting.time_offset) == 0.05
+    assert found.latency == 0.0 and found.accel > 3.0 and float(found.applied(stated).mounting.time_offset) == 0.18
     fixes = {name: theta._replace(scale=np.asarray(2.0)) for name, theta in params.measurements.items()}
     found = scan_noise(drive, params._replace(measurements=fixes))
     assert found.position == found.velocity == 1.0 and found.latency == pytest.approx(LATENCY, abs=0.05)

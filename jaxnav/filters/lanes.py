@@ -1,0 +1,153 @@
+"""Lanes: runs of one filter side by side, each with its parameters, its start and its mask of fixes.
+
+Noise scan, choice of a heading, hidden windows, tuning and calibration ask one question many times: how well do these
+parameters explain the fixes that the filter uses, and predict those that it does not? `lanes` answers it for any number
+of candidates by one program of `LANES` runs over `CHUNK` epochs, so that neither the number of candidates nor the
+length of a recording compiles anything new. It keeps innovations, residuals and their covariances; likelihoods,
+drifts and consistency are numpy on them (`jaxnav.filters.scores`).
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.filters import epochs as ep
+from jaxnav.filters.core import Filter, FilterState, Step
+from jaxnav.filters.programs import stored
+from jaxnav.filters.run import prepare, require_params, require_shapes, require_x64, resume
+from jaxnav.states import table
+from jaxnav.types import Epoch, Nav, Params
+
+LANES, CHUNK = 16, 64  # runs and epochs of one call of the program
+RECEIVER_ERROR = "gnss_position_error"  # state that a measured position has more than the true one
+
+
+class LaneRecord(NamedTuple):
+    """LaneRecord of runs, each with a leading (L, E): L lanes of E epochs, of a filter with m channels."""
+
+    nu: Any  # (m,) innovation, 0 on missing channels
+    S: Any  # (m, m) its covariance, identity rows on missing channels
+    valid: Any  # (m,) bool, channels that had a measurement which was not hidden
+    used: Any  # (m,) bool, those the rule accepted
+    nis: Any  # () nu' S^-1 nu
+    log_det: Any  # () log |S|
+    residual: Any  # (3,) m, ENU, predicted minus measured position, hidden ones too
+    P: Any  # (3, 3) m^2 covariance of that, without the fix's white noise
+    slow: Any  # (3,) m, ENU, estimated slow error of the receiver, which is part of the prediction
+    ok: Any  # () bool, False from the first epoch that was not finite on
+
+
+def lanes(
+    filt: Filter, params: Params, nav: Nav, epochs: Epoch, valid: np.ndarray, cut: np.ndarray | None = None
+) -> LaneRecord:
+    """Run a filter for L candidates.
+
+    Args:
+        filt: the filter, its first measurement the position.
+        params: (L, ...) parameters of each, see `stacked`.
+        nav: (L, ...) start of each.
+        epochs: (E, ...) from `ready`, or several cuts of a recording (B, E, ...).
+        valid: (L, E, m) bool, fixes that each sees.
+        cut: (L,) int, the cut of each; None where there is one.
+
+    Returns:
+        The record (L, E, ...), on the host.
+    """
+    count, size = valid.shape[:2]
+    cuts = jax.tree.map(lambda a: np.asarray(a)[None], epochs) if cut is None else epochs
+    cut = np.zeros(count, int) if cut is None else cut
+    found = []
+    for first in range(0, count, LANES):
+        lane = np.minimum(np.arange(first, first + LANES), count - 1)  # the last one again fills the call
+        mine, start = taken(params, lane), taken(nav, lane)
+        state, parts = _begin(filt, mine, start), []
+        for i in range(0, size, CHUNK):
+            here = slice(i, i + CHUNK)
+            part = taken(cuts, (cut[lane], here))
+            part = part._replace(fix=part.fix._replace(valid=valid[lane, here]))
+            state, record = _chunk(filt, mine, state, part)
+            parts.append(jax.device_get(record))
+        found.append(taken(jax.tree.map(lambda *a: np.concatenate(a, 1), *parts), slice(count - first)))
+    return jax.tree.map(lambda *a: np.concatenate(a), *found)
+
+
+def taken(tree: Any, rows: Any) -> Any:
+    """Return some rows of each leaf, on the host."""
+    return jax.tree.map(lambda a: np.asarray(a)[rows], tree)
+
+
+def stacked(candidates: Sequence[Any]) -> Any:
+    """Return pytrees of one structure, such as parameters, as one with a leading axis."""
+    return jax.tree.map(lambda *leaves: np.stack([np.asarray(a, float) for a in leaves]), *candidates)
+
+
+def repeated(tree: Any, count: int) -> Any:
+    """Return a pytree with a leading axis of ``count`` equal elements."""
+    return jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (count, *np.shape(a))), tree)
+
+
+def padded_shape(epochs: Epoch) -> tuple[int, int]:
+    """Return epochs and samples that `ready` pads epochs (E, K, ...) to."""
+    size, samples = epochs.imu.dt.shape
+    return -(-size // CHUNK) * CHUNK, ep.bucket_size(samples)
+
+
+def ready(filt: Filter, params: Params, nav: Nav, epochs: Epoch, shape: tuple[int, int] | None = None) -> Epoch:
+    """Return epochs (E, ...) of a run, checked, padded to a multiple of `CHUNK` and prepared for a filter, on the host.
+
+    Args:
+        filt: the filter.
+        params: parameters of one candidate.
+        nav: the start of one.
+        epochs: (E, ...) as they were cut.
+        shape: epochs and samples, not below `padded_shape`, which it is by default.
+
+    Raises:
+        DataError: float32 input.
+        ValueError: parameters, start or epochs that are not the filter's.
+    """
+    require_x64(params, nav, epochs)
+    require_params(filt, params)
+    require_shapes(filt, nav, epochs)
+    size, samples = shape or padded_shape(epochs)
+    epochs = ep.pad_epochs(epochs, size, samples)
+    before = jax.tree.map(lambda a: np.repeat(a[:1, :1], a.shape[1], 1), epochs.imu)  # `prepare` looks at one sample
+    imu = jax.tree.map(lambda *a: np.concatenate(a), before, epochs.imu)
+    wide = jax.tree.map(lambda a: np.concatenate([a[:1], a]), epochs)._replace(imu=imu)
+    parts = [taken(prepare(filt, taken(wide, slice(i, i + CHUNK + 1))), slice(1, None)) for i in range(0, size, CHUNK)]
+    return jax.tree.map(lambda *a: np.concatenate(a), *parts)
+
+
+@partial(stored, static_argnums=(0,))
+def _begin(filt: Filter, params: Params, nav: Nav) -> FilterState:
+    return jax.vmap(filt.init)(params, nav)
+
+
+@partial(stored, static_argnums=(0,))
+def _chunk(filt: Filter, params: Params, state: FilterState, epochs: Epoch) -> tuple[FilterState, LaneRecord]:
+    keep = partial(_keep, slow_errors(filt))
+    return jax.vmap(lambda params, state, epochs: resume(filt, params, state, epochs, keep))(params, state, epochs)
+
+
+def _keep(slow: slice | None, step: Step, along: Any) -> LaneRecord:
+    i = step.info
+    error = i.nav.errors.get(RECEIVER_ERROR, jnp.zeros(3))
+    P = seen_by_position(i.P, slow)
+    return LaneRecord(i.nu, i.S, i.valid, i.used, i.nis, i.log_det, i.residual[:3], P, error, i.ok)
+
+
+def slow_errors(filt: Filter) -> slice | None:
+    """Return where a filter's covariance has the slow errors of a receiver, None where it has none."""
+    return table.layout(table.chosen(filt.model.states)).get(RECEIVER_ERROR)
+
+
+def seen_by_position(P: jax.Array, slow: slice | None) -> jax.Array:
+    """Covariance (..., 3, 3) m^2, ENU, of a predicted fix without its noise: position and the receiver's slow error."""
+    if slow is None:
+        return P[..., :3, :3]
+    cross = P[..., :3, slow]
+    return P[..., :3, :3] + cross + jnp.swapaxes(cross, -1, -2) + P[..., slow, slow]

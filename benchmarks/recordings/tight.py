@@ -17,11 +17,12 @@ import scipy.io
 
 from benchmarks import common
 from jaxnav.analysis.tables import table
-from jaxnav.analysis.windows import position_noise
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
+from jaxnav.filters.lanes import seen_by_position, slow_errors
 from jaxnav.filters.run import prepare, run, run_jit, student_nll
+from jaxnav.filters.scores import position_noise
 from jaxnav.gnss.corrections import RATES, at_reception, solved, with_rates
 from jaxnav.gnss.orbits import Ephemeris, chosen
 from jaxnav.gnss.ranges import LIGHT, Ranges, epochs, rows_of, streams, without_clock
@@ -38,7 +39,7 @@ from jaxnav.states.table import BIASES
 from jaxnav.types import DataError, ImuLog, Params, Recording
 from tuning.fit.objectives import gated_innovation_nll
 from tuning.fit.transforms import join, penalty, split
-from tuning.recordings.evidence import SLOW, seen_by_position, slow_errors
+from tuning.recordings.evidence import SLOW
 from tuning.recordings.priors import spec_of
 
 DAY, GPS_WEEK, ORIGIN = "ixr_tokyo/2020-11-05", 2130, 364_400.0  # s of the week that is t = 0
@@ -148,7 +149,7 @@ def tuned(filt: Filter, params: Params, nav: Any, whole: ep.Packed, half: float)
 
 def hidden_nll(y: jax.Array, P: jax.Array, sd: np.ndarray, params: Params) -> jax.Array:
     """Student's negative log-likelihood (A,) of hidden fixes, y (A, 3) m off."""
-    S = P + position_noise(params, jnp.asarray(sd))
+    S = P + position_noise(params, sd, jnp)
     nis = jax.vmap(linalg.normalized)(y, S)
     return student_nll(nis, jnp.asarray(3), 3) + 0.5 * jax.vmap(linalg.log_determinant)(S)
 

@@ -9,7 +9,6 @@ import os
 import time
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
@@ -18,19 +17,20 @@ from jaxnav.analysis import evaluate
 from jaxnav.analysis.noise_scan import scan_noise
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.tables import table
-from jaxnav.analysis.windows import Windows, drift, hidden_windows, position_noise
+from jaxnav.analysis.windows import Windows, drift, hidden_windows
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import rows
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
+from jaxnav.filters.lanes import LaneRecord
 from jaxnav.filters.parameters import history_for, installed
+from jaxnav.filters.scores import position_noise
 from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.io.datasets import RECORDINGS
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError, Info, Params, Recording
-from tuning.recordings.evidence import seen_by_position, slow_errors
+from jaxnav.types import DataError, Params, Recording
 from tuning.recordings.recorded import tune
 
 RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
@@ -101,7 +101,7 @@ def one(name: str, path: Path, tracks: dict | None) -> dict:
 
 def hidden_drift(
     rec: Recording, filt: Filter, params: Params, begin: Initialization, length: float, every: float
-) -> tuple[ep.Packed, Windows, np.ndarray, Info]:
+) -> tuple[ep.Packed, Windows, np.ndarray, LaneRecord]:
     """Return epochs, windows of ``length`` s each ``every`` s, estimate minus fix at their ends (W, 3) m, and runs."""
     params, chosen = begin.apply_to(params), rows(filt.model.measurements)
     filt = filt.with_history(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
@@ -179,11 +179,11 @@ def judged(rec: Recording, filt: Filter, params: Params, begin: Initialization, 
     packed, windows, error, info = hidden_drift(rec, filt, params, begin, length, 3 * length)
     late, after = windows.start > split, packed.t > split
     at = windows.end[late]
-    P = seen_by_position(jnp.asarray(info.P)[windows.phase[late], at], slow_errors(filt))
-    S = np.asarray(P + position_noise(params, packed.epochs.fix.sd[at, :3]))[:, :2, :2]
-    error, residual = error[late, :2], np.asarray(info.residual)[windows.phase[late], at, :2]
+    noise = position_noise(params, np.asarray(packed.epochs.fix.sd)[at, :3])
+    S = (info.P[windows.phase[late], at] + noise)[:, :2, :2]
+    error, residual = error[late, :2], info.residual[windows.phase[late], at, :2]
     z2 = np.einsum("wi,wij,wj->w", residual, np.linalg.inv(S), residual)
-    valid, nis = np.asarray(info.valid)[:, after].sum(-1), np.asarray(info.nis)[:, after]
+    valid, nis = info.valid[:, : packed.t.size][:, after].sum(-1), info.nis[:, : packed.t.size][:, after]
     return {
         "windows": int(late.sum()), "rms_m": float(np.sqrt(np.mean(np.sum(error**2, 1)))),
         "error_over_sd": float(np.sqrt(np.mean(np.sum(residual**2, 1) / np.trace(S, axis1=1, axis2=2)))),

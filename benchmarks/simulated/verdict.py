@@ -6,22 +6,24 @@ back. The true drift is that of the written position against the truth, which tu
 hidden windows that a fault does not touch.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.common import options, write_json
-from jaxnav.analysis.windows import phases
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
+from jaxnav.filters.run import run
 from jaxnav.maths import earth
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_runs, to_recording
-from jaxnav.types import Params, Recording, Samples
+from jaxnav.types import Epoch, Info, Nav, Params, Recording, Samples
 from tuning.recordings.recorded import tune
 from tuning.recordings.report import Tuned
 
@@ -56,13 +58,19 @@ def faulty(rec: Recording, kind: str, begin: float, end: float, rng: np.random.G
     )
 
 
+@partial(jax.jit, static_argnums=0)
+def runs(filt: Filter, params: Params, nav: Nav, epochs: Epoch) -> Info:
+    """Run a filter over each of several sets of epochs (B, E, ...)."""
+    return jax.vmap(lambda epochs: run(filt, params, nav, epochs))(epochs)
+
+
 def true_drift(found: Tuned, filt: Filter, params: Params, rec: Recording, fault: tuple[float, float]) -> float:
     """Return the RMS (m) of the horizontal error of the written position at the ends of hidden windows."""
     used, windows = found.used[0], found.used[0].windows
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    valid = jnp.stack([ep.hide(used.packed.epochs, h, chosen).fix.valid for h in windows.hidden])
+    epochs = [ep.hide(used.packed.epochs, h[: used.packed.t.size], chosen) for h in windows.hidden]
     own = params._replace(states=used.datasheet.states | params.states)
-    info = phases(filt, own, used.nav, used.packed.epochs, valid)
+    info = runs(filt, own, used.nav, jax.tree.map(lambda *a: jnp.stack(a), *epochs))
     t, truth = used.packed.t[windows.end], rec.truth
     assert truth is not None
     clean = (t < fault[0]) | (windows.start > fault[1] + RECOVERED)

@@ -1,20 +1,14 @@
 """Hidden windows: how far a filter drifts without fixes that are there, all along a recording."""
 
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.filters import epochs as ep
-from jaxnav.filters.core import Filter
-from jaxnav.filters.programs import stored
-from jaxnav.filters.run import run
+from jaxnav.filters.core import Filter, Prepared
+from jaxnav.filters.lanes import LaneRecord, lanes, ready, repeated
 from jaxnav.measurements import Measurement
-from jaxnav.types import Epoch, Info, Nav, Params
-
-RECEIVER_ERROR = "gnss_position_error"  # state that a measured position has more than the true one
+from jaxnav.types import Epoch, Nav, Params
 
 
 class Windows(NamedTuple):
@@ -50,7 +44,7 @@ def hidden_windows(
 
 def drift(
     filt: Filter, params: Params, nav: Nav, epochs: Epoch, windows: Windows, measurements: tuple[Measurement, ...]
-) -> tuple[np.ndarray, Info]:
+) -> tuple[np.ndarray, LaneRecord]:
     """Return the written position minus the fix at each window's end, and the runs.
 
     Through the measurement model of a position, the first three channels, but without a receiver's error that the
@@ -60,31 +54,17 @@ def drift(
         filt: the filter.
         params: its parameters.
         nav: the start.
-        epochs: (E, ...) of the recording.
+        epochs: (E, ...) of the recording, as they were cut or by `jaxnav.filters.lanes.ready`.
         windows: the hidden windows.
         measurements: the filter's, the position first.
 
     Returns:
-        (W, 3) m, ENU, inf where the run failed; and the runs (P, E, ...).
+        (W, 3) m, ENU, inf where the run failed; and the record of the runs (P, E, ...).
     """
-    hide = lambda h: ep.hide(epochs, h, measurements, windows.satellites).fix.valid
-    info = phases(filt, params, nav, epochs, jnp.stack([hide(h) for h in windows.hidden]))
-    residual = np.asarray(info.residual)[windows.phase, windows.end, :3]
-    if RECEIVER_ERROR in info.nav.errors:
-        residual = residual - np.asarray(info.nav.errors[RECEIVER_ERROR])[windows.phase, windows.end]
-    ok = np.asarray(info.ok)[windows.phase, windows.end]
-    return np.where(ok[:, None], residual, np.inf), info
-
-
-@partial(stored, static_argnums=(0,))
-def phases(filt: Filter, params: Params, nav: Nav, epochs: Epoch, valid: jax.Array) -> Any:
-    """Return the runs (P, E, ...) with each row of ``valid`` (P, E, m) in place of the fixes' ``valid``."""
-    one = lambda v: run(filt, params, nav, epochs._replace(fix=epochs.fix._replace(valid=v)))
-    return jax.vmap(one)(valid)
-
-
-def position_noise(params: Params, sd: jax.Array) -> jax.Array:
-    """Return covariances (A, 3, 3) m^2, ENU, of the white noise of positions with stated ``sd`` (A, 3) m."""
-    scale = jnp.asarray(params.measurements["position"].scale)
-    size = jnp.linalg.norm(scale, axis=-1) if scale.ndim == 2 else jnp.broadcast_to(scale, (3,))
-    return jax.vmap(jnp.diag)((size * sd) ** 2)
+    epochs = epochs if isinstance(epochs.imu, Prepared) else ready(filt, params, nav, epochs)
+    size = np.shape(epochs.fix.valid)[0]
+    hidden = np.pad(windows.hidden, ((0, 0), (0, size - windows.hidden.shape[1])))
+    valid = np.stack([np.asarray(ep.hide(epochs, h, measurements, windows.satellites).fix.valid) for h in hidden])
+    record = lanes(filt, repeated(params, len(valid)), repeated(nav, len(valid)), epochs, valid)
+    at = windows.phase, windows.end
+    return np.where(record.ok[at][:, None], (record.residual - record.slow)[at], np.inf), record

@@ -1,5 +1,7 @@
 """Scores of runs on lanes (`jaxnav.filters.lanes`) on the host: likelihoods and normalised squares, each once."""
 
+from typing import Any
+
 import numpy as np
 from scipy.special import gammaln
 
@@ -30,10 +32,13 @@ def innovation_nll(record: LaneRecord, heavy: bool = True) -> np.ndarray:
     return np.where(record.ok, far + 0.5 * record.log_det, np.inf)
 
 
-def position_noise(params: Params, sd: np.ndarray) -> np.ndarray:
-    """Return covariances (..., 3, 3) m^2, ENU, of the white noise of positions with stated ``sd`` (..., 3) m."""
-    scale = np.asarray(params.measurements["position"].scale)
-    size = np.linalg.norm(scale, axis=-1) if scale.ndim == 2 else np.broadcast_to(scale, 3)
+def position_noise(params: Params, sd: Any, xp: Any = np) -> Any:
+    """Return covariances (..., 3, 3) m^2, ENU, of the white noise of positions with stated ``sd`` (..., 3) m.
+
+    ``xp``: jnp within a traced function.
+    """
+    scale = xp.asarray(params.measurements["position"].scale)
+    size = xp.linalg.norm(scale, axis=-1) if scale.ndim == 2 else xp.broadcast_to(scale, 3)
     return np.eye(3) * ((size * sd) ** 2)[..., None]
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.run import prepare
+from jaxnav.filters.lanes import padded_shape, ready
 from jaxnav.initialization.initialize import initialize
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
@@ -35,14 +35,13 @@ def job(rec, ekf):
     datasheet = begin.apply_to(ekf.params("adis16465"))
     packed = ep.pack_recording(rec, GNSS, begin.t)
     layout = plan(packed, window_of([packed]))
-    windows = windows_of(packed, layout, packed.t.size)
+    windows = windows_of(packed, layout, padded_shape(packed.epochs)[0])
     nav = jax.tree.map(lambda a: a[0], begin.navs)
     spec, parts = priors.spec_of(ekf, datasheet, ("noise", "fixes")), parts_of(layout, windows)
 
     def use(packed=packed):
-        return Used(
-            "town", begin, datasheet, nav, packed, prepare(ekf, packed.epochs), layout, windows, parts, rec.truth
-        )
+        epochs = ready(ekf, datasheet, nav, packed.epochs)
+        return Used("town", begin, datasheet, nav, packed, epochs, layout, windows, parts, rec.truth)
 
     def make(packed=packed):
         return Job(ekf, spec, [use(packed)])

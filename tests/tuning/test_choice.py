@@ -8,6 +8,7 @@ import pytest
 
 from jaxnav.analysis.windows import drift as windows_drift
 from jaxnav.filters import epochs as ep
+from jaxnav.filters.lanes import padded_shape
 from jaxnav.initialization.initialize import initialize
 from jaxnav.measurements import GNSS
 from tuning.recordings import faults
@@ -52,7 +53,7 @@ def test_a_part_with_a_receiver_fault_is_named_and_does_not_judge(rec, ekf):
     begun = initialize(bad, ekf.params("adis16465"))
     packed = ep.pack_recording(bad, GNSS, begun.t)
     layout = plan(packed, 5.0)
-    windows = windows_of(packed, layout, packed.t.size)
+    windows = windows_of(packed, layout, padded_shape(packed.epochs)[0])
     datasheet = begun.apply_to(ekf.params("adis16465"))
     nav = jax.tree.map(lambda a: a[0], begun.navs)
     _, info = windows_drift(ekf, datasheet, nav, packed.epochs, windows, GNSS)

@@ -1,28 +1,26 @@
 """Likelihood of free parameters in recordings' training parts: J of `tuning.recordings.recorded`, its information."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxnav.analysis.windows import RECEIVER_ERROR, position_noise
 from jaxnav.filters import epochs as ep
-from jaxnav.filters.core import Filter, Step
+from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK
-from jaxnav.filters.programs import stored
-from jaxnav.filters.run import run
+from jaxnav.filters.lanes import CHUNK, RECEIVER_ERROR, LaneRecord, lanes, repeated, taken
+from jaxnav.filters.run import FREEDOM
+from jaxnav.filters.scores import innovation_nll, normalized, position_noise, residual_nll, student
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.measurement import tested_alone
-from jaxnav.states import table
-from jaxnav.types import Epoch, Info, Leaf, Nav, Params
+from jaxnav.types import Epoch, Leaf, Nav, Params
 from tuning.fit.transforms import Spec, join, split
 from tuning.recordings.parts import Used, ages
 from tuning.recordings.priors import kind_of
-from tuning.uncertainty import Information, gated, gaussian, pushed
+from tuning.uncertainty import Information
 
 SLOW = RECEIVER_ERROR
 
@@ -36,79 +34,125 @@ class ScoreSums(NamedTuple):
     number: Leaf
 
 
-class EpochRecord(NamedTuple):
-    """Record of an epoch."""
-
-    nu: jax.Array
-    S: jax.Array
-    valid: jax.Array
-    used: jax.Array
-    ok: jax.Array
-    residual: jax.Array  # (3,) of the position
-    P: jax.Array  # (3, 3) of a predicted fix, without its noise
+STEP = 1e-4  # of unconstrained numbers, of the differences that derivatives are: right to 1e-5 of the largest
 
 
-def _keep(slow: slice | None, step: Step, along: Any) -> EpochRecord:
-    info = step.info
-    P = seen_by_position(info.P, slow)
-    return EpochRecord(info.nu, info.S, info.valid, info.used, info.ok, info.residual[:3], P)
+class Terms(NamedTuple):
+    """Negative log-likelihood (N,), score (N, P) and information (N, P, P) of N residuals."""
+
+    value: np.ndarray
+    score: np.ndarray
+    fisher: np.ndarray
 
 
-@partial(stored, static_argnums=(0, 1))
-def _evidence(
-    filt: Filter, items: tuple[Any, ...], flat: jax.Array, like: Any, params: Params, nav: Nav, epochs: Epoch,
-    valid: jax.Array, keep: jax.Array, at: jax.Array, there: jax.Array, sd: jax.Array,
-) -> tuple[ScoreSums, ScoreSums]:  # fmt: skip
-    """Of innovations and of hidden fixes; valid (P, E, m), keep (P, E), at and there (P, A), sd (P, A, 3)."""
-    spec, (_, back) = dict(items), ravel_pytree(like)
-    keep_seen = partial(_keep, slow_errors(filt))
+def gaussian_terms(
+    nu: np.ndarray, S: np.ndarray, valid: np.ndarray, dnu: np.ndarray, dS: np.ndarray, heavy: np.ndarray
+) -> Terms:
+    """Return the terms of residuals, `tuning.uncertainty.gaussian` of each, on the host.
+
+    Args:
+        nu: (N, m) residuals, 0 on missing channels.
+        S: (N, m, m) their covariances, identity rows on missing channels.
+        valid: (N, m) bool.
+        dnu: (N, P, m) derivatives.
+        dS: (N, P, m, m) likewise.
+        heavy: (N,) bool, by a Student t.
+    """
+    inv, m = np.linalg.inv(S), valid.sum(1)
+    w = np.einsum("nij,nj->ni", inv, nu)
+    square, A = (nu * w).sum(1), inv[:, None] @ dS
+    near = 0.5 * (square + m * np.log(2 * np.pi))
+    value = np.where(heavy, student(square, m), near) + 0.5 * np.linalg.slogdet(S)[1]
+    weight = np.where(heavy, (FREEDOM + m) / (FREEDOM + square), 1.0)[:, None]
+    by_S = np.einsum("npij,ni,nj->np", dS, w, w, optimize=True)
+    score = 0.5 * (np.trace(A, axis1=2, axis2=3) - weight * by_S) + weight * np.einsum("npi,ni->np", dnu, w)
+    P = dnu.shape[1]
+    flat = A.reshape(len(A), P, -1), np.swapaxes(A, 2, 3).reshape(len(A), P, -1)
+    fisher = 0.5 * flat[0] @ np.swapaxes(flat[1], 1, 2) + weight[:, :, None] * (dnu @ inv @ np.swapaxes(dnu, 1, 2))
+    return Terms(value, score, fisher)
+
+
+def gated_terms(
+    nu: np.ndarray, S: np.ndarray, valid: np.ndarray, used: np.ndarray, dnu: np.ndarray, dS: np.ndarray,
+    alone: np.ndarray,
+) -> Terms:  # fmt: skip
+    """Return the terms of innovations where a gate tests the channels ``alone`` (m,) one by one.
+
+    Each of them that is rejected counts by a Student t; an epoch with another rejected channel is one as a whole.
+    """
+    out = valid & ~used & alone
+    keep = valid & ~out
+    both = keep[:, :, None] & keep[:, None]
+    rest = gaussian_terms(
+        np.where(keep, nu, 0.0), np.where(both, S, np.eye(keep.shape[1])), keep, np.where(keep[:, None], dnu, 0.0),
+        np.where(both[:, None], dS, 0.0), (valid & ~used & ~alone).any(1),
+    )  # fmt: skip
+    if not out.any():
+        return rest
+    n, i = np.nonzero(out)
+    one = np.ones((n.size, 1), bool)
+    single = gaussian_terms(
+        nu[n, i][:, None], S[n, i, i][:, None, None], one, dnu[n, :, i][:, :, None], dS[n, :, i, i][:, :, None, None],
+        one[:, 0],
+    )  # fmt: skip
+    for into, more in zip(rest, single, strict=True):
+        np.add.at(into, n, more)
+    return rest
+
+
+def summed(terms: Terms, mask: np.ndarray) -> ScoreSums:
+    """Return the sums of the terms where ``mask`` (N,)."""
+    value, score, fisher = (a[mask].sum(0) for a in terms)
+    return ScoreSums(value, score, fisher, mask.sum())
+
+
+def evidence_of(filt: Filter, candidates: Params, part: "Training") -> tuple[ScoreSums, ScoreSums]:
+    """Return the sums over a training part, of innovations and of hidden fixes, by central differences on lanes.
+
+    Args:
+        filt: the filter.
+        candidates: (1 + 2 P, ...) parameters at the point, and a `STEP` above and below it in each number.
+        part: the recording's training part.
+    """
+    phases, count = len(part.valid), len(jax.tree.leaves(candidates)[0])
+    params = jax.tree.map(lambda a: np.tile(a, (phases, *[1] * (np.ndim(a) - 1))), candidates)
+    record = lanes(filt, params, repeated(part.nav, phases * count), part.epochs, np.repeat(part.valid, count, 0))
+    record = jax.tree.map(lambda a: a.reshape(phases, count, *a.shape[1:]), record)
+    P = (count - 1) // 2
+
+    def middle(a: np.ndarray) -> np.ndarray:
+        """Return (phases E, ...) at the point."""
+        return a[:, 0].reshape(-1, *a.shape[3:])
+
+    def slopes(a: np.ndarray) -> np.ndarray:
+        """Return (phases E, P, ...) derivatives."""
+        change = (a[:, 1 : P + 1] - a[:, P + 1 :]) / (2 * STEP)
+        return np.moveaxis(change, 1, 2).reshape(-1, P, *a.shape[3:])
+
     alone = tested_alone(MEASUREMENTS[name] for name in filt.model.measurements)
-
-    def phase(valid: jax.Array, keep: jax.Array, at: jax.Array, there: jax.Array, sd: jax.Array) -> Any:
-        def outputs(r: jax.Array) -> Any:
-            moved = join(spec, back(r), params)
-            seen = run(filt, moved, nav, epochs._replace(fix=epochs.fix._replace(valid=valid)), keep_seen)
-            C = seen.P[at] + position_noise(moved, sd)
-            return (seen.nu, seen.S, seen.residual[at], C), (seen.valid, seen.used, seen.ok)
-
-        ((nu, S, y, C), (seen, used, ok)), (dnu, dS, dy, dC) = pushed(outputs, flat)
-        if alone.any():
-            terms = jax.vmap(partial(gated, alone=alone), (0, 0, 0, 1, 1, 0))(nu, S, seen, dnu, dS, used)
-        else:
-            terms = jax.vmap(gaussian, (0, 0, 0, 1, 1, 0))(nu, S, seen, dnu, dS, (seen & ~used).any(-1))
-        three = jnp.ones((at.size, 3), bool)
-        far = jax.vmap(partial(gaussian, heavy=True), (0, 0, 0, 1, 1))(y, C, three, dy, dC)
-        lost = jnp.where((keep & ~ok).any(), jnp.inf, 0.0)
-        counts = keep & seen.any(-1)
-
-        def total(parts: Any, mask: jax.Array) -> Any:
-            value, score, fisher = (jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0).sum(0) for a in parts)
-            return ScoreSums(value, score, fisher, mask.sum())
-
-        innovations = total(terms, counts)
-        return innovations._replace(value=innovations.value + lost), total(far, there)
-
-    both = jax.vmap(phase)(valid, keep, at, there, sd)
-    return jax.tree.map(lambda a: a.sum(0), both)
+    valid, used = middle(record.valid), middle(record.used)
+    terms = gated_terms(
+        middle(record.nu), middle(record.S), valid, used, slopes(record.nu), slopes(record.S), alone
+    )  # fmt: skip
+    innovations = summed(terms, part.keep.reshape(-1) & valid.any(1))
+    if (part.keep & ~record.ok[:, 0]).any():
+        innovations = innovations._replace(value=np.inf)
+    rows = np.arange(phases)[:, None, None], np.arange(count)[:, None], part.at[:, None]
+    noise = [position_noise(taken(candidates, k), part.sd) for k in range(count)]  # (phases, A, 3, 3) each
+    y, C = record.residual[rows], record.P[rows] + np.stack(noise, 1)
+    three = np.ones((part.at.size, 3), bool)
+    far = gaussian_terms(middle(y), middle(C), three, slopes(y), slopes(C), three[:, 0])
+    return innovations, summed(far, part.there.reshape(-1))
 
 
-@stored
-def _nll(nu: jax.Array, S: jax.Array, valid: jax.Array, heavy: jax.Array) -> jax.Array:
-    """Of residuals (A, m), each alone."""
-    m = nu.shape[-1]
-    one = lambda nu, S, valid, heavy: gaussian(nu, S, valid, jnp.zeros((0, m)), jnp.zeros((0, m, m)), heavy)[0]
-    return jax.vmap(one)(nu, S, valid, heavy)
-
-
-def predicted(filt: Filter, params: Sequence[Params], used: Sequence[Used], infos: Sequence[Info]) -> float:
+def predicted(params: Sequence[Params], used: Sequence[Used], infos: Sequence[LaneRecord]) -> float:
     """Return how badly a candidate predicts the validation parts of recordings.
 
     Mean negative log-likelihood of an innovation, plus that of a hidden fix, both by a Student t, so that no fix counts
     without bound.
 
     Args:
-        filt: the candidate's filter.
-        params: its parameters in each recording.
+        params: the candidate's parameters in each recording.
         used: the recordings.
         infos: (P, E, ...) of its runs with hidden windows.
     """
@@ -117,9 +161,8 @@ def predicted(filt: Filter, params: Sequence[Params], used: Sequence[Used], info
         part = (u.t > u.layout.train + TICK) & (u.t <= u.layout.validation + TICK)
         counts = part & ~u.windows.hidden & np.asarray(info.valid).any(-1)
         lost = not np.asarray(info.ok)[:, part].all()
-        pick = lambda a, counts=counts: jnp.asarray(np.asarray(a)[counts])
-        innovations = _nll(*map(pick, (info.nu, info.S, info.valid, np.ones(np.shape(info.ok), bool))))
-        hidden = hidden_fixes(filt, fitted, u, info, u.parts["validation"]).nll()
+        innovations = innovation_nll(info)[counts]
+        hidden = hidden_fixes(fitted, u, info, u.parts["validation"]).nll()
         for into, values in zip(shown, (innovations, hidden), strict=True):
             into.append(np.where(lost, np.inf, np.asarray(values)))
     return float(sum(np.mean(np.concatenate(values)) for values in shown))
@@ -134,21 +177,18 @@ class HiddenFixes(NamedTuple):
 
     def nll(self) -> np.ndarray:
         """Negative log-likelihood (K,) of each, by a Student t."""
-        every = jnp.ones(self.residual.shape, bool)
-        return np.asarray(_nll(jnp.asarray(self.residual), jnp.asarray(self.covariance), every, every[:, 0]))
+        return residual_nll(self.residual, self.covariance)
 
     def nees(self) -> np.ndarray:
         """Horizontal error squared over its covariance, (K,): chi-square of 2 degrees of freedom."""
-        y = self.residual[:, :2]
-        return np.asarray(np.einsum("ki,kij,kj->k", y, np.linalg.inv(self.covariance[:, :2, :2]), y))
+        return normalized(self.residual[:, :2], self.covariance[:, :2, :2])
 
 
-def hidden_fixes(filt: Filter, params: Params, used: Used, info: Info, mask: np.ndarray) -> HiddenFixes:
+def hidden_fixes(params: Params, used: Used, info: LaneRecord, mask: np.ndarray) -> HiddenFixes:
     """Return the hidden fixes of some windows.
 
     Args:
-        filt: the filter.
-        params: its parameters.
+        params: parameters of the filter.
         used: the recording.
         info: (P, E, ...) runs with hidden windows.
         mask: (W,) the windows.
@@ -158,53 +198,35 @@ def hidden_fixes(filt: Filter, params: Params, used: Used, info: Info, mask: np.
     at, known = ages(windows, used.packed.t, there, mask, used.layout.window)
     phase, column = np.nonzero(known)
     epoch = at[phase, column]
-    sd = jnp.asarray(np.asarray(fix.sd)[epoch, :3])
-    P = seen_by_position(jnp.asarray(np.asarray(info.P)[phase, epoch]), slow_errors(filt))
+    noise = position_noise(params, np.asarray(fix.sd)[epoch, :3])
     begins = [windows.start[(windows.phase == p) & mask] for p in range(len(windows.hidden))]
     age = [t - begins[p][begins[p] < t].max() for p, t in zip(phase, used.packed.t[epoch], strict=True)]
-    covariance = np.asarray(P + position_noise(params, sd))
-    return HiddenFixes(np.asarray(info.residual)[phase, epoch, :3], covariance, np.array(age))
-
-
-def slow_errors(filt: Filter) -> slice | None:
-    """Return where a filter's covariance has the slow errors of a receiver, None where it has none."""
-    return table.layout(table.chosen(filt.model.states)).get(SLOW)
-
-
-def seen_by_position(P: jax.Array, slow: slice | None) -> jax.Array:
-    """Covariance (..., 3, 3) m^2, ENU, of a predicted fix without its noise: position and the receiver's slow error."""
-    if slow is None:
-        return P[..., :3, :3]
-    cross = P[..., :3, slow]
-    return P[..., :3, :3] + cross + jnp.swapaxes(cross, -1, -2) + P[..., slow, slow]
+    return HiddenFixes(info.residual[phase, epoch], info.P[phase, epoch] + noise, np.array(age))
 
 
 class Training(NamedTuple):
-    """A recording's training part, as `_evidence` takes it."""
+    """A recording's training part, as `evidence_of` takes it."""
 
-    datasheet: Params
     nav: Nav
-    epochs: Epoch  # (E, ...)
-    valid: jax.Array  # (P, E, m) not hidden
-    keep: jax.Array  # (P, E) counts
+    epochs: Epoch  # (E, ...) prepared
+    valid: np.ndarray  # (P, E, m) not hidden
+    keep: np.ndarray  # (P, E) counts
     at: np.ndarray  # (P, A) epochs of hidden fixes
     there: np.ndarray  # (P, A) which are any
     sd: np.ndarray  # (P, A, 3) m
 
 
-def training_of(filt: Filter, used: Used, size: int) -> Training:
-    """Return the first ``size`` epochs; epochs after the training part in them do not count."""
+def training_of(filt: Filter, used: Used) -> Training:
+    """Return the epochs up to the training part's end, a multiple of `CHUNK`; those after it do not count."""
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    epochs, t = jax.tree.map(lambda a: a[:size], used.epochs), used.t[:size]
+    size = -(-int(np.searchsorted(used.packed.t, used.layout.train + TICK)) // CHUNK) * CHUNK
+    epochs, t = taken(used.epochs, slice(size)), used.t[:size]
     hidden, layout, fix = used.windows.hidden[:, :size], used.layout, used.packed.epochs.fix
     counts = (t >= used.packed.start + layout.settle) & (t <= layout.train + TICK)
     there = np.all(np.asarray(fix.valid)[:, :2], axis=1)
     at, known = ages(used.windows, used.packed.t, there, used.parts["training"], layout.window)
-    valid = jnp.stack([ep.hide(epochs, h, chosen, layout.satellites).fix.valid for h in hidden])
-    return Training(
-        used.datasheet, used.nav, epochs, valid,
-        jnp.asarray(counts & ~hidden), at, known, np.asarray(fix.sd)[:, :3][at],
-    )  # fmt: skip
+    valid = np.stack([np.asarray(ep.hide(epochs, h, chosen, layout.satellites).fix.valid) for h in hidden])
+    return Training(used.nav, epochs, valid, counts & ~hidden, at, known, np.asarray(fix.sd)[:, :3][at])
 
 
 class Job:
@@ -227,9 +249,6 @@ class Job:
         self.filt, self.spec, self.used = filt, spec, list(used)
         self.raw = split(spec, used[0].datasheet)
         first, self.back = ravel_pytree(self.raw)
-        self.items = tuple(
-            (name, t._replace(prior=None)) for name, t in spec.items()
-        )  # priors are no part of a program
         self.leaves = [name for name in sorted(spec) for _ in range(np.size(self.raw[name]))]  # of each local number
         single = np.flatnonzero(np.isin(self.leaves, per_recording))
         self.places = [np.arange(first.size)]  # of a recording's numbers among all
@@ -240,11 +259,7 @@ class Job:
         #: of each number: its recording, and its index in that recording
         self.owner = np.concatenate([np.zeros(first.size, int), np.repeat(np.arange(1, len(used)), single.size)])
         self.origin = np.concatenate([np.arange(first.size), np.tile(single, len(used) - 1)])
-        size = max(int(np.searchsorted(u.packed.t, u.layout.train + TICK)) for u in used)
-        parts = [training_of(filt, u, size) for u in used]
-        most = max(p.at.shape[1] for p in parts)
-        wide = lambda a: np.pad(a, [(0, 0), (0, most - a.shape[1])] + [(0, 0)] * (a.ndim - 2))
-        self.parts = [p._replace(at=wide(p.at), there=wide(p.there), sd=wide(p.sd)) for p in parts]
+        self.parts = [training_of(filt, u) for u in used]
         lengths = [float(u.layout.train - u.packed.start - u.layout.settle) / u.layout.window for u in used]
         self.effective = max(1.0, sum(lengths)) if observations is None else observations
         self.flat = self.centre = self.numbers([u.datasheet for u in used])  # centre of the priors
@@ -253,10 +268,12 @@ class Job:
     def evidence(self, flat: jax.Array) -> tuple[ScoreSums, ScoreSums]:
         """Of innovations, of hidden fixes, of all recordings; on the host, as `objective`."""
         numbers = np.asarray(flat)
-        found = [
-            _evidence(self.filt, self.items, numbers[at], self.raw, *part)
-            for at, part in zip(self.places, self.parts, strict=True)
-        ]
+        found = []
+        for r, (at, part) in enumerate(zip(self.places, self.parts, strict=True)):
+            steps = STEP * np.eye(at.size)
+            points = numbers[at] + np.concatenate([np.zeros((1, at.size)), steps, -steps])
+            whole = lambda x, r=r: join(self.spec, self.back(x), self.used[r].datasheet)
+            found.append(evidence_of(self.filt, jax.device_get(jax.vmap(whole)(points)), part))
         G = flat.size
 
         def among_all(e: ScoreSums, at: np.ndarray) -> ScoreSums:
@@ -264,7 +281,6 @@ class Job:
             score[at], fisher[np.ix_(at, at)] = e.score, e.fisher
             return e._replace(score=score, fisher=fisher)
 
-        found = jax.device_get(found)
         together = [tuple(among_all(e, at) for e in both) for at, both in zip(self.places, found, strict=True)]
         return jax.tree.map(lambda *each: sum(each), *together)
 

@@ -8,12 +8,12 @@ too large by all of them; so is a window with a suspect epoch, or with a last hi
 
 from collections.abc import Mapping, Sequence
 
-import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.analysis.windows import position_noise
 from jaxnav.checkup.findings import finding
-from jaxnav.types import Finding, Info, Params
+from jaxnav.filters.lanes import LaneRecord
+from jaxnav.filters.scores import normalized, position_noise
+from jaxnav.types import Finding, Params
 from tuning.recordings.parts import Used
 
 BLOCK_S = 10.0  # s
@@ -24,7 +24,7 @@ MAX_LEFT_OUT_SHARE = 0.5  # of a part's windows, beyond which none is left out: 
 MIN_SUSPECTS = 2  # suspect epochs or windows of a part that are worth a finding
 
 
-def suspect_epochs(t: np.ndarray, infos: Sequence[Info]) -> np.ndarray:
+def suspect_epochs(t: np.ndarray, infos: Sequence[LaneRecord]) -> np.ndarray:
     """Return the epochs (E,) that no candidate explains.
 
     Args:
@@ -46,7 +46,7 @@ def suspect_epochs(t: np.ndarray, infos: Sequence[Info]) -> np.ndarray:
     return np.asarray(suspect)
 
 
-def suspect_windows(used: Used, params: Sequence[Params], infos: Sequence[Info]) -> np.ndarray:
+def suspect_windows(used: Used, params: Sequence[Params], infos: Sequence[LaneRecord]) -> np.ndarray:
     """Return the windows (W,) of a recording that judge nothing.
 
     Args:
@@ -61,9 +61,7 @@ def suspect_windows(used: Used, params: Sequence[Params], infos: Sequence[Info])
     sd = np.asarray(used.packed.epochs.fix.sd)[windows.end, :3]
     for candidate, info in zip(params, infos, strict=True):
         at = windows.phase, windows.end
-        C = np.asarray(info.P)[at][:, :3, :3] + np.asarray(position_noise(candidate, jnp.asarray(sd)))
-        y = np.asarray(info.residual)[at][:, :3]
-        square = np.einsum("wi,wij,wj->w", y, np.linalg.inv(C), y) / 3
+        square = normalized(info.residual[at], info.P[at] + position_noise(candidate, sd)) / 3
         lost &= square > MAX_EPOCH_RATIO * max(1.0, float(np.median(square)))
     return np.array(near, bool) | lost
 

@@ -35,13 +35,14 @@ from jaxnav.filters import epochs as ep
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK
+from jaxnav.filters.lanes import LaneRecord, padded_shape, ready, taken
 from jaxnav.filters.parameters import history_for, installed, put, with_prior_of
-from jaxnav.filters.run import prepare, require_params, require_x64
+from jaxnav.filters.run import require_params, require_x64
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.types import ConfigError, DataError, Finding, Info, Params, Recording
+from jaxnav.types import ConfigError, DataError, Finding, Params, Recording
 from tuning.fit.status import Status
 from tuning.recordings.choice import choose
 from tuning.recordings.evidence import SLOW, Job, predicted
@@ -222,7 +223,7 @@ def tune(
     trials = {
         name: Trial(
             jobs[name].filt, kept_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts),
-            predicted(jobs[name].filt, params_of(name), judged, off[1]),
+            predicted(params_of(name), judged, off[1]),
         )
         for name, off in offs.items()
     }  # fmt: skip
@@ -304,16 +305,16 @@ def prepare_recordings(
     cut: Sequence[ep.Packed], layouts: Sequence[Layout], log: Callable[[str], None],
 ) -> list[Used]:  # fmt: skip
     """Return every recording with its epochs grown to one size, so that one program serves them all, and its parts."""
-    E, K = (max(p.epochs.imu.dt.shape[axis] for p in cut) for axis in (0, 1))
+    E, K = np.max([padded_shape(p.epochs) for p in cut], 0).tolist()
     used = []
     for rec, params, begin, packed, layout in zip(recs, datasheets, begins, cut, layouts, strict=True):
         windows = windows_of(packed, layout, E)
         parts = parts_of(layout, windows)
         log((f"{rec.name}: " if len(recs) > 1 else "") + describe_parts(layout, parts, packed))
-        epochs = prepare(filt, ep.pad_epochs(packed.epochs, E, K) if len(recs) > 1 else packed.epochs)
         datasheet = begin.apply_to(params)
-        train = jax.tree.map(lambda a, end=int(np.searchsorted(packed.t, layout.train + TICK)): a[:end], epochs)
+        train = taken(packed.epochs, slice(int(np.searchsorted(packed.t, layout.train + TICK))))
         nav = most_probable(filt, datasheet, begin.navs, train)
+        epochs = ready(filt, datasheet, nav, packed.epochs, (E, K))
         used.append(Used(rec.name, begin, datasheet, nav, packed, epochs, layout, windows, parts, rec.truth))
     return used
 
@@ -321,7 +322,7 @@ def prepare_recordings(
 # ---------------------------------------------------------------------------- candidates
 
 
-def correlation(infos: Sequence[Info], used: Sequence[Used]) -> float:
+def correlation(infos: Sequence[LaneRecord], used: Sequence[Used]) -> float:
     """Of the position's normalised innovations from one fix to the next, before the test part; 0 of fewer than 30.
 
     ``infos`` (P, E, ...) of each recording; pairs across a hidden window do not count.
@@ -339,7 +340,7 @@ def correlation(infos: Sequence[Info], used: Sequence[Used]) -> float:
     return float(product / square) if count >= 30 else 0.0
 
 
-def level_drift(job: Job, flat: jax.Array, measurements: tuple[Any, ...]) -> tuple[np.ndarray, list[Info]]:
+def level_drift(job: Job, flat: jax.Array, measurements: tuple[Any, ...]) -> tuple[np.ndarray, list[LaneRecord]]:
     """Horizontal drift (W,) m at the ends of the windows of all recordings, and the runs (P, E, ...) of each."""
     runs = [
         drift(job.filt, params, u.nav, u.epochs, u.windows, measurements)

@@ -14,6 +14,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxnav.filters.border import TABLES, in_user_units, name_of, nested, noise_leaves, override, unit_of, user_value
 from jaxnav.filters.core import Filter
+from jaxnav.filters.lanes import LaneRecord
 from jaxnav.filters.parameters import get
 from jaxnav.io import atomic_write
 from jaxnav.io.json import to_json, write_json
@@ -175,7 +176,7 @@ def spread(off: np.ndarray) -> dict[str, float]:
 
 
 def channels(
-    infos: Sequence[Info], part: Sequence[np.ndarray], measurements: Sequence[Measurement]
+    infos: Sequence[Info | LaneRecord], part: Sequence[np.ndarray], measurements: Sequence[Measurement]
 ) -> dict[str, float]:
     """Return the normalised innovations squared by channel over all runs (B, E, ...), in the epochs (E,) of a part."""
     flat = lambda a: np.asarray(a).reshape(-1, a.shape[-1])

@@ -8,11 +8,12 @@ import numpy as np
 from jaxnav.analysis.windows import drift
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
+from jaxnav.filters.lanes import LaneRecord
 from jaxnav.filters.parameters import history_for
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.initialize import Initialization
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.types import Info, Params, Recording
+from jaxnav.types import Params, Recording
 from tuning.recordings.evidence import HiddenFixes, hidden_fixes
 from tuning.recordings.parts import MAX_ADDED_DELAY_S, Layout, Used
 from tuning.recordings.recorded import prepare_recordings
@@ -27,7 +28,7 @@ class Scored(NamedTuple):
     params: Params  # with the prior of the start
     used: Used
     error: np.ndarray  # (W, 3) m, ENU, at the end of each window
-    info: Info  # (P, E, ...)
+    info: LaneRecord  # (P, E, ...)
 
     @property
     def horizontal(self) -> np.ndarray:
@@ -41,7 +42,7 @@ class Scored(NamedTuple):
     def hidden(self, *parts: str) -> HiddenFixes:
         """Return the hidden fixes of some parts, with their predictions."""
         mask = np.any([self.used.parts[part] for part in parts], 0)
-        return hidden_fixes(self.filter, self.params, self.used, self.info, mask)
+        return hidden_fixes(self.params, self.used, self.info, mask)
 
 
 class Bench(NamedTuple):

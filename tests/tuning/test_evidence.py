@@ -1,0 +1,58 @@
+"""Terms of the likelihood of recorded tuning: those of the traced forms, and derivatives by differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tuning import uncertainty
+from tuning.recordings.evidence import STEP, gated_terms, gaussian_terms
+
+N, M, P = 7, 4, 3
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Residuals with missing and rejected channels, their covariances and derivatives."""
+    rng = np.random.default_rng(3)
+    root, slopes = rng.normal(size=(N, M, M)), rng.normal(size=(N, P, M, M))
+    valid = rng.random((N, M)) < 0.8
+    both = valid[:, :, None] & valid[:, None]
+    S = np.where(both, root @ np.swapaxes(root, 1, 2) + np.eye(M), np.eye(M))
+    dS = np.where(both[:, None], slopes + np.swapaxes(slopes, 2, 3), 0.0)
+    nu = np.where(valid, 3 * rng.normal(size=(N, M)), 0.0)
+    dnu = np.where(valid[:, None], rng.normal(size=(N, P, M)), 0.0)
+    return nu, S, valid, dnu, dS, valid & (rng.random((N, M)) < 0.6)
+
+
+def equal(found, expected):
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("heavy", [False, True])
+def test_terms_are_those_of_the_traced_form(drawn, heavy):
+    nu, S, valid, dnu, dS, _ = drawn
+    flags = np.full(N, heavy)
+    equal(gaussian_terms(nu, S, valid, dnu, dS, flags), jax.vmap(uncertainty.gaussian)(nu, S, valid, dnu, dS, flags))
+
+
+@pytest.mark.parametrize("alone", [(), (1, 3), (0, 1, 2, 3)])
+def test_rejected_channels_that_are_tested_alone_have_terms_of_their_own(drawn, alone):
+    nu, S, valid, dnu, dS, used = drawn
+    flags = np.isin(np.arange(M), alone)
+    form = jax.vmap(lambda *z: uncertainty.gated(*z, alone=flags))
+    equal(gated_terms(nu, S, valid, used, dnu, dS, flags), form(nu, S, valid, dnu, dS, used))
+
+
+def test_scores_are_derivatives_of_the_objective(job):
+    """Of J's likelihood by central differences of itself; and the differences on lanes agree with tangents."""
+    mine = job[0]()
+    x, h = np.asarray(mine.flat), 1e-3
+    found = mine.evidence(jnp.asarray(x))
+    for i in range(x.size):
+        up, down = (mine.evidence(jnp.asarray(x + sign * h * np.eye(x.size)[i])) for sign in (1, -1))
+        for k in (0, 1):
+            slope = (up[k].value - down[k].value) / (2 * h)
+            np.testing.assert_allclose(found[k].score[i], slope, rtol=2e-4, atol=1e-3)
+    assert STEP < h

@@ -34,6 +34,7 @@ class Layout(NamedTuple):
     train: float  # time at which the training part ends
     validation: float  # and the validation part
     satellites: int = 0  # that hidden windows keep
+    start: float | None = None  # that windows are counted from; None: the start of navigation
 
 
 class Used(NamedTuple):
@@ -93,12 +94,16 @@ def plan(packed: ep.Packed, window: float) -> Layout:
     settle = min(30.0, 0.1 * span)
     begin = packed.start + settle
     left = span - settle
-    return Layout(window, 3 * window, settle, begin + 0.5 * left, begin + 0.65 * left)
+    return Layout(window, 3 * window, settle, begin + 0.5 * left, begin + 0.65 * left, start=packed.start)
 
 
 def windows_of(packed: ep.Packed, layout: Layout, size: int) -> Windows:
-    """Return the hidden windows of a recording, over ``size`` epochs with the recorded ones first."""
-    windows = hidden_windows(packed, layout.window, layout.every, PHASES, layout.settle)
+    """Return the hidden windows of a recording, over ``size`` epochs with the recorded ones first.
+
+    They are counted from the layout's start: with a later start of navigation those before it are left out.
+    """
+    counted = packed if layout.start is None else packed._replace(start=layout.start)
+    windows = hidden_windows(counted, layout.window, layout.every, PHASES, layout.settle)
     hidden = np.pad(windows.hidden, [(0, 0), (0, size - packed.t.size)])
     return windows._replace(hidden=hidden, satellites=layout.satellites)
 

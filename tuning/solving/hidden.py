@@ -55,25 +55,27 @@ class Bench(NamedTuple):
     standing: Standing
     stop: float  # s, the last epoch
     history: int = 2  # samples of navigation that every filter keeps, so that filters share their programs
-    parts: dict[str, np.ndarray] | None = None  # masks (W,) of the windows; None: all of them
+    faulty: np.ndarray = np.zeros(0)  # (F,) s, starts of windows with a fault of the receiver, which judge nothing
 
     def reaching(self, params: Params) -> "Bench":
         """Return the bench with a history for parameters and the delay that tuning may add to theirs."""
         rate, span = 1 / float(np.median(self.recording.imu.dt)), float(np.ptp(self.recording.imu.t))
         return self._replace(history=history_for(params, rate, span, MAX_ADDED_DELAY_S))
 
-    def score(self, filt: Filter, params: Params) -> Scored:
+    def score(self, filt: Filter, params: Params, begin: Initialization | None = None) -> Scored:
         """Run a filter over all windows.
 
         Args:
             filt: the filter.
             params: its parameters, with the lever arm.
+            begin: the initialization; by default that of the bench. Windows before it are left out.
         """
+        begin = self.begin if begin is None else begin
         rec, chosen = self.recording, tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-        packed = ep.pack_recording(rec, chosen, self.begin.t, 0.0, self.stop, self.standing)
+        packed = ep.pack_recording(rec, chosen, begin.t, 0.0, self.stop, self.standing)
         filt = filt.with_history(self.history) if filt.with_history else filt
-        (used,) = prepare_recordings([rec], filt, [params], [self.begin], [packed], [self.layout], lambda line: None)
+        (used,) = prepare_recordings([rec], filt, [params], [begin], [packed], [self.layout], lambda line: None)
         error, info = drift(filt, used.datasheet, used.nav, used.epochs, used.windows, chosen)
-        return Scored(
-            filt, used.datasheet, used if self.parts is None else used._replace(parts=self.parts), error, info
-        )
+        healthy = ~np.isin(np.round(used.starts, 6), np.round(self.faulty, 6))
+        used = used._replace(parts={name: mask & healthy for name, mask in used.parts.items()})
+        return Scored(filt, used.datasheet, used, error, info)

@@ -153,14 +153,16 @@ def solve(
         )  # fmt: skip
         findings += tuned.findings
         params = tuned.params
-        final = bench.score(tuned.filter, params)
     stages.next()
+    # what is judged is what is delivered: the same start, filter and parameters
+    begun = initialization(rec, params)
+    final = bench.score(final.filter if tuned is None else tuned.filter, params, begun)
     calibration = calibrate(final)
     if calibration.factor > 1.0:
         findings.append(finding("solve.inflated", "stated sd", calibration.factor, count=calibration.after.fixes))
     stages.next()
     sol = navigate(
-        rec, final.filter, params, scan=False, initialization=initialization, stop=stop, standing=standing,
+        rec, final.filter, params, scan=False, initialization=begun, stop=stop, standing=standing,
         smooth=smooth, sd_factor=calibration.factor,
     )  # fmt: skip
     nis = _test_nis(sol, layout.validation)
@@ -180,7 +182,8 @@ def _without_faults(bench: Bench, plain: dict[str, Scored]) -> tuple[Bench, dict
     each = list(plain.values())
     suspect = suspect_windows(used, [s.params for s in each], [s.info for s in each])
     parts, faults = without_faults(used.parts, suspect, used.starts)
-    bench = bench._replace(parts=parts)
+    counted, left = (np.any(list(masks.values()), 0) for masks in (used.parts, parts))
+    bench = bench._replace(faulty=used.starts[counted & ~left])
     return bench, {name: s._replace(used=s.used._replace(parts=parts)) for name, s in plain.items()}, faults
 
 

@@ -6,15 +6,17 @@ import jax
 import numpy as np
 import pytest
 
+from jaxnav.analysis.windows import drift
 from jaxnav.checkup.findings import finding
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.epochs import sample_rows
+from jaxnav.initialization.initialize import initialize
 from jaxnav.maths.units import PPM
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import DataError, Samples
 from tuning.solving import corrections, solve
-from tuning.solving.calibration import Calibration, Consistency
+from tuning.solving.calibration import Calibration, Consistency, calibrate
 from tuning.solving.corrections import AXES, DRIFT, OFFSET, correct, turned
 from tuning.solving.sensors import Option, growth, larger, options, standing_of
 
@@ -75,6 +77,28 @@ def test_stated_sd_grow_by_the_factor_of_the_calibration(drive, monkeypatch):
     P = np.asarray(found.solution.trace.info.P)
     np.testing.assert_allclose(found.solution.sd, 2 * np.sqrt(np.diagonal(P, axis1=1, axis2=2)[:, :9]))
     np.testing.assert_allclose(found.solution.at_imu_rate()[1][-1], found.solution.sd[-1], rtol=1e-6)
+
+
+def test_what_is_judged_is_what_is_delivered(drive, monkeypatch):
+    """The same start, filter and parameters, where what is found starts the run later than the datasheet did."""
+    judged = []
+    monkeypatch.setattr(solve, "calibrate", lambda final: judged.append(final) or calibrate(final))
+    monkeypatch.setattr(solve, "options", lambda rec, found: [])
+
+    def later(rec, params):
+        return initialize(rec, params, t_start=None if float(params.mounting.time_offset) == 0 else rec.imu.t[0] + 30.0)
+
+    found = solve.solve(drive, fast=True, smooth=False, initialization=later)
+    (final,), sol = judged, found.solution
+    assert sol.packed.start == final.used.packed.start > drive.imu.t[0] + 30.0
+    windows = final.used.windows
+    windows = windows._replace(hidden=windows.hidden[:, : sol.packed.t.size])
+    error, _ = drift(sol.filter, sol.params, sol.nav, sol.packed.epochs, windows, sol.measurements)
+    np.testing.assert_allclose(final.error, error, atol=1e-3)
+    test = windows.start >= final.used.layout.validation - 1e-6
+    assert test.sum() > 5
+    rms = np.sqrt((error[test, :2] ** 2).sum(1).mean())
+    assert found.drift_m["solution"] == pytest.approx(rms, rel=1e-3)
 
 
 # ---------------------------------------------------------------------------- measurements

@@ -100,24 +100,6 @@ def gaussian(nu: jax.Array, S: jax.Array, valid: jax.Array, dnu: jax.Array, dS: 
     return nll, score, 0.5 * jnp.einsum("iab,jba->ij", A, A) + weight * (dnu @ inv @ dnu.T)
 
 
-def gated(
-    nu: jax.Array, S: jax.Array, valid: jax.Array, dnu: jax.Array, dS: jax.Array, used: jax.Array, alone: np.ndarray
-) -> Any:
-    """`gaussian` of an epoch of a filter with satellites: `jaxnav.filters.run.gated_nll` with its derivatives."""
-    out = valid & ~used & alone
-    keep = valid & ~out
-    both = keep[:, None] & keep
-    rest = gaussian(
-        jnp.where(keep, nu, 0.0), jnp.where(both, S, jnp.eye(keep.size)), keep, jnp.where(keep, dnu, 0.0),
-        jnp.where(both, dS, 0.0), (valid & ~used & ~alone).any(),
-    )  # fmt: skip
-    one = lambda i: gaussian(nu[i, None], S[i, i, None, None], jnp.ones(1, bool), dnu[:, i, None],
-                             dS[:, i, i, None, None], heavy=True)  # fmt: skip
-    single = jax.lax.map(one, jnp.arange(keep.size))
-    only = lambda a: jnp.where(out.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0).sum(0)
-    return jax.tree.map(lambda a, b: a + only(b), rest, single)
-
-
 def total(parts: Information) -> Information:
     """Return the information of independent runs (leading axis) together; their blocks stay separate."""
     nll, score, fisher = (a.sum(0) for a in parts[:3])

@@ -223,7 +223,7 @@ def linear_model(
         A, before = jax.jacfwd(predicted, has_aux=True)(state.x)
         y, H, R = filt.model.observe(params, before.past, epoch.fix)
         _, H, R = masked(y, H, R, epoch.fix.valid)
-        K = linalg.gain(before.P, H, H @ before.P @ H.T + R)
+        K = linalg.update(before.P, H, R)[0]
         return filt.correct(params, before, epoch.fix)[0], (A, K, H)
 
     return _along(filt, params, navs, epochs, P, step)[1]

@@ -167,12 +167,15 @@ class Delay(NamedTuple):
         return self.mean + (LATENCY_STEP * np.arange(-4, 5) if known else LATENCIES) if self.free else np.zeros(1)
 
 
-def known_delay(rec: Recording, params: Params, end: float) -> Delay:
-    """Return what alignments up to ``end`` s say of the delay of the fixes, with an sd that allows for their models."""
+def known_delay(rec: Recording, params: Params, end: float, outages: Sequence[Any]) -> Delay:
+    """Return what alignments up to ``end`` s say of the delay of the fixes, with an sd that allows for their models.
+
+    ``outages``: (start, end) s, windows whose fixes are hidden.
+    """
     if _timed(params):
         return Delay(0.0, LATENCY_SD, False)
-    early = {name: ep.sample_rows(s, s.t <= end) for name, s in rec.aiding.items() if name in ("position", "velocity")}
-    found = delay_of(rec._replace(aiding=early))
+    seen = lambda s: ep.sample_rows(s, (s.t <= end) & ~ep.within(s.t, outages))
+    found = delay_of(rec._replace(aiding={m.name: seen(rec.aiding[m.name]) for m in GNSS if m.name in rec.aiding}))
     if found is None or DELAY_SD_FACTOR * found[1] >= LATENCY_SD:
         return Delay()
     return Delay(found[0], max(DELAY_SD_FACTOR * found[1], MIN_DELAY_SD))
@@ -417,7 +420,7 @@ def scan_noise(
     last = min(np.inf if stop is None else stop, float(rec.aiding["position"].t[-1]), float(rec.imu.t[-1]))
     begin = _in_motion(rec, params, begin, last)
     end = min(begin.t + WARM_UP_S + SCANNED_S, last)
-    delay = known_delay(rec, params, end)
+    delay = known_delay(rec, params, end, outages)
     objective = _Objective(rec, params, begin, end, outages, delay)
     fixes = int(objective.at(delay.mean).counted.sum())
     if fixes < MIN_FIXES:

@@ -27,7 +27,7 @@ RECEIVER_ERROR = "gnss_position_error"  # state that a measured position has mor
 
 
 class LaneRecord(NamedTuple):
-    """LaneRecord of runs, each with a leading (L, E): L lanes of E epochs, of a filter with m channels."""
+    """Record of runs, each field with a leading (L, E): L lanes of E epochs, of a filter with m channels."""
 
     nu: Any  # (m,) innovation, 0 on missing channels
     S: Any  # (m, m) its covariance, identity rows on missing channels

@@ -140,11 +140,6 @@ def _normalized_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tupl
     return v @ w, w @ (2 * dv - dS @ w)
 
 
-def gain(P: jax.Array, H: jax.Array, S: jax.Array) -> jax.Array:
-    """Kalman gain P H' S^-1, (n, m); nan where S is not positive definite."""
-    return solve(S, H @ P).T
-
-
 def update(P: jax.Array, H: jax.Array, R: jax.Array, inv: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
     """Return the Kalman gain (n, m) and the covariance (n, n) after a correction with it, in Joseph form.
 

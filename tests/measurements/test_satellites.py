@@ -294,7 +294,7 @@ def test_the_likelihood_gives_a_rejected_satellite_a_tail_of_its_own():
     """Its value by the parts, its score by finite differences, and the others as if it were not there."""
     from jaxnav.filters.run import gated_nll, negative_log_likelihood, student_nll
     from jaxnav.types import Info
-    from tuning.uncertainty import gated
+    from tuning.recordings.evidence import gated_terms
 
     rng = np.random.default_rng(4)
     m, alone = 5, np.array([False, False, True, True, True])
@@ -316,7 +316,8 @@ def test_the_likelihood_gives_a_rejected_satellite_a_tail_of_its_own():
     np.testing.assert_allclose(found, negative_log_likelihood(rest) + tail, rtol=1e-12)
     dnu, dS = jnp.asarray(rng.normal(size=(1, m))), jnp.asarray(root[1] + root[1].T)[None]
     dnu, dS = jnp.where(valid, dnu, 0.0), jnp.where(valid[:, None] & valid, dS, 0.0)
-    value, score, fisher = gated(nu, S, valid, dnu, dS, used, alone)
+    one = (np.asarray(a)[None] for a in (nu, S, valid, used, dnu, dS))
+    value, score, fisher = (a[0] for a in gated_terms(*one, alone))
     np.testing.assert_allclose(value, found, rtol=1e-12)
     step = 1e-6
     moved = lambda h: gated_nll(info_of(nu + h * dnu[0], S + h * dS[0], valid, used), alone)

@@ -195,8 +195,7 @@ def error_model(
 
         def sample(nav: Nav) -> jax.Array:
             then = motion.leave(nav) if motion.leave else nav
-            B = latency.error_then(latency.interval(then, local, now.t - nav.t), rows)
-            change = B @ x_enu - x_enu[:9]
+            change = latency.earlier_error(latency.interval(then, local, now.t - nav.t), rows)(x_enu) - x_enu[:9]
             return x.at[:9].add(change if J is None else inverse_rows(J) @ change)
 
         return jax.vmap(sample)(past)

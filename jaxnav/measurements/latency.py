@@ -18,13 +18,15 @@ S_0 and S_1 are differences of navigation, so the noise of single accelerometer 
 transport rate and Coriolis acceleration are neglected: 1e-4 of an entry for an age of a second.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxnav.maths import earth, rotations
+from jaxnav.maths.components import add, cross, rotate, scale, split
 from jaxnav.states.sensors import OTHER
 from jaxnav.states.state import Reading, State
 from jaxnav.types import Nav
@@ -66,7 +68,7 @@ def error_then(between: Interval, states: Sequence[State]) -> jax.Array:
         Rows: position (m), velocity (m/s) and attitude (rad) error in ENU at the earlier instant. Columns: the same and
         the optional states at the end.
     """
-    age, S0, S1, q_then, q_now, auxiliary = between
+    age, S0, S1, q_then, q_now, _ = between
     C_then, C_now = rotations.to_dcm(q_then), rotations.to_dcm(q_now)
     eye, zero = jnp.eye(3), jnp.zeros((3, 3))
     A0, A1 = -rotations.skew(S0), -rotations.skew(S1)
@@ -77,17 +79,53 @@ def error_then(between: Interval, states: Sequence[State]) -> jax.Array:
         "gyro": jnp.concatenate([-A1 @ C / 3, 0.5 * A0 @ C, -C]),
         "accel": jnp.concatenate([age / 6 * (C_then + 2 * C_now), -C, zero]),
     }
-    # integrals of the readings over the interval: M is linear in them, so M of these is age times M of the mean
-    readings = {"accel": C.T @ S0}
-    if any(state.effect is not None for state in states):
-        readings["gyro"] = rotations.log(rotations.multiply(rotations.conjugate(q_then), q_now))
-    held = {name: age * value for name, value in auxiliary.items()}
     columns = [motion]
     for state in states:
         if state.enters is None:
             columns.append(jnp.zeros((9, state.size)))
         else:
-            this, other = state.enters, OTHER[state.enters]
-            M = age * eye if state.effect is None else state.effect(Reading(readings[this], readings[other], held))
+            M = age * eye if state.effect is None else _integral(between, state)
             columns.append(-through[state.enters] @ M)  # an error of the state lowers the reading that is used
     return jnp.concatenate(columns, 1)
+
+
+def _integral(between: Interval, state: State) -> jax.Array:
+    """Return the integral of a state's effect M over the interval, (3, size).
+
+    M is linear in the readings, so that M of their integrals is the age times M of their means.
+    """
+    assert state.enters is not None and state.effect is not None
+    age, S0, _, q_then, q_now, auxiliary = between
+    C = 0.5 * (rotations.to_dcm(q_then) + rotations.to_dcm(q_now))
+    turned = rotations.log(rotations.multiply(rotations.conjugate(q_then), q_now))
+    readings = {"gyro": turned, "accel": C.T @ S0}
+    held = {name: age * value for name, value in auxiliary.items()}
+    return state.effect(Reading(readings[state.enters], readings[OTHER[state.enters]], held))
+
+
+def earlier_error(between: Interval, states: Sequence[State]) -> Callable[[jax.Array], jax.Array]:
+    """Return the function x (n,) -> `error_then` x, (9,): the equations by components, for many instants at once.
+
+    Args:
+        between: motion from that instant to the end of the epoch.
+        states: the optional states of the filter, in their order.
+    """
+    age, S0, S1, q_then, q_now, _ = between
+    s0, s1, then, now = map(split, (S0, S1, q_then, q_now))
+    stops = np.cumsum([9, *(state.size for state in states)])
+
+    def apply(x: jax.Array) -> jax.Array:
+        p, v, phi = split(x[:3]), split(x[3:6]), split(x[6:9])
+        lost = {"gyro": jnp.zeros(3), "accel": jnp.zeros(3)}  # age dw and age df: what the readings are lowered by
+        for state, i, j in zip(states, stops[:-1], stops[1:], strict=True):
+            if state.enters is not None:
+                lost[state.enters] -= _integral(between, state) @ x[i:j] if state.effect else age * x[i:j]
+        dw, df = split(lost["gyro"]), split(lost["accel"])
+        turn, early, late = scale(0.5, add(rotate(then, dw), rotate(now, dw))), rotate(then, df), rotate(now, df)
+        return jnp.stack([
+            *add(p, scale(-age, v), cross(add(phi, scale(-1 / 3, turn)), s1), scale(age / 6, add(early, late, late))),
+            *add(v, cross(s0, add(phi, scale(-0.5, turn))), scale(-0.5, add(early, late))),
+            *add(phi, scale(-1.0, turn)),
+        ])  # fmt: skip
+
+    return apply

@@ -106,3 +106,17 @@ def test_without_age_nothing_is_carried_back():
     between = latency.interval(NAV, NAV, jnp.zeros(()))
     B = np.asarray(latency.error_then(between, table.chosen(EVERY)))
     np.testing.assert_array_equal(B, np.eye(9, 9 + sum(s.size for s in table.chosen(EVERY))))
+
+
+def test_the_form_by_components_is_the_matrix():
+    """`earlier_error` of a random error, for each sample of history and with every state, is `error_then` times it."""
+    states = table.chosen(EVERY)
+    n = 9 + sum(s.size for s in states)
+    model, path = program("local_level")
+    past = path(jnp.zeros(n))
+    x = jnp.asarray(np.random.default_rng(2).normal(size=n))
+    for i in (0, SAMPLES // 2, SAMPLES - 2):
+        then, now = (jax.tree.map(lambda a, k=k: a[k], past) for k in (i, -1))
+        between = latency.interval(then, now, now.t - then.t)
+        found, expected = latency.earlier_error(between, states)(x), latency.error_then(between, states) @ x
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)

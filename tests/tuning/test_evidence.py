@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tuning import uncertainty
+from tuning.recordings import evidence
 from tuning.recordings.evidence import STEP, gated_terms, gaussian_terms
 
 N, M, P = 7, 4, 3
@@ -67,3 +68,10 @@ def test_scores_are_derivatives_of_the_objective(job):
             slope = (up[k].value - down[k].value) / (2 * h)
             np.testing.assert_allclose(found[k].score[i], slope, rtol=2e-4, atol=1e-3)
     assert STEP < h
+
+
+def test_phases_of_a_long_recording_go_one_after_the_other(job, monkeypatch):
+    mine = job[0]()
+    together = mine.evidence(mine.flat)
+    monkeypatch.setattr(evidence, "MAX_LANE_EPOCHS", 1)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9), together, mine.evidence(mine.flat))

@@ -34,6 +34,7 @@ class ScoreSums(NamedTuple):
     number: Leaf
 
 
+MAX_LANE_EPOCHS = 200_000  # that are held at a time, some 100 MB; more go one phase of windows after the other
 STEP = 1e-4  # of unconstrained numbers, of the differences that derivatives are: right to 1e-5 of the largest
 
 
@@ -115,6 +116,9 @@ def evidence_of(filt: Filter, candidates: Params, part: "Training") -> tuple[Sco
         part: the recording's training part.
     """
     phases, count = len(part.valid), len(jax.tree.leaves(candidates)[0])
+    if phases > 1 and part.valid.shape[1] * phases * count > MAX_LANE_EPOCHS:
+        each = [evidence_of(filt, candidates, part.phase(slice(p, p + 1))) for p in range(phases)]
+        return jax.tree.map(lambda *a: sum(a), *each)
     params = jax.tree.map(lambda a: np.tile(a, (phases, *[1] * (np.ndim(a) - 1))), candidates)
     record = lanes(filt, params, repeated(part.nav, phases * count), part.epochs, np.repeat(part.valid, count, 0))
     record = jax.tree.map(lambda a: a.reshape(phases, count, *a.shape[1:]), record)
@@ -214,6 +218,11 @@ class Training(NamedTuple):
     at: np.ndarray  # (P, A) epochs of hidden fixes
     there: np.ndarray  # (P, A) which are any
     sd: np.ndarray  # (P, A, 3) m
+
+    def phase(self, rows: slice) -> "Training":
+        """Return some of the phases of windows."""
+        return self._replace(valid=self.valid[rows], keep=self.keep[rows], at=self.at[rows], there=self.there[rows],
+                             sd=self.sd[rows])  # fmt: skip
 
 
 def training_of(filt: Filter, used: Used) -> Training:

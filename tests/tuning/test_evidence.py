@@ -70,6 +70,20 @@ def test_scores_are_derivatives_of_the_objective(job):
     assert STEP < h
 
 
+def test_differences_do_not_see_the_jumps_of_a_gate():
+    """Of one parabola an epoch: central where both sides decide alike, else one-sided, 0 where neither does."""
+    x, E = 0.7, 4
+    value = lambda x: np.stack([(k + 1) * x**2 for k in range(E)])
+    a = np.stack([value(x), value(x + STEP), value(x - STEP)])[None, :, :, None]
+    same = np.ones((1, 3, E), bool)
+    a[0, 1, 1] += 5.0  # a jump of the step above, from the second epoch on, and of that below in the last
+    same[0, 1, 1:], same[0, 2, 3] = False, False
+    found = evidence.differences(a, same)[:, 0, 0]
+    np.testing.assert_allclose(found[:3], 2 * x * np.array([1.0, 2.0, 3.0]), rtol=2e-4)
+    np.testing.assert_allclose(found[0], 2 * x, rtol=1e-9)
+    assert found[3] == 0.0
+
+
 def test_phases_of_a_long_recording_go_one_after_the_other(job, monkeypatch):
     mine = job[0]()
     together = mine.evidence(mine.flat)

@@ -122,22 +122,13 @@ def evidence_of(filt: Filter, candidates: Params, part: "Training") -> tuple[Sco
     params = jax.tree.map(lambda a: np.tile(a, (phases, *[1] * (np.ndim(a) - 1))), candidates)
     record = lanes(filt, params, repeated(part.nav, phases * count), part.epochs, np.repeat(part.valid, count, 0))
     record = jax.tree.map(lambda a: a.reshape(phases, count, *a.shape[1:]), record)
-    P = (count - 1) // 2
-
-    def middle(a: np.ndarray) -> np.ndarray:
-        """Return (phases E, ...) at the point."""
-        return a[:, 0].reshape(-1, *a.shape[3:])
-
-    def slopes(a: np.ndarray) -> np.ndarray:
-        """Return (phases E, P, ...) derivatives."""
-        change = (a[:, 1 : P + 1] - a[:, P + 1 :]) / (2 * STEP)
-        return np.moveaxis(change, 1, 2).reshape(-1, P, *a.shape[3:])
-
+    # a gate that decides otherwise for a step makes a jump of what follows
+    same = np.logical_and.accumulate((record.used == record.used[:, :1]).all(-1) & record.ok, 2)
+    middle = lambda a: a[:, 0].reshape(-1, *a.shape[3:])
     alone = tested_alone(MEASUREMENTS[name] for name in filt.model.measurements)
     valid, used = middle(record.valid), middle(record.used)
-    terms = gated_terms(
-        middle(record.nu), middle(record.S), valid, used, slopes(record.nu), slopes(record.S), alone
-    )  # fmt: skip
+    dnu, dS = differences(record.nu, same), differences(record.S, same)
+    terms = gated_terms(middle(record.nu), middle(record.S), valid, used, dnu, dS, alone)
     innovations = summed(terms, part.keep.reshape(-1) & valid.any(1))
     if (part.keep & ~record.ok[:, 0]).any():
         innovations = innovations._replace(value=np.inf)
@@ -145,8 +136,24 @@ def evidence_of(filt: Filter, candidates: Params, part: "Training") -> tuple[Sco
     noise = [position_noise(taken(candidates, k), part.sd) for k in range(count)]  # (phases, A, 3, 3) each
     y, C = record.residual[rows], record.P[rows] + np.stack(noise, 1)
     three = np.ones((part.at.size, 3), bool)
-    far = gaussian_terms(middle(y), middle(C), three, slopes(y), slopes(C), three[:, 0])
+    dy, dC = differences(y, same[rows]), differences(C, same[rows])
+    far = gaussian_terms(middle(y), middle(C), three, dy, dC, three[:, 0])
     return innovations, summed(far, part.there.reshape(-1))
+
+
+def differences(a: np.ndarray, same: np.ndarray) -> np.ndarray:
+    """Return derivatives (phases E, P, ...) by central differences, one-sided where one side is not the same.
+
+    Args:
+        a: (phases, 1 + 2 P, E, ...) values at the point, and a `STEP` above and below it in each number.
+        same: (phases, 1 + 2 P, E) bool, that decided as the point did; a derivative is 0 where neither side did.
+    """
+    P = (a.shape[1] - 1) // 2
+    wide = same.reshape(*same.shape, *[1] * (a.ndim - 3))
+    up, down = wide[:, 1 : P + 1], wide[:, P + 1 :]
+    change = np.where(up, a[:, 1 : P + 1] - a[:, :1], 0.0) + np.where(down, a[:, :1] - a[:, P + 1 :], 0.0)
+    slopes = change / (STEP * np.maximum(up.astype(int) + down, 1))
+    return np.moveaxis(slopes, 1, 2).reshape(-1, P, *a.shape[3:])
 
 
 def predicted(params: Sequence[Params], used: Sequence[Used], infos: Sequence[LaneRecord]) -> float:

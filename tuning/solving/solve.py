@@ -155,14 +155,14 @@ def solve(
         params = tuned.params
     stages.next()
     # what is judged is what is delivered: the same start, filter and parameters
-    begun = initialization(rec, params)
-    final = bench.score(final.filter if tuned is None else tuned.filter, params, begun)
+    delivered = initialization(rec, params)
+    final = bench.score(final.filter if tuned is None else tuned.filter, params, delivered)
     calibration = calibrate(final)
     if calibration.factor > 1.0:
         findings.append(finding("solve.inflated", "stated sd", calibration.factor, count=calibration.after.fixes))
     stages.next()
     sol = navigate(
-        rec, final.filter, params, scan=False, initialization=begun, stop=stop, standing=standing,
+        rec, final.filter, params, scan=False, initialization=delivered, stop=stop, standing=standing,
         smooth=smooth, sd_factor=calibration.factor,
     )  # fmt: skip
     nis = _test_nis(sol, layout.validation)

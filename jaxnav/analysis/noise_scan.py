@@ -195,7 +195,7 @@ class _Cut(NamedTuple):
     """Epochs of a latency: the fixes are moved by it before the recording is cut."""
 
     packed: ep.Packed
-    stamp: np.ndarray  # (E,) s, end of each epoch by the fixes' clock; inf in padding
+    stamp: np.ndarray  # (E,) s, end of each epoch by the fixes' clock
     seen: np.ndarray  # (E, m) bool
     counted: np.ndarray  # (E,) bool, epochs with fixes that count
 

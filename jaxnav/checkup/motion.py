@@ -279,8 +279,8 @@ def named(found: Best) -> Finding:
 
 def delay_of(rec: Recording) -> tuple[float, float] | None:
     """Return the delay of the fixes by alignments all along a recording, s, and its sd; None where none is known."""
-    v = level_velocity(rec.aiding)
-    if v is None or "position" not in rec.aiding or float(np.median(rec.imu.dt)) > MAX_SAMPLE_INTERVAL_S:
+    v, position = level_velocity(rec.aiding), rec.aiding.get("position")
+    if v is None or position is None or not position.t.size or float(np.median(rec.imu.dt)) > MAX_SAMPLE_INTERVAL_S:
         return None
     moving = [(w, a) for w, a in alignments(thinned(rec), v) if a.sd[2] < MAX_HEADING_SD]
     if not moving or float(np.median([a.chi2 for _, a in moving])) > MAX_CHI2_PER_DOF:

@@ -11,7 +11,7 @@ from benchmarks.simulated.vehicles import simulated
 from jaxnav.app.config import Data
 from jaxnav.app.jobs.check import configuration
 from jaxnav.checkup import CHECKS, alternatives, checkup, inertial, quick_notes
-from jaxnav.checkup.motion import mixups, turns_of
+from jaxnav.checkup.motion import delay_of, mixups, turns_of
 from jaxnav.checkup.standstill import standstill
 from jaxnav.filters.epochs import sample_rows
 from jaxnav.filters.standstill import Standing, stationary
@@ -218,6 +218,15 @@ def test_a_banked_and_a_sideways_flight_have_right_gyros(kind):
     assert bad(rec, "turns", "together") <= {"time.late", "mounting.turned"}
     wrong = rec._replace(imu=rec.imu._replace(gyro=rec.imu.gyro * [1.0, 1.0, 0.5]))
     assert bad(wrong, "turns") == {"gyro.turns"}
+
+
+def test_without_a_position_no_delay_is_known(car):
+    """Velocities alone, and positions that are all hidden; with them the delay is that of the simulation."""
+    none = sample_rows(car.aiding["position"], slice(0))
+    assert delay_of(car._replace(aiding=car.aiding | {"position": none})) is None
+    assert delay_of(car._replace(aiding={"velocity": car.aiding["velocity"]})) is None
+    mean, sd = delay_of(car)
+    assert 0.0 < mean < 0.35 and 0.0 < sd < 0.05
 
 
 def test_turns_over_a_gap_between_fixes_do_not_count(car):

@@ -1,12 +1,13 @@
 """Hidden windows: how far a filter drifts without fixes that are there, all along a recording."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter, Prepared
-from jaxnav.filters.lanes import LaneRecord, lanes, ready, repeated
+from jaxnav.filters.lanes import LaneRecord, lanes, ready, repeated, stacked, taken
 from jaxnav.measurements import Measurement
 from jaxnav.types import Epoch, Nav, Params
 
@@ -45,6 +46,14 @@ def hidden_windows(
 def drift(
     filt: Filter, params: Params, nav: Nav, epochs: Epoch, windows: Windows, measurements: tuple[Measurement, ...]
 ) -> tuple[np.ndarray, LaneRecord]:
+    """Return the drift of one candidate, see `drifts`."""
+    return drifts(filt, [params], nav, epochs, windows, measurements)[0]
+
+
+def drifts(
+    filt: Filter, candidates: Sequence[Params], nav: Nav, epochs: Epoch, windows: Windows,
+    measurements: tuple[Measurement, ...],
+) -> list[tuple[np.ndarray, LaneRecord]]:  # fmt: skip
     """Return the written position minus the fix at each window's end, and the runs.
 
     Through the measurement model of a position, the first three channels, but without a receiver's error that the
@@ -52,19 +61,23 @@ def drift(
 
     Args:
         filt: the filter.
-        params: its parameters.
+        candidates: its parameters, of each candidate.
         nav: the start.
         epochs: (E, ...) of the recording, as they were cut or by `jaxnav.filters.lanes.ready`.
         windows: the hidden windows.
         measurements: the filter's, the position first.
 
     Returns:
-        (W, 3) m, ENU, inf where the run failed; and the record of the runs (P, E, ...).
+        For each candidate (W, 3) m, ENU, inf where the run failed; and the record of the runs (P, E, ...).
     """
-    epochs = epochs if isinstance(epochs.imu, Prepared) else ready(filt, params, nav, epochs)
-    size = np.shape(epochs.fix.valid)[0]
+    epochs = epochs if isinstance(epochs.imu, Prepared) else ready(filt, candidates[0], nav, epochs)
+    size, phases = np.shape(epochs.fix.valid)[0], len(windows.hidden)
     hidden = np.pad(windows.hidden, ((0, 0), (0, size - windows.hidden.shape[1])))
     valid = np.stack([np.asarray(ep.hide(epochs, h, measurements, windows.satellites).fix.valid) for h in hidden])
-    record = lanes(filt, repeated(params, len(valid)), repeated(nav, len(valid)), epochs, valid)
-    at = windows.phase, windows.end
-    return np.where(record.ok[at][:, None], (record.residual - record.slow)[at], np.inf), record
+    many, count = [params for params in candidates for _ in range(phases)], len(candidates)
+    record = lanes(filt, stacked(many), repeated(nav, len(many)), epochs, np.concatenate([valid] * count))
+    errors = np.where(record.ok[..., None], record.residual - record.slow, np.inf)
+    return [
+        (errors[c * phases + windows.phase, windows.end], taken(record, slice(c * phases, (c + 1) * phases)))
+        for c in range(count)
+    ]

@@ -7,7 +7,9 @@ length of a recording compiles anything new. It keeps innovations, residuals and
 drifts and consistency are numpy on them (`jaxnav.filters.scores`).
 """
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -23,6 +25,7 @@ from jaxnav.states import table
 from jaxnav.types import Epoch, Nav, Params
 
 LANES, CHUNK = 16, 64  # runs and epochs of one call of the program
+MAX_THREADS = 8  # of calls side by side
 RECEIVER_ERROR = "gnss_position_error"  # state that a measured position has more than the true one
 
 
@@ -60,19 +63,33 @@ def lanes(
     count, size = valid.shape[:2]
     cuts = jax.tree.map(lambda a: np.asarray(a)[None], epochs) if cut is None else epochs
     cut = np.zeros(count, int) if cut is None else cut
-    found = []
-    for first in range(0, count, LANES):
-        lane = np.minimum(np.arange(first, first + LANES), count - 1)  # the last one again fills the call
-        mine, start = taken(params, lane), taken(nav, lane)
-        state, parts = _begin(filt, mine, start), []
-        for i in range(0, size, CHUNK):
-            here = slice(i, i + CHUNK)
-            part = taken(cuts, (cut[lane], here))
-            part = part._replace(fix=part.fix._replace(valid=valid[lane, here]))
-            state, record = _chunk(filt, mine, state, part)
-            parts.append(jax.device_get(record))
-        found.append(taken(jax.tree.map(lambda *a: np.concatenate(a, 1), *parts), slice(count - first)))
-    return jax.tree.map(lambda *a: np.concatenate(a), *found)
+    groups = [np.minimum(np.arange(i, i + LANES), count - 1) for i in range(0, count, LANES)]  # the last lane again
+    starts = range(0, size, CHUNK)
+
+    def advanced(lane: np.ndarray, state: FilterState, i: int) -> tuple[FilterState, LaneRecord]:
+        here = slice(i, i + CHUNK)
+        part = taken(cuts, (cut[lane], here))
+        part = part._replace(fix=part.fix._replace(valid=valid[lane, here]))
+        state, record = _chunk(filt, taken(params, lane), state, part)
+        return state, jax.device_get(record)
+
+    def whole(lane: np.ndarray) -> LaneRecord:
+        state, records = (first[0], [first[1]]) if lane is groups[0] else (begun(lane), [])
+        for i in starts[len(records) :]:
+            state, record = advanced(lane, state, i)
+            records.append(record)
+        return jax.tree.map(lambda *a: np.concatenate(a, 1), *records)
+
+    begun = lambda lane: _begin(filt, taken(params, lane), taken(nav, lane))
+    first = advanced(groups[0], begun(groups[0]), 0)  # compiles, so that threads do not
+    with ThreadPoolExecutor(_threads()) as pool:
+        found = list(pool.map(whole, groups))
+    return taken(jax.tree.map(lambda *a: np.concatenate(a), *found), slice(count))
+
+
+def _threads() -> int:
+    """Return how many calls run side by side: a processor computes one call by one core."""
+    return min(os.cpu_count() or 1, MAX_THREADS) if jax.default_backend() == "cpu" else 1
 
 
 def taken(tree: Any, rows: Any) -> Any:

@@ -174,6 +174,27 @@ def test_a_frozen_run_is_no_likely_one():
     assert np.isfinite(found.best.nll) and found.raw[0] >= 0.5
 
 
+def test_trials_that_are_valued_first_spare_information():
+    """On a narrow valley the same end, and the information only where a trial is taken."""
+    start, asked = jnp.array([-1.0, 1.5]), []
+
+    def residuals(r):
+        return jnp.stack([1 - r[0], 10 * (r[1] - r[0] ** 2)])
+
+    def of(r):
+        asked.append(r)
+        y, J = residuals(r), jax.jacobian(residuals)(r)
+        return uncertainty.Information(0.5 * y @ y, J.T @ y, J.T @ J, jnp.zeros((1, 2)))
+
+    plain = scoring.maximise(of, start)
+    count = len(asked)
+    asked.clear()
+    first = scoring.maximise(of, start, values=jax.vmap(lambda r: 0.5 * residuals(r) @ residuals(r)))
+    np.testing.assert_allclose(plain.raw, 1.0, atol=0.05)
+    np.testing.assert_allclose(first.raw, 1.0, atol=0.05)
+    assert len(asked) == 1 + int(first.steps) < count
+
+
 def test_combinations_that_the_data_cannot_tell_apart_are_named():
     y = jnp.asarray(np.random.default_rng(4).normal(size=100))
     spec, only_sum = {"a": LOG, "b": LOG}, lambda r: white(y)(jnp.array([r[0] + r[1], 0.0]))

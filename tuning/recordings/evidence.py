@@ -1,7 +1,7 @@
 """Likelihood of free parameters in recordings' training parts: J of `tuning.recordings.recorded`, its information."""
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -67,8 +67,8 @@ def gaussian_terms(
     weight = np.where(heavy, (FREEDOM + m) / (FREEDOM + square), 1.0)[:, None]
     by_S = np.einsum("npij,ni,nj->np", dS, w, w, optimize=True)
     score = 0.5 * (np.trace(A, axis1=2, axis2=3) - weight * by_S) + weight * np.einsum("npi,ni->np", dnu, w)
-    P = dnu.shape[1]
-    flat = A.reshape(len(A), P, -1), np.swapaxes(A, 2, 3).reshape(len(A), P, -1)
+    wide = (*A.shape[:2], A.shape[-1] ** 2)
+    flat = A.reshape(wide), np.swapaxes(A, 2, 3).reshape(wide)
     fisher = 0.5 * flat[0] @ np.swapaxes(flat[1], 1, 2) + weight[:, :, None] * (dnu @ inv @ np.swapaxes(dnu, 1, 2))
     return Terms(value, score, fisher)
 
@@ -107,25 +107,37 @@ def summed(terms: Terms, mask: np.ndarray) -> ScoreSums:
     return ScoreSums(value, score, fisher, mask.sum())
 
 
-def evidence_of(filt: Filter, candidates: Params, part: "Training") -> tuple[ScoreSums, ScoreSums]:
-    """Return the sums over a training part, of innovations and of hidden fixes, by central differences on lanes.
+def evidence_of(
+    filt: Filter, candidates: Params, part: "Training", points: int = 1
+) -> list[tuple[ScoreSums, ScoreSums]]:
+    """Return sums over a training part, of innovations and of hidden fixes, at some points, by runs on lanes.
 
     Args:
         filt: the filter.
-        candidates: (1 + 2 P, ...) parameters at the point, and a `STEP` above and below it in each number.
+        candidates: (points (1 + 2 P), ...) parameters at each point, and a `STEP` above and below it in each number, of
+            which score and information are central differences.
         part: the recording's training part.
+        points: how many.
     """
     phases, count = len(part.valid), len(jax.tree.leaves(candidates)[0])
     if phases > 1 and part.valid.shape[1] * phases * count > MAX_LANE_EPOCHS:
-        each = [evidence_of(filt, candidates, part.phase(slice(p, p + 1))) for p in range(phases)]
+        each = [evidence_of(filt, candidates, part.phase(slice(p, p + 1)), points) for p in range(phases)]
         return jax.tree.map(lambda *a: sum(a), *each)
     params = jax.tree.map(lambda a: np.tile(a, (phases, *[1] * (np.ndim(a) - 1))), candidates)
     record = lanes(filt, params, repeated(part.nav, phases * count), part.epochs, np.repeat(part.valid, count, 0))
-    record = jax.tree.map(lambda a: a.reshape(phases, count, *a.shape[1:]), record)
+    record = jax.tree.map(lambda a: a.reshape(phases, points, -1, *a.shape[1:]), record)
+    alone = tested_alone(MEASUREMENTS[name] for name in filt.model.measurements)
+    noise = [position_noise(taken(candidates, k), part.sd) for k in range(count)]  # (phases, A, 3, 3) each
+    noises = np.stack(noise, 1).reshape(phases, points, -1, *part.at.shape[1:], 3, 3)
+    return [_sums(taken(record, np.s_[:, k]), noises[:, k], part, alone) for k in range(points)]
+
+
+def _sums(record: LaneRecord, noise: np.ndarray, part: "Training", alone: np.ndarray) -> tuple[ScoreSums, ScoreSums]:
+    """Return the sums at a point, of the record (phases, 1 + 2 P, E) and the noise of hidden fixes (phases, .., A)."""
+    phases, count = record.ok.shape[:2]
     # a gate that decides otherwise for a step makes a jump of what follows
     same = np.logical_and.accumulate((record.used == record.used[:, :1]).all(-1) & record.ok, 2)
     middle = lambda a: a[:, 0].reshape(-1, *a.shape[3:])
-    alone = tested_alone(MEASUREMENTS[name] for name in filt.model.measurements)
     valid, used = middle(record.valid), middle(record.used)
     dnu, dS = differences(record.nu, same), differences(record.S, same)
     terms = gated_terms(middle(record.nu), middle(record.S), valid, used, dnu, dS, alone)
@@ -133,8 +145,7 @@ def evidence_of(filt: Filter, candidates: Params, part: "Training") -> tuple[Sco
     if (part.keep & ~record.ok[:, 0]).any():
         innovations = innovations._replace(value=np.inf)
     rows = np.arange(phases)[:, None, None], np.arange(count)[:, None], part.at[:, None]
-    noise = [position_noise(taken(candidates, k), part.sd) for k in range(count)]  # (phases, A, 3, 3) each
-    y, C = record.residual[rows], record.P[rows] + np.stack(noise, 1)
+    y, C = record.residual[rows], record.P[rows] + noise
     three = np.ones((part.at.size, 3), bool)
     dy, dC = differences(y, same[rows]), differences(C, same[rows])
     far = gaussian_terms(middle(y), middle(C), three, dy, dC, three[:, 0])
@@ -153,7 +164,7 @@ def differences(a: np.ndarray, same: np.ndarray) -> np.ndarray:
     up, down = wide[:, 1 : P + 1], wide[:, P + 1 :]
     change = np.where(up, a[:, 1 : P + 1] - a[:, :1], 0.0) + np.where(down, a[:, :1] - a[:, P + 1 :], 0.0)
     slopes = change / (STEP * np.maximum(up.astype(int) + down, 1))
-    return np.moveaxis(slopes, 1, 2).reshape(-1, P, *a.shape[3:])
+    return np.moveaxis(slopes, 1, 2).reshape(len(a) * a.shape[2], P, *a.shape[3:])
 
 
 def predicted(params: Sequence[Params], used: Sequence[Used], infos: Sequence[LaneRecord]) -> float:
@@ -279,39 +290,62 @@ class Job:
         lengths = [float(u.layout.train - u.packed.start - u.layout.settle) / u.layout.window for u in used]
         self.effective = max(1.0, sum(lengths)) if observations is None else observations
         self.flat = self.centre = self.numbers([u.datasheet for u in used])  # centre of the priors
+        self.known: dict[tuple[bytes, bytes], Information] = {}  # by numbers and centre
         self.width = np.array([_width(spec, self.leaves[i]) for i in self.origin])
 
     def evidence(self, flat: jax.Array) -> tuple[ScoreSums, ScoreSums]:
-        """Of innovations, of hidden fixes, of all recordings; on the host, as `objective`."""
-        numbers = np.asarray(flat)
+        """Of innovations, of hidden fixes, of all recordings; on the host, as `inform`."""
+        return self._evidence(np.asarray(flat)[None], STEP)[0]
+
+    def _evidence(self, points: np.ndarray, step: float | None = None) -> list[tuple[ScoreSums, ScoreSums]]:
+        """Return the evidence at points (T, G), without derivatives where ``step`` is None."""
         found = []
         for r, (at, part) in enumerate(zip(self.places, self.parts, strict=True)):
-            steps = STEP * np.eye(at.size)
-            points = numbers[at] + np.concatenate([np.zeros((1, at.size)), steps, -steps])
+            steps = np.zeros((0, at.size)) if step is None else step * np.eye(at.size)
+            around = np.concatenate([np.zeros((1, at.size)), steps, -steps])
+            numbers = (points[:, None, at] + around).reshape(-1, at.size)
             whole = lambda x, r=r: join(self.spec, self.back(x), self.used[r].datasheet)
-            found.append(evidence_of(self.filt, jax.device_get(jax.vmap(whole)(points)), part))
-        G = flat.size
+            candidates = jax.device_get(jax.vmap(whole)(numbers))
+            found.append(evidence_of(self.filt, candidates, part, len(points)))
+        G = points.shape[1]
 
         def among_all(e: ScoreSums, at: np.ndarray) -> ScoreSums:
             score, fisher = np.zeros(G), np.zeros((G, G))
-            score[at], fisher[np.ix_(at, at)] = e.score, e.fisher
+            if e.score.size:
+                score[at], fisher[np.ix_(at, at)] = e.score, e.fisher
             return e._replace(score=score, fisher=fisher)
 
-        together = [tuple(among_all(e, at) for e in both) for at, both in zip(self.places, found, strict=True)]
+        together = [
+            [tuple(among_all(e, at) for e in both) for both in each]
+            for at, each in zip(self.places, found, strict=True)
+        ]
         return jax.tree.map(lambda *each: sum(each), *together)
 
-    def objective(self) -> Callable[[jax.Array], Information]:
-        """J and its information, as `tuning.recordings.scoring.maximise` takes it."""
+    def inform(self, flat: jax.Array) -> Information:
+        """Return J and its information at numbers (G,), as `tuning.recordings.scoring.maximise` takes it."""
+        key = np.asarray(flat).tobytes(), np.asarray(self.centre).tobytes()
+        if key not in self.known:
+            self.known[key] = self._inform(flat)
+        return self.known[key]
 
-        def inform(flat: jax.Array) -> Information:
-            mean = [jax.tree.map(lambda a, e=e: a / np.maximum(e.number, 1), e) for e in self.evidence(flat)]
-            off = (np.asarray(flat) - np.asarray(self.centre)) / self.width
-            value = self.effective * sum(e.value for e in mean) + 0.5 * np.sum(off**2)
-            score = self.effective * sum(e.score for e in mean) + off / self.width
-            fisher = self.effective * sum(e.fisher for e in mean) + np.diag(1 / self.width**2)
-            return Information(value, score, fisher, jnp.zeros((1, flat.size)))
+    def _inform(self, flat: jax.Array) -> Information:
+        mean = [jax.tree.map(lambda a, e=e: a / np.maximum(e.number, 1), e) for e in self.evidence(flat)]
+        score = self.effective * sum(e.score for e in mean) + self._off(flat) / self.width
+        fisher = self.effective * sum(e.fisher for e in mean) + np.diag(1 / self.width**2)
+        return Information(self._value(mean, flat), score, fisher, jnp.zeros((1, flat.size)))
 
-        return inform
+    def values(self, points: jax.Array) -> np.ndarray:
+        """Return J (T,) at points (T, G)."""
+        found = self._evidence(np.asarray(points))
+        mean = [[e._replace(value=e.value / np.maximum(e.number, 1)) for e in both] for both in found]
+        return np.array([self._value(*each) for each in zip(mean, points, strict=True)])
+
+    def _value(self, mean: Sequence[ScoreSums], flat: jax.Array) -> Any:
+        return self.effective * sum(e.value for e in mean) + 0.5 * np.sum(self._off(flat) ** 2)
+
+    def _off(self, flat: jax.Array) -> np.ndarray:
+        """Return the distance (G,) of numbers from the centre of their priors, in sd."""
+        return (np.asarray(flat) - np.asarray(self.centre)) / self.width
 
     def centre_delays(self, flat: jax.Array) -> None:
         """Centre the priors of the delays at numbers (G,)."""

@@ -28,7 +28,7 @@ import jax
 import numpy as np
 
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
-from jaxnav.analysis.windows import drift
+from jaxnav.analysis.windows import drifts
 from jaxnav.checkup.findings import finding, line
 from jaxnav.checkup.streams import velocity
 from jaxnav.filters import epochs as ep
@@ -194,8 +194,7 @@ def tune(
     found["tuned"], status = search_tuned("tuned", job, centre, history, log)
     jobs = dict.fromkeys(found, job)
     log("scoring the candidates on hidden windows")
-    score = lambda name: level_drift(jobs[name], found[name], chosen)
-    offs = {name: score(name) for name in found}
+    offs = dict(zip(found, level_drift(job, list(found.values()), chosen), strict=True))
     slow = 0.0 if status is Status.INTERRUPTED else correlation(offs["tuned"][1], used)
     if extend and how is None and slow > MIN_CORRELATION and filt.with_states and SLOW not in filt.model.states:
         log(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
@@ -207,7 +206,7 @@ def tune(
         jobs["slow errors"] = other
         other.centre_delays(other.numbers(job.each(centre)))
         at, status = search("slow errors", other, other.numbers(job.each(found["tuned"])), history, log, checkpoints)
-        found["slow errors"], offs["slow errors"] = at, level_drift(other, at, chosen)
+        found["slow errors"], (offs["slow errors"],) = at, level_drift(other, [at], chosen)
     params_of = lambda name: jobs[name].each(found[name])
     plain = [name for name in ("datasheet", "auto") if name in offs]
     suspect = [
@@ -340,13 +339,19 @@ def correlation(infos: Sequence[LaneRecord], used: Sequence[Used]) -> float:
     return float(product / square) if count >= 30 else 0.0
 
 
-def level_drift(job: Job, flat: jax.Array, measurements: tuple[Any, ...]) -> tuple[np.ndarray, list[LaneRecord]]:
-    """Horizontal drift (W,) m at the ends of the windows of all recordings, and the runs (P, E, ...) of each."""
-    runs = [
-        drift(job.filt, params, u.nav, u.epochs, u.windows, measurements)
-        for params, u in zip(job.each(flat), job.used, strict=True)
+def level_drift(
+    job: Job, flats: Sequence[jax.Array], measurements: tuple[Any, ...]
+) -> list[tuple[np.ndarray, list[LaneRecord]]]:
+    """Horizontal drift (W,) m at the windows' ends of all recordings, and the runs (P, E, ...), of each candidate."""
+    each = [
+        drifts(job.filt, [job.params(flat, r) for flat in flats], u.nav, u.epochs, u.windows, measurements)
+        for r, u in enumerate(job.used)
     ]
-    return np.concatenate([np.hypot(error[:, 0], error[:, 1]) for error, _ in runs]), [info for _, info in runs]
+    level = lambda error: np.hypot(error[:, 0], error[:, 1])
+    return [
+        (np.concatenate([level(error) for error, _ in runs]), [record for _, record in runs])
+        for runs in zip(*each, strict=True)
+    ]
 
 
 # ---------------------------------------------------------------------------- in words
@@ -354,7 +359,7 @@ def level_drift(job: Job, flat: jax.Array, measurements: tuple[Any, ...]) -> tup
 
 def table(job: Job, flat: jax.Array) -> list[Row]:
     """Return every free number with the 95 % of the tempered posterior, its prior, and a remark."""
-    cov = np.linalg.inv(np.asarray(job.objective()(flat).fisher))
+    cov = np.linalg.inv(np.asarray(job.inform(flat).fisher))
     sd, far = np.sqrt(np.diag(cov)), np.abs(np.asarray(flat - job.centre)) / job.width
     rows = []
     for r, (at, used) in enumerate(zip(job.places, job.used, strict=True)):

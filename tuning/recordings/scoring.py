@@ -19,6 +19,7 @@ from tuning.uncertainty import Information
 
 MAX_STEP = 1.5  # of a step in any unconstrained number: a factor 4.5
 MIN_GAIN = 1e-3  # gain in log-likelihood that is worth another evaluation
+DAMPINGS = (1.0, 8.0, 64.0)  # relative, of trials that are valued side by side
 RIDGE_SHARE = 1e-3  # of the information: as if every number were known to 30 of its units
 
 
@@ -68,7 +69,19 @@ def advance(search: Search, info: Information) -> Search:
 
 
 _BEGIN, _ADVANCE = stored(begin), stored(advance)
+_PROPOSE_MANY = jax.jit(jax.vmap(propose, (None, None, 0)))
 _BEGIN_MANY, _ADVANCE_MANY = jax.jit(jax.vmap(begin)), jax.jit(jax.vmap(advance))
+
+
+def _best_trial(search: Search, values: Callable[[jax.Array], np.ndarray]) -> tuple[Search, bool]:
+    """Return a search with the best of some trials, and whether it is better than the best so far."""
+    dampings = np.asarray(search.damping) * np.array(DAMPINGS)
+    trials, expected = _PROPOSE_MANY(search.raw, search.best, dampings)
+    found = values(trials)
+    k = int(np.argmin(np.where(np.isnan(found), np.inf, found)))
+    better = bool(found[k] < search.best.nll)
+    at = k if better else -1  # the next is shorter than all that were refused
+    return search._replace(damping=dampings[at], trial=trials[k], expected=expected[k]), better
 
 
 def converged(search: Search, tolerance: float = MIN_GAIN) -> bool:
@@ -89,11 +102,13 @@ def maximise(
     most: int = 40,
     tolerance: float = MIN_GAIN,
     report: Callable[[int, Search], None] = lambda i, search: None,
+    values: Callable[[jax.Array], np.ndarray] | None = None,
 ) -> Search:
     """Search until the promised gain in log-likelihood is below ``tolerance``, or ``most`` evaluations are spent.
 
     ``raw`` is (P,), or (N, P) for N problems that ``inform`` evaluates together; then all go on until all are done.
-    Ctrl-C ends the search with the best so far.
+    With ``values`` (T, P) -> (T,), the negative log-likelihood alone, trials of several dampings are valued first, and
+    ``inform`` sees only those that are better than the best so far. Ctrl-C ends the search with the best so far.
 
     Raises:
         ValueError: the likelihood of the start is not finite.
@@ -103,13 +118,15 @@ def maximise(
     first = inform(raw)
     if not np.isfinite(first.nll).all():
         raise ValueError("the likelihood of the starting parameters is not finite")
-    search = start(raw, first)
+    search, better = start(raw, first), True
     try:
         report(0, search)  # the start
         for i in range(1, most):
             if converged(search, tolerance):
                 break
-            search = step(search, inform(search.trial))
+            if values is not None:
+                search, better = _best_trial(search, values)
+            search = step(search, inform(search.trial) if better else search.best)
             report(i, search)
     except KeyboardInterrupt:
         return search._replace(interrupted=True)

@@ -55,7 +55,7 @@ def search(
         log(f"  {name}: goes on from {path}" if ended is None else f"  {name}: finished in {path}")
         if ended in (Status.CONVERGED, Status.ITERATION_LIMIT):
             return first, Status(ended)
-    found = scoring.maximise(job.objective(), first, MAX_EVALUATIONS, MIN_GAIN, report)
+    found = scoring.maximise(job.inform, first, MAX_EVALUATIONS, MIN_GAIN, report, job.values)
     status = scoring.status(found, MIN_GAIN)
     keep(found.raw, status)
     return found.raw, status

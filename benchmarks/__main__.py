@@ -35,6 +35,7 @@ FOLDERS = {
         "recover": "noise parameters back from innovations alone, started 10 times off",
         "states": "optional error states: consistent with them, not without",
         "consistency": "NEES and NIS of matched simulations: late and precise fixes, large attitude errors",
+        "earth": "stated sd against the truth: white and slow errors of receivers on ten vehicles",
         "verdict": "the verdict of tune where a part of the recording has a receiver fault",
         "pauses": "heading behind a pause of the log: error and stated sd",
         "parked": "heading of vehicles that are parked first or stop in between: error and stated sd",

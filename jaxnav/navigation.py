@@ -24,6 +24,7 @@ from jaxnav.filters import epochs as ep
 from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK, holes
+from jaxnav.filters.lanes import slow_errors
 from jaxnav.filters.parameters import history_for, installed
 from jaxnav.filters.run import CHUNK, first_failure, in_chunks, joined, require_params, require_x64, run_in_chunks
 from jaxnav.filters.smoother import reach_of, smooth_jit
@@ -97,6 +98,20 @@ class Solution:
     def epochs(self) -> Epoch:
         """Return the epochs of the filter."""
         return ep.hide(self.packed.epochs, self.hidden, self.measurements)
+
+    @property
+    def sd_relative(self) -> np.ndarray:
+        """Return the sd of positions (E, 3) m, ENU, but for the slow error of the receiver: from second to second.
+
+        It is that of a position whose slow error were known. ``sd`` is that of the position on the Earth.
+        """
+        P, slow = np.asarray(self.trace.info.P), slow_errors(self.filter)
+        if slow is None:
+            return self.sd[:, :3]
+        cross = P[:, :3, slow]
+        S = P[:, slow, slow] + 1e-12 * np.eye(3)  # a state of sd 0 explains nothing
+        left = P[:, :3, :3] - cross @ np.linalg.solve(S, np.swapaxes(cross, 1, 2))
+        return self.sd_factor * np.sqrt(np.maximum(np.diagonal(left, axis1=1, axis2=2), 0.0))
 
     @property
     def fixes(self) -> Samples:
@@ -194,8 +209,8 @@ def navigate(
         filt: a filter, such as ``jaxnav.build("ekf15")``.
         params: its parameters, such as ``filt.params("consumer")``, a datasheet; None is that one, scanned. The lever
             arm is the recording's unless they state one.
-        scan: find noise and latency from the recording (`jaxnav.scan_noise`), about ``params``; None: where these are
-            None.
+        scan: find noise, latency and errors of the receiver from the recording (`jaxnav.scan_noise`), about
+            ``params``, and add the state of slow errors to the filter; None: where params are None.
         initialization: one, or a function that makes it of recording and parameters: `jaxnav.initialize` with other
             settings, ``partial(jaxnav.initialize, heading="course")``. Its sd replace ``params.prior``.
         stop: s, end of the data.
@@ -225,6 +240,7 @@ def navigate(
     found = None
     if scan:
         found = scan_noise(rec, params, initialization=make(rec, params), stop=stop, outages=outages)
+        filt, params = found.extended(filt, params)
         params = found.applied(params)
     begin = make(rec, params)
     params = begin.apply_to(params)
@@ -286,6 +302,12 @@ def _coverage(trace: evaluate.Trace, rec: Recording, measurements: tuple[Measure
     return found
 
 
+def accuracy(sol: Solution) -> dict[str, float]:
+    """Return the stated horizontal sd (m), medians: on the Earth, and from second to second."""
+    level = lambda sd: float(np.median(np.hypot(*sd[sol.ok, :2].T))) if sol.ok.any() else math.nan
+    return {"earth_m": level(sol.sd), "relative_m": level(sol.sd_relative)}
+
+
 def metrics(sol: Solution) -> dict[str, Any]:
     """Return errors where there is a truth, innovations, errors at the ends of gaps, and the use of the streams."""
     rec, info = sol.recording, sol.trace.info
@@ -296,7 +318,7 @@ def metrics(sol: Solution) -> dict[str, Any]:
         share = float(np.isfinite(error[:, 0]).mean())
         dark = sol.hidden | ep.within(sol.packed.t, sol.gaps())
         found |= {"errors": evaluate.error_metrics(error, sd, dark), "scored_share": share}
-    found |= evaluate.innovation_metrics(info, sol.measurements)
+    found |= {"accuracy": accuracy(sol)} | evaluate.innovation_metrics(info, sol.measurements)
     ends = [
         {"start_s": a, "end_s": b, "horizontal_m": at_end}
         for a, b in sol.gaps()

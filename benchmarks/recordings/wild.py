@@ -173,7 +173,7 @@ CHI2_2 = 5.99  # 95 % of chi-square with two degrees of freedom
 def judged(rec: Recording, filt: Filter, params: Params, begin: Initialization, split: float) -> dict:
     """Hidden windows after ``split`` s by these parameters: RMS m, error / stated sd, share inside 95 %, NIS / dof.
 
-    RMS is of the written position; the stated sd is of a fix and its prediction, which has the receiver's error.
+    RMS is of the predicted fix; the stated sd is of a fix and its prediction, which has the receiver's error.
     """
     length = window_of(rec)
     packed, windows, error, info = hidden_drift(rec, filt, params, begin, length, 3 * length)
@@ -203,11 +203,14 @@ def scanned(path: Path) -> dict:
         watch = time.perf_counter()
         found = scan_noise(rec, params, initialization=begin, stop=split)
         seconds = time.perf_counter() - watch
-        before, after = (judged(rec, filt, p, begin, split) for p in (params, found.applied(params)))
+        before = judged(rec, filt, params, begin, split)
+        filt, wide = found.extended(filt, params)
+        after = judged(rec, filt, found.applied(wide), begin, split)
     except (DataError, ValueError) as error:
         return {"ran": False, "why": str(error)}
     return {
-        "ran": True, "factors": [found.gyro, found.accel, found.position, found.velocity],
+        "ran": True, "factors": [found.gyro, found.accel, found.receiver.position, found.receiver.velocity],
+        "slow": [*found.receiver.share.tolist(), *found.receiver.tau.tolist()],
         "latency_s": found.latency, "gain": found.gain,
         "drift_ratio": after["rms_m"] / before["rms_m"], "seconds": seconds, "datasheet": before, **after,
     }  # fmt: skip
@@ -219,6 +222,7 @@ def scan_table(results: dict[str, dict]) -> str:
     lines = [
         [name, *(f"{f:.3g}" for f in r["factors"]), f"{r['latency_s']:.2f}", r["windows"], r["datasheet"]["rms_m"],
          r["rms_m"], f"{r['drift_ratio']:.2f}",
+         f"{r['slow'][0]:.2g}, {r['slow'][2]:.0f} s",
          *(f"{r['datasheet'][k]:.2f} -> {r[k]:.2f}" for k in ("error_over_sd", "inside_95", "nis"))]
         for name, r in ran.items()
     ]  # fmt: skip
@@ -233,6 +237,7 @@ def scan_table(results: dict[str, dict]) -> str:
         "datasheet m",
         "auto m",
         "ratio",
+        "slow",
         "error / sd",
         "in 95 %",
         "NIS",

@@ -13,16 +13,21 @@ are the delay that alignments all along the part show and its sd, else 0 and 0.1
 grid of one common factor and the latency comes first, then boxes of 3 x 3 x 3 points about the best one; the quadratic
 fit to the last box gives the maximum.
 
-A receiver's stated sd may be off, of positions by a factor p and of velocities by v. Likelihood alone takes correlated
-fixes for precise ones, so that both are chosen by innovations and hidden fixes together,
+What a receiver states of its positions is split between white noise and slow errors, by
+`jaxnav.analysis.receiver_errors`, and the sd of velocities has a factor v. Likelihood alone takes correlated fixes for
+precise ones, so that share h and correlation time tau of each, level and up, are chosen by innovations and hidden fixes
+together,
 
-    J(p, v) = N (mean(log p(nu_k)) + mean(log p(y_j))) - (log10(p) / 0.5)^2 / 2 - (log10(v) / 0.5)^2 / 2
+    J(v, p, h, tau) = N (mean(log p(nu_k)) + mean(log p(y_j)))
+                      - (log10(v) / 0.5)^2 / 2 - (log10(p) / 0.3)^2 / 2 - prior(h, tau)
 
 with y_j the position residuals of fixes in hidden windows, among the points whose drift over these windows is at most
-1.05 times that with the stated sd. The latency shows better with them, and is chosen once more.
+1.05 times that with the stated sd. A factor p on the stated sd of positions is one unless the fixes ask for more, or
+the sd is that of a table without one. Where this gains less than one over the usual share and time, these are assumed.
+The latency shows better with them, and is chosen once more.
 
-All of it is taken if it drifts at most 1.02 times as far over the hidden windows as the datasheet, else without the
-factors on the fixes, else the latency alone, else the datasheet.
+All of it is taken if it drifts at most 1.02 times as far over the hidden windows as the datasheet, else without what it
+says of the fixes, else the latency alone, else the datasheet.
 """
 
 import math
@@ -31,18 +36,19 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.analysis.plots import base as plots
+from jaxnav.analysis.receiver_errors import ODDS, TAUS, Receiver, penalty, receiver, usual
 from jaxnav.analysis.windows import hidden_windows
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import delay_of
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.lanes import LaneRecord, lanes, padded_shape, ready, repeated, stacked, taken
+from jaxnav.filters.core import Filter
+from jaxnav.filters.lanes import RECEIVER_ERROR, LaneRecord, lanes, padded_shape, ready, repeated, stacked, taken
 from jaxnav.filters.parameters import datasheet_states, history_for, strong
-from jaxnav.filters.scores import innovation_nll, masked_mean, position_noise, residual_nll
+from jaxnav.filters.scores import innovation_nll, marginal_nll, masked_mean, position_noise, residual_nll
 from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, ground_velocity, initialize
 from jaxnav.measurements import GNSS
@@ -63,14 +69,19 @@ SQUARE = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij")
 CUBE = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), -1).reshape(27, 3)
 MAX_COARSE_BOXES = 5  # coarse ones
 RATIO_SD, COMMON_SD, LATENCY_SD = 0.5, 1.5, 0.1  # decades, decades, s
-CORRELATION_S = 10.0  # s, between independent innovations
+CORRELATION_S, WHITENED_S = 10.0, 4.0  # s, between independent innovations; where slow errors are part of the model
 SCANNED_S, WARM_UP_S = 180.0, 20.0  # s, of the part that counts at most; before it, to settle
 MIN_FIXES = 20  # that count
 MOVING_MPS, PARKED_S = 1.0, 30.0  # ground speed of motion; s at rest from which on the scan begins later
+UP = 2  # channel of the height
 MARGIN_S = 15.0  # s, before the first motion
-SCALES = np.arange(-1.25, 1.0, 0.25)  # log10 of the factor on the positions' stated sd, coarse grid
-SCALE_STEP = 0.25  # of a box: log10 of the factors on the sd of positions and velocities
-SCALE_SD = 0.5  # decades
+RECEIVER_S, MAX_EPOCHS = 400.0, 640  # s and epochs at most of the part by which a receiver's errors are found
+VELOCITIES = np.arange(-0.75, 1.0, 0.25)  # log10 of the factor on the stated sd of velocities
+RECEIVER_BOX = np.array([0.5, 0.3])  # steps of a box: log10 of odds and s
+VELOCITY_SD = 0.5  # decades
+FACTORS, FACTOR_SD = np.arange(-4, 5) / 4, 0.3  # log10 of the factor on the sd of positions; prior, decades
+WHITE = np.array([0.0, -9.0, TAUS[2], -9.0, TAUS[2], 0.0])
+"""Log10 of the factor on velocities, of odds and time level and up, of the factor on positions: all is white."""
 WINDOW_LENGTHS_S, PHASES = (10.0, 5.0, 3.0), 3  # hidden windows: the first length of which `MIN_WINDOWS` fit; runs
 MIN_WINDOWS = 8
 MAX_DRIFT_RATIO = 1.05  # of the drift over hidden windows, up to which other sd are taken
@@ -87,8 +98,8 @@ class NoiseScan(NamedTuple):
     gyro: float = 1.0  # factor on the white noise of the gyros
     accel: float = 1.0  # on that of the accelerometers
     latency: float = 0.0  # s
-    position: float = 1.0  # factor on the stated sd of positions
-    velocity: float = 1.0  # on that of velocities
+    receiver: Receiver = Receiver()  # errors of its positions and velocities
+    assumed: bool = False  # the share of slow errors is the usual one, the recording says nothing of it
     gain: float = 0.0  # of J / N, the penalized log-likelihood of a fix, over factors of 1 and no latency
     coarse: np.ndarray = np.zeros((0, 0))  # (L, C) J of the coarse grid, latency by common factor, 0 at its maximum
     grid: tuple[np.ndarray, np.ndarray] = (np.zeros(0), np.zeros(0))  # (L,) s and (C,) factors of it
@@ -97,25 +108,46 @@ class NoiseScan(NamedTuple):
     drift_ratio: float = math.nan  # drift over hidden windows, over the datasheet's
     harm: float = math.nan  # the same of the maximum of J, which was not taken where it exceeds `MAX_HARM_RATIO`
 
+    def extended(self, filt: Filter, params: Params) -> tuple[Filter, Params]:
+        """Return filter and parameters with the state of slow errors, if the receiver has some and the filter takes it.
+
+        Their share and time are not in these parameters yet, see `applied`.
+        """
+        known = RECEIVER_ERROR in filt.model.states or "position" not in filt.model.measurements
+        if filt.with_states is None or known or not self.receiver.share.any():
+            return filt, params
+        filt = filt.with_states(RECEIVER_ERROR)
+        return filt, params._replace(states=filt.params().states | params.states)
+
     def applied(self, params: Params) -> Params:
-        """Return parameters with this noise, latency and sd of the fixes.
+        """Return parameters with this noise, latency and errors of the receiver.
 
         Args:
-            params: parameters of a filter with the measurements of the scan.
+            params: parameters of a filter with the measurements of the scan; slow errors are those of its state.
         """
         mounting = params.mounting._replace(time_offset=params.mounting.time_offset + self.latency)
-        return _scaled(params._replace(mounting=mounting), self.gyro, self.accel, self.position, self.velocity)
+        noise = Noise(params.noise.gyro * self.gyro, params.noise.accel * self.accel)
+        return self.receiver.applied(params._replace(mounting=mounting, noise=noise))
 
     @property
     def findings(self) -> list[Finding]:
         """Return the findings of the scan."""
         if not self.fixes:
             return [finding("noise.datasheet", limit=MIN_FIXES)]
-        scale = f"; sd of positions {self.position:.2g}, of velocities {self.velocity:.2g} times the stated"
+        share, tau = self.receiver.share, self.receiver.tau
+        scale = ""
+        if share.any():
+            how = "assumed to be slow" if self.assumed else "slow"
+            scale = f"; of a position's stated variance {share[0]:.2g} is {how} over {tau[0]:.0f} s"
+            scale += f" (upwards {share[1]:.2g}, {tau[1]:.0f} s)"
+        if self.receiver.position != 1.0:
+            scale += f"; sd of positions {self.receiver.position:.2g} times the stated"
+        if self.receiver.velocity != 1.0:
+            scale += f"; sd of velocities {self.receiver.velocity:.2g} times the stated"
         found = finding(
             "noise.scan", gyro=self.gyro, accel=self.accel, size=abs(self.latency),
             side="late" if self.latency >= 0 else "early", gain=self.gain, fixes=self.fixes, first=self.part[0],
-            last=self.part[1], scale=scale if (self.position, self.velocity) != (1.0, 1.0) else "",
+            last=self.part[1], scale=scale,
         )  # fmt: skip
         most = max(self.gyro, self.accel)
         harm = []
@@ -130,9 +162,17 @@ class NoiseScan(NamedTuple):
 
     def metrics(self) -> dict[str, float]:
         """Return the chosen values, as in metrics.json."""
-        names = ["gyro", "accel", "latency", "gain", "position", "velocity"]
-        names += [name for name in ("drift_ratio", "harm") if math.isfinite(getattr(self, name))]
-        return {"latency_s" if name == "latency" else name: getattr(self, name) for name in names}
+        names = ["gyro", "accel", "gain", *(n for n in ("drift_ratio", "harm") if math.isfinite(getattr(self, n)))]
+        r = self.receiver
+        slow = {
+            "slow_share": r.share[0],
+            "slow_share_up": r.share[1],
+            "slow_tau_s": r.tau[0],
+            "slow_tau_up_s": r.tau[1],
+        }
+        found = {name: getattr(self, name) for name in names} | {"latency_s": self.latency}
+        found |= {"position": r.position, "velocity": r.velocity}
+        return found | {name: float(value) for name, value in slow.items()}
 
     def figure(self) -> "Figure":
         """Draw J over common factor and latency, and the chosen point."""
@@ -181,16 +221,6 @@ def known_delay(rec: Recording, params: Params, end: float, outages: Sequence[An
     return Delay(found[0], max(DELAY_SD_FACTOR * found[1], MIN_DELAY_SD))
 
 
-def _scaled(params: Params, gyro: Any, accel: Any, *sd: Any) -> Params:
-    """Return parameters with factors on the IMU's white noise and on the stated sd of positions and velocities."""
-    noise, fixes = Noise(params.noise.gyro * gyro, params.noise.accel * accel), dict(params.measurements)
-    for row, factor in zip(GNSS, sd, strict=True):
-        if row.name in fixes:
-            theta = fixes[row.name]
-            fixes[row.name] = theta._replace(scale=jnp.asarray(theta.scale) * factor)
-    return params._replace(noise=noise, measurements=fixes)
-
-
 class _Cut(NamedTuple):
     """Epochs of a latency: the fixes are moved by it before the recording is cut."""
 
@@ -208,14 +238,17 @@ class _Objective:
     ) -> None:
         self.rec, self.begin, self.end, self.outages, self.delay = rec, begin, end, outages, delay
         self.rows = tuple(m for m in GNSS if m.name in rec.aiding)
-        states = datasheet_states(GRADES["consumer"], BIASES) | params.states
+        states = datasheet_states(GRADES["consumer"], (*BIASES, RECEIVER_ERROR)) | params.states
         fixes = {m.name: strong(m.defaults) for m in self.rows} | params.measurements  # a filter may take ranges alone
         self.params = begin.apply_to(params._replace(states=states, measurements=fixes, rule=(), feedback=()))
         rate, span = 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))
-        self.filt = build("ekf15", self.rows, 5, history_for(self.params, rate, span))
+        self.filt = build("ekf15", self.rows, 5, history_for(self.params, rate, span), states=(RECEIVER_ERROR,))
         self.first = begin.t + min(WARM_UP_S, 0.25 * (end - begin.t))
         self.effective = (end - self.first) / CORRELATION_S
-        self.scales = np.zeros(2)  # log10 of the factors on the stated sd of positions and velocities
+        position = rec.aiding["position"]
+        self.sd = np.median(np.asarray(position.sd)[(position.t > begin.t) & (position.t <= end)], 0)
+        self.fixes, self.stated = WHITE, _stated_scale(params)
+        self.assumed_sd = bool(np.all(position.sd == [column.sd for column in self.rows[0].columns]))
         self.cuts, self.shape = dict[float, _Cut](), (0, 0)
         self.prepared: dict[float, Epoch] = {}
         self.nav = taken(begin.navs, 0)
@@ -246,11 +279,13 @@ class _Objective:
         return self.prepared[latency]
 
     def candidate(self, point: np.ndarray) -> Params:
-        """Return the parameters of a point (5,), behind the latency log10 of the factors on the fixes' sd."""
-        return _scaled(self.params, *(10.0 ** point[[0, 1, 3, 4]]))
+        """Return the parameters of a point (9,), behind the latency the numbers of `receiver`."""
+        noise = Noise(self.params.noise.gyro * 10.0 ** point[0], self.params.noise.accel * 10.0 ** point[1])
+        params = self.params._replace(noise=noise)
+        return params if self.stated else receiver(point[3:], self.sd).applied(params)
 
     def run(self, points: np.ndarray, hidden: Sequence[Sequence[Any]] = ((),)) -> tuple[LaneRecord, np.ndarray]:
-        """Run points (P, 5) with each of some sets of windows (H) hidden: the record and what is hidden.
+        """Run points (P, 9) with each of some sets of windows (H) hidden: the record and what is hidden.
 
         The record is (H P, E, ...), the mask (H P, E).
         """
@@ -275,7 +310,7 @@ class _Objective:
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Return J (P,) at points (P, 3)."""
         points = np.round(points, 6)
-        record, _ = self.run(np.column_stack([points, np.tile(self.scales, (len(points), 1))]))
+        record, _ = self.run(np.column_stack([points, np.tile(self.fixes, (len(points), 1))]))
         mean = masked_mean(-innovation_nll(record), self.counted(points))
         noise = ((points[:, 0] - points[:, 1]) / RATIO_SD) ** 2 + (points[:, :2].mean(1) / COMMON_SD) ** 2
         off = (points[:, 2] - self.delay.mean) / self.delay.sd
@@ -291,11 +326,11 @@ class _Objective:
                 return [[(a, a + length) for a in found.start[found.phase == p]] for p in range(PHASES)]
         return []
 
-    def fit(self, points: np.ndarray, hidden: Sequence[Sequence[Any]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return how well points (P, 5) fit with some sets of windows (H) hidden.
+    def fit(self, points: np.ndarray, hidden: Sequence[Sequence[Any]]) -> tuple[np.ndarray, np.ndarray]:
+        """Return how well points (P, 9) fit with some sets of windows (H) hidden.
 
-        Mean log-likelihood of a fix and of a hidden fix, and the RMS of the hidden fixes' horizontal residuals, m;
-        (P,) each.
+        Mean log-likelihood of a fix and of a hidden fix together, of all channels but the height and of the height
+        (P, 2), and the RMS of the hidden fixes' horizontal residuals (P,) m.
         """
         record, mask = self.run(points, hidden)
         tiled = lambda a: np.tile(a, (len(hidden), *[1] * (a.ndim - 1)))
@@ -305,49 +340,84 @@ class _Objective:
         noise = [
             position_noise(self.candidate(p), np.asarray(fix.sd)[:, :3]) for p, fix in zip(points, fixes, strict=True)
         ]
-        far = -residual_nll(record.residual, record.P + tiled(np.array(noise)))
-        square = (record.residual[..., :2] ** 2).sum(-1)
-        far, square = (np.where(record.ok, a, worst) for a, worst in ((far, -np.inf), (square, np.inf)))
-        known = there & mask & counted
+        known, C = there & mask & counted, record.P + tiled(np.array(noise))
         by_phase = lambda values, mask: masked_mean(values, mask).reshape(len(hidden), -1).mean(0)
-        return by_phase(-innovation_nll(record), counted & ~mask), by_phase(far, known), by_phase(square, known) ** 0.5
+        channels = np.arange(record.nu.shape[-1])
+        total = []
+        for near, far in ((channels[channels != UP], [0, 1]), ([UP], [UP])):
+            y = np.where(record.ok, -residual_nll(record.residual[..., far], C[..., far, :][..., far]), -np.inf)
+            total.append(by_phase(-marginal_nll(record, near), counted & ~mask) + by_phase(y, known))
+        square = np.where(record.ok, (record.residual[..., :2] ** 2).sum(-1), np.inf)
+        return np.stack(total, 1), by_phase(square, known) ** 0.5
 
-    def best_scales(self, point: np.ndarray, hidden: Sequence[Sequence[Any]]) -> np.ndarray:
-        """Return the factors on the stated sd of positions and velocities (2,), log10; zeros for none.
+    def best_receiver(self, point: np.ndarray, hidden: Sequence[Sequence[Any]]) -> tuple[np.ndarray, bool]:
+        """Return the numbers (6,) of the receiver's errors, and whether its slow ones are assumed.
 
         Args:
             point: (3,) the chosen one.
-            hidden: sets of windows.
+            hidden: sets of windows; without any the usual errors are assumed.
         """
+        centre = usual(self.sd)
+        plain = np.concatenate([[0.0], centre, centre, [0.0]])
         if not len(hidden):
-            return np.zeros(2)
+            return plain, True
 
-        def at(scales: np.ndarray, most: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
-            """Return points (P, 4), J being -inf where the drift exceeds ``most`` m, and the drift (P,) m."""
-            near, far, drift = self.fit(np.column_stack([np.tile(point, (len(scales), 1)), scales]), hidden)
-            J = self.effective * (near + far) - 0.5 * ((scales / SCALE_SD) ** 2).sum(1)
-            agreed = np.isfinite(J) & (drift <= most)
-            return np.column_stack([scales, np.zeros(len(scales)), np.where(agreed, J, -np.inf)]), drift
+        def at(numbers: np.ndarray, hidden: Sequence[Any], most: float = np.inf) -> np.ndarray:
+            """Return J (P, 2), level and up, -inf where the drift exceeds ``most`` m, and the drift (P,) m."""
+            fit, drift = self.fit(np.column_stack([np.tile(point, (len(numbers), 1)), numbers]), hidden)
+            J = CORRELATION_S / WHITENED_S * self.effective * fit - np.stack(
+                [penalty(numbers[:, k : k + 2], centre) for k in (1, 3)], 1
+            )
+            J[:, 0] -= 0.5 * (numbers[:, 0] / VELOCITY_SD) ** 2 + 0.5 * (numbers[:, 5] / FACTOR_SD) ** 2
+            J[~(np.isfinite(J).all(1) & (drift <= most))] = -np.inf
+            return np.column_stack([J, drift])
 
-        line, drift = at(np.column_stack([SCALES, np.zeros_like(SCALES)]))
-        stated = int(np.argmin(np.abs(SCALES)))
-        most = MAX_DRIFT_RATIO * drift[stated]
-        first = line[np.argmax(np.where(drift <= most, line[:, 3], -np.inf)), :3]
-        steps = SCALE_STEP * np.array([1.0, float(len(self.rows) > 1), 0.0])
-        centre, points = _climb(lambda centre: at(centre[:2] + steps[:2] * SQUARE, most)[0], first)
-        if points[:, 3].max() < line[stated, 3] + MIN_GAIN:
-            return np.zeros(2)
-        return _vertex(points, centre, steps)[:2]
+        def along(best: np.ndarray, number: int, values: np.ndarray) -> tuple[np.ndarray, float]:
+            """Return the best numbers with one of them at the maximum over equidistant values, and the gain over 0."""
+            line = np.tile(best, (len(values), 1))
+            line[:, number] = values
+            J = at(line, hidden[:1], most)[:, :2].sum(1)
+            if not np.isfinite(J.max()):
+                return best, 0.0
+            i = int(np.clip(np.argmax(J), 1, len(values) - 2))
+            near, step = slice(i - 1, i + 2), np.array([values[1] - values[0], 0.0, 0.0])
+            points = np.column_stack([values[near], np.zeros((3, 2)), J[near]])
+            top, zero = _vertex(points, np.array([values[i], 0.0, 0.0]), step)[0], J[np.argmin(np.abs(values))]
+            return np.where(np.arange(best.size) == number, top, best), float(J.max() - zero)
+
+        grid = np.stack(np.meshgrid(ODDS, TAUS, indexing="ij"), -1).reshape(-1, 2)
+        tried = np.vstack([WHITE, plain, np.column_stack([np.zeros(len(grid)), grid, grid, np.zeros(len(grid))])])
+        found = at(tried, hidden[:1])
+        most = MAX_DRIFT_RATIO * found[0, 2]
+        found[found[:, 2] > most, :2] = -np.inf
+        level, up = (int(np.argmax(found[1:, k])) + 1 for k in (0, 1))
+        best = np.concatenate([[0.0], tried[level, 1:3], tried[up, 3:5], [0.0]])
+        if len(self.rows) > 1:
+            best, _ = along(best, 0, VELOCITIES)
+        most = MAX_DRIFT_RATIO * at(WHITE[None], hidden)[0, 2]
+        climbed = partial(_climbed, lambda numbers: at(numbers, hidden, most))
+        best, gain = climbed(best, centre)
+        factors = FACTORS if self.assumed_sd else FACTORS[FACTORS >= 0]
+        wider, more = along(best, 5, factors)
+        if more >= MIN_GAIN:
+            best, gain = climbed(wider, centre)
+        for k, each in ((1, gain[0]), (3, gain[1])):
+            if each < MIN_GAIN:
+                best[k : k + 2] = centre
+        return best, bool(gain.max() < MIN_GAIN)
 
     def harmless(self, point: np.ndarray, hidden: Sequence[Sequence[Any]]) -> tuple[np.ndarray, float, float]:
         """Return the first of some points that does no harm, its drift over the datasheet's, and that of the first.
 
-        Tried are ``point`` (5,), the same with the stated sd of the fixes, its delay alone, and the datasheet.
+        Tried are ``point`` (9,), the same with the stated errors of the fixes as white noise, its delay alone, and the
+        datasheet.
         """
         if not len(hidden):
             return point, math.nan, math.nan
-        tried = np.stack([point, point * [1, 1, 1, 0, 0], point * [0, 0, 1, 0, 0], np.zeros(5)])
-        drift = self.fit(tried, hidden)[2]
+        alone = np.array([0.0, 0.0, point[2]])
+        firsts = point[:3], alone, np.zeros(3)
+        tried = np.stack([point, *(np.concatenate([first, WHITE]) for first in firsts)])
+        drift = self.fit(tried, hidden)[1]
         ratio = drift / drift[-1]
         i = int(np.argmax(ratio <= MAX_HARM_RATIO))
         return tried[i], float(ratio[i]), float(ratio[0])
@@ -356,6 +426,36 @@ class _Objective:
         """Return the 3 x 3 x 3 points about ``centre`` (27, 3) with their J, (27, 4)."""
         points = centre + steps * CUBE
         return np.column_stack([points, self(points)])
+
+
+def _climbed(
+    at: Callable[[np.ndarray], np.ndarray], best: np.ndarray, centre: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return numbers (6,) with odds and times at the maxima of J about ``best``, and the gain (2,) over ``centre``.
+
+    Args:
+        at: from numbers (P, 6) to J (P, 2 or more), level and up.
+        best: (6,) the start.
+        centre: (2,) usual odds and time.
+    """
+    steps, J = RECEIVER_BOX, np.zeros((0, 2))
+    tried = np.vstack([steps * SQUARE, np.zeros((1, 2))])
+
+    def box(middle: np.ndarray) -> np.ndarray:
+        nonlocal J
+        numbers = np.tile(best, (len(tried), 1))
+        numbers[:, 1:5] = np.column_stack([middle[:2] + tried, best[3:5] + tried])
+        numbers[-1, 1:5] = [*centre, *centre]
+        J = at(numbers)[:, :2]
+        return np.column_stack([numbers[:-1, 1:3], np.zeros(len(SQUARE)), J[:-1, 0]])
+
+    flat = np.append(steps, 0.0)
+    middle, points = _climb(box, np.append(best[1:3], 0.0))
+    level = _vertex(points, middle, flat)[:2]
+    rise = np.column_stack([best[3:5] + tried[:-1], np.zeros(len(SQUARE)), J[:-1, 1]])
+    up = _vertex(rise, np.append(best[3:5], 0.0), flat)[:2]
+    gain = np.maximum(J[:-1].max(0), -1e300) - np.maximum(J[-1], -1e300)  # where nothing is allowed: no gain
+    return np.array([best[0], *level, *up, best[5]]), gain
 
 
 def _climb(box: Callable[[np.ndarray], np.ndarray], centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -435,26 +535,33 @@ def scan_noise(
     centre, _ = _climb(partial(objective.box, steps=steps * COARSE_BOX), centre)
     points = objective.box(centre, steps * FINE_BOX)
     found = _vertex(points, centre, steps * FINE_BOX)
-    hidden = objective.windows()
-    if not _stated_scale(params):
-        objective.scales = objective.best_scales(found, hidden)
-    if objective.scales.any() and delay.free:
+    hidden, assumed = objective.windows(), False
+    if not objective.stated:
+        seconds = min(RECEIVER_S, MAX_EPOCHS / max(fixes / (end - objective.first), 1e-3))
+        later = min(objective.first + seconds, last)
+        wide = _Objective(rec, params, begin, later, outages, delay) if later > end else objective
+        objective.fixes, assumed = wide.best_receiver(found, wide.windows())
+    if objective.fixes is not WHITE and delay.free:
         timing = np.array([0.0, 0.0, COARSE_BOX[2]])
         centre, points = _climb(partial(objective.box, steps=timing), found)
         found = _vertex(points, centre, timing)
-    point, ratio, harm = objective.harmless(np.concatenate([found, objective.scales]), hidden)
+    point, ratio, harm = objective.harmless(np.concatenate([found, objective.fixes]), hidden)
     datasheet = coarse[np.argmin(np.abs(latencies)), np.argmin(np.abs(COMMON))]
     gain = float(points[:, 3].max() - datasheet) / objective.effective
-    gyro, accel, position, velocity = map(float, 10.0 ** point[[0, 1, 3, 4]])
+    gyro, accel = map(float, 10.0 ** point[:2])
+    white = point[4] == WHITE[1]
+    errors = Receiver(velocity=float(10.0 ** point[3])) if white else receiver(point[3:], objective.sd)
     return NoiseScan(
-        gyro, accel, float(point[2]), position, velocity, gain, coarse - coarse.max(), (latencies, 10.0**COMMON),
-        (objective.first, end), fixes, ratio, harm,
+        gyro, accel, float(point[2]), errors, assumed and not white, gain, coarse - coarse.max(),
+        (latencies, 10.0**COMMON), (objective.first, end), fixes, ratio, harm,
     )  # fmt: skip
 
 
 def _stated_scale(params: Params) -> bool:
-    """Return whether parameters state how the fixes' sd are to be scaled."""
-    scales = [theta.scale for theta in params.measurements.values() if hasattr(theta, "scale")]
+    """Return whether parameters state how the fixes' sd are to be scaled, or slow errors of the receiver."""
+    if RECEIVER_ERROR in params.states:
+        return True
+    scales = [params.measurements[row.name].scale for row in GNSS if row.name in params.measurements]
     return any(not np.array_equal(scale, np.ones(np.shape(scale))) for scale in scales)
 
 

@@ -54,10 +54,10 @@ def drifts(
     filt: Filter, candidates: Sequence[Params], nav: Nav, epochs: Epoch, windows: Windows,
     measurements: tuple[Measurement, ...],
 ) -> list[tuple[np.ndarray, LaneRecord]]:  # fmt: skip
-    """Return the written position minus the fix at each window's end, and the runs.
+    """Return the predicted minus the measured position at each window's end, and the runs.
 
-    Through the measurement model of a position, the first three channels, but without a receiver's error that the
-    filter estimates: that is no part of the position that it writes.
+    Through the measurement model of a position, the first three channels, with a receiver's slow error where the filter
+    estimates one: a fix tells how far a prediction of it has drifted, not how far it is itself from the truth.
 
     Args:
         filt: the filter.
@@ -76,7 +76,7 @@ def drifts(
     valid = np.stack([np.asarray(ep.hide(epochs, h, measurements, windows.satellites).fix.valid) for h in hidden])
     many, count = [params for params in candidates for _ in range(phases)], len(candidates)
     record = lanes(filt, stacked(many), repeated(nav, len(many)), epochs, np.concatenate([valid] * count))
-    errors = np.where(record.ok[..., None], record.residual - record.slow, np.inf)
+    errors = np.where(record.ok[..., None], record.residual, np.inf)
     return [
         (errors[c * phases + windows.phase, windows.end], taken(record, slice(c * phases, (c + 1) * phases)))
         for c in range(count)

@@ -109,12 +109,16 @@ def states_noise(config: Config) -> bool:
     return any(value is not None for value in vars(config.noise).values())
 
 
-def with_noise(config: Config, params: Params, measurements: tuple[str, ...]) -> Config:
-    """Return the configuration that states the noise, latency and fixes' sd that a scan found, to run it again."""
-    scales = (f"measurements.{m.name}.scale" for m in GNSS if m.name in measurements)
-    found = in_user_units(params, (*NOISE, "mounting.time_offset", *scales))
+def with_noise(config: Config, params: Params, filt: Filter) -> Config:
+    """Return the configuration that states noise, latency and errors of the receiver of a scan, to run it again."""
+    scales = [f"measurements.{m.name}.scale" for m in GNSS if m.name in filt.model.measurements]
+    usual = filter_of(config, measurements_of(config)).model.states
+    more = [name for name in filt.model.states if name not in usual]
+    slow = [f"states.{name}.{leaf}" for name in more for leaf in params.states[name]._fields]
+    found = in_user_units(params, (*NOISE, "mounting.time_offset", *scales, *slow))
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}
-    return changed(config, {"filter.grade": DATASHEET, **values})
+    states = {"filter.states": (*config.filter.states, *more)} if more else {}
+    return changed(config, {"filter.grade": DATASHEET, **states, **values})
 
 
 def standing_of(config: Config) -> Standing:

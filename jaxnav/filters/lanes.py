@@ -40,7 +40,6 @@ class LaneRecord(NamedTuple):
     log_det: Any  # () log |S|
     residual: Any  # (3,) m, ENU, predicted minus measured position, hidden ones too
     P: Any  # (3, 3) m^2 covariance of that, without the fix's white noise
-    slow: Any  # (3,) m, ENU, estimated slow error of the receiver, which is part of the prediction
     ok: Any  # () bool, False from the first epoch that was not finite on
 
 
@@ -74,14 +73,14 @@ def lanes(
         return state, jax.device_get(record)
 
     def whole(lane: np.ndarray) -> LaneRecord:
-        state, records = (first[0], [first[1]]) if lane is groups[0] else (begun(lane), [])
+        state, records = (first[0], [first[1]]) if lane is groups[0] else (started(lane), [])
         for i in starts[len(records) :]:
             state, record = advanced(lane, state, i)
             records.append(record)
         return jax.tree.map(lambda *a: np.concatenate(a, 1), *records)
 
-    begun = lambda lane: _begin(filt, taken(params, lane), taken(nav, lane))
-    first = advanced(groups[0], begun(groups[0]), 0)  # compiles, so that threads do not
+    started = lambda lane: _begin(filt, taken(params, lane), taken(nav, lane))
+    first = advanced(groups[0], started(groups[0]), 0)  # compiles, so that threads do not
     with ThreadPoolExecutor(_threads()) as pool:
         found = list(pool.map(whole, groups))
     return taken(jax.tree.map(lambda *a: np.concatenate(a), *found), slice(count))
@@ -152,9 +151,8 @@ def _chunk(filt: Filter, params: Params, state: FilterState, epochs: Epoch) -> t
 
 def _keep(slow: slice | None, step: Step, along: Any) -> LaneRecord:
     i = step.info
-    error = i.nav.errors.get(RECEIVER_ERROR, jnp.zeros(3))
     P = seen_by_position(i.P, slow)
-    return LaneRecord(i.nu, i.S, i.valid, i.used, i.nis, i.log_det, i.residual[:3], P, error, i.ok)
+    return LaneRecord(i.nu, i.S, i.valid, i.used, i.nis, i.log_det, i.residual[:3], P, i.ok)
 
 
 def slow_errors(filt: Filter) -> slice | None:

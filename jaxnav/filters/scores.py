@@ -1,9 +1,10 @@
 """Scores of runs on lanes (`jaxnav.filters.lanes`) on the host: likelihoods and normalised squares, each once."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaln
+from scipy.special import gammaincinv, gammaln
 
 from jaxnav.filters.lanes import LaneRecord
 from jaxnav.filters.run import FREEDOM
@@ -22,14 +23,58 @@ def innovation_nll(record: LaneRecord, heavy: bool = True) -> np.ndarray:
 
     Args:
         record: the runs.
-        heavy: by a Student t everywhere; False: only where a channel was rejected, else by a Gaussian.
+        heavy: by the Student t of `residual_nll` everywhere; False: by a Gaussian, and where a channel was rejected
+            by a Student t of the same S.
     """
     m = record.valid.sum(-1)
-    far = student(record.nis, m)
-    if not heavy:
+    if heavy:
+        near = _fair(record.nis, record.log_det, m)
+    else:
         rejected = (record.valid & ~record.used).any(-1)
-        far = np.where(rejected, far, 0.5 * (record.nis + m * np.log(2 * np.pi)))
-    return np.where(record.ok, far + 0.5 * record.log_det, np.inf)
+        near = np.where(rejected, student(record.nis, m), 0.5 * (record.nis + m * np.log(2 * np.pi)))
+        near = near + 0.5 * record.log_det
+    return np.where(record.ok, near, np.inf)
+
+
+def marginal_nll(record: LaneRecord, at: Any) -> np.ndarray:
+    """Return `residual_nll` (L, E) of the innovations of some channels alone, inf where a run is not finite."""
+    nu, S = record.nu[..., at], record.S[..., at, :][..., at]
+    return np.where(record.ok, residual_nll(nu, S, record.valid[..., at].sum(-1)), np.inf)
+
+
+def residual_nll(residual: np.ndarray, C: np.ndarray, m: np.ndarray | int | None = None) -> np.ndarray:
+    """Return minus the log-likelihood (...,) of residuals, by a Student t that finds the sd of Gaussian ones.
+
+    A Student t of covariance C is most likely where C is too small for residuals without outliers; here C is divided by
+    `gaussian_scale`.
+
+    Args:
+        residual: (..., k), 0 where not measured.
+        C: (..., k, k), with identity rows there.
+        m: (...,) how many are measured; None: all.
+    """
+    count = residual.shape[-1] if m is None else m
+    return _fair(normalized(residual, C), np.linalg.slogdet(C)[1], np.broadcast_to(count, residual.shape[:-1]))
+
+
+def _fair(square: np.ndarray, log_det: np.ndarray, m: np.ndarray) -> np.ndarray:
+    """Return minus the log-likelihood of normalised squares of ``m`` channels (...,)."""
+    scale = np.array([gaussian_scale(count) for count in range(int(np.max(m, initial=0)) + 1)])[m]
+    return student(square * scale, m) + 0.5 * (log_det - m * np.log(scale))
+
+
+@cache
+def gaussian_scale(m: int) -> float:
+    """Return c with E[(FREEDOM + m) c z / (FREEDOM + c z)] = m for z of a chi-square of ``m`` degrees of freedom.
+
+    With it the slope of a Student t's likelihood in the scale of C is zero at the scale of Gaussian residuals.
+    """
+    if m == 0:
+        return 1.0
+    z, c = 2.0 * gammaincinv(0.5 * m, (np.arange(2000) + 0.5) / 2000), 1.0
+    for _ in range(100):
+        c *= m / float(np.mean((FREEDOM + m) * c * z / (FREEDOM + c * z)))
+    return c
 
 
 def position_noise(params: Params, sd: Any, xp: Any = np) -> Any:
@@ -40,11 +85,6 @@ def position_noise(params: Params, sd: Any, xp: Any = np) -> Any:
     scale = xp.asarray(params.measurements["position"].scale)
     size = xp.linalg.norm(scale, axis=-1) if scale.ndim == 2 else xp.broadcast_to(scale, 3)
     return np.eye(3) * ((size * sd) ** 2)[..., None]
-
-
-def residual_nll(residual: np.ndarray, C: np.ndarray) -> np.ndarray:
-    """Return minus the log-likelihood (...,) of residuals (..., k) of covariance C (..., k, k), by a Student t."""
-    return student(normalized(residual, C), residual.shape[-1]) + 0.5 * np.linalg.slogdet(C)[1]
 
 
 def normalized(residual: np.ndarray, C: np.ndarray) -> np.ndarray:

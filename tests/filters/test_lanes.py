@@ -83,12 +83,25 @@ def test_a_masked_measurement_is_no_measurement():
     assert not masked.nu[..., 6:].any()
 
 
+@pytest.mark.parametrize("m", [1, 2, 6])
+def test_a_fair_student_t_finds_the_sd_of_gaussian_residuals(m):
+    """The most likely scale of 200,000 Gaussian residuals of unit variance is one; a plain t's is far below it."""
+    y, at = np.random.default_rng(2).normal(size=(200_000, m)), np.exp(np.linspace(-0.5, 0.5, 41))
+    total = [float(scores.residual_nll(y, np.broadcast_to(s * np.eye(m), (len(y), m, m))).mean()) for s in at]
+    assert np.log(at[np.argmin(total)]) == pytest.approx(0.0, abs=0.026)
+    total = [float(scores.student((y**2).sum(1) / s, m).mean()) + 0.5 * m * np.log(s) for s in at]
+    assert np.log(at[np.argmin(total)]) < -0.15
+
+
 def test_a_student_t_is_scipys():
     rng = np.random.default_rng(1)
     A = rng.normal(size=(4, 3, 3))
     C, y = A @ A.transpose(0, 2, 1) + np.eye(3), rng.normal(size=(4, 3)) * 3
-    expected = [-stats.multivariate_t(np.zeros(3), S, df=scores.FREEDOM).logpdf(v) for S, v in zip(C, y, strict=True)]
+    fair = C / scores.gaussian_scale(3)
+    expected = [
+        -stats.multivariate_t(np.zeros(3), S, df=scores.FREEDOM).logpdf(v) for S, v in zip(fair, y, strict=True)
+    ]
     np.testing.assert_allclose(scores.residual_nll(y, C), expected, rtol=1e-12)
-    lost = LaneRecord(*[np.zeros((1, 2))] * 10)._replace(valid=np.ones((1, 2, 3), bool), used=np.ones((1, 2, 3), bool),
+    lost = LaneRecord(*[np.zeros((1, 2))] * 9)._replace(valid=np.ones((1, 2, 3), bool), used=np.ones((1, 2, 3), bool),
                                                      ok=np.array([[True, False]]))  # fmt: skip
     assert np.isfinite(scores.innovation_nll(lost)).tolist() == [[True, False]]

@@ -20,6 +20,7 @@ from jaxnav.filters.gaps import TICK
 from jaxnav.filters.lanes import seen_by_position
 from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import FREEDOM, prepare, student_nll
+from jaxnav.filters.scores import gaussian_scale
 from jaxnav.initialization.initialize import initialize
 from jaxnav.maths.units import DEG_PER_SQRT_HOUR
 from jaxnav.measurements import GNSS
@@ -29,8 +30,7 @@ from jaxnav.types import ConfigError, DataError
 from tuning.fit.status import Status
 from tuning.recordings import evidence, priors, recorded, report
 from tuning.recordings.evidence import Job
-from tuning.recordings.parts import PHASES, Layout, ages, parts_of, runs_of, windows_of
-from tuning.recordings.recorded import correlation
+from tuning.recordings.parts import PHASES, ages, parts_of, runs_of, windows_of
 from tuning.recordings.runs import Descent, score_of
 from tuning.uncertainty import gaussian
 
@@ -210,7 +210,9 @@ def test_what_a_part_predicts_is_the_likelihood_in_the_objective_but_for_heavy_t
     counts = (own.t > early.train) & (own.t <= early.validation + 1e-6) & ~own.windows.hidden
     counts &= np.asarray(info.valid).any(-1)
     square, S, m = (np.asarray(a)[counts] for a in (info.nis, info.S, np.asarray(info.valid).sum(-1)))
-    student = np.asarray(jax.vmap(lambda q, m: student_nll(q, m, 6))(square, m)) + 0.5 * np.linalg.slogdet(S)[1]
+    scale = np.array([gaussian_scale(int(n)) for n in m])
+    student = np.asarray(jax.vmap(lambda q, m: student_nll(q, m, 6))(square * scale, m))
+    student = student + 0.5 * (np.linalg.slogdet(S)[1] - m * np.log(scale))
     expected = float(evidence_[1].value / evidence_[1].number) + student.mean()
     assert evidence.predicted([own.datasheet], [moved], [info]) == pytest.approx(expected, rel=1e-9)
     late = info._replace(ok=info.ok & (own.t < layout.train - 1.0))
@@ -291,24 +293,6 @@ def test_parameters_of_streams_that_no_recording_has_are_not_free(rec):
     alone = rec._replace(aiding={"position": rec.aiding["position"]})
     assert recorded.measured(leaves, [alone]) == [leaf for leaf in leaves if "velocity" not in leaf]
     assert recorded.measured(leaves, [alone, rec]) == leaves
-
-
-def test_correlation_from_fix_to_fix_is_an_autoregressions():
-    """Of innovations z_k = 0.6 z_(k-1) + w, thinned by a hidden window that must not count as neighbours."""
-    rng, t, a = np.random.default_rng(0), np.arange(1.0, 4001.0), 0.6
-    z = np.zeros((4000, 3))
-    for k in range(1, 4000):
-        z[k] = a * z[k - 1] + rng.normal(size=3)
-    sd = np.array([2.0, 3.0, 5.0])
-    valid = np.ones((1, 4000, 3), bool)
-    valid[0, 1000:1050] = False
-    info = SimpleNamespace(nu=(z * sd)[None], S=np.broadcast_to(np.diag(sd**2), (1, 4000, 3, 3)), valid=valid)
-    layout = Layout(10.0, 30.0, 30.0, 3000.0, 3900.0)
-    made = lambda layout: SimpleNamespace(t=t, packed=SimpleNamespace(start=0.0), layout=layout)
-    assert correlation([info], [made(layout)]) == pytest.approx(a, abs=0.02)
-    few = made(layout._replace(validation=50.0))
-    assert correlation([info], [few]) == 0.0  # too few to say
-    assert correlation([info, info], [few, made(layout)]) == pytest.approx(a, abs=0.02)
 
 
 def test_what_a_fix_tells_has_the_covariance_of_position_and_error():

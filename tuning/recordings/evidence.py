@@ -11,9 +11,9 @@ from jax.flatten_util import ravel_pytree
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK
-from jaxnav.filters.lanes import CHUNK, RECEIVER_ERROR, LaneRecord, lanes, repeated, taken
+from jaxnav.filters.lanes import CHUNK, LaneRecord, lanes, repeated, taken
 from jaxnav.filters.run import FREEDOM
-from jaxnav.filters.scores import innovation_nll, normalized, position_noise, residual_nll, student
+from jaxnav.filters.scores import gaussian_scale, innovation_nll, normalized, position_noise, residual_nll, student
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.measurement import tested_alone
 from jaxnav.types import Epoch, Leaf, Nav, Params
@@ -21,8 +21,6 @@ from tuning.fit.transforms import Spec, join, split
 from tuning.recordings.parts import Used, ages
 from tuning.recordings.priors import kind_of
 from tuning.uncertainty import Information
-
-SLOW = RECEIVER_ERROR
 
 
 class ScoreSums(NamedTuple):
@@ -145,7 +143,7 @@ def _sums(record: LaneRecord, noise: np.ndarray, part: "Training", alone: np.nda
     if (part.keep & ~record.ok[:, 0]).any():
         innovations = innovations._replace(value=np.inf)
     rows = np.arange(phases)[:, None, None], np.arange(count)[:, None], part.at[:, None]
-    y, C = record.residual[rows], record.P[rows] + noise
+    y, C = record.residual[rows], (record.P[rows] + noise) / gaussian_scale(3)  # as `residual_nll`
     three = np.ones((part.at.size, 3), bool)
     dy, dC = differences(y, same[rows]), differences(C, same[rows])
     far = gaussian_terms(middle(y), middle(C), three, dy, dC, three[:, 0])

@@ -49,7 +49,7 @@ def kind_of(leaf: str) -> str:
 def spec_of(
     filt: Filter, params: Params, names: Iterable[str], prior_sd: Mapping[str, float] | None = None, priors: bool = True
 ) -> Spec:
-    """Return how each free leaf is tuned, with its prior about ``params``; one number for all axes.
+    """Return how each free leaf is tuned, with its prior about ``params``; one number for all axes, or for level ones.
 
     Parameters of the filter's rule have no prior.
 
@@ -74,8 +74,9 @@ def spec_of(
         transform = transform_of(leaf)
         centre = jnp.asarray(get(params, leaf), float)
         if kind_of(leaf) in ("noise", "driving_noise", "tau", "scale", "sd") and centre.ndim < 2:
-            transform = tied(transform)
-            centre = jnp.exp(jnp.mean(jnp.log(centre)))
+            two = centre.size == 3 and bool(centre[0] == centre[1] != centre[2])  # level and up, as slow errors leave
+            transform = tied(transform, (0, 0, 1) if two else ())
+            centre = centre if two else jnp.exp(jnp.mean(jnp.log(centre)))
         width = prior_sd.get(leaf, PRIORS[kind_of(leaf)].sd)
         sd = math.log(width) if transform.forward is LOG.forward else float(transform.inverse(jnp.asarray(width)))
         spec[leaf] = with_prior(transform, centre, sd) if priors else transform

@@ -13,10 +13,10 @@ Student t, a proper score of the error that a user sees. Both have an informatio
 scoring minimises J.
 
 The search starts at the noise scan's numbers (`jaxnav.analysis.noise_scan`, of the training part), and the prior of a
-delay is centred there. Where the position's innovations are correlated from fix to fix, as of a receiver with slow
-errors, a filter that estimates them (`gnss_position_error`) is tuned as well. The candidate that predicts the
-validation part best, its innovations and its hidden fixes, wins, if neither the datasheet nor the scan drifts less over
-the hidden windows of training and validation. The winner is judged once, on the test.
+delay is centred there. The filter estimates slow errors of the receiver, with the share and correlation time that the
+scan finds; the white rest is free. The datasheet takes all that a receiver states for white noise. The candidate that
+predicts the validation part best, its innovations and its hidden fixes, wins, if neither the datasheet nor the scan
+drifts less over the hidden windows of training and validation. The winner is judged once, on the test.
 """
 
 import math
@@ -28,6 +28,7 @@ import jax
 import numpy as np
 
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
+from jaxnav.analysis.receiver_errors import Receiver
 from jaxnav.analysis.windows import drifts
 from jaxnav.checkup.findings import finding, line
 from jaxnav.checkup.streams import velocity
@@ -35,7 +36,7 @@ from jaxnav.filters import epochs as ep
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK
-from jaxnav.filters.lanes import LaneRecord, padded_shape, ready, taken
+from jaxnav.filters.lanes import RECEIVER_ERROR, LaneRecord, padded_shape, ready, taken
 from jaxnav.filters.parameters import history_for, installed, put, with_prior_of
 from jaxnav.filters.run import require_params, require_x64
 from jaxnav.filters.standstill import Standing
@@ -43,9 +44,8 @@ from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import ConfigError, DataError, Finding, Params, Recording
-from tuning.fit.status import Status
 from tuning.recordings.choice import choose
-from tuning.recordings.evidence import SLOW, Job, predicted
+from tuning.recordings.evidence import Job, predicted
 from tuning.recordings.faults import suspect_windows, without_faults
 from tuning.recordings.free import leaves_of
 from tuning.recordings.parts import (
@@ -83,8 +83,6 @@ VELOCITY_DELAY = "measurements.velocity.latency"
 KNOWN_DELAY_SIGMAS = 3.0  # sd of an alignment's delay, from which on it is known
 SCANNED = ("noise.gyro", "noise.accel", DELAY)  # estimated by the noise scan
 FAR_SIGMAS = 2.0  # sd of a prior beyond which a parameter is said to be far
-MIN_CORRELATION = 0.15  # of a position's innovations from fix to fix, from which on slow errors are tried
-SLOW_LEAVES = (f"states.{SLOW}.driving_noise", f"states.{SLOW}.tau")
 
 
 # ---------------------------------------------------------------------------- the function
@@ -127,7 +125,7 @@ def tune(
         hidden_satellites: satellites, the highest, that a hidden window keeps.
         priors: False: maximum likelihood.
         observations: N, by default the windows that fit into the training parts.
-        extend: try a filter that estimates slow errors of the receiver.
+        extend: estimate slow errors of the receiver where the scan finds some.
         standing: the detector of standstills.
         scans: noise scans of the training parts, one per recording; by default they are made.
         how: minimise an objective by gradient over the training windows, in place of J.
@@ -174,7 +172,14 @@ def tune(
     )
     kept = lambda each: each.with_history(samples) if each.with_history else each
     filt = kept(filt)
-    used = prepare_recordings(recs, filt, datasheets, begins, cut, layouts, log)
+    plain, slowly = filt, [each for each in scans if extend and each.receiver.share.any()]
+    wide = [slowly[0].extended(filt, p) for p in datasheets] if slowly else []
+    filt = kept(wide[0][0]) if slowly and wide[0][0] is not filt else filt
+    slow = bool(slowly) and RECEIVER_ERROR in filt.model.states
+    bases = [Receiver().applied(p) for _, p in wide] if slow else datasheets
+    used = prepare_recordings(recs, filt, bases, begins, cut, layouts, log)
+    positions = [each.receiver._replace(velocity=1.0) for each in scans]  # the sd of velocities is free
+    known = [u._replace(datasheet=r.applied(u.datasheet)) if slow else u for u, r in zip(used, positions, strict=True)]
     parts = pooled(used)
     for name, mask in parts.items():
         if not mask.any():
@@ -182,35 +187,26 @@ def tune(
                 f"{', '.join(u.name for u in used)}: no hidden window of {used[0].layout.window:g} s fits into the "
                 f"{name} part of {sum(u.packed.t[-1] - u.packed.start for u in used):.0f} s: it is too short to tune on"
             )
-    spec = spec_of(filt, used[0].datasheet, measured(leaves_of(filt, used[0].datasheet, free), recs), prior_sd, priors)
-    job = Job(filt, spec, used, separate, observations)
+    leaves = measured(leaves_of(filt, known[0].datasheet, free), recs)
+    spec = spec_of(filt, known[0].datasheet, leaves, prior_sd, priors)
+    white, job = Job(filt, spec, used, separate, observations), Job(filt, spec, known, separate, observations)
     log(f"free: {', '.join(spec)}")
     history: list[dict[str, Any]] = []
     auto = job.numbers([each.applied(u.datasheet) for each, u in zip(scans, used, strict=True)])
     centre = job.numbers([initialized(*each) for each in zip(scans, used, recs, strict=True)])
     job.centre_delays(centre)
-    found = {"datasheet": job.flat, "auto": auto} if any(each.fixes for each in scans) else {"datasheet": job.flat}
+    found, jobs = {"datasheet": white.flat}, {"datasheet": white}
+    if any(each.fixes for each in scans):
+        found["auto"], jobs["auto"] = auto, job
     search_tuned = partial(search, checkpoints=checkpoints) if how is None else partial(descent, how=how)
     found["tuned"], status = search_tuned("tuned", job, centre, history, log)
-    jobs = dict.fromkeys(found, job)
+    jobs["tuned"] = job
     log("scoring the candidates on hidden windows")
-    offs = dict(zip(found, level_drift(job, list(found.values()), chosen), strict=True))
-    slow = 0.0 if status is Status.INTERRUPTED else correlation(offs["tuned"][1], used)
-    if extend and how is None and slow > MIN_CORRELATION and filt.with_states and SLOW not in filt.model.states:
-        log(f"position innovations are correlated from fix to fix ({slow:.2f}): trying slow errors of the receiver")
-        more = kept(filt.with_states(SLOW))
-        slowly = {SLOW: more.params().states[SLOW]}
-        whole = [u._replace(datasheet=u.datasheet._replace(states=u.datasheet.states | slowly)) for u in used]
-        wider = spec | spec_of(more, whole[0].datasheet, SLOW_LEAVES, prior_sd, priors)
-        other = Job(more, wider, whole, separate, observations)
-        jobs["slow errors"] = other
-        other.centre_delays(other.numbers(job.each(centre)))
-        at, status = search("slow errors", other, other.numbers(job.each(found["tuned"])), history, log, checkpoints)
-        found["slow errors"], (offs["slow errors"],) = at, level_drift(other, [at], chosen)
+    offs = dict(zip(found, level_drift(jobs, found, chosen), strict=True))
     params_of = lambda name: jobs[name].each(found[name])
-    plain = [name for name in ("datasheet", "auto") if name in offs]
+    first = [name for name in ("datasheet", "auto") if name in offs]
     suspect = [
-        suspect_windows(u, [params_of(name)[r] for name in plain], [offs[name][1][r] for name in plain])
+        suspect_windows(u, [params_of(name)[r] for name in first], [offs[name][1][r] for name in first])
         for r, u in enumerate(used)
     ]
     parts, faults = without_faults(parts, np.concatenate(suspect), np.concatenate([u.starts for u in used]))
@@ -218,10 +214,18 @@ def tune(
     split = np.cumsum([len(u.starts) for u in used])[:-1]
     by_recording = [dict(zip(parts, each)) for each in zip(*(np.split(mask, split) for mask in parts.values()))]
     judged = [u._replace(parts=each) for u, each in zip(used, by_recording, strict=True)]
-    kept_of = lambda name: [with_prior_of(p, s, spec) for p, s in zip(params_of(name), datasheets, strict=True)]
+
+    def kept_of(name: str) -> list[Params]:
+        """Return parameters for other runs; the datasheet's without slow errors, which it knows nothing of."""
+        each = datasheets if plain is not filt and name == "datasheet" else params_of(name)
+        stated = [d._replace(states={n: s for n, s in d.states.items() if not slow or n != RECEIVER_ERROR})
+                  for d in datasheets]  # fmt: skip
+        return [with_prior_of(p, d, spec) for p, d in zip(each, stated, strict=True)]
+
+    filter_of = lambda name: plain if name == "datasheet" else filt
     trials = {
         name: Trial(
-            jobs[name].filt, kept_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts),
+            filter_of(name), kept_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts),
             predicted(params_of(name), judged, off[1]),
         )
         for name, off in offs.items()
@@ -321,32 +325,16 @@ def prepare_recordings(
 # ---------------------------------------------------------------------------- candidates
 
 
-def correlation(infos: Sequence[LaneRecord], used: Sequence[Used]) -> float:
-    """Of the position's normalised innovations from one fix to the next, before the test part; 0 of fewer than 30.
-
-    ``infos`` (P, E, ...) of each recording; pairs across a hidden window do not count.
-    """
-    product, square, count = 0.0, 0.0, 0
-    for info, one in zip(infos, used, strict=True):
-        z = np.asarray(info.nu)[..., :3] / np.sqrt(np.diagonal(np.asarray(info.S), axis1=-2, axis2=-1)[..., :3])
-        counts = (one.t > one.packed.start + one.layout.settle) & (one.t < one.layout.validation)
-        for valid, row in zip(np.asarray(info.valid)[..., :3], z, strict=True):
-            at = np.flatnonzero(valid.all(1) & counts)
-            steps = np.diff(one.t[at])
-            near = steps < 1.5 * np.median(steps) if steps.size else np.zeros(0, bool)
-            a, b = row[at[:-1]][near], row[at[1:]][near]
-            product, square, count = product + (a * b).sum(), square + 0.5 * (a**2 + b**2).sum(), count + near.sum()
-    return float(product / square) if count >= 30 else 0.0
-
-
 def level_drift(
-    job: Job, flats: Sequence[jax.Array], measurements: tuple[Any, ...]
+    jobs: Mapping[str, Job], flats: Mapping[str, jax.Array], measurements: tuple[Any, ...]
 ) -> list[tuple[np.ndarray, list[LaneRecord]]]:
     """Horizontal drift (W,) m at the windows' ends of all recordings, and the runs (P, E, ...), of each candidate."""
+    job = next(iter(jobs.values()))
     each = [
-        drifts(job.filt, [job.params(flat, r) for flat in flats], u.nav, u.epochs, u.windows, measurements)
+        drifts(job.filt, [jobs[name].params(flat, r) for name, flat in flats.items()], u.nav, u.epochs, u.windows,
+               measurements)
         for r, u in enumerate(job.used)
-    ]
+    ]  # fmt: skip
     level = lambda error: np.hypot(error[:, 0], error[:, 1])
     return [
         (np.concatenate([level(error) for error, _ in runs]), [record for _, record in runs])

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from jaxnav.analysis.receiver_errors import whole
 from jaxnav.filters.border import TABLES, in_user_units, name_of, nested, noise_leaves, override, unit_of, user_value
 from jaxnav.filters.core import Filter
 from jaxnav.filters.lanes import LaneRecord
@@ -20,6 +21,7 @@ from jaxnav.io import atomic_write
 from jaxnav.io.json import to_json, write_json
 from jaxnav.io.toml import to_toml
 from jaxnav.measurements import MEASUREMENTS, Measurement
+from jaxnav.states.table import BIASES
 from jaxnav.types import DataError, Finding, Info, Params
 from tuning.fit.status import Status
 from tuning.fit.transforms import LOG, Spec, Transform, reported, values
@@ -263,9 +265,10 @@ def write(found: Tuned, folder: Path, states: Sequence[str] = (), exports: bool 
     """
     folder.mkdir(parents=True, exist_ok=True)
     about = f"{' and '.join(u.name for u in found.used)}: {found.verdict}"
-    extra = [name for name in found.filter.model.states if name not in found.used[0].datasheet.states]
+    extra = [name for name in found.filter.model.states if name not in (*BIASES, *states)]
+    prior = [f"states.{name}.sd" for name in extra]
     params: dict[str, Any] = {"filter": {"states": [*states, *extra]}} if extra else {}
-    stated = lambda each: nested(in_user_units(each, dict.fromkeys([*noise_leaves(each), *found.spec])))
+    stated = lambda each: nested(in_user_units(each, dict.fromkeys([*noise_leaves(each), *prior, *found.spec])))
     head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
     atomic_write(folder / "tuned.toml", head + to_toml(params | stated(found.params)))
     for number, (used, each) in enumerate(zip(found.used[1:], found.each[1:], strict=True), start=2):
@@ -275,7 +278,7 @@ def write(found: Tuned, folder: Path, states: Sequence[str] = (), exports: bool 
     if exports:
         rows = tuple(MEASUREMENTS[name] for name in found.filter.model.measurements)
         sd = stated_sd(sd_by_stream(found.used[0].fix, rows))
-        write_exports(folder, f"jaxnav tune: {about}", found.params, sd)
+        write_exports(folder, f"jaxnav tune: {about}", whole(found.params, sd.position), sd)
     atomic_write(folder / "history.jsonl", "".join(f"{to_json(row)}\n" for row in user_history(found.history)))
     write_json(folder / "metrics.json", metrics(found))
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxnav.analysis.evaluate import innovation_metrics
+from jaxnav.analysis.receiver_errors import Receiver
 from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
@@ -134,8 +135,9 @@ def solve(
     stages.next()
     found = scan(rec, datasheet_of(filt), begin, layout, tuple(MEASUREMENTS[n] for n in names), log)
     stages.next()
+    filt, sheet = found.extended(filt, datasheet_of(filt))
     bench = bench.reaching(found.applied(datasheet_of(filt)))
-    plain = {"datasheet": bench.score(filt, datasheet_of(filt))}
+    plain = {"datasheet": bench.score(filt, Receiver().applied(sheet))}
     if found.fixes:
         plain["auto"] = bench.score(filt, found.applied(datasheet_of(filt)))
     bench, plain, faults = _without_faults(bench, plain)
@@ -204,7 +206,8 @@ def _short(
     found = distinct([*findings, finding("solve.short", "", span, MIN_SPAN_S), *sol.findings])
     nis = innovation_metrics(sol.trace.info, sol.measurements)["nis_per_dof"]
     verdict, why = judge(nis, None, found)
-    params = params if sol.noise is None else sol.noise.applied(params)
+    if sol.noise is not None:
+        params = sol.noise.applied(sol.noise.extended(filt, params)[1])
     return Solved(sol, params, verdict, why, found, settings, bench.standing, [], None, None, {},
                   bench.layout.window, nis)  # fmt: skip
 

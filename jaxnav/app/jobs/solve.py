@@ -156,10 +156,13 @@ def card(found: Solved) -> Card:
     sd = np.median(sol.sd[sol.ok], axis=0)
     truth = sol.metrics().get("errors", {})
     error = lambda key, unit: f"{truth[key]['rms']:.3g} {unit} RMS against truth" if key in truth else ""
+    good = sol.metrics()["accuracy"]
+    unseen = "not tested: takes a truth or a second receiver"
     hidden = "" if c is None else f"{100 * c.after.inside_95:.0f} % of hidden fixes inside the stated 95 %"
     uses = sol.metrics()["streams"]["position"]
     rows = [
-        CardRow("horizontal position", f"{np.hypot(sd[0], sd[1]):.2f} m", error("horizontal_m", "m") or hidden),
+        CardRow("horizontal position on the Earth", f"{good['earth_m']:.2f} m", error("horizontal_m", "m") or unseen),
+        CardRow("horizontal position from second to second", f"{good['relative_m']:.2f} m", hidden),
         CardRow("velocity north", f"{sd[4]:.3f} m/s", error("vn_mps", "m/s")),
         CardRow("heading", f"{sd[8] / DEG:.2f} deg", error("heading_deg", "deg")),
         CardRow("fixes used", f"{uses['used']} of {uses['read']}", ""),

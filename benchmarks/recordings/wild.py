@@ -197,7 +197,7 @@ def scanned(path: Path) -> dict:
     try:
         rec = read(path)
         filt = build("ekf15", [key for key in ("position", "velocity") if key in rec.aiding], cov_stride=5)
-        params, _ = installed(filt.params("consumer"), rec.lever_arm)
+        params = installed(filt.params("consumer"), rec.lever_arm)
         begin = initialize(rec, params)
         split = begin.t + JUDGED * (float(rec.aiding["position"].t[-1]) - begin.t)
         watch = time.perf_counter()

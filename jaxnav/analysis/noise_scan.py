@@ -132,13 +132,13 @@ class NoiseScan(NamedTuple):
     @property
     def findings(self) -> list[Finding]:
         """Return the findings of the scan."""
-        if not self.fixes:
-            return [finding("noise.datasheet", limit=MIN_FIXES)]
         share, tau = self.receiver.share, self.receiver.tau
+        slow = [finding("noise.slow", value=float(share[0]), ratio=float(tau[0]))] if self.assumed else []
+        if not self.fixes:
+            return [finding("noise.datasheet", limit=MIN_FIXES), *slow]
         scale = ""
-        if share.any():
-            how = "assumed to be slow" if self.assumed else "slow"
-            scale = f"; of a position's stated variance {share[0]:.2g} is {how} over {tau[0]:.0f} s"
+        if share.any() and not self.assumed:
+            scale = f"; of a position's stated variance {share[0]:.2g} is slow over {tau[0]:.0f} s"
             scale += f" (upwards {share[1]:.2g}, {tau[1]:.0f} s)"
         if self.receiver.position != 1.0:
             scale += f"; sd of positions {self.receiver.position:.2g} times the stated"
@@ -156,7 +156,7 @@ class NoiseScan(NamedTuple):
             kept = "the datasheet's noise" if plain else "its noise with the stated sd of the fixes"
             kept += " and this delay" if plain and self.latency else ""
             harm = [finding("noise.harm", value=self.harm, limit=MAX_HARM_RATIO, kept=kept)]
-        return [found, *harm] + (
+        return [found, *slow, *harm] + (
             [finding("noise.vibration", value=most, limit=VIBRATION_FACTOR)] if most > VIBRATION_FACTOR else []
         )
 
@@ -524,7 +524,10 @@ def scan_noise(
     objective = _Objective(rec, params, begin, end, outages, delay)
     fixes = int(objective.at(delay.mean).counted.sum())
     if fixes < MIN_FIXES:
-        return NoiseScan()
+        if objective.stated:
+            return NoiseScan()
+        numbers, assumed = objective.best_receiver(np.zeros(3), [])
+        return NoiseScan(receiver=receiver(numbers, objective.sd), assumed=assumed)
     latencies = delay.grid()
     steps = np.array([1.0, 1.0, float(delay.free)])
     common = np.tile(COMMON, latencies.size)

@@ -428,6 +428,13 @@ KINDS: dict[str, Kind] = {
         ("scale, unit or axes of a sensor", "an unmodelled delay"),
         ("jaxnav check",),
     ),
+    "noise.slow": Kind(
+        INFO,
+        "slow errors of the receiver are assumed, {value:.2g} of a position's stated variance over {ratio:.0f} s: the "
+        "fixes are too few or too alike to show them",
+        (),
+        ("set filter.states and states.gnss_position_error where they are known",),
+    ),
     "noise.vibration": Kind(
         WARNING,
         "noise by likelihood is {value:.3g} times the datasheet's (limit {limit:g})",

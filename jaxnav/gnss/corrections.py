@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxnav.gnss.atmosphere import klobuchar, saastamoinen
 from jaxnav.gnss.orbits import HALF_STEP, Ephemeris, chosen, state, turned
-from jaxnav.gnss.ranges import LIGHT, Ranges, epochs, rows_of, streams, without_clock
+from jaxnav.gnss.ranges import FREQUENCY, LIGHT, Ranges, epochs, frequency, rows_of, streams, without_clock
 from jaxnav.gnss.single_point import SinglePoint, single_point
 from jaxnav.maths.axes import enu_to_ecef, geodetic
 from jaxnav.maths.earth import RATE
@@ -52,6 +52,10 @@ class Masks(NamedTuple):
     cn0_dbhz: float = 25.0  # below it
 
 
+NO_IONOSPHERE = (
+    "pseudorange: {} states no ionosphere: its delay is left in, by day some 3 m at the zenith and three times that "
+    "near the horizon."
+)
 RATES = ("doppler", "phase")
 """Where range rates come from: the option ``rates`` of readers."""
 MAX_GAP = 1.5  # epochs between two phases that are differenced
@@ -142,7 +146,8 @@ def corrected(
         pseudorange = pseudorange - saastamoinen(lat, h, elevation)
         if ionosphere is not None:
             tow = seen.t - GPS_EPOCH
-            pseudorange = pseudorange - klobuchar(*ionosphere, lat, lon, azimuth, elevation, tow)
+            delay = klobuchar(*ionosphere, lat, lon, azimuth, elevation, tow)  # of L1
+            pseudorange = pseudorange - delay * (FREQUENCY["G"] / frequency(seen.satellite)) ** 2
     velocity = (after - before) / (2 * HALF_STEP)
     if receiver is not None and seen.interval.any():
         past = at_reception(eph, seen.t - seen.interval, seen.pseudorange - seen.interval * rate, receiver)[0]

@@ -52,6 +52,12 @@ def name(satellite: int) -> str:
     return f"{CONSTELLATIONS[system]}{prn:02d}"
 
 
+def frequency(satellites: np.ndarray) -> np.ndarray:
+    """Return the first frequency (N,) Hz of satellites by their `number`."""
+    each = np.array([FREQUENCY.get(system, FREQUENCY["G"]) for system in CONSTELLATIONS])
+    return each[np.asarray(satellites) // CONSTELLATION]
+
+
 def rows_of(ranges: Ranges, rows: np.ndarray) -> Ranges:
     """Return some rows, by a mask (N,) or indices."""
     return Ranges(*(a[rows] for a in ranges))

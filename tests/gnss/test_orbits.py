@@ -10,7 +10,7 @@ import scipy.io
 import scipy.optimize
 from scipy.spatial.transform import Rotation
 
-from jaxnav.gnss.corrections import Masks, Observations, at_reception, corrected, solved
+from jaxnav.gnss.corrections import Ionosphere, Masks, Observations, at_reception, corrected, solved
 from jaxnav.gnss.messages import Messages
 from jaxnav.gnss.orbits import EARTH_RATE, Ephemeris, chosen, stacked, state, turned
 from jaxnav.gnss.ranges import LIGHT, Ranges, number, rows_of
@@ -147,6 +147,20 @@ def observations(eph: Ephemeris, place: np.ndarray, bias: float = 1234.5, t: flo
     phase = pseudorange + 1000.0 * np.arange(n)  # cycles that are not known
     return Observations(times, eph.satellite.astype(int), pseudorange, rate + 2.0, np.full(n, 45.0), phase,
                         np.zeros(n, bool), np.zeros(n))  # fmt: skip
+
+
+@pytest.mark.parametrize(("system", "hz"), [("G", 1575.42e6), ("C", 1561.098e6)])
+def test_the_ionosphere_delays_by_the_square_of_the_frequency(system, hz):
+    """The broadcast model is of L1; a constant night delay of 5 ns at the zenith, IS-GPS-200 figure 20-4."""
+    eph = constellation()
+    eph = eph._replace(satellite=eph.satellite % 100 + number(f"{system}01") - 1)
+    seen = observations(eph, TOKYO, t=T0)
+    place = np.tile(TOKYO, (seen.t.size, 1))
+    with_delay = corrected(seen, eph, place, Ionosphere(np.zeros(4), np.zeros(4)))
+    delay = corrected(seen, eph, place).pseudorange - with_delay.pseudorange
+    oblique = 1 + 16 * (0.53 - with_delay.elevation / np.pi) ** 3
+    up = with_delay.elevation > 0.2
+    np.testing.assert_allclose(delay[up], (LIGHT * 5e-9 * oblique * (1575.42e6 / hz) ** 2)[up], rtol=1e-6)
 
 
 def test_corrections_leave_distance_and_clock():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnav.gnss.corrections import Ionosphere, Masks, Observations, aiding_of, solved, with_rates
+from jaxnav.gnss.corrections import NO_IONOSPHERE, Ionosphere, Masks, Observations, aiding_of, solved, with_rates
 from jaxnav.gnss.orbits import Ephemeris, stacked
 from jaxnav.gnss.ranges import FREQUENCY, LIGHT, number
 from jaxnav.io.files import read_bytes
@@ -57,7 +57,7 @@ def read(
         raise DataError(f"{path}: {error} ({len(set(eph.satellite))} satellites in {messages})") from error
     aiding, more = aiding_of(ranges, found)
     if ionosphere is None:
-        more += (f"pseudorange: {messages.name} states no ionosphere, its delay is left in.",)
+        more += (NO_IONOSPHERE.format(messages.name),)
     streams = {name: Stream(*samples) for name, samples in aiding.items()}
     return scaled(Parts(os.fspath(path), aiding=streams, notes=(*notes, *about, *more)), TimeScale.GPS)
 

@@ -12,6 +12,7 @@ from scipy import stats
 
 import tuning
 from jaxnav.analysis.noise_scan import NoiseScan
+from jaxnav.analysis.receiver_errors import Receiver
 from jaxnav.analysis.windows import drift as windows_drift
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
@@ -38,6 +39,21 @@ from tuning.uncertainty import gaussian
 @pytest.fixture(scope="module")
 def found(rec, ekf):
     return tuning.tune(rec, ekf, ekf.params("adis16465"), free=("noise", "fixes"))
+
+
+def test_slow_errors_of_the_receiver_are_the_scans(rec, ekf):
+    """A filter with their state, as `solve` has it: they are not free, the datasheet has none, the white rest is."""
+    slow = Receiver(np.array([0.5, 0.5]), np.full(2, 60.0), sd=np.median(rec.aiding["position"].sd, 0))
+    scan = NoiseScan(receiver=slow, fixes=50)
+    wide, params = scan.extended(ekf, ekf.params("adis16465"))
+    both = tuning.tune(rec, wide, params, free=("noise", "fixes"), scans=[scan])
+    assert not [leaf for leaf in both.spec if "gnss_position_error" in leaf]
+    state = {name: trial.params.states["gnss_position_error"] for name, trial in both.trials.items()}
+    assert not np.any(state["datasheet"].sd) and not np.any(state["datasheet"].driving_noise)
+    for name in ("auto", "tuned"):
+        np.testing.assert_allclose(state[name].sd, np.sqrt(0.5) * slow.sd)
+        np.testing.assert_allclose(state[name].tau, 60.0)
+    np.testing.assert_allclose(both.trials["auto"].params.measurements["position"].scale, np.sqrt(0.5))
 
 
 def test_what_is_found_has_the_prior_that_was_given_and_not_the_posterior_of_one_start(found, ekf, rec):

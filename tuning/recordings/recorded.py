@@ -188,6 +188,7 @@ def tune(
                 f"{name} part of {sum(u.packed.t[-1] - u.packed.start for u in used):.0f} s: it is too short to tune on"
             )
     leaves = measured(leaves_of(filt, known[0].datasheet, free), recs)
+    leaves = [leaf for leaf in leaves if not (slow and leaf.startswith(f"states.{RECEIVER_ERROR}."))]  # the scan's
     spec = spec_of(filt, known[0].datasheet, leaves, prior_sd, priors)
     white, job = Job(filt, spec, used, separate, observations), Job(filt, spec, known, separate, observations)
     log(f"free: {', '.join(spec)}")

@@ -246,7 +246,8 @@ class _Objective:
         self.first = begin.t + min(WARM_UP_S, 0.25 * (end - begin.t))
         self.effective = (end - self.first) / CORRELATION_S
         position = rec.aiding["position"]
-        self.sd = np.median(np.asarray(position.sd)[(position.t > begin.t) & (position.t <= end)], 0)
+        inside = (position.t > begin.t) & (position.t <= end)
+        self.sd = np.median(np.asarray(position.sd)[inside if inside.any() else slice(None)], 0)
         self.fixes, self.stated = WHITE, _stated_scale(params)
         self.assumed_sd = bool(np.all(position.sd == [column.sd for column in self.rows[0].columns]))
         self.cuts, self.shape = dict[float, _Cut](), (0, 0)

@@ -254,6 +254,9 @@ def test_a_run_is_repeated_without_a_search(drive, tmp_path, monkeypatch):
     assert run["config"]["filter"]["grade"] == "consumer" and run["config"]["mounting"]["time_offset_s"] > 0.1
     assert run["metrics"]["grade"] == "auto" and run["metrics"]["noise_scan"]["latency_s"] > 0.1
     assert (out / "noise_scan.png").exists()
+    assert run["config"]["filter"]["states"] == ["gnss_position_error"]
+    good = run["metrics"]["accuracy"]
+    assert 0.0 < good["relative_m"] < good["earth_m"]
     monkeypatch.setattr(noise_scan, "_Objective", None)  # a search would fail
     again = tmp_path / "again"
     assert cli.main(["filter", "--config", str(out / "run.json"), "--out", str(again), "--quiet"]) == 0

@@ -190,7 +190,8 @@ def tune(
     leaves = measured(leaves_of(filt, known[0].datasheet, free), recs)
     leaves = [leaf for leaf in leaves if not (slow and leaf.startswith(f"states.{RECEIVER_ERROR}."))]  # the scan's
     spec = spec_of(filt, known[0].datasheet, leaves, prior_sd, priors)
-    white, job = Job(filt, spec, used, separate, observations), Job(filt, spec, known, separate, observations)
+    job = Job(filt, spec, known, separate, observations)
+    white = Job(filt, spec, used, separate, observations) if slow else job
     log(f"free: {', '.join(spec)}")
     history: list[dict[str, Any]] = []
     auto = job.numbers([each.applied(u.datasheet) for each, u in zip(scans, used, strict=True)])

@@ -140,6 +140,13 @@ def summary(found: dict[str, Any], name: str, run: str) -> str:
     ]
     if rows:
         lines += [table(["error", "RMS", "95 %", "max", "inside 3 sd"], rows), ""]
+    good = found["accuracy"]
+    if np.isfinite(good["earth_m"]):
+        split = not np.isclose(good["earth_m"], good["relative_m"])
+        words = (
+            f" on the Earth, {good['relative_m']:.2f} m from second to second" if split else ", errors taken as white"
+        )
+        lines.append(f"stated horizontal sd, median: {good['earth_m']:.2f} m{words}")
     rows = [[key, value] for key, value in found["innovation_rms"].items()]
     if rows:
         lines.append(table(["innovation / its sd", "RMS"], rows))

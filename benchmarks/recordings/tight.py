@@ -20,7 +20,7 @@ from jaxnav.analysis.tables import table
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
-from jaxnav.filters.lanes import seen_by_position, slow_errors
+from jaxnav.filters.lanes import RECEIVER_ERROR, seen_by_position, slow_errors
 from jaxnav.filters.run import prepare, run, run_jit, student_nll
 from jaxnav.filters.scores import position_noise
 from jaxnav.gnss.corrections import RATES, at_reception, solved, with_rates
@@ -39,7 +39,6 @@ from jaxnav.states.table import BIASES
 from jaxnav.types import DataError, ImuLog, Params, Recording
 from tuning.fit.objectives import gated_innovation_nll
 from tuning.fit.transforms import join, penalty, split
-from tuning.recordings.evidence import SLOW
 from tuning.recordings.priors import spec_of
 
 DAY, GPS_WEEK, ORIGIN = "ixr_tokyo/2020-11-05", 2130, 364_400.0  # s of the week that is t = 0
@@ -285,7 +284,7 @@ def main(argv: list[str]) -> int:
     if args.checks:
         common.write_json(args.json, {"seconds": times, "station": still})
         return 0
-    loose = method(case, LOOSE, (SLOW,))
+    loose = method(case, LOOSE, (RECEIVER_ERROR,))
     methods = {
         "loose": loose,
         "tight, not tuned": fast,

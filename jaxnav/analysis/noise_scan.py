@@ -112,6 +112,10 @@ class NoiseScan(NamedTuple):
         """Return filter and parameters with the state of slow errors, if the receiver has some and the filter takes it.
 
         Their share and time are not in these parameters yet, see `applied`.
+
+        Args:
+            filt: the filter.
+            params: its parameters.
         """
         known = RECEIVER_ERROR in filt.model.states or "position" not in filt.model.measurements
         if filt.with_states is None or known or not self.receiver.share.any():

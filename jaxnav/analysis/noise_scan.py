@@ -31,15 +31,16 @@ says of the fixes, else the latency alone, else the datasheet.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
 
+from jaxnav.analysis.boxes import CUBE, climb, vertex
 from jaxnav.analysis.plots import base as plots
-from jaxnav.analysis.receiver_errors import ODDS, TAUS, Receiver, penalty, receiver, usual
+from jaxnav.analysis.receiver_errors import WHITE, Receiver, best_errors, receiver, stated
 from jaxnav.analysis.windows import hidden_windows
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import delay_of
@@ -65,9 +66,6 @@ LATENCY_STEP = 0.05  # s, of the grid about a known delay
 DELAY_SD_FACTOR, MIN_DELAY_SD = 5.0, 0.02  # on the sd of alignments' delays, which is of their model; s
 COARSE_BOX, FINE_BOX = np.array([0.5, 0.5, 0.05]), np.array([0.25, 0.25, 0.025])
 """Steps of a box: log10 of the gyro and of the accelerometer factor, s."""
-SQUARE = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"), -1).reshape(9, 2)
-CUBE = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), -1).reshape(27, 3)
-MAX_COARSE_BOXES = 5  # coarse ones
 RATIO_SD, COMMON_SD, LATENCY_SD = 0.5, 1.5, 0.1  # decades, decades, s
 CORRELATION_S, WHITENED_S = 10.0, 4.0  # s, between independent innovations; where slow errors are part of the model
 SCANNED_S, WARM_UP_S = 180.0, 20.0  # s, of the part that counts at most; before it, to settle
@@ -76,17 +74,9 @@ MOVING_MPS, PARKED_S = 1.0, 30.0  # ground speed of motion; s at rest from which
 UP = 2  # channel of the height
 MARGIN_S = 15.0  # s, before the first motion
 RECEIVER_S, MAX_EPOCHS = 400.0, 640  # s and epochs at most of the part by which a receiver's errors are found
-VELOCITIES = np.arange(-0.75, 1.0, 0.25)  # log10 of the factor on the stated sd of velocities
-RECEIVER_BOX = np.array([0.5, 0.3])  # steps of a box: log10 of odds and s
-VELOCITY_SD = 0.5  # decades
-FACTORS, FACTOR_SD = np.arange(-4, 5) / 4, 0.3  # log10 of the factor on the sd of positions; prior, decades
-WHITE = np.array([0.0, -9.0, TAUS[2], -9.0, TAUS[2], 0.0])
-"""Log10 of the factor on velocities, of odds and time level and up, of the factor on positions: all is white."""
 WINDOW_LENGTHS_S, PHASES = (10.0, 5.0, 3.0), 3  # hidden windows: the first length of which `MIN_WINDOWS` fit; runs
 MIN_WINDOWS = 8
-MAX_DRIFT_RATIO = 1.05  # of the drift over hidden windows, up to which other sd are taken
 MAX_HARM_RATIO = 1.02  # of the datasheet's drift over hidden windows, up to which the scan is taken
-MIN_GAIN = 1.0  # of J, from which on other sd are taken
 
 
 VIBRATION_FACTOR = 300.0  # factor on the datasheet above which noise is vibration, a wrong unit or another grade
@@ -99,7 +89,7 @@ class NoiseScan(NamedTuple):
     accel: float = 1.0  # on that of the accelerometers
     latency: float = 0.0  # s
     receiver: Receiver = Receiver()  # errors of its positions and velocities
-    assumed: bool = False  # the share of slow errors is the usual one, the recording says nothing of it
+    assumed: np.ndarray = np.zeros(2, bool)  # (2,) level, up: usual slow errors, the recording does not show them
     gain: float = 0.0  # of J / N, the penalized log-likelihood of a fix, over factors of 1 and no latency
     coarse: np.ndarray = np.zeros((0, 0))  # (L, C) J of the coarse grid, latency by common factor, 0 at its maximum
     grid: tuple[np.ndarray, np.ndarray] = (np.zeros(0), np.zeros(0))  # (L,) s and (C,) factors of it
@@ -137,11 +127,15 @@ class NoiseScan(NamedTuple):
     def findings(self) -> list[Finding]:
         """Return the findings of the scan."""
         share, tau = self.receiver.share, self.receiver.tau
-        slow = [finding("noise.slow", value=float(share[0]), ratio=float(tau[0]))] if self.assumed else []
+        slow = [
+            finding("noise.slow", axis, float(share[k]), ratio=float(tau[k]))
+            for k, axis in enumerate(("horizontal", "vertical"))
+            if self.assumed[k]
+        ]
         if not self.fixes:
             return [finding("noise.datasheet", limit=MIN_FIXES), *slow]
         scale = ""
-        if share.any() and not self.assumed:
+        if share.any():
             scale = f"; of a position's stated variance {share[0]:.2g} is slow over {tau[0]:.0f} s"
             scale += f" (upwards {share[1]:.2g}, {tau[1]:.0f} s)"
         if self.receiver.position != 1.0:
@@ -355,61 +349,22 @@ class _Objective:
         square = np.where(record.ok, (record.residual[..., :2] ** 2).sum(-1), np.inf)
         return np.stack(total, 1), by_phase(square, known) ** 0.5
 
-    def best_receiver(self, point: np.ndarray, hidden: Sequence[Sequence[Any]]) -> tuple[np.ndarray, bool]:
-        """Return the numbers (6,) of the receiver's errors, and whether its slow ones are assumed.
+    def best_receiver(self, point: np.ndarray, hidden: Sequence[Sequence[Any]]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the numbers (6,) of the receiver's errors by `best_errors`, and which slow ones are assumed (2,).
 
         Args:
             point: (3,) the chosen one.
             hidden: sets of windows; without any the usual errors are assumed.
         """
-        centre = usual(self.sd)
-        plain = np.concatenate([[0.0], centre, centre, [0.0]])
         if not len(hidden):
-            return plain, True
+            return stated(self.sd), np.ones(2, bool)
+        weight = CORRELATION_S / WHITENED_S * self.effective
 
-        def at(numbers: np.ndarray, hidden: Sequence[Any], most: float = np.inf) -> np.ndarray:
-            """Return J (P, 2), level and up, -inf where the drift exceeds ``most`` m, and the drift (P,) m."""
-            fit, drift = self.fit(np.column_stack([np.tile(point, (len(numbers), 1)), numbers]), hidden)
-            J = CORRELATION_S / WHITENED_S * self.effective * fit - np.stack(
-                [penalty(numbers[:, k : k + 2], centre) for k in (1, 3)], 1
-            )
-            J[:, 0] -= 0.5 * (numbers[:, 0] / VELOCITY_SD) ** 2 + 0.5 * (numbers[:, 5] / FACTOR_SD) ** 2
-            J[~(np.isfinite(J).all(1) & (drift <= most))] = -np.inf
-            return np.column_stack([J, drift])
+        def score(numbers: np.ndarray, phases: int | None) -> np.ndarray:
+            fit, drift = self.fit(np.column_stack([np.tile(point, (len(numbers), 1)), numbers]), hidden[:phases])
+            return np.column_stack([weight * fit, drift])
 
-        def along(best: np.ndarray, number: int, values: np.ndarray) -> tuple[np.ndarray, float]:
-            """Return the best numbers with one of them at the maximum over equidistant values, and the gain over 0."""
-            line = np.tile(best, (len(values), 1))
-            line[:, number] = values
-            J = at(line, hidden[:1], most)[:, :2].sum(1)
-            if not np.isfinite(J.max()):
-                return best, 0.0
-            i = int(np.clip(np.argmax(J), 1, len(values) - 2))
-            near, step = slice(i - 1, i + 2), np.array([values[1] - values[0], 0.0, 0.0])
-            points = np.column_stack([values[near], np.zeros((3, 2)), J[near]])
-            top, zero = _vertex(points, np.array([values[i], 0.0, 0.0]), step)[0], J[np.argmin(np.abs(values))]
-            return np.where(np.arange(best.size) == number, top, best), float(J.max() - zero)
-
-        grid = np.stack(np.meshgrid(ODDS, TAUS, indexing="ij"), -1).reshape(-1, 2)
-        tried = np.vstack([WHITE, plain, np.column_stack([np.zeros(len(grid)), grid, grid, np.zeros(len(grid))])])
-        found = at(tried, hidden[:1])
-        most = MAX_DRIFT_RATIO * found[0, 2]
-        found[found[:, 2] > most, :2] = -np.inf
-        level, up = (int(np.argmax(found[1:, k])) + 1 for k in (0, 1))
-        best = np.concatenate([[0.0], tried[level, 1:3], tried[up, 3:5], [0.0]])
-        if len(self.rows) > 1:
-            best, _ = along(best, 0, VELOCITIES)
-        most = MAX_DRIFT_RATIO * at(WHITE[None], hidden)[0, 2]
-        climbed = partial(_climbed, lambda numbers: at(numbers, hidden, most))
-        best, gain = climbed(best, centre)
-        factors = FACTORS if self.assumed_sd else FACTORS[FACTORS >= 0]
-        wider, more = along(best, 5, factors)
-        if more >= MIN_GAIN:
-            best, gain = climbed(wider, centre)
-        for k, each in ((1, gain[0]), (3, gain[1])):
-            if each < MIN_GAIN:
-                best[k : k + 2] = centre
-        return best, bool(gain.max() < MIN_GAIN)
+        return best_errors(score, self.sd, self.assumed_sd, len(self.rows) > 1)
 
     def harmless(self, point: np.ndarray, hidden: Sequence[Sequence[Any]]) -> tuple[np.ndarray, float, float]:
         """Return the first of some points that does no harm, its drift over the datasheet's, and that of the first.
@@ -431,66 +386,6 @@ class _Objective:
         """Return the 3 x 3 x 3 points about ``centre`` (27, 3) with their J, (27, 4)."""
         points = centre + steps * CUBE
         return np.column_stack([points, self(points)])
-
-
-def _climbed(
-    at: Callable[[np.ndarray], np.ndarray], best: np.ndarray, centre: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return numbers (6,) with odds and times at the maxima of J about ``best``, and the gain (2,) over ``centre``.
-
-    Args:
-        at: from numbers (P, 6) to J (P, 2 or more), level and up.
-        best: (6,) the start.
-        centre: (2,) usual odds and time.
-    """
-    steps, J = RECEIVER_BOX, np.zeros((0, 2))
-    tried = np.vstack([steps * SQUARE, np.zeros((1, 2))])
-
-    def box(middle: np.ndarray) -> np.ndarray:
-        nonlocal J
-        numbers = np.tile(best, (len(tried), 1))
-        numbers[:, 1:5] = np.column_stack([middle[:2] + tried, best[3:5] + tried])
-        numbers[-1, 1:5] = [*centre, *centre]
-        J = at(numbers)[:, :2]
-        return np.column_stack([numbers[:-1, 1:3], np.zeros(len(SQUARE)), J[:-1, 0]])
-
-    flat = np.append(steps, 0.0)
-    middle, points = _climb(box, np.append(best[1:3], 0.0))
-    level = _vertex(points, middle, flat)[:2]
-    rise = np.column_stack([best[3:5] + tried[:-1], np.zeros(len(SQUARE)), J[:-1, 1]])
-    up = _vertex(rise, np.append(best[3:5], 0.0), flat)[:2]
-    gain = np.maximum(J[:-1].max(0), -1e300) - np.maximum(J[-1], -1e300)  # where nothing is allowed: no gain
-    return np.array([best[0], *level, *up, best[5]]), gain
-
-
-def _climb(box: Callable[[np.ndarray], np.ndarray], centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the centre (3,) of a box with the maximum in its middle, or of the last tried, and its points (n, 4)."""
-    for _ in range(MAX_COARSE_BOXES):
-        points = box(centre)
-        best = points[np.argmax(points[:, 3]), :3]
-        if np.allclose(best, centre):
-            break
-        centre = best
-    return centre, points
-
-
-def _vertex(points: np.ndarray, centre: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return the maximum (3,) of the quadratic fit to a box (n, 4), within it; the best point where there is none."""
-    free = steps > 0
-    u = (points[:, :3] - centre)[:, free] / steps[free]
-    i, j = np.triu_indices(free.sum())
-    A = np.column_stack([np.ones(len(u)), u, u[:, i] * u[:, j]])
-    if not np.isfinite(points).all():
-        return points[np.argmax(points[:, 3]), :3]
-    c = np.linalg.lstsq(A, points[:, 3], rcond=None)[0]
-    H = np.zeros((free.sum(),) * 2)
-    H[i, j] = c[1 + free.sum() :]
-    H = H + H.T
-    if np.linalg.eigvalsh(H).max() >= 0:
-        return points[np.argmax(points[:, 3]), :3]
-    found = centre.copy()
-    found[free] += steps[free] * np.clip(-np.linalg.solve(H, c[1 : 1 + free.sum()]), -1.0, 1.0)
-    return found
 
 
 # ---------------------------------------------------------------------------- the scan
@@ -540,10 +435,10 @@ def scan_noise(
     coarse = coarse.reshape(latencies.size, COMMON.size)
     i, j = np.unravel_index(np.argmax(coarse), coarse.shape)
     centre = np.array([COMMON[j], COMMON[j], latencies[i]])
-    centre, _ = _climb(partial(objective.box, steps=steps * COARSE_BOX), centre)
+    centre, _ = climb(partial(objective.box, steps=steps * COARSE_BOX), centre)
     points = objective.box(centre, steps * FINE_BOX)
-    found = _vertex(points, centre, steps * FINE_BOX)
-    hidden, assumed = objective.windows(), False
+    found = vertex(points, centre, steps * FINE_BOX)
+    hidden, assumed = objective.windows(), np.zeros(2, bool)
     if not objective.stated:
         seconds = min(RECEIVER_S, MAX_EPOCHS / max(fixes / (end - objective.first), 1e-3))
         later = min(objective.first + seconds, last)
@@ -551,8 +446,8 @@ def scan_noise(
         objective.fixes, assumed = wide.best_receiver(found, wide.windows())
     if objective.fixes is not WHITE and delay.free:
         timing = np.array([0.0, 0.0, COARSE_BOX[2]])
-        centre, points = _climb(partial(objective.box, steps=timing), found)
-        found = _vertex(points, centre, timing)
+        centre, points = climb(partial(objective.box, steps=timing), found)
+        found = vertex(points, centre, timing)
     point, ratio, harm = objective.harmless(np.concatenate([found, objective.fixes]), hidden)
     datasheet = coarse[np.argmin(np.abs(latencies)), np.argmin(np.abs(COMMON))]
     gain = float(points[:, 3].max() - datasheet) / objective.effective
@@ -560,7 +455,7 @@ def scan_noise(
     white = point[4] == WHITE[1]
     errors = Receiver(velocity=float(10.0 ** point[3])) if white else receiver(point[3:], objective.sd)
     return NoiseScan(
-        gyro, accel, float(point[2]), errors, assumed and not white, gain, coarse - coarse.max(),
+        gyro, accel, float(point[2]), errors, assumed & (not white), gain, coarse - coarse.max(),
         (latencies, 10.0**COMMON), (objective.first, end), fixes, ratio, harm,
     )  # fmt: skip
 

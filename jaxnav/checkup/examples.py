@@ -98,7 +98,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "state.unexpected": {"subject": "gyro_bias z (5.1 sd)"},
     "truth.share": {"value": 81.0},
     "heading.hypotheses": {"value": 120.0, "probability": 0.98},
-    "noise.slow": {"value": 0.8, "ratio": 150.0},
+    "noise.slow": {"subject": "horizontal", "value": 0.8, "ratio": 150.0},
     "noise.scan": {
         "gyro": 71.0, "accel": 67.0, "size": 0.08, "side": "late", "gain": 4.2, "fixes": 720, "first": 15.0,
         "last": 195.0, "scale": ", sd of position 0.18 times the stated",

@@ -430,7 +430,7 @@ KINDS: dict[str, Kind] = {
     ),
     "noise.slow": Kind(
         INFO,
-        "slow errors of the receiver are assumed, {value:.2g} of a position's stated variance over {ratio:.0f} s: the "
+        "{subject} slow errors of the receiver are assumed, {value:.2g} of the stated variance over {ratio:.0f} s: the "
         "fixes are too few or too alike to show them",
         (),
         ("set filter.states and states.gnss_position_error where they are known",),

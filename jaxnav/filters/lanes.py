@@ -81,14 +81,21 @@ def lanes(
 
     started = lambda lane: _begin(filt, taken(params, lane), taken(nav, lane))
     first = advanced(groups[0], started(groups[0]), 0)  # compiles, so that threads do not
-    with ThreadPoolExecutor(_threads()) as pool:
-        found = list(pool.map(whole, groups))
+    if len(groups) == 1 or (threads := _threads()) == 1:
+        found = [whole(lane) for lane in groups]
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            found = list(pool.map(whole, groups))
     return taken(jax.tree.map(lambda *a: np.concatenate(a), *found), slice(count))
 
 
 def _threads() -> int:
-    """Return how many calls run side by side: a processor computes one call by one core."""
-    return min(os.cpu_count() or 1, MAX_THREADS) if jax.default_backend() == "cpu" else 1
+    """Return how many calls run side by side: a processor computes one call by one core.
+
+    Double precision of this thread alone is not that of others.
+    """
+    alone = jax.default_backend() != "cpu" or not jax.config.values["jax_enable_x64"]
+    return 1 if alone else min(os.cpu_count() or 1, MAX_THREADS)
 
 
 def taken(tree: Any, rows: Any) -> Any:

@@ -8,11 +8,14 @@ import pytest
 
 from jaxnav import build, initialize, navigate, scan_noise
 from jaxnav.analysis import noise_scan
-from jaxnav.analysis.noise_scan import FINE_BOX, NoiseScan, _in_motion, _vertex
+from jaxnav.analysis.boxes import vertex
+from jaxnav.analysis.noise_scan import FINE_BOX, NoiseScan, _in_motion
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import load
+from jaxnav.filters.parameters import strong
 from jaxnav.io.canonical import write_recording
+from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import Recording, Samples
 
 FACTOR, LATENCY = 10.0, 0.2
@@ -84,14 +87,14 @@ def with_slow_errors(rec: Recording, slow: float, tau: float, stated: float = 1.
 
 
 def test_it_splits_what_the_receiver_states(drive):
-    """A slow error of 5 m over 30 s beside 2 m of white noise; all of it is what the receiver states."""
+    """A slow error of 5 m over 30 s beside 2 m of white noise; the receiver states their sum."""
     rec = with_slow_errors(drive, 5.0, 30.0)
     found = scan_noise(rec, with_arm(rec))
     share, tau = found.receiver.share, found.receiver.tau
     odds = share / (1 - share)  # of 5^2 and 2^2 m^2 level, 5^2 and 4^2 up
     np.testing.assert_allclose(np.log10(odds), np.log10([25 / 4, 25 / 16]), atol=0.35)
     np.testing.assert_allclose(np.log10(tau), np.log10(30.0), atol=0.5)
-    assert found.receiver.position == 1.0 and not found.assumed
+    assert found.receiver.position == 1.0 and not found.assumed.any()
     assert found.latency == pytest.approx(LATENCY, abs=0.1)
     filt, params = found.extended(EKF, with_arm(rec))
     assert "gnss_position_error" in filt.model.states
@@ -130,7 +133,7 @@ class Made(noise_scan._Objective):
 
 
 def test_the_split_maximises_likelihood_and_prior_together():
-    """Parabolas of known maxima, level and up apart; where points drift more, no."""
+    """Parabolas of known maxima, level and up separately; where points drift more, no."""
 
     def fit(points, hidden, drift=1.0):
         v, odds, tau, above, higher, _ = points[:, 3:].T
@@ -145,13 +148,17 @@ def test_the_split_maximises_likelihood_and_prior_together():
     expected = [peak(0.2, 0.0, 0.5), peak(1.0, centre[0], 1.5), peak(2.0, centre[1], 0.5),
                 peak(-0.5, centre[0], 1.5), peak(1.5, centre[1], 0.5), 0.0]  # fmt: skip
     np.testing.assert_allclose(found, expected, atol=1e-6)
-    assert not assumed
+    assert not assumed.any()
     found, _ = Made(partial(fit, drift=2.0)).best_receiver(np.array([1.0, 1.0, 0.2]), [()])
     assert found[1] <= 0.4  # within the limit
     flat = lambda points, hidden: (np.zeros((len(points), 2)), np.ones(len(points)))
     found, assumed = Made(flat).best_receiver(np.array([1.0, 1.0, 0.2]), [()])
     np.testing.assert_allclose(found, [0.0, *centre, *centre, 0.0], atol=1e-9)
-    assert assumed and Made(flat).best_receiver(np.zeros(3), [])[1]
+    assert assumed.all() and Made(flat).best_receiver(np.zeros(3), [])[1].all()
+    level = lambda points, hidden: (fit(points, hidden)[0] * [1, 0], np.ones(len(points)))
+    found, assumed = Made(level).best_receiver(np.array([1.0, 1.0, 0.2]), [()])
+    np.testing.assert_allclose(found[3:5], centre)
+    assert assumed.tolist() == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -192,6 +199,22 @@ def test_what_is_stated_stays(drive):
     assert found.latency == pytest.approx(LATENCY, abs=0.05)
 
 
+def test_defaults_of_measurements_state_nothing(drive):
+    """Of all rows together, as the command line has them: an odometer's scale is none of the fixes'."""
+    every = {name: strong(row.defaults) for name, row in MEASUREMENTS.items()}
+    params = with_arm(drive)._replace(measurements=every)
+    assert not noise_scan._stated_scale(params) and not noise_scan._timed(params)
+
+
+def test_slow_errors_that_are_stated_stay(drive):
+    filt = build("ekf15", states=("gnss_position_error",))
+    params = with_arm(drive)._replace(states=filt.params("consumer").states)
+    found = scan_noise(drive, params)
+    assert not found.receiver.share.any()
+    kept = found.applied(params)
+    assert kept.states["gnss_position_error"].sd == params.states["gnss_position_error"].sd
+
+
 def test_a_few_fixes_are_too_few(drive):
     found = scan_noise(drive, with_arm(drive), stop=initialize(drive, with_arm(drive)).t + 8.0)
     assert found.fixes == 0 and found.gyro == 1.0 and found.findings[0].code == "noise.datasheet"
@@ -226,9 +249,9 @@ def test_the_quadratic_fit_is_exact_on_a_quadratic():
     d = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), -1).reshape(27, 3)
     J = -np.einsum("ni,ij,nj->n", d - peak, A, d - peak)
     points = np.column_stack([centre + d * FINE_BOX, J])
-    np.testing.assert_allclose(_vertex(points, centre, FINE_BOX), centre + peak * FINE_BOX, atol=1e-12)
+    np.testing.assert_allclose(vertex(points, centre, FINE_BOX), centre + peak * FINE_BOX, atol=1e-12)
     convex = np.column_stack([points[:, :3], -J])
-    np.testing.assert_array_equal(_vertex(convex, centre, FINE_BOX), convex[np.argmax(-J), :3])
+    np.testing.assert_array_equal(vertex(convex, centre, FINE_BOX), convex[np.argmax(-J), :3])
 
 
 def test_navigate_without_params_takes_noise_and_lever_arm_from_the_recording(drive):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxnav import build
-from jaxnav.analysis.receiver_errors import Receiver, receiver, usual, whole
+from jaxnav.analysis.receiver_errors import Receiver, alike, receiver, usual, whole, without_slow_errors
 from jaxnav.filters.lanes import RECEIVER_ERROR, slow_errors
 from jaxnav.navigation import Solution
 from tuning.fit.transforms import split
@@ -32,10 +32,23 @@ def test_white_and_slow_variance_add_up_to_the_stated_one():
 
 
 def test_without_slow_errors_the_state_is_none():
-    """A state of sd 0 and no driving noise: innovations and covariance of the filter without it."""
-    filt, nothing = build("ekf15"), Receiver().applied(WIDE.params("consumer"))
-    assert not np.any(nothing.states[RECEIVER_ERROR].sd) and not np.any(nothing.states[RECEIVER_ERROR].driving_noise)
-    np.testing.assert_array_equal(nothing.measurements["position"].scale, filt.params().measurements["position"].scale)
+    """Off it has no sd and no driving noise; a receiver without slow errors leaves a state that is known otherwise."""
+    params = WIDE.params("consumer")
+    off = without_slow_errors(params).states[RECEIVER_ERROR]
+    assert not np.any(off.sd) and not np.any(off.driving_noise) and np.isfinite(off.tau).all()
+    assert Receiver().applied(params).states[RECEIVER_ERROR].sd == params.states[RECEIVER_ERROR].sd
+
+
+def test_recordings_that_are_tuned_together_share_a_split():
+    one = Receiver(np.array([0.8, 0.4]), np.array([50.0, 100.0]), sd=SD)
+    other = Receiver(np.array([0.4, 0.2]), np.array([200.0, 100.0]), 1.5, 4.0, 2 * SD)
+    found = alike([one, other])
+    for mine, was in zip(found, (one, other), strict=True):
+        np.testing.assert_allclose(mine.share, [0.6, 0.3])
+        np.testing.assert_allclose(mine.tau, [100.0, 100.0])
+        assert mine.position == pytest.approx(2.0) and mine.velocity == was.velocity
+        np.testing.assert_array_equal(mine.sd, was.sd)
+    np.testing.assert_allclose(alike([one])[0].share, one.share)
 
 
 @pytest.mark.parametrize(("sd", "share"), [(2.0, 0.8), (0.02, 0.09)])
@@ -62,9 +75,9 @@ def test_relative_accuracy_is_that_of_a_known_slow_error():
 def test_level_and_vertical_scales_stay_apart():
     """Where the split differs upwards, a search has a number for each; else one for all axes."""
     leaf = "measurements.position.scale"
-    apart = Receiver(np.array([0.9, 0.5]), np.full(2, 100.0), sd=SD).applied(WIDE.params("consumer"))
-    spec = spec_of(WIDE, apart, [leaf])
-    np.testing.assert_allclose(np.exp(split(spec, apart)[leaf]), np.sqrt([0.1, 0.5]))
+    differ = Receiver(np.array([0.9, 0.5]), np.full(2, 100.0), sd=SD).applied(WIDE.params("consumer"))
+    spec = spec_of(WIDE, differ, [leaf])
+    np.testing.assert_allclose(np.exp(split(spec, differ)[leaf]), np.sqrt([0.1, 0.5]))
     params = WIDE.params("consumer")
     assert np.shape(split(spec_of(WIDE, params, [leaf]), params)[leaf]) == ()
     np.testing.assert_allclose(spec[leaf].prior.centre, np.sqrt([0.1, 0.1, 0.5]))

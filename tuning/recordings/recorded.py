@@ -28,7 +28,7 @@ import jax
 import numpy as np
 
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
-from jaxnav.analysis.receiver_errors import Receiver
+from jaxnav.analysis.receiver_errors import alike, without_slow_errors
 from jaxnav.analysis.windows import drifts
 from jaxnav.checkup.findings import finding, line
 from jaxnav.checkup.streams import velocity
@@ -172,11 +172,13 @@ def tune(
     )
     kept = lambda each: each.with_history(samples) if each.with_history else each
     filt = kept(filt)
+    if "measurements.position.scale" not in separate:
+        scans = [s._replace(receiver=r) for s, r in zip(scans, alike([s.receiver for s in scans]), strict=True)]
     plain, slowly = filt, [each for each in scans if extend and each.receiver.share.any()]
     wide = [slowly[0].extended(filt, p) for p in datasheets] if slowly else []
     filt = kept(wide[0][0]) if slowly and wide[0][0] is not filt else filt
     slow = bool(slowly) and RECEIVER_ERROR in filt.model.states
-    bases = [Receiver().applied(p) for _, p in wide] if slow else datasheets
+    bases = [without_slow_errors(p) for _, p in wide] if slow else datasheets
     used = prepare_recordings(recs, filt, bases, begins, cut, layouts, log)
     positions = [each.receiver._replace(velocity=1.0) for each in scans]  # the sd of velocities is free
     known = [u._replace(datasheet=r.applied(u.datasheet)) if slow else u for u, r in zip(used, positions, strict=True)]

@@ -272,13 +272,15 @@ def write(found: Tuned, folder: Path, states: Sequence[str] = (), exports: bool 
     head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
     atomic_write(folder / "tuned.toml", head + to_toml(params | stated(found.params)))
     for number, (used, each) in enumerate(zip(found.used[1:], found.each[1:], strict=True), start=2):
-        if any(np.any(np.asarray(get(each, leaf)) != np.asarray(get(found.params, leaf))) for leaf in found.spec):
+        if any(np.any(np.asarray(get(each, leaf)) != np.asarray(get(found.params, leaf)))
+               for leaf in (*found.spec, *prior)):  # fmt: skip
             text = f"# jaxnav tune: {used.name}, which has separate parameters\n" + to_toml(params | stated(each))
             atomic_write(folder / f"tuned_{number}.toml", text)
     if exports:
         rows = tuple(MEASUREMENTS[name] for name in found.filter.model.measurements)
-        sd = stated_sd(sd_by_stream(found.used[0].fix, rows))
-        write_exports(folder, f"jaxnav tune: {about}", whole(found.params, sd.position), sd)
+        by_stream = sd_by_stream(found.used[0].fix, rows)
+        exported = whole(found.params, np.median(by_stream["position"], 0)) if "position" in by_stream else found.params
+        write_exports(folder, f"jaxnav tune: {about}", exported, stated_sd(by_stream))
     atomic_write(folder / "history.jsonl", "".join(f"{to_json(row)}\n" for row in user_history(found.history)))
     write_json(folder / "metrics.json", metrics(found))
 

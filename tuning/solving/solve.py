@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxnav.analysis.evaluate import innovation_metrics
-from jaxnav.analysis.receiver_errors import Receiver
+from jaxnav.analysis.receiver_errors import without_slow_errors
 from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
@@ -137,7 +137,7 @@ def solve(
     stages.next()
     filt, sheet = found.extended(filt, datasheet_of(filt))
     bench = bench.reaching(found.applied(datasheet_of(filt)))
-    plain = {"datasheet": bench.score(filt, Receiver().applied(sheet))}
+    plain = {"datasheet": bench.score(filt, without_slow_errors(sheet))}
     if found.fixes:
         plain["auto"] = bench.score(filt, found.applied(datasheet_of(filt)))
     bench, plain, faults = _without_faults(bench, plain)

@@ -102,7 +102,7 @@ def one(name: str, path: Path, tracks: dict | None) -> dict:
 def hidden_drift(
     rec: Recording, filt: Filter, params: Params, begin: Initialization, length: float, every: float
 ) -> tuple[ep.Packed, Windows, np.ndarray, LaneRecord]:
-    """Return epochs, windows of ``length`` s each ``every`` s, predicted minus measured fix at their ends (W, 3) m, and runs."""
+    """Return epochs, windows of ``length`` s each ``every`` s, predicted minus measured fix (W, 3) m, and runs."""
     params, chosen = begin.apply_to(params), rows(filt.model.measurements)
     filt = filt.with_history(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
     packed = ep.pack_recording(rec, chosen, begin.t)

@@ -104,7 +104,9 @@ def best_errors(
 
     def at(numbers: np.ndarray, phases: int | None) -> np.ndarray:
         """Return J (P, 2), level and up, -inf where the drift exceeds ``most`` m."""
-        found = score(numbers, phases)
+        return posterior(numbers, score(numbers, phases), most)
+
+    def posterior(numbers: np.ndarray, found: np.ndarray, most: float) -> np.ndarray:
         J = found[:, :2] - np.stack([penalty(numbers[:, k : k + 2], centre) for k in (1, 3)], 1)
         J[:, 0] -= 0.5 * (numbers[:, 0] / VELOCITY_SD) ** 2 + 0.5 * (numbers[:, 5] / FACTOR_SD) ** 2
         return np.where((np.isfinite(J).all(1) & (found[:, 2] <= most))[:, None], J, -np.inf)
@@ -124,8 +126,9 @@ def best_errors(
 
     grid = np.stack(np.meshgrid(ODDS, TAUS, indexing="ij"), -1).reshape(-1, 2)
     tried = np.vstack([stated(sd), np.column_stack([np.zeros(len(grid)), grid, grid, np.zeros(len(grid))])])
-    most = MAX_DRIFT_RATIO * score(WHITE[None], 1)[0, 2]
-    level, up = np.argmax(at(tried, 1), 0)
+    found = score(np.vstack([WHITE, tried]), 1)
+    most = MAX_DRIFT_RATIO * found[0, 2]
+    level, up = np.argmax(posterior(tried, found[1:], most), 0)
     best = np.concatenate([[0.0], tried[level, 1:3], tried[up, 3:5], [0.0]])
     if velocities:
         best, _ = along(best, 0, VELOCITIES)

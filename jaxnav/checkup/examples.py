@@ -98,12 +98,12 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "state.unexpected": {"subject": "gyro_bias z (5.1 sd)"},
     "truth.share": {"value": 81.0},
     "heading.hypotheses": {"value": 120.0, "probability": 0.98},
-    "noise.slow": {"subject": "horizontal", "value": 0.8, "ratio": 150.0},
     "noise.scan": {
         "gyro": 71.0, "accel": 67.0, "size": 0.08, "side": "late", "gain": 4.2, "fixes": 720, "first": 15.0,
         "last": 195.0, "scale": ", sd of position 0.18 times the stated",
     },
     "noise.harm": {"value": 3.1, "limit": 1.02, "kept": "the datasheet's noise and this delay"},
+    "noise.slow": {"subject": "horizontal", "value": 0.8, "ratio": 150.0},
     "noise.vibration": {"value": 392.0, "limit": 300.0},
     "noise.datasheet": {"limit": 10.0},
     "time.clocks": {"vector": "0.02 s in drive_1, 0.41 s in drive_2"},

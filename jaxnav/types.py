@@ -80,7 +80,8 @@ class Imu(NamedTuple):
 class Fix(NamedTuple):
     """Measurements at the end of one epoch, all channels side by side in the order the error model was made with.
 
-    Finite, ``sd > 0``; a missing channel is ``valid = False`` with any value, nan too.
+    Finite, ``sd > 0``; a missing channel is ``valid = False`` with any value, nan too. Channels of a position are east,
+    north, up, its value is latitude, longitude, height: with ``valid = (False, True, True)`` the longitude is missing.
     """
 
     value: jax.Array  # (m,) rad, m, m/s, rad/s: see `jaxnav.measurements`

@@ -6,7 +6,7 @@ innovation, lets the rule correct, and feeds back. Splitting it so is exact, bec
 not depend on P.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any, NamedTuple
@@ -110,10 +110,16 @@ def _depending_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple
     return primals[1], tangents[1] + jnp.where(False, sum(leaves), 0.0)
 
 
-def without_nan(fix: Fix) -> Fix:
-    """Return a fix with finite numbers in missing channels: a masked nan still makes the gradient nan."""
-    filled = lambda a, value: jnp.where(fix.valid | jnp.isfinite(a), a, value)
-    return fix._replace(value=filled(fix.value, 1.0), sd=filled(fix.sd, 1.0), corr=filled(fix.corr, 0.0))
+def without_nan(fix: Fix, value_channels: Sequence[int]) -> Fix:
+    """Return a fix with finite numbers in missing channels: a masked nan still makes the gradient nan.
+
+    Args:
+        fix: (m,), its sd and correlations in the order of its channels.
+        value_channels: (m,) channel that each entry of its value shows: a latitude shows north, the second one.
+    """
+    filled = lambda a, number, valid=fix.valid: jnp.where(valid | jnp.isfinite(a), a, number)
+    value = filled(fix.value, 1.0, fix.valid[np.array(value_channels)])
+    return fix._replace(value=value, sd=filled(fix.sd, 1.0), corr=filled(fix.corr, 0.0))
 
 
 def masked(y: jax.Array, H: jax.Array, R: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -277,7 +283,7 @@ def make_filter(
 
     def corrected(params: Params, state: FilterState, fix: Fix) -> tuple[FilterState, Info, jax.Array]:
         nav, age = jax.tree.map(lambda a: a[-1], state.past), state.age + state.T
-        fix = without_nan(fix)
+        fix = without_nan(fix, model.value_channels)
         if model.compared:  # its residual is reported all the same
             fix = fix._replace(valid=fix.valid & ~np.array(model.compared))
         x, memory = rule.extrapolate(params.rule, state.memory, state.x0, state.x)

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxnav.maths import linalg, rotations
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, latency
-from jaxnav.measurements.measurement import ObserveFix, references, stack
+from jaxnav.measurements.measurement import ObserveFix, references, stack, value_channels
 from jaxnav.states import table
 from jaxnav.states.motion import A, V, prior_sd
 from jaxnav.states.second_order import second_order
@@ -71,6 +71,7 @@ class ErrorModel(NamedTuple):
     measurements: tuple[str, ...]
     n_states: int
     n_channels: int
+    value_channels: tuple[int, ...]  # (n_channels,) channel that each entry of a fix's value shows
     retract: Callable[[Nav, jax.Array], Nav]  # truth = retract(estimate, x (n,))
     absorb: Callable[[Nav, Forcing], Nav]  # a constant model error becomes sensor bias
     covariance: Callable[[Params, Nav], jax.Array]  # P (n, n) at the start
@@ -215,6 +216,7 @@ def error_model(
 
     return ErrorModel(
         states, tuple(m.name for m in measurements), n, sum(m.size for m in measurements),
+        tuple(value_channels(measurements).tolist()),
         retract, absorb, covariance, transition, with_second_order if form == "full" else None,
         stack(measurements, rows, motion.leave, motion.enu_rows),
         motion.enter or _same, report, earlier, tuple(sorted({name for s in rows for name in s.reads})),

@@ -62,7 +62,7 @@ POSITION = Measurement(
         column("lon_rad", "length", 3.0, "sd_n_m", (-2 * math.pi, 2 * math.pi), (181 * DEG, -181 * DEG)),
         column("h_m", "length", 6.0, "sd_u_m", (-12e3, 1e6), (-999.0, -9999.0, -99999.0, -32768.0)),
     ),
-    correlated=True, reported=NED,
+    correlated=True, reported=NED, shows=(1, 0, 2),
 )  # fmt: skip
 """GNSS position: value (lat rad, lon rad, h m) of the antenna, sd and correlations in ENU m."""
 VELOCITY = Measurement(

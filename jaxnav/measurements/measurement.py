@@ -75,6 +75,7 @@ class Measurement(NamedTuple):
     needs: tuple[str, ...] = ()  # optional states that a filter with it has
     replaces: tuple[str, ...] = ()  # measurements of the same signals, which a filter with it is only compared with
     restarts: tuple[str, ...] = ()  # states of its channels that restart where the last auxiliary value is 1
+    shows: tuple[int, ...] = ()  # channel that each entry of a fix's value shows; () where they are in one order
 
     @property
     def size(self) -> int:
@@ -116,6 +117,14 @@ def references(measurements: Iterable[Measurement]) -> tuple[str, ...]:
 def tested_alone(measurements: Iterable[Measurement]) -> np.ndarray:
     """Return which channels (m,) bool of a filter a gate tests one by one: those of satellites."""
     return np.array([bool(m.auxiliary) for m in measurements for _ in m.channels])
+
+
+def value_channels(measurements: Iterable[Measurement]) -> np.ndarray:
+    """Return the channel that each entry of the value of a filter's fix shows, (m,) int."""
+    measurements = tuple(measurements)
+    firsts = [place.start for place in layout(measurements).values()]
+    own = [m.shows or range(m.size) for m in measurements]
+    return np.array([first + k for first, channels in zip(firsts, own, strict=True) for k in channels], int)
 
 
 def part_of(fix: Fix, name: str, place: slice) -> Fix:

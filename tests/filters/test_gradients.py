@@ -137,5 +137,15 @@ def test_missing_values_may_be_nan(setting):
     jax.tree.map(
         np.testing.assert_array_equal, setting.gradient(setting.params, nan), setting.gradient(setting.params, numbers)
     )
+    # of a position alone the longitude: its channel is east, the first one
+    some = setting.epochs.fix.valid.at[4:7, 0].set(False)
+    part = setting.epochs._replace(fix=setting.epochs.fix._replace(valid=some))
+    blank = part._replace(fix=part.fix._replace(value=part.fix.value.at[4:7, 1].set(jnp.nan)))
+    np.testing.assert_array_equal(setting.scores(setting.params, blank), setting.scores(setting.params, part))
+    jax.tree.map(
+        np.testing.assert_array_equal, setting.gradient(setting.params, blank), setting.gradient(setting.params, part)
+    )
+    latitude = part._replace(fix=part.fix._replace(value=part.fix.value.at[4:7, 0].set(jnp.nan)))
+    assert not np.isfinite(setting.scores(setting.params, latitude)).all()
     valid = setting.epochs._replace(fix=missing._replace(valid=jnp.ones_like(fix.valid)))
     assert not np.isfinite(setting.scores(setting.params, valid)).all()

@@ -102,6 +102,22 @@ def test_an_error_is_carried_back_over_the_samples_before(frame):
     assert (np.abs(left / h) < 0.01).all(), np.abs(left / h).max(0)
 
 
+def test_biases_act_as_the_integrals_of_a_constant_force():
+    """A body that does not turn under a force f: phi' = -b_g, v' = phi x f - b_a, p' = v have closed forms."""
+    age, f = 0.7, np.array([3.0, -2.0, 9.0])
+    between = latency.Interval(jnp.asarray(age), f * age, f * age**2 / 2, *2 * [jnp.array([1.0, 0.0, 0.0, 0.0])])
+    B = np.asarray(latency.error_then(between, table.chosen(table.BIASES)))
+    p, v, phi, b_g, b_a = then = np.random.default_rng(4).normal(size=(5, 3))
+    now = [
+        p + v * age + np.cross(phi * age**2 / 2 - b_g * age**3 / 6, f) - b_a * age**2 / 2,
+        v + np.cross(phi * age - b_g * age**2 / 2, f) - b_a * age,
+        phi - b_g * age,
+        b_g,
+        b_a,
+    ]
+    np.testing.assert_allclose(B @ np.concatenate(now), np.concatenate(then[:3]), atol=1e-12)
+
+
 def test_without_age_nothing_is_carried_back():
     between = latency.interval(NAV, NAV, jnp.zeros(()))
     B = np.asarray(latency.error_then(between, table.chosen(EVERY)))

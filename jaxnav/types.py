@@ -158,6 +158,7 @@ class Noise(NamedTuple):
 
     gyro: Leaf  # (), (3,) or (3, 3) rad/s/sqrt(Hz), angular random walk
     accel: Leaf  # (), (3,) or (3, 3) m/s^2/sqrt(Hz), velocity random walk
+    scale: Leaf = 0.0  # (), sd of scale errors and misalignment of both sensors, see `jaxnav.states.sensitivity`
 
 
 class StateParams(NamedTuple):

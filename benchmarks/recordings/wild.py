@@ -23,7 +23,7 @@ from jaxnav.filters.catalogue import rows
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.lanes import LaneRecord
-from jaxnav.filters.parameters import history_for, installed
+from jaxnav.filters.parameters import change, history_for, installed
 from jaxnav.filters.scores import position_noise
 from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, initialize
@@ -192,7 +192,7 @@ def judged(rec: Recording, filt: Filter, params: Params, begin: Initialization, 
 
 
 def scanned(path: Path) -> dict:
-    """One recording by a consumer's datasheet and by the noise scan of its first part, both judged on the rest."""
+    """One recording by a consumer's white noise, by its datasheet, and by the scan of its first part, on the rest."""
     clear_caches_if_needed()
     try:
         rec = read(path)
@@ -203,7 +203,8 @@ def scanned(path: Path) -> dict:
         watch = time.perf_counter()
         found = scan_noise(rec, params, initialization=begin, stop=split)
         seconds = time.perf_counter() - watch
-        before = judged(rec, filt, params, begin, split)
+        before = judged(rec, filt, change(params, {"noise.scale": 0.0}), begin, split)
+        stated = judged(rec, filt, params, begin, split)
         filt, wide = found.extended(filt, params)
         after = judged(rec, filt, found.applied(wide), begin, split)
     except (DataError, ValueError) as error:
@@ -211,8 +212,9 @@ def scanned(path: Path) -> dict:
     return {
         "ran": True, "factors": [found.gyro, found.accel, found.receiver.position, found.receiver.velocity],
         "slow": [*found.receiver.share.tolist(), *found.receiver.tau.tolist()],
-        "latency_s": found.latency, "gain": found.gain,
-        "drift_ratio": after["rms_m"] / before["rms_m"], "seconds": seconds, "datasheet": before, **after,
+        "scale": found.scale, "latency_s": found.latency, "gain": found.gain,
+        "drift_ratio": after["rms_m"] / before["rms_m"], "seconds": seconds, "datasheet": before,
+        "with_scale_errors": stated, **after,
     }  # fmt: skip
 
 
@@ -220,8 +222,8 @@ def scan_table(results: dict[str, dict]) -> str:
     """Return the ratios of all recordings, and the bars."""
     ran = {name: r for name, r in results.items() if r["ran"]}
     lines = [
-        [name, *(f"{f:.3g}" for f in r["factors"]), f"{r['latency_s']:.2f}", r["windows"], r["datasheet"]["rms_m"],
-         r["rms_m"], f"{r['drift_ratio']:.2f}",
+        [name, *(f"{f:.3g}" for f in (*r["factors"][:2], r["scale"], *r["factors"][2:])), f"{r['latency_s']:.2f}",
+         r["windows"], r["datasheet"]["rms_m"], r["with_scale_errors"]["rms_m"], r["rms_m"], f"{r['drift_ratio']:.2f}",
          f"{r['slow'][0]:.2g}, {r['slow'][2]:.0f} s",
          *(f"{r['datasheet'][k]:.2f} -> {r[k]:.2f}" for k in ("error_over_sd", "inside_95", "nis"))]
         for name, r in ran.items()
@@ -230,10 +232,12 @@ def scan_table(results: dict[str, dict]) -> str:
         "recording",
         "gyro",
         "accel",
+        "scale",
         "position",
         "velocity",
         "s",
         "windows",
+        "white noise m",
         "datasheet m",
         "auto m",
         "ratio",

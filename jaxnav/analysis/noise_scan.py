@@ -10,8 +10,10 @@ with nu_k the innovations of the plain filter of 15 states over a part of the re
 so that a receiver fault is no noise of the IMU. N counts stretches of `CORRELATION_S` and not fixes: errors of a
 receiver are correlated. The priors say that vibration reaches both sensors, and that a datasheet may be right; d0 and s
 are the delay that alignments all along the part show and its sd, else 0 and 0.1 s. A coarse
-grid of one common factor and the latency comes first, then boxes of 3 x 3 x 3 points about the best one; the quadratic
-fit to the last box gives the maximum.
+grid of one common factor and the latency comes first, then one of the common factor with and without the datasheet's
+scale errors (`jaxnav.states.sensitivity`), since turns that they make wrong pass for white noise: they stay where
+innovations and hidden fixes together are likelier with them. Boxes of 3 x 3 x 3 points about the best one follow; the
+quadratic fit to the last box gives the maximum.
 
 What a receiver states of its positions is split between white noise and slow errors, by
 `jaxnav.analysis.receiver_errors`, and the sd of velocities has a factor v. Likelihood alone takes correlated fixes for
@@ -27,7 +29,7 @@ the sd is that of a table without one. Where this gains less than one over the u
 The latency shows better with them, and is chosen once more.
 
 All of it is taken if it drifts at most 1.02 times as far over the hidden windows as the datasheet, else without what it
-says of the fixes, else the latency alone, else the datasheet.
+says of the fixes, else latency and scale errors alone, else the datasheet.
 """
 
 import math
@@ -40,7 +42,7 @@ import numpy as np
 
 from jaxnav.analysis.boxes import CUBE, climb, vertex
 from jaxnav.analysis.plots import base as plots
-from jaxnav.analysis.receiver_errors import WHITE, Receiver, best_errors, receiver, stated
+from jaxnav.analysis.receiver_errors import MAX_DRIFT_RATIO, WHITE, Receiver, best_errors, receiver, stated
 from jaxnav.analysis.windows import hidden_windows
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import delay_of
@@ -66,6 +68,7 @@ LATENCY_STEP = 0.05  # s, of the grid about a known delay
 DELAY_SD_FACTOR, MIN_DELAY_SD = 5.0, 0.02  # on the sd of alignments' delays, which is of their model; s
 COARSE_BOX, FINE_BOX = np.array([0.5, 0.5, 0.05]), np.array([0.25, 0.25, 0.025])
 """Steps of a box: log10 of the gyro and of the accelerometer factor, s."""
+SCALES, NO_SCALE = np.array([-9.0, 0.0]), 1.0  # log10 of the factor on scale errors: none, as stated; prior of none
 RATIO_SD, COMMON_SD, LATENCY_SD = 0.5, 1.5, 0.1  # decades, decades, s
 CORRELATION_S, WHITENED_S = 10.0, 4.0  # s, between independent innovations; where slow errors are part of the model
 SCANNED_S, WARM_UP_S = 180.0, 20.0  # s, of the part that counts at most; before it, to settle
@@ -87,6 +90,7 @@ class NoiseScan(NamedTuple):
 
     gyro: float = 1.0  # factor on the white noise of the gyros
     accel: float = 1.0  # on that of the accelerometers
+    scale: float = 1.0  # on the noise of scale errors
     latency: float = 0.0  # s
     receiver: Receiver = Receiver()  # errors of its positions and velocities
     assumed: np.ndarray = np.zeros(2, bool)  # (2,) level, up: usual slow errors, the recording does not show them
@@ -120,7 +124,8 @@ class NoiseScan(NamedTuple):
             params: parameters of a filter with the measurements of the scan; slow errors are those of its state.
         """
         mounting = params.mounting._replace(time_offset=params.mounting.time_offset + self.latency)
-        noise = Noise(params.noise.gyro * self.gyro, params.noise.accel * self.accel)
+        factors = self.gyro, self.accel, self.scale
+        noise = Noise(*(a * factor for a, factor in zip(params.noise, factors, strict=True)))
         return self.receiver.applied(params._replace(mounting=mounting, noise=noise))
 
     @property
@@ -138,6 +143,8 @@ class NoiseScan(NamedTuple):
         if share.any():
             scale = f"; of a position's stated variance {share[0]:.2g} is slow over {tau[0]:.0f} s"
             scale += f" (upwards {share[1]:.2g}, {tau[1]:.0f} s)"
+        if self.scale != 1.0:
+            scale += f"; scale errors {self.scale:.2g} times the datasheet's"
         if self.receiver.position != 1.0:
             scale += f"; sd of positions {self.receiver.position:.2g} times the stated"
         if self.receiver.velocity != 1.0:
@@ -160,7 +167,8 @@ class NoiseScan(NamedTuple):
 
     def metrics(self) -> dict[str, float]:
         """Return the chosen values, as in metrics.json."""
-        names = ["gyro", "accel", "gain", *(n for n in ("drift_ratio", "harm") if math.isfinite(getattr(self, n)))]
+        tested = [name for name in ("drift_ratio", "harm") if math.isfinite(getattr(self, name))]
+        names = ["gyro", "accel", "scale", "gain", *tested]
         r = self.receiver
         slow = {
             "slow_share": r.share[0],
@@ -246,7 +254,7 @@ class _Objective:
         position = rec.aiding["position"]
         inside = (position.t > begin.t) & (position.t <= end)
         self.sd = np.median(np.asarray(position.sd)[inside if inside.any() else slice(None)], 0)
-        self.fixes, self.stated = WHITE, _stated_scale(params)
+        self.fixes, self.scale, self.stated = WHITE, 0.0, _stated_scale(params)
         self.assumed_sd = bool(np.all(position.sd == [column.sd for column in self.rows[0].columns]))
         self.cuts, self.shape = dict[float, _Cut](), (0, 0)
         self.prepared: dict[float, Epoch] = {}
@@ -278,13 +286,14 @@ class _Objective:
         return self.prepared[latency]
 
     def candidate(self, point: np.ndarray) -> Params:
-        """Return the parameters of a point (9,), behind the latency the numbers of `receiver`."""
-        noise = Noise(self.params.noise.gyro * 10.0 ** point[0], self.params.noise.accel * 10.0 ** point[1])
+        """Return the parameters of a point (10,): as above, the numbers of `receiver`, log10 on scale errors."""
+        factors = 10.0 ** point[[0, 1, 9]]
+        noise = Noise(*(a * factor for a, factor in zip(self.params.noise, factors, strict=True)))
         params = self.params._replace(noise=noise)
-        return params if self.stated else receiver(point[3:], self.sd).applied(params)
+        return params if self.stated else receiver(point[3:9], self.sd).applied(params)
 
     def run(self, points: np.ndarray, hidden: Sequence[Sequence[Any]] = ((),)) -> tuple[LaneRecord, np.ndarray]:
-        """Run points (P, 9) with each of some sets of windows (H) hidden: the record and what is hidden.
+        """Run points (P, 10) with each of some sets of windows (H) hidden: the record and what is hidden.
 
         The record is (H P, E, ...), the mask (H P, E).
         """
@@ -306,14 +315,47 @@ class _Objective:
         rows = [self.at(latency).counted for latency in points[:, 2]]
         return np.array([np.pad(row, (0, self.shape[0] - row.size)) for row in rows])
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
+    def full(self, points: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
+        """Return points (P, 3) with the errors of the fixes, and with scale errors (P,) or the chosen ones, (P, 10)."""
+        scales = np.full(len(points), self.scale) if scales is None else scales
+        return np.column_stack([points, np.tile(self.fixes, (len(points), 1)), scales])
+
+    def __call__(self, points: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
         """Return J (P,) at points (P, 3)."""
-        points = np.round(points, 6)
-        record, _ = self.run(np.column_stack([points, np.tile(self.fixes, (len(points), 1))]))
+        points = self.full(np.round(points, 6), scales)
+        record, _ = self.run(points)
         mean = masked_mean(-innovation_nll(record), self.counted(points))
+        return self.effective * mean - self.penalty(points)
+
+    def rough(self, centre: np.ndarray, hidden: Sequence[Sequence[Any]]) -> np.ndarray:
+        """Choose the scale errors, and return ``centre`` (3,) with the common factor that goes with them.
+
+        Each with the common factor of the largest J; by innovations and hidden fixes together among those that drift
+        little.
+
+        Args:
+            centre: (3,) the best point so far.
+            hidden: sets of windows; without any scale errors stay.
+        """
+        if not (float(self.params.noise.scale) > 0 and len(hidden)):
+            return centre
+        common, scales = np.tile(COMMON, SCALES.size), np.repeat(SCALES, COMMON.size)
+        J = self(np.column_stack([common, common, np.full(common.size, centre[2])]), scales)
+        best = COMMON[J.reshape(SCALES.size, COMMON.size).argmax(1)]
+        points = self.full(np.column_stack([best, best, np.full(best.size, centre[2])]), SCALES)
+        fit, drift = self.fit(points, hidden)
+        total = np.where(
+            drift <= MAX_DRIFT_RATIO * drift.min(), self.effective * fit.sum(1) - self.penalty(points), -np.inf
+        )
+        k = int(np.argmax(total))
+        self.scale = float(SCALES[k])
+        return np.array([best[k], best[k], centre[2]])
+
+    def penalty(self, points: np.ndarray) -> np.ndarray:
+        """Return minus the log of the prior density (P,) of noise, latency and scale errors at points (P, 10)."""
         noise = ((points[:, 0] - points[:, 1]) / RATIO_SD) ** 2 + (points[:, :2].mean(1) / COMMON_SD) ** 2
         off = (points[:, 2] - self.delay.mean) / self.delay.sd
-        return self.effective * mean - 0.5 * noise - 0.5 * off**2
+        return 0.5 * (noise + off**2) + NO_SCALE * (points[:, 9] == SCALES[0])
 
     def windows(self) -> list[list[tuple[float, float]]]:
         """Return hidden windows in `PHASES` sets, of the longest length that enough fit of; none where too few fit."""
@@ -326,7 +368,7 @@ class _Objective:
         return []
 
     def fit(self, points: np.ndarray, hidden: Sequence[Sequence[Any]]) -> tuple[np.ndarray, np.ndarray]:
-        """Return how well points (P, 9) fit with some sets of windows (H) hidden.
+        """Return how well points (P, 10) fit with some sets of windows (H) hidden.
 
         Mean log-likelihood of a fix and of a hidden fix together, of all channels but the height and of the height
         (P, 2), and the RMS of the hidden fixes' horizontal residuals (P,) m.
@@ -361,7 +403,8 @@ class _Objective:
         weight = CORRELATION_S / WHITENED_S * self.effective
 
         def score(numbers: np.ndarray, phases: int | None) -> np.ndarray:
-            fit, drift = self.fit(np.column_stack([np.tile(point, (len(numbers), 1)), numbers]), hidden[:phases])
+            points = [np.tile(point, (len(numbers), 1)), numbers, np.full(len(numbers), self.scale)]
+            fit, drift = self.fit(np.column_stack(points), hidden[:phases])
             return np.column_stack([weight * fit, drift])
 
         return best_errors(score, self.sd, self.assumed_sd, len(self.rows) > 1)
@@ -369,14 +412,14 @@ class _Objective:
     def harmless(self, point: np.ndarray, hidden: Sequence[Sequence[Any]]) -> tuple[np.ndarray, float, float]:
         """Return the first of some points that does no harm, its drift over the datasheet's, and that of the first.
 
-        Tried are ``point`` (9,), the same with the stated errors of the fixes as white noise, its delay alone, and the
-        datasheet.
+        Tried are ``point`` (10,), the same with the stated errors of the fixes as white noise, its delay and scale
+        errors, its scale errors, and the datasheet.
         """
         if not len(hidden):
             return point, math.nan, math.nan
         alone = np.array([0.0, 0.0, point[2]])
-        firsts = point[:3], alone, np.zeros(3)
-        tried = np.stack([point, *(np.concatenate([first, WHITE]) for first in firsts)])
+        firsts = (point[:3], point[9]), (alone, point[9]), (np.zeros(3), point[9]), (np.zeros(3), 0.0)
+        tried = np.stack([point, *(np.concatenate([first, WHITE, [scale]]) for first, scale in firsts)])
         drift = self.fit(tried, hidden)[1]
         ratio = drift / drift[-1]
         i = int(np.argmax(ratio <= MAX_HARM_RATIO))
@@ -434,28 +477,29 @@ def scan_noise(
     coarse = objective(np.column_stack([common, common, np.repeat(latencies, COMMON.size)]))
     coarse = coarse.reshape(latencies.size, COMMON.size)
     i, j = np.unravel_index(np.argmax(coarse), coarse.shape)
-    centre = np.array([COMMON[j], COMMON[j], latencies[i]])
+    hidden, assumed = objective.windows(), np.zeros(2, bool)
+    centre = objective.rough(np.array([COMMON[j], COMMON[j], latencies[i]]), hidden)
     centre, _ = climb(partial(objective.box, steps=steps * COARSE_BOX), centre)
     points = objective.box(centre, steps * FINE_BOX)
     found = vertex(points, centre, steps * FINE_BOX)
-    hidden, assumed = objective.windows(), np.zeros(2, bool)
     if not objective.stated:
         seconds = min(RECEIVER_S, MAX_EPOCHS / max(fixes / (end - objective.first), 1e-3))
         later = min(objective.first + seconds, last)
         wide = _Objective(rec, params, begin, later, outages, delay) if later > end else objective
+        wide.scale = objective.scale
         objective.fixes, assumed = wide.best_receiver(found, wide.windows())
     if objective.fixes is not WHITE and delay.free:
         timing = np.array([0.0, 0.0, COARSE_BOX[2]])
         centre, points = climb(partial(objective.box, steps=timing), found)
         found = vertex(points, centre, timing)
-    point, ratio, harm = objective.harmless(np.concatenate([found, objective.fixes]), hidden)
+    point, ratio, harm = objective.harmless(objective.full(found[None])[0], hidden)
     datasheet = coarse[np.argmin(np.abs(latencies)), np.argmin(np.abs(COMMON))]
     gain = float(points[:, 3].max() - datasheet) / objective.effective
-    gyro, accel = map(float, 10.0 ** point[:2])
+    gyro, accel, scale = map(float, np.where(point[[0, 1, 9]] > SCALES[0], 10.0 ** point[[0, 1, 9]], 0.0))
     white = point[4] == WHITE[1]
-    errors = Receiver(velocity=float(10.0 ** point[3])) if white else receiver(point[3:], objective.sd)
+    errors = Receiver(velocity=float(10.0 ** point[3])) if white else receiver(point[3:9], objective.sd)
     return NoiseScan(
-        gyro, accel, float(point[2]), errors, assumed & (not white), gain, coarse - coarse.max(),
+        gyro, accel, scale, float(point[2]), errors, assumed & (not white), gain, coarse - coarse.max(),
         (latencies, 10.0**COMMON), (objective.first, end), fixes, ratio, harm,
     )  # fmt: skip
 

@@ -19,7 +19,20 @@ class Windows(NamedTuple):
     phase: np.ndarray  # (W,) int, the run
     start: np.ndarray  # (W,) s
     end: np.ndarray  # (W,) int, the window's last epoch with a position, where the drift is measured
-    satellites: int = 0  # the highest ones that a window keeps
+    satellites: tuple[int, ...] = (0,)  # how many of the highest each run keeps in them, by turns
+
+    @property
+    def kept(self) -> np.ndarray:
+        """Return the number of satellites that each window keeps, (W,)."""
+        return np.array(self.satellites)[self.phase % len(self.satellites)]
+
+    def hide(self, epochs: Epoch, measurements: tuple[Measurement, ...]) -> list[Epoch]:
+        """Return epochs (E, ...) of each run, without the fixes in its windows."""
+        size = np.shape(epochs.fix.valid)[0]
+        hidden = np.pad(self.hidden, ((0, 0), (0, max(0, size - self.hidden.shape[1]))))[:, :size]
+        return [
+            ep.hide(epochs, h, measurements, self.satellites[p % len(self.satellites)]) for p, h in enumerate(hidden)
+        ]
 
 
 def hidden_windows(
@@ -71,9 +84,8 @@ def drifts(
         For each candidate (W, 3) m, ENU, inf where the run failed; and the record of the runs (P, E, ...).
     """
     epochs = epochs if isinstance(epochs.imu, Prepared) else ready(filt, candidates[0], nav, epochs)
-    size, phases = np.shape(epochs.fix.valid)[0], len(windows.hidden)
-    hidden = np.pad(windows.hidden, ((0, 0), (0, size - windows.hidden.shape[1])))
-    valid = np.stack([np.asarray(ep.hide(epochs, h, measurements, windows.satellites).fix.valid) for h in hidden])
+    phases = len(windows.hidden)
+    valid = np.stack([np.asarray(run.fix.valid) for run in windows.hide(epochs, measurements)])
     many, count = [params for params in candidates for _ in range(phases)], len(candidates)
     record = lanes(filt, stacked(many), repeated(nav, len(many)), epochs, np.concatenate([valid] * count))
     errors = np.where(record.ok[..., None], record.residual, np.inf)

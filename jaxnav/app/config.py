@@ -133,7 +133,7 @@ class Tune:
     more: tuple[str, ...] = ()  # further sources to tune on together, as [data] source
     target: str = ""  # another filter, tuned as it measures and estimates: kfgins, navego, px4, ardupilot, ...
     outage_s: float = 0.0  # recorded: length of the hidden windows; 0: by the recording's length
-    hidden_satellites: int = 0  # satellites, the highest, that a hidden window keeps (filters with pseudorange)
+    hidden_satellites: int | tuple[int, ...] = 0  # the highest, that a hidden window keeps; several: by turns
     runs: int = 8  # simulated: for training
     validation_runs: int = 4  # to choose the best step
     test_runs: int = 8  # to judge
@@ -238,8 +238,9 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
     config = _build(Config, merged | {"stated": stated})
     for name, (low, high) in LIMITS.items():
         value = operator.attrgetter(name)(config)
-        if value is not None and not low <= value <= high:
-            raise ConfigError(f"{name} must be in [{low:.12g}, {high:.12g}], got {value:.12g}")
+        for number in value if isinstance(value, tuple) else (value,):
+            if number is not None and not low <= number <= high:
+                raise ConfigError(f"{name} must be in [{low:.12g}, {high:.12g}], got {number:.12g}")
     return config
 
 

@@ -21,7 +21,7 @@ from jaxnav.types import ConfigError, Params, Recording, nearest
 
 AUTO, DATASHEET = "auto", "consumer"
 """Grade with noise and latency from the recording, and the datasheet that is scaled for it."""
-NOISE = ("noise.gyro", "noise.accel")
+NOISE = ("noise.gyro", "noise.accel", "noise.scale")
 
 
 # ---------------------------------------------------------------------------- filter and parameters

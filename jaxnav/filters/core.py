@@ -22,6 +22,7 @@ from jaxnav.filters.rule import Correction, Feedback, Innovation, Rule, Transiti
 from jaxnav.maths import linalg
 from jaxnav.measurements.measurement import as_rows
 from jaxnav.states.motion import A, reset_covariance, reset_rows
+from jaxnav.states.sensitivity import sensitivity_noise
 from jaxnav.states.table import BIASES, chosen, layout, zeros
 from jaxnav.strapdown.mechanization import Preintegrate, Propagate
 from jaxnav.types import Epoch, Fix, Forcing, Imu, Info, Nav, Noise, Params
@@ -145,7 +146,7 @@ def inflate_noise(noise: Noise, more: jax.Array) -> Noise:
             return jnp.concatenate([root, extra * jnp.eye(3)], 1)
         return jnp.where(extra > 0, jnp.hypot(root, jnp.where(extra > 0, extra, 1.0)), root)
 
-    return Noise(both(noise.gyro, more[0]), both(noise.accel, more[1]))
+    return noise._replace(gyro=both(noise.gyro, more[0]), accel=both(noise.accel, more[1]))
 
 
 def shift(past: Nav, recent: Nav, n: jax.Array) -> Nav:
@@ -250,7 +251,11 @@ def make_filter(
                 f"the filter has {cov_stride, history}"
             )
         recent, points = propagate(nav, state.u, given.samples, cov_stride, given.keep)
-        Phi, Q, d = model.discretize(params, points, given.T, state.u)
+        noise, length = params.noise, jnp.where(given.T.sum() > 0, given.T.sum(), 1.0)
+        if model.second_order:
+            acceleration = (recent.vel[-1] - nav.vel) / length
+            noise = inflate_noise(noise, sensitivity_noise(noise.scale, given.T @ points.gyro / length, acceleration))
+        Phi, Q, d = model.discretize(params._replace(noise=noise), points, given.T, state.u)
         if model.second_order:
             Phi, noise = model.second_order(nav, Phi, state.P, given.T.sum())
             Q = Q.at[:6, :6].add(noise)

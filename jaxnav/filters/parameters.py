@@ -19,6 +19,7 @@ from jaxnav.types import Mounting, Noise, Params, Prior, StateParams, nearest
 NOISE_UNITS = Noise(
     Unit("deg_per_sqrt_hour", units.DEG_PER_SQRT_HOUR, (3,), "deg/sqrt(h)", root=True),
     Unit("ug_per_sqrt_hz", units.UG, (3,), "ug/sqrt(Hz)", root=True),
+    Unit("ppm", units.PPM, text="ppm", zero=True),
 )
 MOUNTING_UNITS = Mounting(
     Unit("m", 1.0, (3,), "m", step=0.2),
@@ -197,7 +198,7 @@ def datasheet_params(
         measurements: names of measurements, with the defaults of their rows.
     """
     return Params(
-        Noise(jnp.asarray(grade.arw, float), jnp.asarray(grade.vrw, float)),
+        strong(Noise(grade.arw, grade.vrw, grade.scale)),
         prior(position_sd, velocity_sd, (tilt_sd, tilt_sd, heading_sd)),
         datasheet_states(grade, states),
         {name: strong(MEASUREMENTS[name].defaults) for name in measurements},

@@ -163,7 +163,7 @@ def matched_params(scenario: Scenario, rule: Any = (), feedback: Any = ()) -> Pa
     """
     grade, start, receiver = GRADES[scenario.imu.grade], scenario.start, scenario.gnss
     params = datasheet_params(
-        grade,
+        grade._replace(scale=0.0),
         start.prior_position_sd_m,
         start.prior_velocity_sd_mps,
         start.prior_tilt_sd_deg * units.DEG,

@@ -18,13 +18,15 @@ class Grade(NamedTuple):
     source: str
     gyro_walk: float = 0.0  # rad/s/sqrt(s), root PSD of a random walk of the bias, from zero at switch-on
     accel_walk: float = 0.0  # m/s^2/sqrt(s)
+    scale: float = 0.0  # sd of scale errors and misalignment, which a filter takes as noise
 
 
 _d, _h = units.DEG_PER_SQRT_HOUR, units.DEG_PER_HOUR
 GRADES: dict[str, Grade] = {
     "consumer": Grade(
         0.23 * _d, 70 * units.UG, 0.5 * units.DEG, 20 * units.MG, 20 * _h, 0.1 * units.MG, 1000.0,
-        "rtklibexplorer/GNSS_IMU drive log: noise figures of its consumer MEMS",
+        "rtklibexplorer/GNSS_IMU drive log: noise figures of its consumer MEMS; scale errors as MEMS have uncalibrated",
+        scale=3000 * units.PPM,
     ),
     "adis16465": Grade(
         0.1 * _d, 0.1 * units.MPS_PER_SQRT_HOUR, 0.1 * units.DEG, 5 * units.MG, 25 * _h, 200 * units.MGAL, 3600.0,

@@ -13,7 +13,7 @@ from jaxnav.analysis.noise_scan import FINE_BOX, NoiseScan, _in_motion
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import load
-from jaxnav.filters.parameters import strong
+from jaxnav.filters.parameters import change, strong
 from jaxnav.io.canonical import write_recording
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import Recording, Samples
@@ -34,8 +34,9 @@ def drive() -> Recording:
     return simulated()
 
 
-def with_arm(rec: Recording):
-    params = EKF.params("consumer")
+def with_arm(rec: Recording, scale: float = 0.0):
+    """A consumer's datasheet with the recording's lever arm, and with the simulation's scale errors: none."""
+    params = change(EKF.params("consumer"), {"noise.scale": scale})
     return params._replace(mounting=params.mounting._replace(lever_arm=rec.lever_arm))
 
 
@@ -54,6 +55,16 @@ def test_it_finds_noise_and_latency(drive):
     assert f"{found.latency:.2f} s late" in found.findings[0].message and found.figure().axes
 
 
+def test_scale_errors_are_no_white_noise():
+    """An IMU of the datasheet's noise with scale errors and misalignment of 0.01."""
+    skewed = {f"{sensor}_{error}": 1e4 if error == "scale_sd_ppm" else 10.0 for sensor in ("gyro", "accel")
+              for error in ("scale_sd_ppm", "misalignment_sd_mrad")}  # fmt: skip
+    rec = simulated(1.0, 0.0, **skewed)
+    white, found = (scan_noise(rec, with_arm(rec, scale)) for scale in (0.0, 3e-3))
+    assert white.gyro > 3.0 and white.scale == 1.0
+    assert 0.3 <= found.scale <= 3.2 and 0.5 < found.gyro < 2.0 and 0.5 < found.accel < 2.0
+
+
 def test_a_receiver_fault_is_no_noise(drive):
     position = drive.aiding["position"]
     far = position.value.copy()
@@ -69,7 +80,7 @@ def test_hidden_fixes_are_not_looked_at(drive):
     far[(position.t > 61.0) & (position.t < 74.0), 0] += 1e-4  # 600 m, inside of the window by more than any latency
     changed = drive._replace(aiding=drive.aiding | {"position": position._replace(value=far)})
     one, other = (scan_noise(rec, with_arm(rec), outages=[hidden]) for rec in (drive, changed))
-    assert one[:3] == other[:3] and one.gain == other.gain
+    assert one[:4] == other[:4] and one.gain == other.gain
     np.testing.assert_array_equal(one.receiver.share, other.receiver.share)
 
 
@@ -126,7 +137,7 @@ def test_an_sd_that_is_too_small_grows(drive):
 class Made(noise_scan._Objective):
     """An objective of known means of innovations, hidden fixes and drift, in place of runs."""
 
-    effective, rows, sd, assumed_sd = 10.0, ("position", "velocity"), np.full(3, 2.0), False
+    effective, rows, sd, assumed_sd, scale = 10.0, ("position", "velocity"), np.full(3, 2.0), False, 0.0
 
     def __init__(self, fit):
         self.fit = fit
@@ -136,7 +147,7 @@ def test_the_split_maximises_likelihood_and_prior_together():
     """Parabolas of known maxima, level and up separately; where points drift more, no."""
 
     def fit(points, hidden, drift=1.0):
-        v, odds, tau, above, higher, _ = points[:, 3:].T
+        v, odds, tau, above, higher, _ = points[:, 3:9].T
         level = -2.0 * (odds - 1.0) ** 2 - 2.0 * (tau - 2.0) ** 2 - 2.0 * (v - 0.2) ** 2
         up = -2.0 * (above + 0.5) ** 2 - 2.0 * (higher - 1.5) ** 2
         return np.stack([level, up], 1), np.where(odds > 0.4, drift, 1.0)
@@ -163,12 +174,19 @@ def test_the_split_maximises_likelihood_and_prior_together():
 
 @pytest.mark.parametrize(
     ("drift", "taken"),
-    [([1.0, 2.0, 3.0, 1.0], 0), ([1.1, 1.01, 3.0, 1.0], 1), ([1.1, 1.1, 0.3, 1.0], 2), ([1.1, 1.1, 1.1, 1.0], 3)],
+    [
+        ([1.0, 2.0, 3.0, 2.0, 1.0], 0),
+        ([1.1, 1.01, 3.0, 2.0, 1.0], 1),
+        ([1.1, 1.1, 0.3, 2.0, 1.0], 2),
+        ([1.1, 1.1, 1.1, 0.9, 1.0], 3),
+        ([1.1, 1.1, 1.1, 1.1, 1.0], 4),
+    ],
 )
 def test_a_scan_is_taken_as_far_as_it_does_no_harm(drift, taken):
-    """All of it, else with white errors of the fixes as stated, else its delay alone, else the datasheet."""
-    point, white = np.array([2.0, 1.5, 0.2, -0.5, 0.3, 2.0, 0.1, 1.8, 0.0]), noise_scan.WHITE
-    kept = [point, [2.0, 1.5, 0.2, *white], [0.0, 0.0, 0.2, *white], [0.0, 0.0, 0.0, *white]]
+    """All, else with white errors of the fixes as stated, else delay and scale errors, scale errors, the datasheet."""
+    point, white = np.array([2.0, 1.5, 0.2, -0.5, 0.3, 2.0, 0.1, 1.8, 0.0, 0.5]), noise_scan.WHITE
+    delay, scale = [0.0, 0.0, 0.2], [0.0, 0.0, 0.0]
+    kept = [point, [2.0, 1.5, 0.2, *white, 0.5], [*delay, *white, 0.5], [*scale, *white, 0.5], [*scale, *white, 0.0]]
     found, ratio, harm = Made(lambda points, hidden: (points[:, :2], np.array(drift))).harmless(point, [()])
     np.testing.assert_array_equal(found, kept[taken])
     assert (ratio, harm) == (drift[taken], drift[0])

@@ -38,6 +38,10 @@ def test_the_datasheet_stays_unless_all_is_better():
     assert chosen(tuned=trial(1.01 * before, -9.0)) == "datasheet"  # and drifts more
     assert chosen(tuned=trial(0.5 * before, 1.1)) == "datasheet"  # predicts worse
     assert chosen(tuned=trial(np.where(before > 0, np.inf, 0.0))) == "datasheet"
+    few = np.arange(14) % 2  # windows that keep one satellite, and none
+    mixed = before * np.where(few, 1.2, 0.1)
+    assert max(trial(mixed).ratios) < 0.9
+    assert ratios(before, mixed, parts, few) == pytest.approx((1.2,) * 4, rel=2e-3)  # the worse of both
     better = trial(0.8 * before, -1.0)
     assert chosen(auto=half, tuned=better) == "auto"  # predicts better and drifts more
     assert chosen(auto=half, tuned=trial(0.4 * before, -1.0)) == "tuned"

@@ -134,7 +134,7 @@ def test_the_prior_of_a_delay_is_centred_at_the_scan(ekf, job):
     """J grows by half the square of the distance to the scan's delay; the prior of the noise stays at the datasheet."""
     make, _, _ = job
     mine = Job(ekf, priors.spec_of(ekf, make.use().datasheet, ("timing", "noise.gyro")), [make.use()])
-    scanned = NoiseScan(10.0, 3.0, 0.25).applied(make.use().datasheet)
+    scanned = NoiseScan(10.0, 3.0, latency=0.25).applied(make.use().datasheet)
     numbers = mine.numbers([scanned])
     assert float(get(mine.params(numbers), "mounting.time_offset")) == pytest.approx(0.25)
     before = float(mine.inform(numbers).nll)

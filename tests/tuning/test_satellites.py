@@ -6,6 +6,7 @@ import pytest
 
 from jaxnav import build
 from jaxnav.filters.parameters import change
+from jaxnav.measurements import MEASUREMENTS, layout
 from jaxnav.simulate.satellites import with_sky
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import simulate, to_recording
@@ -44,5 +45,11 @@ def test_range_errors_ten_times_too_small_are_found_with_windows_of_three_satell
     tuned = float(found.trials["tuned"].params.states["range_error"].driving_noise)
     assert 0.5 * true < tuned < 2.0 * true
     used = found.used[0]
-    assert used.windows.satellites == 3 and used.windows.hidden.any()
+    assert used.windows.satellites == (3,) and used.windows.hidden.any()
     assert np.isfinite(list(found.test["tuned"].values())).all()
+    windows, rows = used.windows._replace(satellites=(3, 1)), tuple(MEASUREMENTS[name] for name in NAMES)
+    place = layout(rows)["pseudorange"]
+    for p, run in enumerate(windows.hide(used.packed.epochs, rows)):
+        left = np.asarray(run.fix.valid)[windows.hidden[p, : used.packed.t.size], place].sum(1)
+        assert left.max() == (3, 1)[p % 2]
+    assert set(windows.kept[windows.phase == 1]) == {1} and set(windows.kept) == {1, 3}

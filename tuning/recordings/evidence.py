@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.lanes import CHUNK, LaneRecord, lanes, repeated, taken
@@ -250,7 +249,7 @@ def training_of(filt: Filter, used: Used) -> Training:
     counts = (t >= used.packed.start + layout.settle) & (t <= layout.train + TICK)
     there = np.all(np.asarray(fix.valid)[:, :2], axis=1)
     at, known = ages(used.windows, used.packed.t, there, used.parts["training"], layout.window)
-    valid = np.stack([np.asarray(ep.hide(epochs, h, chosen, layout.satellites).fix.valid) for h in hidden])
+    valid = np.stack([np.asarray(run.fix.valid) for run in used.windows.hide(epochs, chosen)])
     return Training(used.nav, epochs, valid, counts & ~hidden, at, known, np.asarray(fix.sd)[:, :3][at])
 
 

@@ -33,7 +33,7 @@ class Layout(NamedTuple):
     settle: float  # nothing counts before this long after the start
     train: float  # time at which the training part ends
     validation: float  # and the validation part
-    satellites: int = 0  # that hidden windows keep
+    satellites: tuple[int, ...] = (0,)  # that hidden windows keep, by turns
     start: float | None = None  # that windows are counted from; None: the start of navigation
 
 
@@ -146,7 +146,7 @@ def runs_of(used: Used, filt: Filter, part: str, size: int) -> Run:
     inside, hidden, phases = (t > begin) & (t <= end + TICK), windows.hidden[:, :size], len(windows.hidden)
     epochs = jax.tree.map(lambda a: a[:size], used.epochs)
     measurements = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    runs = [ep.hide(epochs, h, measurements, windows.satellites) for h in hidden]
+    runs = windows.hide(epochs, measurements)
     rows = [np.flatnonzero((windows.phase == p) & used.parts[part]) for p in range(phases)]
     most = max(1, *(len(row) for row in rows))
     ends = np.array([np.pad(windows.end[row], (0, most - len(row))) for row in rows])

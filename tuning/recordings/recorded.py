@@ -81,7 +81,7 @@ from tuning.uncertainty import Covariance
 DELAY = "mounting.time_offset"
 VELOCITY_DELAY = "measurements.velocity.latency"
 KNOWN_DELAY_SIGMAS = 3.0  # sd of an alignment's delay, from which on it is known
-SCANNED = ("noise.gyro", "noise.accel", DELAY)  # estimated by the noise scan
+SCALE, SCANNED = "noise.scale", ("noise.gyro", "noise.accel", DELAY)  # estimated by the noise scan
 FAR_SIGMAS = 2.0  # sd of a prior beyond which a parameter is said to be far
 
 
@@ -99,7 +99,7 @@ def tune(
     initialization: Initialization | Sequence[Initialization] | None = None,
     stop: float | None = None,
     window: float | None = None,
-    hidden_satellites: int = 0,
+    hidden_satellites: int | Sequence[int] = 0,
     priors: bool = True,
     observations: float | None = None,
     extend: bool = True,
@@ -122,7 +122,8 @@ def tune(
         initialization: one per recording, or one for all; by default `jaxnav.initialize`.
         stop: s, end of the data.
         window: s, length of the hidden windows; by default 3 to 15 by the recording's length.
-        hidden_satellites: satellites, the highest, that a hidden window keeps.
+        hidden_satellites: satellites, the highest, that a hidden window keeps, or several numbers by turns: what
+            is tuned must do no harm with any of them.
         priors: False: maximum likelihood.
         observations: N, by default the windows that fit into the training parts.
         extend: estimate slow errors of the receiver where the scan finds some.
@@ -161,7 +162,8 @@ def tune(
         log(line(warning))
     cut = [ep.pack_recording(r, chosen, b.t, 0.0, stop, standing) for r, b in zip(recs, begins, strict=True)]
     window = window_of(cut) if window is None else window
-    layouts = [plan(packed, window)._replace(satellites=hidden_satellites) for packed in cut]
+    satellites = tuple(np.atleast_1d(hidden_satellites).tolist())
+    layouts = [plan(packed, window)._replace(satellites=satellites) for packed in cut]
     if scans is None and not set(SCANNED) & set(leaves_of(filt, datasheets[0], free)):
         scans = [NoiseScan()] * len(recs)
     elif scans is None:
@@ -174,14 +176,15 @@ def tune(
     filt = kept(filt)
     if "measurements.position.scale" not in separate:
         scans = [s._replace(receiver=r) for s, r in zip(scans, alike([s.receiver for s in scans]), strict=True)]
+    shared = 1.0 if SCALE in leaves_of(filt, datasheets[0], free) else max(s.scale for s in scans)
+    scans = [s._replace(scale=shared) for s in scans]
     plain, slowly = filt, [each for each in scans if extend and each.receiver.share.any()]
     wide = [slowly[0].extended(filt, p) for p in datasheets] if slowly else []
     filt = kept(wide[0][0]) if slowly and wide[0][0] is not filt else filt
     slow = bool(slowly) and RECEIVER_ERROR in filt.model.states
     bases = [without_slow_errors(p) for _, p in wide] if slow else datasheets
     used = prepare_recordings(recs, filt, bases, begins, cut, layouts, log)
-    positions = [each.receiver._replace(velocity=1.0) for each in scans]  # the sd of velocities is free
-    known = [u._replace(datasheet=r.applied(u.datasheet)) if slow else u for u, r in zip(used, positions, strict=True)]
+    known = [u._replace(datasheet=stays(s, u.datasheet, slow)) for u, s in zip(used, scans, strict=True)]
     parts = pooled(used)
     for name, mask in parts.items():
         if not mask.any():
@@ -193,7 +196,7 @@ def tune(
     leaves = [leaf for leaf in leaves if not (slow and leaf.startswith(f"states.{RECEIVER_ERROR}."))]  # the scan's
     spec = spec_of(filt, known[0].datasheet, leaves, prior_sd, priors)
     job = Job(filt, spec, known, separate, observations)
-    white = Job(filt, spec, used, separate, observations) if slow else job
+    white = Job(filt, spec, used, separate, observations) if slow or shared != 1.0 else job
     log(f"free: {', '.join(spec)}")
     history: list[dict[str, Any]] = []
     auto = job.numbers([each.applied(u.datasheet) for each, u in zip(scans, used, strict=True)])
@@ -226,10 +229,11 @@ def tune(
                   for d in datasheets]  # fmt: skip
         return [with_prior_of(p, d, spec) for p, d in zip(each, stated, strict=True)]
 
+    kept = np.concatenate([u.windows.kept for u in used])
     filter_of = lambda name: plain if name == "datasheet" else filt
     trials = {
         name: Trial(
-            filter_of(name), kept_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts),
+            filter_of(name), kept_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts, kept),
             predicted(params_of(name), judged, off[1]),
         )
         for name, off in offs.items()
@@ -282,6 +286,12 @@ def scan(
     for each in found.findings:
         log(f"{rec.name}: {line(each)}")
     return found
+
+
+def stays(scan: NoiseScan, datasheet: Params, slow: bool) -> Params:
+    """Return the datasheet with what a search leaves as the scan has it: scale errors, and ``slow`` ones of fixes."""
+    scale = put(datasheet, SCALE, datasheet.noise.scale * scan.scale)
+    return scan.receiver._replace(velocity=1.0).applied(scale) if slow else scale  # the sd of velocities is free
 
 
 def measured(leaves: Sequence[str], recs: Sequence[Recording]) -> list[str]:

@@ -161,14 +161,26 @@ def text(found: Tuned) -> str:
     return "\n".join(lines)
 
 
-def ratios(before: np.ndarray, after: np.ndarray, parts: Mapping[str, np.ndarray]) -> tuple[float, float, float, float]:
-    """Drift against the datasheet's, RMS and mean log: on training and validation windows, on validation windows."""
+def ratios(
+    before: np.ndarray, after: np.ndarray, parts: Mapping[str, np.ndarray], groups: np.ndarray | int = 0
+) -> tuple[float, float, float, float]:
+    """Drift against the datasheet's, RMS and mean log: on training and validation windows, on validation windows.
+
+    Args:
+        before: (W,) m, the datasheet's drift.
+        after: (W,) m, the other one's.
+        parts: masks (W,) of the windows.
+        groups: (W,) of windows of another kind, such as the satellites that they keep: the largest ratio of any counts.
+    """
+    log = lambda e: 0.5 * np.log(e**2 + MIN_LOG_M**2)
+    kinds = [np.broadcast_to(groups, before.shape) == g for g in np.unique(groups)]
     out = []
     for mask in (parts["training"] | parts["validation"], parts["validation"]):
-        a, b = before[mask], after[mask]
-        out.append(float(np.sqrt(np.mean(b**2) / np.mean(a**2))))
-        log = lambda e: 0.5 * np.log(e**2 + MIN_LOG_M**2)
-        out.append(float(np.exp(np.mean(log(b) - log(a)))))
+        some = [(before[mask & kind], after[mask & kind]) for kind in kinds if (mask & kind).any()] or [
+            (before[mask], after[mask])
+        ]
+        out.append(max(float(np.sqrt(np.mean(b**2) / np.mean(a**2))) for a, b in some))
+        out.append(max(float(np.exp(np.mean(log(b) - log(a)))) for a, b in some))
     return out[0], out[1], out[2], out[3]
 
 

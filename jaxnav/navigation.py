@@ -24,7 +24,7 @@ from jaxnav.filters import epochs as ep
 from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK, holes
-from jaxnav.filters.lanes import slow_errors
+from jaxnav.filters.lanes import relative_variance, slow_errors
 from jaxnav.filters.parameters import history_for, installed
 from jaxnav.filters.run import CHUNK, first_failure, in_chunks, joined, require_params, require_x64, run_in_chunks
 from jaxnav.filters.smoother import reach_of, smooth_jit
@@ -105,13 +105,8 @@ class Solution:
 
         It is that of a position whose slow error were known. ``sd`` is that of the position on the Earth.
         """
-        P, slow = np.asarray(self.trace.info.P), slow_errors(self.filter)
-        if slow is None:
-            return self.sd[:, :3]
-        cross = P[:, :3, slow]
-        S = P[:, slow, slow] + 1e-12 * np.eye(3)  # a state of sd 0 explains nothing
-        left = P[:, :3, :3] - cross @ np.linalg.solve(S, np.swapaxes(cross, 1, 2))
-        return self.sd_factor * np.sqrt(np.maximum(np.diagonal(left, axis1=1, axis2=2), 0.0))
+        variance = relative_variance(self.trace.info.P, slow_errors(self.filter))
+        return self.sd_factor * np.sqrt(np.asarray(variance))
 
     @property
     def fixes(self) -> Samples:

@@ -26,6 +26,7 @@ from jaxnav.filters import gaps
 from jaxnav.filters.core import Filter, FilterState
 from jaxnav.filters.cutting import cut_imu
 from jaxnav.filters.gaps import TICK
+from jaxnav.filters.lanes import relative_variance, slow_errors
 from jaxnav.filters.parameters import history_for
 from jaxnav.filters.run import require_params, require_x64
 from jaxnav.initialization.initialize import Initialization
@@ -36,7 +37,7 @@ from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Params, nearest
 SAME_EPOCH_S = 2 * TICK  # s: fixes that are as near are of one epoch
 MAX_AHEAD_S = 10.0  # s: a fix that is farther ahead of the samples was stamped by another clock
 SPREAD_SAMPLES = 400  # samples of the spread by which a hole is judged
-VERSION = 2  # of the format of `to_bytes`
+VERSION = 3  # of the format of `to_bytes`
 
 
 class Now(NamedTuple):
@@ -47,6 +48,7 @@ class Now(NamedTuple):
     vel: np.ndarray  # (3,) m/s, ENU
     rph: np.ndarray  # (3,) rad, roll, pitch, heading
     sd: np.ndarray  # (9,) position m, velocity m/s, attitude rad, each in E, N, U
+    sd_relative: np.ndarray  # (3,) m, ENU, of position from second to second, without a receiver's slow error
     ok: bool  # False from the first time on at which the filter was not finite
 
 
@@ -73,11 +75,11 @@ def _advance(filt: Filter, params: Params, state: FilterState, epoch: Epoch, onc
 
 @partial(jax.jit, static_argnums=0)
 def _predict(filt: Filter, params: Params, state: FilterState, imu: Imu) -> tuple[FilterState, jax.Array]:
-    """Return the state after samples (k,), and its report: t, lla, vel, rph, sd, ok in one array (20,)."""
+    """Return the state after samples (k,), and a report (23,): t, lla, vel, rph, sd, relative sd, ok."""
     state = filt.predict(params, state, imu)
     nav, _, P = filt.model.report(jax.tree.map(lambda a: a[-1], state.past), state.x, state.P)
     rph = rotations.to_rph(rotations.to_dcm(nav.q))
-    sd = jnp.sqrt(jnp.diag(P)[:9])
+    sd = jnp.sqrt(jnp.concatenate([jnp.diag(P)[:9], relative_variance(P, slow_errors(filt))]))
     finite = jnp.isfinite(nav.pos).all() & jnp.isfinite(rph).all() & jnp.isfinite(sd).all() & state.ok
     return state, jnp.concatenate([nav.t[None], nav.pos, nav.vel, rph, sd, finite[None].astype(float)])
 
@@ -414,7 +416,7 @@ def _nothing(size: int) -> Imu:
 
 
 def _now(a: np.ndarray) -> Now:
-    return Now(float(a[0]), a[1:4], a[4:7], a[7:10], a[10:19], bool(a[19]))
+    return Now(float(a[0]), a[1:4], a[4:7], a[7:10], a[10:19], a[19:22], bool(a[22]))
 
 
 def _empty_before(span: float, interval: float) -> int:

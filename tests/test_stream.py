@@ -83,6 +83,7 @@ def test_it_is_the_batch(drive):
     assert stream.now.t == pytest.approx(sol.t[-1]) and stream.now.ok and not stream.refused
     np.testing.assert_allclose(stream.now.lla, sol.lla[-1], rtol=1e-12)
     np.testing.assert_allclose(stream.now.sd, sol.sd[-1], rtol=1e-9)
+    np.testing.assert_allclose(stream.now.sd_relative, sol.sd_relative[-1], rtol=1e-9)
 
 
 @pytest.mark.slow

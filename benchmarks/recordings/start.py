@@ -10,6 +10,7 @@ import io
 import itertools
 import os
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -32,6 +33,7 @@ from tuning.recordings.recorded import tune
 TUNED_SPAN = 240.0  # s, of a drive that is tuned
 UMN = (272.0, 302.0, 335.0, 455.0)  # s, begins in flight
 NAVEGO, FIXED_WING = (20.0, 100.0, 250.0), (15.0, 30.0, 50.0)
+AFTER_S, SMALL_DEG, BANK_HZ = (30.0, 45.0, 75.0), 5.0, 5.0  # of a start with twelve headings
 FIXES = {"velocity": (1.5, True), "positions 2 m": (2.0, False), "positions 3 cm": (0.03, False)}
 """sd of positions, m, and whether there are velocities of sd 0.1 m/s."""
 
@@ -107,6 +109,29 @@ def tuned(drives: int, seed: int) -> dict:
     return {"heading_z": z, "rows": rows}
 
 
+def bank(runs: int, seed: int) -> dict:
+    """Heading of a walker and a ship that start with twelve headings: its error, and from when on it is small."""
+    filt, found = build("ekf15", cov_stride=5), {}
+    for kind in ("walk", "ship"):
+        errors, nees, small = [], [], []
+        for i in range(runs):
+            rec, _ = simulated(kind, "consumer", True, np.random.default_rng([seed, i]), 1.5, 120.0, BANK_HZ, 0.0)
+            begin = partial(starting.initialize, heading="unknown", t_start=1.0)
+            sol = navigate(rec, filt, filt.params("consumer"), scan=False, initialization=begin)
+            true = np.interp(sol.t, rec.truth.t, np.unwrap(rec.truth.rph[:, 2]))
+            off = (sol.rph[:, 2] - true + np.pi) % (2 * np.pi) - np.pi
+            since = sol.t - sol.t[0]
+            far = np.flatnonzero(np.abs(off) > SMALL_DEG * DEG)
+            small.append(0.0 if not far.size else since[min(far[-1] + 1, since.size - 1)])
+            errors.append(np.interp(AFTER_S, since, np.abs(off)) / DEG)
+            nees.append(np.interp(AFTER_S, since, (off / sol.sd[:, 8]) ** 2))
+        rms, nees_of = np.sqrt(np.mean(np.square(errors), 0)), np.mean(nees, 0)
+        found[kind] = {"rms_deg": rms.tolist(), "nees": nees_of.tolist(), "below_5_deg_s": float(np.median(small))}
+        print(f"  {kind}: heading off after {AFTER_S} s by {np.round(rms, 1)} deg RMS, NEES {np.round(nees_of, 2)}; "
+              f"below {SMALL_DEG:g} deg from {np.median(small):.0f} s on (median)")  # fmt: skip
+    return found
+
+
 def onboard(data: Path) -> Track:
     """The attitude that the fixed wing of 2014 had on board."""
     with zipfile.ZipFile(data / "px4_2014" / "InputFilesPX4.zip") as archive:
@@ -167,7 +192,11 @@ def main(argv: list[str]) -> None:
     parser.add_argument("--runs", type=int, default=396, help="simulated, default 396; 0: only recorded starts")
     parser.add_argument("--seed", type=int, default=0, help="of the simulations, default 0")
     parser.add_argument("--tune", type=int, default=0, metavar="N", help="N drives tuned, then started again, instead")
+    parser.add_argument("--bank", type=int, default=0, metavar="N", help="N starts with twelve headings each, instead")
     args = parser.parse_args(argv)
+    if args.bank:
+        common.write_json(args.json, {"bank": bank(args.bank, args.seed), "seed": args.seed})
+        return
     if args.tune:
         common.write_json(args.json, {"tuned": tuned(args.tune, args.seed), "seed": args.seed})
         return

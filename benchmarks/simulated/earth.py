@@ -27,6 +27,7 @@ RECEIVERS = {
 }  # fmt: skip
 """White sd (m), slow sd (m) and its correlation time (s)."""
 TOTALS = (1.0, 0.5, 2.0)  # stated sd over the right one
+RATIOS = ("error_over_sd", "velocity", "tilt", "heading")
 CHI2_95 = 5.991  # of 2 degrees of freedom
 BARS = {"ratio": (0.7, 1.4), "share": 0.85, "worst": 2.0, "inside": 0.85, "attitude": (0.7, 1.5), "factor": 2.0}
 
@@ -65,14 +66,15 @@ def score(sol: Solution) -> dict[str, float]:
     }  # fmt: skip
 
 
-def one(vehicle: str, receiver: str, total: float, seed: int) -> dict[str, Any]:
-    """Navigate one drive."""
+def one(vehicle: str, receiver: str, total: float, seeds: range) -> dict[str, Any]:
+    """Navigate the drives of a cell: RMS of errors over sd, means of all else."""
     clear_caches_if_needed()
     try:
-        sol = navigate(drive(vehicle, receiver, total, seed), build("ekf15", cov_stride=5))
+        each = [score(navigate(drive(vehicle, receiver, total, s), build("ekf15", cov_stride=5))) for s in seeds]
     except (DataError, FilterError) as failure:
         return {"total": total, "failed": str(failure)}
-    return score(sol) | {"total": total}
+    mean = {key: float(np.mean([row[key] for row in each])) for key in each[0]}
+    return mean | {key: float(np.sqrt(np.mean([row[key] ** 2 for row in each]))) for key in RATIOS} | {"total": total}
 
 
 def summary(cells: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -95,14 +97,15 @@ def main(argv: list[str]) -> None:
     parser.add_argument("--receivers", nargs="*", default=list(RECEIVERS), help="of them, default all")
     parser.add_argument("--vehicles", nargs="*", default=list(VEHICLES), help="of them, default all")
     parser.add_argument("--totals", nargs="*", type=float, default=list(TOTALS), help="of the stated sd")
-    parser.add_argument("--seed", type=int, default=0, help="default 0")
+    parser.add_argument("--seed", type=int, default=0, help="of the first drive, default 0")
+    parser.add_argument("--drives", type=int, default=1, help="in a cell, default 1")
     args = parser.parse_args(argv)
     every = [(v, r, t) for t in args.totals for v in args.vehicles for r in args.receivers]
     if args.short:
         every = [each for each in every if each[2] == 1.0][::3]
     cells = {}
     for v, r, t in every:
-        cells[f"{v} {r} {t:g}"] = found = one(v, r, t, args.seed)
+        cells[f"{v} {r} {t:g}"] = found = one(v, r, t, range(args.seed, args.seed + args.drives))
         print(f"{v} {r} {t:g}", {k: x if isinstance(x, str) else round(x, 2) for k, x in found.items()}, flush=True)
     found = summary(cells)
     print(table(["", ""], [[name, value] for name, value in found.items()]))

@@ -167,6 +167,16 @@ def slow_errors(filt: Filter) -> slice | None:
     return table.layout(table.chosen(filt.model.states)).get(RECEIVER_ERROR)
 
 
+def relative_variance(P: jax.Array, slow: slice | None) -> jax.Array:
+    """Variance (..., 3) m^2, ENU, of a position whose slow error were known: that from second to second."""
+    if slow is None:
+        return jnp.diagonal(P[..., :3, :3], axis1=-2, axis2=-1)
+    cross = P[..., :3, slow]
+    S = P[..., slow, slow] + 1e-12 * jnp.eye(3)  # a state of sd 0 explains nothing
+    explained = cross @ jnp.linalg.solve(S, jnp.swapaxes(cross, -1, -2))
+    return jnp.maximum(jnp.diagonal(P[..., :3, :3] - explained, axis1=-2, axis2=-1), 0.0)
+
+
 def seen_by_position(P: jax.Array, slow: slice | None) -> jax.Array:
     """Covariance (..., 3, 3) m^2, ENU, of a predicted fix without its noise: position and the receiver's slow error."""
     if slow is None:

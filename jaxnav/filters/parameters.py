@@ -13,6 +13,7 @@ from jaxnav.maths import units
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.states.grades import GRADES, Grade
+from jaxnav.states.sensitivity import ESTIMATES
 from jaxnav.states.table import BIASES, STATES, chosen
 from jaxnav.types import Mounting, Noise, Params, Prior, StateParams, nearest
 
@@ -197,8 +198,9 @@ def datasheet_params(
         states: names of optional states; their parameters by `datasheet_states`.
         measurements: names of measurements, with the defaults of their rows.
     """
+    states = tuple(states)
     return Params(
-        strong(Noise(grade.arw, grade.vrw, grade.scale)),
+        strong(Noise(grade.arw, grade.vrw, 0.0 if set(ESTIMATES) <= set(states) else grade.scale)),
         prior(position_sd, velocity_sd, (tilt_sd, tilt_sd, heading_sd)),
         datasheet_states(grade, states),
         {name: strong(MEASUREMENTS[name].defaults) for name in measurements},

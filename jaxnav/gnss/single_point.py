@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
 from jaxnav.gnss.ranges import LIGHT, Ranges, epochs
 from jaxnav.maths.axes import enu_to_ecef, geodetic
@@ -14,6 +15,7 @@ STEPS = 27  # Gauss-Newton steps
 HUBER_FROM, CAUCHY_FROM = 9, 18  # steps from which on large residuals lose weight, and all but all of it
 KNEE, CAUCHY = 1.5, 2.4  # sd of a residual (Huber 1964; Holland and Welsch 1977)
 MAX_SD = 100.0  # m, horizontal: a worse geometry is no solution
+MIN_EPOCHS, UNLIKELY = 20, 1e-3  # of residuals that say how large they are; share of epochs with larger ones by chance
 NEAR_CLOCKS = 3  # constellations on the receiver's clock, the first of `CONSTELLATIONS`
 FAR_ABOVE, FAR_BELOW = 1e6, -1e5  # m of height beyond which a solution is none
 
@@ -50,7 +52,8 @@ def _samples(t: np.ndarray, value: np.ndarray, cov: np.ndarray, to_enu: np.ndarr
 def single_point(ranges: Ranges) -> SinglePoint:
     """Return the epochs with satellites enough for a solution, each by itself.
 
-    The sd of a pseudorange is that of its weight and of its slow error together; both by their defaults.
+    The sd of a pseudorange is that of its weight and of its slow error together, both by their defaults, times what the
+    residuals of all epochs say of it.
 
     Args:
         ranges: corrected rows, in order of their times.
@@ -75,9 +78,11 @@ def single_point(ranges: Ranges) -> SinglePoint:
         r = z - distance - np.einsum("esc,ec->es", clocks, clock)
         delta, N = _solved(H, r, known * robust, there)
         x, clock = x + delta[:, :3], clock + delta[:, 3:]
-        robust = robust_weight((r - np.einsum("esk,ek->es", H, delta)) * np.sqrt(known), step)
-    cov = np.linalg.inv(N)[:, :3, :3]
+        left = (r - np.einsum("esk,ek->es", H, delta)) * np.sqrt(known)
+        robust = robust_weight(left, step)
     count = valid.sum(1)
+    factor = variance_factor((left**2).sum(1), (robust * left**2).sum(1), count - 3 - there.sum(1))
+    cov = factor[:, None, None] * np.linalg.inv(N)[:, :3, :3]
     lla = geodetic(x)
     good = (count >= 3 + there.sum(1)) & (np.trace(cov, axis1=1, axis2=2) < 2 * MAX_SD**2)
     good &= (lla[:, 2] < FAR_ABOVE) & (lla[:, 2] > FAR_BELOW)
@@ -85,6 +90,24 @@ def single_point(ranges: Ranges) -> SinglePoint:
     velocity, velocity_cov = _velocity(ranges, s, x, wide)
     return SinglePoint(times[good], x[good], cov[good], clock[np.arange(times.size), first][good], velocity[good],
                        velocity_cov[good], count[good])  # fmt: skip
+
+
+def variance_factor(chi2: np.ndarray, robust: np.ndarray, dof: np.ndarray) -> np.ndarray:
+    """Return the factor on the stated variance of each epoch, (E,): that of all, or the epoch's own where it is larger.
+
+    The median of chi-square over k degrees of freedom is k (1 - 2 / (9 k))^3 (Wilson and Hilferty 1931).
+
+    Args:
+        chi2: (E,) sum of the squared residuals in units of their sd.
+        robust: (E,) the same with robust weights.
+        dof: (E,) degrees of freedom; epochs without any say nothing.
+    """
+    known, k = dof > 0, np.maximum(dof, 1)
+    if known.sum() < MIN_EPOCHS:
+        return np.ones(chi2.shape)
+    usual = np.median((chi2 / (k * (1 - 2 / (9 * k)) ** 3))[known])
+    own = np.where(known & (robust > usual * chdtri(k, UNLIKELY)), robust / k, 0.0)
+    return np.maximum(usual, own)
 
 
 def robust_weight(residual: np.ndarray, step: int) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import change
 from jaxnav.filters.run import initial_nav, prepare, run_jit
-from jaxnav.states.sensitivity import SENSITIVITY_S, sensitivity_noise
+from jaxnav.states.sensitivity import ESTIMATES, SENSITIVITY_S, sensitivity_noise
 from jaxnav.types import Epoch, Fix, Imu
 
 K, E, RATE, SCALE = 20, 10, 0.3, 3e-3
@@ -18,6 +18,11 @@ def test_it_is_a_share_of_rate_and_acceleration_over_the_length_of_a_turn():
     np.testing.assert_allclose(root, SCALE * np.array([0.5, 2.0]) * np.sqrt(2 * SENSITIVITY_S))
     still = jax.grad(lambda scale: sensitivity_noise(scale, jnp.zeros(3), jnp.zeros(3)).sum())
     assert float(still(jnp.asarray(SCALE))) == 0.0 == float(still(jnp.asarray(0.0)))
+
+
+def test_a_filter_that_estimates_them_takes_none_of_it_for_noise():
+    some, every = (build("ekf15", states=states).params("consumer").noise for states in (ESTIMATES[:2], ESTIMATES))
+    assert float(some.scale) == SCALE and float(every.scale) == 0.0
 
 
 def test_heading_is_less_sure_after_a_turn_and_not_after_a_straight():

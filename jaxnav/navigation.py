@@ -87,7 +87,7 @@ class Solution:
     lag: float  # s, 0 where it is not of fixed lag
     findings: list[Finding]  # on innovations, streams, noise, states and the initialization
     noise: NoiseScan | None = None  # where the noise was found from the recording
-    sd_factor: float = 1.0  # that the filter's sd are multiplied by
+    sd_factor: float = 1.0  # that the filter's sd of positions are multiplied by
 
     @property
     def nav(self) -> Nav:
@@ -127,7 +127,7 @@ class Solution:
     def at_imu_rate(self) -> tuple[Track, np.ndarray]:
         """Return the solution at every sample of the IMU, in GNSS time, and its sd (N, 9), filtered or smoothed."""
         track, sd = dense(self.filter, self.params, self.nav, self.epochs, self.smoothed, self.lag)
-        return track, self.sd_factor * sd
+        return track, scaled(sd, self.sd_factor)
 
     def write(self, path: str | Path, format: str = "", imu_rate: bool = False) -> None:
         """Write it as "csv", "kml", "pos" or "nav"; by default the ending of the file's name.
@@ -214,7 +214,7 @@ def navigate(
         standing: the detector of standstills.
         smooth: each epoch by all fixes, past and future (`jaxnav.filters.smoother`); innovations stay the filter's.
         lag: s, in place of that by past fixes and the fixes of the next seconds.
-        sd_factor: multiplies the stated sd of the solution, such as that of a calibration by hidden fixes.
+        sd_factor: multiplies the stated sd of positions, such as that of a calibration by hidden fixes.
 
     Raises:
         DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
@@ -256,7 +256,7 @@ def navigate(
         within = () if smooth else reach_of(packed.t, lag)
         _, info = smooth_jit(filt, params, best, epochs, *within)
     trace = evaluate.trace(info, params)
-    trace = trace._replace(sd=sd_factor * trace.sd, sd_rph=sd_factor * trace.sd_rph)
+    trace = trace._replace(sd=scaled(trace.sd, sd_factor))
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
     windows = tuple((float(a), float(b)) for a, b in outages)
     findings = usage.consistency_findings(trace.info, usage.nis_by_channel(trace.info, chosen))
@@ -295,6 +295,11 @@ def _coverage(trace: evaluate.Trace, rec: Recording, measurements: tuple[Measure
         share = float(np.mean(covered_by(trace.track.t, rec.truth.t)))
         found += [finding("truth.share", value=100 * share)] if share < FULL_COVERAGE else []
     return found
+
+
+def scaled(sd: np.ndarray, factor: float) -> np.ndarray:
+    """Return the sd (N, 9) of position, velocity and attitude with a factor on those of position."""
+    return sd * np.where(np.arange(sd.shape[1]) < 3, factor, 1.0)
 
 
 def accuracy(sol: Solution) -> dict[str, float]:

@@ -119,7 +119,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     },
     "solve.measurement": {"subject": "speed", "value": 0.41, "gain": 0.82},
     "solve.left_out": {"subject": "barometer", "value": 1.01, "gain": -0.03},
-    "solve.inflated": {"subject": "stated sd", "value": 1.4, "count": 88},
+    "solve.inflated": {"subject": "stated sd of positions", "value": 1.4, "count": 88},
     "solve.short": {"value": 41.0, "limit": 120.0},
     "mc.diverged": {"subject": "ekf15", "value": 2.0, "runs": 100, "first": "run 17 at 310 s"},
     "mc.anees": {"subject": "ekf15", "value": 1.03, "share": 94.0},

@@ -488,7 +488,9 @@ KINDS: dict[str, Kind] = {
         ("filter.measurements of jaxnav filter takes it all the same",),
     ),
     "solve.inflated": Kind(
-        INFO, "{subject} are {value:.2f} times the filter's: errors of {count} hidden fixes of the test part ask for it"
+        INFO,
+        "{subject} are {value:.2f} times the filter's: errors of {count} hidden fixes of the test part ask for it; those of"
+        " velocity and attitude are the filter's, untested",
     ),
     "solve.short": Kind(
         INFO,

@@ -1,7 +1,7 @@
 """Scale errors and misalignment of the inertial sensors, as noise.
 
-A sensor with a scale error or a misaligned axis, of k, reads k times the rate or the acceleration along or across it too
-much: after a turn of a radian attitude is off by k. A filter may estimate it (`jaxnav.states.scale_factors`,
+A sensor with a scale error or a misaligned axis, of k, reads too much by k times the rate or the acceleration along or
+across it: after a turn of a radian attitude is off by k. A filter may estimate it (`jaxnav.states.scale_factors`,
 `jaxnav.states.misalignment`: 18 states); else it is noise that lasts as long as a turn or a braking, and as white noise
 of the same power at low frequencies has the root PSD
 

@@ -489,8 +489,8 @@ KINDS: dict[str, Kind] = {
     ),
     "solve.inflated": Kind(
         INFO,
-        "{subject} are {value:.2f} times the filter's: errors of {count} hidden fixes of the test part ask for it; those of"
-        " velocity and attitude are the filter's, untested",
+        "{subject} are {value:.2f} times the filter's: errors of {count} hidden fixes of the test part ask for it; "
+        "those of velocity and attitude are the filter's, untested",
     ),
     "solve.short": Kind(
         INFO,

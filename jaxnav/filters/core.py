@@ -257,8 +257,8 @@ def make_filter(
             noise = inflate_noise(noise, sensitivity_noise(noise.scale, given.T @ points.gyro / length, acceleration))
         Phi, Q, d = model.discretize(params._replace(noise=noise), points, given.T, state.u)
         if model.second_order:
-            Phi, noise = model.second_order(nav, Phi, state.P, given.T.sum())
-            Q = Q.at[:6, :6].add(noise)
+            Phi, large = model.second_order(nav, Phi, state.P, given.T.sum())
+            Q = Q.at[:6, :6].add(large)
         x, P = Phi @ state.x + d, linalg.sandwich(Phi, state.P) + Q
         moved, T = Transition(Phi, Q, d), given.T.sum()
         memory = rule.transport(params.rule, state.memory, moved, T) if rule.transport else state.memory

@@ -229,11 +229,11 @@ def tune(
                   for d in datasheets]  # fmt: skip
         return [with_prior_of(p, d, spec) for p, d in zip(each, stated, strict=True)]
 
-    kept = np.concatenate([u.windows.kept for u in used])
+    left = np.concatenate([u.windows.kept for u in used])
     filter_of = lambda name: plain if name == "datasheet" else filt
     trials = {
         name: Trial(
-            filter_of(name), kept_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts, kept),
+            filter_of(name), kept_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts, left),
             predicted(params_of(name), judged, off[1]),
         )
         for name, off in offs.items()

@@ -161,7 +161,9 @@ def solve(
     final = bench.score(final.filter if tuned is None else tuned.filter, params, delivered)
     calibration = calibrate(final)
     if calibration.factor > 1.0:
-        findings.append(finding("solve.inflated", "stated sd of positions", calibration.factor, count=calibration.after.fixes))
+        findings.append(
+            finding("solve.inflated", "stated sd of positions", calibration.factor, count=calibration.after.fixes)
+        )
     stages.next()
     sol = navigate(
         rec, final.filter, params, scan=False, initialization=delivered, stop=stop, standing=standing,

@@ -7,6 +7,7 @@ number; the standing station within 1.0 m of its stated position.
 
 import os
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -155,6 +156,7 @@ def method(
         params = tune(
             rec, sol.filter, params, free=free_of(names), initialization=sol.initialization, stop=half,
             hidden_satellites=KEPT if "pseudorange" in names else 0, scans=[NoiseScan()],
+            log=partial(print, flush=True),
         ).params  # fmt: skip
     return Method(sol.filter, params, sol.nav, packed)
 

@@ -68,7 +68,7 @@ LATENCY_STEP = 0.05  # s, of the grid about a known delay
 DELAY_SD_FACTOR, MIN_DELAY_SD = 5.0, 0.02  # on the sd of alignments' delays, which is of their model; s
 COARSE_BOX, FINE_BOX = np.array([0.5, 0.5, 0.05]), np.array([0.25, 0.25, 0.025])
 """Steps of a box: log10 of the gyro and of the accelerometer factor, s."""
-SCALES, NO_SCALE = np.array([-9.0, 0.0]), 1.0  # log10 of the factor on scale errors: none, as stated; prior of none
+SCALES, NO_SCALE = np.array([-9.0, 0.0]), 3.0  # log10 of the factor on scale errors: none, as stated; prior of none
 RATIO_SD, COMMON_SD, LATENCY_SD = 0.5, 1.5, 0.1  # decades, decades, s
 CORRELATION_S, WHITENED_S = 10.0, 4.0  # s, between independent innovations; where slow errors are part of the model
 SCANNED_S, WARM_UP_S = 180.0, 20.0  # s, of the part that counts at most; before it, to settle

@@ -94,14 +94,14 @@ def test_it_is_the_batch_to_the_bit(emitters):
     code = """
         import jax, numpy as np, jaxnav
         jaxnav.enable_x64()
-        from tests.analysis import test_stream as t
+        from tests import test_stream as t
         rec, ekf, params, begin = t.driven()
         stream, ends = t.Stream(ekf, params, begin, rate=25.0), {}
         for row in t.events(rec, begin.t):
             t.feed(stream, rec, [row])
             ends |= {round(each.t, 6): each.state for each in stream.kept}
         packed, nav = t.ep.pack_recording(rec, t.GNSS, begin.t), jax.tree.map(lambda a: a[0], begin.navs)
-        epochs = t.ep.of_shared_size(packed.epochs)
+        epochs = t.ep.pad_to_bucket(packed.epochs)
         batch = t.run_jit(stream.filter, begin.apply_to(params), nav, epochs, lambda step, _: step.after)
         rows = [i for i, when in enumerate(packed.t) if round(float(when), 6) in ends]
         assert len(rows) >= packed.t.size - 1, len(rows)

@@ -11,8 +11,8 @@ so that a receiver fault is no noise of the IMU. N counts stretches of `CORRELAT
 receiver are correlated. The priors say that vibration reaches both sensors, and that a datasheet may be right; d0 and s
 are the delay that alignments all along the part show and its sd, else 0 and 0.1 s. A coarse
 grid of one common factor and the latency comes first, then one of the common factor with and without the datasheet's
-scale errors (`jaxnav.states.sensitivity`), since turns that they make wrong pass for white noise: they stay where
-innovations and hidden fixes together are likelier with them. Boxes of 3 x 3 x 3 points about the best one follow; the
+scale errors (`jaxnav.states.sensitivity`), since turns that they make wrong pass for white noise: they stay unless
+innovations and hidden fixes together are far likelier without them, or drift far less. Boxes of 3 x 3 x 3 points about the best one follow; the
 quadratic fit to the last box gives the maximum.
 
 What a receiver states of its positions is split between white noise and slow errors, by
@@ -42,7 +42,7 @@ import numpy as np
 
 from jaxnav.analysis.boxes import CUBE, climb, vertex
 from jaxnav.analysis.plots import base as plots
-from jaxnav.analysis.receiver_errors import MAX_DRIFT_RATIO, WHITE, Receiver, best_errors, receiver, stated
+from jaxnav.analysis.receiver_errors import WHITE, Receiver, best_errors, receiver, stated
 from jaxnav.analysis.windows import hidden_windows
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import delay_of
@@ -68,7 +68,8 @@ LATENCY_STEP = 0.05  # s, of the grid about a known delay
 DELAY_SD_FACTOR, MIN_DELAY_SD = 5.0, 0.02  # on the sd of alignments' delays, which is of their model; s
 COARSE_BOX, FINE_BOX = np.array([0.5, 0.5, 0.05]), np.array([0.25, 0.25, 0.025])
 """Steps of a box: log10 of the gyro and of the accelerometer factor, s."""
-SCALES, NO_SCALE = np.array([-9.0, 0.0]), 3.0  # log10 of the factor on scale errors: none, as stated; prior of none
+SCALES = np.array([-9.0, 0.0])  # log10 of the factor on scale errors: none, as stated
+NO_SCALE, MAX_SCALE_DRIFT = 6.0, 1.25  # of J that none must gain; drift over that with none, up to which they stay
 RATIO_SD, COMMON_SD, LATENCY_SD = 0.5, 1.5, 0.1  # decades, decades, s
 CORRELATION_S, WHITENED_S = 10.0, 4.0  # s, between independent innovations; where slow errors are part of the model
 SCANNED_S, WARM_UP_S = 180.0, 20.0  # s, of the part that counts at most; before it, to settle
@@ -330,8 +331,7 @@ class _Objective:
     def rough(self, centre: np.ndarray, hidden: Sequence[Sequence[Any]]) -> np.ndarray:
         """Choose the scale errors, and return ``centre`` (3,) with the common factor that goes with them.
 
-        Each with the common factor of the largest J; by innovations and hidden fixes together among those that drift
-        little.
+        Both with the common factor of the largest J; by innovations and hidden fixes together.
 
         Args:
             centre: (3,) the best point so far.
@@ -345,7 +345,7 @@ class _Objective:
         points = self.full(np.column_stack([best, best, np.full(best.size, centre[2])]), SCALES)
         fit, drift = self.fit(points, hidden)
         total = np.where(
-            drift <= MAX_DRIFT_RATIO * drift.min(), self.effective * fit.sum(1) - self.penalty(points), -np.inf
+            drift <= MAX_SCALE_DRIFT * drift.min(), self.effective * fit.sum(1) - self.penalty(points), -np.inf
         )
         k = int(np.argmax(total))
         self.scale = float(SCALES[k])

@@ -9,8 +9,8 @@ They belong together, since a latency that is not modelled passes for noise. Max
 with nu_k the innovations of the plain filter of 15 states over a part of the recording with motion. p is a Student t,
 so that a receiver fault is no noise of the IMU. N counts stretches of `CORRELATION_S` and not fixes: errors of a
 receiver are correlated. The priors say that vibration reaches both sensors, and that a datasheet may be right; d0 and s
-are the delay that alignments all along the part show and its sd, else 0 and 0.1 s. A coarse grid of one common factor and
-the latency comes first, then one of the common factor with and without the datasheet's scale errors
+are the delay that alignments all along the part show and its sd, else 0 and 0.1 s. A coarse grid of one common factor
+and the latency comes first, then one of the common factor with and without the datasheet's scale errors
 (`jaxnav.states.sensitivity`), since turns that they make wrong pass for white noise: they stay unless innovations and
 hidden fixes together are far likelier without them, or drift far less. Boxes of 3 x 3 x 3 points about the best one
 follow; the quadratic fit to the last box gives the maximum.

@@ -18,7 +18,7 @@ from jaxnav.filters.error_model import error_model
 from jaxnav.filters.parameters import UNITS, datasheet_params
 from jaxnav.filters.run import initial_nav, negative_log_likelihood, run
 from jaxnav.maths import earth, rotations
-from jaxnav.measurements.measurement import layout
+from jaxnav.measurements.measurement import Kinematics, layout, value_channels
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate_jit
 from jaxnav.states.grades import GRADES
@@ -259,6 +259,21 @@ def test_retract_and_observe_are_derivatives(frame):
     for name in EVERY:
         seen = any(name in each.states for each in ALL) or STATES[name].enters == "gyro"
         assert not seen or np.abs(H[:, layout_of()[name]]).max() > 0, name
+
+
+@pytest.mark.parametrize("row", ALL, ids=lambda row: row.name)
+def test_an_entry_of_a_value_is_shown_by_its_channel(row):
+    """d y / d value has one entry a row: in the channel that `Measurement.shows` names, the same one without it."""
+    params, size = datasheet_params(GRADES["consumer"]), row.size
+    nav = initial_nav([0.8, -1.3, 900.0], [8.0, -3.0, 1.0], np.array([0.2, -0.1, 1.0]))
+    kin = Kinematics(nav.pos, nav.vel, rotations.to_dcm(nav.q))
+    value = nav.pos if row.name == "position" else jnp.full(size, 0.3)
+    fix = lambda value: Fix(value, jnp.ones(size), jnp.zeros(size), jnp.ones(size, bool))
+    y = lambda value: row.observe(params.measurements[row.name], params.mounting, nav, kin, fix(value)).y
+    seen = np.abs(np.asarray(jax.jacfwd(y)(value))).T > 0  # (entry, channel)
+    shows = np.eye(size, dtype=bool)[value_channels([row])]
+    assert seen.any() or not row.has_data
+    np.testing.assert_array_equal(seen, shows & seen.any())  # some constraints have no value
 
 
 def test_a_misspelt_name_is_an_error_that_names_the_nearest():

@@ -91,7 +91,7 @@ class NoiseScan(NamedTuple):
 
     gyro: float = 1.0  # factor on the white noise of the gyros
     accel: float = 1.0  # on that of the accelerometers
-    scale: float = 1.0  # on the noise of scale errors
+    scale: float = 1.0  # on the noise of scale errors, 0 or 1
     latency: float = 0.0  # s
     receiver: Receiver = Receiver()  # errors of its positions and velocities
     assumed: np.ndarray = np.zeros(2, bool)  # (2,) level, up: usual slow errors, the recording does not show them
@@ -144,8 +144,8 @@ class NoiseScan(NamedTuple):
         if share.any():
             scale = f"; of a position's stated variance {share[0]:.2g} is slow over {tau[0]:.0f} s"
             scale += f" (upwards {share[1]:.2g}, {tau[1]:.0f} s)"
-        if self.scale != 1.0:
-            scale += f"; scale errors {self.scale:.2g} times the datasheet's"
+        if not self.scale:
+            scale += "; no scale errors of the sensors"
         if self.receiver.position != 1.0:
             scale += f"; sd of positions {self.receiver.position:.2g} times the stated"
         if self.receiver.velocity != 1.0:
@@ -316,19 +316,19 @@ class _Objective:
         rows = [self.at(latency).counted for latency in points[:, 2]]
         return np.array([np.pad(row, (0, self.shape[0] - row.size)) for row in rows])
 
-    def full(self, points: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
+    def completed(self, points: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
         """Return points (P, 3) with the errors of the fixes, and with scale errors (P,) or the chosen ones, (P, 10)."""
         scales = np.full(len(points), self.scale) if scales is None else scales
         return np.column_stack([points, np.tile(self.fixes, (len(points), 1)), scales])
 
     def __call__(self, points: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
         """Return J (P,) at points (P, 3)."""
-        points = self.full(np.round(points, 6), scales)
+        points = self.completed(np.round(points, 6), scales)
         record, _ = self.run(points)
         mean = masked_mean(-innovation_nll(record), self.counted(points))
         return self.effective * mean - self.penalty(points)
 
-    def rough(self, centre: np.ndarray, hidden: Sequence[Sequence[Any]]) -> np.ndarray:
+    def choose_scale(self, centre: np.ndarray, hidden: Sequence[Sequence[Any]]) -> np.ndarray:
         """Choose the scale errors, and return ``centre`` (3,) with the common factor that goes with them.
 
         Both with the common factor of the largest J; by innovations and hidden fixes together.
@@ -342,7 +342,7 @@ class _Objective:
         common, scales = np.tile(COMMON, SCALES.size), np.repeat(SCALES, COMMON.size)
         J = self(np.column_stack([common, common, np.full(common.size, centre[2])]), scales)
         best = COMMON[J.reshape(SCALES.size, COMMON.size).argmax(1)]
-        points = self.full(np.column_stack([best, best, np.full(best.size, centre[2])]), SCALES)
+        points = self.completed(np.column_stack([best, best, np.full(best.size, centre[2])]), SCALES)
         fit, drift = self.fit(points, hidden)
         total = np.where(
             drift <= MAX_SCALE_DRIFT * drift.min(), self.effective * fit.sum(1) - self.penalty(points), -np.inf
@@ -478,7 +478,7 @@ def scan_noise(
     coarse = coarse.reshape(latencies.size, COMMON.size)
     i, j = np.unravel_index(np.argmax(coarse), coarse.shape)
     hidden, assumed = objective.windows(), np.zeros(2, bool)
-    centre = objective.rough(np.array([COMMON[j], COMMON[j], latencies[i]]), hidden)
+    centre = objective.choose_scale(np.array([COMMON[j], COMMON[j], latencies[i]]), hidden)
     centre, _ = climb(partial(objective.box, steps=steps * COARSE_BOX), centre)
     points = objective.box(centre, steps * FINE_BOX)
     found = vertex(points, centre, steps * FINE_BOX)
@@ -492,7 +492,7 @@ def scan_noise(
         timing = np.array([0.0, 0.0, COARSE_BOX[2]])
         centre, points = climb(partial(objective.box, steps=timing), found)
         found = vertex(points, centre, timing)
-    point, ratio, harm = objective.harmless(objective.full(found[None])[0], hidden)
+    point, ratio, harm = objective.harmless(objective.completed(found[None])[0], hidden)
     datasheet = coarse[np.argmin(np.abs(latencies)), np.argmin(np.abs(COMMON))]
     gain = float(points[:, 3].max() - datasheet) / objective.effective
     gyro, accel, scale = map(float, np.where(point[[0, 1, 9]] > SCALES[0], 10.0 ** point[[0, 1, 9]], 0.0))

@@ -52,8 +52,8 @@ def _samples(t: np.ndarray, value: np.ndarray, cov: np.ndarray, to_enu: np.ndarr
 def single_point(ranges: Ranges) -> SinglePoint:
     """Return the epochs with satellites enough for a solution, each by itself.
 
-    The sd of a pseudorange is that of its weight and of its slow error together, both by their defaults, times what the
-    residuals of all epochs say of it.
+    The sd of a pseudorange is that of its weight and of its slow error together, that of a range rate that of its
+    weight, by their defaults; both covariances times what the residuals of all epochs say, see `variance_factor`.
 
     Args:
         ranges: corrected rows, in order of their times.
@@ -81,7 +81,7 @@ def single_point(ranges: Ranges) -> SinglePoint:
         left = (r - np.einsum("esk,ek->es", H, delta)) * np.sqrt(known)
         robust = robust_weight(left, step)
     count = valid.sum(1)
-    factor = variance_factor((left**2).sum(1), (robust * left**2).sum(1), count - 3 - there.sum(1))
+    factor = variance_factor(left, robust, count - 3 - there.sum(1))
     cov = factor[:, None, None] * np.linalg.inv(N)[:, :3, :3]
     lla = geodetic(x)
     good = (count >= 3 + there.sum(1)) & (np.trace(cov, axis1=1, axis2=2) < 2 * MAX_SD**2)
@@ -92,22 +92,22 @@ def single_point(ranges: Ranges) -> SinglePoint:
                        velocity_cov[good], count[good])  # fmt: skip
 
 
-def variance_factor(chi2: np.ndarray, robust: np.ndarray, dof: np.ndarray) -> np.ndarray:
+def variance_factor(residual: np.ndarray, robust: np.ndarray, dof: np.ndarray) -> np.ndarray:
     """Return the factor on the stated variance of each epoch, (E,): that of all, or the epoch's own where it is larger.
 
     The median of chi-square over k degrees of freedom is k (1 - 2 / (9 k))^3 (Wilson and Hilferty 1931).
 
     Args:
-        chi2: (E,) sum of the squared residuals in units of their sd.
-        robust: (E,) the same with robust weights.
+        residual: (E, S) in units of its sd.
+        robust: (E, S) factors on its weight.
         dof: (E,) degrees of freedom; epochs without any say nothing.
     """
     known, k = dof > 0, np.maximum(dof, 1)
     if known.sum() < MIN_EPOCHS:
-        return np.ones(chi2.shape)
-    usual = np.median((chi2 / (k * (1 - 2 / (9 * k)) ** 3))[known])
-    own = np.where(known & (robust > usual * chdtri(k, UNLIKELY)), robust / k, 0.0)
-    return np.maximum(usual, own)
+        return np.ones(dof.shape)
+    usual = np.median(((residual**2).sum(1) / (k * (1 - 2 / (9 * k)) ** 3))[known])
+    chi2 = (robust * residual**2).sum(1)
+    return np.maximum(usual, np.where(known & (chi2 > usual * chdtri(k, UNLIKELY)), chi2 / k, 0.0))
 
 
 def robust_weight(residual: np.ndarray, step: int) -> np.ndarray:
@@ -128,9 +128,10 @@ def _velocity(ranges: Ranges, s: np.ndarray, x: np.ndarray, wide) -> tuple[np.nd
     H, robust = np.concatenate([-u, np.ones_like(z)[..., None]], -1), np.ones_like(z)
     for step in range(HUBER_FROM, STEPS):
         found, N = _solved(H, z, known * robust, np.ones((z.shape[0], 1), bool))
-        robust = robust_weight((z - np.einsum("esk,ek->es", H, found)) * np.sqrt(known), step)
-    enough = valid.sum(1) >= 4
-    return np.where(enough[:, None], found[:, :3], np.nan), np.linalg.inv(N)[:, :3, :3]
+        left = (z - np.einsum("esk,ek->es", H, found)) * np.sqrt(known)
+        robust = robust_weight(left, step)
+    enough, factor = valid.sum(1) >= 4, variance_factor(left, robust, valid.sum(1) - 4)
+    return np.where(enough[:, None], found[:, :3], np.nan), factor[:, None, None] * np.linalg.inv(N)[:, :3, :3]
 
 
 def _solved(H: np.ndarray, r: np.ndarray, weight: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

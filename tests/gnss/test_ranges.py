@@ -5,8 +5,8 @@ import pytest
 
 from jaxnav.gnss.ranges import CLOCK_STEP, Ranges, name, number, ranges_of, rows_of, slots, streams, without_clock
 from jaxnav.gnss.single_point import single_point
-from jaxnav.measurements.satellites import SATELLITE
-from jaxnav.states.receiver_clock import SLOTS
+from jaxnav.measurements.satellites import PSEUDORANGE, RANGE_RATE, SATELLITE, weight
+from jaxnav.states.receiver_clock import RANGE_ERROR, SLOTS
 from jaxnav.types import DataError
 from tests.gnss.sky import TOKYO, overhead, ranges_at
 
@@ -113,19 +113,19 @@ def test_a_further_constellation_has_a_clock_of_its_own():
 
 @pytest.mark.parametrize("factor", [0.3, 1.0, 3.0])
 def test_the_stated_covariance_is_that_of_the_errors(factor):
-    """Noise of a multiple of the usual size over 400 epochs: NEES of the position within its bounds."""
+    """Noise of a multiple of the usual size over 400 epochs: NEES of position and velocity within its bounds."""
     rng = np.random.default_rng(5)
     sky = overhead(TOKYO, 9)
-    from jaxnav.measurements.satellites import PSEUDORANGE, weight
-    from jaxnav.states.receiver_clock import RANGE_ERROR
-
     one = ranges_at(TOKYO, sky)
     sd = np.hypot(weight(PSEUDORANGE.defaults, one.elevation, one.cn0, np), RANGE_ERROR.defaults.sd)
+    sd_rate = weight(RANGE_RATE.defaults, one.elevation, one.cn0, np)
+    noise = lambda sd: factor * sd * rng.normal(size=9)
     parts = [
-        one._replace(t=one.t + k, pseudorange=one.pseudorange + factor * sd * rng.normal(size=9)) for k in range(400)
+        one._replace(t=one.t + k, pseudorange=one.pseudorange + noise(sd), range_rate=one.range_rate + noise(sd_rate))
+        for k in range(400)
     ]
     found = single_point(joined(parts))
-    off = found.position - TOKYO
-    nees = np.einsum("ei,eij,ej->e", off, np.linalg.inv(found.cov), off) / 3
+    nees = lambda off, cov: np.einsum("ei,eij,ej->e", off, np.linalg.inv(cov), off).mean() / 3
     low = 0.85 if factor <= 1.0 else 0.7  # robust weights of large residuals widen the covariance as well
-    assert low < nees.mean() < 1.25  # Huber's weights take a little from the tails
+    assert low < nees(found.position - TOKYO, found.cov) < 1.25  # Huber's weights take a little from the tails
+    assert low < nees(found.velocity, found.velocity_cov) < 1.25

@@ -46,7 +46,7 @@ def _tau(params: Params, name: str) -> np.ndarray:
     return axes_of(params.states[name].tau if name in params.states else np.inf)
 
 
-def kfgins_yaml(params: Params, scale_ppm: tuple[float, float] = (0.0, 0.0)) -> str:
+def kfgins_yaml(params: Params, scale_ppm: tuple[float, float] | None = None) -> str:
     """Return the ``imunoise`` of a KF-GINS yaml: deg/sqrt(h), m/s/sqrt(h), deg/h, mGal, ppm, h; body FRD as here.
 
     A Gauss-Markov bias of root PSD q and time T has the sd q sqrt(T / 2). KF-GINS has one T for all: the gyro's, and
@@ -56,8 +56,9 @@ def kfgins_yaml(params: Params, scale_ppm: tuple[float, float] = (0.0, 0.0)) -> 
 
     Args:
         params: tuned parameters.
-        scale_ppm: sd of gyro and accelerometer scale errors, ppm.
+        scale_ppm: sd of gyro and accelerometer scale errors, ppm; None: what ``params`` take for noise of both.
     """
+    scale_ppm = (float(params.noise.scale) / units.PPM,) * 2 if scale_ppm is None else scale_ppm
     tau, sensors = _tau(params, "gyro_bias"), _sensors(params)
     time = float(tau[0]) if np.isfinite(tau).all() and np.ptp(tau) == 0 else ONE_CORRELATION_TIME
     sd = lambda drive: axes_of(drive) * np.sqrt(time / 2)

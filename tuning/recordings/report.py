@@ -173,14 +173,11 @@ def ratios(
         groups: (W,) of windows of another kind, such as the satellites that they keep: the largest ratio of any counts.
     """
     log = lambda e: 0.5 * np.log(e**2 + MIN_LOG_M**2)
-    kinds = [np.broadcast_to(groups, before.shape) == g for g in np.unique(groups)]
-    out = []
+    groups, out = np.broadcast_to(groups, before.shape), []
     for mask in (parts["training"] | parts["validation"], parts["validation"]):
-        some = [(before[mask & kind], after[mask & kind]) for kind in kinds if (mask & kind).any()] or [
-            (before[mask], after[mask])
-        ]
-        out.append(max(float(np.sqrt(np.mean(b**2) / np.mean(a**2))) for a, b in some))
-        out.append(max(float(np.exp(np.mean(log(b) - log(a)))) for a, b in some))
+        each = [(before[mask & (groups == g)], after[mask & (groups == g)]) for g in np.unique(groups[mask])]
+        out.append(max((float(np.sqrt(np.mean(b**2) / np.mean(a**2))) for a, b in each), default=np.nan))
+        out.append(max((float(np.exp(np.mean(log(b) - log(a)))) for a, b in each), default=np.nan))
     return out[0], out[1], out[2], out[3]
 
 

@@ -268,7 +268,7 @@ def navigate(
     findings += _installation(stated, rec) + _coverage(trace, rec, chosen)
     if any(f.warns for f in findings) or (found is not None and max(found.gyro, found.accel) > UNLIKE_DATASHEET):
         findings += mixups(rec)
-    findings += [f for f in checkup(rec, quick=True) if f.warns]
+    findings += [f for f in checkup(rec, quick=True) if f.warns or f in rec.findings]
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
         smooth, lag, findings, found, sd_factor,

@@ -265,3 +265,4 @@ class Recording(NamedTuple):
     lever_arm: np.ndarray  # (3,) m, IMU -> antenna, body FRD
     notes: str = ""
     errors: tuple[np.ndarray, dict[str, np.ndarray]] | None = None  # simulated: t (N,) s, true states (N, size) by name
+    findings: tuple[Finding, ...] = ()  # of its reader

@@ -48,6 +48,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "subject": "position", "words": "no row is left of 1200", "cause": "times of another day than the IMU's"
     },
     "stream.short": {"subject": "velocity", "parts": "ends 34.8 s before", "other": "position"},
+    "stream.assumed_sd": {"subject": "position", "words": "3, 3, 6 m", "scan": ""},
     "stream.sd_jumps": {"subject": "position", "value": 14.0},
     "position": {"value": 5.0, "gaps": ", 2 gaps, up to 11.0 s"},
     "position.repeats": {"value": 48.0},
@@ -85,6 +86,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "stream.unused": {"subject": "position", "used": 60, "read": 70, "why": "10 before the start"},
     "stream.refused": {"subject": "velocity", "read": 240, "why": "240 rejected by the rule"},
     "stream.extra": {"subject": "barometer"},
+    "ranges.ionosphere": {"subject": "rover.nav"},
     "satellite.rejected": {
         "subject": "G24", "rejected": 180, "read": 400, "value": 102.0, "first": 61.0, "last": 97.0
     },

@@ -212,6 +212,12 @@ KINDS: dict[str, Kind] = {
         ("a truncated file: beyond it one of the two is alone",),
         ("copy the log again, or set data.stop",),
     ),
+    "stream.assumed_sd": Kind(
+        INFO,
+        "{subject}: the file states no sd; assumed are {words}{scan}",
+        (),
+        ("set data.options.sd, or sd in a column map, where it is known",),
+    ),
     "stream.sd_jumps": Kind(
         WARNING,
         "the stated sd of {subject} changes by a factor of {value:.2g} a fix (median)",
@@ -377,6 +383,13 @@ KINDS: dict[str, Kind] = {
         ("jaxnav check", "jaxnav tune"),
     ),
     "stream.extra": Kind(INFO, "not used of the recording: {subject}", (), ("add it to filter.measurements",)),
+    "ranges.ionosphere": Kind(
+        WARNING,
+        "{subject} states no ionosphere: its delay is left in the ranges, by day some 3 m at the zenith and three "
+        "times that near the horizon",
+        ("the messages were logged for too short a time", "a converter that drops them"),
+        ("take the navigation messages of a station nearby: option nav",),
+    ),
     "satellite.rejected": Kind(
         WARNING,
         "{subject}: {rejected} of {read} pseudoranges rejected, {value:.0f} m off in the median, {first:.0f} to "

@@ -20,10 +20,7 @@ def empty(rec: Recording) -> list[Finding]:
         name, _, words = line.partition(": ")
         if words.startswith(EMPTY):
             others = [w.removeprefix(f"{name}: ") for w in rec.notes.splitlines() if w.startswith(f"{name}: ")]
-            why = (
-                " ".join(w for w in others if w != words and "states no sd" not in w)
-                or "they are outside of the IMU's time, or hold no values"
-            )
+            why = " ".join(w for w in others if w != words) or "they are outside of the IMU's time, or hold no values"
             found.append(finding("stream.empty", name, words=words.rstrip("."), cause=why.rstrip(".")))
     return found
 

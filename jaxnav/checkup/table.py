@@ -39,16 +39,17 @@ CHECKS: dict[str, Check] = {
 
 
 def checkup(rec: Recording, quick: bool = False) -> list[Finding]:
-    """Return the findings of the checks on a recording; ``quick``: only of the fast ones.
+    """Return the findings of the reader and of the checks on a recording; ``quick``: only of the fast ones.
 
     Raises:
         DataError: positions in float32.
     """
     for name, samples in rec.aiding.items():
         require_double(name, samples.value)
-    return [finding for check in CHECKS.values() if check.quick or not quick for finding in check.answer(rec)]
+    asked = (check for check in CHECKS.values() if check.quick or not quick)
+    return [*rec.findings, *(finding for check in asked for finding in check.answer(rec))]
 
 
 def quick_notes(rec: Recording) -> list[str]:
     """Return a sentence for each warning of the fast checks."""
-    return [f"{line(f)}." for f in checkup(rec, quick=True) if f.warns]
+    return [f"{line(f)}." for f in checkup(rec, quick=True) if f.warns and f not in rec.findings]

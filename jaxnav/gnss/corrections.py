@@ -52,10 +52,6 @@ class Masks(NamedTuple):
     cn0_dbhz: float = 25.0  # below it
 
 
-NO_IONOSPHERE = (
-    "pseudorange: {} states no ionosphere: its delay is left in, by day some 3 m at the zenith and three times that "
-    "near the horizon."
-)
 RATES = ("doppler", "phase")
 """Where range rates come from: the option ``rates`` of readers."""
 MAX_GAP = 1.5  # epochs between two phases that are differenced

@@ -8,15 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import EMPTY
 from jaxnav.io import missing, polling
 from jaxnav.io.checks import check_recording, uncertainty
 from jaxnav.io.files import MAX_VALUE, Source
-from jaxnav.io.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Parts, Stream, TimeScale
+from jaxnav.io.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Note, Parts, Stream, TimeScale
 from jaxnav.maths.axes import rotation
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, week_shift
 from jaxnav.measurements import AUXILIARY, with_data
-from jaxnav.types import DataError, ImuLog, Recording, Samples
+from jaxnav.types import DataError, Finding, ImuLog, Recording, Samples
 
 MAX_BAD_SHARE = 0.05  # share of rows that may be left out; with more, the file is probably of another kind
 GAP_STEPS = 2.5  # median steps: a longer one is a gap, without samples
@@ -104,7 +105,10 @@ def recording(parts: Parts) -> Recording:
     if "velocity" not in aiding and "position" in aiding:
         notes.append("There is no velocity: position only.")
     name, arm = parts.name or parts.file, np.asarray(parts.lever_arm, float)
-    rec = Recording(name, imu, aiding, truth, arm, "\n".join(dict.fromkeys(notes)))
+    said = list(dict.fromkeys(notes))
+    found = tuple(note for note in said if isinstance(note, Finding))
+    words = "\n".join(note for note in said if isinstance(note, str))
+    rec = Recording(name, imu, aiding, truth, arm, words, findings=found)
     return check_recording(rec, dict.fromkeys(("imu", "truth", "lever_arm", *aiding), Source(parts.file)))
 
 
@@ -119,7 +123,7 @@ def without_fix(aiding: dict[str, Stream]) -> dict[str, Stream]:
     return aiding | {"velocity": velocity._replace(value=value)}
 
 
-def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[str]) -> ImuLog:
+def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[Note]) -> ImuLog:
     columns = (*rows.gyro.T, *rows.accel.T)
     keep = usable("imu", rows.t, columns, parts.file, notes, parts.lines)
     keep &= _one_piece(rows.t, keep, notes)
@@ -146,7 +150,7 @@ def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[str]) -> Imu
     return imu
 
 
-def _mended(t: np.ndarray, values: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def _mended(t: np.ndarray, values: np.ndarray, notes: list[Note]) -> tuple[np.ndarray, np.ndarray]:
     """Return times and values of a polled log on the sensor's even clock; unchanged with gaps or without losses."""
     step = np.diff(t)
     if (step > GAP_STEPS * np.median(step)).any():
@@ -166,7 +170,7 @@ def _mended(t: np.ndarray, values: np.ndarray, notes: list[str]) -> tuple[np.nda
 
 
 def usable(
-    name: str, t: np.ndarray, columns: Iterable[np.ndarray], file: str, notes: list[str],
+    name: str, t: np.ndarray, columns: Iterable[np.ndarray], file: str, notes: list[Note],
     lines: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
     """(N,) bool, rows that are finite and later than all before; DataError where more than a few are not."""
@@ -202,7 +206,7 @@ def usable(
     return keep
 
 
-def _one_piece(t: np.ndarray, keep: np.ndarray, notes: list[str]) -> np.ndarray:
+def _one_piece(t: np.ndarray, keep: np.ndarray, notes: list[Note]) -> np.ndarray:
     """(N,) bool, rows of the longest piece between gaps of more than an hour."""
     piece = np.zeros(len(t), int)
     index = np.flatnonzero(keep)
@@ -214,7 +218,7 @@ def _one_piece(t: np.ndarray, keep: np.ndarray, notes: list[str]) -> np.ndarray:
     return piece == longest
 
 
-def _intervals(t: np.ndarray, stated: np.ndarray | None, notes: list[str]) -> np.ndarray:
+def _intervals(t: np.ndarray, stated: np.ndarray | None, notes: list[Note]) -> np.ndarray:
     """(N,) s that each row stands for: the time since the row before, and the usual step at the start and after gaps.
 
     Whether a gap can be navigated through is not for a reader to say: the interval shows that no sample covers it.
@@ -233,7 +237,7 @@ def _intervals(t: np.ndarray, stated: np.ndarray | None, notes: list[str]) -> np
     return dt if stated is None else stated
 
 
-def _look(imu: ImuLog, notes: list[str]) -> None:
+def _look(imu: ImuLog, notes: list[Note]) -> None:
     """Note gravity on the wrong axis."""
     force = np.average(imu.accel, axis=0, weights=imu.dt)
     size = float(np.linalg.norm(force))
@@ -249,7 +253,7 @@ def _look(imu: ImuLog, notes: list[str]) -> None:
     notes.append(f"The mean specific force is ({mean}) m/s^2, where FRD at rest reads (0, 0, -9.8): {looks}.")
 
 
-def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]) -> Samples | None:
+def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[Note]) -> Samples | None:
     """Return the usable rows within the IMU's time, with an sd; None where none is left."""
     t, value = np.asarray(stream.t, float), np.asarray(stream.value, float)
     if not len(t):
@@ -308,7 +312,7 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[str]
     return Samples(t[keep], value[keep], given[keep], corr[keep], valid, auxiliary)
 
 
-def _with_heights(value: np.ndarray, sd: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def _with_heights(value: np.ndarray, sd: np.ndarray, notes: list[Note]) -> tuple[np.ndarray, np.ndarray]:
     """Return positions and sd (K, 3): nan where there is no fix, heights that are missing interpolated and unsure."""
     none = ~np.isfinite(value[:, :2]).all(axis=1) | missing.no_position(value)
     lost = missing.no_height(value[:, 2]) & ~none
@@ -324,7 +328,7 @@ def _with_heights(value: np.ndarray, sd: np.ndarray, notes: list[str]) -> tuple[
     return value, sd
 
 
-def _with_sd(name: str, sd: np.ndarray, notes: list[str]) -> np.ndarray:
+def _with_sd(name: str, sd: np.ndarray, notes: list[Note]) -> np.ndarray:
     """Return sd (K, s) with assumed values on axes without any; a single row without one stays as it is."""
     none = ~(sd > MIN_SD)
     whole = np.asarray(none.all(axis=1))
@@ -333,14 +337,15 @@ def _with_sd(name: str, sd: np.ndarray, notes: list[str]) -> np.ndarray:
         return sd
     assumed = np.resize([column.sd for column in streams[name].columns], sd.shape[1])
     if whole.all() and name not in AUXILIARY:
-        notes.append(f"{name}: the file states no sd; assumed are {uncertainty(name, assumed)}.")
+        scan = "; the noise scan may take them for smaller or larger" if name == "position" else ""
+        notes.append(finding("stream.assumed_sd", name, words=uncertainty(name, assumed), scan=scan))
     elif not whole.all():
         words = f"{lost.any(axis=1).sum()} of {len(sd)} rows state no sd on an axis"
         notes.append(f"{name}: {words}; assumed there are {uncertainty(name, assumed)}.")
     return np.where(lost, assumed, sd)
 
 
-def _same_epoch(name: str, t: np.ndarray, imu: ImuLog, notes: list[str]) -> np.ndarray:
+def _same_epoch(name: str, t: np.ndarray, imu: ImuLog, notes: list[Note]) -> np.ndarray:
     """Return times in the IMU's week: of another week, or s since 1970 where the IMU counts s of the week."""
     first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
     weeks = week_shift(t[np.isfinite(t)], imu.t)

@@ -1,14 +1,17 @@
 """Output of a reader: the rows of a file in SI, as written, for `jaxnav.io.mend` to make usable."""
 
 from enum import StrEnum
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from jaxnav.types import DataError, Recording, Track
+from jaxnav.checkup.findings import line
+from jaxnav.types import DataError, Finding, Recording, Track
 
 RATES, INCREMENTS, INSTANTANEOUS = "rates", "increments", "instantaneous"
 SAMPLINGS = (RATES, INCREMENTS, INSTANTANEOUS)
+Note: TypeAlias = str | Finding
+"""A sentence, or a finding of `jaxnav.checkup.findings.KINDS`."""
 
 
 class TimeScale(StrEnum):
@@ -52,7 +55,7 @@ class Parts(NamedTuple):
     aiding: dict[str, Stream] = {}
     truth: Track | None = None
     lever_arm: np.ndarray = np.zeros(3)  # (3,) m, IMU -> antenna, body FRD
-    notes: tuple[str, ...] = ()  # sentences for the user: assumptions, omissions, oddities
+    notes: tuple[Note, ...] = ()  # for the user: assumptions, omissions, oddities
     axes: str = "frd"  # of the sensor, see `jaxnav.maths.axes.rotation`
     name: str = ""
     lines: np.ndarray | None = None  # (N,) line of each row of the imu, where the file has lines
@@ -82,6 +85,11 @@ def with_fixes(file: str, receivers: dict[str, np.ndarray], chosen: str | None, 
     return name
 
 
+def notes_of(rec: Recording) -> str:
+    """Return the notes of a recording and the findings of its reader, a line each."""
+    return "\n".join(filter(None, [rec.notes, *(f"{line(f)}." for f in rec.findings)]))
+
+
 def counted_from(parts: Parts, zero: int) -> Parts:
     """Return parts with times that count from ``zero`` s of the file's time."""
     shift = parts.zero - zero
@@ -102,4 +110,4 @@ def parts_of(rec: Recording, file: str) -> Parts:
     aiding = {name: Stream(*samples) for name, samples in rec.aiding.items()}
     imu = ImuRows(rec.imu.t, rec.imu.gyro, rec.imu.accel, dt=rec.imu.dt)
     notes = tuple(rec.notes.split("\n")) if rec.notes else ()
-    return Parts(file, imu, aiding, rec.truth, rec.lever_arm, notes, name=rec.name)
+    return Parts(file, imu, aiding, rec.truth, rec.lever_arm, (*notes, *rec.findings), name=rec.name)

@@ -61,7 +61,7 @@ class Reader(NamedTuple):
 
 
 def read(path: FilePath, **options: Any) -> Recording:
-    """Read the recording in a file or folder; its ``notes`` list, a sentence a line, assumptions, omissions and doubts.
+    """Read the recording in a file or folder; ``notes`` and ``findings`` say what was assumed, left out or doubtful.
 
     `jaxnav.checkup.checkup` asks it more, and takes longer.
 

@@ -215,7 +215,7 @@ def test_streams_that_no_filter_takes_yet_are_kept(folder):
     np.testing.assert_allclose(rec.aiding["speed"].value[0], [1.5])
     np.testing.assert_allclose(rec.aiding["magnetometer"].value[0], [20.0, 0.0, -40.0], atol=1e-12)
     np.testing.assert_allclose(rec.aiding["heading"].value[0], [np.pi / 2])
-    assert rec.notes.count("the file states no sd") == 4
+    assert [f.code for f in rec.findings] == 4 * ["stream.assumed_sd"]
 
 
 def test_truth_in_ecef(folder):

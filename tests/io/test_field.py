@@ -12,6 +12,7 @@ from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import line
 from jaxnav.io.canonical import write_recording
 from jaxnav.io.formats.rtklib import write_pos
+from jaxnav.io.parts import notes_of
 from jaxnav.io.read import read
 from jaxnav.navigation import metrics
 from jaxnav.types import DataError, Recording
@@ -172,7 +173,7 @@ def test_a_name_above_two_columns_is_refused():
     ("case", "count", "words"),
     [
         ("nmea_altitude_empty", 44, "1 GGA have no height and are left out"),
-        ("nmea_zda", 45, "velocity: NMEA states no sd"),
+        ("nmea_zda", 45, "velocity: the file states no sd"),
         ("nmea_2014_leap", 44, "UTC is taken as GPS time less 16 s"),
         ("ubx_bytes_lost", 192, "28 NAV-PVT are damaged"),
     ],
@@ -180,7 +181,7 @@ def test_a_name_above_two_columns_is_refused():
 def test_receivers_files_of_the_reports(case, count, words):
     rec = read(FIELD / case / "map.toml")
     assert abs(rec.aiding["position"].t.size - count) <= 1 and "velocity" in rec.aiding
-    assert words in rec.notes
+    assert words in notes_of(rec)
 
 
 @needs_field

@@ -99,7 +99,8 @@ def test_an_axis_without_sd_has_the_assumed_one(drive):
     np.testing.assert_array_equal(np.delete(position.sd[:, 0], 5), np.delete(sd[:, 0], 5))
     assert f"position: {len(sd)} of {len(sd)} rows state no sd on an axis" in rec.notes
     rec = mend.recording(fixes(drive, sd=np.zeros_like(sd)))
-    assert (rec.aiding["position"].sd == [3.0, 3.0, 6.0]).all() and "the file states no sd" in rec.notes
+    assert (rec.aiding["position"].sd == [3.0, 3.0, 6.0]).all()
+    assert [f.code for f in rec.findings] == ["stream.assumed_sd"]
 
 
 def test_a_speed_that_stands_for_none_is_none(drive, tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxnav import io
+from jaxnav.checkup import checkup
 from jaxnav.io import mend
 from jaxnav.io import read as reading
 from jaxnav.io.parts import ImuRows, Parts, Stream
@@ -125,10 +126,9 @@ def test_formats_are_known_by_their_contents(tmp_path):
 
 def test_a_usable_recording_has_nothing_said_but_the_sd():
     rec = mend.recording(parts())
-    assert rec.notes.split("\n") == [
-        "position: the file states no sd; assumed are 3, 3, 6 m.",
-        "There is no velocity: position only.",
-    ]
+    assert rec.notes == "There is no velocity: position only."
+    assert [(f.code, f.subject) for f in rec.findings] == [("stream.assumed_sd", "position")]
+    assert checkup(rec)[0] == rec.findings[0] and "assumed are 3, 3, 6 m" in rec.findings[0].message
     np.testing.assert_allclose(rec.imu.t, recording().imu.t)
     np.testing.assert_allclose(rec.imu.dt, 0.01)
 

@@ -22,6 +22,7 @@ from jaxnav.checkup.findings import finding
 from jaxnav.filters.epochs import pack_recording
 from jaxnav.filters.parameters import history_for
 from jaxnav.io.json import write_json
+from jaxnav.io.parts import notes_of
 from jaxnav.io.read import read
 from jaxnav.io.toml import inline
 from jaxnav.types import ConfigError, DataError, Finding, Recording
@@ -86,7 +87,7 @@ def convert(config: Config, folder: Path) -> Outcome:
         file.rename(folder / file.name)
     (folder / "recording").rmdir()
     about = describe(rec)
-    text = describe_text(about) + "".join(f"\n{note}" for note in rec.notes.splitlines())
+    text = describe_text(about) + "".join(f"\n{note}" for note in notes_of(rec).splitlines())
     return Outcome({"recording": about}, text, {"convert": time.perf_counter() - begin})
 
 

@@ -27,6 +27,7 @@ from jaxnav.app.prepare import (
 from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.io.json import write_json
+from jaxnav.io.parts import notes_of
 from jaxnav.io.solution import FORMATS
 from jaxnav.navigation import Solution, navigate
 from jaxnav.types import ConfigError, nearest
@@ -62,7 +63,7 @@ def describe(rec: Any) -> dict[str, Any]:
                "rate_hz": float(1 / np.median(np.diff(t))) if t.size > 1 else float("nan")}
         for name, t in streams.items()
     }  # fmt: skip
-    return {"name": rec.name, "streams": rows, "lever_arm_m": rec.lever_arm.tolist(), "notes": rec.notes}
+    return {"name": rec.name, "streams": rows, "lever_arm_m": rec.lever_arm.tolist(), "notes": notes_of(rec)}
 
 
 def describe_text(about: dict[str, Any]) -> str:

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.checkup.findings import finding
 from jaxnav.io.files import read_bytes
 from jaxnav.io.missing import UNMEASURED_SD
-from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
+from jaxnav.io.parts import Note, Parts, Stream, TimeScale, scaled
 from jaxnav.io.units import UNITS
 from jaxnav.maths import gps_time
 from jaxnav.maths.units import DEG
@@ -143,7 +144,7 @@ def _parts(
     leap: float,
     scale: float,
 ) -> Parts:
-    notes = []
+    notes: list[Note] = []
     t = np.array([second + first_day if stamp is None else stamp for stamp, second, _, _ in fixes]) + leap
     sd = np.array([_sd(spread.get(second), hdop, scale) for _, second, _, hdop in fixes])
     guessed = np.count_nonzero([second not in spread for _, second, _, _ in fixes])
@@ -154,7 +155,8 @@ def _parts(
         t, speed, course = np.array(motion).T
         value = np.stack([speed * np.sin(course), speed * np.cos(course), np.zeros_like(speed)], axis=1)
         streams["velocity"] = Stream(t + leap, value, np.tile([SPEED_SD, SPEED_SD, UNMEASURED_SD], (len(t), 1)))
-        notes.append(f"velocity: NMEA states no sd; assumed are {SPEED_SD} m/s, and nothing is known upwards.")
+        words = f"{SPEED_SD} m/s, and nothing is known upwards"
+        notes.append(finding("stream.assumed_sd", "velocity", words=words, scan=""))
     notes.append(f"UTC is taken as GPS time less {leap:g} s.")
     return scaled(Parts(os.fspath(path), aiding=streams, notes=tuple(notes)), TimeScale.GPS)
 

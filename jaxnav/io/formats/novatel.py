@@ -52,6 +52,7 @@ IMUS: dict[str, tuple[int, float, float]] = {
 }
 """Number of the type, rad and m/s of one count of RAWIMU, by name."""
 
+START = re.compile(rb"[#%]([A-Z0-9]+)A,")
 LINE = re.compile(rb"[#%]([A-Z0-9]+)A,([^;\r\n*]*);([^\r\n*]*)\*([0-9a-fA-F]{8})")
 POSITIONS, VELOCITIES = ("BESTGNSSPOS", "BESTPOS"), ("BESTGNSSVEL", "BESTVEL")  # without the INS before with it
 SOLUTIONS = {"INSPVA": 0, "INSPVAS": 0, "INSPVAX": 1}  # 1: another order of the fields
@@ -83,20 +84,19 @@ def read(path: Path, imu: str | None = None) -> Parts:
         DataError: no line that could be read, or an IMU of no known type.
     """
     logs: dict[str, Rows] = defaultdict(list)
-    damaged = untimed = 0
-    for match in LINE.finditer(read_bytes(path)):
+    data, untimed = read_bytes(path), 0
+    damaged = sum(match.group(1).decode() in WANTED for match in START.finditer(data))
+    for match in LINE.finditer(data):
         name, head, body, check = match.groups()
-        if name.decode() not in WANTED:
+        if name.decode() not in WANTED or crc32(match.group(0)[1:-9]) != int(check, 16):
             continue
-        if crc32(match.group(0)[1:-9]) != int(check, 16):
-            damaged += 1
-            continue
+        damaged -= 1
         fields = head.split(b",")
         if len(fields) > 3 and fields[3] == b"UNKNOWN":  # the receiver does not know the time yet
             untimed += 1
             continue
         logs[name.decode()].append((fields, body.split(b",")))
-    notes = [f"{damaged} lines with a wrong checksum left out."] if damaged else []
+    notes = [f"{damaged} lines that are cut or have a wrong checksum left out."] if damaged else []
     notes += [f"{untimed} lines from before the receiver knew the time left out."] if untimed else []
     raw = next((name for name in RAW if name in logs), None)
     head = next((rows[0][0] for rows in logs.values()), [b"0", b"0"])

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxnav.io.files import MAX_BYTES, FilePath, atomic_write, open_bytes
+from jaxnav.io.parts import notes_of
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 
 
@@ -43,7 +44,7 @@ def write_npz(path: FilePath, rec: Recording) -> None:
         groups["truth"] = rec.truth
     arrays = {f"{group}/{field}": array for group, data in groups.items()
               for field, array in data._asdict().items() if array is not None}  # fmt: skip
-    arrays |= {"lever_arm": rec.lever_arm, "name": np.array(rec.name), "notes": np.array(rec.notes)}
+    arrays |= {"lever_arm": rec.lever_arm, "name": np.array(rec.name), "notes": np.array(notes_of(rec))}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
     atomic_write(path, buffer.getvalue())

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnav.gnss.corrections import NO_IONOSPHERE, Ionosphere, Masks, Observations, aiding_of, solved, with_rates
+from jaxnav.checkup.findings import finding
+from jaxnav.gnss.corrections import Ionosphere, Masks, Observations, aiding_of, solved, with_rates
 from jaxnav.gnss.orbits import Ephemeris, stacked
 from jaxnav.gnss.ranges import FREQUENCY, LIGHT, number
 from jaxnav.io.files import read_bytes
@@ -56,10 +57,9 @@ def read(
     except DataError as error:
         raise DataError(f"{path}: {error} ({len(set(eph.satellite))} satellites in {messages})") from error
     aiding, more = aiding_of(ranges, found)
-    if ionosphere is None:
-        more += (NO_IONOSPHERE.format(messages.name),)
+    missing = () if ionosphere is not None else (finding("ranges.ionosphere", messages.name),)
     streams = {name: Stream(*samples) for name, samples in aiding.items()}
-    return scaled(Parts(os.fspath(path), aiding=streams, notes=(*notes, *about, *more)), TimeScale.GPS)
+    return scaled(Parts(os.fspath(path), aiding=streams, notes=(*notes, *about, *more, *missing)), TimeScale.GPS)
 
 
 def _messages_of(path: Path) -> Path:

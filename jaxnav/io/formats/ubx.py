@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxnav.gnss.corrections import NO_IONOSPHERE, Masks, Observations, aiding_of, solved, with_rates
+from jaxnav.checkup.findings import finding
+from jaxnav.gnss.corrections import Masks, Observations, aiding_of, solved, with_rates
 from jaxnav.gnss.messages import Messages
 from jaxnav.gnss.orbits import stacked
 from jaxnav.gnss.ranges import FREQUENCY, LIGHT, number
@@ -172,7 +173,7 @@ class Raw:
             if not self.rows or not eph.satellite.size:
                 raise DataError(f"{len(self.rows)} raw measurements, {eph.satellite.size} ephemerides")
             aiding, notes = aiding_of(*solved(seen, eph, self.messages.ionosphere, masks))
-            more = () if self.messages.ionosphere is not None else (NO_IONOSPHERE.format(path),)
+            more = () if self.messages.ionosphere is not None else (finding("ranges.ionosphere", path.name),)
             return aiding, (*about, *notes, *more)
         except DataError as error:
             if needed:

@@ -36,7 +36,7 @@ FOLDERS = {
         "states": "optional error states: consistent with them, not without",
         "consistency": "NEES and NIS of matched simulations: late and precise fixes, large attitude errors",
         "earth": "stated sd against the truth: white and slow errors of receivers on ten vehicles",
-        "verdict": "the verdict of tune where a part of the recording has a receiver fault",
+        "verdict": "the verdict of solve on healthy drives and on ones with a fault, against the truth",
         "pauses": "heading behind a pause of the log: error and stated sd",
         "parked": "heading of vehicles that are parked first or stop in between: error and stated sd",
         "damage": "thousands of damaged recordings, settings and checkpoints, and signals: outcomes",

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+BASES = ("imu", "fixes")  # clocks of written times
 FULL_COVERAGE = 0.98  # share of a run that its truth covers, below which a finding says so
 UNLIKE_DATASHEET = 10.0  # factor on the datasheet's noise above which scale or unit of a gyro may pass for noise
 
@@ -129,21 +130,34 @@ class Solution:
         track, sd = dense(self.filter, self.params, self.nav, self.epochs, self.smoothed, self.lag)
         return track, scaled(sd, self.sd_factor)
 
-    def write(self, path: str | Path, format: str = "", imu_rate: bool = False) -> None:
+    def imu_time(self, t: np.ndarray) -> np.ndarray:
+        """Return the IMU's stamps (N,) s at some times.
+
+        Args:
+            t: (N,) s, by the clock of the fixes, as `t` has them.
+        """
+        mounting, begin = self.params.mounting, float(self.trace.info.nav.origin.t[0])
+        return np.asarray(begin + (t - begin - float(mounting.time_offset)) / (1.0 + float(mounting.clock_drift)))
+
+    def write(self, path: str | Path, format: str = "", imu_rate: bool = False, base: str = "imu") -> None:
         """Write it as "csv", "kml", "pos" or "nav"; by default the ending of the file's name.
 
         Args:
             path: the file.
             format: in place of the ending of its name.
             imu_rate: one row for every sample of the IMU, see `at_imu_rate`.
+            base: times are the "imu" stamps, or those of the "fixes" as `t` has them.
 
         Raises:
-            DataError: another format, or a file that cannot be written.
+            DataError: another format or base, or a file that cannot be written.
         """
         kind = format or Path(path).suffix.removeprefix(".")
         if kind not in FORMATS:
             raise DataError(f"{path}: format must be one of {', '.join(FORMATS)}, got {kind!r}")
+        if base not in BASES:
+            raise DataError(f"{path}: base must be one of {', '.join(BASES)}, got {base!r}")
         track, sd = self.at_imu_rate() if imu_rate else (self.trace.track, self.trace.sd)
+        track = track._replace(t=self.imu_time(track.t)) if base == "imu" else track
         if kind == "kml":
             write_kml(path, track, self.fixes, self.recording.name)
         else:

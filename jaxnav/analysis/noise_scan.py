@@ -29,7 +29,8 @@ the sd is that of a table without one. Where this gains less than one over the u
 The latency shows better with them, and is chosen once more.
 
 All of it is taken if it drifts at most 1.02 times as far over the hidden windows as the datasheet, else without what it
-says of the fixes, else latency and scale errors alone, else the datasheet.
+says of the fixes, whose stated errors are white then and have the usual slow ones on top, else latency and scale errors
+alone, else the datasheet.
 """
 
 import math
@@ -42,7 +43,7 @@ import numpy as np
 
 from jaxnav.analysis.boxes import CUBE, climb, vertex
 from jaxnav.analysis.plots import base as plots
-from jaxnav.analysis.receiver_errors import WHITE, Receiver, best_errors, receiver, stated
+from jaxnav.analysis.receiver_errors import WHITE, Receiver, best_errors, on_top, receiver, stated
 from jaxnav.analysis.windows import hidden_windows
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import delay_of
@@ -412,14 +413,15 @@ class _Objective:
     def harmless(self, point: np.ndarray, hidden: Sequence[Sequence[Any]]) -> tuple[np.ndarray, float, float]:
         """Return the first of some points that does no harm, its drift over the datasheet's, and that of the first.
 
-        Tried are ``point`` (10,), the same with the stated errors of the fixes as white noise, its delay and scale
-        errors, its scale errors, and the datasheet.
+        Tried are ``point`` (10,), the same with the stated errors of the fixes as white noise and slow ones on top, of
+        that its delay and scale errors, its scale errors, neither, and the datasheet.
         """
         if not len(hidden):
             return point, math.nan, math.nan
         alone = np.array([0.0, 0.0, point[2]])
         firsts = (point[:3], point[9]), (alone, point[9]), (np.zeros(3), point[9]), (np.zeros(3), 0.0)
-        tried = np.stack([point, *(np.concatenate([first, WHITE, [scale]]) for first, scale in firsts)])
+        safe, none = WHITE if self.stated else on_top(self.sd), np.concatenate([np.zeros(3), WHITE, [0.0]])
+        tried = np.stack([point, *(np.concatenate([first, safe, [scale]]) for first, scale in firsts), none])
         drift = self.fit(tried, hidden)[1]
         ratio = drift / drift[-1]
         i = int(np.argmax(ratio <= MAX_HARM_RATIO))
@@ -497,6 +499,7 @@ def scan_noise(
     gain = float(points[:, 3].max() - datasheet) / objective.effective
     gyro, accel, scale = map(float, np.where(point[[0, 1, 9]] > SCALES[0], 10.0 ** point[[0, 1, 9]], 0.0))
     white = point[4] == WHITE[1]
+    assumed |= bool(np.array_equal(point[3:9], on_top(objective.sd)))
     errors = Receiver(velocity=float(10.0 ** point[3])) if white else receiver(point[3:9], objective.sd)
     return NoiseScan(
         gyro, accel, scale, float(point[2]), errors, assumed & (not white), gain, coarse - coarse.max(),

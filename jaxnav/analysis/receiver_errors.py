@@ -85,6 +85,17 @@ def stated(sd: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], usual(sd), usual(sd), [0.0]])
 
 
+def on_top(sd: np.ndarray) -> np.ndarray:
+    """Return the numbers (6,) of a receiver with white errors as it states, and the `usual` slow ones on top of them.
+
+    Slow errors that are not split off leave the solution as it is, and state its error on the Earth.
+    """
+    odds, tau = usual(sd)
+    slow = 1.0 / (1.0 + 10.0**-odds)  # of the stated variance, in addition to it
+    each = [np.log10(slow), tau]
+    return np.array([0.0, *each, *each, 0.5 * np.log10(1.0 + slow)])
+
+
 def best_errors(
     score: Callable[[np.ndarray, int | None], np.ndarray], sd: np.ndarray, assumed_sd: bool, velocities: bool
 ) -> tuple[np.ndarray, np.ndarray]:

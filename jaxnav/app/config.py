@@ -165,6 +165,13 @@ class Out:
 
 
 @dataclasses.dataclass(frozen=True)
+class Time:
+    """Clock of the solution's times, where fixes are late or early."""
+
+    base: str = "imu"  # stamps of the IMU; or "fixes": the stamps of the fixes
+
+
+@dataclasses.dataclass(frozen=True)
 class Config:
     """One job, resolved."""
 
@@ -181,6 +188,7 @@ class Config:
     mc: Mc = Mc()
     bakeoff: Bakeoff = Bakeoff()
     out: Out = Out()
+    time: Time = Time()
     stated: dataclasses.InitVar[frozenset[str]] = frozenset()  # names of all stated settings
 
     def __post_init__(self, stated: frozenset[str]) -> None:

@@ -170,6 +170,14 @@ KINDS: dict[str, Kind] = {
         ("set data.options.time_shift_s = {value:.1f}",),
         "s",
     ),
+    "time.zone": Kind(
+        INFO,
+        "{subject} are moved by {value:.0f} s, {words}: else they miss the IMU's time, and IMU and fixes agree so "
+        "(chi^2/dof {fit:.2g})",
+        ("one logger stamps local time", "one counts from 1980, as GPS does, and one from 1970"),
+        ("time_shift_s in the fixes' table of a column map states another time",),
+        "s",
+    ),
     "time.delay": Kind(INFO, "{subject} is {size:.3f} s {side} against the IMU (sd {sd:.3f} s)", unit="s"),
     "time.late": Kind(
         WARNING,
@@ -504,6 +512,14 @@ KINDS: dict[str, Kind] = {
         INFO,
         "{subject} are {value:.2f} times the filter's: errors of {count} hidden fixes of the test part ask for it; "
         "those of velocity and attitude are the filter's, untested",
+    ),
+    "solve.fault": Kind(
+        WARNING,
+        "the receiver's fixes of t = {words} are left out: those before and after are far likelier without them "
+        "(log-likelihood {gain:+.0f})",
+        ("a receiver that was dragged off, jumped or became noisy, and came back",),
+        ("jaxnav filter takes them, or leaves out others: filter.outages",),
+        "s",
     ),
     "solve.short": Kind(
         INFO,

@@ -1,15 +1,22 @@
-"""UTC against GPS time: an IMU with Unix stamps next to a receiver in GPS time is 16 to 18 s off."""
+"""Clocks of IMU and fixes that count from other instants: UTC and GPS time, zones, and seconds since 1970 and 1980.
+
+An IMU with Unix stamps next to a receiver in GPS time is 16 to 18 s off; a logger that stamps by local time is off by
+whole quarter hours. The motion says which it is: the one with which IMU and fixes agree.
+"""
 
 import numpy as np
 
+from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import MAX_CHI2_PER_DOF, misfit
 from jaxnav.io import mend
 from jaxnav.io.parts import Parts, TimeScale
-from jaxnav.maths.gps_time import leap_seconds
+from jaxnav.maths.gps_time import GPS_EPOCH, leap_seconds
 from jaxnav.types import Recording
 
 FIRST, LAST = 3e8, 4e9  # s since 1970 that are a date, about 1980 to 2096
 DECISIVE = 3.0  # ratio of chi^2 of one scale and the other
+QUARTER, MAX_ZONE = 900.0, 14 * 3600.0  # s; of zones
+MOST = 0.5  # share of the fixes that are within the IMU's time
 
 
 def recording(parts: Parts) -> Recording:
@@ -22,8 +29,8 @@ def recording(parts: Parts) -> Recording:
         DataError: see `jaxnav.io.mend.recording`.
     """
     leap = _leap_seconds(parts)
-    if not leap or parts.imu is None:
-        return mend.recording(parts)
+    if not leap or parts.imu is None or _shifts(parts):
+        return _in_one_zone(parts)
     scale = parts.aiding["position"].scale
     aiding = {
         name: stream._replace(t=np.asarray(stream.t, float) - leap) if stream.scale is scale else stream
@@ -43,6 +50,53 @@ def recording(parts: Parts) -> Recording:
         rec,
         f"imu: its stamps may be UTC, {leap:g} s behind the fixes' GPS time, which this motion does not decide: "
         'time_scale = "utc" or "gps" states it.',
+    )
+
+
+def _in_one_zone(parts: Parts) -> Recording:
+    """Return the recording with its fixes moved by a zone, or from 1980 to 1970, where they miss the IMU's time."""
+    rec = mend.recording(parts)
+    shifts = _shifts(parts)
+    if not shifts:
+        return rec
+    moved = {
+        shift: mend.recording(
+            parts._replace(aiding={n: s._replace(t=np.asarray(s.t, float) + shift) for n, s in parts.aiding.items()})
+        )
+        for shift in shifts
+    }
+    fits = {0.0: misfit(rec)} | {shift: misfit(each) for shift, each in moved.items()}
+    best, second = sorted(fits, key=lambda shift: fits[shift])[:2]
+    if not best or fits[best] >= min(MAX_CHI2_PER_DOF, fits[second] / DECISIVE):
+        return rec
+    return moved[best]._replace(
+        findings=(*moved[best].findings, finding("time.zone", "fixes", best, words=_span(best), fit=fits[best]))
+    )
+
+
+def _shifts(parts: Parts) -> list[float]:
+    """Return times (s) that may have to be added to the fixes' for most of them to be within the IMU's time."""
+    if parts.imu is None or "position" not in parts.aiding:
+        return []
+    t, imu = (np.asarray(a, float) for a in (parts.aiding["position"].t, parts.imu.t))
+    t, imu = t[np.isfinite(t)], imu[np.isfinite(imu)]
+    inside = lambda shift: float(np.mean((t + shift >= imu.min()) & (t + shift <= imu.max())))
+    if not (t.size and imu.size) or inside(0.0) >= MOST:
+        return []
+    gap = float(np.median(imu) - np.median(t))
+    leap = leap_seconds(max(float(np.median(t)), float(np.median(imu))) + parts.zero)
+    zones = QUARTER * (round(gap / QUARTER) + np.arange(-1, 2)) if abs(gap) <= MAX_ZONE + QUARTER else np.zeros(0)
+    found = [float(zone + k * leap) for zone in zones for k in ((-1, 0, 1) if leap else (0,))]
+    found += [sign * (GPS_EPOCH + k * leap) for sign in (-1, 1) for k in ((-1, 0) if leap else (0,))]
+    return [shift for shift in found if shift and inside(shift) >= MOST]
+
+
+def _span(shift: float) -> str:
+    """Return a shift in words."""
+    return (
+        f"{round(shift / QUARTER) / 4:+g} h"
+        if abs(shift) <= MAX_ZONE + QUARTER
+        else "seconds since 1980 for those since 1970"
     )
 
 

@@ -10,6 +10,7 @@ from jaxnav import build, initialize, navigate, scan_noise
 from jaxnav.analysis import noise_scan
 from jaxnav.analysis.boxes import vertex
 from jaxnav.analysis.noise_scan import FINE_BOX, NoiseScan, _in_motion
+from jaxnav.analysis.receiver_errors import on_top
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import load
@@ -138,6 +139,7 @@ class Made(noise_scan._Objective):
     """An objective of known means of innovations, hidden fixes and drift, in place of runs."""
 
     effective, rows, sd, assumed_sd, scale = 10.0, ("position", "velocity"), np.full(3, 2.0), False, 0.0
+    stated = False
 
     def __init__(self, fit):
         self.fit = fit
@@ -175,19 +177,26 @@ def test_the_split_maximises_likelihood_and_prior_together():
 @pytest.mark.parametrize(
     ("drift", "taken"),
     [
-        ([1.0, 2.0, 3.0, 2.0, 1.0], 0),
-        ([1.1, 1.01, 3.0, 2.0, 1.0], 1),
-        ([1.1, 1.1, 0.3, 2.0, 1.0], 2),
-        ([1.1, 1.1, 1.1, 0.9, 1.0], 3),
-        ([1.1, 1.1, 1.1, 1.1, 1.0], 4),
+        ([1.0, 2.0, 3.0, 2.0, 1.0, 1.0], 0),
+        ([1.1, 1.01, 3.0, 2.0, 1.0, 1.0], 1),
+        ([1.1, 1.1, 0.3, 2.0, 1.0, 1.0], 2),
+        ([1.1, 1.1, 1.1, 0.9, 1.0, 1.0], 3),
+        ([1.1, 1.1, 1.1, 1.1, 1.0, 1.0], 4),
+        ([1.1, 1.1, 1.1, 1.1, 1.1, 1.0], 5),
     ],
 )
 def test_a_scan_is_taken_as_far_as_it_does_no_harm(drift, taken):
-    """All, else with white errors of the fixes as stated, else delay and scale errors, scale errors, the datasheet."""
-    point, white = np.array([2.0, 1.5, 0.2, -0.5, 0.3, 2.0, 0.1, 1.8, 0.0, 0.5]), noise_scan.WHITE
-    delay, scale = [0.0, 0.0, 0.2], [0.0, 0.0, 0.0]
-    kept = [point, [2.0, 1.5, 0.2, *white, 0.5], [*delay, *white, 0.5], [*scale, *white, 0.5], [*scale, *white, 0.0]]
-    found, ratio, harm = Made(lambda points, hidden: (points[:, :2], np.array(drift))).harmless(point, [()])
+    """All, else with slow errors on top of the stated ones, of that delay and scale errors, neither, the datasheet."""
+    made = Made(lambda points, hidden: (points[:, :2], np.array(drift)))
+    point, white, safe = (
+        np.array([2.0, 1.5, 0.2, -0.5, 0.3, 2.0, 0.1, 1.8, 0.0, 0.5]),
+        noise_scan.WHITE,
+        on_top(made.sd),
+    )
+    delay, none = [0.0, 0.0, 0.2], [0.0, 0.0, 0.0]
+    kept = [point, [2.0, 1.5, 0.2, *safe, 0.5], [*delay, *safe, 0.5], [*none, *safe, 0.5], [*none, *safe, 0.0],
+            [*none, *white, 0.0]]  # fmt: skip
+    found, ratio, harm = made.harmless(point, [()])
     np.testing.assert_array_equal(found, kept[taken])
     assert (ratio, harm) == (drift[taken], drift[0])
     plain = NoiseScan(latency=0.2, fixes=50, drift_ratio=0.3, harm=1.1)

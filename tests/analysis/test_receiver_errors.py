@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxnav import build
-from jaxnav.analysis.receiver_errors import Receiver, alike, receiver, usual, whole, without_slow_errors
+from jaxnav.analysis.receiver_errors import Receiver, alike, on_top, receiver, usual, whole, without_slow_errors
 from jaxnav.filters.lanes import RECEIVER_ERROR, slow_errors
 from jaxnav.navigation import Solution
 from tuning.fit.transforms import split
@@ -29,6 +29,15 @@ def test_white_and_slow_variance_add_up_to_the_stated_one():
     plain = errors.applied(build("ekf15").params("consumer"))
     np.testing.assert_allclose(plain.measurements["position"].scale, 1.5)  # a filter without the state: all of it white
     assert whole(plain, SD) is plain
+
+
+@pytest.mark.parametrize("sd", [SD, np.full(3, 0.02)])
+def test_slow_errors_on_top_leave_the_white_ones_as_stated(sd):
+    params = receiver(on_top(sd), sd).applied(WIDE.params("consumer"))
+    np.testing.assert_allclose(params.measurements["position"].scale, 1.0)
+    share = 10.0 ** usual(sd)[0] / (1 + 10.0 ** usual(sd)[0])
+    np.testing.assert_allclose(np.square(params.states[RECEIVER_ERROR].sd), share * sd**2)
+    np.testing.assert_allclose(params.states[RECEIVER_ERROR].tau, 150.0)
 
 
 def test_without_slow_errors_the_state_is_none():

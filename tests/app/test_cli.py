@@ -121,6 +121,26 @@ def test_filter_writes_everything_and_json_parses(drive, tmp_path, capsys):
     assert "inside 3 sd" in capsys.readouterr().out
 
 
+def test_times_of_a_solution_are_the_imus_stamps_or_those_of_the_fixes(drive, capsys):
+    """Fixes that are 0.25 s late and gain 1 %: the same solution, at the stamps of either clock."""
+    late = ["--set", "mounting.time_offset_s=0.25", "--set", "mounting.clock_drift_ppm=1e4"]
+    found = {}
+    for base in ("imu", "fixes"):
+        how = [*late, "--set", f"time.base={base}", "--out", base, "--set", "out.figures=none"]
+        assert cli.main(["filter", "--data", str(drive), "--set", "filter.grade=adis16465", *how]) == 0
+        found[base] = np.genfromtxt(f"{base}/solution.csv", delimiter=",", names=True)
+        assert f'fixes are stamped +0.250 s from the IMU: time.base = "{"fixes" if base == "imu" else "imu"}"' in (
+            capsys.readouterr().out
+        )
+        assert json.loads(cli.Path(base, "metrics.json").read_text())["time"] == {"base": base, "fixes_late_s": 0.25}
+    stamps = np.genfromtxt(drive / "imu.csv", delimiter=",", names=True)["t_s"]
+    imu, fixes = found["imu"]["t_s"], found["fixes"]["t_s"]
+    assert np.abs(imu[:, None] - stamps).min(1).max() < 1e-6
+    np.testing.assert_allclose(fixes - imu, 0.25 + 0.01 * (imu - 0.5 * (stamps[0] + stamps[-1])), atol=0.01)
+    np.testing.assert_array_equal(found["imu"]["lat_deg"], found["fixes"]["lat_deg"])
+    fails(capsys, ["filter", "--data", str(drive), "--set", "time.base=gps"], 2, "time.base: no clock 'gps'")
+
+
 def test_seed_reproduces_and_matters(drive):
     scenario = sources.scenario_of(config.resolve([("", {"data": {"source": "urban_short"}})]))
     c = config.resolve([("", {"data": {"source": "urban_short", "options": {"standstill_s": 4.0}}, "seed": 3})])

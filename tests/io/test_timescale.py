@@ -43,6 +43,33 @@ def test_utc_and_gps_time_meet(drive, imu, fixes, moved):
     assert ("UTC is taken as GPS time less 18 s" in rec.notes) is moved
 
 
+@pytest.mark.parametrize("late", [7200.0, -34200.0, 315964800.0 - 18.0, -315964800.0])
+def test_fixes_in_another_zone_or_since_1980_are_moved(drive, late):
+    """Two hours and minus nine and a half; seconds since 1980 with and without leap seconds."""
+    made = parts(drive, 0.0, fixes=TimeScale.UNKNOWN)
+    other = {name: s._replace(t=np.asarray(s.t) + late) for name, s in made.aiding.items()}
+    rec = recording(made._replace(aiding=other))
+    assert behind(rec, drive) == pytest.approx(0.0, abs=1e-6)
+    (said,) = [f for f in rec.findings if f.code == "time.zone"]
+    assert said.value == -late and not said.warns
+    assert rec.aiding["position"].t.size == drive.aiding["position"].t.size
+
+
+def test_local_time_of_a_logger_against_gps_time_of_a_receiver(drive):
+    """Two hours and the leap seconds."""
+    rec = recording(parts(drive, LEAP - 7200.0))
+    assert behind(rec, drive) == pytest.approx(0.0, abs=1e-6)
+    (said,) = [f for f in rec.findings if f.code == "time.zone"]
+    assert said.value == pytest.approx(7200.0 - LEAP) and "+2 h" in said.message
+
+
+@pytest.mark.parametrize("late", [7000.0, 1e6])
+def test_fixes_at_no_whole_quarter_hour_stay_where_they_are(drive, late):
+    made = parts(drive, 0.0, fixes=TimeScale.UNKNOWN)
+    rec = recording(made._replace(aiding={n: s._replace(t=np.asarray(s.t) + late) for n, s in made.aiding.items()}))
+    assert "position" not in rec.aiding and "stream.empty" in {f.code for f in checkup(rec)}
+
+
 def test_an_imu_in_gps_time_meets_fixes_in_utc(drive):
     rec = recording(parts(drive, -LEAP, TimeScale.GPS, TimeScale.UTC))
     assert behind(rec, drive) == pytest.approx(0.0, abs=1e-6)

@@ -89,12 +89,19 @@ def window_of(packed: Sequence[ep.Packed]) -> float:
 
 
 def plan(packed: ep.Packed, window: float) -> Layout:
-    """Half of the time for training, 15 % for validation, the rest for the test."""
+    """Half of the time with fixes for training, 15 % for validation, the rest for the test.
+
+    Time without fixes is that of gaps longer than a window.
+    """
     span = float(packed.t[-1]) - packed.start
     settle = min(30.0, 0.1 * span)
     begin = packed.start + settle
-    left = span - settle
-    return Layout(window, 3 * window, settle, begin + 0.5 * left, begin + 0.65 * left, start=packed.start)
+    fixes = packed.t[np.asarray(packed.epochs.fix.valid)[:, :2].all(1)]
+    t = np.concatenate([[begin], fixes[fixes > begin], packed.t[-1:]])
+    counted = np.diff(t) * (np.diff(t) <= window)
+    passed = np.concatenate([[0.0], np.cumsum(counted)])
+    after = lambda share: float(np.interp(share * passed[-1], passed, t))
+    return Layout(window, 3 * window, settle, after(0.5), after(0.65), start=packed.start)
 
 
 def windows_of(packed: ep.Packed, layout: Layout, size: int) -> Windows:

@@ -3,11 +3,13 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import binom
 
 from tuning.recordings.parts import AGES
 from tuning.solving.hidden import Scored
 
 CHI2_95 = 5.991  # of 2 degrees of freedom
+MIN_ERROR_OVER_SD = 0.7  # of sd that are not too large
 MIN_FACTOR = 1.1  # of sd that are too small on the test part, below which they stay as they are
 
 
@@ -17,6 +19,23 @@ class Consistency(NamedTuple):
     error_over_sd: float  # rms; 1 where the sd are right
     inside_95: float  # share inside the stated 95 %
     fixes: int  # hidden
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Share inside that right sd show with a probability of 95 %: fixes of one window are one observation."""
+        windows = max(1, self.fixes // len(AGES))
+        low, high = binom.ppf([0.025, 0.975], windows, 0.95) / windows
+        return float(low), float(high)
+
+    @property
+    def too_small(self) -> bool:
+        """Are the sd too small?"""
+        return self.inside_95 < self.interval[0]
+
+    @property
+    def too_large(self) -> bool:
+        """Are the sd too large, by the share inside and by the errors?"""
+        return self.inside_95 > self.interval[1] and self.error_over_sd < MIN_ERROR_OVER_SD
 
 
 class Age(NamedTuple):

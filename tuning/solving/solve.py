@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from jaxnav.analysis.evaluate import innovation_metrics
+from jaxnav.analysis.noise_scan import NoiseScan
 from jaxnav.analysis.receiver_errors import without_slow_errors
 from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
@@ -28,9 +30,11 @@ from tuning.solving.corrections import Corrections, correct
 from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 from tuning.solving.sensors import Tried, choose, finding_of, options, standing_of
 from tuning.solving.stages import Stage, Stages
+from tuning.solving.stretches import Stretch, faulty_stretches, without
+from tuning.solving.stretches import finding_of as finding_of_fault
 
 CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
-NIS_LIMITS, INSIDE_LIMITS = (0.7, 1.4), (0.90, 0.99)  # of a consistent solution, on the test part
+NIS_LIMITS = 0.7, 1.4  # of a consistent solution, on the test part
 MAX_NIS, MIN_INSIDE = 4.0, 0.6  # beyond these a solution is not usable
 CHECK, NOISE, SCORES = Stage("check", 1.0), Stage("noise by likelihood", 4.0), Stage("drift without fixes", 3.5)
 OPTION_WEIGHT = 3.5
@@ -53,6 +57,7 @@ class Solved:
     tried: list[Tried]  # measurements
     tuned: Tuned | None  # None where nothing was tuned
     calibration: Calibration | None  # None where no window could be hidden
+    left_out: tuple[Stretch, ...]  # s, stretches with a fault of the receiver, whose fixes are not used
     drift_m: dict[str, float]  # RMS over the test windows: of the datasheet, of the noise scan, of the solution
     window_s: float  # length of these windows
     test_nis: float  # NIS over degrees of freedom on the test part
@@ -63,7 +68,8 @@ class Solved:
         c, drift = self.calibration, self.drift_m
         ratio = lambda over: drift["solution"] / drift[over] if drift.get(over) else None
         return self.solution.metrics() | {
-            "verdict": self.verdict, "why": self.why, "test_nis": self.test_nis, "settings": self.settings,
+            "verdict": self.verdict, "why": self.why, "left_out": self.left_out, "test_nis": self.test_nis,
+            "settings": self.settings,
             "calibration": None if c is None else c._asdict() | {
                 "before": c.before._asdict(), "after": c.after._asdict(), "ages": [a._asdict() for a in c.ages]},
             "drift_m": drift, "drift_ratio": ratio("datasheet"), "against_auto": ratio("auto"),
@@ -120,28 +126,25 @@ def solve(
     names = [m.name for m in GNSS if m.name in rec.aiding]
     filt = build("ekf15", names, COV_STRIDE)
     datasheet_of = lambda f: installed(checked.clock(datasheet(f)), rec.lever_arm)
-    begin = initialization(rec, datasheet_of(filt))
-    packed = ep.pack_recording(rec, tuple(MEASUREMENTS[n] for n in names), begin.t, 0.0, stop, standing)
-    layout = plan(packed, window_of([packed]))
-    bench = Bench(rec, initialization, begin, layout, standing, float(packed.t[-1]))
-    windows = windows_of(packed, layout, packed.t.size)
-    counts = {name: int(mask.sum()) for name, mask in parts_of(layout, windows).items()}
+    bench_of = partial(_bench, filt, datasheet_of(filt), initialization, standing, stop)
+    bench, tested = bench_of(rec)
     findings = [*checked.applied, *(f for f in checked.found if f.warns)]
-    if not all(counts.values()):
+    if not tested:
         return _short(filt, datasheet_of(filt), bench, smooth, checked.settings, findings)
     tried_ones = options(rec, checked.found)
     each = [Stage(", ".join(option.measurements), OPTION_WEIGHT) for option in tried_ones]
     stages.replace([NOISE, SCORES, *each, *([] if fast else [TUNE]), CALIBRATE, WHOLE])
     stages.next()
-    found = scan(rec, datasheet_of(filt), begin, layout, tuple(MEASUREMENTS[n] for n in names), log)
-    stages.next()
-    filt, sheet = found.extended(filt, datasheet_of(filt))
-    bench = bench.reaching(found.applied(datasheet_of(filt)))
-    plain = {"datasheet": bench.score(filt, without_slow_errors(sheet))}
-    if found.fixes:
-        plain["auto"] = bench.score(filt, found.applied(datasheet_of(filt)))
-    bench, plain, faults = _without_faults(bench, plain)
-    findings += [*found.findings, *faults]
+    found, bench, plain = _untuned(filt, datasheet_of, bench, stages.next, log)
+    left_out, gain = faulty_stretches(plain.get("auto", plain["datasheet"]))
+    healthy, tested = bench_of(without(rec, left_out)) if left_out else (bench, False)
+    if tested:
+        found, bench, plain = _untuned(filt, datasheet_of, healthy, lambda: None, log)
+        findings.append(finding_of_fault(left_out, gain))
+    else:
+        left_out = []
+    bench, plain, suspect = _without_faults(bench, plain)
+    findings += [*found.findings, *suspect]
     level = plain.get("auto", plain["datasheet"])
     choice = choose(bench, level, lambda f: found.applied(datasheet_of(f)), tried_ones, stages.next)
     findings += [finding_of(row) for row in choice.tried]
@@ -150,14 +153,15 @@ def solve(
     if not fast:
         stages.next()
         tuned = tune(
-            rec, final.filter, start, initialization=begin, stop=bench.stop, window=layout.window,
+            bench.recording, final.filter, start, initialization=bench.begin, stop=bench.stop,
+            window=bench.layout.window,
             standing=standing, scans=[found], log=log,
         )  # fmt: skip
         findings += tuned.findings
         params = tuned.params
     stages.next()
     # what is judged is what is delivered: the same start, filter and parameters
-    delivered = initialization(rec, params)
+    delivered = initialization(bench.recording, params)
     final = bench.score(final.filter if tuned is None else tuned.filter, params, delivered)
     calibration = calibrate(final)
     if calibration.factor > 1.0:
@@ -167,17 +171,51 @@ def solve(
     stages.next()
     sol = navigate(
         rec, final.filter, params, scan=False, initialization=delivered, stop=stop, standing=standing,
-        smooth=smooth, sd_factor=calibration.factor,
+        smooth=smooth, sd_factor=calibration.factor, outages=left_out,
     )  # fmt: skip
-    nis = _test_nis(sol, layout.validation)
+    nis = _test_nis(sol, bench.layout.validation)
     findings = distinct([*findings, *sol.findings])
     drift = {name: each.rms("test") for name, each in (*plain.items(), ("solution", final))}
     verdict, why = judge(nis, calibration, findings)
     status = Status.CONVERGED if tuned is None else tuned.status
     return Solved(
-        sol, params, verdict, why, findings, checked.settings, standing, choice.tried, tuned, calibration, drift,
-        layout.window, nis, status,
+        sol, params, verdict, why, findings, checked.settings, standing, choice.tried, tuned, calibration,
+        tuple(left_out), drift, bench.layout.window, nis, status,
     )  # fmt: skip
+
+
+def _bench(
+    filt: Filter, datasheet: Params, initialization: Callable[[Recording, Params], Initialization],
+    standing: Standing, stop: float | None, rec: Recording,
+) -> tuple[Bench, bool]:  # fmt: skip
+    """Return the windows of a recording, and whether there are any in every part."""
+    begin = initialization(rec, datasheet)
+    rows = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    packed = ep.pack_recording(rec, rows, begin.t, 0.0, stop, standing)
+    layout = plan(packed, window_of([packed]))
+    parts = parts_of(layout, windows_of(packed, layout, packed.t.size))
+    bench = Bench(rec, initialization, begin, layout, standing, float(packed.t[-1]))
+    return bench, all(mask.any() for mask in parts.values())
+
+
+def _untuned(
+    filt: Filter, datasheet_of: Callable[[Filter], Params], bench: Bench, scanned: Callable[[], None],
+    log: Callable[[str], None],
+) -> tuple[NoiseScan, Bench, dict[str, Scored]]:  # fmt: skip
+    """Return the noise scan, the windows with its history, and the scores of datasheet and scan.
+
+    ``scanned`` is called between the two.
+    """
+    rows = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    found = scan(bench.recording, datasheet_of(filt), bench.begin, bench.layout, rows, log)
+    scanned()
+    filt, sheet = found.extended(filt, datasheet_of(filt))
+    noise = found.applied(datasheet_of(filt))
+    bench = bench.reaching(noise)
+    plain = {"datasheet": bench.score(filt, without_slow_errors(sheet))}
+    if found.fixes:
+        plain["auto"] = bench.score(filt, noise)
+    return found, bench, plain
 
 
 def _without_faults(bench: Bench, plain: dict[str, Scored]) -> tuple[Bench, dict[str, Scored], list[Finding]]:
@@ -210,7 +248,7 @@ def _short(
     verdict, why = judge(nis, None, found)
     if sol.noise is not None:
         params = sol.noise.applied(sol.noise.extended(filt, params)[1])
-    return Solved(sol, params, verdict, why, found, settings, bench.standing, [], None, None, {},
+    return Solved(sol, params, verdict, why, found, settings, bench.standing, [], None, None, (), {},
                   bench.layout.window, nis)  # fmt: skip
 
 
@@ -245,9 +283,8 @@ def judge(nis: float, c: Calibration | None, findings: Sequence[Finding]) -> tup
     low, high = NIS_LIMITS
     if not low <= nis <= high:
         return CARE, f"{said}: innovations are {'larger' if nis > high else 'smaller'} than their sd"
-    low, high = INSIDE_LIMITS
-    if not low <= inside <= high:
-        return CARE, f"{said}: stated sd are too {'small' if inside < low else 'large'} without fixes"
+    if c.after.too_small or c.after.too_large:
+        return CARE, f"{said}: stated sd are too {'small' if c.after.too_small else 'large'} without fixes"
     return CONSISTENT, said
 
 

@@ -29,9 +29,11 @@ from jaxnav.app.sources import load, scenario_of
 from jaxnav.io.json import write_json
 from jaxnav.io.parts import notes_of
 from jaxnav.io.solution import FORMATS
-from jaxnav.navigation import Solution, navigate
+from jaxnav.navigation import BASES, Solution, navigate
 from jaxnav.types import ConfigError, nearest
 
+CLOCKS = {"imu": "IMU", "fixes": "fixes"}
+SHOWN_S = 1e-3  # s between the clocks, from which on it is said
 EARLIEST, LATEST = 3e8, 4e9  # s since 1970 that are a date, about 1980 to 2096
 
 
@@ -94,9 +96,9 @@ def filter(config: Config, folder: Path) -> Outcome:
         sd_factor=f.sd_factor,
     )  # fmt: skip
     seconds["filter"], begin = time.perf_counter() - begin, time.perf_counter()
-    found = sol.metrics() | {"grade": grade_name(config, scenario)}
+    found = sol.metrics() | {"grade": grade_name(config, scenario), "time": time_of(config, sol)}
     for kind in config.out.formats:
-        sol.write(folder / f"solution.{kind}", imu_rate=config.out.imu_rate)
+        sol.write(folder / f"solution.{kind}", imu_rate=config.out.imu_rate, base=config.time.base)
     write_json(folder / "metrics.json", found)
     if draws(config, interactive=True):
         draw(folder, config, sol)
@@ -108,8 +110,15 @@ def filter(config: Config, folder: Path) -> Outcome:
     )
 
 
+def time_of(config: Config, sol: Solution) -> dict[str, Any]:
+    """Return the clock of the written times, and how far the fixes' stamps are from the IMU's at the start, s."""
+    return {"base": config.time.base, "fixes_late_s": float(sol.params.mounting.time_offset)}
+
+
 def require_formats(config: Config) -> None:
-    """Raise ConfigError for an unknown format of the solution, before the work and not after it."""
+    """Raise ConfigError for an unknown format or clock of the solution, before the work and not after it."""
+    if config.time.base not in BASES:
+        raise ConfigError(f"time.base: no clock {config.time.base!r}: {nearest(config.time.base, BASES)}")
     for kind in config.out.formats:
         if kind not in FORMATS:
             raise ConfigError(f"out.formats: no format {kind!r}: {nearest(kind, FORMATS)}")
@@ -159,6 +168,12 @@ def summary(found: dict[str, Any], name: str, run: str) -> str:
     for outage in found.get("outages", []):
         lines.append(
             f"outage {outage['start_s']:g} to {outage['end_s']:g} s: {outage['horizontal_m']:.2f} m at its end"
+        )
+    if abs(found["time"]["fixes_late_s"]) >= SHOWN_S:
+        other = "fixes" if found["time"]["base"] == "imu" else "imu"
+        lines.append(
+            f"times of the solution are those of the {CLOCKS[found['time']['base']]}; fixes are stamped "
+            f'{found["time"]["fixes_late_s"]:+.3f} s from the IMU: time.base = "{other}" takes the other clock'
         )
     lines += [found["initialization"], *found["notes"]]
     return "\n".join(lines)

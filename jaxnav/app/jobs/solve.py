@@ -10,7 +10,7 @@ import numpy as np
 from jaxnav.analysis.tables import table
 from jaxnav.app.config import Config, as_dict, changed
 from jaxnav.app.config import Filter as FilterSection
-from jaxnav.app.jobs.filtering import draw, require_formats, summary
+from jaxnav.app.jobs.filtering import draw, require_formats, summary, time_of
 from jaxnav.app.prepare import AUTO, DATASHEET, initialization_of
 from jaxnav.app.results import Card, CardRow, Outcome, Table, draws, stderr
 from jaxnav.app.sources import load
@@ -52,11 +52,11 @@ def run(config: Config, folder: Path, fast: bool, progress: bool) -> Outcome:
     seconds["solve"], begin = time.perf_counter() - begin, time.perf_counter()
     sol, again = found.solution, reproducing(config, found)
     for kind in config.out.formats:
-        sol.write(folder / f"solution.{kind}", imu_rate=config.out.imu_rate)
+        sol.write(folder / f"solution.{kind}", imu_rate=config.out.imu_rate, base=config.time.base)
     if found.tuned is not None:
         found.tuned.write(folder)
     atomic_write(folder / "tuned.toml", parameters(again, found))
-    metrics = found.metrics() | {"grade": AUTO}
+    metrics = found.metrics() | {"grade": AUTO, "time": time_of(config, sol)}
     if found.tuned is not None:
         metrics["parameters"] = found.tuned.metrics()["parameters"]
     write_json(folder / "metrics.json", metrics)
@@ -107,6 +107,7 @@ def reproducing(config: Config, found: Solved) -> Config:
         name=sol.filter.name, grade=DATASHEET, states=extra, measurements=tuple(sol.filter.model.measurements),
         cov_stride=COV_STRIDE, smooth=sol.smoothed, sd_factor=sol.sd_factor,
         standing_accel_sd_mps2=standing.accel_sd, standing_gyro_sd_deg_per_s=standing.gyro_sd / DEG,
+        outages=found.left_out,
     )  # fmt: skip
     return changed(with_options(config, found.settings), values | {"filter": chosen})
 
@@ -114,7 +115,11 @@ def reproducing(config: Config, found: Solved) -> Config:
 def parameters(config: Config, found: Solved) -> str:
     """Return tuned.toml: filter and parameters of the solution, for ``jaxnav filter --params``."""
     stated = as_dict(config)
-    tables = {"filter": {key: stated["filter"][key] for key in ("states", "measurements")}}
+    tables = {
+        "filter": {
+            key: stated["filter"][key] for key in ("states", "measurements", *(["outages"] if found.left_out else []))
+        }
+    }
     tables |= nested(flat({table: stated[table] for table in TABLES if table in stated}))
     return f"# jaxnav solve: {found.verdict}: {found.why}\n# use: jaxnav filter --params tuned.toml\n{to_toml(tables)}"
 

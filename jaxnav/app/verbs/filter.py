@@ -47,6 +47,6 @@ VERB = Verb(
         Argument("--lag", "by the fixes of the next S seconds ([filter] lag_s)", "filter.lag_s", value="S", type=float),
         Argument("--warm", "compile for recordings like this one and write nothing: before a demo"),
     ),
-    sections=("data", "filter", "initialization", *TABLES, "out"), writes=lambda args: not args.warm, report=True,
-    defaults=defaults, unused=unused,
+    sections=("data", "filter", "initialization", *TABLES, "time", "out"), writes=lambda args: not args.warm,
+    report=True, defaults=defaults, unused=unused,
 )  # fmt: skip

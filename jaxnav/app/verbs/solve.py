@@ -29,5 +29,5 @@ def unused(config: Config, simulated: bool) -> dict[str, str]:
 VERB = Verb(
     "solve", "the best trajectory of a recording, without settings: check, tune, smooth, and a verdict", run,
     (PATH, Argument("--fast", "do not tune")),
-    sections=("data", "filter", "initialization", *TABLES, "out"), report=True, unused=unused,
+    sections=("data", "filter", "initialization", *TABLES, "time", "out"), report=True, unused=unused,
 )  # fmt: skip

@@ -7,7 +7,7 @@ import pytest
 
 from tuning.recordings.evidence import HiddenFixes
 from tuning.recordings.parts import Layout
-from tuning.solving.calibration import CHI2_95, calibrate, consistency
+from tuning.solving.calibration import CHI2_95, Consistency, calibrate, consistency
 
 
 class Windows(NamedTuple):
@@ -36,6 +36,14 @@ def test_errors_as_stated_are_inside_95_of_100():
     assert found.error_over_sd == pytest.approx(1.0, abs=0.01)
     assert found.inside_95 == pytest.approx(0.95, abs=0.005)
     assert np.exp(-CHI2_95 / 2) == pytest.approx(0.05, abs=1e-4)  # survival function of two degrees of freedom
+
+
+def test_a_share_inside_is_judged_by_its_windows():
+    """Of 10 windows two may be outside, of 1,000 some 64; all of 10 windows inside are no surprise."""
+    few, many = (lambda share, over=1.0, fixes=fixes: Consistency(over, share, fixes) for fixes in (40, 4000))
+    assert few(0.95).interval == (0.8, 1.0) and many(0.95).interval == pytest.approx((0.936, 0.963), abs=0.001)
+    assert few(0.79).too_small and not few(0.85).too_small and many(0.93).too_small
+    assert not few(1.0, 0.3).too_large and many(0.99, 0.5).too_large and not many(0.99, 0.9).too_large
 
 
 def test_sd_that_are_too_small_grow_by_the_factor_of_the_earlier_parts():

@@ -1,0 +1,117 @@
+"""Stretches with a fault of the receiver: found where they begin and end, left out, said; healthy drives stay whole."""
+
+import jax
+import numpy as np
+import pytest
+
+from jaxnav.filters import epochs as ep
+from jaxnav.filters.catalogue import build
+from jaxnav.filters.lanes import LaneRecord
+from jaxnav.initialization.initialize import initialize
+from jaxnav.maths import earth
+from jaxnav.measurements import GNSS
+from jaxnav.simulate.scenarios import URBAN_SHORT
+from jaxnav.simulate.simulation import simulate_jit, to_recording
+from tuning.recordings.parts import plan
+from tuning.solving import solve
+from tuning.solving.stretches import APART_S, candidates_of, changes_of, faulty_stretches, without
+
+FAULT = (60.0, 90.0)  # s
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Three minutes in town."""
+    gnss = URBAN_SHORT.gnss._replace(outages_s=(), position_sd_m=(0.5, 0.5, 1.0))
+    what = URBAN_SHORT._replace(duration_s=180.0, imu_rate_hz=50.0, gnss=gnss)
+    return to_recording(simulate_jit(jax.random.key(2), what), what)
+
+
+def dragged(rec, begin, end, rate=2.0):
+    """Positions and velocities slide off to the east together, and come back."""
+    p, v = rec.aiding["position"], rec.aiding["velocity"]
+    metres = np.asarray(earth.metres_per_radian(p.value[0]))
+    slide = lambda t: rate * ((t > begin) & (t <= end))
+    off = np.column_stack([0 * p.t, slide(p.t) * (p.t - begin), 0 * p.t]) / metres
+    moving = np.column_stack([slide(v.t), 0 * v.t, 0 * v.t])
+    aiding = {"position": p._replace(value=p.value + off), "velocity": v._replace(value=v.value + moving)}
+    return rec._replace(aiding=rec.aiding | aiding)
+
+
+def scored(rec):
+    """The plain filter over a recording, with the bench of the solution."""
+    filt = build("ekf15", [m.name for m in GNSS], 5)
+    params = filt.params("consumer")
+    bench, tested = solve._bench(filt, params, initialize, solve.Standing(), None, rec)
+    assert tested
+    return bench.score(filt, params)
+
+
+def test_a_receiver_that_is_dragged_off_is_found_from_begin_to_end(drive):
+    interval = float(np.median(np.diff(drive.aiding["position"].t)))
+    (stretch,), gain = faulty_stretches(scored(dragged(drive, *FAULT)))
+    assert stretch[0] == pytest.approx(FAULT[0], abs=2 * interval + 1.0) and gain > 100
+    assert stretch[1] == pytest.approx(FAULT[1], abs=2 * interval)
+
+
+def test_a_healthy_drive_stays_whole(drive):
+    assert faulty_stretches(scored(drive)) == ([], 0.0)
+
+
+def test_two_faults_are_two_stretches(drive):
+    twice = dragged(dragged(drive, 50.0, 65.0, 4.0), 110.0, 125.0, 4.0)
+    found, _ = faulty_stretches(scored(twice))
+    np.testing.assert_allclose(found, [(50.0, 65.0), (110.0, 125.0)], atol=4.5)
+
+
+def record(nis):
+    """A record of three channels with these normalised squares."""
+    E = len(nis)
+    valid = np.ones((1, E, 3), bool)
+    return LaneRecord(None, None, valid, valid, np.asarray(nis, float)[None], None, None, None, np.ones((1, E), bool))
+
+
+def test_changes_are_the_largest_innovations_some_seconds_apart():
+    t, nis = np.arange(40.0), np.full(40, 3.0)
+    nis[[10, 11, 30]] = 100.0, 90.0, 50.0
+    np.testing.assert_array_equal(changes_of(t, record(nis)), [10.0, 30.0])
+    nis[11 + int(APART_S)] = 60.0
+    np.testing.assert_array_equal(changes_of(t, record(nis)), [10.0, 15.0, 30.0])
+    assert not changes_of(t, record(np.full(40, 3.0))).size and not changes_of(t, record(np.full(40, 90.0))).size
+
+
+def test_a_stretch_ends_before_the_fix_that_shows_its_end():
+    tried = candidates_of(np.array([10.0, 30.0]), 1.0)
+    assert (9.0, 29.0) in tried and (19.0, 29.0) in tried and (29.0, 39.0) in tried
+    fix = np.arange(50.0)
+    np.testing.assert_array_equal(fix[ep.within(fix, [(9.0, 29.0)])], np.arange(10.0, 30.0))
+
+
+def test_solve_leaves_a_fault_out_and_says_so(drive, monkeypatch):
+    monkeypatch.setattr(solve, "options", lambda rec, found: [])
+    found = solve.solve(dragged(drive, *FAULT), fast=True)
+    ((begin, end),) = found.left_out
+    (said,) = [f for f in found.findings if f.code == "solve.fault"]
+    assert said.warns and f"{begin:.1f} to {end:.1f} s" in said.message and said.value == pytest.approx(end - begin)
+    sol = found.solution
+    assert sol.outages == found.left_out and found.metrics()["left_out"] == found.left_out
+    truth = np.column_stack([np.interp(sol.t, drive.truth.t, c) for c in drive.truth.lla.T])
+    off = earth.enu_path(sol.lla, truth)[:, :2]
+    within = (sol.t > begin) & (sol.t < end)
+    assert np.hypot(*off[within].T).max() < 15.0  # of 60 m
+    assert np.sqrt(((off / sol.sd[:, :2]) ** 2).mean()) < 2.0
+    left = without(drive, found.left_out).aiding["position"].t
+    assert not np.any((left > begin + 1e-6) & (left <= end))
+
+
+def test_parts_count_the_time_with_fixes(drive):
+    """A minute without fixes in the middle belongs to no part."""
+    filt = build("ekf15", [m.name for m in GNSS], 5)
+    cut = lambda rec: ep.pack_recording(rec, GNSS, initialize(rec, filt.params("consumer")).t, 0.0, None)
+    whole = plan(cut(drive), 10.0)
+    gap = plan(cut(without(drive, [(60.0, 120.0)])), 10.0)
+    begin, end = float(cut(drive).start) + whole.settle, float(drive.imu.t[-1])
+    assert whole.train == pytest.approx(begin + 0.5 * (end - begin), abs=0.3)
+    counted = end - begin - 60.0
+    assert gap.train == pytest.approx(begin + 0.5 * counted + (60.0 if begin + 0.5 * counted > 60.0 else 0.0), abs=1.5)
+    assert gap.validation == pytest.approx(begin + 0.65 * counted + 60.0, abs=1.5)

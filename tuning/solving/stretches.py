@@ -1,0 +1,157 @@
+"""Stretches of a recording in which the receiver is at fault, which a filter may have followed without a word.
+
+A receiver that is dragged off, jumps and comes back, or becomes noisy contradicts the IMU where the fault begins and
+where it ends; in between its fixes agree with each other. Fixes of such a stretch are left out if those *before and
+after* it are then far likelier:
+
+    sum over the other fixes of (nll with all fixes - nll without those of the stretch) >= 20
+
+in nats, a fix counting for the seconds it stands for, at most one; of several stretches the one with the largest gain,
+in which a fix that is left out counts as a usual one and half a nat. Then a second one is looked for, or a part of the
+first that is better used. Leaving out good fixes makes the later ones less
+likely, and a manoeuvre is no fault, for which nothing is gained elsewhere. Candidates begin and end where innovations
+are far larger than usual, or some time before or after, for a fault may begin too slowly to show.
+"""
+
+from collections.abc import Sequence
+from itertools import combinations, product
+
+import numpy as np
+
+from jaxnav.checkup.findings import finding
+from jaxnav.filters import epochs as ep
+from jaxnav.filters.lanes import LaneRecord, lanes, repeated, taken
+from jaxnav.filters.scores import innovation_nll
+from jaxnav.measurements import GNSS, MEASUREMENTS
+from jaxnav.types import Finding, Recording
+from tuning.solving.hidden import Scored
+
+Stretch = tuple[float, float]  # begin < t <= end, s
+
+MIN_RATIO = 4.0  # times the median of NIS/dof, of a change
+APART_S, MAX_CHANGES = 4.0, 6  # s between changes, and how many are looked at, those of the largest innovations
+SPANS_S = (10.0, 40.0)  # s, of stretches that begin or end at a change
+STEPS_S = (8.0, 4.0, 2.0, 1.0)  # s, of the search about the best one
+MAX_STRETCH_S, MAX_SHARE = 150.0, 0.5  # s; of the recording
+MIN_GAIN = 20.0  # nats, of the fixes that are used either way; of all, where fixes are used again
+LOST = 0.5  # nats, that a fix which is left out is worse than a usual one
+ROUNDS = 6  # of moves, each a stretch more or a part of one less
+
+
+def changes_of(t: np.ndarray, record: LaneRecord) -> np.ndarray:
+    """Return times (s) of epochs whose innovations are far larger than usual, each the largest about it.
+
+    Args:
+        t: (E,) s, inf where an epoch was added.
+        record: (P, E, ...) runs.
+    """
+    dof = np.asarray(record.valid).sum(-1)
+    ratio = np.where(dof > 0, np.asarray(record.nis) / np.maximum(dof, 1), np.inf).min(0)  # of the runs that see it
+    ratio = np.where(np.isfinite(ratio) & np.isfinite(t), ratio, 0.0)
+    ratio[ratio < MIN_RATIO * max(1.0, float(np.median(ratio[ratio > 0])))] = 0.0
+    found: list[float] = []
+    while ratio.any() and len(found) < MAX_CHANGES:
+        found.append(float(t[np.argmax(ratio)]))
+        ratio[np.abs(t - found[-1]) < APART_S] = 0.0
+    return np.sort(found)
+
+
+def candidates_of(changes: np.ndarray, interval: float) -> list[Stretch]:
+    """Return stretches that begin or end at changes (s); fixes come every ``interval`` s.
+
+    A fault's first fix shows its begin, and the first one after it its end.
+    """
+    between = list(combinations(changes - interval, 2))
+    before = [(end - span, end) for end in changes - interval for span in SPANS_S]
+    return between + before + [(end, end + span) for end, span in product(changes - interval, SPANS_S)]
+
+
+class _Search:
+    """Gains without the fixes of stretches of one run, or with those of a part of a stretch again."""
+
+    def __init__(self, scored: Scored) -> None:
+        self.scored, self.t = scored, scored.used.t
+        self.rows = tuple(MEASUREMENTS[name] for name in scored.filter.model.measurements)
+        self.fixes = np.isfinite(self.t) & np.asarray(scored.used.epochs.fix.valid).any(1)
+        times = self.t[self.fixes]
+        self.interval, self.begin, self.end = float(np.median(np.diff(times))), float(times[0]), float(times[-1])
+        self.left_out: list[Stretch] = []
+
+    def after(self, move: Stretch) -> list[Stretch] | None:
+        """Return the stretches with one more, or without a part of one; None where that is none or too long."""
+        a, b = float(max(move[0], self.begin)), float(min(move[1], self.end))
+        if b - a < self.interval / 2:
+            return None
+        others = [(c, d) for c, d in self.left_out if d <= a or b <= c]
+        if len(others) == len(self.left_out):
+            longest = min(MAX_STRETCH_S, MAX_SHARE * (self.end - self.begin) - sum(d - c for c, d in others))
+            return sorted([*others, (a, b)]) if b - a <= longest else None
+        within = [(c, d) for c, d in self.left_out if c <= a and b <= d]
+        if not within:
+            return None
+        ((c, d),) = within
+        return sorted(others + [each for each in ((c, a), (b, d)) if each[1] - each[0] > self.interval / 2])
+
+    def __call__(self, tried: Sequence[Sequence[Stretch]]) -> tuple[np.ndarray, LaneRecord]:
+        """Return gains (T,) over what is left out now, and the record of that and of each."""
+        scored, used = self.scored, self.scored.used
+        masks = np.array([ep.within(self.t, each) for each in (self.left_out, *tried)])
+        valid = np.stack([np.asarray(ep.hide(used.epochs, mask, self.rows).fix.valid) for mask in masks])
+        many = lambda tree: repeated(tree, len(masks))
+        record = lanes(scored.filter, many(scored.params), many(used.nav), used.epochs, valid)
+        nll = innovation_nll(record)
+        usual = float(np.median(nll[0][self.fixes & ~masks[0]])) + LOST
+        cost = np.where(masks, usual, nll)  # of fixes that are left out
+        more = masks[1:] & ~masks[0]
+        known = self.fixes & ~more
+        rest = np.where(known, cost[0] - cost[1:], 0.0).sum(1) * min(1.0, self.interval)
+        total = np.where(self.fixes, cost[0] - cost[1:], 0.0).sum(1) * min(1.0, self.interval)
+        return np.where(np.where(more.any(1), rest, total) >= MIN_GAIN, total, -np.inf), record
+
+    def best(self, moves: Sequence[Stretch]) -> tuple[list[Stretch], float, LaneRecord] | None:
+        """Return the best of some moves, after a search about it: what is left out then, gain and record."""
+        found, move = None, (0.0, 0.0)
+        for step in (0.0, *STEPS_S):
+            if found is not None:
+                ends = (-step, 0.0, step)
+                moves = [move, *((move[0] + i, move[1] + j) for i, j in product(ends, ends))]
+            each = {m: after for m in moves if (after := self.after(m)) is not None}
+            if not each:
+                return found
+            gain, record = self(list(each.values()))
+            k = int(np.argmax(gain))
+            if not np.isfinite(gain[k]):
+                return found
+            move = list(each)[k]
+            found = each[move], float(gain[k]), taken(record, slice(k + 1, k + 2))
+        return found
+
+
+def faulty_stretches(scored: Scored) -> tuple[list[Stretch], float]:
+    """Return the stretches of a recording whose fixes make the others far less likely, and the gain without them.
+
+    Args:
+        scored: a filter and its parameters over the recording.
+    """
+    search, record, total, changes = _Search(scored), scored.info, 0.0, np.zeros(0)
+    for _ in range(ROUNDS):
+        changes = np.union1d(changes, changes_of(search.t, record))
+        found = search.best(candidates_of(changes, search.interval))
+        if found is None:
+            break
+        search.left_out, gain, record = found
+        total += gain
+    return search.left_out, total
+
+
+def without(rec: Recording, stretches: Sequence[Stretch]) -> Recording:
+    """Return the recording without the receiver's fixes of some stretches."""
+    kept = {m.name: rec.aiding[m.name] for m in GNSS if m.name in rec.aiding}
+    left = {name: ep.sample_rows(s, ~ep.within(s.t, stretches)) for name, s in kept.items()}
+    return rec._replace(aiding=rec.aiding | left)
+
+
+def finding_of(left_out: Sequence[Stretch], gain: float) -> Finding:
+    """Return the finding on stretches that are left out."""
+    words = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in left_out)
+    return finding("solve.fault", "receiver", sum(b - a for a, b in left_out), words=words, gain=gain)

@@ -379,7 +379,7 @@ KINDS: dict[str, Kind] = {
     ),
     "innovations.correlated": Kind(
         WARNING,
-        "innovations of {subject} are correlated from fix to fix: {vector}; stated standard deviations are too small",
+        "innovations of {subject} are correlated from fix to fix: {vector}; errors last, and do not average out",
         ("delay", "lever arm", "scale factor", "a receiver with slow errors"),
         ("add the state gnss_position_error",),
     ),

@@ -124,6 +124,16 @@ class Attitude(NamedTuple):
     heading_source: HeadingSource | None = None  # source of the heading, where motion was not
 
 
+def require_positions(rec: Recording) -> None:
+    """Refuse a recording without two positions, with what its reader says of them."""
+    if "position" in rec.aiding and rec.aiding["position"].t.size >= 2:
+        return
+    said = [*rec.notes.splitlines(), *(f.message for f in rec.findings)]
+    why = [words for words in said if words.startswith(("position", "fixes"))]
+    streams = ", ".join(rec.aiding) or "no other stream"
+    raise DataError("\n".join([f"{rec.name}: has no positions to start from, and {streams}", *why]))
+
+
 def initialize(
     rec: Recording,
     params: Params | None = None,
@@ -162,13 +172,11 @@ def initialize(
         DataError: fewer than two positions, never fast enough for a course, or no truth with attitude for "truth".
         ConfigError: an unusable heading or sd.
     """
-    position = rec.aiding.get("position")
+    require_positions(rec)
+    position = rec.aiding["position"]
     for key, sd in (("position_sd_m", position_sd_m), ("velocity_sd_mps", velocity_sd_mps)):
         if sd is not None and (np.shape(sd) not in ((), (3,)) or not np.all(np.asarray(sd) > 0)):
             raise ConfigError(f"initialization.{key} must be one number or 3, > 0, got {sd!r}")
-    if position is None or position.t.size < 2:
-        why = [line for line in rec.notes.splitlines() if line.startswith("position")]
-        raise DataError("\n".join([f"{rec.name}: needs a stream of positions to start from", *why]))
     if isinstance(heading, str) and heading not in ("motion", "course", "unknown", "truth"):
         choices = '"motion", "course", "unknown", "truth" or degrees'
         raise ConfigError(f"initialization.heading must be {choices}, got {heading!r}")

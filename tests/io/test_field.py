@@ -101,7 +101,7 @@ def test_a_stream_that_ends_empty_says_why(drive, tmp_path, capsys):
     assert "WARNING stream.empty  position: no row is left of" in said and "no faults found" not in said
     assert jaxnav_in(tmp_path, "filter", "--data", "imu.csv", "--out", "run", *option) == 3
     said = capsys.readouterr().err
-    assert "needs a stream of positions" in said and "no row is left of" in said and "the IMU's are at" in said
+    assert "has no positions to start from" in said and "no row is left of" in said and "the IMU's are at" in said
 
 
 # ---------------------------------------------------------------------------- formats

@@ -19,6 +19,7 @@ from tuning.recordings.validation import block_ratio
 from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 
 MAX_RATIO = 1.02  # of the horizontal drift on training and validation windows, up to which a measurement does no harm
+MAX_GROWTH = 1.5  # that innovations may ask for beyond sd that are taken
 MIN_NIS, ROUNDS = 1.2, 2  # NIS of a measurement's channels from which on its sd grows, in so many rounds
 MAX_YAW_DEG, MAX_YAW_SCATTER_DEG = 10.0, 5.0  # deg, of an IMU whose x axis is the vehicle's
 
@@ -94,8 +95,9 @@ def choose(
     """Add measurements one after the other, each if it predicts better than without it.
 
     Each is tried with its sd as stated and with larger ones that its innovations ask for (`growth`), by the likelihood
-    of the hidden fixes. The training and the validation windows decide: no more horizontal drift, less drift in three
-    dimensions by more than chance, and a higher likelihood of the hidden fixes of the validation part.
+    of the hidden fixes among those that its innovations do not contradict. The training and the validation windows
+    decide: no more horizontal drift, less drift in three dimensions by more than chance, and a higher likelihood of the
+    hidden fixes of the validation part.
 
     Args:
         bench: the recording and its windows.
@@ -121,7 +123,8 @@ def choose(
             if grown := growth(ways[-1][0]):
                 own = {leaf: own.get(leaf, 1.0) * grown.get(leaf, 1.0) for leaf in {*own, *grown}}
                 ways.append((bench.score(filt, larger(params, own)), own))
-        new, own = min(ways, key=lambda way: float(way[0].hidden("training", "validation").nll().mean()))
+        fair = [way for way in ways[:-1] if max([1.0, *growth(way[0]).values()]) < MAX_GROWTH] + ways[-1:]
+        new, own = min(fair, key=lambda way: float(way[0].hidden("training", "validation").nll().mean()))
         row = compare(option, best, new)
         done.append(row)
         if row.taken:

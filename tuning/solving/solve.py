@@ -10,16 +10,17 @@ import numpy as np
 from jaxnav.analysis.evaluate import innovation_metrics
 from jaxnav.analysis.noise_scan import NoiseScan
 from jaxnav.analysis.receiver_errors import without_slow_errors
+from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import installed
 from jaxnav.filters.standstill import Standing
-from jaxnav.initialization.initialize import Initialization, initialize
+from jaxnav.initialization.initialize import Initialization, initialize, require_positions
 from jaxnav.measurements import GNSS, MEASUREMENTS
 from jaxnav.navigation import Solution, navigate
-from jaxnav.types import DataError, Finding, Params, Recording
+from jaxnav.types import Finding, Params, Recording
 from tuning.fit.status import Status
 from tuning.recordings.faults import suspect_windows, without_faults
 from tuning.recordings.parts import parts_of, plan, window_of, windows_of
@@ -29,6 +30,7 @@ from tuning.solving.calibration import Calibration, calibrate
 from tuning.solving.corrections import Corrections, correct
 from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 from tuning.solving.sensors import Tried, choose, finding_of, options, standing_of
+from tuning.solving.settled import MIXED_UP, settled
 from tuning.solving.stages import Stage, Stages
 from tuning.solving.stretches import Stretch, faulty_stretches, without
 from tuning.solving.stretches import finding_of as finding_of_fault
@@ -117,8 +119,7 @@ def solve(
         DataError: a recording without positions, or that cannot be started from.
         FilterError: the filter stops being finite.
     """
-    if "position" not in rec.aiding:
-        raise DataError(f"{rec.name}: has no positions, so that no filter can be run on it")
+    require_positions(rec)
     stages = Stages([CHECK, NOISE, SCORES, TUNE, CALIBRATE, WHOLE], log)
     stages.next()
     checked = check(rec)
@@ -140,7 +141,8 @@ def solve(
     healthy, tested = bench_of(without(rec, left_out)) if left_out else (bench, False)
     if tested:
         found, bench, plain = _untuned(filt, datasheet_of, healthy, lambda: None, log)
-        findings.append(finding_of_fault(left_out, gain))
+        codes = {f.code for f in checkup(bench.recording)}  # without those of the fault
+        findings = [*(f for f in findings if f.code in codes or not f.warns), finding_of_fault(left_out, gain)]
     else:
         left_out = []
     bench, plain, suspect = _without_faults(bench, plain)
@@ -174,7 +176,7 @@ def solve(
         smooth=smooth, sd_factor=calibration.factor, outages=left_out,
     )  # fmt: skip
     nis = _test_nis(sol, bench.layout.validation)
-    findings = distinct([*findings, *sol.findings])
+    findings = settled(distinct([*findings, *sol.findings]), params, tuned is not None)
     drift = {name: each.rms("test") for name, each in (*plain.items(), ("solution", final))}
     verdict, why = judge(nis, calibration, findings)
     status = Status.CONVERGED if tuned is None else tuned.status
@@ -243,7 +245,8 @@ def _short(
         stop=bench.stop, standing=bench.standing, smooth=smooth,
     )  # fmt: skip
     span = float(sol.t[-1] - sol.t[0])
-    found = distinct([*findings, finding("solve.short", "", span, MIN_SPAN_S), *sol.findings])
+    each = distinct([*findings, finding("solve.short", "", span, MIN_SPAN_S), *sol.findings])
+    found = settled(each, sol.params, False)
     nis = innovation_metrics(sol.trace.info, sol.measurements)["nis_per_dof"]
     verdict, why = judge(nis, None, found)
     if sol.noise is not None:
@@ -286,10 +289,3 @@ def judge(nis: float, c: Calibration | None, findings: Sequence[Finding]) -> tup
     if c.after.too_small or c.after.too_large:
         return CARE, f"{said}: stated sd are too {'small' if c.after.too_small else 'large'} without fixes"
     return CONSISTENT, said
-
-
-MIXED_UP = {
-    "gyro.sign", "gyro.swapped", "gyro.units", "gyro.scale", "gyro.turns", "accel.sign", "accel.swapped", "imu.swapped",
-    "fixes.swapped", "fixes.sign", "time.offset",
-}  # fmt: skip
-"""Codes of faults without which there is no right trajectory."""

@@ -169,15 +169,13 @@ def test_exchanged_axes_make_no_trajectory():
     assert solve.judge(1.0, calibrated(0.95), [mixed]) == ("not usable", "gyro.sign: gyro z has the wrong sign")
 
 
-def test_every_fault_of_the_verdict_is_a_kind():
-    from jaxnav.checkup.findings import KINDS
-
-    assert solve.MIXED_UP <= set(KINDS)
-
-
 def test_a_recording_without_positions_is_refused(drive):
-    with pytest.raises(DataError, match="no positions"):
-        solve.solve(drive._replace(aiding={}))
+    said = finding("stream.assumed_sd", "position", words="3 m", scan="")
+    lost = drive._replace(aiding={}, notes="position: no row is left of 180.", findings=(said,))
+    with pytest.raises(
+        DataError, match="(?s)no positions to start from, and no other.*no row is left of 180.*states no"
+    ):
+        solve.solve(lost)
 
 
 def test_a_short_recording_says_from_which_length_on_it_can_be_tested(drive):

@@ -138,7 +138,7 @@ def solve(
     stages.next()
     found, bench, plain = _untuned(filt, datasheet_of, bench, stages.next, log)
     left_out, gain = faulty_stretches(plain.get("auto", plain["datasheet"]))
-    healthy, tested = bench_of(without(rec, left_out)) if left_out else (bench, False)
+    healthy, tested = bench_of(without(rec, left_out), left_out) if left_out else (bench, False)
     if tested:
         found, bench, plain = _untuned(filt, datasheet_of, healthy, lambda: None, log)
         codes = {f.code for f in checkup(bench.recording)}  # without those of the fault
@@ -188,16 +188,20 @@ def solve(
 
 def _bench(
     filt: Filter, datasheet: Params, initialization: Callable[[Recording, Params], Initialization],
-    standing: Standing, stop: float | None, rec: Recording,
+    standing: Standing, stop: float | None, rec: Recording, left_out: Sequence[Stretch] = (),
 ) -> tuple[Bench, bool]:  # fmt: skip
-    """Return the windows of a recording, and whether there are any in every part."""
+    """Return the windows of a recording, and whether there are any in every part.
+
+    A window that begins after a stretch that is left out, before fixes have made up for it, judges nothing.
+    """
     begin = initialization(rec, datasheet)
     rows = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     packed = ep.pack_recording(rec, rows, begin.t, 0.0, stop, standing)
     layout = plan(packed, window_of([packed]))
-    parts = parts_of(layout, windows_of(packed, layout, packed.t.size))
-    bench = Bench(rec, initialization, begin, layout, standing, float(packed.t[-1]))
-    return bench, all(mask.any() for mask in parts.values())
+    windows = windows_of(packed, layout, packed.t.size)
+    after = ep.within(windows.start, [(b - layout.window, b + layout.window) for _, b in left_out])
+    bench = Bench(rec, initialization, begin, layout, standing, float(packed.t[-1]), faulty=windows.start[after])
+    return bench, all((mask & ~after).any() for mask in parts_of(layout, windows).values())
 
 
 def _untuned(
@@ -227,7 +231,7 @@ def _without_faults(bench: Bench, plain: dict[str, Scored]) -> tuple[Bench, dict
     suspect = suspect_windows(used, [s.params for s in each], [s.info for s in each])
     parts, faults = without_faults(used.parts, suspect, used.starts)
     counted, left = (np.any(list(masks.values()), 0) for masks in (used.parts, parts))
-    bench = bench._replace(faulty=used.starts[counted & ~left])
+    bench = bench._replace(faulty=np.union1d(bench.faulty, used.starts[counted & ~left]))
     return bench, {name: s._replace(used=s.used._replace(parts=parts)) for name, s in plain.items()}, faults
 
 

@@ -31,11 +31,11 @@ Stretch = tuple[float, float]  # begin < t <= end, s
 MIN_RATIO = 4.0  # times the median of NIS/dof, of a change
 APART_S, MAX_CHANGES = 4.0, 6  # s between changes, and how many are looked at, those of the largest innovations
 SPANS_S = (10.0, 40.0)  # s, of stretches that begin or end at a change
-STEPS_S = (8.0, 4.0, 2.0, 1.0)  # s, of the search about the best one
+STEPS_S = (6.0, 2.0, 1.0)  # s, of the search about the best one
 MAX_STRETCH_S, MAX_SHARE = 150.0, 0.5  # s; of the recording
 MIN_GAIN = 20.0  # nats, of the fixes that are used either way; of all, where fixes are used again
 LOST = 0.5  # nats, that a fix which is left out is worse than a usual one
-ROUNDS = 6  # of moves, each a stretch more or a part of one less
+ROUNDS = 5  # of moves, each a stretch more or a part of one less
 
 
 def changes_of(t: np.ndarray, record: LaneRecord) -> np.ndarray:

@@ -54,15 +54,18 @@ def recording(parts: Parts) -> Recording:
 
 
 def _in_one_zone(parts: Parts) -> Recording:
-    """Return the recording with its fixes moved by a zone, or from 1980 to 1970, where they miss the IMU's time."""
+    """Return the recording with its fixes moved by a zone, or from 1980 to 1970, where they miss the IMU's time.
+
+    So are other streams that miss it.
+    """
     rec = mend.recording(parts)
     shifts = _shifts(parts)
-    if not shifts:
+    if not shifts or parts.imu is None:
         return rec
+    astray = {name for name, stream in parts.aiding.items() if _inside(parts.imu.t, stream.t) < MOST}
+    later = lambda name, s, shift: s._replace(t=np.asarray(s.t, float) + shift) if name in astray else s
     moved = {
-        shift: mend.recording(
-            parts._replace(aiding={n: s._replace(t=np.asarray(s.t, float) + shift) for n, s in parts.aiding.items()})
-        )
+        shift: mend.recording(parts._replace(aiding={n: later(n, s, shift) for n, s in parts.aiding.items()}))
         for shift in shifts
     }
     fits = {0.0: misfit(rec)} | {shift: misfit(each) for shift, each in moved.items()}
@@ -80,15 +83,19 @@ def _shifts(parts: Parts) -> list[float]:
         return []
     t, imu = (np.asarray(a, float) for a in (parts.aiding["position"].t, parts.imu.t))
     t, imu = t[np.isfinite(t)], imu[np.isfinite(imu)]
-    inside = lambda shift: float(np.mean((t + shift >= imu.min()) & (t + shift <= imu.max())))
-    if not (t.size and imu.size) or inside(0.0) >= MOST:
+    if not (t.size and imu.size) or _inside(imu, t) >= MOST:
         return []
     gap = float(np.median(imu) - np.median(t))
     leap = leap_seconds(max(float(np.median(t)), float(np.median(imu))) + parts.zero)
     zones = QUARTER * (round(gap / QUARTER) + np.arange(-1, 2)) if abs(gap) <= MAX_ZONE + QUARTER else np.zeros(0)
     found = [float(zone + k * leap) for zone in zones for k in ((-1, 0, 1) if leap else (0,))]
     found += [sign * (GPS_EPOCH + k * leap) for sign in (-1, 1) for k in ((-1, 0) if leap else (0,))]
-    return [shift for shift in found if shift and inside(shift) >= MOST]
+    return [shift for shift in found if shift and _inside(imu, t + shift) >= MOST]
+
+
+def _inside(imu: np.ndarray, t: np.ndarray) -> float:
+    """Return the share of times (K,) s that are within those of the IMU (N,)."""
+    return float(np.mean((np.asarray(t) >= np.nanmin(imu)) & (np.asarray(t) <= np.nanmax(imu)))) if len(t) else 1.0
 
 
 def _span(shift: float) -> str:

@@ -55,6 +55,15 @@ def test_fixes_in_another_zone_or_since_1980_are_moved(drive, late):
     assert rec.aiding["position"].t.size == drive.aiding["position"].t.size
 
 
+def test_a_stream_of_the_imus_clock_stays_where_the_fixes_are_moved(drive):
+    made = parts(drive, 0.0, fixes=TimeScale.UNKNOWN)
+    aiding = {n: s._replace(t=np.asarray(s.t) + 7200.0) for n, s in made.aiding.items()}
+    baro = Stream(drive.aiding["position"].t, drive.aiding["position"].value[:, 2:])
+    rec = recording(made._replace(aiding=aiding | {"barometer": baro}))
+    np.testing.assert_allclose(rec.aiding["barometer"].t, rec.aiding["position"].t)
+    np.testing.assert_array_equal(rec.aiding["barometer"].value, rec.aiding["position"].value[:, 2:])
+
+
 def test_local_time_of_a_logger_against_gps_time_of_a_receiver(drive):
     """Two hours and the leap seconds."""
     rec = recording(parts(drive, LEAP - 7200.0))

@@ -35,7 +35,7 @@ STEPS_S = (6.0, 2.0, 1.0)  # s, of the search about the best one
 MAX_STRETCH_S, MAX_SHARE = 150.0, 0.5  # s; of the recording
 MIN_GAIN = 20.0  # nats, of the fixes that are used either way; of all, where fixes are used again
 LOST = 0.5  # nats, that a fix which is left out is worse than a usual one
-ROUNDS = 5  # of moves, each a stretch more or a part of one less
+ROUNDS = 8  # of moves, each a stretch more or a part of one less
 
 
 def changes_of(t: np.ndarray, record: LaneRecord) -> np.ndarray:

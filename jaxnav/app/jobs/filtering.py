@@ -111,7 +111,7 @@ def filter(config: Config, folder: Path) -> Outcome:
 
 
 def time_of(config: Config, sol: Solution) -> dict[str, Any]:
-    """Return the clock of the written times, and how far the fixes' stamps are from the IMU's at the start, s."""
+    """Return the clock of the written times, and how far the fixes' stamps are from the IMU's halfway, s."""
     return {"base": config.time.base, "fixes_late_s": float(sol.params.mounting.time_offset)}
 
 

@@ -28,6 +28,7 @@ from tuning.solving.corrections import AXES, DRIFT, OFFSET, Corrections, correct
 from tuning.solving.hidden import COV_STRIDE
 from tuning.solving.solve import CARE, CONSISTENT, UNUSABLE, Solved, solve
 
+UNTESTED = "not tested: hidden fixes show positions alone"
 OPTIONS = "data.options."
 COLORS = {CONSISTENT: "good", CARE: "care", UNUSABLE: "bad"}
 
@@ -115,11 +116,7 @@ def reproducing(config: Config, found: Solved) -> Config:
 def parameters(config: Config, found: Solved) -> str:
     """Return tuned.toml: filter and parameters of the solution, for ``jaxnav filter --params``."""
     stated = as_dict(config)
-    tables = {
-        "filter": {
-            key: stated["filter"][key] for key in ("states", "measurements", *(["outages"] if found.left_out else []))
-        }
-    }
+    tables = {"filter": {key: stated["filter"][key] for key in ("states", "measurements")}}
     tables |= nested(flat({table: stated[table] for table in TABLES if table in stated}))
     return f"# jaxnav solve: {found.verdict}: {found.why}\n# use: jaxnav filter --params tuned.toml\n{to_toml(tables)}"
 
@@ -168,8 +165,8 @@ def card(found: Solved) -> Card:
     rows = [
         CardRow("horizontal position on the Earth", f"{good['earth_m']:.2f} m", error("horizontal_m", "m") or unseen),
         CardRow("horizontal position from second to second", f"{good['relative_m']:.2f} m", hidden),
-        CardRow("velocity north", f"{sd[4]:.3f} m/s", error("vn_mps", "m/s")),
-        CardRow("heading", f"{sd[8] / DEG:.2f} deg", error("heading_deg", "deg")),
+        CardRow("velocity north", f"{sd[4]:.3f} m/s", error("vn_mps", "m/s") or UNTESTED),
+        CardRow("heading", f"{sd[8] / DEG:.2f} deg", error("heading_deg", "deg") or UNTESTED),
         CardRow("fixes used", f"{uses['used']} of {uses['read']}", ""),
     ]
     if c is not None:

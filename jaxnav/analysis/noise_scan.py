@@ -324,10 +324,10 @@ class _Objective:
 
     def __call__(self, points: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
         """Return J (P,) at points (P, 3)."""
-        points = self.completed(np.round(points, 6), scales)
+        points, each = np.unique(self.completed(np.round(points, 6), scales), axis=0, return_inverse=True)
         record, _ = self.run(points)
         mean = masked_mean(-innovation_nll(record), self.counted(points))
-        return self.effective * mean - self.penalty(points)
+        return (self.effective * mean - self.penalty(points))[each.ravel()]
 
     def choose_scale(self, centre: np.ndarray, hidden: Sequence[Sequence[Any]]) -> np.ndarray:
         """Choose the scale errors, and return ``centre`` (3,) with the common factor that goes with them.

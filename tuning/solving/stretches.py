@@ -6,11 +6,11 @@ after* it are then far likelier:
 
     sum over the other fixes of (nll with all fixes - nll without those of the stretch) >= 20
 
-in nats, a fix counting for the seconds it stands for, at most one; of several stretches the one with the largest gain,
-in which a fix that is left out counts as a usual one and half a nat. Then a second one is looked for, or a part of the
-first that is better used. Leaving out good fixes makes the later ones less
-likely, and a manoeuvre is no fault, for which nothing is gained elsewhere. Candidates begin and end where innovations
-are far larger than usual, or some time before or after, for a fault may begin too slowly to show.
+in nats, a fix counting for the seconds it stands for, at most one, and if navigation without them contradicts one of
+their positions. Of several stretches the one with the largest gain is taken, in which a fix that is left out counts as
+a usual one and half a nat; then a second one, or a part of the first is used again. Leaving out good fixes makes the
+later ones less likely, and a manoeuvre is no fault, for which nothing is gained elsewhere. Candidates begin and end
+where innovations are far larger than usual, or some time before or after, for a fault may begin too slowly to show.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ import numpy as np
 from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.lanes import LaneRecord, lanes, repeated, taken
-from jaxnav.filters.scores import innovation_nll
+from jaxnav.filters.scores import innovation_nll, normalized, position_noise
 from jaxnav.measurements import GNSS, MEASUREMENTS
 from jaxnav.types import Finding, Recording
 from tuning.solving.hidden import Scored
@@ -38,6 +38,12 @@ LOST = 0.5  # nats, that a fix which is left out is worse than a usual one
 ROUNDS = 8  # of moves, each a stretch more or a part of one less
 
 
+def _nis(record: LaneRecord) -> np.ndarray:
+    """Return NIS/dof (..., E) of each epoch, inf where nothing is used."""
+    dof = np.asarray(record.valid).sum(-1)
+    return np.where(dof > 0, np.asarray(record.nis) / np.maximum(dof, 1), np.inf)
+
+
 def changes_of(t: np.ndarray, record: LaneRecord) -> np.ndarray:
     """Return times (s) of epochs whose innovations are far larger than usual, each the largest about it.
 
@@ -45,8 +51,7 @@ def changes_of(t: np.ndarray, record: LaneRecord) -> np.ndarray:
         t: (E,) s, inf where an epoch was added.
         record: (P, E, ...) runs.
     """
-    dof = np.asarray(record.valid).sum(-1)
-    ratio = np.where(dof > 0, np.asarray(record.nis) / np.maximum(dof, 1), np.inf).min(0)  # of the runs that see it
+    ratio = _nis(record).min(0)  # of the runs that see it
     ratio = np.where(np.isfinite(ratio) & np.isfinite(t), ratio, 0.0)
     ratio[ratio < MIN_RATIO * max(1.0, float(np.median(ratio[ratio > 0])))] = 0.0
     found: list[float] = []
@@ -106,7 +111,26 @@ class _Search:
         known = self.fixes & ~more
         rest = np.where(known, cost[0] - cost[1:], 0.0).sum(1) * min(1.0, self.interval)
         total = np.where(self.fixes, cost[0] - cost[1:], 0.0).sum(1) * min(1.0, self.interval)
-        return np.where(np.where(more.any(1), rest, total) >= MIN_GAIN, total, -np.inf), record
+        worth = np.where(more.any(1), rest, total) >= MIN_GAIN
+        return np.where(worth & self.contradicted(more, record), total, -np.inf), record
+
+    def contradicted(self, more: np.ndarray, record: LaneRecord) -> np.ndarray:
+        """Return which stretches (T,) have a position that navigation without them contradicts; True of none.
+
+        After a jump that stays either side may be at fault: fixes before it agree with navigation, and leaving them out
+        only makes the jump less unlikely.
+
+        Args:
+            more: (T, E) bool, epochs of the stretches.
+            record: (1 + T, E, ...) with all fixes, and without each.
+        """
+        fix = self.scored.used.epochs.fix
+        noise = position_noise(self.scored.params, np.asarray(fix.sd)[:, :3])
+        known = more & np.asarray(fix.valid)[:, :3].all(1)
+        square = normalized(record.residual[1:], record.P[1:] + noise) / 3
+        usual = _nis(taken(record, 0))[self.fixes]
+        limit = MIN_RATIO * max(1.0, float(np.median(usual[np.isfinite(usual)])))
+        return ~more.any(1) | (np.where(known, square, 0.0).max(1) > limit)
 
     def best(self, moves: Sequence[Stretch]) -> tuple[list[Stretch], float, LaneRecord] | None:
         """Return the best of some moves, after a search about it: what is left out then, gain and record."""

@@ -58,6 +58,16 @@ def test_a_healthy_drive_stays_whole(drive):
     assert faulty_stretches(scored(drive)) == ([], 0.0)
 
 
+def test_fixes_before_a_jump_that_stays_are_kept(drive):
+    """Either side may be at fault; those before it agree with navigation."""
+    p = drive.aiding["position"]
+    metres = np.asarray(earth.metres_per_radian(p.value[0]))
+    jump = np.column_stack([0 * p.t, 30.0 * (p.t > 90.0), 0 * p.t]) / metres
+    stays = drive._replace(aiding=drive.aiding | {"position": p._replace(value=p.value + jump)})
+    left_out, _ = faulty_stretches(scored(stays))
+    assert all(begin >= 89.0 and end < 120.0 for begin, end in left_out)
+
+
 def test_two_faults_are_two_stretches(drive):
     twice = dragged(dragged(drive, 50.0, 65.0, 4.0), 110.0, 125.0, 4.0)
     found, _ = faulty_stretches(scored(twice))

@@ -137,12 +137,13 @@ def solve(
     stages.replace([NOISE, SCORES, *each, *([] if fast else [TUNE]), CALIBRATE, WHOLE])
     stages.next()
     found, bench, plain = _untuned(filt, datasheet_of, bench, stages.next, log)
+    gone: set[str] = set()
     left_out, gain = faulty_stretches(plain.get("auto", plain["datasheet"]))
     healthy, tested = bench_of(without(rec, left_out), left_out) if left_out else (bench, False)
     if tested:
         found, bench, plain = _untuned(filt, datasheet_of, healthy, lambda: None, log)
-        codes = {f.code for f in checkup(bench.recording)}  # without those of the fault
-        findings = [*(f for f in findings if f.code in codes or not f.warns), finding_of_fault(left_out, gain)]
+        gone = {f.code for f in checked.found} - {f.code for f in checkup(bench.recording)}  # those of the fault
+        findings.append(finding_of_fault(left_out, gain))
     else:
         left_out = []
     bench, plain, suspect = _without_faults(bench, plain)
@@ -176,7 +177,8 @@ def solve(
         smooth=smooth, sd_factor=calibration.factor, outages=left_out,
     )  # fmt: skip
     nis = _test_nis(sol, bench.layout.validation)
-    findings = settled(distinct([*findings, *sol.findings]), params, tuned is not None)
+    said = [f for f in distinct([*findings, *sol.findings]) if f.code not in gone]
+    findings = settled(said, params, tuned is not None)
     drift = {name: each.rms("test") for name, each in (*plain.items(), ("solution", final))}
     verdict, why = judge(nis, calibration, findings)
     status = Status.CONVERGED if tuned is None else tuned.status

@@ -84,7 +84,7 @@ def arm(rec: Recording, rng: np.random.Generator) -> Recording:
 
 
 def lying_height(rec: Recording, rng: np.random.Generator) -> Recording:
-    """Let the receiver's height rise by 40 m beside a barometer that says the truth."""
+    """Let the receiver's height rise by 40 m, against the height of a barometer."""
     truth, t = rec.truth, rec.aiding["position"].t
     assert truth is not None
     k = np.arange(0.5, SECONDS, 0.2)

@@ -1,6 +1,7 @@
 """Findings after a solution: what it has corrected, no command that has just run, no consequence of a known cause."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from jaxnav.checkup.findings import finding, line
 from jaxnav.filters.border import name_of, user_value
@@ -55,11 +56,11 @@ def _now(f: Finding, params: Params, tuned: bool) -> Finding:
     actions = [action for action in actions if not action.startswith(ran)]
     if RECEIVER_ERROR in params.states:
         actions = [action for action in actions if RECEIVER_ERROR not in action]
-    return type(f)(**{**f.__dict__, "actions": tuple(actions)})
+    return replace(f, actions=tuple(actions))
 
 
 def _taken(f: Finding, params: Params) -> str:
-    """Return the parameter that takes most of a delay into account, of its own stream or of all; "" where none does."""
+    """Return the latency or clock offset that corrects most of a delay; "" where there is none."""
     assert f.value is not None
     stream = "velocity" if f.code == "velocity.latency" else f.subject
     own = f"measurements.{stream}.latency"

@@ -22,7 +22,7 @@ from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.lanes import LaneRecord, lanes, repeated, taken
 from jaxnav.filters.scores import innovation_nll, normalized, position_noise
-from jaxnav.measurements import GNSS, MEASUREMENTS
+from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import Finding, Recording
 from tuning.solving.hidden import Scored
 
@@ -98,7 +98,7 @@ class _Search:
         return sorted(others + [each for each in ((c, a), (b, d)) if each[1] - each[0] > self.interval / 2])
 
     def __call__(self, tried: Sequence[Sequence[Stretch]]) -> tuple[np.ndarray, LaneRecord]:
-        """Return gains (T,) over what is left out now, and the record of that and of each."""
+        """Return gains (T,) over the present stretches, and the record without these and without each of ``tried``."""
         scored, used = self.scored, self.scored.used
         masks = np.array([ep.within(self.t, each) for each in (self.left_out, *tried)])
         valid = np.stack([np.asarray(ep.hide(used.epochs, mask, self.rows).fix.valid) for mask in masks])
@@ -133,7 +133,7 @@ class _Search:
         return ~more.any(1) | (np.where(known, square, 0.0).max(1) > limit)
 
     def best(self, moves: Sequence[Stretch]) -> tuple[list[Stretch], float, LaneRecord] | None:
-        """Return the best of some moves, after a search about it: what is left out then, gain and record."""
+        """Return the best of some moves, after a search about it: stretches, gain and record."""
         found, move = None, (0.0, 0.0)
         for step in (0.0, *STEPS_S):
             if found is not None:
@@ -170,9 +170,9 @@ def faulty_stretches(scored: Scored) -> tuple[list[Stretch], float]:
 
 def without(rec: Recording, stretches: Sequence[Stretch]) -> Recording:
     """Return the recording without the receiver's fixes of some stretches."""
-    kept = {m.name: rec.aiding[m.name] for m in GNSS if m.name in rec.aiding}
-    left = {name: ep.sample_rows(s, ~ep.within(s.t, stretches)) for name, s in kept.items()}
-    return rec._replace(aiding=rec.aiding | left)
+    faulty = lambda name: name in MEASUREMENTS and MEASUREMENTS[name].receiver
+    left = lambda s: ep.sample_rows(s, ~ep.within(s.t, stretches))
+    return rec._replace(aiding={name: left(s) if faulty(name) else s for name, s in rec.aiding.items()})
 
 
 def finding_of(left_out: Sequence[Stretch], gain: float) -> Finding:

@@ -9,7 +9,7 @@ from jaxnav.filters.catalogue import build
 from jaxnav.filters.lanes import LaneRecord
 from jaxnav.initialization.initialize import initialize
 from jaxnav.maths import earth
-from jaxnav.measurements import GNSS
+from jaxnav.measurements import GNSS, MEASUREMENTS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from tuning.recordings.parts import plan
@@ -110,8 +110,25 @@ def test_solve_leaves_a_fault_out_and_says_so(drive, monkeypatch):
     within = (sol.t > begin) & (sol.t < end)
     assert np.hypot(*off[within].T).max() < 15.0  # of 60 m
     assert np.sqrt(((off / sol.sd[:, :2]) ** 2).mean()) < 2.0
-    left = without(drive, found.left_out).aiding["position"].t
-    assert not np.any((left > begin + 1e-6) & (left <= end))
+    assert not {"tune.fault", "velocity.columns"} & {f.code for f in found.findings}
+
+
+def test_all_streams_of_the_receiver_are_left_out_and_no_others(drive):
+    p = drive.aiding["position"]
+    rec = drive._replace(aiding=drive.aiding | {"heading": p, "barometer": p, "unknown": p})
+    left = without(rec, [FAULT])
+    inside = lambda name: np.any((left.aiding[name].t > FAULT[0]) & (left.aiding[name].t <= FAULT[1]))
+    receiver = {"position", "velocity"} | {n for n in ("heading",) if MEASUREMENTS[n].receiver}
+    assert {name for name in rec.aiding if not inside(name)} == receiver
+
+
+def test_windows_right_after_a_stretch_judge_nothing(drive):
+    filt = build("ekf15", [m.name for m in GNSS], 5)
+    params = filt.params("consumer")
+    bench, _ = solve._bench(filt, params, initialize, solve.Standing(), None, without(drive, [FAULT]), [FAULT])
+    used = bench.score(filt, params).used
+    judged = used.starts[np.any(list(used.parts.values()), 0)]
+    assert not np.any((judged > FAULT[0]) & (judged <= FAULT[1] + bench.layout.window)) and judged.size > 3
 
 
 def test_parts_count_the_time_with_fixes(drive):

@@ -123,13 +123,18 @@ def choose(
             if grown := growth(ways[-1][0]):
                 own = {leaf: own.get(leaf, 1.0) * grown.get(leaf, 1.0) for leaf in {*own, *grown}}
                 ways.append((bench.score(filt, larger(params, own)), own))
-        fair = [way for way in ways[:-1] if max([1.0, *growth(way[0]).values()]) < MAX_GROWTH] + ways[-1:]
-        new, own = min(fair, key=lambda way: float(way[0].hidden("training", "validation").nll().mean()))
+        new, own = likeliest(ways)
         row = compare(option, best, new)
         done.append(row)
         if row.taken:
             best, factors = new, own
     return Choice(best, done, factors)
+
+
+def likeliest(ways: Sequence[tuple[Scored, dict[str, float]]]) -> tuple[Scored, dict[str, float]]:
+    """Return the run with the likeliest hidden fixes, of those that innovations do not contradict and the last."""
+    fair = [way for way in ways[:-1] if max([1.0, *growth(way[0]).values()]) < MAX_GROWTH]
+    return min([*fair, ways[-1]], key=lambda way: float(way[0].hidden("training", "validation").nll().mean()))
 
 
 def larger(params: Params, factors: dict[str, float]) -> Params:

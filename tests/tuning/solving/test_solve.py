@@ -15,7 +15,7 @@ from jaxnav.maths.units import PPM
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import DataError, Samples
-from tuning.solving import corrections, solve
+from tuning.solving import corrections, sensors, solve
 from tuning.solving.calibration import Calibration, Consistency, calibrate
 from tuning.solving.corrections import AXES, DRIFT, OFFSET, correct, turned
 from tuning.solving.sensors import Option, growth, larger, options, standing_of
@@ -136,6 +136,18 @@ def test_the_sd_of_measurements_grow_to_their_innovations():
     np.testing.assert_allclose(new["position"].scale, 2.0 * np.asarray(run.params.measurements["position"].scale))
     info.nu[:] = 0.5
     assert growth(run) == {}  # never smaller: neighbours may be correlated
+
+
+def test_sd_that_innovations_contradict_are_not_taken(monkeypatch):
+    """However likely its hidden fixes are; the last one has the largest sd."""
+    monkeypatch.setattr(sensors, "growth", lambda run: {"sd": run.asks} if run.asks > 1.0 else {})
+    run = lambda nll, asks: (
+        SimpleNamespace(hidden=lambda *parts: SimpleNamespace(nll=lambda: np.full(3, nll)), asks=asks), {}
+    )  # fmt: skip
+    stated, grown, last = run(1.0, 3.0), run(1.2, 1.3), run(1.1, 1.0)
+    assert sensors.likeliest([stated, grown, last]) is last
+    assert sensors.likeliest([stated, run(1.05, 1.3), last])[0].asks == 1.3
+    assert sensors.likeliest([run(1.0, 1.4), last])[0].asks == 1.4 and sensors.likeliest([stated]) is stated
 
 
 # ---------------------------------------------------------------------------- verdict

@@ -23,13 +23,17 @@ from jaxnav.filters.gaps import TICK
 from jaxnav.filters.programs import stored
 from jaxnav.maths import earth
 from jaxnav.maths.interpolation import running
+from jaxnav.maths.units import G0
 from jaxnav.types import ImuLog, Samples
 
 MAX_DELAY_S = 0.7  # s: the largest delay that is looked for, either way
 MAX_ALIGNMENT_FIXES = 240  # of a window; more are thinned out
 MAX_SAMPLE_RATE_HZ = 125.0  # Hz; faster samples are put together
 DELAYS = np.arange(-0.65, 0.66, 0.05)  # s, tried in the first guess
-DRIVING_NOISE = 0.01  # m/s/sqrt(s): effect of scale errors, vibration and rounding on S
+DRIVING_NOISE = 0.01  # m/s/sqrt(s): effect of vibration and rounding on S
+TURN_S = (
+    1.0  # s: how long gravity at the tilt that a turn has left lasts as white noise of the same power, see `driving`
+)
 VERTICAL_SD = 1.0  # m/s, of a vertical velocity that is not measured: taken for steady, else gravity is lost
 MIN_NOISE_FACTOR = 0.1  # fixes may be better than they say by so much; how much worse is open
 UNKNOWN_ATTITUDE_SD = 10.0  # rad, prior of the attitude: nothing is known
@@ -49,6 +53,7 @@ class AlignmentPrior(NamedTuple):
     accel_bias: Any  # m/s^2
     delay: float = 0.3  # s
     arm: float = 0.0  # m, of the lever arm's error; 0: it is as given, and not among the unknowns
+    scale: float = 0.0  # of scale errors and misalignment
 
 
 class Alignment(NamedTuple):
@@ -92,7 +97,8 @@ class DifferencedFixes(NamedTuple):
     D: np.ndarray  # (M, K)
     target: np.ndarray  # (M, 3) m/s, the differences, in ENU as it stood at the window's begin
     covariances: list[np.ndarray]  # (M, M) for each axis, from the fixes' stated sd
-    drift: np.ndarray  # (M, M), and from the samples
+    driving: float  # m/s/sqrt(s), noise of the samples' integral
+    drift: np.ndarray  # (M, M), its covariance
     spin: np.ndarray  # (3,) rad/s, rotation of ENU
 
 
@@ -109,7 +115,7 @@ def align(
     samples = window(imu, begin, end)
     if fixes.t.size < 5 or samples.t.size < 10:
         return None
-    seen = differences(fixes, positions, lla, begin)
+    seen = differences(fixes, positions, lla, begin, driving(samples, prior.scale))
     C, x, P, chi2, noise = _solve(samples, seen, prior, arm)
     R_end, G = _rotation_at_end(samples, x[:3])
     reference = (
@@ -125,7 +131,7 @@ def align(
     moved += [at_end(reference, x + np.pad(step, (0, x.size - 7)))[0] for step in np.diag(steps)]
     J = np.zeros((3, len(P)))  # of the velocity by the unknowns at the begin; that of the arm is small
     J[:, :10] = (np.array(moved) - vel).T / np.concatenate([np.full(3, RATE_STEP), steps])
-    P_vel = np.hstack([J @ P @ J.T + np.diag(vel_sd**2 + DRIVING_NOISE**2 * VELOCITY_SPAN_S), J @ P @ forward.T])
+    P_vel = np.hstack([J @ P @ J.T + np.diag(vel_sd**2 + seen.driving**2 * VELOCITY_SPAN_S), J @ P @ forward.T])
     P = forward @ P @ forward.T
     return Alignment(
         end, reference @ R_end, vel, P_vel, x[:3], x[3:6], float(x[6]), P, chi2, fixes.t.size, arm,
@@ -148,8 +154,13 @@ def _surroundings(lla: jax.Array, vel: jax.Array) -> tuple[jax.Array, jax.Array,
     return earth.earth_rate(lat), earth.transport_rate(lat, h, vel), earth.gravity(lat, h)
 
 
-def differences(fixes: Samples, positions: bool, lla: np.ndarray, begin: float) -> DifferencedFixes:
-    """Return the differences of fixes (rad, rad, m or ENU m/s) in a window that begins at ``begin`` s, near ``lla``."""
+def differences(
+    fixes: Samples, positions: bool, lla: np.ndarray, begin: float, driving: float = DRIVING_NOISE
+) -> DifferencedFixes:
+    """Return the differences of fixes (rad, rad, m or ENU m/s) in a window that begins at ``begin`` s, near ``lla``.
+
+    ``driving`` m/s/sqrt(s): noise of the samples' integral.
+    """
     t = fixes.t
     z = earth.enu_path(fixes.value, fixes.value[0]) if positions else fixes.value
     vel = np.gradient(z, t, axis=0) if positions else z
@@ -164,9 +175,9 @@ def differences(fixes: Samples, positions: bool, lla: np.ndarray, begin: float) 
     sd = fixes.sd.copy()
     if not positions:
         sd[:, 2] = np.minimum(sd[:, 2], VERTICAL_SD)
-    drift = DRIVING_NOISE**2 * _drift(t, positions) + 1e-12 * np.eye(len(D))
+    drift = driving**2 * _drift(t, positions) + 1e-12 * np.eye(len(D))
     covariances = [D @ (s[:, None] ** 2 * D.T) for s in sd.T]
-    return DifferencedFixes(t, positions, rest, gravity_dv[-1], D, target, covariances, drift, rate + over)
+    return DifferencedFixes(t, positions, rest, gravity_dv[-1], D, target, covariances, driving, drift, rate + over)
 
 
 def _differences(t: np.ndarray, positions: bool) -> np.ndarray:
@@ -204,6 +215,19 @@ def window(imu: ImuLog, begin: float, end: float) -> ImuLog:
         gyro, accel = (np.add.reduceat(a * dt[:, None], first) / span[:, None] for a in (gyro, accel))
         t, dt = t[np.append(first[1:], t.size) - 1], span
     return ImuLog(t, dt, gyro, accel)
+
+
+def driving(imu: ImuLog, scale: float) -> float:
+    """Return the noise of the samples' integral, m/s/sqrt(s), with what scale errors and misalignment make of turns.
+
+    A turn by an angle leaves ``scale`` times it as tilt, and gravity at that tilt is an acceleration. The angle is that
+    of the rotations R about their mean, 2 angle^2 = 3 - |mean(R)|^2.
+    """
+    if not scale:
+        return DRIVING_NOISE
+    mean = rotations_since(imu.gyro, imu.dt)[1].mean(0)
+    angle = np.sqrt(max(0.5 * (3.0 - float((mean**2).sum())), 0.0))
+    return float(np.hypot(DRIVING_NOISE, scale * G0 * angle * np.sqrt(TURN_S)))
 
 
 def rotations_since(gyro: np.ndarray, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -279,7 +279,9 @@ def aligned(rec: Recording, params: Params, begin: float, end: float) -> Alignme
     None where there are too few fixes.
     """
     grade = datasheet_states(GRADES["consumer"], BIASES) | params.states
-    prior = AlignmentPrior(np.asarray(grade["gyro_bias"].sd), np.asarray(grade["accel_bias"].sd))
+    prior = AlignmentPrior(
+        np.asarray(grade["gyro_bias"].sd), np.asarray(grade["accel_bias"].sd), scale=float(params.noise.scale)
+    )
     lla = rec.aiding["position"].value[0]
     best: Alignment | None = None
     for name in ("velocity", "position"):

@@ -14,7 +14,7 @@ from jaxnav.initialization import alignment
 from jaxnav.initialization.alignment import AlignmentPrior, align, rotations_since
 from jaxnav.initialization.initialize import aligned, correlation_root, initialize
 from jaxnav.maths import rotations
-from jaxnav.maths.units import DEG
+from jaxnav.maths.units import DEG, G0
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ImuLog, Samples
 
@@ -44,6 +44,31 @@ def test_attitude_biases_and_delay_lie_within_their_covariance(kind, velocity):
     assert 1.5 < np.mean(joint) < loose * chi2_bounds(6.0, RUNS, 0.99)[1]
     # a period of the steps is a delay that fits as well: of a walk it is known but for that
     assert kind == "walk" or np.sqrt(np.mean(np.square(delays))) < 2.0
+
+
+def test_misaligned_gyros_in_turns_widen_the_attitude():
+    """A mower with fixes of centimetres: gravity at the tilt that its turns leave is what limits the start."""
+    params, squares = build("ekf15").params("consumer"), []
+    for seed in range(24):
+        rng = np.random.default_rng([3, seed])
+        rec, _ = simulated("mower", "consumer", False, rng, 0.03)
+        found = initialize(rec, params, t_start=float(rng.uniform(0, 5)))
+        phi = difference(found, rec.truth)
+        squares.append(phi @ np.linalg.solve(found.alignment.P[:3, :3], phi))
+    assert np.mean(squares) < chi2_bounds(3.0, 24, 0.99)[1]
+
+
+def test_driving_noise_of_a_sway():
+    """Attitudes spread evenly over -A to A about one axis: angle^2 = 1 - (sin A / A)^2."""
+    A, n = 0.8, 4001
+    back_and_forth = np.abs(np.linspace(-1, 1, n)) * 2 * A - A
+    gyro = np.zeros((n - 1, 3))
+    gyro[:, 2] = np.diff(back_and_forth) / 0.01
+    imu = ImuLog(0.01 * np.arange(1, n), np.full(n - 1, 0.01), gyro, np.zeros((n - 1, 3)))
+    angle = np.sqrt(1 - (np.sin(A) / A) ** 2)
+    extra = 3e-3 * G0 * angle * np.sqrt(alignment.TURN_S)
+    assert alignment.driving(imu, 3e-3) == pytest.approx(np.hypot(alignment.DRIVING_NOISE, extra), rel=1e-3)
+    assert alignment.driving(imu, 0.0) == alignment.DRIVING_NOISE
 
 
 def test_a_known_delay_is_not_found_again():

@@ -74,19 +74,32 @@ def one(vehicle: str, receiver: str, total: float, seeds: range) -> dict[str, An
     except (DataError, FilterError) as failure:
         return {"total": total, "failed": str(failure)}
     mean = {key: float(np.mean([row[key] for row in each])) for key in each[0]}
-    return mean | {key: float(np.sqrt(np.mean([row[key] ** 2 for row in each]))) for key in RATIOS} | {"total": total}
+    ratios = {key: float(np.sqrt(np.mean([row[key] ** 2 for row in each]))) for key in RATIOS}
+    return mean | ratios | {"total": total, "receiver": receiver}
 
 
 def summary(cells: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Return the bars of the cells whose stated total is right, or of all where there is none."""
+    """Return the bars of the cells whose stated total is right, or of all where there is none.
+
+    Share and time are those of receivers whose slow errors change three times in a drive.
+    """
     right = [c for c in cells.values() if c["total"] == 1.0] or list(cells.values())
     done = [c for c in right if "failed" not in c]
     within = lambda key, low, high: float(np.mean([low <= c[key] <= high for c in done]))
+    long = {name: of for name, of in RECEIVERS.items() if of[1] and 3 * of[2] < SECONDS}
+    near = lambda a, b: 1 / BARS["factor"] <= a / b <= BARS["factor"]
+    found = [
+        near(c["share"], slow**2 / (white**2 + slow**2)) and near(c["tau_s"], tau)
+        for name, (white, slow, tau) in long.items()
+        for c in done
+        if c["receiver"] == name
+    ]
     return {
         "cells": len(right), "failed": len(right) - len(done),
         "within": within("error_over_sd", *BARS["ratio"]), "worst": max(c["error_over_sd"] for c in done),
         "inside_95": float(np.mean([c["inside_95"] for c in done])),
         **{name: within(name, *BARS["attitude"]) for name in ("tilt", "heading", "velocity")},
+        "share_and_tau": float(np.mean(found)) if found else math.nan,
     }  # fmt: skip
 
 

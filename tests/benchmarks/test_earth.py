@@ -24,8 +24,11 @@ def test_a_drive_has_the_errors_of_its_receiver(receiver, white):
 
 def test_the_bars_are_of_the_right_totals():
     cell = {"error_over_sd": 1.0, "inside_95": 0.9, "tilt": 1.0, "heading": 2.0, "velocity": 1.0}
-    cells = {"a": cell | {"total": 1.0}, "b": cell | {"total": 1.0, "error_over_sd": 1.6}, "c": cell | {"total": 0.5},
+    cell |= {"receiver": "fast", "share": 0.98, "tau_s": 70.0}
+    cells = {"a": cell | {"total": 1.0}, "b": cell | {"total": 1.0, "error_over_sd": 1.6, "tau_s": 130.0},
+             "c": cell | {"total": 0.5}, "e": cell | {"total": 1.0, "receiver": "far"},
              "d": {"total": 1.0, "failed": "no start"}}  # fmt: skip
     found = earth.summary(cells)
-    assert found["cells"] == 3 and found["failed"] == 1 and found["within"] == 0.5 and found["worst"] == 1.6
+    assert found["cells"] == 4 and found["failed"] == 1 and found["within"] == pytest.approx(2 / 3) and found["worst"] == 1.6
     assert found["inside_95"] == pytest.approx(0.9) and found["heading"] == 0.0 and found["tilt"] == 1.0
+    assert found["share_and_tau"] == 0.5  # of receivers whose errors change thrice in a drive

@@ -172,7 +172,7 @@ class Solution:
         return found
 
     def layout(self) -> Any:
-        """Return the interactive figures, by bokeh (extra ``report``)."""
+        """Return the interactive figures, by bokeh."""
         rec = self.recording
         return interactive.run_layout(
             self.trace, rec.truth, self.fixes, self.measurements, self.gaps(), self.filter.model.states

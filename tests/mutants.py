@@ -27,7 +27,8 @@ SWAPS = {
     ast.Lt: ast.GtE, ast.Gt: ast.LtE, ast.LtE: ast.Gt, ast.GtE: ast.Lt,
     ast.And: ast.Or, ast.Or: ast.And, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
 }  # fmt: skip
-COPIED = ("jaxnav", "tuning", "benchmarks", "tests", "docs", "README.md", "pyproject.toml", "Makefile", "CHANGELOG.md")
+FOLDERS = ("jaxnav", "tuning", "benchmarks", "tests", "docs", "examples")
+COPIED = (*FOLDERS, "README.md", "pyproject.toml", "Makefile", "CHANGELOG.md")
 CPU_LIMIT = 420  # s of processor time of a run of tests, whatever runs on the machine at the same time
 WALL_LIMIT = 2400  # s; a mutant on which the nearest tests hang is seen
 

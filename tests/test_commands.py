@@ -79,7 +79,8 @@ def test_the_shell_s_lines_run_one_after_the_other(page, tmp_path, monkeypatch, 
     if "JAXNAV_DATA_DIR" not in os.environ and "docs/recipes" in page.read_text():
         pytest.skip("needs the recordings of JAXNAV_DATA_DIR")
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    for name in ("docs", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
     lines = [re.sub(r"\s#.*", "", text) for text in run_of(page) if "..." not in text]
     for name in RECORDINGS:
         if any(name in line for line in lines):

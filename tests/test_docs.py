@@ -187,4 +187,4 @@ def test_links_lead_somewhere(page):
 
 
 def test_the_readme_is_read_in_some_minutes():
-    assert len((ROOT / "README.md").read_text().split()) <= 800
+    assert len((ROOT / "README.md").read_text().split()) <= 600

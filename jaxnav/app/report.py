@@ -53,7 +53,7 @@ def write(folder: Path, verb: str, config: Config, outcome: Outcome) -> None:
     drawn = [path for path in sorted(folder.glob("*.png")) if not body or path.name in outcome.pictures]
     body = "\n".join([*map(_image, drawn), *([body] if body else [])])
     if outcome.layout is not None and not head:
-        body += "\n<p>With <code>pip install 'jaxnav[report]'</code> the pictures here can be zoomed into.</p>"
+        body += "\n<p>With <code>pip install bokeh</code> the pictures here can be zoomed into.</p>"
     first = outcome.text.splitlines()[0] if outcome.text and outcome.card is None else config.data.source
     title = f"jaxnav {verb}: {first}"
     text = f"<pre>{html.escape(outcome.text)}</pre>"

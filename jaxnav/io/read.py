@@ -56,7 +56,6 @@ class Reader(NamedTuple):
     name: str  # for people
     recognises: Callable[[Path, bytes], bool]  # (path, its first HEAD bytes, b"" of a folder): is it mine? Never raises
     read: ReadFile
-    extra: str = ""  # group of optional dependencies that it needs: pip install 'jaxnav[EXTRA]'
     options: tuple[str, ...] = ()  # keyword arguments of ``read``
 
 
@@ -102,7 +101,7 @@ def _read(row: Reader, path: Path, options: dict[str, Any]) -> Parts:
     except DataError:
         raise
     except ImportError as error:
-        raise DataError(f"{path}: a {row.name} file needs {error.name}: pip install 'jaxnav[{row.extra}]'") from error
+        raise DataError(f"{path}: a {row.name} file needs the package {error.name}: pip install -e . again") from error
     except Exception as error:  # damage that no check foresaw, in here or in an optional package
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise DataError(f"{path}: cannot be read as {row.name}: {reason}") from error
@@ -247,21 +246,21 @@ MASKS = ("elevation_mask_deg", "cn0_mask_dbhz")  # of raw GNSS
 READERS: tuple[Reader, ...] = (
     Reader("our folder of CSV", _folder, _read_folder),
     Reader("our .npz", _npz, lambda path: parts_of(canonical.read_recording(path), os.fspath(path))),
-    Reader("column map", _map, _read_map, options=("folder",)),
-    Reader("ROS bag", rosbag.recognises, rosbag.read, "ros", ("topics",)),
-    Reader("PX4 ULog", ulog.recognises, ulog.read, "ulog", ("wheel_radius_m", "receiver")),
-    Reader("ArduPilot DataFlash", dataflash.recognises, dataflash.read, options=("instance", "receiver")),
-    Reader("UBX", ubx.recognises, ubx.read, "gnss", ("spp", "rates", *MASKS)),
-    Reader("RINEX observations", rinex.recognises, rinex.read, options=("nav", "rates", *MASKS)),
-    Reader("raw GNSS table", raw_table.recognises, raw_table.read, options=MASKS),
+    Reader("column map", _map, _read_map, ("folder",)),
+    Reader("ROS bag", rosbag.recognises, rosbag.read, ("topics",)),
+    Reader("PX4 ULog", ulog.recognises, ulog.read, ("wheel_radius_m", "receiver")),
+    Reader("ArduPilot DataFlash", dataflash.recognises, dataflash.read, ("instance", "receiver")),
+    Reader("UBX", ubx.recognises, ubx.read, ("spp", "rates", *MASKS)),
+    Reader("RINEX observations", rinex.recognises, rinex.read, ("nav", "rates", *MASKS)),
+    Reader("raw GNSS table", raw_table.recognises, raw_table.read, MASKS),
     Reader("RTKLIB .pos", _pos, _read_pos),
-    Reader("NovAtel ASCII", novatel.recognises, novatel.read, options=("imu",)),
-    Reader("NMEA", nmea.recognises, nmea.read, "gnss", ("leap_seconds", "metres_per_hdop")),
+    Reader("NovAtel ASCII", novatel.recognises, novatel.read, ("imu",)),
+    Reader("NMEA", nmea.recognises, nmea.read, ("leap_seconds", "metres_per_hdop")),
     Reader("EKF2 replay", ekf2_replay.recognises, ekf2_replay.read),
     Reader("Sensor Logger", sensor_logger.recognises, sensor_logger.read),
     Reader("KITTI oxts", kitti.recognises, kitti.read),
     Reader("EuRoC", euroc.recognises, euroc.read),
-    Reader("NaveGo .mat", navego.recognises, navego.read, options=("imu", "fixes")),
+    Reader("NaveGo .mat", navego.recognises, navego.read, ("imu", "fixes")),
     Reader("our imu.csv", _imu_csv, _read_imu_csv),
     Reader("KF-GINS IMU", _kfgins_imu, _read_kfgins_imu),
     Reader("KF-GINS GNSS", _kfgins_gnss, _read_kfgins_gnss),

@@ -42,7 +42,7 @@ def test_without_bokeh_the_pictures_are_in_it(tmp_path, monkeypatch):
     fig.savefig(tmp_path / "nis.png")
     report.write(tmp_path, "filter", Config(), Outcome({}, "a <run> of 3 m", {}, layout=lambda: None))
     page = (tmp_path / "report.html").read_text()
-    assert "data:image/png;base64," in page and "a &lt;run&gt; of 3 m" in page and "jaxnav[report]" in page
+    assert "data:image/png;base64," in page and "a &lt;run&gt; of 3 m" in page and "pip install bokeh" in page
 
 
 def test_what_cannot_be_drawn_is_a_warning_and_parameters_are_a_table(tmp_path, capsys, monkeypatch):

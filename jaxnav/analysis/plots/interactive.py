@@ -1,4 +1,4 @@
-"""A run to zoom into: track, errors, innovations and biases on one axis of time, by bokeh (extra ``report``)."""
+"""A run to zoom into: track, errors, innovations and biases on one axis of time, by bokeh."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any

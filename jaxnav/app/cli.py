@@ -10,7 +10,7 @@ import os
 import sys
 import tempfile
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -120,14 +120,29 @@ def _main(args: argparse.Namespace) -> int:
 
     out = args.out or Path("out") / args.verb
     if not (verb.writes(args) and _first()):  # of several processes one writes
-        with tempfile.TemporaryDirectory() as folder:
-            outcome = _work(args, config, Path(folder), out)
+        with tempfile.TemporaryDirectory() as scratch:
+            outcome = _work(args, config, Path(scratch), out)
         return _report(args, outcome, None) if _first() else 0
     with results.staged(out, args.verb, _inputs(args, config)) as folder:
-        outcome = _work(args, config, folder, out)
-        if config.out.figures != "none" and verb.report:
-            report.write(folder, args.verb, config, outcome)
-        results.write_run(folder, args.verb, verb.sections, outcome.config or config, outcome)
+        published = []
+
+        def complete(outcome: "Outcome") -> None:
+            if config.out.figures != "none" and verb.report:
+                report.write(folder, args.verb, config, outcome)
+            results.write_run(folder, args.verb, verb.sections, outcome.config or config, outcome)
+
+        def publish(outcome: "Outcome") -> None:
+            complete(outcome)
+            results.publish(folder, out.resolve(), args.verb)
+            published.append(out)
+
+        try:
+            outcome = _work(args, config, folder, out, publish)
+        except BaseException:
+            if published:
+                print(f"jaxnav: the best answer so far is in {out}", file=sys.stderr)
+            raise
+        complete(outcome)
     return _report(args, outcome, out)
 
 
@@ -162,7 +177,10 @@ def resolve(args: argparse.Namespace) -> configuration.Config:
     return configuration.resolve(layers)
 
 
-def _work(args: argparse.Namespace, config: configuration.Config, folder: Path, out: Path) -> "Outcome":
+def _work(
+    args: argparse.Namespace, config: configuration.Config, folder: Path, out: Path,
+    publish: Callable[["Outcome"], None] = lambda outcome: None,
+) -> "Outcome":  # fmt: skip
     from jaxnav.analysis.progress import compiling
     from jaxnav.app.unused import unused
 
@@ -171,7 +189,7 @@ def _work(args: argparse.Namespace, config: configuration.Config, folder: Path, 
         for line in unused(verb, config):
             print(f"jaxnav: not used here: {line}", file=sys.stderr)
     with compiling(progress):
-        return verb.run(Job(args, config, folder, out, progress))
+        return verb.run(Job(args, config, folder, out, progress, publish))
 
 
 def _first() -> bool:

@@ -102,7 +102,7 @@ def terminal(outcome: Outcome, verbose: bool, color: bool) -> list[str]:
 
 @contextlib.contextmanager
 def staged(out: Path, verb: str, inputs: Sequence[str | Path] = ()) -> Iterator[Path]:
-    """Yield a folder to write into next to ``out``; its files move there when all went well, run.json last.
+    """Yield a folder to write into next to ``out``; its files move there when all went well, see `publish`.
 
     A failure leaves ``out`` as it was. Files of an earlier run of the same verb that the new one does not write are
     removed; nothing else is: an ``out`` with any other files, or with one of the ``inputs``, is refused before
@@ -121,23 +121,36 @@ def staged(out: Path, verb: str, inputs: Sequence[str | Path] = ()) -> Iterator[
     try:
         temporary.mkdir(parents=True)
         yield temporary
+        publish(temporary, out, verb)
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def publish(folder: Path, out: Path, verb: str) -> None:
+    """Move the files of a folder that `staged` yields to its ``out``, run.json last, in place of earlier ones.
+
+    Raises:
+        DataError: ``out`` cannot be written.
+    """
+    try:
         if not out.exists():
-            os.rename(temporary, out)  # all of it at once
+            os.rename(folder, out)  # all of it at once
+            folder.mkdir()
             return
-        names = sorted(p.name for p in temporary.iterdir())
+        names = sorted(p.name for p in folder.iterdir())
         old = _listed(out / RUN)
         # killed from here on it is not whole, says so, and is this verb's to write again
         write_json(out / RUN, {"verb": verb, "stopped": "while it was written", "files": sorted({*old, *names, RUN})})
         for name in sorted(names, key=lambda n: n == RUN):
             if name not in (*old, RUN) and (out / name).exists():
                 _keep(out / name)
-            os.replace(temporary / name, out / name)
+            os.replace(folder / name, out / name)
         for name in set(old) - set(names):
             (out / name).unlink(missing_ok=True)
     except OSError as error:
         raise DataError(f"{out}: cannot be written: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _remove_stale_folders(out: Path) -> None:

@@ -49,6 +49,7 @@ class Job(NamedTuple):
     folder: Path  # to write into
     out: Path  # where that will be
     progress: bool  # show it
+    publish: Callable[["Outcome"], None] = lambda outcome: None  # moves the files in the folder to ``out``, as they are
 
     @property
     def devices(self) -> int:

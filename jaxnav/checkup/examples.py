@@ -125,6 +125,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "solve.inflated": {"subject": "stated sd of positions", "value": 1.4, "count": 88},
     "solve.fault": {"subject": "receiver", "value": 40.0, "words": "59.5 to 99.5 s", "gain": 448.0},
     "solve.short": {"value": 41.0, "limit": 120.0},
+    "solve.time": {"subject": "nonholonomic, tuning", "limit": 60.0},
     "mc.diverged": {"subject": "ekf15", "value": 2.0, "runs": 100, "first": "run 17 at 310 s"},
     "mc.anees": {"subject": "ekf15", "value": 1.03, "share": 94.0},
     "mc.anis": {"subject": "ekf15", "value": 1.0021, "low": 0.9891, "limit": 1.0110},

@@ -528,6 +528,13 @@ KINDS: dict[str, Kind] = {
         ("record {limit:.0f} s or more",),
         "s",
     ),
+    "solve.time": Kind(
+        INFO,
+        "not done, since it would not have ended within {limit:.0f} s: {subject}",
+        (),
+        ("jaxnav solve without --time, or with more",),
+        "s",
+    ),
     "mc.diverged": Kind(
         WARNING,
         "{subject} diverged in {value:.0f} of {runs} runs: {first}",

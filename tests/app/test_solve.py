@@ -83,3 +83,25 @@ def test_the_run_reproduces_it_without_searching(solved, tmp_path):
     assert first.dtype == again.dtype
     for name in first.dtype.names:
         np.testing.assert_allclose(first[name], again[name], rtol=1e-9, atol=1e-9)
+
+
+def test_an_interrupted_run_keeps_the_answer_so_far(tmp_path, capsys, monkeypatch):
+    def stops(*args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tuning.solving.solve._untuned", stops)
+    out, again = tmp_path / "out", tmp_path / "again"
+    sets = [word for setting in SETTINGS for word in ("--set", setting)]
+    assert cli.main(["solve", "urban_short", "--fast", "--out", str(out), *sets]) == 130
+    assert f"the best answer so far is in {out}" in capsys.readouterr().err
+    assert "not tested yet: noise by likelihood" in (out / "report.html").read_text()
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+    assert cli.main(["filter", "--config", str(out / "run.json"), "--quiet", "--out", str(again)]) == 0
+    first, second = (np.genfromtxt(p / "solution.csv", delimiter=",", names=True) for p in (out, again))
+    for name in first.dtype.names:
+        np.testing.assert_allclose(first[name], second[name], rtol=1e-9, atol=1e-9)
+
+
+def test_a_limit_is_a_time(capsys, tmp_path):
+    assert cli.main(["solve", "urban_short", "--time", "0", "--out", str(tmp_path / "out")]) == 2
+    assert "--time must be seconds above 0, got 0" in capsys.readouterr().err

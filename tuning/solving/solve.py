@@ -1,5 +1,6 @@
 """`solve`: from a recording to its best trajectory, with stated sd that are calibrated and a verdict."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -8,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from jaxnav.analysis.evaluate import innovation_metrics
-from jaxnav.analysis.noise_scan import NoiseScan
-from jaxnav.analysis.receiver_errors import without_slow_errors
+from jaxnav.analysis.noise_scan import NoiseScan, known_delay
+from jaxnav.analysis.receiver_errors import receiver, stated, without_slow_errors
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
@@ -38,7 +39,8 @@ from tuning.solving.stretches import finding_of as finding_of_fault
 CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
 NIS_LIMITS = 0.7, 1.4  # of a consistent solution, on the test part
 MAX_NIS, MIN_INSIDE = 4.0, 0.6  # beyond these a solution is not usable
-CHECK, NOISE, SCORES = Stage("check", 1.0), Stage("noise by likelihood", 4.0), Stage("drift without fixes", 3.5)
+CHECK, FIRST = Stage("check", 1.5), Stage("first answer", 0.5)
+NOISE, SCORES = Stage("noise by likelihood", 4.0), Stage("drift without fixes", 3.5)
 OPTION_WEIGHT = 3.5
 TUNE, CALIBRATE = Stage("tuning", 15.0), Stage("calibration of the stated sd", 0.1)
 WHOLE = Stage("the whole recording", 2.5)
@@ -97,6 +99,8 @@ def solve(
     stop: float | None = None,
     check: Callable[[Recording], Corrections] = correct,
     log: Callable[[str], None] = lambda line: None,
+    so_far: Callable[[Solved], None] = lambda solved: None,
+    limit: float = math.inf,
 ) -> Solved:
     """Find the best trajectory of a recording, without settings and without truth.
 
@@ -114,13 +118,16 @@ def solve(
         stop: s, end of the data.
         check: checks and corrects the recording, such as ``partial(tuning.solving.corrections.correct, kept=...)``.
         log: called with a line on each step.
+        so_far: called with answers before the best one, each better than the one before: by the datasheet with the
+            delay that alignments show, by the noise scan, by the chosen measurements.
+        limit: s; no step begins that cannot end in it, see the finding ``solve.time``.
 
     Raises:
         DataError: a recording without positions, or that cannot be started from.
         FilterError: the filter stops being finite.
     """
     require_positions(rec)
-    stages = Stages([CHECK, NOISE, SCORES, TUNE, CALIBRATE, WHOLE], log)
+    stages = Stages([CHECK, FIRST, NOISE, SCORES, TUNE, CALIBRATE, WHOLE], log, limit=limit)
     stages.next()
     checked = check(rec)
     rec, standing = checked.recording, standing_of(checked.found)
@@ -130,11 +137,21 @@ def solve(
     bench_of = partial(_bench, filt, datasheet_of(filt), initialization, standing, stop)
     bench, tested = bench_of(rec)
     findings = [*checked.applied, *(f for f in checked.found if f.warns)]
-    if not tested:
-        return _short(filt, datasheet_of(filt), bench, smooth, checked.settings, findings)
+    untested = partial(_untested, settings=checked.settings, standing=standing, window=bench.layout.window)
     tried_ones = options(rec, checked.found)
     each = [Stage(", ".join(option.measurements), OPTION_WEIGHT) for option in tried_ones]
-    stages.replace([NOISE, SCORES, *each, *([] if fast else [TUNE]), CALIBRATE, WHOLE])
+    rest = [NOISE, SCORES, *each, *([] if fast else [TUNE]), CALIBRATE, WHOLE]
+    stages.replace([FIRST, *rest] if tested else [FIRST, NOISE])
+    stages.next()
+    first, params = _first(filt, datasheet_of(filt), bench)
+    enough = stages.fits(NOISE, *([SCORES, CALIBRATE, WHOLE] if tested else []))
+    if not enough:
+        left = finding("solve.time", ", ".join(stage.name for stage in stages.stages[stages.done :]), limit=limit)
+        return untested(first, params, [*findings, left], "not tested: no time for it")
+    so_far(untested(first, params, findings, f"not tested yet: {stages.coming()}"))
+    if not tested:
+        stages.next()
+        return _short(filt, datasheet_of(filt), bench, smooth, findings, untested)
     stages.next()
     found, bench, plain = _untuned(filt, datasheet_of, bench, stages.next, log)
     gone: set[str] = set()
@@ -149,11 +166,22 @@ def solve(
     bench, plain, suspect = _without_faults(bench, plain)
     findings += [*found.findings, *suspect]
     level = plain.get("auto", plain["datasheet"])
-    choice = choose(bench, level, lambda f: found.applied(datasheet_of(f)), tried_ones, stages.next)
+    run = partial(navigate, rec, scan=False, initialization=initialization, stop=stop, standing=standing,
+                  outages=left_out)  # fmt: skip
+    so_far(untested(run(level.filter, level.params), level.params, findings, f"not tested yet: {stages.coming()}"))
+    count = next((k for k in range(len(each), 0, -1) if stages.fits(*each[:k], CALIBRATE, WHOLE)), 0)
+    fast = fast or not stages.fits(*each[:count], TUNE, CALIBRATE, WHOLE)
+    ends = [*each[:count], *([] if fast else [TUNE]), CALIBRATE, WHOLE]
+    if skipped := [stage.name for stage in stages.stages[stages.done :] if stage not in ends]:
+        findings.append(finding("solve.time", ", ".join(skipped), limit=limit))
+    stages.replace(ends)
+    choice = choose(bench, level, lambda f: found.applied(datasheet_of(f)), tried_ones[:count], stages.next)
     findings += [finding_of(row) for row in choice.tried]
     final, start = choice.best, choice.applied(datasheet_of(choice.best.filter))
     tuned, params = None, found.applied(start)
     if not fast:
+        if final is not level:
+            so_far(untested(run(final.filter, params), params, findings, f"not tested yet: {stages.coming()}"))
         stages.next()
         tuned = tune(
             bench.recording, final.filter, start, initialization=bench.begin, stop=bench.stop,
@@ -172,10 +200,7 @@ def solve(
             finding("solve.inflated", "stated sd of positions", calibration.factor, count=calibration.after.fixes)
         )
     stages.next()
-    sol = navigate(
-        rec, final.filter, params, scan=False, initialization=delivered, stop=stop, standing=standing,
-        smooth=smooth, sd_factor=calibration.factor, outages=left_out,
-    )  # fmt: skip
+    sol = run(final.filter, params, initialization=delivered, smooth=smooth, sd_factor=calibration.factor)
     nis = _test_nis(sol, bench.layout.validation)
     said = [f for f in distinct([*findings, *sol.findings]) if f.code not in gone]
     findings = settled(said, params, tuned is not None)
@@ -237,28 +262,48 @@ def _without_faults(bench: Bench, plain: dict[str, Scored]) -> tuple[Bench, dict
     return bench, {name: s._replace(used=s.used._replace(parts=parts)) for name, s in plain.items()}, faults
 
 
+def _first(filt: Filter, params: Params, bench: Bench) -> tuple[Solution, Params]:
+    """Return the first answer and its parameters: the datasheet, the delay that alignments show, usual slow errors."""
+    rec = bench.recording
+    last = float(rec.aiding["position"].t[-1])
+    sd = np.median(np.asarray(rec.aiding["position"].sd), 0)
+    usual = NoiseScan(latency=known_delay(rec, params, last, ()).mean, receiver=receiver(stated(sd), sd))
+    filt, params = usual.extended(filt, params)
+    params = usual.applied(params)
+    sol = navigate(rec, filt, params, scan=False, initialization=bench.begin, stop=bench.stop, standing=bench.standing)
+    return sol, params
+
+
 def _short(
     filt: Filter,
     params: Params,
     bench: Bench,
     smooth: bool,
-    settings: dict[str, float | str],
     findings: Sequence[Finding],
+    untested: Callable[..., Solved],
 ) -> Solved:
     """Solve a recording that is too short for windows in every part: noise by likelihood, no test."""
     sol = navigate(
         bench.recording, filt, params, scan=True, initialization=bench.initialization,
         stop=bench.stop, standing=bench.standing, smooth=smooth,
     )  # fmt: skip
-    span = float(sol.t[-1] - sol.t[0])
-    each = distinct([*findings, finding("solve.short", "", span, MIN_SPAN_S), *sol.findings])
-    found = settled(each, sol.params, False)
-    nis = innovation_metrics(sol.trace.info, sol.measurements)["nis_per_dof"]
-    verdict, why = judge(nis, None, found)
     if sol.noise is not None:
         params = sol.noise.applied(sol.noise.extended(filt, params)[1])
-    return Solved(sol, params, verdict, why, found, settings, bench.standing, [], None, None, (), {},
-                  bench.layout.window, nis)  # fmt: skip
+    short = finding("solve.short", "", float(sol.t[-1] - sol.t[0]), MIN_SPAN_S)
+    return untested(sol, params, [*findings, short], "too short to test the stated standard deviations")
+
+
+def _untested(
+    sol: Solution, params: Params, findings: Sequence[Finding], why: str, settings: dict[str, float | str],
+    standing: Standing, window: float,
+) -> Solved:  # fmt: skip
+    """Return a solution without a test of its sd, and ``why`` there is none."""
+    found = settled(distinct([*findings, *sol.findings]), sol.params, False)
+    nis = innovation_metrics(sol.trace.info, sol.measurements)["nis_per_dof"]
+    verdict, broken = judge(nis, None, found)
+    said = f"NIS/dof {nis:.2g}, {why}" if verdict == CARE else broken
+    return Solved(sol, params, verdict, said, found, settings, standing, [], None, None,
+                  tuple(sol.outages), {}, window, nis)  # fmt: skip
 
 
 def distinct(findings: Sequence[Finding]) -> list[Finding]:

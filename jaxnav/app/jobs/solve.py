@@ -1,5 +1,6 @@
 """`jaxnav solve`: the best trajectory of a recording, its files and its verdict."""
 
+import math
 import time
 from collections.abc import Mapping
 from functools import partial
@@ -14,6 +15,7 @@ from jaxnav.app.jobs.filtering import draw, require_formats, summary, time_of
 from jaxnav.app.prepare import AUTO, DATASHEET, initialization_of
 from jaxnav.app.results import Card, CardRow, Outcome, Table, draws, stderr
 from jaxnav.app.sources import load
+from jaxnav.app.verb import Job
 from jaxnav.filters.border import TABLES, flat, in_user_units, nested, override
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import UNITS, get, has, installed
@@ -22,7 +24,7 @@ from jaxnav.io.json import write_json
 from jaxnav.io.toml import to_toml
 from jaxnav.maths.units import DEG
 from jaxnav.states.table import BIASES
-from jaxnav.types import Params, Recording
+from jaxnav.types import ConfigError, Params, Recording
 from tuning.fit.status import Status
 from tuning.solving.corrections import AXES, DRIFT, OFFSET, Corrections, correct
 from tuning.solving.hidden import COV_STRIDE
@@ -33,24 +35,47 @@ OPTIONS = "data.options."
 COLORS = {CONSISTENT: "good", CARE: "care", UNUSABLE: "bad"}
 
 
-def run(config: Config, folder: Path, fast: bool, progress: bool) -> Outcome:
+def run(job: Job, fast: bool, limit: float | None) -> Outcome:
     """Solve the recording of [data]; solution, tuned.toml, exports, metrics, figures.
 
+    Answers before the best one are published as they come.
+
+    Args:
+        job: of the verb.
+        fast: do not tune.
+        limit: s; None: none.
+
     Raises:
-        ConfigError: an unknown format of the solution.
+        ConfigError: an unknown format of the solution, or a limit that is none.
         DataError: a recording that cannot be used.
         FilterError: the filter stops being finite.
     """
+    config = job.config
     require_formats(config)
+    if limit is not None and not limit > 0:
+        raise ConfigError(f"--time must be seconds above 0, got {limit:g}")
     begin, seconds = time.perf_counter(), {}
     rec = load(config)
     seconds["read"], begin = time.perf_counter() - begin, time.perf_counter()
-    log = partial(timed, begin) if progress else lambda line: None
+    log = partial(timed, begin) if job.progress else lambda line: None
+
+    def so_far(found: Solved) -> None:
+        job.publish(written(config, job.folder, found, dict(seconds)))
+        good = found.solution.metrics()["accuracy"]["earth_m"]
+        log(f"an answer is in {job.out}, horizontal position {good:.2g} m (1 sd): {found.why}")
+
     found = solve(
         rec, partial(datasheet, config), fast=fast, initialization=partial(initialization_of, config),
-        stop=config.data.stop, check=partial(corrected, config), log=log,
+        stop=config.data.stop, check=partial(corrected, config), log=log, so_far=so_far,
+        limit=math.inf if limit is None else limit - seconds["read"],
     )  # fmt: skip
-    seconds["solve"], begin = time.perf_counter() - begin, time.perf_counter()
+    seconds["solve"] = time.perf_counter() - begin
+    return written(config, job.folder, found, seconds)
+
+
+def written(config: Config, folder: Path, found: Solved, seconds: dict[str, float]) -> Outcome:
+    """Write the files of a solution into a folder."""
+    begin = time.perf_counter()
     sol, again = found.solution, reproducing(config, found)
     for kind in config.out.formats:
         sol.write(folder / f"solution.{kind}", imu_rate=config.out.imu_rate, base=config.time.base)
@@ -65,7 +90,7 @@ def run(config: Config, folder: Path, fast: bool, progress: bool) -> Outcome:
         draw(folder, again, sol)
     seconds["write"] = time.perf_counter() - begin
     stopped = "interrupted: the best so far is written" if found.status is Status.INTERRUPTED else ""
-    text = "\n".join([*lines(found), "", summary(metrics, "ekf15", rec.name)])
+    text = "\n".join([*lines(found), "", summary(metrics, "ekf15", sol.recording.name)])
     return Outcome(
         metrics, text, seconds, stopped, sol.layout, again, findings=found.findings,
         verdict=f"{found.verdict}: {found.why}", card=card(found),

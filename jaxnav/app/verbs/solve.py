@@ -14,7 +14,7 @@ def run(job: Job) -> "Outcome":
     """See `jaxnav.app.jobs.solve`."""
     from jaxnav.app.jobs import solve
 
-    return solve.run(job.config, job.folder, job.args.fast, job.progress)
+    return solve.run(job, job.args.fast, job.args.time)
 
 
 def unused(config: Config, simulated: bool) -> dict[str, str]:
@@ -28,6 +28,10 @@ def unused(config: Config, simulated: bool) -> dict[str, str]:
 
 VERB = Verb(
     "solve", "the best trajectory of a recording, without settings: check, tune, smooth, and a verdict", run,
-    (PATH, Argument("--fast", "do not tune")),
+    (
+        PATH,
+        Argument("--fast", "do not tune"),
+        Argument("--time", "end within S seconds, with the best that they allow", value="S", type=float),
+    ),
     sections=("data", "filter", "initialization", *TABLES, "time", "out"), report=True, unused=unused,
 )  # fmt: skip

@@ -72,7 +72,11 @@ def test_a_drive_in_order_is_left_alone(drive):
 def test_stated_sd_grow_by_the_factor_of_the_calibration(drive, monkeypatch):
     monkeypatch.setattr(solve, "calibrate", lambda final: calibrated(0.95)._replace(factor=2.0))
     monkeypatch.setattr(solve, "options", lambda rec, found: [])
-    found = solve.solve(drive, fast=True, smooth=False)
+    before = []
+    found = solve.solve(drive, fast=True, smooth=False, so_far=before.append)
+    assert ["noise by likelihood" in each.why for each in before] == [True, False]
+    one, two = (np.median(each.solution.sd[:, 0]) for each in before)
+    assert one == pytest.approx(0.5, rel=0.3) and two > 0 and all(each.calibration is None for each in before)
     assert "solve.inflated" in {f.code for f in found.findings}
     P = np.asarray(found.solution.trace.info.P)
     factor = np.repeat([2.0, 1.0, 1.0], 3)  # of hidden positions: velocity and attitude stay
@@ -195,7 +199,13 @@ def test_a_short_recording_says_from_which_length_on_it_can_be_tested(drive):
         imu=drive.imu._replace(**{k: getattr(drive.imu, k)[:1000] for k in ("t", "dt", "gyro", "accel")}),
         aiding={n: sample_rows(s, s.t < 20.0) for n, s in drive.aiding.items()},
     )
-    found = solve.solve(short)
+    before = []
+    found = solve.solve(short, so_far=before.append)
     assert found.verdict == "usable with care" and found.tuned is None and found.calibration is None
+    (first,) = before
+    assert "not tested yet: noise by likelihood to come" in first.why and first.findings and not first.solution.smoothed
+    once = solve.solve(short, limit=1e-3)  # s
+    assert [f.subject for f in once.findings if f.code == "solve.time"] == ["noise by likelihood"]
+    np.testing.assert_array_equal(once.solution.lla, first.solution.lla)
     (said,) = [f for f in found.findings if f.code == "solve.short"]
     assert "record 120 s" in said.actions[0] and "too short" in found.why

@@ -13,3 +13,14 @@ def test_the_rest_follows_from_the_time_so_far():
     now[0] = 16.0
     stages.next()
     assert lines == ["1 of 2: check", "2 of 3: noise, about 92 s left", "3 of 3: tune, about 80 s left"]
+
+
+def test_what_cannot_end_within_the_limit_does_not_fit():
+    now, tune = [0.0], Stage("tune", 9.0)
+    stages = Stages([Stage("check", 1.0), Stage("noise", 2.0), tune], lambda line: None, lambda: now[0], limit=20.0)
+    assert stages.fits(tune)  # nothing is known of the time yet
+    stages.next()
+    stages.next()
+    now[0] = 2.0  # two seconds for a weight of three
+    assert stages.takes([tune]) == 6.0 and stages.fits(tune) and not stages.fits(tune, tune, tune, tune)
+    assert stages.coming() == "tune to come, about 6 s"

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from jaxnav.checkup import quick_notes
-from jaxnav.io import canonical, mend, units
+from jaxnav.io import canonical, draft, mend, units
 from jaxnav.io.column_map import TOP, column_names, read_map
 from jaxnav.io.files import FilePath
 from jaxnav.io.formats import (
@@ -132,16 +132,14 @@ def recognise(path: FilePath) -> Reader:
 def _unknown(path: Path) -> str:
     if path.is_dir():
         files = ", ".join(sorted(file.name for file in path.iterdir())[:20]) or "nothing"
-        return (
-            f"{path}: a folder of no known format, with {files}: describe the files in a column map (docs/formats.md)"
-        )
+        return f"{path}: a folder of no known format, with {files}: jaxnav map drafts a column map (docs/formats.md)"
     try:
         names = ", ".join(column_names(path)[:30])
     except DataError:
         names = ""
     if not names:
         return f"{path}: of no known format: {', '.join(row.name for row in READERS)}"
-    return f"{path}: a table that no reader knows; describe its columns in a column map (docs/formats.md): {names}"
+    return f"{path}: a table that no reader knows; jaxnav map drafts a column map of it (docs/formats.md): {names}"
 
 
 # ---------------------------------------------------------------------------- the project's formats
@@ -264,4 +262,5 @@ READERS: tuple[Reader, ...] = (
     Reader("our imu.csv", _imu_csv, _read_imu_csv),
     Reader("KF-GINS IMU", _kfgins_imu, _read_kfgins_imu),
     Reader("KF-GINS GNSS", _kfgins_gnss, _read_kfgins_gnss),
+    Reader("tables with names", draft.recognises, draft.read_tables),  # the last: it looks at all numbers
 )

@@ -9,6 +9,7 @@ import io
 import re
 import zipfile
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,6 +34,7 @@ class Sheet(NamedTuple):
     lines: np.ndarray | None  # of the rows, where the file has lines
     notes: tuple[str, ...] = ()
     twice: tuple[str, ...] = ()  # names that stand above several columns
+    units: Mapping[str, str] = {}  # of a line below the header, by name
 
 
 def open_sheet(path: FilePath, delimiter: str | None = None, header: bool | None = None) -> Sheet:
@@ -173,7 +175,7 @@ def _numbers_only(data: bytes, file: str, delimiter: str | None, header: bool | 
         return None
     columns = {str(k + 1): np.ascontiguousarray(table[str(k + 1)]) for k in range(width)}
     columns |= {name: columns[str(k + 1)] for k, name in enumerate(names)}
-    return Sheet(file, columns, np.arange(first, count + 1), seen.notes)
+    return Sheet(file, columns, np.arange(first, count + 1), seen.notes, units=seen.units)
 
 
 def _ends(data: bytes) -> bytes:
@@ -209,6 +211,7 @@ def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) ->
         rows = [(i, [cell.replace(",", ".") for cell in cells]) for i, cells in rows]
         notes.append(f"{Path(file).name}: commas are taken for decimal points.")
     names: list[str] = _cells(comments[-1], delimiter) if comments else []
+    below: list[str] = []
     before = next((k for k, (_, cells) in enumerate(rows) if len(cells) == width), 0)
     text_only = lambda cells: not any(np.isfinite(_number(cell)) for cell in cells)
     if header or (header is None and text_only(rows[before][1])):
@@ -218,7 +221,7 @@ def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) ->
         rows = rows[before + 1 :]
         if rows and len(rows[0][1]) == width and len(rows) > 1 and header is None and text_only(rows[0][1]):
             notes.append(f"{Path(file).name}: the line of units below the header is left out.")
-            rows.pop(0)
+            below = rows.pop(0)[1]
     whole = [row for row in rows if len(row[1]) == width]
     if len(rows) - len(whole) > max(2, MAX_BAD * len(rows)) or not whole:
         bad = next((i for i, cells in rows if len(cells) != width), 1)
@@ -231,7 +234,7 @@ def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) ->
     if len(names) == width:
         columns |= {name: cells[:, k] for k, name in enumerate(names)}
     twice = tuple(name for name, count in Counter(names).items() if count > 1)
-    return Sheet(file, columns, np.array([i for i, _ in whole]), tuple(notes), twice)
+    return Sheet(file, columns, np.array([i for i, _ in whole]), tuple(notes), twice, dict(zip(names, below)))
 
 
 def _delimiter(lines: list[str]) -> str:

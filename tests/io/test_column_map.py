@@ -339,11 +339,10 @@ def test_the_page_shows_keys_that_are_known():
     assert not [unit for kind in UNITS.values() for unit in kind if unit not in said]
 
 
-def test_the_page_names_every_reader_and_extra():
+def test_the_page_names_every_reader():
     page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
     for row in READERS:
         assert row.name.split()[-1] in page
-        assert not row.extra or f"`{row.extra}`" in page
 
 
 def test_wheels_of_both_sides_in_metres_or_turns_and_a_range(folder):

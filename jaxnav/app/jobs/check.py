@@ -1,8 +1,9 @@
-"""`jaxnav check` and `jaxnav convert`."""
+"""`jaxnav check`, `jaxnav map` and `jaxnav convert`."""
 
 import json
 import time
 import tomllib
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
 from jaxnav.filters.epochs import pack_recording
 from jaxnav.filters.parameters import history_for
+from jaxnav.io.draft import draft
 from jaxnav.io.json import write_json
 from jaxnav.io.parts import notes_of
 from jaxnav.io.read import read
@@ -89,6 +91,16 @@ def convert(config: Config, folder: Path) -> Outcome:
     about = describe(rec)
     text = describe_text(about) + "".join(f"\n{note}" for note in notes_of(rec).splitlines())
     return Outcome({"recording": about}, text, {"convert": time.perf_counter() - begin})
+
+
+def drafted(files: Sequence[str]) -> Outcome:
+    """Draft a column map of tables; it fails where a person has to confirm something.
+
+    Raises:
+        DataError: no table, or none with an IMU or fixes.
+    """
+    found = draft([Path(file) for file in files], Path())
+    return Outcome({"map": found.text(), "unsure": found.unsure}, found.text().rstrip(), {}, failed=bool(found.unsure))
 
 
 def in_words(rec: Recording) -> str:

@@ -13,6 +13,7 @@ from jaxnav.app.verbs import (
     demo,
     filter,
     info,
+    map,
     mc,
     simulate,
     solve,
@@ -21,7 +22,7 @@ from jaxnav.app.verbs import (
 )
 
 ROWS = (
-    demo, solve, check, convert, simulate, filter, stream, tune, bakeoff, mc, compare, allan, config, completion, info,
-    data,
+    demo, solve, check, map, convert, simulate, filter, stream, tune, bakeoff, mc, compare, allan, config, completion,
+    info, data,
 )  # fmt: skip
 VERBS: dict[str, Verb] = {row.VERB.name: row.VERB for row in ROWS}

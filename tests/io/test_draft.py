@@ -1,0 +1,309 @@
+"""Drafts of column maps: ten tables of other names, units, orders, separators and times give the recording back."""
+
+import datetime
+import tomllib
+
+import jax
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from jaxnav import read
+from jaxnav.app import cli
+from jaxnav.io.column_map import read_map
+from jaxnav.io.draft import draft
+from jaxnav.io.mend import recording
+from jaxnav.io.naming import words_of
+from jaxnav.maths.units import DEG, G0
+from jaxnav.simulate.gnss import Receiver
+from jaxnav.simulate.scenarios import URBAN_SHORT
+from jaxnav.simulate.simulation import simulate_jit, to_recording
+from jaxnav.types import DataError
+
+FLU = np.array([1.0, -1.0, -1.0])
+BEGIN = 1_748_779_200.0  # s since 1970
+
+
+@pytest.fixture(scope="module")
+def rec():
+    what = URBAN_SHORT._replace(duration_s=90.0, gnss=Receiver(position_sd_m=(0.5, 0.5, 1.0)))
+    return to_recording(simulate_jit(jax.random.key(0), what), what)
+
+
+def lines(path, names, columns, mark=",", form="%.9g", unit_line=None, comma=False):
+    """Write a table."""
+    text = [mark.join(names), *([mark.join(unit_line)] if unit_line else [])]
+    cell = lambda value: value if isinstance(value, str) else form % value
+    rows = [mark.join(cell(v) for v in row) for row in zip(*columns, strict=True)]
+    body = "\n".join([*text, *(row.replace(".", ",") if comma else row for row in rows)])
+    path.write_text(body + "\n", encoding="utf-8")
+    return path
+
+
+def fixes(rec):
+    """Return time, lat, lon (deg), height, east, north, up, speed, course (deg)."""
+    p, v = rec.aiding["position"], rec.aiding["velocity"]
+    e, n, u = v.value.T
+    return (
+        p.t,
+        p.value[:, 0] / DEG,
+        p.value[:, 1] / DEG,
+        p.value[:, 2],
+        e,
+        n,
+        u,
+        np.hypot(e, n),
+        np.degrees(np.arctan2(e, n)) % 360,
+    )
+
+
+def held(rec, columns):
+    """Return columns of the fixes at the IMU's rate, the last value repeated."""
+    t = rec.aiding["position"].t
+    i = np.clip(np.searchsorted(t, rec.imu.t + 1e-9, "right") - 1, 0, None)
+    return [np.asarray(c)[i] for c in columns]
+
+
+def one_table(rec, folder):
+    t, lat, lon, h, e, n, u, speed, course = fixes(rec)
+    names = ["Timestamp [ms]", "GyrX [°/s]", "GyrY [°/s]", "GyrZ [°/s]", "AccX [m/s²]", "AccY [m/s²]", "AccZ [m/s²]",
+             "Lat [°]", "Lon [°]", "Alt [m]", "Speed [km/h]", "Course [°]"]  # fmt: skip
+    columns = [np.round(1e3 * rec.imu.t), *(rec.imu.gyro / DEG).T, *rec.imu.accel.T,
+               *held(rec, [lat, lon, h, 3.6 * speed, course])]  # fmt: skip
+    columns = [column[rec.imu.t >= t[0]] for column in columns]
+    return [lines(folder / "log.csv", names, columns, ";", "%.9f", comma=True)]
+
+
+def short_names(rec, folder):
+    t, lat, lon, h, e, n, u, *_ = fixes(rec)
+    imu = lines(
+        folder / "imu.txt",
+        ["t", "ax", "ay", "az", "wx", "wy", "wz"],
+        [rec.imu.t, *rec.imu.accel.T, *rec.imu.gyro.T],
+        "\t",
+    )
+    gnss = lines(
+        folder / "gnss.txt", ["#", "t", "lat", "lon", "h", "vn", "ve", "vd"], [t, lat, lon, h, n, e, -u], " ", "%.9f"
+    )
+    gnss.write_text(gnss.read_text().replace("# t", "#t", 1))
+    return [imu, gnss]
+
+
+def rostopic(rec, folder):
+    t, lat, lon, h, *_ = fixes(rec)
+    stamp = lambda t: [str(round((BEGIN + x) * 1e9)) for x in t]
+    axes = lambda name: [f"field.{name}.{a}" for a in "xyz"]
+    names = ["%time", "field.header.seq", *axes("angular_velocity"), *axes("linear_acceleration")]
+    columns = [stamp(rec.imu.t), np.arange(rec.imu.t.size), *(rec.imu.gyro * FLU).T, *(rec.imu.accel * FLU).T]
+    imu = lines(folder / "imu.csv", names, columns)
+    names = ["%time", "field.latitude", "field.longitude", "field.altitude"]
+    gnss = lines(folder / "fix.csv", names, [stamp(t), lat, lon, h], form="%.9f")
+    return [imu, gnss]
+
+
+def receivers_units(rec, folder):
+    t, lat, lon, h, e, n, u, *_ = fixes(rec)
+    names = ["time_us", *(f"gyro_{a}_mdps" for a in "xyz"), *(f"acc_{a}_mg" for a in "xyz")]
+    columns = [1e6 * rec.imu.t, *(1e3 * rec.imu.gyro / DEG).T, *(1e3 * rec.imu.accel / G0).T]
+    imu = lines(folder / "sensors.csv", names, columns, form="%.6f")
+    names = [
+        "time_ms",
+        "lat_1e-7deg",
+        "lon_1e-7deg",
+        "height_mm",
+        "velN_mm/s",
+        "velE_mm/s",
+        "velD_mm/s",
+        "hAcc_mm",
+        "vAcc_mm",
+    ]
+    sd = [np.full(t.size, 2000.0), np.full(t.size, 4000.0)]
+    gnss = lines(
+        folder / "pvt.csv",
+        names,
+        [1e3 * t, 1e7 * lat, 1e7 * lon, 1e3 * h, 1e3 * n, 1e3 * e, -1e3 * u, *sd],
+        form="%.3f",
+    )
+    return [imu, gnss]
+
+
+def iso_dates(rec, folder):
+    t, lat, lon, h, e, n, u, speed, course = fixes(rec)
+    moment = lambda t: [datetime.datetime.fromtimestamp(BEGIN + x, datetime.UTC).isoformat() for x in t]
+    imu = lines(folder / "a.csv", ["DateTime", "Omega X", "Omega Y", "Omega Z", "F X", "F Y", "F Z"],
+                [moment(rec.imu.t), *rec.imu.gyro.T, *rec.imu.accel.T],
+                unit_line=["-", *["rad/s"] * 3, *["m/s^2"] * 3])  # fmt: skip
+    gnss = lines(folder / "b.csv", ["UTC Time", "Latitude", "Longitude", "Altitude", "Ground Speed (kt)", "Track"],
+                 [moment(t), lat, lon, h, speed * 3600 / 1852, course], form="%.9f")  # fmt: skip
+    return [imu, gnss]
+
+
+def matlab(rec, folder):
+    t, lat, lon, h, e, n, u, *_ = fixes(rec)
+    imu = {"time": rec.imu.t, "gyro": rec.imu.gyro, "acc": rec.imu.accel}
+    gps = {"time": t, "latitude": lat, "longitude": lon, "height": h, "vel_n": n, "vel_e": e, "vel_d": -u}
+    savemat(folder / "drive.mat", {"imu": imu, "gps": gps})
+    return [folder / "drive.mat"]
+
+
+def a_file_a_sensor(rec, folder):
+    t, lat, lon, h, e, n, u, speed, course = fixes(rec)
+    for name, values in (("Gyroscope.csv", rec.imu.gyro * FLU), ("TotalAcceleration.csv", rec.imu.accel * FLU)):
+        lines(folder / name, ["seconds_elapsed", "z", "y", "x"], [rec.imu.t, *values.T[::-1]])
+    names = ["seconds_elapsed", "speed", "bearing", "altitude", "longitude", "latitude", "horizontalAccuracy"]
+    lines(folder / "Position.csv", names, [t, speed, course, h, lon, lat, np.full(t.size, 2.0)], form="%.9f")
+    return [folder]
+
+
+def date_and_time(rec, folder):
+    t, lat, lon, h, *_ = fixes(rec)
+    moment = lambda t: [datetime.datetime.fromtimestamp(BEGIN + x, datetime.UTC) for x in t]
+    day, clock = lambda t: [f"{m:%Y-%m-%d}" for m in moment(t)], lambda t: [f"{m:%H:%M:%S.%f}" for m in moment(t)]
+    names = ["Date", "Time", *(f"angular rate {a} (deg/s)" for a in "xyz"), *(f"acceleration {a} (g)" for a in "xyz")]
+    imu = lines(
+        folder / "x.csv", names, [day(rec.imu.t), clock(rec.imu.t), *(rec.imu.gyro / DEG).T, *(rec.imu.accel / G0).T]
+    )
+    gnss = lines(folder / "y.csv", ["Date", "Time", "LAT", "LNG", "HGT"], [day(t), clock(t), lat, lon, h], form="%.9f")
+    return [imu, gnss]
+
+
+def radians(rec, folder):
+    t, lat, lon, h, e, n, u, *_ = fixes(rec)
+    imu = lines(folder / "i.tsv", ["timestamp", "rotation_rate_x", "rotation_rate_y", "rotation_rate_z",
+                                   "specific_force_x", "specific_force_y", "specific_force_z"],
+                [1e6 * rec.imu.t, *(rec.imu.gyro / DEG * 10).T / 10, *rec.imu.accel.T], "\t", "%.9f",
+                unit_line=["us", *["deg/s"] * 3, *["m/s2"] * 3])  # fmt: skip
+    names = ["timestamp", "latitude_rad", "longitude_rad", "height_m", "vel_e_m_s", "vel_n_m_s", "vel_u_m_s"]
+    gnss = lines(folder / "g.tsv", names, [1e6 * t, lat * DEG, lon * DEG, h, e, n, u], "\t", "%.12f")
+    return [imu, gnss]
+
+
+def no_speed_unit(rec, folder):
+    """Km/h without a word: the way between the positions says it."""
+    t, lat, lon, h, e, n, u, speed, course = fixes(rec)
+    names = ["elapsed", *(f"gyro{a}(rad/s)" for a in "XYZ"), *(f"accel{a}(m/s^2)" for a in "XYZ")]
+    imu = lines(folder / "1.csv", names, [rec.imu.t, *rec.imu.gyro.T, *rec.imu.accel.T])
+    gnss = lines(
+        folder / "2.csv",
+        ["elapsed", "lat", "lon", "alt", "spd", "cog"],
+        [t, lat, lon, h, 3.6 * speed, course],
+        form="%.9f",
+    )
+    return [imu, gnss]
+
+
+TABLES = (one_table, short_names, rostopic, receivers_units, iso_dates, matlab, a_file_a_sensor, date_and_time, radians,
+          no_speed_unit)  # fmt: skip
+
+
+@pytest.mark.parametrize("write", TABLES, ids=lambda write: write.__name__)
+def test_a_draft_opens_as_it_is(write, rec, tmp_path):
+    folder = tmp_path / "log"
+    folder.mkdir()
+    found = draft(write(rec, folder), tmp_path)
+    assert not found.unsure, found.text()
+    (tmp_path / "draft.toml").write_text(found.text(), encoding="utf-8")
+    got = recording(read_map(tmp_path / "draft.toml", read))
+    n = got.imu.t.size
+    assert n > 0.98 * rec.imu.t.size
+    first = int(np.argmin(np.abs(rec.imu.accel - got.imu.accel[0]).sum(1)))
+    same = slice(first, first + n)
+    np.testing.assert_allclose(got.imu.gyro, rec.imu.gyro[same], atol=1e-6)
+    np.testing.assert_allclose(got.imu.accel, rec.imu.accel[same], atol=1e-5)
+    np.testing.assert_allclose(np.diff(got.imu.t), np.diff(rec.imu.t[same]), atol=2e-3)
+    position, true = got.aiding["position"], rec.aiding["position"]
+    late = got.imu.t[0] - rec.imu.t[first]
+    rows = np.searchsorted(true.t, position.t - late - 1e-2)
+    assert rows.size > 0.9 * true.t.size
+    np.testing.assert_allclose(position.t - late, true.t[rows], atol=3e-3)
+    np.testing.assert_allclose(position.value * [1e6, 1e6, 1.0], true.value[rows] * [1e6, 1e6, 1.0], rtol=0, atol=2e-2)
+    if "velocity" in got.aiding:
+        v, w = got.aiding["velocity"], rec.aiding["velocity"]
+        rows = np.searchsorted(w.t, v.t - late - 1e-2)
+        np.testing.assert_allclose(v.value[:, :2], w.value[rows, :2], atol=1e-4)
+
+
+def test_a_small_rate_without_a_unit_is_not_sure_at_rest(rec, tmp_path):
+    rest = rec.imu.t < 4.0
+    names = ["t", *(f"gyro_{a}" for a in "xyz"), *(f"acc_{a}" for a in "xyz"), "lat", "lon", "alt"]
+    columns = [rec.imu.t, *rec.imu.gyro.T, *rec.imu.accel.T, *held(rec, fixes(rec)[1:4])]
+    path = lines(tmp_path / "a.csv", names, [column[rest] for column in columns])
+    found = draft([path])
+    assert [line.partition(":")[0] for line in found.unsure] == ["gyro_unit"] and "# ? gyro_unit" in found.text()
+    assert tomllib.loads(found.text())["imu"]["gyro_unit"] == "rad/s"
+    with pytest.raises(DataError, match="jaxnav map"):
+        read(path)
+
+
+def test_a_header_against_the_numbers_is_not_sure(rec, tmp_path):
+    path = lines(tmp_path / "a.csv", ["t", *(f"gyro_{a}_dps" for a in "xyz"), *(f"acc_{a}_g" for a in "xyz")],
+                 [rec.imu.t, *rec.imu.gyro.T, *rec.imu.accel.T])  # fmt: skip
+    assert any("the header says g, the numbers m/s^2" in line for line in draft([path]).unsure)
+
+
+def test_a_header_against_the_motion_is_not_sure(rec, tmp_path):
+    """Rad/s under a header of deg/s, and m/s under one of km/h; an IMU that starts after the last fix."""
+    t, lat, lon, h, *_, speed, course = fixes(rec)
+    names = ["t", *(f"gyro_{a}_dps" for a in "xyz"), *(f"acc_{a}" for a in "xyz")]
+    late = lambda by: lines(tmp_path / "a.csv", names, [rec.imu.t + by, *rec.imu.gyro.T, *rec.imu.accel.T])
+    gnss = lines(tmp_path / "b.csv", ["t", "lat", "lon", "alt", "speed_kmh", "course"], [t, lat, lon, h, speed, course],
+                 form="%.9f")  # fmt: skip
+    said = draft([late(0.0), gnss]).unsure
+    assert [line.partition(":")[0] for line in said] == ["velocity", "gyro_unit"]
+    assert "km/h by the header, m/s by the way" in said[0] and "deg/s by the header or size, rad/s by" in said[1]
+    assert any("do not meet" in line for line in draft([late(500.0), gnss]).unsure)
+
+
+def test_two_recordings_in_a_folder_are_not_sure(rec, tmp_path):
+    short_names(rec, tmp_path)
+    for name in ("imu", "gnss"):
+        (tmp_path / f"{name}2.txt").write_bytes((tmp_path / f"{name}.txt").read_bytes())
+    said = draft([tmp_path], tmp_path).unsure
+    assert [line.partition(":")[0] for line in said] == ["gyro", "accel", "position"] and "others are imu2.txt" in said[
+        0
+    ]
+
+
+def test_gravity_that_a_logger_took_out_is_said(rec, tmp_path):
+    still = rec.imu.accel - np.median(rec.imu.accel, 0)
+    path = lines(tmp_path / "a.csv", ["t", *(f"gyro_{a}_dps" for a in "xyz"), *(f"user_acc_{a}" for a in "xyz")],
+                 [rec.imu.t, *rec.imu.gyro.T, *still.T])  # fmt: skip
+    with pytest.raises(DataError, match=r"a.csv: columns user_acc_x.*gravity was taken out"):
+        draft([path])
+
+
+def test_tables_without_an_imu_name_their_columns(tmp_path):
+    path = lines(tmp_path / "a.csv", ["time", "price"], [np.arange(9.0), np.arange(9.0)])
+    with pytest.raises(DataError, match="neither an IMU nor fixes among the columns: time, price"):
+        draft([path])
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "unit"),
+    [
+        ("GPSTime(s)", ["gps", "time"], "s"),
+        ("TimeUS", ["time", "us"], ""),
+        ("locationHorizontalAccuracy(m)", ["location", "horizontal", "accuracy"], "m"),
+        ("gyro_x [°/s]", ["gyro", "x"], "deg s"),
+        ("log.imu.w[2]", ["log", "imu", "w", "z"], ""),
+    ],
+)
+def test_words_of_a_name(name, words, unit):
+    assert words_of(name) == (words, unit)
+
+
+def test_a_folder_that_is_sure_is_read_as_it_is(rec, tmp_path):
+    a_file_a_sensor(rec, tmp_path)
+    (tmp_path / "Gyroscope.csv").rename(tmp_path / "gyro.csv")  # no app's folder
+    got = read(tmp_path)
+    assert "jaxnav map" in got.notes and got.imu.t.size > 1400 and "position" in got.aiding
+
+
+def test_the_command_prints_the_map(rec, tmp_path, capsys, monkeypatch):
+    short_names(rec, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["map", "imu.txt", "gnss.txt"]) == 0
+    (tmp_path / "draft.toml").write_text(capsys.readouterr().out, encoding="utf-8")
+    assert {"position", "velocity"} <= read("draft.toml").aiding.keys()
+    assert cli.main(["map", "nowhere.csv"]) == 3
+    assert "nowhere.csv" in capsys.readouterr().err

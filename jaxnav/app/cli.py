@@ -172,7 +172,13 @@ def resolve(args: argparse.Namespace) -> configuration.Config:
         value = getattr(args, argument.attribute)
         if argument.setting and value is not None and value is not False:
             section, key = argument.setting.split(".")
+            paths = argument.setting == "data.source" and isinstance(value, list)
+            value, *more = value if paths else [value]
             layers.append((argument.name, {section: {key: value}}))
+            if len(more) > 1:
+                raise ConfigError(f"{argument.name}: a recording and a file with its fixes, got {1 + len(more)} paths")
+            if more:
+                layers.append((argument.name, {section: {"options": {"gnss": more[0]}}}))
     layers += [(f"--set {setting}", configuration.parse_set(setting)) for setting in args.set]
     return configuration.resolve(layers)
 

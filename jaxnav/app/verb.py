@@ -89,7 +89,10 @@ def no_effect(reason: str, *keys: str) -> dict[str, str]:
 
 
 DATA = Argument("--data", "scenario, data set or recording ([data] source)", "data.source", value="NAME|PATH")
-PATH = Argument("path", "file or folder of any known format, or a column map", "data.source", "PATH", reads=True)
+PATH = Argument(
+    "path", "file or folder of any known format, or a column map; a second one has the fixes of an IMU's file",
+    "data.source", "PATH", reads=True, more={"nargs": "+"},
+)  # fmt: skip
 FILTER = Argument("--filter", "see `jaxnav info` ([filter] name)", "filter.name", value="NAME")
 PARAMS = Argument("--params", "parameters of this file, such as an earlier tuned.toml", reads=True, value="FILE")
 RESUME = Argument("--resume", "go on from the checkpoint in --out")

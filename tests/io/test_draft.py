@@ -307,3 +307,12 @@ def test_the_command_prints_the_map(rec, tmp_path, capsys, monkeypatch):
     assert {"position", "velocity"} <= read("draft.toml").aiding.keys()
     assert cli.main(["map", "nowhere.csv"]) == 3
     assert "nowhere.csv" in capsys.readouterr().err
+
+
+def test_an_imu_and_its_fixes_are_two_paths(rec, tmp_path, capsys, monkeypatch):
+    receivers_units(rec, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["convert", "sensors.csv", "pvt.csv", "--out", "out", "--quiet"]) == 0
+    assert {"position", "velocity"} <= read("out").aiding.keys()
+    assert cli.main(["convert", "a", "b", "c", "--out", "other"]) == 2
+    assert "a recording and a file with its fixes, got 3 paths" in capsys.readouterr().err

@@ -5,6 +5,7 @@ import os
 import warnings
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import jax
@@ -44,6 +45,21 @@ from jaxnav.states.transition import assemble  # noqa: E402
 from jaxnav.types import ImuLog, Nav, Params, Samples, Track  # noqa: E402
 
 GRADE = Grade(2e-4, 2e-3, 1e-3, 2e-2, 1e-4, 2e-3, 100.0, "made up for tests: a good MEMS unit")
+
+
+def pytest_addoption(parser) -> None:
+    """``--row NAME``: the tests of one row of a table, such as a state, a measurement, a filter or a finding."""
+    parser.addoption("--row", metavar="NAME", help="run only the tests of this row of a table")
+
+
+def pytest_collection_modifyitems(config, items) -> None:
+    """Keep the tests of the row."""
+    row = config.getoption("--row")
+    if row is not None:
+        of_row = lambda item: row in getattr(item, "callspec", SimpleNamespace(id="")).id.split("-")
+        kept = [item for item in items if of_row(item)]
+        config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+        items[:] = kept
 
 
 def pytest_runtest_teardown(item, nextitem) -> None:

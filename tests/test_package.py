@@ -7,8 +7,11 @@ import sys
 import sysconfig
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+
+from tests import conftest
 
 ROOT = Path(__file__).parents[1]
 
@@ -63,3 +66,12 @@ print(json.dumps([cli.main([*run, *few]), jaxnav.__version__]))
     assert rc == 0 and version == environment[1]
     about = json.loads((environment[2] / "run" / "run.json").read_text())
     assert about["versions"]["jaxnav"] == version and about["git"] is None
+
+
+def test_a_row_selects_its_tests():
+    item = lambda name, ids: SimpleNamespace(name=name, **({"callspec": SimpleNamespace(id=ids)} if ids else {}))
+    items = [item("a", "barometer-frd"), item("b", "barometer_bias"), item("c", ""), item("d", "tangent-barometer")]
+    out = []
+    hook = SimpleNamespace(pytest_deselected=lambda items: out.extend(items))
+    conftest.pytest_collection_modifyitems(SimpleNamespace(getoption=lambda name: "barometer", hook=hook), items)
+    assert [i.name for i in items] == ["a", "d"] and [i.name for i in out] == ["b", "c"]

@@ -233,13 +233,14 @@ def _whitened(seen: DifferencedFixes, accel_sd: float = 0.0) -> DifferencedFixes
 
     ``accel_sd``: m/s^2, of a constant acceleration that is taken for noise.
     """
-    level = 0.5 * (seen.covariances[0] + seen.covariances[1]) + seen.drift
-    level = level + accel_sd**2 * np.outer(_ramp(seen), _ramp(seen))
+    band = 0.5 * (seen.covariances[0] + seen.covariances[1]) + seen.drift
+    lower = sum(np.diag(diagonal[: diagonal.size - k], -k) for k, diagonal in enumerate(band))
+    level = lower + np.tril(lower, -1).T + accel_sd**2 * np.outer(_ramp(seen), _ramp(seen))
     root = np.linalg.cholesky(level)
-    ratio = [np.trace(c + seen.drift) / np.trace(level) for c in seen.covariances]
+    ratio = [(c + seen.drift)[0].sum() / np.trace(level) for c in seen.covariances]
     D, target = (solve_triangular(root, a, lower=True) for a in (seen.D, seen.target))
-    eye = np.eye(len(D))
-    return seen._replace(D=D, target=target, covariances=[r * eye for r in ratio], drift=0 * eye)
+    one = np.ones((1, len(D)))
+    return seen._replace(D=D, target=target, covariances=[r * one for r in ratio], drift=0 * one)
 
 
 class Best(NamedTuple):

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cholesky_banded
+from scipy.linalg.lapack import dtbtrs
 from scipy.spatial.transform import Rotation
 
 from jaxnav.filters.epochs import sample_rows
@@ -96,9 +97,9 @@ class DifferencedFixes(NamedTuple):
     gravity_dv: np.ndarray  # (3,) m/s, effect of gravity and Coriolis on velocity up to the last fix
     D: np.ndarray  # (M, K)
     target: np.ndarray  # (M, 3) m/s, the differences, in ENU as it stood at the window's begin
-    covariances: list[np.ndarray]  # (M, M) for each axis, from the fixes' stated sd
+    covariances: list[np.ndarray]  # (B, M) for each axis, from the fixes' stated sd: diagonals 0 to B - 1
     driving: float  # m/s/sqrt(s), noise of the samples' integral
-    drift: np.ndarray  # (M, M), its covariance
+    drift: np.ndarray  # (B, M), its covariance, likewise
     spin: np.ndarray  # (3,) rad/s, rotation of ENU
 
 
@@ -175,8 +176,9 @@ def differences(
     sd = fixes.sd.copy()
     if not positions:
         sd[:, 2] = np.minimum(sd[:, 2], VERTICAL_SD)
-    drift = driving**2 * _drift(t, positions) + 1e-12 * np.eye(len(D))
-    covariances = [D @ (s[:, None] ** 2 * D.T) for s in sd.T]
+    drift = driving**2 * _drift(t, positions)
+    drift[0] += 1e-12
+    covariances = [_diagonals(D, s**2, len(drift)) for s in sd.T]
     return DifferencedFixes(t, positions, rest, gravity_dv[-1], D, target, covariances, driving, drift, rate + over)
 
 
@@ -187,13 +189,27 @@ def _differences(t: np.ndarray, positions: bool) -> np.ndarray:
 
 
 def _drift(t: np.ndarray, positions: bool) -> np.ndarray:
-    """Covariance (M, M) of the differences for white noise of unit density in the acceleration."""
+    """Covariance of the differences for white noise of unit density in the acceleration, as diagonals (B, M)."""
     dt = np.diff(t)
     if not positions:
-        return np.diag(dt)
+        return np.stack([dt, 0 * dt])
     # a second difference weighs the acceleration with a triangle over its two intervals
     a, b = dt[:-1], dt[1:]
-    return np.diag((a + b) / 3) + np.diag(b[:-1] / 6, 1) + np.diag(b[:-1] / 6, -1)
+    return np.stack([(a + b) / 3, np.append(b[:-1] / 6, 0.0), 0 * a])
+
+
+def _diagonals(D: np.ndarray, variance: np.ndarray, count: int) -> np.ndarray:
+    """Return the first diagonals (B, M) of D diag(variance) D', which has no others: differences of neighbours."""
+    found = np.zeros((count, len(D)))
+    for k in range(count):
+        found[k, : len(D) - k] = np.sum(D[k:] * variance * D[: len(D) - k], axis=1)
+    return found
+
+
+def whitened(root: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return L^-1 of values (M, ...) by the diagonals (B, M) of L, as `scipy.linalg.cholesky_banded` gives them."""
+    solution, _ = dtbtrs(root, values.reshape(len(values), -1), uplo="L")
+    return np.asarray(solution).reshape(values.shape)
 
 
 # ---------------------------------------------------------------------------- prediction of an attitude by the samples
@@ -369,12 +385,10 @@ def descend(
     iterations: int = ITERATIONS,
 ) -> Descent:  # fmt: skip
     """Run Gauss-Newton from attitude ``C`` at the begin and ``x``, with the prior ``sd`` of both."""
-    roots = [np.linalg.cholesky(noise * c + seen.drift) for c in seen.covariances]
+    roots = [cholesky_banded(noise * c + seen.drift, lower=True) for c in seen.covariances]
     for _ in range(iterations):
         J, r = _linear(imu, seen, C, x, arm)
-        white = np.concatenate(
-            [solve_triangular(L, np.column_stack([J[:, a], r[:, a]]), lower=True) for a, L in enumerate(roots)]
-        )
+        white = np.concatenate([whitened(L, np.column_stack([J[:, a], r[:, a]])) for a, L in enumerate(roots)])
         A, r = white[:, :-1] * sd, white[:, -1]
         N, offset = A.T @ A + np.eye(sd.size), np.concatenate([np.zeros(3), x]) / sd
         delta = sd * np.linalg.solve(N, A.T @ r - offset)
@@ -405,7 +419,7 @@ def by_attitude(
 ) -> list[tuple[float, np.ndarray, float]]:
     """Solve Wahba's problem for every delay, s: weighted sum of squares, attitude (3, 3) at the begin, delay."""
     series, found = _series(imu, np.zeros(7)), []
-    weight = 1 / np.stack([np.diag(c) + np.diag(seen.drift) for c in seen.covariances], 1)
+    weight = 1 / np.stack([c[0] + seen.drift[0] for c in seen.covariances], 1)
     for delay in delays:
         x = np.concatenate([np.zeros(6), [delay]])
         a = seen.D @ _path(imu, series, x, seen.t, seen.positions, arm)[:, :, 0]
@@ -437,7 +451,7 @@ def _linear(
 
 def _moved(seen: DifferencedFixes, roots: list[np.ndarray]) -> bool:
     """Do the fixes show a change of level velocity above noise? Without one the IMU's noise shows any heading."""
-    white = np.concatenate([solve_triangular(L, seen.target[:, a], lower=True) for a, L in enumerate(roots[:2])])
+    white = np.concatenate([whitened(L, seen.target[:, a]) for a, L in enumerate(roots[:2])])
     return float(white @ white) > white.size + MIN_MOTION_SIGMAS * np.sqrt(2 * white.size)
 
 

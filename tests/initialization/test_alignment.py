@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import cholesky_banded
 from scipy.spatial.transform import Rotation
 
 from benchmarks.recordings.start import difference
@@ -99,6 +100,27 @@ def test_derivatives_by_biases_delay_and_arm_are_those_of_differences(positions)
         step = 1e-6 * np.eye(10)[j]
         ahead, behind = (alignment._linear(imu, seen, C, x + sign * step, arm)[1] for sign in (1, -1))
         np.testing.assert_allclose(J[:, :, 3 + j], -(ahead - behind) / 2e-6, atol=2e-5)
+
+
+@pytest.mark.parametrize("positions", [False, True], ids=["velocity", "positions"])
+def test_covariances_of_differences_are_their_diagonals(positions):
+    """Whitening by diagonals is that by the dense matrix, at uneven times and sd."""
+    rng = np.random.default_rng(0)
+    t = np.sort(rng.uniform(0, 30, 25))
+    value = rng.normal(size=(25, 3)) * ([1e-6, 1e-6, 1.0] if positions else 1.0) + [0.8, 0.2, 100.0]
+    fixes = Samples(t, value, rng.uniform(0.5, 2.0, (25, 3)), np.zeros((25, 3)))
+    lla = np.array([0.8, 0.2, 100.0])
+    seen = alignment.differences(fixes, positions, lla, 0.0, driving=0.3)
+    sd = fixes.sd if positions else np.column_stack([fixes.sd[:, :2], np.minimum(fixes.sd[:, 2], 1.0)])
+    weights = rng.normal(size=(len(seen.D), 4))
+    below = lambda band: sum(np.diag(d[: d.size - k], -k) for k, d in enumerate(band))
+    dense = lambda band: below(band) + np.tril(below(band), -1).T
+    for a in range(3):
+        C = seen.D @ np.diag(sd[:, a] ** 2) @ seen.D.T
+        np.testing.assert_allclose(dense(seen.covariances[a]), C, rtol=1e-9, atol=1e-12)
+        root = cholesky_banded(seen.covariances[a] + seen.drift, lower=True)
+        L = np.linalg.cholesky(C + dense(seen.drift))
+        np.testing.assert_allclose(alignment.whitened(root, weights), np.linalg.solve(L, weights), rtol=1e-8, atol=1e-9)
 
 
 def test_a_bias_does_not_lead_to_another_heading():

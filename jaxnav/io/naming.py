@@ -107,7 +107,7 @@ def readings(name: str, file: str) -> list[tuple[list[str], str]]:
         return [([*words_of(Path(file).stem)[0], *words], bracket)]
     return (
         [words_of(name.rpartition(".")[2]), (words, bracket)]
-        if re.search(r"[a-z]\.[a-z]", name)
+        if re.search(r"\w\.[A-Za-z]", name)
         else [(words, bracket)]
     )
 

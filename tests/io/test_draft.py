@@ -254,6 +254,20 @@ def test_a_header_against_the_motion_is_not_sure(rec, tmp_path):
     assert any("do not meet" in line for line in draft([late(500.0), gnss]).unsure)
 
 
+def test_hints_of_size_and_of_other_columns(rec, tmp_path):
+    """Sensors with times of other names, heights in millimetres and a course in radians without a word, HDOP."""
+    t, lat, lon, h, *_, speed, course = fixes(rec)
+    lines(tmp_path / "g.csv", ["timestamp", *(f"w{a} (rad/s)" for a in "xyz")], [rec.imu.t, *rec.imu.gyro.T])
+    lines(tmp_path / "a.csv", ["time", "ax", "ay", "az"], [rec.imu.t, *rec.imu.accel.T])
+    names = ["time", "lat", "lon", "alt", "speed_mps", "course", "HDOP"]
+    lines(tmp_path / "f.csv", names, [t, lat, lon, 1e3 * h, speed, course * DEG, np.ones(t.size)], form="%.9f")
+    found = draft([tmp_path], tmp_path)
+    imu, position, velocity = (found.tables[name] for name in ("imu", "position", "velocity"))
+    assert not found.unsure and imu["time"] == "g:timestamp" and imu["accel_time"] == "a:time"
+    assert position["h_unit"] == "mm" and position["sd_enu"][2] == {"column": "HDOP", "times": 5.0}
+    assert velocity["course_unit"] == "rad"
+
+
 def test_two_recordings_in_a_folder_are_not_sure(rec, tmp_path):
     short_names(rec, tmp_path)
     for name in ("imu", "gnss"):

@@ -1,6 +1,7 @@
 """`jaxnav solve`: an answer, its files, and a run that reproduces it without searching."""
 
 import json
+import re
 
 import jax
 import numpy as np
@@ -37,6 +38,7 @@ def test_it_writes_solution_parameters_and_a_report_that_begins_with_the_verdict
     assert not list(out.glob("*.png"))  # the report shows the run
     page = (out / "report.html").read_text()
     body = page[page.rindex("<body>") :]
+    assert re.search(r"<p>position good to [\d.]+ m, [\d.]+ m from second to second; NIS/dof", body[:600])
     assert f'<p class="verdict">{found["verdict"]}</p>' in body[:400]
     for part in (
         "Hidden fixes of the test part",

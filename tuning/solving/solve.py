@@ -300,8 +300,8 @@ def _untested(
     """Return a solution without a test of its sd, and ``why`` there is none."""
     found = settled(distinct([*findings, *sol.findings]), sol.params, False)
     nis = innovation_metrics(sol.trace.info, sol.measurements)["nis_per_dof"]
-    verdict, broken = judge(nis, None, found)
-    said = f"NIS/dof {nis:.2g}, {why}" if verdict == CARE else broken
+    verdict, said = judge(nis, None, found)
+    said = f"{said}, {why}"
     return Solved(sol, params, verdict, said, found, settings, standing, [], None, None,
                   tuple(sol.outages), {}, window, nis)  # fmt: skip
 
@@ -329,7 +329,8 @@ def judge(nis: float, c: Calibration | None, findings: Sequence[Finding]) -> tup
     if broken:
         return UNUSABLE, f"{broken[0].code}: {', '.join(broken[0].causes) or broken[0].message}"
     if c is None:
-        return CARE, "too short to test the stated standard deviations"
+        said = f"NIS/dof {nis:.2g}"
+        return (UNUSABLE, f"{said}: IMU and fixes contradict each other") if nis > MAX_NIS else (CARE, said)
     inside = c.after.inside_95
     said = f"NIS/dof {nis:.2f}, {100 * inside:.0f} % of {c.after.fixes} hidden fixes inside the stated 95 %"
     if nis > MAX_NIS or inside < MIN_INSIDE:

@@ -61,8 +61,7 @@ def run(job: Job, fast: bool, limit: float | None) -> Outcome:
 
     def so_far(found: Solved) -> None:
         job.publish(written(config, job.folder, found, dict(seconds)))
-        good = found.solution.metrics()["accuracy"]["earth_m"]
-        log(f"an answer is in {job.out}, horizontal position {good:.2g} m (1 sd): {found.why}")
+        log(f"an answer is in {job.out}: {in_words(found)}")
 
     found = solve(
         rec, partial(datasheet, config), fast=fast, initialization=partial(initialization_of, config),
@@ -93,7 +92,7 @@ def written(config: Config, folder: Path, found: Solved, seconds: dict[str, floa
     text = "\n".join([*lines(found), "", summary(metrics, "ekf15", sol.recording.name)])
     return Outcome(
         metrics, text, seconds, stopped, sol.layout, again, findings=found.findings,
-        verdict=f"{found.verdict}: {found.why}", card=card(found),
+        verdict=f"{found.verdict}: {in_words(found)}", card=card(found),
         tables=tables(found),
     )  # fmt: skip
 
@@ -198,4 +197,12 @@ def card(found: Solved) -> Card:
         last = c.ages[-1]
         rows.append(CardRow(f"after {last.age_s:.0f} s without fixes", f"{last.stated_m:.2f} m",
                         f"{last.error_m:.2f} m RMS, by the datasheet {drift['datasheet']:.2f} m"))  # fmt: skip
-    return Card(found.verdict, COLORS[found.verdict], found.why, rows)
+    return Card(found.verdict, COLORS[found.verdict], in_words(found), rows)
+
+
+def in_words(found: Solved) -> str:
+    """Return what follows from a solution, and why."""
+    if found.verdict == UNUSABLE:
+        return found.why
+    good = found.solution.metrics()["accuracy"]
+    return f"position good to {good['earth_m']:.2g} m, {good['relative_m']:.2g} m from second to second; {found.why}"

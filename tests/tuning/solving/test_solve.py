@@ -180,6 +180,11 @@ def test_the_verdict_is_of_the_test_part(nis, inside, verdict, why):
     assert found[0] == verdict and why in found[1]
 
 
+def test_a_solution_without_a_test_is_used_with_care_unless_it_contradicts_its_fixes():
+    assert solve.judge(1.0, None, []) == ("usable with care", "NIS/dof 1")
+    assert solve.judge(5.0, None, []) == ("not usable", "NIS/dof 5: IMU and fixes contradict each other")
+
+
 def test_exchanged_axes_make_no_trajectory():
     mixed = finding("gyro.sign", "gyro z", was=9.0, then=1.0, gain=99.0, cause="gyro z has the wrong sign")
     assert solve.judge(1.0, calibrated(0.95), [mixed]) == ("not usable", "gyro.sign: gyro z has the wrong sign")

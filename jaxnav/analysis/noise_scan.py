@@ -256,7 +256,7 @@ class _Objective:
         position = rec.aiding["position"]
         inside = (position.t > begin.t) & (position.t <= end)
         self.sd = np.median(np.asarray(position.sd)[inside if inside.any() else slice(None)], 0)
-        self.fixes, self.scale, self.stated = WHITE, 0.0, _stated_scale(params)
+        self.fixes, self.scale, self.stated = WHITE, 0.0, stated_scale(params)
         self.assumed_sd = bool(np.all(position.sd == [column.sd for column in self.rows[0].columns]))
         self.cuts, self.shape = dict[float, _Cut](), (0, 0)
         self.prepared: dict[float, Epoch] = {}
@@ -507,7 +507,7 @@ def scan_noise(
     )  # fmt: skip
 
 
-def _stated_scale(params: Params) -> bool:
+def stated_scale(params: Params) -> bool:
     """Return whether parameters state how the fixes' sd are to be scaled, or slow errors of the receiver."""
     if RECEIVER_ERROR in params.states:
         return True

@@ -230,7 +230,7 @@ def test_defaults_of_measurements_state_nothing(drive):
     """Of all rows together, as the command line has them: an odometer's scale is none of the fixes'."""
     every = {name: strong(row.defaults) for name, row in MEASUREMENTS.items()}
     params = with_arm(drive)._replace(measurements=every)
-    assert not noise_scan._stated_scale(params) and not noise_scan._timed(params)
+    assert not noise_scan.stated_scale(params) and not noise_scan._timed(params)
 
 
 def test_slow_errors_that_are_stated_stay(drive):

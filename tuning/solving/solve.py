@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from jaxnav.analysis.evaluate import innovation_metrics
-from jaxnav.analysis.noise_scan import NoiseScan, known_delay
-from jaxnav.analysis.receiver_errors import receiver, stated, without_slow_errors
+from jaxnav.analysis.noise_scan import NoiseScan, known_delay, stated_scale
+from jaxnav.analysis.receiver_errors import Receiver, receiver, stated, without_slow_errors
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
@@ -99,7 +99,7 @@ def solve(
     stop: float | None = None,
     check: Callable[[Recording], Corrections] = correct,
     log: Callable[[str], None] = lambda line: None,
-    so_far: Callable[[Solved], None] = lambda solved: None,
+    so_far: Callable[[Solved], None] | None = None,
     limit: float = math.inf,
 ) -> Solved:
     """Find the best trajectory of a recording, without settings and without truth.
@@ -119,7 +119,7 @@ def solve(
         check: checks and corrects the recording, such as ``partial(tuning.solving.corrections.correct, kept=...)``.
         log: called with a line on each step.
         so_far: called with answers before the best one, each better than the one before: by the datasheet with the
-            delay that alignments show, by the noise scan, by the chosen measurements.
+            delay that alignments show, by the noise scan, by the chosen measurements; None: they are not computed.
         limit: s; no step begins that cannot end in it, see the finding ``solve.time``.
 
     Raises:
@@ -143,12 +143,13 @@ def solve(
     rest = [NOISE, SCORES, *each, *([] if fast else [TUNE]), CALIBRATE, WHOLE]
     stages.replace([FIRST, *rest] if tested else [FIRST, NOISE])
     stages.next()
-    first, params = _first(filt, datasheet_of(filt), bench)
-    enough = stages.fits(NOISE, *([SCORES, CALIBRATE, WHOLE] if tested else []))
-    if not enough:
-        left = finding("solve.time", ", ".join(stage.name for stage in stages.stages[stages.done :]), limit=limit)
-        return untested(first, params, [*findings, left], "not tested: no time for it")
-    so_far(untested(first, params, findings, f"not tested yet: {stages.coming()}"))
+    if so_far is not None or math.isfinite(limit):
+        first = partial(untested, *_first(filt, datasheet_of(filt), bench))
+        if not stages.fits(NOISE, *([SCORES, CALIBRATE, WHOLE] if tested else [])):
+            left = finding("solve.time", ", ".join(stage.name for stage in stages.stages[stages.done :]), limit=limit)
+            return first([*findings, left], "not tested: no time for it")
+        if so_far is not None:
+            so_far(first(findings, f"not tested yet: {stages.coming()}"))
     if not tested:
         stages.next()
         return _short(filt, datasheet_of(filt), bench, smooth, findings, untested)
@@ -168,7 +169,9 @@ def solve(
     level = plain.get("auto", plain["datasheet"])
     run = partial(navigate, rec, scan=False, initialization=initialization, stop=stop, standing=standing,
                   outages=left_out)  # fmt: skip
-    so_far(untested(run(level.filter, level.params), level.params, findings, f"not tested yet: {stages.coming()}"))
+    if so_far is not None:
+        sol, coming = run(level.filter, level.params), f"not tested yet: {stages.coming()}"
+        so_far(untested(sol, level.params, findings, coming))
     count = next((k for k in range(len(each), 0, -1) if stages.fits(*each[:k], CALIBRATE, WHOLE)), 0)
     fast = fast or not stages.fits(*each[:count], TUNE, CALIBRATE, WHOLE)
     ends = [*each[:count], *([] if fast else [TUNE]), CALIBRATE, WHOLE]
@@ -180,7 +183,7 @@ def solve(
     final, start = choice.best, choice.applied(datasheet_of(choice.best.filter))
     tuned, params = None, found.applied(start)
     if not fast:
-        if final is not level:
+        if so_far is not None and final is not level:
             so_far(untested(run(final.filter, params), params, findings, f"not tested yet: {stages.coming()}"))
         stages.next()
         tuned = tune(
@@ -265,9 +268,9 @@ def _without_faults(bench: Bench, plain: dict[str, Scored]) -> tuple[Bench, dict
 def _first(filt: Filter, params: Params, bench: Bench) -> tuple[Solution, Params]:
     """Return the first answer and its parameters: the datasheet, the delay that alignments show, usual slow errors."""
     rec = bench.recording
-    last = float(rec.aiding["position"].t[-1])
     sd = np.median(np.asarray(rec.aiding["position"].sd), 0)
-    usual = NoiseScan(latency=known_delay(rec, params, last, ()).mean, receiver=receiver(stated(sd), sd))
+    errors = Receiver() if stated_scale(params) else receiver(stated(sd), sd)
+    usual = NoiseScan(latency=known_delay(rec, params, bench.stop, ()).mean, receiver=errors)
     filt, params = usual.extended(filt, params)
     params = usual.applied(params)
     sol = navigate(rec, filt, params, scan=False, initialization=bench.begin, stop=bench.stop, standing=bench.standing)

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxnav.io.column_map import described
 from jaxnav.io.files import FilePath
-from jaxnav.io.naming import THREE, Column, column_of, columns_of, readings, unit_of
+from jaxnav.io.naming import MIN_ROWS, THREE, Column, column_of, columns_of, readings, unit_of
 from jaxnav.io.parts import Parts
 from jaxnav.io.sheet import TICKS, Sheet, date, numbers, open_sheet, times
 from jaxnav.io.units import UNITS
@@ -123,7 +123,7 @@ def _group(columns: list[Column], kind: str, found: Draft) -> list[Column]:
         if column.quantity == kind:
             groups.setdefault((column.file, column.group), {}).setdefault(column.axis, column)
     whole = [[axes[a] for a in "xyz"] for axes in groups.values() if set(axes) == set("xyz")]
-    usable = [g for g in whole if np.isfinite(np.stack([c.values for c in g])).mean() > 0.5]
+    usable = [g for g in whole if np.isfinite(np.stack([c.values for c in g])).all(0).mean() > 0.5]
     if kind == "accel":
         usable.sort(key=lambda g: bool(WITHOUT_GRAVITY & set(g[0].group.split())))
     if len(usable) > 1:
@@ -203,24 +203,16 @@ def _by_motion(
     near, stated = "", _rate_unit(gyro)[0]
     if "time" in imu and "time" in position:
         t = _seconds(imu, sheets[gyro[0].file])
-        _, at, north, east = _track(position, sheets[fixes["lat"].file], fixes)
-        overlap = bool(at.size and at[0] < np.nanmax(t) and at[-1] > np.nanmin(t))
-        if at.size and not overlap:
-            found.unsure.append(f"times of IMU and fixes do not meet: {np.nanmin(t):.12g} and {at[0]:.12g} s at first")
         up = np.array([np.nanmean(c.values) for c in accel])
         rate = up / np.linalg.norm(up) @ np.stack([c.values for c in gyro])
         good = np.isfinite(t + rate)
-        turned = np.cumsum(rate[good] * np.diff(t[good], prepend=t[good][0]))
-        every = max(1, round(TURN_S / max(float(np.median(np.diff(at))), 1e-3))) if at.size > 3 else 1
-        at, north, east = at[::every], north[::every], east[::every]
-        moving = np.hypot(np.diff(east), np.diff(north)) > MOVING_MPS * np.diff(at)
-        course = np.arctan2(np.diff(east), np.diff(north))[moving]
-        if course.size > MIN_TURNS and np.ptp(turned) > 0 and overlap:
-            change = (np.diff(course) + np.pi) % (2 * np.pi) - np.pi
-            by_gyro = np.diff(np.interp(0.5 * (at[1:] + at[:-1])[moving], t[good], turned))
-            alike = float(abs(np.corrcoef(change, by_gyro)[0, 1]))
-            ratio = float(abs(change @ by_gyro) / max(by_gyro @ by_gyro, 1e-12))
-            near = _nearest(ratio, "rate", np.log(2.0)) if alike > MIN_ALIKE else ""
+        _, *track = _track(position, sheets[fixes["lat"].file], fixes)
+        if min(good.sum(), track[0].size) >= MIN_ROWS:
+            t, first = t[good], float(track[0][0])
+            if first > t.max() or track[0][-1] < t.min():
+                found.unsure.append(f"times of IMU and fixes do not meet: {t[0]:.12g} and {first:.12g} s at first")
+            else:
+                near = _unit_by_turns(t, np.cumsum(rate[good] * np.diff(t, prepend=t[0])), *track)
     if not stated and near:
         imu["gyro_unit"] = near
         found.remarks.append(("imu", f"gyro: {near}, since its turns are then those of the course"))
@@ -228,6 +220,28 @@ def _by_motion(
         found.unsure.append("gyro_unit: the header states none, and no turns of the course show it")
     elif near not in ("", stated):
         found.unsure.append(f"gyro_unit: {stated} by the header or size, {near} by the turns of the course")
+
+
+def _unit_by_turns(t: np.ndarray, turned: np.ndarray, at: np.ndarray, north: np.ndarray, east: np.ndarray) -> str:
+    """Return the unit in which angles about the vertical are those of a course, "" where it does not show.
+
+    Args:
+        t: (N,) s, of the IMU.
+        turned: (N,) angle about the vertical, up or down.
+        at: (K,) s, of the fixes.
+        north: (K,) m.
+        east: (K,) m.
+    """
+    every = max(1, round(TURN_S / max(float(np.median(np.diff(at))), 1e-3)))
+    at, north, east = at[::every], north[::every], east[::every]
+    moving = np.hypot(np.diff(east), np.diff(north)) > MOVING_MPS * np.diff(at)
+    course = np.arctan2(np.diff(east), np.diff(north))[moving]
+    by_gyro = np.diff(np.interp(0.5 * (at[1:] + at[:-1])[moving], t, turned))
+    change = (np.diff(course) + np.pi) % (2 * np.pi) - np.pi
+    if change.size < MIN_TURNS or not min(np.ptp(change), np.ptp(by_gyro)) > 0:
+        return ""
+    alike, ratio = abs(np.corrcoef(change, by_gyro)[0, 1]), abs(change @ by_gyro) / (by_gyro @ by_gyro)
+    return _nearest(float(ratio), "rate", np.log(2.0)) if alike > MIN_ALIKE else ""
 
 
 def _nearest(ratio: float, kind: str, most: float) -> str:
@@ -315,6 +329,9 @@ def _position(found: Draft, sheets: dict[str, Sheet], fixes: dict[str, Column]) 
     if height is None:
         found.unsure.append("position: no column of the height: a filter takes positions in three dimensions")
         return
+    if np.isfinite(lat.values + lon.values).sum() < MIN_ROWS:
+        found.unsure.append("position: no rows with latitude and longitude")
+        return
     table["lla"] = [lat.name, lon.name, height.name]
     size = float(np.nanmax(np.abs(np.concatenate([lat.values, lon.values]))))
     unit = "1e-7 deg" if size > 1e4 else lat.unit or ("deg" if size > np.pi else "rad")
@@ -382,8 +399,9 @@ def _speed_unit(found: Draft, sheet: Sheet, fixes: dict[str, Column], used: list
         new, t, north, east = _track(found.tables["position"], sheet, fixes)
         way, step = np.hypot(np.diff(north), np.diff(east)), np.diff(t)
         speed = np.linalg.norm(np.stack([c.values for c in used]), axis=0)[new][1:]
-        # the noise of slow ones adds up
-        fast = (step < LONG_STEP_S) & (speed > 0.5 * np.nanpercentile(speed, 90)) if speed.size else np.zeros(0, bool)
+        known = np.where(np.isfinite(speed), speed, 0.0)
+        usual = float(np.percentile(known, 90)) if known.size else 0.0
+        fast = (step > 0) & (step < LONG_STEP_S) & (known > max(0.5 * usual, 1e-3))  # the noise of slow ones adds up
         if fast.sum() > MIN_TURNS:
             near = _nearest(float(way[fast].sum() / (speed * step)[fast].sum()), "speed", MAX_OFF)
     if not stated and near:

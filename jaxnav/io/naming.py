@@ -55,6 +55,9 @@ ROTATED = {"roll": "x", "pitch": "y", "yaw": "z"}
 VAGUE = {"accuracy", "rate", "rotation"}  # words that say something else behind another word
 
 
+MIN_ROWS, MAX_VALUE = 5, 1e15  # numbers of a column that counts, and their largest size
+
+
 class Column(NamedTuple):
     """A column whose name says what it holds."""
 
@@ -95,8 +98,13 @@ def columns_of(file: str, sheet: Sheet) -> Iterable[Column]:
         for words, bracket in readings(name, file):
             stated = bracket or " ".join(words_of(sheet.units.get(name, ""))[0])
             if found := column_of(file, name, words, stated):
-                cells = numbers(sheet, name) if found.quantity not in ("time", "date") else found.values
-                yield found._replace(values=cells)
+                if found.quantity in ("time", "date"):
+                    yield found
+                else:
+                    cells = numbers(sheet, name)
+                    cells = np.where(np.abs(cells) < MAX_VALUE, cells, np.nan)
+                    if np.isfinite(cells).sum() >= MIN_ROWS:
+                        yield found._replace(values=cells)
                 break
 
 

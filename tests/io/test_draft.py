@@ -1,5 +1,6 @@
 """Drafts of column maps: ten tables of other names, units, orders, separators and times give the recording back."""
 
+import contextlib
 import datetime
 import tomllib
 
@@ -290,6 +291,27 @@ def test_tables_without_an_imu_name_their_columns(tmp_path):
     path = lines(tmp_path / "a.csv", ["time", "price"], [np.arange(9.0), np.arange(9.0)])
     with pytest.raises(DataError, match="neither an IMU nor fixes among the columns: time, price"):
         draft([path])
+
+
+AXES = (f"{sensor}{axis}" for sensor in ("gyro_", "w", "a", "acc_") for axis in "xyz")
+NAMES = (*AXES, "time", "t", "date", "lat", "lon", "alt", "speed", "speed_kmh", "course", "vn", "ve", "vd", "hdop", "hAcc",
+         "x", "q", "utc")  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_any_table_is_drafted_or_refused(seed, tmp_path):
+    """Columns of nothing, one number, dates, words, counts, huge numbers: no traceback and no warning."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.choice([2, 3, 5, 50, 300]))
+    kinds = [[word] * n for word in ("", "nan", "abc", "0", "1e300", "-9.81")]
+    kinds += [[f"2024-01-01 00:00:{i % 60:02d}" for i in range(n)], [str(10 * i) for i in range(n)]]
+    kinds += [[f"{48 + 1e-5 * i:.6f}" for i in range(n)]]
+    for file in ("a.csv", "b.csv"):
+        names = list(rng.permutation(NAMES)[: rng.integers(6, len(NAMES))])
+        noise = lambda: [f"{x:.4f}" for x in rng.normal(size=n)]
+        lines(tmp_path / file, names, [kinds[rng.integers(9)] if rng.random() < 0.5 else noise() for _ in names])
+    with contextlib.suppress(DataError):
+        assert tomllib.loads(draft([tmp_path], tmp_path).text())
 
 
 @pytest.mark.parametrize(

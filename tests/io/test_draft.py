@@ -294,8 +294,8 @@ def test_tables_without_an_imu_name_their_columns(tmp_path):
 
 
 AXES = (f"{sensor}{axis}" for sensor in ("gyro_", "w", "a", "acc_") for axis in "xyz")
-NAMES = (*AXES, "time", "t", "date", "lat", "lon", "alt", "speed", "speed_kmh", "course", "vn", "ve", "vd", "hdop", "hAcc",
-         "x", "q", "utc")  # fmt: skip
+NAMES = (*AXES, "time", "t", "date", "lat", "lon", "alt", "speed", "speed_kmh", "course", "vn", "ve", "vd", "hdop",
+         "hAcc", "x", "q", "utc")  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxnav.io.column_map import described
 from jaxnav.io.files import FilePath
-from jaxnav.io.naming import MIN_ROWS, THREE, Column, column_of, columns_of, readings, unit_of
+from jaxnav.io.naming import MIN_ROWS, THREE, Column, named_column, named_columns, readings, unit_of
 from jaxnav.io.parts import Parts
 from jaxnav.io.sheet import TICKS, Sheet, date, numbers, open_sheet, times
 from jaxnav.io.units import UNITS
@@ -66,7 +66,7 @@ def draft(paths: Sequence[FilePath], folder: Path | None = None) -> Draft:
         except DataError:
             if len(files) == 1:
                 raise
-    columns = [column for name, sheet in sheets.items() for column in columns_of(name, sheet)]
+    columns = [column for name, sheet in sheets.items() for column in named_columns(name, sheet)]
     found = Draft({}, [], [])
     gyro, accel = (_group(columns, kind, found) for kind in THREE)
     fixes = _fixes(columns, found)
@@ -279,7 +279,7 @@ def _time(
     file, size = of.file, of.values.size
     names = [n for n, cells in sheet.columns.items() if not n.isdigit() and n not in sheet.twice and len(cells) == size]
     names.sort(key=lambda name: not name.startswith(of.name.rpartition(".")[0]))  # of the same struct first
-    each = [column_of(file, name, *reading) for name in names for reading in readings(name, file)]
+    each = [named_column(file, name, *reading) for name in names for reading in readings(name, file)]
     known = list({c.name: c for c in each if c is not None and c.quantity in ("time", "date")}.values())
     best: list[tuple[float, dict[str, Any], str]] = []
     for name, stated in ((c.name, c.unit or unit_of(sheet.units.get(c.name, ""), "time")) for c in known

@@ -90,14 +90,14 @@ def unit_of(text: str, kind: str) -> str:
     return next((unit for unit, said in STATED.items() if unit in allowed and text in said), "")
 
 
-def columns_of(file: str, sheet: Sheet) -> Iterable[Column]:
+def named_columns(file: str, sheet: Sheet) -> Iterable[Column]:
     """Yield the columns of a table whose names say what they hold."""
     for name in sheet.columns:
         if name.isdigit() or name in sheet.twice:
             continue
         for words, bracket in readings(name, file):
             stated = bracket or " ".join(words_of(sheet.units.get(name, ""))[0])
-            if found := column_of(file, name, words, stated):
+            if found := named_column(file, name, words, stated):
                 if found.quantity in ("time", "date"):
                     yield found
                 else:
@@ -120,7 +120,7 @@ def readings(name: str, file: str) -> list[tuple[list[str], str]]:
     )
 
 
-def column_of(file: str, name: str, words: list[str], stated: str) -> Column | None:
+def named_column(file: str, name: str, words: list[str], stated: str) -> Column | None:
     """Return what a column holds by its words, of which those behind the quantity have to be a unit."""
     for cut in range(len(words), 0, -1):
         if found := _quantity(words[:cut]):

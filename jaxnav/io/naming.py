@@ -113,11 +113,8 @@ def readings(name: str, file: str) -> list[tuple[list[str], str]]:
     words, bracket = words_of(name)
     if len(words) == 1 and words[0] in ("x", "y", "z"):
         return [([*words_of(Path(file).stem)[0], *words], bracket)]
-    return (
-        [words_of(name.rpartition(".")[2]), (words, bracket)]
-        if re.search(r"\w\.[A-Za-z]", name)
-        else [(words, bracket)]
-    )
+    last = [words_of(name.rpartition(".")[2])] if re.search(r"\w\.[A-Za-z]", name) else []
+    return [*last, (words, bracket)]
 
 
 def named_column(file: str, name: str, words: list[str], stated: str) -> Column | None:

@@ -28,6 +28,7 @@ from jaxnav.io.columns import (
 from jaxnav.io.files import FilePath, read_bytes
 from jaxnav.io.formats import raw_table
 from jaxnav.io.mend import GAP_STEPS, MAX_TIME_S
+from jaxnav.io.options import OF
 from jaxnav.io.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream, TimeScale, counted_from
 from jaxnav.io.sheet import DAYS, column, open_sheet
 from jaxnav.maths.axes import enu_to_ecef, geodetic, local_to_lla, rotation
@@ -90,7 +91,7 @@ def described(table: dict[str, Any], file: str, where: Path, base: Callable[...,
         DataError: as `read_map`.
     """
     table = _shared(table, file)
-    origin = np.array(_numbers(table["origin_deg"], 3, f"{file}: origin_deg")) if "origin_deg" in table else None
+    origin = np.array(table["origin_deg"], float) if "origin_deg" in table else None
     files = Files(file, where, {}, None if origin is None else origin * [DEG, DEG, 1.0], 0)
     parts = Parts(file)
     if "read" in table and base is not None:
@@ -114,7 +115,7 @@ def described(table: dict[str, Any], file: str, where: Path, base: Callable[...,
     notes += [note for sheet in files.opened.values() for note in sheet.notes]
     if files.zero:
         notes.append(f"t = 0 is {files.zero} s in the file's time.")
-    arm = np.array(_numbers(table.get("lever_arm_frd_m", parts.lever_arm.tolist()), 3, f"{file}: lever_arm_frd_m"))
+    arm = np.array(table.get("lever_arm_frd_m", parts.lever_arm), float)
     name = table.get("name", Path(file).stem)
     return parts._replace(file=file, aiding=aiding, truth=truth, notes=tuple(notes), lever_arm=arm, name=name)
 
@@ -137,13 +138,6 @@ def _shared(table: dict[str, Any], file: str) -> dict[str, Any]:
             inherited = {k: v for k, v in shared.items() if other.get(k) not in out[name]}
             out[name] = inherited | out[name]
     return out
-
-
-def _numbers(value: Any, size: int, where: str) -> list[float]:
-    good = isinstance(value, list) and len(value) == size
-    if not good or not all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in value):
-        raise DataError(f"{where}: expected {size} numbers, got {value!r}")
-    return value
 
 
 # ---------------------------------------------------------------------------- streams
@@ -242,7 +236,7 @@ def _satellites(files: Files, table: dict[str, Any]) -> tuple[dict[str, Stream],
     """Corrected ranges of a table with one row a satellite and epoch, with fixes by single points, and notes."""
     stream = "satellites"
     where = f"{files.map}: {stream}"
-    known(table, KEYS[stream], where)
+    known(table, KEYS[stream], where, OF | {"position": "columns", "velocity": "columns"})
     for key in ("satellite", "pseudorange"):
         if key not in table:
             raise DataError(f"{where}: expected a key {key}, a column")

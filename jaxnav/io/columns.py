@@ -1,5 +1,6 @@
 """The columns that a table of a column map names, as numbers: `jaxnav.io.column_map` makes streams of them."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from jaxnav.io import units
 from jaxnav.io.formats.rtklib import read_tag
+from jaxnav.io.options import OF, require
 from jaxnav.io.sheet import Sheet, column, numbers, open_sheet, times
 from jaxnav.types import DataError
 
@@ -23,11 +25,12 @@ class Files(NamedTuple):
     zero: int  # s, subtracted from all times
 
 
-def known(table: dict[str, Any], keys: tuple[str, ...], where: str) -> None:
-    """DataError for the first key that is not one of ``keys``, with the nearest."""
-    for key in table:
+def known(table: dict[str, Any], keys: tuple[str, ...], where: str, kinds: Mapping[str, str] = OF) -> None:
+    """DataError for the first key that is not one of ``keys``, with the nearest, or whose value is of another kind."""
+    for key, value in table.items():
         if key not in keys:
             raise DataError(f"{where}: {key}: unknown key; {units.nearest(key, keys)}")
+        require(where, key, value, kinds.get(key, "table"))  # streams are tables
 
 
 def sheet_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> tuple[Sheet, str]:
@@ -136,8 +139,8 @@ def rows_of(files: Files, table: dict[str, Any], stream: str, n: int) -> np.ndar
             raise DataError(f"{files.map}: {stream}: where: {ref}: expected 3 or '>=3', got {wanted!r}") from None
         keep &= compare.get(sign, np.equal)(column_of(files, table, ref, stream), value)
     if "new_where" in table:
-        needs_receiver_slices = [column_of(files, table, ref, stream) for ref in table["new_where"]]
-        keep &= np.any([np.r_[True, c[1:] != c[:-1]] for c in needs_receiver_slices], axis=0)
+        columns = [column_of(files, table, ref, stream) for ref in table["new_where"]]
+        keep &= np.any([np.r_[True, c[1:] != c[:-1]] for c in columns], axis=0)
     return keep
 
 

@@ -12,6 +12,7 @@ from jaxnav.io.files import FilePath
 from jaxnav.io.naming import MIN_ROWS, THREE, Column, named_column, named_columns, readings, unit_of
 from jaxnav.io.parts import Parts
 from jaxnav.io.sheet import TICKS, Sheet, date, numbers, open_sheet, times
+from jaxnav.io.toml import cell
 from jaxnav.io.units import UNITS
 from jaxnav.maths.units import G0
 from jaxnav.types import DataError
@@ -42,7 +43,7 @@ class Draft(NamedTuple):
         ]
         out += [f"# ? {line}" for line in self.unsure]
         for table, keys in self.tables.items():
-            out += ["", f"[{table}]", *(f"{key} = {_toml(value)}" for key, value in keys.items())]
+            out += ["", f"[{table}]", *(f"{key} = {cell(value)}" for key, value in keys.items())]
             out += [f"# {said}" for name, said in self.remarks if name == table]
         return "\n".join(out) + "\n"
 
@@ -411,11 +412,3 @@ def _speed_unit(found: Draft, sheet: Sheet, fixes: dict[str, Column], used: list
     elif near not in ("", stated):
         found.unsure.append(f"velocity: {stated} by the header, {near} by the way between positions")
     return stated or near or "m/s"
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_toml(v)}" for key, v in value.items()) + " }"
-    return "[" + ", ".join(map(_toml, value)) + "]" if isinstance(value, list) else f"{value}"

@@ -32,6 +32,7 @@ from jaxnav.io.formats import (
     ulog,
 )
 from jaxnav.io.mend import Changes
+from jaxnav.io.options import OPTIONS, require
 from jaxnav.io.parts import ImuRows, Parts, Stream, TimeScale, counted_from, parts_of, scaled
 from jaxnav.io.timescale import recording
 from jaxnav.types import DataError, Recording
@@ -80,6 +81,10 @@ def read(path: FilePath, **options: Any) -> Recording:
 def read_parts(path: FilePath, gnss: FilePath | None = None, **options: Any) -> Parts:
     """Return the contents of a file, before mending; options as for `read`."""
     path = Path(path)
+    options = {key: value for key, value in options.items() if value is not None}  # as if it were not there
+    for key, value in (options | ({"gnss": gnss} if gnss is not None else {})).items():
+        if key in OPTIONS:
+            require(os.fspath(path), key, value, OPTIONS[key])
     row = recognise(path)
     others = () if gnss is None else recognise(gnss).options
     reader = {key: value for key, value in options.items() if key in row.options}

@@ -75,7 +75,7 @@ def plain(value: Any) -> Any:
 
 def to_toml(tree: Mapping[str, Any], section: str = "") -> str:
     """Return a tree as TOML text."""
-    lines = [f"{quoted(k)} = {_toml(v)}" for k, v in tree.items() if not isinstance(v, Mapping)]
+    lines = [f"{quoted(k)} = {cell(v)}" for k, v in tree.items() if not isinstance(v, Mapping)]
     if section and (lines or not tree):
         lines = [f"[{section}]", *lines]
     text = "\n".join(lines) + "\n" if lines else ""
@@ -88,8 +88,7 @@ def to_toml(tree: Mapping[str, Any], section: str = "") -> str:
 
 def inline(table: Mapping[str, Any]) -> str:
     """Return a table as TOML in one line."""
-    cells = (f"{quoted(k)} = {inline(v) if isinstance(v, Mapping) else _toml(v)}" for k, v in table.items())
-    return f"{{ {', '.join(cells)} }}"
+    return f"{{ {', '.join(f'{quoted(k)} = {cell(v)}' for k, v in table.items())} }}"
 
 
 def quoted(key: str) -> str:
@@ -97,9 +96,12 @@ def quoted(key: str) -> str:
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key)
 
 
-def _toml(value: Any) -> str:
+def cell(value: Any) -> str:
+    """Return a value as TOML in one line."""
+    if isinstance(value, Mapping):
+        return inline(value)
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(_toml(v) for v in value)}]"
+        return f"[{', '.join(cell(v) for v in value)}]"
     return json.dumps(value) if isinstance(value, str) else repr(value)

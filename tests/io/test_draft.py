@@ -14,7 +14,7 @@ from jaxnav.app import cli
 from jaxnav.io.column_map import read_map
 from jaxnav.io.draft import draft
 from jaxnav.io.mend import recording
-from jaxnav.io.naming import words_of
+from jaxnav.io.naming import named_column, words_of
 from jaxnav.maths.units import DEG, G0
 from jaxnav.simulate.gnss import Receiver
 from jaxnav.simulate.scenarios import URBAN_SHORT
@@ -285,6 +285,9 @@ def test_gravity_that_a_logger_took_out_is_said(rec, tmp_path):
                  [rec.imu.t, *rec.imu.gyro.T, *still.T])  # fmt: skip
     with pytest.raises(DataError, match=r"a.csv: columns user_acc_x.*gravity was taken out"):
         draft([path])
+    names = ["t", *(f"gyro_{a}_dps" for a in "xyz"), *(f"user_acc_{a}" for a in "xyz"), *(f"acc_{a}" for a in "xyz")]
+    both = lines(path, names, [rec.imu.t, *rec.imu.gyro.T, *still.T, *rec.imu.accel.T])
+    assert draft([both]).tables["imu"]["accel"] == ["acc_x", "acc_y", "acc_z"]
 
 
 def test_tables_without_an_imu_name_their_columns(tmp_path):
@@ -326,6 +329,12 @@ def test_any_table_is_drafted_or_refused(seed, tmp_path):
 )
 def test_words_of_a_name(name, words, unit):
     assert words_of(name) == (words, unit)
+
+
+def test_words_behind_a_quantity_have_to_be_a_unit():
+    of = lambda name: named_column("a.csv", name, *words_of(name))
+    assert of("lat_error") is None and of("gyro_x_raw") is None
+    assert (of("height_m").quantity, of("height_m").unit) == ("height", "m") and of("acc_x_g").axis == "x"
 
 
 def test_a_folder_that_is_sure_is_read_as_it_is(rec, tmp_path):

@@ -75,3 +75,9 @@ def test_each_option_and_key_has_a_kind():
     streams = {key for key in TOP if key not in OF}
     assert streams == set() and {*OF.values(), *OPTIONS.values()} <= set(KINDS)
     assert {key for keys in KEYS.values() for key in keys} - {"position", "velocity"} <= set(OF)
+
+
+def test_true_and_nan_are_no_numbers():
+    number, three = KINDS["number"][1], KINDS["three"][1]
+    assert number(2) and number(2.5) and not number(True) and not number(float("nan"))
+    assert three([1, 2.0, 3]) and three(np.zeros(3)) and not three([1, 2]) and not three([1, 2, "3"])

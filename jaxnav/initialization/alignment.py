@@ -32,9 +32,7 @@ MAX_ALIGNMENT_FIXES = 240  # of a window; more are thinned out
 MAX_SAMPLE_RATE_HZ = 125.0  # Hz; faster samples are put together
 DELAYS = np.arange(-0.65, 0.66, 0.05)  # s, tried in the first guess
 DRIVING_NOISE = 0.01  # m/s/sqrt(s): effect of vibration and rounding on S
-TURN_S = (
-    1.0  # s: how long gravity at the tilt that a turn has left lasts as white noise of the same power, see `driving`
-)
+TURN_S = 1.0  # s, for which gravity at the tilt that a turn leaves lasts, see `driving`
 VERTICAL_SD = 1.0  # m/s, of a vertical velocity that is not measured: taken for steady, else gravity is lost
 MIN_NOISE_FACTOR = 0.1  # fixes may be better than they say by so much; how much worse is open
 UNKNOWN_ATTITUDE_SD = 10.0  # rad, prior of the attitude: nothing is known

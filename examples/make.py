@@ -5,7 +5,6 @@ are stamped when they arrive, 0.13 s late, and their antenna is on the roof. Err
 tunnel of 15 s there are none, and for 5 s reflections lead them 14 m astray.
 """
 
-import csv
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
@@ -46,12 +45,7 @@ def simulated() -> Recording:
 
 def write_csv(path: Path, header: str, columns: list[np.ndarray], formats: str) -> None:
     """Write a table, a format for each column."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(header.split(","))
-        form = formats.split()
-        for row in zip(*columns, strict=True):
-            rows.writerow([each % value for each, value in zip(form, row, strict=True)])
+    np.savetxt(path, np.column_stack(columns), formats.split(), ",", header=header, comments="")
 
 
 def write_tables(rec: Recording, folder: Path) -> None:

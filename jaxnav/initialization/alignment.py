@@ -236,6 +236,10 @@ def driving(imu: ImuLog, scale: float) -> float:
 
     A turn by an angle leaves ``scale`` times it as tilt, and gravity at that tilt is an acceleration. The angle is that
     of the rotations R about their mean, 2 angle^2 = 3 - |mean(R)|^2.
+
+    Args:
+        imu: samples of a window, rad/s.
+        scale: sd of scale errors and misalignment, 1.
     """
     if not scale:
         return DRIVING_NOISE

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,11 +15,11 @@ from jaxnav.io.parts import Parts
 from jaxnav.io.sheet import TICKS, Sheet, date, numbers, open_sheet, times
 from jaxnav.io.toml import cell
 from jaxnav.io.units import UNITS
+from jaxnav.maths.earth import enu_path
 from jaxnav.maths.units import G0
 from jaxnav.types import DataError
 
 WITHOUT_GRAVITY = {"user", "linear", "free"}  # words of an acceleration that a logger has taken gravity out of
-EARTH_M = 6.371e6  # m
 MAX_RADPS = 12.0  # of the rates of a vehicle
 LONG_STEP_S = 5.0  # s between fixes, over which their distance is no way
 MAX_OFF = 0.07  # of a unit by the way between positions: knots and mph differ by 14 %
@@ -94,7 +95,7 @@ def read_tables(path: Path) -> Parts:
         DataError: a table that cannot be read.
     """
     folder = path if path.is_dir() else path.parent
-    found = draft([path], folder)
+    found = _drafted(path, _stamps(path))
     parts = described(found.tables, os.fspath(path), folder)
     said = "columns are taken for what their names and numbers say: jaxnav map shows it, and drafts a map to change"
     return parts._replace(notes=(*parts.notes, f"{path.name}: {said}."))
@@ -103,9 +104,19 @@ def read_tables(path: Path) -> Parts:
 def recognises(path: Path, head: bytes) -> bool:
     """Return whether the columns of a table or a folder say by themselves what they hold."""
     try:
-        return not draft([path]).unsure
+        return not _drafted(path, _stamps(path)).unsure
     except (DataError, OSError):
         return False
+
+
+@lru_cache(1)
+def _drafted(path: Path, stamps: tuple[tuple[str, int, int], ...]) -> Draft:
+    """Return the draft of a table or folder, once for the recogniser and the reader, of files as ``stamps`` say."""
+    return draft([path], path if path.is_dir() else path.parent)
+
+
+def _stamps(path: Path) -> tuple[tuple[str, int, int], ...]:
+    return tuple((file.name, about.st_mtime_ns, about.st_size) for file in _files(path) for about in [file.stat()])
 
 
 def _files(path: Path) -> list[Path]:
@@ -183,7 +194,7 @@ def _imu(found: Draft, sheets: dict[str, Sheet], gyro: list[Column], accel: list
         table["axes"] = "flu"
         said += ": z points up, and axes are taken for forward, left, up"
     elif up != 2:
-        said += ": neither x nor y of a level IMU; the alignment finds any mounting, axes states it"
+        said += ": the IMU is mounted on its side; the alignment finds any mounting, axes states it"
     found.remarks.append(("imu", said))
     found.tables["imu"] = table
 
@@ -255,12 +266,13 @@ def _nearest(ratio: float, kind: str, most: float) -> str:
 def _track(
     table: dict[str, Any], sheet: Sheet, fixes: dict[str, Column]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return rows with a new position, their times (s), and metres north and east of the equator and Greenwich."""
+    """Return rows with a new position, their times (s), and metres north and east of the first one."""
     scale = UNITS["angle"][table.get("unit", "deg")]
     t, lat, lon = _seconds(table, sheet), scale * fixes["lat"].values, scale * fixes["lon"].values
     new = np.flatnonzero(np.isfinite(t + lat + lon) & (np.diff(lat, prepend=np.nan) != 0) & (lat != 0))
-    middle = np.cos(np.median(lat[new])) if new.size else 1.0
-    return new, t[new], EARTH_M * lat[new], EARTH_M * middle * lon[new]
+    lla = np.stack([lat, lon, 0 * lat], 1)[new]
+    east, north, _ = enu_path(lla, lla[0] if new.size else np.zeros(3)).T
+    return new, t[new], north, east
 
 
 def _seconds(table: dict[str, Any], sheet: Sheet) -> np.ndarray:

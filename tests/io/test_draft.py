@@ -2,6 +2,7 @@
 
 import contextlib
 import datetime
+import sys
 import tomllib
 
 import jax
@@ -337,10 +338,14 @@ def test_words_behind_a_quantity_have_to_be_a_unit():
     assert (of("height_m").quantity, of("height_m").unit) == ("height", "m") and of("acc_x_g").axis == "x"
 
 
-def test_a_folder_that_is_sure_is_read_as_it_is(rec, tmp_path):
+def test_a_folder_that_is_sure_is_read_as_it_is(rec, tmp_path, monkeypatch):
     a_file_a_sensor(rec, tmp_path)
     (tmp_path / "Gyroscope.csv").rename(tmp_path / "gyro.csv")  # no app's folder
+    opened = []
+    draft_module = sys.modules["jaxnav.io.draft"]
+    monkeypatch.setattr(draft_module, "draft", lambda *args: opened.append(args) or draft(*args))
     got = read(tmp_path)
+    assert len(opened) == 1  # for the recogniser and the reader
     assert "jaxnav map" in got.notes and got.imu.t.size > 1400 and "position" in got.aiding
 
 

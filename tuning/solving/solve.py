@@ -1,7 +1,7 @@
 """`solve`: from a recording to its best trajectory, with stated sd that are calibrated and a verdict."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
@@ -171,7 +171,7 @@ def solve(
                   outages=left_out)  # fmt: skip
     if so_far is not None:
         sol, coming = run(level.filter, level.params), f"not tested yet: {stages.coming()}"
-        so_far(untested(sol, level.params, findings, coming))
+        so_far(untested(sol, level.params, findings, coming, gone=gone))
     count = next((k for k in range(len(each), 0, -1) if stages.fits(*each[:k], CALIBRATE, WHOLE)), 0)
     fast = fast or not stages.fits(*each[:count], TUNE, CALIBRATE, WHOLE)
     ends = [*each[:count], *([] if fast else [TUNE]), CALIBRATE, WHOLE]
@@ -184,7 +184,8 @@ def solve(
     tuned, params = None, found.applied(start)
     if not fast:
         if so_far is not None and final is not level:
-            so_far(untested(run(final.filter, params), params, findings, f"not tested yet: {stages.coming()}"))
+            coming = f"not tested yet: {stages.coming()}"
+            so_far(untested(run(final.filter, params), params, findings, coming, gone=gone))
         stages.next()
         tuned = tune(
             bench.recording, final.filter, start, initialization=bench.begin, stop=bench.stop,
@@ -298,14 +299,14 @@ def _short(
 
 def _untested(
     sol: Solution, params: Params, findings: Sequence[Finding], why: str, settings: dict[str, float | str],
-    standing: Standing, window: float,
+    standing: Standing, window: float, gone: Set[str] = frozenset(),
 ) -> Solved:  # fmt: skip
-    """Return a solution without a test of its sd, and ``why`` there is none."""
-    found = settled(distinct([*findings, *sol.findings]), sol.params, False)
+    """Return a solution without a test of its sd, and ``why`` there is none; ``gone``: findings of a left-out fault."""
+    said = [f for f in distinct([*findings, *sol.findings]) if f.code not in gone]
+    found = settled(said, sol.params, False)
     nis = innovation_metrics(sol.trace.info, sol.measurements)["nis_per_dof"]
-    verdict, said = judge(nis, None, found)
-    said = f"{said}, {why}"
-    return Solved(sol, params, verdict, said, found, settings, standing, [], None, None,
+    verdict, how = judge(nis, None, found)
+    return Solved(sol, params, verdict, f"{how}, {why}", found, settings, standing, [], None, None,
                   tuple(sol.outages), {}, window, nis)  # fmt: skip
 
 

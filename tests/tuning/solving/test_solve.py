@@ -210,6 +210,9 @@ def test_a_short_recording_says_from_which_length_on_it_can_be_tested(drive):
     assert found.verdict == "usable with care" and found.tuned is None and found.calibration is None
     (first,) = before
     assert "not tested yet: noise by likelihood to come" in first.why and first.findings and not first.solution.smoothed
+    code = first.solution.findings[0].code
+    without = solve._untested(first.solution, first.params, [], "", {}, first.standing, first.window_s, gone={code})
+    assert code not in {f.code for f in without.findings}
     once = solve.solve(short, limit=1e-3)  # s
     assert [f.subject for f in once.findings if f.code == "solve.time"] == ["noise by likelihood"]
     np.testing.assert_array_equal(once.solution.lla, first.solution.lla)

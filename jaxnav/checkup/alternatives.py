@@ -15,7 +15,8 @@ from scipy.linalg import solve_triangular
 
 from jaxnav.filters.epochs import sample_rows
 from jaxnav.initialization import alignment
-from jaxnav.initialization.alignment import Alignment, AlignmentPrior, DifferencedFixes, align
+from jaxnav.initialization.alignment import Alignment, AlignmentPrior, align
+from jaxnav.initialization.differences import DifferencedFixes, differences
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 from jaxnav.states.grades import GRADES
@@ -201,7 +202,7 @@ def _steady(seen: DifferencedFixes) -> np.ndarray:
 def _case(rec: Recording, begin: float, end: float) -> Case:
     name, fixes = source(rec)
     inside = alignment.within_margin(fixes, begin, end)
-    seen = alignment.differences(inside, name == "position", rec.aiding["position"].value[0], begin)
+    seen = differences(inside, name == "position", rec.aiding["position"].value[0], begin)
     return Case(begin, end, _whitened(seen), _whitened(seen, prior().accel_bias if seen.positions else 0.0))
 
 

@@ -13,17 +13,13 @@ attitude. Where heading cannot be seen its standard deviation says so.
 
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from scipy.linalg import cholesky_banded
-from scipy.linalg.lapack import dtbtrs
 from scipy.spatial.transform import Rotation
 
 from jaxnav.filters.epochs import sample_rows
 from jaxnav.filters.gaps import TICK
-from jaxnav.filters.programs import stored
-from jaxnav.maths import earth
-from jaxnav.maths.interpolation import running
+from jaxnav.initialization.differences import DRIVING_NOISE, DifferencedFixes, differences, whitened
 from jaxnav.maths.units import G0
 from jaxnav.types import ImuLog, Samples
 
@@ -31,9 +27,7 @@ MAX_DELAY_S = 0.7  # s: the largest delay that is looked for, either way
 MAX_ALIGNMENT_FIXES = 240  # of a window; more are thinned out
 MAX_SAMPLE_RATE_HZ = 125.0  # Hz; faster samples are put together
 DELAYS = np.arange(-0.65, 0.66, 0.05)  # s, tried in the first guess
-DRIVING_NOISE = 0.01  # m/s/sqrt(s): effect of vibration and rounding on S
 TURN_S = 1.0  # s, for which gravity at the tilt that a turn leaves lasts, see `driving`
-VERTICAL_SD = 1.0  # m/s, of a vertical velocity that is not measured: taken for steady, else gravity is lost
 MIN_NOISE_FACTOR = 0.1  # fixes may be better than they say by so much; how much worse is open
 UNKNOWN_ATTITUDE_SD = 10.0  # rad, prior of the attitude: nothing is known
 ITERATIONS = 10
@@ -86,21 +80,6 @@ class Alignment(NamedTuple):
         return np.block([[self.P_vel], [self.P_vel[:, 3:].T, self.P]])
 
 
-class DifferencedFixes(NamedTuple):
-    """Differences D z of K fixes z, without gravity and Coriolis."""
-
-    t: np.ndarray  # (K,) s
-    positions: bool  # else velocities
-    gravity_free: np.ndarray  # (K, 3) m or m/s: the fixes without gravity and Coriolis
-    gravity_dv: np.ndarray  # (3,) m/s, effect of gravity and Coriolis on velocity up to the last fix
-    D: np.ndarray  # (M, K)
-    target: np.ndarray  # (M, 3) m/s, the differences, in ENU as it stood at the window's begin
-    covariances: list[np.ndarray]  # (B, M) for each axis, from the fixes' stated sd: diagonals 0 to B - 1
-    driving: float  # m/s/sqrt(s), noise of the samples' integral
-    drift: np.ndarray  # (B, M), its covariance, likewise
-    spin: np.ndarray  # (3,) rad/s, rotation of ENU
-
-
 def align(
     imu: ImuLog, fixes: Samples, positions: bool, lla: np.ndarray, begin: float, end: float, prior: AlignmentPrior,
     arm: np.ndarray,
@@ -141,73 +120,6 @@ def within_margin(fixes: Samples, begin: float, end: float) -> Samples:
     """Return the fixes that keep `MAX_DELAY_S` from both ends, for a delay; thinned to `MAX_ALIGNMENT_FIXES`."""
     rows = np.flatnonzero((fixes.t >= begin + MAX_DELAY_S) & (fixes.t <= end - MAX_DELAY_S))
     return sample_rows(fixes, rows[:: max(1, -(-rows.size // MAX_ALIGNMENT_FIXES))])
-
-
-# ---------------------------------------------------------------------------- differences of the fixes
-
-
-@stored
-def _surroundings(lla: jax.Array, vel: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Rate of the Earth, rate of ENU over it at this velocity, rad/s, and gravity, m/s^2."""
-    lat, _, h = lla
-    return earth.earth_rate(lat), earth.transport_rate(lat, h, vel), earth.gravity(lat, h)
-
-
-def differences(
-    fixes: Samples, positions: bool, lla: np.ndarray, begin: float, driving: float = DRIVING_NOISE
-) -> DifferencedFixes:
-    """Return the differences of fixes (rad, rad, m or ENU m/s) in a window that begins at ``begin`` s, near ``lla``.
-
-    ``driving`` m/s/sqrt(s): noise of the samples' integral.
-    """
-    t = fixes.t
-    z = earth.enu_path(fixes.value, fixes.value[0]) if positions else fixes.value
-    vel = np.gradient(z, t, axis=0) if positions else z
-    rate, over, g = (np.asarray(a) for a in _surroundings(lla, vel.mean(0)))
-    push = np.array([0.0, 0.0, -float(g)]) - np.cross(2 * rate + over, vel)
-    gravity_dv = running(t, push)
-    rest = z - (running(t, gravity_dv) if positions else gravity_dv)
-    D = _differences(t, positions)
-    middle = (np.abs(D) @ t) / np.abs(D).sum(1)
-    back = Rotation.from_rotvec((rate + over) * (middle - begin)[:, None]).as_matrix()  # ENU has turned since
-    target = np.einsum("kij,kj->ki", back, D @ rest)
-    sd = fixes.sd.copy()
-    if not positions:
-        sd[:, 2] = np.minimum(sd[:, 2], VERTICAL_SD)
-    drift = driving**2 * _drift(t, positions)
-    drift[0] += 1e-12
-    covariances = [_diagonals(D, s**2, len(drift)) for s in sd.T]
-    return DifferencedFixes(t, positions, rest, gravity_dv[-1], D, target, covariances, driving, drift, rate + over)
-
-
-def _differences(t: np.ndarray, positions: bool) -> np.ndarray:
-    """D (M, K): neighbouring differences of velocities, or of the mean velocities between neighbouring positions."""
-    first = np.diff(np.eye(t.size), axis=0)
-    return np.diff(first / np.diff(t)[:, None], axis=0) if positions else first
-
-
-def _drift(t: np.ndarray, positions: bool) -> np.ndarray:
-    """Covariance of the differences for white noise of unit density in the acceleration, as diagonals (B, M)."""
-    dt = np.diff(t)
-    if not positions:
-        return np.stack([dt, 0 * dt])
-    # a second difference weighs the acceleration with a triangle over its two intervals
-    a, b = dt[:-1], dt[1:]
-    return np.stack([(a + b) / 3, np.append(b[:-1] / 6, 0.0), 0 * a])
-
-
-def _diagonals(D: np.ndarray, variance: np.ndarray, count: int) -> np.ndarray:
-    """Return the first diagonals (B, M) of D diag(variance) D', which has no others: differences of neighbours."""
-    found = np.zeros((count, len(D)))
-    for k in range(count):
-        found[k, : len(D) - k] = np.sum(D[k:] * variance * D[: len(D) - k], axis=1)
-    return found
-
-
-def whitened(root: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return L^-1 of values (M, ...) by the diagonals (B, M) of L, as `scipy.linalg.cholesky_banded` gives them."""
-    solution, _ = dtbtrs(root, values.reshape(len(values), -1), uplo="L")
-    return np.asarray(solution).reshape(values.shape)
 
 
 # ---------------------------------------------------------------------------- prediction of an attitude by the samples

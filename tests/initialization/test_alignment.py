@@ -13,6 +13,7 @@ from jaxnav.filters.catalogue import build
 from jaxnav.filters.error_model import MOTION_ERRORS, error_model
 from jaxnav.initialization import alignment
 from jaxnav.initialization.alignment import AlignmentPrior, align, rotations_since
+from jaxnav.initialization.differences import DRIVING_NOISE, differences, whitened
 from jaxnav.initialization.initialize import aligned, correlation_root, initialize
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG, G0
@@ -68,8 +69,8 @@ def test_driving_noise_of_a_sway():
     imu = ImuLog(0.01 * np.arange(1, n), np.full(n - 1, 0.01), gyro, np.zeros((n - 1, 3)))
     angle = np.sqrt(1 - (np.sin(A) / A) ** 2)
     extra = 3e-3 * G0 * angle * np.sqrt(alignment.TURN_S)
-    assert alignment.driving(imu, 3e-3) == pytest.approx(np.hypot(alignment.DRIVING_NOISE, extra), rel=1e-3)
-    assert alignment.driving(imu, 0.0) == alignment.DRIVING_NOISE
+    assert alignment.driving(imu, 3e-3) == pytest.approx(np.hypot(DRIVING_NOISE, extra), rel=1e-3)
+    assert alignment.driving(imu, 0.0) == DRIVING_NOISE
 
 
 def test_a_known_delay_is_not_found_again():
@@ -92,7 +93,7 @@ def test_derivatives_by_biases_delay_and_arm_are_those_of_differences(positions)
     rec, _ = simulated("aircraft", "consumer", True, np.random.default_rng(4))
     fixes = alignment.within_margin(rec.aiding["position" if positions else "velocity"], 20.0, 40.0)
     imu, lla = alignment.window(rec.imu, 20.0, 40.0), rec.aiding["position"].value[0]
-    seen = alignment.differences(fixes, positions, lla, 20.0)
+    seen = differences(fixes, positions, lla, 20.0)
     x, arm = np.array([0.01, -0.02, 0.015, 0.1, 0.05, -0.1, 0.05, 0.3, -0.2, 0.1]), np.array([1.0, 0.5, -2.0])
     C = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix()
     J, _ = alignment._linear(imu, seen, C, x, arm)
@@ -110,7 +111,7 @@ def test_covariances_of_differences_are_their_diagonals(positions):
     value = rng.normal(size=(25, 3)) * ([1e-6, 1e-6, 1.0] if positions else 1.0) + [0.8, 0.2, 100.0]
     fixes = Samples(t, value, rng.uniform(0.5, 2.0, (25, 3)), np.zeros((25, 3)))
     lla = np.array([0.8, 0.2, 100.0])
-    seen = alignment.differences(fixes, positions, lla, 0.0, driving=0.3)
+    seen = differences(fixes, positions, lla, 0.0, driving=0.3)
     sd = fixes.sd if positions else np.column_stack([fixes.sd[:, :2], np.minimum(fixes.sd[:, 2], 1.0)])
     weights = rng.normal(size=(len(seen.D), 4))
     below = lambda band: sum(np.diag(d[: d.size - k], -k) for k, d in enumerate(band))
@@ -120,7 +121,7 @@ def test_covariances_of_differences_are_their_diagonals(positions):
         np.testing.assert_allclose(dense(seen.covariances[a]), C, rtol=1e-9, atol=1e-12)
         root = cholesky_banded(seen.covariances[a] + seen.drift, lower=True)
         L = np.linalg.cholesky(C + dense(seen.drift))
-        np.testing.assert_allclose(alignment.whitened(root, weights), np.linalg.solve(L, weights), rtol=1e-8, atol=1e-9)
+        np.testing.assert_allclose(whitened(root, weights), np.linalg.solve(L, weights), rtol=1e-8, atol=1e-9)
 
 
 def test_a_bias_does_not_lead_to_another_heading():

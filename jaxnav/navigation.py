@@ -30,6 +30,7 @@ from jaxnav.filters.run import CHUNK, first_failure, in_chunks, joined, require_
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.bank import bank_jit, choose
+from jaxnav.initialization.going_back import gone_back
 from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.initialization.parked import moves_off, spread_again
 from jaxnav.io.solution import FORMATS, write_kml, write_solution
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 
 BASES = ("imu", "fixes")  # clocks of written times
 FULL_COVERAGE = 0.98  # share of a run that its truth covers, below which a finding says so
+MAX_NIS = 4.0  # over degrees of freedom, of the fixes before a start, beyond which a smoother does not go back to them
 UNLIKE_DATASHEET = 10.0  # factor on the datasheet's noise above which scale or unit of a gyro may pass for noise
 
 
@@ -60,6 +62,18 @@ class Chosen(NamedTuple):
         if math.isnan(self.heading_deg):
             return []
         return [finding("heading.hypotheses", value=self.heading_deg, probability=self.probability)]
+
+
+class Run(NamedTuple):
+    """A run from an initialization."""
+
+    begin: Initialization
+    params: Params  # with the prior of the start
+    packed: ep.Packed
+    hidden: np.ndarray  # (E,) bool, epochs with hidden fixes
+    info: Info  # (E, ...), smoothed if wanted
+    about: Chosen
+    nav: Nav  # the start that was taken
 
 
 @dataclass(frozen=True)
@@ -226,7 +240,8 @@ def navigate(
         outages: windows (start, end) s with the receiver's fixes hidden.
         interval: s, length of epochs without a fix; 0 is the median of the position's.
         standing: the detector of standstills.
-        smooth: each epoch by all fixes, past and future (`jaxnav.filters.smoother`); innovations stay the filter's.
+        smooth: each epoch by all fixes, past and future (`jaxnav.filters.smoother`); innovations stay the filter's. It
+            begins with the first fix, where an initialization has to be later (`jaxnav.initialization.going_back`).
         lag: s, in place of that by past fixes and the fixes of the next seconds.
         sd_factor: multiplies the stated sd of positions, such as that of a calibration by hidden fixes.
 
@@ -251,24 +266,32 @@ def navigate(
         found = scan_noise(rec, params, initialization=make(rec, params), stop=stop, outages=outages)
         filt, params = found.extended(filt, params)
         params = found.applied(params)
-    begin = make(rec, params)
-    params = begin.apply_to(params)
+    begin, given = make(rec, params), params
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    packed = ep.pack_recording(rec, chosen, begin.t, interval, stop, standing)
     if filt.with_history:
         filt = filt.with_history(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
-    hidden = ep.in_windows(packed.t, outages)
-    epochs = ep.hide(packed.epochs, hidden, chosen)
-    off = moves_off(rec, begin.t) if begin.navs.t.shape[0] > 1 else None
-    parked = 0 if off is None else int(np.searchsorted(packed.t, off))
-    info, about = execute(filt, params, begin.navs, epochs, parked)
-    failure = first_failure(info, packed.t)
-    if failure:
-        raise FilterError(f"run {rec.name}: {failure}")
-    best = jax.tree.map(lambda a: a[about.best], begin.navs)
-    if smooth or lag:
-        within = () if smooth else reach_of(packed.t, lag)
-        _, info = smooth_jit(filt, params, best, epochs, *within)
+
+    def run_from(begin: Initialization) -> Run:
+        """Run, and smooth if wanted, from an initialization."""
+        theta = begin.apply_to(given)
+        packed = ep.pack_recording(rec, chosen, begin.t, interval, stop, standing)
+        hidden = ep.in_windows(packed.t, outages)
+        epochs = ep.hide(packed.epochs, hidden, chosen)
+        off = moves_off(rec, begin.t) if begin.navs.t.shape[0] > 1 else None
+        parked = 0 if off is None else int(np.searchsorted(packed.t, off))
+        info, about = execute(filt, theta, begin.navs, epochs, parked)
+        failure = first_failure(info, packed.t)
+        if failure:
+            raise FilterError(f"run {rec.name}: {failure}")
+        best = jax.tree.map(lambda a: a[about.best], begin.navs)
+        if smooth or lag:
+            info = smoothed(filt, theta, best, epochs, packed.t, 0.0 if smooth else lag)
+        return Run(begin, theta, packed, hidden, info, about, best)
+
+    done = run_from(begin)
+    if smooth:
+        done = _from_the_begin(rec, given, done, run_from, outages)
+    begin, params, packed, hidden, info, about, best = done
     trace = evaluate.trace(info, params)
     trace = trace._replace(sd=scaled(trace.sd, sd_factor))
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
@@ -287,6 +310,36 @@ def navigate(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
         smooth, lag, findings, found, sd_factor,
     )  # fmt: skip
+
+
+def smoothed(filt: Filter, params: Params, nav: Nav, epochs: Epoch, t: np.ndarray, lag: float) -> Info:
+    """Return a run (E, ...) by past fixes and those of the next ``lag`` s, 0 for all; its epochs end at t (E,) s.
+
+    Epochs are padded to a size that runs share.
+    """
+    longer = ep.bucket_size(t.size) - t.size
+    within = reach_of(np.append(t, t[-1] + 2 * lag * np.arange(1, longer + 1)), lag) if lag else ()
+    _, info = smooth_jit(filt, params, nav, ep.pad_to_bucket(epochs), *within)
+    return jax.tree.map(lambda a: np.asarray(a)[: t.size], info)
+
+
+def _from_the_begin(
+    rec: Recording, params: Params, done: Run, run_from: Callable[[Initialization], Run], outages: Sequence[Any]
+) -> Run:
+    """Return a smoothed run that begins with the recording; the same one where its first fixes contradict that."""
+    fixes = rec.aiding["position"]
+    shown = ep.sample_rows(fixes, ~ep.within(fixes.t, outages))
+    seen = rec._replace(aiding=rec.aiding | {"position": shown})
+    earlier = gone_back(seen, params, done.begin, done.info, float(done.packed.t[0]))
+    if earlier is None:
+        return done
+    try:
+        longer = run_from(earlier)
+    except (DataError, FilterError):
+        return done
+    new = longer.packed.t <= done.begin.t
+    nis, dof = np.asarray(longer.info.nis)[new].sum(), np.asarray(longer.info.valid)[new].sum()
+    return longer if nis <= MAX_NIS * max(dof, 1) else done
 
 
 def _installation(stated: Params, rec: Recording) -> list[Finding]:

@@ -41,7 +41,7 @@ def one(name: str, fast: bool) -> dict:
         "error_over_sd": None if calibration is None else calibration.after.error_over_sd,
         "factor": None if calibration is None else calibration.factor,
         "drift_ratio": metrics["drift_ratio"], "against_auto": metrics["against_auto"], "drift_m": found.drift_m,
-        "measurements": [name for row in found.tried if row.taken for name in row.option.measurements],
+        "measurements": [name for row in found.tried if row.taken for name in row.option.names],
         "tuning": "" if found.tuned is None else found.tuned.chosen, "settings": found.settings,
         "wall_s": time.perf_counter() - begin,
     }  # fmt: skip

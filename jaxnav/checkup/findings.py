@@ -301,6 +301,14 @@ KINDS: dict[str, Kind] = {
         ("{cause}",),
         ("set the unit of the barometer",),
     ),
+    "barometer.parts": Kind(
+        WARNING,
+        "heights of receiver and barometer part by {value:.0f} m between t = {begin:.0f} and {end:.0f} s (limit "
+        "{limit:.0f} m)",
+        ("the receiver's height is off", "a barometer in a draught, or of another temperature"),
+        ("compare with a map", "leave one of them out: filter.outages, filter.measurements"),
+        "m",
+    ),
     "compass": Kind(INFO, "magnetic field of {value:.1f} uT{here}", unit="uT"),
     "compass.strength": Kind(
         WARNING,
@@ -520,6 +528,13 @@ KINDS: dict[str, Kind] = {
         ("a receiver that was dragged off, jumped or became noisy, and came back",),
         ("jaxnav filter takes them, or leaves out others: filter.outages",),
         "s",
+    ),
+    "solve.jump": Kind(
+        WARNING,
+        "{subject} jump by {value:.1f} m at t = {t:.1f} s and stay, against the IMU: they are wrong before or after it",
+        ("a receiver that was off and came back, or is off since", "corrections that begin or end", "a log of two"),
+        ("compare with a map", "jaxnav filter without the wrong side: filter.outages"),
+        "m",
     ),
     "solve.short": Kind(
         INFO,

@@ -10,6 +10,8 @@ from jaxnav.types import Finding, Recording, Severity
 SPAN_S = 2.0  # s, over which positions are differenced
 UNITS = {"km/h": 3.6, "knots": 1.943844, "feet per second": 3.28084, "mm/s": 1000.0, "cm/s": 100.0}
 MAX_SD_STEP = 1.15  # times: the step of a stated sd from one fix to the next, in the median
+MAX_WEATHER_M, MAX_TEMPERATURE_SHARE = 10.0, 0.08  # m, and of a climb, by which a barometer may be off within a drive
+WINDOW_S = 20.0  # s, whose median heights are compared
 AXES = np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]])
 
 
@@ -109,7 +111,7 @@ def speed(rec: Recording) -> list[Finding]:
 
 
 def barometer(rec: Recording) -> list[Finding]:
-    """Barometric height against the receiver's: slope, and sign."""
+    """Barometric height against the receiver's: sign, slope, and where they part."""
     p, baro = rec.aiding.get("position"), rec.aiding.get("barometer")
     if p is None or baro is None or baro.t.size < 20:
         return []
@@ -129,7 +131,20 @@ def barometer(rec: Recording) -> list[Finding]:
     if corr > 0.7 and not 0.7 < slope < 1.4:
         unit = "feet" if 2.5 < slope < 4.2 else "another unit, or pressure"
         return [finding("barometer.units", value=slope, corr=corr, cause=f"looks like {unit}")]
-    return [finding("barometer", value=slope, corr=corr)]
+    parts = _parting(p.t[rows], height - said, noise, float(np.ptp(said)))
+    return parts or [finding("barometer", value=slope, corr=corr)]
+
+
+def _parting(t: np.ndarray, off: np.ndarray, sd: float, climb: float) -> list[Finding]:
+    """Say by how much two heights part, t (K,) s and off (K,) m, beyond weather, temperature and the receiver's sd."""
+    window = ((t - t[0]) // WINDOW_S).astype(int)
+    full = [k for k in np.unique(window) if (window == k).sum() >= 5]
+    middle = np.array([np.median(off[window == k]) for k in full])
+    limit = MAX_WEATHER_M + MAX_TEMPERATURE_SHARE * climb + 5 * sd
+    if middle.size < 2 or np.ptp(middle) < limit:
+        return []
+    a, b = np.sort([full[middle.argmin()], full[middle.argmax()]]) * WINDOW_S + t[0]
+    return [finding("barometer.parts", value=float(np.ptp(middle)), limit=limit, begin=float(a), end=float(b))]
 
 
 def fixes(rec: Recording) -> list[Finding]:

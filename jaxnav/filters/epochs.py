@@ -385,15 +385,15 @@ def _check_standing(rec: Recording, t: np.ndarray) -> None:
 
 
 def in_windows(t: np.ndarray, windows: Sequence[Sequence[float]]) -> np.ndarray:
-    """Epochs, ending at t (E,) s, in any of the windows start < t <= end, bool (E,).
+    """Epochs, ending at t (E,) s, in any of the windows start < t <= end, bool (E,); windows before all are allowed.
 
     Raises:
-        ConfigError: a window that is not (start, end), or in which no epoch ends.
+        ConfigError: a window that is not (start, end), or a later one in which no epoch ends.
     """
     for window in windows:
         if len(window) != 2 or not window[1] > window[0]:
             raise ConfigError(f"filter.outages: expected [start, end] with start < end, got {list(window)}")
-        if not within(t, [window]).any():
+        if window[1] > t[0] and not within(t, [window]).any():
             raise ConfigError(f"filter.outages: {list(window)} holds no epoch, they end from {t[0]:g} to {t[-1]:g} s")
     return within(t, windows)
 

@@ -95,7 +95,7 @@ def align(
         return None
     seen = differences(fixes, positions, lla, begin, driving(samples, prior.scale))
     C, x, P, chi2, noise = _solve(samples, seen, prior, arm)
-    R_end, G = _rotation_at_end(samples, x[:3])
+    R_end, G = rotation_at_end(samples, x[:3])
     reference = (
         Rotation.from_rotvec(-seen.spin * (end - begin)).as_matrix() @ C
     )  # the attitude at the begin, in ENU now
@@ -218,8 +218,8 @@ def _lever(series: Series, i: np.ndarray, rate: np.ndarray, positions: bool, arm
     return np.concatenate([lever[:, :, None], 0 * R, by_gyro], 2)
 
 
-def _rotation_at_end(imu: ImuLog, bias: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """R at the end, and d(its rotation, in the axes of the begin) / d(gyro bias), (3, 3)."""
+def rotation_at_end(imu: ImuLog, bias: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """R at the end of the samples, and d(its rotation, in the axes of the begin) / d(gyro bias), (3, 3)."""
     middle, ends = rotations_since(imu.gyro - bias, imu.dt)
     return ends[-1], -np.einsum("nij,n->ij", middle, imu.dt)
 

@@ -100,6 +100,7 @@ class Initialization(NamedTuple):
     states: dict[str, np.ndarray] = {}  # standard deviations (size,) of the sensor states that it found
     alignment: Alignment | None = None  # in motion, its result
     field: Field | None = None  # magnetic, where the recording has a magnetometer
+    earliest: float = math.inf  # s, from which on it was looked for: a smoother goes back to there
 
     def apply_to(self, params: Params) -> Params:
         """Return the parameters with the sd of this initialization as their prior."""
@@ -192,7 +193,7 @@ def initialize(
         at = _true_attitude(rec, known, position, from_t, sds)
     else:
         at = _attitude_from_setting(rec, known, velocity, from_t, heading, course_speed_mps, sds)
-    t, lla, vel, sd = _first_fix(rec, known, position, velocity, at.t)
+    t, lla, vel, sd = first_fix(rec, known, position, velocity, at.t)
     aligned_velocity = at.alignment is not None and t <= at.t + TICK
     if at.alignment is not None and aligned_velocity:
         vel, sd = at.alignment.vel, (sd[0], np.hypot(at.alignment.vel_sd, MIN_VELOCITY_SD))
@@ -224,7 +225,7 @@ def initialize(
     field = field_of(known, lla) if "magnetometer" in rec.aiding else None
     if field is not None:
         how.append(field.words)
-    return Initialization(navs, prior, t, "; ".join(line for line in how if line), states, at.alignment, field)
+    return Initialization(navs, prior, t, "; ".join(line for line in how if line), states, at.alignment, field, from_t)
 
 
 WINDOWS_S = (10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)  # s of the windows that are tried one after the other
@@ -432,7 +433,7 @@ def _true_attitude(
     return Attitude(t, (roll, pitch, heading), sds, "level and heading by the truth")
 
 
-def _first_fix(
+def first_fix(
     rec: Recording, known: Params, position: Samples, velocity: Samples, begin: float
 ) -> tuple[float, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Time, position, velocity and their sd at the first fix from ``begin`` on; moved on by the position's latency."""

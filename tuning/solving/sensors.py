@@ -12,6 +12,7 @@ from jaxnav.filters.parameters import get, has, put
 from jaxnav.filters.standstill import Standing
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS, layout
+from jaxnav.states.installation import LEVER_ARM_ERROR
 from jaxnav.types import Finding, Params, Recording
 from tuning.recordings.choice import MIN_BLOCKS
 from tuning.recordings.parts import blocks_of
@@ -24,14 +25,21 @@ MIN_NIS, ROUNDS = 1.2, 2  # NIS of a measurement's channels from which on its sd
 MAX_YAW_DEG, MAX_YAW_SCATTER_DEG = 10.0, 5.0  # deg, of an IMU whose x axis is the vehicle's
 
 
+ARM_SD = ((f"states.{LEVER_ARM_ERROR.name}.sd", 10.0),)  # 3 m, where a check finds another arm than is stated
 RECEIVER = {m.name for m in GNSS}
 
 
 class Option(NamedTuple):
-    """Measurements that are tried together."""
+    """Measurements and states that are tried together."""
 
     measurements: tuple[str, ...]
     states: tuple[str, ...] = ()
+    factors: tuple[tuple[str, float], ...] = ()  # on leaves of the parameters
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What it is called by: its measurements, or its states where it has none."""
+        return self.measurements or self.states
 
 
 class Choice(NamedTuple):
@@ -63,7 +71,7 @@ def options(rec: Recording, found: Sequence[Finding]) -> list[Option]:
         found: findings of its check.
     """
     by, good = {f.code: f for f in found}, {f.code for f in found if not f.warns}
-    tried = []
+    tried = [Option((), (LEVER_ARM_ERROR.name,), ARM_SD)] if "lever_arm" in by else []
     if "speed" in rec.aiding:
         tried.append(Option(("speed",)))
     yaw = by.get("mounting.yaw")
@@ -117,7 +125,7 @@ def choose(
         more = [s for s in (*best.filter.model.states, *option.states) if s not in filt.model.states]
         if more and filt.with_states is not None:
             filt = filt.with_states(*more)
-        params, own = params_of(filt), dict(factors)
+        params, own = params_of(filt), factors | dict(option.factors)
         ways = [(bench.score(filt, larger(params, own)), own)]
         for _ in range(ROUNDS):
             if grown := growth(ways[-1][0]):
@@ -182,6 +190,6 @@ def compare(option: Option, before: Scored, after: Scored) -> Tried:
 
 def finding_of(row: Tried) -> Finding:
     """Return the finding of an option."""
-    name = " and ".join(row.option.measurements)
+    name = " and ".join(row.option.names)
     code = "solve.measurement" if row.taken else "solve.left_out"
     return finding(code, name, row.drift_ratio, gain=row.gain)

@@ -7,6 +7,7 @@ from jaxnav.checkup.findings import finding, line
 from jaxnav.filters.border import name_of, user_value
 from jaxnav.filters.lanes import RECEIVER_ERROR
 from jaxnav.filters.parameters import get, has
+from jaxnav.states.installation import LEVER_ARM_ERROR
 from jaxnav.types import Finding, Params
 
 DELAY = "mounting.time_offset"
@@ -19,7 +20,7 @@ MIXED_UP = (
 """Codes of faults without which there is no right trajectory."""
 CONSEQUENCES = (
     "nis.high", "nis.low", "nis.overall", "innovations.correlated", "state.unexpected", "noise.harm", "noise.vibration",
-    "tune.fault", "gyro.bias", "accel.bias", "time.late", "time.drift", "motion.misfit",
+    "tune.fault", "gyro.bias", "accel.bias", "time.late", "time.drift", "motion.misfit", "solve.jump",
 )  # fmt: skip
 EXCLUSIONS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(MIXED_UP, CONSEQUENCES),
@@ -28,6 +29,8 @@ EXCLUSIONS: dict[str, tuple[str, ...]] = {
     "solve.fault": ("tune.fault",),
 }
 """Findings that another one explains, or that contradict it."""
+ESTIMATED = {"lever_arm": LEVER_ARM_ERROR.name}
+"""States of the filter that make up for a finding."""
 
 
 def settled(findings: Iterable[Finding], params: Params, tuned: bool) -> list[Finding]:
@@ -39,6 +42,7 @@ def settled(findings: Iterable[Finding], params: Params, tuned: bool) -> list[Fi
         tuned: it was tuned.
     """
     kept = [_now(f, params, tuned) for f in findings]
+    kept = [f for f in kept if ESTIMATED.get(f.code) not in params.states]
     codes = {f.code for f in kept}
     gone = {loser for winner, losers in EXCLUSIONS.items() if winner in codes for loser in losers}
     return [f for f in kept if f.code not in gone]

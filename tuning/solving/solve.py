@@ -33,11 +33,12 @@ from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 from tuning.solving.sensors import Tried, choose, finding_of, options, standing_of
 from tuning.solving.settled import MIXED_UP, settled
 from tuning.solving.stages import Stage, Stages
-from tuning.solving.stretches import Stretch, faulty_stretches, without
+from tuning.solving.stretches import Stretch, faulty_stretches, finding_of_jump, jumps_of, without
 from tuning.solving.stretches import finding_of as finding_of_fault
 
 CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
 NIS_LIMITS = 0.7, 1.4  # of a consistent solution, on the test part
+OFF = ("solve.jump", "lever_arm", "barometer.parts")  # positions may be off by more than stated
 MAX_NIS, MIN_INSIDE = 4.0, 0.6  # beyond these a solution is not usable
 CHECK, FIRST = Stage("check", 1.5), Stage("first answer", 0.5)
 NOISE, SCORES = Stage("noise by likelihood", 4.0), Stage("drift without fixes", 3.5)
@@ -77,7 +78,7 @@ class Solved:
             "calibration": None if c is None else c._asdict() | {
                 "before": c.before._asdict(), "after": c.after._asdict(), "ages": [a._asdict() for a in c.ages]},
             "drift_m": drift, "drift_ratio": ratio("datasheet"), "against_auto": ratio("auto"),
-            "measurements": [{"names": row.option.measurements, "drift_ratio": row.drift_ratio, "gain": row.gain,
+            "measurements": [{"names": row.option.names, "drift_ratio": row.drift_ratio, "gain": row.gain,
                               "taken": row.taken} for row in self.tried],
             "tuning": None if self.tuned is None else self.tuned.verdict, "status": self.status.value,
             "findings": [asdict(f) for f in self.findings],
@@ -139,7 +140,7 @@ def solve(
     findings = [*checked.applied, *(f for f in checked.found if f.warns)]
     untested = partial(_untested, settings=checked.settings, standing=standing, window=bench.layout.window)
     tried_ones = options(rec, checked.found)
-    each = [Stage(", ".join(option.measurements), OPTION_WEIGHT) for option in tried_ones]
+    each = [Stage(", ".join(option.names), OPTION_WEIGHT) for option in tried_ones]
     rest = [NOISE, SCORES, *each, *([] if fast else [TUNE]), CALIBRATE, WHOLE]
     stages.replace([FIRST, *rest] if tested else [FIRST, NOISE])
     stages.next()
@@ -156,16 +157,18 @@ def solve(
     stages.next()
     found, bench, plain = _untuned(filt, datasheet_of, bench, stages.next, log)
     gone: set[str] = set()
-    left_out, gain = faulty_stretches(plain.get("auto", plain["datasheet"]))
+    jumps = jumps_of(best := plain.get("auto", plain["datasheet"]))
+    left_out, gain = faulty_stretches(best, jumps)
     healthy, tested = bench_of(without(rec, left_out), left_out) if left_out else (bench, False)
     if tested:
         found, bench, plain = _untuned(filt, datasheet_of, healthy, lambda: None, log)
         gone = {f.code for f in checked.found} - {f.code for f in checkup(bench.recording)}  # those of the fault
         findings.append(finding_of_fault(left_out, gain))
+        jumps = jumps_of(plain.get("auto", plain["datasheet"]))
     else:
         left_out = []
     bench, plain, suspect = _without_faults(bench, plain)
-    findings += [*found.findings, *suspect]
+    findings += [*found.findings, *suspect, *map(finding_of_jump, jumps)]
     level = plain.get("auto", plain["datasheet"])
     run = partial(navigate, rec, scan=False, initialization=initialization, stop=stop, standing=standing,
                   outages=left_out)  # fmt: skip
@@ -332,13 +335,16 @@ def judge(nis: float, c: Calibration | None, findings: Sequence[Finding]) -> tup
     broken = [f for f in findings if f.warns and f.code in MIXED_UP]
     if broken:
         return UNUSABLE, f"{broken[0].code}: {', '.join(broken[0].causes) or broken[0].message}"
+    off = "".join(f": {f.message}" for f in findings if f.code in OFF)
     if c is None:
         said = f"NIS/dof {nis:.2g}"
-        return (UNUSABLE, f"{said}: IMU and fixes contradict each other") if nis > MAX_NIS else (CARE, said)
+        return (UNUSABLE, f"{said}: IMU and fixes contradict each other") if nis > MAX_NIS else (CARE, said + off)
     inside = c.after.inside_95
     said = f"NIS/dof {nis:.2f}, {100 * inside:.0f} % of {c.after.fixes} hidden fixes inside the stated 95 %"
     if nis > MAX_NIS or inside < MIN_INSIDE:
         return UNUSABLE, f"{said}: IMU and fixes contradict each other"
+    if off:
+        return CARE, said + off
     low, high = NIS_LIMITS
     if not low <= nis <= high:
         return CARE, f"{said}: innovations are {'larger' if nis > high else 'smaller'} than their sd"

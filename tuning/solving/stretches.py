@@ -9,19 +9,25 @@ after* it are then far likelier:
 in nats, a fix counting for the seconds it stands for, at most one, and if navigation without them contradicts one of
 their positions. Of several stretches the one with the largest gain is taken, in which a fix that is left out counts as
 a usual one and half a nat; then a second one, or a part of the first is used again. Leaving out good fixes makes the
-later ones less likely, and a manoeuvre is no fault, for which nothing is gained elsewhere. Candidates begin and end
-where innovations are far larger than usual, or some time before or after, for a fault may begin too slowly to show.
+later ones less likely, and a manoeuvre is no fault, for which nothing is gained elsewhere.
+
+Candidates begin and end where innovations are far larger than usual, or some time before or after, for a fault may
+begin too slowly to show. A jump that stays is a fault before or after it, which only another witness could tell. It is
+said, and no stretch is left out unless that is likelier by as much than all fixes with those behind it moved back.
 """
 
 from collections.abc import Sequence
 from itertools import combinations, product
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
+from jaxnav.filters.gaps import TICK
 from jaxnav.filters.lanes import LaneRecord, lanes, repeated, taken
 from jaxnav.filters.scores import innovation_nll, normalized, position_noise
+from jaxnav.maths import earth
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import Finding, Recording
 from tuning.solving.hidden import Scored
@@ -35,6 +41,8 @@ STEPS_S = (6.0, 2.0, 1.0)  # s, of the search about the best one
 MAX_STRETCH_S, MAX_SHARE = 150.0, 0.5  # s; of the recording
 MIN_GAIN = 20.0  # nats, of the fixes that are used either way; of all, where fixes are used again
 LOST = 0.5  # nats, that a fix which is left out is worse than a usual one
+STAYS_S, LEAST_FIXES = 6.0, 2  # s after a jump, and fixes at both ends of them
+MAX_SIGMAS = 2.5  # stated sd of positions, beyond which a jump contradicts them
 ROUNDS = 8  # of moves, each a stretch more or a part of one less
 
 
@@ -69,6 +77,19 @@ def candidates_of(changes: np.ndarray, interval: float) -> list[Stretch]:
     between = list(combinations(changes - interval, 2))
     before = [(end - span, end) for end in changes - interval for span in SPANS_S]
     return between + before + [(end, end + span) for end, span in product(changes - interval, SPANS_S)]
+
+
+class Jump(NamedTuple):
+    """A change of the positions that the IMU contradicts and that stays: they are wrong before or after it."""
+
+    t: float  # s, of the first fix behind it
+    offset: np.ndarray  # (3,) m, ENU
+    gain: float  # of all fixes, with those behind it moved back, over that of larger jumps
+
+    @property
+    def size(self) -> float:
+        """Its length, m."""
+        return float(np.linalg.norm(self.offset))
 
 
 class _Search:
@@ -117,9 +138,6 @@ class _Search:
     def contradicted(self, more: np.ndarray, record: LaneRecord) -> np.ndarray:
         """Return which stretches (T,) have a position that navigation without them contradicts; True of none.
 
-        After a jump that stays either side may be at fault: fixes before it agree with navigation, and leaving them out
-        only makes the jump less unlikely.
-
         Args:
             more: (T, E) bool, epochs of the stretches.
             record: (1 + T, E, ...) with all fixes, and without each.
@@ -128,9 +146,30 @@ class _Search:
         noise = position_noise(self.scored.params, np.asarray(fix.sd)[:, :3])
         known = more & np.asarray(fix.valid)[:, :3].all(1)
         square = normalized(record.residual[1:], record.P[1:] + noise) / 3
+        return ~more.any(1) | (np.where(known, square, 0.0).max(1) > self.limit(record))
+
+    def limit(self, record: LaneRecord) -> float:
+        """Return the normalised square from which on a fix contradicts navigation, by the first run of a record."""
         usual = _nis(taken(record, 0))[self.fixes]
-        limit = MIN_RATIO * max(1.0, float(np.median(usual[np.isfinite(usual)])))
-        return ~more.any(1) | (np.where(known, square, 0.0).max(1) > limit)
+        return MIN_RATIO * max(1.0, float(np.median(usual[np.isfinite(usual)])))
+
+    def moved_back(self, tried: Sequence[Sequence[Jump]]) -> np.ndarray:
+        """Return the gains (T,) of all fixes with the positions behind some jumps moved back."""
+        scored, used = self.scored, self.scored.used
+        value = np.asarray(used.epochs.fix.value)
+        metres = np.asarray(earth.metres_per_radian(value[self.fixes][0, :3]))
+        moved = [value.copy() for _ in range(1 + len(tried))]
+        for each, jumps in zip(moved[1:], tried, strict=True):
+            for jump in jumps:
+                each[self.t >= jump.t - TICK, :3] -= jump.offset[[1, 0, 2]] / metres
+        count = len(moved)
+        cuts = repeated(used.epochs, count)
+        cuts = cuts._replace(fix=cuts.fix._replace(value=np.stack(moved)))
+        valid = np.repeat(np.asarray(used.epochs.fix.valid)[None], count, 0)
+        many = lambda tree: repeated(tree, count)
+        record = lanes(scored.filter, many(scored.params), many(used.nav), cuts, valid, np.arange(count))
+        nll = np.where(self.fixes, innovation_nll(record), 0.0).sum(1) * min(1.0, self.interval)
+        return nll[0] - nll[1:]
 
     def best(self, moves: Sequence[Stretch]) -> tuple[list[Stretch], float, LaneRecord] | None:
         """Return the best of some moves, after a search about it: stretches, gain and record."""
@@ -151,11 +190,54 @@ class _Search:
         return found
 
 
-def faulty_stretches(scored: Scored) -> tuple[list[Stretch], float]:
-    """Return the stretches of a recording whose fixes make the others far less likely, and the gain without them.
+def jumps_of(scored: Scored) -> list[Jump]:
+    """Return where positions jump and stay, against the IMU and by more than `MAX_SIGMAS` of their stated sd.
+
+    Fixes of the next `STAYS_S` s are hidden: navigation contradicts the first ones, and the last ones by as much.
 
     Args:
-        scored: a filter and its parameters over the recording.
+        scored: a filter and its parameters over a recording.
+    """
+    search = _Search(scored)
+    changes = changes_of(search.t, scored.info)
+    after = [(c - search.interval, c + STAYS_S) for c in changes if c + STAYS_S < search.end]
+    if not after:
+        return []
+    _, record = search([[each] for each in after])
+    fix = scored.used.epochs.fix
+    valid, stated = np.asarray(fix.valid)[:, :3].all(1), np.asarray(fix.sd)[:, :3]
+    square = normalized(record.residual, record.P + position_noise(scored.params, stated)) / 3
+    limit, found = search.limit(record), dict[float, np.ndarray]()
+    for k, stretch in enumerate(after, 1):
+        rows = np.flatnonzero(ep.within(search.t, [stretch]) & valid)
+        ends = rows[:LEAST_FIXES], rows[-LEAST_FIXES:]
+        if rows.size < 2 * LEAST_FIXES or any(np.median(square[k, each]) < limit for each in ends):
+            continue
+        first, last = (-np.median(record.residual[k, each], 0) for each in ends)
+        stays = np.linalg.norm(last - first) < 0.5 * np.linalg.norm(first)
+        if stays and np.abs(first / np.median(stated[rows], 0)).max() > MAX_SIGMAS:
+            found[float(search.t[rows[0]])] = first
+    jumps: list[Jump] = []
+    while found:
+        each = [Jump(t, offset, 0.0) for t, offset in found.items()]
+        gains = search.moved_back([[*jumps, jump] for jump in each]) - sum(jump.gain for jump in jumps)
+        best = int(np.argmax(gains))
+        if gains[best] < MIN_GAIN:
+            break
+        jumps.append(each[best]._replace(gain=float(gains[best])))
+        del found[each[best].t]
+    return sorted(jumps, key=lambda jump: jump.t)
+
+
+def faulty_stretches(scored: Scored, jumps: Sequence[Jump] = ()) -> tuple[list[Stretch], float]:
+    """Return the stretches of a recording whose fixes make the others far less likely, and the gain without them.
+
+    None where a jump that stays makes all fixes about as likely: leaving out those of some time before or after it only
+    makes it less unlikely.
+
+    Args:
+        scored: a filter and its parameters over a recording.
+        jumps: that stay.
     """
     search, record, total, changes = _Search(scored), scored.info, 0.0, np.zeros(0)
     for _ in range(ROUNDS):
@@ -165,6 +247,8 @@ def faulty_stretches(scored: Scored) -> tuple[list[Stretch], float]:
             break
         search.left_out, gain, record = found
         total += gain
+    if total < max((jump.gain for jump in jumps), default=-np.inf) + MIN_GAIN:
+        return [], 0.0
     return search.left_out, total
 
 
@@ -179,3 +263,8 @@ def finding_of(left_out: Sequence[Stretch], gain: float) -> Finding:
     """Return the finding on stretches that are left out."""
     words = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in left_out)
     return finding("solve.fault", "receiver", sum(b - a for a, b in left_out), words=words, gain=gain)
+
+
+def finding_of_jump(jump: Jump) -> Finding:
+    """Return the finding on a jump that stays."""
+    return finding("solve.jump", "positions", jump.size, t=jump.t)

@@ -14,7 +14,15 @@ from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from tuning.recordings.parts import plan
 from tuning.solving import solve
-from tuning.solving.stretches import APART_S, candidates_of, changes_of, faulty_stretches, without
+from tuning.solving.stretches import (
+    APART_S,
+    candidates_of,
+    changes_of,
+    faulty_stretches,
+    finding_of_jump,
+    jumps_of,
+    without,
+)
 
 FAULT = (60.0, 90.0)  # s
 
@@ -49,7 +57,8 @@ def scored(rec):
 
 def test_a_receiver_that_is_dragged_off_is_found_from_begin_to_end(drive):
     interval = float(np.median(np.diff(drive.aiding["position"].t)))
-    (stretch,), gain = faulty_stretches(scored(dragged(drive, *FAULT)))
+    run = scored(dragged(drive, *FAULT))
+    (stretch,), gain = faulty_stretches(run, jumps_of(run))
     assert stretch[0] == pytest.approx(FAULT[0], abs=2 * interval + 1.0) and gain > 100
     assert stretch[1] == pytest.approx(FAULT[1], abs=2 * interval)
 
@@ -58,19 +67,36 @@ def test_a_healthy_drive_stays_whole(drive):
     assert faulty_stretches(scored(drive)) == ([], 0.0)
 
 
-def test_fixes_before_a_jump_that_stays_are_kept(drive):
-    """Either side may be at fault; those before it agree with navigation."""
-    p = drive.aiding["position"]
-    metres = np.asarray(earth.metres_per_radian(p.value[0]))
-    jump = np.column_stack([0 * p.t, 30.0 * (p.t > 90.0), 0 * p.t]) / metres
-    stays = drive._replace(aiding=drive.aiding | {"position": p._replace(value=p.value + jump)})
-    left_out, _ = faulty_stretches(scored(stays))
-    assert all(begin >= 89.0 and end < 120.0 for begin, end in left_out)
+def jumped(rec, after, metres=30.0, until=np.inf):
+    """Positions are off to the east after a time."""
+    p = rec.aiding["position"]
+    off = np.column_stack([0 * p.t, metres * ((p.t > after) & (p.t < until)), 0 * p.t])
+    moved = p.value + off / np.asarray(earth.metres_per_radian(p.value[0]))
+    return rec._replace(aiding=rec.aiding | {"position": p._replace(value=moved)})
+
+
+@pytest.mark.parametrize("at", [50.0, 90.0])
+def test_a_jump_that_stays_is_said_and_nothing_is_left_out(drive, at):
+    """Either side may be at fault, and the IMU tells neither."""
+    run = scored(jumped(drive, at))
+    (jump,) = jumps_of(run)
+    assert faulty_stretches(run, [jump]) == ([], 0.0)
+    assert at < jump.t < at + 1.5 and jump.size == pytest.approx(30.0, abs=3.0)
+    said = finding_of_jump(jump)
+    verdict, why = solve.judge(1.0, None, [said])
+    assert said.warns and verdict == solve.CARE and f"jump by {jump.size:.1f} m at t = {jump.t:.1f} s" in why
+
+
+def test_what_does_not_stay_or_is_within_the_stated_sd_is_no_jump(drive):
+    assert jumps_of(scored(drive)) == []
+    assert jumps_of(scored(jumped(drive, 90.0, until=91.2))) == []  # an outlier
+    assert jumps_of(scored(jumped(drive, 90.0, 1.0))) == []
 
 
 def test_two_faults_are_two_stretches(drive):
     twice = dragged(dragged(drive, 50.0, 65.0, 4.0), 110.0, 125.0, 4.0)
-    found, _ = faulty_stretches(scored(twice))
+    run = scored(twice)
+    found, _ = faulty_stretches(run, jumps_of(run))
     np.testing.assert_allclose(found, [(50.0, 65.0), (110.0, 125.0)], atol=4.5)
 
 

@@ -1,0 +1,33 @@
+"""Options of a solution: an antenna that is elsewhere than stated is a state that is tried."""
+
+import numpy as np
+import pytest
+
+from benchmarks.simulated import earth, verdict
+from benchmarks.simulated.vehicles import simulated
+from jaxnav.checkup.findings import finding
+from tuning.solving import solve
+from tuning.solving.sensors import options
+from tuning.solving.settled import settled
+
+
+def test_an_antenna_that_is_elsewhere_is_estimated_or_said():
+    found = finding("lever_arm", vector="+1.5 (0.1), -2.5 (0.1), +0.0 (0.9)")
+    rec, _ = simulated("car", "consumer", True, np.random.default_rng(3), span=20.0, late=0.0)
+    assert [o.names for o in options(rec, [found])] == [("lever_arm_error",)] and options(rec, []) == []
+    word, why = solve.judge(1.0, None, [found])
+    assert word == solve.CARE and "the antenna is +1.5" in why
+    params = solve.build("ekf15").params("consumer")
+    assert settled([found], params, False) == [found]
+    estimated = params._replace(states=params.states | {"lever_arm_error": params.states["gyro_bias"]})
+    assert settled([found], estimated, False) == []
+
+
+@pytest.mark.slow
+def test_solve_estimates_it():
+    """Positions are those of the IMU, and not of an antenna 3 m off."""
+    found = solve.solve(verdict.arm(earth.drive("car", "white", 1.0, 10), np.random.default_rng([0, 10])), fast=True)
+    assert "lever_arm_error" in found.solution.filter.model.states
+    arm = np.asarray(found.solution.trace.info.nav.errors["lever_arm_error"])[-1]
+    angle = np.random.default_rng([0, 10]).uniform(0, 2 * np.pi)
+    np.testing.assert_allclose(arm[:2], 3.0 * np.array([np.cos(angle), np.sin(angle)]), atol=0.5)

@@ -103,6 +103,7 @@ class Solution:
     findings: list[Finding]  # on innovations, streams, noise, states and the initialization
     noise: NoiseScan | None = None  # where the noise was found from the recording
     sd_factor: float = 1.0  # that the filter's sd of positions are multiplied by
+    delay_sd: float = 0.0  # s, of the delay between the IMU's clock and that of the fixes
 
     @property
     def nav(self) -> Nav:
@@ -153,6 +154,16 @@ class Solution:
         mounting, begin = self.params.mounting, float(self.trace.info.nav.origin.t[0])
         return np.asarray(begin + (t - begin - float(mounting.time_offset)) / (1.0 + float(mounting.clock_drift)))
 
+    def at_imu_time(self, track: Track, sd: np.ndarray) -> tuple[Track, np.ndarray]:
+        """Return a track at the IMU's stamps, and its sd (N, 9): along the track a delay's sd is one of the position.
+
+        Args:
+            track: (N, ...) by the clock of the fixes.
+            sd: (N, 9) there.
+        """
+        along = np.pad(self.delay_sd * track.vel, [(0, 0), (0, sd.shape[1] - 3)])
+        return track._replace(t=self.imu_time(track.t)), np.hypot(sd, along)
+
     def write(self, path: str | Path, format: str = "", imu_rate: bool = False, base: str = "imu") -> None:
         """Write it as "csv", "kml", "pos" or "nav"; by default the ending of the file's name.
 
@@ -171,7 +182,7 @@ class Solution:
         if base not in BASES:
             raise DataError(f"{path}: base must be one of {', '.join(BASES)}, got {base!r}")
         track, sd = self.at_imu_rate() if imu_rate else (self.trace.track, self.trace.sd)
-        track = track._replace(t=self.imu_time(track.t)) if base == "imu" else track
+        track, sd = self.at_imu_time(track, sd) if base == "imu" else (track, sd)
         if kind == "kml":
             write_kml(path, track, self.fixes, self.recording.name)
         else:
@@ -222,6 +233,7 @@ def navigate(
     smooth: bool = False,
     lag: float = 0.0,
     sd_factor: float = 1.0,
+    delay_sd: float = 0.0,
 ) -> Solution:
     """Filter a recording from where it can start.
 
@@ -244,6 +256,7 @@ def navigate(
             begins with the first fix, where an initialization has to be later (`jaxnav.initialization.going_back`).
         lag: s, in place of that by past fixes and the fixes of the next seconds.
         sd_factor: multiplies the stated sd of positions, such as that of a calibration by hidden fixes.
+        delay_sd: s, of the delay between the IMU's clock and that of the fixes; that of the scan where it is run.
 
     Raises:
         DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
@@ -308,7 +321,7 @@ def navigate(
     findings += [f for f in checkup(rec, quick=True) if f.warns or f in rec.findings]
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
-        smooth, lag, findings, found, sd_factor,
+        smooth, lag, findings, found, sd_factor, delay_sd if found is None else found.latency_sd,
     )  # fmt: skip
 
 
@@ -370,9 +383,9 @@ def scaled(sd: np.ndarray, factor: float) -> np.ndarray:
 
 
 def accuracy(sol: Solution) -> dict[str, float]:
-    """Return the stated horizontal sd (m), medians: on the Earth, and from second to second."""
+    """Return the stated horizontal sd (m), medians: on the Earth at the IMU's time, and from second to second."""
     level = lambda sd: float(np.median(np.hypot(*sd[sol.ok, :2].T))) if sol.ok.any() else math.nan
-    return {"earth_m": level(sol.sd), "relative_m": level(sol.sd_relative)}
+    return {"earth_m": level(sol.at_imu_time(sol.trace.track, sol.sd)[1]), "relative_m": level(sol.sd_relative)}
 
 
 def metrics(sol: Solution) -> dict[str, Any]:

@@ -134,8 +134,8 @@ def score(rec: Recording, fast: bool, clock: str = "imu") -> dict[str, Any]:
         return {"verdict": "refused", "why": str(failure), "error_over_sd": math.nan}
     sol = found.solution
     assert rec.truth is not None
-    t = sol.imu_time(sol.t) if clock == "imu" else sol.t
-    error, sd = ned_errors(sol.trace._replace(track=sol.trace.track._replace(t=t)), rec.truth)
+    track, sd = sol.at_imu_time(sol.trace.track, sol.sd) if clock == "imu" else (sol.trace.track, sol.sd)
+    error, sd = ned_errors(sol.trace._replace(track=track, sd=sd), rec.truth)
     square = ((error[:, :2] / sd[:, :2]) ** 2).mean(1)
     known = np.isfinite(square)
     n = max(1, round(STRETCH_S / float(np.median(np.diff(sol.t)))))

@@ -94,6 +94,7 @@ class NoiseScan(NamedTuple):
     accel: float = 1.0  # on that of the accelerometers
     scale: float = 1.0  # on the noise of scale errors, 0 or 1
     latency: float = 0.0  # s
+    latency_sd: float = 0.0  # s, 0 where it is stated
     receiver: Receiver = Receiver()  # errors of its positions and velocities
     assumed: np.ndarray = np.zeros(2, bool)  # (2,) level, up: usual slow errors, the recording does not show them
     gain: float = 0.0  # of J / N, the penalized log-likelihood of a fix, over factors of 1 and no latency
@@ -427,6 +428,19 @@ class _Objective:
         i = int(np.argmax(ratio <= MAX_HARM_RATIO))
         return tried[i], float(ratio[i]), float(ratio[0])
 
+    def latency_sd(self, points: np.ndarray, centre: np.ndarray, off: float) -> float:
+        """Return the sd, s, of a latency by the curvature of J at the points (n, 4) of a box about ``centre`` (3,).
+
+        In it stretches of `WHITENED_S` count, as where slow errors are part of the model. ``off``: s, from the maximum.
+        """
+        if not self.delay.free:
+            return 0.0
+        t, J = points[np.isclose(points[:, :2], centre[:2]).all(1)][:, 2:].T
+        prior = 1.0 / self.delay.sd**2
+        curvature = -2.0 * np.polyfit(t - centre[2], J, 2)[0] if np.isfinite(J).all() else 0.0
+        information = prior + max(curvature - prior, 0.0) * CORRELATION_S / WHITENED_S
+        return float(np.hypot(1.0 / np.sqrt(information), off))
+
     def box(self, centre: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """Return the 3 x 3 x 3 points about ``centre`` (27, 3) with their J, (27, 4)."""
         points = centre + steps * CUBE
@@ -498,11 +512,12 @@ def scan_noise(
     datasheet = coarse[np.argmin(np.abs(latencies)), np.argmin(np.abs(COMMON))]
     gain = float(points[:, 3].max() - datasheet) / objective.effective
     gyro, accel, scale = map(float, np.where(point[[0, 1, 9]] > SCALES[0], 10.0 ** point[[0, 1, 9]], 0.0))
+    latency_sd = objective.latency_sd(points, centre, float(found[2] - point[2]))
     white = point[4] == WHITE[1]
     assumed |= bool(np.array_equal(point[3:9], on_top(objective.sd)))
     errors = Receiver(velocity=float(10.0 ** point[3])) if white else receiver(point[3:9], objective.sd)
     return NoiseScan(
-        gyro, accel, scale, float(point[2]), errors, assumed & (not white), gain, coarse - coarse.max(),
+        gyro, accel, scale, float(point[2]), latency_sd, errors, assumed & (not white), gain, coarse - coarse.max(),
         (latencies, 10.0**COMMON), (objective.first, end), fixes, ratio, harm,
     )  # fmt: skip
 

@@ -1,5 +1,7 @@
 """The solution at every sample: the filter's between its fixes, the smoother's at them, and no worse in between."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -82,3 +84,18 @@ def test_what_is_smoothed_moves_by_its_own_velocity(runs):
     where, dt = earth.enu_path(track.lla, track.lla[0]), np.diff(track.t)[:, None]
     off = np.diff(where, axis=0) - 0.5 * (track.vel[1:] + track.vel[:-1]) * dt
     assert np.abs(off[:, :2]).max() < 0.02
+
+
+def test_at_the_imus_time_a_delay_is_a_distance_along_the_track(runs, tmp_path):
+    """An unknown 0.02 s are 0.02 v; by the clock of the fixes positions do not know of it."""
+    _, _, found = runs
+    sol = replace(found[False][0], delay_sd=0.02)
+    track, sd = sol.at_imu_time(sol.trace.track, sol.sd)
+    np.testing.assert_allclose(sd[:, :3] ** 2 - sol.sd[:, :3] ** 2, (0.02 * sol.vel) ** 2, atol=1e-9)
+    np.testing.assert_array_equal(sd[:, 3:], sol.sd[:, 3:])
+    np.testing.assert_array_equal(track.t, sol.imu_time(sol.t))
+    for base, stated in (("imu", sd), ("fixes", sol.sd)):
+        sol.write(tmp_path / f"{base}.csv", base=base)
+        names = (tmp_path / f"{base}.csv").read_text().splitlines()[0].split(",")
+        rows = np.loadtxt(tmp_path / f"{base}.csv", delimiter=",", skiprows=1)
+        np.testing.assert_allclose(rows[:, names.index("sd_e_m")], stated[:, 0], atol=2e-3)

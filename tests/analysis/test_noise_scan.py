@@ -2,13 +2,14 @@
 
 import json
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from jaxnav import build, initialize, navigate, scan_noise
 from jaxnav.analysis import noise_scan
-from jaxnav.analysis.boxes import vertex
+from jaxnav.analysis.boxes import CUBE, vertex
 from jaxnav.analysis.noise_scan import FINE_BOX, NoiseScan, _in_motion
 from jaxnav.analysis.receiver_errors import on_top
 from jaxnav.app import cli
@@ -46,6 +47,7 @@ def test_it_finds_noise_and_latency(drive):
     assert found.latency == pytest.approx(LATENCY, abs=0.03)
     assert 0.5 < found.gyro / FACTOR < 2.0 and 0.5 < found.accel / FACTOR < 2.0
     assert found.gain > 0.1 and found.fixes > 100
+    assert 0.001 < found.latency_sd < 0.03 and abs(found.latency - LATENCY) < 3 * found.latency_sd
     params = found.applied(with_arm(drive))
     assert float(params.mounting.time_offset) == pytest.approx(found.latency)
     np.testing.assert_allclose(params.noise.accel / EKF.params("consumer").noise.accel, found.accel)
@@ -54,6 +56,21 @@ def test_it_finds_noise_and_latency(drive):
     at = [int(np.argmin(np.abs(axis - value))) for axis, value in zip(found.grid, (0.0, 1.0), strict=True)]
     assert 0.0 <= N * found.gain + found.coarse[*at] < 1.0  # what the boxes add to the coarse grid
     assert f"{found.latency:.2f} s late" in found.findings[0].message and found.figure().axes
+
+
+def test_the_sd_of_a_latency_is_the_curvature_of_its_likelihood():
+    """J of a Gaussian of 0.01 s by stretches of 4 s is less curved by 4 / 10; a prior of 0.1 s is part of it."""
+    prior = noise_scan.Delay()
+    data = (1 / 0.01**2) * noise_scan.WHITENED_S / noise_scan.CORRELATION_S
+    points = np.array([0.3, 0.2, 0.1]) + np.array([0.25, 0.25, 0.005]) * CUBE
+    J = -0.5 * (data + 1 / prior.sd**2) * (points[:, 2] - 0.102) ** 2 - (points[:, 0] - 0.3) ** 2
+    sd = partial(noise_scan._Objective.latency_sd, SimpleNamespace(delay=prior))
+    box = np.column_stack([points, J])
+    assert sd(box, points[13], 0.0) == pytest.approx((1e4 + 1e2) ** -0.5)
+    assert sd(box, points[13], 0.03) == pytest.approx(np.hypot((1e4 + 1e2) ** -0.5, 0.03))
+    assert sd(np.column_stack([points, np.full(27, -np.inf)]), points[13], 0.0) == pytest.approx(prior.sd)
+    stated = partial(noise_scan._Objective.latency_sd, SimpleNamespace(delay=noise_scan.Delay(free=False)))
+    assert stated(box, points[13], 0.0) == 0.0
 
 
 def test_scale_errors_are_no_white_noise():

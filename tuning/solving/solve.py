@@ -207,7 +207,10 @@ def solve(
             finding("solve.inflated", "stated sd of positions", calibration.factor, count=calibration.after.fixes)
         )
     stages.next()
-    sol = run(final.filter, params, initialization=delivered, smooth=smooth, sd_factor=calibration.factor)
+    sol = run(
+        final.filter, params, initialization=delivered, smooth=smooth, sd_factor=calibration.factor,
+        delay_sd=found.latency_sd,
+    )  # fmt: skip
     nis = _test_nis(sol, bench.layout.validation)
     said = [f for f in distinct([*findings, *sol.findings]) if f.code not in gone]
     findings = settled(said, params, tuned is not None)

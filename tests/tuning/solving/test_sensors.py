@@ -25,9 +25,6 @@ def test_an_antenna_that_is_elsewhere_is_estimated_or_said():
 
 @pytest.mark.slow
 def test_solve_estimates_it():
-    """Positions are those of the IMU, and not of an antenna 3 m off."""
-    found = solve.solve(verdict.arm(earth.drive("car", "white", 1.0, 10), np.random.default_rng([0, 10])), fast=True)
-    assert "lever_arm_error" in found.solution.filter.model.states
-    arm = np.asarray(found.solution.trace.info.nav.errors["lever_arm_error"])[-1]
-    angle = np.random.default_rng([0, 10]).uniform(0, 2 * np.pi)
-    np.testing.assert_allclose(arm[:2], 3.0 * np.array([np.cos(angle), np.sin(angle)]), atol=0.5)
+    """Positions are those of the IMU, and not of an antenna 3 m off: 11.8 stated sd without the state."""
+    row = verdict.score(verdict.arm(earth.drive("car", "white", 1.0, 10), np.random.default_rng([0, 10])), fast=True)
+    assert row["error_m"] < 1.0 and row["error_over_sd"] < 2.5 and "lever_arm" not in row["findings"]

@@ -12,7 +12,7 @@ from jaxnav.filters.parameters import get, has, put
 from jaxnav.filters.standstill import Standing
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS, layout
-from jaxnav.states.installation import LEVER_ARM_ERROR
+from jaxnav.states.installation import LEVER_ARM_ERROR, VEHICLE_AXES
 from jaxnav.types import Finding, Params, Recording
 from tuning.recordings.choice import MIN_BLOCKS
 from tuning.recordings.parts import blocks_of
@@ -76,7 +76,7 @@ def options(rec: Recording, found: Sequence[Finding]) -> list[Option]:
         tried.append(Option(("speed",)))
     yaw = by.get("mounting.yaw")
     if yaw is not None and abs(yaw.value or 0.0) < MAX_YAW_DEG:
-        tried.append(Option(("nonholonomic",)))
+        tried.append(Option(("nonholonomic",), (VEHICLE_AXES.name,)))
     if "standstill.accel" in good:
         tried.append(Option(("zero_velocity", "zero_rate")))
     if "barometer" in good:

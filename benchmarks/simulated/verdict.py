@@ -6,23 +6,30 @@ ones. The error over the stated sd is the largest RMS over `STRETCH_S` s of the 
 
 import math
 from collections.abc import Callable
+from itertools import product
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.common import options, write_json
 from benchmarks.simulated.earth import FIX_HZ, SECONDS, drive
+from benchmarks.simulated.vehicles import simulated
 from jaxnav.analysis.evaluate import ned_errors
 from jaxnav.analysis.tables import table
+from jaxnav.filters.catalogue import build
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
+from jaxnav.navigation import navigate
 from jaxnav.types import DataError, FilterError, Recording, Samples
 from tuning.solving.solve import CONSISTENT, UNUSABLE, solve
 
 VEHICLES = ("car", "steep", "walk", "ship", "train", "mower", "quadrotor", "helicopter", "bus", "aircraft")
 RECEIVERS = ("white", "slow", "rtk")  # of the healthy drives, by turns
 STRETCH_S, MAX_RATIO = 10.0, 2.5  # s; of a consistent drive
+FLYING, DELAYS_S = ("steep", "quadrotor", "helicopter"), (-0.5, -0.25, 0.0, 0.25, 0.5)  # of the short flights
+DARK = ((25.0, 30.0), (33.0, 38.0), (41.0, 46.0))  # s, their hidden windows
 EARLY, LATE = (60.0, 100.0), (190.0, 225.0)  # s, of the faults
 
 
@@ -147,6 +154,38 @@ def score(rec: Recording, fast: bool, clock: str = "imu") -> dict[str, Any]:
     }  # fmt: skip
 
 
+def short_flight(vehicle: str, delay: float, seed: int) -> dict[str, float]:
+    """Return the drift, m, over hidden windows of a flight of 50 s: by scan, told of the delay, and by datasheet."""
+    clear_caches_if_needed()
+    rng = np.random.default_rng([seed, FLYING.index(vehicle), round(100 * delay) + 100])
+    rec, _ = simulated(vehicle, "consumer", True, rng, sd=0.4, span=50.0, fix_hz=5.0, late=0.0)
+    rec = later(delay)(rec, rng)
+    truth, ekf = rec.truth, build("ekf15", cov_stride=5)
+    assert truth is not None
+    plain = ekf.params("consumer")
+    told = plain._replace(mounting=plain.mounting._replace(time_offset=jnp.asarray(delay)))
+    found = {}
+    for name, params, scan in (("scan", plain, True), ("told", told, True), ("datasheet", plain, False)):
+        sol = navigate(rec, ekf, params, scan=scan, outages=DARK)
+        ends = [int(np.searchsorted(sol.t, b)) for _, b in DARK]
+        at = np.column_stack([np.interp(sol.t[ends] - delay, truth.t, c) for c in truth.lla.T])
+        found[name] = float(np.sqrt((earth.enu_path(sol.lla[ends], at)[:, :2] ** 2).sum(1).mean()))
+    return found
+
+
+def short_flights(seed: int) -> dict[str, dict[str, float]]:
+    """Print and return the drift of short flights with delays."""
+    found = {}
+    for vehicle, delay in product(FLYING, DELAYS_S):
+        found[f"{vehicle}, {delay:+.2f} s"] = row = short_flight(vehicle, delay, seed)
+        row["of told"], row["of datasheet"] = row["scan"] / row["told"], row["scan"] / row["datasheet"]
+        print(f"{vehicle:12} {delay:+.2f} s  " + "  ".join(f"{k} {v:.2f}" for k, v in row.items()), flush=True)
+    for key in ("of told", "of datasheet"):
+        ratios = [row[key] for row in found.values()]
+        print(f"drift {key}: median {np.median(ratios):.2f}, largest {max(ratios):.2f}")
+    return found
+
+
 def summary(healthy: dict[str, dict[str, Any]], faulty: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """Return the bars."""
     share = lambda word: sum(row["verdict"] == word for row in healthy.values()) / max(len(healthy), 1)
@@ -163,8 +202,12 @@ def main(argv: list[str]) -> None:
     parser.add_argument("--drives", type=int, default=60, help="healthy and faulty each, default 60")
     parser.add_argument("--tune", action="store_true", help="tune as well")
     parser.add_argument("--faults", nargs="*", default=list(FAULTS), help="of them, default all")
+    parser.add_argument("--delays", action="store_true", help="the drift of short flights with delays instead")
     parser.add_argument("--seed", type=int, default=0, help="default 0")
     args = parser.parse_args(argv)
+    if args.delays:
+        write_json(args.json, {"delays": short_flights(args.seed)})
+        return
     found: dict[str, dict[str, dict[str, Any]]] = {"healthy": {}, "faulty": {}}
     for i in range(args.drives):
         vehicle, receiver = VEHICLES[i % len(VEHICLES)], RECEIVERS[i % len(RECEIVERS)]

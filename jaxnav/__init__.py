@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from jaxnav.initialization.initialize import coarse_leveling, course, initialize
     from jaxnav.io.read import read
     from jaxnav.io.recording import recording
+    from jaxnav.live import Live
     from jaxnav.measurements import (
         GNSS,
         MEASUREMENTS,
@@ -76,6 +77,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "navigation": "Solution navigate",
     "analysis.noise_scan": "NoiseScan scan_noise",
+    "live": "Live",
     "stream": "Now Stream",
     "filters.epochs": "Packed cut_times hide outage_windows pack stack_epochs",
     "io.read": "read",

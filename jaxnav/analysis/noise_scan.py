@@ -54,7 +54,7 @@ from jaxnav.filters.lanes import RECEIVER_ERROR, LaneRecord, lanes, padded_shape
 from jaxnav.filters.parameters import datasheet_states, history_for, strong
 from jaxnav.filters.scores import innovation_nll, marginal_nll, masked_mean, position_noise, residual_nll
 from jaxnav.initialization.bank import most_probable
-from jaxnav.initialization.initialize import Initialization, ground_velocity, initialize
+from jaxnav.initialization.initialize import Initialization, ground_velocity, initialize, timed
 from jaxnav.measurements import GNSS
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import BIASES
@@ -221,7 +221,7 @@ def known_delay(rec: Recording, params: Params, end: float, outages: Sequence[An
 
     ``outages``: (start, end) s, windows whose fixes are hidden.
     """
-    if _timed(params):
+    if timed(params):
         return Delay(0.0, LATENCY_SD, False)
     seen = lambda s: ep.sample_rows(s, (s.t <= end) & ~ep.within(s.t, outages))
     found = delay_of(rec._replace(aiding={m.name: seen(rec.aiding[m.name]) for m in GNSS if m.name in rec.aiding}))
@@ -528,12 +528,6 @@ def stated_scale(params: Params) -> bool:
         return True
     scales = [params.measurements[row.name].scale for row in GNSS if row.name in params.measurements]
     return any(not np.array_equal(scale, np.ones(np.shape(scale))) for scale in scales)
-
-
-def _timed(params: Params) -> bool:
-    """Return whether parameters state a latency or estimate one."""
-    ages = [params.mounting.time_offset, *(t.latency for t in params.measurements.values() if hasattr(t, "latency"))]
-    return any(float(age) != 0 for age in ages) or "clock_offset" in params.states
 
 
 def _in_motion(rec: Recording, params: Params, begin: Initialization, last: float) -> Initialization:

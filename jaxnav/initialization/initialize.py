@@ -375,6 +375,12 @@ def latency_of(params: Params, name: str) -> float:
     return float(getattr(params.measurements.get(name), "latency", 0.0))
 
 
+def timed(params: Params) -> bool:
+    """Return whether parameters state a latency or estimate one."""
+    ages = [params.mounting.time_offset, *(t.latency for t in params.measurements.values() if hasattr(t, "latency"))]
+    return any(float(age) != 0 for age in ages) or "clock_offset" in params.states
+
+
 def ground_velocity(rec: Recording) -> Samples:
     """Return the stream of velocities, or differences of the positions where there is none."""
     return rec.aiding.get("velocity") or _differences(rec.aiding["position"])

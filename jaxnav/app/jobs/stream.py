@@ -5,6 +5,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Iterator
+from functools import partial
 from typing import IO, Any, NamedTuple
 
 import numpy as np
@@ -13,17 +14,13 @@ from jaxnav.app import prepare
 from jaxnav.app.config import Config
 from jaxnav.app.results import Outcome, stderr
 from jaxnav.app.sources import load, scenario_of
-from jaxnav.initialization.initialize import Initialization
 from jaxnav.io.solution import COLUMNS, SD_COLUMNS, row_of
-from jaxnav.maths.units import DEG
+from jaxnav.live import Live
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.stream import Now, Stream
-from jaxnav.types import DataError, ImuLog, Params, Recording, Samples
+from jaxnav.stream import Now
+from jaxnav.types import DataError, Recording
 
-RETRY_INTERVAL_S = 1.0  # s of data between two tries to start
 TIMED = 100_000  # last samples whose times are reported
-MEMORY_S = 120.0  # s of data that initialization may use
-SURE_HEADING_SD, MAX_WAIT_S = 10.0 * DEG, 60.0  # sd of a sure heading; s after which another is taken, too
 
 
 class Event(NamedTuple):
@@ -32,51 +29,6 @@ class Event(NamedTuple):
     t: float  # s
     name: str  # imu, or a measurement
     values: tuple[float, ...]  # gyro, accel; or value, then sd
-
-
-class Waiting:
-    """Data before navigation has started."""
-
-    def __init__(self, config: Config, lever_arm: np.ndarray):
-        self.config, self.lever_arm, self.tried, self.count = config, lever_arm, -np.inf, 0
-        self.events: list[Event] = []  # of the last `MEMORY_S` seconds
-
-    def add(self, event: Event) -> Initialization | None:
-        """Return the initialization, once the data give it with one heading."""
-        self.events.append(event)
-        self.count += 1
-        if event.name == "imu" or event.t < self.tried + RETRY_INTERVAL_S:
-            return None
-        self.tried = event.t
-        self.events = [each for each in self.events if each.t > event.t - MEMORY_S]
-        rec = self.recording()
-        try:
-            begin = prepare.initialization_of(self.config, rec, params_of(self.config, rec)) if rec else None
-        except DataError:  # too little so far
-            return None
-        if begin is None or begin.navs.t.shape[0] != 1:
-            return None
-        sure = float(begin.prior.attitude[2]) < SURE_HEADING_SD or event.t > self.events[0].t + MAX_WAIT_S
-        return begin if sure else None
-
-    def recording(self) -> Recording | None:
-        """Return the data as a recording; None where there are none."""
-        imu = np.array([(e.t, *e.values) for e in self.events if e.name == "imu"])
-        aiding = {}
-        for name in dict.fromkeys(e.name for e in self.events if e.name != "imu"):
-            rows = np.array([(e.t, *e.values) for e in self.events if e.name == name])
-            size = MEASUREMENTS[name].size
-            value, sd = rows[:, 1 : 1 + size], rows[:, 1 + size : 1 + 2 * size]
-            aiding[name] = Samples(rows[:, 0], value, sd, np.zeros_like(value))
-        if len(imu) < 10 or "position" not in aiding:
-            return None
-        step = np.diff(imu[:, 0], prepend=imu[0, 0] - np.median(np.diff(imu[:, 0])))
-        return Recording("stream", ImuLog(imu[:, 0], step, imu[:, 1:4], imu[:, 4:]), aiding, None, self.lever_arm)
-
-
-def params_of(config: Config, rec: Recording) -> Params:
-    """Return the filter's parameters by the configuration."""
-    return prepare.base_params(config, prepare.grade_of(config, scenario_of(config)), rec.lever_arm)
 
 
 def stream(
@@ -96,32 +48,33 @@ def stream(
         arm, events = rec.lever_arm, paced(played(rec), speed)
     else:
         arm, events = np.zeros(3), parsed(lines, bad)
-    waiting, live, due = Waiting(config, arm), None, -np.inf
+    params = prepare.base_params(config, prepare.grade_of(config, scenario_of(config)), arm)
+    live = Live(
+        prepare.filter_of(config, prepare.measurements_of(config)), params,
+        initialization=partial(prepare.initialization_of, config), interval=config.filter.interval_s,
+    )  # fmt: skip
     taken: deque[float] = deque(maxlen=TIMED)
-    begin, rows = time.perf_counter(), 0
+    begin, rows, due = time.perf_counter(), 0, -np.inf
     for event in events:
-        if live is None:
-            found = waiting.add(event)
-            if found is None:
-                continue
-            stderr(found.how)
-            live = started(config, waiting, found)
+        waits, moment = live.stream is None, time.perf_counter()
+        now = feed(live, event)
+        if now is None:
+            continue
+        if waits:
+            stderr(live.how)
             print(",".join([*COLUMNS, *SD_COLUMNS]), file=out, flush=True)
-        else:
-            moment = time.perf_counter()
-            feed(live, event)
-            if event.name == "imu":
-                taken.append(time.perf_counter() - moment)
-        if live.now.t >= due:
-            print(line(live.now), file=out, flush=True)
-            rows, due = rows + 1, live.now.t + every
-    if live is None:
-        raise DataError(f"no start in {waiting.count} lines: too little motion, or no position")
+        elif event.name == "imu":
+            taken.append(time.perf_counter() - moment)
+        if now.t >= due:
+            print(line(now), file=out, flush=True)
+            rows, due = rows + 1, now.t + every
+    if live.stream is None:
+        raise DataError(f"no start in {live.count} lines: too little motion, or no position")
     refused = dict(live.refused)
     if bad:
         refused[f"lines that are none, such as {bad[0]!r}"] = len(bad)
     text = [f"{rows} rows", *(f"{n} not used: {why}" for why, n in refused.items())]
-    result: dict[str, Any] = {"rows": rows, "refused": refused, "ok": live.now.ok}
+    result: dict[str, Any] = {"rows": rows, "refused": refused, "ok": live.stream.now.ok}
     if taken:
         median, most = (1e3 * float(np.quantile(taken, q)) for q in (0.5, 0.99))
         result |= {"push_ms_median": median, "push_ms_p99": most}
@@ -129,31 +82,12 @@ def stream(
     return Outcome(result, "\n".join(text), {"stream": time.perf_counter() - begin})
 
 
-def started(config: Config, waiting: Waiting, begin: Initialization) -> Stream:
-    """Return the stream from the start on, with the data after it."""
-    rec = waiting.recording()
-    assert rec is not None
-    measurements = prepare.measurements_of(config)
-    chosen = [m for m in measurements if not m.columns or m.name in rec.aiding]
-    filt = prepare.filter_of(config, chosen)
-    interval = config.filter.interval_s or float(np.median(np.diff(rec.aiding["position"].t)))
-    rate = 1 / float(np.median(rec.imu.dt))
-    live = Stream(filt, params_of(config, rec), begin, interval=interval, rate=rate)
-    for event in waiting.events:
-        if event.t > begin.t:
-            feed(live, event)
-    return live
-
-
-def feed(live: Stream, event: Event) -> None:
-    """Put one event into the stream; events that its filter does not use are counted."""
+def feed(live: Live, event: Event) -> Now | None:
+    """Put one event into the live filter, and return navigation after it."""
     if event.name == "imu":
-        live.push_imu(event.t, event.values[:3], event.values[3:])
-    elif event.name in live.slices:
-        size = MEASUREMENTS[event.name].size
-        live.push(event.name, event.t, event.values[:size], event.values[size:])
-    else:
-        live.refused[f"{event.name}: the filter takes none"] += 1
+        return live.push_imu(event.t, event.values[:3], event.values[3:])
+    size = MEASUREMENTS[event.name].size
+    return live.push(event.name, event.t, event.values[:size], event.values[size:])
 
 
 def played(rec: Recording) -> Iterator[Event]:

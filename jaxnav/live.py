@@ -1,0 +1,150 @@
+"""A live filter from the first sample on: it waits until the data show where to start, then it is a `Stream`.
+
+Data before the start are kept for two minutes, and those behind it are replayed when it is found.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxnav.filters.core import Filter
+from jaxnav.initialization.initialize import KNOWN_HEADING_SD, Initialization, initialize, timed
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.stream import Now, Stream
+from jaxnav.types import DataError, ImuLog, Params, Recording, Samples, nearest
+
+RETRY_INTERVAL_S = 1.0  # s of data between two tries to start
+MEMORY_S = 120.0  # s of data that initialization may use
+MAX_WAIT_S = 60.0  # s after which a heading of a larger sd than `KNOWN_HEADING_SD` is taken, too
+MIN_SAMPLES = 10  # of the IMU, before a start is tried
+MIN_DELAY_S, DELAY_SIGMAS = 0.03, 3.0  # s, and its sd: a delay of the fixes from which on it is taken into account
+MAX_DELAY_SD, DELAY_WAIT_S = 0.03, 15.0  # s, of a known delay; s of data after which another is waited for no longer
+
+
+class Arrival(NamedTuple):
+    """A sample or a fix."""
+
+    t: float  # s
+    name: str  # imu, or a measurement
+    values: tuple[Any, ...]  # gyro, accel, dt; or value, sd, corr
+
+
+class Live:
+    """A filter that is fed from the first sample on, and starts by itself.
+
+    ``filt``: as of `jaxnav.build`. ``params``: its parameters, with the lever arm. ``initialization``: of the data so
+    far, such as ``partial(jaxnav.initialize, heading="course")``; a start with one heading is waited for. ``interval``:
+    s, length of epochs without a fix; 0 is the median of the position's. ``more``: of `Stream`.
+    """
+
+    def __init__(
+        self, filt: Filter, params: Params, *,
+        initialization: Callable[[Recording, Params], Initialization] = initialize, interval: float = 0.0, **more: Any,
+    ):  # fmt: skip
+        self.filt, self.params, self.initialization = filt, params, initialization
+        self.interval, self.more, self.tried, self.count = interval, more, -math.inf, 0
+        self.waiting: list[Arrival] = []  # of the last `MEMORY_S` seconds
+        self.stream: Stream | None = None  # from the start on
+        self.how = ""  # it started
+        self._refused: Counter[str] = Counter()
+
+    @property
+    def refused(self) -> Counter[str]:
+        """Unused data, by stream and reason."""
+        return self._refused + (Counter() if self.stream is None else self.stream.refused)
+
+    def push_imu(self, t: float, gyro: Any, accel: Any, dt: float | None = None) -> Now | None:
+        """Add an IMU sample, see `Stream.push_imu`; None before the start."""
+        if self.stream is not None:
+            return self.stream.push_imu(t, gyro, accel, dt)
+        if np.size(gyro) != 3 or np.size(accel) != 3:
+            raise ValueError(f"a sample has 3 rates and 3 forces, got {np.size(gyro)} and {np.size(accel)}")
+        last = next((each.t for each in reversed(self.waiting) if each.name == "imu"), -math.inf)
+        later = "imu: not later than the one before"
+        return self._wait(Arrival(float(t), "imu", (gyro, accel, dt)), "" if not t <= last else later)
+
+    def push(self, name: str, t: float, value: Any, sd: Any, corr: Any = None) -> Now | None:
+        """Add a measurement, see `Stream.push`; None before the start.
+
+        Measurements that the filter lacks may help to start it, and are counted in `refused`.
+
+        Raises:
+            ValueError: a name that no measurement has.
+        """
+        if name not in MEASUREMENTS and name not in self.filt.model.reads:
+            raise ValueError(f"no measurement {name!r}: {nearest(name, MEASUREMENTS)}")
+        taken = name in self.filt.model.measurements or name in self.filt.model.reads
+        if not taken:
+            self._refused[f"{name}: the filter takes none"] += 1
+        if self.stream is not None:
+            return self.stream.push(name, t, value, sd, corr) if taken else self.stream.now
+        return self._wait(Arrival(float(t), name, (value, sd, corr)))
+
+    def _wait(self, arrival: Arrival, wrong: str = "") -> Now | None:
+        """Keep an arrival, and start with it if that is possible; ``wrong``: why it is refused."""
+        numbers = [np.ravel(np.asarray(a, float)) for a in arrival.values if a is not None]
+        if not np.isfinite(np.concatenate([[arrival.t], *numbers])).all():
+            wrong = f"{arrival.name}: not finite"
+        if wrong:
+            self._refused[wrong] += 1
+            return None
+        self.count += 1
+        self.waiting.append(arrival)
+        if arrival.name == "imu" or arrival.t < self.tried + RETRY_INTERVAL_S:
+            return None
+        self.tried = arrival.t
+        self.waiting = [each for each in self.waiting if each.t > arrival.t - MEMORY_S]
+        rec = self.recording()
+        found = None if rec is None else self._start(rec)
+        if rec is None or found is None:
+            return None
+        interval = self.interval or float(np.median(np.diff(rec.aiding["position"].t)))
+        options = {"rate": 1 / float(np.median(rec.imu.dt)), **self.more}
+        self.how, self.stream = found[0].how, Stream(self.filt, found[1], found[0], interval=interval, **options)
+        behind, self.waiting = [each for each in self.waiting if each.t > found[0].t], []
+        for name, each in ((each.name, each) for each in behind):
+            if name == "imu":
+                self.push_imu(each.t, *each.values)
+            elif name in self.filt.model.measurements or name in self.filt.model.reads:
+                self.stream.push(name, each.t, *each.values)
+        return self.stream.now
+
+    def _start(self, rec: Recording) -> tuple[Initialization, Params] | None:
+        """Return a start with one sure heading and parameters with the delay that it shows; None so far."""
+        params, waited = self.params, self.tried - self.waiting[0].t
+        try:
+            begin = self.initialization(rec, params)
+            found = None if timed(params) else begin.alignment
+            if found is not None and abs(found.delay) > max(MIN_DELAY_S, DELAY_SIGMAS * float(found.sd[9])):
+                late = params.mounting._replace(time_offset=jnp.asarray(found.delay, float))
+                params = params._replace(mounting=late)
+                begin = self.initialization(rec, params)
+        except DataError:  # too little so far
+            return None
+        sure = float(begin.prior.attitude[2]) < KNOWN_HEADING_SD or waited > MAX_WAIT_S
+        timely = found is None or float(found.sd[9]) < MAX_DELAY_SD or waited > DELAY_WAIT_S
+        return (begin, params) if begin.navs.t.shape[0] == 1 and sure and timely else None
+
+    def recording(self) -> Recording | None:
+        """Return the data before the start as a recording; None where there is too little."""
+        rows = [each for each in self.waiting if each.name == "imu"]
+        aiding = {}
+        for name in dict.fromkeys(each.name for each in self.waiting if each.name in MEASUREMENTS):
+            own = sorted((each for each in self.waiting if each.name == name), key=lambda each: each.t)
+            wide = lambda a, size: np.broadcast_to(np.asarray(a, float), (size,))
+            value = np.array([np.ravel(np.asarray(each.values[0], float)) for each in own])
+            size = value.shape[1]
+            sd = np.array([wide(each.values[1], size) for each in own])
+            corr = np.array([wide(0.0 if each.values[2] is None else each.values[2], size) for each in own])
+            aiding[name] = Samples(np.array([each.t for each in own]), value, sd, corr)
+        if len(rows) < MIN_SAMPLES or "position" not in aiding:
+            return None
+        t = np.array([each.t for each in rows])
+        step = np.diff(t, prepend=t[0] - np.median(np.diff(t)))
+        dt = np.array([each.values[2] or usual for each, usual in zip(rows, step, strict=True)])
+        gyro, accel = (np.array([np.ravel(each.values[k]) for each in rows], float) for k in (0, 1))
+        return Recording("live", ImuLog(t, dt, gyro, accel), aiding, None, np.asarray(self.params.mounting.lever_arm))

@@ -1,0 +1,57 @@
+"""A live filter that is fed from the first sample on: it waits, starts by itself, and is the stream from there on."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from benchmarks.simulated.vehicles import simulated
+from jaxnav import Live, Stream, build, initialize
+from tests.test_stream import driven, events, feed, same
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return driven()
+
+
+def test_it_is_the_stream_from_its_start_on(drive):
+    rec, ekf, params, _ = drive
+    begins = []
+    keep = lambda rec, params: begins.append(initialize(rec, params)) or begins[-1]
+    live = feed(Live(ekf, params, initialization=keep, interval=0.2, rate=50.0), rec, events(rec, -np.inf))
+    assert "starts at t = " in live.how and not live.waiting and len(begins) > 1
+    begin = begins[-1]
+    alone = feed(Stream(ekf, params, begin, interval=0.2, rate=50.0), rec, events(rec, begin.t))
+    same(alone.now, live.stream.now)
+    assert alone.now.t == pytest.approx(rec.imu.t[-1]) and alone.now.ok
+
+
+def test_the_delay_that_the_start_shows_is_taken_into_account():
+    rec, late = simulated("aircraft", "tactical", True, np.random.default_rng(1), span=30.0, late=0.3)
+    ekf = build("ekf15", cov_stride=5)
+    live = feed(Live(ekf, ekf.params("tactical")), rec, events(rec, -np.inf))
+    assert float(live.stream.params.mounting.time_offset) == pytest.approx(late, abs=0.05)
+    stated = ekf.params("tactical")
+    stated = stated._replace(mounting=stated.mounting._replace(time_offset=jnp.asarray(0.1)))
+    live = feed(Live(ekf, stated), rec, events(rec, -np.inf))
+    assert float(live.stream.params.mounting.time_offset) == 0.1
+
+
+def test_before_the_start_there_is_no_navigation_and_nothing_brings_it_down(drive):
+    _, ekf, params, _ = drive
+    live = Live(ekf, params)
+    for i in range(40):
+        assert live.push_imu(0.1 * i, (0, 0, 0), (0, 0, -9.81)) is None
+        assert live.push("position", 0.1 * i, (0.8, 0.2, 100.0), 1.0) is None
+    assert live.push_imu(1.0, (0, 0, 0), (0, 0, -9.81)) is None
+    assert live.push_imu(9.0, (np.nan, 0, 0), (0, 0, -9.81)) is None
+    assert live.push("position", np.nan, (0.8, 0.2, 100.0), 1.0) is None
+    assert live.push("speed", 3.0, 1.0, 0.1) is None
+    assert dict(live.refused) == {
+        "imu: not later than the one before": 1, "imu: not finite": 1, "position: not finite": 1,
+        "speed: the filter takes none": 1,
+    }  # fmt: skip
+    with pytest.raises(ValueError, match="no measurement 'positon'.*position"):
+        live.push("positon", 1.0, (0.8, 0.2, 100.0), 1.0)
+    with pytest.raises(ValueError, match="a sample has 3 rates"):
+        live.push_imu(9.0, (0, 0), (0, 0, -9.81))

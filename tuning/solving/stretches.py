@@ -18,7 +18,7 @@ said, and no stretch is left out unless that is likelier by as much than all fix
 
 from collections.abc import Sequence
 from itertools import combinations, product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -156,8 +156,9 @@ class _Search:
     def moved_back(self, tried: Sequence[Sequence[Jump]]) -> np.ndarray:
         """Return the gains (T,) of all fixes with the positions behind some jumps moved back."""
         scored, used = self.scored, self.scored.used
-        value = np.asarray(used.epochs.fix.value)
-        metres = np.asarray(earth.metres_per_radian(value[self.fixes][0, :3]))
+        value, known = np.asarray(used.epochs.fix.value), np.asarray(used.epochs.fix.valid)[:, :3].all(1)
+        place: Any = value[known][0, :3]
+        metres = np.asarray(earth.metres_per_radian(place))
         moved = [value.copy() for _ in range(1 + len(tried))]
         for each, jumps in zip(moved[1:], tried, strict=True):
             for jump in jumps:
@@ -169,7 +170,7 @@ class _Search:
         many = lambda tree: repeated(tree, count)
         record = lanes(scored.filter, many(scored.params), many(used.nav), cuts, valid, np.arange(count))
         nll = np.where(self.fixes, innovation_nll(record), 0.0).sum(1) * min(1.0, self.interval)
-        return nll[0] - nll[1:]
+        return np.where(np.isfinite(nll[1:]), nll[0] - nll[1:], -np.inf)
 
     def best(self, moves: Sequence[Stretch]) -> tuple[list[Stretch], float, LaneRecord] | None:
         """Return the best of some moves, after a search about it: stretches, gain and record."""

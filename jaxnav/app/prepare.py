@@ -109,8 +109,11 @@ def states_noise(config: Config) -> bool:
     return any(value is not None for value in vars(config.noise).values())
 
 
-def with_noise(config: Config, params: Params, filt: Filter) -> Config:
-    """Return the configuration that states noise, latency and errors of the receiver of a scan, to run it again."""
+def with_noise(config: Config, params: Params, filt: Filter, delay_sd: float) -> Config:
+    """Return the configuration that states noise, latency and errors of the receiver of a scan, to run it again.
+
+    ``delay_sd``: s, of the latency.
+    """
     scales = [f"measurements.{m.name}.scale" for m in GNSS if m.name in filt.model.measurements]
     usual = filter_of(config, measurements_of(config)).model.states
     more = [name for name in filt.model.states if name not in usual]
@@ -118,7 +121,7 @@ def with_noise(config: Config, params: Params, filt: Filter) -> Config:
     found = in_user_units(params, (*NOISE, "mounting.time_offset", *scales, *slow))
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}
     states = {"filter.states": (*config.filter.states, *more)} if more else {}
-    return changed(config, {"filter.grade": DATASHEET, **states, **values})
+    return changed(config, {"filter.grade": DATASHEET, "filter.delay_sd_s": delay_sd, **states, **values})
 
 
 def standing_of(config: Config) -> Standing:

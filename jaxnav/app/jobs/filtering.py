@@ -103,7 +103,7 @@ def filter(config: Config, folder: Path) -> Outcome:
     if draws(config, interactive=True):
         draw(folder, config, sol)
     seconds["write"] = time.perf_counter() - begin
-    ran = with_noise(config, sol.params, sol.filter) if sol.noise is not None else config
+    ran = with_noise(config, sol.params, sol.filter, sol.delay_sd) if sol.noise is not None else config
     verdict = f"consistent: NIS/dof {found['nis_per_dof']:.2f}" if np.isfinite(found["nis_per_dof"]) else ""
     return Outcome(
         found, summary(found, f.name, rec.name), seconds, "", sol.layout, ran, findings=sol.findings, verdict=verdict

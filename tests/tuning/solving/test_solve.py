@@ -115,7 +115,7 @@ def test_options_are_of_streams_and_findings(drive):
     rec = drive._replace(aiding=drive.aiding | {"speed": speed})
     yaw = finding("mounting.yaw", value=2.0, count=9, scatter=1.0)
     assert options(drive, []) == []
-    assert options(rec, [yaw]) == [Option(("speed",)), Option(("nonholonomic",))]
+    assert options(rec, [yaw]) == [Option(("speed",)), Option(("nonholonomic",), ("vehicle_axes",))]
     turned = finding("mounting.yaw", value=40.0, count=9, scatter=1.0)
     assert options(rec, [turned]) == [Option(("speed",))]
     level = finding("standstill.accel", value=0.07, setting="", count=30, window=1.0)

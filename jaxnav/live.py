@@ -58,7 +58,14 @@ class Live:
         return self._refused + (Counter() if self.stream is None else self.stream.refused)
 
     def push_imu(self, t: float, gyro: Any, accel: Any, dt: float | None = None) -> Now | None:
-        """Add an IMU sample, see `Stream.push_imu`; None before the start."""
+        """Add an IMU sample and return navigation at its time; None before the start.
+
+        Args:
+            t: s, end of the sample's interval.
+            gyro: (3,) rad/s, mean angular rate, body FRD.
+            accel: (3,) m/s^2, mean specific force, body FRD.
+            dt: s, length of the interval; None is the time since the last sample.
+        """
         if self.stream is not None:
             return self.stream.push_imu(t, gyro, accel, dt)
         if np.size(gyro) != 3 or np.size(accel) != 3:
@@ -68,9 +75,16 @@ class Live:
         return self._wait(Arrival(float(t), "imu", (gyro, accel, dt)), "" if not t <= last else later)
 
     def push(self, name: str, t: float, value: Any, sd: Any, corr: Any = None) -> Now | None:
-        """Add a measurement, see `Stream.push`; None before the start.
+        """Add a measurement at its time and return the present navigation; None before the start.
 
         Measurements that the filter lacks may help to start it, and are counted in `refused`.
+
+        Args:
+            name: a measurement, such as "position", or an auxiliary value of the filter.
+            t: s, time of validity, on the IMU's clock.
+            value: (size,) in the units of `Samples`: positions in rad, rad, m.
+            sd: (size,) standard deviation, ENU m of a position.
+            corr: (size,) correlations as in `Fix`; None is none.
 
         Raises:
             ValueError: a name that no measurement has.

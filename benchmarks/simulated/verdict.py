@@ -155,7 +155,7 @@ def score(rec: Recording, fast: bool, clock: str = "imu") -> dict[str, Any]:
 
 
 def short_flight(vehicle: str, delay: float, seed: int) -> dict[str, float]:
-    """Return the drift, m, over hidden windows of a flight of 50 s: by scan, told of the delay, and by datasheet."""
+    """Return the drift, m, over hidden windows of a flight of 50 s: by scan, by the true delay, and by datasheet."""
     clear_caches_if_needed()
     rng = np.random.default_rng([seed, FLYING.index(vehicle), round(100 * delay) + 100])
     rec, _ = simulated(vehicle, "consumer", True, rng, sd=0.4, span=50.0, fix_hz=5.0, late=0.0)
@@ -163,9 +163,9 @@ def short_flight(vehicle: str, delay: float, seed: int) -> dict[str, float]:
     truth, ekf = rec.truth, build("ekf15", cov_stride=5)
     assert truth is not None
     plain = ekf.params("consumer")
-    told = plain._replace(mounting=plain.mounting._replace(time_offset=jnp.asarray(delay)))
+    stated = plain._replace(mounting=plain.mounting._replace(time_offset=jnp.asarray(delay)))
     found = {}
-    for name, params, scan in (("scan", plain, True), ("told", told, True), ("datasheet", plain, False)):
+    for name, params, scan in (("scan", plain, True), ("stated", stated, True), ("datasheet", plain, False)):
         sol = navigate(rec, ekf, params, scan=scan, outages=DARK)
         ends = [int(np.searchsorted(sol.t, b)) for _, b in DARK]
         at = np.column_stack([np.interp(sol.t[ends] - delay, truth.t, c) for c in truth.lla.T])
@@ -178,9 +178,9 @@ def short_flights(seed: int) -> dict[str, dict[str, float]]:
     found = {}
     for vehicle, delay in product(FLYING, DELAYS_S):
         found[f"{vehicle}, {delay:+.2f} s"] = row = short_flight(vehicle, delay, seed)
-        row["of told"], row["of datasheet"] = row["scan"] / row["told"], row["scan"] / row["datasheet"]
+        row["of stated"], row["of datasheet"] = row["scan"] / row["stated"], row["scan"] / row["datasheet"]
         print(f"{vehicle:12} {delay:+.2f} s  " + "  ".join(f"{k} {v:.2f}" for k, v in row.items()), flush=True)
-    for key in ("of told", "of datasheet"):
+    for key in ("of stated", "of datasheet"):
         ratios = [row[key] for row in found.values()]
         print(f"drift {key}: median {np.median(ratios):.2f}, largest {max(ratios):.2f}")
     return found

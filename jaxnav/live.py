@@ -4,7 +4,7 @@ Data before the start are kept for two minutes, and those behind it are replayed
 """
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ import numpy as np
 from jaxnav.filters.core import Filter
 from jaxnav.initialization.initialize import KNOWN_HEADING_SD, Initialization, initialize, timed
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.stream import Now, Stream
+from jaxnav.stream import SAME_EPOCH_S, Now, Stream, checked_fix, checked_sample
 from jaxnav.types import DataError, ImuLog, Params, Recording, Samples, nearest
 
 RETRY_INTERVAL_S = 1.0  # s of data between two tries to start
@@ -26,10 +26,10 @@ MAX_DELAY_SD, DELAY_WAIT_S = 0.03, 15.0  # s, of a known delay; s of data after 
 
 
 class Arrival(NamedTuple):
-    """A sample or a fix."""
+    """A sample, a measurement or an auxiliary value."""
 
     t: float  # s
-    name: str  # imu, or a measurement
+    name: str  # imu, or that of the others
     values: tuple[Any, ...]  # gyro, accel, dt; or value, sd, corr
 
 
@@ -46,8 +46,8 @@ class Live:
         initialization: Callable[[Recording, Params], Initialization] = initialize, interval: float = 0.0, **more: Any,
     ):  # fmt: skip
         self.filt, self.params, self.initialization = filt, params, initialization
-        self.interval, self.more, self.tried, self.count = interval, more, -math.inf, 0
-        self.waiting: list[Arrival] = []  # of the last `MEMORY_S` seconds
+        self.interval, self.more, self.last, self.tried = interval, more, -math.inf, -math.inf  # s, of the IMU
+        self.waiting: deque[Arrival] = deque()  # of the last `MEMORY_S` seconds, as they came
         self.stream: Stream | None = None  # from the start on
         self.how = ""  # it started
         self._refused: Counter[str] = Counter()
@@ -68,11 +68,13 @@ class Live:
         """
         if self.stream is not None:
             return self.stream.push_imu(t, gyro, accel, dt)
-        if np.size(gyro) != 3 or np.size(accel) != 3:
-            raise ValueError(f"a sample has 3 rates and 3 forces, got {np.size(gyro)} and {np.size(accel)}")
-        last = next((each.t for each in reversed(self.waiting) if each.name == "imu"), -math.inf)
-        later = "imu: not later than the one before"
-        return self._wait(Arrival(float(t), "imu", (gyro, accel, dt)), "" if not t <= last else later)
+        row, wrong = checked_sample(t, gyro, accel, dt, self.last)
+        if wrong:
+            self._refused[wrong] += 1
+            return None
+        self.last = float(t)
+        self._keep(Arrival(self.last, "imu", (row[1:4], row[4:7], dt)))
+        return None
 
     def push(self, name: str, t: float, value: Any, sd: Any, corr: Any = None) -> Now | None:
         """Add a measurement at its time and return the present navigation; None before the start.
@@ -96,38 +98,45 @@ class Live:
             self._refused[f"{name}: the filter takes none"] += 1
         if self.stream is not None:
             return self.stream.push(name, t, value, sd, corr) if taken else self.stream.now
-        return self._wait(Arrival(float(t), name, (value, sd, corr)))
+        fix: tuple[Any, ...] = (value, sd, corr)
+        if name in MEASUREMENTS:
+            fix, wrong = checked_fix(name, t, value, sd, corr, self.last if self.last > -math.inf else math.inf)
+            if not wrong and any(e.name == name and abs(e.t - t) <= SAME_EPOCH_S for e in self.waiting):
+                wrong = f"{name}: there already"
+            if wrong:
+                self._refused[wrong] += 1
+                return None
+        self._keep(Arrival(float(t), name, fix))
+        if self.last < self.tried + RETRY_INTERVAL_S:
+            return None
+        self.tried = self.last
+        return self._start()
 
-    def _wait(self, arrival: Arrival, wrong: str = "") -> Now | None:
-        """Keep an arrival, and start with it if that is possible; ``wrong``: why it is refused."""
-        numbers = [np.ravel(np.asarray(a, float)) for a in arrival.values if a is not None]
-        if not np.isfinite(np.concatenate([[arrival.t], *numbers])).all():
-            wrong = f"{arrival.name}: not finite"
-        if wrong:
-            self._refused[wrong] += 1
-            return None
-        self.count += 1
+    def _keep(self, arrival: Arrival) -> None:
+        """Keep an arrival, and drop what is older than `MEMORY_S`."""
         self.waiting.append(arrival)
-        if arrival.name == "imu" or arrival.t < self.tried + RETRY_INTERVAL_S:
-            return None
-        self.tried = arrival.t
-        self.waiting = [each for each in self.waiting if each.t > arrival.t - MEMORY_S]
+        while self.waiting[0].t < min(arrival.t, self.last if self.last > -math.inf else arrival.t) - MEMORY_S:
+            self.waiting.popleft()
+
+    def _start(self) -> Now | None:
+        """Start if the data so far allow it, and replay those behind the start."""
         rec = self.recording()
-        found = None if rec is None else self._start(rec)
+        found = None if rec is None else self._begin(rec)
         if rec is None or found is None:
             return None
+        begin, params = found
         interval = self.interval or float(np.median(np.diff(rec.aiding["position"].t)))
         options = {"rate": 1 / float(np.median(rec.imu.dt)), **self.more}
-        self.how, self.stream = found[0].how, Stream(self.filt, found[1], found[0], interval=interval, **options)
-        behind, self.waiting = [each for each in self.waiting if each.t > found[0].t], []
-        for name, each in ((each.name, each) for each in behind):
-            if name == "imu":
-                self.push_imu(each.t, *each.values)
-            elif name in self.filt.model.measurements or name in self.filt.model.reads:
-                self.stream.push(name, each.t, *each.values)
+        self.how, self.stream = begin.how, Stream(self.filt, params, begin, interval=interval, **options)
+        for t, name, values in self.waiting:
+            if name == "imu" and t > begin.t:
+                self.stream.push_imu(t, *values)
+            elif name in self.filt.model.reads or (name in self.filt.model.measurements and t > begin.t):
+                self.stream.push(name, t, *values)
+        self.waiting.clear()
         return self.stream.now
 
-    def _start(self, rec: Recording) -> tuple[Initialization, Params] | None:
+    def _begin(self, rec: Recording) -> tuple[Initialization, Params] | None:
         """Return a start with one sure heading and parameters with the delay that it shows; None so far."""
         params, waited = self.params, self.tried - self.waiting[0].t
         try:
@@ -146,19 +155,17 @@ class Live:
     def recording(self) -> Recording | None:
         """Return the data before the start as a recording; None where there is too little."""
         rows = [each for each in self.waiting if each.name == "imu"]
+        fixes = sorted((each for each in self.waiting if each.name in MEASUREMENTS), key=lambda each: each.t)
         aiding = {}
-        for name in dict.fromkeys(each.name for each in self.waiting if each.name in MEASUREMENTS):
-            own = sorted((each for each in self.waiting if each.name == name), key=lambda each: each.t)
-            wide = lambda a, size: np.broadcast_to(np.asarray(a, float), (size,))
-            value = np.array([np.ravel(np.asarray(each.values[0], float)) for each in own])
-            size = value.shape[1]
-            sd = np.array([wide(each.values[1], size) for each in own])
-            corr = np.array([wide(0.0 if each.values[2] is None else each.values[2], size) for each in own])
-            aiding[name] = Samples(np.array([each.t for each in own]), value, sd, corr)
+        for name in {each.name: None for each in fixes}:
+            own = [each for each in fixes if each.name == name]
+            columns = (np.array(column) for column in zip(*(each.values for each in own), strict=True))
+            aiding[name] = Samples(np.array([each.t for each in own]), *columns)
         if len(rows) < MIN_SAMPLES or "position" not in aiding:
             return None
         t = np.array([each.t for each in rows])
-        step = np.diff(t, prepend=t[0] - np.median(np.diff(t)))
-        dt = np.array([each.values[2] or usual for each, usual in zip(rows, step, strict=True)])
-        gyro, accel = (np.array([np.ravel(each.values[k]) for each in rows], float) for k in (0, 1))
-        return Recording("live", ImuLog(t, dt, gyro, accel), aiding, None, np.asarray(self.params.mounting.lever_arm))
+        gyro, accel, dt = (list(column) for column in zip(*(each.values for each in rows), strict=True))
+        usual = np.diff(t, prepend=t[0] - np.median(np.diff(t)))
+        step = np.array([b if a is None else a for a, b in zip(dt, usual, strict=True)])
+        imu = ImuLog(t, step, np.array(gyro), np.array(accel))
+        return Recording("live", imu, aiding, None, np.asarray(self.params.mounting.lever_arm))

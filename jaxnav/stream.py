@@ -146,14 +146,9 @@ class Stream:
         Returns:
             Navigation at ``t``.
         """
-        row = np.array([t, *np.ravel(gyro), *np.ravel(accel)], float)
-        if row.size != 7:
-            raise ValueError(f"a sample has 3 rates and 3 forces, got {np.size(gyro)} and {np.size(accel)}")
-        if not np.isfinite(row).all() or (dt is not None and not (math.isfinite(dt) and dt > 0)):
-            self.refused["imu: not finite"] += 1
-            return self.now
-        if t <= self.t + TICK:
-            self.refused["imu: not later than the one before"] += 1
+        row, wrong = checked_sample(t, gyro, accel, dt, self.t)
+        if wrong:
+            self.refused[wrong] += 1
             return self.now
         usual = t - self.t if dt is None else dt
         if t - usual - self.t > gaps.MIN_GAP_S or (dt is None and usual > gaps.MIN_GAP_S):
@@ -195,17 +190,11 @@ class Stream:
             return self.now
         if name not in self.slices:
             raise ValueError(f"the filter takes no {name!r}: {nearest(name, self.slices)}")
-        size = self.slices[name].stop - self.slices[name].start
-        wide = lambda a, fill: np.full(size, fill) if a is None else np.broadcast_to(np.asarray(a, float), (size,))
-        if np.size(value) != size:
-            raise ValueError(f"{name} has {size} channels, got {np.size(value)}")
-        y, spread, both = np.ravel(np.asarray(value, float)), wide(sd, 1.0), wide(corr, 0.0)
-        if not (math.isfinite(t) and np.isfinite([y, spread, both]).all() and (spread > 0).all()):
-            self.refused[f"{name}: not finite, or an sd that is not positive"] += 1
+        (y, spread, both), wrong = checked_fix(name, t, value, sd, corr, self.t)
+        if wrong:
+            self.refused[wrong] += 1
         elif t <= self.kept[0].t + SAME_EPOCH_S:
             self.refused[f"{name}: older than the last {self.lag:g} s"] += 1
-        elif t > self.t + MAX_AHEAD_S:
-            self.refused[f"{name}: more than {MAX_AHEAD_S:g} s ahead of the IMU"] += 1
         elif any(n == name and abs(s - t) <= SAME_EPOCH_S for s, n, *_ in self.fixes):
             self.refused[f"{name}: there already"] += 1
         else:
@@ -407,6 +396,51 @@ class Stream:
         except Exception as error:  # any error of a damaged archive
             raise DataError(f"the bytes are no stream of jaxnav: {error}") from error
         return stream
+
+
+def checked_sample(t: float, gyro: Any, accel: Any, dt: float | None, last: float) -> tuple[np.ndarray, str]:
+    """Return a sample (7,), t (s), gyro (rad/s) and accel (m/s^2), and why it is refused, "" where it is not.
+
+    Args:
+        t: s, end of its interval.
+        gyro: (3,) rad/s, body FRD.
+        accel: (3,) m/s^2, body FRD.
+        dt: s, its length, or None.
+        last: s, the sample before.
+
+    Raises:
+        ValueError: other numbers of rates and forces.
+    """
+    row = np.array([t, *np.ravel(gyro), *np.ravel(accel)], float)
+    if row.size != 7:
+        raise ValueError(f"a sample has 3 rates and 3 forces, got {np.size(gyro)} and {np.size(accel)}")
+    if not np.isfinite(row).all() or (dt is not None and not (math.isfinite(dt) and dt > 0)):
+        return row, "imu: not finite"
+    return row, "" if t > last + TICK else "imu: not later than the one before"
+
+
+def checked_fix(name: str, t: float, value: Any, sd: Any, corr: Any, now: float) -> tuple[tuple[np.ndarray, ...], str]:
+    """Return value, sd and correlations of a measurement, (size,) each, and why it is refused, "" where it is not.
+
+    Args:
+        name: a measurement.
+        t: s, its time.
+        value: (size,) in the units of `Samples`.
+        sd: (size,), or one for all; None is 1.
+        corr: (size,), None is 0.
+        now: s, the last sample of the IMU.
+
+    Raises:
+        ValueError: another number of channels.
+    """
+    size = MEASUREMENTS[name].size
+    if np.size(value) != size:
+        raise ValueError(f"{name} has {size} channels, got {np.size(value)}")
+    wide = lambda a, fill: np.full(size, fill) if a is None else np.broadcast_to(np.asarray(a, float), (size,))
+    fix = np.ravel(np.asarray(value, float)), wide(sd, 1.0), wide(corr, 0.0)
+    if not (math.isfinite(t) and np.isfinite(fix).all() and (fix[1] > 0).all()):
+        return fix, f"{name}: not finite, or an sd that is not positive"
+    return fix, "" if t <= now + MAX_AHEAD_S else f"{name}: more than {MAX_AHEAD_S:g} s ahead of the IMU"
 
 
 def _nothing(size: int) -> Imu:

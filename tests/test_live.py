@@ -38,20 +38,38 @@ def test_the_delay_that_the_start_shows_is_taken_into_account():
 
 
 def test_before_the_start_there_is_no_navigation_and_nothing_brings_it_down(drive):
+    """Data that a stream refuses are refused before its start, by the same words."""
     _, ekf, params, _ = drive
-    live = Live(ekf, params)
+    live, here = Live(ekf, params), (0.8, 0.2, 100.0)
+    assert live.push("position", -0.05, here, 1.0) is None  # before any sample of the IMU
     for i in range(40):
         assert live.push_imu(0.1 * i, (0, 0, 0), (0, 0, -9.81)) is None
-        assert live.push("position", 0.1 * i, (0.8, 0.2, 100.0), 1.0) is None
-    assert live.push_imu(1.0, (0, 0, 0), (0, 0, -9.81)) is None
-    assert live.push_imu(9.0, (np.nan, 0, 0), (0, 0, -9.81)) is None
-    assert live.push("position", np.nan, (0.8, 0.2, 100.0), 1.0) is None
+        assert live.push("position", 0.1 * i, here, 1.0) is None
+    nan = float("nan")
+    live.push_imu(1.0, (0, 0, 0), (0, 0, -9.81))
+    live.push_imu(9.0, (nan, 0, 0), (0, 0, -9.81))
+    for t, value, sd in ((nan, here, 1.0), (3.95, here, 0.0), (1e9, here, 1.0), (3.9, here, 1.0)):
+        assert live.push("position", t, value, sd) is None
     assert live.push("speed", 3.0, 1.0, 0.1) is None
     assert dict(live.refused) == {
-        "imu: not later than the one before": 1, "imu: not finite": 1, "position: not finite": 1,
-        "speed: the filter takes none": 1,
+        "imu: not later than the one before": 1, "imu: not finite": 1, "speed: the filter takes none": 1,
+        "position: not finite, or an sd that is not positive": 2, "position: more than 10 s ahead of the IMU": 1,
+        "position: there already": 1,
     }  # fmt: skip
-    with pytest.raises(ValueError, match="no measurement 'positon'.*position"):
-        live.push("positon", 1.0, (0.8, 0.2, 100.0), 1.0)
-    with pytest.raises(ValueError, match="a sample has 3 rates"):
-        live.push_imu(9.0, (0, 0), (0, 0, -9.81))
+    for wrong, error in (
+        (lambda: live.push("positon", 1.0, here, 1.0), "no measurement 'positon'.*position"),
+        (lambda: live.push("position", 1.0, here[:2], 1.0), "position has 3 channels, got 2"),
+        (lambda: live.push_imu(9.0, (0, 0), (0, 0, -9.81)), "a sample has 3 rates"),
+    ):
+        with pytest.raises(ValueError, match=error):
+            wrong()
+
+
+def test_what_waits_is_of_two_minutes(drive):
+    """An hour of an IMU alone at rest, and of fixes alone."""
+    _, ekf, params, _ = drive
+    samples, fixes = Live(ekf, params), Live(ekf, params)
+    for i in range(3600):
+        samples.push_imu(float(i), (0, 0, 0), (0, 0, -9.81))
+        fixes.push("position", float(i), (0.8, 0.2, 100.0), 1.0)
+    assert len(samples.waiting) <= 122 and len(fixes.waiting) <= 122

@@ -54,8 +54,9 @@ def stream(
         initialization=partial(prepare.initialization_of, config), interval=config.filter.interval_s,
     )  # fmt: skip
     taken: deque[float] = deque(maxlen=TIMED)
-    begin, rows, due = time.perf_counter(), 0, -np.inf
+    begin, rows, due, count = time.perf_counter(), 0, -np.inf, 0
     for event in events:
+        count += 1
         waits, moment = live.stream is None, time.perf_counter()
         now = feed(live, event)
         if now is None:
@@ -69,7 +70,7 @@ def stream(
             print(line(now), file=out, flush=True)
             rows, due = rows + 1, now.t + every
     if live.stream is None:
-        raise DataError(f"no start in {live.count} lines: too little motion, or no position")
+        raise DataError(f"no start in {count} lines: too little motion, or no position")
     refused = dict(live.refused)
     if bad:
         refused[f"lines that are none, such as {bad[0]!r}"] = len(bad)

@@ -21,8 +21,8 @@ RETRY_INTERVAL_S = 1.0  # s of data between two tries to start
 MEMORY_S = 120.0  # s of data that initialization may use
 MAX_WAIT_S = 60.0  # s after which a heading of a larger sd than `KNOWN_HEADING_SD` is taken, too
 MIN_SAMPLES = 10  # of the IMU, before a start is tried
-MIN_DELAY_S, DELAY_SIGMAS = 0.03, 3.0  # s, and its sd: a delay of the fixes from which on it is taken into account
 MAX_DELAY_SD, DELAY_WAIT_S = 0.03, 15.0  # s, of a known delay; s of data after which another is waited for no longer
+USUAL_DELAY_SD = 0.1  # s, of a delay that nothing shows
 
 
 class Arrival(NamedTuple):
@@ -124,9 +124,9 @@ class Live:
         found = None if rec is None else self._begin(rec)
         if rec is None or found is None:
             return None
-        begin, params = found
+        begin, params, delay_sd = found
         interval = self.interval or float(np.median(np.diff(rec.aiding["position"].t)))
-        options = {"rate": 1 / float(np.median(rec.imu.dt)), **self.more}
+        options = {"rate": 1 / float(np.median(rec.imu.dt)), "delay_sd": delay_sd, **self.more}
         self.how, self.stream = begin.how, Stream(self.filt, params, begin, interval=interval, **options)
         for t, name, values in self.waiting:
             if name == "imu" and t > begin.t:
@@ -136,21 +136,23 @@ class Live:
         self.waiting.clear()
         return self.stream.now
 
-    def _begin(self, rec: Recording) -> tuple[Initialization, Params] | None:
-        """Return a start with one sure heading and parameters with the delay that it shows; None so far."""
+    def _begin(self, rec: Recording) -> tuple[Initialization, Params, float] | None:
+        """Return a start with one sure heading, parameters with the delay that it shows, and its sd, s; or None."""
         params, waited = self.params, self.tried - self.waiting[0].t
         try:
             begin = self.initialization(rec, params)
             found = None if timed(params) else begin.alignment
-            if found is not None and abs(found.delay) > max(MIN_DELAY_S, DELAY_SIGMAS * float(found.sd[9])):
+            if found is not None and found.is_late:
                 late = params.mounting._replace(time_offset=jnp.asarray(found.delay, float))
                 params = params._replace(mounting=late)
                 begin = self.initialization(rec, params)
         except DataError:  # too little so far
             return None
         sure = float(begin.prior.attitude[2]) < KNOWN_HEADING_SD or waited > MAX_WAIT_S
-        timely = found is None or float(found.sd[9]) < MAX_DELAY_SD or waited > DELAY_WAIT_S
-        return (begin, params) if begin.navs.t.shape[0] == 1 and sure and timely else None
+        late_sd = 0.0 if found is None else float(found.sd[9])
+        timely = late_sd < MAX_DELAY_SD or waited > DELAY_WAIT_S
+        known = begin, params, min(late_sd, USUAL_DELAY_SD)
+        return known if begin.navs.t.shape[0] == 1 and sure and timely else None
 
     def recording(self) -> Recording | None:
         """Return the data before the start as a recording; None where there is too little."""

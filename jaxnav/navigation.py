@@ -35,7 +35,7 @@ from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.initialization.parked import moves_off, spread_again
 from jaxnav.io.solution import FORMATS, write_kml, write_solution
 from jaxnav.measurements import AUXILIARY, MEASUREMENTS, Measurement
-from jaxnav.measurements.measurement import references
+from jaxnav.measurements.measurement import along_track, references
 from jaxnav.states.grades import GRADES
 from jaxnav.types import DataError, Epoch, FilterError, Finding, Info, Nav, Params, Recording, Samples, Track
 
@@ -161,8 +161,7 @@ class Solution:
             track: (N, ...) by the clock of the fixes.
             sd: (N, 9) there.
         """
-        along = np.pad(self.delay_sd * track.vel, [(0, 0), (0, sd.shape[1] - 3)])
-        return track._replace(t=self.imu_time(track.t)), np.hypot(sd, along)
+        return track._replace(t=self.imu_time(track.t)), along_track(sd, track.vel, self.delay_sd)
 
     def write(self, path: str | Path, format: str = "", imu_rate: bool = False, base: str = "imu") -> None:
         """Write it as "csv", "kml", "pos" or "nav"; by default the ending of the file's name.

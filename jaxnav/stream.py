@@ -32,12 +32,13 @@ from jaxnav.filters.run import require_params, require_x64
 from jaxnav.initialization.initialize import Initialization
 from jaxnav.maths import rotations
 from jaxnav.measurements import MEASUREMENTS, layout
+from jaxnav.measurements.measurement import along_track
 from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Params, nearest
 
 SAME_EPOCH_S = 2 * TICK  # s: fixes that are as near are of one epoch
 MAX_AHEAD_S = 10.0  # s: a fix that is farther ahead of the samples was stamped by another clock
 SPREAD_SAMPLES = 400  # samples of the spread by which a hole is judged
-VERSION = 3  # of the format of `to_bytes`
+VERSION = 4  # of the format of `to_bytes`
 
 
 class Now(NamedTuple):
@@ -90,7 +91,7 @@ class Stream:
     ``filt``: as of `jaxnav.build`. ``params``: its parameters. ``begin``: as of `jaxnav.initialize`, with one heading.
     ``interval``: s, length of epochs without a fix, as `navigate` takes it. ``lag``: s, how late a fix may come.
     ``rate``: Hz of the IMU, for which its programs are compiled. ``span``: s of running that the history for latencies
-    is to cover.
+    is to cover. ``delay_sd``: s, of the delay between the IMU's clock and that of the fixes, see `Solution.at_imu_time`.
 
     Raises:
         ValueError: a start with several headings; params in float32.
@@ -98,7 +99,7 @@ class Stream:
 
     def __init__(
         self, filt: Filter, params: Params, begin: Initialization, *, interval: float = 1.0, lag: float = 1.0,
-        rate: float = 100.0, span: float = 3600.0,
+        rate: float = 100.0, span: float = 3600.0, delay_sd: float = 0.0,
     ):  # fmt: skip
         if begin.navs.t.shape[0] != 1:
             raise ValueError(
@@ -113,7 +114,7 @@ class Stream:
         require_x64(self.params)
         require_params(filt, self.params)
         self.filter = filt.with_history(history_for(self.params, rate, span)) if filt.with_history else filt
-        self.interval, self.lag, self.rate, self.span = interval, lag, rate, span
+        self.interval, self.lag, self.rate, self.span, self.delay_sd = interval, lag, rate, span, delay_sd
         self.usual = 4 * math.ceil((rate * interval + 2) / 4)  # samples of an epoch, its ends cut into two
         self.slices = layout(tuple(MEASUREMENTS[name] for name in filt.model.measurements))
         self.refused: Counter[str] = Counter()  # unused data, by stream and reason
@@ -312,7 +313,7 @@ class Stream:
     def _present(self, state: FilterState, imu: Imu) -> None:
         """Predict, and keep the report."""
         self.ahead, reported = _predict(self.filter, self.params, state, imu)
-        self.seen, now = self.t, _now(np.asarray(reported))
+        self.seen, now = self.t, _now(np.asarray(reported), self.delay_sd)
         self.now = now if now.ok else getattr(self, "now", now)._replace(ok=False)  # the last that was finite
 
     def _forget(self) -> None:
@@ -342,7 +343,7 @@ class Stream:
         names = list(self.slices)
         about = {
             "version": VERSION, "t": self.t, "interval": self.interval, "lag": self.lag, "rate": self.rate,
-            "span": self.span, "refused": self.refused,
+            "span": self.span, "delay_sd": self.delay_sd, "refused": self.refused,
             "measurements": names, "states": list(self.filter.model.states),
             "fixes": [(t, name, *(a.tolist() for a in rest)) for t, name, *rest in self.fixes],
             "auxiliary": self.auxiliary,
@@ -376,7 +377,9 @@ class Stream:
             stored = about["version"], about["measurements"], about["states"]
             if stored != (VERSION, list(filt.model.measurements), list(filt.model.states)):
                 raise DataError("the bytes are of a stream with another filter")
-            stream = cls(filt, params, begin, **{key: about[key] for key in ("interval", "lag", "rate", "span")})
+            stream = cls(
+                filt, params, begin, **{key: about[key] for key in ("interval", "lag", "rate", "span", "delay_sd")}
+            )
             leaves, tree = jax.tree.flatten(stream.kept[0].state)
             stacks = [rows[f"state_{i}"] for i in range(len(leaves))]
             if any(stack.shape[1:] != np.shape(leaf) for stack, leaf in zip(stacks, leaves, strict=True)):
@@ -449,8 +452,9 @@ def _nothing(size: int) -> Imu:
     return Imu(*none)
 
 
-def _now(a: np.ndarray) -> Now:
-    return Now(float(a[0]), a[1:4], a[4:7], a[7:10], a[10:19], a[19:22], bool(a[22]))
+def _now(a: np.ndarray, delay_sd: float = 0.0) -> Now:
+    sd = along_track(a[10:19], a[4:7], delay_sd)
+    return Now(float(a[0]), a[1:4], a[4:7], a[7:10], sd, a[19:22], bool(a[22]))
 
 
 def _empty_before(span: float, interval: float) -> int:

@@ -6,6 +6,7 @@ import pytest
 
 from benchmarks.simulated.vehicles import simulated
 from jaxnav import Live, Stream, build, initialize
+from jaxnav.live import USUAL_DELAY_SD
 from tests.test_stream import driven, events, feed, same
 
 
@@ -21,8 +22,12 @@ def test_it_is_the_stream_from_its_start_on(drive):
     live = feed(Live(ekf, params, initialization=keep, interval=0.2, rate=50.0), rec, events(rec, -np.inf))
     assert "starts at t = " in live.how and not live.waiting and len(begins) > 1
     begin = begins[-1]
-    alone = feed(Stream(ekf, params, begin, interval=0.2, rate=50.0), rec, events(rec, begin.t))
-    same(alone.now, live.stream.now)
+    unknown = live.stream.delay_sd
+    alone = Stream(ekf, params, begin, interval=0.2, rate=50.0, delay_sd=unknown)
+    same(feed(alone, rec, events(rec, begin.t)).now, live.stream.now)
+    known = feed(Stream(ekf, params, begin, interval=0.2, rate=50.0), rec, events(rec, begin.t)).now
+    assert 0.0 < unknown <= USUAL_DELAY_SD  # s, which are so many metres along the track
+    np.testing.assert_allclose(live.stream.now.sd[:3] ** 2 - known.sd[:3] ** 2, (unknown * known.vel) ** 2, atol=1e-9)
     assert alone.now.t == pytest.approx(rec.imu.t[-1]) and alone.now.ok
 
 
@@ -34,7 +39,7 @@ def test_the_delay_that_the_start_shows_is_taken_into_account():
     stated = ekf.params("tactical")
     stated = stated._replace(mounting=stated.mounting._replace(time_offset=jnp.asarray(0.1)))
     live = feed(Live(ekf, stated), rec, events(rec, -np.inf))
-    assert float(live.stream.params.mounting.time_offset) == 0.1
+    assert float(live.stream.params.mounting.time_offset) == 0.1 and live.stream.delay_sd == 0.0
 
 
 def test_before_the_start_there_is_no_navigation_and_nothing_brings_it_down(drive):

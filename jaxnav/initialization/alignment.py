@@ -23,6 +23,7 @@ from jaxnav.initialization.differences import DRIVING_NOISE, DifferencedFixes, d
 from jaxnav.maths.units import G0
 from jaxnav.types import ImuLog, Samples
 
+MIN_DELAY_S, DELAY_SIGMAS = 0.03, 3.0  # s, and its sd: a delay that fixes show
 MAX_DELAY_S = 0.7  # s: the largest delay that is looked for, either way
 MAX_ALIGNMENT_FIXES = 240  # of a window; more are thinned out
 MAX_SAMPLE_RATE_HZ = 125.0  # Hz; faster samples are put together
@@ -68,6 +69,11 @@ class Alignment(NamedTuple):
     def sd(self) -> np.ndarray:
         """Standard deviations (10,) or (13,), in the order of ``P``."""
         return np.sqrt(np.diag(self.P))
+
+    @property
+    def is_late(self) -> bool:
+        """Do the fixes show a delay, either way, beyond its sd?"""
+        return abs(self.delay) > max(MIN_DELAY_S, DELAY_SIGMAS * float(self.sd[9]))
 
     @property
     def vel_sd(self) -> np.ndarray:

@@ -305,7 +305,7 @@ def _remarks(at: Attitude) -> list[str]:
     found = at.alignment
     if found is None:
         return said
-    if abs(found.delay) > max(3 * found.sd[9], 0.03):
+    if found.is_late:
         late = "late" if found.delay > 0 else "early"
         said.append(
             f"fixes look {abs(found.delay):.2f} s {late} (sd {found.sd[9]:.2f} s): see "

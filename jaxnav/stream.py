@@ -91,7 +91,7 @@ class Stream:
     ``filt``: as of `jaxnav.build`. ``params``: its parameters. ``begin``: as of `jaxnav.initialize`, with one heading.
     ``interval``: s, length of epochs without a fix, as `navigate` takes it. ``lag``: s, how late a fix may come.
     ``rate``: Hz of the IMU, for which its programs are compiled. ``span``: s of running that the history for latencies
-    is to cover. ``delay_sd``: s, of the delay between the IMU's clock and that of the fixes, see `Solution.at_imu_time`.
+    is to cover. ``delay_sd``: s, of the delay between the clocks of IMU and fixes, see `Solution.at_imu_time`.
 
     Raises:
         ValueError: a start with several headings; params in float32.
@@ -377,9 +377,8 @@ class Stream:
             stored = about["version"], about["measurements"], about["states"]
             if stored != (VERSION, list(filt.model.measurements), list(filt.model.states)):
                 raise DataError("the bytes are of a stream with another filter")
-            stream = cls(
-                filt, params, begin, **{key: about[key] for key in ("interval", "lag", "rate", "span", "delay_sd")}
-            )
+            options = {key: about[key] for key in ("interval", "lag", "rate", "span", "delay_sd")}
+            stream = cls(filt, params, begin, **options)
             leaves, tree = jax.tree.flatten(stream.kept[0].state)
             stacks = [rows[f"state_{i}"] for i in range(len(leaves))]
             if any(stack.shape[1:] != np.shape(leaf) for stack, leaf in zip(stacks, leaves, strict=True)):

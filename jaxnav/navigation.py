@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -21,18 +20,17 @@ from jaxnav.checkup.findings import finding, line
 from jaxnav.checkup.inertial import gap_findings
 from jaxnav.checkup.motion import mixups
 from jaxnav.filters import epochs as ep
-from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK, holes
 from jaxnav.filters.lanes import relative_variance, slow_errors
 from jaxnav.filters.parameters import history_for, installed
-from jaxnav.filters.run import CHUNK, first_failure, in_chunks, joined, require_params, require_x64, run_in_chunks
+from jaxnav.filters.run import first_failure, require_params, require_x64
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.filters.standstill import Standing
-from jaxnav.initialization.bank import bank_jit, choose
 from jaxnav.initialization.going_back import gone_back
 from jaxnav.initialization.initialize import Initialization, initialize
-from jaxnav.initialization.parked import moves_off, spread_again
+from jaxnav.initialization.parked import moves_off
+from jaxnav.initialization.starts import Chosen, execute
 from jaxnav.io.solution import FORMATS, write_kml, write_solution
 from jaxnav.measurements import AUXILIARY, MEASUREMENTS, Measurement
 from jaxnav.measurements.measurement import along_track, references
@@ -47,21 +45,6 @@ BASES = ("imu", "fixes")  # clocks of written times
 FULL_COVERAGE = 0.98  # share of a run that its truth covers, below which a finding says so
 MAX_NIS = 4.0  # over degrees of freedom, of the fixes before a start, beyond which a smoother does not go back to them
 UNLIKE_DATASHEET = 10.0  # factor on the datasheet's noise above which scale or unit of a gyro may pass for noise
-
-
-class Chosen(NamedTuple):
-    """The start that was taken, of several."""
-
-    best: int = 0
-    heading_deg: float = math.nan
-    probability: float = 1.0
-
-    @property
-    def findings(self) -> list[Finding]:
-        """The heading, where there were several."""
-        if math.isnan(self.heading_deg):
-            return []
-        return [finding("heading.hypotheses", value=self.heading_deg, probability=self.probability)]
 
 
 class Run(NamedTuple):
@@ -313,7 +296,7 @@ def navigate(
     findings += usage.satellite_findings(packed, trace.info, chosen)
     findings += usage.noise_findings(rec.imu, params)
     findings += state_findings(filt, params, best, trace.info)
-    findings += about.findings + ([] if found is None else found.findings) + gap_findings(holes(rec.imu))
+    findings += _chosen(about) + ([] if found is None else found.findings) + gap_findings(holes(rec.imu))
     findings += _installation(stated, rec) + _coverage(trace, rec, chosen)
     if any(f.warns for f in findings) or (found is not None and max(found.gyro, found.accel) > UNLIKE_DATASHEET):
         findings += mixups(rec)
@@ -352,6 +335,13 @@ def _from_the_begin(
     new = longer.packed.t <= done.begin.t
     nis, dof = np.asarray(longer.info.nis)[new].sum(), np.asarray(longer.info.valid)[new].sum()
     return longer if nis <= MAX_NIS * max(dof, 1) else done
+
+
+def _chosen(about: Chosen) -> list[Finding]:
+    """Return the heading that was taken, where there were several."""
+    if math.isnan(about.heading_deg):
+        return []
+    return [finding("heading.hypotheses", value=about.heading_deg, probability=about.probability)]
 
 
 def _installation(stated: Params, rec: Recording) -> list[Finding]:
@@ -405,7 +395,7 @@ def metrics(sol: Solution) -> dict[str, Any]:
     ]
     uses = usage.usage(rec, sol.packed, info, sol.measurements, sol.hidden)
     found |= ({"outages": ends} if ends else {}) | usage.as_json(uses, usage.nis_by_channel(info, sol.measurements))
-    if sol.chosen.findings:
+    if _chosen(sol.chosen):
         at = {"start_heading_deg": sol.chosen.heading_deg, "start_heading_probability": sol.chosen.probability}
         found["heading_bank"] = at
     if sol.noise is not None:
@@ -430,57 +420,3 @@ def _end_error(sol: Solution, start: float, end: float, error: np.ndarray | None
     if error is not None:
         return float(np.hypot(*error[i, :2]))
     return float(np.hypot(*np.asarray(info.residual)[i, :2])) if valid[i].all() else float("nan")
-
-
-def execute(filt: Filter, params: Params, navs: Nav, epochs: Epoch, parked: int = 0) -> tuple[Info, Chosen]:
-    """Run from ``navs``; of several starts the most probable one.
-
-    Epochs are padded to sizes that recordings share, or cut into such, so that the compiled program is found again.
-
-    Args:
-        filt: the filter.
-        params: its parameters.
-        navs: (B, ...) starts.
-        epochs: (E, ...) of the recording.
-        parked: epochs before the vehicle moves off; headings of several starts are spread once more there.
-
-    Returns:
-        The run (E, ...), and the start that was taken.
-    """
-    E, K = epochs.imu.dt.shape
-    n, m = filt.model.n_states, filt.model.n_channels
-    starts = navs.t.shape[0]
-    whole = starts if E <= CHUNK else 1  # runs that are kept
-    require_memory(
-        8.0 * E * (whole * (2 * n**2 + 2 * m**2 + 100) + 14 * K), f"a run of {E:,} epochs from {starts} starts"
-    )
-    at = lambda i, navs: jax.tree.map(lambda a: a[i], navs)
-    if starts == 1:
-        return run_in_chunks(filt, params, at(0, navs), epochs), Chosen()
-    size = ep.bucket_size(E), ep.bucket_size(K)  # of a part of the run as well: one program
-    from_best = _best_of_long if E > CHUNK else partial(_best_of_short, size)
-    best, probability, info = from_best(filt, params, navs, epochs)
-    again = spread_again(filt, params, at(slice(parked), info), starts) if 1 < parked < E else None
-    if again is None:
-        return info, Chosen(best, 360.0 * best / starts, probability)
-    second, probability, later = from_best(filt, *again, jax.tree.map(lambda a: a[parked:], epochs))
-    best = (best + second) % starts  # the hypothesis that had that heading when it moved off
-    about = Chosen(best, 360.0 * best / starts, probability)
-    return jax.tree.map(lambda a, b: np.concatenate([a[:parked], b]), info, later), about
-
-
-def _best_of_short(
-    size: tuple[int, int], filt: Filter, params: Params, navs: Nav, epochs: Epoch
-) -> tuple[int, float, Info]:
-    """Return the most probable start, its probability and its run (E, ...), by one program for all starts."""
-    E = epochs.imu.dt.shape[0]
-    bank = jax.device_get(bank_jit(filt, params, navs, ep.pad_epochs(epochs, *size)))
-    best = int(bank.best)
-    return best, float(bank.probability[best]), jax.tree.map(lambda a: a[best][:E], bank.info)
-
-
-def _best_of_long(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[int, float, Info]:
-    """Return the same of a long run: one run at a time, of which one is kept."""
-    best, probability = choose(filt, params, navs, epochs)
-    nav = jax.tree.map(lambda a: a[best], navs)
-    return best, probability, joined(in_chunks(filt, params, nav, epochs), epochs.imu.dt.shape[0])

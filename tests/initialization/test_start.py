@@ -11,9 +11,9 @@ from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import track
 from jaxnav.initialization.bank import choose, heading_bank, with_headings
 from jaxnav.initialization.initialize import coarse_leveling, course
+from jaxnav.initialization.starts import execute
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
-from jaxnav.navigation import execute
 from jaxnav.types import DataError, ImuLog, Samples
 from tests.conftest import GRADE
 
@@ -83,7 +83,7 @@ def test_heading_bank_picks_the_true_heading(case):
 def test_headings_of_a_long_run_are_given_up_when_they_are_lost(case, monkeypatch):
     """The choice of the whole bank by chunks; runs that are lost end, the one that wins is the bank's."""
     monkeypatch.setattr("jaxnav.filters.run.CHUNK", 5)
-    monkeypatch.setattr("jaxnav.navigation.CHUNK", 5)
+    monkeypatch.setattr("jaxnav.initialization.starts.CHUNK", 5)
     epochs = jax.tree.map(lambda a: a[:15], case.packed.epochs)
     headings = case.truth.rph[0, 2] + 0.2 + np.arange(8) * np.pi / 4 - 3 * np.pi / 4
     params, filt = datasheet_params(GRADE, heading_sd=25 * DEG), build("kf9_simple")

@@ -7,6 +7,7 @@ import pytest
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.lanes import LaneRecord
+from jaxnav.filters.parameters import put
 from jaxnav.initialization.initialize import initialize
 from jaxnav.maths import earth
 from jaxnav.measurements import GNSS, MEASUREMENTS
@@ -46,10 +47,10 @@ def dragged(rec, begin, end, rate=2.0):
     return rec._replace(aiding=rec.aiding | aiding)
 
 
-def scored(rec):
-    """The plain filter over a recording, with the bench of the solution."""
+def scored(rec, scale=1.0):
+    """The plain filter over a recording, with the bench of the solution; ``scale`` on the sd of positions."""
     filt = build("ekf15", [m.name for m in GNSS], 5)
-    params = filt.params("consumer")
+    params = put(filt.params("consumer"), "measurements.position.scale", scale * np.ones(3))
     bench, tested = solve._bench(filt, params, initialize, solve.Standing(), None, rec)
     assert tested
     return bench.score(filt, params)
@@ -87,10 +88,18 @@ def test_a_jump_that_stays_is_said_and_nothing_is_left_out(drive, at):
     assert said.warns and verdict == solve.CARE and f"jump by {jump.size:.1f} m at t = {jump.t:.1f} s" in why
 
 
-def test_what_does_not_stay_or_is_within_the_stated_sd_is_no_jump(drive):
+def test_an_outlier_and_a_slide_are_no_jumps(drive):
     assert jumps_of(scored(drive)) == []
-    assert jumps_of(scored(jumped(drive, 90.0, until=91.2))) == []  # an outlier
-    assert jumps_of(scored(jumped(drive, 90.0, 1.0))) == []
+    assert jumps_of(scored(jumped(drive, 90.0, until=91.2))) == []
+    assert all(jump.t > 85.0 for jump in jumps_of(scored(dragged(drive, 60.0, 90.0, 6.0))))  # its end is one
+
+
+def test_a_jump_within_the_stated_sd_is_none(drive):
+    """A receiver that states 5 m and scatters by half a metre: jumps of 8 m are within its word, those of 30 m not."""
+    p = drive.aiding["position"]
+    wide = drive._replace(aiding=drive.aiding | {"position": p._replace(sd=np.full_like(p.sd, 5.0))})
+    assert jumps_of(scored(jumped(wide, 90.0, 8.0), 0.1)) == []
+    assert [round(jump.size, -1) for jump in jumps_of(scored(jumped(wide, 90.0), 0.1))] == [30.0]
 
 
 def test_two_faults_are_two_stretches(drive):

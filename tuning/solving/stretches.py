@@ -41,7 +41,7 @@ STEPS_S = (6.0, 2.0, 1.0)  # s, of the search about the best one
 MAX_STRETCH_S, MAX_SHARE = 150.0, 0.5  # s; of the recording
 MIN_GAIN = 20.0  # nats, of the fixes that are used either way; of all, where fixes are used again
 LOST = 0.5  # nats, that a fix which is left out is worse than a usual one
-STAYS_S, LEAST_FIXES = 6.0, 2  # s after a jump, and fixes at both ends of them
+HIDDEN_S, LEAST_FIXES = 6.0, 2  # s hidden after a jump, and the first fixes of them, which show it
 MAX_SIGMAS = 2.5  # stated sd of positions, beyond which a jump contradicts them
 ROUNDS = 8  # of moves, each a stretch more or a part of one less
 
@@ -194,14 +194,15 @@ class _Search:
 def jumps_of(scored: Scored) -> list[Jump]:
     """Return where positions jump and stay, against the IMU and by more than `MAX_SIGMAS` of their stated sd.
 
-    Fixes of the next `STAYS_S` s are hidden: navigation contradicts the first ones, and the last ones by as much.
+    Fixes of the next `HIDDEN_S` s are hidden: navigation contradicts the first ones by the jump. All fixes are likelier
+    by `MIN_GAIN` with those behind it moved back by as much, as they are not after an outlier or within a slide.
 
     Args:
         scored: a filter and its parameters over a recording.
     """
     search = _Search(scored)
     changes = changes_of(search.t, scored.info)
-    after = [(c - search.interval, c + STAYS_S) for c in changes if c + STAYS_S < search.end]
+    after = [(c - search.interval, c + HIDDEN_S) for c in changes if c + HIDDEN_S < search.end]
     if not after:
         return []
     _, record = search([[each] for each in after])
@@ -210,14 +211,12 @@ def jumps_of(scored: Scored) -> list[Jump]:
     square = normalized(record.residual, record.P + position_noise(scored.params, stated)) / 3
     limit, found = search.limit(record), dict[float, np.ndarray]()
     for k, stretch in enumerate(after, 1):
-        rows = np.flatnonzero(ep.within(search.t, [stretch]) & valid)
-        ends = rows[:LEAST_FIXES], rows[-LEAST_FIXES:]
-        if rows.size < 2 * LEAST_FIXES or any(np.median(square[k, each]) < limit for each in ends):
+        rows = np.flatnonzero(ep.within(search.t, [stretch]) & valid)[:LEAST_FIXES]
+        if rows.size < LEAST_FIXES or np.median(square[k, rows]) < limit:
             continue
-        first, last = (-np.median(record.residual[k, each], 0) for each in ends)
-        stays = np.linalg.norm(last - first) < 0.5 * np.linalg.norm(first)
-        if stays and np.abs(first / np.median(stated[rows], 0)).max() > MAX_SIGMAS:
-            found[float(search.t[rows[0]])] = first
+        offset = -np.median(record.residual[k, rows], 0)
+        if np.abs(offset / np.median(stated[rows], 0)).max() > MAX_SIGMAS:
+            found[float(search.t[rows[0]])] = offset
     jumps: list[Jump] = []
     while found:
         each = [Jump(t, offset, 0.0) for t, offset in found.items()]

@@ -16,6 +16,7 @@ from jaxnav.app import cli
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import load
 from jaxnav.filters.parameters import change, strong
+from jaxnav.initialization.initialize import timed
 from jaxnav.io.canonical import write_recording
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import Recording, Samples
@@ -247,7 +248,7 @@ def test_defaults_of_measurements_state_nothing(drive):
     """Of all rows together, as the command line has them: an odometer's scale is none of the fixes'."""
     every = {name: strong(row.defaults) for name, row in MEASUREMENTS.items()}
     params = with_arm(drive)._replace(measurements=every)
-    assert not noise_scan.stated_scale(params) and not noise_scan._timed(params)
+    assert not noise_scan.stated_scale(params) and not timed(params)
 
 
 def test_slow_errors_that_are_stated_stay(drive):

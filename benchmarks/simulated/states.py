@@ -156,7 +156,7 @@ ROWS = {
     "gyro_misalignment": Row(("gyro_misalignment",)), "accel_misalignment": Row(("accel_misalignment",)),
     "gyro_g_sensitivity": Row(("gyro_g_sensitivity",)), "lever_arm_error": Row(("lever_arm_error",)),
     "clock_offset": Row(("clock_offset",)), "odometer_scale": Row(("odometer_scale",), {"speed": 0.1}),
-    "vehicle_axes": Row(("vehicle_axes",), WHEELS),
+    "vehicle_axes": Row(("vehicle_axes",), WHEELS), "wheel_arm_error": Row(("wheel_arm_error",), {"wheels": 0.1}),
     "magnetometer_bias": Row(("magnetometer_bias",), {"magnetometer": 1.0}),
     "declination_error": Row(("declination_error",), {"magnetometer": 1.0}), "wind": Row(("wind",), {"airspeed": 0.5}),
     "heading": Row((), {"heading": 0.01}), "baseline": Row((), {"baseline": 0.01}), "course": Row((), {"course": 0.05}),

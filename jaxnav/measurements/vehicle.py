@@ -53,13 +53,15 @@ def vehicle_velocity(
         return rotations.to_dcm(rotations.exp(turn)).T  # body -> vehicle
 
     M, offset = axes(angles), jnp.zeros(3) if offset is None else offset
-    v_b = kin.C.T @ kin.vel + jnp.cross(nav.omega, mounting.wheel_arm)
+    arm = mounting.wheel_arm + nav.errors.get("wheel_arm_error", jnp.zeros(3))
+    v_b = kin.C.T @ kin.vel + jnp.cross(nav.omega, arm)
     seen = lambda M: M @ v_b + jnp.cross(M @ nav.omega, offset)
     # d(C' v) = C' (dv + [v x] phi); d(w x l) = -[l x] dw
     rows = {
         "velocity": M @ kin.C.T,
         "attitude": M @ kin.C.T @ rotations.skew(kin.vel),
-        "gyro": -M @ rotations.skew(mounting.wheel_arm) - rotations.skew(offset) @ M,
+        "gyro": -M @ rotations.skew(arm) - rotations.skew(offset) @ M,
+        "wheel_arm_error": M @ rotations.skew(nav.omega),
     }
     if "vehicle_axes" in nav.errors:
         rows |= {"vehicle_axes": jax.jacfwd(lambda a: seen(axes(a)))(angles)}
@@ -101,19 +103,19 @@ def observe_level(theta: LevelParams, mounting: Mounting, nav: Nav, kin: Kinemat
 NONHOLONOMIC = Measurement(
     "nonholonomic", ("right", "down"), observe_nonholonomic, NonholonomicParams((0.1, 0.1)),
     NonholonomicParams(Unit("mps", shape=(2,), text="m/s")),
-    states=("vehicle_axes",),
+    states=("vehicle_axes", "wheel_arm_error"),
 )  # fmt: skip
 """Wheels neither slide sideways nor lift: no value; sd = its parameter times the fix's sd (1 by default)."""
 SPEED = Measurement(
     "speed", ("forward",), observe_speed, SpeedParams(1.0, 0.0),
-    SpeedParams(Unit(), Unit(step=0.02)), states=("vehicle_axes", "odometer_scale"),
+    SpeedParams(Unit(), Unit(step=0.02)), states=("vehicle_axes", "odometer_scale", "wheel_arm_error"),
     columns=(column("speed_mps", "speed", 0.3, plausible=(-500.0, 500.0)),),
 )  # fmt: skip
 """Wheel speed: value forward m/s, sd."""
 WHEELS = Measurement(
     "wheels", ("left", "right"), observe_wheels, WheelsParams(1.0, 0.0, 1.0),
     WheelsParams(Unit(), Unit(step=0.02), Unit("m", text="m", step=0.02)),
-    states=("vehicle_axes", "odometer_scale"),
+    states=("vehicle_axes", "odometer_scale", "wheel_arm_error"),
     columns=tuple(
         column(f"{side}_mps", "speed", 0.1, f"sd_{side}_mps", (-500.0, 500.0)) for side in ("left", "right")
     ),

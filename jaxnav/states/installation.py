@@ -11,3 +11,5 @@ ODOMETER_SCALE = constant("odometer_scale", ("scale",), 20_000.0, UserUnit("ppm"
 """1: wheels read too much by that share, on top of the parameter ``scale`` of `SPEED`."""
 VEHICLE_AXES = constant("vehicle_axes", ("pitch", "yaw"), 2.0, UserUnit("deg", units.DEG, "deg"))
 """rad, of the vehicle's axes in the body's: on top of `Mounting.vehicle`."""
+WHEEL_ARM_ERROR = constant("wheel_arm_error", BODY, 1.0, UserUnit("m", 1.0, "m"))
+"""m, body, of IMU -> point where wheels neither slide nor lift: on top of `Mounting.wheel_arm`."""

@@ -10,7 +10,7 @@ from jaxnav.states.barometer_bias import BAROMETER_BIAS
 from jaxnav.states.biases import ACCEL_BIAS, GYRO_BIAS
 from jaxnav.states.g_sensitivity import GYRO_G_SENSITIVITY
 from jaxnav.states.gnss_position_error import GNSS_POSITION_ERROR
-from jaxnav.states.installation import CLOCK_OFFSET, LEVER_ARM_ERROR, ODOMETER_SCALE, VEHICLE_AXES
+from jaxnav.states.installation import CLOCK_OFFSET, LEVER_ARM_ERROR, ODOMETER_SCALE, VEHICLE_AXES, WHEEL_ARM_ERROR
 from jaxnav.states.misalignment import ACCEL_MISALIGNMENT, GYRO_MISALIGNMENT
 from jaxnav.states.motion import MOTION
 from jaxnav.states.receiver_clock import INTER_SYSTEM_BIAS, RANGE_ERROR, RECEIVER_CLOCK_BIAS, RECEIVER_CLOCK_DRIFT
@@ -35,6 +35,7 @@ STATES: dict[str, State] = {
         GNSS_POSITION_ERROR,
         ODOMETER_SCALE,
         VEHICLE_AXES,
+        WHEEL_ARM_ERROR,
         MAGNETOMETER_BIAS,
         DECLINATION_ERROR,
         WIND,

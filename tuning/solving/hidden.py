@@ -1,11 +1,11 @@
 """A filter over a recording with hidden windows, for several filters that are compared on the same windows."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxnav.analysis.windows import drift
+from jaxnav.analysis.windows import drifts
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
 from jaxnav.filters.lanes import LaneRecord
@@ -70,12 +70,20 @@ class Bench(NamedTuple):
             params: its parameters, with the lever arm.
             begin: the initialization; by default that of the bench. Windows before it are left out.
         """
+        return self.scores(filt, [params], begin)[0]
+
+    def scores(self, filt: Filter, candidates: Sequence[Params], begin: Initialization | None = None) -> list[Scored]:
+        """Run a filter with each of some parameters, as `score` does, side by side and from the first one's start."""
         begin = self.begin if begin is None else begin
         rec, chosen = self.recording, tuple(MEASUREMENTS[name] for name in filt.model.measurements)
         packed = ep.pack_recording(rec, chosen, begin.t, 0.0, self.stop, self.standing)
         filt = filt.with_history(self.history) if filt.with_history else filt
-        (used,) = prepare_recordings([rec], filt, [params], [begin], [packed], [self.layout], lambda line: None)
-        error, info = drift(filt, used.datasheet, used.nav, used.epochs, used.windows, chosen)
+        (used,) = prepare_recordings([rec], filt, candidates[:1], [begin], [packed], [self.layout], lambda line: None)
+        each = [begin.apply_to(params) for params in candidates]
+        runs = drifts(filt, each, used.nav, used.epochs, used.windows, chosen)
         healthy = ~np.isin(np.round(used.starts, 6), np.round(self.faulty, 6))
         used = used._replace(parts={name: mask & healthy for name, mask in used.parts.items()})
-        return Scored(filt, used.datasheet, used, error, info)
+        return [
+            Scored(filt, params, used._replace(datasheet=params), error, info)
+            for params, (error, info) in zip(each, runs, strict=True)
+        ]

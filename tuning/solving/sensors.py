@@ -8,11 +8,12 @@ import numpy as np
 from jaxnav.checkup.findings import finding
 from jaxnav.filters.catalogue import build, rows
 from jaxnav.filters.core import Filter
+from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import get, has, put
 from jaxnav.filters.standstill import Standing
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS, layout
-from jaxnav.states.installation import LEVER_ARM_ERROR, VEHICLE_AXES
+from jaxnav.states.installation import LEVER_ARM_ERROR, ODOMETER_SCALE, VEHICLE_AXES, WHEEL_ARM_ERROR
 from jaxnav.types import Finding, Params, Recording
 from tuning.recordings.choice import MIN_BLOCKS
 from tuning.recordings.parts import blocks_of
@@ -20,7 +21,8 @@ from tuning.recordings.validation import block_ratio
 from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 
 MAX_RATIO = 1.02  # of the horizontal drift on training and validation windows, up to which a measurement does no harm
-MAX_GROWTH = 1.5  # that innovations may ask for beyond sd that are taken
+SDS = (1.0, 3.0, 10.0)  # times the stated sd, that a measurement is tried with: its errors last, those of noise do not
+MAX_GROWTH = 1.5  # that innovations may ask for beyond the largest of them
 MIN_NIS, ROUNDS = 1.2, 2  # NIS of a measurement's channels from which on its sd grows, in so many rounds
 MAX_YAW_DEG, MAX_YAW_SCATTER_DEG = 10.0, 5.0  # deg, of an IMU whose x axis is the vehicle's
 
@@ -73,10 +75,10 @@ def options(rec: Recording, found: Sequence[Finding]) -> list[Option]:
     by, good = {f.code: f for f in found}, {f.code for f in found if not f.warns}
     tried = [Option((), (LEVER_ARM_ERROR.name,), ARM_SD)] if "lever_arm" in by else []
     if "speed" in rec.aiding:
-        tried.append(Option(("speed",)))
+        tried.append(Option(("speed",), (ODOMETER_SCALE.name,)))
     yaw = by.get("mounting.yaw")
     if yaw is not None and abs(yaw.value or 0.0) < MAX_YAW_DEG:
-        tried.append(Option(("nonholonomic",), (VEHICLE_AXES.name,)))
+        tried.append(Option(("nonholonomic",), (VEHICLE_AXES.name, WHEEL_ARM_ERROR.name)))
     if "standstill.accel" in good:
         tried.append(Option(("zero_velocity", "zero_rate")))
     if "barometer" in good:
@@ -102,10 +104,10 @@ def choose(
 ) -> Choice:  # fmt: skip
     """Add measurements one after the other, each if it predicts better than without it.
 
-    Each is tried with its sd as stated and with larger ones that its innovations ask for (`growth`), by the likelihood
-    of the hidden fixes among those that its innovations do not contradict. The training and the validation windows
-    decide: no more horizontal drift, less drift in three dimensions by more than chance, and a higher likelihood of the
-    hidden fixes of the validation part.
+    Each is tried with its sd as stated and three and ten times as large, and with larger ones yet where innovations ask
+    for them (`growth`): errors of wheels, constraints and pressures last for seconds, so that a filter that takes them
+    for noise trusts them too much. The training and the validation windows decide: no more horizontal drift, less drift
+    in three dimensions by more than chance, and a higher likelihood of the hidden fixes of the validation part.
 
     Args:
         bench: the recording and its windows.
@@ -125,24 +127,36 @@ def choose(
         more = [s for s in (*best.filter.model.states, *option.states) if s not in filt.model.states]
         if more and filt.with_states is not None:
             filt = filt.with_states(*more)
-        params, own = params_of(filt), factors | dict(option.factors)
-        ways = [(bench.score(filt, larger(params, own)), own)]
-        for _ in range(ROUNDS):
-            if grown := growth(ways[-1][0]):
-                own = {leaf: own.get(leaf, 1.0) * grown.get(leaf, 1.0) for leaf in {*own, *grown}}
-                ways.append((bench.score(filt, larger(params, own)), own))
-        new, own = likeliest(ways)
-        row = compare(option, best, new)
+        new, own, row = _tried(option, best, bench, filt, params_of(filt), factors | dict(option.factors))
         done.append(row)
         if row.taken:
             best, factors = new, own
     return Choice(best, done, factors)
 
 
-def likeliest(ways: Sequence[tuple[Scored, dict[str, float]]]) -> tuple[Scored, dict[str, float]]:
-    """Return the run with the likeliest hidden fixes, of those that innovations do not contradict and the last."""
-    fair = [way for way in ways[:-1] if max([1.0, *growth(way[0]).values()]) < MAX_GROWTH]
-    return min([*fair, ways[-1]], key=lambda way: float(way[0].hidden("training", "validation").nll().mean()))
+def _tried(
+    option: Option, before: Scored, bench: Bench, filt: Filter, params: Params, own: dict[str, float]
+) -> tuple[Scored, dict[str, float], Tried]:
+    """Return the likeliest run with an option of those that are taken, else of all, its factors, and what it did."""
+    leaves = [sd_leaf(params, name) for name in option.measurements]
+    for _ in range(1 + ROUNDS):
+        each = [own | {leaf: k * own.get(leaf, 1.0) for leaf in leaves} for k in (SDS if leaves else SDS[:1])]
+        runs = bench.scores(filt, [larger(params, factors) for factors in each])
+        ways = [(run, factors, compare(option, before, run)) for run, factors in zip(runs, each, strict=True)]
+        more = [growth(run) for run in runs]
+        fair = [way for way, asked in zip(ways, more, strict=True) if max([1.0, *asked.values()]) < MAX_GROWTH]
+        if fair:
+            break
+        own = {leaf: each[-1].get(leaf, 1.0) * more[-1].get(leaf, 1.0) for leaf in {*each[-1], *more[-1]}}
+    fair = fair or ways[-1:]
+    good = [way for way in fair if way[2].taken] or fair
+    return min(good, key=lambda way: float(way[0].hidden("training", "validation").nll().mean()))
+
+
+def sd_leaf(params: Params, name: str) -> str:
+    """Return the leaf that the sd of a measurement grow by."""
+    ends = ("scale",) if name in RECEIVER else ("sd_scale", "sd")
+    return next(leaf for end in ends if has(params, leaf := f"measurements.{name}.{end}"))
 
 
 def larger(params: Params, factors: dict[str, float]) -> Params:
@@ -168,24 +182,39 @@ def growth(run: Scored) -> dict[str, float]:
         own = np.asarray(info.valid)[..., place] & counts[..., None]
         nis = float(square[..., place][own].mean()) if own.any() else 0.0
         if nis > MIN_NIS:
-            ends = ("sd_scale", "sd") if name not in RECEIVER else ("scale",)
-            leaf = next(leaf for end in ends if has(run.params, leaf := f"measurements.{name}.{end}"))
-            found[leaf] = nis**0.5
+            found[sd_leaf(run.params, name)] = nis**0.5
     return found
 
 
 def compare(option: Option, before: Scored, after: Scored) -> Tried:
-    """Return whether the runs with an option predict better than those without it."""
+    """Return whether the runs with an option predict better than those without it.
+
+    Only windows in which its measurements are used can show a gain: a constraint at rest has none on the way.
+    """
     parts = before.used.parts
     seen, blocks = parts["training"] | parts["validation"], blocks_of([before.used])
-    horizontal, space = (
-        block_ratio(norm(before), norm(after), blocks[seen])
-        for norm in (lambda s: s.horizontal[seen], lambda s: np.linalg.norm(s.error[seen], axis=1))
-    )
+    space = lambda s, rows: np.linalg.norm(s.error[rows], axis=1)
+    used = seen & measured(option, after)
+    level = block_ratio(before.horizontal[seen], after.horizontal[seen], blocks[seen])
     nll = [float(s.hidden("validation").nll().mean()) for s in (before, after)]
-    clear = space.high < 1.0 if np.unique(blocks[seen]).size >= MIN_BLOCKS else space.ratio < 0.8
-    taken = bool(np.isfinite(after.error[seen]).all() and horizontal.ratio < MAX_RATIO and clear and nll[1] < nll[0])
-    return Tried(option, horizontal.ratio, nll[0] - nll[1], taken)
+    taken = False
+    if used.any() and level.ratio < MAX_RATIO and nll[1] < nll[0]:
+        gain = block_ratio(space(before, used), space(after, used), blocks[used])
+        taken = gain.high < 1.0 if np.unique(blocks[used]).size >= MIN_BLOCKS else gain.ratio < 0.8
+    return Tried(option, level.ratio, nll[0] - nll[1], bool(taken and np.isfinite(after.error[seen]).all()))
+
+
+def measured(option: Option, run: Scored) -> np.ndarray:
+    """Return the windows (W,) in which an option's measurements are used; all of one that has none."""
+    windows, length = run.used.windows, run.used.layout.window
+    if not option.measurements:
+        return np.ones(windows.start.size, bool)
+    places = layout(rows(run.filter.model.measurements))
+    valid = np.asarray(run.info.valid)
+    there = np.any([valid[..., places[name]].any(-1) for name in option.measurements], 0)
+    begin, end = (np.searchsorted(run.used.t, x + TICK) for x in (windows.start, windows.start + length))
+    total = np.pad(np.cumsum(there, 1), ((0, 0), (1, 0)))
+    return np.asarray(total[windows.phase, end] > total[windows.phase, begin])
 
 
 def finding_of(row: Tried) -> Finding:

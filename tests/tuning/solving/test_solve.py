@@ -115,9 +115,10 @@ def test_options_are_of_streams_and_findings(drive):
     rec = drive._replace(aiding=drive.aiding | {"speed": speed})
     yaw = finding("mounting.yaw", value=2.0, count=9, scatter=1.0)
     assert options(drive, []) == []
-    assert options(rec, [yaw]) == [Option(("speed",)), Option(("nonholonomic",), ("vehicle_axes",))]
+    rolling = Option(("speed",), ("odometer_scale",))
+    assert options(rec, [yaw]) == [rolling, Option(("nonholonomic",), ("vehicle_axes", "wheel_arm_error"))]
     turned = finding("mounting.yaw", value=40.0, count=9, scatter=1.0)
-    assert options(rec, [turned]) == [Option(("speed",))]
+    assert options(rec, [turned]) == [rolling]
     level = finding("standstill.accel", value=0.07, setting="", count=30, window=1.0)
     assert options(drive, [level]) == [Option(("zero_velocity", "zero_rate"))]
     assert standing_of([level]).accel_sd == 0.07 and standing_of([]).accel_sd == 0.2
@@ -143,16 +144,54 @@ def test_the_sd_of_measurements_grow_to_their_innovations():
     assert growth(run) == {}  # never smaller: neighbours may be correlated
 
 
-def test_sd_that_innovations_contradict_are_not_taken(monkeypatch):
-    """However likely its hidden fixes are; the last one has the largest sd."""
-    monkeypatch.setattr(sensors, "growth", lambda run: {"sd": run.asks} if run.asks > 1.0 else {})
-    run = lambda nll, asks: (
-        SimpleNamespace(hidden=lambda *parts: SimpleNamespace(nll=lambda: np.full(3, nll)), asks=asks), {}
-    )  # fmt: skip
-    stated, grown, last = run(1.0, 3.0), run(1.2, 1.3), run(1.1, 1.0)
-    assert sensors.likeliest([stated, grown, last]) is last
-    assert sensors.likeliest([stated, run(1.05, 1.3), last])[0].asks == 1.3
-    assert sensors.likeliest([run(1.0, 1.4), last])[0].asks == 1.4 and sensors.likeliest([stated]) is stated
+@pytest.fixture
+def tried(monkeypatch):
+    """What is taken of runs, one by the factor on the sd: (nll, growth that innovations ask for, taken)."""
+
+    def call(outcome):
+        def run(params):
+            factor = float(params.measurements["speed"].sd_scale)
+            nll, asks, taken = outcome(factor)
+            return SimpleNamespace(hidden=lambda *p: SimpleNamespace(nll=lambda: np.full(3, nll)), asks=asks, row=taken)
+
+        option = Option(("speed",))
+        monkeypatch.setattr(sensors, "growth", lambda run: {LEAF: run.asks} if run.asks > 1.0 else {})
+        monkeypatch.setattr(sensors, "compare", lambda option, before, run: sensors.Tried(option, 1.0, 0.0, run.row))
+        bench = SimpleNamespace(scores=lambda filt, candidates: [run(params) for params in candidates])
+        params = build("ekf15", ("position", "speed")).params("consumer")
+        return sensors._tried(option, None, bench, None, params, {})[1:]
+
+    return call
+
+
+LEAF = "measurements.speed.sd_scale"
+
+
+def test_the_likeliest_sd_of_those_that_are_taken_are_taken(tried):
+    own, row = tried(lambda factor: (factor, 1.0, factor > 1.0))
+    assert own == {LEAF: 3.0} and row.taken
+    assert tried(lambda factor: (factor, 1.0, False))[0] == {LEAF: 1.0}  # the likeliest of all, in the finding
+
+
+def test_sd_that_innovations_contradict_are_not_taken(tried):
+    """However likely the hidden fixes are; beyond the ladder they grow as the innovations ask for."""
+    assert tried(lambda factor: (factor, 12.0 / factor, True))[0] == {LEAF: 10.0}
+    assert tried(lambda factor: (factor, 300.0 / factor, True))[0] == {LEAF: pytest.approx(300.0)}
+    assert tried(lambda factor: (0.0, 1e9, True))[0] == {LEAF: pytest.approx(1e21, rel=1.0)}  # the last one, as it is
+
+
+def test_windows_without_a_measurement_show_no_gain():
+    """Of a constraint at rest: those in which the vehicle rests."""
+    filt, t = build("ekf15", ("position", "zero_rate")), np.arange(100.0)
+    valid = np.ones((2, 100, 6), bool)
+    valid[:, :, 3:] = ((t > 40) & (t <= 50))[:, None]
+    start = np.array([10.0, 30.0, 39.5, 49.0, 50.0])
+    used = SimpleNamespace(
+        windows=SimpleNamespace(start=start, phase=np.array([0, 1, 0, 1, 0])), t=t, layout=SimpleNamespace(window=10.0)
+    )
+    run = SimpleNamespace(used=used, info=SimpleNamespace(valid=valid), filter=filt)
+    np.testing.assert_array_equal(sensors.measured(Option(("zero_rate",)), run), [False, False, True, True, False])
+    assert sensors.measured(Option((), ("lever_arm_error",)), run).all()
 
 
 # ---------------------------------------------------------------------------- verdict

@@ -19,6 +19,7 @@ from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding, line
 from jaxnav.checkup.inertial import gap_findings
 from jaxnav.checkup.motion import mixups
+from jaxnav.checkup.witnesses import headings
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK, holes
@@ -295,6 +296,7 @@ def navigate(
     findings += usage.usage_findings(usage.usage(rec, packed, trace.info, chosen, hidden))
     findings += usage.satellite_findings(packed, trace.info, chosen)
     findings += usage.noise_findings(rec.imu, params)
+    findings += headings(rec, trace.track.t, trace.track.rph, float(np.median(trace.sd_rph[:, 2])))
     findings += state_findings(filt, params, best, trace.info)
     findings += _chosen(about) + ([] if found is None else found.findings) + gap_findings(holes(rec.imu))
     findings += _installation(stated, rec) + _coverage(trace, rec, chosen)

@@ -3,6 +3,7 @@
 import base64
 import html
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -34,8 +35,24 @@ td, th { padding: .25rem .9rem .25rem 0; text-align: left; border-bottom: 1px so
 .good { border-left-color: var(--good) } .care { border-left-color: var(--care) } .bad { border-left-color: var(--bad) }
 .verdict { font-size: 1.3rem; font-weight: 600 } .good .verdict { color: var(--good) }
 .care .verdict { color: var(--care) } .bad .verdict { color: var(--bad) }
-.figures { overflow-x: auto } details { margin: 1rem 0 }
+.figures { overflow-x: auto } details { margin: 1rem 0 } abbr { cursor: help }
+dl { font-size: 14px } dt { font-weight: 600 } dd { margin: 0 0 .4rem 1rem }
 """
+
+TERMS = {
+    "NIS/dof": "innovations squared over the variance that the filter states: 1 where it is right, above 1 where fixes "
+    "and IMU differ by more",
+    "hidden fixes": "fixes that were kept from the filter for some seconds, to compare its prediction with them",
+    "inside the stated 95 %": "closer than the radius that the stated sd give 95 % of errors",
+    "on the Earth": "with errors of the receiver that last for minutes, such as those of orbits and of the air",
+    "from second to second": "without errors of the receiver that last for minutes",
+    "stated (1 sd)": "by the filter's covariance: 68 % of errors are smaller",
+    "datasheet": "the filter with the noise of a consumer's IMU and sd of the fixes as the receiver states them",
+    "noise by likelihood": "the noise of the IMU and of the fixes by which the fixes are likeliest",
+    "test part": "the last third of the recording, on which nothing was chosen",
+    "log-likelihood": "how much likelier a hidden fix is: +1 is e times",
+}
+"""Terms of a report, each with what it means."""
 
 
 def write(folder: Path, verb: str, config: Config, outcome: Outcome) -> None:
@@ -57,12 +74,13 @@ def write(folder: Path, verb: str, config: Config, outcome: Outcome) -> None:
     first = outcome.text.splitlines()[0] if outcome.text and outcome.card is None else config.data.source
     title = f"jaxnav {verb}: {first}"
     text = f"<pre>{html.escape(outcome.text)}</pre>"
+    answer, said = _explained([_card(outcome.card), *map(_table, outcome.tables)])
     parts = [
         "<!doctype html>", '<html lang="en"><head><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">', f"<title>{html.escape(title)}</title>",
         f"<style>{STYLE}</style>{head}</head><body>", f"<h1>{html.escape(title)}</h1>",
-        _card(outcome.card), _findings(outcome.findings), "" if outcome.card else text,
-        f'<div class="figures">{body}</div>', *map(_table, outcome.tables), _parameters(outcome.metrics),
+        *answer[:1], _findings(outcome.findings), "" if outcome.card else text,
+        f'<div class="figures">{body}</div>', *answer[1:], _parameters(outcome.metrics), _terms(said),
         _folded("All remarks", f"<pre>{html.escape(chr(10).join(remarks(outcome.findings)))}</pre>"),
         _folded("The run in numbers", text) if outcome.card else "",
         _folded("Settings and versions", _settings(config) + _pairs("Versions", versions())
@@ -81,6 +99,28 @@ def _card(card: Card | None) -> str:
         f'<div class="card {card.color}"><p class="verdict">{html.escape(card.verdict)}</p>'
         f"<p>{html.escape(card.why)}</p>{_table(rows)}</div>"
     )
+
+
+def _explained(parts: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return parts of a page with each term explained where it comes first, and the terms."""
+    out, said = list(parts), list[str]()
+    for term, words in TERMS.items():
+        plain = f'<abbr tabindex="0" title="{html.escape(words)}">{html.escape(term)}</abbr>'
+        for i, part in enumerate(out):
+            pieces = re.split(r"(<[^>]*>)", part)  # outside of tags, which hold explanations too
+            at = next((k for k in range(0, len(pieces), 2) if html.escape(term) in pieces[k]), None)
+            if at is not None:
+                pieces[at] = pieces[at].replace(html.escape(term), plain, 1)
+                out[i] = "".join(pieces)
+                said.append(term)
+                break
+    return out, said
+
+
+def _terms(said: Sequence[str]) -> str:
+    """Return the terms of a page in words, for paper and for screens without a pointer."""
+    rows = "".join(f"<dt>{html.escape(term)}</dt><dd>{html.escape(TERMS[term])}</dd>" for term in said)
+    return f"<h2>Terms</h2><dl>{rows}</dl>" if rows else ""
 
 
 def _findings(findings: Sequence[Finding]) -> str:

@@ -34,7 +34,7 @@ def compass(rec: Recording) -> list[Finding]:
         (MIN_FIELD_RATIO * known.strength, MAX_FIELD_RATIO * known.strength) if known is not None else (15.0, 90.0)
     )
     found = [finding("compass" if low < strength < high else "compass.strength", value=strength, here=here)]
-    moved = _turns(rec)
+    moved = turns_of(rec)
     if moved is None:
         return found
     turn, *field = moved
@@ -52,7 +52,7 @@ def compass(rec: Recording) -> list[Finding]:
     return [*found, finding("compass.turns", value=without)]
 
 
-def _turns(rec: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def turns_of(rec: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Turn of the body (K, 3) rad between two readings, their mean (K, 3) and change (K, 3) uT.
 
     Readings as near in time as turns of `MIN_TURN` allow; None where it hardly turns.

@@ -286,6 +286,14 @@ KINDS: dict[str, Kind] = {
         ("another unit", "another wheel radius"),
         ("set the unit, or free measurements.speed.scale in jaxnav tune",),
     ),
+    "speed.parts": Kind(
+        WARNING,
+        "speeds of receiver and wheels part by {value:.1f} m/s between t = {begin:.0f} and {end:.0f} s (limit "
+        "{limit:.1f} m/s)",
+        ("the receiver's fixes are dragged off", "wheels that slip"),
+        ("compare with a map", "leave one of them out: filter.outages, filter.measurements"),
+        "m/s",
+    ),
     "barometer": Kind(
         INFO, "barometric height changes by {value:+.2f} m per metre of height (correlation {corr:+.2f})"
     ),
@@ -338,6 +346,14 @@ KINDS: dict[str, Kind] = {
         ("moving iron", "another clock", "axes that are not orthogonal to the IMU's"),
         ("leave the magnetometer out of filter.measurements",),
         unit="%",
+    ),
+    "compass.parts": Kind(
+        WARNING,
+        "headings of the solution and of the magnetometer part by {value:.0f} deg between t = {begin:.0f} and "
+        "{end:.0f} s (limit {limit:.0f} deg)",
+        ("a heading that was lost", "iron that moves", "a receiver that is dragged off"),
+        ("look at heading and its sd there", "add the magnetometer to filter.measurements"),
+        "deg",
     ),
     # motion and standstill
     "motion": Kind(INFO, "IMU and fixes agree: chi^2 {value:.2g} per degree of freedom in {count} windows"),

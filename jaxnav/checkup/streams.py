@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from jaxnav.checkup import witnesses
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import EMPTY, level_velocity, local, rms
 from jaxnav.maths.interpolation import columns_at, running
@@ -10,8 +11,6 @@ from jaxnav.types import Finding, Recording, Severity
 SPAN_S = 2.0  # s, over which positions are differenced
 UNITS = {"km/h": 3.6, "knots": 1.943844, "feet per second": 3.28084, "mm/s": 1000.0, "cm/s": 100.0}
 MAX_SD_STEP = 1.15  # times: the step of a stated sd from one fix to the next, in the median
-MAX_WEATHER_M, MAX_TEMPERATURE_SHARE = 10.0, 0.08  # m, and of a climb, by which a barometer may be off within a drive
-WINDOW_S = 20.0  # s, whose median heights are compared
 AXES = np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]])
 
 
@@ -93,21 +92,24 @@ def _late(shown: np.ndarray, said: np.ndarray, t: np.ndarray) -> list[Finding]:
 
 
 def speed(rec: Recording) -> list[Finding]:
-    """Wheel speed against the receiver's."""
+    """Wheel speed against the receiver's: unit, scale, and where they part."""
     fixes, wheel = level_velocity(rec.aiding), rec.aiding.get("speed")
     if fixes is None or wheel is None or wheel.t.size < 20:
         return []
     rows = (fixes.t >= wheel.t[0]) & (fixes.t <= wheel.t[-1])
     ground = np.hypot(*fixes.value[rows, :2].T)
     turned = np.abs(np.interp(fixes.t[rows], wheel.t, wheel.value[:, 0]))
-    fast = ground > max(1.0, 3 * float(np.median(fixes.sd[:, :2])))
-    if fast.sum() < 10:
+    sd = float(np.median(fixes.sd[:, :2]))
+    fast = ground > max(1.0, 3 * sd)
+    if fast.sum() < 10 or fast.mean() < 0.5 * np.mean(ground > max(1.0, sd)):  # else noise is compared
         return []
     ratio = float(np.median(turned[fast] / ground[fast]))
     near = min(UNITS, key=lambda unit: abs(np.log(max(ratio, 1e-9) / UNITS[unit])))
     if abs(np.log(max(ratio, 1e-9) / UNITS[near])) < 0.12:
         return [finding("speed.units", value=ratio, cause=f"looks like {near}")]
-    return [finding("speed" if 0.8 < ratio < 1.25 else "speed.scale", value=ratio)]
+    if not 0.8 < ratio < 1.25:
+        return [finding("speed.scale", value=ratio)]
+    return witnesses.speeds(fixes.t[rows], ground, turned / ratio, sd) or [finding("speed", value=ratio)]
 
 
 def barometer(rec: Recording) -> list[Finding]:
@@ -131,20 +133,7 @@ def barometer(rec: Recording) -> list[Finding]:
     if corr > 0.7 and not 0.7 < slope < 1.4:
         unit = "feet" if 2.5 < slope < 4.2 else "another unit, or pressure"
         return [finding("barometer.units", value=slope, corr=corr, cause=f"looks like {unit}")]
-    parts = _parting(p.t[rows], height - said, noise, float(np.ptp(said)))
-    return parts or [finding("barometer", value=slope, corr=corr)]
-
-
-def _parting(t: np.ndarray, off: np.ndarray, sd: float, climb: float) -> list[Finding]:
-    """Say by how much two heights part, t (K,) s and off (K,) m, beyond weather, temperature and the receiver's sd."""
-    window = ((t - t[0]) // WINDOW_S).astype(int)
-    full = [k for k in np.unique(window) if (window == k).sum() >= 5]
-    middle = np.array([np.median(off[window == k]) for k in full])
-    limit = MAX_WEATHER_M + MAX_TEMPERATURE_SHARE * climb + 5 * sd
-    if middle.size < 2 or np.ptp(middle) < limit:
-        return []
-    a, b = np.sort([full[middle.argmin()], full[middle.argmax()]]) * WINDOW_S + t[0]
-    return [finding("barometer.parts", value=float(np.ptp(middle)), limit=limit, begin=float(a), end=float(b))]
+    return witnesses.heights(p.t[rows], height, said, noise) or [finding("barometer", value=slope, corr=corr)]
 
 
 def fixes(rec: Recording) -> list[Finding]:

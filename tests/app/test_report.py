@@ -1,6 +1,7 @@
 """report.html: whole in one file, with what the run said; without bokeh pictures stand in; a failure is a warning."""
 
 import builtins
+import html
 import re
 
 import matplotlib.figure
@@ -8,7 +9,7 @@ import pytest
 
 from jaxnav.app import cli, report
 from jaxnav.app.config import Config
-from jaxnav.app.results import Outcome
+from jaxnav.app.results import Card, CardRow, Outcome, Table
 
 
 @pytest.fixture(scope="module")
@@ -66,3 +67,24 @@ def test_pictures_that_a_run_names_are_shown_with_the_interactive_figures(tmp_pa
     report.write(tmp_path, "tune", Config(), Outcome({}, "tuned", {}, layout=figure, pictures=["outage_drift.png"]))
     page = (tmp_path / "report.html").read_text()
     assert re.findall(r'<img alt="([^"]*)"', page) == ["outage drift"] and "Bokeh" in page
+
+
+def test_terms_of_the_answer_are_explained_where_they_come_first_and_at_the_end(tmp_path):
+    row = CardRow("horizontal position on the Earth", "0.87 m", "94 % tested")
+    why = "NIS/dof 1.00, 94 % of 80 hidden fixes <inside the stated 95 %>"
+    table = Table("Drift over the test part", ("filter", "drift (m)"), [["datasheet", "3.1"], ["datasheet", "4"]])
+    outcome = Outcome({}, "solved", {}, card=Card("consistent", "good", why, [row]), tables=[table])
+    report.write(tmp_path, "solve", Config(), outcome)
+    page = (tmp_path / "report.html").read_text()
+    said = re.findall(r'<abbr tabindex="0" title="([^"]*)">([^<]*)</abbr>', page)
+    answer = ["NIS/dof", "hidden fixes", "inside the stated 95 %"]
+    terms = [*answer, "on the Earth", "stated (1 sd)", "datasheet", "test part"]
+    assert [term for _, term in said] == [*answer, "stated (1 sd)", "on the Earth", "test part", "datasheet"]
+    assert all(html.unescape(words) == report.TERMS[term] for words, term in said)
+    assert re.findall("<dt>([^<]*)</dt>", page) == terms and "&lt;" in page and "<inside" not in page
+    assert all(f"<dd>{html.escape(report.TERMS[term])}</dd>" in page for term in terms)
+
+
+def test_a_run_without_an_answer_has_no_terms(run):
+    page = (run / "report.html").read_text()
+    assert "<abbr" not in page and "<h2>Terms</h2>" not in page

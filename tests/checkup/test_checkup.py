@@ -179,25 +179,6 @@ def test_noise_of_the_receivers_height_makes_no_other_unit():
         assert found.code == code and found.value == pytest.approx(factor, rel=0.1)
 
 
-def test_heights_that_part_are_said_and_weather_is_not():
-    """A height that rises by 40 m in a minute; a climb of 300 m with 7 % of temperature and 6 m of weather."""
-    rng, t = np.random.default_rng(1), np.arange(0.0, 400.0)
-    column = lambda value, sd: Samples(t, value, np.full(value.shape, sd), np.zeros(value.shape))
-    imu = ImuLog(t, np.ones(t.size), np.zeros((t.size, 3)), np.zeros((t.size, 3)))
-    hill = 10.0 * np.sin(t / 40.0)
-    climb = 300.0 * t / 400.0
-    cases = (
-        ("barometer.parts", hill + 40 * np.clip((t - 100) / 60, 0, 1), hill),
-        ("barometer", climb, 0.93 * climb - 6),
-    )
-    for code, height, said in cases:
-        lla = np.column_stack([np.full(t.size, 0.8), np.full(t.size, 0.2), height + rng.normal(size=t.size)])
-        aiding = {"position": column(lla, 1.0), "barometer": column(said[:, None], 0.3)}
-        (found,) = CHECKS["barometer"].answer(Recording("flight", imu, aiding, None, np.zeros(3)))
-        assert found.code == code
-    assert found.warns is False
-
-
 @pytest.mark.parametrize("kind", ["jet", "thermal", "coach", "table"])
 def test_gravity_is_where_the_fixes_do_not_accelerate(kind):
     """A pull-up and a steady turn are quiet and show more than gravity; a scale of 10 % is named all the same."""

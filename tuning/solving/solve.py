@@ -17,11 +17,12 @@ from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import installed
+from jaxnav.filters.scores import normalized
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.initialize import Initialization, initialize, require_positions
-from jaxnav.measurements import GNSS, MEASUREMENTS
+from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, layout
 from jaxnav.navigation import Solution, navigate
-from jaxnav.types import Finding, Params, Recording
+from jaxnav.types import Finding, Info, Params, Recording
 from tuning.fit.status import Status
 from tuning.recordings.faults import suspect_windows, without_faults
 from tuning.recordings.parts import parts_of, plan, window_of, windows_of
@@ -33,12 +34,18 @@ from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 from tuning.solving.sensors import Tried, choose, finding_of, options, standing_of
 from tuning.solving.settled import MIXED_UP, settled
 from tuning.solving.stages import Stage, Stages
-from tuning.solving.stretches import Stretch, faulty_stretches, finding_of_jump, jumps_of, without
+from tuning.solving.stretches import MIN_GAIN, Stretch, faulty_stretches, finding_of_jump, jumps_of, without
 from tuning.solving.stretches import finding_of as finding_of_fault
 
 CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
 NIS_LIMITS = 0.7, 1.4  # of a consistent solution, on the test part
-OFF = ("solve.jump", "lever_arm", "barometer.parts")  # positions may be off by more than stated
+OFF = (
+    "solve.jump",
+    "lever_arm",
+    "barometer.parts",
+    "speed.parts",
+    "compass.parts",
+)  # positions may be off by more than stated
 MAX_NIS, MIN_INSIDE = 4.0, 0.6  # beyond these a solution is not usable
 CHECK, FIRST = Stage("check", 1.5), Stage("first answer", 0.5)
 NOISE, SCORES = Stage("noise by likelihood", 4.0), Stage("drift without fixes", 3.5)
@@ -65,7 +72,7 @@ class Solved:
     left_out: tuple[Stretch, ...]  # s, stretches with a fault of the receiver, whose fixes are not used
     drift_m: dict[str, float]  # RMS over the test windows: of the datasheet, of the noise scan, of the solution
     window_s: float  # length of these windows
-    test_nis: float  # NIS over degrees of freedom on the test part
+    test_nis: float  # NIS over degrees of freedom on the test part, of the receiver's fixes
     status: Status = Status.CONVERGED
 
     def metrics(self) -> dict[str, Any]:
@@ -164,7 +171,8 @@ def solve(
         found, bench, plain = _untuned(filt, datasheet_of, healthy, lambda: None, log)
         gone = {f.code for f in checked.found} - {f.code for f in checkup(bench.recording)}  # those of the fault
         findings.append(finding_of_fault(left_out, gain))
-        jumps = jumps_of(plain.get("auto", plain["datasheet"]))
+        doubtful = [jump for jump in jumps if gain < jump.gain + MIN_GAIN]
+        jumps = doubtful or jumps_of(plain.get("auto", plain["datasheet"]))
     else:
         left_out = []
     bench, plain, suspect = _without_faults(bench, plain)
@@ -211,7 +219,7 @@ def solve(
         final.filter, params, initialization=delivered, smooth=smooth, sd_factor=calibration.factor,
         delay_sd=found.latency_sd,
     )  # fmt: skip
-    nis = _test_nis(sol, bench.layout.validation)
+    nis = receiver_nis(sol.trace.info, sol.measurements, sol.packed.t > bench.layout.validation)
     said = [f for f in distinct([*findings, *sol.findings]) if f.code not in gone]
     findings = settled(said, params, tuned is not None)
     drift = {name: each.rms("test") for name, each in (*plain.items(), ("solution", final))}
@@ -321,10 +329,21 @@ def distinct(findings: Sequence[Finding]) -> list[Finding]:
     return list({(f.code, f.subject, f.message): f for f in findings}.values())
 
 
-def _test_nis(sol: Solution, begin: float) -> float:
-    """NIS over degrees of freedom from ``begin`` s on."""
-    info, late = sol.trace.info, sol.packed.t > begin
-    return float(np.asarray(info.nis)[late].sum() / max(np.asarray(info.valid)[late].sum(), 1))
+def receiver_nis(info: Info, measurements: Sequence[Measurement], late: np.ndarray) -> float:
+    """Return NIS over degrees of freedom of the receiver's channels.
+
+    Those of other sensors may have sd above their noise, for errors that last (`tuning.solving.sensors`).
+
+    Args:
+        info: of a run (E, ...).
+        measurements: of its filter, in their order.
+        late: (E,) bool, the epochs that count.
+    """
+    places = layout(tuple(measurements))
+    own = np.concatenate([np.arange(places[m.name].start, places[m.name].stop) for m in measurements if m.receiver])
+    nu, S, valid = np.asarray(info.nu)[late], np.asarray(info.S)[late], np.asarray(info.valid)[late]
+    nis = normalized(nu[:, own], S[:, own[:, None], own])
+    return float(nis.sum() / max(valid[:, own].sum(), 1))
 
 
 def judge(nis: float, c: Calibration | None, findings: Sequence[Finding]) -> tuple[str, str]:

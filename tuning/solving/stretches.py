@@ -13,7 +13,8 @@ later ones less likely, and a manoeuvre is no fault, for which nothing is gained
 
 Candidates begin and end where innovations are far larger than usual, or some time before or after, for a fault may
 begin too slowly to show. A jump that stays is a fault before or after it, which only another witness could tell. It is
-said, and no stretch is left out unless that is likelier by as much than all fixes with those behind it moved back.
+said, and no stretch is left out unless that is likelier than all fixes with those behind it moved back. Where it is
+likelier by less than 20 nats both are said.
 """
 
 from collections.abc import Sequence
@@ -247,7 +248,7 @@ def faulty_stretches(scored: Scored, jumps: Sequence[Jump] = ()) -> tuple[list[S
             break
         search.left_out, gain, record = found
         total += gain
-    if total < max((jump.gain for jump in jumps), default=-np.inf) + MIN_GAIN:
+    if total < max((jump.gain for jump in jumps), default=-np.inf):
         return [], 0.0
     return search.left_out, total
 

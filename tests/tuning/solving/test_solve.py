@@ -12,6 +12,7 @@ from jaxnav.filters.catalogue import build
 from jaxnav.filters.epochs import sample_rows
 from jaxnav.initialization.initialize import initialize
 from jaxnav.maths.units import PPM
+from jaxnav.measurements import MEASUREMENTS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import DataError, Samples
@@ -218,6 +219,22 @@ def calibrated(inside, fixes=80):
 def test_the_verdict_is_of_the_test_part(nis, inside, verdict, why):
     found = solve.judge(nis, calibrated(inside), [])
     assert found[0] == verdict and why in found[1]
+
+
+def test_nis_of_the_verdict_is_of_the_receivers_channels():
+    """Wheels with sd ten times their noise beside correlated positions and some that are missing."""
+    filt, rng, count = build("ekf15", ("position", "speed")), np.random.default_rng(4), 4000
+    root = np.array([[1.0, 0.0, 0.0, 0.0], [0.5, 2.0, 0.0, 0.0], [0.0, 0.3, 1.5, 0.0], [0.4, 0.0, 0.1, 1.0]])
+    S, nu = np.broadcast_to(root @ root.T, (count, 4, 4)).copy(), rng.normal(size=(count, 4)) @ root.T
+    nu[:, 3] *= 0.1
+    valid = np.ones((count, 4), bool)
+    valid[::3, :3], nu[::3, :3] = False, 0.0
+    S[::3, :3], S[::3, :, :3], S[::3, range(3), range(3)] = 0.0, 0.0, 1.0
+    late = np.arange(count) > 500
+    nu[~late] *= 10.0
+    measurements = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    info = SimpleNamespace(nu=nu, S=S, valid=valid)
+    assert solve.receiver_nis(info, measurements, late) == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_solution_without_a_test_is_used_with_care_unless_it_contradicts_its_fixes():

@@ -48,9 +48,10 @@ if TYPE_CHECKING:
         ZERO_VELOCITY,
     )
     from jaxnav.navigation import Solution, navigate
+    from jaxnav.now import Now, Odometry
     from jaxnav.states import STATES, State
     from jaxnav.states.grades import GRADES, Grade
-    from jaxnav.stream import Now, Stream
+    from jaxnav.stream import Stream
     from jaxnav.types import (
         ConfigError,
         DataError,
@@ -78,7 +79,8 @@ _HOMES = {
     "navigation": "Solution navigate",
     "analysis.noise_scan": "NoiseScan scan_noise",
     "live": "Live",
-    "stream": "Now Stream",
+    "now": "Now Odometry",
+    "stream": "Stream",
     "filters.epochs": "Packed cut_times hide outage_windows pack stack_epochs",
     "io.read": "read",
     "io.recording": "recording",

@@ -14,7 +14,8 @@ import numpy as np
 from jaxnav.filters.core import Filter
 from jaxnav.initialization.initialize import KNOWN_HEADING_SD, Initialization, initialize, timed
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.stream import SAME_EPOCH_S, Now, Stream, checked_fix, checked_sample
+from jaxnav.now import Now
+from jaxnav.stream import SAME_EPOCH_S, Stream, checked_fix, checked_sample
 from jaxnav.types import DataError, ImuLog, Params, Recording, Samples, nearest
 
 RETRY_INTERVAL_S = 1.0  # s of data between two tries to start

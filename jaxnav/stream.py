@@ -33,24 +33,15 @@ from jaxnav.initialization.initialize import Initialization
 from jaxnav.maths import rotations
 from jaxnav.measurements import MEASUREMENTS, layout
 from jaxnav.measurements.measurement import along_track
+from jaxnav.now import Now
+from jaxnav.states import table
 from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Params, nearest
 
 SAME_EPOCH_S = 2 * TICK  # s: fixes that are as near are of one epoch
 MAX_AHEAD_S = 10.0  # s: a fix that is farther ahead of the samples was stamped by another clock
 SPREAD_SAMPLES = 400  # samples of the spread by which a hole is judged
-VERSION = 4  # of the format of `to_bytes`
-
-
-class Now(NamedTuple):
-    """Navigation at a time; angles in rad, ENU and FRD as everywhere."""
-
-    t: float  # s
-    lla: np.ndarray  # (3,) lat rad, lon rad, height m
-    vel: np.ndarray  # (3,) m/s, ENU
-    rph: np.ndarray  # (3,) rad, roll, pitch, heading
-    sd: np.ndarray  # (9,) position m, velocity m/s, attitude rad, each in E, N, U
-    sd_relative: np.ndarray  # (3,) m, ENU, of position from second to second, without a receiver's slow error
-    ok: bool  # False from the first time on at which the filter was not finite
+VERSION = 5  # of the format of `to_bytes`
+PLACES = np.cumsum([1, 3, 3, 3, 9, 3, 1, 4, 3, 3])  # where the fields of `Now` begin in a report, behind the first
 
 
 class Committed(NamedTuple):
@@ -76,13 +67,16 @@ def _advance(filt: Filter, params: Params, state: FilterState, epoch: Epoch, onc
 
 @partial(jax.jit, static_argnums=0)
 def _predict(filt: Filter, params: Params, state: FilterState, imu: Imu) -> tuple[FilterState, jax.Array]:
-    """Return the state after samples (k,), and a report (23,): t, lla, vel, rph, sd, relative sd, ok."""
+    """Return the state after samples (k,), and a report (114,), the fields of `Now` one after the other."""
     state = filt.predict(params, state, imu)
     nav, _, P = filt.model.report(jax.tree.map(lambda a: a[-1], state.past), state.x, state.P)
     rph = rotations.to_rph(rotations.to_dcm(nav.q))
+    biases = table.layout(table.chosen(filt.model.states)).get("gyro_bias")
+    drift = jnp.zeros(3) if biases is None else jnp.sqrt(jnp.diag(P)[biases])
     sd = jnp.sqrt(jnp.concatenate([jnp.diag(P)[:9], relative_variance(P, slow_errors(filt))]))
     finite = jnp.isfinite(nav.pos).all() & jnp.isfinite(rph).all() & jnp.isfinite(sd).all() & state.ok
-    return state, jnp.concatenate([nav.t[None], nav.pos, nav.vel, rph, sd, finite[None].astype(float)])
+    first = (nav.t[None], nav.pos, nav.vel, rph, sd, finite[None].astype(float))
+    return state, jnp.concatenate([*first, nav.q, nav.omega, drift, P[:9, :9].ravel()])
 
 
 class Stream:
@@ -339,7 +333,7 @@ class Stream:
         arrays["kept"] = np.array([(c.t, c.anchor, c.empty) for c in self.kept])
         arrays["samples"] = np.array(self.samples).reshape(-1, 8)
         arrays["holes"] = np.array(self.holes).reshape(-1, 4)
-        arrays["now"] = np.concatenate([np.atleast_1d(a) for a in self.now]).astype(float)
+        arrays["now"] = np.concatenate([np.ravel(a) for a in self.now]).astype(float)
         names = list(self.slices)
         about = {
             "version": VERSION, "t": self.t, "interval": self.interval, "lag": self.lag, "rate": self.rate,
@@ -452,8 +446,11 @@ def _nothing(size: int) -> Imu:
 
 
 def _now(a: np.ndarray, delay_sd: float = 0.0) -> Now:
-    sd = along_track(a[10:19], a[4:7], delay_sd)
-    return Now(float(a[0]), a[1:4], a[4:7], a[7:10], sd, a[19:22], bool(a[22]))
+    """Return navigation of a report; a delay's sd makes the position less certain along the track."""
+    t, lla, vel, rph, sd, relative, ok, q, rate, rate_sd, P = np.split(a, PLACES)
+    P = P.reshape(9, 9).copy()
+    P[:3, :3] += delay_sd**2 * np.outer(vel, vel)
+    return Now(float(t[0]), lla, vel, rph, along_track(sd, vel, delay_sd), relative, bool(ok[0]), q, rate, rate_sd, P)
 
 
 def _empty_before(span: float, interval: float) -> int:

@@ -12,7 +12,7 @@ import jaxnav
 ROOT = Path(__file__).parents[1] / "jaxnav"
 ORDER = (
     "types", "maths", "states", "strapdown", "measurements", "gnss", "filters", "initialization", "checkup", "io",
-    "simulate", "analysis", "navigation", "stream", "live", "app",
+    "simulate", "analysis", "navigation", "now", "stream", "live", "app",
 )  # fmt: skip
 
 
@@ -40,7 +40,7 @@ def test_imports_go_downwards():
 
 
 def test_the_root_is_what_the_order_says():
-    """Rooms, the types and the three interfaces, `navigate`, `Stream` and `Live`."""
+    """Rooms, the types and the three interfaces, `navigate`, `Stream` with its `Now`, and `Live`."""
     entries = {p.name.removesuffix(".py") for p in ROOT.iterdir() if p.name not in ("__pycache__", "py.typed")}
     assert entries - {"__init__", "__main__"} == set(ORDER)
 

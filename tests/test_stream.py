@@ -8,6 +8,7 @@ import textwrap
 import jax
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jaxnav import build, initialize, mounting, navigate
 from jaxnav.filters import epochs as ep
@@ -150,6 +151,22 @@ def test_a_restart_from_bytes_goes_on_to_the_bit(drive):
     other = build("ekf15", cov_stride=5, states=("gyro_scale",))
     with pytest.raises(DataError, match="another filter"):
         Stream.from_bytes(data, other, other.params("consumer"), begin)
+
+
+def test_all_fields_of_now_are_of_one_state(drive):
+    """Quaternion and angles, sd and covariance with the delay's, rates of the last sample without the bias."""
+    rec, ekf, params, begin = drive
+    stream = feed(Stream(ekf, params, begin, delay_sd=0.05), rec, events(rec, begin.t)[:900])
+    now, state = stream.now, stream.ahead
+    turn = Rotation.from_quat(now.q, scalar_first=True).as_matrix()[[1, 0, 2]] * [[1], [1], [-1]]  # FRD -> NED
+    np.testing.assert_allclose(Rotation.from_matrix(turn).as_euler("ZYX")[::-1], now.rph, atol=1e-12)
+    np.testing.assert_allclose(np.sqrt(np.diag(now.P)), now.sd, rtol=1e-12)
+    plain = np.asarray(state.P)[:9, :9]
+    np.testing.assert_allclose(now.P[:3, :3] - plain[:3, :3], 0.05**2 * np.outer(now.vel, now.vel), atol=1e-12)
+    np.testing.assert_array_equal(now.P[3:, 3:], plain[3:, 3:])
+    i = int(np.searchsorted(rec.imu.t, now.t - 1e-6))
+    np.testing.assert_allclose(now.rate, rec.imu.gyro[i] - np.asarray(state.past.errors["gyro_bias"])[-1], atol=1e-9)
+    np.testing.assert_allclose(now.rate_sd, np.sqrt(np.diag(state.P)[9:12]), rtol=1e-12)
 
 
 def test_what_it_keeps_does_not_grow(drive):

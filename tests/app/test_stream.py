@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import time
 
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
-from jaxnav.app.jobs.stream import Event, paced, parsed, played, stream
+from jaxnav.app.jobs.stream import FORMATS, Event, paced, parsed, played, stream
 from jaxnav.io import read_recording
 from jaxnav.types import DataError
+from tests.test_now import example
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +61,13 @@ def test_events_come_at_their_own_pace():
     bad: list[str] = []
     good = list(parsed(io.StringIO("velocity,1,1,2,3,.1,.1,.1\nvelocity,1,1\nimu,x,1,2,3,4,5,6\n\n"), bad))
     assert good == [Event(1.0, "velocity", (1.0, 2.0, 3.0, 0.1, 0.1, 0.1))] and len(bad) == 2
+
+
+def test_rows_are_the_same_numbers_in_every_format(capsys):
+    now = example()
+    said = {name: (head, row(now)) for name, (head, row) in FORMATS.items()}
+    (csv_row,) = rows_of("\n".join(said["csv"]))
+    head, text = said["jsonl"]
+    assert head == "" and json.loads(text) == {name: float(cell) for name, cell in csv_row.items()}
+    assert said["nmea"] == ("", now.gga()) and float(csv_row["h_m"]) == 520.0
+    assert cli.main(["stream", "--format", "xml"]) == 2 and "invalid choice: 'xml'" in capsys.readouterr().err

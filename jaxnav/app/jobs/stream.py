@@ -1,10 +1,11 @@
 """`jaxnav stream`: the solution as data arrive, from standard input or from a recording in real time."""
 
 import heapq
+import json
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import IO, Any, NamedTuple
 
@@ -17,10 +18,23 @@ from jaxnav.app.sources import load, scenario_of
 from jaxnav.io.solution import COLUMNS, SD_COLUMNS, row_of
 from jaxnav.live import Live
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.stream import Now
+from jaxnav.now import Now
 from jaxnav.types import DataError, Recording
 
 TIMED = 100_000  # last samples whose times are reported
+NAMES = [*COLUMNS, *SD_COLUMNS]
+
+
+def _cells(now: Now) -> list[float]:
+    return row_of(now.t, now.lla, now.vel, now.rph, now.sd)
+
+
+FORMATS: dict[str, tuple[str, Callable[[Now], str]]] = {
+    "csv": (",".join(NAMES), lambda now: ",".join(map(repr, _cells(now)))),
+    "jsonl": ("", lambda now: json.dumps(dict(zip(NAMES, _cells(now), strict=True)))),
+    "nmea": ("", lambda now: now.gga()),
+}
+"""Formats of the rows, each with its first line, "" where it has none."""
 
 
 class Event(NamedTuple):
@@ -32,17 +46,19 @@ class Event(NamedTuple):
 
 
 def stream(
-    config: Config, speed: float, every: float, lines: IO[str] | None = None, out: IO[str] | None = None
-) -> Outcome:
+    config: Config, speed: float, every: float, lines: IO[str] | None = None, out: IO[str] | None = None,
+    form: str = "csv",
+) -> Outcome:  # fmt: skip
     """Write a row of the solution every so many seconds of data: of [data] source, or of ``lines`` where there are any.
 
-    ``speed``: of a recording, as a multiple of real time; 0 is as fast as possible.
+    ``speed``: of a recording, as a multiple of real time; 0 is as fast as possible. ``form``: one of `FORMATS`.
 
     Raises:
         DataError: data that cannot be used; ends without a start.
     """
     out = sys.stdout if out is None else out
     bad: list[str] = []
+    head, written = FORMATS[form]
     if lines is None:
         rec = load(config)
         arm, events = rec.lever_arm, paced(played(rec), speed)
@@ -63,11 +79,12 @@ def stream(
             continue
         if waits:
             stderr(live.how)
-            print(",".join([*COLUMNS, *SD_COLUMNS]), file=out, flush=True)
+            if head:
+                print(head, file=out, flush=True)
         elif event.name == "imu":
             taken.append(time.perf_counter() - moment)
         if now.t >= due:
-            print(line(now), file=out, flush=True)
+            print(written(now), file=out, flush=True)
             rows, due = rows + 1, now.t + every
     if live.stream is None:
         raise DataError(f"no start in {count} lines: too little motion, or no position")
@@ -129,8 +146,3 @@ def parsed(lines: IO[str], bad: list[str]) -> Iterator[Event]:
             bad.append(text.strip()[:60])
             continue
         yield Event(numbers[0], cells[0], numbers[1:])
-
-
-def line(now: Now) -> str:
-    """Return a row of the solution."""
-    return ",".join(map(repr, row_of(now.t, now.lla, now.vel, now.rph, now.sd)))

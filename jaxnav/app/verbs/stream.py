@@ -14,7 +14,8 @@ def run(job: Job) -> "Outcome":
     from jaxnav.app.jobs import stream
 
     args = job.args
-    outcome = stream.stream(job.config, args.speed, args.every, None if args.data else sys.stdin)
+    lines = None if args.data else sys.stdin
+    outcome = stream.stream(job.config, args.speed, args.every, lines, form=args.format)
     print(outcome.text, file=sys.stderr)
     return outcome._replace(text="", failed=not outcome.metrics["ok"])
 
@@ -27,6 +28,8 @@ VERB = Verb(
         PARAMS,
         Argument("--speed", "multiple of real time (0: no wait)", value="X", type=float, more={"default": 0.0}),
         Argument("--every", "s of data between rows", value="S", type=float, more={"default": 1.0}),
+        Argument("--format", "of the rows: csv, jsonl, nmea (GGA)", value="F",
+                 more={"default": "csv", "choices": ("csv", "jsonl", "nmea")}),
     ),
     writes=lambda args: False,
 )  # fmt: skip

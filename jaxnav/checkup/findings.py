@@ -522,13 +522,13 @@ KINDS: dict[str, Kind] = {
     ),
     "solve.measurement": Kind(
         INFO,
-        "{subject} is taken: {value:.2f} times the horizontal drift without it, log-likelihood of a hidden fix "
+        "{subject} is taken{times}: {value:.2f} times the horizontal drift without it, log-likelihood of a hidden fix "
         "{gain:+.2f}",
     ),
     "solve.left_out": Kind(
         INFO,
-        "{subject} is left out: {value:.2f} times the horizontal drift without it, log-likelihood of a hidden fix "
-        "{gain:+.2f}",
+        "{subject} is left out{times}: {value:.2f} times the horizontal drift without it, log-likelihood of a hidden "
+        "fix {gain:+.2f}",
         (),
         ("filter.measurements of jaxnav filter takes it all the same",),
     ),

@@ -63,6 +63,7 @@ class Tried(NamedTuple):
     drift_ratio: float  # horizontal, on training and validation windows, over that without it
     gain: float  # log-likelihood of a hidden fix of the validation part
     taken: bool
+    sd: float = 1.0  # times that stated, of its measurements
 
 
 def options(rec: Recording, found: Sequence[Finding]) -> list[Option]:
@@ -142,7 +143,9 @@ def _tried(
     for _ in range(1 + ROUNDS):
         each = [own | {leaf: k * own.get(leaf, 1.0) for leaf in leaves} for k in (SDS if leaves else SDS[:1])]
         runs = bench.scores(filt, [larger(params, factors) for factors in each])
-        ways = [(run, factors, compare(option, before, run)) for run, factors in zip(runs, each, strict=True)]
+        times = [factors[leaves[0]] if leaves else 1.0 for factors in each]
+        done = [compare(option, before, run)._replace(sd=sd) for run, sd in zip(runs, times, strict=True)]
+        ways = list(zip(runs, each, done, strict=True))
         more = [growth(run) for run in runs]
         fair = [way for way, asked in zip(ways, more, strict=True) if max([1.0, *asked.values()]) < MAX_GROWTH]
         if fair:
@@ -193,7 +196,7 @@ def compare(option: Option, before: Scored, after: Scored) -> Tried:
     """
     parts = before.used.parts
     seen, blocks = parts["training"] | parts["validation"], blocks_of([before.used])
-    space = lambda s, rows: np.linalg.norm(s.error[rows], axis=1)
+    space = lambda s, at: np.linalg.norm(s.error[at], axis=1)
     used = seen & measured(option, after)
     level = block_ratio(before.horizontal[seen], after.horizontal[seen], blocks[seen])
     nll = [float(s.hidden("validation").nll().mean()) for s in (before, after)]
@@ -221,4 +224,5 @@ def finding_of(row: Tried) -> Finding:
     """Return the finding of an option."""
     name = " and ".join(row.option.names)
     code = "solve.measurement" if row.taken else "solve.left_out"
-    return finding(code, name, row.drift_ratio, gain=row.gain)
+    times = "" if row.sd == 1.0 else f" with {row.sd:.2g} times its sd"
+    return finding(code, name, row.drift_ratio, gain=row.gain, times=times)

@@ -39,13 +39,7 @@ from tuning.solving.stretches import finding_of as finding_of_fault
 
 CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
 NIS_LIMITS = 0.7, 1.4  # of a consistent solution, on the test part
-OFF = (
-    "solve.jump",
-    "lever_arm",
-    "barometer.parts",
-    "speed.parts",
-    "compass.parts",
-)  # positions may be off by more than stated
+OFF = ("solve.jump", "lever_arm", "barometer.parts", "speed.parts", "compass.parts")  # errors may be above their sd
 MAX_NIS, MIN_INSIDE = 4.0, 0.6  # beyond these a solution is not usable
 CHECK, FIRST = Stage("check", 1.5), Stage("first answer", 0.5)
 NOISE, SCORES = Stage("noise by likelihood", 4.0), Stage("drift without fixes", 3.5)
@@ -86,7 +80,7 @@ class Solved:
                 "before": c.before._asdict(), "after": c.after._asdict(), "ages": [a._asdict() for a in c.ages]},
             "drift_m": drift, "drift_ratio": ratio("datasheet"), "against_auto": ratio("auto"),
             "measurements": [{"names": row.option.names, "drift_ratio": row.drift_ratio, "gain": row.gain,
-                              "taken": row.taken} for row in self.tried],
+                              "taken": row.taken, "sd_factor": row.sd} for row in self.tried],
             "tuning": None if self.tuned is None else self.tuned.verdict, "status": self.status.value,
             "findings": [asdict(f) for f in self.findings],
         }  # fmt: skip

@@ -168,9 +168,10 @@ def tables(found: Solved) -> list[Table]:
     if found.tried:
         said = lambda taken: "taken" if taken else "left out"
         rows = [
-            [", ".join(r.option.names), f"{r.drift_ratio:.2f}", f"{r.gain:+.2f}", said(r.taken)] for r in found.tried
+            [", ".join(r.option.names), f"{r.sd:.2g}", f"{r.drift_ratio:.2f}", f"{r.gain:+.2f}", said(r.taken)]
+            for r in found.tried
         ]
-        columns = ("measurement", "drift, ratio", "log-likelihood of a hidden fix", "")
+        columns = ("measurement", "sd, times that stated", "drift, ratio", "log-likelihood of a hidden fix", "")
         out.append(Table("Measurements that were tried", columns, rows))
     return out
 

@@ -170,7 +170,9 @@ LEAF = "measurements.speed.sd_scale"
 
 def test_the_likeliest_sd_of_those_that_are_taken_are_taken(tried):
     own, row = tried(lambda factor: (factor, 1.0, factor > 1.0))
-    assert own == {LEAF: 3.0} and row.taken
+    assert own == {LEAF: 3.0} and row.taken and row.sd == 3.0
+    said = sensors.finding_of(row._replace(drift_ratio=0.41, gain=0.8)).message
+    assert said.startswith("speed is taken with 3 times its sd: 0.41 times the horizontal drift")
     assert tried(lambda factor: (factor, 1.0, False))[0] == {LEAF: 1.0}  # the likeliest of all, in the finding
 
 

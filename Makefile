@@ -37,7 +37,7 @@ lint: $(VENV)/ready
 
 # the pages of docs/ as a site in out/site; a broken link is an error
 docs: $(VENV)/documented
-	$(BIN)/mkdocs build --strict --site-dir out/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir out/site
 
 $(VENV)/documented: pyproject.toml requirements.lock.txt
 	$(call install,[$(DOCS)])

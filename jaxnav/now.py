@@ -4,11 +4,12 @@ from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 
-FLIP = np.diag([1.0, -1.0, -1.0])  # FRD <-> FLU
+FLIP = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # FRD <-> FLU
 DAY_S, UNKNOWN_QUALITY = 86400, 6  # s; "estimated", of a sentence GGA
 
 
@@ -52,17 +53,15 @@ class Now(NamedTuple):
         Args:
             origin: (3,) rad, rad, m, of the frame of the pose, at most some 10 km away.
         """
-        w, x, y, z = self.q  # times (0, 1, 0, 0), half a turn about the body's x axis
-        C, v = _dcm(self.q) @ FLIP, self.vel
+        turn = Rotation.from_quat(np.roll(self.q, -1)) * FLIP  # FLU -> ENU
+        C, v = turn.as_matrix(), self.vel
         pose = self.P[np.ix_([0, 1, 2, 6, 7, 8], [0, 1, 2, 6, 7, 8])]
         cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
         rows = np.hstack([C.T, C.T @ cross])  # d(C' v) = C' (dv + [v x] phi)
         twist = np.zeros((6, 6))
         twist[:3, :3] = rows @ self.P[3:, 3:] @ rows.T
         twist[3:, 3:] = np.diag(self.rate_sd**2)
-        return Odometry(
-            self.enu(origin), np.array([w, z, -y, -x]), pose.ravel(), C.T @ v, FLIP @ self.rate, twist.ravel()
-        )
+        return Odometry(self.enu(origin), turn.as_quat(), pose.ravel(), C.T @ v, FLIP.apply(self.rate), twist.ravel())
 
     def gga(self, quality: int = UNKNOWN_QUALITY, separation: float = 0.0, time: float | None = None) -> str:
         """Return a sentence GGA of NMEA 0183, of an integrated navigator (talker IN), without its line end.
@@ -90,13 +89,3 @@ def _minutes(angle: float, width: int) -> str:
     total = round(abs((angle + 180.0) % 360.0 - 180.0) * 60e7)
     degrees, minutes = divmod(total, 60 * 10**7)
     return f"{degrees:0{width}d}{minutes / 1e7:010.7f}"
-
-
-def _dcm(q: np.ndarray) -> np.ndarray:
-    """Return C_nb (3, 3), on the host."""
-    w, x, y, z = q
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip

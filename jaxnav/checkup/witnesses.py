@@ -1,7 +1,5 @@
 """Witnesses: two sensors of one quantity that part within a recording by more than either may be off."""
 
-from typing import Any
-
 import numpy as np
 
 from jaxnav.checkup.compass import EXPLAINED_SHARE, explained, hard_iron, turns_of
@@ -15,7 +13,7 @@ MAX_SLIP_MPS, MAX_SLIP_SHARE = 0.3, 0.05  # m/s, and of the speed, by which whee
 MAX_IRON_DEG, MAX_IRON_SHARE = 45.0, 0.5  # deg of heading by iron that moves; hard iron over the field of a witness
 
 
-def parting(code: str, t: np.ndarray, off: np.ndarray, limit: float, **facts: Any) -> list[Finding]:
+def parting(code: str, t: np.ndarray, off: np.ndarray, limit: float) -> list[Finding]:
     """Return a finding where the median differences of windows part by more than a limit.
 
     Args:
@@ -23,7 +21,6 @@ def parting(code: str, t: np.ndarray, off: np.ndarray, limit: float, **facts: An
         t: (K,) s.
         off: (K,) difference of two sensors.
         limit: by which they may part.
-        **facts: further ones of the finding.
     """
     window = ((t - t[0]) // WINDOW_S).astype(int) if t.size else np.zeros(0, int)
     full = [k for k in np.unique(window) if (window == k).sum() >= 5]
@@ -31,7 +28,7 @@ def parting(code: str, t: np.ndarray, off: np.ndarray, limit: float, **facts: An
     if middle.size < 2 or np.ptp(middle) < limit:
         return []
     a, b = np.sort([full[middle.argmin()], full[middle.argmax()]]) * WINDOW_S + t[0]
-    return [finding(code, value=float(np.ptp(middle)), limit=limit, begin=float(a), end=float(b), **facts)]
+    return [finding(code, value=float(np.ptp(middle)), limit=limit, begin=float(a), end=float(b))]
 
 
 def heights(t: np.ndarray, height: np.ndarray, said: np.ndarray, sd: float) -> list[Finding]:
@@ -69,5 +66,5 @@ def headings(rec: Recording, t: np.ndarray, rph: np.ndarray, sd: float) -> list[
     roll, pitch, heading = rph[np.clip(np.searchsorted(t, m.t[inside]), 0, t.size - 1)].T
     right, down = np.cos(roll) * y - np.sin(roll) * z, np.sin(roll) * y + np.cos(roll) * z
     way = np.exp(1j * (heading + np.arctan2(right, np.cos(pitch) * x + np.sin(pitch) * down)))
-    off = np.angle(way / np.mean(way)) / DEG
+    off = np.angle(way * np.conj(np.mean(way))) / DEG
     return parting("compass.parts", m.t[inside], off, MAX_IRON_DEG + 5 * sd / DEG)

@@ -22,7 +22,7 @@ from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 
 MAX_RATIO = 1.02  # of the horizontal drift on training and validation windows, up to which a measurement does no harm
 SDS = (1.0, 3.0, 10.0)  # times the stated sd, that a measurement is tried with: its errors last, those of noise do not
-MAX_GROWTH = 1.5  # that innovations may ask for beyond the largest of them
+MAX_GROWTH = 1.5  # of an sd, that innovations may ask for beyond those that are taken
 MIN_NIS, ROUNDS = 1.2, 2  # NIS of a measurement's channels from which on its sd grows, in so many rounds
 MAX_YAW_DEG, MAX_YAW_SCATTER_DEG = 10.0, 5.0  # deg, of an IMU whose x axis is the vehicle's
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.analysis import usage
 from jaxnav.analysis.evaluate import innovation_metrics
 from jaxnav.analysis.noise_scan import NoiseScan, known_delay, stated_scale
 from jaxnav.analysis.receiver_errors import Receiver, receiver, stated, without_slow_errors
@@ -34,12 +35,13 @@ from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 from tuning.solving.sensors import Tried, choose, finding_of, options, standing_of
 from tuning.solving.settled import MIXED_UP, settled
 from tuning.solving.stages import Stage, Stages
-from tuning.solving.stretches import MIN_GAIN, Stretch, faulty_stretches, finding_of_jump, jumps_of, without
+from tuning.solving.stretches import Stretch, as_likely, faulty_stretches, finding_of_jump, jumps_of, without
 from tuning.solving.stretches import finding_of as finding_of_fault
 
 CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
 NIS_LIMITS = 0.7, 1.4  # of a consistent solution, on the test part
 OFF = ("solve.jump", "lever_arm", "barometer.parts", "speed.parts", "compass.parts")  # errors may be above their sd
+INNOVATIONS = ("nis.high", "nis.low", "nis.overall", "innovations.correlated")  # by `usage.consistency_findings`
 MAX_NIS, MIN_INSIDE = 4.0, 0.6  # beyond these a solution is not usable
 CHECK, FIRST = Stage("check", 1.5), Stage("first answer", 0.5)
 NOISE, SCORES = Stage("noise by likelihood", 4.0), Stage("drift without fixes", 3.5)
@@ -165,8 +167,7 @@ def solve(
         found, bench, plain = _untuned(filt, datasheet_of, healthy, lambda: None, log)
         gone = {f.code for f in checked.found} - {f.code for f in checkup(bench.recording)}  # those of the fault
         findings.append(finding_of_fault(left_out, gain))
-        doubtful = [jump for jump in jumps if gain < jump.gain + MIN_GAIN]
-        jumps = doubtful or jumps_of(plain.get("auto", plain["datasheet"]))
+        jumps = as_likely(jumps, gain) or jumps_of(plain.get("auto", plain["datasheet"]))
     else:
         left_out = []
     bench, plain, suspect = _without_faults(bench, plain)
@@ -214,7 +215,7 @@ def solve(
         delay_sd=found.latency_sd,
     )  # fmt: skip
     nis = receiver_nis(sol.trace.info, sol.measurements, sol.packed.t > bench.layout.validation)
-    said = [f for f in distinct([*findings, *sol.findings]) if f.code not in gone]
+    said = [f for f in distinct([*findings, *unwidened(sol, choice.tried)]) if f.code not in gone]
     findings = settled(said, params, tuned is not None)
     drift = {name: each.rms("test") for name, each in (*plain.items(), ("solution", final))}
     verdict, why = judge(nis, calibration, findings)
@@ -321,6 +322,22 @@ def _untested(
 def distinct(findings: Sequence[Finding]) -> list[Finding]:
     """Return the findings, each once."""
     return list({(f.code, f.subject, f.message): f for f in findings}.values())
+
+
+def unwidened(sol: Solution, tried: Sequence[Tried]) -> list[Finding]:
+    """Return the findings of a solution, without those on innovations of sensors whose sd are larger for a reason.
+
+    Args:
+        sol: the solution.
+        tried: options; those that are taken with more than their stated sd have errors that last.
+    """
+    wide = {name.replace("_", " ") for row in tried if row.taken and row.sd > 1.0 for name in row.option.measurements}
+    if not wide:
+        return sol.findings
+    channels = usage.nis_by_channel(sol.trace.info, sol.measurements)
+    kept = {name: each for name, each in channels.items() if name.rpartition(" ")[0] not in wide}
+    innovations = usage.consistency_findings(sol.trace.info, kept)
+    return innovations + [f for f in sol.findings if f.code not in INNOVATIONS]
 
 
 def receiver_nis(info: Info, measurements: Sequence[Measurement], late: np.ndarray) -> float:

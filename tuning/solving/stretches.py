@@ -253,6 +253,11 @@ def faulty_stretches(scored: Scored, jumps: Sequence[Jump] = ()) -> tuple[list[S
     return search.left_out, total
 
 
+def as_likely(jumps: Sequence[Jump], gain: float) -> list[Jump]:
+    """Return the jumps that are about as likely as stretches of a gain are to be at fault."""
+    return [jump for jump in jumps if gain < jump.gain + MIN_GAIN]
+
+
 def without(rec: Recording, stretches: Sequence[Stretch]) -> Recording:
     """Return the recording without the receiver's fixes of some stretches."""
     faulty = lambda name: name in MEASUREMENTS and MEASUREMENTS[name].receiver

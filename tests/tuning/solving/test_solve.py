@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxnav.analysis.usage import consistency_findings, nis_by_channel
 from jaxnav.analysis.windows import drift
 from jaxnav.checkup.findings import finding
 from jaxnav.filters.catalogue import build
@@ -224,7 +225,7 @@ def test_the_verdict_is_of_the_test_part(nis, inside, verdict, why):
 
 
 def test_nis_of_the_verdict_is_of_the_receivers_channels():
-    """Wheels with sd ten times their noise beside correlated positions and some that are missing."""
+    """Wheels with sd ten times their noise, correlated positions, some of them missing."""
     filt, rng, count = build("ekf15", ("position", "speed")), np.random.default_rng(4), 4000
     root = np.array([[1.0, 0.0, 0.0, 0.0], [0.5, 2.0, 0.0, 0.0], [0.0, 0.3, 1.5, 0.0], [0.4, 0.0, 0.1, 1.0]])
     S, nu = np.broadcast_to(root @ root.T, (count, 4, 4)).copy(), rng.normal(size=(count, 4)) @ root.T
@@ -237,6 +238,28 @@ def test_nis_of_the_verdict_is_of_the_receivers_channels():
     measurements = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     info = SimpleNamespace(nu=nu, S=S, valid=valid)
     assert solve.receiver_nis(info, measurements, late) == pytest.approx(1.0, abs=0.05)
+
+
+def test_sd_that_are_larger_for_a_reason_are_not_said_to_be_too_large():
+    """Of wheels that were taken with ten times their sd; positions whose sd are too large are said still."""
+    filt, rng, count = build("ekf15", ("position", "speed")), np.random.default_rng(4), 1000
+    measurements = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    slow = sensors.Tried(Option(("speed",)), 0.5, 1.0, True, 10.0)
+    other = finding("imu.dead", "gyro y", 0.0)
+
+    def said(scale, tried):
+        nu = rng.normal(size=(count, 4)) * [*3 * [scale], 0.1]
+        S, valid = np.broadcast_to(np.eye(4), (count, 4, 4)), np.ones((count, 4), bool)
+        info = SimpleNamespace(nu=nu, S=S, valid=valid, used=valid, nis=(nu**2).sum(1))
+        low = consistency_findings(info, nis_by_channel(info, measurements))
+        sol = SimpleNamespace(trace=SimpleNamespace(info=info), measurements=measurements, findings=[other, *low])
+        return [(f.code, f.subject) for f in solve.unwidened(sol, tried)]
+
+    assert said(1.0, []) == [("imu.dead", "gyro y"), ("nis.low", "speed forward")]
+    assert said(1.0, [slow]) == [("imu.dead", "gyro y")]
+    assert said(1.0, [slow._replace(taken=False)]) == said(1.0, [slow._replace(sd=1.0)]) == said(1.0, [])
+    ((code, subject), _) = said(0.3, [slow])
+    assert code == "nis.low" and "position" in subject and "speed" not in subject
 
 
 def test_a_solution_without_a_test_is_used_with_care_unless_it_contradicts_its_fixes():

@@ -17,6 +17,8 @@ from tuning.recordings.parts import plan
 from tuning.solving import solve
 from tuning.solving.stretches import (
     APART_S,
+    Jump,
+    as_likely,
     candidates_of,
     changes_of,
     faulty_stretches,
@@ -86,6 +88,17 @@ def test_a_jump_that_stays_is_said_and_nothing_is_left_out(drive, at):
     said = finding_of_jump(jump)
     verdict, why = solve.judge(1.0, None, [said])
     assert said.warns and verdict == solve.CARE and f"jump by {jump.size:.1f} m at t = {jump.t:.1f} s" in why
+
+
+def test_of_a_stretch_and_a_jump_the_likelier_one_decides_and_both_are_said_if_they_are_alike(drive):
+    """A drag-off ends in a jump; what came before it is no jump that stays."""
+    run = scored(dragged(drive, 60.0, 90.0, 6.0))
+    left_out, gain = faulty_stretches(run)
+    jump = lambda more: Jump(90.5, np.array([30.0, 0.0, 0.0]), gain + more)
+    assert left_out and faulty_stretches(run, [jump(-0.1)]) == (left_out, gain)
+    assert faulty_stretches(run, [jump(0.1)]) == ([], 0.0)
+    near, far = jump(-19.0), jump(-21.0)
+    assert as_likely([near, far], gain) == [near]
 
 
 def test_an_outlier_and_a_slide_are_no_jumps(drive):

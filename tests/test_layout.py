@@ -1,6 +1,8 @@
 """The house: its folders are the glossary, and what is below knows nothing of what is above."""
 
 import ast
+import contextlib
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -80,3 +82,24 @@ def test_one_class_name_is_one_thing_within_a_folder():
             if isinstance(node, ast.ClassDef)
         ]
         assert len(names) == len(set(names)), (folder, sorted(n for n in names if names.count(n) > 1))
+
+
+def test_what_tests_and_benchmarks_take_of_a_module_is_there():
+    """A function that moves is found by its name, and not when a test of another folder runs."""
+    lacking = []
+    for path in [*(ROOT.parent / "tests").rglob("*.py"), *(ROOT.parent / "benchmarks").rglob("*.py")]:
+        tree = ast.parse(path.read_text())
+        modules = {}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ("jaxnav", "tuning"):
+                for alias in node.names:
+                    with contextlib.suppress(ImportError):
+                        modules[alias.asname or alias.name] = importlib.import_module(f"{node.module}.{alias.name}")
+        bound = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+        bound |= {node.arg for node in ast.walk(tree) if isinstance(node, ast.arg)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id not in bound:
+                module = modules.get(node.value.id)
+                if module is not None and not hasattr(module, node.attr):
+                    lacking.append(f"{path.relative_to(ROOT.parent)}:{node.lineno}: {node.value.id}.{node.attr}")
+    assert not lacking

@@ -92,13 +92,13 @@ def _late(shown: np.ndarray, said: np.ndarray, t: np.ndarray) -> list[Finding]:
 
 
 def speed(rec: Recording) -> list[Finding]:
-    """Wheel speed against the receiver's: unit, scale, and where they part."""
-    fixes, wheel = level_velocity(rec.aiding), rec.aiding.get("speed")
+    """Wheel speed, or that of both sides, against the receiver's: unit, scale, and where they part."""
+    fixes, wheel = level_velocity(rec.aiding), rec.aiding.get("speed", rec.aiding.get("wheels"))
     if fixes is None or wheel is None or wheel.t.size < 20:
         return []
     rows = (fixes.t >= wheel.t[0]) & (fixes.t <= wheel.t[-1])
     ground = np.hypot(*fixes.value[rows, :2].T)
-    turned = np.abs(np.interp(fixes.t[rows], wheel.t, wheel.value[:, 0]))
+    turned = np.abs(np.interp(fixes.t[rows], wheel.t, wheel.value.mean(1)))
     sd = float(np.median(fixes.sd[:, :2]))
     fast = ground > max(1.0, 3 * sd)
     if fast.sum() < 10 or fast.mean() < 0.5 * np.mean(ground > max(1.0, sd)):  # else noise is compared

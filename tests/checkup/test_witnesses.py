@@ -32,14 +32,20 @@ def test_heights_that_part_are_said_and_weather_is_not():
 
 
 def rolling(ground: np.ndarray, wheels: np.ndarray, sd: float = 0.1) -> list[str]:
-    """Codes of the check of wheel speeds (K,) m/s against velocities of a receiver."""
+    """Codes of the check of wheel speeds (K,) m/s, of one wheel and of both sides, against velocities of a receiver."""
     t = np.arange(float(ground.size))
     velocity = np.column_stack([ground, np.zeros((ground.size, 2))]) + sd * np.random.default_rng(2).normal(
         size=(ground.size, 3)
     )
     imu = ImuLog(t, np.ones(t.size), np.zeros((t.size, 3)), np.zeros((t.size, 3)))
-    aiding = {"velocity": column(t, velocity, sd), "speed": column(t, wheels[:, None], 0.1)}
-    return [f.code for f in CHECKS["speed"].answer(Recording("road", imu, aiding, None, np.zeros(3)))]
+    turn = 0.4 * np.sin(t / 9.0)  # m/s, between both sides
+    each = {"speed": wheels[:, None], "wheels": np.column_stack([wheels + turn, wheels - turn])}
+    found = []
+    for name, value in each.items():
+        aiding = {"velocity": column(t, velocity, sd), name: column(t, value, 0.1)}
+        found.append([f.code for f in CHECKS["speed"].answer(Recording("road", imu, aiding, None, np.zeros(3)))])
+    assert found[0] == found[1]
+    return found[0]
 
 
 def test_speeds_that_part_are_said_and_slip_is_not():

@@ -75,8 +75,7 @@ def options(rec: Recording, found: Sequence[Finding]) -> list[Option]:
     """
     by, good = {f.code: f for f in found}, {f.code for f in found if not f.warns}
     tried = [Option((), (LEVER_ARM_ERROR.name,), ARM_SD)] if "lever_arm" in by else []
-    if "speed" in rec.aiding:
-        tried.append(Option(("speed",), (ODOMETER_SCALE.name,)))
+    tried += [Option((name,), (ODOMETER_SCALE.name,)) for name in ("speed", "wheels") if name in rec.aiding]
     yaw = by.get("mounting.yaw")
     if yaw is not None and abs(yaw.value or 0.0) < MAX_YAW_DEG:
         tried.append(Option(("nonholonomic",), (VEHICLE_AXES.name, WHEEL_ARM_ERROR.name)))

@@ -119,6 +119,8 @@ def test_options_are_of_streams_and_findings(drive):
     assert options(drive, []) == []
     rolling = Option(("speed",), ("odometer_scale",))
     assert options(rec, [yaw]) == [rolling, Option(("nonholonomic",), ("vehicle_axes", "wheel_arm_error"))]
+    sides = drive._replace(aiding=drive.aiding | {"wheels": speed._replace(value=np.ones((3, 2)), sd=np.ones((3, 2)))})
+    assert options(sides, []) == [Option(("wheels",), ("odometer_scale",))]
     turned = finding("mounting.yaw", value=40.0, count=9, scatter=1.0)
     assert options(rec, [turned]) == [rolling]
     level = finding("standstill.accel", value=0.07, setting="", count=30, window=1.0)

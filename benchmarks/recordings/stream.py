@@ -16,6 +16,7 @@ from benchmarks.recordings.wild import sources
 from jaxnav import Stream, build, initial_nav, initialize, navigate, read
 from jaxnav.analysis.tables import table
 from jaxnav.filters.compiler import process_usage
+from jaxnav.filters.parameters import installed
 from jaxnav.initialization.initialize import Initialization
 from jaxnav.maths import earth
 from jaxnav.types import Info
@@ -93,7 +94,7 @@ def main(argv: list[str]) -> None:
     rec = read(args.data)
     names = [name for name in ("position", "velocity") if name in rec.aiding]
     ekf = build("ekf15", measurements=names)
-    params = ekf.params("consumer")
+    params = installed(ekf.params("consumer"), rec.lever_arm)  # as `navigate` does
     begin = initialize(rec, params)
     sol = navigate(rec, ekf, params, initialization=begin)
     interval, rate = float(np.median(np.diff(rec.aiding["position"].t))), 1 / float(np.median(rec.imu.dt))

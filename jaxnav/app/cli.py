@@ -40,20 +40,20 @@ COLLECT = 20_000  # new objects until the garbage collector looks; at Python's 7
 
 EXAMPLES = """\
 a recording:
-  jaxnav solve drive.bag --out out/drive                    the best trajectory, calibrated sd, a verdict
+  jaxnav solve drive.bag --out out/drive             the best trajectory, calibrated sd, a verdict
 or by its parts:
-  jaxnav check drive.bag                                    faults of the log, and a configuration that runs it
-  jaxnav filter --data drive.bag --out out/run              solution, figures, report.html
-  jaxnav filter --data drive.bag --smooth --out out/smooth  by all fixes
-  jaxnav tune --data drive.bag --out out/tuned              noise, fixes and clocks, without truth
-  jaxnav filter --data drive.bag --params out/tuned/tuned.toml --out out/after
+  jaxnav check drive.bag                             faults of the log, and a configuration that runs it
+  jaxnav filter drive.bag --out out/run              solution, figures, report.html
+  jaxnav filter drive.bag --smooth --out out/smooth  by all fixes
+  jaxnav tune drive.bag --out out/tuned              noise, fixes and clocks, without truth
+  jaxnav filter drive.bag --params out/tuned/tuned.toml --out out/after
   jaxnav compare out/run out/after
 live:
-  jaxnav stream --data drive.bag --speed 1
+  jaxnav stream drive.bag --speed 1
 simulated:
-  jaxnav simulate --data urban --seed 1 --out out/urban
-  jaxnav mc --data urban --filter ekf15,ekf15_gate --runs 100 --devices 0
-  jaxnav bakeoff --data gipkf_urban --filter gpid15,gipkf,fwekf15,ekf15_gate
+  jaxnav simulate urban --seed 1 --out out/urban
+  jaxnav mc urban --filter ekf15,ekf15_gate --runs 100 --devices 0
+  jaxnav bakeoff gipkf_urban --filter gpid15,gipkf,fwekf15,ekf15_gate
 settings:
   jaxnav config > job.toml; jaxnav filter --config job.toml --set filter.cov_stride=10
   jaxnav completion bash > ~/.local/share/bash-completion/completions/jaxnav
@@ -67,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args, rest = parser.parse_known_args(argv)
         if rest:
-            parser.error(f"unrecognized arguments: {' '.join(rest)}{_hint(args, rest)}")
+            parser.error(f"unrecognized arguments: {' '.join(rest)}")
     except SystemExit as stop:  # --help, --version, usage
         return int(stop.code or 0)
     try:
@@ -99,15 +99,6 @@ def make_parser() -> argparse.ArgumentParser:
         for argument in verb.arguments:
             argument.add_to(sub)
     return parser
-
-
-def _hint(args: argparse.Namespace, rest: list[str]) -> str:
-    """Return a hint where one of the arguments without a name is a file, folder or scenario."""
-    takes = any(argument.name == "--data" for argument in VERBS[args.verb].arguments)
-    named = next((word for word in rest if not word.startswith("-")), None)
-    return (
-        f"\n  a recording or scenario is named by --data: jaxnav {args.verb} --data {named}" if takes and named else ""
-    )
 
 
 def _main(args: argparse.Namespace) -> int:
@@ -168,13 +159,20 @@ def resolve(args: argparse.Namespace) -> configuration.Config:
         layers.append((args.params, configuration.read_params(args.params)))
     if args.seed is not None:
         layers.append(("--seed", {"seed": args.seed}))
+    named: dict[str, str] = {}  # the argument of each setting
     for argument in verb.arguments:
         value = getattr(args, argument.attribute)
-        if argument.setting and value is not None and value is not False:
-            section, key = argument.setting.split(".")
+        if argument.setting and value is not None and value is not False and value != []:
+            if argument.setting in named:
+                first = named[argument.setting]
+                raise ConfigError(f"{argument.setting}: by {first} and by {argument.name}; leave one out")
+            named[argument.setting] = argument.name
+            section, *keys = argument.setting.split(".")
             paths = argument.setting == "data.source" and isinstance(value, list)
             value, *more = value if paths else [value]
-            layers.append((argument.name, {section: {key: value}}))
+            for key in reversed(keys):
+                value = {key: value}
+            layers.append((argument.name, {section: value}))
             if len(more) > 1:
                 raise ConfigError(f"{argument.name}: a recording and a file with its fixes, got {1 + len(more)} paths")
             if more:

@@ -88,11 +88,23 @@ def no_effect(reason: str, *keys: str) -> dict[str, str]:
     return dict.fromkeys(keys, reason)
 
 
-DATA = Argument("--data", "scenario, data set or recording ([data] source)", "data.source", value="NAME|PATH")
+DATA = (
+    Argument(
+        "source",
+        "scenario, data set or recording; a second path has the fixes of an IMU's file ([data] source)",
+        "data.source",
+        "SOURCE",
+        reads=True,
+        more={"nargs": "*"},
+    ),
+    Argument("--data", "SOURCE, of scripts", "data.source", value="SOURCE"),
+)
 PATH = Argument(
     "path", "file or folder of any known format, or a column map; a second one has the fixes of an IMU's file",
     "data.source", "PATH", reads=True, more={"nargs": "+"},
 )  # fmt: skip
+MAP = Argument("--map", "read the recording by this column map, in place of the files that it names",
+               "data.options.map", value="FILE", reads=True)  # fmt: skip
 FILTER = Argument("--filter", "see `jaxnav info` ([filter] name)", "filter.name", value="NAME")
 PARAMS = Argument("--params", "parameters of this file, such as an earlier tuned.toml", reads=True, value="FILE")
 RESUME = Argument("--resume", "go on from the checkpoint in --out")

@@ -21,6 +21,8 @@ from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter, FilterState, Step
 from jaxnav.filters.programs import stored
 from jaxnav.filters.run import prepare, require_params, require_shapes, require_x64, resume
+from jaxnav.measurements import MEASUREMENTS
+from jaxnav.measurements.measurement import layout
 from jaxnav.states import table
 from jaxnav.types import Epoch, Nav, Params
 
@@ -40,6 +42,8 @@ class LaneRecord(NamedTuple):
     log_det: Any  # () log |S|
     residual: Any  # (3,) m, ENU, predicted minus measured position, hidden ones too
     P: Any  # (3, 3) m^2 covariance of that, without the fix's white noise
+    velocity: Any  # (3,) m/s, ENU, the same of a velocity; None of a filter that takes none
+    velocity_P: Any  # (3, 3) (m/s)^2 its covariance, without the fix's white noise
     ok: Any  # () bool, False from the first epoch that was not finite on
 
 
@@ -152,14 +156,20 @@ def _begin(filt: Filter, params: Params, nav: Nav) -> FilterState:
 
 @partial(stored, static_argnums=(0,))
 def _chunk(filt: Filter, params: Params, state: FilterState, epochs: Epoch) -> tuple[FilterState, LaneRecord]:
-    keep = partial(_keep, slow_errors(filt))
+    keep = partial(_keep, slow_errors(filt), velocity_channels(filt))
     return jax.vmap(lambda params, state, epochs: resume(filt, params, state, epochs, keep))(params, state, epochs)
 
 
-def _keep(slow: slice | None, step: Step, along: Any) -> LaneRecord:
+def _keep(slow: slice | None, velocity: slice | None, step: Step, along: Any) -> LaneRecord:
     i = step.info
     P = seen_by_position(i.P, slow)
-    return LaneRecord(i.nu, i.S, i.valid, i.used, i.nis, i.log_det, i.residual[:3], P, i.ok)
+    v, Pv = (None, None) if velocity is None else (i.residual[velocity], i.P[3:6, 3:6])
+    return LaneRecord(i.nu, i.S, i.valid, i.used, i.nis, i.log_det, i.residual[:3], P, v, Pv, i.ok)
+
+
+def velocity_channels(filt: Filter) -> slice | None:
+    """Return the channels of a filter's velocity, None where it takes none."""
+    return layout(MEASUREMENTS[name] for name in filt.model.measurements).get("velocity")
 
 
 def slow_errors(filt: Filter) -> slice | None:

@@ -77,12 +77,12 @@ def gaussian_scale(m: int) -> float:
     return c
 
 
-def position_noise(params: Params, sd: Any, xp: Any = np) -> Any:
+def position_noise(params: Params, sd: Any, xp: Any = np, name: str = "position") -> Any:
     """Return covariances (..., 3, 3) m^2, ENU, of the white noise of positions with stated ``sd`` (..., 3) m.
 
-    ``xp``: jnp within a traced function.
+    ``xp``: jnp within a traced function; ``name``: of the measurement, the position or the velocity.
     """
-    scale = xp.asarray(params.measurements["position"].scale)
+    scale = xp.asarray(params.measurements[name].scale)
     size = xp.linalg.norm(scale, axis=-1) if scale.ndim == 2 else xp.broadcast_to(scale, 3)
     return np.eye(3) * ((size * sd) ** 2)[..., None]
 

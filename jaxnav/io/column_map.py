@@ -2,7 +2,7 @@
 
 import os
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ from jaxnav.types import DataError, Track
 COMMON = tuple(
     "file delimiter header time time_unit time_scale time_tag time_shift_s rate_hz skip where new_where".split()
 )
+FILES = ("file", "gnss")  # keys whose values are names of files
 TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", "satellites", *COMMON)
 KEYS: dict[str, tuple[str, ...]] = {
     "imu": (*COMMON, *"gyro gyro_unit accel accel_unit accel_time axes sampling repair".split()),
@@ -59,13 +60,16 @@ KEYS: dict[str, tuple[str, ...]] = {
 SCALAR = (*COMMON, "value", "unit", "sd")  # of every other stream
 
 
-def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None = None) -> Parts:
+def read_map(
+    path: FilePath, base: Callable[..., Parts], folder: FilePath | None = None, files: Sequence[FilePath] = ()
+) -> Parts:
     """Read the parts that a column map describes.
 
     Args:
         path: the map.
         base: reads the file that the table [read] names, with its options.
         folder: of the data, instead of the map's ``folder``, which is relative to the map.
+        files: in place of those that the map names, in the order of their first mention.
 
     Raises:
         DataError: a key, file, column or unit that is not known, or data that cannot be read.
@@ -75,7 +79,34 @@ def read_map(path: FilePath, base: Callable[..., Parts], folder: FilePath | None
     if "$" in said and folder is None:
         raise DataError(f"{file}: folder: {said} names an environment variable that is not set")
     where = Path(folder) if folder is not None else Path(path).parent / said
+    if files:
+        table, where = _with_files(table, file, files), Path()
     return described(table, file, where, base)
+
+
+def _with_files(table: dict[str, Any], file: str, files: Sequence[FilePath]) -> dict[str, Any]:
+    """Return a map that names other files."""
+    named = list(dict.fromkeys(_files(table)))
+    if len(named) != len(files):
+        given = ", ".join(os.fspath(path) for path in files)
+        raise DataError(f"{file}: the map names {len(named)} files ({', '.join(named)}), in their place come {given}")
+    other = dict(zip(named, [os.fspath(path) for path in files], strict=True))
+
+    def renamed(value: Any, key: str) -> Any:
+        if isinstance(value, dict):
+            return {k: renamed(v, "file" if key == "file" else k) for k, v in value.items()}
+        return other[value] if key in FILES and isinstance(value, str) else value
+
+    return {key: renamed(value, key) for key, value in table.items()}
+
+
+def _files(value: Any, key: str = "") -> Iterator[str]:
+    """Yield every file that a map or a part of it names."""
+    if isinstance(value, dict):
+        for k, v in value.items():
+            yield from _files(v, "file" if key == "file" else k)
+    elif key in FILES and isinstance(value, str):
+        yield value
 
 
 def described(table: dict[str, Any], file: str, where: Path, base: Callable[..., Parts] | None = None) -> Parts:

@@ -63,7 +63,7 @@ OPTIONS: dict[str, str] = {
     **dict.fromkeys(("name", "time_scale", "rates", "receiver", "imu", "fixes"), "text"),
     **dict.fromkeys(("accel_sign", "time_shift_s", "elevation_mask_deg", "cn0_mask_dbhz", "wheel_radius_m", "instance",
                      "leap_seconds", "metres_per_hdop"), "number"),
-    **dict.fromkeys(("gnss", "nav", "folder"), "path"), **dict.fromkeys(("sd", "topics"), "table"),
+    **dict.fromkeys(("gnss", "nav", "folder", "map"), "path"), **dict.fromkeys(("sd", "topics"), "table"),
     **dict.fromkeys(("repair", "spp"), "flag"), "axes": "axes", "lever_arm": "three",
 }  # fmt: skip
 """Kind of each option of `jaxnav.read`."""

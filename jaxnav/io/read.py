@@ -67,7 +67,8 @@ def read(path: FilePath, **options: Any) -> Recording:
 
     Args:
         path: file or folder of a format in `READERS`, or a column map (``docs/formats.md``).
-        options: ``gnss``, a file with the fixes where ``path`` holds the IMU alone; the fields of
+        options: ``gnss``, a file with the fixes where ``path`` holds the IMU alone; ``map``, a column map that names
+            other files, to read ``path`` (a folder, or its file) and ``gnss`` in their place; the fields of
             `jaxnav.io.mend.Changes` (``axes``, ``accel_sign``, ``lever_arm``, ``sd``, ``time_shift_s``, ``name``);
             options of the reader of either file.
 
@@ -85,19 +86,32 @@ def read_parts(path: FilePath, gnss: FilePath | None = None, **options: Any) -> 
     for key, value in (options | ({"gnss": gnss} if gnss is not None else {})).items():
         if key in OPTIONS:
             require(os.fspath(path), key, value, OPTIONS[key])
-    row = recognise(path)
+    if (recipe := options.pop("map", None)) is not None:
+        row, gnss = _mapped(recipe, path, gnss), None
+    else:
+        row = recognise(path)
     others = () if gnss is None else recognise(gnss).options
     reader = {key: value for key, value in options.items() if key in row.options}
     fixes = {key: value for key, value in options.items() if key in others and key not in reader}
     changes = {key: value for key, value in options.items() if key in Changes._fields and key not in reader}
     for key in options.keys() - reader.keys() - fixes.keys() - changes.keys():
-        hint = units.nearest(key, (*row.options, *others, *Changes._fields, "gnss"))
+        hint = units.nearest(key, (*row.options, *others, *Changes._fields, "gnss", "map"))
         raise DataError(f"{path}: {row.name}: no option {key}: {hint}")
     parts = _read(row, path, reader)
     if gnss is not None:
         other = counted_from(read_parts(gnss, **fixes), parts.zero)
         parts = parts._replace(aiding=parts.aiding | other.aiding, notes=parts.notes + other.notes)
     return mend.applied(parts._replace(name=parts.name or path.stem), Changes(**changes))
+
+
+def _mapped(recipe: FilePath, path: Path, gnss: FilePath | None) -> Reader:
+    """Return the reader of a folder, a file, or a file and that of its fixes, in place of those of a column map."""
+    row = recognise(recipe)
+    if row.recognises is not _map:
+        raise DataError(f"{recipe}: {row.name}, expected a column map: jaxnav map drafts one")
+    files = [path] if gnss is None else [path, gnss]
+    where = {"folder": path} if path.is_dir() and gnss is None else {"files": files}
+    return row._replace(read=lambda path: read_map(recipe, read_parts, **where)._replace(name=path.stem), options=())
 
 
 def _read(row: Reader, path: Path, options: dict[str, Any]) -> Parts:

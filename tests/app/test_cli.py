@@ -14,6 +14,7 @@ from jaxnav import navigation as navigate
 from jaxnav.app import cli, config, prepare, sources
 from jaxnav.app.jobs import filtering
 from jaxnav.app.results import staged
+from jaxnav.app.verbs import VERBS
 from jaxnav.io import read_recording, write_recording
 from jaxnav.types import FilterError
 from tuning.fit.status import Status
@@ -165,7 +166,7 @@ def test_seed_reproduces_and_matters(drive):
         (["simulate", "--set", "data.options.sensors={barometer=-1}"], ["sensors.barometer: the sd of its noise must"]),
         (["simulate", "--set", "data.options.sensor_states=['barometer']"], ["no state 'barometer'"]),
         (["mc", "--set", "data.options.sensors={barometer=1.0}"], ["runs of mc have a receiver only"]),
-        (["tune", "--set", "data.options.sensors={barometer=1.0}"], ["simulate one, and tune with --data FOLDER"]),
+        (["tune", "--set", "data.options.sensors={barometer=1.0}"], ["simulate one, and tune with FOLDER"]),
         (["simulate", "--data", "rtkexplorer_drive"], ["simulate takes a scenario"]),
         (["tune", "--set", "tune.objective=nlll"], ["did you mean nll?"]),
         (["tune", "--set", "tune.free=['noise.gyroo']"], ["did you mean noise.gyro?"]),
@@ -197,11 +198,15 @@ def test_usage_exits_2_help_0(capsys):
     assert "Exit codes" in capsys.readouterr().out
 
 
-def test_a_recording_without_data_before_it_is_told_how(capsys):
-    assert cli.main(["filter", "drive.bag"]) == 2
-    assert "unrecognized arguments: drive.bag\n  a recording" in (said := capsys.readouterr().err)
-    assert said.rstrip().endswith("jaxnav filter --data drive.bag")
-    assert cli.main(["info", "--nothing"]) == 2 and "--data" not in capsys.readouterr().err
+@pytest.mark.parametrize("verb", [verb for verb in VERBS if "--data" in {a.name for a in VERBS[verb].arguments}])
+def test_a_recording_is_named_as_that_of_solve(verb, capsys):
+    named = lambda *argv: cli.resolve(cli.make_parser().parse_args([verb, *argv])).data
+    for argv in (["drive.bag"], ["--quiet", "drive.bag"], ["drive.bag", "--set", "seed=1"], ["--data", "drive.bag"]):
+        assert named(*argv).source == "drive.bag"
+    both = named("imu.csv", "gnss.csv")
+    assert (both.source, both.options) == ("imu.csv", {"gnss": "gnss.csv"})
+    fails(capsys, [verb, "drive.bag", "--data", "other.bag"], 2, "data.source: by source and by --data")
+    assert named().source == cli.resolve(cli.make_parser().parse_args([verb])).data.source
 
 
 def edit(drive, tmp_path, file, change):

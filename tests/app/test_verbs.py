@@ -3,8 +3,8 @@
 import json
 import re
 import types
-from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -55,6 +55,8 @@ def test_an_argument_sets_its_setting(verb, name):
     text = WORDS.get(name, "7")
     given = [name] * name.startswith("-") + [text] * bool(argument.value)
     needed = ["drive"] if name != "path" and any(a.name == "path" for a in VERBS[verb].arguments) else []
-    found = attrgetter(argument.setting)(cli.resolve(cli.make_parser().parse_args([verb, *given, *needed])))
+    found: Any = cli.resolve(cli.make_parser().parse_args([verb, *given, *needed]))
+    for key in argument.setting.split("."):  # options are a table
+        found = found[key] if isinstance(found, dict) else getattr(found, key)
     expected = argument.type(text) if argument.value else True
     assert found == (tuple(expected) if isinstance(expected, list) else expected)

@@ -49,6 +49,8 @@ def test_each_lane_is_the_run_of_its_candidate(drive):
             np.testing.assert_allclose(getattr(record, name)[i, :E], getattr(info, name), rtol=1e-7, atol=1e-9)
         np.testing.assert_allclose(record.residual[i, :E], info.residual[:, :3], rtol=1e-7, atol=1e-9)
         np.testing.assert_allclose(record.P[i, :E], info.P[:, :3, :3], rtol=1e-7)
+        np.testing.assert_allclose(record.velocity[i, :E], info.residual[:, 3:6], rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(record.velocity_P[i, :E], info.P[:, 3:6, 3:6], rtol=1e-7)
         nll = jax.vmap(negative_log_likelihood)(info)
         np.testing.assert_allclose(scores.innovation_nll(record, heavy=False)[i, :E], nll, rtol=1e-7, atol=1e-9)
 
@@ -102,6 +104,6 @@ def test_a_student_t_is_scipys():
         -stats.multivariate_t(np.zeros(3), S, df=scores.FREEDOM).logpdf(v) for S, v in zip(fair, y, strict=True)
     ]
     np.testing.assert_allclose(scores.residual_nll(y, C), expected, rtol=1e-12)
-    lost = LaneRecord(*[np.zeros((1, 2))] * 9)._replace(valid=np.ones((1, 2, 3), bool), used=np.ones((1, 2, 3), bool),
+    lost = LaneRecord(*[np.zeros((1, 2))] * 11)._replace(valid=np.ones((1, 2, 3), bool), used=np.ones((1, 2, 3), bool),
                                                      ok=np.array([[True, False]]))  # fmt: skip
     assert np.isfinite(scores.innovation_nll(lost)).tolist() == [[True, False]]

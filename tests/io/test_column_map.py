@@ -1,10 +1,12 @@
 """A column map: every key does what the page says, and every mistake is one sentence."""
 
 import re
+import shutil
 import tomllib
 import zipfile
 from pathlib import Path
 
+import chex
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -20,6 +22,8 @@ from jaxnav.measurements import with_data
 from jaxnav.types import DataError
 
 from .test_formats import recording
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 IMU = """[imu]
 file = "imu.csv"
@@ -391,3 +395,19 @@ def test_no_acceleration_is_made_up_in_a_hole_of_the_accelerometer(tmp_path):
     np.testing.assert_allclose(two_files(tmp_path, own).t, own, atol=1e-9)
     with pytest.raises(DataError, match="no time of the gyro is within those of the accelerometer"):
         two_files(tmp_path, times + 100.0)
+
+
+def test_a_map_reads_other_files_in_place_of_its_own(tmp_path):
+    shutil.copy(EXAMPLES / "drive_imu.csv", tmp_path / "a.csv")
+    shutil.copy(EXAMPLES / "drive_gnss.csv", tmp_path / "b.csv")
+    shutil.copytree(EXAMPLES, tmp_path / "today")
+    want = read(EXAMPLES / "drive.toml")
+    one = read(tmp_path / "a.csv", gnss=tmp_path / "b.csv", map=EXAMPLES / "drive.toml")
+    folder = read(tmp_path / "today", map=EXAMPLES / "drive.toml")
+    assert (one.name, folder.name) == ("a", "today")
+    for rec in (one, folder):
+        chex.assert_trees_all_equal((rec.imu, rec.aiding, rec.lever_arm), (want.imu, want.aiding, want.lever_arm))
+    with pytest.raises(DataError, match=r"the map names 2 files \(drive_imu.csv, drive_gnss.csv\), in their place"):
+        read(tmp_path / "a.csv", map=EXAMPLES / "drive.toml")
+    with pytest.raises(DataError, match="expected a column map"):
+        read(tmp_path / "a.csv", map=EXAMPLES / "drive_imu.csv")

@@ -71,7 +71,7 @@ def test_options_are_refused_by_their_name(folder, option):
 
 
 def test_each_option_and_key_has_a_kind():
-    assert {*Changes._fields, "gnss", *(option for row in READERS for option in row.options)} == set(OPTIONS)
+    assert {*Changes._fields, "gnss", "map", *(option for row in READERS for option in row.options)} == set(OPTIONS)
     streams = {key for key in TOP if key not in OF}
     assert streams == set() and {*OF.values(), *OPTIONS.values()} <= set(KINDS)
     assert {key for keys in KEYS.values() for key in keys} - {"position", "velocity"} <= set(OF)

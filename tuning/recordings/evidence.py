@@ -190,8 +190,8 @@ def predicted(params: Sequence[Params], used: Sequence[Used], infos: Sequence[La
 class HiddenFixes(NamedTuple):
     """K hidden fixes of a run, at `tuning.recordings.parts.AGES` of its windows, and their predictions."""
 
-    residual: np.ndarray  # (K, 3) m, ENU, predicted minus measured
-    covariance: np.ndarray  # (K, 3, 3) m^2, of the residual
+    residual: np.ndarray  # (K, 3) m or m/s, ENU, predicted minus measured
+    covariance: np.ndarray  # (K, 3, 3) m^2 or (m/s)^2, of the residual
     age: np.ndarray  # (K,) s since the window's start
 
     def nll(self) -> np.ndarray:
@@ -203,24 +203,30 @@ class HiddenFixes(NamedTuple):
         return normalized(self.residual[:, :2], self.covariance[:, :2, :2])
 
 
-def hidden_fixes(params: Params, used: Used, info: LaneRecord, mask: np.ndarray) -> HiddenFixes:
-    """Return the hidden fixes of some windows.
+def hidden_fixes(
+    params: Params, used: Used, info: LaneRecord, mask: np.ndarray, velocity: slice | None = None
+) -> HiddenFixes:
+    """Return the hidden fixes of some windows: positions, or velocities.
 
     Args:
         params: parameters of the filter.
         used: the recording.
         info: (P, E, ...) runs with hidden windows.
         mask: (W,) the windows.
+        velocity: channels of the velocity, for those of velocities; None: positions.
     """
     fix, windows = used.packed.epochs.fix, used.windows
-    there = np.all(np.asarray(fix.valid)[:, :2], axis=1)
+    name, place, residual, P = "position", slice(3), info.residual, info.P
+    if velocity is not None:
+        name, place, residual, P = "velocity", velocity, info.velocity, info.velocity_P
+    there = np.all(np.asarray(fix.valid)[:, place][:, :2], axis=1)
     at, known = ages(windows, used.packed.t, there, mask, used.layout.window)
     phase, column = np.nonzero(known)
     epoch = at[phase, column]
-    noise = position_noise(params, np.asarray(fix.sd)[epoch, :3])
+    noise = position_noise(params, np.asarray(fix.sd)[epoch, place], name=name)
     begins = [windows.start[(windows.phase == p) & mask] for p in range(len(windows.hidden))]
     age = [t - begins[p][begins[p] < t].max() for p, t in zip(phase, used.packed.t[epoch], strict=True)]
-    return HiddenFixes(info.residual[phase, epoch], info.P[phase, epoch] + noise, np.array(age))
+    return HiddenFixes(residual[phase, epoch], P[phase, epoch] + noise, np.array(age))
 
 
 class Training(NamedTuple):

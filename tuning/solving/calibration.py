@@ -14,7 +14,7 @@ MIN_FACTOR = 1.1  # of sd that are too small on the test part, below which they 
 
 
 class Consistency(NamedTuple):
-    """Horizontal errors of hidden fixes against their stated sd."""
+    """Horizontal errors of hidden positions or velocities against their stated sd."""
 
     error_over_sd: float  # rms; 1 where the sd are right
     inside_95: float  # share inside the stated 95 %
@@ -55,6 +55,7 @@ class Calibration(NamedTuple):
     before: Consistency  # on the test part, as the filter states them
     after: Consistency  # and with the factor
     ages: list[Age]  # of the test part, with the factor
+    velocity: Consistency | None = None  # of hidden velocities of the test part; None where there are none
 
 
 def calibrate(final: Scored) -> Calibration:
@@ -89,7 +90,9 @@ def calibrate(final: Scored) -> Calibration:
                 int(at.sum()),
             )
         )
-    return Calibration(factor, before, consistency(nees), rows)
+    velocities = final.velocities("test")
+    velocity = None if velocities is None or not velocities.age.size else consistency(velocities.nees())
+    return Calibration(factor, before, consistency(nees), rows, velocity)
 
 
 def consistency(nees: np.ndarray) -> Consistency:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxnav.analysis.windows import drifts
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
-from jaxnav.filters.lanes import LaneRecord
+from jaxnav.filters.lanes import LaneRecord, velocity_channels
 from jaxnav.filters.parameters import history_for
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.initialize import Initialization
@@ -41,8 +41,16 @@ class Scored(NamedTuple):
 
     def hidden(self, *parts: str) -> HiddenFixes:
         """Return the hidden fixes of some parts, with their predictions."""
+        return self._hidden(parts, None)
+
+    def velocities(self, *parts: str) -> HiddenFixes | None:
+        """Return the hidden velocities of some parts; None of a filter that takes none."""
+        channels = velocity_channels(self.filter)
+        return None if channels is None else self._hidden(parts, channels)
+
+    def _hidden(self, parts: Sequence[str], velocity: slice | None) -> HiddenFixes:
         mask = np.any([self.used.parts[part] for part in parts], 0)
-        return hidden_fixes(self.params, self.used, self.info, mask)
+        return hidden_fixes(self.params, self.used, self.info, mask, velocity)
 
 
 class Bench(NamedTuple):

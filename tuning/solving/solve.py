@@ -79,7 +79,8 @@ class Solved:
             "verdict": self.verdict, "why": self.why, "left_out": self.left_out, "test_nis": self.test_nis,
             "settings": self.settings,
             "calibration": None if c is None else c._asdict() | {
-                "before": c.before._asdict(), "after": c.after._asdict(), "ages": [a._asdict() for a in c.ages]},
+                "before": c.before._asdict(), "after": c.after._asdict(), "ages": [a._asdict() for a in c.ages],
+                "velocity": None if c.velocity is None else c.velocity._asdict()},
             "drift_m": drift, "drift_ratio": ratio("datasheet"), "against_auto": ratio("auto"),
             "measurements": [{"names": row.option.names, "drift_ratio": row.drift_ratio, "gain": row.gain,
                               "taken": row.taken, "sd_factor": row.sd} for row in self.tried],
@@ -208,6 +209,10 @@ def solve(
     if calibration.factor > 1.0:
         findings.append(
             finding("solve.inflated", "stated sd of positions", calibration.factor, count=calibration.after.fixes)
+        )
+    if (velocity := calibration.velocity) is not None and velocity.too_small:
+        findings.append(
+            finding("solve.velocity", "stated sd of velocities", velocity.error_over_sd, count=velocity.fixes)
         )
     stages.next()
     sol = run(

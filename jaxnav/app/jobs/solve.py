@@ -26,11 +26,13 @@ from jaxnav.maths.units import DEG
 from jaxnav.states.table import BIASES
 from jaxnav.types import ConfigError, Params, Recording
 from tuning.fit.status import Status
+from tuning.solving.calibration import Calibration
 from tuning.solving.corrections import AXES, DRIFT, OFFSET, Corrections, correct
 from tuning.solving.hidden import COV_STRIDE
 from tuning.solving.solve import CARE, CONSISTENT, UNUSABLE, Solved, solve
 
-UNTESTED = "not tested: hidden fixes show positions alone"
+UNTESTED = "not tested: the filter takes no velocity, or none was hidden"
+NO_HEADING = "not tested: takes a truth or a second compass"
 OPTIONS = "data.options."
 COLORS = {CONSISTENT: "good", CARE: "care", UNUSABLE: "bad"}
 
@@ -189,8 +191,8 @@ def card(found: Solved) -> Card:
     rows = [
         CardRow("horizontal position on the Earth", f"{good['earth_m']:.2f} m", error("horizontal_m", "m") or unseen),
         CardRow("horizontal position from second to second", f"{good['relative_m']:.2f} m", hidden),
-        CardRow("velocity north", f"{sd[4]:.3f} m/s", error("vn_mps", "m/s") or UNTESTED),
-        CardRow("heading", f"{sd[8] / DEG:.2f} deg", error("heading_deg", "deg") or UNTESTED),
+        CardRow("velocity north", f"{sd[4]:.3f} m/s", error("vn_mps", "m/s") or velocities(c)),
+        CardRow("heading", f"{sd[8] / DEG:.2f} deg", error("heading_deg", "deg") or NO_HEADING),
         CardRow("fixes used", f"{uses['used']} of {uses['read']}", ""),
     ]
     if c is not None:
@@ -198,6 +200,13 @@ def card(found: Solved) -> Card:
         rows.append(CardRow(f"after {last.age_s:.0f} s without fixes", f"{last.stated_m:.2f} m",
                         f"{last.error_m:.2f} m RMS, by the datasheet {drift['datasheet']:.2f} m"))  # fmt: skip
     return Card(found.verdict, COLORS[found.verdict], in_words(found), rows)
+
+
+def velocities(c: Calibration | None) -> str:
+    """Return how the sd of velocities were tested."""
+    if c is None or c.velocity is None:
+        return UNTESTED
+    return f"{100 * c.velocity.inside_95:.0f} % of hidden velocities inside the stated 95 %"
 
 
 def in_words(found: Solved) -> str:

@@ -230,11 +230,11 @@ def on_scenarios(config: Config, long: Long, progress: bool, log: Callable[[str]
 def require_plain(config: Config, scenario: Scenario) -> None:
     """Raise ConfigError for settings that need a recording."""
     if measurements_of(config) != GNSS:
-        raise ConfigError("filter: constraints are tuned on recordings: simulate one, and tune with --data FOLDER")
+        raise ConfigError("filter: constraints are tuned on recordings: simulate one, and tune with FOLDER")
     if config.initialization.heading == "unknown":
         raise ConfigError('initialization.heading = "unknown" cannot be tuned: give degrees, "course" or "truth"')
     if scenario.sensors or scenario.sensor_states:
-        raise ConfigError("data.options.sensors: tuned on recordings: simulate one, and tune with --data FOLDER")
+        raise ConfigError("data.options.sensors: tuned on recordings: simulate one, and tune with FOLDER")
     start, simulated = config.initialization, scenario.start
     if simulated.prior_tilt_sd_deg > start.tilt_sd_deg or simulated.prior_heading_sd_deg > start.heading_sd_deg:
         raise ConfigError("initialization: tilt_sd_deg and heading_sd_deg must not be below the scenario's")

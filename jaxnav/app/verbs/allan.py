@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from jaxnav.app.verb import DATA, Argument, Job, Verb
+from jaxnav.app.verb import DATA, MAP, Argument, Job, Verb
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
@@ -20,7 +20,8 @@ VERB = Verb(
     "Allan deviation of a resting IMU: white noise, bias instability, random walk, Gauss-Markov",
     run,
     (
-        DATA,
+        *DATA,
+        MAP,
         Argument(
             "--start",
             "s, use the recording from here ([data] start)",

@@ -30,11 +30,11 @@ VERB = Verb(
     "filters tuned alike on the same scenarios, ranked on runs and scenarios that none has seen",
     run,
     (
-        DATA,
+        *DATA,
         FILTER,
         PARAMS,
         Argument(
-            "--unseen", "scenarios to test on only; --data, --filter take lists too", "bakeoff.unseen",
+            "--unseen", "scenarios to test on only; SOURCE, --filter take lists too", "bakeoff.unseen",
             value="A,B", type=lambda text: [name.strip() for name in text.split(",")],
         ),
         *DEVICES,

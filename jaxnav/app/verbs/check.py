@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from jaxnav.app.config import Config
-from jaxnav.app.verb import PATH, Job, Verb, no_effect
+from jaxnav.app.verb import MAP, PATH, Job, Verb, no_effect
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
@@ -22,6 +22,6 @@ def unused(config: Config, simulated: bool) -> dict[str, str]:
 
 
 VERB = Verb(
-    "check", "find faults of data, units, axes and clocks; write a configuration that runs the recording", run, (PATH,),
-    sections=("data", "out"), unused=unused,
+    "check", "find faults of data, units, axes and clocks; write a configuration that runs the recording", run,
+    (PATH, MAP), sections=("data", "out"), unused=unused,
 )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from jaxnav.app.verb import PATH, Job, Verb
+from jaxnav.app.verb import MAP, PATH, Job, Verb
 from jaxnav.app.verbs.check import unused
 
 if TYPE_CHECKING:
@@ -16,4 +16,6 @@ def run(job: Job) -> "Outcome":
     return check.convert(job.config, job.folder)
 
 
-VERB = Verb("convert", "write a recording of any format as CSV files", run, (PATH,), sections=("data",), unused=unused)
+VERB = Verb(
+    "convert", "write a recording of any format as CSV files", run, (PATH, MAP), sections=("data",), unused=unused
+)

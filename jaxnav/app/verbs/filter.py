@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from jaxnav.app.config import Config
-from jaxnav.app.verb import DATA, FILTER, PARAMS, Argument, Job, Verb, no_effect
+from jaxnav.app.verb import DATA, FILTER, MAP, PARAMS, Argument, Job, Verb, no_effect
 from jaxnav.filters.border import TABLES
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def run(job: Job) -> "Outcome":
 
 def defaults(args: argparse.Namespace) -> dict[str, Any]:
     """Return the recording to compile for where none is named."""
-    return WARM if args.warm and not (args.data or args.config) else {}
+    return WARM if args.warm and not (args.source or args.data or args.config) else {}
 
 
 def unused(config: Config, simulated: bool) -> dict[str, str]:
@@ -40,7 +40,8 @@ VERB = Verb(
     "run a filter over a recording: solution, metrics, figures",
     run,
     (
-        DATA,
+        *DATA,
+        MAP,
         FILTER,
         PARAMS,
         Argument("--smooth", "by all fixes, those after it too ([filter] smooth)", "filter.smooth"),

@@ -35,7 +35,7 @@ VERB = Verb(
     "Monte Carlo: filters over many simulated runs, errors, consistency, divergence",
     run,
     (
-        DATA,
+        *DATA,
         FILTER,
         PARAMS,
         Argument("--runs", "how many ([mc] runs); --filter takes A,B,...", "mc.runs", value="N", type=int),

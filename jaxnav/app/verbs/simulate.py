@@ -15,4 +15,4 @@ def run(job: Job) -> "Outcome":
     return filtering.simulate(job.config, job.folder)
 
 
-VERB = Verb("simulate", "write a simulated recording and its truth", run, (DATA,), sections=("data", "out"))
+VERB = Verb("simulate", "write a simulated recording and its truth", run, DATA, sections=("data", "out"))

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from jaxnav.app.config import Config
-from jaxnav.app.verb import PATH, Argument, Job, Verb, no_effect
+from jaxnav.app.verb import MAP, PATH, Argument, Job, Verb, no_effect
 from jaxnav.filters.border import TABLES
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ VERB = Verb(
     "solve", "the best trajectory of a recording, without settings: check, tune, smooth, and a verdict", run,
     (
         PATH,
+        MAP,
         Argument("--fast", "do not tune"),
         Argument("--time", "end within S seconds, with the best that they allow", value="S", type=float),
     ),

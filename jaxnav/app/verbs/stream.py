@@ -3,7 +3,7 @@
 import sys
 from typing import TYPE_CHECKING
 
-from jaxnav.app.verb import DATA, FILTER, PARAMS, Argument, Job, Verb
+from jaxnav.app.verb import DATA, FILTER, MAP, PARAMS, Argument, Job, Verb
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
@@ -14,7 +14,7 @@ def run(job: Job) -> "Outcome":
     from jaxnav.app.jobs import stream
 
     args = job.args
-    lines = None if args.data else sys.stdin
+    lines = None if args.source or args.data else sys.stdin
     outcome = stream.stream(job.config, args.speed, args.every, lines, form=args.format)
     print(outcome.text, file=sys.stderr)
     return outcome._replace(text="", failed=not outcome.metrics["ok"])
@@ -23,7 +23,8 @@ def run(job: Job) -> "Outcome":
 VERB = Verb(
     "stream", "the solution as data arrive: from standard input, or from a recording in real time", run,
     (
-        DATA,
+        *DATA,
+        MAP,
         FILTER,
         PARAMS,
         Argument("--speed", "multiple of real time (0: no wait)", value="X", type=float, more={"default": 0.0}),

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from jaxnav.app.config import Config
-from jaxnav.app.verb import DATA, DEVICES, FILTER, PARAMS, RESUME, Argument, Job, Verb, no_effect
+from jaxnav.app.verb import DATA, DEVICES, FILTER, MAP, PARAMS, RESUME, Argument, Job, Verb, no_effect
 from jaxnav.app.verbs import filter
 from jaxnav.filters.border import TABLES
 
@@ -40,7 +40,8 @@ VERB = Verb(
     "tune a filter's parameters and show the gain on test data",
     run,
     (
-        DATA,
+        *DATA,
+        MAP,
         FILTER,
         PARAMS,
         Argument("--for", "another filter, such as kfgins, px4", "tune.target", value="TARGET"),

@@ -126,7 +126,9 @@ def record(nis):
     """A record of three channels with these normalised squares."""
     E = len(nis)
     valid = np.ones((1, E, 3), bool)
-    return LaneRecord(None, None, valid, valid, np.asarray(nis, float)[None], None, None, None, np.ones((1, E), bool))
+    record = LaneRecord(*[None] * len(LaneRecord._fields))
+    nis = np.asarray(nis, float)[None]
+    return record._replace(valid=valid, used=valid, nis=nis, ok=np.ones((1, E), bool))
 
 
 def test_changes_are_the_largest_innovations_some_seconds_apart():

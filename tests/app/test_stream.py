@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import socket
 import time
 
 import numpy as np
@@ -10,9 +11,9 @@ import pytest
 
 from jaxnav.app import cli
 from jaxnav.app.config import resolve
-from jaxnav.app.jobs.stream import FORMATS, Event, paced, parsed, played, stream
+from jaxnav.app.jobs.stream import FORMATS, Event, lines_of, paced, parsed, played, sink, stream
 from jaxnav.io import read_recording
-from jaxnav.types import DataError
+from jaxnav.types import ConfigError, DataError
 from tests.test_now import example
 
 
@@ -71,3 +72,35 @@ def test_rows_are_the_same_numbers_in_every_format(capsys):
     assert head == "" and json.loads(text) == {name: float(cell) for name, cell in csv_row.items()}
     assert said["nmea"] == ("", now.gga()) and float(csv_row["h_m"]) == 520.0
     assert cli.main(["stream", "--format", "xml"]) == 2 and "invalid choice: 'xml'" in capsys.readouterr().err
+
+
+def test_lines_of_other_axes_and_units():
+    lines = io.StringIO("imu,1,90,0,-45,0,0.5,1\nposition,1,180,-90,30,1,2,3\nvelocity,1,1,2,3,1,1,1\n")
+    imu, position, velocity = parsed(lines, [], lines_of("flu", "g, deg/s,deg"))
+    np.testing.assert_allclose(imu.values, [np.pi / 2, 0, np.pi / 4, 0, -0.5 * 9.80665, -9.80665], rtol=1e-4)
+    np.testing.assert_allclose(position.values, [np.pi, -np.pi / 2, 30, 1, 2, 3])
+    assert velocity.values == (1, 2, 3, 1, 1, 1)
+
+
+@pytest.mark.parametrize("axes, units, words", [
+    ("fll", None, "--axes"), (None, "deg/sec", "did you mean deg/s"), (None, "rad/s,deg/s", "two units of one rate"),
+])  # fmt: skip
+def test_axes_and_units_that_are_none(axes, units, words):
+    with pytest.raises(ConfigError, match=words):
+        lines_of(axes, units)
+
+
+def test_a_recording_names_its_axes_by_itself(capsys):
+    assert cli.main(["stream", "urban_short", "--axes", "flu"]) == 2
+    assert "[data] options.axes" in capsys.readouterr().err
+
+
+def test_rows_by_udp():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(5.0)
+        with sink(io.StringIO(), receiver.getsockname()[1]) as put:
+            put("$GPGGA,1")
+        assert receiver.recv(100) == b"$GPGGA,1\n"
+    with pytest.raises(ConfigError, match="no port 70000"), sink(io.StringIO(), 70000):
+        pass

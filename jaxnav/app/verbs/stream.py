@@ -15,7 +15,8 @@ def run(job: Job) -> "Outcome":
 
     args = job.args
     lines = None if args.source or args.data else sys.stdin
-    outcome = stream.stream(job.config, args.speed, args.every, lines, form=args.format)
+    meaning = stream.lines_of(args.axes, args.units) if args.axes or args.units else None
+    outcome = stream.stream(job.config, args.speed, args.every, lines, form=args.format, meaning=meaning, port=args.udp)
     print(outcome.text, file=sys.stderr)
     return outcome._replace(text="", failed=not outcome.metrics["ok"])
 
@@ -31,6 +32,9 @@ VERB = Verb(
         Argument("--every", "s of data between rows", value="S", type=float, more={"default": 1.0}),
         Argument("--format", "of the rows: csv, jsonl, nmea (GGA)", value="F",
                  more={"default": "csv", "choices": ("csv", "jsonl", "nmea")}),
+        Argument("--axes", "of the IMU in lines of standard input, such as flu", value="AXES"),
+        Argument("--units", "of those lines: of rates, accelerations, angles, such as deg/s,g,deg", value="U,U,U"),
+        Argument("--udp", "send rows to this port of this machine", value="PORT", type=int),
     ),
     writes=lambda args: False,
 )  # fmt: skip

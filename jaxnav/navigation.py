@@ -87,6 +87,7 @@ class Solution:
     findings: list[Finding]  # on innovations, streams, noise, states and the initialization
     noise: NoiseScan | None = None  # where the noise was found from the recording
     sd_factor: float = 1.0  # that the filter's sd of positions are multiplied by
+    velocity_sd_factor: float = 1.0  # and those of velocities
     delay_sd: float = 0.0  # s, of the delay between the IMU's clock and that of the fixes
 
     @property
@@ -127,7 +128,7 @@ class Solution:
     def at_imu_rate(self) -> tuple[Track, np.ndarray]:
         """Return the solution at every sample of the IMU, in GNSS time, and its sd (N, 9), filtered or smoothed."""
         track, sd = dense(self.filter, self.params, self.nav, self.epochs, self.smoothed, self.lag)
-        return track, scaled(sd, self.sd_factor)
+        return track, scaled(sd, self.sd_factor, self.velocity_sd_factor)
 
     def imu_time(self, t: np.ndarray) -> np.ndarray:
         """Return the IMU's stamps (N,) s at some times.
@@ -216,6 +217,7 @@ def navigate(
     smooth: bool = False,
     lag: float = 0.0,
     sd_factor: float = 1.0,
+    velocity_sd_factor: float = 1.0,
     delay_sd: float = 0.0,
 ) -> Solution:
     """Filter a recording from where it can start.
@@ -239,6 +241,7 @@ def navigate(
             begins with the first fix, where an initialization has to be later (`jaxnav.initialization.going_back`).
         lag: s, in place of that by past fixes and the fixes of the next seconds.
         sd_factor: multiplies the stated sd of positions, such as that of a calibration by hidden fixes.
+        velocity_sd_factor: the same of velocities.
         delay_sd: s, of the delay between the IMU's clock and that of the fixes; that of the scan where it is run.
 
     Raises:
@@ -289,7 +292,7 @@ def navigate(
         done = _from_the_begin(rec, given, done, run_from, outages)
     begin, params, packed, hidden, info, about, best = done
     trace = evaluate.trace(info, params)
-    trace = trace._replace(sd=scaled(trace.sd, sd_factor))
+    trace = trace._replace(sd=scaled(trace.sd, sd_factor, velocity_sd_factor))
     nu, used, ok = (np.asarray(a) for a in (trace.info.nu, trace.info.used, trace.info.ok))
     windows = tuple((float(a), float(b)) for a, b in outages)
     findings = usage.consistency_findings(trace.info, usage.nis_by_channel(trace.info, chosen))
@@ -305,7 +308,7 @@ def navigate(
     findings += [f for f in checkup(rec, quick=True) if f.warns or f in rec.findings]
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
-        smooth, lag, findings, found, sd_factor, delay_sd if found is None else found.latency_sd,
+        smooth, lag, findings, found, sd_factor, velocity_sd_factor, delay_sd if found is None else found.latency_sd,
     )  # fmt: skip
 
 
@@ -368,9 +371,9 @@ def _coverage(trace: evaluate.Trace, rec: Recording, measurements: tuple[Measure
     return found
 
 
-def scaled(sd: np.ndarray, factor: float) -> np.ndarray:
-    """Return the sd (N, 9) of position, velocity and attitude with a factor on those of position."""
-    return sd * np.where(np.arange(sd.shape[1]) < 3, factor, 1.0)
+def scaled(sd: np.ndarray, position: float, velocity: float) -> np.ndarray:
+    """Return the sd (N, 9) of position, velocity and attitude with factors on those of position and velocity."""
+    return sd * np.repeat([position, velocity, 1.0], 3)
 
 
 def accuracy(sol: Solution) -> dict[str, float]:

@@ -52,6 +52,7 @@ class Filter:
     smooth: bool = False  # each epoch by all fixes, those after it too
     lag_s: float = 0.0  # or by the fixes of the next seconds alone
     sd_factor: float = 1.0  # stated sd of positions are the filter's times this, see jaxnav solve
+    velocity_sd_factor: float = 1.0  # and those of velocities
     delay_sd_s: float = 0.0  # sd of the delay between IMU and fixes, which is one of positions along the track
     outages: tuple[tuple[float, ...], ...] = ()  # (start, end) s, fixes hidden from the filter
     standing_window_s: float = 1.0  # of the standstill detector: both sd, root sum square of axes, below these

@@ -126,7 +126,6 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "solve.measurement": {"subject": "speed", "value": 0.41, "gain": 0.82, "times": " with 3 times its sd"},
     "solve.left_out": {"subject": "barometer", "value": 1.01, "gain": -0.03, "times": ""},
     "solve.inflated": {"subject": "stated sd of positions", "value": 1.4, "count": 88},
-    "solve.velocity": {"subject": "stated sd of velocities", "value": 2.1, "count": 88},
     "solve.fault": {"subject": "receiver", "value": 40.0, "words": "59.5 to 99.5 s", "gain": 448.0},
     "solve.jump": {"subject": "positions", "value": 9.8, "t": 120.5},
     "solve.short": {"value": 41.0, "limit": 120.0},

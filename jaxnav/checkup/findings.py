@@ -535,13 +535,7 @@ KINDS: dict[str, Kind] = {
     "solve.inflated": Kind(
         INFO,
         "{subject} are {value:.2f} times the filter's: errors of {count} hidden fixes of the test part ask for it; "
-        "those of velocity and attitude are the filter's",
-    ),
-    "solve.velocity": Kind(
-        WARNING,
-        "{subject} are too small: errors of {count} hidden velocities of the test part are {value:.2f} times as large",
-        ("velocities that the receiver smooths or that are late", "vibration that the IMU's noise leaves out"),
-        ("a velocity's latency by [data] options, or measurements of positions alone: filter.measurements",),
+        "those of attitude are the filter's",
     ),
     "solve.fault": Kind(
         WARNING,

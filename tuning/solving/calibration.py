@@ -55,7 +55,8 @@ class Calibration(NamedTuple):
     before: Consistency  # on the test part, as the filter states them
     after: Consistency  # and with the factor
     ages: list[Age]  # of the test part, with the factor
-    velocity: Consistency | None = None  # of hidden velocities of the test part; None where there are none
+    velocity: Consistency | None = None  # of hidden velocities of the test part, with their factor
+    velocity_factor: float = 1.0  # that the stated sd of velocities are multiplied by
 
 
 def calibrate(final: Scored) -> Calibration:
@@ -68,10 +69,7 @@ def calibrate(final: Scored) -> Calibration:
         final: the filter, over the windows.
     """
     known, test = final.hidden("training", "validation"), final.hidden("test")
-    rms = lambda nees: float(np.sqrt(np.mean(nees) / 2)) if nees.size else 1.0
-    earlier, before = rms(known.nees()), consistency(test.nees())
-    too_small = min(earlier, before.error_over_sd) > MIN_FACTOR
-    factor = earlier if too_small else 1.0
+    before, factor = consistency(test.nees()), needed(known.nees(), test.nees())
     nees = test.nees() / factor**2
     step = final.used.layout.window / (len(AGES) - 1)
     place = np.rint(test.age / step).astype(int)
@@ -90,9 +88,17 @@ def calibrate(final: Scored) -> Calibration:
                 int(at.sum()),
             )
         )
-    velocities = final.velocities("test")
-    velocity = None if velocities is None or not velocities.age.size else consistency(velocities.nees())
-    return Calibration(factor, before, consistency(nees), rows, velocity)
+    velocities = final.velocities("training", "validation"), final.velocities("test")
+    earlier, later = (np.zeros(0) if each is None else each.nees() for each in velocities)
+    velocity_factor = needed(earlier, later)
+    velocity = consistency(later / velocity_factor**2) if later.size else None
+    return Calibration(factor, before, consistency(nees), rows, velocity, velocity_factor)
+
+
+def needed(known: np.ndarray, test: np.ndarray) -> float:
+    """Return the factor that sd need by normalised squares of known data (K,); 1 if those of the test need none."""
+    factor, later = (float(np.sqrt(np.mean(nees) / 2)) if nees.size else 1.0 for nees in (known, test))
+    return factor if min(factor, later) > MIN_FACTOR else 1.0
 
 
 def consistency(nees: np.ndarray) -> Consistency:

@@ -206,18 +206,16 @@ def solve(
     delivered = initialization(bench.recording, params)
     final = bench.score(final.filter if tuned is None else tuned.filter, params, delivered)
     calibration = calibrate(final)
-    if calibration.factor > 1.0:
-        findings.append(
-            finding("solve.inflated", "stated sd of positions", calibration.factor, count=calibration.after.fixes)
-        )
-    if (velocity := calibration.velocity) is not None and velocity.too_small:
-        findings.append(
-            finding("solve.velocity", "stated sd of velocities", velocity.error_over_sd, count=velocity.fixes)
-        )
+    for name, factor, counted in (
+        ("positions", calibration.factor, calibration.after),
+        ("velocities", calibration.velocity_factor, calibration.velocity),
+    ):
+        if factor > 1.0 and counted is not None:
+            findings.append(finding("solve.inflated", f"stated sd of {name}", factor, count=counted.fixes))
     stages.next()
     sol = run(
         final.filter, params, initialization=delivered, smooth=smooth, sd_factor=calibration.factor,
-        delay_sd=found.latency_sd,
+        velocity_sd_factor=calibration.velocity_factor, delay_sd=found.latency_sd,
     )  # fmt: skip
     nis = receiver_nis(sol.trace.info, sol.measurements, sol.packed.t > bench.layout.validation)
     said = [f for f in distinct([*findings, *unwidened(sol, choice.tried)]) if f.code not in gone]

@@ -93,7 +93,7 @@ def filter(config: Config, folder: Path) -> Outcome:
         rec, filt, params, scan=grade_name(config, scenario) == AUTO and not states_noise(config),
         initialization=partial(initialization_of, config), stop=config.data.stop, outages=f.outages,
         interval=f.interval_s, standing=standing_of(config), smooth=f.smooth, lag=f.lag_s,
-        sd_factor=f.sd_factor, delay_sd=f.delay_sd_s,
+        sd_factor=f.sd_factor, velocity_sd_factor=f.velocity_sd_factor, delay_sd=f.delay_sd_s,
     )  # fmt: skip
     seconds["filter"], begin = time.perf_counter() - begin, time.perf_counter()
     found = sol.metrics() | {"grade": grade_name(config, scenario), "time": time_of(config, sol)}

@@ -132,7 +132,8 @@ def reproducing(config: Config, found: Solved) -> Config:
     extra = tuple(name for name in sol.filter.model.states if name not in BIASES)
     chosen = FilterSection(
         name=sol.filter.name, grade=DATASHEET, states=extra, measurements=tuple(sol.filter.model.measurements),
-        cov_stride=COV_STRIDE, smooth=sol.smoothed, sd_factor=sol.sd_factor, delay_sd_s=sol.delay_sd,
+        cov_stride=COV_STRIDE, smooth=sol.smoothed, sd_factor=sol.sd_factor, velocity_sd_factor=sol.velocity_sd_factor,
+        delay_sd_s=sol.delay_sd,
         standing_accel_sd_mps2=standing.accel_sd, standing_gyro_sd_deg_per_s=standing.gyro_sd / DEG,
         outages=found.left_out,
     )  # fmt: skip

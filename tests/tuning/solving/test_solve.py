@@ -18,7 +18,7 @@ from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import DataError, Samples
 from tuning.solving import corrections, sensors, solve
-from tuning.solving.calibration import Calibration, Consistency, calibrate
+from tuning.solving.calibration import Calibration, Consistency, calibrate, consistency
 from tuning.solving.corrections import AXES, DRIFT, OFFSET, correct, turned
 from tuning.solving.sensors import Option, growth, larger, options, standing_of
 
@@ -72,7 +72,7 @@ def test_a_drive_in_order_is_left_alone(drive):
 
 
 def test_stated_sd_grow_by_the_factor_of_the_calibration(drive, monkeypatch):
-    monkeypatch.setattr(solve, "calibrate", lambda final: calibrated(0.95)._replace(factor=2.0))
+    monkeypatch.setattr(solve, "calibrate", lambda final: calibrated(0.95)._replace(factor=2.0, velocity_factor=1.5))
     monkeypatch.setattr(solve, "options", lambda rec, found: [])
     before = []
     found = solve.solve(drive, fast=True, smooth=False, so_far=before.append)
@@ -81,7 +81,7 @@ def test_stated_sd_grow_by_the_factor_of_the_calibration(drive, monkeypatch):
     assert one == pytest.approx(0.5, rel=0.3) and two > 0 and all(each.calibration is None for each in before)
     assert "solve.inflated" in {f.code for f in found.findings}
     P = np.asarray(found.solution.trace.info.P)
-    factor = np.repeat([2.0, 1.0, 1.0], 3)  # of hidden positions: velocity and attitude stay
+    factor = np.repeat([2.0, 1.5, 1.0], 3)  # of hidden positions and velocities: attitude stays
     np.testing.assert_allclose(found.solution.sd, factor * np.sqrt(np.diagonal(P, axis1=1, axis2=2)[:, :9]))
     np.testing.assert_allclose(found.solution.at_imu_rate()[1][-1], found.solution.sd[-1], rtol=1e-6)
 
@@ -107,6 +107,9 @@ def test_what_is_judged_is_what_is_delivered(drive, monkeypatch):
     assert test.sum() > 5
     rms = np.sqrt((error[test, :2] ** 2).sum(1).mean())
     assert found.drift_m["solution"] == pytest.approx(rms, rel=1e-3)
+    velocities = final.velocities("training", "validation", "test")
+    assert len(velocities.age) > 60 and velocities.age.max() > 5.0
+    assert consistency(velocities.nees()).error_over_sd == pytest.approx(1.0, abs=0.35)
 
 
 # ---------------------------------------------------------------------------- measurements

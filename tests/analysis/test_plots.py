@@ -310,6 +310,8 @@ def test_innovations_are_normalised_and_channels_never_valid_are_dropped():
     fig = plots_stats.innovations(T, nu, S, valid, names)
     assert [ax.get_title().split(":")[0][-1] for ax in fig.axes] == list("013456")
     assert fig.get_suptitle() == "first 6 of 7 channels"
+    plots.name(fig, "nis", "a drive")
+    assert fig.get_suptitle() == "NIS: a drive (first 6 of 7 channels)"
     z = line(fig.axes[1], "innovation / its sd")[1]
     assert np.isnan(z[:100]).all()
     np.testing.assert_allclose(z[100:], nu[100:, 1] / np.sqrt(4.1))

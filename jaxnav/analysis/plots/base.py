@@ -26,6 +26,11 @@ Outages = Sequence[tuple[float, float]]
 BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"  # Okabe and Ito, safe for colour-blind
 ORANGE, SKY, BLACK = "#E69F00", "#56B4E9", "#000000"
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+TITLES = {
+    "nis": "NIS", "mc_errors": "Errors of all runs", "mc_consistency": "Consistency of all runs",
+    "mc_spread": "Spread of all runs",
+}  # fmt: skip
+"""Titles of figures whose names are none."""
 
 # ---------------------------------------------------------------------------- shared by all figures
 
@@ -56,10 +61,11 @@ def save(fig: "Figure", path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def name(fig: "Figure", text: str) -> None:
-    """Write the subject of a figure above it."""
-    more = fig.get_suptitle()
-    fig.suptitle(f"{text}: {more}" if more else text, x=0.01, ha="left", fontsize=8, color="0.35")
+def name(fig: "Figure", key: str, subject: str) -> None:
+    """Write a title above a figure: its name, such as ``"trajectory"``, and its subject."""
+    title = TITLES.get(key, key.replace("_", " ").capitalize())
+    more = f" ({more})" if (more := fig.get_suptitle()) else ""
+    fig.suptitle(f"{title}: {subject}{more}", x=0.01, ha="left", fontsize=11)
 
 
 def dress(ax: "Axes", title: str = "", xlabel: str = "", ylabel: str = "") -> None:

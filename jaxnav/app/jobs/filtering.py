@@ -128,7 +128,7 @@ def draw(folder: Path, config: Config, sol: Solution) -> None:
     """Draw the figures of a run."""
     with picture("the run"):
         for name, fig in sol.plot().items():
-            plots.name(fig, titled(config, sol))
+            plots.name(fig, name, titled(config, sol))
             plots.save(fig, folder / f"{name}.png")
 
 

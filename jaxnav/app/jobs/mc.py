@@ -82,6 +82,7 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
     if draws(config):
         with picture("the runs"):
             for name, fig in plots_mc.figures(found, scenario.gnss.outages_s).items():
+                plots.name(fig, name, scenario.name)
                 plots.save(fig, folder / f"{name}.png")
     return Outcome(about, _text(about, scenario), seconds, stopped, findings=findings_of(about))
 

@@ -280,5 +280,6 @@ def draw(folder: Path, result: Result, config: Config) -> tuple[list[str], Calla
     with picture("the run"):
         sol = navigate(result.recording, found.filter, found.params, initialization=result.initialization)
         for name, fig in sol.plot().items() if draws(config, interactive=True) else ():
+            plots.name(fig, name, f"{found.filter.name}, tuned")
             plots.save(fig, folder / f"{name}.png")
     return files, None if sol is None else sol.layout

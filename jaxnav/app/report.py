@@ -15,6 +15,7 @@ from jaxnav.io import atomic_write
 from jaxnav.io.json import to_json
 from jaxnav.types import Finding
 
+TRACK = "trajectory"  # the figure that a report begins with
 STYLE = """
 :root { --ink: #222; --paper: #fff; --soft: #f5f5f5; --line: #ddd; --good: #1a7f37; --care: #9a6700; --bad: #cf222e }
 @media (prefers-color-scheme: dark) {
@@ -67,7 +68,8 @@ def write(folder: Path, verb: str, config: Config, outcome: Outcome) -> None:
         outcome: its result. Without bokeh its PNG files stand for the interactive figures.
     """
     head, body = interactive(outcome.layout)
-    drawn = [path for path in sorted(folder.glob("*.png")) if not body or path.name in outcome.pictures]
+    files = sorted(folder.glob("*.png"), key=lambda path: (path.stem != TRACK, path.name))
+    drawn = [path for path in files if not body or path.name in outcome.pictures]
     body = "\n".join([*map(_image, drawn), *([body] if body else [])])
     if outcome.layout is not None and not head:
         body += "\n<p>With <code>pip install bokeh</code> the pictures here can be zoomed into.</p>"

@@ -40,10 +40,12 @@ def test_without_bokeh_the_pictures_are_in_it(tmp_path, monkeypatch):
 
     monkeypatch.setattr(builtins, "__import__", missing)
     fig = matplotlib.figure.Figure()
-    fig.savefig(tmp_path / "nis.png")
+    for name in ("errors", "nis", "trajectory"):
+        fig.savefig(tmp_path / f"{name}.png")
     report.write(tmp_path, "filter", Config(), Outcome({}, "a <run> of 3 m", {}, layout=lambda: None))
     page = (tmp_path / "report.html").read_text()
     assert "data:image/png;base64," in page and "a &lt;run&gt; of 3 m" in page and "pip install bokeh" in page
+    assert re.findall(r'alt="(\w+)"', page) == ["trajectory", "errors", "nis"]
 
 
 def test_what_cannot_be_drawn_is_a_warning_and_parameters_are_a_table(tmp_path, capsys, monkeypatch):

@@ -63,9 +63,15 @@ def _found(files: Files, pattern: str) -> Path:
 
 
 def column_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> np.ndarray:
-    """(N,) numbers of one column."""
+    """(N,) numbers of ``COLUMN``, ``-COLUMN`` or ``{ column = COLUMN, times = 0.01 }``."""
+    if isinstance(ref, Mapping):
+        known(dict(ref), ("column", "times"), f"{files.map}: {key}: column")
+        if "column" not in ref:
+            raise DataError(f"{files.map}: {key}: expected {{ column = .., times = .. }}, got {dict(ref)}")
+        return column_of(files, table, ref["column"], key) * float(ref.get("times", 1.0))
     sheet, name = sheet_of(files, table, ref, key)
-    return numbers(sheet, name)
+    negative = name.startswith("-") and name not in sheet.columns and name[1:] in sheet.columns
+    return -numbers(sheet, name[1:]) if negative else numbers(sheet, name)
 
 
 def table_of(files: Files, table: dict[str, Any], key: str, stream: str, size: int = 3) -> np.ndarray:
@@ -158,10 +164,12 @@ def sd_of(files: Files, table: dict[str, Any], stream: str, size: int) -> np.nda
 
 
 def _sd(files: Files, table: dict[str, Any], entry: Any, stream: str) -> Any:
-    """Return a number, a column, or ``{column = "HDOP", times = 2.5}``."""
+    """Return a number, a column, or ``{column = "HDOP", times = 2.5}``; of variances with ``variance = true``."""
     if isinstance(entry, (int, float)):
         return float(entry)
-    if isinstance(entry, dict):
-        known(entry, ("column", "times"), f"{files.map}: {stream}: sd")
-        return column_of(files, table, entry.get("column"), stream) * float(entry.get("times", 1.0))
-    return column_of(files, table, entry, stream)
+    if not (isinstance(entry, Mapping) and "variance" in entry):
+        return column_of(files, table, entry, stream)
+    ref = dict(entry)
+    known({"variance": (squares := ref.pop("variance"))}, ("variance",), f"{files.map}: {stream}: sd")
+    values = column_of(files, table, ref, stream)
+    return np.sqrt(np.where(values >= 0, values, np.nan)) if squares else values

@@ -13,7 +13,7 @@ def _number(value: Any) -> bool:
 
 
 def _column(value: Any) -> bool:
-    return isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool))
+    return isinstance(value, (str, Mapping)) or (isinstance(value, int) and not isinstance(value, bool))
 
 
 def _listed(one: Callable[[Any], bool], size: int = 0) -> Callable[[Any], bool]:
@@ -23,7 +23,7 @@ def _listed(one: Callable[[Any], bool], size: int = 0) -> Callable[[Any], bool]:
 
 
 def _sd(value: Any) -> bool:
-    return _number(value) or _column(value) or isinstance(value, Mapping)
+    return _number(value) or _column(value)
 
 
 KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
@@ -31,7 +31,7 @@ KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "number": ("a number", _number),
     "flag": ("true or false", lambda value: isinstance(value, bool)),
     "path": ("a path", lambda value: isinstance(value, (str, os.PathLike))),
-    "column": ("a column, by name or number", _column),
+    "column": ("a column, by name or number, or { column, times }", _column),
     "columns": ("a list of columns", _listed(_column)),
     "some": ("a column or a list of columns", lambda value: _column(value) or _listed(_column)(value)),
     "three": ("3 numbers", lambda value: getattr(value, "shape", None) == (3,) or _listed(_number, 3)(value)),
@@ -51,7 +51,8 @@ OF: dict[str, str] = {
     **dict.fromkeys(("time_shift_s", "rate_hz", "radius", "elevation_mask_deg", "cn0_mask_dbhz"), "number"),
     **dict.fromkeys(("unit", "h_unit", "gyro_unit", "accel_unit", "course_unit", "rph_unit", "time_unit", "time_scale",
                      "time_tag", "delimiter", "sampling", "name", "notes", "folder"), "text"),
-    **dict.fromkeys(("header", "repair", "emission"), "flag"), **dict.fromkeys(("sd", "sd_enu", "sd_ned"), "sd"),
+    **dict.fromkeys(("header", "repair", "emission", "variance"), "flag"),
+    **dict.fromkeys(("sd", "sd_enu", "sd_ned"), "sd"),
     **dict.fromkeys(("where", "read", "imu", "truth", "satellites"), "table"),
     "column": "column", "times": "number",
     "file": "file", "axes": "axes", "skip": "rows", "lever_arm_frd_m": "three", "origin_deg": "three",

@@ -411,3 +411,27 @@ def test_a_map_reads_other_files_in_place_of_its_own(tmp_path):
         read(tmp_path / "a.csv", map=EXAMPLES / "drive.toml")
     with pytest.raises(DataError, match="expected a column map"):
         read(tmp_path / "a.csv", map=EXAMPLES / "drive_imu.csv")
+
+
+def test_signs_and_counts_of_columns(folder):
+    want = recording().imu.gyro * [-1.0, 0.5, 2.0]
+    text = IMU.replace('["wx", "wy", "wz"]', '["-wx", { column = "wy", times = 0.5 }, { column = "-4", times = -2 }]')
+    np.testing.assert_allclose(mapped(folder, text).imu.gyro, want, rtol=1e-12)
+    files = IMU.replace('file = "imu.csv"', 'file = { i = "imu.csv" }')
+    for name in "t wx wy wz fx fy fz".split():
+        files = files.replace(f'"{name}"', f'"i:{name}"')
+    text = files.replace("i:wx", "i:-wx")
+    np.testing.assert_allclose(mapped(folder, text).imu.gyro[:, 0], want[:, 0], rtol=1e-12)
+    assert "no column -w" in error(folder, IMU.replace('"wx"', '"-w"'))
+    assert "expected { column" in error(folder, IMU.replace('"wx"', "{ times = 2 }"))
+    assert "time: unknown key; did you mean times" in error(folder, IMU.replace('"wx"', '{ column = "wx", time = 2 }'))
+
+
+def test_sd_of_variances(folder):
+    text = 'lla = ["lat", "lon", "h"]\nwhere = { status = ">=3" }\nnew_where = ["lat", "h"]\nsd_enu = '
+    sd = (
+        with_fixes(folder, text + '[{ column = "hdop", variance = true, times = 4 }, "hdop", 4.0]\n')
+        .aiding["position"]
+        .sd
+    )
+    np.testing.assert_allclose(sd, [[np.sqrt(6.0), 1.5, 4.0], [np.sqrt(8.0), 2.0, 4.0]])

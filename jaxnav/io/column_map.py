@@ -303,7 +303,13 @@ def _one(files: Files, table: dict[str, Any], keys: tuple[str, ...], stream: str
 
 def _position(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     key = _one(files, table, ("lla", "enu", "ned", "ecef"), name)
-    values = table_of(files, table, key, name)
+    level = key != "ecef" and name != "truth" and len(table[key]) == 2  # no height: `mend` gives it a large sd
+    values = table_of(files, table, key, name, 2 if level else 3)
+    lla = _lla(files, table, name, key, np.pad(values, ((0, 0), (0, 3 - values.shape[1]))))
+    return np.where(level & (np.arange(3) == 2), np.nan, lla)
+
+
+def _lla(files: Files, table: dict[str, Any], name: str, key: str, values: np.ndarray) -> np.ndarray:
     if key == "lla":
         scale = units.factor(table, "unit", "angle", f"{files.map}: {name}", "deg")
         height = units.factor(table, "h_unit", "length", f"{files.map}: {name}", "m")

@@ -318,11 +318,11 @@ def _with_heights(value: np.ndarray, sd: np.ndarray, notes: list[Note]) -> tuple
     lost = missing.no_height(value[:, 2]) & ~none
     value = np.where(none[:, None], np.nan, value)
     if lost.any():
-        notes.append(
-            f"position: {lost.sum()} of {len(lost)} rows have no height, or a mark for none: it is interpolated, with "
-            f"an sd of {missing.UNMEASURED_SD:g} m."
-        )
         known, k = ~lost & ~none, np.arange(len(lost))
+        notes.append(
+            f"position: {lost.sum()} of {len(lost)} rows have no height, or a mark for none: it is "
+            f"{'interpolated' if known.any() else '0 m'}, with an sd of {missing.UNMEASURED_SD:g} m."
+        )
         value[lost, 2] = np.interp(k[lost], k[known], value[known, 2]) if known.any() else 0.0
         sd[lost, 2] = missing.UNMEASURED_SD
     return value, sd

@@ -155,9 +155,9 @@ FIXES = np.array(
 )
 
 
-def with_fixes(folder: Path, text: str, table: np.ndarray = FIXES):
+def with_fixes(folder: Path, text: str, table: np.ndarray = FIXES, origin: str = ""):
     (folder / "fix.csv").write_text(format_csv(["t", "lat", "lon", "h", "status", "hdop"], table))
-    return mapped(folder, IMU + '[position]\nfile = "fix.csv"\ntime = "t"\n' + text)
+    return mapped(folder, origin + IMU + '[position]\nfile = "fix.csv"\ntime = "t"\n' + text)
 
 
 def test_rows_that_are_new_and_valid_and_sd_from_hdop(folder):
@@ -435,3 +435,14 @@ def test_sd_of_variances(folder):
         .sd
     )
     np.testing.assert_allclose(sd, [[np.sqrt(6.0), 1.5, 4.0], [np.sqrt(8.0), 2.0, 4.0]])
+
+
+@pytest.mark.parametrize("text", ['lla = ["lat", "lon"]\n', 'enu = ["lat", "lon"]\n'])
+def test_positions_without_a_height(folder, text):
+    origin = "origin_deg = [48.0, 11.0, 500.0]\n"
+    rec = with_fixes(folder, text, origin=origin)
+    position = rec.aiding["position"]
+    assert (position.value[:, 2] == 0.0).all() and (position.sd[:, 2] == 1e3).all() and (position.sd[:, :2] < 10).all()
+    assert f"{len(position.t)} rows have no height" in rec.notes
+    three = with_fixes(folder, text.replace('"lon"', '"lon", "h"'), origin=origin).aiding["position"]
+    np.testing.assert_allclose(position.value[:, :2], three.value[:, :2], atol=1e-6)

@@ -69,7 +69,7 @@ def read_map(
         path: the map.
         base: reads the file that the table [read] names, with its options.
         folder: of the data, instead of the map's ``folder``, which is relative to the map.
-        files: in place of those that the map names, in the order of their first mention.
+        files: in place of those that the map names: the IMU's, then others in the order of their first mention.
 
     Raises:
         DataError: a key, file, column or unit that is not known, or data that cannot be read.
@@ -86,7 +86,8 @@ def read_map(
 
 def _with_files(table: dict[str, Any], file: str, files: Sequence[FilePath]) -> dict[str, Any]:
     """Return a map that names other files."""
-    named = list(dict.fromkeys(_files(table)))
+    imu_first = {key: table[key] for key in sorted(table, key=lambda key: key not in ("read", "imu"))}
+    named = list(dict.fromkeys(_files(imu_first)))
     if len(named) != len(files):
         given = ", ".join(os.fspath(path) for path in files)
         raise DataError(f"{file}: the map names {len(named)} files ({', '.join(named)}), in their place come {given}")

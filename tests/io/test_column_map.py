@@ -404,8 +404,11 @@ def test_a_map_reads_other_files_in_place_of_its_own(tmp_path):
     want = read(EXAMPLES / "drive.toml")
     one = read(tmp_path / "a.csv", gnss=tmp_path / "b.csv", map=EXAMPLES / "drive.toml")
     folder = read(tmp_path / "today", map=EXAMPLES / "drive.toml")
+    arm, imu, fixes = (EXAMPLES / "drive.toml").read_text().replace("[position]", "[imu]", 1).split("[imu]")
+    (tmp_path / "turned.toml").write_text(f"{arm}[position]{fixes}\n[imu]{imu}")
+    turned = read(tmp_path / "a.csv", gnss=tmp_path / "b.csv", map=tmp_path / "turned.toml")
     assert (one.name, folder.name) == ("a", "today")
-    for rec in (one, folder):
+    for rec in (one, folder, turned):
         chex.assert_trees_all_equal((rec.imu, rec.aiding, rec.lever_arm), (want.imu, want.aiding, want.lever_arm))
     with pytest.raises(DataError, match=r"the map names 2 files \(drive_imu.csv, drive_gnss.csv\), in their place"):
         read(tmp_path / "a.csv", map=EXAMPLES / "drive.toml")

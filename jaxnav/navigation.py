@@ -21,6 +21,7 @@ from jaxnav.checkup.inertial import gap_findings
 from jaxnav.checkup.motion import mixups
 from jaxnav.checkup.witnesses import headings
 from jaxnav.filters import epochs as ep
+from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK, holes
 from jaxnav.filters.lanes import relative_variance, slow_errors
@@ -249,6 +250,7 @@ def navigate(
         FilterError: a run that stops being finite; says when.
         ValueError: params that are not the filter's, or a filter that cannot be smoothed.
     """
+    clear_caches_if_needed()  # of a script that goes through many recordings
     if (smooth or lag) and not filt.supports_smoothing:
         raise ValueError("this filter's rule corrects by more than the covariance says: it cannot be smoothed")
     if params is not None:

@@ -90,8 +90,8 @@ def process_usage() -> ProcessUsage:
 def clear_caches_if_needed(maps: int = 30_000, resident: float | None = None) -> bool:
     """Drop all compiled programs if this process holds too much memory, and log it.
 
-    Called by Monte Carlo, tuning and the bake-off before they compile, and by a user who loops over many filters.
-    Programs in use compile again.
+    Called by `navigate`, `solve`, Monte Carlo, tuning and the bake-off before they compile, and by whoever loops over
+    many filters. Programs in use compile again.
 
     Args:
         maps: limit of memory mappings; Linux allows 65,530 (`vm.max_map_count`), one more filter may add ten thousand.

@@ -16,6 +16,7 @@ from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
+from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import installed
 from jaxnav.filters.scores import normalized
@@ -132,6 +133,7 @@ def solve(
         FilterError: the filter stops being finite.
     """
     require_positions(rec)
+    clear_caches_if_needed()  # of a script that goes through many recordings
     stages = Stages([CHECK, FIRST, NOISE, SCORES, TUNE, CALIBRATE, WHOLE], log, limit=limit)
     stages.next()
     checked = check(rec)

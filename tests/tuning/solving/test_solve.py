@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxnav import navigation
 from jaxnav.analysis.usage import consistency_findings, nis_by_channel
 from jaxnav.analysis.windows import drift
 from jaxnav.checkup.findings import finding
@@ -74,8 +75,11 @@ def test_a_drive_in_order_is_left_alone(drive):
 def test_stated_sd_grow_by_the_factor_of_the_calibration(drive, monkeypatch):
     monkeypatch.setattr(solve, "calibrate", lambda final: calibrated(0.95)._replace(factor=2.0, velocity_factor=1.5))
     monkeypatch.setattr(solve, "options", lambda rec, found: [])
-    before = []
+    before, asked = [], []
+    monkeypatch.setattr(solve, "clear_caches_if_needed", lambda: asked.append("solve"))
+    monkeypatch.setattr(navigation, "clear_caches_if_needed", lambda: asked.append("navigate"))
     found = solve.solve(drive, fast=True, smooth=False, so_far=before.append)
+    assert asked[0] == "solve" and asked.count("navigate") == 3  # so that many recordings fit into a process
     assert ["noise by likelihood" in each.why for each in before] == [True, False]
     one, two = (np.median(each.solution.sd[:, 0]) for each in before)
     assert one == pytest.approx(0.5, rel=0.3) and two > 0 and all(each.calibration is None for each in before)

@@ -97,7 +97,7 @@ DATA = (
         reads=True,
         more={"nargs": "*"},
     ),
-    Argument("--data", "SOURCE, of scripts", "data.source", value="SOURCE"),
+    Argument("--data", "the same as SOURCE", "data.source", value="SOURCE"),
 )
 PATH = Argument(
     "path", "file or folder of any known format, or a column map; a second one has the fixes of an IMU's file",

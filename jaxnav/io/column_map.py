@@ -41,7 +41,7 @@ from jaxnav.types import DataError, Track
 COMMON = tuple(
     "file delimiter header time time_unit time_scale time_tag time_shift_s rate_hz skip where new_where".split()
 )
-FILES = ("file", "gnss")  # keys whose values are names of files
+FILES = ("file", "gnss", "nav", "time_tag")  # keys whose values are names of files
 TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", "satellites", *COMMON)
 KEYS: dict[str, tuple[str, ...]] = {
     "imu": (*COMMON, *"gyro gyro_unit accel accel_unit accel_time axes sampling repair".split()),
@@ -75,12 +75,12 @@ def read_map(
         DataError: a key, file, column or unit that is not known, or data that cannot be read.
     """
     file, table = os.fspath(path), _load(path)
+    if files:
+        return described(_with_files(table, file, files), file, Path(), base)
     said = os.path.expandvars(table.get("folder", "."))
     if "$" in said and folder is None:
         raise DataError(f"{file}: folder: {said} names an environment variable that is not set")
     where = Path(folder) if folder is not None else Path(path).parent / said
-    if files:
-        table, where = _with_files(table, file, files), Path()
     return described(table, file, where, base)
 
 

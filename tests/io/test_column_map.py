@@ -405,13 +405,17 @@ def test_a_map_reads_other_files_in_place_of_its_own(tmp_path):
     one = read(tmp_path / "a.csv", gnss=tmp_path / "b.csv", map=EXAMPLES / "drive.toml")
     folder = read(tmp_path / "today", map=EXAMPLES / "drive.toml")
     arm, imu, fixes = (EXAMPLES / "drive.toml").read_text().replace("[position]", "[imu]", 1).split("[imu]")
-    (tmp_path / "turned.toml").write_text(f"{arm}[position]{fixes}\n[imu]{imu}")
+    folder_of = 'folder = "$NOT_SET"\n'  # of the map's files, which are not read
+    (tmp_path / "turned.toml").write_text(f"{folder_of}{arm}[position]{fixes}\n[imu]{imu}")
     turned = read(tmp_path / "a.csv", gnss=tmp_path / "b.csv", map=tmp_path / "turned.toml")
     assert (one.name, folder.name) == ("a", "today")
     for rec in (one, folder, turned):
         chex.assert_trees_all_equal((rec.imu, rec.aiding, rec.lever_arm), (want.imu, want.aiding, want.lever_arm))
     with pytest.raises(DataError, match=r"the map names 2 files \(drive_imu.csv, drive_gnss.csv\), in their place"):
         read(tmp_path / "a.csv", map=EXAMPLES / "drive.toml")
+    (tmp_path / "tagged.toml").write_text(IMU + 'time_tag = "of_yesterday.tag"\n')
+    with pytest.raises(DataError, match=r"2 files \(imu.csv, of_yesterday.tag\)"):
+        read(tmp_path / "a.csv", map=tmp_path / "tagged.toml")
     with pytest.raises(DataError, match="expected a column map"):
         read(tmp_path / "a.csv", map=EXAMPLES / "drive_imu.csv")
 

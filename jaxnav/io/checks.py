@@ -12,6 +12,12 @@ MAX_GAPS = 0.1  # share of the rows that may come after a gap; more, and it is d
 MIN_DT = 1e-6  # s
 MAX_RATE = 35.0  # rad/s, 2000 deg/s: full scale of the fastest common gyros
 MAX_FORCE = 5000.0  # m/s^2
+MAX_LINEAR = 1.5  # m/s^2, mean on any axis of an accelerometer without gravity
+NO_GRAVITY = (
+    "gravity was taken out by the logger, and no filter can do without it: log the raw or calibrated accelerometer "
+    "(phone apps: TotalAcceleration, AccelerometerUncalibrated; BNO055: ACC_DATA; BNO08x: accelerometer, not linear "
+    "acceleration; ROS drivers: imu/data_raw)"
+)
 GRAVITY, GRAVITY_TOLERANCE = 9.8, 2.2  # m/s^2; accelerometers of public logs are off by up to 2
 MAX_LEVER_ARM = 100.0  # m
 
@@ -50,15 +56,21 @@ def check_imu(imu: ImuLog, source: Source) -> ImuLog:
     fits = np.abs(hole) < slack if gap.mean() > MAX_GAPS else hole > -slack
     _require(fits, source, "imu", "dt the time since the row before", dt)
     gyro = _bounded(imu.gyro, (n, 3), source, "imu gyro")
-    hint = f"|gyro| below {MAX_RATE:g} rad/s (degrees per second?)"
+    hint = f"|gyro| below {MAX_RATE:g} rad/s (degrees per second? counts of the sensor? gyro_unit = '1/131 deg/s')"
     _require(np.abs(gyro) < MAX_RATE, source, "imu", hint, gyro)
     accel = _bounded(imu.accel, (n, 3), source, "imu accel")
-    _require(np.abs(accel) < MAX_FORCE, source, "imu", f"|accel| below {MAX_FORCE:g} m/s^2 (mg?)", accel)
+    _require(
+        np.abs(accel) < MAX_FORCE,
+        source,
+        "imu",
+        f"|accel| below {MAX_FORCE:g} m/s^2 (mg? counts of the sensor?)",
+        accel,
+    )
     force = quiet_force(imu)
     if abs(force - GRAVITY) > GRAVITY_TOLERANCE:
         raise DataError(
             f"{source.file}: imu accel must show gravity, {GRAVITY} +- {GRAVITY_TOLERANCE} m/s^2, in some quiet 2 s, "
-            f"got {force:.4g}{_guess(force, float(np.median(dt)))}"
+            f"got {force:.4g}{_guess(force, float(np.median(dt)), imu.accel)}"
         )
     return imu
 
@@ -184,7 +196,8 @@ def _unit_of(dt: np.ndarray) -> str:
     return f" (times in {fits[0]}? set time_unit)" if fits else ""
 
 
-def _guess(force: float, dt: float) -> str:
+def _guess(force: float, dt: float, accel: np.ndarray) -> str:
+    """Return what a quiet force (m/s^2) other than gravity looks like."""
     guesses = []
     if abs(force - 1.0) < 0.35:
         guesses.append("g instead of m/s^2")
@@ -192,4 +205,9 @@ def _guess(force: float, dt: float) -> str:
         guesses.append("increments instead of rates")
     if abs(force / 32.17 - 1.0) < 0.1:
         guesses.append("feet")
-    return f": looks like {' or '.join(guesses)}" if guesses else ""
+    if guesses:
+        return f": looks like {' or '.join(guesses)}"
+    if not accel.any():
+        return ": it reads 0 on all axes: accelerations are in another topic, message or file"
+    mean = np.abs(accel.mean(axis=0)).max()
+    return f": the mean is at most {mean:.2g} m/s^2 on any axis: {NO_GRAVITY}" if mean < MAX_LINEAR else ""

@@ -1,6 +1,7 @@
 """A column map: a few lines of TOML that give the meaning of a file's columns; see ``docs/formats.md``."""
 
 import os
+import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -31,7 +32,7 @@ from jaxnav.io.mend import GAP_STEPS, MAX_TIME_S
 from jaxnav.io.options import OF
 from jaxnav.io.parts import INCREMENTS, RATES, SAMPLINGS, ImuRows, Parts, Stream, TimeScale, counted_from
 from jaxnav.io.sheet import DAYS, column, open_sheet
-from jaxnav.maths.axes import enu_to_ecef, geodetic, local_to_lla, rotation
+from jaxnav.maths.axes import enu_to_ecef, geodetic, local_to_lla, rotation, utm_to_lla
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import with_data
@@ -45,9 +46,12 @@ FILES = ("file", "gnss", "nav", "time_tag")  # keys whose values are names of fi
 TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu", "truth", "satellites", *COMMON)
 KEYS: dict[str, tuple[str, ...]] = {
     "imu": (*COMMON, *"gyro gyro_unit accel accel_unit accel_time axes sampling repair".split()),
-    "position": (*COMMON, *"lla enu ned ecef unit h_unit sd sd_enu sd_ned".split()),
+    "position": (*COMMON, *"lla enu ned ecef utm zone unit h_unit sd sd_enu sd_ned".split()),
     "velocity": (*COMMON, *"enu ned neu ecef speed_course up down unit course_unit sd sd_enu sd_ned".split()),
-    "truth": (*COMMON, *"lla enu ned ecef unit h_unit velocity_enu velocity_ned velocity_ecef rph rph_unit".split()),
+    "truth": (
+        *COMMON,
+        *"lla enu ned ecef utm zone unit h_unit velocity_enu velocity_ned velocity_ecef rph rph_unit".split(),
+    ),
     "magnetometer": (*COMMON, "value", "unit", "axes", "sd"),
     "baseline": (*COMMON, *"enu ned unit sd sd_enu sd_ned".split()),
     "satellites": (
@@ -57,6 +61,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     ),
     "wheels": (*COMMON, "left", "right", "unit", "radius", "sd"),
 }
+MAX_LOCAL_M = 500e3  # m; farther from its origin a plane is no map
 SCALAR = (*COMMON, "value", "unit", "sd")  # of every other stream
 
 
@@ -208,7 +213,8 @@ def _with_imu(parts: Parts, files: Files, table: dict[str, Any]) -> Parts:
 
 def _scale(table: dict[str, Any], where: str) -> TimeScale:
     """Return the time scale that a table states; dates are UTC, RTKLIB's tags GPS time."""
-    usual = TimeScale.UTC if table.get("time_unit") in ("iso", *DAYS) else TimeScale.UNKNOWN
+    unit = str(table.get("time_unit"))
+    usual = TimeScale.UTC if unit in ("iso", *DAYS) or "%y" in unit.lower() else TimeScale.UNKNOWN
     said = table.get("time_scale", TimeScale.GPS if "time_tag" in table else usual)
     if said not in tuple(TimeScale):
         raise DataError(f"{where}: time_scale: {units.nearest(str(said), tuple(TimeScale))}")
@@ -303,7 +309,7 @@ def _one(files: Files, table: dict[str, Any], keys: tuple[str, ...], stream: str
 
 
 def _position(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
-    key = _one(files, table, ("lla", "enu", "ned", "ecef"), name)
+    key = _one(files, table, ("lla", "enu", "ned", "ecef", "utm"), name)
     level = key != "ecef" and name != "truth" and len(table[key]) == 2  # no height: `mend` gives it a large sd
     values = table_of(files, table, key, name, 2 if level else 3)
     lla = _lla(files, table, name, key, np.pad(values, ((0, 0), (0, 3 - values.shape[1]))))
@@ -318,8 +324,22 @@ def _lla(files: Files, table: dict[str, Any], name: str, key: str, values: np.nd
     values = values * units.factor(table, "unit", "length", f"{files.map}: {name}", "m")
     if key == "ecef":
         return geodetic(values)
+    if key == "utm":
+        zone = re.fullmatch(r"([1-9]|[1-5]\d|60) ?([C-HJ-NP-X]|north|south)", table.get("zone", ""))
+        if zone is None:
+            raise DataError(
+                f"{files.map}: {name}: zone: expected '32N' with the letter of the band, '32 north' or '32 south', "
+                f"got {table.get('zone')!r}"
+            )
+        return utm_to_lla(values, int(zone[1]), zone[2] == "south" or zone[2] < "N")
     if files.origin is None:
         raise DataError(f"{files.map}: {name}: local metres need origin_deg = [lat, lon, height]")
+    away = float(np.nanmedian(np.linalg.norm(values[:, :2], axis=1))) if np.isfinite(values[:, :2]).any() else 0.0
+    if away > MAX_LOCAL_M:
+        raise DataError(
+            f"{files.map}: {name}: local metres are {away / 1e3:.0f} km from origin_deg, expected at most "
+            f"{MAX_LOCAL_M / 1e3:.0f} km: eastings and northings of UTM? utm = [..] with zone = '32N'"
+        )
     return local_to_lla(values if key == "enu" else ned_to_enu(values), files.origin)
 
 

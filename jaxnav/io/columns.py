@@ -37,18 +37,39 @@ def sheet_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> tuple[S
     """Return the sheet and the column's name of ``COLUMN`` or, where ``file`` is a table, ``FILE:COLUMN``."""
     name, _, rest = str(ref).partition(":")
     file = table.get("file")
+    of = ""
     if isinstance(file, dict):
         if name not in file:
             raise DataError(f"{files.map}: {key}: column {ref!r}: {units.nearest(name, tuple(file))} (FILE:COLUMN)")
-        path, ref = file[name], rest
+        path, ref, of = file[name], rest, f"{name}:"
     elif isinstance(file, str):
         path = file
     else:
         raise DataError(f"{files.map}: {key}: expected a key file, text or a table of names")
-    cache = (path, table.get("delimiter"), table.get("header"))
+    cache = (path, table.get("delimiter"), table.get("header"), _kind(table, of))
     if cache not in files.opened:
         files.opened[cache] = open_sheet(_found(files, path), *cache[1:])
     return files.opened[cache], str(ref)
+
+
+def _kind(table: dict[str, Any], of: str) -> tuple[int, str] | None:
+    """Return the number of a column of the file ``of`` and the text that ``where`` asks of it: rows of one kind."""
+    kinds = ((ref.removeprefix(of), value) for ref, value in table.get("where", {}).items() if _is_kind(ref, value))
+    return next(((int(ref), value) for ref, value in kinds if ref.isdigit()), None)
+
+
+def _is_kind(ref: str, value: Any) -> bool:
+    """Return whether a condition is the text of a column by its number: other lines are of other kinds."""
+    return _is_text(value) and ref.rpartition(":")[2].isdigit()
+
+
+def _is_text(value: Any) -> bool:
+    """Return whether a value of ``where`` is text to be met, not a number or a comparison."""
+    try:
+        float(str(value).lstrip("<>=!"))
+    except ValueError:
+        return not str(value).startswith(tuple("<>=!"))
+    return False
 
 
 def _found(files: Files, pattern: str) -> Path:
@@ -111,8 +132,10 @@ def times_of(files: Files, table: dict[str, Any], stream: str) -> np.ndarray:
     unit, refs = table.get("time_unit", "s"), time_columns(table["time"])
     sheet, name = sheet_of(files, table, refs[0], stream)
     if len(refs) > 1:  # date and time of day
-        if unit != "iso":
-            raise DataError(f'{files.map}: {stream}: time of {len(refs)} columns needs time_unit = "iso"')
+        if unit != "iso" and "%" not in unit:
+            raise DataError(
+                f'{files.map}: {stream}: time of {len(refs)} columns needs time_unit = "iso" or a pattern of dates'
+            )
         cells = [column(*sheet_of(files, table, ref, stream)).tolist() for ref in refs]
         name, joined = " ".join(refs), np.array([" ".join(map(str, row)) for row in zip(*cells)])
         sheet = sheet._replace(columns={name: joined})
@@ -138,14 +161,22 @@ def rows_of(files: Files, table: dict[str, Any], stream: str, n: int) -> np.ndar
     keep[_skipped(files, table, stream, n)] = True
     compare = {">=": np.greater_equal, "<=": np.less_equal, "!=": np.not_equal, ">": np.greater, "<": np.less}
     for ref, wanted in table.get("where", {}).items():
+        if _is_kind(ref, wanted):
+            continue  # the sheet has no others
+        if _is_text(wanted):
+            same = column(*sheet_of(files, table, ref, stream)) == wanted
+            if not np.any(same):
+                raise DataError(f"{files.map}: {stream}: where: {ref}: no row has the text {wanted!r}")
+            keep &= same
+            continue
         sign = next((s for s in compare if str(wanted).startswith(s)), "")
         try:
             value = float(str(wanted).removeprefix(sign))
         except ValueError:
-            raise DataError(f"{files.map}: {stream}: where: {ref}: expected 3 or '>=3', got {wanted!r}") from None
+            raise DataError(f"{files.map}: {stream}: where: {ref}: expected 3, '>=3' or text, got {wanted!r}") from None
         keep &= compare.get(sign, np.equal)(column_of(files, table, ref, stream), value)
     if "new_where" in table:
-        columns = [column_of(files, table, ref, stream) for ref in table["new_where"]]
+        columns = [column(*sheet_of(files, table, ref, stream)) for ref in table["new_where"]]
         keep &= np.any([np.r_[True, c[1:] != c[:-1]] for c in columns], axis=0)
     return keep
 

@@ -37,6 +37,7 @@ class Changes(NamedTuple):
     time_shift_s: float = 0.0  # s, added to the times of the IMU
     time_scale: str | None = None  # of the IMU: "gps" or "utc", see `jaxnav.io.timescale`
     sd: dict[str, float | list[float]] = {}  # by stream, instead of the file's
+    part: int | None = None  # of a log whose clock starts again, from 1; None: the longest
     repair: bool = False  # mend an IMU's log that was polled, see `jaxnav.io.polling`
 
 

@@ -43,14 +43,14 @@ KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
 }
 """Kinds of values: in words, and the test."""
 OF: dict[str, str] = {
-    **dict.fromkeys(("gyro", "accel", "lla", "enu", "ned", "neu", "ecef", "speed_course", "new_where", "rph",
+    **dict.fromkeys(("gyro", "accel", "lla", "enu", "ned", "neu", "ecef", "utm", "speed_course", "new_where", "rph",
                      "velocity_enu", "velocity_ned", "velocity_ecef", "delays"), "columns"),
     **dict.fromkeys(("time", "accel_time", "value", "left", "right"), "some"),
     **dict.fromkeys(("up", "down", "satellite", "pseudorange", "range_rate", "clock", "clock_rate", "elevation", "cn0"),
                     "column"),
     **dict.fromkeys(("time_shift_s", "rate_hz", "radius", "elevation_mask_deg", "cn0_mask_dbhz"), "number"),
     **dict.fromkeys(("unit", "h_unit", "gyro_unit", "accel_unit", "course_unit", "rph_unit", "time_unit", "time_scale",
-                     "time_tag", "delimiter", "sampling", "name", "notes", "folder"), "text"),
+                     "time_tag", "zone", "delimiter", "sampling", "name", "notes", "folder"), "text"),
     **dict.fromkeys(("header", "repair", "emission", "variance"), "flag"),
     **dict.fromkeys(("sd", "sd_enu", "sd_ned"), "sd"),
     **dict.fromkeys(("where", "read", "imu", "truth", "satellites"), "table"),
@@ -63,7 +63,7 @@ OF: dict[str, str] = {
 OPTIONS: dict[str, str] = {
     **dict.fromkeys(("name", "time_scale", "rates", "receiver", "imu", "fixes"), "text"),
     **dict.fromkeys(("accel_sign", "time_shift_s", "elevation_mask_deg", "cn0_mask_dbhz", "wheel_radius_m", "instance",
-                     "leap_seconds", "metres_per_hdop"), "number"),
+                     "leap_seconds", "metres_per_hdop", "part"), "number"),
     **dict.fromkeys(("gnss", "nav", "folder", "map"), "path"), **dict.fromkeys(("sd", "topics"), "table"),
     **dict.fromkeys(("repair", "spp"), "flag"), "axes": "axes", "lever_arm": "three",
 }  # fmt: skip

@@ -4,6 +4,7 @@ import os
 import re
 import tomllib
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -13,11 +14,13 @@ import numpy as np
 from jaxnav.checkup import quick_notes
 from jaxnav.io import canonical, draft, mend, units
 from jaxnav.io.column_map import TOP, column_names, read_map
+from jaxnav.io.containers import unpacked
 from jaxnav.io.files import FilePath
 from jaxnav.io.formats import (
     dataflash,
     ekf2_replay,
     euroc,
+    gnss_logger,
     kfgins,
     kitti,
     navego,
@@ -34,6 +37,7 @@ from jaxnav.io.formats import (
 from jaxnav.io.mend import Changes
 from jaxnav.io.options import OPTIONS, require
 from jaxnav.io.parts import ImuRows, Parts, Stream, TimeScale, counted_from, parts_of, scaled
+from jaxnav.io.rollover import unrolled
 from jaxnav.io.timescale import recording
 from jaxnav.types import DataError, Recording
 
@@ -81,11 +85,16 @@ def read(path: FilePath, **options: Any) -> Recording:
 
 def read_parts(path: FilePath, gnss: FilePath | None = None, **options: Any) -> Parts:
     """Return the contents of a file, before mending; options as for `read`."""
-    path = Path(path)
     options = {key: value for key, value in options.items() if value is not None}  # as if it were not there
     for key, value in (options | ({"gnss": gnss} if gnss is not None else {})).items():
         if key in OPTIONS:
             require(os.fspath(path), key, value, OPTIONS[key])
+    with unpacked(path) as inside, nullcontext() if gnss is None else unpacked(gnss) as fixes:
+        parts = _read_parts(inside, fixes, **options)
+    return parts._replace(file=os.fspath(path))
+
+
+def _read_parts(path: Path, gnss: Path | None, **options: Any) -> Parts:
     if (recipe := options.pop("map", None)) is not None:
         row, gnss = _mapped(recipe, path, gnss), None
     else:
@@ -101,7 +110,8 @@ def read_parts(path: FilePath, gnss: FilePath | None = None, **options: Any) -> 
     if gnss is not None:
         other = counted_from(read_parts(gnss, **fixes), parts.zero)
         parts = parts._replace(aiding=parts.aiding | other.aiding, notes=parts.notes + other.notes)
-    return mend.applied(parts._replace(name=parts.name or path.stem), Changes(**changes))
+    changed = Changes(**changes)
+    return mend.applied(unrolled(parts._replace(name=parts.name or path.stem), changed.part), changed)
 
 
 def _mapped(recipe: FilePath, path: Path, gnss: FilePath | None) -> Reader:
@@ -269,6 +279,7 @@ READERS: tuple[Reader, ...] = (
     Reader("ArduPilot DataFlash", dataflash.recognises, dataflash.read, ("instance", "receiver")),
     Reader("UBX", ubx.recognises, ubx.read, ("spp", "rates", *MASKS)),
     Reader("RINEX observations", rinex.recognises, rinex.read, ("nav", "rates", *MASKS)),
+    Reader("GnssLogger", gnss_logger.recognises, gnss_logger.read),
     Reader("raw GNSS table", raw_table.recognises, raw_table.read, MASKS),
     Reader("RTKLIB .pos", _pos, _read_pos),
     Reader("NovAtel ASCII", novatel.recognises, novatel.read, ("imu",)),

@@ -1,13 +1,13 @@
-"""Any table as columns by name: text, ``.npy``, ``.npz``, ``.mat``, each alone or inside a zip archive; leniently.
+"""Any table as columns by name: text, .npy, .npz, .mat, .xlsx, each alone or inside a zip archive; leniently.
 
 A cell without a number is nan, a line of another width is left out: `jaxnav.io.mend` decides about them.
 """
 
+import csv
 import datetime
 import difflib
 import io
 import re
-import zipfile
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,13 +15,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxnav.io.files import MAX_BYTES, FilePath, read_bytes
+from jaxnav.io.containers import ZIP, contents
+from jaxnav.io.files import FilePath
 from jaxnav.types import DataError
 
 DAYS = {"excel": 25569.0, "matlab": 719529.0}  # days on which 1970 began, of units that count days
 DATE = re.compile(r"\s*(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T\s]+(\d{1,2}):(\d{1,2}):(\d{1,2}(?:\.\d*)?)\s*Z?\s*")
 TICKS = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000}  # units of time, how many a second
-WHOLE = re.compile(r"[+-]?\d+")
+WHOLE, LED = re.compile(r"[+-]?\d+"), re.compile(r"0\d+(\.\d*)?")
+QUOTED = re.compile(r'"[^"]*"')
+NO_NAME = ("", "nan", "n/a", "na", "null", "none", "-")  # cells in place of a number, which make no header
 MIN_QUICK, HEAD, TAIL = 2000, 200, 50  # lines of a file that is read quickly; first and last ones that are looked at
 MAX_BAD = 0.05  # share of lines of another width that may be left out
 
@@ -37,8 +40,16 @@ class Sheet(NamedTuple):
     units: Mapping[str, str] = {}  # of a line below the header, by name
 
 
-def open_sheet(path: FilePath, delimiter: str | None = None, header: bool | None = None) -> Sheet:
-    """Open the columns of a file; ``delimiter`` and header are detected where they are None.
+def open_sheet(
+    path: FilePath, delimiter: str | None = None, header: bool | None = None, only: tuple[int, str] | None = None
+) -> Sheet:
+    """Open the columns of a file.
+
+    Args:
+        path: the file, or ``archive.zip/member``.
+        delimiter: between cells; detected where it is None, as the header is.
+        header: whether the first line has the names.
+        only: lines of a text whose cell of this number, from 1, is this text.
 
     Raises:
         DataError: not there, or no table.
@@ -46,30 +57,14 @@ def open_sheet(path: FilePath, delimiter: str | None = None, header: bool | None
     data, file = contents(path), str(path)
     if data.startswith(b"\x93NUMPY"):
         return Sheet(file, _flat({"": _npy(io.BytesIO(data), file)}), None)
-    if data.startswith(b"PK\x03\x04"):
+    if data.startswith(ZIP) and file.endswith(".xlsx"):
+        data = _xlsx(data, file)
+    if data.startswith(ZIP):
         return Sheet(file, _npz(data, file), None)
     if data.startswith(b"MATLAB"):
         return Sheet(file, _flat(_mat(data, file)), None)
-    quick = _numbers_only(data, file, delimiter, header)
-    return _text(data, file, delimiter, header) if quick is None else quick
-
-
-def contents(path: FilePath) -> bytes:
-    """Read a file, or ``archive.zip/member``."""
-    path = Path(path)
-    archive = next((parent for parent in path.parents if parent.suffix == ".zip" and parent.is_file()), None)
-    if archive is None:
-        return read_bytes(path)
-    try:
-        with zipfile.ZipFile(io.BytesIO(read_bytes(archive))) as opened:
-            member = path.relative_to(archive).as_posix()
-            if opened.getinfo(member).file_size > MAX_BYTES:
-                raise DataError(f"{path}: unpacks to more than {MAX_BYTES} bytes")
-            return opened.read(member)
-    except DataError:
-        raise
-    except Exception as error:  # zipfile and zlib raise a dozen kinds on a damaged archive
-        raise DataError(f"{path}: cannot be read from the archive: {error}") from error
+    quick = None if only else _numbers_only(data, file, delimiter, header)
+    return _text(data, file, delimiter, header, only) if quick is None else quick
 
 
 def column(sheet: Sheet, name: str | int) -> np.ndarray:
@@ -98,17 +93,26 @@ def numbers(sheet: Sheet, name: str | int) -> np.ndarray:
 def times(sheet: Sheet, name: str | int, unit: str, zero: int = 0) -> np.ndarray:
     """(N,) s since ``zero`` (s): ``unit`` is one of TICKS, or "iso" for dates, which are counted from 1970 in UTC.
 
-    "excel" and "matlab" are days, as those count them.
+    "excel" and "matlab" are days, as those count them; text with % is a pattern of dates, "%m/%d/%Y %H:%M:%S.%f".
 
     Whole numbers are subtracted as such: a float would round nanoseconds since 1970 to 256 of them.
     """
     cells = column(sheet, name)
-    if unit == "iso":
-        return np.array([date(cell) for cell in cells.tolist()]) - zero
+    if unit == "iso" or "%" in unit:
+        dates = np.array([date(cell) if unit == "iso" else _dated(cell, unit) for cell in cells.tolist()])
+        if np.isnan(dates).all():
+            raise DataError(
+                f"{sheet.file}: {name}: time_unit: expected dates as {unit} has them, got {cells[0]!s:.40}: a pattern "
+                "such as '%d.%m.%Y %H:%M:%S.%f' says their order"
+            )
+        return dates - zero
     if unit in DAYS:
         return (numbers(sheet, name) - DAYS[unit]) * 86400.0 - zero
     if unit not in TICKS:
-        raise DataError(f"{sheet.file}: time_unit: expected one of {', '.join((*TICKS, *DAYS))}, iso, got {unit!r}")
+        raise DataError(
+            f"{sheet.file}: time_unit: expected one of {', '.join((*TICKS, *DAYS))}, iso, "
+            f"a pattern of dates such as '%d.%m.%Y %H:%M:%S.%f', got {unit!r}"
+        )
     ticks = TICKS[unit]
     if cells.dtype.kind == "U":
         try:
@@ -145,6 +149,22 @@ def date(cell: Any) -> float:
     return (moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)).timestamp()
 
 
+def _dated(cell: Any, pattern: str) -> float:
+    """Return s since 1970 of a date by a pattern of `datetime.strptime`, in UTC where it has no zone; nan of others.
+
+    Of a pattern without a year they are of the day, counted from midnight. Fractions of a second may be missing.
+    """
+    for form in (pattern, pattern.replace(".%f", "")):
+        try:
+            moment = datetime.datetime.strptime(str(cell), form)
+        except ValueError:
+            continue
+        moment = moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
+        midnight = datetime.datetime(1900, 1, 1, tzinfo=datetime.UTC)  # of a pattern without a date
+        return moment.timestamp() - (midnight.timestamp() if moment.year == midnight.year else 0.0)
+    return float("nan")
+
+
 def _numbers_only(data: bytes, file: str, delimiter: str | None, header: bool | None) -> Sheet | None:
     """Return the columns of a long file of nothing but numbers below its header, None of any other.
 
@@ -163,6 +183,8 @@ def _numbers_only(data: bytes, file: str, delimiter: str | None, header: bool | 
     first, names = (0 if seen.lines is None else int(seen.lines[0])), list(seen.columns)[width:]
     if seen.lines is None or seen.twice or len(seen.lines) != HEAD + TAIL - first + 1 or len(names) not in (0, width):
         return None  # blank lines, comments among the rows, lines of another width, or a number for a name
+    if any(LED.fullmatch(cell) for k in range(width) for cell in seen.columns[str(k + 1)].tolist()):
+        return None  # a time of day: a number would lose its zeros
     whole = [all(WHOLE.fullmatch(cell) for cell in seen.columns[str(k + 1)].tolist()) for k in range(width)]
     kinds = np.dtype([(str(k + 1), np.int64 if w else np.float64) for k, w in enumerate(whole)])
     mark = _delimiter(sample.decode("utf-8", errors="replace").split("\n")[-51:-1]) if delimiter is None else delimiter
@@ -188,7 +210,9 @@ def _ends(data: bytes) -> bytes:
     return data[: end + 1] + data[begin + 1 :]
 
 
-def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) -> Sheet:
+def _text(
+    data: bytes, file: str, delimiter: str | None, header: bool | None, only: tuple[int, str] | None = None
+) -> Sheet:
     text = data.decode("utf-8-sig", errors="replace")
     if "\0" in text[:4096]:
         raise DataError(f"{file}: expected text, got binary data that no reader knows")
@@ -206,6 +230,13 @@ def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) ->
         delimiter = lines.pop(0)[1].strip()[-1] if delimiter is None else delimiter
     delimiter = _delimiter([line for _, line in lines[-50:]]) if delimiter is None else delimiter
     rows = [(i, _cells(line, delimiter)) for i, line in lines]
+    if only is not None:
+        at, kind = only[0] - 1, only[1]
+        of_kind = lambda cells: len(cells) > at and cells[at] == kind
+        rows = [(i, cells) for i, cells in rows if of_kind(cells)]
+        comments = [line for line in comments if of_kind(_cells(line, delimiter))]
+        if not rows:
+            raise DataError(f"{file}: has no line with {kind!r} in column {only[0]}")
     width = Counter(len(cells) for _, cells in rows).most_common(1)[0][0]
     if delimiter != "," and _decimal_commas(rows):
         rows = [(i, [cell.replace(",", ".") for cell in cells]) for i, cells in rows]
@@ -214,7 +245,7 @@ def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) ->
     below: list[str] = []
     before = next((k for k, (_, cells) in enumerate(rows) if len(cells) == width), 0)
     text_only = lambda cells: not any(np.isfinite(_number(cell)) for cell in cells)
-    if header or (header is None and text_only(rows[before][1])):
+    if header or (header is None and only is None and _is_header([cells for _, cells in rows[before : before + 2]])):
         names = rows[before][1]
         if before:
             notes.append(f"{Path(file).name}: {before} lines before the header are left out.")
@@ -237,8 +268,19 @@ def _text(data: bytes, file: str, delimiter: str | None, header: bool | None) ->
     return Sheet(file, columns, np.array([i for i, _ in whole]), tuple(notes), twice, dict(zip(names, below)))
 
 
+def _is_header(rows: list[list[str]]) -> bool:
+    """Return whether the first of two rows has names: no number, or few and text above numbers."""
+    is_number = lambda cell: bool(np.isfinite(_number(cell)))
+    numeric = [is_number(cell) for cell in rows[0]]
+    if not any(numeric) or len(rows) < 2:
+        return not any(numeric)
+    above = [not a and is_number(b) and cell.lower() not in NO_NAME for a, cell, b in zip(numeric, *rows)]
+    return 2 * sum(numeric) < len(numeric) and any(above)
+
+
 def _delimiter(lines: list[str]) -> str:
     """Return the mark between cells: semicolons or tabs where all lines have as many, else commas, else space."""
+    lines = [QUOTED.sub("", line) for line in lines]
     for mark in (";", "\t"):
         counts = {line.count(mark) for line in lines}
         if len(counts) == 1 and counts != {0}:
@@ -255,7 +297,13 @@ def _decimal_commas(rows: list[tuple[int, list[str]]]) -> bool:
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
-    cells = line.split() if delimiter == "space" else line.split(delimiter)
+    """Return the cells of a line; a mark inside of quotes is none."""
+    if delimiter == "space":
+        cells = line.split()
+    elif '"' in line and len(delimiter) == 1:
+        cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    else:
+        cells = line.split(delimiter)
     return [cell.strip().strip('"') for cell in cells]
 
 
@@ -272,6 +320,19 @@ def _npz(data: bytes, file: str) -> dict[str, np.ndarray]:
             return _flat({key: arrays[key] for key in arrays.files})
     except Exception as error:
         raise DataError(f"{file}: cannot be read as .npz: {error}") from error
+
+
+def _xlsx(data: bytes, file: str) -> bytes:
+    """Return the first sheet of a workbook as CSV."""
+    from openpyxl import load_workbook
+
+    try:
+        rows = load_workbook(io.BytesIO(data), read_only=True, data_only=True).worksheets[0].iter_rows(values_only=True)
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(["" if cell is None else cell for cell in row] for row in rows)
+    except Exception as error:  # openpyxl raises a dozen kinds on a damaged workbook
+        raise DataError(f"{file}: cannot be read as a workbook: {error}") from error
+    return text.getvalue().encode()
 
 
 def _mat(data: bytes, file: str) -> dict[str, Any]:

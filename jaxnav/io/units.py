@@ -1,6 +1,7 @@
 """Units that files come in, by quantity: factors to SI (magnetic field: microtesla). Only for the border."""
 
 import difflib
+import re
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ UNITS: dict[str, dict[str, float]] = {
     "temperature": {"degC": 1.0},
     "field": {"uT": 1.0, "nT": 1e-3, "T": 1e6, "gauss": 100.0, "mgauss": 0.1},  # to microtesla
 }
+MULTIPLE = re.compile(r"(?s)(?:((?:1/)?\d+(?:\.\d*)?(?:e[+-]?\d+)?) +)?(.*)")
 PRESSURE = {"Pa": 1.0, "hPa": 100.0, "kPa": 1000.0}
 SEA_LEVEL = 101325.0  # Pa, standard atmosphere
 
@@ -28,15 +30,19 @@ def nearest(word: str, known: tuple[str, ...] | dict[str, Any]) -> str:
 
 
 def factor(table: dict[str, Any], key: str, kind: str, where: str, default: str | None = None) -> float:
-    """Return the factor to SI of the unit that ``key`` of a table names.
+    """Return the factor to SI of the unit that ``key`` of a table names, "deg/s", or of a multiple: "1/131 deg/s".
 
     Raises:
         DataError: it names none and there is no default, or one of another quantity.
     """
     unit = table.get(key, default)
-    if unit not in UNITS[kind]:
-        raise DataError(f"{where}: {key}: expected one of {', '.join(UNITS[kind])}, got {unit!r}")
-    return UNITS[kind][unit]
+    times, name = MULTIPLE.fullmatch(str(unit)).groups()  # type: ignore[union-attr]  # it fits any text
+    if name not in UNITS[kind] or (times and not float(times.removeprefix("1/")) > 0):
+        known = ", ".join(UNITS[kind])
+        raise DataError(f"{where}: {key}: expected one of {known}, or a multiple such as '1/131 deg/s', got {unit!r}")
+    if not times:
+        return UNITS[kind][name]
+    return UNITS[kind][name] / float(times[2:]) if times.startswith("1/") else UNITS[kind][name] * float(times)
 
 
 def pressure_height(pressure: np.ndarray) -> np.ndarray:

@@ -91,3 +91,25 @@ def local_to_lla(enu: np.ndarray, origin: np.ndarray) -> np.ndarray:
 def lla_to_local(lla: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """Inverse of `local_to_lla`."""
     return (ecef(lla) - ecef(origin[None])) @ enu_to_ecef(origin)
+
+
+def utm_to_lla(utm: np.ndarray, zone: int, south: bool = False) -> np.ndarray:
+    """(N, 3) UTM easting, northing, height above the ellipsoid, m, to lat, lon rad, h m.
+
+    Kruger's series to the third power of the third flattening n, good to 1e-5 m within a zone (Karney, Transverse
+    Mercator with an accuracy of a few nanometers, J. Geodesy 85, 2011, equations 7, 11, 14, 15, 36).
+    """
+    e2 = E2
+    n = (1 - np.sqrt(1 - e2)) / (1 + np.sqrt(1 - e2))
+    radius = A / (1 + n) * (1 + n**2 / 4 + n**4 / 64)
+    beta = (n / 2 - 2 * n**2 / 3 + 37 * n**3 / 96, n**2 / 48 + n**3 / 15, 17 * n**3 / 480)
+    xi = (utm[:, 1] - 1e7 * south) / (0.9996 * radius)
+    eta = (utm[:, 0] - 5e5) / (0.9996 * radius)
+    z = xi + 1j * eta
+    z = z - sum(b * np.sin(2 * j * z) for j, b in enumerate(beta, 1))
+    chi = np.arcsin(np.sin(z.real) / np.cosh(z.imag))  # conformal latitude
+    lat, e = chi, np.sqrt(e2)
+    for _ in range(6):  # contracts by e^2
+        lat = np.arcsin(np.tanh(np.arctanh(np.sin(chi)) + e * np.arctanh(e * np.sin(lat))))
+    lon = np.deg2rad(6 * zone - 183) + np.arctan2(np.sinh(z.imag), np.cos(z.real))
+    return np.stack([lat, lon, utm[:, 2]], axis=1)

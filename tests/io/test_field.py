@@ -235,6 +235,73 @@ def test_a_phone_s_sensors_in_files_of_their_own(tmp_path):
     np.testing.assert_allclose(rec.imu.accel[0], [0.03513, -0.03609, -9.76923], atol=1e-4)
 
 
+@needs_field
+@pytest.mark.parametrize(
+    ("case", "file", "rows", "fixes", "words"),
+    [
+        ("gopro_header", "map.toml", 600, 0, ""),
+        ("quoted_comma", "map.toml", 800, 40, ""),
+        ("micros_wrap", "map.toml", 800, 40, "times fall by 4294.967296 s, 2^32 us"),
+        ("zip_of_a_folder", "drive_2024.zip", 800, 40, ""),
+        ("rows_of_several_kinds", "gnss_log.txt", 800, 40, "phone assumed flat"),
+        ("sign_of_a_column", "map.toml", 800, 40, ""),
+        ("position_without_height", "map.toml", 800, 40, "40 of 40 rows have no height"),
+    ],
+)  # fmt: skip
+def test_logs_of_the_reports(case, file, rows, fixes, words):
+    rec = read(FIELD / case / file)
+    assert rec.imu.t.size == rows and words in notes_of(rec)
+    assert (rec.aiding["position"].t.size if fixes else len(rec.aiding)) == fixes
+    assert np.diff(rec.imu.t).max() < 0.11 and np.linalg.norm(rec.imu.accel.mean(0)) == pytest.approx(9.8, abs=0.5)
+
+
+def changed_map(case: str, folder: Path, **keys: str) -> Path:
+    """Write the map of a case with other values of keys."""
+    lines = (FIELD / case / "map.toml").read_text().splitlines()
+    of = lambda line: line.partition(" =")[0]
+    text = [f"{of(line)} = {keys[of(line)]}" if of(line) in keys else line for line in lines]
+    (folder / "map.toml").write_text("\n".join(text) + "\n")
+    return folder / "map.toml"
+
+
+@needs_field
+def test_eastings_and_northings_of_utm(tmp_path):
+    with pytest.raises(DataError, match="position: local metres are 5358 km from origin_deg.*UTM"):
+        read(FIELD / "utm_as_enu" / "map.toml")
+    enu = '["easting", "northing", "h"]'
+    for zone in ("32U", "32 north"):
+        file = changed_map("utm_as_enu", tmp_path, enu=f'{enu}\nzone = "{zone}"')
+        file.write_text(file.read_text().replace("enu =", "utm ="))
+        rec = read(file, folder=FIELD / "utm_as_enu")
+        first = np.degrees(rec.aiding["position"].value[0, :2])
+        np.testing.assert_allclose(first, [48.0000041, 11.00003703], atol=1e-7)  # gps.csv of the other cases
+    file.write_text(file.read_text().replace("32 north", "32"))
+    with pytest.raises(DataError, match="position: zone: expected '32N' with the letter of the band"):
+        read(file, folder=FIELD / "utm_as_enu")
+
+
+@needs_field
+def test_dates_of_another_order_and_multiples_of_units(tmp_path):
+    with pytest.raises(DataError, match=r"rtcDate rtcTime: time_unit: expected dates as iso has them, got 06/01/2024"):
+        read(FIELD / "openlog_artemis" / "map.toml")
+    file = changed_map("openlog_artemis", tmp_path, time_unit='"%m/%d/%Y %H:%M:%S.%f"')
+    rec = read(file, folder=FIELD / "openlog_artemis")
+    assert rec.imu.t.size == 800 and abs(rec.aiding["position"].t.size - 40) <= 1
+    assert 1717236000 == pytest.approx(float(rec.notes.split("t = 0 is ")[1].split()[0]), abs=1)  # 2024-06-01 10:00 UTC
+    assert np.abs(rec.aiding["velocity"].value).max() < 30.0
+
+
+@needs_field
+def test_counts_of_a_sensor(tmp_path):
+    with pytest.raises(DataError, match=r"counts of the sensor\? gyro_unit = '1/131 deg/s'"):
+        read(FIELD / "raw_counts" / "map.toml")
+    file = changed_map("raw_counts", tmp_path, gyro_unit='"1/131 deg/s"', accel_unit='"1/16384 g"')
+    rec = read(file, folder=FIELD / "raw_counts")
+    counts = np.genfromtxt(FIELD / "raw_counts" / "LOG003.CSV", delimiter=",", names=True)["gz"]
+    np.testing.assert_allclose(rec.imu.gyro[:, 2], -counts / 131 * np.pi / 180, rtol=1e-9)
+    assert np.linalg.norm(rec.imu.accel.mean(0)) == pytest.approx(9.8, abs=0.2)
+
+
 # ---------------------------------------------------------------------------- the accelerometer's sign
 
 

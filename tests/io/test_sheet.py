@@ -5,6 +5,9 @@ import pytest
 
 from jaxnav.io import sheet as sheet_module
 from jaxnav.io.sheet import numbers, open_sheet, times
+from jaxnav.io.units import factor
+from jaxnav.maths.units import DEG
+from jaxnav.types import DataError
 
 
 @pytest.mark.parametrize(
@@ -69,3 +72,60 @@ def test_a_long_table_of_numbers_is_read_quickly_to_the_same_columns(tmp_path, m
     if quick:
         assert [sheet.columns[str(k)].dtype.kind for k in (1, 2, 3, 4)] == ["i", "f", "i", "f"]
         np.testing.assert_array_equal(times(sheet, "stamp", "ns", 10**9), times(slow, "stamp", "ns", 10**9))
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "rows"),
+    [
+        ('t,x,note\n1,2,"a, b"\n3,4,""\n', ["t", "x", "note"], 2),  # a comma in quotes
+        ('t;x;note\n1;2;"a; b"\n3;4;c\n', ["t", "x", "note"], 2),
+        ('t,date,"Gyro [rad/s]",1,2\n0.1,2024-06-01,5,6,7\n0.2,2024-06-01,5,6,7\n',
+         ["t", "date", "Gyro [rad/s]", "1", "2"], 2),
+        ("0.1,RTK,fix,N/A,x\n0.2,RTK,fix,5,x\n0.3,RTK,fix,5,x\n", [], 3),  # data, the first with a mark for none
+        ("0.1,RTK,fix,,x\n0.2,RTK,fix,5,x\n0.3,RTK,fix,5,x\n", [], 3),
+    ],
+)  # fmt: skip
+def test_cells_and_headers(tmp_path, text, names, rows):
+    (tmp_path / "a.csv").write_text(text)
+    sheet = open_sheet(tmp_path / "a.csv")
+    assert len(sheet.columns["2"]) == rows
+    assert [key for key in sheet.columns if not key.isdigit()] == [name for name in names if not name.isdigit()]
+    if names and names[-1] == "note":
+        assert sheet.columns["note"][0] in ("a, b", "a; b")
+    if "Gyro [rad/s]" in names:
+        assert numbers(sheet, "1").tolist() == [6.0, 6.0] and numbers(sheet, "2").tolist() == [7.0, 7.0]
+
+
+@pytest.mark.parametrize(
+    ("unit", "cells", "expected"),
+    [
+        ("%d.%m.%Y %H:%M:%S.%f", ["01.06.2024 10:00:00.25", "01.06.2024 10:00:01"], [1717236000.25, 1717236001.0]),
+        ("%m/%d/%Y %H:%M:%S", ["06/01/2024 10:00:00", "x"], [1717236000.0, np.nan]),
+        ("%d-%b-%Y %H:%M:%S", ["01-Jun-2024 10:00:00", "01-Jun-2024 10:00:02"], [1717236000.0, 1717236002.0]),
+        ("%H%M%S.%f", ["000102.5", "235959"], [62.5, 86399.0]),
+        ("%Y-%m-%d %H:%M:%S%z", ["2024-06-01 12:00:00+0200", ""], [1717236000.0, np.nan]),
+    ],
+)  # fmt: skip
+def test_dates_by_a_pattern(tmp_path, unit, cells, expected):
+    (tmp_path / "a.csv").write_text("\n".join(["time,x", *(f"{cell},1" for cell in cells)]) + "\n")
+    np.testing.assert_allclose(times(open_sheet(tmp_path / "a.csv"), "time", unit), expected, atol=1e-6)
+
+
+def test_hours_minutes_seconds_of_a_long_file(tmp_path):
+    """Whose zeros at the front a parser of numbers would lose."""
+    stamps = [f"{k // 3600:02d}{k // 60 % 60:02d}{k % 60:02d}" for k in range(5000)]
+    (tmp_path / "a.csv").write_text("\n".join(["time,x", *(f"{cell},1" for cell in stamps)]) + "\n")
+    np.testing.assert_array_equal(times(open_sheet(tmp_path / "a.csv"), "time", "%H%M%S"), np.arange(5000.0))
+
+
+@pytest.mark.parametrize(("said", "number"), [
+    ("2 deg/s", 2.0), ("1/2 deg/s", 0.5), ("2.5e-1 deg/s", 0.25), ("1/131.072 deg/s", 2**-17 * 1e3),
+])  # fmt: skip
+def test_a_unit_takes_a_multiple(said, number):
+    assert factor({"unit": said}, "unit", "rate", "x") == pytest.approx(number * DEG, rel=1e-15)
+
+
+@pytest.mark.parametrize("said", ["0 deg/s", "2deg/s", "1/0 deg/s", "-2 deg/s", "2", "2 deg"])
+def test_multiples_that_are_none(said):
+    with pytest.raises(DataError, match="or a multiple such as '1/131 deg/s'"):
+        factor({"unit": said}, "unit", "rate", "x")

@@ -1,10 +1,9 @@
-"""Sensor Logger, the app for phones: a folder, or the .zip, with a CSV file for each sensor.
+"""Sensor Logger, the app for phones: a folder with a CSV file for each sensor.
 
 Units and axes: the app's UNITS.md and COORDINATES.md. x points right, y to the top of the phone, z out of the screen.
 """
 
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -76,16 +75,8 @@ def read(path: Path) -> Parts:
 
 
 def _files(path: Path) -> set[str]:
-    """Return the names of the files in a folder or .zip archive."""
-    try:
-        if path.is_dir():
-            return {file.name for file in path.iterdir()}
-        if path.suffix == ".zip":
-            with zipfile.ZipFile(path) as archive:
-                return set(archive.namelist())
-    except (OSError, zipfile.BadZipFile):
-        pass
-    return set()
+    """Return the names of the files in a folder."""
+    return {file.name for file in path.iterdir()} if path.is_dir() else set()
 
 
 def _acceleration(files: set[str]) -> tuple[str, ...]:

@@ -1,0 +1,61 @@
+"""Android's GnssLogger: one text with rows of several kinds, IMU, magnetometer and fixes among them.
+
+Names of the columns of each kind are in comments above; the first cell of a row is its kind.
+"""
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxnav.io.column_map import described
+from jaxnav.io.formats.sensor_logger import FLAT
+from jaxnav.io.parts import Parts
+from jaxnav.io.sheet import column, open_sheet
+
+CLOCK = "elapsedRealtimeNanos"  # since the phone was switched on, of all sensors
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Return whether comments name the columns of a gyro."""
+    return bool(re.search(rb"^# ?(Uncal)?Gyro,utcTimeMillis,", head, re.MULTILINE))
+
+
+def read(path: Path) -> Parts:
+    """IMU, magnetometer, and fixes of the receiver, else of the phone; t since the phone was switched on.
+
+    Raises:
+        DataError: no rows of a gyro or an accelerometer.
+    """
+    kinds = set(re.findall(rb"^\w+(?=,)", path.read_bytes(), re.MULTILINE))
+    has = lambda kind: kind.encode() in kinds
+    gyro, accel, field = (f"Uncal{kind}" if has(f"Uncal{kind}") else kind for kind in ("Gyro", "Accel", "Mag"))
+    name = path.name
+    axes = lambda file, kind, unit: [f"{file}{kind}{axis}{unit}" for axis in "XYZ"]
+    table: dict[str, Any] = {
+        "time": CLOCK, "time_unit": "ns", "delimiter": ",",
+        "imu": {
+            "file": {"g": name, "a": name}, "where": {"g:1": gyro, "a:1": accel}, "time": f"g:{CLOCK}", "axes": FLAT,
+            "gyro": axes("g:", gyro, "RadPerSec"), "gyro_unit": "rad/s",
+            "accel": axes("a:", accel, "Mps2"), "accel_unit": "m/s^2",
+        },
+    }  # fmt: skip
+    if has(field):
+        table["magnetometer"] = {"file": name, "where": {"1": field}, "value": axes("", field, "MicroT")}
+    if has("Fix"):
+        sheet = open_sheet(path, ",", only=(1, "Fix"))
+        # of the receiver, not of cells and networks; a height of 0 and a speed of 0 without an accuracy are none
+        providers = set(column(sheet, "Provider").tolist())
+        fixes = {"file": name, "where": {"1": "Fix", "Provider": "GPS" if "GPS" in providers else min(providers)}}
+        wide, high, fast = "AccuracyMeters", "VerticalAccuracyMeters", "SpeedAccuracyMps"
+        stated: dict[str, Any] = {"sd_enu": [wide, wide, high if high in sheet.columns else wide]}
+        if not np.char.str_len(column(sheet, CLOCK)).all():
+            fixes |= {"time": "UnixTimeMillis", "time_unit": "ms"}
+        table["position"] = {**fixes, **stated, "lla": ["LatitudeDegrees", "LongitudeDegrees", "AltitudeMeters"]}
+        stated = {"sd": fast} if fast in sheet.columns else {}
+        table["velocity"] = {**fixes, **stated, "speed_course": ["SpeedMps", "BearingDegrees"]}
+    parts = described(table, os.fspath(path), path.parent)
+    flat = f'phone assumed flat, screen up and top forward: axes = "{FLAT}" (option axes).'
+    return parts._replace(name=path.stem, notes=(flat, *parts.notes))

@@ -246,6 +246,10 @@ def test_a_phone_s_sensors_in_files_of_their_own(tmp_path):
         ("rows_of_several_kinds", "gnss_log.txt", 800, 40, "phone assumed flat"),
         ("sign_of_a_column", "map.toml", 800, 40, ""),
         ("position_without_height", "map.toml", 800, 40, "40 of 40 rows have no height"),
+        ("ros_navpvt_unsaid", "bag", 400, 20, ""),
+        ("ros_gyro_accel_topics", "bag", 398, 19, "the accelerometer /camera/accel/sample: the other half of each"),
+        ("ros_odometry_without_twist", "bag", 1000, 50, "speed: the twists of the odometry are all 0"),
+        ("ubx_esf_raw", "drive.ubx", 800, 40, "imu: ESF, ticks of 1 ms"),
     ],
 )  # fmt: skip
 def test_logs_of_the_reports(case, file, rows, fixes, words):
@@ -253,6 +257,18 @@ def test_logs_of_the_reports(case, file, rows, fixes, words):
     assert rec.imu.t.size == rows and words in notes_of(rec)
     assert (rec.aiding["position"].t.size if fixes else len(rec.aiding)) == fixes
     assert np.diff(rec.imu.t).max() < 0.11 and np.linalg.norm(rec.imu.accel.mean(0)) == pytest.approx(9.8, abs=0.5)
+
+
+@needs_field
+@pytest.mark.parametrize(
+    ("case", "imu", "gnss"),
+    [("nmea_rmc_alone", "imu.toml", "log.nmea"), ("ubx_cfg_valset", "imu.toml", "fixes.ubx"),
+     ("gpx_fixes", "imu.toml", "track.gpx")],
+)  # fmt: skip
+def test_fixes_beside_an_imu_of_the_reports(case, imu, gnss):
+    rec = read(FIELD / case / imu, gnss=FIELD / case / gnss)
+    assert rec.aiding["position"].t.size == 40
+    np.testing.assert_allclose(np.degrees(rec.aiding["position"].value[0, :2]), [48.0, 11.0], atol=1e-3)
 
 
 def changed_map(case: str, folder: Path, **keys: str) -> Path:

@@ -1,9 +1,13 @@
 """Receivers' own formats, and which of several receivers is read."""
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from jaxnav.io import mend
+from jaxnav.io.formats import rosbag
 from jaxnav.io.formats.rosbag import from_receiver
 from jaxnav.io.parts import with_fixes
 from jaxnav.io.read import read_parts
@@ -86,3 +90,147 @@ def test_a_dead_first_receiver_does_not_hide_the_second(shares, chosen):
 )
 def test_words_of_a_receivers_topic(receiver, estimate):
     assert from_receiver(receiver) > from_receiver(estimate)
+
+
+# ---------------------------------------------------------------------------- ROS messages of receivers' drivers
+
+
+def test_position_and_velocity_of_a_message_of_both():
+    """NavPVT in 1e-7 deg, mm and mm/s with names of ROS 1 and 2; GPSFix with course, speed and accuracies at 95 %."""
+    expected = [np.deg2rad(48.1), np.deg2rad(11.5), 500.0, 1.5, 1.5, 2.5, 2.0, 1.0, 0.3, *[0.12] * 3]
+    two = dict(lat=481000000, lon=115000000, height=500000, h_acc=1500, v_acc=2500, vel_n=1000, vel_e=2000, vel_d=-300,
+               s_acc=120, flags=1, fix_type=3)  # fmt: skip
+    one = {"".join([w if i == 0 else w.capitalize() for i, w in enumerate(k.split("_"))]): v for k, v in two.items()}
+    for fields in (one, two):
+        np.testing.assert_allclose(rosbag._pvt(SimpleNamespace(**fields)), expected, rtol=1e-12)
+        assert not np.isfinite(rosbag._pvt(SimpleNamespace(**fields | {"flags": 0}))).any()
+    fix = SimpleNamespace(
+        status=SimpleNamespace(status=0), latitude=48.1, longitude=11.5, altitude=500.0, position_covariance_type=0,
+        position_covariance=np.zeros(9), err_horz=3.0, err_vert=5.0, track=np.degrees(np.arctan2(2.0, 1.0)),
+        speed=np.hypot(2.0, 1.0), climb=0.3, err_speed=0.24,
+    )  # fmt: skip
+    np.testing.assert_allclose(rosbag._gps_fix(fix), expected, rtol=1e-12)
+    fix.position_covariance_type, fix.position_covariance = 2, np.diag([4.0, 9.0, 16.0]).ravel()
+    np.testing.assert_allclose(rosbag._gps_fix(fix)[3:6], [2.0, 3.0, 4.0])
+    fix.status.status = -1
+    assert not np.isfinite(rosbag._gps_fix(fix)).any()
+
+
+def test_topics_that_are_not_read_are_named_where_there_is_no_position():
+    topics = [SimpleNamespace(topic=f"/a{i:02d}", msgtype="x/msg/Y", msgcount=i) for i in range(14)]
+    imu = SimpleNamespace(topic="/imu", msgtype=rosbag.IMU, msgcount=9)
+    notes: list[str] = []
+    assert rosbag._choose(Path("bag"), [imu, *topics], {}, notes) == {"imu": "/imu"}
+    assert notes[-1].startswith(
+        "position: no topic has a type that is read: record sensor_msgs/NavSatFix; not read are"
+    )
+    assert "/a03 (x/msg/Y, 3 messages)" in notes[-1] and notes[-1].endswith("and 2 more.")
+
+
+# ---------------------------------------------------------------------------- sentences and messages of other kinds
+
+GNS = "GNGNS,1000{k:02d}.00,4806.0,N,01136.0,E,AA,10,0.8,475.8,45.0,,"
+RMC = "GNRMC,1000{k:02d}.00,A,4806.0,N,01136.0,E,10.0,90.0,010624,,,A"
+GLL = "GNGLL,4806.0,N,01136.0,E,1000{k:02d}.00,A,A"
+GGA = "GNGGA,1000{k:02d}.00,4806.0,N,01136.0,E,1,10,0.8,475.8,M,45.0,M,,"
+
+
+@pytest.mark.parametrize(
+    ("bodies", "height", "sd"),
+    [((RMC,), np.nan, np.nan), ((GLL, RMC), np.nan, np.nan), ((GNS, RMC), 520.8, 2.0), ((GGA, GNS, RMC), 520.8, 2.0)],
+)  # fmt: skip
+def test_positions_of_any_sentence(tmp_path, bodies, height, sd):
+    """The best kind of those that have most of the fixes; text before and behind a sentence is none of it."""
+    lines = [f"12:00:{k:02d} {checked(body.format(k=k))} rssi=-60" for k in range(20) for body in bodies]
+    (tmp_path / "a.log").write_text("\r\n".join(lines) + "\r\n")
+    position = read_parts(tmp_path / "a.log").aiding["position"]
+    assert len(position.t) == 20 and position.t[0] == 1717236018.0
+    np.testing.assert_allclose(position.value[0], [np.deg2rad(48.1), np.deg2rad(11.6), height], rtol=1e-12)
+    np.testing.assert_allclose(position.sd[0], [sd, sd, 2 * sd])
+
+
+def test_a_few_sentences_of_a_better_kind_are_not_the_track(tmp_path):
+    lines = [checked((GGA if k == 5 else RMC).format(k=k)) for k in range(20)]
+    (tmp_path / "a.log").write_text("\r\n".join(lines) + "\r\n")
+    assert len(read_parts(tmp_path / "a.log").aiding["position"].t) == 19
+
+
+def pvt(k: int, name: str = "NAV-PVT") -> bytes:
+    """A fix at second k of a week, moving east."""
+    import pyubx2
+
+    own = {"second": k % 60, "gnssFixOk": 1} if name == "NAV-PVT" else {"sec": k % 60, "gnssFixOK": 1}
+    return pyubx2.UBXMessage(
+        "NAV", name, pyubx2.GET, iTOW=1000 * k + 345600000, year=2023, month=11, day=16, hour=0, min=k // 60,
+        validDate=1, fixType=3, lat=48.1, lon=11.5 + 1e-5 * k, height=500000, hAcc=1500, vAcc=2500, velE=700, sAcc=120,
+        **own,
+    ).serialize()  # fmt: skip
+
+
+def esf(rows: list[tuple[int, dict[int, int]]]) -> bytes:
+    """An ESF-RAW with samples of (tag, value by data type)."""
+    import pyubx2
+
+    words = [((kind << 24) | (value & 0xFFFFFF), tag % 2**32) for tag, row in rows for kind, value in row.items()]
+    body = bytes(4) + np.array(words, "<u4").tobytes()
+    return pyubx2.UBXMessage("ESF", "ESF-RAW", pyubx2.GET, payload=body).serialize()
+
+
+@pytest.mark.parametrize(("tick", "first", "batch"), [(1e-3, 5000, 1), (1 / 25600, 2**32 - 70000, 10)])
+def test_the_inertial_sensors_of_a_receiver(tmp_path, tick, first, batch):
+    """By type, sign and unit; ten samples in a message, a counter that wraps, settings of the receiver between."""
+    pyubx2 = pytest.importorskip("pyubx2")
+    sample = lambda k: {14: -4096 * 3, 13: 4096 * 2, 5: k, 16: -1024, 17: 512, 18: 10035, 12: 2500}
+    out, step = b"", round(0.05 / tick)
+    setting = pyubx2.UBXMessage.config_set(1, 0, [("CFG_RATE_MEAS", 100)]).serialize()
+    for k in range(0, 200, batch):
+        out += esf([(first + (k + i) * step, sample(k + i)) for i in range(batch)])
+        if (k + batch) % 20 == 0:
+            out += setting + pvt((k + batch) // 20)
+    (tmp_path / "a.ubx").write_bytes(out)
+    parts = read_parts(tmp_path / "a.ubx")
+    imu = parts.imu
+    assert len(imu.t) == 200 and len(parts.aiding["position"].t) == 10
+    np.testing.assert_allclose(np.diff(imu.t), 0.05, rtol=1e-5)
+    assert imu.t[-1] == pytest.approx(parts.aiding["position"].t[-1], abs=1e-6)  # which came right behind it
+    np.testing.assert_allclose(imu.gyro[7], np.deg2rad([-3.0, 2.0, 7 / 4096]), rtol=1e-12)
+    np.testing.assert_allclose(imu.accel[7], [-1.0, 0.5, 10035 / 1024], rtol=1e-12)
+
+
+def test_inertial_sensors_without_a_date_are_said(tmp_path):
+    pytest.importorskip("pyubx2")
+    sample = {14: 0, 13: 0, 5: 0, 16: 0, 17: 0, 18: 10035}
+    (tmp_path / "a.ubx").write_bytes(esf([(50 * k, sample) for k in range(20)]) + pvt(1) + pvt(2) + pvt(3))
+    parts = read_parts(tmp_path / "a.ubx")
+    assert parts.imu is None and "fewer than 3 fixes date their time tags" in " ".join(parts.notes)
+    partial = [esf([(50 * k, {14: 0, 18: 10035})]) + pvt(k) for k in range(20)]
+    (tmp_path / "a.ubx").write_bytes(b"".join(partial))
+    assert "no sample has all six axes" in " ".join(read_parts(tmp_path / "a.ubx").notes)
+
+
+def test_nav_pvat_is_a_fix_and_nmea_beside_ubx_is_read(tmp_path):
+    pyubx2 = pytest.importorskip("pyubx2")
+    (tmp_path / "a.ubx").write_bytes(b"".join(pvt(k, "NAV-PVAT") for k in range(5)))
+    position = read_parts(tmp_path / "a.ubx").aiding["position"]
+    np.testing.assert_allclose(position.t, 1700092800.0 + np.arange(5.0), atol=1e-6)
+    state = pyubx2.UBXMessage("MON", "MON-HW2", pyubx2.GET).serialize()
+    text = "".join(checked(GGA.format(k=k)) + "\r\n" + checked(RMC.format(k=k)) + "\r\n" for k in range(20))
+    (tmp_path / "b.ubx").write_bytes(state + text.encode() + state)
+    assert len(read_parts(tmp_path / "b.ubx").aiding["position"].t) == 20
+
+
+def test_a_track_of_gpx(tmp_path):
+    point = '<trkpt lat="{lat}" lon="11.5"><ele>500.5</ele><time>2024-06-01T10:00:{k:02d}.5+02:00</time></trkpt>\n'
+    points = "".join(point.format(lat=48 + k / 1e4, k=k) for k in range(10))
+    text = f'<?xml version="1.0"?>\n<gpx xmlns="x"><trk><trkseg>\n{points}<trkpt lat="48" lon="11"/>'
+    (tmp_path / "a.gpx").write_text(f"{text}</trkseg></trk></gpx>")
+    parts = read_parts(tmp_path / "a.gpx")
+    position = parts.aiding["position"]
+    np.testing.assert_allclose(position.t, 1717228800.5 + np.arange(10.0), atol=1e-6)
+    np.testing.assert_allclose(position.value[3], [np.deg2rad(48.0003), np.deg2rad(11.5), 500.5], rtol=1e-12)
+    assert parts.notes == ("1 of 11 track points have no time or no position and are left out.",)
+    (tmp_path / "a.gpx").write_text(text[:-15])
+    assert "cut or damaged behind 10 track points" in read_parts(tmp_path / "a.gpx").notes[-1]
+    (tmp_path / "a.gpx").write_text("<gpx><trk>")
+    with pytest.raises(DataError, match="a.gpx: cannot be read as XML"):
+        read_parts(tmp_path / "a.gpx")

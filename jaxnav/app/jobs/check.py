@@ -129,7 +129,8 @@ def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
     ]
     good = {f.code for f in found if not f.warns}
     used, states, remarks = ["position", "velocity"], [], []
-    if "speed" in rec.aiding:
+    doubted = {f.code.partition(".")[0] for f in found if f.warns}
+    if "speed" in rec.aiding and "speed" not in doubted:
         used.append("speed")
         remarks.append("there are wheel speeds")
     if "barometer" in good:
@@ -141,7 +142,7 @@ def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
         states.append("magnetometer_bias")
         remarks.append("the magnetometer turns with the gyros, as strong as the Earth's field is here")
     yaw = next((f for f in found if f.code == "mounting.yaw"), None)
-    if yaw is not None and "speed" in rec.aiding:
+    if yaw is not None and "speed" in used:
         used.append("nonholonomic")
         remarks.append(f"wheels do not slip sideways; {yaw.message}")
     lines.append(f"measurements = {json.dumps(used)}" + (f"  # {'; '.join(remarks)}" if remarks else ""))

@@ -1,4 +1,4 @@
-"""NMEA 0183, by `pynmeagps`: GGA, RMC, VTG, ZDA, GST, HDT and THS: fixes for the file of an IMU."""
+"""NMEA 0183, by `pynmeagps`: fixes of GGA, GNS, RMC, GLL, VTG, ZDA, GST, HDT and THS for the file of an IMU."""
 
 import datetime
 import os
@@ -21,18 +21,19 @@ from jaxnav.types import DataError
 
 SPEED_SD = 0.3  # m/s, assumed: NMEA states none
 DAY = 86400.0  # s
+PLACES = ("GGA", "GNS", "RMC", "GLL")  # sentences with a position, the best first; two of them without a height
 HEADINGS = {"HDT": "headingT", "THS": "headt"}  # field of a two-antenna heading, deg
 KNOTS = UNITS["speed"]["knots"]
 
 
 def recognises(path: Path, head: bytes) -> bool:
     """Return whether it has a sentence, after any prefix of a logger."""
-    return bool(re.search(rb"\$[A-Z]{2}(GGA|RMC|GST|GSA|GSV|VTG|GLL|ZDA),[^\r\n$]*,[^\r\n$]*[\r\n]", head))
+    return bool(re.search(rb"\$[A-Z]{2}(GGA|GNS|RMC|GST|GSA|GSV|VTG|GLL|ZDA),[^\r\n$]*,[^\r\n$]*[\r\n]", head))
 
 
 def sentences(data: bytes) -> tuple[list[bytes], int]:
     """Return the sentences of a log, and how many lack a checksum: those are taken where all do."""
-    found = re.findall(rb"\$[A-Z]{2}[A-Z0-9]{3},[\x20-\x23\x25-\x29\x2b-\x7e]*(?:\*[0-9A-Fa-f]{2})?(?=[\r\n])", data)
+    found = re.findall(rb"\$[A-Z]{2}[A-Z0-9]{3},[\x20-\x23\x25-\x29\x2b-\x7e]*(?:\*[0-9A-Fa-f]{2}|(?=[\r\n]))", data)
     bare = [line for line in found if b"*" not in line]
     if bare and len(bare) == len(found):
         return [b"%s*%02X" % (line, reduce(xor, line[1:])) for line in bare], len(bare)
@@ -40,7 +41,9 @@ def sentences(data: bytes) -> tuple[list[bytes], int]:
 
 
 def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float = 2.5) -> Parts:
-    """Position of GGA, horizontal velocity of RMC or VTG, heading of HDT or THS; t in s since 1970 in GPS time.
+    """Position of GGA, else of GNS, RMC or GLL, horizontal velocity of RMC or VTG, heading of HDT or THS.
+
+    Times are s since 1970 in GPS time.
 
     Args:
         path: the text; other lines are skipped.
@@ -52,7 +55,8 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
     """
     import pynmeagps
 
-    fixes, motion, pointed, spread, day = [], [], [], {}, None
+    places: dict[str, list[Any]] = {kind: [] for kind in PLACES}
+    motion, pointed, spread, day = [], [], {}, None
     first_day, last, now, damaged, level = None, -1.0, None, 0, 0
     lines, bare = sentences(read_bytes(path))
     for line in lines:
@@ -67,7 +71,7 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
             pointed.append([now, angle * DEG])  # without a time: that of the sentence before
         if kind == "VTG" and now is not None and _numeric(m.cogt, m.sogn):
             motion.append(["VTG", now, m.sogn * KNOTS, m.cogt * DEG])
-        if kind not in ("GGA", "RMC", "GST", "ZDA") or not isinstance(m.time, datetime.time):
+        if kind not in (*PLACES, "GST", "ZDA") or not isinstance(m.time, datetime.time):
             continue
         second = _second(m.time)
         date = _date(m) if kind in ("RMC", "ZDA") else None
@@ -77,16 +81,20 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
         now = _stamp(day, second, last)
         if kind == "RMC" and date is not None and m.status == "A" and _numeric(m.spd, m.cog):
             motion.append(["RMC", _day(date) + second, m.spd * KNOTS, m.cog * DEG])
-        elif kind == "GGA" and m.quality and _numeric(m.lat, m.lon):
-            if not _numeric(m.alt):
+        if kind in PLACES and _is_fix(m) and _numeric(m.lat, m.lon):
+            if kind == "GGA" and not _numeric(m.alt):
                 level += 1
                 continue
-            height = m.alt + (m.sep if _numeric(m.sep) else 0.0)
-            fixes.append((now, second, [m.lat * DEG, m.lon * DEG, height], m.HDOP))
+            alt: Any = getattr(m, "alt", None)
+            sep: Any = getattr(m, "sep", None)
+            height = alt + (sep if _numeric(sep) else 0.0) if _numeric(alt) else np.nan
+            places[kind].append((now, second, [m.lat * DEG, m.lon * DEG, height], getattr(m, "HDOP", None)))
         elif kind == "GST":
             spread[second] = [m.stdLong, m.stdLat, m.stdAlt]
+    most = max(map(len, places.values()))
+    fixes = next(rows for rows in places.values() if 2 * len(rows) >= most)
     if not fixes:
-        raise DataError(f"{path}: has no GGA with a fix in three dimensions")
+        raise DataError(f"{path}: has no {', '.join(PLACES)} with a fix in three dimensions")
     if first_day is None:
         raise DataError(f"{path}: has no RMC or ZDA, the sentences with the date")
     kind = "RMC" if any(row[0] == "RMC" for row in motion) else "VTG"
@@ -104,6 +112,15 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
         "GGA have no height and are left out: fixes in two dimensions.": level,
     }
     return parts._replace(notes=(*parts.notes, *(f"{count} {text}" for text, count in said.items() if count)))
+
+
+def _is_fix(m: Any) -> bool:
+    """Return whether a sentence of `PLACES` says that it has a fix."""
+    if m.msgID == "GGA":
+        return bool(m.quality)
+    if m.msgID == "GNS":
+        return any(mode not in "N" for mode in str(m.posMode))
+    return bool(m.status == "A")
 
 
 def _numeric(*fields: Any) -> bool:
@@ -147,7 +164,7 @@ def _parts(
     notes: list[Note] = []
     t = np.array([second + first_day if stamp is None else stamp for stamp, second, _, _ in fixes]) + leap
     sd = np.array([_sd(spread.get(second), hdop, scale) for _, second, _, hdop in fixes])
-    guessed = np.count_nonzero([second not in spread for _, second, _, _ in fixes])
+    guessed = np.count_nonzero([second not in spread and _numeric(hdop) for _, second, _, hdop in fixes])
     if guessed:
         notes.append(f"position: the sd of {guessed} fixes are taken as {scale:g} m times HDOP, twice that upwards.")
     streams = {"position": Stream(t, np.array([lla for _, _, lla, _ in fixes]), sd)}

@@ -1,19 +1,27 @@
-"""ROS 1 bags, ROS 2 bags and MCAP files, by `rosbags`: standard messages, in ROS' axes and units (REP 103, 145)."""
+"""ROS 1 bags, ROS 2 bags and MCAP files, by `rosbags`: standard messages, in ROS' axes and units (REP 103, 145).
+
+And those of receivers' drivers that hold a fix: NavPVT of u-blox, GPSFix of gpsd.
+"""
 
 import os
 import re
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxnav.io.column_map import interpolated
 from jaxnav.io.files import MAX_VALUE
 from jaxnav.io.parts import ImuRows, Parts, Stream, TimeScale, scaled
 from jaxnav.io.units import pressure_height
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 
+MOST_NAMED = 12  # topics that a note names
+ACCEL = "accelerometer"  # an IMU's topic that has nothing else
+HALF = 50  # messages of an IMU's topic that show whether it has gyro and accelerometer
 RECEIVER = {"raw", "fix", "gps", "gnss", "receiver"}  # words of a topic
 ESTIMATE = {"filtered", "filter", "fused", "odometry", "odom", "global", "local", "ekf", "estimate", "estimated"}
 TESLA = 1e6  # microtesla
@@ -59,16 +67,47 @@ def read(path: Path, topics: dict[str, str] | None = None) -> Parts:
         if not chosen:
             types = ", ".join(sorted({c.msgtype for c in bag.connections}))
             raise DataError(f"{path}: has no messages that are known, only {types or 'none'}")
-        rows: dict[str, list[list[float]]] = {stream: [] for stream in chosen.values()}
-        stamps: dict[str, list[int]] = {stream: [] for stream in chosen.values()}
-        heard: dict[str, list[int]] = {stream: [] for stream in chosen.values()}
-        for c, received, raw in bag.messages([c for c in bag.connections if c.topic in chosen and c.msgtype in KINDS]):
+        if "imu" in chosen and "imu" not in (topics or {}):
+            chosen |= _whole_imu(bag, chosen["imu"], notes)
+        rows: dict[str, list[list[float]]] = {stream: [] for stream in chosen}
+        stamps: dict[str, list[int]] = {stream: [] for stream in chosen}
+        heard: dict[str, list[int]] = {stream: [] for stream in chosen}
+        wanted = set(chosen.values())
+        for c, received, raw in bag.messages([c for c in bag.connections if c.topic in wanted and c.msgtype in KINDS]):
             message: Any = bag.deserialize(raw, c.msgtype)
-            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-            stamps[chosen[c.topic]].append(stamp or received)
-            heard[chosen[c.topic]].append(received)
-            rows[chosen[c.topic]].append(KINDS[c.msgtype].row(message))
+            header = getattr(message, "header", None)  # NavPVT has none
+            stamp = 0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
+            for kind in KINDS[c.msgtype]:
+                for stream in (kind.stream, *([ACCEL] if kind.stream == "imu" else [])):
+                    if chosen.get(stream) == c.topic:
+                        stamps[stream].append(stamp or received)
+                        heard[stream].append(received)
+                        rows[stream].append(kind.row(message))
     return _parts(os.fspath(path), rows, _one_clock(stamps, heard, notes), notes)
+
+
+def _whole_imu(bag: Any, usual: str, notes: list[str]) -> dict[str, str]:
+    """Return the topics of the IMU, and of its accelerometer where gyro and accelerometer are two topics."""
+    halves: dict[str, tuple[bool, bool]] = {}
+    for c in bag.connections:
+        if c.msgtype == IMU and c.topic not in halves:
+            few = islice(bag.messages([c]), HALF)
+            read_ = np.nan_to_num(np.array([_imu(bag.deserialize(raw, IMU)) for _, _, raw in few]).reshape(-1, 6))
+            halves[c.topic] = bool(read_[:, :3].any()), bool(read_[:, 3:].any())
+    if all(halves[usual]):
+        return {"imu": usual}
+    whole = [topic for topic, has in halves.items() if all(has)]
+    if whole:
+        notes.append(
+            f"imu is {whole[0]}: {usual} has no {'accelerometer' if halves[usual][0] else 'gyro'}, it reads 0."
+        )
+        return {"imu": whole[0]}
+    gyros = [topic for topic, has in halves.items() if has[0]]
+    accels = [topic for topic, has in halves.items() if has[1]]
+    if not gyros or not accels:
+        return {"imu": usual}
+    notes.append(f"imu: the gyro is {gyros[0]}, the accelerometer {accels[0]}: the other half of each reads 0.")
+    return {"imu": gyros[0], ACCEL: accels[0]}
 
 
 def _one_clock(stamps: dict[str, list[int]], heard: dict[str, list[int]], notes: list[str]) -> dict[str, list[int]]:
@@ -102,12 +141,9 @@ def from_receiver(topic: str) -> int:
 
 
 def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[str]) -> dict[str, str]:
-    """Streams by topic: the topic that the user names, else the one with most messages."""
+    """Return a topic by stream: the one that the user names, else the one with most messages."""
     counts: dict[str, dict[str, int]] = {}
-    for c in connections:
-        if c.msgtype not in KINDS:
-            continue
-        kind = KINDS[c.msgtype]
+    for c, kind in [(each, kind) for each in connections for kind in KINDS.get(each.msgtype, ())]:
         if kind.asked and kind.stream not in topics:  # it may as well be a command, or in the robot's axes
             notes.append(f"{c.topic} is not read: if it is {kind.asked}, say topics={{'{kind.stream}': '{c.topic}'}}.")
             continue
@@ -123,7 +159,17 @@ def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[st
         best = topics.get(stream) or max(of, key=lambda topic: (raw(topic), of[topic]))
         if len(of) > 1 and stream not in topics:
             notes.append(f"{stream} is {best}, of {', '.join(sorted(of))}.")
-        chosen[best] = stream
+        chosen[stream] = best
+    if "position" not in chosen:
+        others = sorted(
+            {f"{c.topic} ({c.msgtype}, {c.msgcount} messages)" for c in connections if c.msgtype not in KINDS}
+        )
+        notes.append(
+            "position: no topic has a type that is read: record sensor_msgs/NavSatFix"
+            + (f"; not read are {', '.join(others[:MOST_NAMED])}" if others else "")
+            + (f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else "")
+            + "."
+        )
     return chosen
 
 
@@ -136,16 +182,25 @@ def _parts(file: str, rows: dict[str, list[Any]], stamps: dict[str, list[int]], 
         if not values:
             continue
         t, table = (np.array(stamps[stream]) - zero) / 1e9, np.array(values, float)
+        if stream == ACCEL:
+            continue
         if stream == "imu":
-            imu = ImuRows(t, table[:, :3], table[:, 3:])
+            gyro, accel = table[:, :3], table[:, 3:]
+            if ACCEL in rows:
+                of = (np.array(stamps[ACCEL]) - zero) / 1e9
+                accel, covered = interpolated(t, of, np.array(rows[ACCEL], float)[:, 3:])
+                t, gyro, accel = t[covered], gyro[covered], accel[covered]
+            imu = ImuRows(t, gyro, accel)
+            continue
+        if stream == "speed" and not table[:, 0].any():
+            notes.append("speed: the twists of the odometry are all 0: it has a pose alone, and is not read.")
             continue
         half = table.shape[1] // 2
         value, sd = table[:, :half], np.where(table[:, half:] > 0.0, table[:, half:], np.nan)
-        if stream == "position":
+        if stream in ("position", "velocity"):
             keep = table[:, 0] < MAX_VALUE  # STATUS_NO_FIX
-            notes += (
-                [f"position: {np.count_nonzero(~keep)} messages say that there is no fix."] if not keep.all() else []
-            )
+            if not keep.all():
+                notes.append(f"{stream}: {np.count_nonzero(~keep)} messages say that there is no fix.")
             t, value, sd = t[keep], value[keep], sd[keep]
         # a magnetometer is taken to sit in the IMU's case
         aiding[stream] = Stream(t, value, None if np.isnan(sd).all() else sd, turns=stream == "magnetometer")
@@ -199,8 +254,32 @@ def _range(m: Any) -> list[float]:
     return [m.range if m.min_range < m.range < m.max_range else np.nan, np.nan]
 
 
-KINDS: dict[str, Kind] = {
-    "sensor_msgs/msg/Imu": Kind("imu", _imu),
+def _pvt(m: Any) -> list[float]:
+    """Return position and velocity of NavPVT, names as in ROS 1 or ROS 2: 1e-7 deg, mm, mm/s."""
+    get = lambda *names, usual=np.nan: next((float(getattr(m, name)) for name in names if hasattr(m, name)), usual)
+    if not int(get("flags", usual=1)) & 1 or get("fix_type", "fixType", usual=3) not in (3, 4):
+        return [np.inf] * 12
+    place = [get("lat") * 1e-7 * DEG, get("lon") * 1e-7 * DEG, get("height") / 1e3]
+    wide, high = get("h_acc", "hAcc") / 1e3, get("v_acc", "vAcc") / 1e3
+    velocity = [get("vel_e", "velE") / 1e3, get("vel_n", "velN") / 1e3, -get("vel_d", "velD") / 1e3]
+    return [*place, wide, wide, high, *velocity, *[get("s_acc", "sAcc") / 1e3] * 3]
+
+
+def _gps_fix(m: Any) -> list[float]:
+    """Return position and velocity of GPSFix: deg, m, m/s; accuracies are at 95 %."""
+    if m.status.status < 0:
+        return [np.inf] * 12
+    stated = _roots(m.position_covariance, 3) if m.position_covariance_type else [np.nan] * 3
+    half = lambda error: error / 2 if error > 0 else np.nan
+    spread = [half(m.err_horz), half(m.err_horz), half(m.err_vert)] if np.isnan(stated).all() else stated
+    course, speed = m.track * DEG, m.speed
+    velocity = [speed * np.sin(course), speed * np.cos(course), m.climb]
+    return [m.latitude * DEG, m.longitude * DEG, m.altitude, *spread, *velocity, *[half(m.err_speed)] * 3]
+
+
+IMU = "sensor_msgs/msg/Imu"
+ONE: dict[str, Kind] = {
+    IMU: Kind("imu", _imu),
     "sensor_msgs/msg/NavSatFix": Kind("position", _fix),
     "geometry_msgs/msg/TwistStamped": Kind("velocity", _velocity, "a receiver's, ENU"),
     "geometry_msgs/msg/TwistWithCovarianceStamped": Kind("velocity", _velocity_with_sd, "a receiver's, ENU"),
@@ -209,3 +288,14 @@ KINDS: dict[str, Kind] = {
     "sensor_msgs/msg/FluidPressure": Kind("barometer", _pressure),
     "sensor_msgs/msg/Range": Kind("rangefinder", _range, "a sensor that looks down"),
 }
+"""Types of one stream."""
+BOTH = {"ublox_msgs/msg/NavPVT": _pvt, "gps_common/msg/GPSFix": _gps_fix, "gps_msgs/msg/GPSFix": _gps_fix}
+"""Types of a position and a velocity, their value and sd each."""
+
+
+def _halves(row: Callable[[Any], list[float]]) -> tuple[Kind, ...]:
+    return Kind("position", lambda m: row(m)[:6]), Kind("velocity", lambda m: row(m)[6:])
+
+
+KINDS: dict[str, tuple[Kind, ...]] = {name: (kind,) for name, kind in ONE.items()}
+KINDS |= {name: _halves(row) for name, row in BOTH.items()}

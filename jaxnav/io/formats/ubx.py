@@ -1,7 +1,7 @@
 """u-blox UBX, by `pyubx2`: fixes for an IMU's file, and corrected ranges where it has raw measurements.
 
-Fixes are those of NAV-PVT, or of NAV-POSLLH and NAV-VELNED of older receivers; ranges those of RXM-RAWX with the
-ephemerides of RXM-SFRBX.
+Fixes are those of NAV-PVT or NAV-PVAT, or of NAV-POSLLH and NAV-VELNED of older receivers; ranges RXM-RAWX with
+RXM-SFRBX ephemerides; the IMU is that of ESF-RAW or ESF-MEAS. Where UBX has no fixes, NMEA is read.
 """
 
 import datetime
@@ -18,6 +18,8 @@ from jaxnav.gnss.orbits import stacked
 from jaxnav.gnss.ranges import FREQUENCY, LIGHT, number
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.files import read_bytes
+from jaxnav.io.formats import nmea
+from jaxnav.io.formats.esf import Sensors
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.maths.units import DEG
@@ -26,6 +28,9 @@ from jaxnav.types import DataError
 SYNC = b"\xb5\x62"
 FIXED = (3, 4)  # fixType: in three dimensions, alone or with dead reckoning
 PVT = b"\x01\x07"  # class and number of NAV-PVT
+FIXES = ("NAV-PVT", "NAV-PVAT")
+BARE = 8  # bytes of a message without contents, which asks for one
+CLASSES = b"\x01\x02"  # NAV and RXM: other messages are commands, settings and states of the receiver
 SYSTEM = {0: "G", 1: "S", 2: "E", 3: "C", 5: "J"}  # gnssId
 FIRST_SIGNAL = {"G": (0,), "S": (0,), "E": (0, 1), "C": (0, 1), "J": (0,)}  # sigId of the first frequency
 OLDER = ("NAV-POSLLH", "NAV-VELNED", "NAV-SOL", "NAV-STATUS", "NAV-TIMEGPS")
@@ -75,14 +80,19 @@ def read(
     """
     import pyubx2
 
-    raw = Raw()
+    raw, sensors = Raw(), Sensors()
     older: dict[str, dict[int, Any]] = {name: {} for name in OLDER}
-    rows, pointed, without = [], [], 0
-    intact, damaged = frames(read_bytes(path))
+    rows: dict[int, list[float]] = {}
+    pointed, without = [], 0
+    data = read_bytes(path)
+    intact, damaged = frames(data)
     for frame in intact:
+        sensors.take(frame)
+        if frame[2] not in CLASSES or len(frame) <= BARE:
+            continue
         try:
             message = pyubx2.UBXReader.parse(frame)
-        except pyubx2.UBXParseError:  # of a kind that it does not know
+        except (pyubx2.UBXParseError, pyubx2.UBXMessageError, pyubx2.UBXTypeError):  # of a kind that it does not know
             continue
         if message.identity == "NAV-RELPOSNED" and getattr(message, "relPosHeadingValid", 0):
             if message.isMoving and message.relPosValid:
@@ -90,14 +100,19 @@ def read(
         raw.take(message)
         if message.identity in older:
             older[message.identity][message.iTOW] = message
-        if message.identity != "NAV-PVT":
+        if message.identity in (*FIXES, "NAV-POSLLH"):
+            sensors.fix(message.iTOW / 1e3)
+        if message.identity not in FIXES:
             continue
-        if message.fixType not in FIXED or not message.gnssFixOk or not message.validDate:
+        ok = getattr(message, "gnssFixOk", 0) or getattr(message, "gnssFixOK", 0)  # of NAV-PVT, of NAV-PVAT
+        if message.fixType not in FIXED or not ok or not message.validDate:
             without += 1
             continue
-        rows.append(_row(message))
+        rows[message.iTOW] = _row(message)
     if not rows and not without:
         rows, without = _older_rows(older)
+    if not rows and nmea.recognises(path, data):
+        return nmea.read(path)
     ranges, about = raw.streams(path, Masks(elevation_mask_deg, cn0_mask_dbhz), spp, rates)
     if ranges and (spp or not rows):
         streams = {name: Stream(*samples) for name, samples in ranges.items()}
@@ -109,7 +124,7 @@ def read(
         )
     said = {"messages have no fix in three dimensions.": without, "NAV-PVT are damaged and left out.": damaged}
     notes = tuple(f"{count} {text}" for text, count in said.items() if count) + about
-    t, lla, acc, vel, s_acc = np.split(np.array(rows), [1, 4, 6, 9], axis=1)
+    t, lla, acc, vel, s_acc = np.split(np.array(list(rows.values())), [1, 4, 6, 9], axis=1)
     position = Stream(t[:, 0], lla, acc[:, [0, 0, 1]])
     moved = np.isfinite(vel[:, 0])
     velocity = Stream(t[moved, 0], ned_to_enu(vel[moved]), np.repeat(s_acc[moved], 3, axis=1))
@@ -120,7 +135,8 @@ def read(
         week = np.round((np.median(t) - tow) / WEEK)  # a recording is shorter than half a week
         aiding["heading"] = Stream(tow + week * WEEK, angle[:, None], sd[:, None])
     aiding |= {name: Stream(*ranges[name]) for name in ("pseudorange", "range_rate") if name in ranges}
-    return scaled(Parts(os.fspath(path), aiding=aiding, notes=notes), TimeScale.GPS)
+    imu, of_imu = sensors.imu(float(np.median(t[:, 0] - np.array(list(rows)) / 1e3)))
+    return scaled(Parts(os.fspath(path), imu, aiding, notes=notes + of_imu), TimeScale.GPS)
 
 
 class Raw:
@@ -181,27 +197,29 @@ class Raw:
             return {}, (f"Its raw measurements are not used: {error}.",)
 
 
-def _older_rows(older: dict[str, dict[int, Any]]) -> tuple[list[list[float]], int]:
-    """Return rows as in `_row` of receivers without NAV-PVT, and the number of positions without a fix in 3D."""
+def _older_rows(older: dict[str, dict[int, Any]]) -> tuple[dict[int, list[float]], int]:
+    """Return rows by ms of week as in `_row` of receivers without NAV-PVT; number without a fix in 3D."""
     weeks = [m.week for m in older["NAV-SOL"].values() if m.wknSet]
     weeks += [m.week for m in older["NAV-TIMEGPS"].values() if m.weekValid]
     base = GPS_EPOCH + int(np.median(weeks)) * WEEK if weeks else 0.0  # else seconds of the week
     fixed = {tow: m.gpsFix in FIXED and bool(m.gpsfixOK) for tow, m in older["NAV-SOL"].items()}
     fixed |= {tow: m.gpsFix in FIXED and bool(m.gpsFixOk) for tow, m in older["NAV-STATUS"].items()}
-    rows, without = [], 0
+    rows, without = dict[int, list[float]](), 0
     for tow, p in older["NAV-POSLLH"].items():
         if not fixed.get(tow, not fixed):
             without += 1
             continue
         v = older["NAV-VELNED"].get(tow)
         motion = [np.nan] * 4 if v is None else [v.velN / 100, v.velE / 100, v.velD / 100, v.sAcc / 100]  # cm/s
-        rows.append([base + tow / 1e3, p.lat * DEG, p.lon * DEG, p.height / 1e3, p.hAcc / 1e3, p.vAcc / 1e3, *motion])
+        row = [base + tow / 1e3, p.lat * DEG, p.lon * DEG, p.height / 1e3, p.hAcc / 1e3, p.vAcc / 1e3, *motion]
+        rows[tow] = row
     return rows, without
 
 
 def _row(m: Any) -> list[float]:
     """T s, lat, lon rad, height above the ellipsoid m, hAcc, vAcc m, velN, velE, velD, sAcc m/s."""
-    moment = datetime.datetime(m.year, m.month, m.day, m.hour, m.min, min(m.second, 59), tzinfo=datetime.UTC)
+    second = m.second if m.identity == "NAV-PVT" else m.sec
+    moment = datetime.datetime(m.year, m.month, m.day, m.hour, m.min, min(second, 59), tzinfo=datetime.UTC)
     tow = m.iTOW / 1e3
     utc = moment.timestamp()
     week = round((utc + leap_seconds(utc) - GPS_EPOCH - tow) / WEEK)

@@ -1,0 +1,72 @@
+"""Inertial sensors of u-blox receivers: ESF-RAW and ESF-MEAS (interface description of the ZED-F9R, 3.11)."""
+
+import numpy as np
+
+from jaxnav.io.parts import ImuRows, TimeScale
+from jaxnav.maths.units import DEG
+
+RAW, MEAS = b"\x10\x03", b"\x10\x02"  # class and number
+GYRO, ACCEL = (14, 13, 5), (16, 17, 18)  # data types of x, y, z
+GYRO_UNIT, ACCEL_UNIT = DEG / 2**12, 1 / 2**10
+TICKS = {"1 ms": 1e-3, "1/25600 s": 1 / 25600, "1 us": 1e-6}  # of the time tag, by receiver; s
+MAX_MISFIT = 0.1  # share by which a tick may miss the time between fixes
+TYPES = [("field", "<u4"), ("tag", "<u4")]
+
+
+class Sensors:
+    """Samples of a file, and what the time tag was when fixes came."""
+
+    def __init__(self) -> None:
+        self.samples: dict[int, dict[int, int]] = {}  # by time tag: value by data type
+        self.epochs: list[tuple[float, int]] = []  # s of week, last tag before
+        self.last, self.turns = -1, 0
+
+    def take(self, frame: bytes) -> None:
+        """Take a message of any kind; of a fix, whose first field is the time of week, as an epoch."""
+        kind, body = frame[2:4], frame[6:-2]
+        if kind == RAW:
+            data = np.frombuffer(body[4 : 4 + 8 * ((len(body) - 4) // 8)], TYPES)
+            fields, tags = data["field"], data["tag"]
+        elif kind == MEAS and len(body) >= 8:
+            count = int.from_bytes(body[4:6], "little") >> 11
+            fields = np.frombuffer(body[8 : 8 + 4 * count], "<u4")
+            tags = np.full(fields.size, int.from_bytes(body[:4], "little"))
+        else:
+            return
+        for field, tag in zip(fields.tolist(), tags.tolist()):
+            kind_of, value = (field >> 24) & 63, field & 0xFFFFFF
+            if kind_of not in GYRO + ACCEL:
+                continue
+            if self.last - tag > 2**31:
+                self.turns += 1
+            self.last = tag
+            at = tag + 2**32 * self.turns
+            self.samples.setdefault(at, {})[kind_of] = value - ((value & 0x800000) << 1)
+
+    def fix(self, tow: float) -> None:
+        """Note that a fix of this second of the week came."""
+        if self.last >= 0:
+            self.epochs.append((tow, self.last + 2**32 * self.turns))
+
+    def imu(self, week: float) -> tuple[ImuRows | None, tuple[str, ...]]:
+        """Return the samples, times from ``week`` (s) on, and notes; None of no samples, or of none with a time."""
+        whole = {tag: row for tag, row in sorted(self.samples.items()) if len(row) == len(GYRO + ACCEL)}
+        if not self.samples:
+            return None, ()
+        tow, tags = np.array(self.epochs, float).reshape(-1, 2).T
+        known = np.unique(tags, return_index=True)[1]
+        if len(whole) < 2 or known.size < 3 or np.ptp(tow[known]) <= 0:
+            words = f"{len(self.samples)} samples of inertial sensors (ESF) are not used:"
+            why = "no sample has all six axes" if len(whole) < 2 else "fewer than 3 fixes date their time tags"
+            return None, (f"{words} {why}.",)
+        slope = float(np.polyfit(tags[known] - tags[known][0], tow[known], 1)[0])
+        name, tick = min(TICKS.items(), key=lambda row: abs(np.log(row[1] / max(slope, 1e-12))))
+        if abs(slope / tick - 1) > MAX_MISFIT:
+            return None, (f"samples of inertial sensors (ESF) are not used: a tick of their tags lasts {slope:.3g} s.",)
+        begin = float((tow - tags * tick).min())  # a fix comes after its epoch, the sooner the better it dates the tag
+        t = week + begin + np.array(list(whole)) * tick
+        value = np.array([[row[kind] for kind in GYRO + ACCEL] for row in whole.values()], float)
+        lost = len(self.samples) - len(whole)
+        notes = (f"{lost} samples of inertial sensors lack an axis and are left out.",) if lost else ()
+        said = f"imu: ESF, ticks of {name}, dated by the order of messages: a delay of 0.1 s is usual."
+        return ImuRows(t, value[:, :3] * GYRO_UNIT, value[:, 3:] * ACCEL_UNIT, scale=TimeScale.GPS), (*notes, said)

@@ -262,6 +262,28 @@ KINDS: dict[str, Kind] = {
         )
         for kind in ("swapped", "sign", "units", "columns")
     },
+    "velocity.turned": Kind(
+        WARNING,
+        "velocity is turned by {value:+.1f} deg against differences of positions (sd {sd:.1f} deg)",
+        ("a course from magnetic north", "axes of another north"),
+        ("set north_deg = {north:.1f} in [velocity] of a column map",),
+        "deg",
+    ),
+    "heading": Kind(INFO, "heading is {value:+.1f} deg from the course (scatter {sd:.1f} deg)", unit="deg"),
+    "heading.turned": Kind(
+        WARNING,
+        "heading is {value:+.1f} deg from the course (scatter {sd:.1f} deg)",
+        ("antennas that are mounted across", "a heading from another north"),
+        ("set measurements.heading.yaw_deg = {value:.1f}",),
+        "deg",
+    ),
+    "heading.mirrored": Kind(
+        WARNING,
+        "heading and course add up to {value:+.1f} deg (scatter {sd:.1f} deg)",
+        ("a yaw that grows to the left, of ROS from the east",),
+        ('value = "-COLUMN" and north_deg = {north:.1f} in [heading] of a column map',),
+        "deg",
+    ),
     "velocity.vertical": Kind(INFO, "vertical velocity and differences of height correlate by {value:+.2f}"),
     "velocity.vertical_sign": Kind(
         WARNING,

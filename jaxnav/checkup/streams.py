@@ -6,11 +6,15 @@ from jaxnav.checkup import witnesses
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import EMPTY, level_velocity, local, rms
 from jaxnav.maths.interpolation import columns_at, running
+from jaxnav.maths.units import DEG
 from jaxnav.types import Finding, Recording, Severity
 
 SPAN_S = 2.0  # s, over which positions are differenced
 UNITS = {"km/h": 3.6, "knots": 1.943844, "feet per second": 3.28084, "mm/s": 1000.0, "cm/s": 100.0}
 MAX_SD_STEP = 1.15  # times: the step of a stated sd from one fix to the next, in the median
+MIN_SPEED = 1.0  # m/s, of a course
+MAX_TURN, MAX_CRAB = 5 * DEG, 30 * DEG  # of directions by another north; of a heading on one course, by wind or leeway
+MAX_SCATTER = 6 * DEG  # of a heading about the course
 AXES = np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]])
 
 
@@ -43,6 +47,8 @@ def velocity(rec: Recording) -> list[Finding]:
     said = (columns_at(b[rows], v.t, total) - columns_at(a[rows], v.t, total)) / T
     sd = np.hypot(np.sqrt(2) * p.sd[n:][rows] / T, np.median(v.sd, 0))
     found = _level(shown[:, :2], said[:, :2], rms(sd[:, :2]))
+    if found[0].code in ("velocity", "velocity.columns"):
+        found = _turned(shown[:, :2], said[:, :2], a[rows], n) or found
     found += _vertical(shown[:, 2], said[:, 2], rms(sd[:, 2]), float(np.median(v.sd[:, 2])))
     if not any(f.warns for f in found):
         found += _late(shown[:, :2], said[:, :2], a[rows])
@@ -66,6 +72,48 @@ def _level(shown: np.ndarray, said: np.ndarray, sd: float) -> list[Finding]:
         code, cause = best.split(": ")
         return [finding(code, value=off, size=size, cause=cause)]
     return [finding("velocity.columns", value=off, size=size, cause="other columns, or other times")]
+
+
+def _turned(shown: np.ndarray, said: np.ndarray, t: np.ndarray, n: int) -> list[Finding]:
+    """Velocity from another north than that of the positions: shown = c said + s J said + delay acceleration.
+
+    In turns of one sense a delay is a turn as well: then the sd of both is large.
+    """
+    left = said[:, ::-1] * [-1, 1]  # turned to the left by 90 deg
+    A = np.stack([said, left, np.gradient(said, t, axis=0)], axis=-1).reshape(-1, 3)
+    normal = A.T @ A
+    if np.linalg.cond(normal) > 1e10 or rms(said) < MIN_SPEED:
+        return []
+    c, s, late = np.linalg.solve(normal, A.T @ shown.ravel())
+    noise = rms(shown.ravel() - A @ [c, s, late]) * np.sqrt(n)  # differences overlap
+    angle, sd = np.arctan2(s, c), noise * np.sqrt(np.linalg.inv(normal)[1, 1]) / np.hypot(c, s)
+    if abs(angle) < max(MAX_TURN, 5 * sd) or not 0.7 < np.hypot(c, s) < 1.4:
+        return []
+    return [finding("velocity.turned", value=angle / DEG, sd=sd / DEG, north=-angle / DEG)]
+
+
+def heading(rec: Recording) -> list[Finding]:
+    """Heading of two antennas against the course: mounted across, from another north, or to the left."""
+    v, h = level_velocity(rec.aiding), rec.aiding.get("heading")
+    if v is None or h is None or h.t.size < 20:
+        return []
+    east, north = columns_at(h.t, v.t, v.value[:, :2]).T
+    speed, sd = np.hypot(east, north), float(np.median(v.sd[:, :2]))
+    rows = (h.t >= v.t[0]) & (h.t <= v.t[-1]) & (speed > max(MIN_SPEED, 8 * sd))
+    if rows.sum() < 20:
+        return []
+    pointed, course = np.exp(1j * h.value[rows, 0]), np.exp(1j * np.arctan2(east, north)[rows])
+    around = abs(course.mean()) < 0.97  # courses of more than about 50 deg
+    for mirrored, off in enumerate((pointed * course.conj(), pointed * course)):
+        mean = np.angle(off.mean())
+        scatter = rms(np.angle(off * np.exp(-1j * mean)))
+        if scatter > MAX_SCATTER or (mirrored and not around):
+            continue
+        if mirrored:
+            return [finding("heading.mirrored", value=mean / DEG, sd=scatter / DEG, north=mean / DEG)]
+        code = "heading.turned" if abs(mean) > (MAX_TURN if around else MAX_CRAB) else "heading"
+        return [finding(code, value=mean / DEG, sd=scatter / DEG, north=-mean / DEG)]
+    return []
 
 
 def _vertical(shown: np.ndarray, said: np.ndarray, sd: float, stated: float) -> list[Finding]:

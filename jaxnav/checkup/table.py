@@ -29,6 +29,7 @@ CHECKS: dict[str, Check] = {
     "fixes": Check(streams.fixes),
     "stated": Check(streams.stated),
     "velocity": Check(streams.velocity),
+    "heading": Check(streams.heading),
     "speed": Check(streams.speed),
     "barometer": Check(streams.barometer),
     "compass": Check(compass.compass),

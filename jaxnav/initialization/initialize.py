@@ -229,6 +229,7 @@ def initialize(
 
 
 WINDOWS_S = (10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)  # s of the windows that are tried one after the other
+MAX_CONTRADICTION = 5.0  # sd, of a heading by two antennas from that of the motion
 KNOWN_HEADING_SD = 10 * DEG  # sd of a heading that is known
 MAX_CHI2_PER_DOF = 9.0  # chi^2 per degree of freedom from which on fixes and IMU do not belong together
 
@@ -263,13 +264,17 @@ def _align_in_motion(rec: Recording, known: Params, velocity: Samples, begin: fl
         f"deg (sd {tilt / DEG:.2g} deg), heading "
     )
     source = heading_by_sensor(rec, known, (float(rph[0]), float(rph[1])), tilt, best.t)
-    if source is not None and (unknown or (not source.magnetic and source.sd < best.sd[2])):
+    off = 0.0 if source is None or unknown else abs(math.remainder(source.heading - float(rph[2]), 2 * math.pi))
+    contradicted = source is not None and off > MAX_CONTRADICTION * math.hypot(source.sd, float(best.sd[2]))
+    if source is not None and (unknown or (not source.magnetic and source.sd < best.sd[2] and not contradicted)):
         words, rph = f"{words}{source.words}", np.array([rph[0], rph[1], source.heading])
         return Attitude(best.t, tuple(rph), (tilt, source.sd), words, False, best, source)
     if unknown:
         words += "not shown by the motion"
         return Attitude(best.t, tuple(rph), (tilt, 2 * np.pi / hypotheses), words, True, best)
     words += f"{rph[2] / DEG % 360:.1f} deg"
+    if source is not None and not source.magnetic and contradicted:
+        words += f" by the motion, which {source.words} contradict"
     return Attitude(best.t, tuple(rph), (tilt, float(best.sd[2])), words, False, best)
 
 

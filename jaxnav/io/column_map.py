@@ -47,7 +47,7 @@ TOP = ("name", "notes", "folder", "lever_arm_frd_m", "origin_deg", "read", "imu"
 KEYS: dict[str, tuple[str, ...]] = {
     "imu": (*COMMON, *"gyro gyro_unit accel accel_unit accel_time axes sampling repair".split()),
     "position": (*COMMON, *"lla enu ned ecef utm zone unit h_unit sd sd_enu sd_ned".split()),
-    "velocity": (*COMMON, *"enu ned neu ecef speed_course up down unit course_unit sd sd_enu sd_ned".split()),
+    "velocity": (*COMMON, *"enu ned neu ecef speed_course up down unit course_unit north_deg sd sd_enu sd_ned".split()),
     "truth": (
         *COMMON,
         *"lla enu ned ecef utm zone unit h_unit velocity_enu velocity_ned velocity_ecef rph rph_unit".split(),
@@ -63,6 +63,7 @@ KEYS: dict[str, tuple[str, ...]] = {
 }
 MAX_LOCAL_M = 500e3  # m; farther from its origin a plane is no map
 SCALAR = (*COMMON, "value", "unit", "sd")  # of every other stream
+KEYS |= {name: (*SCALAR, "north_deg") for name in ("heading", "course")}
 
 
 def read_map(
@@ -349,14 +350,21 @@ def _velocity(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     if key != "speed_course":
         order = {"enu": [0, 1, 2], "neu": [1, 0, 2], "ned": [1, 0, 2]}[key]
         sign = np.array([1.0, 1.0, -1.0 if key == "ned" else 1.0])
-        return table_of(files, table, key, name)[:, order] * sign * scale
+        enu = table_of(files, table, key, name)[:, order] * sign * scale
+        (s, c), (east, north, up) = (f(_north(table)) for f in (np.sin, np.cos)), enu.T
+        return np.stack([c * east + s * north, c * north - s * east, up], axis=1)
     speed, course = table_of(files, table, key, name, 2).T
     speed = np.where(missing.no_speed(speed), np.nan, speed)
-    course = course * units.factor(table, "course_unit", "angle", f"{files.map}: {name}", "deg")
+    course = course * units.factor(table, "course_unit", "angle", f"{files.map}: {name}", "deg") + _north(table)
     key = "up" if "up" in table else "down"
     up = column_of(files, table, table[key], name) * scale if key in table else np.zeros_like(speed)
     up = -up if key == "down" else up
     return np.stack([speed * scale * np.sin(course), speed * scale * np.cos(course), up], axis=1)
+
+
+def _north(table: dict[str, Any]) -> float:
+    """Return the azimuth of the direction that angles of a table are counted from, rad."""
+    return float(table.get("north_deg", 0.0)) * DEG
 
 
 def _field(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
@@ -397,7 +405,7 @@ def _scalar(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
         return units.pressure_height(value * units.PRESSURE[table["unit"]])[:, None]
     kind = with_data()[name].columns[0].quantity
     default = QUANTITIES[kind][1]
-    return value[:, None] * units.factor(table, "unit", kind, f"{files.map}: {name}", default)
+    return value[:, None] * units.factor(table, "unit", kind, f"{files.map}: {name}", default) + _north(table)
 
 
 BUILD = {

@@ -48,7 +48,8 @@ OF: dict[str, str] = {
     **dict.fromkeys(("time", "accel_time", "value", "left", "right"), "some"),
     **dict.fromkeys(("up", "down", "satellite", "pseudorange", "range_rate", "clock", "clock_rate", "elevation", "cn0"),
                     "column"),
-    **dict.fromkeys(("time_shift_s", "rate_hz", "radius", "elevation_mask_deg", "cn0_mask_dbhz"), "number"),
+    **dict.fromkeys(("time_shift_s", "rate_hz", "radius", "north_deg", "elevation_mask_deg",
+                     "cn0_mask_dbhz"), "number"),
     **dict.fromkeys(("unit", "h_unit", "gyro_unit", "accel_unit", "course_unit", "rph_unit", "time_unit", "time_scale",
                      "time_tag", "zone", "delimiter", "sampling", "name", "notes", "folder"), "text"),
     **dict.fromkeys(("header", "repair", "emission", "variance"), "flag"),
@@ -70,8 +71,16 @@ OPTIONS: dict[str, str] = {
 """Kind of each option of `jaxnav.read`."""
 
 
+FORMS: dict[str, str] = {
+    "where": "{ status = '>=3' }", "sd": "{ position = 2.0 }", "topics": "{ imu = '/imu/data' }",
+    "read": "{ file = 'log.bag' }",
+}  # fmt: skip
+"""What a table looks like."""
+
+
 def require(where: str, key: str, value: Any, kind: str) -> None:
     """Raise DataError for a value of another kind, a key of `KINDS`."""
     words, fits = KINDS[kind]
     if not fits(value):
-        raise DataError(f"{where}: {key}: expected {words}, got {value!r}")
+        form = f" such as {FORMS[key]}" if key in FORMS else ""
+        raise DataError(f"{where}: {key}: expected {words}{form}, got {value!r}")

@@ -79,7 +79,7 @@ DAMAGES = {
     "gyro.sign": check.imu(gyro=check.times(1, 1, -1)),
     "gyro.swapped": check.imu(gyro=check.swapped(0, 2)),
     "gyro.units": check.imu(gyro=lambda a: a / DEG),
-    "gyro.scale": check.imu(gyro=lambda a: 1.3 * a),
+    "gyro.scale": check.imu(gyro=lambda a: 2.5 * a),
     "gyro.bias": check.imu(gyro=lambda a: a + 5 * DEG),
     "accel.bias": check.imu(accel=lambda a: 1.1 * a),
     "imu.lost": check.lost,
@@ -127,6 +127,43 @@ def test_what_is_wrong_is_named(car, code):
     chosen = ("together",) if code == "imu.swapped" else rows[part]
     found = bad(check.as_floats(DAMAGES[code](car)), *chosen)
     assert code in found, found
+
+
+def pointed(rec: Recording, angle) -> Recording:
+    """The recording with a heading of two antennas, a change of the true one (rad)."""
+    k = np.arange(0.5, 69.0, 0.1)
+    value = angle(np.interp(k, rec.truth.t, np.unwrap(rec.truth.rph[:, 2])))[:, None]
+    heading = Samples(k, value, np.full_like(value, 0.01), np.zeros_like(value))
+    return rec._replace(aiding=rec.aiding | {"heading": heading})
+
+
+@pytest.mark.parametrize("degrees", [-14.0, 7.0, 60.0])
+def test_velocity_from_another_north(car, degrees):
+    """Turned clockwise by so much; late or with noise alone it is not."""
+    s, c = np.sin(degrees * DEG), np.cos(degrees * DEG)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # of rows, east to south
+    found = {f.code: f for f in CHECKS["velocity"].answer(check.stream("velocity", lambda v: v @ turn)(car))}
+    assert found["velocity.turned"].value == pytest.approx(degrees, abs=1.5)
+    for healthy in (check.stream("velocity", t=lambda t: t + 0.6), check.stream("velocity", lambda v: v)):
+        assert "velocity.turned" not in {f.code for f in CHECKS["velocity"].answer(healthy(car))}
+
+
+@pytest.mark.parametrize(
+    ("angle", "code", "value"),
+    [(lambda a: a, "heading", 0.0), (lambda a: a + np.pi / 2, "heading.turned", 90.0),
+     (lambda a: a - 8 * DEG, "heading.turned", -8.0), (lambda a: np.pi / 2 - a, "heading.mirrored", 90.0)],
+)  # fmt: skip
+def test_a_heading_by_the_course(car, angle, code, value):
+    (found,) = CHECKS["heading"].answer(pointed(car, angle))
+    assert found.code == code and found.value == pytest.approx(value, abs=2.5)
+
+
+def test_no_heading_by_the_course_where_there_is_none(car):
+    """Of a vehicle that flies sideways, and one that crabs along one line."""
+    assert CHECKS["heading"].answer(pointed(car, lambda a: 2.5 * a)) == []
+    straight = check.stream("velocity", lambda v: np.tile([0.0, 8.0, 0.0], (len(v), 1)))
+    crab = CHECKS["heading"].answer(straight(pointed(car, lambda a: 0 * a + 12 * DEG)))
+    assert [f.code for f in crab] == ["heading"]
 
 
 def test_what_a_change_is_worth_does_not_depend_on_the_stated_sd(car):

@@ -98,6 +98,12 @@ def test_two_antennas_are_surer_than_motion():
     heading = float(rotations.to_rph(rotations.to_dcm(begin.navs.q[0]))[2])
     off = heading - np.interp(begin.t, rec.truth.t, np.unwrap(rec.truth.rph[:, 2]))
     assert abs((off + np.pi) % (2 * np.pi) - np.pi) < 0.03  # a fix may be 0.3 s old
+    across = by_antennas._replace(value=angle + np.pi / 2)
+    refused = initialize.initialize(rec._replace(aiding=rec.aiding | {"heading": across}))
+    assert "two antennas contradict" in refused.how
+    assert rotations.to_rph(rotations.to_dcm(refused.navs.q[0]))[2] == pytest.approx(
+        float(rotations.to_rph(rotations.to_dcm(without.navs.q[0]))[2]), abs=1e-9
+    )
 
 
 def test_two_antennas_come_first():

@@ -204,6 +204,9 @@ def test_velocities(folder, key, refs, expected):
     rec = mapped(folder, IMU + f'[velocity]\nfile = "v.csv"\ntime = "t"\n{key} = {refs}\nsd = 0.1\n'.replace("'", '"'))
     np.testing.assert_allclose(rec.aiding["velocity"].value[0], expected, atol=1e-12)
     assert rec.aiding["velocity"].sd[0, 2] == (1000.0 if key == "speed_course" else 0.1)
+    text = f'[velocity]\nfile = "v.csv"\ntime = "t"\n{key} = {refs}\nnorth_deg = 90\n'.replace("'", '"')
+    east, north, up = mapped(folder, IMU + text).aiding["velocity"].value[0]  # what was north is east
+    np.testing.assert_allclose([-north, east, up], expected, atol=1e-12)
 
 
 def test_streams_that_no_filter_takes_yet_are_kept(folder):
@@ -213,7 +216,7 @@ def test_streams_that_no_filter_takes_yet_are_kept(folder):
         folder,
         f'{IMU}[barometer]\n{head}value = "p"\nunit = "hPa"\n[speed]\n{head}value = ["l", "r"]\nunit = "km/h"\n'
         f'[magnetometer]\n{head}value = ["m", "n", "o"]\nunit = "gauss"\naxes = "flu"\n'
-        f'[heading]\n{head}value = "psi"\n',
+        f'[heading]\n{head}value = "-psi"\nnorth_deg = 180\n',
     )
     np.testing.assert_allclose(rec.aiding["barometer"].value[:, 0], [0.0, 110.9], atol=0.1)
     np.testing.assert_allclose(rec.aiding["speed"].value[0], [1.5])

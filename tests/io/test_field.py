@@ -10,10 +10,12 @@ from jaxnav import build, navigate
 from jaxnav.app import cli
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import line
+from jaxnav.initialization.initialize import initialize
 from jaxnav.io.canonical import write_recording
 from jaxnav.io.formats.rtklib import write_pos
 from jaxnav.io.parts import notes_of
 from jaxnav.io.read import read
+from jaxnav.maths.rotations import to_dcm, to_rph
 from jaxnav.navigation import metrics
 from jaxnav.types import DataError, Recording
 
@@ -316,6 +318,43 @@ def test_counts_of_a_sensor(tmp_path):
     counts = np.genfromtxt(FIELD / "raw_counts" / "LOG003.CSV", delimiter=",", names=True)["gz"]
     np.testing.assert_allclose(rec.imu.gyro[:, 2], -counts / 131 * np.pi / 180, rtol=1e-9)
     assert np.linalg.norm(rec.imu.accel.mean(0)) == pytest.approx(9.8, abs=0.2)
+
+
+# ---------------------------------------------------------------------------- directions, gravity, other values
+
+
+@needs_field
+@pytest.mark.parametrize(
+    ("case", "code", "value"),
+    [("course_from_magnetic_north", "velocity.turned", -14.0), ("heading_crosswise", "heading.turned", 90.0)],
+)
+def test_directions_of_the_reports(case, code, value):
+    found = {f.code: f for f in checkup(read(FIELD / case / "map.toml"))}
+    assert found[code].value == pytest.approx(value, abs=1.5) and found[code].warns
+
+
+@needs_field
+def test_a_heading_across_does_not_start_a_filter():
+    rec = read(FIELD / "heading_crosswise" / "map.toml")
+    begin = initialize(rec)
+    truth = np.genfromtxt(FIELD / "heading_crosswise" / "true_path.csv", delimiter=",", names=True)
+    true = np.interp(begin.t, truth["t_s"], np.unwrap(np.deg2rad(truth["heading_deg"])))
+    heading = float(to_rph(to_dcm(begin.navs.q[0]))[2])
+    assert abs(np.angle(np.exp(1j * (heading - true)))) < 0.15 and "two antennas contradict" in begin.how
+
+
+@needs_field
+@pytest.mark.parametrize(
+    ("case", "options", "words"),
+    [
+        ("gravity_taken_out", {}, "gravity was taken out by the logger.*AccelerometerUncalibrated"),
+        ("map_value_of_another_kind", {}, "where: expected a table such as {.*}, got 'vn > -90'"),
+        ("option_sd_number", {"sd": 2}, "sd: expected a table such as { position = 2.0 }, got 2"),
+    ],
+)
+def test_refusals_of_the_reports(case, options, words):
+    with pytest.raises(DataError, match=words):
+        read(FIELD / case / "map.toml", **options)
 
 
 # ---------------------------------------------------------------------------- the accelerometer's sign

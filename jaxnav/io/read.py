@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxnav.checkup import quick_notes
 from jaxnav.io import canonical, draft, mend, units
+from jaxnav.io.checks import MAX_RATE
 from jaxnav.io.column_map import TOP, column_names, read_map
 from jaxnav.io.containers import unpacked
 from jaxnav.io.files import FilePath
@@ -250,6 +251,8 @@ def _kfgins_imu(path: Path, head: bytes) -> bool:
     if rows is None:
         return False
     dt = np.median(np.diff(rows[:, 0]))
+    if np.abs(rows[:, 1:4]).max() > MAX_RATE * dt:
+        return False  # latitude and longitude
     return 0.0 < dt < 0.5 and 5.0 < np.median(np.linalg.norm(rows[:, 4:], axis=1)) / dt < 20.0  # gravity
 
 

@@ -67,6 +67,8 @@ def unrolled(parts: Parts, part: int | None = None) -> Parts:
     """
     streams = {} if parts.imu is None else {"imu": np.asarray(parts.imu.t, float)}
     streams |= {name: np.asarray(stream.t, float) for name, stream in parts.aiding.items()}
+    if parts.truth is not None:
+        streams["truth"] = np.asarray(parts.truth.t, float)
     names = {name: wrapped(t) for name, t in streams.items()}
     found = [name for name in names.values() if name]
     if found:
@@ -95,7 +97,8 @@ def _into(t: np.ndarray, other: np.ndarray, period: float) -> float:
 def _timed(parts: Parts, streams: dict[str, np.ndarray]) -> Parts:
     imu = None if parts.imu is None else parts.imu._replace(t=streams["imu"])
     aiding = {name: stream._replace(t=streams[name]) for name, stream in parts.aiding.items()}
-    return parts._replace(imu=imu, aiding=aiding)
+    truth = None if parts.truth is None else parts.truth._replace(t=streams["truth"])
+    return parts._replace(imu=imu, aiding=aiding, truth=truth)
 
 
 def _one_part(parts: Parts, streams: dict[str, np.ndarray], part: int | None) -> Parts:
@@ -117,12 +120,13 @@ def _one_part(parts: Parts, streams: dict[str, np.ndarray], part: int | None) ->
     assert parts.imu is not None
     imu = _cut(parts.imu, ends[chosen], ends[chosen + 1])
     lines = None if parts.lines is None else parts.lines[ends[chosen] : ends[chosen + 1]]
-    aiding = dict(parts.aiding)
-    for name, stream in aiding.items():
+    others: dict[str, Any] = {**parts.aiding, **({} if parts.truth is None else {"truth": parts.truth})}
+    for name, rows in others.items():
         own = np.r_[0, falls(streams[name])[0], len(streams[name])]
         if len(own) == len(ends):
-            aiding[name] = _cut(stream, own[chosen], own[chosen + 1])
-    return parts._replace(imu=imu, aiding=aiding, lines=lines, notes=(*parts.notes, note))
+            others[name] = _cut(rows, own[chosen], own[chosen + 1])
+    truth = others.pop("truth", None)
+    return parts._replace(imu=imu, aiding=others, truth=truth, lines=lines, notes=(*parts.notes, note))
 
 
 def _cut(rows: Any, a: int, b: int) -> Any:

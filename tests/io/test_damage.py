@@ -1,5 +1,6 @@
 """Thirty damaged copies of each format: a recording with a sentence, or one DataError that names the file."""
 
+import datetime
 from collections.abc import Callable
 from pathlib import Path
 
@@ -139,6 +140,34 @@ def kfgins(folder: Path) -> tuple[Path, Callable]:
     return folder / "a.txt", lambda: read(folder / "a.txt")
 
 
+def write_kfgins_gnss(path: Path) -> None:
+    t, lla, *_ = recording().aiding["position"]
+    table = np.column_stack([t + T0, lla / [DEG, DEG, 1.0], np.full((len(t), 3), 2.0)])
+    np.savetxt(path, table, fmt="%.12g")
+
+
+def write_gpx(path: Path) -> None:
+    points = []
+    for t, (lat, lon, h) in zip(*recording().aiding["position"][:2]):
+        stamp = f"{datetime.datetime.fromtimestamp(t + T0, datetime.UTC):%Y-%m-%dT%H:%M:%S.%f}Z"
+        points.append(f'<trkpt lat="{lat / DEG}" lon="{lon / DEG}"><ele>{h}</ele><time>{stamp}</time></trkpt>')
+    path.write_text("\n".join(["<gpx><trk><trkseg>", *points, "</trkseg></trk></gpx>"]) + "\n")
+
+
+def gnss_logger(folder: Path) -> tuple[Path, Callable]:
+    rec, lines = recording(), ["# UncalGyro,utcTimeMillis,elapsedRealtimeNanos," + ",".join(
+        f"UncalGyro{a}RadPerSec" for a in "XYZ"), "# UncalAccel,utcTimeMillis,elapsedRealtimeNanos," + ",".join(
+        f"UncalAccel{a}Mps2" for a in "XYZ"), "# Fix,Provider,LatitudeDegrees,LongitudeDegrees,AltitudeMeters,SpeedMps,"
+        "AccuracyMeters,BearingDegrees,UnixTimeMillis,elapsedRealtimeNanos"]  # fmt: skip
+    for t, w, f in zip(rec.imu.t, rec.imu.gyro.tolist(), rec.imu.accel.tolist()):
+        for kind, row in (("Gyro", w), ("Accel", f)):
+            lines.append(f"Uncal{kind},0,{round(t * 1e9)}," + ",".join(map(repr, row)))
+    for t, (lat, lon, h) in zip(*rec.aiding["position"][:2]):
+        lines.append(f"Fix,GPS,{lat / DEG!r},{lon / DEG!r},{h},1.5,3.0,90.0,0,{round(t * 1e9)}")
+    (folder / "log.txt").write_text("\n".join(lines) + "\n")
+    return folder / "log.txt", lambda: read(folder / "log.txt")
+
+
 def novatel(folder: Path) -> tuple[Path, Callable]:
     return write_novatel(folder / "a.log", recording()), lambda: read(folder / "a.log")
 
@@ -195,6 +224,9 @@ FORMATS: dict[str, Callable] = {
     "pos": gnss_half(write_pos),
     "ubx": gnss_half(write_ubx),
     "nmea": gnss_half(write_nmea),
+    "kfgins gnss": gnss_half(write_kfgins_gnss),
+    "gpx": gnss_half(write_gpx),
+    "gnss logger": gnss_logger,
     "ekf2 replay": ekf2,
     "euroc": euroc,
     "navego": navego,

@@ -53,6 +53,7 @@ IMUS: dict[str, tuple[int, float, float]] = {
 """Number of the type, rad and m/s of one count of RAWIMU, by name."""
 
 START = re.compile(rb"[#%]([A-Z0-9]+)A,")
+TAIL = re.compile(rb"[^\r\n]+\*[0-9a-fA-F]{8}(?=[\r\n])")
 LINE = re.compile(rb"[#%]([A-Z0-9]+)A,([^;\r\n*]*);([^\r\n*]*)\*([0-9a-fA-F]{8})")
 POSITIONS, VELOCITIES = ("BESTGNSSPOS", "BESTPOS"), ("BESTGNSSVEL", "BESTVEL")  # without the INS before with it
 SOLUTIONS = {"INSPVA": 0, "INSPVAS": 0, "INSPVAX": 1}  # 1: another order of the fields
@@ -86,6 +87,7 @@ def read(path: Path, imu: str | None = None) -> Parts:
     logs: dict[str, Rows] = defaultdict(list)
     data, untimed = read_bytes(path), 0
     damaged = sum(match.group(1).decode() in WANTED for match in START.finditer(data))
+    damaged += sum(START.search(line) is None for line in TAIL.findall(data))  # whose name is lost
     for match in LINE.finditer(data):
         name, head, body, check = match.groups()
         if name.decode() not in WANTED or crc32(match.group(0)[1:-9]) != int(check, 16):

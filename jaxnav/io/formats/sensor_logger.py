@@ -61,6 +61,10 @@ def read(path: Path) -> Parts:
         notes.append(f"{chosen[0]}: sign of an iPhone's accelerations changed to specific force.")
     stamps, gyro = times(gyros, "time", "ns", zero), _xyz(gyros)
     accel, covered = interpolated(stamps, t, accel)
+    if not covered.all():
+        notes.append(
+            f"imu: {np.count_nonzero(~covered)} of {covered.size} gyro samples have no time or no acceleration."
+        )
     notes.append(f'phone assumed flat, screen up and top forward: axes = "{FLAT}" (option axes).')
     rows = ImuRows(stamps[covered], gyro[covered], accel[covered], scale=TimeScale.UTC)
     parts = described(_aiding(path, files), os.fspath(path), path)

@@ -17,6 +17,7 @@ UNKNOWN_HEADING_DEG = 30.0  # deg that a hole may hide, from which on the headin
 MIN_RATE_HZ = 10.0  # strapdown navigation loses rotation and vibration between samples
 MAX_STEADY_ACCEL = 0.15  # m/s^2 by the fixes, more than their noise, below which specific force is gravity
 MAX_LOST_SHARE = 0.1  # share of the rows, missing between others, from which on a log is said to lose them
+MIN_LEVELS = 50  # values of an axis that is fine enough to show a stop
 MAX_REPEATED_ROWS = 20  # rows of one value in a row from which on an axis that otherwise changes hangs
 
 
@@ -56,9 +57,14 @@ def axes(rec: Recording) -> list[Finding]:
                 and np.mean(np.diff(column) != 0) > 0.5
             ):
                 found.append(finding("imu.stuck", f"{name} {axis}", column[begin], rows=rows, at=rec.imu.t[begin]))
-            top = np.abs(column).max()
-            share = float(np.mean((np.abs(column[1:]) > 0.999 * top) & (column[1:] == column[:-1])))
-            if share > 0.003 and column.size > 1000 and top > 3 * sd:
+            size = np.abs(column)
+            top = size.max()
+            at_top = size > 0.999 * top
+            share = float(np.mean(at_top[1:] & (column[1:] == column[:-1])))
+            # a coarse step is as full below the top; a stop has what would be beyond it
+            piled = 2 * at_top.sum() > np.count_nonzero((size > 0.9 * top) & ~at_top)
+            fine = np.unique(size).size > MIN_LEVELS
+            if share > 0.003 and column.size > 1000 and top > 3 * sd and piled and fine:
                 found.append(finding("imu.clipped", f"{name} {axis}", float(top), share=100 * share))
     return found
 

@@ -1,4 +1,4 @@
-"""Any table as columns by name: text, .npy, .npz, .mat, .xlsx, each alone or inside a zip archive; leniently.
+"""Any table as columns by name: text, JSON, .npy, .npz, .mat, .xlsx, alone or inside a zip archive; leniently.
 
 A cell without a number is nan, a line of another width is left out: `jaxnav.io.mend` decides about them.
 """
@@ -7,9 +7,10 @@ import csv
 import datetime
 import difflib
 import io
+import json
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +18,7 @@ import numpy as np
 
 from jaxnav.io.containers import ZIP, contents
 from jaxnav.io.files import FilePath
+from jaxnav.io.units import MULTIPLE, number_of
 from jaxnav.types import DataError
 
 DAYS = {"excel": 25569.0, "matlab": 719529.0}  # days on which 1970 began, of units that count days
@@ -63,6 +65,8 @@ def open_sheet(
         return Sheet(file, _npz(data, file), None)
     if data.startswith(b"MATLAB"):
         return Sheet(file, _flat(_mat(data, file)), None)
+    if data[:64].lstrip()[:1] in (b"{", b"["):
+        return _json(data, file)
     quick = None if only else _numbers_only(data, file, delimiter, header)
     return _text(data, file, delimiter, header, only) if quick is None else quick
 
@@ -108,10 +112,13 @@ def times(sheet: Sheet, name: str | int, unit: str, zero: int = 0) -> np.ndarray
         return dates - zero
     if unit in DAYS:
         return (numbers(sheet, name) - DAYS[unit]) * 86400.0 - zero
+    times_, name_of = MULTIPLE.fullmatch(unit).groups()  # type: ignore[union-attr]  # it fits any text
+    if times_ and name_of in TICKS and (length := number_of(times_)) > 0:
+        return numbers(sheet, name) * (length / TICKS[name_of]) - zero
     if unit not in TICKS:
         raise DataError(
-            f"{sheet.file}: time_unit: expected one of {', '.join((*TICKS, *DAYS))}, iso, "
-            f"a pattern of dates such as '%d.%m.%Y %H:%M:%S.%f', got {unit!r}"
+            f"{sheet.file}: time_unit: expected one of {', '.join((*TICKS, *DAYS))}, iso, a multiple such as "
+            f"'1/25600 s', a pattern of dates such as '%d.%m.%Y %H:%M:%S.%f', got {unit!r}"
         )
     ticks = TICKS[unit]
     if cells.dtype.kind == "U":
@@ -320,6 +327,47 @@ def _npz(data: bytes, file: str) -> dict[str, np.ndarray]:
             return _flat({key: arrays[key] for key in arrays.files})
     except Exception as error:
         raise DataError(f"{file}: cannot be read as .npz: {error}") from error
+
+
+def _json(data: bytes, file: str) -> Sheet:
+    """Return an array of objects, or a line each, as columns; nested objects and arrays by dotted path."""
+    notes: tuple[str, ...] = ()
+    try:
+        rows = json.loads(data)
+        rows = rows if isinstance(rows, list) else next((v for v in rows.values() if isinstance(v, list)), [rows])
+        lines = None
+    except ValueError:
+        text = [line for line in data.decode("utf-8-sig", errors="replace").split("\n")]
+        read = [(i, _loaded(line)) for i, line in enumerate(text, start=1) if line.strip()]
+        lost = [i for i, row in read if row is None]
+        if len(lost) > max(2, MAX_BAD * len(read)):
+            raise DataError(f"{file}: line {lost[0]}: expected a JSON object like most lines") from None
+        if lost:
+            notes = (f"{Path(file).name}: {len(lost)} lines that are no JSON left out, first line {lost[0]}.",)
+        rows, lines = [row for _, row in read if row is not None], np.array([i for i, row in read if row is not None])
+    if not rows or not all(isinstance(row, dict) for row in rows):
+        raise DataError(f"{file}: expected JSON objects, one a row")
+    flat = [dict(_leaves(row)) for row in rows]
+    names = dict.fromkeys(name for row in flat for name in row)
+    columns = {name: np.array([row.get(name, "") for row in flat]) for name in names}
+    return Sheet(file, columns, lines, notes)
+
+
+def _loaded(line: str) -> dict[str, Any] | None:
+    try:
+        row = json.loads(line)
+    except ValueError:
+        return None
+    return row if isinstance(row, dict) else None
+
+
+def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the dotted path and text of each number or text of a JSON value."""
+    if isinstance(value, (dict, list)):
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _leaves(inner, f"{path}.{key}" if path else str(key))
+    elif value is not None:
+        yield path, str(value)
 
 
 def _xlsx(data: bytes, file: str) -> bytes:

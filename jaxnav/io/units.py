@@ -37,12 +37,17 @@ def factor(table: dict[str, Any], key: str, kind: str, where: str, default: str 
     """
     unit = table.get(key, default)
     times, name = MULTIPLE.fullmatch(str(unit)).groups()  # type: ignore[union-attr]  # it fits any text
-    if name not in UNITS[kind] or (times and not float(times.removeprefix("1/")) > 0):
+    if name not in UNITS[kind] or (times and not number_of(times) > 0):
         known = ", ".join(UNITS[kind])
         raise DataError(f"{where}: {key}: expected one of {known}, or a multiple such as '1/131 deg/s', got {unit!r}")
-    if not times:
-        return UNITS[kind][name]
-    return UNITS[kind][name] / float(times[2:]) if times.startswith("1/") else UNITS[kind][name] * float(times)
+    return UNITS[kind][name] * (number_of(times) if times else 1.0)
+
+
+def number_of(text: str) -> float:
+    """Return the number of "0.061" or "1/131"; 0 of "1/0"."""
+    if not text.startswith("1/"):
+        return float(text)
+    return 1 / float(text[2:]) if float(text[2:]) else 0.0
 
 
 def pressure_height(pressure: np.ndarray) -> np.ndarray:

@@ -166,6 +166,16 @@ def test_no_heading_by_the_course_where_there_is_none(car):
     assert [f.code for f in crab] == ["heading"]
 
 
+def test_a_coarse_step_of_a_quiet_axis_is_no_stop(car):
+    """Twice the top in a row, of few values or as often as below; a sine that is cut is clipped."""
+    noise = np.random.default_rng(0).normal(size=car.imu.t.size)
+    wave = np.sin(np.arange(noise.size) / 30.0) + 1e-4 * noise
+    axis = lambda column: car._replace(imu=car.imu._replace(gyro=np.column_stack([column, car.imu.gyro[:, 1:]])))
+    clipped = lambda column: "imu.clipped" in bad(axis(column), "axes")
+    assert not clipped(np.round(noise) * 1e-3) and not clipped(np.round(np.clip(noise, -2, 2), 1) * 1e-3)
+    assert clipped(np.clip(wave**31, -0.6, 0.6))
+
+
 def test_what_a_change_is_worth_does_not_depend_on_the_stated_sd(car):
     """Fixes that say that they are five times worse: chi^2 is 25 times smaller, the likelihood ratio the same."""
     wrong = check.as_floats(DAMAGES["gyro.sign"](car))

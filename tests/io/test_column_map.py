@@ -300,7 +300,7 @@ def test_a_map_over_another_reader(folder):
         (
             "[imu]",
             "[imu]\ntime_unit = 'min'",
-            "time_unit: expected one of s, ms, us, ns, excel, matlab, iso, a pattern of dates such as '%d",
+            "time_unit: expected one of s, ms, us, ns, excel, matlab, iso, a multiple such as '1/25600 s'",
         ),
         ("[imu]", "[imu]\naxes = 'fru'", "axes: expected right-handed axes"),
         ("[imu]", "lever_arm_frd_m = [1]\n[imu]", "lever_arm_frd_m: expected 3 numbers"),

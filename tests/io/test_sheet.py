@@ -129,3 +129,37 @@ def test_a_unit_takes_a_multiple(said, number):
 def test_multiples_that_are_none(said):
     with pytest.raises(DataError, match="or a multiple such as '1/131 deg/s'"):
         factor({"unit": said}, "unit", "rate", "x")
+
+
+@pytest.mark.parametrize(("unit", "tick"), [("1/25600 s", 1 / 25600), ("39.0625 us", 1 / 25600), ("10 ms", 0.01)])
+def test_ticks_of_any_length(tmp_path, unit, tick):
+    (tmp_path / "a.csv").write_text("t,x\n25600,1\n51200,1\n")
+    np.testing.assert_allclose(times(open_sheet(tmp_path / "a.csv"), "t", unit), np.array([25600, 51200]) * tick)
+    with pytest.raises(DataError, match="time_unit: expected one of"):
+        times(open_sheet(tmp_path / "a.csv"), "t", "0 s")
+
+
+JSON = '{"t": 0.5, "imu": {"gyro": [1.5, 2]}, "mode": "RTK"}', '{"t": 1.5, "imu": {"gyro": [null, 4]}, "mode": "fix"}'
+
+
+@pytest.mark.parametrize("text", ["\n".join(JSON) + "\n", f"[{','.join(JSON)}]", f'{{"rows": [{",".join(JSON)}]}}'])
+def test_objects_of_json(tmp_path, text):
+    """Lines, an array, or an array in an object; nested ones by dotted path."""
+    (tmp_path / "a.json").write_text(text)
+    sheet = open_sheet(tmp_path / "a.json")
+    np.testing.assert_array_equal(numbers(sheet, "imu.gyro.0"), [1.5, np.nan])
+    np.testing.assert_array_equal(numbers(sheet, "imu.gyro.1"), [2, 4])
+    assert sheet.columns["mode"].tolist() == ["RTK", "fix"]
+
+
+def test_lines_that_are_no_json(tmp_path):
+    lines = [JSON[0]] * 50
+    (tmp_path / "a.json").write_text("\n".join([*lines, JSON[0][:9]]))
+    sheet = open_sheet(tmp_path / "a.json")
+    assert len(sheet.columns["t"]) == 50 and "1 lines that are no JSON left out, first line 51" in sheet.notes[0]
+    (tmp_path / "a.json").write_text("\n".join([*lines, "x", "y", "z", "w"]))
+    with pytest.raises(DataError, match="a.json: line 51: expected a JSON object"):
+        open_sheet(tmp_path / "a.json")
+    (tmp_path / "a.json").write_text("[1, 2]")
+    with pytest.raises(DataError, match="expected JSON objects"):
+        open_sheet(tmp_path / "a.json")

@@ -19,6 +19,7 @@ from jaxnav.io.units import pressure_height
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 
+SENSOR = re.compile(r"gps|gnss|navpvt|ublox|novatel|septentrio|rtk|imu|nmea|odom|wheel")  # in topics of sensors
 MOST_NAMED = 12  # topics that a note names
 ACCEL = "accelerometer"  # an IMU's topic that has nothing else
 HALF = 50  # messages of an IMU's topic that show whether it has gyro and accelerometer
@@ -160,16 +161,15 @@ def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[st
         if len(of) > 1 and stream not in topics:
             notes.append(f"{stream} is {best}, of {', '.join(sorted(of))}.")
         chosen[stream] = best
+    unread = {c.topic: f"{c.topic} ({c.msgtype}, {c.msgcount} messages)" for c in connections if c.msgtype not in KINDS}
     if "position" not in chosen:
-        others = sorted(
-            {f"{c.topic} ({c.msgtype}, {c.msgcount} messages)" for c in connections if c.msgtype not in KINDS}
-        )
-        notes.append(
-            "position: no topic has a type that is read: record sensor_msgs/NavSatFix"
-            + (f"; not read are {', '.join(others[:MOST_NAMED])}" if others else "")
-            + (f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else "")
-            + "."
-        )
+        notes.append("position: no topic has a type that is read: record sensor_msgs/NavSatFix.")
+    else:
+        unread = {topic: words for topic, words in unread.items() if SENSOR.search(topic.lower())}
+    if unread:
+        more = f" and {len(unread) - MOST_NAMED} more" if len(unread) > MOST_NAMED else ""
+        words = "fixes" if "position" not in chosen else "sensors"
+        notes.append(f"{words}: not read are {', '.join(sorted(unread.values())[:MOST_NAMED])}{more}.")
     return chosen
 
 

@@ -121,10 +121,13 @@ def test_topics_that_are_not_read_are_named_where_there_is_no_position():
     imu = SimpleNamespace(topic="/imu", msgtype=rosbag.IMU, msgcount=9)
     notes: list[str] = []
     assert rosbag._choose(Path("bag"), [imu, *topics], {}, notes) == {"imu": "/imu"}
-    assert notes[-1].startswith(
-        "position: no topic has a type that is read: record sensor_msgs/NavSatFix; not read are"
-    )
-    assert "/a03 (x/msg/Y, 3 messages)" in notes[-1] and notes[-1].endswith("and 2 more.")
+    assert notes[-2] == "position: no topic has a type that is read: record sensor_msgs/NavSatFix."
+    assert notes[-1].startswith("fixes: not read are /a00 (x/msg/Y, 0 messages), /a01")
+    assert notes[-1].endswith("and 2 more.")
+    fix = SimpleNamespace(topic="/fix", msgtype="sensor_msgs/msg/NavSatFix", msgcount=5)
+    other = SimpleNamespace(topic="/novatel/bestpos", msgtype="novatel/msg/BESTPOS", msgcount=5)
+    rosbag._choose(Path("bag"), [imu, fix, other, *topics], {}, notes := [])
+    assert notes == ["sensors: not read are /novatel/bestpos (novatel/msg/BESTPOS, 5 messages)."]
 
 
 # ---------------------------------------------------------------------------- sentences and messages of other kinds

@@ -25,7 +25,7 @@ from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK, holes
 from jaxnav.filters.lanes import relative_variance, slow_errors
-from jaxnav.filters.parameters import history_for, installed
+from jaxnav.filters.parameters import earliest, history_for, installed, later
 from jaxnav.filters.run import first_failure, require_params, require_x64
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.filters.standstill import Standing
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 
 BASES = ("imu", "fixes")  # clocks of written times
+MAX_EARLY_S = 0.03  # s, by which a fix may be early: navigation is extrapolated to it
 FULL_COVERAGE = 0.98  # share of a run that its truth covers, below which a finding says so
 MAX_NIS = 4.0  # over degrees of freedom, of the fixes before a start, beyond which a smoother does not go back to them
 UNLIKE_DATASHEET = 10.0  # factor on the datasheet's noise above which scale or unit of a gyro may pass for noise
@@ -138,7 +139,13 @@ class Solution:
             t: (N,) s, by the clock of the fixes, as `t` has them.
         """
         mounting, begin = self.params.mounting, float(self.trace.info.nav.origin.t[0])
-        return np.asarray(begin + (t - begin - float(mounting.time_offset)) / (1.0 + float(mounting.clock_drift)))
+        stamps = begin + (t - begin - float(mounting.time_offset)) / (1.0 + float(mounting.clock_drift))
+        return np.asarray(stamps + self.recording.early)
+
+    @property
+    def stated_params(self) -> Params:
+        """Return the parameters for the recording as its file has it, to run it again."""
+        return later(self.params, -self.recording.early)
 
     def at_imu_time(self, track: Track, sd: np.ndarray) -> tuple[Track, np.ndarray]:
         """Return a track at the IMU's stamps, and its sd (N, 9): along the track a delay's sd is one of the position.
@@ -267,6 +274,9 @@ def navigate(
         found = scan_noise(rec, params, initialization=make(rec, params), stop=stop, outages=outages)
         filt, params = found.extended(filt, params)
         params = found.applied(params)
+    if callable(initialization) and (least := earliest(params, float(np.ptp(rec.imu.t)))) < -MAX_EARLY_S:
+        # an epoch ends with its fix: what the IMU reads until the fix is true belongs to it
+        rec, params = not_early(rec, -least), later(params, -least)
     begin, given = make(rec, params), params
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     if filt.with_history:
@@ -312,6 +322,11 @@ def navigate(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
         smooth, lag, findings, found, sd_factor, velocity_sd_factor, delay_sd if found is None else found.latency_sd,
     )  # fmt: skip
+
+
+def not_early(rec: Recording, by: float) -> Recording:
+    """Return the recording with the IMU's stamps ``by`` s earlier, so that fixes are so much later."""
+    return rec._replace(imu=rec.imu._replace(t=rec.imu.t - by), early=rec.early + by)
 
 
 def smoothed(filt: Filter, params: Params, nav: Nav, epochs: Epoch, t: np.ndarray, lag: float) -> Info:

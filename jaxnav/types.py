@@ -266,3 +266,4 @@ class Recording(NamedTuple):
     notes: str = ""
     errors: tuple[np.ndarray, dict[str, np.ndarray]] | None = None  # simulated: t (N,) s, true states (N, size) by name
     findings: tuple[Finding, ...] = ()  # of its reader
+    early: float = 0.0  # s by which the IMU's stamps were moved back, so that no fix is early (`not_early`)

@@ -231,6 +231,19 @@ def with_prior_of(params: Params, before: Params, tuned: Iterable[str] = ()) -> 
     return params._replace(prior=before.prior, states=states)
 
 
+def earliest(known: Params, span: float) -> float:
+    """Return the least delay of a fix in ``span`` s of data, s; a negative one is ahead of the IMU's stamps."""
+    ages = [float(theta.latency) for theta in known.measurements.values() if hasattr(theta, "latency")]
+    return (
+        float(known.mounting.time_offset) - 0.5 * abs(float(known.mounting.clock_drift)) * span + min(ages, default=0.0)
+    )
+
+
+def later(known: Params, by: float) -> Params:
+    """Return parameters with the fixes ``by`` s later against the IMU's stamps, see `jaxnav.types.Recording.early`."""
+    return known._replace(mounting=known.mounting._replace(time_offset=known.mounting.time_offset + by))
+
+
 def history_for(known: Params, rate_hz: float, span: float, more: float = 0.0) -> int:
     """IMU samples of history that reach back as far as the latest fix in ``span`` s of data, and ``more`` s."""
     offset = float(known.mounting.time_offset) + abs(float(known.mounting.clock_drift)) * span

@@ -8,6 +8,7 @@ import pytest
 
 from jaxnav import build, initialize, navigate
 from jaxnav.analysis import metrics
+from jaxnav.filters.parameters import earliest, later
 from jaxnav.filters.run import initial_nav
 from jaxnav.maths import earth
 from jaxnav.simulate.scenarios import URBAN_SHORT
@@ -99,3 +100,23 @@ def test_at_the_imus_time_a_delay_is_a_distance_along_the_track(runs, tmp_path):
         names = (tmp_path / f"{base}.csv").read_text().splitlines()[0].split(",")
         rows = np.loadtxt(tmp_path / f"{base}.csv", delimiter=",", skiprows=1)
         np.testing.assert_allclose(rows[:, names.index("sd_e_m")], stated[:, 0], atol=2e-3)
+
+
+def test_fixes_that_are_early_give_the_solution_of_fixes_in_time(runs):
+    """Stamps of fixes 0.45 s before the IMU's and the delay stated: to rounding, at the IMU's stamps."""
+    rec, _, found = runs
+    early = {name: samples._replace(t=samples.t - 0.45) for name, samples in rec.aiding.items()}
+    params = found[False][0].params
+    told = later(params, -0.45)
+    right, got = (
+        navigate(each, build("ekf15", cov_stride=5), theta, smooth=True)
+        for each, theta in ((rec, params), (rec._replace(aiding=early), told))
+    )
+    assert got.recording.early == pytest.approx(0.45) and right.recording.early == 0.0
+    at = got.imu_time(got.t)
+    n = min(at.size, right.t.size) - 2  # the last fix has no IMU behind it
+    np.testing.assert_allclose(at[:n], right.imu_time(right.t)[:n], atol=1e-9)
+    np.testing.assert_allclose(got.lla[:n], right.lla[:n], atol=1e-10)
+    np.testing.assert_allclose(got.rph[:n], right.rph[:n], atol=1e-5)
+    assert float(got.stated_params.mounting.time_offset) == pytest.approx(-0.45)
+    assert earliest(got.params, float(np.ptp(rec.imu.t))) == pytest.approx(0.0, abs=1e-12)

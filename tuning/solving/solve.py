@@ -14,16 +14,18 @@ from jaxnav.analysis.noise_scan import NoiseScan, known_delay, stated_scale
 from jaxnav.analysis.receiver_errors import Receiver, receiver, stated, without_slow_errors
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
+from jaxnav.checkup.motion import delay_of
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
-from jaxnav.filters.parameters import installed
+from jaxnav.filters.parameters import installed, later
 from jaxnav.filters.scores import normalized
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.initialize import Initialization, initialize, require_positions
+from jaxnav.maths.units import PPM
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, layout
-from jaxnav.navigation import Solution, navigate
+from jaxnav.navigation import MAX_EARLY_S, Solution, navigate, not_early
 from jaxnav.types import Finding, Info, Params, Recording
 from tuning.fit.status import Status
 from tuning.recordings.faults import suspect_windows, without_faults
@@ -31,7 +33,7 @@ from tuning.recordings.parts import parts_of, plan, window_of, windows_of
 from tuning.recordings.recorded import scan, tune
 from tuning.recordings.report import Tuned
 from tuning.solving.calibration import Calibration, calibrate
-from tuning.solving.corrections import Corrections, correct
+from tuning.solving.corrections import DRIFT, Corrections, correct
 from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 from tuning.solving.sensors import Tried, choose, finding_of, options, standing_of
 from tuning.solving.settled import MIXED_UP, settled
@@ -42,6 +44,7 @@ from tuning.solving.stretches import finding_of as finding_of_fault
 CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
 NIS_LIMITS = 0.7, 1.4  # of a consistent solution, on the test part
 OFF = ("solve.jump", "lever_arm", "barometer.parts", "speed.parts", "compass.parts")  # errors may be above their sd
+MORE_EARLY_S = 0.05  # s, by which fixes may be earlier than alignments show
 INNOVATIONS = ("nis.high", "nis.low", "nis.overall", "innovations.correlated")  # by `usage.consistency_findings`
 MAX_NIS, MIN_INSIDE = 4.0, 0.6  # beyond these a solution is not usable
 CHECK, FIRST = Stage("check", 1.5), Stage("first answer", 0.5)
@@ -137,14 +140,15 @@ def solve(
     stages = Stages([CHECK, FIRST, NOISE, SCORES, TUNE, CALIBRATE, WHOLE], log, limit=limit)
     stages.next()
     checked = check(rec)
-    rec, standing = checked.recording, standing_of(checked.found)
+    rec, standing = _not_early(checked), standing_of(checked.found)
     names = [m.name for m in GNSS if m.name in rec.aiding]
     filt = build("ekf15", names, COV_STRIDE)
     datasheet_of = lambda f: installed(checked.clock(datasheet(f)), rec.lever_arm)
     bench_of = partial(_bench, filt, datasheet_of(filt), initialization, standing, stop)
     bench, tested = bench_of(rec)
     findings = [*checked.applied, *(f for f in checked.found if f.warns)]
-    untested = partial(_untested, settings=checked.settings, standing=standing, window=bench.layout.window)
+    untested = partial(_untested, settings=checked.settings, standing=standing, window=bench.layout.window,
+                       early=rec.early)  # fmt: skip
     tried_ones = options(rec, checked.found)
     each = [Stage(", ".join(option.names), OPTION_WEIGHT) for option in tried_ones]
     rest = [NOISE, SCORES, *each, *([] if fast else [TUNE]), CALIBRATE, WHOLE]
@@ -221,6 +225,7 @@ def solve(
     )  # fmt: skip
     nis = receiver_nis(sol.trace.info, sol.measurements, sol.packed.t > bench.layout.validation)
     said = [f for f in distinct([*findings, *unwidened(sol, choice.tried)]) if f.code not in gone]
+    params = later(params, -rec.early)
     findings = settled(said, params, tuned is not None)
     drift = {name: each.rms("test") for name, each in (*plain.items(), ("solution", final))}
     verdict, why = judge(nis, calibration, findings)
@@ -229,6 +234,16 @@ def solve(
         sol, params, verdict, why, findings, checked.settings, standing, choice.tried, tuned, calibration,
         tuple(left_out), drift, bench.layout.window, nis, status,
     )  # fmt: skip
+
+
+def _not_early(checked: Corrections) -> Recording:
+    """Return the recording in which no fix is early by the delay that alignments show."""
+    rec, known = checked.recording, delay_of(checked.recording)
+    if known is None:
+        return rec
+    drift = abs(float(checked.settings.get(DRIFT, 0.0))) * PPM
+    least = known[0] - 0.5 * drift * float(np.ptp(rec.imu.t))
+    return not_early(rec, MORE_EARLY_S - least) if least < -MAX_EARLY_S else rec
 
 
 def _bench(
@@ -313,14 +328,14 @@ def _short(
 
 def _untested(
     sol: Solution, params: Params, findings: Sequence[Finding], why: str, settings: dict[str, float | str],
-    standing: Standing, window: float, gone: Set[str] = frozenset(),
+    standing: Standing, window: float, early: float = 0.0, gone: Set[str] = frozenset(),
 ) -> Solved:  # fmt: skip
     """Return a solution without a test of its sd, and ``why`` there is none; ``gone``: findings of a left-out fault."""
     said = [f for f in distinct([*findings, *sol.findings]) if f.code not in gone]
-    found = settled(said, sol.params, False)
+    found = settled(said, sol.stated_params, False)
     nis = innovation_metrics(sol.trace.info, sol.measurements)["nis_per_dof"]
     verdict, how = judge(nis, None, found)
-    return Solved(sol, params, verdict, f"{how}, {why}", found, settings, standing, [], None, None,
+    return Solved(sol, later(params, -early), verdict, f"{how}, {why}", found, settings, standing, [], None, None,
                   tuple(sol.outages), {}, window, nis)  # fmt: skip
 
 

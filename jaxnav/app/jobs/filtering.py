@@ -103,7 +103,7 @@ def filter(config: Config, folder: Path) -> Outcome:
     if draws(config, interactive=True):
         draw(folder, config, sol)
     seconds["write"] = time.perf_counter() - begin
-    ran = with_noise(config, sol.params, sol.filter, sol.delay_sd) if sol.noise is not None else config
+    ran = with_noise(config, sol.stated_params, sol.filter, sol.delay_sd) if sol.noise is not None else config
     verdict = f"consistent: NIS/dof {found['nis_per_dof']:.2f}" if np.isfinite(found["nis_per_dof"]) else ""
     return Outcome(
         found, summary(found, f.name, rec.name), seconds, "", sol.layout, ran, findings=sol.findings, verdict=verdict
@@ -112,7 +112,7 @@ def filter(config: Config, folder: Path) -> Outcome:
 
 def time_of(config: Config, sol: Solution) -> dict[str, Any]:
     """Return the clock of the written times, and how far the fixes' stamps are from the IMU's halfway, s."""
-    return {"base": config.time.base, "fixes_late_s": float(sol.params.mounting.time_offset)}
+    return {"base": config.time.base, "fixes_late_s": float(sol.stated_params.mounting.time_offset)}
 
 
 def require_formats(config: Config) -> None:

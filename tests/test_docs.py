@@ -31,7 +31,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 def test_library_page_runs_and_does_what_it_says(capsys):
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
-    assert len(blocks) == 7
+    assert len(blocks) == 8
     assert sum(bool(line.strip()) for line in blocks[1].splitlines()) <= 15
     assert len(blocks[2].splitlines()) <= 30
     space: dict = {}
@@ -42,6 +42,8 @@ def test_library_page_runs_and_does_what_it_says(capsys):
     assert error[:2].max() < 10.0 and bool(space["info"].ok.all())
     history = space["tuned"].history
     assert history[-1]["loss"] < history[0]["loss"]
+    learned = space["learned"]
+    assert learned.loss < learned.history[0]["loss"] and np.abs(learned.params["net"]["out"]).max() > 0.0
     # the rule's knee at infinity is the Kalman filter
     jax, np_ = space["jax"], space["jnp"]
     params = space["params"]._replace(rule=space["Huber"](np_.array(1e9)))

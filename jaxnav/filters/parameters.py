@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Iterable, Mapping
+from copy import copy
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import jax
@@ -54,15 +56,25 @@ def has(tree: Any, name: str) -> bool:
 
 def _fields(tree: Any) -> dict[str, Any]:
     """Return the branches of a node, by name."""
-    return tree if isinstance(tree, dict) else tree._asdict() if hasattr(tree, "_asdict") else {}
+    if isinstance(tree, dict):
+        return tree
+    if is_dataclass(tree) and not isinstance(tree, type):
+        return {field.name: getattr(tree, field.name) for field in fields(tree)}
+    return tree._asdict() if hasattr(tree, "_asdict") else {}
 
 
 def put(tree: Any, name: str, value: Any) -> Any:
     """Return the tree with the leaf at a dotted name replaced."""
     first, _, rest = name.partition(".")
     branch = get(tree, first)
-    new = {first: put(branch, rest, value) if rest else value}
-    return tree | new if isinstance(tree, dict) else tree._replace(**new)
+    new = put(branch, rest, value) if rest else value
+    if isinstance(tree, dict):
+        return tree | {first: new}
+    if hasattr(tree, "_replace"):
+        return tree._replace(**{first: new})
+    changed = copy(tree)  # a dataclass, frozen or not, whatever its constructor takes: a module of equinox
+    object.__setattr__(changed, first, new)
+    return changed
 
 
 def change(params: Params, values: Mapping[str, ArrayLike]) -> Params:

@@ -8,4 +8,5 @@ class Status(StrEnum):
 
     CONVERGED = "converged"
     ITERATION_LIMIT = "iteration_limit"
+    STOPPED_EARLY = "stopped_early"  # no better validation any more
     INTERRUPTED = "interrupted"

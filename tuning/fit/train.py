@@ -21,7 +21,7 @@ from tuning.fit import checkpoint, distributed
 from tuning.fit.batch import Aggregate, Data, Problem, evaluate, mean, strict
 from tuning.fit.optimizers import adam as default_optimizer
 from tuning.fit.status import Status
-from tuning.fit.transforms import Spec, join, split
+from tuning.fit.transforms import Spec, bound, join, split
 
 __all__ = ["Fit", "default_optimizer", "fit"]
 
@@ -87,6 +87,7 @@ def fit(
     clip: float | None = None,
     prior_weight: float = 1.0,
     every: int = 1,
+    patience: int = 0,
     folder: str | Path | None = None,
     resume: bool = False,
     identity: str = "",
@@ -119,6 +120,7 @@ def fit(
         clip: largest gradient norm of one run.
         prior_weight: weight of the spec's priors, 1 / (epochs) with a likelihood per epoch.
         every: steps between two validations; the last step has one, too.
+        patience: validations without a better score after which the search ends; 0: it goes on.
         folder: for history.jsonl and a checkpoint after every step.
         resume: continue from the checkpoint, bit for bit.
         identity: of the job; a checkpoint of another one is refused.
@@ -137,6 +139,8 @@ def fit(
         raise ValueError(f"every must be 1 or more steps, got {every}")
     clear_caches_if_needed()
     optimizer = default_optimizer(steps) if optimizer is None else optimizer
+    raw = split(spec, params)
+    spec, params = bound(spec, params)
     draw_state = cases if callable(cases) else None
     first = draw_state(0) if draw_state is not None else cases
     train = _job(loss, spec, params, arguments, first, aggregate, clip, prior_weight, mesh)
@@ -145,13 +149,13 @@ def fit(
         judge = _job(
             validation, spec, params, validation_arguments, validation_cases, aggregate, None, prior_weight, mesh
         )
-    raw = split(spec, params)
     at = TrainState(raw, optimizer.init(raw), raw, math.inf, np.iinfo(int).max, 0)
     history = _History(folder, identity, list(names), explain, spec, params)
     if resume:
         at = history.reopen(at)
     at = at._replace(raw=distributed.replicate(at.raw, mesh), state=distributed.replicate(at.state, mesh))
     status = Status.ITERATION_LIMIT
+    waited = 0
     bar = progress_bar(steps + 1, "step", progress, at.step)
     try:
         while at.step <= steps:
@@ -160,7 +164,12 @@ def fit(
                 train = (train[0], train[1]._replace(cases=groups))
                 judge = judge if validation is not None else train
             due = validation is None or at.step % every == 0 or at.step == steps
+            before = at.score
             at = _advance(at, train, judge if due else None, validation is not None, optimizer, history, bar)
+            waited = 0 if at.score < before else waited + due
+            if patience and waited >= patience:
+                status = Status.STOPPED_EARLY
+                break
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
     finally:
@@ -248,7 +257,12 @@ class _History:
                 self.aside.append({"index": i, "run": name, "step": row["step"], "why": why})
         if good.size > 1 and not good.all():
             row["failed"] = int((~good).sum())
-        row["params"] = {name: np.asarray(t.forward(jnp.asarray(raw[name]))).tolist() for name, t in self.spec.items()}
+        row["params"] = {
+            name: float(optax.tree.norm(raw[name]))
+            if t.tree
+            else np.asarray(t.forward(jnp.asarray(raw[name]))).tolist()
+            for name, t in self.spec.items()
+        }  # of a branch its norm
         self.rows.append(row)
         if self.folder is not None and distributed.writes():
             self.folder.mkdir(parents=True, exist_ok=True)

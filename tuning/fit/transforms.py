@@ -15,6 +15,10 @@ Axes that share a value, leaves that share one, and priors are part of a leaf's 
         "measurements.velocity.scale": factor(3),             # correlated between the axes
     }
 
+A branch of any kind is free as it is, a module of equinox or parameters of flax, all its floating-point arrays:
+
+    spec = {"net": TREE, "filter.noise.gyro": LOG}  # of params = {"net": module, "filter": Params}
+
 A positive parameter moves in its logarithm:
 
     >>> import jaxnav
@@ -57,6 +61,8 @@ class Transform(NamedTuple):
     also: tuple[str, ...] = ()  # other leaves that take the same value
     prior: GaussianPrior | None = None
     axes: int = 0  # n of a matrix (n, n) with n sd and n (n - 1) / 2 correlations; 0 is no matrix
+    tree: bool = False  # of a branch, whose floating-point arrays are free as they are
+    frozen: tuple[Any, ...] = ()  # of a branch: its structure and what is no such array, see `bound`
 
 
 LOG = Transform(jnp.exp, jnp.log)
@@ -86,6 +92,8 @@ def tied(transform: Transform, tie: tuple[int, ...] | None = (), also: tuple[str
 
     ``tie`` has the free number of each axis: (0, 0, 1) is two numbers for three axes, () one for them all.
     """
+    if transform.tree:
+        raise ValueError("a branch has no axes to tie")
     if tie is not None and transform.axes:
         raise ValueError("axes that are correlated have a number each and cannot be tied")
     return transform._replace(tie=tie, also=also)
@@ -134,7 +142,43 @@ def _matrix(value: jax.Array, n: int) -> jax.Array:
 
 SIGNED = Transform(lambda raw: LINEAR_GAIN * jnp.sinh(raw), lambda value: jnp.arcsinh(value / LINEAR_GAIN))
 """A gain of any sign, zero included: a step of 0.1 is 10 % of a large gain, and 0.001 about zero."""
+TREE = Transform(lambda raw: raw, lambda value: value, tree=True)
+"""A branch, such as a network: its floating-point arrays as they are, `bound` by `tuning.fit.train.fit`."""
 TRANSFORMS: dict[str, Transform] = {"log": LOG, "identity": IDENTITY, "signed": SIGNED}
+
+
+def bound(spec: Spec, params: Any) -> tuple[Spec, Any]:
+    """Return a spec that knows the structure of its branches, and parameters without these: arrays alone.
+
+    Functions and numbers of a branch are part of the program.
+
+    Raises:
+        ValueError: a branch without a floating-point array, or with an array of another kind.
+    """
+    for name, transform in spec.items():
+        if not transform.tree:
+            continue
+        leaves_, structure = jax.tree.flatten(get(params, name))
+        if not any(map(_is_free, leaves_)):
+            raise ValueError(f"{name}: a branch without a floating-point array has nothing to fit")
+        rest = tuple(None if _is_free(leaf) else leaf for leaf in leaves_)
+        if kinds := [str(leaf.dtype) for leaf in leaves_ if hasattr(leaf, "dtype") and not _is_free(leaf)]:
+            raise ValueError(f"{name}: arrays of {kinds[0]} cannot be fitted: make them static fields or numbers")
+        spec = spec | {name: transform._replace(frozen=(structure, rest))}
+        params = put(params, name, None)
+    return spec, params
+
+
+def _is_free(leaf: Any) -> bool:
+    """Return whether a leaf of a branch is a floating-point array."""
+    return hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.inexact)
+
+
+def _branch(transform: Transform, raw: Any) -> Any:
+    """Return a branch of the free arrays of ``raw`` and of what is frozen."""
+    structure, rest = transform.frozen
+    free = iter(jax.tree.leaves(raw))
+    return jax.tree.unflatten(structure, [next(free) if leaf is None else leaf for leaf in rest])
 
 
 def split(spec: Spec, params: Any) -> dict[str, jax.Array]:
@@ -143,9 +187,13 @@ def split(spec: Spec, params: Any) -> dict[str, jax.Array]:
     Raises:
         ValueError: a leaf is outside of its transform's range, such as a log of zero.
     """
-    raw = {name: _untie(transform, get(params, name)) for name, transform in spec.items()}
+    free = lambda branch: jax.tree.map(lambda leaf: jnp.asarray(leaf) if _is_free(leaf) else None, branch)
+    raw = {
+        name: free(get(params, name)) if transform.tree else _untie(transform, get(params, name))
+        for name, transform in spec.items()
+    }
     for name, value in raw.items():
-        if not bool(jnp.all(jnp.isfinite(value))):
+        if not all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(value)):
             raise ValueError(f"{name} = {get(params, name)} cannot start there: its transform gives {value}")
     return raw
 
@@ -164,6 +212,9 @@ def _untie(transform: Transform, value: Any) -> jax.Array:
 def join(spec: Spec, raw: dict[str, jax.Array], params: Any) -> Any:
     """Return ``params`` with the free leaves replaced by the values of ``raw``; the rest is kept."""
     for name, transform in spec.items():
+        if transform.tree:
+            params = put(params, name, _branch(transform, raw[name]))
+            continue
         value = transform.forward(raw[name])
         if transform.tie is not None:
             value = (
@@ -194,6 +245,10 @@ def labels(spec: Spec, raw: dict[str, jax.Array]) -> list[str]:
     """
     names = []
     for name in sorted(spec):
+        if spec[name].tree:
+            for path, leaf in jax.tree_util.tree_flatten_with_path(raw[name])[0]:
+                names += [f"{name}{jax.tree_util.keystr(path)}[{i}]" for i in range(jnp.size(leaf))]
+            continue
         n, shape = spec[name].axes, jnp.shape(raw[name])
         index = [f"{i}" for i in range(n or math.prod(shape))] + [f"{i},{j}" for i in range(n) for j in range(i)]
         names += [f"{name}[{i}]" for i in index] if shape else [name]

@@ -53,6 +53,7 @@ KEYS: dict[str, tuple[str, ...]] = {
         *"lla enu ned ecef utm zone unit h_unit velocity_enu velocity_ned velocity_ecef rph rph_unit".split(),
     ),
     "magnetometer": (*COMMON, "value", "unit", "axes", "sd"),
+    "body_velocity": (*COMMON, "value", "unit", "axes", "sd"),
     "baseline": (*COMMON, *"enu ned unit sd sd_enu sd_ned".split()),
     "satellites": (
         *COMMON,
@@ -367,8 +368,10 @@ def _north(table: dict[str, Any]) -> float:
     return float(table.get("north_deg", 0.0)) * DEG
 
 
-def _field(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
-    scale = units.factor(table, "unit", "field", f"{files.map}: {name}", "uT")
+def _three(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+    """Return a vector in the axes of a sensor, FRD by ``axes``."""
+    kind = with_data()[name].columns[0].quantity
+    scale = units.factor(table, "unit", kind, f"{files.map}: {name}", QUANTITIES[kind][1])
     return table_of(files, table, "value", name) * scale @ rotation(table.get("axes", "frd")).T
 
 
@@ -409,7 +412,7 @@ def _scalar(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
 
 
 BUILD = {
-    "position": _position, "velocity": _velocity, "magnetometer": _field, "baseline": _baseline, "wheels": _wheels,
+    "position": _position, "velocity": _velocity, "magnetometer": _three, "body_velocity": _three, "baseline": _baseline, "wheels": _wheels,
 }  # fmt: skip
 """Makers of a stream's values; `_scalar` for every other one."""
 

@@ -3,6 +3,7 @@
 from jaxnav.measurements.air import AIRSPEED, SIDESLIP
 from jaxnav.measurements.auxiliary import AUXILIARY, Auxiliary
 from jaxnav.measurements.barometer import BAROMETER
+from jaxnav.measurements.body_velocity import BODY_VELOCITY
 from jaxnav.measurements.direction import BASELINE, COURSE, HEADING, YAW_RATE
 from jaxnav.measurements.gnss import POSITION, VELOCITY
 from jaxnav.measurements.ground import RANGEFINDER
@@ -25,6 +26,7 @@ MEASUREMENTS: dict[str, Measurement] = {
         LEVEL,
         SPEED,
         WHEELS,
+        BODY_VELOCITY,
         BAROMETER,
         RANGEFINDER,
         MAGNETOMETER,

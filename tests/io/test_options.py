@@ -22,6 +22,7 @@ TABLES = {
 }  # fmt: skip
 OTHERS = {
     "magnetometer": {"value": ["s", "c", "h"]}, "barometer": {"value": "h"}, "wheels": {"left": "s", "right": "s"},
+    "body_velocity": {"value": ["s", "c", "h"]},
     "baseline": {"enu": ["s", "c", "h"]}, "truth": {"lla": ["lat", "lon", "h"], "velocity_enu": ["s", "c", "h"]},
 }  # fmt: skip
 

@@ -111,6 +111,20 @@ def test_wheels_of_both_sides_run_on_circles_about_one_centre():
     np.testing.assert_allclose(said, [0.5 * 20.8, 0.5 * 19.2], rtol=1e-12)
 
 
+def test_a_doppler_log_reads_along_its_own_axes():
+    """Turned to the right by 30 deg, 2 % too much; on a circle a sensor ahead of the IMU also moves sideways."""
+    yaw, C_b = 30 * DEG, np.asarray(C)
+    turn = np.array([[np.cos(yaw), np.sin(yaw), 0.0], [-np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+    seen = 1.02 * turn @ C_b.T @ [8.0, -3.0, 1.0]
+    np.testing.assert_allclose(residual("body_velocity", seen, yaw=yaw, scale=0.02), 0.0, atol=1e-12)
+    nav = initial_nav([0.8, 0.1, 100.0], [0.0, 10.0, 0.0])._replace(omega=jnp.array([0.0, 0.0, 0.5]))
+    kin = Kinematics(nav.pos, nav.vel, rotations.to_dcm(nav.q))
+    own = PARAMS.measurements["body_velocity"]._replace(arm=jnp.array([2.0, 0.0, 0.0]))
+    nothing = Fix(jnp.zeros(3), jnp.ones(3), jnp.zeros(3), jnp.ones(3, bool))
+    said = MEASUREMENTS["body_velocity"].observe(own, PARAMS.mounting, nav, kin, nothing).y
+    np.testing.assert_allclose(said, [10.0, 0.5 * 2.0, 0.0], atol=1e-12)
+
+
 def test_a_rangefinder_reads_the_slant_way_to_the_ground():
     """Along the body's down axis from 100 m to ground at 30 m: where that line meets it."""
     beam = C[:, 2]

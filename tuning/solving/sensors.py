@@ -76,6 +76,7 @@ def options(rec: Recording, found: Sequence[Finding]) -> list[Option]:
     by, good = {f.code: f for f in found}, {f.code for f in found if not f.warns}
     tried = [Option((), (LEVER_ARM_ERROR.name,), ARM_SD)] if "lever_arm" in by else []
     tried += [Option((name,), (ODOMETER_SCALE.name,)) for name in ("speed", "wheels") if name in rec.aiding]
+    tried += [Option(("body_velocity",))] if "body_velocity" in rec.aiding else []
     yaw = by.get("mounting.yaw")
     if yaw is not None and abs(yaw.value or 0.0) < MAX_YAW_DEG:
         tried.append(Option(("nonholonomic",), (VEHICLE_AXES.name, WHEEL_ARM_ERROR.name)))

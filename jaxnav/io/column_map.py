@@ -412,7 +412,8 @@ def _scalar(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
 
 
 BUILD = {
-    "position": _position, "velocity": _velocity, "magnetometer": _three, "body_velocity": _three, "baseline": _baseline, "wheels": _wheels,
+    "position": _position, "velocity": _velocity, "magnetometer": _three, "body_velocity": _three,
+    "baseline": _baseline, "wheels": _wheels,
 }  # fmt: skip
 """Makers of a stream's values; `_scalar` for every other one."""
 

@@ -256,6 +256,8 @@ def test_ros2_bags_of_both_storages(tmp_path, storage):
     np.testing.assert_allclose(np.diff(rec.imu.t), 0.01, atol=1e-9)
     assert set(rec.aiding) == {"position", "velocity", "magnetometer", "barometer"}
     assert "/below is not read: if it is a sensor that looks down" in rec.notes
+    over = read(tmp_path / "bag", topics={"body_velocity": "/vel"}).aiding["body_velocity"].value[0]
+    np.testing.assert_allclose(over, expected.aiding["velocity"].value[0] * [1, -1, -1])  # as forward, left, up
     below = read(tmp_path / "bag", topics={"rangefinder": "/below"}).aiding["rangefinder"]
     np.testing.assert_allclose(below.value[:, 0], 7.0)
     assert below.t.size == rec.aiding["barometer"].t.size - 1  # one is beyond its reach

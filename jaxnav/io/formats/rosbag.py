@@ -293,9 +293,16 @@ BOTH = {"ublox_msgs/msg/NavPVT": _pvt, "gps_common/msg/GPSFix": _gps_fix, "gps_m
 """Types of a position and a velocity, their value and sd each."""
 
 
+def _flu(row: Callable[[Any], list[float]]) -> Callable[[Any], list[float]]:
+    """Return value and sd of a vector (3,) from forward, left, up to forward, right, down."""
+    return lambda m: (np.array(row(m)) * [1, -1, -1, 1, 1, 1]).tolist()
+
+
 def _halves(row: Callable[[Any], list[float]]) -> tuple[Kind, ...]:
     return Kind("position", lambda m: row(m)[:6]), Kind("velocity", lambda m: row(m)[6:])
 
 
 KINDS: dict[str, tuple[Kind, ...]] = {name: (kind,) for name, kind in ONE.items()}
+for _name, _twist in (("TwistStamped", _velocity), ("TwistWithCovarianceStamped", _velocity_with_sd)):
+    KINDS[f"geometry_msgs/msg/{_name}"] += (Kind("body_velocity", _flu(_twist), "a Doppler log's, forward, left, up"),)
 KINDS |= {name: _halves(row) for name, row in BOTH.items()}

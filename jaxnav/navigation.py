@@ -91,6 +91,7 @@ class Solution:
     sd_factor: float = 1.0  # that the filter's sd of positions are multiplied by
     velocity_sd_factor: float = 1.0  # and those of velocities
     delay_sd: float = 0.0  # s, of the delay between the IMU's clock and that of the fixes
+    clock_rate_sd: float = 0.0  # s/s, of the growth of that delay, none halfway
 
     @property
     def nav(self) -> Nav:
@@ -150,11 +151,16 @@ class Solution:
     def at_imu_time(self, track: Track, sd: np.ndarray) -> tuple[Track, np.ndarray]:
         """Return a track at the IMU's stamps, and its sd (N, 9): along the track a delay's sd is one of the position.
 
+        It is that of the delay halfway and of the clock's rate.
+
         Args:
             track: (N, ...) by the clock of the fixes.
             sd: (N, 9) there.
         """
-        return track._replace(t=self.imu_time(track.t)), along_track(sd, track.vel, self.delay_sd)
+        away = self.clock_rate_sd * (track.t - float(self.trace.info.nav.origin.t[0]))
+        return track._replace(t=self.imu_time(track.t)), along_track(
+            sd, track.vel, np.hypot(self.delay_sd, away)[:, None]
+        )
 
     def write(self, path: str | Path, format: str = "", imu_rate: bool = False, base: str = "imu") -> None:
         """Write it as "csv", "kml", "pos" or "nav"; by default the ending of the file's name.
@@ -227,6 +233,7 @@ def navigate(
     sd_factor: float = 1.0,
     velocity_sd_factor: float = 1.0,
     delay_sd: float = 0.0,
+    clock_rate_sd: float = 0.0,
 ) -> Solution:
     """Filter a recording from where it can start.
 
@@ -251,6 +258,7 @@ def navigate(
         sd_factor: multiplies the stated sd of positions, such as that of a calibration by hidden fixes.
         velocity_sd_factor: the same of velocities.
         delay_sd: s, of the delay between the IMU's clock and that of the fixes; that of the scan where it is run.
+        clock_rate_sd: s/s, of the growth of that delay, none halfway.
 
     Raises:
         DataError: a recording that cannot be started from or cut, or lacks a stream that the filter takes.
@@ -321,6 +329,7 @@ def navigate(
     return Solution(
         *trace.track, trace.sd, nu, used, ok, trace, params, rec, chosen, begin, about, windows, filt, packed, hidden,
         smooth, lag, findings, found, sd_factor, velocity_sd_factor, delay_sd if found is None else found.latency_sd,
+        clock_rate_sd,
     )  # fmt: skip
 
 

@@ -54,6 +54,7 @@ class Filter:
     sd_factor: float = 1.0  # stated sd of positions are the filter's times this, see jaxnav solve
     velocity_sd_factor: float = 1.0  # and those of velocities
     delay_sd_s: float = 0.0  # sd of the delay between IMU and fixes, which is one of positions along the track
+    clock_rate_sd_ppm: float = 0.0  # sd of the growth of that delay, none halfway
     outages: tuple[tuple[float, ...], ...] = ()  # (start, end) s, fixes hidden from the filter
     standing_window_s: float = 1.0  # of the standstill detector: both sd, root sum square of axes, below these
     standing_accel_sd_mps2: float = 0.2  # of the specific force within the window

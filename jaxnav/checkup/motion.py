@@ -279,13 +279,42 @@ def named(found: Best) -> Finding:
 
 def delay_of(rec: Recording) -> tuple[float, float] | None:
     """Return the delay of the fixes by alignments all along a recording, s, and its sd; None where none is known."""
+    moving = _in_motion(rec)
+    return None if moving is None else _mean_delay(*_delays(moving))
+
+
+def clock_rate_of(rec: Recording) -> tuple[float, float] | None:
+    """Return the rate at which the delay of the fixes grows, s/s, and its sd; None where none is known."""
+    moving = _in_motion(rec)
+    found = None if moving is None else _rate(moving)
+    return None if found is None else found[:2]
+
+
+def _in_motion(rec: Recording) -> list[tuple[tuple[float, float], Alignment]] | None:
+    """Return alignments that know the heading; None where there are none, or fixes and IMU do not go together."""
     v, position = level_velocity(rec.aiding), rec.aiding.get("position")
     if v is None or position is None or not position.t.size or float(np.median(rec.imu.dt)) > MAX_SAMPLE_INTERVAL_S:
         return None
     moving = [(w, a) for w, a in alignments(thinned(rec), v) if a.sd[2] < MAX_HEADING_SD]
     if not moving or float(np.median([a.chi2 for _, a in moving])) > MAX_CHI2_PER_DOF:
         return None
-    return _mean_delay(*_delays(moving))
+    return moving
+
+
+def _rate(each: list[tuple[tuple[float, float], Alignment]]) -> tuple[float, float, float] | None:
+    """Return the growth of delays, s/s, its sd, and what it must exceed to be one; None of too few or too short."""
+    t = np.array([0.5 * (w[0] + w[1]) for w, _ in each])
+    late, sd = _delays(each)
+    if len(late) < 4 or np.ptp(t) < 100.0:
+        return None
+    weight = 1 / sd**2
+    centred = t - (weight * t).sum() / weight.sum()
+    power = float((weight * centred**2).sum())
+    drift = float((weight * centred * late).sum() / power)
+    left = late - _mean_delay(late, sd)[0] - drift * centred
+    dof = STATED_SD_DOF + len(late) - 2
+    drift_sd = float(np.sqrt(max(1.0, (STATED_SD_DOF + float((weight * left**2).sum())) / dof) / power))
+    return drift, drift_sd, max(float(stdtrit(dof, 1 - DRIFT_FALSE_ALARM)) * drift_sd, 100 * units.PPM)
 
 
 def _delays(each: list[tuple[tuple[float, float], Alignment]]) -> tuple[np.ndarray, np.ndarray]:
@@ -303,25 +332,15 @@ def _mean_delay(late: np.ndarray, sd: np.ndarray) -> tuple[float, float]:
 
 def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> list[Finding]:
     """How late the stream ``name`` is against the IMU, and whether that changes."""
-    t = np.array([0.5 * (w[0] + w[1]) for w, _ in each])
-    late, sd = _delays(each)
-    weight = 1 / sd**2
-    mean, mean_sd = _mean_delay(late, sd)
+    mean, mean_sd = _mean_delay(*_delays(each))
     late_enough = abs(mean) >= max(0.03, 3 * mean_sd)
     numbers: dict[str, Any] = {"size": abs(mean), "side": "late" if mean >= 0 else "early", "sd": mean_sd}
     code = "time.late" if abs(mean) > max(0.15, 5 * mean_sd) else "time.delay"
     value, setting = mean if late_enough else 0.0, f"measurements.{name}.latency_s"
     found = [finding(code, name, value, setting=setting, **numbers)]
-    if len(late) >= 4 and np.ptp(t) >= 100.0:
-        centred = t - (weight * t).sum() / weight.sum()
-        power = float((weight * centred**2).sum())
-        drift = float((weight * centred * late).sum() / power)
-        left = late - mean - drift * centred
-        dof = STATED_SD_DOF + len(late) - 2
-        drift_sd = np.sqrt(max(1.0, (STATED_SD_DOF + float((weight * left**2).sum())) / dof) / power)
-        if abs(drift) > max(float(stdtrit(dof, 1 - DRIFT_FALSE_ALARM)) * drift_sd, 100 * units.PPM):
-            setting, sd_ppm = "mounting.clock_drift_ppm", drift_sd / units.PPM
-            found.append(finding("time.drift", name, drift / units.PPM, setting=setting, sd=sd_ppm))
+    if (rate := _rate(each)) is not None and abs(rate[0]) > rate[2]:
+        setting, sd_ppm = "mounting.clock_drift_ppm", rate[1] / units.PPM
+        found.append(finding("time.drift", name, rate[0] / units.PPM, setting=setting, sd=sd_ppm))
     return found
 
 

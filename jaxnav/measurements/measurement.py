@@ -88,13 +88,13 @@ class Measurement(NamedTuple):
         return bool(self.columns or self.auxiliary)
 
 
-def along_track(sd: np.ndarray, vel: np.ndarray, delay_sd: float) -> np.ndarray:
+def along_track(sd: np.ndarray, vel: np.ndarray, delay_sd: float | np.ndarray) -> np.ndarray:
     """Return the sd (..., 9) at the IMU's time: along the track that of a delay is one of the position.
 
     Args:
         sd: (..., 9) m, m/s, rad, ENU, by the clock of the fixes.
         vel: (..., 3) m/s, ENU.
-        delay_sd: s, of the delay between both clocks.
+        delay_sd: s, of the delay between both clocks; () or (..., 1).
     """
     return np.concatenate([np.hypot(sd[..., :3], delay_sd * vel), sd[..., 3:]], -1)
 

@@ -102,6 +102,16 @@ def test_at_the_imus_time_a_delay_is_a_distance_along_the_track(runs, tmp_path):
         np.testing.assert_allclose(rows[:, names.index("sd_e_m")], stated[:, 0], atol=2e-3)
 
 
+def test_at_the_imus_time_a_clocks_rate_is_a_distance_that_grows_from_halfway(runs):
+    """An unknown 100 ppm are 3.5 ms of the track at either end of 70 s."""
+    _, _, found = runs
+    sol = replace(found[False][0], clock_rate_sd=1e-4)
+    _, sd = sol.at_imu_time(sol.trace.track, sol.sd)
+    away = 1e-4 * (sol.t - float(sol.trace.info.nav.origin.t[0]))
+    assert away[-1] == pytest.approx(3.5e-3, rel=0.03)
+    np.testing.assert_allclose(sd[:, :3] ** 2 - sol.sd[:, :3] ** 2, (away[:, None] * sol.vel) ** 2, atol=1e-9)
+
+
 def test_fixes_that_are_early_give_the_solution_of_fixes_in_time(runs):
     """Stamps of fixes 0.45 s before the IMU's and the delay stated: to rounding, at the IMU's stamps."""
     rec, _, found = runs

@@ -15,6 +15,7 @@ from jaxnav.analysis.observability import Observability, observability_findings
 from jaxnav.app.jobs.check import shown
 from jaxnav.app.jobs.mc import findings_of
 from jaxnav.checkup import CHECKS, checkup
+from jaxnav.checkup.motion import clock_rate_of
 from jaxnav.filters import programs
 from jaxnav.filters.catalogue import Filter
 from jaxnav.maths.units import DEG
@@ -50,7 +51,12 @@ def test_an_aircraft_shows_the_sign_of_its_vertical_velocity():
 
 def test_a_clock_that_gains_shows_over_three_minutes():
     rec, _ = simulated("car", "consumer", True, np.random.default_rng(3), sd=0.5, span=180.0, late=0.0)
-    assert "time.drift" in codes(CHECKS["together"].answer(check.later(ppm=3000.0)(rec)))
+    fast = check.later(ppm=3000.0)(rec)
+    assert "time.drift" in codes(CHECKS["together"].answer(fast))
+    rate, sd = clock_rate_of(fast)
+    usual, _ = clock_rate_of(rec)
+    assert abs(rate - usual) * 1e6 == pytest.approx(3000.0, rel=0.15) and 20.0 < sd * 1e6 < 1500.0
+    assert abs(usual) < 3 * sd
 
 
 def test_fixes_that_no_motion_explains_are_a_misfit():

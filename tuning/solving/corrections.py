@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
-from jaxnav.checkup.motion import both_point_up
+from jaxnav.checkup.motion import both_point_up, clock_rate_of
 from jaxnav.filters.parameters import put
 from jaxnav.maths.axes import rotation
 from jaxnav.maths.units import PPM
@@ -22,6 +22,7 @@ class Corrections(NamedTuple):
     settings: dict[str, float | str]  # in a user's units
     found: list[Finding]  # by the check of the corrected recording
     applied: list[Finding]  # a finding for each setting
+    rate_sd: float = 0.0  # s/s, of the clock's rate among the settings
 
     def clock(self, params: Params) -> Params:
         """Return parameters with the rate of the IMU's clock."""
@@ -59,11 +60,13 @@ def correct(rec: Recording, kept: Sequence[str] = ()) -> Corrections:
         applied.append(finding("solve.applied", OFFSET, shift, why=offset.message))
         found = checkup(rec)
     drift = _first(found, "time.drift")
+    rate_sd = 0.0
     if drift is not None and DRIFT not in kept:
+        rate_sd = (clock_rate_of(rec) or (0.0, 0.0))[1]
         settings[DRIFT] = float(round(drift.value or 0.0))
         applied.append(finding("solve.applied", DRIFT, float(round(drift.value or 0.0)), why=drift.message))
         found = [f for f in found if f is not drift]
-    return Corrections(rec, settings, found, applied)
+    return Corrections(rec, settings, found, applied, rate_sd)
 
 
 def turned(rec: Recording, axes: str) -> Recording:

@@ -221,7 +221,7 @@ def solve(
     stages.next()
     sol = run(
         final.filter, params, initialization=delivered, smooth=smooth, sd_factor=calibration.factor,
-        velocity_sd_factor=calibration.velocity_factor, delay_sd=found.latency_sd,
+        velocity_sd_factor=calibration.velocity_factor, delay_sd=found.latency_sd, clock_rate_sd=checked.rate_sd,
     )  # fmt: skip
     nis = receiver_nis(sol.trace.info, sol.measurements, sol.packed.t > bench.layout.validation)
     said = [f for f in distinct([*findings, *unwidened(sol, choice.tried)]) if f.code not in gone]

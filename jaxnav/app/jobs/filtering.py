@@ -29,6 +29,7 @@ from jaxnav.app.sources import load, scenario_of
 from jaxnav.io.json import write_json
 from jaxnav.io.parts import notes_of
 from jaxnav.io.solution import FORMATS
+from jaxnav.maths.units import PPM
 from jaxnav.navigation import BASES, Solution, navigate
 from jaxnav.types import ConfigError, nearest
 
@@ -94,6 +95,7 @@ def filter(config: Config, folder: Path) -> Outcome:
         initialization=partial(initialization_of, config), stop=config.data.stop, outages=f.outages,
         interval=f.interval_s, standing=standing_of(config), smooth=f.smooth, lag=f.lag_s,
         sd_factor=f.sd_factor, velocity_sd_factor=f.velocity_sd_factor, delay_sd=f.delay_sd_s,
+        clock_rate_sd=f.clock_rate_sd_ppm * PPM,
     )  # fmt: skip
     seconds["filter"], begin = time.perf_counter() - begin, time.perf_counter()
     found = sol.metrics() | {"grade": grade_name(config, scenario), "time": time_of(config, sol)}

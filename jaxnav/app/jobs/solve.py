@@ -22,7 +22,7 @@ from jaxnav.filters.parameters import UNITS, get, has, installed
 from jaxnav.io import atomic_write
 from jaxnav.io.json import write_json
 from jaxnav.io.toml import to_toml
-from jaxnav.maths.units import DEG
+from jaxnav.maths.units import DEG, PPM
 from jaxnav.states.table import BIASES
 from jaxnav.types import ConfigError, Params, Recording
 from tuning.fit.status import Status
@@ -133,7 +133,7 @@ def reproducing(config: Config, found: Solved) -> Config:
     chosen = FilterSection(
         name=sol.filter.name, grade=DATASHEET, states=extra, measurements=tuple(sol.filter.model.measurements),
         cov_stride=COV_STRIDE, smooth=sol.smoothed, sd_factor=sol.sd_factor, velocity_sd_factor=sol.velocity_sd_factor,
-        delay_sd_s=sol.delay_sd,
+        delay_sd_s=sol.delay_sd, clock_rate_sd_ppm=sol.clock_rate_sd / PPM,
         standing_accel_sd_mps2=standing.accel_sd, standing_gyro_sd_deg_per_s=standing.gyro_sd / DEG,
         outages=found.left_out,
     )  # fmt: skip

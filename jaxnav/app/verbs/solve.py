@@ -21,8 +21,8 @@ def unused(config: Config, simulated: bool) -> dict[str, str]:
     """Return settings that are found from the recording."""
     chosen = (
         "name", "grade", "states", "measurements", "cov_stride", "interval_s", "smooth", "lag_s", "sd_factor",
-        "velocity_sd_factor", "delay_sd_s", "outages", "standing_window_s", "standing_accel_sd_mps2",
-        "standing_gyro_sd_deg_per_s",
+        "velocity_sd_factor", "delay_sd_s", "clock_rate_sd_ppm", "outages", "standing_window_s",
+        "standing_accel_sd_mps2", "standing_gyro_sd_deg_per_s",
     )  # fmt: skip
     return no_effect("is found from the recording", *(f"filter.{key}" for key in chosen))
 

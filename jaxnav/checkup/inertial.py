@@ -57,14 +57,10 @@ def axes(rec: Recording) -> list[Finding]:
                 and np.mean(np.diff(column) != 0) > 0.5
             ):
                 found.append(finding("imu.stuck", f"{name} {axis}", column[begin], rows=rows, at=rec.imu.t[begin]))
-            size = np.abs(column)
-            top = size.max()
-            at_top = size > 0.999 * top
-            share = float(np.mean(at_top[1:] & (column[1:] == column[:-1])))
-            # a coarse step is as full below the top; a stop has what would be beyond it
-            piled = 2 * at_top.sum() > np.count_nonzero((size > 0.9 * top) & ~at_top)
-            fine = np.unique(size).size > MIN_LEVELS
-            if share > 0.003 and column.size > 1000 and top > 3 * sd and piled and fine:
+            top = np.abs(column).max()
+            share = float(np.mean((np.abs(column[1:]) > 0.999 * top) & (column[1:] == column[:-1])))
+            fine = np.unique(np.abs(column)).size > MIN_LEVELS
+            if share > 0.003 and column.size > 1000 and top > 3 * sd and fine:
                 found.append(finding("imu.clipped", f"{name} {axis}", float(top), share=100 * share))
     return found
 

@@ -52,10 +52,10 @@ def sheet_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> tuple[S
     return files.opened[cache], str(ref)
 
 
-def _kind(table: dict[str, Any], of: str) -> tuple[int, str] | None:
-    """Return the number of a column of the file ``of`` and the text that ``where`` asks of it: rows of one kind."""
+def _kind(table: dict[str, Any], of: str) -> tuple[tuple[int, str], ...]:
+    """Return columns of the file ``of`` by number and the text that ``where`` asks of each: rows of one kind."""
     kinds = ((ref.removeprefix(of), value) for ref, value in table.get("where", {}).items() if _is_kind(ref, value))
-    return next(((int(ref), value) for ref, value in kinds if ref.isdigit()), None)
+    return tuple((int(ref), value) for ref, value in kinds if ref.isdigit())
 
 
 def _is_kind(ref: str, value: Any) -> bool:

@@ -43,7 +43,7 @@ class Sheet(NamedTuple):
 
 
 def open_sheet(
-    path: FilePath, delimiter: str | None = None, header: bool | None = None, only: tuple[int, str] | None = None
+    path: FilePath, delimiter: str | None = None, header: bool | None = None, only: tuple[tuple[int, str], ...] = ()
 ) -> Sheet:
     """Open the columns of a file.
 
@@ -51,7 +51,7 @@ def open_sheet(
         path: the file, or ``archive.zip/member``.
         delimiter: between cells; detected where it is None, as the header is.
         header: whether the first line has the names.
-        only: lines of a text whose cell of this number, from 1, is this text.
+        only: lines of a text whose cells of these numbers, from 1, are these texts.
 
     Raises:
         DataError: not there, or no table.
@@ -218,7 +218,7 @@ def _ends(data: bytes) -> bytes:
 
 
 def _text(
-    data: bytes, file: str, delimiter: str | None, header: bool | None, only: tuple[int, str] | None = None
+    data: bytes, file: str, delimiter: str | None, header: bool | None, only: tuple[tuple[int, str], ...] = ()
 ) -> Sheet:
     text = data.decode("utf-8-sig", errors="replace")
     if "\0" in text[:4096]:
@@ -237,13 +237,14 @@ def _text(
         delimiter = lines.pop(0)[1].strip()[-1] if delimiter is None else delimiter
     delimiter = _delimiter([line for _, line in lines[-50:]]) if delimiter is None else delimiter
     rows = [(i, _cells(line, delimiter)) for i, line in lines]
-    if only is not None:
-        at, kind = only[0] - 1, only[1]
-        of_kind = lambda cells: len(cells) > at and cells[at] == kind
+    if only:
+        first, kind = only[0]
+        comments = [line for line in comments if _cells(line, delimiter)[first - 1 : first] == [kind]]
+        of_kind = lambda cells: all(cells[at - 1 : at] == [text] for at, text in only)
         rows = [(i, cells) for i, cells in rows if of_kind(cells)]
-        comments = [line for line in comments if of_kind(_cells(line, delimiter))]
         if not rows:
-            raise DataError(f"{file}: has no line with {kind!r} in column {only[0]}")
+            texts = " and ".join(f"{text!r} in column {at}" for at, text in only)
+            raise DataError(f"{file}: has no line with {texts}")
     width = Counter(len(cells) for _, cells in rows).most_common(1)[0][0]
     if delimiter != "," and _decimal_commas(rows):
         rows = [(i, [cell.replace(",", ".") for cell in cells]) for i, cells in rows]
@@ -252,7 +253,7 @@ def _text(
     below: list[str] = []
     before = next((k for k, (_, cells) in enumerate(rows) if len(cells) == width), 0)
     text_only = lambda cells: not any(np.isfinite(_number(cell)) for cell in cells)
-    if header or (header is None and only is None and _is_header([cells for _, cells in rows[before : before + 2]])):
+    if header or (header is None and not only and _is_header([cells for _, cells in rows[before : before + 2]])):
         names = rows[before][1]
         if before:
             notes.append(f"{Path(file).name}: {before} lines before the header are left out.")

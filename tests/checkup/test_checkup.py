@@ -10,7 +10,7 @@ from benchmarks.simulated import pauses
 from benchmarks.simulated.vehicles import simulated
 from jaxnav.app.config import Data
 from jaxnav.app.jobs.check import configuration
-from jaxnav.checkup import CHECKS, alternatives, checkup, inertial, quick_notes
+from jaxnav.checkup import CHECKS, alternatives, checkup, inertial, quick_notes, streams
 from jaxnav.checkup.motion import delay_of, mixups, turns_of
 from jaxnav.checkup.standstill import standstill
 from jaxnav.filters.epochs import sample_rows
@@ -167,13 +167,23 @@ def test_no_heading_by_the_course_where_there_is_none(car):
 
 
 def test_a_coarse_step_of_a_quiet_axis_is_no_stop(car):
-    """Twice the top in a row, of few values or as often as below; a sine that is cut is clipped."""
-    noise = np.random.default_rng(0).normal(size=car.imu.t.size)
-    wave = np.sin(np.arange(noise.size) / 30.0) + 1e-4 * noise
+    """Twice the top in a row, of few values; a pulse that is cut is clipped."""
+    rows = np.arange(car.imu.t.size)
     axis = lambda column: car._replace(imu=car.imu._replace(gyro=np.column_stack([column, car.imu.gyro[:, 1:]])))
     clipped = lambda column: "imu.clipped" in bad(axis(column), "axes")
-    assert not clipped(np.round(noise) * 1e-3) and not clipped(np.round(np.clip(noise, -2, 2), 1) * 1e-3)
+    assert not clipped(np.where(rows % 200 < 2, 2e-3, np.where(rows % 7 == 0, 1e-3, 0.0)))
+    wave = np.sin(rows / 30.0) + 1e-4 * np.random.default_rng(0).normal(size=rows.size)
     assert clipped(np.clip(wave**301, -0.6, 0.6))
+
+
+def test_in_turns_of_one_sense_a_delay_is_no_other_north():
+    """On a circle a velocity that is 0.3 s late is turned by 5.7 deg, too; in turns of both senses it is not."""
+    t, rng = np.arange(0.0, 120.0, 0.5), np.random.default_rng(0)
+    for course, turned in ((0.33 * t, False), (0.33 * t + 0.2, False), (np.sin(0.1 * t), True)):
+        course_said = np.interp(t - 0.3, t, course) if not turned else course - 0.1
+        at = lambda angle: 8.0 * np.column_stack([np.sin(angle), np.cos(angle)]) + 0.1 * rng.normal(size=(t.size, 2))
+        found = streams._turned(at(course), at(course_said), t, 4)
+        assert [f.code for f in found] == ["velocity.turned"] * turned
 
 
 def test_what_a_change_is_worth_does_not_depend_on_the_stated_sd(car):

@@ -460,3 +460,30 @@ def test_positions_without_a_height(folder, text):
     assert f"{len(position.t)} rows have no height" in rec.notes
     three = with_fixes(folder, text.replace('"lon"', '"lon", "h"'), origin=origin).aiding["position"]
     np.testing.assert_allclose(position.value[:, :2], three.value[:, :2], atol=1e-6)
+
+
+def test_rows_of_kinds_that_differ_in_number_and_width(tmp_path):
+    """The accelerometer comes twice as often, and the fixes have more cells."""
+    lines = [f"G,{k},0.1,0.2,0.3" for k in range(20)] + [f"A,{k / 2},0,0,-9.8" for k in range(40)]
+    lines += [f"F,{k},48.0,11.0,500.0,3,RTK" for k in range(1, 20)] + ["F,19.5,48.0,11.0,500.0,1,none"]
+    (tmp_path / "log.txt").write_text("\n".join(lines) + "\n")
+    (tmp_path / "map.toml").write_text(
+        'header = false\n[imu]\nfile = { g = "log.txt", a = "log.txt" }\ntime = "g:2"\naccel_time = "a:2"\n'
+        'where = { "g:1" = "G", "a:1" = "A" }\ngyro = ["g:3", "g:4", "g:5"]\ngyro_unit = "rad/s"\n'
+        'accel = ["a:3", "a:4", "a:5"]\naccel_unit = "m/s^2"\n'
+        '[position]\nfile = "log.txt"\ntime = "2"\nlla = ["3", "4", "5"]\nwhere = { 1 = "F", 7 = "RTK" }\n'
+    )
+    parts = read_parts(tmp_path / "map.toml")
+    assert parts.imu.t.size == 20 and np.all(parts.imu.accel[:, 2] == -9.8)
+    np.testing.assert_array_equal(parts.aiding["position"].t, np.arange(1.0, 20.0))
+
+
+def test_utm_south_of_the_equator_counts_from_ten_thousand_kilometres(folder):
+    """As many metres south as north: the other latitude."""
+    found = []
+    for zone, northing in (("32 north", 5.3e6), ("32 south", 1e7 - 5.3e6), ("32H", 1e7 - 5.3e6)):
+        (folder / "g.csv").write_text(f"t,e,n,h\n11,650000,{northing},7\n12,650000,{northing},7\n")
+        text = f'[position]\nfile = "g.csv"\ntime = "t"\nutm = ["e", "n", "h"]\nzone = "{zone}"\nsd = 1.0\n'
+        found.append(mapped(folder, IMU + text).aiding["position"].value[0])
+    np.testing.assert_allclose(found[1], found[0] * [-1, 1, 1], rtol=1e-14)
+    np.testing.assert_array_equal(found[2], found[1])

@@ -163,3 +163,10 @@ def test_lines_that_are_no_json(tmp_path):
     (tmp_path / "a.json").write_text("[1, 2]")
     with pytest.raises(DataError, match="expected JSON objects"):
         open_sheet(tmp_path / "a.json")
+
+
+def test_marks_inside_of_quotes_are_not_counted(tmp_path):
+    """A semicolon in every note of a table with commas."""
+    (tmp_path / "a.csv").write_text("t,x,note\n" + "".join(f'{k},2,"a; {k}"\n' for k in range(80)))
+    sheet = open_sheet(tmp_path / "a.csv")
+    assert len(sheet.columns["note"]) == 80 and sheet.columns["note"][7] == "a; 7"

@@ -45,7 +45,7 @@ def read(path: Path) -> Parts:
     if has(field):
         table["magnetometer"] = {"file": name, "where": {"1": field}, "value": axes("", field, "MicroT")}
     if has("Fix"):
-        sheet = open_sheet(path, ",", only=(1, "Fix"))
+        sheet = open_sheet(path, ",", only=((1, "Fix"),))
         # of the receiver, not of cells and networks; a height of 0 and a speed of 0 without an accuracy are none
         providers = set(column(sheet, "Provider").tolist())
         fixes = {"file": name, "where": {"1": "Fix", "Provider": "GPS" if "GPS" in providers else min(providers)}}

@@ -17,11 +17,12 @@ WORDS: dict[str, tuple[str, ...]] = {
     "lat": ("lat", "latitude"),
     "lon": ("lon", "lng", "long", "longitude"),
     "height": ("alt", "altitude", "height", "hgt", "h", "ellipsoidal height", "altitude ellipsoid", "hmsl", "msl"),
-    "speed": ("speed", "spd", "ground speed", "groundspeed", "gspeed", "sog", "speed over ground"),
-    "course": ("course", "cog", "bearing", "track", "head mot", "headmot", "course over ground", "ground course"),
-    "east": ("ve", "vel e", "vele", "velocity east", "v east", "east velocity", "vel east", "v e"),
-    "north": ("vn", "vel n", "veln", "velocity north", "v north", "north velocity", "vel north", "v n"),
-    "down": ("vd", "vel d", "veld", "velocity down", "v down", "down velocity", "vel down", "v d"),
+    "speed": ("speed", "spd", "velocity", "ground speed", "groundspeed", "gspeed", "sog", "speed over ground"),
+    "course": ("course", "cog", "direction", "bearing", "track", "head mot", "headmot",
+               "course over ground", "ground course"),
+    "east": ("ve", "vel e", "vel ned e", "vele", "velocity east", "v east", "east velocity", "vel east", "v e"),
+    "north": ("vn", "vel n", "vel ned n", "veln", "velocity north", "v north", "north velocity", "vel north", "v n"),
+    "down": ("vd", "vel d", "vel ned d", "veld", "velocity down", "v down", "down velocity", "vel down", "v d"),
     "up": ("vu", "vel u", "velu", "velocity up", "v up", "up velocity", "vel up", "v u", "climb", "climb rate"),
     "level sd": ("hacc", "h acc", "acc h", "horizontal accuracy", "eph", "location accuracy", "gps accuracy",
                  "position accuracy", "accuracy", "sd h", "hor accuracy", "pos acc"),
@@ -29,7 +30,8 @@ WORDS: dict[str, tuple[str, ...]] = {
     "speed sd": ("sacc", "s acc", "speed accuracy", "acc s", "vel acc"),
     "hdop": ("hdop",),
     "time": ("time", "timestamp", "stamp", "t", "tow", "unix time", "unix", "utc", "epoch", "ticks", "elapsed", "clock",
-             "date time", "datetime", "time stamp", "utc time", "gps time", "system time", "seconds"),
+             "date time", "datetime", "time stamp", "utc time", "gps time", "system time", "seconds",
+             "time startup", "startup", "time since boot", "since boot", "uptime"),
     "date": ("date", "day", "utc date"),
 }  # fmt: skip
 """Names of quantities, in lower case and split into words; an axis stands behind those of three."""
@@ -52,7 +54,7 @@ KIND = {
 }  # fmt: skip
 THREE = ("gyro", "accel")
 ROTATED = {"roll": "x", "pitch": "y", "yaw": "z"}
-VAGUE = {"accuracy", "rate", "rotation"}  # words that say something else behind another word
+VAGUE = {"accuracy", "rate", "rotation", "velocity", "direction"}  # words that say something else behind another word
 
 
 MIN_ROWS, MAX_VALUE = 5, 1e15  # numbers of a column that counts, and their largest size

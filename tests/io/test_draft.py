@@ -157,6 +157,21 @@ def a_file_a_sensor(rec, folder):
     return [folder]
 
 
+def phyphox(rec, folder):
+    """Names in quotes, degrees as a sign, an accuracy of the height in the wrong unit, speed and direction."""
+    t, lat, lon, h, e, n, u, speed, course = fixes(rec)
+    three = lambda name, unit: ['"Time (s)"', *(f'"{name} {a} ({unit})"' for a in "xyz")]
+    names = ["Time (s)", "Latitude (°)", "Longitude (°)", "Height (m)", "Velocity (m/s)", "Direction (°)",
+             "Horizontal Accuracy (m)", "Vertical Accuracy (°)"]  # fmt: skip
+    columns = [t, lat, lon, h, speed, course, np.full(t.size, 2.0), np.full(t.size, 4.0)]
+    force = three("Acceleration", "m/s^2")
+    return [
+        lines(folder / "Gyroscope.csv", three("Gyroscope", "rad/s"), [rec.imu.t, *rec.imu.gyro.T], form="%.9e"),
+        lines(folder / "Accelerometer.csv", force, [rec.imu.t, *rec.imu.accel.T], form="%.9e"),
+        lines(folder / "Location.csv", [f'"{name}"' for name in names], columns, form="%.13e"),
+    ]
+
+
 def date_and_time(rec, folder):
     t, lat, lon, h, *_ = fixes(rec)
     moment = lambda t: [datetime.datetime.fromtimestamp(BEGIN + x, datetime.UTC) for x in t]
@@ -194,7 +209,8 @@ def no_speed_unit(rec, folder):
     return [imu, gnss]
 
 
-TABLES = (one_table, short_names, rostopic, receivers_units, iso_dates, matlab, a_file_a_sensor, date_and_time, radians,
+TABLES = (one_table, short_names, rostopic, receivers_units, iso_dates, matlab, a_file_a_sensor, phyphox, date_and_time,
+          radians,
           no_speed_unit)  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from .test_formats import data, recording
 from .test_kitti import write as write_kitti
 from .test_novatel import write as write_novatel
 from .test_readers import nmea, write_ros1, write_ros2, write_ubx
+from .test_receivers import sbf_log
 from .test_sensor_logger import write as write_phone
 
 COPIES = 30
@@ -168,6 +169,11 @@ def gnss_logger(folder: Path) -> tuple[Path, Callable]:
     return folder / "log.txt", lambda: read(folder / "log.txt")
 
 
+def sbf(folder: Path) -> tuple[Path, Callable]:
+    (folder / "a.sbf").write_bytes(sbf_log(9))  # no copy ends with a block, which nobody could see
+    return folder / "a.sbf", lambda: read(folder / "a.sbf")
+
+
 def novatel(folder: Path) -> tuple[Path, Callable]:
     return write_novatel(folder / "a.log", recording()), lambda: read(folder / "a.log")
 
@@ -227,6 +233,7 @@ FORMATS: dict[str, Callable] = {
     "kfgins gnss": gnss_half(write_kfgins_gnss),
     "gpx": gnss_half(write_gpx),
     "gnss logger": gnss_logger,
+    "sbf": sbf,
     "ekf2 replay": ekf2,
     "euroc": euroc,
     "navego": navego,

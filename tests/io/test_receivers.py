@@ -1,5 +1,7 @@
 """Receivers' own formats, and which of several receivers is read."""
 
+import binascii
+import struct
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -237,3 +239,74 @@ def test_a_track_of_gpx(tmp_path):
     (tmp_path / "a.gpx").write_text("<gpx><trk>")
     with pytest.raises(DataError, match="a.gpx: cannot be read as XML"):
         read_parts(tmp_path / "a.gpx")
+
+
+# ---------------------------------------------------------------------------- SBF
+
+
+def sbf_block(number: int, milliseconds: int, body: bytes) -> bytes:
+    """A block of Septentrio at a time of week 2288, padded to four bytes."""
+    body = struct.pack("<IH", milliseconds, 2288) + body
+    body += bytes(-(len(body) + 8) % 4)
+    rest = struct.pack("<HH", number, len(body) + 8) + body
+    return b"$@" + struct.pack("<H", binascii.crc_hqx(rest, 0)) + rest
+
+
+def sbf_log(seconds: int = 8) -> bytes:
+    """Fixes at 1 Hz with covariances and heading, an IMU at 10 Hz; another block and text in between."""
+    out = b"$R: exeSNMEAOutput\r\n" + sbf_block(4014, 0, bytes(20))
+    for k in range(10 * seconds):
+        tow = 345600000 + 100 * k
+        part = lambda kind, *xyz: struct.pack("<BBBB3d", 1, 2, kind, 0, *xyz)
+        samples = part(0, 0.5, -0.25, -9.8) + part(1, 3.0, -2.0, 0.1 * k)
+        out += sbf_block(4050, tow, struct.pack("<BB", 2, 28) + samples)
+        if k % 10 == 0:
+            mode = 0 if k == 0 else 4
+            place = struct.pack("<BB3d4f", mode, 0, 0.8, 0.2 + 1e-7 * k, 500.0, 45.0, 1.0, 2.0, 0.3)
+            out += sbf_block(4007, tow, place + struct.pack("<fdfBBBBHHIBBHHHHB", 63.4, 0, 0, 0, 0, 9, *[0] * 11))
+            out += sbf_block(5906, tow, struct.pack("<BB10f", mode, 0, 4.0, 9.0, 16.0, *[0.0] * 7))
+            out += sbf_block(5908, tow, struct.pack("<BB10f", mode, 0, 0.01, 0.04, 0.09, *[0.0] * 7))
+            out += sbf_block(5938, tow, struct.pack("<BBHBB6f", 9, 0, 2, 0, 0, 63.5, *[0.0] * 5))
+    return out
+
+
+def test_sbf_against_what_was_written(tmp_path):
+    (tmp_path / "a.sbf").write_bytes(sbf_log())
+    parts = read_parts(tmp_path / "a.sbf")
+    position, velocity, imu = parts.aiding["position"], parts.aiding["velocity"], parts.imu
+    start = 315964800 + 2288 * 604800 + 345600.0
+    np.testing.assert_allclose(position.t, start + np.arange(1.0, 8.0), atol=1e-6)
+    np.testing.assert_allclose(position.value[0], [0.8, 0.2 + 1e-6, 500.0], rtol=1e-12)
+    np.testing.assert_allclose(position.sd[0], [3.0, 2.0, 4.0])
+    np.testing.assert_allclose(velocity.value[0], [2.0, 1.0, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(velocity.sd[0], [0.2, 0.1, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(parts.aiding["heading"].value[:, 0], np.deg2rad(63.5))
+    assert len(imu.t) == 80 and imu.t[1] - imu.t[0] == pytest.approx(0.1, abs=1e-6)
+    np.testing.assert_allclose(imu.gyro[7], np.deg2rad([3.0, -2.0, 0.7]), rtol=1e-12)
+    np.testing.assert_allclose(imu.accel[7], [0.5, -0.25, -9.8])
+    assert parts.notes == ("1 PVTGeodetic have no fix in three dimensions.",)
+    whole = sbf_log()
+    (tmp_path / "a.sbf").write_bytes(whole[:1000] + b"\0" + whole[1001:-10])
+    assert "2 blocks are damaged and left out." in read_parts(tmp_path / "a.sbf").notes
+    (tmp_path / "a.sbf").write_bytes(sbf_block(4014, 0, bytes(20)))
+    with pytest.raises(
+        DataError, match="a.sbf: has no PVTGeodetic with a fix in three dimensions and no ExtSensorMeas"
+    ):
+        read_parts(tmp_path / "a.sbf")
+
+
+def test_sbf_as_another_reader_has_it(tmp_path):
+    """Of the fixed blocks, by pysbf2."""
+    pysbf2 = pytest.importorskip("pysbf2")
+    found = []
+    with open(tmp_path / "a.sbf", "w+b") as file:
+        file.write(sbf_log())
+        file.seek(0)
+        found = [block for _, block in pysbf2.SBFReader(file, quitonerror=0) if block is not None]
+    kinds = {name: [b for b in found if getattr(b, "identity", "") == name] for name in ("PVTGeodetic", "AttEuler")}
+    (tmp_path / "a.sbf").write_bytes(sbf_log())
+    parts = read_parts(tmp_path / "a.sbf")
+    fix, turned = kinds["PVTGeodetic"][3], kinds["AttEuler"][3]
+    np.testing.assert_allclose(parts.aiding["position"].value[2], [fix.Latitude, fix.Longitude, fix.Height])
+    np.testing.assert_allclose(parts.aiding["velocity"].value[2], [fix.Ve, fix.Vn, fix.Vu], rtol=1e-6)
+    assert parts.aiding["heading"].value[3, 0] == pytest.approx(np.deg2rad(turned.Heading), rel=1e-6)

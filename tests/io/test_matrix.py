@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jaxnav.initialization.initialize import require_positions
 from jaxnav.io import read as reading
 from jaxnav.io.parts import Parts, notes_of
 from jaxnav.maths.gps_time import WEEK
@@ -178,3 +179,29 @@ def test_a_row_that_a_reader_returns(format, tmp_path, monkeypatch):
             monkeypatch.setattr(reading, "_read", damaging(stream, change))
             done[stream, fault] = judged(reader, whole, file, f"{stream}: {fault}")
     assert len(done) >= 7, done
+
+
+GONE: dict[str, Callable[[Any], Any]] = {
+    "marks": lambda rows: rows._replace(value=np.zeros(np.shape(rows.value))),
+    "nan": lambda rows: rows._replace(value=np.full(np.shape(rows.value), np.nan)),
+    "other times": lambda rows: rows._replace(t=np.asarray(rows.t, float) + 5e4),
+}
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_recording_whose_positions_are_gone_says_what_dropped_them(format, tmp_path, monkeypatch):
+    _, reader = FORMATS[format](tmp_path)
+    if "position" not in reader().aiding:
+        pytest.skip("has no positions")
+    original = reading._read
+    for gone, change in GONE.items():
+
+        def read(*args: Any, change: Any = change) -> Parts:
+            parts = original(*args)
+            return rows_changed(parts, "position", change) if "position" in parts.aiding else parts
+
+        monkeypatch.setattr(reading, "_read", read)
+        with pytest.raises(DataError, match="has no positions to start from") as refusal:
+            require_positions(reader())
+        why = str(refusal.value).split("\n")[1:]
+        assert any(line.startswith(("position", "fixes")) for line in why), f"{gone}: {refusal.value}"

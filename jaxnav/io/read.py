@@ -94,7 +94,7 @@ def read_parts(path: FilePath, gnss: FilePath | None = None, **options: Any) -> 
             require(os.fspath(path), key, value, OPTIONS[key])
     with unpacked(path) as inside, nullcontext() if gnss is None else unpacked(gnss) as fixes:
         parts = _read_parts(inside, fixes, **options)
-    return parts._replace(file=os.fspath(path))
+    return parts if inside == Path(path) else parts._replace(file=os.fspath(path))
 
 
 def _read_parts(path: Path, gnss: Path | None, **options: Any) -> Parts:

@@ -73,12 +73,12 @@ def unrolled(parts: Parts, part: int | None = None) -> Parts:
     found = [name for name in names.values() if name]
     if found:
         period, notes = PERIODS[found[0]], list(parts.notes)
-        fall = ", ".join(name for name, of in names.items() if of)
+        fall = ", ".join(name for name, of in names.items() if of == found[0])
         notes.append(
             f"{fall}: times fall by {period:.10g} s, {found[0]}, where the counter wraps: they go on; streams begin "
             "within the same count."
         )
-        streams = {name: going_on(t, period) if names[name] else t for name, t in streams.items()}
+        streams = {name: going_on(t, period) if names[name] == found[0] else t for name, t in streams.items()}
         first = next(iter(streams.values()))
         streams = {name: t + _into(t, first, period) for name, t in streams.items()}
         parts = _timed(parts, streams)._replace(notes=tuple(notes))

@@ -320,6 +320,14 @@ def test_counts_of_a_sensor(tmp_path):
     assert np.linalg.norm(rec.imu.accel.mean(0)) == pytest.approx(9.8, abs=0.2)
 
 
+@needs_field
+def test_convert_takes_the_options_of_the_report(tmp_path):
+    out = str(tmp_path / "out")
+    command = ("convert", "rec", "--set", "data.options={axes='flu'}", "--out", out)
+    assert jaxnav_in(FIELD / "convert_ignores_options", *command) == 0
+    assert np.genfromtxt(tmp_path / "out" / "imu.csv", delimiter=",", names=True)["accel_z_mps2"][0] < -9.0
+
+
 # ---------------------------------------------------------------------------- directions, gravity, other values
 
 

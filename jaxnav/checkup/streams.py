@@ -61,8 +61,8 @@ def _level(shown: np.ndarray, said: np.ndarray, sd: float) -> list[Finding]:
         return [finding("velocity", value=off, size=size)]
     tries = {
         "velocity.swapped: east and north look swapped": said[:, ::-1],
-        "velocity.sign: east has the wrong sign": said * [-1, 1],
-        "velocity.sign: north has the wrong sign": said * [1, -1],
+        "velocity.sign: east has the wrong sign, or longitude is counted to the west": said * [-1, 1],
+        "velocity.sign: north has the wrong sign, or latitude is counted to the south": said * [1, -1],
         "velocity.sign: both have the wrong sign": -said,
     }
     tries |= {f"velocity.units: looks like {unit}": said / k for unit, k in UNITS.items()}

@@ -34,7 +34,10 @@ def rotation(axes: str | Sequence[float]) -> np.ndarray:
     elif len(axes) == 3 and all(letter in DIRECTIONS for letter in axes.lower()):
         matrix = np.array([DIRECTIONS[letter] for letter in axes.lower()], float).T
     if abs(np.linalg.det(matrix) - 1.0) > 1e-9:
-        raise DataError(f"axes: expected right-handed axes like 'flu', 'x,-y,-z' or [roll, pitch, yaw], got {axes!r}")
+        left = "; of left-handed axes give a column the other sign, '-wy'" if np.linalg.det(matrix) < -0.5 else ""
+        raise DataError(
+            f"axes: expected right-handed axes like 'flu', 'x,-y,-z' or [roll, pitch, yaw], got {axes!r}{left}"
+        )
     return matrix
 
 

@@ -302,7 +302,7 @@ def test_a_map_over_another_reader(folder):
             "[imu]\ntime_unit = 'min'",
             "time_unit: expected one of s, ms, us, ns, excel, matlab, iso, a multiple such as '1/25600 s'",
         ),
-        ("[imu]", "[imu]\naxes = 'fru'", "axes: expected right-handed axes"),
+        ("[imu]", "[imu]\naxes = 'fru'", "got 'fru'; of left-handed axes give a column the other sign"),
         ("[imu]", "lever_arm_frd_m = [1]\n[imu]", "lever_arm_frd_m: expected 3 numbers"),
         ("[imu]", "folder = '$NOT_SET_ANYWHERE'\n[imu]", "folder: .NOT_SET_ANYWHERE names an environment variable"),
         ("[imu]", "[imu]\nskip = [300, 200]", "imu: skip: expected rows to leave out at start and end, got [300, 200]"),

@@ -284,7 +284,8 @@ def navigate(
         params = found.applied(params)
     if callable(initialization) and (least := earliest(params, float(np.ptp(rec.imu.t)))) < -MAX_EARLY_S:
         # an epoch ends with its fix: what the IMU reads until the fix is true belongs to it
-        rec, params = not_early(rec, -least), later(params, -least)
+        moved = not_early(rec, -least)
+        rec, params = moved, later(params, moved.early - rec.early)
     begin, given = make(rec, params), params
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     if filt.with_history:
@@ -334,7 +335,12 @@ def navigate(
 
 
 def not_early(rec: Recording, by: float) -> Recording:
-    """Return the recording with the IMU's stamps ``by`` s earlier, so that fixes are so much later."""
+    """Return the recording with the IMU's stamps at least ``by`` s earlier, so that fixes are so much later.
+
+    By whole samples: fixes that come with one still do.
+    """
+    step = float(np.median(rec.imu.dt))
+    by = math.ceil(by / step - 1e-6) * step
     return rec._replace(imu=rec.imu._replace(t=rec.imu.t - by), early=rec.early + by)
 
 

@@ -113,20 +113,21 @@ def test_at_the_imus_time_a_clocks_rate_is_a_distance_that_grows_from_halfway(ru
 
 
 def test_fixes_that_are_early_give_the_solution_of_fixes_in_time(runs):
-    """Stamps of fixes 0.45 s before the IMU's and the delay stated: to rounding, at the IMU's stamps."""
+    """Stamps of fixes 11 samples before the IMU's and the delay stated: to rounding, at the IMU's stamps."""
     rec, _, found = runs
-    early = {name: samples._replace(t=samples.t - 0.45) for name, samples in rec.aiding.items()}
+    step = float(np.median(rec.imu.dt))
+    early = {name: samples._replace(t=samples.t - 11 * step) for name, samples in rec.aiding.items()}
     params = found[False][0].params
-    told = later(params, -0.45)
+    told = later(params, -11 * step)
     right, got = (
         navigate(each, build("ekf15", cov_stride=5), theta, smooth=True)
         for each, theta in ((rec, params), (rec._replace(aiding=early), told))
     )
-    assert got.recording.early == pytest.approx(0.45) and right.recording.early == 0.0
+    assert got.recording.early == pytest.approx(11 * step) and right.recording.early == 0.0
     at = got.imu_time(got.t)
     n = min(at.size, right.t.size) - 2  # the last fix has no IMU behind it
     np.testing.assert_allclose(at[:n], right.imu_time(right.t)[:n], atol=1e-9)
     np.testing.assert_allclose(got.lla[:n], right.lla[:n], atol=1e-10)
     np.testing.assert_allclose(got.rph[:n], right.rph[:n], atol=1e-5)
-    assert float(got.stated_params.mounting.time_offset) == pytest.approx(-0.45)
+    assert float(got.stated_params.mounting.time_offset) == pytest.approx(-11 * step)
     assert earliest(got.params, float(np.ptp(rec.imu.t))) == pytest.approx(0.0, abs=1e-12)

@@ -34,7 +34,10 @@ def unpacked(path: FilePath) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="jaxnav_") as folder:
         inside = Path(folder, path.stem)
         try:
-            inside = _gunzip(path, inside) if kind == GZ else _unzip(path, inside)
+            if kind == GZ:
+                inside.write_bytes(_gunzipped(path))
+            else:
+                inside = _unzip(path, inside)
         except DataError:
             raise
         except Exception as error:  # zipfile, gzip and zlib raise a dozen kinds on a damaged archive
@@ -59,18 +62,17 @@ def _kind(path: Path) -> bytes | None:
     return GZ if head.startswith(GZ) else None
 
 
-def _gunzip(path: Path, inside: Path) -> Path:
+def _gunzipped(path: Path) -> bytes:
     with gzip.open(path) as packed:
         data = packed.read(MAX_BYTES + 1)
     if len(data) > MAX_BYTES:
         raise DataError(f"{path}: unpacks to more than {MAX_BYTES} bytes")
-    inside.write_bytes(data)
-    return inside
+    return data
 
 
 def _unzip(path: Path, inside: Path) -> Path:
     with zipfile.ZipFile(path) as archive:
-        members = [m for m in archive.infolist() if not any(part in NO_DATA for part in Path(m.filename).parts)]
+        members = _members(archive)
         if sum(member.file_size for member in members) > MAX_BYTES:
             raise DataError(f"{path}: unpacks to more than {MAX_BYTES} bytes")
         archive.extractall(inside, members)
@@ -79,13 +81,28 @@ def _unzip(path: Path, inside: Path) -> Path:
     return inside
 
 
+def _members(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
+    """Return the files of an archive without those that a computer adds."""
+    ours = lambda name: not any(part in NO_DATA for part in Path(name).parts)
+    return [member for member in archive.infolist() if not member.is_dir() and ours(member.filename)]
+
+
+def members(path: FilePath) -> list[Path]:
+    """Return the files in a .zip, each as ``archive.zip/member`` (`contents`); any other path alone."""
+    path = Path(path)
+    if _kind(path) != ZIP:
+        return [path]
+    with zipfile.ZipFile(path) as archive:
+        return [path / member.filename for member in _members(archive)]
+
+
 def contents(path: FilePath) -> bytes:
-    """Read a file, or ``archive.zip/member``."""
+    """Read a file, ``archive.zip/member``, or what is in a .gz."""
     path = Path(path)
     archive = next((parent for parent in path.parents if parent.suffix == ".zip" and parent.is_file()), None)
-    if archive is None:
-        return read_bytes(path)
     try:
+        if archive is None:
+            return _gunzipped(path) if _kind(path) == GZ else read_bytes(path)
         with zipfile.ZipFile(io.BytesIO(read_bytes(archive))) as opened:
             member = path.relative_to(archive).as_posix()
             if opened.getinfo(member).file_size > MAX_BYTES:

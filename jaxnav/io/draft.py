@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxnav.io.column_map import described
+from jaxnav.io.containers import members
 from jaxnav.io.files import FilePath
 from jaxnav.io.naming import MIN_ROWS, THREE, Column, named_column, named_columns, readings, unit_of
 from jaxnav.io.parts import Parts
@@ -120,9 +121,10 @@ def _stamps(path: Path) -> tuple[tuple[str, int, int], ...]:
 
 
 def _files(path: Path) -> list[Path]:
-    if not path.is_dir():
-        return [path]
-    found = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+    inside = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else members(path)
+    if inside == [path]:
+        return inside
+    found = sorted(file for file in inside if file.suffix.lower() in SUFFIXES)
     if len(found) > MAX_FILES:
         raise DataError(f"{path}: {len(found)} tables, more than {MAX_FILES}: name those of one recording")
     return found

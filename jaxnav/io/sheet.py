@@ -65,8 +65,8 @@ def open_sheet(
         return Sheet(file, _npz(data, file), None)
     if data.startswith(b"MATLAB"):
         return Sheet(file, _flat(_mat(data, file)), None)
-    if data[:64].lstrip()[:1] in (b"{", b"["):
-        return _json(data, file)
+    if data[:64].lstrip()[:1] in (b"{", b"[") and (objects := _json(data, file)) is not None:
+        return objects
     quick = None if only else _numbers_only(data, file, delimiter, header)
     return _text(data, file, delimiter, header, only) if quick is None else quick
 
@@ -330,22 +330,27 @@ def _npz(data: bytes, file: str) -> dict[str, np.ndarray]:
         raise DataError(f"{file}: cannot be read as .npz: {error}") from error
 
 
-def _json(data: bytes, file: str) -> Sheet:
-    """Return an array of objects, or a line each, as columns; nested objects and arrays by dotted path."""
+def _json(data: bytes, file: str) -> Sheet | None:
+    """Return an array of objects, or a line each, as columns; nested objects and arrays by dotted path.
+
+    None of a text that only begins with a bracket.
+    """
     notes: tuple[str, ...] = ()
-    try:
-        rows = json.loads(data)
-        rows = rows if isinstance(rows, list) else next((v for v in rows.values() if isinstance(v, list)), [rows])
-        lines = None
-    except ValueError:
-        text = [line for line in data.decode("utf-8-sig", errors="replace").split("\n")]
+    whole, lines = _loaded(data), None
+    if whole is not None:
+        rows = whole if isinstance(whole, list) else next((v for v in whole.values() if isinstance(v, list)), [whole])
+    else:
+        text = data.decode("utf-8-sig", errors="replace").split("\n")
         read = [(i, _loaded(line)) for i, line in enumerate(text, start=1) if line.strip()]
-        lost = [i for i, row in read if row is None]
+        lost = [i for i, row in read if not isinstance(row, dict)]
+        if read[0][0] in lost:
+            return None
         if len(lost) > max(2, MAX_BAD * len(read)):
-            raise DataError(f"{file}: line {lost[0]}: expected a JSON object like most lines") from None
+            raise DataError(f"{file}: line {lost[0]}: expected a JSON object like most lines")
         if lost:
             notes = (f"{Path(file).name}: {len(lost)} lines that are no JSON left out, first line {lost[0]}.",)
-        rows, lines = [row for _, row in read if row is not None], np.array([i for i, row in read if row is not None])
+        kept = [(i, row) for i, row in read if isinstance(row, dict)]
+        rows, lines = [row for _, row in kept], np.array([i for i, _ in kept])
     if not rows or not all(isinstance(row, dict) for row in rows):
         raise DataError(f"{file}: expected JSON objects, one a row")
     flat = [dict(_leaves(row)) for row in rows]
@@ -354,12 +359,13 @@ def _json(data: bytes, file: str) -> Sheet:
     return Sheet(file, columns, lines, notes)
 
 
-def _loaded(line: str) -> dict[str, Any] | None:
+def _loaded(text: str | bytes) -> Any:
+    """Return a JSON object or array; None of any other text."""
     try:
-        row = json.loads(line)
-    except ValueError:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
         return None
-    return row if isinstance(row, dict) else None
+    return value if isinstance(value, (dict, list)) else None
 
 
 def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, str]]:

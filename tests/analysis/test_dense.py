@@ -118,10 +118,10 @@ def test_fixes_that_are_early_give_the_solution_of_fixes_in_time(runs):
     step = float(np.median(rec.imu.dt))
     early = {name: samples._replace(t=samples.t - 11 * step) for name, samples in rec.aiding.items()}
     params = found[False][0].params
-    told = later(params, -11 * step)
+    stated = later(params, -11 * step)
     right, got = (
         navigate(each, build("ekf15", cov_stride=5), theta, smooth=True)
-        for each, theta in ((rec, params), (rec._replace(aiding=early), told))
+        for each, theta in ((rec, params), (rec._replace(aiding=early), stated))
     )
     assert got.recording.early == pytest.approx(11 * step) and right.recording.early == 0.0
     at = got.imu_time(got.t)

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 from jaxnav.io.canonical import write_recording
+from jaxnav.io.draft import draft
+from jaxnav.io.files import format_csv
 from jaxnav.io.read import read
 from jaxnav.io.sheet import numbers, open_sheet
 from jaxnav.types import DataError
 
 
 def zipped(folder, archive, inside):
-    """Write the files of a folder into an archive, as a computer does: with files of its own beside them."""
+    """Write the files of a folder into an archive, as a computer does: with those that it adds."""
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as out:
         for file in folder.iterdir():
             out.write(file, f"{inside}{file.name}")
@@ -74,3 +76,21 @@ def test_a_workbook_is_a_table(tmp_path):
     sheet = open_sheet(tmp_path / "log.xlsx")
     np.testing.assert_array_equal(numbers(sheet, "wx"), [1.5, np.nan])
     assert sheet.columns["note"].tolist() == ["still, here", "moving"]
+
+
+def test_a_column_map_reads_and_drafts_what_is_in_archives(drive, tmp_path):
+    """Compressed files that it names, and members that a draft of an archive names."""
+    names = ["t_s", *(f"gyro_{a}_radps" for a in "xyz"), *(f"accel_{a}_mps2" for a in "xyz")]
+    table = np.column_stack([drive.imu.t, drive.imu.gyro, drive.imu.accel])
+    (tmp_path / "log").mkdir()
+    (tmp_path / "log" / "sensors.csv").write_text(format_csv(names, table))
+    zipped(tmp_path / "log", tmp_path / "log.zip", "a/")
+    found = draft([tmp_path / "log.zip"], tmp_path)
+    assert found.tables["imu"]["file"] == "log.zip/a/sensors.csv"
+    (tmp_path / "sensors.csv.gz").write_bytes(gzip.compress((tmp_path / "log" / "sensors.csv").read_bytes()))
+    for file in ("log.zip/a/sensors.csv", "sensors.csv.gz"):
+        (tmp_path / "map.toml").write_text(found.text().replace("log.zip/a/sensors.csv", file))
+        np.testing.assert_array_equal(read(tmp_path / "map.toml").imu.gyro, drive.imu.gyro)
+    (tmp_path / "sensors.csv.gz").write_bytes((tmp_path / "sensors.csv.gz").read_bytes()[:500])
+    with pytest.raises(DataError, match="sensors.csv.gz: cannot be read from the archive"):
+        read(tmp_path / "map.toml")

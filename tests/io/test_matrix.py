@@ -20,7 +20,7 @@ from .test_damage import FORMATS
 
 BINARY = {"npz", "ros1", "ros2 sqlite", "ros2 mcap", "ulog", "dataflash", "ubx", "sbf", "navego", "column map"}
 TEXTS = [name for name in FORMATS if name not in BINARY]
-TWO_FILES = {"pos", "nmea", "ubx", "kfgins gnss", "gpx"}  # an IMU beside the fixes
+TWO_FILES = {"pos", "nmea", "ubx", "kfgins gnss", "gpx"}  # an IMU and fixes
 
 
 def streams_of(rec: Recording) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -170,3 +170,9 @@ def test_marks_inside_of_quotes_are_not_counted(tmp_path):
     (tmp_path / "a.csv").write_text("t,x,note\n" + "".join(f'{k},2,"a; {k}"\n' for k in range(80)))
     sheet = open_sheet(tmp_path / "a.csv")
     assert len(sheet.columns["note"]) == 80 and sheet.columns["note"][7] == "a; 7"
+
+
+@pytest.mark.parametrize("first", ["[Sensor data]", "{made by X}", "[" * 5000])
+def test_a_text_that_begins_with_a_bracket_is_a_table(tmp_path, first):
+    (tmp_path / "a.csv").write_text(first + "\nt,x\n" + "".join(f"{k},2\n" for k in range(60)))
+    assert len(open_sheet(tmp_path / "a.csv").columns["x"]) == 60

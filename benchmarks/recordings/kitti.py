@@ -124,7 +124,7 @@ def main(argv: list[str]) -> None:
         sheet = datasheet_params(SHEET, measurements=["position"])
         sheet = change(sheet, {"measurements.position.scale": np.full(3, sd / FILE_SD)})
         sol = navigate(rec, filt, sheet)
-        packed = ep.pack_recording(rec, sol.measurements, sol.initialization.t)
+        packed = ep.pack_recording(sol.recording, sol.measurements, sol.initialization.t)
         windows = hidden_windows(packed, WINDOW, EVERY, PHASES, SETTLE)
         results["jaxnav" if name == "file" else f"jaxnav, {name}"] = score(
             ours(sol, sol.filter, sol.params, packed, windows)

@@ -148,7 +148,10 @@ def method(
     half = 0.5 * float(rec.aiding["position"].t[0] + rec.aiding["position"].t[-1])
     filt = build("ekf15", names, 5, states=states)
     sol = navigate(rec, filt, filt.params("consumer"), scan=True, stop=half)
-    params, packed = sol.params, ep.pack_recording(rec, tuple(MEASUREMENTS[name] for name in names), float(sol.nav.t))
+    params, packed = (
+        sol.params,
+        ep.pack_recording(sol.recording, tuple(MEASUREMENTS[name] for name in names), float(sol.nav.t)),
+    )
     if imu is not None:
         biases = {b: params.states[b]._replace(driving_noise=imu.states[b].driving_noise) for b in BIASES}
         params = params._replace(noise=imu.noise, states=params.states | biases)

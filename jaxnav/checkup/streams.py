@@ -112,7 +112,7 @@ def heading(rec: Recording) -> list[Finding]:
         if mirrored:
             return [finding("heading.mirrored", value=mean / DEG, sd=scatter / DEG, north=mean / DEG)]
         code = "heading.turned" if abs(mean) > (MAX_TURN if around else MAX_CRAB) else "heading"
-        return [finding(code, value=mean / DEG, sd=scatter / DEG, north=-mean / DEG)]
+        return [finding(code, value=mean / DEG, sd=scatter / DEG)]
     return []
 
 

@@ -176,7 +176,8 @@ def rows_of(files: Files, table: dict[str, Any], stream: str, n: int) -> np.ndar
             raise DataError(f"{files.map}: {stream}: where: {ref}: expected 3, '>=3' or text, got {wanted!r}") from None
         keep &= compare.get(sign, np.equal)(column_of(files, table, ref, stream), value)
     if "new_where" in table:
-        columns = [column(*sheet_of(files, table, ref, stream)) for ref in table["new_where"]]
+        refs = [ref["column"] if isinstance(ref, Mapping) and "column" in ref else ref for ref in table["new_where"]]
+        columns = [column(*sheet_of(files, table, ref, stream)) for ref in refs]
         keep &= np.any([np.r_[True, c[1:] != c[:-1]] for c in columns], axis=0)
     return keep
 

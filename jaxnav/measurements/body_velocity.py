@@ -25,8 +25,7 @@ def observe_body_velocity(
     theta: BodyVelocityParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix
 ) -> Observation:
     """Return (1 + scale) M (C' v + w x arm) - y, where M turns the body's axes to the sensor's."""
-    s, c, zero, one = jnp.sin(theta.yaw), jnp.cos(theta.yaw), jnp.zeros(()), jnp.ones(())
-    M = (1 + theta.scale) * jnp.stack([jnp.stack(row) for row in ((c, s, zero), (-s, c, zero), (zero, zero, one))])
+    M = (1 + theta.scale) * rotations.to_dcm(rotations.exp(theta.yaw * jnp.array([0.0, 0.0, 1.0]))).T
     v_b = kin.C.T @ kin.vel + jnp.cross(nav.omega, theta.arm)
     # d(C' v) = C' (dv + [v x] phi); d(w x l) = -[l x] dw
     rows = {

@@ -202,6 +202,26 @@ def test_the_inertial_sensors_of_a_receiver(tmp_path, tick, first, batch):
     np.testing.assert_allclose(imu.accel[7], [-1.0, 0.5, 10035 / 1024], rtol=1e-12)
 
 
+def test_the_same_sensors_in_two_kinds_of_messages(tmp_path):
+    """ESF-MEAS, compensated and slower, is read where there is no ESF-RAW, and not mixed with it."""
+    pyubx2 = pytest.importorskip("pyubx2")
+    sample = {14: 4096, 13: 0, 5: 0, 16: 0, 17: 0, 18: 10035}
+
+    def meas(tag: int) -> bytes:
+        fields = [(kind << 24) | (2 * value & 0xFFFFFF) for kind, value in sample.items()]
+        body = struct.pack("<IHH6I", tag, len(fields) << 11, 0, *fields)
+        return pyubx2.UBXMessage("ESF", "ESF-MEAS", pyubx2.GET, payload=body).serialize()
+
+    both = [meas(500 * k) + pvt(k // 2) for k in range(20)]
+    (tmp_path / "a.ubx").write_bytes(b"".join(both))
+    alone = read_parts(tmp_path / "a.ubx").imu
+    assert len(alone.t) == 20 and alone.gyro[3, 0] == pytest.approx(np.deg2rad(2.0))
+    raw = [esf([(500 * k + 7, sample)]) + message for k, message in enumerate(both)]
+    (tmp_path / "a.ubx").write_bytes(b"".join(raw))
+    imu = read_parts(tmp_path / "a.ubx").imu
+    assert len(imu.t) == 20 and np.all(imu.gyro[:, 0] == imu.gyro[0, 0]) and imu.gyro[0, 0] == np.deg2rad(1.0)
+
+
 def test_inertial_sensors_without_a_date_are_said(tmp_path):
     pytest.importorskip("pyubx2")
     sample = {14: 0, 13: 0, 5: 0, 16: 0, 17: 0, 18: 10035}
@@ -310,3 +330,20 @@ def test_sbf_as_another_reader_has_it(tmp_path):
     np.testing.assert_allclose(parts.aiding["position"].value[2], [fix.Latitude, fix.Longitude, fix.Height])
     np.testing.assert_allclose(parts.aiding["velocity"].value[2], [fix.Ve, fix.Vn, fix.Vu], rtol=1e-6)
     assert parts.aiding["heading"].value[3, 0] == pytest.approx(np.deg2rad(turned.Heading), rel=1e-6)
+
+
+def test_an_older_gnss_logger_has_one_clock_for_all_its_rows(tmp_path):
+    """Its fixes state UTC alone: then so do its sensors, whose other clock counts from the phone's start."""
+    lines = [f"# {kind},utcTimeMillis,elapsedRealtimeNanos,{','.join(f'{kind}{axis}{unit}' for axis in 'XYZ')}"
+             for kind, unit in (("UncalGyro", "RadPerSec"), ("UncalAccel", "Mps2"))]  # fmt: skip
+    lines.append("# Fix,Provider,LatitudeDegrees,LongitudeDegrees,AltitudeMeters,SpeedMps,AccuracyMeters,"
+                 "BearingDegrees,UnixTimeMillis")  # fmt: skip
+    for k in range(200):
+        stamp = f"{1717236000000 + 50 * k},{5000 + 50000000 * k}"
+        lines += [f"UncalGyro,{stamp},0.1,0.2,0.3", f"UncalAccel,{stamp},0.0,0.0,9.8"]
+        if k % 20 == 0:
+            lines += [f"Fix,{name},48.0,11.0,500.0,1.5,3.0,90.0,{1717236000000 + 50 * k}" for name in ("NLP", "GPS")]
+    (tmp_path / "log.txt").write_text("\n".join(lines) + "\n")
+    parts = read_parts(tmp_path / "log.txt")
+    assert len(parts.imu.t) == 200 and len(parts.aiding["position"].t) == 10
+    np.testing.assert_allclose(parts.aiding["position"].t - parts.imu.t[0], np.arange(10.0), atol=1e-6)

@@ -14,7 +14,6 @@ from jaxnav.analysis.noise_scan import NoiseScan, known_delay, stated_scale
 from jaxnav.analysis.receiver_errors import Receiver, receiver, stated, without_slow_errors
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
-from jaxnav.checkup.motion import delay_of
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.compiler import clear_caches_if_needed
@@ -44,7 +43,7 @@ from tuning.solving.stretches import finding_of as finding_of_fault
 CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
 NIS_LIMITS = 0.7, 1.4  # of a consistent solution, on the test part
 OFF = ("solve.jump", "lever_arm", "barometer.parts", "speed.parts", "compass.parts")  # errors may be above their sd
-MORE_EARLY_S = 0.05  # s, by which fixes may be earlier than alignments show
+MORE_EARLY_S = 0.05  # s, by which fixes may be earlier than the check found
 INNOVATIONS = ("nis.high", "nis.low", "nis.overall", "innovations.correlated")  # by `usage.consistency_findings`
 MAX_NIS, MIN_INSIDE = 4.0, 0.6  # beyond these a solution is not usable
 CHECK, FIRST = Stage("check", 1.5), Stage("first answer", 0.5)
@@ -237,12 +236,10 @@ def solve(
 
 
 def _not_early(checked: Corrections) -> Recording:
-    """Return the recording in which no fix is early by the delay that alignments show."""
-    rec, known = checked.recording, delay_of(checked.recording)
-    if known is None:
-        return rec
+    """Return the recording in which no fix is early by the delay that its check found."""
+    rec, late = checked.recording, [f.value or 0.0 for f in checked.found if f.code in ("time.late", "time.delay")]
     drift = abs(float(checked.settings.get(DRIFT, 0.0))) * PPM
-    least = known[0] - 0.5 * drift * float(np.ptp(rec.imu.t))
+    least = min(late, default=0.0) - 0.5 * drift * float(np.ptp(rec.imu.t))
     return not_early(rec, MORE_EARLY_S - least) if least < -MAX_EARLY_S else rec
 
 

@@ -1,4 +1,4 @@
-"""Inertial sensors of u-blox receivers: ESF-RAW and ESF-MEAS (interface description of the ZED-F9R, 3.11)."""
+"""Inertial sensors of u-blox receivers: ESF-RAW and ESF-MEAS, as u-blox' interface descriptions have them."""
 
 import numpy as np
 
@@ -14,34 +14,39 @@ TYPES = [("field", "<u4"), ("tag", "<u4")]
 
 
 class Sensors:
-    """Samples of a file, and what the time tag was when fixes came."""
+    """Samples of a file in messages of one kind, and what their time tag was when fixes came.
 
-    def __init__(self) -> None:
+    Args:
+        message: class and number, `RAW` or `MEAS`.
+    """
+
+    def __init__(self, message: bytes) -> None:
+        self.message = message
         self.samples: dict[int, dict[int, int]] = {}  # by time tag: value by data type
         self.epochs: list[tuple[float, int]] = []  # s of week, last tag before
         self.last, self.turns = -1, 0
 
     def take(self, frame: bytes) -> None:
-        """Take a message of any kind; of a fix, whose first field is the time of week, as an epoch."""
-        kind, body = frame[2:4], frame[6:-2]
-        if kind == RAW:
+        """Take a message of any kind."""
+        body = frame[6:-2]
+        if frame[2:4] != self.message:
+            return
+        if self.message == RAW:
             data = np.frombuffer(body[4 : 4 + 8 * ((len(body) - 4) // 8)], TYPES)
             fields, tags = data["field"], data["tag"]
-        elif kind == MEAS and len(body) >= 8:
-            count = int.from_bytes(body[4:6], "little") >> 11
-            fields = np.frombuffer(body[8 : 8 + 4 * count], "<u4")
-            tags = np.full(fields.size, int.from_bytes(body[:4], "little"))
         else:
-            return
+            count = min(int.from_bytes(body[4:6], "little") >> 11, (len(body) - 8) // 4)
+            fields = np.frombuffer(body[8 : 8 + 4 * max(count, 0)], "<u4")
+            tags = np.full(fields.size, int.from_bytes(body[:4], "little"))
         for field, tag in zip(fields.tolist(), tags.tolist()):
-            kind_of, value = (field >> 24) & 63, field & 0xFFFFFF
-            if kind_of not in GYRO + ACCEL:
+            kind, value = (field >> 24) & 63, field & 0xFFFFFF
+            if kind not in GYRO + ACCEL:
                 continue
             if self.last - tag > 2**31:
                 self.turns += 1
             self.last = tag
             at = tag + 2**32 * self.turns
-            self.samples.setdefault(at, {})[kind_of] = value - ((value & 0x800000) << 1)
+            self.samples.setdefault(at, {})[kind] = value - ((value & 0x800000) << 1)
 
     def fix(self, tow: float) -> None:
         """Note that a fix of this second of the week came."""

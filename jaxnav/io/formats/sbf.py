@@ -1,4 +1,4 @@
-"""Septentrio SBF: fixes, heading of two antennas, and the IMU of ExtSensorMeas (mosaic reference guide, 4.2)."""
+"""Septentrio SBF: fixes, heading of two antennas, and the IMU of ExtSensorMeas, as its reference guides have them."""
 
 import os
 from binascii import crc_hqx

@@ -19,7 +19,7 @@ from jaxnav.gnss.ranges import FREQUENCY, LIGHT, number
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.files import read_bytes
 from jaxnav.io.formats import nmea
-from jaxnav.io.formats.esf import Sensors
+from jaxnav.io.formats.esf import MEAS, RAW, Sensors
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.maths.units import DEG
@@ -80,14 +80,15 @@ def read(
     """
     import pyubx2
 
-    raw, sensors = Raw(), Sensors()
+    raw, sensors = Raw(), (Sensors(RAW), Sensors(MEAS))  # both are of the same sensors
     older: dict[str, dict[int, Any]] = {name: {} for name in OLDER}
     rows: dict[int, list[float]] = {}
     pointed, without = [], 0
     data = read_bytes(path)
     intact, damaged = frames(data)
     for frame in intact:
-        sensors.take(frame)
+        for each in sensors:
+            each.take(frame)
         if frame[2] not in CLASSES or len(frame) <= BARE:
             continue
         try:
@@ -101,7 +102,8 @@ def read(
         if message.identity in older:
             older[message.identity][message.iTOW] = message
         if message.identity in (*FIXES, "NAV-POSLLH"):
-            sensors.fix(message.iTOW / 1e3)
+            for each in sensors:
+                each.fix(message.iTOW / 1e3)
         if message.identity not in FIXES:
             continue
         ok = getattr(message, "gnssFixOk", 0) or getattr(message, "gnssFixOK", 0)  # of NAV-PVT, of NAV-PVAT
@@ -135,7 +137,8 @@ def read(
         week = np.round((np.median(t) - tow) / WEEK)  # a recording is shorter than half a week
         aiding["heading"] = Stream(tow + week * WEEK, angle[:, None], sd[:, None])
     aiding |= {name: Stream(*ranges[name]) for name in ("pseudorange", "range_rate") if name in ranges}
-    imu, of_imu = sensors.imu(float(np.median(t[:, 0] - np.array(list(rows)) / 1e3)))
+    seen = next((each for each in sensors if each.samples), sensors[0])
+    imu, of_imu = seen.imu(float(np.median(t[:, 0] - np.array(list(rows)) / 1e3)))
     return scaled(Parts(os.fspath(path), imu, aiding, notes=notes + of_imu), TimeScale.GPS)
 
 

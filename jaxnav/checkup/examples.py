@@ -45,6 +45,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "time.jump": {"subject": "position", "usual": 0.2, "at": 310.4, "size": 0.22, "side": "late", "more": ""},
     "time.stream_offset": {"size": 0.1, "side": "after"},
     "time.overlap": {"value": 40.0, "subject": "position", "covered": 35.0},
+    "file.unread": {"words": "NAV-DOP (600), NAV-SAT (60)"},
     "stream.empty": {
         "subject": "position", "words": "no row is left of 1200", "cause": "times of another day than the IMU's"
     },

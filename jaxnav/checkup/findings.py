@@ -213,6 +213,7 @@ KINDS: dict[str, Kind] = {
         unit="%",
     ),
     # streams
+    "file.unread": Kind(INFO, "messages of types that are not read, with their number: {words}"),
     "stream.empty": Kind(WARNING, "{subject}: {words}", ("{cause}",), ("choose the columns, or correct the times",)),
     "stream.short": Kind(
         WARNING,

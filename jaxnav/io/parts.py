@@ -1,15 +1,17 @@
 """Output of a reader: the rows of a file in SI, as written, for `jaxnav.io.mend` to make usable."""
 
+from collections.abc import Mapping
 from enum import StrEnum
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from jaxnav.checkup.findings import line
+from jaxnav.checkup.findings import finding, line
 from jaxnav.types import DataError, Finding, Recording, Track
 
 RATES, INCREMENTS, INSTANTANEOUS = "rates", "increments", "instantaneous"
 SAMPLINGS = (RATES, INCREMENTS, INSTANTANEOUS)
+MOST_NAMED = 12  # types of messages that a finding names
 Note: TypeAlias = str | Finding
 """A sentence, or a finding of `jaxnav.checkup.findings.KINDS`."""
 
@@ -83,6 +85,16 @@ def with_fixes(file: str, receivers: dict[str, np.ndarray], chosen: str | None, 
     if len(receivers) > 1:
         notes.append(f"position is {name} with {counts[name]} fixes, of {names} (option receiver).")
     return name
+
+
+def unread(counts: Mapping[str, int]) -> tuple[Note, ...]:
+    """Return the finding that messages of these types are not read, those with most of them first; none of none."""
+    if not counts:
+        return ()
+    named = sorted(counts, key=lambda name: -counts[name])
+    more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
+    words = ", ".join(f"{name} ({counts[name]})" for name in named[:MOST_NAMED]) + more
+    return (finding("file.unread", words=words),)
 
 
 def notes_of(rec: Recording) -> str:

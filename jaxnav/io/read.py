@@ -21,6 +21,7 @@ from jaxnav.io.formats import (
     dataflash,
     ekf2_replay,
     euroc,
+    flysight,
     gnss_logger,
     gpx,
     kfgins,
@@ -36,6 +37,8 @@ from jaxnav.io.formats import (
     sensor_logger,
     ubx,
     ulog,
+    vbo,
+    vectornav,
 )
 from jaxnav.io.mend import Changes
 from jaxnav.io.options import OPTIONS, require
@@ -284,12 +287,15 @@ READERS: tuple[Reader, ...] = (
     Reader("ArduPilot DataFlash", dataflash.recognises, dataflash.read, ("instance", "receiver")),
     Reader("UBX", ubx.recognises, ubx.read, ("spp", "rates", *MASKS)),
     Reader("SBF", sbf.recognises, sbf.read),
+    Reader("VectorNav binary", vectornav.recognises, vectornav.read),
     Reader("RINEX observations", rinex.recognises, rinex.read, ("nav", "rates", *MASKS)),
     Reader("GnssLogger", gnss_logger.recognises, gnss_logger.read),
     Reader("raw GNSS table", raw_table.recognises, raw_table.read, MASKS),
     Reader("RTKLIB .pos", _pos, _read_pos),
     Reader("NovAtel ASCII", novatel.recognises, novatel.read, ("imu",)),
     Reader("NMEA", nmea.recognises, nmea.read, ("leap_seconds", "metres_per_hdop")),
+    Reader("FlySight 2", flysight.recognises, flysight.read),
+    Reader("VBO", vbo.recognises, vbo.read),
     Reader("GPX", gpx.recognises, gpx.read),
     Reader("EKF2 replay", ekf2_replay.recognises, ekf2_replay.read),
     Reader("Sensor Logger", sensor_logger.recognises, sensor_logger.read),

@@ -241,11 +241,13 @@ def _text(
         first, kind = only[0]
         comments = [line for line in comments if _cells(line, delimiter)[first - 1 : first] == [kind]]
         of_kind = lambda cells: all(cells[at - 1 : at] == [text] for at, text in only)
-        rows = [(i, cells) for i, cells in rows if of_kind(cells)]
+        every, rows = rows, [(i, cells) for i, cells in rows if of_kind(cells)]
         if not rows:
             texts = " and ".join(f"{text!r} in column {at}" for at, text in only)
             raise DataError(f"{file}: has no line with {texts}")
     width = Counter(len(cells) for _, cells in rows).most_common(1)[0][0]
+    if only and (odd := _of_no_kind(every, only[0][0], width)):
+        notes.append(f"{Path(file).name}: {len(odd)} lines of no kind are left out, first line {odd[0]}.")
     if delimiter != "," and _decimal_commas(rows):
         rows = [(i, [cell.replace(",", ".") for cell in cells]) for i, cells in rows]
         notes.append(f"{Path(file).name}: commas are taken for decimal points.")
@@ -274,6 +276,12 @@ def _text(
         columns |= {name: cells[:, k] for k, name in enumerate(names)}
     twice = tuple(name for name, count in Counter(names).items() if count > 1)
     return Sheet(file, columns, np.array([i for i, _ in whole]), tuple(notes), twice, dict(zip(names, below)))
+
+
+def _of_no_kind(rows: list[tuple[int, list[str]]], at: int, width: int) -> list[int]:
+    """Return the lines that are as wide as those of a kind, and whose cell of the kind no other line has."""
+    kinds = Counter(tuple(cells[at - 1 : at]) for _, cells in rows)
+    return [i for i, cells in rows if len(cells) == width and kinds[tuple(cells[at - 1 : at])] == 1]
 
 
 def _is_header(rows: list[list[str]]) -> bool:

@@ -29,17 +29,18 @@ def recording(parts: Parts) -> Recording:
         DataError: see `jaxnav.io.mend.recording`.
     """
     leap = _leap_seconds(parts)
-    if not leap or parts.imu is None or _shifts(parts):
+    stated = parts.imu is not None and parts.imu.scale is not TimeScale.UNKNOWN
+    if not leap or parts.imu is None or (_shifts(parts) and not stated):
         return _in_one_zone(parts)
     scale = parts.aiding["position"].scale
     aiding = {
         name: stream._replace(t=np.asarray(stream.t, float) - leap) if stream.scale is scale else stream
         for name, stream in parts.aiding.items()
     }
-    moved = mend.recording(parts._replace(aiding=aiding))
     taken = f"imu: UTC is taken as GPS time less {abs(leap):g} s, the leap seconds of its date"
-    if parts.imu.scale is not TimeScale.UNKNOWN:
-        return _noted(moved, f"{taken}.")
+    if stated:
+        return _noted(_in_one_zone(parts._replace(aiding=aiding)), f"{taken}.")
+    moved = mend.recording(parts._replace(aiding=aiding))
     rec = mend.recording(parts)
     gps, utc = misfit(rec), misfit(moved)
     if utc < min(MAX_CHI2_PER_DOF, gps / DECISIVE):

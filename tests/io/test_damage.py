@@ -16,6 +16,7 @@ from jaxnav.types import DataError, Recording
 
 from .test_formats import data, recording
 from .test_kitti import write as write_kitti
+from .test_loggers import flysight, vbo, vectornav_log
 from .test_novatel import write as write_novatel
 from .test_readers import nmea, write_ros1, write_ros2, write_ubx
 from .test_receivers import sbf_log
@@ -216,6 +217,23 @@ def streams(rec: Recording) -> list[np.ndarray]:
     return [rec.imu.t, *(stream.t for stream in rec.aiding.values())]
 
 
+def vectornav(folder: Path) -> tuple[Path, Callable]:
+    (folder / "a.vnb").write_bytes(vectornav_log(9))
+    return folder / "a.vnb", lambda: read(folder / "a.vnb")
+
+
+def of_flysight(name: str) -> Callable:
+    def write(folder: Path) -> tuple[Path, Callable]:
+        flysight(folder, 9)
+        return folder / name, lambda: read(folder)
+
+    return write
+
+
+def of_vbo(folder: Path) -> tuple[Path, Callable]:
+    return vbo(folder / "a.vbo", seconds=9), lambda: read(folder / "a.vbo")
+
+
 FORMATS: dict[str, Callable] = {
     "folder, imu.csv": folder_of("imu.csv"),
     "folder, position.csv": folder_of("position.csv"),
@@ -234,6 +252,10 @@ FORMATS: dict[str, Callable] = {
     "gpx": gnss_half(write_gpx),
     "gnss logger": gnss_logger,
     "sbf": sbf,
+    "vectornav": vectornav,
+    "flysight, sensors": of_flysight("SENSOR.CSV"),
+    "flysight, track": of_flysight("TRACK.CSV"),
+    "vbo": of_vbo,
     "ekf2 replay": ekf2,
     "euroc": euroc,
     "navego": navego,

@@ -18,7 +18,19 @@ from jaxnav.types import DataError, Recording
 
 from .test_damage import FORMATS
 
-BINARY = {"npz", "ros1", "ros2 sqlite", "ros2 mcap", "ulog", "dataflash", "ubx", "sbf", "navego", "column map"}
+BINARY = {
+    "npz",
+    "ros1",
+    "ros2 sqlite",
+    "ros2 mcap",
+    "ulog",
+    "dataflash",
+    "ubx",
+    "sbf",
+    "vectornav",
+    "navego",
+    "column map",
+}
 TEXTS = [name for name in FORMATS if name not in BINARY]
 TWO_FILES = {"pos", "nmea", "ubx", "kfgins gnss", "gpx"}  # an IMU and fixes
 

@@ -124,12 +124,12 @@ def test_topics_that_are_not_read_are_named_where_there_is_no_position():
     notes: list[str] = []
     assert rosbag._choose(Path("bag"), [imu, *topics], {}, notes) == {"imu": "/imu"}
     assert notes[-2] == "position: no topic has a type that is read: record sensor_msgs/NavSatFix."
-    assert notes[-1].startswith("fixes: not read are /a00 (x/msg/Y, 0 messages), /a01")
-    assert notes[-1].endswith("and 2 more.")
+    assert notes[-1].code == "file.unread" and notes[-1].message.endswith(" and 2 more")
+    assert ": /a13 of x/msg/Y (13), /a12 of" in notes[-1].message
     fix = SimpleNamespace(topic="/fix", msgtype="sensor_msgs/msg/NavSatFix", msgcount=5)
     other = SimpleNamespace(topic="/novatel/bestpos", msgtype="novatel/msg/BESTPOS", msgcount=5)
     rosbag._choose(Path("bag"), [imu, fix, other, *topics], {}, notes := [])
-    assert notes == ["sensors: not read are /novatel/bestpos (novatel/msg/BESTPOS, 5 messages)."]
+    assert len(notes) == 1 and notes[0].message.endswith(": /novatel/bestpos of novatel/msg/BESTPOS (5)")
 
 
 # ---------------------------------------------------------------------------- sentences and messages of other kinds
@@ -304,7 +304,7 @@ def test_sbf_against_what_was_written(tmp_path):
     assert len(imu.t) == 80 and imu.t[1] - imu.t[0] == pytest.approx(0.1, abs=1e-6)
     np.testing.assert_allclose(imu.gyro[7], np.deg2rad([3.0, -2.0, 0.7]), rtol=1e-12)
     np.testing.assert_allclose(imu.accel[7], [0.5, -0.25, -9.8])
-    assert parts.notes == ("1 PVTGeodetic have no fix in three dimensions.",)
+    assert parts.notes[:1] == ("1 PVTGeodetic have no fix in three dimensions.",)
     whole = sbf_log()
     (tmp_path / "a.sbf").write_bytes(whole[:1000] + b"\0" + whole[1001:-10])
     assert "2 blocks are damaged and left out." in read_parts(tmp_path / "a.sbf").notes
@@ -347,3 +347,48 @@ def test_an_older_gnss_logger_has_one_clock_for_all_its_rows(tmp_path):
     parts = read_parts(tmp_path / "log.txt")
     assert len(parts.imu.t) == 200 and len(parts.aiding["position"].t) == 10
     np.testing.assert_allclose(parts.aiding["position"].t - parts.imu.t[0], np.arange(10.0), atol=1e-6)
+
+
+# ---------------------------------------------------------------------------- odometry, and types that are not read
+
+
+@pytest.mark.parametrize(
+    ("left", "read_", "words"),
+    [(0.0, True, None), (0.2, True, None), (5.0, False, "move sideways: in the world's axes")],
+)
+def test_a_twist_that_moves_sideways_is_no_wheel(left, read_, words):
+    course = np.linspace(0.1, 1.4, 50)
+    rows = [[5 * np.cos(c), np.nan, left * np.sin(c)] for c in course]
+    notes: list = []
+    parts = rosbag._parts("a.bag", {"speed": rows}, {"speed": list(range(0, 50 * 10**8, 10**8))}, notes)
+    assert ("speed" in parts.aiding) == read_
+    assert words is None or words in notes[-1]
+    if read_:
+        assert parts.aiding["speed"].value.shape == (50, 1)
+
+
+def test_an_odometry_of_a_filter_is_read_only_where_it_is_named():
+    topic = lambda name, kind, count=9: SimpleNamespace(topic=name, msgtype=kind, msgcount=count)
+    imu, odometry = topic("/imu", rosbag.IMU), topic("/odometry/filtered", "nav_msgs/msg/Odometry", 99)
+    wheels, fix = topic("/wheel/odom", "nav_msgs/msg/Odometry"), topic("/fix", "sensor_msgs/msg/NavSatFix")
+    choose = lambda each, topics=None: rosbag._choose(Path("bag"), each, topics or {}, [])
+    assert choose([imu, fix, odometry, wheels])["speed"] == "/wheel/odom"
+    assert "speed" not in choose([imu, fix, odometry])
+    assert choose([imu, fix, odometry], {"speed": "/odometry/filtered"})["speed"] == "/odometry/filtered"
+
+
+def test_types_that_are_not_read_are_counted(tmp_path):
+    import pyubx2
+
+    said = lambda name: [
+        n.message for n in read_parts(tmp_path / name).notes if getattr(n, "code", "") == "file.unread"
+    ]
+    dop = pyubx2.UBXMessage("NAV", "NAV-DOP", pyubx2.GET, iTOW=1, gDOP=100).serialize()
+    setting = pyubx2.UBXMessage("MON", "MON-VER", pyubx2.GET, swVersion=b"1" * 30, hwVersion=b"1" * 10).serialize()
+    (tmp_path / "a.ubx").write_bytes(b"".join(pvt(k) + dop + setting for k in range(9)))
+    assert [text.split(": ")[1] for text in said("a.ubx")] == ["NAV-DOP (9)"]
+    lines = [checked(line.format(k=k)) for k in range(20) for line in (GGA, RMC, "GNGSA,A,3,,,,,,,,,,,,,1.0,0.8,0.6")]
+    (tmp_path / "a.nmea").write_text("\r\n".join(lines) + "\r\n")
+    assert [text.split(": ")[1] for text in said("a.nmea")] == ["GSA (20)"]
+    (tmp_path / "a.sbf").write_bytes(sbf_log())
+    assert [text.split(": ")[1] for text in said("a.sbf")] == ["block 4014 (1)"]

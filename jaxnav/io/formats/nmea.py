@@ -3,6 +3,7 @@
 import datetime
 import os
 import re
+from collections import Counter
 from functools import reduce
 from operator import xor
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from jaxnav.checkup.findings import finding
 from jaxnav.io.files import read_bytes
 from jaxnav.io.missing import UNMEASURED_SD
-from jaxnav.io.parts import Note, Parts, Stream, TimeScale, scaled
+from jaxnav.io.parts import Note, Parts, Stream, TimeScale, scaled, unread
 from jaxnav.io.units import UNITS
 from jaxnav.maths import gps_time
 from jaxnav.maths.units import DEG
@@ -23,6 +24,7 @@ SPEED_SD = 0.3  # m/s, assumed: NMEA states none
 DAY = 86400.0  # s
 PLACES = ("GGA", "GNS", "RMC", "GLL")  # sentences with a position, the best first; two of them without a height
 HEADINGS = {"HDT": "headingT", "THS": "headt"}  # field of a two-antenna heading, deg
+READ = {*PLACES, *HEADINGS, "VTG", "GST", "ZDA"}
 KNOTS = UNITS["speed"]["knots"]
 
 
@@ -58,6 +60,7 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
     places: dict[str, list[Any]] = {kind: [] for kind in PLACES}
     motion, pointed, spread, day = [], [], {}, None
     first_day, last, now, damaged, level = None, -1.0, None, 0, 0
+    others: Counter[str] = Counter()
     lines, bare = sentences(read_bytes(path))
     for line in lines:
         try:
@@ -66,6 +69,7 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
             damaged += 1
             continue
         kind = getattr(m, "msgID", "")
+        others[kind] += kind not in READ
         angle: Any = getattr(m, HEADINGS.get(kind, ""), None)
         if _numeric(angle) and now is not None and getattr(m, "mi", "A") != "V":
             pointed.append([now, angle * DEG])  # without a time: that of the sentence before
@@ -111,7 +115,9 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
         f"sentences have no checksum and are {'taken' if len(lines) == bare else 'left out'}.": bare,
         "GGA have no height and are left out: fixes in two dimensions.": level,
     }
-    return parts._replace(notes=(*parts.notes, *(f"{count} {text}" for text, count in said.items() if count)))
+    return parts._replace(
+        notes=(*parts.notes, *(f"{count} {text}" for text, count in said.items() if count), *unread(+others))
+    )
 
 
 def _is_fix(m: Any) -> bool:

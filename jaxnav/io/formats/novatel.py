@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxnav.io.files import read_bytes
-from jaxnav.io.parts import INCREMENTS, ImuRows, Parts, Stream, TimeScale, scaled
+from jaxnav.io.parts import INCREMENTS, ImuRows, Note, Parts, Stream, TimeScale, scaled, unread
 from jaxnav.io.units import nearest
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG, MG
@@ -85,12 +85,15 @@ def read(path: Path, imu: str | None = None) -> Parts:
         DataError: no line that could be read, or an IMU of no known type.
     """
     logs: dict[str, Rows] = defaultdict(list)
-    data, untimed = read_bytes(path), 0
+    data, untimed, others = read_bytes(path), 0, Counter[str]()
     damaged = sum(match.group(1).decode() in WANTED for match in START.finditer(data))
     damaged += sum(START.search(line) is None for line in TAIL.findall(data))  # whose name is lost
     for match in LINE.finditer(data):
         name, head, body, check = match.groups()
-        if name.decode() not in WANTED or crc32(match.group(0)[1:-9]) != int(check, 16):
+        if crc32(match.group(0)[1:-9]) != int(check, 16):
+            continue
+        if name.decode() not in WANTED:
+            others[name.decode()] += 1
             continue
         damaged -= 1
         fields = head.split(b",")
@@ -98,7 +101,7 @@ def read(path: Path, imu: str | None = None) -> Parts:
             untimed += 1
             continue
         logs[name.decode()].append((fields, body.split(b",")))
-    notes = [f"{damaged} lines that are cut or have a wrong checksum left out."] if damaged else []
+    notes: list[Note] = [f"{damaged} lines that are cut or have a wrong checksum left out."] if damaged else []
     notes += [f"{untimed} lines from before the receiver knew the time left out."] if untimed else []
     raw = next((name for name in RAW if name in logs), None)
     head = next((rows[0][0] for rows in logs.values()), [b"0", b"0"])
@@ -118,10 +121,10 @@ def read(path: Path, imu: str | None = None) -> Parts:
         notes.append(f"truth is {solution}, the receiver's INS/GNSS solution, which uses the same fixes.")
     notes.append(f"t = 0 is {zero} s since 1970 in GPS time.")
     parts = scaled(parts._replace(aiding=aiding), TimeScale.GPS)
-    return parts._replace(truth=truth, notes=tuple(notes))
+    return parts._replace(truth=truth, notes=(*notes, *unread(others)))
 
 
-def _imu(path: Path, rows: Rows, first: int, name: str | None, zero: int, notes: list[str]) -> ImuRows:
+def _imu(path: Path, rows: Rows, first: int, name: str | None, zero: int, notes: list[Note]) -> ImuRows:
     """Return increments by the scale of the IMU's type; fields: week, s, status, then z, -y, x of accel and gyro."""
     if name is not None and name not in IMUS:
         raise DataError(f"{path}: imu: {nearest(name, tuple(IMUS))}")
@@ -145,7 +148,7 @@ def _imu(path: Path, rows: Rows, first: int, name: str | None, zero: int, notes:
     )
 
 
-def _position(logs: dict[str, Rows], zero: int, notes: list[str]) -> Stream | None:
+def _position(logs: dict[str, Rows], zero: int, notes: list[Note]) -> Stream | None:
     """Return fixes above the ellipsoid; those that the receiver made with its INS are left out where others are."""
     name = next((name for name in POSITIONS if name in logs), None)
     if name is None:

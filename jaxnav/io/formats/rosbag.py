@@ -14,15 +14,15 @@ import numpy as np
 
 from jaxnav.io.column_map import interpolated
 from jaxnav.io.files import MAX_VALUE
-from jaxnav.io.parts import ImuRows, Parts, Stream, TimeScale, scaled
+from jaxnav.io.parts import ImuRows, Note, Parts, Stream, TimeScale, scaled, unread
 from jaxnav.io.units import pressure_height
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
 
 SENSOR = re.compile(r"gps|gnss|navpvt|ublox|novatel|septentrio|rtk|imu|nmea|odom|wheel")  # in topics of sensors
-MOST_NAMED = 12  # topics that a note names
 ACCEL = "accelerometer"  # an IMU's topic that has nothing else
 HALF = 50  # messages of an IMU's topic that show whether it has gyro and accelerometer
+MAX_ACROSS = 0.3  # of the speed to the left over that forward, of wheels
 RECEIVER = {"raw", "fix", "gps", "gnss", "receiver"}  # words of a topic
 ESTIMATE = {"filtered", "filter", "fused", "odometry", "odom", "global", "local", "ekf", "estimate", "estimated"}
 TESLA = 1e6  # microtesla
@@ -62,7 +62,7 @@ def read(path: Path, topics: dict[str, str] | None = None) -> Parts:
     from rosbags.typesys import Stores, get_typestore
 
     single = path.suffix == ".db3"
-    notes: list[str] = []
+    notes: list[Note] = []
     with AnyReader([path.parent if single else path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
         chosen = _choose(path, bag.connections, topics or {}, notes)
         if not chosen:
@@ -87,7 +87,7 @@ def read(path: Path, topics: dict[str, str] | None = None) -> Parts:
     return _parts(os.fspath(path), rows, _one_clock(stamps, heard, notes), notes)
 
 
-def _whole_imu(bag: Any, usual: str, notes: list[str]) -> dict[str, str]:
+def _whole_imu(bag: Any, usual: str, notes: list[Note]) -> dict[str, str]:
     """Return the topics of the IMU, and of its accelerometer where gyro and accelerometer are two topics."""
     halves: dict[str, tuple[bool, bool]] = {}
     for c in bag.connections:
@@ -111,7 +111,7 @@ def _whole_imu(bag: Any, usual: str, notes: list[str]) -> dict[str, str]:
     return {"imu": gyros[0], ACCEL: accels[0]}
 
 
-def _one_clock(stamps: dict[str, list[int]], heard: dict[str, list[int]], notes: list[str]) -> dict[str, list[int]]:
+def _one_clock(stamps: dict[str, list[int]], heard: dict[str, list[int]], notes: list[Note]) -> dict[str, list[int]]:
     """Return stamps (ns) of one clock: those since start-up are moved by the times of reception where others are dates.
 
     Args:
@@ -141,7 +141,12 @@ def from_receiver(topic: str) -> int:
     return len(words & RECEIVER) - len(words & ESTIMATE)
 
 
-def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[str]) -> dict[str, str]:
+def of_a_filter(topic: str) -> bool:
+    """Return whether the name of an odometry is that of a filter's estimate, and no wheel's."""
+    return bool(set(re.split(r"[^a-z]+", topic.lower())) & (ESTIMATE - {"odom", "odometry", "local"}))
+
+
+def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[Note]) -> dict[str, str]:
     """Return a topic by stream: the one that the user names, else the one with most messages."""
     counts: dict[str, dict[str, int]] = {}
     for c, kind in [(each, kind) for each in connections for kind in KINDS.get(each.msgtype, ())]:
@@ -155,25 +160,27 @@ def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[st
         if topic not in counts.get(stream, {}):
             known = ", ".join(counts.get(stream, {})) or "none of a type that is known"
             raise DataError(f"{path}: topics: {stream}: no {topic}, it has {known}")
+    for topic in [topic for topic in counts.get("speed", {}) if "speed" not in topics and of_a_filter(topic)]:
+        notes.append(f"{topic} is not read: its name says a filter's: if wheels, say topics={{'speed': '{topic}'}}.")
+        del counts["speed"][topic]
     for stream, of in counts.items():
+        if not of:
+            continue
         raw = from_receiver if stream in ("position", "velocity") else lambda topic: 0
         best = topics.get(stream) or max(of, key=lambda topic: (raw(topic), of[topic]))
         if len(of) > 1 and stream not in topics:
             notes.append(f"{stream} is {best}, of {', '.join(sorted(of))}.")
         chosen[stream] = best
-    unread = {c.topic: f"{c.topic} ({c.msgtype}, {c.msgcount} messages)" for c in connections if c.msgtype not in KINDS}
+    others = {c.topic: (f"{c.topic} of {c.msgtype}", c.msgcount) for c in connections if c.msgtype not in KINDS}
     if "position" not in chosen:
         notes.append("position: no topic has a type that is read: record sensor_msgs/NavSatFix.")
     else:
-        unread = {topic: words for topic, words in unread.items() if SENSOR.search(topic.lower())}
-    if unread:
-        more = f" and {len(unread) - MOST_NAMED} more" if len(unread) > MOST_NAMED else ""
-        words = "fixes" if "position" not in chosen else "sensors"
-        notes.append(f"{words}: not read are {', '.join(sorted(unread.values())[:MOST_NAMED])}{more}.")
+        others = {topic: row for topic, row in others.items() if SENSOR.search(topic.lower())}
+    notes += unread(dict(others.values()))
     return chosen
 
 
-def _parts(file: str, rows: dict[str, list[Any]], stamps: dict[str, list[int]], notes: list[str]) -> Parts:
+def _parts(file: str, rows: dict[str, list[Any]], stamps: dict[str, list[int]], notes: list[Note]) -> Parts:
     first = min((s[0] for s in stamps.values() if s), default=0)
     zero = first // 10**9 * 10**9  # whole seconds: a float would round the nanoseconds of 1970
     notes.append(f"t = 0 is {zero // 10**9} s since 1970 by the headers' stamps.")
@@ -192,9 +199,13 @@ def _parts(file: str, rows: dict[str, list[Any]], stamps: dict[str, list[int]], 
                 t, gyro, accel = t[covered], gyro[covered], accel[covered]
             imu = ImuRows(t, gyro, accel)
             continue
-        if stream == "speed" and not table[:, 0].any():
-            notes.append("speed: the twists of the odometry are all 0: it has a pose alone, and is not read.")
-            continue
+        if stream == "speed":
+            across = np.sqrt(np.nanmean(table[:, 2] ** 2)) > MAX_ACROSS * np.sqrt(np.nanmean(table[:, 0] ** 2))
+            if not table[:, :3:2].any() or across:
+                why = "move sideways: in the world's axes" if across else "are all 0: it has a pose alone"
+                notes.append(f"speed: the twists of the odometry {why}, and it is not read.")
+                continue
+            table = table[:, :2]
         half = table.shape[1] // 2
         value, sd = table[:, :half], np.where(table[:, half:] > 0.0, table[:, half:], np.nan)
         if stream in ("position", "velocity"):
@@ -238,7 +249,8 @@ def _velocity_with_sd(m: Any) -> list[float]:
 
 
 def _odometry(m: Any) -> list[float]:
-    return [m.twist.twist.linear.x, _roots(m.twist.covariance, 6)[0]]
+    """Return the speed forward and its sd, and the speed to the left, which a wheel has not."""
+    return [m.twist.twist.linear.x, _roots(m.twist.covariance, 6)[0], m.twist.twist.linear.y]
 
 
 def _magnetic(m: Any) -> list[float]:

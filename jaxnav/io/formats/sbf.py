@@ -2,12 +2,13 @@
 
 import os
 from binascii import crc_hqx
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
 from jaxnav.io.files import read_bytes
-from jaxnav.io.parts import ImuRows, Parts, Stream, TimeScale, scaled
+from jaxnav.io.parts import ImuRows, Parts, Stream, TimeScale, scaled, unread
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
@@ -31,8 +32,9 @@ SAMPLE = np.dtype([("source", "u1"), ("model", "u1"), ("type", "u1"), ("info", "
 ACCEL, GYRO = 0, 1  # types of samples: m/s^2, deg/s
 
 
-def blocks(data: bytes) -> tuple[dict[int, list[bytes]], int]:
-    """Return the blocks of `TYPES` by number, and how many of them have a wrong checksum or are cut."""
+def blocks(data: bytes) -> tuple[dict[int, list[bytes]], int, Counter[str]]:
+    """Return the blocks of `TYPES` by number, how many of them have a wrong checksum or are cut, and other blocks."""
+    others: Counter[str] = Counter()
     found: dict[int, list[bytes]] = {number: [] for number in TYPES}
     lost, at = 0, -1
     while (at := data.find(SYNC, at + 1)) >= 0:
@@ -41,15 +43,18 @@ def blocks(data: bytes) -> tuple[dict[int, list[bytes]], int]:
             lost += 1
             break
         number, length = int.from_bytes(head[4:6], "little") & 0x1FFF, int.from_bytes(head[6:8], "little")
-        if number not in TYPES or length % 4 or length < TYPES[number].itemsize:
+        if length % 4 or length < (TYPES[number].itemsize if number in TYPES else 8):
             continue
         block = data[at : at + length]
         if len(block) < length or crc_hqx(block[4:], 0) != int.from_bytes(head[2:4], "little"):
-            lost += 1
+            lost += number in TYPES
             continue
-        found[number].append(block)
+        if number in TYPES:
+            found[number].append(block)
+        else:
+            others[f"block {number}"] += 1
         at += length - 1
-    return found, lost
+    return found, lost, others
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -74,7 +79,7 @@ def read(path: Path) -> Parts:
     Raises:
         DataError: no fix in three dimensions and no IMU.
     """
-    found, lost = blocks(read_bytes(path))
+    found, lost, others = blocks(read_bytes(path))
     rows = {number: _rows(found[number], kind) for number, kind in TYPES.items()}
     pvt = rows[PVT]
     fixed = (pvt["mode"] & 15 > 0) & (pvt["mode"] & 128 == 0) & (pvt["error"] == 0) & (pvt["lat"] > NONE)
@@ -92,14 +97,15 @@ def read(path: Path) -> Parts:
     imu = _imu(found[SENSORS])
     if not aiding and imu is None:
         raise DataError(
-            f"{path}: has no PVTGeodetic with a fix in three dimensions and no ExtSensorMeas, {lost} damaged"
+            f"{path}: has no PVTGeodetic with a fix in three dimensions and no ExtSensorMeas, {lost} damaged, "
+            f"{others.total()} of other numbers"
         )
     said = {
         "PVTGeodetic have no fix in three dimensions.": int((~fixed).sum()),
         "blocks are damaged and left out.": lost,
     }
     notes = tuple(f"{count} {text}" for text, count in said.items() if count)
-    return scaled(Parts(os.fspath(path), imu, aiding, notes=notes), TimeScale.GPS)
+    return scaled(Parts(os.fspath(path), imu, aiding, notes=notes + unread(others)), TimeScale.GPS)
 
 
 def _rows(found: list[bytes], kind: np.dtype) -> np.ndarray:

@@ -6,6 +6,7 @@ RXM-SFRBX ephemerides; the IMU is that of ESF-RAW or ESF-MEAS. Where UBX has no 
 
 import datetime
 import os
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.files import read_bytes
 from jaxnav.io.formats import nmea
 from jaxnav.io.formats.esf import MEAS, RAW, Sensors
-from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
+from jaxnav.io.parts import Parts, Stream, TimeScale, scaled, unread
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
@@ -33,6 +34,8 @@ BARE = 8  # bytes of a message without contents, which asks for one
 CLASSES = b"\x01\x02"  # NAV and RXM: other messages are commands, settings and states of the receiver
 SYSTEM = {0: "G", 1: "S", 2: "E", 3: "C", 5: "J"}  # gnssId
 FIRST_SIGNAL = {"G": (0,), "S": (0,), "E": (0, 1), "C": (0, 1), "J": (0,)}  # sigId of the first frequency
+READ = {*FIXES, "NAV-RELPOSNED", "RXM-RAWX", "RXM-SFRBX", "ESF-RAW", "ESF-MEAS"}
+SENSORS = b"\x01\x02\x10\x28"  # NAV, RXM, ESF and HNR: classes of messages that are measured
 OLDER = ("NAV-POSLLH", "NAV-VELNED", "NAV-SOL", "NAV-STATUS", "NAV-TIMEGPS")
 
 
@@ -84,9 +87,12 @@ def read(
     older: dict[str, dict[int, Any]] = {name: {} for name in OLDER}
     rows: dict[int, list[float]] = {}
     pointed, without = [], 0
+    others: Counter[str] = Counter()
     data = read_bytes(path)
     intact, damaged = frames(data)
     for frame in intact:
+        name = pyubx2.UBX_MSGIDS.get(frame[2:4], f"0x{frame[2]:02x} 0x{frame[3]:02x}")
+        others[name] += frame[2] in SENSORS and len(frame) > BARE and name not in {*READ, *OLDER}
         for each in sensors:
             each.take(frame)
         if frame[2] not in CLASSES or len(frame) <= BARE:
@@ -122,10 +128,10 @@ def read(
     if not rows:
         raise DataError(
             f"{path}: has no NAV-PVT or NAV-POSLLH with a fix in three dimensions: {without} without one, {damaged} "
-            "damaged"
+            f"damaged, {others.total()} of other types ({', '.join(sorted(+others)) or 'none'})"
         )
     said = {"messages have no fix in three dimensions.": without, "NAV-PVT are damaged and left out.": damaged}
-    notes = tuple(f"{count} {text}" for text, count in said.items() if count) + about
+    notes = tuple(f"{count} {text}" for text, count in said.items() if count) + about + unread(+others)
     t, lla, acc, vel, s_acc = np.split(np.array(list(rows.values())), [1, 4, 6, 9], axis=1)
     position = Stream(t[:, 0], lla, acc[:, [0, 0, 1]])
     moved = np.isfinite(vel[:, 0])

@@ -178,11 +178,13 @@ KINDS: dict[str, Kind] = {
         ("time_shift_s in the fixes' table of a column map states another time",),
         "s",
     ),
-    "time.delay": Kind(INFO, "{subject} is {size:.3f} s {side} against the IMU (sd {sd:.3f} s)", unit="s"),
+    "time.delay": Kind(
+        INFO, "{subject} is {size:.3f} s {side} against the IMU (sd {sd:.3f} s)", ("{cause}",), unit="s"
+    ),
     "time.late": Kind(
         WARNING,
         "{subject} is {size:.3f} s {side} against the IMU (sd {sd:.3f} s)",
-        ("latency of the receiver",),
+        ("{cause}",),
         ("set measurements.{subject}.latency_s, or jaxnav tune",),
         "s",
     ),
@@ -244,7 +246,7 @@ KINDS: dict[str, Kind] = {
     "position.sd": Kind(
         INFO,
         "positions scatter by {value:.2g} m, their stated sd is {limit:.2g} m",
-        ("a stated sd that is too small",),
+        ("{cause}",),
         ("set sd",),
         "m",
     ),
@@ -292,6 +294,12 @@ KINDS: dict[str, Kind] = {
         ("wrong sign: up is positive here, most receivers give down",),
         ("choose the column as down instead of up",),
     ),
+    "velocity.vertical_units": Kind(
+        WARNING,
+        "heights change by {value:.2f} times the vertical velocity (correlation {corr:+.2f})",
+        ("{cause}",),
+        ("set the unit, or h_unit, in a column map",),
+    ),
     "velocity.latency": Kind(
         INFO,
         "velocity is {size:.2f} s {side} than the position (sd {sd:.2f} s)",
@@ -316,6 +324,13 @@ KINDS: dict[str, Kind] = {
         ("the receiver's fixes are dragged off", "wheels that slip"),
         ("compare with a map", "leave one of them out: filter.outages, filter.measurements"),
         "m/s",
+    ),
+    "speed.unsigned": Kind(
+        WARNING,
+        "wheel speed is never negative, and the vehicle changes between forwards and backwards at t = {value:.1f} s",
+        ("a sensor that does not know the sense of rotation",),
+        ("leave speed out of filter.measurements, or choose a column with a sign",),
+        "s",
     ),
     "barometer": Kind(
         INFO, "barometric height changes by {value:+.2f} m per metre of height (correlation {corr:+.2f})"
@@ -380,6 +395,12 @@ KINDS: dict[str, Kind] = {
     ),
     # motion and standstill
     "motion": Kind(INFO, "IMU and fixes agree: chi^2 {value:.2g} per degree of freedom in {count} windows"),
+    "motion.sd": Kind(
+        INFO,
+        "the stated sd of {subject} are {value:.1f} times too {side}, by its scatter within {span:g} s",
+        ("a receiver that is cautious or bold, or one whose errors change slowly", "variances in the place of sd"),
+        ("set sd, or jaxnav filter, whose noise scan finds it",),
+    ),
     "motion.little": Kind(INFO, "too little motion to compare IMU and fixes"),
     "motion.misfit": Kind(
         WARNING,

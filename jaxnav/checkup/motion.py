@@ -39,8 +39,10 @@ MAX_GYRO_BIAS, MAX_ACCEL_BIAS = 2 * DEG, 0.5  # rad/s, m/s^2: more is no bias of
 STATED_SD_DOF = 6  # degrees of freedom that the stated sd of delays are worth against their scatter
 DRIFT_FALSE_ALARM = 5e-4  # of a drift of the clock that is none
 MAX_CHI2_PER_DOF = 8.0  # chi^2 per degree of freedom
+SD_FACTOR = 4.0  # by which stated sd are too large, beyond which it is named; half of it where they are too small
 MAX_HEADING_SD = 20 * DEG  # of an alignment that counts
 MAX_WINDOWS = 6
+MIN_LEVER_SPEED, MAX_LEVER_M, LEVER_CHI2 = 0.5, 3.0, 6.0  # m/s, m, chi^2 of a lever arm that looks like a delay
 MAX_SAMPLE_INTERVAL_S = 0.1  # s between samples, beyond which their means say too little of the motion
 
 
@@ -243,6 +245,9 @@ def together(rec: Recording) -> list[Finding]:
         return [*found, finding("motion.misfit", value=chi2, limit=MAX_CHI2_PER_DOF, count=count, severity=severity)]
     name, _ = source(rec)
     found.append(finding("motion", value=chi2, count=count))
+    if not 1 / SD_FACTOR < np.sqrt(chi2) < SD_FACTOR / 2:
+        side = "small" if chi2 > 1 else "large"
+        found.append(finding("motion.sd", name, float(np.sqrt(max(chi2, 1 / chi2))), side=side, span=WINDOW_S))
     return [*found, *_timing(moving, name), *_arm(rec, moving), *_biases(moving), *_mounting(moving)]
 
 
@@ -335,6 +340,9 @@ def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> lis
     mean, mean_sd = _mean_delay(*_delays(each))
     late_enough = abs(mean) >= max(0.03, 3 * mean_sd)
     numbers: dict[str, Any] = {"size": abs(mean), "side": "late" if mean >= 0 else "early", "sd": mean_sd}
+    far = _behind(each, mean)
+    cause = "latency of the receiver" + ("" if far is None else f", or an antenna {far}: set lever_arm_frd_m")
+    numbers["cause"] = cause
     code = "time.late" if abs(mean) > max(0.15, 5 * mean_sd) else "time.delay"
     value, setting = mean if late_enough else 0.0, f"measurements.{name}.latency_s"
     found = [finding(code, name, value, setting=setting, **numbers)]
@@ -342,6 +350,21 @@ def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> lis
         setting, sd_ppm = "mounting.clock_drift_ppm", rate[1] / units.PPM
         found.append(finding("time.drift", name, rate[0] / units.PPM, setting=setting, sd=sd_ppm))
     return found
+
+
+def _behind(each: list[tuple[tuple[float, float], Alignment]], mean: float) -> str | None:
+    """Return where an antenna would be whose distance looks like this delay, s; None where it can be none.
+
+    At a speed v a delay d looks like an antenna v d behind the IMU; of other speeds the one fits or the other.
+    """
+    speed = np.array([np.hypot(a.vel[0], a.vel[1]) for _, a in each])
+    late, sd = _delays(each)
+    slow = 1 / np.maximum(speed, MIN_LEVER_SPEED)
+    arm = float((slow * late / sd**2).sum() / (slow**2 / sd**2).sum())
+    off = lambda model: float((((late - model) / sd) ** 2).sum())
+    if abs(arm) > MAX_LEVER_M or off(arm * slow) > off(mean) + LEVER_CHI2:
+        return None
+    return f"{abs(arm):.1f} m {'behind' if arm > 0 else 'ahead of'} the IMU"
 
 
 def arm_of(rec: Recording, each: list[tuple[tuple[float, float], Alignment]]) -> tuple[np.ndarray, np.ndarray] | None:

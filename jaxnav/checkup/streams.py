@@ -7,14 +7,17 @@ from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import EMPTY, level_velocity, local, rms
 from jaxnav.maths.interpolation import columns_at, running
 from jaxnav.maths.units import DEG
-from jaxnav.types import Finding, Recording, Severity
+from jaxnav.types import Finding, Recording, Samples, Severity
 
 SPAN_S = 2.0  # s, over which positions are differenced
-UNITS = {"km/h": 3.6, "knots": 1.943844, "feet per second": 3.28084, "mm/s": 1000.0, "cm/s": 100.0}
+FEET = 3.28084  # of a metre
+UNITS = {"km/h": 3.6, "knots": 1.943844, "feet per second": FEET, "mm/s": 1000.0, "cm/s": 100.0}
 MAX_SD_STEP = 1.15  # times: the step of a stated sd from one fix to the next, in the median
 MIN_SPEED = 1.0  # m/s, of a course
 MAX_TURN, MAX_CRAB = 5 * DEG, 30 * DEG  # of directions by another north; of a heading on one course, by wind or leeway
 MAX_SCATTER = 6 * DEG  # of a heading about the course
+MIN_BACKWARDS = 0.3  # m/s, of a wheel speed that has a sign
+MAX_STOP_S, MAX_OFF_HALF_TURN = 30.0, 25 * DEG  # of a stop in which gyros tell a half turn from a reversal
 AXES = np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]])
 
 
@@ -66,7 +69,8 @@ def _level(shown: np.ndarray, said: np.ndarray, sd: float) -> list[Finding]:
         "velocity.sign: both have the wrong sign": -said,
     }
     tries |= {f"velocity.units: looks like {unit}": said / k for unit, k in UNITS.items()}
-    tries |= {f"velocity.units: looks like {unit}, converted once too often": said * UNITS[unit] for unit in ("km/h",)}
+    tries |= {"velocity.units: looks like km/h, converted once too often": said * UNITS["km/h"]}
+    tries |= {"velocity.units: positions look like feet": said * UNITS["feet per second"]}
     best = min(tries, key=lambda key: rms(shown - tries[key]))
     if rms(shown - tries[best]) < 0.4 * off:
         code, cause = best.split(": ")
@@ -121,6 +125,10 @@ def _vertical(shown: np.ndarray, said: np.ndarray, sd: float, stated: float) -> 
         return []  # not measured
     both = np.column_stack([shown - shown.mean(), said - said.mean()])
     corr = float(np.corrcoef(both.T)[0, 1]) if min(both.std(0)) > 1e-6 else 0.0
+    ratio = float(shown.std() / max(said.std(), 1e-9))
+    for unit, factor in (("heights look like feet", FEET), ("vertical velocity looks like feet per second", 1 / FEET)):
+        if corr > 0.8 and abs(np.log(ratio / factor)) < 0.15:
+            return [finding("velocity.vertical_units", value=ratio, corr=corr, cause=unit)]
     bad = corr < -0.4 and rms(shown + said) < 0.7 * rms(shown - said)
     return [finding("velocity.vertical_sign" if bad else "velocity.vertical", value=corr)]
 
@@ -157,7 +165,28 @@ def speed(rec: Recording) -> list[Finding]:
         return [finding("speed.units", value=ratio, cause=f"looks like {near}")]
     if not 0.8 < ratio < 1.25:
         return [finding("speed.scale", value=ratio)]
-    return witnesses.speeds(fixes.t[rows], ground, turned / ratio, sd) or [finding("speed", value=ratio)]
+    found = witnesses.speeds(fixes.t[rows], ground, turned / ratio, sd) or [finding("speed", value=ratio)]
+    backwards = reverses(rec, fixes) if wheel.value.mean(1).min() > -MIN_BACKWARDS else None
+    return found if backwards is None else [*found, finding("speed.unsigned", value=backwards)]
+
+
+def reverses(rec: Recording, v: Samples) -> float | None:
+    """Return when the vehicle turns from forwards to backwards or the other way, s; None where it never does.
+
+    Then the course changes by half a turn in a stop, and gyros about the vertical do not.
+    """
+    imu = rec.imu
+    down = -np.median(imu.accel, axis=0)
+    yaw = np.cumsum(imu.gyro @ (down / max(float(np.linalg.norm(down)), 1e-9)) * imu.dt)
+    speed, course = np.hypot(*v.value[:, :2].T), np.arctan2(v.value[:, 0], v.value[:, 1])
+    moving = np.flatnonzero(speed > max(MIN_SPEED, 5 * float(np.median(v.sd[:, :2]))))
+    for i, j in zip(moving[:-1], moving[1:]):
+        if j - i < 2 or v.t[j] - v.t[i] > MAX_STOP_S:
+            continue
+        turned = course[j] - course[i] - np.diff(np.interp(v.t[[i, j]], imu.t, yaw))[0]
+        if abs(turned - np.pi * (2 * np.floor(turned / (2 * np.pi)) + 1)) < MAX_OFF_HALF_TURN:
+            return float(v.t[j])
+    return None
 
 
 def barometer(rec: Recording) -> list[Finding]:
@@ -204,8 +233,11 @@ def fixes(rec: Recording) -> list[Finding]:
     if second.size:
         noise = 1.4826 * np.median(np.abs(second), 0) / np.sqrt(6)  # of white noise; motion only adds
         stated = np.median(p.sd, 0)
-        if (noise[:2] > 4 * stated[:2]).all() and usual <= 1.0:
-            found.append(finding("position.sd", value=float(noise[:2].max()), limit=float(stated[:2].max())))
+        if (noise[:2] > 3 * stated[:2]).all() and usual <= 1.0:
+            value, limit = float(noise[:2].max()), float(stated[:2].max())
+            squared = abs(np.log(value / np.sqrt(limit))) < np.log(1.5)
+            cause = "variances in the place of sd: variance = true" if squared else "a stated sd that is too small"
+            found.append(finding("position.sd", value=value, limit=limit, cause=cause))
     return found
 
 

@@ -1,5 +1,7 @@
 """A recording against itself: what is wrong is named, what is right is left alone."""
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from benchmarks.simulated import pauses
 from benchmarks.simulated.vehicles import simulated
 from jaxnav.app.config import Data
 from jaxnav.app.jobs.check import configuration
-from jaxnav.checkup import CHECKS, alternatives, checkup, inertial, quick_notes, streams
+from jaxnav.checkup import CHECKS, alternatives, checkup, inertial, motion, quick_notes, streams
 from jaxnav.checkup.motion import delay_of, mixups, turns_of
 from jaxnav.checkup.standstill import standstill
 from jaxnav.filters.epochs import sample_rows
@@ -156,6 +158,89 @@ def test_velocity_from_another_north(car, degrees):
 def test_a_heading_by_the_course(car, angle, code, value):
     (found,) = CHECKS["heading"].answer(pointed(car, angle))
     assert found.code == code and found.value == pytest.approx(value, abs=2.5)
+
+
+@pytest.mark.parametrize(("heights", "rates", "ratio"), [(1.0, 1.0, None), (3.28084, 1.0, 3.28), (1.0, 3.28084, 0.305)])
+def test_heights_and_vertical_velocities_in_feet(heights, rates, ratio):
+    rng, t = np.random.default_rng(0), np.arange(0.0, 200.0)
+    height, rate = 50 * np.sin(0.1 * t), 5 * np.cos(0.1 * t)
+    lla = np.column_stack([np.full(t.size, 0.8), np.full(t.size, 0.2), heights * height + rng.normal(size=t.size)])
+    vel = np.column_stack([np.zeros((t.size, 2)), rates * rate + 0.1 * rng.normal(size=t.size)])
+    column = lambda value, sd: Samples(t, value, np.full(value.shape, sd), np.zeros(value.shape))
+    imu = ImuLog(t, np.ones(t.size), np.zeros((t.size, 3)), np.zeros((t.size, 3)))
+    rec = Recording("hill", imu, {"position": column(lla, 1.0), "velocity": column(vel, 0.1)}, None, np.zeros(3))
+    found = {f.code: f for f in CHECKS["velocity"].answer(rec)}
+    assert ("velocity.vertical_units" in found) == (ratio is not None)
+    assert ratio is None or found["velocity.vertical_units"].value == pytest.approx(ratio, rel=0.05)
+
+
+def test_positions_in_feet(car):
+    origin = car.aiding["position"].value[0]
+    feet = check.stream("position", lambda p: origin + 3.28084 * (p - origin))(car)
+    (found,) = [f for f in CHECKS["velocity"].answer(feet) if f.code == "velocity.units"]
+    assert found.causes == ("positions look like feet",)
+
+
+def manoeuvring(signed: bool, turns: bool) -> Recording:
+    """Forwards, a stop, and on: backwards, or forwards after half a turn in the stop."""
+    t = np.arange(0.01, 60.0, 0.01)
+    speed = np.where(t < 25, 4.0, np.where(t < 32, 0.0, 4.0 if turns else -4.0))
+    rate = np.where((t > 26) & (t < 31), np.pi / 5 if turns else 0.0, 0.02)
+    yaw = np.cumsum(rate * 0.01)
+    vel = np.column_stack([speed * np.sin(yaw), speed * np.cos(yaw), 0 * t])
+    gyro, accel = np.column_stack([0 * t, 0 * t, rate]), np.tile([0.0, 0.0, -9.8], (t.size, 1))
+    column = lambda value, sd: Samples(t[::20], value[::20], np.full(value[::20].shape, sd), 0 * value[::20])
+    wheel = (speed if signed else np.abs(speed))[:, None]
+    aiding = {"velocity": column(vel, 0.1), "speed": column(wheel, 0.1)}
+    return Recording("manoeuvres", ImuLog(t, np.full(t.size, 0.01), gyro, accel), aiding, None, np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("signed", "turns", "warned"), [(True, False, 0), (False, False, 1), (False, True, 0), (True, True, 0)]
+)
+def test_a_wheel_without_a_sign_on_a_vehicle_that_reverses(signed, turns, warned):
+    found = [f for f in CHECKS["speed"].answer(manoeuvring(signed, turns)) if f.code == "speed.unsigned"]
+    assert len(found) == warned
+    assert not found or found[0].value == pytest.approx(32.0, abs=0.3)
+
+
+@pytest.mark.parametrize(("factor", "side"), [(1.0, None), (0.2, "large"), (2.4, "small")])
+def test_stated_sd_that_are_off_are_named_by_the_motion(factor, side):
+    """White errors, as large as stated, a fifth of it, 2.4 times of it."""
+    rec, _ = simulated("car", "tactical", True, np.random.default_rng(3), late=0.0)
+    v, p = rec.aiding["velocity"], rec.aiding["position"]
+    scaled = {"velocity": v._replace(sd=v.sd / factor), "position": p._replace(sd=p.sd / factor)}
+    found = [f for f in CHECKS["together"].answer(rec._replace(aiding=scaled)) if f.code == "motion.sd"]
+    assert [f.message.split("times too ")[1].split(",")[0] for f in found] == [side] * (side is not None)
+
+
+def test_variances_in_the_place_of_sd():
+    rng, t = np.random.default_rng(0), np.arange(300.0)
+    lla = np.column_stack([0.8 + 0.09 / 6.4e6 * rng.normal(size=300), 0.2 + 0.13 / 6.4e6 * rng.normal(size=300), 0 * t])
+    imu = ImuLog(t, np.ones(300), np.zeros((300, 3)), np.zeros((300, 3)))
+    for stated, said in ((0.09, False), (0.0081, True), (0.002, True)):
+        aiding = {"position": Samples(t, lla, np.full((300, 3), stated), np.zeros((300, 3)))}
+        found = [f for f in CHECKS["fixes"].answer(Recording("a", imu, aiding, None, np.zeros(3)))
+                 if f.code == "position.sd"]  # fmt: skip
+        assert len(found) == said
+        if stated == 0.0081:
+            assert "variance" in found[0].causes[0]
+
+
+@pytest.mark.parametrize(("arm", "speeds", "said"), [
+    (0.9, (15.0, 14.0, 15.0), "0.9 m behind"), (-0.6, (10.0, 10.0, 10.0), "0.6 m ahead of"),
+    (0.0, (5.0, 15.0, 25.0), None), (30.0, (15.0, 15.0, 15.0), None),
+])  # fmt: skip
+def test_a_lever_arm_that_looks_like_a_delay_is_a_cause(arm, speeds, said):
+    """A delay is alike at all speeds, an antenna behind the IMU is not; at one speed nobody knows."""
+    each = []
+    for speed in speeds:
+        late = arm / speed if arm else 0.06
+        sd = np.r_[np.full(9, 0.1), 0.004]
+        each.append(((0.0, 1.0), SimpleNamespace(delay=late, sd=sd, vel=np.array([speed, 0.0, 0.0]))))
+    mean = float(np.mean([a.delay for _, a in each]))
+    found = motion._behind(each, mean)
+    assert (found is None) == (said is None) and (said is None or found.startswith(said))
 
 
 def test_no_heading_by_the_course_where_there_is_none(car):

@@ -82,7 +82,7 @@ def test_every_kind_has_an_example():
 
 
 def test_a_warning_prints_code_cause_and_next_step():
-    late = finding("time.late", "position", 0.2, size=0.2, side="late", sd=0.01)
+    late = finding("time.late", "position", 0.2, size=0.2, side="late", sd=0.01, cause="latency of the receiver")
     shown = warnings([late])
     assert shown[0] == "WARNING time.late  position is 0.200 s late against the IMU (sd 0.010 s)"
     assert shown[1].strip() == "Likely: latency of the receiver"
@@ -90,14 +90,16 @@ def test_a_warning_prints_code_cause_and_next_step():
     assert line(late).endswith(
         "; likely: latency of the receiver; next: set measurements.position.latency_s, or jaxnav tune"
     )
-    known = finding("time.delay", "position", 0.0, size=0.0, side="late", sd=0.01)
-    assert finding("time.delay", size=0, side="late", sd=1, severity=Severity.WARNING).warns
+    known = finding("time.delay", "position", 0.0, size=0.0, side="late", sd=0.01, cause="latency of the receiver")
+    assert finding(
+        "time.delay", size=0, side="late", sd=1, cause="latency of the receiver", severity=Severity.WARNING
+    ).warns
     assert warnings([known]) == []
 
 
 def test_the_terminal_shows_warnings_first_and_ends_with_a_verdict():
-    late = finding("time.late", "position", 0.2, size=0.2, side="late", sd=0.01)
-    known = finding("time.delay", "velocity", 0.0, size=0.0, side="late", sd=0.01)
+    late = finding("time.late", "position", 0.2, size=0.2, side="late", sd=0.01, cause="latency of the receiver")
+    known = finding("time.delay", "velocity", 0.0, size=0.0, side="late", sd=0.01, cause="latency of the receiver")
     clean = Outcome({}, "a table", {}, findings=[known], verdict="consistent: NIS/dof 1.02")
     assert terminal(clean, False, False) == ["a table", "consistent: NIS/dof 1.02; 1 remark: --verbose"]
     assert terminal(clean, True, False)[1:] == [f"  {line(known)}", "consistent: NIS/dof 1.02"]

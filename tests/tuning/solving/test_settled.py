@@ -9,7 +9,7 @@ from jaxnav.filters.parameters import put
 from tuning.solving.settled import CHECKED, CONSEQUENCES, EXCLUSIONS, MIXED_UP, TUNED, settled
 
 PARAMS = build("ekf15").params("consumer")
-LATE = finding("time.late", "position", 0.31, size=0.31, side="late", sd=0.01)
+LATE = finding("time.late", "position", 0.31, size=0.31, side="late", sd=0.01, cause="latency of the receiver")
 HIGH = finding("nis.high", "position", 3.0, 1.2, vector="3.0")
 
 

@@ -23,6 +23,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
+    from jaxnav.filters.adapters import ADAPTERS
+    from jaxnav.filters.adapters.adapter import Adapted, Adapter, Window
     from jaxnav.filters.catalogue import FILTERS, build
     from jaxnav.filters.compiler import cache, clear_caches_if_needed, enable_x64, fast_compiler
     from jaxnav.filters.core import Filter, make_filter
@@ -86,6 +88,8 @@ _HOMES = {
     "io.recording": "recording",
     "initialization.bank": "heading_bank with_headings",
     "initialization.initialize": "coarse_leveling course initialize",
+    "filters.adapters": "ADAPTERS",
+    "filters.adapters.adapter": "Adapted Adapter Window",
     "filters.catalogue": "FILTERS build",
     "filters.compiler": "cache enable_x64 fast_compiler clear_caches_if_needed",
     "filters.core": "Filter make_filter",

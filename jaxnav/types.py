@@ -202,6 +202,7 @@ class Params(NamedTuple):
     mounting: Mounting
     rule: Any = ()  # theta of the rule, a NamedTuple
     feedback: Any = ()  # theta of the feedback
+    adapter: Any = ()  # theta of the adapter, any tree
 
 
 # ---------------------------------------------------------------------------- traced: outputs of a filter

@@ -43,7 +43,7 @@ def test_library_page_runs_and_does_what_it_says(capsys):
     history = space["tuned"].history
     assert history[-1]["loss"] < history[0]["loss"]
     learned = space["learned"]
-    assert learned.loss < learned.history[0]["loss"] and np.abs(learned.params["net"]["out"]).max() > 0.0
+    assert learned.loss < learned.history[0]["loss"] and np.abs(learned.params.adapter["out"]).max() > 0.0
     # the rule's knee at infinity is the Kalman filter
     jax, np_ = space["jax"], space["jnp"]
     params = space["params"]._replace(rule=space["Huber"](np_.array(1e9)))

@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxnav.filters.adapters import ADAPTERS
+from jaxnav.filters.adapters.adapter import Adapter
 from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.error_model import ErrorModel, error_model
 from jaxnav.filters.feedback import observer, open_loop, poles, reset
@@ -162,6 +164,7 @@ def build(
     frame: str = "",
     fast: bool = True,
     states: Sequence[str] = (),
+    adapter: str | Adapter = "",
 ) -> Filter:
     """Return a filter of the catalogue.
 
@@ -180,10 +183,11 @@ def build(
         frame: in place of the filter's, a key of `FRAMES`.
         fast: navigate by the frame's fast form where it has one; the plain form gives the same.
         states: optional states in addition to the filter's, names of `jaxnav.states.STATES`.
+        adapter: a part that sets noise and measurements of every epoch, or its name in `ADAPTERS`; none where empty.
 
     Raises:
-        ValueError: no such filter, frame, state or measurement, a receiver's measurement that does not come first,
-            states for a paper's rule, or a state that no measurement of the filter observes.
+        ValueError: no such filter, frame, state, measurement or adapter, a receiver's measurement that does not come
+            first, states for a paper's rule, or a state that no measurement of the filter observes.
     """
     if name not in FILTERS:
         raise ValueError(f"no filter {name!r}: {nearest(name, FILTERS)}")
@@ -204,11 +208,24 @@ def build(
     home = FRAMES[frame]
     quick = fast and home.fast is not None
     mechanize, preintegrate = (home.fast, home.preintegrate) if quick else (home.propagate, None)
-    built = make_filter(mechanize, model, rule, feedback or entry.feedback, cov_stride, history, preintegrate)
+    part = _adapter(adapter, chosen) if adapter else None
+    built = make_filter(mechanize, model, rule, feedback or entry.feedback, cov_stride, history, preintegrate, part)
     extra = None
     if entry.accepts_extra_states:
-        extra = _extended(name, chosen, cov_stride, history, feedback, frame, fast, tuple(states))
-    return _named(built, name, extra)
+        extra = _extended(name, chosen, cov_stride, history, feedback, frame, fast, tuple(states), part or "")
+    return _named(built, name, extra, part)
+
+
+def _adapter(adapter: str | Adapter, chosen: tuple[Measurement, ...]) -> Adapter:
+    """Return an adapter, or that of a name for these measurements."""
+    if isinstance(adapter, Adapter):
+        return adapter
+    if adapter not in ADAPTERS:
+        raise ValueError(f"no adapter {adapter!r}: {nearest(adapter, ADAPTERS)}")
+    row = ADAPTERS[adapter]
+    if missing := set(row.needs) - {each.name for each in chosen}:
+        raise ValueError(f"{adapter} needs the measurement {', '.join(sorted(missing))}: add it to the filter's")
+    return row.make(chosen)
 
 
 def _rule(entry: Entry, chosen: tuple[Measurement, ...]) -> Rule:
@@ -242,29 +259,32 @@ def _rule_of_fixes(entry: Entry, chosen: tuple[Measurement, ...]) -> Rule:
 @cache
 def _extended(
     name: str, chosen: tuple[Measurement, ...], cov_stride: int, history: int, feedback: Any, frame: str, fast: bool,
-    states: tuple[str, ...],
+    states: tuple[str, ...], part: Adapter | str,
 ) -> Callable[..., Filter]:  # fmt: skip
     """Return `Filter.with_states` of a filter built with these arguments."""
-    return lambda *more: build(name, chosen, cov_stride, history, feedback, frame, fast, (*states, *more))
+    return lambda *more: build(name, chosen, cov_stride, history, feedback, frame, fast, (*states, *more), part)
 
 
 @cache
-def _named(built: Filter, name: str, with_states: Callable[..., Filter] | None) -> Filter:
+def _named(built: Filter, name: str, with_states: Callable[..., Filter] | None, part: Adapter | None) -> Filter:
     """Return the filter with the catalogue's parameters, at any length of history."""
     with_history = built.with_history
     assert with_history is not None  # make_filter gives it
-    kept = lambda samples: _named(with_history(samples), name, with_states)
-    return built._replace(params=_params(name, built.model), with_history=kept, with_states=with_states, name=name)
+    kept = lambda samples: _named(with_history(samples), name, with_states, part)
+    return built._replace(
+        params=_params(name, built.model, part), with_history=kept, with_states=with_states, name=name
+    )
 
 
 @cache
-def _params(name: str, model: ErrorModel) -> Callable[..., Params]:
+def _params(name: str, model: ErrorModel, part: Adapter | None) -> Callable[..., Params]:
     """`Filter.params` of a filter of the catalogue."""
     entry = FILTERS[name]
 
     def params(grade: str | Grade = "consumer", **known: Any) -> Params:
         given = {"rule": entry.theta(), "feedback": entry.feedback_theta()} | known
-        return datasheet_params(grade_of(grade), states=model.states, measurements=model.measurements, **given)
+        found = datasheet_params(grade_of(grade), states=model.states, measurements=model.measurements, **given)
+        return found if part is None else found._replace(adapter=part.theta())
 
     return params
 

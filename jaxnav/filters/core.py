@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxnav.filters.adapters.adapter import Adapter, Window, adapted, with_factor
 from jaxnav.filters.error_model import ErrorModel
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.rule import Correction, Feedback, Innovation, Rule, Transition, only_if, select
@@ -37,6 +38,7 @@ class Prepared:
     keep: jax.Array  # (w,) int, the last of them
     T: jax.Array  # (b,) s, of each point of the path
     samples: Any  # argument of `propagate`
+    imu: Imu | None  # (k, ...) as they were, for an adapter
     stride: int = field(metadata={"static": True})  # samples of a point: only filters of the same take it
 
 
@@ -52,6 +54,7 @@ class FilterState(NamedTuple):
     T: jax.Array  # () s since then
     age: jax.Array  # (m,) s from each channel's last use to then
     ok: jax.Array  # () bool: everything has been finite so far; the state is frozen from the first failure on
+    adapter: Any = ()  # the adapter's memory
 
 
 class Step(NamedTuple):
@@ -66,7 +69,7 @@ class Step(NamedTuple):
 
 
 class Filter(NamedTuple):
-    """Pure functions; `step` is `correct` after `predict`, which also stream sample by sample.
+    """Pure functions; `step` is `correct` after `predict`, which also stream sample by sample, without an adapter.
 
     `step` freezes a run that stops being finite; who streams looks at `Info.ok` after each `correct`.
     """
@@ -173,6 +176,7 @@ def make_filter(
     cov_stride: int = 1,
     history: int = 2,
     preintegrate: Preintegrate | None = None,
+    adapter: Adapter | None = None,
 ) -> Filter:
     """Compose a filter.
 
@@ -187,6 +191,7 @@ def make_filter(
         history: samples of navigation kept for measurements older than the end of the epoch; must cover the largest
             latency, beyond it the oldest two are extrapolated linearly.
         preintegrate: state-free part of a fast mechanization.
+        adapter: sets noise and measurements of every epoch, see `jaxnav.filters.adapters`.
 
     Raises:
         ValueError: ``history`` below 2; when traced, epochs that were prepared for a filter with another stride or
@@ -221,12 +226,14 @@ def make_filter(
         start = start._replace(omega=nav.omega + moved["gyro"], force=nav.force + moved["accel"])
         past = jax.tree.map(lambda a: jnp.broadcast_to(a, (history, *jnp.shape(a))), start)
         memory = rule.init(model.n_states, model.n_channels)
-        return FilterState(past, x, P, u, memory, x, T, jnp.zeros(model.n_channels), jnp.array(True))
+        first = () if adapter is None else adapter.memory()
+        return FilterState(past, x, P, u, memory, x, T, jnp.zeros(model.n_channels), jnp.array(True), first)
 
     def counted(imu: Imu) -> Prepared:
+        raw = None if adapter is None else imu
         n, imu = jnp.sum(imu.dt > 0), padded(imu, cov_stride)
         keep = jnp.maximum(n - history + jnp.arange(history), 0)
-        return Prepared(n, keep, imu.dt.reshape(-1, cov_stride).sum(1), imu, cov_stride)
+        return Prepared(n, keep, imu.dt.reshape(-1, cov_stride).sum(1), imu, raw, cov_stride)
 
     def prepare(epochs: Epoch) -> Epoch:
         def one(imu: Imu, last: tuple[jax.Array, jax.Array]) -> Prepared:
@@ -322,7 +329,16 @@ def make_filter(
         f = jnp.broadcast_to(c.fade, x.shape)
         age = jnp.where(c.used, 0.0, age)
         new = FilterState(
-            after, x_after, f[:, None] * P_after * f, u, memory, x_after, jnp.zeros(()), age, jnp.array(True)
+            after,
+            x_after,
+            f[:, None] * P_after * f,
+            u,
+            memory,
+            x_after,
+            jnp.zeros(()),
+            age,
+            jnp.array(True),
+            state.adapter,
         )
         ok = state.ok & finite(new) & jnp.all(jnp.diag(c.P) >= 0)
         reported, x_enu, P_enu = model.report(model.retract(nav, x), x, reset_covariance(x[A], c.P))
@@ -330,7 +346,20 @@ def make_filter(
             reported, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok, log_det
         ), x  # fmt: skip
 
+    def adapt(params: Params, state: FilterState, epoch: Epoch) -> tuple[FilterState, Params, Epoch]:
+        """Return the state with the adapter's memory, and the parameters and the epoch to go on with."""
+        if adapter is None:
+            return state, params, epoch
+        imu: Any = epoch.imu.imu if isinstance(epoch.imu, Prepared) else epoch.imu
+        nav, _, P = model.report(jax.tree.map(lambda a: a[-1], state.past), state.x, state.P)
+        window = Window(imu, nav, P, state.age + state.T + imu.dt.sum(), epoch.fix)
+        memory, fix, factor = adapted(adapter, params.adapter, state.adapter, window, model.value_channels)
+        params = params._replace(noise=with_factor(params.noise, factor))
+        return state._replace(adapter=memory), params, epoch._replace(fix=fix)
+
     def advance(params: Params, state: FilterState, epoch: Epoch) -> Step:
+        before = state
+        state, params, epoch = adapt(params, state, epoch)
         noise = params.noise if epoch.gap is None else inflate_noise(params.noise, epoch.gap)
         if model.reads:
             state = state._replace(past=with_auxiliary(state.past, epoch.auxiliary))
@@ -339,7 +368,7 @@ def make_filter(
             predicted, moved = restarted(params, predicted, moved, epoch.fix)
         new, info, x_after = corrected(params, predicted, epoch.fix)
         # a run that fails freezes at its last good state, so that the others of a batch go on and nothing is nan
-        frozen = state._replace(ok=jnp.array(False))
+        frozen = before._replace(ok=jnp.array(False))
         last, x, P = model.report(jax.tree.map(lambda a: a[-1], state.past), state.x, state.P)
         quiet = Info(
             nav=last,
@@ -354,14 +383,14 @@ def make_filter(
             ok=info.ok,
             log_det=jnp.zeros(()),
         )
-        return Step(state, predicted, moved, select(info.ok, new, frozen), select(info.ok, info, quiet), x_after)
+        return Step(before, predicted, moved, select(info.ok, new, frozen), select(info.ok, info, quiet), x_after)
 
     def step(params: Params, state: FilterState, epoch: Epoch) -> tuple[FilterState, Info]:
         new = advance(params, state, epoch)
         return new.after, new.info
 
     def with_history(samples: int) -> Filter:
-        return make_filter(propagate, model, rule, feedback, cov_stride, samples, preintegrate)
+        return make_filter(propagate, model, rule, feedback, cov_stride, samples, preintegrate, adapter)
 
     return Filter(
         init,

@@ -92,17 +92,17 @@ def require_params(filt: Filter, params: Params) -> None:
     if missing := _missing(filt, params):
         raise ValueError(f"params has no {', '.join(missing)}, which the filter takes: {_MAKE}")
     expected = _expected(filt.params)
-    if expected is not None:
+    for part in ("rule", "adapter") if expected is not None else ():
+        given, taken = getattr(params, part), getattr(expected, part)
         try:
-            chex.assert_trees_all_equal_structs(params.rule, expected.rule)
+            chex.assert_trees_all_equal_structs(given, taken)
         except AssertionError as error:
-            found = f"params.rule is {_kind(params.rule)}, the filter takes {_kind(expected.rule)}"
-            raise ValueError(f"{found}: {_MAKE}") from error
+            raise ValueError(f"params.{part} is {_kind(given)}, the filter takes {_kind(taken)}: {_MAKE}") from error
     fitting = Params(
         params.noise, params.prior._replace(correlated=None),
         {name: params.states[name] for name in filt.model.states},
         {name: params.measurements[name] for name in filt.model.measurements},
-        params.mounting, params.rule,
+        params.mounting, params.rule, adapter=params.adapter,
     )  # fmt: skip
     for path, leaf in jax.tree_util.tree_flatten_with_path(fitting)[0]:
         name = jax.tree_util.keystr(path, simple=True, separator=".")
@@ -130,8 +130,8 @@ def _missing(filt: Filter, params: Params) -> list[str]:
 
 
 def _kind(theta: Any) -> str:
-    """Return the type of a rule's parameters, and its fields."""
-    fields = ", ".join(getattr(theta, "_fields", ()))
+    """Return the type of parameters of a rule or an adapter, and its fields."""
+    fields = ", ".join(getattr(theta, "_fields", theta if isinstance(theta, dict) else ()))
     return f"{type(theta).__name__}({fields})"
 
 
@@ -148,7 +148,8 @@ def _shapes(expected: Params | None, name: str) -> list[tuple[int, ...]]:
     if expected is None or not has(expected, name):
         return []
     root = [(3, 3)] * (name in UNITS and UNITS[name].root)
-    return list(dict.fromkeys([(), jnp.shape(get(expected, name)), *root]))
+    one = [()] * (group != "adapter")
+    return list(dict.fromkeys([*one, jnp.shape(get(expected, name)), *root]))
 
 
 @partial(stored, static_argnums=(0,))

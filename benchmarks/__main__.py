@@ -41,6 +41,7 @@ FOLDERS = {
         "parked": "heading of vehicles that are parked first or stop in between: error and stated sd",
         "damage": "thousands of damaged recordings, settings and checkpoints, and signals: outcomes",
         "faults": "faults of a receiver, twenty-five kinds: rules against a filter with the known time",
+        "learned": "networks inside of the filter: noise of fixes, constraints of wheels, against what is made by hand",
         "integrated": "a receiver that integrates its velocity: tuning against the filter with the true numbers",
         "smooth": "the smoother in outages, simulated and of a drive: consistent, and how near inside of them",
     },

@@ -30,6 +30,7 @@ from jaxnav.filters.lanes import relative_variance, slow_errors
 from jaxnav.filters.parameters import history_for
 from jaxnav.filters.run import require_params, require_x64
 from jaxnav.initialization.initialize import Initialization
+from jaxnav.io.weights import structure
 from jaxnav.maths import rotations
 from jaxnav.measurements import MEASUREMENTS, layout
 from jaxnav.measurements.measurement import along_track
@@ -40,7 +41,7 @@ from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Params, nearest
 SAME_EPOCH_S = 2 * TICK  # s: fixes that are as near are of one epoch
 MAX_AHEAD_S = 10.0  # s: a fix that is farther ahead of the samples was stamped by another clock
 SPREAD_SAMPLES = 400  # samples of the spread by which a hole is judged
-VERSION = 5  # of the format of `to_bytes`
+VERSION = 6  # of the format of `to_bytes`
 PLACES = np.cumsum([1, 3, 3, 3, 9, 3, 1, 4, 3, 3])  # where the fields of `Now` begin in a report, behind the first
 
 
@@ -338,7 +339,7 @@ class Stream:
         about = {
             "version": VERSION, "t": self.t, "interval": self.interval, "lag": self.lag, "rate": self.rate,
             "span": self.span, "delay_sd": self.delay_sd, "refused": self.refused,
-            "measurements": names, "states": list(self.filter.model.states),
+            "measurements": names, "states": list(self.filter.model.states), "adapter": structure(self.params.adapter),
             "fixes": [(t, name, *(a.tolist() for a in rest)) for t, name, *rest in self.fixes],
             "auxiliary": self.auxiliary,
         }  # fmt: skip
@@ -368,8 +369,9 @@ class Stream:
             with np.load(io.BytesIO(data), allow_pickle=False) as found:
                 about = json.loads(bytes(found["about"]))
                 rows = {key: found[key] for key in found.files if key != "about"}
-            stored = about["version"], about["measurements"], about["states"]
-            if stored != (VERSION, list(filt.model.measurements), list(filt.model.states)):
+            stored = [about[key] for key in ("version", "measurements", "states", "adapter")]
+            own = [list(filt.model.measurements), list(filt.model.states), structure(params.adapter)]
+            if stored != [VERSION, *own]:
                 raise DataError("the bytes are of a stream with another filter")
             options = {key: about[key] for key in ("interval", "lag", "rate", "span", "delay_sd")}
             stream = cls(filt, params, begin, **options)

@@ -249,7 +249,8 @@ class _Objective:
         self.rows = tuple(m for m in GNSS if m.name in rec.aiding)
         states = datasheet_states(GRADES["consumer"], (*BIASES, RECEIVER_ERROR)) | params.states
         fixes = {m.name: strong(m.defaults) for m in self.rows} | params.measurements  # a filter may take ranges alone
-        self.params = begin.apply_to(params._replace(states=states, measurements=fixes, rule=(), feedback=()))
+        plain = params._replace(states=states, measurements=fixes, rule=(), feedback=(), adapter=())
+        self.params = begin.apply_to(plain)
         rate, span = 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))
         self.filt = build("ekf15", self.rows, 5, history_for(self.params, rate, span), states=(RECEIVER_ERROR,))
         self.first = begin.t + min(WARM_UP_S, 0.25 * (end - begin.t))

@@ -45,6 +45,7 @@ class Filter:
 
     name: str = "ekf15"  # see `jaxnav info`
     grade: str = ""  # IMU datasheet, or "auto": noise and latency by likelihood; empty: the scenario's, else auto
+    adapter: str = ""  # learned part, a row of `jaxnav.ADAPTERS`, or the .npz of its weights
     states: tuple[str, ...] = ()  # optional error states in addition to the filter's, see `jaxnav.states.STATES`
     measurements: tuple[str, ...] = tuple(m.name for m in GNSS)  # the filter's, see `jaxnav.measurements.MEASUREMENTS`
     cov_stride: int = 5  # the error dynamics see means over so many IMU samples
@@ -300,9 +301,12 @@ def read_params(path: str | Path) -> dict[str, Any]:
     layer = {name: tree[name] for name in TABLES if name in tree}
     if not layer:
         raise ConfigError(f"{path}: has none of {', '.join(f'[{name}]' for name in TABLES)}")
-    for section, key in (("filter", "states"), ("tune", "prior")):
-        if key in tree.get(section, {}):
-            layer[section] = {key: tree[section][key]}
+    for section, keys in (("filter", ("states", "adapter")), ("tune", ("prior",))):
+        if given := {key: tree[section][key] for key in keys if key in tree.get(section, {})}:
+            layer[section] = given
+    weights = layer.get("filter", {}).get("adapter", "")
+    if isinstance(weights, str) and weights.endswith(".npz"):
+        layer["filter"]["adapter"] = str(Path(path).parent / weights)
     return layer
 
 

@@ -13,6 +13,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import datasheet_params, mounting
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.initialize import Initialization, initialize
+from jaxnav.io.weights import WEIGHTS, adapter_of, read_weights
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement
 from jaxnav.simulate.scenarios import Scenario
@@ -79,11 +80,24 @@ def filter_of(config: Config, measurements: Sequence[Measurement], history: int 
     Raises:
         ConfigError: states that are none, or that the filter cannot have.
     """
-    f = config.filter
+    f, adapter = config.filter, adapter_name(config)
     try:
-        return build(filter_name(config), measurements, f.cov_stride, history, states=f.states)
+        return build(filter_name(config), measurements, f.cov_stride, history, states=f.states, adapter=adapter)
     except ValueError as error:
-        raise ConfigError(f"filter.states: {error}") from error
+        key = "adapter" if adapter and adapter in str(error) else "states"
+        raise ConfigError(f"filter.{key}: {error}") from error
+
+
+def adapter_name(config: Config) -> str:
+    """Return the adapter that [filter] names, by itself or by a file of its weights; "" for none."""
+    named = config.filter.adapter
+    return adapter_of(named) if named.endswith(WEIGHTS) else named
+
+
+def with_weights(config: Config, params: Params) -> Params:
+    """Return the parameters of a filter with the weights of the file that [filter] names."""
+    named = config.filter.adapter
+    return params._replace(adapter=read_weights(named, params.adapter)) if named.endswith(WEIGHTS) else params
 
 
 def base_params(
@@ -94,14 +108,15 @@ def base_params(
     Raises:
         ConfigError: states that are none, or that the filter cannot have.
     """
-    states = filter_of(config, measurements_of(config)).model.states
+    filt = filter_of(config, measurements_of(config))
     start, entry = config.initialization, FILTERS[filter_name(config)]
     heading_sd = 360.0 / start.hypotheses if start.heading == "unknown" else start.heading_sd_deg
     params = datasheet_params(
         grade, position_sd, velocity_sd, start.tilt_sd_deg * DEG, heading_sd * DEG,
-        mounting(lever_arm), entry.theta(), states=states,
+        mounting(lever_arm), entry.theta(), entry.feedback_theta(), filt.model.states,
     )  # fmt: skip
-    return override(params._replace(feedback=entry.feedback_theta()), as_dict(config))
+    params = params._replace(adapter=filt.params(grade).adapter)
+    return override(with_weights(config, params), as_dict(config))
 
 
 def states_noise(config: Config) -> bool:

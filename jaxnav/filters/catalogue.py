@@ -212,8 +212,8 @@ def build(
     built = make_filter(mechanize, model, rule, feedback or entry.feedback, cov_stride, history, preintegrate, part)
     extra = None
     if entry.accepts_extra_states:
-        extra = _extended(name, chosen, cov_stride, history, feedback, frame, fast, tuple(states), part or "")
-    return _named(built, name, extra, part)
+        extra = _extended(name, chosen, cov_stride, history, feedback, frame, fast, tuple(states), adapter)
+    return _named(built, name, extra, part, adapter)
 
 
 def _adapter(adapter: str | Adapter, chosen: tuple[Measurement, ...]) -> Adapter:
@@ -266,13 +266,15 @@ def _extended(
 
 
 @cache
-def _named(built: Filter, name: str, with_states: Callable[..., Filter] | None, part: Adapter | None) -> Filter:
+def _named(
+    built: Filter, name: str, with_states: Callable[..., Filter] | None, part: Adapter | None, adapter: str | Adapter
+) -> Filter:
     """Return the filter with the catalogue's parameters, at any length of history."""
     with_history = built.with_history
     assert with_history is not None  # make_filter gives it
-    kept = lambda samples: _named(with_history(samples), name, with_states, part)
+    kept = lambda samples: _named(with_history(samples), name, with_states, part, adapter)
     return built._replace(
-        params=_params(name, built.model, part), with_history=kept, with_states=with_states, name=name
+        params=_params(name, built.model, part), with_history=kept, with_states=with_states, name=name, adapter=adapter
     )
 
 

@@ -88,6 +88,7 @@ class Filter(NamedTuple):
     with_states: Callable[..., "Filter"] | None = None  # (*names of states) -> the same filter with those on top
     supports_smoothing: bool = False  # see `Rule`
     name: str = ""  # in the catalogue
+    adapter: Any = ""  # as `jaxnav.filters.catalogue.build` takes it
 
 
 def _require_shapes(c: Correction, z: Innovation) -> None:

@@ -20,6 +20,7 @@ from jaxnav.filters.parameters import get
 from jaxnav.io import atomic_write
 from jaxnav.io.json import to_json, write_json
 from jaxnav.io.toml import to_toml
+from jaxnav.io.weights import WEIGHTS, read_weights, write_weights
 from jaxnav.measurements import MEASUREMENTS, Measurement
 from jaxnav.states.table import BIASES
 from jaxnav.types import DataError, Finding, Info, Params
@@ -277,6 +278,10 @@ def write(found: Tuned, folder: Path, states: Sequence[str] = (), exports: bool 
     extra = [name for name in found.filter.model.states if name not in (*BIASES, *states)]
     prior = [f"states.{name}.sd" for name in extra]
     params: dict[str, Any] = {"filter": {"states": [*states, *extra]}} if extra else {}
+    if jax.tree.leaves(found.params.adapter):
+        named = found.filter.adapter if isinstance(found.filter.adapter, str) else ""
+        write_weights(folder / f"tuned{WEIGHTS}", found.params.adapter, named)
+        params["filter"] = params.get("filter", {}) | {"adapter": f"tuned{WEIGHTS}"}
     stated = lambda each: nested(in_user_units(each, dict.fromkeys([*noise_leaves(each), *prior, *found.spec])))
     head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
     atomic_write(folder / "tuned.toml", head + to_toml(params | stated(found.params)))
@@ -313,4 +318,7 @@ def load(path: str | Path, params: Params) -> Params:
         raise DataError(f"{path}: is not TOML: {error}") from error
     if not any(isinstance(stated.get(table), dict) for table in TABLES):
         raise DataError(f"{path}: has none of {', '.join(f'[{table}]' for table in TABLES)}, as tuned.toml has")
+    weights = stated.get("filter", {}).get("adapter", "")
+    if isinstance(weights, str) and weights.endswith(WEIGHTS):
+        params = params._replace(adapter=read_weights(path.parent / weights, params.adapter))
     return override(params, stated)

@@ -124,7 +124,8 @@ def choose(
     for option in tried:
         begin()
         names = {*best.filter.model.measurements, *option.measurements}
-        filt = build(best.filter.name, [name for name in MEASUREMENTS if name in names], COV_STRIDE)
+        filt = build(best.filter.name, [name for name in MEASUREMENTS if name in names], COV_STRIDE,
+                     adapter=best.filter.adapter)  # fmt: skip
         more = [s for s in (*best.filter.model.states, *option.states) if s not in filt.model.states]
         if more and filt.with_states is not None:
             filt = filt.with_states(*more)

@@ -15,6 +15,7 @@ from jaxnav.analysis.receiver_errors import Receiver, receiver, stated, without_
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
+from jaxnav.filters.adapters.adapter import Adapter
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
@@ -101,6 +102,7 @@ def solve(
     rec: Recording,
     datasheet: Callable[[Filter], Params] = consumer,
     *,
+    adapter: str | Adapter = "",
     fast: bool = False,
     smooth: bool = True,
     initialization: Callable[[Recording, Params], Initialization] = initialize,
@@ -120,6 +122,7 @@ def solve(
         rec: the recording, with positions.
         datasheet: from a filter to its parameters, which noise and scales are found about; lever arms are the
             recording's unless it states one.
+        adapter: a learned part of the filter, see `jaxnav.build`; its weights are those of ``datasheet``.
         fast: do not tune.
         smooth: each epoch by all fixes, past and future.
         initialization: makes the initialization of a recording and parameters.
@@ -141,7 +144,7 @@ def solve(
     checked = check(rec)
     rec, standing = _not_early(checked), standing_of(checked.found)
     names = [m.name for m in GNSS if m.name in rec.aiding]
-    filt = build("ekf15", names, COV_STRIDE)
+    filt = build("ekf15", names, COV_STRIDE, adapter=adapter)
     datasheet_of = lambda f: installed(checked.clock(datasheet(f)), rec.lever_arm)
     bench_of = partial(_bench, filt, datasheet_of(filt), initialization, standing, stop)
     bench, tested = bench_of(rec)

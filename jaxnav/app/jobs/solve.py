@@ -12,7 +12,7 @@ from jaxnav.analysis.tables import table
 from jaxnav.app.config import Config, as_dict, changed
 from jaxnav.app.config import Filter as FilterSection
 from jaxnav.app.jobs.filtering import draw, require_formats, summary, time_of
-from jaxnav.app.prepare import AUTO, DATASHEET, initialization_of
+from jaxnav.app.prepare import AUTO, DATASHEET, adapter_name, initialization_of, with_weights
 from jaxnav.app.results import Card, CardRow, Outcome, Table, draws, stderr
 from jaxnav.app.sources import load
 from jaxnav.app.verb import Job
@@ -22,6 +22,7 @@ from jaxnav.filters.parameters import UNITS, get, has, installed
 from jaxnav.io import atomic_write
 from jaxnav.io.json import write_json
 from jaxnav.io.toml import to_toml
+from jaxnav.io.weights import WEIGHTS, write_weights
 from jaxnav.maths.units import DEG, PPM
 from jaxnav.states.table import BIASES
 from jaxnav.types import ConfigError, Params, Recording
@@ -66,7 +67,8 @@ def run(job: Job, fast: bool, limit: float | None) -> Outcome:
         log(f"an answer is in {job.out}: {in_words(found)}")
 
     found = solve(
-        rec, partial(datasheet, config), fast=fast, initialization=partial(initialization_of, config),
+        rec, partial(datasheet, config), adapter=adapter_name(config), fast=fast,
+        initialization=partial(initialization_of, config),
         stop=config.data.stop, check=partial(corrected, config), log=log, so_far=so_far,
         limit=math.inf if limit is None else limit - seconds["read"],
     )  # fmt: skip
@@ -82,6 +84,8 @@ def written(config: Config, folder: Path, found: Solved, seconds: dict[str, floa
         sol.write(folder / f"solution.{kind}", imu_rate=config.out.imu_rate, base=config.time.base)
     if found.tuned is not None:
         found.tuned.write(folder)
+    if again.filter.adapter:
+        write_weights(folder / f"tuned{WEIGHTS}", found.params.adapter, adapter_name(again))
     atomic_write(folder / "tuned.toml", parameters(again, found))
     metrics = found.metrics() | {"grade": AUTO, "time": time_of(config, sol)}
     if found.tuned is not None:
@@ -120,7 +124,7 @@ def with_options(config: Config, settings: Mapping[str, float | str]) -> Config:
 
 def datasheet(config: Config, filt: Filter) -> Params:
     """Return a consumer's datasheet with the parameters that the configuration states."""
-    return override(filt.params(DATASHEET), as_dict(config))
+    return override(with_weights(config, filt.params(DATASHEET)), as_dict(config))
 
 
 def reproducing(config: Config, found: Solved) -> Config:
@@ -131,7 +135,8 @@ def reproducing(config: Config, found: Solved) -> Config:
     values = {name: tuple(v) if isinstance(v, list) else v for name, v in in_user_units(params, leaves).items()}
     extra = tuple(name for name in sol.filter.model.states if name not in BIASES)
     chosen = FilterSection(
-        name=sol.filter.name, grade=DATASHEET, states=extra, measurements=tuple(sol.filter.model.measurements),
+        name=sol.filter.name, adapter=config.filter.adapter, grade=DATASHEET, states=extra,
+        measurements=tuple(sol.filter.model.measurements),
         cov_stride=COV_STRIDE, smooth=sol.smoothed, sd_factor=sol.sd_factor, velocity_sd_factor=sol.velocity_sd_factor,
         delay_sd_s=sol.delay_sd, clock_rate_sd_ppm=sol.clock_rate_sd / PPM,
         standing_accel_sd_mps2=standing.accel_sd, standing_gyro_sd_deg_per_s=standing.gyro_sd / DEG,
@@ -144,6 +149,8 @@ def parameters(config: Config, found: Solved) -> str:
     """Return tuned.toml: filter and parameters of the solution, for ``jaxnav filter --params``."""
     stated = as_dict(config)
     tables = {"filter": {key: stated["filter"][key] for key in ("states", "measurements")}}
+    if config.filter.adapter:
+        tables["filter"]["adapter"] = f"tuned{WEIGHTS}"
     tables |= nested(flat({table: stated[table] for table in TABLES if table in stated}))
     return f"# jaxnav solve: {found.verdict}: {found.why}\n# use: jaxnav filter --params tuned.toml\n{to_toml(tables)}"
 

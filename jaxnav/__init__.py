@@ -74,6 +74,10 @@ if TYPE_CHECKING:
         StateParams,
         Track,
     )
+    from jaxnav.io.weights import read_weights, write_weights
+    from jaxnav.simulate.keys import Purpose, run_keys
+    from jaxnav.simulate.scenarios import SCENARIOS, Scenario
+    from jaxnav.simulate.simulation import matched_params, simulate_runs, to_recording
     from tuning.solving.solve import Solved, solve
 
 # Imported when first asked for: the command line is there, and can be stopped, before jax is.
@@ -99,6 +103,10 @@ _HOMES = {
     "filters.smoother": "smooth",
     "filters.standstill": "constraint_samples stationary",
     "measurements": "GNSS MEASUREMENTS NONHOLONOMIC POSITION SPEED VELOCITY ZERO_RATE ZERO_VELOCITY",
+    "io.weights": "read_weights write_weights",
+    "simulate.keys": "Purpose run_keys",
+    "simulate.scenarios": "SCENARIOS Scenario",
+    "simulate.simulation": "matched_params simulate_runs to_recording",
     "states": "STATES State",
     "states.grades": "GRADES Grade",
     "types": "ConfigError DataError Epoch FilterError Finding Fix Imu ImuLog Info Mounting Nav Noise Params Prior "

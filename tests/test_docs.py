@@ -31,7 +31,8 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 def test_library_page_runs_and_does_what_it_says(capsys):
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
-    assert len(blocks) == 8
+    assert len(blocks) == 9
+    assert sum(bool(line.strip()) for line in blocks[7].splitlines()) <= 25
     assert sum(bool(line.strip()) for line in blocks[1].splitlines()) <= 15
     assert len(blocks[2].splitlines()) <= 30
     space: dict = {}
@@ -44,6 +45,8 @@ def test_library_page_runs_and_does_what_it_says(capsys):
     assert history[-1]["loss"] < history[0]["loss"]
     learned = space["learned"]
     assert learned.loss < learned.history[0]["loss"] and np.abs(learned.params.adapter["out"]).max() > 0.0
+    gains = space["gains"]
+    assert gains.loss <= min(row["validation"] for row in gains.history if "validation" in row) + 1e-9
     # the rule's knee at infinity is the Kalman filter
     jax, np_ = space["jax"], space["jnp"]
     params = space["params"]._replace(rule=space["Huber"](np_.array(1e9)))

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.common import options, write_json
+from benchmarks.recordings import dead_reckoning
 from jaxnav.analysis import metrics
 from jaxnav.analysis.tables import table
 from jaxnav.filters.catalogue import FILTERS, build
@@ -148,7 +149,7 @@ def main(argv: list[str]) -> None:
     parser = options("learned", __doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="four rules, 16 runs, 40 steps, two recordings")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", choices=("simulated", "cost"), help="one of the studies")
+    parser.add_argument("--only", choices=("simulated", "recorded", "cost"), help="one of the studies")
     args = parser.parse_args(argv)
     result: dict = {"seed": args.seed}
     if args.only in (None, "simulated"):
@@ -160,4 +161,7 @@ def main(argv: list[str]) -> None:
     if args.only in (None, "cost"):
         result["cost"] = cost(64 if args.quick else 256, args.seed)
         print(f"a batch with the network takes {result['cost']:.2f} times as long")
+    if args.only in (None, "recorded"):
+        result["recorded"] = dead_reckoning.study(args.quick)
+        print(f"drift at 60 s over that of a constant sd: {result['recorded']['median_ratio']:.2f} in the median")
     write_json(args.json, result)

@@ -13,6 +13,7 @@ FOLDERS = {
     },
     "speed": {
         "first": "the first answer: seconds of whole commands, from an empty cache and from a full one",
+        "float32": "a batch in float32 against float64: errors over ten minutes",
         "parallel": "covariances of a run as an associative scan against the sequential one",
         "speed": "speed against a C++ floor, plain JAX, numpy and other packages; gradients, compilation, growth",
     },

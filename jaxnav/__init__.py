@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from jaxnav.initialization.initialize import coarse_leveling, course, initialize
     from jaxnav.io.read import read
     from jaxnav.io.recording import recording
+    from jaxnav.io.weights import read_weights, write_weights
     from jaxnav.live import Live
     from jaxnav.measurements import (
         GNSS,
@@ -51,6 +52,9 @@ if TYPE_CHECKING:
     )
     from jaxnav.navigation import Solution, navigate
     from jaxnav.now import Now, Odometry
+    from jaxnav.simulate.keys import Purpose, run_keys
+    from jaxnav.simulate.scenarios import SCENARIOS, Scenario
+    from jaxnav.simulate.simulation import matched_params, simulate_runs, to_recording
     from jaxnav.states import STATES, State
     from jaxnav.states.grades import GRADES, Grade
     from jaxnav.stream import Stream
@@ -74,10 +78,6 @@ if TYPE_CHECKING:
         StateParams,
         Track,
     )
-    from jaxnav.io.weights import read_weights, write_weights
-    from jaxnav.simulate.keys import Purpose, run_keys
-    from jaxnav.simulate.scenarios import SCENARIOS, Scenario
-    from jaxnav.simulate.simulation import matched_params, simulate_runs, to_recording
     from tuning.solving.solve import Solved, solve
 
 # Imported when first asked for: the command line is there, and can be stopped, before jax is.

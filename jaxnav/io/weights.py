@@ -51,7 +51,11 @@ def adapter_of(path: FilePath) -> str:
 
 
 def read_weights(path: FilePath, like: Any) -> Any:
-    """Return the weights of a file, in a tree such as ``filt.params("consumer").adapter``.
+    """Return the weights of a file.
+
+    Args:
+        path: the file, of `write_weights`.
+        like: a tree of the same names and shapes, such as ``filt.params("consumer").adapter``.
 
     Raises:
         DataError: no file of weights, or one for another adapter: names the first array that does not fit.

@@ -20,7 +20,16 @@ class Purpose(IntEnum):
 
 
 def run_keys(seed: int, purpose: Purpose, numbers: ArrayLike) -> jax.Array:
-    """Return the keys (N,) of runs with these numbers (N,)."""
+    """Return the keys of runs.
+
+    Args:
+        seed: of the study.
+        purpose: runs of two purposes share no key.
+        numbers: (N,) int, of the runs.
+
+    Returns:
+        (N,) keys.
+    """
     return jax.vmap(partial(run_key, seed, purpose))(np.asarray(numbers, np.uint32))
 
 

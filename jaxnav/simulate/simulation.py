@@ -160,6 +160,11 @@ def matched_params(scenario: Scenario, rule: Any = (), feedback: Any = ()) -> Pa
     """Return the parameters of the simulation: the grade's datasheet, and the scenario's prior and installation.
 
     Of the errors beyond a grade's datasheet they know nothing, nor of faults and correlated noise.
+
+    Args:
+        scenario: the simulated case.
+        rule: parameters of the rule.
+        feedback: parameters of the feedback.
     """
     grade, start, receiver = GRADES[scenario.imu.grade], scenario.start, scenario.gnss
     params = datasheet_params(
@@ -195,7 +200,11 @@ SAMPLE, EPOCH = 300.0, 1000.0  # bytes of a simulated IMU sample and of an epoch
 
 
 def simulate_runs(keys: jax.Array, scenario: Scenario) -> Simulated:
-    """Return runs of the scenario, one for each of ``keys`` (B,).
+    """Return runs of the scenario.
+
+    Args:
+        keys: (B,) of the runs, such as of `run_keys`.
+        scenario: the simulated case.
 
     Raises:
         ConfigError: a scenario that does not fit together. DataError: more memory than there is.
@@ -217,7 +226,13 @@ def _runs_jit(keys: jax.Array, scenario: Scenario) -> Simulated:
 
 
 def to_recording(sim: Simulated, scenario: Scenario, t0: float = 0.0) -> Recording:
-    """One run as streams on the host, like a recorded one, ``t0`` s later; fixes in outages are left out."""
+    """One run as streams on the host, like a recorded one, ``t0`` s later; fixes in outages are left out.
+
+    Args:
+        sim: one run.
+        scenario: its scenario.
+        t0: s, time of its start.
+    """
     host = jax.tree.map(np.asarray, sim)
     flat = [a.reshape(-1, *a.shape[2:]) for a in host.epochs.imu]
     log = ImuLog(t0 + host.start.t + np.arange(1, flat[0].size + 1) / scenario.imu_rate_hz, *flat)

@@ -107,12 +107,18 @@ def test_factors_on_sd_and_noise_are_those_of_the_parameters(case, epochs):
 
 def test_what_is_hidden_is_not_seen(case, epochs):
     """Other values in missing channels change nothing but their residuals, which are those of the plain filter."""
+    curious = Adapter(
+        lambda theta, seen, window: (
+            window.fix.value.sum() + window.fix.sd.sum(), Adapted(times(window.fix, 1 + jnp.abs(jnp.sin(seen))))
+        ),
+        lambda: (), lambda: jnp.zeros(()),
+    )  # fmt: skip
+    filt, fix = filter_of(curious), epochs.fix
+    params, missing = filter_of("").params("consumer"), ~np.asarray(fix.valid)
+    spoilt = fix._replace(sd=jnp.where(missing, 7.0, fix.sd), value=jnp.where(missing, 0.3, fix.value))
+    found = [run_jit(filt, params, case.nav, epochs._replace(fix=each)).nav for each in (fix, spoilt)]
+    leaves_equal(*found)
     filt = filter_of("mlp_noise")
-    params = filt.params("consumer")
-    params = params._replace(adapter=moved(params.adapter))
-    missing = ~np.asarray(epochs.fix.valid)
-    other = epochs._replace(fix=epochs.fix._replace(sd=jnp.where(missing, 7.0, epochs.fix.sd)))
-    leaves_equal(run_jit(filt, params, case.nav, epochs).nav, run_jit(filt, params, case.nav, other).nav)
     start = filt.params("consumer")
     plain = run_jit(filter_of(""), start._replace(adapter=()), case.nav, epochs)
     leaves_equal(run_jit(filt, start, case.nav, epochs).residual, plain.residual, rtol=1e-9, atol=1e-9)
@@ -180,6 +186,25 @@ def test_a_stream_is_the_batch(case, name):
     assert len(found) >= 3
     for i, state in found:
         np.testing.assert_allclose(np.asarray(state.past.vel[-1]), batch.nav.vel[i], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_window_shows_where_the_epoch_begins(case, epochs, frame):
+    """Navigation and its covariance are those that the epoch before reported; ages grow where fixes are hidden."""
+    seen = lambda theta, memory, window: ((window.nav.pos, window.P[:3, :3], window.age), Adapted(window.fix))
+    nothing = lambda: (jnp.zeros(3), jnp.zeros((3, 3)), jnp.zeros(8))
+    filt = filter_of(Adapter(seen, lambda: (), nothing), frame)
+    state, step = filt.init(filt.params("consumer"), case.nav), jax.jit(filt.advance)
+    last, ages = None, []
+    for i in range(7):
+        done = step(filt.params("consumer"), state, jax.tree.map(lambda a, i=i: a[i], epochs))
+        pos, P, age = done.after.adapter
+        if last is not None:
+            np.testing.assert_allclose(pos, last.nav.pos, rtol=1e-13)
+            np.testing.assert_allclose(P, last.P[:3, :3], rtol=1e-6)
+        state, last = done.after, done.info
+        ages.append(float(age[0]))
+    np.testing.assert_allclose(ages, [1.0, 1.0, 1.0, 1.0, 2.0, 3.0, 1.0], rtol=1e-9)
 
 
 def test_an_adapter_that_fails_ends_the_run_and_says_so(case, epochs):

@@ -74,6 +74,23 @@ def test_vectornav_without_gps_time(tmp_path):
     assert any("dated by the message" in str(note) for note in parts.notes)
 
 
+def test_vectornav_fixes_alone(tmp_path):
+    """Messages of the receiver without an IMU are the fixes of another file; without GPS time, since start-up."""
+    lla = struct.pack("<3d", 48.0, 11.0, 500.0)
+    for dated in (True, False):
+        out = b""
+        for k in range(9):
+            when = {1: struct.pack("<Q", (316515 + k) * 10**9), 2: struct.pack("<H", A_WEEK)} if dated else {}
+            out += vectornav_message(
+                {0: {0: struct.pack("<Q", (5 + k) * 10**9)}, 3: when | {5: lla[:-8] + struct.pack("<d", 500.0 + k)}}
+            )
+        (tmp_path / "a.bin").write_bytes(out)
+        parts = read_parts(tmp_path / "a.bin")
+        assert parts.imu is None
+        expected = (START if dated else 5.0) + np.arange(9)
+        np.testing.assert_allclose(parts.aiding["position"].t + parts.zero, expected, rtol=0, atol=1e-6)
+
+
 def test_vectornav_increments(tmp_path):
     file = tmp_path / "a.bin"
     file.write_bytes(vectornav_log(increments=True))

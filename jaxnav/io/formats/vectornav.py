@@ -80,8 +80,8 @@ def messages(data: bytes) -> tuple[dict[bytes, list[bytes]], int]:
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Return whether there is a message with a right checksum near the start."""
-    return bool(SYNC in head and messages(head)[0])
+    """Return whether there are messages with a right checksum near the start: one may be chance in another binary."""
+    return SYNC in head and sum(map(len, messages(head)[0].values())) > 1
 
 
 def read(path: Path) -> Parts:
@@ -96,21 +96,24 @@ def read(path: Path) -> Parts:
     found, lost = messages(read_bytes(path))
     kinds = {head: (layout_of(head), np.frombuffer(b"".join(rows), np.uint8)) for head, rows in found.items()}
     logs = [_Log(known[0], table.reshape(-1, known[1])) for known, table in kinds.values() if known is not None]
-    dated = any(log.has_one(TIME_GPS) and log.imu() for log in logs)
     notes: list[str] = []
     streams: dict[str, Stream] = {}
     if lost:
         notes.append(f"{lost} messages are damaged and left out.")
     imus = [(log, rows) for log in logs if (rows := log.imu()) is not None]
+    fixes = [(log, group) for log in logs for group in (GNSS, GNSS_2) if log.has(group, 5)]
+    source = max(fixes, key=lambda each: (each[1] == GNSS, each[0].count), default=None)
+    dated = not imus or any(log.has_one(TIME_GPS) for log, _ in imus)
+    dated = dated and (source is None or source[0].is_dated(source[1]))  # else both by the time since start-up
     imu = None
     if imus:
-        log, (sampling, gyro, accel) = max(imus, key=lambda each: each[0].count)
+        log, (sampling, gyro, accel) = max(
+            imus, key=lambda each: (each[0].has_one(TIME_GPS if dated else STARTUP), each[0].count)
+        )
         scale = TimeScale.GPS if dated else TimeScale.UNKNOWN
         imu = ImuRows(log.time(dated), gyro, accel, sampling, scale=scale)
-    fixes = [(log, group) for log in logs for group in (GNSS, GNSS_2) if log.has(group, 5)]
-    if fixes:
-        log, group = max(fixes, key=lambda each: (each[1] == GNSS, each[0].count))
-        streams, without = log.fixes(group, dated or imu is None)
+    if source is not None:
+        streams, without = source[0].fixes(source[1], dated)
         if without:
             notes.append(f"{without} outputs of the receiver have no fix in three dimensions.")
         if not dated and imu is not None:
@@ -134,6 +137,10 @@ class _Log:
 
     def has_one(self, several: tuple[tuple[int, int], ...]) -> bool:
         return any(each in self.layout for each in several)
+
+    def is_dated(self, group: int) -> bool:
+        """Return whether fixes of a group have GPS time."""
+        return (self.has(group, 1) and self.has(group, 2)) or self.has_one(TIME_GPS)
 
     def get(self, group: int, output: int, kind: str, width: int = 1, skip: int = 0) -> np.ndarray:
         """Return an output (N, width), or (N,) of one number."""

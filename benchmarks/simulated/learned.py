@@ -8,6 +8,7 @@ Judged are 64 runs that none has seen.
 
 import time
 from functools import cache, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,14 +22,16 @@ from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import run
 from jaxnav.maths import earth
+from jaxnav.maths.interpolation import columns_at
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.processes import gauss_markov
 from jaxnav.simulate.scenarios import URBAN_SHORT, Scenario
-from jaxnav.simulate.simulation import Simulated, matched_params, simulate_runs
+from jaxnav.simulate.simulation import Simulated, matched_params, simulate_runs, to_recording
 from jaxnav.types import Params
 from tuning.fit.optimizers import adam
 from tuning.fit.train import fit
 from tuning.fit.transforms import LOG, TRANSFORMS, TREE
+from tuning.solving.solve import Solved, solve
 
 SCENARIO: Scenario = URBAN_SHORT._replace(
     name="doubtful", duration_s=120.0, gnss=URBAN_SHORT.gnss._replace(outages_s=())
@@ -114,8 +117,8 @@ def interval(learned: np.ndarray, rule: np.ndarray, seed: int) -> tuple[float, t
     return float(np.median(learned) / np.median(rule)), tuple(np.quantile(ratios, [0.025, 0.975]).tolist())
 
 
-def simulated(rules: tuple[str, ...], runs: int, steps: int, seed: int) -> dict:
-    """Return median errors on unseen runs, and the ratio of the network's to the best rule's."""
+def simulated(rules: tuple[str, ...], runs: int, steps: int, seed: int) -> tuple[dict, Any]:
+    """Return median errors on unseen runs with the ratio of the network's to the best rule's, and its weights."""
     train, validation = (drawn(p, runs, seed) for p in (Purpose.TRAIN, Purpose.VALIDATION))
     test, found = drawn(Purpose.TEST, 64, seed), {}
     for name in (*rules, LEARNED):
@@ -126,7 +129,32 @@ def simulated(rules: tuple[str, ...], runs: int, steps: int, seed: int) -> dict:
     best = min(rules, key=lambda name: float(np.median(found[name])))
     ratio, bounds = interval(found[LEARNED], found[best], seed)
     medians = {name: float(np.median(e)) for name, e in found.items()}
-    return {"ratio": ratio, "interval": bounds, "best": best, "median_m": medians, "runs": runs, "steps": steps}
+    about = {"ratio": ratio, "interval": bounds, "best": best, "median_m": medians, "runs": runs, "steps": steps}
+    return about, params.adapter
+
+
+def solving(weights, count: int, seed: int) -> dict:
+    """Return RMS horizontal errors of `solve` on unseen runs of five minutes, without the network and with it, m."""
+    scenario = SCENARIO._replace(duration_s=300.0)
+    keys = run_keys(seed, Purpose.SINGLE, np.arange(count))
+    sims, found = doubtful(scenario, keys, simulate_runs(keys, scenario)), {}
+    for adapter in ("", LEARNED):
+        datasheet = lambda filt, own=adapter: filt.params("consumer")._replace(adapter=weights if own else ())
+        found[adapter or "without"] = [
+            _delivered(solve(to_recording(jax.tree.map(lambda a, i=i: a[i], sims), scenario), datasheet,
+                             adapter=adapter, fast=True))
+            for i in range(count)
+        ]  # fmt: skip
+    ratios = np.array(found[LEARNED]) / np.array(found["without"])
+    return {"m": found, "median_ratio": float(np.median(ratios))}
+
+
+def _delivered(found: Solved) -> float:
+    """Return the RMS horizontal error of a delivered solution, m."""
+    sol, truth = found.solution, found.solution.recording.truth
+    there = columns_at(sol.t, truth.t, truth.lla)
+    off = np.asarray(jax.vmap(earth.enu_difference)(jnp.asarray(sol.lla), jnp.asarray(there)))
+    return float(np.sqrt(np.mean((off[sol.t > SETTLED_S, :2] ** 2).sum(1))))
 
 
 def cost(runs: int, seed: int) -> float:
@@ -154,10 +182,13 @@ def main(argv: list[str]) -> None:
     result: dict = {"seed": args.seed}
     if args.only in (None, "simulated"):
         runs, steps = (16, 40) if args.quick else (32, 80)
-        of = result["simulated"] = simulated(QUICK if args.quick else RULES, runs, steps, args.seed)
+        of, weights = simulated(QUICK if args.quick else RULES, runs, steps, args.seed)
+        result["simulated"] = of
         print(table(["filter", "median error, m"], [[n, f"{m:.3f}"] for n, m in of["median_m"].items()]))
         low, high = of["interval"]
         print(f"network over {of['best']}: {of['ratio']:.2f} ({low:.2f} to {high:.2f}, 95 %)")
+        result["solve"] = solving(weights, 2 if args.quick else 6, args.seed)
+        print(f"solve with the network over without it: {result['solve']['median_ratio']:.2f} in the median")
     if args.only in (None, "cost"):
         result["cost"] = cost(64 if args.quick else 256, args.seed)
         print(f"a batch with the network takes {result['cost']:.2f} times as long")

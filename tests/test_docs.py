@@ -5,7 +5,10 @@ import builtins
 import contextlib
 import importlib
 import inspect
+import json
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -193,3 +196,20 @@ def test_links_lead_somewhere(page):
 
 def test_the_readme_is_read_in_some_minutes():
     assert len((ROOT / "README.md").read_text().split()) <= 600
+
+
+def test_one_import_reaches_what_the_pages_use():
+    """``import jaxnav, tuning``: every name that the page for users of the library and the notebooks take from them."""
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
+    for notebook in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")):
+        blocks += ["".join(c["source"]) for c in json.loads(notebook.read_text())["cells"] if c["cell_type"] == "code"]
+    taken = [
+        f"{node.module}.{each.name}"
+        for block in blocks
+        for node in ast.walk(ast.parse(block))
+        if isinstance(node, ast.ImportFrom) and str(node.module).split(".")[0] in ("jaxnav", "tuning")
+        for each in node.names
+    ]
+    assert len(taken) > 20
+    reach = f"import jaxnav, tuning\nfor name in {taken!r}:\n    eval(name)"
+    subprocess.run([sys.executable, "-c", reach], check=True, cwd=ROOT)

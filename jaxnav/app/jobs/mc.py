@@ -59,7 +59,9 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
             matched_params(as_specified(each, scenario), entry.theta(), entry.feedback_theta()), as_dict(config)
         )
         rate, span = scenario.imu_rate_hz, scenario.duration_s
-        filt = build(name, GNSS, config.filter.cov_stride, history_for(params, rate, span))
+        history = history_for(params, rate, span)
+        filt = build(name, GNSS, config.filter.cov_stride, history, adapter=pre.adapter_name(each))
+        params = pre.with_weights(each, params._replace(adapter=filt.params().adapter))
         try:
             found[name] = montecarlo.monte_carlo(
                 filt, scenario, params, config.mc.runs, config.seed, chunk=config.mc.chunk,

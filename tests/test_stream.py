@@ -148,6 +148,9 @@ def test_a_restart_from_bytes_goes_on_to_the_bit(drive):
     for bad in (b"", data[: len(data) // 2], b"x" * 100):
         with pytest.raises(DataError, match="the bytes are no stream"):
             Stream.from_bytes(bad, ekf, params, begin)
+    network = params._replace(adapter={"weights": np.zeros(2)})
+    with pytest.raises(DataError, match="another filter"):
+        Stream.from_bytes(data, ekf, network, begin)
     other = build("ekf15", cov_stride=5, states=("gyro_scale",))
     with pytest.raises(DataError, match="another filter"):
         Stream.from_bytes(data, other, other.params("consumer"), begin)

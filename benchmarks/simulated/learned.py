@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.stats import bootstrap
 
 from benchmarks.common import options, write_json
 from benchmarks.recordings import dead_reckoning
@@ -112,9 +113,11 @@ def trained(name: str, train: Simulated, validation: Simulated, steps: int) -> t
 
 def interval(learned: np.ndarray, rule: np.ndarray, seed: int) -> tuple[float, tuple[float, float]]:
     """Return the ratio of medians of paired runs and its 95 % interval by 2,000 draws of runs."""
-    draws = np.random.default_rng(seed).integers(0, learned.size, (2000, learned.size))
-    ratios = np.median(learned[draws], 1) / np.median(rule[draws], 1)
-    return float(np.median(learned) / np.median(rule)), tuple(np.quantile(ratios, [0.025, 0.975]).tolist())
+    ratio = lambda a, b, axis=-1: np.median(a, axis) / np.median(b, axis)
+    found = bootstrap(
+        (learned, rule), ratio, n_resamples=2000, paired=True, method="percentile", rng=np.random.default_rng(seed)
+    )
+    return float(ratio(learned, rule)), tuple(map(float, found.confidence_interval))
 
 
 def simulated(rules: tuple[str, ...], runs: int, steps: int, seed: int) -> tuple[dict, Any]:

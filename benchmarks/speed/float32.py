@@ -1,7 +1,7 @@
 """A batch in float32: errors against float64 over ten minutes with two outages of a minute, 15 states, eight runs.
 
-Near latitude and longitude zero a float32 resolves what offsets from a float64 origin would: what is left there is the
-rounding of the filter. Elsewhere the resolution of a latitude, 0.4 m, comes on top.
+Near latitude and longitude zero a float32 resolves positions as finely as offsets from a float64 origin: the difference
+there is the filter's rounding. Elsewhere the resolution of a latitude, 0.4 m, is added.
 """
 
 import pickle
@@ -55,8 +55,8 @@ def errors(frame: str, place: tuple[float, float, float], runs: int, seed: int) 
         file.write_bytes(pickle.dumps((frame, given)))
         subprocess.run([sys.executable, "-m", __name__, str(file)], check=True)
         narrow = np.load(file.with_suffix(".npy"))
-    apart = lambda a, b: np.asarray(jax.vmap(jax.vmap(earth.enu_difference))(jnp.asarray(a), jnp.asarray(b)))
-    off, error = apart(narrow, wide), apart(wide, sims.truth.pos)
+    difference = lambda a, b: np.asarray(jax.vmap(jax.vmap(earth.enu_difference))(jnp.asarray(a), jnp.asarray(b)))
+    off, error = difference(narrow, wide), difference(wide, sims.truth.pos)
     rms = lambda a: float(np.sqrt(np.mean(np.sum(a**2, -1))))
     return {"rms_m": rms(off), "largest_m": float(np.abs(off).max()), "error_m": rms(error)}
 

@@ -70,7 +70,7 @@ def _level(shown: np.ndarray, said: np.ndarray, sd: float) -> list[Finding]:
     }
     tries |= {f"velocity.units: looks like {unit}": said / k for unit, k in UNITS.items()}
     tries |= {"velocity.units: looks like km/h, converted once too often": said * UNITS["km/h"]}
-    tries |= {"velocity.units: positions look like feet": said * UNITS["feet per second"]}
+    tries |= {"velocity.units: positions look like feet": said * FEET}
     best = min(tries, key=lambda key: rms(shown - tries[key]))
     if rms(shown - tries[best]) < 0.4 * off:
         code, cause = best.split(": ")

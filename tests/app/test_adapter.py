@@ -13,7 +13,7 @@ from tests.filters.test_adapters import moved
 
 
 def test_weights_of_a_tuned_toml_reach_the_filter(tmp_path):
-    """The file is beside tuned.toml, wherever the command is run."""
+    """The file is in the folder of tuned.toml, wherever the command is run."""
     weights = moved(build("ekf15", adapter="mlp_noise").params("consumer").adapter)
     write_weights(tmp_path / "net.npz", weights, "mlp_noise")
     (tmp_path / "tuned.toml").write_text('[filter]\nadapter = "net.npz"\n[noise]\ngyro_deg_per_sqrt_hour = 0.5\n')

@@ -100,9 +100,9 @@ def test_factors_on_sd_and_noise_are_those_of_the_parameters(case, epochs):
     known = np.asarray(epochs.fix.valid).any(1)
     for a, b in zip(found[:5], expected[:5], strict=True):
         leaves_equal(jax.tree.map(lambda x: x[known], a), jax.tree.map(lambda x: x[known], b), rtol=1e-12, atol=1e-12)
-    louder = change(params, {"noise.gyro": 2 * params.noise.gyro, "noise.accel": 5 * params.noise.accel})
+    noisier = change(params, {"noise.gyro": 2 * params.noise.gyro, "noise.accel": 5 * params.noise.accel})
     found = run_jit(filter_of(constant(noise=jnp.array([2.0, 5.0]))), params, case.nav, epochs)
-    leaves_equal(found, run_jit(filter_of(""), louder, case.nav, epochs), rtol=1e-12, atol=1e-12)
+    leaves_equal(found, run_jit(filter_of(""), noisier, case.nav, epochs), rtol=1e-12, atol=1e-12)
 
 
 def test_what_is_hidden_is_not_seen(case, epochs):
@@ -115,8 +115,8 @@ def test_what_is_hidden_is_not_seen(case, epochs):
     )  # fmt: skip
     filt, fix = filter_of(curious), epochs.fix
     params, missing = filter_of("").params("consumer"), ~np.asarray(fix.valid)
-    spoilt = fix._replace(sd=jnp.where(missing, 7.0, fix.sd), value=jnp.where(missing, 0.3, fix.value))
-    found = [run_jit(filt, params, case.nav, epochs._replace(fix=each)).nav for each in (fix, spoilt)]
+    changed = fix._replace(sd=jnp.where(missing, 7.0, fix.sd), value=jnp.where(missing, 0.3, fix.value))
+    found = [run_jit(filt, params, case.nav, epochs._replace(fix=each)).nav for each in (fix, changed)]
     leaves_equal(*found)
     filt = filter_of("mlp_noise")
     start = filt.params("consumer")
@@ -205,6 +205,12 @@ def test_a_window_shows_where_the_epoch_begins(case, epochs, frame):
         state, last = done.after, done.info
         ages.append(float(age[0]))
     np.testing.assert_allclose(ages, [1.0, 1.0, 1.0, 1.0, 2.0, 3.0, 1.0], rtol=1e-9)
+
+
+def test_a_fix_of_another_shape_is_refused(case, epochs):
+    wrong = Adapter(lambda theta, memory, window: (memory, Adapted(window.fix._replace(sd=jnp.ones(3)))), lambda: ())
+    with pytest.raises(ValueError, match=r"the adapter's fix has sd of shape \(3,\), expected \(8,\)"):
+        run(filter_of(wrong), filter_of("").params("consumer"), case.nav, epochs)
 
 
 def test_an_adapter_that_fails_ends_the_run_and_says_so(case, epochs):

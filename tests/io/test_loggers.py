@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxnav.io.formats import vectornav
-from jaxnav.io.read import read_parts
+from jaxnav.io.read import read, read_parts
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG, G0
 from jaxnav.types import DataError
@@ -91,6 +91,22 @@ def test_vectornav_fixes_alone(tmp_path):
         np.testing.assert_allclose(parts.aiding["position"].t + parts.zero, expected, rtol=0, atol=1e-6)
 
 
+def test_vectornav_repeats_of_a_fix_are_one(tmp_path):
+    """A receiver at 1 Hz in every message of an IMU at 20 Hz: rows are new by their time, else by their position."""
+    for tow in (True, False):
+        out = b""
+        for k in range(60):
+            second = k // 20
+            lla = struct.pack("<3d", 48.0 + 1e-4 * second, 11.0, 500.0)
+            when = {1: struct.pack("<Q", (316515 + second) * 10**9), 2: struct.pack("<H", A_WEEK)} if tow else {}
+            clock = {0: struct.pack("<Q", k * 50_000_000 + 10**9), 1: struct.pack("<Q", 10**18 + k * 50_000_000)}
+            imu = {5: struct.pack("<3f", 0.01, 0.0, 0.0), 8: struct.pack("<3f", 0.0, 0.0, -9.8)}
+            out += vectornav_message({0: clock | imu, 3: when | {5: lla}})
+        (tmp_path / "a.bin").write_bytes(out)
+        parts = read_parts(tmp_path / "a.bin")
+        assert parts.imu.t.size == 60 and parts.aiding["position"].t.size == 3
+
+
 def test_vectornav_increments(tmp_path):
     file = tmp_path / "a.bin"
     file.write_bytes(vectornav_log(increments=True))
@@ -154,6 +170,12 @@ def test_flysight(tmp_path):
     assert parts.aiding["barometer"].t.size == 4
     alone = read_parts(folder / "SENSOR.CSV")
     assert alone.imu is not None and "position" not in alone.aiding
+
+
+def test_stated_scales_are_converted_in_a_recording_shorter_than_the_leap_seconds(tmp_path):
+    """Nine seconds of sensors in GPS time and fixes in UTC, 18 s behind it."""
+    rec = read(flysight(tmp_path / "04-20-00", 9))
+    np.testing.assert_allclose(rec.aiding["position"].t[[0, -1]], rec.imu.t[0] + np.array([0.0, 8.8]), atol=0.03)
 
 
 def test_flysight_without_a_date(tmp_path):

@@ -365,6 +365,10 @@ def test_a_twist_that_moves_sideways_is_no_wheel(left, read_, words):
     assert words is None or words in notes[-1]
     if read_:
         assert parts.aiding["speed"].value.shape == (50, 1)
+    for row in rows:
+        row[0] = row[2] = np.nan  # a driver without a twist
+    unknown = rosbag._parts("a.bag", {"speed": rows}, {"speed": list(range(0, 50 * 10**8, 10**8))}, [])
+    assert np.isnan(unknown.aiding["speed"].value).all()  # which mending leaves out
 
 
 def test_an_odometry_of_a_filter_is_read_only_where_it_is_named():

@@ -51,6 +51,12 @@ def test_damaged_files_and_weights_that_are_not_finite_are_refused(tmp_path):
         file.write_bytes(data)
         with pytest.raises(DataError, match=r"net.npz"):
             read_weights(file, TREE)
+    write_weights(file, TREE)
+    with np.load(file) as found:
+        changed = dict(found) | {"b.weights": np.zeros((2, 2))}
+    np.savez(file, **changed)
+    with pytest.raises(DataError, match="its digest is that of other arrays"):
+        read_weights(file, TREE)
     np.savez(file, a=np.zeros(2))
     with pytest.raises(DataError, match="no file of weights"):
         read_weights(file, TREE)

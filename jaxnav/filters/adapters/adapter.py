@@ -60,12 +60,19 @@ def adapted(
         memory: its state.
         window: the epoch, with the whole fix.
         channels: (m,) channel that each entry of a fix's value shows.
+
+    Raises:
+        ValueError: when traced, a fix of another shape.
     """
     fix, shows = window.fix, jnp.array(channels)
     seen = lambda a, none, valid=fix.valid: jnp.where(valid, a, none)
     value = seen(fix.value, 0.0, fix.valid[shows])
     blank = fix._replace(value=value, sd=seen(fix.sd, 1.0), corr=seen(fix.corr, 0.0))
     memory, (new, noise) = adapter.adapt(theta, memory, window._replace(fix=blank))
+    for name in ("value", "sd", "corr", "valid"):
+        found, expected = (jnp.shape(getattr(each, name)) for each in (new, fix))
+        if found != expected:
+            raise ValueError(f"the adapter's fix has {name} of shape {found}, expected {expected}")
     kept = lambda a, old, valid=new.valid: jnp.where(valid, a, old)
     value = kept(new.value, fix.value, new.valid[shows])
     return memory, new._replace(value=value, sd=kept(new.sd, fix.sd), corr=kept(new.corr, fix.corr)), noise

@@ -46,4 +46,6 @@ def read(path: Path) -> Parts:
         fix = {**rows("GNSS", TRACK), "time_unit": "iso", "time_scale": "utc"}
         table["position"] = {**fix, "lla": [3, 4, 5], "sd_enu": ["9", "9", "10"]}
         table["velocity"] = {**fix, "ned": [6, 7, 8], "sd": "11"}
-    return described(table, os.fspath(path), folder)
+    parts = described(table, os.fspath(path), folder)
+    worn = 'the unit is assumed to be worn forward, left, up: axes = "flu" (option axes).'
+    return parts._replace(notes=(*parts.notes, worn)) if parts.imu is not None else parts

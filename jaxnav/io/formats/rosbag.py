@@ -200,7 +200,8 @@ def _parts(file: str, rows: dict[str, list[Any]], stamps: dict[str, list[int]], 
             imu = ImuRows(t, gyro, accel)
             continue
         if stream == "speed":
-            across = np.sqrt(np.nanmean(table[:, 2] ** 2)) > MAX_ACROSS * np.sqrt(np.nanmean(table[:, 0] ** 2))
+            forward, left = np.linalg.norm(np.nan_to_num(table[:, :3:2]), axis=0)
+            across = left > MAX_ACROSS * forward
             if not table[:, :3:2].any() or across:
                 why = "move sideways: in the world's axes" if across else "are all 0: it has a pose alone"
                 notes.append(f"speed: the twists of the odometry {why}, and it is not read.")

@@ -1,4 +1,4 @@
-"""Racelogic VBO: minutes of arc with longitude to the west, km/h, and the IMU of its own modules where it is there."""
+"""Racelogic VBO: minutes of arc with longitude to the west, km/h, and the IMU of an inertial module."""
 
 import datetime
 import os

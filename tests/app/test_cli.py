@@ -406,7 +406,12 @@ def test_info(capsys):
     assert cli.main(["info", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["metrics"]
     assert gc.get_threshold()[0] == cli.COLLECT
-    assert found["x64"] is True and "ekf15" in found["filters"] and found["compilation_cache"] is None
+    assert (
+        found["x64"] is True
+        and "ekf15" in found["filters"]
+        and "mlp_noise" in found["adapters"]
+        and found["compilation_cache"] is None
+    )
     assert cli.main(["info"]) == 0
     assert "rtkexplorer_drive" in capsys.readouterr().out
 

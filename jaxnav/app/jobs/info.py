@@ -10,6 +10,7 @@ from jaxnav import io
 from jaxnav.analysis.tables import table
 from jaxnav.app.jobs.filtering import describe, describe_text
 from jaxnav.app.results import Outcome, git_hash, versions
+from jaxnav.filters.adapters import ADAPTERS
 from jaxnav.filters.catalogue import FILTERS
 from jaxnav.filters.compiler import CACHE, cache_home
 from jaxnav.simulate.scenarios import SCENARIOS
@@ -28,6 +29,7 @@ def info(clear: bool = False) -> Outcome:
         "x64": bool(jax.config.read("jax_enable_x64")),
         "compilation_cache": None if cache_home() is None else str(cache_home()),
         "filters": {name: entry.citation for name, entry in FILTERS.items()},
+        "adapters": {name: row.citation for name, row in ADAPTERS.items()},
         "scenarios": list(SCENARIOS),
         "grades": {name: grade.source for name, grade in GRADES.items()},
         "data_sets": where(),
@@ -36,6 +38,7 @@ def info(clear: bool = False) -> Outcome:
     lines += [f"git {found['git'] or 'none: an installed package'}", f"devices {', '.join(found['devices'])}"]
     lines += [f"float64 {'on' if found['x64'] else 'off'}", programs(), ""]
     lines += [table(["filter", "of"], list(found["filters"].items())), ""]
+    lines += [table(["adapter", "of"], list(found["adapters"].items())), ""]
     lines += [
         f"scenarios {', '.join(SCENARIOS)}",
         f"IMU grades {', '.join(GRADES)}",

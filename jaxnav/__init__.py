@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from jaxnav.filters.rule import Correction, Innovation, Rule
     from jaxnav.filters.run import initial_nav, prepare, require_params, require_x64, run, run_jit, track
     from jaxnav.filters.smoother import smooth
+    from jaxnav.filters.spec import FilterSpec
     from jaxnav.filters.standstill import constraint_samples, stationary
     from jaxnav.initialization.bank import heading_bank, with_headings
     from jaxnav.initialization.initialize import coarse_leveling, course, initialize
@@ -101,6 +102,7 @@ _HOMES = {
     "filters.rule": "Correction Innovation Rule",
     "filters.run": "initial_nav prepare require_params require_x64 run run_jit track",
     "filters.smoother": "smooth",
+    "filters.spec": "FilterSpec",
     "filters.standstill": "constraint_samples stationary",
     "measurements": "GNSS MEASUREMENTS NONHOLONOMIC POSITION SPEED VELOCITY ZERO_RATE ZERO_VELOCITY",
     "io.weights": "read_weights write_weights",

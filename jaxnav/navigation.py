@@ -21,6 +21,7 @@ from jaxnav.checkup.inertial import gap_findings
 from jaxnav.checkup.motion import mixups
 from jaxnav.checkup.witnesses import headings
 from jaxnav.filters import epochs as ep
+from jaxnav.filters.catalogue import changed
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK, holes
@@ -288,8 +289,8 @@ def navigate(
         rec, params = moved, later(params, moved.early - rec.early)
     begin, given = make(rec, params), params
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    if filt.with_history:
-        filt = filt.with_history(history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
+    history = history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t)))
+    filt = changed(filt, history=history)
 
     def run_from(begin: Initialization) -> Run:
         """Run, and smooth if wanted, from an initialization."""

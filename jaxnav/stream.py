@@ -3,7 +3,7 @@
 A fix belongs to its time and not to its arrival. The stream keeps the states after the last fixes, the samples and the
 fixes of the last ``lag`` seconds; a late arrival is put into its place, and the epochs after it are run
 again, as `jaxnav.filters.epochs.pack` would have cut them. Order and delay of arrivals make no difference, and the
-solution is that of a batch, to the bit where both are compiled for epochs of about as many samples. Between two fixes
+solution is that of a batch but for rounding (1e-13). Between two fixes
 navigation of *now* is predicted from the last epoch's end.
 """
 
@@ -23,6 +23,7 @@ from jax import lax
 
 from jaxnav.filters import epochs as ep
 from jaxnav.filters import gaps
+from jaxnav.filters.catalogue import changed
 from jaxnav.filters.core import Filter, FilterState
 from jaxnav.filters.cutting import cut_imu
 from jaxnav.filters.gaps import TICK
@@ -41,7 +42,7 @@ from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Params, nearest
 SAME_EPOCH_S = 2 * TICK  # s: fixes that are as near are of one epoch
 MAX_AHEAD_S = 10.0  # s: a fix that is farther ahead of the samples was stamped by another clock
 SPREAD_SAMPLES = 400  # samples of the spread by which a hole is judged
-VERSION = 6  # of the format of `to_bytes`
+VERSION = 7  # of the format of `to_bytes`
 PLACES = np.cumsum([1, 3, 3, 3, 9, 3, 1, 4, 3, 3])  # where the fields of `Now` begin in a report, behind the first
 
 
@@ -108,7 +109,7 @@ class Stream:
         self.params = begin.apply_to(params)
         require_x64(self.params)
         require_params(filt, self.params)
-        self.filter = filt.with_history(history_for(self.params, rate, span)) if filt.with_history else filt
+        self.filter = changed(filt, history=history_for(self.params, rate, span))
         self.interval, self.lag, self.rate, self.span, self.delay_sd = interval, lag, rate, span, delay_sd
         self.usual = 4 * math.ceil((rate * interval + 2) / 4)  # samples of an epoch, its ends cut into two
         self.slices = layout(tuple(MEASUREMENTS[name] for name in filt.model.measurements))
@@ -335,11 +336,10 @@ class Stream:
         arrays["samples"] = np.array(self.samples).reshape(-1, 8)
         arrays["holes"] = np.array(self.holes).reshape(-1, 4)
         arrays["now"] = np.concatenate([np.ravel(a) for a in self.now]).astype(float)
-        names = list(self.slices)
         about = {
             "version": VERSION, "t": self.t, "interval": self.interval, "lag": self.lag, "rate": self.rate,
             "span": self.span, "delay_sd": self.delay_sd, "refused": self.refused,
-            "measurements": names, "states": list(self.filter.model.states), "adapter": structure(self.params.adapter),
+            **_about(self.filter, self.params),
             "fixes": [(t, name, *(a.tolist() for a in rest)) for t, name, *rest in self.fixes],
             "auxiliary": self.auxiliary,
         }  # fmt: skip
@@ -369,9 +369,8 @@ class Stream:
             with np.load(io.BytesIO(data), allow_pickle=False) as found:
                 about = json.loads(bytes(found["about"]))
                 rows = {key: found[key] for key in found.files if key != "about"}
-            stored = [about[key] for key in ("version", "measurements", "states", "adapter")]
-            own = [list(filt.model.measurements), list(filt.model.states), structure(params.adapter)]
-            if stored != [VERSION, *own]:
+            own = {"version": VERSION} | _about(filt, params)
+            if any(about[key] != own[key] for key in own):
                 raise DataError("the bytes are of a stream with another filter")
             options = {key: about[key] for key in ("interval", "lag", "rate", "span", "delay_sd")}
             stream = cls(filt, params, begin, **options)
@@ -394,6 +393,13 @@ class Stream:
         except Exception as error:  # any error of a damaged archive
             raise DataError(f"the bytes are no stream of jaxnav: {error}") from error
         return stream
+
+
+def _about(filt: Filter, params: Params) -> dict[str, Any]:
+    """Return what a stream and the filter that goes on with it share."""
+    spec = {} if filt.spec is None else filt.spec.replace(history=2).as_dict()
+    rows = {"measurements": list(filt.model.measurements), "states": list(filt.model.states)}
+    return {"filter": spec, **rows, "adapter": structure(params.adapter)}
 
 
 def checked_sample(t: float, gyro: Any, accel: Any, dt: float | None, last: float) -> tuple[np.ndarray, str]:

@@ -8,13 +8,15 @@ Frames: ``n`` local level ENU, ``b`` body FRD (forward, right, down). A specific
 """
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import numpy as np
+
+Row = TypeVar("Row")
 
 # ---------------------------------------------------------------------------- errors that a user can act on
 
@@ -64,6 +66,18 @@ def nearest(name: str, known: Iterable[str]) -> str:
     known = list(known)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     return f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
+
+
+class Table(dict[str, Row]):
+    """Rows by name. Users add theirs at run time; the table knows those that came with the library."""
+
+    def __init__(self, rows: Mapping[str, Row]):
+        super().__init__(rows)
+        self._first = dict(rows)
+
+    def is_built_in(self, name: str) -> bool:
+        """Return whether the row of this name came with the library."""
+        return name in self._first and self[name] is self._first[name]
 
 
 # ---------------------------------------------------------------------------- traced: inputs of a filter

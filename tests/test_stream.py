@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxnav import build, initialize, mounting, navigate
 from jaxnav.filters import epochs as ep
+from jaxnav.filters.catalogue import changed
 from jaxnav.filters.run import run_jit
 from jaxnav.initialization.initialize import Initialization
 from jaxnav.measurements import GNSS
@@ -59,7 +60,7 @@ def same(a, b):
 def test_it_is_the_batch(drive):
     """At every epoch, those without a fix in the outage among them; nothing is compiled on the way.
 
-    To rounding: this suite compiles without most optimizations. As users run it, it is to the bit, see below.
+    To rounding: this suite compiles without most optimizations. As users run it, it is to 1e-13, see below.
     """
     rec, ekf, params, begin = drive
     sol = navigate(rec, ekf, params, initialization=begin)
@@ -89,8 +90,8 @@ def test_it_is_the_batch(drive):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("emitters", ["", "--xla_cpu_use_fusion_emitters=false"], ids=["library", "command line"])
-def test_it_is_the_batch_to_the_bit(emitters):
-    """In a process of its own, compiled as users' programs are."""
+def test_it_is_the_batch_but_for_the_last_digits(emitters):
+    """In a process of its own, compiled as users' programs are; equal to the bit on some processors."""
     env = os.environ | {"XLA_FLAGS": emitters, "JAX_PLATFORMS": "cpu"}
     code = """
         import jax, numpy as np, jaxnav
@@ -107,7 +108,9 @@ def test_it_is_the_batch_to_the_bit(emitters):
         rows = [i for i, when in enumerate(packed.t) if round(float(when), 6) in ends]
         assert len(rows) >= packed.t.size - 1, len(rows)
         for i in rows:
-            t.same(ends[round(float(packed.t[i]), 6)], jax.tree.map(lambda a: a[i], batch))
+            mine, its = ends[round(float(packed.t[i]), 6)], jax.tree.map(lambda a: a[i], batch)
+            for a, b in zip(jax.tree.leaves(mine), jax.tree.leaves(its), strict=True):
+                np.testing.assert_allclose(a, b, rtol=0, atol=1e-13 * max(1.0, float(np.abs(b).max())))
     """
     subprocess.run([sys.executable, "-c", textwrap.dedent(code)], env=env, check=True, timeout=300)
 
@@ -151,9 +154,10 @@ def test_a_restart_from_bytes_goes_on_to_the_bit(drive):
     network = params._replace(adapter={"weights": np.zeros(2)})
     with pytest.raises(DataError, match="another filter"):
         Stream.from_bytes(data, ekf, network, begin)
-    other = build("ekf15", cov_stride=5, states=("gyro_scale",))
-    with pytest.raises(DataError, match="another filter"):
-        Stream.from_bytes(data, other, other.params("consumer"), begin)
+    for field in ({"states": ("gyro_scale",)}, {"cov_stride": 10}, {"name": "ekf15_fading"}):
+        other = changed(ekf, **field)
+        with pytest.raises(DataError, match="another filter"):
+            Stream.from_bytes(data, other, other.params("consumer"), begin)
 
 
 def test_all_fields_of_now_are_of_one_state(drive):

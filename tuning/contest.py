@@ -137,13 +137,13 @@ def applied(params: Params, nominal: Params) -> Params:
 @cache
 def loss_of(filt: Filter) -> Callable[[Params, ContestRuns], jax.Array]:
     """Log of one run's RMS position error, inf where it stops being finite; one function for a filter."""
+    return partial(_loss, filt)
 
-    def loss(params: Params, case: ContestRuns) -> jax.Array:
-        info = run(filt, applied(params, case.nominal), case.start, case.epochs)
-        error = jax.vmap(metrics.position_error)(info.nav, case.truth.pos)
-        return jnp.where(info.ok.all(), 0.5 * jnp.log(jnp.mean(jnp.sum(error**2, axis=1)) + 1e-12), jnp.inf)
 
-    return loss
+def _loss(filt: Filter, params: Params, case: ContestRuns) -> jax.Array:
+    info = run(filt, applied(params, case.nominal), case.start, case.epochs)
+    error = jax.vmap(metrics.position_error)(info.nav, case.truth.pos)
+    return jnp.where(info.ok.all(), 0.5 * jnp.log(jnp.mean(jnp.sum(error**2, axis=1)) + 1e-12), jnp.inf)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxnav.analysis import metrics
 from jaxnav.checkup.findings import finding
+from jaxnav.filters.catalogue import changed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import get, history_for
@@ -22,10 +23,10 @@ from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate_runs
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError, Epoch, FilterError, Fix, Info, Nav, Params
+from tuning import likelihood
 from tuning.fit import objectives
 from tuning.fit.train import Fit
 from tuning.fit.transforms import Spec, leaves, merged
-from tuning.recordings import likelihood
 from tuning.recordings.parts import MAX_ADDED_DELAY_S
 from tuning.recordings.priors import spec_of
 from tuning.recordings.report import MIN_WINDOWS, Trial, Tuned, channels, ratios, spread, verdict
@@ -111,12 +112,10 @@ def tune_simulated(
     """
     for each in params:
         require_params(filt, each)
-    if filt.with_history:
-        reach = [
-            history_for(p, s.imu_rate_hz, s.duration_s, MAX_ADDED_DELAY_S)
-            for p, s in zip(params, scenarios, strict=True)
-        ]
-        filt = filt.with_history(max(reach))
+    reach = [
+        history_for(p, s.imu_rate_hz, s.duration_s, MAX_ADDED_DELAY_S) for p, s in zip(params, scenarios, strict=True)
+    ]
+    filt = changed(filt, history=max(reach))
     spec = spec_of(filt, params[0], free, prior_sd, priors)
     used = [_simulated(filt, s, p, counts, seed + i) for i, (s, p) in enumerate(zip(scenarios, params, strict=True))]
     windows = [u.windows_hidden for u in used]
@@ -208,12 +207,11 @@ def _blocks(r: Run) -> np.ndarray:
 # ---------------------------------------------------------------------------- search and score
 
 
-def _source(filt: Filter, u: SimulatedRuns) -> likelihood.Source:
+def _source(filt: Filter, u: SimulatedRuns) -> likelihood.Runs:
     """Return the likelihood's data of a scenario: its training runs, each a block."""
     r = u.runs["training"]
-    count = r.keep.shape[0]
-    block = jnp.broadcast_to(jnp.arange(count)[:, None], r.keep.shape)
-    return likelihood.Source(filt, u.datasheet, likelihood.Likelihood(r.nav, r.epochs, r.keep, block, count))
+    block = np.broadcast_to(np.arange(r.keep.shape[0])[:, None], r.keep.shape)
+    return likelihood.runs_of(filt, u.datasheet, r.nav, r.epochs, r.keep, block)
 
 
 def _search(

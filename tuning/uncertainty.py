@@ -5,105 +5,32 @@ information of a Gaussian with mean and covariance both depending on the paramet
 
     F_jk = sum_t  tr(S^-1 dS_j S^-1 dS_k) / 2 + dnu_j' S^-1 dnu_k
 
-It needs first derivatives only, by forward differentiation of one run, and is never negative. The scores of blocks of
+It needs first derivatives only (`tuning.likelihood.information`) and is never negative. The scores of blocks of
 time or of runs give the sandwich F^-1 (sum_b g_b g_b') F^-1, which holds where the model does not (White 1982).
 Everything is in the unconstrained numbers of `tuning.fit.transforms`, where a Gaussian is a fair approximation.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.flatten_util import ravel_pytree
 from scipy.special import ndtri, stdtrit
 
-from jaxnav.filters.run import FREEDOM, student_constant
-from jaxnav.maths import linalg
-from jaxnav.types import Info
 from tuning.fit.transforms import Spec, labels, penalty, reported, values
 
 MAX_SD = 1.0  # sd of an unconstrained number beyond which it is not determined: a factor e where it is a logarithm
-
-DIRECTIONS_PER_PASS = 8  # directions that are differentiated side by side: more at once take longer on a processor
 
 
 class Information(NamedTuple):
     """Likelihood of innovations about one point, sums over the epochs that count; P free numbers."""
 
-    nll: jax.Array  # () negative log-likelihood; inf where an epoch that counts is frozen
-    score: jax.Array  # (P,) its gradient
-    fisher: jax.Array  # (P, P) expected information
-    blocks: jax.Array  # (K, P) the score by blocks
-
-
-def information(
-    solve: Callable[[jax.Array], Info], raw: jax.Array, keep: jax.Array, block: jax.Array, count: int
-) -> Information:
-    """Return the information in the innovations of ``solve(raw (P,)) -> Info (E, ...)``.
-
-    ``keep`` (E,) bool: epochs that count. ``block`` (E,) int in [0, count): group of the sandwich estimate.
-    """
-
-    def innovations(r: jax.Array) -> Any:
-        info = solve(r)
-        return (info.nu, info.S), (info.valid, rejected(info), info.ok)
-
-    ((nu, S), (valid, far, ok)), (dnu, dS) = pushed(innovations, raw)
-    nll, score, fisher = jax.vmap(gaussian, (0, 0, 0, 1, 1, 0))(nu, S, valid, dnu, dS, far)
-    counts = keep & valid.any(-1)
-    weigh = lambda a: jnp.where(counts.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0)
-    score = weigh(score)
-    blocks = jnp.zeros((count, raw.size)).at[block].add(score)
-    nll = jnp.where((keep & ~ok).any(), jnp.inf, weigh(nll).sum())
-    return Information(nll, score.sum(0), weigh(fisher).sum(0), blocks)
-
-
-def pushed(outputs: Callable[[jax.Array], tuple[Any, Any]], raw: jax.Array) -> tuple[tuple[Any, Any], Any]:
-    """``outputs(raw (P,)) -> (values, rest)`` and the forward derivatives of the values, their leading axis P.
-
-    The body is compiled once: its values come with the slopes, and all batches of directions are equal.
-    """
-
-    def push(v: jax.Array) -> Any:
-        values, slopes, rest = jax.jvp(outputs, (raw,), (v,), has_aux=True)
-        return (values, rest), slopes
-
-    turns = -(-raw.size // DIRECTIONS_PER_PASS)
-    each = -(-raw.size // turns)
-    directions = jnp.eye(turns * each, raw.size).reshape(turns, each, raw.size)
-    found, slopes = lax.map(jax.vmap(push, out_axes=(None, 0)), directions)
-    first = jax.tree.map(lambda a: a[0], found)
-    return first, jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[: raw.size], slopes)
-
-
-def rejected(info: Info) -> jax.Array:
-    """(E,) bool: epochs with a rejected channel."""
-    return (info.valid & ~info.used).any(-1)
-
-
-def gaussian(nu: jax.Array, S: jax.Array, valid: jax.Array, dnu: jax.Array, dS: jax.Array, heavy: Any = False) -> Any:
-    """Negative log-likelihood (), score (P,) and information (P, P) of a residual nu (m,) of covariance S (m, m).
-
-    ``dnu`` (P, m) and ``dS`` (P, m, m) are their derivatives. Missing channels have nu = 0 and an identity row in S.
-    ``heavy`` () bool: a Student t of `FREEDOM` in place of the Gaussian, which gives outliers little weight.
-    """
-    inv = linalg.inverse(S)
-    w, A, m = inv @ nu, inv @ dS, valid.sum()
-    square = nu @ w
-    far = 0.5 * (FREEDOM + m) * jnp.log1p(square / FREEDOM) + student_constant(m, valid.size)
-    nll = jnp.where(heavy, far, 0.5 * (square + m * jnp.log(2 * jnp.pi))) + 0.5 * linalg.log_determinant(S)
-    weight = jnp.where(heavy, (FREEDOM + m) / (FREEDOM + square), 1.0)
-    score = 0.5 * (jnp.trace(A, axis1=1, axis2=2) - weight * (dS @ w) @ w) + weight * (dnu @ w)
-    return nll, score, 0.5 * jnp.einsum("iab,jba->ij", A, A) + weight * (dnu @ inv @ dnu.T)
-
-
-def total(parts: Information) -> Information:
-    """Return the information of independent runs (leading axis) together; their blocks stay separate."""
-    nll, score, fisher = (a.sum(0) for a in parts[:3])
-    return Information(nll, score, fisher, parts.blocks.reshape(-1, parts.blocks.shape[-1]))
+    nll: Any  # () negative log-likelihood; inf where an epoch that counts is frozen
+    score: Any  # (P,) its gradient
+    fisher: Any  # (P, P) expected information
+    blocks: Any  # (K, P) the score by blocks
 
 
 def with_prior(info: Information, spec: Spec, raw: dict[str, jax.Array]) -> Information:
@@ -148,7 +75,7 @@ class Interval(NamedTuple):
     low: float
     high: float
     sd: float  # of the unconstrained number: 0.1 is 10 % for a logarithm
-    identified: bool  # sd below VAGUE
+    identified: bool  # sd below `MAX_SD`
 
 
 def intervals(spec: Spec, raw: dict[str, jax.Array], cov: Covariance, level: float = 0.95) -> list[Interval]:

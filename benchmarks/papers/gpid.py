@@ -35,7 +35,8 @@ from jaxnav.filters.papers.gpid import gpid_params, literal_params
 from jaxnav.simulate.scenarios import CIRCLE, READINGS, REPRO, Scenario
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.simulate.trajectories import shape_of
-from tuning.fit.train import default_optimizer, fit
+from tuning.fit.optimizers import adam
+from tuning.fit.train import fit
 from tuning.fit.transforms import LOG
 
 SEEDS, TRAINING = 24, 6
@@ -131,7 +132,7 @@ def tuned_gains(seed: int, count: int, steps: int) -> dict:
     calm, longer = reading(CIRCLE, "no_fault"), 3 * steps  # in logarithms a gain comes to zero slowly
     matched = matched_params(calm, gpid_params(0.1, 0.1, 15))
     quiet = fit(
-        loss(build("gpid15", cov_stride=2)), spec, matched, longer, default_optimizer(longer, 0.3),
+        loss(build("gpid15", cov_stride=2)), spec, matched, longer, adam(longer, 0.3),
         arguments=(hours(coarse(calm), train),), progress=True,
     )  # fmt: skip
     kf = matched._replace(rule=gpid_params(0.0, 0.0, 15))

@@ -34,7 +34,8 @@ from jaxnav.maths import units
 from jaxnav.states.grades import GRADES
 from jaxnav.types import Epoch, Nav, Params, Recording, Track
 from tuning.fit import objectives
-from tuning.fit.train import default_optimizer, fit
+from tuning.fit.optimizers import adam
+from tuning.fit.train import fit
 from tuning.fit.transforms import LOG, scaled
 from tuning.recordings.validation import paired_gain
 
@@ -240,7 +241,7 @@ def tune(rec: Recording, constraints: bool, steps: int, blocks: list[int], objec
     tuned = {}
     for block in blocks:
         weight = jnp.asarray(np.arange(PIECES.size) != block, float)
-        tuned[block] = fit(loss, spec(constraints), start, steps, default_optimizer(steps, 0.15, 5.0),
+        tuned[block] = fit(loss, spec(constraints), start, steps, adam(steps, 0.15, 5.0),
                            arguments=(weight, *stretches), progress=True).params  # fmt: skip
         tuned[block] = tuned[block]._replace(prior=parameters().prior)  # the drive itself starts at rest
     return tuned

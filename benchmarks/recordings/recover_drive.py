@@ -5,8 +5,6 @@ horizontal error at the end of the 15 s windows of `drive.py`; innovations are o
 hidden, so that consistency, which a larger R alone could buy, is shown with its cost.
 """
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,13 +16,14 @@ from jaxnav.analysis.evaluate import channel_names
 from jaxnav.analysis.tables import table
 from jaxnav.filters.border import component
 from jaxnav.filters.parameters import UNITS, prior, put
-from jaxnav.filters.run import run, run_jit
+from jaxnav.filters.run import prepare, run_jit
 from jaxnav.maths import units
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import GNSS
 from jaxnav.types import Params
 from tuning import uncertainty
 from tuning.fit.transforms import LOG, Spec, join, scaled, split, tied
+from tuning.likelihood import information, runs_of, taken_runs
 from tuning.recordings import scoring
 from tuning.recordings.validation import paired_gain
 from tuning.uncertainty import Information
@@ -48,13 +47,6 @@ def start() -> Params:
     return params
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _of_stretch(filt, count: int, flat, params: Params, nav, data, settled, block) -> Information:
-    back = ravel_pytree({name: jnp.zeros(3) if t is LOG else jnp.zeros(()) for name, t in SPEC.items()})[1]
-    solve = lambda r: run(filt, join(SPEC, back(r), params), nav, data)
-    return uncertainty.information(solve, flat, settled, block, count)
-
-
 def tune(rec) -> tuple[dict[int, Params], list[list[uncertainty.Interval]]]:
     """By the likelihood of the innovations: parameters for each block from the stretches outside of it, intervals."""
     filt, (nav, data, _, _, settled) = drive.training_stretches(rec, False)
@@ -63,20 +55,15 @@ def tune(rec) -> tuple[dict[int, Params], list[list[uncertainty.Interval]]]:
     params = params._replace(prior=moving)  # stretches start on the road, the drive itself at rest
     flat, back = ravel_pytree(split(SPEC, params))
     per = max(1, round(CHUNK * E / drive.PIECE))
-    block = jnp.arange(E) // per
-    count = int(block[-1]) + 1
-    blocks = range(drive.PIECES.size)
-
-    def one(i: int):
-        return jax.tree.map(lambda a: a[i], (nav, data, settled))
+    blocks, every = range(drive.PIECES.size), np.arange(E) // per
+    block = every + (every[-1] + 1) * np.arange(settled.shape[0])[:, None]
+    whole = runs_of(filt, params, nav, prepare(filt, data), settled, block)
+    without = {b: taken_runs(whole, np.array([i for i in blocks if i != b])) for b in blocks}
 
     def inform(raws: jax.Array) -> Information:
         """Of every block's parameters (4, P), from the stretches outside of it."""
-        rows = []
-        for b in blocks:
-            parts = [_of_stretch(filt, count, raws[b], params, *one(i), block) for i in blocks if i != b]
-            rows.append(uncertainty.total(jax.tree.map(lambda *a: jnp.stack(a), *parts)))
-        return jax.tree.map(lambda *a: jnp.stack(a), *rows)
+        rows = [information(without[b], SPEC, params, raws[b]) for b in blocks]
+        return Information(*map(np.stack, zip(*rows, strict=True)))
 
     def report(i: int, search: scoring.Search) -> None:
         print(f"  evaluation {i:2d}: still promised {np.max(search.expected):.3g}", flush=True)

@@ -6,6 +6,7 @@ filter on drives that no repeat has seen, against the filter with the true noise
 `benchmarks.recordings.recover_drive`.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -21,15 +22,15 @@ from jaxnav.analysis import metrics
 from jaxnav.filters.border import component
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import change, get
-from jaxnav.filters.run import run
+from jaxnav.filters.run import prepare, run
 from jaxnav.simulate.scenarios import URBAN_SHORT, Scenario
 from jaxnav.simulate.simulation import matched_params, simulate
 from jaxnav.states.grades import GRADES
 from jaxnav.types import Finding, Params
 from tuning import uncertainty
 from tuning.fit.transforms import LOG, Spec, join, labels, split, tied
+from tuning.likelihood import Surface, information, rows, runs_of
 from tuning.recordings import scoring
-from tuning.recordings.likelihood import Surface, rows
 from tuning.recordings.report import Row
 from tuning.uncertainty import Information
 
@@ -50,20 +51,6 @@ BLOCK = 10.0  # s of a recording that are drawn together
 # ---------------------------------------------------------------------------- NaveGo
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _of_recording(filt, count: int, flat, params: Params, nav, data, block) -> Information:
-    back = ravel_pytree(split_like(params))[1]
-    keep = jnp.ones(block.shape, bool)
-    return uncertainty.information(
-        lambda r: run(filt, join(SPEC, back(r), params), nav, data), flat, keep, block, count
-    )
-
-
-def split_like(params: Params) -> dict[str, jax.Array]:
-    """The shape of the unconstrained numbers, usable in a traced function."""
-    return {name: jnp.zeros(() if not t.tie else max(t.tie) + 1) for name, t in SPEC.items()}
-
-
 def recording(imu: str, factor: float) -> dict:
     """Tune on the recording with one of its IMUs."""
     folder = io.verify("navego_synthetic")
@@ -71,7 +58,10 @@ def recording(imu: str, factor: float) -> dict:
     packed, nav = navego.cut(rec, instantaneous=False)
     filt = build("ekf15", cov_stride=packed.epochs.imu.dt.shape[1])
     block = (packed.t // BLOCK).astype(int)
-    inform = lambda r: _of_recording(filt, int(block.max()) + 1, r, true, nav, packed.epochs, block)
+    many = lambda tree: jax.tree.map(lambda a: np.asarray(a)[None], tree)
+    epochs = prepare(filt, packed.epochs)
+    runs = runs_of(filt, true, many(nav), many(epochs), np.ones((1, block.size), bool), block[None])
+    inform = lambda r: information(runs, SPEC, true, r)
     raw = split(SPEC, true)
     flat, back = ravel_pytree(raw)
     start = flat + np.log(factor)
@@ -146,24 +136,21 @@ def truth_of(what: Scenario) -> Params:
     return change(params, values | {f"states.{name}.driving_noise": value for name, value in drives.items()})
 
 
-@partial(jax.jit, static_argnums=0)
-def _of_repeats(filt, flat, params: Params, sims) -> Information:
-    """The information of every repeat: flat (N, P), runs (N, R, ...)."""
-    back = ravel_pytree(split_like(params))[1]
-    keep = sims.truth.t[0, 0] > 10.0  # the start is the prior's business
+def informed(filt, params: Params, sims) -> Callable[[jax.Array], Information]:
+    """Information of every repeat at its numbers: flat (N, P), runs (N, R, ...), each run a block."""
+    late = np.asarray(sims.truth.t) > 10.0  # the start is the prior's business
+    block = np.broadcast_to(np.arange(late.shape[1])[:, None], late.shape[1:])
+    repeats = [jax.tree.map(lambda a, i=i: a[i], sims) for i in range(len(late))]
+    runs = [
+        runs_of(filt, params, one.initial, prepare(filt, one.epochs), keep, block)
+        for one, keep in zip(repeats, late, strict=True)
+    ]
 
-    def one(r, sim, runs):
-        count = sims.truth.t.shape[1]
-        block = jnp.full(keep.shape, runs)
-        return uncertainty.information(
-            lambda r: run(filt, join(SPEC, back(r), params), sim.initial, sim.epochs), r, keep, block, count
-        )
+    def inform(flat: jax.Array) -> Information:
+        parts = [information(one, SPEC, params, r) for one, r in zip(runs, np.asarray(flat), strict=True)]
+        return Information(*map(np.stack, zip(*parts, strict=True)))
 
-    def repeat(r, many):
-        parts = jax.vmap(one, (None, 0, 0))(r, many, jnp.arange(sims.truth.t.shape[1]))
-        return Information(*(a.sum(0) for a in parts))
-
-    return jax.vmap(repeat)(flat, sims)
+    return inform
 
 
 @partial(jax.jit, static_argnums=0)
@@ -190,7 +177,7 @@ def simulated(study: Study, factor: float, seed: int) -> dict:
     sims = jax.tree.map(lambda a: a[: N * R].reshape(N, R, *a.shape[1:]), drives)
     filt = build("ekf15", cov_stride=sims.epochs.imu.dt.shape[-1])
     flat, back = ravel_pytree(split(SPEC, true))
-    inform = lambda r: _of_repeats(filt, r, true, sims)
+    inform = informed(filt, true, sims)
     start = jnp.tile(flat + np.log(factor), (N, 1))
     found = scoring.maximise(inform, start, tolerance=0.02, report=show(R * sims.truth.t.shape[2]))
     names = [component(n) for n in labels(SPEC, back(flat))]

@@ -48,7 +48,7 @@ from jaxnav.analysis.windows import hidden_windows
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import delay_of
 from jaxnav.filters import epochs as ep
-from jaxnav.filters.catalogue import build
+from jaxnav.filters.catalogue import FILTERS, build, with_states
 from jaxnav.filters.core import Filter
 from jaxnav.filters.lanes import RECEIVER_ERROR, LaneRecord, lanes, padded_shape, ready, repeated, stacked, taken
 from jaxnav.filters.parameters import datasheet_states, history_for, strong
@@ -115,9 +115,10 @@ class NoiseScan(NamedTuple):
             params: its parameters.
         """
         known = RECEIVER_ERROR in filt.model.states or "position" not in filt.model.measurements
-        if filt.with_states is None or known or not self.receiver.share.any():
+        takes = filt.spec is not None and FILTERS[filt.spec.name].accepts_extra_states
+        if not takes or known or not self.receiver.share.any():
             return filt, params
-        filt = filt.with_states(RECEIVER_ERROR)
+        filt = with_states(filt, RECEIVER_ERROR)
         return filt, params._replace(states=filt.params().states | params.states)
 
     def applied(self, params: Params) -> Params:

@@ -1,7 +1,7 @@
 """FILTERS: every filter by name; tests, benchmarks, the command line and the docs iterate this one table."""
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,13 +23,14 @@ from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.rules.receiver import receiver, receiver_params
 from jaxnav.filters.rules.robust import BLOCK, gate, gate_params, huber, huber_params, student_t, student_t_params
 from jaxnav.filters.rules.satellites import gate_satellites
+from jaxnav.filters.spec import FilterSpec
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, layout
 from jaxnav.states.grades import Grade
-from jaxnav.states.table import BIASES
+from jaxnav.states.table import BIASES, STATES
 from jaxnav.strapdown import inertial_quaternion, local_level, tangent_frame
 from jaxnav.strapdown.fast import local_level as fast_local_level
 from jaxnav.strapdown.mechanization import Preintegrate, Propagate
-from jaxnav.types import Params, nearest
+from jaxnav.types import Params, Table, nearest
 
 
 class Frame(NamedTuple):
@@ -40,11 +41,13 @@ class Frame(NamedTuple):
     preintegrate: Preintegrate | None = None  # the part of the fast form that needs no state
 
 
-FRAMES: dict[str, Frame] = {
-    "local_level": Frame(local_level.propagate, fast_local_level.propagate, fast_local_level.preintegrate),
-    "tangent": Frame(tangent_frame.propagate),
-    "inertial": Frame(inertial_quaternion.propagate),
-}
+FRAMES: Table[Frame] = Table(
+    {
+        "local_level": Frame(local_level.propagate, fast_local_level.propagate, fast_local_level.preintegrate),
+        "tangent": Frame(tangent_frame.propagate),
+        "inertial": Frame(inertial_quaternion.propagate),
+    }
+)
 
 
 class Entry(NamedTuple):
@@ -100,7 +103,8 @@ _GPID = {"ki": "signed", "kd": "signed"}
 _GIP_KF = "Journal of Control (English Edition) 1(1), 2022, 49-57"
 _GIP_TUNABLE = {"log_rl": "identity"}  # only its ratios to R_m matter
 _GIP_NAMED = {"log_rm": "identity", "rl_lower": "identity", "rm_lower": "identity"}
-FILTERS: dict[str, Entry] = {
+FILTERS: Table[Entry] = Table(
+{
     "ekf15": Entry(BIASES, kalman, lambda: (), {}, "Groves 2013, chapter 14", accepts_extra_states=True),
     "ekf9": Entry((), kalman, lambda: (), {}, "Groves 2013, chapter 14, no bias states", accepts_extra_states=True),
     "kf9_simple": Entry((), kalman, lambda: (), {}, f"{_ANSARI}, eqs. 9-15, the paper's standard KF", "simple"),
@@ -152,11 +156,12 @@ FILTERS: dict[str, Entry] = {
         "hypotheses of the receiver by Blom & Bar-Shalom 1988", accepts_extra_states=True, needs_receiver_slices=True,
     ),
     **{f"ekf{n}_{name}": _robust(states, name) for n, states in ((9, ()), (15, BIASES)) for name in ROBUST},
-}  # fmt: skip
+}
+)  # fmt: skip
 
 
 def build(
-    name: str,
+    name: str | FilterSpec,
     measurements: Sequence[Measurement | str] = GNSS,
     cov_stride: int = 1,
     history: int = 2,
@@ -165,17 +170,21 @@ def build(
     fast: bool = True,
     states: Sequence[str] = (),
     adapter: str | Adapter = "",
+    rule: Rule | None = None,
 ) -> Filter:
-    """Return a filter of the catalogue.
+    """Return a filter of the catalogue, by its spec or by the fields of one.
 
     A paper's rule is applied to the receiver's fixes, a gate to every measurement with data; the others get a Kalman
     update after it. States that a measurement needs, as pseudoranges a receiver clock, are added.
 
-    >>> build("ekf15", measurements=("position", "velocity", "barometer"), states=("barometer_bias",)).model.states
+    >>> filt = build("ekf15", measurements=("position", "velocity", "barometer"), states=("barometer_bias",))
+    >>> filt.model.states
     ('gyro_bias', 'accel_bias', 'barometer_bias')
+    >>> build(filt.spec.replace(history=9)).spec.history
+    9
 
     Args:
-        name: a key of `FILTERS`.
+        name: a key of `FILTERS`, or a whole spec in place of all arguments.
         measurements: rows of `MEASUREMENTS` or their names, the receiver's first.
         cov_stride: IMU samples per point of the error dynamics, see `jaxnav.filters.core.make_filter`.
         history: samples of navigation kept for late measurements.
@@ -184,42 +193,95 @@ def build(
         fast: navigate by the frame's fast form where it has one; the plain form gives the same.
         states: optional states in addition to the filter's, names of `jaxnav.states.STATES`.
         adapter: a part that sets noise and measurements of every epoch, or its name in `ADAPTERS`; none where empty.
+        rule: in place of the filter's; its parameters are in `Params.rule`.
 
     Raises:
         ValueError: no such filter, frame, state, measurement or adapter, a receiver's measurement that does not come
             first, states for a paper's rule, or a state that no measurement of the filter observes.
+        TypeError: a spec with further arguments.
     """
-    if name not in FILTERS:
-        raise ValueError(f"no filter {name!r}: {nearest(name, FILTERS)}")
-    entry = FILTERS[name]
-    frame = frame or entry.frame
+    of = lambda name: FilterSpec(
+        name, tuple(measurements), tuple(states), cov_stride, history, frame, fast, rule, feedback, adapter
+    )
+    if isinstance(name, str):
+        return _build(_whole(of(name)))
+    if of("") != FilterSpec("", GNSS):
+        raise TypeError("a spec is whole: change it by spec.replace(...)")
+    return _build(_whole(name))
+
+
+def changed(filt: Filter, **fields: Any) -> Filter:
+    """Return a filter of the catalogue with other fields of its spec; one composed by `make_filter` stays as it is."""
+    return filt if filt.spec is None else build(filt.spec.replace(**fields))
+
+
+def with_states(filt: Filter, *names: str) -> Filter:
+    """Return a filter of the catalogue with further states; it is the same where it has them."""
+    more = tuple(name for name in names if name not in filt.model.states)
+    return filt if filt.spec is None else changed(filt, states=(*filt.spec.states, *more))
+
+
+def _whole(spec: FilterSpec) -> FilterSpec:
+    """Return a spec with its frame and all its states by name; of filters that are equal it is equal."""
+    if spec.name not in FILTERS:
+        raise ValueError(f"no filter {spec.name!r}: {nearest(spec.name, FILTERS)}")
+    entry, given = FILTERS[spec.name], rows(spec.measurements)
+    frame = spec.frame or entry.frame
     if frame not in FRAMES:
         raise ValueError(f"no frame {frame!r}; known are {', '.join(FRAMES)}")
-    chosen = rows(measurements)
-    needed = dict.fromkeys(state for each in chosen for state in each.needs)
-    states = (*states, *(state for state in needed if state not in (*entry.states, *states)))
+    needed = [state for each in given for state in each.needs]
+    states = tuple(dict.fromkeys(s for s in (*spec.states, *needed) if s in spec.states or s not in entry.states))
     if states and not entry.accepts_extra_states:
-        raise ValueError(f"{name} has the states of its paper, not {', '.join(states)}: use ekf9 or ekf15")
-    others = [not each.receiver for each in chosen]
+        raise ValueError(f"{spec.name} has the states of its paper, not {', '.join(states)}: use ekf9 or ekf15")
+    others = [not each.receiver for each in given]
     if others != sorted(others):
-        raise ValueError(f"constraints come after the receiver's: {[each.name for each in chosen]}")
-    model = error_model(frame, (*entry.states, *states), entry.form, chosen)
-    rule = _rule(entry, chosen)
-    home = FRAMES[frame]
-    quick = fast and home.fast is not None
+        raise ValueError(f"constraints come after the receiver's: {[each.name for each in given]}")
+    named = tuple(m.name if MEASUREMENTS.get(m.name) is m else m for m in given)
+    return spec.replace(measurements=named, states=states, frame=frame)
+
+
+def _build(spec: FilterSpec) -> Filter:
+    entry, chosen, home = FILTERS[spec.name], rows(spec.measurements), FRAMES[spec.frame]
+    model = error_model(spec.frame, (*entry.states, *spec.states), entry.form, chosen)
+    quick = spec.fast and home.fast is not None
     mechanize, preintegrate = (home.fast, home.preintegrate) if quick else (home.propagate, None)
-    part = _adapter(adapter, chosen) if adapter else None
-    built = make_filter(mechanize, model, rule, feedback or entry.feedback, cov_stride, history, preintegrate, part)
-    extra = None
-    if entry.accepts_extra_states:
-        extra = _extended(name, chosen, cov_stride, history, feedback, frame, fast, tuple(states), adapter)
-    return _named(built, name, extra, part, adapter)
+    part, feedback = _adapter(spec.adapter, chosen), spec.feedback or entry.feedback
+    rule = _rule(entry, chosen, spec.rule)
+    built = make_filter(mechanize, model, rule, feedback, spec.cov_stride, spec.history, preintegrate, part)
+    return _named(built, spec, part)
 
 
-def _adapter(adapter: str | Adapter, chosen: tuple[Measurement, ...]) -> Adapter:
-    """Return an adapter, or that of a name for these measurements."""
-    if isinstance(adapter, Adapter):
-        return adapter
+@cache
+def _named(built: Filter, spec: FilterSpec, part: Adapter | None) -> Filter:
+    return built._replace(params=partial(_params, spec.name, built.model, part), spec=spec)
+
+
+def is_built_in(spec: FilterSpec) -> bool:
+    """Return whether all rows that a spec names came with the library: its sources say what the filter computes."""
+    names = [m for m in spec.measurements if isinstance(m, str)]
+    if len(names) < len(spec.measurements) or not isinstance(spec.adapter, str):
+        return False
+    used: list[tuple[Table[Any], Sequence[str]]] = [
+        (FILTERS, [spec.name]), (FRAMES, [spec.frame]), (MEASUREMENTS, names),
+        (STATES, (*FILTERS[spec.name].states, *spec.states)), (ADAPTERS, [spec.adapter] if spec.adapter else []),
+    ]  # fmt: skip
+    return all(table.is_built_in(name) for table, names in used for name in names)
+
+
+def _params(
+    name: str, model: ErrorModel, part: Adapter | None, grade: str | Grade = "consumer", **known: Any
+) -> Params:
+    """`Filter.params` of a filter of the catalogue."""
+    entry = FILTERS[name]
+    given = {"rule": entry.theta(), "feedback": entry.feedback_theta()} | known
+    found = datasheet_params(grade_of(grade), states=model.states, measurements=model.measurements, **given)
+    return found if part is None else found._replace(adapter=part.theta())
+
+
+def _adapter(adapter: str | Adapter, chosen: tuple[Measurement, ...]) -> Adapter | None:
+    """Return an adapter, or that of a name for these measurements; None of no name."""
+    if isinstance(adapter, Adapter) or not adapter:
+        return adapter or None
     if adapter not in ADAPTERS:
         raise ValueError(f"no adapter {adapter!r}: {nearest(adapter, ADAPTERS)}")
     row = ADAPTERS[adapter]
@@ -228,67 +290,32 @@ def _adapter(adapter: str | Adapter, chosen: tuple[Measurement, ...]) -> Adapter
     return row.make(chosen)
 
 
-def _rule(entry: Entry, chosen: tuple[Measurement, ...]) -> Rule:
-    """Return the entry's rule, behind a gate of satellites where there are any."""
-    rule, ranges = _rule_of_fixes(entry, chosen), [bool(each.auxiliary) for each in chosen]
+def _rule(entry: Entry, chosen: tuple[Measurement, ...], given: Rule | None) -> Rule:
+    """Return the entry's rule or a given one, behind a gate of satellites where there are any."""
+    rule, ranges = _rule_of_fixes(entry, chosen, given), [bool(each.auxiliary) for each in chosen]
     if not any(ranges):
         return rule
     return gate_satellites(rule, tuple(np.flatnonzero(np.repeat(ranges, [each.size for each in chosen])).tolist()))
 
 
-def _rule_of_fixes(entry: Entry, chosen: tuple[Measurement, ...]) -> Rule:
-    """Return the entry's rule on the receiver's fixes; the others get a Kalman update."""
-    if entry.needs_receiver_slices:
+def _rule_of_fixes(entry: Entry, chosen: tuple[Measurement, ...], given: Rule | None) -> Rule:
+    """Return the entry's rule, or a given one, on the receiver's fixes; the others get a Kalman update."""
+    every = given is None and entry.gates_all_measurements
+    if entry.needs_receiver_slices and given is None:
         places = {name: s for name, s in layout(chosen).items() if name in ("position", "velocity")}
         if "position" not in places:
             raise ValueError(f"a rule that watches the receiver needs its position, not {[m.name for m in chosen]}")
         return entry.rule(places["position"].start, places["velocity"].start if "velocity" in places else None)
-    seen = [not each.auxiliary and (each.receiver or (entry.gates_all_measurements and bool(each.columns)))
-            for each in chosen]  # fmt: skip
+    seen = [not each.auxiliary and (each.receiver or (every and bool(each.columns))) for each in chosen]
     if not any(seen):
-        if entry.rule is kalman or entry.gates_all_measurements:
+        if given is None and (entry.rule is kalman or every):
             return kalman()
         raise ValueError(f"the rule is for fixes, and none is in {[m.name for m in chosen]}: use ekf15 or ekf15_gate")
     sizes = tuple(each.size for each, see in zip(chosen, seen, strict=True) if see)
-    rule = entry.rule(sizes) if entry.gates_all_measurements and set(sizes) != {BLOCK} else entry.rule()
+    rule = given or (entry.rule(sizes) if every and set(sizes) != {BLOCK} else entry.rule())
     if all(seen) or rule is kalman():
         return rule
     return only(rule, tuple(np.flatnonzero(np.repeat(seen, [each.size for each in chosen])).tolist()))
-
-
-@cache
-def _extended(
-    name: str, chosen: tuple[Measurement, ...], cov_stride: int, history: int, feedback: Any, frame: str, fast: bool,
-    states: tuple[str, ...], part: Adapter | str,
-) -> Callable[..., Filter]:  # fmt: skip
-    """Return `Filter.with_states` of a filter built with these arguments."""
-    return lambda *more: build(name, chosen, cov_stride, history, feedback, frame, fast, (*states, *more), part)
-
-
-@cache
-def _named(
-    built: Filter, name: str, with_states: Callable[..., Filter] | None, part: Adapter | None, adapter: str | Adapter
-) -> Filter:
-    """Return the filter with the catalogue's parameters, at any length of history."""
-    with_history = built.with_history
-    assert with_history is not None  # make_filter gives it
-    kept = lambda samples: _named(with_history(samples), name, with_states, part, adapter)
-    return built._replace(
-        params=_params(name, built.model, part), with_history=kept, with_states=with_states, name=name, adapter=adapter
-    )
-
-
-@cache
-def _params(name: str, model: ErrorModel, part: Adapter | None) -> Callable[..., Params]:
-    """`Filter.params` of a filter of the catalogue."""
-    entry = FILTERS[name]
-
-    def params(grade: str | Grade = "consumer", **known: Any) -> Params:
-        given = {"rule": entry.theta(), "feedback": entry.feedback_theta()} | known
-        found = datasheet_params(grade_of(grade), states=model.states, measurements=model.measurements, **given)
-        return found if part is None else found._replace(adapter=part.theta())
-
-    return params
 
 
 def rows(measurements: Sequence[Measurement | str]) -> tuple[Measurement, ...]:

@@ -20,6 +20,7 @@ from jaxnav.filters.adapters.adapter import Adapter, Window, adapted, with_facto
 from jaxnav.filters.error_model import ErrorModel
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.rule import Correction, Feedback, Innovation, Rule, Transition, only_if, select
+from jaxnav.filters.spec import FilterSpec
 from jaxnav.maths import linalg
 from jaxnav.measurements.measurement import as_rows
 from jaxnav.states.motion import A, reset_covariance, reset_rows
@@ -84,11 +85,13 @@ class Filter(NamedTuple):
     advance: Callable[[Params, FilterState, Epoch], "Step"]  # `step`, with the intermediate results
     # (grade or its name, **arguments of `jaxnav.filters.parameters.datasheet_params`) -> parameters for this filter
     params: Callable[..., Params] = datasheet_params
-    with_history: Callable[[int], "Filter"] | None = None  # the same filter with another ``history``
-    with_states: Callable[..., "Filter"] | None = None  # (*names of states) -> the same filter with those on top
     supports_smoothing: bool = False  # see `Rule`
-    name: str = ""  # in the catalogue
-    adapter: Any = ""  # as `jaxnav.filters.catalogue.build` takes it
+    spec: FilterSpec | None = None  # None: composed by `make_filter`
+
+    @property
+    def name(self) -> str:
+        """Return the filter's name in the catalogue; empty where its rule is not of there."""
+        return "" if self.spec is None or self.spec.rule is not None else self.spec.name
 
 
 def _require_shapes(c: Correction, z: Innovation) -> None:
@@ -390,9 +393,6 @@ def make_filter(
         new = advance(params, state, epoch)
         return new.after, new.info
 
-    def with_history(samples: int) -> Filter:
-        return make_filter(propagate, model, rule, feedback, cov_stride, samples, preintegrate, adapter)
-
     return Filter(
         init,
         predict,
@@ -402,7 +402,6 @@ def make_filter(
         prepare,
         transition,
         advance,
-        with_history=with_history,
         supports_smoothing=rule.supports_smoothing,
     )
 

@@ -14,7 +14,6 @@ import tempfile
 import time
 import types
 from collections.abc import Callable, Sequence
-from enum import Enum
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,15 +23,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import export
 
+from jaxnav.filters.catalogue import is_built_in
+from jaxnav.filters.core import Filter
+
 LOG = logging.getLogger("jaxnav")
 PACKAGES = ("jaxnav", "tuning")  # whose sources are part of a program's name
-LIBRARIES = ("jax", "jaxlib", "numpy", "optax", "builtins", "_operator", "operator", "functools")
 SETTINGS = (
     "jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_disable_most_optimizations",
     "jax_numpy_dtype_promotion",
 )  # fmt: skip
 """Settings of jax that a program depends on."""
-PLAIN = (type(None), bool, int, float, complex, str, bytes, Enum, Path, np.dtype, slice, types.EllipsisType)
+PLAIN = (type(None), bool, int, float, str)
 """Types whose text is their value."""
 OLD_S = 30 * 86_400.0  # programs of other sources that were not used for that long are removed
 UNOPTIMIZED = {"xla_backend_optimization_level": 0}
@@ -63,9 +64,9 @@ def clear() -> None:
 def stored(function: Callable[..., Any], static_argnums: Sequence[int] = (), once: bool = False) -> Callable[..., Any]:
     """Return `jax.jit` of a function whose traced program is kept on disk, where `keep_in` has named a folder.
 
-    Under a transformation of jax, with arrays on another device, or with a static argument that is no part of this
-    library it is `jax.jit` and nothing else. A constant of a module is that of the sources: who changes one at run time
-    turns the cache off.
+    Under a transformation of jax, with arrays on another device, or with a static argument that has no name (see
+    `described`) it is `jax.jit` and nothing else. A constant of a module is that of the sources: who changes one at run
+    time turns the cache off.
 
     Args:
         function: a function of this library.
@@ -168,7 +169,8 @@ def _path(home: Path, function: Callable[..., Any], key: tuple[Any, ...]) -> Pat
     versions = jax.__version__, metadata.version("optax")
     device = jax.default_backend(), jax.device_count(), os.environ.get("XLA_FLAGS", "")
     settings = [jax.config.values.get(name) for name in SETTINGS]
-    whole = described(function), [described(s) for s in static], str(tree), str(kinds), versions, device, settings
+    named = f"{function.__module__}.{function.__qualname__}"
+    whole = named, [described(s) for s in static], str(tree), str(kinds), versions, device, settings
     name = hashlib.blake2b(repr(whole).encode(), digest_size=16).hexdigest()
     return home / f"programs-{_sources()}" / name
 
@@ -250,63 +252,28 @@ def _remove_old(own: Path) -> None:
 
 
 def described(value: Any) -> str:
-    """Return a description of a static argument that is the same in every process: what it computes is in it.
+    """Return a static argument as text that is the same in every process.
 
-    A function is its name, the constants of its code, its defaults and what it closes over; its code itself is in the
-    digest of the sources.
+    A filter is its spec, a function its name: their code is in the digest of the sources. What a function is to be
+    computed with stands in a `functools.partial`.
 
     Raises:
-        NotKept: an object of another kind, or of a module outside of `PACKAGES`.
+        NotKept: a filter without a spec or with a row, rule or adapter of its user, a function that closes over values
+            or is not of this library, an object of another kind.
     """
-    return _described(value, {})
-
-
-def _described(value: Any, seen: dict[int, int]) -> str:
-    again = functools.partial(_described, seen=seen)
     if isinstance(value, PLAIN):
         return repr(value)
-    if isinstance(value, type | types.BuiltinFunctionType | np.ufunc | jnp.ufunc):
-        return _name_of(value)
+    if isinstance(value, Filter):
+        if value.spec is None or not is_built_in(value.spec):
+            raise NotKept("a filter with parts of its user")
+        return described([getattr(value.spec, field.name) for field in dataclasses.fields(value.spec)])
     if isinstance(value, tuple | list):
-        return f"{type(value).__qualname__}({','.join(map(again, value))})"
-    if isinstance(value, dict):
-        return f"{{{','.join(f'{again(k)}:{again(v)}' for k, v in value.items())}}}"
-    if isinstance(value, frozenset | set):
-        return f"set({sorted(map(again, value))})"
-    if isinstance(value, np.ndarray | np.generic | jax.Array) and not isinstance(value, jax.core.Tracer):
-        array = np.asarray(value)
-        return f"{array.dtype}{array.shape}{hashlib.blake2b(array.tobytes(), digest_size=16).hexdigest()}"
-    if id(value) in seen:  # a function may close over itself
-        return f"#{seen[id(value)]}"
-    seen[id(value)] = len(seen)
+        return f"{type(value).__qualname__}({','.join(map(described, value))})"
     if isinstance(value, functools.partial):
-        return f"partial({again(value.func)},{again(value.args)},{again(value.keywords)})"
-    if isinstance(value, types.MethodType):
-        return f"{again(value.__self__)}.{value.__func__.__qualname__}"
-    if isinstance(value, types.FunctionType):
-        return _described_function(value, again)
-    if dataclasses.is_dataclass(value):
-        return f"{_name_of(type(value))}({','.join(again(getattr(value, f.name)) for f in dataclasses.fields(value))})"
-    if (inner := getattr(value, "__wrapped__", None)) is not None:  # of functools.cache, jax.jit, jax.custom_jvp
-        return f"{type(value).__qualname__}({again(inner)})"
-    raise NotKept(f"{type(value).__module__}.{type(value).__qualname__}")
-
-
-def _described_function(function: types.FunctionType, again: Callable[[Any], str]) -> str:
-    code, cells = function.__code__, function.__closure__ or ()
-    constants = [c for c in code.co_consts if not isinstance(c, types.CodeType)]
-    within = [cell.cell_contents for cell in cells]
-    parts = function.__defaults__, function.__kwdefaults__, within, constants, getattr(function, "__wrapped__", None)
-    return f"{_name_of(function)}:{code.co_firstlineno}({','.join(map(again, parts))})"
-
-
-def _name_of(value: Any) -> str:
-    """Return module and name.
-
-    Raises:
-        NotKept: of a module whose sources are not in the digest.
-    """
-    module = getattr(value, "__module__", None) or type(value).__module__
-    if module.partition(".")[0] not in (*PACKAGES, *LIBRARIES):
-        raise NotKept(f"{module}.{value}")
-    return f"{module}.{getattr(value, '__qualname__', getattr(value, '__name__', ''))}"
+        return f"partial({described([value.func, *value.args, *value.keywords.items()])})"
+    if getattr(value, "__module__", None) == "jax.numpy":
+        return f"jax.numpy.{value.__qualname__}"
+    if isinstance(value, types.FunctionType) and not value.__closure__:
+        if value.__module__.partition(".")[0] in PACKAGES:
+            return f"{value.__module__}.{value.__qualname__}:{value.__code__.co_firstlineno}"
+    raise NotKept(f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', type(value).__qualname__)}")

@@ -12,32 +12,35 @@ from jaxnav.measurements.measurement import Measurement, clock_offset, counted_f
 from jaxnav.measurements.satellites import PSEUDORANGE, RANGE_RATE
 from jaxnav.measurements.standstill import ZERO_RATE, ZERO_VELOCITY
 from jaxnav.measurements.vehicle import LEVEL, NONHOLONOMIC, SPEED, WHEELS
+from jaxnav.types import Table
 
-MEASUREMENTS: dict[str, Measurement] = {
-    each.name: each
-    for each in (
-        POSITION,
-        VELOCITY,
-        PSEUDORANGE,
-        RANGE_RATE,
-        ZERO_VELOCITY,
-        ZERO_RATE,
-        NONHOLONOMIC,
-        LEVEL,
-        SPEED,
-        WHEELS,
-        BODY_VELOCITY,
-        BAROMETER,
-        RANGEFINDER,
-        MAGNETOMETER,
-        HEADING,
-        BASELINE,
-        COURSE,
-        YAW_RATE,
-        AIRSPEED,
-        SIDESLIP,
-    )
-}
+MEASUREMENTS: Table[Measurement] = Table(
+    {
+        each.name: each
+        for each in (
+            POSITION,
+            VELOCITY,
+            PSEUDORANGE,
+            RANGE_RATE,
+            ZERO_VELOCITY,
+            ZERO_RATE,
+            NONHOLONOMIC,
+            LEVEL,
+            SPEED,
+            WHEELS,
+            BODY_VELOCITY,
+            BAROMETER,
+            RANGEFINDER,
+            MAGNETOMETER,
+            HEADING,
+            BASELINE,
+            COURSE,
+            YAW_RATE,
+            AIRSPEED,
+            SIDESLIP,
+        )
+    }
+)
 GNSS = (POSITION, VELOCITY)
 
 

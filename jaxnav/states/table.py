@@ -17,35 +17,37 @@ from jaxnav.states.receiver_clock import INTER_SYSTEM_BIAS, RANGE_ERROR, RECEIVE
 from jaxnav.states.scale_factors import ACCEL_SCALE, GYRO_SCALE
 from jaxnav.states.state import State
 from jaxnav.states.surroundings import DECLINATION_ERROR, GROUND_HEIGHT, MAGNETOMETER_BIAS, WIND
-from jaxnav.types import nearest
+from jaxnav.types import Table, nearest
 
-STATES: dict[str, State] = {
-    state.name: state
-    for state in (
-        GYRO_BIAS,
-        ACCEL_BIAS,
-        GYRO_SCALE,
-        ACCEL_SCALE,
-        GYRO_MISALIGNMENT,
-        ACCEL_MISALIGNMENT,
-        GYRO_G_SENSITIVITY,
-        LEVER_ARM_ERROR,
-        CLOCK_OFFSET,
-        BAROMETER_BIAS,
-        GNSS_POSITION_ERROR,
-        ODOMETER_SCALE,
-        VEHICLE_AXES,
-        WHEEL_ARM_ERROR,
-        MAGNETOMETER_BIAS,
-        DECLINATION_ERROR,
-        WIND,
-        GROUND_HEIGHT,
-        RECEIVER_CLOCK_BIAS,
-        RECEIVER_CLOCK_DRIFT,
-        INTER_SYSTEM_BIAS,
-        RANGE_ERROR,
-    )
-}
+STATES: Table[State] = Table(
+    {
+        state.name: state
+        for state in (
+            GYRO_BIAS,
+            ACCEL_BIAS,
+            GYRO_SCALE,
+            ACCEL_SCALE,
+            GYRO_MISALIGNMENT,
+            ACCEL_MISALIGNMENT,
+            GYRO_G_SENSITIVITY,
+            LEVER_ARM_ERROR,
+            CLOCK_OFFSET,
+            BAROMETER_BIAS,
+            GNSS_POSITION_ERROR,
+            ODOMETER_SCALE,
+            VEHICLE_AXES,
+            WHEEL_ARM_ERROR,
+            MAGNETOMETER_BIAS,
+            DECLINATION_ERROR,
+            WIND,
+            GROUND_HEIGHT,
+            RECEIVER_CLOCK_BIAS,
+            RECEIVER_CLOCK_DRIFT,
+            INTER_SYSTEM_BIAS,
+            RANGE_ERROR,
+        )
+    }
+)
 BIASES = ("gyro_bias", "accel_bias")
 """The optional states of a filter of 15."""
 

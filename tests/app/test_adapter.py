@@ -20,7 +20,7 @@ def test_weights_of_a_tuned_toml_reach_the_filter(tmp_path):
     config = resolve([("tuned.toml", read_params(tmp_path / "tuned.toml"))])
     filt = prepare.filter_of(config, prepare.measurements_of(config))
     params = prepare.base_params(config, GRADES["consumer"], np.zeros(3))
-    assert filt.adapter == "mlp_noise"
+    assert filt.spec.adapter == "mlp_noise"
     np.testing.assert_array_equal(params.adapter["out"]["weights"], weights["out"]["weights"])
     velocity = resolve([("", {"filter": {"adapter": str(tmp_path / "net.npz"), "measurements": ["position"]}})])
     with pytest.raises(DataError, match=r"hidden.weights is \(10, 16\), expected \(7, 16\)"):

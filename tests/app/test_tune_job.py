@@ -24,7 +24,6 @@ from jaxnav.simulate.scenarios import URBAN
 from jaxnav.simulate.simulation import simulate_runs
 from jaxnav.states.grades import GRADES
 from jaxnav.types import ConfigError
-from tuning import uncertainty
 from tuning.fit.transforms import merged
 from tuning.recordings import runs
 from tuning.recordings.priors import spec_of
@@ -56,7 +55,6 @@ def flags(**changes) -> list[str]:
 
 
 def test_scoring_says_how_well_each_parameter_is_known(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(uncertainty, "DIRECTIONS_PER_PASS", 10)  # all directions at once compile once
     argv = flags(method="scoring", objective="nll", steps=9, more=["urban_short"],
                  free=["noise", "fixes", "latency"], frozen=[f"{V}.latency_s"],
                  prior={"noise.accel_ug_per_sqrt_hz": 1.01, f"{P}.latency_s": 1e-6})  # fmt: skip

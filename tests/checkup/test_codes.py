@@ -22,9 +22,8 @@ from jaxnav.maths.units import DEG
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import Recording, Samples, Track
-from tuning import uncertainty
+from tuning import likelihood, uncertainty
 from tuning.fit.transforms import LOG
-from tuning.recordings import likelihood
 
 
 def codes(findings) -> set[str]:

@@ -13,7 +13,7 @@ from jaxnav.filters.adapters import ADAPTERS
 from jaxnav.filters.adapters.adapter import Adapted, Adapter, Window, constrained, times
 from jaxnav.filters.adapters.mlp_noise import features
 from jaxnav.filters.adapters.window_constraints import DILATIONS, SD, convolved, latest
-from jaxnav.filters.catalogue import FRAMES, rows
+from jaxnav.filters.catalogue import FRAMES, changed, rows
 from jaxnav.filters.epochs import hide, pack
 from jaxnav.filters.parameters import change
 from jaxnav.filters.run import prepare, run, run_jit
@@ -175,7 +175,7 @@ def test_a_stream_is_the_batch(case, name):
     params = params._replace(adapter=moved(params.adapter, 0.1))
     begin = Initialization(jax.tree.map(lambda a: jnp.asarray(a)[None], case.nav), params.prior, 0.0, "known")
     packed = pack(case.imu, case.aiding, 1.0, CHOSEN, start=0.0, stop=10.5)
-    batch = run_jit(filt.with_history(2), begin.apply_to(params), case.nav, packed.epochs)
+    batch = run_jit(changed(filt, history=2), begin.apply_to(params), case.nav, packed.epochs)
     stream = Stream(filt, params, begin, rate=20.0, lag=3.0)
     rec = type("Rec", (), {"imu": case.imu, "aiding": case.aiding})
     order = [(t, "", i, t) for i, t in enumerate(case.imu.t) if t < 10.5]

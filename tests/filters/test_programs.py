@@ -12,8 +12,14 @@ import numpy as np
 import pytest
 
 from jaxnav.filters import programs
-from jaxnav.filters.catalogue import FILTERS, build
+from jaxnav.filters.catalogue import FILTERS, build, changed, is_built_in
+from jaxnav.filters.feedback import open_loop
+from jaxnav.filters.rule import Rule
 from jaxnav.filters.run import keep_info
+from jaxnav.filters.spec import FilterSpec
+from jaxnav.measurements import MEASUREMENTS
+from tuning.fit.transforms import LOG, SIGNED, interval, scaled
+from tuning.recordings.runs import loss_of
 
 CODE = """
 import sys, jax.numpy as jnp, jaxnav
@@ -113,32 +119,54 @@ def test_programs_of_other_sources_go_when_they_are_old(home):
     assert not old.exists() and (young / "a").exists()
 
 
-def test_what_differs_has_another_description():
-    """Filters of the catalogue, their history, stride, measurements and states, and functions closing over numbers."""
+def test_filters_that_differ_have_other_names():
+    """By history, stride, measurements, states, frame, form or feedback; of equal fields they are one filter."""
     filters = [build(name) for name in FILTERS]
     filters += [build("ekf15", cov_stride=5), build("ekf15", history=9), build("ekf15", ("position",))]
     filters += [build("ekf15", states=("gyro_scale",)), build("ekf15", frame="tangent"), build("ekf15", fast=False)]
+    filters += [build("ekf15", feedback=open_loop), build("ekf15", adapter="mlp_noise")]
     described = [programs.described(f) for f in filters]
     assert len(set(described)) == len(described)
-    closing = lambda a: lambda x: x + a
-    functions = [closing(1), closing(2), closing(np.ones(2)), closing(np.zeros(2)), lambda x: x * 3, lambda x: x * 4]
-    for f in functions:
-        f.__module__ = "jaxnav.made_up"
-    assert len({programs.described(f) for f in functions}) == len(functions)
-    assert programs.described(keep_info) == programs.described(keep_info)
+    assert programs.described(changed(build("ekf15", history=9), history=2)) == described[0]
 
 
-def test_a_function_may_close_over_itself():
-    def again(n):
-        return again(n - 1) if n else 0
+def test_a_function_is_its_name_and_what_a_partial_holds():
+    functions = [keep_info, partial(keep_info, 1), partial(keep_info, 2), partial(keep_info, along=2), jnp.exp]
+    functions += [t.forward for t in (LOG, SIGNED, scaled(0.1), scaled(0.2), interval(0, 1), interval(0, 2))]
+    described = [programs.described(f) for f in functions]
+    assert len(set(described)) == len(described) - 1  # LOG's is jnp.exp
+    assert programs.described(loss_of(build("ekf15"), (("nll", 1.0),), ("noise.gyro",)))
 
-    again.__module__ = "jaxnav.made_up"
-    assert "#0" in programs.described(again)
+
+def closing(a):
+    return lambda x: x + a
 
 
-def test_an_object_without_a_description_is_named():
-    with pytest.raises(programs.NotKept, match="object"):
-        programs.described((1, object()))
+closing.__module__ = "jaxnav.made_up"
+
+
+@pytest.mark.parametrize("part", ["row", "own rule", "no spec", "closure", "users", "objective", "object"])
+def test_what_the_sources_do_not_say_has_no_name(part, monkeypatch, tmp_path):
+    """A row that was added or replaced at run time, a rule or objective of the user, values that a function holds."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "own_score.py").write_text("def score(info, epochs, truth):\n    return info.nis.sum()\n")
+    filt = build("ekf15")
+    if part == "row":
+        for name in ("mine", "ekf15"):
+            monkeypatch.setitem(FILTERS, name, FILTERS["ekf9"]._replace(citation="mine"))
+        assert not is_built_in(FilterSpec("mine", frame="local_level")) and not is_built_in(filt.spec)
+        assert not is_built_in(FilterSpec("ekf9", (MEASUREMENTS["position"],), frame="local_level"))
+    value = {
+        "row": filt,
+        "own rule": build("ekf15", rule=Rule(lambda n, m: (), lambda theta, memory, z: None)),
+        "no spec": filt._replace(spec=None),
+        "closure": closing(1),
+        "users": lambda x: x,
+        "objective": loss_of(filt, (("own_score:score", 1.0),), ("noise.gyro",)),
+        "object": (1, object()),
+    }[part]
+    with pytest.raises(programs.NotKept):
+        programs.described(value)
 
 
 def test_an_error_of_the_function_is_the_callers_and_a_callback_is_not_exported(home):

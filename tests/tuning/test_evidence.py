@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tuning import uncertainty
+from tests.tuning.tangents import gaussian
 from tuning.recordings import evidence
 from tuning.recordings.evidence import STEP, gated_terms, gaussian_terms
 
@@ -35,7 +35,7 @@ def equal(found, expected):
 def test_terms_are_those_of_the_traced_form(drawn, heavy):
     nu, S, valid, dnu, dS, _ = drawn
     flags = np.full(N, heavy)
-    equal(gaussian_terms(nu, S, valid, dnu, dS, flags), jax.vmap(uncertainty.gaussian)(nu, S, valid, dnu, dS, flags))
+    equal(gaussian_terms(nu, S, valid, dnu, dS, flags), jax.vmap(gaussian)(nu, S, valid, dnu, dS, flags))
 
 
 @pytest.mark.parametrize("alone", [(), (1, 3), (0, 1, 2, 3)])
@@ -51,7 +51,7 @@ def test_rejected_channels_that_are_tested_alone_have_terms_of_their_own(drawn, 
             if i.size:
                 here = np.ix_(i, i)
                 slopes = dnu[n][:, i], np.array([slope[here] for slope in dS[n]])
-                found = uncertainty.gaussian(nu[n][i], S[n][here], np.ones(i.size, bool), *slopes, heavy)
+                found = gaussian(nu[n][i], S[n][here], np.ones(i.size, bool), *slopes, heavy)
                 expected = [a + np.asarray(b) for a, b in zip(expected, found, strict=True)]
         one = [a[n : n + 1] for a in (nu, S, valid, used, dnu, dS)]
         equal([a[0] for a in gated_terms(*one, flags)], expected)

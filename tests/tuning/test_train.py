@@ -10,8 +10,9 @@ import optax
 import pytest
 
 from tuning.fit import optimizers
+from tuning.fit.optimizers import adam
 from tuning.fit.status import Status
-from tuning.fit.train import default_optimizer, fit
+from tuning.fit.train import fit
 from tuning.fit.transforms import LOG, scaled, with_prior
 
 
@@ -31,7 +32,7 @@ def bowl(p, centre):
 
 
 def test_finds_the_minimum_and_one_compilation_serves_other_data():
-    optimizer = default_optimizer(150, 0.1, 10.0)
+    optimizer = adam(150, 0.1, 10.0)
     for centre in (2.0, 0.5):
         result = fit(bowl, SPEC, START, 150, optimizer, arguments=(jnp.array(centre),))
         assert float(result.params.width) == pytest.approx(centre, rel=2e-2)
@@ -50,7 +51,7 @@ def test_a_gradient_that_is_not_finite_skips_its_step():
     def cliff(p):
         return jnp.where(p.shift > 0.25, p.shift, p.shift / 0.0)
 
-    result = fit(cliff, SPEC, START, 4, default_optimizer(4, 1.0, 1e9))
+    result = fit(cliff, SPEC, START, 4, adam(4, 1.0, 1e9))
     assert np.isfinite(float(result.params.shift)) and result.loss == pytest.approx(0.3)
 
 
@@ -71,7 +72,7 @@ def test_ctrl_c_returns_the_best_so_far(monkeypatch):
         return real(*args)
 
     monkeypatch.setattr(tuning.fit.train, "_step", step)
-    result = fit(bowl, SPEC, START, 150, default_optimizer(150, 0.1, 10.0), arguments=(jnp.array(2.0),))
+    result = fit(bowl, SPEC, START, 150, adam(150, 0.1, 10.0), arguments=(jnp.array(2.0),))
     assert result.status is Status.INTERRUPTED and len(result.history) == 3
     assert result.loss == min(row["loss"] for row in result.history)
 

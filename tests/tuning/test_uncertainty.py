@@ -9,6 +9,7 @@ import pytest
 from jax import lax
 from jax.flatten_util import ravel_pytree
 
+from tests.tuning.tangents import information
 from tuning import uncertainty
 from tuning.fit.transforms import IDENTITY, LOG, factor, join, split, tied, with_prior
 from tuning.recordings import scoring
@@ -59,7 +60,7 @@ def draw(key, n, q, v):
 
 
 def inform(solve, raw, n, per=10):
-    return uncertainty.information(solve, raw, jnp.ones(n, bool), jnp.arange(n) // per, n // per)
+    return information(solve, raw, jnp.ones(n, bool), jnp.arange(n) // per, n // per)
 
 
 def test_white_noise_has_the_textbook_information():
@@ -71,7 +72,7 @@ def test_white_noise_has_the_textbook_information():
     np.testing.assert_allclose(got.score, [np.sum(1 - z**2), -np.sum(z) / np.exp(0.5)], rtol=1e-10)
     np.testing.assert_allclose(got.fisher, [[2 * n, 0], [0, n / np.exp(1.0)]], atol=1e-9)
     np.testing.assert_allclose(got.blocks.sum(0), got.score, rtol=1e-10)
-    half = uncertainty.information(white(y), raw, jnp.arange(n) < 100, jnp.arange(n) // 10, 20)
+    half = information(white(y), raw, jnp.arange(n) < 100, jnp.arange(n) // 10, 20)
     assert half.fisher[0, 0] == pytest.approx(n) and not np.any(half.blocks[10:])
 
 
@@ -168,7 +169,7 @@ def test_a_frozen_run_is_no_likely_one():
     start, of = jnp.array([1.0, 0.0]), jax.jit(lambda r: inform(solve, r, 100))
     assert np.isinf(of(jnp.zeros(2)).nll) and np.isfinite(of(start).nll)
     keep, one = jnp.arange(100) < 20, jnp.zeros(100, int)
-    early = jax.jit(lambda r: uncertainty.information(solve, r, keep, one, 1))(jnp.zeros(2))
+    early = jax.jit(lambda r: information(solve, r, keep, one, 1))(jnp.zeros(2))
     assert np.isfinite(early.nll)  # where nothing after the failure counts
     found = scoring.maximise(of, start)
     assert np.isfinite(found.best.nll) and found.raw[0] >= 0.5

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import NamedTuple, TypeAlias
 
 import optax
 
@@ -42,3 +43,21 @@ def sgd(steps: int, rate: float = 0.05, clip: float = 1.0) -> optax.GradientTran
 
 
 OPTIMIZERS: dict[str, Make] = {"adam": adam, "lbfgs": lbfgs, "sgd": sgd}
+
+
+class Method(NamedTuple):
+    """An optimiser by name and numbers."""
+
+    name: str  # a row of `OPTIMIZERS`
+    steps: int  # of its schedule
+    rate: float = 0.05
+
+
+Optimizer: TypeAlias = Method | optax.GradientTransformation
+
+
+def made(optimizer: Optimizer) -> optax.GradientTransformation:
+    """Return the optimiser of optax."""
+    if isinstance(optimizer, Method):
+        return OPTIMIZERS[optimizer.name](optimizer.steps, optimizer.rate)
+    return optimizer

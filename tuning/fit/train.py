@@ -19,11 +19,9 @@ from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.programs import stored
 from tuning.fit import checkpoint, distributed
 from tuning.fit.batch import Aggregate, Data, Problem, evaluate, mean, strict
-from tuning.fit.optimizers import adam as default_optimizer
+from tuning.fit.optimizers import Method, Optimizer, made
 from tuning.fit.status import Status
 from tuning.fit.transforms import Spec, bound, join, split
-
-__all__ = ["Fit", "default_optimizer", "fit"]
 
 LAST, HISTORY = "last.npz", "history.jsonl"
 
@@ -50,12 +48,12 @@ class TrainState(NamedTuple):
 
 
 @partial(stored, static_argnums=(0, 1))
-def _step(problem: Problem, optimizer: Any, raw: Any, state: Any, data: Data) -> Any:
+def _step(problem: Problem, optimizer: Optimizer, raw: Any, state: Any, data: Data) -> Any:
     """Return new raw, new state, and loss, gradient norm and good runs at the old raw."""
     e = evaluate(problem, raw, data)
     # a line search takes the runs that are good here, and refuses points where one of those fails
     line = data._replace(weight=jnp.where(e.good, data.weight, 0.0))
-    updates, new = optax.with_extra_args_support(optimizer).update(
+    updates, new = optax.with_extra_args_support(made(optimizer)).update(
         e.grad, state, raw, value=e.value, grad=e.grad, value_fn=lambda r: strict(problem, r, line)
     )
     return optax.apply_updates(raw, updates), new, e.value, optax.tree.norm(e.grad), e.good
@@ -73,7 +71,7 @@ def fit(
     spec: Spec,
     params: Any,
     steps: int,
-    optimizer: optax.GradientTransformation | None = None,
+    optimizer: Optimizer | None = None,
     arguments: tuple[Any, ...] = (),
     validation: Callable[..., jax.Array] | Sequence[Callable[..., jax.Array]] | None = None,
     validation_arguments: tuple[Any, ...] = (),
@@ -106,7 +104,8 @@ def fit(
         spec: transforms of the free leaves, by dotted name.
         params: the start.
         steps: number of updates.
-        optimizer: of optax; None is Adam (`tuning.fit.optimizers.adam`).
+        optimizer: of optax, or a `tuning.fit.optimizers.Method`, whose steps another process does not trace again; None
+            is Adam (`tuning.fit.optimizers.adam`).
         arguments: further arguments of the loss.
         validation: ``validation(params, *validation_arguments)``, of one run with ``validation_cases``.
         validation_arguments: its further arguments.
@@ -138,7 +137,7 @@ def fit(
     if every < 1:
         raise ValueError(f"every must be 1 or more steps, got {every}")
     clear_caches_if_needed()
-    optimizer = default_optimizer(steps) if optimizer is None else optimizer
+    optimizer = Method("adam", steps) if optimizer is None else optimizer
     raw = split(spec, params)
     spec, params = bound(spec, params)
     draw_state = cases if callable(cases) else None
@@ -149,7 +148,7 @@ def fit(
         judge = _job(
             validation, spec, params, validation_arguments, validation_cases, aggregate, None, prior_weight, mesh
         )
-    at = TrainState(raw, optimizer.init(raw), raw, math.inf, np.iinfo(int).max, 0)
+    at = TrainState(raw, made(optimizer).init(raw), raw, math.inf, np.iinfo(int).max, 0)
     history = _History(folder, identity, list(names), explain, spec, params)
     if resume:
         at = history.reopen(at)
@@ -208,7 +207,7 @@ def _advance(
     train: tuple[Problem, Data],
     judge: tuple[Problem, Data] | None,
     separate: bool,
-    optimizer: Any,
+    optimizer: Optimizer,
     history: "_History",
     bar: Any,
 ) -> TrainState:

@@ -32,7 +32,7 @@ A positive parameter moves in its logarithm:
 
 import math
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -73,18 +73,30 @@ IDENTITY = Transform(lambda raw: raw, lambda value: value)
 @cache
 def scaled(unit: float) -> Transform:
     """Any sign; a raw step of 1 is worth ``unit``, so that one learning rate suits all leaves."""
-    return Transform(lambda raw: raw * unit, lambda value: value / unit)
+    return Transform(partial(_times, unit), partial(_over, unit))
+
+
+def _times(unit: float, raw: Any) -> Any:
+    return raw * unit
+
+
+def _over(unit: float, value: Any) -> Any:
+    return value / unit
 
 
 @cache
 def interval(low: float, high: float) -> Transform:
     """Strictly between two bounds, by a logistic function."""
+    return Transform(partial(_inside, low, high), partial(_share, low, high))
 
-    def inverse(value: Any) -> jax.Array:
-        share = (value - low) / (high - low)
-        return jnp.log(share) - jnp.log1p(-share)
 
-    return Transform(lambda raw: low + (high - low) * jax.nn.sigmoid(raw), inverse)
+def _inside(low: float, high: float, raw: Any) -> jax.Array:
+    return low + (high - low) * jax.nn.sigmoid(raw)
+
+
+def _share(low: float, high: float, value: Any) -> jax.Array:
+    share = (value - low) / (high - low)
+    return jnp.log(share) - jnp.log1p(-share)
 
 
 def tied(transform: Transform, tie: tuple[int, ...] | None = (), also: tuple[str, ...] = ()) -> Transform:
@@ -119,20 +131,20 @@ def factor(n: int) -> Transform:
     One learning rate suits both and other logarithms: neither depends on the axes' units, and N samples give them to
     1 / sqrt(2 N) and 1 / sqrt(N) at any values (Fisher 1915).
     """
-    lower = np.tril_indices(n, -1)
+    return Transform(partial(_root, n), partial(_numbers, n), axes=n)
 
-    def forward(raw: jax.Array) -> jax.Array:
-        Z = jnp.zeros((n, n)).at[lower].set(raw[n:])
-        rest = jnp.cumprod(jnp.concatenate([jnp.ones((n, 1)), 1 / jnp.cosh(Z[:, :-1])], 1), 1)
-        return jnp.exp(raw[:n, None]) * (jnp.tanh(Z) + jnp.eye(n)) * rest
 
-    def inverse(value: Any) -> jax.Array:
-        L = _matrix(value, n)
-        square = jnp.cumsum(L[:, ::-1] ** 2, 1)[:, ::-1]  # of the rest of a row from each column on
-        sinh = L[lower] / jnp.sqrt(square[lower[0], lower[1] + 1])
-        return jnp.concatenate([0.5 * jnp.log(square[:, 0]), jnp.arcsinh(sinh)])
+def _root(n: int, raw: jax.Array) -> jax.Array:
+    Z = jnp.zeros((n, n)).at[np.tril_indices(n, -1)].set(raw[n:])
+    rest = jnp.cumprod(jnp.concatenate([jnp.ones((n, 1)), 1 / jnp.cosh(Z[:, :-1])], 1), 1)
+    return jnp.exp(raw[:n, None]) * (jnp.tanh(Z) + jnp.eye(n)) * rest
 
-    return Transform(forward, inverse, axes=n)
+
+def _numbers(n: int, value: Any) -> jax.Array:
+    L, lower = _matrix(value, n), np.tril_indices(n, -1)
+    square = jnp.cumsum(L[:, ::-1] ** 2, 1)[:, ::-1]  # of the rest of a row from each column on
+    sinh = L[lower] / jnp.sqrt(square[lower[0], lower[1] + 1])
+    return jnp.concatenate([0.5 * jnp.log(square[:, 0]), jnp.arcsinh(sinh)])
 
 
 def _matrix(value: jax.Array, n: int) -> jax.Array:

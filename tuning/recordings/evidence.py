@@ -46,7 +46,7 @@ class Terms(NamedTuple):
 def gaussian_terms(
     nu: np.ndarray, S: np.ndarray, valid: np.ndarray, dnu: np.ndarray, dS: np.ndarray, heavy: np.ndarray
 ) -> Terms:
-    """Return the terms of residuals, `tuning.uncertainty.gaussian` of each, on the host.
+    """Return the terms of residuals, those of a Gaussian or a Student t of `FREEDOM`, on the host.
 
     Args:
         nu: (N, m) residuals, 0 on missing channels.
@@ -132,13 +132,8 @@ def evidence_of(
 def _sums(record: LaneRecord, noise: np.ndarray, part: "Training", alone: np.ndarray) -> tuple[ScoreSums, ScoreSums]:
     """Return the sums at a point, of the record (phases, 1 + 2 P, E) and the noise of hidden fixes (phases, .., A)."""
     phases, count = record.ok.shape[:2]
-    # a gate that decides otherwise for a step makes a jump of what follows
-    same = np.logical_and.accumulate((record.used == record.used[:, :1]).all(-1) & record.ok, 2)
-    middle = lambda a: a[:, 0].reshape(-1, *a.shape[3:])
-    valid, used = middle(record.valid), middle(record.used)
-    dnu, dS = differences(record.nu, same), differences(record.S, same)
-    terms = gated_terms(middle(record.nu), middle(record.S), valid, used, dnu, dS, alone)
-    innovations = summed(terms, part.keep.reshape(-1) & valid.any(1))
+    same, middle = decided_alike(record), _middle
+    innovations = summed(innovation_terms(record, alone), part.keep.reshape(-1) & middle(record.valid).any(1))
     if (part.keep & ~record.ok[:, 0]).any():
         innovations = innovations._replace(value=np.inf)
     rows = np.arange(phases)[:, None, None], np.arange(count)[:, None], part.at[:, None]
@@ -147,6 +142,30 @@ def _sums(record: LaneRecord, noise: np.ndarray, part: "Training", alone: np.nda
     dy, dC = differences(y, same[rows]), differences(C, same[rows])
     far = gaussian_terms(middle(y), middle(C), three, dy, dC, three[:, 0])
     return innovations, summed(far, part.there.reshape(-1))
+
+
+def _middle(a: np.ndarray) -> np.ndarray:
+    """Return the values at the point, (B E, ...) of (B, 1 + 2 P, E, ...)."""
+    return a[:, 0].reshape(-1, *a.shape[3:])
+
+
+def decided_alike(record: LaneRecord) -> np.ndarray:
+    """(B, 1 + 2 P, E) bool: up to then each step's gate has decided as at the point; else what follows jumps."""
+    return np.logical_and.accumulate((record.used == record.used[:, :1]).all(-1) & record.ok, 2)
+
+
+def innovation_terms(record: LaneRecord, alone: np.ndarray) -> Terms:
+    """Return the terms of the innovations of B runs, (B E, ...).
+
+    Args:
+        record: (B, 1 + 2 P, E, ...) each run at a point, and a `STEP` above and below it in each number.
+        alone: (m,) bool, channels that a gate tests one by one.
+    """
+    same = decided_alike(record)
+    dnu, dS = differences(record.nu, same), differences(record.S, same)
+    return gated_terms(
+        _middle(record.nu), _middle(record.S), _middle(record.valid), _middle(record.used), dnu, dS, alone
+    )
 
 
 def differences(a: np.ndarray, same: np.ndarray) -> np.ndarray:

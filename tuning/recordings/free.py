@@ -98,7 +98,8 @@ def step_of(leaf: str, filter_name: str) -> Transform:
     group, _, name = leaf.partition(".")
     if group != "rule":
         return transform_of(leaf)
-    known = FILTERS[filter_name].tunable | FILTERS[filter_name].named
+    entry = FILTERS.get(filter_name)
+    known = {} if entry is None else entry.tunable | entry.named
     if name not in known:
-        raise ConfigError(f"tune.free: filter {filter_name} has no {leaf}")
+        raise ConfigError(f"tune.free: filter {filter_name or 'of a rule of its user'} has no {leaf}")
     return TRANSFORMS[known[name]]

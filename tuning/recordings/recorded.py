@@ -33,6 +33,7 @@ from jaxnav.analysis.windows import drifts
 from jaxnav.checkup.findings import finding, line
 from jaxnav.checkup.streams import velocity
 from jaxnav.filters import epochs as ep
+from jaxnav.filters.catalogue import changed
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK
@@ -172,15 +173,14 @@ def tune(
         history_for(s.applied(p), 1 / float(np.median(r.imu.dt)), float(np.ptp(r.imu.t)), MAX_ADDED_DELAY_S)
         for r, p, s in zip(recs, datasheets, scans, strict=True)
     )
-    kept = lambda each: each.with_history(samples) if each.with_history else each
-    filt = kept(filt)
+    filt = changed(filt, history=samples)
     if "measurements.position.scale" not in separate:
         scans = [s._replace(receiver=r) for s, r in zip(scans, alike([s.receiver for s in scans]), strict=True)]
     shared = 1.0 if SCALE in leaves_of(filt, datasheets[0], free) else max(s.scale for s in scans)
     scans = [s._replace(scale=shared) for s in scans]
     plain, slowly = filt, [each for each in scans if extend and each.receiver.share.any()]
     wide = [slowly[0].extended(filt, p) for p in datasheets] if slowly else []
-    filt = kept(wide[0][0]) if slowly and wide[0][0] is not filt else filt
+    filt = wide[0][0] if slowly else filt
     slow = bool(slowly) and RECEIVER_ERROR in filt.model.states
     bases = [without_slow_errors(p) for _, p in wide] if slow else datasheets
     used = prepare_recordings(recs, filt, bases, begins, cut, layouts, log)

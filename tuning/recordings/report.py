@@ -277,11 +277,14 @@ def write(found: Tuned, folder: Path, states: Sequence[str] = (), exports: bool 
     about = f"{' and '.join(u.name for u in found.used)}: {found.verdict}"
     extra = [name for name in found.filter.model.states if name not in (*BIASES, *states)]
     prior = [f"states.{name}.sd" for name in extra]
-    params: dict[str, Any] = {"filter": {"states": [*states, *extra]}} if extra else {}
+    spec = found.filter.spec
+    section = {} if spec is None else {"name": spec.name, "measurements": list(found.filter.model.measurements)}
+    section |= {"states": [*states, *extra]} if extra else {}
     if jax.tree.leaves(found.params.adapter):
-        named = found.filter.adapter if isinstance(found.filter.adapter, str) else ""
-        write_weights(folder / f"tuned{WEIGHTS}", found.params.adapter, named)
-        params["filter"] = params.get("filter", {}) | {"adapter": f"tuned{WEIGHTS}"}
+        part = "" if spec is None else spec.adapter
+        write_weights(folder / f"tuned{WEIGHTS}", found.params.adapter, part if isinstance(part, str) else "")
+        section |= {"adapter": f"tuned{WEIGHTS}"}
+    params: dict[str, Any] = {"filter": section} if section else {}
     stated = lambda each: nested(in_user_units(each, dict.fromkeys([*noise_leaves(each), *prior, *found.spec])))
     head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
     atomic_write(folder / "tuned.toml", head + to_toml(params | stated(found.params)))

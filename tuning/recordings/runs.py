@@ -4,7 +4,7 @@ import importlib
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from jaxnav.filters.run import first_failure, run, run_jit
 from jaxnav.measurements import clock_offset
 from jaxnav.types import ConfigError, DataError, Epoch, FilterError, Info, Nav, Params, nearest
 from tuning.fit import objectives
-from tuning.fit.optimizers import OPTIMIZERS
+from tuning.fit.optimizers import Method
 from tuning.fit.train import Fit, fit
 from tuning.fit.transforms import Spec, leaves, merged
 
@@ -135,18 +135,20 @@ def loss_of(
 
     Of the parameters only the leaves in ``free`` count; the rest is the run's. One function per setting.
     """
+    return partial(_loss, filt, tuple((score_of(name), w) for name, w in weights if w), free)
 
-    def loss(params: Params, r: Run) -> jax.Array:
-        params = merged(params, r.params, free)
-        info = run(filt, params, r.nav, r.epochs)
-        if r.truth is not None:  # navigation's time at the truth's, if the clocks have drifted since the start
-            later = clock_offset(params.mounting, info.nav) - clock_offset(r.params.mounting, info.nav)
-            r = r._replace(truth=r.truth._replace(lla=r.truth.lla + later[:, None] * r.truth.rate))
-        total = sum((w * score_of(name)(info, r) for name, w in weights if w), jnp.zeros(()))
-        near = jnp.all(jnp.where(info.valid, jnp.abs(info.residual), 0.0) < DIVERGED_M)
-        return jnp.where(info.ok.all() & near, total, jnp.inf)
 
-    return loss
+def _loss(
+    filt: Filter, scores: tuple[tuple[Score, float], ...], free: tuple[str, ...], params: Params, r: Run
+) -> jax.Array:
+    params = merged(params, r.params, free)
+    info = run(filt, params, r.nav, r.epochs)
+    if r.truth is not None:  # navigation's time at the truth's, if the clocks have drifted since the start
+        later = clock_offset(params.mounting, info.nav) - clock_offset(r.params.mounting, info.nav)
+        r = r._replace(truth=r.truth._replace(lla=r.truth.lla + later[:, None] * r.truth.rate))
+    total = sum((w * score(info, r) for score, w in scores), jnp.zeros(()))
+    near = jnp.all(jnp.where(info.valid, jnp.abs(info.residual), 0.0) < DIVERGED_M)
+    return jnp.where(info.ok.all() & near, total, jnp.inf)
 
 
 # ---------------------------------------------------------------------------- the search
@@ -196,7 +198,7 @@ def descend(
     loss = loss_of(filt, tuple(sorted(how.objective.items())), free)
     try:
         return fit(
-            loss, spec, params, how.steps, OPTIMIZERS[how.method](how.steps, how.rate), validation=loss,
+            loss, spec, params, how.steps, Method(how.method, how.steps, how.rate), validation=loss,
             cases=train, validation_cases=validation, names=names, prior_weight=prior_weight, progress=how.progress,
             explain=lambda found, i: why(filt, merged(found, _at(train, i).params, free), _at(train, i)),
             folder=how.keep, resume=how.resume, identity=how.identity, mesh=how.mesh,

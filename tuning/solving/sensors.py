@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxnav.checkup.findings import finding
-from jaxnav.filters.catalogue import build, rows
+from jaxnav.filters.catalogue import changed, rows, with_states
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import get, has, put
@@ -18,7 +18,7 @@ from jaxnav.types import Finding, Params, Recording
 from tuning.recordings.choice import MIN_BLOCKS
 from tuning.recordings.parts import blocks_of
 from tuning.recordings.validation import block_ratio
-from tuning.solving.hidden import COV_STRIDE, Bench, Scored
+from tuning.solving.hidden import Bench, Scored
 
 MAX_RATIO = 1.02  # of the horizontal drift on training and validation windows, up to which a measurement does no harm
 SDS = (1.0, 3.0, 10.0)  # times the stated sd, that a measurement is tried with: its errors last, those of noise do not
@@ -124,11 +124,8 @@ def choose(
     for option in tried:
         begin()
         names = {*best.filter.model.measurements, *option.measurements}
-        filt = build(best.filter.name, [name for name in MEASUREMENTS if name in names], COV_STRIDE,
-                     adapter=best.filter.adapter)  # fmt: skip
-        more = [s for s in (*best.filter.model.states, *option.states) if s not in filt.model.states]
-        if more and filt.with_states is not None:
-            filt = filt.with_states(*more)
+        filt = changed(best.filter, measurements=tuple(name for name in MEASUREMENTS if name in names))
+        filt = with_states(filt, *option.states)
         new, own, row = _tried(option, best, bench, filt, params_of(filt), factors | dict(option.factors))
         done.append(row)
         if row.taken:

@@ -7,6 +7,7 @@ from jaxnav.filters.adapters.adapter import Adapter
 from jaxnav.filters.adapters.mlp_noise import mlp_noise
 from jaxnav.filters.adapters.window_constraints import window_constraints
 from jaxnav.measurements.measurement import Measurement
+from jaxnav.types import Table
 
 
 class Entry(NamedTuple):
@@ -17,9 +18,11 @@ class Entry(NamedTuple):
     needs: tuple[str, ...] = ()  # measurements of the filter
 
 
-ADAPTERS: dict[str, Entry] = {
-    "mlp_noise": Entry(mlp_noise, "this package: a network of two layers gives factors on the stated sd of fixes"),
-    "window_constraints": Entry(
-        window_constraints, "Brossard, Barrau & Bonnabel 2020, section IV-B", ("nonholonomic",)
-    ),
-}
+ADAPTERS: Table[Entry] = Table(
+    {
+        "mlp_noise": Entry(mlp_noise, "this package: a network of two layers gives factors on the stated sd of fixes"),
+        "window_constraints": Entry(
+            window_constraints, "Brossard, Barrau & Bonnabel 2020, section IV-B", ("nonholonomic",)
+        ),
+    }
+)

@@ -5,20 +5,24 @@ BIN = $(VENV)/bin
 EXTRAS ?= dev,oracle
 DOCS = dev,oracle,docs
 
-.PHONY: demo test quick slow fuzz mutants replay lint lock docs
+.PHONY: demo test full quick slow fuzz mutants replay lint lock docs
 demo: $(VENV)/installed
 	$(BIN)/jaxnav demo
 
 # `loadfile`: the tests of a module share compiled functions, so that each module stays in one process
 test: $(VENV)/ready
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not full"
+
+# those that take longer than a few seconds each
+full: $(VENV)/ready
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "full and not slow"
 
 # contract, layout and numbers
 QUICK = tests/test_layout.py tests/test_contract.py tests/maths tests/filters/test_epochs.py tests/filters/test_gaps.py \
   tests/io/test_polling.py tests/initialization/test_start.py tests/filters/test_reference.py tests/strapdown/test_plain.py \
   tests/analysis/test_usage.py tests/app/test_config.py
 quick: $(VENV)/ready
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" $(QUICK)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not full" $(QUICK)
 
 slow: $(VENV)/ready
 	$(BIN)/python -m pytest -m slow

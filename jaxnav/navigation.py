@@ -24,7 +24,7 @@ from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import changed
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
-from jaxnav.filters.gaps import TICK, holes
+from jaxnav.filters.gaps import holes
 from jaxnav.filters.lanes import relative_variance, slow_errors
 from jaxnav.filters.parameters import earliest, history_for, installed, later
 from jaxnav.filters.run import first_failure, require_params, require_x64
@@ -35,6 +35,7 @@ from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.initialization.parked import moves_off
 from jaxnav.initialization.starts import Chosen, execute
 from jaxnav.io.solution import FORMATS, write_kml, write_solution
+from jaxnav.maths.units import TICK
 from jaxnav.measurements import AUXILIARY, MEASUREMENTS, Measurement
 from jaxnav.measurements.measurement import along_track, references
 from jaxnav.states.grades import GRADES

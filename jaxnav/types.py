@@ -1,4 +1,4 @@
-"""The data of the package: NamedTuples with shape, unit and frame on every field, no logic.
+"""The data of the package: NamedTuples with shape, unit and frame on every field.
 
 Two kinds. *Traced* types hold jax arrays and flow through jit, vmap and grad (`Imu`, `Fix`, `Epoch`, `Nav`,
 `Noise`, `Mounting`, `Prior`, `Params`, `Info`). *Host* types hold numpy arrays and come from readers

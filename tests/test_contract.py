@@ -9,7 +9,7 @@ import pytest
 
 from jaxnav import FILTERS, GNSS, NONHOLONOMIC, build, make_filter
 from jaxnav.analysis import metrics
-from jaxnav.filters.catalogue import FRAMES, Entry
+from jaxnav.filters.catalogue import Entry
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.papers.gpid import gpid_params
 from jaxnav.filters.rule import Innovation, Rule
@@ -18,6 +18,7 @@ from jaxnav.filters.run import run
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate_jit
 from jaxnav.states.table import BIASES
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import Epoch, Fix, Forcing
 
 SCENARIO = SCENARIOS["urban_short"]
@@ -112,6 +113,7 @@ def test_contract(name, drive):
     assert row.x.shape == (9 + 3 * len(entry.states),) and row.nu.shape == (8,)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("names", dict.fromkeys(map(alike, FILTERS.values())), ids=lambda names: names[0])
 def test_no_filter_calls_lapack(names, drive):
     """Of two calls at the same time on two processors, in batches, neither ended: see `jaxnav.maths.linalg`."""
@@ -120,6 +122,7 @@ def test_no_filter_calls_lapack(names, drive):
     assert "lapack" not in program(names).lower(params, drive.initial, drive.epochs).as_text()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", alike(FILTERS["ekf15"]))
 def test_a_channel_that_is_never_there_changes_nothing(name, drive):
     """Whatever the rule; and a constraint never reaches a paper's rule."""
@@ -129,6 +132,7 @@ def test_a_channel_that_is_never_there_changes_nothing(name, drive):
     np.testing.assert_allclose(more.P, info.P, rtol=0, atol=1e-9)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", FILTERS)
 def test_a_rule_is_finite_and_still_where_nothing_is_there(name):
     """With H = 0 and T = 0, as a batch asks of it where others of its runs have a fix."""

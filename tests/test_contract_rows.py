@@ -13,7 +13,6 @@ import pytest
 
 from jaxnav import FILTERS, GNSS, MEASUREMENTS, STATES, build
 from jaxnav.filters.border import KEYS, NAMES
-from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.parameters import UNITS, datasheet_params
 from jaxnav.filters.run import initial_nav, negative_log_likelihood, run
@@ -24,6 +23,7 @@ from jaxnav.simulate.simulation import matched_params, simulate_jit
 from jaxnav.states.grades import GRADES
 from jaxnav.states.state import Reading
 from jaxnav.states.table import BIASES, chosen, zeros
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import Epoch, Fix, Imu, Nav, Params
 
 ALL = tuple(each for each in MEASUREMENTS.values() if not each.auxiliary)
@@ -81,6 +81,7 @@ def close(a, b, rtol) -> None:
     np.testing.assert_allclose(a, b, rtol=0, atol=rtol * max(np.abs(b).max(), 1e-300))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("frame", FRAMES)
 def test_states_that_are_zero_and_channels_that_are_not_there_change_nothing(frame, drive):
     scenario, start, epochs = drive
@@ -97,6 +98,7 @@ def test_states_that_are_zero_and_channels_that_are_not_there_change_nothing(fra
     assert not np.asarray(full.P[:, 15:]).any() and not np.asarray(full.nu[:, 6:]).any()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "frame", [name if name == "local_level" else pytest.param(name, marks=pytest.mark.slow) for name in FRAMES]
 )
@@ -157,6 +159,7 @@ def difference(model, estimate: Nav, truth: Nav) -> jax.Array:
     return jnp.concatenate([dp, estimate.vel - truth.vel, phi, *optional])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("stride, bound", [(1, 1e-4), (10, 1e-2)])
 @pytest.mark.parametrize(
     "frame, form",
@@ -261,6 +264,7 @@ def test_retract_and_observe_are_derivatives(frame):
         assert not seen or np.abs(H[:, layout_of()[name]]).max() > 0, name
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("row", ALL, ids=lambda row: row.name)
 def test_an_entry_of_a_value_is_shown_by_its_channel(row):
     """d y / d value has one entry a row: in the channel that `Measurement.shows` names, the same one without it."""

@@ -32,6 +32,7 @@ SET = re.compile(r"""--set ['"]?(?!section)([a-z_.]+)=(\[[^\]]*\]|{[^}]*}|[^\s'"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
+@pytest.mark.full
 def test_library_page_runs_and_does_what_it_says(capsys):
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
     assert len(blocks) == 9

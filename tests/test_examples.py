@@ -34,6 +34,7 @@ def with_receiver(name: str, folder: Path, files: Path = FOLDER) -> Path:
     return path
 
 
+@pytest.mark.full
 def test_the_files_are_those_of_the_script(simulated, tmp_path):
     make.write_tables(simulated, tmp_path)
     make.write_receiver(simulated, tmp_path)
@@ -77,6 +78,7 @@ def errors(out: Path, truth: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return t, np.linalg.norm(error * np.asarray(earth.metres_per_radian(truth.lla[0]))[:2], axis=1), sd
 
 
+@pytest.mark.full
 def test_the_default_filter_finds_the_delay(simulated, tmp_path):
     argv = ["--data", str(FOLDER / "drive.toml"), "--quiet", "--out", str(tmp_path / "out")]
     assert cli.main(["filter", *argv]) == 0

@@ -84,6 +84,7 @@ def test_one_class_name_is_one_thing_within_a_folder():
         assert len(names) == len(set(names)), (folder, sorted(n for n in names if names.count(n) > 1))
 
 
+@pytest.mark.full
 def test_what_tests_and_benchmarks_take_of_a_module_is_there():
     """A function that moves is found by its name, and not when a test of another folder runs."""
     lacking = []

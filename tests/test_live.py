@@ -15,6 +15,7 @@ def drive():
     return driven()
 
 
+@pytest.mark.full
 def test_it_is_the_stream_from_its_start_on(drive):
     rec, ekf, params, _ = drive
     begins = []
@@ -31,6 +32,7 @@ def test_it_is_the_stream_from_its_start_on(drive):
     assert alone.now.t == pytest.approx(rec.imu.t[-1]) and alone.now.ok
 
 
+@pytest.mark.full
 def test_the_delay_that_the_start_shows_is_taken_into_account():
     rec, late = simulated("aircraft", "tactical", True, np.random.default_rng(1), span=30.0, late=0.3)
     ekf = build("ekf15", cov_stride=5)

@@ -54,6 +54,7 @@ def test_everything_that_is_imported_is_in_the_wheel(environment):
     assert not (site / "tests").exists() and not (site / "benchmarks").exists()
 
 
+@pytest.mark.full
 def test_the_installed_command_line_filters(environment):
     code = """
 from jaxnav.app import cli

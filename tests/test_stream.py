@@ -57,6 +57,7 @@ def same(a, b):
         np.testing.assert_array_equal(x, y)
 
 
+@pytest.mark.full
 def test_it_is_the_batch(drive):
     """At every epoch, those without a fix in the outage among them; nothing is compiled on the way.
 
@@ -115,6 +116,7 @@ def test_it_is_the_batch_but_for_the_last_digits(emitters):
     subprocess.run([sys.executable, "-c", textwrap.dedent(code)], env=env, check=True, timeout=300)
 
 
+@pytest.mark.full
 def test_late_fixes_in_any_order_end_where_those_on_time_do(drive):
     rec, ekf, params, begin = drive
     rows = events(rec, begin.t)
@@ -127,6 +129,7 @@ def test_late_fixes_in_any_order_end_where_those_on_time_do(drive):
     same(on_time.kept[-1].state, delayed.kept[-1].state)
 
 
+@pytest.mark.full
 def test_a_restart_from_bytes_goes_on_to_the_bit(drive):
     rec, ekf, params, begin = drive
     rows = events(rec, begin.t)
@@ -233,6 +236,7 @@ def test_nothing_that_comes_in_brings_it_down(drive):
             stream.push(*bad)
 
 
+@pytest.mark.full
 def test_a_start_that_is_not_one_is_refused(drive):
     rec, ekf, params, begin = drive
     bank = Initialization(jax.tree.map(lambda a: np.repeat(a, 12, 0), begin.navs), begin.prior, begin.t, "")

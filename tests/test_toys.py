@@ -1,4 +1,4 @@
-"""A rule, a reader and a measurement are each one file (here: one section) and one row.
+"""A rule, a reader, a measurement, a constraint and a frame are each one file (here: one section) and one row.
 
 A state that reads a temperature is in tests/states/test_temperature.py, a verb in tests/app/test_verbs.py.
 """
@@ -20,16 +20,20 @@ from jaxnav.filters.catalogue import FILTERS, Entry
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import change
 from jaxnav.filters.rule import Correction, Innovation, Rule
+from jaxnav.filters.standstill import constraint_samples
 from jaxnav.io import read as reading
 from jaxnav.io import write_recording
 from jaxnav.io.parts import ImuRows, Parts, Stream, notes_of
-from jaxnav.maths import linalg
+from jaxnav.maths import linalg, rotations
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.navigation import metrics
 from jaxnav.states.table import BIASES
+from jaxnav.strapdown import local_level
+from jaxnav.strapdown.errors import local_level as local_level_errors
+from jaxnav.strapdown.frames import FRAMES, Frame
 from jaxnav.types import Fix, Leaf, Mounting, Nav, Params, Recording, Samples
 
 QUICK = ["--set", "out.figures=none", "--set", "filter.cov_stride=10", "--set", "filter.grade='consumer'"]
@@ -70,6 +74,7 @@ CAUCHY = Entry(
 )  # fmt: skip
 
 
+@pytest.mark.full
 def test_a_rule_is_a_row(drive, tmp_path, monkeypatch):
     """It runs by its name, has its setting, and keeps out a fix that is 300 m off."""
     monkeypatch.setitem(FILTERS, "ekf15_cauchy", CAUCHY)
@@ -99,6 +104,7 @@ def read_toy(path: Path) -> Parts:
     return Parts(str(path), ImuRows(imu[:, 0], imu[:, 1:4], imu[:, 4:7]), {"position": Stream(fix[:, 0], fix[:, 1:4])})
 
 
+@pytest.mark.full
 def test_a_reader_is_a_row(drive, tmp_path, monkeypatch):
     monkeypatch.setattr(reading, "READERS", (reading.Reader("toy log", recognises, read_toy), *reading.READERS))
     imu, position = drive.imu, drive.aiding["position"]
@@ -153,3 +159,75 @@ def test_a_measurement_is_a_row_with_a_stream_and_settings(drive, tmp_path, monk
     right = velocity(filt, change(params, {"measurements.radar.factor": 0.5}))
     plain = build("ekf15", cov_stride=10)
     assert right < 0.7 * velocity(plain, plain.params("consumer")) and right < 0.2 * velocity(filt, params)
+
+
+# ---------------------------------------------------------------------------- a constraint: a speed by the throttle
+
+
+class ThrottleParams(NamedTuple):
+    """Of a speed along the body's forward axis that is known at the end of every epoch."""
+
+    sd: Leaf  # () m/s
+
+
+def observe_throttle(theta: ThrottleParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    forward = kin.C[:, 0]
+    rows = {"velocity": forward[None], "attitude": jnp.cross(forward, kin.vel)[None]}
+    return Observation((forward @ kin.vel)[None] - fix.value, rows, fix.sd, theta.sd)
+
+
+def test_a_constraint_is_a_row_with_values_of_its_own(drive, tmp_path, monkeypatch):
+    """The row says what is known and when: it acts in `filter` by its name, between fixes and without a stream."""
+    true = lambda imu, t, window: np.hypot(*(np.interp(t, drive.truth.t, v) for v in drive.truth.vel[:, :2].T))[:, None]
+    row = Measurement(
+        "throttle", ("forward",), observe_throttle, ThrottleParams(0.05), ThrottleParams(Unit("mps")), pseudo=true
+    )
+    monkeypatch.setitem(MEASUREMENTS, "throttle", row)
+    write_recording(tmp_path / "drive", drive)
+    outage = ("--set", "filter.outages=[[30, 50]]")
+    run = lambda *names: filtered(
+        tmp_path / "drive", tmp_path / "out", *outage, "--set", f"filter.measurements={json.dumps(names)}"
+    )["errors"]["vn_mps"]["rms"]
+    assert run("position", "velocity", "throttle") < 0.7 * run("position", "velocity")
+    still = constraint_samples(drive.imu, np.arange(5.0), [row._replace(at_rest=True)], np.arange(5) > 2)
+    np.testing.assert_array_equal(still["throttle"].t, [3.0, 4.0])
+
+
+# ---------------------------------------------------------------------------- a frame: local level, west first
+
+
+SOUTH = np.diag([-1.0, -1.0, 1.0])  # east, north, up <-> west, south, up
+
+
+def turned(nav: Nav) -> Nav:
+    half_turn = jnp.array([0.0, 0.0, 0.0, 1.0])
+    return nav._replace(vel=SOUTH @ nav.vel, q=rotations.multiply(half_turn, nav.q))
+
+
+def propagate_west(nav, u, imu, stride=1, keep=None):
+    after, points = local_level.propagate(turned(nav), u, imu, stride, keep)
+    after = turned(after) if keep is None else jax.vmap(turned)(after)
+    return after, points._replace(nav=jax.vmap(turned)(points.nav), C=SOUTH @ points.C, force=points.force @ SOUTH)
+
+
+def dynamics_west(point, form):
+    local = point._replace(nav=turned(point.nav), C=SOUTH @ point.C, force=SOUTH @ point.force)
+    return {key: SOUTH @ block @ SOUTH for key, block in local_level_errors.dynamics(local, form).items()}
+
+
+def retract_west(nav: Nav, x: jax.Array) -> Nav:
+    enu = jnp.concatenate([SOUTH @ x[:3], SOUTH @ x[3:6], x[6:]])
+    return turned(local_level_errors.retract(turned(nav), enu))
+
+
+def test_a_frame_is_a_row(drive, monkeypatch):
+    """Its solution is that of local level."""
+    rows = np.kron(np.eye(3), SOUTH)
+    monkeypatch.setitem(FRAMES, "west", Frame(
+        propagate_west, dynamics_west, retract_west, enter=turned, leave=turned, enu_rows=lambda nav, local: rows,
+    ))  # fmt: skip
+    filters = [build("ekf9", cov_stride=10, frame=frame, fast=False) for frame in ("west", "local_level")]
+    found, plain = (navigate(drive, filt, filt.params("consumer"), scan=False) for filt in filters)
+    np.testing.assert_allclose(found.vel, plain.vel, atol=1e-5)
+    np.testing.assert_allclose(found.rph, plain.rph, atol=1e-6)
+    np.testing.assert_allclose(found.sd, plain.sd, rtol=1e-4)

@@ -7,7 +7,6 @@ import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxnav.checkup.findings import finding
 from jaxnav.filters.border import component, user_value
 from jaxnav.filters.core import Filter
 from jaxnav.filters.lanes import CHUNK, lanes, taken
@@ -167,5 +166,4 @@ def rows(
         leaf = label.partition("[")[0]
         remark = f"simulated with {user_value(leaf, known[leaf]):.4g}" if leaf in known else ""
         out.append(row._replace(remark=remark))
-    said = uncertainty.identifiability([component(n) for n in names], cov.model)
-    return out, [finding("tune.undetermined", message=text) for text in said]
+    return out, uncertainty.identifiability([component(n) for n in names], cov.model)

@@ -19,6 +19,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from scipy.special import ndtri, stdtrit
 
+from jaxnav.checkup.findings import finding
+from jaxnav.types import Finding
 from tuning.fit.transforms import Spec, labels, penalty, reported, values
 
 MAX_SD = 1.0  # sd of an unconstrained number beyond which it is not determined: a factor e where it is a logarithm
@@ -46,7 +48,7 @@ def with_prior(info: Information, spec: Spec, raw: dict[str, jax.Array]) -> Info
 
 
 class Covariance(NamedTuple):
-    """Of the unconstrained estimates, numpy."""
+    """Covariance of the unconstrained estimates, numpy."""
 
     model: np.ndarray  # (P, P) inverse information: if the model holds
     sandwich: np.ndarray  # (P, P) from the spread of the blocks' scores
@@ -106,10 +108,13 @@ def intervals(spec: Spec, raw: dict[str, jax.Array], cov: Covariance, level: flo
 MAX_NAMED = 6  # parameters of one combination
 
 
-def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = MAX_SD) -> list[str]:
-    """In words, which parameters or combinations of them the data do not determine; empty where they do all.
+def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = MAX_SD) -> list[Finding]:
+    """Return which parameters or combinations of them the data do not determine; empty where they do all.
 
-    One sentence for each principal axis of the covariance (P, P) with an sd above ``vague``.
+    Args:
+        names: of the P numbers.
+        cov: (P, P) their covariance; each principal axis with an sd above ``vague`` is a finding.
+        vague: sd of an unconstrained number.
     """
     value, vector = np.linalg.eigh(np.asarray(cov, float))
     out = []
@@ -120,12 +125,12 @@ def identifiability(names: Sequence[str], cov: np.ndarray, vague: float = MAX_SD
         part = [i for i in np.argsort(-np.abs(axis)) if abs(axis[i]) > 0.3 * np.abs(axis).max()][:MAX_NAMED]
         size = f"a factor {np.exp(sd):.3g}" if sd < np.log(1e3) else "any amount"
         if len(part) == 1:
-            out.append(f"{names[part[0]]} is not determined by these data: one sd is {size}")
+            out.append(finding("tune.undetermined", names[part[0]], size=size))
             continue
         up = [names[i] for i in part if axis[i] * axis[part[0]] > 0]
         down = [names[i] for i in part if axis[i] * axis[part[0]] < 0]
-        how = f"{_and(up)} may rise" + (f" while {_and(down)} fall" if down else " together")
-        out.append(f"{_and([names[i] for i in part])} are not distinguishable: {how}, one sd along it is {size}")
+        direction = f"{_and(up)} against {_and(down)}" if down else f"{_and(up)} together"
+        out.append(finding("tune.indistinguishable", _and([names[i] for i in part]), direction=direction, size=size))
     return out
 
 

@@ -16,7 +16,6 @@ from jaxnav import io
 from jaxnav import measurements as ms
 from jaxnav.analysis import metrics
 from jaxnav.filters import epochs
-from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import reset
@@ -30,6 +29,7 @@ from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import earth
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.simulate.faults import Constant, White, offsets
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import Epoch, Nav, Params
 
 SETTLED = 60.0  # s

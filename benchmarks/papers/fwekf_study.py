@@ -12,7 +12,6 @@ from jax.flatten_util import ravel_pytree
 
 from benchmarks.papers.learned import FREE as LEARNED
 from benchmarks.papers.learned import learned, learned_params
-from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import observer, poles
@@ -27,6 +26,7 @@ from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import Simulated, matched_params, simulate
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import Params
 from tuning.fit.train import fit
 from tuning.fit.transforms import IDENTITY, Spec

@@ -19,7 +19,7 @@ from benchmarks.papers import flops, gipkf_claims, gipkf_figures, gipkf_recorded
 from benchmarks.papers import gipkf_study as study
 from benchmarks.papers.nine_states import nine_params, nine_states
 from jaxnav.analysis import metrics
-from jaxnav.filters.catalogue import FILTERS, FRAMES, build
+from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.core import Filter, make_filter
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import reset
@@ -28,6 +28,7 @@ from jaxnav.filters.parameters import change, get, late, mounting, put
 from jaxnav.maths import units
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import Params
 from tuning.fit.transforms import IDENTITY, LOG, Spec
 from tuning.fit.transforms import scaled as scaled_by

@@ -116,8 +116,8 @@ def cut(rec: Recording, constraints: bool, start: float, stop: float | None = No
     """Epochs from ``start`` with the pseudo-measurements at their ends."""
     cuts = epochs.cut_times(rec.imu, rec.aiding, INTERVAL, start, stop)
     standing = stationary(rec.imu, cuts, STILL, ACCEL_SPREAD, GYRO_SPREAD)
-    made = constraint_samples(rec.imu, cuts, nonholonomic=constraints, standing=standing, window=STILL)
     chosen = measurements(constraints)
+    made = constraint_samples(rec.imu, cuts, chosen, standing, STILL)
     packed = epochs.pack(rec.imu, rec.aiding | made, INTERVAL, chosen, start=start, cuts=cuts)
     filt = build("ekf15", chosen, cov_stride=packed.epochs.imu.dt.shape[1], history=HISTORY)
     return Data(filt, packed.epochs, packed.t, start_at(rec, start) if nav is None else nav)

@@ -19,8 +19,8 @@ from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import Windows, drift, hidden_windows
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
-from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import change, datasheet_params
+from jaxnav.maths.units import TICK
 from jaxnav.states.grades import Grade
 from jaxnav.types import Params, Recording
 from tuning.recordings.recorded import Tuned, spread, tune

@@ -13,6 +13,7 @@ from benchmarks import common
 from benchmarks.recordings.wild import drifts, sources
 from jaxnav import read
 from jaxnav.analysis.tables import table
+from jaxnav.measurements import MEASUREMENTS
 
 
 class Trial(NamedTuple):
@@ -44,7 +45,7 @@ TRIALS = (
 def one(trial: Trial, path: Path) -> dict:
     """A trial's figures."""
     rec = read(path)
-    missing = [name for name in trial.sensors if name not in rec.aiding and name not in ("nonholonomic", "sideslip")]
+    missing = [name for name in trial.sensors if MEASUREMENTS[name].has_data and name not in rec.aiding]
     if missing:
         return {"ran": False, "why": f"{trial.recording} has no {missing[0]}"}
     size = (lambda e: np.abs(e[:, 2])) if trial.up else (lambda e: np.hypot(e[:, 0], e[:, 1]))

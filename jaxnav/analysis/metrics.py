@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtri  # the inverse chi-square law without the second that scipy.stats takes to load
 
-from jaxnav.filters.gaps import TICK
 from jaxnav.maths import earth, linalg, rotations
 from jaxnav.maths.interpolation import columns_at
+from jaxnav.maths.units import TICK
 from jaxnav.types import Info, Nav, Track
 
 HOLE = 2.5  # intervals of a truth, from which on it is one

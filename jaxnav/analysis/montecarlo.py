@@ -18,8 +18,8 @@ from jaxnav.analysis import metrics
 from jaxnav.analysis.progress import bar as progress_bar
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter, Step
-from jaxnav.filters.gaps import TICK
 from jaxnav.filters.run import require_params, run
+from jaxnav.maths.units import TICK
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate, sizes

@@ -30,7 +30,7 @@ ENU = ("east", "north", "up")
 
 
 class Observability(NamedTuple):
-    """Of W windows, one after the other."""
+    """Observability in W windows, one after the other."""
 
     names: tuple[str, ...]  # (n,) of the states' components
     start: np.ndarray  # (W,) s

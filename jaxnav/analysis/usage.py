@@ -9,10 +9,10 @@ from jaxnav.analysis import evaluate, metrics
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.inertial import noise_floor
 from jaxnav.filters.epochs import Packed
-from jaxnav.filters.gaps import TICK
 from jaxnav.gnss import ranges
 from jaxnav.io.missing import UNMEASURED_SD
 from jaxnav.maths import units
+from jaxnav.maths.units import TICK
 from jaxnav.measurements import Measurement, layout
 from jaxnav.measurements.measurement import references
 from jaxnav.measurements.satellites import SATELLITE
@@ -26,7 +26,7 @@ MAX_UNUSED_SHARE = 0.02  # share of a stream that is left out without a word
 
 
 class Use(NamedTuple):
-    """Of one stream, how many samples there are, and where they went."""
+    """Samples of one stream: how many there are, and where they went."""
 
     read: int
     before: int  # the start

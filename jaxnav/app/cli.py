@@ -44,7 +44,7 @@ a recording:
 or by its parts:
   jaxnav check drive.bag                             faults of the log, and a configuration that runs it
   jaxnav filter drive.bag --out out/run              solution, figures, report.html
-  jaxnav filter drive.bag --smooth --out out/smooth  by all fixes
+  jaxnav filter drive.bag --smooth --out out/smooth  smoothed (RTS): past and future fixes
   jaxnav tune drive.bag --out out/tuned              noise, fixes and clocks, without truth
   jaxnav filter drive.bag --params out/tuned/tuned.toml --out out/after
   jaxnav compare out/run out/after

@@ -21,7 +21,7 @@ def unused(verb: Verb, config: Config) -> list[str]:
         why.update(dict.fromkeys(keys, text))
 
     if not simulated:
-        note("is of simulated data alone", "data.imu_worse_by", "data.gnss_latency_s")
+        note("applies to simulated data only", "data.imu_worse_by", "data.gnss_latency_s")
     if config.filter.smooth:
         note("filter.smooth takes all fixes", "filter.lag_s")
     if config.filter.name in FILTERS:

@@ -125,7 +125,11 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "value": 3.0, "of": 12, "subject": "validation", "first": 210.0, "last": 243.0, "done": "they do not count"
     },
     "tune.aside": {"subject": "run 17", "step": 4, "why": "not finite from t = 31.000 s on"},
-    "tune.undetermined": {"message": "noise.accel and states.accel_bias are not distinguishable"},
+    "tune.undetermined": {"subject": "mounting.clock_drift", "size": "a factor 12"},
+    "tune.indistinguishable": {
+        "subject": "noise.accel and states.accel_bias", "direction": "noise.accel against states.accel_bias",
+        "size": "a factor 3.4",
+    },
     "solve.applied": {"subject": "data.options.time_shift_s", "value": 18.0, "why": "IMU and fixes agree better"},
     "solve.axes": {
         "subject": "data.options.axes", "axes": "flu",

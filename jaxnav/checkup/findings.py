@@ -410,7 +410,7 @@ KINDS: dict[str, Kind] = {
     ),
     "standstill": Kind(
         INFO,
-        "{count} s at rest by the receiver: no spread of the IMU separates them from motion, the best takes for rest "
+        "{count} s at rest by the receiver: no IMU threshold separates rest from motion: the best takes for rest "
         "{caught:.0f} % of them and {false:.1f} % of {moving} s in motion",
     ),
     "standstill.accel": Kind(
@@ -553,7 +553,8 @@ KINDS: dict[str, Kind] = {
         ("parameters far from the start",),
         ("set a smaller tune.rate",),
     ),
-    "tune.undetermined": Kind(INFO, "{message}"),
+    "tune.undetermined": Kind(INFO, "{subject} is not determined by these data: one sd is {size}"),
+    "tune.indistinguishable": Kind(INFO, "{subject} are not distinguishable: one sd of {direction} is {size}"),
     # a solution
     "solve.applied": Kind(
         INFO, "{subject} = {value:g} is applied: {why}", (), ("set {subject} to keep another value",)

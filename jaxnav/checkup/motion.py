@@ -22,6 +22,7 @@ from jaxnav.checkup.alternatives import (
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import level_velocity
 from jaxnav.initialization.alignment import Alignment
+from jaxnav.initialization.initialize import MAX_CHI2_PER_DOF
 from jaxnav.maths import units
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
@@ -38,7 +39,6 @@ BIAS_SIGMAS = 3.0  # of a bias beyond its limit
 MAX_GYRO_BIAS, MAX_ACCEL_BIAS = 2 * DEG, 0.5  # rad/s, m/s^2: more is no bias of a consumer's sensor
 STATED_SD_DOF = 6  # degrees of freedom that the stated sd of delays are worth against their scatter
 DRIFT_FALSE_ALARM = 5e-4  # of a drift of the clock that is none
-MAX_CHI2_PER_DOF = 8.0  # chi^2 per degree of freedom
 SD_FACTOR = 4.0  # by which stated sd are too large, beyond which it is named; half of it where they are too small
 MAX_HEADING_SD = 20 * DEG  # of an alignment that counts
 MAX_WINDOWS = 6
@@ -91,7 +91,7 @@ def turns_of(rec: Recording) -> Turns | None:
 
 
 def correlation(x: Turns, axis: int, lag: int) -> float:
-    """Of the course's rate with a gyro that is read ``lag`` steps earlier than the fix."""
+    """Return the correlation of the course's rate with a gyro that is read ``lag`` steps earlier than the fix."""
     a = slice(max(lag, 0), len(x.t) + min(lag, 0))
     b = slice(max(-lag, 0), len(x.t) + min(-lag, 0))
     w = x.weight[a]
@@ -109,7 +109,7 @@ def turns_with_course(rec: Recording) -> bool:
 
 
 def _correlations(rec: Recording) -> list[float]:
-    """Of the course's rate with gyro z, read within a second of it; 0 where there are no turns."""
+    """Return correlations of the course's rate with gyro z within a second; 0 where there are no turns."""
     x = turns_of(rec)
     most = 0 if x is None else min(round(1.0 / STEP_S), x.t.size // 2)
     return [0.0] if x is None else [correlation(x, 2, lag) for lag in range(-most, most + 1)]

@@ -13,7 +13,7 @@ MIN_COVERAGE = 0.75  # of the time of position, below which the other stream end
 
 
 def ends(rec: Recording) -> list[Finding]:
-    """Of position and velocity, one that covers much less time than the other."""
+    """Find a stream of position or velocity that covers much less time than the other."""
     if not all(name in rec.aiding and rec.aiding[name].t.size for name in PAIR):
         return []
     spans = {name: rec.aiding[name].t[[0, -1]] for name in PAIR}

@@ -27,27 +27,8 @@ from jaxnav.filters.spec import FilterSpec
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, layout
 from jaxnav.states.grades import Grade
 from jaxnav.states.table import BIASES, STATES
-from jaxnav.strapdown import inertial_quaternion, local_level, tangent_frame
-from jaxnav.strapdown.fast import local_level as fast_local_level
-from jaxnav.strapdown.mechanization import Preintegrate, Propagate
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import Params, Table, nearest
-
-
-class Frame(NamedTuple):
-    """How a filter navigates; its error model has the same name."""
-
-    propagate: Propagate  # the plain form
-    fast: Propagate | None = None  # equal to it by test
-    preintegrate: Preintegrate | None = None  # the part of the fast form that needs no state
-
-
-FRAMES: Table[Frame] = Table(
-    {
-        "local_level": Frame(local_level.propagate, fast_local_level.propagate, fast_local_level.preintegrate),
-        "tangent": Frame(tangent_frame.propagate),
-        "inertial": Frame(inertial_quaternion.propagate),
-    }
-)
 
 
 class Entry(NamedTuple):
@@ -228,7 +209,7 @@ def _whole(spec: FilterSpec) -> FilterSpec:
     entry, given = FILTERS[spec.name], rows(spec.measurements)
     frame = spec.frame or entry.frame
     if frame not in FRAMES:
-        raise ValueError(f"no frame {frame!r}; known are {', '.join(FRAMES)}")
+        raise ValueError(f"no frame {frame!r}: {nearest(frame, FRAMES)}")
     needed = [state for each in given for state in each.needs]
     states = tuple(dict.fromkeys(s for s in (*spec.states, *needed) if s in spec.states or s not in entry.states))
     if states and not entry.accepts_extra_states:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxnav.filters.gaps import TICK
+from jaxnav.maths.units import TICK
 from jaxnav.types import ImuLog
 
 BLOCK = 4096  # epochs that `cut_imu` cuts at a time

@@ -15,9 +15,9 @@ import numpy as np
 
 from jaxnav.filters import gaps
 from jaxnav.filters.cutting import cut_imu
-from jaxnav.filters.gaps import TICK
 from jaxnav.filters.programs import stored
 from jaxnav.filters.standstill import Standing, constraint_samples, is_driving, stationary
+from jaxnav.maths.units import TICK
 from jaxnav.measurements import AUXILIARY, GNSS, Measurement, layout
 from jaxnav.measurements.satellites import SATELLITE
 from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Recording, Samples, nearest
@@ -349,7 +349,6 @@ def pack_recording(
         DataError: a measurement without a stream in the recording, or as in `pack`.
         ConfigError: a detector of standstills that takes a drive for one.
     """
-    names = {m.name for m in measurements}
     carried = {m.name for m in measurements if m.has_data}
     for name in sorted(carried - set(rec.aiding) - {"velocity"}):
         raise DataError(f"{rec.name}: has no stream {name}, which the filter takes")
@@ -358,14 +357,10 @@ def pack_recording(
     measured = {name: s for name, s in aiding.items() if name in carried}
     cuts = cut_times(rec.imu, measured, interval, start, stop)
     still = None
-    if names & {"zero_velocity", "zero_rate"}:
+    if any(m.at_rest for m in measurements):
         still = stationary(rec.imu, cuts, *standing)
         _check_standing(rec, cuts[still])
-    made = constraint_samples(
-        rec.imu, cuts, nonholonomic="nonholonomic" in names, sideslip="sideslip" in names, level="level" in names,
-        standing=still, window=standing.window,
-    )  # fmt: skip
-    aiding |= {name: s for name, s in made.items() if name in names}
+    aiding |= constraint_samples(rec.imu, cuts, measurements, still, standing.window)
     return pack(rec.imu, aiding, interval, measurements, start, stop, cuts)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,52 +16,9 @@ from jaxnav.states.motion import A, V, prior_sd
 from jaxnav.states.second_order import second_order
 from jaxnav.states.state import State
 from jaxnav.states.table import BIASES
-from jaxnav.states.transition import Blocks, discretize
-from jaxnav.strapdown import inertial_quaternion, tangent_frame
-from jaxnav.strapdown.errors import inertial_quaternion as inertial_errors
-from jaxnav.strapdown.errors import local_level as local_level_errors
-from jaxnav.strapdown.errors import tangent_frame as tangent_errors
+from jaxnav.states.transition import discretize
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import ErrorInputs, Fix, Forcing, Nav, Params, StateParams, nearest
-
-
-class Dynamics(Protocol):
-    """The differential equation of position, velocity and attitude errors in one frame."""
-
-    def __call__(self, point: ErrorInputs, form: Literal["full", "simple"]) -> Blocks:
-        """Return the blocks of F at one point; "simple" has the terms of the papers' models alone."""
-
-
-class MotionErrors(NamedTuple):
-    """Errors of position, velocity and attitude in one frame; no conversions where that is local level."""
-
-    retract: Callable[[Nav, jax.Array], Nav]  # of position and velocity
-    dynamics: Dynamics
-    enter: Callable[[Nav], Nav] | None = None  # local level navigation -> the frame's
-    leave: Callable[[Nav], Nav] | None = None  # the inverse
-    enu_rows: Callable[[Nav, Nav], jax.Array] | None = None  # (nav, the same in local level) -> d(ENU error)/dx (9, 9)
-    velocity_axes: Callable[[Nav], jax.Array] | None = None  # rotation from the axes of attitude to velocity's, (3, 3)
-    vertical: int = 2  # which axis of velocity is vertical
-
-
-MOTION_ERRORS: dict[str, MotionErrors] = {
-    "local_level": MotionErrors(local_level_errors.retract, local_level_errors.dynamics),
-    "tangent": MotionErrors(
-        tangent_errors.retract,
-        tangent_errors.dynamics,
-        tangent_frame.enter,
-        tangent_frame.leave,
-        lambda nav, local: tangent_errors.enu_rows(local),
-        vertical=1,
-    ),
-    "inertial": MotionErrors(
-        inertial_errors.retract,
-        inertial_errors.dynamics,
-        inertial_quaternion.enter,
-        inertial_quaternion.leave,
-        inertial_errors.enu_rows,
-        inertial_errors.velocity_axes,
-    ),
-}
 
 
 class ErrorModel(NamedTuple):
@@ -105,7 +62,7 @@ def _stationary(process: StateParams) -> jax.Array:
 
 
 def inverse_rows(J: jax.Array) -> jax.Array:
-    """Return J^-1 (9, 9) of `MotionErrors.enu_rows`: rotations on the diagonal, off it only columns of position."""
+    """Return J^-1 (9, 9) of `Frame.enu_rows`: rotations on the diagonal, off it only columns of position."""
     diagonal = np.kron(np.eye(3), np.ones((3, 3)))
     turn = (diagonal * J).T
     return turn - turn @ ((1 - diagonal) * J) @ turn
@@ -125,11 +82,11 @@ def error_model(
     Raises:
         ValueError: an unknown frame, state or form, or a state that no sensor and none of the measurements sees.
     """
-    if frame not in MOTION_ERRORS:
-        raise ValueError(f"no frame {frame!r}: {nearest(frame, MOTION_ERRORS)}")
+    if frame not in FRAMES:
+        raise ValueError(f"no frame {frame!r}: {nearest(frame, FRAMES)}")
     if form not in ("full", "simple"):
         raise ValueError(f"form is 'full' or 'simple', got {form!r}")
-    rows, motion = table.chosen(states), MOTION_ERRORS[frame]
+    rows, motion = table.chosen(states), FRAMES[frame]
     _check_seen(rows, measurements)
     n = 9 + sum(s.size for s in rows)
     slices = table.layout(rows)
@@ -170,8 +127,7 @@ def error_model(
     def transition(
         params: Params, points: ErrorInputs, T: jax.Array, u: Forcing | None
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        # W in GPID eq. 29 is lumped: over an epoch of a second it changes the gains of the attitude
-        lumped = form == "simple" and frame == "local_level"
+        lumped = form == "simple" and motion.lumps_noise  # over an epoch of a second it changes the gains of attitude
         return discretize(partial(motion.dynamics, form=form), params, rows, points, T, u, lumped)
 
     def with_second_order(nav: Nav, Phi: jax.Array, P: jax.Array, T: jax.Array) -> tuple[jax.Array, jax.Array]:

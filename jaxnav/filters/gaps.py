@@ -11,7 +11,6 @@ from scipy.special import chdtri
 
 from jaxnav.types import ImuLog
 
-TICK = 1e-6  # s: times closer than this are one
 MIN_GAP_S = 0.2  # s: a shorter hole is bridged by the mean of its two sides, and nothing more is made of it
 SIDE_S = 0.5  # s, next to a hole; its mean fills the hole
 SIDE_REACH_S = 1.0  # s, as far as a side's mean reaches

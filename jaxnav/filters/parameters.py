@@ -194,7 +194,7 @@ def datasheet_params(
     rule: Any = (),
     feedback: Any = (),
     states: Iterable[str] = BIASES,
-    measurements: Iterable[str] = tuple(MEASUREMENTS),
+    measurements: Iterable[str] | None = None,
 ) -> Params:
     """Return filter parameters of a datasheet, the usual first choice.
 
@@ -208,14 +208,17 @@ def datasheet_params(
         rule: parameters of the rule.
         feedback: parameters of the feedback.
         states: names of optional states; their parameters by `datasheet_states`.
-        measurements: names of measurements, with the defaults of their rows.
+        measurements: names of measurements, with the defaults of their rows; None is all of them.
     """
     states = tuple(states)
     return Params(
         strong(Noise(grade.arw, grade.vrw, 0.0 if set(ESTIMATES) <= set(states) else grade.scale)),
         prior(position_sd, velocity_sd, (tilt_sd, tilt_sd, heading_sd)),
         datasheet_states(grade, states),
-        {name: strong(MEASUREMENTS[name].defaults) for name in measurements},
+        {
+            name: strong(MEASUREMENTS[name].defaults)
+            for name in (MEASUREMENTS if measurements is None else measurements)
+        },
         mounting() if install is None else install,
         rule,
         feedback,
@@ -229,7 +232,7 @@ def with_prior_of(params: Params, before: Params, tuned: Iterable[str] = ()) -> 
     the prior, of mean zero.
 
     Args:
-        params: parameters of one run, such as of `jaxnav.Initialization.given`.
+        params: parameters of one run, such as of `Initialization.apply_to`.
         before: parameters with the prior; of a state that they lack, the sd of ``params`` stays.
         tuned: dotted leaves that stay as they are.
     """

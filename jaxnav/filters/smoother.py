@@ -123,7 +123,7 @@ def one_back(now: Forward, after: Forward, s_next: jax.Array, P_next: jax.Array)
 
 
 def reach_of(t: np.ndarray, lag: float) -> tuple[np.ndarray, int]:
-    """Of epochs that end at t (E,) s the last ones within ``lag`` s, (E,) int, and how many epochs later at most."""
+    """Return the last epoch within ``lag`` s of each that ends at t (E,) s, and how many epochs later at most."""
     reach = np.searchsorted(t, t + lag + 1e-6, side="right") - 1
     return reach, int((reach - np.arange(t.size)).max())
 

@@ -1,11 +1,13 @@
 """A vehicle at rest, and constraints of wheels and wings: pseudo-measurements at the ends of epochs. Host numpy."""
 
 import math
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxnav.filters.gaps import TICK
+from jaxnav.maths.units import TICK
+from jaxnav.measurements.measurement import Measurement
 from jaxnav.types import ImuLog, Samples
 
 
@@ -67,20 +69,10 @@ def is_driving(velocity: Samples, t: np.ndarray) -> np.ndarray:
     return (np.abs(velocity.t[near] - t) <= 1.0) & (speed > 0.5 + 3 * velocity.sd[near, :2].max(1))
 
 
-def mean_rate(imu: ImuLog, t: np.ndarray, window: float) -> np.ndarray:
-    """Mean raw gyro rate over the ``window`` s before each of ``t``, (E, 3) rad/s: the value of a zero-rate update."""
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(imu.gyro, 0)])
-    last, first = np.searchsorted(imu.t, t + TICK), np.searchsorted(imu.t, t - window + TICK)
-    return (total[last] - total[first]) / np.maximum(last - first, 1)[:, None]
-
-
 def constraint_samples(
     imu: ImuLog,
     cuts: np.ndarray,
-    *,
-    nonholonomic: bool = False,
-    sideslip: bool = False,
-    level: bool = False,
+    measurements: Iterable[Measurement],
     standing: np.ndarray | None = None,
     window: float = 1.0,
 ) -> dict[str, Samples]:
@@ -89,23 +81,18 @@ def constraint_samples(
     Args:
         imu: the IMU's samples.
         cuts: (E,) s, ends of epochs.
-        nonholonomic: wheels without slip, at every end.
-        sideslip: an aircraft without sideslip, at every end.
-        level: a constant height, at every end.
-        standing: (E,) bool (`stationary`): zero velocity and zero rate there.
-        window: s, over which the mean rate of a standstill is taken.
+        measurements: rows, of which those without data are constraints.
+        standing: (E,) bool (`stationary`), for those that hold at rest; None leaves them out.
+        window: s, over which the values of a standstill are taken.
 
     Returns:
         Streams by measurement name.
     """
-
-    def samples(t: np.ndarray, value: np.ndarray) -> Samples:
-        return Samples(t, value, np.ones_like(value), np.zeros_like(value))
-
-    held = (("nonholonomic", 2, nonholonomic), ("sideslip", 1, sideslip), ("level", 1, level))
-    made = {name: samples(cuts, np.zeros((cuts.size, size))) for name, size, wanted in held if wanted}
-    if standing is not None:
-        t = cuts[standing]
-        made["zero_velocity"] = samples(t, np.zeros((t.size, 3)))
-        made["zero_rate"] = samples(t, mean_rate(imu, t, window))
+    made = {}
+    for row in measurements:
+        if row.has_data or (row.at_rest and standing is None):
+            continue
+        t = cuts[standing] if row.at_rest and standing is not None else cuts
+        value = np.zeros((t.size, row.size)) if row.pseudo is None else row.pseudo(imu, t, window)
+        made[row.name] = Samples(t, value, np.ones_like(value), np.zeros_like(value))
     return made

@@ -18,9 +18,8 @@ from scipy.linalg import cholesky_banded
 from scipy.spatial.transform import Rotation
 
 from jaxnav.filters.epochs import sample_rows
-from jaxnav.filters.gaps import TICK
 from jaxnav.initialization.differences import DRIVING_NOISE, DifferencedFixes, differences, whitened
-from jaxnav.maths.units import G0
+from jaxnav.maths.units import G0, TICK
 from jaxnav.types import ImuLog, Samples
 
 MIN_DELAY_S, DELAY_SIGMAS = 0.03, 3.0  # s, and its sd: a delay that fixes show
@@ -32,7 +31,7 @@ TURN_S = 1.0  # s, for which gravity at the tilt that a turn leaves lasts, see `
 MIN_NOISE_FACTOR = 0.1  # fixes may be better than they say by so much; how much worse is open
 UNKNOWN_ATTITUDE_SD = 10.0  # rad, prior of the attitude: nothing is known
 ITERATIONS = 10
-MAX_CHI2_PER_DOF = 2.0  # chi^2 per degree of freedom from which on other headings are tried
+GOOD_CHI2_PER_DOF = 2.0  # chi^2 per degree of freedom from which on other headings are tried
 MAX_MINIMA = 5  # of the delay that are followed
 COST_WEIGHT = 0.2  # of a difference of two sums of squares, where a Gaussian would have 0.5: models are not that good
 MIN_MOTION_SIGMAS = 6.0  # standard deviations of a chi-square that a change of velocity must stand out by
@@ -269,7 +268,7 @@ def _solve(imu: ImuLog, seen: DifferencedFixes, prior: AlignmentPrior, arm: np.n
     guesses = [(C, np.concatenate([x, more])) for C, x in _guesses(imu, seen, prior.delay, arm)]
     found = [descend(imu, seen, C, x, sd, 1.0, arm) for C, x in guesses]
     best = min(found, key=lambda each: each.cost)
-    if best.left > MAX_CHI2_PER_DOF:  # a bias may have led the first guess to another heading
+    if best.left > GOOD_CHI2_PER_DOF:  # a bias may have led the first guess to another heading
         turned = [Rotation.from_rotvec([0.0, 0.0, k * np.pi / 2]).as_matrix() @ best.C for k in (1, 2, 3)]
         found += [descend(imu, seen, C, best.x, sd, 1.0, arm) for C in turned]
         best = min(found, key=lambda each: each.cost)
@@ -325,7 +324,7 @@ def _guesses(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return C and x without biases: Wahba's solution for delays that fit better than their neighbours, best first.
 
-    Of who walks or sways, a period of delay looks like none, and half of it like the opposite heading.
+    For periodic motion the delay is ambiguous by a period; half a period mimics the opposite heading.
     """
     found = by_attitude(imu, seen, DELAYS, arm)
     cost = np.array([np.inf, *(left + (delay / delay_sd) ** 2 for left, _, delay in found), np.inf])

@@ -12,13 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxnav.filters.gaps import TICK
 from jaxnav.filters.run import initial_nav
 from jaxnav.initialization.alignment import rotation_at_end, window
 from jaxnav.initialization.bank import with_headings
 from jaxnav.initialization.initialize import KNOWN_HEADING_SD, Initialization, first_fix, ground_velocity, halfway
 from jaxnav.maths import earth, rotations
-from jaxnav.maths.units import DEG
+from jaxnav.maths.units import DEG, TICK
 from jaxnav.states.motion import A
 from jaxnav.states.table import BIASES
 from jaxnav.types import Info, Params, Prior, Recording

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import datasheet_params, datasheet_states, mounting
 from jaxnav.filters.programs import stored
 from jaxnav.filters.run import initial_nav
@@ -19,7 +18,7 @@ from jaxnav.initialization.bank import with_headings
 from jaxnav.initialization.magnetic import Field, field_of
 from jaxnav.initialization.pointing import MAX_HEADING_SD, MIN_TILT_SD, HeadingSource, heading_by_sensor
 from jaxnav.maths import earth, rotations
-from jaxnav.maths.units import DEG
+from jaxnav.maths.units import DEG, TICK
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import BIASES
 from jaxnav.types import ConfigError, DataError, ImuLog, Nav, Params, Prior, Recording, Samples
@@ -231,7 +230,7 @@ def initialize(
 WINDOWS_S = (10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)  # s of the windows that are tried one after the other
 MAX_CONTRADICTION = 5.0  # sd, of a heading by two antennas from that of the motion
 KNOWN_HEADING_SD = 10 * DEG  # sd of a heading that is known
-MAX_CHI2_PER_DOF = 9.0  # chi^2 per degree of freedom from which on fixes and IMU do not belong together
+MAX_CHI2_PER_DOF = 8.0  # chi^2 per degree of freedom from which on fixes and IMU do not belong together
 
 
 def _align_in_motion(rec: Recording, known: Params, velocity: Samples, begin: float, hypotheses: int) -> Attitude:
@@ -320,7 +319,7 @@ def _remarks(at: Attitude) -> list[str]:
         said.append("the IMU hangs upside down, or its axes are not forward, right, down")
     if found.chi2 > MAX_CHI2_PER_DOF:
         said.append(
-            f"fixes and IMU do not go together (chi^2 per degree of freedom {found.chi2:.0f}): axes, units or times "
+            f"IMU and fixes disagree (chi^2 {found.chi2:.0f} per degree of freedom): axes, units or times "
             "may be wrong, see jaxnav check"
         )
     return said
@@ -422,7 +421,7 @@ def _levelled(
     down = float(rec.imu.accel[(rec.imu.t > begin) & (rec.imu.t <= begin + 30.0), 2].mean())
     if down > 0:
         raise DataError(f"imu: z of specific force is {down:+.1f} m/s^2 on average: body axes are forward, right, down")
-    return (0.0, 0.0), "taking it for flat, for want of a standstill", sd
+    return (0.0, 0.0), "assumed level: no standstill found", sd
 
 
 def _interpolated(rec: Recording, t: float) -> np.ndarray:

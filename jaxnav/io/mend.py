@@ -147,7 +147,7 @@ def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[Note]) -> Im
         whole = np.r_[False, t[1:] - dt[1:] - t[:-1] < 1e-9]  # behind a gap a value has no neighbour
         gyro, accel = (np.where(whole[:, None], 0.5 * (a + np.roll(a, 1, axis=0)), a) for a in (gyro, accel))
     imu = ImuLog(t, dt, gyro @ turn.T, accel @ turn.T)
-    _look(imu, notes)
+    _gravity_axis(imu, notes)
     return imu
 
 
@@ -238,7 +238,7 @@ def _intervals(t: np.ndarray, stated: np.ndarray | None, notes: list[Note]) -> n
     return dt if stated is None else stated
 
 
-def _look(imu: ImuLog, notes: list[Note]) -> None:
+def _gravity_axis(imu: ImuLog, notes: list[Note]) -> None:
     """Note gravity on the wrong axis."""
     force = np.average(imu.accel, axis=0, weights=imu.dt)
     size = float(np.linalg.norm(force))

@@ -7,7 +7,8 @@ whole quarter hours. The motion says which it is: the one with which IMU and fix
 import numpy as np
 
 from jaxnav.checkup.findings import finding
-from jaxnav.checkup.motion import MAX_CHI2_PER_DOF, misfit
+from jaxnav.checkup.motion import misfit
+from jaxnav.initialization.initialize import MAX_CHI2_PER_DOF
 from jaxnav.io import mend
 from jaxnav.io.parts import Parts, TimeScale
 from jaxnav.maths.gps_time import GPS_EPOCH, leap_seconds
@@ -44,7 +45,7 @@ def recording(parts: Parts) -> Recording:
     rec = mend.recording(parts)
     gps, utc = misfit(rec), misfit(moved)
     if utc < min(MAX_CHI2_PER_DOF, gps / DECISIVE):
-        return _noted(moved, f"{taken}: IMU and fixes agree to chi^2/dof {utc:.2g} so, to {gps:.2g} else.")
+        return _noted(moved, f"{taken}: chi^2/dof of IMU against fixes: {utc:.2g} if UTC, {gps:.2g} if GPS time.")
     if gps < min(MAX_CHI2_PER_DOF, utc / DECISIVE):
         return rec
     return _noted(

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 DEG = math.pi / 180.0  # rad
 HOUR = 3600.0  # s
+TICK = 1e-6  # s: times closer than this are one
 DEG_PER_HOUR = DEG / HOUR  # rad/s
 DEG_PER_SQRT_HOUR = DEG / math.sqrt(HOUR)  # rad/sqrt(s), a root PSD of rate
 G0 = 9.80665  # m/s^2, standard gravity: the unit g of datasheets, not the local gravity

@@ -13,7 +13,7 @@ from jaxnav.types import Fix, Leaf, Mounting, Nav
 
 
 class AirspeedParams(NamedTuple):
-    """Of a pitot tube along the body's x."""
+    """Parameters of a pitot tube along the body's x."""
 
     sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped
@@ -21,7 +21,7 @@ class AirspeedParams(NamedTuple):
 
 
 class SideslipParams(NamedTuple):
-    """Of the constraint."""
+    """Parameters of flight without sideslip."""
 
     sd: Leaf  # () m/s
 

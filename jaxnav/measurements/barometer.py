@@ -11,7 +11,7 @@ from jaxnav.types import Fix, Leaf, Mounting, Nav
 
 
 class BarometerParams(NamedTuple):
-    """Of a barometer."""
+    """Parameters of a barometer."""
 
     sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped

@@ -12,7 +12,7 @@ from jaxnav.types import Fix, Leaf, Mounting, Nav
 
 
 class BodyVelocityParams(NamedTuple):
-    """Of a sensor that measures its velocity over ground."""
+    """Parameters of a sensor that measures its velocity over ground."""
 
     sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped

@@ -16,7 +16,7 @@ SLOWEST = 0.1  # m/s or m: below it a direction means nothing, and its row is bo
 
 
 class HeadingParams(NamedTuple):
-    """Of a heading by two antennas."""
+    """Parameters of a heading by two antennas."""
 
     sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped
@@ -24,7 +24,7 @@ class HeadingParams(NamedTuple):
 
 
 class BaselineParams(NamedTuple):
-    """Of the line from one antenna to another."""
+    """Parameters of the line from one antenna to another."""
 
     sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped
@@ -32,7 +32,7 @@ class BaselineParams(NamedTuple):
 
 
 class AgedParams(NamedTuple):
-    """Of a sensor that is only late."""
+    """Parameters of a sensor that is only late."""
 
     sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped
@@ -78,7 +78,7 @@ def observe_yaw_rate(theta: AgedParams, mounting: Mounting, nav: Nav, kin: Kinem
 
 
 _AGED = (Unit(), Unit("s", text="s", step=0.1))
-"""Of ``sd_scale`` and ``latency``."""
+"""Units of ``sd_scale`` and ``latency``."""
 HEADING = Measurement(
     "heading", ("heading",), observe_heading, HeadingParams(1.0, 0.0, 0.0),
     HeadingParams(*_AGED, Unit("deg", DEG, text="deg", step=DEG)),

@@ -14,7 +14,7 @@ from jaxnav.types import Fix, Leaf, Mounting, Nav
 
 
 class FixParams(NamedTuple):
-    """Of a receiver's position or velocity; as a root L the covariance of a fix is L D C D L' (`Fix`)."""
+    """Parameters of a receiver's position or velocity; as a root L the covariance of a fix is L D C D L' (`Fix`)."""
 
     scale: Leaf  # (), (3,) or a lower triangular root (3, 3): factor on the fix's sd, ENU
     latency: Leaf  # () s, its age when it is stamped

@@ -13,7 +13,7 @@ STEEPEST = 0.2  # cosine of the tilt, 78 deg: beyond it the beam does not meet t
 
 
 class RangeParams(NamedTuple):
-    """Of a rangefinder."""
+    """Parameters of a rangefinder."""
 
     sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped

@@ -14,7 +14,7 @@ from jaxnav.types import Fix, Leaf, Mounting, Nav
 
 
 class MagnetometerParams(NamedTuple):
-    """Of a magnetometer, and of the field where it is; `jaxnav.initialization.magnetic` looks the field up."""
+    """Parameters of a magnetometer, and of the field there, which `jaxnav.initialization.magnetic` looks up."""
 
     sd_scale: Leaf  # () factor on the stated sd
     latency: Leaf  # () s, its age when it is stamped

@@ -23,7 +23,7 @@ from jaxnav.states.motion import MOTION
 from jaxnav.states.second_order import SECOND_ORDER_S, reliability
 from jaxnav.states.sensors import OTHER
 from jaxnav.states.state import Reading, State
-from jaxnav.types import Fix, Mounting, Nav, Params
+from jaxnav.types import Fix, ImuLog, Mounting, Nav, Params
 
 FIXES_ALIKE = 2 * SECOND_ORDER_S
 """Factor on second-order noise of a fix: consecutive fixes see one attitude error, as `second_order` at 1 Hz."""
@@ -76,6 +76,9 @@ class Measurement(NamedTuple):
     replaces: tuple[str, ...] = ()  # measurements of the same signals, which a filter with it is only compared with
     restarts: tuple[str, ...] = ()  # states of its channels that restart where the last auxiliary value is 1
     shows: tuple[int, ...] = ()  # channel that each entry of a fix's value shows; () where they are in one order
+    at_rest: bool = False  # a constraint that holds where the vehicle stands, not at the end of every epoch
+    # of a constraint: (imu, ends of epochs (E,) s, s before each) -> its values (E, m); None: they are zero
+    pseudo: Callable[[ImuLog, np.ndarray, float], np.ndarray] | None = None
 
     @property
     def size(self) -> int:

@@ -13,26 +13,26 @@ from jaxnav.types import Fix, Leaf, Mounting, Nav
 
 
 class NonholonomicParams(NamedTuple):
-    """Of the constraint."""
+    """Parameters of the non-holonomic constraint."""
 
     sd: Leaf  # () or (2,) m/s, of lateral and vertical velocity of the vehicle
 
 
 class LevelParams(NamedTuple):
-    """Of the constraint."""
+    """Parameters of a constant height."""
 
     sd: Leaf  # () m/s
 
 
 class SpeedParams(NamedTuple):
-    """Of a wheel speed."""
+    """Parameters of a wheel speed."""
 
     sd_scale: Leaf  # () factor on the stated sd
     scale: Leaf  # () scale error; 0 is none
 
 
 class WheelsParams(NamedTuple):
-    """Of the wheels of two sides."""
+    """Parameters of the wheels of two sides."""
 
     sd_scale: Leaf  # () factor on the stated sd
     scale: Leaf  # () scale error; 0 is none

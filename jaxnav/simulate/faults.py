@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxnav.filters.gaps import TICK
+from jaxnav.maths.units import TICK
 from jaxnav.simulate.kinds import hashed_by_type
 from jaxnav.simulate.processes import gauss_markov, normal
 

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxnav.filters.gaps import TICK
 from jaxnav.maths import earth, rotations
+from jaxnav.maths.units import TICK
 from jaxnav.simulate import faults as fault
 from jaxnav.simulate.processes import gauss_markov, normal
 from jaxnav.types import Fix, Nav

@@ -33,6 +33,7 @@ def runs():
     return rec, truth, found
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("smooth", [False, True])
 def test_every_sample_has_its_navigation_and_epochs_end_as_before(runs, smooth):
     rec, _, found = runs
@@ -112,6 +113,7 @@ def test_at_the_imus_time_a_clocks_rate_is_a_distance_that_grows_from_halfway(ru
     np.testing.assert_allclose(sd[:, :3] ** 2 - sol.sd[:, :3] ** 2, (away[:, None] * sol.vel) ** 2, atol=1e-9)
 
 
+@pytest.mark.full
 def test_fixes_that_are_early_give_the_solution_of_fixes_in_time(runs):
     """Stamps of fixes 11 samples before the IMU's and the delay stated: to rounding, at the IMU's stamps."""
     rec, _, found = runs

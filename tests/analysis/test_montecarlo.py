@@ -37,6 +37,7 @@ def found():
     return monte_carlo(FILTER, SCENARIO, PARAMS, RUNS, SEED, chunk=4)
 
 
+@pytest.mark.full
 def test_scores_are_those_of_a_run_by_hand(found):
     sim = simulate_jit(run_key(SEED, Purpose.STUDY, 5), SCENARIO)
     info = run_jit(FILTER, PARAMS, sim.initial, sim.epochs)
@@ -69,6 +70,7 @@ def test_a_run_depends_on_its_key_alone(found):
     assert monte_carlo(FILTER, SCENARIO, PARAMS, [9], SEED + 1, chunk=4).scores.horizontal != alone.scores.horizontal[0]
 
 
+@pytest.mark.full
 def test_candidates_see_the_same_runs_and_a_failure_is_named(found):
     """The second cannot be used from the first epoch on; the first is as alone, though chunks of another size round."""
     scale = jnp.array([1.0, jnp.nan, 2.0])
@@ -101,6 +103,7 @@ def test_a_run_beyond_the_limit_is_a_divergence(found):
     assert about["scores"]["horizontal_m"]["median"] == np.median(kept)
 
 
+@pytest.mark.full
 def test_consistency_bounds(found):
     """Bounds are those of chi-square; a matched filter is inside, and one with half the noise is not."""
     about = summary(found)
@@ -214,6 +217,7 @@ def test_runs_that_are_kept_go_on_to_the_bit(found, tmp_path):
     leaves_equal(whole.course, found.course)
 
 
+@pytest.mark.full
 def test_a_chunk_that_devices_cannot_share_is_refused():
     mesh = jax.make_mesh((1,), ("runs",), axis_types=(jax.sharding.AxisType.Auto,))
     assert monte_carlo(FILTER, SCENARIO, PARAMS, 4, SEED, chunk=4, mesh=mesh).scores.ok.all()

@@ -43,6 +43,7 @@ def with_arm(rec: Recording, scale: float = 0.0):
     return params._replace(mounting=params.mounting._replace(lever_arm=rec.lever_arm))
 
 
+@pytest.mark.full
 def test_it_finds_noise_and_latency(drive):
     found = scan_noise(drive, with_arm(drive))
     assert found.latency == pytest.approx(LATENCY, abs=0.03)
@@ -74,6 +75,7 @@ def test_the_sd_of_a_latency_is_the_curvature_of_its_likelihood():
     assert stated(box, points[13], 0.0) == 0.0
 
 
+@pytest.mark.full
 def test_scale_errors_are_no_white_noise():
     """An IMU of the datasheet's noise with scale errors and misalignment of 0.01."""
     skewed = {f"{sensor}_{error}": 1e4 if error == "scale_sd_ppm" else 10.0 for sensor in ("gyro", "accel")
@@ -84,6 +86,7 @@ def test_scale_errors_are_no_white_noise():
     assert 0.3 <= found.scale <= 3.2 and 0.5 < found.gyro < 2.0 and 0.5 < found.accel < 2.0
 
 
+@pytest.mark.full
 def test_a_receiver_fault_is_no_noise(drive):
     position = drive.aiding["position"]
     far = position.value.copy()
@@ -93,6 +96,7 @@ def test_a_receiver_fault_is_no_noise(drive):
     assert found.accel < 2.5 * sound.accel and found.latency == pytest.approx(LATENCY, abs=0.1)
 
 
+@pytest.mark.full
 def test_hidden_fixes_are_not_looked_at(drive):
     hidden, position = (60.0, 75.0), drive.aiding["position"]
     far = position.value.copy()
@@ -116,6 +120,7 @@ def with_slow_errors(rec: Recording, slow: float, tau: float, stated: float = 1.
     return rec._replace(aiding=rec.aiding | {"position": moved})
 
 
+@pytest.mark.full
 def test_it_splits_what_the_receiver_states(drive):
     """A slow error of 5 m over 30 s beside 2 m of white noise; the receiver states their sum."""
     rec = with_slow_errors(drive, 5.0, 30.0)
@@ -134,11 +139,13 @@ def test_it_splits_what_the_receiver_states(drive):
     assert f"variance {share[0]:.2g} is slow over {tau[0]:.0f} s" in found.findings[0].message
 
 
+@pytest.mark.full
 def test_a_white_receiver_has_few_slow_errors(drive):
     found = scan_noise(drive, with_arm(drive))
     assert found.receiver.share.max() < 0.3 and found.receiver.position == 1.0
 
 
+@pytest.mark.full
 def test_an_sd_that_is_too_small_grows(drive):
     """Positions of three times the stated sd, velocities of 0.4 times."""
     factor = {"position": 3.0, "velocity": 0.4}
@@ -223,6 +230,7 @@ def test_a_scan_is_taken_as_far_as_it_does_no_harm(drift, taken):
     assert plain.metrics()["harm"] == 1.1 and "harm" not in NoiseScan().metrics()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("early", [0.46, -0.6])
 def test_a_delay_that_alignments_show_is_found(early):
     """Fixes that are early, or later than the grid of an unknown delay reaches with its prior."""
@@ -233,6 +241,7 @@ def test_a_delay_that_alignments_show_is_found(early):
     assert 0.5 < found.gyro < 2.0 and 0.5 < found.accel < 2.0 and found.drift_ratio < 0.7
 
 
+@pytest.mark.full
 def test_what_is_stated_stays(drive):
     params = with_arm(drive)
     stated = params._replace(mounting=params.mounting._replace(time_offset=np.asarray(0.18)))
@@ -251,6 +260,7 @@ def test_defaults_of_measurements_state_nothing(drive):
     assert not noise_scan.stated_scale(params) and not timed(params)
 
 
+@pytest.mark.full
 def test_slow_errors_that_are_stated_stay(drive):
     filt = build("ekf15", states=("gnss_position_error",))
     params = with_arm(drive)._replace(states=filt.params("consumer").states)
@@ -299,6 +309,7 @@ def test_the_quadratic_fit_is_exact_on_a_quadratic():
     np.testing.assert_array_equal(vertex(convex, centre, FINE_BOX), convex[np.argmax(-J), :3])
 
 
+@pytest.mark.full
 def test_navigate_without_params_takes_noise_and_lever_arm_from_the_recording(drive):
     arm = np.array([1.5, -0.4, -1.8])
     rec = simulated(factor=1.0, latency=0.0, lever_arm_m=arm.tolist())
@@ -313,6 +324,7 @@ def test_navigate_without_params_takes_noise_and_lever_arm_from_the_recording(dr
     assert named.noise is None and np.allclose(named.params.mounting.lever_arm, arm)
 
 
+@pytest.mark.full
 def test_a_run_is_repeated_without_a_search(drive, tmp_path, monkeypatch):
     folder, out = tmp_path / "drive", tmp_path / "out"
     write_recording(folder, drive)
@@ -335,6 +347,7 @@ def test_a_run_is_repeated_without_a_search(drive, tmp_path, monkeypatch):
     assert cli.main(["filter", "--data", str(folder), "--out", str(tmp_path / "stated"), "--quiet", *stated]) == 0
 
 
+@pytest.mark.full
 def test_a_wrong_scale_of_a_gyro_does_not_pass_for_its_noise():
     """The noise that fits takes up 70 % of each turn and the run is consistent, but the turns tell."""
     rec = simulated(1.0, 0.0)

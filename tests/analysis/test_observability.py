@@ -16,6 +16,7 @@ from jaxnav.types import DataError, ImuLog, Info, Samples, StateParams
 FILTER = build("ekf15", cov_stride=5)
 
 
+@pytest.mark.full
 def test_without_noise_it_is_what_the_filter_knows(case):
     """P at the end of a window is (P0^-1 + G)^-1, moved there: Kalman's covariance, by other arithmetic."""
     params = case.params
@@ -52,6 +53,7 @@ def rest(case):
     return pack(imu, fixes, 1.0)
 
 
+@pytest.mark.full
 def test_rest_shows_neither_heading_nor_the_gyro_about_it(case, rest):
     level = case.nav._replace(
         q=jnp.asarray([0.0, 1 / np.sqrt(2), 1 / np.sqrt(2), 0.0]), vel=jnp.zeros(3), t=jnp.zeros(())
@@ -98,6 +100,7 @@ def test_a_drive_shows_its_heading(case):
         obs.observability(FILTER, case.params, case.nav, case.packed.epochs, case.packed.t, 100.0)
 
 
+@pytest.mark.full
 def test_a_run_says_what_it_did_not_show(case):
     """Half a minute straight on tells no scale of the gyros."""
     more = build("ekf15", cov_stride=5, states=("gyro_scale",))
@@ -107,6 +110,7 @@ def test_a_run_says_what_it_did_not_show(case):
     assert found.code == "state.unobserved" and "gyro_scale forward" in found.subject
 
 
+@pytest.mark.full
 def test_a_run_says_which_state_went_too_far(case):
     """A bias of six sd of what is known before is named, one of two sd or one that is told at the start not."""
     params, epochs = FILTER.params("adis16465"), case.packed.epochs

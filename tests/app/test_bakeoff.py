@@ -94,6 +94,7 @@ def plan() -> Plan:
     return Plan(tuple(kinds[:2]), tuple(kinds[2:]), **BUDGET)
 
 
+@pytest.mark.full
 def test_tuning_helps_on_other_runs_and_the_better_filter_wins(toys, plan):
     found, stopped = contest.contest(list(SD), plan)
     result = contest_report.verdict(found, plan)

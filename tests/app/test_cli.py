@@ -77,6 +77,7 @@ def test_simulate_leaves_a_recording_and_its_run(drive):
     assert set(about["files"]) == {p.name for p in drive.iterdir()}
 
 
+@pytest.mark.full
 def test_filter_writes_everything_and_json_parses(drive, tmp_path, capsys):
     formats = "out.formats=['csv', 'kml', 'nav', 'pos']"
     outages = "filter.outages=[[65, 72]]"
@@ -358,6 +359,7 @@ def test_an_output_folder_that_holds_the_input_is_refused(drive, tmp_path, capsy
     assert (tuned / "tuned.toml").exists()
 
 
+@pytest.mark.full
 def test_tune_scenario_then_filter_with_its_parameters(capsys):
     what = ["--set", "tune.objective={drift = 1, nll = 0.1}", "--set", "tune.free=['noise', 'latency']"]
     argv = ["tune", "--data", "urban_short", "--json", *SMALL[:4], *TINY, *what]
@@ -382,6 +384,7 @@ def test_tune_scenario_then_filter_with_its_parameters(capsys):
     assert float(params.measurements["velocity"].latency) == pytest.approx(rows["velocity.latency"]["value"])
 
 
+@pytest.mark.full
 def test_ctrl_c_in_tuning_keeps_the_best(monkeypatch, capsys):
     def interrupted(loss, spec, params, *rest, **more):
         row = {"step": 0, "loss": 1.0, "grad_norm": 1.0, "params": {"noise.gyro": 1e-4}}
@@ -416,6 +419,7 @@ def test_info(capsys):
     assert "rtkexplorer_drive" in capsys.readouterr().out
 
 
+@pytest.mark.full
 def test_warm_runs_a_filter_and_writes_nothing(drive, tmp_path, capsys, monkeypatch):
     """For a recording of one's own; what is kept of its programs is said."""
     monkeypatch.setenv("JAXNAV_CACHE_DIR", "")

@@ -33,6 +33,7 @@ def runs(tmp_path_factory):
     return folder
 
 
+@pytest.mark.full
 def test_runs_side_by_side_show_what_differs_and_how_far_they_are_apart(runs, tmp_path, capsys):
     assert cli.main(["compare", str(runs / "a"), str(runs / "b"), "--out", str(tmp_path / "c")]) == 0
     said = capsys.readouterr().out

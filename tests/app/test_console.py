@@ -19,6 +19,7 @@ def test_process_has_no_traceback():
     assert done.stderr == "jaxnav: error: --set filter.nam=3: unknown key filter.nam: did you mean filter.name?\n"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("after", [0.05, 0.4, 0.9, 1.6])
 def test_a_signal_while_it_imports_is_heard(after, tmp_path):
     """Ctrl-C and SIGTERM in the first seconds: no traceback, the exit code of an interrupt, nothing left behind."""
@@ -37,6 +38,7 @@ def test_a_signal_while_it_imports_is_heard(after, tmp_path):
         assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name, code", [("SIGINT", 130), ("SIGTERM", 143)])
 @pytest.mark.parametrize("where", ["in a callback of the garbage collector", "anywhere"])
 def test_a_signal_ends_the_process_with_its_code(where, name, code):

@@ -310,6 +310,7 @@ def test_parameters_are_finite(key):
     assert np.isinf(walk.states["gyro_bias"].tau).all()
 
 
+@pytest.mark.full
 def test_a_street_is_filtered_by_its_satellites(tmp_path, capsys):
     """From the command line: the states that ranges need are added; the fixes are compared alone."""
     sets = [

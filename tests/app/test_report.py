@@ -20,6 +20,7 @@ def run(tmp_path_factory):
     return out
 
 
+@pytest.mark.full
 def test_one_file_without_a_network_says_what_the_run_said(run):
     page = (run / "report.html").read_text()
     assert len(page) < 5e6 and "report.html" in (run / "run.json").read_text()

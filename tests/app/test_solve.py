@@ -31,6 +31,7 @@ def solved(tmp_path_factory):
     return out, json.loads((out / "metrics.json").read_text())
 
 
+@pytest.mark.full
 def test_it_writes_solution_parameters_and_a_report_that_begins_with_the_verdict(solved):
     out, found = solved
     for name in ("solution.csv", "solution.kml", "solution.geojson", "tuned.toml", "run.json"):
@@ -65,6 +66,7 @@ def test_wheel_speeds_are_taken_and_drift_less(solved):
     assert found["drift_ratio"] == pytest.approx(found["drift_m"]["solution"] / found["drift_m"]["datasheet"])
 
 
+@pytest.mark.full
 def test_a_recording_with_z_up_is_read_again_by_the_setting(tmp_path):
     """What run.json states is what was solved."""
     scenario = SCENARIOS["urban_short"]._replace(duration_s=120.0, imu_rate_hz=50.0)
@@ -79,6 +81,7 @@ def test_a_recording_with_z_up_is_read_again_by_the_setting(tmp_path):
     assert solve.corrected(stated, load(stated)).settings == {}
 
 
+@pytest.mark.full
 def test_the_run_reproduces_it_without_searching(solved, tmp_path):
     out, _ = solved
     assert cli.main(["filter", "--config", str(out / "run.json"), "--quiet", "--out", str(tmp_path / "again"),
@@ -89,6 +92,7 @@ def test_the_run_reproduces_it_without_searching(solved, tmp_path):
         np.testing.assert_allclose(first[name], again[name], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.full
 def test_an_interrupted_run_keeps_the_answer_so_far(tmp_path, capsys, monkeypatch):
     def stops(*args):
         raise KeyboardInterrupt
@@ -106,6 +110,7 @@ def test_an_interrupted_run_keeps_the_answer_so_far(tmp_path, capsys, monkeypatc
         np.testing.assert_allclose(first[name], second[name], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.full
 def test_a_limit_is_a_time(capsys, tmp_path):
     assert cli.main(["solve", "urban_short", "--time", "0", "--out", str(tmp_path / "out")]) == 2
     assert "--time must be seconds above 0, got 0" in capsys.readouterr().err

@@ -29,6 +29,7 @@ def rows_of(text):
     return list(csv.DictReader(io.StringIO(text)))
 
 
+@pytest.mark.full
 def test_a_recording_and_its_lines_end_near_the_truth(drive, capsys):
     rec = read_recording(drive)
     arm = rec.lever_arm.tolist()
@@ -90,6 +91,7 @@ def test_axes_and_units_that_are_none(axes, units, words):
         lines_of(axes, units)
 
 
+@pytest.mark.full
 def test_a_recording_names_its_axes_by_itself(capsys):
     assert cli.main(["stream", "urban_short", "--axes", "flu"]) == 2
     assert "[data] options.axes" in capsys.readouterr().err

@@ -54,6 +54,7 @@ def flags(**changes) -> list[str]:
     return ["tune", "--config", "job.toml", "--out", "t", "--json"]
 
 
+@pytest.mark.full
 def test_scoring_says_how_well_each_parameter_is_known(tmp_path, capsys, monkeypatch):
     argv = flags(method="scoring", objective="nll", steps=9, more=["urban_short"],
                  free=["noise", "fixes", "latency"], frozen=[f"{V}.latency_s"],
@@ -107,6 +108,7 @@ def test_a_root_in_params_is_in_users_units():
         config.resolve([("", {"measurements": {"position": {"scale": [1, [2, 3]]}}})])
 
 
+@pytest.mark.full
 def test_a_finished_job_resumes_to_itself_and_another_is_refused(capsys):
     assert cli.main(flags(objective="nll")) == 0
     first = json.loads(capsys.readouterr().out)["metrics"]
@@ -117,6 +119,7 @@ def test_a_finished_job_resumes_to_itself_and_another_is_refused(capsys):
     assert "another job" in capsys.readouterr().err
 
 
+@pytest.mark.full
 def test_what_a_lost_run_and_a_users_own_objective_score(monkeypatch, tmp_path):
     (tmp_path / "mine.py").write_text(
         "def score(info, epochs, truth):\n    return (info.nu**2).sum() + 0 * epochs.fix.sd.sum() + 0 * truth.sum()\n"
@@ -181,6 +184,7 @@ def test_what_is_free_is_by_names_less_the_frozen_with_priors_in_users_units():
     assert spec["noise.gyro"].prior.sd == pytest.approx(np.log(2)) and spec["noise.gyro"].tie == ()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "source, name, free, changes",
     [
@@ -231,6 +235,7 @@ def test_the_figure_of_the_search_has_the_simulated_values(tmp_path, monkeypatch
     assert draw_state["noise.gyro_deg_per_sqrt_hour"] == pytest.approx(gyro / DEG_PER_SQRT_HOUR)
 
 
+@pytest.mark.full
 def test_sources_of_which_one_hides_nothing_are_not_judged_together():
     changes = {"data": {"source": "urban_short"}, "tune": {"more": ["fwekf"]}}
     job = config.resolve([("", config.merge(SETTINGS, changes))])
@@ -238,6 +243,7 @@ def test_sources_of_which_one_hides_nothing_are_not_judged_together():
         tune.on_scenarios(job, Long(), False, lambda line: None)
 
 
+@pytest.mark.full
 def test_drift_is_asked_for_only_where_something_is_hidden():
     for objective in ({"drift": 1.0}, {"log_drift": 1.0, "rmse": 1.0}):
         changes = {"data": {"source": "fwekf"}, "tune": {"objective": objective}}

@@ -32,6 +32,7 @@ def test_parameters_survive_the_file():
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(theta)), name
 
 
+@pytest.mark.full
 def test_noise_free_launch_converges_as_the_paper_says():
     """Its first test: |dv| < 0.02 m/s and |dr| < 5 mm, in 10 s and, by the observer's poles, within 12 s."""
     test = fwekf_study.draw(("C1",), jax.random.key(0), 1)

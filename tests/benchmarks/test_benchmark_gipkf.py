@@ -37,6 +37,7 @@ def test_operations_by_hand_are_the_papers():
     assert flops.product(2, 3, 4) == 2 * 4 * (3 + 2)
 
 
+@pytest.mark.full
 def test_operations_of_the_program():
     square = jnp.ones((9, 9))
     assert flops.count(lambda a: a @ a, square) == pytest.approx(flops.product(9, 9, 9), rel=0.07)
@@ -90,6 +91,7 @@ def test_rank_does_not_go_by_the_unit():
     assert gipkf_claims.rank(M * scaled, unit * np.array([[1.0], [1000.0]]), 1e-2) == 1
 
 
+@pytest.mark.full
 def test_the_claims_of_two_drives(tmp_path):
     """Ranks, growth and what is left around an outage are those of a filter that works."""
     drives = study.drive(gipkf.scenario("nominal"), jax.random.split(jax.random.key(3), 2))

@@ -20,6 +20,7 @@ def fitted():
     return study(paper_filter(2), params, hours(gpid.coarse(REPRO), keys_of(1, 0, 2)))
 
 
+@pytest.mark.full
 def test_fitted_configuration_is_near_the_papers_tables(fitted):
     rows = gpid.tables({"fitted": fitted})
     ratios = {(t, r["method"], r["quantity"]): r["ours"] / r["paper"] for t in rows for r in rows[t]}
@@ -62,6 +63,7 @@ def test_kilometres_are_sixty_times_the_rms_near_latitude_20():
     assert min(gpid_claims.kilometres(30.0).values()) > 61.0
 
 
+@pytest.mark.full
 def test_a_held_error_is_one_a_second():
     """Of fixes at 10 Hz, metre by metre and axis by axis."""
     sims = hours(gpid_claims.FAST._replace(duration_s=5.0, faults=()), keys_of(0, 0, 1))

@@ -15,6 +15,7 @@ def result(tmp_path, benchmark, *options):
     return json.loads(path.read_text())
 
 
+@pytest.mark.full
 def test_navego_lands_on_the_figures_of_an_independent_filter(data_dir, tmp_path):
     r = result(tmp_path, navego)
     for key, reference in navego.REFERENCE.items():
@@ -23,6 +24,7 @@ def test_navego_lands_on_the_figures_of_an_independent_filter(data_dir, tmp_path
     assert r["rmse_samples_as_means"]["heading_deg"] < r["rmse"]["heading_deg"]
 
 
+@pytest.mark.full
 def test_umn_flight_from_an_unknown_heading(data_dir, tmp_path):
     r = result(tmp_path, umn)
     assert not r["diverged"]
@@ -30,6 +32,7 @@ def test_umn_flight_from_an_unknown_heading(data_dir, tmp_path):
     assert sum(r["heading_probability"]) == pytest.approx(1.0)
 
 
+@pytest.mark.full
 def test_drive_untuned_on_the_mended_log_is_below_the_authors_filter(data_dir):
     rec = drive.recording()
     params = drive.parameters(-0.21)

@@ -11,6 +11,7 @@ from benchmarks.simulated import recover
 from tuning.fit.transforms import split
 
 
+@pytest.mark.full
 def test_simulated_noise_comes_back_from_ten_times_too_much(tmp_path):
     path = tmp_path / "r.json"
     recover.main(["--data", "simulated", "--quick", "--json", str(path)])

@@ -14,13 +14,14 @@ import pytest
 
 from benchmarks.speed import parallel, speed_child, speed_floor, speed_gate, speed_peers, speed_plain, speed_tables
 from benchmarks.speed.speed_work import PARAMS, SIDE, distance, exponent, forward, over_runs, table, turn
-from jaxnav.filters.catalogue import FRAMES, build
+from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import make_filter
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import reset
 from jaxnav.filters.rules.kalman import kalman
 from jaxnav.maths import earth
 from jaxnav.states.table import BIASES
+from jaxnav.strapdown.frames import FRAMES
 from tests import reference
 from tuning.fit.objectives import innovation_nll
 
@@ -42,6 +43,7 @@ def ours(given):
     return found
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("n", [9, 15])
 def test_the_floor_goes_where_we_go(given, ours, n):
     noise, nav, epochs = given

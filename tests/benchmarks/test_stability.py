@@ -176,6 +176,7 @@ def explicit_rate(r: Round, theta) -> float:
     return float(np.log(np.abs(robustness.multipliers(M, 9)[0])) / PERIOD)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("gains, rate", [("G1", 4.5e-3), ("G2", 7.3e-3)])
 def test_printed_gains_diverge_on_the_circle(first, gains, rate):
     """On all states; derivative of the step and closed form agree, up to what the paper's F leaves out."""
@@ -211,6 +212,7 @@ def heading_difference(filt, params, nav, epochs, P):
     return 2 * up
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("gains, states", [("G1", "literal"), ("G2", "literal"), ("G1", "position")])
 def test_growth_of_a_small_simulated_error(settled, gains, states):
     """The nonlinear filter over 17 rounds: RMS of the heading error in the last six against the six before."""

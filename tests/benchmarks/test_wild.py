@@ -20,6 +20,7 @@ def run(name: str) -> dict:
     return found
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", QUICK)
 def test_a_recipe_gives_a_solution(data_dir, name):
     found = run(name)

@@ -116,6 +116,7 @@ DAMAGES = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("code", DAMAGES)
 def test_what_is_wrong_is_named(car, code):
     part = code.split(".")[0]
@@ -344,6 +345,7 @@ def hovering(seed: int, seconds: float) -> Recording:
     return Recording("hovering", imu, aiding, None, np.zeros(3))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("seconds", [12.0, 20.0, 40.0])
 def test_a_hovering_multirotor_has_no_wrong_sign(seconds):
     """Specific force and velocities have nothing to do with each other: hardly a change makes them."""
@@ -351,6 +353,7 @@ def test_a_hovering_multirotor_has_no_wrong_sign(seconds):
     assert len(warned) <= 2
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", ["steep", "quadrotor"])
 def test_a_banked_and_a_sideways_flight_have_right_gyros(kind):
     """Their gyro z reads some 0.6 and 0.5 times the course's rate; with a wrong scale on top it is named."""
@@ -379,6 +382,7 @@ def test_turns_over_a_gap_between_fixes_do_not_count(car):
     assert not x.weight[(x.t > v.t[0] + 30) & (x.t < v.t[0] + 40)].any() and x.weight[x.t < v.t[0] + 25].any()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("factor, wrong", [(1.0, False), (180 / np.pi, True), (np.pi / 180, True)])
 def test_degrees_for_radians_show_with_positions_alone(factor, wrong):
     """Their noise leaves a correlation of turns of 0.45; accelerations tell the unit."""
@@ -477,8 +481,9 @@ def test_the_detector_of_standstills_is_set_by_what_the_receiver_says():
     accel, gyro = standstill(rec)
     assert (accel.code, gyro.code) == ("standstill.accel", "standstill.gyro")
     lines = configuration(Data("drive"), rec, [accel, gyro]).splitlines()
-    assert [line.split(" = ")[0] for line in lines if line.startswith("# ") and "st" in line][-2:] == [
-        "# standing_accel_sd_mps2", "# standing_gyro_sd_deg_per_s"]  # fmt: skip
+    assert [line.split(" = ")[0] for line in lines if line.startswith("standing")] == [
+        "standing_accel_sd_mps2", "standing_gyro_sd_deg_per_s"]  # fmt: skip
+    assert any(line.startswith('measurements = ["position", "velocity", "zero_velocity"') for line in lines)
     assert 0.8 < accel.value < 1.8 and "% of them and 0." in gyro.message
     t = np.arange(5.0, 198.0)
     found = stationary(rec.imu, t, 1.0, accel.value, gyro.value * DEG)

@@ -33,6 +33,7 @@ def codes(findings) -> set[str]:
 KINDS = ("car", "aircraft", "walk", "robot", "ship", "train", "bus", "mower", "glider", "table")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_clean_recording_warns_of_nothing(kind):
     """Ten vehicles of different motion, consumer's IMU, fixes with position and velocity."""
@@ -88,11 +89,13 @@ def ekf() -> Filter:
     return build("ekf15", cov_stride=5)
 
 
+@pytest.mark.full
 def test_a_run_without_params_says_how_it_chose(drive, ekf):
     found = codes(navigate(drive, ekf).findings)
     assert found >= {"noise.scan", "stream.extra", "truth.share", "lever_arm.recorded", "stream.unused"}
 
 
+@pytest.mark.full
 def test_a_run_with_params_says_which_lever_arm_counts(drive, ekf):
     params = ekf.params("consumer")
     params = params._replace(mounting=params.mounting._replace(lever_arm=np.array([0.2, 0.0, -1.0])))
@@ -115,6 +118,7 @@ def test_noise_far_above_a_datasheet_is_vibration():
     assert codes(NoiseScan().findings) == {"noise.datasheet"}
 
 
+@pytest.mark.full
 def test_states_that_few_or_no_windows_observe(tmp_path, drive):
     names = ("gyro_bias x", "gyro_bias y", "gyro_bias z")
     left = np.array([[0.2, 1.0, 1.0]] * 5 + [[0.2, 0.3, 1.0]])
@@ -135,10 +139,11 @@ def test_monte_carlo_names_divergence_and_consistency():
     assert codes(findings_of({"ekf15": one})) == {"mc.diverged", "mc.anees", "mc.anis"}
 
 
+@pytest.mark.full
 def test_parameters_that_the_data_do_not_determine(ekf):
     """Information along the sum of two logarithms alone: their difference is open."""
     params, spec = ekf.params("consumer"), {"noise.accel": LOG, "noise.gyro": LOG}
     fisher = np.array([[400.0, 400.0], [400.0, 400.0]])
     info = uncertainty.Information(np.zeros(()), np.zeros(2), fisher, np.zeros((8, 2)))
     _, findings = likelihood.rows(SimpleNamespace(inform=lambda flat: info), spec, params, params, {})
-    assert codes(findings) == {"tune.undetermined"}
+    assert codes(findings) == {"tune.indistinguishable"}

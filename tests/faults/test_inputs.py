@@ -11,13 +11,13 @@ import pytest
 
 from jaxnav import initial_nav
 from jaxnav.app import cli
-from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import make_filter
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import reset
 from jaxnav.filters.rule import Correction, Rule
 from jaxnav.filters.run import run
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import DataError
 from tuning.fit import checkpoint
 from tuning.fit.train import fit

@@ -13,12 +13,13 @@ from jaxnav.filters.adapters import ADAPTERS
 from jaxnav.filters.adapters.adapter import Adapted, Adapter, Window, constrained, times
 from jaxnav.filters.adapters.mlp_noise import features
 from jaxnav.filters.adapters.window_constraints import DILATIONS, SD, convolved, latest
-from jaxnav.filters.catalogue import FRAMES, changed, rows
+from jaxnav.filters.catalogue import changed, rows
 from jaxnav.filters.epochs import hide, pack
 from jaxnav.filters.parameters import change
 from jaxnav.filters.run import prepare, run, run_jit
 from jaxnav.filters.smoother import smooth_jit
 from jaxnav.initialization.initialize import Initialization
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.stream import Stream
 from jaxnav.types import Epoch, Fix, Imu
 from tests.conftest import all_finite, leaves_equal
@@ -53,6 +54,7 @@ def constant(factor=1.0, noise=1.0) -> Adapter:
     return Adapter(lambda theta, memory, window: (memory, Adapted(times(window.fix, factor), noise)), lambda: ())
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ADAPTERS)
 def test_an_adapter_of_the_table(case, epochs, name):
     """It is finite with its own parameters and with others, and these matter; shapes are checked."""
@@ -76,6 +78,7 @@ def test_names_of_adapters_are_checked():
         build("ekf15", adapter="window_constraints")
 
 
+@pytest.mark.full
 def test_an_untrained_network_is_the_plain_filter(case, epochs):
     plain, learned = filter_of(""), filter_of("mlp_noise")
     params = learned.params("consumer")
@@ -93,6 +96,7 @@ def test_untrained_constraints_are_those_of_a_constant_sd(case, epochs):
     leaves_equal(run_jit(learned, params, case.nav, epochs), expected, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.full
 def test_factors_on_sd_and_noise_are_those_of_the_parameters(case, epochs):
     params = filter_of("").params("consumer")
     expected = run_jit(filter_of(""), params, case.nav, epochs._replace(fix=epochs.fix._replace(sd=3 * epochs.fix.sd)))
@@ -105,6 +109,7 @@ def test_factors_on_sd_and_noise_are_those_of_the_parameters(case, epochs):
     leaves_equal(found, run_jit(filter_of(""), noisier, case.nav, epochs), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.full
 def test_what_is_hidden_is_not_seen(case, epochs):
     """Other values in missing channels change nothing but their residuals, which are those of the plain filter."""
     curious = Adapter(
@@ -124,6 +129,7 @@ def test_what_is_hidden_is_not_seen(case, epochs):
     leaves_equal(run_jit(filt, start, case.nav, epochs).residual, plain.residual, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ADAPTERS)
 def test_prepared_epochs_and_batches_are_the_same(case, epochs, name):
     filt = filter_of(name)
@@ -137,6 +143,7 @@ def test_prepared_epochs_and_batches_are_the_same(case, epochs, name):
     leaves_equal(jax.tree.map(lambda a: a[1], batch.nav), one.nav, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("name", "frame"), [*zip(itertools.cycle(ADAPTERS), FRAMES)])
 def test_gradients_through_the_filter(case, epochs, name, frame):
     """A derivative along a random direction of all weights against a central difference."""
@@ -155,6 +162,7 @@ def test_gradients_through_the_filter(case, epochs, name, frame):
     assert abs(float(slope)) > 1e-7
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ADAPTERS)
 def test_the_smoother_ends_where_the_filter_ends(case, epochs, name):
     filt = filter_of(name)
@@ -167,6 +175,7 @@ def test_the_smoother_ends_where_the_filter_ends(case, epochs, name):
     assert bool((jnp.trace(smoothed.P, axis1=1, axis2=2)[:-1] <= jnp.trace(info.P, axis1=1, axis2=2)[:-1]).all())
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ADAPTERS)
 def test_a_stream_is_the_batch(case, name):
     """Late fixes too: the adapter's memory goes back with the state."""
@@ -188,6 +197,7 @@ def test_a_stream_is_the_batch(case, name):
         np.testing.assert_allclose(np.asarray(state.past.vel[-1]), batch.nav.vel[i], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("frame", FRAMES)
 def test_a_window_shows_where_the_epoch_begins(case, epochs, frame):
     """Navigation and its covariance are those that the epoch before reported; ages grow where fixes are hidden."""

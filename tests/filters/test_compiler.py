@@ -60,6 +60,7 @@ def test_no_cache_where_it_is_turned_off(monkeypatch):
     assert compiler.cache() is None and compiler.cache_home() is None
 
 
+@pytest.mark.full
 @pytest.mark.skipif(process_usage().maps == 0, reason="the system does not say what a process holds")
 def test_many_programs_fit_into_a_few_mappings(caplog):
     """Sixty programs, twice as many as the limit lets live; each is right, also after it was dropped."""

@@ -319,6 +319,7 @@ def batch(case):
     return Batch(params, nav, epochs, run_batch(build("ekf15"), params, nav, epochs))
 
 
+@pytest.mark.full
 def test_a_batch_is_its_runs_one_by_one(batch):
     for i in (0, 5):
         nav, epochs, expected = take((batch.nav, batch.epochs, batch.info), i)
@@ -382,6 +383,7 @@ def test_one_trace_serves_all_values(case):
     assert build("kf9_simple") is build("kf9_simple") and set(FILTERS) > {"ekf15", "gpid"}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("feedback", [reset, observer])
 def test_a_gradient_differentiates_an_epoch_once(case, feedback):
     """What depends on the parameters is known from the start; else the scan begins again until it is."""

@@ -12,13 +12,14 @@ from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import padded
 from jaxnav.filters.cutting import cut_imu
 from jaxnav.filters.epochs import bucket_size, cut_times, hide, outage_windows, pack, pad_to_bucket, stack_epochs
-from jaxnav.filters.gaps import TICK
 from jaxnav.filters.run import run_jit
-from jaxnav.filters.standstill import constraint_samples, is_driving, mean_rate, stationary
+from jaxnav.filters.standstill import constraint_samples, is_driving, stationary
 from jaxnav.io.recording import recording
 from jaxnav.maths import earth
+from jaxnav.maths.units import TICK
 from jaxnav.measurements import GNSS, MEASUREMENTS, NONHOLONOMIC, POSITION, SPEED, VELOCITY
 from jaxnav.measurements.satellites import SATELLITE
+from jaxnav.measurements.standstill import mean_rate
 from jaxnav.types import DataError, Epoch, Fix, ImuLog, Samples
 from tests.conftest import gnss, leaves_equal, told
 
@@ -188,6 +189,7 @@ def test_shared_sizes_are_few_and_near(n, size):
     assert len({bucket_size(k) for k in range(1, 10_001)}) < 60
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["ekf15_gate", "gpid15"])
 def test_padding_to_a_shared_size_changes_nothing(case, name):
     """Of values and of what a rule remembers; epochs and samples that were added last no time."""
@@ -200,6 +202,7 @@ def test_padding_to_a_shared_size_changes_nothing(case, name):
     assert among.ok.all()
 
 
+@pytest.mark.full
 def test_recordings_of_different_lengths_run_as_one_batch(case):
     """Each as it runs alone; a hole of one is none of the other."""
     filt = build("ekf15", cov_stride=5)
@@ -274,13 +277,14 @@ def test_stationary_looks_back_only():
 def test_constraints_act_once_an_epoch():
     imu = stream()
     cuts = cut_times(imu, {}, 1.0, start=100.0, stop=103.0)
-    made = constraint_samples(imu, cuts, nonholonomic=True, standing=np.array([True, False, True]), window=0.5)
+    chosen = [MEASUREMENTS[name] for name in ("position", "nonholonomic", "zero_velocity", "zero_rate")]
+    made = constraint_samples(imu, cuts, chosen, np.array([True, False, True]), 0.5)
     assert set(made) == {"nonholonomic", "zero_velocity", "zero_rate"}
     np.testing.assert_array_equal(made["nonholonomic"].t, cuts)
     np.testing.assert_array_equal(made["zero_rate"].t, cuts[[0, 2]])
     np.testing.assert_array_equal(made["zero_rate"].value, mean_rate(imu, cuts[[0, 2]], 0.5))
     assert not made["zero_velocity"].value.any() and made["nonholonomic"].value.shape == (3, 2)
-    assert constraint_samples(imu, cuts) == {}
+    assert set(constraint_samples(imu, cuts, chosen)) == {"nonholonomic"}
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.13, 2.5])

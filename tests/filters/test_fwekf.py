@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from jaxnav.filters.catalogue import FRAMES, build
+from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import make_filter
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.feedback import observer, poles
@@ -20,6 +20,7 @@ from jaxnav.filters.run import initial_nav, run
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG
 from jaxnav.states.motion import P
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import Epoch, Fix, Imu
 from tests.conftest import all_finite, leaves_equal
 
@@ -47,12 +48,14 @@ def solve(case):
     return make
 
 
+@pytest.mark.full
 def test_without_fading_it_is_the_kalman_filter(solve):
     plain, ours = solve(kalman())(()), solve(fwekf.fwekf(5, ONE))(constant(1.0))
     leaves_equal(ours.nav, plain.nav, 1e-12)
     leaves_equal(ours.P, plain.P, 1e-14, 1e-10)
 
 
+@pytest.mark.full
 def test_printed_weights_are_the_same_filter_while_a_is_constant(solve):
     recursive, literal = solve(fwekf.fwekf(5, ONE)), solve(fwekf.fwekf_literal(5, ONE))
     for a in (1.01, 1.05):
@@ -176,6 +179,7 @@ def standing(E):
     return nav, Epoch(imu, Fix(value, sd, jnp.zeros((E, 6)), jnp.ones((E, 6), bool)))
 
 
+@pytest.mark.full
 def test_heading_at_rest_does_not_wind_up(case):
     nav, epochs = standing(300)
     params = case.params._replace(feedback=poles(), prior=case.params.prior._replace(attitude=jnp.asarray(DEG)))
@@ -195,6 +199,7 @@ def test_heading_at_rest_does_not_wind_up(case):
     np.testing.assert_allclose(held[-1, P, P], lower[-1, P, P], rtol=0, atol=0.01 * lower[-1, 0, 0])
 
 
+@pytest.mark.full
 def test_it_runs_with_biases_in_a_frame_that_is_not_its_own(case):
     filt = build("fwekf15", cov_stride=20, frame="tangent")
     params = case.params._replace(rule=fwekf.fwekf_params(), feedback=poles())

@@ -83,6 +83,7 @@ def test_a_turn_about_one_axis_is_no_third_of_it():
     assert noise[0] == pytest.approx(gaps._noise(gaps._Log(level), level, 3.0, np.zeros(0), np.zeros(0))[0], rel=1e-9)
 
 
+@pytest.mark.full
 def test_heading_behind_a_pause_is_as_wrong_as_it_says():
     """A minute without anything, in four drives: errors of the size of the sd, and right a minute later."""
     drives = [pauses.drive(seed, 270.0, 20.0) for seed in range(4)]
@@ -95,6 +96,7 @@ def test_heading_behind_a_pause_is_as_wrong_as_it_says():
     assert all(f.value == pytest.approx(60.0, abs=0.1) for f in found)
 
 
+@pytest.mark.full
 def test_a_gap_of_any_length_is_coasted_and_the_covariance_knows(case):
     """Fixes go on: the run stays finite, its position is less sure in the gap, and right again after it."""
     imu, aiding = case.imu, case.aiding

@@ -263,6 +263,7 @@ def setting(fine_case):
     return Setting(jax.jit(loss), jax.jit(jax.grad(loss)), params, epochs)
 
 
+@pytest.mark.full
 def test_gradients_of_an_outages_end(setting):
     gradient = setting.gradient(setting.params, setting.epochs)
     assert all_finite(gradient)

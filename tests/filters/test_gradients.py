@@ -70,6 +70,7 @@ def gradients(setting):
     return setting.gradient(setting.params, setting.epochs)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", STEPS)
 def test_gradient_of_a_whole_run(setting, gradients, name):
     value, gradient = get(setting.params, name), np.asarray(get(gradients, name)).reshape(2, -1)

@@ -36,6 +36,7 @@ def drive():
     return nav, epochs, candidates, valid
 
 
+@pytest.mark.full
 def test_each_lane_is_the_run_of_its_candidate(drive):
     nav, epochs, candidates, valid = drive
     prepared = ready(FILTER, candidates[0], nav, epochs)
@@ -55,6 +56,7 @@ def test_each_lane_is_the_run_of_its_candidate(drive):
         np.testing.assert_allclose(scores.innovation_nll(record, heavy=False)[i, :E], nll, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.full
 def test_one_program_serves_any_number_of_candidates_and_any_length(drive, monkeypatch):
     nav, epochs, candidates, valid = drive
     traced = jax.jit(chex.assert_max_traces(module._chunk.jitted.__wrapped__, n=1), static_argnums=(0,))
@@ -67,6 +69,7 @@ def test_one_program_serves_any_number_of_candidates_and_any_length(drive, monke
         assert lanes(FILTER, stacked(candidates[:count]), repeated(nav, count), prepared, mask).nu.shape[0] == count
 
 
+@pytest.mark.full
 def test_a_masked_measurement_is_no_measurement():
     """A filter with a barometer that gives nothing has the innovations of the one without, to the last bit but two."""
     nav, epochs = epochs_of(FILTER)
@@ -85,6 +88,7 @@ def test_a_masked_measurement_is_no_measurement():
     assert not masked.nu[..., 6:].any()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("m", [1, 2, 6])
 def test_a_fair_student_t_finds_the_sd_of_gaussian_residuals(m):
     """The most likely scale of 200,000 Gaussian residuals of unit variance is one; a plain t's is far below it."""

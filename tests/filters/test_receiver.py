@@ -46,6 +46,7 @@ def after_a_while(seed=0) -> Hypotheses:
     )))  # fmt: skip
 
 
+@pytest.mark.full
 def test_a_receiver_that_is_never_wrong_is_a_kalman_filters():
     sound = THETA._replace(wrong=jnp.zeros(()))
     z = innovation([3.0, -2.0, 1.0, 0.1, 0.0, -0.2])
@@ -148,6 +149,7 @@ def drives():
     return sims, keys, errors
 
 
+@pytest.mark.full
 def test_without_faults_it_costs_nothing_and_with_one_it_holds(drives):
     sims, keys, errors = drives
     clean, used, ok = errors(sims.epochs.fix.value)
@@ -160,6 +162,7 @@ def test_without_faults_it_costs_nothing_and_with_one_it_holds(drives):
         assert used[:, -50:].mean() > 0.99, kind
 
 
+@pytest.mark.full
 def test_hypotheses_turn_with_the_attitude_at_a_reset():
     """With a healthy receiver for certain and a large attitude error, P is the Kalman filter's after every fix."""
     what = SCENARIOS["urban_short"]._replace(duration_s=10.0, imu_rate_hz=25.0, gnss_rate_hz=5.0)
@@ -184,6 +187,7 @@ def test_it_recovers_from_a_slow_drag_off(drives):
     assert used[:, -50:].mean() > 0.99
 
 
+@pytest.mark.full
 def test_it_does_not_lock_out_for_ever(drives):
     """A receiver that jumps and stays there is not believed for a minute, and is in the end."""
     sims, keys, errors = drives

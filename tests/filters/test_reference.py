@@ -48,6 +48,7 @@ def errors(info, expected):
     )  # fmt: skip
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "name, theta, options",
     [
@@ -70,6 +71,7 @@ def test_the_scan_is_the_loop(near_origin, name, theta, options):
         assert np.abs(plain.nav.vel - info.nav.vel).max() > 1e-4  # by what the rule adds
 
 
+@pytest.mark.full
 def test_the_full_form_is_the_derivative_of_the_equations(near_origin):
     """15 states against complex-step dynamics, which hold every term: those that the package leaves out are tiny."""
     nav, epochs = near_origin

@@ -97,6 +97,7 @@ def test_float32_is_refused(case):
         run_jit(build("ekf15"), made_too_early, case.nav, case.packed.epochs)
 
 
+@pytest.mark.full
 def test_a_long_run_in_chunks_is_one_run(case, monkeypatch):
     """Late fixes look back over the cut, and the last chunk is padded; 60 epochs by chunks of 25."""
     filt = build("ekf15", cov_stride=5, history=9)

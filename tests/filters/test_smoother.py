@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from jaxnav.analysis import metrics
-from jaxnav.filters.catalogue import FRAMES, build
+from jaxnav.filters.catalogue import build
 from jaxnav.filters.core import make_filter
 from jaxnav.filters.epochs import hide, pad_epochs
 from jaxnav.filters.error_model import error_model
@@ -18,6 +18,7 @@ from jaxnav.filters.rules.kalman import kalman
 from jaxnav.filters.run import run
 from jaxnav.filters.smoother import keep, reach_of, smooth, smooth_jit
 from jaxnav.maths import linalg, rotations
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import Epoch
 
 
@@ -74,6 +75,7 @@ def batch(filt, params, nav, epochs: Epoch) -> tuple[np.ndarray, np.ndarray]:
     return np.array(e), np.array(sd)
 
 
+@pytest.mark.full
 def test_it_is_the_batch_solution_of_the_same_linear_problem(case):
     """To 1e-10 of a standard deviation, with fixes hidden for a while; covariance too."""
     filt = build("ekf15", cov_stride=5)
@@ -86,6 +88,7 @@ def test_it_is_the_batch_solution_of_the_same_linear_problem(case):
     np.testing.assert_allclose(mine / sd, 1.0, atol=1e-10)
 
 
+@pytest.mark.full
 def test_what_is_not_fed_back_is_carried(case):
     """In open loop, likewise: the estimate that stays is part of what is smoothed."""
     frame = FRAMES["local_level"]
@@ -128,6 +131,7 @@ def test_it_is_nearer_to_the_truth_and_knows_how_near(case):
     np.testing.assert_allclose(smoothed.residual[:, 3:6], np.asarray(smoothed.nav.vel) - fix[:, 3:6], atol=2e-3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("frame", ["tangent", "inertial"])
 def test_frames_smooth_alike(case, frame):
     epochs = jax.tree.map(lambda a: a[:15], case.packed.epochs)
@@ -141,6 +145,7 @@ def test_frames_smooth_alike(case, frame):
     np.testing.assert_allclose(np.sqrt(np.asarray(jax.vmap(jnp.diag)(b.P)))[:, :9], sd[:, :9], rtol=0.03)
 
 
+@pytest.mark.full
 def test_a_fixed_lag_is_the_smoother_of_what_came_so_far(case):
     """Of each epoch by the fixes of the next three seconds: as if the recording ended there; none and all are known."""
     filt, epochs = build("ekf15", cov_stride=5), jax.tree.map(lambda a: a[:12], case.packed.epochs)
@@ -166,6 +171,7 @@ def test_what_cannot_be_gone_back_is_refused(case):
     assert all(build(name).supports_smoothing for name in ("ekf15", "ekf9", "ekf15_gate", "ekf15_huber", "fwekf15"))
 
 
+@pytest.mark.full
 def test_the_record_costs_a_plain_run_nothing(case):
     filt = build("ekf9", cov_stride=5)
     epochs = jax.tree.map(lambda a: a[:5], case.packed.epochs)
@@ -175,6 +181,7 @@ def test_the_record_costs_a_plain_run_nothing(case):
     assert forward.Phi.shape == (5, 9, 9)
 
 
+@pytest.mark.full
 def test_gradients_go_through_it(case):
     """Normalised errors at hidden fixes, by noise and lever arm: central differences."""
     filt = build("ekf15", cov_stride=5)

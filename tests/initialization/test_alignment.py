@@ -10,7 +10,7 @@ from benchmarks.recordings.start import difference
 from benchmarks.simulated.vehicles import simulated
 from jaxnav.analysis.metrics import chi2_bounds
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.error_model import MOTION_ERRORS, error_model
+from jaxnav.filters.error_model import error_model
 from jaxnav.initialization import alignment
 from jaxnav.initialization.alignment import AlignmentPrior, align, rotations_since
 from jaxnav.initialization.differences import DRIVING_NOISE, differences, whitened
@@ -18,12 +18,14 @@ from jaxnav.initialization.initialize import aligned, correlation_root, initiali
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG, G0
 from jaxnav.states.grades import GRADES
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import ImuLog, Samples
 
 RUNS = 6
 BELIEVED = AlignmentPrior(0.5 * DEG, 0.2)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", ["car", "aircraft", "walk", "robot"])
 @pytest.mark.parametrize("velocity", [True, False], ids=["velocity", "positions"])
 def test_attitude_biases_and_delay_lie_within_their_covariance(kind, velocity):
@@ -48,6 +50,7 @@ def test_attitude_biases_and_delay_lie_within_their_covariance(kind, velocity):
     assert kind == "walk" or np.sqrt(np.mean(np.square(delays))) < 2.0
 
 
+@pytest.mark.full
 def test_misaligned_gyros_in_turns_widen_the_attitude():
     """A mower with fixes of centimetres: gravity at the tilt that its turns leave is what limits the start."""
     params, squares = build("ekf15").params("consumer"), []
@@ -167,7 +170,7 @@ def test_rotations_by_prefix_products_are_those_of_a_loop():
         np.testing.assert_allclose(end, C, atol=1e-13)
 
 
-@pytest.mark.parametrize("frame", MOTION_ERRORS)
+@pytest.mark.parametrize("frame", FRAMES)
 @pytest.mark.parametrize("states", [(), ("gyro_bias", "accel_bias"), ("accel_bias",)], ids=len)
 def test_the_filter_starts_with_the_correlations_that_were_found(case, frame, states):
     rng = np.random.default_rng(2)

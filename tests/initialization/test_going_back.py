@@ -32,6 +32,7 @@ def smoothed(rec, **options):
     return navigate(rec, EKF, PARAMS, smooth=True, **options)
 
 
+@pytest.mark.full
 def test_it_begins_with_the_first_fix(rec):
     sol = smoothed(rec)
     begin = initialize(rec, PARAMS)
@@ -44,6 +45,7 @@ def test_it_begins_with_the_first_fix(rec):
     assert np.abs(error[early, :2]).max() < 1.5 and sd[early, 8].max() < 2.0  # deg
 
 
+@pytest.mark.full
 def test_a_turning_gyro_on_a_turning_earth_goes_back_to_its_begin():
     """A vehicle turns by 3 deg/s for 100 s; without the Earth's rate it would be 0.3 deg off."""
     t, lla = np.arange(1, 10001) * 0.01, np.array([0.8, 0.2, 100.0])
@@ -76,6 +78,7 @@ def test_bad_first_fixes_are_not_gone_back_to(rec):
     assert sol.t[0] > p.t[0] + 3.0 and np.abs(ned_errors(sol.trace, rec.truth)[0][:, :2]).max() < 3.0
 
 
+@pytest.mark.full
 def test_it_goes_back_no_further_than_asked(rec):
     sol = smoothed(rec, initialization=partial(initialize, t_start=20.0))
     assert 20.0 <= sol.t[0] < 22.0

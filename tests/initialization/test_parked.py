@@ -20,6 +20,7 @@ def parked():
     return rec, navigate(rec, build("ekf15", cov_stride=10))
 
 
+@pytest.mark.full
 def test_heading_is_unknown_at_rest_and_consistent_in_motion(parked):
     rec, sol = parked
     true = np.interp(sol.t, rec.truth.t, np.unwrap(rec.truth.rph[:, 2]))

@@ -102,6 +102,7 @@ def test_headings_of_a_long_run_are_given_up_when_they_are_lost(case, monkeypatc
     np.testing.assert_allclose(info.P, bank.info.P[3], rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.full
 def test_a_hypothesis_that_fails_is_none(case):
     """A run that stops being finite has no innovations from there on, which would be the most likely of all."""
     epochs = jax.tree.map(lambda a: a[:5], case.packed.epochs)

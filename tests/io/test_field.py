@@ -135,6 +135,7 @@ def test_check_and_convert_take_the_readers_options(drive, tmp_path):
 # ---------------------------------------------------------------------------- what stands for no fix
 
 
+@pytest.mark.full
 @needs_field
 @pytest.mark.parametrize(
     ("case", "file", "options", "count"),

@@ -168,6 +168,7 @@ ROWS: dict[str, Callable[[Any], Any]] = {
 }  # fmt: skip
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("format", FORMATS)
 def test_a_row_that_a_reader_returns(format, tmp_path, monkeypatch):
     file, reader = FORMATS[format](tmp_path)

@@ -84,6 +84,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("form", PLAIN, ids=lambda form: form.__name__)
 def test_derivatives_in_closed_form(form):
     """First and second ones, backward and forward, against those of the plain formulas step by step."""

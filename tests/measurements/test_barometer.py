@@ -11,6 +11,7 @@ from jaxnav.measurements import BAROMETER, GNSS
 from jaxnav.types import Fix
 
 
+@pytest.mark.full
 def test_height_and_bias_share_a_residual_by_their_variances():
     """One reading of sd 1 m that is 6 m high: 1 of 2^2 + 1 + 1^2 parts is noise, 4 are height, 1 is bias."""
     filt = build("ekf9", ("barometer",), states=("barometer_bias",))

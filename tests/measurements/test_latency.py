@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import initial_nav
@@ -17,6 +16,7 @@ from jaxnav.measurements.measurement import layout
 from jaxnav.states import table
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import zeros
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import Fix, Imu, Nav, Params
 from tests.test_contract_rows import ALL, EVERY, difference, sizes
 
@@ -65,6 +65,7 @@ def in_enu(model, nav: Nav):
     return jax.jacfwd(lambda x: model.report(last(nav), x, jnp.eye(n))[1])(jnp.zeros(n))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("frame", FRAMES)
 def test_rows_of_late_measurements_are_derivatives(frame):
     """d y / d(error before the interval) = H d(error at its end) / d(error before the interval)."""
@@ -89,6 +90,7 @@ def test_rows_of_late_measurements_are_derivatives(frame):
             assert worst.max() <= CLOSE, (name, worst.argmax(), worst.max())
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("frame", FRAMES)
 def test_an_error_is_carried_back_over_the_samples_before(frame):
     """A correction at the end takes the error that it leads to out of every sample of the past."""

@@ -63,6 +63,7 @@ def test_baseline_course_and_yaw_rate():
     np.testing.assert_allclose(residual("yaw_rate", [0.25]), 0.05, atol=1e-12)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("rph", [(0.0, 0.0, 0.0), (0.0, 0.5 * np.pi, 0.0)], ids=["at rest", "at rest, nose up"])
 @pytest.mark.parametrize("name", MEASUREMENTS)
 def test_gradients_are_finite_where_there_is_no_direction(name, rph):

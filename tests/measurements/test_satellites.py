@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from jaxnav import build, initial_nav
-from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.rule import Innovation
@@ -24,6 +23,7 @@ from jaxnav.states import table
 from jaxnav.states.grades import GRADES
 from jaxnav.states.receiver_clock import SLOTS
 from jaxnav.states.table import BIASES, chosen, zeros
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import Epoch, Fix, Imu, Nav
 
 ROWS = (MEASUREMENTS["pseudorange"], MEASUREMENTS["range_rate"])
@@ -103,6 +103,7 @@ def program(frame: str):
     return both, h
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("frame", FRAMES)
 def test_rows_are_derivatives(frame, place):
@@ -122,6 +123,7 @@ def test_rows_are_derivatives(frame, place):
         assert np.abs(true[:, 9:]).max(0).all() or place == "rest"
 
 
+@pytest.mark.full
 def test_a_range_is_distance_clock_and_slow_error():
     nav = initial_nav([0.8, 0.1, 100.0], [8.0, -3.0, 1.0], [0.1, 0.0, 2.0])
     there = sky(nav)
@@ -145,6 +147,7 @@ def test_a_range_is_distance_clock_and_slow_error():
     assert float(weight(one, 90 * DEG, 25.0)) == pytest.approx(10 * np.hypot(1.0, 0.5))
 
 
+@pytest.mark.full
 def test_a_clock_bias_grows_by_its_drift():
     """Phi, Q and d of bias and drift over an epoch against the closed form of a twice integrated white noise."""
     names = ("receiver_clock_bias", "receiver_clock_drift")
@@ -197,6 +200,7 @@ def solver():
     return filt, jax.jit(partial(run, filt))
 
 
+@pytest.mark.full
 def test_a_new_satellite_starts_its_error_anew():
     nav, there, value, valid = at_rest()
     filt, solve = solver()
@@ -228,6 +232,7 @@ def test_a_new_satellite_starts_its_error_anew():
     np.testing.assert_allclose(streamed.P, step.after.P, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.full
 def test_a_hole_in_the_sky_leaves_a_filter_finite_and_satellites_one_by_one_count():
     nav, there, value, valid = at_rest()
     filt, solve = solver()

@@ -61,6 +61,7 @@ def moved(old: dict, new: dict) -> list[str]:
     return lines
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", SIMULATED | RECORDED)
 def test_a_solution_is_as_it_was(name, request):
     if name in RECORDED:

@@ -27,6 +27,7 @@ def params():
     return known._replace(states=known.states | datasheet_states(GRADES["consumer"], (*NAMES, "vehicle_axes")))
 
 
+@pytest.mark.full
 def test_fixes_and_samples_have_the_errors_that_the_truth_says(sim, params):
     other = with_states(jax.random.key(1), sim, params, NAMES)
     e = {name: np.asarray(other.truth.errors[name][0]) for name in NAMES}

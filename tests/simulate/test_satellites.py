@@ -94,6 +94,7 @@ def runs(scenario: Scenario, n: int):
     return filt, jax.lax.map(one, jax.random.split(jax.random.key(7), n))
 
 
+@pytest.mark.full
 def test_the_covariance_of_31_states_is_right_in_a_street():
     """ANEES within its bounds and 94 to 96 % inside the 95 %, with satellites that come and go."""
     filt, (x, P, valid, used, ok, seen_) = runs(SHORT, 40)
@@ -112,6 +113,7 @@ def test_the_covariance_of_31_states_is_right_in_a_street():
     assert not np.asarray(valid)[:, :, :6].any() and np.asarray(seen_)[:, :, :6].any()  # fixes are compared alone
 
 
+@pytest.mark.full
 def test_a_faulty_satellite_moves_an_open_sky_solution_by_less_than_a_metre():
     """100 m at once: the gate leaves it out, however long it lasts, and a finding names it."""
     short = OPEN._replace(duration_s=60.0)
@@ -125,6 +127,7 @@ def test_a_faulty_satellite_moves_an_open_sky_solution_by_less_than_a_metre():
     assert (out.sum(-1) >= 1).all() and out.sum(-1).mean() < 1.2
 
 
+@pytest.mark.full
 def test_a_recording_of_a_street_has_its_satellites(tmp_path):
     from jaxnav.io import canonical
 

@@ -267,6 +267,7 @@ def test_hidden_fixes_are_free_of_error():
     assert np.abs(e[hidden]).max() < 1e-8 and (np.abs(e[~hidden]).max(1) > 1e-3).all()
 
 
+@pytest.mark.full
 def test_faults_follow_their_course_in_time():
     window = (np.asarray(T) > 600) & (np.asarray(T) <= 1100)
     clean = errors(Receiver())[0]

@@ -10,7 +10,7 @@ import pytest
 from jax import lax
 
 from jaxnav.analysis.metrics import chi2_bounds, nees
-from jaxnav.filters.catalogue import FRAMES, build
+from jaxnav.filters.catalogue import build
 from jaxnav.filters.compiler import enable_x64
 from jaxnav.filters.epochs import pack
 from jaxnav.filters.error_model import error_model
@@ -22,6 +22,7 @@ from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params, simulate, simulate_shape, sizes, to_recording
 from jaxnav.simulate.trajectories import Circle, SShape, Static, Urban, shape_of, travel
 from jaxnav.states.grades import GRADES, Grade
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import Imu, Nav, Origin
 
 enable_x64()
@@ -88,6 +89,7 @@ def navigate_back(frame, merges, seconds, *more):
     return np.moveaxis(np.array(errors, float), 2, 0)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("frame", FRAMES)
 def test_noise_free_imu_navigates_back(frame):
     horizontal, vertical = navigate_back(frame, (2, 4), 200)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxnav.analysis.metrics import state_error
-from jaxnav.filters.catalogue import FRAMES, build
+from jaxnav.filters.catalogue import build
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.parameters import datasheet_params, history_for, late, mounting
 from jaxnav.filters.run import initial_nav, run
@@ -22,6 +22,7 @@ from jaxnav.states.grades import GRADES
 from jaxnav.states.motion import reset_covariance, reset_rows
 from jaxnav.states.second_order import SECOND_ORDER_S, reliability, second_order
 from jaxnav.strapdown import local_level
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.types import Fix, Imu
 
 T, K = 1.0, 50
@@ -41,6 +42,7 @@ def epoch():
     return Phi, velocity
 
 
+@pytest.mark.full
 def test_the_rest_of_a_large_error_is_the_cross_product_of_attitude_and_what_it_does(epoch):
     """Velocity of the estimate minus the truth's: Phi x - phi x w, to third order."""
     Phi, velocity = epoch
@@ -96,6 +98,7 @@ def test_the_heading_counts_by_its_column_and_the_column_s_error(epoch):
     np.testing.assert_allclose(second_order(Phi, P, jnp.asarray(T))[0], expected, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.full
 def test_a_parked_vehicle_does_not_learn_its_heading():
     """Ten seconds at rest, heading sd 20 deg: the sd stays, and the errors of 16 runs are within it."""
     scenario = Scenario(
@@ -119,6 +122,7 @@ def test_a_parked_vehicle_does_not_learn_its_heading():
     assert np.mean(heading[:, -1] ** 2 / var[:, -1]) < 1.9  # 99 % of chi-square with 16 degrees of freedom, over 16
 
 
+@pytest.mark.full
 def test_a_receiver_s_fix_sees_second_order_by_lever_arm_and_age():
     """Large tilts and biases: residual minus H x of many errors, against what P adds to R; nothing without them."""
     model, frame = error_model(), FRAMES["local_level"]

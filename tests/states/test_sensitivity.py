@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import change
@@ -25,6 +26,7 @@ def test_a_filter_that_estimates_them_takes_none_of_it_for_noise():
     assert float(some.scale) == SCALE and float(every.scale) == 0.0
 
 
+@pytest.mark.full
 def test_heading_is_less_sure_after_a_turn_and_not_after_a_straight():
     """The heading's variance grows by k^2 w^2 2 tau T while a vehicle turns without fixes, and not at rest."""
     filt = build("ekf15", cov_stride=2)

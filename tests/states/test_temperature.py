@@ -8,7 +8,6 @@ import pytest
 from jaxnav import build, initialize, navigate, read
 from jaxnav.app.config import resolve
 from jaxnav.app.sources import load
-from jaxnav.filters.catalogue import FRAMES
 from jaxnav.filters.error_model import error_model
 from jaxnav.filters.parameters import installed
 from jaxnav.filters.run import initial_nav
@@ -17,6 +16,7 @@ from jaxnav.maths.units import DEG, DEG_PER_HOUR
 from jaxnav.measurements import with_data
 from jaxnav.states.state import BODY, UserUnit, constant
 from jaxnav.states.table import STATES, zeros
+from jaxnav.strapdown.frames import FRAMES
 from jaxnav.stream import Stream
 from jaxnav.types import ConfigError, DataError, Fix, Imu, Recording, Samples
 
@@ -49,6 +49,7 @@ def drive() -> Recording:
     return rec._replace(imu=imu, aiding=rec.aiding | {"temperature": warm})
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("stride", [1, 10])
 @pytest.mark.parametrize("frame", FRAMES)
 def test_at_a_constant_temperature_it_is_a_bias(frame, stride):
@@ -78,6 +79,7 @@ def test_at_a_constant_temperature_it_is_a_bias(frame, stride):
         np.testing.assert_allclose(H[:, 15:18], degc * H[:, 9:12], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.full
 def test_the_slope_of_a_drive_is_found_through_its_files(drive, tmp_path):
     write_recording(tmp_path / "own", drive)
     assert (tmp_path / "own" / "temperature.csv").read_text().startswith("t_s,temperature_degc,sd_degc\n")
@@ -104,6 +106,7 @@ def test_the_slope_of_a_drive_is_found_through_its_files(drive, tmp_path):
         navigate(bare, filt, params)
 
 
+@pytest.mark.full
 def test_a_stream_holds_the_temperature_as_the_batch_does(drive):
     filt = build("ekf15", states=(TOY.name,), cov_stride=10)
     params = installed(filt.params("adis16465"), drive.lever_arm)

@@ -43,6 +43,7 @@ def assert_below(errors, bounds):
         assert (worst < bound).all(), f"{name}: {worst} is not below {bound}"
 
 
+@pytest.mark.full
 def test_an_hour_of_sine_motion_within_the_bars_of_pyins():
     motion = sim.generate_sine_velocity_motion(
         0.01, 3600, [55, 37, 1500], [5, -3, 0.2], velocity_change_amplitude=1, sensor_type="increment"
@@ -245,6 +246,7 @@ def test_blocks_change_nothing(lat, speed):
         assert path.nav.pos.shape == (n, 3) and path.C.shape == (n, 3, 3)
 
 
+@pytest.mark.full
 @ANYWHERE
 @pytest.mark.parametrize("form, n", [(local_level.propagate, 60), (local_level.propagate, 240)])
 def test_intervals_of_samples_are_the_samples(form, n, lat, speed):

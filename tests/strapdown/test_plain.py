@@ -39,6 +39,7 @@ def apart(nav, imu, u):
 PUSH = Forcing(np.zeros(3), np.array([0.01, 0.02, -0.01]))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("u", [None, PUSH])
 @pytest.mark.parametrize(
     # near zero a float tells 1e-11 m apart, elsewhere 3,000 additions round to some 1e-8 m and more

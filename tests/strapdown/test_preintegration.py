@@ -27,6 +27,7 @@ def difference(a, b):
     return np.asarray(jax.vmap(earth.enu_difference)(a.pos, b.pos)), np.asarray(a.vel - b.vel), np.asarray(turn)
 
 
+@pytest.mark.full
 @ANYWHERE
 @pytest.mark.parametrize("n", [60, 240], ids=["one_block", "three_blocks"])
 def test_biases_are_taken_out_of_the_sums(n, lat, speed):
@@ -59,6 +60,7 @@ def biased(case):
     return epochs._replace(imu=jax.vmap(lambda imu: padded(imu, 25))(epochs.imu))
 
 
+@pytest.mark.full
 def test_prepared_epochs_are_run_like_the_samples(case, biased):
     """Solution and likelihood, after fixes were hidden; states of late fixes are from inside the intervals."""
     filt = build("ekf15", cov_stride=5, history=4)
@@ -79,6 +81,7 @@ def test_prepared_epochs_are_run_like_the_samples(case, biased):
     assert float(ready_nll) == pytest.approx(float(nll), rel=1e-4)
 
 
+@pytest.mark.full
 def test_what_cannot_be_summed_up_is_handed_on(case, biased):
     """Other strides and frames: the samples themselves. Many runs are those of one."""
     for options in ({}, {"cov_stride": 25}, {"fast": False, "cov_stride": 5}):

@@ -170,6 +170,7 @@ def kill_and_compare(folder: Path, times: int) -> None:
     np.testing.assert_allclose(last.params.width, whole.params.width, rtol=1e-7)
 
 
+@pytest.mark.full
 def test_kill_at_a_random_moment_loses_at_most_a_step(tmp_path):
     kill_and_compare(tmp_path, 1)
 

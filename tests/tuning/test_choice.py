@@ -48,6 +48,7 @@ def test_the_datasheet_stays_unless_all_is_better():
     assert chosen(auto=trial(1.2 * before, -0.5), tuned=better) == "tuned"  # auto does harm
 
 
+@pytest.mark.full
 def test_a_part_with_a_receiver_fault_is_named_and_does_not_judge(rec, ekf):
     """Positions 40 m off for 3 s: windows that touch them are left out of that part alone."""
     p = rec.aiding["position"]

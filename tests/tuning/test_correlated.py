@@ -50,6 +50,7 @@ def problem():
     return inform, nll, ravel_pytree(split(SPEC, exact))[0], raw, back
 
 
+@pytest.mark.full
 def test_gradient_in_the_numbers_of_a_root(problem):
     inform, nll, exact, _, _ = problem
     at, h = exact + 0.3 * np.cos(np.arange(12)), 1e-4

@@ -143,6 +143,7 @@ def launch(processes: int, devices: int, folder: Path | str = "") -> dict:
     return json.loads(results[0])
 
 
+@pytest.mark.full
 def test_processes_and_devices_change_nothing(tmp_path):
     one = launch(1, 1)
     two = launch(2, 1, tmp_path)

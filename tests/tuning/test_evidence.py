@@ -57,6 +57,7 @@ def test_rejected_channels_that_are_tested_alone_have_terms_of_their_own(drawn, 
         equal([a[0] for a in gated_terms(*one, flags)], expected)
 
 
+@pytest.mark.full
 def test_scores_are_derivatives_of_the_objective(job):
     """Of J's likelihood by central differences of itself; and the differences on lanes agree with tangents."""
     mine = job[0]()
@@ -84,6 +85,7 @@ def test_differences_do_not_see_the_jumps_of_a_gate():
     assert found[3] == 0.0
 
 
+@pytest.mark.full
 def test_phases_of_a_long_recording_go_one_after_the_other(job, monkeypatch):
     mine = job[0]()
     together = mine.evidence(mine.flat)

@@ -17,13 +17,12 @@ from jaxnav.analysis.windows import drift as windows_drift
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.epochs import sample_rows
-from jaxnav.filters.gaps import TICK
 from jaxnav.filters.lanes import seen_by_position
 from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import FREEDOM, prepare, student_nll
 from jaxnav.filters.scores import gaussian_scale
 from jaxnav.initialization.initialize import initialize
-from jaxnav.maths.units import DEG_PER_SQRT_HOUR
+from jaxnav.maths.units import DEG_PER_SQRT_HOUR, TICK
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
@@ -41,6 +40,7 @@ def found(rec, ekf):
     return tuning.tune(rec, ekf, ekf.params("adis16465"), free=("noise", "fixes"))
 
 
+@pytest.mark.full
 def test_slow_errors_of_the_receiver_are_the_scans(rec, ekf):
     """A filter with their state, as `solve` has it: they are not free, the datasheet has none, the white rest is."""
     slow = Receiver(np.array([0.5, 0.5]), np.full(2, 60.0), sd=np.median(rec.aiding["position"].sd, 0))
@@ -56,6 +56,7 @@ def test_slow_errors_of_the_receiver_are_the_scans(rec, ekf):
     np.testing.assert_allclose(both.trials["auto"].params.measurements["position"].scale, np.sqrt(0.5))
 
 
+@pytest.mark.full
 def test_what_is_found_has_the_prior_that_was_given_and_not_the_posterior_of_one_start(found, ekf, rec):
     """A next run from these parameters starts from where the first one did."""
     given, datasheet = ekf.params("adis16465"), found.used[0].datasheet
@@ -104,6 +105,7 @@ def test_likelihood_of_a_residual_and_its_derivatives(heavy):
     assert np.linalg.eigvalsh(np.asarray(fisher)).min() > 0
 
 
+@pytest.mark.full
 def test_a_likelihood_that_counts_more_weighs_more(job):
     make, _, _ = job
     mine = make()
@@ -119,6 +121,7 @@ def test_values_are_those_of_the_information(job):
     np.testing.assert_allclose(mine.values(points), [float(mine.inform(x).nll) for x in points], rtol=1e-12)
 
 
+@pytest.mark.full
 def test_the_score_is_the_slope_of_the_objective(job):
     make, _, _ = job
     mine = make()
@@ -169,6 +172,7 @@ def test_nothing_after_the_training_part_enters(job):
     np.testing.assert_array_equal(a.inform(a.flat).nll, b.inform(b.flat).nll)
 
 
+@pytest.mark.full
 def test_recordings_together_are_the_sum_of_each(ekf, job):
     """The same recording twice, once longer by padding: twice the evidence, N too; and J that weighs the prior less."""
     make, packed, _ = job
@@ -185,6 +189,7 @@ def test_recordings_together_are_the_sum_of_each(ekf, job):
     assert float(both.inform(x).nll) - off == pytest.approx(2 * (float(one.inform(x).nll) - off))
 
 
+@pytest.mark.full
 def test_what_is_each_ones_own_has_its_own_numbers(ekf, job):
     """Two recordings, fixes each one's own: noise sees both, of fixes each sees its own recording alone."""
     make, _, _ = job
@@ -367,6 +372,7 @@ def test_what_is_written_is_read_back(found, ekf, tmp_path):
             tuning.load(path, ekf.params("consumer"))
 
 
+@pytest.mark.full
 def test_ctrl_c_leaves_the_best_so_far(rec, ekf, found):
     """In the second evaluation of the search: the first one's numbers are judged, and the verdict is one."""
 
@@ -384,6 +390,7 @@ def test_ctrl_c_leaves_the_best_so_far(rec, ekf, found):
     assert len(less.history) < len(found.history) and "position.scale" in str(less)
 
 
+@pytest.mark.full
 def test_an_objective_is_minimised_by_gradient_over_the_training_windows(rec, ekf, found, job):
     """The same split, start, verdict and table; nothing that is scored later, or was earlier, enters the objective."""
     how = Descent({"log_drift": 1.0, "nll": 1.0}, steps=2)

@@ -34,6 +34,7 @@ def test_the_group_of_ranges_has_weights_errors_and_clock():
         leaves_of(loose, loose.params(), ("measurements.pseudorange.slope",))
 
 
+@pytest.mark.full
 def test_range_errors_ten_times_too_small_are_found_with_windows_of_three_satellites():
     """The truth has 0.55 m/sqrt(s); the datasheet 0.055: the tuned one is within a factor of two."""
     key = jax.random.key(3)

@@ -201,17 +201,17 @@ def test_combinations_that_the_data_cannot_tell_apart_are_named():
     spec, only_sum = {"a": LOG, "b": LOG}, lambda r: white(y)(jnp.array([r[0] + r[1], 0.0]))
     got = inform(only_sum, jnp.zeros(2), 100)
     cov = uncertainty.covariance(got.fisher, got.blocks)
-    (text,) = uncertainty.identifiability(["a", "b"], cov.model)
-    assert "not distinguishable" in text and "while" in text and "any amount" in text
+    (said,) = uncertainty.identifiability(["a", "b"], cov.model)
+    assert said.code == "tune.indistinguishable" and " against " in said.message and "any amount" in said.message
     found = uncertainty.intervals(spec, {"a": jnp.zeros(()), "b": jnp.zeros(())}, cov)
     assert not any(i.identified for i in found)
     idle = inform(lambda r: white(y)(r[:1].repeat(2) * jnp.array([1.0, 0.0])), jnp.zeros(2), 100)
-    (text,) = uncertainty.identifiability(["a", "b"], uncertainty.covariance(idle.fisher, idle.blocks).model)
-    assert text.startswith("b is not determined")
+    (said,) = uncertainty.identifiability(["a", "b"], uncertainty.covariance(idle.fisher, idle.blocks).model)
+    assert (said.code, said.subject) == ("tune.undetermined", "b")
     assert uncertainty.identifiability(["a"], np.array([[0.01]])) == []
     many = 40 * np.ones((40, 40)) + 1e-4 * np.eye(40)  # a combination of all, to which each adds a sixth of one
-    (text,) = uncertainty.identifiability([f"p{i}" for i in range(40)], many)
-    assert text.count(", p") >= 4 and "not distinguishable" in text
+    (said,) = uncertainty.identifiability([f"p{i}" for i in range(40)], many)
+    assert said.subject.count(", p") == uncertainty.MAX_NAMED - 2 and "not distinguishable" in said.message
 
 
 def test_a_prior_determines_what_the_data_do_not():

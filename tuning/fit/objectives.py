@@ -163,7 +163,7 @@ def whiteness(info: Info, keep: jax.Array, lags: int = 5) -> jax.Array:
 
 
 def _autocorrelation(z: jax.Array, used: jax.Array, lags: int) -> jax.Array:
-    """Of z (E, m), zero where not used, at lags 1 ..: (lags, m)."""
+    """Return the autocorrelation of z (E, m), zero where not used, at lags 1 ..: (lags, m)."""
     power = jnp.sum(z**2, 0) / jnp.maximum(used.sum(0), 1)
     power = jnp.where(power > 0, power, 1.0)
     pairs = [jnp.sum(used[d:] & used[:-d], 0) for d in range(1, lags + 1)]

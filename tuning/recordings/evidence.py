@@ -9,10 +9,10 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from jaxnav.filters.core import Filter
-from jaxnav.filters.gaps import TICK
 from jaxnav.filters.lanes import CHUNK, LaneRecord, lanes, repeated, taken
 from jaxnav.filters.run import FREEDOM
 from jaxnav.filters.scores import gaussian_scale, innovation_nll, normalized, position_noise, residual_nll, student
+from jaxnav.maths.units import TICK
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.measurement import tested_alone
 from jaxnav.types import Epoch, Leaf, Nav, Params
@@ -316,7 +316,7 @@ class Job:
         self.width = np.array([_width(spec, self.leaves[i]) for i in self.origin])
 
     def evidence(self, flat: jax.Array) -> tuple[ScoreSums, ScoreSums]:
-        """Of innovations, of hidden fixes, of all recordings; on the host, as `inform`."""
+        """Return the sums of innovations and of hidden fixes over all recordings, on the host, as `inform`."""
         return self._evidence(np.asarray(flat)[None], STEP)[0]
 
     def _evidence(self, points: np.ndarray, step: float | None = None) -> list[tuple[ScoreSums, ScoreSums]]:

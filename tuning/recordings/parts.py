@@ -11,10 +11,10 @@ from jaxnav.analysis.metrics import covered_by
 from jaxnav.analysis.windows import Windows, hidden_windows
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.core import Filter
-from jaxnav.filters.gaps import TICK
 from jaxnav.initialization.initialize import Initialization
 from jaxnav.maths import earth
 from jaxnav.maths.interpolation import columns_at
+from jaxnav.maths.units import TICK
 from jaxnav.measurements import MEASUREMENTS, clock_offset
 from jaxnav.types import Epoch, Fix, Nav, Params, Track
 from tuning.recordings.runs import Run, Truth, many

@@ -28,11 +28,11 @@ PRIORS: dict[str, Prior] = {
     "driving_noise": Prior(10.0, "an unmodelled error passes for a bias that drifts"),
     "tau": Prior(5.0, "a slow error is a walk, or a fast one is noise"),
     "scale": Prior(3.0, "the receiver's sd are not meant as such, or its errors are not white"),
-    "sd": Prior(3.0, "the start is other than said"),
+    "sd": Prior(3.0, "the initial error exceeds its stated sd"),
     "time": Prior(0.1, "logged by another clock, or a receiver that filters for long"),
     "clock_drift": Prior(300e-6, "a clock that was adjusted, or errors that pass for a drift"),
     "length": Prior(0.5, "another antenna, or a delay"),
-    "angle": Prior(math.radians(3.0), "the IMU sits askew"),
+    "angle": Prior(math.radians(3.0), "the IMU is misaligned with the vehicle"),
 }
 
 

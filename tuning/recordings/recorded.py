@@ -36,13 +36,13 @@ from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import changed
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
-from jaxnav.filters.gaps import TICK
 from jaxnav.filters.lanes import RECEIVER_ERROR, LaneRecord, padded_shape, ready, taken
 from jaxnav.filters.parameters import history_for, installed, put, with_prior_of
 from jaxnav.filters.run import require_params, require_x64
 from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, initialize
+from jaxnav.maths.units import TICK
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import ConfigError, DataError, Finding, Params, Recording
 from tuning.recordings.choice import choose

@@ -120,7 +120,8 @@ def verdict(
     """Return the winner, its ratio on the test, and the ratios of the others on the validation part."""
     datasheet = trials["datasheet"]
     words = lambda name, t: (
-        f"{name} predicts by {datasheet.nll - t.nll:+.2f}, drifts {max(t.ratios[:2]):.2f}, {max(t.ratios[2:]):.2f}"
+        f"{name}: log-likelihood {datasheet.nll - t.nll:+.2f} per fix, drift ratio {max(t.ratios[:2]):.2f} "
+        f"(training and validation), {max(t.ratios[2:]):.2f} (validation)"
     )
     others = "; ".join(words(name, t) for name, t in trials.items() if name not in (best, "datasheet"))
     if best == "datasheet":

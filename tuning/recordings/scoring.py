@@ -85,7 +85,7 @@ def _best_trial(search: Search, values: Callable[[jax.Array], np.ndarray]) -> tu
 
 
 def converged(search: Search, tolerance: float = MIN_GAIN) -> bool:
-    """Nothing more to be had: no trial promises that much, or none that promised it could be taken."""
+    """Return whether the predicted decrease is below the tolerance, or the damping at its limit."""
     return not np.any((np.asarray(search.expected) > tolerance) & (np.asarray(search.damping) < 1e5))
 
 

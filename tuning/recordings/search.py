@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.filters.gaps import TICK
+from jaxnav.maths.units import TICK
 from tuning.fit import checkpoint
 from tuning.fit.status import Status
 from tuning.recordings import scoring

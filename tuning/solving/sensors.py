@@ -6,15 +6,14 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxnav.checkup.findings import finding
+from jaxnav.checkup.support import Option
 from jaxnav.filters.catalogue import changed, rows, with_states
 from jaxnav.filters.core import Filter
-from jaxnav.filters.gaps import TICK
 from jaxnav.filters.parameters import get, has, put
 from jaxnav.filters.standstill import Standing
-from jaxnav.maths.units import DEG
+from jaxnav.maths.units import DEG, TICK
 from jaxnav.measurements import GNSS, MEASUREMENTS, layout
-from jaxnav.states.installation import LEVER_ARM_ERROR, ODOMETER_SCALE, VEHICLE_AXES, WHEEL_ARM_ERROR
-from jaxnav.types import Finding, Params, Recording
+from jaxnav.types import Finding, Params
 from tuning.recordings.choice import MIN_BLOCKS
 from tuning.recordings.parts import blocks_of
 from tuning.recordings.validation import block_ratio
@@ -24,24 +23,10 @@ MAX_RATIO = 1.02  # of the horizontal drift on training and validation windows, 
 SDS = (1.0, 3.0, 10.0)  # times the stated sd, that a measurement is tried with: its errors last, those of noise do not
 MAX_GROWTH = 1.5  # of an sd, that innovations may ask for beyond those that are taken
 MIN_NIS, ROUNDS = 1.2, 2  # NIS of a measurement's channels from which on its sd grows, in so many rounds
-MAX_YAW_DEG, MAX_YAW_SCATTER_DEG = 10.0, 5.0  # deg, of an IMU whose x axis is the vehicle's
+MAX_YAW_SCATTER_DEG = 5.0  # of an IMU whose x axis is the vehicle's
 
 
-ARM_SD = ((f"states.{LEVER_ARM_ERROR.name}.sd", 10.0),)  # 3 m, where a check finds another arm than is stated
 RECEIVER = {m.name for m in GNSS}
-
-
-class Option(NamedTuple):
-    """Measurements and states that are tried together."""
-
-    measurements: tuple[str, ...]
-    states: tuple[str, ...] = ()
-    factors: tuple[tuple[str, float], ...] = ()  # on leaves of the parameters
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """What it is called by: its measurements, or its states where it has none."""
-        return self.measurements or self.states
 
 
 class Choice(NamedTuple):
@@ -64,29 +49,6 @@ class Tried(NamedTuple):
     gain: float  # log-likelihood of a hidden fix of the validation part
     taken: bool
     sd: float = 1.0  # times that stated, of its measurements
-
-
-def options(rec: Recording, found: Sequence[Finding]) -> list[Option]:
-    """Return the measurements that a recording supports, in the order in which they are tried.
-
-    Args:
-        rec: the recording.
-        found: findings of its check.
-    """
-    by, good = {f.code: f for f in found}, {f.code for f in found if not f.warns}
-    tried = [Option((), (LEVER_ARM_ERROR.name,), ARM_SD)] if "lever_arm" in by else []
-    tried += [Option((name,), (ODOMETER_SCALE.name,)) for name in ("speed", "wheels") if name in rec.aiding]
-    tried += [Option(("body_velocity",))] if "body_velocity" in rec.aiding else []
-    yaw = by.get("mounting.yaw")
-    if yaw is not None and abs(yaw.value or 0.0) < MAX_YAW_DEG:
-        tried.append(Option(("nonholonomic",), (VEHICLE_AXES.name, WHEEL_ARM_ERROR.name)))
-    if "standstill.accel" in good:
-        tried.append(Option(("zero_velocity", "zero_rate")))
-    if "barometer" in good:
-        tried.append(Option(("barometer",), ("barometer_bias",)))
-    if "magnetometer" in rec.aiding and good >= {"compass", "compass.turns"}:
-        tried.append(Option(("magnetometer",), ("magnetometer_bias",)))
-    return tried
 
 
 def standing_of(found: Sequence[Finding]) -> Standing:

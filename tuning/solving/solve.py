@@ -14,6 +14,7 @@ from jaxnav.analysis.noise_scan import NoiseScan, known_delay, stated_scale
 from jaxnav.analysis.receiver_errors import Receiver, receiver, stated, without_slow_errors
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
+from jaxnav.checkup.support import options
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.adapters.adapter import Adapter
 from jaxnav.filters.catalogue import build
@@ -35,7 +36,7 @@ from tuning.recordings.report import Tuned
 from tuning.solving.calibration import Calibration, calibrate
 from tuning.solving.corrections import DRIFT, Corrections, correct
 from tuning.solving.hidden import COV_STRIDE, Bench, Scored
-from tuning.solving.sensors import Tried, choose, finding_of, options, standing_of
+from tuning.solving.sensors import Tried, choose, finding_of, standing_of
 from tuning.solving.settled import MIXED_UP, settled
 from tuning.solving.stages import Stage, Stages
 from tuning.solving.stretches import Stretch, as_likely, faulty_stretches, finding_of_jump, jumps_of, without

@@ -25,10 +25,10 @@ import numpy as np
 
 from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
-from jaxnav.filters.gaps import TICK
 from jaxnav.filters.lanes import LaneRecord, lanes, repeated, taken
 from jaxnav.filters.scores import innovation_nll, normalized, position_noise
 from jaxnav.maths import earth
+from jaxnav.maths.units import TICK
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import Finding, Recording
 from tuning.solving.hidden import Scored

@@ -18,12 +18,11 @@ from jaxnav.app.sources import load
 from jaxnav.checkup.findings import finding
 from jaxnav.checkup.inertial import resolution
 from jaxnav.filters.border import NAMES, nested
-from jaxnav.filters.gaps import TICK
 from jaxnav.filters.standstill import is_driving, stationary
 from jaxnav.io import atomic_write
 from jaxnav.io.json import write_json
 from jaxnav.io.toml import to_toml
-from jaxnav.maths.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, UG
+from jaxnav.maths.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, TICK, UG
 from jaxnav.types import DataError, ImuLog, Samples
 
 MIN_SAMPLES = 100  # samples

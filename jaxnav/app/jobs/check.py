@@ -20,6 +20,7 @@ from jaxnav.app.prepare import base_params, filter_of, grade_of, initialization_
 from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.checkup import checkup
 from jaxnav.checkup.findings import finding
+from jaxnav.checkup.support import REASONS, options, undoubted
 from jaxnav.filters.epochs import pack_recording
 from jaxnav.filters.parameters import history_for
 from jaxnav.io.draft import draft
@@ -114,44 +115,28 @@ def in_words(rec: Recording) -> str:
 def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
     """Return a configuration that runs the recording, a remark on each line."""
     whole = lambda path: str(Path(path).resolve()).replace("\\", "/")
-    options = {k: whole(v) if k == "gnss" else v for k, v in data.options.items()}
+    given = {k: whole(v) if k == "gnss" else v for k, v in data.options.items()}
     offset = next((f.value for f in found if f.code == "time.offset" and f.value is not None), 0.0)
     if offset:
-        options["time_shift_s"] = round(float(options.get("time_shift_s", 0.0)) + offset, 2)
+        given["time_shift_s"] = round(float(given.get("time_shift_s", 0.0)) + offset, 2)
     lines = [
         "# jaxnav filter --config config.toml",
         "[data]",
         f'source = "{whole(data.source)}"  # the checked recording',
-        *([f"options = {inline(options)}"] if options else []),
+        *([f"options = {inline(given)}"] if given else []),
         "[filter]",
         'name = "ekf15"  # errors of position, velocity, attitude and both biases; `jaxnav info` lists the others',
         f'grade = "auto"  # IMU noise and latency by likelihood, or a datasheet; {_noise(found)}',
     ]
-    good = {f.code for f in found if not f.warns}
-    used, states, remarks = ["position", "velocity"], [], []
-    doubted = {f.code.partition(".")[0] for f in found if f.warns}
-    if "speed" in rec.aiding and "speed" not in doubted:
-        used.append("speed")
-        remarks.append("there are wheel speeds")
-    if "barometer" in good:
-        used.append("barometer")
-        states.append("barometer_bias")
-        remarks.append("the barometer goes with the receiver's height")
-    if "magnetometer" in rec.aiding and good >= {"compass", "compass.turns"}:
-        used.append("magnetometer")
-        states.append("magnetometer_bias")
-        remarks.append("the magnetometer turns with the gyros, as strong as the Earth's field is here")
-    yaw = next((f for f in found if f.code == "mounting.yaw"), None)
-    if yaw is not None and "speed" in used:
-        used.append("nonholonomic")
-        remarks.append(f"wheels do not slip sideways; {yaw.message}")
-    lines.append(f"measurements = {json.dumps(used)}" + (f"  # {'; '.join(remarks)}" if remarks else ""))
-    if "standstill.accel" in good:
-        lines.append('# with "zero_velocity" and "zero_rate" where the vehicle stands, by these:')
-        for f in (f for f in found if f.code.startswith("standstill.")):
-            lines.append(f"# {f.setting.split('.')[1]} = {f.value:.3g}  # {f.message}")
+    taken = undoubted(options(rec, found), found)
+    used = ["position", "velocity", *(name for each in taken for name in each.measurements)]
+    states = list(dict.fromkeys(name for each in taken for name in each.states))
+    remarks = "; ".join(REASONS[each.measurements[0]] for each in taken)
+    lines.append(f"measurements = {json.dumps(used)}" + (f"  # {remarks}" if remarks else ""))
+    for f in (f for f in found if f.code.startswith("standstill.")) if "zero_velocity" in used else ():
+        lines.append(f"{f.setting.split('.')[1]} = {f.value:.3g}  # {f.message}")
     if states:
-        lines.append(f"states = {json.dumps(states)}  # estimated biases")
+        lines.append(f"states = {json.dumps(states)}  # estimated with them")
     lines += ["[initialization]", 'heading = "motion"  # found by alignment; or "course", "unknown", degrees']
     return "\n".join([*lines, *_timing(found)]) + "\n"
 

@@ -82,7 +82,7 @@ def readings(imu: Imu, omega: jax.Array, force: jax.Array, m: int) -> tuple[Read
 
 
 def singles(x: Readings, last: Readings) -> Body:
-    """Of each sample (m, n) by itself; row by row, for the compiler works out every number of a loop but once."""
+    """Return the increments of each sample (m, n); scanned, so that XLA does not duplicate work."""
 
     @remat
     def single(last: Any, x: Any) -> Any:
@@ -95,7 +95,7 @@ def singles(x: Readings, last: Readings) -> Body:
 def sums(
     imu: Imu, omega: jax.Array, force: jax.Array, m: int, keep: jax.Array
 ) -> tuple[BodyInterval, BodyInterval, jax.Array]:
-    """Of the samples (k,) in intervals of m (n,); and from their starts to the samples ``keep`` (w,), and in which.
+    """Return increments over intervals of m samples, those up to the samples ``keep`` (w,), and each one's interval.
 
     ``omega`` (rad/s) and ``force`` (m/s^2), (3,), are those before the first sample.
     """

@@ -8,11 +8,12 @@ from scipy.spatial.transform import Rotation
 from benchmarks.simulated import earth, verdict
 from benchmarks.simulated.vehicles import simulated
 from jaxnav.checkup.findings import finding
+from jaxnav.checkup.support import Option, options
 from jaxnav.filters.parameters import installed
 from jaxnav.measurements import GNSS
 from jaxnav.types import Samples
 from tuning.solving import solve
-from tuning.solving.sensors import Option, choose, options
+from tuning.solving.sensors import choose
 from tuning.solving.settled import settled
 
 

@@ -10,6 +10,7 @@ from jaxnav import navigation
 from jaxnav.analysis.usage import consistency_findings, nis_by_channel
 from jaxnav.analysis.windows import drift
 from jaxnav.checkup.findings import finding
+from jaxnav.checkup.support import Option, options
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.epochs import sample_rows
 from jaxnav.initialization.initialize import initialize
@@ -21,7 +22,7 @@ from jaxnav.types import DataError, Samples
 from tuning.solving import corrections, sensors, solve
 from tuning.solving.calibration import Calibration, Consistency, calibrate, consistency
 from tuning.solving.corrections import AXES, DRIFT, OFFSET, correct, turned
-from tuning.solving.sensors import Option, growth, larger, options, standing_of
+from tuning.solving.sensors import growth, larger, standing_of
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +36,7 @@ def drive():
 # ---------------------------------------------------------------------------- corrections
 
 
+@pytest.mark.full
 def test_leap_seconds_are_taken_out_and_the_setting_is_named(drive):
     late = drive._replace(aiding={n: s._replace(t=s.t + 18.0) for n, s in drive.aiding.items()})
     found = correct(late)
@@ -44,6 +46,7 @@ def test_leap_seconds_are_taken_out_and_the_setting_is_named(drive):
     assert "time.offset" not in {f.code for f in found.found}
 
 
+@pytest.mark.full
 def test_an_imu_with_z_up_is_turned_where_both_sensors_say_so(drive):
     up = turned(drive, "flu")
     found = correct(up)
@@ -72,6 +75,7 @@ def test_a_drive_in_order_is_left_alone(drive):
     assert found.settings == {} and found.recording is drive
 
 
+@pytest.mark.full
 def test_stated_sd_grow_by_the_factor_of_the_calibration(drive, monkeypatch):
     monkeypatch.setattr(solve, "calibrate", lambda final: calibrated(0.95)._replace(factor=2.0, velocity_factor=1.5))
     monkeypatch.setattr(solve, "options", lambda rec, found: [])
@@ -90,6 +94,7 @@ def test_stated_sd_grow_by_the_factor_of_the_calibration(drive, monkeypatch):
     np.testing.assert_allclose(found.solution.at_imu_rate()[1][-1], found.solution.sd[-1], rtol=1e-6)
 
 
+@pytest.mark.full
 def test_what_is_judged_is_what_is_delivered(drive, monkeypatch):
     """The same start, filter and parameters, where what is found starts the run later than the datasheet did."""
     judged = []
@@ -290,6 +295,7 @@ def test_a_recording_without_positions_is_refused(drive):
         solve.solve(lost)
 
 
+@pytest.mark.full
 def test_a_short_recording_says_from_which_length_on_it_can_be_tested(drive):
     short = drive._replace(
         imu=drive.imu._replace(**{k: getattr(drive.imu, k)[:1000] for k in ("t", "dt", "gyro", "accel")}),

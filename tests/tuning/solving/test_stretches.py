@@ -58,6 +58,7 @@ def scored(rec, scale=1.0):
     return bench.score(filt, params)
 
 
+@pytest.mark.full
 def test_a_receiver_that_is_dragged_off_is_found_from_begin_to_end(drive):
     interval = float(np.median(np.diff(drive.aiding["position"].t)))
     run = scored(dragged(drive, *FAULT))
@@ -78,6 +79,7 @@ def jumped(rec, after, metres=30.0, until=np.inf):
     return rec._replace(aiding=rec.aiding | {"position": p._replace(value=moved)})
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("at", [50.0, 90.0])
 def test_a_jump_that_stays_is_said_and_nothing_is_left_out(drive, at):
     """Either side may be at fault, and the IMU tells neither."""
@@ -90,6 +92,7 @@ def test_a_jump_that_stays_is_said_and_nothing_is_left_out(drive, at):
     assert said.warns and verdict == solve.CARE and f"jump by {jump.size:.1f} m at t = {jump.t:.1f} s" in why
 
 
+@pytest.mark.full
 def test_of_a_stretch_and_a_jump_the_likelier_one_decides_and_both_are_said_if_they_are_alike(drive):
     """A drag-off ends in a jump; what came before it is no jump that stays."""
     run = scored(dragged(drive, 60.0, 90.0, 6.0))
@@ -115,6 +118,7 @@ def test_a_jump_within_the_stated_sd_is_none(drive):
     assert [round(jump.size, -1) for jump in jumps_of(scored(jumped(wide, 90.0), 0.1))] == [30.0]
 
 
+@pytest.mark.full
 def test_two_faults_are_two_stretches(drive):
     twice = dragged(dragged(drive, 50.0, 65.0, 4.0), 110.0, 125.0, 4.0)
     run = scored(twice)
@@ -147,6 +151,7 @@ def test_a_stretch_ends_before_the_fix_that_shows_its_end():
     np.testing.assert_array_equal(fix[ep.within(fix, [(9.0, 29.0)])], np.arange(10.0, 30.0))
 
 
+@pytest.mark.full
 def test_solve_leaves_a_fault_out_and_says_so(drive, monkeypatch):
     monkeypatch.setattr(solve, "options", lambda rec, found: [])
     found = solve.solve(dragged(drive, *FAULT), fast=True)

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from jaxnav.filters.standstill import constraint_samples, stationary
     from jaxnav.initialization.bank import heading_bank, with_headings
     from jaxnav.initialization.initialize import coarse_leveling, course, initialize
-    from jaxnav.io.read import read
     from jaxnav.io.recording import recording
     from jaxnav.io.weights import read_weights, write_weights
     from jaxnav.live import Live
@@ -53,6 +52,7 @@ if TYPE_CHECKING:
     )
     from jaxnav.navigation import Solution, navigate
     from jaxnav.now import Now, Odometry
+    from jaxnav.reading.read import read
     from jaxnav.simulate.keys import Purpose, run_keys
     from jaxnav.simulate.scenarios import SCENARIOS, Scenario
     from jaxnav.simulate.simulation import matched_params, simulate_runs, to_recording
@@ -89,7 +89,7 @@ _HOMES = {
     "now": "Now Odometry",
     "stream": "Stream",
     "filters.epochs": "Packed cut_times hide outage_windows pack stack_epochs",
-    "io.read": "read",
+    "reading.read": "read",
     "io.recording": "recording",
     "initialization.bank": "heading_bank with_headings",
     "initialization.initialize": "coarse_leveling course initialize",

@@ -16,7 +16,6 @@ from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.analysis.observability import state_findings
 from jaxnav.analysis.plots import interactive
 from jaxnav.checkup import checkup
-from jaxnav.checkup.findings import finding, line
 from jaxnav.checkup.inertial import gap_findings
 from jaxnav.checkup.motion import mixups
 from jaxnav.checkup.witnesses import headings
@@ -30,6 +29,7 @@ from jaxnav.filters.parameters import earliest, history_for, installed, later
 from jaxnav.filters.run import first_failure, require_params, require_x64
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.filters.standstill import Standing
+from jaxnav.findings import finding, line
 from jaxnav.initialization.going_back import gone_back
 from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.initialization.parked import moves_off
@@ -39,7 +39,19 @@ from jaxnav.maths.units import TICK
 from jaxnav.measurements import AUXILIARY, MEASUREMENTS, Measurement
 from jaxnav.measurements.measurement import along_track, references
 from jaxnav.states.grades import GRADES
-from jaxnav.types import DataError, Epoch, FilterError, Finding, Info, Nav, Params, Recording, Samples, Track
+from jaxnav.types import (
+    DataError,
+    Epoch,
+    FilterError,
+    Finding,
+    Info,
+    Nav,
+    Params,
+    Recording,
+    Samples,
+    Track,
+    sample_rows,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -206,13 +218,7 @@ class Solution:
     @property
     def notes(self) -> list[str]:
         """Return all remarks for a user: initialization, findings, and notes of the reader."""
-        return [self.initialization.how, *map(line, self.findings), *self.notes_of_reader]
-
-    @property
-    def notes_of_reader(self) -> list[str]:
-        """Return the remarks of the recording that are no findings of the run as well."""
-        said = {f"{line(f)}." for f in self.findings}
-        return [note for note in self.recording.notes.splitlines() if note not in said]
+        return [self.initialization.how, *map(line, self.findings), *self.recording.notes.splitlines()]
 
     def metrics(self) -> dict[str, Any]:
         """Return all figures of the run, as metrics.json has them."""
@@ -362,7 +368,7 @@ def _from_the_begin(
 ) -> Run:
     """Return a smoothed run that begins with the recording; the same one where its first fixes contradict that."""
     fixes = rec.aiding["position"]
-    shown = ep.sample_rows(fixes, ~ep.within(fixes.t, outages))
+    shown = sample_rows(fixes, ~ep.within(fixes.t, outages))
     seen = rec._replace(aiding=rec.aiding | {"position": shown})
     earlier = gone_back(seen, params, done.begin, done.info, float(done.packed.t[0]))
     if earlier is None:
@@ -441,7 +447,7 @@ def metrics(sol: Solution) -> dict[str, Any]:
         found["noise_scan"] = sol.noise.metrics()
     return found | {
         "findings": [asdict(f) for f in sol.findings], "initialization": sol.initialization.how,
-        "notes": sol.notes_of_reader,
+        "notes": sol.recording.notes.splitlines(),
     }  # fmt: skip
 
 

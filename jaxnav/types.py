@@ -42,9 +42,9 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """A remark of a check, a run or a tuning: data first, a sentence second (`jaxnav.checkup.findings`)."""
+    """A remark of a check, a run or a tuning: data first, a sentence second (`jaxnav.findings`)."""
 
-    code: str  # "nis.high": stable, a row of `jaxnav.checkup.findings.KINDS`
+    code: str  # "nis.high": stable, a row of `jaxnav.findings.KINDS`
     severity: Severity
     subject: str = ""  # stream and channel, sensor and axis, or state
     value: float | None = None
@@ -282,3 +282,23 @@ class Recording(NamedTuple):
     errors: tuple[np.ndarray, dict[str, np.ndarray]] | None = None  # simulated: t (N,) s, true states (N, size) by name
     findings: tuple[Finding, ...] = ()  # of its reader
     early: float = 0.0  # s by which the IMU's stamps were moved back, so that no fix is early (`not_early`)
+
+
+# ---------------------------------------------------------------------------- rows of a stream
+
+
+def require_double(name: str, value: np.ndarray) -> None:
+    """Refuse positions of less than 64 bits: a latitude in float32 has steps of up to 0.8 m.
+
+    Raises:
+        DataError: names the stream and the type.
+    """
+    dtype = np.asarray(value).dtype
+    if name == "position" and dtype.kind == "f" and dtype.itemsize < 8:
+        raise DataError(f"position: latitude and longitude must be float64, got {dtype}, which has steps of 0.8 m")
+
+
+def sample_rows(samples: Samples, rows: np.ndarray | slice) -> Samples:
+    """Return some rows of a stream, by a mask (K,), indices or a slice."""
+    more = (None if a is None else a[rows] for a in (samples.valid, samples.auxiliary))
+    return Samples(samples.t[rows], samples.value[rows], samples.sd[rows], samples.corr[rows], *more)

@@ -19,8 +19,8 @@ import jaxnav
 import tuning
 from jaxnav.app import config, prepare, settings
 from jaxnav.app.jobs import tune
-from jaxnav.checkup.findings import KINDS
 from jaxnav.filters.catalogue import build
+from jaxnav.findings import KINDS
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.states.grades import GRADES

@@ -13,8 +13,8 @@ import jaxnav
 
 ROOT = Path(__file__).parents[1] / "jaxnav"
 ORDER = (
-    "types", "maths", "states", "strapdown", "measurements", "gnss", "filters", "initialization", "checkup", "io",
-    "simulate", "analysis", "navigation", "now", "stream", "live", "app",
+    "types", "findings", "maths", "states", "strapdown", "measurements", "gnss", "io", "filters", "initialization",
+    "checkup", "reading", "simulate", "analysis", "navigation", "now", "stream", "live", "app",
 )  # fmt: skip
 
 

@@ -21,8 +21,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import change
 from jaxnav.filters.rule import Correction, Innovation, Rule
 from jaxnav.filters.standstill import constraint_samples
-from jaxnav.io import read as reading
-from jaxnav.io import write_recording
+from jaxnav.io import readers, write_recording
 from jaxnav.io.parts import ImuRows, Parts, Stream, notes_of
 from jaxnav.maths import linalg, rotations
 from jaxnav.maths.units import Unit
@@ -30,6 +29,7 @@ from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.navigation import metrics
+from jaxnav.reading.read import read
 from jaxnav.states.table import BIASES
 from jaxnav.strapdown import local_level
 from jaxnav.strapdown.errors import local_level as local_level_errors
@@ -106,13 +106,13 @@ def read_toy(path: Path) -> Parts:
 
 @pytest.mark.full
 def test_a_reader_is_a_row(drive, tmp_path, monkeypatch):
-    monkeypatch.setattr(reading, "READERS", (reading.Reader("toy log", recognises, read_toy), *reading.READERS))
+    monkeypatch.setattr(readers, "READERS", (readers.Reader("toy log", recognises, read_toy), *readers.READERS))
     imu, position = drive.imu, drive.aiding["position"]
     rows = [("I", t, *w, *f) for t, w, f in zip(imu.t, imu.gyro, imu.accel)]
     rows += [("F", t, *value) for t, value in zip(position.t, position.value)]
     text = "\n".join(" ".join(map(str, row)) for row in rows)
     (tmp_path / "drive.toy").write_text(f"TOYLOG 1\n{text}\n")
-    rec = reading.read(tmp_path / "drive.toy")
+    rec = read(tmp_path / "drive.toy")
     np.testing.assert_allclose(rec.imu.gyro, imu.gyro)
     np.testing.assert_allclose(rec.aiding["position"].value, position.value)
     assert "position: the file states no sd; assumed are 3, 3, 6 m" in notes_of(rec)
@@ -147,7 +147,7 @@ def test_a_measurement_is_a_row_with_a_stream_and_settings(drive, tmp_path, monk
     radar = Samples(t, 0.5 * speed, np.full_like(speed, 0.05), np.zeros_like(speed))
     write_recording(tmp_path / "drive", drive._replace(aiding=drive.aiding | {"radar": radar}))
     assert (tmp_path / "drive" / "radar.csv").read_text().startswith("t_s,forward_mps,sd_mps\n")
-    rec = reading.read(tmp_path / "drive")
+    rec = read(tmp_path / "drive")
     filt = build("ekf15", ["position", "velocity", "radar"], cov_stride=10)
     params = filt.params("consumer")
 

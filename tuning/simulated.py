@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.analysis import metrics
-from jaxnav.checkup.findings import finding
 from jaxnav.filters.catalogue import changed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import get, history_for
 from jaxnav.filters.programs import stored
 from jaxnav.filters.run import first_failure, prepare, require_params, run
+from jaxnav.findings import finding
 from jaxnav.maths import earth
 from jaxnav.maths.units import TICK
 from jaxnav.measurements import GNSS, clock_offset, counted_from

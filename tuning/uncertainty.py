@@ -19,7 +19,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from scipy.special import ndtri, stdtrit
 
-from jaxnav.checkup.findings import finding
+from jaxnav.findings import finding
 from jaxnav.types import Finding
 from tuning.fit.transforms import Spec, labels, penalty, reported, values
 

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.recordings import drive, navego
-from jaxnav import io
 from jaxnav import measurements as ms
+from jaxnav import reading
 from jaxnav.analysis import metrics
 from jaxnav.filters import epochs
 from jaxnav.filters.core import Filter, make_filter
@@ -73,8 +73,8 @@ def load() -> dict[str, Recorded]:
     params = params._replace(noise=params.noise._replace(**white))
     made = {"drive": Recorded(data.nav, params, data.epochs, data.t, drive.measurements(False), drive.HISTORY, None)}
 
-    folder = io.verify("navego_synthetic")
-    rec = io.load("navego_synthetic")
+    folder = reading.verify("navego_synthetic")
+    rec = reading.load("navego_synthetic")
     start = float(rec.aiding["position"].t[0])
     packed = epochs.pack(rec.imu, rec.aiding, 0.2, start=start)
     i = int(np.argmin(np.abs(rec.truth.t - start)))

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.papers.gipkf_study import LENGTHS
 from benchmarks.recordings import drive, navego
-from jaxnav import io
+from jaxnav import reading
 from jaxnav.analysis import metrics
 from jaxnav.filters import epochs
 from jaxnav.filters.catalogue import build
@@ -49,8 +49,8 @@ def _packed(rec, interval, start, measurements=GNSS):
 
 def navego_case() -> Case:
     """Synthetic data of an ADIS16488 in a car, GNSS at 5 Hz; the start is the truth."""
-    folder = io.verify("navego_synthetic")
-    rec = io.load("navego_synthetic")
+    folder = reading.verify("navego_synthetic")
+    rec = reading.load("navego_synthetic")
     start = float(rec.aiding["position"].t[0])
     i = int(np.argmin(np.abs(rec.truth.t - start)))
     nav = initial_nav(rec.truth.lla[i], rec.truth.vel[i], rec.truth.rph[i], t=start)
@@ -68,7 +68,7 @@ def drive_case() -> Case:
 
 def kth_case() -> Case:
     """The KTH car: position alone at 1 Hz."""
-    rec = io.load("kth_gnss_ins")
+    rec = reading.load("kth_gnss_ins")
     position = rec.aiding["position"]
     position = position._replace(sd=np.full_like(position.sd, np.sqrt(3.0)))  # m, the course's setting
     rec = rec._replace(aiding=rec.aiding | {"position": position})

@@ -21,9 +21,9 @@ from jaxnav import read
 from jaxnav.analysis.tables import table
 from jaxnav.checkup import checkup, motion
 from jaxnav.checkup.alternatives import aligned
-from jaxnav.checkup.findings import line
 from jaxnav.checkup.shared import level_velocity
 from jaxnav.filters.compiler import clear_caches_if_needed
+from jaxnav.findings import line
 from jaxnav.io.checks import check_recording
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG

@@ -24,8 +24,8 @@ from jaxnav.filters.catalogue import build, rows
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import installed
 from jaxnav.filters.run import prepare, run
-from jaxnav.io.datasets import load
-from jaxnav.io.read import read
+from jaxnav.reading.datasets import load
+from jaxnav.reading.read import read
 from jaxnav.types import Nav, Params, Recording
 from tuning.fit.objectives import log_mean_drift, outage_error
 from tuning.fit.optimizers import adam

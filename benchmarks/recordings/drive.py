@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
-from jaxnav import io
+from jaxnav import io, reading
 from jaxnav import measurements as ms
 from jaxnav.filters import epochs
 from jaxnav.filters.catalogue import build
@@ -27,10 +27,11 @@ from jaxnav.filters.parameters import datasheet_params, get, late, mounting, pri
 from jaxnav.filters.run import initial_nav, run
 from jaxnav.filters.standstill import constraint_samples, stationary
 from jaxnav.initialization import initialize as alignment
-from jaxnav.io import mend, timescale
+from jaxnav.io import mend
 from jaxnav.io.column_map import described
-from jaxnav.io.read import read_parts
+from jaxnav.io.readers import read_parts
 from jaxnav.maths import units
+from jaxnav.reading import timescale
 from jaxnav.states.grades import GRADES
 from jaxnav.types import Epoch, Nav, Params, Recording, Track
 from tuning.fit import objectives
@@ -91,7 +92,7 @@ def recording(repair: bool = True) -> Recording:
     Args:
         repair: mend the log of the IMU, which was polled.
     """
-    dataset, folder = io.DATASETS["rtkexplorer_drive"], io.verify("rtkexplorer_drive")
+    dataset, folder = reading.DATASETS["rtkexplorer_drive"], reading.verify("rtkexplorer_drive")
     table = tomllib.loads(dataset.map.read_text())
     table["imu"] |= {"time_shift_s": EARLY, "repair": repair}
     rec = timescale.recording(mend.applied(described(table, str(dataset.map), folder, read_parts), mend.Changes()))

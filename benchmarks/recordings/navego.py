@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import common
-from jaxnav import io
+from jaxnav import reading
 from jaxnav.analysis import metrics
 from jaxnav.filters import epochs
 from jaxnav.filters.catalogue import build
@@ -96,8 +96,8 @@ def main(argv: list[str]) -> None:
     parser = common.options("navego", __doc__.splitlines()[0])
     parser.add_argument("--imu", choices=("imu1", "imu2"), default="imu2")
     args = parser.parse_args(argv)
-    folder = io.verify("navego_synthetic")
-    rec, params = io.load("navego_synthetic", imu=args.imu), parameters(folder, args.imu)
+    folder = reading.verify("navego_synthetic")
+    rec, params = reading.load("navego_synthetic", imu=args.imu), parameters(folder, args.imu)
     rmse, innovation = solve(rec, params, instantaneous=True)
     rmse_means, innovation_means = solve(rec, params, instantaneous=False)
     reference = REFERENCE if args.imu == "imu2" else None

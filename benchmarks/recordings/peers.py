@@ -22,7 +22,7 @@ from benchmarks import common
 from benchmarks.recordings import drive, navego, peers_kfgins
 from benchmarks.speed.speed_peers import found as installed
 from benchmarks.speed.speed_peers import python_ins
-from jaxnav import build, io, recording
+from jaxnav import build, reading, recording
 from jaxnav.analysis.tables import table
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import changed
@@ -37,7 +37,7 @@ from jaxnav.simulate.scenarios import URBAN, Scenario
 from jaxnav.simulate.simulation import Simulated, matched_params, simulate
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import STATES
-from jaxnav.types import Epoch, Fix, Imu, ImuLog, Nav, Params, Recording, StateParams
+from jaxnav.types import Epoch, Fix, Imu, ImuLog, Nav, Params, Recording, StateParams, sample_rows
 from tuning import tune
 from tuning.recordings.recorded import spread
 from tuning.recordings.targets import TARGETS
@@ -182,8 +182,8 @@ def beside(params: Params, nav: Nav, epochs: Epoch, truth: np.ndarray, states: t
 def with_more_states(duration: float) -> dict[str, dict[str, float]]:
     """Both with 21 and 33 states, on python-ins' sine motion and on NaveGo's synthetic data."""
     given = {"sine": (build("ekf15").params("adis16465"), *sine_drive(duration, 0))}
-    folder = io.verify("navego_synthetic")
-    rec, params = io.load("navego_synthetic"), navego.parameters(folder, "imu2")
+    folder = reading.verify("navego_synthetic")
+    rec, params = reading.load("navego_synthetic"), navego.parameters(folder, "imu2")
     packed, nav = navego.cut(rec, instantaneous=True)
     truth = np.column_stack([np.interp(packed.t, rec.truth.t, column) for column in rec.truth.lla.T])
     given["navego"] = (params, nav, packed.epochs, truth)
@@ -202,7 +202,7 @@ def crop(rec: Recording, first: float, last: float) -> Recording:
     """Samples between two times."""
     keep = (rec.imu.t > first) & (rec.imu.t <= last)
     inside = lambda s: (s.t > first) & (s.t <= last)
-    aiding = {n: ep.sample_rows(s, inside(s)) for n, s in rec.aiding.items()}
+    aiding = {n: sample_rows(s, inside(s)) for n, s in rec.aiding.items()}
     return rec._replace(name=f"{first:.0f} to {last:.0f} s", imu=ImuLog(*(a[keep] for a in rec.imu)), aiding=aiding)
 
 

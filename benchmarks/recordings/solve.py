@@ -14,7 +14,7 @@ from benchmarks import common
 from benchmarks.recordings.wild import sources
 from jaxnav.analysis.tables import table
 from jaxnav.filters.compiler import clear_caches_if_needed
-from jaxnav.io.read import read
+from jaxnav.reading.read import read
 from jaxnav.types import DataError, FilterError
 from tuning.solving.solve import NIS_LIMITS, solve
 

@@ -24,9 +24,9 @@ from jaxnav import build, navigate, read
 from jaxnav.analysis.metrics import chi2_bounds
 from jaxnav.initialization import initialize as starting
 from jaxnav.initialization.alignment import rotations_since
-from jaxnav.io.datasets import load
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
+from jaxnav.reading.datasets import load
 from jaxnav.types import DataError, Recording, Track
 from tuning.recordings.recorded import tune
 

@@ -27,12 +27,12 @@ from jaxnav.gnss.corrections import RATES, at_reception, solved, with_rates
 from jaxnav.gnss.orbits import Ephemeris, chosen
 from jaxnav.gnss.ranges import LIGHT, Ranges, epochs, rows_of, streams, without_clock
 from jaxnav.gnss.single_point import SinglePoint, single_point
-from jaxnav.io.datasets import DATA_DIR
 from jaxnav.io.formats.rinex import read_navigation, read_observations
 from jaxnav.maths.axes import geodetic, lla_to_local
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.navigation import navigate
+from jaxnav.reading.datasets import DATA_DIR
 from jaxnav.states.table import BIASES
 from jaxnav.types import DataError, ImuLog, Params, Recording
 from tuning.recordings.recorded import tune

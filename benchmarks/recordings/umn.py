@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import common
-from jaxnav import io
+from jaxnav import reading
 from jaxnav.analysis import metrics
 from jaxnav.filters import epochs
 from jaxnav.filters.catalogue import build
@@ -51,8 +51,8 @@ def diverged(position: np.ndarray, sd: np.ndarray, t: np.ndarray) -> bool:
 def main(argv: list[str]) -> None:
     """Print the table, write the JSON."""
     args = common.options("umn", __doc__.splitlines()[0]).parse_args(argv)
-    folder = io.verify("umn_thor75")
-    rec = io.load("umn_thor75")
+    folder = reading.verify("umn_thor75")
+    rec = reading.load("umn_thor75")
     position, velocity = rec.aiding["position"], rec.aiding["velocity"]
     start = float(position.t[0])
     roll, pitch = alignment.coarse_leveling(rec.imu, start, start + 20.0)

@@ -27,9 +27,9 @@ from jaxnav.filters.parameters import change, history_for, installed
 from jaxnav.filters.scores import position_noise
 from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, initialize
-from jaxnav.io.datasets import RECORDINGS
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
+from jaxnav.reading.datasets import RECORDINGS
 from jaxnav.types import DataError, Params, Recording
 from tuning.recordings.recorded import tune
 

@@ -7,13 +7,12 @@ import numpy as np
 
 from benchmarks.common import options, write_json
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.epochs import sample_rows
 from jaxnav.maths.units import DEG
 from jaxnav.navigation import navigate
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_runs, to_recording
-from jaxnav.types import ImuLog, Recording
+from jaxnav.types import ImuLog, Recording, sample_rows
 
 LENGTHS, BEGINS = (1.0, 3.0, 20.0, 60.0, 200.0), (150.0, 220.0, 333.0)  # s
 BEHIND = (1.0, 5.0, 10.0, 20.0, 30.0, 60.0)  # s

@@ -17,7 +17,7 @@ from jax.flatten_util import ravel_pytree
 
 from benchmarks import common
 from benchmarks.recordings import navego
-from jaxnav import io
+from jaxnav import reading
 from jaxnav.analysis import metrics
 from jaxnav.filters.border import component
 from jaxnav.filters.catalogue import build
@@ -53,8 +53,8 @@ BLOCK = 10.0  # s of a recording that are drawn together
 
 def recording(imu: str, factor: float) -> dict:
     """Tune on the recording with one of its IMUs."""
-    folder = io.verify("navego_synthetic")
-    rec, true = io.load("navego_synthetic", imu=imu), navego.parameters(folder, imu)
+    folder = reading.verify("navego_synthetic")
+    rec, true = reading.load("navego_synthetic", imu=imu), navego.parameters(folder, imu)
     packed, nav = navego.cut(rec, instantaneous=False)
     filt = build("ekf15", cov_stride=packed.epochs.imu.dt.shape[1])
     block = (packed.t // BLOCK).astype(int)

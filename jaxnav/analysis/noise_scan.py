@@ -45,7 +45,6 @@ from jaxnav.analysis.boxes import CUBE, climb, vertex
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.receiver_errors import WHITE, Receiver, best_errors, on_top, receiver, stated
 from jaxnav.analysis.windows import hidden_windows
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import delay_of
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import FILTERS, build, with_states
@@ -53,12 +52,13 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.lanes import RECEIVER_ERROR, LaneRecord, lanes, padded_shape, ready, repeated, stacked, taken
 from jaxnav.filters.parameters import datasheet_states, history_for, strong
 from jaxnav.filters.scores import innovation_nll, marginal_nll, masked_mean, position_noise, residual_nll
+from jaxnav.findings import finding
 from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, ground_velocity, initialize, timed
 from jaxnav.measurements import GNSS
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import BIASES
-from jaxnav.types import Epoch, Finding, Noise, Params, Recording
+from jaxnav.types import Epoch, Finding, Noise, Params, Recording, sample_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -224,7 +224,7 @@ def known_delay(rec: Recording, params: Params, end: float, outages: Sequence[An
     """
     if timed(params):
         return Delay(0.0, LATENCY_SD, False)
-    seen = lambda s: ep.sample_rows(s, (s.t <= end) & ~ep.within(s.t, outages))
+    seen = lambda s: sample_rows(s, (s.t <= end) & ~ep.within(s.t, outages))
     found = delay_of(rec._replace(aiding={m.name: seen(rec.aiding[m.name]) for m in GNSS if m.name in rec.aiding}))
     if found is None or DELAY_SD_FACTOR * found[1] >= LATENCY_SD:
         return Delay()

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxnav.checkup.findings import finding
 from jaxnav.filters.core import Filter, Step, masked
 from jaxnav.filters.programs import stored
 from jaxnav.filters.run import run
+from jaxnav.findings import finding
 from jaxnav.maths import linalg
 from jaxnav.states.motion import MOTION
 from jaxnav.states.table import chosen

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxnav.analysis import evaluate, metrics
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.inertial import noise_floor
 from jaxnav.filters.epochs import Packed
+from jaxnav.findings import finding
 from jaxnav.gnss import ranges
 from jaxnav.io.missing import UNMEASURED_SD
 from jaxnav.maths import units

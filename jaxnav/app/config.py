@@ -17,10 +17,10 @@ from typing import Any
 
 from jaxnav.filters.border import NAMES, TABLES, flat, nested
 from jaxnav.filters.parameters import UNITS
-from jaxnav.io.datasets import DATASETS
 from jaxnav.io.toml import convert, describe, place, plain, quoted
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import GNSS
+from jaxnav.reading.datasets import DATASETS
 from jaxnav.types import ConfigError, nearest
 
 Numbers = float | tuple[float, ...]

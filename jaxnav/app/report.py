@@ -10,7 +10,7 @@ from typing import Any
 
 from jaxnav.app.config import Config, as_dict
 from jaxnav.app.results import Card, Outcome, Table, picture, versions
-from jaxnav.checkup.findings import remarks
+from jaxnav.findings import remarks
 from jaxnav.io import atomic_write
 from jaxnav.io.json import to_json
 from jaxnav.types import Finding

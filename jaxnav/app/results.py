@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxnav.app.config import Config, as_dict
-from jaxnav.checkup.findings import remarks, warnings
+from jaxnav.findings import remarks, warnings
 from jaxnav.io.json import write_json
 from jaxnav.types import ConfigError, DataError, Finding
 

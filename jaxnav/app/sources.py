@@ -6,11 +6,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxnav import io
+from jaxnav import reading
 from jaxnav.app.config import Config
 from jaxnav.filters.run import require_x64
-from jaxnav.io.read import read
 from jaxnav.measurements import MEASUREMENTS
+from jaxnav.reading.read import read
 from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.readings import with_equipment
 from jaxnav.simulate.satellites import with_sky
@@ -126,11 +126,11 @@ def load(config: Config) -> Recording:
         if scenario.sky is not None:
             sim = with_sky(jax.random.fold_in(key, SKY), sim, scenario)
         return to_recording(sim, scenario)
-    if data.source in io.DATASETS:
-        return io.load(data.source, **data.options)
+    if data.source in reading.DATASETS:
+        return reading.load(data.source, **data.options)
     if not data.source.strip():
         raise DataError("data.source: no name of a scenario, data set or recording")
     if Path(data.source).exists():
         return read(data.source, **data.options)
-    names = [*SCENARIOS, *io.DATASETS]
+    names = [*SCENARIOS, *reading.DATASETS]
     raise DataError(f"{data.source}: no such file, scenario or data set: {nearest(data.source, names)}")

@@ -13,14 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from jaxnav.filters.epochs import sample_rows
 from jaxnav.initialization import alignment
 from jaxnav.initialization.alignment import Alignment, AlignmentPrior, align
 from jaxnav.initialization.differences import DifferencedFixes, differences
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
 from jaxnav.states.grades import GRADES
-from jaxnav.types import ImuLog, Recording, Samples
+from jaxnav.types import ImuLog, Recording, Samples, sample_rows
 
 MIN_GAIN_PER_DIFFERENCE = 0.08  # log-likelihood a difference, least, of a change beyond imperfections of the model
 MIN_GAIN = 20.0  # log-likelihood over all windows, least

@@ -4,7 +4,7 @@ from itertools import permutations
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding
+from jaxnav.findings import finding
 from jaxnav.initialization.magnetic import field_at
 from jaxnav.maths.axes import DIRECTIONS, rotation
 from jaxnav.maths.interpolation import columns_at

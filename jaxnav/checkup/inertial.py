@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import turns_with_course
 from jaxnav.checkup.shared import level_velocity
 from jaxnav.filters.gaps import MIN_GAP_S, Holes, holes
+from jaxnav.findings import finding
+from jaxnav.io.checks import quiet_force
 from jaxnav.maths import units
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.types import Finding, ImuLog, Recording, Severity
 
 QUIET_SHARE = 0.05  # share of the windows that count as quiet
 G = 9.81
-QUIET_SPEED = 10.0  # m/s: weighs a turn against vibration when looking for a quiet window
 UNKNOWN_HEADING_DEG = 30.0  # deg that a hole may hide, from which on the heading behind it is said to be unknown
 MIN_RATE_HZ = 10.0  # strapdown navigation loses rotation and vibration between samples
 MAX_STEADY_ACCEL = 0.15  # m/s^2 by the fixes, more than their noise, below which specific force is gravity
@@ -132,20 +132,6 @@ def gravity(rec: Recording) -> list[Finding]:
                 cause, action = "gyro z agrees with the course: the accelerometer's sign alone", "set accel_sign = -1"
         found.append(finding("axes.gravity", name, float(force[axis]), cause=cause, action=action))
     return found
-
-
-def quiet_force(imu: ImuLog) -> float:
-    """Return the mean specific force (m/s^2) of 2 s that is nearest to gravity, of the quieter half of the log.
-
-    Quiet is a small spread of the specific force and a small rate: in a steady turn the force is as constant as at
-    rest, but it is not gravity. A vehicle that falls freely, or hovers, shows gravity in other seconds.
-    """
-    n = min(len(imu.t), max(1, round(2.0 / float(np.median(imu.dt)))))
-    m = len(imu.t) // n
-    accel, gyro = imu.accel[: m * n].reshape(m, n, 3), imu.gyro[: m * n].reshape(m, n, 3)
-    unrest = np.sqrt(accel.var(axis=1).sum(axis=-1)) + QUIET_SPEED * np.linalg.norm(gyro.mean(axis=1), axis=-1)
-    force = np.linalg.norm(accel.mean(axis=1), axis=-1)[unrest <= np.median(unrest)]
-    return float(force[np.argmin(np.abs(force - G))])
 
 
 def gap_findings(holes: Holes) -> list[Finding]:

@@ -19,8 +19,8 @@ from jaxnav.checkup.alternatives import (
     source,
     thinned,
 )
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import level_velocity
+from jaxnav.findings import finding
 from jaxnav.initialization.alignment import Alignment
 from jaxnav.initialization.initialize import MAX_CHI2_PER_DOF
 from jaxnav.maths import units

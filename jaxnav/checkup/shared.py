@@ -5,8 +5,6 @@ import numpy as np
 from jaxnav.maths import earth
 from jaxnav.types import Samples
 
-EMPTY = "no row is left"  # how the note of a stream begins that ends empty
-
 
 def local(lla: np.ndarray) -> np.ndarray:
     """Positions (K, 3) in ENU metres from the middle one."""

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.shared import level_velocity
 from jaxnav.filters.standstill import Standing, is_driving, spreads
+from jaxnav.findings import finding
 from jaxnav.maths.units import DEG
 from jaxnav.types import Finding, Recording
 

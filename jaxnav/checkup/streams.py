@@ -3,8 +3,8 @@
 import numpy as np
 
 from jaxnav.checkup import witnesses
-from jaxnav.checkup.findings import finding
-from jaxnav.checkup.shared import EMPTY, level_velocity, local, rms
+from jaxnav.checkup.shared import level_velocity, local, rms
+from jaxnav.findings import finding
 from jaxnav.maths.interpolation import columns_at, running
 from jaxnav.maths.units import DEG
 from jaxnav.types import Finding, Recording, Samples, Severity
@@ -19,18 +19,6 @@ MAX_SCATTER = 6 * DEG  # of a heading about the course
 MIN_BACKWARDS = 0.3  # m/s, of a wheel speed that has a sign
 MAX_STOP_S, MAX_OFF_HALF_TURN = 30.0, 25 * DEG  # of a stop in which gyros tell a half turn from a reversal
 AXES = np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]])
-
-
-def empty(rec: Recording) -> list[Finding]:
-    """Return which streams of the file have no row left, from the reader's notes."""
-    found = []
-    for line in rec.notes.splitlines():
-        name, _, words = line.partition(": ")
-        if words.startswith(EMPTY):
-            others = [w.removeprefix(f"{name}: ") for w in rec.notes.splitlines() if w.startswith(f"{name}: ")]
-            why = " ".join(w for w in others if w != words) or "they are outside of the IMU's time, or hold no values"
-            found.append(finding("stream.empty", name, words=words.rstrip("."), cause=why.rstrip(".")))
-    return found
 
 
 def velocity(rec: Recording) -> list[Finding]:

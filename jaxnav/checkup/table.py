@@ -4,9 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from jaxnav.checkup import compass, inertial, motion, standstill, streams, times
-from jaxnav.checkup.findings import line
-from jaxnav.filters.epochs import require_double
-from jaxnav.types import Finding, Recording
+from jaxnav.types import Finding, Recording, require_double
 
 
 class Check(NamedTuple):
@@ -17,7 +15,6 @@ class Check(NamedTuple):
 
 
 CHECKS: dict[str, Check] = {
-    "empty": Check(streams.empty, False),
     "sampling": Check(inertial.sampling),
     "axes": Check(inertial.axes),
     "gravity": Check(inertial.gravity),
@@ -48,9 +45,6 @@ def checkup(rec: Recording, quick: bool = False) -> list[Finding]:
     for name, samples in rec.aiding.items():
         require_double(name, samples.value)
     asked = (check for check in CHECKS.values() if check.quick or not quick)
-    return [*rec.findings, *(finding for check in asked for finding in check.answer(rec))]
-
-
-def quick_notes(rec: Recording) -> list[str]:
-    """Return a sentence for each warning of the fast checks."""
-    return [f"{line(f)}." for f in checkup(rec, quick=True) if f.warns and f not in rec.findings]
+    found = [finding for check in asked for finding in check.answer(rec)]
+    again = {(f.code, f.subject) for f in found}  # of a part of the recording, for instance
+    return [*(f for f in rec.findings if (f.code, f.subject) not in again), *found]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding
+from jaxnav.findings import finding
 from jaxnav.types import Finding, Recording, Severity
 
 PAIR = ("position", "velocity")  # of one solution, so of one time

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxnav.checkup.compass import EXPLAINED_SHARE, explained, hard_iron, turns_of
-from jaxnav.checkup.findings import finding
+from jaxnav.findings import finding
 from jaxnav.maths.units import DEG
 from jaxnav.types import Finding, Recording
 

@@ -234,7 +234,7 @@ def _build(spec: FilterSpec) -> Filter:
 
 @cache
 def _named(built: Filter, spec: FilterSpec, part: Adapter | None) -> Filter:
-    return built._replace(params=partial(_params, spec.name, built.model, part), spec=spec)
+    return built._replace(params=partial(_params, spec, built.model, part), spec=spec)
 
 
 def is_built_in(spec: FilterSpec) -> bool:
@@ -250,11 +250,11 @@ def is_built_in(spec: FilterSpec) -> bool:
 
 
 def _params(
-    name: str, model: ErrorModel, part: Adapter | None, grade: str | Grade = "consumer", **known: Any
+    spec: FilterSpec, model: ErrorModel, part: Adapter | None, grade: str | Grade = "consumer", **known: Any
 ) -> Params:
     """`Filter.params` of a filter of the catalogue."""
-    entry = FILTERS[name]
-    given = {"rule": entry.theta(), "feedback": entry.feedback_theta()} | known
+    entry = FILTERS[spec.name]
+    given = {"rule": entry.theta() if spec.rule is None else (), "feedback": entry.feedback_theta()} | known
     found = datasheet_params(grade_of(grade), states=model.states, measurements=model.measurements, **given)
     return found if part is None else found._replace(adapter=part.theta())
 

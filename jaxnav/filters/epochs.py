@@ -20,7 +20,7 @@ from jaxnav.filters.standstill import Standing, constraint_samples, is_driving, 
 from jaxnav.maths.units import TICK
 from jaxnav.measurements import AUXILIARY, GNSS, Measurement, layout
 from jaxnav.measurements.satellites import SATELLITE
-from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Recording, Samples, nearest
+from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Recording, Samples, nearest, require_double
 
 MAX_EPOCHS = 10_000_000  # of a recording: ten minutes in steps of a microsecond, or a year at 0.3 Hz
 
@@ -31,23 +31,6 @@ class Packed(NamedTuple):
     epochs: Epoch  # fields (E, k, ...) and (E, m), jax
     t: np.ndarray  # (E,) s, end of each epoch
     start: float  # s, where navigation starts
-
-
-def require_double(name: str, value: np.ndarray) -> None:
-    """Refuse positions of less than 64 bits: a latitude in float32 has steps of up to 0.8 m.
-
-    Raises:
-        DataError: names the stream and the type.
-    """
-    dtype = np.asarray(value).dtype
-    if name == "position" and dtype.kind == "f" and dtype.itemsize < 8:
-        raise DataError(f"position: latitude and longitude must be float64, got {dtype}, which has steps of 0.8 m")
-
-
-def sample_rows(samples: Samples, rows: np.ndarray | slice) -> Samples:
-    """Return some rows of a stream, by a mask (K,), indices or a slice."""
-    more = (None if a is None else a[rows] for a in (samples.valid, samples.auxiliary))
-    return Samples(samples.t[rows], samples.value[rows], samples.sd[rows], samples.corr[rows], *more)
 
 
 def cut_times(

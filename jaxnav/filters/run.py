@@ -92,7 +92,8 @@ def require_params(filt: Filter, params: Params) -> None:
     if missing := _missing(filt, params):
         raise ValueError(f"params has no {', '.join(missing)}, which the filter takes: {_MAKE}")
     expected = _expected(filt.params)
-    for part in ("rule", "adapter") if expected is not None else ():
+    known = ("rule", "adapter") if filt.name else ("adapter",)  # of a rule in place of the filter's nothing is known
+    for part in known if expected is not None else ():
         given, taken = getattr(params, part), getattr(expected, part)
         try:
             chex.assert_trees_all_equal_structs(given, taken)

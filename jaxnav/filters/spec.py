@@ -38,7 +38,11 @@ class FilterSpec:
         return {field.name: getattr(self, field.name) for field in fields(self)} | rows | named
 
     def replace(self, **changes: Any) -> "FilterSpec":
-        """Return the spec with other fields."""
+        """Return the spec with other fields.
+
+        Args:
+            changes: fields by name.
+        """
         return replace(self, **changes)
 
 

@@ -17,10 +17,9 @@ import numpy as np
 from scipy.linalg import cholesky_banded
 from scipy.spatial.transform import Rotation
 
-from jaxnav.filters.epochs import sample_rows
 from jaxnav.initialization.differences import DRIVING_NOISE, DifferencedFixes, differences, whitened
 from jaxnav.maths.units import G0, TICK
-from jaxnav.types import ImuLog, Samples
+from jaxnav.types import ImuLog, Samples, sample_rows
 
 MIN_DELAY_S, DELAY_SIGMAS = 0.03, 3.0  # s, and its sd: a delay that fixes show
 MAX_DELAY_S = 0.7  # s: the largest delay that is looked for, either way

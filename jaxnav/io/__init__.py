@@ -2,7 +2,6 @@
 
 from jaxnav.io.canonical import read_files, read_imu, read_recording, read_truth, write_recording
 from jaxnav.io.checks import check_imu, check_recording, check_samples, check_track
-from jaxnav.io.datasets import DATASETS, fetch, load, locate, verify
 from jaxnav.io.files import atomic_write
 from jaxnav.io.formats.kfgins import (
     read_kfgins_gnss,
@@ -15,16 +14,12 @@ from jaxnav.io.formats.rtklib import PosFile, read_pos, write_pos
 from jaxnav.io.solution import write_csv, write_geojson, write_kml, write_solution, write_tum
 
 __all__ = [
-    "DATASETS",
     "PosFile",
     "atomic_write",
     "check_imu",
     "check_recording",
     "check_samples",
     "check_track",
-    "fetch",
-    "load",
-    "locate",
     "read_files",
     "read_imu",
     "read_kfgins_gnss",
@@ -34,7 +29,6 @@ __all__ = [
     "read_recording",
     "read_rtk_track",
     "read_truth",
-    "verify",
     "write_csv",
     "write_geojson",
     "write_kfgins_nav",

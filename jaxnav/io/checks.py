@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from jaxnav.checkup.inertial import quiet_force
 from jaxnav.io.files import MAX_VALUE, Source, place
 from jaxnav.measurements import POSITION, with_data
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
@@ -18,6 +17,7 @@ NO_GRAVITY = (
     "(phone apps: TotalAcceleration, AccelerometerUncalibrated; BNO055: ACC_DATA; BNO08x: accelerometer, not linear "
     "acceleration; ROS drivers: imu/data_raw)"
 )
+QUIET_SPEED = 10.0  # m/s: weighs a turn against vibration when looking for a quiet window
 GRAVITY, GRAVITY_TOLERANCE = 9.8, 2.2  # m/s^2; accelerometers of public logs are off by up to 2
 MAX_LEVER_ARM = 100.0  # m
 
@@ -211,3 +211,17 @@ def _guess(force: float, dt: float, accel: np.ndarray) -> str:
         return ": it reads 0 on all axes: accelerations are in another topic, message or file"
     mean = np.abs(accel.mean(axis=0)).max()
     return f": the mean is at most {mean:.2g} m/s^2 on any axis: {NO_GRAVITY}" if mean < MAX_LINEAR else ""
+
+
+def quiet_force(imu: ImuLog) -> float:
+    """Return the mean specific force (m/s^2) of 2 s that is nearest to gravity, of the quieter half of the log.
+
+    Quiet is a small spread of the specific force and a small rate: in a steady turn the force is as constant as at
+    rest, but it is not gravity. A vehicle that falls freely, or hovers, shows gravity in other seconds.
+    """
+    n = min(len(imu.t), max(1, round(2.0 / float(np.median(imu.dt)))))
+    m = len(imu.t) // n
+    accel, gyro = imu.accel[: m * n].reshape(m, n, 3), imu.gyro[: m * n].reshape(m, n, 3)
+    unrest = np.sqrt(accel.var(axis=1).sum(axis=-1)) + QUIET_SPEED * np.linalg.norm(gyro.mean(axis=1), axis=-1)
+    force = np.linalg.norm(accel.mean(axis=1), axis=-1)[unrest <= np.median(unrest)]
+    return float(force[np.argmin(np.abs(force - GRAVITY))])

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding
-from jaxnav.checkup.shared import EMPTY
+from jaxnav.findings import finding
 from jaxnav.io import missing, polling
 from jaxnav.io.checks import check_recording, uncertainty
 from jaxnav.io.files import MAX_VALUE, Source
@@ -35,7 +34,7 @@ class Changes(NamedTuple):
     accel_sign: float = 1.0  # -1: the accelerometer reads gravity, +9.8 downwards at rest, not specific force
     lever_arm: tuple[float, float, float] | None = None  # m, IMU -> antenna, body FRD
     time_shift_s: float = 0.0  # s, added to the times of the IMU
-    time_scale: str | None = None  # of the IMU: "gps" or "utc", see `jaxnav.io.timescale`
+    time_scale: str | None = None  # of the IMU: "gps" or "utc", see `jaxnav.reading.timescale`
     sd: dict[str, float | list[float]] = {}  # by stream, instead of the file's
     part: int | None = None  # of a log whose clock starts again, from 1; None: the longest
     repair: bool = False  # mend an IMU's log that was polled, see `jaxnav.io.polling`
@@ -274,7 +273,7 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[Note
     t, value, given, corr = t[~none], value[~none], given[~none], corr[~none]
     rows = np.flatnonzero(~none)
     if not len(t):
-        notes.append(f"{name}: {EMPTY} of {len(none)}.")
+        _nothing_left(name, f"of {len(none)}", notes)
         return None
     given = _with_sd(name, given, notes)
     keep = usable(name, t, value.T, file, notes)
@@ -302,15 +301,22 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[Note
             theirs, longer = f"{first:.1f} to {last:.1f}", (last - first) / max(float(np.ptp(imu.t)), 1e-9)
             near = [unit for unit, k in (("milliseconds", 1e3), ("microseconds", 1e6)) if 0.5 < longer / k < 2.0]
             hint = f" ({longer:.3g} times as long: {near[0]}? set time_unit)" if near else ""
-        notes.append(
-            f"{name}: {EMPTY} of {len(t)}, at {theirs} s; the IMU's are at {imu.t[0]:.1f} to {imu.t[-1]:.1f} s{hint}."
-        )
+        span = f"the IMU's are at {imu.t[0]:.1f} to {imu.t[-1]:.1f} s{hint}"
+        _nothing_left(name, f"of {len(t)}, at {theirs} s; {span}", notes)
         return None
     again = np.mean(np.all(value[keep][1:] == value[keep][:-1], axis=1)) if keep.sum() > 1 else 0.0
     if again > 0.2 and name in ("position", "velocity"):
         notes.append(f"{name}: {100 * again:.0f} % of the rows repeat the row before: standing, or polled?")
     valid, auxiliary = (None if a is None else a[rows[keep]] for a in (stream.valid, stream.auxiliary))
     return Samples(t[keep], value[keep], given[keep], corr[keep], valid, auxiliary)
+
+
+def _nothing_left(name: str, words: str, notes: list[Note]) -> None:
+    """Note a stream that ends without rows, and what was left out of it."""
+    head = f"{name}: "
+    said = " ".join(note.removeprefix(head) for note in notes if isinstance(note, str) and note.startswith(head))
+    cause = said.rstrip(".") or "they are outside of the IMU's time, or hold no values"
+    notes.append(finding("stream.empty", name, words=f"no row is left {words}", cause=cause))
 
 
 def _with_heights(value: np.ndarray, sd: np.ndarray, notes: list[Note]) -> tuple[np.ndarray, np.ndarray]:

@@ -6,14 +6,14 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding, line
+from jaxnav.findings import finding, line
 from jaxnav.types import DataError, Finding, Recording, Track
 
 RATES, INCREMENTS, INSTANTANEOUS = "rates", "increments", "instantaneous"
 SAMPLINGS = (RATES, INCREMENTS, INSTANTANEOUS)
 MOST_NAMED = 12  # types of messages that a finding names
 Note: TypeAlias = str | Finding
-"""A sentence, or a finding of `jaxnav.checkup.findings.KINDS`."""
+"""A sentence, or a finding of `jaxnav.findings.KINDS`."""
 
 
 class TimeScale(StrEnum):

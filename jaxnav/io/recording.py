@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxnav.filters.epochs import require_double, sample_rows
 from jaxnav.io.checks import check_recording
 from jaxnav.measurements import MEASUREMENTS, with_data
-from jaxnav.types import DataError, ImuLog, Recording, Samples, Track, nearest
+from jaxnav.types import DataError, ImuLog, Recording, Samples, Track, nearest, require_double, sample_rows
 
 Stream = Samples | Sequence[ArrayLike]
 

@@ -21,8 +21,8 @@ from jaxnav.analysis.allan import (
 from jaxnav.app import cli, config
 from jaxnav.app.jobs.allan import grade
 from jaxnav.io import write_recording
-from jaxnav.io.read import read
 from jaxnav.maths.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR, G0, UG
+from jaxnav.reading.read import read
 from jaxnav.simulate.imu import corrupt
 from jaxnav.states.grades import Grade
 from jaxnav.types import DataError, Imu, ImuLog, Recording, Samples

@@ -263,7 +263,7 @@ def test_files_that_nobody_reads_are_named(drive, tmp_path, capsys):
 def test_absent_data_and_fetched_data_exit_3(monkeypatch, tmp_path, capsys):
     fails(capsys, ["filter", "--data", "urban_shrt"], 3, "urban_shrt", "did you mean urban_short?")
     monkeypatch.setenv("JAXNAV_DATA_DIR", str(tmp_path))
-    monkeypatch.setattr("jaxnav.io.datasets._cache", lambda name: tmp_path / "cache" / name)
+    monkeypatch.setattr("jaxnav.reading.datasets._cache", lambda name: tmp_path / "cache" / name)
     fails(capsys, ["filter", "--data", "umn_thor75"], 3, "jaxnav data fetch umn_thor75")
     fails(capsys, ["data", "check", "umn_thor"], 3, "did you mean umn_thor75?")
     assert cli.main(["data", "list", "--json"]) == 0

@@ -16,7 +16,6 @@ from jaxnav.app.unused import unused
 from jaxnav.app.verbs import VERBS
 from jaxnav.filters import border, epochs
 from jaxnav.filters.catalogue import FILTERS, build
-from jaxnav.filters.epochs import sample_rows
 from jaxnav.filters.parameters import datasheet_params, get, history_for, mounting, put
 from jaxnav.filters.run import initial_nav
 from jaxnav.filters.standstill import is_driving
@@ -28,7 +27,7 @@ from jaxnav.navigation import Solution
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.simulate.simulation import matched_params
 from jaxnav.states.grades import GRADES
-from jaxnav.types import ConfigError, DataError, Epoch, ImuLog, Info, Recording, Samples, Track
+from jaxnav.types import ConfigError, DataError, Epoch, ImuLog, Info, Recording, Samples, Track, sample_rows
 from tuning.fit.transforms import join, labels, split
 from tuning.recordings import parts, runs
 from tuning.recordings.priors import spec_of

@@ -12,20 +12,19 @@ from benchmarks.simulated import pauses
 from benchmarks.simulated.vehicles import simulated
 from jaxnav.app.config import Data
 from jaxnav.app.jobs.check import configuration
-from jaxnav.checkup import CHECKS, alternatives, checkup, inertial, motion, quick_notes, streams
+from jaxnav.checkup import CHECKS, alternatives, checkup, inertial, motion, streams
 from jaxnav.checkup.motion import delay_of, mixups, turns_of
 from jaxnav.checkup.standstill import standstill
-from jaxnav.filters.epochs import sample_rows
 from jaxnav.filters.standstill import Standing, stationary
 from jaxnav.initialization import magnetic
-from jaxnav.io.read import read
 from jaxnav.maths import rotations
 from jaxnav.maths.units import DEG
 from jaxnav.measurements.magnetometer import field
+from jaxnav.reading.read import read
 from jaxnav.simulate.scenarios import URBAN
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.states.grades import GRADES
-from jaxnav.types import ImuLog, Recording, Samples
+from jaxnav.types import ImuLog, Recording, Samples, sample_rows
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +53,7 @@ def bad(rec: Recording, *rows: str) -> set[str]:
 
 
 def test_nothing_is_wrong_with_what_is_right(car):
-    assert bad(car) - {"time.late"} == set() and quick_notes(car) == []
+    assert bad(car) - {"time.late"} == set()
     said = " ".join(f.message for f in checkup(car))
     for part in ("IMU at 100 Hz", "wheel speed is", "barometric height changes by", "the course's rate", "chi^2"):
         assert part in said

@@ -9,10 +9,10 @@ from string import Formatter
 import jaxnav
 from jaxnav.app.results import Outcome, terminal
 from jaxnav.checkup.examples import EXAMPLES
-from jaxnav.checkup.findings import KINDS, finding, line, warnings
+from jaxnav.findings import KINDS, finding, line, warnings
 from jaxnav.types import Severity
 
-HERE = {Path("jaxnav/checkup/findings.py"), Path("jaxnav/checkup/examples.py")}
+HERE = {Path("jaxnav/findings.py"), Path("jaxnav/checkup/examples.py")}
 POSITIONAL = ("code", "subject", "value", "limit")
 
 

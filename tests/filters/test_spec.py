@@ -8,7 +8,8 @@ from jaxnav.filters.catalogue import FILTERS, build, changed, with_states
 from jaxnav.filters.feedback import observer
 from jaxnav.filters.papers.gpid import gpid
 from jaxnav.filters.rules.kalman import kalman
-from jaxnav.filters.rules.robust import gate
+from jaxnav.filters.rules.robust import gate, gate_params
+from jaxnav.filters.run import require_params
 from jaxnav.filters.spec import FilterSpec
 from jaxnav.measurements import GNSS, MEASUREMENTS
 from jaxnav.states.table import STATES
@@ -46,6 +47,8 @@ def test_a_rule_in_place_of_the_filters():
     gated = build("ekf15", rule=gate(kalman()))
     assert gated.step is build("ekf15_gate").step and gated.name == "" and gated.spec.name == "ekf15"
     assert build("ekf15_gate", rule=kalman()).step is build("ekf15").step
+    assert build("ekf15_gate", rule=kalman()).params("consumer").rule == ()
+    require_params(gated, gated.params("consumer", rule=gate_params()))
     assert build("ekf15", NAMES, rule=gpid()).step is not build("ekf15", rule=gpid()).step
 
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from jaxnav.io.clock_rate import at_gps_rate
-from jaxnav.io.read import read, read_parts
+from jaxnav.io.readers import read_parts
 from jaxnav.maths.units import DEG
+from jaxnav.reading.read import read
 from jaxnav.types import Track
 
 from .conftest import fixes

@@ -13,12 +13,13 @@ from scipy.io import savemat
 
 from jaxnav.io.column_map import KEYS, TOP
 from jaxnav.io.files import format_csv
-from jaxnav.io.read import READERS, read, read_parts
+from jaxnav.io.readers import READERS, read_parts
 from jaxnav.io.units import UNITS, pressure_height
 from jaxnav.maths.axes import enu_to_ecef, local_to_lla, rotation
 from jaxnav.maths.gps_time import GPS_EPOCH
 from jaxnav.maths.units import DEG, G0
 from jaxnav.measurements import with_data
+from jaxnav.reading.read import read
 from jaxnav.types import DataError
 
 from .test_formats import recording

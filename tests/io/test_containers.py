@@ -10,8 +10,8 @@ import pytest
 from jaxnav.io.canonical import write_recording
 from jaxnav.io.draft import draft
 from jaxnav.io.files import format_csv
-from jaxnav.io.read import read
 from jaxnav.io.sheet import numbers, open_sheet
+from jaxnav.reading.read import read
 from jaxnav.types import DataError
 
 

@@ -10,8 +10,8 @@ import pytest
 from jaxnav import io
 from jaxnav.io.files import format_csv
 from jaxnav.io.parts import notes_of
-from jaxnav.io.read import read
 from jaxnav.maths.units import DEG
+from jaxnav.reading.read import read
 from jaxnav.types import DataError, Recording
 
 from .test_formats import data, recording

@@ -9,14 +9,14 @@ import pytest
 from jaxnav import build, navigate
 from jaxnav.app import cli
 from jaxnav.checkup import checkup
-from jaxnav.checkup.findings import line
+from jaxnav.findings import line
 from jaxnav.initialization.initialize import initialize
 from jaxnav.io.canonical import write_recording
 from jaxnav.io.formats.rtklib import write_pos
 from jaxnav.io.parts import notes_of
-from jaxnav.io.read import read
 from jaxnav.maths.rotations import to_dcm, to_rph
 from jaxnav.navigation import metrics
+from jaxnav.reading.read import read
 from jaxnav.types import DataError, Recording
 
 FIELD = Path(os.environ.get("JAXNAV_DATA_DIR", "")).resolve().parent / "field"

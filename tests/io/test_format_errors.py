@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxnav import io
-from jaxnav.io import datasets
-from jaxnav.io.datasets import DATA_DIR, DataFile, Dataset
+from jaxnav import io, reading
 from jaxnav.io.formats import navego
 from jaxnav.io.formats.rtklib import read_tag
 from jaxnav.maths.units import DEG, G0
+from jaxnav.reading import datasets
+from jaxnav.reading.datasets import DATA_DIR, DataFile, Dataset
 from jaxnav.types import DataError
 
 from .test_formats import recording
@@ -301,8 +301,8 @@ def test_absent_and_unknown_data_sets_say_what_to_do(tmp_path, monkeypatch):
 
     monkeypatch.setattr(pooch, "os_cache", lambda project: tmp_path / "cache")
     monkeypatch.setenv(DATA_DIR, str(tmp_path))
-    assert "`jaxnav data fetch umn_thor75`" in error("umn_thor75", io.load)
-    assert "did you mean umn_thor75?" in error("umn_thor57", io.load)
+    assert "`jaxnav data fetch umn_thor75`" in error("umn_thor75", reading.load)
+    assert "did you mean umn_thor75?" in error("umn_thor57", reading.load)
 
 
 def test_a_changed_data_set_is_refused(tmp_path, monkeypatch):
@@ -312,10 +312,10 @@ def test_a_changed_data_set_is_refused(tmp_path, monkeypatch):
     monkeypatch.setenv(DATA_DIR, str(tmp_path))
     (tmp_path / "small").mkdir()
     (tmp_path / "small" / "a.txt").write_bytes(content)
-    assert io.verify("small") == tmp_path / "small"
-    assert "has no IMU" in error("small", io.load)
+    assert reading.verify("small") == tmp_path / "small"
+    assert "has no IMU" in error("small", reading.load)
     (tmp_path / "small" / "a.txt").write_bytes(b"1 2 4\n")
-    assert "a.txt: expected sha256" in error("small", io.load)
+    assert "a.txt: expected sha256" in error("small", reading.load)
 
 
 def test_a_failed_download_is_one_error(tmp_path, monkeypatch):
@@ -326,7 +326,7 @@ def test_a_failed_download_is_one_error(tmp_path, monkeypatch):
 
     monkeypatch.setattr(pooch, "os_cache", lambda project: tmp_path)
     monkeypatch.setattr(pooch, "retrieve", retrieve)
-    assert "cannot be fetched: no route" in error("kth_gnss_ins", io.fetch)
+    assert "cannot be fetched: no route" in error("kth_gnss_ins", reading.fetch)
 
 
 def test_float32_arrays_are_refused(tmp_path):

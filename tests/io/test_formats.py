@@ -11,14 +11,14 @@ import pytest
 from scipy.io import savemat
 
 from benchmarks.recordings.navego import datasheet
-from jaxnav import io
+from jaxnav import io, reading
 from jaxnav.checkup.inertial import quiet_force
 from jaxnav.io.column_map import described
-from jaxnav.io.datasets import DATA_DIR, DATASETS
 from jaxnav.io.formats import navego
 from jaxnav.io.parts import notes_of
 from jaxnav.maths.axes import local_to_lla, rotation
 from jaxnav.maths.units import DEG, G0
+from jaxnav.reading.datasets import DATA_DIR, DATASETS
 from jaxnav.types import ImuLog, Recording, Samples, Track
 
 
@@ -85,7 +85,7 @@ def assert_same(a: Recording, b: Recording) -> None:
 
 def test_drive_has_the_rows_and_mounting_of_the_data_sheet():
     data("rtkexplorer_drive")
-    rec = io.load("rtkexplorer_drive")
+    rec = reading.load("rtkexplorer_drive")
     position, velocity = rec.aiding["position"], rec.aiding["velocity"]
     assert len(rec.imu.t) == 54860 - 2 - 1138 + 1419 and len(position.t) == len(velocity.t) == 2197 - 13
     assert rec.imu.t[-1] - rec.imu.t[0] == pytest.approx(548.731, abs=0.01)  # the last tick of the tag
@@ -100,7 +100,7 @@ def test_drive_has_the_rows_and_mounting_of_the_data_sheet():
 
 def test_drive_body_axes_agree_with_the_motion():
     data("rtkexplorer_drive")
-    rec = io.load("rtkexplorer_drive")
+    rec = reading.load("rtkexplorer_drive")
     v, t = rec.aiding["velocity"].value, rec.aiding["velocity"].t
     speed = np.hypot(v[:, 0], v[:, 1])
     assert speed.max() == pytest.approx(16.3, abs=0.1)
@@ -116,7 +116,7 @@ def test_drive_body_axes_agree_with_the_motion():
 
 def test_drive_velocity_is_the_difference_of_the_preceding_positions():
     data("rtkexplorer_drive")
-    rec = io.load("rtkexplorer_drive")
+    rec = reading.load("rtkexplorer_drive")
     lla, v = rec.aiding["position"].value, rec.aiding["velocity"].value
     backward = metres(lla[1:], lla[:-1]) / 0.25
     # the file rounds positions to 1e-7 deg, 1 cm
@@ -152,7 +152,7 @@ def test_pos_keeps_the_quality():
 @pytest.mark.parametrize("imu", ["imu1", "imu2"])
 def test_navego_has_its_rows_and_noise(imu):
     data("navego_synthetic")
-    rec = io.load("navego_synthetic", imu=imu)
+    rec = reading.load("navego_synthetic", imu=imu)
     truth, position, velocity = rec.truth, rec.aiding["position"], rec.aiding["velocity"]
     assert len(rec.imu.t) == len(truth.t) == 87450 and len(position.t) == 2187
     np.testing.assert_allclose(rec.imu.dt, 0.005, atol=1e-9)
@@ -166,7 +166,7 @@ def test_navego_has_its_rows_and_noise(imu):
 
 def test_navego_velocity_is_the_rate_of_the_position():
     data("navego_synthetic")
-    truth = io.load("navego_synthetic").truth
+    truth = reading.load("navego_synthetic").truth
     k = np.arange(0, len(truth.t), 20)
     moved = metres(truth.lla[k[1:]], truth.lla[k[:-1]])
     mean = 0.1 * 0.5 * (truth.vel[k[1:]] + truth.vel[k[:-1]])
@@ -183,7 +183,7 @@ def test_navego_datasheet_is_float64_without_wraps():
 
 def test_umn_has_its_fixes_and_no_placeholder():
     data("umn_thor75")
-    rec = io.load("umn_thor75")
+    rec = reading.load("umn_thor75")
     position, truth = rec.aiding["position"], rec.truth
     assert len(rec.imu.t) == 34811 and len(position.t) == 674 and len(truth.t) == 33473
     assert position.t[0] == pytest.approx(22.041, abs=1e-3) and np.diff(position.t).max() == pytest.approx(
@@ -203,7 +203,7 @@ def test_umn_has_its_fixes_and_no_placeholder():
 
 def test_kth_is_a_car_whose_wheel_agrees_with_its_positions():
     data("kth_gnss_ins")
-    rec = io.load("kth_gnss_ins")
+    rec = reading.load("kth_gnss_ins")
     position, speed = rec.aiding["position"], rec.aiding["speed"]
     assert (len(rec.imu.t), len(position.t), len(speed.t)) == (29849, 299, 1194)
     gaps = np.diff(rec.imu.t)
@@ -224,7 +224,7 @@ def test_rtk_track_is_an_hour_at_one_hertz():
 @pytest.mark.parametrize("name", [name for name, dataset in DATASETS.items() if not dataset.fixes_only])
 def test_every_data_set_loads_by_name(name):
     data(name)
-    rec = io.load(name)
+    rec = reading.load(name)
     assert isinstance(rec, Recording) and "position" in rec.aiding
 
 
@@ -383,7 +383,11 @@ def test_fetch_takes_pinned_files_into_the_cache(tmp_path, monkeypatch):
     monkeypatch.setattr(pooch, "os_cache", lambda project: tmp_path / project)
     monkeypatch.setattr(pooch, "retrieve", retrieve)
     monkeypatch.delenv(DATA_DIR)
-    assert io.fetch("rtkexplorer_drive") == io.locate("rtkexplorer_drive") == tmp_path / "jaxnav" / "rtkexplorer_drive"
+    assert (
+        reading.fetch("rtkexplorer_drive")
+        == reading.locate("rtkexplorer_drive")
+        == tmp_path / "jaxnav" / "rtkexplorer_drive"
+    )
     dataset = DATASETS["rtkexplorer_drive"]
     assert len(calls) == len(dataset.files)
     assert all(dataset.commit in url and known_hash.startswith("sha256:") for url, known_hash in calls)

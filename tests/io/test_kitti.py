@@ -5,9 +5,9 @@ import datetime
 import numpy as np
 import pytest
 
-from jaxnav.io.read import read
 from jaxnav.maths.axes import rotation
 from jaxnav.maths.units import DEG
+from jaxnav.reading.read import read
 from jaxnav.types import DataError
 
 BEGIN = datetime.datetime(2011, 9, 26, 13, 2, 25, 594360)

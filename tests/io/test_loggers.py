@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from jaxnav.io.formats import vectornav
-from jaxnav.io.read import read, read_parts
+from jaxnav.io.readers import read_parts
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG, G0
+from jaxnav.reading.read import read
 from jaxnav.types import DataError
 
 TOW, A_WEEK = 316515.0, 2311

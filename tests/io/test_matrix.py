@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxnav.initialization.initialize import require_positions
-from jaxnav.io import read as reading
+from jaxnav.io import readers
 from jaxnav.io.parts import Parts, notes_of
 from jaxnav.maths.gps_time import WEEK
 from jaxnav.types import DataError, Recording
@@ -172,7 +172,7 @@ ROWS: dict[str, Callable[[Any], Any]] = {
 @pytest.mark.parametrize("format", FORMATS)
 def test_a_row_that_a_reader_returns(format, tmp_path, monkeypatch):
     file, reader = FORMATS[format](tmp_path)
-    whole, original, done = reader(), reading._read, {}
+    whole, original, done = reader(), readers._read, {}
 
     def damaging(stream: str, change: Callable[[Any], Any]) -> Callable[..., Parts]:
         def read(*args: Any) -> Parts:
@@ -189,7 +189,7 @@ def test_a_row_that_a_reader_returns(format, tmp_path, monkeypatch):
             of_sd = fault in ("sd 0", "nan in a sd")
             if (of_sd and stream == "imu") or (fault == "end of a week" and format in TWO_FILES):
                 continue
-            monkeypatch.setattr(reading, "_read", damaging(stream, change))
+            monkeypatch.setattr(readers, "_read", damaging(stream, change))
             done[stream, fault] = judged(reader, whole, file, f"{stream}: {fault}")
     assert len(done) >= 7, done
 
@@ -206,14 +206,14 @@ def test_a_recording_whose_positions_are_gone_says_what_dropped_them(format, tmp
     _, reader = FORMATS[format](tmp_path)
     if "position" not in reader().aiding:
         pytest.skip("has no positions")
-    original = reading._read
+    original = readers._read
     for gone, change in GONE.items():
 
         def read(*args: Any, change: Any = change) -> Parts:
             parts = original(*args)
             return rows_changed(parts, "position", change) if "position" in parts.aiding else parts
 
-        monkeypatch.setattr(reading, "_read", read)
+        monkeypatch.setattr(readers, "_read", read)
         with pytest.raises(DataError, match="has no positions to start from") as refusal:
             require_positions(reader())
         why = str(refusal.value).split("\n")[1:]

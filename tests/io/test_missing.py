@@ -9,8 +9,8 @@ from jaxnav.checkup import checkup
 from jaxnav.io import mend
 from jaxnav.io.canonical import write_recording
 from jaxnav.io.parts import ImuRows, Stream
-from jaxnav.io.read import read
 from jaxnav.maths.gps_time import WEEK, leap_seconds
+from jaxnav.reading.read import read
 from jaxnav.types import DataError
 from tests.io.conftest import fixes
 

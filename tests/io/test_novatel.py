@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from jaxnav.io.formats.novatel import IMUS, crc32
-from jaxnav.io.read import read, recognise
+from jaxnav.io.readers import recognise
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG
+from jaxnav.reading.read import read
 from jaxnav.types import DataError
 
 PRINTED = (

@@ -9,7 +9,7 @@ from jaxnav.io import mend
 from jaxnav.io.column_map import KEYS, SCALAR, TOP
 from jaxnav.io.mend import Changes
 from jaxnav.io.options import KINDS, OF, OPTIONS
-from jaxnav.io.read import READERS, read_parts
+from jaxnav.io.readers import READERS, read_parts
 from jaxnav.io.toml import cell
 from jaxnav.types import DataError
 

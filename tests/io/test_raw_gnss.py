@@ -9,9 +9,10 @@ from jaxnav.gnss.ranges import LIGHT, name, ranges_of
 from jaxnav.io import canonical
 from jaxnav.io.column_map import read_map
 from jaxnav.io.formats import raw_table, rinex, ubx
-from jaxnav.io.read import read, read_parts, recognise
+from jaxnav.io.readers import read_parts, recognise
 from jaxnav.io.recording import recording
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, leap_seconds
+from jaxnav.reading.read import read
 from jaxnav.types import DataError, ImuLog
 from tests.gnss.sky import T0, TOKYO, constellation, ephemeris, inav, lnav
 from tests.gnss.test_orbits import observations, repeated

@@ -8,14 +8,14 @@ import pytest
 
 from jaxnav import io
 from jaxnav.checkup import checkup
-from jaxnav.io import mend
-from jaxnav.io import read as reading
-from jaxnav.io.parts import ImuRows, Parts, Stream
-from jaxnav.io.read import Reader, read, read_parts, recognise
+from jaxnav.io import mend, readers
+from jaxnav.io.parts import ImuRows, Parts, Stream, notes_of
+from jaxnav.io.readers import Reader, read_parts, recognise
 from jaxnav.maths.axes import euler, lla_to_local, local_to_lla, rotation
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.rotations import from_rph, to_dcm
 from jaxnav.maths.units import DEG
+from jaxnav.reading.read import read
 from jaxnav.types import DataError, Track
 
 from .test_formats import assert_same, recording
@@ -47,7 +47,7 @@ def test_a_reader_of_a_new_format_is_one_row(tmp_path, monkeypatch):
         gyro, accel = np.array(values[:3]).T * scale, np.array(values[3:]).T
         return Parts(str(path), ImuRows(t, gyro, accel), axes="flu")
 
-    monkeypatch.setattr(reading, "READERS", (*reading.READERS, Reader("made up", is_mine, read_mine, ("scale",))))
+    monkeypatch.setattr(readers, "READERS", (*readers.READERS, Reader("made up", is_mine, read_mine, ("scale",))))
     imu = recording().imu
     table = np.column_stack([imu.t, imu.gyro, imu.accel * [1.0, -1.0, -1.0]])
     np.savetxt(tmp_path / "x", table, header="MADE UP 1", comments="", fmt="%.17g")
@@ -63,7 +63,7 @@ def test_a_reader_that_breaks_is_one_error(tmp_path, monkeypatch):
     def breaks(path):
         raise KeyError("inside\nthe format")
 
-    monkeypatch.setattr(reading, "READERS", (Reader("made up", lambda path, head: True, breaks),))
+    monkeypatch.setattr(readers, "READERS", (Reader("made up", lambda path, head: True, breaks),))
     (tmp_path / "x").write_text("1\n")
     with pytest.raises(DataError, match="x: cannot be read as made up: KeyError: 'inside.*the format'$"):
         read(tmp_path / "x")
@@ -204,7 +204,7 @@ def test_fixes_outside_the_imu_and_without_sd():
     assert "position: 1 of 7 rows without a usable sd are left out." in rec.notes
     assert len(rec.aiding["position"].t) == 5
     late = mend.recording(whole._replace(aiding={"position": fixes._replace(t=fixes.t + 100.0)}))
-    assert "position" not in late.aiding and "no row is left" in late.notes
+    assert "position" not in late.aiding and "no row is left" in notes_of(late)
 
 
 def test_times_in_milliseconds_are_said():
@@ -213,7 +213,7 @@ def test_times_in_milliseconds_are_said():
     fixes = whole.aiding["position"]
     off = fixes._replace(t=1000 * (fixes.t - fixes.t[0]) + 50.0)
     rec = mend.recording(whole._replace(aiding={"position": off}))
-    assert "position" not in rec.aiding and "milliseconds? set time_unit" in rec.notes
+    assert "position" not in rec.aiding and "milliseconds? set time_unit" in notes_of(rec)
     with pytest.raises(DataError, match="times in milliseconds"):
         mend.recording(rows(t=1000 * whole.imu.t)._replace(aiding={}))
 
@@ -361,5 +361,5 @@ def to_dcm_of(rph: np.ndarray) -> np.ndarray:
 
 
 def test_every_reader_has_a_name_of_its_own():
-    names = [row.name for row in reading.READERS]
+    names = [row.name for row in readers.READERS]
     assert len(set(names)) == len(names)

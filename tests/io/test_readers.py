@@ -9,12 +9,13 @@ import pytest
 from scipy.io import loadmat
 
 from benchmarks.recordings.wild import sources
-from jaxnav import io
+from jaxnav import io, reading
 from jaxnav.io.formats import dataflash, ulog
 from jaxnav.io.parts import notes_of
-from jaxnav.io.read import READERS, read, read_parts, recognise
+from jaxnav.io.readers import READERS, read_parts, recognise
 from jaxnav.maths.axes import rotation
 from jaxnav.maths.units import DEG
+from jaxnav.reading.read import read
 from jaxnav.types import DataError
 
 from .test_formats import assert_same, data, recording
@@ -63,7 +64,7 @@ def test_a_gap_and_an_absolute_first_step_are_said():
 
 def test_a_map_may_mend_a_polled_log_with_a_time_tag():
     data("rtkexplorer_drive")
-    rec = io.load("rtkexplorer_drive")
+    rec = reading.load("rtkexplorer_drive")
     assert "1138 repeated rows are taken out and 1419 lost samples filled in" in rec.notes
     assert "13 of 2197 rows are before" in rec.notes and np.median(rec.imu.dt) == pytest.approx(0.009952, abs=1e-6)
 
@@ -497,7 +498,7 @@ def test_kfgins_imu_beside_its_fixes(tmp_path):
 
 
 def test_no_code_knows_the_name_of_a_recording():
-    """Names of data sets are data: the maps and hashes of jaxnav/io/recordings."""
+    """Names of data sets are data: the maps and hashes of jaxnav/reading/recordings."""
     home = os.environ.get("JAXNAV_DATA_DIR")
     names = [path.name for path in Path(home).iterdir() if path.is_dir()] if home and Path(home).is_dir() else []
     files = [p for part in ("jaxnav", "tuning") for p in (Path(__file__).parents[2] / part).rglob("*.py")]

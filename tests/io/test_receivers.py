@@ -12,7 +12,7 @@ from jaxnav.io import mend
 from jaxnav.io.formats import rosbag
 from jaxnav.io.formats.rosbag import from_receiver
 from jaxnav.io.parts import with_fixes
-from jaxnav.io.read import read_parts
+from jaxnav.io.readers import read_parts
 from jaxnav.types import DataError
 from tests.io.conftest import fixes
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxnav import io
-from jaxnav.io.read import read_parts
+from jaxnav.io.readers import read_parts
 from jaxnav.maths.axes import ecef, enu_to_ecef, lla_to_local
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Samples

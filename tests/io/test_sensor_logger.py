@@ -5,9 +5,9 @@ import zipfile
 import numpy as np
 import pytest
 
-from jaxnav.io.read import read
 from jaxnav.maths.axes import rotation
 from jaxnav.maths.units import DEG, G0
+from jaxnav.reading.read import read
 
 ZERO = 1717236000  # s since 1970
 RFU = rotation("rfu").T

@@ -9,9 +9,9 @@ from jaxnav.app.config import Data
 from jaxnav.app.jobs.check import configuration
 from jaxnav.checkup import checkup
 from jaxnav.io.parts import ImuRows, Parts, Stream, TimeScale
-from jaxnav.io.read import read
-from jaxnav.io.timescale import recording
 from jaxnav.maths import earth
+from jaxnav.reading.read import read
+from jaxnav.reading.timescale import recording
 from jaxnav.types import DataError
 
 FIELD = Path(__file__).parents[3] / "shared" / "field"

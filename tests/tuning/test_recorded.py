@@ -16,7 +16,6 @@ from jaxnav.analysis.receiver_errors import Receiver
 from jaxnav.analysis.windows import drift as windows_drift
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.epochs import sample_rows
 from jaxnav.filters.lanes import seen_by_position
 from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import FREEDOM, prepare, student_nll
@@ -26,7 +25,7 @@ from jaxnav.maths.units import DEG_PER_SQRT_HOUR, TICK
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
-from jaxnav.types import ConfigError, DataError
+from jaxnav.types import ConfigError, DataError, sample_rows
 from tuning.fit.status import Status
 from tuning.recordings import evidence, priors, recorded, report
 from tuning.recordings.evidence import Job

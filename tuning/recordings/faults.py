@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding
 from jaxnav.filters.lanes import LaneRecord
 from jaxnav.filters.scores import normalized, position_noise
+from jaxnav.findings import finding
 from jaxnav.types import Finding, Params
 from tuning.recordings.parts import Used
 

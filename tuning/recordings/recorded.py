@@ -30,7 +30,6 @@ import numpy as np
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.analysis.receiver_errors import alike, without_slow_errors
 from jaxnav.analysis.windows import drifts
-from jaxnav.checkup.findings import finding, line
 from jaxnav.checkup.streams import velocity
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import changed
@@ -40,11 +39,12 @@ from jaxnav.filters.lanes import RECEIVER_ERROR, LaneRecord, padded_shape, ready
 from jaxnav.filters.parameters import history_for, installed, put, with_prior_of
 from jaxnav.filters.run import require_params, require_x64
 from jaxnav.filters.standstill import Standing
+from jaxnav.findings import finding, line
 from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.maths.units import TICK
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.types import ConfigError, DataError, Finding, Params, Recording
+from jaxnav.types import ConfigError, DataError, Finding, Params, Recording, sample_rows
 from tuning.recordings.choice import choose
 from tuning.recordings.evidence import Job, predicted
 from tuning.recordings.faults import suspect_windows, without_faults
@@ -310,7 +310,7 @@ def initialized(scan: NoiseScan, used: Used, rec: Recording) -> Params:
     params, found = scan.applied(used.datasheet), used.initialization.alignment
     if not scan.fixes and found is not None and abs(found.delay) > KNOWN_DELAY_SIGMAS * found.sd[9]:
         params = put(params, DELAY, params.mounting.time_offset + found.delay)
-    early = {name: ep.sample_rows(s, s.t <= used.layout.train) for name, s in rec.aiding.items()}
+    early = {name: sample_rows(s, s.t <= used.layout.train) for name, s in rec.aiding.items()}
     late = [f.value for f in velocity(rec._replace(aiding=early)) if f.code == "velocity.latency"]
     if late and "velocity" in params.measurements:
         params = put(params, VELOCITY_DELAY, params.measurements["velocity"].latency + late[0])

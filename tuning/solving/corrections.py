@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from jaxnav.checkup import checkup
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import both_point_up, clock_rate_of
 from jaxnav.filters.parameters import put
+from jaxnav.findings import finding
 from jaxnav.maths.axes import rotation
 from jaxnav.maths.units import PPM
 from jaxnav.types import Finding, Params, Recording

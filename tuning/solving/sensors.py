@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.support import Option
 from jaxnav.filters.catalogue import changed, rows, with_states
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import get, has, put
 from jaxnav.filters.standstill import Standing
+from jaxnav.findings import finding
 from jaxnav.maths.units import DEG, TICK
 from jaxnav.measurements import GNSS, MEASUREMENTS, layout
 from jaxnav.types import Finding, Params

@@ -3,10 +3,10 @@
 from collections.abc import Iterable
 from dataclasses import replace
 
-from jaxnav.checkup.findings import finding, line
 from jaxnav.filters.border import name_of, user_value
 from jaxnav.filters.lanes import RECEIVER_ERROR
 from jaxnav.filters.parameters import get, has
+from jaxnav.findings import finding, line
 from jaxnav.states.installation import LEVER_ARM_ERROR
 from jaxnav.types import Finding, Params
 

@@ -13,7 +13,6 @@ from jaxnav.analysis.evaluate import innovation_metrics
 from jaxnav.analysis.noise_scan import NoiseScan, known_delay, stated_scale
 from jaxnav.analysis.receiver_errors import Receiver, receiver, stated, without_slow_errors
 from jaxnav.checkup import checkup
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.support import options
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.adapters.adapter import Adapter
@@ -23,6 +22,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import installed, later
 from jaxnav.filters.scores import normalized
 from jaxnav.filters.standstill import Standing
+from jaxnav.findings import finding
 from jaxnav.initialization.initialize import Initialization, initialize, require_positions
 from jaxnav.maths.units import PPM
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, layout

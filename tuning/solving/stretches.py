@@ -23,14 +23,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.lanes import LaneRecord, lanes, repeated, taken
 from jaxnav.filters.scores import innovation_nll, normalized, position_noise
+from jaxnav.findings import finding
 from jaxnav.maths import earth
 from jaxnav.maths.units import TICK
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.types import Finding, Recording
+from jaxnav.types import Finding, Recording, sample_rows
 from tuning.solving.hidden import Scored
 
 Stretch = tuple[float, float]  # begin < t <= end, s
@@ -261,7 +261,7 @@ def as_likely(jumps: Sequence[Jump], gain: float) -> list[Jump]:
 def without(rec: Recording, stretches: Sequence[Stretch]) -> Recording:
     """Return the recording without the receiver's fixes of some stretches."""
     faulty = lambda name: name in MEASUREMENTS and MEASUREMENTS[name].receiver
-    left = lambda s: ep.sample_rows(s, ~ep.within(s.t, stretches))
+    left = lambda s: sample_rows(s, ~ep.within(s.t, stretches))
     return rec._replace(aiding={name: left(s) if faulty(name) else s for name, s in rec.aiding.items()})
 
 

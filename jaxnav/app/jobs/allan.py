@@ -15,10 +15,10 @@ from jaxnav.analysis.tables import table
 from jaxnav.app.config import Config
 from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.app.sources import load
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.inertial import resolution
 from jaxnav.filters.border import NAMES, nested
 from jaxnav.filters.standstill import is_driving, stationary
+from jaxnav.findings import finding
 from jaxnav.io import atomic_write
 from jaxnav.io.json import write_json
 from jaxnav.io.toml import to_toml

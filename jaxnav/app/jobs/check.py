@@ -19,15 +19,15 @@ from jaxnav.app.jobs.filtering import describe, describe_text
 from jaxnav.app.prepare import base_params, filter_of, grade_of, initialization_of, measurements_of, standing_of
 from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.checkup import checkup
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.support import REASONS, options, undoubted
 from jaxnav.filters.epochs import pack_recording
 from jaxnav.filters.parameters import history_for
+from jaxnav.findings import finding
 from jaxnav.io.draft import draft
 from jaxnav.io.json import write_json
 from jaxnav.io.parts import notes_of
-from jaxnav.io.read import read
 from jaxnav.io.toml import inline
+from jaxnav.reading.read import read
 from jaxnav.types import ConfigError, DataError, Finding, Recording
 
 MAX_EPOCHS, WINDOW_S = 2000, 30.0  # epochs in all, and length s of a window, of the observability analysis

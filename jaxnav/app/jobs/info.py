@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 
-from jaxnav import io
+from jaxnav import io, reading
 from jaxnav.analysis.tables import table
 from jaxnav.app.jobs.filtering import describe, describe_text
 from jaxnav.app.results import Outcome, git_hash, versions
@@ -64,9 +64,9 @@ def programs(clear: bool = False) -> str:
 def where() -> dict[str, str | None]:
     """Return the folder of each data set, None where it is not here."""
     found: dict[str, str | None] = {}
-    for name in io.DATASETS:
+    for name in reading.DATASETS:
         try:
-            found[name] = str(io.locate(name))
+            found[name] = str(reading.locate(name))
         except DataError:
             found[name] = None
     return found
@@ -74,7 +74,12 @@ def where() -> dict[str, str | None]:
 
 def _data_table(found: dict[str, str | None]) -> str:
     rows = [
-        [name, f"{sum(f.size for f in io.DATASETS[name].files) / 1e6:.1f} MB", io.DATASETS[name].licence, path or "no"]
+        [
+            name,
+            f"{sum(f.size for f in reading.DATASETS[name].files) / 1e6:.1f} MB",
+            reading.DATASETS[name].licence,
+            path or "no",
+        ]
         for name, path in found.items()
     ]
     return table(["data set", "size", "licence", "here"], rows)
@@ -91,13 +96,13 @@ def data(action: str, name: str | None) -> Outcome:
         return Outcome({"data_sets": found}, _data_table(found), {})
     assert name is not None
     if action == "fetch":
-        folder = io.fetch(name)
+        folder = reading.fetch(name)
         return Outcome({"folder": str(folder)}, f"{name}: {folder}", {})
-    if name not in io.DATASETS and Path(name).exists():
+    if name not in reading.DATASETS and Path(name).exists():
         about = describe(io.read_recording(name))
         return Outcome(about, f"{describe_text(about)}\nok", {})
-    folder = io.verify(name)
-    if io.DATASETS[name].fixes_only:
+    folder = reading.verify(name)
+    if reading.DATASETS[name].fixes_only:
         return Outcome({"folder": str(folder)}, f"{name}: {folder}: every hash is right\nok", {})
-    about = describe(io.load(name))
+    about = describe(reading.load(name))
     return Outcome(about | {"folder": str(folder)}, f"{folder}: every hash is right\n{describe_text(about)}\nok", {})

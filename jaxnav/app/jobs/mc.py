@@ -18,10 +18,10 @@ from jaxnav.app.config import Config, as_dict
 from jaxnav.app.long import Long, identity
 from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.app.sources import scenario_of
-from jaxnav.checkup.findings import finding
 from jaxnav.filters.border import override
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.parameters import history_for
+from jaxnav.findings import finding
 from jaxnav.io.json import write_json
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario

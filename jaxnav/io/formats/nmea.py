@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding
+from jaxnav.findings import finding
 from jaxnav.io.files import read_bytes
 from jaxnav.io.missing import UNMEASURED_SD
 from jaxnav.io.parts import Note, Parts, Stream, TimeScale, scaled, unread

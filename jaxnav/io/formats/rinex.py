@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding
+from jaxnav.findings import finding
 from jaxnav.gnss.corrections import Ionosphere, Masks, Observations, aiding_of, solved, with_rates
 from jaxnav.gnss.orbits import Ephemeris, stacked
 from jaxnav.gnss.ranges import FREQUENCY, LIGHT, number

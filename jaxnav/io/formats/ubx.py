@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding
+from jaxnav.findings import finding
 from jaxnav.gnss.corrections import Masks, Observations, aiding_of, solved, with_rates
 from jaxnav.gnss.messages import Messages
 from jaxnav.gnss.orbits import stacked

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.simulated import earth, verdict
 from benchmarks.simulated.vehicles import simulated
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.support import Option, options
 from jaxnav.filters.parameters import installed
+from jaxnav.findings import finding
 from jaxnav.measurements import GNSS
 from jaxnav.types import Samples
 from tuning.solving import solve

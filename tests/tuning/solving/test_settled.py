@@ -2,10 +2,10 @@
 
 import pytest
 
-from jaxnav.checkup.findings import KINDS, finding
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.lanes import RECEIVER_ERROR
 from jaxnav.filters.parameters import put
+from jaxnav.findings import KINDS, finding
 from tuning.solving.settled import CHECKED, CONSEQUENCES, EXCLUSIONS, MIXED_UP, TUNED, settled
 
 PARAMS = build("ekf15").params("consumer")

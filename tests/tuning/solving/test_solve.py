@@ -9,16 +9,15 @@ import pytest
 from jaxnav import navigation
 from jaxnav.analysis.usage import consistency_findings, nis_by_channel
 from jaxnav.analysis.windows import drift
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.support import Option, options
 from jaxnav.filters.catalogue import build
-from jaxnav.filters.epochs import sample_rows
+from jaxnav.findings import finding
 from jaxnav.initialization.initialize import initialize
 from jaxnav.maths.units import PPM
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
-from jaxnav.types import DataError, Samples
+from jaxnav.types import DataError, Samples, sample_rows
 from tuning.solving import corrections, sensors, solve
 from tuning.solving.calibration import Calibration, Consistency, calibrate, consistency
 from tuning.solving.corrections import AXES, DRIFT, OFFSET, correct, turned

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from jaxnav.checkup import quick_notes
 from jaxnav.io import canonical, draft, mend, units
 from jaxnav.io.checks import MAX_RATE
 from jaxnav.io.column_map import TOP, column_names, read_map
@@ -44,8 +43,7 @@ from jaxnav.io.mend import Changes
 from jaxnav.io.options import OPTIONS, require
 from jaxnav.io.parts import ImuRows, Parts, Stream, TimeScale, counted_from, parts_of, scaled
 from jaxnav.io.rollover import unrolled
-from jaxnav.io.timescale import recording
-from jaxnav.types import DataError, Recording
+from jaxnav.types import DataError
 
 HEAD = 4096  # bytes of a file that a reader sees to recognise it
 
@@ -70,27 +68,8 @@ class Reader(NamedTuple):
     options: tuple[str, ...] = ()  # keyword arguments of ``read``
 
 
-def read(path: FilePath, **options: Any) -> Recording:
-    """Read the recording in a file or folder; ``notes`` and ``findings`` say what was assumed, left out or doubtful.
-
-    `jaxnav.checkup.checkup` asks it more, and takes longer.
-
-    Args:
-        path: file or folder of a format in `READERS`, or a column map (``docs/formats.md``).
-        options: ``gnss``, a file with the fixes where ``path`` holds the IMU alone; ``map``, a column map that names
-            other files, to read ``path`` (a folder, or its file) and ``gnss`` in their place; the fields of
-            `jaxnav.io.mend.Changes` (``axes``, ``accel_sign``, ``lever_arm``, ``sd``, ``time_shift_s``, ``name``);
-            options of the reader of either file.
-
-    Raises:
-        DataError: not there, of no known format, an unknown option, or nothing that could be used; names the file.
-    """
-    rec = recording(read_parts(path, **options))
-    return rec._replace(notes="\n".join(filter(None, [rec.notes, *quick_notes(rec)])))
-
-
 def read_parts(path: FilePath, gnss: FilePath | None = None, **options: Any) -> Parts:
-    """Return the contents of a file, before mending; options as for `read`."""
+    """Return the contents of a file, before mending; options as for `jaxnav.read`."""
     options = {key: value for key, value in options.items() if value is not None}  # as if it were not there
     for key, value in (options | ({"gnss": gnss} if gnss is not None else {})).items():
         if key in OPTIONS:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxnav.io.files import read_bytes
-from jaxnav.io.read import read
+from jaxnav.reading.read import read
 from jaxnav.types import DataError, Recording, nearest
 
 DATA_DIR = "JAXNAV_DATA_DIR"  # environment variable: folder with a folder for each data set
@@ -36,7 +36,7 @@ class Dataset(NamedTuple):
     files: tuple[DataFile, ...]
     map: Path | None = None  # column map; None: the folder, or its only file, is read as it is
     fixes_only: bool = False  # without an IMU: fixes for another recording
-    options: dict[str, Any] = {}  # of `jaxnav.io.read.read`
+    options: dict[str, Any] = {}  # of `jaxnav.reading.read.read`
     settings: dict[str, Any] = {}  # values that its files lack; the user's settings take precedence
 
 
@@ -94,7 +94,7 @@ def load(name: str, **options: Any) -> Recording:
 
     Args:
         name: a row of `DATASETS`.
-        options: of `jaxnav.io.read.read`, such as ``imu="imu1"`` or ``time_shift_s=-0.1``.
+        options: of `jaxnav.reading.read.read`, such as ``imu="imu1"`` or ``time_shift_s=-0.1``.
 
     Raises:
         DataError: an unknown name, a file that is missing or another, an unknown option.

@@ -6,8 +6,8 @@ whole quarter hours. The motion says which it is: the one with which IMU and fix
 
 import numpy as np
 
-from jaxnav.checkup.findings import finding
 from jaxnav.checkup.motion import misfit
+from jaxnav.findings import finding
 from jaxnav.initialization.initialize import MAX_CHI2_PER_DOF
 from jaxnav.io import mend
 from jaxnav.io.parts import Parts, TimeScale

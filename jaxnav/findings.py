@@ -19,6 +19,8 @@ class Kind(NamedTuple):
     causes: tuple[str, ...] = ()  # the likely ones first
     actions: tuple[str, ...] = ()  # settings or commands
     unit: str = ""  # of value and limit
+    breaks_solution: bool = False  # as a warning: there is no right trajectory with it
+    exceeds_sd: bool = False  # errors may be above the stated sd
 
 
 KINDS: dict[str, Kind] = {
@@ -120,6 +122,7 @@ KINDS: dict[str, Kind] = {
         "{subject} is about {value:.2g} times the course's rate (correlations {vector})",
         ("another scale or unit",),
         ("set the unit, or the scale of its column",),
+        breaks_solution=True,
     ),
     "gyro": Kind(INFO, "correlation of the course's rate with the gyros: {vector}"),
     **{
@@ -129,6 +132,7 @@ KINDS: dict[str, Kind] = {
             "{gain:+.0f}",
             ("{cause}",),
             (action,),
+            breaks_solution=True,
         )
         for code, action in {
             "gyro.sign": "set axes or the sign of the gyro's columns",
@@ -160,6 +164,7 @@ KINDS: dict[str, Kind] = {
         ("another lever arm",),
         ("set lever_arm_frd_m, or free it in jaxnav tune",),
         "m",
+        exceeds_sd=True,
     ),
     # times
     "time.offset": Kind(
@@ -169,6 +174,7 @@ KINDS: dict[str, Kind] = {
         ("{cause}", "another time zone"),
         ("set data.options.time_shift_s = {value:.1f}",),
         "s",
+        breaks_solution=True,
     ),
     "time.zone": Kind(
         INFO,
@@ -324,6 +330,7 @@ KINDS: dict[str, Kind] = {
         ("the receiver's fixes are dragged off", "wheels that slip"),
         ("compare with a map", "leave one of them out: filter.outages, filter.measurements"),
         "m/s",
+        exceeds_sd=True,
     ),
     "speed.unsigned": Kind(
         WARNING,
@@ -354,6 +361,7 @@ KINDS: dict[str, Kind] = {
         ("the receiver's height is off", "a barometer in a draught, or of another temperature"),
         ("compare with a map", "leave one of them out: filter.outages, filter.measurements"),
         "m",
+        exceeds_sd=True,
     ),
     "compass": Kind(INFO, "magnetic field of {value:.1f} uT{here}", unit="uT"),
     "compass.strength": Kind(
@@ -392,6 +400,7 @@ KINDS: dict[str, Kind] = {
         ("a heading that was lost", "iron that moves", "a receiver that is dragged off"),
         ("look at heading and its sd there", "add the magnetometer to filter.measurements"),
         "deg",
+        exceeds_sd=True,
     ),
     # motion and standstill
     "motion": Kind(INFO, "IMU and fixes agree: chi^2 {value:.2g} per degree of freedom in {count} windows"),
@@ -596,6 +605,7 @@ KINDS: dict[str, Kind] = {
         ("a receiver that was off and came back, or is off since", "corrections that begin or end", "a log of two"),
         ("compare with a map", "jaxnav filter without the wrong side: filter.outages"),
         "m",
+        exceeds_sd=True,
     ),
     "solve.short": Kind(
         INFO,

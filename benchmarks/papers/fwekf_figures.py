@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.analysis.plots import fuzzy as plots_fuzzy
+from benchmarks.papers import fuzzy_plots as plots_fuzzy
 from jaxnav.analysis.plots.base import COLORS, figure, legend, panels, save
 from jaxnav.filters.papers import fuzzy_combined, fwekf
 from jaxnav.maths import rotations, units

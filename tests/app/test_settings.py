@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxnav.app import cli, commands, config, settings
+from benchmarks.pages import commands
+from jaxnav.app import cli, config, settings
 from jaxnav.filters import border
 from jaxnav.filters.parameters import datasheet_params, strong
 from jaxnav.states.grades import GRADES
@@ -60,8 +61,10 @@ def test_the_verb_prints_it_and_the_page_is_it(capsys):
     named = set(re.findall(r"^\| `([a-z_.]+)` \|", by_hand, flags=re.MULTILINE))
     rows = {name for name in named if name.startswith(("states.", "measurements."))}
     assert 20 <= len(named) <= 30 and named - rows <= known and rows <= set(border.KEYS)
-    assert (DOCS / "commands.md").read_text() == commands.page(), "python -m jaxnav.app.commands > docs/commands.md"
-    assert (DOCS / "findings.md").read_text() == commands.findings(), "python -m jaxnav.app.commands findings"
+    assert (DOCS / "commands.md").read_text() == commands.page(), (
+        "python -m benchmarks.pages.commands > docs/commands.md"
+    )
+    assert (DOCS / "findings.md").read_text() == commands.findings(), "python -m benchmarks.pages.commands findings"
 
 
 def test_the_compiled_programs_are_counted_and_removed(tmp_path, monkeypatch, capsys):

@@ -7,12 +7,12 @@ from pathlib import Path
 from string import Formatter
 
 import jaxnav
+from benchmarks.pages.examples import EXAMPLES
 from jaxnav.app.results import Outcome, terminal
-from jaxnav.checkup.examples import EXAMPLES
 from jaxnav.findings import KINDS, finding, line, warnings
 from jaxnav.types import Severity
 
-HERE = {Path("jaxnav/findings.py"), Path("jaxnav/checkup/examples.py")}
+HERE = {Path("jaxnav/findings.py"), Path("benchmarks/pages/examples.py")}
 POSITIONAL = ("code", "subject", "value", "limit")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from jaxnav.analysis.plots import fuzzy as plots_fuzzy
+from benchmarks.papers import fuzzy_plots as plots_fuzzy
 from jaxnav.filters.rules import fuzzy
 
 CENTRES, WIDTHS = ((0.25, 0.5, 0.9), (0.3, 3.0)), ((0.12, 0.2, 0.2), (0.4, 1.0))

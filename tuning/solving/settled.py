@@ -6,24 +6,19 @@ from dataclasses import replace
 from jaxnav.filters.border import name_of, user_value
 from jaxnav.filters.lanes import RECEIVER_ERROR
 from jaxnav.filters.parameters import get, has
-from jaxnav.findings import finding, line
+from jaxnav.findings import KINDS, finding, line
 from jaxnav.states.installation import LEVER_ARM_ERROR
 from jaxnav.types import Finding, Params
 
 DELAY = "mounting.time_offset"
 LATE = ("time.late", "velocity.latency")  # findings on a delay, whose value is one
 CHECKED, TUNED = "jaxnav check", "jaxnav tune"
-MIXED_UP = (
-    "gyro.sign", "gyro.swapped", "gyro.units", "gyro.scale", "gyro.turns", "accel.sign", "accel.swapped", "imu.swapped",
-    "fixes.swapped", "fixes.sign", "time.offset",
-)  # fmt: skip
-"""Codes of faults without which there is no right trajectory."""
 CONSEQUENCES = (
     "nis.high", "nis.low", "nis.overall", "innovations.correlated", "state.unexpected", "noise.harm", "noise.vibration",
     "tune.fault", "gyro.bias", "accel.bias", "time.late", "time.drift", "motion.misfit", "solve.jump",
 )  # fmt: skip
 EXCLUSIONS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(MIXED_UP, CONSEQUENCES),
+    **{code: CONSEQUENCES for code, kind in KINDS.items() if kind.breaks_solution},
     "solve.inflated": ("nis.low",),  # sd are too small where there are no fixes, and not too large
     "nis.high": ("nis.overall",),
     "solve.fault": ("tune.fault",),

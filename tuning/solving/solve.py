@@ -22,7 +22,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import installed, later
 from jaxnav.filters.scores import normalized
 from jaxnav.filters.standstill import Standing
-from jaxnav.findings import finding
+from jaxnav.findings import KINDS, finding
 from jaxnav.initialization.initialize import Initialization, initialize, require_positions
 from jaxnav.maths.units import PPM
 from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, layout
@@ -37,14 +37,13 @@ from tuning.solving.calibration import Calibration, calibrate
 from tuning.solving.corrections import DRIFT, Corrections, correct
 from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 from tuning.solving.sensors import Tried, choose, finding_of, standing_of
-from tuning.solving.settled import MIXED_UP, settled
+from tuning.solving.settled import settled
 from tuning.solving.stages import Stage, Stages
 from tuning.solving.stretches import Stretch, as_likely, faulty_stretches, finding_of_jump, jumps_of, without
 from tuning.solving.stretches import finding_of as finding_of_fault
 
 CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
 NIS_LIMITS = 0.7, 1.4  # of a consistent solution, on the test part
-OFF = ("solve.jump", "lever_arm", "barometer.parts", "speed.parts", "compass.parts")  # errors may be above their sd
 MORE_EARLY_S = 0.05  # s, by which fixes may be earlier than the check found
 INNOVATIONS = ("nis.high", "nis.low", "nis.overall", "innovations.correlated")  # by `usage.consistency_findings`
 MAX_NIS, MIN_INSIDE = 4.0, 0.6  # beyond these a solution is not usable
@@ -386,10 +385,10 @@ def judge(nis: float, c: Calibration | None, findings: Sequence[Finding]) -> tup
         c: hidden fixes of the test part; None where there is none.
         findings: all of the run.
     """
-    broken = [f for f in findings if f.warns and f.code in MIXED_UP]
+    broken = [f for f in findings if f.warns and KINDS[f.code].breaks_solution]
     if broken:
         return UNUSABLE, f"{broken[0].code}: {', '.join(broken[0].causes) or broken[0].message}"
-    off = "".join(f": {f.message}" for f in findings if f.code in OFF)
+    off = "".join(f": {f.message}" for f in findings if KINDS[f.code].exceeds_sd)
     if c is None:
         said = f"NIS/dof {nis:.2g}"
         return (UNUSABLE, f"{said}: IMU and fixes contradict each other") if nis > MAX_NIS else (CARE, said + off)

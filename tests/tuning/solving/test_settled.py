@@ -6,7 +6,7 @@ from jaxnav.filters.catalogue import build
 from jaxnav.filters.lanes import RECEIVER_ERROR
 from jaxnav.filters.parameters import put
 from jaxnav.findings import KINDS, finding
-from tuning.solving.settled import CHECKED, CONSEQUENCES, EXCLUSIONS, MIXED_UP, TUNED, settled
+from tuning.solving.settled import CHECKED, CONSEQUENCES, EXCLUSIONS, TUNED, settled
 
 PARAMS = build("ekf15").params("consumer")
 LATE = finding("time.late", "position", 0.31, size=0.31, side="late", sd=0.01, cause="latency of the receiver")
@@ -58,6 +58,6 @@ def test_what_a_cause_explains_is_not_said_as_well():
 
 
 def test_exclusions_are_of_kinds_and_none_excludes_its_own_cause():
-    assert {*EXCLUSIONS, *MIXED_UP, *CONSEQUENCES} <= set(KINDS)
+    assert {*EXCLUSIONS, *CONSEQUENCES} <= set(KINDS)
     for winner, losers in EXCLUSIONS.items():
         assert set(losers) <= set(KINDS) and all(winner not in EXCLUSIONS.get(loser, ()) for loser in losers)

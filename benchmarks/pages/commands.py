@@ -1,11 +1,11 @@
-"""docs/commands.md and docs/findings.md from rows: ``python -m jaxnav.app.commands [findings] > docs/commands.md``."""
+"""Pages docs/commands.md and docs/findings.md from rows: ``python -m benchmarks.pages.commands [findings]``."""
 
 import sys
 
+from benchmarks.pages.examples import EXAMPLES
 from jaxnav.app.cli import SHARED
 from jaxnav.app.verb import Argument
 from jaxnav.app.verbs import VERBS
-from jaxnav.checkup.examples import EXAMPLES
 from jaxnav.findings import KINDS, finding
 
 FINDINGS = """Remarks of `jaxnav check` and of a run. They are in `Solution.findings`, check.json, metrics.json, on the

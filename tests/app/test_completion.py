@@ -6,7 +6,8 @@ import subprocess
 import pytest
 
 from jaxnav.app import cli
-from jaxnav.app.verbs import completion
+from jaxnav.app.jobs import printed as completion
+from jaxnav.app.verbs import SHELLS
 from jaxnav.filters.catalogue import FILTERS
 
 COMPLETES = """\
@@ -33,7 +34,7 @@ def test_bash_completes_verbs_options_and_filters(tmp_path):
     assert set(offered(tmp_path, "jaxnav", "filter", "--filter", "ekf15")) == {n for n in FILTERS if n[:5] == "ekf15"}
 
 
-@pytest.mark.parametrize("shell", completion.SHELLS)
+@pytest.mark.parametrize("shell", SHELLS)
 def test_every_shell_gets_a_script_of_all_verbs(shell, capsys):
     assert cli.main(["completion", shell]) == 0
     printed = capsys.readouterr().out

@@ -8,8 +8,10 @@ from typing import Any
 
 import pytest
 
-from jaxnav.app import cli, commands
-from jaxnav.app.verbs import VERBS, completion
+from benchmarks.pages import commands
+from jaxnav.app import cli
+from jaxnav.app.jobs import printed as completion
+from jaxnav.app.verbs import VERBS
 
 ROOT = Path(__file__).parents[2]
 
@@ -19,7 +21,7 @@ def length(monkeypatch):
     """The verb of docs/contributing.md, a row."""
     text = (ROOT / "docs" / "contributing.md").read_text()
     module = types.ModuleType("length")
-    exec(re.search(r"A verb is a file.*?```python\n(.*?)```", text, re.S)[1], module.__dict__)
+    exec(re.search(r"A verb is a row.*?```python\n(.*?)```", text, re.S)[1], module.__dict__)
     monkeypatch.setitem(VERBS, "length", module.VERB)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.tables import table
 from jaxnav.app.results import Outcome, picture
+from jaxnav.app.verb import Job
 from jaxnav.io.json import plain
 from jaxnav.io.sheet import numbers, open_sheet
 from jaxnav.maths import earth
@@ -50,6 +51,13 @@ def load(folder: str | Path) -> Run:
         t, heading = numbers(sheet, "t_s"), numbers(sheet, "heading_deg")
         lla = np.column_stack([numbers(sheet, "lat_deg") * DEG, numbers(sheet, "lon_deg") * DEG, numbers(sheet, "h_m")])
     return Run(folder.name, about, t, lla, heading)
+
+
+def run(job: Job) -> Outcome:
+    """Compare runs; a single one is printed once more."""
+    if len(job.args.paths) == 1:
+        return show(job.args.paths[0])
+    return compare(job.args.paths, job.folder, job.config.out.figures != "none")
 
 
 def show(folder: str) -> Outcome:

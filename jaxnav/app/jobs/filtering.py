@@ -26,6 +26,7 @@ from jaxnav.app.prepare import (
 )
 from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.app.sources import load, scenario_of
+from jaxnav.app.verb import Job
 from jaxnav.io.json import write_json
 from jaxnav.io.parts import notes_of
 from jaxnav.io.solution import FORMATS
@@ -73,6 +74,14 @@ def describe_text(about: dict[str, Any]) -> str:
     """`describe` as a table."""
     rows = [[name, s["rows"], s["start_s"], s["end_s"], s["rate_hz"]] for name, s in about["streams"].items()]
     return f"{about['name']}\n" + table(["stream", "rows", "start (s)", "end (s)", "rate (Hz)"], rows)
+
+
+def run(job: Job) -> Outcome:
+    """Run the filter; of a run that is for its programs alone, say which are kept."""
+    from jaxnav.app.jobs import info
+
+    outcome = filter(job.config, job.folder)
+    return outcome._replace(text=info.programs()) if job.args.warm else outcome
 
 
 def filter(config: Config, folder: Path) -> Outcome:

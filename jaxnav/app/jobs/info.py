@@ -15,7 +15,7 @@ from jaxnav.filters.catalogue import FILTERS
 from jaxnav.filters.compiler import CACHE, cache_home
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.states.grades import GRADES
-from jaxnav.types import DataError
+from jaxnav.types import ConfigError, DataError
 
 
 def info(clear: bool = False) -> Outcome:
@@ -91,6 +91,8 @@ def data(action: str, name: str | None) -> Outcome:
     Raises:
         DataError: absent, changed, or not usable.
     """
+    if action != "list" and not name:
+        raise ConfigError(f"data {action} needs the name of a data set")
     if action == "list":
         found = where()
         return Outcome({"data_sets": found}, _data_table(found), {})

@@ -17,6 +17,7 @@ from jaxnav.app import prepare
 from jaxnav.app.config import Config
 from jaxnav.app.results import Outcome, stderr
 from jaxnav.app.sources import load, scenario_of
+from jaxnav.app.verb import Job
 from jaxnav.io.solution import COLUMNS, SD_COLUMNS, row_of
 from jaxnav.io.units import UNITS, nearest
 from jaxnav.live import Live
@@ -87,6 +88,16 @@ class Event(NamedTuple):
     t: float  # s
     name: str  # imu, or a measurement
     values: tuple[float, ...]  # gyro, accel; or value, then sd
+
+
+def run(job: Job) -> Outcome:
+    """Stream a recording, or lines of standard input: rows to standard output, all words to standard error."""
+    args = job.args
+    lines = None if args.source or args.data else sys.stdin
+    meaning = lines_of(args.axes, args.units) if args.axes or args.units else None
+    outcome = stream(job.config, args.speed, args.every, lines, form=args.format, meaning=meaning, port=args.udp)
+    print(outcome.text, file=sys.stderr)
+    return outcome._replace(text="", failed=not outcome.metrics["ok"])
 
 
 def stream(

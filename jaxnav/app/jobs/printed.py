@@ -1,25 +1,25 @@
-"""`jaxnav completion SHELL`: completion of arguments by the tab key."""
+"""`jaxnav config` and `jaxnav completion`: what is printed without jax."""
 
 import argparse
-from typing import TYPE_CHECKING
 
-from jaxnav.app.verb import Argument, Job, Verb
+from jaxnav.app import settings
+from jaxnav.app.results import Outcome
 from jaxnav.types import DataError
 
-if TYPE_CHECKING:
-    from jaxnav.app.results import Outcome
-
-SHELLS = ("bash", "zsh", "tcsh")
 FILES = ("config", "params", "path", "paths", "data")
 FOLDERS = ("out",)
 
 
-def run(job: Job) -> "Outcome":
-    """Return the script."""
-    from jaxnav.app.cli import make_parser
-    from jaxnav.app.results import Outcome
+def config(markdown: bool) -> Outcome:
+    """Return every setting as a configuration, or as a page of the docs."""
+    return Outcome({}, (settings.page() if markdown else settings.commented()).rstrip("\n"), {})
 
-    return Outcome({}, script(make_parser(), job.args.shell), {})
+
+def completion(shell: str) -> Outcome:
+    """Return the script that a shell sources."""
+    from jaxnav.app.cli import make_parser
+
+    return Outcome({}, script(make_parser(), shell), {})
 
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
@@ -47,9 +47,3 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
 
 def _verbs(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
     return next(a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-
-
-VERB = Verb(
-    "completion", "print a script that completes arguments by the tab key", run,
-    (Argument("shell", "name of the shell", more={"choices": SHELLS}),), writes=lambda args: False, needs_jax=False,
-)  # fmt: skip

@@ -163,6 +163,7 @@ def test_a_restart_from_bytes_goes_on_to_the_bit(drive):
             Stream.from_bytes(data, other, other.params("consumer"), begin)
 
 
+@pytest.mark.full
 def test_all_fields_of_now_are_of_one_state(drive):
     """Quaternion and angles, sd and covariance with the delay's, rates of the last sample without the bias."""
     rec, ekf, params, begin = drive

@@ -239,6 +239,7 @@ def test_bad_data_exits_3(drive, tmp_path, capsys, file, change, words):
     fails(capsys, ["filter", "--data", edit(drive, tmp_path, file, change)], 3, *words)
 
 
+@pytest.mark.full
 def test_a_last_line_that_is_cut_short_is_said(drive, tmp_path, capsys):
     folder = edit(drive, tmp_path, "truth.csv", lambda x: [*x[:-1], x[-1][:10]])
     assert cli.main(["filter", "--data", folder, "--out", "cut", *SMALL[2:]]) == 0
@@ -276,6 +277,7 @@ def test_float32_exits_3(drive, monkeypatch, capsys):
         fails(capsys, ["filter", "--data", str(drive)], 3, "float64", "float32")
 
 
+@pytest.mark.full
 def test_filter_that_fails_exits_1_with_run_and_time(drive, monkeypatch, capsys):
     real = navigate.execute
 

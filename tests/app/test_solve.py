@@ -52,6 +52,7 @@ def test_it_writes_solution_parameters_and_a_report_that_begins_with_the_verdict
         assert part in page or "after 10 s without fixes" in page, part
 
 
+@pytest.mark.full
 def test_wheel_speeds_are_taken_and_drift_less(solved):
     _, found = solved
     taken = {name for row in found["measurements"] if row["taken"] for name in row["names"]}

@@ -28,6 +28,7 @@ def test_fitted_configuration_is_near_the_papers_tables(fitted):
     assert all(1 / 1.75 < ratio < 1.75 for ratio in ratios.values()), ratios
 
 
+@pytest.mark.full
 def test_gpid_beats_the_mistuned_kf_but_is_no_faster_after_the_fault(fitted):
     kf, one, two = score(fitted.squares)
     assert two < one < kf - 1.0

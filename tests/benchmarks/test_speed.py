@@ -65,6 +65,7 @@ def test_no_compiler_is_told_and_leaves_the_floor_out(given, monkeypatch, capsys
     assert "no C++ compiler" in capsys.readouterr().out
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("n", [9, 15])
 def test_plain_forms_go_where_we_go_with_our_likelihood(given, ours, n):
     nested = jax.jit(speed_plain.nested(n, PARAMS()))(*given)

@@ -187,6 +187,7 @@ def test_printed_gains_diverge_on_the_circle(first, gains, rate):
         assert robustness.growth_rate(*with_gains(first, literal)) == pytest.approx(explicit, rel=5e-3)
 
 
+@pytest.mark.full
 def test_position_states_hold_on_the_circle(first):
     """As stable as the Kalman filter, with both pairs."""
     kalman = explicit_rate(first, gpid.literal_params(0.0, 0.0))

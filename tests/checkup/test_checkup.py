@@ -430,8 +430,8 @@ def test_a_read_says_what_looks_wrong(car, tmp_path):
 
     write_recording(tmp_path / "right", car)
     write_recording(tmp_path / "wrong", DAMAGES["velocity.swapped"](car))
-    assert "look" not in read(tmp_path / "right").notes
-    assert "east and north look swapped" in read(tmp_path / "wrong").notes
+    assert "velocity.swapped" not in {f.code for f in read(tmp_path / "right").findings}
+    assert "velocity.swapped" in {f.code for f in read(tmp_path / "wrong").findings}
 
 
 def test_the_overview_draws_every_stream(car):

@@ -106,6 +106,7 @@ def test_a_run_with_params_says_which_lever_arm_counts(drive, ekf):
     }
 
 
+@pytest.mark.full
 def test_a_bias_beyond_its_prior_is_unexpected(drive, ekf):
     biased = drive._replace(imu=drive.imu._replace(gyro=drive.imu.gyro + [0.0, 0.0, 2.0 * DEG]))
     given = partial(initialize, heading="truth")

@@ -89,6 +89,7 @@ def test_gradient_of_a_whole_run(setting, gradients, name):
             assert abs(analytic - expected) <= 1e-4 * max(abs(expected), 0.1 * largest)
 
 
+@pytest.mark.full
 def test_gradients_are_finite_at_singular_points(setting):
     """No lever arm, gain or rotation, padded epochs, missing fixes: norms of zero, and where 0 * nan would show."""
     params, epochs = setting.params, setting.epochs

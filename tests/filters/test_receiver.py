@@ -178,6 +178,7 @@ def test_hypotheses_turn_with_the_attitude_at_a_reset():
     np.testing.assert_allclose(P[1] / sd[:, :, None] / sd[:, None], P[0] / sd[:, :, None] / sd[:, None], atol=1e-6)
 
 
+@pytest.mark.full
 def test_it_recovers_from_a_slow_drag_off(drives):
     """A slide of 30 m in a minute looks like an accelerometer bias until it ends by a jump; at 151 s it is over."""
     sims, keys, errors = drives

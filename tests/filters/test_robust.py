@@ -223,6 +223,7 @@ def test_huber_bounds_the_correction():
     assert delta(1e7) == pytest.approx(9.0, rel=1e-5)
 
 
+@pytest.mark.full
 def test_student_weight_is_the_fixed_point():
     """w = (dof + 1) / (dof + r^2 + P+), by bisection; large innovations are given up: the correction returns to 0."""
     rule = student_t(kalman(), iterations=60)

@@ -70,6 +70,7 @@ def test_a_turning_gyro_on_a_turning_earth_goes_back_to_its_begin():
     assert gone_back(rec, PARAMS, begin, wide, 100.0) is None  # a heading that fixes never show
 
 
+@pytest.mark.full
 def test_bad_first_fixes_are_not_gone_back_to(rec):
     p = rec.aiding["position"]
     off = np.where(p.t < p.t[0] + 3.0, 200.0, 0.0)[:, None] / np.asarray(earth.metres_per_radian(p.value[0]))

@@ -32,6 +32,7 @@ def test_heading_is_unknown_at_rest_and_consistent_in_motion(parked):
     assert np.diff(sol.t).min() > 0 and sol.ok.all()
 
 
+@pytest.mark.full
 def test_when_a_vehicle_moves_off(parked):
     rec, _ = parked
     assert moves_off(rec, 10.0) == pytest.approx(REST, abs=3.0)
@@ -40,6 +41,7 @@ def test_when_a_vehicle_moves_off(parked):
     assert moves_off(still, 10.0) is None
 
 
+@pytest.mark.full
 def test_headings_are_spread_about_what_the_standstill_left(parked):
     """Position, tilt and biases stay, with their sd; a heading that is known is left alone."""
     import jax

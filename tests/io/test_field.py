@@ -118,6 +118,7 @@ def test_old_dataflash_logs_have_the_boards_time_in_another_column():
 # ---------------------------------------------------------------------------- options
 
 
+@pytest.mark.full
 def test_check_and_convert_take_the_readers_options(drive, tmp_path):
     """The configuration that check writes has them too, with whole paths."""
     turned = drive._replace(
@@ -382,6 +383,7 @@ def test_the_sign_of_an_accelerometer_differs_from_other_axes(drive):
     assert 'axes = "flu"' in means_of(flu, "axes.gravity") and not means_of(drive, "axes.gravity")
 
 
+@pytest.mark.full
 @needs_field
 def test_a_recording_with_the_accelerometer_s_other_sign(tmp_path, capsys):
     folder = FIELD / "accel_sign"

@@ -56,6 +56,7 @@ def test_the_rest_of_a_large_error_is_the_cross_product_of_attitude_and_what_it_
         assert left < 2 * size * np.abs(second).max(), (size, left)
 
 
+@pytest.mark.full
 def test_its_power_is_that_of_samples(epoch):
     """The second moment of phi x w and of what the heading's column leaves out, as white acceleration."""
     Phi, _ = epoch

@@ -60,6 +60,7 @@ def test_gradient_in_the_numbers_of_a_root(problem):
     assert np.abs(score).min() > 1e-3 * np.abs(score).max()
 
 
+@pytest.mark.full
 def test_correlations_of_sensors_and_fixes_come_back(problem):
     inform, nll, exact, raw, back = problem
     found = scoring.maximise(inform, raw)

@@ -26,6 +26,7 @@ def runs():
     return simulated._source(filt, used), params
 
 
+@pytest.mark.full
 def test_it_is_that_of_tangents(runs, monkeypatch):
     found, params = runs
     raw = split(SPEC, params)

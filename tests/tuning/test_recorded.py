@@ -26,12 +26,12 @@ from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import ConfigError, DataError, sample_rows
+from tests.tuning.tangents import gaussian
 from tuning.fit.status import Status
 from tuning.recordings import evidence, priors, recorded, report
 from tuning.recordings.evidence import Job
 from tuning.recordings.parts import PHASES, ages, parts_of, runs_of, windows_of
 from tuning.recordings.runs import Descent, score_of
-from tuning.uncertainty import gaussian
 
 
 @pytest.fixture(scope="module")

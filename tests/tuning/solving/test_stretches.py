@@ -67,6 +67,7 @@ def test_a_receiver_that_is_dragged_off_is_found_from_begin_to_end(drive):
     assert stretch[1] == pytest.approx(FAULT[1], abs=2 * interval)
 
 
+@pytest.mark.full
 def test_a_healthy_drive_stays_whole(drive):
     assert faulty_stretches(scored(drive)) == ([], 0.0)
 

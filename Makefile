@@ -5,7 +5,7 @@ BIN = $(VENV)/bin
 EXTRAS ?= dev,oracle
 DOCS = dev,oracle,docs
 
-.PHONY: demo test full quick slow fuzz mutants replay lint lock docs
+.PHONY: demo test full core recordings studies slow fuzz mutants replay lint lock docs
 demo: $(VENV)/installed
 	$(BIN)/jaxnav demo
 
@@ -17,12 +17,17 @@ test: $(VENV)/ready
 full: $(VENV)/ready
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "full and not slow"
 
-# contract, layout and numbers
-QUICK = tests/test_layout.py tests/test_contract.py tests/maths tests/filters/test_epochs.py tests/filters/test_gaps.py \
-  tests/io/test_polling.py tests/initialization/test_start.py tests/filters/test_reference.py tests/strapdown/test_plain.py \
-  tests/analysis/test_usage.py tests/app/test_config.py
-quick: $(VENV)/ready
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not full" $(QUICK)
+# a part of the house by itself, see docs/architecture.md
+ALONE = $(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not full"
+core: $(VENV)/ready
+	$(ALONE) $(addprefix tests/,maths states strapdown measurements filters initialization test_layout.py \
+	  test_contract.py test_contract_rows.py test_stream.py test_now.py test_live.py)
+
+recordings: $(VENV)/ready
+	$(ALONE) $(addprefix tests/,gnss io checkup)
+
+studies: $(VENV)/ready
+	$(ALONE) $(addprefix tests/,simulate analysis tuning app faults benchmarks replay) tests/test_*.py
 
 slow: $(VENV)/ready
 	$(BIN)/python -m pytest -m slow

@@ -30,8 +30,8 @@ from jaxnav.filters.lanes import relative_variance, slow_errors
 from jaxnav.filters.parameters import history_for
 from jaxnav.filters.run import require_params, require_x64
 from jaxnav.initialization.initialize import Initialization
-from jaxnav.io.weights import structure
 from jaxnav.maths import rotations
+from jaxnav.maths.trees import structure
 from jaxnav.maths.units import TICK
 from jaxnav.measurements import MEASUREMENTS, layout
 from jaxnav.measurements.measurement import along_track

@@ -1,6 +1,5 @@
 """Weights of an adapter in a file: an .npz with an array for each dotted name, and what they are for."""
 
-import hashlib
 import io
 import json
 from typing import Any
@@ -10,22 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.io.files import FilePath, atomic_write, read_bytes
+from jaxnav.maths.trees import named, structure
 from jaxnav.types import DataError
 
 WEIGHTS = ".npz"  # of such a file
 ABOUT = "about"
-
-
-def named(tree: Any) -> dict[str, np.ndarray]:
-    """Return the arrays of a tree by their dotted names: ``hidden.weights``."""
-    rows = jax.tree_util.tree_flatten_with_path(tree)[0]
-    return {jax.tree_util.keystr(path, simple=True, separator="."): np.asarray(leaf) for path, leaf in rows}
-
-
-def structure(tree: Any) -> str:
-    """Return a digest of the names and shapes of a tree, 16 hexadecimal digits."""
-    shapes = sorted((name, list(a.shape)) for name, a in named(tree).items())
-    return hashlib.sha256(json.dumps(shapes).encode()).hexdigest()[:16]
 
 
 def write_weights(path: FilePath, tree: Any, adapter: str = "") -> None:

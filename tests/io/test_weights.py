@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from jaxnav import build
-from jaxnav.io.weights import adapter_of, read_weights, structure, write_weights
+from jaxnav.io.weights import adapter_of, read_weights, write_weights
+from jaxnav.maths.trees import structure
 from jaxnav.types import DataError
 from tests.filters.test_adapters import moved
 from tuning import load

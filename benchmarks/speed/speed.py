@@ -36,7 +36,7 @@ from benchmarks.speed.speed_work import (
 )  # fmt: skip
 from jaxnav.filters.catalogue import build
 
-PACKAGES = ("jaxlib", "chex", "python-ins", "numba", "filterpy", "dynamax", "cuthbert")
+PACKAGES = ("jaxlib", "chex", "python-ins", "numba", "filterpy", "kalman-py", "dynamax", "cuthbert")
 SAME = 1e-3  # m, how far forms that do the same work may end from each other after a minute
 
 

@@ -1,6 +1,6 @@
 """Other packages on the workload of the speed benchmark: each is left out, with a notice, where it is not installed.
 
-python-ins does all of it. filterpy, dynamax and cuthbert are Kalman filters without navigation: they get Phi and Q of
+python-ins does all of it. filterpy, kalman-py, dynamax and cuthbert are Kalman filters without navigation: they get Phi and Q of
 every sample ready made, and their covariance is compared with ours. The latter two know no sample without a
 measurement: between fixes theirs says next to nothing.
 """
@@ -211,6 +211,25 @@ def filterpy(g: Given) -> Callable[[], Any] | None:
     return call
 
 
+def kalman_py(g: Given) -> Callable[[], Any] | None:
+    """The last covariance; it takes fixes where there are some. Its JAX backend has one F for all samples."""
+    package = found("kalman_py")
+    if package is None:
+        return None
+    Phi, Q, P0, R = (np.asarray(a) for a in (g.Phi, g.Q, g.P0, jnp.diag(g.sd**2)))
+    n = len(P0)
+
+    def call() -> np.ndarray:
+        kf, z = package.KalmanFilter(Phi[0], np.eye(6, n), Q, R, np.zeros(n), P0), np.zeros(6)
+        for i in range(len(Phi)):
+            kf.predict(F=Phi[i])
+            if (i + 1) % g.k == 0:
+                kf.update(z)
+        return kf.P
+
+    return call
+
+
 def dynamax(g: Given) -> Callable[[], Any] | None:
     """The last covariance by `lgssm_filter`."""
     package = found("dynamax.linear_gaussian_ssm.inference")
@@ -246,4 +265,4 @@ def cuthbert(g: Given) -> Callable[[], Any] | None:
     return call
 
 
-KALMAN = {"filterpy": filterpy, "dynamax": dynamax, "cuthbert": cuthbert}
+KALMAN = {"filterpy": filterpy, "kalman-py": kalman_py, "dynamax": dynamax, "cuthbert": cuthbert}

@@ -1,8 +1,8 @@
 """Other packages on the workload of the speed benchmark: each is left out, with a notice, where it is not installed.
 
 python-ins does all of it. filterpy, kalman-py, dynamax and cuthbert are Kalman filters without navigation: they get
-Phi and Q of every sample ready made, and their covariance is compared with ours. The latter two know no sample without a
-measurement: between fixes theirs says next to nothing.
+Phi and Q of every sample ready made, and their covariance is compared with ours. The latter two know no sample without
+a measurement: between fixes theirs says next to nothing.
 """
 
 import importlib

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from tuning.recordings.report import Trial
-from tuning.recordings.validation import block_ratio
+from tuning.recordings.validation import drifts_less
 
 MAX_VALIDATION_RATIO = 1.25  # times the datasheet's drift that the few windows of validation may show by chance
-MIN_BLOCKS, CLEAR_RATIO = 4, 0.8  # of windows, from which on a ratio has an interval; a ratio that needs none
 
 
 def choose(trials: Mapping[str, Trial], parts: Mapping[str, np.ndarray], blocks: np.ndarray) -> str:
@@ -26,7 +25,9 @@ def choose(trials: Mapping[str, Trial], parts: Mapping[str, np.ndarray], blocks:
     if "auto" in trials and trials["auto"].nll < trials[best].nll and does_no_harm(trials["auto"], trials[best]):
         best = "auto"
     limit = trials[best]
-    better = lambda t: t.nll < limit.nll and does_no_harm(t, limit) and drifts_less(t, limit, seen, blocks)
+    better = lambda t: (
+        t.nll < limit.nll and does_no_harm(t, limit) and drifts_less(limit.drift[seen], t.drift[seen], blocks[seen])
+    )
     passed = {name: t.nll for name, t in trials.items() if better(t)}
     return min(passed, key=lambda name: passed[name]) if passed else best
 
@@ -35,20 +36,3 @@ def does_no_harm(trial: Trial, other: Trial) -> bool:
     """Return whether it drifts less than another, and on the few windows of validation not much more."""
     ratios = np.array(trial.ratios) / np.array(other.ratios)
     return bool(max(ratios[:2]) < 1.0 and max(ratios[2:]) < MAX_VALIDATION_RATIO)
-
-
-def drifts_less(trial: Trial, other: Trial, seen: np.ndarray, blocks: np.ndarray) -> bool:
-    """Return whether it drifts less than another by more than chance.
-
-    Args:
-        trial: the candidate.
-        other: the candidate that it is to replace.
-        seen: (W,) windows of training and validation.
-        blocks: (W,) which windows are one; of fewer than `MIN_BLOCKS` a ratio below `CLEAR_RATIO` is enough.
-    """
-    if np.unique(blocks[seen]).size < MIN_BLOCKS:
-        return bool(trial.ratios[0] < CLEAR_RATIO * other.ratios[0])
-    return (
-        np.isfinite(trial.drift[seen]).all()
-        and block_ratio(other.drift[seen], trial.drift[seen], blocks[seen]).high < 1.0
-    )

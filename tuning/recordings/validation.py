@@ -75,6 +75,22 @@ def block_ratio(before: np.ndarray, after: np.ndarray, blocks: np.ndarray, level
     return PairedRatio(float(ratio), *(float(np.exp(change.mean() + sign * half)) for sign in (-1, 1)))
 
 
+MIN_BLOCKS, CLEAR_RATIO = 4, 0.8  # of windows, from which on a ratio has an interval; a ratio that needs none
+
+
+def drifts_less(before: np.ndarray, after: np.ndarray, blocks: np.ndarray) -> bool:
+    """Return whether errors are smaller by more than chance.
+
+    Args:
+        before: (W,) errors.
+        after: (W,) of the same windows.
+        blocks: (W,) which windows are one; of fewer than `MIN_BLOCKS` a ratio below `CLEAR_RATIO` is enough.
+    """
+    found = block_ratio(before, after, blocks)
+    sure = found.high < 1.0 if np.unique(blocks).size >= MIN_BLOCKS else found.ratio < CLEAR_RATIO
+    return bool(sure and np.isfinite(after).all())
+
+
 def paired_ratio(a: np.ndarray, b: np.ndarray, seed: int = 0, draws: int = 10_000) -> PairedRatio:
     """Geometric mean of a / b over errors (K, S) of K kinds of S runs each, every kind counted alike.
 

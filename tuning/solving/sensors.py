@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxnav.analysis.noise_scan import MAX_HARM_RATIO
 from jaxnav.checkup.support import Option
 from jaxnav.filters.catalogue import changed, rows, with_states
 from jaxnav.filters.core import Filter
@@ -14,12 +15,10 @@ from jaxnav.findings import finding
 from jaxnav.maths.units import DEG, TICK
 from jaxnav.measurements import GNSS, MEASUREMENTS, layout
 from jaxnav.types import Finding, Params
-from tuning.recordings.choice import MIN_BLOCKS
 from tuning.recordings.parts import blocks_of
-from tuning.recordings.validation import block_ratio
+from tuning.recordings.validation import block_ratio, drifts_less
 from tuning.solving.hidden import Bench, Scored
 
-MAX_RATIO = 1.02  # of the horizontal drift on training and validation windows, up to which a measurement does no harm
 SDS = (1.0, 3.0, 10.0)  # times the stated sd, that a measurement is tried with: its errors last, those of noise do not
 MAX_GROWTH = 1.5  # of an sd, that innovations may ask for beyond those that are taken
 MIN_NIS, ROUNDS = 1.2, 2  # NIS of a measurement's channels from which on its sd grows, in so many rounds
@@ -161,10 +160,9 @@ def compare(option: Option, before: Scored, after: Scored) -> Tried:
     level = block_ratio(before.horizontal[seen], after.horizontal[seen], blocks[seen])
     nll = [float(s.hidden("validation").nll().mean()) for s in (before, after)]
     taken = False
-    if used.any() and level.ratio < MAX_RATIO and nll[1] < nll[0]:
-        gain = block_ratio(space(before, used), space(after, used), blocks[used])
-        taken = gain.high < 1.0 if np.unique(blocks[used]).size >= MIN_BLOCKS else gain.ratio < 0.8
-    return Tried(option, level.ratio, nll[0] - nll[1], bool(taken and np.isfinite(after.error[seen]).all()))
+    if used.any() and level.ratio < MAX_HARM_RATIO and nll[1] < nll[0]:
+        taken = drifts_less(space(before, used), space(after, used), blocks[used])
+    return Tried(option, level.ratio, nll[0] - nll[1], taken and bool(np.isfinite(after.error[seen]).all()))
 
 
 def measured(option: Option, run: Scored) -> np.ndarray:

@@ -60,7 +60,7 @@ def test_library_page_runs_and_does_what_it_says(capsys):
     assert space["about"]["runs"] == 8 and space["band"].shape == space["found"].course.t.shape
 
 
-def test_what_is_quoted_is_the_file():
+def test_quoted_code_is_the_file():
     quoted = re.findall(r'```python title="([^"]+)"\n(.*?)```', (ROOT / "docs" / "contributing.md").read_text(), re.S)
     assert len(quoted) == 2
     for name, text in quoted:

@@ -105,7 +105,7 @@ def test_one_class_name_is_one_thing_within_a_folder():
 
 
 @pytest.mark.full
-def test_what_tests_and_benchmarks_take_of_a_module_is_there():
+def test_names_that_tests_and_benchmarks_use_exist():
     """A function that moves is found by its name, and not when a test of another folder runs."""
     lacking = []
     for path in [*(ROOT.parent / "tests").rglob("*.py"), *(ROOT.parent / "benchmarks").rglob("*.py")]:

@@ -72,7 +72,7 @@ def test_before_the_start_there_is_no_navigation_and_nothing_brings_it_down(driv
             wrong()
 
 
-def test_what_waits_is_of_two_minutes(drive):
+def test_waiting_data_are_of_two_minutes(drive):
     """An hour of an IMU alone at rest, and of fixes alone."""
     _, ekf, params, _ = drive
     samples, fixes = Live(ekf, params), Live(ekf, params)

@@ -180,7 +180,7 @@ def test_all_fields_of_now_are_of_one_state(drive):
     np.testing.assert_allclose(now.rate_sd, np.sqrt(np.diag(state.P)[9:12]), rtol=1e-12)
 
 
-def test_what_it_keeps_does_not_grow(drive):
+def test_its_memory_does_not_grow(drive):
     rec, ekf, params, begin = drive
     stream, sizes = Stream(ekf, params, begin, lag=0.5), []
     for row in events(rec, begin.t):

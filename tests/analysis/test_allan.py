@@ -169,7 +169,7 @@ def test_record_that_ends_on_its_way_down_has_no_bottom():
     assert read_off(Allan(tau, bend[:, None], 1e5 / tau)).B is None
 
 
-def test_what_is_not_in_the_data_is_none():
+def test_a_term_that_the_data_lack_is_none():
     """White noise alone has no bottom, no walk and no hump; an axis that puts out nothing has no figures."""
     curve = allan_deviation(np.random.default_rng(2).normal(size=(40_000, 3)), 0.1)
     for axis in range(3):

@@ -79,7 +79,7 @@ def test_a_rule_without_a_way_back_is_refused(runs):
         dense(gpid, gpid.params("consumer"), initial_nav(rec.aiding["position"].value[0]), found[False][0].epochs, True)
 
 
-def test_what_is_smoothed_moves_by_its_own_velocity(runs):
+def test_a_smoothed_position_moves_by_its_velocity(runs):
     """From sample to sample, over the ends of epochs, too: the error is carried through them and does not jump."""
     _, _, found = runs
     track = found[True][1]

@@ -53,7 +53,7 @@ def test_attitude_errors_are_those_of_euler_angles_while_level_and_rotations_whe
     assert missing[20] and missing.sum() <= 2
 
 
-def test_what_was_rejected_is_no_innovation_of_the_filter():
+def test_a_rejected_fix_is_no_innovation():
     nothing = dict.fromkeys(Info._fields)
     info = Info(**nothing | {
         "nu": jnp.array([[2.0, 6.0]]), "S": jnp.diag(jnp.array([4.0, 9.0]))[None], "valid": jnp.array([[True, True]]),

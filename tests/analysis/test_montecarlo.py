@@ -166,7 +166,7 @@ def test_figures_show_each_filter_and_its_bounds(found):
     np.testing.assert_allclose(yaw.get_ydata(), np.degrees(percentile(found.course, 50)[:, 4]))
 
 
-def test_what_cannot_be_run_is_refused():
+def test_scenarios_that_cannot_be_run_are_refused():
     with pytest.raises(ValueError, match="runs and chunk must be at least 1"):
         monte_carlo(FILTER, SCENARIO, PARAMS, 0)
     with pytest.raises(ValueError, match="imu_rate_hz"):

@@ -242,7 +242,7 @@ def test_a_delay_that_alignments_show_is_found(early):
 
 
 @pytest.mark.full
-def test_what_is_stated_stays(drive):
+def test_a_stated_value_stays(drive):
     params = with_arm(drive)
     stated = params._replace(mounting=params.mounting._replace(time_offset=np.asarray(0.18)))
     found = scan_noise(drive, stated)

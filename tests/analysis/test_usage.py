@@ -35,7 +35,7 @@ def test_every_sample_is_somewhere(case):
     assert "after the IMU's last sample" in first.message and "10 hidden as asked for" in first.message
 
 
-def test_what_a_gate_refuses_is_counted(case):
+def test_rejected_fixes_are_counted(case):
     wild = case.aiding["position"].value.copy()
     wild[30:33, 2] += 500.0
     aiding = case.aiding | {"position": case.aiding["position"]._replace(value=wild)}

@@ -167,7 +167,7 @@ def test_ctrl_c_keeps_the_filters_that_are_finished(toys, tmp_path, monkeypatch,
         (["--set", "tune.test_runs=1"], ["tune.test_runs"]),
     ],
 )
-def test_what_is_not_known_is_one_clear_error(more, words, tmp_path, capsys):
+def test_an_unknown_name_is_one_clear_error(more, words, tmp_path, capsys):
     assert run_verb(tmp_path, *more) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and all(word in said for word in words)

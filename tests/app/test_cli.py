@@ -307,7 +307,7 @@ def test_ctrl_c_exits_130_and_leaves_nothing(drive, monkeypatch, capsys):
     assert "stopped" in capsys.readouterr().err and not cli.Path("r").exists()
 
 
-def test_what_a_killed_run_left_is_cleared_away(drive, tmp_path):
+def test_the_remains_of_a_killed_run_are_cleared(drive, tmp_path):
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
     names = [f".r.{dead.pid}.tmp", f".r.{os.getppid()}.tmp", ".r.mine.tmp", f".other.{dead.pid}.tmp"]

@@ -53,7 +53,7 @@ def test_a_finished_run_says_again_what_it_said(runs, capsys):
     assert "ekf15 on urban_short, from t = " in said and "seed 0" in said and "solution.csv" in said
 
 
-def test_what_is_no_run_or_not_of_one_verb_is_refused(runs, tmp_path, capsys):
+def test_no_run_or_runs_of_two_verbs_are_refused(runs, tmp_path, capsys):
     (tmp_path / "run.json").write_text("{}")
     for folders, words in (([tmp_path, runs / "a"], "holds no run of jaxnav"),):
         assert cli.main(["compare", *map(str, folders), "--out", str(tmp_path / "out")]) == 3

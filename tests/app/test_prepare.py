@@ -71,7 +71,7 @@ def test_wrong_parameters_of_a_rule_are_named(name, rule, words):
         params_of(resolved(filter={"name": name}, rule=rule))
 
 
-def test_what_is_not_free_has_no_prior():
+def test_a_frozen_parameter_has_no_prior():
     filt, job = build("ekf15"), resolved(tune={"free": ["noise"], "prior": {"measurements.velocity.scale": 2.0}})
     with pytest.raises(ConfigError, match="tune.prior: measurements.velocity.scale is not in tune.free"):
         tune.free_of(job, filt, params_of(resolved()), tune.FREE_RECORDED)
@@ -183,7 +183,7 @@ def test_a_start_without_a_velocity_beside_it_is_refused():
         started(resolved(initialization={"heading": 0.0}), rec._replace(aiding=rec.aiding | {"velocity": velocity}))
 
 
-def test_what_drives_by_the_receiver_is_no_standstill():
+def test_motion_by_the_receiver_is_no_standstill():
     rec, t = northward(), np.array([0.2, 10.0, 30.5, 70.0])
     np.testing.assert_array_equal(is_driving(rec.aiding["velocity"], t), [True, True, True, False])  # the last: far
     slow = rec.aiding["velocity"]._replace(value=np.full((59, 3), 0.3))

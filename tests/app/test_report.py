@@ -49,7 +49,7 @@ def test_without_bokeh_the_pictures_are_in_it(tmp_path, monkeypatch):
     assert re.findall(r'alt="(\w+)"', page) == ["trajectory", "errors", "nis"]
 
 
-def test_what_cannot_be_drawn_is_a_warning_and_parameters_are_a_table(tmp_path, capsys, monkeypatch):
+def test_a_failed_figure_is_a_warning_and_parameters_are_a_table(tmp_path, capsys, monkeypatch):
     monkeypatch.undo()  # of conftest.py
 
     def fails():

@@ -36,7 +36,7 @@ def test_every_setting_is_there_and_says_what_it_is():
     assert found["tune", "prior"].endswith("else in the parameter's unit")
 
 
-def test_what_it_prints_is_a_configuration_with_the_defaults():
+def test_the_printed_page_is_a_configuration_with_the_defaults():
     """Nothing of it is set as it stands; with the marks taken away it is what one has without a file."""
     text = settings.commented()
     assert all(not value for value in tomllib.loads(text).values())

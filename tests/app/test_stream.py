@@ -50,7 +50,7 @@ def test_a_recording_and_its_lines_end_near_the_truth(drive, capsys):
         assert abs(north) < 4 * float(rows[-1]["sd_n_m"]) + 1.0
 
 
-def test_what_never_moves_has_no_start():
+def test_a_vehicle_that_never_moves_has_no_start():
     lines = io.StringIO("".join(f"imu,{0.1 * i:.1f},0,0,0,0,0,-9.81\n" for i in range(1, 300)))
     with pytest.raises(DataError, match="no start in 299 lines"):
         stream(resolve([]), 0.0, 1.0, lines, io.StringIO())

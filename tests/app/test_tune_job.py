@@ -120,7 +120,7 @@ def test_a_finished_job_resumes_to_itself_and_another_is_refused(capsys):
 
 
 @pytest.mark.full
-def test_what_a_lost_run_and_a_users_own_objective_score(monkeypatch, tmp_path):
+def test_scores_of_a_lost_run_and_of_a_users_objective(monkeypatch, tmp_path):
     (tmp_path / "mine.py").write_text(
         "def score(info, epochs, truth):\n    return (info.nu**2).sum() + 0 * epochs.fix.sd.sum() + 0 * truth.sum()\n"
     )
@@ -175,7 +175,7 @@ def test_names_that_free_nothing_are_named(changes, words):
         free(**changes)
 
 
-def test_what_is_free_is_by_names_less_the_frozen_with_priors_in_users_units():
+def test_free_names_less_frozen_ones_with_priors_in_users_units():
     found = free(prior={"noise.gyro": 2.0, "mounting.time_offset_s": 0.05}, frozen=["states.gyro_bias.driving_noise"])
     assert found.leaves[:2] == ["noise.gyro", "noise.accel"] and "states.gyro_bias.driving_noise" not in found.leaves
     assert {f"{P}.scale", f"{V}.latency", "measurements.zero_rate.sd"} <= set(found.leaves)
@@ -199,7 +199,7 @@ def test_what_is_free_is_by_names_less_the_frozen_with_priors_in_users_units():
         ),
     ],
 )
-def test_what_the_papers_are_about_is_tuned_by_the_command_line(source, name, free, changes, capsys):
+def test_the_papers_parameters_are_tuned_by_the_command_line(source, name, free, changes, capsys):
     """Gains, memberships, cost weights with couplings: by gradient over simulated runs, judged on others."""
     own = {"data": {"source": source}, "filter": {"name": name, "cov_stride": 10}, "tune": {"free": free, "steps": 3}}
     settings = config.merge(config.merge(SETTINGS, own), changes)

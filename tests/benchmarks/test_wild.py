@@ -69,7 +69,7 @@ sol = jaxnav.navigate(rec, ekf, fit.params)
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_what_a_user_types_runs_as_it_stands(data_dir, capsys):
+def test_the_documented_commands_run(data_dir, capsys):
     """A fixed wing with a barometer: filter, smoother, tuning, and the tuned filter."""
     space: dict = {}
     exec(SCRIPT.replace("drive.bag", str(wild.sources()["px4_fixed_wing"])), space)

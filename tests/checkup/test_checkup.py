@@ -117,7 +117,7 @@ DAMAGES = {
 
 @pytest.mark.full
 @pytest.mark.parametrize("code", DAMAGES)
-def test_what_is_wrong_is_named(car, code):
+def test_every_damage_is_named(car, code):
     part = code.split(".")[0]
     rows = {
         "velocity": ("velocity",), "speed": ("speed",), "barometer": ("barometer",),
@@ -271,7 +271,7 @@ def test_in_turns_of_one_sense_a_delay_is_no_other_north():
         assert [f.code for f in found] == ["velocity.turned"] * turned
 
 
-def test_what_a_change_is_worth_does_not_depend_on_the_stated_sd(car):
+def test_the_gain_of_a_change_does_not_depend_on_the_stated_sd(car):
     """Fixes that say that they are five times worse: chi^2 is 25 times smaller, the likelihood ratio the same."""
     wrong = check.as_floats(DAMAGES["gyro.sign"](car))
     worse = {name: s._replace(sd=5 * s.sd) for name, s in wrong.aiding.items()}

@@ -114,7 +114,7 @@ def test_settings(drive, tmp_path, capsys, setting):
 @pytest.mark.parametrize(
     "argv", [["simulate", "--set", "data.options.duration_s=1e12"], ["tune", "--set", "tune.runs=1000000"]]
 )
-def test_what_memory_cannot_hold_is_refused_before_it_is_begun(tmp_path, capsys, argv):
+def test_work_beyond_memory_is_refused_before_it_starts(tmp_path, capsys, argv):
     assert cli.main([*argv, "--data", "urban_short", "--out", str(tmp_path / "r")]) == 3
     assert "GiB of memory, this machine has" in capsys.readouterr().err
     require_memory(1.0, "a byte")
@@ -144,7 +144,7 @@ def test_a_rule_that_answers_in_another_shape_is_named(case):
         jax.eval_shape(partial(run, filt), case.params, case.nav, case.packed.epochs)
 
 
-def test_what_would_be_wrong_in_silence_is_refused(tmp_path):
+def test_silently_wrong_input_is_refused(tmp_path):
     with pytest.raises(DataError, match="float64"):
         initial_nav(np.array([0.8, 0.1, 100.0], np.float32))
     with pytest.raises(ValueError, match="steps must be 0 or more"):

@@ -110,7 +110,7 @@ def test_factors_on_sd_and_noise_are_those_of_the_parameters(case, epochs):
 
 
 @pytest.mark.full
-def test_what_is_hidden_is_not_seen(case, epochs):
+def test_a_hidden_fix_is_not_seen(case, epochs):
     """Other values in missing channels change nothing but their residuals, which are those of the plain filter."""
     curious = Adapter(
         lambda theta, seen, window: (

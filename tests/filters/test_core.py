@@ -427,7 +427,7 @@ def test_a_missing_channel_is_correlated_with_none():
     np.testing.assert_array_equal(left, [[4.0, 0.0, 2.0], [0.0, 1.0, 0.0], [2.0, 0.0, 16.0]])
 
 
-def test_what_drives_a_bias_keeps_it_as_large_as_its_instability():
+def test_driving_noise_keeps_a_bias_as_large_as_its_instability():
     """A Gauss-Markov process of sd s and time T is driven by s sqrt(2 / T): what is lost in T / 2 is put in again."""
     grade = GRADE._replace(gyro_walk=0.0)
     drive = float(np.ravel(datasheet_params(grade).states["gyro_bias"].driving_noise)[0])

@@ -136,7 +136,7 @@ def test_a_hole_in_the_stream_is_bridged_by_the_mean_of_its_sides(monkeypatch):
     np.testing.assert_allclose(gyro[bridge], np.tile(0.5 * (imu.gyro[79] + imu.gyro[110]), (2, 1)))
 
 
-def test_what_cannot_be_packed_is_named():
+def test_data_that_cannot_be_packed_are_named():
     imu = stream()
     with pytest.raises(DataError, match=r"no measurement of the filter takes 'speed': known are position"):
         pack(imu, {"speed": fixes([101.0], 1)}, 1.0)

@@ -104,7 +104,7 @@ def test_gradient_in_every_parameter():
     assert used.all()
 
 
-def test_what_does_not_fit_is_refused():
+def test_tables_of_other_shapes_are_refused():
     good = dict(centres=CENTRES, widths=WIDTHS, consequents=(1.0,), bounds=(0.9, 1.2))
     for change, message in (
         (dict(centres=((0.5, 0.25, 0.9), (0.3, 3.0))), "ascend"),

@@ -47,7 +47,7 @@ def test_a_fill_misses_about_what_it_says(length):
     assert np.all(np.diff(filled.t) > 0)
 
 
-def test_what_a_long_hole_hides_grows_with_its_length():
+def test_the_noise_of_a_hole_grows_with_its_length():
     """A hole longer than a quarter of the log cannot be tried in it: what is missed is taken to grow in proportion."""
     imu, none = log(40.0), np.zeros(0)
     longest = 0.25 * (40.0 - 2 * gaps.SIDE_S - 0.02)

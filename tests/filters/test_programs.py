@@ -146,7 +146,7 @@ closing.__module__ = "jaxnav.made_up"
 
 
 @pytest.mark.parametrize("part", ["row", "own rule", "no spec", "closure", "users", "objective", "object"])
-def test_what_the_sources_do_not_say_has_no_name(part, monkeypatch, tmp_path):
+def test_code_outside_of_the_sources_has_no_name(part, monkeypatch, tmp_path):
     """A row that was added or replaced at run time, a rule or objective of the user, values that a function holds."""
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "own_score.py").write_text("def score(info, epochs, truth):\n    return info.nis.sum()\n")

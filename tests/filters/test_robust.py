@@ -312,7 +312,7 @@ def test_sage_husa_takes_the_mean_noise_given_the_fix():
         assert c.memory.learnt[0] == pytest.approx(0.9 + 0.1 * (nu**2 / 16 + 0.75))
 
 
-def test_what_the_inner_rule_rejects_is_not_learnt_from():
+def test_a_rejected_fix_of_the_inner_rule_is_not_learnt_from():
     z = innovation([3e3, -4e3, 5e3, 0.1, -0.1, 0.05])
     # the R of iae holds this fix already, so that only a gate that takes nothing rejects it
     for make, theta, threshold in ((sage_husa, sage_husa_params(), 3.0), (iae, iae_params(), 1e-6)):

@@ -17,7 +17,7 @@ from jaxnav.types import DataError
 from tuning.recordings.recorded import tune
 
 
-def test_what_is_not_one_run_of_the_filter_is_refused_by_its_field(case):
+def test_wrong_shapes_are_refused_by_their_field(case):
     epochs = case.packed.epochs
     fix, imu, many = epochs.fix, epochs.imu, jax.tree.map(lambda a: jnp.stack([a, a]), case.nav)
     for match, nav, bad in (

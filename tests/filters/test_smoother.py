@@ -89,7 +89,7 @@ def test_it_is_the_batch_solution_of_the_same_linear_problem(case):
 
 
 @pytest.mark.full
-def test_what_is_not_fed_back_is_carried(case):
+def test_error_that_is_not_fed_back_is_carried(case):
     """In open loop, likewise: the estimate that stays is part of what is smoothed."""
     frame = FRAMES["local_level"]
     filt = make_filter(frame.fast, error_model(), kalman(), open_loop, 5)
@@ -164,7 +164,7 @@ def test_a_fixed_lag_is_the_smoother_of_what_came_so_far(case):
     np.testing.assert_allclose(every.P, smooth_jit(filt, case.params, case.nav, epochs)[1].P, rtol=1e-7, atol=1e-14)
 
 
-def test_what_cannot_be_gone_back_is_refused(case):
+def test_a_rule_without_a_way_back_is_refused(case):
     for name in ("gpid", "gipkf"):
         with pytest.raises(ValueError, match="smoothing is for Kalman, robust, adaptive and fading rules"):
             smooth(build(name), case.params, case.nav, case.packed.epochs)

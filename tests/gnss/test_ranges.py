@@ -45,7 +45,7 @@ def test_a_satellite_keeps_its_slot_and_a_new_one_takes_the_one_free_for_longest
     assert found.valid.sum(1).tolist() == [12, 12, 11, 12, 12]
 
 
-def test_of_too_many_the_highest_are_kept_and_a_slot_that_is_needed_starts_again():
+def test_the_highest_satellites_are_kept_and_a_reused_slot_starts_again():
     ranges = drive([list(range(20)), list(range(6, 20)), list(range(20))])
     slot = slots(ranges)
     kept = ranges.elevation[(ranges.t == 0) & (slot >= 0)]

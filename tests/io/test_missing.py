@@ -82,7 +82,7 @@ def test_a_value_that_is_a_mark_or_implausible_is_none(drive, name, usual, bad):
     assert f"{name}: 3 of {t.size} rows have no value" in rec.notes
 
 
-def test_where_most_are_implausible_the_unit_is_another(drive):
+def test_mostly_implausible_values_are_of_another_unit(drive):
     t = np.arange(drive.imu.t[0] + 1, drive.imu.t[-1] - 1)
     parts, degrees = fixes(drive), np.linspace(20.0, 350.0, t.size)[:, None]
     with pytest.raises(DataError, match="heading.*heading_rad within -13 and 13 .another unit"):

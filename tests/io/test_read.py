@@ -261,7 +261,7 @@ def test_a_misspelt_file_is_said(tmp_path):
 
 
 @pytest.mark.parametrize("file", ["run", "run.npz"])
-def test_what_we_write_we_read(tmp_path, file):
+def test_written_files_are_read(tmp_path, file):
     rec = recording()
     io.write_recording(tmp_path / file, rec)
     assert_same(read(tmp_path / file), rec)

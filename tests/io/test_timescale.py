@@ -84,7 +84,7 @@ def test_an_imu_in_gps_time_meets_fixes_in_utc(drive):
     assert behind(rec, drive) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_what_the_imus_logger_stamped_stays_with_it(drive):
+def test_streams_of_the_imus_logger_stay_with_it(drive):
     """A barometer in UTC beside fixes in GPS time moves with neither; the truth has the IMU's clock."""
     made = parts(drive, imu=TimeScale.UTC)
     height = drive.aiding["position"].value[:, 2:]
@@ -99,7 +99,7 @@ def test_stamps_that_are_gps_time_already_stay(drive):
     assert behind(rec, drive) == pytest.approx(0.0, abs=1e-6) and "UTC" not in rec.notes
 
 
-def test_what_no_motion_decides_is_said(drive):
+def test_an_undecided_time_scale_is_said(drive):
     still = 1e-4 * np.sin(drive.imu.t)[:, None] + np.zeros((1, 3))
     level = drive._replace(imu=drive.imu._replace(accel=still - [0.0, 0.0, 9.8]))
     rec = recording(parts(level, gyro=still))

@@ -90,7 +90,7 @@ def test_airspeed_and_sideslip_are_of_the_velocity_through_the_air():
     np.testing.assert_allclose(residual("sideslip", [0.0], {"wind": wind}), through[1:2], atol=1e-12, strict=True)
 
 
-def test_what_stays_level_has_no_velocity_upwards():
+def test_a_level_vehicle_has_no_velocity_upwards():
     np.testing.assert_allclose(residual("level", [0.0]), [1.0], atol=1e-12, strict=True)
 
 

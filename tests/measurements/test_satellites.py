@@ -267,7 +267,7 @@ def innovation(nu, P, R, T=0.3) -> Innovation:
                       jnp.asarray(T), jnp.zeros(m))  # fmt: skip
 
 
-def test_where_most_are_rejected_the_filter_is_wrong():
+def test_mostly_rejected_satellites_are_a_wrong_filter():
     rule = gate_satellites(kalman(), (0, 1, 2, 3))
     memory = rule.init(4, 4)
     nu = np.array([30.0, 20.0, 40.0, 0.1])

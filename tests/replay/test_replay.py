@@ -69,7 +69,7 @@ def test_a_solution_is_as_it_was(name, request):
     assert moved(json.loads(KEPT.read_text())[name], solution(name)) == []
 
 
-def test_what_moves_is_named():
+def test_a_moved_solution_is_named():
     kept = json.loads(KEPT.read_text())["kitti"]
     other = json.loads(json.dumps(kept))
     other["vel_mps"][2][1] += 0.01

@@ -181,7 +181,7 @@ def test_small_errors_and_empty_epochs_add_nothing(epoch):
     assert np.isfinite(slope).all()
 
 
-def test_what_is_left_after_a_correction_has_turned_by_half_of_it():
+def test_the_error_left_by_a_correction_is_turned_by_half_of_it():
     """log(exp(-phi) exp(phi + e)) in e, by finite differences; the inverse by -phi."""
     phi, h = jnp.array([0.02, -0.03, 0.05]), 1e-6
     left = lambda e: rotations.log(rotations.multiply(rotations.exp(-phi), rotations.exp(phi + e)))

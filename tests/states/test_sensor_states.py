@@ -32,7 +32,7 @@ def test_a_gyro_feels_force_by_its_own_row():
     assert PER_G == pytest.approx(DEG_PER_HOUR / 9.80665)
 
 
-def test_what_is_read_is_taken_out_again():
+def test_simulated_errors_of_a_reading_are_taken_out_again():
     rng = np.random.default_rng(0)
     s = {name: jnp.asarray(3 * MRAD * rng.normal(size=6)) for name in ("gyro_misalignment", "accel_misalignment")}
     s["gyro_g_sensitivity"] = jnp.asarray(300 * PER_G * rng.normal(size=9))

@@ -82,7 +82,7 @@ def test_prepared_epochs_are_run_like_the_samples(case, biased):
 
 
 @pytest.mark.full
-def test_what_cannot_be_summed_up_is_handed_on(case, biased):
+def test_samples_that_cannot_be_summed_are_handed_on(case, biased):
     """Other strides and frames: the samples themselves. Many runs are those of one."""
     for options in ({}, {"cov_stride": 25}, {"fast": False, "cov_stride": 5}):
         leaves_equal(prepare(build("ekf9", **options), biased).imu.samples, biased.imu)

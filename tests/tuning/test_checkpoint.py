@@ -39,7 +39,7 @@ def tree():
     return {"a": np.arange(5.0), "b": (np.array(3), np.array(True))}
 
 
-def test_what_is_saved_comes_back_to_the_bit(tmp_path):
+def test_a_checkpoint_restores_to_the_bit(tmp_path):
     head = {"score": 0.1 + 0.2, "best": float("inf"), "step": 7}
     checkpoint.save(tmp_path / "c.npz", tree(), head, "job")
     found = checkpoint.load(tmp_path / "c.npz", tree(), "job")

@@ -55,7 +55,7 @@ def test_an_epoch_that_the_rule_rejects_is_scored_by_a_student_t(info):
     assert objectives.innovation_nll(out, jnp.asarray(keep)) < 50
 
 
-def test_what_is_left_out_does_not_enter(info):
+def test_masked_epochs_do_not_enter(info):
     """Held-out epochs may hold anything finite, and have no gradient."""
     keep = jnp.array([True, True, True, False, True, True])
     other = info._replace(nu=info.nu.at[3].set(1e6), nis=info.nis.at[3].set(1e12), S=info.S.at[3].set(1e6 * jnp.eye(M)))

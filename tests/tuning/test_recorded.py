@@ -56,7 +56,7 @@ def test_slow_errors_of_the_receiver_are_the_scans(rec, ekf):
 
 
 @pytest.mark.full
-def test_what_is_found_has_the_prior_that_was_given_and_not_the_posterior_of_one_start(found, ekf, rec):
+def test_a_result_keeps_the_given_prior_and_not_the_posterior_of_one_start(found, ekf, rec):
     """A next run from these parameters starts from where the first one did."""
     given, datasheet = ekf.params("adis16465"), found.used[0].datasheet
     for params in (found.params, *found.each, *(trial.params for trial in found.trials.values())):
@@ -189,7 +189,7 @@ def test_recordings_together_are_the_sum_of_each(ekf, job):
 
 
 @pytest.mark.full
-def test_what_is_each_ones_own_has_its_own_numbers(ekf, job):
+def test_separate_parameters_have_separate_numbers(ekf, job):
     """Two recordings, fixes each one's own: noise sees both, of fixes each sees its own recording alone."""
     make, _, _ = job
     one, fixes = make(), ("measurements.position.scale", "measurements.velocity.scale")
@@ -219,7 +219,7 @@ def test_what_is_each_ones_own_has_its_own_numbers(ekf, job):
     assert sorted(np.asarray(shared.numbers(scans)).tolist()) == pytest.approx([-1.0, 0.0, 0.0])
 
 
-def test_what_a_part_predicts_is_the_likelihood_in_the_objective_but_for_heavy_tails(ekf, job):
+def test_the_score_of_a_part_is_the_objective_but_for_heavy_tails(ekf, job):
     """Over the training part taken for the validation's: hidden fixes as in J, innovations by a Student t."""
     make, packed, layout = job
     mine, own = make(), make.use()
@@ -315,7 +315,7 @@ def test_parameters_of_streams_that_no_recording_has_are_not_free(rec):
     assert recorded.measured(leaves, [alone, rec]) == leaves
 
 
-def test_what_a_fix_tells_has_the_covariance_of_position_and_error():
+def test_a_predicted_fix_has_the_covariance_of_position_and_error():
     rng = np.random.default_rng(1)
     L = rng.normal(size=(18, 18))
     A = np.zeros((3, 18))
@@ -353,7 +353,7 @@ def test_fixes_that_are_worse_than_they_say_are_found_out(found):
     assert found.gain is None and ("no interval" in said or found.chosen == "datasheet")
 
 
-def test_what_is_written_is_read_back(found, ekf, tmp_path):
+def test_a_written_result_is_read_back(found, ekf, tmp_path):
     found.write(tmp_path / "tuned")
     again = tuning.load(tmp_path / "tuned" / "tuned.toml", ekf.params("consumer"))
     for leaf in found.spec:

@@ -48,7 +48,7 @@ def test_a_state_that_is_there_is_not_asked_for():
     assert settled([last], PARAMS, True)[0].actions and not settled([last], wide, True)[0].actions
 
 
-def test_what_a_cause_explains_is_not_said_as_well():
+def test_a_consequence_of_a_known_cause_is_left_out():
     mixed = finding("gyro.sign", "gyro z", was=9.0, then=1.0, gain=99.0, cause="gyro z has the other sign")
     assert [f.code for f in settled([HIGH, mixed, LATE], PARAMS, True)] == ["gyro.sign"]
     low = finding("nis.low", "position", 0.1, 0.8, vector="0.1")

@@ -94,7 +94,7 @@ def test_stated_sd_grow_by_the_factor_of_the_calibration(drive, monkeypatch):
 
 
 @pytest.mark.full
-def test_what_is_judged_is_what_is_delivered(drive, monkeypatch):
+def test_the_judged_filter_is_the_delivered_one(drive, monkeypatch):
     """The same start, filter and parameters, where what is found starts the run later than the datasheet did."""
     judged = []
     monkeypatch.setattr(solve, "calibrate", lambda final: judged.append(final) or calibrate(final))

@@ -15,7 +15,7 @@ def test_the_rest_follows_from_the_time_so_far():
     assert lines == ["1 of 2: check", "2 of 3: noise, about 92 s left", "3 of 3: tune, about 80 s left"]
 
 
-def test_what_cannot_end_within_the_limit_does_not_fit():
+def test_a_stage_longer_than_the_limit_does_not_fit():
     now, tune = [0.0], Stage("tune", 9.0)
     stages = Stages([Stage("check", 1.0), Stage("noise", 2.0), tune], lambda line: None, lambda: now[0], limit=20.0)
     assert stages.fits(tune)  # nothing is known of the time yet

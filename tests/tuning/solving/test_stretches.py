@@ -94,7 +94,7 @@ def test_a_jump_that_stays_is_said_and_nothing_is_left_out(drive, at):
 
 
 @pytest.mark.full
-def test_of_a_stretch_and_a_jump_the_likelier_one_decides_and_both_are_said_if_they_are_alike(drive):
+def test_the_likelier_of_stretch_and_jump_decides_and_both_are_said_if_alike(drive):
     """A drag-off ends in a jump; what came before it is no jump that stays."""
     run = scored(dragged(drive, 60.0, 90.0, 6.0))
     left_out, gain = faulty_stretches(run)

@@ -441,3 +441,13 @@ def column_names(path: FilePath) -> list[str]:
     sheet = open_sheet(path)
     named = [key for key in sheet.columns if not key.isdigit()]
     return named or [f"{key} ({column(sheet, key)[0]})" for key in sheet.columns]
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Is it TOML with the tables of a map?"""
+    if path.is_dir() or not re.search(rb"^\s*(\[(imu|read)\]|(imu|read)\s*=\s*\{)", head, re.MULTILINE):
+        return False
+    try:
+        return bool(set(tomllib.loads(path.read_text(encoding="utf-8-sig"))) & set(TOP))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return path.suffix == ".toml"  # a damaged map: its reader says where

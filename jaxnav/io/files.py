@@ -15,6 +15,7 @@ from jaxnav.types import DataError
 FilePath = str | os.PathLike[str]
 
 MAX_BYTES = 2 << 30  # larger inputs are refused before they are read
+HEAD = 4096  # bytes of a file that a reader sees to recognise it
 MAX_VALUE = 1e15  # larger numbers are no measurement of anything here, and squares of them may overflow
 
 

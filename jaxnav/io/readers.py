@@ -1,21 +1,16 @@
 """``read(path)``: any recording of a format that `READERS` knows, recognised by its content."""
 
 import os
-import re
-import tomllib
 from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-import numpy as np
-
-from jaxnav.io import canonical, draft, mend, units
-from jaxnav.io.checks import MAX_RATE
-from jaxnav.io.column_map import TOP, column_names, read_map
+from jaxnav.io import column_map, draft, mend, units
+from jaxnav.io.column_map import column_names, read_map
 from jaxnav.io.containers import unpacked
-from jaxnav.io.files import FilePath
+from jaxnav.io.files import HEAD, FilePath
 from jaxnav.io.formats import (
     dataflash,
     ekf2_replay,
@@ -28,6 +23,7 @@ from jaxnav.io.formats import (
     navego,
     nmea,
     novatel,
+    own,
     raw_table,
     rinex,
     rosbag,
@@ -41,11 +37,9 @@ from jaxnav.io.formats import (
 )
 from jaxnav.io.mend import Changes
 from jaxnav.io.options import OPTIONS, require
-from jaxnav.io.parts import ImuRows, Parts, Stream, TimeScale, counted_from, parts_of, scaled
+from jaxnav.io.parts import Parts, counted_from
 from jaxnav.io.rollover import unrolled
 from jaxnav.types import DataError
-
-HEAD = 4096  # bytes of a file that a reader sees to recognise it
 
 
 class ReadFile(Protocol):
@@ -102,7 +96,7 @@ def _read_parts(path: Path, gnss: Path | None, **options: Any) -> Parts:
 def _mapped(recipe: FilePath, path: Path, gnss: FilePath | None) -> Reader:
     """Return the reader of a folder, a file, or a file and that of its fixes, in place of those of a column map."""
     row = recognise(recipe)
-    if row.recognises is not _map:
+    if row.recognises is not column_map.recognises:
         raise DataError(f"{recipe}: {row.name}, expected a column map: jaxnav map drafts one")
     files = [path] if gnss is None else [path, gnss]
     where = {"folder": path} if path.is_dir() and gnss is None else {"files": files}
@@ -156,111 +150,16 @@ def _unknown(path: Path) -> str:
     return f"{path}: a table that no reader knows; jaxnav map drafts a column map of it (docs/formats.md): {names}"
 
 
-# ---------------------------------------------------------------------------- the project's formats
-
-
-def _folder(path: Path, head: bytes) -> bool:
-    return (path / "imu.csv").is_file()
-
-
-def _read_folder(path: Path) -> Parts:
-    notes: list[str] = []
-    rec = canonical.read_folder(path, notes)
-    parts = parts_of(rec, os.fspath(path))
-    return parts._replace(notes=parts.notes + tuple(notes))
-
-
-def _npz(path: Path, head: bytes) -> bool:
-    return head.startswith(b"PK\x03\x04") and b"aiding/" in head + _tail(path) and b"imu/" in head + _tail(path)
-
-
-def _tail(path: Path) -> bytes:
-    """Return the end of a zip archive, which lists its members."""
-    with open(path, "rb") as file:
-        file.seek(max(0, path.stat().st_size - HEAD))
-        return file.read()
-
-
-def _imu_csv(path: Path, head: bytes) -> bool:
-    names = re.split(rb"[,\r\n]", head.split(b"\n")[0])
-    return b"t_s" in names and any(name.startswith((b"gyro_x_", b"dtheta_x_")) for name in names)
-
-
-def _read_imu_csv(path: Path) -> Parts:
-    notes: list[str] = []
-    imu, source = canonical.read_imu(path, notes)
-    return Parts(
-        os.fspath(path), ImuRows(imu.t, imu.gyro, imu.accel, dt=imu.dt), notes=tuple(notes), lines=source.lines
-    )
-
-
-def _map(path: Path, head: bytes) -> bool:
-    if path.is_dir() or not re.search(rb"^\s*(\[(imu|read)\]|(imu|read)\s*=\s*\{)", head, re.MULTILINE):
-        return False
-    try:
-        return bool(set(tomllib.loads(path.read_text(encoding="utf-8-sig"))) & set(TOP))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
-        return path.suffix == ".toml"  # a damaged map: its reader says where
-
-
-def _read_map(path: Path, folder: FilePath | None = None) -> Parts:
+def read_described(path: Path, folder: FilePath | None = None) -> Parts:
+    """Return the files that a column map describes."""
     return read_map(path, read_parts, folder)
-
-
-# ---------------------------------------------------------------------------- adapters of the older readers
-
-
-def _read_pos(path: Path) -> Parts:
-    notes: list[str] = []
-    aiding = {name: Stream(*samples) for name, samples in rtklib.read_pos(path, notes).aiding.items()}
-    return scaled(Parts(os.fspath(path), aiding=aiding, notes=tuple(notes)), TimeScale.GPS)
-
-
-def _pos(path: Path, head: bytes) -> bool:
-    return bool(re.search(rb"^%\s+(GPST|UTC|JST)\s.*\bQ\b", head, re.MULTILINE))
-
-
-def _seven(head: bytes) -> np.ndarray | None:
-    """Return the complete rows of a text of seven numbers a line; None of any other."""
-    rows = [line.split() for line in head.split(b"\n")[:-1]][:20]
-    try:
-        return np.array(rows, float) if len(rows) > 1 and all(len(row) == 7 for row in rows) else None
-    except ValueError:
-        return None
-
-
-def _kfgins_imu(path: Path, head: bytes) -> bool:
-    rows = _seven(head)
-    if rows is None:
-        return False
-    dt = np.median(np.diff(rows[:, 0]))
-    if np.abs(rows[:, 1:4]).max() > MAX_RATE * dt:
-        return False  # latitude and longitude
-    return 0.0 < dt < 0.5 and 5.0 < np.median(np.linalg.norm(rows[:, 4:], axis=1)) / dt < 20.0  # gravity
-
-
-def _read_kfgins_imu(path: Path) -> Parts:
-    notes: list[str] = []
-    imu = kfgins.read_kfgins_imu(path, notes)
-    return Parts(os.fspath(path), ImuRows(imu.t, imu.gyro, imu.accel, dt=imu.dt), notes=tuple(notes))
-
-
-def _kfgins_gnss(path: Path, head: bytes) -> bool:
-    rows = _seven(head)
-    return rows is not None and bool((np.abs(rows[:, 1]) <= 90).all() and (rows[:, 4:] >= 0).all())
-
-
-def _read_kfgins_gnss(path: Path) -> Parts:
-    notes: list[str] = []
-    position = Stream(*kfgins.gnss_rows(path, notes)[0])
-    return Parts(os.fspath(path), aiding={"position": position}, notes=tuple(notes))
 
 
 MASKS = ("elevation_mask_deg", "cn0_mask_dbhz")  # of raw GNSS
 READERS: tuple[Reader, ...] = (
-    Reader("our folder of CSV", _folder, _read_folder),
-    Reader("our .npz", _npz, lambda path: parts_of(canonical.read_recording(path), os.fspath(path))),
-    Reader("column map", _map, _read_map, ("folder",)),
+    Reader("our folder of CSV", own.is_folder, own.read_folder),
+    Reader("our .npz", own.is_npz, own.read_npz),
+    Reader("column map", column_map.recognises, read_described, ("folder",)),
     Reader("ROS bag", rosbag.recognises, rosbag.read, ("topics",)),
     Reader("PX4 ULog", ulog.recognises, ulog.read, ("wheel_radius_m", "receiver")),
     Reader("ArduPilot DataFlash", dataflash.recognises, dataflash.read, ("instance", "receiver")),
@@ -270,7 +169,7 @@ READERS: tuple[Reader, ...] = (
     Reader("RINEX observations", rinex.recognises, rinex.read, ("nav", "rates", *MASKS)),
     Reader("GnssLogger", gnss_logger.recognises, gnss_logger.read),
     Reader("raw GNSS table", raw_table.recognises, raw_table.read, MASKS),
-    Reader("RTKLIB .pos", _pos, _read_pos),
+    Reader("RTKLIB .pos", rtklib.recognises, rtklib.read),
     Reader("NovAtel ASCII", novatel.recognises, novatel.read, ("imu",)),
     Reader("NMEA", nmea.recognises, nmea.read, ("leap_seconds", "metres_per_hdop")),
     Reader("FlySight 2", flysight.recognises, flysight.read),
@@ -281,8 +180,8 @@ READERS: tuple[Reader, ...] = (
     Reader("KITTI oxts", kitti.recognises, kitti.read),
     Reader("EuRoC", euroc.recognises, euroc.read),
     Reader("NaveGo .mat", navego.recognises, navego.read, ("imu", "fixes")),
-    Reader("our imu.csv", _imu_csv, _read_imu_csv),
-    Reader("KF-GINS IMU", _kfgins_imu, _read_kfgins_imu),
-    Reader("KF-GINS GNSS", _kfgins_gnss, _read_kfgins_gnss),
+    Reader("our imu.csv", own.is_imu_csv, own.read_imu_csv),
+    Reader("KF-GINS IMU", kfgins.is_imu, kfgins.read_imu),
+    Reader("KF-GINS GNSS", kfgins.is_gnss, kfgins.read_gnss),
     Reader("tables with names", draft.recognises, draft.read_tables),  # the last: it looks at all numbers
 )

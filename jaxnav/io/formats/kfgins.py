@@ -1,11 +1,13 @@
 """KF-GINS text files: IMU increments, GNSS positions, navigation results; white space, no header."""
 
 import os
+from pathlib import Path
 
 import numpy as np
 
-from jaxnav.io.checks import check_imu, check_samples, check_track, increments_to_means, ned_to_enu, steps
+from jaxnav.io.checks import MAX_RATE, check_imu, check_samples, check_track, increments_to_means, ned_to_enu, steps
 from jaxnav.io.files import FilePath, Source, atomic_write, read_columns
+from jaxnav.io.parts import ImuRows, Parts, Stream
 from jaxnav.maths.gps_time import WEEK, unrolled
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, ImuLog, Samples, Track
@@ -88,3 +90,43 @@ def write_kfgins_gnss(path: FilePath, fixes: Samples, first: float) -> None:
 
 def _of_week(t: np.ndarray, first: float) -> np.ndarray:
     return t - np.floor(first / WEEK) * WEEK
+
+
+def _seven(head: bytes) -> np.ndarray | None:
+    """Return the complete rows of a text of seven numbers a line; None of any other."""
+    rows = [line.split() for line in head.split(b"\n")[:-1]][:20]
+    try:
+        return np.array(rows, float) if len(rows) > 1 and all(len(row) == 7 for row in rows) else None
+    except ValueError:
+        return None
+
+
+def is_imu(path: Path, head: bytes) -> bool:
+    """Are there increments of angle and velocity, with gravity?"""
+    rows = _seven(head)
+    if rows is None:
+        return False
+    dt = np.median(np.diff(rows[:, 0]))
+    if np.abs(rows[:, 1:4]).max() > MAX_RATE * dt:
+        return False  # latitude and longitude
+    return 0.0 < dt < 0.5 and 5.0 < np.median(np.linalg.norm(rows[:, 4:], axis=1)) / dt < 20.0  # gravity
+
+
+def read_imu(path: Path) -> Parts:
+    """Return the IMU."""
+    notes: list[str] = []
+    imu = read_kfgins_imu(path, notes)
+    return Parts(os.fspath(path), ImuRows(imu.t, imu.gyro, imu.accel, dt=imu.dt), notes=tuple(notes))
+
+
+def is_gnss(path: Path, head: bytes) -> bool:
+    """Are there latitudes and sd?"""
+    rows = _seven(head)
+    return rows is not None and bool((np.abs(rows[:, 1]) <= 90).all() and (rows[:, 4:] >= 0).all())
+
+
+def read_gnss(path: Path) -> Parts:
+    """Return the fixes."""
+    notes: list[str] = []
+    position = Stream(*gnss_rows(path, notes)[0])
+    return Parts(os.fspath(path), aiding={"position": position}, notes=tuple(notes))

@@ -2,13 +2,16 @@
 
 import datetime
 import os
+import re
 import struct
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxnav.io.checks import check_samples
 from jaxnav.io.files import FilePath, Source, Table, atomic_write, parse_numbers, read_bytes, read_lines
+from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
 from jaxnav.maths.axes import enu_to_ecef, geodetic, local_to_lla
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.maths.units import DEG
@@ -268,3 +271,15 @@ def read_tag(path: FilePath) -> tuple[float, float]:
     if not 0.0 <= fraction < 1.0 or (np.diff(ticks.astype(np.int64)) < 0).any() or not ticks[-1]:
         raise DataError(f"{file}: byte 64: expected a start time and ticks that increase")
     return whole + fraction, float(ticks[-1]) / 1000.0
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Is there the head of a solution?"""
+    return bool(re.search(rb"^%\s+(GPST|UTC|JST)\s.*\bQ\b", head, re.MULTILINE))
+
+
+def read(path: Path) -> Parts:
+    """Return the fixes of a solution, in GPS time."""
+    notes: list[str] = []
+    aiding = {name: Stream(*samples) for name, samples in read_pos(path, notes).aiding.items()}
+    return scaled(Parts(os.fspath(path), aiding=aiding, notes=tuple(notes)), TimeScale.GPS)

@@ -79,7 +79,7 @@ def alike(entry: Entry) -> tuple[str, ...]:
 @cache
 def program(names: tuple[str, ...], measurements=GNSS):
     entry = FILTERS[names[0]]
-    rule = one_of(tuple(FILTERS[name].rule() for name in names))
+    rule = one_of(tuple(FILTERS[name].rule(GNSS) for name in names))
     rule = rule if measurements == GNSS else only(rule, tuple(range(6)))
     model = error_model(entry.frame, entry.states, entry.form, measurements)
     home = FRAMES[entry.frame]  # the form that `build` takes
@@ -137,7 +137,7 @@ def test_a_channel_that_is_never_there_changes_nothing(name, drive):
 def test_a_rule_is_finite_and_still_where_nothing_is_there(name):
     """With H = 0 and T = 0, as a batch asks of it where others of its runs have a fix."""
     entry, blank = FILTERS[name], jnp.zeros(6)
-    n, rule = 9 + 3 * len(entry.states), entry.rule()
+    n, rule = 9 + 3 * len(entry.states), entry.rule(GNSS)
     P = jnp.diag(jnp.linspace(1.0, 2.0, n))
     z = Innovation(blank, jnp.zeros((6, n)), jnp.eye(6), P, blank > 0, jnp.zeros(()), blank)
     memory = rule.init(n, 6)

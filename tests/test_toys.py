@@ -69,7 +69,7 @@ def correct_cauchy(theta: Cauchy, memory: tuple[()], z: Innovation) -> Correctio
 
 
 CAUCHY = Entry(
-    BIASES, lambda: Rule(lambda n, m: (), correct_cauchy), lambda: Cauchy(jnp.array(2.0)), {"scale": "log"}, "toy",
+    BIASES, lambda rows: Rule(lambda n, m: (), correct_cauchy), lambda: Cauchy(jnp.array(2.0)), {"scale": "log"}, "toy",
     accepts_extra_states=True,
 )  # fmt: skip
 

@@ -95,14 +95,14 @@ def show_bars(rows: list[dict[str, Any]]) -> None:
 def keep(result: Result, mode: str, path: Path = BASELINE) -> None:
     """Make this run the baseline of its mode."""
     all_modes = json.loads(path.read_text()) if path.exists() else {}
-    ours = {t: {name: row["ratio"] for name, row in result[t].items() if gates_all_measurements(name)} for t in TABLES}
+    ours = {t: {name: row["ratio"] for name, row in result[t].items() if is_compared(name)} for t in TABLES}
     all_modes[mode] = {t: rows for t, rows in ours.items() if rows} | {"environment": result["versions"]}
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(all_modes, indent=1) + "\n")
     print(f"wrote {path}")
 
 
-def gates_all_measurements(name: str) -> bool:
+def is_compared(name: str) -> bool:
     """Is the row ours, so that a larger ratio is a loss?"""
     return "stride" in name
 

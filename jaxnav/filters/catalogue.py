@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class Entry(NamedTuple):
     """One filter of the catalogue."""
 
     states: tuple[str, ...]  # optional ones that it has by itself
-    rule: Callable[..., Rule]  # of (), of (block sizes) with `gates_all_measurements`, or of (slices of the fix)
+    rule: Callable[[tuple[Measurement, ...]], Rule]  # for the measurements that it corrects by, see ``sees``
     theta: Callable[[], Any]  # default parameters of the rule
     tunable: dict[str, str]  # leaves of theta worth tuning -> name of their transform in `tuning.fit.transforms`
     citation: str
@@ -44,9 +44,31 @@ class Entry(NamedTuple):
     feedback: Feedback = reset
     feedback_theta: Callable[[], Any] = lambda: ()  # default parameters of the feedback
     accepts_extra_states: bool = False  # a paper's rule is defined for the paper's states alone
-    needs_receiver_slices: bool = False  # its rule gets the slices of the receiver's channels, and all channels
-    gates_all_measurements: bool = False  # each measurement with data is a block of the rule; else the receiver's alone
+    sees: Literal["receiver", "data", "all"] = "receiver"  # measurements that its rule corrects by; others get Kalman's
     named: dict[str, str] = {}  # further leaves that are free by name alone: ``rule.NAME``, never with the group
+
+
+def each(make: Callable[[], Rule]) -> Callable[[tuple[Measurement, ...]], Rule]:
+    """Return the rule of an entry that is the same for any measurements."""
+    return lambda rows: make()
+
+
+def by_block(make: Callable[..., Rule], rule: Callable[[], Rule]) -> Callable[[tuple[Measurement, ...]], Rule]:
+    """Return the rule of an entry that tests the channels of each measurement together, around another rule."""
+
+    def of(rows: tuple[Measurement, ...]) -> Rule:
+        sizes = tuple(row.size for row in rows)
+        return make(rule()) if set(sizes) <= {BLOCK} else make(rule(), sizes)
+
+    return of
+
+
+def watching(rows: tuple[Measurement, ...]) -> Rule:
+    """Return the rule of hypotheses of a receiver, by the places of its position and velocity."""
+    places = {name: s for name, s in layout(rows).items() if name in ("position", "velocity")}
+    if "position" not in places:
+        raise ValueError(f"a rule that watches the receiver needs its position, not {[m.name for m in rows]}")
+    return receiver(places["position"].start, places["velocity"].start if "velocity" in places else None)
 
 
 _FUZZY = {"system.centres": "identity", "system.widths": "identity", "system.consequents": "identity"}
@@ -70,12 +92,12 @@ def _robust(states: tuple[str, ...], name: str) -> Entry:
     make, theta, tunable, citation = ROBUST[name]
     return Entry(
         states,
-        lambda *sizes: make(kalman(), *sizes),
+        by_block(make, kalman) if name == "gate" else each(lambda: make(kalman())),
         theta,
         tunable,
         citation,
         accepts_extra_states=True,
-        gates_all_measurements=name == "gate",
+        sees="data" if name == "gate" else "receiver",
     )
 
 
@@ -86,55 +108,57 @@ _GIP_TUNABLE = {"log_rl": "identity"}  # only its ratios to R_m matter
 _GIP_NAMED = {"log_rm": "identity", "rl_lower": "identity", "rm_lower": "identity"}
 FILTERS: Table[Entry] = Table(
 {
-    "ekf15": Entry(BIASES, kalman, lambda: (), {}, "Groves 2013, chapter 14", accepts_extra_states=True),
-    "ekf9": Entry((), kalman, lambda: (), {}, "Groves 2013, chapter 14, no bias states", accepts_extra_states=True),
-    "kf9_simple": Entry((), kalman, lambda: (), {}, f"{_ANSARI}, eqs. 9-15, the paper's standard KF", "simple"),
-    "gpid": Entry((), gpid, lambda: gpid_params(0.003, 0.1), _GPID, f"{_ANSARI}, on position states"),
-    "gpid15": Entry(BIASES, gpid, lambda: gpid_params(0.003, 0.1, 15), _GPID, f"{_ANSARI}, with bias states"),
+    "ekf15": Entry(BIASES, each(kalman), lambda: (), {}, "Groves 2013, chapter 14", accepts_extra_states=True),
+    "ekf9": Entry(
+        (), each(kalman), lambda: (), {}, "Groves 2013, chapter 14, no bias states", accepts_extra_states=True,
+    ),
+    "kf9_simple": Entry((), each(kalman), lambda: (), {}, f"{_ANSARI}, eqs. 9-15, the paper's standard KF", "simple"),
+    "gpid": Entry((), each(gpid), lambda: gpid_params(0.003, 0.1), _GPID, f"{_ANSARI}, on position states"),
+    "gpid15": Entry(BIASES, each(gpid), lambda: gpid_params(0.003, 0.1, 15), _GPID, f"{_ANSARI}, with bias states"),
     "gpid15_gate": Entry(
-        BIASES, lambda *sizes: gate(gpid(), *sizes), lambda: gate_params(rule=gpid_params(0.003, 0.1, 15)),
+        BIASES, by_block(gate, gpid), lambda: gate_params(rule=gpid_params(0.003, 0.1, 15)),
         {f"rule.{name}": kind for name, kind in _GPID.items()}, f"{_ANSARI}, with bias states, behind a gate",
-        gates_all_measurements=True,
+        sees="data",
     ),
     "gpid_literal": Entry(
-        (), gpid, lambda: literal_params(1.0, 0.0), _GPID, f"{_ANSARI}, scheme 1 as printed", "simple",
+        (), each(gpid), lambda: literal_params(1.0, 0.0), _GPID, f"{_ANSARI}, scheme 1 as printed", "simple",
     ),
     "gipkf": Entry(
-        (), gip_kf, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, model error to the accelerometers", "simple", "tangent",
-        named=_GIP_NAMED,
+        (), each(gip_kf), gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, model error to the accelerometers",
+        "simple", "tangent", named=_GIP_NAMED,
     ),
     "gipkf_mix": Entry(
-        (), gip_kf, lambda: gip_kf_params(kappa=0.01), _GIP_TUNABLE | {"kappa": "log"},
+        (), each(gip_kf), lambda: gip_kf_params(kappa=0.01), _GIP_TUNABLE | {"kappa": "log"},
         f"{_GIP_KF}, and attitude corrections to the gyros", "simple", "tangent", named=_GIP_NAMED,
     ),
     "gipkf_learning": Entry(
-        (), gip_kf, lambda: gip_kf_params(growth=0.02, unlearnt=(0.02, 1e-3)),
+        (), each(gip_kf), lambda: gip_kf_params(growth=0.02, unlearnt=(0.02, 1e-3)),
         _GIP_TUNABLE | {"growth": "log", "unlearnt": "log"}, f"{_GIP_KF}, weights that change as biases are learnt",
         "simple", "tangent", named=_GIP_NAMED,
     ),
     "gipkf_literal": Entry(
-        (), literal, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, open loop", "simple", "tangent", open_loop,
-        named=_GIP_NAMED,
+        (), each(literal), gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, open loop",
+        "simple", "tangent", open_loop, named=_GIP_NAMED,
     ),
     "gipkf_literal_shift": Entry(
-        (), literal, gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, both past states shifted at a reset",
+        (), each(literal), gip_kf_params, _GIP_TUNABLE, f"{_GIP_KF}, as printed, both past states shifted at a reset",
         "simple", "tangent", named=_GIP_NAMED,
     ),
-    "fwekf": Entry((), fwekf, fwekf_params, _FUZZY, _FWEKF, "full", "inertial", observer, poles),
+    "fwekf": Entry((), each(fwekf), fwekf_params, _FUZZY, _FWEKF, "full", "inertial", observer, poles),
     "fwekf15": Entry(
-        BIASES, fwekf, fwekf_params, _FUZZY, f"{_FWEKF}, with bias states", "full", "inertial", observer, poles
+        BIASES, each(fwekf), fwekf_params, _FUZZY, f"{_FWEKF}, with bias states", "full", "inertial", observer, poles
     ),
     "fwekf_literal": Entry(
-        (), fwekf_literal, lambda: fwekf_params(0.9), _FUZZY, f"{_FWEKF}, weights and table as printed", "full",
+        (), each(fwekf_literal), lambda: fwekf_params(0.9), _FUZZY, f"{_FWEKF}, weights and table as printed", "full",
         "inertial", observer, poles,
     ),
     "fwekf_combined": Entry(
-        (), fuzzy_combined, combined_params, _COMBINED, "this package: fading or a new R, by fuzzy rules", "full",
+        (), each(fuzzy_combined), combined_params, _COMBINED, "this package: fading or a new R, by fuzzy rules", "full",
         "inertial", observer, poles,
     ),
     "ekf15_receiver": Entry(
-        BIASES, receiver, receiver_params, {"wrong": "log", "well": "log", "late": "log"},
-        "hypotheses of the receiver by Blom & Bar-Shalom 1988", accepts_extra_states=True, needs_receiver_slices=True,
+        BIASES, watching, receiver_params, {"wrong": "log", "well": "log", "late": "log"},
+        "hypotheses of the receiver by Blom & Bar-Shalom 1988", accepts_extra_states=True, sees="all",
     ),
     **{f"ekf{n}_{name}": _robust(states, name) for n, states in ((9, ()), (15, BIASES)) for name in ROBUST},
 }
@@ -280,20 +304,16 @@ def _rule(entry: Entry, chosen: tuple[Measurement, ...], given: Rule | None) -> 
 
 
 def _rule_of_fixes(entry: Entry, chosen: tuple[Measurement, ...], given: Rule | None) -> Rule:
-    """Return the entry's rule, or a given one, on the receiver's fixes; the others get a Kalman update."""
-    every = given is None and entry.gates_all_measurements
-    if entry.needs_receiver_slices and given is None:
-        places = {name: s for name, s in layout(chosen).items() if name in ("position", "velocity")}
-        if "position" not in places:
-            raise ValueError(f"a rule that watches the receiver needs its position, not {[m.name for m in chosen]}")
-        return entry.rule(places["position"].start, places["velocity"].start if "velocity" in places else None)
-    seen = [not each.auxiliary and (each.receiver or (every and bool(each.columns))) for each in chosen]
-    if not any(seen):
-        if given is None and (entry.rule is kalman or every):
+    """Return the entry's rule, or a given one, on the measurements that it sees; the others get a Kalman update."""
+    sees = entry.sees if given is None else "receiver"
+    by_data = lambda row: not row.auxiliary and (row.receiver or (sees == "data" and bool(row.columns)))
+    seen = [sees == "all" or by_data(row) for row in chosen]
+    mine = tuple(row for row, see in zip(chosen, seen, strict=True) if see)
+    if not mine:
+        if given is None and (sees == "data" or entry.rule(()) is kalman()):
             return kalman()
         raise ValueError(f"the rule is for fixes, and none is in {[m.name for m in chosen]}: use ekf15 or ekf15_gate")
-    sizes = tuple(each.size for each, see in zip(chosen, seen, strict=True) if see)
-    rule = given or (entry.rule(sizes) if every and set(sizes) != {BLOCK} else entry.rule())
+    rule = entry.rule(mine) if given is None else given
     if all(seen) or rule is kalman():
         return rule
     return only(rule, tuple(np.flatnonzero(np.repeat(seen, [each.size for each in chosen])).tolist()))

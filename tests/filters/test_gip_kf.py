@@ -17,6 +17,7 @@ from jaxnav.filters.parameters import datasheet_params, get, prior, put
 from jaxnav.filters.rule import Innovation, only_if
 from jaxnav.filters.run import run
 from jaxnav.maths import earth, rotations
+from jaxnav.measurements import GNSS
 from jaxnav.states.motion import A, P, V
 from jaxnav.states.table import BIASES, zeros
 from jaxnav.strapdown.tangent_frame import enter
@@ -296,6 +297,6 @@ def test_balanced_feedback_keeps_tilt_and_bias_in_balance(case):
 
 
 def test_forms_of_the_paper_are_in_the_catalogue():
-    assert FILTERS["gipkf_literal"].rule() is FILTERS["gipkf_literal_shift"].rule() is gip_kf.literal()
-    assert FILTERS["gipkf"].rule() is FILTERS["gipkf_learning"].rule() is gip_kf.gip_kf()
+    assert FILTERS["gipkf_literal"].rule(GNSS) is FILTERS["gipkf_literal_shift"].rule(GNSS) is gip_kf.literal()
+    assert FILTERS["gipkf"].rule(GNSS) is FILTERS["gipkf_learning"].rule(GNSS) is gip_kf.gip_kf()
     assert {FILTERS[name].frame for name in FILTERS if name.startswith("gipkf")} == {"tangent"}

@@ -20,7 +20,7 @@ from jaxnav.checkup.inertial import gap_findings
 from jaxnav.checkup.motion import mixups
 from jaxnav.checkup.witnesses import headings
 from jaxnav.filters import epochs as ep
-from jaxnav.filters.catalogue import changed
+from jaxnav.filters.catalogue import with_history
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import holes
@@ -297,7 +297,7 @@ def navigate(
     begin, given = make(rec, params), params
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     history = history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t)))
-    filt = changed(filt, history=history)
+    filt = with_history(filt, history)
 
     def run_from(begin: Initialization) -> Run:
         """Run, and smooth if wanted, from an initialization."""

@@ -23,7 +23,7 @@ from jax import lax
 
 from jaxnav.filters import epochs as ep
 from jaxnav.filters import gaps
-from jaxnav.filters.catalogue import changed
+from jaxnav.filters.catalogue import with_history
 from jaxnav.filters.core import Filter, FilterState
 from jaxnav.filters.cutting import cut_imu
 from jaxnav.filters.lanes import relative_variance, slow_errors
@@ -109,7 +109,7 @@ class Stream:
         self.params = begin.apply_to(params)
         require_x64(self.params)
         require_params(filt, self.params)
-        self.filter = changed(filt, history=history_for(self.params, rate, span))
+        self.filter = with_history(filt, history_for(self.params, rate, span))
         self.interval, self.lag, self.rate, self.span, self.delay_sd = interval, lag, rate, span, delay_sd
         self.usual = 4 * math.ceil((rate * interval + 2) / 4)  # samples of an epoch, its ends cut into two
         self.slices = layout(tuple(MEASUREMENTS[name] for name in filt.model.measurements))

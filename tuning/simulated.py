@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.analysis import metrics
-from jaxnav.filters.catalogue import changed
+from jaxnav.filters.catalogue import with_history
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import get, history_for
 from jaxnav.filters.programs import stored
@@ -115,7 +115,7 @@ def tune_simulated(
     reach = [
         history_for(p, s.imu_rate_hz, s.duration_s, MAX_ADDED_DELAY_S) for p, s in zip(params, scenarios, strict=True)
     ]
-    filt = changed(filt, history=max(reach))
+    filt = with_history(filt, max(reach))
     spec = spec_of(filt, params[0], free, prior_sd, priors)
     used = [_simulated(filt, s, p, counts, seed + i) for i, (s, p) in enumerate(zip(scenarios, params, strict=True))]
     windows = [u.windows_hidden for u in used]

@@ -25,7 +25,7 @@ from benchmarks.speed.speed_peers import python_ins
 from jaxnav import build, reading, recording
 from jaxnav.analysis.tables import table
 from jaxnav.filters import epochs as ep
-from jaxnav.filters.catalogue import changed
+from jaxnav.filters.catalogue import with_history
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import initial_nav, run_jit
@@ -232,7 +232,7 @@ def ours_scored(rec: Recording, by_block: dict[int, Params]) -> np.ndarray:
     """Errors (W,) m of our filter of the same kind, like `peers_kfgins.scored`."""
     like, _ = like_kfgins(by_block[0])
     nav, last_fix = drive.start_at(rec, drive.START), float(rec.aiding["position"].t[-1])
-    like = changed(like, history=drive.HISTORY)
+    like = with_history(like, drive.HISTORY)
     packed = ep.pack_recording(rec, (POSITION,), drive.START)
     found: dict[float, float] = {}
     for offset in drive.PHASES:

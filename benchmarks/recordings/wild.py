@@ -19,7 +19,7 @@ from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.tables import table
 from jaxnav.analysis.windows import Windows, drift, hidden_windows
 from jaxnav.filters import epochs as ep
-from jaxnav.filters.catalogue import changed, rows
+from jaxnav.filters.catalogue import rows, with_history
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.lanes import LaneRecord
@@ -104,7 +104,7 @@ def hidden_drift(
 ) -> tuple[ep.Packed, Windows, np.ndarray, LaneRecord]:
     """Return epochs, windows of ``length`` s each ``every`` s, predicted minus measured fix (W, 3) m, and runs."""
     params, chosen = begin.apply_to(params), rows(filt.model.measurements)
-    filt = changed(filt, history=history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
+    filt = with_history(filt, history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))))
     packed = ep.pack_recording(rec, chosen, begin.t)
     windows = hidden_windows(packed, length, every, PHASES, SETTLE)
     nav = most_probable(filt, params, begin.navs, packed.epochs)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.filters import smoother
-from jaxnav.filters.catalogue import changed
+from jaxnav.filters.catalogue import with_history
 from jaxnav.filters.core import Filter, FilterState, Step
 from jaxnav.filters.programs import stored
 from jaxnav.filters.run import run, track
@@ -30,17 +30,11 @@ def dense(
     by those of the next seconds alone.
 
     Raises:
-        ValueError: smoothing with a rule that has no way back; a filter that keeps no history.
+        ValueError: smoothing with a rule that has no way back.
     """
     if (smooth or lag) and not filt.supports_smoothing:
         raise ValueError("this filter's rule corrects by more than the covariance says: it cannot be smoothed")
-    held = jax.eval_shape(filt.init, params, nav).past.t.shape[0]
-    if filt.spec is None and held < epochs.imu.dt.shape[1]:
-        raise ValueError(
-            f"the filter keeps {held} samples of navigation, an epoch has {epochs.imu.dt.shape[1]}: compose it with "
-            "that history, or by jaxnav.build(name, rule=...)"
-        )
-    filt = changed(filt, history=max(int(epochs.imu.dt.shape[1]), held))
+    filt = with_history(filt, max(int(epochs.imu.dt.shape[1]), filt.made.history))
     ends = float(nav.t) + np.cumsum(np.asarray(epochs.imu.dt).sum(1))
     within = smoother.reach_of(ends, lag) if lag and not smooth else (None, 0)
     reported, variance, in_epoch = jax.device_get(_dense(filt, params, nav, epochs, smooth or lag > 0, *within))

@@ -220,6 +220,13 @@ def changed(filt: Filter, **fields: Any) -> Filter:
     return filt if filt.spec is None else build(filt.spec.replace(**fields))
 
 
+def with_history(filt: Filter, samples: int) -> Filter:
+    """Return the filter with a history of so many samples."""
+    if filt.spec is not None:
+        return changed(filt, history=samples)
+    return make_filter(*filt.made._replace(history=samples))._replace(params=filt.params)
+
+
 def with_states(filt: Filter, *names: str) -> Filter:
     """Return a filter of the catalogue with further states; it is the same where it has them."""
     more = tuple(name for name in names if name not in filt.model.states)

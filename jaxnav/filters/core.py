@@ -69,6 +69,19 @@ class Step(NamedTuple):
     corrected: jax.Array  # (n,) estimate after the correction, before the feedback, in the filter's frame
 
 
+class Composition(NamedTuple):
+    """Arguments of `make_filter`."""
+
+    propagate: Propagate
+    model: ErrorModel
+    rule: Rule
+    feedback: Feedback
+    cov_stride: int
+    history: int
+    preintegrate: Preintegrate | None
+    adapter: Adapter | None
+
+
 class Filter(NamedTuple):
     """Pure functions; `step` is `correct` after `predict`, which also stream sample by sample, without an adapter.
 
@@ -83,6 +96,7 @@ class Filter(NamedTuple):
     prepare: Callable[[Epoch], Epoch]  # epochs (E, ...) of one run -> the same with `Prepared` samples
     transition: Callable[[Params, FilterState, Imu | Prepared], tuple[FilterState, Transition]]
     advance: Callable[[Params, FilterState, Epoch], "Step"]  # `step`, with the intermediate results
+    made: Composition
     # (grade or its name, **arguments of `jaxnav.filters.parameters.datasheet_params`) -> parameters for this filter
     params: Callable[..., Params] = datasheet_params
     supports_smoothing: bool = False  # see `Rule`
@@ -402,6 +416,7 @@ def make_filter(
         prepare,
         transition,
         advance,
+        Composition(propagate, model, rule, feedback, cov_stride, history, preintegrate, adapter),
         supports_smoothing=rule.supports_smoothing,
     )
 

@@ -290,6 +290,7 @@ def test_filter_that_fails_exits_1_with_run_and_time(drive, monkeypatch, capsys)
     fails(capsys, argv, 1, "run urban_short", "stopped being finite at t = ", "epoch 20")
 
 
+@pytest.mark.full
 def test_a_failure_leaves_the_old_results(drive, monkeypatch, capsys):
     out = cli.Path("kept")
     out.mkdir()

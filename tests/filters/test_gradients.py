@@ -128,6 +128,7 @@ def test_innovations_know_the_drift_of_a_clock(setting, fine_case, true):
     assert lowest == pytest.approx(true, abs=2e-5)
 
 
+@pytest.mark.full
 def test_missing_values_may_be_nan(setting):
     """A missing channel's value, sd and correlation are nan: value and gradient as with numbers; a valid nan shows."""
     fix = setting.epochs.fix

@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from jaxnav.filters.catalogue import FILTERS, build, changed, with_states
+from jaxnav.filters.catalogue import FILTERS, build, changed, with_history, with_states
+from jaxnav.filters.core import make_filter
 from jaxnav.filters.feedback import observer
 from jaxnav.filters.papers.gpid import gpid
 from jaxnav.filters.rules.kalman import kalman
@@ -32,6 +33,14 @@ def test_every_filter_has_a_spec_that_makes_it(name):
     assert build(filt.spec) is filt and filt.name == name and filt.spec.frame == FILTERS[name].frame
     longer = changed(filt, history=9)
     assert changed(longer, history=2) is filt and longer.model is filt.model
+
+
+def test_a_filter_that_is_composed_by_hand_has_any_history():
+    made = build("ekf9").made
+    filt = make_filter(*made)._replace(params=build("ekf9").params)
+    longer = with_history(filt, 9)
+    assert filt.spec is None and filt.name == "" and longer.made == made._replace(history=9)
+    assert longer.params is filt.params and longer.step is build("ekf9", history=9).step
 
 
 def test_further_states_and_those_that_a_measurement_needs():

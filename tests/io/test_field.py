@@ -400,6 +400,7 @@ def test_a_recording_with_the_accelerometer_s_other_sign(tmp_path, capsys):
         read(folder / "rec", accel_sign=2)
 
 
+@pytest.mark.full
 @needs_field
 def test_a_tail_sitter_s_roll_is_inside_its_sd():
     """Near 90 deg of pitch differences of Euler angles had 5 % of the rolls inside 3 sd; rotations have all."""

@@ -338,6 +338,7 @@ def test_clocks_that_do_not_agree_are_said():
 # ---------------------------------------------------------------------------- a recording
 
 
+@pytest.mark.full
 def test_fixes_that_are_worse_than_they_say_are_found_out(found):
     """Stated are a third of the sd; what two minutes cannot tell is said to be the prior's."""
     rows = {row.name: row for row in found.rows}

@@ -32,7 +32,7 @@ from jaxnav.analysis.receiver_errors import alike, without_slow_errors
 from jaxnav.analysis.windows import drifts
 from jaxnav.checkup.streams import velocity
 from jaxnav.filters import epochs as ep
-from jaxnav.filters.catalogue import changed
+from jaxnav.filters.catalogue import with_history
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.lanes import RECEIVER_ERROR, LaneRecord, padded_shape, ready, taken
@@ -173,7 +173,7 @@ def tune(
         history_for(s.applied(p), 1 / float(np.median(r.imu.dt)), float(np.ptp(r.imu.t)), MAX_ADDED_DELAY_S)
         for r, p, s in zip(recs, datasheets, scans, strict=True)
     )
-    filt = changed(filt, history=samples)
+    filt = with_history(filt, samples)
     if "measurements.position.scale" not in separate:
         scans = [s._replace(receiver=r) for s, r in zip(scans, alike([s.receiver for s in scans]), strict=True)]
     shared = 1.0 if SCALE in leaves_of(filt, datasheets[0], free) else max(s.scale for s in scans)

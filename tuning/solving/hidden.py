@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxnav.analysis.windows import drifts
 from jaxnav.filters import epochs as ep
-from jaxnav.filters.catalogue import changed
+from jaxnav.filters.catalogue import with_history
 from jaxnav.filters.core import Filter
 from jaxnav.filters.lanes import LaneRecord, velocity_channels
 from jaxnav.filters.parameters import history_for
@@ -86,7 +86,7 @@ class Bench(NamedTuple):
         begin = self.begin if begin is None else begin
         rec, chosen = self.recording, tuple(MEASUREMENTS[name] for name in filt.model.measurements)
         packed = ep.pack_recording(rec, chosen, begin.t, 0.0, self.stop, self.standing)
-        filt = changed(filt, history=self.history)
+        filt = with_history(filt, self.history)
         (used,) = prepare_recordings([rec], filt, candidates[:1], [begin], [packed], [self.layout], lambda line: None)
         each = [begin.apply_to(params) for params in candidates]
         runs = drifts(filt, each, used.nav, used.epochs, used.windows, chosen)

@@ -36,8 +36,11 @@ WARM: Settings = {"data": {"source": "urban", "options": {"duration_s": 600.0, "
 DEMO: Settings = {
     "data": {"source": "urban", "imu_worse_by": 3.0, "gnss_latency_s": 0.1},
     "filter": {"cov_stride": 10},
-    "tune": {"steps": 24, "rate": 0.25, "runs": 6, "validation_runs": 8, "test_runs": 12, "free": ["noise", "latency"]},
-}
+    "tune": {
+        "method": "scoring", "objective": {"nll": 1.0}, "steps": 24, "runs": 6, "validation_runs": 8, "test_runs": 12,
+        "free": ["noise", "latency"],
+    },
+}  # fmt: skip
 """An IMU three times noisier than its datasheet, and fixes 0.1 s late; the parameters state neither."""
 BAKEOFF: Settings = {
     "data": {"source": "gipkf_urban"},
@@ -116,7 +119,7 @@ def never(args: argparse.Namespace) -> bool:
 tune = later("tune", lambda jobs, job: jobs.tune(job.config, job.folder, job.progress, job.long))
 ROWS = (
     Verb(
-        "demo", "simulate, tune by gradient and draw the figures: no data, no network, two minutes the first time",
+        "demo", "simulate, tune by likelihood and draw the figures: no data, no network, a minute the first time",
         tune, (FILTER, PARAMS), (*RUN, "tune", "out"), report=True, defaults=lambda args: DEMO, unused=tuned,
     ),
     Verb(

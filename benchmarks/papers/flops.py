@@ -18,6 +18,7 @@ from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.rule import Innovation
 from jaxnav.filters.run import initial_nav
 from jaxnav.maths import linalg
+from jaxnav.measurements import GNSS
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import zeros
 from jaxnav.types import ErrorInputs, Params
@@ -90,7 +91,7 @@ def of(name: str) -> dict:
     entry = FILTERS[name]
     model = error_model("tangent", entry.states, entry.form)
     n = model.n_states
-    theta, rule = entry.theta(), entry.rule()
+    theta, rule = entry.theta(), entry.rule(GNSS)
     square, H = jnp.eye(n), jnp.zeros((CHANNELS, n))
     compiled = count(partial(cycle, rule), theta, square, square, square, H, jnp.eye(CHANNELS), jnp.zeros(CHANNELS))
     params: Params = datasheet_params(GRADES["adis16488a"])

@@ -34,7 +34,8 @@ def dense(
     """
     if (smooth or lag) and not filt.supports_smoothing:
         raise ValueError("this filter's rule corrects by more than the covariance says: it cannot be smoothed")
-    filt = with_history(filt, max(int(epochs.imu.dt.shape[1]), filt.made.history))
+    held = jax.eval_shape(filt.init, params, nav).past.t.shape[0]
+    filt = with_history(filt, max(int(epochs.imu.dt.shape[1]), held))
     ends = float(nav.t) + np.cumsum(np.asarray(epochs.imu.dt).sum(1))
     within = smoother.reach_of(ends, lag) if lag and not smooth else (None, 0)
     reported, variance, in_epoch = jax.device_get(_dense(filt, params, nav, epochs, smooth or lag > 0, *within))

@@ -221,10 +221,10 @@ def changed(filt: Filter, **fields: Any) -> Filter:
 
 
 def with_history(filt: Filter, samples: int) -> Filter:
-    """Return the filter with a history of so many samples."""
+    """Return the filter with a history of so many samples; one of other functions stays as it is."""
     if filt.spec is not None:
         return changed(filt, history=samples)
-    return make_filter(*filt.made._replace(history=samples))._replace(params=filt.params)
+    return filt if filt.made is None else make_filter(*filt.made._replace(history=samples))._replace(params=filt.params)
 
 
 def with_states(filt: Filter, *names: str) -> Filter:

@@ -96,10 +96,10 @@ class Filter(NamedTuple):
     prepare: Callable[[Epoch], Epoch]  # epochs (E, ...) of one run -> the same with `Prepared` samples
     transition: Callable[[Params, FilterState, Imu | Prepared], tuple[FilterState, Transition]]
     advance: Callable[[Params, FilterState, Epoch], "Step"]  # `step`, with the intermediate results
-    made: Composition
     # (grade or its name, **arguments of `jaxnav.filters.parameters.datasheet_params`) -> parameters for this filter
     params: Callable[..., Params] = datasheet_params
     supports_smoothing: bool = False  # see `Rule`
+    made: Composition | None = None  # None: of functions that `make_filter` has not composed
     spec: FilterSpec | None = None  # None: composed by `make_filter`
 
     @property
@@ -416,8 +416,8 @@ def make_filter(
         prepare,
         transition,
         advance,
-        Composition(propagate, model, rule, feedback, cov_stride, history, preintegrate, adapter),
         supports_smoothing=rule.supports_smoothing,
+        made=Composition(propagate, model, rule, feedback, cov_stride, history, preintegrate, adapter),
     )
 
 

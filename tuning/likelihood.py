@@ -31,6 +31,7 @@ class Runs(NamedTuple):
     epochs: Epoch  # (B, E, ...), prepared for the filter, E a multiple of `CHUNK`
     keep: np.ndarray  # (B, E) bool
     block: np.ndarray  # (B, E) int, runs or stretches of time that are drawn together, from 0 on
+    blocks: int  # how many there are, of all runs that these may be some of
 
     @property
     def fixes(self) -> int:
@@ -55,7 +56,7 @@ def runs_of(filt: Filter, params: Params, nav: Nav, epochs: Epoch, keep: Any, bl
     epochs, keep, block = jax.tree.map(longer, jax.device_get((epochs, keep, block)))
     inside = np.arange(size + more) < size
     fix = epochs.fix._replace(valid=epochs.fix.valid & inside[:, None])
-    return Runs(filt, params, jax.device_get(nav), epochs._replace(fix=fix), keep & inside, block)
+    return Runs(filt, params, jax.device_get(nav), epochs._replace(fix=fix), keep & inside, block, int(block.max()) + 1)
 
 
 def information(runs: Runs, spec: Spec, params: Params, flat: Any) -> Information:
@@ -76,7 +77,7 @@ def information(runs: Runs, spec: Spec, params: Params, flat: Any) -> Informatio
     each = max(1, MAX_LANE_EPOCHS // (E * len(around)))
     parts = [_sums(taken_runs(runs, slice(i, i + each)), candidates, P) for i in range(0, B, each)]
     nll, score, fisher = (sum(p[i] for p in parts) for i in range(3))
-    blocks = np.zeros((int(runs.block.max()) + 1, P))
+    blocks = np.zeros((runs.blocks, P))
     np.add.at(blocks, np.concatenate([p[3] for p in parts]), np.concatenate([p[4] for p in parts]))
     return Information(nll, score, fisher, blocks)
 

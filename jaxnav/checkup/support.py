@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from jaxnav.measurements import MEASUREMENTS
 from jaxnav.states.installation import LEVER_ARM_ERROR, ODOMETER_SCALE, VEHICLE_AXES, WHEEL_ARM_ERROR
 from jaxnav.types import Finding, Recording
 
@@ -27,8 +28,6 @@ REASONS = {
     "speed": "there are wheel speeds",
     "wheels": "there are speeds of both wheels",
     "body_velocity": "there are velocities in body axes",
-    "nonholonomic": "wheels do not slip sideways, and the IMU's x axis is the vehicle's",
-    "zero_velocity": "it stands at times",
     "barometer": "the barometer goes with the receiver's height",
     "magnetometer": "the magnetometer turns with the gyros, as strong as the Earth's field is here",
 }
@@ -58,7 +57,8 @@ def options(rec: Recording, found: Sequence[Finding]) -> list[Option]:
     return tried
 
 
-def undoubted(tried: Sequence[Option], found: Sequence[Finding]) -> list[Option]:
-    """Return the options whose streams no finding warns of: what may be taken without a trial."""
+def untried(tried: Sequence[Option], found: Sequence[Finding]) -> list[Option]:
+    """Return the options that may be taken without a trial: of data that no finding warns of, no constraints."""
     doubted = {f.code.partition(".")[0] for f in found if f.warns}
-    return [each for each in tried if each.measurements and not doubted & set(each.measurements)]
+    of_data = lambda each: each.measurements and all(MEASUREMENTS[name].has_data for name in each.measurements)
+    return [each for each in tried if of_data(each) and not doubted & set(each.measurements)]

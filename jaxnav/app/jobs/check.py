@@ -19,7 +19,7 @@ from jaxnav.app.jobs.filtering import describe, describe_text
 from jaxnav.app.prepare import base_params, filter_of, grade_of, initialization_of, measurements_of, standing_of
 from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.checkup import checkup
-from jaxnav.checkup.support import REASONS, options, undoubted
+from jaxnav.checkup.support import REASONS, options, untried
 from jaxnav.filters.epochs import pack_recording
 from jaxnav.filters.parameters import history_for
 from jaxnav.findings import finding
@@ -128,13 +128,16 @@ def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:
         'name = "ekf15"  # errors of position, velocity, attitude and both biases; `jaxnav info` lists the others',
         f'grade = "auto"  # IMU noise and latency by likelihood, or a datasheet; {_noise(found)}',
     ]
-    taken = undoubted(options(rec, found), found)
+    tried = options(rec, found)
+    taken = untried(tried, found)
     used = ["position", "velocity", *(name for each in taken for name in each.measurements)]
     states = list(dict.fromkeys(name for each in taken for name in each.states))
     remarks = "; ".join(REASONS[each.measurements[0]] for each in taken)
     lines.append(f"measurements = {json.dumps(used)}" + (f"  # {remarks}" if remarks else ""))
-    for f in (f for f in found if f.code.startswith("standstill.")) if "zero_velocity" in used else ():
-        lines.append(f"{f.setting.split('.')[1]} = {f.value:.3g}  # {f.message}")
+    if more := [name for each in tried if each not in taken for name in each.measurements]:
+        lines.append(f"# `jaxnav solve` also tries {', '.join(more)}")
+    for f in (f for f in found if f.code.startswith("standstill.")) if "zero_velocity" in more else ():
+        lines.append(f"# {f.setting.split('.')[1]} = {f.value:.3g}  # {f.message}")
     if states:
         lines.append(f"states = {json.dumps(states)}  # estimated with them")
     lines += ["[initialization]", 'heading = "motion"  # found by alignment; or "course", "unknown", degrees']

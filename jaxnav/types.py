@@ -75,6 +75,11 @@ class Table(dict[str, Row]):
         super().__init__(rows)
         self._first = dict(rows)
 
+    @classmethod
+    def named(cls, *rows: Row) -> "Table[Row]":
+        """Return the table of rows that have a ``name``."""
+        return cls({row.name: row for row in rows})  # type: ignore[attr-defined]
+
     def is_built_in(self, name: str) -> bool:
         """Return whether the row of this name came with the library."""
         return name in self._first and self[name] is self._first[name]

@@ -92,7 +92,7 @@ def test_it_is_the_batch(drive):
 @pytest.mark.slow
 @pytest.mark.parametrize("emitters", ["", "--xla_cpu_use_fusion_emitters=false"], ids=["library", "command line"])
 def test_it_is_the_batch_but_for_the_last_digits(emitters):
-    """In a process of its own, compiled as users' programs are; equal to the bit on some processors."""
+    """In a separate process, compiled as users' programs are; equal to the bit on some processors."""
     env = os.environ | {"XLA_FLAGS": emitters, "JAX_PLATFORMS": "cpu"}
     code = """
         import jax, numpy as np, jaxnav

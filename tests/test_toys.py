@@ -177,7 +177,7 @@ def observe_throttle(theta: ThrottleParams, mounting: Mounting, nav: Nav, kin: K
 
 
 def test_a_constraint_is_a_row_with_values_of_its_own(drive, tmp_path, monkeypatch):
-    """The row says what is known and when: it acts in `filter` by its name, between fixes and without a stream."""
+    """The row gives values and times: by name it acts in `filter`, at epochs without a fix and without a stream."""
     true = lambda imu, t, window: np.hypot(*(np.interp(t, drive.truth.t, v) for v in drive.truth.vel[:, :2].T))[:, None]
     row = Measurement(
         "throttle", ("forward",), observe_throttle, ThrottleParams(0.05), ThrottleParams(Unit("mps")), pseudo=true
@@ -221,7 +221,7 @@ def retract_west(nav: Nav, x: jax.Array) -> Nav:
 
 
 def test_a_frame_is_a_row(drive, monkeypatch):
-    """Its solution is that of local level."""
+    """Its solution is that of local level, but for the rounding of latitudes, 1e-9 m a fix."""
     rows = np.kron(np.eye(3), SOUTH)
     monkeypatch.setitem(FRAMES, "west", Frame(
         propagate_west, dynamics_west, retract_west, enter=turned, leave=turned, enu_rows=lambda nav, local: rows,

@@ -189,45 +189,41 @@ def covariance(g: Given) -> jax.Array:
     return lax.scan(sample, g.P0, (g.Phi, g.sds))[0]
 
 
-def filterpy(g: Given) -> Callable[[], Any] | None:
-    """The last covariance; it takes fixes where there are some, like ours."""
-    package = found("filterpy.kalman")
-    if package is None:
-        return None
-    Phi, Q, P0, R = (np.asarray(a) for a in (g.Phi, g.Q, g.P0, jnp.diag(g.sd**2)))
+def sampled(name: str, make: Callable[..., Any]) -> Callable[[Given], Callable[[], Any] | None]:
+    """The last covariance by a package that predicts sample by sample, and takes fixes where there are some, like ours.
 
-    n = len(P0)
+    ``make`` gives its filter, of the package, F, Q, R and P0.
+    """
 
-    def call() -> np.ndarray:
-        kf = package.KalmanFilter(dim_x=n, dim_z=6)
-        kf.P, kf.Q, kf.R, kf.H = P0.copy(), Q, R, np.eye(6, n)
-        z = np.zeros(6)
-        for i in range(len(g.Phi)):
-            kf.predict(F=Phi[i])
-            if (i + 1) % g.k == 0:
-                kf.update(z)
-        return kf.P
+    def of(g: Given) -> Callable[[], Any] | None:
+        package = found(name)
+        if package is None:
+            return None
+        Phi, Q, P0, R = (np.asarray(a) for a in (g.Phi, g.Q, g.P0, jnp.diag(g.sd**2)))
 
-    return call
+        def call() -> np.ndarray:
+            kf, z = make(package, Phi[0], Q, R, P0.copy()), np.zeros(6)
+            for i in range(len(Phi)):
+                kf.predict(F=Phi[i])
+                if (i + 1) % g.k == 0:
+                    kf.update(z)
+            return kf.P
+
+        return call
+
+    return of
 
 
-def kalman_py(g: Given) -> Callable[[], Any] | None:
-    """The last covariance; it takes fixes where there are some. Its JAX backend has one F for all samples."""
-    package = found("kalman_py")
-    if package is None:
-        return None
-    Phi, Q, P0, R = (np.asarray(a) for a in (g.Phi, g.Q, g.P0, jnp.diag(g.sd**2)))
-    n = len(P0)
+def filterpy(package: Any, F: np.ndarray, Q: np.ndarray, R: np.ndarray, P0: np.ndarray) -> Any:
+    """A filter of filterpy."""
+    kf = package.KalmanFilter(dim_x=len(P0), dim_z=6)
+    kf.P, kf.Q, kf.R, kf.H = P0, Q, R, np.eye(6, len(P0))
+    return kf
 
-    def call() -> np.ndarray:
-        kf, z = package.KalmanFilter(Phi[0], np.eye(6, n), Q, R, np.zeros(n), P0), np.zeros(6)
-        for i in range(len(Phi)):
-            kf.predict(F=Phi[i])
-            if (i + 1) % g.k == 0:
-                kf.update(z)
-        return kf.P
 
-    return call
+def kalman_py(package: Any, F: np.ndarray, Q: np.ndarray, R: np.ndarray, P0: np.ndarray) -> Any:
+    """A filter of kalman-py by numpy: with JAX it has one F for all samples."""
+    return package.KalmanFilter(F, np.eye(6, len(P0)), Q, R, np.zeros(len(P0)), P0)
 
 
 def dynamax(g: Given) -> Callable[[], Any] | None:
@@ -265,4 +261,7 @@ def cuthbert(g: Given) -> Callable[[], Any] | None:
     return call
 
 
-KALMAN = {"filterpy": filterpy, "kalman-py": kalman_py, "dynamax": dynamax, "cuthbert": cuthbert}
+KALMAN = {
+    "filterpy": sampled("filterpy.kalman", filterpy), "kalman-py": sampled("kalman_py", kalman_py),
+    "dynamax": dynamax, "cuthbert": cuthbert,
+}  # fmt: skip

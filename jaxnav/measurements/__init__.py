@@ -14,32 +14,27 @@ from jaxnav.measurements.standstill import ZERO_RATE, ZERO_VELOCITY
 from jaxnav.measurements.vehicle import LEVEL, NONHOLONOMIC, SPEED, WHEELS
 from jaxnav.types import Table
 
-MEASUREMENTS: Table[Measurement] = Table(
-    {
-        each.name: each
-        for each in (
-            POSITION,
-            VELOCITY,
-            PSEUDORANGE,
-            RANGE_RATE,
-            ZERO_VELOCITY,
-            ZERO_RATE,
-            NONHOLONOMIC,
-            LEVEL,
-            SPEED,
-            WHEELS,
-            BODY_VELOCITY,
-            BAROMETER,
-            RANGEFINDER,
-            MAGNETOMETER,
-            HEADING,
-            BASELINE,
-            COURSE,
-            YAW_RATE,
-            AIRSPEED,
-            SIDESLIP,
-        )
-    }
+MEASUREMENTS: Table[Measurement] = Table.named(
+    POSITION,
+    VELOCITY,
+    PSEUDORANGE,
+    RANGE_RATE,
+    ZERO_VELOCITY,
+    ZERO_RATE,
+    NONHOLONOMIC,
+    LEVEL,
+    SPEED,
+    WHEELS,
+    BODY_VELOCITY,
+    BAROMETER,
+    RANGEFINDER,
+    MAGNETOMETER,
+    HEADING,
+    BASELINE,
+    COURSE,
+    YAW_RATE,
+    AIRSPEED,
+    SIDESLIP,
 )
 GNSS = (POSITION, VELOCITY)
 

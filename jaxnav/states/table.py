@@ -19,34 +19,29 @@ from jaxnav.states.state import State
 from jaxnav.states.surroundings import DECLINATION_ERROR, GROUND_HEIGHT, MAGNETOMETER_BIAS, WIND
 from jaxnav.types import Table, nearest
 
-STATES: Table[State] = Table(
-    {
-        state.name: state
-        for state in (
-            GYRO_BIAS,
-            ACCEL_BIAS,
-            GYRO_SCALE,
-            ACCEL_SCALE,
-            GYRO_MISALIGNMENT,
-            ACCEL_MISALIGNMENT,
-            GYRO_G_SENSITIVITY,
-            LEVER_ARM_ERROR,
-            CLOCK_OFFSET,
-            BAROMETER_BIAS,
-            GNSS_POSITION_ERROR,
-            ODOMETER_SCALE,
-            VEHICLE_AXES,
-            WHEEL_ARM_ERROR,
-            MAGNETOMETER_BIAS,
-            DECLINATION_ERROR,
-            WIND,
-            GROUND_HEIGHT,
-            RECEIVER_CLOCK_BIAS,
-            RECEIVER_CLOCK_DRIFT,
-            INTER_SYSTEM_BIAS,
-            RANGE_ERROR,
-        )
-    }
+STATES: Table[State] = Table.named(
+    GYRO_BIAS,
+    ACCEL_BIAS,
+    GYRO_SCALE,
+    ACCEL_SCALE,
+    GYRO_MISALIGNMENT,
+    ACCEL_MISALIGNMENT,
+    GYRO_G_SENSITIVITY,
+    LEVER_ARM_ERROR,
+    CLOCK_OFFSET,
+    BAROMETER_BIAS,
+    GNSS_POSITION_ERROR,
+    ODOMETER_SCALE,
+    VEHICLE_AXES,
+    WHEEL_ARM_ERROR,
+    MAGNETOMETER_BIAS,
+    DECLINATION_ERROR,
+    WIND,
+    GROUND_HEIGHT,
+    RECEIVER_CLOCK_BIAS,
+    RECEIVER_CLOCK_DRIFT,
+    INTER_SYSTEM_BIAS,
+    RANGE_ERROR,
 )
 BIASES = ("gyro_bias", "accel_bias")
 """The optional states of a filter of 15."""

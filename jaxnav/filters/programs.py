@@ -23,9 +23,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import export
 
-from jaxnav.filters.catalogue import is_built_in
-from jaxnav.filters.core import Filter
-
 LOG = logging.getLogger("jaxnav")
 PACKAGES = ("jaxnav", "tuning")  # whose sources are part of a program's name
 SETTINGS = (
@@ -261,6 +258,9 @@ def described(value: Any) -> str:
         NotKept: a filter without a spec or with a row, rule or adapter of its user, a function that closes over values
             or is not of this library, an object of another kind.
     """
+    from jaxnav.filters.catalogue import is_built_in  # which not every program needs
+    from jaxnav.filters.core import Filter
+
     if isinstance(value, PLAIN):
         return repr(value)
     if isinstance(value, Filter):

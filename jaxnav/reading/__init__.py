@@ -1,6 +1,5 @@
 """A recording from its files: read, mended, in one time scale, and looked at."""
 
 from jaxnav.reading.datasets import DATASETS, fetch, load, locate, verify
-from jaxnav.reading.read import read
 
-__all__ = ["DATASETS", "fetch", "load", "locate", "read", "verify"]
+__all__ = ["DATASETS", "fetch", "load", "locate", "verify"]

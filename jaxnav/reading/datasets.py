@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxnav.io.files import read_bytes
-from jaxnav.reading.read import read
 from jaxnav.types import DataError, Recording, nearest
 
 DATA_DIR = "JAXNAV_DATA_DIR"  # environment variable: folder with a folder for each data set
@@ -99,6 +98,8 @@ def load(name: str, **options: Any) -> Recording:
     Raises:
         DataError: an unknown name, a file that is missing or another, an unknown option.
     """
+    from jaxnav.reading.read import read  # with the checks: a list of names does not wait for them
+
     dataset, folder = find(name), verify(name)
     if dataset.fixes_only:
         raise DataError(f"data set {name} has no IMU: {folder / dataset.files[0].name} is the gnss= of a recording")

@@ -431,7 +431,9 @@ def test_a_read_says_what_looks_wrong(car, tmp_path):
     write_recording(tmp_path / "right", car)
     write_recording(tmp_path / "wrong", DAMAGES["velocity.swapped"](car))
     assert "velocity.swapped" not in {f.code for f in read(tmp_path / "right").findings}
-    assert "velocity.swapped" in {f.code for f in read(tmp_path / "wrong").findings}
+    wrong = read(tmp_path / "wrong")
+    assert "velocity.swapped" in {f.code for f in wrong.findings}
+    assert [f.code for f in checkup(wrong)].count("velocity.swapped") == 1  # not of the reader and of the check
 
 
 def test_the_overview_draws_every_stream(car):

@@ -244,8 +244,9 @@ class _Objective:
     """J over one part of a recording; a point is log10 of factors on gyros and accelerometers, and the latency in s."""
 
     def __init__(
-        self, rec: Recording, params: Params, begin: Initialization, end: float, outages: Sequence[Any], delay: Delay
-    ) -> None:
+        self, rec: Recording, params: Params, begin: Initialization, end: float, outages: Sequence[Any], delay: Delay,
+        reach: float,
+    ) -> None:  # fmt: skip
         self.rec, self.begin, self.end, self.outages, self.delay = rec, begin, end, outages, delay
         self.rows = tuple(m for m in GNSS if m.name in rec.aiding)
         states = datasheet_states(GRADES["consumer"], (*BIASES, RECEIVER_ERROR)) | params.states
@@ -253,7 +254,8 @@ class _Objective:
         plain = params._replace(states=states, measurements=fixes, rule=(), feedback=(), adapter=())
         self.params = begin.apply_to(plain)
         rate, span = 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t))
-        self.filt = build("ekf15", self.rows, 5, history_for(self.params, rate, span), states=(RECEIVER_ERROR,))
+        history = history_for(self.params, rate, span, reach + delay.mean)
+        self.filt = build("ekf15", self.rows, 5, history, states=(RECEIVER_ERROR,))
         self.first = begin.t + min(WARM_UP_S, 0.25 * (end - begin.t))
         self.effective = (end - self.first) / CORRELATION_S
         position = rec.aiding["position"]
@@ -459,6 +461,7 @@ def scan_noise(
     initialization: Initialization | None = None,
     stop: float | None = None,
     outages: Sequence[Sequence[float]] = (),
+    reach: float = 0.0,
 ) -> NoiseScan:
     """Choose the IMU's white noise, the latency and the sd of the fixes by the likelihood of the innovations.
 
@@ -469,6 +472,7 @@ def scan_noise(
         initialization: by default `jaxnav.initialize`; after a long standstill the scan begins later.
         stop: s, end of the interval that the scan may use.
         outages: (start, end) s, windows whose fixes are hidden.
+        reach: s, of its filter's history beyond the known delay: runs with as much share its program.
 
     Returns:
         Factors on the root PSD of ``params.noise``, the latency (s), a factor on the stated sd of the fixes; factors
@@ -482,7 +486,8 @@ def scan_noise(
     begin = _in_motion(rec, params, begin, last)
     end = min(begin.t + WARM_UP_S + SCANNED_S, last)
     delay = known_delay(rec, params, end, outages)
-    objective = _Objective(rec, params, begin, end, outages, delay)
+    objective_to = lambda end: _Objective(rec, params, begin, end, outages, delay, reach)
+    objective = objective_to(end)
     fixes = int(objective.at(delay.mean).counted.sum())
     if fixes < MIN_FIXES:
         if objective.stated:
@@ -503,7 +508,7 @@ def scan_noise(
     if not objective.stated:
         seconds = min(RECEIVER_S, MAX_EPOCHS / max(fixes / (end - objective.first), 1e-3))
         later = min(objective.first + seconds, last)
-        wide = _Objective(rec, params, begin, later, outages, delay) if later > end else objective
+        wide = objective_to(later) if later > end else objective
         wide.scale = objective.scale
         objective.fixes, assumed = wide.best_receiver(found, wide.windows())
     if objective.fixes is not WHITE and delay.free:

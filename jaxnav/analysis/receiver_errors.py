@@ -188,7 +188,7 @@ def without_slow_errors(params: Params) -> Params:
     """Return parameters whose state of slow errors is none: all that the receiver states is white noise."""
     if RECEIVER_ERROR not in params.states:
         return params
-    none = StateParams(jnp.zeros(3), jnp.zeros(3), jnp.full(3, 150.0))
+    none = StateParams(jnp.zeros(3), jnp.zeros(3), jnp.full(3, 150.0, float))
     return params._replace(states=params.states | {RECEIVER_ERROR: none})
 
 

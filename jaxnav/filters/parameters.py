@@ -31,6 +31,7 @@ MOUNTING_UNITS = Mounting(
     Unit("deg", units.DEG, (2,), "deg", step=1.0 * units.DEG),
     Unit("m", 1.0, (3,), "m", step=0.2),
 )
+REACH_STEP_S = 0.1  # s, of what a history reaches back: 0.05, 0.15 and so on
 
 
 def get(tree: Any, name: str) -> Any:
@@ -260,9 +261,13 @@ def later(known: Params, by: float) -> Params:
 
 
 def history_for(known: Params, rate_hz: float, span: float, more: float = 0.0) -> int:
-    """IMU samples of history that reach back as far as the latest fix in ``span`` s of data, and ``more`` s."""
+    """IMU samples of history that reach back as far as the latest fix in ``span`` s of data, and ``more`` s.
+
+    Rounded up in steps of `REACH_STEP_S`, so that runs with about the same delay share their programs.
+    """
     offset = float(known.mounting.time_offset) + abs(float(known.mounting.clock_drift)) * span
     ages = [float(theta.latency) for theta in known.measurements.values() if hasattr(theta, "latency")]
     unsure = 3 * float(np.max(known.states["clock_offset"].sd)) if "clock_offset" in known.states else 0.0
     late = offset + max(ages, default=0.0) + more + unsure
-    return 2 + math.ceil(late * rate_hz + 1e-6) if late > 0 else 2
+    reach = REACH_STEP_S * (0.5 + max(0, math.ceil(late / REACH_STEP_S - 0.5 - 1e-9)))  # about zero as well as 0.3 s
+    return 2 + math.ceil(reach * rate_hz + 1e-6)

@@ -83,10 +83,11 @@ def stored(function: Callable[..., Any], static_argnums: Sequence[int] = (), onc
         if _Home.folder is None or not all(map(_is_plain, leaves)):
             return jitted(*args, **kwargs)
         key = *(args[i] for i in sorted(static) if i < len(args)), tree, tuple(map(_kind, leaves))
-        if key not in programs:
+        try:
+            program = programs[key]
+        except KeyError:  # another thread may drop all programs
             whole = lambda moving, kwargs: plain(*_merged(args, moving, static), **kwargs)
-            programs[key] = _program(_Home.folder, function, key, whole, leaves, options)
-        program = programs[key]
+            program = programs[key] = _program(_Home.folder, function, key, whole, leaves, options)
         if program is None:
             return jitted(*args, **kwargs)
         return jax.tree.unflatten(program.tree, list(map(_uncommitted, program.call(*leaves))))

@@ -15,7 +15,14 @@ from scipy.spatial.transform import Rotation
 from jaxnav.filters.run import initial_nav
 from jaxnav.initialization.alignment import rotation_at_end, window
 from jaxnav.initialization.bank import with_headings
-from jaxnav.initialization.initialize import KNOWN_HEADING_SD, Initialization, first_fix, ground_velocity, halfway
+from jaxnav.initialization.initialize import (
+    KNOWN_HEADING_SD,
+    UNCORRELATED,
+    Initialization,
+    first_fix,
+    ground_velocity,
+    halfway,
+)
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG, TICK
 from jaxnav.states.motion import A
@@ -59,6 +66,6 @@ def gone_back(rec: Recording, params: Params, begin: Initialization, smoothed: I
     navs = navs._replace(errors={name: jnp.asarray(b) for name, b in errors.items()})
     loose = 0.0 if "velocity" in rec.aiding else CHORD_SD
     attitude = np.maximum(WIDER * sd, LEAST_SD)
-    prior = Prior(*map(jnp.asarray, (sds[0], np.hypot(sds[1], loose), attitude)))
+    prior = Prior(*map(jnp.asarray, (sds[0], np.hypot(sds[1], loose), attitude, UNCORRELATED)))
     how = f"{begin.how}; smoothed from t = {first:.3f} s on"
     return Initialization(navs, prior, first, how, field=begin.field, earliest=begin.earliest)

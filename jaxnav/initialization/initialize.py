@@ -20,7 +20,7 @@ from jaxnav.initialization.pointing import MAX_HEADING_SD, MIN_TILT_SD, HeadingS
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG, TICK
 from jaxnav.states.grades import GRADES
-from jaxnav.states.table import BIASES
+from jaxnav.states.table import BIASES, STATES
 from jaxnav.types import ConfigError, DataError, ImuLog, Nav, Params, Prior, Recording, Samples
 
 
@@ -87,6 +87,7 @@ _rph, _moved = stored(rotations.to_rph), stored(earth.move)  # one program each,
 MIN_VELOCITY_SD = 0.1  # m/s, of an alignment: errors by scale factors, misalignment and thrust between fixes
 MAX_STREAM_OFFSET = 2.0  # s, at most, from the first position to the nearest velocity
 CHORD_S = 4.0  # s, over which 3 m of noise are 1 m/s
+UNCORRELATED = np.eye(12)  # of a prior: every start has some, so that runs from any of them share their programs
 
 
 class Initialization(NamedTuple):
@@ -102,8 +103,10 @@ class Initialization(NamedTuple):
     earliest: float = math.inf  # s, from which on it was looked for: a smoother goes back to there
 
     def apply_to(self, params: Params) -> Params:
-        """Return the parameters with the sd of this initialization as their prior."""
-        states = {name: params.states[name]._replace(sd=jnp.asarray(sd)) for name, sd in self.states.items()}
+        """Return the parameters with the sd of this initialization as their prior, one an axis for those of biases."""
+        sds = {name: params.states[name].sd for name in BIASES if name in params.states} | self.states
+        wide = lambda name, sd: jnp.broadcast_to(jnp.asarray(sd), (STATES[name].size,))
+        states = {name: params.states[name]._replace(sd=wide(name, sd)) for name, sd in sds.items()}
         params = params._replace(prior=self.prior, states=params.states | states)
         if self.field is None or "magnetometer" not in params.measurements:
             return params
@@ -202,7 +205,7 @@ def initialize(
     nav = initial_nav(lla, vel, at.rph, halfway(rec))._replace(t=jnp.asarray(t, float))
     angles = 2 * np.pi * np.arange(hypotheses) / hypotheses if at.unknown else np.array([at.rph[2]])
     navs = with_headings(nav, angles, rec.lever_arm)
-    attitude_sd, states, correlated = np.array([at.sd[0], at.sd[0], at.sd[1]]), {}, None
+    attitude_sd, states, correlated = np.array([at.sd[0], at.sd[0], at.sd[1]]), {}, UNCORRELATED
     if at.alignment is not None:
         found = at.alignment
         biases = {"gyro_bias": (found.gyro_bias, found.sd[3:6]), "accel_bias": (found.accel_bias, found.sd[6:9])}
@@ -212,12 +215,12 @@ def initialize(
         # a tilt in ENU axes turns with the heading: where that is not the alignment's, its correlations are left out
         if not at.unknown and at.heading_source is None:
             attitude_sd = np.maximum(found.sd[:3], MIN_TILT_SD)
-            correlated = jnp.asarray(correlation_root(_covariance(found, aligned_velocity)))
+            correlated = correlation_root(_covariance(found, aligned_velocity))
     prior = Prior(
         jnp.asarray(sd[0] if position_sd_m is None else position_sd_m, float),
         jnp.asarray(sd[1] if velocity_sd_mps is None else velocity_sd_mps, float),
         jnp.asarray(attitude_sd, float),
-        correlated,
+        jnp.asarray(correlated),
     )
     about = f"{hypotheses} hypotheses" if at.unknown else f"sd {at.sd[1] / DEG:.2g} deg"
     how = [f"starts at t = {t:.3f} s: {at.words} ({about})", *_remarks(at)]

@@ -276,10 +276,9 @@ def sheet(**timing):
 
 def test_history_covers_what_is_known_and_what_tuning_adds():
     stress = matched_params(SCENARIOS["gipkf_urban_stress"])  # 0.15 s late
-    assert history_for(stress, 10.0, 60.0) == 4
-    assert history_for(stress, 100.0, 60.0) >= 17
+    assert history_for(stress, 10.0, 60.0) == 4 and history_for(stress, 100.0, 60.0) == 2 + 16
     assert history_for(stress, 100.0, 60.0, parts.MAX_ADDED_DELAY_S) >= 2 + 100 * (0.15 + parts.MAX_ADDED_DELAY_S)
-    assert history_for(sheet(time_offset=-1.0), 100.0, 60.0) == 2
+    assert history_for(sheet(time_offset=-1.0), 100.0, 60.0) == history_for(sheet(), 100.0, 60.0) == 2 + 6
     assert history_for(sheet(clock_drift=-1e-3), 100.0, 60.0) >= 2 + 100 * 0.03
 
 

@@ -439,5 +439,5 @@ def test_history_reaches_back_as_far_as_a_fix_is_old():
     params = datasheet_params(GRADE)
     old = params.measurements["position"]._replace(latency=jnp.asarray(0.1))
     late = params._replace(measurements=params.measurements | {"position": old})
-    assert history_for(params, 100.0, 60.0) == 2 and history_for(late, 100.0, 60.0) == 13
-    assert history_for(late, 100.0, 60.0, 0.05) == 18
+    assert history_for(params, 100.0, 60.0) == 2 + 6 and history_for(late, 100.0, 60.0) == 2 + 16
+    assert history_for(late, 100.0, 60.0, 0.05) == 2 + 16 and history_for(late, 100.0, 60.0, 0.051) == 2 + 26

@@ -85,3 +85,15 @@ def test_it_goes_back_no_further_than_asked(rec):
     assert 20.0 <= sol.t[0] < 22.0
     left_out = smoothed(rec, outages=[(0.0, 6.0)])
     assert 6.0 < left_out.t[0] < 8.0
+
+
+@pytest.mark.full
+def test_all_starts_of_a_recording_share_one_program(rec):
+    """Runs from an alignment, from a stated heading and from the begin have parameters of the same shapes and types."""
+    aligned = initialize(rec, PARAMS)
+    stated = initialize(rec, PARAMS, heading=0.3)
+    nav = jax.tree.map(lambda a: np.asarray(a)[:1], aligned.navs)
+    back = gone_back(rec, PARAMS, aligned, SimpleNamespace(nav=nav, P=1e-8 * np.eye(15)[None]), aligned.t)
+    assert aligned.states and not stated.states and back is not None
+    kinds = [str(jax.tree.map(jax.typeof, begin.apply_to(PARAMS))) for begin in (aligned, stated, back)]
+    assert kinds[0] == kinds[1] == kinds[2]

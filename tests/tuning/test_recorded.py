@@ -30,7 +30,7 @@ from tests.tuning.tangents import gaussian
 from tuning.fit.status import Status
 from tuning.recordings import evidence, priors, recorded, report
 from tuning.recordings.evidence import Job
-from tuning.recordings.parts import PHASES, ages, parts_of, runs_of, windows_of
+from tuning.recordings.parts import MAX_ADDED_DELAY_S, PHASES, ages, parts_of, runs_of, windows_of
 from tuning.recordings.runs import Descent, score_of
 
 
@@ -151,14 +151,14 @@ def test_the_scan_sees_the_training_part_by_the_filters_measurements(rec, job, m
     make, _, layout = job
     seen = {}
 
-    def scan_noise(rec, params, *, initialization, stop):
-        seen.update(streams=set(rec.aiding), stop=stop)
+    def scan_noise(rec, params, *, initialization, stop, reach):
+        seen.update(streams=set(rec.aiding), stop=stop, reach=reach)
         return NoiseScan()
 
     monkeypatch.setattr(recorded, "scan_noise", scan_noise)
     own = make.use()
     recorded.scan(rec, own.datasheet, own.initialization, layout, GNSS[:1], lambda line: None)
-    assert seen == {"streams": {"position"}, "stop": layout.train}
+    assert seen == {"streams": {"position"}, "stop": layout.train, "reach": MAX_ADDED_DELAY_S}
 
 
 def test_nothing_after_the_training_part_enters(job):

@@ -282,7 +282,8 @@ def scan(
 ) -> NoiseScan:
     """Return the noise scan of a training part, by the filter's measurements alone."""
     aiding = {m.name: rec.aiding[m.name] for m in measurements if m.name in rec.aiding}
-    found = scan_noise(rec._replace(aiding=aiding), datasheet, initialization=begin, stop=layout.train)
+    seen = rec._replace(aiding=aiding)
+    found = scan_noise(seen, datasheet, initialization=begin, stop=layout.train, reach=MAX_ADDED_DELAY_S)
     for each in found.findings:
         log(f"{rec.name}: {line(each)}")
     return found

@@ -109,7 +109,7 @@ def solve(
     stop: float | None = None,
     check: Callable[[Recording], Corrections] = correct,
     log: Callable[[str], None] = lambda line: None,
-    so_far: Callable[[Solved], None] | None = None,
+    so_far: Callable[[Callable[[], Solved]], None] | None = None,
     limit: float = math.inf,
 ) -> Solved:
     """Find the best trajectory of a recording, without settings and without truth.
@@ -129,8 +129,9 @@ def solve(
         stop: s, end of the data.
         check: checks and corrects the recording, such as ``partial(tuning.solving.corrections.correct, kept=...)``.
         log: called with a line on each step.
-        so_far: called with answers before the best one, each better than the one before: by the datasheet with the
-            delay that alignments show, by the noise scan, by the chosen measurements; None: they are not computed.
+        so_far: called with functions that make answers before the best one, each better than the one before: by the
+            datasheet with the delay that alignments show, by the noise scan, by the chosen measurements. It may call
+            them in another thread, and the search goes on meanwhile. None: no such answer is made.
         limit: s; no step begins that cannot end in it, see the finding ``solve.time``.
 
     Raises:
@@ -156,13 +157,21 @@ def solve(
     rest = [NOISE, SCORES, *each, *([] if fast else [TUNE]), CALIBRATE, WHOLE]
     stages.replace([FIRST, *rest] if tested else [FIRST, NOISE])
     stages.next()
-    if so_far is not None or math.isfinite(limit):
-        first = partial(untested, *_first(filt, datasheet_of(filt), bench))
+    first: Callable[[], tuple[Solution, Params]] = partial(_first, filt, datasheet_of(filt), bench)
+    if math.isfinite(limit):
+        known = first()  # its time shows how fast the machine is
         if not stages.fits(NOISE, *([SCORES, CALIBRATE, WHOLE] if tested else [])):
             left = finding("solve.time", ", ".join(stage.name for stage in stages.stages[stages.done :]), limit=limit)
-            return first([*findings, left], "not tested: no time for it")
+            return untested(*known, [*findings, left], "not tested: no time for it")
+        first = lambda: known
+
+    def answer(made: Callable[[], tuple[Solution, Params]], gone: Set[str] = frozenset()) -> None:
+        """Offer an answer with what is known so far."""
         if so_far is not None:
-            so_far(first(findings, f"not tested yet: {stages.coming()}"))
+            said, why = tuple(findings), f"not tested yet: {stages.coming()}"
+            so_far(lambda: untested(*made(), said, why, gone=gone))
+
+    answer(first)
     if not tested:
         stages.next()
         return _short(filt, datasheet_of(filt), bench, smooth, findings, untested)
@@ -184,9 +193,8 @@ def solve(
     level = plain.get("auto", plain["datasheet"])
     run = partial(navigate, rec, scan=False, initialization=initialization, stop=stop, standing=standing,
                   outages=left_out)  # fmt: skip
-    if so_far is not None:
-        sol, coming = run(level.filter, level.params), f"not tested yet: {stages.coming()}"
-        so_far(untested(sol, level.params, findings, coming, gone=gone))
+    by_now = lambda filt, params: (run(filt, params, smooth=smooth), params)
+    answer(partial(by_now, level.filter, level.params), gone)
     count = next((k for k in range(len(each), 0, -1) if stages.fits(*each[:k], CALIBRATE, WHOLE)), 0)
     fast = fast or not stages.fits(*each[:count], TUNE, CALIBRATE, WHOLE)
     ends = [*each[:count], *([] if fast else [TUNE]), CALIBRATE, WHOLE]
@@ -198,9 +206,8 @@ def solve(
     final, start = choice.best, choice.applied(datasheet_of(choice.best.filter))
     tuned, params = None, found.applied(start)
     if not fast:
-        if so_far is not None and final is not level:
-            coming = f"not tested yet: {stages.coming()}"
-            so_far(untested(run(final.filter, params), params, findings, coming, gone=gone))
+        if final is not level:
+            answer(partial(by_now, final.filter, params), gone)
         stages.next()
         tuned = tune(
             bench.recording, final.filter, start, initialization=bench.begin, stop=bench.stop,

@@ -2,13 +2,14 @@
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from jaxnav.analysis.tables import table
+from jaxnav.app.aside import Aside
 from jaxnav.app.config import Config, as_dict, changed
 from jaxnav.app.config import Filter as FilterSection
 from jaxnav.app.jobs.filtering import draw, require_formats, summary, time_of
@@ -62,16 +63,18 @@ def run(job: Job, fast: bool, limit: float | None) -> Outcome:
     seconds["read"], begin = time.perf_counter() - begin, time.perf_counter()
     log = partial(timed, begin) if job.progress else lambda line: None
 
-    def so_far(found: Solved) -> None:
+    def so_far(make: Callable[[], Solved]) -> None:
+        found = make()
         job.publish(written(config, job.folder, found, dict(seconds)))
         log(f"an answer is in {job.out}: {in_words(found)}")
 
-    found = solve(
-        rec, partial(datasheet, config), adapter=adapter_name(config), fast=fast,
-        initialization=partial(initialization_of, config),
-        stop=config.data.stop, check=partial(corrected, config), log=log, so_far=so_far,
-        limit=math.inf if limit is None else limit - seconds["read"],
-    )  # fmt: skip
+    with Aside(so_far) as aside:
+        found = solve(
+            rec, partial(datasheet, config), adapter=adapter_name(config), fast=fast,
+            initialization=partial(initialization_of, config),
+            stop=config.data.stop, check=partial(corrected, config), log=log, so_far=aside,
+            limit=math.inf if limit is None else limit - seconds["read"],
+        )  # fmt: skip
     seconds["solve"] = time.perf_counter() - begin
     return written(config, job.folder, found, seconds)
 

@@ -81,7 +81,7 @@ def test_stated_sd_grow_by_the_factor_of_the_calibration(drive, monkeypatch):
     before, asked = [], []
     monkeypatch.setattr(solve, "clear_caches_if_needed", lambda: asked.append("solve"))
     monkeypatch.setattr(navigation, "clear_caches_if_needed", lambda: asked.append("navigate"))
-    found = solve.solve(drive, fast=True, smooth=False, so_far=before.append)
+    found = solve.solve(drive, fast=True, smooth=False, so_far=lambda make: before.append(make()))
     assert asked[0] == "solve" and asked.count("navigate") == 3  # so that many recordings fit into a process
     assert ["noise by likelihood" in each.why for each in before] == [True, False]
     one, two = (np.median(each.solution.sd[:, 0]) for each in before)
@@ -301,7 +301,7 @@ def test_a_short_recording_says_from_which_length_on_it_can_be_tested(drive):
         aiding={n: sample_rows(s, s.t < 20.0) for n, s in drive.aiding.items()},
     )
     before = []
-    found = solve.solve(short, so_far=before.append)
+    found = solve.solve(short, so_far=lambda make: before.append(make()))
     assert found.verdict == "usable with care" and found.tuned is None and found.calibration is None
     (first,) = before
     assert "not tested yet: noise by likelihood to come" in first.why and first.findings and not first.solution.smoothed

@@ -27,6 +27,7 @@ from jaxnav.filters.gaps import holes
 from jaxnav.filters.lanes import relative_variance, slow_errors
 from jaxnav.filters.parameters import earliest, history_for, installed, later
 from jaxnav.filters.run import first_failure, require_params, require_x64
+from jaxnav.filters.scores import mean_nis
 from jaxnav.filters.smoother import reach_of, smooth_jit
 from jaxnav.filters.standstill import Standing
 from jaxnav.findings import finding, line
@@ -378,8 +379,7 @@ def _from_the_begin(
     except (DataError, FilterError):
         return done
     new = longer.packed.t <= done.begin.t
-    nis, dof = np.asarray(longer.info.nis)[new].sum(), np.asarray(longer.info.valid)[new].sum()
-    return longer if nis <= MAX_NIS * max(dof, 1) else done
+    return done if mean_nis(longer.info, new) > MAX_NIS else longer
 
 
 def _chosen(about: Chosen) -> list[Finding]:

@@ -9,6 +9,7 @@ from jaxnav.analysis import metrics
 from jaxnav.analysis.plots import base as plots
 from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.filters.run import track
+from jaxnav.filters.scores import mean_nis
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import Measurement, clock_offset, layout
@@ -113,8 +114,7 @@ def innovation_metrics(info: Info, measurements: tuple[Measurement, ...]) -> dic
     bounds = {d: metrics.chi2_bounds(float(d)) for d in np.unique(dof[some]).tolist()}
     inside = [bounds[d][0] <= n <= bounds[d][1] for d, n in zip(dof[some].tolist(), info.nis[some])]
     share = float(np.mean(inside)) if inside else float("nan")
-    mean = float(info.nis[some].sum() / dof[some].sum()) if inside else float("nan")
-    return {"innovation_rms": rms, "nis_per_dof": mean, "nis_share_inside_95": share}
+    return {"innovation_rms": rms, "nis_per_dof": mean_nis(info, np.asarray(some)), "nis_share_inside_95": share}
 
 
 def figures(

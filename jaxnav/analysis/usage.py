@@ -8,6 +8,7 @@ import numpy as np
 from jaxnav.analysis import evaluate, metrics
 from jaxnav.checkup.inertial import noise_floor
 from jaxnav.filters.epochs import Packed
+from jaxnav.filters.scores import mean_nis
 from jaxnav.findings import finding
 from jaxnav.gnss import ranges
 from jaxnav.io.missing import UNMEASURED_SD
@@ -209,7 +210,7 @@ def nis_overall(info: Info) -> ChannelNis | None:
     if complete.sum() < 10:
         return None
     low, high = metrics.chi2_bounds(dof, 1, BOUND_PROBABILITY)
-    return ChannelNis(float(np.asarray(info.nis)[complete].sum() / dof), float(low / dof), float(high / dof), dof, 0.0)
+    return ChannelNis(mean_nis(info, complete), float(low / dof), float(high / dof), dof, 0.0)
 
 
 def as_json(uses: dict[str, Use], channels: dict[str, ChannelNis]) -> dict[str, Any]:

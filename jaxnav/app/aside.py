@@ -9,7 +9,7 @@ from typing import Any, Self
 class Aside:
     """Calls of a function in a thread, one after the other; all have ended where the ``with`` block has.
 
-    An error ends the job: at the next call, or with the block. Calls that have not begun are dropped where it fails.
+    An error ends the job: at the next call, or with the block. Where the block fails, calls that wait are dropped.
     """
 
     def __init__(self, function: Callable[[Any], None]) -> None:

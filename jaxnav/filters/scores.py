@@ -1,5 +1,6 @@
 """Scores of runs on lanes (`jaxnav.filters.lanes`) on the host: likelihoods and normalised squares, each once."""
 
+import math
 from functools import cache
 from typing import Any
 
@@ -90,6 +91,39 @@ def position_noise(params: Params, sd: Any, xp: Any = np, name: str = "position"
 def normalized(residual: np.ndarray, C: np.ndarray) -> np.ndarray:
     """Return the squares (...,) of residuals (..., k) in units of their covariance C (..., k, k)."""
     return np.einsum("...i,...i->...", residual, np.linalg.solve(C, residual[..., None])[..., 0])
+
+
+def squares(info: Any) -> np.ndarray:
+    """Return innovations squared over their variances (..., m), nan where nothing was measured.
+
+    Args:
+        info: runs (..., E, ...), a report or a record of lanes.
+    """
+    variance = np.diagonal(np.asarray(info.S), axis1=-2, axis2=-1)
+    return np.where(np.asarray(info.valid), np.asarray(info.nu) ** 2 / variance, np.nan)
+
+
+def nis_by_epoch(info: Any) -> np.ndarray:
+    """Return NIS over degrees of freedom (..., E) of each epoch, inf where nothing was measured."""
+    dof = np.asarray(info.valid).sum(-1)
+    return np.where(dof > 0, np.asarray(info.nis) / np.maximum(dof, 1), np.inf)
+
+
+def mean_nis(info: Any, epochs: np.ndarray, channels: np.ndarray | None = None) -> float:
+    """Return NIS over degrees of freedom of some epochs together; nan where nothing was measured in them.
+
+    Args:
+        info: of a run (E, ...).
+        epochs: (E,) bool.
+        channels: those that count, by index; None: all.
+    """
+    valid = np.asarray(info.valid)[epochs]
+    if channels is None:
+        nis = np.asarray(info.nis)[epochs]
+    else:
+        nu, S, valid = np.asarray(info.nu)[epochs], np.asarray(info.S)[epochs], valid[:, channels]
+        nis = normalized(nu[:, channels], S[:, channels[:, None], channels])
+    return float(nis.sum() / valid.sum()) if valid.any() else math.nan
 
 
 def masked_mean(values: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -2,18 +2,14 @@
 
 from types import SimpleNamespace
 
-import jax
 import numpy as np
 import pytest
 
-from jaxnav.analysis.windows import drift as windows_drift
-from jaxnav.filters import epochs as ep
-from jaxnav.filters.lanes import padded_shape
+from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.initialize import initialize
-from jaxnav.measurements import GNSS
 from tuning.recordings import faults
 from tuning.recordings.choice import choose
-from tuning.recordings.parts import Used, parts_of, plan, windows_of
+from tuning.recordings.experiment import experiments_of
 from tuning.recordings.report import Trial, ratios
 
 
@@ -56,16 +52,10 @@ def test_a_part_with_a_receiver_fault_is_named_and_does_not_judge(rec, ekf):
     moved = p.value + np.where((p.t > begin) & (p.t < begin + 3.0), 40.0 / 6.4e6, 0.0)[:, None] * [1.0, 0.0, 0.0]
     bad = rec._replace(aiding=rec.aiding | {"position": p._replace(value=moved)})
     begun = initialize(bad, ekf.params("adis16465"))
-    packed = ep.pack_recording(bad, GNSS, begun.t)
-    layout = plan(packed, 5.0)
-    windows = windows_of(packed, layout, padded_shape(packed.epochs)[0])
-    datasheet = begun.apply_to(ekf.params("adis16465"))
-    nav = jax.tree.map(lambda a: a[0], begun.navs)
-    _, info = windows_drift(ekf, datasheet, nav, packed.epochs, windows, GNSS)
-    used = Used(
-        bad.name, begun, datasheet, nav, packed, packed.epochs, layout, windows, parts_of(layout, windows), None
-    )
-    suspect = faults.suspect_windows(used, [datasheet], [info])
+    (experiment,) = experiments_of([bad], ekf, [begun], Standing(), window=5.0)
+    run = experiment.score(ekf, ekf.params("adis16465"))
+    used, windows = run.used, run.used.windows
+    suspect = faults.suspect_windows([run])
     kept, findings = faults.without_faults(used.parts, suspect, windows.start)
     assert [(f.code, f.subject) for f in findings] == [("tune.fault", "test")]
     assert kept["test"].sum() < used.parts["test"].sum()

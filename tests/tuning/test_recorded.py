@@ -13,13 +13,13 @@ from scipy import stats
 import tuning
 from jaxnav.analysis.noise_scan import NoiseScan
 from jaxnav.analysis.receiver_errors import Receiver
-from jaxnav.analysis.windows import drift as windows_drift
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.lanes import seen_by_position
 from jaxnav.filters.parameters import get, put
 from jaxnav.filters.run import FREEDOM, prepare, student_nll
 from jaxnav.filters.scores import gaussian_scale
+from jaxnav.filters.standstill import Standing
 from jaxnav.initialization.initialize import initialize
 from jaxnav.maths.units import DEG_PER_SQRT_HOUR, TICK
 from jaxnav.measurements import GNSS
@@ -28,7 +28,7 @@ from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import ConfigError, DataError, sample_rows
 from tests.tuning.tangents import gaussian
 from tuning.fit.status import Status
-from tuning.recordings import evidence, priors, recorded, report
+from tuning.recordings import experiment, priors, recorded, report
 from tuning.recordings.evidence import Job
 from tuning.recordings.parts import MAX_ADDED_DELAY_S, PHASES, ages, parts_of, runs_of, windows_of
 from tuning.recordings.runs import Descent, score_of
@@ -157,7 +157,8 @@ def test_the_scan_sees_the_training_part_by_the_filters_measurements(rec, job, m
 
     monkeypatch.setattr(recorded, "scan_noise", scan_noise)
     own = make.use()
-    recorded.scan(rec, own.datasheet, own.initialization, layout, GNSS[:1], lambda line: None)
+    (all_of,) = experiment.experiments_of([rec], build("ekf15", GNSS[:1]), [own.initialization], Standing())
+    recorded.scan(all_of._replace(layout=layout), own.datasheet, lambda line: None)
     assert seen == {"streams": {"position"}, "stop": layout.train, "reach": MAX_ADDED_DELAY_S}
 
 
@@ -224,7 +225,8 @@ def test_the_score_of_a_part_is_the_objective_but_for_heavy_tails(ekf, job):
     make, packed, layout = job
     mine, own = make(), make.use()
     evidence_ = mine.evidence(mine.flat)
-    _, info = windows_drift(ekf, own.datasheet, own.nav, own.epochs, own.windows, GNSS)
+    (run,) = experiment.scores(ekf, own, [own.datasheet])
+    info = run.info
     early = layout._replace(train=packed.start + layout.settle - 1e-3, validation=layout.train)
     moved = own._replace(layout=early, parts=own.parts | {"validation": own.parts["training"]})
     counts = (own.t > early.train) & (own.t <= early.validation + 1e-6) & ~own.windows.hidden
@@ -234,9 +236,9 @@ def test_the_score_of_a_part_is_the_objective_but_for_heavy_tails(ekf, job):
     student = np.asarray(jax.vmap(lambda q, m: student_nll(q, m, 6))(square * scale, m))
     student = student + 0.5 * (np.linalg.slogdet(S)[1] - m * np.log(scale))
     expected = float(evidence_[1].value / evidence_[1].number) + student.mean()
-    assert evidence.predicted([own.datasheet], [moved], [info]) == pytest.approx(expected, rel=1e-9)
+    assert experiment.predicted([run._replace(used=moved)]) == pytest.approx(expected, rel=1e-9)
     late = info._replace(ok=info.ok & (own.t < layout.train - 1.0))
-    assert evidence.predicted([own.datasheet], [moved], [late]) == np.inf
+    assert experiment.predicted([run._replace(used=moved, info=late)]) == np.inf
 
 
 def test_parts_do_not_meet(job):

@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxnav.filters.core import Filter
 from jaxnav.filters.lanes import CHUNK, LaneRecord, lanes, repeated, taken
 from jaxnav.filters.run import FREEDOM
-from jaxnav.filters.scores import gaussian_scale, innovation_nll, normalized, position_noise, residual_nll, student
+from jaxnav.filters.scores import gaussian_scale, position_noise, student
 from jaxnav.maths.units import TICK
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.measurement import tested_alone
@@ -181,71 +181,6 @@ def differences(a: np.ndarray, same: np.ndarray) -> np.ndarray:
     change = np.where(up, a[:, 1 : P + 1] - a[:, :1], 0.0) + np.where(down, a[:, :1] - a[:, P + 1 :], 0.0)
     slopes = change / (STEP * np.maximum(up.astype(int) + down, 1))
     return np.moveaxis(slopes, 1, 2).reshape(len(a) * a.shape[2], P, *a.shape[3:])
-
-
-def predicted(params: Sequence[Params], used: Sequence[Used], infos: Sequence[LaneRecord]) -> float:
-    """Return how badly a candidate predicts the validation parts of recordings.
-
-    Mean negative log-likelihood of an innovation, plus that of a hidden fix, both by a Student t, so that no fix counts
-    without bound.
-
-    Args:
-        params: the candidate's parameters in each recording.
-        used: the recordings.
-        infos: (P, E, ...) of its runs with hidden windows.
-    """
-    shown: list[list[np.ndarray]] = [[], []]
-    for fitted, u, info in zip(params, used, infos, strict=True):
-        part = (u.t > u.layout.train + TICK) & (u.t <= u.layout.validation + TICK)
-        counts = part & ~u.windows.hidden & np.asarray(info.valid).any(-1)
-        lost = not np.asarray(info.ok)[:, part].all()
-        innovations = innovation_nll(info)[counts]
-        hidden = hidden_fixes(fitted, u, info, u.parts["validation"]).nll()
-        for into, values in zip(shown, (innovations, hidden), strict=True):
-            into.append(np.where(lost, np.inf, np.asarray(values)))
-    return float(sum(np.mean(np.concatenate(values)) for values in shown))
-
-
-class HiddenFixes(NamedTuple):
-    """K hidden fixes of a run, at `tuning.recordings.parts.AGES` of its windows, and their predictions."""
-
-    residual: np.ndarray  # (K, 3) m or m/s, ENU, predicted minus measured
-    covariance: np.ndarray  # (K, 3, 3) m^2 or (m/s)^2, of the residual
-    age: np.ndarray  # (K,) s since the window's start
-
-    def nll(self) -> np.ndarray:
-        """Negative log-likelihood (K,) of each, by a Student t."""
-        return residual_nll(self.residual, self.covariance)
-
-    def nees(self) -> np.ndarray:
-        """Horizontal error squared over its covariance, (K,): chi-square of 2 degrees of freedom."""
-        return normalized(self.residual[:, :2], self.covariance[:, :2, :2])
-
-
-def hidden_fixes(
-    params: Params, used: Used, info: LaneRecord, mask: np.ndarray, velocity: slice | None = None
-) -> HiddenFixes:
-    """Return the hidden fixes of some windows: positions, or velocities.
-
-    Args:
-        params: parameters of the filter.
-        used: the recording.
-        info: (P, E, ...) runs with hidden windows.
-        mask: (W,) the windows.
-        velocity: channels of the velocity, for those of velocities; None: positions.
-    """
-    fix, windows = used.packed.epochs.fix, used.windows
-    name, place, residual, P = "position", slice(3), info.residual, info.P
-    if velocity is not None:
-        name, place, residual, P = "velocity", velocity, info.velocity, info.velocity_P
-    there = np.all(np.asarray(fix.valid)[:, place][:, :2], axis=1)
-    at, known = ages(windows, used.packed.t, there, mask, used.layout.window)
-    phase, column = np.nonzero(known)
-    epoch = at[phase, column]
-    noise = position_noise(params, np.asarray(fix.sd)[epoch, place], name=name)
-    begins = [windows.start[(windows.phase == p) & mask] for p in range(len(windows.hidden))]
-    age = [t - begins[p][begins[p] < t].max() for p, t in zip(phase, used.packed.t[epoch], strict=True)]
-    return HiddenFixes(residual[phase, epoch], P[phase, epoch] + noise, np.array(age))
 
 
 class Training(NamedTuple):

@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxnav.filters.lanes import LaneRecord
-from jaxnav.filters.scores import normalized, position_noise
+from jaxnav.filters.scores import nis_by_epoch, normalized, position_noise
 from jaxnav.findings import finding
-from jaxnav.types import Finding, Params
-from tuning.recordings.parts import Used
+from jaxnav.types import Finding
+from tuning.recordings.experiment import Scored
 
 BLOCK_S = 10.0  # s
 MAX_BLOCK_RATIO = 4.0  # times a candidate's median of NIS/dof, of a block, and at least that
@@ -34,9 +34,7 @@ def suspect_epochs(t: np.ndarray, infos: Sequence[LaneRecord]) -> np.ndarray:
     suspect = np.isfinite(t)
     block = np.where(suspect, np.floor((np.where(suspect, t, 0.0) - t[0]) / BLOCK_S), -1).astype(int)
     for info in infos:
-        dof = np.asarray(info.valid).sum(-1)
-        seen = dof > 0
-        ratio = np.where(seen, np.asarray(info.nis) / np.maximum(dof, 1), np.inf).min(0)  # of the runs that see it
+        ratio = nis_by_epoch(info).min(0)  # of the runs that see it
         there = np.isfinite(ratio) & (block >= 0)
         sums, counts = (np.bincount(block[there], w, block.max() + 1) for w in (ratio[there], None))
         mean = sums / np.maximum(counts, 1)
@@ -46,22 +44,21 @@ def suspect_epochs(t: np.ndarray, infos: Sequence[LaneRecord]) -> np.ndarray:
     return np.asarray(suspect)
 
 
-def suspect_windows(used: Used, params: Sequence[Params], infos: Sequence[LaneRecord]) -> np.ndarray:
+def suspect_windows(scored: Sequence[Scored]) -> np.ndarray:
     """Return the windows (W,) of a recording that judge nothing.
 
     Args:
-        used: the recording.
-        params: of each candidate that is not tuned.
-        infos: its runs (P, E, ...) with hidden windows.
+        scored: each candidate that is not tuned.
     """
+    used = scored[0].used
     windows, t = used.windows, used.t
-    times = t[suspect_epochs(t, infos)]
+    times = t[suspect_epochs(t, [s.info for s in scored])]
     near = [np.any((times > s - AROUND_S) & (times < t[e] + AROUND_S)) for s, e in zip(windows.start, windows.end)]
     lost = np.ones(len(windows.end), bool)
     sd = np.asarray(used.packed.epochs.fix.sd)[windows.end, :3]
-    for candidate, info in zip(params, infos, strict=True):
+    for s in scored:
         at = windows.phase, windows.end
-        square = normalized(info.residual[at], info.P[at] + position_noise(candidate, sd)) / 3
+        square = normalized(s.info.residual[at], s.info.P[at] + position_noise(s.params, sd)) / 3
         lost &= square > MAX_EPOCH_RATIO * max(1.0, float(np.median(square)))
     return np.array(near, bool) | lost
 

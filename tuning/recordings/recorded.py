@@ -21,46 +21,33 @@ drifts less over the hidden windows of training and validation. The winner is ju
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
 from jaxnav.analysis.receiver_errors import alike, without_slow_errors
-from jaxnav.analysis.windows import drifts
 from jaxnav.checkup.streams import velocity
-from jaxnav.filters import epochs as ep
-from jaxnav.filters.catalogue import with_history
+from jaxnav.filters.catalogue import rows, with_history
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
-from jaxnav.filters.lanes import RECEIVER_ERROR, LaneRecord, padded_shape, ready, taken
-from jaxnav.filters.parameters import history_for, installed, put, with_prior_of
+from jaxnav.filters.lanes import RECEIVER_ERROR
+from jaxnav.filters.parameters import installed, put, with_prior_of
 from jaxnav.filters.run import require_params, require_x64
 from jaxnav.filters.standstill import Standing
 from jaxnav.findings import finding, line
-from jaxnav.initialization.bank import most_probable
 from jaxnav.initialization.initialize import Initialization, initialize
-from jaxnav.maths.units import TICK
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import ConfigError, DataError, Finding, Params, Recording, sample_rows
 from tuning.recordings.choice import choose
-from tuning.recordings.evidence import Job, predicted
+from tuning.recordings.evidence import Job
+from tuning.recordings.experiment import Experiment, experiments_of, predicted, scores
 from tuning.recordings.faults import suspect_windows, without_faults
 from tuning.recordings.free import leaves_of
-from tuning.recordings.parts import (
-    MAX_ADDED_DELAY_S,
-    Layout,
-    Used,
-    blocks_of,
-    describe_parts,
-    parts_of,
-    plan,
-    pooled,
-    window_of,
-    windows_of,
-)
+from tuning.recordings.parts import MAX_ADDED_DELAY_S, Used, blocks_of, describe_parts, pooled
 from tuning.recordings.priors import PRIORS, kind_of, spec_of
 from tuning.recordings.report import (
     MIN_WINDOWS,
@@ -90,7 +77,7 @@ FAR_SIGMAS = 2.0  # sd of a prior beyond which a parameter is said to be far
 
 
 def tune(
-    rec: Recording | Sequence[Recording],
+    rec: Recording | Sequence[Recording] | Sequence[Experiment],
     filt: Filter,
     params: Params | Sequence[Params],
     *,
@@ -113,7 +100,8 @@ def tune(
     """Tune ``params`` (such as ``filt.params("consumer")``, the datasheet) on a recording, or on several together.
 
     Args:
-        rec: a recording, or several, each with an initialization.
+        rec: a recording, or several, each with an initialization; or experiments on them, whose start and windows
+            count.
         filt: the filter.
         params: the datasheet, ``filt.params("consumer")``; one for each recording where lever arms differ.
         free: groups of `tuning.recordings.free.groups`, dotted leaves or their keys; one value for all recordings.
@@ -141,10 +129,13 @@ def tune(
     """
     clear_caches_if_needed()
     several = lambda value: type(value) in (list, tuple)  # each of them is a named tuple itself
-    recs: list[Any] = list(rec) if several(rec) else [rec]
+    given: list[Any] = list(rec) if several(rec) else [rec]
+    experiments: list[Experiment] = given if all(isinstance(each, Experiment) for each in given) else []
+    recs: list[Recording] = [x.recording for x in experiments] or given
     datasheets: list[Any] = list(params) if several(params) else [params] * len(recs)
-    given: Any = initialization
-    begins: list[Any] = list(given) if several(given) and given is not None else [given] * len(recs)
+    starts: Any = initialization
+    begins: list[Any] = list(starts) if several(starts) else [starts] * len(recs)
+    begins = [x.begin for x in experiments] or begins
     if not recs or not len(recs) == len(datasheets) == len(begins):
         raise ValueError(
             f"{len(recs)} recordings, {len(datasheets)} params and {len(begins)} initializations: expected one each"
@@ -153,7 +144,6 @@ def tune(
         require_params(filt, datasheet)
     datasheets = [installed(p, r.lever_arm) for r, p in zip(recs, datasheets, strict=True)]
     require_x64(datasheets[0])
-    chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     begins = [initialize(r, p) if b is None else b for r, p, b in zip(recs, datasheets, begins, strict=True)]
     separate = leaves_of(filt, datasheets[0], per_recording, "per_recording")
     if separate and how is not None:
@@ -161,19 +151,14 @@ def tune(
     warnings = clocks(recs, begins) if DELAY not in separate else []
     for warning in warnings:
         log(line(warning))
-    cut = [ep.pack_recording(r, chosen, b.t, 0.0, stop, standing) for r, b in zip(recs, begins, strict=True)]
-    window = window_of(cut) if window is None else window
-    satellites = tuple(np.atleast_1d(hidden_satellites).tolist())
-    layouts = [plan(packed, window)._replace(satellites=satellites) for packed in cut]
+    if not experiments:
+        satellites = tuple(np.atleast_1d(hidden_satellites).tolist())
+        experiments = experiments_of(recs, filt, begins, standing, stop, window, satellites)
     if scans is None and not set(SCANNED) & set(leaves_of(filt, datasheets[0], free)):
         scans = [NoiseScan()] * len(recs)
     elif scans is None:
-        scans = [scan(*each, chosen, log) for each in zip(recs, datasheets, begins, layouts, strict=True)]
-    samples = max(
-        history_for(s.applied(p), 1 / float(np.median(r.imu.dt)), float(np.ptp(r.imu.t)), MAX_ADDED_DELAY_S)
-        for r, p, s in zip(recs, datasheets, scans, strict=True)
-    )
-    filt = with_history(filt, samples)
+        scans = [scan(x, sheet, log) for x, sheet in zip(experiments, datasheets, strict=True)]
+    filt = with_history(filt, max(x.reaching(s.applied(p)).history for x, p, s in zip(experiments, datasheets, scans)))
     if "measurements.position.scale" not in separate:
         scans = [s._replace(receiver=r) for s, r in zip(scans, alike([s.receiver for s in scans]), strict=True)]
     shared = 1.0 if SCALE in leaves_of(filt, datasheets[0], free) else max(s.scale for s in scans)
@@ -183,7 +168,9 @@ def tune(
     filt = wide[0][0] if slowly else filt
     slow = bool(slowly) and RECEIVER_ERROR in filt.model.states
     bases = [without_slow_errors(p) for _, p in wide] if slow else datasheets
-    used = prepare_recordings(recs, filt, bases, begins, cut, layouts, log)
+    used = [x.use(filt, base) for x, base in zip(experiments, bases, strict=True)]
+    for u in used:
+        log((f"{u.name}: " if len(used) > 1 else "") + describe_parts(u.layout, u.parts, u.packed))
     known = [u._replace(datasheet=stays(s, u.datasheet, slow)) for u, s in zip(used, scans, strict=True)]
     parts = pooled(used)
     for name, mask in parts.items():
@@ -202,57 +189,81 @@ def tune(
     auto = job.numbers([each.applied(u.datasheet) for each, u in zip(scans, used, strict=True)])
     centre = job.numbers([initialized(*each) for each in zip(scans, used, recs, strict=True)])
     job.centre_delays(centre)
-    found, jobs = {"datasheet": white.flat}, {"datasheet": white}
+    stated = datasheets if plain is not filt else [white.params(white.flat, r) for r in range(len(used))]
+    candidates = {"datasheet": Candidate(white, white.flat, plain, stated)}
     if any(each.fixes for each in scans):
-        found["auto"], jobs["auto"] = auto, job
+        candidates["auto"] = Candidate(job, auto, filt, job.each(auto))
     search_tuned = partial(search, checkpoints=checkpoints) if how is None else partial(descent, how=how)
-    found["tuned"], status = search_tuned("tuned", job, centre, history, log)
-    jobs["tuned"] = job
+    best, status = search_tuned("tuned", job, centre, history, log)
+    candidates["tuned"] = Candidate(job, best, filt, job.each(best))
     log("scoring the candidates on hidden windows")
-    offs = dict(zip(found, level_drift(jobs, found, chosen), strict=True))
-    params_of = lambda name: jobs[name].each(found[name])
-    first = [name for name in ("datasheet", "auto") if name in offs]
-    suspect = [
-        suspect_windows(u, [params_of(name)[r] for name in first], [offs[name][1][r] for name in first])
-        for r, u in enumerate(used)
-    ]
-    parts, faults = without_faults(parts, np.concatenate(suspect), np.concatenate([u.starts for u in used]))
-    warnings = [*warnings, *faults]
+    # a datasheet knows nothing of slow errors
+    priors_of = [d._replace(states={n: s for n, s in d.states.items() if not slow or n != RECEIVER_ERROR})
+                 for d in datasheets]  # fmt: skip
+    found = judged(candidates, parts, priors_of)
+    return replace(
+        found, findings=[*warnings, *found.findings], history=history, status=status,
+        effective=job.effective if how is None else math.nan,
+    )  # fmt: skip
+
+
+# ---------------------------------------------------------------------------- candidates
+
+
+class Candidate(NamedTuple):
+    """Numbers of an objective, and what they stand for."""
+
+    job: Job
+    flat: jax.Array  # (G,)
+    filter: Filter  # that other runs take
+    params: list[Params]  # for it, of each recording
+
+
+def judged(candidates: Mapping[str, Candidate], parts: Mapping[str, np.ndarray], datasheets: Sequence[Params]) -> Tuned:
+    """Score candidates on the hidden windows of all recordings, choose one and judge it on the test.
+
+    Args:
+        candidates: by name, the datasheet the first.
+        parts: masks (W,) of the windows of all recordings, one after the other.
+        datasheets: of each recording, with the priors that kept parameters have.
+    """
+    job = candidates["datasheet"].job
+    used, filt, chosen = job.used, job.filt, rows(job.filt.model.measurements)
+    params_of = lambda r: [each.job.params(each.flat, r) for each in candidates.values()]
+    runs = [scores(filt, u, params_of(r)) for r, u in enumerate(used)]
+    scored = dict(zip(candidates, map(list, zip(*runs, strict=True)), strict=True))
+    drift = {name: np.concatenate([s.horizontal for s in each]) for name, each in scored.items()}
+    untuned = [scored[name] for name in ("datasheet", "auto") if name in scored]
+    suspect = np.concatenate([suspect_windows(each) for each in zip(*untuned, strict=True)])
+    parts, faults = without_faults(parts, suspect, np.concatenate([u.starts for u in used]))
     split = np.cumsum([len(u.starts) for u in used])[:-1]
-    by_recording = [dict(zip(parts, each)) for each in zip(*(np.split(mask, split) for mask in parts.values()))]
-    judged = [u._replace(parts=each) for u, each in zip(used, by_recording, strict=True)]
-
-    def kept_of(name: str) -> list[Params]:
-        """Return parameters for other runs; the datasheet's without slow errors, which it knows nothing of."""
-        each = datasheets if plain is not filt and name == "datasheet" else params_of(name)
-        stated = [d._replace(states={n: s for n, s in d.states.items() if not slow or n != RECEIVER_ERROR})
-                  for d in datasheets]  # fmt: skip
-        return [with_prior_of(p, d, spec) for p, d in zip(each, stated, strict=True)]
-
+    masks = [dict(zip(parts, each)) for each in zip(*(np.split(mask, split) for mask in parts.values()))]
     left = np.concatenate([u.windows.kept for u in used])
-    filter_of = lambda name: plain if name == "datasheet" else filt
+    kept = {
+        name: [with_prior_of(p, d, job.spec) for p, d in zip(each.params, datasheets, strict=True)]
+        for name, each in candidates.items()
+    }
     trials = {
         name: Trial(
-            filter_of(name), kept_of(name)[0], off[0], ratios(offs["datasheet"][0], off[0], parts, left),
-            predicted(params_of(name), judged, off[1]),
+            each.filter, kept[name][0], drift[name], ratios(drift["datasheet"], drift[name], parts, left),
+            predicted([s.judging(mask) for s, mask in zip(scored[name], masks, strict=True)]),
         )
-        for name, off in offs.items()
+        for name, each in candidates.items()
     }  # fmt: skip
     best = choose(trials, parts, blocks_of(used))
     test, blocks = parts["test"], blocks_of(used)[parts["test"]]
     gain = None
-    if best != "datasheet" and np.unique(blocks).size >= MIN_WINDOWS and np.isfinite(offs[best][0]).all():
-        gain = paired_gain(offs["datasheet"][0][test], offs[best][0][test], blocks)
-    interval = block_ratio(offs["datasheet"][0][test], offs[best][0][test], blocks)
+    if best != "datasheet" and np.unique(blocks).size >= MIN_WINDOWS and np.isfinite(drift[best]).all():
+        gain = paired_gain(drift["datasheet"][test], drift[best][test], blocks)
+    interval = block_ratio(drift["datasheet"][test], drift[best][test], blocks)
     late = [u.t > u.layout.validation for u in used]
-    nis = {name: channels(off[1], late, chosen) for name, off in offs.items()}
-    scores = {name: spread(off[0][test]) for name, off in offs.items()}
-    reported = reported_candidate(best)
+    nis = {name: channels([s.info for s in each], late, chosen) for name, each in scored.items()}
+    spreads = {name: spread(off[test]) for name, off in drift.items()}
+    shown = candidates[reported_candidate(best)]
     return Tuned(
-        trials[best].params, kept_of(best), trials[best].filter, best, verdict(best, trials, scores, parts, interval),
-        table(jobs[reported], found[reported]), trials, used, parts, int(np.unique(blocks).size), gain, scores, nis,
-        jobs[best].spec, warnings, history, status, job.effective if how is None else math.nan,
-        interval,
+        trials[best].params, kept[best], trials[best].filter, best, verdict(best, trials, spreads, parts, interval),
+        table(shown.job, shown.flat), trials, used, parts, int(np.unique(blocks).size), gain, spreads, nis,
+        candidates[best].job.spec, faults, interval=interval,
     )  # fmt: skip
 
 
@@ -272,18 +283,11 @@ def clocks(recs: Sequence[Recording], begins: Sequence[Initialization]) -> list[
     ]
 
 
-def scan(
-    rec: Recording,
-    datasheet: Params,
-    begin: Initialization,
-    layout: Layout,
-    measurements: tuple[Any, ...],
-    log: Callable[[str], None],
-) -> NoiseScan:
+def scan(experiment: Experiment, datasheet: Params, log: Callable[[str], None]) -> NoiseScan:
     """Return the noise scan of a training part, by the filter's measurements alone."""
-    aiding = {m.name: rec.aiding[m.name] for m in measurements if m.name in rec.aiding}
-    seen = rec._replace(aiding=aiding)
-    found = scan_noise(seen, datasheet, initialization=begin, stop=layout.train, reach=MAX_ADDED_DELAY_S)
+    rec, begin, end = experiment.recording, experiment.begin, experiment.layout.train
+    seen = rec._replace(aiding={m.name: rec.aiding[m.name] for m in experiment.measurements if m.name in rec.aiding})
+    found = scan_noise(seen, datasheet, initialization=begin, stop=end, reach=MAX_ADDED_DELAY_S)
     for each in found.findings:
         log(f"{rec.name}: {line(each)}")
     return found
@@ -316,45 +320,6 @@ def initialized(scan: NoiseScan, used: Used, rec: Recording) -> Params:
     if late and "velocity" in params.measurements:
         params = put(params, VELOCITY_DELAY, params.measurements["velocity"].latency + late[0])
     return params
-
-
-def prepare_recordings(
-    recs: Sequence[Recording], filt: Filter, datasheets: Sequence[Params], begins: Sequence[Initialization],
-    cut: Sequence[ep.Packed], layouts: Sequence[Layout], log: Callable[[str], None],
-) -> list[Used]:  # fmt: skip
-    """Return every recording with its epochs grown to one size, so that one program serves them all, and its parts."""
-    E, K = np.max([padded_shape(p.epochs) for p in cut], 0).tolist()
-    used = []
-    for rec, params, begin, packed, layout in zip(recs, datasheets, begins, cut, layouts, strict=True):
-        windows = windows_of(packed, layout, E)
-        parts = parts_of(layout, windows)
-        log((f"{rec.name}: " if len(recs) > 1 else "") + describe_parts(layout, parts, packed))
-        datasheet = begin.apply_to(params)
-        train = taken(packed.epochs, slice(int(np.searchsorted(packed.t, layout.train + TICK))))
-        nav = most_probable(filt, datasheet, begin.navs, train)
-        epochs = ready(filt, datasheet, nav, packed.epochs, (E, K))
-        used.append(Used(rec.name, begin, datasheet, nav, packed, epochs, layout, windows, parts, rec.truth))
-    return used
-
-
-# ---------------------------------------------------------------------------- candidates
-
-
-def level_drift(
-    jobs: Mapping[str, Job], flats: Mapping[str, jax.Array], measurements: tuple[Any, ...]
-) -> list[tuple[np.ndarray, list[LaneRecord]]]:
-    """Horizontal drift (W,) m at the windows' ends of all recordings, and the runs (P, E, ...), of each candidate."""
-    job = next(iter(jobs.values()))
-    each = [
-        drifts(job.filt, [jobs[name].params(flat, r) for name, flat in flats.items()], u.nav, u.epochs, u.windows,
-               measurements)
-        for r, u in enumerate(job.used)
-    ]  # fmt: skip
-    level = lambda error: np.hypot(error[:, 0], error[:, 1])
-    return [
-        (np.concatenate([level(error) for error, _ in runs]), [record for _, record in runs])
-        for runs in zip(*each, strict=True)
-    ]
 
 
 # ---------------------------------------------------------------------------- in words

@@ -17,6 +17,7 @@ from jaxnav.filters.border import TABLES, in_user_units, name_of, nested, noise_
 from jaxnav.filters.core import Filter
 from jaxnav.filters.lanes import LaneRecord
 from jaxnav.filters.parameters import get
+from jaxnav.filters.scores import squares
 from jaxnav.io import atomic_write
 from jaxnav.io.json import to_json, write_json
 from jaxnav.io.toml import to_toml
@@ -192,13 +193,11 @@ def channels(
     infos: Sequence[Info | LaneRecord], part: Sequence[np.ndarray], measurements: Sequence[Measurement]
 ) -> dict[str, float]:
     """Return the normalised innovations squared by channel over all runs (B, E, ...), in the epochs (E,) of a part."""
-    flat = lambda a: np.asarray(a).reshape(-1, a.shape[-1])
-    valid = np.concatenate([flat(np.asarray(i.valid) & mask[:, None]) for i, mask in zip(infos, part, strict=True)])
-    square = np.concatenate(
-        [flat(np.asarray(i.nu) ** 2 / np.diagonal(np.asarray(i.S), axis1=-2, axis2=-1)) for i in infos]
-    )
+    each = [squares(info)[:, mask] for info, mask in zip(infos, part, strict=True)]
+    square = np.concatenate([a.reshape(-1, a.shape[-1]) for a in each])
     names = [f"{m.name} {axis}" for m in measurements for axis in m.channels]
-    return {n: float(square[valid[:, i], i].mean()) for i, n in enumerate(names) if valid[:, i].any()}
+    there = np.isfinite(square)
+    return {n: float(square[there[:, i], i].mean()) for i, n in enumerate(names) if there[:, i].any()}
 
 
 # ---------------------------------------------------------------------------- the table

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import binom
 
+from tuning.recordings.experiment import Scored
 from tuning.recordings.parts import AGES
-from tuning.solving.hidden import Scored
 
 CHI2_95 = 5.991  # of 2 degrees of freedom
 MIN_ERROR_OVER_SD = 0.7  # of sd that are not too large

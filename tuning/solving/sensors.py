@@ -10,14 +10,15 @@ from jaxnav.checkup.support import Option
 from jaxnav.filters.catalogue import changed, rows, with_states
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import get, has, put
+from jaxnav.filters.scores import squares
 from jaxnav.filters.standstill import Standing
 from jaxnav.findings import finding
 from jaxnav.maths.units import DEG, TICK
 from jaxnav.measurements import GNSS, MEASUREMENTS, layout
 from jaxnav.types import Finding, Params
+from tuning.recordings.experiment import Experiment, Scored
 from tuning.recordings.parts import blocks_of
 from tuning.recordings.validation import block_ratio, drifts_less
-from tuning.solving.hidden import Bench, Scored
 
 SDS = (1.0, 3.0, 10.0)  # times the stated sd, that a measurement is tried with: its errors last, those of noise do not
 MAX_GROWTH = 1.5  # of an sd, that innovations may ask for beyond those that are taken
@@ -61,7 +62,7 @@ def standing_of(found: Sequence[Finding]) -> Standing:
 
 
 def choose(
-    bench: Bench, plain: Scored, params_of: Callable[[Filter], Params], tried: Sequence[Option],
+    experiment: Experiment, plain: Scored, params_of: Callable[[Filter], Params], tried: Sequence[Option],
     begin: Callable[[], None] = lambda: None,
 ) -> Choice:  # fmt: skip
     """Add measurements one after the other, each if it predicts better than without it.
@@ -72,7 +73,7 @@ def choose(
     in three dimensions by more than chance, and a higher likelihood of the hidden fixes of the validation part.
 
     Args:
-        bench: the recording and its windows.
+        experiment: the recording and its windows.
         plain: the filter without them.
         params_of: parameters of a filter, such as the datasheet with the scan's noise.
         tried: in their order.
@@ -87,7 +88,7 @@ def choose(
         names = {*best.filter.model.measurements, *option.measurements}
         filt = changed(best.filter, measurements=tuple(name for name in MEASUREMENTS if name in names))
         filt = with_states(filt, *option.states)
-        new, own, row = _tried(option, best, bench, filt, params_of(filt), factors | dict(option.factors))
+        new, own, row = _tried(option, best, experiment, filt, params_of(filt), factors | dict(option.factors))
         done.append(row)
         if row.taken:
             best, factors = new, own
@@ -95,13 +96,13 @@ def choose(
 
 
 def _tried(
-    option: Option, before: Scored, bench: Bench, filt: Filter, params: Params, own: dict[str, float]
+    option: Option, before: Scored, experiment: Experiment, filt: Filter, params: Params, own: dict[str, float]
 ) -> tuple[Scored, dict[str, float], Tried]:
     """Return the likeliest run with an option of those that are taken, else of all, its factors, and what it did."""
     leaves = [sd_leaf(params, name) for name in option.measurements]
     for _ in range(1 + ROUNDS):
         each = [own | {leaf: k * own.get(leaf, 1.0) for leaf in leaves} for k in (SDS if leaves else SDS[:1])]
-        runs = bench.scores(filt, [larger(params, factors) for factors in each])
+        runs = experiment.scores(filt, [larger(params, factors) for factors in each])
         times = [factors[leaves[0]] if leaves else 1.0 for factors in each]
         done = [compare(option, before, run)._replace(sd=sd) for run, sd in zip(runs, times, strict=True)]
         ways = list(zip(runs, each, done, strict=True))
@@ -139,10 +140,10 @@ def growth(run: Scored) -> dict[str, float]:
     used, info, found = run.used, run.info, dict[str, float]()
     places = layout(rows(run.filter.model.measurements))
     counts = (used.t <= used.layout.train) & ~used.windows.hidden
-    square = np.asarray(info.nu) ** 2 / np.diagonal(np.asarray(info.S), axis1=-2, axis2=-1)
+    square = squares(info)[counts]
     for name, place in places.items():
-        own = np.asarray(info.valid)[..., place] & counts[..., None]
-        nis = float(square[..., place][own].mean()) if own.any() else 0.0
+        own = square[:, place][np.isfinite(square[:, place])]
+        nis = float(own.mean()) if own.size else 0.0
         if nis > MIN_NIS:
             found[sd_leaf(run.params, name)] = nis**0.5
     return found

@@ -14,34 +14,33 @@ from jaxnav.analysis.noise_scan import NoiseScan, known_delay, stated_scale
 from jaxnav.analysis.receiver_errors import Receiver, receiver, stated, without_slow_errors
 from jaxnav.checkup import checkup
 from jaxnav.checkup.support import options
-from jaxnav.filters import epochs as ep
 from jaxnav.filters.adapters.adapter import Adapter
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import installed, later
-from jaxnav.filters.scores import normalized
+from jaxnav.filters.scores import mean_nis
 from jaxnav.filters.standstill import Standing
 from jaxnav.findings import KINDS, finding
 from jaxnav.initialization.initialize import Initialization, initialize, require_positions
 from jaxnav.maths.units import PPM
-from jaxnav.measurements import GNSS, MEASUREMENTS, Measurement, layout
+from jaxnav.measurements import GNSS, Measurement, layout
 from jaxnav.navigation import MAX_EARLY_S, Solution, navigate, not_early
 from jaxnav.types import Finding, Info, Params, Recording
 from tuning.fit.status import Status
+from tuning.recordings.experiment import Experiment, Scored, experiments_of
 from tuning.recordings.faults import suspect_windows, without_faults
-from tuning.recordings.parts import parts_of, plan, window_of, windows_of
 from tuning.recordings.recorded import scan, tune
 from tuning.recordings.report import Tuned
 from tuning.solving.calibration import Calibration, calibrate
 from tuning.solving.corrections import DRIFT, Corrections, correct
-from tuning.solving.hidden import COV_STRIDE, Bench, Scored
 from tuning.solving.sensors import Tried, choose, finding_of, standing_of
 from tuning.solving.settled import settled
 from tuning.solving.stages import Stage, Stages
 from tuning.solving.stretches import Stretch, as_likely, faulty_stretches, finding_of_jump, jumps_of, without
 from tuning.solving.stretches import finding_of as finding_of_fault
 
+COV_STRIDE = 5  # IMU samples per point of the error dynamics, as in the configuration
 CONSISTENT, CARE, UNUSABLE = "consistent", "usable with care", "not usable"
 NIS_LIMITS = 0.7, 1.4  # of a consistent solution, on the test part
 MORE_EARLY_S = 0.05  # s, by which fixes may be earlier than the check found
@@ -147,20 +146,20 @@ def solve(
     names = [m.name for m in GNSS if m.name in rec.aiding]
     filt = build("ekf15", names, COV_STRIDE, adapter=adapter)
     datasheet_of = lambda f: installed(checked.clock(datasheet(f)), rec.lever_arm)
-    bench_of = partial(_bench, filt, datasheet_of(filt), initialization, standing, stop)
-    bench, tested = bench_of(rec)
+    begin = initialization(rec, datasheet_of(filt))
+    (experiment,) = experiments_of([rec], filt, [begin], standing, stop)
     findings = [*checked.applied, *(f for f in checked.found if f.warns)]
-    untested = partial(_untested, settings=checked.settings, standing=standing, window=bench.layout.window,
+    untested = partial(_untested, settings=checked.settings, standing=standing, window=experiment.layout.window,
                        early=rec.early)  # fmt: skip
     tried_ones = options(rec, checked.found)
     each = [Stage(", ".join(option.names), OPTION_WEIGHT) for option in tried_ones]
     rest = [NOISE, SCORES, *each, *([] if fast else [TUNE]), CALIBRATE, WHOLE]
-    stages.replace([FIRST, *rest] if tested else [FIRST, NOISE])
+    stages.replace([FIRST, *rest] if experiment.tested else [FIRST, NOISE])
     stages.next()
-    first: Callable[[], tuple[Solution, Params]] = partial(_first, filt, datasheet_of(filt), bench)
+    first: Callable[[], tuple[Solution, Params]] = partial(_first, filt, datasheet_of(filt), experiment)
     if math.isfinite(limit):
         known = first()  # its time shows how fast the machine is
-        if not stages.fits(NOISE, *([SCORES, CALIBRATE, WHOLE] if tested else [])):
+        if not stages.fits(NOISE, *([SCORES, CALIBRATE, WHOLE] if experiment.tested else [])):
             left = finding("solve.time", ", ".join(stage.name for stage in stages.stages[stages.done :]), limit=limit)
             return untested(*known, [*findings, left], "not tested: no time for it")
         first = lambda: known
@@ -172,23 +171,26 @@ def solve(
             so_far(lambda: untested(*made(), said, why, gone=gone))
 
     answer(first)
-    if not tested:
+    if not experiment.tested:
         stages.next()
-        return _short(filt, datasheet_of(filt), bench, smooth, findings, untested)
+        return _short(filt, datasheet_of(filt), experiment, initialization, smooth, findings, untested)
     stages.next()
-    found, bench, plain = _untuned(filt, datasheet_of, bench, stages.next, log)
+    found, experiment, plain = _untuned(filt, datasheet_of, experiment, stages.next, log)
     gone: set[str] = set()
     jumps = jumps_of(best := plain.get("auto", plain["datasheet"]))
     left_out, gain = faulty_stretches(best, jumps)
-    healthy, tested = bench_of(without(rec, left_out), left_out) if left_out else (bench, False)
-    if tested:
-        found, bench, plain = _untuned(filt, datasheet_of, healthy, lambda: None, log)
-        gone = {f.code for f in checked.found} - {f.code for f in checkup(bench.recording)}  # those of the fault
+    healthy = without(rec, left_out)
+    other = (
+        experiment.without(left_out, healthy, initialization(healthy, datasheet_of(filt))) if left_out else experiment
+    )
+    if left_out and other.tested:
+        found, experiment, plain = _untuned(filt, datasheet_of, other, lambda: None, log)
+        gone = {f.code for f in checked.found} - {f.code for f in checkup(experiment.recording)}  # those of the fault
         findings.append(finding_of_fault(left_out, gain))
         jumps = as_likely(jumps, gain) or jumps_of(plain.get("auto", plain["datasheet"]))
     else:
         left_out = []
-    bench, plain, suspect = _without_faults(bench, plain)
+    experiment, plain, suspect = _without_faults(experiment, plain)
     findings += [*found.findings, *suspect, *map(finding_of_jump, jumps)]
     level = plain.get("auto", plain["datasheet"])
     run = partial(navigate, rec, scan=False, initialization=initialization, stop=stop, standing=standing,
@@ -201,7 +203,7 @@ def solve(
     if skipped := [stage.name for stage in stages.stages[stages.done :] if stage not in ends]:
         findings.append(finding("solve.time", ", ".join(skipped), limit=limit))
     stages.replace(ends)
-    choice = choose(bench, level, lambda f: found.applied(datasheet_of(f)), tried_ones[:count], stages.next)
+    choice = choose(experiment, level, lambda f: found.applied(datasheet_of(f)), tried_ones[:count], stages.next)
     findings += [finding_of(row) for row in choice.tried]
     final, start = choice.best, choice.applied(datasheet_of(choice.best.filter))
     tuned, params = None, found.applied(start)
@@ -209,17 +211,13 @@ def solve(
         if final is not level:
             answer(partial(by_now, final.filter, params), gone)
         stages.next()
-        tuned = tune(
-            bench.recording, final.filter, start, initialization=bench.begin, stop=bench.stop,
-            window=bench.layout.window,
-            standing=standing, scans=[found], log=log,
-        )  # fmt: skip
+        tuned = tune([experiment], final.filter, start, scans=[found], log=log)
         findings += tuned.findings
         params = tuned.params
     stages.next()
     # what is judged is what is delivered: the same start, filter and parameters
-    delivered = initialization(bench.recording, params)
-    final = bench.score(final.filter if tuned is None else tuned.filter, params, delivered)
+    delivered = initialization(experiment.recording, params)
+    final = experiment.score(final.filter if tuned is None else tuned.filter, params, delivered)
     calibration = calibrate(final)
     for name, factor, counted in (
         ("positions", calibration.factor, calibration.after),
@@ -232,7 +230,7 @@ def solve(
         final.filter, params, initialization=delivered, smooth=smooth, sd_factor=calibration.factor,
         velocity_sd_factor=calibration.velocity_factor, delay_sd=found.latency_sd, clock_rate_sd=checked.rate_sd,
     )  # fmt: skip
-    nis = receiver_nis(sol.trace.info, sol.measurements, sol.packed.t > bench.layout.validation)
+    nis = receiver_nis(sol.trace.info, sol.measurements, sol.packed.t > experiment.layout.validation)
     said = [f for f in distinct([*findings, *unwidened(sol, choice.tried)]) if f.code not in gone]
     params = later(params, -rec.early)
     findings = settled(said, params, tuned is not None)
@@ -241,7 +239,7 @@ def solve(
     status = Status.CONVERGED if tuned is None else tuned.status
     return Solved(
         sol, params, verdict, why, findings, checked.settings, standing, choice.tried, tuned, calibration,
-        tuple(left_out), drift, bench.layout.window, nis, status,
+        tuple(left_out), drift, experiment.layout.window, nis, status,
     )  # fmt: skip
 
 
@@ -253,79 +251,70 @@ def _not_early(checked: Corrections) -> Recording:
     return not_early(rec, MORE_EARLY_S - least) if least < -MAX_EARLY_S else rec
 
 
-def _bench(
-    filt: Filter, datasheet: Params, initialization: Callable[[Recording, Params], Initialization],
-    standing: Standing, stop: float | None, rec: Recording, left_out: Sequence[Stretch] = (),
-) -> tuple[Bench, bool]:  # fmt: skip
-    """Return the windows of a recording, and whether there are any in every part.
-
-    A window that begins after a stretch that is left out, before fixes have made up for it, judges nothing.
-    """
-    begin = initialization(rec, datasheet)
-    rows = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    packed = ep.pack_recording(rec, rows, begin.t, 0.0, stop, standing)
-    layout = plan(packed, window_of([packed]))
-    windows = windows_of(packed, layout, packed.t.size)
-    after = ep.within(windows.start, [(b - layout.window, b + layout.window) for _, b in left_out])
-    bench = Bench(rec, initialization, begin, layout, standing, float(packed.t[-1]), faulty=windows.start[after])
-    return bench, all((mask & ~after).any() for mask in parts_of(layout, windows).values())
-
-
 def _untuned(
-    filt: Filter, datasheet_of: Callable[[Filter], Params], bench: Bench, scanned: Callable[[], None],
+    filt: Filter, datasheet_of: Callable[[Filter], Params], experiment: Experiment, scanned: Callable[[], None],
     log: Callable[[str], None],
-) -> tuple[NoiseScan, Bench, dict[str, Scored]]:  # fmt: skip
+) -> tuple[NoiseScan, Experiment, dict[str, Scored]]:  # fmt: skip
     """Return the noise scan, the windows with its history, and the scores of datasheet and scan.
 
     ``scanned`` is called between the two.
     """
-    rows = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    found = scan(bench.recording, datasheet_of(filt), bench.begin, bench.layout, rows, log)
+    found = scan(experiment, datasheet_of(filt), log)
     scanned()
     filt, sheet = found.extended(filt, datasheet_of(filt))
     noise = found.applied(datasheet_of(filt))
-    bench = bench.reaching(noise)
-    plain = {"datasheet": bench.score(filt, without_slow_errors(sheet))}
+    experiment = experiment.reaching(noise)
+    plain = {"datasheet": experiment.score(filt, without_slow_errors(sheet))}
     if found.fixes:
-        plain["auto"] = bench.score(filt, noise)
-    return found, bench, plain
+        plain["auto"] = experiment.score(filt, noise)
+    return found, experiment, plain
 
 
-def _without_faults(bench: Bench, plain: dict[str, Scored]) -> tuple[Bench, dict[str, Scored], list[Finding]]:
+def _without_faults(
+    experiment: Experiment, plain: dict[str, Scored]
+) -> tuple[Experiment, dict[str, Scored], list[Finding]]:
     """Leave windows with a receiver's fault out of the parts."""
     used = plain["datasheet"].used
-    each = list(plain.values())
-    suspect = suspect_windows(used, [s.params for s in each], [s.info for s in each])
+    suspect = suspect_windows(list(plain.values()))
     parts, faults = without_faults(used.parts, suspect, used.starts)
     counted, left = (np.any(list(masks.values()), 0) for masks in (used.parts, parts))
-    bench = bench._replace(faulty=np.union1d(bench.faulty, used.starts[counted & ~left]))
-    return bench, {name: s._replace(used=s.used._replace(parts=parts)) for name, s in plain.items()}, faults
+    experiment = experiment._replace(faulty=np.union1d(experiment.faulty, used.starts[counted & ~left]))
+    return experiment, {name: s._replace(used=s.used._replace(parts=parts)) for name, s in plain.items()}, faults
 
 
-def _first(filt: Filter, params: Params, bench: Bench) -> tuple[Solution, Params]:
+def _first(filt: Filter, params: Params, experiment: Experiment) -> tuple[Solution, Params]:
     """Return the first answer and its parameters: the datasheet, the delay that alignments show, usual slow errors."""
-    rec = bench.recording
+    rec = experiment.recording
     sd = np.median(np.asarray(rec.aiding["position"].sd), 0)
     errors = Receiver() if stated_scale(params) else receiver(stated(sd), sd)
-    usual = NoiseScan(latency=known_delay(rec, params, bench.stop, ()).mean, receiver=errors)
+    usual = NoiseScan(latency=known_delay(rec, params, experiment.stop, ()).mean, receiver=errors)
     filt, params = usual.extended(filt, params)
     params = usual.applied(params)
-    sol = navigate(rec, filt, params, scan=False, initialization=bench.begin, stop=bench.stop, standing=bench.standing)
+    sol = navigate(
+        rec,
+        filt,
+        params,
+        scan=False,
+        initialization=experiment.begin,
+        stop=experiment.stop,
+        standing=experiment.standing,
+    )
     return sol, params
 
 
 def _short(
     filt: Filter,
     params: Params,
-    bench: Bench,
+    experiment: Experiment,
+    initialization: Callable[[Recording, Params], Initialization],
     smooth: bool,
     findings: Sequence[Finding],
     untested: Callable[..., Solved],
 ) -> Solved:
     """Solve a recording that is too short for windows in every part: noise by likelihood, no test."""
     sol = navigate(
-        bench.recording, filt, params, scan=True, initialization=bench.initialization,
-        stop=bench.stop, standing=bench.standing, smooth=smooth,
+        experiment.recording, filt, params, scan=True, initialization=initialization,
+        stop=experiment.stop, standing=experiment.standing, smooth=smooth,
     )  # fmt: skip
     if sol.noise is not None:
         params = sol.noise.applied(sol.noise.extended(filt, params)[1])
@@ -379,9 +368,7 @@ def receiver_nis(info: Info, measurements: Sequence[Measurement], late: np.ndarr
     """
     places = layout(tuple(measurements))
     own = np.concatenate([np.arange(places[m.name].start, places[m.name].stop) for m in measurements if m.receiver])
-    nu, S, valid = np.asarray(info.nu)[late], np.asarray(info.S)[late], np.asarray(info.valid)[late]
-    nis = normalized(nu[:, own], S[:, own[:, None], own])
-    return float(nis.sum() / max(valid[:, own].sum(), 1))
+    return mean_nis(info, late, own)
 
 
 def judge(nis: float, c: Calibration | None, findings: Sequence[Finding]) -> tuple[str, str]:

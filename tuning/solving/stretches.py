@@ -25,13 +25,13 @@ import numpy as np
 
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.lanes import LaneRecord, lanes, repeated, taken
-from jaxnav.filters.scores import innovation_nll, normalized, position_noise
+from jaxnav.filters.scores import innovation_nll, nis_by_epoch, normalized, position_noise
 from jaxnav.findings import finding
 from jaxnav.maths import earth
 from jaxnav.maths.units import TICK
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import Finding, Recording, sample_rows
-from tuning.solving.hidden import Scored
+from tuning.recordings.experiment import Scored
 
 Stretch = tuple[float, float]  # begin < t <= end, s
 
@@ -47,12 +47,6 @@ MAX_SIGMAS = 2.5  # stated sd of positions, beyond which a jump contradicts them
 ROUNDS = 8  # of moves, each a stretch more or a part of one less
 
 
-def _nis(record: LaneRecord) -> np.ndarray:
-    """Return NIS/dof (..., E) of each epoch, inf where nothing is used."""
-    dof = np.asarray(record.valid).sum(-1)
-    return np.where(dof > 0, np.asarray(record.nis) / np.maximum(dof, 1), np.inf)
-
-
 def changes_of(t: np.ndarray, record: LaneRecord) -> np.ndarray:
     """Return times (s) of epochs whose innovations are far larger than usual, each the largest about it.
 
@@ -60,7 +54,7 @@ def changes_of(t: np.ndarray, record: LaneRecord) -> np.ndarray:
         t: (E,) s, inf where an epoch was added.
         record: (P, E, ...) runs.
     """
-    ratio = _nis(record).min(0)  # of the runs that see it
+    ratio = nis_by_epoch(record).min(0)  # of the runs that see it
     ratio = np.where(np.isfinite(ratio) & np.isfinite(t), ratio, 0.0)
     ratio[ratio < MIN_RATIO * max(1.0, float(np.median(ratio[ratio > 0])))] = 0.0
     found: list[float] = []
@@ -151,7 +145,7 @@ class _Search:
 
     def limit(self, record: LaneRecord) -> float:
         """Return the normalised square from which on a fix contradicts navigation, by the first run of a record."""
-        usual = _nis(taken(record, 0))[self.fixes]
+        usual = nis_by_epoch(taken(record, 0))[self.fixes]
         return MIN_RATIO * max(1.0, float(np.median(usual[np.isfinite(usual)])))
 
     def moved_back(self, tried: Sequence[Sequence[Jump]]) -> np.ndarray:

@@ -30,8 +30,7 @@ from jaxnav.types import ConfigError, Params, Recording
 from tuning.fit.status import Status
 from tuning.solving.calibration import Calibration
 from tuning.solving.corrections import AXES, DRIFT, OFFSET, Corrections, correct
-from tuning.solving.hidden import COV_STRIDE
-from tuning.solving.solve import CARE, CONSISTENT, UNUSABLE, Solved, solve
+from tuning.solving.solve import CARE, CONSISTENT, COV_STRIDE, UNUSABLE, Solved, solve
 
 UNTESTED = "not tested: the filter takes no velocity, or none was hidden"
 NO_HEADING = "not tested: takes a truth or a second compass"

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from tuning.recordings.evidence import HiddenFixes
+from tuning.recordings.experiment import HiddenFixes
 from tuning.recordings.parts import Layout
 from tuning.solving.calibration import CHI2_95, Consistency, calibrate, consistency
 

@@ -12,6 +12,7 @@ from jaxnav.filters.parameters import installed
 from jaxnav.findings import finding
 from jaxnav.measurements import GNSS
 from jaxnav.types import Samples
+from tuning.recordings.experiment import experiments_of
 from tuning.solving import solve
 from tuning.solving.sensors import choose
 from tuning.solving.settled import settled
@@ -44,10 +45,10 @@ def compared(rec, *tried):
     """What options do to a drive by the consumer's datasheet, each by itself."""
     filt = solve.build("ekf15", [m.name for m in GNSS], 5)
     sheet = lambda f: installed(f.params("consumer"), rec.lever_arm)
-    bench, tested = solve._bench(filt, sheet(filt), solve.initialize, solve.Standing(), None, rec)
-    assert tested
-    plain = bench.score(filt, sheet(filt))
-    return [choose(bench, plain, sheet, [option]) for option in tried]
+    (experiment,) = experiments_of([rec], filt, [solve.initialize(rec, sheet(filt))], solve.Standing())
+    assert experiment.tested
+    plain = experiment.score(filt, sheet(filt))
+    return [choose(experiment, plain, sheet, [option]) for option in tried]
 
 
 @pytest.mark.slow

@@ -98,7 +98,7 @@ def test_the_judged_filter_is_the_delivered_one(drive, monkeypatch):
     """The same start, filter and parameters, where what is found starts the run later than the datasheet did."""
     judged = []
     monkeypatch.setattr(solve, "calibrate", lambda final: judged.append(final) or calibrate(final))
-    monkeypatch.setattr(solve, "_first", None)  # nobody asks for an answer before the best one
+    monkeypatch.setattr(solve, "_first", pytest.fail)  # nobody asks for an answer before the best one
     monkeypatch.setattr(solve, "options", lambda rec, found: [])
 
     def later(rec, params):

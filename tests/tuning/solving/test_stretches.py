@@ -13,6 +13,7 @@ from jaxnav.maths import earth
 from jaxnav.measurements import GNSS, MEASUREMENTS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
+from tuning.recordings.experiment import experiments_of
 from tuning.recordings.parts import plan
 from tuning.solving import solve
 from tuning.solving.stretches import (
@@ -50,12 +51,12 @@ def dragged(rec, begin, end, rate=2.0):
 
 
 def scored(rec, scale=1.0):
-    """The plain filter over a recording, with the bench of the solution; ``scale`` on the sd of positions."""
+    """The plain filter over a recording, with the windows of the solution; ``scale`` on the sd of positions."""
     filt = build("ekf15", [m.name for m in GNSS], 5)
     params = put(filt.params("consumer"), "measurements.position.scale", scale * np.ones(3))
-    bench, tested = solve._bench(filt, params, initialize, solve.Standing(), None, rec)
-    assert tested
-    return bench.score(filt, params)
+    (experiment,) = experiments_of([rec], filt, [initialize(rec, params)], solve.Standing())
+    assert experiment.tested
+    return experiment.score(filt, params)
 
 
 @pytest.mark.full
@@ -181,10 +182,11 @@ def test_all_streams_of_the_receiver_are_left_out_and_no_others(drive):
 def test_windows_right_after_a_stretch_judge_nothing(drive):
     filt = build("ekf15", [m.name for m in GNSS], 5)
     params = filt.params("consumer")
-    bench, _ = solve._bench(filt, params, initialize, solve.Standing(), None, without(drive, [FAULT]), [FAULT])
-    used = bench.score(filt, params).used
+    rec, begin = without(drive, [FAULT]), initialize(drive, params)
+    (whole,) = experiments_of([drive], filt, [begin], solve.Standing())
+    used = whole.without([FAULT], rec, begin).score(filt, params).used
     judged = used.starts[np.any(list(used.parts.values()), 0)]
-    assert not np.any((judged > FAULT[0]) & (judged <= FAULT[1] + bench.layout.window)) and judged.size > 3
+    assert not np.any((judged > FAULT[0]) & (judged <= FAULT[1] + whole.layout.window)) and judged.size > 3
 
 
 def test_parts_count_the_time_with_fixes(drive):

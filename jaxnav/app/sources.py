@@ -1,5 +1,6 @@
 """Where data comes from: simulated runs, public data sets, recordings at a path."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from jaxnav.app.config import Config
 from jaxnav.filters.run import require_x64
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.reading.read import read
+from jaxnav.simulate.faults import FAULTS, Fault
 from jaxnav.simulate.keys import Purpose, run_key
 from jaxnav.simulate.readings import with_equipment
 from jaxnav.simulate.satellites import with_sky
@@ -56,10 +58,8 @@ def _with(scenario: Scenario, key: str, value: Any) -> Scenario:
         return scenario._replace(sensors=_sensors(name, value))
     if key == "sensor_states":
         return scenario._replace(sensor_states=_states(name, value))
-    if key == "faults" and value == []:
-        return scenario._replace(faults=())
     if key == "faults":
-        raise ConfigError(f"{name} can only be emptied, []: faults come with the named scenarios")
+        return scenario._replace(faults=_faults(name, value))
     if key in plain:
         return scenario._replace(**{key: _like(name, value, getattr(scenario, key))})
     if key not in owners:
@@ -79,6 +79,31 @@ def _sensors(name: str, value: Any) -> tuple[tuple[str, float], ...]:
         if isinstance(sd, bool) or not isinstance(sd, (int, float)) or not 0 < sd < 1e6:
             raise ConfigError(f"{name}.{sensor}: the sd of its noise must be a positive number, got {sd!r}")
     return tuple((each, float(value[each])) for each in known if each in value)
+
+
+def _faults(name: str, value: Any) -> tuple[Fault, ...]:
+    """Return faults of the receiver, each stated as a kind with its fields."""
+    kinds = {re.sub("(?<!^)(?=[A-Z])", "_", kind.__name__).lower(): kind for kind in FAULTS}
+    if not isinstance(value, (list, tuple)) or not all(isinstance(each, dict) for each in value):
+        example = '[{kind = "ramp", start_s = 60, stop_s = 90, position_m = [30, 0, 0]}]'
+        raise ConfigError(f"{name} must be like {example}, or [] for none, got {value!r}")
+    found = []
+    for i, stated in enumerate(value):
+        where, title = f"{name}[{i}]", str(stated.get("kind"))
+        given = {key: each for key, each in stated.items() if key != "kind"}
+        if title not in kinds:
+            raise ConfigError(f"{where}.kind: no fault {title!r}: {nearest(title, kinds)}")
+        kind: Any = kinds[title]
+        likes = {field: kind._field_defaults.get(field, 0.0) for field in kind._fields}
+        if unknown := [key for key in given if key not in likes]:
+            raise ConfigError(f"{where}.{unknown[0]}: unknown for a {title}: {nearest(unknown[0], likes)}")
+        if missing := [key for key in likes if key not in given and key not in kind._field_defaults]:
+            raise ConfigError(f"{where}: a {title} needs {', '.join(missing)}")
+        fault = kind(**{key: _like(f"{where}.{key}", each, likes[key]) for key, each in given.items()})
+        if not fault.start_s < fault.stop_s:
+            raise ConfigError(f"{where}: stop_s must be after start_s, got {fault.start_s:g} and {fault.stop_s:g}")
+        found.append(fault)
+    return tuple(found)
 
 
 def _states(name: str, value: Any) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """Scenarios: printable, hashable, checked, settable by name; the papers' cases hold what the papers say."""
 
+import math
 import re
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from jaxnav.app.sources import scenario_of
 from jaxnav.filters.compiler import enable_x64
 from jaxnav.maths import earth, rotations, units
 from jaxnav.simulate import faults
-from jaxnav.simulate.faults import Constant, Ramp
+from jaxnav.simulate.faults import Burst, Constant, Ramp
 from jaxnav.simulate.gnss import Receiver
 from jaxnav.simulate.scenarios import GIPKF, PATTERN, READINGS, REPRO, SCENARIOS, describe
 from jaxnav.simulate.simulation import matched_params, simulate, sizes
@@ -97,13 +98,26 @@ def test_fields_of_groups_are_set_by_their_name():
     for options, words in (
         ({"speed": 3.0}, "unknown for a scenario"),
         ({"motion": "circle"}, "unknown for a scenario"),
-        ({"faults": [1]}, "can only be emptied"),
+        ({"faults": [1]}, r"must be like \[{kind = "),
+        (
+            {"faults": [{"kind": "rampp", "start_s": 1, "stop_s": 2}]},
+            r"faults\[0\].kind: no fault 'rampp': did you mean ramp",
+        ),
+        ({"faults": [{"kind": "ramp", "start_s": 1}]}, r"faults\[0\]: a ramp needs stop_s"),
+        ({"faults": [{"kind": "ramp", "start_s": 1, "stop_s": 2, "size": 3}]}, r"faults\[0\].size: unknown for a ramp"),
+        ({"faults": [{"kind": "ramp", "start_s": 2, "stop_s": 1}]}, "stop_s must be after start_s, got 2 and 1"),
+        ({"faults": [{"kind": "ramp", "start_s": 0, "stop_s": 1, "position_m": 3}]}, "position_m must be like"),
         ({"fixed_bias": 1.0}, "must be like True"),
         ({"grade": "x"}, "no IMU grade 'x'"),
         ({"outages_s": [5, 9]}, "outages_s must be like"),
     ):
         with pytest.raises(ConfigError, match=words):
             chosen("gpid_circle", **options)
+    off = {"start_s": 5, "stop_s": math.inf, "position_m": [1, 2, 3]}
+    both = chosen(
+        "urban", faults=[{"kind": "constant", **off}, {"kind": "burst", "start_s": 1, "stop_s": 2, "factor": 3}]
+    )
+    assert both.faults == (Constant(5.0, math.inf, (1.0, 2.0, 3.0)), Burst(1.0, 2.0, 3.0))
     late = scenario_of(resolve([("", {"data": {"source": "urban", "imu_worse_by": 3.0, "gnss_latency_s": 0.1}})]))
     assert late.imu.imu_noise_factor == 3.0 and late.gnss.latency_s == 0.1
 

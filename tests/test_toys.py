@@ -14,7 +14,8 @@ import pytest
 
 from jaxnav import build, navigate
 from jaxnav.app import cli
-from jaxnav.app.config import resolve
+from jaxnav.app.config import read_params, resolve
+from jaxnav.app.jobs.tune import for_target
 from jaxnav.app.sources import load
 from jaxnav.filters.catalogue import FILTERS, Entry
 from jaxnav.filters.core import Filter
@@ -35,6 +36,8 @@ from jaxnav.strapdown import local_level
 from jaxnav.strapdown.errors import local_level as local_level_errors
 from jaxnav.strapdown.frames import FRAMES, Frame
 from jaxnav.types import Fix, Leaf, Mounting, Nav, Params, Recording, Samples
+from tuning.recordings.export import StatedSd
+from tuning.recordings.targets import TARGETS, Target, write_exports
 
 QUICK = ["--set", "out.figures=none", "--set", "filter.cov_stride=10", "--set", "filter.grade='consumer'"]
 
@@ -231,3 +234,26 @@ def test_a_frame_is_a_row(drive, monkeypatch):
     np.testing.assert_allclose(found.vel, plain.vel, atol=1e-5)
     np.testing.assert_allclose(found.rph, plain.rph, atol=1e-6)
     np.testing.assert_allclose(found.sd, plain.sd, rtol=1e-4)
+
+
+# ---------------------------------------------------------------------------- a target: a filter of two numbers
+
+
+def read_two(text: str) -> dict[str, np.ndarray]:
+    lines = dict(line.split() for line in text.splitlines() if line.startswith("sigma"))
+    return {f"noise.{sensor}": np.array(float(lines[f"sigma_{sensor}"])) for sensor in ("gyro", "accel")}
+
+
+def test_a_target_is_a_row(tmp_path, monkeypatch):
+    """It is written with all others and under its name, and read as parameters."""
+    monkeypatch.setitem(TARGETS, "toy", Target(
+        "toy", "two numbers", "ekf9", ("position",), (), ("noise.gyro", "noise.accel"), lambda params: params,
+        "tuned_toy.cfg", lambda params, stated: f"sigma_gyro {params.noise.gyro}\nsigma_accel {params.noise.accel}\n",
+        read_two,
+    ))  # fmt: skip
+    params = change(build("ekf9").params("consumer"), {"noise.gyro": 2e-4, "noise.accel": 3e-3})
+    write_exports(tmp_path, "a head", params, StatedSd())
+    assert (tmp_path / "tuned_toy.cfg").read_text().startswith("# a head\nsigma_gyro 0.0002\n")
+    found = resolve([("", read_params(tmp_path / "tuned_toy.cfg"))])
+    assert found.noise.gyro_deg_per_sqrt_hour == pytest.approx(2e-4 * 60 * 180 / np.pi)
+    assert for_target(resolve([]), TARGETS["toy"]).filter.name == "ekf9"

@@ -15,13 +15,15 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxnav.filters.border import NAMES, TABLES, flat, nested
+import numpy as np
+
+from jaxnav.filters.border import NAMES, TABLES, flat, name_of, nested, user_value
 from jaxnav.filters.parameters import UNITS
 from jaxnav.io.toml import convert, describe, place, plain, quoted
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import GNSS
 from jaxnav.reading.datasets import DATASETS
-from jaxnav.types import ConfigError, nearest
+from jaxnav.types import ConfigError, DataError, nearest
 
 Numbers = float | tuple[float, ...]
 Root = Numbers | tuple[tuple[float, ...], ...]  # or a lower triangular matrix
@@ -290,13 +292,15 @@ def read(path: str | Path) -> dict[str, Any]:
 
 
 def read_params(path: str | Path) -> dict[str, Any]:
-    """Return the parameters of a file such as tuned.toml or grade.toml as a layer.
+    """Return the parameters of a file such as tuned.toml or grade.toml as a layer, or the noise of another filter's.
 
     With them come the states that they are for, and how far from them tuning is to look.
 
     Raises:
         ConfigError: the file cannot be read, or states no parameter.
     """
+    if Path(path).suffix not in (".toml", ".json"):
+        return _of_another_filter(Path(path))
     tree = read(path)
     layer = {name: tree[name] for name in TABLES if name in tree}
     if not layer:
@@ -308,6 +312,17 @@ def read_params(path: str | Path) -> dict[str, Any]:
     if isinstance(weights, str) and weights.endswith(".npz"):
         layer["filter"]["adapter"] = str(Path(path).parent / weights)
     return layer
+
+
+def _of_another_filter(path: Path) -> dict[str, Any]:
+    from tuning.recordings.targets import read_settings  # not for every command
+
+    try:
+        found = read_settings(path)
+    except (OSError, DataError) as error:
+        raise ConfigError(str(error)) from error
+    numbers = {leaf: np.ravel(user_value(leaf, value)).tolist() for leaf, value in found.items()}
+    return nested({name_of(leaf): v[0] if len(set(v)) == 1 else v for leaf, v in numbers.items()})
 
 
 def parse_set(setting: str) -> dict[str, Any]:

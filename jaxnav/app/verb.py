@@ -106,7 +106,12 @@ PATH = Argument(
 MAP = Argument("--map", "read the recording by this column map, in place of the files that it names",
                "data.options.map", value="FILE", reads=True)  # fmt: skip
 FILTER = Argument("--filter", "see `jaxnav info` ([filter] name)", "filter.name", value="NAME")
-PARAMS = Argument("--params", "parameters of this file, such as an earlier tuned.toml", reads=True, value="FILE")
+PARAMS = Argument(
+    "--params",
+    "parameters of this file, such as an earlier tuned.toml, or of another filter: .params of PX4",
+    reads=True,
+    value="FILE",
+)
 RESUME = Argument("--resume", "go on from the checkpoint in --out")
 DEVICES = (
     Argument("--devices", "share runs among N, 0: all there", value="N", type=int, more={"default": 1}),

@@ -5,16 +5,17 @@ import re
 import numpy as np
 import pytest
 
-from jaxnav.filters.parameters import datasheet_params
+from jaxnav.app.config import read_params
+from jaxnav.filters.parameters import datasheet_params, get
 from jaxnav.maths import units
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.states.grades import GRADES
-from jaxnav.types import Fix
+from jaxnav.types import ConfigError, Fix
 from tests.conftest import told
 from tuning.recordings.export import (
     EKF2_STEP,
     EKF3_STEP,
-    EXPORTS,
+    ONE_CORRELATION_TIME,
     StatedSd,
     ardupilot_parm,
     kfgins_yaml,
@@ -23,10 +24,12 @@ from tuning.recordings.export import (
     robot_localization_yaml,
     sd_by_stream,
     stated_sd,
-    write_exports,
 )
+from tuning.recordings.targets import TARGETS, read_settings, write_exports
 
 GRADE = GRADES["adis16465"]
+
+FILES = [target.settings for target in TARGETS.values()]
 
 
 def noise(gyro, accel, gyro_bias, accel_bias, **others):
@@ -38,9 +41,9 @@ def noise(gyro, accel, gyro_bias, accel_bias, **others):
 def test_a_filter_of_positions_alone_is_written_with_the_defaults_of_a_velocity(tmp_path):
     both = noise(1e-4, 1e-3, 1e-6, 1e-5)
     write_exports(tmp_path, "", both, StatedSd())
-    first = [(tmp_path / name).read_text() for name in EXPORTS]
+    first = [(tmp_path / name).read_text() for name in FILES]
     write_exports(tmp_path, "", both._replace(measurements={"position": both.measurements["position"]}), StatedSd())
-    assert [(tmp_path / name).read_text() for name in EXPORTS] == first
+    assert [(tmp_path / name).read_text() for name in FILES] == first
 
 
 def fields(text: str) -> dict[str, np.ndarray]:
@@ -142,5 +145,32 @@ def test_robot_localization_gets_the_variance_of_a_sample(tmp_path):
     assert "angular_velocity_covariance_diagonal: [5e-07, 5e-07, 5e-07]" in text
     assert "linear_acceleration_covariance_diagonal: [5e-05, 5e-05, 5e-05]" in text
     write_exports(tmp_path, "a head", noise(1e-4, 1e-3, 1e-6, 1e-5), StatedSd())
-    assert {p.name for p in tmp_path.iterdir()} == set(EXPORTS)
+    assert {p.name for p in tmp_path.iterdir()} == set(FILES)
     assert all(p.read_text()[2:8] == "a head" for p in tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
+def test_noise_that_is_written_is_read_back(target, tmp_path):
+    """Each target's file, by its suffix and its words; where a filter has one number for three axes, the largest."""
+    made = noise([1e-4, 2e-4, 3e-4], 1e-3, 2e-7, 3e-6)
+    made = target.shaped(made)
+    target.write_export(tmp_path, "a head", made, StatedSd())
+    found = read_settings(tmp_path / target.settings)
+    assert {"noise.gyro", "noise.accel"} <= set(found)
+    for leaf, value in found.items():
+        expected = np.asarray(get(made, leaf))
+        if leaf.endswith("tau") and target.name == "kfgins":
+            expected = ONE_CORRELATION_TIME
+        expected = expected if np.size(value) > 1 else np.max(expected)
+        np.testing.assert_allclose(value, np.broadcast_to(expected, np.shape(value)), rtol=2e-5, err_msg=leaf)
+
+
+def test_settings_of_another_filter_are_parameters(tmp_path):
+    made = noise(1e-4, 1e-3, 2e-7, 3e-6)
+    (tmp_path / "mine.params").write_text(px4_params(made, StatedSd()))
+    layer = read_params(tmp_path / "mine.params")
+    assert layer["noise"]["gyro_deg_per_sqrt_hour"] == pytest.approx(1e-4 / units.DEG_PER_SQRT_HOUR, rel=1e-5)
+    assert layer["states"]["accel_bias"]["tau_s"] == np.inf
+    (tmp_path / "other.params").write_text("param set EKF2_EN 1\n")
+    with pytest.raises(ConfigError, match="no settings of another filter that are read: files like tuned_kf"):
+        read_params(tmp_path / "other.params")

@@ -4,16 +4,14 @@ A remark on each number says whether the target wants a density or a value per s
 counterpart.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxnav.filters.parameters import strong
-from jaxnav.io import atomic_write
 from jaxnav.maths import units
-from jaxnav.measurements import GNSS, Measurement
+from jaxnav.measurements import Measurement
 from jaxnav.types import Fix, Params, StateParams
 
 ONE_CORRELATION_TIME = 4 * units.HOUR  # s, in place of a random walk where a target has Gauss-Markov processes alone
@@ -235,40 +233,72 @@ def _lines(rows: list[tuple[str, float, str]], form: str, mark: str, params: Par
     )
 
 
-EXPORTS: dict[str, Callable[[Params, StatedSd], str]] = {
-    "tuned_kfgins.yaml": lambda params, stated: kfgins_yaml(params),
-    "tuned_navego.m": lambda params, stated: navego_fields(params),
-    "tuned_px4.params": px4_params,
-    "tuned_ardupilot.parm": ardupilot_parm,
-    "tuned_robot_localization.yaml": lambda params, stated: robot_localization_yaml(params),
-}
-"""Files that `jaxnav tune` writes next to tuned.toml: a new one is a function and a line here."""
+# ---------------------------------------------------------------------------- read back
+
+WHITE = ("noise.gyro", "noise.accel")
+DRIVEN = (*WHITE, "states.gyro_bias.driving_noise", "states.accel_bias.driving_noise")
 
 
-def write_exports(folder: Path, head: str, params: Params, stated: StatedSd) -> None:
-    """Write the files of all of `EXPORTS`.
+def numbers(text: str) -> dict[str, np.ndarray]:
+    """Return the numbers (k,) of the lines of a text by name.
 
     Args:
-        folder: an existing folder.
-        head: comment on top of each file.
-        params: tuned parameters; of a position or velocity that they lack, the defaults.
-        stated: sd that the receiver states.
+        text: lines such as ``a: [1, 2]``, ``a = [1, 2];``, ``a,1``, ``param set a 1``; comments behind # or %.
     """
-    fixes = {m.name: strong(m.defaults) for m in GNSS}  # the other programs have both
-    params = params._replace(measurements=fixes | params.measurements)
-    for name in EXPORTS:
-        write_export(folder, name, head, params, stated)
+    plain = [re.split("[#%]", line)[0].replace("param set", "") for line in text.splitlines()]
+    lines = [re.match(r"\s*([A-Za-z][\w.]*)[\s:=,]+(.*)", line) for line in plain]
+    found = {
+        line[1]: re.findall(r"[-+]?(?:Inf|[\d.]+(?:e[-+]?\d+)?)", line[2].rpartition("[")[2]) for line in lines if line
+    }
+    return {name: np.array(values, float) for name, values in found.items() if values}
 
 
-def write_export(folder: Path, name: str, head: str, params: Params, stated: StatedSd) -> None:
-    """Write the file of one row of `EXPORTS`.
+def read_kfgins(text: str) -> dict[str, np.ndarray]:
+    """Return leaves by name, in SI, of an ``imunoise``, see `kfgins_yaml`.
 
     Args:
-        folder: an existing folder.
-        name: the row.
-        head: comment on top.
-        params: tuned parameters.
-        stated: sd that the receiver states.
+        text: of the file; one that lacks a number raises KeyError.
     """
-    mark = "%" if name.endswith(".m") else "#"
-    atomic_write(folder / name, f"{mark} {head}\n{EXPORTS[name](params, stated)}")
+    n = numbers(text)
+    time = n["corrtime"] * units.HOUR
+    per = (units.DEG_PER_SQRT_HOUR, units.MPS_PER_SQRT_HOUR, units.DEG_PER_HOUR, units.MGAL)
+    white, drive = np.ones(2), np.sqrt(2 / np.repeat(time, 2))
+    keys = ("arw", "vrw", "gbstd", "abstd")
+    found = {leaf: n[key] * unit * k for leaf, key, unit, k in zip(DRIVEN, keys, per, (*white, *drive), strict=True)}
+    return found | {f"states.{name}.tau": time[0] for name in ("gyro_bias", "accel_bias")}
+
+
+def read_navego(text: str) -> dict[str, np.ndarray]:
+    """Return the same of `navego_fields`.
+
+    Args:
+        text: see `read_kfgins`.
+    """
+    n = numbers(text)
+    found = {leaf: n[f"imu.{key}"] for leaf, key in zip(DRIVEN, ("arw", "vrw", "gb_psd", "ab_psd"), strict=True)}
+    return found | {"states.gyro_bias.tau": n["imu.gb_corr"], "states.accel_bias.tau": n["imu.ab_corr"]}
+
+
+def read_autopilot(keys: Sequence[str], step: float, text: str) -> dict[str, np.ndarray]:
+    """Return the same of `px4_params` or `ardupilot_parm`.
+
+    Args:
+        keys: of the noise of `DRIVEN`.
+        step: s, of its predictions.
+        text: see `read_kfgins`.
+    """
+    n = numbers(text)
+    found = {leaf: n[key][0] * np.sqrt(step) for leaf, key in zip(DRIVEN, keys, strict=True)}
+    return found | {f"states.{name}.tau": np.array(np.inf) for name in ("gyro_bias", "accel_bias")}
+
+
+def read_robot_localization(text: str, imu_rate_hz: float = 100.0) -> dict[str, np.ndarray]:
+    """Return the same of `robot_localization_yaml`.
+
+    Args:
+        text: see `read_kfgins`.
+        imu_rate_hz: Hz, rate of the IMU's messages.
+    """
+    n = numbers(text)
+    keys = ("angular_velocity_covariance_diagonal", "linear_acceleration_covariance_diagonal")
+    return {leaf: np.sqrt(n[key] / imu_rate_hz) for leaf, key in zip(WHITE, keys, strict=True)}

@@ -27,7 +27,8 @@ from jaxnav.states.table import BIASES
 from jaxnav.types import DataError, Finding, Info, Params
 from tuning.fit.status import Status
 from tuning.fit.transforms import LOG, Spec, Transform, reported, values
-from tuning.recordings.export import sd_by_stream, stated_sd, write_exports
+from tuning.recordings.export import sd_by_stream, stated_sd
+from tuning.recordings.targets import write_exports
 from tuning.recordings.validation import PairedGain, PairedRatio
 from tuning.uncertainty import Covariance, intervals
 

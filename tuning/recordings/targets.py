@@ -6,32 +6,77 @@ receiver's measurements the other filter takes, which states it has and which sh
 """
 
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from jaxnav.filters.parameters import strong
 from jaxnav.filters.run import track
 from jaxnav.initialization.initialize import Initialization
 from jaxnav.io import atomic_write
 from jaxnav.io.formats.kfgins import write_kfgins_gnss, write_kfgins_imu
 from jaxnav.maths import units
 from jaxnav.maths.gps_time import WEEK
-from jaxnav.types import DataError, ImuLog, Params, Recording, Samples
+from jaxnav.measurements import GNSS
+from jaxnav.types import DataError, ImuLog, Params, Recording, Samples, Table
 from tuning.recordings import export
 
 
 class Target(NamedTuple):
     """Another filter."""
 
+    name: str
     about: str  # a similar filter, in words
     filter: str  # of the catalogue, like it
     measurements: tuple[str, ...]  # of the receiver's, those that it takes
     states: tuple[str, ...]  # in addition to the filter's
     free: tuple[str, ...]  # parameters to tune
     shaped: Callable[[Params], Params]  # a datasheet with its processes
-    write: Callable[[Path, Recording, Params, Initialization], None]  # the result, into a folder
-    file: str  # the one to begin with
+    settings: str  # name of the file of parameters, which every tuning writes
+    text: Callable[[Params, export.StatedSd], str]  # that file
+    read: Callable[[str], dict[str, np.ndarray]]  # its noise, leaves in SI; KeyError for another one's file
+    job: Callable[[Path, Recording, Params, Initialization], None] | None = None  # writes samples and fixes as well
+    begin: str = ""  # file of the job to begin with
+
+    @property
+    def file(self) -> str:
+        """Return the file to begin with."""
+        return self.begin or self.settings
+
+    def write(self, folder: Path, rec: Recording, params: Params, begin: Initialization) -> None:
+        """Write a job, or the parameters where the target has none.
+
+        Args:
+            folder: an existing folder.
+            rec: the recording.
+            params: tuned parameters.
+            begin: its start.
+        """
+        if self.job is not None:
+            self.job(folder, rec, params, begin)
+            return
+        stated = export.stated_sd({stream: samples.sd for stream, samples in rec.aiding.items()})
+        self.write_export(folder, f"jaxnav tune --for: {rec.name}", params, stated)
+
+    def write_export(self, folder: Path, head: str, params: Params, stated: export.StatedSd) -> None:
+        """Write the file of parameters.
+
+        Args:
+            folder: an existing folder.
+            head: comment on top.
+            params: tuned parameters.
+            stated: sd that the receiver states.
+        """
+        mark = "%" if self.settings.endswith(".m") else "#"
+        atomic_write(folder / self.settings, f"{mark} {head}\n{self.text(params, stated)}")
+
+
+def _plain(params: Params) -> Params:
+    """Biases as the datasheet has them."""
+    return params
 
 
 def _walks(params: Params) -> Params:
@@ -52,16 +97,6 @@ def _one_time(params: Params) -> Params:
             tau=np.full_like(np.asarray(state.tau, float), time), driving_noise=np.where(drive > 0, drive, slow)
         )
     return params._replace(states=states)
-
-
-def _export(name: str) -> Callable[[Path, Recording, Params, Initialization], None]:
-    """Return a writer of one file of `tuning.recordings.export.EXPORTS`."""
-
-    def write(folder: Path, rec: Recording, params: Params, begin: Initialization) -> None:
-        stated = export.stated_sd({stream: samples.sd for stream, samples in rec.aiding.items()})
-        export.write_export(folder, name, f"jaxnav tune --for: {rec.name}", params, stated)
-
-    return write
 
 
 def write_kfgins(folder: Path, rec: Recording, params: Params, begin: Initialization) -> None:
@@ -129,27 +164,60 @@ WHITE: tuple[str, ...] = ("noise.gyro", "noise.accel", "fixes")
 DRIVES: tuple[str, ...] = ("states.gyro_bias.driving_noise", "states.accel_bias.driving_noise")
 ALL = (*WHITE, *DRIVES, "timing")
 BOTH: tuple[str, ...] = ("position", "velocity")
-TARGETS: dict[str, Target] = {
-    "kfgins": Target(
-        "positions alone; biases and scale factors of one correlation time; 21 states", "ekf15", ("position",),
-        ("gyro_scale", "accel_scale"), ALL, _one_time, write_kfgins, "kf-gins.yaml",
+PX4 = ("EKF2_GYR_NOISE", "EKF2_ACC_NOISE", "EKF2_GYR_B_NOISE", "EKF2_ACC_B_NOISE")
+ARDUPILOT = ("EK3_GYRO_P_NSE", "EK3_ACC_P_NSE", "EK3_GBIAS_P_NSE", "EK3_ABIAS_P_NSE")
+TARGETS: Table[Target] = Table.named(
+    Target(
+        "kfgins", "positions alone; biases and scale factors of one correlation time; 21 states", "ekf15",
+        ("position",), ("gyro_scale", "accel_scale"), ALL, _one_time,
+        "tuned_kfgins.yaml", lambda params, stated: export.kfgins_yaml(params), export.read_kfgins,
+        write_kfgins, "kf-gins.yaml",
     ),
-    "navego": Target(
-        "position and velocity; biases of the datasheet's kind; 15 states", "ekf15", BOTH, (), ALL,
-        lambda params: params, _export("tuned_navego.m"), "tuned_navego.m",
+    Target(
+        "navego", "position and velocity; biases of the datasheet's kind; 15 states", "ekf15", BOTH, (), ALL, _plain,
+        "tuned_navego.m", lambda params, stated: export.navego_fields(params), export.read_navego,
     ),
-    "px4": Target(
-        "position and velocity; biases that walk", "ekf15", BOTH, (), ALL,
-        _walks, _export("tuned_px4.params"), "tuned_px4.params",
+    Target(
+        "px4", "position and velocity; biases that walk", "ekf15", BOTH, (), ALL, _walks,
+        "tuned_px4.params", export.px4_params, partial(export.read_autopilot, PX4, export.EKF2_STEP),
     ),
-    "ardupilot": Target(
-        "position and velocity; biases that walk", "ekf15", BOTH, (), ALL,
-        _walks, _export("tuned_ardupilot.parm"), "tuned_ardupilot.parm",
+    Target(
+        "ardupilot", "position and velocity; biases that walk", "ekf15", BOTH, (), ALL, _walks,
+        "tuned_ardupilot.parm", export.ardupilot_parm, partial(export.read_autopilot, ARDUPILOT, export.EKF3_STEP),
     ),
-    "robot_localization": Target(
-        "position and velocity, no biases", "ekf9", BOTH, (), WHITE,
-        lambda params: params,
-        _export("tuned_robot_localization.yaml"), "tuned_robot_localization.yaml",
+    Target(
+        "robot_localization", "position and velocity, no biases", "ekf9", BOTH, (), WHITE, _plain,
+        "tuned_robot_localization.yaml", lambda params, stated: export.robot_localization_yaml(params),
+        export.read_robot_localization,
     ),
-}  # fmt: skip
-"""Targets of `tune --for`: a new one is a row."""
+)  # fmt: skip
+"""Other filters that are tuned for (`tune --for`), and written and read: a new one is a row."""
+
+
+def write_exports(folder: Path, head: str, params: Params, stated: export.StatedSd) -> None:
+    """Write the files of parameters of all targets.
+
+    Args:
+        folder: an existing folder.
+        head: comment on top of each file.
+        params: tuned parameters; of a position or velocity that they lack, the defaults.
+        stated: sd that the receiver states.
+    """
+    fixes = {m.name: strong(m.defaults) for m in GNSS}  # the other programs have both
+    for target in TARGETS.values():
+        target.write_export(folder, head, params._replace(measurements=fixes | params.measurements), stated)
+
+
+def read_settings(path: Path) -> dict[str, np.ndarray]:
+    """Return the IMU's noise, leaves in SI, of the file of another filter, as its target writes it.
+
+    Raises:
+        DataError: no target's.
+    """
+    text = path.read_text(errors="replace")
+    for target in TARGETS.values():
+        if Path(target.settings).suffix == path.suffix:
+            with suppress(KeyError):
+                return target.read(text)
+    files = ", ".join(target.settings for target in TARGETS.values())
+    raise DataError(f"{path}: no settings of another filter that are read: files like {files}")

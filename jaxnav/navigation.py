@@ -219,7 +219,7 @@ class Solution:
     @property
     def notes(self) -> list[str]:
         """Return all remarks for a user: initialization, findings, and notes of the reader."""
-        return [self.initialization.how, *map(line, self.findings), *self.recording.notes.splitlines()]
+        return [self.initialization.how, *map(line, self.findings), *self.recording.remarks.splitlines()]
 
     def metrics(self) -> dict[str, Any]:
         """Return all figures of the run, as metrics.json has them."""

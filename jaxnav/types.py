@@ -44,7 +44,7 @@ class Severity(StrEnum):
 class Finding:
     """A remark of a check, a run or a tuning: data first, a sentence second (`jaxnav.findings`)."""
 
-    code: str  # "nis.high": stable, a row of `jaxnav.findings.KINDS`
+    code: str  # "nis.high": stable, a row of `jaxnav.kinds.KINDS`
     severity: Severity
     subject: str = ""  # stream and channel, sensor and axis, or state
     value: float | None = None
@@ -55,10 +55,17 @@ class Finding:
     actions: tuple[str, ...] = ()  # settings or commands
     setting: str = ""  # that would take the value
 
+    def __str__(self) -> str:
+        return self.message
+
     @property
     def warns(self) -> bool:
         """Is something wrong, or does it look so?"""
         return self.severity is not Severity.INFO
+
+
+Note = str | Finding
+"""A remark of a reader; in words where it is one of a format alone."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -283,10 +290,15 @@ class Recording(NamedTuple):
     aiding: dict[str, Samples]  # by measurement name: "position", "velocity", "speed", ...
     truth: Track | None
     lever_arm: np.ndarray  # (3,) m, IMU -> antenna, body FRD
-    notes: str = ""
+    remarks: str = ""  # in words: of its user, of its format
     errors: tuple[np.ndarray, dict[str, np.ndarray]] | None = None  # simulated: t (N,) s, true states (N, size) by name
     findings: tuple[Finding, ...] = ()  # of its reader
     early: float = 0.0  # s by which the IMU's stamps were moved back, so that no fix is early (`not_early`)
+
+    @property
+    def notes(self) -> str:
+        """Return remarks and findings of its reader, a sentence a line."""
+        return "\n".join(filter(None, [self.remarks, *(f"{f}." for f in self.findings)]))
 
 
 # ---------------------------------------------------------------------------- rows of a stream

@@ -20,7 +20,7 @@ import tuning
 from jaxnav.app import config, prepare, settings
 from jaxnav.app.jobs import tune
 from jaxnav.filters.catalogue import build
-from jaxnav.findings import KINDS
+from jaxnav.kinds import KINDS
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.states.grades import GRADES

@@ -13,14 +13,14 @@ import jaxnav
 
 ROOT = Path(__file__).parents[1] / "jaxnav"
 ORDER = (
-    "types", "findings", "maths", "states", "strapdown", "measurements", "gnss", "io", "filters", "initialization",
-    "checkup", "reading", "simulate", "analysis", "navigation", "now", "stream", "live", "app",
+    "types", "kinds", "findings", "maths", "states", "strapdown", "measurements", "gnss", "io", "filters",
+    "initialization", "checkup", "reading", "simulate", "analysis", "navigation", "now", "stream", "live", "app",
 )  # fmt: skip
 
 
 PARTS = {
-    "core": ("types", "findings", "maths", "states", "strapdown", "measurements", "filters", "initialization", "now",
-             "stream", "live"),
+    "core": ("types", "kinds", "findings", "maths", "states", "strapdown", "measurements", "filters", "initialization",
+             "now", "stream", "live"),
     "recordings": ("gnss", "io", "checkup", "reading"),
     "studies": ("simulate", "analysis", "navigation", "app"),
 }  # fmt: skip

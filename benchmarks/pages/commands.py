@@ -6,7 +6,8 @@ from benchmarks.pages.examples import EXAMPLES
 from jaxnav.app.cli import SHARED
 from jaxnav.app.verb import Argument
 from jaxnav.app.verbs import VERBS
-from jaxnav.findings import KINDS, finding
+from jaxnav.findings import finding
+from jaxnav.kinds import KINDS
 
 FINDINGS = """Remarks of `jaxnav check` and of a run. They are in `Solution.findings`, check.json, metrics.json, on the
 terminal and in the report. Each has a stable code, a severity, a subject, value and limit with their unit, likely

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.gnss.ranges import ranges_of, streams
 from jaxnav.io.checks import MAX_LEVER_ARM, check_recording, check_samples, increments_to_means, steps
 from jaxnav.io.files import FilePath, Source, Table, atomic_write, format_csv, read_bytes, read_csv
@@ -25,7 +26,7 @@ from jaxnav.io.sheet import open_sheet
 from jaxnav.maths.units import DEG, G0
 from jaxnav.measurements import MEASUREMENTS, with_data
 from jaxnav.measurements.columns import Names
-from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
+from jaxnav.types import DataError, ImuLog, Note, Recording, Samples, Track
 
 AXES = ("x", "y", "z")
 SATELLITES, RANGES = "satellites.csv", ("pseudorange", "range_rate")
@@ -50,7 +51,7 @@ def read_recording(path: FilePath) -> Recording:
     return read_folder(path)
 
 
-def read_folder(path: FilePath, notes: list[str] | None = None) -> Recording:
+def read_folder(path: FilePath, notes: list[Note] | None = None) -> Recording:
     """Read a folder of CSV files; with a list of ``notes`` a cut last line is left out and, like unread files, noted.
 
     Raises:
@@ -68,7 +69,7 @@ def read_folder(path: FilePath, notes: list[str] | None = None) -> Recording:
         )
     if notes is not None:
         notes += [
-            f"{name} is not read{_meant(name, [file for file in known if Path(file).stem not in files])}"
+            finding("file.other", name, words=_meant(name, [file for file in known if Path(file).stem not in files]))
             for name in others
         ]
     truth, satellites = files.pop("truth", None), files.pop(Path(SATELLITES).stem, None)
@@ -97,7 +98,7 @@ def read_files(
     lever_arm: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0),
     name: str = "recording",
     notes: str = "",
-    said: list[str] | None = None,
+    said: list[Note] | None = None,
 ) -> Recording:
     """Read CSV files at explicit paths; ``aiding`` by measurement name, ``lever_arm`` (3,) m FRD.
 
@@ -114,7 +115,7 @@ def read_files(
     return check_recording(Recording(name, log, streams, track, arm, notes), sources)
 
 
-def read_imu(path: FilePath, notes: list[str] | None = None) -> tuple[ImuLog, Source]:
+def read_imu(path: FilePath, notes: list[Note] | None = None) -> tuple[ImuLog, Source]:
     """``imu.csv``: rates or increments by the names of the columns; without ``dt_s`` a step is the time between."""
     table = read_csv(path, notes=notes)
     (t,) = _columns(table, ((("t_s", 1.0),),)).T
@@ -133,7 +134,7 @@ def read_imu(path: FilePath, notes: list[str] | None = None) -> tuple[ImuLog, So
     return ImuLog(t, dt, means[0], means[1]), table.source
 
 
-def read_truth(path: FilePath, notes: list[str] | None = None) -> tuple[Track, Source]:
+def read_truth(path: FilePath, notes: list[Note] | None = None) -> tuple[Track, Source]:
     """``truth.csv``; the three angles may be left out, or be nan where they are not known."""
     table = read_csv(path, _OPTIONAL_NAN, notes)
     t = _columns(table, ((("t_s", 1.0),),))[:, 0]
@@ -184,7 +185,7 @@ def _files(rec: Recording) -> Iterator[tuple[str, str]]:
     yield "recording.json", json.dumps(about, indent=1) + "\n"
 
 
-def _read_stream(path: FilePath, key: str, notes: list[str] | None = None) -> tuple[Samples, Source]:
+def _read_stream(path: FilePath, key: str, notes: list[Note] | None = None) -> tuple[Samples, Source]:
     table = read_csv(path, notes=notes)
     width = sum(name.startswith("value_") for name in table.names)
     value, sd, corr = _numbered(width) if width else _stream_columns(key, 0)

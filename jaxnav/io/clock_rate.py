@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.parts import Parts
 
 MAX_OSCILLATOR_ERROR = 1e-3  # relative rate; a larger one is a wrong time base, not an oscillator
@@ -28,7 +29,7 @@ def at_gps_rate(parts: Parts, board: np.ndarray, gps: np.ndarray) -> Parts:
     for name, stamps, other in (("board time", board, gps), ("GPS time", gps, board)):
         repeated = int(((np.diff(stamps) == 0) & (np.diff(other) > 0)).sum())
         if repeated >= MIN_REPEATED:
-            notes.append(f"{name} repeats in {repeated} of {stamps.size} fixes.")
+            notes.append(finding("clock.repeats", name, count=repeated, of=stamps.size))
     board, gps = (t[np.r_[True, moved]] for t in (board, gps))
     if board.size < MIN_FIXES:
         return parts._replace(notes=(*parts.notes, *notes))
@@ -38,7 +39,7 @@ def at_gps_rate(parts: Parts, board: np.ndarray, gps: np.ndarray) -> Parts:
     if far.any():
         at = int(far.argmax())
         first = f"{jumps[at]:+.1f} s at t = {board[at + 1]:.2f} s"
-        notes.append(f"GPS time jumps against board time {far.sum()} time(s), first by {first}.")
+        notes.append(finding("clock.jumps", count=int(far.sum()), words=first))
     even = gps - np.r_[0.0, np.cumsum(np.where(far, jumps, 0.0))]
     half = board.size // 2
     passed, run = even[half:] - even[:-half], board[half:] - board[:-half]
@@ -46,7 +47,7 @@ def at_gps_rate(parts: Parts, board: np.ndarray, gps: np.ndarray) -> Parts:
     rate = float(np.median(passed[far_apart] / run[far_apart])) if far_apart.any() else usual
     if abs(rate - 1.0) <= MAX_OSCILLATOR_ERROR:
         return parts._replace(notes=(*parts.notes, *notes))
-    notes.append(f"board time runs at {1 / rate:.5f} of the rate of GPS time: all times are rescaled to GPS time.")
+    notes.append(finding("clock.rate", value=1 / rate))
     stretched = lambda stream: stream._replace(t=stream.t * rate)
     imu = None if parts.imu is None else parts.imu._replace(
         t=parts.imu.t * rate, dt=None if parts.imu.dt is None else parts.imu.dt * rate

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.gnss.corrections import Masks
 from jaxnav.gnss.ranges import Ranges, number
 from jaxnav.gnss.ranges import rows_of as rows_of_ranges
@@ -153,7 +154,7 @@ def described(table: dict[str, Any], file: str, where: Path, base: Callable[...,
     notes = [*parts.notes, *([table["notes"]] if "notes" in table else [])]
     notes += [note for sheet in files.opened.values() for note in sheet.notes]
     if files.zero:
-        notes.append(f"t = 0 is {files.zero} s in the file's time.")
+        notes.append(finding("time.zero", words=f"{files.zero} s in the file's time"))
     arm = np.array(table.get("lever_arm_frd_m", parts.lever_arm), float)
     name = table.get("name", Path(file).stem)
     return parts._replace(file=file, aiding=aiding, truth=truth, notes=tuple(notes), lever_arm=arm, name=name)
@@ -208,8 +209,8 @@ def _with_imu(parts: Parts, files: Files, table: dict[str, Any]) -> Parts:
     rows = ImuRows(t[keep], gyro[keep], accel[keep], sampling, repair=bool(table.get("repair", False)), scale=scale)
     if column is not None:
         times = " ".join(time_columns(column))
-        words = f"imu: accelerations interpolated from times {times}: {keep.sum()} of {len(t)} gyro samples have one."
-        parts = parts._replace(notes=(*parts.notes, words))
+        said = finding("imu.two_clocks", "imu", words=times, count=int(keep.sum()), of=len(t))
+        parts = parts._replace(notes=(*parts.notes, said))
     return parts._replace(imu=rows, axes=table.get("axes", "frd"), lines=None if lines is None else lines[keep])
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.column_map import described
 from jaxnav.io.containers import members
 from jaxnav.io.files import FilePath
@@ -98,8 +99,7 @@ def read_tables(path: Path) -> Parts:
     folder = path if path.is_dir() else path.parent
     found = _drafted(path, _stamps(path))
     parts = described(found.tables, os.fspath(path), folder)
-    said = "columns are taken for what their names and numbers say: jaxnav map shows it, and drafts a map to change"
-    return parts._replace(notes=(*parts.notes, f"{path.name}: {said}."))
+    return parts._replace(notes=(*parts.notes, finding("columns.taken", path.name)))
 
 
 def recognises(path: Path, head: bytes) -> bool:

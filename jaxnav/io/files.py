@@ -10,7 +10,8 @@ from typing import IO, NamedTuple
 
 import numpy as np
 
-from jaxnav.types import DataError
+from jaxnav.findings import finding
+from jaxnav.types import DataError, Note
 
 FilePath = str | os.PathLike[str]
 
@@ -60,7 +61,7 @@ def read_bytes(path: FilePath) -> bytes:
         return stream.read()
 
 
-def read_lines(path: FilePath, notes: list[str] | None = None) -> list[tuple[int, str]]:
+def read_lines(path: FilePath, notes: list[Note] | None = None) -> list[tuple[int, str]]:
     """Read the lines of a UTF-8 text that are not blank, each with its number from 1.
 
     A last line without a line end may have been cut: a DataError, or where there is a list of ``notes`` it is left out
@@ -75,7 +76,7 @@ def read_lines(path: FilePath, notes: list[str] | None = None) -> list[tuple[int
     # str.splitlines would also split at form feeds and the like, and the line numbers would be no editor's
     lines = [(i, line.rstrip("\r")) for i, line in enumerate(text.split("\n"), start=1)]
     if lines[-1][1].strip() and notes is not None:
-        notes.append(f"{Path(path).name}: the last line has no line end and is left out: it may have been cut.")
+        notes.append(finding("file.cut", Path(path).name))
         lines.pop()
     elif lines[-1][1].strip():
         raise DataError(f"{os.fspath(path)}: line {lines[-1][0]}: has no line end; the file looks cut short")
@@ -154,14 +155,14 @@ def clean_csv(path: FilePath, nan: frozenset[str]) -> Table | None:
     return clean_table(path, names, ",", nan)
 
 
-def read_columns(path: FilePath, width: int, delimiter: str | None = None, notes: list[str] | None = None) -> Table:
+def read_columns(path: FilePath, width: int, delimiter: str | None = None, notes: list[Note] | None = None) -> Table:
     """Read a table without a header: ``width`` numbers a line; delimiter None: white space; ``notes``: `read_lines`."""
     if (clean := clean_table(path, width, delimiter)) is not None:
         return clean
     return parse_numbers([(i, line.split(delimiter)) for i, line in read_lines(path, notes)], width, path)
 
 
-def read_csv(path: FilePath, nan: frozenset[str] = frozenset(), notes: list[str] | None = None) -> Table:
+def read_csv(path: FilePath, nan: frozenset[str] = frozenset(), notes: list[Note] | None = None) -> Table:
     """Read a comma-separated table with the names of its columns in the first line; ``notes`` as in `read_lines`."""
     if (clean := clean_csv(path, nan)) is not None:
         return clean

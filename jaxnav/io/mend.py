@@ -12,11 +12,11 @@ from jaxnav.findings import finding
 from jaxnav.io import missing, polling
 from jaxnav.io.checks import check_recording, uncertainty
 from jaxnav.io.files import MAX_VALUE, Source
-from jaxnav.io.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Note, Parts, Stream, TimeScale
+from jaxnav.io.parts import INCREMENTS, INSTANTANEOUS, ImuRows, Parts, Stream, TimeScale
 from jaxnav.maths.axes import rotation
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, week_shift
 from jaxnav.measurements import AUXILIARY, with_data
-from jaxnav.types import DataError, Finding, ImuLog, Recording, Samples
+from jaxnav.types import DataError, Finding, ImuLog, Note, Recording, Samples
 
 MAX_BAD_SHARE = 0.05  # share of rows that may be left out; with more, the file is probably of another kind
 GAP_STEPS = 2.5  # median steps: a longer one is a gap, without samples
@@ -98,12 +98,12 @@ def recording(parts: Parts) -> Recording:
     truth = parts.truth
     if imu.t[0] >= MAX_TIME_S:  # the IMU's zero is everybody's
         zero = float(imu.t[0] - imu.dt[0])
-        notes.append(f"t = 0 is {zero:.6f} s in the file's time.")
+        notes.append(finding("time.zero", words=f"{zero:.6f} s in the file's time"))
         imu = imu._replace(t=imu.t - zero)
         aiding = {key: samples._replace(t=samples.t - zero) for key, samples in aiding.items()}
         truth = None if truth is None else truth._replace(t=truth.t - zero)
     if "velocity" not in aiding and "position" in aiding:
-        notes.append("There is no velocity: position only.")
+        notes.append(finding("velocity.none"))
     name, arm = parts.name or parts.file, np.asarray(parts.lever_arm, float)
     said = list(dict.fromkeys(notes))
     found = tuple(note for note in said if isinstance(note, Finding))
@@ -139,7 +139,7 @@ def _imu(rows: ImuRows, turn: np.ndarray, parts: Parts, notes: list[Note]) -> Im
     dt = _intervals(t, stated, notes)
     repeated = int(np.logical_and.reduce([a[1:] == a[:-1] for a in (*gyro.T, *accel.T)]).sum())
     if repeated:
-        notes.append(f"imu: {repeated} of {len(t)} rows repeat the row before: the logger may have polled the sensor.")
+        notes.append(finding("rows.repeated", "imu", count=repeated, of=len(t)))
     if rows.sampling == INCREMENTS:
         gyro, accel = gyro / dt[:, None], accel / dt[:, None]
     elif rows.sampling == INSTANTANEOUS:
@@ -154,7 +154,7 @@ def _mended(t: np.ndarray, values: np.ndarray, notes: list[Note]) -> tuple[np.nd
     """Return times and values of a polled log on the sensor's even clock; unchanged with gaps or without losses."""
     step = np.diff(t)
     if (step > GAP_STEPS * np.median(step)).any():
-        notes.append("imu: it has gaps, so that its repeated rows are not mended.")
+        notes.append(finding("imu.unmended", "imu"))
         return t, values
     mended = polling.repair(values)
     if not mended.lost.any():
@@ -162,10 +162,8 @@ def _mended(t: np.ndarray, values: np.ndarray, notes: list[Note]) -> tuple[np.nd
     index, seen = np.arange(mended.lost.size), ~mended.lost
     interval, first = np.polyfit(index[seen], t[mended.poll[seen]], 1)
     repeated = int(polling.repeats(values).sum())
-    notes.append(
-        f"imu: {repeated} repeated rows are taken out and {mended.lost.sum()} lost samples filled in; "
-        f"the sensor's clock gives one every {1e3 * interval:.5g} ms."
-    )
+    lost = int(mended.lost.sum())
+    notes.append(finding("imu.mended", "imu", 1e3 * float(interval), count=repeated, lost=lost))
     return first + interval * index, mended.values
 
 
@@ -197,10 +195,10 @@ def usable(
             continue
         first = int(np.argmax(bad))
         at = f"line {int(lines[first])}" if lines is not None else f"row {first}"
-        sentence = f"{name}: {bad.sum()} of {len(t)} rows {problem}"
-        if bad.sum() > max(2, share * len(t)):
-            raise DataError(f"{file}: {at}: {sentence}, this is the first")
-        notes.append(f"{sentence} are left out, the first at {at}.")
+        count, of = int(bad.sum()), len(t)
+        if count > max(2, share * of):
+            raise DataError(f"{file}: {at}: {name}: {count} of {of} rows {problem}, this is the first")
+        notes.append(finding("rows.bad", name, count=count, of=of, why=problem, at=at))
     if not keep.any():
         raise DataError(f"{file}: {name}: has no row that can be used")
     return keep
@@ -214,7 +212,7 @@ def _one_piece(t: np.ndarray, keep: np.ndarray, notes: list[Note]) -> np.ndarray
     longest = int(np.argmax(np.bincount(piece[index])))
     dropped = int(np.count_nonzero(piece[index] != longest))
     if dropped:
-        notes.append(f"imu: {dropped} rows that are more than an hour from the rest are left out.")
+        notes.append(finding("rows.piece", "imu", count=dropped))
     return piece == longest
 
 
@@ -231,9 +229,9 @@ def _intervals(t: np.ndarray, stated: np.ndarray | None, notes: list[Note]) -> n
     if gap.any():
         i = int(np.argmax(step))
         many = f"{gap.sum()} gaps" if gap.sum() > 1 else "one gap"
-        notes.append(f"The IMU has {many}, the longest {step[i]:.3g} s long, {t[i] - t[0]:.1f} s after its start.")
+        notes.append(finding("imu.holes", value=float(step[i]), words=many, at=float(t[i] - t[0])))
     if usual > 1.0 / MIN_RATE_HZ:
-        notes.append(f"The IMU comes at {1.0 / usual:.3g} Hz: strapdown navigation loses the motion in between.")
+        notes.append(finding("imu.seldom", value=1.0 / usual))
     return dt if stated is None else stated
 
 
@@ -250,7 +248,7 @@ def _gravity_axis(imu: ImuLog, notes: list[Note]) -> None:
         else "the IMU is mounted on its side: give axes"
     )
     mean = ", ".join(f"{x:.1f}" for x in force)
-    notes.append(f"The mean specific force is ({mean}) m/s^2, where FRD at rest reads (0, 0, -9.8): {looks}.")
+    notes.append(finding("imu.upright", vector=mean, words=looks))
 
 
 def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[Note]) -> Samples | None:
@@ -269,7 +267,7 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[Note
         value = np.where(missing.no_value(value, streams[name].columns), np.nan, value)
     none = ~np.isfinite(value).all(axis=1)
     if none.any():
-        notes.append(f"{name}: {none.sum()} of {len(t)} rows have no value, or a mark for none, and are left out.")
+        notes.append(finding("rows.no_value", name, count=int(none.sum()), of=len(t)))
     t, value, given, corr = t[~none], value[~none], given[~none], corr[~none]
     rows = np.flatnonzero(~none)
     if not len(t):
@@ -281,18 +279,16 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[Note
         far = np.zeros(len(t), bool)
         far[keep] = missing.unreachable(t[keep], value[keep])
         if far.any():
-            notes.append(
-                f"position: {far.sum()} of {len(t)} rows are farther from the others than {missing.MAX_SPEED:g} m/s "
-                f"allow and are left out, the first at {t[np.argmax(far)]:.1f} s."
-            )
+            first, limit = float(t[np.argmax(far)]), missing.MAX_SPEED
+            notes.append(finding("rows.far", name, limit=limit, count=int(far.sum()), of=len(t), at=first))
         keep &= ~far
     good = np.all((given > MIN_SD) & (given < MAX_SD), axis=1)  # nan too
     if np.any(keep & ~good):
-        notes.append(f"{name}: {np.count_nonzero(keep & ~good)} of {len(t)} rows without a usable sd are left out.")
+        notes.append(finding("rows.no_sd", name, count=int(np.count_nonzero(keep & ~good)), of=len(t)))
     inside = (t > imu.t[0] - imu.dt[0]) & (t <= imu.t[-1])
     outside = int(np.count_nonzero(keep & good & ~inside))
     if outside:
-        notes.append(f"{name}: {outside} of {len(t)} rows are before the IMU's first sample or after its last.")
+        notes.append(finding("rows.outside", name, count=outside, of=len(t)))
     keep &= good & inside
     if not keep.any():
         theirs, hint = "no time", ""
@@ -306,16 +302,16 @@ def _samples(name: str, stream: Stream, imu: ImuLog, file: str, notes: list[Note
         return None
     again = np.mean(np.all(value[keep][1:] == value[keep][:-1], axis=1)) if keep.sum() > 1 else 0.0
     if again > 0.2 and name in ("position", "velocity"):
-        notes.append(f"{name}: {100 * again:.0f} % of the rows repeat the row before: standing, or polled?")
+        notes.append(finding("rows.alike", name, 100 * float(again)))
     valid, auxiliary = (None if a is None else a[rows[keep]] for a in (stream.valid, stream.auxiliary))
     return Samples(t[keep], value[keep], given[keep], corr[keep], valid, auxiliary)
 
 
 def _nothing_left(name: str, words: str, notes: list[Note]) -> None:
     """Note a stream that ends without rows, and what was left out of it."""
-    head = f"{name}: "
-    said = " ".join(note.removeprefix(head) for note in notes if isinstance(note, str) and note.startswith(head))
-    cause = said.rstrip(".") or "they are outside of the IMU's time, or hold no values"
+    said = [note.message for note in notes if isinstance(note, Finding) and note.subject == name]
+    cause = "; ".join(words.removeprefix(f"{name}: ") for words in said)
+    cause = cause or "they are outside of the IMU's time, or hold no values"
     notes.append(finding("stream.empty", name, words=f"no row is left {words}", cause=cause))
 
 
@@ -326,9 +322,9 @@ def _with_heights(value: np.ndarray, sd: np.ndarray, notes: list[Note]) -> tuple
     value = np.where(none[:, None], np.nan, value)
     if lost.any():
         known, k = ~lost & ~none, np.arange(len(lost))
+        words, count = "interpolated" if known.any() else "0 m", int(lost.sum())
         notes.append(
-            f"position: {lost.sum()} of {len(lost)} rows have no height, or a mark for none: it is "
-            f"{'interpolated' if known.any() else '0 m'}, with an sd of {missing.UNMEASURED_SD:g} m."
+            finding("rows.no_height", "position", limit=missing.UNMEASURED_SD, count=count, of=len(lost), words=words)
         )
         value[lost, 2] = np.interp(k[lost], k[known], value[known, 2]) if known.any() else 0.0
         sd[lost, 2] = missing.UNMEASURED_SD
@@ -347,8 +343,8 @@ def _with_sd(name: str, sd: np.ndarray, notes: list[Note]) -> np.ndarray:
         scan = "; the noise scan may take them for smaller or larger" if name == "position" else ""
         notes.append(finding("stream.assumed_sd", name, words=uncertainty(name, assumed), scan=scan))
     elif not whole.all():
-        words = f"{lost.any(axis=1).sum()} of {len(sd)} rows state no sd on an axis"
-        notes.append(f"{name}: {words}; assumed there are {uncertainty(name, assumed)}.")
+        count = int(lost.any(axis=1).sum())
+        notes.append(finding("rows.some_sd", name, count=count, of=len(sd), words=uncertainty(name, assumed)))
     return np.where(lost, assumed, sd)
 
 
@@ -357,10 +353,10 @@ def _same_epoch(name: str, t: np.ndarray, imu: ImuLog, notes: list[Note]) -> np.
     first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
     weeks = week_shift(t[np.isfinite(t)], imu.t)
     if weeks:
-        notes.append(f"{name}: its times are {-weeks / WEEK:+g} weeks from the IMU's, and are taken for the same week.")
+        notes.append(finding("time.week", name, -weeks / WEEK))
         return t + weeks
     if not (imu.t[-1] < 2 * WEEK and first >= GPS_EPOCH):
         return t
     week = np.round((np.nanmedian(t) - GPS_EPOCH - float(np.median(imu.t))) / WEEK)
-    notes.append(f"{name}: times since 1970 are taken as seconds of GPS week {week:.0f}, the IMU's time scale.")
+    notes.append(finding("time.since_1970", name, float(week)))
     return t - GPS_EPOCH - week * WEEK

@@ -2,18 +2,16 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxnav.findings import finding, line
-from jaxnav.types import DataError, Finding, Recording, Track
+from jaxnav.types import DataError, Note, Recording, Track
 
 RATES, INCREMENTS, INSTANTANEOUS = "rates", "increments", "instantaneous"
 SAMPLINGS = (RATES, INCREMENTS, INSTANTANEOUS)
 MOST_NAMED = 12  # types of messages that a finding names
-Note: TypeAlias = str | Finding
-"""A sentence, or a finding of `jaxnav.findings.KINDS`."""
 
 
 class TimeScale(StrEnum):
@@ -64,14 +62,14 @@ class Parts(NamedTuple):
     zero: int = 0  # s of the file's time, subtracted from all times
 
 
-def with_fixes(file: str, receivers: dict[str, np.ndarray], chosen: str | None, notes: list[str]) -> str:
+def with_fixes(file: str, receivers: dict[str, np.ndarray], chosen: str | None, notes: list[Note]) -> str:
     """Return the receiver to read: the one asked for, else the first that mostly has a fix, else that with most fixes.
 
     Args:
         file: for the message.
         receivers: which messages (N,) have a fix in three dimensions by name, the usual receiver first.
         chosen: name that the user gave.
-        notes: gets a sentence where there are several.
+        notes: gets a finding where there are several.
 
     Raises:
         DataError: a name that is not there.
@@ -83,7 +81,7 @@ def with_fixes(file: str, receivers: dict[str, np.ndarray], chosen: str | None, 
     mostly = (name for name, fixed in receivers.items() if 2 * counts[name] > fixed.size)
     name = chosen or next(mostly, max(counts, key=lambda name: counts[name]))
     if len(receivers) > 1:
-        notes.append(f"position is {name} with {counts[name]} fixes, of {names} (option receiver).")
+        notes.append(finding("receiver.chosen", name, count=counts[name], words=names))
     return name
 
 
@@ -99,7 +97,7 @@ def unread(counts: Mapping[str, int]) -> tuple[Note, ...]:
 
 def notes_of(rec: Recording) -> str:
     """Return the notes of a recording and the findings of its reader, a line each."""
-    return "\n".join(filter(None, [rec.notes, *(f"{line(f)}." for f in rec.findings)]))
+    return "\n".join(filter(None, [rec.remarks, *(f"{line(f)}." for f in rec.findings)]))
 
 
 def counted_from(parts: Parts, zero: int) -> Parts:
@@ -121,5 +119,5 @@ def parts_of(rec: Recording, file: str) -> Parts:
     """Return a finished recording as parts, for options and another file's fixes."""
     aiding = {name: Stream(*samples) for name, samples in rec.aiding.items()}
     imu = ImuRows(rec.imu.t, rec.imu.gyro, rec.imu.accel, dt=rec.imu.dt)
-    notes = tuple(rec.notes.split("\n")) if rec.notes else ()
+    notes = tuple(rec.remarks.split("\n")) if rec.remarks else ()
     return Parts(file, imu, aiding, rec.truth, rec.lever_arm, (*notes, *rec.findings), name=rec.name)

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.mend import MAX_BAD_SHARE
 from jaxnav.io.parts import Parts
 from jaxnav.maths.gps_time import WEEK
@@ -74,10 +75,7 @@ def unrolled(parts: Parts, part: int | None = None) -> Parts:
     if found:
         period, notes = PERIODS[found[0]], list(parts.notes)
         fall = ", ".join(name for name, of in names.items() if of == found[0])
-        notes.append(
-            f"{fall}: times fall by {period:.10g} s, {found[0]}, where the counter wraps: they go on; streams begin "
-            "within the same count."
-        )
+        notes.append(finding("clock.wraps", fall, period, words=found[0]))
         streams = {name: going_on(t, period) if names[name] == found[0] else t for name, t in streams.items()}
         first = next(iter(streams.values()))
         streams = {name: t + _into(t, first, period) for name, t in streams.items()}
@@ -116,7 +114,7 @@ def _one_part(parts: Parts, streams: dict[str, np.ndarray], part: int | None) ->
     if not 0 <= chosen < len(lengths):
         raise DataError(f"{parts.file}: part: expected 1 to {len(lengths)}, got {part}")
     each = ", ".join(f"{length:.1f} s" for length in lengths)
-    note = f"imu: its clock starts again {at.size} times, in parts of {each}: part {chosen + 1} is read (option part)."
+    note = finding("clock.restarts", "imu", count=at.size, words=each, part=chosen + 1)
     assert parts.imu is not None
     imu = _cut(parts.imu, ends[chosen], ends[chosen + 1])
     lines = None if parts.lines is None else parts.lines[ends[chosen] : ends[chosen + 1]]

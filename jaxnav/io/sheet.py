@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.containers import ZIP, contents
 from jaxnav.io.files import FilePath
 from jaxnav.io.units import MULTIPLE, number_of
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Finding
 
 DAYS = {"excel": 25569.0, "matlab": 719529.0}  # days on which 1970 began, of units that count days
 DATE = re.compile(r"\s*(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T\s]+(\d{1,2}):(\d{1,2}):(\d{1,2}(?:\.\d*)?)\s*Z?\s*")
@@ -37,7 +38,7 @@ class Sheet(NamedTuple):
     file: str
     columns: dict[str, np.ndarray]  # by name; text columns also by number from 1
     lines: np.ndarray | None  # of the rows, where the file has lines
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     twice: tuple[str, ...] = ()  # names that stand above several columns
     units: Mapping[str, str] = {}  # of a line below the header, by name
 
@@ -226,7 +227,7 @@ def _text(
     lines = [(i, line.strip("\r")) for i, line in enumerate(text.split("\n"), start=1)]
     notes = []
     if lines[-1][1].strip() and len(lines) > 2:
-        notes.append(f"{Path(file).name}: the last line has no line end and is left out: it may have been cut.")
+        notes.append(finding("file.cut", Path(file).name))
         lines.pop()
     lines = [(i, line) for i, line in lines if line.strip()]
     comments = [line.lstrip("#% ") for _, line in lines[:100] if line.lstrip()[:1] in ("#", "%")]
@@ -247,10 +248,10 @@ def _text(
             raise DataError(f"{file}: has no line with {texts}")
     width = Counter(len(cells) for _, cells in rows).most_common(1)[0][0]
     if only and (odd := _of_no_kind(every, only[0][0], width)):
-        notes.append(f"{Path(file).name}: {len(odd)} lines of no kind are left out, first line {odd[0]}.")
+        notes.append(finding("file.lines", Path(file).name, count=len(odd), why="of no kind", at=odd[0]))
     if delimiter != "," and _decimal_commas(rows):
         rows = [(i, [cell.replace(",", ".") for cell in cells]) for i, cells in rows]
-        notes.append(f"{Path(file).name}: commas are taken for decimal points.")
+        notes.append(finding("file.commas", Path(file).name))
     names: list[str] = _cells(comments[-1], delimiter) if comments else []
     below: list[str] = []
     before = next((k for k, (_, cells) in enumerate(rows) if len(cells) == width), 0)
@@ -258,10 +259,10 @@ def _text(
     if header or (header is None and not only and _is_header([cells for _, cells in rows[before : before + 2]])):
         names = rows[before][1]
         if before:
-            notes.append(f"{Path(file).name}: {before} lines before the header are left out.")
+            notes.append(finding("file.header", Path(file).name, count=before))
         rows = rows[before + 1 :]
         if rows and len(rows[0][1]) == width and len(rows) > 1 and header is None and text_only(rows[0][1]):
-            notes.append(f"{Path(file).name}: the line of units below the header is left out.")
+            notes.append(finding("file.units", Path(file).name))
             below = rows.pop(0)[1]
     whole = [row for row in rows if len(row[1]) == width]
     if len(rows) - len(whole) > max(2, MAX_BAD * len(rows)) or not whole:
@@ -269,7 +270,8 @@ def _text(
         raise DataError(f"{file}: line {bad}: expected {width} columns like most lines")
     if len(whole) < len(rows):
         bad = next(i for i, cells in rows if len(cells) != width)
-        notes.append(f"{Path(file).name}: {len(rows) - len(whole)} lines of another width left out, first line {bad}.")
+        count = len(rows) - len(whole)
+        notes.append(finding("file.lines", Path(file).name, count=count, why="of another width", at=bad))
     cells = np.array([cells for _, cells in whole])
     columns = {str(k + 1): cells[:, k] for k in range(width)}
     if len(names) == width:
@@ -343,7 +345,7 @@ def _json(data: bytes, file: str) -> Sheet | None:
 
     None of a text that only begins with a bracket.
     """
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     whole, lines = _loaded(data), None
     if whole is not None:
         rows = whole if isinstance(whole, list) else next((v for v in whole.values() if isinstance(v, list)), [whole])
@@ -356,7 +358,8 @@ def _json(data: bytes, file: str) -> Sheet | None:
         if len(lost) > max(2, MAX_BAD * len(read)):
             raise DataError(f"{file}: line {lost[0]}: expected a JSON object like most lines")
         if lost:
-            notes = (f"{Path(file).name}: {len(lost)} lines that are no JSON left out, first line {lost[0]}.",)
+            said = finding("file.lines", Path(file).name, count=len(lost), why="that are no JSON", at=lost[0])
+            notes = (said,)
         kept = [(i, row) for i, row in read if isinstance(row, dict)]
         rows, lines = [row for _, row in kept], np.array([i for i, _ in kept])
     if not rows or not all(isinstance(row, dict) for row in rows):

@@ -123,4 +123,4 @@ def _leap_seconds(parts: Parts) -> float:
 
 
 def _noted(rec: Recording, note: str) -> Recording:
-    return rec._replace(notes="\n".join(filter(None, [rec.notes, note])))
+    return rec._replace(remarks="\n".join(filter(None, [rec.remarks, note])))

@@ -9,10 +9,11 @@ from string import Formatter
 import jaxnav
 from benchmarks.pages.examples import EXAMPLES
 from jaxnav.app.results import Outcome, terminal
-from jaxnav.findings import KINDS, finding, line, warnings
+from jaxnav.findings import finding, line, warnings
+from jaxnav.kinds import KINDS
 from jaxnav.types import Severity
 
-HERE = {Path("jaxnav/findings.py"), Path("benchmarks/pages/examples.py")}
+HERE = {*Path("jaxnav/kinds").glob("*.py"), Path("benchmarks/pages/examples.py")}
 POSITIONAL = ("code", "subject", "value", "limit")
 
 

@@ -100,7 +100,7 @@ def test_an_axis_without_sd_has_the_assumed_one(drive):
     assert f"position: {len(sd)} of {len(sd)} rows state no sd on an axis" in rec.notes
     rec = mend.recording(fixes(drive, sd=np.zeros_like(sd)))
     assert (rec.aiding["position"].sd == [3.0, 3.0, 6.0]).all()
-    assert [f.code for f in rec.findings] == ["stream.assumed_sd"]
+    assert [f.code for f in rec.findings] == ["stream.assumed_sd", "velocity.none"]
 
 
 def test_a_speed_that_stands_for_none_is_none(drive, tmp_path):

@@ -125,8 +125,8 @@ def test_formats_are_known_by_their_contents(tmp_path):
 
 def test_a_usable_recording_has_nothing_said_but_the_sd():
     rec = mend.recording(parts())
-    assert rec.notes == "There is no velocity: position only."
-    assert [(f.code, f.subject) for f in rec.findings] == [("stream.assumed_sd", "position")]
+    assert rec.remarks == "" and rec.notes.endswith("There is no velocity: position only.")
+    assert [(f.code, f.subject) for f in rec.findings] == [("stream.assumed_sd", "position"), ("velocity.none", "")]
     assert checkup(rec)[0] == rec.findings[0] and "assumed are 3, 3, 6 m" in rec.findings[0].message
     np.testing.assert_allclose(rec.imu.t, recording().imu.t)
     np.testing.assert_allclose(rec.imu.dt, 0.01)

@@ -32,7 +32,7 @@ def test_tables_as_people_write_them(tmp_path, text, a, b, words):
     sheet = open_sheet(tmp_path / "x.csv")
     np.testing.assert_array_equal(numbers(sheet, "a"), a)
     np.testing.assert_array_equal(numbers(sheet, "b"), b)
-    assert words is None and not sheet.notes or words is not None and any(words in note for note in sheet.notes)
+    assert words is None and not sheet.notes or words is not None and any(words in str(note) for note in sheet.notes)
 
 
 ROWS = [f"{1_600_000_000_123_456_789 + 5_000_000 * k},{k * 0.005!r},{k % 7},-{k}e-3" for k in range(400)]
@@ -156,7 +156,7 @@ def test_lines_that_are_no_json(tmp_path):
     lines = [JSON[0]] * 50
     (tmp_path / "a.json").write_text("\n".join([*lines, JSON[0][:9]]))
     sheet = open_sheet(tmp_path / "a.json")
-    assert len(sheet.columns["t"]) == 50 and "1 lines that are no JSON left out, first line 51" in sheet.notes[0]
+    assert len(sheet.columns["t"]) == 50 and "1 lines that are no JSON left out, first line 51" in str(sheet.notes[0])
     (tmp_path / "a.json").write_text("\n".join([*lines, "x", "y", "z", "w"]))
     with pytest.raises(DataError, match="a.json: line 51: expected a JSON object"):
         open_sheet(tmp_path / "a.json")

@@ -6,7 +6,8 @@ from dataclasses import replace
 from jaxnav.filters.border import name_of, user_value
 from jaxnav.filters.lanes import RECEIVER_ERROR
 from jaxnav.filters.parameters import get, has
-from jaxnav.findings import KINDS, finding, line
+from jaxnav.findings import finding, line
+from jaxnav.kinds import KINDS
 from jaxnav.states.installation import LEVER_ARM_ERROR
 from jaxnav.types import Finding, Params
 

@@ -21,8 +21,9 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import installed, later
 from jaxnav.filters.scores import mean_nis
 from jaxnav.filters.standstill import Standing
-from jaxnav.findings import KINDS, finding
+from jaxnav.findings import finding
 from jaxnav.initialization.initialize import Initialization, initialize, require_positions
+from jaxnav.kinds import KINDS
 from jaxnav.maths.units import PPM
 from jaxnav.measurements import GNSS, Measurement, layout
 from jaxnav.navigation import MAX_EARLY_S, Solution, navigate, not_early

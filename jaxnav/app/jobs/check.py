@@ -109,7 +109,7 @@ def in_words(rec: Recording) -> str:
     lines = [describe_text(describe(rec)), ""]
     if "position" not in rec.aiding:
         lines.append("there are no positions, so that no filter can be run on it")
-    return "\n".join([*lines, *(f"  {note}" for note in rec.notes.splitlines())])
+    return "\n".join([*lines, *(f"  {note}" for note in rec.remarks.splitlines())])
 
 
 def configuration(data: Data, rec: Recording, found: list[Finding]) -> str:

@@ -15,7 +15,7 @@ from jaxnav.io.parts import ImuRows, Parts, Stream, with_fixes
 from jaxnav.io.units import UNITS
 from jaxnav.maths.gps_time import WEEK
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Note
 
 SYNC, FMT, FMT_SIZE = b"\xa3\x95", 128, 89
 MILLIGAUSS = UNITS["field"]["mgauss"]
@@ -56,7 +56,7 @@ def read(path: Path, instance: int = 0, receiver: str | None = None) -> Parts:
     Raises:
         DataError: no such IMU or receiver.
     """
-    notes: list[str] = []
+    notes: list[Note] = []
     logged = read_messages(path, notes)
     imu = _instance(logged, "IMU", instance)
     if imu is None:
@@ -93,7 +93,7 @@ def _rangefinder(data: dict[str, np.ndarray] | None) -> Stream | None:
     return Stream(_seconds(data)[good], data["Dist"][good, None]) if good.any() else None
 
 
-def read_messages(path: Path, notes: list[str] | None = None) -> dict[str, dict[str, np.ndarray]]:
+def read_messages(path: Path, notes: list[Note] | None = None) -> dict[str, dict[str, np.ndarray]]:
     """Every kind of message: its numeric columns (N,) by name, in the unit that the format's character means.
 
     Bytes without a message are skipped; ``notes`` gets their number.
@@ -208,7 +208,7 @@ def _columns(data: dict[str, np.ndarray], *names: str) -> np.ndarray:
     return np.stack([data[name] for name in names], axis=1)
 
 
-def _gps(logged: dict[str, dict[str, Any]], notes: list[str], number: int) -> dict[str, Stream]:
+def _gps(logged: dict[str, dict[str, Any]], notes: list[Note], number: int) -> dict[str, Stream]:
     gps, accuracy = _instance(logged, "GPS", number), _instance(logged, "GPA", number)
     if gps is None:
         return {}

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.parts import ImuRows, Parts
 from jaxnav.io.sheet import numbers, open_sheet, times
 from jaxnav.types import DataError
@@ -37,7 +38,7 @@ def read(path: Path) -> Parts:
     zero = int(first[0]) if np.isfinite(first[0]) else 0
     gyro, accel = (np.stack([numbers(sheet, k + i) for i in range(3)], axis=1) for k in (2, 5))
     rows = ImuRows(times(sheet, 1, "ns", zero), gyro, accel)
-    notes = (*sheet.notes, f"t = 0 is {zero} s since 1970.")
+    notes = (*sheet.notes, finding("time.zero", words=f"{zero} s since 1970"))
     return Parts(os.fspath(file), rows, notes=notes, lines=sheet.lines, zero=zero)
 
 

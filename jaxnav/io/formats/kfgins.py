@@ -10,10 +10,10 @@ from jaxnav.io.files import FilePath, Source, atomic_write, read_columns
 from jaxnav.io.parts import ImuRows, Parts, Stream
 from jaxnav.maths.gps_time import WEEK, unrolled
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError, ImuLog, Samples, Track
+from jaxnav.types import DataError, ImuLog, Note, Samples, Track
 
 
-def read_kfgins_imu(path: FilePath, notes: list[str] | None = None) -> ImuLog:
+def read_kfgins_imu(path: FilePath, notes: list[Note] | None = None) -> ImuLog:
     """Seconds of week, dtheta (3) rad, dvel (3) m/s over the step, FRD, to means; t in seconds of week.
 
     With a list of ``notes`` a cut last line is left out and said there. DataError names file and line.
@@ -25,20 +25,20 @@ def read_kfgins_imu(path: FilePath, notes: list[str] | None = None) -> ImuLog:
     return check_imu(ImuLog(t, dt, gyro, accel), table.source)
 
 
-def read_kfgins_gnss(path: FilePath, notes: list[str] | None = None) -> Samples:
+def read_kfgins_gnss(path: FilePath, notes: list[Note] | None = None) -> Samples:
     """Seconds of week, lat, lon deg, h m, sd N, E, D m to a "position" stream; t in seconds of week."""
     samples, source = gnss_rows(path, notes)
     return check_samples("position", samples, source)
 
 
-def gnss_rows(path: FilePath, notes: list[str] | None = None) -> tuple[Samples, Source]:
+def gnss_rows(path: FilePath, notes: list[Note] | None = None) -> tuple[Samples, Source]:
     """Return the rows of a KF-GINS GNSS file as they stand there, repeated ones and sd of 0 too."""
     table = read_columns(path, 7, notes=notes)
     t, lla, ned = _weeks_on(table.values[:, 0], notes), table.values[:, 1:4], table.values[:, 4:]
     return Samples(t, lla * np.array([DEG, DEG, 1.0]), ned[:, [1, 0, 2]], np.zeros((len(t), 3))), table.source
 
 
-def _weeks_on(t: np.ndarray, notes: list[str] | None) -> np.ndarray:
+def _weeks_on(t: np.ndarray, notes: list[Note] | None) -> np.ndarray:
     """Return seconds of the week that go on over its end, with a note."""
     t, falls = unrolled(t)
     if falls and notes is not None:
@@ -114,7 +114,7 @@ def is_imu(path: Path, head: bytes) -> bool:
 
 def read_imu(path: Path) -> Parts:
     """Return the IMU."""
-    notes: list[str] = []
+    notes: list[Note] = []
     imu = read_kfgins_imu(path, notes)
     return Parts(os.fspath(path), ImuRows(imu.t, imu.gyro, imu.accel, dt=imu.dt), notes=tuple(notes))
 
@@ -127,6 +127,6 @@ def is_gnss(path: Path, head: bytes) -> bool:
 
 def read_gnss(path: Path) -> Parts:
     """Return the fixes."""
-    notes: list[str] = []
+    notes: list[Note] = []
     position = Stream(*gnss_rows(path, notes)[0])
     return Parts(os.fspath(path), aiding={"position": position}, notes=tuple(notes))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.files import read_bytes
 from jaxnav.io.parts import ImuRows, Parts, Stream
 from jaxnav.io.sheet import date
@@ -52,7 +53,7 @@ def read(path: Path) -> Parts:
     rph = np.column_stack([roll, -pitch, np.mod(0.5 * np.pi - yaw, 2 * np.pi)])
     each = lambda column: np.repeat(rows[:, column, None], 3, axis=1)
     aiding = {"position": Stream(t, lla, each(POSITION_SD)), "velocity": Stream(t, vel, each(VELOCITY_SD))}
-    notes = (FUSED, f"t = 0 is {zero} s since 1970 in the drive's local time.")
+    notes = (FUSED, finding("time.zero", words=f"{zero} s since 1970 in the drive's local time"))
     imu = ImuRows(t, rows[:, GYRO], rows[:, ACCEL])
     whole = np.isfinite(t)
     truth = Track(t[whole], lla[whole], vel[whole], rph[whole])

@@ -14,11 +14,11 @@ import numpy as np
 from jaxnav.findings import finding
 from jaxnav.io.files import read_bytes
 from jaxnav.io.missing import UNMEASURED_SD
-from jaxnav.io.parts import Note, Parts, Stream, TimeScale, scaled, unread
+from jaxnav.io.parts import Parts, Stream, TimeScale, scaled, unread
 from jaxnav.io.units import UNITS
 from jaxnav.maths import gps_time
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Note
 
 SPEED_SD = 0.3  # m/s, assumed: NMEA states none
 DAY = 86400.0  # s

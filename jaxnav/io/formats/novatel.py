@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.files import read_bytes
-from jaxnav.io.parts import INCREMENTS, ImuRows, Note, Parts, Stream, TimeScale, scaled, unread
+from jaxnav.io.parts import INCREMENTS, ImuRows, Parts, Stream, TimeScale, scaled, unread
 from jaxnav.io.units import nearest
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG, MG
-from jaxnav.types import DataError, Track
+from jaxnav.types import DataError, Note, Track
 
 FOOT = 0.3048  # m
 HONEYWELL = (2.0**-33, 2.0**-27 * FOOT)
@@ -119,7 +120,7 @@ def read(path: Path, imu: str | None = None) -> Parts:
     truth = None if solution is None else _solution(logs[solution], SOLUTIONS[solution], zero)
     if truth is not None:
         notes.append(f"truth is {solution}, the receiver's INS/GNSS solution, which uses the same fixes.")
-    notes.append(f"t = 0 is {zero} s since 1970 in GPS time.")
+    notes.append(finding("time.zero", words=f"{zero} s since 1970 in GPS time"))
     parts = scaled(parts._replace(aiding=aiding), TimeScale.GPS)
     return parts._replace(truth=truth, notes=(*notes, *unread(others)))
 

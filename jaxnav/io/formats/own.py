@@ -7,6 +7,7 @@ from pathlib import Path
 from jaxnav.io import canonical
 from jaxnav.io.files import HEAD
 from jaxnav.io.parts import ImuRows, Parts, parts_of
+from jaxnav.types import Note
 
 
 def is_folder(path: Path, head: bytes) -> bool:
@@ -16,7 +17,7 @@ def is_folder(path: Path, head: bytes) -> bool:
 
 def read_folder(path: Path) -> Parts:
     """Return the streams of a folder."""
-    notes: list[str] = []
+    notes: list[Note] = []
     rec = canonical.read_folder(path, notes)
     parts = parts_of(rec, os.fspath(path))
     return parts._replace(notes=parts.notes + tuple(notes))
@@ -47,7 +48,7 @@ def is_imu_csv(path: Path, head: bytes) -> bool:
 
 def read_imu_csv(path: Path) -> Parts:
     """Return the IMU alone."""
-    notes: list[str] = []
+    notes: list[Note] = []
     imu, source = canonical.read_imu(path, notes)
     return Parts(
         os.fspath(path), ImuRows(imu.t, imu.gyro, imu.accel, dt=imu.dt), notes=tuple(notes), lines=source.lines

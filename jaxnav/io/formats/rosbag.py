@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.column_map import interpolated
 from jaxnav.io.files import MAX_VALUE
-from jaxnav.io.parts import ImuRows, Note, Parts, Stream, TimeScale, scaled, unread
+from jaxnav.io.parts import ImuRows, Parts, Stream, TimeScale, scaled, unread
 from jaxnav.io.units import pressure_height
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Note
 
 SENSOR = re.compile(r"gps|gnss|navpvt|ublox|novatel|septentrio|rtk|imu|nmea|odom|wheel")  # in topics of sensors
 ACCEL = "accelerometer"  # an IMU's topic that has nothing else
@@ -183,7 +184,7 @@ def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[No
 def _parts(file: str, rows: dict[str, list[Any]], stamps: dict[str, list[int]], notes: list[Note]) -> Parts:
     first = min((s[0] for s in stamps.values() if s), default=0)
     zero = first // 10**9 * 10**9  # whole seconds: a float would round the nanoseconds of 1970
-    notes.append(f"t = 0 is {zero // 10**9} s since 1970 by the headers' stamps.")
+    notes.append(finding("time.zero", words=f"{zero // 10**9} s since 1970 by the headers' stamps"))
     imu, aiding = None, {}
     for stream, values in rows.items():
         if not values:

@@ -15,7 +15,7 @@ from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
 from jaxnav.maths.axes import enu_to_ecef, geodetic, local_to_lla
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError, Samples
+from jaxnav.types import DataError, Note, Samples
 
 _VELOCITY = ("vn", "ve", "vu", "sdvn", "sdve", "sdvu", "sdvne", "sdveu", "sdvun")
 FORMS = {  # of the position: columns of value, of sd and of the roots of covariances
@@ -37,7 +37,7 @@ class PosFile(NamedTuple):
     source: Source
 
 
-def read_pos(path: FilePath, notes: list[str] | None = None) -> PosFile:
+def read_pos(path: FilePath, notes: list[Note] | None = None) -> PosFile:
     """Return an RTKLIB solution in any of its forms; t in seconds since 1970-01-01 in GPS time, no leap seconds.
 
     Columns are found by the names in the header: degrees, degrees with minutes and seconds, ECEF, or a baseline from
@@ -112,7 +112,7 @@ class _Head(NamedTuple):
     geodetic: bool  # heights above sea level
 
 
-def _read_table(path: FilePath, notes: list[str] | None) -> tuple[_Head, Table, np.ndarray]:
+def _read_table(path: FilePath, notes: list[Note] | None) -> tuple[_Head, Table, np.ndarray]:
     """Return form, numeric columns with names without units, and times in s since 1970 in GPS time."""
     file, header, rows, reference, level = os.fspath(path), "", [], "", False
     for i, line in read_lines(path, notes):
@@ -280,6 +280,6 @@ def recognises(path: Path, head: bytes) -> bool:
 
 def read(path: Path) -> Parts:
     """Return the fixes of a solution, in GPS time."""
-    notes: list[str] = []
+    notes: list[Note] = []
     aiding = {name: Stream(*samples) for name, samples in read_pos(path, notes).aiding.items()}
     return scaled(Parts(os.fspath(path), aiding=aiding, notes=tuple(notes)), TimeScale.GPS)

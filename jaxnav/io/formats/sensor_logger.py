@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.column_map import described, interpolated
 from jaxnav.io.parts import ImuRows, Parts, TimeScale
 from jaxnav.io.sheet import Sheet, column, numbers, open_sheet, times
@@ -72,8 +73,9 @@ def read(path: Path) -> Parts:
         name: stream._replace(t=stream.t - zero, turns=name == "magnetometer") for name, stream in parts.aiding.items()
     }
     lines = None if gyros.lines is None else gyros.lines[covered]
+    said = finding("time.zero", words=f"{zero} s since 1970 (UTC)")
     return Parts(
-        os.fspath(path), rows, aiding, notes=(*notes, *parts.notes, f"t = 0 is {zero} s since 1970 (UTC)."), axes=FLAT,
+        os.fspath(path), rows, aiding, notes=(*notes, *parts.notes, said), axes=FLAT,
         name=path.stem, lines=lines, zero=zero,
     )  # fmt: skip
 

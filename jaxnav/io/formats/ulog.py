@@ -13,7 +13,7 @@ from jaxnav.io.units import UNITS
 from jaxnav.maths.axes import attitude
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError, Track
+from jaxnav.types import DataError, Note, Track
 
 MAGIC = b"ULog\x01\x12\x35"
 NEVER = 2**31 - 1  # timestamp_relative of a sensor that has not measured
@@ -48,7 +48,7 @@ def read(path: Path, wheel_radius_m: float = 0.0, receiver: str | None = None) -
     topics: dict[str, dict[str, np.ndarray]] = {}
     for data in sorted(log.data_list, key=lambda d: d.multi_id):  # the first instance of each
         topics.setdefault(data.name, data.data)
-    notes: list[str] = []
+    notes: list[Note] = []
     if log.file_corruption:
         notes.append("The log is damaged; its readable part is used.")
     if log.dropouts:
@@ -120,7 +120,7 @@ def _interval(data: dict[str, np.ndarray], name: str) -> np.ndarray:
     return np.where(dt > 0.0, dt, np.nan)[:, None]
 
 
-def _gnss(topics: dict[str, dict[str, np.ndarray]], notes: list[str]) -> dict[str, Stream]:
+def _gnss(topics: dict[str, dict[str, np.ndarray]], notes: list[Note]) -> dict[str, Stream]:
     name = _first(topics, *GPS)
     if name is None:
         return {}
@@ -211,7 +211,7 @@ def _rangefinder(topics: dict[str, dict[str, np.ndarray]]) -> Stream | None:
     return Stream(_seconds(data["timestamp"])[good], d[good, None], sd if (sd > 0).all() else None)
 
 
-def _wheels(topics: dict[str, dict[str, np.ndarray]], radius: float, notes: list[str]) -> Stream | None:
+def _wheels(topics: dict[str, dict[str, np.ndarray]], radius: float, notes: list[Note]) -> Stream | None:
     """Of both sides, left first; PX4 counts from the right."""
     data = topics.get("wheel_encoders")
     if data is None:

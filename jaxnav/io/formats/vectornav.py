@@ -11,7 +11,7 @@ from jaxnav.io.files import read_bytes
 from jaxnav.io.parts import INCREMENTS, RATES, ImuRows, Parts, Stream, TimeScale
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Note
 
 SYNC = 0xFA
 COMMON, TIME, IMU, GNSS, ATTITUDE, INS, GNSS_2 = range(7)  # groups of outputs
@@ -96,7 +96,7 @@ def read(path: Path) -> Parts:
     found, lost = messages(read_bytes(path))
     kinds = {head: (layout_of(head), np.frombuffer(b"".join(rows), np.uint8)) for head, rows in found.items()}
     logs = [_Log(known[0], table.reshape(-1, known[1])) for known, table in kinds.values() if known is not None]
-    notes: list[str] = []
+    notes: list[Note] = []
     streams: dict[str, Stream] = {}
     if lost:
         notes.append(f"{lost} messages are damaged and left out.")

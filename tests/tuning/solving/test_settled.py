@@ -5,7 +5,8 @@ import pytest
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.lanes import RECEIVER_ERROR
 from jaxnav.filters.parameters import put
-from jaxnav.findings import KINDS, finding
+from jaxnav.findings import finding
+from jaxnav.kinds import KINDS
 from tuning.solving.settled import CHECKED, CONSEQUENCES, EXCLUSIONS, TUNED, settled
 
 PARAMS = build("ekf15").params("consumer")

@@ -131,8 +131,7 @@ def require_positions(rec: Recording) -> None:
     """Refuse a recording without two positions, with what its reader says of them."""
     if "position" in rec.aiding and rec.aiding["position"].t.size >= 2:
         return
-    why = [words for words in rec.remarks.splitlines() if words.startswith(("position", "fixes"))]
-    why += [f.message for f in rec.findings if f.subject == "position"]
+    why = [f.message for f in rec.findings if f.subject == "position"]
     streams = ", ".join(rec.aiding) or "no other stream"
     raise DataError("\n".join([f"{rec.name}: has no positions to start from, and {streams}", *why]))
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.clock_rate import at_gps_rate
 from jaxnav.io.files import read_bytes
@@ -214,8 +215,9 @@ def _gps(logged: dict[str, dict[str, Any]], notes: list[Note], number: int) -> d
         return {}
     fixed = gps["Status"] >= FIX_3D
     if not fixed.all():
-        notes.append(f"GPS: {np.count_nonzero(~fixed)} of {len(fixed)} rows have no fix in three dimensions.")
-    notes.append("Heights of fixes are above sea level, not above the ellipsoid.")
+        count = int(np.count_nonzero(~fixed))
+        notes.append(finding("fixes.none", "position", count=count, words=f"of {len(fixed)} rows of GPS"))
+    notes.append(finding("heights.sea_level"))
     t = _seconds(gps)
     lla = _columns(gps, "Lat", "Lng", "Alt") * np.array([DEG, DEG, 1.0])
     course = gps["GCrs"] * DEG

@@ -111,12 +111,12 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
         heading = {"heading": Stream(t + leap, angles[rows, None])}
         parts = parts._replace(aiding={**parts.aiding, **heading})
     said = {
-        "sentences are damaged and left out.": damaged,
         f"sentences have no checksum and are {'taken' if len(lines) == bare else 'left out'}.": bare,
         "GGA have no height and are left out: fixes in two dimensions.": level,
     }
+    cut = [finding("file.damaged", count=damaged, words="sentences")] if damaged else []
     return parts._replace(
-        notes=(*parts.notes, *(f"{count} {text}" for text, count in said.items() if count), *unread(+others))
+        notes=(*parts.notes, *cut, *(f"{count} {text}" for text, count in said.items() if count), *unread(+others))
     )
 
 

@@ -174,7 +174,8 @@ def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[No
         chosen[stream] = best
     others = {c.topic: (f"{c.topic} of {c.msgtype}", c.msgcount) for c in connections if c.msgtype not in KINDS}
     if "position" not in chosen:
-        notes.append("position: no topic has a type that is read: record sensor_msgs/NavSatFix.")
+        words = "no topic has a type that is read: record sensor_msgs/NavSatFix"
+        notes.append(finding("position.none", "position", words=words))
     else:
         others = {topic: row for topic, row in others.items() if SENSOR.search(topic.lower())}
     notes += unread(dict(others.values()))
@@ -213,7 +214,8 @@ def _parts(file: str, rows: dict[str, list[Any]], stamps: dict[str, list[int]], 
         if stream in ("position", "velocity"):
             keep = table[:, 0] < MAX_VALUE  # STATUS_NO_FIX
             if not keep.all():
-                notes.append(f"{stream}: {np.count_nonzero(~keep)} messages say that there is no fix.")
+                count = int(np.count_nonzero(~keep))
+                notes.append(finding("fixes.none", stream, count=count, words=f"messages of the {stream}"))
             t, value, sd = t[keep], value[keep], sd[keep]
         # a magnetometer is taken to sit in the IMU's case
         aiding[stream] = Stream(t, value, None if np.isnan(sd).all() else sd, turns=stream == "magnetometer")

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.files import read_bytes
 from jaxnav.io.parts import ImuRows, Parts, Stream, TimeScale, scaled, unread
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Note
 
 SYNC = b"$@"
 PVT, POSITION_COV, VELOCITY_COV, EULER, SENSORS = 4007, 5906, 5908, 5938, 4050  # numbers of blocks
@@ -100,12 +101,12 @@ def read(path: Path) -> Parts:
             f"{path}: has no PVTGeodetic with a fix in three dimensions and no ExtSensorMeas, {lost} damaged, "
             f"{others.total()} of other numbers"
         )
-    said = {
-        "PVTGeodetic have no fix in three dimensions.": int((~fixed).sum()),
-        "blocks are damaged and left out.": lost,
-    }
-    notes = tuple(f"{count} {text}" for text, count in said.items() if count)
-    return scaled(Parts(os.fspath(path), imu, aiding, notes=notes + unread(others)), TimeScale.GPS)
+    notes: list[Note] = []
+    if without := int((~fixed).sum()):
+        notes.append(finding("fixes.none", "position", count=without, words="PVTGeodetic"))
+    if lost:
+        notes.append(finding("file.damaged", count=lost, words="blocks"))
+    return scaled(Parts(os.fspath(path), imu, aiding, notes=(*notes, *unread(others))), TimeScale.GPS)
 
 
 def _rows(found: list[bytes], kind: np.dtype) -> np.ndarray:

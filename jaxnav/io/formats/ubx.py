@@ -24,7 +24,7 @@ from jaxnav.io.formats.esf import MEAS, RAW, Sensors
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled, unread
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Note
 
 SYNC = b"\xb5\x62"
 FIXED = (3, 4)  # fixType: in three dimensions, alone or with dead reckoning
@@ -130,8 +130,11 @@ def read(
             f"{path}: has no NAV-PVT or NAV-POSLLH with a fix in three dimensions: {without} without one, {damaged} "
             f"damaged, {others.total()} of other types ({', '.join(sorted(+others)) or 'none'})"
         )
-    said = {"messages have no fix in three dimensions.": without, "NAV-PVT are damaged and left out.": damaged}
-    notes = tuple(f"{count} {text}" for text, count in said.items() if count) + about + unread(+others)
+    notes: tuple[Note, ...] = about + unread(+others)
+    if damaged:
+        notes = (finding("file.damaged", count=damaged, words="NAV-PVT"), *notes)
+    if without:
+        notes = (finding("fixes.none", "position", count=without, words="messages"), *notes)
     t, lla, acc, vel, s_acc = np.split(np.array(list(rows.values())), [1, 4, 6, 9], axis=1)
     position = Stream(t[:, 0], lla, acc[:, [0, 0, 1]])
     moved = np.isfinite(vel[:, 0])

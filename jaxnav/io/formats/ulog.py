@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.clock_rate import at_gps_rate
 from jaxnav.io.parts import ImuRows, Parts, Stream, with_fixes
@@ -127,12 +128,13 @@ def _gnss(topics: dict[str, dict[str, np.ndarray]], notes: list[Note]) -> dict[s
     data: dict[str, np.ndarray] = topics[name]
     fixed = data["fix_type"] >= FIX_3D
     if not fixed.all():
-        notes.append(f"{name}: {np.count_nonzero(~fixed)} of {len(fixed)} rows have no fix in three dimensions.")
+        count = int(np.count_nonzero(~fixed))
+        notes.append(finding("fixes.none", "position", count=count, words=f"of {len(fixed)} rows of {name}"))
     modern = "latitude_deg" in data  # before 2023: integers of 1e-7 deg and mm
     lat, lon = ("latitude_deg", "longitude_deg") if modern else ("lat", "lon")
     height = _height(data)
     if height in ("altitude_msl_m", "alt"):
-        notes.append("Heights of fixes are above sea level, not above the ellipsoid.")
+        notes.append(finding("heights.sea_level"))
     unit = [DEG, DEG, 1.0] if modern else [1e-7 * DEG, 1e-7 * DEG, 1e-3]
     t, value = _seconds(data["timestamp"]), _table(data, lat, lon, height) * np.array(unit)
     streams = {"position": Stream(t[fixed], value[fixed], _table(data, "eph", "eph", "epv")[fixed])}

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.files import read_bytes
 from jaxnav.io.parts import INCREMENTS, RATES, ImuRows, Parts, Stream, TimeScale
@@ -99,7 +100,7 @@ def read(path: Path) -> Parts:
     notes: list[Note] = []
     streams: dict[str, Stream] = {}
     if lost:
-        notes.append(f"{lost} messages are damaged and left out.")
+        notes.append(finding("file.damaged", count=lost, words="messages"))
     imus = [(log, rows) for log in logs if (rows := log.imu()) is not None]
     fixes = [(log, group) for log in logs for group in (GNSS, GNSS_2) if log.has(group, 5)]
     source = max(fixes, key=lambda each: (each[1] == GNSS, each[0].count), default=None)
@@ -115,7 +116,7 @@ def read(path: Path) -> Parts:
     if source is not None:
         streams, without = source[0].fixes(source[1], dated)
         if without:
-            notes.append(f"{without} outputs of the receiver have no fix in three dimensions.")
+            notes.append(finding("fixes.none", "position", count=without, words="outputs of the receiver"))
         if not dated and imu is not None:
             notes.append("fixes are dated by the message that brought them: a delay of 0.1 s is usual.")
     if imu is None and not streams:

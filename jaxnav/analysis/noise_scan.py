@@ -212,9 +212,9 @@ class Delay(NamedTuple):
     free: bool = True  # False: it is stated, and stays
 
     def grid(self) -> np.ndarray:
-        """Return the delays of the coarse grid, (9,) s: about a known one on either side, else rather late ones."""
+        """Return the delays of the coarse grid, (5,) or (9,) s: about a known one on either side, else rather late."""
         known = self.sd < LATENCY_SD
-        return self.mean + (LATENCY_STEP * np.arange(-4, 5) if known else LATENCIES) if self.free else np.zeros(1)
+        return self.mean + (LATENCY_STEP * np.arange(-2, 3) if known else LATENCIES) if self.free else np.zeros(1)
 
 
 def known_delay(rec: Recording, params: Params, end: float, outages: Sequence[Any]) -> Delay:

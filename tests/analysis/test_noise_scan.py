@@ -53,7 +53,7 @@ def test_it_finds_noise_and_latency(drive):
     params = found.applied(with_arm(drive))
     assert float(params.mounting.time_offset) == pytest.approx(found.latency)
     np.testing.assert_allclose(params.noise.accel / EKF.params("consumer").noise.accel, found.accel)
-    assert found.coarse.shape == (9, 9) and found.coarse.max() == 0.0
+    assert found.coarse.shape == (5, 9) and found.coarse.max() == 0.0
     N = (found.part[1] - found.part[0]) / noise_scan.CORRELATION_S
     at = [int(np.argmin(np.abs(axis - value))) for axis, value in zip(found.grid, (0.0, 1.0), strict=True)]
     assert 0.0 <= N * found.gain + found.coarse[*at] < 1.0  # what the boxes add to the coarse grid

@@ -447,6 +447,7 @@ def metrics(sol: Solution) -> dict[str, Any]:
         found["noise_scan"] = sol.noise.metrics()
     return found | {
         "findings": [asdict(f) for f in sol.findings], "initialization": sol.initialization.how,
+        "start": [asdict(f) for f in sol.initialization.findings],
         "notes": sol.recording.notes.splitlines(),
     }  # fmt: skip
 

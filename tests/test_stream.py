@@ -240,7 +240,7 @@ def test_nothing_that_comes_in_brings_it_down(drive):
 @pytest.mark.full
 def test_a_start_that_is_not_one_is_refused(drive):
     rec, ekf, params, begin = drive
-    bank = Initialization(jax.tree.map(lambda a: np.repeat(a, 12, 0), begin.navs), begin.prior, begin.t, "")
+    bank = Initialization(jax.tree.map(lambda a: np.repeat(a, 12, 0), begin.navs), begin.prior, begin.t)
     with pytest.raises(ValueError, match="12 headings"):
         Stream(ekf, params, bank)
     with pytest.raises(ValueError, match="interval must be positive"):

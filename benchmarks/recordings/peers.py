@@ -76,7 +76,7 @@ def one_run(seed: int, binary: Path | None) -> dict[str, np.ndarray]:
         errors["python-ins, 15 states"] = horizontal(call()[last], truth[last])
     rec, begin = (
         as_recording(sim),
-        Initialization(jax.tree.map(lambda a: a[None], sim.initial), params.prior, 0.0, "given"),
+        Initialization(jax.tree.map(lambda a: a[None], sim.initial), params.prior, 0.0),
     )
     like, sheet = like_kfgins(params)
     packed = ep.pack_recording(rec, (POSITION,), 0.0)
@@ -208,7 +208,7 @@ def crop(rec: Recording, first: float, last: float) -> Recording:
 
 def begin_at(rec: Recording, time: float, prior) -> Initialization:
     """Where the drive's protocol starts a stretch."""
-    return Initialization(jax.tree.map(lambda a: jnp.asarray(a)[None], drive.start_at(rec, time)), prior, time, "given")
+    return Initialization(jax.tree.map(lambda a: jnp.asarray(a)[None], drive.start_at(rec, time)), prior, time)
 
 
 def tuned_for(rec: Recording, sheet: Params) -> dict[int, Params]:

@@ -70,7 +70,7 @@ def pad_epochs(seconds: float) -> tuple[float, int]:
     ekf = build("ekf15", measurements=("position", "velocity"))
     params = ekf.params("consumer")
     nav = jax.tree.map(lambda a: np.asarray(a)[None], initial_nav(lla))
-    live = Stream(ekf, params, Initialization(nav, params.prior, 0.0, "at rest"))
+    live = Stream(ekf, params, Initialization(nav, params.prior, 0.0))
     before, most = 0.0, 0
     noise = rng.normal(size=(4096, 6)) * ([1e-3] * 3 + [1e-2] * 3)
     for i in range(1, round(seconds * rate)):

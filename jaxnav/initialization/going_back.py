@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxnav.filters.run import initial_nav
+from jaxnav.findings import finding
 from jaxnav.initialization.alignment import rotation_at_end, window
 from jaxnav.initialization.bank import with_headings
 from jaxnav.initialization.initialize import (
@@ -67,5 +68,5 @@ def gone_back(rec: Recording, params: Params, begin: Initialization, smoothed: I
     loose = 0.0 if "velocity" in rec.aiding else CHORD_SD
     attitude = np.maximum(WIDER * sd, LEAST_SD)
     prior = Prior(*map(jnp.asarray, (sds[0], np.hypot(sds[1], loose), attitude, UNCORRELATED)))
-    how = f"{begin.how}; smoothed from t = {first:.3f} s on"
-    return Initialization(navs, prior, first, how, field=begin.field, earliest=begin.earliest)
+    found = (*begin.findings, finding("start.gone_back", value=first))
+    return Initialization(navs, prior, first, found, field=begin.field, earliest=begin.earliest)

@@ -13,6 +13,7 @@ import numpy as np
 from jaxnav.filters.parameters import datasheet_params, datasheet_states, mounting
 from jaxnav.filters.programs import stored
 from jaxnav.filters.run import initial_nav
+from jaxnav.findings import finding
 from jaxnav.initialization.alignment import Alignment, AlignmentPrior, align
 from jaxnav.initialization.bank import with_headings
 from jaxnav.initialization.magnetic import Field, field_of
@@ -21,7 +22,7 @@ from jaxnav.maths import earth, rotations
 from jaxnav.maths.units import DEG, TICK
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import BIASES, STATES
-from jaxnav.types import ConfigError, DataError, ImuLog, Nav, Params, Prior, Recording, Samples
+from jaxnav.types import ConfigError, DataError, Finding, ImuLog, Nav, Params, Prior, Recording, Samples
 
 
 def coarse_leveling(imu: ImuLog, start: float, stop: float) -> tuple[float, float]:
@@ -96,11 +97,16 @@ class Initialization(NamedTuple):
     navs: Nav  # (B, ...) one, or one for each hypothesis of the heading
     prior: Prior  # standard deviations there, and how attitude and biases are correlated
     t: float  # s
-    how: str  # in words: source and sd of attitude and heading
+    findings: tuple[Finding, ...] = ()  # source and sd of attitude and heading, and what looks wrong
     states: dict[str, np.ndarray] = {}  # standard deviations (size,) of the sensor states that it found
     alignment: Alignment | None = None  # in motion, its result
     field: Field | None = None  # magnetic, where the recording has a magnetometer
     earliest: float = math.inf  # s, from which on it was looked for: a smoother goes back to there
+
+    @property
+    def how(self) -> str:
+        """Return the findings in one line."""
+        return "; ".join(map(str, self.findings))
 
     def apply_to(self, params: Params) -> Params:
         """Return the parameters with the sd of this initialization as their prior, one an axis for those of biases."""
@@ -222,11 +228,11 @@ def initialize(
         jnp.asarray(correlated),
     )
     about = f"{hypotheses} hypotheses" if at.unknown else f"sd {at.sd[1] / DEG:.2g} deg"
-    how = [f"starts at t = {t:.3f} s: {at.words} ({about})", *_remarks(at)]
+    said = [finding("start", value=t, words=f"{at.words} ({about})"), *_remarks(at)]
     field = field_of(known, lla) if "magnetometer" in rec.aiding else None
-    if field is not None:
-        how.append(field.words)
-    return Initialization(navs, prior, t, "; ".join(line for line in how if line), states, at.alignment, field, from_t)
+    if field is not None and field.about is not None:
+        said.append(field.about)
+    return Initialization(navs, prior, t, tuple(said), states, at.alignment, field, from_t)
 
 
 WINDOWS_S = (10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)  # s of the windows that are tried one after the other
@@ -305,25 +311,19 @@ def aligned(rec: Recording, params: Params, begin: float, end: float) -> Alignme
     return best
 
 
-def _remarks(at: Attitude) -> list[str]:
-    """Return remarks on an alignment for a user."""
-    said: list[str] = []
+def _remarks(at: Attitude) -> list[Finding]:
+    """Return findings on an alignment."""
+    said: list[Finding] = []
     found = at.alignment
     if found is None:
         return said
     if found.is_late:
-        late = "late" if found.delay > 0 else "early"
-        said.append(
-            f"fixes look {abs(found.delay):.2f} s {late} (sd {found.sd[9]:.2f} s): see "
-            "measurements.position.latency_s, measurements.velocity.latency_s"
-        )
+        side = "late" if found.delay > 0 else "early"
+        said.append(finding("start.late", value=abs(found.delay), side=side, sd=float(found.sd[9])))
     if abs(at.rph[0]) > 90 * DEG:
-        said.append("the IMU hangs upside down, or its axes are not forward, right, down")
+        said.append(finding("start.upside_down", value=abs(at.rph[0]) / DEG))
     if found.chi2 > MAX_CHI2_PER_DOF:
-        said.append(
-            f"IMU and fixes disagree (chi^2 {found.chi2:.0f} per degree of freedom): axes, units or times "
-            "may be wrong, see jaxnav check"
-        )
+        said.append(finding("start.misfit", value=float(found.chi2), limit=MAX_CHI2_PER_DOF))
     return said
 
 

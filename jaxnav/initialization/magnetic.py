@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.maths.units import DEG
 from jaxnav.measurements.magnetometer import MAGNETOMETER
-from jaxnav.types import Params
+from jaxnav.types import Finding, Params
 
 MODEL_YEAR = 2025.0  # of the field: declination changes by 0.2 deg a year at most, far from the poles
 UNKNOWN_DECLINATION_SD = 10 * DEG  # sd of an unknown declination, away from the poles
@@ -24,7 +25,7 @@ class Field(NamedTuple):
     inclination: float  # rad, below the horizon
     strength: float  # uT
     sd: float  # rad, of the declination
-    words: str
+    about: Finding | None = None  # where it is the model's, or unknown
 
 
 @cache
@@ -44,11 +45,8 @@ def field_at(lla: np.ndarray, year: float = MODEL_YEAR) -> Field | None:
         return None
     lat, lon, height = float(lla[0]) / DEG, float(lla[1]) / DEG, float(lla[2])
     found = model.calculate(glat=lat, glon=(lon + 180) % 360 - 180, alt=height / 1e3, time=year)
-    words = (
-        f"magnetic field by the World Magnetic Model: declination {found.d:.1f} deg, inclination {found.i:.1f} deg, "
-        f"{found.f / 1e3:.1f} uT"
-    )
-    return Field(found.d * DEG, found.i * DEG, found.f / 1e3, 1 * DEG, words)
+    about = finding("start.field", value=float(found.d), inclination=float(found.i), strength=float(found.f) / 1e3)
+    return Field(found.d * DEG, found.i * DEG, found.f / 1e3, 1 * DEG, about)
 
 
 def field_of(params: Params, lla: np.ndarray) -> Field:
@@ -57,11 +55,11 @@ def field_of(params: Params, lla: np.ndarray) -> Field:
     stated = params.measurements.get("magnetometer", default)
     values = float(stated.declination), float(stated.inclination), float(stated.strength)
     if not np.allclose(values, [default.declination, default.inclination, default.strength], rtol=1e-12):
-        return Field(*values, 1 * DEG, "")
+        return Field(*values, 1 * DEG)
     found = field_at(lla)
     if found is not None:
         return found
-    return Field(*values, UNKNOWN_DECLINATION_SD, f"magnetic declination unknown: {INSTALL}")
+    return Field(*values, UNKNOWN_DECLINATION_SD, finding("start.no_field", install=INSTALL))
 
 
 def heading_of(field: np.ndarray, roll: float, pitch: float, known: Field) -> tuple[float, float, float]:

@@ -3,6 +3,28 @@
 from jaxnav.kinds.kind import INFO, WARNING, Kind
 
 KINDS: dict[str, Kind] = {
+    # a start
+    "start": Kind(INFO, "starts at t = {value:.3f} s: {words}", unit="s"),
+    "start.late": Kind(
+        INFO,
+        "fixes look {value:.2f} s {side} (sd {sd:.2f} s): see measurements.position.latency_s, "
+        "measurements.velocity.latency_s",
+        unit="s",
+    ),
+    "start.upside_down": Kind(INFO, "the IMU hangs upside down, or its axes are not forward, right, down", unit="deg"),
+    "start.misfit": Kind(
+        INFO,
+        "IMU and fixes disagree (chi^2 {value:.0f} per degree of freedom): axes, units or times may be wrong, see "
+        "jaxnav check",
+    ),
+    "start.field": Kind(
+        INFO,
+        "magnetic field by the World Magnetic Model: declination {value:.1f} deg, inclination {inclination:.1f} deg, "
+        "{strength:.1f} uT",
+        unit="deg",
+    ),
+    "start.no_field": Kind(INFO, "magnetic declination unknown: {install}"),
+    "start.gone_back": Kind(INFO, "smoothed from t = {value:.3f} s on", unit="s"),
     # a run
     "nis.high": Kind(
         WARNING,

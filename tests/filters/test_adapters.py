@@ -182,7 +182,7 @@ def test_a_stream_is_the_batch(case, name):
     filt = filter_of(name)
     params = filt.params("consumer")
     params = params._replace(adapter=moved(params.adapter, 0.1))
-    begin = Initialization(jax.tree.map(lambda a: jnp.asarray(a)[None], case.nav), params.prior, 0.0, "known")
+    begin = Initialization(jax.tree.map(lambda a: jnp.asarray(a)[None], case.nav), params.prior, 0.0)
     packed = pack(case.imu, case.aiding, 1.0, CHOSEN, start=0.0, stop=10.5)
     batch = run_jit(changed(filt, history=2), begin.apply_to(params), case.nav, packed.epochs)
     stream = Stream(filt, params, begin, rate=20.0, lag=3.0)

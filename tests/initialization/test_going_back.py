@@ -61,7 +61,7 @@ def test_a_turning_gyro_on_a_turning_earth_goes_back_to_its_begin():
     rec = Recording("turn", imu, {"position": fix, "velocity": fix._replace(value=0 * fix.value)}, None, np.zeros(3))
     nav = jax.tree.map(lambda a: np.asarray(a)[None], initial_nav(lla, rph=rph[-1]))
     smoothed = SimpleNamespace(nav=nav, P=1e-8 * np.eye(15)[None])
-    begin = Initialization(nav, PARAMS.prior, 100.0, "", earliest=0.0)
+    begin = Initialization(nav, PARAMS.prior, 100.0, earliest=0.0)
     found = gone_back(rec, PARAMS, begin, smoothed, 100.0)
     assert found.t == 1.0
     at = np.asarray(rotations.to_dcm(found.navs.q[0]))

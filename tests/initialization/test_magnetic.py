@@ -46,7 +46,7 @@ def test_the_field_is_the_models():
 
 @pytest.mark.parametrize("rph", [(0.0, 0.0, 0.3), (0.2, -0.3, -2.0), (-0.4, 0.1, 3.0)])
 def test_a_field_shows_the_heading_at_any_tilt(rph):
-    known = magnetic.Field(0.2, 1.1, 48.0, 0.02, "")
+    known = magnetic.Field(0.2, 1.1, 48.0, 0.02)
     heading, level, bent = magnetic.heading_of(by_field(rph, known), rph[0], rph[1], known)
     assert heading == pytest.approx(rph[2], abs=1e-12) and bent < 1e-10
     assert level == pytest.approx(48.0 * np.cos(1.1))

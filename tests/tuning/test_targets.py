@@ -39,9 +39,7 @@ def rec(case):
 @pytest.fixture(scope="module")
 def begin(case):
     nav = case.nav._replace(origin=case.nav.origin._replace(t=jnp.asarray(30.0)))
-    return Initialization(
-        jax.tree.map(lambda a: jnp.asarray(a)[None], nav), case.params.prior, float(case.nav.t), "given"
-    )
+    return Initialization(jax.tree.map(lambda a: jnp.asarray(a)[None], nav), case.params.prior, float(case.nav.t))
 
 
 @pytest.mark.parametrize("name", TARGETS)

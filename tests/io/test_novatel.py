@@ -126,7 +126,7 @@ def test_damaged_lines_and_those_without_a_time_are_counted(drive, tmp_path):
     body = text[1:].partition("*")[0]
     path.write_text(f"#{body}*{crc32(body.encode()):08x}" + text[text.index("*") + 9 :])
     notes = read(path).notes
-    assert "3 lines that are cut or have a wrong checksum left out." in notes
+    assert "3 lines are damaged and left out" in notes
     assert "1 lines from before the receiver knew the time left out." in notes
 
 

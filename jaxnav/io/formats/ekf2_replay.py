@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.files import read_bytes
 from jaxnav.io.parts import ImuRows, Parts, Stream
 from jaxnav.io.units import UNITS
@@ -45,13 +46,13 @@ def read(path: Path) -> Parts:
             bad += [i] if line.strip() else []
     if len(bad) > max(2, 0.01 * len(lines)):
         raise DataError(f"{file}: line {min(bad)}: expected time, sensor and numbers; so {len(bad)} lines")
-    notes = (f"{len(bad)} lines cannot be read, the first is line {min(bad)}.",) if bad else ()
+    said = [finding("file.lines", path.name, count=len(bad), why="that cannot be read", at=min(bad))] if bad else []
     tables = {name: np.array(values) for name, values in rows.items() if values}
     if "imu" not in tables:
         raise DataError(f"{file}: has no row of the imu")
     t = {name: table[:, 0] / 1e6 for name, table in tables.items()}
     imu = ImuRows(t["imu"], tables["imu"][:, 4:7], tables["imu"][:, 1:4])
-    return Parts(file, imu, _aiding(t, tables), notes=notes)
+    return Parts(file, imu, _aiding(t, tables), notes=tuple(said))
 
 
 def _aiding(t: dict[str, np.ndarray], tables: dict[str, np.ndarray]) -> dict[str, Stream]:

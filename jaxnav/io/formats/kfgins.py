@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.checks import MAX_RATE, check_imu, check_samples, check_track, increments_to_means, ned_to_enu, steps
 from jaxnav.io.files import FilePath, Source, atomic_write, read_columns
 from jaxnav.io.parts import ImuRows, Parts, Stream
@@ -42,7 +43,7 @@ def _weeks_on(t: np.ndarray, notes: list[Note] | None) -> np.ndarray:
     """Return seconds of the week that go on over its end, with a note."""
     t, falls = unrolled(t)
     if falls and notes is not None:
-        notes.append("the seconds of the week fall by 604800: they go on.")
+        notes.append(finding("clock.wraps", "the file", WEEK, words="a week"))
     return t
 
 

@@ -102,7 +102,7 @@ def read(path: Path, imu: str | None = None) -> Parts:
             untimed += 1
             continue
         logs[name.decode()].append((fields, body.split(b",")))
-    notes: list[Note] = [f"{damaged} lines that are cut or have a wrong checksum left out."] if damaged else []
+    notes: list[Note] = [finding("file.damaged", count=damaged, words="lines")] if damaged else []
     notes += [f"{untimed} lines from before the receiver knew the time left out."] if untimed else []
     raw = next((name for name in RAW if name in logs), None)
     head = next((rows[0][0] for rows in logs.values()), [b"0", b"0"])

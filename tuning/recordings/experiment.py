@@ -99,7 +99,7 @@ class Experiment(NamedTuple):
             begin: its start.
         """
         packed = ep.pack_recording(recording, self.measurements, begin.t, 0.0, self.stop, self.standing)
-        layout = plan(packed, self.layout.window)
+        layout = plan(packed, self.layout.window)._replace(satellites=self.layout.satellites)
         start = windows_of(packed, layout, packed.t.size).start
         after = ep.within(start, [(b - layout.window, b + layout.window) for _, b in stretches])
         return self._replace(recording=recording, begin=begin, packed=packed, layout=layout, faulty=start[after])

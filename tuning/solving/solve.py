@@ -180,11 +180,11 @@ def solve(
     gone: set[str] = set()
     jumps = jumps_of(best := plain.get("auto", plain["datasheet"]))
     left_out, gain = faulty_stretches(best, jumps)
-    healthy = without(rec, left_out)
-    other = (
-        experiment.without(left_out, healthy, initialization(healthy, datasheet_of(filt))) if left_out else experiment
-    )
-    if left_out and other.tested:
+    other = None
+    if left_out:
+        healthy = without(rec, left_out)
+        other = experiment.without(left_out, healthy, initialization(healthy, datasheet_of(filt)))
+    if other is not None and other.tested:
         found, experiment, plain = _untuned(filt, datasheet_of, other, lambda: None, log)
         gone = {f.code for f in checked.found} - {f.code for f in checkup(experiment.recording)}  # those of the fault
         findings.append(finding_of_fault(left_out, gain))

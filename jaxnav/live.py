@@ -43,9 +43,14 @@ class Live:
     """
 
     def __init__(
-        self, filt: Filter, params: Params, *,
-        initialization: Callable[[Recording, Params], Initialization] = initialize, interval: float = 0.0, **more: Any,
-    ):  # fmt: skip
+        self,
+        filt: Filter,
+        params: Params,
+        *,
+        initialization: Callable[[Recording, Params], Initialization] = initialize,
+        interval: float = 0.0,
+        **more: Any,
+    ):
         self.filt, self.params, self.initialization = filt, params, initialization
         self.interval, self.more, self.last, self.tried = interval, more, -math.inf, -math.inf  # s, of the IMU
         self.waiting: deque[Arrival] = deque()  # of the last `MEMORY_S` seconds, as they came

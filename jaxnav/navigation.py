@@ -446,10 +446,11 @@ def metrics(sol: Solution) -> dict[str, Any]:
     if sol.noise is not None:
         found["noise_scan"] = sol.noise.metrics()
     return found | {
-        "findings": [asdict(f) for f in sol.findings], "initialization": sol.initialization.how,
+        "findings": [asdict(f) for f in sol.findings],
+        "initialization": sol.initialization.how,
         "start": [asdict(f) for f in sol.initialization.findings],
         "notes": sol.recording.notes.splitlines(),
-    }  # fmt: skip
+    }
 
 
 def _end_error(sol: Solution, start: float, end: float, error: np.ndarray | None) -> float:

@@ -90,9 +90,10 @@ def text(result: Mapping[str, Any]) -> str:
         "; ".join(f"{group}: {', '.join(result[group])}" for group in groups),
         f"each filter: {b['steps']} steps, {b['gradients_of_a_run']} gradients of a run; ranked on {b['test_runs']} "
         "other runs of each scenario",
-        "geometric mean of the RMS position error; ratios are paired, with 95 % intervals; below 1 is better", "",
+        "geometric mean of the RMS position error; ratios are paired, with 95 % intervals; below 1 is better",
+        "",
         table(head, rows),
-    ]  # fmt: skip
+    ]
     notes = [f"* {name}: {about['note']}" for name, about in filters.items() if about["note"]]
     return "\n".join([*lines, *notes])
 

@@ -134,9 +134,7 @@ def tune_simulated(
         part: np.concatenate([np.full(e.size, of == part) for s in scored["tuned"] for of, e in s.errors.items()])
         for part in PARTS
     }
-    blocks = np.concatenate(
-        [1e6 * i + _blocks(r) for i, u in enumerate(used) for r in u.runs.values()]
-    )[parts["test"]]  # fmt: skip
+    blocks = np.concatenate([1e6 * i + _blocks(r) for i, u in enumerate(used) for r in u.runs.values()])[parts["test"]]
     trials = {
         name: Trial(filt, p, drift[name], ratios(drift["datasheet"], drift[name], parts),
                     float(np.mean([s.nll for s in scored[name]])))
@@ -191,11 +189,13 @@ def _known(scenario: Scenario) -> dict[str, float]:
     late, grade, factor = scenario.gnss.latency_s, GRADES[scenario.imu.grade], scenario.imu.imu_noise_factor
     drive = factor * np.sqrt(2 / grade.tau)
     return {
-        "noise.gyro": factor * grade.arw, "noise.accel": factor * grade.vrw,
+        "noise.gyro": factor * grade.arw,
+        "noise.accel": factor * grade.vrw,
         "states.gyro_bias.driving_noise": drive * grade.gyro_instability,
         "states.accel_bias.driving_noise": drive * grade.accel_instability,
-        "measurements.position.latency": late, "measurements.velocity.latency": late,
-    }  # fmt: skip
+        "measurements.position.latency": late,
+        "measurements.velocity.latency": late,
+    }
 
 
 def _blocks(r: Run) -> np.ndarray:
@@ -215,9 +215,13 @@ def _source(filt: Filter, u: SimulatedRuns) -> likelihood.Runs:
 
 
 def _search(
-    filt: Filter, spec: Spec, used: Sequence[SimulatedRuns], surface: likelihood.Surface, how: Descent,
+    filt: Filter,
+    spec: Spec,
+    used: Sequence[SimulatedRuns],
+    surface: likelihood.Surface,
+    how: Descent,
     log: Callable[[str], None],
-) -> Fit:  # fmt: skip
+) -> Fit:
     start = used[0].datasheet
     if how.method == "scoring":
         note = lambda row: log(f"  {row['step']:3d}  {row['loss']:.6g}")

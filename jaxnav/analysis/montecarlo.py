@@ -293,10 +293,13 @@ def summary(found: MonteCarlo, probability: float = 0.95) -> dict[str, Any]:
     s, c = found.scores, found.course
     good = s.ok
     columns = {
-        "horizontal_m": s.horizontal, "vertical_m": s.vertical, "velocity_mps": np.linalg.norm(s.velocity, axis=-1),
-        "tilt_deg": np.degrees(s.tilt), "yaw_deg": np.degrees(s.yaw),
+        "horizontal_m": s.horizontal,
+        "vertical_m": s.vertical,
+        "velocity_mps": np.linalg.norm(s.velocity, axis=-1),
+        "tilt_deg": np.degrees(s.tilt),
+        "yaw_deg": np.degrees(s.yaw),
         **{f"outage_{i}_end_m": a for i, a in enumerate(s.outage_ends.T)},
-    }  # fmt: skip
+    }
     diverged = [{"run": int(r), "t_s": float(t)} for r, t in zip(found.runs[~good], s.failed[~good], strict=True)]
     N, dof = int(good.sum()), int(s.dof[good].sum())
     about: dict[str, Any] = {"runs": int(good.size), "diverged": diverged}
@@ -307,9 +310,11 @@ def summary(found: MonteCarlo, probability: float = 0.95) -> dict[str, Any]:
     bounds = {n: all_of(int(n)) for n in np.unique(c.runs[c.runs > 0])}
     inside = [bounds[n][0] <= m / 9 <= bounds[n][1] for n, m in zip(c.runs, c.nees) if n]
     about["anees"] = {
-        "last": float(c.nees[-1] / 9), "bounds": bounds[c.runs[-1]].tolist() if c.runs[-1] else None,
-        "mean": float(s.nees[good].mean() / 9), "share_inside": float(np.mean(inside)),
-    }  # fmt: skip
+        "last": float(c.nees[-1] / 9),
+        "bounds": bounds[c.runs[-1]].tolist() if c.runs[-1] else None,
+        "mean": float(s.nees[good].mean() / 9),
+        "share_inside": float(np.mean(inside)),
+    }
     if dof:
         low, high = metrics.chi2_bounds(dof, 1, probability)
         about["anis"] = {"mean": float(s.nis_sum[good].sum() / dof), "bounds": [low / dof, high / dof]}

@@ -195,8 +195,10 @@ def without_slow_errors(params: Params) -> Params:
 def alike(each: Sequence[Receiver]) -> list[Receiver]:
     """Return receivers with one share, time and factor, the means: recordings that are tuned together share a scale."""
     share = np.mean([r.share for r in each], 0)
-    tau, position = (np.exp(np.mean([np.log(value) for value in values], 0)) for values in
-                     ([r.tau for r in each], [r.position for r in each]))  # fmt: skip
+    tau, position = (
+        np.exp(np.mean([np.log(value) for value in values], 0))
+        for values in ([r.tau for r in each], [r.position for r in each])
+    )
     return [r._replace(share=share, tau=tau, position=float(position)) for r in each]
 
 

@@ -68,9 +68,11 @@ def usage_findings(found: dict[str, Use]) -> list[Finding]:
     out = []
     for name, u in found.items():
         parts = [
-            (u.before, "before the start"), (u.outside, "after the IMU's last sample, or the stop"),
-            (u.refused, "refused by the filter's rule"), (u.hidden, "hidden as asked for"),
-        ]  # fmt: skip
+            (u.before, "before the start"),
+            (u.outside, "after the IMU's last sample, or the stop"),
+            (u.refused, "refused by the filter's rule"),
+            (u.hidden, "hidden as asked for"),
+        ]
         why = ", ".join(f"{n} {where}" for n, where in parts if n > MAX_UNUSED_SHARE * u.read)
         if why:
             code = "stream.unused" if u.used + u.refused + u.hidden > 0 else "stream.refused"

@@ -64,9 +64,13 @@ def drift(
 
 
 def drifts(
-    filt: Filter, candidates: Sequence[Params], nav: Nav, epochs: Epoch, windows: Windows,
+    filt: Filter,
+    candidates: Sequence[Params],
+    nav: Nav,
+    epochs: Epoch,
+    windows: Windows,
     measurements: tuple[Measurement, ...],
-) -> list[tuple[np.ndarray, LaneRecord]]:  # fmt: skip
+) -> list[tuple[np.ndarray, LaneRecord]]:
     """Return the predicted minus the measured position at each window's end, and the runs.
 
     Through the measurement model of a position, the first three channels, with a receiver's slow error where the filter

@@ -89,9 +89,11 @@ def make_parser() -> argparse.ArgumentParser:
         argument.add_to(shared)
     shared.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
     parser = argparse.ArgumentParser(
-        prog="jaxnav", description="INS/GNSS navigation, differentiable: simulate, filter, tune.", epilog=EXAMPLES,
+        prog="jaxnav",
+        description="INS/GNSS navigation, differentiable: simulate, filter, tune.",
+        epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("--version", action="version", version=f"jaxnav {_version()}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for verb in VERBS.values():
@@ -182,9 +184,12 @@ def resolve(args: argparse.Namespace) -> configuration.Config:
 
 
 def _work(
-    args: argparse.Namespace, config: configuration.Config, folder: Path, out: Path,
+    args: argparse.Namespace,
+    config: configuration.Config,
+    folder: Path,
+    out: Path,
     publish: Callable[["Outcome"], None] = lambda outcome: None,
-) -> "Outcome":  # fmt: skip
+) -> "Outcome":
     from jaxnav.analysis.progress import compiling
     from jaxnav.app.unused import unused
 

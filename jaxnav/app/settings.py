@@ -50,8 +50,12 @@ def sections() -> list[Section]:
             top.settings.append(Setting(field.name, default, words))
             continue
         kind: Any = type(default)
-        rows = [Setting(f.name, _default(field.name, f.name, getattr(default, f.name)),
-                        _words(kind, field.name, f.name, said)) for f in dataclasses.fields(kind)]  # fmt: skip
+        rows = [
+            Setting(
+                f.name, _default(field.name, f.name, getattr(default, f.name)), _words(kind, field.name, f.name, said)
+            )
+            for f in dataclasses.fields(kind)
+        ]
         found.append(Section(field.name, " ".join((kind.__doc__ or "").split()), rows))
     return found
 

@@ -100,11 +100,20 @@ DATA = (
     Argument("--data", "the same as SOURCE", "data.source", value="SOURCE"),
 )
 PATH = Argument(
-    "path", "file or folder of any known format, or a column map; a second one has the fixes of an IMU's file",
-    "data.source", "PATH", reads=True, more={"nargs": "+"},
-)  # fmt: skip
-MAP = Argument("--map", "read the recording by this column map, in place of the files that it names",
-               "data.options.map", value="FILE", reads=True)  # fmt: skip
+    "path",
+    "file or folder of any known format, or a column map; a second one has the fixes of an IMU's file",
+    "data.source",
+    "PATH",
+    reads=True,
+    more={"nargs": "+"},
+)
+MAP = Argument(
+    "--map",
+    "read the recording by this column map, in place of the files that it names",
+    "data.options.map",
+    value="FILE",
+    reads=True,
+)
 FILTER = Argument("--filter", "see `jaxnav info` ([filter] name)", "filter.name", value="NAME")
 PARAMS = Argument(
     "--params",

@@ -37,10 +37,15 @@ DEMO: Settings = {
     "data": {"source": "urban", "imu_worse_by": 3.0, "gnss_latency_s": 0.1},
     "filter": {"cov_stride": 10},
     "tune": {
-        "method": "scoring", "objective": {"nll": 1.0}, "steps": 24, "runs": 6, "validation_runs": 8, "test_runs": 12,
+        "method": "scoring",
+        "objective": {"nll": 1.0},
+        "steps": 24,
+        "runs": 6,
+        "validation_runs": 8,
+        "test_runs": 12,
         "free": ["noise", "latency"],
     },
-}  # fmt: skip
+}
 """An IMU three times noisier than its datasheet, and fixes 0.1 s late; the parameters state neither."""
 BAKEOFF: Settings = {
     "data": {"source": "gipkf_urban"},

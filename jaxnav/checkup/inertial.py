@@ -144,10 +144,15 @@ def gap_findings(holes: Holes) -> list[Finding]:
     code = "imu.pause" if np.degrees(turn) > UNKNOWN_HEADING_DEG else "imu.gaps"
     return [
         finding(
-            code, value=float(length[i]), limit=MIN_GAP_S, count=length.size, at=float(holes.begin[i]),
-            angle=float(np.degrees(turn)), speed=push,
+            code,
+            value=float(length[i]),
+            limit=MIN_GAP_S,
+            count=length.size,
+            at=float(holes.begin[i]),
+            angle=float(np.degrees(turn)),
+            speed=push,
         )
-    ]  # fmt: skip
+    ]
 
 
 def noise(rec: Recording) -> list[Finding]:

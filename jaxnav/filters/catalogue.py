@@ -274,9 +274,12 @@ def is_built_in(spec: FilterSpec) -> bool:
     if len(names) < len(spec.measurements) or not isinstance(spec.adapter, str):
         return False
     used: list[tuple[Table[Any], Sequence[str]]] = [
-        (FILTERS, [spec.name]), (FRAMES, [spec.frame]), (MEASUREMENTS, names),
-        (STATES, (*FILTERS[spec.name].states, *spec.states)), (ADAPTERS, [spec.adapter] if spec.adapter else []),
-    ]  # fmt: skip
+        (FILTERS, [spec.name]),
+        (FRAMES, [spec.frame]),
+        (MEASUREMENTS, names),
+        (STATES, (*FILTERS[spec.name].states, *spec.states)),
+        (ADAPTERS, [spec.adapter] if spec.adapter else []),
+    ]
     return all(table.is_built_in(name) for table, names in used for name in names)
 
 

@@ -360,9 +360,11 @@ def make_filter(
         )
         ok = state.ok & finite(new) & jnp.all(jnp.diag(c.P) >= 0)
         reported, x_enu, P_enu = model.report(model.retract(nav, x), x, reset_covariance(x[A], c.P))
-        return new._replace(ok=ok), Info(
-            reported, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok, log_det
-        ), x  # fmt: skip
+        return (
+            new._replace(ok=ok),
+            Info(reported, P_enu, x_enu, z.nu, S, residual, fix.valid, c.used, nis, ok, log_det),
+            x,
+        )
 
     def adapt(params: Params, state: FilterState, epoch: Epoch) -> tuple[FilterState, Params, Epoch]:
         """Return the state with the adapter's memory, and the parameters and the epoch to go on with."""

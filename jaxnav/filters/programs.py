@@ -26,9 +26,12 @@ from jax import export
 LOG = logging.getLogger("jaxnav")
 PACKAGES = ("jaxnav", "tuning")  # whose sources are part of a program's name
 SETTINGS = (
-    "jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_disable_most_optimizations",
+    "jax_enable_x64",
+    "jax_default_matmul_precision",
+    "jax_debug_nans",
+    "jax_disable_most_optimizations",
     "jax_numpy_dtype_promotion",
-)  # fmt: skip
+)
 """Settings of jax that a program depends on."""
 PLAIN = (type(None), bool, int, float, str)
 """Types whose text is their value."""
@@ -118,9 +121,13 @@ def _merged(args: Sequence[Any], moving: Sequence[Any], static: frozenset[int]) 
 
 
 def _program(
-    home: Path, function: Callable[..., Any], key: tuple[Any, ...], whole: Callable[..., Any], leaves: list[Any],
+    home: Path,
+    function: Callable[..., Any],
+    key: tuple[Any, ...],
+    whole: Callable[..., Any],
+    leaves: list[Any],
     options: dict[str, Any] | None,
-) -> Program | None:  # fmt: skip
+) -> Program | None:
     """Return the program of a file, or trace it and write the file; None where it cannot be kept."""
     try:
         path = _path(home, function, key)

@@ -100,11 +100,14 @@ def require_params(filt: Filter, params: Params) -> None:
         except AssertionError as error:
             raise ValueError(f"params.{part} is {_kind(given)}, the filter takes {_kind(taken)}: {_MAKE}") from error
     fitting = Params(
-        params.noise, params.prior._replace(correlated=None),
+        params.noise,
+        params.prior._replace(correlated=None),
         {name: params.states[name] for name in filt.model.states},
         {name: params.measurements[name] for name in filt.model.measurements},
-        params.mounting, params.rule, adapter=params.adapter,
-    )  # fmt: skip
+        params.mounting,
+        params.rule,
+        adapter=params.adapter,
+    )
     for path, leaf in jax.tree_util.tree_flatten_with_path(fitting)[0]:
         name = jax.tree_util.keystr(path, simple=True, separator=".")
         shapes = _shapes(expected, name)

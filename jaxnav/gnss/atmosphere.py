@@ -11,9 +11,14 @@ DAY = 86_400.0
 
 
 def klobuchar(
-    alpha: np.ndarray, beta: np.ndarray, lat: np.ndarray, lon: np.ndarray, azimuth: np.ndarray, elevation: np.ndarray,
+    alpha: np.ndarray,
+    beta: np.ndarray,
+    lat: np.ndarray,
+    lon: np.ndarray,
+    azimuth: np.ndarray,
+    elevation: np.ndarray,
     tow: np.ndarray,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Return the delay (N,) m of a signal at 1575.42 MHz (IS-GPS-200N, figure 20-4).
 
     Args:

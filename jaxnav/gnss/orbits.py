@@ -49,9 +49,11 @@ class Ephemeris(NamedTuple):
 
 def stacked(rows: list[Ephemeris]) -> Ephemeris:
     """Return ephemerides as columns (K,)."""
-    return Ephemeris(*(np.array(column) for column in zip(*rows, strict=True))) if rows else Ephemeris(
-        *(np.zeros(0) for _ in Ephemeris._fields)
-    )  # fmt: skip
+    return (
+        Ephemeris(*(np.array(column) for column in zip(*rows, strict=True)))
+        if rows
+        else Ephemeris(*(np.zeros(0) for _ in Ephemeris._fields))
+    )
 
 
 def chosen(eph: Ephemeris, satellite: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -95,9 +97,14 @@ def state(eph: Ephemeris, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     geo = _geostationary(eph.satellite, systems)
     turn = eph.omega_dot - np.where(geo, 0.0, rate)
     node = eph.omega0 + turn * tk - rate * eph.toe_of_week
-    position = np.stack([
-        x * np.cos(node) - y * np.cos(i) * np.sin(node), x * np.sin(node) + y * np.cos(i) * np.cos(node), y * np.sin(i)
-    ], -1)  # fmt: skip
+    position = np.stack(
+        [
+            x * np.cos(node) - y * np.cos(i) * np.sin(node),
+            x * np.sin(node) + y * np.cos(i) * np.cos(node),
+            y * np.sin(i),
+        ],
+        -1,
+    )
     if geo.any():
         position[geo] = _from_tilted(position[geo], tk[geo])
     dt = t - eph.toc

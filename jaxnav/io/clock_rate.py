@@ -49,9 +49,11 @@ def at_gps_rate(parts: Parts, board: np.ndarray, gps: np.ndarray) -> Parts:
         return parts._replace(notes=(*parts.notes, *notes))
     notes.append(finding("clock.rate", value=1 / rate))
     stretched = lambda stream: stream._replace(t=stream.t * rate)
-    imu = None if parts.imu is None else parts.imu._replace(
-        t=parts.imu.t * rate, dt=None if parts.imu.dt is None else parts.imu.dt * rate
-    )  # fmt: skip
+    imu = (
+        None
+        if parts.imu is None
+        else parts.imu._replace(t=parts.imu.t * rate, dt=None if parts.imu.dt is None else parts.imu.dt * rate)
+    )
     aiding = {name: stretched(stream) for name, stream in parts.aiding.items()}
     truth = None if parts.truth is None else stretched(parts.truth)
     return parts._replace(imu=imu, aiding=aiding, truth=truth, notes=(*parts.notes, *notes))

@@ -288,11 +288,15 @@ def _satellites(files: Files, table: dict[str, Any]) -> tuple[dict[str, Stream],
     delays = table.get("delays", [])
     late = sum((column_of(files, table, ref, stream) for ref in delays), np.zeros(t.size))
     ranges = Ranges(
-        t, np.array([number(str(cell).strip()) for cell in names]), get("pseudorange") + maybe("clock", 0.0) - late,
-        maybe("range_rate", np.nan) + maybe("clock_rate", 0.0), table_of(files, table, "position", stream),
+        t,
+        np.array([number(str(cell).strip()) for cell in names]),
+        get("pseudorange") + maybe("clock", 0.0) - late,
+        maybe("range_rate", np.nan) + maybe("clock_rate", 0.0),
+        table_of(files, table, "position", stream),
         table_of(files, table, "velocity", stream) if "velocity" in table else np.full((t.size, 3), np.nan),
-        maybe("elevation", np.nan) * DEG, maybe("cn0", raw_table.USUAL_CN0),
-    )  # fmt: skip
+        maybe("elevation", np.nan) * DEG,
+        maybe("cn0", raw_table.USUAL_CN0),
+    )
     side_by_side(files, [t, ranges.pseudorange, ranges.range_rate, ranges.position[:, 0]], stream)
     if table.get("emission", False):
         ranges = raw_table.to_reception(ranges)
@@ -413,9 +417,13 @@ def _scalar(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
 
 
 BUILD = {
-    "position": _position, "velocity": _velocity, "magnetometer": _three, "body_velocity": _three,
-    "baseline": _baseline, "wheels": _wheels,
-}  # fmt: skip
+    "position": _position,
+    "velocity": _velocity,
+    "magnetometer": _three,
+    "body_velocity": _three,
+    "baseline": _baseline,
+    "wheels": _wheels,
+}
 """Makers of a stream's values; `_scalar` for every other one."""
 
 

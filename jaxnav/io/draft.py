@@ -76,8 +76,10 @@ def draft(paths: Sequence[FilePath], folder: Path | None = None) -> Draft:
     fixes = _fixes(columns, found)
     if not (gyro and accel) and not fixes:
         seen = ", ".join(key for sheet in sheets.values() for key in sheet.columns if not key.isdigit()) or "no names"
-        raise DataError(f"{', '.join(map(str, paths))}: neither an IMU nor fixes among the columns: {seen[:400]}: "
-                        "describe them in a column map (docs/formats.md)")  # fmt: skip
+        raise DataError(
+            f"{', '.join(map(str, paths))}: neither an IMU nor fixes among the columns: {seen[:400]}: "
+            "describe them in a column map (docs/formats.md)"
+        )
     if gyro and accel:
         _imu(found, sheets, gyro, accel)
     if fixes:
@@ -297,8 +299,9 @@ def _time(
     each = [named_column(file, name, *reading) for name in names for reading in readings(name, file)]
     known = list({c.name: c for c in each if c is not None and c.quantity in ("time", "date")}.values())
     best: list[tuple[float, dict[str, Any], str]] = []
-    for name, stated in ((c.name, c.unit or unit_of(sheet.units.get(c.name, ""), "time")) for c in known
-                         if c.quantity == "time"):  # fmt: skip
+    for name, stated in (
+        (c.name, c.unit or unit_of(sheet.units.get(c.name, ""), "time")) for c in known if c.quantity == "time"
+    ):
         cells = sheet.columns[name]
         if cells.dtype.kind == "U" and np.isnan(numbers(sheet, name)[:5]).all():
             day = next((other.name for other in known if other.quantity == "date"), None)

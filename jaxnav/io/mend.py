@@ -168,9 +168,13 @@ def _mended(t: np.ndarray, values: np.ndarray, notes: list[Note]) -> tuple[np.nd
 
 
 def usable(
-    name: str, t: np.ndarray, columns: Iterable[np.ndarray], file: str, notes: list[Note],
+    name: str,
+    t: np.ndarray,
+    columns: Iterable[np.ndarray],
+    file: str,
+    notes: list[Note],
     lines: np.ndarray | None = None,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """(N,) bool, rows that are finite and later than all before; DataError where more than a few are not."""
     if not len(t):
         raise DataError(f"{file}: {name}: has no rows")

@@ -72,9 +72,11 @@ OPTIONS: dict[str, str] = {
 
 
 FORMS: dict[str, str] = {
-    "where": "{ status = '>=3' }", "sd": "{ position = 2.0 }", "topics": "{ imu = '/imu/data' }",
+    "where": "{ status = '>=3' }",
+    "sd": "{ position = 2.0 }",
+    "topics": "{ imu = '/imu/data' }",
     "read": "{ file = 'log.bag' }",
-}  # fmt: skip
+}
 """What a table looks like."""
 
 

@@ -51,8 +51,13 @@ def axes_turn(lat: jax.Array, h: jax.Array) -> jax.Array:
     """Rotation (3, 3) rad/m of the axes ENU by a displacement in ENU, of which `transport_rate` is the rate."""
     meridian, prime = radii(lat)
     east, zero = 1 / (prime + h), jnp.zeros_like(lat)
-    return jnp.stack([jnp.stack([zero, -1 / (meridian + h), zero]), jnp.stack([east, zero, zero]),
-                      jnp.stack([east * jnp.tan(lat), zero, zero])])  # fmt: skip
+    return jnp.stack(
+        [
+            jnp.stack([zero, -1 / (meridian + h), zero]),
+            jnp.stack([east, zero, zero]),
+            jnp.stack([east * jnp.tan(lat), zero, zero]),
+        ]
+    )
 
 
 def metres_per_radian(lla: jax.Array) -> jax.Array:

@@ -39,7 +39,7 @@ def observe_airspeed(theta: AirspeedParams, mounting: Mounting, nav: Nav, kin: K
     scale = 1 + theta.scale
     return Observation(
         v[:1] * scale - fix.value, {name: row[:1] * scale for name, row in rows.items()}, fix.sd, theta.sd_scale
-    )  # fmt: skip
+    )
 
 
 def observe_sideslip(theta: SideslipParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
@@ -49,14 +49,21 @@ def observe_sideslip(theta: SideslipParams, mounting: Mounting, nav: Nav, kin: K
 
 
 AIRSPEED = Measurement(
-    "airspeed", ("forward",), observe_airspeed, AirspeedParams(1.0, 0.0, 0.0),
-    AirspeedParams(Unit(), Unit("s", text="s", step=0.1),
-                   Unit(step=0.02)),
-    states=("wind",), columns=(column("airspeed_mps", "speed", 1.0, plausible=(-100.0, 3000.0)),),
-)  # fmt: skip
+    "airspeed",
+    ("forward",),
+    observe_airspeed,
+    AirspeedParams(1.0, 0.0, 0.0),
+    AirspeedParams(Unit(), Unit("s", text="s", step=0.1), Unit(step=0.02)),
+    states=("wind",),
+    columns=(column("airspeed_mps", "speed", 1.0, plausible=(-100.0, 3000.0)),),
+)
 """True airspeed: value forward m/s, sd."""
 SIDESLIP = Measurement(
-    "sideslip", ("right",), observe_sideslip, SideslipParams(1.0), SideslipParams(Unit("mps", text="m/s")),
+    "sideslip",
+    ("right",),
+    observe_sideslip,
+    SideslipParams(1.0),
+    SideslipParams(Unit("mps", text="m/s")),
     states=("wind",),
-)  # fmt: skip
+)
 """An aircraft flies without sideslip: no value; sd = its parameter times the fix's sd (1 by default)."""

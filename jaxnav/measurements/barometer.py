@@ -25,9 +25,12 @@ def observe_barometer(theta: BarometerParams, mounting: Mounting, nav: Nav, kin:
 
 
 BAROMETER = Measurement(
-    "barometer", ("up",), observe_barometer, BarometerParams(1.0, 0.0),
+    "barometer",
+    ("up",),
+    observe_barometer,
+    BarometerParams(1.0, 0.0),
     BarometerParams(Unit(), Unit("s", text="s", step=0.1)),
     states=("barometer_bias",),
     columns=(column("height_m", "length", 1.0, plausible=(-12e3, 1e5), marks=(-9999.0, -99999.0)),),
-)  # fmt: skip
+)
 """Height by air pressure: value m above the ellipsoid but for its bias, sd."""

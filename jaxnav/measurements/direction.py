@@ -55,9 +55,7 @@ def observe_heading(theta: HeadingParams, mounting: Mounting, nav: Nav, kin: Kin
     """Azimuth of C (cos yaw, sin yaw, 0) - y."""
     d = kin.C @ jnp.stack([jnp.cos(theta.yaw), jnp.sin(theta.yaw), jnp.zeros(())])
     angle, slope = azimuth(d)
-    return Observation(
-        turned(angle - fix.value[0]), {"attitude": -slope @ rotations.skew(d)}, fix.sd, theta.sd_scale
-    )  # fmt: skip
+    return Observation(turned(angle - fix.value[0]), {"attitude": -slope @ rotations.skew(d)}, fix.sd, theta.sd_scale)
 
 
 def observe_baseline(theta: BaselineParams, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
@@ -80,27 +78,42 @@ def observe_yaw_rate(theta: AgedParams, mounting: Mounting, nav: Nav, kin: Kinem
 _AGED = (Unit(), Unit("s", text="s", step=0.1))
 """Units of ``sd_scale`` and ``latency``."""
 HEADING = Measurement(
-    "heading", ("heading",), observe_heading, HeadingParams(1.0, 0.0, 0.0),
+    "heading",
+    ("heading",),
+    observe_heading,
+    HeadingParams(1.0, 0.0, 0.0),
     HeadingParams(*_AGED, Unit("deg", DEG, text="deg", step=DEG)),
     columns=(column("heading_rad", "angle", 0.1, plausible=(-13.0, 13.0)),),
-)  # fmt: skip
+)
 """Heading by two antennas: value rad from north, clockwise, of the line from the first to the second, sd."""
 BASELINE = Measurement(
-    "baseline", ("east", "north", "up"), observe_baseline, BaselineParams(1.0, 0.0, (1.0, 0.0, 0.0)),
+    "baseline",
+    ("east", "north", "up"),
+    observe_baseline,
+    BaselineParams(1.0, 0.0, (1.0, 0.0, 0.0)),
     BaselineParams(*_AGED, Unit("m", 1.0, (3,), "m", step=0.1)),
     columns=(
-        column("e_m", "length", 0.02, "sd_e_m"), column("n_m", "length", 0.02, "sd_n_m"),
+        column("e_m", "length", 0.02, "sd_e_m"),
+        column("n_m", "length", 0.02, "sd_n_m"),
         column("u_m", "length", 0.04, "sd_u_m"),
     ),
-)  # fmt: skip
+)
 """Line between two antennas: value (3,) m ENU, first -> second, sd."""
 COURSE = Measurement(
-    "course", ("course",), observe_course, AgedParams(1.0, 0.0), AgedParams(*_AGED),
+    "course",
+    ("course",),
+    observe_course,
+    AgedParams(1.0, 0.0),
+    AgedParams(*_AGED),
     columns=(column("course_rad", "angle", 0.1, plausible=(-13.0, 13.0)),),
-)  # fmt: skip
+)
 """Course over ground: value rad from north, clockwise, sd; give none below walking pace."""
 YAW_RATE = Measurement(
-    "yaw_rate", ("down",), observe_yaw_rate, AgedParams(1.0, 0.0), AgedParams(*_AGED),
+    "yaw_rate",
+    ("down",),
+    observe_yaw_rate,
+    AgedParams(1.0, 0.0),
+    AgedParams(*_AGED),
     columns=(column("rate_radps", "rate", 0.05, plausible=(-35.0, 35.0)),),
-)  # fmt: skip
+)
 """Turn rate by the wheels of both sides: value rad/s about the body's z, sd."""

@@ -29,8 +29,12 @@ def observe_position(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinema
     """Return p + C l + e - y, where e is the state ``gnss_position_error`` and ``lever_arm_error`` is a part of l."""
     arm = kin.C @ arm_of(mounting, nav)
     y = earth.enu_difference(kin.lla, fix.value) + arm + nav.errors.get("gnss_position_error", jnp.zeros(3))
-    rows = {"position": jnp.eye(3), "attitude": -rotations.skew(arm), "gnss_position_error": jnp.eye(3),
-            "lever_arm_error": kin.C}  # fmt: skip
+    rows = {
+        "position": jnp.eye(3),
+        "attitude": -rotations.skew(arm),
+        "gnss_position_error": jnp.eye(3),
+        "lever_arm_error": kin.C,
+    }
     return Observation(y, rows, fix.sd, theta.scale)
 
 

@@ -122,10 +122,14 @@ def earlier_error(between: Interval, states: Sequence[State]) -> Callable[[jax.A
                 lost[state.enters] -= _integral(between, state) @ x[i:j] if state.effect else age * x[i:j]
         dw, df = split(lost["gyro"]), split(lost["accel"])
         turn, early, late = scale(0.5, add(rotate(then, dw), rotate(now, dw))), rotate(then, df), rotate(now, df)
-        return jnp.stack([
-            *add(p, scale(-age, v), cross(add(phi, scale(-1 / 3, turn)), s1), scale(age / 6, add(early, late, late))),
-            *add(v, cross(s0, add(phi, scale(-0.5, turn))), scale(-0.5, add(early, late))),
-            *add(phi, scale(-1.0, turn)),
-        ])  # fmt: skip
+        return jnp.stack(
+            [
+                *add(
+                    p, scale(-age, v), cross(add(phi, scale(-1 / 3, turn)), s1), scale(age / 6, add(early, late, late))
+                ),
+                *add(v, cross(s0, add(phi, scale(-0.5, turn))), scale(-0.5, add(early, late))),
+                *add(phi, scale(-1.0, turn)),
+            ]
+        )
 
     return apply

@@ -26,9 +26,7 @@ class MagnetometerParams(NamedTuple):
 def field(declination: jax.Array, inclination: jax.Array, strength: jax.Array) -> jax.Array:
     """(3,) uT ENU."""
     level = jnp.cos(inclination)
-    return strength * jnp.stack(
-        [level * jnp.sin(declination), level * jnp.cos(declination), -jnp.sin(inclination)]
-    )  # fmt: skip
+    return strength * jnp.stack([level * jnp.sin(declination), level * jnp.cos(declination), -jnp.sin(inclination)])
 
 
 def observe_magnetometer(

@@ -101,25 +101,33 @@ def observe_level(theta: LevelParams, mounting: Mounting, nav: Nav, kin: Kinemat
 
 
 NONHOLONOMIC = Measurement(
-    "nonholonomic", ("right", "down"), observe_nonholonomic, NonholonomicParams((0.1, 0.1)),
+    "nonholonomic",
+    ("right", "down"),
+    observe_nonholonomic,
+    NonholonomicParams((0.1, 0.1)),
     NonholonomicParams(Unit("mps", shape=(2,), text="m/s")),
     states=("vehicle_axes", "wheel_arm_error"),
-)  # fmt: skip
+)
 """Wheels neither slide sideways nor lift: no value; sd = its parameter times the fix's sd (1 by default)."""
 SPEED = Measurement(
-    "speed", ("forward",), observe_speed, SpeedParams(1.0, 0.0),
-    SpeedParams(Unit(), Unit(step=0.02)), states=("vehicle_axes", "odometer_scale", "wheel_arm_error"),
+    "speed",
+    ("forward",),
+    observe_speed,
+    SpeedParams(1.0, 0.0),
+    SpeedParams(Unit(), Unit(step=0.02)),
+    states=("vehicle_axes", "odometer_scale", "wheel_arm_error"),
     columns=(column("speed_mps", "speed", 0.3, plausible=(-500.0, 500.0)),),
-)  # fmt: skip
+)
 """Wheel speed: value forward m/s, sd."""
 WHEELS = Measurement(
-    "wheels", ("left", "right"), observe_wheels, WheelsParams(1.0, 0.0, 1.0),
+    "wheels",
+    ("left", "right"),
+    observe_wheels,
+    WheelsParams(1.0, 0.0, 1.0),
     WheelsParams(Unit(), Unit(step=0.02), Unit("m", text="m", step=0.02)),
     states=("vehicle_axes", "odometer_scale", "wheel_arm_error"),
-    columns=tuple(
-        column(f"{side}_mps", "speed", 0.1, f"sd_{side}_mps", (-500.0, 500.0)) for side in ("left", "right")
-    ),
-)  # fmt: skip
+    columns=tuple(column(f"{side}_mps", "speed", 0.1, f"sd_{side}_mps", (-500.0, 500.0)) for side in ("left", "right")),
+)
 """Speed of the wheels of both sides, none of which steers: value (2,) forward m/s, left and right, sd."""
 LEVEL = Measurement("level", ("up",), observe_level, LevelParams(0.1), LevelParams(Unit("mps", text="m/s")))
 """A boat, or a robot on a floor, keeps its height: no value; sd = its parameter times the fix's sd."""

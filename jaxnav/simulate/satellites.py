@@ -124,10 +124,15 @@ def with_satellites(key: jax.Array, sim: Simulated, params: Params, sky: Sky) ->
     )
     empty = errors[:, sky.satellites :]  # of slots without a satellite so far
     bias, drift = clock(jax.random.fold_in(key, 1), params, t)
-    truth = sim.truth._replace(errors=sim.truth.errors | {
-        "receiver_clock_bias": bias[:, None], "receiver_clock_drift": drift[:, None],
-        "inter_system_bias": jnp.zeros((t.size, 3)), "range_error": jnp.where(held >= 0, of_slot(errors), empty),
-    })  # fmt: skip
+    truth = sim.truth._replace(
+        errors=sim.truth.errors
+        | {
+            "receiver_clock_bias": bias[:, None],
+            "receiver_clock_drift": drift[:, None],
+            "inter_system_bias": jnp.zeros((t.size, 3)),
+            "range_error": jnp.where(held >= 0, of_slot(errors), empty),
+        }
+    )
     cn0 = CN0_HORIZON + (CN0_ZENITH - CN0_HORIZON) * jnp.sin(elevation)
     number = 1.0 + at.astype(float)
     columns = [number[..., None], of_slot(position), of_slot(velocity), of_slot(elevation)[..., None]]

@@ -57,18 +57,25 @@ class Scenario(NamedTuple):
 _ROOF = Receiver(lever_arm_m=(0.3, -0.2, -1.2))
 URBAN = Scenario(gnss=_ROOF._replace(outages_s=((90.0, 100.0), (160.0, 175.0), (240.0, 260.0))))
 URBAN_SHORT = Scenario(
-    name="urban_short", duration_s=80.0, imu_rate_hz=25.0, motion=Urban(standstill_s=5.0),
+    name="urban_short",
+    duration_s=80.0,
+    imu_rate_hz=25.0,
+    motion=Urban(standstill_s=5.0),
     gnss=_ROOF._replace(outages_s=((50.0, 60.0),)),
-)  # fmt: skip
+)
 TRAFFIC = URBAN._replace(name="urban_traffic", motion=Urban(traffic=0.6))
 # a receiver that integrates its velocity, with an additional error of minutes
 INTEGRATING = Scenario(
-    name="urban_integrating", imu_rate_hz=20.0, motion=Urban(standstill_s=10.0),
+    name="urban_integrating",
+    imu_rate_hz=20.0,
+    motion=Urban(standstill_s=10.0),
     gnss=_ROOF._replace(
-        position_sd_m=(0.3, 0.3, 0.3), velocity_sd_mps=(0.05, 0.05, 0.05),
-        slow_position_sd_m=1.5, integrates_velocity=True,
+        position_sd_m=(0.3, 0.3, 0.3),
+        velocity_sd_mps=(0.05, 0.05, 0.05),
+        slow_position_sd_m=1.5,
+        integrates_velocity=True,
     ),
-)  # fmt: skip
+)
 
 # a street: houses of 30 deg on both sides, and by turns a few satellites or none
 STREET = Scenario(
@@ -94,18 +101,24 @@ READINGS: dict[str, tuple[Fault, ...]] = {
 """Ways to read the GNSS fault of Ansari et al. 2024, section 5 and Table 2."""
 
 CIRCLE = Scenario(
-    name="gpid_circle", duration_s=3600.0, imu_rate_hz=10.0, start_deg_m=(30.0, 50.0, 1000.0),
-    motion=Circle(10.0, 126.0), imu=ImuErrors("tactical", fixed_bias=True),
+    name="gpid_circle",
+    duration_s=3600.0,
+    imu_rate_hz=10.0,
+    start_deg_m=(30.0, 50.0, 1000.0),
+    motion=Circle(10.0, 126.0),
+    imu=ImuErrors("tactical", fixed_bias=True),
     gnss=Receiver(position_sd_m=(5.0, 5.0, 5.0), velocity_sd_mps=(0.1, 0.1, 0.1)),
     faults=READINGS["constant"],
     # result of levelling and gyrocompassing with these sensors
     start=InitialErrors((5.0, 5.0, 5.0), (0.1, 0.1, 0.1), prior_tilt_sd_deg=0.003, prior_heading_sd_deg=0.04),
-)  # fmt: skip
+)
 # speed, turn rate and start of the configuration that comes nearest to the paper's tables
 REPRO = CIRCLE._replace(
-    name="gpid_repro", motion=Circle(33.5, 2 * math.pi / 0.0228), faults=READINGS["velocity"],
+    name="gpid_repro",
+    motion=Circle(33.5, 2 * math.pi / 0.0228),
+    faults=READINGS["velocity"],
     start=CIRCLE.start._replace(prior_tilt_sd_deg=0.0, prior_heading_sd_deg=0.0),
-)  # fmt: skip
+)
 _GPID = [
     base._replace(name=f"{base.name}_{reading}", faults=faults)
     for base in (CIRCLE, REPRO)
@@ -131,19 +144,22 @@ _UNCALIBRATED = GIPKF._replace(name="gipkf_urban_uncalibrated", start=GIPKF.star
 _STRESS = GIPKF._replace(
     name="gipkf_urban_stress",
     imu=GIPKF.imu._replace(gyro_scale_sd_ppm=10000.0, accel_scale_sd_ppm=5000.0),
-    gnss=GIPKF.gnss._replace(
-        correlated_share=0.7, correlation_s=60.0, lever_arm_m=(1.5, 0.0, 0.0), latency_s=0.15
-    ),
-)  # fmt: skip
+    gnss=GIPKF.gnss._replace(correlated_share=0.7, correlation_s=60.0, lever_arm_m=(1.5, 0.0, 0.0), latency_s=0.15),
+)
 
 # ---------------------------------------------------------------------------- FWEKF paper: alignment and launch
 
 FWEKF = Scenario(
-    name="fwekf", duration_s=40.0, imu_rate_hz=100.0, gnss_rate_hz=10.0, start_deg_m=(37.5, 127.0, 50.0),
-    motion=LaunchMove(), imu=ImuErrors("fwekf"),
+    name="fwekf",
+    duration_s=40.0,
+    imu_rate_hz=100.0,
+    gnss_rate_hz=10.0,
+    start_deg_m=(37.5, 127.0, 50.0),
+    motion=LaunchMove(),
+    imu=ImuErrors("fwekf"),
     gnss=Receiver(position_sd_m=(10.0, 10.0, 10.0), velocity_sd_mps=(0.2, 0.2, 0.2)),
     start=InitialErrors((10.0, 10.0, 10.0), (0.2, 0.2, 0.2), prior_tilt_sd_deg=1.0, prior_heading_sd_deg=1.0),
-)  # fmt: skip
+)
 _SIDEWAYS = (30.0, 30.0, 0.0)  # m, E and N
 
 
@@ -155,18 +171,18 @@ def _biased(factor: float) -> ImuErrors:
 
 _FWEKF = [
     FWEKF._replace(
-        name="fwekf_noise_free", imu=FWEKF.imu._replace(imu_noise_factor=0.0),
-        gnss=FWEKF.gnss._replace(gnss_noise_factor=0.0), start=FWEKF.start._replace(fixed_errors=True),
+        name="fwekf_noise_free",
+        imu=FWEKF.imu._replace(imu_noise_factor=0.0),
+        gnss=FWEKF.gnss._replace(gnss_noise_factor=0.0),
+        start=FWEKF.start._replace(fixed_errors=True),
     ),
     FWEKF._replace(name="fwekf_jump", faults=(Constant(25.0, 28.0, _SIDEWAYS),)),
     FWEKF._replace(name="fwekf_step", faults=(Constant(30.0, math.inf, _SIDEWAYS),)),
-    FWEKF._replace(
-        name="fwekf_attitude", start=FWEKF.start._replace(prior_tilt_sd_deg=5.0, prior_heading_sd_deg=5.0)
-    ),
+    FWEKF._replace(name="fwekf_attitude", start=FWEKF.start._replace(prior_tilt_sd_deg=5.0, prior_heading_sd_deg=5.0)),
     FWEKF._replace(name="fwekf_bias", imu=_biased(1.0)),
     FWEKF._replace(name="fwekf_bias_10", imu=_biased(10.0)),
     FWEKF._replace(name="fwekf_burst", faults=(Burst(25.0, 32.0, 5.0),)),
-]  # fmt: skip
+]
 
 SCENARIOS: dict[str, Scenario] = {
     s.name: s

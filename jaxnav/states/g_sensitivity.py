@@ -18,7 +18,11 @@ def forces(reading: Reading) -> jax.Array:
 
 
 GYRO_G_SENSITIVITY = constant(
-    "gyro_g_sensitivity", tuple(f"{axis} by f{force}" for axis in "xyz" for force in "xyz"), 30.0,
-    UserUnit("deg_per_hour_per_g", PER_G, "deg/h/g"), "gyro", forces,
-)  # fmt: skip
+    "gyro_g_sensitivity",
+    tuple(f"{axis} by f{force}" for axis in "xyz" for force in "xyz"),
+    30.0,
+    UserUnit("deg_per_hour_per_g", PER_G, "deg/h/g"),
+    "gyro",
+    forces,
+)
 """(rad/s)/(m/s^2), row by row: a constant unless it is driven."""

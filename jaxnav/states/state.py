@@ -64,9 +64,14 @@ def state_units(size: int, unit: UserUnit, noise: UserUnit | None = None) -> Sta
 
 
 def constant(
-    name: str, axes: tuple[str, ...], sd: float, unit: UserUnit, enters: str | None = None,
-    effect: Effect | None = None, reads: tuple[str, ...] = (),
-) -> State:  # fmt: skip
+    name: str,
+    axes: tuple[str, ...],
+    sd: float,
+    unit: UserUnit,
+    enters: str | None = None,
+    effect: Effect | None = None,
+    reads: tuple[str, ...] = (),
+) -> State:
     """Return a state that stays constant unless driven; ``sd`` in ``unit``."""
     units = state_units(len(axes), unit)
     return State(name, axes, enters, effect, StateParams(sd * unit.factor, 0.0, float("inf")), units, reads)

@@ -101,9 +101,7 @@ def discretize(
     slow = _exponential(assemble(slow_blocks) * (0.5 * total))
     end = running(T)
     weights = _weights(T, total - end)
-    sums = EpochSums(
-        points.C, points.force, T, end, weights, running(weights[:, :, None] * points.force[:, None])
-    )  # fmt: skip
+    sums = EpochSums(points.C, points.force, T, end, weights, running(weights[:, :, None] * points.force[:, None]))
     N, d = _nilpotent(maps, sums, u)
     W = linalg.times(slow, _white(maps, sums, params.noise, lumped))
     Phi, d = linalg.times(linalg.times(slow, N), slow), slow @ d

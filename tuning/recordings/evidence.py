@@ -82,17 +82,25 @@ def gated_terms(
     keep = valid & ~out
     both = keep[:, :, None] & keep[:, None]
     rest = gaussian_terms(
-        np.where(keep, nu, 0.0), np.where(both, S, np.eye(keep.shape[1])), keep, np.where(keep[:, None], dnu, 0.0),
-        np.where(both[:, None], dS, 0.0), (valid & ~used & ~alone).any(1),
-    )  # fmt: skip
+        np.where(keep, nu, 0.0),
+        np.where(both, S, np.eye(keep.shape[1])),
+        keep,
+        np.where(keep[:, None], dnu, 0.0),
+        np.where(both[:, None], dS, 0.0),
+        (valid & ~used & ~alone).any(1),
+    )
     if not out.any():
         return rest
     n, i = np.nonzero(out)
     one = np.ones((n.size, 1), bool)
     single = gaussian_terms(
-        nu[n, i][:, None], S[n, i, i][:, None, None], one, dnu[n, :, i][:, :, None], dS[n, :, i, i][:, :, None, None],
+        nu[n, i][:, None],
+        S[n, i, i][:, None, None],
+        one,
+        dnu[n, :, i][:, :, None],
+        dS[n, :, i, i][:, :, None, None],
         one[:, 0],
-    )  # fmt: skip
+    )
     for into, more in zip(rest, single, strict=True):
         np.add.at(into, n, more)
     return rest
@@ -196,8 +204,9 @@ class Training(NamedTuple):
 
     def phase(self, rows: slice) -> "Training":
         """Return some of the phases of windows."""
-        return self._replace(valid=self.valid[rows], keep=self.keep[rows], at=self.at[rows], there=self.there[rows],
-                             sd=self.sd[rows])  # fmt: skip
+        return self._replace(
+            valid=self.valid[rows], keep=self.keep[rows], at=self.at[rows], there=self.there[rows], sd=self.sd[rows]
+        )
 
 
 def training_of(filt: Filter, used: Used) -> Training:

@@ -165,7 +165,7 @@ def px4_params(params: Params, stated: StatedSd = StatedSd()) -> str:
         ("EKF2_GPS_V_NOISE", stated.velocity * scale["velocity"], "m/s, lower limit of the receiver's sd"),
         ("EKF2_GPS_DELAY", 1e3 * max(float(np.mean(late)), 0.0), "ms, one for position and velocity"),
         *((f"EKF2_GPS_POS_{axis}", a, "m, antenna, body") for axis, a in zip("XYZ", arm, strict=True)),
-    ]  # fmt: skip
+    ]
     return _lines(rows, "param set {key} {value:.6g}", "#", params)
 
 
@@ -188,7 +188,7 @@ def ardupilot_parm(params: Params, stated: StatedSd = StatedSd()) -> str:
         ("EK3_VELD_M_NSE", stated.velocity * float(v[2]), "m/s, lower limit of the receiver's sd"),
         ("GPS_DELAY_MS", round(1e3 * max(float(np.mean(_delays(params))), 0.0)), "ms; GPS1_DELAY_MS from 4.6 on"),
         *((f"GPS_POS1_{axis}", a, "m, antenna; GPS1_POS_ from 4.6 on") for axis, a in zip("XYZ", arm, strict=True)),
-    ]  # fmt: skip
+    ]
     return _lines(rows, "{key},{value:.6g}", "#", params)
 
 
@@ -204,16 +204,18 @@ def robot_localization_yaml(params: Params, imu_rate_hz: float = 100.0) -> str:
     """
     square = lambda q: ", ".join(f"{v:.6g}" for v in axes_of(q) ** 2 * imu_rate_hz)
     scale = lambda name: ", ".join(f"{v:.6g}" for v in axes_of(params.measurements[name].scale) ** 2)
-    return "\n".join([
-        f"# of sensor_msgs/Imu at {imu_rate_hz:g} Hz, body FRD; diagonals of the covariances of each message",
-        f"angular_velocity_covariance_diagonal: [{square(params.noise.gyro)}]  # (rad/s)^2, a value per sample",
-        f"linear_acceleration_covariance_diagonal: [{square(params.noise.accel)}]  # (m/s^2)^2, a value per sample",
-        "# factors on the covariances that the receiver states, east, north, up",
-        f"position_covariance_factor: [{scale('position')}]",
-        f"velocity_covariance_factor: [{scale('velocity')}]",
-        "# no counterpart: drift of the biases, delays, clock drift, lever arm (a static transform)",
-        "",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            f"# of sensor_msgs/Imu at {imu_rate_hz:g} Hz, body FRD; diagonals of the covariances of each message",
+            f"angular_velocity_covariance_diagonal: [{square(params.noise.gyro)}]  # (rad/s)^2, a value per sample",
+            f"linear_acceleration_covariance_diagonal: [{square(params.noise.accel)}]  # (m/s^2)^2, a value per sample",
+            "# factors on the covariances that the receiver states, east, north, up",
+            f"position_covariance_factor: [{scale('position')}]",
+            f"velocity_covariance_factor: [{scale('velocity')}]",
+            "# no counterpart: drift of the biases, delays, clock drift, lever arm (a static transform)",
+            "",
+        ]
+    )
 
 
 def _lines(rows: list[tuple[str, float, str]], form: str, mark: str, params: Params) -> str:

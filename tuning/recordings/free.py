@@ -46,8 +46,9 @@ def _ranges(measurements: tuple[Measurement, ...], states: tuple[str, ...]) -> l
     """Return weights of satellites, driving noise of their errors and of the receiver's clock, tau of the errors."""
     rows = [m for m in measurements if m.auxiliary]
     needed = {state for m in rows for state in m.needs} & set(states)
-    weights = [f"measurements.{m.name}.{leaf}" for m in rows for leaf, unit in m.units._asdict().items()
-               if unit.step is None]  # fmt: skip
+    weights = [
+        f"measurements.{m.name}.{leaf}" for m in rows for leaf, unit in m.units._asdict().items() if unit.step is None
+    ]
     slow = {name for m in rows for name in m.restarts} & needed
     processes = [f"states.{state}.driving_noise" for state in states if state in needed]
     return [*weights, *processes, *(f"states.{state}.tau" for state in sorted(slow))]

@@ -198,13 +198,17 @@ def tune(
     candidates["tuned"] = Candidate(job, best, filt, job.each(best))
     log("scoring the candidates on hidden windows")
     # a datasheet knows nothing of slow errors
-    priors_of = [d._replace(states={n: s for n, s in d.states.items() if not slow or n != RECEIVER_ERROR})
-                 for d in datasheets]  # fmt: skip
+    priors_of = [
+        d._replace(states={n: s for n, s in d.states.items() if not slow or n != RECEIVER_ERROR}) for d in datasheets
+    ]
     found = judged(candidates, parts, priors_of)
     return replace(
-        found, findings=[*warnings, *found.findings], history=history, status=status,
+        found,
+        findings=[*warnings, *found.findings],
+        history=history,
+        status=status,
         effective=job.effective if how is None else math.nan,
-    )  # fmt: skip
+    )
 
 
 # ---------------------------------------------------------------------------- candidates
@@ -245,11 +249,14 @@ def judged(candidates: Mapping[str, Candidate], parts: Mapping[str, np.ndarray],
     }
     trials = {
         name: Trial(
-            each.filter, kept[name][0], drift[name], ratios(drift["datasheet"], drift[name], parts, left),
+            each.filter,
+            kept[name][0],
+            drift[name],
+            ratios(drift["datasheet"], drift[name], parts, left),
             predicted([s.judging(mask) for s, mask in zip(scored[name], masks, strict=True)]),
         )
         for name, each in candidates.items()
-    }  # fmt: skip
+    }
     best = choose(trials, parts, blocks_of(used))
     test, blocks = parts["test"], blocks_of(used)[parts["test"]]
     gain = None

@@ -116,9 +116,12 @@ def reported_candidate(best: str) -> str:
 
 
 def verdict(
-    best: str, trials: Mapping[str, Trial], scores: Mapping[str, dict[str, float]], parts: Mapping[str, np.ndarray],
+    best: str,
+    trials: Mapping[str, Trial],
+    scores: Mapping[str, dict[str, float]],
+    parts: Mapping[str, np.ndarray],
     interval: PairedRatio | None = None,
-) -> str:  # fmt: skip
+) -> str:
     """Return the winner, its ratio on the test, and the ratios of the others on the validation part."""
     datasheet = trials["datasheet"]
     words = lambda name, t: (
@@ -290,8 +293,9 @@ def write(found: Tuned, folder: Path, states: Sequence[str] = (), exports: bool 
     head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
     atomic_write(folder / "tuned.toml", head + to_toml(params | stated(found.params)))
     for number, (used, each) in enumerate(zip(found.used[1:], found.each[1:], strict=True), start=2):
-        if any(np.any(np.asarray(get(each, leaf)) != np.asarray(get(found.params, leaf)))
-               for leaf in (*found.spec, *prior)):  # fmt: skip
+        if any(
+            np.any(np.asarray(get(each, leaf)) != np.asarray(get(found.params, leaf))) for leaf in (*found.spec, *prior)
+        ):
             text = f"# jaxnav tune: {used.name}, which has separate parameters\n" + to_toml(params | stated(each))
             atomic_write(folder / f"tuned_{number}.toml", text)
     if exports:

@@ -73,8 +73,9 @@ OBJECTIVES: dict[str, Score] = {
     "nll": lambda info, r: objectives.innovation_nll(info, r.keep),
     "consistency": lambda info, r: objectives.consistency(info, r.keep),
     "whiteness": lambda info, r: objectives.whiteness(info, r.keep),
-    "rmse": _rmse, "nees": _nees,
-}  # fmt: skip
+    "rmse": _rmse,
+    "nees": _nees,
+}
 """Of one run: log RMS and mean log of the error at the ends of hidden windows; innovation likelihood, normalised
 innovations against their law, their autocorrelation; with truth the position's RMSE in m and its normalised error."""
 NEED_TRUTH = ("rmse", "nees")

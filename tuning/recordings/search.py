@@ -28,9 +28,13 @@ class Checkpoints(NamedTuple):
 
 
 def search(
-    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], log: Callable[[str], None],
+    name: str,
+    job: Job,
+    first: jax.Array,
+    history: list[dict[str, Any]],
+    log: Callable[[str], None],
     checkpoints: Checkpoints | None = None,
-) -> tuple[jax.Array, Status]:  # fmt: skip
+) -> tuple[jax.Array, Status]:
     """Minimise J from a point, with a line and a row of the history for each evaluation.
 
     Raises:

@@ -62,9 +62,12 @@ def standing_of(found: Sequence[Finding]) -> Standing:
 
 
 def choose(
-    experiment: Experiment, plain: Scored, params_of: Callable[[Filter], Params], tried: Sequence[Option],
+    experiment: Experiment,
+    plain: Scored,
+    params_of: Callable[[Filter], Params],
+    tried: Sequence[Option],
     begin: Callable[[], None] = lambda: None,
-) -> Choice:  # fmt: skip
+) -> Choice:
     """Add measurements one after the other, each if it predicts better than without it.
 
     Each is tried with its sd as stated and three and ten times as large, and with larger ones yet where innovations ask

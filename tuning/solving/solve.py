@@ -150,8 +150,9 @@ def solve(
     begin = initialization(rec, datasheet_of(filt))
     (experiment,) = experiments_of([rec], filt, [begin], standing, stop)
     findings = [*checked.applied, *(f for f in checked.found if f.warns)]
-    untested = partial(_untested, settings=checked.settings, standing=standing, window=experiment.layout.window,
-                       early=rec.early)  # fmt: skip
+    untested = partial(
+        _untested, settings=checked.settings, standing=standing, window=experiment.layout.window, early=rec.early
+    )
     tried_ones = options(rec, checked.found)
     each = [Stage(", ".join(option.names), OPTION_WEIGHT) for option in tried_ones]
     rest = [NOISE, SCORES, *each, *([] if fast else [TUNE]), CALIBRATE, WHOLE]
@@ -194,8 +195,9 @@ def solve(
     experiment, plain, suspect = _without_faults(experiment, plain)
     findings += [*found.findings, *suspect, *map(finding_of_jump, jumps)]
     level = plain.get("auto", plain["datasheet"])
-    run = partial(navigate, rec, scan=False, initialization=initialization, stop=stop, standing=standing,
-                  outages=left_out)  # fmt: skip
+    run = partial(
+        navigate, rec, scan=False, initialization=initialization, stop=stop, standing=standing, outages=left_out
+    )
     by_now = lambda filt, params: (run(filt, params, smooth=smooth), params)
     answer(partial(by_now, level.filter, level.params), gone)
     count = next((k for k in range(len(each), 0, -1) if stages.fits(*each[:k], CALIBRATE, WHOLE)), 0)
@@ -253,9 +255,12 @@ def _not_early(checked: Corrections) -> Recording:
 
 
 def _untuned(
-    filt: Filter, datasheet_of: Callable[[Filter], Params], experiment: Experiment, scanned: Callable[[], None],
+    filt: Filter,
+    datasheet_of: Callable[[Filter], Params],
+    experiment: Experiment,
+    scanned: Callable[[], None],
     log: Callable[[str], None],
-) -> tuple[NoiseScan, Experiment, dict[str, Scored]]:  # fmt: skip
+) -> tuple[NoiseScan, Experiment, dict[str, Scored]]:
     """Return the noise scan, the windows with its history, and the scores of datasheet and scan.
 
     ``scanned`` is called between the two.

@@ -27,9 +27,11 @@ BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"  # O
 ORANGE, SKY, BLACK = "#E69F00", "#56B4E9", "#000000"
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 TITLES = {
-    "nis": "NIS", "mc_errors": "Errors of all runs", "mc_consistency": "Consistency of all runs",
+    "nis": "NIS",
+    "mc_errors": "Errors of all runs",
+    "mc_consistency": "Consistency of all runs",
     "mc_spread": "Spread of all runs",
-}  # fmt: skip
+}
 """Titles of figures whose names are none."""
 
 # ---------------------------------------------------------------------------- shared by all figures

@@ -77,10 +77,14 @@ def _track(sol: "Trace", truth: "Track | None", fixes: "Samples | None") -> Any:
         fig.line(where[thin, 0], where[thin, 1], color=VERMILION, line_dash="dashed", legend_label="truth")
     where, thin = earth.enu_path(sol.track.lla, origin)[:, :3], _thin(sol.track.t.size)
     data = {
-        "t": sol.track.t[thin], "east": where[thin, 0], "north": where[thin, 1], "height": sol.track.lla[thin, 2],
-        "heading": np.degrees(sol.track.rph[thin, 2]) % 360, "speed": np.linalg.norm(sol.track.vel[thin], axis=1),
+        "t": sol.track.t[thin],
+        "east": where[thin, 0],
+        "north": where[thin, 1],
+        "height": sol.track.lla[thin, 2],
+        "heading": np.degrees(sol.track.rph[thin, 2]) % 360,
+        "speed": np.linalg.norm(sol.track.vel[thin], axis=1),
         "sd": np.hypot(sol.sd[thin, 0], sol.sd[thin, 1]),
-    }  # fmt: skip
+    }
     source = ColumnDataSource(data)
     line = fig.line("east", "north", source=source, color=BLUE, line_width=2, legend_label="solution")
     tips = [("t", "@t{0.00} s"), ("height", "@height{0.0} m"), ("heading", "@heading{0.0} deg"),
@@ -91,9 +95,13 @@ def _track(sol: "Trace", truth: "Track | None", fixes: "Samples | None") -> Any:
 
 
 def _lines(
-    fig: Any, t: np.ndarray, values: np.ndarray, names: Sequence[str], band: np.ndarray | None = None,
+    fig: Any,
+    t: np.ndarray,
+    values: np.ndarray,
+    names: Sequence[str],
+    band: np.ndarray | None = None,
     centre: np.ndarray | None = None,
-) -> Any:  # fmt: skip
+) -> Any:
     """Draw ``values`` (E, k), and ``band`` (E, k) above and below of zero or of ``centre`` (E, k), dotted."""
     from bokeh.models import ColumnDataSource, Line
 
@@ -101,8 +109,11 @@ def _lines(
     columns = {"t": t[thin]} | {name: values[thin, i] for i, name in enumerate(names)}
     if band is not None:
         middle = np.zeros_like(band) if centre is None else centre
-        sides = {f"{side} {name}": (middle + sign * band)[thin, i] for i, name in enumerate(names)
-                 for side, sign in (("above", 1), ("below", -1))}  # fmt: skip
+        sides = {
+            f"{side} {name}": (middle + sign * band)[thin, i]
+            for i, name in enumerate(names)
+            for side, sign in (("above", 1), ("below", -1))
+        }
         columns |= sides
     source = ColumnDataSource(columns)
     for i, name in enumerate(names):
@@ -123,9 +134,11 @@ def _errors(sol: "Trace", truth: "Track", shared: Any, outages: Outages) -> list
     from jaxnav.analysis.evaluate import ned_errors
 
     error, sd = ned_errors(sol, truth)
-    groups = (("Position error, 3 sd dotted", "m", ("north", "east", "down")),
-              ("Velocity error, 3 sd dotted", "m/s", ("north", "east", "down")),
-              ("Attitude error, 3 sd dotted", "deg", ("roll", "pitch", "heading")))  # fmt: skip
+    groups = (
+        ("Position error, 3 sd dotted", "m", ("north", "east", "down")),
+        ("Velocity error, 3 sd dotted", "m/s", ("north", "east", "down")),
+        ("Attitude error, 3 sd dotted", "deg", ("roll", "pitch", "heading")),
+    )
     out = []
     for k, (title, unit, names) in enumerate(groups):
         axes = slice(3 * k, 3 * k + 3)
@@ -135,9 +148,11 @@ def _errors(sol: "Trace", truth: "Track", shared: Any, outages: Outages) -> list
 
 def _sd(sol: "Trace", shared: Any, outages: Outages) -> list[Any]:
     fig = _lines(
-        _axes("Standard deviation of the position", "m", shared, outages), sol.track.t, sol.sd[:, :3],
+        _axes("Standard deviation of the position", "m", shared, outages),
+        sol.track.t,
+        sol.sd[:, :3],
         ("east", "north", "up"),
-    )  # fmt: skip
+    )
     attitude = np.degrees(sol.sd_rph)
     return [fig, _lines(_axes("Standard deviation of the attitude", "deg", shared, outages), sol.track.t, attitude,
                         ("roll", "pitch", "heading"))]  # fmt: skip
@@ -175,8 +190,10 @@ def _biases(sol: "Trace", states: Sequence[str], shared: Any, outages: Outages) 
     from jaxnav.states import table
 
     out, places = [], table.layout(table.chosen(tuple(states)))
-    rows = (("gyro_bias", "Gyro biases, sd dotted", "deg/h", units.DEG_PER_HOUR),
-            ("accel_bias", "Accelerometer biases, sd dotted", "mg", units.MG))  # fmt: skip
+    rows = (
+        ("gyro_bias", "Gyro biases, sd dotted", "deg/h", units.DEG_PER_HOUR),
+        ("accel_bias", "Accelerometer biases, sd dotted", "mg", units.MG),
+    )
     variance = np.diagonal(np.asarray(sol.info.P), axis1=1, axis2=2)
     for name, title, unit, factor in rows:
         if name in places and name in sol.info.nav.errors:

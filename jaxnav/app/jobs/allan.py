@@ -48,8 +48,12 @@ def allan(config: Config, folder: Path) -> Outcome:
     rec = load(config)
     imu = span(rec.imu, config.data.start, config.data.stop)
     gyro, accel, dt = regular(imu)
-    found: dict[str, Any] = {"name": rec.name, "start_s": float(imu.t[0] - imu.dt[0]), "stop_s": float(imu.t[-1]),
-                             "rate_hz": 1 / dt} | standing(config, imu, rec.aiding.get("velocity"))  # fmt: skip
+    found: dict[str, Any] = {
+        "name": rec.name,
+        "start_s": float(imu.t[0] - imu.dt[0]),
+        "stop_s": float(imu.t[-1]),
+        "rate_hz": 1 / dt,
+    } | standing(config, imu, rec.aiding.get("velocity"))
     groups, rows, read, findings = [], {}, {}, []
     for kind, data in (("gyro", gyro), ("accel", accel)):
         unit, si, _ = KINDS[kind]

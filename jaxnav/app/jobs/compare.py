@@ -144,8 +144,12 @@ def difference_from(first: Run, other: Run) -> dict[str, np.ndarray] | None:
     a, b = earth.enu_path(first.lla[both], origin), at(earth.enu_path(other.lla, origin))
     heading = np.interp(t, other.t, np.unwrap(other.heading, period=360.0)) - first.heading[both]
     off = b - a
-    return {"t": t, "horizontal_m": np.hypot(off[:, 0], off[:, 1]), "height_m": off[:, 2],
-            "heading_deg": (heading + 180.0) % 360.0 - 180.0}  # fmt: skip
+    return {
+        "t": t,
+        "horizontal_m": np.hypot(off[:, 0], off[:, 1]),
+        "height_m": off[:, 2],
+        "heading_deg": (heading + 180.0) % 360.0 - 180.0,
+    }
 
 
 def draw(runs: Sequence[Run], names: Sequence[str], differences: Sequence[dict[str, np.ndarray] | None]) -> Any:

@@ -63,10 +63,14 @@ def describe(rec: Any) -> dict[str, Any]:
     if rec.truth is not None:
         streams["truth"] = rec.truth.t
     rows = {
-        name: {"rows": t.size, "start_s": float(t[0]), "end_s": float(t[-1]),
-               "rate_hz": float(1 / np.median(np.diff(t))) if t.size > 1 else float("nan")}
+        name: {
+            "rows": t.size,
+            "start_s": float(t[0]),
+            "end_s": float(t[-1]),
+            "rate_hz": float(1 / np.median(np.diff(t))) if t.size > 1 else float("nan"),
+        }
         for name, t in streams.items()
-    }  # fmt: skip
+    }
     return {"name": rec.name, "streams": rows, "lever_arm_m": rec.lever_arm.tolist(), "notes": notes_of(rec)}
 
 

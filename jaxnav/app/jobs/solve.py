@@ -207,8 +207,13 @@ def card(found: Solved) -> Card:
     ]
     if c is not None:
         last = c.ages[-1]
-        rows.append(CardRow(f"after {last.age_s:.0f} s without fixes", f"{last.stated_m:.2f} m",
-                        f"{last.error_m:.2f} m RMS, by the datasheet {drift['datasheet']:.2f} m"))  # fmt: skip
+        rows.append(
+            CardRow(
+                f"after {last.age_s:.0f} s without fixes",
+                f"{last.stated_m:.2f} m",
+                f"{last.error_m:.2f} m RMS, by the datasheet {drift['datasheet']:.2f} m",
+            )
+        )
     return Card(found.verdict, COLORS[found.verdict], in_words(found), rows)
 
 

@@ -125,9 +125,11 @@ def stream(
         arm, events = np.zeros(3), parsed(lines, bad, meaning or Lines())
     params = prepare.base_params(config, prepare.grade_of(config, scenario_of(config)), arm)
     live = Live(
-        prepare.filter_of(config, prepare.measurements_of(config)), params,
-        initialization=partial(prepare.initialization_of, config), interval=config.filter.interval_s,
-    )  # fmt: skip
+        prepare.filter_of(config, prepare.measurements_of(config)),
+        params,
+        initialization=partial(prepare.initialization_of, config),
+        interval=config.filter.interval_s,
+    )
     taken: deque[float] = deque(maxlen=TIMED)
     begin, rows, due, count = time.perf_counter(), 0, -np.inf, 0
     with sink(out, port) as put:

@@ -86,9 +86,11 @@ def times(fix: Fix, factor: jax.Array, at: slice = slice(None)) -> Fix:
 def constrained(fix: Fix, at: slice, value: jax.Array | float, sd: jax.Array) -> Fix:
     """Return the fix with a pseudo-measurement in the channels ``at``: value and sd, () or one each."""
     return fix._replace(
-        value=fix.value.at[at].set(value), sd=fix.sd.at[at].set(sd), corr=fix.corr.at[at].set(0.0),
+        value=fix.value.at[at].set(value),
+        sd=fix.sd.at[at].set(sd),
+        corr=fix.corr.at[at].set(0.0),
         valid=fix.valid.at[at].set(True),
-    )  # fmt: skip
+    )
 
 
 def with_factor(noise: Noise, factor: jax.Array | float) -> Noise:

@@ -33,8 +33,9 @@ def window_constraints(measurements: tuple[Measurement, ...]) -> Adapter:
         """Return the weights of the layers (5, a, b) and (b, 2); the last is zero: constant sd at the start."""
         rng, sizes = np.random.default_rng(0), (6, CHANNELS, CHANNELS)
         layer = lambda a, b: {
-            "weights": jnp.asarray(rng.normal(size=(KERNEL, a, b)) * np.sqrt(2 / (KERNEL * a))), "biases": jnp.zeros(b)
-        }  # fmt: skip
+            "weights": jnp.asarray(rng.normal(size=(KERNEL, a, b)) * np.sqrt(2 / (KERNEL * a))),
+            "biases": jnp.zeros(b),
+        }
         layers = {f"layer_{k + 1}": layer(a, b) for k, (a, b) in enumerate(zip(sizes, sizes[1:]))}
         out = {"weights": jnp.zeros((CHANNELS, 2)), "biases": jnp.zeros(2)}
         return layers | {"out": out, "log_sd": jnp.log(jnp.array(SD))}

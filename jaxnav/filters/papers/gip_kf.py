@@ -53,9 +53,14 @@ class GipKf(NamedTuple):
 
 
 def gip_kf_params(
-    position: float = 0.003, velocity: float = 0.02, kappa: float = 0.0, n_states: int = 9, channels: int = 6,
-    growth: float = 0.0, unlearnt: tuple[float, float] = (0.0, 0.0),
-) -> GipKf:  # fmt: skip
+    position: float = 0.003,
+    velocity: float = 0.02,
+    kappa: float = 0.0,
+    n_states: int = 9,
+    channels: int = 6,
+    growth: float = 0.0,
+    unlearnt: tuple[float, float] = (0.0, 0.0),
+) -> GipKf:
     """Diagonal weights that take these shares of a position and a velocity residual for model error, at the start.
 
     Only the six ratios R_l / R_m of a channel and its state matter: R_l is 1 here. A lever arm lets a position residual
@@ -92,8 +97,10 @@ def gain(theta: GipKf, H: jax.Array, valid: jax.Array) -> jax.Array:
         ValueError: weights of other sizes than H (m, n).
     """
     if (theta.log_rl.shape[0], theta.log_rm.shape[0]) != H.shape:
-        raise ValueError(f"rule.log_rl and rule.log_rm have {theta.log_rl.shape[0]} and {theta.log_rm.shape[0]} "
-                         f"entries for {H.shape[0]} channels and {H.shape[1]} states")  # fmt: skip
+        raise ValueError(
+            f"rule.log_rl and rule.log_rm have {theta.log_rl.shape[0]} and {theta.log_rm.shape[0]} "
+            f"entries for {H.shape[0]} channels and {H.shape[1]} states"
+        )
     R_l = jnp.where(valid[:, None] & valid, weight(theta.log_rl, theta.rl_lower), 0.0)
     HR = H.T @ R_l
     return linalg.solve(HR @ H + weight(theta.log_rm, theta.rm_lower), HR)

@@ -95,11 +95,15 @@ def firing(theta: System, shape: tuple[int, ...], x: jax.Array, conjunction: Con
 def _check(theta: System, table: np.ndarray) -> None:
     total, labels = sum(table.shape), int(table.max()) + 1
     if theta.centres.shape[-1] != total or theta.widths.shape[-1] != total:
-        raise ValueError(f"a table of {table.shape} needs {total} centres and widths, got {theta.centres.shape[-1]} "
-                         f"and {theta.widths.shape[-1]}")  # fmt: skip
+        raise ValueError(
+            f"a table of {table.shape} needs {total} centres and widths, got {theta.centres.shape[-1]} "
+            f"and {theta.widths.shape[-1]}"
+        )
     if theta.consequents.shape[-1] != 1 + table.ndim or theta.consequents.shape[-2] < labels or table.min() < 0:
-        raise ValueError(f"a table of {table.ndim} inputs and {labels} labels needs ({labels}, {1 + table.ndim}) "
-                         f"consequents, got {theta.consequents.shape}")  # fmt: skip
+        raise ValueError(
+            f"a table of {table.ndim} inputs and {labels} labels needs ({labels}, {1 + table.ndim}) "
+            f"consequents, got {theta.consequents.shape}"
+        )
 
 
 def infer(theta: System, table: Any, x: jax.Array, conjunction: Conjunction = product) -> jax.Array:

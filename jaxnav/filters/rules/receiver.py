@@ -104,9 +104,13 @@ def receiver(position: int = 0, velocity: int | None = 3) -> Rule:
         count, size = len(rows), n + OFFSET
         weight = jnp.full(count, jnp.log(MIN_PROBABILITY)).at[0].set(0.0)
         return Hypotheses(
-            jnp.zeros((count, size)), jnp.zeros((count, size, size)), weight, jnp.zeros(count), jnp.zeros(()),
+            jnp.zeros((count, size)),
+            jnp.zeros((count, size, size)),
+            weight,
+            jnp.zeros(count),
+            jnp.zeros(()),
             jnp.full(len(kinds) + 1, NEVER_USED_AGE),
-        )  # fmt: skip
+        )
 
     def transport(theta: Receiver, memory: Hypotheses, moved: Transition, T: jax.Array) -> Hypotheses:
         n = moved.Phi.shape[0]
@@ -193,9 +197,13 @@ def receiver(position: int = 0, velocity: int | None = 3) -> Rule:
         # a channel is used where it is probably healthy: with both, or with a fault of the other one alone
         accepted = share[0] + share[1] + jnp.stack([share[2 + names.index(each)] for each in ("velocity", "position")])
         after = Hypotheses(
-            found.dev - jnp.where(bare, mean.dev, 0.0), found.P, found.weight - mean.weight, found.age, jnp.zeros(()),
+            found.dev - jnp.where(bare, mean.dev, 0.0),
+            found.P,
+            found.weight - mean.weight,
+            found.age,
+            jnp.zeros(()),
             jnp.where(jnp.append(renew, memory.since_restart[-1] >= TIMEOUT_RAMP), 0.0, memory.since_restart),
-        )  # fmt: skip
+        )
         used = z.valid & ((channels.sum(0) == 0) | (accepted @ channels > 0.5))
         return Correction(mean.dev[:n], mean.P[:n, :n], after, used)
 

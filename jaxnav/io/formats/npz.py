@@ -42,8 +42,12 @@ def write_npz(path: FilePath, rec: Recording) -> None:
         raise DataError(f"{os.fspath(path)}: expected stream names of letters, digits and _")
     if rec.truth is not None:
         groups["truth"] = rec.truth
-    arrays = {f"{group}/{field}": array for group, data in groups.items()
-              for field, array in data._asdict().items() if array is not None}  # fmt: skip
+    arrays = {
+        f"{group}/{field}": array
+        for group, data in groups.items()
+        for field, array in data._asdict().items()
+        if array is not None
+    }
     arrays |= {"lever_arm": rec.lever_arm, "name": np.array(rec.name), "notes": np.array(notes_of(rec))}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)

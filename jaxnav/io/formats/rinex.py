@@ -29,9 +29,12 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def read(
-    path: Path, nav: str | None = None, elevation_mask_deg: float = 10.0, cn0_mask_dbhz: float = 25.0,
+    path: Path,
+    nav: str | None = None,
+    elevation_mask_deg: float = 10.0,
+    cn0_mask_dbhz: float = 25.0,
     rates: str = "doppler",
-) -> Parts:  # fmt: skip
+) -> Parts:
     """Position and velocity by single points, and corrected ranges, of an observation file.
 
     Args:

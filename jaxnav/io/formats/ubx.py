@@ -63,9 +63,12 @@ def frames(data: bytes) -> tuple[list[bytes], int]:
 
 
 def read(
-    path: Path, spp: bool = False, elevation_mask_deg: float = 10.0, cn0_mask_dbhz: float = 25.0,
+    path: Path,
+    spp: bool = False,
+    elevation_mask_deg: float = 10.0,
+    cn0_mask_dbhz: float = 25.0,
     rates: str = "doppler",
-) -> Parts:  # fmt: skip
+) -> Parts:
     """Position and velocity of NAV-PVT, else of NAV-POSLLH and NAV-VELNED with the status of NAV-SOL or NAV-STATUS.
 
     Heading is that of NAV-RELPOSNED where the base moves along. hAcc, vAcc and sAcc are the sd of each axis. Times are

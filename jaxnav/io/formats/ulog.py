@@ -58,8 +58,13 @@ def read(path: Path, wheel_radius_m: float = 0.0, receiver: str | None = None) -
     imu = _imu(topics)
     if imu is None:
         raise DataError(f"{path}: has no sensor_combined, vehicle_imu or sensor_gyro and sensor_accel")
-    builders = {"barometer": _barometer, "magnetometer": _magnetometer, "airspeed": _airspeed, "heading": _heading,
-                "rangefinder": _rangefinder}  # fmt: skip
+    builders = {
+        "barometer": _barometer,
+        "magnetometer": _magnetometer,
+        "airspeed": _airspeed,
+        "heading": _heading,
+        "rangefinder": _rangefinder,
+    }
     gps = {f"{d.name} {d.multi_id}": d.data for name in GPS for d in log.data_list if d.name == name}
     if gps or receiver:
         fixed = {name: data["fix_type"] >= FIX_3D for name, data in gps.items()}

@@ -38,9 +38,13 @@ def read(path: Path) -> Parts:
     day, month, year = (1, 1, 1970) if created is None else map(int, created.groups())
     midnight = datetime.datetime(year, month, day, tzinfo=datetime.UTC).timestamp()
     table: dict[str, Any] = {
-        "file": path.name, "time": "time", "time_unit": "%H%M%S.%f", "time_scale": "utc", "time_shift_s": midnight,
+        "file": path.name,
+        "time": "time",
+        "time_unit": "%H%M%S.%f",
+        "time_scale": "utc",
+        "time_shift_s": midnight,
         "position": {"lla": [FIX["lat"], f"-{FIX['lon']}", FIX["height"]], "unit": "1/60 deg"},
-    }  # fmt: skip
+    }
     if {FIX["speed"], FIX["course"]} <= set(names):
         table["velocity"] = {"speed_course": [FIX["speed"], FIX["course"]], "unit": "km/h"}
     if None not in axes:

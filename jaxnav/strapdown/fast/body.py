@@ -29,7 +29,7 @@ from jaxnav.maths.components import (
     rotate,
     scale,
     split,
-)  # fmt: skip
+)
 from jaxnav.states.sensors import OTHER, corrected_reading
 from jaxnav.states.table import STATES
 from jaxnav.strapdown.increments import coned
@@ -106,10 +106,12 @@ def sums(
         dt, dq, dv, _, _ = x
         q, dv = multiply(body.q, dq), rotate(body.q, dv)
         body = Body(
-            body.t + dt, q, add(body.dv, dv),
+            body.t + dt,
+            q,
+            add(body.dv, dv),
             add(body.displacement, scale(dt, add(body.dv, scale(0.5, dv)))),
             add(body.mean, scale(0.5 * dt, add(body.q, q))),
-        )  # fmt: skip
+        )
         return body, body
 
     zero = jnp.zeros_like(first.dt)

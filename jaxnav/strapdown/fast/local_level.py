@@ -43,7 +43,7 @@ from jaxnav.maths.components import (
     scale,
     split,
     to_dcm,
-)  # fmt: skip
+)
 from jaxnav.states.sensors import corrected
 from jaxnav.strapdown.fast.body import (
     Body,

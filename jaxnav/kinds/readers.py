@@ -49,6 +49,16 @@ KINDS: dict[str, Kind] = {
         INFO,
         "{subject}: times since 1970 are taken as seconds of GPS week {value:.0f}, the IMU's time scale",
     ),
+    "time.utc": Kind(
+        INFO, "{subject}: UTC is taken as GPS time less {value:g} s, the leap seconds of its date{words}", unit="s"
+    ),
+    "time.undecided": Kind(
+        INFO,
+        "{subject}: its stamps may be UTC, {value:g} s behind the fixes' GPS time, which this motion does not decide: "
+        'time_scale = "utc" or "gps" states it',
+        unit="s",
+    ),
+    "axes.assumed": Kind(INFO, "{subject} is assumed {words} (option axes)"),
     "clock.repeats": Kind(INFO, "{subject} repeats in {count} of {of} fixes"),
     "clock.jumps": Kind(INFO, "GPS time jumps against board time {count} time(s), first by {words}"),
     "clock.rate": Kind(

@@ -12,7 +12,7 @@ from jaxnav.initialization.initialize import MAX_CHI2_PER_DOF
 from jaxnav.io import mend
 from jaxnav.io.parts import Parts, TimeScale
 from jaxnav.maths.gps_time import GPS_EPOCH, leap_seconds
-from jaxnav.types import Recording
+from jaxnav.types import Finding, Recording
 
 FIRST, LAST = 3e8, 4e9  # s since 1970 that are a date, about 1980 to 2096
 DECISIVE = 3.0  # ratio of chi^2 of one scale and the other
@@ -38,21 +38,17 @@ def recording(parts: Parts) -> Recording:
         name: stream._replace(t=np.asarray(stream.t, float) - leap) if stream.scale is scale else stream
         for name, stream in parts.aiding.items()
     }
-    taken = f"imu: UTC is taken as GPS time less {abs(leap):g} s, the leap seconds of its date"
     if stated:
-        return _noted(_in_one_zone(parts._replace(aiding=aiding)), f"{taken}.")
+        return _noted(_in_one_zone(parts._replace(aiding=aiding)), finding("time.utc", "imu", abs(leap), words=""))
     moved = mend.recording(parts._replace(aiding=aiding))
     rec = mend.recording(parts)
     gps, utc = misfit(rec), misfit(moved)
     if utc < min(MAX_CHI2_PER_DOF, gps / DECISIVE):
-        return _noted(moved, f"{taken}: chi^2/dof of IMU against fixes: {utc:.2g} if UTC, {gps:.2g} if GPS time.")
+        words = f": chi^2/dof of IMU against fixes: {utc:.2g} if UTC, {gps:.2g} if GPS time"
+        return _noted(moved, finding("time.utc", "imu", abs(leap), words=words))
     if gps < min(MAX_CHI2_PER_DOF, utc / DECISIVE):
         return rec
-    return _noted(
-        rec,
-        f"imu: its stamps may be UTC, {leap:g} s behind the fixes' GPS time, which this motion does not decide: "
-        'time_scale = "utc" or "gps" states it.',
-    )
+    return _noted(rec, finding("time.undecided", "imu", leap))
 
 
 def _in_one_zone(parts: Parts) -> Recording:
@@ -74,9 +70,7 @@ def _in_one_zone(parts: Parts) -> Recording:
     best, second = sorted(fits, key=lambda shift: fits[shift])[:2]
     if not best or fits[best] >= min(MAX_CHI2_PER_DOF, fits[second] / DECISIVE):
         return rec
-    return moved[best]._replace(
-        findings=(*moved[best].findings, finding("time.zone", "fixes", best, words=_span(best), fit=fits[best]))
-    )
+    return _noted(moved[best], finding("time.zone", "fixes", best, words=_span(best), fit=fits[best]))
 
 
 def _shifts(parts: Parts) -> list[float]:
@@ -122,5 +116,5 @@ def _leap_seconds(parts: Parts) -> float:
     return -leap_seconds(at) if (imu.scale, position.scale) == (TimeScale.GPS, TimeScale.UTC) else 0.0
 
 
-def _noted(rec: Recording, note: str) -> Recording:
-    return rec._replace(remarks="\n".join(filter(None, [rec.remarks, note])))
+def _noted(rec: Recording, found: Finding) -> Recording:
+    return rec._replace(findings=(*rec.findings, found))

@@ -247,7 +247,7 @@ def test_a_phone_s_sensors_in_files_of_their_own(tmp_path):
         ("quoted_comma", "map.toml", 800, 40, ""),
         ("micros_wrap", "map.toml", 800, 40, "times fall by 4294.967296 s, 2^32 us"),
         ("zip_of_a_folder", "drive_2024.zip", 800, 40, ""),
-        ("rows_of_several_kinds", "gnss_log.txt", 800, 40, "phone assumed flat"),
+        ("rows_of_several_kinds", "gnss_log.txt", 800, 40, "phone is assumed flat"),
         ("sign_of_a_column", "map.toml", 800, 40, ""),
         ("position_without_height", "map.toml", 800, 40, "40 of 40 rows have no height"),
         ("ros_navpvt_unsaid", "bag", 400, 20, ""),

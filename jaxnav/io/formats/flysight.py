@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.column_map import described
 from jaxnav.io.parts import Parts
 from jaxnav.io.sheet import numbers, open_sheet
@@ -47,5 +48,5 @@ def read(path: Path) -> Parts:
         table["position"] = {**fix, "lla": [3, 4, 5], "sd_enu": ["9", "9", "10"]}
         table["velocity"] = {**fix, "ned": [6, 7, 8], "sd": "11"}
     parts = described(table, os.fspath(path), folder)
-    worn = 'the unit is assumed to be worn forward, left, up: axes = "flu" (option axes).'
+    worn = finding("axes.assumed", "the unit", words='to be worn forward, left, up: axes = "flu"')
     return parts._replace(notes=(*parts.notes, worn)) if parts.imu is not None else parts

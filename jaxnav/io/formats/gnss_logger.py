@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.column_map import described
 from jaxnav.io.files import read_bytes
 from jaxnav.io.formats.sensor_logger import FLAT
@@ -62,5 +63,5 @@ def read(path: Path) -> Parts:
         stated = {"sd": fast} if fast in sheet.columns else {}
         table["velocity"] = {**fixes, **stated, "speed_course": ["SpeedMps", "BearingDegrees"]}
     parts = described(table, os.fspath(path), path.parent)
-    flat = f'phone assumed flat, screen up and top forward: axes = "{FLAT}" (option axes).'
+    flat = finding("axes.assumed", "the phone", words=f'flat, screen up and top forward: axes = "{FLAT}"')
     return parts._replace(name=path.stem, notes=(flat, *parts.notes))

@@ -180,7 +180,7 @@ def _parts(
         streams["velocity"] = Stream(t + leap, value, np.tile([SPEED_SD, SPEED_SD, UNMEASURED_SD], (len(t), 1)))
         words = f"{SPEED_SD} m/s, and nothing is known upwards"
         notes.append(finding("stream.assumed_sd", "velocity", words=words, scan=""))
-    notes.append(f"UTC is taken as GPS time less {leap:g} s.")
+    notes.append(finding("time.utc", "fixes", leap, words=""))
     return scaled(Parts(os.fspath(path), aiding=streams, notes=tuple(notes)), TimeScale.GPS)
 
 

@@ -14,7 +14,7 @@ from jaxnav.io.column_map import described, interpolated
 from jaxnav.io.parts import ImuRows, Parts, TimeScale
 from jaxnav.io.sheet import Sheet, column, numbers, open_sheet, times
 from jaxnav.maths.units import G0
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Note
 
 FLAT = "rfu"  # screen up, top of the phone forward
 GYROS = ("Gyroscope.csv", "GyroscopeUncalibrated.csv")
@@ -42,7 +42,8 @@ def read(path: Path) -> Parts:
     Specific force is the total acceleration, else the uncalibrated, else the sum of acceleration and gravity. An iPhone
     states it with the opposite sign (its Metadata.csv says whether the app has standardised that).
     """
-    files, notes = _files(path), []
+    files = _files(path)
+    notes: list[Note] = []
     gyros = open_sheet(path / next(name for name in GYROS if name in files))
     clock = times(gyros, "time", "ns")
     zero = int(np.nanmin(clock)) if np.isfinite(clock).any() else 0
@@ -66,7 +67,7 @@ def read(path: Path) -> Parts:
         notes.append(
             f"imu: {np.count_nonzero(~covered)} of {covered.size} gyro samples have no time or no acceleration."
         )
-    notes.append(f'phone assumed flat, screen up and top forward: axes = "{FLAT}" (option axes).')
+    notes.append(finding("axes.assumed", "the phone", words=f'flat, screen up and top forward: axes = "{FLAT}"'))
     rows = ImuRows(stamps[covered], gyro[covered], accel[covered], scale=TimeScale.UTC)
     parts = described(_aiding(path, files), os.fspath(path), path)
     aiding = {

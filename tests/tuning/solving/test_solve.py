@@ -286,8 +286,9 @@ def test_exchanged_axes_make_no_trajectory():
 
 
 def test_a_recording_without_positions_is_refused(drive):
+    gone = finding("stream.empty", "position", words="no row is left of 180", cause="")
     said = finding("stream.assumed_sd", "position", words="3 m", scan="")
-    lost = drive._replace(aiding={}, remarks="position: no row is left of 180.", findings=(said,))
+    lost = drive._replace(aiding={}, findings=(gone, said))
     with pytest.raises(
         DataError, match="(?s)no positions to start from, and no other.*no row is left of 180.*states no"
     ):

@@ -36,15 +36,15 @@ def test_an_error_ends_the_job():
 
 
 def test_an_interrupted_job_waits_for_the_call_that_runs_and_drops_the_rest():
-    seen, begun = [], threading.Event()
+    seen, started = [], threading.Event()
 
     def call(x):
-        begun.set()
+        started.set()
         seen.append(x)
 
     with pytest.raises(KeyboardInterrupt), Aside(call) as aside:
         aside(1)
-        begun.wait(10.0)
+        started.wait(10.0)
         hold = threading.Event()
         aside.function = lambda x: hold.wait(0.2) or seen.append(x)
         for x in (2, 3):

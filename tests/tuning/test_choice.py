@@ -51,8 +51,8 @@ def test_a_part_with_a_receiver_fault_is_named_and_does_not_judge(rec, ekf):
     begin = p.t[-1] - 3.5
     moved = p.value + np.where((p.t > begin) & (p.t < begin + 3.0), 40.0 / 6.4e6, 0.0)[:, None] * [1.0, 0.0, 0.0]
     bad = rec._replace(aiding=rec.aiding | {"position": p._replace(value=moved)})
-    begun = initialize(bad, ekf.params("adis16465"))
-    (experiment,) = experiments_of([bad], ekf, [begun], Standing(), window=5.0)
+    start = initialize(bad, ekf.params("adis16465"))
+    (experiment,) = experiments_of([bad], ekf, [start], Standing(), window=5.0)
     run = experiment.score(ekf, ekf.params("adis16465"))
     used, windows = run.used, run.used.windows
     suspect = faults.suspect_windows([run])

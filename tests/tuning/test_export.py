@@ -171,6 +171,14 @@ def test_settings_of_another_filter_are_parameters(tmp_path):
     layer = read_params(tmp_path / "mine.params")
     assert layer["noise"]["gyro_deg_per_sqrt_hour"] == pytest.approx(1e-4 / units.DEG_PER_SQRT_HOUR, rel=1e-5)
     assert layer["states"]["accel_bias"]["tau_s"] == np.inf
+    rows = [f"1\t1\t{key}\t{value:.9g}\t9" for key, value in settings(px4_params(made, StatedSd())).items()]
+    (tmp_path / "table.params").write_text(
+        "\n".join(["# MAV ID  COMPONENT ID  PARAM NAME  VALUE", *rows, "1\t1\tSYS_V\t1.2.3\t6"])
+    )
+    assert read_params(tmp_path / "table.params")["noise"] == pytest.approx(layer["noise"], rel=1e-6)
+    plain = "\n".join(f"{key} {value:.9g}" for key, value in settings(ardupilot_parm(made, StatedSd())).items())
+    (tmp_path / "plain.parm").write_text(plain)
+    assert read_params(tmp_path / "plain.parm")["noise"] == pytest.approx(layer["noise"], rel=1e-5)
     (tmp_path / "other.params").write_text("param set EKF2_EN 1\n")
     with pytest.raises(ConfigError, match="no settings of another filter that are read: files like tuned_kf"):
         read_params(tmp_path / "other.params")

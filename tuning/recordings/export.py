@@ -241,17 +241,21 @@ WHITE = ("noise.gyro", "noise.accel")
 DRIVEN = (*WHITE, "states.gyro_bias.driving_noise", "states.accel_bias.driving_noise")
 
 
+NUMBER = re.compile(r"[-+]?(?:inf|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)(?![\w.])", re.IGNORECASE)
+SETTING = re.compile(
+    r"\s*(?:param set\s+|\d+\s+\d+\s+)?([A-Za-z][\w.]*)[\s:=,]+(.*)"
+)  # MAVLink's tables begin with two ids
+
+
 def numbers(text: str) -> dict[str, np.ndarray]:
     """Return the numbers (k,) of the lines of a text by name.
 
     Args:
-        text: lines such as ``a: [1, 2]``, ``a = [1, 2];``, ``a,1``, ``param set a 1``; comments behind # or %.
+        text: lines such as ``a: [1, 2]``, ``a = [1, 2];``, ``a,1``, ``a 1``, ``param set a 1``, or tables of ground
+            stations, ``1 1 a 1 9``, whose last column is a type; comments behind # or %.
     """
-    plain = [re.split("[#%]", line)[0].replace("param set", "") for line in text.splitlines()]
-    lines = [re.match(r"\s*([A-Za-z][\w.]*)[\s:=,]+(.*)", line) for line in plain]
-    found = {
-        line[1]: re.findall(r"[-+]?(?:Inf|[\d.]+(?:e[-+]?\d+)?)", line[2].rpartition("[")[2]) for line in lines if line
-    }
+    lines = [SETTING.match(re.split("[#%]", line)[0]) for line in text.splitlines()]
+    found = {line[1]: NUMBER.findall(line[2].rpartition("[")[2]) for line in lines if line}
     return {name: np.array(values, float) for name, values in found.items() if values}
 
 

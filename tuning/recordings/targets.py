@@ -160,9 +160,8 @@ def kfgins_config(rec: Recording, params: Params, begin: Initialization) -> str:
     )
 
 
-WHITE: tuple[str, ...] = ("noise.gyro", "noise.accel", "fixes")
-DRIVES: tuple[str, ...] = ("states.gyro_bias.driving_noise", "states.accel_bias.driving_noise")
-ALL = (*WHITE, *DRIVES, "timing")
+WHITE: tuple[str, ...] = (*export.WHITE, "fixes")
+ALL = (*export.DRIVEN, "fixes", "timing")
 BOTH: tuple[str, ...] = ("position", "velocity")
 PX4 = ("EKF2_GYR_NOISE", "EKF2_ACC_NOISE", "EKF2_GYR_B_NOISE", "EKF2_ACC_B_NOISE")
 ARDUPILOT = ("EK3_GYRO_P_NSE", "EK3_ACC_P_NSE", "EK3_GBIAS_P_NSE", "EK3_ABIAS_P_NSE")

@@ -167,7 +167,7 @@ def solve(
         first = lambda: known
 
     def answer(made: Callable[[], tuple[Solution, Params]], gone: Set[str] = frozenset()) -> None:
-        """Offer an answer with what is known so far."""
+        """Offer an answer by the findings so far."""
         if so_far is not None:
             said, why = tuple(findings), f"not tested yet: {stages.coming()}"
             so_far(lambda: untested(*made(), said, why, gone=gone))

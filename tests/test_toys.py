@@ -23,7 +23,7 @@ from jaxnav.filters.parameters import change
 from jaxnav.filters.rule import Correction, Innovation, Rule
 from jaxnav.filters.standstill import constraint_samples
 from jaxnav.io import readers, write_recording
-from jaxnav.io.parts import ImuRows, Parts, Stream, notes_of
+from jaxnav.io.parts import ImuRows, Parts, Stream
 from jaxnav.maths import linalg, rotations
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import MEASUREMENTS
@@ -118,7 +118,7 @@ def test_a_reader_is_a_row(drive, tmp_path, monkeypatch):
     rec = read(tmp_path / "drive.toy")
     np.testing.assert_allclose(rec.imu.gyro, imu.gyro)
     np.testing.assert_allclose(rec.aiding["position"].value, position.value)
-    assert "position: the file states no sd; assumed are 3, 3, 6 m" in notes_of(rec)
+    assert "position: the file states no sd; assumed are 3, 3, 6 m" in rec.notes
     assert filtered(tmp_path / "drive.toy", tmp_path / "out")["nis_per_dof"] < 3.0
 
 

@@ -21,7 +21,6 @@ from jaxnav.io.checks import MAX_LEVER_ARM, check_recording, check_samples, incr
 from jaxnav.io.files import FilePath, Source, Table, atomic_write, format_csv, read_bytes, read_csv
 from jaxnav.io.formats import raw_table
 from jaxnav.io.formats.npz import read_npz, write_npz
-from jaxnav.io.parts import notes_of
 from jaxnav.io.sheet import open_sheet
 from jaxnav.maths.units import DEG, G0
 from jaxnav.measurements import MEASUREMENTS, with_data
@@ -181,7 +180,7 @@ def _files(rec: Recording) -> Iterator[tuple[str, str]]:
     if track is not None:
         names = ["t_s", *_names(LLA), *_names(VELOCITY), *_names(RPH)]
         yield "truth.csv", format_csv(names, np.column_stack([track.t, track.lla, track.vel, track.rph]))
-    about = {"name": rec.name, "lever_arm_frd_m": np.asarray(rec.lever_arm).tolist(), "notes": notes_of(rec)}
+    about = {"name": rec.name, "lever_arm_frd_m": np.asarray(rec.lever_arm).tolist(), "notes": rec.notes}
     yield "recording.json", json.dumps(about, indent=1) + "\n"
 
 

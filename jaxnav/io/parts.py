@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxnav.findings import finding, line
+from jaxnav.findings import finding
 from jaxnav.types import DataError, Note, Recording, Track
 
 RATES, INCREMENTS, INSTANTANEOUS = "rates", "increments", "instantaneous"
@@ -93,11 +93,6 @@ def unread(counts: Mapping[str, int]) -> tuple[Note, ...]:
     more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
     words = ", ".join(f"{name} ({counts[name]})" for name in named[:MOST_NAMED]) + more
     return (finding("file.unread", words=words),)
-
-
-def notes_of(rec: Recording) -> str:
-    """Return the notes of a recording and the findings of its reader, a line each."""
-    return "\n".join(filter(None, [rec.remarks, *(f"{line(f)}." for f in rec.findings)]))
 
 
 def counted_from(parts: Parts, zero: int) -> Parts:

@@ -13,7 +13,6 @@ from jaxnav.findings import line
 from jaxnav.initialization.initialize import initialize
 from jaxnav.io.canonical import write_recording
 from jaxnav.io.formats.rtklib import write_pos
-from jaxnav.io.parts import notes_of
 from jaxnav.maths.rotations import to_dcm, to_rph
 from jaxnav.navigation import metrics
 from jaxnav.reading.read import read
@@ -185,7 +184,7 @@ def test_a_name_above_two_columns_is_refused():
 def test_receivers_files_of_the_reports(case, count, words):
     rec = read(FIELD / case / "map.toml")
     assert abs(rec.aiding["position"].t.size - count) <= 1 and "velocity" in rec.aiding
-    assert words in notes_of(rec)
+    assert words in rec.notes
 
 
 @needs_field
@@ -258,7 +257,7 @@ def test_a_phone_s_sensors_in_files_of_their_own(tmp_path):
 )  # fmt: skip
 def test_logs_of_the_reports(case, file, rows, fixes, words):
     rec = read(FIELD / case / file)
-    assert rec.imu.t.size == rows and words in notes_of(rec)
+    assert rec.imu.t.size == rows and words in rec.notes
     assert (rec.aiding["position"].t.size if fixes else len(rec.aiding)) == fixes
     assert np.diff(rec.imu.t).max() < 0.11 and np.linalg.norm(rec.imu.accel.mean(0)) == pytest.approx(9.8, abs=0.5)
 

@@ -15,7 +15,6 @@ from jaxnav import io, reading
 from jaxnav.checkup.inertial import quiet_force
 from jaxnav.io.column_map import described
 from jaxnav.io.formats import navego
-from jaxnav.io.parts import notes_of
 from jaxnav.maths.axes import local_to_lla, rotation
 from jaxnav.maths.units import DEG, G0
 from jaxnav.reading.datasets import DATA_DIR, DATASETS
@@ -71,7 +70,7 @@ def recording(seed: int = 0, n: int = 400) -> Recording:
 
 
 def assert_same(a: Recording, b: Recording) -> None:
-    assert (a.name, notes_of(a), list(sorted(a.aiding))) == (b.name, notes_of(b), list(sorted(b.aiding)))
+    assert (a.name, a.notes, list(sorted(a.aiding))) == (b.name, b.notes, list(sorted(b.aiding)))
     pairs = [(a.imu, b.imu), (a.truth, b.truth), *((a.aiding[name], b.aiding[name]) for name in a.aiding)]
     for left, right in pairs:
         assert (left is None) == (right is None)

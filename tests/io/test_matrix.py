@@ -12,7 +12,7 @@ import pytest
 
 from jaxnav.initialization.initialize import require_positions
 from jaxnav.io import readers
-from jaxnav.io.parts import Parts, notes_of
+from jaxnav.io.parts import Parts
 from jaxnav.maths.gps_time import WEEK
 from jaxnav.types import DataError, Recording
 
@@ -63,7 +63,7 @@ def judged(reader: Callable[[], Recording], whole: Recording, file: Path, fault:
         return "refused"
     if not changed(whole, rec):
         return "same"
-    assert notes_of(rec) != notes_of(whole), f"{fault}: {changed(whole, rec)} differ without a word"
+    assert rec.notes != whole.notes, f"{fault}: {changed(whole, rec)} differ without a word"
     return "noted"
 
 

@@ -9,7 +9,7 @@ import pytest
 from jaxnav import io
 from jaxnav.checkup import checkup
 from jaxnav.io import mend, readers
-from jaxnav.io.parts import ImuRows, Parts, Stream, notes_of
+from jaxnav.io.parts import ImuRows, Parts, Stream
 from jaxnav.io.readers import Reader, read_parts, recognise
 from jaxnav.maths.axes import euler, lla_to_local, local_to_lla, rotation
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
@@ -204,7 +204,7 @@ def test_fixes_outside_the_imu_and_without_sd():
     assert "position: 1 of 7 rows without a usable sd are left out." in rec.notes
     assert len(rec.aiding["position"].t) == 5
     late = mend.recording(whole._replace(aiding={"position": fixes._replace(t=fixes.t + 100.0)}))
-    assert "position" not in late.aiding and "no row is left" in notes_of(late)
+    assert "position" not in late.aiding and "no row is left" in late.notes
 
 
 def test_times_in_milliseconds_are_said():
@@ -213,7 +213,7 @@ def test_times_in_milliseconds_are_said():
     fixes = whole.aiding["position"]
     off = fixes._replace(t=1000 * (fixes.t - fixes.t[0]) + 50.0)
     rec = mend.recording(whole._replace(aiding={"position": off}))
-    assert "position" not in rec.aiding and "milliseconds? set time_unit" in notes_of(rec)
+    assert "position" not in rec.aiding and "milliseconds? set time_unit" in rec.notes
     with pytest.raises(DataError, match="times in milliseconds"):
         mend.recording(rows(t=1000 * whole.imu.t)._replace(aiding={}))
 

@@ -11,7 +11,6 @@ from scipy.io import loadmat
 from benchmarks.recordings.wild import sources
 from jaxnav import io, reading
 from jaxnav.io.formats import dataflash, ulog
-from jaxnav.io.parts import notes_of
 from jaxnav.io.readers import READERS, read_parts, recognise
 from jaxnav.maths.axes import rotation
 from jaxnav.maths.units import DEG
@@ -35,7 +34,7 @@ def test_every_recipe_reads_and_round_trips(recipe, tmp_path):
     io.write_recording(tmp_path / "run.npz", rec)
     assert_same(io.read_recording(tmp_path / "run.npz"), rec)
     again = read(tmp_path / "run.npz")
-    assert set(notes_of(rec).split("\n")) <= set(notes_of(again).split("\n"))
+    assert set(rec.notes.split("\n")) <= set(again.notes.split("\n"))
     np.testing.assert_array_equal(again.imu.gyro, rec.imu.gyro)
     np.testing.assert_array_equal(again.imu.dt, rec.imu.dt)
 

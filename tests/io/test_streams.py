@@ -5,7 +5,6 @@ import pytest
 
 from jaxnav import read
 from jaxnav.io import read_recording, write_recording
-from jaxnav.io.parts import notes_of
 from jaxnav.io.recording import recording
 from jaxnav.measurements import MEASUREMENTS, SPEED, with_data
 from jaxnav.measurements.columns import QUANTITIES, column
@@ -40,9 +39,9 @@ def test_a_stream_of_a_new_row_is_written_read_mapped_and_checked(radar, tmp_pat
     )
     mapped = read(tmp_path / "map.toml")
     np.testing.assert_allclose(mapped.aiding["radar"].value[:, 0], FIXES, rtol=1e-12)
-    assert (mapped.aiding["radar"].sd == 0.4).all() and "radar: the file states no sd; assumed are 0.4 m/s" in notes_of(
-        mapped
-    )
+    assert (
+        mapped.aiding["radar"].sd == 0.4
+    ).all() and "radar: the file states no sd; assumed are 0.4 m/s" in mapped.notes
     with pytest.raises(DataError, match="radar.*1"):
         recording(IMU, position=position, radar=(FIXES, np.ones((19, 2)), 0.25))
 

@@ -25,7 +25,6 @@ from jaxnav.filters.parameters import history_for
 from jaxnav.findings import finding
 from jaxnav.io.draft import draft
 from jaxnav.io.json import write_json
-from jaxnav.io.parts import notes_of
 from jaxnav.io.toml import inline
 from jaxnav.reading.read import read
 from jaxnav.types import ConfigError, DataError, Finding, Recording
@@ -90,7 +89,7 @@ def convert(config: Config, folder: Path) -> Outcome:
         file.rename(folder / file.name)
     (folder / "recording").rmdir()
     about = describe(rec)
-    text = describe_text(about) + "".join(f"\n{note}" for note in notes_of(rec).splitlines())
+    text = describe_text(about) + "".join(f"\n{note}" for note in rec.notes.splitlines())
     return Outcome({"recording": about}, text, {"convert": time.perf_counter() - begin})
 
 

@@ -28,7 +28,6 @@ from jaxnav.app.results import Outcome, draws, picture
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.app.verb import Job
 from jaxnav.io.json import write_json
-from jaxnav.io.parts import notes_of
 from jaxnav.io.solution import FORMATS
 from jaxnav.maths.units import PPM
 from jaxnav.navigation import BASES, Solution, navigate
@@ -71,7 +70,7 @@ def describe(rec: Any) -> dict[str, Any]:
         }
         for name, t in streams.items()
     }
-    return {"name": rec.name, "streams": rows, "lever_arm_m": rec.lever_arm.tolist(), "notes": notes_of(rec)}
+    return {"name": rec.name, "streams": rows, "lever_arm_m": rec.lever_arm.tolist(), "notes": rec.notes}
 
 
 def describe_text(about: dict[str, Any]) -> str:

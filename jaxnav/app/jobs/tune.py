@@ -18,7 +18,6 @@ from jaxnav.app.sources import load, scenario_of
 from jaxnav.filters.border import name_of, unit_of, user_value
 from jaxnav.filters.core import Filter
 from jaxnav.initialization.initialize import Initialization
-from jaxnav.io.parts import notes_of
 from jaxnav.measurements import GNSS
 from jaxnav.navigation import navigate
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
@@ -187,7 +186,7 @@ def on_recordings(config: Config, long: Long, progress: bool, log: Callable[[str
     )  # fmt: skip
     lines = [f"for {t.target} ({target.about}): {target.file}"] if target else []
     for rec, used in zip(recs, found.used, strict=True):
-        notes = [used.facts["initialization"], *notes_of(rec).splitlines()]
+        notes = [used.facts["initialization"], *rec.notes.splitlines()]
         lines += notes if len(recs) == 1 else [f"{rec.name}: {line}" for line in notes]
     return Result(found, lines, recs[0], begins[0], target)
 

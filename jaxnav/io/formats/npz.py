@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from jaxnav.io.files import MAX_BYTES, FilePath, atomic_write, open_bytes
-from jaxnav.io.parts import notes_of
 from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
 
 
@@ -48,7 +47,7 @@ def write_npz(path: FilePath, rec: Recording) -> None:
         for field, array in data._asdict().items()
         if array is not None
     }
-    arrays |= {"lever_arm": rec.lever_arm, "name": np.array(rec.name), "notes": np.array(notes_of(rec))}
+    arrays |= {"lever_arm": rec.lever_arm, "name": np.array(rec.name), "notes": np.array(rec.notes)}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
     atomic_write(path, buffer.getvalue())

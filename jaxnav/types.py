@@ -297,8 +297,8 @@ class Recording(NamedTuple):
 
     @property
     def notes(self) -> str:
-        """Return remarks and findings of its reader, a sentence a line."""
-        return "\n".join(filter(None, [self.remarks, *(f"{f}." for f in self.findings)]))
+        """Return remarks and findings of its reader, a sentence a line, each once: a written recording keeps them."""
+        return "\n".join(dict.fromkeys([*self.remarks.splitlines(), *(f"{f}." for f in self.findings)]))
 
 
 # ---------------------------------------------------------------------------- rows of a stream

@@ -363,3 +363,11 @@ def to_dcm_of(rph: np.ndarray) -> np.ndarray:
 def test_every_reader_has_a_name_of_its_own():
     names = [row.name for row in readers.READERS]
     assert len(set(names)) == len(names)
+
+
+def test_a_written_recording_says_each_note_once(tmp_path):
+    rec = mend.recording(parts())
+    io.write_recording(tmp_path / "again", rec)
+    again = read(tmp_path / "again")
+    assert "There is no velocity: position only." in again.remarks and again.findings
+    assert sorted(set(again.notes.splitlines())) == sorted(again.notes.splitlines())

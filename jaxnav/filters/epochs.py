@@ -5,7 +5,7 @@ equal length with samples of dt = 0; an outage is cut into epochs of the nominal
 Regular, irregular, late and missing fixes then have one shape, and hiding a fix is an edit of a mask.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -323,16 +323,19 @@ def pack_recording(
     interval: float = 0.0,
     stop: float | None = None,
     standing: Standing = Standing(),
+    sees: Collection[str] | None = None,
 ) -> Packed:
     """Epochs of a recording from ``start`` s on, with the constraints that are among the filter's ``measurements``.
 
-    ``interval``: s, of epochs without a fix; 0 is the median of the position's.
+    ``interval``: s, of epochs without a fix; 0 is the median of the position's. ``sees``: names of those measurements
+    that are taken, by default all; the channels of others stay, without a fix.
 
     Raises:
         DataError: a measurement without a stream in the recording, or as in `pack`.
         ConfigError: a detector of standstills that takes a drive for one.
     """
-    carried = {m.name for m in measurements if m.has_data}
+    seen = tuple(m for m in measurements if sees is None or m.name in sees)
+    carried = {m.name for m in seen if m.has_data}
     for name in sorted(carried - set(rec.aiding) - {"velocity"}):
         raise DataError(f"{rec.name}: has no stream {name}, which the filter takes")
     aiding = {name: s for name, s in rec.aiding.items() if name in carried or name in AUXILIARY}
@@ -340,10 +343,10 @@ def pack_recording(
     measured = {name: s for name, s in aiding.items() if name in carried}
     cuts = cut_times(rec.imu, measured, interval, start, stop)
     still = None
-    if any(m.at_rest for m in measurements):
+    if any(m.at_rest for m in seen):
         still = stationary(rec.imu, cuts, *standing)
         _check_standing(rec, cuts[still])
-    aiding |= constraint_samples(rec.imu, cuts, measurements, still, standing.window)
+    aiding |= constraint_samples(rec.imu, cuts, seen, still, standing.window)
     return pack(rec.imu, aiding, interval, measurements, start, stop, cuts)
 
 

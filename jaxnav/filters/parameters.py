@@ -1,7 +1,7 @@
 """A filter's parameters: from a datasheet, and how each is stated in a user's units."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from copy import copy
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -87,6 +87,12 @@ def change(params: Params, values: Mapping[str, ArrayLike]) -> Params:
     for name, value in values.items():
         params = put(params, name, jnp.asarray(value, float))
     return params
+
+
+def without_states(params: Params, names: Collection[str]) -> Params:
+    """Return parameters by which the states that are not among ``names`` are zero and stay it."""
+    off = lambda state: state._replace(sd=0.0 * state.sd, driving_noise=0.0 * state.driving_noise)
+    return params._replace(states={n: s if n in names else off(s) for n, s in params.states.items()})
 
 
 def parameter_units() -> dict[str, Unit]:

@@ -11,6 +11,7 @@ from jaxnav import build
 from jaxnav.filters import lanes as module
 from jaxnav.filters import scores
 from jaxnav.filters.lanes import CHUNK, LANES, LaneRecord, lanes, ready, repeated, stacked
+from jaxnav.filters.parameters import without_states
 from jaxnav.filters.run import negative_log_likelihood, run
 from tests.filters.test_size import epochs_of
 
@@ -71,14 +72,17 @@ def test_one_program_serves_any_number_of_candidates_and_any_length(drive, monke
 
 @pytest.mark.full
 def test_a_masked_measurement_is_no_measurement():
-    """A filter with a barometer that gives nothing has the innovations of the one without, to the last bit but two."""
+    """A filter with a barometer that gives nothing has the innovations of the one without, to the last bit but two.
+
+    So it has with further states of sd zero, one of which enters its sensor.
+    """
     nav, epochs = epochs_of(FILTER)
-    more = build("ekf9", ("position", "velocity", "barometer"), cov_stride=5)
+    more = build("ekf9", ("position", "velocity", "barometer"), 5, states=("barometer_bias", "gyro_bias"))
     wide = epochs._replace(fix=jax.tree.map(lambda a: np.concatenate([a, a[:, :1]], 1), epochs.fix))
     wide = wide._replace(fix=wide.fix._replace(valid=np.asarray(wide.fix.valid) & (np.arange(7) < 6)))
     found = []
     for filt, given in ((FILTER, epochs), (more, wide)):
-        params = filt.params("consumer")
+        params = without_states(filt.params("consumer"), ())
         prepared = ready(filt, params, nav, given)
         found.append(lanes(filt, repeated(params, 1), repeated(nav, 1), prepared, np.asarray(prepared.fix.valid)[None]))
     plain, masked = found

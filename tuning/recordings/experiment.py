@@ -5,7 +5,7 @@ that are tried are compared by one record of its runs (`Scored`): drift at the e
 against their stated sd, innovations. `tune`, the choice of measurements, calibration and `solve` read nothing else.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -109,18 +109,21 @@ class Experiment(NamedTuple):
         rate, span = 1 / float(np.median(self.recording.imu.dt)), float(np.ptp(self.recording.imu.t))
         return self._replace(history=history_for(params, rate, span, MAX_ADDED_DELAY_S))
 
-    def use(self, filt: Filter, params: Params, begin: Initialization | None = None) -> Used:
+    def use(
+        self, filt: Filter, params: Params, begin: Initialization | None = None, sees: Collection[str] | None = None
+    ) -> Used:
         """Return the recording as a filter takes it.
 
         Args:
             filt: the filter, with this history.
             params: its parameters, with the lever arm.
             begin: the initialization; by default that of the experiment. Windows before it are left out.
+            sees: names of those of its measurements that have fixes, by default all.
         """
         chosen, packed = rows(filt.model.measurements), self.packed
-        if begin is not None or chosen != self.measurements:
+        if begin is not None or sees is not None or chosen != self.measurements:
             t = (self.begin if begin is None else begin).t
-            packed = ep.pack_recording(self.recording, chosen, t, 0.0, self.stop, self.standing)
+            packed = ep.pack_recording(self.recording, chosen, t, 0.0, self.stop, self.standing, sees)
         begin = self.begin if begin is None else begin
         size, samples = np.maximum(self.shape, padded_shape(packed.epochs)).tolist()
         windows = windows_of(packed, self.layout, size)
@@ -139,16 +142,20 @@ class Experiment(NamedTuple):
         """Run a filter over all windows, see `scores`."""
         return self.scores(filt, [params], begin)[0]
 
-    def scores(self, filt: Filter, candidates: Sequence[Params], begin: Initialization | None = None) -> list[Scored]:
+    def scores(
+        self, filt: Filter, candidates: Sequence[Params], begin: Initialization | None = None,
+        sees: Collection[str] | None = None,
+    ) -> list[Scored]:  # fmt: skip
         """Run a filter with each of some parameters over all windows, side by side and from the first one's start.
 
         Args:
             filt: the filter; it is given the experiment's history.
             candidates: its parameters, with the lever arm.
             begin: as of `use`.
+            sees: as of `use`.
         """
         filt = with_history(filt, self.history)
-        used = self.use(filt, candidates[0], begin)
+        used = self.use(filt, candidates[0], begin, sees)
         return scores(filt, used, [used.initialization.apply_to(params) for params in candidates])
 
 

@@ -1,6 +1,7 @@
 """Choice of measurements in addition to the receiver's: those that the recording supports and that predict better."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from jaxnav.analysis.noise_scan import MAX_HARM_RATIO
 from jaxnav.checkup.support import Option
 from jaxnav.filters.catalogue import changed, rows, with_states
 from jaxnav.filters.core import Filter
-from jaxnav.filters.parameters import get, has, put
+from jaxnav.filters.parameters import get, has, put, without_states
 from jaxnav.filters.scores import squares
 from jaxnav.filters.standstill import Standing
 from jaxnav.findings import finding
@@ -32,7 +33,7 @@ RECEIVER = {m.name for m in GNSS}
 class Choice(NamedTuple):
     """The filter with the taken measurements."""
 
-    best: Scored
+    filter: Filter
     tried: list["Tried"]
     factors: dict[str, float]  # on sd of measurements, by leaf, where the recording asks for larger ones
 
@@ -70,6 +71,9 @@ def choose(
 ) -> Choice:
     """Add measurements one after the other, each if it predicts better than without it.
 
+    All are tried in one filter, so that they share its program: those that are not are channels without a fix and
+    states of sd 0, which change nothing.
+
     Each is tried with its sd as stated and three and ten times as large, and with larger ones yet where innovations ask
     for them (`growth`): errors of wheels, constraints and pressures last for seconds, so that a filter that takes them
     for noise trusts them too much. The training and the validation windows decide: no more horizontal drift, less drift
@@ -83,33 +87,47 @@ def choose(
         begin: called before each.
 
     Returns:
-        The filter with the taken ones, scored, what each did, and the factors on sd.
+        The filter with the taken ones, what each did, and the factors on sd.
     """
-    best, done, factors = plain, list[Tried](), dict[str, float]()
+    whole = filt = plain.filter
+    for option in tried:
+        whole = extended(whole, option)
+    best, done, factors, params = plain, list[Tried](), dict[str, float](), params_of(whole)
     for option in tried:
         begin()
-        names = {*best.filter.model.measurements, *option.measurements}
-        filt = changed(best.filter, measurements=tuple(name for name in MEASUREMENTS if name in names))
-        filt = with_states(filt, *option.states)
-        new, own, row = _tried(option, best, experiment, filt, params_of(filt), factors | dict(option.factors))
+        more = extended(filt, option)
+        run = partial(experiment.scores, whole, sees=more.model.measurements)
+        own = factors | dict(option.factors)
+        new, own, row = _tried(option, best, run, without_states(params, more.model.states), own)
         done.append(row)
         if row.taken:
-            best, factors = new, own
-    return Choice(best, done, factors)
+            best, filt, factors = new, more, own
+    return Choice(filt, done, factors)
+
+
+def extended(filt: Filter, option: Option) -> Filter:
+    """Return a filter with the measurements and states of an option."""
+    names = {*filt.model.measurements, *option.measurements}
+    filt = changed(filt, measurements=tuple(name for name in MEASUREMENTS if name in names))
+    return with_states(filt, *option.states)
 
 
 def _tried(
-    option: Option, before: Scored, experiment: Experiment, filt: Filter, params: Params, own: dict[str, float]
+    option: Option,
+    before: Scored,
+    run: Callable[[list[Params]], list[Scored]],
+    params: Params,
+    own: dict[str, float],
 ) -> tuple[Scored, dict[str, float], Tried]:
     """Return the likeliest run with an option of those that are taken, else of all, its factors, and what it did."""
     leaves = [sd_leaf(params, name) for name in option.measurements]
     for _ in range(1 + ROUNDS):
         each = [own | {leaf: k * own.get(leaf, 1.0) for leaf in leaves} for k in (SDS if leaves else SDS[:1])]
-        runs = experiment.scores(filt, [larger(params, factors) for factors in each])
+        runs = run([larger(params, factors) for factors in each])
         times = [factors[leaves[0]] if leaves else 1.0 for factors in each]
-        done = [compare(option, before, run)._replace(sd=sd) for run, sd in zip(runs, times, strict=True)]
+        done = [compare(option, before, after)._replace(sd=sd) for after, sd in zip(runs, times, strict=True)]
         ways = list(zip(runs, each, done, strict=True))
-        more = [growth(run) for run in runs]
+        more = [growth(after) for after in runs]
         fair = [way for way, asked in zip(ways, more, strict=True) if max([1.0, *asked.values()]) < MAX_GROWTH]
         if fair:
             break

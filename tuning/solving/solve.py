@@ -208,19 +208,19 @@ def solve(
     stages.replace(ends)
     choice = choose(experiment, level, lambda f: found.applied(datasheet_of(f)), tried_ones[:count], stages.next)
     findings += [finding_of(row) for row in choice.tried]
-    final, start = choice.best, choice.applied(datasheet_of(choice.best.filter))
+    filt, start = choice.filter, choice.applied(datasheet_of(choice.filter))
     tuned, params = None, found.applied(start)
     if not fast:
-        if final is not level:
-            answer(partial(by_now, final.filter, params), gone)
+        if filt != level.filter:
+            answer(partial(by_now, filt, params), gone)
         stages.next()
-        tuned = tune([experiment], final.filter, start, scans=[found], log=log)
+        tuned = tune([experiment], filt, start, scans=[found], log=log)
         findings += tuned.findings
-        params = tuned.params
+        filt, params = tuned.filter, tuned.params
     stages.next()
     # what is judged is what is delivered: the same start, filter and parameters
     delivered = initialization(experiment.recording, params)
-    final = experiment.score(final.filter if tuned is None else tuned.filter, params, delivered)
+    final = experiment.score(filt, params, delivered)
     calibration = calibrate(final)
     for name, factor, counted in (
         ("positions", calibration.factor, calibration.after),
@@ -230,7 +230,7 @@ def solve(
             findings.append(finding("solve.inflated", f"stated sd of {name}", factor, count=counted.fixes))
     stages.next()
     sol = run(
-        final.filter, params, initialization=delivered, smooth=smooth, sd_factor=calibration.factor,
+        filt, params, initialization=delivered, smooth=smooth, sd_factor=calibration.factor,
         velocity_sd_factor=calibration.velocity_factor, delay_sd=found.latency_sd, clock_rate_sd=checked.rate_sd,
     )  # fmt: skip
     nis = receiver_nis(sol.trace.info, sol.measurements, sol.packed.t > experiment.layout.validation)

@@ -172,9 +172,9 @@ def tried(monkeypatch):
         option = Option(("speed",))
         monkeypatch.setattr(sensors, "growth", lambda run: {LEAF: run.asks} if run.asks > 1.0 else {})
         monkeypatch.setattr(sensors, "compare", lambda option, before, run: sensors.Tried(option, 1.0, 0.0, run.row))
-        bench = SimpleNamespace(scores=lambda filt, candidates: [run(params) for params in candidates])
+        runs = lambda candidates: [run(params) for params in candidates]
         params = build("ekf15", ("position", "speed")).params("consumer")
-        return sensors._tried(option, None, bench, None, params, {})[1:]
+        return sensors._tried(option, None, runs, params, {})[1:]
 
     return call
 

@@ -8,78 +8,104 @@ import dataclasses
 import difflib
 import json
 import math
-import operator
 import tomllib
 import typing
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
 from jaxnav.filters.border import NAMES, TABLES, flat, name_of, nested, user_value
 from jaxnav.filters.parameters import UNITS
-from jaxnav.io.toml import convert, describe, place, plain, quoted
+from jaxnav.io.toml import converted, describe, place, plain, quoted
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import GNSS
 from jaxnav.reading.datasets import DATASETS
 from jaxnav.types import ConfigError, DataError, nearest
 
 Numbers = float | tuple[float, ...]
-Root = Numbers | tuple[tuple[float, ...], ...]  # or a lower triangular matrix
+
+
+def said(words: str, low: float | None = None, high: float | None = None) -> Meta:
+    """Return the words and limits of a setting: what `jaxnav config` prints, and what its values are held against."""
+    return Meta(description=words, ge=low, le=high)
+
+
+Satellites = Annotated[int, Meta(ge=0, le=14)]
 
 
 @dataclasses.dataclass(frozen=True)
 class Data:
     """The recording, or the scenario to simulate."""
 
-    source: str = "urban"  # a scenario, a data set of `jaxnav data list`, or a path to a canonical recording
-    start: float | None = None  # s, use the recording from here
-    stop: float | None = None  # s, to here
-    options: dict[str, Any] = dataclasses.field(default_factory=dict)  # of the reader, or fields of the scenario
-    imu_worse_by: float = 1.0  # simulated: the IMU's noise and drift are its datasheet's times this
-    gnss_latency_s: float = 0.0  # simulated: age of a fix at its stamp
+    source: Annotated[str, said("a scenario, a data set of `jaxnav data list`, or a path to a canonical recording")] = (
+        "urban"
+    )
+    start: Annotated[float | None, said("s, use the recording from here")] = None
+    stop: Annotated[float | None, said("s, to here")] = None
+    options: Annotated[dict[str, Any], said("of the reader, or fields of the scenario")] = dataclasses.field(
+        default_factory=dict
+    )
+    imu_worse_by: Annotated[
+        float, said("simulated: the IMU's noise and drift are its datasheet's times this", 1.0, 1000.0)
+    ] = 1.0
+    gnss_latency_s: Annotated[float, said("simulated: age of a fix at its stamp", 0.0, 1.0)] = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Filter:
     """The filter and its options."""
 
-    name: str = "ekf15"  # see `jaxnav info`
-    grade: str = ""  # IMU datasheet, or "auto": noise and latency by likelihood; empty: the scenario's, else auto
-    adapter: str = ""  # learned part, a row of `jaxnav.ADAPTERS`, or the .npz of its weights
-    states: tuple[str, ...] = ()  # optional error states in addition to the filter's, see `jaxnav.states.STATES`
-    measurements: tuple[str, ...] = tuple(m.name for m in GNSS)  # the filter's, see `jaxnav.measurements.MEASUREMENTS`
-    cov_stride: int = 5  # the error dynamics see means over so many IMU samples
-    interval_s: float = 0.0  # nominal fix interval; 0: the median of the position's
-    smooth: bool = False  # each epoch by all fixes, those after it too
-    lag_s: float = 0.0  # or by the fixes of the next seconds alone
-    sd_factor: float = 1.0  # stated sd of positions are the filter's times this, see jaxnav solve
-    velocity_sd_factor: float = 1.0  # and those of velocities
-    delay_sd_s: float = 0.0  # sd of the delay between IMU and fixes, which is one of positions along the track
-    clock_rate_sd_ppm: float = 0.0  # sd of the growth of that delay, none halfway
-    outages: tuple[tuple[float, ...], ...] = ()  # (start, end) s, fixes hidden from the filter
-    standing_window_s: float = 1.0  # of the standstill detector: both sd, root sum square of axes, below these
-    standing_accel_sd_mps2: float = 0.2  # of the specific force within the window
-    standing_gyro_sd_deg_per_s: float = 1.0  # of the rate
+    name: Annotated[str, said("see `jaxnav info`")] = "ekf15"
+    grade: Annotated[
+        str, said('IMU datasheet, or "auto": noise and latency by likelihood; empty: the scenario\'s, else auto')
+    ] = ""
+    adapter: Annotated[str, said("learned part, a row of `jaxnav.ADAPTERS`, or the .npz of its weights")] = ""
+    states: Annotated[
+        tuple[str, ...], said("optional error states in addition to the filter's, see `jaxnav.states.STATES`")
+    ] = ()
+    measurements: Annotated[tuple[str, ...], said("the filter's, see `jaxnav.measurements.MEASUREMENTS`")] = tuple(
+        m.name for m in GNSS
+    )
+    cov_stride: Annotated[int, said("the error dynamics see means over so many IMU samples", 1, 1000)] = 5
+    interval_s: Annotated[float, said("nominal fix interval; 0: the median of the position's", 0.0, 60.0)] = 0.0
+    smooth: Annotated[bool, said("each epoch by all fixes, those after it too")] = False
+    lag_s: Annotated[float, said("or by the fixes of the next seconds alone", 0.0, 3600.0)] = 0.0
+    sd_factor: Annotated[float, said("stated sd of positions are the filter's times this, see jaxnav solve")] = 1.0
+    velocity_sd_factor: Annotated[float, said("and those of velocities")] = 1.0
+    delay_sd_s: Annotated[
+        float, said("sd of the delay between IMU and fixes, which is one of positions along the track")
+    ] = 0.0
+    clock_rate_sd_ppm: Annotated[float, said("sd of the growth of that delay, none halfway")] = 0.0
+    outages: Annotated[tuple[tuple[float, ...], ...], said("(start, end) s, fixes hidden from the filter")] = ()
+    standing_window_s: Annotated[
+        float, said("of the standstill detector: both sd, root sum square of axes, below these", 0.01, 3600.0)
+    ] = 1.0
+    standing_accel_sd_mps2: Annotated[float, said("of the specific force within the window", 0.0, 1000.0)] = 0.2
+    standing_gyro_sd_deg_per_s: Annotated[float, said("of the rate", 0.0, 10000.0)] = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Initialization:
     """Initial navigation: position and velocity by the first fix, level by a standstill, heading as stated."""
 
-    heading: float | str = "motion"  # "motion", "course", "unknown", "truth" or degrees
-    course_speed_mps: float = 5.0  # least speed for a course
-    position_sd_m: Numbers | None = None  # None: the fix's sd, and 0.5 m
-    velocity_sd_mps: Numbers | None = None  # None: the fix's sd, and 0.3 m/s
-    tilt_sd_deg: float = 2.0  # of levelling; an alignment in motion estimates its sd
-    heading_sd_deg: float = 5.0  # of a course, or of degrees
-    hypotheses: int = 12  # of an unknown heading, each with an sd of their spacing
+    heading: Annotated[float | str, said('"motion", "course", "unknown", "truth" or degrees')] = "motion"
+    course_speed_mps: Annotated[float, said("least speed for a course", 0.1, 100.0)] = 5.0
+    position_sd_m: Annotated[Numbers | None, said("None: the fix's sd, and 0.5 m")] = None
+    velocity_sd_mps: Annotated[Numbers | None, said("None: the fix's sd, and 0.3 m/s")] = None
+    tilt_sd_deg: Annotated[float, said("of levelling; an alignment in motion estimates its sd", 1e-6, 90.0)] = 2.0
+    heading_sd_deg: Annotated[float, said("of a course, or of degrees", 1e-6, 180.0)] = 5.0
+    hypotheses: Annotated[int, said("of an unknown heading, each with an sd of their spacing", 2, 360)] = 12
 
 
 def _type_of(unit: Unit) -> Any:
-    """Return the type of a key's value."""
-    return float if not unit.shape else Root if unit.root else Numbers
+    """Return the type of a key's value: a number, one an axis or, of a root, a lower triangular matrix."""
+    number: Any = Annotated[float, Meta(ge=-unit.most, le=unit.most)] if math.isfinite(unit.most) else float
+    row = tuple[number, ...]
+    return number if not unit.shape else number | tuple[number | row, ...] if unit.root else number | row
 
 
 def _made(name: str, fields: Mapping[str, tuple[Any, Any]], doc: str = "") -> Any:
@@ -122,66 +148,93 @@ else:
 class Tune:
     """The tuned parameters, their priors, the objective and the data."""
 
-    free: tuple[str, ...] = ()  # groups, or dotted names such as noise.gyro; empty: noise and timing, with the fixes
-    #   of recordings, or the rule of simulated runs
-    frozen: tuple[str, ...] = ()  # taken out of ``free`` again
-    per_recording: tuple[str, ...] = ()  # several recordings: free parameters with one value for each, such as "timing"
-    prior: dict[str, float] = dataclasses.field(default_factory=dict)  # name -> one sd about the datasheet: a factor
-    #   for a positive parameter (2 is "within a factor 2"), else in the parameter's unit
-    priors: str = "datasheet"  # or "none": maximum likelihood, see `tuning.recordings.priors`
-    # auto: tempered for recordings, adam for simulated runs and for a custom objective; also sgd, lbfgs, and
-    method: str = "auto"  # scoring, for simulated runs and the objective nll; `tuning.recordings.recorded`: tempered
-    objective: dict[str, float] = dataclasses.field(
+    free: Annotated[
+        tuple[str, ...],
+        said(
+            "groups, or dotted names such as noise.gyro; empty: noise and timing, with the fixes of recordings, or "
+            "the rule of simulated runs"
+        ),
+    ] = ()
+    frozen: Annotated[tuple[str, ...], said("taken out of ``free`` again")] = ()
+    per_recording: Annotated[
+        tuple[str, ...], said('several recordings: free parameters with one value for each, such as "timing"')
+    ] = ()
+    prior: Annotated[
+        dict[str, float],
+        said(
+            'name -> one sd about the datasheet: a factor for a positive parameter (2 is "within a factor 2"), '
+            "else in the parameter's unit"
+        ),
+    ] = dataclasses.field(default_factory=dict)
+    priors: Annotated[str, said('or "none": maximum likelihood, see `tuning.recordings.priors`')] = "datasheet"
+    method: Annotated[
+        str,
+        said(
+            "auto: tempered for recordings, adam for simulated runs and for a custom objective; also sgd, lbfgs, and "
+            "scoring, for simulated runs and the objective nll; `tuning.recordings.recorded`: tempered"
+        ),
+    ] = "auto"
+    objective: Annotated[dict[str, float], said("of a gradient method: name -> weight")] = dataclasses.field(
         default_factory=lambda: {"log_drift": 1.0, "nll": 1.0}
-    )  # of a gradient method: name -> weight
-    steps: int = 40  # updates of a gradient method, evaluations of scoring
-    rate: float = 0.1  # of a gradient method: a step of 0.1 is 10 % of a positive parameter
-    more: tuple[str, ...] = ()  # further sources to tune on together, as [data] source
-    target: str = ""  # another filter, tuned as it measures and estimates: kfgins, navego, px4, ardupilot, ...
-    outage_s: float = 0.0  # recorded: length of the hidden windows; 0: by the recording's length
-    hidden_satellites: int | tuple[int, ...] = 0  # the highest, that a hidden window keeps; several: by turns
-    runs: int = 8  # simulated: for training
-    validation_runs: int = 4  # to choose the best step
-    test_runs: int = 8  # to judge
+    )
+    steps: Annotated[int, said("updates of a gradient method, evaluations of scoring", 0, 1_000_000)] = 40
+    rate: Annotated[float, said("of a gradient method: a step of 0.1 is 10 % of a positive parameter", 1e-9, 10.0)] = (
+        0.1
+    )
+    more: Annotated[tuple[str, ...], said("further sources to tune on together, as [data] source")] = ()
+    target: Annotated[
+        str, said("another filter, tuned as it measures and estimates: kfgins, navego, px4, ardupilot, ...")
+    ] = ""
+    outage_s: Annotated[
+        float, said("recorded: length of the hidden windows; 0: by the recording's length", 0.0, 3600.0)
+    ] = 0.0
+    hidden_satellites: Annotated[
+        Satellites | tuple[Satellites, ...], said("the highest, that a hidden window keeps; several: by turns")
+    ] = 0
+    runs: Annotated[int, said("simulated: for training", 1, 1_000_000)] = 8
+    validation_runs: Annotated[int, said("to choose the best step", 1, 1_000_000)] = 4
+    test_runs: Annotated[int, said("to judge", 1, 1_000_000)] = 8
 
 
 @dataclasses.dataclass(frozen=True)
 class Mc:
     """Monte Carlo runs."""
 
-    runs: int = 100  # how many
-    chunk: int = 16  # that live at a time
-    limit_m: float = 1000.0  # a horizontal error above this is a divergence
+    runs: Annotated[int, said("how many", 1, 10_000_000)] = 100
+    chunk: Annotated[int, said("that live at a time", 1, 10000)] = 16
+    limit_m: Annotated[float, said("a horizontal error above this is a divergence", 1e-3)] = 1000.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Bakeoff:
     """Filters against each other; budget of [tune] (steps, rate, runs), divergence limit of [mc] limit_m."""
 
-    unseen: tuple[str, ...] = ()  # test scenarios without tuning, in addition to those of [data] source
+    unseen: Annotated[
+        tuple[str, ...], said("test scenarios without tuning, in addition to those of [data] source")
+    ] = ()
 
 
 @dataclasses.dataclass(frozen=True)
 class Out:
     """Output files."""
 
-    formats: tuple[str, ...] = ("csv", "kml", "geojson")  # of the solution; also tum, pos, nav
-    figures: str = "report"  # in report.html; "files": as PNG files as well; "none"
-    imu_rate: bool = False  # the solution at every sample of the IMU, not at the ends of epochs alone
+    formats: Annotated[tuple[str, ...], said("of the solution; also tum, pos, nav")] = ("csv", "kml", "geojson")
+    figures: Annotated[str, said('in report.html; "files": as PNG files as well; "none"')] = "report"
+    imu_rate: Annotated[bool, said("the solution at every sample of the IMU, not at the ends of epochs alone")] = False
 
 
 @dataclasses.dataclass(frozen=True)
 class Time:
     """Clock of the solution's times, where fixes are late or early."""
 
-    base: str = "imu"  # stamps of the IMU; or "fixes": the stamps of the fixes
+    base: Annotated[str, said('stamps of the IMU; or "fixes": the stamps of the fixes')] = "imu"
 
 
 @dataclasses.dataclass(frozen=True)
 class Config:
     """One job, resolved."""
 
-    seed: int = 0
+    seed: Annotated[int, said("of all that is random", 0, 2**32 - 1)] = 0
     data: Data = Data()
     filter: Filter = Filter()
     initialization: Initialization = Initialization()
@@ -195,42 +248,6 @@ class Config:
     bakeoff: Bakeoff = Bakeoff()
     out: Out = Out()
     time: Time = Time()
-    stated: dataclasses.InitVar[frozenset[str]] = frozenset()  # names of all stated settings
-
-    def __post_init__(self, stated: frozenset[str]) -> None:
-        object.__setattr__(self, "_stated", stated)
-
-
-LIMITS: dict[str, tuple[float, float]] = {
-    "seed": (0, 2**32 - 1),
-    "data.imu_worse_by": (1.0, 1e3),
-    "data.gnss_latency_s": (0.0, 1.0),
-    "filter.cov_stride": (1, 1000),
-    "filter.lag_s": (0.0, 3600.0),
-    "filter.standing_window_s": (0.01, 3600.0),
-    "filter.standing_accel_sd_mps2": (0.0, 1e3),
-    "filter.standing_gyro_sd_deg_per_s": (0.0, 1e4),
-    "filter.interval_s": (0.0, 60.0),
-    "initialization.course_speed_mps": (0.1, 100.0),
-    "initialization.tilt_sd_deg": (1e-6, 90.0),
-    "initialization.heading_sd_deg": (1e-6, 180.0),
-    "initialization.hypotheses": (2, 360),
-    "mounting.time_offset_s": (-10.0, 10.0),
-    "mounting.clock_drift_ppm": (-1e5, 1e5),
-    "measurements.position.latency_s": (-10.0, 10.0),
-    "measurements.velocity.latency_s": (-10.0, 10.0),
-    "tune.steps": (0, 1_000_000),
-    "tune.rate": (1e-9, 10.0),
-    "tune.runs": (1, 1_000_000),
-    "tune.validation_runs": (1, 1_000_000),
-    "tune.test_runs": (1, 1_000_000),
-    "tune.outage_s": (0.0, 3600.0),
-    "tune.hidden_satellites": (0, 14),
-    "mc.runs": (1, 10_000_000),
-    "mc.chunk": (1, 10_000),
-    "mc.limit_m": (1e-3, math.inf),
-}
-"""Smallest and largest value of numbers that would otherwise fail somewhere inside."""
 
 
 def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
@@ -249,12 +266,8 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
         merged = merge(merged, tree)
     names = [name for _, tree in layers for name in flat(tree)]
     stated = frozenset(key for key in _values(Config()) if any(f"{name}.".startswith(f"{key}.") for name in names))
-    config = _build(Config, merged | {"stated": stated})
-    for name, (low, high) in LIMITS.items():
-        value = operator.attrgetter(name)(config)
-        for number in value if isinstance(value, tuple) else (value,):
-            if number is not None and not low <= number <= high:
-                raise ConfigError(f"{name} must be in [{low:.12g}, {high:.12g}], got {number:.12g}")
+    config = msgspec.convert(merged, Config)
+    object.__setattr__(config, "_stated", stated)
     return config
 
 
@@ -379,8 +392,7 @@ def _checked(kind: type, tree: Any, where: str, text: str = "", path: str = "") 
     """Return the tree with every key known and every value of its field's type."""
     if not isinstance(tree, Mapping):
         raise ConfigError(f"{place(where, text, path)}: [{path.rstrip('.')}] is a section, got {tree!r}")
-    known = {field.name for field in dataclasses.fields(kind)}
-    hints, out = {name: hint for name, hint in typing.get_type_hints(kind).items() if name in known}, {}
+    hints, out = hints_of(kind), dict[str, Any]()
     for key, value in tree.items():
         name = path + quoted(key)
         if key not in hints:
@@ -393,10 +405,16 @@ def _checked(kind: type, tree: Any, where: str, text: str = "", path: str = "") 
             value = {value: 1.0}
         if name == "tune.prior" and isinstance(value, Mapping):  # its keys may be dotted
             value = flat(value)
-        ok, out[key] = convert(value, hint)
-        if not ok:
-            raise ConfigError(f"{place(where, text, name)}: {name} must be {describe(hint)}, got {value!r}")
+        try:
+            out[key] = converted(value, hint)
+        except msgspec.ValidationError as error:
+            raise ConfigError(f"{place(where, text, name)}: {name} must be {describe(hint)}, got {value!r}") from error
     return out
+
+
+def hints_of(kind: type) -> dict[str, Any]:
+    """Return the fields of a section, each with its type, words and limits."""
+    return typing.get_type_hints(kind, include_extras=True)
 
 
 def _near_key(name: str, path: str, hints: Mapping[str, Any]) -> str:
@@ -419,8 +437,3 @@ def _values(section: Any, above: str = "") -> dict[str, Any]:
         value, name = getattr(section, field.name), above + field.name
         out |= _values(value, f"{name}.") if dataclasses.is_dataclass(value) else {name: value}
     return out
-
-
-def _build(kind: Any, tree: Mapping[str, Any]) -> Any:
-    hints = typing.get_type_hints(kind)
-    return kind(**{k: _build(hints[k], v) if dataclasses.is_dataclass(hints.get(k)) else v for k, v in tree.items()})

@@ -1,19 +1,15 @@
-"""Every setting, its default, its limits and its description: read from the configuration's source.
+"""Every setting, its default, its limits and its description: as the configuration's fields state them."""
 
-The remark next to a field there is the user's text, so that it is written once.
-"""
-
-import ast
 import dataclasses
-import io
-import tokenize
-from pathlib import Path
-from typing import Any, NamedTuple
+import math
+from typing import Annotated, Any, NamedTuple, get_args, get_origin
+
+from msgspec import Meta
 
 from jaxnav.app import config
 from jaxnav.filters.border import KEYS, NAMES, user_value
 from jaxnav.filters.parameters import UNITS
-from jaxnav.io.toml import inline, to_toml
+from jaxnav.io.toml import inline, limits, to_toml
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.states.table import BIASES, STATES
 
@@ -40,21 +36,18 @@ class Section(NamedTuple):
 
 def sections() -> list[Section]:
     """All of it, in the order of `jaxnav.app.config.Config`; a row of [states] or [measurements] is one setting."""
-    said, found = _remarks(), []
-    top = Section("", "", [])
-    found.append(top)
+    top, hints = Section("", "", []), config.hints_of(config.Config)
+    found = [top]
     for field in dataclasses.fields(config.Config):
         default = getattr(config.Config(), field.name)
         if not dataclasses.is_dataclass(default):
-            words = "of all that is random" if field.name == "seed" else config.MODEL_HELP.get(field.name, "")
+            words = _said(hints[field.name]) or config.MODEL_HELP.get(field.name, "")
             top.settings.append(Setting(field.name, default, words))
             continue
         kind: Any = type(default)
         rows = [
-            Setting(
-                f.name, _default(field.name, f.name, getattr(default, f.name)), _words(kind, field.name, f.name, said)
-            )
-            for f in dataclasses.fields(kind)
+            Setting(name, _default(field.name, name, getattr(default, name)), _words(field.name, name, hint))
+            for name, hint in config.hints_of(kind).items()
         ]
         found.append(Section(field.name, " ".join((kind.__doc__ or "").split()), rows))
     return found
@@ -71,51 +64,32 @@ def _default(section: str, name: str, value: Any) -> Any:
     return {key: float(f"{v:.4g}") if isinstance(v, float) else v for key, v in values.items()}
 
 
-def _words(kind: type, section: str, name: str, said: dict[tuple[str, str], str]) -> str:
-    """Return the remark next to a field, or the text of its row; with its limits."""
+def _words(section: str, name: str, hint: Any) -> str:
+    """Return the words of a field, or the text of its row; with its limits."""
     if section == "states":
         return _listed(STATES[name].axes) + ("; by the datasheet of filter.grade" if name in BIASES else "")
     if section == "measurements":
         return _listed(MEASUREMENTS[name].channels)
-    words = said.get((kind.__name__, name), "")
     unit = UNITS.get(KEYS.get(f"{section}.{name}", ""))
-    if unit is not None:
-        many = "one number, one an axis, or a lower triangular matrix" if unit.root else "one number or one an axis"
-        words = ", ".join(part for part in (unit.text, many if unit.shape else "one number") if part)
-    low_high = config.LIMITS.get(f"{section}.{name}")
-    return words + ("" if low_high is None else f" ({low_high[0]:g} to {low_high[1]:g})").lstrip("" if words else " ")
+    if unit is None:
+        return _said(hint)
+    many = "one number, one an axis, or a lower triangular matrix" if unit.root else "one number or one an axis"
+    words = ", ".join(part for part in (unit.text, many if unit.shape else "one number") if part)
+    return words + ("" if math.isinf(unit.most) else f" ({-unit.most:g} to {unit.most:g})")
+
+
+def _said(hint: Any) -> str:
+    """Return the words of a field and its limits; nothing of one without."""
+    for meta in get_args(hint)[1:] if get_origin(hint) is Annotated else ():
+        if isinstance(meta, Meta) and meta.description:
+            low, high = limits(hint)
+            return meta.description + ("" if low is None else f" ({low:.12g} to {high:.12g})")
+    return ""
 
 
 def _listed(names: tuple[str, ...]) -> str:
     """``east, north, up``; of many the first and the last."""
     return ", ".join(names) if len(names) < 10 else f"{names[0]} to {names[-1]}"
-
-
-def _remarks() -> dict[tuple[str, str], str]:
-    """By class and field, the remark next to it, with comment lines right above and, indented, below."""
-    text = Path(config.__file__).read_text(encoding="utf-8")
-    remarks, alone = {}, set()
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type == tokenize.COMMENT:
-            remarks[token.start[0]] = token.string.removeprefix("#")
-            if not token.line[: token.start[1]].strip():
-                alone.add(token.start[0])
-    found = {}
-    for node in ast.parse(text).body:
-        if not isinstance(node, ast.ClassDef):
-            continue
-        for field in node.body:
-            if not (isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)):
-                continue
-            first, last = field.lineno, field.end_lineno or field.lineno
-            above, below = first - 1, last + 1
-            while above in alone and not remarks[above].startswith("   "):
-                above -= 1
-            while below in alone and remarks[below].startswith("   "):
-                below += 1
-            lines = [remarks[i] for i in range(above + 1, below) if i in remarks]
-            found[node.name, field.target.id] = " ".join(" ".join(lines).split())
-    return found
 
 
 def commented() -> str:

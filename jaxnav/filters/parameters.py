@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxnav.maths import units
-from jaxnav.maths.units import Unit
+from jaxnav.maths.units import DELAY, Unit
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.states.grades import GRADES, Grade
 from jaxnav.states.sensitivity import ESTIMATES
@@ -26,8 +26,8 @@ NOISE_UNITS = Noise(
 )
 MOUNTING_UNITS = Mounting(
     Unit("m", 1.0, (3,), "m", step=0.2),
-    Unit("s", text="s", step=0.1),
-    Unit("ppm", units.PPM, text="ppm", step=300 * units.PPM),
+    DELAY,
+    Unit("ppm", units.PPM, text="ppm", step=300 * units.PPM, most=1e5),
     Unit("deg", units.DEG, (2,), "deg", step=1.0 * units.DEG),
     Unit("m", 1.0, (3,), "m", step=0.2),
 )

@@ -8,47 +8,61 @@ import typing
 from collections.abc import Mapping
 from typing import Any
 
+import msgspec
 
-def convert(value: Any, hint: Any) -> tuple[bool, Any]:
-    """Whether the value is of the type, and the value in it: int to float, list to tuple."""
+
+def converted(value: Any, hint: Any) -> Any:
+    """Return a value of a file in a type, with whole numbers as such of a float and lists as tuples.
+
+    Raises:
+        msgspec.ValidationError: it is of another type, not a number, or out of the limits of the type.
+    """
+    return msgspec.convert(_numbers(value), hint)
+
+
+def _numbers(value: Any) -> Any:
+    """Return a value with infinity as a number, which strict JSON has as text; no value has NaN."""
+    if isinstance(value, Mapping):
+        return {k: _numbers(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_numbers(v) for v in value]
+    if isinstance(value, float) and math.isnan(value):
+        raise msgspec.ValidationError("not a number")
+    return math.inf if value == "inf" else value
+
+
+def describe(hint: Any, many: bool = False) -> str:
+    """Return the values that a type takes, in words; ``many``: several of them."""
     origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if origin is typing.Annotated:
+        low, high = limits(hint) if args[0] in WORDS else (None, None)
+        return describe(args[0], many) + ("" if low is None else f" in [{low:.12g}, {high:.12g}]")
     if origin in (typing.Union, types.UnionType):
-        tries = [convert(value, arg) for arg in args]
-        return next((t for t in tries if t[0]), (False, value))
-    if hint is float:
-        value = math.inf if value == "inf" else value  # strict JSON has none
-        good = isinstance(value, (int, float)) and not isinstance(value, bool) and not math.isnan(value)
-        return good, float(value) if good else value
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool), value
+        return " or ".join(describe(a, many) for a in args if a is not type(None))
     if origin is tuple:
-        if not isinstance(value, (list, tuple)):
-            return False, value
-        parts = [convert(v, args[0]) for v in value]
-        return all(ok for ok, _ in parts), tuple(v for _, v in parts)
+        return f"{'lists' if many else 'a list'} of {describe(args[0], many=True)}"
     if origin is dict:
-        good = isinstance(value, Mapping)
-        table = {k: convert(v, args[1]) for k, v in value.items()} if good else {}
-        return good and all(ok for ok, _ in table.values()), {k: v for k, (_, v) in table.items()}
-    if hint is Any:
-        return True, value
-    return (value is None) if hint is type(None) else isinstance(value, hint), value
+        return "a table" if args[1] is Any else f"a table of {describe(args[1], many=True)}"
+    one, several = WORDS.get(hint, (str(hint), str(hint)))
+    return several if many else one
 
 
-def describe(hint: Any) -> str:
-    """Return the values that a type takes, in words."""
-    origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (typing.Union, types.UnionType):
-        return " or ".join(describe(a) for a in args if a is not type(None))
-    if origin is tuple:
-        return f"a list of ({describe(args[0])})" if typing.get_origin(args[0]) else f"a list of {_plural(args[0])}"
-    if origin is dict:
-        return "a table" if args[1] is Any else f"a table of {_plural(args[1])}"
-    return {float: "a number", int: "a whole number", bool: "true or false", str: "text"}.get(hint, str(hint))
+WORDS: dict[Any, tuple[str, str]] = {
+    float: ("a number", "numbers"),
+    int: ("a whole number", "whole numbers"),
+    bool: ("true or false", "truths"),
+    str: ("text", "texts"),
+}
 
 
-def _plural(hint: Any) -> str:
-    return {float: "numbers", int: "whole numbers", str: "texts"}.get(hint, describe(hint))
+def limits(hint: Any) -> tuple[float | None, float | None]:
+    """Return the smallest and the largest value of a type or of its parts, None where there is none."""
+    for part in typing.get_args(hint):
+        own = isinstance(part, msgspec.Meta) and part.ge is not None
+        found = (part.ge, math.inf if part.le is None else part.le) if own else limits(part)
+        if found[0] is not None:
+            return found
+    return None, None
 
 
 def place(where: str, text: str, name: str) -> str:

@@ -31,3 +31,8 @@ class Unit(NamedTuple):
     root: bool = False  # may also be a lower triangular matrix, for noise that is correlated between the axes
     endless: bool = False  # may be inf
     zero: bool = False  # of a positive one: may be 0
+    most: float = math.inf  # largest magnitude, in the unit
+
+
+DELAY = Unit("s", text="s", step=0.1, most=10.0)
+"""Delays of measurements."""

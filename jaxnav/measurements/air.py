@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.maths import rotations
-from jaxnav.maths.units import Unit
+from jaxnav.maths.units import DELAY, Unit
 from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
@@ -53,7 +53,7 @@ AIRSPEED = Measurement(
     ("forward",),
     observe_airspeed,
     AirspeedParams(1.0, 0.0, 0.0),
-    AirspeedParams(Unit(), Unit("s", text="s", step=0.1), Unit(step=0.02)),
+    AirspeedParams(Unit(), DELAY, Unit(step=0.02)),
     states=("wind",),
     columns=(column("airspeed_mps", "speed", 1.0, plausible=(-100.0, 3000.0)),),
 )

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxnav.maths.units import Unit
+from jaxnav.maths.units import DELAY, Unit
 from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
@@ -29,7 +29,7 @@ BAROMETER = Measurement(
     ("up",),
     observe_barometer,
     BarometerParams(1.0, 0.0),
-    BarometerParams(Unit(), Unit("s", text="s", step=0.1)),
+    BarometerParams(Unit(), DELAY),
     states=("barometer_bias",),
     columns=(column("height_m", "length", 1.0, plausible=(-12e3, 1e5), marks=(-9999.0, -99999.0)),),
 )

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxnav.maths import rotations
-from jaxnav.maths.units import DEG, Unit
+from jaxnav.maths.units import DEG, DELAY, Unit
 from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
@@ -40,7 +40,7 @@ BODY_VELOCITY = Measurement(
     "body_velocity", ("forward", "right", "down"), observe_body_velocity,
     BodyVelocityParams(1.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)),
     BodyVelocityParams(
-        Unit(), Unit("s", text="s", step=0.1), Unit(step=0.02), Unit("deg", DEG, text="deg", step=1.0 * DEG),
+        Unit(), DELAY, Unit(step=0.02), Unit("deg", DEG, text="deg", step=1.0 * DEG),
         Unit("m", 1.0, (3,), "m", step=0.2),
     ),
     columns=tuple(

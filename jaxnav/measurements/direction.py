@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.maths import rotations
-from jaxnav.maths.units import DEG, Unit
+from jaxnav.maths.units import DEG, DELAY, Unit
 from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
@@ -75,7 +75,7 @@ def observe_yaw_rate(theta: AgedParams, mounting: Mounting, nav: Nav, kin: Kinem
     return Observation(nav.omega[2:] - fix.value, {"gyro": jnp.eye(3)[2:]}, fix.sd, theta.sd_scale)
 
 
-_AGED = (Unit(), Unit("s", text="s", step=0.1))
+_AGED = (Unit(), DELAY)
 """Units of ``sd_scale`` and ``latency``."""
 HEADING = Measurement(
     "heading",

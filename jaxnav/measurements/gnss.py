@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.maths import earth, rotations
-from jaxnav.maths.units import DEG, Unit
+from jaxnav.maths.units import DEG, DELAY, Unit
 from jaxnav.measurements.columns import Column, column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
@@ -52,7 +52,7 @@ def observe_velocity(theta: FixParams, mounting: Mounting, nav: Nav, kin: Kinema
 
 
 def _units(name: str) -> FixParams:
-    scale, latency = Unit(shape=(3,), root=True), Unit("s", text="s", step=0.1)
+    scale, latency = Unit(shape=(3,), root=True), DELAY
     return FixParams(scale, latency)
 
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxnav.maths.units import Unit
+from jaxnav.maths.units import DELAY, Unit
 from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.types import Fix, Leaf, Mounting, Nav
@@ -35,7 +35,7 @@ def observe_range(theta: RangeParams, mounting: Mounting, nav: Nav, kin: Kinemat
 RANGEFINDER = Measurement(
     "rangefinder", ("down",), observe_range, RangeParams(1.0, 0.0, 0.0),
     RangeParams(
-        Unit(), Unit("s", text="s", step=0.1),
+        Unit(), DELAY,
         Unit("m", text="m", step=10.0),
     ),
     states=("ground_height",), columns=(column("range_m", "length", 0.2, plausible=(0.0, 3e4), marks=(0.0,)),),

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.maths import rotations
-from jaxnav.maths.units import DEG, Unit
+from jaxnav.maths.units import DEG, DELAY, Unit
 from jaxnav.measurements.columns import column
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.states.state import BODY
@@ -47,7 +47,7 @@ def observe_magnetometer(
 MAGNETOMETER = Measurement(
     "magnetometer", BODY, observe_magnetometer, MagnetometerParams(1.0, 0.0, 0.0, 60 * DEG, 50.0),
     MagnetometerParams(
-        Unit(), Unit("s", text="s", step=0.1),
+        Unit(), DELAY,
         Unit("deg", DEG, text="deg", step=3 * DEG), Unit("deg", DEG, text="deg", step=3 * DEG),
         Unit("ut", text="uT", step=1.0),
     ),

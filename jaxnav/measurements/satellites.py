@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxnav.maths import earth, rotations
-from jaxnav.maths.units import Unit
+from jaxnav.maths.units import DELAY, Unit
 from jaxnav.measurements.gnss import arm_of
 from jaxnav.measurements.measurement import Kinematics, Measurement, Observation
 from jaxnav.states.receiver_clock import SLOTS
@@ -133,9 +133,7 @@ def observe_range_rate(theta: SatelliteParams, mounting: Mounting, nav: Nav, kin
 
 
 def _units(suffix: str, text: str) -> SatelliteParams:
-    return SatelliteParams(
-        Unit(suffix, text=text), Unit(suffix, text=text), Unit("db", text="dB"), Unit("s", text="s", step=0.1)
-    )
+    return SatelliteParams(Unit(suffix, text=text), Unit(suffix, text=text), Unit("db", text="dB"), DELAY)
 
 
 _SLOTS = tuple(f"slot_{i + 1}" for i in range(SLOTS))

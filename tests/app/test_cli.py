@@ -179,7 +179,7 @@ def test_seed_reproduces_and_matters(drive):
         (["filter", "--config", ""], ["cannot be read"]),
         (
             ["filter", "--set", "measurements.position.latency_s=100"],
-            ["measurements.position.latency_s must be in [-10, 10]"],
+            ["measurements.position.latency_s must be a number in [-10, 10]"],
         ),
         (["filter", "--set", "filter.outages=[[200, 300]]"], ["filter.outages: [200.0, 300.0] holds no epoch"]),
         (["simulate", "--set", "data.options.duration_s=inf"], ["duration_s must be positive and finite, got inf"]),

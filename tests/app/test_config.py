@@ -52,13 +52,19 @@ def test_set_takes_toml_values_and_types(setting, value):
         ("filter.nam=3", "unknown key filter.nam: did you mean filter.name?"),
         ("filtr.name=3", "unknown key filtr: did you mean filter?"),
         ("filter.tilt_sd_deg=3", "did you mean initialization.tilt_sd_deg?"),
-        ("filter.cov_stride=1.5", "filter.cov_stride must be a whole number, got 1.5"),
+        ("filter.cov_stride=1.5", "filter.cov_stride must be a whole number in .*, got 1.5"),
         ("filter.smooth=1", "filter.smooth must be true or false, got 1"),
-        ("tune.steps=true", "tune.steps must be a whole number, got True"),
+        ("tune.steps=true", "tune.steps must be a whole number in .*, got True"),
         ("initialization.tilt_sd_deg=nan", "initialization.tilt_sd_deg must be a number"),
         ("filter=3", r"\[filter\] is a section"),
-        ("seed=-1", r"seed must be in \[0, 4294967295\], got -1"),
-        ("filter.cov_stride=0", r"filter.cov_stride must be in \[1, 1000\], got 0"),
+        ("seed=-1", r"seed must be a whole number in \[0, 4294967295\], got -1"),
+        ("filter.cov_stride=0", r"filter.cov_stride must be a whole number in \[1, 1000\], got 0"),
+        (
+            "tune.hidden_satellites=15",
+            r"must be a whole number in \[0, 14\] or a list of whole numbers in \[0, 14\], got 15",
+        ),
+        ("measurements.barometer.latency_s=11", r"latency_s must be a number in \[-10, 10\], got 11"),
+        ("filter.outages=[[1, 'a']]", "filter.outages must be a list of lists of numbers, got"),
         ("filter.name", "--set takes a.b=value"),
         (".=1", "--set takes a.b=value"),
     ],
@@ -121,5 +127,5 @@ def test_frozen():
 )  # fmt: skip
 def test_numbers_that_mean_nothing_are_refused_with_their_bounds(setting, bound):
     key = setting.partition("=")[0]
-    with pytest.raises(ConfigError, match=re.escape(f"{key} must be in {bound}")):
+    with pytest.raises(ConfigError, match=f"{key} must be a (whole )?number in {re.escape(bound)}"):
         config.resolve([("--set", config.parse_set(setting))])

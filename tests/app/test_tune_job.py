@@ -104,8 +104,9 @@ def test_a_root_in_params_is_in_users_units():
     np.testing.assert_allclose(tomllib.loads(text)["noise"]["gyro_deg_per_sqrt_hour"], L, rtol=1e-15)
     with pytest.raises(ConfigError, match="states.gyro_bias.tau_s must be a number or a list of numbers"):
         config.resolve([("", {"states": {"gyro_bias": {"tau_s": L}}})])
-    with pytest.raises(ConfigError, match="position.scale must be .* a list of .a list of numbers"):
-        config.resolve([("", {"measurements": {"position": {"scale": [1, [2, 3]]}}})])
+    ragged = config.resolve([("", {"noise": {"gyro_deg_per_sqrt_hour": [1, [2, 3]]}})])
+    with pytest.raises(ConfigError, match="gyro_deg_per_sqrt_hour as a matrix must be lower triangular"):
+        border.override(params, config.as_dict(ragged))
 
 
 @pytest.mark.full

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.gnss.atmosphere import klobuchar, saastamoinen
 from jaxnav.gnss.orbits import HALF_STEP, Ephemeris, chosen, state, turned
 from jaxnav.gnss.ranges import FREQUENCY, LIGHT, Ranges, epochs, frequency, rows_of, streams, without_clock
@@ -12,7 +13,7 @@ from jaxnav.gnss.single_point import SinglePoint, single_point
 from jaxnav.maths.axes import enu_to_ecef, geodetic
 from jaxnav.maths.earth import RATE
 from jaxnav.maths.gps_time import GPS_EPOCH
-from jaxnav.types import DataError, Samples
+from jaxnav.types import DataError, Note, Samples
 
 
 class Observations(NamedTuple):
@@ -57,7 +58,7 @@ RATES = ("doppler", "phase")
 MAX_GAP = 1.5  # epochs between two phases that are differenced
 
 
-def with_rates(seen: Observations, rates: str) -> tuple[Observations, tuple[str, ...]]:
+def with_rates(seen: Observations, rates: str) -> tuple[Observations, tuple[Note, ...]]:
     """Return the rows with range rates by Doppler, or by differences of carrier phase, and a note on those.
 
     A difference is the mean over its interval, and so as old as half of it. Doppler is not put in its place where lock
@@ -84,11 +85,7 @@ def with_rates(seen: Observations, rates: str) -> tuple[Observations, tuple[str,
         raise DataError("rates='phase': no satellite has a carrier phase in two epochs that follow each other")
     rate, over = np.full(t.size, np.nan), np.zeros(t.size)
     rate[order[good]], over[order[good]] = change[good] / interval[good], interval[good]
-    lost = 100 * (1 - good.mean())
-    note = (
-        f"range_rate: carrier phase over {step:g} s, none in {lost:.1f} % of the rows (lock lost); as old as half "
-        f"of that: set measurements.range_rate.latency_s = {step / 2:g}."
-    )
+    note = finding("range_rate.phase", "range_rate", step / 2, over=step, lost=100 * (1 - good.mean()))
     return seen._replace(range_rate=rate, interval=over), (note,)
 
 
@@ -199,7 +196,7 @@ def _nearest(times: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.where(t - times[i - 1] <= times[i] - t, i - 1, i)
 
 
-def aiding_of(ranges: Ranges, found: SinglePoint) -> tuple[dict[str, Samples], tuple[str, ...]]:
+def aiding_of(ranges: Ranges, found: SinglePoint) -> tuple[dict[str, Samples], tuple[Note, ...]]:
     """Return the streams of a recording and notes: ranges and rates, and position and velocity by single points.
 
     Args:
@@ -216,5 +213,5 @@ def aiding_of(ranges: Ranges, found: SinglePoint) -> tuple[dict[str, Samples], t
     position, velocity = found.samples()
     kept = {"position": position, "velocity": velocity} if velocity.t.size else {"position": position}
     per = np.bincount(of)
-    words = f"satellites: {per.min()} to {per.max()}, {np.median(per):g} in the median, in {times.size} epochs."
-    return kept | streams(ranges), tuple(filter(None, (words, note)))
+    about = finding("range.satellites", "satellites", np.median(per), low=per.min(), high=per.max(), count=times.size)
+    return kept | streams(ranges), (about, *note)

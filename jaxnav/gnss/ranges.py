@@ -4,9 +4,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.measurements.satellites import CONSTELLATION, CONSTELLATIONS, SATELLITE
 from jaxnav.states.receiver_clock import SLOTS
-from jaxnav.types import DataError, Samples
+from jaxnav.types import DataError, Note, Samples
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -138,7 +139,7 @@ def ranges_of(aiding: dict[str, Samples]) -> Ranges:
                   columns[:, 1:4], columns[:, 4:7], columns[:, 7], columns[:, 8])  # fmt: skip
 
 
-def without_clock(ranges: Ranges, t: np.ndarray, bias: np.ndarray) -> tuple[Ranges, str]:
+def without_clock(ranges: Ranges, t: np.ndarray, bias: np.ndarray) -> tuple[Ranges, tuple[Note, ...]]:
     """Return ranges and rates without the course of the receiver's clock, and a note on it.
 
     All ranges of an epoch change by the same, which a filter's clock states would follow: a bias of kilometres or a
@@ -151,7 +152,7 @@ def without_clock(ranges: Ranges, t: np.ndarray, bias: np.ndarray) -> tuple[Rang
     """
     known = np.isfinite(bias)
     if known.sum() < 2:
-        return ranges, ""
+        return ranges, ()
     t, bias = t[known], bias[known]
     drift = np.median(np.diff(bias) / np.diff(t))
     steps = np.round((np.diff(bias) - drift * np.diff(t)) / CLOCK_STEP) * CLOCK_STEP
@@ -164,7 +165,7 @@ def without_clock(ranges: Ranges, t: np.ndarray, bias: np.ndarray) -> tuple[Rang
     )
     count = int(np.count_nonzero(steps))
     jumps = f" and {count} steps of milliseconds" if count else ""
-    return ranges, f"pseudorange: the receiver's clock is taken out, {bias[0]:.0f} m, {drift:.1f} m/s{jumps}."
+    return ranges, (finding("range.clock", "pseudorange", bias[0], rate=drift, words=jumps),)
 
 
 def _smooth(t: np.ndarray, y: np.ndarray) -> "BSpline":

@@ -38,7 +38,7 @@ from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import with_data
 from jaxnav.measurements.columns import QUANTITIES
-from jaxnav.types import DataError, Track
+from jaxnav.types import DataError, Note, Track
 
 COMMON = tuple(
     "file delimiter header time time_unit time_scale time_tag time_shift_s rate_hz skip where new_where".split()
@@ -273,7 +273,7 @@ def _stream(files: Files, table: dict[str, Any], name: str) -> Stream:
     return Stream(t[keep], value[keep], sd, scale=_scale(table, f"{files.map}: {name}"))
 
 
-def _satellites(files: Files, table: dict[str, Any]) -> tuple[dict[str, Stream], tuple[str, ...]]:
+def _satellites(files: Files, table: dict[str, Any]) -> tuple[dict[str, Stream], tuple[Note, ...]]:
     """Corrected ranges of a table with one row a satellite and epoch, with fixes by single points, and notes."""
     stream = "satellites"
     where = f"{files.map}: {stream}"

@@ -12,6 +12,7 @@ from jaxnav.types import DataError, Note, Recording, Track
 RATES, INCREMENTS, INSTANTANEOUS = "rates", "increments", "instantaneous"
 SAMPLINGS = (RATES, INCREMENTS, INSTANTANEOUS)
 MOST_NAMED = 12  # types of messages that a finding names
+USUAL_DELAY_S = 0.1  # s, of data that is dated by the message that brings it
 
 
 class TimeScale(StrEnum):

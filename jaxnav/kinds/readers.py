@@ -58,6 +58,7 @@ KINDS: dict[str, Kind] = {
         'time_scale = "utc" or "gps" states it',
         unit="s",
     ),
+    "imu.negated": Kind(INFO, "{subject}: the sign of an iPhone's accelerations is changed to specific force"),
     "axes.assumed": Kind(INFO, "{subject} is assumed {words} (option axes)"),
     "clock.repeats": Kind(INFO, "{subject} repeats in {count} of {of} fixes"),
     "clock.jumps": Kind(INFO, "GPS time jumps against board time {count} time(s), first by {words}"),
@@ -74,8 +75,35 @@ KINDS: dict[str, Kind] = {
         INFO,
         "{subject}: its clock starts again {count} times, in parts of {words}: part {part} is read (option part)",
     ),
+    "clock.bridged": Kind(
+        INFO,
+        "{subject}: its stamps count from start-up, others from 1970: the times of reception bridge the clocks "
+        "(within {value:.3f} s)",
+        unit="s",
+    ),
+    "time.by_message": Kind(
+        INFO, "{subject} is dated by the messages that bring it{words}: a delay of {value:g} s is usual", unit="s"
+    ),
+    "fixes.with_ins": Kind(INFO, "{subject}: {count} of {of} positions are made with the INS: {words}"),
     "fixes.none": Kind(INFO, "{count} {words} have no fix in three dimensions"),
     "heights.sea_level": Kind(INFO, "heights of fixes are above sea level, not above the ellipsoid"),
+    "truth.no_height": Kind(INFO, "The simulator's truth has no height: 0 m stands in its place"),
+    "truth.fused": Kind(
+        INFO,
+        "position, velocity and truth are all the unit's INS/GNSS solution: errors against this truth do not measure "
+        "accuracy (fixes of a receiver: option gnss)",
+    ),
+    "range.satellites": Kind(INFO, "{subject}: {low} to {high}, {value:g} in the median, in {count} epochs"),
+    "range.clock": Kind(
+        INFO, "{subject}: the receiver's clock is taken out, {value:.0f} m, {rate:.1f} m/s{words}", unit="m"
+    ),
+    "range_rate.phase": Kind(
+        INFO,
+        "{subject}: carrier phase over {over:g} s, none in {lost:.1f} % of the rows (lock lost); as old as half of "
+        "that: set measurements.range_rate.latency_s = {value:g}",
+        unit="s",
+    ),
+    "stream.chosen": Kind(INFO, "{subject} is {words}"),
     "position.none": Kind(INFO, "{subject}: {words}"),
     "receiver.chosen": Kind(INFO, "position is {subject} with {count} fixes, of {words} (option receiver)"),
     "file.damaged": Kind(INFO, "{count} {words} are damaged and left out"),
@@ -85,6 +113,10 @@ KINDS: dict[str, Kind] = {
     "file.units": Kind(INFO, "{subject}: the line of units below the header is left out"),
     "file.commas": Kind(INFO, "{subject}: commas are taken for decimal points"),
     "file.other": Kind(INFO, "{subject} is not read{words}"),
+    "file.left_out": Kind(INFO, "{subject}: {count} {words} are left out"),
+    "file.partly": Kind(INFO, "{subject} is cut or damaged{words}: its readable part is read"),
+    "file.unchecked": Kind(INFO, "{count} {words} have no checksum and are {done}"),
+    "log.dropouts": Kind(INFO, "The logger dropped data {count} times, {value:.1f} s in all", unit="s"),
     "columns.taken": Kind(
         INFO,
         "{subject}: columns are read as their names and numbers say: jaxnav map shows it, and drafts a map to change",

@@ -78,13 +78,13 @@ def test_the_clock_is_taken_out_of_ranges_and_rates_alike():
     distance = np.tile(np.linalg.norm(sky - TOKYO, axis=1), t.size)
     assert np.abs(left.pseudorange - distance).max() < 3.0
     assert np.abs(left.range_rate).max() < 0.6
-    assert "2 steps" in note
+    assert "2 steps" in str(note[0])
     # what is taken out of the ranges is the integral of what is taken out of the rates
     out, rate = (ranges.pseudorange - left.pseudorange)[::8], (ranges.range_rate - left.range_rate)[::8]
     steps = np.diff(out)
     whole = np.abs(steps) < 0.5 * CLOCK_STEP
     np.testing.assert_allclose(steps[whole], 0.5 * (rate[1:] + rate[:-1])[whole], atol=1e-3)
-    assert without_clock(ranges, t, np.full(t.size, np.nan))[1] == ""
+    assert without_clock(ranges, t, np.full(t.size, np.nan))[1] == ()
 
 
 def test_single_points_are_exact_and_bear_one_fault():

@@ -175,7 +175,7 @@ def test_a_name_above_two_columns_is_refused():
 @pytest.mark.parametrize(
     ("case", "count", "words"),
     [
-        ("nmea_altitude_empty", 44, "1 GGA have no height and are left out"),
+        ("nmea_altitude_empty", 44, "1 GGA without a height, in two dimensions, are left out"),
         ("nmea_zda", 45, "velocity: the file states no sd"),
         ("nmea_2014_leap", 44, "UTC is taken as GPS time less 16 s"),
         ("ubx_bytes_lost", 192, "28 NAV-PVT are damaged"),
@@ -250,9 +250,9 @@ def test_a_phone_s_sensors_in_files_of_their_own(tmp_path):
         ("sign_of_a_column", "map.toml", 800, 40, ""),
         ("position_without_height", "map.toml", 800, 40, "40 of 40 rows have no height"),
         ("ros_navpvt_unsaid", "bag", 400, 20, ""),
-        ("ros_gyro_accel_topics", "bag", 398, 19, "the accelerometer /camera/accel/sample: the other half of each"),
-        ("ros_odometry_without_twist", "bag", 1000, 50, "speed: the twists of the odometry are all 0"),
-        ("ubx_esf_raw", "drive.ubx", 800, 40, "imu: ESF, ticks of 1 ms"),
+        ("ros_gyro_accel_topics", "bag", 398, 19, "the accelerometer of /camera/accel/sample: the other half of each"),
+        ("ros_odometry_without_twist", "bag", 1000, 50, "speed is not read: the twists of the odometry are all 0"),
+        ("ubx_esf_raw", "drive.ubx", 800, 40, "imu is dated by the messages that bring it, by ESF's ticks of 1 ms"),
     ],
 )  # fmt: skip
 def test_logs_of_the_reports(case, file, rows, fixes, words):

@@ -63,7 +63,7 @@ def test_counts_of_a_printed_line_are_gravity(tmp_path):
     (tmp_path / "a.log").write_text("".join(lines))
     rec = read(tmp_path / "a.log")
     np.testing.assert_allclose(rec.imu.accel[0, 2], -9.79, atol=0.01)
-    assert "IMU is HG1700_AG58, by the log." in rec.notes
+    assert "imu is of type HG1700_AG58, by the log." in rec.notes
 
 
 @pytest.mark.parametrize("imu", ["HG1700_AG58", "STIM300", "ADIS16488", "EPSON_G370", "HG4930_AN01"])
@@ -109,7 +109,7 @@ def test_an_unknown_type_is_said(drive, tmp_path):
 
 def test_positions_made_with_the_ins_are_left_out_where_others_are(drive, tmp_path):
     path = write(tmp_path / "a.log", drive, kind="INS_PSRSP", best="BESTPOS")
-    assert "60 of 60 positions of BESTPOS are made with the INS: taken" in read(path).notes.replace(
+    assert "BESTPOS: 60 of 60 positions are made with the INS: taken" in read(path).notes.replace(
         "61 of 61", "60 of 60"
     )
     with open(path, "a") as file:
@@ -127,7 +127,7 @@ def test_damaged_lines_and_those_without_a_time_are_counted(drive, tmp_path):
     path.write_text(f"#{body}*{crc32(body.encode()):08x}" + text[text.index("*") + 9 :])
     notes = read(path).notes
     assert "3 lines are damaged and left out" in notes
-    assert "1 lines from before the receiver knew the time left out." in notes
+    assert "1 lines from before the receiver knew the time are left out." in notes
 
 
 def test_a_log_of_nmea_with_a_line_of_another_log_is_nmea(tmp_path):

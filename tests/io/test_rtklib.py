@@ -127,9 +127,9 @@ def test_a_baseline_counts_from_the_reference_in_ecef_too(tmp_path):
 
 def test_heights_above_sea_level_are_said(tmp_path):
     head = "% (lat/lon/height=WGS84/geodetic,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of satellites)"
-    assert "above sea level" in " ".join(read_parts(write(tmp_path / "a.pos", "deg", first=[head])).notes)
+    assert "above sea level" in " ".join(map(str, read_parts(write(tmp_path / "a.pos", "deg", first=[head])).notes))
     head = head.replace("geodetic", "ellipsoidal")
-    assert "above sea level" not in " ".join(read_parts(write(tmp_path / "b.pos", "deg", first=[head])).notes)
+    assert "above sea level" not in " ".join(map(str, read_parts(write(tmp_path / "b.pos", "deg", first=[head])).notes))
 
 
 def test_a_southern_latitude_of_zero_degrees_keeps_its_sign(tmp_path):

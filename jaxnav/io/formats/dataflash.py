@@ -94,15 +94,20 @@ def _rangefinder(data: dict[str, np.ndarray] | None) -> Stream | None:
     return Stream(_seconds(data)[good], data["Dist"][good, None]) if good.any() else None
 
 
+def _damaged(count: int, words: str) -> list[Note]:
+    """Return the finding on bytes or lines that are no message; none of none."""
+    return [finding("file.damaged", count=count, words=words)] if count > 0 else []
+
+
 def read_messages(path: Path, notes: list[Note] | None = None) -> dict[str, dict[str, np.ndarray]]:
     """Every kind of message: its numeric columns (N,) by name, in the unit that the format's character means.
 
     Bytes without a message are skipped; ``notes`` gets their number.
     """
     data = read_bytes(path)
-    rows, formats, passed = _binary(data) if data.startswith(SYNC) else _text(data)
-    if passed and notes is not None:
-        notes.append(f"{passed} are no whole message: damaged or cut.")
+    rows, formats, damaged = _binary(data) if data.startswith(SYNC) else _text(data)
+    if notes is not None:
+        notes += damaged
     out = {}
     for name, values in rows.items():
         kept = [(i, c) for i, c in enumerate(formats[name].columns) if CODES[formats[name].codes[i]][1]]
@@ -117,7 +122,7 @@ def _format(kind: str, columns: str, name: str) -> Format | None:
     return Format(name, names, kind, struct.Struct("<" + "".join(CODES[c][0] for c in kind)))
 
 
-def _binary(data: bytes) -> tuple[dict[str, list[Any]], dict[str, Format], str]:
+def _binary(data: bytes) -> tuple[dict[str, list[Any]], dict[str, Format], list[Note]]:
     """Return rows by name, formats, and the skipped part: from a damaged message to the next sync bytes."""
     formats: dict[int, Format] = {}
     rows: dict[str, list[Any]] = {}
@@ -145,14 +150,14 @@ def _binary(data: bytes) -> tuple[dict[str, list[Any]], dict[str, Format], str]:
         at += size
         used += size
     passed = len(data.rstrip(b"\0\xff")) - used  # erased memory may follow
-    return rows, {form.name: form for form in formats.values()}, f"{passed} bytes" if passed > 0 else ""
+    return rows, {form.name: form for form in formats.values()}, _damaged(passed, "bytes")
 
 
 def _word(data: bytes) -> str:
     return data.split(b"\0")[0].decode("ascii", errors="replace")
 
 
-def _text(data: bytes) -> tuple[dict[str, list[Any]], dict[str, Format], str]:
+def _text(data: bytes) -> tuple[dict[str, list[Any]], dict[str, Format], list[Note]]:
     formats: dict[str, Format] = {}
     rows: dict[str, list[Any]] = {}
     lines = data.decode(errors="replace").split("\n")
@@ -173,7 +178,7 @@ def _text(data: bytes) -> tuple[dict[str, list[Any]], dict[str, Format], str]:
                 passed += 1
         else:
             passed += bool(line.strip())
-    return rows, formats, f"{passed} lines" if passed else ""
+    return rows, formats, _damaged(passed, "lines")
 
 
 def _instance(logged: dict[str, dict[str, Any]], name: str, number: int) -> dict[str, np.ndarray] | None:

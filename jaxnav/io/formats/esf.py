@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from jaxnav.io.parts import ImuRows, TimeScale
+from jaxnav.findings import finding
+from jaxnav.io.parts import USUAL_DELAY_S, ImuRows, TimeScale
 from jaxnav.maths.units import DEG
+from jaxnav.types import Note
 
 RAW, MEAS = b"\x10\x03", b"\x10\x02"  # class and number
 GYRO, ACCEL = (14, 13, 5), (16, 17, 18)  # data types of x, y, z
@@ -53,7 +55,7 @@ class Sensors:
         if self.last >= 0:
             self.epochs.append((tow, self.last + 2**32 * self.turns))
 
-    def imu(self, week: float) -> tuple[ImuRows | None, tuple[str, ...]]:
+    def imu(self, week: float) -> tuple[ImuRows | None, tuple[Note, ...]]:
         """Return the samples, times from ``week`` (s) on, and notes; None of no samples, or of none with a time."""
         whole = {tag: row for tag, row in sorted(self.samples.items()) if len(row) == len(GYRO + ACCEL)}
         if not self.samples:
@@ -61,17 +63,16 @@ class Sensors:
         tow, tags = np.array(self.epochs, float).reshape(-1, 2).T
         known = np.unique(tags, return_index=True)[1]
         if len(whole) < 2 or known.size < 3 or np.ptp(tow[known]) <= 0:
-            words = f"{len(self.samples)} samples of inertial sensors (ESF) are not used:"
             why = "no sample has all six axes" if len(whole) < 2 else "fewer than 3 fixes date their time tags"
-            return None, (f"{words} {why}.",)
+            return None, (finding("file.other", f"imu of {len(self.samples)} ESF samples", words=f": {why}"),)
         slope = float(np.polyfit(tags[known] - tags[known][0], tow[known], 1)[0])
         name, tick = min(TICKS.items(), key=lambda row: abs(np.log(row[1] / max(slope, 1e-12))))
         if abs(slope / tick - 1) > MAX_MISFIT:
-            return None, (f"samples of inertial sensors (ESF) are not used: a tick of their tags lasts {slope:.3g} s.",)
+            return None, (finding("file.other", "imu of ESF", words=f": a tick of its tags lasts {slope:.3g} s"),)
         begin = float((tow - tags * tick).min())  # a fix comes after its epoch, the sooner the better it dates the tag
         t = week + begin + np.array(list(whole)) * tick
         value = np.array([[row[kind] for kind in GYRO + ACCEL] for row in whole.values()], float)
         lost = len(self.samples) - len(whole)
-        notes = (f"{lost} samples of inertial sensors lack an axis and are left out.",) if lost else ()
-        said = f"imu: ESF, ticks of {name}, dated by the order of messages: a delay of 0.1 s is usual."
+        notes = (finding("file.left_out", "imu", count=lost, words="ESF samples without an axis"),) if lost else ()
+        said = finding("time.by_message", "imu", USUAL_DELAY_S, words=f", by ESF's ticks of {name}")
         return ImuRows(t, value[:, :3] * GYRO_UNIT, value[:, 3:] * ACCEL_UNIT, scale=TimeScale.GPS), (*notes, said)

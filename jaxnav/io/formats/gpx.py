@@ -8,11 +8,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.files import read_bytes
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
 from jaxnav.io.sheet import date
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Note
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -27,7 +28,7 @@ def read(path: Path) -> Parts:
         DataError: no XML, or no track point with a time.
     """
     rows: list[tuple[float, ...]] = []
-    points, cut = 0, ""
+    points, cut = 0, list[Note]()
     try:
         for _, element in ElementTree.iterparse(BytesIO(read_bytes(path))):
             if element.tag.rpartition("}")[2] != "trkpt":
@@ -41,14 +42,15 @@ def read(path: Path) -> Parts:
     except ElementTree.ParseError as error:
         if not rows:
             raise DataError(f"{path}: cannot be read as XML: {error}") from error
-        cut = f"{path.name}: the text is cut or damaged behind {len(rows)} track points: {error}."
+        cut = [finding("file.partly", path.name, words=f" behind {len(rows)} track points, {error}")]
     if not rows:
         raise DataError(f"{path}: {points} track points, none with a time, latitude and longitude")
     t, lat, lon, height = np.array(rows).T
     position = Stream(t, np.stack([lat * DEG, lon * DEG, height], axis=1))
-    left = f"{points - len(rows)} of {points} track points have no time or no position and are left out."
-    notes = (*([left] if points > len(rows) else []), *([cut] if cut else []))
-    return scaled(Parts(os.fspath(path), aiding={"position": position}, notes=notes), TimeScale.UTC)
+    if left := points - len(rows):
+        words = f"of {points} track points, without a time or a position,"
+        cut = [finding("file.left_out", "position", count=left, words=words), *cut]
+    return scaled(Parts(os.fspath(path), aiding={"position": position}, notes=tuple(cut)), TimeScale.UTC)
 
 
 def _number(text: str | None) -> float:

@@ -15,10 +15,6 @@ from jaxnav.types import DataError, Track
 FIELDS = 30
 LLA, RPY, NORTH_EAST, UP = slice(0, 3), slice(3, 6), slice(6, 8), 10
 ACCEL, GYRO, POSITION_SD, VELOCITY_SD = slice(11, 14), slice(17, 20), 23, 24
-FUSED = (
-    "position, velocity and truth are all the unit's INS/GNSS solution: errors against this truth do not measure "
-    "accuracy (fixes of a receiver: option gnss)."
-)
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -53,7 +49,7 @@ def read(path: Path) -> Parts:
     rph = np.column_stack([roll, -pitch, np.mod(0.5 * np.pi - yaw, 2 * np.pi)])
     each = lambda column: np.repeat(rows[:, column, None], 3, axis=1)
     aiding = {"position": Stream(t, lla, each(POSITION_SD)), "velocity": Stream(t, vel, each(VELOCITY_SD))}
-    notes = (FUSED, finding("time.zero", words=f"{zero} s since 1970 in the drive's local time"))
+    notes = (finding("truth.fused"), finding("time.zero", words=f"{zero} s since 1970 in the drive's local time"))
     imu = ImuRows(t, rows[:, GYRO], rows[:, ACCEL])
     whole = np.isfinite(t)
     truth = Track(t[whole], lla[whole], vel[whole], rph[whole])

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.formats.matfiles import field, read_structs
 from jaxnav.io.parts import ImuRows, Parts, Stream
@@ -62,7 +63,7 @@ def read(path: Path, imu: str = "", fixes: str = "") -> Parts:
         if found:
             chosen[part] = name or found[0]
         if len(found) > 1 and not name:
-            notes.append(f"The {part} is {found[0]}, of {', '.join(found)}.")
+            notes.append(finding("stream.chosen", f"the {part}", words=f"{found[0]}, of {', '.join(found)}"))
     file, log = structs[chosen["imu"]]
     t = field(log, "t", file, (None,))
     rows = ImuRows(t, field(log, "wb", file, (len(t), 3)), field(log, "fb", file, (len(t), 3)))

@@ -110,14 +110,13 @@ def read(path: Path, leap_seconds: float | None = None, metres_per_hdop: float =
         t, rows = np.unique(t, return_index=True)
         heading = {"heading": Stream(t + leap, angles[rows, None])}
         parts = parts._replace(aiding={**parts.aiding, **heading})
-    said = {
-        f"sentences have no checksum and are {'taken' if len(lines) == bare else 'left out'}.": bare,
-        "GGA have no height and are left out: fixes in two dimensions.": level,
-    }
-    cut = [finding("file.damaged", count=damaged, words="sentences")] if damaged else []
-    return parts._replace(
-        notes=(*parts.notes, *cut, *(f"{count} {text}" for text, count in said.items() if count), *unread(+others))
+    done = "taken" if len(lines) == bare else "left out"
+    left = (
+        (damaged, finding("file.damaged", count=damaged, words="sentences")),
+        (bare, finding("file.unchecked", count=bare, words="sentences", done=done)),
+        (level, finding("file.left_out", "position", count=level, words="GGA without a height, in two dimensions,")),
     )
+    return parts._replace(notes=(*parts.notes, *(said for count, said in left if count), *unread(+others)))
 
 
 def _is_fix(m: Any) -> bool:
@@ -172,7 +171,8 @@ def _parts(
     sd = np.array([_sd(spread.get(second), hdop, scale) for _, second, _, hdop in fixes])
     guessed = np.count_nonzero([second not in spread and _numeric(hdop) for _, second, _, hdop in fixes])
     if guessed:
-        notes.append(f"position: the sd of {guessed} fixes are taken as {scale:g} m times HDOP, twice that upwards.")
+        words = f"{scale:g} m times HDOP, twice that upwards"
+        notes.append(finding("rows.some_sd", "position", count=guessed, of=len(fixes), words=words))
     streams = {"position": Stream(t, np.array([lla for _, _, lla, _ in fixes]), sd)}
     if motion:
         t, speed, course = np.array(motion).T

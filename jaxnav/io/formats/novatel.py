@@ -103,7 +103,9 @@ def read(path: Path, imu: str | None = None) -> Parts:
             continue
         logs[name.decode()].append((fields, body.split(b",")))
     notes: list[Note] = [finding("file.damaged", count=damaged, words="lines")] if damaged else []
-    notes += [f"{untimed} lines from before the receiver knew the time left out."] if untimed else []
+    if untimed:
+        words = "lines from before the receiver knew the time"
+        notes.append(finding("file.left_out", path.name, count=untimed, words=words))
     raw = next((name for name in RAW if name in logs), None)
     head = next((rows[0][0] for rows in logs.values()), [b"0", b"0"])
     week, second = (math.floor(_number(cell)) for cell in _when(head))
@@ -111,7 +113,7 @@ def read(path: Path, imu: str | None = None) -> Parts:
     parts = Parts(os.fspath(path), axes="rfu", zero=zero)
     if raw is not None:
         parts = parts._replace(imu=_imu(path, logs[raw], RAW[raw], imu, zero, notes))
-        notes.append('axes of the IMU taken as right, forward, up, as SPAN has them: axes = "rfu" (option axes).')
+        notes.append(finding("axes.assumed", "the IMU", words='right, forward, up, as SPAN has it: axes = "rfu"'))
     found = {"position": _position(logs, zero, notes), "velocity": _velocity(logs, zero)}
     aiding = {name: stream for name, stream in found.items() if stream is not None}
     if parts.imu is None and not aiding:
@@ -119,7 +121,8 @@ def read(path: Path, imu: str | None = None) -> Parts:
     solution = next((name for name in SOLUTIONS if name in logs), None)
     truth = None if solution is None else _solution(logs[solution], SOLUTIONS[solution], zero)
     if truth is not None:
-        notes.append(f"truth is {solution}, the receiver's INS/GNSS solution, which uses the same fixes.")
+        words = f"{solution}, the receiver's INS/GNSS solution, which uses the same fixes"
+        notes.append(finding("stream.chosen", "truth", words=words))
     notes.append(finding("time.zero", words=f"{zero} s since 1970 in GPS time"))
     parts = scaled(parts._replace(aiding=aiding), TimeScale.GPS)
     return parts._replace(truth=truth, notes=(*notes, *unread(others)))
@@ -137,7 +140,7 @@ def _imu(path: Path, rows: Rows, first: int, name: str | None, zero: int, notes:
             said = "states no type of IMU" if kind is None else f"has an IMU of type {kind}, with an unknown scale"
             raise DataError(f"{path}: the log {said}: option imu = one of {', '.join(IMUS)}")
         name = names[kind]
-        notes.append(f"IMU is {name}, by the log.")
+        notes.append(finding("stream.chosen", "imu", words=f"of type {name}, by the log"))
     _, rad, mps = IMUS[name]
     values = np.array(
         [[_number(cell) for cell in body[first : first + 9]] for _, body in rows if len(body) == first + 9]
@@ -158,7 +161,7 @@ def _position(logs: dict[str, Rows], zero: int, notes: list[Note]) -> Stream | N
     fixes = [row for row in rows if not row[1][1].startswith(b"INS")]
     if len(fixes) < len(rows):
         said = "left out" if fixes else "taken, there are no others"
-        notes.append(f"{len(rows) - len(fixes)} of {len(rows)} positions of {name} are made with the INS: {said}.")
+        notes.append(finding("fixes.with_ins", name, count=len(rows) - len(fixes), of=len(rows), words=said))
     rows = fixes or rows
     if not rows:
         return None

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.gnss.corrections import Masks, aiding_of, sight
 from jaxnav.gnss.orbits import turned
 from jaxnav.gnss.ranges import LIGHT, Ranges, name, number, rows_of
@@ -20,7 +21,7 @@ from jaxnav.io.sheet import Sheet, column, numbers, open_sheet
 from jaxnav.maths.earth import RATE
 from jaxnav.maths.gps_time import GPS_EPOCH, leap_seconds
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError, Samples
+from jaxnav.types import DataError, Note, Samples
 
 COLUMNS = ("t_s", "satellite", "pseudorange_m", "range_rate_mps", "x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps",
        "elevation_rad", "cn0_dbhz")  # fmt: skip
@@ -56,7 +57,7 @@ def read(path: Path, elevation_mask_deg: float = 10.0, cn0_mask_dbhz: float = 25
     return scaled(Parts(os.fspath(path), aiding=aiding, notes=(*sheet.notes, *notes)), scale)
 
 
-def solved(ranges: Ranges, file: str, masks: Masks) -> tuple[dict[str, Samples], tuple[str, ...]]:
+def solved(ranges: Ranges, file: str, masks: Masks) -> tuple[dict[str, Samples], tuple[Note, ...]]:
     """Return streams and notes of rows in any order; elevations that are nan are found by a first solution.
 
     Raises:
@@ -83,7 +84,8 @@ def solved(ranges: Ranges, file: str, masks: Masks) -> tuple[dict[str, Samples],
     if not found.t.size:
         raise DataError(f"{file}: no epoch has satellites enough for a single-point solution, of {ranges.t.size} rows")
     streams, notes = aiding_of(ranges, found)
-    return streams, ((f"{left} rows are weak or have no range or satellite.",) if left else ()) + notes
+    words = "rows that are weak or have no range or satellite"
+    return streams, ((finding("file.left_out", "range", count=left, words=words),) if left else ()) + notes
 
 
 def differentiated(ranges: Ranges) -> np.ndarray:

@@ -13,7 +13,7 @@ from jaxnav.gnss.ranges import FREQUENCY, LIGHT, number
 from jaxnav.io.files import read_bytes
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Note
 
 FIRST_BAND = {"G": "1", "J": "1", "S": "1", "E": "1", "C": "2", "I": "5"}
 CODES = "CPWXBIQSL"  # tracking codes, the best first
@@ -108,7 +108,7 @@ def _gps(year: int, month: int, day: int, hour: int, minute: int, second: float)
 # ---------------------------------------------------------------------------- observations
 
 
-def read_observations(path: Path) -> tuple[Observations, tuple[str, ...]]:
+def read_observations(path: Path) -> tuple[Observations, tuple[Note, ...]]:
     """Return code, Doppler, carrier phase and C/N0 of the first frequency of RINEX 3, and notes.
 
     Raises:
@@ -152,10 +152,9 @@ def read_observations(path: Path) -> tuple[Observations, tuple[str, ...]]:
         rows.append((t, satellite, code, rate, cn0 if np.isfinite(cn0) else 40.0, phase, slipped))
     if not rows:
         raise DataError(f"{path}: has no pseudorange of the first frequency of {', '.join(FIRST_BAND)}")
-    said = {"rows have no pseudorange.": without, "lines are damaged and left out.": damaged}
-    table = np.array(rows)
-    seen = Observations.of(table)
-    return seen, tuple(f"{count} {words}" for words, count in said.items() if count)
+    left = [finding("file.left_out", "range", count=without, words="rows without a pseudorange")] if without else []
+    left += [finding("file.damaged", count=damaged, words="lines")] if damaged else []
+    return Observations.of(np.array(rows)), tuple(left)
 
 
 def _types(head: list[str]) -> dict[str, list[str]]:

@@ -100,15 +100,15 @@ def _whole_imu(bag: Any, usual: str, notes: list[Note]) -> dict[str, str]:
         return {"imu": usual}
     whole = [topic for topic, has in halves.items() if all(has)]
     if whole:
-        notes.append(
-            f"imu is {whole[0]}: {usual} has no {'accelerometer' if halves[usual][0] else 'gyro'}, it reads 0."
-        )
+        none = "accelerometer" if halves[usual][0] else "gyro"
+        notes.append(finding("stream.chosen", "imu", words=f"{whole[0]}: {usual} has no {none}, it reads 0"))
         return {"imu": whole[0]}
     gyros = [topic for topic, has in halves.items() if has[0]]
     accels = [topic for topic, has in halves.items() if has[1]]
     if not gyros or not accels:
         return {"imu": usual}
-    notes.append(f"imu: the gyro is {gyros[0]}, the accelerometer {accels[0]}: the other half of each reads 0.")
+    words = f"the gyro of {gyros[0]}, the accelerometer of {accels[0]}: the other half of each reads 0"
+    notes.append(finding("stream.chosen", "imu", words=words))
     return {"imu": gyros[0], ACCEL: accels[0]}
 
 
@@ -118,7 +118,7 @@ def _one_clock(stamps: dict[str, list[int]], heard: dict[str, list[int]], notes:
     Args:
         stamps: of the headers, by stream.
         heard: when each message was recorded.
-        notes: gets a sentence for each stream that is moved.
+        notes: gets a finding for each stream that is moved.
     """
     date = {name: np.median(times) > A_DATE for name, times in stamps.items() if times}
     if all(date.values()) or not any(date.values()):
@@ -129,10 +129,7 @@ def _one_clock(stamps: dict[str, list[int]], heard: dict[str, list[int]], notes:
         offset = int(np.median(late))
         out[name] = [stamp + offset for stamp in stamps[name]]
         spread = float(np.ptp(np.quantile(late, [0.05, 0.95]))) / 1e9
-        notes.append(
-            f"{name}: its stamps count from start-up, others from 1970: the times of reception bridge the clocks "
-            f"(within {spread:.3f} s)."
-        )
+        notes.append(finding("clock.bridged", name, spread))
     return out
 
 
@@ -152,7 +149,8 @@ def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[No
     counts: dict[str, dict[str, int]] = {}
     for c, kind in [(each, kind) for each in connections for kind in KINDS.get(each.msgtype, ())]:
         if kind.asked and kind.stream not in topics:  # it may as well be a command, or in the robot's axes
-            notes.append(f"{c.topic} is not read: if it is {kind.asked}, say topics={{'{kind.stream}': '{c.topic}'}}.")
+            words = f": if it is {kind.asked}, say topics={{'{kind.stream}': '{c.topic}'}}"
+            notes.append(finding("file.other", c.topic, words=words))
             continue
         of = counts.setdefault(kind.stream, {})
         of[c.topic] = of.get(c.topic, 0) + c.msgcount
@@ -162,7 +160,8 @@ def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[No
             known = ", ".join(counts.get(stream, {})) or "none of a type that is known"
             raise DataError(f"{path}: topics: {stream}: no {topic}, it has {known}")
     for topic in [topic for topic in counts.get("speed", {}) if "speed" not in topics and of_a_filter(topic)]:
-        notes.append(f"{topic} is not read: its name says a filter's: if wheels, say topics={{'speed': '{topic}'}}.")
+        words = f": its name says a filter's: if wheels, say topics={{'speed': '{topic}'}}"
+        notes.append(finding("file.other", topic, words=words))
         del counts["speed"][topic]
     for stream, of in counts.items():
         if not of:
@@ -170,7 +169,7 @@ def _choose(path: Path, connections: Any, topics: dict[str, str], notes: list[No
         raw = from_receiver if stream in ("position", "velocity") else lambda topic: 0
         best = topics.get(stream) or max(of, key=lambda topic: (raw(topic), of[topic]))
         if len(of) > 1 and stream not in topics:
-            notes.append(f"{stream} is {best}, of {', '.join(sorted(of))}.")
+            notes.append(finding("stream.chosen", stream, words=f"{best}, of {', '.join(sorted(of))}"))
         chosen[stream] = best
     others = {c.topic: (f"{c.topic} of {c.msgtype}", c.msgcount) for c in connections if c.msgtype not in KINDS}
     if "position" not in chosen:
@@ -206,7 +205,7 @@ def _parts(file: str, rows: dict[str, list[Any]], stamps: dict[str, list[int]], 
             across = left > MAX_ACROSS * forward
             if not table[:, :3:2].any() or across:
                 why = "move sideways: in the world's axes" if across else "are all 0: it has a pose alone"
-                notes.append(f"speed: the twists of the odometry {why}, and it is not read.")
+                notes.append(finding("file.other", stream, words=f": the twists of the odometry {why}"))
                 continue
             table = table[:, :2]
         half = table.shape[1] // 2

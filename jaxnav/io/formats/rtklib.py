@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxnav.findings import finding
 from jaxnav.io.checks import check_samples
 from jaxnav.io.files import FilePath, Source, Table, atomic_write, parse_numbers, read_bytes, read_lines
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
@@ -71,7 +72,7 @@ def read_pos(path: FilePath, notes: list[Note] | None = None) -> PosFile:
         else:
             aiding["velocity"] = _samples("velocity", t, v[:, [1, 0, 2]], list(roots.T), table.source)
     if head.geodetic and notes is not None:
-        notes.append("heights are above sea level, by the file's header: those of other sources may be ellipsoidal.")
+        notes.append(finding("heights.sea_level"))
     for name, samples in aiding.items() if notes is None else ():
         check_samples(name, samples, table.source)
     return PosFile(aiding, column["Q"].astype(int), column["ns"].astype(int), table.source)

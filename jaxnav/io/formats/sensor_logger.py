@@ -60,13 +60,12 @@ def read(path: Path) -> Parts:
         accel = accel * G0
     if _is_negated(path, files, chosen):
         accel = -accel
-        notes.append(f"{chosen[0]}: sign of an iPhone's accelerations changed to specific force.")
+        notes.append(finding("imu.negated", chosen[0]))
     stamps, gyro = times(gyros, "time", "ns", zero), _xyz(gyros)
     accel, covered = interpolated(stamps, t, accel)
     if not covered.all():
-        notes.append(
-            f"imu: {np.count_nonzero(~covered)} of {covered.size} gyro samples have no time or no acceleration."
-        )
+        count = np.count_nonzero(covered)
+        notes.append(finding("imu.two_clocks", "imu", words="of their own", count=count, of=covered.size))
     notes.append(finding("axes.assumed", "the phone", words=f'flat, screen up and top forward: axes = "{FLAT}"'))
     rows = ImuRows(stamps[covered], gyro[covered], accel[covered], scale=TimeScale.UTC)
     parts = described(_aiding(path, files), os.fspath(path), path)

@@ -186,7 +186,7 @@ class Raw:
             row = self.t, satellite, get("prMes"), -get("doMes") * wavelength, float(get("cno")), phase, slipped
             self.rows.append(row)
 
-    def streams(self, path: Path, masks: Masks, needed: bool, rates: str) -> tuple[dict[str, Any], tuple[str, ...]]:
+    def streams(self, path: Path, masks: Masks, needed: bool, rates: str) -> tuple[dict[str, Any], tuple[Note, ...]]:
         """Return the streams of the ranges and notes; nothing where there are none.
 
         Raises:

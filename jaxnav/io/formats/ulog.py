@@ -51,10 +51,10 @@ def read(path: Path, wheel_radius_m: float = 0.0, receiver: str | None = None) -
         topics.setdefault(data.name, data.data)
     notes: list[Note] = []
     if log.file_corruption:
-        notes.append("The log is damaged; its readable part is used.")
+        notes.append(finding("file.partly", "the log", words=""))
     if log.dropouts:
         lost = sum(d.duration for d in log.dropouts) / 1e3
-        notes.append(f"The logger dropped data {len(log.dropouts)} times, {lost:.1f} s in all.")
+        notes.append(finding("log.dropouts", value=lost, count=len(log.dropouts)))
     imu = _imu(topics)
     if imu is None:
         raise DataError(f"{path}: has no sensor_combined, vehicle_imu or sensor_gyro and sensor_accel")
@@ -75,7 +75,7 @@ def read(path: Path, wheel_radius_m: float = 0.0, receiver: str | None = None) -
     present = {name: stream for name, stream in aiding.items() if stream is not None and len(stream.t)}
     truth = _truth(topics)
     if truth is not None and not truth.lla[:, 2].any():
-        notes.append("The simulator's truth has no height: 0 m stands in its place.")
+        notes.append(finding("truth.no_height"))
     parts = Parts(os.fspath(path), imu, present, truth, notes=tuple(notes))
     fix = topics.get(_first(topics, *GPS) or "", {})
     if "time_utc_usec" not in fix:
@@ -224,7 +224,7 @@ def _wheels(topics: dict[str, dict[str, np.ndarray]], radius: float, notes: list
     if data is None:
         return None
     if not radius > 0:
-        notes.append("Wheel encoders are not read: they count angles, say wheel_radius_m.")
+        notes.append(finding("file.other", "wheel_encoders", words=": it counts angles, option wheel_radius_m"))
         return None
     return Stream(_seconds(data["timestamp"]), radius * _table(data, "wheel_speed[1]", "wheel_speed[0]"))
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxnav.findings import finding
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.files import read_bytes
-from jaxnav.io.parts import INCREMENTS, RATES, ImuRows, Parts, Stream, TimeScale
+from jaxnav.io.parts import INCREMENTS, RATES, USUAL_DELAY_S, ImuRows, Parts, Stream, TimeScale
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError, Note
@@ -118,7 +118,7 @@ def read(path: Path) -> Parts:
         if without:
             notes.append(finding("fixes.none", "position", count=without, words="outputs of the receiver"))
         if not dated and imu is not None:
-            notes.append("fixes are dated by the message that brought them: a delay of 0.1 s is usual.")
+            notes.append(finding("time.by_message", "position", USUAL_DELAY_S, words=""))
     if imu is None and not streams:
         raise DataError(
             f"{path}: has no gyro with an accelerometer, and no fix in three dimensions: log AngularRate, Accel, "

@@ -29,7 +29,7 @@ from tuning.fit.train import Fit
 from tuning.fit.transforms import Spec, leaves, merged
 from tuning.recordings.parts import MAX_ADDED_DELAY_S
 from tuning.recordings.priors import spec_of
-from tuning.recordings.report import MIN_WINDOWS, Trial, Tuned, channels, ratios, spread, verdict
+from tuning.recordings.report import MIN_WINDOWS, Trial, Tuned, channels, ratios, spread
 from tuning.recordings.runs import Descent, Run, Truth, check_objective, descend, many
 from tuning.recordings.validation import paired_gain
 
@@ -150,7 +150,6 @@ def tune_simulated(
     nis = {name: channels([s.info for s in rows], [s.part for s in rows], GNSS) for name, rows in scored.items()}
     return Tuned(
         trials[best].params, [merged(trials[best].params, p, leaves(spec)) for p in params], filt, best,
-        verdict(best, trials, scores, parts) if moved else "no step was better than the start on the validation runs",
         rows, trials, used, parts, int(np.unique(blocks).size), gain, scores, nis, spec, findings, ended.history,
         ended.status,
     )  # fmt: skip

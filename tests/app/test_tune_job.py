@@ -251,3 +251,9 @@ def test_drift_is_asked_for_only_where_something_is_hidden():
         job = config.resolve([("", config.merge(SETTINGS, changes))])
         with pytest.raises(ConfigError, match="drift needs outages"):
             tune.on_scenarios(job, Long(), False, lambda line: None)
+
+
+def test_notes_name_their_recording_where_there_are_several():
+    one, other = SimpleNamespace(name="a", notes="b is assumed"), SimpleNamespace(name="c", notes="")
+    assert tune.notes_on([one], ["starts at 3 s"]) == ["starts at 3 s", "b is assumed"]
+    assert tune.notes_on([one, other], ["starts at 3 s", "at 4"]) == ["a: starts at 3 s", "a: b is assumed", "c: at 4"]

@@ -59,7 +59,6 @@ from tuning.recordings.report import (
     reported_candidate,
     rows_of,
     spread,
-    verdict,
 )
 from tuning.recordings.runs import Descent
 from tuning.recordings.search import Checkpoints, descent, search
@@ -268,7 +267,7 @@ def judged(candidates: Mapping[str, Candidate], parts: Mapping[str, np.ndarray],
     spreads = {name: spread(off[test]) for name, off in drift.items()}
     shown = candidates[reported_candidate(best)]
     return Tuned(
-        trials[best].params, kept[best], trials[best].filter, best, verdict(best, trials, spreads, parts, interval),
+        trials[best].params, kept[best], trials[best].filter, best,
         table(shown.job, shown.flat), trials, used, parts, int(np.unique(blocks).size), gain, spreads, nis,
         candidates[best].job.spec, faults, interval=interval,
     )  # fmt: skip

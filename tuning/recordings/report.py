@@ -71,7 +71,6 @@ class Tuned:
     each: list[Params]  # of every recording or scenario
     filter: Filter  # that they are for: the winner may have a state more
     chosen: str  # of `trials`
-    verdict: str
     rows: list[Row]  # of the winner; where that is the datasheet, of the tuned candidate
     trials: dict[str, Trial]
     used: "Sequence[Used | SimulatedRuns]" = field(repr=False)  # the recordings, or the runs of each scenario
@@ -86,6 +85,11 @@ class Tuned:
     status: Status = Status.CONVERGED
     effective: float = math.nan  # N of a tempered likelihood
     interval: PairedRatio | None = None  # the winner's drift over the datasheet's on the test
+
+    @property
+    def verdict(self) -> str:
+        """The winner and its figures, in words."""
+        return verdict(self)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -115,31 +119,28 @@ def reported_candidate(best: str) -> str:
     return best if best != "datasheet" else "tuned"
 
 
-def verdict(
-    best: str,
-    trials: Mapping[str, Trial],
-    scores: Mapping[str, dict[str, float]],
-    parts: Mapping[str, np.ndarray],
-    interval: PairedRatio | None = None,
-) -> str:
+def verdict(found: Tuned) -> str:
     """Return the winner, its ratio on the test, and the ratios of the others on the validation part."""
-    datasheet = trials["datasheet"]
+    best, trials, datasheet = found.chosen, found.trials, found.trials["datasheet"]
     words = lambda name, t: (
         f"{name}: log-likelihood {datasheet.nll - t.nll:+.2f} per fix, drift ratio {max(t.ratios[:2]):.2f} "
         f"(training and validation), {max(t.ratios[2:]):.2f} (validation)"
     )
-    others = "; ".join(words(name, t) for name, t in trials.items() if name not in (best, "datasheet"))
+    rivals = {name: t for name, t in trials.items() if name not in (best, "datasheet")}
+    others = "; ".join(words(name, t) for name, t in rivals.items())
     if best == "datasheet":
+        if rivals and all(np.array_equal(t.drift, datasheet.drift) for t in rivals.values()):
+            return "no step was better than the start on the validation part"
         return (
             "the datasheet stays: no candidate predicts the validation part better (log-likelihood) and drifts less on "
             f"training and validation windows, on validation alone ({others})"
         )
-    rms = {name: score["rms_m"] for name, score in scores.items()}
-    sure = "" if interval is None else f" (95 %: {interval.low:.2f} to {interval.high:.2f})"
+    rms = {name: score["rms_m"] for name, score in found.test.items()}
+    sure = "" if found.interval is None else f" (95 %: {found.interval.low:.2f} to {found.interval.high:.2f})"
     against = f" and {rms[best] / rms['auto']:.2f} of the noise scan's" if "auto" in rms and best != "auto" else ""
     return (
         f"{best}: {rms[best] / rms['datasheet']:.2f}{sure} of the datasheet's{against} RMS drift over "
-        f"{int(parts['test'].sum())} test windows ({rms['datasheet']:.2f} to {rms[best]:.2f} m); "
+        f"{int(found.parts['test'].sum())} test windows ({rms['datasheet']:.2f} to {rms[best]:.2f} m); "
         f"{words(best, trials[best])}" + (f"; {others}" if others else "")
     )
 

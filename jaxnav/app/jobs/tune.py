@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -185,10 +185,18 @@ def on_recordings(config: Config, long: Long, progress: bool, log: Callable[[str
         how=descent_of(config, long, progress) if gradient else None, checkpoints=checkpoints, log=log,
     )  # fmt: skip
     lines = [f"for {t.target} ({target.about}): {target.file}"] if target else []
-    for rec, used in zip(recs, found.used, strict=True):
-        notes = [used.facts["initialization"], *rec.notes.splitlines()]
-        lines += notes if len(recs) == 1 else [f"{rec.name}: {line}" for line in notes]
+    lines += notes_on(recs, [used.facts["initialization"] for used in found.used])
     return Result(found, lines, recs[0], begins[0], target)
+
+
+def notes_on(recs: Sequence[Recording], starts: Sequence[str]) -> list[str]:
+    """Return how each recording starts and what its reader notes, with its name where there are several."""
+    named = "" if len(recs) == 1 else "{name}: "
+    return [
+        named.format(name=rec.name) + line
+        for rec, start in zip(recs, starts, strict=True)
+        for line in (start, *rec.notes.splitlines())
+    ]
 
 
 def for_target(config: Config, target: Target) -> Config:

@@ -46,6 +46,7 @@ from jaxnav.types import (
     FilterError,
     Finding,
     Info,
+    Json,
     Nav,
     Params,
     Recording,
@@ -221,7 +222,7 @@ class Solution:
         """Return all remarks for a user: initialization, findings, and notes of the reader."""
         return [self.initialization.how, *map(line, self.findings), *self.recording.remarks.splitlines()]
 
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> Json:
         """Return all figures of the run, as metrics.json has them."""
         return metrics(self)
 
@@ -422,10 +423,10 @@ def accuracy(sol: Solution) -> dict[str, float]:
     return {"earth_m": level(sol.at_imu_time(sol.trace.track, sol.sd)[1]), "relative_m": level(sol.sd_relative)}
 
 
-def metrics(sol: Solution) -> dict[str, Any]:
+def metrics(sol: Solution) -> Json:
     """Return errors where there is a truth, innovations, errors at the ends of gaps, and the use of the streams."""
     rec, info = sol.recording, sol.trace.info
-    found: dict[str, Any] = {"start_s": sol.packed.start}
+    found: Json = {"start_s": sol.packed.start}
     error = None
     if rec.truth is not None:
         error, sd = evaluate.ned_errors(sol.trace, rec.truth)

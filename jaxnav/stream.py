@@ -37,7 +37,7 @@ from jaxnav.measurements import MEASUREMENTS, layout
 from jaxnav.measurements.measurement import along_track
 from jaxnav.now import Now
 from jaxnav.states import table
-from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Params, nearest
+from jaxnav.types import DataError, Epoch, Fix, Imu, ImuLog, Json, Params, nearest
 
 SAME_EPOCH_S = 2 * TICK  # s: fixes that are as near are of one epoch
 MAX_AHEAD_S = 10.0  # s: a fix that is farther ahead of the samples was stamped by another clock
@@ -329,9 +329,7 @@ class Stream:
 
     def to_bytes(self) -> bytes:
         """Everything that `from_bytes` needs to go on as if nothing had happened."""
-        arrays: dict[str, Any] = {
-            f"state_{i}": np.stack(leaves) for i, leaves in enumerate(zip(*self._leaves(), strict=True))
-        }
+        arrays: Json = {f"state_{i}": np.stack(leaves) for i, leaves in enumerate(zip(*self._leaves(), strict=True))}
         arrays["kept"] = np.array([(c.t, c.anchor, c.empty) for c in self.kept])
         arrays["samples"] = np.array(self.samples).reshape(-1, 8)
         arrays["holes"] = np.array(self.holes).reshape(-1, 4)
@@ -395,7 +393,7 @@ class Stream:
         return stream
 
 
-def _about(filt: Filter, params: Params) -> dict[str, Any]:
+def _about(filt: Filter, params: Params) -> Json:
     """Return what a stream and the filter that goes on with it share."""
     spec = {} if filt.spec is None else filt.spec.replace(history=2).as_dict()
     rows = {"measurements": list(filt.model.measurements), "states": list(filt.model.states)}

@@ -17,6 +17,12 @@ import jax
 import numpy as np
 
 Row = TypeVar("Row")
+Array: TypeAlias = Any
+"""Of jax while it is traced, of numpy on the host; the remark next to a field states its shape."""
+Tree: TypeAlias = Any
+"""A pytree of arrays: parameters of a rule, its memory, free numbers of a tuning."""
+Json: TypeAlias = dict[str, Any]
+"""An object of JSON or a table of TOML."""
 
 # ---------------------------------------------------------------------------- errors that a user can act on
 
@@ -123,7 +129,7 @@ class Epoch(NamedTuple):
     imu: Any  # Imu (k, ...), or the result of `jaxnav.filters.run.prepare` for a filter
     fix: Fix  # (m,)
     gap: Any = None  # (2,) root PSD that the noise of gyro and accelerometer has more, where samples are missing
-    auxiliary: dict[str, Any] = {}  # () each, by name of `jaxnav.measurements.auxiliary.AUXILIARY`
+    auxiliary: Json = {}  # () each, by name of `jaxnav.measurements.auxiliary.AUXILIARY`
 
 
 class Origin(NamedTuple):
@@ -224,7 +230,7 @@ class Params(NamedTuple):
     noise: Noise
     prior: Prior
     states: dict[str, StateParams]  # of each optional state of the filter, by name
-    measurements: dict[str, Any]  # of each of its measurements, by name: a NamedTuple of the measurement's
+    measurements: Json  # of each of its measurements, by name: a NamedTuple of the measurement's
     mounting: Mounting
     rule: Any = ()  # theta of the rule, a NamedTuple
     feedback: Any = ()  # theta of the feedback

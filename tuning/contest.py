@@ -27,7 +27,7 @@ from jaxnav.maths import rotations, units
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import matched_params, simulate_runs
-from jaxnav.types import ConfigError, Epoch, Nav, Params, nearest
+from jaxnav.types import ConfigError, Epoch, Json, Nav, Params, nearest
 from tuning.fit.optimizers import adam
 from tuning.fit.status import Status
 from tuning.fit.train import fit
@@ -83,7 +83,7 @@ class Entrant(NamedTuple):
     before: Scores
     after: Scores
     note: str  # why it was not tuned, or empty
-    aside: tuple[dict[str, Any], ...]  # runs that failed while tuning
+    aside: tuple[Json, ...]  # runs that failed while tuning
     seconds: float
 
 
@@ -226,7 +226,7 @@ def _enter(name: str, plan: Plan, runs: Runs, progress: bool, mesh: Mesh | None)
     ready = lambda cases: [case._replace(epochs=prepare(filt, case.epochs)) for case in cases]
     groups, order = together(runs.train)
     tuned, note = start, ""
-    aside: tuple[dict[str, Any], ...] = ()
+    aside: tuple[Json, ...] = ()
     try:
         done = fit(
             loss_of(filt), spec, start, plan.steps, adam(plan.steps, plan.rate, 10.0), validation=loss_of(filt),

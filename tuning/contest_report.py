@@ -13,6 +13,7 @@ from jaxnav.analysis.plots import stats as plots_stats
 from jaxnav.analysis.tables import cell, table
 from jaxnav.filters.parameters import get
 from jaxnav.io.json import write_json
+from jaxnav.types import Json
 from tuning.contest import REFERENCES, Entrant, Plan, Scores
 from tuning.fit.transforms import labels, split
 from tuning.recordings.validation import paired_ratio
@@ -21,12 +22,12 @@ GROUPS = ("trained", "unseen")
 COLUMNS = ("position_m", "velocity_mps", "attitude_deg")
 
 
-def verdict(found: Mapping[str, Entrant], plan: Plan) -> dict[str, Any]:
+def verdict(found: Mapping[str, Entrant], plan: Plan) -> Json:
     """Rank, geometric mean of the RMS errors and paired ratios for every filter; best on the trained kinds first."""
     K, (train, validation, test) = len(plan.trained), plan.runs
     parts = {"trained": slice(0, K), "unseen": slice(K, None)}
     parts = parts if plan.unseen else {"trained": parts["trained"]}
-    filters: dict[str, dict[str, Any]] = {}
+    filters: dict[str, Json] = {}
     for name, entrant in found.items():
         raw = split(entrant.spec, entrant.params)
         about = {"free": len(labels(entrant.spec, raw)), "note": entrant.note, "seconds": entrant.seconds}
@@ -47,9 +48,7 @@ def verdict(found: Mapping[str, Entrant], plan: Plan) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _group(
-    found: Mapping[str, Entrant], entrant: Entrant, part: slice, references: list[str], seed: int
-) -> dict[str, Any]:
+def _group(found: Mapping[str, Entrant], entrant: Entrant, part: slice, references: list[str], seed: int) -> Json:
     """One filter on the kinds of ``part``."""
 
     def position(marks: Scores) -> np.ndarray:
@@ -59,7 +58,7 @@ def _group(
         return np.exp(np.mean(np.log(np.maximum(a, 1e-12)), axis=(0, 1)))
 
     after = position(entrant.after)
-    out: dict[str, Any] = dict(zip(COLUMNS, mean(entrant.after.rms[part]).tolist(), strict=True))
+    out: Json = dict(zip(COLUMNS, mean(entrant.after.rms[part]).tolist(), strict=True))
     out["untuned_position_m"] = float(mean(position(entrant.before)))
     out["diverged"] = int((~entrant.after.ok[part]).sum())
     out["untuned_diverged"] = int((~entrant.before.ok[part]).sum())

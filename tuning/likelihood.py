@@ -12,7 +12,7 @@ from jaxnav.filters.core import Filter
 from jaxnav.filters.lanes import CHUNK, lanes, taken
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.measurement import tested_alone
-from jaxnav.types import Epoch, Finding, Nav, Params
+from jaxnav.types import Epoch, Finding, Json, Nav, Params
 from tuning import uncertainty
 from tuning.fit.train import Fit
 from tuning.fit.transforms import Spec, join, labels, leaves, merged, split
@@ -129,15 +129,15 @@ def surface(sources: Sequence[Runs], spec: Spec, params: Params) -> Surface:
     return Surface(inform, raw, sum(runs.fixes for runs in sources))
 
 
-def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Callable[[dict[str, Any]], None]) -> Fit:
+def maximise(found: Surface, spec: Spec, params: Params, steps: int, note: Callable[[Json], None]) -> Fit:
     """Maximise the likelihood by the method of scoring, one history row an evaluation."""
     flat, back = ravel_pytree(found.raw)
-    history: list[dict[str, Any]] = []
+    history: list[Json] = []
 
     def report(i: int, search: scoring.Search) -> None:
         raw, best = back(search.raw), search.best
         norm = float(np.linalg.norm(best.score) / found.epochs)
-        row: dict[str, Any] = {"step": i, "loss": float(best.nll) / found.epochs, "grad_norm": norm}
+        row: Json = {"step": i, "loss": float(best.nll) / found.epochs, "grad_norm": norm}
         row["params"] = {name: np.asarray(t.forward(raw[name])).tolist() for name, t in spec.items()}
         history.append(row)
         note(row)

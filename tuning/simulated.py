@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate_runs
 from jaxnav.states.grades import GRADES
-from jaxnav.types import ConfigError, Epoch, FilterError, Fix, Info, Nav, Params
+from jaxnav.types import ConfigError, Epoch, FilterError, Fix, Info, Json, Nav, Params
 from tuning import likelihood
 from tuning.fit import objectives
 from tuning.fit.train import Fit
@@ -65,7 +65,7 @@ class SimulatedRuns(NamedTuple):
         return np.concatenate(of)
 
     @property
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> Json:
         """Return the facts of the runs for metrics.json."""
         return {"runs": {part: int(r.keep.shape[0]) for part, r in self.runs.items()}}
 

@@ -11,7 +11,7 @@ Everything is in the unconstrained numbers of `tuning.fit.transforms`, where a G
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.special import ndtri, stdtrit
 
 from jaxnav.findings import finding
-from jaxnav.types import Finding
+from jaxnav.types import Array, Finding
 from tuning.fit.transforms import Spec, labels, penalty, reported, values
 
 MAX_SD = 1.0  # sd of an unconstrained number beyond which it is not determined: a factor e where it is a logarithm
@@ -29,10 +29,10 @@ MAX_SD = 1.0  # sd of an unconstrained number beyond which it is not determined:
 class Information(NamedTuple):
     """Likelihood of innovations about one point, sums over the epochs that count; P free numbers."""
 
-    nll: Any  # () negative log-likelihood; inf where an epoch that counts is frozen
-    score: Any  # (P,) its gradient
-    fisher: Any  # (P, P) expected information
-    blocks: Any  # (K, P) the score by blocks
+    nll: Array  # () negative log-likelihood; inf where an epoch that counts is frozen
+    score: Array  # (P,) its gradient
+    fisher: Array  # (P, P) expected information
+    blocks: Array  # (K, P) the score by blocks
 
 
 def with_prior(info: Information, spec: Spec, raw: dict[str, jax.Array]) -> Information:

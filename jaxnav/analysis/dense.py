@@ -5,7 +5,6 @@ an epoch is carried through it in a straight line: over a second the error of an
 """
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +17,7 @@ from jaxnav.filters.programs import stored
 from jaxnav.filters.run import run, track
 from jaxnav.measurements import clock_offset
 from jaxnav.states.motion import A, reset_covariance
-from jaxnav.types import Epoch, Nav, Params, Track
+from jaxnav.types import Epoch, Nav, Params, Track, Tree
 
 
 def dense(
@@ -45,7 +44,7 @@ def dense(
     return found._replace(t=found.t + np.asarray(clock_offset(params.mounting, reported))), np.sqrt(variance)
 
 
-def _keep(step: Step, along: Any) -> tuple[smoother.Forward, FilterState]:
+def _keep(step: Step, along: Tree) -> tuple[smoother.Forward, FilterState]:
     return smoother.keep(step, along)[0], step.predicted
 
 

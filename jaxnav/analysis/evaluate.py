@@ -1,6 +1,6 @@
 """Evaluation of a run: errors against truth in north, east, down, innovations, NIS, and its figures."""
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import numpy as np
@@ -15,7 +15,7 @@ from jaxnav.maths.units import DEG
 from jaxnav.measurements import Measurement, clock_offset, layout
 from jaxnav.states import table
 from jaxnav.states.table import BIASES
-from jaxnav.types import Info, Params, Samples, Track
+from jaxnav.types import Info, Json, Params, Samples, Track
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,9 +66,9 @@ def ned_errors(sol: Trace, truth: Track) -> tuple[np.ndarray, np.ndarray]:
     return error, sd
 
 
-def error_metrics(error: np.ndarray, sd: np.ndarray, hidden: np.ndarray) -> dict[str, Any]:
+def error_metrics(error: np.ndarray, sd: np.ndarray, hidden: np.ndarray) -> Json:
     """RMS, 95 % and maximum by channel, with the share inside 3 sd; horizontal with and without fixes."""
-    out: dict[str, Any] = {}
+    out: Json = {}
     for i, name in enumerate(ERRORS):
         known = np.isfinite(error[:, i])
         if known.any():
@@ -104,7 +104,7 @@ def channel_names(measurements: tuple[Measurement, ...]) -> tuple[list[int], lis
     return order, names, np.array(sign)
 
 
-def innovation_metrics(info: Info, measurements: tuple[Measurement, ...]) -> dict[str, Any]:
+def innovation_metrics(info: Info, measurements: tuple[Measurement, ...]) -> Json:
     """RMS of the normalised innovations by channel, NIS by degree of freedom and its share inside 95 % bounds."""
     order, names, _ = channel_names(measurements)
     z = metrics.normalized_innovations(info)[:, order]

@@ -24,7 +24,7 @@ from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import Simulated, simulate, sizes
 from jaxnav.states.motion import A, P, V
-from jaxnav.types import Nav, Params
+from jaxnav.types import Array, Json, Nav, Params
 
 QUANTITIES = ("horizontal", "vertical", "velocity", "tilt", "yaw")
 """Absolute errors kept over time: m, m, m/s, rad, rad; tilt is about both level axes."""
@@ -46,19 +46,19 @@ class Row(NamedTuple):
 class Scores(NamedTuple):
     """Results of each run: arrays, leading axes (runs,) or (candidates, runs); errors over its finite epochs."""
 
-    position: Any  # (..., 3) m RMS, ENU
-    horizontal: Any  # (...,) m RMS
-    vertical: Any  # (...,) m RMS
-    velocity: Any  # (..., 3) m/s RMS, ENU
-    tilt: Any  # (...,) rad RMS, about both level axes together
-    yaw: Any  # (...,) rad RMS
-    outage_ends: Any  # (..., outages) m, horizontal error at the end of each outage
-    nees: Any  # (...,) mean over the epochs, of 9 degrees of freedom
-    nis: Any  # (...,) mean over the fixes
-    dof: Any  # (...,) channels in all fixes together
-    nis_sum: Any  # (...,) NIS of all fixes together
-    ok: Any  # (...,) bool: finite to the end, and never farther off than the limit
-    failed: Any  # (...,) s, when it was not first; inf where never
+    position: Array  # (..., 3) m RMS, ENU
+    horizontal: Array  # (...,) m RMS
+    vertical: Array  # (...,) m RMS
+    velocity: Array  # (..., 3) m/s RMS, ENU
+    tilt: Array  # (...,) rad RMS, about both level axes together
+    yaw: Array  # (...,) rad RMS
+    outage_ends: Array  # (..., outages) m, horizontal error at the end of each outage
+    nees: Array  # (...,) mean over the epochs, of 9 degrees of freedom
+    nis: Array  # (...,) mean over the fixes
+    dof: Array  # (...,) channels in all fixes together
+    nis_sum: Array  # (...,) NIS of all fixes together
+    ok: Array  # (...,) bool: finite to the end, and never farther off than the limit
+    failed: Array  # (...,) s, when it was not first; inf where never
 
 
 class Course(NamedTuple):
@@ -283,7 +283,7 @@ def percentile(course: Course, q: float) -> np.ndarray:
     return (BINS[cell] * (BINS[cell + 1] / BINS[cell]) ** part)[..., 0]
 
 
-def summary(found: MonteCarlo, probability: float = 0.95) -> dict[str, Any]:
+def summary(found: MonteCarlo, probability: float = 0.95) -> Json:
     """Plain numbers of one candidate: each score over the runs, who diverged, and consistency with chi-square bounds.
 
     Statistics are over the runs that did not diverge, percentiles of them exact. Angles in degrees. ``anees`` is per
@@ -302,7 +302,7 @@ def summary(found: MonteCarlo, probability: float = 0.95) -> dict[str, Any]:
     }
     diverged = [{"run": int(r), "t_s": float(t)} for r, t in zip(found.runs[~good], s.failed[~good], strict=True)]
     N, dof = int(good.sum()), int(s.dof[good].sum())
-    about: dict[str, Any] = {"runs": int(good.size), "diverged": diverged}
+    about: Json = {"runs": int(good.size), "diverged": diverged}
     if not N:
         return about
     about["scores"] = {name: _statistics(a[good]) for name, a in columns.items()}

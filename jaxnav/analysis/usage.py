@@ -1,7 +1,7 @@
 """Use of every sample of a recording in a run, and consistency of the innovations."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from jaxnav.maths.units import TICK
 from jaxnav.measurements import Measurement, layout
 from jaxnav.measurements.measurement import references
 from jaxnav.measurements.satellites import SATELLITE
-from jaxnav.types import Finding, ImuLog, Info, Params, Recording
+from jaxnav.types import Finding, ImuLog, Info, Json, Params, Recording
 
 BOUND_PROBABILITY = 0.9999  # probability of the bounds, of each channel
 MIN_NIS, MIN_CORRELATION = 1.25, 0.3  # NIS of all channels and correlation of neighbours below these make no finding
@@ -138,7 +138,7 @@ def nis_by_channel(info: Info, measurements: tuple[Measurement, ...]) -> dict[st
     return found
 
 
-def _worst(channels: dict[str, ChannelNis], size: Callable[[ChannelNis], float]) -> dict[str, Any]:
+def _worst(channels: dict[str, ChannelNis], size: Callable[[ChannelNis], float]) -> Json:
     """Return subject and numbers of the three worst of some channels."""
     names = sorted(channels, key=lambda name: -abs(size(channels[name])))
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
@@ -215,7 +215,7 @@ def nis_overall(info: Info) -> ChannelNis | None:
     return ChannelNis(mean_nis(info, complete), float(low / dof), float(high / dof), dof, 0.0)
 
 
-def as_json(uses: dict[str, Use], channels: dict[str, ChannelNis]) -> dict[str, Any]:
+def as_json(uses: dict[str, Use], channels: dict[str, ChannelNis]) -> Json:
     """Both as plain values."""
     return {
         "streams": {name: u._asdict() for name, u in uses.items()},

@@ -13,14 +13,14 @@ import traceback
 from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from jaxnav.app import config as configuration
 from jaxnav.app.console import INTERRUPTED
 from jaxnav.app.verb import Argument, Job
 from jaxnav.app.verbs import VERBS
 from jaxnav.filters.compiler import cache, enable_x64, fast_compiler
-from jaxnav.types import ConfigError, DataError, FilterError
+from jaxnav.types import ConfigError, DataError, FilterError, Json
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
@@ -154,7 +154,7 @@ def _inputs(args: argparse.Namespace, config: configuration.Config) -> list[str]
 def resolve(args: argparse.Namespace) -> configuration.Config:
     """Return the configuration: the verb's defaults, the file, --params, the flags, then --set."""
     verb = VERBS[args.verb]
-    layers: list[tuple[str, dict[str, Any]]] = [(args.verb, verb.defaults(args))]
+    layers: list[tuple[str, Json]] = [(args.verb, verb.defaults(args))]
     if args.config is not None:
         layers.append((args.config, configuration.read(args.config)))
     if getattr(args, "params", None) is not None:

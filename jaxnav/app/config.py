@@ -24,7 +24,7 @@ from jaxnav.io.toml import converted, describe, place, plain, quoted
 from jaxnav.maths.units import Unit
 from jaxnav.measurements import GNSS
 from jaxnav.reading.datasets import DATASETS
-from jaxnav.types import ConfigError, DataError, nearest
+from jaxnav.types import ConfigError, DataError, Json, nearest
 
 Numbers = float | tuple[float, ...]
 
@@ -46,9 +46,7 @@ class Data:
     )
     start: Annotated[float | None, said("s, use the recording from here")] = None
     stop: Annotated[float | None, said("s, to here")] = None
-    options: Annotated[dict[str, Any], said("of the reader, or fields of the scenario")] = dataclasses.field(
-        default_factory=dict
-    )
+    options: Annotated[Json, said("of the reader, or fields of the scenario")] = dataclasses.field(default_factory=dict)
     imu_worse_by: Annotated[
         float, said("simulated: the IMU's noise and drift are its datasheet's times this", 1.0, 1000.0)
     ] = 1.0
@@ -114,7 +112,7 @@ def _made(name: str, fields: Mapping[str, tuple[Any, Any]], doc: str = "") -> An
     return dataclasses.make_dataclass(name, rows, frozen=True, namespace={"__doc__": doc})
 
 
-def _sections_of_rows() -> dict[str, Any]:
+def _sections_of_rows() -> Json:
     """Return the sections of `jaxnav.filters.border.TABLES` with the keys that the rows bring, all of them None."""
     tables: dict[str, dict[str, tuple[Any, Any]]] = {}
     for leaf, name in NAMES.items():
@@ -242,7 +240,7 @@ class Config:
     mounting: Mounting = Mounting()
     states: States = States()
     measurements: Measurements = Measurements()
-    rule: dict[str, Any] = dataclasses.field(default_factory=dict)
+    rule: Json = dataclasses.field(default_factory=dict)
     tune: Tune = Tune()
     mc: Mc = Mc()
     bakeoff: Bakeoff = Bakeoff()
@@ -261,7 +259,7 @@ def resolve(layers: Iterable[tuple[str, Mapping[str, Any]]]) -> Config:
     for _, tree in layers:
         source = tree.get("data", {}).get("source", source)
     preset = DATASETS[source].settings if source in DATASETS else {}
-    merged: dict[str, Any] = _checked(Config, preset, "preset")
+    merged: Json = _checked(Config, preset, "preset")
     for _, tree in layers:
         merged = merge(merged, tree)
     names = [name for _, tree in layers for name in flat(tree)]
@@ -281,7 +279,7 @@ def for_source(config: Config, source: str) -> Config:
     return resolve([("tune.more", nested(chosen | {"data.source": source}))])
 
 
-def read(path: str | Path) -> dict[str, Any]:
+def read(path: str | Path) -> Json:
     """Read the tree of a TOML file, or of the configuration in a run.json.
 
     Raises:
@@ -304,7 +302,7 @@ def read(path: str | Path) -> dict[str, Any]:
     return tree
 
 
-def read_params(path: str | Path) -> dict[str, Any]:
+def read_params(path: str | Path) -> Json:
     """Return the parameters of a file such as tuned.toml or grade.toml as a layer, or the noise of another filter's.
 
     With them come the states that they are for, and how far from them tuning is to look.
@@ -327,7 +325,7 @@ def read_params(path: str | Path) -> dict[str, Any]:
     return layer
 
 
-def _of_another_filter(path: Path) -> dict[str, Any]:
+def _of_another_filter(path: Path) -> Json:
     from tuning.recordings.targets import read_settings  # not for every command
 
     try:
@@ -338,7 +336,7 @@ def _of_another_filter(path: Path) -> dict[str, Any]:
     return nested({name_of(leaf): v[0] if len(set(v)) == 1 else v for leaf, v in numbers.items()})
 
 
-def parse_set(setting: str) -> dict[str, Any]:
+def parse_set(setting: str) -> Json:
     """``a.b=c`` as a tree; the value is TOML, and text where it is none.
 
     Raises:
@@ -352,13 +350,13 @@ def parse_set(setting: str) -> dict[str, Any]:
         value = tomllib.loads(f"v = {text}")["v"] if "\n" not in text else text
     except tomllib.TOMLDecodeError:
         value = text.strip()
-    tree: dict[str, Any] = {names[-1]: value}
+    tree: Json = {names[-1]: value}
     for name in reversed(names[:-1]):
         tree = {name: tree}
     return tree
 
 
-def merge(a: Mapping[str, Any], b: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+def merge(a: Mapping[str, Any], b: Mapping[str, Any], path: str = "") -> Json:
     """``b`` over ``a``, section by section; objective and prior are replaced as a whole."""
     out = dict(a)
     for key, value in b.items():
@@ -380,7 +378,7 @@ def _replaced(section: Any, path: list[str], value: Any) -> Any:
     return dataclasses.replace(section, **{first: _replaced(getattr(section, first), rest, value) if rest else value})
 
 
-def as_dict(config: Config) -> dict[str, Any]:
+def as_dict(config: Config) -> Json:
     """Return the resolved configuration as a tree for TOML or JSON, without None."""
     return plain(dataclasses.asdict(config))
 
@@ -388,11 +386,11 @@ def as_dict(config: Config) -> dict[str, Any]:
 # ---------------------------------------------------------------------------- details
 
 
-def _checked(kind: type, tree: Any, where: str, text: str = "", path: str = "") -> dict[str, Any]:
+def _checked(kind: type, tree: Any, where: str, text: str = "", path: str = "") -> Json:
     """Return the tree with every key known and every value of its field's type."""
     if not isinstance(tree, Mapping):
         raise ConfigError(f"{place(where, text, path)}: [{path.rstrip('.')}] is a section, got {tree!r}")
-    hints, out = hints_of(kind), dict[str, Any]()
+    hints, out = hints_of(kind), Json()
     for key, value in tree.items():
         name = path + quoted(key)
         if key not in hints:
@@ -412,7 +410,7 @@ def _checked(kind: type, tree: Any, where: str, text: str = "", path: str = "") 
     return out
 
 
-def hints_of(kind: type) -> dict[str, Any]:
+def hints_of(kind: type) -> Json:
     """Return the fields of a section, each with its type, words and limits."""
     return typing.get_type_hints(kind, include_extras=True)
 
@@ -430,9 +428,9 @@ def _near_key(name: str, path: str, hints: Mapping[str, Any]) -> str:
     return nearest(name, here)
 
 
-def _values(section: Any, above: str = "") -> dict[str, Any]:
+def _values(section: Any, above: str = "") -> Json:
     """Return the values of a section and of those in it, by dotted key."""
-    out: dict[str, Any] = {}
+    out: Json = {}
     for field in dataclasses.fields(section):
         value, name = getattr(section, field.name), above + field.name
         out |= _values(value, f"{name}.") if dataclasses.is_dataclass(value) else {name: value}

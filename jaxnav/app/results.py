@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from jaxnav.app.config import Config, as_dict
 from jaxnav.findings import remarks, warnings
 from jaxnav.io.json import write_json
-from jaxnav.types import ConfigError, DataError, Finding
+from jaxnav.types import ConfigError, DataError, Finding, Json
 
 RUN = "run.json"
 
@@ -75,7 +75,7 @@ class Table(NamedTuple):
 class Outcome(NamedTuple):
     """Result of a verb for the command line."""
 
-    metrics: dict[str, Any]
+    metrics: Json
     text: str  # for the terminal
     seconds: dict[str, float]  # wall time by part
     stopped: str = ""  # why it ended early
@@ -198,7 +198,7 @@ def _keep(path: Path) -> None:
     os.rename(path, next(p for p in free if not p.exists()))
 
 
-def _about(run: Path) -> dict[str, Any] | None:
+def _about(run: Path) -> Json | None:
     """Return the content of a run.json, None where none can be read."""
     try:
         about = json.loads(run.read_text(encoding="utf-8"))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxnav.app.config import Config
+from jaxnav.types import Json
 
 if TYPE_CHECKING:
     from jaxnav.app.long import Long
@@ -77,7 +78,7 @@ class Verb(NamedTuple):
     writes: Callable[[argparse.Namespace], bool] = lambda args: True  # into --out
     needs_jax: bool = True  # float64, kept programs and devices are set before it runs
     report: bool = False  # write report.html
-    defaults: Callable[[argparse.Namespace], dict[str, Any]] = lambda args: {}  # settings that the user's replace
+    defaults: Callable[[argparse.Namespace], Json] = lambda args: {}  # settings that the user's replace
     # (configuration, whether it simulates) -> why, by the keys that have no effect though their sections are read
     unused: Callable[[Config, bool], dict[str, str]] = lambda config, simulated: {}
     simulates: bool = False  # runs scenarios alone

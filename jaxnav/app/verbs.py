@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from jaxnav.app.config import Config, Initialization
 from jaxnav.app.verb import DATA, DEVICES, FILTER, MAP, PARAMS, PATH, RESUME, Argument, Job, Verb, no_effect
 from jaxnav.filters.border import TABLES
+from jaxnav.types import Json
 
 if TYPE_CHECKING:
     from jaxnav.app.results import Outcome
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 RUN = ("data", "filter", "initialization", *TABLES)
 """Sections of a run over a recording."""
 SHELLS = ("bash", "zsh", "tcsh")  # that shtab writes completions for
-Settings = dict[str, Any]
+Settings = Json
 
 
 def later(name: str, call: Callable[[Any, Job], "Outcome"]) -> Callable[[Job], "Outcome"]:

@@ -1,6 +1,6 @@
 """The IMU against the fixes: turns, and the attitude that makes both go together."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit
@@ -26,7 +26,7 @@ from jaxnav.initialization.initialize import MAX_CHI2_PER_DOF
 from jaxnav.maths import units
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
-from jaxnav.types import Finding, Recording, Samples, Severity
+from jaxnav.types import Finding, Json, Recording, Samples, Severity
 
 STEP_S = 0.1  # s, of the series that are correlated
 MAX_LAG_S = 40.0  # s: leap seconds, and a logger that was started early
@@ -276,7 +276,7 @@ def named(found: Best) -> Finding:
     """Return the finding of a change."""
     change = found.change
     cause = ", or ".join((change.cause, *(other.cause for other in found.others)))
-    numbers: dict[str, Any] = {"gain": found.gain, "was": found.was, "then": found.then, "cause": cause}
+    numbers: Json = {"gain": found.gain, "was": found.was, "then": found.then, "cause": cause}
     if change.code == "time.offset":
         return finding("time.offset", change.subject, change.late, setting="data.options.time_shift_s", **numbers)
     return finding(change.code, change.subject, **numbers)
@@ -339,7 +339,7 @@ def _timing(each: list[tuple[tuple[float, float], Alignment]], name: str) -> lis
     """How late the stream ``name`` is against the IMU, and whether that changes."""
     mean, mean_sd = _mean_delay(*_delays(each))
     late_enough = abs(mean) >= max(0.03, 3 * mean_sd)
-    numbers: dict[str, Any] = {"size": abs(mean), "side": "late" if mean >= 0 else "early", "sd": mean_sd}
+    numbers: Json = {"size": abs(mean), "side": "late" if mean >= 0 else "early", "sd": mean_sd}
     far = _behind(each, mean)
     cause = "latency of the receiver" + ("" if far is None else f", or an antenna {far}: set lever_arm_frd_m")
     numbers["cause"] = cause

@@ -1,14 +1,12 @@
 """Standstills by the receiver: statistics of the IMU there, and the limits that separate them from motion."""
 
-from typing import Any
-
 import numpy as np
 
 from jaxnav.checkup.shared import level_velocity
 from jaxnav.filters.standstill import Standing, is_driving, spreads
 from jaxnav.findings import finding
 from jaxnav.maths.units import DEG
-from jaxnav.types import Finding, Recording
+from jaxnav.types import Finding, Json, Recording
 
 MIN_COUNT = 20  # windows at rest and in motion; with fewer there is no result
 RIM_S = 1.0  # s before and after, in which the receiver must say the same: fixes are late
@@ -42,7 +40,7 @@ def standstill(rec: Recording) -> list[Finding]:
             best = max(best, (caught - false / MAX_FALSE, -a, -g, caught, false))  # of equals the tightest
     _, a, g, caught, false = best
     a, g = (_between(-x, y[moving]) for x, y in ((a, accel), (g, gyro)))
-    shares: dict[str, Any] = {"caught": 100 * caught, "false": 100 * false, "moving": int(moving.sum())}
+    shares: Json = {"caught": 100 * caught, "false": 100 * false, "moving": int(moving.sum())}
     count = int(rest.sum())
     if caught < MIN_CAUGHT or false > MAX_FALSE:
         return [finding("standstill", count=count, **shares)]

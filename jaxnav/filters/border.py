@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxnav.filters.parameters import UNITS, get, has, put
 from jaxnav.maths.units import Unit
-from jaxnav.types import ConfigError, Params
+from jaxnav.types import ConfigError, Json, Params
 
 NAMES = {leaf: f"{leaf}_{unit.suffix}" if unit.suffix else leaf for leaf, unit in UNITS.items()}
 """The keys of configurations, by dotted name in `Params`: ``mounting.lever_arm_m``."""
@@ -17,18 +17,18 @@ TABLES = ("noise", "mounting", "states", "measurements", "rule")
 """The tables of a configuration that state parameters."""
 
 
-def flat(tree: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+def flat(tree: Mapping[str, Any], above: str = "") -> Json:
     """Return the values of nested tables by their dotted keys; an empty table is a value."""
-    out: dict[str, Any] = {}
+    out: Json = {}
     for key, value in tree.items():
         name = above + key
         out |= flat(value, f"{name}.") if isinstance(value, Mapping) and value else {name: value}
     return out
 
 
-def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+def nested(values: Mapping[str, Any]) -> Json:
     """Return nested tables of values by dotted keys, the inverse of `flat`."""
-    tree: dict[str, Any] = {}
+    tree: Json = {}
     for name, value in values.items():
         *tables, key = name.split(".")
         at = tree
@@ -95,7 +95,7 @@ def _check_root(name: str, value: Any) -> None:
         raise ConfigError(expected)
 
 
-def in_user_units(params: Params, leaves: Iterable[str]) -> dict[str, Any]:
+def in_user_units(params: Params, leaves: Iterable[str]) -> Json:
     """Return the named leaves by their keys in a configuration; axes that agree are one number."""
     return {name_of(leaf): user_value(leaf, get(params, leaf)) for leaf in leaves}
 

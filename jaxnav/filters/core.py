@@ -27,7 +27,7 @@ from jaxnav.states.motion import A, reset_covariance, reset_rows
 from jaxnav.states.sensitivity import sensitivity_noise
 from jaxnav.states.table import BIASES, chosen, layout, zeros
 from jaxnav.strapdown.mechanization import Preintegrate, Propagate
-from jaxnav.types import Epoch, Fix, Forcing, Imu, Info, Nav, Noise, Params
+from jaxnav.types import Epoch, Fix, Forcing, Imu, Info, Nav, Noise, Params, Tree
 
 
 @jax.tree_util.register_dataclass
@@ -50,12 +50,12 @@ class FilterState(NamedTuple):
     x: jax.Array  # (n,) error state that is not fed back
     P: jax.Array  # (n, n)
     u: Forcing | None  # feedback in force, of an observer
-    memory: Any  # the rule's
+    memory: Tree  # the rule's
     x0: jax.Array  # (n,) x after the last feedback
     T: jax.Array  # () s since then
     age: jax.Array  # (m,) s from each channel's last use to then
     ok: jax.Array  # () bool: everything has been finite so far; the state is frozen from the first failure on
-    adapter: Any = ()  # the adapter's memory
+    adapter: Tree = ()  # the adapter's memory
 
 
 class Step(NamedTuple):
@@ -423,6 +423,6 @@ def make_filter(
     )
 
 
-def finite(tree: Any) -> jax.Array:
+def finite(tree: Tree) -> jax.Array:
     """() bool: every leaf is finite."""
     return jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree)]).all()

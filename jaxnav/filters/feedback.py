@@ -4,24 +4,24 @@ u is None but for an observer. T is the length of the epoch, or the time between
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxnav.states.motion import A, P, V
-from jaxnav.types import Forcing, Nav
+from jaxnav.types import Forcing, Nav, Tree
 
 Retract = Callable[[Nav, jax.Array], Nav]
 Applied = tuple[Nav, jax.Array, Forcing | None]
 
 
-def reset(theta: Any, retract: Retract, nav: Nav, x: jax.Array, T: jax.Array) -> Applied:
+def reset(theta: Tree, retract: Retract, nav: Nav, x: jax.Array, T: jax.Array) -> Applied:
     """Remove the error from navigation (closed loop); its estimate starts again from zero."""
     return retract(nav, x), jnp.zeros_like(x), None
 
 
-def open_loop(theta: Any, retract: Retract, nav: Nav, x: jax.Array, T: jax.Array) -> Applied:
+def open_loop(theta: Tree, retract: Retract, nav: Nav, x: jax.Array, T: jax.Array) -> Applied:
     """Navigation runs free and the filter carries the whole error: only while that stays small enough to be linear."""
     return nav, x, None
 

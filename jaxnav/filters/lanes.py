@@ -24,7 +24,7 @@ from jaxnav.filters.run import prepare, require_params, require_shapes, require_
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.measurements.measurement import layout
 from jaxnav.states import table
-from jaxnav.types import Epoch, Nav, Params
+from jaxnav.types import Array, Epoch, Nav, Params, Tree
 
 LANES, CHUNK = 16, 64  # runs and epochs of one call of the program
 MAX_THREADS = 8  # of calls side by side
@@ -34,17 +34,17 @@ RECEIVER_ERROR = "gnss_position_error"  # state that a measured position has mor
 class LaneRecord(NamedTuple):
     """Record of runs, each field with a leading (L, E): L lanes of E epochs, of a filter with m channels."""
 
-    nu: Any  # (m,) innovation, 0 on missing channels
-    S: Any  # (m, m) its covariance, identity rows on missing channels
-    valid: Any  # (m,) bool, channels that had a measurement which was not hidden
-    used: Any  # (m,) bool, those the rule accepted
-    nis: Any  # () nu' S^-1 nu
-    log_det: Any  # () log |S|
-    residual: Any  # (3,) m, ENU, predicted minus measured position, hidden ones too
-    P: Any  # (3, 3) m^2 covariance of that, without the fix's white noise
-    velocity: Any  # (3,) m/s, ENU, the same of a velocity; None of a filter that takes none
-    velocity_P: Any  # (3, 3) (m/s)^2 its covariance, without the fix's white noise
-    ok: Any  # () bool, False from the first epoch that was not finite on
+    nu: Array  # (m,) innovation, 0 on missing channels
+    S: Array  # (m, m) its covariance, identity rows on missing channels
+    valid: Array  # (m,) bool, channels that had a measurement which was not hidden
+    used: Array  # (m,) bool, those the rule accepted
+    nis: Array  # () nu' S^-1 nu
+    log_det: Array  # () log |S|
+    residual: Array  # (3,) m, ENU, predicted minus measured position, hidden ones too
+    P: Array  # (3, 3) m^2 covariance of that, without the fix's white noise
+    velocity: Array  # (3,) m/s, ENU, the same of a velocity; None of a filter that takes none
+    velocity_P: Array  # (3, 3) (m/s)^2 its covariance, without the fix's white noise
+    ok: Array  # () bool, False from the first epoch that was not finite on
 
 
 def lanes(
@@ -102,7 +102,7 @@ def _threads() -> int:
     return 1 if alone else min(os.cpu_count() or 1, MAX_THREADS)
 
 
-def taken(tree: Any, rows: Any) -> Any:
+def taken(tree: Tree, rows: Any) -> Any:
     """Return some rows of each leaf, on the host."""
     return jax.tree.map(lambda a: np.asarray(a)[rows], tree)
 
@@ -112,7 +112,7 @@ def stacked(candidates: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(a, float) for a in leaves]), *candidates)
 
 
-def repeated(tree: Any, count: int) -> Any:
+def repeated(tree: Tree, count: int) -> Any:
     """Return a pytree with a leading axis of ``count`` equal elements."""
     return jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (count, *np.shape(a))), tree)
 
@@ -160,7 +160,7 @@ def _chunk(filt: Filter, params: Params, state: FilterState, epochs: Epoch) -> t
     return jax.vmap(lambda params, state, epochs: resume(filt, params, state, epochs, keep))(params, state, epochs)
 
 
-def _keep(slow: slice | None, velocity: slice | None, step: Step, along: Any) -> LaneRecord:
+def _keep(slow: slice | None, velocity: slice | None, step: Step, along: Tree) -> LaneRecord:
     i = step.info
     P = seen_by_position(i.P, slow)
     v, Pv = (None, None) if velocity is None else (i.residual[velocity], i.P[3:6, 3:6])

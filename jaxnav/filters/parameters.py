@@ -17,7 +17,7 @@ from jaxnav.measurements import MEASUREMENTS
 from jaxnav.states.grades import GRADES, Grade
 from jaxnav.states.sensitivity import ESTIMATES
 from jaxnav.states.table import BIASES, STATES, chosen
-from jaxnav.types import Mounting, Noise, Params, Prior, StateParams, nearest
+from jaxnav.types import Json, Mounting, Noise, Params, Prior, StateParams, Tree, nearest
 
 NOISE_UNITS = Noise(
     Unit("deg_per_sqrt_hour", units.DEG_PER_SQRT_HOUR, (3,), "deg/sqrt(h)", root=True),
@@ -34,7 +34,7 @@ MOUNTING_UNITS = Mounting(
 REACH_STEP_S = 0.1  # s, of what a history reaches back: 0.05, 0.15 and so on
 
 
-def get(tree: Any, name: str) -> Any:
+def get(tree: Tree, name: str) -> Any:
     """Return the leaf at a dotted name.
 
     Raises:
@@ -48,14 +48,14 @@ def get(tree: Any, name: str) -> Any:
     return tree
 
 
-def has(tree: Any, name: str) -> bool:
+def has(tree: Tree, name: str) -> bool:
     """Whether there is a leaf or branch of a dotted name."""
     first, _, rest = name.partition(".")
     fields = _fields(tree)
     return first in fields and (not rest or has(fields[first], rest))
 
 
-def _fields(tree: Any) -> dict[str, Any]:
+def _fields(tree: Tree) -> Json:
     """Return the branches of a node, by name."""
     if isinstance(tree, dict):
         return tree
@@ -64,7 +64,7 @@ def _fields(tree: Any) -> dict[str, Any]:
     return tree._asdict() if hasattr(tree, "_asdict") else {}
 
 
-def put(tree: Any, name: str, value: Any) -> Any:
+def put(tree: Tree, name: str, value: Any) -> Any:
     """Return the tree with the leaf at a dotted name replaced."""
     first, _, rest = name.partition(".")
     branch = get(tree, first)
@@ -97,7 +97,7 @@ def without_states(params: Params, names: Collection[str]) -> Params:
 
 def parameter_units() -> dict[str, Unit]:
     """Every parameter that has a unit at the border, by its dotted name in `Params`: collected from the rows."""
-    found: dict[str, Any] = {"noise": NOISE_UNITS, "mounting": MOUNTING_UNITS}
+    found: Json = {"noise": NOISE_UNITS, "mounting": MOUNTING_UNITS}
     found |= {f"states.{name}": state.units for name, state in STATES.items()}
     found |= {f"measurements.{name}": each.units for name, each in MEASUREMENTS.items()}
     return {
@@ -112,7 +112,7 @@ UNITS: dict[str, Unit] = parameter_units()
 """Every parameter that has a unit at the border, by its dotted name in `Params`."""
 
 
-def strong(tree: Any) -> Any:
+def strong(tree: Tree) -> Any:
     """Return the tree's numbers as strongly typed arrays: from Python floats every train step would compile twice."""
     return jax.tree.map(lambda v: jnp.asarray(v, float), tree, is_leaf=lambda v: isinstance(v, tuple) and _plain(v))
 
@@ -198,8 +198,8 @@ def datasheet_params(
     tilt_sd: float = 1 * units.DEG,
     heading_sd: float = 5 * units.DEG,
     install: Mounting | None = None,
-    rule: Any = (),
-    feedback: Any = (),
+    rule: Tree = (),
+    feedback: Tree = (),
     states: Iterable[str] = BIASES,
     measurements: Iterable[str] | None = None,
 ) -> Params:

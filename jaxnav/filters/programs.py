@@ -23,6 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import export
 
+from jaxnav.types import Json, Tree
+
 LOG = logging.getLogger("jaxnav")
 PACKAGES = ("jaxnav", "tuning")  # whose sources are part of a program's name
 SETTINGS = (
@@ -111,7 +113,7 @@ class Program(NamedTuple):
     """A traced program of flat arguments and results."""
 
     call: Callable[..., list[jax.Array]]
-    tree: Any  # structure of its results
+    tree: Tree  # structure of its results
 
 
 def _merged(args: Sequence[Any], moving: Sequence[Any], static: frozenset[int]) -> list[Any]:
@@ -126,7 +128,7 @@ def _program(
     key: tuple[Any, ...],
     whole: Callable[..., Any],
     leaves: list[Any],
-    options: dict[str, Any] | None,
+    options: Json | None,
 ) -> Program | None:
     """Return the program of a file, or trace it and write the file; None where it cannot be kept."""
     try:
@@ -190,7 +192,7 @@ def _sources() -> str:
     return found.hexdigest()
 
 
-def _traced(whole: Callable[..., Any], tree: Any, leaves: list[Any], name: str) -> tuple[export.Exported, Any]:
+def _traced(whole: Callable[..., Any], tree: Tree, leaves: list[Any], name: str) -> tuple[export.Exported, Any]:
     """Return the exported program of flat arguments, and the structure of its results.
 
     Errors of the function itself, such as arguments of a wrong shape, pass through.
@@ -228,7 +230,7 @@ def _load(path: Path) -> tuple[export.Exported, Any] | None:
         return None
 
 
-def _save(path: Path, program: export.Exported, tree: Any) -> tuple[export.Exported, Any]:
+def _save(path: Path, program: export.Exported, tree: Tree) -> tuple[export.Exported, Any]:
     """Write a program, whole or not at all, and return it."""
     data = pickle.dumps((tree, bytes(program.serialize())))
     try:

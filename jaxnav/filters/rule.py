@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxnav.types import Forcing, Nav
+from jaxnav.types import Array, Forcing, Nav, Tree
 
 NEVER_USED_AGE = 1e9  # s, age of an event that has not happened yet: a rule's memory is finite
 
@@ -44,30 +44,30 @@ class Correction(NamedTuple):
 
     delta: jax.Array  # (n,) change of x
     P: jax.Array  # (n, n) covariance after the correction
-    memory: Any  # the rule's state
+    memory: Tree  # the rule's state
     used: jax.Array  # (m,) bool, channels that it accepted
-    fade: Any = 1.0  # () or (n,): fade P fade is carried on to the next prediction
+    fade: Array = 1.0  # () or (n,): fade P fade is carried on to the next prediction
     drive: Forcing | None = None  # a model error for the sensors to absorb
 
 
 class Correct(Protocol):
     """A rule's correction by a fix."""
 
-    def __call__(self, theta: Any, memory: Any, z: Innovation, /) -> Correction:
+    def __call__(self, theta: Tree, memory: Tree, z: Innovation, /) -> Correction:
         """Return the correction by ``z``, with the rule's parameters ``theta`` and its ``memory``."""
 
 
 class Extrapolate(Protocol):
     """A rule's prediction, at every epoch, with a fix or without."""
 
-    def __call__(self, theta: Any, memory: Any, x0: jax.Array, x: jax.Array, /) -> tuple[jax.Array, Any]:
+    def __call__(self, theta: Tree, memory: Tree, x0: jax.Array, x: jax.Array, /) -> tuple[jax.Array, Any]:
         """``x0`` (n,) after the last feedback, ``x`` (n,) predicted from it -> x and the memory to go on with."""
 
 
 class Transport(Protocol):
     """How error states that a rule holds move: over every epoch, and with T = 0 at the reset of the attitude."""
 
-    def __call__(self, theta: Any, memory: Any, transition: Transition, T: jax.Array, /) -> Any:
+    def __call__(self, theta: Tree, memory: Tree, transition: Transition, T: jax.Array, /) -> Any:
         """``T`` () s, the epoch's length -> memory."""
 
 
@@ -75,7 +75,7 @@ class Feedback(Protocol):
     """Use of an estimated error: taken out of navigation, kept, or handed on in part."""
 
     def __call__(
-        self, theta: Any, retract: Callable[[Nav, jax.Array], Nav], nav: Nav, x: jax.Array, T: jax.Array, /
+        self, theta: Tree, retract: Callable[[Nav, jax.Array], Nav], nav: Nav, x: jax.Array, T: jax.Array, /
     ) -> tuple[Nav, jax.Array, Any]:
         """``x`` (n,) error, ``T`` () s since the last one -> navigation, the error that is left, the drive or None."""
 
@@ -93,7 +93,7 @@ class Rule(NamedTuple):
     transport: Transport | None = None
 
 
-def select(flag: jax.Array, a: Any, b: Any) -> Any:
+def select(flag: jax.Array, a: Tree, b: Tree) -> Tree:
     """Return ``a`` where the flag is true, else ``b``, leaf by leaf; its axes, if any, are the first of each leaf."""
 
     def leaf(a: Any, b: Any) -> jax.Array:
@@ -106,7 +106,7 @@ def select(flag: jax.Array, a: Any, b: Any) -> Any:
     return jax.tree.map(leaf, a, b)
 
 
-def only_if(flag: jax.Array, c: Correction, z: Innovation, memory: Any) -> Correction:
+def only_if(flag: jax.Array, c: Correction, z: Innovation, memory: Tree) -> Correction:
     """Return the correction where the flag is true, else one that changes nothing."""
     nothing = jax.tree.map(jnp.zeros_like, c.drive)
     return select(flag, c, Correction(jnp.zeros(z.P.shape[0]), z.P, memory, jnp.zeros_like(z.valid), drive=nothing))

@@ -18,7 +18,7 @@ from jaxnav.filters.parameters import UNITS, datasheet_params, get, has
 from jaxnav.filters.programs import stored
 from jaxnav.maths import linalg, rotations
 from jaxnav.states.table import STATES
-from jaxnav.types import DataError, Epoch, Imu, Info, Nav, Origin, Params, Track
+from jaxnav.types import DataError, Epoch, Imu, Info, Nav, Origin, Params, Track, Tree
 
 FREEDOM = 4.0  # of the Student t that stands for outliers in a likelihood
 
@@ -133,7 +133,7 @@ def _missing(filt: Filter, params: Params) -> list[str]:
     return [f"{group}[{name!r}]" for group, names, has in groups for name in names if name not in has]
 
 
-def _kind(theta: Any) -> str:
+def _kind(theta: Tree) -> str:
     """Return the type of parameters of a rule or an adapter, and its fields."""
     fields = ", ".join(getattr(theta, "_fields", theta if isinstance(theta, dict) else ()))
     return f"{type(theta).__name__}({fields})"
@@ -173,13 +173,13 @@ def prepare(filt: Filter, epochs: Epoch) -> Epoch:
 class Record(Protocol):
     """Record of an epoch, made during a run."""
 
-    def __call__(self, step: Step, along: Any, /) -> Any:
+    def __call__(self, step: Step, along: Tree, /) -> Any:
         """Return a pytree of the epoch; ``along`` is the epoch's element of the argument of that name of `run`."""
 
     def __hash__(self) -> int: ...
 
 
-def keep_info(step: Step, along: Any) -> Info:
+def keep_info(step: Step, along: Tree) -> Info:
     """Return the record of a plain run."""
     return step.info
 
@@ -190,7 +190,7 @@ def run(
     nav: Nav,
     epochs: Epoch,
     record: Record = keep_info,
-    along: Any = None,
+    along: Tree = None,
 ) -> Any:
     """Filter all epochs of one run.
 
@@ -219,7 +219,7 @@ def run(
 
 
 def resume(
-    filt: Filter, params: Params, state: FilterState, epochs: Epoch, record: Record = keep_info, along: Any = None
+    filt: Filter, params: Params, state: FilterState, epochs: Epoch, record: Record = keep_info, along: Tree = None
 ) -> tuple[FilterState, Any]:
     """Filter the epochs that follow a state of the filter; arguments are not checked.
 

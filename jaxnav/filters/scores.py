@@ -9,7 +9,7 @@ from scipy.special import gammaincinv, gammaln
 
 from jaxnav.filters.lanes import LaneRecord
 from jaxnav.filters.run import FREEDOM
-from jaxnav.types import Params
+from jaxnav.types import Params, Tree
 
 
 def student(square: np.ndarray, m: np.ndarray | int) -> np.ndarray:
@@ -93,7 +93,7 @@ def normalized(residual: np.ndarray, C: np.ndarray) -> np.ndarray:
     return np.einsum("...i,...i->...", residual, np.linalg.solve(C, residual[..., None])[..., 0])
 
 
-def squares(info: Any) -> np.ndarray:
+def squares(info: Tree) -> np.ndarray:
     """Return innovations squared over their variances (..., m), nan where nothing was measured.
 
     Args:
@@ -103,13 +103,13 @@ def squares(info: Any) -> np.ndarray:
     return np.where(np.asarray(info.valid), np.asarray(info.nu) ** 2 / variance, np.nan)
 
 
-def nis_by_epoch(info: Any) -> np.ndarray:
+def nis_by_epoch(info: Tree) -> np.ndarray:
     """Return NIS over degrees of freedom (..., E) of each epoch, inf where nothing was measured."""
     dof = np.asarray(info.valid).sum(-1)
     return np.where(dof > 0, np.asarray(info.nis) / np.maximum(dof, 1), np.inf)
 
 
-def mean_nis(info: Any, epochs: np.ndarray, channels: np.ndarray | None = None) -> float:
+def mean_nis(info: Tree, epochs: np.ndarray, channels: np.ndarray | None = None) -> float:
     """Return NIS over degrees of freedom of some epochs together; nan where nothing was measured in them.
 
     Args:

@@ -29,7 +29,7 @@ from jaxnav.filters.run import run
 from jaxnav.maths import linalg
 from jaxnav.measurements import MEASUREMENTS, layout
 from jaxnav.states.motion import MOTION, A, reset_covariance, reset_rows
-from jaxnav.types import Epoch, Info, Nav, Params
+from jaxnav.types import Epoch, Info, Nav, Params, Tree
 
 
 class Forward(NamedTuple):
@@ -43,7 +43,7 @@ class Forward(NamedTuple):
     Phi: jax.Array  # (n, n) from the epoch before
 
 
-def keep(step: Step, along: Any) -> tuple[Forward, Info]:
+def keep(step: Step, along: Tree) -> tuple[Forward, Info]:
     """Return a record for `jaxnav.filters.run.run`."""
     after, predicted = step.after, step.predicted
     nav = jax.tree.map(lambda a: a[-1], after.past)
@@ -104,7 +104,7 @@ def backward(forward: Forward) -> tuple[jax.Array, jax.Array]:
     later = jax.tree.map(lambda a: a[1:], forward)
     here = jax.tree.map(lambda a: a[:-1], forward)
 
-    def back(carry: Any, pair: Any) -> Any:
+    def back(carry: Tree, pair: Any) -> Any:
         found = one_back(*pair, *carry)
         return found, found
 

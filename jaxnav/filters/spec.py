@@ -6,6 +6,7 @@ from typing import Any
 from jaxnav.filters.adapters.adapter import Adapter
 from jaxnav.filters.rule import Feedback, Rule
 from jaxnav.measurements.measurement import Measurement
+from jaxnav.types import Json
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class FilterSpec:
         given = [f for i, f in enumerate(fields(self)) if not i or getattr(self, f.name) != f.default]
         return f"FilterSpec({', '.join(f'{f.name}={getattr(self, f.name)!r}' for f in given)})"
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Json:
         """Return the fields as JSON holds them: rows by name, parts of the user by the names of their types."""
         named = {key: _name(getattr(self, key)) for key in ("rule", "feedback", "adapter")}
         rows = {"measurements": list(map(_name, self.measurements)), "states": list(self.states)}

@@ -11,7 +11,6 @@ import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from jaxnav.io.sheet import open_sheet
 from jaxnav.maths.units import DEG, G0
 from jaxnav.measurements import MEASUREMENTS, with_data
 from jaxnav.measurements.columns import Names
-from jaxnav.types import DataError, ImuLog, Note, Recording, Samples, Track
+from jaxnav.types import DataError, ImuLog, Json, Note, Recording, Samples, Track
 
 AXES = ("x", "y", "z")
 SATELLITES, RANGES = "satellites.csv", ("pseudorange", "range_rate")
@@ -235,7 +234,7 @@ def _names(columns: tuple[Names, ...]) -> list[str]:
     return [column[0][0] for column in columns]
 
 
-def _read_about(path: Path) -> dict[str, Any]:
+def _read_about(path: Path) -> Json:
     """Name, lever arm and notes; the file may be absent."""
     about = {"name": "", "lever_arm_frd_m": [0.0, 0.0, 0.0], "notes": ""}
     if not path.exists():

@@ -38,7 +38,7 @@ from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import with_data
 from jaxnav.measurements.columns import QUANTITIES
-from jaxnav.types import DataError, Note, Track
+from jaxnav.types import DataError, Json, Note, Track
 
 COMMON = tuple(
     "file delimiter header time time_unit time_scale time_tag time_shift_s rate_hz skip where new_where".split()
@@ -92,7 +92,7 @@ def read_map(
     return described(table, file, where, base)
 
 
-def _with_files(table: dict[str, Any], file: str, files: Sequence[FilePath]) -> dict[str, Any]:
+def _with_files(table: Json, file: str, files: Sequence[FilePath]) -> Json:
     """Return a map that names other files."""
     imu_first = {key: table[key] for key in sorted(table, key=lambda key: key not in ("read", "imu"))}
     named = list(dict.fromkeys(_files(imu_first)))
@@ -118,7 +118,7 @@ def _files(value: Any, key: str = "") -> Iterator[str]:
         yield value
 
 
-def described(table: dict[str, Any], file: str, where: Path, base: Callable[..., Parts] | None = None) -> Parts:
+def described(table: Json, file: str, where: Path, base: Callable[..., Parts] | None = None) -> Parts:
     """Return the parts that the tables of a column map describe.
 
     Args:
@@ -160,14 +160,14 @@ def described(table: dict[str, Any], file: str, where: Path, base: Callable[...,
     return parts._replace(file=file, aiding=aiding, truth=truth, notes=tuple(notes), lever_arm=arm, name=name)
 
 
-def _load(path: FilePath) -> dict[str, Any]:
+def _load(path: FilePath) -> Json:
     try:
         return tomllib.loads(read_bytes(path).decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DataError(f"{os.fspath(path)}: cannot be read as TOML: {error}") from error
 
 
-def _shared(table: dict[str, Any], file: str) -> dict[str, Any]:
+def _shared(table: Json, file: str) -> Json:
     """Return the map with its top-level keys in every table that does not set them."""
     known(table, (*TOP, *with_data()), file)
     shared = {key: table[key] for key in COMMON if key in table}
@@ -183,7 +183,7 @@ def _shared(table: dict[str, Any], file: str) -> dict[str, Any]:
 # ---------------------------------------------------------------------------- streams
 
 
-def _with_imu(parts: Parts, files: Files, table: dict[str, Any]) -> Parts:
+def _with_imu(parts: Parts, files: Files, table: Json) -> Parts:
     known(table, KEYS["imu"], f"{files.map}: imu")
     sampling = table.get("sampling", RATES)
     if sampling not in SAMPLINGS:
@@ -214,7 +214,7 @@ def _with_imu(parts: Parts, files: Files, table: dict[str, Any]) -> Parts:
     return parts._replace(imu=rows, axes=table.get("axes", "frd"), lines=None if lines is None else lines[keep])
 
 
-def _scale(table: dict[str, Any], where: str) -> TimeScale:
+def _scale(table: Json, where: str) -> TimeScale:
     """Return the time scale that a table states; dates are UTC, RTKLIB's tags GPS time."""
     unit = str(table.get("time_unit"))
     usual = TimeScale.UTC if unit in ("iso", *DAYS) or "%y" in unit.lower() else TimeScale.UNKNOWN
@@ -224,7 +224,7 @@ def _scale(table: dict[str, Any], where: str) -> TimeScale:
     return TimeScale(said)
 
 
-def _accel_time(files: Files, table: dict[str, Any]) -> Any:
+def _accel_time(files: Files, table: Json) -> Any:
     """Return the accelerometer's time column: ``accel_time``, or the gyro's name of it in the accelerometer's file."""
     if "accel_time" in table:
         return table["accel_time"]
@@ -259,7 +259,7 @@ def interpolated(t: np.ndarray, times: np.ndarray, accel: np.ndarray) -> tuple[n
     return columns_at(t, times, accel[first]), at_sample | between
 
 
-def _stream(files: Files, table: dict[str, Any], name: str) -> Stream:
+def _stream(files: Files, table: Json, name: str) -> Stream:
     known(table, KEYS.get(name, SCALAR), f"{files.map}: {name}")
     value = BUILD.get(name, _scalar)(files, table, name)
     t = times_of(files, table, name)
@@ -273,7 +273,7 @@ def _stream(files: Files, table: dict[str, Any], name: str) -> Stream:
     return Stream(t[keep], value[keep], sd, scale=_scale(table, f"{files.map}: {name}"))
 
 
-def _satellites(files: Files, table: dict[str, Any]) -> tuple[dict[str, Stream], tuple[Note, ...]]:
+def _satellites(files: Files, table: Json) -> tuple[dict[str, Stream], tuple[Note, ...]]:
     """Corrected ranges of a table with one row a satellite and epoch, with fixes by single points, and notes."""
     stream = "satellites"
     where = f"{files.map}: {stream}"
@@ -308,14 +308,14 @@ def _satellites(files: Files, table: dict[str, Any]) -> tuple[dict[str, Stream],
     return {key: Stream(*samples)._replace(scale=scale) for key, samples in found.items()}, notes
 
 
-def _one(files: Files, table: dict[str, Any], keys: tuple[str, ...], stream: str) -> str:
+def _one(files: Files, table: Json, keys: tuple[str, ...], stream: str) -> str:
     found = [key for key in keys if key in table]
     if len(found) != 1:
         raise DataError(f"{files.map}: {stream}: expected one of the keys {', '.join(keys)}, got {len(found)}")
     return found[0]
 
 
-def _position(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+def _position(files: Files, table: Json, name: str) -> np.ndarray:
     key = _one(files, table, ("lla", "enu", "ned", "ecef", "utm"), name)
     level = key != "ecef" and name != "truth" and len(table[key]) == 2  # no height: `mend` gives it a large sd
     values = table_of(files, table, key, name, 2 if level else 3)
@@ -323,7 +323,7 @@ def _position(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     return np.where(level & (np.arange(3) == 2), np.nan, lla)
 
 
-def _lla(files: Files, table: dict[str, Any], name: str, key: str, values: np.ndarray) -> np.ndarray:
+def _lla(files: Files, table: Json, name: str, key: str, values: np.ndarray) -> np.ndarray:
     if key == "lla":
         scale = units.factor(table, "unit", "angle", f"{files.map}: {name}", "deg")
         height = units.factor(table, "h_unit", "length", f"{files.map}: {name}", "m")
@@ -350,7 +350,7 @@ def _lla(files: Files, table: dict[str, Any], name: str, key: str, values: np.nd
     return local_to_lla(values if key == "enu" else ned_to_enu(values), files.origin)
 
 
-def _velocity(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+def _velocity(files: Files, table: Json, name: str) -> np.ndarray:
     key = _one(files, table, ("enu", "ned", "neu", "speed_course"), name)
     scale = units.factor(table, "unit", "speed", f"{files.map}: {name}", "m/s")
     if key != "speed_course":
@@ -368,25 +368,25 @@ def _velocity(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     return np.stack([speed * scale * np.sin(course), speed * scale * np.cos(course), up], axis=1)
 
 
-def _north(table: dict[str, Any]) -> float:
+def _north(table: Json) -> float:
     """Return the azimuth of the direction that angles of a table are counted from, rad."""
     return float(table.get("north_deg", 0.0)) * DEG
 
 
-def _three(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+def _three(files: Files, table: Json, name: str) -> np.ndarray:
     """Return a vector in the axes of a sensor, FRD by ``axes``."""
     kind = with_data()[name].columns[0].quantity
     scale = units.factor(table, "unit", kind, f"{files.map}: {name}", QUANTITIES[kind][1])
     return table_of(files, table, "value", name) * scale @ rotation(table.get("axes", "frd")).T
 
 
-def _baseline(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+def _baseline(files: Files, table: Json, name: str) -> np.ndarray:
     key = _one(files, table, ("enu", "ned"), name)
     value = table_of(files, table, key, name) * units.factor(table, "unit", "length", f"{files.map}: {name}", "m")
     return ned_to_enu(value) if key == "ned" else value
 
 
-def _wheels(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+def _wheels(files: Files, table: Json, name: str) -> np.ndarray:
     where = f"{files.map}: {name}"
     if "left" not in table or "right" not in table:
         raise DataError(f"{where}: expected the keys left and right")
@@ -399,13 +399,13 @@ def _wheels(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
     return value * radius * units.factor(table, "unit", "rate", where, "rad/s")
 
 
-def _mean(files: Files, table: dict[str, Any], refs: Any, name: str) -> np.ndarray:
+def _mean(files: Files, table: Json, refs: Any, name: str) -> np.ndarray:
     """Return a column, or the mean of several, as of the wheels of an axle."""
     columns = [column_of(files, table, ref, name) for ref in (refs if isinstance(refs, list) else [refs])]
     return side_by_side(files, columns, name).mean(axis=1)
 
 
-def _scalar(files: Files, table: dict[str, Any], name: str) -> np.ndarray:
+def _scalar(files: Files, table: Json, name: str) -> np.ndarray:
     if "value" not in table:
         raise DataError(f"{files.map}: {name}: expected a key value")
     value = _mean(files, table, table["value"], name)
@@ -427,7 +427,7 @@ BUILD = {
 """Makers of a stream's values; `_scalar` for every other one."""
 
 
-def _truth(files: Files, table: dict[str, Any]) -> Track:
+def _truth(files: Files, table: Json) -> Track:
     known(table, KEYS["truth"], f"{files.map}: truth")
     where = f"{files.map}: truth"
     lla = _position(files, table, "truth")

@@ -10,7 +10,7 @@ from jaxnav.io import units
 from jaxnav.io.formats.rtklib import read_tag
 from jaxnav.io.options import OF, require
 from jaxnav.io.sheet import Sheet, column, numbers, open_sheet, times
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Json
 
 VALUES = ("gyro", "lla", "enu", "ned", "neu", "ecef", "speed_course", "value")  # keys that list columns
 
@@ -25,7 +25,7 @@ class Files(NamedTuple):
     zero: int  # s, subtracted from all times
 
 
-def known(table: dict[str, Any], keys: tuple[str, ...], where: str, kinds: Mapping[str, str] = OF) -> None:
+def known(table: Json, keys: tuple[str, ...], where: str, kinds: Mapping[str, str] = OF) -> None:
     """DataError for the first key that is not one of ``keys``, with the nearest, or whose value is of another kind."""
     for key, value in table.items():
         if key not in keys:
@@ -33,7 +33,7 @@ def known(table: dict[str, Any], keys: tuple[str, ...], where: str, kinds: Mappi
         require(where, key, value, kinds.get(key, "table"))  # streams are tables
 
 
-def sheet_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> tuple[Sheet, str]:
+def sheet_of(files: Files, table: Json, ref: Any, key: str) -> tuple[Sheet, str]:
     """Return the sheet and the column's name of ``COLUMN`` or, where ``file`` is a table, ``FILE:COLUMN``."""
     name, _, rest = str(ref).partition(":")
     file = table.get("file")
@@ -52,7 +52,7 @@ def sheet_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> tuple[S
     return files.opened[cache], str(ref)
 
 
-def _kind(table: dict[str, Any], of: str) -> tuple[tuple[int, str], ...]:
+def _kind(table: Json, of: str) -> tuple[tuple[int, str], ...]:
     """Return columns of the file ``of`` by number and the text that ``where`` asks of each: rows of one kind."""
     kinds = ((ref.removeprefix(of), value) for ref, value in table.get("where", {}).items() if _is_kind(ref, value))
     return tuple((int(ref), value) for ref, value in kinds if ref.isdigit())
@@ -83,7 +83,7 @@ def _found(files: Files, pattern: str) -> Path:
     return found[0]
 
 
-def column_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> np.ndarray:
+def column_of(files: Files, table: Json, ref: Any, key: str) -> np.ndarray:
     """(N,) numbers of ``COLUMN``, ``-COLUMN`` or ``{ column = COLUMN, times = 0.01 }``."""
     if isinstance(ref, Mapping):
         known(dict(ref), ("column", "times"), f"{files.map}: {key}: column")
@@ -95,7 +95,7 @@ def column_of(files: Files, table: dict[str, Any], ref: Any, key: str) -> np.nda
     return -numbers(sheet, name[1:]) if negative else numbers(sheet, name)
 
 
-def table_of(files: Files, table: dict[str, Any], key: str, stream: str, size: int = 3) -> np.ndarray:
+def table_of(files: Files, table: Json, key: str, stream: str, size: int = 3) -> np.ndarray:
     """(N, size) of the columns that ``key`` of the table lists."""
     refs = table.get(key)
     if not isinstance(refs, list) or len(refs) != size:
@@ -116,7 +116,7 @@ def time_columns(refs: Any) -> list[str]:
     return [str(ref) for ref in refs] if isinstance(refs, list) else [str(refs)]
 
 
-def times_of(files: Files, table: dict[str, Any], stream: str) -> np.ndarray:
+def times_of(files: Files, table: Json, stream: str) -> np.ndarray:
     """(N,) s, by the column ``time`` or, at ``rate_hz``, by the number of the row.
 
     With ``time_tag``, an RTKLIB time tag, the column counts ticks, which are stretched to the tag's.
@@ -147,7 +147,7 @@ def times_of(files: Files, table: dict[str, Any], stream: str) -> np.ndarray:
     return (start - files.zero) + (tick - inner[0]) * (last / (inner[-1] - inner[0])) + shift
 
 
-def _skipped(files: Files, table: dict[str, Any], stream: str, n: int) -> slice:
+def _skipped(files: Files, table: Json, stream: str, n: int) -> slice:
     """All rows but those that ``skip = [first, last]`` leaves out at the start and at the end."""
     skip = table.get("skip", [0, 0])
     if len(skip) != 2 or min(skip) < 0 or sum(skip) > n - 2:
@@ -155,7 +155,7 @@ def _skipped(files: Files, table: dict[str, Any], stream: str, n: int) -> slice:
     return slice(skip[0], n - skip[1])
 
 
-def rows_of(files: Files, table: dict[str, Any], stream: str, n: int) -> np.ndarray:
+def rows_of(files: Files, table: Json, stream: str, n: int) -> np.ndarray:
     """(N,) bool, rows not to ``skip`` that meet all of ``where`` and are new in one of the columns of ``new_where``."""
     keep = np.zeros(n, bool)
     keep[_skipped(files, table, stream, n)] = True
@@ -182,7 +182,7 @@ def rows_of(files: Files, table: dict[str, Any], stream: str, n: int) -> np.ndar
     return keep
 
 
-def sd_of(files: Files, table: dict[str, Any], stream: str, size: int) -> np.ndarray | None:
+def sd_of(files: Files, table: Json, stream: str, size: int) -> np.ndarray | None:
     """(N or 1, size) sd, ENU; None where the table says none."""
     given = [key for key in ("sd", "sd_enu", "sd_ned") if key in table]
     if not given:
@@ -195,7 +195,7 @@ def sd_of(files: Files, table: dict[str, Any], stream: str, size: int) -> np.nda
     return np.stack(columns, axis=1)[:, [1, 0, 2] if given[0] == "sd_ned" else slice(None)]
 
 
-def _sd(files: Files, table: dict[str, Any], entry: Any, stream: str) -> Any:
+def _sd(files: Files, table: Json, entry: Any, stream: str) -> Any:
     """Return a number, a column, or ``{column = "HDOP", times = 2.5}``; of variances with ``variance = true``."""
     if isinstance(entry, (int, float)):
         return float(entry)

@@ -19,7 +19,7 @@ from jaxnav.io.toml import cell
 from jaxnav.io.units import UNITS
 from jaxnav.maths.earth import enu_path
 from jaxnav.maths.units import G0
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Json
 
 WITHOUT_GRAVITY = {"user", "linear", "free"}  # words of an acceleration that a logger has taken gravity out of
 MAX_RADPS = 12.0  # of the rates of a vehicle
@@ -34,7 +34,7 @@ MAX_FILES = 20
 class Draft(NamedTuple):
     """A column map in the making."""
 
-    tables: dict[str, dict[str, Any]]  # of the map, by name
+    tables: dict[str, Json]  # of the map, by name
     remarks: list[tuple[str, str]]  # (table, how a value was found)
     unsure: list[str]  # what a person has to confirm
 
@@ -179,7 +179,7 @@ def _imu(found: Draft, sheets: dict[str, Sheet], gyro: list[Column], accel: list
     if accel[0].unit and accel[0].unit != unit:
         found.unsure.append(f"accel: the header says {accel[0].unit}, the numbers {unit} ({norm:.3g} in the median)")
     rate, how = _rate_unit(gyro)
-    table: dict[str, Any] = {}
+    table: Json = {}
     one = gyro[0].file == accel[0].file
     table["file"] = gyro[0].file if one else {"g": gyro[0].file, "a": accel[0].file}
     of_gyro, of_accel = ("", "") if one else ("g:", "a:")
@@ -268,7 +268,7 @@ def _nearest(ratio: float, kind: str, most: float) -> str:
 
 
 def _track(
-    table: dict[str, Any], sheet: Sheet, fixes: dict[str, Column]
+    table: Json, sheet: Sheet, fixes: dict[str, Column]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return rows with a new position, their times (s), and metres north and east of the first one."""
     scale = UNITS["angle"][table.get("unit", "deg")]
@@ -279,7 +279,7 @@ def _track(
     return new, t[new], north, east
 
 
-def _seconds(table: dict[str, Any], sheet: Sheet) -> np.ndarray:
+def _seconds(table: Json, sheet: Sheet) -> np.ndarray:
     """Return the times of a table, s."""
     refs = [table["time"]] if isinstance(table["time"], str) else table["time"]
     names = [ref if ref in sheet.columns else ref.partition(":")[2] for ref in refs]
@@ -289,16 +289,14 @@ def _seconds(table: dict[str, Any], sheet: Sheet) -> np.ndarray:
     return times(sheet, names[0], table.get("time_unit", "s"))
 
 
-def _time(
-    found: Draft, table: str, of: Column, sheet: Sheet, rates: tuple[float, float], prefix: str = ""
-) -> dict[str, Any]:
+def _time(found: Draft, table: str, of: Column, sheet: Sheet, rates: tuple[float, float], prefix: str = "") -> Json:
     """Return the keys of the time of a table: a column as long as ``of``, and its unit."""
     file, size = of.file, of.values.size
     names = [n for n, cells in sheet.columns.items() if not n.isdigit() and n not in sheet.twice and len(cells) == size]
     names.sort(key=lambda name: not name.startswith(of.name.rpartition(".")[0]))  # of the same struct first
     each = [named_column(file, name, *reading) for name in names for reading in readings(name, file)]
     known = list({c.name: c for c in each if c is not None and c.quantity in ("time", "date")}.values())
-    best: list[tuple[float, dict[str, Any], str]] = []
+    best: list[tuple[float, Json, str]] = []
     for name, stated in (
         (c.name, c.unit or unit_of(sheet.units.get(c.name, ""), "time")) for c in known if c.quantity == "time"
     ):
@@ -337,7 +335,7 @@ def _time(
 
 def _position(found: Draft, sheets: dict[str, Sheet], fixes: dict[str, Column]) -> None:
     lat, lon, height = fixes["lat"], fixes["lon"], fixes.get("height")
-    table: dict[str, Any] = {"file": lat.file}
+    table: Json = {"file": lat.file}
     remark = lambda words: found.remarks.append(("position", words))
     imu = found.tables.get("imu", {})
     if imu.get("file") == lat.file and len(sheets[lat.file].columns[imu["gyro"][0]]) == lat.values.size:
@@ -385,7 +383,7 @@ def _velocity(found: Draft, sheets: dict[str, Sheet], fixes: dict[str, Column]) 
         return
     position = found.tables["position"]
     kept: tuple[str, ...] = ("file", "time", "time_unit", "new_where")
-    table: dict[str, Any] = {key: position[key] for key in kept if key in position}
+    table: Json = {key: position[key] for key in kept if key in position}
     vertical = fixes.get("down") or fixes.get("up")
     if {"north", "east"} <= fixes.keys() and vertical is not None:
         key, order = ("ned", ("north", "east")) if vertical.quantity == "down" else ("enu", ("east", "north"))

@@ -39,7 +39,7 @@ from jaxnav.io.mend import Changes
 from jaxnav.io.options import OPTIONS, require
 from jaxnav.io.parts import Parts, counted_from
 from jaxnav.io.rollover import unrolled
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Json
 
 
 class ReadFile(Protocol):
@@ -103,7 +103,7 @@ def _mapped(recipe: FilePath, path: Path, gnss: FilePath | None) -> Reader:
     return row._replace(read=lambda path: read_map(recipe, read_parts, **where)._replace(name=path.stem), options=())
 
 
-def _read(row: Reader, path: Path, options: dict[str, Any]) -> Parts:
+def _read(row: Reader, path: Path, options: Json) -> Parts:
     try:
         return partial(row.read, **options)(path)
     except DataError:

@@ -8,7 +8,7 @@ from jaxnav.findings import finding
 from jaxnav.io.mend import MAX_BAD_SHARE
 from jaxnav.io.parts import Parts
 from jaxnav.maths.gps_time import WEEK
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Json
 
 PERIODS: dict[str, float] = {
     "2^32 ns": 2**32 / 1e9, "2^32 us": 2**32 / 1e6, "2^32 ms": 2**32 / 1e3, "2^16 ms": 2**16 / 1e3,
@@ -118,7 +118,7 @@ def _one_part(parts: Parts, streams: dict[str, np.ndarray], part: int | None) ->
     assert parts.imu is not None
     imu = _cut(parts.imu, ends[chosen], ends[chosen + 1])
     lines = None if parts.lines is None else parts.lines[ends[chosen] : ends[chosen + 1]]
-    others: dict[str, Any] = {**parts.aiding, **({} if parts.truth is None else {"truth": parts.truth})}
+    others: Json = {**parts.aiding, **({} if parts.truth is None else {"truth": parts.truth})}
     for name, rows in others.items():
         own = np.r_[0, falls(streams[name])[0], len(streams[name])]
         if len(own) == len(ends):

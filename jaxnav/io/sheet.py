@@ -20,7 +20,7 @@ from jaxnav.findings import finding
 from jaxnav.io.containers import ZIP, contents
 from jaxnav.io.files import FilePath
 from jaxnav.io.units import MULTIPLE, number_of
-from jaxnav.types import DataError, Finding
+from jaxnav.types import DataError, Finding, Json
 
 DAYS = {"excel": 25569.0, "matlab": 719529.0}  # days on which 1970 began, of units that count days
 DATE = re.compile(r"\s*(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T\s]+(\d{1,2}):(\d{1,2}):(\d{1,2}(?:\.\d*)?)\s*Z?\s*")
@@ -401,7 +401,7 @@ def _xlsx(data: bytes, file: str) -> bytes:
     return text.getvalue().encode()
 
 
-def _mat(data: bytes, file: str) -> dict[str, Any]:
+def _mat(data: bytes, file: str) -> Json:
     try:
         from scipy.io import loadmat
 
@@ -411,7 +411,7 @@ def _mat(data: bytes, file: str) -> dict[str, Any]:
     return {key: value for key, value in found.items() if not key.startswith("__")}
 
 
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
+def _flat(values: Json, prefix: str = "") -> dict[str, np.ndarray]:
     """Numbers of nested structs by dotted path; of a table each column as ``path[0]``, .. (or by number from 1)."""
     out: dict[str, np.ndarray] = {}
     for key, value in values.items():

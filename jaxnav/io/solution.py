@@ -2,7 +2,6 @@
 
 import json
 import os
-from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -14,7 +13,7 @@ from jaxnav.io.formats.rtklib import write_pos
 from jaxnav.maths.axes import lla_to_local
 from jaxnav.maths.gps_time import GPS_EPOCH
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError, Samples, Track
+from jaxnav.types import DataError, Json, Samples, Track
 
 FORMATS = ("csv", "kml", "pos", "nav", "geojson", "tum")
 
@@ -96,7 +95,7 @@ def write_geojson(path: FilePath, track: Track, fixes: Samples | None = None, na
     atomic_write(path, json.dumps({"type": "FeatureCollection", "features": features}) + "\n")
 
 
-def _feature(kind: str, lla: np.ndarray, properties: dict[str, Any]) -> dict[str, Any]:
+def _feature(kind: str, lla: np.ndarray, properties: Json) -> Json:
     places = [[round(lon / DEG, 10), round(lat / DEG, 10), round(h, 4)] for lat, lon, h in lla.tolist()]
     return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": places}}
 

@@ -2,12 +2,11 @@
 
 import difflib
 import re
-from typing import Any
 
 import numpy as np
 
 from jaxnav.maths.units import DEG, G0
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Json
 
 UNITS: dict[str, dict[str, float]] = {
     "rate": {"rad/s": 1.0, "deg/s": DEG, "mdeg/s": 1e-3 * DEG},
@@ -23,13 +22,13 @@ PRESSURE = {"Pa": 1.0, "hPa": 100.0, "kPa": 1000.0}
 SEA_LEVEL = 101325.0  # Pa, standard atmosphere
 
 
-def nearest(word: str, known: tuple[str, ...] | dict[str, Any]) -> str:
+def nearest(word: str, known: tuple[str, ...] | Json) -> str:
     """Return ``did you mean X?`` or the known names."""
     near = difflib.get_close_matches(word, list(known), n=1)
     return f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}, got {word!r}"
 
 
-def factor(table: dict[str, Any], key: str, kind: str, where: str, default: str | None = None) -> float:
+def factor(table: Json, key: str, kind: str, where: str, default: str | None = None) -> float:
     """Return the factor to SI of the unit that ``key`` of a table names, "deg/s", or of a multiple: "1/131 deg/s".
 
     Raises:

@@ -23,7 +23,7 @@ from jaxnav.states.motion import MOTION
 from jaxnav.states.second_order import SECOND_ORDER_S, reliability
 from jaxnav.states.sensors import OTHER
 from jaxnav.states.state import Reading, State
-from jaxnav.types import Fix, ImuLog, Mounting, Nav, Params
+from jaxnav.types import Fix, ImuLog, Mounting, Nav, Params, Tree
 
 FIXES_ALIKE = 2 * SECOND_ORDER_S
 """Factor on second-order noise of a fix: consecutive fixes see one attitude error, as `second_order` at 1 Hz."""
@@ -54,7 +54,7 @@ class Observation(NamedTuple):
 class Observe(Protocol):
     """The model of one measurement."""
 
-    def __call__(self, theta: Any, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
+    def __call__(self, theta: Tree, mounting: Mounting, nav: Nav, kin: Kinematics, fix: Fix) -> Observation:
         """``theta``: its parameters. ``nav``, ``kin``: the estimate at its time. ``fix``: its channels (s,)."""
 
 

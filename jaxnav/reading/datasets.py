@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxnav.io.files import read_bytes
-from jaxnav.types import DataError, Recording, nearest
+from jaxnav.types import DataError, Json, Recording, nearest
 
 DATA_DIR = "JAXNAV_DATA_DIR"  # environment variable: folder with a folder for each data set
 RECORDINGS = Path(__file__).with_name("recordings")
@@ -35,12 +35,12 @@ class Dataset(NamedTuple):
     files: tuple[DataFile, ...]
     map: Path | None = None  # column map; None: the folder, or its only file, is read as it is
     fixes_only: bool = False  # without an IMU: fixes for another recording
-    options: dict[str, Any] = {}  # of `jaxnav.reading.read.read`
-    settings: dict[str, Any] = {}  # values that its files lack; the user's settings take precedence
+    options: Json = {}  # of `jaxnav.reading.read.read`
+    settings: Json = {}  # values that its files lack; the user's settings take precedence
 
 
 def _datasets() -> dict[str, Dataset]:
-    def dataset(name: str, about: dict[str, Any]) -> Dataset:
+    def dataset(name: str, about: Json) -> Dataset:
         files, path = tuple(DataFile(**file) for file in about["files"]), RECORDINGS / f"{name}.toml"
         return Dataset(
             about["repository"], about["commit"], about["licence"], files, path if path.exists() else None,

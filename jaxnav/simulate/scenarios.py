@@ -13,6 +13,7 @@ from jaxnav.simulate.gnss import Receiver
 from jaxnav.simulate.imu import ImuErrors
 from jaxnav.simulate.sky import Sky
 from jaxnav.simulate.trajectories import Circle, LaunchMove, Urban
+from jaxnav.types import Json
 
 
 class InitialErrors(NamedTuple):
@@ -206,7 +207,7 @@ SCENARIOS: dict[str, Scenario] = {
 
 def describe(scenario: Scenario) -> str:
     """Return the scenario in lines of ``field = value``, a line for every field of a group."""
-    lines: dict[str, Any] = {}
+    lines: Json = {}
     for name, value in scenario._asdict().items():
         if hasattr(value, "_asdict"):
             kind = type(value).__name__

@@ -4,7 +4,7 @@ Each purpose has a key folded in: another GNSS noise, IMU or start does not chan
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,21 @@ from jaxnav.simulate.scenarios import PATTERN, InitialErrors, Scenario
 from jaxnav.simulate.trajectories import Point, Shape, shape_of, travel
 from jaxnav.states.grades import GRADES
 from jaxnav.states.receiver_clock import SLOTS
-from jaxnav.types import ConfigError, DataError, Epoch, Fix, Imu, ImuLog, Nav, Origin, Params, Recording, Samples, Track
+from jaxnav.types import (
+    ConfigError,
+    DataError,
+    Epoch,
+    Fix,
+    Imu,
+    ImuLog,
+    Nav,
+    Origin,
+    Params,
+    Recording,
+    Samples,
+    Track,
+    Tree,
+)
 
 DRIVE, SENSOR, RECEIVER, OUTAGES, START = range(5)  # the purposes that are folded into the key
 
@@ -156,7 +170,7 @@ simulate_jit = jax.jit(simulate, static_argnums=1)
 """`simulate`, compiled once for a scenario."""
 
 
-def matched_params(scenario: Scenario, rule: Any = (), feedback: Any = ()) -> Params:
+def matched_params(scenario: Scenario, rule: Tree = (), feedback: Tree = ()) -> Params:
     """Return the parameters of the simulation: the grade's datasheet, and the scenario's prior and installation.
 
     Of the errors beyond a grade's datasheet they know nothing, nor of faults and correlated noise.

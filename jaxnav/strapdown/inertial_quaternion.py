@@ -14,8 +14,6 @@ Gravity is the project's, which contains the centrifugal part. The paper's eq. 1
 gravity held at its value at the origin; here it must not stand a second time.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +23,7 @@ from jaxnav.maths import earth, rotations
 from jaxnav.maths.components import split
 from jaxnav.strapdown import tangent_frame
 from jaxnav.strapdown.increments import increments, trace
-from jaxnav.types import ErrorInputs, Forcing, Imu, Nav, Origin
+from jaxnav.types import ErrorInputs, Forcing, Imu, Nav, Origin, Tree
 
 AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # tangent frame (along, up, right) -> N
 _AXES_Q = np.array([0.5, 0.5, 0.5, 0.5])
@@ -71,7 +69,7 @@ def propagate(
     t = nav.t + jnp.cumsum(inc.dt)
     A = jax.vmap(lambda t: rotations.to_dcm(turned(nav.origin, t)))(t - inc.dt)  # at each sample's start
 
-    def sample(carry: Any, x: Any) -> Any:
+    def sample(carry: Tree, x: Tree) -> Tree:
         q, v, r = carry
         dt, theta, dv_b, A = x
         thrust = A @ (rotations.to_dcm(q) @ dv_b)

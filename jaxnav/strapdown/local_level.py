@@ -12,8 +12,6 @@ time: velocity by the midpoint rule, position with the mean velocity, latitude a
 `jaxnav.strapdown.fast.local_level` is the same several times faster, equal by test (tests/strapdown/test_plain.py).
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -21,7 +19,7 @@ from jax import lax
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.components import split
 from jaxnav.strapdown.increments import increments, trace
-from jaxnav.types import ErrorInputs, Forcing, Imu, Nav
+from jaxnav.types import ErrorInputs, Forcing, Imu, Nav, Tree
 
 
 def propagate(
@@ -35,7 +33,7 @@ def propagate(
     inc = increments(nav, imu)
     s, a = u or (jnp.zeros(3), jnp.zeros(3))
 
-    def sample(carry: Any, x: Any) -> Any:
+    def sample(carry: Tree, x: Tree) -> Tree:
         q, v, lla = carry
         dt, theta, dv_b = x
         half = lla + 0.5 * dt * jnp.stack([v[1] / earth.A, jnp.zeros_like(dt), v[2]])  # half-way; lon does not matter

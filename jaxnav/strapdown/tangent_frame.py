@@ -11,8 +11,6 @@ eq. 20, which is the one that fits the axes: C_n0^t is [[cA, sA, 0], [0, 0, -1],
 The paper rotates gravity by the constant C_e^t alone; it must also follow the ellipsoid's normal along the way.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -20,7 +18,7 @@ from jax import lax
 from jaxnav.maths import earth, rotations
 from jaxnav.maths.components import split
 from jaxnav.strapdown.increments import increments, trace
-from jaxnav.types import ErrorInputs, Forcing, Imu, Nav, Origin
+from jaxnav.types import ErrorInputs, Forcing, Imu, Nav, Origin, Tree
 
 
 def from_enu(azimuth: jax.Array) -> jax.Array:
@@ -92,7 +90,7 @@ def propagate(
     spin, push = u or (0.0, 0.0)
     C_et, start, w = from_ecef(nav.origin), earth.lla_to_ecef(nav.origin.lla), earth_rate(nav.origin)
 
-    def sample(carry: Any, x: Any) -> Any:
+    def sample(carry: Tree, x: Tree) -> Tree:
         q, v, r = carry
         dt, theta, dv_b = x
         turn = w * dt

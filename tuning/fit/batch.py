@@ -17,6 +17,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, PartitionSpec
 
+from jaxnav.types import Tree
 from tuning.fit.transforms import Transform, join, penalty
 
 RUNS = "runs"  # name of the mesh's axis
@@ -45,7 +46,7 @@ class Problem(NamedTuple):
 class Data(NamedTuple):
     """The data of the problem; arrays."""
 
-    params: Any
+    params: Tree
     arguments: tuple[Any, ...]
     cases: tuple[Any, ...]  # of every group a tree with a leading axis of runs, padded to a multiple of the devices
     weight: jax.Array  # (B,) of the runs of all groups
@@ -61,7 +62,7 @@ class Evaluated(NamedTuple):
     good: jax.Array  # (B,) bool: value and gradient finite
 
 
-def evaluate(problem: Problem, raw: Any, data: Data, slopes: bool = True) -> Evaluated:
+def evaluate(problem: Problem, raw: Tree, data: Data, slopes: bool = True) -> Evaluated:
     """Return value and gradient, and both of each run; runs that are not finite are left out.
 
     Where all of them fail, value and gradient are nan.
@@ -94,7 +95,7 @@ def _weights(aggregate: Aggregate, values: jax.Array, weight: jax.Array) -> tupl
     return jnp.where(weight > 0, share, 0.0), value
 
 
-def _rows(problem: Problem, slopes: bool, raw: Any, data: Data) -> jax.Array:
+def _rows(problem: Problem, slopes: bool, raw: Tree, data: Data) -> jax.Array:
     """Value and gradient of every run, (B, 1 + P), or (B, 1) without gradients."""
     if not problem.counts:
         call = lambda r: problem.losses[0](join(dict(problem.free), r, data.params), *data.arguments)
@@ -107,7 +108,7 @@ def _rows(problem: Problem, slopes: bool, raw: Any, data: Data) -> jax.Array:
     @partial(
         jax.shard_map, mesh=problem.mesh, in_specs=(PartitionSpec(), spread), out_specs=PartitionSpec(), check_vma=False
     )
-    def gathered(raw: Any, data: Data) -> Any:
+    def gathered(raw: Tree, data: Data) -> Any:
         return lax.all_gather(jnp.concatenate(_local(problem, slopes, raw, data)), RUNS)
 
     rows, at, parts = gathered(raw, data), 0, []
@@ -118,7 +119,7 @@ def _rows(problem: Problem, slopes: bool, raw: Any, data: Data) -> jax.Array:
     return jnp.concatenate(parts)
 
 
-def _local(problem: Problem, slopes: bool, raw: Any, data: Data) -> list[jax.Array]:
+def _local(problem: Problem, slopes: bool, raw: Tree, data: Data) -> list[jax.Array]:
     """Return the rows of this device's runs, by group."""
 
     def one(loss: Any, case: Any) -> Any:
@@ -127,7 +128,7 @@ def _local(problem: Problem, slopes: bool, raw: Any, data: Data) -> list[jax.Arr
     return [jax.vmap(partial(one, f))(cases) for f, cases in zip(problem.losses, data.cases, strict=True)]
 
 
-def _row(call: Callable[[Any], jax.Array], slopes: bool, raw: Any) -> jax.Array:
+def _row(call: Callable[[Any], jax.Array], slopes: bool, raw: Tree) -> jax.Array:
     """Value, and gradient if asked for: forwards of few numbers, which compiles to less, else backwards."""
     if not slopes:
         return call(raw)[None]
@@ -142,13 +143,13 @@ def _row(call: Callable[[Any], jax.Array], slopes: bool, raw: Any) -> jax.Array:
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
-def strict(problem: Problem, raw: Any, data: Data) -> jax.Array:
+def strict(problem: Problem, raw: Tree, data: Data) -> jax.Array:
     """Return the value, inf where a run of positive weight fails, for a line search; its gradient is `evaluate`'s."""
     e = evaluate(problem, raw, data, slopes=False)
     return jnp.where((e.good | (data.weight == 0)).all(), e.value, jnp.inf)
 
 
-def _forth(problem: Problem, raw: Any, data: Data) -> Any:
+def _forth(problem: Problem, raw: Tree, data: Data) -> Any:
     e = evaluate(problem, raw, data)
     return jnp.where((e.good | (data.weight == 0)).all(), e.value, jnp.inf), e.grad
 

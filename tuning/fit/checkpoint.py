@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Json, Tree
 
 MAX_BYTES = 1 << 30  # of the unpacked file
 DIGEST = hashlib.sha256().digest_size
@@ -28,11 +28,11 @@ class CheckpointError(DataError):
 class Checkpoint(NamedTuple):
     """The saved state."""
 
-    tree: Any
-    head: dict[str, Any]
+    tree: Tree
+    head: Json
 
 
-def save(path: str | os.PathLike[str], tree: Any, head: dict[str, Any], identity: str = "") -> None:
+def save(path: str | os.PathLike[str], tree: Tree, head: Json, identity: str = "") -> None:
     """Write the leaves of ``tree`` and the plain values of ``head`` (JSON; floats come back bit for bit).
 
     ``identity`` identifies the job; `load` asks for the same.
@@ -48,7 +48,7 @@ def save(path: str | os.PathLike[str], tree: Any, head: dict[str, Any], identity
     about = {"identity": identity, "tree": str(jax.tree.structure(tree)), "head": head}
     text = json.dumps(about, sort_keys=True)
     buffer = io.BytesIO()
-    arrays: dict[str, Any] = {"about": np.frombuffer(text.encode(), np.uint8)} | leaves
+    arrays: Json = {"about": np.frombuffer(text.encode(), np.uint8)} | leaves
     np.savez(buffer, **arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -66,7 +66,7 @@ def save(path: str | os.PathLike[str], tree: Any, head: dict[str, Any], identity
             os.close(folder)
 
 
-def load(path: str | os.PathLike[str], like: Any, identity: str = "") -> Checkpoint:
+def load(path: str | os.PathLike[str], like: Tree, identity: str = "") -> Checkpoint:
     """Read a checkpoint for a tree of the structure, shapes and dtypes of ``like``; its leaves where that is None.
 
     Raises:
@@ -100,7 +100,7 @@ def _name(i: int) -> str:
     return f"leaf{i}"
 
 
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _read(path: Path) -> tuple[Json, dict[str, np.ndarray]]:
     data = path.read_bytes()
     if hashlib.sha256(data[:-DIGEST]).digest() != data[-DIGEST:]:
         raise ValueError("digest differs")

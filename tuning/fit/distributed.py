@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxnav.types import ConfigError
+from jaxnav.types import ConfigError, Tree
 from tuning.fit.batch import RUNS
 
 
@@ -57,12 +57,12 @@ def writes() -> bool:
     return jax.process_index() == 0
 
 
-def replicate(tree: Any, where: Mesh | None) -> Any:
+def replicate(tree: Tree, where: Mesh | None) -> Any:
     """Return the tree on every device."""
     return tree if where is None else jax.tree.map(lambda a: _place(np.asarray(a), where, PartitionSpec()), tree)
 
 
-def share(tree: Any, where: Mesh | None) -> Any:
+def share(tree: Tree, where: Mesh | None) -> Any:
     """Split runs (B, ...) among the devices; copies of the last run fill up the remainder."""
     if where is None:
         return tree

@@ -17,6 +17,7 @@ from jax.sharding import Mesh
 from jaxnav.analysis.progress import bar as progress_bar
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.programs import stored
+from jaxnav.types import Json, Tree
 from tuning.fit import checkpoint, distributed
 from tuning.fit.batch import Aggregate, Data, Problem, evaluate, mean, strict
 from tuning.fit.optimizers import Method, Optimizer, made
@@ -29,18 +30,18 @@ LAST, HISTORY = "last.npz", "history.jsonl"
 class Fit(NamedTuple):
     """Result of training."""
 
-    params: Any  # the best parameters met
+    params: Tree  # the best parameters met
     loss: float  # their loss, or their validation score
-    history: list[dict[str, Any]]  # one row a step: step, loss, grad_norm, validation, params {name: value}
+    history: list[Json]  # one row a step: step, loss, grad_norm, validation, params {name: value}
     status: Status  # iteration_limit or interrupted
-    aside: tuple[dict[str, Any], ...] = ()  # runs that failed: run, the first step at which it did, why
+    aside: tuple[Json, ...] = ()  # runs that failed: run, the first step at which it did, why
 
 
 class TrainState(NamedTuple):
     """Where training stands before a step: all that a checkpoint holds."""
 
-    raw: Any  # unconstrained parameters
-    state: Any  # of the optimiser
+    raw: Tree  # unconstrained parameters
+    state: Tree  # of the optimiser
     best: Any  # like raw
     score: float  # of the best
     failed: int  # runs that failed with the best: fewer is better than any score
@@ -48,7 +49,7 @@ class TrainState(NamedTuple):
 
 
 @partial(stored, static_argnums=(0, 1))
-def _step(problem: Problem, optimizer: Optimizer, raw: Any, state: Any, data: Data) -> Any:
+def _step(problem: Problem, optimizer: Optimizer, raw: Tree, state: Tree, data: Data) -> Any:
     """Return new raw, new state, and loss, gradient norm and good runs at the old raw."""
     e = evaluate(problem, raw, data)
     # a line search takes the runs that are good here, and refuses points where one of those fails
@@ -60,7 +61,7 @@ def _step(problem: Problem, optimizer: Optimizer, raw: Any, state: Any, data: Da
 
 
 @partial(stored, static_argnums=(0,))
-def _score(problem: Problem, raw: Any, data: Data) -> Any:
+def _score(problem: Problem, raw: Tree, data: Data) -> Any:
     """Return value and good runs."""
     e = evaluate(problem, raw, data, slopes=False)
     return e.value, e.good
@@ -69,7 +70,7 @@ def _score(problem: Problem, raw: Any, data: Data) -> Any:
 def fit(
     loss: Callable[..., jax.Array] | Sequence[Callable[..., jax.Array]],
     spec: Spec,
-    params: Any,
+    params: Tree,
     steps: int,
     optimizer: Optimizer | None = None,
     arguments: tuple[Any, ...] = (),
@@ -179,7 +180,7 @@ def fit(
 def _job(
     loss: Any,
     spec: Spec,
-    params: Any,
+    params: Tree,
     arguments: Any,
     cases: Any,
     aggregate: Any,
@@ -239,14 +240,14 @@ def _advance(
 class _History:
     """The history in memory and on disk, the checkpoint, and which runs failed."""
 
-    def __init__(self, folder: Any, identity: str, names: list[str], explain: Any, spec: Spec, params: Any) -> None:
+    def __init__(self, folder: Any, identity: str, names: list[str], explain: Any, spec: Spec, params: Tree) -> None:
         self.folder = None if folder is None else Path(folder)
         self.identity, self.names, self.explain, self.spec, self.params = identity, names, explain, spec, params
-        self.rows: list[dict[str, Any]] = []
+        self.rows: list[Json] = []
         self.digest = hashlib.sha256()  # of the lines written so far
-        self.aside: list[dict[str, Any]] = []
+        self.aside: list[Json] = []
 
-    def note(self, row: dict[str, Any], raw: Any, good: np.ndarray) -> None:
+    def note(self, row: Json, raw: Tree, good: np.ndarray) -> None:
         """Complete the row of a step and write it."""
         known = {entry["index"] for entry in self.aside}
         for i in np.flatnonzero(~good).tolist() if good.size > 1 else []:

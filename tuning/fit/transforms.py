@@ -40,6 +40,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.filters.parameters import get, put
+from jaxnav.types import Array, Tree
 
 Spec = dict[str, "Transform"]
 LINEAR_GAIN = 0.01  # of a gain of any sign: below it steps are even, above it they grow with the gain
@@ -76,11 +77,11 @@ def scaled(unit: float) -> Transform:
     return Transform(partial(_times, unit), partial(_over, unit))
 
 
-def _times(unit: float, raw: Any) -> Any:
+def _times(unit: float, raw: Tree) -> Any:
     return raw * unit
 
 
-def _over(unit: float, value: Any) -> Any:
+def _over(unit: float, value: Array) -> Any:
     return value / unit
 
 
@@ -90,11 +91,11 @@ def interval(low: float, high: float) -> Transform:
     return Transform(partial(_inside, low, high), partial(_share, low, high))
 
 
-def _inside(low: float, high: float, raw: Any) -> jax.Array:
+def _inside(low: float, high: float, raw: Tree) -> jax.Array:
     return low + (high - low) * jax.nn.sigmoid(raw)
 
 
-def _share(low: float, high: float, value: Any) -> jax.Array:
+def _share(low: float, high: float, value: Array) -> jax.Array:
     share = (value - low) / (high - low)
     return jnp.log(share) - jnp.log1p(-share)
 
@@ -140,7 +141,7 @@ def _root(n: int, raw: jax.Array) -> jax.Array:
     return jnp.exp(raw[:n, None]) * (jnp.tanh(Z) + jnp.eye(n)) * rest
 
 
-def _numbers(n: int, value: Any) -> jax.Array:
+def _numbers(n: int, value: Array) -> jax.Array:
     L, lower = _matrix(value, n), np.tril_indices(n, -1)
     square = jnp.cumsum(L[:, ::-1] ** 2, 1)[:, ::-1]  # of the rest of a row from each column on
     sinh = L[lower] / jnp.sqrt(square[lower[0], lower[1] + 1])
@@ -159,7 +160,7 @@ TREE = Transform(lambda raw: raw, lambda value: value, tree=True)
 TRANSFORMS: dict[str, Transform] = {"log": LOG, "identity": IDENTITY, "signed": SIGNED}
 
 
-def bound(spec: Spec, params: Any) -> tuple[Spec, Any]:
+def bound(spec: Spec, params: Tree) -> tuple[Spec, Any]:
     """Return a spec that knows the structure of its branches, and parameters without these: arrays alone.
 
     Functions and numbers of a branch are part of the program.
@@ -186,14 +187,14 @@ def _is_free(leaf: Any) -> bool:
     return hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.inexact)
 
 
-def _branch(transform: Transform, raw: Any) -> Any:
+def _branch(transform: Transform, raw: Tree) -> Any:
     """Return a branch of the free arrays of ``raw`` and of what is frozen."""
     structure, rest = transform.frozen
     free = iter(jax.tree.leaves(raw))
     return jax.tree.unflatten(structure, [next(free) if leaf is None else leaf for leaf in rest])
 
 
-def split(spec: Spec, params: Any) -> dict[str, jax.Array]:
+def split(spec: Spec, params: Tree) -> dict[str, jax.Array]:
     """Return the free leaves as unconstrained float arrays; axes that are tied start at their mean.
 
     Raises:
@@ -210,7 +211,7 @@ def split(spec: Spec, params: Any) -> dict[str, jax.Array]:
     return raw
 
 
-def _untie(transform: Transform, value: Any) -> jax.Array:
+def _untie(transform: Transform, value: Array) -> jax.Array:
     raw = transform.inverse(jnp.asarray(value, float))
     if transform.tie is None:
         return raw
@@ -221,7 +222,7 @@ def _untie(transform: Transform, value: Any) -> jax.Array:
     return jnp.stack([jnp.mean(raw[index == i]) for i in range(index.max() + 1)])
 
 
-def join(spec: Spec, raw: dict[str, jax.Array], params: Any) -> Any:
+def join(spec: Spec, raw: dict[str, jax.Array], params: Tree) -> Any:
     """Return ``params`` with the free leaves replaced by the values of ``raw``; the rest is kept."""
     for name, transform in spec.items():
         if transform.tree:
@@ -291,7 +292,7 @@ def leaves(spec: Spec) -> tuple[str, ...]:
     return tuple(leaf for name, transform in spec.items() for leaf in (name, *transform.also))
 
 
-def merged(params: Any, into: Any, free: tuple[str, ...]) -> Any:
+def merged(params: Tree, into: Any, free: tuple[str, ...]) -> Any:
     """Return ``into`` with the leaves in ``free`` from ``params``."""
     for leaf in free:
         into = put(into, leaf, get(params, leaf))

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxnav.maths import units
 from jaxnav.measurements import Measurement
-from jaxnav.types import Fix, Params, StateParams
+from jaxnav.types import Fix, Json, Params, StateParams
 
 ONE_CORRELATION_TIME = 4 * units.HOUR  # s, in place of a random walk where a target has Gauss-Markov processes alone
 
@@ -33,7 +33,7 @@ def _remark(leaves: Mapping[str, Any], mark: str) -> list[str]:
     return [f"{mark} correlations between the axes are left out of {', '.join(correlated)}"] if correlated else []
 
 
-def _sensors(params: Params) -> dict[str, Any]:
+def _sensors(params: Params) -> Json:
     """White noise and driving noise of the biases, by name; zero where the filter has no biases."""
     still = StateParams(0.0, 0.0, np.inf)
     drives = {name: params.states.get(name, still).driving_noise for name in ("gyro_bias", "accel_bias")}

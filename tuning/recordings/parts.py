@@ -1,7 +1,7 @@
 """How a recording is used: which part of its time is trained on, which judges, and the windows hidden in each."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from jaxnav.maths import earth
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import TICK
 from jaxnav.measurements import MEASUREMENTS, clock_offset
-from jaxnav.types import Epoch, Fix, Nav, Params, Track
+from jaxnav.types import Epoch, Fix, Json, Nav, Params, Track
 from tuning.recordings.runs import Run, Truth, many
 
 PHASES = 5  # runs with windows shifted against each other
@@ -68,7 +68,7 @@ class Used(NamedTuple):
         return self.windows.start
 
     @property
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> Json:
         """Return the facts of the recording for metrics.json."""
         return {"layout_s": self.layout._asdict(), "initialization": self.initialization.how}
 

@@ -41,7 +41,7 @@ from jaxnav.filters.standstill import Standing
 from jaxnav.findings import finding, line
 from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.measurements import MEASUREMENTS
-from jaxnav.types import ConfigError, DataError, Finding, Params, Recording, sample_rows
+from jaxnav.types import ConfigError, DataError, Finding, Json, Params, Recording, sample_rows
 from tuning.recordings.choice import choose
 from tuning.recordings.evidence import Job
 from tuning.recordings.experiment import Experiment, experiments_of, predicted, scores
@@ -184,7 +184,7 @@ def tune(
     job = Job(filt, spec, known, separate, observations)
     white = Job(filt, spec, used, separate, observations) if slow or shared != 1.0 else job
     log(f"free: {', '.join(spec)}")
-    history: list[dict[str, Any]] = []
+    history: list[Json] = []
     auto = job.numbers([each.applied(u.datasheet) for each, u in zip(scans, used, strict=True)])
     centre = job.numbers([initialized(*each) for each in zip(scans, used, recs, strict=True)])
     job.centre_delays(centre)

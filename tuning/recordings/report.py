@@ -24,7 +24,7 @@ from jaxnav.io.toml import to_toml
 from jaxnav.io.weights import WEIGHTS, read_weights, write_weights
 from jaxnav.measurements import MEASUREMENTS, Measurement
 from jaxnav.states.table import BIASES
-from jaxnav.types import DataError, Finding, Info, Params
+from jaxnav.types import DataError, Finding, Info, Json, Params
 from tuning.fit.status import Status
 from tuning.fit.transforms import LOG, Spec, Transform, reported, values
 from tuning.recordings.export import sd_by_stream, stated_sd
@@ -81,7 +81,7 @@ class Tuned:
     nis: dict[str, dict[str, float]]  # by candidate: normalised innovations squared by channel, on the test
     spec: Spec
     findings: list[Finding]  # on the search and on undetermined parameters
-    history: list[dict[str, Any]] = field(default_factory=list)
+    history: list[Json] = field(default_factory=list)
     status: Status = Status.CONVERGED
     effective: float = math.nan  # N of a tempered likelihood
     interval: PairedRatio | None = None  # the winner's drift over the datasheet's on the test
@@ -96,7 +96,7 @@ class Tuned:
         """Windows by part."""
         return {name: int(mask.sum()) for name, mask in self.parts.items()}
 
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> Json:
         """All figures, as metrics.json has them."""
         return metrics(self)
 
@@ -246,14 +246,14 @@ def short(label: str) -> str:
 # ---------------------------------------------------------------------------- files
 
 
-def user_history(history: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def user_history(history: Sequence[Mapping[str, Any]]) -> list[Json]:
     """Return one row a step, its parameters in a user's units."""
     # of one shape in every step, whether axes happen to agree in it or not
     in_units = lambda params: {name_of(leaf): user_value(leaf, v, False) for leaf, v in params.items()}
     return [dict(row) | ({"params": in_units(row["params"])} if "params" in row else {}) for row in history]
 
 
-def metrics(found: Tuned) -> dict[str, Any]:
+def metrics(found: Tuned) -> Json:
     """All figures of a job, as metrics.json has them."""
     named = [u.name for u in found.used for _ in u.starts]
     return {
@@ -289,7 +289,7 @@ def write(found: Tuned, folder: Path, states: Sequence[str] = (), exports: bool 
         part = "" if spec is None else spec.adapter
         write_weights(folder / f"tuned{WEIGHTS}", found.params.adapter, part if isinstance(part, str) else "")
         section |= {"adapter": f"tuned{WEIGHTS}"}
-    params: dict[str, Any] = {"filter": section} if section else {}
+    params: Json = {"filter": section} if section else {}
     stated = lambda each: nested(in_user_units(each, dict.fromkeys([*noise_leaves(each), *prior, *found.spec])))
     head = f"# jaxnav tune: {about}\n# use: jaxnav filter --params tuned.toml\n"
     atomic_write(folder / "tuned.toml", head + to_toml(params | stated(found.params)))

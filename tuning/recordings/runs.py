@@ -17,7 +17,7 @@ from jaxnav.analysis import metrics
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import first_failure, run, run_jit
 from jaxnav.measurements import clock_offset
-from jaxnav.types import ConfigError, DataError, Epoch, FilterError, Info, Nav, Params, nearest
+from jaxnav.types import ConfigError, DataError, Epoch, FilterError, Info, Nav, Params, Tree, nearest
 from tuning.fit import objectives
 from tuning.fit.optimizers import Method
 from tuning.fit.train import Fit, fit
@@ -233,6 +233,6 @@ def why(filt: Filter, params: Params, r: Run) -> str:
     return "its gradient is not finite"
 
 
-def many(tree: Any, count: int) -> Any:
+def many(tree: Tree, count: int) -> Any:
     """Return a tree with a leading axis, once for every run."""
     return jax.tree.map(lambda a: jnp.broadcast_to(a, (count, *jnp.shape(a))), tree)

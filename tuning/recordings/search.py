@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxnav.maths.units import TICK
+from jaxnav.types import Json
 from tuning.fit import checkpoint
 from tuning.fit.status import Status
 from tuning.recordings import scoring
@@ -31,7 +32,7 @@ def search(
     name: str,
     job: Job,
     first: jax.Array,
-    history: list[dict[str, Any]],
+    history: list[Json],
     log: Callable[[str], None],
     checkpoints: Checkpoints | None = None,
 ) -> tuple[jax.Array, Status]:
@@ -66,7 +67,7 @@ def search(
 
 
 def descent(
-    name: str, job: Job, first: jax.Array, history: list[dict[str, Any]], log: Callable[[str], None], how: Descent
+    name: str, job: Job, first: jax.Array, history: list[Json], log: Callable[[str], None], how: Descent
 ) -> tuple[jax.Array, Status]:
     """Minimise an objective over the training windows from a point by gradient; the best by the validation windows."""
     size = lambda end: max(int(np.searchsorted(u.packed.t, getattr(u.layout, end) + TICK)) for u in job.used)

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Sequence, Set
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from jaxnav.kinds import KINDS
 from jaxnav.maths.units import PPM
 from jaxnav.measurements import GNSS, Measurement, layout
 from jaxnav.navigation import MAX_EARLY_S, Solution, navigate, not_early
-from jaxnav.types import Finding, Info, Params, Recording
+from jaxnav.types import Finding, Info, Json, Params, Recording
 from tuning.fit.status import Status
 from tuning.recordings.experiment import Experiment, Scored, experiments_of
 from tuning.recordings.faults import suspect_windows, without_faults
@@ -75,7 +74,7 @@ class Solved:
     test_nis: float  # NIS over degrees of freedom on the test part, of the receiver's fixes
     status: Status = Status.CONVERGED
 
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> Json:
         """All figures, as metrics.json has them."""
         c, drift = self.calibration, self.drift_m
         ratio = lambda over: drift["solution"] / drift[over] if drift.get(over) else None

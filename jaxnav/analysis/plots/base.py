@@ -9,12 +9,12 @@ Innovations, and figures over windows, methods and tuning steps, are in `jaxnav.
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxnav.maths import units
-from jaxnav.types import Samples, Track
+from jaxnav.types import Json, Samples, Track
 
 if TYPE_CHECKING:  # 0.8 s of import: only when something is drawn
     from matplotlib.axes import Axes
@@ -97,14 +97,14 @@ def panels(fig: "FigureBase", n: int, columns: int, xlabel: str) -> "list[Axes]"
 
 def legend(fig: "Figure", columns: int = 6) -> None:
     """One legend below the panels, each label once, so that it never covers data."""
-    entries: dict[str, Any] = {}
+    entries: Json = {}
     for ax in fig.axes:
         for handle, label in zip(*ax.get_legend_handles_labels()):
             entries.setdefault(label, handle)
     if not entries:
         return
     columns = min(columns, len(entries))
-    look: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "fontsize": 8.5, "frameon": False}
+    look: Json = {"loc": "outside lower center", "ncols": columns, "fontsize": 8.5, "frameon": False}
     box = fig.legend(list(entries.values()), list(entries), **look)
     for draw_state in box.legend_handles:
         if draw_state is not None and getattr(draw_state, "get_marker", str)() == ".":

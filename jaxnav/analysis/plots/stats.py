@@ -30,6 +30,7 @@ from jaxnav.analysis.plots.base import (
     time_axis,
     times,
 )
+from jaxnav.types import Json
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +50,7 @@ def _known(name: str, errors: Mapping[str, Array]) -> dict[str, Array]:
     return known
 
 
-def _style(i: int) -> dict[str, Any]:
+def _style(i: int) -> Json:
     return {"color": COLORS[i % len(COLORS)], "linestyle": DASHES[(i // len(COLORS) + i) % len(DASHES)]}
 
 
@@ -77,7 +78,7 @@ def _metres(value: Any) -> str:
     return f"{value:#.3g}".rstrip(".") + " m"
 
 
-def _steps(ax: "Axes", values: Array, label: str, style: dict[str, Any]) -> None:
+def _steps(ax: "Axes", values: Array, label: str, style: Json) -> None:
     """Return the share of values at or below x, in percent."""
     x = np.sort(values)
     share = 100.0 * np.arange(x.size + 1) / x.size
@@ -259,7 +260,7 @@ def tuning(history: Sequence[Mapping[str, Any]], truth: Mapping[str, Any] | None
     parts: Any = fig.subfigures(2, 1, height_ratios=(2.6, 1.9 * max(1, rows))) if rows else (fig, fig)
     losses, gradients = parts[0].subplots(1, 2, sharex=True)
     dress(losses, "", "Step", "Loss (–)")
-    line: dict[str, Any] = {"color": BLUE, "linewidth": 1.2, "marker": "o" if len(history) == 1 else ""}
+    line: Json = {"color": BLUE, "linewidth": 1.2, "marker": "o" if len(history) == 1 else ""}
     losses.plot(step, loss, label="training loss", **line)
     if np.isfinite(held_out).any():
         seen = np.isfinite(held_out)

@@ -4,7 +4,6 @@ import math
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from jaxnav.io import atomic_write
 from jaxnav.io.json import write_json
 from jaxnav.io.toml import to_toml
 from jaxnav.maths.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, TICK, UG
-from jaxnav.types import DataError, ImuLog, Samples
+from jaxnav.types import DataError, ImuLog, Json, Samples
 
 MIN_SAMPLES = 100  # samples
 MOTION_FACTOR = 2.0  # factor, one sd, by which noise in motion is another than at rest
@@ -48,7 +47,7 @@ def allan(config: Config, folder: Path) -> Outcome:
     rec = load(config)
     imu = span(rec.imu, config.data.start, config.data.stop)
     gyro, accel, dt = regular(imu)
-    found: dict[str, Any] = {
+    found: Json = {
         "name": rec.name,
         "start_s": float(imu.t[0] - imu.dt[0]),
         "stop_s": float(imu.t[-1]),
@@ -95,7 +94,7 @@ def span(imu: ImuLog, start: float | None, stop: float | None) -> ImuLog:
     return ImuLog(*(a[inside] for a in imu))
 
 
-def standing(config: Config, imu: ImuLog, velocity: Samples | None = None) -> dict[str, Any]:
+def standing(config: Config, imu: ImuLog, velocity: Samples | None = None) -> Json:
     """Return the share of time at rest by the detector of [filter] and by the receiver, and the longest rest (s)."""
     f = config.filter
     window = f.standing_window_s
@@ -121,13 +120,13 @@ def in_units(kind: str, found: ReadOff) -> dict[str, float | None]:
     return row | {"gauss_markov_tau_s": None if hump is None else hump.tau}
 
 
-def grade(read: dict[str, tuple[Allan, list[ReadOff]]]) -> dict[str, Any]:
+def grade(read: dict[str, tuple[Allan, list[ReadOff]]]) -> Json:
     """Return settings of the noise that shows at rest, with [tune] prior: one sd as a factor.
 
     White noise by axis; the driving noise of a bias by its random walk, else by its Gauss-Markov hump. The prior is the
     figure's uncertainty, by the degrees of freedom of the curve where it was read, and `MOTION_FACTOR`.
     """
-    params: dict[str, Any] = {}
+    params: Json = {}
     prior: dict[str, float] = {}
     for kind, leaves in LEAVES.items():
         curve, axes = read[kind]
@@ -156,12 +155,12 @@ def _driven(axis: ReadOff) -> tuple[float, float] | None:
     return None if hump is None else (hump.sd * math.sqrt(2 / hump.tau), 1.89 * hump.tau)
 
 
-def as_table(curve: Allan, unit: str, si: float) -> dict[str, Any]:
+def as_table(curve: Allan, unit: str, si: float) -> Json:
     """Return the curve for JSON."""
     return {"unit": unit, "tau_s": curve.tau, "deviation": (curve.deviation / si).T, "edf": curve.edf}
 
 
-def summary(found: dict[str, Any], rows: dict[str, list[dict[str, float | None]]]) -> str:
+def summary(found: Json, rows: dict[str, list[dict[str, float | None]]]) -> str:
     """Return the tables for the terminal."""
     lines = [f"{found['name']}: {found['start_s']:.1f} to {found['stop_s']:.1f} s at {found['rate_hz']:.4g} Hz"]
     if found.get("share_at_rest", 1.0) < 1.0:

@@ -16,7 +16,7 @@ from jaxnav.io.json import plain
 from jaxnav.io.sheet import numbers, open_sheet
 from jaxnav.maths import earth
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Json
 
 LEFT_OUT = ("per_window", "per_run", "low", "high", "correlation", "samples", "p95")  # too many for a table
 DRAWN = {"horizontal_m": "distance, m", "height_m": "height difference, m", "heading_deg": "heading, deg"}  # over time
@@ -26,7 +26,7 @@ class Run(NamedTuple):
     """A finished run, read from its folder."""
 
     name: str
-    about: dict[str, Any]  # run.json
+    about: Json  # run.json
     t: np.ndarray  # (E,) s of the solution, empty where there is none
     lla: np.ndarray  # (E, 3) rad, m
     heading: np.ndarray  # (E,) deg
@@ -108,9 +108,9 @@ def compare(folders: Sequence[str], out: Path, figures: bool = True) -> Outcome:
     return Outcome(found, "\n".join(text), {})
 
 
-def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat(tree: Mapping[str, Any], prefix: str = "") -> Json:
     """Numbers, words and short lists of a tree by dotted name."""
-    found: dict[str, Any] = {}
+    found: Json = {}
     for key, value in plain(tree).items():
         name = f"{prefix}{key}"
         if key in LEFT_OUT:

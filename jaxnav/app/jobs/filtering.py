@@ -31,7 +31,7 @@ from jaxnav.io.json import write_json
 from jaxnav.io.solution import FORMATS
 from jaxnav.maths.units import PPM
 from jaxnav.navigation import BASES, Solution, navigate
-from jaxnav.types import ConfigError, nearest
+from jaxnav.types import ConfigError, Json, nearest
 
 CLOCKS = {"imu": "IMU", "fixes": "fixes"}
 SHOWN_S = 1e-3  # s between the clocks, from which on it is said
@@ -56,7 +56,7 @@ def simulate(config: Config, folder: Path) -> Outcome:
     return Outcome({"recording": about}, describe_text(about), {"simulate": time.perf_counter() - begin})
 
 
-def describe(rec: Any) -> dict[str, Any]:
+def describe(rec: Any) -> Json:
     """Return the streams of a recording."""
     streams = {"imu": rec.imu.t, **{name: s.t for name, s in rec.aiding.items()}}
     if rec.truth is not None:
@@ -73,7 +73,7 @@ def describe(rec: Any) -> dict[str, Any]:
     return {"name": rec.name, "streams": rows, "lever_arm_m": rec.lever_arm.tolist(), "notes": rec.notes}
 
 
-def describe_text(about: dict[str, Any]) -> str:
+def describe_text(about: Json) -> str:
     """`describe` as a table."""
     rows = [[name, s["rows"], s["start_s"], s["end_s"], s["rate_hz"]] for name, s in about["streams"].items()]
     return f"{about['name']}\n" + table(["stream", "rows", "start (s)", "end (s)", "rate (Hz)"], rows)
@@ -124,7 +124,7 @@ def filter(config: Config, folder: Path) -> Outcome:
     )
 
 
-def time_of(config: Config, sol: Solution) -> dict[str, Any]:
+def time_of(config: Config, sol: Solution) -> Json:
     """Return the clock of the written times, and how far the fixes' stamps are from the IMU's halfway, s."""
     return {"base": config.time.base, "fixes_late_s": float(sol.stated_params.mounting.time_offset)}
 
@@ -154,7 +154,7 @@ def titled(config: Config, sol: Solution) -> str:
     return f"{config.filter.name} on {sol.recording.name}{how}{date}"
 
 
-def summary(found: dict[str, Any], name: str, run: str) -> str:
+def summary(found: Json, name: str, run: str) -> str:
     """Return the table of a run for the terminal."""
     lines = [f"{name} on {run}, from t = {found['start_s']:.3f} s, IMU grade {found['grade']}"]
     errors = found.get("errors", {})

@@ -2,7 +2,6 @@
 
 import shutil
 from pathlib import Path
-from typing import Any
 
 import jax
 
@@ -15,14 +14,14 @@ from jaxnav.filters.catalogue import FILTERS
 from jaxnav.filters.compiler import CACHE, cache_home
 from jaxnav.simulate.scenarios import SCENARIOS
 from jaxnav.states.grades import GRADES
-from jaxnav.types import ConfigError, DataError
+from jaxnav.types import ConfigError, DataError, Json
 
 
 def info(clear: bool = False) -> Outcome:
     """Versions, devices, precision, data sets, filters, scenarios, grades; ``clear``: remove the compiled programs."""
     if clear:
         return Outcome({}, programs(True), {})
-    found: dict[str, Any] = {
+    found: Json = {
         "versions": versions(),
         "git": git_hash(),
         "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],

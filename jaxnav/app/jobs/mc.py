@@ -26,7 +26,7 @@ from jaxnav.io.json import write_json
 from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import SCENARIOS, Scenario
 from jaxnav.simulate.simulation import matched_params, sizes
-from jaxnav.types import ConfigError, FilterError, Finding, nearest
+from jaxnav.types import ConfigError, FilterError, Finding, Json, nearest
 from tuning.fit import checkpoint, distributed
 
 CHECKPOINT_INTERVAL_S = 30.0  # s between two checkpoints
@@ -89,7 +89,7 @@ def mc(config: Config, folder: Path, progress: bool = False, long: Long | None =
     return Outcome(about, _text(about, scenario), seconds, stopped, findings=findings_of(about))
 
 
-def kept(config: Config, name: str, long: Long) -> dict[str, Any]:
+def kept(config: Config, name: str, long: Long) -> Json:
     """Return the checkpoint of a filter's runs to resume from, and the function that writes it.
 
     Raises:
@@ -160,7 +160,7 @@ def _per_run(found: dict[str, MonteCarlo]) -> dict[str, np.ndarray]:
     }
 
 
-def _text(about: dict[str, Any], scenario: Scenario) -> str:
+def _text(about: Json, scenario: Scenario) -> str:
     scored = [(name, one["scores"]) for name, one in about.items() if "scores" in one]
     rows = [[name, score, *s.values()] for name, scores in scored for score, s in scores.items()]
     head = ["filter", "RMS of a run", "mean", "sd", "5 %", "median", "95 %"]
@@ -168,7 +168,7 @@ def _text(about: dict[str, Any], scenario: Scenario) -> str:
     return "\n".join([f"{runs} runs of {scenario.name}", table(head, rows), ""])
 
 
-def findings_of(about: dict[str, Any]) -> list[Finding]:
+def findings_of(about: Json) -> list[Finding]:
     """Return divergences and the consistency of every filter."""
     out = []
     for name, one in about.items():

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial
-from typing import IO, Any, NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from jaxnav.live import Live
 from jaxnav.maths.axes import rotation
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.now import Now
-from jaxnav.types import ConfigError, DataError, Recording
+from jaxnav.types import ConfigError, DataError, Json, Recording
 
 TIMED = 100_000  # last samples whose times are reported
 NAMES = [*COLUMNS, *SD_COLUMNS]
@@ -154,7 +154,7 @@ def stream(
     if bad:
         refused[f"lines that are none, such as {bad[0]!r}"] = len(bad)
     text = [f"{rows} rows", *(f"{n} not used: {why}" for why, n in refused.items())]
-    result: dict[str, Any] = {"rows": rows, "refused": refused, "ok": live.stream.now.ok}
+    result: Json = {"rows": rows, "refused": refused, "ok": live.stream.now.ok}
     if taken:
         median, most = (1e3 * float(np.quantile(taken, q)) for q in (0.5, 0.99))
         result |= {"push_ms_median": median, "push_ms_p99": most}

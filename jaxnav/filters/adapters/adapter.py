@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
-from jaxnav.types import Fix, Imu, Nav, Noise
+from jaxnav.types import Fix, Imu, Nav, Noise, Tree
 
 
 class Window(NamedTuple):
@@ -34,7 +34,7 @@ class Adapted(NamedTuple):
 class Adapt(Protocol):
     """An adapter's function, pure: compiled once, with every filter that has it."""
 
-    def __call__(self, theta: Any, memory: Any, window: Window, /) -> tuple[Any, Adapted]:
+    def __call__(self, theta: Tree, memory: Tree, window: Window, /) -> tuple[Any, Adapted]:
         """``theta``: its parameters, ``memory``: its state -> the state for the next epoch, and how to use this one."""
 
 
@@ -47,7 +47,7 @@ class Adapter(NamedTuple):
 
 
 def adapted(
-    adapter: Adapter, theta: Any, memory: Any, window: Window, channels: tuple[int, ...]
+    adapter: Adapter, theta: Tree, memory: Tree, window: Window, channels: tuple[int, ...]
 ) -> tuple[Any, Fix, jax.Array | float]:
     """Return the adapter's next state, the fix to correct by and the factor on the noise.
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxnav.filters.adapters.adapter import Adapted, Adapter, Window, times
 from jaxnav.measurements.measurement import Measurement, layout
+from jaxnav.types import Json, Tree
 
 WIDTH = 16  # of the hidden layer
 MOST = 4.0  # the factor on an sd is within exp(-MOST) and exp(MOST)
@@ -41,13 +42,13 @@ def mlp_noise(measurements: tuple[Measurement, ...]) -> Adapter:
     blocks = tuple(at for each, at in zip(measurements, layout(measurements).values(), strict=True) if each.receiver)
     inputs = 4 + 3 * len(blocks)
 
-    def theta() -> dict[str, Any]:
+    def theta() -> Json:
         """Return weights (a, b) and biases (b,); the last layer is zero: training starts at the plain filter."""
         draw = np.random.default_rng(0).normal(size=(inputs, WIDTH)) / np.sqrt(inputs)
         one = {"weights": jnp.asarray(draw), "biases": jnp.zeros(WIDTH)}
         return {"hidden": one, "out": {"weights": jnp.zeros((WIDTH, len(blocks))), "biases": jnp.zeros(len(blocks))}}
 
-    def adapt(theta: dict[str, Any], memory: Any, window: Window) -> tuple[Any, Adapted]:
+    def adapt(theta: Json, memory: Tree, window: Window) -> tuple[Any, Adapted]:
         hidden, out = theta["hidden"], theta["out"]
         seen = jnp.tanh(features(window, blocks) @ hidden["weights"] + hidden["biases"])
         factors = jnp.exp(MOST * jnp.tanh((seen @ out["weights"] + out["biases"]) / MOST))

@@ -6,7 +6,6 @@ constraint holds at every sample, here at the end of every epoch.
 """
 
 from functools import cache
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +14,7 @@ from jax import lax
 
 from jaxnav.filters.adapters.adapter import Adapted, Adapter, Window, constrained
 from jaxnav.measurements.measurement import Measurement, layout
+from jaxnav.types import Json
 
 SAMPLES = 15  # N of the paper
 KERNEL, DILATIONS, CHANNELS = 5, (1, 3), 32
@@ -29,7 +29,7 @@ def window_constraints(measurements: tuple[Measurement, ...]) -> Adapter:
     """Return the adapter of a filter with ``nonholonomic``, which it gives an sd at the end of every epoch."""
     at = layout(measurements)["nonholonomic"]
 
-    def theta() -> dict[str, Any]:
+    def theta() -> Json:
         """Return the weights of the layers (5, a, b) and (b, 2); the last is zero: constant sd at the start."""
         rng, sizes = np.random.default_rng(0), (6, CHANNELS, CHANNELS)
         layer = lambda a, b: {
@@ -40,7 +40,7 @@ def window_constraints(measurements: tuple[Measurement, ...]) -> Adapter:
         out = {"weights": jnp.zeros((CHANNELS, 2)), "biases": jnp.zeros(2)}
         return layers | {"out": out, "log_sd": jnp.log(jnp.array(SD))}
 
-    def adapt(theta: dict[str, Any], memory: jax.Array, window: Window) -> tuple[jax.Array, Adapted]:
+    def adapt(theta: Json, memory: jax.Array, window: Window) -> tuple[jax.Array, Adapted]:
         memory = latest(memory, jnp.concatenate([window.imu.gyro, window.imu.accel], 1), window.imu.dt)
         seen = (memory - GRAVITY) / SCALES
         for k, dilation in enumerate(DILATIONS):

@@ -28,6 +28,7 @@ from jaxnav.filters.papers.fwekf import Limits, Window, fading, limits, push, we
 from jaxnav.filters.rule import Correction, Innovation, Rule
 from jaxnav.filters.rules import fuzzy
 from jaxnav.filters.rules.robust import BLOCK, by_block, inflated, require_blocks
+from jaxnav.types import Tree
 
 TABLE = ((0, 1, 2), (3, 4, 5), (6, 7, 8))
 """Each rule has one consequent; rows by the mean, columns by the size; zero, small, large."""
@@ -103,7 +104,7 @@ def deciding(decide: Callable[[Any, jax.Array, jax.Array], tuple[jax.Array, jax.
     ``theta`` has the limit, doubt, bounds and floor of `Combined`.
     """
 
-    def correct(theta: Any, memory: CombinedMemory, z: Innovation) -> Correction:
+    def correct(theta: Tree, memory: CombinedMemory, z: Innovation) -> Correction:
         past, here = push(memory.past, z), by_block(z.valid).any(1)
         before = inflated(z.R, jnp.exp(jnp.repeat(memory.log_factor, BLOCK)))
         m, e, square = inputs(theta.doubt, past, z, before, witness)

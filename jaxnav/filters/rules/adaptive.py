@@ -5,26 +5,27 @@ channel that is missing, or that the inner rule rejects, teaches nothing: its me
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxnav.filters.rule import Correction, Extrapolate, Innovation, Rule
 from jaxnav.filters.rules.robust import inflated, require_plain
+from jaxnav.types import Tree
 
 
 class ScaleMemory(NamedTuple):
     """Learnt factors, and the inner rule's memory."""
 
     learnt: jax.Array  # (m,) or (window, m) variance over the R of the fix
-    rule: Any
+    rule: Tree
 
 
 def _passed_on(rule: Rule) -> Extrapolate:
     """Extrapolation is the inner rule's."""
 
-    def extrapolate(theta: Any, memory: ScaleMemory, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, ScaleMemory]:
+    def extrapolate(theta: Tree, memory: ScaleMemory, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, ScaleMemory]:
         x, inner = rule.extrapolate(theta.rule, memory.rule, x0, x)
         return x, memory._replace(rule=inner)
 
@@ -36,10 +37,10 @@ class SageHusa(NamedTuple):
 
     forget: jax.Array  # () share of the old estimate that is kept at every fix
     floor: jax.Array  # () least factor on R
-    rule: Any = ()  # parameters of the inner rule
+    rule: Tree = ()  # parameters of the inner rule
 
 
-def sage_husa_params(forget: float = 0.97, floor: float = 0.25, rule: Any = ()) -> SageHusa:
+def sage_husa_params(forget: float = 0.97, floor: float = 0.25, rule: Tree = ()) -> SageHusa:
     """Parameters from plain numbers."""
     return SageHusa(jnp.asarray(forget, float), jnp.asarray(floor, float), rule)
 
@@ -74,10 +75,10 @@ class Iae(NamedTuple):
     """Parameters of `iae`."""
 
     floor: jax.Array  # () least factor on R
-    rule: Any = ()  # parameters of the inner rule
+    rule: Tree = ()  # parameters of the inner rule
 
 
-def iae_params(floor: float = 0.25, rule: Any = ()) -> Iae:
+def iae_params(floor: float = 0.25, rule: Tree = ()) -> Iae:
     """Parameters from plain numbers."""
     return Iae(jnp.asarray(floor, float), rule)
 
@@ -111,10 +112,10 @@ class Fading(NamedTuple):
     """Parameters of `fading`."""
 
     tau: jax.Array  # () s, age at which a fix has lost 63 % of its weight; inf forgets nothing
-    rule: Any = ()  # parameters of the inner rule
+    rule: Tree = ()  # parameters of the inner rule
 
 
-def fading_params(tau: float = 300.0, rule: Any = ()) -> Fading:
+def fading_params(tau: float = 300.0, rule: Tree = ()) -> Fading:
     """Parameters from plain numbers."""
     return Fading(jnp.asarray(tau, float), rule)
 
@@ -127,7 +128,7 @@ def fading(rule: Rule) -> Rule:
     """
     require_plain(rule)
 
-    def correct(theta: Fading, memory: Any, z: Innovation) -> Correction:
+    def correct(theta: Fading, memory: Tree, z: Innovation) -> Correction:
         c = rule.correct(theta.rule, memory, z)
         return c._replace(fade=c.fade * jnp.exp(0.5 * z.T / theta.tau))
 

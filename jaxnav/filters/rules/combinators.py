@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxnav.filters.rule import Correction, Innovation, Rule, only_if
 from jaxnav.filters.rules import kalman
+from jaxnav.types import Tree
 
 
 def channels_of(z: Innovation, channels: np.ndarray) -> Innovation:
@@ -26,7 +27,7 @@ def only(rule: Rule, channels: tuple[int, ...]) -> Rule:
     """
     seen = np.array(channels, int)
 
-    def correct(theta: Any, memory: Any, z: Innovation) -> Correction:
+    def correct(theta: Tree, memory: Tree, z: Innovation) -> Correction:
         other = np.setdiff1d(np.arange(z.nu.size), seen)
         part, rest = channels_of(z, seen), channels_of(z, other)
         c = only_if(part.valid.any(), rule.correct(theta, memory, part), part, memory)
@@ -39,7 +40,7 @@ def only(rule: Rule, channels: tuple[int, ...]) -> Rule:
             raise ValueError(f"the rule is to see {seen.size} channels, the filter has {m}")
         return rule.init(n, seen.size)
 
-    def extrapolate(theta: Any, memory: Any, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, Any]:
+    def extrapolate(theta: Tree, memory: Tree, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, Any]:
         return rule.extrapolate(theta, memory, x0, x)
 
     return Rule(init, correct, extrapolate, rule.estimates, rule.supports_smoothing, rule.transport)

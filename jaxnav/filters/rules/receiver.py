@@ -21,6 +21,7 @@ from jax.scipy.special import logsumexp
 
 from jaxnav.filters.rule import NEVER_USED_AGE, Correction, Innovation, Rule, Transition
 from jaxnav.maths import linalg
+from jaxnav.types import Array
 
 OFFSET = 6  # o (3,) m, o' (3,) m/s
 TIMEOUT_RAMP = 10.0  # s, in which the probability of lost navigation rises, and between two trials of it
@@ -216,7 +217,7 @@ class Parts(NamedTuple):
     dev: jax.Array  # (n + 6,) mean
     P: jax.Array  # (n + 6, n + 6)
     weight: jax.Array  # () log
-    age: Any  # () s
+    age: Array  # () s
 
 
 def kalman_update(

@@ -16,6 +16,7 @@ from scipy.special import chdtri
 from jaxnav.filters.core import masked
 from jaxnav.filters.rule import NEVER_USED_AGE, Correction, Innovation, Rule, only_if, select
 from jaxnav.maths import linalg
+from jaxnav.types import Tree
 
 OUTAGE_RATIO = 1.5  # of the interval between fixes: a longer one is an outage
 BLOCK = 3  # channels of a receiver's measurement
@@ -63,7 +64,7 @@ class Gate(NamedTuple):
 
     threshold: jax.Array  # () largest nu' S^-1 nu of a block
     timeout: jax.Array  # () s of rejected fixes after which a block is accepted again; inf is never
-    rule: Any = ()  # parameters of the inner rule
+    rule: Tree = ()  # parameters of the inner rule
 
 
 class GateMemory(NamedTuple):
@@ -72,10 +73,10 @@ class GateMemory(NamedTuple):
     rejected: jax.Array  # (blocks,) s
     seen: jax.Array  # (blocks,) s, its age at its last fix if that was rejected, else 0
     interval: jax.Array  # (blocks,) s, the shortest time between two of its fixes so far
-    rule: Any
+    rule: Tree
 
 
-def gate_params(threshold: float = 16.27, timeout: float = 30.0, rule: Any = ()) -> Gate:
+def gate_params(threshold: float = 16.27, timeout: float = 30.0, rule: Tree = ()) -> Gate:
     """Parameters from plain numbers; the default threshold is passed by 99.9 % of sound fixes of three channels."""
     return Gate(jnp.asarray(threshold, float), jnp.asarray(timeout, float), rule)
 
@@ -170,10 +171,10 @@ class Huber(NamedTuple):
     """Parameters of `huber`."""
 
     knee: jax.Array  # () sd of the innovation beyond which a channel loses weight
-    rule: Any = ()  # parameters of the inner rule
+    rule: Tree = ()  # parameters of the inner rule
 
 
-def huber_params(knee: float = 1.5, rule: Any = ()) -> Huber:
+def huber_params(knee: float = 1.5, rule: Tree = ()) -> Huber:
     """Parameters from plain numbers."""
     return Huber(jnp.asarray(knee, float), rule)
 
@@ -186,7 +187,7 @@ def huber(rule: Rule) -> Rule:
     """
     require_plain(rule)
 
-    def correct(theta: Huber, memory: Any, z: Innovation) -> Correction:
+    def correct(theta: Huber, memory: Tree, z: Innovation) -> Correction:
         sd = jnp.sqrt(jnp.diag(z.H @ z.P @ z.H.T + z.R))
         excess = jnp.maximum(jnp.abs(z.nu) / (theta.knee * sd), 1.0)
         return rule.correct(theta.rule, memory, z._replace(R=inflated(z.R, excess)))
@@ -200,10 +201,10 @@ class StudentT(NamedTuple):
     """Parameters of `student_t`."""
 
     dof: jax.Array  # () degrees of freedom: few are heavy tails, many a Gaussian
-    rule: Any = ()  # parameters of the inner rule
+    rule: Tree = ()  # parameters of the inner rule
 
 
-def student_t_params(dof: float = 4.0, rule: Any = ()) -> StudentT:
+def student_t_params(dof: float = 4.0, rule: Tree = ()) -> StudentT:
     """Parameters from plain numbers."""
     return StudentT(jnp.asarray(dof, float), rule)
 
@@ -218,7 +219,7 @@ def student_t(rule: Rule, iterations: int = 4) -> Rule:
     """
     require_plain(rule)
 
-    def correct(theta: StudentT, memory: Any, z: Innovation) -> Correction:
+    def correct(theta: StudentT, memory: Tree, z: Innovation) -> Correction:
         d = by_block(z.valid).sum(1)
         inverse = linalg.inverse(z.R)
         w = jnp.ones(d.shape)

@@ -1,7 +1,7 @@
 """A gate for satellites: each is tested by itself, and the filter is held to be wrong where most are rejected."""
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ import numpy as np
 from jaxnav.filters.core import masked
 from jaxnav.filters.rule import Correction, Innovation, Rule, only_if
 from jaxnav.filters.rules.robust import healthy_bound
+from jaxnav.types import Tree
 
 THRESHOLD = healthy_bound(0.999, 1)  # of a squared innovation over its variance, which 99.9 % of healthy channels pass
 TIMEOUT_S = 1.0  # s of most channels rejected after which the filter is wrong
@@ -22,7 +23,7 @@ class Memory(NamedTuple):
     """Memory of `gate_satellites`."""
 
     rejected: jax.Array  # () s that most satellites have been rejected without a break
-    rule: Any
+    rule: Tree
 
 
 @cache
@@ -38,7 +39,7 @@ def gate_satellites(rule: Rule, channels: tuple[int, ...]) -> Rule:
     def init(n: int, m: int) -> Memory:
         return Memory(jnp.zeros(()), rule.init(n, m))
 
-    def correct(theta: Any, memory: Memory, z: Innovation) -> Correction:
+    def correct(theta: Tree, memory: Memory, z: Innovation) -> Correction:
         H, valid = z.H[place], z.valid[place]
         d2 = z.nu[place] ** 2 / (jnp.sum((H @ z.P) * H, 1) + jnp.diag(z.R)[place])
         far, count = valid & (d2 > THRESHOLD), valid.sum()
@@ -54,7 +55,7 @@ def gate_satellites(rule: Rule, channels: tuple[int, ...]) -> Rule:
         c = only_if(keep.any(), rule.correct(theta, memory.rule, seen), seen, memory.rule)
         return c._replace(memory=Memory(jnp.where(wrong, 0.0, rejected), c.memory))
 
-    def extrapolate(theta: Any, memory: Memory, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, Memory]:
+    def extrapolate(theta: Tree, memory: Memory, x0: jax.Array, x: jax.Array) -> tuple[jax.Array, Memory]:
         x, inner = rule.extrapolate(theta, memory.rule, x0, x)
         return x, memory._replace(rule=inner)
 

@@ -16,7 +16,7 @@ from jaxnav.io.parts import ImuRows, Parts, Stream, with_fixes
 from jaxnav.io.units import UNITS
 from jaxnav.maths.gps_time import WEEK
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError, Note
+from jaxnav.types import DataError, Json, Note
 
 SYNC, FMT, FMT_SIZE = b"\xa3\x95", 128, 89
 MILLIGAUSS = UNITS["field"]["mgauss"]
@@ -181,7 +181,7 @@ def _text(data: bytes) -> tuple[dict[str, list[Any]], dict[str, Format], list[No
     return rows, formats, _damaged(passed, "lines")
 
 
-def _instance(logged: dict[str, dict[str, Any]], name: str, number: int) -> dict[str, np.ndarray] | None:
+def _instance(logged: dict[str, Json], name: str, number: int) -> dict[str, np.ndarray] | None:
     """Messages of one sensor: by its column ``I`` or ``Instance``, by the name's last digit (IMU, IMU2) in the past."""
     data = logged.get(name)
     key = next((key for key in ("I", "Instance") if data is not None and key in data), None)
@@ -214,7 +214,7 @@ def _columns(data: dict[str, np.ndarray], *names: str) -> np.ndarray:
     return np.stack([data[name] for name in names], axis=1)
 
 
-def _gps(logged: dict[str, dict[str, Any]], notes: list[Note], number: int) -> dict[str, Stream]:
+def _gps(logged: dict[str, Json], notes: list[Note], number: int) -> dict[str, Stream]:
     gps, accuracy = _instance(logged, "GPS", number), _instance(logged, "GPA", number)
     if gps is None:
         return {}

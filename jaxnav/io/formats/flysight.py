@@ -2,7 +2,6 @@
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from jaxnav.io.column_map import described
 from jaxnav.io.parts import Parts
 from jaxnav.io.sheet import numbers, open_sheet
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Json
 
 MARK = b"$FLYS"
 SENSORS, TRACK = "SENSOR.CSV", "TRACK.CSV"
@@ -31,7 +30,7 @@ def read(path: Path) -> Parts:
         DataError: sensors without a $TIME, which alone dates them, or columns in another order.
     """
     folder = path if path.is_dir() else path.parent
-    table: dict[str, Any] = {"delimiter": ",", "header": False}
+    table: Json = {"delimiter": ",", "header": False}
     rows = lambda kind, name: {"file": name, "where": {"1": f"${kind}"}, "time": 2}
     if (folder / SENSORS).is_file() and path.name != TRACK:
         ticks = open_sheet(folder / SENSORS, ",", False, only=((1, "$TIME"),))

@@ -6,7 +6,6 @@ Names of the columns of each kind are in comments above; the first cell of a row
 import os
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from jaxnav.io.files import read_bytes
 from jaxnav.io.formats.sensor_logger import FLAT
 from jaxnav.io.parts import Parts
 from jaxnav.io.sheet import column, open_sheet
+from jaxnav.types import Json
 
 CLOCK = "elapsedRealtimeNanos"  # since the phone was switched on, of all sensors; older logs date fixes by UTC alone
 
@@ -39,7 +39,7 @@ def read(path: Path) -> Parts:
     sheet = open_sheet(path, ",", only=((1, "Fix"),)) if has("Fix") else None
     by_clock = sheet is None or (CLOCK in sheet.columns and bool(np.char.str_len(column(sheet, CLOCK)).all()))
     clock, unit = (CLOCK, "ns") if by_clock else ("utcTimeMillis", "ms")
-    table: dict[str, Any] = {
+    table: Json = {
         "time": clock, "time_unit": unit, "delimiter": ",", "time_scale": "unknown" if by_clock else "utc",
         "imu": {
             "file": {"g": name, "a": name}, "where": {"g:1": gyro, "a:1": accel}, "time": f"g:{clock}", "axes": FLAT,
@@ -51,12 +51,12 @@ def read(path: Path) -> Parts:
         table["magnetometer"] = {"file": name, "where": {"1": field}, "value": axes("", field, "MicroT")}
     if sheet is not None:
         providers = set(column(sheet, "Provider").tolist())  # the receiver before cells and networks
-        fixes: dict[str, Any] = {
+        fixes: Json = {
             "file": name,
             "where": {"1": "Fix", "Provider": "GPS" if "GPS" in providers else min(providers)},
         }
         wide, high, fast = "AccuracyMeters", "VerticalAccuracyMeters", "SpeedAccuracyMps"
-        stated: dict[str, Any] = {"sd_enu": [wide, wide, high if high in sheet.columns else wide]}
+        stated: Json = {"sd_enu": [wide, wide, high if high in sheet.columns else wide]}
         if not by_clock:
             fixes |= {"time": "UnixTimeMillis"}
         table["position"] = {**fixes, **stated, "lla": ["LatitudeDegrees", "LongitudeDegrees", "AltitudeMeters"]}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxnav.io.files import MAX_VALUE, FilePath, Source, place, read_bytes
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Json
 
 
 def read_struct(path: FilePath, name: str) -> Any:
@@ -18,7 +18,7 @@ def read_struct(path: FilePath, name: str) -> Any:
     return found[name]
 
 
-def read_structs(path: FilePath, names: list[str] | None = None) -> dict[str, Any]:
+def read_structs(path: FilePath, names: list[str] | None = None) -> Json:
     """Every struct by name, or those of ``names``; a file that is no MATLAB file of version 5 is a DataError."""
     data = io.BytesIO(read_bytes(path))
     try:

@@ -5,12 +5,11 @@ import math
 import os
 import re
 import zipfile
-from typing import Any
 
 import numpy as np
 
 from jaxnav.io.files import MAX_BYTES, FilePath, atomic_write, open_bytes
-from jaxnav.types import DataError, ImuLog, Recording, Samples, Track
+from jaxnav.types import DataError, ImuLog, Json, Recording, Samples, Track
 
 
 def read_npz(path: FilePath) -> Recording:
@@ -36,7 +35,7 @@ def _samples(arrays: dict[str, np.ndarray], group: str, file: str) -> Samples:
 
 def write_npz(path: FilePath, rec: Recording) -> None:
     """Write a recording to one file with the arrays ``imu/t``, ``aiding/position/value``, ``truth/lla`` and so on."""
-    groups: dict[str, Any] = {"imu": rec.imu} | {f"aiding/{name}": samples for name, samples in rec.aiding.items()}
+    groups: Json = {"imu": rec.imu} | {f"aiding/{name}": samples for name, samples in rec.aiding.items()}
     if any(not re.fullmatch(r"\w+", name) for name in rec.aiding):
         raise DataError(f"{os.fspath(path)}: expected stream names of letters, digits and _")
     if rec.truth is not None:

@@ -5,7 +5,6 @@ Units and axes: the app's UNITS.md and COORDINATES.md. x points right, y to the 
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from jaxnav.io.column_map import described, interpolated
 from jaxnav.io.parts import ImuRows, Parts, TimeScale
 from jaxnav.io.sheet import Sheet, column, numbers, open_sheet, times
 from jaxnav.maths.units import G0
-from jaxnav.types import DataError, Note
+from jaxnav.types import DataError, Json, Note
 
 FLAT = "rfu"  # screen up, top of the phone forward
 GYROS = ("Gyroscope.csv", "GyroscopeUncalibrated.csv")
@@ -106,14 +105,14 @@ def _is_negated(path: Path, files: set[str], chosen: tuple[str, ...]) -> bool:
     return said("platform") == "ios" and said("standardisation") != "true"
 
 
-def _aiding(path: Path, files: set[str]) -> dict[str, Any]:
+def _aiding(path: Path, files: set[str]) -> Json:
     """Return the column map of the phone's other sensors."""
-    table: dict[str, Any] = {"time": "time", "time_unit": "ns", "time_scale": "utc"}
+    table: Json = {"time": "time", "time_unit": "ns", "time_scale": "utc"}
     file = next((name for name in FIXES if name in files), None)
     if file is not None:
         has = open_sheet(path / file).columns
         wide, high = "horizontalAccuracy", "verticalAccuracy"
-        stated: dict[str, Any] = {"sd_enu": [wide, wide, high]} if wide in has and high in has else {}
+        stated: Json = {"sd_enu": [wide, wide, high]} if wide in has and high in has else {}
         table["position"] = {"file": file, "lla": ["latitude", "longitude", "altitude"], **stated}
         if "speed" in has and "bearing" in has:
             stated = {"sd": "speedAccuracy"} if "speedAccuracy" in has else {}

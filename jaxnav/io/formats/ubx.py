@@ -24,7 +24,7 @@ from jaxnav.io.formats.esf import MEAS, RAW, Sensors
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled, unread
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK, leap_seconds
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError, Note
+from jaxnav.types import DataError, Json, Note
 
 SYNC = b"\xb5\x62"
 FIXED = (3, 4)  # fixType: in three dimensions, alone or with dead reckoning
@@ -186,7 +186,7 @@ class Raw:
             row = self.t, satellite, get("prMes"), -get("doMes") * wavelength, float(get("cno")), phase, slipped
             self.rows.append(row)
 
-    def streams(self, path: Path, masks: Masks, needed: bool, rates: str) -> tuple[dict[str, Any], tuple[Note, ...]]:
+    def streams(self, path: Path, masks: Masks, needed: bool, rates: str) -> tuple[Json, tuple[Note, ...]]:
         """Return the streams of the ranges and notes; nothing where there are none.
 
         Raises:

@@ -2,7 +2,6 @@
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from jaxnav.io.units import UNITS
 from jaxnav.maths.axes import attitude
 from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
-from jaxnav.types import DataError, Note, Track
+from jaxnav.types import DataError, Json, Note, Track
 
 MAGIC = b"ULog\x01\x12\x35"
 NEVER = 2**31 - 1  # timestamp_relative of a sensor that has not measured
@@ -96,7 +95,7 @@ def _vector(data: dict[str, np.ndarray], name: str) -> np.ndarray:
     return _table(data, *(f"{name}[{i}]" for i in range(3)))
 
 
-def _first(data: dict[str, Any], *names: str) -> str | None:
+def _first(data: Json, *names: str) -> str | None:
     """Return the first of the names that is there."""
     return next((name for name in names if name in data), None)
 

@@ -4,13 +4,12 @@ import datetime
 import os
 import re
 from pathlib import Path
-from typing import Any
 
 from jaxnav.io.column_map import described
 from jaxnav.io.files import read_bytes
 from jaxnav.io.parts import Parts
 from jaxnav.io.sheet import open_sheet
-from jaxnav.types import DataError
+from jaxnav.types import DataError, Json
 
 CREATED = re.compile(rb"File created on (\d\d)/(\d\d)/(\d{4})")
 GYRO, ACCEL = ("roll_?rate", "pitch_?rate", "yaw_?rate"), ("x_?acc(el)?", "y_?acc(el)?", "z_?acc(el)?")
@@ -37,7 +36,7 @@ def read(path: Path) -> Parts:
     created = CREATED.search(read_bytes(path))
     day, month, year = (1, 1, 1970) if created is None else map(int, created.groups())
     midnight = datetime.datetime(year, month, day, tzinfo=datetime.UTC).timestamp()
-    table: dict[str, Any] = {
+    table: Json = {
         "file": path.name,
         "time": "time",
         "time_unit": "%H%M%S.%f",

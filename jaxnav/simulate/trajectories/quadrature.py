@@ -13,6 +13,7 @@ from jax import lax
 
 from jaxnav.maths import earth
 from jaxnav.simulate.trajectories.motion import Motion, Shape
+from jaxnav.types import Array
 
 
 class Point(NamedTuple):
@@ -33,7 +34,7 @@ class Travel(NamedTuple):
     start: tuple[Point, Any]  # at t = 0, and the reading there
     ends: tuple[Point, Any]  # (E, ...) at the end of every epoch
     late: tuple[Point, Any]  # (E, ...) ``lag`` s before these
-    means: Any  # (E, k, ...) means of the reading over every sample
+    means: Array  # (E, k, ...) means of the reading over every sample
 
 
 # Gauss-Legendre on [0, 1] with three points: the 3-stage Gauss collocation

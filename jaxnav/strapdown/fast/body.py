@@ -33,7 +33,7 @@ from jaxnav.maths.components import (
 from jaxnav.states.sensors import OTHER, corrected_reading
 from jaxnav.states.table import STATES
 from jaxnav.strapdown.increments import coned
-from jaxnav.types import Imu, Nav
+from jaxnav.types import Imu, Nav, Tree
 
 
 class Readings(NamedTuple):
@@ -85,7 +85,7 @@ def singles(x: Readings, last: Readings) -> Body:
     """Return the increments of each sample (m, n); scanned, so that XLA does not duplicate work."""
 
     @remat
-    def single(last: Any, x: Any) -> Any:
+    def single(last: Tree, x: Tree) -> Tree:
         theta, dv = coned(x.dt, last.omega, last.force, x.omega, x.force)
         return x, Body(x.dt, exp(theta), dv, (), ())
 
@@ -102,7 +102,7 @@ def sums(
     x, first = readings(imu, omega, force, m)
 
     @remat
-    def step(body: Any, x: Any) -> Any:
+    def step(body: Tree, x: Tree) -> Tree:
         dt, dq, dv, _, _ = x
         q, dv = multiply(body.q, dq), rotate(body.q, dv)
         body = Body(

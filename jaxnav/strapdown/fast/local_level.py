@@ -57,7 +57,7 @@ from jaxnav.strapdown.fast.body import (
     unbiased,
 )
 from jaxnav.strapdown.increments import after, sampled, thin
-from jaxnav.types import ErrorInputs, Forcing, Imu, Nav
+from jaxnav.types import Array, ErrorInputs, Forcing, Imu, Nav, Tree
 
 INTERVAL = 10  # samples, at most: a tenth of a second at 100 Hz
 STEP = 1e-4  # rad, of latitude: over it the Earth is a parabola to 1e-8 of the change even at 85 deg of latitude
@@ -69,16 +69,16 @@ class Level(NamedTuple):
     """Integrals in addition to the body's rotation, since the first sample but for velocity and height."""
 
     vel: Vector  # m/s, ENU
-    north: Any  # rad, latitude
-    east: Any  # rad, longitude
-    h: Any  # m
+    north: Array  # rad, latitude
+    east: Array  # rad, longitude
+    h: Array  # m
     turn: Vector  # rad, rotation of ENU
 
 
 class VelocityIncrement(NamedTuple):
     """Effect of the specific force in an interval, in ENU of the block's first sample."""
 
-    t: Any  # s
+    t: Array  # s
     dv: Vector  # m/s
     gained: Vector  # m/s, mean over t of the velocity added by then; () is half of dv
 
@@ -274,7 +274,7 @@ def _intervals(
     """
     n, size = whole.body.t.size, BLOCK // m
 
-    def block(nav: Nav, whole: Any, i: Any) -> Any:
+    def block(nav: Nav, whole: Tree, i: Any) -> Any:
         _, path, inside = _block(m, nav, u, whole)
         return jax.tree.map(lambda a: a[-1], path.nav), path, inside(jnp.clip(i, 0, whole.body.t.size - 1), parts)
 
@@ -282,7 +282,7 @@ def _intervals(
         _, path, kept = block(nav, whole, place)
         return kept, path
 
-    def one(carry: Any, whole: Any) -> Any:
+    def one(carry: Tree, whole: Tree) -> Any:
         nav, kept, i = carry
         nav, path, here = block(nav, whole, i)
         mine = (i >= 0) & (i < size)

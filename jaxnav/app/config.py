@@ -35,6 +35,7 @@ def said(words: str, low: float | None = None, high: float | None = None) -> Met
 
 
 Satellites = Annotated[int, Meta(ge=0, le=14)]
+RECEIVER = tuple(m.name for m in GNSS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,19 +66,17 @@ class Filter:
     states: Annotated[
         tuple[str, ...], said("optional error states in addition to the filter's, see `jaxnav.states.STATES`")
     ] = ()
-    measurements: Annotated[tuple[str, ...], said("the filter's, see `jaxnav.measurements.MEASUREMENTS`")] = tuple(
-        m.name for m in GNSS
-    )
+    measurements: Annotated[tuple[str, ...], said("the filter's, see `jaxnav.measurements.MEASUREMENTS`")] = RECEIVER
     cov_stride: Annotated[int, said("the error dynamics see means over so many IMU samples", 1, 1000)] = 5
     interval_s: Annotated[float, said("nominal fix interval; 0: the median of the position's", 0.0, 60.0)] = 0.0
     smooth: Annotated[bool, said("each epoch by all fixes, those after it too")] = False
     lag_s: Annotated[float, said("or by the fixes of the next seconds alone", 0.0, 3600.0)] = 0.0
-    sd_factor: Annotated[float, said("stated sd of positions are the filter's times this, see jaxnav solve")] = 1.0
-    velocity_sd_factor: Annotated[float, said("and those of velocities")] = 1.0
+    sd_factor: Annotated[float, said("sd of positions are the filter's times this, see jaxnav solve", 1e-3, 1e3)] = 1.0
+    velocity_sd_factor: Annotated[float, said("and those of velocities", 1e-3, 1e3)] = 1.0
     delay_sd_s: Annotated[
-        float, said("sd of the delay between IMU and fixes, which is one of positions along the track")
+        float, said("sd of the delay between IMU and fixes, which is one of positions along the track", 0.0, 10.0)
     ] = 0.0
-    clock_rate_sd_ppm: Annotated[float, said("sd of the growth of that delay, none halfway")] = 0.0
+    clock_rate_sd_ppm: Annotated[float, said("sd of the growth of that delay, none halfway", 0.0, 1e5)] = 0.0
     outages: Annotated[tuple[tuple[float, ...], ...], said("(start, end) s, fixes hidden from the filter")] = ()
     standing_window_s: Annotated[
         float, said("of the standstill detector: both sd, root sum square of axes, below these", 0.01, 3600.0)

@@ -3,6 +3,7 @@
 import dataclasses
 import re
 import tomllib
+import typing
 from pathlib import Path
 
 import jax
@@ -13,6 +14,7 @@ from benchmarks.pages import commands
 from jaxnav.app import cli, config, settings
 from jaxnav.filters import border
 from jaxnav.filters.parameters import datasheet_params, strong
+from jaxnav.io.toml import limits
 from jaxnav.states.grades import GRADES
 from jaxnav.states.table import STATES
 from jaxnav.types import StateParams
@@ -34,6 +36,18 @@ def test_every_setting_is_there_and_says_what_it_is():
     assert "`tuning.recordings.recorded`: tempered" in found["tune", "method"]
     assert all(found.values())
     assert found["tune", "prior"].endswith("else in the parameter's unit")
+
+
+def test_numbers_have_limits():
+    """But times of a recording, and sd, whose limits are those of the parameters that they set."""
+    numbers = {
+        f"{section.name}.{name}"
+        for section in dataclasses.fields(config.Config)
+        if dataclasses.is_dataclass(section.default)
+        for name, hint in config.hints_of(type(section.default)).items()
+        if (*typing.get_args(hint), None)[0] in (int, float, float | None) and limits(hint)[0] is None
+    }
+    assert numbers - set(border.KEYS) == {"data.start", "data.stop"}
 
 
 def test_the_printed_page_is_a_configuration_with_the_defaults():

@@ -1,8 +1,11 @@
 """A recording through a filter in one call: start, cut, filter, and the solution on the host."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,7 +15,7 @@ import numpy as np
 from jaxnav.analysis import evaluate, usage
 from jaxnav.analysis.dense import dense
 from jaxnav.analysis.metrics import covered_by
-from jaxnav.analysis.noise_scan import NoiseScan, scan_noise
+from jaxnav.analysis.noise_scan import NoiseScan, scan_noise, usual_scan
 from jaxnav.analysis.observability import state_findings
 from jaxnav.analysis.plots import interactive
 from jaxnav.checkup import checkup
@@ -24,7 +27,7 @@ from jaxnav.filters.catalogue import with_history
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.gaps import holes
-from jaxnav.filters.lanes import relative_variance, slow_errors
+from jaxnav.filters.lanes import relative_variance, slow_errors, threads
 from jaxnav.filters.parameters import earliest, history_for, installed, later
 from jaxnav.filters.run import first_failure, require_params, require_x64
 from jaxnav.filters.scores import mean_nis
@@ -63,6 +66,7 @@ BASES = ("imu", "fixes")  # clocks of written times
 MAX_EARLY_S = 0.03  # s, by which a fix may be early: navigation is extrapolated to it
 FULL_COVERAGE = 0.98  # share of a run that its truth covers, below which a finding says so
 MAX_NIS = 4.0  # over degrees of freedom, of the fixes before a start, beyond which a smoother does not go back to them
+MAX_ASIDE = 1_000_000  # samples of the IMU, up to which a run is made ready while the noise is scanned
 UNLIKE_DATASHEET = 10.0  # factor on the datasheet's noise above which scale or unit of a gyro may pass for noise
 
 
@@ -288,39 +292,22 @@ def navigate(
     require_x64(params)
     make = initialization if callable(initialization) else lambda rec, params: initialization
     found = None
+    runner = partial(_runner, interval=interval, stop=stop, outages=outages, standing=standing, smooth=smooth, lag=lag)
     if scan:
-        found = scan_noise(rec, params, initialization=make(rec, params), stop=stop, outages=outages)
+        start = make(rec, params)
+        with _aside(partial(_likely_run, runner, rec, filt, params, start), rec.imu.t.size <= MAX_ASIDE):
+            found = scan_noise(rec, params, initialization=start, stop=stop, outages=outages)
         filt, params = found.extended(filt, params)
         params = found.applied(params)
     if callable(initialization) and (least := earliest(params, float(np.ptp(rec.imu.t)))) < -MAX_EARLY_S:
         # an epoch ends with its fix: what the IMU reads until the fix is true belongs to it
         moved = not_early(rec, -least)
         rec, params = moved, later(params, moved.early - rec.early)
-    begin, given = make(rec, params), params
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
-    history = history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t)))
-    filt = with_history(filt, history)
-
-    def run_from(begin: Initialization) -> Run:
-        """Run, and smooth if wanted, from an initialization."""
-        theta = begin.apply_to(given)
-        packed = ep.pack_recording(rec, chosen, begin.t, interval, stop, standing)
-        hidden = ep.in_windows(packed.t, outages)
-        epochs = ep.hide(packed.epochs, hidden, chosen)
-        off = moves_off(rec, begin.t) if begin.navs.t.shape[0] > 1 else None
-        parked = 0 if off is None else int(np.searchsorted(packed.t, off))
-        info, about = execute(filt, theta, begin.navs, epochs, parked)
-        failure = first_failure(info, packed.t)
-        if failure:
-            raise FilterError(f"run {rec.name}: {failure}")
-        best = jax.tree.map(lambda a: a[about.best], begin.navs)
-        if smooth or lag:
-            info = smoothed(filt, theta, best, epochs, packed.t, 0.0 if smooth else lag)
-        return Run(begin, theta, packed, hidden, info, about, best)
-
-    done = run_from(begin)
+    filt, run_from = runner(rec, filt, params)
+    done = run_from(make(rec, params))
     if smooth:
-        done = _from_the_begin(rec, given, done, run_from, outages)
+        done = _from_the_begin(rec, params, done, run_from, outages)
     begin, params, packed, hidden, info, about, best = done
     trace = evaluate.trace(info, params)
     trace = trace._replace(sd=scaled(trace.sd, sd_factor, velocity_sd_factor))
@@ -342,6 +329,53 @@ def navigate(
         smooth, lag, findings, found, sd_factor, velocity_sd_factor, delay_sd if found is None else found.latency_sd,
         clock_rate_sd,
     )  # fmt: skip
+
+
+def _runner(
+    rec: Recording, filt: Filter, params: Params, *, interval: float, stop: float | None,
+    outages: Sequence[Sequence[float]], standing: Standing, smooth: bool, lag: float,
+) -> tuple[Filter, Callable[[Initialization], Run]]:  # fmt: skip
+    """Return the filter with the history that it needs, and its run, smoothed if wanted, from an initialization."""
+    chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
+    history = history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t)))
+    filt = with_history(filt, history)
+
+    def run_from(begin: Initialization) -> Run:
+        theta = begin.apply_to(params)
+        packed = ep.pack_recording(rec, chosen, begin.t, interval, stop, standing)
+        hidden = ep.in_windows(packed.t, outages)
+        epochs = ep.hide(packed.epochs, hidden, chosen)
+        off = moves_off(rec, begin.t) if begin.navs.t.shape[0] > 1 else None
+        parked = 0 if off is None else int(np.searchsorted(packed.t, off))
+        info, about = execute(filt, theta, begin.navs, epochs, parked)
+        failure = first_failure(info, packed.t)
+        if failure:
+            raise FilterError(f"run {rec.name}: {failure}")
+        best = jax.tree.map(lambda a: a[about.best], begin.navs)
+        if smooth or lag:
+            info = smoothed(filt, theta, best, epochs, packed.t, 0.0 if smooth else lag)
+        return Run(begin, theta, packed, hidden, info, about, best)
+
+    return filt, run_from
+
+
+def _likely_run(
+    runner: Callable[[Recording, Filter, Params], tuple[Filter, Callable[[Initialization], Run]]],
+    rec: Recording, filt: Filter, params: Params, begin: Initialization,
+) -> None:  # fmt: skip
+    """Run by the parameters that a scan is likely to find, so that the run after it is compiled."""
+    usual = usual_scan(rec, params, 0.0 if begin.alignment is None else begin.alignment.delay)
+    filt, params = usual.extended(filt, params)
+    runner(rec, filt, usual.applied(params))[1](begin)
+
+
+@contextmanager
+def _aside(work: Callable[[], Any], wanted: bool) -> Iterator[None]:
+    """Do work in a thread that has ended with the ``with`` block; its result and errors are dropped."""
+    with ThreadPoolExecutor(1) as side:
+        if wanted and threads() > 1:
+            side.submit(work)
+        yield
 
 
 def not_early(rec: Recording, by: float) -> Recording:

@@ -529,6 +529,12 @@ def scan_noise(
     )  # fmt: skip
 
 
+def usual_scan(rec: Recording, params: Params, latency: float) -> NoiseScan:
+    """Return a scan that is not made: the datasheet's noise, usual errors of a receiver, and a latency (s)."""
+    sd = np.median(np.asarray(rec.aiding["position"].sd), 0)
+    return NoiseScan(latency=latency, receiver=Receiver() if stated_scale(params) else receiver(stated(sd), sd))
+
+
 def stated_scale(params: Params) -> bool:
     """Return whether parameters state how the fixes' sd are to be scaled, or slow errors of the receiver."""
     if RECEIVER_ERROR in params.states:

@@ -85,15 +85,15 @@ def lanes(
 
     started = lambda lane: _begin(filt, taken(params, lane), taken(nav, lane))
     first = advanced(groups[0], started(groups[0]), 0)  # compiles, so that threads do not
-    if len(groups) == 1 or (threads := _threads()) == 1:
+    if len(groups) == 1 or threads() == 1:
         found = [whole(lane) for lane in groups]
     else:
-        with ThreadPoolExecutor(threads) as pool:
+        with ThreadPoolExecutor(threads()) as pool:
             found = list(pool.map(whole, groups))
     return taken(jax.tree.map(lambda *a: np.concatenate(a), *found), slice(count))
 
 
-def _threads() -> int:
+def threads() -> int:
     """Return how many calls run side by side: a processor computes one call by one core.
 
     Double precision of this thread alone is not that of others.

@@ -4,10 +4,11 @@ import json
 from functools import partial
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 
-from jaxnav import build, initialize, navigate, scan_noise
+from jaxnav import build, initialize, navigate, navigation, scan_noise
 from jaxnav.analysis import noise_scan
 from jaxnav.analysis.boxes import CUBE, vertex
 from jaxnav.analysis.noise_scan import FINE_BOX, NoiseScan, _in_motion
@@ -310,10 +311,19 @@ def test_the_quadratic_fit_is_exact_on_a_quadratic():
 
 
 @pytest.mark.full
-def test_navigate_without_params_takes_noise_and_lever_arm_from_the_recording(drive):
+def test_navigate_without_params_takes_noise_and_lever_arm_from_the_recording(monkeypatch):
+    """Its run is made ready while the noise is scanned: one program for both."""
+    ran, execute = [], navigation.execute
+
+    def recorded(filt, params, navs, epochs, parked):
+        ran.append((filt, jax.tree.map(np.shape, (params, navs, epochs))))
+        return execute(filt, params, navs, epochs, parked)
+
+    monkeypatch.setattr(navigation, "execute", recorded)
     arm = np.array([1.5, -0.4, -1.8])
     rec = simulated(factor=1.0, latency=0.0, lever_arm_m=arm.tolist())
     solution = navigate(rec, EKF)
+    assert len(ran) == 2 and ran[0] == ran[1]
     assert solution.noise is not None and solution.noise.findings[0] in solution.findings
     assert any(note.startswith("lever arm (1.5, -0.4, -1.8) m from the recording") for note in solution.notes)
     truth = np.column_stack([np.interp(solution.t, rec.truth.t, c) for c in rec.truth.lla.T])
@@ -322,6 +332,12 @@ def test_navigate_without_params_takes_noise_and_lever_arm_from_the_recording(dr
     assert 0.4 < np.sqrt(np.mean(z**2)) < 1.4  # a slow error within its word is never ruled out
     named = navigate(rec, EKF, EKF.params("consumer"))
     assert named.noise is None and np.allclose(named.params.mounting.lever_arm, arm)
+
+
+def test_work_at_the_side_of_a_scan_cannot_fail_it():
+    with navigation._aside(lambda: 1 / 0, wanted=True):
+        done = True
+    assert done
 
 
 @pytest.mark.full

@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxnav.analysis import usage
 from jaxnav.analysis.evaluate import innovation_metrics
-from jaxnav.analysis.noise_scan import NoiseScan, known_delay, stated_scale
-from jaxnav.analysis.receiver_errors import Receiver, receiver, stated, without_slow_errors
+from jaxnav.analysis.noise_scan import NoiseScan, known_delay, usual_scan
+from jaxnav.analysis.receiver_errors import without_slow_errors
 from jaxnav.checkup import checkup
 from jaxnav.checkup.support import options
 from jaxnav.filters.adapters.adapter import Adapter
@@ -290,9 +290,7 @@ def _without_faults(
 def _first(filt: Filter, params: Params, experiment: Experiment) -> tuple[Solution, Params]:
     """Return the first answer and its parameters: the datasheet, the delay that alignments show, usual slow errors."""
     rec = experiment.recording
-    sd = np.median(np.asarray(rec.aiding["position"].sd), 0)
-    errors = Receiver() if stated_scale(params) else receiver(stated(sd), sd)
-    usual = NoiseScan(latency=known_delay(rec, params, experiment.stop, ()).mean, receiver=errors)
+    usual = usual_scan(rec, params, known_delay(rec, params, experiment.stop, ()).mean)
     filt, params = usual.extended(filt, params)
     params = usual.applied(params)
     sol = navigate(

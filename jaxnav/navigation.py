@@ -70,7 +70,7 @@ MAX_ASIDE = 1_000_000  # samples of the IMU, up to which a run is made ready whi
 UNLIKE_DATASHEET = 10.0  # factor on the datasheet's noise above which scale or unit of a gyro may pass for noise
 
 
-class Run(NamedTuple):
+class FilterRun(NamedTuple):
     """A run from an initialization."""
 
     begin: Initialization
@@ -332,15 +332,23 @@ def navigate(
 
 
 def _runner(
-    rec: Recording, filt: Filter, params: Params, *, interval: float, stop: float | None,
-    outages: Sequence[Sequence[float]], standing: Standing, smooth: bool, lag: float,
-) -> tuple[Filter, Callable[[Initialization], Run]]:  # fmt: skip
+    rec: Recording,
+    filt: Filter,
+    params: Params,
+    *,
+    interval: float,
+    stop: float | None,
+    outages: Sequence[Sequence[float]],
+    standing: Standing,
+    smooth: bool,
+    lag: float,
+) -> tuple[Filter, Callable[[Initialization], FilterRun]]:
     """Return the filter with the history that it needs, and its run, smoothed if wanted, from an initialization."""
     chosen = tuple(MEASUREMENTS[name] for name in filt.model.measurements)
     history = history_for(params, 1 / float(np.median(rec.imu.dt)), float(np.ptp(rec.imu.t)))
     filt = with_history(filt, history)
 
-    def run_from(begin: Initialization) -> Run:
+    def run_from(begin: Initialization) -> FilterRun:
         theta = begin.apply_to(params)
         packed = ep.pack_recording(rec, chosen, begin.t, interval, stop, standing)
         hidden = ep.in_windows(packed.t, outages)
@@ -354,15 +362,18 @@ def _runner(
         best = jax.tree.map(lambda a: a[about.best], begin.navs)
         if smooth or lag:
             info = smoothed(filt, theta, best, epochs, packed.t, 0.0 if smooth else lag)
-        return Run(begin, theta, packed, hidden, info, about, best)
+        return FilterRun(begin, theta, packed, hidden, info, about, best)
 
     return filt, run_from
 
 
 def _likely_run(
-    runner: Callable[[Recording, Filter, Params], tuple[Filter, Callable[[Initialization], Run]]],
-    rec: Recording, filt: Filter, params: Params, begin: Initialization,
-) -> None:  # fmt: skip
+    runner: Callable[[Recording, Filter, Params], tuple[Filter, Callable[[Initialization], FilterRun]]],
+    rec: Recording,
+    filt: Filter,
+    params: Params,
+    begin: Initialization,
+) -> None:
     """Run by the parameters that a scan is likely to find, so that the run after it is compiled."""
     usual = usual_scan(rec, params, 0.0 if begin.alignment is None else begin.alignment.delay)
     filt, params = usual.extended(filt, params)
@@ -400,8 +411,12 @@ def smoothed(filt: Filter, params: Params, nav: Nav, epochs: Epoch, t: np.ndarra
 
 
 def _from_the_begin(
-    rec: Recording, params: Params, done: Run, run_from: Callable[[Initialization], Run], outages: Sequence[Any]
-) -> Run:
+    rec: Recording,
+    params: Params,
+    done: FilterRun,
+    run_from: Callable[[Initialization], FilterRun],
+    outages: Sequence[Any],
+) -> FilterRun:
     """Return a smoothed run that begins with the recording; the same one where its first fixes contradict that."""
     fixes = rec.aiding["position"]
     shown = sample_rows(fixes, ~ep.within(fixes.t, outages))

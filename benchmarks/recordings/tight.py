@@ -25,7 +25,7 @@ from jaxnav.filters.lanes import RECEIVER_ERROR
 from jaxnav.filters.run import prepare, run_jit
 from jaxnav.gnss.corrections import RATES, at_reception, solved, with_rates
 from jaxnav.gnss.orbits import Ephemeris, chosen
-from jaxnav.gnss.ranges import LIGHT, Ranges, epochs, rows_of, streams, without_clock
+from jaxnav.gnss.ranges import LIGHT, Ranges, epochs, selected, streams, without_clock
 from jaxnav.gnss.single_point import SinglePoint, single_point
 from jaxnav.io.formats.rinex import read_navigation, read_observations
 from jaxnav.maths.axes import geodetic, lla_to_local
@@ -200,7 +200,7 @@ def with_few(case: Case, one: Method, hidden: np.ndarray, k: int) -> ep.Packed:
     for e in np.flatnonzero(inside):
         rows = np.flatnonzero(of == e)
         rank[rows[np.argsort(-case.ranges.elevation[rows])]] = np.arange(rows.size)
-    found = single_point(rows_of(case.ranges, ~inside[of] | (rank < k)))
+    found = single_point(selected(case.ranges, ~inside[of] | (rank < k)))
     rec = case.recording._replace(aiding=fixes(found))
     rows = tuple(MEASUREMENTS[name] for name in one.filt.model.measurements)
     return ep.pack(rec.imu, rec.aiding, 0.2, rows, one.packed.start, cuts=one.packed.t)

@@ -43,7 +43,7 @@ import numpy as np
 
 from jaxnav.analysis.boxes import CUBE, climb, vertex
 from jaxnav.analysis.plots import base as plots
-from jaxnav.analysis.receiver_errors import WHITE, Receiver, best_errors, on_top, receiver, stated
+from jaxnav.analysis.receiver_errors import WHITE, ReceiverErrors, best_errors, on_top, receiver, stated
 from jaxnav.analysis.windows import hidden_windows
 from jaxnav.checkup.motion import delay_of
 from jaxnav.filters import epochs as ep
@@ -95,7 +95,7 @@ class NoiseScan(NamedTuple):
     scale: float = 1.0  # on the noise of scale errors, 0 or 1
     latency: float = 0.0  # s
     latency_sd: float = 0.0  # s, 0 where it is stated
-    receiver: Receiver = Receiver()  # errors of its positions and velocities
+    receiver: ReceiverErrors = ReceiverErrors()  # errors of its positions and velocities
     assumed: np.ndarray = np.zeros(2, bool)  # (2,) level, up: usual slow errors, the recording does not show them
     gain: float = 0.0  # of J / N, the penalized log-likelihood of a fix, over factors of 1 and no latency
     coarse: np.ndarray = np.zeros((0, 0))  # (L, C) J of the coarse grid, latency by common factor, 0 at its maximum
@@ -522,7 +522,7 @@ def scan_noise(
     latency_sd = objective.latency_sd(points, centre, float(found[2] - point[2]))
     white = point[4] == WHITE[1]
     assumed |= bool(np.array_equal(point[3:9], on_top(objective.sd)))
-    errors = Receiver(velocity=float(10.0 ** point[3])) if white else receiver(point[3:9], objective.sd)
+    errors = ReceiverErrors(velocity=float(10.0 ** point[3])) if white else receiver(point[3:9], objective.sd)
     return NoiseScan(
         gyro, accel, scale, float(point[2]), latency_sd, errors, assumed & (not white), gain, coarse - coarse.max(),
         (latencies, 10.0**COMMON), (objective.first, end), fixes, ratio, harm,
@@ -532,7 +532,7 @@ def scan_noise(
 def usual_scan(rec: Recording, params: Params, latency: float) -> NoiseScan:
     """Return a scan that is not made: the datasheet's noise, usual errors of a receiver, and a latency (s)."""
     sd = np.median(np.asarray(rec.aiding["position"].sd), 0)
-    return NoiseScan(latency=latency, receiver=Receiver() if stated_scale(params) else receiver(stated(sd), sd))
+    return NoiseScan(latency=latency, receiver=ReceiverErrors() if stated_scale(params) else receiver(stated(sd), sd))
 
 
 def stated_scale(params: Params) -> bool:

@@ -37,7 +37,7 @@ WHITE = np.array([0.0, -9.0, TAUS[2], -9.0, TAUS[2], 0.0])
 PRECISE_M, PRECISE_ODDS = 0.1, -1.0  # m, stated sd below which phases are resolved; log10 of the odds there
 
 
-class Receiver(NamedTuple):
+class ReceiverErrors(NamedTuple):
     """Errors of a receiver, horizontal and vertical separately."""
 
     share: np.ndarray = np.zeros(2)  # (2,) of the stated variance of positions that is slow
@@ -66,13 +66,13 @@ class Receiver(NamedTuple):
         return params._replace(states=states, measurements=fixes)
 
 
-def receiver(numbers: np.ndarray, sd: np.ndarray) -> Receiver:
+def receiver(numbers: np.ndarray, sd: np.ndarray) -> ReceiverErrors:
     """Return the receiver of numbers (6,).
 
     Log10 of the factor on the sd of velocities, of odds and s level and up, and of the factor on the sd of positions.
     """
     v, odds, tau = numbers[0], 10.0 ** numbers[[1, 3]], 10.0 ** numbers[[2, 4]]
-    return Receiver(odds / (1 + odds), tau, float(10.0**v), float(10.0 ** numbers[5]), sd)
+    return ReceiverErrors(odds / (1 + odds), tau, float(10.0**v), float(10.0 ** numbers[5]), sd)
 
 
 def usual(sd: np.ndarray) -> np.ndarray:
@@ -192,7 +192,7 @@ def without_slow_errors(params: Params) -> Params:
     return params._replace(states=params.states | {RECEIVER_ERROR: none})
 
 
-def alike(each: Sequence[Receiver]) -> list[Receiver]:
+def alike(each: Sequence[ReceiverErrors]) -> list[ReceiverErrors]:
     """Return receivers with one share, time and factor, the means: recordings that are tuned together share a scale."""
     share = np.mean([r.share for r in each], 0)
     tau, position = (

@@ -8,7 +8,7 @@ import numpy as np
 from jaxnav.findings import finding
 from jaxnav.gnss.atmosphere import klobuchar, saastamoinen
 from jaxnav.gnss.orbits import HALF_STEP, Ephemeris, chosen, state, turned
-from jaxnav.gnss.ranges import FREQUENCY, LIGHT, Ranges, epochs, frequency, rows_of, streams, without_clock
+from jaxnav.gnss.ranges import FREQUENCY, LIGHT, Ranges, epochs, frequency, selected, streams, without_clock
 from jaxnav.gnss.single_point import SinglePoint, single_point
 from jaxnav.maths.axes import enu_to_ecef, geodetic
 from jaxnav.maths.earth import RATE
@@ -183,7 +183,7 @@ def solved(
         raise DataError("no epoch has satellites enough with valid ephemerides for a single-point solution")
     for _ in range(2):
         ranges = corrected(seen, eph, found.position[_nearest(found.t, seen.t)], ionosphere)
-        ranges = rows_of(ranges, ranges.elevation >= math.radians(masks.elevation_deg))
+        ranges = selected(ranges, ranges.elevation >= math.radians(masks.elevation_deg))
         found = single_point(ranges)
         if not found.t.size:
             raise DataError(f"no epoch has satellites enough above {masks.elevation_deg:g} deg for a solution")

@@ -59,7 +59,7 @@ def frequency(satellites: np.ndarray) -> np.ndarray:
     return each[np.asarray(satellites) // CONSTELLATION]
 
 
-def rows_of(ranges: Ranges, rows: np.ndarray) -> Ranges:
+def selected(ranges: Ranges, rows: np.ndarray) -> Ranges:
     """Return some rows, by a mask (N,) or indices."""
     return Ranges(*(a[rows] for a in ranges))
 

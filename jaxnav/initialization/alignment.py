@@ -244,7 +244,7 @@ def _skew(a: np.ndarray) -> np.ndarray:
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(-1, 3, 3)
 
 
-class Fit(NamedTuple):
+class LeastSquares(NamedTuple):
     """A solution of the least squares, at the window's begin."""
 
     C: np.ndarray  # (3, 3) body -> ENU
@@ -260,7 +260,7 @@ def prior_sd(prior: AlignmentPrior) -> np.ndarray:
     return np.concatenate([np.maximum(sd, 1e-12), np.full(3 if prior.arm else 0, prior.arm)])
 
 
-def _solve(imu: ImuLog, seen: DifferencedFixes, prior: AlignmentPrior, arm: np.ndarray) -> Fit:
+def _solve(imu: ImuLog, seen: DifferencedFixes, prior: AlignmentPrior, arm: np.ndarray) -> LeastSquares:
     """Gauss-Newton from Wahba's solutions; once more with the noise that the fixes turn out to have."""
     sd = prior_sd(prior)
     more = np.zeros(sd.size - 10)
@@ -284,10 +284,10 @@ def _solve(imu: ImuLog, seen: DifferencedFixes, prior: AlignmentPrior, arm: np.n
     if not _moved(seen, last.roots):
         P[2, :], P[:, 2] = 0.0, 0.0
         P[2, 2] = UNKNOWN_ATTITUDE_SD**2
-    return Fit(last.C, last.x, P, chi2, noise)
+    return LeastSquares(last.C, last.x, P, chi2, noise)
 
 
-class Descent(NamedTuple):
+class Minimum(NamedTuple):
     """Where Gauss-Newton ended."""
 
     C: np.ndarray
@@ -301,7 +301,7 @@ class Descent(NamedTuple):
 def descend(
     imu: ImuLog, seen: DifferencedFixes, C: np.ndarray, x: np.ndarray, sd: np.ndarray, noise: float, arm: np.ndarray,
     iterations: int = ITERATIONS,
-) -> Descent:  # fmt: skip
+) -> Minimum:  # fmt: skip
     """Run Gauss-Newton from attitude ``C`` at the begin and ``x``, with the prior ``sd`` of both."""
     roots = [cholesky_banded(noise * c + seen.drift, lower=True) for c in seen.covariances]
     for _ in range(iterations):
@@ -315,7 +315,7 @@ def descend(
         x[6] = np.clip(x[6], -MAX_DELAY_S, MAX_DELAY_S)
         if float(np.abs(delta[:3]).max()) < 1e-5:
             break
-    return Descent(C, x, N, float(r @ r + offset @ offset), float(r @ r / max(r.size - 6, 1)), roots)
+    return Minimum(C, x, N, float(r @ r + offset @ offset), float(r @ r / max(r.size - 6, 1)), roots)
 
 
 def _guesses(

@@ -74,7 +74,7 @@ bank_jit = stored(heading_bank, (0,))
 LOST = 1e-12  # of the most probable's, the probability below which a heading is given up in a long run
 
 
-def choose(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[int, float]:
+def most_probable_start(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[int, float]:
     """Return the most probable of several starts and its probability, in memory that does not grow with the run.
 
     The runs go side by side, `jaxnav.filters.run.CHUNK` epochs at a time, by the program that filters the recording;

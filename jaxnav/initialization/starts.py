@@ -11,7 +11,7 @@ from jaxnav.filters import epochs as ep
 from jaxnav.filters.compiler import require_memory
 from jaxnav.filters.core import Filter
 from jaxnav.filters.run import CHUNK, in_chunks, joined, run_in_chunks
-from jaxnav.initialization.bank import bank_jit, choose
+from jaxnav.initialization.bank import bank_jit, most_probable_start
 from jaxnav.initialization.parked import spread_again
 from jaxnav.types import Epoch, Info, Nav, Params
 
@@ -73,6 +73,6 @@ def _best_of_short(
 
 def _best_of_long(filt: Filter, params: Params, navs: Nav, epochs: Epoch) -> tuple[int, float, Info]:
     """Return the same of a long run: one run at a time, of which one is kept."""
-    best, probability = choose(filt, params, navs, epochs)
+    best, probability = most_probable_start(filt, params, navs, epochs)
     nav = jax.tree.map(lambda a: a[best], navs)
     return best, probability, joined(in_chunks(filt, params, nav, epochs), epochs.imu.dt.shape[0])

@@ -11,15 +11,14 @@ import numpy as np
 
 from jaxnav.findings import finding
 from jaxnav.gnss.corrections import Masks
-from jaxnav.gnss.ranges import Ranges, number
-from jaxnav.gnss.ranges import rows_of as rows_of_ranges
+from jaxnav.gnss.ranges import Ranges, number, selected
 from jaxnav.io import missing, units
 from jaxnav.io.checks import ned_to_enu
 from jaxnav.io.columns import (
     Files,
     column_of,
+    kept_rows,
     known,
-    rows_of,
     sd_of,
     sheet_of,
     side_by_side,
@@ -38,7 +37,7 @@ from jaxnav.maths.interpolation import columns_at
 from jaxnav.maths.units import DEG
 from jaxnav.measurements import with_data
 from jaxnav.measurements.columns import QUANTITIES
-from jaxnav.types import DataError, Json, Note, Track
+from jaxnav.types import DataError, Json, Note, Track, nearest
 
 COMMON = tuple(
     "file delimiter header time time_unit time_scale time_tag time_shift_s rate_hz skip where new_where".split()
@@ -187,14 +186,14 @@ def _with_imu(parts: Parts, files: Files, table: Json) -> Parts:
     known(table, KEYS["imu"], f"{files.map}: imu")
     sampling = table.get("sampling", RATES)
     if sampling not in SAMPLINGS:
-        raise DataError(f"{files.map}: imu: sampling: {units.nearest(str(sampling), SAMPLINGS)}")
+        raise DataError(f"{files.map}: imu: sampling: {nearest(str(sampling), SAMPLINGS)}")
     kinds = ("angle", "speed") if sampling == INCREMENTS else ("rate", "acceleration")
     scales = [
         units.factor(table, f"{key}_unit", kind, f"{files.map}: imu") for key, kind in zip(("gyro", "accel"), kinds)
     ]
     gyro, accel = (table_of(files, table, key, "imu") * scale for key, scale in zip(("gyro", "accel"), scales))
     t = times_of(files, table, "imu")
-    keep = rows_of(files, table, "imu", len(t))
+    keep = kept_rows(files, table, "imu", len(t))
     column = _accel_time(files, table)
     if column is None:
         side_by_side(files, [t, gyro[:, 0], accel[:, 0]], "imu")
@@ -220,7 +219,7 @@ def _scale(table: Json, where: str) -> TimeScale:
     usual = TimeScale.UTC if unit in ("iso", *DAYS) or "%y" in unit.lower() else TimeScale.UNKNOWN
     said = table.get("time_scale", TimeScale.GPS if "time_tag" in table else usual)
     if said not in tuple(TimeScale):
-        raise DataError(f"{where}: time_scale: {units.nearest(str(said), tuple(TimeScale))}")
+        raise DataError(f"{where}: time_scale: {nearest(str(said), tuple(TimeScale))}")
     return TimeScale(said)
 
 
@@ -264,7 +263,7 @@ def _stream(files: Files, table: Json, name: str) -> Stream:
     value = BUILD.get(name, _scalar)(files, table, name)
     t = times_of(files, table, name)
     side_by_side(files, [t, value[:, 0]], name)
-    keep = rows_of(files, table, name, len(t))
+    keep = kept_rows(files, table, name, len(t))
     sd = sd_of(files, table, name, value.shape[1])
     if name == "velocity" and "speed_course" in table and "up" not in table and "down" not in table:
         sd = np.full(value.shape, 0.3) if sd is None else np.broadcast_to(sd, value.shape).copy()
@@ -301,9 +300,7 @@ def _satellites(files: Files, table: Json) -> tuple[dict[str, Stream], tuple[Not
     if table.get("emission", False):
         ranges = raw_table.to_reception(ranges)
     masks = {"elevation_deg": table.get("elevation_mask_deg", 10.0), "cn0_dbhz": table.get("cn0_mask_dbhz", 25.0)}
-    found, notes = raw_table.solved(
-        rows_of_ranges(ranges, rows_of(files, table, stream, t.size)), where, Masks(**masks)
-    )
+    found, notes = raw_table.solved(selected(ranges, kept_rows(files, table, stream, t.size)), where, Masks(**masks))
     scale = _scale(table, where)
     return {key: Stream(*samples)._replace(scale=scale) for key, samples in found.items()}, notes
 
@@ -441,7 +438,7 @@ def _truth(files: Files, table: Json) -> Track:
     if "rph" in table:
         rph = table_of(files, table, "rph", "truth") * units.factor(table, "rph_unit", "angle", where, "deg")
     t = times_of(files, table, "truth")
-    keep = rows_of(files, table, "truth", len(t)) & np.isfinite(np.column_stack([t, lla, vel])).all(axis=1)
+    keep = kept_rows(files, table, "truth", len(t)) & np.isfinite(np.column_stack([t, lla, vel])).all(axis=1)
     return Track(t[keep], lla[keep], vel[keep], rph[keep])
 
 

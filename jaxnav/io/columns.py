@@ -6,11 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxnav.io import units
 from jaxnav.io.formats.rtklib import read_tag
 from jaxnav.io.options import OF, require
 from jaxnav.io.sheet import Sheet, column, numbers, open_sheet, times
-from jaxnav.types import DataError, Json
+from jaxnav.types import DataError, Json, nearest
 
 VALUES = ("gyro", "lla", "enu", "ned", "neu", "ecef", "speed_course", "value")  # keys that list columns
 
@@ -29,7 +28,7 @@ def known(table: Json, keys: tuple[str, ...], where: str, kinds: Mapping[str, st
     """DataError for the first key that is not one of ``keys``, with the nearest, or whose value is of another kind."""
     for key, value in table.items():
         if key not in keys:
-            raise DataError(f"{where}: {key}: unknown key; {units.nearest(key, keys)}")
+            raise DataError(f"{where}: {key}: unknown key; {nearest(key, keys)}")
         require(where, key, value, kinds.get(key, "table"))  # streams are tables
 
 
@@ -40,7 +39,7 @@ def sheet_of(files: Files, table: Json, ref: Any, key: str) -> tuple[Sheet, str]
     of = ""
     if isinstance(file, dict):
         if name not in file:
-            raise DataError(f"{files.map}: {key}: column {ref!r}: {units.nearest(name, tuple(file))} (FILE:COLUMN)")
+            raise DataError(f"{files.map}: {key}: column {ref!r}: {nearest(name, tuple(file))} (FILE:COLUMN)")
         path, ref, of = file[name], rest, f"{name}:"
     elif isinstance(file, str):
         path = file
@@ -155,7 +154,7 @@ def _skipped(files: Files, table: Json, stream: str, n: int) -> slice:
     return slice(skip[0], n - skip[1])
 
 
-def rows_of(files: Files, table: Json, stream: str, n: int) -> np.ndarray:
+def kept_rows(files: Files, table: Json, stream: str, n: int) -> np.ndarray:
     """(N,) bool, rows not to ``skip`` that meet all of ``where`` and are new in one of the columns of ``new_where``."""
     keep = np.zeros(n, bool)
     keep[_skipped(files, table, stream, n)] = True

@@ -75,7 +75,7 @@ def applied(parts: Parts, changes: Changes) -> Parts:
     return parts._replace(imu=imu, aiding=aiding, **said)
 
 
-def recording(parts: Parts) -> Recording:
+def mended(parts: Parts) -> Recording:
     """Return the checked recording of the parts, in body FRD, with a sentence in ``notes`` for every change.
 
     Raises:

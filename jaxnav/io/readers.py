@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from jaxnav.io import column_map, draft, mend, units
+from jaxnav.io import column_map, draft, mend
 from jaxnav.io.column_map import column_names, read_map
 from jaxnav.io.containers import unpacked
 from jaxnav.io.files import HEAD, FilePath
@@ -39,7 +39,7 @@ from jaxnav.io.mend import Changes
 from jaxnav.io.options import OPTIONS, require
 from jaxnav.io.parts import Parts, counted_from
 from jaxnav.io.rollover import unrolled
-from jaxnav.types import DataError, Json
+from jaxnav.types import DataError, Json, nearest
 
 
 class ReadFile(Protocol):
@@ -83,7 +83,7 @@ def _read_parts(path: Path, gnss: Path | None, **options: Any) -> Parts:
     fixes = {key: value for key, value in options.items() if key in others and key not in reader}
     changes = {key: value for key, value in options.items() if key in Changes._fields and key not in reader}
     for key in options.keys() - reader.keys() - fixes.keys() - changes.keys():
-        hint = units.nearest(key, (*row.options, *others, *Changes._fields, "gnss", "map"))
+        hint = nearest(key, (*row.options, *others, *Changes._fields, "gnss", "map"))
         raise DataError(f"{path}: {row.name}: no option {key}: {hint}")
     parts = _read(row, path, reader)
     if gnss is not None:

@@ -1,6 +1,5 @@
 """Units that files come in, by quantity: factors to SI (magnetic field: microtesla). Only for the border."""
 
-import difflib
 import re
 
 import numpy as np
@@ -20,12 +19,6 @@ UNITS: dict[str, dict[str, float]] = {
 MULTIPLE = re.compile(r"(?s)(?:((?:1/)?\d+(?:\.\d*)?(?:e[+-]?\d+)?) +)?(.*)")
 PRESSURE = {"Pa": 1.0, "hPa": 100.0, "kPa": 1000.0}
 SEA_LEVEL = 101325.0  # Pa, standard atmosphere
-
-
-def nearest(word: str, known: tuple[str, ...] | Json) -> str:
-    """Return ``did you mean X?`` or the known names."""
-    near = difflib.get_close_matches(word, list(known), n=1)
-    return f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}, got {word!r}"
 
 
 def factor(table: Json, key: str, kind: str, where: str, default: str | None = None) -> float:

@@ -205,7 +205,7 @@ def covariance(
     return 0.5 * (R + R.T)
 
 
-def rows_of(o: Observation, nav: Nav, states: Sequence[State]) -> jax.Array:
+def measurement_matrix(o: Observation, nav: Nav, states: Sequence[State]) -> jax.Array:
     """Return H (s, n) of an observation, its motion in ENU; rows of states that the filter lacks are dropped.
 
     A state that enters the gyro or the accelerometer lowers the reading of navigation, d w / d s = -M.
@@ -299,7 +299,7 @@ def stack(
                         y=o.y - ages[i] * row @ now.errors[rate.name],
                         rows=o.rows | {rate.name: o.rows.get(rate.name, 0.0) - ages[i] * row},
                     )
-            H = rows_of(o, nav, states)
+            H = measurement_matrix(o, nav, states)
             rows[each.name] = H[:, :9] @ B + jnp.pad(H[:, 9:], ((0, 0), (9, 0)))
             seen.append(o)
         R = covariance([o.root for o in seen], sizes, jnp.concatenate([o.sd for o in seen]), fix.corr, fix.valid)

@@ -5,7 +5,7 @@ from typing import Any
 from jaxnav.checkup import checkup
 from jaxnav.io.files import FilePath
 from jaxnav.io.readers import read_parts
-from jaxnav.reading.timescale import recording
+from jaxnav.reading.timescale import in_one_scale
 from jaxnav.types import Recording
 
 
@@ -24,5 +24,5 @@ def read(path: FilePath, **options: Any) -> Recording:
     Raises:
         DataError: not there, of no known format, an unknown option, or nothing that could be used; names the file.
     """
-    rec = recording(read_parts(path, **options))
+    rec = in_one_scale(read_parts(path, **options))
     return rec._replace(findings=tuple(f for f in checkup(rec, quick=True) if f.warns or f in rec.findings))

@@ -20,14 +20,14 @@ QUARTER, MAX_ZONE = 900.0, 14 * 3600.0  # s; of zones
 MOST = 0.5  # share of the fixes that are within the IMU's time
 
 
-def recording(parts: Parts) -> Recording:
+def in_one_scale(parts: Parts) -> Recording:
     """Return the checked recording of parts, IMU and fixes in one time scale, which is the IMU's.
 
     Stated scales are converted. Where the IMU's stamps are a date of no stated scale and the fixes are in GPS time, the
     scale in which IMU and fixes agree is taken; where none is better, a note says so.
 
     Raises:
-        DataError: see `jaxnav.io.mend.recording`.
+        DataError: see `jaxnav.io.mend.mended`.
     """
     leap = _leap_seconds(parts)
     stated = parts.imu is not None and parts.imu.scale is not TimeScale.UNKNOWN
@@ -40,8 +40,8 @@ def recording(parts: Parts) -> Recording:
     }
     if stated:
         return _noted(_in_one_zone(parts._replace(aiding=aiding)), finding("time.utc", "imu", abs(leap), words=""))
-    moved = mend.recording(parts._replace(aiding=aiding))
-    rec = mend.recording(parts)
+    moved = mend.mended(parts._replace(aiding=aiding))
+    rec = mend.mended(parts)
     gps, utc = misfit(rec), misfit(moved)
     if utc < min(MAX_CHI2_PER_DOF, gps / DECISIVE):
         words = f": chi^2/dof of IMU against fixes: {utc:.2g} if UTC, {gps:.2g} if GPS time"
@@ -56,14 +56,14 @@ def _in_one_zone(parts: Parts) -> Recording:
 
     So are other streams that miss it.
     """
-    rec = mend.recording(parts)
+    rec = mend.mended(parts)
     shifts = _shifts(parts)
     if not shifts or parts.imu is None:
         return rec
     astray = {name for name, stream in parts.aiding.items() if _inside(parts.imu.t, stream.t) < MOST}
     later = lambda name, s, shift: s._replace(t=np.asarray(s.t, float) + shift) if name in astray else s
     moved = {
-        shift: mend.recording(parts._replace(aiding={n: later(n, s, shift) for n, s in parts.aiding.items()}))
+        shift: mend.mended(parts._replace(aiding={n: later(n, s, shift) for n, s in parts.aiding.items()}))
         for shift in shifts
     }
     fits = {0.0: misfit(rec)} | {shift: misfit(each) for shift, each in moved.items()}

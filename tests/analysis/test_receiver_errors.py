@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxnav import build
-from jaxnav.analysis.receiver_errors import Receiver, alike, on_top, receiver, usual, whole, without_slow_errors
+from jaxnav.analysis.receiver_errors import ReceiverErrors, alike, on_top, receiver, usual, whole, without_slow_errors
 from jaxnav.filters.lanes import RECEIVER_ERROR, slow_errors
 from jaxnav.navigation import Solution
 from tuning.fit.transforms import split
@@ -45,12 +45,12 @@ def test_without_slow_errors_the_state_is_none():
     params = WIDE.params("consumer")
     off = without_slow_errors(params).states[RECEIVER_ERROR]
     assert not np.any(off.sd) and not np.any(off.driving_noise) and np.isfinite(off.tau).all()
-    assert Receiver().applied(params).states[RECEIVER_ERROR].sd == params.states[RECEIVER_ERROR].sd
+    assert ReceiverErrors().applied(params).states[RECEIVER_ERROR].sd == params.states[RECEIVER_ERROR].sd
 
 
 def test_recordings_that_are_tuned_together_share_a_split():
-    one = Receiver(np.array([0.8, 0.4]), np.array([50.0, 100.0]), sd=SD)
-    other = Receiver(np.array([0.4, 0.2]), np.array([200.0, 100.0]), 1.5, 4.0, 2 * SD)
+    one = ReceiverErrors(np.array([0.8, 0.4]), np.array([50.0, 100.0]), sd=SD)
+    other = ReceiverErrors(np.array([0.4, 0.2]), np.array([200.0, 100.0]), 1.5, 4.0, 2 * SD)
     found = alike([one, other])
     for mine, was in zip(found, (one, other), strict=True):
         np.testing.assert_allclose(mine.share, [0.6, 0.3])
@@ -84,7 +84,7 @@ def test_relative_accuracy_is_that_of_a_known_slow_error():
 def test_level_and_vertical_scales_stay_apart():
     """Where the split differs upwards, a search has a number for each; else one for all axes."""
     leaf = "measurements.position.scale"
-    differ = Receiver(np.array([0.9, 0.5]), np.full(2, 100.0), sd=SD).applied(WIDE.params("consumer"))
+    differ = ReceiverErrors(np.array([0.9, 0.5]), np.full(2, 100.0), sd=SD).applied(WIDE.params("consumer"))
     spec = spec_of(WIDE, differ, [leaf])
     np.testing.assert_allclose(np.exp(split(spec, differ)[leaf]), np.sqrt([0.1, 0.5]))
     params = WIDE.params("consumer")

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from jaxnav.gnss.corrections import Ionosphere, Masks, Observations, at_reception, corrected, solved
 from jaxnav.gnss.messages import Messages
 from jaxnav.gnss.orbits import EARTH_RATE, Ephemeris, chosen, stacked, state, turned
-from jaxnav.gnss.ranges import LIGHT, Ranges, number, rows_of
+from jaxnav.gnss.ranges import LIGHT, Ranges, number, selected
 from jaxnav.gnss.single_point import single_point
 from jaxnav.io.formats.rinex import read_navigation, read_observations
 from jaxnav.maths.axes import enu_to_ecef
@@ -179,7 +179,7 @@ def test_corrections_leave_distance_and_clock():
     np.testing.assert_allclose((ranges.pseudorange + air - distance)[up], 1234.5, atol=2e-3)
     u = (ranges.position - TOKYO) / distance[:, None]
     np.testing.assert_allclose((ranges.range_rate - np.sum(u * ranges.velocity, 1))[up], 2.0, atol=1e-3)
-    clear = rows_of(ranges._replace(pseudorange=ranges.pseudorange + air), up)
+    clear = selected(ranges._replace(pseudorange=ranges.pseudorange + air), up)
     found = single_point(clear)
     np.testing.assert_allclose(found.position, TOKYO[None], atol=0.02)
     np.testing.assert_allclose(found.clock, 1234.5, atol=0.02)
@@ -202,7 +202,7 @@ def test_orbits_are_those_of_another_program():
     nothing = np.zeros((t.size, 3))
     ranges = Ranges(rows[:, 2], satellite, rows[:, 4], rows[:, 8], rows[:, 5:8], nothing, np.radians(rows[:, 13]),
                     rows[:, 14])  # fmt: skip
-    found = single_point(rows_of(ranges, np.lexsort((satellite, t))))
+    found = single_point(selected(ranges, np.lexsort((satellite, t))))
     receiver = np.stack([np.interp(rows[:, 2], found.t, found.position[:, i]) for i in range(3)], 1)
     distance = np.linalg.norm(rows[:, 5:8] - receiver, axis=1)
     chosen_rows = Ephemeris(*(a[chosen(eph, satellite, t)] for a in eph))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxnav.gnss.ranges import CLOCK_STEP, Ranges, name, number, ranges_of, rows_of, slots, streams, without_clock
+from jaxnav.gnss.ranges import CLOCK_STEP, Ranges, name, number, ranges_of, selected, slots, streams, without_clock
 from jaxnav.gnss.single_point import single_point
 from jaxnav.measurements.satellites import PSEUDORANGE, RANGE_RATE, SATELLITE, weight
 from jaxnav.states.receiver_clock import RANGE_ERROR, SLOTS
@@ -18,7 +18,7 @@ def joined(parts: list[Ranges]) -> Ranges:
 def drive(seen: list[list[int]]) -> Ranges:
     """An epoch a second with these of twenty satellites each."""
     sky = overhead(TOKYO, 20)
-    return joined([rows_of(ranges_at(TOKYO, sky, t=float(t)), np.array(own)) for t, own in enumerate(seen)])
+    return joined([selected(ranges_at(TOKYO, sky, t=float(t)), np.array(own)) for t, own in enumerate(seen)])
 
 
 def test_names_and_numbers():
@@ -60,7 +60,7 @@ def test_streams_and_rows_are_inverse():
     ranges = drive([list(range(9)), list(range(2, 11))])
     ranges = ranges._replace(range_rate=np.where(ranges.satellite == 4, np.nan, ranges.range_rate))
     again = ranges_of(streams(ranges))
-    order = lambda r: rows_of(r, np.lexsort((r.satellite, r.t)))
+    order = lambda r: selected(r, np.lexsort((r.satellite, r.t)))
     for a, b in zip(order(ranges), order(again), strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -98,7 +98,7 @@ def test_single_points_are_exact_and_bear_one_fault():
     off = ranges.pseudorange.copy()
     off[3] += 200.0
     assert np.linalg.norm(single_point(ranges._replace(pseudorange=off)).position[0] - TOKYO) < 12.0
-    assert not single_point(rows_of(ranges, np.arange(3))).t.size
+    assert not single_point(selected(ranges, np.arange(3))).t.size
 
 
 def test_a_further_constellation_has_a_clock_of_its_own():
@@ -107,7 +107,7 @@ def test_a_further_constellation_has_a_clock_of_its_own():
     galileo = np.arange(9) >= 6
     mixed = ranges._replace(satellite=ranges.satellite + 300 * galileo, pseudorange=ranges.pseudorange + 40.0 * galileo)
     np.testing.assert_allclose(single_point(mixed).position[0], TOKYO, atol=1e-4)
-    few = rows_of(mixed, np.array([0, 1, 2, 6]))  # four satellites, five unknowns
+    few = selected(mixed, np.array([0, 1, 2, 6]))  # four satellites, five unknowns
     assert not single_point(few).t.size
 
 

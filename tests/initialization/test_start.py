@@ -9,7 +9,7 @@ from jaxnav.filters import run as run_module
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.parameters import datasheet_params
 from jaxnav.filters.run import track
-from jaxnav.initialization.bank import choose, heading_bank, with_headings
+from jaxnav.initialization.bank import heading_bank, most_probable_start, with_headings
 from jaxnav.initialization.initialize import coarse_leveling, course
 from jaxnav.initialization.starts import execute
 from jaxnav.maths import rotations
@@ -90,12 +90,12 @@ def test_headings_of_a_long_run_are_given_up_when_they_are_lost(case, monkeypatc
     navs = with_headings(case.nav, headings)
     navs = navs._replace(vel=navs.vel.at[1].set(1e200))  # a run that fails
     bank = jax.jit(heading_bank, static_argnums=0)(filt, params, navs, epochs)
-    best, probability = choose(filt, params, navs, epochs)
+    best, probability = most_probable_start(filt, params, navs, epochs)
     assert best == 3 and probability == pytest.approx(float(bank.probability[3]), abs=1e-9)
     counts, one = [], run_module.in_chunks
     count = lambda *args: (counts.append(info.ok.size) or info for info in one(*args))
     monkeypatch.setattr("jaxnav.initialization.bank.in_chunks", count)
-    choose(filt, params, navs, epochs)
+    most_probable_start(filt, params, navs, epochs)
     assert 8 * 5 <= sum(counts) < 8 * 15
     info, about = execute(filt, params, navs, epochs)
     assert about.best == 3 and info.ok.shape == (15,)

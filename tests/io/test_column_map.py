@@ -297,7 +297,7 @@ def test_a_map_over_another_reader(folder):
         ("imu.csv", "*.nothing", "expected one file, found 0"),
         ('time = "t"\n', "", "imu: expected a key time, or rate_hz"),
         ("[imu]", "[imuu]\n[imu]", "map.toml: imuu: unknown key; did you mean imu?"),
-        ("[imu]", "[imu]\nsampling = 'mean'", "imu: sampling: expected one of rates, increments, instantaneous"),
+        ("[imu]", "[imu]\nsampling = 'mean'", "imu: sampling: known are rates, increments, instantaneous"),
         (
             "[imu]",
             "[imu]\ntime_unit = 'min'",

@@ -14,7 +14,7 @@ from jaxnav import read
 from jaxnav.app import cli
 from jaxnav.io.column_map import read_map
 from jaxnav.io.draft import draft
-from jaxnav.io.mend import recording
+from jaxnav.io.mend import mended
 from jaxnav.io.naming import named_column, words_of
 from jaxnav.maths.units import DEG, G0
 from jaxnav.simulate.gnss import Receiver
@@ -221,7 +221,7 @@ def test_a_draft_opens_as_it_is(write, rec, tmp_path):
     found = draft(write(rec, folder), tmp_path)
     assert not found.unsure, found.text()
     (tmp_path / "draft.toml").write_text(found.text(), encoding="utf-8")
-    got = recording(read_map(tmp_path / "draft.toml", read))
+    got = mended(read_map(tmp_path / "draft.toml", read))
     n = got.imu.t.size
     assert n > 0.98 * rec.imu.t.size
     first = int(np.argmin(np.abs(rec.imu.accel - got.imu.accel[0]).sum(1)))

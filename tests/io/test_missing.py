@@ -25,7 +25,7 @@ def test_a_mark_for_no_fix_is_no_fix(drive, mark):
     for gone in (np.arange(20, 26), np.arange(6, len(value))):
         marked = value.copy()
         marked[gone] = np.array(mark) * scale
-        rec = mend.recording(fixes(drive, value=marked))
+        rec = mend.mended(fixes(drive, value=marked))
         np.testing.assert_array_equal(rec.aiding["position"].value, np.delete(value, gone, 0))
         assert f"position: {gone.size} of {len(value)} rows have no value, or a mark for none" in rec.notes
 
@@ -33,14 +33,14 @@ def test_a_mark_for_no_fix_is_no_fix(drive, mark):
 @pytest.mark.parametrize("axis", [0, 1])
 def test_the_equator_and_greenwich_are_places(drive, axis):
     value = drive.aiding["position"].value.copy()
-    rec = mend.recording(fixes(drive, value=np.where(np.arange(3) == axis, 0.0, value)))
+    rec = mend.mended(fixes(drive, value=np.where(np.arange(3) == axis, 0.0, value)))
     assert len(rec.aiding["position"].t) == len(value)
 
 
 def test_degrees_taken_for_radians_are_no_marks(drive):
     degrees = drive.aiding["position"].value * np.array([180 / np.pi, 180 / np.pi, 1.0])
     with pytest.raises(DataError, match="degrees as radians"):
-        mend.recording(fixes(drive, value=degrees))
+        mend.mended(fixes(drive, value=degrees))
 
 
 @pytest.mark.parametrize("height", [-9999.0, -32768.0, 1e7, np.nan])
@@ -48,7 +48,7 @@ def test_a_height_that_is_missing_is_interpolated_and_unsure(drive, height):
     value = drive.aiding["position"].value
     marked = value.copy()
     marked[10:13, 2] = height
-    position = mend.recording(fixes(drive, value=marked)).aiding["position"]
+    position = mend.mended(fixes(drive, value=marked)).aiding["position"]
     np.testing.assert_allclose(position.value[:, :2], value[:, :2])
     np.testing.assert_allclose(position.value[9:14, 2], np.linspace(value[9, 2], value[13, 2], 5))
     assert (position.sd[10:13, 2] == 1000.0).all() and (position.sd[:10, 2] < 10.0).all()
@@ -59,13 +59,13 @@ def test_a_position_that_no_vehicle_reaches_is_left_out(drive, rows):
     """200 km away: one row, six, the first four, the last three; a swift vehicle stays whole."""
     value = drive.aiding["position"].value.copy()
     value[rows, 0] += 200.0 / 6371.0
-    rec = mend.recording(fixes(drive, value=value))
+    rec = mend.mended(fixes(drive, value=value))
     far = np.zeros(len(value), bool)
     far[rows] = True
     np.testing.assert_array_equal(rec.aiding["position"].t, drive.aiding["position"].t[~far])
     assert f"position: {far.sum()} of {len(value)} rows are farther" in rec.notes
     swift = drive.aiding["position"].value + np.array([2500.0 / 6.371e6, 0.0, 0.0]) * np.arange(len(value))[:, None]
-    assert len(mend.recording(fixes(drive, value=swift)).aiding["position"].t) == len(value)
+    assert len(mend.mended(fixes(drive, value=swift)).aiding["position"].t) == len(value)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_a_value_that_is_a_mark_or_implausible_is_none(drive, name, usual, bad):
     t = np.arange(drive.imu.t[0] + 1, drive.imu.t[-1] - 1)
     value = np.where((np.arange(t.size) > 3) & (np.arange(t.size) < 7), bad, usual)[:, None]
     parts = fixes(drive)
-    rec = mend.recording(parts._replace(aiding=parts.aiding | {name: Stream(t, value)}))
+    rec = mend.mended(parts._replace(aiding=parts.aiding | {name: Stream(t, value)}))
     assert rec.aiding[name].t.size == t.size - 3 and (rec.aiding[name].value == usual).all()
     assert f"{name}: 3 of {t.size} rows have no value" in rec.notes
 
@@ -86,19 +86,19 @@ def test_mostly_implausible_values_are_of_another_unit(drive):
     t = np.arange(drive.imu.t[0] + 1, drive.imu.t[-1] - 1)
     parts, degrees = fixes(drive), np.linspace(20.0, 350.0, t.size)[:, None]
     with pytest.raises(DataError, match="heading.*heading_rad within -13 and 13 .another unit"):
-        mend.recording(parts._replace(aiding=parts.aiding | {"heading": Stream(t, degrees)}))
+        mend.mended(parts._replace(aiding=parts.aiding | {"heading": Stream(t, degrees)}))
 
 
 def test_an_axis_without_sd_has_the_assumed_one(drive):
     sd = drive.aiding["position"].sd.copy()
     sd[:, 2] = 0.0
     sd[5, 0] = -1.0
-    rec = mend.recording(fixes(drive, sd=sd))
+    rec = mend.mended(fixes(drive, sd=sd))
     position = rec.aiding["position"]
     assert len(position.t) == len(sd) and (position.sd[:, 2] == 6.0).all() and position.sd[5, 0] == 3.0
     np.testing.assert_array_equal(np.delete(position.sd[:, 0], 5), np.delete(sd[:, 0], 5))
     assert f"position: {len(sd)} of {len(sd)} rows state no sd on an axis" in rec.notes
-    rec = mend.recording(fixes(drive, sd=np.zeros_like(sd)))
+    rec = mend.mended(fixes(drive, sd=np.zeros_like(sd)))
     assert (rec.aiding["position"].sd == [3.0, 3.0, 6.0]).all()
     assert [f.code for f in rec.findings] == ["stream.assumed_sd", "velocity.none"]
 
@@ -120,10 +120,10 @@ def test_a_speed_that_stands_for_none_is_none(drive, tmp_path):
 def test_fixes_of_another_week(drive, weeks):
     """Of a receiver whose weeks rolled over, or that counts from another Sunday; two weeks apart stays apart."""
     position = drive.aiding["position"]
-    rec = mend.recording(fixes(drive, t=position.t + weeks * WEEK))
+    rec = mend.mended(fixes(drive, t=position.t + weeks * WEEK))
     np.testing.assert_allclose(rec.aiding["position"].t, position.t, atol=1e-6)
     assert f"{weeks:+g} weeks from the IMU's" in rec.notes
-    assert "position" not in mend.recording(fixes(drive, t=position.t + 2 * WEEK)).aiding
+    assert "position" not in mend.mended(fixes(drive, t=position.t + 2 * WEEK)).aiding
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_an_accelerometer_that_is_far_off_is_a_finding(drive, bias):
     off = lambda by: fixes(drive)._replace(
         imu=ImuRows(drive.imu.t, drive.imu.gyro, drive.imu.accel - [0.0, 0.0, by], dt=drive.imu.dt)
     )
-    found = {f.code: f for f in checkup(mend.recording(off(bias)))}
+    found = {f.code: f for f in checkup(mend.mended(off(bias)))}
     assert found["imu.gravity_size"].warns
     with pytest.raises(DataError, match="must show gravity"):
-        mend.recording(off(np.sign(bias) * 3.3))
+        mend.mended(off(np.sign(bias) * 3.3))

@@ -42,7 +42,7 @@ def opened(place, tables, /, **options):
     top = "".join(f"{key} = {cell(value)}\n" for key, value in tables.items())
     (place / "map.toml").write_text(top)
     with contextlib.suppress(DataError):
-        mend.recording(read_parts(place / "map.toml", **options))
+        mend.mended(read_parts(place / "map.toml", **options))
 
 
 @pytest.mark.parametrize("key", TOP)

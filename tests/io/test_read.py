@@ -124,7 +124,7 @@ def test_formats_are_known_by_their_contents(tmp_path):
 
 
 def test_a_usable_recording_has_nothing_said_but_the_sd():
-    rec = mend.recording(parts())
+    rec = mend.mended(parts())
     assert rec.remarks == "" and rec.notes.endswith("There is no velocity: position only.")
     assert [(f.code, f.subject) for f in rec.findings] == [("stream.assumed_sd", "position"), ("velocity.none", "")]
     assert checkup(rec)[0] == rec.findings[0] and "assumed are 3, 3, 6 m" in rec.findings[0].message
@@ -135,7 +135,7 @@ def test_a_usable_recording_has_nothing_said_but_the_sd():
 def test_gaps_stay_gaps():
     imu = parts().imu
     t = imu.t + 30.0 * (np.arange(400) >= 200) + 0.1 * (np.arange(400) >= 300)
-    rec = mend.recording(rows(t=t))
+    rec = mend.mended(rows(t=t))
     np.testing.assert_allclose(rec.imu.dt, 0.01, atol=1e-9)
     assert rec.imu.t[200] - rec.imu.dt[200] - rec.imu.t[199] == pytest.approx(30.0)
     assert "The IMU has 2 gaps, the longest 30 s long, 2.0 s after its start." in rec.notes
@@ -151,7 +151,7 @@ def test_gaps_are_for_some_rows_and_not_for_all():
 
 def test_a_lost_sample_is_covered_by_the_next():
     t = np.delete(np.arange(1, 402) * 0.01, 100)
-    rec = mend.recording(rows(t=t)._replace(aiding={}))
+    rec = mend.mended(rows(t=t)._replace(aiding={}))
     assert rec.imu.dt[100] == pytest.approx(0.02) and rec.notes == ""
 
 
@@ -161,9 +161,9 @@ def test_rows_that_cannot_be_read(count, verb):
     gyro[50 : 50 + count, 1] = np.nan
     if verb == "error":
         with pytest.raises(DataError, match="a.log: row 50: imu: 100 of 400 rows that cannot be read"):
-            mend.recording(rows(gyro=gyro))
+            mend.mended(rows(gyro=gyro))
     else:
-        rec = mend.recording(rows(gyro=gyro))
+        rec = mend.mended(rows(gyro=gyro))
         assert len(rec.imu.t) == 399 and "1 of 400 rows that cannot be read are left out, the first at row" in rec.notes
 
 
@@ -172,7 +172,7 @@ def test_repeated_and_swapped_and_wild_times():
     t[10] = t[9]
     t[20], t[21] = t[21], t[20]
     t[30] = 1e9
-    rec = mend.recording(rows(t=t))
+    rec = mend.mended(rows(t=t))
     assert len(rec.imu.t) == 397 and (np.diff(rec.imu.t) > 0).all()
     assert "1 of 400 rows at the time of the row before" in rec.notes
     assert "2 of 400 rows with a time before the row before" in rec.notes
@@ -180,30 +180,30 @@ def test_repeated_and_swapped_and_wild_times():
 
 def test_reversed_times_are_refused():
     with pytest.raises(DataError, match="a.log: row 1: imu: 399 of 400 rows with a time before the row before"):
-        mend.recording(rows(t=parts().imu.t[::-1]))
+        mend.mended(rows(t=parts().imu.t[::-1]))
 
 
 def test_a_clock_that_was_set_during_the_recording():
     t = parts().imu.t + 1.7e9 * (np.arange(400) >= 5)
-    rec = mend.recording(rows(t=t)._replace(aiding={}))
+    rec = mend.mended(rows(t=t)._replace(aiding={}))
     assert len(rec.imu.t) == 395 and "5 rows that are more than an hour from the rest" in rec.notes
     assert rec.imu.t[0] == pytest.approx(0.01) and "t = 0 is 17" in rec.notes
 
 
 def test_polled_rows_are_counted():
     gyro, accel = (np.repeat(v[::2], 2, axis=0) for v in (parts().imu.gyro, parts().imu.accel))
-    assert "imu: 200 of 400 rows repeat the row before" in mend.recording(rows(gyro=gyro, accel=accel)).notes
+    assert "imu: 200 of 400 rows repeat the row before" in mend.mended(rows(gyro=gyro, accel=accel)).notes
 
 
 def test_fixes_outside_the_imu_and_without_sd():
     whole = parts()
     fixes = whole.aiding["position"]
     early = fixes._replace(t=fixes.t - 1.0, sd=np.where(np.arange(7)[:, None] == 5, np.nan, [1.0, 1.0, 2.0]))
-    rec = mend.recording(whole._replace(aiding={"position": early}))
+    rec = mend.mended(whole._replace(aiding={"position": early}))
     assert "position: 1 of 7 rows are before the IMU's first sample or after its last." in rec.notes
     assert "position: 1 of 7 rows without a usable sd are left out." in rec.notes
     assert len(rec.aiding["position"].t) == 5
-    late = mend.recording(whole._replace(aiding={"position": fixes._replace(t=fixes.t + 100.0)}))
+    late = mend.mended(whole._replace(aiding={"position": fixes._replace(t=fixes.t + 100.0)}))
     assert "position" not in late.aiding and "no row is left" in late.notes
 
 
@@ -212,24 +212,24 @@ def test_times_in_milliseconds_are_said():
     whole = parts()
     fixes = whole.aiding["position"]
     off = fixes._replace(t=1000 * (fixes.t - fixes.t[0]) + 50.0)
-    rec = mend.recording(whole._replace(aiding={"position": off}))
+    rec = mend.mended(whole._replace(aiding={"position": off}))
     assert "position" not in rec.aiding and "milliseconds? set time_unit" in rec.notes
     with pytest.raises(DataError, match="times in milliseconds"):
-        mend.recording(rows(t=1000 * whole.imu.t)._replace(aiding={}))
+        mend.mended(rows(t=1000 * whole.imu.t)._replace(aiding={}))
 
 
 def test_gravity_on_the_wrong_axis_is_said():
     accel = parts().imu.accel
-    assert "look like 'flu'" in mend.recording(rows(accel=accel * [1, -1, -1])).notes
-    assert "mounted on its side" in mend.recording(rows(accel=accel[:, [1, 2, 0]])).notes
+    assert "look like 'flu'" in mend.mended(rows(accel=accel * [1, -1, -1])).notes
+    assert "mounted on its side" in mend.mended(rows(accel=accel[:, [1, 2, 0]])).notes
 
 
 def test_increments_and_instantaneous_values():
     imu = parts().imu
-    rec = mend.recording(rows(gyro=imu.gyro * 0.01, accel=imu.accel * 0.01, sampling="increments"))
+    rec = mend.mended(rows(gyro=imu.gyro * 0.01, accel=imu.accel * 0.01, sampling="increments"))
     np.testing.assert_allclose(rec.imu.gyro, imu.gyro, rtol=1e-9)
     t = imu.t + 1.0 * (np.arange(400) >= 200)
-    rec = mend.recording(rows(t=t, sampling="instantaneous"))
+    rec = mend.mended(rows(t=t, sampling="instantaneous"))
     np.testing.assert_allclose(rec.imu.gyro[1:200], 0.5 * (imu.gyro[1:200] + imu.gyro[:199]))
     np.testing.assert_allclose(rec.imu.gyro[200], imu.gyro[200])  # no neighbour behind the gap
 
@@ -238,7 +238,7 @@ def test_seconds_of_the_week_beside_seconds_since_1970():
     whole = parts()
     fixes = whole.aiding["position"]
     week = GPS_EPOCH + 2000 * WEEK
-    rec = mend.recording(whole._replace(aiding={"position": fixes._replace(t=fixes.t + week)}))
+    rec = mend.mended(whole._replace(aiding={"position": fixes._replace(t=fixes.t + week)}))
     np.testing.assert_allclose(rec.aiding["position"].t, fixes.t, atol=1e-6)
     assert "seconds of GPS week 2000" in rec.notes
 
@@ -366,7 +366,7 @@ def test_every_reader_has_a_name_of_its_own():
 
 
 def test_a_written_recording_says_each_note_once(tmp_path):
-    rec = mend.recording(parts())
+    rec = mend.mended(parts())
     io.write_recording(tmp_path / "again", rec)
     again = read(tmp_path / "again")
     assert "There is no velocity: position only." in again.remarks and again.findings

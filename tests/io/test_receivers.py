@@ -64,7 +64,7 @@ def test_an_empty_hdop_is_an_assumed_sd(tmp_path, drive):
     stream = read_parts(tmp_path / "log.txt").aiding["position"]
     assert len(stream.t) == 20
     span = stream._replace(t=stream.t - stream.t[0] + drive.imu.t[0] + 5.0)
-    rec = mend.recording(fixes(drive)._replace(aiding={"position": span}))
+    rec = mend.mended(fixes(drive)._replace(aiding={"position": span}))
     assert (rec.aiding["position"].sd == [3.0, 3.0, 6.0]).all()
 
 

@@ -11,7 +11,7 @@ from jaxnav.checkup import checkup
 from jaxnav.io.parts import ImuRows, Parts, Stream, TimeScale
 from jaxnav.maths import earth
 from jaxnav.reading.read import read
-from jaxnav.reading.timescale import recording
+from jaxnav.reading.timescale import in_one_scale
 from jaxnav.types import DataError
 
 FIELD = Path(__file__).parents[3] / "shared" / "field"
@@ -38,7 +38,7 @@ def behind(rec, drive) -> float:
     (TimeScale.GPS, TimeScale.GPS, False), (TimeScale.UNKNOWN, TimeScale.UNKNOWN, False),
 ])  # fmt: skip
 def test_utc_and_gps_time_meet(drive, imu, fixes, moved):
-    rec = recording(parts(drive, imu=imu, fixes=fixes))
+    rec = in_one_scale(parts(drive, imu=imu, fixes=fixes))
     assert behind(rec, drive) == pytest.approx(0.0 if moved else LEAP, abs=1e-6)
     assert ("UTC is taken as GPS time less 18 s" in rec.notes) is moved
 
@@ -48,7 +48,7 @@ def test_fixes_in_another_zone_or_since_1980_are_moved(drive, late):
     """Two hours and minus nine and a half; seconds since 1980 with and without leap seconds."""
     made = parts(drive, 0.0, fixes=TimeScale.UNKNOWN)
     other = {name: s._replace(t=np.asarray(s.t) + late) for name, s in made.aiding.items()}
-    rec = recording(made._replace(aiding=other))
+    rec = in_one_scale(made._replace(aiding=other))
     assert behind(rec, drive) == pytest.approx(0.0, abs=1e-6)
     (said,) = [f for f in rec.findings if f.code == "time.zone"]
     assert said.value == -late and not said.warns
@@ -59,14 +59,14 @@ def test_a_stream_of_the_imus_clock_stays_where_the_fixes_are_moved(drive):
     made = parts(drive, 0.0, fixes=TimeScale.UNKNOWN)
     aiding = {n: s._replace(t=np.asarray(s.t) + 7200.0) for n, s in made.aiding.items()}
     baro = Stream(drive.aiding["position"].t, drive.aiding["position"].value[:, 2:])
-    rec = recording(made._replace(aiding=aiding | {"barometer": baro}))
+    rec = in_one_scale(made._replace(aiding=aiding | {"barometer": baro}))
     np.testing.assert_allclose(rec.aiding["barometer"].t, rec.aiding["position"].t)
     np.testing.assert_array_equal(rec.aiding["barometer"].value, rec.aiding["position"].value[:, 2:])
 
 
 def test_local_time_of_a_logger_against_gps_time_of_a_receiver(drive):
     """Two hours and the leap seconds."""
-    rec = recording(parts(drive, LEAP - 7200.0))
+    rec = in_one_scale(parts(drive, LEAP - 7200.0))
     assert behind(rec, drive) == pytest.approx(0.0, abs=1e-6)
     (said,) = [f for f in rec.findings if f.code == "time.zone"]
     assert said.value == pytest.approx(7200.0 - LEAP) and "+2 h" in said.message
@@ -75,12 +75,12 @@ def test_local_time_of_a_logger_against_gps_time_of_a_receiver(drive):
 @pytest.mark.parametrize("late", [7000.0, 1e6])
 def test_fixes_at_no_whole_quarter_hour_stay_where_they_are(drive, late):
     made = parts(drive, 0.0, fixes=TimeScale.UNKNOWN)
-    rec = recording(made._replace(aiding={n: s._replace(t=np.asarray(s.t) + late) for n, s in made.aiding.items()}))
+    rec = in_one_scale(made._replace(aiding={n: s._replace(t=np.asarray(s.t) + late) for n, s in made.aiding.items()}))
     assert "position" not in rec.aiding and "stream.empty" in {f.code for f in checkup(rec)}
 
 
 def test_an_imu_in_gps_time_meets_fixes_in_utc(drive):
-    rec = recording(parts(drive, -LEAP, TimeScale.GPS, TimeScale.UTC))
+    rec = in_one_scale(parts(drive, -LEAP, TimeScale.GPS, TimeScale.UTC))
     assert behind(rec, drive) == pytest.approx(0.0, abs=1e-6)
 
 
@@ -89,20 +89,20 @@ def test_streams_of_the_imus_logger_stay_with_it(drive):
     made = parts(drive, imu=TimeScale.UTC)
     height = drive.aiding["position"].value[:, 2:]
     baro = Stream(drive.aiding["position"].t - LEAP, height, scale=TimeScale.UTC)
-    rec = recording(made._replace(aiding=made.aiding | {"barometer": baro}))
+    rec = in_one_scale(made._replace(aiding=made.aiding | {"barometer": baro}))
     np.testing.assert_allclose(rec.aiding["barometer"].t, rec.aiding["position"].t)
     np.testing.assert_array_equal(rec.aiding["barometer"].value, rec.aiding["position"].value[:, 2:])
 
 
 def test_stamps_that_are_gps_time_already_stay(drive):
-    rec = recording(parts(drive, 0.0))
+    rec = in_one_scale(parts(drive, 0.0))
     assert behind(rec, drive) == pytest.approx(0.0, abs=1e-6) and "UTC" not in rec.notes
 
 
 def test_an_undecided_time_scale_is_said(drive):
     still = 1e-4 * np.sin(drive.imu.t)[:, None] + np.zeros((1, 3))
     level = drive._replace(imu=drive.imu._replace(accel=still - [0.0, 0.0, 9.8]))
-    rec = recording(parts(level, gyro=still))
+    rec = in_one_scale(parts(level, gyro=still))
     assert behind(rec, drive) == pytest.approx(LEAP, abs=1e-6)
     assert "its stamps may be UTC, 18 s behind" in rec.notes and "time_scale" in rec.notes
 
@@ -127,7 +127,7 @@ def test_a_time_scale_is_stated_by_an_option_or_a_map():
 
 
 def test_an_offset_of_another_size_is_written_into_the_configuration(drive):
-    rec = recording(parts(drive, 12.0, TimeScale.UNKNOWN, TimeScale.UNKNOWN))
+    rec = in_one_scale(parts(drive, 12.0, TimeScale.UNKNOWN, TimeScale.UNKNOWN))
     found = checkup(rec)
     (offset,) = [f for f in found if f.code == "time.offset"]
     assert offset.value == pytest.approx(12.0, abs=0.3) and offset.setting == "data.options.time_shift_s"

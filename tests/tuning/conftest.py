@@ -11,7 +11,7 @@ from jaxnav.measurements import GNSS
 from jaxnav.simulate.scenarios import URBAN_SHORT
 from jaxnav.simulate.simulation import simulate_jit, to_recording
 from tuning.recordings import priors
-from tuning.recordings.evidence import Job
+from tuning.recordings.evidence import Evidence
 from tuning.recordings.parts import Used, parts_of, plan, window_of, windows_of
 
 
@@ -44,7 +44,7 @@ def job(rec, ekf):
         return Used("town", begin, datasheet, nav, packed, epochs, layout, windows, parts, rec.truth)
 
     def make(packed=packed):
-        return Job(ekf, spec, [use(packed)])
+        return Evidence(ekf, spec, [use(packed)])
 
     make.use, make.spec = use, spec
     return make, packed, layout

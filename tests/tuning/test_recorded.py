@@ -12,7 +12,7 @@ from scipy import stats
 
 import tuning
 from jaxnav.analysis.noise_scan import NoiseScan
-from jaxnav.analysis.receiver_errors import Receiver
+from jaxnav.analysis.receiver_errors import ReceiverErrors
 from jaxnav.filters import epochs as ep
 from jaxnav.filters.catalogue import build
 from jaxnav.filters.lanes import seen_by_position
@@ -29,7 +29,7 @@ from jaxnav.types import ConfigError, DataError, sample_rows
 from tests.tuning.tangents import gaussian
 from tuning.fit.status import Status
 from tuning.recordings import experiment, priors, recorded, report
-from tuning.recordings.evidence import Job
+from tuning.recordings.evidence import Evidence
 from tuning.recordings.parts import MAX_ADDED_DELAY_S, PHASES, ages, parts_of, runs_of, windows_of
 from tuning.recordings.runs import Descent, score_of
 
@@ -42,7 +42,7 @@ def found(rec, ekf):
 @pytest.mark.full
 def test_slow_errors_of_the_receiver_are_the_scans(rec, ekf):
     """A filter with their state, as `solve` has it: they are not free, the datasheet has none, the white rest is."""
-    slow = Receiver(np.array([0.5, 0.5]), np.full(2, 60.0), sd=np.median(rec.aiding["position"].sd, 0))
+    slow = ReceiverErrors(np.array([0.5, 0.5]), np.full(2, 60.0), sd=np.median(rec.aiding["position"].sd, 0))
     scan = NoiseScan(receiver=slow, fixes=50)
     wide, params = scan.extended(ekf, ekf.params("adis16465"))
     both = tuning.tune(rec, wide, params, free=("noise", "fixes"), scans=[scan])
@@ -108,7 +108,7 @@ def test_likelihood_of_a_residual_and_its_derivatives(heavy):
 def test_a_likelihood_that_counts_more_weighs_more(job):
     make, _, _ = job
     mine = make()
-    more = Job(mine.filt, mine.spec, mine.used, observations=10 * mine.effective)
+    more = Evidence(mine.filt, mine.spec, mine.used, observations=10 * mine.effective)
     np.testing.assert_allclose(more.inform(mine.flat).nll, 10 * mine.inform(mine.flat).nll, rtol=1e-12)
 
 
@@ -135,7 +135,7 @@ def test_the_score_is_the_slope_of_the_objective(job):
 def test_the_prior_of_a_delay_is_centred_at_the_scan(ekf, job):
     """J grows by half the square of the distance to the scan's delay; the prior of the noise stays at the datasheet."""
     make, _, _ = job
-    mine = Job(ekf, priors.spec_of(ekf, make.use().datasheet, ("timing", "noise.gyro")), [make.use()])
+    mine = Evidence(ekf, priors.spec_of(ekf, make.use().datasheet, ("timing", "noise.gyro")), [make.use()])
     scanned = NoiseScan(10.0, 3.0, latency=0.25).applied(make.use().datasheet)
     numbers = mine.numbers([scanned])
     assert float(get(mine.params(numbers), "mounting.time_offset")) == pytest.approx(0.25)
@@ -181,7 +181,7 @@ def test_recordings_together_are_the_sum_of_each(ekf, job):
     padded = own._replace(
         epochs=prepare(ekf, ep.pad_epochs(packed.epochs, E + 7, K + 2)), windows=windows_of(packed, own.layout, E + 7)
     )
-    both, x = Job(ekf, make.spec, [padded, padded]), one.flat + 0.1
+    both, x = Evidence(ekf, make.spec, [padded, padded]), one.flat + 0.1
     for a, b in zip(one.evidence(x), both.evidence(x), strict=True):
         jax.tree.map(lambda a, b: np.testing.assert_allclose(2 * a, b, rtol=1e-5, atol=1e-6 * np.abs(a).max()), a, b)
     assert both.effective == pytest.approx(2 * one.effective)
@@ -194,9 +194,9 @@ def test_separate_parameters_have_separate_numbers(ekf, job):
     """Two recordings, fixes each one's own: noise sees both, of fixes each sees its own recording alone."""
     make, _, _ = job
     one, fixes = make(), ("measurements.position.scale", "measurements.velocity.scale")
-    both = Job(ekf, make.spec, [make.use(), make.use()], fixes)
+    both = Evidence(ekf, make.spec, [make.use(), make.use()], fixes)
     own = np.isin(one.leaves, fixes)
-    three = Job(ekf, make.spec, [make.use()] * 3, fixes)  # nobody's own numbers are another's
+    three = Evidence(ekf, make.spec, [make.use()] * 3, fixes)  # nobody's own numbers are another's
     assert len({int(i) for at in three.places for i in at[own]}) == 3 * own.sum() == three.flat.size - (~own).sum()
     assert both.flat.size == own.size + own.sum() and [int(n) for n in both.owner] == [0] * own.size + [1] * own.sum()
     x = one.flat + 0.1
@@ -213,10 +213,10 @@ def test_separate_parameters_have_separate_numbers(ekf, job):
     np.testing.assert_allclose(found.score[G:], second.score[own], rtol=1e-12)
     np.testing.assert_allclose(found.fisher[G:, G:], second.fisher[np.ix_(own, own)], rtol=1e-12)
     assert not np.any(found.fisher[G:, :G][:, own])
-    timing = Job(ekf, priors.spec_of(ekf, make.use().datasheet, ("timing",)), [make.use()] * 2, (recorded.DELAY,))
+    timing = Evidence(ekf, priors.spec_of(ekf, make.use().datasheet, ("timing",)), [make.use()] * 2, (recorded.DELAY,))
     scans = [NoiseScan(latency=latency).applied(make.use().datasheet) for latency in (0.2, -0.4)]
     assert sorted(np.asarray(timing.numbers(scans)).tolist()) == pytest.approx([-4.0, 0.0, 0.0, 2.0])  # steps of 0.1 s
-    shared = Job(ekf, timing.spec, [make.use()] * 2)  # what is shared is the mean
+    shared = Evidence(ekf, timing.spec, [make.use()] * 2)  # what is shared is the mean
     assert sorted(np.asarray(shared.numbers(scans)).tolist()) == pytest.approx([-1.0, 0.0, 0.0])
 
 

@@ -222,7 +222,7 @@ def training_of(filt: Filter, used: Used) -> Training:
     return Training(used.nav, epochs, valid, counts & ~hidden, at, known, np.asarray(fix.sd)[:, :3][at])
 
 
-class Job:
+class Evidence:
     """The objective of recordings that are tuned on together, for a search.
 
     ``observations``: as how many the likelihood counts; by default the windows that fit into the training parts.

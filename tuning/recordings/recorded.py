@@ -43,7 +43,7 @@ from jaxnav.initialization.initialize import Initialization, initialize
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.types import ConfigError, DataError, Finding, Json, Params, Recording, sample_rows
 from tuning.recordings.choice import choose
-from tuning.recordings.evidence import Job
+from tuning.recordings.evidence import Evidence
 from tuning.recordings.experiment import Experiment, experiments_of, predicted, scores
 from tuning.recordings.faults import suspect_windows, without_faults
 from tuning.recordings.free import leaves_of
@@ -181,8 +181,8 @@ def tune(
     leaves = measured(leaves_of(filt, known[0].datasheet, free), recs)
     leaves = [leaf for leaf in leaves if not (slow and leaf.startswith(f"states.{RECEIVER_ERROR}."))]  # the scan's
     spec = spec_of(filt, known[0].datasheet, leaves, prior_sd, priors)
-    job = Job(filt, spec, known, separate, observations)
-    white = Job(filt, spec, used, separate, observations) if slow or shared != 1.0 else job
+    job = Evidence(filt, spec, known, separate, observations)
+    white = Evidence(filt, spec, used, separate, observations) if slow or shared != 1.0 else job
     log(f"free: {', '.join(spec)}")
     history: list[Json] = []
     auto = job.numbers([each.applied(u.datasheet) for each, u in zip(scans, used, strict=True)])
@@ -216,7 +216,7 @@ def tune(
 class Candidate(NamedTuple):
     """Numbers of an objective, and what they stand for."""
 
-    job: Job
+    job: Evidence
     flat: jax.Array  # (G,)
     filter: Filter  # that other runs take
     params: list[Params]  # for it, of each recording
@@ -331,7 +331,7 @@ def initialized(scan: NoiseScan, used: Used, rec: Recording) -> Params:
 # ---------------------------------------------------------------------------- in words
 
 
-def table(job: Job, flat: jax.Array) -> list[Row]:
+def table(job: Evidence, flat: jax.Array) -> list[Row]:
     """Return every free number with the 95 % of the tempered posterior, its prior, and a remark."""
     cov = np.linalg.inv(np.asarray(job.inform(flat).fisher))
     sd, far = np.sqrt(np.diag(cov)), np.abs(np.asarray(flat - job.centre)) / job.width

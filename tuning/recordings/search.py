@@ -13,7 +13,7 @@ from jaxnav.types import Json
 from tuning.fit import checkpoint
 from tuning.fit.status import Status
 from tuning.recordings import scoring
-from tuning.recordings.evidence import Job
+from tuning.recordings.evidence import Evidence
 from tuning.recordings.parts import runs_of
 from tuning.recordings.runs import Descent, check_objective, descend
 
@@ -30,7 +30,7 @@ class Checkpoints(NamedTuple):
 
 def search(
     name: str,
-    job: Job,
+    job: Evidence,
     first: jax.Array,
     history: list[Json],
     log: Callable[[str], None],
@@ -67,7 +67,7 @@ def search(
 
 
 def descent(
-    name: str, job: Job, first: jax.Array, history: list[Json], log: Callable[[str], None], how: Descent
+    name: str, job: Evidence, first: jax.Array, history: list[Json], log: Callable[[str], None], how: Descent
 ) -> tuple[jax.Array, Status]:
     """Minimise an objective over the training windows from a point by gradient; the best by the validation windows."""
     size = lambda end: max(int(np.searchsorted(u.packed.t, getattr(u.layout, end) + TICK)) for u in job.used)

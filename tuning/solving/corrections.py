@@ -32,7 +32,7 @@ class Corrections(NamedTuple):
         return put(params, "mounting.clock_drift", params.mounting.clock_drift + float(drift) * PPM)
 
 
-def correct(rec: Recording, kept: Sequence[str] = ()) -> Corrections:
+def check_and_correct(rec: Recording, kept: Sequence[str] = ()) -> Corrections:
     """Check a recording and apply what IMU and fixes speak for.
 
     Axes: z up, where both sensors agree in that. The alignment finds any attitude, so that other

@@ -62,7 +62,7 @@ def standing_of(found: Sequence[Finding]) -> Standing:
     )
 
 
-def choose(
+def choose_measurements(
     experiment: Experiment,
     plain: Scored,
     params_of: Callable[[Filter], Params],

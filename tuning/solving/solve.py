@@ -33,8 +33,8 @@ from tuning.recordings.faults import suspect_windows, without_faults
 from tuning.recordings.recorded import scan, tune
 from tuning.recordings.report import Tuned
 from tuning.solving.calibration import Calibration, calibrate
-from tuning.solving.corrections import DRIFT, Corrections, correct
-from tuning.solving.sensors import Tried, choose, finding_of, standing_of
+from tuning.solving.corrections import DRIFT, Corrections, check_and_correct
+from tuning.solving.sensors import Tried, choose_measurements, finding_of, standing_of
 from tuning.solving.settled import settled
 from tuning.solving.stages import Stage, Stages
 from tuning.solving.stretches import Stretch, as_likely, faulty_stretches, finding_of_jump, jumps_of, without
@@ -106,7 +106,7 @@ def solve(
     smooth: bool = True,
     initialization: Callable[[Recording, Params], Initialization] = initialize,
     stop: float | None = None,
-    check: Callable[[Recording], Corrections] = correct,
+    check: Callable[[Recording], Corrections] = check_and_correct,
     log: Callable[[str], None] = lambda line: None,
     so_far: Callable[[Callable[[], Solved]], None] | None = None,
     limit: float = math.inf,
@@ -126,7 +126,7 @@ def solve(
         smooth: each epoch by all fixes, past and future.
         initialization: makes the initialization of a recording and parameters.
         stop: s, end of the data.
-        check: checks and corrects the recording, such as ``partial(tuning.solving.corrections.correct, kept=...)``.
+        check: checks and corrects the recording, ``partial(check_and_correct, kept=...)`` of `corrections`.
         log: called with a line on each step.
         so_far: called with functions that make answers before the best one, each better than the one before: by the
             datasheet with the delay that alignments show, by the noise scan, by the chosen measurements. It may call
@@ -205,7 +205,9 @@ def solve(
     if skipped := [stage.name for stage in stages.stages[stages.done :] if stage not in ends]:
         findings.append(finding("solve.time", ", ".join(skipped), limit=limit))
     stages.replace(ends)
-    choice = choose(experiment, level, lambda f: found.applied(datasheet_of(f)), tried_ones[:count], stages.next)
+    choice = choose_measurements(
+        experiment, level, lambda f: found.applied(datasheet_of(f)), tried_ones[:count], stages.next
+    )
     findings += [finding_of(row) for row in choice.tried]
     filt, start = choice.filter, choice.applied(datasheet_of(choice.filter))
     tuned, params = None, found.applied(start)

@@ -22,7 +22,7 @@ LEFT_OUT = ("per_window", "per_run", "low", "high", "correlation", "samples", "p
 DRAWN = {"horizontal_m": "distance, m", "height_m": "height difference, m", "heading_deg": "heading, deg"}  # over time
 
 
-class Run(NamedTuple):
+class WrittenRun(NamedTuple):
     """A finished run, read from its folder."""
 
     name: str
@@ -32,7 +32,7 @@ class Run(NamedTuple):
     heading: np.ndarray  # (E,) deg
 
 
-def load(folder: str | Path) -> Run:
+def load(folder: str | Path) -> WrittenRun:
     """Return a run by its folder.
 
     Raises:
@@ -50,7 +50,7 @@ def load(folder: str | Path) -> Run:
         sheet = open_sheet(folder / "solution.csv")
         t, heading = numbers(sheet, "t_s"), numbers(sheet, "heading_deg")
         lla = np.column_stack([numbers(sheet, "lat_deg") * DEG, numbers(sheet, "lon_deg") * DEG, numbers(sheet, "h_m")])
-    return Run(folder.name, about, t, lla, heading)
+    return WrittenRun(folder.name, about, t, lla, heading)
 
 
 def run(job: Job) -> Outcome:
@@ -132,7 +132,7 @@ def _ratio(values: Sequence[Any]) -> float:
     return last / first if number else math.nan
 
 
-def difference_from(first: Run, other: Run) -> dict[str, np.ndarray] | None:
+def difference_from(first: WrittenRun, other: WrittenRun) -> dict[str, np.ndarray] | None:
     """Return the second solution minus the first, at the first's times that both have; None for no common times."""
     if not first.t.size or not other.t.size:
         return None
@@ -152,7 +152,7 @@ def difference_from(first: Run, other: Run) -> dict[str, np.ndarray] | None:
     }
 
 
-def draw(runs: Sequence[Run], names: Sequence[str], differences: Sequence[dict[str, np.ndarray] | None]) -> Any:
+def draw(runs: Sequence[WrittenRun], names: Sequence[str], differences: Sequence[dict[str, np.ndarray] | None]) -> Any:
     """Draw the tracks over one another, and the distance of each from the first."""
     fig = plots.figure(9.5, 9.5)
     parts: Any = fig.subfigures(2, 1, height_ratios=[1.2, 1.0])

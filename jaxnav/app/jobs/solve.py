@@ -29,7 +29,7 @@ from jaxnav.states.table import BIASES
 from jaxnav.types import ConfigError, Params, Recording
 from tuning.fit.status import Status
 from tuning.solving.calibration import Calibration
-from tuning.solving.corrections import AXES, DRIFT, OFFSET, Corrections, correct
+from tuning.solving.corrections import AXES, DRIFT, OFFSET, Corrections, check_and_correct
 from tuning.solving.solve import CARE, CONSISTENT, COV_STRIDE, UNUSABLE, Solved, solve
 
 UNTESTED = "not tested: the filter takes no velocity, or none was hidden"
@@ -113,7 +113,7 @@ def timed(begin: float, line: str) -> None:
 def corrected(config: Config, rec: Recording) -> Corrections:
     """Check the recording, and read it again with the settings that this establishes; the user's settings stay."""
     kept = [name for name in (AXES, OFFSET) if name.removeprefix(OPTIONS) in config.data.options]
-    found = correct(rec, kept + ([DRIFT] if config.mounting.clock_drift_ppm is not None else []))
+    found = check_and_correct(rec, kept + ([DRIFT] if config.mounting.clock_drift_ppm is not None else []))
     again = with_options(config, found.settings)
     return found if again == config else found._replace(recording=load(again))
 

@@ -19,12 +19,12 @@ from jaxnav.app.results import Outcome, stderr
 from jaxnav.app.sources import load, scenario_of
 from jaxnav.app.verb import Job
 from jaxnav.io.solution import COLUMNS, SD_COLUMNS, row_of
-from jaxnav.io.units import UNITS, nearest
+from jaxnav.io.units import UNITS
 from jaxnav.live import Live
 from jaxnav.maths.axes import rotation
 from jaxnav.measurements import MEASUREMENTS
 from jaxnav.now import Now
-from jaxnav.types import ConfigError, DataError, Json, Recording
+from jaxnav.types import ConfigError, DataError, Json, Recording, nearest
 
 TIMED = 100_000  # last samples whose times are reported
 NAMES = [*COLUMNS, *SD_COLUMNS]

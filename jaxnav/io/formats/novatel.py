@@ -15,10 +15,9 @@ import numpy as np
 from jaxnav.findings import finding
 from jaxnav.io.files import read_bytes
 from jaxnav.io.parts import INCREMENTS, ImuRows, Parts, Stream, TimeScale, scaled, unread
-from jaxnav.io.units import nearest
 from jaxnav.maths.gps_time import GPS_EPOCH, WEEK
 from jaxnav.maths.units import DEG, MG
-from jaxnav.types import DataError, Note, Track
+from jaxnav.types import DataError, Note, Track, nearest
 
 FOOT = 0.3048  # m
 HONEYWELL = (2.0**-33, 2.0**-27 * FOOT)

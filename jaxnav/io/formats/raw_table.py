@@ -13,7 +13,7 @@ import numpy as np
 from jaxnav.findings import finding
 from jaxnav.gnss.corrections import Masks, aiding_of, sight
 from jaxnav.gnss.orbits import turned
-from jaxnav.gnss.ranges import LIGHT, Ranges, name, number, rows_of
+from jaxnav.gnss.ranges import LIGHT, Ranges, name, number, selected
 from jaxnav.gnss.single_point import single_point
 from jaxnav.io.files import format_csv
 from jaxnav.io.parts import Parts, Stream, TimeScale, scaled
@@ -66,10 +66,10 @@ def solved(ranges: Ranges, file: str, masks: Masks) -> tuple[dict[str, Samples],
     usable = np.isfinite(ranges.t) & np.isfinite(ranges.position).all(1) & (ranges.cn0 >= masks.cn0_dbhz)
     usable &= np.isfinite(ranges.pseudorange) | np.isfinite(ranges.range_rate)
     left = int(np.count_nonzero(~usable))
-    ranges = rows_of(ranges, usable)
-    ranges = rows_of(ranges, np.lexsort((ranges.satellite, ranges.t)))
+    ranges = selected(ranges, usable)
+    ranges = selected(ranges, np.lexsort((ranges.satellite, ranges.t)))
     _, again = np.unique(np.stack([ranges.t, ranges.satellite]), axis=1, return_index=True)
-    ranges = rows_of(ranges, np.sort(again))
+    ranges = selected(ranges, np.sort(again))
     if not np.isfinite(ranges.velocity).all():
         ranges = ranges._replace(velocity=differentiated(ranges))
     low = np.isnan(ranges.elevation)
@@ -79,7 +79,7 @@ def solved(ranges: Ranges, file: str, masks: Masks) -> tuple[dict[str, Samples],
             at = np.clip(np.searchsorted(first.t, ranges.t), 0, first.t.size - 1)
             elevation = sight(ranges.position, first.position[at])[1]
             ranges = ranges._replace(elevation=np.where(low, elevation, ranges.elevation))
-    ranges = rows_of(ranges, ranges.elevation >= masks.elevation_deg * DEG)
+    ranges = selected(ranges, ranges.elevation >= masks.elevation_deg * DEG)
     found = single_point(ranges)
     if not found.t.size:
         raise DataError(f"{file}: no epoch has satellites enough for a single-point solution, of {ranges.t.size} rows")
@@ -137,7 +137,7 @@ def google_rows(sheet: Sheet) -> Ranges:
     elevation = get("SvElevationDegrees") * DEG if "SvElevationDegrees" in sheet.columns else np.full(t.size, np.nan)
     rows = Ranges(t, satellite, pseudorange, rate + maybe("SvClockDriftMetersPerSecond"), position, velocity, elevation,
                   get("Cn0DbHz"))  # fmt: skip
-    return rows_of(to_reception(rows), first & (satellite > 0))
+    return selected(to_reception(rows), first & (satellite > 0))
 
 
 def to_reception(ranges: Ranges) -> Ranges:

@@ -14,7 +14,7 @@ from jaxnav.measurements import GNSS
 from jaxnav.types import Samples
 from tuning.recordings.experiment import experiments_of
 from tuning.solving import solve
-from tuning.solving.sensors import choose
+from tuning.solving.sensors import choose_measurements
 from tuning.solving.settled import settled
 
 
@@ -48,7 +48,7 @@ def compared(rec, *tried):
     (experiment,) = experiments_of([rec], filt, [solve.initialize(rec, sheet(filt))], solve.Standing())
     assert experiment.tested
     plain = experiment.score(filt, sheet(filt))
-    return [choose(experiment, plain, sheet, [option]) for option in tried]
+    return [choose_measurements(experiment, plain, sheet, [option]) for option in tried]
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from jaxnav.simulate.simulation import simulate_jit, to_recording
 from jaxnav.types import DataError, Samples, sample_rows
 from tuning.solving import corrections, sensors, solve
 from tuning.solving.calibration import Calibration, Consistency, calibrate, consistency
-from tuning.solving.corrections import AXES, DRIFT, OFFSET, correct, turned
+from tuning.solving.corrections import AXES, DRIFT, OFFSET, check_and_correct, turned
 from tuning.solving.sensors import growth, larger, standing_of
 
 
@@ -38,7 +38,7 @@ def drive():
 @pytest.mark.full
 def test_leap_seconds_are_taken_out_and_the_setting_is_named(drive):
     late = drive._replace(aiding={n: s._replace(t=s.t + 18.0) for n, s in drive.aiding.items()})
-    found = correct(late)
+    found = check_and_correct(late)
     assert found.settings == {OFFSET: pytest.approx(18.0, abs=0.11)}
     assert np.allclose(found.recording.imu.t - drive.imu.t, found.settings[OFFSET])
     assert [f.code for f in found.applied] == ["solve.applied"] and OFFSET in found.applied[0].actions[0]
@@ -48,29 +48,29 @@ def test_leap_seconds_are_taken_out_and_the_setting_is_named(drive):
 @pytest.mark.full
 def test_an_imu_with_z_up_is_turned_where_both_sensors_say_so(drive):
     up = turned(drive, "flu")
-    found = correct(up)
+    found = check_and_correct(up)
     assert found.settings == {AXES: "flu"} and found.applied[0].code == "solve.axes"
     np.testing.assert_allclose(found.recording.imu.accel, drive.imu.accel)
     np.testing.assert_allclose(found.recording.imu.gyro, drive.imu.gyro)
-    assert correct(up, (AXES,)).settings == {}
+    assert check_and_correct(up, (AXES,)).settings == {}
     one = drive._replace(imu=drive.imu._replace(accel=up.imu.accel))  # the accelerometer alone
-    assert AXES not in correct(one).settings
+    assert AXES not in check_and_correct(one).settings
 
 
 def test_a_setting_of_the_user_stays(drive, monkeypatch):
     said = [finding("time.offset", "x", 18.0, was=9.0, then=1.0, gain=99.0, cause="leap seconds"),
             finding("time.drift", "velocity", 250.0, sd=20.0)]  # fmt: skip
     monkeypatch.setattr(corrections, "checkup", lambda rec: list(said))
-    kept = correct(drive, (OFFSET, DRIFT))
+    kept = check_and_correct(drive, (OFFSET, DRIFT))
     assert kept.settings == {} and kept.recording is drive and kept.found == said
-    found = correct(drive, (OFFSET,))
+    found = check_and_correct(drive, (OFFSET,))
     assert found.settings == {DRIFT: 250} and [f.code for f in found.found] == ["time.offset"]
     params = build("ekf15").params("consumer")
     assert float(found.clock(params).mounting.clock_drift) == pytest.approx(250 * PPM)
 
 
 def test_a_drive_in_order_is_left_alone(drive):
-    found = correct(drive)
+    found = check_and_correct(drive)
     assert found.settings == {} and found.recording is drive
 
 

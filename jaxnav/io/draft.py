@@ -14,7 +14,7 @@ from jaxnav.io.containers import members
 from jaxnav.io.files import FilePath
 from jaxnav.io.naming import MIN_ROWS, THREE, Column, named_column, named_columns, readings, unit_of
 from jaxnav.io.parts import Parts
-from jaxnav.io.sheet import TICKS, Sheet, date, numbers, open_sheet, times
+from jaxnav.io.sheet import TICKS, Sheet, dated, form_of, numbers, open_sheet, times
 from jaxnav.io.toml import cell
 from jaxnav.io.units import UNITS
 from jaxnav.maths.earth import enu_path
@@ -250,13 +250,16 @@ def _unit_by_turns(t: np.ndarray, turned: np.ndarray, at: np.ndarray, north: np.
     """
     every = max(1, round(TURN_S / max(float(np.median(np.diff(at))), 1e-3)))
     at, north, east = at[::every], north[::every], east[::every]
-    moving = np.hypot(np.diff(east), np.diff(north)) > MOVING_MPS * np.diff(at)
+    way = np.hypot(np.diff(east), np.diff(north))
+    moving = way > MOVING_MPS * np.diff(at)
     course = np.arctan2(np.diff(east), np.diff(north))[moving]
     by_gyro = np.diff(np.interp(0.5 * (at[1:] + at[:-1])[moving], t, turned))
     change = (np.diff(course) + np.pi) % (2 * np.pi) - np.pi
     if change.size < MIN_TURNS or not min(np.ptp(change), np.ptp(by_gyro)) > 0:
         return ""
-    alike, ratio = abs(np.corrcoef(change, by_gyro)[0, 1]), abs(change @ by_gyro) / (by_gyro @ by_gyro)
+    far = way[moving] ** 2  # a course is the surer, the longer its way
+    C = np.cov(change, by_gyro, aweights=far[1:] * far[:-1] / (far[1:] + far[:-1]))
+    alike, ratio = abs(C[0, 1]) / np.sqrt(C[0, 0] * C[1, 1]), abs(C[0, 1]) / C[1, 1]
     return _nearest(float(ratio), "rate", np.log(2.0)) if alike > MIN_ALIKE else ""
 
 
@@ -285,7 +288,7 @@ def _seconds(table: Json, sheet: Sheet) -> np.ndarray:
     names = [ref if ref in sheet.columns else ref.partition(":")[2] for ref in refs]
     if len(names) > 1:
         rows = zip(*(sheet.columns[name].tolist() for name in names), strict=True)
-        return np.array([date(" ".join(cells)) for cells in rows])
+        return np.array([dated(" ".join(cells), table["time_unit"]) for cells in rows])
     return times(sheet, names[0], table.get("time_unit", "s"))
 
 
@@ -296,20 +299,23 @@ def _time(found: Draft, table: str, of: Column, sheet: Sheet, rates: tuple[float
     names.sort(key=lambda name: not name.startswith(of.name.rpartition(".")[0]))  # of the same struct first
     each = [named_column(file, name, *reading) for name in names for reading in readings(name, file)]
     known = list({c.name: c for c in each if c is not None and c.quantity in ("time", "date")}.values())
+    days = [c.name for c in known if c.quantity == "date"]
+    here = np.isfinite(of.values)  # rows of other sensors have times as well
+    some = np.flatnonzero(here)[:5]
     best: list[tuple[float, Json, str]] = []
     for name, stated in (
         (c.name, c.unit or unit_of(sheet.units.get(c.name, ""), "time")) for c in known if c.quantity == "time"
     ):
         cells = sheet.columns[name]
         if cells.dtype.kind == "U" and np.isnan(numbers(sheet, name)[:5]).all():
-            day = next((other.name for other in known if other.quantity == "date"), None)
-            refs = [day, name] if day else [name]
-            begin = zip(*(sheet.columns[ref][:5].tolist() for ref in refs), strict=True)
-            if np.isfinite([date(" ".join(each)) for each in begin]).all():
-                named = [f"{prefix}{ref}" for ref in refs]
-                best.append((0.0, {"time": named if day else named[0], "time_unit": "iso"}, "dates"))
+            for refs in (*([day, name] for day in days), [name]):
+                begin = [" ".join(each) for each in zip(*(sheet.columns[ref][some].tolist() for ref in refs))]
+                if form := form_of(begin):
+                    named = [f"{prefix}{ref}" for ref in refs]
+                    best.append((0.0, {"time": named if refs[1:] else named[0], "time_unit": form}, "dates"))
+                    break
             continue
-        t = numbers(sheet, name)
+        t = numbers(sheet, name)[here]
         t = t[np.isfinite(t)]
         steps = np.diff(t)
         if t.size < 3 or not (steps > 0).any() or (steps < 0).mean() > 0.02:

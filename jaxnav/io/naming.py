@@ -29,8 +29,8 @@ WORDS: dict[str, tuple[str, ...]] = {
     "height sd": ("vacc", "v acc", "acc v", "vertical accuracy", "epv", "sd v"),
     "speed sd": ("sacc", "s acc", "speed accuracy", "acc s", "vel acc"),
     "hdop": ("hdop",),
-    "time": ("time", "timestamp", "stamp", "t", "tow", "unix time", "unix", "utc", "epoch", "ticks", "elapsed", "clock",
-             "date time", "datetime", "time stamp", "utc time", "gps time", "system time", "seconds",
+    "time": ("time", "timestamp", "stamp", "t", "ts", "tow", "unix time", "unix", "utc", "epoch", "ticks", "elapsed",
+             "clock", "date time", "datetime", "time stamp", "utc time", "gps time", "system time", "seconds",
              "time startup", "startup", "time since boot", "since boot", "uptime"),
     "date": ("date", "day", "utc date"),
 }  # fmt: skip
@@ -75,9 +75,10 @@ class Column(NamedTuple):
 def words_of(name: str) -> tuple[list[str], str]:
     """Return the words of a column's name in lower case, and those of a unit that stands in brackets behind it.
 
-    A number in brackets is that of an axis, from 0, as in a table of a ``.mat`` file.
+    A last number in brackets or behind a point is that of an axis, from 0, as in a table of a ``.mat`` file or a list
+    of JSON.
     """
-    if index := re.fullmatch(r"(.*)\[([012])\]", name):
+    if index := re.fullmatch(r"(.*)[.\[]([012])\]?", name):
         name = f"{index[1]} {'xyz'[int(index[2])]}"
     base, _, rest = re.sub(r"[\[({<]", "\0", name, count=1).partition("\0")
     parts = r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])"

@@ -10,7 +10,7 @@ import io
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +23,7 @@ from jaxnav.io.units import MULTIPLE, number_of
 from jaxnav.types import DataError, Finding, Json
 
 DAYS = {"excel": 25569.0, "matlab": 719529.0}  # days on which 1970 began, of units that count days
+FORMS = ("iso", "%H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f")  # of dates and times of the day: none passes for another
 DATE = re.compile(r"\s*(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T\s]+(\d{1,2}):(\d{1,2}):(\d{1,2}(?:\.\d*)?)\s*Z?\s*")
 TICKS = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000}  # units of time, how many a second
 WHOLE, LED = re.compile(r"[+-]?\d+"), re.compile(r"0\d+(\.\d*)?")
@@ -104,7 +105,7 @@ def times(sheet: Sheet, name: str | int, unit: str, zero: int = 0) -> np.ndarray
     """
     cells = column(sheet, name)
     if unit == "iso" or "%" in unit:
-        dates = np.array([date(cell) if unit == "iso" else _dated(cell, unit) for cell in cells.tolist()])
+        dates = np.array([dated(cell, unit) for cell in cells.tolist()])
         if np.isnan(dates).all():
             raise DataError(
                 f"{sheet.file}: {name}: time_unit: expected dates as {unit} has them, got {cells[0]!s:.40}: a pattern "
@@ -157,11 +158,20 @@ def date(cell: Any) -> float:
     return (moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)).timestamp()
 
 
-def _dated(cell: Any, pattern: str) -> float:
+def form_of(cells: Iterable[str]) -> str:
+    """Return the one of `FORMS` in which texts are dates or times of the day; empty of others."""
+    cells = list(cells)
+    return next((form for form in FORMS if cells and np.isfinite([dated(cell, form) for cell in cells]).all()), "")
+
+
+def dated(cell: Any, pattern: str) -> float:
     """Return s since 1970 of a date by a pattern of `datetime.strptime`, in UTC where it has no zone; nan of others.
 
-    Of a pattern without a year they are of the day, counted from midnight. Fractions of a second may be missing.
+    "iso" is that of `date`. Of a pattern without a year they are of the day, counted from midnight. Fractions of a
+    second may be missing.
     """
+    if pattern == "iso":
+        return date(cell)
     for form in (pattern, pattern.replace(".%f", "")):
         try:
             moment = datetime.datetime.strptime(str(cell), form)

@@ -2,6 +2,7 @@
 
 import contextlib
 import datetime
+import json
 import sys
 import tomllib
 
@@ -13,7 +14,7 @@ from scipy.io import savemat
 from jaxnav import read
 from jaxnav.app import cli
 from jaxnav.io.column_map import read_map
-from jaxnav.io.draft import draft
+from jaxnav.io.draft import _unit_by_turns, draft
 from jaxnav.io.mend import mended
 from jaxnav.io.naming import named_column, words_of
 from jaxnav.maths.units import DEG, G0
@@ -209,9 +210,32 @@ def no_speed_unit(rec, folder):
     return [imu, gnss]
 
 
+def times_of_day(rec, folder):
+    """Without a date."""
+    t, lat, lon, h, *_ = fixes(rec)
+    form = lambda t, how: [f"{datetime.datetime.fromtimestamp(BEGIN + x, datetime.UTC):{how}}"[:-3] for x in t]
+    names = ["time", *(f"g{a}(dps)" for a in "xyz"), *(f"a{a}(g)" for a in "xyz")]
+    imu = lines(
+        folder / "x.csv", names, [form(rec.imu.t, "%H:%M:%S.%f"), *(rec.imu.gyro / DEG).T, *(rec.imu.accel / G0).T]
+    )
+    names = ["time", "latitude", "longitude", "altitude"]
+    return [imu, lines(folder / "y.csv", names, [form(t, "%H:%M:%S.%f"), lat, lon, h], form="%.9f")]
+
+
+def json_lines(rec, folder):
+    """Sensors mixed as they came, vectors as lists, no unit of the gyro."""
+    t, lat, lon, h, *_ = fixes(rec)
+    rows = [(x, {"type": "imu", "ts_us": round(1e6 * x), "gyro": list(w), "accel": list(f)})
+            for x, w, f in zip(rec.imu.t, rec.imu.gyro.tolist(), rec.imu.accel.tolist(), strict=True)]  # fmt: skip
+    rows += [(x, {"type": "gps", "ts_us": round(1e6 * x), "lat": a, "lon": b, "alt": c})
+             for x, a, b, c in zip(t, lat, lon, h, strict=True)]  # fmt: skip
+    path = folder / "log.jsonl"
+    path.write_text("\n".join(json.dumps(row) for _, row in sorted(rows, key=lambda row: row[0])) + "\n")
+    return [path]
+
+
 TABLES = (one_table, short_names, rostopic, receivers_units, iso_dates, matlab, a_file_a_sensor, phyphox, date_and_time,
-          radians,
-          no_speed_unit)  # fmt: skip
+          radians, no_speed_unit, times_of_day, json_lines)  # fmt: skip
 
 
 @pytest.mark.parametrize("write", TABLES, ids=lambda write: write.__name__)
@@ -251,6 +275,16 @@ def test_a_small_rate_without_a_unit_is_not_sure_at_rest(rec, tmp_path):
     assert tomllib.loads(found.text())["imu"]["gyro_unit"] == "rad/s"
     with pytest.raises(DataError, match="jaxnav map"):
         read(path)
+
+
+def test_turns_of_a_fast_course_show_the_unit_of_the_gyro_where_a_slow_one_does_not():
+    """A walk by fixes of 4 m, then a drive: the course between two fixes is the surer, the farther they are."""
+    rng, t = np.random.default_rng(0), np.arange(400.0)
+    turned = np.cumsum(0.1 * np.sin(t / 10))
+    speed, slow = np.where(t < 250, 0.8, 15.0), t < 250
+    north, east = (np.cumsum(speed * f(turned)) + rng.normal(0.0, 4.0, t.size) for f in (np.cos, np.sin))
+    assert _unit_by_turns(t, turned / DEG, t, north, east) == "deg/s"
+    assert _unit_by_turns(t[slow], turned[slow] / DEG, t[slow], north[slow], east[slow]) == ""
 
 
 def test_a_header_against_the_numbers_is_not_sure(rec, tmp_path):

@@ -12,7 +12,7 @@ from jaxnav.findings import finding
 from jaxnav.io.column_map import described
 from jaxnav.io.containers import members
 from jaxnav.io.files import FilePath
-from jaxnav.io.naming import MIN_ROWS, THREE, Column, named_column, named_columns, readings, unit_of
+from jaxnav.io.naming import MIN_ROWS, THREE, Column, named_column, named_columns, readings, unit_of, words_of
 from jaxnav.io.parts import Parts
 from jaxnav.io.sheet import TICKS, Sheet, dated, form_of, numbers, open_sheet, times
 from jaxnav.io.toml import cell
@@ -29,6 +29,11 @@ TURN_S, MOVING_MPS, MIN_TURNS, MIN_ALIKE = 5.0, 1.5, 5, 0.8  # s and m/s of a co
 IMU_HZ, FIX_HZ = (4.0, 4000.0), (0.09, 60.0)
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".mat", ".npz")
 MAX_FILES = 20
+PARTS_OF_TIME = {
+    "%Y": ("year", "yyyy"), "%m": ("month",), "%d": ("day",),
+    "%H": ("hour", "hours", "hh"), "%M": ("minute", "minutes", "min"), "%S.%f": ("second", "seconds", "sec"),
+}  # fmt: skip
+"""Columns that are a time together: pattern of each, and its names."""
 
 
 class Draft(NamedTuple):
@@ -288,7 +293,7 @@ def _seconds(table: Json, sheet: Sheet) -> np.ndarray:
     names = [ref if ref in sheet.columns else ref.partition(":")[2] for ref in refs]
     if len(names) > 1:
         rows = zip(*(sheet.columns[name].tolist() for name in names), strict=True)
-        return np.array([dated(" ".join(cells), table["time_unit"]) for cells in rows])
+        return np.array([dated(" ".join(map(str, cells)), table["time_unit"]) for cells in rows])
     return times(sheet, names[0], table.get("time_unit", "s"))
 
 
@@ -299,6 +304,10 @@ def _time(found: Draft, table: str, of: Column, sheet: Sheet, rates: tuple[float
     names.sort(key=lambda name: not name.startswith(of.name.rpartition(".")[0]))  # of the same struct first
     each = [named_column(file, name, *reading) for name in names for reading in readings(name, file)]
     known = list({c.name: c for c in each if c is not None and c.quantity in ("time", "date")}.values())
+    if parts := _parts_of_time(names):
+        refs, form = parts
+        found.remarks.append((table, f"time: of {' '.join(refs)}"))
+        return {"time": [f"{prefix}{ref}" for ref in refs], "time_unit": form}
     days = [c.name for c in known if c.quantity == "date"]
     here = np.isfinite(of.values)  # rows of other sensors have times as well
     some = np.flatnonzero(here)[:5]
@@ -307,7 +316,7 @@ def _time(found: Draft, table: str, of: Column, sheet: Sheet, rates: tuple[float
         (c.name, c.unit or unit_of(sheet.units.get(c.name, ""), "time")) for c in known if c.quantity == "time"
     ):
         cells = sheet.columns[name]
-        if cells.dtype.kind == "U" and np.isnan(numbers(sheet, name)[:5]).all():
+        if cells.dtype.kind == "U" and np.isnan(numbers(sheet, name)[some]).all():
             for refs in (*([day, name] for day in days), [name]):
                 begin = [" ".join(each) for each in zip(*(sheet.columns[ref][some].tolist() for ref in refs))]
                 if form := form_of(begin):
@@ -339,12 +348,29 @@ def _time(found: Draft, table: str, of: Column, sheet: Sheet, rates: tuple[float
     return keys
 
 
+def _parts_of_time(names: Sequence[str]) -> tuple[list[str], str] | None:
+    """Return the columns of year to second, or of hour to second, and the pattern of their texts side by side."""
+    of = {" ".join(words_of(name)[0]): name for name in reversed(names)}
+    refs = {form: next((of[word] for word in said if word in of), "") for form, said in PARTS_OF_TIME.items()}
+    if not all(list(refs.values())[3:]):
+        return None
+    kept = {form: ref for form, ref in refs.items() if all(refs.values()) or form in list(PARTS_OF_TIME)[3:]}
+    return list(kept.values()), " ".join(kept)
+
+
+def _together(sheets: dict[str, Sheet], column: Column, other: str) -> bool:
+    """Return whether rows of a column have a number in another of its table."""
+    there, values = np.isfinite(column.values), numbers(sheets[column.file], other)
+    return values.size == there.size and bool(np.isfinite(values[there]).any())
+
+
 def _position(found: Draft, sheets: dict[str, Sheet], fixes: dict[str, Column]) -> None:
     lat, lon, height = fixes["lat"], fixes["lon"], fixes.get("height")
     table: Json = {"file": lat.file}
     remark = lambda words: found.remarks.append(("position", words))
-    imu = found.tables.get("imu", {})
-    if imu.get("file") == lat.file and len(sheets[lat.file].columns[imu["gyro"][0]]) == lat.values.size:
+    imu, struct = found.tables.get("imu", {}), lat.name.rpartition(".")[0]
+    shared = imu.get("file") == lat.file and str(imu.get("time")).startswith(struct)
+    if shared and _together(sheets, lat, imu["gyro"][0]):
         table |= {key: imu[key] for key in ("time", "time_unit") if key in imu}
     else:
         table |= _time(found, "position", lat, sheets[lat.file], FIX_HZ)

@@ -24,6 +24,7 @@ from jaxnav.types import DataError, Finding, Json
 
 DAYS = {"excel": 25569.0, "matlab": 719529.0}  # days on which 1970 began, of units that count days
 FORMS = ("iso", "%H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f")  # of dates and times of the day: none passes for another
+LONG_FRACTION = re.compile(r"(\.\d{6})\d+")  # of a second: `datetime` has six digits
 DATE = re.compile(r"\s*(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T\s]+(\d{1,2}):(\d{1,2}):(\d{1,2}(?:\.\d*)?)\s*Z?\s*")
 TICKS = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000}  # units of time, how many a second
 WHOLE, LED = re.compile(r"[+-]?\d+"), re.compile(r"0\d+(\.\d*)?")
@@ -172,9 +173,10 @@ def dated(cell: Any, pattern: str) -> float:
     """
     if pattern == "iso":
         return date(cell)
+    text = LONG_FRACTION.sub(r"\1", str(cell))
     for form in (pattern, pattern.replace(".%f", "")):
         try:
-            moment = datetime.datetime.strptime(str(cell), form)
+            moment = datetime.datetime.strptime(text, form)
         except ValueError:
             continue
         moment = moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
@@ -358,7 +360,7 @@ def _json(data: bytes, file: str) -> Sheet | None:
     notes: tuple[Finding, ...] = ()
     whole, lines = _loaded(data), None
     if whole is not None:
-        rows = whole if isinstance(whole, list) else next((v for v in whole.values() if isinstance(v, list)), [whole])
+        rows = whole if isinstance(whole, list) else _rows(whole)
     else:
         text = data.decode("utf-8-sig", errors="replace").split("\n")
         read = [(i, _loaded(line)) for i, line in enumerate(text, start=1) if line.strip()]
@@ -378,6 +380,27 @@ def _json(data: bytes, file: str) -> Sheet | None:
     names = dict.fromkeys(name for row in flat for name in row)
     columns = {name: np.array([row.get(name, "") for row in flat]) for name in names}
     return Sheet(file, columns, lines, notes)
+
+
+def _rows(whole: Json) -> list[Any]:
+    """Return the rows of a JSON object: of its list of objects or, by their paths, of several; else of its arrays."""
+    lists = dict(_lists(whole))
+    tables = {path: rows for path, rows in lists.items() if all(isinstance(row, dict) for row in rows)}
+    if len(tables) == 1:
+        return next(iter(tables.values()))
+    if tables:
+        return [{path: row} for path, rows in tables.items() for row in rows]
+    longest = max(map(len, lists.values()), default=0)
+    return [{path: a[k] for path, a in lists.items() if k < len(a)} for k in range(longest)] or [whole]
+
+
+def _lists(value: Json, path: str = "") -> Iterator[tuple[str, list[Any]]]:
+    """Yield the dotted path of each list that is not empty."""
+    for key, inner in value.items():
+        if isinstance(inner, dict):
+            yield from _lists(inner, f"{path}{key}.")
+        elif isinstance(inner, list) and inner:
+            yield f"{path}{key}", inner
 
 
 def _loaded(text: str | bytes) -> Any:

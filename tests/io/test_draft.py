@@ -234,8 +234,44 @@ def json_lines(rec, folder):
     return [path]
 
 
+def json_document(rec, folder):
+    """A list of objects a sensor."""
+    t, lat, lon, h, *_ = fixes(rec)
+    vector = lambda a: dict(zip("xyz", a, strict=True))
+    imu = [{"t": x, "gyro": vector(w), "acc": vector(f)}
+           for x, w, f in zip(rec.imu.t, rec.imu.gyro.tolist(), rec.imu.accel.tolist(), strict=True)]  # fmt: skip
+    gps = [{"t": x, "latitude": a, "longitude": b, "ele": c} for x, a, b, c in zip(t, lat, lon, h, strict=True)]
+    path = folder / "log.json"
+    path.write_text(json.dumps({"about": {"version": 2}, "imu": imu, "gps": gps}))
+    return [path]
+
+
+def json_arrays(rec, folder):
+    """An array a quantity."""
+    t, lat, lon, h, *_ = fixes(rec)
+    imu = {"t": rec.imu.t.tolist(), "gyro": rec.imu.gyro.tolist(), "acc": rec.imu.accel.tolist()}
+    gps = {"t": t.tolist(), "latitude": lat.tolist(), "longitude": lon.tolist(), "altitude": h.tolist()}
+    path = folder / "log.json"
+    path.write_text(json.dumps({"imu": imu, "gps": gps}))
+    return [path]
+
+
+def parts_of_time(rec, folder):
+    """Year to second in columns of their own, seconds with nine digits."""
+    t, lat, lon, h, *_ = fixes(rec)
+    moment = [datetime.datetime.fromtimestamp(BEGIN + x, datetime.UTC) for x in rec.imu.t]
+    of = lambda name: [str(getattr(m, name)) for m in moment]
+    second = [f"{m.second + m.microsecond / 1e6:.9f}" for m in moment]
+    names = ["Year", "Month", "Day", "Hour", "Minute", "Second", *(f"gyro_{a}_dps" for a in "xyz"),
+             *(f"acc_{a}_g" for a in "xyz"), "lat", "lon", "alt"]  # fmt: skip
+    times = [*map(of, ("year", "month", "day", "hour", "minute")), second]
+    columns = [*times, *(rec.imu.gyro / DEG).T, *(rec.imu.accel / G0).T, *held(rec, [lat, lon, h])]
+    rows = rec.imu.t >= t[0]
+    return [lines(folder / "x.csv", names, [np.asarray(column)[rows] for column in columns], form="%.9f")]
+
+
 TABLES = (one_table, short_names, rostopic, receivers_units, iso_dates, matlab, a_file_a_sensor, phyphox, date_and_time,
-          radians, no_speed_unit, times_of_day, json_lines)  # fmt: skip
+          radians, no_speed_unit, times_of_day, json_lines, json_document, json_arrays, parts_of_time)  # fmt: skip
 
 
 @pytest.mark.parametrize("write", TABLES, ids=lambda write: write.__name__)

@@ -23,7 +23,8 @@ from jaxnav.io.units import MULTIPLE, number_of
 from jaxnav.types import DataError, Finding, Json
 
 DAYS = {"excel": 25569.0, "matlab": 719529.0}  # days on which 1970 began, of units that count days
-FORMS = ("iso", "%H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f")  # of dates and times of the day: none passes for another
+FORMS = ("iso", "%H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f", "%I:%M:%S.%f %p", "%m/%d/%Y %I:%M:%S.%f %p")
+"""Dates and times of the day, none of which passes for another."""
 LONG_FRACTION = re.compile(r"(\.\d{6})\d+")  # of a second: `datetime` has six digits
 DATE = re.compile(r"\s*(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T\s]+(\d{1,2}):(\d{1,2}):(\d{1,2}(?:\.\d*)?)\s*Z?\s*")
 TICKS = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000}  # units of time, how many a second

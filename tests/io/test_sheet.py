@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxnav.io import sheet as sheet_module
-from jaxnav.io.sheet import numbers, open_sheet, times
+from jaxnav.io.sheet import dated, form_of, numbers, open_sheet, times
 from jaxnav.io.units import factor
 from jaxnav.maths.units import DEG
 from jaxnav.types import DataError
@@ -176,3 +176,15 @@ def test_marks_inside_of_quotes_are_not_counted(tmp_path):
 def test_a_text_that_begins_with_a_bracket_is_a_table(tmp_path, first):
     (tmp_path / "a.csv").write_text(first + "\nt,x\n" + "".join(f"{k},2\n" for k in range(60)))
     assert len(open_sheet(tmp_path / "a.csv").columns["x"]) == 60
+
+
+def test_texts_of_times_have_one_form_or_none():
+    """Day and month of 06/01/2024 10:00:00 may be either."""
+    for texts, form in (
+        (["10:00:00.5", "9:59:59"], "%H:%M:%S.%f"), (["01.06.2024 10:00:00.123456789"], "%d.%m.%Y %H:%M:%S.%f"),
+        (["11:59:59.5 PM"], "%I:%M:%S.%f %p"), (["06/01/2024 11:59:59 AM"], "%m/%d/%Y %I:%M:%S.%f %p"),
+        (["2024-06-01 10:00:00", "2024-06-01T10:00:01.5Z"], "iso"), (["06/01/2024 10:00:00"], ""),
+        (["10:00:00", "25:00:00"], ""), ([], ""),
+    ):  # fmt: skip
+        assert form_of(texts) == form
+    assert dated("00:00:01.2345678", "%H:%M:%S.%f") == pytest.approx(1.234567)

@@ -17,13 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
-from jaxnav.analysis import metrics
+from jaxnav.analysis import metrics, montecarlo
 from jaxnav.filters.catalogue import FILTERS, build
 from jaxnav.filters.compiler import clear_caches_if_needed
 from jaxnav.filters.core import Filter
 from jaxnav.filters.parameters import history_for, put
 from jaxnav.filters.run import prepare, run
-from jaxnav.maths import rotations, units
+from jaxnav.maths import units
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
 from jaxnav.simulate.simulation import matched_params, simulate_runs
@@ -147,16 +147,12 @@ def _loss(filt: Filter, params: Params, case: ContestRuns) -> jax.Array:
 
 
 @partial(jax.jit, static_argnums=0)
-def _errors(filt: Filter, params: Params, cases: ContestRuns) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """RMS of position m, velocity m/s and attitude deg (S, 3), the largest horizontal error (S,), finite (S,)."""
+def _runs(filt: Filter, params: Params, cases: ContestRuns, limit: jax.Array) -> montecarlo.Scores:
+    """Return the scores (S, ...) of the runs of a case."""
 
-    def one(case: ContestRuns) -> tuple[jax.Array, jax.Array, jax.Array]:
-        info = run(filt, applied(params, case.nominal), case.start, case.epochs)
-        position = jax.vmap(metrics.position_error)(info.nav, case.truth.pos)
-        turn = jax.vmap(lambda a, b: rotations.log(rotations.multiply(a, rotations.conjugate(b))))
-        errors = (position, info.nav.vel - case.truth.vel, turn(info.nav.q, case.truth.q) / units.DEG)
-        size = jnp.stack([jnp.sqrt(jnp.mean(jnp.sum(e**2, axis=1))) for e in errors])
-        return size, jnp.max(jnp.hypot(position[:, 0], position[:, 1])), info.ok.all()
+    def one(case: ContestRuns) -> montecarlo.Scores:
+        theta, none = applied(params, case.nominal), jnp.zeros((0, 2))
+        return montecarlo.scored(filt, theta, case.start, case.epochs, case.truth, none, limit)[0]
 
     return jax.vmap(one)(cases)
 
@@ -263,7 +259,9 @@ def together(cases: list[ContestRuns]) -> tuple[list[ContestRuns], list[int]]:
 
 def scores_of(filt: Filter, params: Params, test: list[ContestRuns], limit_m: float) -> Scores:
     """Return the errors of the test's runs; one that diverged counts as the limit."""
-    scored = [jax.device_get(_errors(filt, params, case)) for case in test]
-    rms, largest, finite = (np.stack(a) for a in zip(*scored, strict=True))
-    ok = finite & np.isfinite(rms).all(-1) & (largest < limit_m)
+    found = [jax.device_get(_runs(filt, params, case, jnp.asarray(limit_m))) for case in test]
+    size = lambda axes: np.linalg.norm(axes, axis=-1)
+    rms = np.array([[size(s.position), size(s.velocity), np.hypot(s.tilt, s.yaw) / units.DEG] for s in found])
+    rms, ok = np.moveaxis(rms, 1, -1), np.array([s.ok for s in found])
+    ok &= np.isfinite(rms).all(-1)
     return Scores(np.where(ok[..., None], np.minimum(rms, limit_m), limit_m), ok)

@@ -22,9 +22,9 @@ from jaxnav.filters.run import require_params, run
 from jaxnav.maths.units import TICK
 from jaxnav.simulate.keys import Purpose, run_keys
 from jaxnav.simulate.scenarios import Scenario
-from jaxnav.simulate.simulation import Simulated, simulate, sizes
+from jaxnav.simulate.simulation import simulate, sizes
 from jaxnav.states.motion import A, P, V
-from jaxnav.types import Array, Json, Nav, Params
+from jaxnav.types import Array, Epoch, Json, Nav, Params
 
 QUANTITIES = ("horizontal", "vertical", "velocity", "tilt", "yaw")
 """Absolute errors kept over time: m, m, m/s, rad, rad; tilt is about both level axes."""
@@ -100,21 +100,35 @@ def _magnitudes(rows: Row) -> jax.Array:
     return jnp.stack([level[0], abs(p[..., 2]), jnp.linalg.norm(v, axis=-1), level[1], abs(a[..., 2])], axis=-1)
 
 
-def _scores(rows: Row, sim: Simulated, limit: jax.Array) -> Scores:
-    """Return the scores of rows (E, ...) of one run."""
-    t, size, ok = sim.truth.t, _magnitudes(rows), rows.ok
+def scored(
+    filt: Filter, params: Params, nav: Nav, epochs: Epoch, truth: Nav, outages: jax.Array, limit: jax.Array
+) -> tuple[Scores, Row]:
+    """Run a filter against the truth, and return the scores of the run and its rows (E, ...).
+
+    Args:
+        filt: the filter.
+        params: its parameters.
+        nav: its start.
+        epochs: (E, ...).
+        truth: (E, ...) at the end of each epoch.
+        outages: (W, 2) s.
+        limit: m, horizontal error beyond which it has diverged.
+    """
+    rows = run(filt, params, nav, epochs, _row, truth)
+    t, size, ok = truth.t, _magnitudes(rows), rows.ok
     count = jnp.maximum(ok.sum(), 1)
     mean = lambda a: jnp.where(ok.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0).sum(0) / count
     root = lambda a: jnp.sqrt(mean(a**2))
-    ends = jnp.maximum(jnp.sum(t[:, None] <= sim.outages[:, 1] + TICK, axis=0) - 1, 0)
+    ends = jnp.maximum(jnp.sum(t[:, None] <= outages[:, 1] + TICK, axis=0) - 1, 0)
     bad = ~ok | (size[:, 0] > limit)
     fixes, nis, dof = jnp.sum(rows.dof > 0), rows.nis.sum(), rows.dof.sum()
     overall = root(size)
-    return Scores(
+    scores = Scores(
         root(rows.position), overall[0], overall[1], root(rows.velocity), overall[3], overall[4], size[ends, 0],
         mean(rows.nees), nis / jnp.maximum(fixes, 1), dof, nis, ~bad.any(),
         jnp.where(bad.any(), t[jnp.argmax(bad)], jnp.inf),
     )  # fmt: skip
+    return scores, rows
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
@@ -125,8 +139,8 @@ def _chunk(filt: Filter, scenario: Scenario, many: bool, params: Params, limit: 
         sim = simulate(key, scenario)
 
         def candidate(params: Params) -> Any:
-            rows = run(filt, params, sim.initial, sim.epochs, _row, sim.truth)
-            return _scores(rows, sim, limit), (_magnitudes(rows), rows.nees, rows.nis, rows.dof, rows.ok)
+            scores, rows = scored(filt, params, sim.initial, sim.epochs, sim.truth, sim.outages, limit)
+            return scores, (_magnitudes(rows), rows.nees, rows.nis, rows.dof, rows.ok)
 
         return *(jax.vmap(candidate)(params) if many else candidate(params)), sim.truth.t
 

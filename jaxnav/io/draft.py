@@ -368,9 +368,8 @@ def _position(found: Draft, sheets: dict[str, Sheet], fixes: dict[str, Column]) 
     lat, lon, height = fixes["lat"], fixes["lon"], fixes.get("height")
     table: Json = {"file": lat.file}
     remark = lambda words: found.remarks.append(("position", words))
-    imu, struct = found.tables.get("imu", {}), lat.name.rpartition(".")[0]
-    shared = imu.get("file") == lat.file and str(imu.get("time")).startswith(struct)
-    if shared and _together(sheets, lat, imu["gyro"][0]):
+    imu = found.tables.get("imu", {})
+    if imu.get("file") == lat.file and _together(sheets, lat, imu["gyro"][0]):
         table |= {key: imu[key] for key in ("time", "time_unit") if key in imu}
     else:
         table |= _time(found, "position", lat, sheets[lat.file], FIX_HZ)

@@ -391,8 +391,10 @@ def _rows(whole: Json) -> list[Any]:
         return next(iter(tables.values()))
     if tables:
         return [{path: row} for path, rows in tables.items() for row in rows]
-    longest = max(map(len, lists.values()), default=0)
-    return [{path: a[k] for path, a in lists.items() if k < len(a)} for k in range(longest)] or [whole]
+    groups: dict[int, list[str]] = {}  # arrays of one length are columns of one table
+    for path, values in lists.items():
+        groups.setdefault(len(values), []).append(path)
+    return [{path: lists[path][k] for path in paths} for n, paths in groups.items() for k in range(n)] or [whole]
 
 
 def _lists(value: Json, path: str = "") -> Iterator[tuple[str, list[Any]]]:

@@ -95,7 +95,7 @@ def recording(repair: bool = True) -> Recording:
     dataset, folder = reading.DATASETS["rtkexplorer_drive"], reading.verify("rtkexplorer_drive")
     table = tomllib.loads(dataset.map.read_text())
     table["imu"] |= {"time_shift_s": EARLY, "repair": repair}
-    rec = timescale.recording(mend.applied(described(table, str(dataset.map), folder, read_parts), mend.Changes()))
+    rec = timescale.in_one_scale(mend.applied(described(table, str(dataset.map), folder, read_parts), mend.Changes()))
     file = io.read_pos(folder / table["read"]["file"]).aiding["position"].t
     later = file[-1] - file[0] - rec.aiding["position"].t[-1]
     moved = {name: s._replace(t=s.t + later) for name, s in rec.aiding.items()}

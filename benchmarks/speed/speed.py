@@ -75,8 +75,8 @@ def agreement(sizes: Sizes) -> dict[str, dict]:
             rows[f"{label}, {n} states"] = {"m": distance(np.asarray(end)[None], ours[-1:])}
     print(f"\ndistance from our stride 1 after {seconds} s, m")
     for name, row in rows.items():
-        apart = row["m"] > SAME and not name.startswith((FIRST.label, "floor"))  # these two are of first order
-        print(f"  {name:28} {row['m']:.2g}" + ("   NOT THE SAME WORK" if apart else ""))
+        differs = row["m"] > SAME and not name.startswith((FIRST.label, "floor"))  # which are of first order
+        print(f"  {name:28} {row['m']:.2g}" + ("   NOT THE SAME WORK" if differs else ""))
     return rows
 
 

@@ -530,7 +530,13 @@ def scan_noise(
 
 
 def usual_scan(rec: Recording, params: Params, latency: float) -> NoiseScan:
-    """Return a scan that is not made: the datasheet's noise, usual errors of a receiver, and a latency (s)."""
+    """Return a scan that is not made: the datasheet's noise, usual errors of a receiver, and a latency.
+
+    Args:
+        rec: the recording, with positions.
+        params: parameters of a filter; slow errors or scales of the fixes that they state stay.
+        latency: s, of the fixes.
+    """
     sd = np.median(np.asarray(rec.aiding["position"].sd), 0)
     return NoiseScan(latency=latency, receiver=ReceiverErrors() if stated_scale(params) else receiver(stated(sd), sd))
 

@@ -212,7 +212,7 @@ def _traced(whole: Callable[..., Any], tree: Tree, leaves: list[Any], name: str)
     jitted.trace(*leaves)  # jax keeps it for the export
     try:
         return export.export(jitted)(*leaves), structure[-1]
-    except (NotImplementedError, ValueError) as error:
+    except (NotImplementedError, ValueError) as error:  # of the export: those of the function came with the trace
         raise NotKept(str(error)) from error
 
 

@@ -304,16 +304,15 @@ def _time(found: Draft, table: str, of: Column, sheet: Sheet, rates: tuple[float
     names.sort(key=lambda name: not name.startswith(of.name.rpartition(".")[0]))  # of the same struct first
     each = [named_column(file, name, *reading) for name in names for reading in readings(name, file)]
     known = list({c.name: c for c in each if c is not None and c.quantity in ("time", "date")}.values())
-    if parts := _parts_of_time(names):
-        refs, form = parts
-        found.remarks.append((table, f"time: of {' '.join(refs)}"))
-        return {"time": [f"{prefix}{ref}" for ref in refs], "time_unit": form}
+    parts, form_of_parts = _parts_of_time(names)
     days = [c.name for c in known if c.quantity == "date"]
     here = np.isfinite(of.values)  # rows of other sensors have times as well
     some = np.flatnonzero(here)[:5]
     best: list[tuple[float, Json, str]] = []
     for name, stated in (
-        (c.name, c.unit or unit_of(sheet.units.get(c.name, ""), "time")) for c in known if c.quantity == "time"
+        (c.name, c.unit or unit_of(sheet.units.get(c.name, ""), "time"))
+        for c in known
+        if c.quantity == "time" and c.name not in parts
     ):
         cells = sheet.columns[name]
         if cells.dtype.kind == "U" and np.isnan(numbers(sheet, name)[some]).all():
@@ -340,6 +339,8 @@ def _time(found: Draft, table: str, of: Column, sheet: Sheet, rates: tuple[float
         score = (unit not in fits) + 0.1 * (not stated) + 1e-3 * float((steps == 0).mean() > 0.2)
         keys = {"time": f"{prefix}{name}"} | ({"time_unit": unit} if unit != "s" else {})
         best.append((score, keys, f"{unit} by {how}: {rate:.3g} Hz"))
+    if not best and parts:  # last: a receiver's whole seconds stand next to its time of week
+        best.append((0.0, {"time": [f"{prefix}{ref}" for ref in parts], "time_unit": form_of_parts}, " ".join(parts)))
     if not best:
         found.unsure.append(f"{table}: no column of {file} is a time that grows: set time and time_unit, or rate_hz")
         return {}
@@ -348,12 +349,12 @@ def _time(found: Draft, table: str, of: Column, sheet: Sheet, rates: tuple[float
     return keys
 
 
-def _parts_of_time(names: Sequence[str]) -> tuple[list[str], str] | None:
-    """Return the columns of year to second, or of hour to second, and the pattern of their texts side by side."""
+def _parts_of_time(names: Sequence[str]) -> tuple[list[str], str]:
+    """Return the columns of year to second, or of hour to second, and the pattern of their texts; none of neither."""
     of = {" ".join(words_of(name)[0]): name for name in reversed(names)}
     refs = {form: next((of[word] for word in said if word in of), "") for form, said in PARTS_OF_TIME.items()}
     if not all(list(refs.values())[3:]):
-        return None
+        return [], ""
     kept = {form: ref for form, ref in refs.items() if all(refs.values()) or form in list(PARTS_OF_TIME)[3:]}
     return list(kept.values()), " ".join(kept)
 

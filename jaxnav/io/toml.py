@@ -5,7 +5,7 @@ import math
 import re
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgspec
@@ -17,18 +17,23 @@ def converted(value: Any, hint: Any) -> Any:
     Raises:
         msgspec.ValidationError: it is of another type, not a number, or out of the limits of the type.
     """
-    return msgspec.convert(_numbers(value), hint)
+    try:
+        return msgspec.convert(_changed(value, _no_nan), hint)
+    except msgspec.ValidationError:  # where a number is asked for, "inf" is one: strict JSON has no other way
+        return msgspec.convert(_changed(_changed(value, _no_nan), lambda v: math.inf if v == "inf" else v), hint)
 
 
-def _numbers(value: Any) -> Any:
-    """Return a value with infinity as a number, which strict JSON has as text; no value has NaN."""
-    if isinstance(value, Mapping):
-        return {k: _numbers(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_numbers(v) for v in value]
+def _no_nan(value: Any) -> Any:
     if isinstance(value, float) and math.isnan(value):
         raise msgspec.ValidationError("not a number")
-    return math.inf if value == "inf" else value
+    return value
+
+
+def _changed(value: Any, change: Callable[[Any], Any]) -> Any:
+    """Return tables and lists with other numbers and texts."""
+    if isinstance(value, Mapping):
+        return {k: _changed(v, change) for k, v in value.items()}
+    return [_changed(v, change) for v in value] if isinstance(value, (list, tuple)) else change(value)
 
 
 def describe(hint: Any, many: bool = False) -> str:

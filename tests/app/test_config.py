@@ -36,6 +36,8 @@ def test_layers_later_wins():
         ("tune.objective={drift = 1, nll = 0.1}", {"drift": 1.0, "nll": 0.1}),
         ("tune.free=['noise', 'mounting.lever_arm']", ("noise", "mounting.lever_arm")),
         ("data.source=/some/folder", "/some/folder"),
+        ("data.source='inf'", "inf"),
+        ("tune.free=['inf']", ("inf",)),
         ("data.options.imu=imu1", {"imu": "imu1"}),
     ],
 )

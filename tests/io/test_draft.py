@@ -313,6 +313,19 @@ def test_a_small_rate_without_a_unit_is_not_sure_at_rest(rec, tmp_path):
         read(path)
 
 
+def test_whole_seconds_next_to_a_time_of_week_are_no_time(rec, tmp_path):
+    """As in a table of a receiver's NAV-PVT, at 4 Hz; without the time of week they are all that there is."""
+    short_names(rec, tmp_path)
+    t, lat, lon, h, *_ = fixes(rec)
+    clock = [np.full(t.size, 10), (t // 60).astype(int), (t % 60).astype(int)]
+    names, columns = ["hour", "min", "sec", "lat", "lon", "alt"], [*clock, lat, lon, h]
+    for more, column, time in ((["iTOW"], [np.round(1e3 * t)], "iTOW"), ([], [], ["hour", "min", "sec"])):
+        path = lines(tmp_path / "gnss.txt", [*more, *names], [*column, *columns], form="%.9f")
+        rows = path.read_text().replace(".000000000", "")
+        path.write_text(rows)
+        assert draft([tmp_path / "imu.txt", path], tmp_path).tables["position"]["time"] == time
+
+
 def test_turns_of_a_fast_course_show_the_unit_of_the_gyro_where_a_slow_one_does_not():
     """A walk by fixes of 4 m, then a drive: the course between two fixes is the surer, the farther they are."""
     rng, t = np.random.default_rng(0), np.arange(400.0)

@@ -174,6 +174,8 @@ def dated(cell: Any, pattern: str) -> float:
     """
     if pattern == "iso":
         return date(cell)
+    if pattern == "%H:%M:%S.%f" and np.isfinite(quick := date(f"1970-01-01T{cell}")):
+        return quick  # in a fifth of the time of `strptime`
     text = LONG_FRACTION.sub(r"\1", str(cell))
     for form in (pattern, pattern.replace(".%f", "")):
         try:
